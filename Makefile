@@ -1,0 +1,56 @@
+# The two commands of this compendium: make reproduce, make test. `make help` lists the rest.
+
+PYTHON ?= python3
+BIN := .venv/bin
+NOTEBOOKS := $(sort $(wildcard notebooks/*.ipynb))
+PARTS := $(NOTEBOOKS:notebooks/%.ipynb=build/ledger/%.csv)
+# Notebooks run side by side: one thread of linear algebra each, and no display.
+export OMP_NUM_THREADS ?= 1
+export MPLBACKEND ?= module://matplotlib_inline.backend_inline
+export PYTHONWARNINGS ?= ignore::DeprecationWarning
+.DELETE_ON_ERROR:
+.PHONY: help reproduce results test lint lab notebooks lock clean
+
+help:  ## list the targets
+	@grep -hE '^[a-z]+:.*##' Makefile | sed -E 's/:.*## /\t/' | expand -t 12
+
+reproduce: $(BIN)/ready  ## run all notebooks; regenerate figures/ and the ledger
+	@rm -rf build && mkdir -p build/ledger
+	@$(MAKE) --no-print-directory -j 2 $(PARTS)
+	@$(BIN)/python -m rodlib.ledger
+
+build/ledger/%.csv: notebooks/%.ipynb
+	@echo "$* ..."
+	@$(BIN)/papermill --cwd notebooks --no-progress-bar --log-level ERROR $< build/$*.ipynb
+	@echo "$* done"
+
+test: $(BIN)/ready lint  ## lint, unit tests, and the committed notebooks against a fresh run
+	$(BIN)/pytest -q
+	$(BIN)/pytest -q --nbval --nbval-current-env $(NOTEBOOKS)
+
+lint: $(BIN)/ready  ## ruff on modules, tests and notebooks
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+
+lab: $(BIN)/ready  ## open the notebooks in JupyterLab
+	$(BIN)/jupyter lab --notebook-dir=notebooks
+
+notebooks: $(BIN)/ready  ## execute the tracked notebooks in place, before a commit
+	$(BIN)/jupyter nbconvert --to notebook --execute --inplace \
+		--ExecutePreprocessor.record_timing=False $(NOTEBOOKS)
+
+lock: $(BIN)/ready  ## resolve the dependencies of pyproject.toml anew: the only writer of environment.lock
+	$(BIN)/uv pip compile pyproject.toml --extra dev --universal --fork-strategy fewest --upgrade \
+		--generate-hashes --no-emit-index-url --no-emit-find-links \
+		--custom-compile-command "make lock" --quiet --output-file environment.lock
+
+clean:  ## remove build/ and the environment
+	rm -rf build .venv
+
+$(BIN)/ready: environment.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.version_info >= (3, 11) or sys.exit("Python 3.11 or newer is needed: make PYTHON=...")'
+	@echo "creating the environment from environment.lock (once, some minutes) ..."
+	@$(PYTHON) -m venv --clear .venv
+	@$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r environment.lock
+	@$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@touch $@

@@ -1,0 +1,291 @@
+"""The ledger: what the paper prints against what is computed here, and the verdict.
+
+A number is *reproduced* if it agrees within half a unit of the last digit printed, a statement if
+the number that tests it meets its criterion. Otherwise it *differs*, by so much. Each notebook
+records its part; ``python -m rodlib.ledger`` joins the parts once all notebooks have run.
+"""
+
+import os
+import re
+import shutil
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from rodlib import published
+from rodlib.published import ROOT, Claim
+
+BUILD = ROOT / "build"
+REPRODUCED, DIFFERS = "reproduced", "differs"
+UNCHECKED, OTHER = "cannot be checked", "not the paper's parameters"
+VERDICTS = (REPRODUCED, DIFFERS, UNCHECKED, OTHER)
+NOISE = 1e-9  # what is smaller is rounding, and not the same on two machines
+COLUMNS = [
+    "key",
+    "place",
+    "claim",
+    "printed",
+    "computed",
+    "deviation",
+    "verdict",
+    "note",
+    "notebook",
+]
+
+# The tables in the notebooks show whole sentences.
+pd.set_option("display.max_colwidth", None, "display.max_rows", None, "display.width", 200)
+
+
+def verdict(claim: Claim, computed: float) -> tuple[str, float]:
+    """Judge a computed number.
+
+    Parameters
+    ----------
+    claim : Claim
+    computed : float
+
+    Returns
+    -------
+    verdict : str
+        "reproduced" or "differs".
+    deviation : float
+        From the printed number; for a statement, by how much its criterion is missed, else 0.
+
+    Raises
+    ------
+    ValueError
+        If the criterion of the claim is not understood.
+    """
+    if not claim.criterion:
+        deviation = computed - published.number(claim.printed)
+        holds = abs(deviation) <= published.half_unit(claim.printed) * (1 + 1e-9)
+    elif pair := re.fullmatch(r"(\S+) \+- (\S+)", claim.criterion):
+        deviation = computed - float(pair[1])
+        holds = abs(deviation) <= float(pair[2])
+    elif pair := re.fullmatch(r"(<|<=|>|>=|==) (\S+)", claim.criterion):
+        limit = float(pair[2])
+        compare = {"<": np.less, "<=": np.less_equal, ">": np.greater, ">=": np.greater_equal}
+        holds = bool(compare.get(pair[1], np.equal)(computed, limit))
+        deviation = 0.0 if holds else computed - limit
+    else:
+        raise ValueError(f"criterion {claim.criterion!r} of claim {claim.key!r} is not understood")
+    return (REPRODUCED if holds else DIFFERS), float(deviation)
+
+
+class Ledger:
+    """The rows of one notebook.
+
+    Parameters
+    ----------
+    notebook : str
+        Name of the notebook, without ending.
+    **parameters
+        The values of its parameters that the paper prints, by key. If one is not the paper's, no
+        row gets a verdict.
+    """
+
+    def __init__(self, notebook: str, **parameters):
+        self.notebook = notebook
+        self.rows = {}
+        known = published.claims()
+        self.papers_parameters = all(
+            value is not None and verdict(known[key], value)[0] == REPRODUCED
+            for key, value in parameters.items()
+        )
+
+    def record(self, key: str, computed=None) -> None:
+        """Enter what was computed for the claim `key`, or for all entries of a matrix.
+
+        Parameters
+        ----------
+        key : str
+            Key of a claim, or the name of a printed matrix.
+        computed : float or ndarray
+            For a matrix with the shape that :func:`rodlib.published.matrix` gives it. None for
+            what cannot be checked.
+
+        Raises
+        ------
+        KeyError
+            If the paper makes no such claim.
+        ValueError
+            If the shape does not fit.
+        """
+        if key in published.MATRICES:
+            self._record_matrix(key, np.asarray(computed))
+            return
+        claim = published.claims()[key]
+        if claim.criterion == UNCHECKED:
+            outcome, deviation = UNCHECKED, np.nan
+        else:
+            outcome, deviation = verdict(claim, float(computed))
+        self.rows[key] = {
+            "key": key,
+            "place": claim.place,
+            "claim": claim.claim + (f" ({claim.unit})" if claim.unit else ""),
+            "printed": claim.printed,
+            "computed": "" if outcome == UNCHECKED else _format(float(computed)),
+            "deviation": f"{deviation:.1e}" if abs(deviation) > NOISE else "",
+            "verdict": outcome if self.papers_parameters or outcome == UNCHECKED else OTHER,
+            "note": "; ".join(filter(None, [_criterion_in_words(claim), claim.note])),
+            "notebook": self.notebook,
+        }
+
+    def _record_matrix(self, name, computed):
+        expected = published.matrix(name).shape
+        if computed.shape != expected:
+            raise ValueError(f"{name} has shape {computed.shape}, but the paper's has {expected}")
+        if name == "K_s":
+            computed = computed.T
+        if name == "L_diagonal":
+            computed = np.einsum("iik->ki", computed)
+        if name == "L_full":
+            computed = computed.reshape(4, -1).T
+        keys = [key for key in published.claims() if key.startswith(f"{name}[")]
+        for key, value in zip(keys, computed.ravel(), strict=True):
+            self.record(key, value)
+
+    def table(self, keys: Iterable[str] | None = None) -> pd.DataFrame:
+        """The rows recorded so far, as a table for the notebook.
+
+        Parameters
+        ----------
+        keys : iterable of str, optional
+            Beginnings of the keys to show; default all.
+        """
+        chosen = [key for key in published.claims() if key in self.rows]
+        if keys is not None:
+            chosen = [key for key in chosen if key.startswith(tuple(keys))]
+        rows = pd.DataFrame([self.rows[key] for key in chosen], columns=COLUMNS)
+        return rows.set_index("place")[["claim", "printed", "computed", "deviation", "verdict"]]
+
+    def save(self) -> None:
+        """Write the rows to build/ledger, for ``python -m rodlib.ledger`` to join."""
+        folder = BUILD / "ledger"
+        folder.mkdir(parents=True, exist_ok=True)
+        rows = pd.DataFrame(self.rows.values(), columns=COLUMNS)
+        write_whole(folder / f"{self.notebook}.csv", rows.to_csv(index=False, lineterminator="\n"))
+
+
+def _format(value):
+    return f"{value:.7g}" if not abs(value) <= NOISE or value == 0 else f"below {NOISE:g}"
+
+
+def _criterion_in_words(claim):
+    if claim.criterion in ("", UNCHECKED) or "+-" in claim.criterion:
+        return ""
+    return f"criterion: {claim.criterion}"
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Replace a text file as a whole or not at all."""
+    temporary = path.with_name(f".{path.name}.part")
+    temporary.write_text(text, encoding="utf-8", newline="\n")
+    os.replace(temporary, path)
+
+
+def join(parts: Path) -> pd.DataFrame:
+    """Join the notebooks' rows in the order of the paper.
+
+    Parameters
+    ----------
+    parts : Path
+        Folder with one CSV file per notebook.
+
+    Raises
+    ------
+    ValueError
+        If a claim has no row, or more than one.
+    """
+    paths = sorted(parts.glob("*.csv"))
+    tables = [pd.read_csv(path, dtype=str, keep_default_na=False) for path in paths]
+    rows = pd.concat(tables) if tables else pd.DataFrame(columns=COLUMNS)
+    twice = rows.key[rows.key.duplicated()].tolist()
+    missing = [key for key in published.claims() if key not in set(rows.key)]
+    if twice or missing:
+        raise ValueError(f"ledger: claims without evidence {missing}, claims with two rows {twice}")
+    return rows.set_index("key").loc[list(published.claims())].reset_index()[COLUMNS]
+
+
+def summary(rows: pd.DataFrame) -> str:
+    """Counts of the verdicts by notebook, and all that differs, as Markdown."""
+    counts = pd.crosstab(rows.notebook, rows.verdict).reindex(columns=VERDICTS[:3], fill_value=0)
+    counts.loc["**all**"] = counts.sum()
+    differs = rows[rows.verdict == DIFFERS].copy()
+    group = differs.key.str.extract(r"^(L_\w+)\[", expand=False)
+    lines = []
+    for name, part in differs.groupby(group.fillna(differs.key), sort=False):
+        first = part.iloc[0]
+        if name in published.MATRICES:
+            largest = part.deviation.astype(float).abs().max()
+            total = sum(key.startswith(f"{name}[") for key in published.claims())
+            what = first.claim.partition("[")[0]
+            text = f"{what}: {len(part)} of {total} by at most {largest:.1e}"
+        else:
+            text = f"{first.claim}: printed “{first.printed}”, computed {first.computed}"
+        lines.append(f"- {first.place}: {text}" + (f" ({first.note})" if first.note else ""))
+    return (
+        counts.rename_axis(None, axis=1).to_markdown()
+        + "\n\nWhat differs:\n\n"
+        + ("\n".join(lines) if lines else "- nothing")
+        + "\n"
+    )
+
+
+def markdown(rows: pd.DataFrame) -> str:
+    """The whole ledger as a readable page."""
+    table = rows.drop(columns="key").replace({r"\|": r"\|"}, regex=True)
+    return (
+        "# Printed against computed\n\n"
+        "Written by `make reproduce`. *Reproduced*: within half a unit of the last printed digit, "
+        "or, for a statement in words, the criterion named in its note holds. The criteria are "
+        "ours. Gains depend on the state coordinates; they are compared after one orthogonal "
+        "change of coordinates, and through products that do not depend on it.\n\n"
+        f"{summary(rows)}\n## All rows\n\n{table.to_markdown(index=False, disable_numparse=True)}\n"
+    )
+
+
+def splice(text: str, name: str, content: str) -> str:
+    """Replace what stands between the two markers `name` of a Markdown text.
+
+    Raises
+    ------
+    ValueError
+        If the text does not have the two markers.
+    """
+    start, end = f"<!-- {name} -->\n", f"<!-- end of {name} -->"
+    before, found, rest = text.partition(start)
+    _, closed, after = rest.partition(end)
+    if not (found and closed):
+        raise ValueError(f"the text has no markers {start.strip()} and {end}")
+    return before + start + content + end + after
+
+
+def publish(build: Path = BUILD, root: Path = ROOT) -> None:
+    """Move the results of a complete run to figures/ and the README; each file whole or not."""
+    rows = join(build / "ledger")
+    readme = splice((root / "README.md").read_text(encoding="utf-8"), "ledger", summary(rows))
+    figures = sorted((build / "figures").iterdir())
+    target = root / "figures"
+    target.mkdir(exist_ok=True)
+    for path in figures:
+        shutil.copyfile(path, target / f".{path.name}.part")
+        os.replace(target / f".{path.name}.part", target / path.name)
+    kept = {path.name for path in figures} | {"ledger.csv", "ledger.md"}
+    for path in target.iterdir():
+        if path.name not in kept:
+            path.unlink()
+    write_whole(target / "ledger.csv", rows.to_csv(index=False, lineterminator="\n"))
+    write_whole(target / "ledger.md", markdown(rows))
+    write_whole(root / "README.md", readme)
+    print(f"figures/: {len(figures)} files; ledger: {rows.verdict.value_counts().to_dict()}")
+
+
+if __name__ == "__main__":
+    try:
+        publish()
+    except (ValueError, OSError) as error:
+        sys.exit(str(error))
