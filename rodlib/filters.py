@@ -10,6 +10,7 @@ first and the last sample stand still, which suits a trial that does not end at 
 """
 
 from dataclasses import dataclass, field
+from numbers import Real
 
 import numpy as np
 from scipy.signal import butter, freqz_sos, sosfilt, sosfilt_zi
@@ -83,9 +84,9 @@ def zero_phase_butterworth(
     """
     if not (isinstance(order, int | np.integer) and order >= 1):
         raise ValueError(f"order = {order!r} must be a whole number, 1 or more")
-    if not (np.isfinite(Ts) and Ts > 0):
+    if not (isinstance(Ts, Real) and 0 < Ts < np.inf):
         raise ValueError(f"Ts = {Ts!r} must be a positive sampling period in seconds")
-    if not 0 < cutoff < np.pi / Ts:
+    if not (isinstance(cutoff, Real) and 0 < cutoff < np.pi / Ts):
         raise ValueError(f"cutoff = {cutoff!r} must be in (0, {np.pi / Ts:.6g}) rad/s (Nyquist)")
     _check_ends(ends)
     return ZeroPhaseButterworth(int(order), float(cutoff), float(Ts), ends)
@@ -120,7 +121,7 @@ class LearningFilter:
             raise ValueError(f"coefficients have shape {c.shape}, but must be (m, m, order)")
         if not np.isfinite(c).all():
             raise ValueError("coefficients must be finite")
-        if not (np.isfinite(self.Ts) and self.Ts > 0):
+        if not (isinstance(self.Ts, Real) and 0 < self.Ts < np.inf):
             raise ValueError(f"Ts = {self.Ts!r} must be a positive sampling period in seconds")
         _check_ends(self.ends)
         c.flags.writeable = False

@@ -6,6 +6,7 @@ approximation, in the frequency domain, and is what every approximation is measu
 """
 
 from dataclasses import dataclass, fields
+from numbers import Real
 
 import control
 import numpy as np
@@ -38,7 +39,7 @@ class Rod:
     def __post_init__(self):
         for field in fields(self)[:7]:
             value = getattr(self, field.name)
-            if not (np.isscalar(value) and np.isfinite(value) and value > 0):
+            if not (isinstance(value, Real) and 0 < value < np.inf):
                 raise ValueError(f"{field.name} = {value!r} must be a positive number (SI units)")
         if not (isinstance(self.sections, int | np.integer) and self.sections >= 1):
             raise ValueError(f"sections = {self.sections!r} must be a whole number, 1 or more")
@@ -212,10 +213,11 @@ def exact_response(rod: Rod, s) -> np.ndarray:
     z = np.array(rod.sensors)[:, None]
     start, stop = rod.edges[:-1], rod.edges[1:]
     inner = np.clip(z, start, stop)
-    left = sinh_ratio(length - z + inner) + sinh_ratio(inner - length + z)
-    left -= sinh_ratio(length - z + start) + sinh_ratio(start - length + z)
-    right = sinh_ratio(length - inner + z) + sinh_ratio(length - inner - z)
-    right -= sinh_ratio(length - stop + z) + sinh_ratio(length - stop - z)
+    above, below = np.maximum(z, inner), np.minimum(z, inner)  # equal to z where it counts
+    left = sinh_ratio(length - above + inner) + sinh_ratio(inner - length + above)
+    left -= sinh_ratio(length - above + start) + sinh_ratio(start - length + above)
+    right = sinh_ratio(length - inner + below) + sinh_ratio(length - inner - below)
+    right -= sinh_ratio(length - stop + below) + sinh_ratio(length - stop - below)
     density = rod.sections / (area * length)  # of a heat flow, (4)
     flows = density * (left + right) / (2 * rod.conductivity * gamma**2)
     air = rod.kappa_2 / (rod.kappa_1 * s + rod.kappa_2)

@@ -10,6 +10,7 @@ inequality, one per frequency, and the problems are semidefinite programs.
 
 import warnings
 from dataclasses import dataclass
+from numbers import Real
 
 import control
 import cvxpy as cp
@@ -304,7 +305,7 @@ def _examine(coefficients, status, P, Q, omega, Ts, in_band, objective, between)
 
 def _frequency_responses(P, Q, omega, Ts):
     """Samples of P and Q on omega, and a function that gives them anywhere in between."""
-    if not (np.isscalar(Ts) and np.isfinite(Ts) and Ts > 0):
+    if not (isinstance(Ts, Real) and 0 < Ts < np.inf):
         raise ValueError(f"Ts = {Ts!r} must be a positive sampling period in seconds")
     omega = np.asarray(omega, dtype=float)
     if omega.ndim != 1 or len(omega) < 2 or not np.all(np.diff(omega) > 0):
@@ -365,9 +366,9 @@ def _check_design(P, omega, order, M_max, L_max, band, structure, objective):
         raise ValueError(
             f"order = {order!r} must be a whole number from 1 to len(omega) = {len(omega)}"
         )
-    if not (np.isscalar(M_max) and 0 < M_max < 1):
+    if not (isinstance(M_max, Real) and 0 < M_max < 1):
         raise ValueError(f"M_max = {M_max!r} must be in (0, 1), or the trials do not converge")
-    if L_max is not None and not (np.isscalar(L_max) and np.isfinite(L_max) and L_max > 0):
+    if L_max is not None and not (isinstance(L_max, Real) and 0 < L_max < np.inf):
         raise ValueError(f"L_max = {L_max!r} must be a positive number, or None for no bound")
     low, high = band
     slack = 1e-9 * omega[-1]

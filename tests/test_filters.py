@@ -1,0 +1,152 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.signal import butter, filtfilt
+
+from rodlib import LearningFilter, update, zero_phase_butterworth
+
+
+def as_matrix(apply, samples, channels=1):
+    """Matrix of a linear map of signals, column by column."""
+    units = np.eye(samples * channels).reshape(-1, samples, channels)
+    return apply(units).reshape(-1, samples * channels).T
+
+
+@given(st.integers(1, 6), st.floats(0.01, 1.5), st.floats(0.1, 2.0))
+def test_q_is_the_squared_magnitude_of_the_analytic_butterworth(order, cutoff, Ts):
+    omega = np.linspace(0, np.pi / Ts * 0.99, 50)
+    warped = np.tan(omega * Ts / 2) / np.tan(cutoff * Ts / 2)
+    Q = zero_phase_butterworth(order, cutoff, Ts)
+    expected = 1 / (1 + warped ** (2 * order))
+    np.testing.assert_allclose(Q.frequency_response(omega), expected, atol=1e-9)
+    assert Q.frequency_response([cutoff])[0] == pytest.approx(0.5)
+
+
+def test_q_agrees_with_filtfilt_away_from_the_ends(Q):
+    signal = np.random.default_rng(0).standard_normal((1500, 2))
+    signal[:500] = signal[-500:] = 0
+    expected = filtfilt(*butter(2, 0.1 / np.pi), signal, axis=0, padlen=0)
+    np.testing.assert_allclose(Q.apply(signal), expected, atol=1e-12)
+
+
+def test_q_on_a_trial_is_the_toeplitz_matrix_of_its_frequency_response(Q):
+    matrix = as_matrix(Q.apply, 300)
+    grid = 2 * np.pi * np.arange(4096) / 4096
+    grid[grid > np.pi] -= 2 * np.pi
+    impulse = np.fft.ifft(Q.frequency_response(np.abs(grid))).real
+    lags = np.abs(np.subtract.outer(np.arange(300), np.arange(300)))
+    np.testing.assert_allclose(matrix, impulse[lags], atol=1e-12)
+    assert np.linalg.norm(matrix, 2) <= 1
+
+
+def test_q_that_holds_the_ends_passes_a_constant():
+    constant = np.full((40, 2), 3.0)
+    held = zero_phase_butterworth(ends="hold").apply(constant)
+    np.testing.assert_allclose(held, constant, rtol=1e-12)
+    assert zero_phase_butterworth().apply(constant)[-1, 0] < 2
+
+
+@pytest.mark.parametrize("ends", ["zero", "hold"])
+def test_filters_act_on_every_trial_of_a_stack_alike(ends):
+    rng = np.random.default_rng(1)
+    trials = rng.standard_normal((3, 80, 2))
+    for filter_ in (
+        zero_phase_butterworth(ends=ends),
+        LearningFilter(rng.standard_normal((2, 2, 4)), 1.0, ends),
+    ):
+        np.testing.assert_allclose(filter_.apply(trials)[1], filter_.apply(trials[1]), atol=1e-13)
+
+
+@given(st.integers(1, 4), st.integers(1, 12), st.integers(0, 2**32 - 1))
+def test_learning_filter_looks_ahead(m, order, seed):
+    rng = np.random.default_rng(seed)
+    coefficients, e = rng.standard_normal((m, m, order)), rng.standard_normal((20, m))
+    L = LearningFilter(coefficients, 1.0)
+    ahead = np.vstack([e, np.zeros((order, m))])
+    expected = [
+        sum(coefficients[:, :, k - 1] @ ahead[p + k] for k in range(1, order + 1))
+        for p in range(20)
+    ]
+    np.testing.assert_allclose(L.apply(e), expected, atol=1e-12)
+
+
+def test_learning_filter_in_time_and_in_frequency():
+    rng = np.random.default_rng(3)
+    L = LearningFilter(rng.standard_normal((2, 2, 10)), 0.5)
+    impulse = np.zeros((60, 2))
+    impulse[30, 1] = 1
+    omega = np.linspace(0, np.pi / 0.5, 7)
+    transform = np.exp(-0.5j * np.outer(omega, np.arange(60) - 30)) @ L.apply(impulse)
+    np.testing.assert_allclose(transform, L.frequency_response(omega)[:, :, 1], atol=1e-12)
+
+
+def test_held_end_lets_a_constant_error_be_seen_whole():
+    L = LearningFilter(np.ones((1, 1, 5)), 1.0, ends="hold")
+    np.testing.assert_allclose(L.apply(np.ones((8, 1))), 5.0)
+    assert LearningFilter(np.ones((1, 1, 5)), 1.0).apply(np.ones((8, 1)))[-1, 0] == 0
+
+
+def test_update_is_the_ilc_law(Q):
+    rng = np.random.default_rng(4)
+    v, e = rng.standard_normal((2, 100, 2))
+    L = LearningFilter(rng.standard_normal((2, 2, 10)), 1.0)
+    matrix_Q, matrix_L = as_matrix(Q.apply, 100, 2), as_matrix(L.apply, 100, 2)
+    expected = matrix_Q @ (v.ravel() + matrix_L @ e.ravel())
+    np.testing.assert_allclose(update(v, e, Q, L).ravel(), expected, atol=1e-11)
+
+
+def test_coefficients_cannot_be_changed_behind_the_filter():
+    given_ = np.ones((1, 1, 2))
+    L = LearningFilter(given_, 1.0)
+    given_[:] = 5
+    assert L.coefficients.max() == 1
+    with pytest.raises(ValueError, match="read-only"):
+        L.coefficients[0, 0, 0] = 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"order": 0}, "order = 0"),
+        ({"cutoff": 4.0}, "cutoff = 4.0"),
+        ({"cutoff": "slow"}, "cutoff = 'slow'"),
+        ({"Ts": -1.0}, "Ts = -1.0"),
+        ({"ends": "mirror"}, "ends = 'mirror'"),
+    ],
+)
+def test_bad_q_filters_are_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        zero_phase_butterworth(**arguments)
+
+
+@pytest.mark.parametrize(
+    ("coefficients", "Ts", "message"),
+    [
+        (np.ones((2, 3, 4)), 1.0, r"shape \(2, 3, 4\)"),
+        (np.ones((2, 2, 0)), 1.0, r"shape \(2, 2, 0\)"),
+        (np.full((1, 1, 1), np.nan), 1.0, "finite"),
+        (np.ones((1, 1, 1)), 0.0, "Ts = 0.0"),
+    ],
+)
+def test_bad_learning_filters_are_refused(coefficients, Ts, message):
+    with pytest.raises(ValueError, match=message):
+        LearningFilter(coefficients, Ts)
+
+
+def test_bad_signals_are_refused(Q):
+    L = LearningFilter(np.ones((2, 2, 3)), 1.0)
+    gap = np.zeros((5, 2))
+    gap[3, 1] = np.nan
+    with pytest.raises(
+        ValueError, match=r"e has 1 values that are not finite, the first at \[3 1\]"
+    ):
+        update(np.zeros((5, 2)), gap, Q, L)
+    with pytest.raises(ValueError, match=r"v has shape \(5, 2\) and e has shape \(6, 2\)"):
+        update(np.zeros((5, 2)), np.zeros((6, 2)), Q, L)
+    with pytest.raises(ValueError, match="3 channels"):
+        L.apply(np.zeros((5, 3)))
+    with pytest.raises(ValueError, match=r"shape \(5,\)"):
+        Q.apply(np.zeros(5))
+    with pytest.raises(ValueError, match=r"Q\.Ts = 1\.0 s and L.Ts = 2.0 s"):
+        update(np.zeros((5, 2)), np.zeros((5, 2)), Q, LearningFilter(np.ones((2, 2, 3)), 2.0))

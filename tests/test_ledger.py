@@ -1,0 +1,161 @@
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rodlib import ledger, published
+from rodlib.ledger import DIFFERS, OTHER, REPRODUCED, UNCHECKED, Ledger, verdict
+from rodlib.published import Claim
+
+
+def claim(printed="0.1011", criterion=""):
+    return Claim("key", "IV", "a zero", printed, criterion=criterion)
+
+
+@given(st.floats(-0.49, 0.49), st.floats(0.51, 100) | st.floats(-100, -0.51))
+def test_half_a_unit_of_the_last_printed_digit_decides(inside, outside):
+    assert verdict(claim(), 0.1011 + inside * 1e-4)[0] == REPRODUCED
+    outcome, deviation = verdict(claim(), 0.1011 + outside * 1e-4)
+    assert outcome == DIFFERS
+    assert deviation == pytest.approx(outside * 1e-4)
+
+
+@pytest.mark.parametrize(
+    ("criterion", "computed", "outcome", "deviation"),
+    [
+        ("< 0.1", 0.0327, REPRODUCED, 0),
+        ("< 0.1", 0.38, DIFFERS, 0.28),
+        ("< 1", np.nan, DIFFERS, np.nan),
+        ("<= 1", 1.0, REPRODUCED, 0),
+        ("> 50", 2e8, REPRODUCED, 0),
+        (">= 2", 1.5, DIFFERS, -0.5),
+        ("== 12", 10, DIFFERS, -2),
+        ("0.58 +- 0.01", 0.585, REPRODUCED, 0.005),
+        ("0.58 +- 0.01", 0.6, DIFFERS, 0.02),
+    ],
+)
+def test_statements_are_judged_by_their_criterion(criterion, computed, outcome, deviation):
+    assert verdict(claim("in words", criterion), computed) == (
+        outcome,
+        pytest.approx(deviation, nan_ok=True),
+    )
+
+
+def test_a_criterion_that_is_not_understood_is_refused():
+    with pytest.raises(ValueError, match="criterion 'about 3' of claim 'key'"):
+        verdict(claim("in words", "about 3"), 3.0)
+
+
+def test_a_wrong_gain_is_caught():
+    book = Ledger("test")
+    wrong = published.matrix("N").copy()
+    wrong[1, 0] += 1e-4
+    book.record("N", wrong)
+    assert [row["verdict"] for row in book.rows.values()] == [REPRODUCED] * 2 + [
+        DIFFERS,
+        REPRODUCED,
+    ]
+
+
+def test_matrices_keep_their_order():
+    book = Ledger("test")
+    for name in published.MATRICES:
+        book.record(name, published.matrix(name))
+    assert {row["verdict"] for row in book.rows.values()} == {REPRODUCED}
+    assert {row["deviation"] for row in book.rows.values()} == {""}
+
+
+def test_other_parameters_get_no_verdict():
+    book = Ledger("test", M_max=0.8, L_max=50.0)
+    book.record("order", 10)
+    book.record("tool_chain")
+    assert [row["verdict"] for row in book.rows.values()] == [OTHER, UNCHECKED]
+    assert Ledger("test", M_max=0.9, L_max=50.0).papers_parameters
+    assert not Ledger("test", L_max=None).papers_parameters
+
+
+def test_unknown_claims_and_wrong_shapes_are_refused():
+    book = Ledger("test")
+    with pytest.raises(KeyError, match="no such claim"):
+        book.record("no such claim", 1.0)
+    with pytest.raises(ValueError, match=r"N has shape \(3, 2\), but the paper's has \(2, 2\)"):
+        book.record("N", np.ones((3, 2)))
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch):
+    """A complete run in an empty repository: all claims, one figure, a README."""
+    monkeypatch.setattr(ledger, "BUILD", tmp_path / "build")
+    book = Ledger("01-model")
+    for key, entry in published.claims().items():
+        book.record(key, 1e9 if key == "N[1,1]" else _meets(entry))
+    book.save()
+    figures = tmp_path / "build" / "figures"
+    figures.mkdir()
+    (figures / "fig01.png").write_bytes(b"picture")
+    (tmp_path / "README.md").write_text(
+        "before\n<!-- ledger -->\nold<!-- end of ledger -->\nafter\n"
+    )
+    return tmp_path
+
+
+def _meets(entry):
+    if not entry.criterion:
+        return published.number(entry.printed)
+    if entry.criterion == UNCHECKED:
+        return None
+    first, *rest = entry.criterion.split()
+    return float(first) if "+-" in rest else float(rest[0]) * {"<": 0, ">": 2}.get(first, 1)
+
+
+def test_publish_writes_ledger_figures_and_readme(run):
+    (run / "figures").mkdir()
+    (run / "figures" / "stale.png").write_bytes(b"old")
+    ledger.publish(run / "build", run)
+    assert sorted(path.name for path in (run / "figures").iterdir()) == [
+        "fig01.png",
+        "ledger.csv",
+        "ledger.md",
+    ]
+    rows = pd.read_csv(run / "figures" / "ledger.csv", keep_default_na=False)
+    assert list(rows.key) == list(published.claims())
+    assert (rows.verdict == DIFFERS).sum() == 1
+    readme = (run / "README.md").read_text()
+    assert readme.startswith("before\n<!-- ledger -->\n| ") and readme.endswith("-->\nafter\n")
+    assert "1 of 4 by at most 1.0e+09" in readme
+
+
+def test_an_incomplete_run_changes_nothing(run):
+    part = run / "build" / "ledger" / "01-model.csv"
+    part.write_text("\n".join(part.read_text().splitlines()[:-1]) + "\n")
+    before = (run / "README.md").read_text()
+    with pytest.raises(ValueError, match="claims without evidence"):
+        ledger.publish(run / "build", run)
+    assert not (run / "figures").exists()
+    assert (run / "README.md").read_text() == before
+
+
+def test_a_claim_with_two_rows_is_refused(run):
+    part = run / "build" / "ledger" / "01-model.csv"
+    (part.parent / "02-other.csv").write_text(part.read_text())
+    with pytest.raises(ValueError, match="claims with two rows"):
+        ledger.join(part.parent)
+
+
+def test_an_interrupted_write_leaves_the_old_file(tmp_path, monkeypatch):
+    path = tmp_path / "file.txt"
+    ledger.write_whole(path, "old")
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(ledger.os, "replace", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        ledger.write_whole(path, "new")
+    assert path.read_text() == "old"
+
+
+def test_markers_must_be_there():
+    with pytest.raises(ValueError, match="no markers"):
+        ledger.splice("nothing here", "ledger", "x")

@@ -1,0 +1,162 @@
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rodlib import Rod, exact_response, midr
+from rodlib.feedback import frequency_response
+from rodlib.rod import bernstein_basis
+
+MATERIALS = st.builds(
+    Rod,
+    length=st.floats(0.05, 2),
+    width=st.floats(0.01, 0.1),
+    height=st.floats(0.005, 0.05),
+    density=st.floats(500, 20000),
+    heat_capacity=st.floats(100, 4000),
+    heat_transfer=st.floats(1, 500),
+    conductivity=st.floats(1, 400),
+    sections=st.integers(1, 6),
+    sensors=st.just((0.03, 0.05)),
+)
+
+
+def galerkin(rod, degree):
+    """The finite-element model on the same polynomials, from its weak form."""
+    theta = bernstein_basis(rod, degree)
+    nodes, weights = np.polynomial.legendre.leggauss(degree + 2)
+    section = rod.length / rod.sections
+    mass = stiffness = 0
+    load = np.zeros((rod.sections * degree + 1, rod.sections + 1))
+    for i, middle in enumerate(rod.edges[:-1] + section / 2):
+        z, w = middle + nodes * section / 2, weights * section / 2
+        values, slopes = theta(z), theta.derivative()(z)
+        mass = mass + np.einsum("n,ni,nj->ij", w, values, values)
+        stiffness = stiffness + np.einsum("n,ni,nj->ij", w, slopes, slopes)
+        load[:, i] = w @ values / (section * rod.width * rod.height)
+        load[:, -1] += rod.kappa_2 * (w @ values)
+    A = -np.linalg.solve(mass, rod.conductivity * stiffness + rod.kappa_2 * mass) / rod.kappa_1
+    return A, np.linalg.solve(mass, load) / rod.kappa_1
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3, 5])
+def test_midr_is_galerkins_method_on_the_same_polynomials(degree):
+    model = midr(Rod(), degree)
+    A, B = galerkin(Rod(), degree)
+    np.testing.assert_allclose(model.A, A, atol=1e-10 * np.abs(A).max())
+    np.testing.assert_allclose(model.B, B, atol=1e-10 * np.abs(B).max())
+
+
+def test_slow_modes_are_those_of_the_analytic_rod():
+    rod = Rod()
+    n = np.arange(5)
+    exact = -(rod.kappa_2 + rod.conductivity * (n * np.pi / rod.length) ** 2) / rod.kappa_1
+    model = np.sort(midr(rod).poles().real)[::-1][:5]
+    np.testing.assert_allclose(model, exact, rtol=0, atol=5e-5)  # the four decimals shown
+    np.testing.assert_allclose(np.sort(midr(rod, 8).poles().real)[::-1][:5], exact, rtol=1e-9)
+
+
+def test_rayleigh_ritz_poles_never_lie_right_of_the_exact_ones():
+    rod = Rod()
+    model = np.sort(midr(rod).poles().real)[::-1]
+    n = np.arange(len(model))
+    exact = -(rod.kappa_2 + rod.conductivity * (n * np.pi / rod.length) ** 2) / rod.kappa_1
+    assert np.all(model <= exact * (1 - 1e-9))
+
+
+def test_model_converges_to_the_exact_response_with_the_degree():
+    rod, omega = Rod(), np.array([1e-4, 1e-2, 5e-2])
+    exact = exact_response(rod, 1j * omega)
+    errors = [
+        np.abs(frequency_response(midr(rod, degree), omega) - exact).max()
+        for degree in (1, 3, 5, 9)
+    ]
+    assert all(finer < coarser / 3 for coarser, finer in pairwise(errors))
+    assert errors[-1] < 1e-7
+
+
+@pytest.mark.parametrize(
+    ("omega", "printed"), [(1e-4, 0.001), (0.01, 0.009), (0.026, 0.05), (0.065, 0.26)]
+)
+def test_error_of_the_cubic_model_is_what_was_found_independently(omega, printed):
+    columns = [0, 2]
+    exact = exact_response(Rod(), [1j * omega])[0][:, columns]
+    model = frequency_response(midr(Rod()), [omega])[0][:, columns]
+    error = np.linalg.norm(model - exact, 2) / np.linalg.norm(exact, 2)
+    assert error == pytest.approx(printed, rel=0.1)
+
+
+def test_exact_response_solves_the_boundary_value_problem():
+    """Second differences of theta(z) obey lambda theta'' = (kappa_1 s + kappa_2) theta - mu."""
+    step = 1e-3
+    middle = 0.123
+    rod = replace(Rod(), sensors=(middle - step, middle, middle + step, 0.0, step, 0.320))
+    s = 1j * 0.01
+    theta = exact_response(rod, [s])[0]
+    curvature = (theta[0] - 2 * theta[1] + theta[2]) / step**2
+    source = np.zeros(5, dtype=complex)
+    source[1] = 4 / (rod.width * rod.height * rod.length)
+    source[4] = rod.kappa_2
+    residual = rod.conductivity * curvature - (rod.kappa_1 * s + rod.kappa_2) * theta[1] + source
+    assert np.abs(residual).max() < 1e-4 * np.abs(source).max()
+    assert np.abs(theta[4] - theta[3]).max() < 1e-4 * np.abs(theta).max()  # insulated: no slope
+
+
+def test_exact_response_neither_overflows_nor_misses_its_pole():
+    rod = Rod()
+    assert np.isfinite(exact_response(rod, [1e6j, 1e3, -1e3 + 1j])).all()
+    with pytest.raises(ValueError, match=r"s contains -0\.00381563"):
+        exact_response(rod, [-rod.kappa_2 / rod.kappa_1])
+
+
+@given(MATERIALS, st.integers(1, 4), st.integers(0, 2**32 - 1))
+def test_energy_is_conserved_for_any_rod_state_and_input(rod, degree, seed):
+    model = midr(rod, degree)
+    rng = np.random.default_rng(seed)
+    x, u = rng.standard_normal(model.nstates), rng.standard_normal(model.ninputs)
+    volume = bernstein_basis(rod, degree).antiderivative()(rod.length) * rod.width * rod.height
+    stored = rod.kappa_1 * volume @ (model.A @ x + model.B @ u)
+    supplied = u[:-1].sum() + rod.kappa_2 * (volume.sum() * u[-1] - volume @ x)
+    scale = rod.kappa_1 * np.abs(volume) @ (np.abs(model.A) @ np.abs(x) + np.abs(model.B @ u))
+    assert abs(stored - supplied) < 1e-10 * scale
+
+
+@given(MATERIALS, st.integers(1, 4))
+def test_any_rod_is_stable_and_follows_the_air(rod, degree):
+    model = midr(rod, degree)
+    assert model.poles().real.max() < 0
+    at_rest = frequency_response(model, [0.0])[0]
+    np.testing.assert_allclose(at_rest[:, -1], 1, rtol=1e-8)
+    np.testing.assert_allclose(exact_response(rod, [0.0])[0].real[:, -1], 1, rtol=1e-12)
+
+
+def test_names_of_inputs_and_outputs():
+    model = midr(Rod())
+    assert model.input_labels == ["Q1", "Q2", "Q3", "Q4", "theta_a"]
+    assert model.output_labels == ["y1", "y2"]
+    assert model.nstates == 13
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"length": -1.0}, "length = -1.0"),
+        ({"conductivity": float("nan")}, "conductivity = nan"),
+        ({"density": "steel"}, "density = 'steel'"),
+        ({"sections": 0}, "sections = 0"),
+        ({"sensors": (0.1, 0.5)}, r"sensors = \(0.1, 0.5\)"),
+        ({"sensors": ()}, r"sensors = \(\)"),
+    ],
+)
+def test_bad_rods_are_refused(changes, message):
+    with pytest.raises(ValueError, match=message):
+        Rod(**changes)
+
+
+@pytest.mark.parametrize("degree", [0, 21, 2.5])
+def test_bad_degrees_are_refused(degree):
+    with pytest.raises(ValueError, match="degree = "):
+        midr(Rod(), degree)
