@@ -215,7 +215,7 @@ def summary(rows: pd.DataFrame) -> str:
     counts = pd.crosstab(rows.notebook, rows.verdict).reindex(columns=VERDICTS[:3], fill_value=0)
     counts.loc["**all**"] = counts.sum()
     differs = rows[rows.verdict == DIFFERS].copy()
-    group = differs.key.str.extract(r"^(L_\w+)\[", expand=False)
+    group = differs.key.str.extract(rf"^({'|'.join(published.MATRICES)})\[", expand=False)
     lines = []
     for name, part in differs.groupby(group.fillna(differs.key), sort=False):
         first = part.iloc[0]

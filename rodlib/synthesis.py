@@ -10,6 +10,7 @@ inequality, one per frequency, and the problems are semidefinite programs.
 
 import warnings
 from dataclasses import dataclass
+from functools import partial
 from numbers import Real
 
 import control
@@ -323,15 +324,11 @@ def _frequency_responses(P, Q, omega, Ts):
         radius = np.abs(P.poles()).max(initial=0)
         if radius >= 1:
             raise ValueError(f"P is unstable: it has a pole of modulus {radius:.6g}, 1 or more")
-        model = P
-        P = frequency_response(model, omega)
-
-        def P_between(w):
-            return frequency_response(model, w)
+        P_between = partial(frequency_response, P)
+        P = P_between(omega)
     else:
         P = np.asarray(P, dtype=complex)
-        if P.ndim == 3 and P.shape[0] == len(omega):
-            P_between = CubicSpline(omega, P)
+        P_between = _spline(omega, P)
     if P.shape[:1] != omega.shape or P.ndim != 3 or P.shape[1] != P.shape[2]:
         raise ValueError(f"P has shape {P.shape}, but must be ({len(omega)}, m, m) to fit omega")
     if isinstance(Q, ZeroPhaseButterworth):
@@ -342,7 +339,7 @@ def _frequency_responses(P, Q, omega, Ts):
         Q = np.asarray(Q)
         if Q.shape != omega.shape:
             raise ValueError(f"Q has shape {Q.shape}, but must be {omega.shape} to fit omega")
-        Q_between = CubicSpline(omega, Q)
+        Q_between = _spline(omega, Q)
     for name, response in (("P", P), ("Q", Q)):
         bad = np.flatnonzero(~np.isfinite(response).reshape(len(omega), -1).all(axis=1))
         if bad.size:
@@ -355,6 +352,10 @@ def _frequency_responses(P, Q, omega, Ts):
             f"{singular_values[singular[0], -1]:.3g}): P^-1 in (40) does not exist there"
         )
     return P, Q, omega, lambda w: (P_between(w), Q_between(w))
+
+
+def _spline(omega, samples):
+    return lambda w: CubicSpline(omega, samples)(w)
 
 
 def _check_design(P, omega, order, M_max, L_max, band, structure, objective):

@@ -105,8 +105,10 @@ def _meets(entry):
         return published.number(entry.printed)
     if entry.criterion == UNCHECKED:
         return None
-    first, *rest = entry.criterion.split()
-    return float(first) if "+-" in rest else float(rest[0]) * {"<": 0, ">": 2}.get(first, 1)
+    first, second, *_ = entry.criterion.split()
+    if second == "+-":
+        return float(first)
+    return float(second) + {"<": -1, ">": 1}.get(first, 0)
 
 
 def test_publish_writes_ledger_figures_and_readme(run):

@@ -1,0 +1,102 @@
+"""The repository itself: notebooks, figures, ledger and README belong together."""
+
+import json
+import re
+import tomllib
+from itertools import chain
+
+import nbformat
+import pandas as pd
+import pytest
+
+from rodlib import ledger, published
+from rodlib.published import ROOT
+
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
+
+
+@pytest.fixture(scope="module")
+def rows():
+    return pd.read_csv(ROOT / "figures" / "ledger.csv", dtype=str, keep_default_na=False)
+
+
+def test_readme_and_ledger_page_show_the_tracked_ledger(rows):
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert ledger.splice(readme, "ledger", ledger.summary(rows)) == readme
+    assert (ROOT / "figures" / "ledger.md").read_text(encoding="utf-8") == ledger.markdown(rows)
+
+
+def test_ledger_has_every_claim_judged_as_its_numbers_say(rows):
+    assert list(rows.key) == list(published.claims())
+    for row in rows.itertuples():
+        if row.verdict != ledger.UNCHECKED and not row.computed.startswith("below"):
+            judged, _ = ledger.verdict(published.claims()[row.key], float(row.computed))
+            assert judged == row.verdict, row.key
+
+
+def test_what_can_be_reproduced_is_reproduced(rows):
+    verdicts = rows.set_index("key").verdict
+    certain = ["states_minimal", "zero_s_1", "zero_s_2", "zero_z_1", "zero_z_2", "sigma_P"]
+    certain += ["gamma_diagonal", "peak_L_diagonal", "gamma_printed", "peak_L_printed"]
+    certain += ["length", "width", "height", "density", "heat_capacity", "conductivity"]
+    certain += [key for key in verdicts.index if re.match(r"N\[|K_s|K_L", key)]
+    assert len(certain) > 70
+    assert set(verdicts[certain]) == {ledger.REPRODUCED}
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_notebooks_are_executed_in_order_and_readable(path):
+    notebook = nbformat.read(path, as_version=4)
+    code = [cell for cell in notebook.cells if cell.cell_type == "code"]
+    assert [cell.execution_count for cell in code] == list(range(1, len(code) + 1))
+    assert [cell for cell in code if "parameters" in cell.metadata.get("tags", [])] == [code[1]]
+    for cell in code:
+        assert len(cell.source.splitlines()) <= 25, cell.source
+        assert not re.search(r"^\s*def ", cell.source, flags=re.MULTILINE), cell.source
+        assert not [
+            o for o in cell.outputs if o.output_type == "error" or o.get("name") == "stderr"
+        ]
+    words = sum(len(c.source.split()) for c in notebook.cells if c.cell_type == "markdown")
+    assert 300 <= words <= 1500
+
+
+def test_every_saved_figure_is_tracked_and_used():
+    saved = set()
+    for path in NOTEBOOKS:
+        source = "\n".join(c["source"] for c in nbformat.read(path, as_version=4).cells)
+        saved |= set(re.findall(r"\bsave\(figure, \"([^\"]+)\"\)", source))
+    tracked = {
+        path.stem for path in (ROOT / "figures").iterdir() if path.suffix in (".png", ".pdf")
+    }
+    assert tracked == saved
+    assert len(list((ROOT / "figures").glob("*.png"))) == len(
+        list((ROOT / "figures").glob("*.pdf"))
+    )
+
+
+def test_readme_links_lead_somewhere():
+    for name in ("README.md", "CONTRIBUTING.md"):
+        text = (ROOT / name).read_text(encoding="utf-8")
+        for target in re.findall(r"\]\((?!https?:)([^)#]+)\)", text):
+            assert (ROOT / target).exists(), f"{name}: {target}"
+
+
+def test_lock_pins_and_hashes_every_direct_dependency():
+    lock = (ROOT / "environment.lock").read_text(encoding="utf-8")
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    wanted = [*project["dependencies"], *chain(*project["optional-dependencies"].values())]
+    for requirement in wanted:
+        name = re.split(r"[\[<>=]", requirement)[0].replace("_", "-").lower()
+        if name != "rodlib":
+            assert re.search(rf"^{name}==\S+( ;.*)? \\$", lock, flags=re.MULTILINE), name
+    assert "http" not in lock
+    entries = re.split(r"\n(?=\S)", lock)
+    assert all("--hash=sha256:" in entry for entry in entries if "==" in entry.split("\n")[0])
+
+
+def test_no_notebook_reads_what_another_wrote():
+    for path in NOTEBOOKS:
+        for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
+            assert not re.search(
+                r"build/|figures/[a-z0-9]+\.|read_csv", "".join(cell["source"])
+            ) or (cell["cell_type"] == "markdown")

@@ -1,0 +1,201 @@
+import warnings
+
+import control
+import cvxpy as cp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rodlib import InfeasibleError, LearningFilter, SolverError, published, synthesis, synthesise
+from rodlib.synthesis import convergence_matrix, largest_singular_values
+
+
+@pytest.fixture(scope="module")
+def diagonal(loop, Q, omega):
+    return synthesise(loop, Q, omega, 1.0)
+
+
+@pytest.fixture(scope="module")
+def full(loop, Q, omega):
+    return synthesise(loop, Q, omega, 1.0, structure="full")
+
+
+def judged(L, P, Q, omega):
+    """Largest singular values of M and L by numpy's SVD, not by what synthesise uses."""
+    response = L.frequency_response(omega)
+    M = Q[:, None, None] * (np.eye(P.shape[1]) - P @ response)
+    return [np.linalg.svd(X, compute_uv=False)[:, 0] for X in (M, response)]
+
+
+def test_paper_design_meets_its_bounds_and_both_are_active(diagonal, loop, Q, omega):
+    sigma_M, sigma_L = judged(
+        diagonal.filter, loop.frequency_response(omega), Q.frequency_response(omega), omega
+    )
+    assert sigma_M.max() == pytest.approx(0.9, rel=1e-6)
+    assert sigma_L.max() == pytest.approx(50, rel=1e-6)
+    assert diagonal.value == pytest.approx(sigma_M[omega <= 0.02].sum(), rel=1e-12)
+    assert np.all(sigma_M <= 0.9 * (1 + 1e-6)) and np.all(sigma_L <= 50 * (1 + 1e-6))
+
+
+def test_no_design_is_worse_than_the_printed_one(diagonal, full, loop, Q, omega):
+    P, Q = loop.frequency_response(omega), Q.frequency_response(omega)
+    for design, name, value in ((diagonal, "L_diagonal", 104.865787), (full, "L_full", 69.961958)):
+        printed = LearningFilter(published.matrix(name), 1.0)
+        M = convergence_matrix(P, Q, printed.frequency_response(omega))
+        objective = largest_singular_values(M)[omega <= 0.02].sum()
+        assert objective == pytest.approx(value, abs=1e-6)  # found independently
+        assert design.value < objective
+        assert design.value > objective * (1 - 1e-5)
+
+
+def test_printed_filters_on_our_plant(loop, Q, omega):
+    P, Q = loop.frequency_response(omega), Q.frequency_response(omega)
+    for name, rate, gain in (
+        ("L_diagonal", 0.8999993, 50.00004),
+        ("L_full", 0.8830, 50.00007),
+    ):
+        sigma_M, sigma_L = judged(LearningFilter(published.matrix(name), 1.0), P, Q, omega)
+        assert sigma_M.max() == pytest.approx(rate, abs=5e-5 if rate == 0.8830 else 5e-8)
+        assert sigma_L.max() == pytest.approx(gain, abs=5e-6)
+
+
+def test_the_minimum_is_a_minimum(diagonal, loop, Q, omega):
+    """No small step that keeps the bounds finds a lower objective."""
+    P, response = loop.frequency_response(omega), Q.frequency_response(omega)
+    rng = np.random.default_rng(0)
+    better = 0
+    for _ in range(200):
+        step = np.zeros((2, 2, 10))
+        step[[0, 1], [0, 1]] = rng.standard_normal((2, 10)) * 10.0 ** rng.uniform(-4, -1)
+        trial = LearningFilter(diagonal.filter.coefficients + step, 1.0)
+        sigma_M, sigma_L = judged(trial, P, response, omega)
+        feasible = sigma_M.max() <= 0.9 and sigma_L.max() <= 50
+        better += feasible and sigma_M[omega <= 0.02].sum() < diagonal.value * (1 - 1e-6)
+    assert better == 0
+
+
+def test_a_wrong_filter_is_not_returned(loop, Q, omega, monkeypatch):
+    """The check does not trust the solver: a filter that breaks a bound raises."""
+    solve = synthesis._solve
+
+    def dishonest(*arguments):
+        coefficients, _ = solve(*arguments)
+        return coefficients * 1.001, "optimal"
+
+    monkeypatch.setattr(synthesis, "_solve", dishonest)
+    with pytest.raises(SolverError, match="exceeds a bound by"):
+        synthesise(loop, Q, omega[::10], 1.0, band=(1e-4, 0.01))
+
+
+def test_samples_and_models_give_the_same_design(loop, Q, omega):
+    grid = omega[::10]
+    band = (grid[0], 0.02)
+    from_model = synthesise(loop.P, Q, grid, 1.0, band=band)
+    from_samples = synthesise(
+        loop.frequency_response(grid), Q.frequency_response(grid), grid, 1.0, band=band
+    )
+    assert from_model.value == pytest.approx(from_samples.value, rel=1e-6)
+    np.testing.assert_allclose(
+        from_model.sigma_M_dense, from_samples.sigma_M_dense, atol=2e-2
+    )  # splines through 100 samples
+
+
+@pytest.mark.parametrize("objective", ["sum", "peak"])
+@pytest.mark.parametrize("L_max", [3.0, None])
+@pytest.mark.parametrize(("m", "structure"), [(1, "full"), (2, "full"), (3, "diagonal")])
+def test_random_plants_against_cvxpys_own_atoms(m, structure, L_max, objective):
+    """The same problem with one sigma_max atom per frequency, as CVXPY users would write it."""
+    rng = np.random.default_rng(m)
+    n, order = 25, 3
+    omega = np.linspace(0.05, np.pi, n)
+    z = np.exp(1j * omega)
+    P = np.eye(m) * (0.5 / (z - 0.5))[:, None, None]
+    P = P + 0.1 * rng.standard_normal((m, m)) / (z - 0.3)[:, None, None]
+    Q = 1 / (1 + omega**4)
+    band = (0.05, 1.0)
+    arguments = {"order": order, "L_max": L_max, "structure": structure, "objective": objective}
+    design = synthesise(P, Q, omega, 1.0, band=band, **arguments)
+
+    taps = [cp.Variable((m, m), diag=structure == "diagonal") for _ in range(order)]
+    L = [sum(z_i**k * tap for k, tap in enumerate(taps, 1)) for z_i in z]
+    rates = [cp.sigma_max(q * (np.eye(m) - p @ l_i)) for q, p, l_i in zip(Q, P, L, strict=True)]
+    bounds = [rate <= 0.9 for rate in rates]
+    bounds += [cp.sigma_max(l_i) <= L_max for l_i in L] if L_max else []
+    inside = (omega >= band[0]) & (omega <= band[1])
+    chosen = [rate for rate, member in zip(rates, inside, strict=True) if member]
+    value = cp.sum(cp.hstack(chosen)) if objective == "sum" else cp.max(cp.hstack(rates))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Clarabel's "may be inaccurate"
+        reference = cp.Problem(cp.Minimize(value), bounds).solve(solver=cp.CLARABEL)
+    assert design.value == pytest.approx(reference, rel=1e-5)
+
+
+@given(st.integers(1, 4), st.integers(0, 2**32 - 1))
+def test_a_plant_that_one_step_inverts_is_inverted(m, seed):
+    """P = G z^-1 has the learning filter G^-1 z, with M = 0."""
+    G = np.random.default_rng(seed).standard_normal((m, m)) + 3 * np.eye(m)
+    omega = np.linspace(0.1, np.pi, 12)
+    P = G * np.exp(-1j * omega)[:, None, None]
+    arguments = {"order": 2, "L_max": None, "band": (0.1, 3), "structure": "full"}
+    design = synthesise(P, np.ones(12), omega, 1.0, **arguments)
+    assert design.value < 1e-5
+    np.testing.assert_allclose(design.filter.coefficients[:, :, 0], np.linalg.inv(G), atol=1e-4)
+
+
+def test_infeasible_bounds_name_the_culprit_and_the_smallest_M_max(loop, Q, omega):
+    grid = omega[::5]
+    arguments = {"band": (grid[0], 0.01), "L_max": 50.0}
+    peak = synthesise(loop, Q, grid, 1.0, objective="peak", **arguments).value
+    with pytest.raises(
+        InfeasibleError, match=r"L_max = 50\.0 is too tight for M_max = 0.6"
+    ) as error:
+        synthesise(loop, Q, grid, 1.0, M_max=0.6, **arguments)
+    assert f"smallest feasible M_max is {peak:.4g}"[:-1] in str(error.value)
+    with pytest.raises(InfeasibleError, match=r"M_max = 0\.1 is too tight for a diagonal filter"):
+        synthesise(loop, Q, grid, 1.0, M_max=0.1, **arguments)
+    nearly = synthesise(loop, Q, grid, 1.0, M_max=peak * 1.001, **arguments)
+    assert nearly.sigma_M.max() <= peak * 1.001 * (1 + 1e-6)
+
+
+def singular_P():
+    P = np.tile(np.eye(2, dtype=complex), (50, 1, 1))
+    P[7] = [[1, 1], [1, 1]]
+    return P
+
+
+GRID = np.linspace(0.05, 3, 50)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"P": np.ones((50, 2, 3))}, r"P has shape \(50, 2, 3\)"),
+        ({"P": np.ones((49, 2, 2))}, r"P has shape \(49, 2, 2\)"),
+        ({"P": np.ones(50)}, r"P has shape \(50,\)"),
+        ({"P": singular_P()}, "P is singular at omega = 0.471429"),
+        ({"P": singular_P() * np.nan}, "P is not finite at omega = 0.05"),
+        ({"P": control.ss(1.1, 1, 1, 0, 1.0)}, "P is unstable: it has a pole of modulus 1.1"),
+        ({"P": control.ss(0.5, 1, 1, 0, 2.0)}, r"P\.dt = 2.0 differs from Ts = 1.0"),
+        ({"Q": np.ones(3)}, r"Q has shape \(3,\)"),
+        ({"omega": GRID[::-1]}, "increasing"),
+        ({"omega": GRID * 2}, r"omega spans \[0.1, 6\].*Nyquist"),
+        ({"omega": GRID - 1}, "omega spans"),
+        ({"Ts": 0.0}, "Ts = 0.0"),
+        ({"order": 0}, "order = 0"),
+        ({"order": 51}, "order = 51"),
+        ({"M_max": 1.0}, "M_max = 1.0"),
+        ({"M_max": "0.9"}, "M_max = '0.9'"),
+        ({"L_max": -1.0}, "L_max = -1.0"),
+        ({"band": (1e-4, 0.5)}, r"band = \(0.0001, 0.5\)"),
+        ({"band": (0.5, 0.1)}, r"band = \(0.5, 0.1\)"),
+        ({"band": (0.051, 0.052)}, "contains none"),
+        ({"structure": "triangular"}, "structure = 'triangular'"),
+        ({"objective": "mean"}, "objective = 'mean'"),
+    ],
+)
+def test_bad_arguments_are_refused_before_any_work(changes, message):
+    P = np.tile(np.eye(2), (50, 1, 1))
+    arguments = {"P": P, "Q": np.ones(50), "omega": GRID, "Ts": 1.0, "band": (0.05, 1)} | changes
+    with pytest.raises(ValueError, match=message):
+        synthesise(**arguments)
