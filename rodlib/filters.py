@@ -146,7 +146,7 @@ class LearningFilter:
         padding = [(0, 0)] * (signal.ndim - 2) + [(0, self.order), (0, 0)]
         ahead = np.pad(signal, padding, mode=ENDS[self.ends])
         windows = np.lib.stride_tricks.sliding_window_view(ahead, self.order, axis=-2)
-        return np.einsum("...pjk,ijk->...pi", windows[..., 1:, :, :], self.coefficients)
+        return np.tensordot(windows[..., 1:, :, :], self.coefficients, axes=([-2, -1], [1, 2]))
 
 
 def update(v, e, Q: ZeroPhaseButterworth, L: LearningFilter) -> np.ndarray:

@@ -1,0 +1,234 @@
+"""Trials under the ILC law: one trial of the closed loop, and a sequence of them. Section IV.
+
+The paper's reference trajectories and disturbances are published only as a plot (Fig. 7), so
+:func:`assumed_reference` and :func:`assumed_disturbance` stand in for them.
+"""
+
+import numpy as np
+import xarray as xr
+
+from rodlib.feedback import CurrentTrialLoop
+from rodlib.filters import LearningFilter, ZeroPhaseButterworth, update
+
+
+def run_trials(
+    loop: CurrentTrialLoop,
+    Q: ZeroPhaseButterworth,
+    L: LearningFilter | None,
+    reference,
+    disturbance=None,
+    trials: int = 10,
+    *,
+    noise=None,
+    initial_state=None,
+) -> xr.Dataset:
+    """Simulate trials of the loop (19) under the ILC law (22), (23), starting with v_0 = e_0 = 0.
+
+    Parameters
+    ----------
+    loop : CurrentTrialLoop
+        With m controls and outputs and d disturbances.
+    Q, L : ZeroPhaseButterworth, LearningFilter
+        L None switches learning off, v = 0 on all trials.
+    reference : array_like, shape (time, m)
+        Reference trajectory, K.
+    disturbance : array_like, shape (time, d) or (trial, time, d), optional
+        In the order of the plant's inputs: ambient temperature (K), heat flows (W). Default zero.
+    trials : int
+    noise : array_like, shape (trial, time, m), optional
+        Added to what the sensors report, K: both observer and learning see it.
+    initial_state : array_like, shape (n,), optional
+        State of the plant at the start of every trial, unknown to the observer. Default zero.
+
+    Returns
+    -------
+    xarray.Dataset
+        Dimensions trial (from 1), time (s), channel (from 1) and disturbance (by name), with
+        variables reference, v, u, y, delta (the estimate of the input disturbance) and
+        disturbance; e = reference - y as the controller sees it; units as attributes.
+
+    Raises
+    ------
+    ValueError
+        If a shape does not fit the loop, or a signal is not finite.
+    """
+    n, m = loop.plant.nstates, loop.plant.noutputs
+    names = loop.plant.input_labels[m:]
+    if not (isinstance(trials, int | np.integer) and trials >= 1):
+        raise ValueError(f"trials = {trials!r} must be a whole number, 1 or more")
+    reference = _checked("reference", reference, (None, m))
+    samples = len(reference)
+    shape = (trials, samples, len(names))
+    if disturbance is None or np.ndim(disturbance) != 2:
+        d = _checked("disturbance", np.zeros(shape) if disturbance is None else disturbance, shape)
+    else:
+        d = np.broadcast_to(_checked("disturbance", disturbance, shape[1:]), shape)
+    shape = (trials, samples, m)
+    noise = _checked("noise", np.zeros(shape) if noise is None else noise, shape)
+    chi = np.zeros(loop.closed.nstates)
+    if initial_state is not None:
+        chi[:n] = _checked("initial_state", initial_state, (n,))
+
+    A = loop.closed.A
+    B, E = loop.closed.B[:, :m], loop.closed.B[:, m:]
+    K = np.vstack([np.zeros((n, m)), loop.KL])  # where the noise enters the observer (16)
+    v, u, y, delta = (np.zeros(shape) for _ in range(4))
+    for k in range(trials):
+        if k and L is not None:
+            v[k] = update(v[k - 1], reference - y[k - 1] - noise[k - 1], Q, L)  # (23)
+        w = reference + v[k]  # (22)
+        states = state_sequence(A, w @ B.T + d[k] @ E.T + noise[k] @ K.T, chi)  # (19)
+        y[k] = states @ loop.closed.C.T
+        delta[k] = states[:, 2 * n :]
+        u[k] = w @ loop.N.T - states[:, n : 2 * n] @ loop.Ks.T - delta[k]  # (18)
+    return dataset(
+        loop.Ts, names, reference=np.broadcast_to(reference, shape), v=v, u=u, y=y + noise,
+        delta=delta, disturbance=d,
+    )  # fmt: skip
+
+
+def state_sequence(A, forcing, initial) -> np.ndarray:
+    """States of x(p+1) = A x(p) + f(p), all at once.
+
+    Parameters
+    ----------
+    A : ndarray, shape (n, n)
+    forcing : ndarray, shape (time, n)
+    initial : ndarray, shape (n,)
+
+    Returns
+    -------
+    ndarray, shape (time, n)
+        x(0) ... x(time - 1).
+
+    Notes
+    -----
+    A loop over 2500 samples costs more than the arithmetic in it. The trial is cut into about 50
+    blocks that run side by side from zero; then their initial states are chained and added.
+    """
+    samples, n = forcing.shape
+    length = int(np.ceil(np.sqrt(samples)))
+    blocks = -(-samples // length)
+    padded = np.zeros((blocks * length, n))
+    padded[:samples] = forcing
+    padded = padded.reshape(blocks, length, n)
+
+    powers = np.empty((length + 1, n, n))  # A^0 ... A^length
+    states = np.zeros((blocks, length + 1, n))
+    powers[0] = np.eye(n)
+    for p in range(length):
+        powers[p + 1] = A @ powers[p]
+        states[:, p + 1] = states[:, p] @ A.T + padded[:, p]
+    starts = np.empty((blocks, n))
+    starts[0] = initial
+    for block in range(blocks - 1):
+        starts[block + 1] = powers[length] @ starts[block] + states[block, length]
+    states += np.tensordot(starts, powers, axes=(1, 2))
+    return states[:, :length].reshape(-1, n)[:samples]
+
+
+def dataset(Ts, disturbances, **signals) -> xr.Dataset:
+    """Put the signals of all trials together, with coordinates and units.
+
+    Parameters
+    ----------
+    Ts : float
+        Sampling period, s.
+    disturbances : sequence of str
+        Names of the disturbances; those beginning with Q are heat flows.
+    **signals : ndarray, shape (trial, time, channel)
+        reference, v, u, y, delta, and disturbance (trial, time, disturbance).
+
+    Returns
+    -------
+    xarray.Dataset
+    """
+    units = {"reference": "K", "v": "K", "u": "W", "y": "K", "delta": "W"}
+    trials, samples, m = signals["y"].shape
+    variables = {
+        name: (("trial", "time", "channel"), signals[name], {"units": unit})
+        for name, unit in units.items()
+        if name in signals
+    }
+    variables["e"] = (
+        ("trial", "time", "channel"), signals["reference"] - signals["y"], {"units": "K"}
+    )  # fmt: skip
+    coordinates = {
+        "trial": np.arange(1, trials + 1),
+        "time": ("time", Ts * np.arange(samples), {"units": "s"}),
+        "channel": np.arange(1, m + 1),
+    }
+    if "disturbance" in signals and len(disturbances):
+        per_name = ", ".join(f"{n}: {'W' if n.startswith('Q') else 'K'}" for n in disturbances)
+        dimensions = ("trial", "time", "source")
+        variables["disturbance"] = (dimensions, signals["disturbance"], {"units": per_name})
+        coordinates["source"] = list(disturbances)
+    return xr.Dataset(variables, coordinates, {"Ts": float(Ts)})
+
+
+def rms(e: xr.DataArray) -> xr.DataArray:
+    """RMS(e_k) of Section IV: root of the mean over time of e'e, summed over the channels."""
+    return np.sqrt((e**2).sum("channel").mean("time"))
+
+
+def assumed_reference(samples: int = 2500) -> np.ndarray:
+    """Assumed reference trajectory, for the one that the paper shows as a plot only (Fig. 7).
+
+    Both outputs start and end at the initial ambient temperature and move between levels of up
+    to 10 K along quintic steps, whose first and second derivatives are continuous.
+
+    Parameters
+    ----------
+    samples : int
+        Length of the trial; the shape is stretched to it.
+
+    Returns
+    -------
+    ndarray, shape (samples, 2)
+        In K above the initial ambient temperature.
+    """
+    time = np.arange(samples) / samples * 2500
+
+    def step(start, stop):
+        s = np.clip((time - start) / (stop - start), 0, 1)
+        return s**3 * (10 - 15 * s + 6 * s**2)
+
+    first = 10 * step(100, 700) - 4 * step(1000, 1400) - 6 * step(1700, 2300)
+    second = 8 * step(200, 900) + 2 * step(1200, 1500) - 10 * step(1700, 2350)
+    return np.stack([first, second], axis=1)
+
+
+def assumed_disturbance(samples: int = 2500, trials: int = 10, first: int = 5) -> np.ndarray:
+    """Assumed disturbances of Fig. 7: heat flows Q2 and Q4, from trial `first` on.
+
+    Parameters
+    ----------
+    samples, trials : int
+    first : int
+        First trial with a disturbance, counted from 1.
+
+    Returns
+    -------
+    ndarray, shape (trials, samples, 3)
+        Ambient temperature (K, zero) and heat flows Q2 and Q4 (W).
+    """
+    phase = np.arange(samples) / samples
+    pulse = np.clip(np.stack([phase - 0.2, phase - 0.3], axis=1) / 0.5, 0, 1)
+    flows = np.array([5.0, -4.0]) * np.sin(np.pi * pulse) ** 2
+    disturbance = np.zeros((trials, samples, 3))
+    disturbance[first - 1 :, :, 1:] = flows
+    return disturbance
+
+
+def _checked(name, value, shape):
+    value = np.asarray(value, dtype=float)
+    fits = value.ndim == len(shape) and all(
+        want in (None, have) for want, have in zip(shape, value.shape, strict=True)
+    )
+    if not fits or not value.size and None in shape:
+        wanted = "(" + ", ".join("time" if size is None else str(size) for size in shape) + ")"
+        raise ValueError(f"{name} has shape {value.shape}, but must have shape {wanted}")
+    bad = np.argwhere(~np.isfinite(value))
+    if bad.size:
+        raise ValueError(f"{name} has {len(bad)} values that are not finite, the first at {bad[0]}")
+    return value
