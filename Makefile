@@ -9,7 +9,7 @@ export OMP_NUM_THREADS ?= 1
 export MPLBACKEND ?= module://matplotlib_inline.backend_inline
 export PYTHONWARNINGS ?= ignore::DeprecationWarning
 .DELETE_ON_ERROR:
-.PHONY: help reproduce results test lint lab notebooks lock clean
+.PHONY: help reproduce test lint data replay lab notebooks lock clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' Makefile | sed -E 's/:.*## /\t/' | expand -t 12
@@ -31,6 +31,15 @@ test: $(BIN)/ready lint  ## lint, unit tests, and the committed notebooks agains
 lint: $(BIN)/ready  ## ruff on modules, tests and notebooks
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
+
+data: $(BIN)/ready  ## record the logs of the virtual rig in data/rig anew
+	$(BIN)/python -m rodlib.rig
+
+replay: $(BIN)/ready  ## replay a log of your own: make replay LOG=path; writes to build/ only
+	@test -n "$(LOG)" || { echo "name a log: make replay LOG=path"; exit 2; }
+	@mkdir -p build
+	$(BIN)/papermill --cwd notebooks -p log "$(abspath $(LOG))" -p no_learning "" \
+		notebooks/05-experiment-replay.ipynb build/replay.ipynb
 
 lab: $(BIN)/ready  ## open the notebooks in JupyterLab
 	$(BIN)/jupyter lab --notebook-dir=notebooks

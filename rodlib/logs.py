@@ -75,8 +75,8 @@ def load_log(path) -> xr.Dataset:
         raise LogError(_report(path, [*problems, f"no table: {error}"])) from None
     if table.empty:
         raise LogError(_report(path, [*problems, "the table has no rows"]))
-    channels = _check_columns(table.columns, problems)
-    factors = _factors(table.columns, metadata, problems)
+    channels, known = _check_columns(table.columns, problems)
+    factors = _factors(known, metadata, problems)
     values = _numbers(table, first_row, problems)
     if not problems:
         _check_trials(values, first_row, Ts / factors["time"], problems)
@@ -187,13 +187,12 @@ def _sampling_period(metadata, problems):
 
 
 def _check_columns(columns, problems):
-    """Number of channels; complains about columns that are missing, unknown or twice there."""
+    """Number of channels and known columns; complains about those unknown or missing."""
     channels = max([int(m[1]) for c in columns if (m := re.fullmatch(r"y(\d+)", c))], default=1)
     required = ["trial", "time", *(f"{s}{i + 1}" for s in SIGNALS for i in range(channels))]
     optional = [f"delta{i + 1}" for i in range(channels)]
-    for column in columns:
-        if column in required or column in optional or re.fullmatch(r"theta_a|Q\d+", column):
-            continue
+    known = [c for c in columns if c in required + optional or re.fullmatch(r"theta_a|Q\d+", c)]
+    for column in columns.difference(known, sort=False):
         close = difflib.get_close_matches(column, [*required, *optional, "theta_a"], n=1)
         hint = f"; did you mean {close[0]!r}?" if close else ""
         problems.append(f"unknown column {column!r}{hint}")
@@ -202,7 +201,7 @@ def _check_columns(columns, problems):
         missing += [column for column in optional if column not in columns]
     if missing:
         problems.append(f"missing columns {missing}")
-    return channels
+    return channels, known
 
 
 def _quantity(column):
@@ -212,7 +211,7 @@ def _quantity(column):
 
 
 def _factors(columns, metadata, problems):
-    """Factor to SI units for each column but the trial's number."""
+    """Factor to SI units for each column except the trial's number."""
     pairs = [part.split() for part in metadata.get("units", "").split(";") if part.strip()]
     units = {pair[0]: pair[1] for pair in pairs if len(pair) == 2}
     factors = {}
@@ -240,8 +239,9 @@ def _numbers(table, first_row, problems):
             entry = table[column].iloc[row]
             what = "is missing" if pd.isna(entry) else f"is {entry!r}, not a finite number"
             trial = table["trial"].iloc[row] if "trial" in table else "?"
+            where = f"in trial {trial}, row {row + first_row}"
             more = f" ({bad.size} such entries)" if bad.size > 1 else ""
-            problems.append(f"{column}: entry {what}, in trial {trial}, row {row + first_row}{more}")
+            problems.append(f"{column}: entry {what}, {where}{more}")
     return values
 
 
@@ -283,7 +283,7 @@ def _assemble(values, channels, Ts, metadata):
     trials = int(values.trial.iloc[-1])
 
     def stack(columns):
-        return values[columns].to_numpy().reshape(trials, -1, len(columns))
+        return values[columns].to_numpy(copy=True).reshape(trials, -1, len(columns))
 
     names = [*SIGNALS, *(["delta"] if "delta1" in values else [])]
     signals = {name: stack([f"{name}{i + 1}" for i in range(channels)]) for name in names}

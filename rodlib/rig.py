@@ -62,7 +62,7 @@ class VirtualRig:
     def __init__(
         self,
         rod: Rod = MISMATCHED,
-        parameters: RigParameters = RigParameters(),  # noqa: B008, frozen
+        parameters: RigParameters = RigParameters(),
         Ts: float = 1.0,
         seed: int = 1,
     ):
@@ -79,13 +79,13 @@ class VirtualRig:
         input_gain = shares / (rod.kappa_1 * rod.width * rod.height * rod.length)
 
         self._decay = np.exp(s * Ts)
-        self._held = ((self._decay - 1) / s)[:, None] * input_gain
+        self._held = (np.expm1(s * Ts) / s)[:, None] * input_gain
         self._lag = np.exp(-Ts / parameters.lag) if parameters.lag else 0.0
         difference = -1 / parameters.lag - s if parameters.lag else np.inf
         near = np.abs(difference * Ts) < 1e-6
         lagging = (self._lag - self._decay) / np.where(near, 1, difference)
         self._lagging = np.where(near, Ts * self._decay, lagging)[:, None] * input_gain
-        self._air = (1 - self._decay[0]) * 1.0
+        self._air = -np.expm1(s[0] * Ts)
         self._sensors = np.cos(np.outer(rod.sensors, wave))
         self._modes = np.zeros(parameters.modes)
         self._flows = np.zeros(rod.sections)
@@ -125,7 +125,9 @@ class VirtualRig:
 
     def profile(self, z) -> np.ndarray:
         """True temperature at positions `z` (m), K; what no sensor shows."""
-        return np.cos(np.outer(z, np.arange(len(self._modes)) * np.pi / self.rod.length)) @ self._modes
+        return (
+            np.cos(np.outer(z, np.arange(len(self._modes)) * np.pi / self.rod.length)) @ self._modes
+        )
 
 
 class Controller:
@@ -220,7 +222,9 @@ def main():
         rig = VirtualRig(seed=seed)
         log = record(rig, loop, Q, L, assumed_reference(), assumed_disturbance())
         log.attrs["origin"] = "synthetic: virtual rig of rodlib, no laboratory data"
-        log.attrs["rig"] = json.dumps(asdict(rig.parameters) | {"seed": seed, "rod": asdict(rig.rod)})
+        log.attrs["rig"] = json.dumps(
+            asdict(rig.parameters) | {"seed": seed, "rod": asdict(rig.rod)}
+        )
         save_log(log, folder / f"{name}.csv")
 
 

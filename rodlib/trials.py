@@ -225,7 +225,7 @@ def _checked(name, value, shape):
     fits = value.ndim == len(shape) and all(
         want in (None, have) for want, have in zip(shape, value.shape, strict=True)
     )
-    if not fits or not value.size and None in shape:
+    if not fits or (not value.size and None in shape):
         wanted = "(" + ", ".join("time" if size is None else str(size) for size in shape) + ")"
         raise ValueError(f"{name} has shape {value.shape}, but must have shape {wanted}")
     bad = np.argwhere(~np.isfinite(value))

@@ -1,0 +1,160 @@
+import control
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rodlib import LearningFilter, published, run_trials, zero_phase_butterworth
+from rodlib.synthesis import convergence_matrix, largest_singular_values
+from rodlib.trials import assumed_disturbance, assumed_reference, rms, state_sequence
+
+
+@pytest.fixture(scope="module")
+def L():
+    return LearningFilter(published.matrix("L_diagonal"), 1.0)
+
+
+@given(st.integers(1, 6), st.integers(1, 70), st.integers(0, 2**32 - 1))
+def test_state_sequence_is_the_recursion(n, samples, seed):
+    rng = np.random.default_rng(seed)
+    A, forcing, x = rng.uniform(-0.5, 0.5, (n, n)), rng.standard_normal((samples, n)), np.ones(n)
+    states = state_sequence(A, forcing, x)
+    for p in range(samples):
+        np.testing.assert_allclose(states[p], x, atol=1e-10)
+        x = A @ x + forcing[p]
+
+
+def test_one_trial_agrees_with_python_controls_forced_response(loop, Q, L):
+    rng = np.random.default_rng(0)
+    reference, disturbance = rng.standard_normal((300, 2)), rng.standard_normal((300, 3))
+    run = run_trials(loop, Q, L, reference, disturbance, 1)
+    inputs = np.hstack([reference, disturbance]).T
+    response = control.forced_response(loop.closed, inputs=inputs)
+    np.testing.assert_allclose(run.y[0], response.outputs.T, atol=1e-9)
+    plant_inputs = np.hstack([run.u.values[0], disturbance]).T
+    plant = control.forced_response(loop.plant, inputs=plant_inputs)
+    np.testing.assert_allclose(plant.outputs.T, run.y[0], atol=1e-8)  # u is (18)
+
+
+def test_trials_follow_the_ilc_law_written_out(loop, Q, L):
+    reference, disturbance = assumed_reference(400), assumed_disturbance(400, 3, 2)
+    run = run_trials(loop, Q, L, reference, disturbance, 3)
+    v = np.zeros((400, 2))
+    for k in range(3):
+        np.testing.assert_allclose(run.v[k], v, atol=1e-10)
+        w = np.hstack([reference + v, disturbance[k]])
+        e = reference - control.forced_response(loop.closed, inputs=w.T).outputs.T
+        np.testing.assert_allclose(run.e[k], e, atol=1e-9)
+        v = Q.apply(v + L.apply(e))
+
+
+def test_trials_are_linear_in_reference_and_disturbance(loop, Q, L):
+    rng = np.random.default_rng(1)
+    r, d = rng.standard_normal((2, 200, 2)), rng.standard_normal((2, 4, 200, 3))
+    one, two = (run_trials(loop, Q, L, r[i], d[i], 4) for i in range(2))
+    both = run_trials(loop, Q, L, 2 * r[0] - r[1], 2 * d[0] - d[1], 4)
+    for name in ("v", "u", "y", "e", "delta"):
+        np.testing.assert_allclose(both[name], 2 * one[name] - two[name], atol=1e-7)
+
+
+def test_a_sinusoid_is_learned_at_the_rate_of_its_frequency(loop, Q, L):
+    """In the middle of a long trial the error obeys E_{k+1} = M E_k + constant (36)."""
+    omega = 2 * np.pi * 8 / 2000
+    wave = np.sin(omega * np.arange(8000))[:, None] * np.array([1.0, 0.0])
+    run = run_trials(loop, Q, L, wave, None, 4)
+    steps = np.diff(run.e.values[:, 3000:5000], axis=0)
+    phasors = steps.transpose(0, 2, 1) @ np.exp(-1j * omega * np.arange(2000))
+    grid = np.array([omega])
+    M = convergence_matrix(
+        loop.frequency_response(grid), Q.frequency_response(grid), L.frequency_response(grid)
+    )
+    np.testing.assert_allclose(phasors[1], M[0] @ phasors[0], atol=1e-3 * abs(phasors[0]).max())
+    np.testing.assert_allclose(phasors[2], M[0] @ phasors[1], atol=1e-3 * abs(phasors[1]).max())
+
+
+def test_errors_converge_at_least_as_fast_as_lemma_1_says(loop, Q, L, omega):
+    M = convergence_matrix(
+        loop.frequency_response(omega), Q.frequency_response(omega), L.frequency_response(omega)
+    )
+    gamma = largest_singular_values(M).max()
+    run = run_trials(loop, Q, L, assumed_reference(), None, 80)
+    distance = np.sqrt(((run.e - run.e[-1]) ** 2).sum(["time", "channel"])).values[:25]
+    assert np.all(distance[1:] <= gamma * distance[:-1])
+
+
+def test_without_learning_all_trials_are_alike(loop, Q):
+    run = run_trials(loop, Q, None, assumed_reference(), assumed_disturbance())
+    measure = rms(run.e).values
+    np.testing.assert_allclose(measure[:4], measure[0], rtol=1e-12)
+    np.testing.assert_allclose(measure[4:], measure[4], rtol=1e-12)
+    assert measure[4] > measure[0]
+    assert not run.v.any()
+
+
+def test_rms_is_the_papers_definition():
+    e = np.random.default_rng(2).standard_normal((1, 50, 2))
+    expected = np.sqrt(sum(e[0, p] @ e[0, p] for p in range(50)) / 50)
+    assert rms(xr.DataArray(e, dims=("trial", "time", "channel"))).item() == pytest.approx(expected)
+
+
+def test_the_sensors_noise_reaches_error_and_observer(loop, Q, L):
+    noise = np.zeros((1, 40, 2))
+    noise[0, 10] = 1.0
+    run = run_trials(loop, Q, L, np.zeros((40, 2)), None, 1, noise=noise)
+    np.testing.assert_allclose(run.y[0, :10], 0)
+    np.testing.assert_allclose(run.e[0, 10], -1)
+    np.testing.assert_allclose(run.delta[0, 11], loop.KL[10:] @ [1, 1])
+
+
+def test_initial_state_is_that_of_the_plant(loop, Q):
+    x = np.random.default_rng(3).standard_normal(10)
+    run = run_trials(loop, Q, None, np.zeros((5, 2)), None, 2, initial_state=x)
+    np.testing.assert_allclose(run.y[:, 0], np.tile(loop.plant.C @ x, (2, 1)))
+    np.testing.assert_allclose(run.u[:, 0], 0)
+
+
+def test_assumed_signals_are_what_the_text_says_of_the_papers():
+    reference, disturbance = assumed_reference(), assumed_disturbance()
+    assert reference.shape == (2500, 2) and disturbance.shape == (10, 2500, 3)
+    assert not reference[0].any() and not disturbance[:4].any() and not disturbance[:, :, 0].any()
+    assert disturbance[4:, :, 1:].any(axis=(1, 2)).all()
+    assert np.abs(np.diff(reference, 3, axis=0)).max() < 1e-4  # smooth
+    assert np.abs(reference).max() <= 10 + 1e-9
+
+
+def test_units_and_names_are_in_the_dataset(loop, Q, L):
+    run = run_trials(loop, Q, L, np.zeros((20, 2)), None, 2)
+    assert run.e.dims == ("trial", "time", "channel")
+    assert (run.y.attrs["units"], run.u.attrs["units"]) == ("K", "W")
+    assert list(run.source.values) == ["theta_a", "Q2", "Q4"]
+    assert list(run.trial.values) == [1, 2] and run.time.attrs["units"] == "s"
+
+
+def test_held_ends_learn_a_trial_that_does_not_end_at_zero(loop, L):
+    reference = assumed_reference()[:900]
+    last = []
+    for ends in ("zero", "hold"):
+        Q = zero_phase_butterworth(ends=ends)
+        held = LearningFilter(L.coefficients, 1.0, ends)
+        run = run_trials(loop, Q, held, reference, None, 10)
+        last.append(abs(run.e[-1, -1, 0].item()))  # this channel stands at 10 K
+    assert last[1] < last[0] / 3
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"reference": np.zeros((50, 3))}, r"reference has shape \(50, 3\).*\(time, 2\)"),
+        ({"reference": np.full((50, 2), np.nan)}, "reference has 100 values that are not finite"),
+        ({"disturbance": np.zeros((50, 2))}, r"disturbance has shape \(50, 2\).*\(50, 3\)"),
+        ({"disturbance": np.zeros((3, 50, 3))}, r"disturbance has shape \(3, 50, 3\)"),
+        ({"trials": 0}, "trials = 0"),
+        ({"noise": np.zeros((2, 50, 3))}, "noise has shape"),
+        ({"initial_state": np.zeros(13)}, r"initial_state has shape \(13,\)"),
+    ],
+)
+def test_bad_arguments_are_refused(loop, Q, L, arguments, message):
+    arguments = {"reference": np.zeros((50, 2)), "trials": 2} | arguments
+    with pytest.raises(ValueError, match=message):
+        run_trials(loop, Q, L, **arguments)
