@@ -271,11 +271,11 @@ def _check_trials(values, first_row, Ts, problems):
             )
         off = np.flatnonzero(np.abs(np.diff(time) - Ts) > 1e-3 * Ts)
         if off.size:
-            step = time[off[0] + 1] - time[off[0]]
+            step, row = time[off[0] + 1] - time[off[0]], start + off[0] + 1 + first_row
             kind = "a gap" if step > 1.5 * Ts else "irregular sampling"
             problems.append(
-                f"time: {kind} in trial {number:g}, row {start + off[0] + 1 + first_row}: a step of "
-                f"{step:g} where Ts = {Ts:g} ({off.size} such steps in this trial)"
+                f"time: {kind} in trial {number:g}, row {row}: a step of {step:g} where "
+                f"Ts = {Ts:g} ({off.size} such steps in this trial)"
             )
 
 
