@@ -9,7 +9,7 @@ export OMP_NUM_THREADS ?= 1
 export MPLBACKEND ?= module://matplotlib_inline.backend_inline
 export PYTHONWARNINGS ?= ignore::DeprecationWarning
 .DELETE_ON_ERROR:
-.PHONY: help reproduce test lint data replay lab notebooks lock clean
+.PHONY: help reproduce test lint data replay bench lab notebooks lock clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' Makefile | sed -E 's/:.*## /\t/' | expand -t 12
@@ -40,6 +40,12 @@ replay: $(BIN)/ready  ## replay a log of your own: make replay LOG=path; writes 
 	@mkdir -p build
 	$(BIN)/papermill --cwd notebooks -p log "$(abspath $(LOG))" -p no_learning "" \
 		notebooks/05-experiment-replay.ipynb build/replay.ipynb
+
+bench: $(BIN)/ready  ## time the synthesis; rewrite the README's performance section
+	@mkdir -p build
+	$(BIN)/pytest -q tests/benchmarks/bench_synthesis.py --benchmark-json=build/benchmark.json \
+		--benchmark-columns=median,min,max,rounds
+	$(BIN)/python tests/benchmarks/report.py build/benchmark.json
 
 lab: $(BIN)/ready  ## open the notebooks in JupyterLab
 	$(BIN)/jupyter lab --notebook-dir=notebooks

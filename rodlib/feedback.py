@@ -42,8 +42,16 @@ class CurrentTrialLoop:
 
     @property
     def P(self) -> control.StateSpace:
-        """The transfer function from w to y, P of (31)."""
-        return self.closed[:, self.closed.input_labels[: self.closed.noutputs]]
+        """The transfer function from w to y, P of (31), as C (zI - A + B K_s)^-1 B N.
+
+        The signal w does not excite the estimation error, so the observer's states are left out.
+        """
+        m, names = self.plant.noutputs, self.closed.input_labels
+        B = self.plant.B[:, :m]
+        return control.ss(
+            self.plant.A - B @ self.Ks, B @ self.N, self.plant.C, 0, self.Ts,
+            inputs=names[:m], outputs=self.plant.output_labels,
+        )  # fmt: skip
 
     def frequency_response(self, omega) -> np.ndarray:
         """P of (31) at the angular frequencies `omega` (rad/s), shape (n, m, m), complex."""

@@ -274,9 +274,8 @@ def publish(build: Path = BUILD, root: Path = ROOT) -> None:
     for path in figures:
         shutil.copyfile(path, target / f".{path.name}.part")
         os.replace(target / f".{path.name}.part", target / path.name)
-    kept = {path.name for path in figures} | {"ledger.csv", "ledger.md"}
-    for path in target.iterdir():
-        if path.name not in kept:
+    for path in [*target.glob("fig*"), *target.glob("extra*")]:
+        if path not in {target / figure.name for figure in figures}:
             path.unlink()
     write_whole(target / "ledger.csv", rows.to_csv(index=False, lineterminator="\n"))
     write_whole(target / "ledger.md", markdown(rows))

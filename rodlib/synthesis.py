@@ -10,7 +10,6 @@ inequality, one per frequency, and the problems are semidefinite programs.
 
 import warnings
 from dataclasses import dataclass
-from functools import partial
 from numbers import Real
 
 import control
@@ -18,11 +17,19 @@ import cvxpy as cp
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from rodlib import interior_point
+from rodlib.certificate import (
+    Certificate,
+    convergence_model,
+    learning_model,
+    lower_bound,
+    peak_gain,
+)
 from rodlib.feedback import CurrentTrialLoop, frequency_response
 from rodlib.filters import LearningFilter, ZeroPhaseButterworth
 
-VIOLATION = 1e-6  # relative; a solution further outside its bounds is not returned
 DENSER = 10  # the bounds are looked at between the samples, on a grid this much denser
+CVXPY_TOLERANCES = (1e-5, 1e-6)  # Clarabel ends "almost solved" on these problems
 
 
 class InfeasibleError(ValueError):
@@ -30,7 +37,7 @@ class InfeasibleError(ValueError):
 
 
 class SolverError(RuntimeError):
-    """The solver returned no filter, or one that did not pass the check."""
+    """The solver returned no filter, or one whose certificate fails."""
 
 
 @dataclass(frozen=True)
@@ -42,36 +49,27 @@ class Synthesis:
     filter : LearningFilter
     value : float
         The objective: the sum of the largest singular values of M over the band, or their peak.
+    certificate : Certificate
+        Optimality and bounds, by code independent of the solver.
     omega, sigma_M, sigma_L : ndarray, shape (n,)
         Largest singular values of M and of L at the design frequencies (rad/s).
-    omega_dense, sigma_M_dense, sigma_L_dense : ndarray
-        The same on a grid ten times denser.
     status : str
         What the solver said. It is not relied on.
+    warm : object
+        Where the solver may start for a similar problem: ``synthesise(..., start=design)``.
     """
 
     filter: LearningFilter
     value: float
+    certificate: Certificate
     omega: np.ndarray
     sigma_M: np.ndarray
     sigma_L: np.ndarray
-    omega_dense: np.ndarray
-    sigma_M_dense: np.ndarray
-    sigma_L_dense: np.ndarray
     status: str
+    warm: object = None
 
     def __repr__(self):
-        rows = [
-            ("", "sigma_max(M)", "sigma_max(L)"),
-            ("on the design grid", f"{self.sigma_M.max():.7f}", f"{self.sigma_L.max():.6f}"),
-            (
-                f"{DENSER} times denser",
-                f"{self.sigma_M_dense.max():.7f}",
-                f"{self.sigma_L_dense.max():.6f}",
-            ),
-        ]
-        head = f"objective {self.value:.6f}; solver: {self.status}"
-        return "\n".join([head] + ["{:<20}{:>14}{:>16}".format(*row) for row in rows])
+        return f"{self.status}\n{self.certificate}"
 
 
 def largest_singular_values(matrices) -> np.ndarray:
@@ -106,6 +104,9 @@ def synthesise(
     band=(1e-4, 0.02),
     structure="diagonal",
     objective="sum",
+    solver="structured",
+    start=None,
+    check=True,
 ) -> Synthesis:
     """Design the learning filter by convex optimisation, (39) or (45) with (46).
 
@@ -131,12 +132,18 @@ def synthesise(
     structure : {"diagonal", "full"}
     objective : {"sum", "peak"}
         "sum" is (39); "peak" is (45), with (46) unless `L_max` is None.
+    solver : {"structured", "cvxpy"}
+        :mod:`rodlib.interior_point`, or the problem as the paper states it, in CVXPY.
+    start : Synthesis, optional
+        A design for other bounds or another band, to start from; same plant, order and structure.
+    check : bool
+        Whether a filter whose certificate fails raises.
 
     Returns
     -------
     Synthesis
-        Its bounds have been checked with singular values; between the samples of `omega` exactly
-        if P and Q are models, with splines through the samples if they are arrays.
+        With its certificate. What it says about the frequencies between the samples is proven if P
+        and Q are models; from arrays it is read off splines, on a grid ten times denser.
 
     Raises
     ------
@@ -147,35 +154,104 @@ def synthesise(
         If no filter meets the bounds; the message says which of them is too tight, and the
         smallest `M_max` that is feasible.
     SolverError
-        If the solver fails, or its result does not pass the check.
+        If the solver fails, or the certificate of its result does.
     """
-    P, Q, omega, between = _frequency_responses(P, Q, omega, Ts)
+    model = (P, Q)
+    P, Q, omega = _frequency_responses(P, Q, omega, Ts)
     in_band = _check_design(P, omega, order, M_max, L_max, band, structure, objective)
-    bounds = (order, M_max, L_max, structure)
+    if solver not in ("structured", "cvxpy"):
+        raise ValueError(f"solver = {solver!r} must be 'structured' or 'cvxpy'")
+    problem = {"order": order, "L_max": L_max, "structure": structure, "in_band": in_band}
+    solve = _solve_structured if solver == "structured" else _solve_in_cvxpy
+    try:
+        C, U, V, status, warm = solve(
+            P, Q, omega * Ts, M_max=M_max, objective=objective, start=start, **problem
+        )
+    except interior_point.Infeasible as error:
+        raise InfeasibleError(
+            _advice(P, Q, omega * Ts, M_max, error.smallest_M_max, solve, problem)
+        ) from None
 
-    coefficients, status = _solve(P, Q, omega * Ts, in_band, *bounds, objective)
-    result = None
-    if coefficients is not None:
-        result = _examine(coefficients, status, P, Q, omega, Ts, in_band, objective, between)
-        excess = max(result.sigma_M.max() / M_max - 1, result.sigma_L.max() / (L_max or np.inf) - 1)
-        if excess <= VIOLATION:
-            return result
-    smallest = _smallest_M_max(P, Q, omega * Ts, in_band, order, L_max, structure)
-    if smallest > M_max * (1 + VIOLATION):
-        raise InfeasibleError(_advice(P, Q, omega * Ts, in_band, *bounds, smallest))
-    if result is None:
-        raise SolverError(f"Clarabel ended with status {status!r} and returned no filter")
-    raise SolverError(
-        f"Clarabel ended with status {status!r}; its filter exceeds a bound by {excess:.1e} "
-        f"relative: sigma_max(M) = {result.sigma_M.max():.9g} (M_max = {M_max}), "
-        f"sigma_max(L) = {result.sigma_L.max():.9g} (L_max = {L_max})"
+    L = LearningFilter(C, Ts)
+    sigma_M, sigma_L = _sigmas(P, Q, L, omega)
+    value = sigma_M[in_band].sum() if objective == "sum" else sigma_M.max()
+    basis = learning_basis(omega * Ts, len(C), order, structure)
+    all_M, proven = _peak_of_M(*model, L, (P, Q), omega)
+    certificate = Certificate(
+        value=value,
+        lower_bound=lower_bound(P, Q, basis, U, V, in_band, M_max, L_max, objective),
+        idle=np.abs(Q)[in_band].sum() if objective == "sum" else np.abs(Q).max(),
+        M_max=M_max,
+        L_max=L_max,
+        grid_M=sigma_M.max(),
+        grid_L=sigma_L.max(),
+        all_M=all_M,
+        proven=proven,
+        all_L=peak_gain(learning_model(L))[0],
+        **{} if solver == "structured" else {"tolerances": CVXPY_TOLERANCES},
     )
+    if check and certificate.failures:
+        raise SolverError(f"{solver}: {status}; " + "; ".join(certificate.failures))
+    return Synthesis(L, value, certificate, omega, sigma_M, sigma_L, status, warm)
 
 
-def _solve(P, Q, angles, in_band, order, M_max, L_max, structure, objective):
-    """State the problem in CVXPY as the paper does and solve it; None if that fails."""
+def learning_basis(angles, m, order, structure) -> np.ndarray:
+    """Derivatives of L with respect to its coefficients, (42), (44).
+
+    Parameters
+    ----------
+    angles : ndarray, shape (n,)
+        omega Ts.
+    m, order : int
+    structure : {"diagonal", "full"}
+
+    Returns
+    -------
+    ndarray, shape (n, m, m, unknowns), complex
+        The coefficients of one entry of L after those of the other, row by row.
+    """
+    shifts = np.exp(1j * np.outer(angles, np.arange(1, order + 1)))
+    entries = [(i, j) for i in range(m) for j in range(m) if structure == "full" or i == j]
+    basis = np.zeros((len(angles), m, m, len(entries), order), dtype=complex)
+    for position, (i, j) in enumerate(entries):
+        basis[:, i, j, position] = shifts
+    return basis.reshape(len(angles), m, m, -1)
+
+
+def _sigmas(P, Q, L, omega):
+    response = L.frequency_response(omega)
+    M = convergence_matrix(P, Q, response)
+    return largest_singular_values(M), largest_singular_values(response)
+
+
+def _peak_of_M(P, Q, L, samples, omega):
+    """Peak of sigma_max(M) over all frequencies, and whether it is proven."""
+    P = P.P if isinstance(P, CurrentTrialLoop) else P
+    if isinstance(P, control.StateSpace) and isinstance(Q, ZeroPhaseButterworth):
+        return peak_gain(convergence_model(P, Q, L))[0], True
+    steps = np.linspace(0, 1, DENSER, endpoint=False)
+    dense = np.append((omega[:-1, None] + np.diff(omega)[:, None] * steps).ravel(), omega[-1])
+    P, Q = (CubicSpline(omega, values)(dense) for values in samples)
+    return _sigmas(P, Q, L, dense)[0].max(), False
+
+
+def _solve_structured(
+    P, Q, angles, *, order, M_max, L_max, structure, in_band, objective, start=None
+):
+    solution = interior_point.solve(
+        P, Q, angles, 1.0, order=order, M_max=M_max, L_max=L_max, band_mask=in_band,
+        structure=structure, objective=objective, start=start and start.warm,
+    )  # fmt: skip
+    status = f"structured interior point, {solution.iterations} iterations"
+    return solution.coefficients, solution.U, solution.V, status, solution
+
+
+def _solve_in_cvxpy(
+    P, Q, angles, *, order, M_max, L_max, structure, in_band, objective, start=None
+):
+    """State the problem in CVXPY as the paper does and solve it with Clarabel."""
     n, m, _ = P.shape
-    basis = _basis(angles, m, order, structure)  # dL / d coefficients, (n, m, m, unknowns)
+    basis = learning_basis(angles, m, order, structure)
     gain = Q[:, None, None, None] * np.einsum("nij,njkc->nikc", P, basis)  # -dM / d coefficients
 
     # Whitened unknowns x = R c: their columns of M and L are orthonormal.
@@ -222,23 +298,35 @@ def _solve(P, Q, angles, in_band, order, M_max, L_max, structure, objective):
                 chordal_decomposition_enable=False,
             )  # fmt: skip
     except cp.SolverError as error:
-        return None, str(error)
+        raise SolverError(f"Clarabel failed: {error}") from None
     if x.value is None or problem.status in (cp.INFEASIBLE, cp.INFEASIBLE_INACCURATE):
-        return None, problem.status
-    unknowns = np.linalg.solve(R, x.value)
+        if objective == "sum":
+            peak = {"order": order, "L_max": L_max, "structure": structure, "in_band": in_band}
+            C, *_ = _solve_in_cvxpy(P, Q, angles, M_max=np.inf, objective="peak", **peak)
+            smallest = _sigmas(P, Q, LearningFilter(C, 1.0), angles)[0].max()
+            if smallest > M_max:
+                raise interior_point.Infeasible(M_max, smallest)
+        raise SolverError(f"Clarabel ended with status {problem.status!r} and returned no filter")
     coefficients = np.zeros((m, m, order))
     entries = np.ones((m, m), dtype=bool) if structure == "full" else np.eye(m, dtype=bool)
-    coefficients[entries] = unknowns.reshape(-1, order)
-    return coefficients, problem.status
+    coefficients[entries] = np.linalg.solve(R, x.value).reshape(-1, order)
+
+    U, V = _multiplier(subject_to[0]), None
+    if L_max and structure == "full":
+        V = _multiplier(subject_to[2]) / L_max
+    elif L_max:
+        V = LearningFilter(coefficients, 1.0).frequency_response(angles)
+        for i in range(m):
+            V[:, i, i] *= subject_to[2 + i].dual_value / np.abs(V[:, i, i])
+    return coefficients, U, V, f"CVXPY with Clarabel: {problem.status}", None
 
 
-def _basis(angles, m, order, structure):
-    shifts = np.exp(1j * np.outer(angles, np.arange(1, order + 1)))
-    entries = [(i, j) for i in range(m) for j in range(m) if structure == "full" or i == j]
-    basis = np.zeros((len(angles), m, m, len(entries), order), dtype=complex)
-    for position, (i, j) in enumerate(entries):
-        basis[:, i, j, position] = shifts
-    return basis.reshape(len(angles), m, m, -1)
+def _multiplier(constraint):
+    """Multiplier of sigma_max(X_i) <= b_i from that of its linear matrix inequality."""
+    Z = constraint.dual_value
+    m = Z.shape[-1] // 4
+    Z = Z.reshape(len(Z), 4, m, 4, m)
+    return -2 * (Z[:, 0, :, 2] + Z[:, 1, :, 3] + 1j * (Z[:, 1, :, 2] - Z[:, 0, :, 3]))
 
 
 def _sigma_max_at_most(parts, bound):
@@ -257,55 +345,26 @@ def _sigma_max_at_most(parts, bound):
     return cp.concatenate([cp.concatenate(row, axis=2) for row in rows], axis=1) >> 0
 
 
-def _smallest_M_max(P, Q, angles, in_band, order, L_max, structure):
-    coefficients, status = _solve(P, Q, angles, in_band, order, np.inf, L_max, structure, "peak")
-    if coefficients is None:
-        raise SolverError(f"Clarabel ended with status {status!r} in search of a feasible M_max")
-    L = LearningFilter(coefficients, 1.0).frequency_response(angles)
-    return largest_singular_values(convergence_matrix(P, Q, L)).max()
-
-
-def _advice(P, Q, angles, in_band, order, M_max, L_max, structure, smallest):
+def _advice(P, Q, angles, M_max, smallest, solve, problem):
+    """Which bound is too tight, and what would be feasible."""
     remedy = f"the smallest feasible M_max is {smallest:.6g}"
-    if L_max is not None:
-        without = _smallest_M_max(P, Q, angles, in_band, order, None, structure)
+    if problem["L_max"] is not None:
+        C, *_ = solve(P, Q, angles, M_max=np.inf, objective="peak", **problem | {"L_max": None})
+        without = _sigmas(P, Q, LearningFilter(C, 1.0), angles)[0].max()
         if without <= M_max:
             return (
-                f"infeasible: L_max = {L_max} is too tight for M_max = {M_max}. With this L_max "
-                f"{remedy}; raise L_max or M_max"
+                f"infeasible: L_max = {problem['L_max']} is too tight for M_max = {M_max}. With "
+                f"this L_max {remedy}; raise L_max or M_max"
             )
-        remedy += f" with L_max = {L_max}, and {without:.6g} without a bound on L"
+        remedy += f" with L_max = {problem['L_max']}, and {without:.6g} without a bound on L"
     return (
-        f"infeasible: M_max = {M_max} is too tight for a {structure} filter of order = {order}; "
-        f"{remedy}. Raise M_max or the order, or lower the cut-off frequency of Q"
-    )
-
-
-def _examine(coefficients, status, P, Q, omega, Ts, in_band, objective, between):
-    L = LearningFilter(coefficients, Ts)
-
-    def sigmas(P, Q, omega):
-        response = L.frequency_response(omega)
-        M = convergence_matrix(P, Q, response)
-        return largest_singular_values(M), largest_singular_values(response)
-
-    sigma_M, sigma_L = sigmas(P, Q, omega)
-    steps = np.linspace(0, 1, DENSER, endpoint=False)
-    dense = np.append((omega[:-1, None] + np.diff(omega)[:, None] * steps).ravel(), omega[-1])
-    return Synthesis(
-        L,
-        sigma_M[in_band].sum() if objective == "sum" else sigma_M.max(),
-        omega,
-        sigma_M,
-        sigma_L,
-        dense,
-        *sigmas(*between(dense), dense),
-        status,
+        f"infeasible: M_max = {M_max} is too tight for a {problem['structure']} filter of order = "
+        f"{problem['order']}; {remedy}. Raise M_max or the order, or lower the cut-off of Q"
     )
 
 
 def _frequency_responses(P, Q, omega, Ts):
-    """Samples of P and Q on omega, and a function that gives them anywhere in between."""
+    """Samples of P and Q on omega, checked."""
     if not (isinstance(Ts, Real) and 0 < Ts < np.inf):
         raise ValueError(f"Ts = {Ts!r} must be a positive sampling period in seconds")
     omega = np.asarray(omega, dtype=float)
@@ -324,22 +383,17 @@ def _frequency_responses(P, Q, omega, Ts):
         radius = np.abs(P.poles()).max(initial=0)
         if radius >= 1:
             raise ValueError(f"P is unstable: it has a pole of modulus {radius:.6g}, 1 or more")
-        P_between = partial(frequency_response, P)
-        P = P_between(omega)
-    else:
-        P = np.asarray(P, dtype=complex)
-        P_between = _spline(omega, P)
+        P = frequency_response(P, omega)
+    P = np.asarray(P, dtype=complex)
     if P.shape[:1] != omega.shape or P.ndim != 3 or P.shape[1] != P.shape[2]:
         raise ValueError(f"P has shape {P.shape}, but must be ({len(omega)}, m, m) to fit omega")
     if isinstance(Q, ZeroPhaseButterworth):
         if Q.Ts != Ts:
             raise ValueError(f"Q.Ts = {Q.Ts!r} differs from Ts = {Ts!r}")
-        Q, Q_between = Q.frequency_response(omega), Q.frequency_response
-    else:
-        Q = np.asarray(Q)
-        if Q.shape != omega.shape:
-            raise ValueError(f"Q has shape {Q.shape}, but must be {omega.shape} to fit omega")
-        Q_between = _spline(omega, Q)
+        Q = Q.frequency_response(omega)
+    Q = np.asarray(Q)
+    if Q.shape != omega.shape:
+        raise ValueError(f"Q has shape {Q.shape}, but must be {omega.shape} to fit omega")
     for name, response in (("P", P), ("Q", Q)):
         bad = np.flatnonzero(~np.isfinite(response).reshape(len(omega), -1).all(axis=1))
         if bad.size:
@@ -351,11 +405,7 @@ def _frequency_responses(P, Q, omega, Ts):
             f"P is singular at omega = {omega[singular[0]]:.6g} rad/s (smallest singular value "
             f"{singular_values[singular[0], -1]:.3g}): P^-1 in (40) does not exist there"
         )
-    return P, Q, omega, lambda w: (P_between(w), Q_between(w))
-
-
-def _spline(omega, samples):
-    return lambda w: CubicSpline(omega, samples)(w)
+    return P, Q, omega
 
 
 def _check_design(P, omega, order, M_max, L_max, band, structure, objective):

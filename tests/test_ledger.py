@@ -113,7 +113,7 @@ def _meets(entry):
 
 def test_publish_writes_ledger_figures_and_readme(run):
     (run / "figures").mkdir()
-    (run / "figures" / "stale.png").write_bytes(b"old")
+    (run / "figures" / "fig99-stale.png").write_bytes(b"old")
     ledger.publish(run / "build", run)
     assert sorted(path.name for path in (run / "figures").iterdir()) == [
         "fig01.png",

@@ -77,15 +77,19 @@ def test_the_minimum_is_a_minimum(diagonal, loop, Q, omega):
 
 def test_a_wrong_filter_is_not_returned(loop, Q, omega, monkeypatch):
     """The check does not trust the solver: a filter that breaks a bound raises."""
-    solve = synthesis._solve
+    solve = synthesis._solve_structured
 
-    def dishonest(*arguments):
-        coefficients, _ = solve(*arguments)
-        return coefficients * 1.001, "optimal"
+    def dishonest(*arguments, **keywords):
+        coefficients, *rest = solve(*arguments, **keywords)
+        return coefficients * factor, *rest
 
-    monkeypatch.setattr(synthesis, "_solve", dishonest)
-    with pytest.raises(SolverError, match="exceeds a bound by"):
-        synthesise(loop, Q, omega[::10], 1.0, band=(1e-4, 0.01))
+    monkeypatch.setattr(synthesis, "_solve_structured", dishonest)
+    for factor, complaint in ((1.001, r"sigma_max\(L\) = 50.05"), (0.9, "relative duality gap")):
+        with pytest.raises(SolverError, match=complaint):
+            synthesise(loop, Q, omega[::10], 1.0, band=(1e-4, 0.01))
+    assert synthesise(
+        loop, Q, omega[::10], 1.0, band=(1e-4, 0.01), check=False
+    ).certificate.failures
 
 
 def test_samples_and_models_give_the_same_design(loop, Q, omega):
@@ -96,9 +100,9 @@ def test_samples_and_models_give_the_same_design(loop, Q, omega):
         loop.frequency_response(grid), Q.frequency_response(grid), grid, 1.0, band=band
     )
     assert from_model.value == pytest.approx(from_samples.value, rel=1e-6)
-    np.testing.assert_allclose(
-        from_model.sigma_M_dense, from_samples.sigma_M_dense, atol=2e-2
-    )  # splines through 100 samples
+    assert from_model.certificate.proven and not from_samples.certificate.proven
+    proven, splines = from_model.certificate.all_M, from_samples.certificate.all_M
+    assert splines == pytest.approx(proven, abs=0.02)
 
 
 @pytest.mark.parametrize("objective", ["sum", "peak"])

@@ -1,0 +1,97 @@
+"""Time and memory of the synthesis: against CVXPY in the same run, and as the problem grows.
+
+`make bench` runs these and writes the README's table and figures/performance.
+"""
+
+import multiprocessing
+import resource
+
+import cvxpy as cp
+import numpy as np
+import pytest
+
+from rodlib import paper_loop, synthesise, zero_phase_butterworth
+
+FREQUENCIES = (250, 500, 1000, 2000, 4000, 8000, 16000)
+ORDERS = (5, 10, 20, 40)
+SIZES = (1, 2, 3, 4, 5, 6)
+
+
+def paper_problem(frequencies=1000):
+    omega = np.geomspace(1e-4, np.pi, frequencies)
+    return paper_loop().frequency_response(omega), zero_phase_butterworth(), omega, 1.0
+
+
+def chain(m, frequencies=1000):
+    """A plant of m coupled lags, for any size."""
+    omega = np.geomspace(1e-4, np.pi, frequencies)
+    z = np.exp(1j * omega)[:, None]
+    lags = 0.02 / (z - 0.98) * (1 + 0.1 * np.arange(m))[None, :] / (1 + 0.05 * m)
+    P = np.zeros((frequencies, m, m), dtype=complex)
+    P[:, range(m), range(m)] = lags
+    P[:, range(m - 1), range(1, m)] = 0.3 * lags[:, 1:] * lags[:, :-1]
+    P[:, range(1, m), range(m - 1)] = 0.2 * lags[:, 1:] * lags[:, :-1]
+    return P, zero_phase_butterworth(), omega, 1.0
+
+
+def naive_cvxpy(P, Q, omega, Ts, structure):
+    """(39) with one sigma_max atom per frequency, as it stands in the paper."""
+    n, m, _ = P.shape
+    z, q = np.exp(1j * omega * Ts), Q.frequency_response(omega)
+    taps = [cp.Variable((m, m), diag=structure == "diagonal") for _ in range(10)]
+    L = [sum(z_i**k * tap for k, tap in enumerate(taps, 1)) for z_i in z]
+    rates = [cp.sigma_max(q[i] * (np.eye(m) - P[i] @ L[i])) for i in range(n)]
+    inside = [rate for rate, w in zip(rates, omega, strict=True) if w <= 0.02]
+    bounds = [rate <= 0.9 for rate in rates] + [cp.sigma_max(L_i) <= 50 for L_i in L]
+    cp.Problem(cp.Minimize(cp.sum(cp.hstack(inside))), bounds).solve(solver=cp.CLARABEL)
+
+
+def _child(connection, function, arguments, keywords):
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    function(*arguments, **keywords)
+    connection.send(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
+
+
+def peak_memory(function, *arguments, **keywords):
+    """Memory that a call adds to a fresh process at its peak, MB."""
+    context = multiprocessing.get_context("spawn")
+    receiver, sender = context.Pipe(duplex=False)
+    process = context.Process(target=_child, args=(sender, function, arguments, keywords))
+    process.start()
+    process.join()
+    return receiver.recv() / 1024
+
+
+def measure(benchmark, group, x, function, *arguments, rounds=3, **keywords):
+    benchmark.group = group
+    benchmark.extra_info.update(x=x, memory=peak_memory(function, *arguments, **keywords))
+    warmup = 1 if rounds > 1 else 0
+    benchmark.pedantic(function, arguments, keywords, rounds=rounds, warmup_rounds=warmup)
+
+
+@pytest.mark.parametrize("structure", ["diagonal", "full"])
+@pytest.mark.parametrize("method", ["structured", "cvxpy", "naive"])
+@pytest.mark.filterwarnings("ignore")
+def test_against_cvxpy(benchmark, method, structure):
+    problem = paper_problem()
+    if method == "naive":
+        measure(benchmark, structure, method, naive_cvxpy, *problem, structure, rounds=1)
+    else:
+        rounds = 5 if method == "structured" else 3
+        keywords = {"structure": structure, "solver": method, "rounds": rounds}
+        measure(benchmark, structure, method, synthesise, *problem, **keywords)
+
+
+@pytest.mark.parametrize("frequencies", FREQUENCIES)
+def test_growth_with_frequencies(benchmark, frequencies):
+    measure(benchmark, "frequencies", frequencies, synthesise, *paper_problem(frequencies))
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_growth_with_order(benchmark, order):
+    measure(benchmark, "order", order, synthesise, *paper_problem(), order=order)
+
+
+@pytest.mark.parametrize("m", SIZES)
+def test_growth_with_size(benchmark, m):
+    measure(benchmark, "size", m, synthesise, *chain(m), structure="full")

@@ -1,0 +1,64 @@
+"""Turn the benchmark's results into the README's table and figures/performance."""
+
+import json
+import sys
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from rodlib import figures
+from rodlib.ledger import splice, write_whole
+from rodlib.published import ROOT
+
+LABELS = {"structured": "structured", "cvxpy": "CVXPY, batched", "naive": "CVXPY, naive"}
+
+
+def main(path):
+    with open(path, encoding="utf-8") as file:
+        report = json.load(file)
+    groups = {}
+    for entry in report["benchmarks"]:
+        row = (entry["extra_info"]["x"], entry["stats"]["median"], entry["extra_info"]["memory"])
+        groups.setdefault(entry["group"], []).append(row)
+
+    lines = ["| problem (39) | solver | time (s) | against structured | memory (MB) |"]
+    lines += ["|---|---|---:|---:|---:|"]
+    for structure in ("diagonal", "full"):
+        rows = groups.pop(structure)
+        fastest = next(time for name, time, _ in rows if name == "structured")
+        for name, time, memory in sorted(rows, key=lambda row: row[1]):
+            lines.append(
+                f"| {structure} | {LABELS[name]} | {time:.2f} | {time / fastest:.0f} | {memory:.0f} |"
+            )
+    lines += ["", "| growing | from | to | time (s) | exponent of time | memory (MB) |"]
+    lines += ["|---|---:|---:|---:|---:|---:|"]
+    figure, axes = plt.subplots(1, 3, figsize=figures.WIDE, sharey=True)
+    for column, (name, rows) in zip(axes, groups.items(), strict=True):
+        x, time, memory = np.array(sorted(rows)).T
+        slope, offset = np.polyfit(np.log(x), np.log(time), 1)
+        lines.append(
+            f"| {name} | {x[0]:g} | {x[-1]:g} | {time[0]:.2f} to {time[-1]:.2f} | {slope:.1f} | "
+            f"{memory[0]:.0f} to {memory[-1]:.0f} |"
+        )
+        column.loglog(x, time, "o", color="black")
+        column.loglog(x, np.exp(offset) * x**slope, label=f"exponent {slope:.1f}", **figures.GRAY)
+        column.set(xlabel={"order": "filter order", "size": "size m"}.get(name, name))
+        column.set_xticks(x, [f"{value:g}" for value in x], rotation=45)
+        column.minorticks_off()
+        column.legend()
+    axes[0].set_ylabel("time (s)")
+    machine, python = report["machine_info"], report["machine_info"]["python_version"]
+    cpu = machine["cpu"].get("brand_raw", machine["machine"])
+    lines += ["", f"Measured on: {cpu}, {machine['cpu'].get('count', '?')} cores, Python {python}."]
+    figures.save(figure, "performance")
+    for ending in ("png", "pdf"):
+        saved = figures.BUILD / "figures" / f"performance.{ending}"
+        saved.replace(ROOT / "figures" / saved.name)
+    text = "\n".join(lines) + "\n"
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    write_whole(ROOT / "README.md", splice(readme, "performance", text))
+    print(text)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])
