@@ -238,10 +238,15 @@ def _peak_of_M(P, Q, L, samples, omega):
 def _solve_structured(
     P, Q, angles, *, order, M_max, L_max, structure, in_band, objective, start=None
 ):
-    solution = interior_point.solve(
-        P, Q, angles, 1.0, order=order, M_max=M_max, L_max=L_max, band_mask=in_band,
-        structure=structure, objective=objective, start=start and start.warm,
-    )  # fmt: skip
+    try:
+        solution = interior_point.solve(
+            P, Q, angles, 1.0, order=order, M_max=M_max, L_max=L_max, band_mask=in_band,
+            structure=structure, objective=objective, start=start and start.warm,
+        )  # fmt: skip
+    except interior_point.Infeasible:
+        raise
+    except RuntimeError as error:
+        raise SolverError(f"structured interior point: {error}") from None
     status = f"structured interior point, {solution.iterations} iterations"
     return solution.coefficients, solution.U, solution.V, status, solution
 

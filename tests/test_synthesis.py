@@ -75,8 +75,12 @@ def test_the_minimum_is_a_minimum(diagonal, loop, Q, omega):
     assert better == 0
 
 
-def test_a_wrong_filter_is_not_returned(loop, Q, omega, monkeypatch):
-    """The check does not trust the solver: a filter that breaks a bound raises."""
+@pytest.mark.parametrize(
+    ("factor", "complaint"),
+    [(1.001, r"sigma_max\(L\) = 50\.05"), (0.9, "relative duality gap")],
+)
+def test_a_wrong_filter_is_not_returned(loop, Q, omega, monkeypatch, factor, complaint):
+    """The check does not trust the solver: a filter out of bounds, or not optimal, raises."""
     solve = synthesis._solve_structured
 
     def dishonest(*arguments, **keywords):
@@ -84,12 +88,10 @@ def test_a_wrong_filter_is_not_returned(loop, Q, omega, monkeypatch):
         return coefficients * factor, *rest
 
     monkeypatch.setattr(synthesis, "_solve_structured", dishonest)
-    for factor, complaint in ((1.001, r"sigma_max\(L\) = 50.05"), (0.9, "relative duality gap")):
-        with pytest.raises(SolverError, match=complaint):
-            synthesise(loop, Q, omega[::10], 1.0, band=(1e-4, 0.01))
-    assert synthesise(
-        loop, Q, omega[::10], 1.0, band=(1e-4, 0.01), check=False
-    ).certificate.failures
+    arguments = (loop, Q, omega[::10], 1.0)
+    with pytest.raises(SolverError, match=complaint):
+        synthesise(*arguments, band=(1e-4, 0.01))
+    assert synthesise(*arguments, band=(1e-4, 0.01), check=False).certificate.failures
 
 
 def test_samples_and_models_give_the_same_design(loop, Q, omega):

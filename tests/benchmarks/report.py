@@ -27,9 +27,8 @@ def main(path):
         rows = groups.pop(structure)
         fastest = next(time for name, time, _ in rows if name == "structured")
         for name, time, memory in sorted(rows, key=lambda row: row[1]):
-            lines.append(
-                f"| {structure} | {LABELS[name]} | {time:.2f} | {time / fastest:.0f} | {memory:.0f} |"
-            )
+            ratio = f"{time:.2f} | {time / fastest:.0f}"
+            lines.append(f"| {structure} | {LABELS[name]} | {ratio} | {memory:.0f} |")
     lines += ["", "| growing | from | to | time (s) | exponent of time | memory (MB) |"]
     lines += ["|---|---:|---:|---:|---:|---:|"]
     figure, axes = plt.subplots(1, 3, figsize=figures.WIDE, sharey=True)

@@ -1,0 +1,119 @@
+"""The structured solver, by way of synthesise: against CVXPY, and where it gets hard."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rodlib import InfeasibleError, synthesise
+
+
+def random_plant(seed, m, n=30, gain=1.0):
+    """A stable plant with coupling, and a low-pass Q, on n frequencies up to Nyquist."""
+    rng = np.random.default_rng(seed)
+    omega = np.geomspace(1e-2, np.pi, n)
+    z = np.exp(1j * omega)[:, None, None]
+    poles = rng.uniform(0.3, 0.95, (m, m))
+    P = np.eye(m) + 0.2 * rng.standard_normal((m, m))
+    P = gain * P * (1 - poles) / (z - poles)
+    return P, 1 / (1 + (omega / 0.5) ** 4), omega
+
+
+@pytest.mark.parametrize("objective", ["sum", "peak"])
+@pytest.mark.parametrize(
+    ("m", "structure"), [(1, "full"), (2, "full"), (3, "diagonal"), (4, "full")]
+)
+def test_structured_and_cvxpy_find_the_same_optimum(m, structure, objective):
+    P, Q, omega = random_plant(m, m, n=25)
+    arguments = {"order": 3, "L_max": 20.0, "band": (0.01, 0.3), "M_max": 0.97}
+    arguments |= {"structure": structure, "objective": objective}
+    ours = synthesise(P, Q, omega, 1.0, **arguments)
+    theirs = synthesise(P, Q, omega, 1.0, solver="cvxpy", **arguments)
+    assert ours.value == pytest.approx(theirs.value, rel=1e-5)
+    assert ours.certificate.gap < 1e-8
+    assert theirs.certificate.gap < 1e-5
+
+
+@settings(max_examples=25)
+@given(
+    st.integers(1, 4),
+    st.sampled_from([1, 2, 5, 10]),
+    st.sampled_from(["diagonal", "full"]),
+    st.sampled_from(["sum", "peak"]),
+    st.sampled_from([1e-6, 1.0, 1e6]),
+    st.integers(0, 999),
+)
+def test_every_filter_is_certified_or_refused_with_a_reason(
+    m, order, structure, objective, gain, seed
+):
+    """Any size, order and scaling: a gap of 1e-8, and no bound passed by more than 1e-9."""
+    P, Q, omega = random_plant(seed, m, gain=gain)
+    L_max = 10.0 / gain
+    arguments = {"order": order, "band": (0.01, 0.3), "structure": structure, "L_max": L_max}
+    try:
+        design = synthesise(P, Q, omega, 1.0, objective=objective, M_max=0.9, **arguments)
+    except InfeasibleError:
+        peak = synthesise(P, Q, omega, 1.0, objective="peak", M_max=0.999999, **arguments)
+        assert peak.value > 0.9
+        return
+    certificate = design.certificate
+    assert certificate.gap < 1e-8
+    assert certificate.grid_M <= 0.9 * (1 + 1e-9)
+    assert certificate.grid_L <= L_max * (1 + 1e-9)
+    scaled = synthesise(P / gain, Q, omega, 1.0, objective=objective, **arguments | {"L_max": 10.0})
+    assert design.value == pytest.approx(scaled.value, rel=1e-7, abs=1e-9)
+
+
+@pytest.mark.parametrize("order", [1, 40])
+@pytest.mark.parametrize("structure", ["diagonal", "full"])
+def test_shortest_and_longest_filters_on_the_papers_plant(loop, Q, omega, order, structure):
+    grid = omega[::4]
+    arguments = {"band": (grid[0], 0.01), "structure": structure, "order": order, "M_max": 0.99995}
+    design = synthesise(loop, Q, grid, 1.0, check=False, **arguments)
+    assert design.certificate.gap < 1e-8 and design.certificate.grid_M < 1
+    shorter = synthesise(loop, Q, grid, 1.0, **arguments | {"order": 1})
+    assert design.value <= shorter.value * (1 + 1e-8)  # a longer filter can do all of a shorter
+
+
+@pytest.mark.parametrize("margin", [1.001, 1.00001])
+def test_nearly_infeasible_problems_are_solved(loop, Q, omega, margin):
+    grid = omega[::4]
+    arguments = {"band": (grid[0], 0.01), "L_max": 50.0}
+    peak = synthesise(loop, Q, grid, 1.0, objective="peak", **arguments).value
+    design = synthesise(loop, Q, grid, 1.0, M_max=peak * margin, **arguments)
+    assert design.certificate.gap < 1e-7
+    assert design.certificate.grid_M <= peak * margin * (1 + 1e-9)
+    with pytest.raises(InfeasibleError) as error:
+        synthesise(loop, Q, grid, 1.0, M_max=peak / margin, **arguments)
+    assert f"smallest feasible M_max is {peak:.6g}" in str(error.value)
+
+
+def test_unbounded_learning_filters_are_found_in_spite_of_their_size(loop, Q, omega):
+    design = synthesise(loop, Q, omega, 1.0, L_max=None, objective="peak")
+    assert design.value == pytest.approx(0.461827, abs=1e-6)  # CVXPY with Clarabel: 0.4618272
+    assert np.abs(design.filter.coefficients).max() > 1e7
+    assert design.certificate.failures == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "saves"),
+    [
+        ({"L_max": 50.5}, True),
+        ({"band": (1e-4, 0.021)}, True),
+        ({"M_max": 0.91}, True),
+        ({"M_max": 0.88}, False),  # the old filter violates the new bound
+    ],
+)
+def test_a_warm_start_reaches_the_same_optimum(loop, Q, omega, changes, saves):
+    arguments = {"band": (1e-4, 0.02), "L_max": 50.0, "M_max": 0.9}
+    before = synthesise(loop, Q, omega, 1.0, **arguments)
+    cold = synthesise(loop, Q, omega, 1.0, **arguments | changes)
+    warm = synthesise(loop, Q, omega, 1.0, start=before, **arguments | changes)
+    assert warm.value == pytest.approx(cold.value, rel=1e-8)
+    if saves:
+        assert warm.warm.iterations < 0.8 * cold.warm.iterations
+
+
+def test_two_solves_give_the_same_bits(loop, Q, omega):
+    first, second = (synthesise(loop, Q, omega[::5], 1.0, band=(1e-4, 0.01)) for _ in range(2))
+    np.testing.assert_array_equal(first.filter.coefficients, second.filter.coefficients)
