@@ -57,6 +57,7 @@ def save(figure: Figure, name: str) -> None:
     for ending, metadata in (("png", {"Software": None}), ("pdf", {"CreationDate": None})):
         temporary = folder / f".{name}.part"
         figure.savefig(temporary, format=ending, metadata=metadata)
+        figure.set_layout_engine("none")  # once laid out, it stays so
         os.replace(temporary, folder / f"{name}.{ending}")
 
 
