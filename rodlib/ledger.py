@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 
 from rodlib import published
+from rodlib.logs import write_whole
 from rodlib.published import ROOT, Claim
 
 BUILD = ROOT / "build"
@@ -178,13 +179,6 @@ def _criterion_in_words(claim):
     if claim.criterion in ("", UNCHECKED) or "+-" in claim.criterion:
         return ""
     return f"criterion: {claim.criterion}"
-
-
-def write_whole(path: Path, text: str) -> None:
-    """Replace a text file as a whole or not at all."""
-    temporary = path.with_name(f".{path.name}.part")
-    temporary.write_text(text, encoding="utf-8", newline="\n")
-    os.replace(temporary, path)
 
 
 def join(parts: Path) -> pd.DataFrame:

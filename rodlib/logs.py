@@ -135,11 +135,13 @@ def save_log(dataset: xr.Dataset, path) -> None:
     metadata = {"format": FORMAT, "Ts": f"{dataset.attrs['Ts']!r} s", "units": units}
     metadata |= {k: v for k, v in dataset.attrs.items() if k not in metadata}
     head = "".join(f"# {key}: {' '.join(str(value).split())}\n" for key, value in metadata.items())
-    path = Path(path)
+    write_whole(Path(path), head + table.to_csv(index=False, lineterminator="\n"))
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Replace a text file as a whole or not at all."""
     temporary = path.with_name(f".{path.name}.part")
-    temporary.write_text(
-        head + table.to_csv(index=False, lineterminator="\n"), encoding="utf-8", newline="\n"
-    )
+    temporary.write_text(text, encoding="utf-8", newline="\n")
     os.replace(temporary, path)
 
 

@@ -145,19 +145,6 @@ def test_a_claim_with_two_rows_is_refused(run):
         ledger.join(part.parent)
 
 
-def test_an_interrupted_write_leaves_the_old_file(tmp_path, monkeypatch):
-    path = tmp_path / "file.txt"
-    ledger.write_whole(path, "old")
-
-    def interrupted(*_):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(ledger.os, "replace", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        ledger.write_whole(path, "new")
-    assert path.read_text() == "old"
-
-
 def test_markers_must_be_there():
     with pytest.raises(ValueError, match="no markers"):
         ledger.splice("nothing here", "ledger", "x")

@@ -7,7 +7,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from rodlib import figures
-from rodlib.ledger import splice, write_whole
+from rodlib.ledger import splice
+from rodlib.logs import write_whole
 from rodlib.published import ROOT
 
 LABELS = {"structured": "structured", "cvxpy": "CVXPY, batched", "naive": "CVXPY, naive"}
