@@ -78,7 +78,8 @@ def load_log(path) -> xr.Dataset:
     channels, known = _check_columns(table.columns, problems)
     factors = _factors(known, metadata, problems)
     values = _numbers(table, first_row, problems)
-    if not problems:
+    counters = values.reindex(columns=["trial", "time"]).to_numpy()
+    if np.isfinite(counters).all() and "time" in factors and np.isfinite(Ts):
         _check_trials(values, first_row, Ts / factors["time"], problems)
     if problems:
         raise LogError(_report(path, problems))

@@ -19,6 +19,7 @@ from scipy.interpolate import CubicSpline
 
 from rodlib import interior_point
 from rodlib.certificate import (
+    VIOLATION,
     Certificate,
     convergence_model,
     learning_model,
@@ -163,17 +164,24 @@ def synthesise(
         raise ValueError(f"solver = {solver!r} must be 'structured' or 'cvxpy'")
     problem = {"order": order, "L_max": L_max, "structure": structure, "in_band": in_band}
     solve = _solve_structured if solver == "structured" else _solve_in_cvxpy
-    try:
-        C, U, V, status, warm = solve(
-            P, Q, omega * Ts, M_max=M_max, objective=objective, start=start, **problem
-        )
-    except interior_point.Infeasible as error:
-        raise InfeasibleError(
-            _advice(P, Q, omega * Ts, M_max, error.smallest_M_max, solve, problem)
-        ) from None
-
-    L = LearningFilter(C, Ts)
-    sigma_M, sigma_L = _sigmas(P, Q, L, omega)
+    margin = 0.0
+    while True:
+        bounds = {"M_max": M_max * (1 - margin), "L_max": L_max and L_max * (1 - margin)}
+        try:
+            C, U, V, status, warm = solve(
+                P, Q, omega * Ts, objective=objective, start=start, **problem | bounds
+            )
+        except interior_point.Infeasible as error:
+            raise InfeasibleError(
+                _advice(P, Q, omega * Ts, M_max, error.smallest_M_max, solve, problem)
+            ) from None
+        L = LearningFilter(C, Ts)
+        sigma_M, sigma_L = _sigmas(P, Q, L, omega)
+        excess = max(sigma_M.max() / M_max, sigma_L.max() / (L_max or np.inf)) - 1
+        # Rounding, where the coefficients are huge: once more, with as much to spare.
+        if margin or not VIOLATION < excess < CVXPY_TOLERANCES[1] or solver == "cvxpy":
+            break
+        margin = 3 * excess
     value = sigma_M[in_band].sum() if objective == "sum" else sigma_M.max()
     basis = learning_basis(omega * Ts, len(C), order, structure)
     all_M, proven = _peak_of_M(*model, L, (P, Q), omega)

@@ -5,6 +5,7 @@
 
 import multiprocessing
 import resource
+from concurrent.futures import ProcessPoolExecutor
 
 import cvxpy as cp
 import numpy as np
@@ -46,27 +47,24 @@ def naive_cvxpy(P, Q, omega, Ts, structure):
     cp.Problem(cp.Minimize(cp.sum(cp.hstack(inside))), bounds).solve(solver=cp.CLARABEL)
 
 
-def _child(connection, function, arguments, keywords):
+def _added_memory(function, arguments, keywords):
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     function(*arguments, **keywords)
-    connection.send(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
+    return (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024
 
 
 def peak_memory(function, *arguments, **keywords):
     """Memory that a call adds to a fresh process at its peak, MB."""
     context = multiprocessing.get_context("spawn")
-    receiver, sender = context.Pipe(duplex=False)
-    process = context.Process(target=_child, args=(sender, function, arguments, keywords))
-    process.start()
-    process.join()
-    return receiver.recv() / 1024
+    with ProcessPoolExecutor(1, mp_context=context) as executor:
+        return executor.submit(_added_memory, function, arguments, keywords).result()
 
 
 def measure(benchmark, group, x, function, *arguments, rounds=3, **keywords):
     benchmark.group = group
-    benchmark.extra_info.update(x=x, memory=peak_memory(function, *arguments, **keywords))
-    warmup = 1 if rounds > 1 else 0
-    benchmark.pedantic(function, arguments, keywords, rounds=rounds, warmup_rounds=warmup)
+    memory = peak_memory(function, *arguments, **keywords)
+    benchmark.extra_info.update(x=x, memory=memory)
+    benchmark.pedantic(function, arguments, keywords, rounds=rounds)
 
 
 @pytest.mark.parametrize("structure", ["diagonal", "full"])
@@ -77,7 +75,7 @@ def test_against_cvxpy(benchmark, method, structure):
     if method == "naive":
         measure(benchmark, structure, method, naive_cvxpy, *problem, structure, rounds=1)
     else:
-        rounds = 5 if method == "structured" else 3
+        rounds = 5 if method == "structured" else 1
         keywords = {"structure": structure, "solver": method, "rounds": rounds}
         measure(benchmark, structure, method, synthesise, *problem, **keywords)
 

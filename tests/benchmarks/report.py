@@ -54,6 +54,7 @@ def main(path):
     for ending in ("png", "pdf"):
         saved = figures.BUILD / "figures" / f"performance.{ending}"
         saved.replace(ROOT / "figures" / saved.name)
+    lines += ["", "![Time of the synthesis over its size](figures/performance.png)"]
     text = "\n".join(lines) + "\n"
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     write_whole(ROOT / "README.md", splice(readme, "performance", text))
