@@ -4,9 +4,12 @@ Importing this module sets the style. Saved files do not change between two runs
 """
 
 import os
+from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
 
 import matplotlib as mpl
+import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyArrowPatch, Rectangle
@@ -43,14 +46,41 @@ mpl.rcParams.update(
 )
 
 
-def save(figure: Figure, name: str) -> None:
-    """Write a figure to build/figures as PNG and PDF, the same bytes in every run.
+@dataclass(frozen=True)
+class SavedFigure:
+    """A figure in a file. A notebook shows the file itself: what is read is what is published.
+
+    Parameters
+    ----------
+    path : Path
+        The PNG file.
+    width : int
+        On the screen, in pixels; the file has more, for print.
+    """
+
+    path: Path
+    width: int
+
+    def __repr__(self) -> str:
+        return f"figures/{self.path.name}"
+
+    def _repr_png_(self):
+        return self.path.read_bytes(), {"width": self.width}
+
+
+def save(figure: Figure, name: str) -> SavedFigure:
+    """Write a figure to build/figures as PNG and PDF, the same bytes in every run, and close it.
 
     Parameters
     ----------
     figure : matplotlib.figure.Figure
     name : str
         Without ending; begins with the paper's figure, as in "fig04-frequency-response".
+
+    Returns
+    -------
+    SavedFigure
+        As the last expression of a cell, it shows the figure.
     """
     folder = BUILD / "figures"
     folder.mkdir(parents=True, exist_ok=True)
@@ -59,6 +89,8 @@ def save(figure: Figure, name: str) -> None:
         figure.savefig(temporary, format=ending, metadata=metadata)
         figure.set_layout_engine("none")  # once laid out, it stays so
         os.replace(temporary, folder / f"{name}.{ending}")
+    plt.close(figure)  # or the notebook would draw it once more
+    return SavedFigure(folder / f"{name}.png", round(figure.get_figwidth() * figure.get_dpi()))
 
 
 def draw_rod(axes: Axes, rod: Rod) -> None:

@@ -2,6 +2,7 @@ import hashlib
 
 import matplotlib.pyplot as plt
 import pytest
+from IPython.core.formatters import DisplayFormatter
 
 from rodlib import Rod, figures
 
@@ -29,6 +30,17 @@ def test_saved_figures_are_the_same_bytes_every_time(folder):
     figures.save(draw(), "fig02-test")
     assert sorted(first) == ["fig02-test.pdf", "fig02-test.png"]
     assert digests(folder) == first
+
+
+def test_a_notebook_shows_the_saved_file_and_draws_nothing_itself(folder):
+    figure, _ = plt.subplots(figsize=(7.2, 2.0))
+    saved = figures.save(figure, "fig02-test")
+    assert not plt.fignum_exists(figure.number)
+    shown, metadata = DisplayFormatter().format(saved)
+    assert shown["image/png"] == (folder / "fig02-test.png").read_bytes()
+    assert shown["text/plain"] == "figures/fig02-test.png"
+    assert metadata["image/png"] == {"width": 720}
+    assert plt.imread(folder / "fig02-test.png").shape[:2] == (400, 1440)
 
 
 @pytest.mark.parametrize("rod", [Rod(), Rod(sections=6, length=1.0, sensors=(0.1, 0.5, 0.9))])
