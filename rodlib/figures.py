@@ -37,6 +37,7 @@ mpl.rcParams.update(
         "axes.grid": True,
         "axes.titlesize": 9,
         "axes.titlelocation": "left",
+        "axes.titley": 1.0,  # fixed: to look for what may be in its way takes long
         "grid.color": "0.9",
         "legend.frameon": False,
         "lines.linewidth": 1.3,
