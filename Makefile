@@ -3,12 +3,12 @@
 PYTHON ?= python3
 BIN := .venv/bin
 NOTEBOOKS := $(sort $(wildcard notebooks/*.ipynb))
-# The longest first: the later notebooks take longer than the earlier ones.
-PARTS := $(patsubst notebooks/%.ipynb,build/ledger/%.csv,$(shell ls -r notebooks/*.ipynb))
-# Notebooks run side by side: one thread of linear algebra each, and no display.
-export OMP_NUM_THREADS ?= 1
-export MPLBACKEND ?= module://matplotlib_inline.backend_inline
-export PYTHONWARNINGS ?= ignore::DeprecationWarning
+# Notebooks run side by side: one thread of linear algebra each. Whatever the caller's environment
+# says, figures and output are the same.
+export OMP_NUM_THREADS := 1
+export OPENBLAS_NUM_THREADS := 1
+export MPLBACKEND := module://matplotlib_inline.backend_inline
+export PYTHONWARNINGS := ignore::DeprecationWarning
 .DELETE_ON_ERROR:
 .PHONY: help reproduce test lint data replay bench lab notebooks lock clean
 
@@ -16,14 +16,7 @@ help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' Makefile | sed -E 's/:.*## /\t/' | expand -t 12
 
 reproduce: $(BIN)/ready  ## run all notebooks; regenerate figures/ and the ledger
-	@rm -rf build && mkdir -p build/ledger
-	@$(MAKE) --no-print-directory -j 2 $(PARTS)
-	@$(BIN)/python -m rodlib.ledger
-
-build/ledger/%.csv: notebooks/%.ipynb
-	@echo "$* ..."
-	@$(BIN)/papermill --cwd notebooks --no-progress-bar --log-level ERROR $< build/$*.ipynb
-	@echo "$* done"
+	@$(BIN)/python -m rodlib.reproduce
 
 test: $(BIN)/ready lint  ## lint, unit tests, and the committed notebooks against a fresh run
 	$(BIN)/pytest -q

@@ -2,13 +2,12 @@
 
 A number is *reproduced* if it agrees within half a unit of the last digit printed, a statement if
 the number that tests it meets its criterion. Otherwise it *differs*, by so much. Each notebook
-records its part; ``python -m rodlib.ledger`` joins the parts once all notebooks have run.
+records its part; :mod:`rodlib.reproduce` joins the parts once all notebooks have run.
 """
 
 import os
 import re
 import shutil
-import sys
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -164,7 +163,7 @@ class Ledger:
         return rows.set_index("place")[["claim", "printed", "computed", "deviation", "verdict"]]
 
     def save(self) -> None:
-        """Write the rows to build/ledger, for ``python -m rodlib.ledger`` to join."""
+        """Write the rows to build/ledger, where :func:`publish` joins them."""
         folder = BUILD / "ledger"
         folder.mkdir(parents=True, exist_ok=True)
         rows = pd.DataFrame(self.rows.values(), columns=COLUMNS)
@@ -275,10 +274,3 @@ def publish(build: Path = BUILD, root: Path = ROOT) -> None:
     write_whole(target / "ledger.md", markdown(rows))
     write_whole(root / "README.md", readme)
     print(f"figures/: {len(figures)} files; ledger: {rows.verdict.value_counts().to_dict()}")
-
-
-if __name__ == "__main__":
-    try:
-        publish()
-    except (ValueError, OSError) as error:
-        sys.exit(str(error))
