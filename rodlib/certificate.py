@@ -16,10 +16,10 @@ import control
 import numpy as np
 import scipy.sparse.linalg as sparse
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.linalg import schur
+from scipy.linalg import schur, solve_triangular
 from scipy.sparse import eye_array
 
-from rodlib.filters import LearningFilter, ZeroPhaseButterworth
+from rodlib.filters import LearningFilter, ZeroPhaseButterworth, time_shifts
 
 CHUNK = 2**21  # numbers held at a time while frequency responses are computed
 # Relative duality gap, and relative violation of a bound on the grid, that are accepted.
@@ -110,7 +110,9 @@ class Certificate:
         return "\n".join([*lines, *(f"FAILS: {text}" for text in self.failures)])
 
 
-def lower_bound(P, Q, L_basis, U, V, weights, M_max, L_max, objective) -> float:
+def lower_bound(
+    P, Q, angles, U, V, *, order, M_max, L_max, band_mask, structure, objective
+) -> float:
     """Lower bound on the optimum of (39) or (45), from multipliers and linear algebra alone.
 
     For all filters that meet the bounds, and all U_i, V_i with sum_i Re tr(U_i^H dM_i) +
@@ -121,19 +123,22 @@ def lower_bound(P, Q, L_basis, U, V, weights, M_max, L_max, objective) -> float:
 
     with nuclear norms |.|. Where |U_i| exceeds the weight of sigma_max(M_i) in the objective, the
     excess is bounded with M_max. U and V are first projected on those that fulfil the condition,
-    so the bound holds, up to rounding, whatever was passed.
+    so the bound holds, up to rounding, whatever was passed. A coefficient of L_jk acts on column
+    k of M and L only, so the columns are projected one by one.
 
     Parameters
     ----------
     P : ndarray, shape (n, m, m)
     Q : ndarray, shape (n,)
-    L_basis : ndarray, shape (n, m, m, unknowns)
-        Derivatives of L with respect to the coefficients.
+    angles : ndarray, shape (n,)
+        omega Ts.
     U, V : ndarray, shape (n, m, m); V may be None
         Multipliers of the bounds on M and on L.
-    weights : ndarray, shape (n,)
-        One in the band, zero elsewhere; not used for "peak".
+    order : int
     M_max, L_max : float, float or None
+    band_mask : ndarray of bool, shape (n,)
+        Frequencies over which "sum" sums; not used for "peak".
+    structure : {"diagonal", "full"}
     objective : {"sum", "peak"}
 
     Returns
@@ -141,23 +146,29 @@ def lower_bound(P, Q, L_basis, U, V, weights, M_max, L_max, objective) -> float:
     float
     """
     n, m, _ = P.shape
-    D = -Q[:, None, None, None] * np.einsum("nij,njkc->nikc", P, L_basis)
-    N = np.array(U)
+    z = time_shifts(angles, order)
+    T, N = -Q[:, None, None] * P, np.array(U)
     if V is not None:  # in units of L_max, so that both parts have the size of the objective
-        D = np.concatenate([D, L_basis / L_max])
+        T = np.concatenate([T, np.broadcast_to(np.eye(m) / L_max, (n, m, m))])
         N = np.concatenate([N, L_max * V])
-    D, vector = D.reshape(N.size, -1), N.ravel()
-    D = np.concatenate([D.real, D.imag])
-    orthonormal, _ = np.linalg.qr(D / np.linalg.norm(D, axis=0))
-    real = np.concatenate([vector.real, vector.imag])
-    for _ in range(2):
-        real -= orthonormal @ (orthonormal.T @ real)
-    N = (real[: N.size] + 1j * real[N.size :]).reshape(-1, m, m)
+        z = np.concatenate([z, z])
+    columns = [[slice(None), range(m)]] if structure == "full" else [[[k], [k]] for k in range(m)]
+    for rows, column in columns:
+        D = (T[:, :, rows, None] * z[:, None, None]).reshape(len(N) * m, -1)
+        D = np.concatenate([D.real, D.imag])
+        R = np.linalg.qr(D.astype(float), mode="r")
+        part = N[:, :, column].reshape(len(N) * m, -1)
+        part = np.concatenate([part.real, part.imag]).astype(D.dtype)
+        for _ in range(4):  # in long doubles: how well the condition is met counts, not R
+            residual = (D.T @ part).astype(float)
+            part -= D @ solve_triangular(R, solve_triangular(R, residual, trans="T"))
+        half = len(part) // 2
+        N[:, :, column] = (part[:half] + 1j * part[half:]).reshape(len(N), m, -1)
     norms = np.linalg.svd(N, compute_uv=False).sum(axis=1)
     bound = (np.trace(N[:n].conj(), axis1=1, axis2=2) * Q).real.sum() - norms[n:].sum()
     if objective == "peak":
         return float(bound / norms[:n].sum())
-    return float(bound - M_max * np.maximum(norms[:n] - weights, 0).sum())
+    return float(bound - M_max * np.maximum(norms[:n] - band_mask, 0).sum())
 
 
 def peak_gain(
@@ -312,12 +323,12 @@ def _gain_function(system):
             row = (T[i, i + 1 :] @ X[i + 1 :]).reshape(m, -1) + B[i, :, None]
             X[i] = (row / (z - T[i, i])).ravel()
         G = (C @ X).reshape(-1, m, len(z)) + D[:, :, None]
-        return _largest_singular_values(np.moveaxis(G, -1, 0))
+        return largest_singular_values(np.moveaxis(G, -1, 0))
 
     return np.diag(T), sigma
 
 
-def _largest_singular_values(G):
+def largest_singular_values(G):
     """Largest singular value of each matrix, shape (n, p, m) to (n,)."""
     if min(G.shape[1:]) > 2:
         return np.linalg.norm(G, 2, axis=(1, 2))

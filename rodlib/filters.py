@@ -134,8 +134,8 @@ class LearningFilter:
 
     def frequency_response(self, omega) -> np.ndarray:
         """L(exp(j omega Ts)) at `omega` (rad/s), shape (n, m, m), complex."""
-        shifts = np.exp(1j * self.Ts * np.outer(np.atleast_1d(omega), np.arange(1, self.order + 1)))
-        return np.einsum("nk,ijk->nij", shifts, self.coefficients)
+        shifts = time_shifts(self.Ts * np.atleast_1d(omega), self.order)
+        return np.einsum("nk,ijk->nij", shifts, self.coefficients).astype(complex)
 
     def apply(self, signal) -> np.ndarray:
         """Filter a signal of shape (..., time, m)."""
@@ -147,6 +147,16 @@ class LearningFilter:
         ahead = np.pad(signal, padding, mode=ENDS[self.ends])
         windows = np.lib.stride_tricks.sliding_window_view(ahead, self.order, axis=-2)
         return np.tensordot(windows[..., 1:, :, :], self.coefficients, axes=([-2, -1], [1, 2]))
+
+
+def time_shifts(angles, order) -> np.ndarray:
+    """z, z^2, ..., z^order for z = exp(j angles), in long doubles, shape (n, order).
+
+    They are nearly dependent at low frequencies. Without a bound (46) a learning filter has
+    coefficients of 1e9 that all but cancel, and doubles would leave seven digits of its gain.
+    """
+    angles = np.asarray(angles, dtype=np.longdouble)
+    return np.exp(1j * np.outer(angles, np.arange(1, order + 1)))
 
 
 def update(v, e, Q: ZeroPhaseButterworth, L: LearningFilter) -> np.ndarray:

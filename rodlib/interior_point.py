@@ -1,23 +1,18 @@
 """The solver of the synthesis: a structured primal-dual interior-point method.
 
-Given P_i (m x m) and Q_i (scalar) at the frequencies omega_i, find the real coefficients C_k of
-L(z) = sum_k C_k z^k that minimise the sum over a band, or the largest, of sigma_max(M_i), where
-M_i = Q_i (I - P_i L_i), subject to sigma_max(M_i) <= M_max and sigma_max(L_i) <= L_max at all
-frequencies. With a variable t for each frequency of the band (for the largest, a single one) each
-constraint is a small linear matrix inequality with a multiplier Y:
+The problem of :mod:`rodlib.cones` has a bound sigma_max(G_i) <= b at each frequency, where b is
+a variable t (one for each frequency of the band, or a single one for the largest), M_max or
+L_max. Each is a small linear matrix inequality with a multiplier Y:
 
-    S = [[b I, G], [G^H, b I]] >= 0,    G = F + T L_i,    b = t, M_max or L_max,    Y >= 0.
+    S = [[b I, G], [G^H, b I]] >= 0,    G = F + T L_i,    Y >= 0.
 
 The method follows the central path Y S = mu I with the HKM direction [1] and Mehrotra's predictor
 and corrector [2], as in SDPT3 [3]; see [4] for the theory. What is particular here:
 
 - The variables t and all blocks are eliminated. What remains is one symmetric system in the
   coefficients, whose matrix is a sum over i of m^2 x m^2 matrices times products of powers of z_i.
-- The powers are replaced by a basis that is orthonormal with the weight that M and L give them.
 - G is that of an actual filter throughout. If a bound is violated at the start, it is moved out,
   and moved back with the steps. Only if this fails is the smallest M_max computed ("phase one").
-- Arrays have the frequency last, so that an operation on all the small matrices is a few
-  operations on long vectors: for m = 2 several times faster than a call of LAPACK for each.
 
 The method need not be trusted: :mod:`rodlib.certificate` proves what it returns.
 
@@ -31,108 +26,12 @@ The method need not be trusted: :mod:`rodlib.certificate` proves what it returns
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.linalg import cho_factor, cho_solve
+
+from rodlib.cones import Infeasible, Problem, Solution, adjoint, product
 
 GAP = 2e-9  # relative gap at which to stop
 EPS = np.finfo(float).eps
-
-
-class Infeasible(RuntimeError):
-    """No filter of this order and structure meets the bounds; see `smallest_M_max`."""
-
-    def __init__(self, M_max, smallest_M_max):
-        super().__init__(f"M_max = {M_max:.10g} is too small, {smallest_M_max:.10g} is possible")
-        self.smallest_M_max = smallest_M_max
-
-
-@dataclass(frozen=True)
-class Solution:
-    """A learning filter, and the multipliers from which its optimality can be proven.
-
-    Attributes
-    ----------
-    coefficients : ndarray, shape (m, m, order)
-        L(z) = sum_k coefficients[:, :, k - 1] z^k.
-    U, V : ndarray, shape (n, m, m), complex
-        Multipliers of M and of L (None without L_max).
-    iterations : int
-    path : tuple
-        What a warm start needs: the problem, and points on its central path.
-    """
-
-    coefficients: np.ndarray
-    U: np.ndarray
-    V: np.ndarray | None
-    iterations: int
-    path: tuple
-
-
-@dataclass(frozen=True)
-class Cone:
-    """sigma_max(F + T L) <= b at each frequency, for a q x q part L of the filter.
-
-    The entries `entries` of the filter stand at `rows`, `cols` of L; the others are zero.
-    """
-
-    F: np.ndarray
-    T: np.ndarray
-    entries: np.ndarray
-    rows: np.ndarray
-    cols: np.ndarray
-
-    def response(self, L):
-        """T L, given all entries of the filter, shape (entries, n)."""
-        D = np.zeros(self.T.shape, dtype=complex)
-        D[self.rows, self.cols] = L[self.entries]
-        return product(self.T, D)
-
-    def gradient(self, W):
-        """The g with Re tr(W T L) = Re sum g L."""
-        return product(W, self.T)[self.cols, self.rows]
-
-
-@dataclass(frozen=True)
-class Problem:
-    """The cones, M first; the basis; which b are variables t, and whether they share one."""
-
-    cones: tuple
-    basis: np.ndarray
-    R: np.ndarray
-    entries: int
-    free: np.ndarray
-    shared: bool
-    bounds: np.ndarray
-    negligible: float
-
-    def levels(self, t, bounds):
-        """b of each cone, given t and the bounds on M and L."""
-        b = [np.full(self.basis.shape[1], bounds[min(j, 1)]) for j in range(len(self.cones))]
-        b[0][self.free] = t
-        return b
-
-    def collect(self, v):
-        """Sum over the frequencies that share a variable t; frequencies in the last axis."""
-        return v[..., self.free].sum(axis=-1, keepdims=True) if self.shared else v[..., self.free]
-
-    def stationarity(self, Y):
-        """Derivative of sum <S, Y> with respect to the coefficients."""
-        g = np.zeros((self.entries, self.basis.shape[1]), dtype=complex)
-        for cone, A in zip(self.cones, Y, strict=True):
-            q = len(cone.T)
-            g[cone.entries] += cone.gradient(2 * A[q:, :q])
-        return (g @ self.basis.T).real.ravel()
-
-    def complementarity(self, p):
-        """sum <S, Y> + sum (M_max - t) eta."""
-        total = (p.bounds[0] - p.t) @ p.eta
-        for b, G, Y in zip(self.levels(p.t, p.bounds), p.G, p.Y, strict=True):
-            total += b @ trace(Y) + 2 * np.einsum("ijn,jin->", G, Y[len(G) :, : len(G)]).real
-        return total
-
-    def dual_value(self, p):
-        """The dual objective, a lower bound on the primal one if Y and eta are stationary."""
-        zero = replace(p, t=0 * p.t, bounds=self.bounds, G=[cone.F for cone in self.cones])
-        return -self.complementarity(zero)
 
 
 @dataclass(frozen=True)
@@ -167,7 +66,7 @@ class Slack:
         self.G, self.b = G, b
         self.A = -product(adjoint(G), G)
         self.A[diagonal] += b**2
-        self.M = inverse(self.A)  # (b^2 I - G^H G)^-1
+        self.M = inverse(self.A, 0.01 * EPS * b**2)  # (b^2 I - G^H G)^-1
         self.X = np.empty((2 * q, 2 * q, len(b)), dtype=complex)
         self.X[q:, q:] = b * self.M
         self.X[q:, :q] = -product(self.M, adjoint(G))
@@ -198,20 +97,6 @@ class Slack:
         return [self.A, A1, A2]
 
 
-def product(A, B):
-    """A B at each frequency."""
-    if A.shape[0] * B.shape[1] > 36:  # large enough for BLAS
-        return np.matmul(A, B, axes=[(0, 1)] * 3)
-    C = A[:, 0, None] * B[0]
-    for j in range(1, len(B)):
-        C += A[:, j, None] * B[j]
-    return C
-
-
-def adjoint(A):
-    return A.conj().swapaxes(0, 1)
-
-
 def hermitian(A):
     return 0.5 * (A + adjoint(A))
 
@@ -220,13 +105,13 @@ def trace(A):
     return np.einsum("iin->n", A).real
 
 
-def inverse(A):
+def inverse(A, floor):
     """Inverse of Hermitian positive definite matrices, as a product R^-H R^-1.
 
-    Gaussian elimination turns [A, I] into [R^H, R^-1], where A = R R^H.
+    Gaussian elimination turns [A, I] into [R^H, R^-1], where A = R R^H. No pivot of A is smaller
+    than the floor, unless by rounding.
     """
     q = len(A)
-    floor = 0.01 * EPS * np.abs(trace(A))  # rounding may have spoilt the last pivot
     A = np.concatenate([A, np.zeros_like(A)], axis=1)
     A[range(q), range(q, 2 * q)] = 1
     for k in range(q):
@@ -281,41 +166,38 @@ def step_lengths(problem, p, d, slacks, accuracy):
     return primal, dual
 
 
-def whitened_basis(P, Q, omega, Ts, order, L_max):
-    """Phi = R^-T [z; z^2; ...], orthonormal with the weight that M and L give each frequency."""
-    z = np.exp(1j * omega * Ts) ** np.arange(1, order + 1)[:, None]
-    weight = np.linalg.norm(Q[:, None, None] * P, axis=(1, 2)) / np.abs(Q).max()
-    weight = np.hypot(weight, 0 if L_max is None else 1 / L_max)
-    weight = np.maximum(weight, 1e-8 * weight.max())
-    R = np.linalg.qr((weight * z).view(float).T, mode="r")
-    return np.ascontiguousarray(solve_triangular(R, z, trans="T")), R
+def collect(problem, v):
+    """Sum over the frequencies that share a variable t; frequencies in the last axis."""
+    v = v[..., problem.free]
+    return v.sum(axis=-1, keepdims=True) if problem.shared else v
 
 
-def formulate(P, Q, omega, Ts, order, M_bound, L_max, free, shared, structure):
-    """The problem in terms of cones."""
-    n, m, _ = P.shape
-    rows, cols = np.indices((m, m)).reshape(2, -1) if structure == "full" else 2 * (np.arange(m),)
-    entries = np.arange(len(rows))
-    identity = np.repeat(np.eye(m, dtype=complex)[..., None], n, axis=2)
-    cones = [
-        Cone(Q * identity, np.ascontiguousarray(-Q * P.transpose(1, 2, 0)), entries, rows, cols)
-    ]
-    if L_max is not None and structure == "full":
-        cones.append(Cone(0 * identity, identity, entries, rows, cols))
-    elif L_max is not None:  # smaller cones, one for each entry
-        one = identity[:1, :1]
-        cones += [Cone(0 * one, one, entries[[e]], rows[:1], cols[:1]) for e in entries]
-    basis, R = whitened_basis(P, Q, omega, Ts, order, L_max)
-    bounds = np.array([M_bound, 1 if L_max is None else L_max], dtype=float)
-    size = np.abs(Q[free])
-    negligible = 1e-4 * (size.max() if shared else size.sum())
-    return Problem(tuple(cones), basis, R, len(rows), free, shared, bounds, negligible)
+def stationarity(problem, Y):
+    """Derivative of sum <S, Y> with respect to the coefficients."""
+    g = np.zeros((problem.entries, problem.basis.shape[1]), dtype=complex)
+    for cone, A in zip(problem.cones, Y, strict=True):
+        q = len(cone.T)
+        g[cone.entries] += cone.gradient(2 * A[q:, :q])
+    return (g @ problem.basis.T).real.ravel()
+
+
+def complementarity(problem, p):
+    """sum <S, Y> + sum (M_max - t) eta."""
+    total = (p.bounds[0] - p.t) @ p.eta
+    for b, G, Y in zip(problem.levels(p.t, p.bounds), p.G, p.Y, strict=True):
+        total += b @ trace(Y) + 2 * np.einsum("ijn,jin->", G, Y[len(G) :, : len(G)]).real
+    return total
+
+
+def dual_value(problem, p):
+    """The dual objective, a lower bound on the primal one if Y and eta are stationary."""
+    zero = replace(p, t=0 * p.t, bounds=problem.bounds, G=[cone.F for cone in problem.cones])
+    return -complementarity(problem, zero)
 
 
 def begin(problem, x):
     """A point at x with Y S = mu I, and with the bound on M moved out if x violates it."""
-    L = x @ problem.basis
-    G = [cone.F + cone.response(L) for cone in problem.cones]
+    G = problem.matrices(x)
     sigma = np.linalg.norm(G[0], 2, axis=(0, 1))
     bounds = problem.bounds.copy()
     if sigma.max() >= bounds[0]:
@@ -323,39 +205,8 @@ def begin(problem, x):
     t = (sigma[problem.free] + bounds[0]) / 2
     t = t.max(keepdims=True) if problem.shared else t
     X = [Slack(*a).X for a in zip(G, problem.levels(t, bounds), strict=True)]
-    mu = 5 * len(t) / problem.collect(trace(X[0])).sum()
+    mu = 5 * len(t) / collect(problem, trace(X[0])).sum()
     return Point(x, t, bounds, G, [mu * A for A in X], mu / (bounds[0] - t))
-
-
-def resume(problem, earlier, points):
-    """Of the points on the path of an earlier problem, the one to continue from.
-
-    If little has changed it is late on the path: there, sum <S, Y> is about the gap that the
-    change has opened.
-    """
-    chosen = None
-    for p in points:
-        x = (problem.R @ solve_triangular(earlier.R, p.x.T)).T
-        L = x @ problem.basis
-        G = [cone.F + cone.response(L) for cone in problem.cones]
-        q = replace(p, x=x, G=G)
-        if not problem.shared:
-            b, Y = earlier.levels(p.t, p.bounds)[0], p.Y[0].copy()
-            eta = np.zeros_like(b)
-            eta[earlier.free] = p.eta
-            mu = np.mean((p.bounds[0] - p.t) * p.eta)
-            new = np.setxor1d(problem.free, earlier.free)  # in only one of the bands
-            sigma = np.linalg.norm(G[0][..., new], 2, axis=(0, 1))
-            b[new] = sigma + 1 / (1 / mu + 2 / (p.bounds[0] - sigma))
-            eta[new] = mu / (p.bounds[0] - b[new])
-            q = replace(q, t=b[problem.free], eta=eta[problem.free])
-            b = problem.levels(q.t, p.bounds)[0]
-            Y[..., new] = mu * Slack(G[0][..., new], b[new]).X
-            q = replace(q, Y=[Y, *p.Y[1:]])
-        change = abs(q.t.sum() - problem.dual_value(q))
-        if chosen is None or problem.complementarity(q) > 0.3 * change:
-            chosen = q
-    return chosen
 
 
 def normal_matrix(problem, slacks, Y):
@@ -397,10 +248,10 @@ def newton(problem, p, slacks):
     s, toward = p.bounds[0] - p.t, problem.bounds - p.bounds
     X, Y = slacks[0].X, p.Y[0]
     # <I, Y X> and <dS_j, Y X + X Y> / 2: the second derivatives with respect to t, and t and x
-    tt = problem.collect((Y * X.conj()).real.sum(axis=(0, 1))) + p.eta / s
+    tt = collect(problem, (Y * X.conj()).real.sum(axis=(0, 1))) + p.eta / s
     W = product(Y[m:], X[:, :m]) + product(X[m:], Y[:, :m])
     g = problem.cones[0].gradient(W)
-    xt = problem.collect((g[:, None] * problem.basis).real).reshape(-1, len(p.t))
+    xt = collect(problem, (g[:, None] * problem.basis).real).reshape(-1, len(p.t))
     H = normal_matrix(problem, slacks, p.Y)
     scale = 1 / np.sqrt(np.maximum(np.diag(H), EPS * np.diag(H).max()))
     H = scale[:, None] * (H - (xt / tt) @ xt.T) * scale
@@ -414,8 +265,8 @@ def newton(problem, p, slacks):
     def correct(d):
         """d, with coefficients and t changed such that all multipliers become stationary."""
         Y = [A + D for A, D in zip(p.Y, d.Y, strict=True)]
-        rt = problem.collect(trace(Y[0])) - (p.eta + d.eta) - 1
-        dx = scale * cho_solve(factor, scale * (problem.stationarity(Y) - xt @ (rt / tt)))
+        rt = collect(problem, trace(Y[0])) - (p.eta + d.eta) - 1
+        dx = scale * cho_solve(factor, scale * (stationarity(problem, Y) - xt @ (rt / tt)))
         dt = (rt - dx @ xt) / tt
         dx = dx.reshape(p.x.shape)
         dL = dx @ problem.basis
@@ -446,33 +297,30 @@ def newton(problem, p, slacks):
 def follow(problem, p, enough=0.0):
     """Follow the central path from p until the gap is closed or the objective small enough.
 
-    Returns the best point, or None if the bounds were never met; points for a warm start; and the
-    number of iterations.
+    Returns the best point, or None if the bounds were never met, and the number of iterations.
     """
     n, m = problem.basis.shape[1], len(p.G[0])
     degree = len(p.t) + 2 * n * sum(len(G) for G in p.G)
-    best, smallest, gaps, path = None, np.inf, [], []
+    best, smallest, gaps = None, np.inf, []
     for iteration in range(100):
-        objective, dual = p.t.sum(), problem.dual_value(p)
-        total = problem.complementarity(p)
-        gap = max(total, abs(objective - dual)) / max(objective, problem.negligible)
+        objective, dual = p.t.sum(), dual_value(problem, p)
+        total = complementarity(problem, p)
+        gap = max(total, abs(objective - dual)) / max(objective, 1e-4 * problem.idle)
         if (p.bounds == problem.bounds).all():
             gaps.append(gap)
             if gap < smallest:
                 best, smallest = p, gap
-            if 1e-5 < gap < 4.0 ** -(1 + len(path)):
-                path.append(p)
             if gap < GAP or objective < enough or min(gaps[-6:]) > smallest:
                 break
         else:  # by more than the first term, no filter that meets the bounds has a larger |x|
-            x_max = np.sqrt(5 * n * m) * np.linalg.norm(problem.stationarity(p.Y))
+            x_max = np.sqrt(5 * n * m) * np.linalg.norm(stationarity(problem, p.Y))
             if iteration > 40 or dual - x_max > len(p.t) * problem.bounds[0]:
                 break
         slacks = [Slack(*a) for a in zip(p.G, problem.levels(p.t, p.bounds), strict=True)]
         direction = newton(problem, p, slacks)
         predictor = direction(0.0)
         primal, dual = step_lengths(problem, p, predictor, slacks, 0.1)
-        left = problem.complementarity(p.moved(predictor, primal, dual)) / total
+        left = complementarity(problem, p.moved(predictor, primal, dual)) / total
         sigma = min(1, max(left, 0)) ** (1 + 2 * min(primal, dual) ** 2)
         d = direction(sigma * total / degree, predictor, refine=gap < 1e-6)
         damping = 0.9 + 0.09 * min(primal, dual)
@@ -483,46 +331,16 @@ def follow(problem, p, enough=0.0):
         p = p.moved(d, primal, dual)
         if primal == 1:
             p = replace(p, bounds=problem.bounds)  # without rounding
-    return best, path or [best], iteration
+    return best, iteration
 
 
-def solve(
-    P,
-    Q,
-    omega,
-    Ts,
-    *,
-    order,
-    M_max,
-    L_max,
-    band_mask,
-    structure="diagonal",
-    objective="sum",
-    start=None,
-):
-    """Synthesise a learning filter: (39), or (45) without and with (46).
+def solve(problem: Problem) -> Solution:
+    """Solve a synthesis problem from nothing.
 
     Parameters
     ----------
-    P : ndarray, shape (n, m, m), complex
-        Frequency response of the plant.
-    Q : ndarray, shape (n,)
-        Frequency response of the Q-filter.
-    omega : ndarray, shape (n,)
-        Angular frequencies in (0, pi / Ts].
-    Ts : float
-        Sampling period.
-    order : int
-    M_max : float
-    L_max : float or None
-        None leaves the bound on L out.
-    band_mask : ndarray of bool, shape (n,)
-        Frequencies over which "sum" sums.
-    structure : {"diagonal", "full"}
-    objective : {"sum", "peak"}
-    start : Solution, optional
-        Solution for the same plant, order, structure and objective with other bounds or another
-        band, from whose path to continue.
+    problem : Problem
+        From :func:`rodlib.cones.formulate`.
 
     Returns
     -------
@@ -535,36 +353,19 @@ def solve(
     RuntimeError
         If no filter met the bounds although one exists.
     """
-    n, m, _ = P.shape
-
-    def problem_of(bound, free, shared):
-        return formulate(P, Q, omega, Ts, order, bound, L_max, free, shared, structure)
-
-    peak = problem_of(3 * np.abs(Q).max(), np.arange(n), True)
-    problem = peak if objective == "peak" else problem_of(M_max, np.flatnonzero(band_mask), False)
-    zero = np.zeros((problem.entries, order))
-
-    best, iterations = None, 0
-    if start is not None:
-        best, path, iterations = follow(problem, resume(problem, *start.path))
-    if best is None:
-        best, path, more = follow(problem, begin(problem, zero))
-        iterations += more
+    zero = np.zeros((problem.entries, len(problem.R)))
+    best, iterations = follow(problem, begin(problem, zero))
     if best is None:  # phase one
-        best, _, more = follow(peak, begin(peak, zero), enough=M_max)
+        peak = problem.peak()
+        best, more = follow(peak, begin(peak, zero), enough=problem.M_max)
         iterations += more
-        if best.t[0] >= M_max:
-            raise Infeasible(M_max, best.t[0])
-        best, path, more = follow(problem, begin(problem, best.x))
+        if best.t[0] >= problem.M_max:
+            raise Infeasible(problem.M_max, best.t[0])
+        best, more = follow(problem, begin(problem, best.x))
         iterations += more
     if best is None:
         raise RuntimeError(f"no filter met the bounds after {iterations} iterations")
-    if objective == "peak" and best.t[0] > M_max:
-        raise Infeasible(M_max, best.t[0])
-
-    C = np.zeros((m, m, order))
-    C[problem.cones[0].rows, problem.cones[0].cols] = solve_triangular(problem.R, best.x.T).T
-    U, *V = (-2 * Y[: len(Y) // 2, len(Y) // 2 :].transpose(2, 0, 1) for Y in best.Y)
-    if structure == "diagonal":
-        V = [np.concatenate(V, axis=1) * np.eye(m)] if V else []
-    return Solution(C, U, V[0] if V else None, iterations, (problem, path))
+    if problem.shared and best.t[0] > problem.M_max:
+        raise Infeasible(problem.M_max, best.t[0])
+    multipliers = [-2 * Y[: len(Y) // 2, len(Y) // 2 :] for Y in best.Y]
+    return problem.solution(best.x, multipliers, "interior point", iterations)

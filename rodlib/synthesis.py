@@ -6,30 +6,37 @@ The frequency response of the learning filter is linear in its coefficients, and
 
 because Q is scalar. A bound on the largest singular value of either is a linear matrix
 inequality, one per frequency, and the problems are semidefinite programs.
+
+Three modules solve them: :mod:`rodlib.interior_point`, which is fast and the default;
+:mod:`rodlib.active_set`, faster still from the solution of a similar problem; and
+:mod:`rodlib.semidefinite`, which states the problems in CVXPY as the paper does, for reading and
+for comparison. None of them is trusted: what is returned has a certificate.
 """
 
-import warnings
 from dataclasses import dataclass
 from numbers import Real
 
 import control
-import cvxpy as cp
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from rodlib import interior_point
+from rodlib import active_set, interior_point
 from rodlib.certificate import (
     VIOLATION,
     Certificate,
     convergence_model,
+    largest_singular_values,
     learning_model,
     lower_bound,
     peak_gain,
 )
+from rodlib.cones import Infeasible, Solution, formulate
 from rodlib.feedback import CurrentTrialLoop, frequency_response
 from rodlib.filters import LearningFilter, ZeroPhaseButterworth
 
 DENSER = 10  # the bounds are looked at between the samples, on a grid this much denser
+START_GAP = 1e-8  # relative duality gap with which the result of a start is accepted
+ROUNDING = 1e-6  # a larger relative violation of a bound is no rounding
 CVXPY_TOLERANCES = (1e-5, 1e-6)  # Clarabel ends "almost solved" on these problems
 
 
@@ -54,10 +61,8 @@ class Synthesis:
         Optimality and bounds, by code independent of the solver.
     omega, sigma_M, sigma_L : ndarray, shape (n,)
         Largest singular values of M and of L at the design frequencies (rad/s).
-    status : str
-        What the solver said. It is not relied on.
-    warm : object
-        Where the solver may start for a similar problem: ``synthesise(..., start=design)``.
+    solution : Solution
+        What the solver said. It is not relied on. ``synthesise(..., start=design)`` begins there.
     """
 
     filter: LearningFilter
@@ -66,16 +71,10 @@ class Synthesis:
     omega: np.ndarray
     sigma_M: np.ndarray
     sigma_L: np.ndarray
-    status: str
-    warm: object = None
+    solution: Solution
 
     def __repr__(self):
-        return f"{self.status}\n{self.certificate}"
-
-
-def largest_singular_values(matrices) -> np.ndarray:
-    """Largest singular value of each matrix, shape (n, m, m) to (n,)."""
-    return np.linalg.norm(matrices, 2, axis=(1, 2))
+        return f"{self.solution.method}, {self.solution.iterations} iterations\n{self.certificate}"
 
 
 def convergence_matrix(P, Q, L) -> np.ndarray:
@@ -136,7 +135,8 @@ def synthesise(
     solver : {"structured", "cvxpy"}
         :mod:`rodlib.interior_point`, or the problem as the paper states it, in CVXPY.
     start : Synthesis, optional
-        A design for other bounds or another band, to start from; same plant, order and structure.
+        A design for other bounds, another band or a similar plant to start from, of the same order
+        and size. It makes the synthesis faster, not different.
     check : bool
         Whether a filter whose certificate fails raises.
 
@@ -162,68 +162,72 @@ def synthesise(
     in_band = _check_design(P, omega, order, M_max, L_max, band, structure, objective)
     if solver not in ("structured", "cvxpy"):
         raise ValueError(f"solver = {solver!r} must be 'structured' or 'cvxpy'")
-    problem = {"order": order, "L_max": L_max, "structure": structure, "in_band": in_band}
-    solve = _solve_structured if solver == "structured" else _solve_in_cvxpy
-    margin = 0.0
-    while True:
-        bounds = {"M_max": M_max * (1 - margin), "L_max": L_max and L_max * (1 - margin)}
-        try:
-            C, U, V, status, warm = solve(
-                P, Q, omega * Ts, objective=objective, start=start, **problem | bounds
-            )
-        except interior_point.Infeasible as error:
-            raise InfeasibleError(
-                _advice(P, Q, omega * Ts, M_max, error.smallest_M_max, solve, problem)
-            ) from None
-        L = LearningFilter(C, Ts)
+    if start is not None:
+        _check_start(start, P, order, structure)
+    statement = {
+        "order": order, "M_max": M_max, "L_max": L_max, "band_mask": in_band,
+        "structure": structure, "objective": objective,
+    }  # fmt: skip
+
+    def solve(**changes):
+        return _solve(solver, (P, Q, omega, Ts), statement | changes)
+
+    def judged(solution):
+        L = LearningFilter(solution.coefficients, Ts)
         sigma_M, sigma_L = _sigmas(P, Q, L, omega)
+        value = sigma_M[in_band].sum() if objective == "sum" else sigma_M.max()
+        all_M, proven = _peak_of_M(*model, L, (P, Q), omega)
+        certificate = Certificate(
+            value=value,
+            lower_bound=lower_bound(P, Q, omega * Ts, solution.U, solution.V, **statement),
+            idle=np.abs(Q)[in_band].sum() if objective == "sum" else np.abs(Q).max(),
+            M_max=M_max,
+            L_max=L_max,
+            grid_M=sigma_M.max(),
+            grid_L=sigma_L.max(),
+            all_M=all_M,
+            proven=proven,
+            all_L=peak_gain(learning_model(L))[0],
+            **{} if solver == "structured" else {"tolerances": CVXPY_TOLERANCES},
+        )
+        return Synthesis(L, value, certificate, omega, sigma_M, sigma_L, solution)
+
+    if start is not None and solver == "structured":
+        problem = formulate(P, Q, omega, Ts, **statement)
+        solution = active_set.resolve(problem, start.solution)
+        if solution is not None:
+            design = judged(solution)
+            if design.certificate.gap < START_GAP and not design.certificate.failures:
+                return design
+    try:
+        solution = solve()
+        response = LearningFilter(solution.coefficients, Ts)
+        sigma_M, sigma_L = _sigmas(P, Q, response, omega)
         excess = max(sigma_M.max() / M_max, sigma_L.max() / (L_max or np.inf)) - 1
-        # Rounding, where the coefficients are huge: once more, with as much to spare.
-        if margin or not VIOLATION < excess < CVXPY_TOLERANCES[1] or solver == "cvxpy":
-            break
-        margin = 3 * excess
-    value = sigma_M[in_band].sum() if objective == "sum" else sigma_M.max()
-    basis = learning_basis(omega * Ts, len(C), order, structure)
-    all_M, proven = _peak_of_M(*model, L, (P, Q), omega)
-    certificate = Certificate(
-        value=value,
-        lower_bound=lower_bound(P, Q, basis, U, V, in_band, M_max, L_max, objective),
-        idle=np.abs(Q)[in_band].sum() if objective == "sum" else np.abs(Q).max(),
-        M_max=M_max,
-        L_max=L_max,
-        grid_M=sigma_M.max(),
-        grid_L=sigma_L.max(),
-        all_M=all_M,
-        proven=proven,
-        all_L=peak_gain(learning_model(L))[0],
-        **{} if solver == "structured" else {"tolerances": CVXPY_TOLERANCES},
-    )
-    if check and certificate.failures:
-        raise SolverError(f"{solver}: {status}; " + "; ".join(certificate.failures))
-    return Synthesis(L, value, certificate, omega, sigma_M, sigma_L, status, warm)
+        if solver == "structured" and VIOLATION < excess < ROUNDING:
+            # The coefficients are huge. Once more, with as much to spare.
+            margin = 1 - 3 * excess
+            solution = solve(M_max=M_max * margin, L_max=L_max and L_max * margin)
+    except Infeasible as error:
+        raise InfeasibleError(_advice(statement, error.smallest_M_max, solve)) from None
+    design = judged(solution)
+    if check and design.certificate.failures:
+        failures = "; ".join(design.certificate.failures)
+        raise SolverError(f"{solution.method}: {failures}")
+    return design
 
 
-def learning_basis(angles, m, order, structure) -> np.ndarray:
-    """Derivatives of L with respect to its coefficients, (42), (44).
+def _solve(solver, samples, statement):
+    try:
+        if solver == "structured":
+            return interior_point.solve(formulate(*samples, **statement))
+        from rodlib import semidefinite  # here, because CVXPY takes long to import
 
-    Parameters
-    ----------
-    angles : ndarray, shape (n,)
-        omega Ts.
-    m, order : int
-    structure : {"diagonal", "full"}
-
-    Returns
-    -------
-    ndarray, shape (n, m, m, unknowns), complex
-        The coefficients of one entry of L after those of the other, row by row.
-    """
-    shifts = np.exp(1j * np.outer(angles, np.arange(1, order + 1)))
-    entries = [(i, j) for i in range(m) for j in range(m) if structure == "full" or i == j]
-    basis = np.zeros((len(angles), m, m, len(entries), order), dtype=complex)
-    for position, (i, j) in enumerate(entries):
-        basis[:, i, j, position] = shifts
-    return basis.reshape(len(angles), m, m, -1)
+        return semidefinite.solve(*samples, **statement)
+    except Infeasible:
+        raise
+    except RuntimeError as error:
+        raise SolverError(f"{solver}: {error}") from None
 
 
 def _sigmas(P, Q, L, omega):
@@ -243,136 +247,22 @@ def _peak_of_M(P, Q, L, samples, omega):
     return _sigmas(P, Q, L, dense)[0].max(), False
 
 
-def _solve_structured(
-    P, Q, angles, *, order, M_max, L_max, structure, in_band, objective, start=None
-):
-    try:
-        solution = interior_point.solve(
-            P, Q, angles, 1.0, order=order, M_max=M_max, L_max=L_max, band_mask=in_band,
-            structure=structure, objective=objective, start=start and start.warm,
-        )  # fmt: skip
-    except interior_point.Infeasible:
-        raise
-    except RuntimeError as error:
-        raise SolverError(f"structured interior point: {error}") from None
-    status = f"structured interior point, {solution.iterations} iterations"
-    return solution.coefficients, solution.U, solution.V, status, solution
-
-
-def _solve_in_cvxpy(
-    P, Q, angles, *, order, M_max, L_max, structure, in_band, objective, start=None
-):
-    """State the problem in CVXPY as the paper does and solve it with Clarabel."""
-    n, m, _ = P.shape
-    basis = learning_basis(angles, m, order, structure)
-    gain = Q[:, None, None, None] * np.einsum("nij,njkc->nikc", P, basis)  # -dM / d coefficients
-
-    # Whitened unknowns x = R c: their columns of M and L are orthonormal.
-    stacked = np.concatenate([gain, basis / L_max]) if L_max else gain
-    stacked = stacked.reshape(-1, stacked.shape[-1])
-    R = np.linalg.qr(np.vstack([stacked.real, stacked.imag]), mode="r")
-    diagonal = np.abs(np.diag(R))
-    if diagonal.min() < 1e-14 * diagonal.max():
-        raise ValueError(f"order = {order}: the frequencies omega do not determine so many taps")
-    x = cp.Variable(len(R))
-
-    def affine(constant, linear):  # real and imaginary part of constant + linear c
-        linear = np.linalg.solve(R.T, linear.reshape(n * m * m, -1).T).T
-        constant = constant.ravel()
-        parts = (constant.real + linear.real @ x, constant.imag + linear.imag @ x)
-        return [cp.reshape(part, (n, m, m), order="C") for part in parts]
-
-    L = affine(np.zeros((n, m, m)), basis)
-    M = affine(Q[:, None, None] * np.eye(m), -gain)  # (40)
-
-    if objective == "sum":
-        t = cp.Variable(int(in_band.sum()))  # sigma_max(M) at the frequencies of the band
-        select = np.zeros((n, len(in_band.nonzero()[0])))
-        select[in_band] = np.eye(select.shape[1])
-        bound = select @ t + M_max * ~in_band
-        minimise = cp.sum(t)
-    else:
-        t = cp.Variable()
-        bound = t * np.ones(n)
-        minimise = t
-    subject_to = [_sigma_max_at_most(M, bound), t <= M_max]  # (39), (45)
-    if L_max and structure == "diagonal":
-        moduli = [cp.norm(cp.vstack([part[:, i, i] for part in L]), axis=0) for i in range(m)]
-        subject_to += [modulus <= L_max for modulus in moduli]  # (39), (46)
-    elif L_max:
-        subject_to += [_sigma_max_at_most([part / L_max for part in L], np.ones(n))]
-
-    problem = cp.Problem(cp.Minimize(minimise), subject_to)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # "may be inaccurate": the caller checks the result
-            problem.solve(
-                solver=cp.CLARABEL, canon_backend=cp.SCIPY_CANON_BACKEND,
-                chordal_decomposition_enable=False,
-            )  # fmt: skip
-    except cp.SolverError as error:
-        raise SolverError(f"Clarabel failed: {error}") from None
-    if x.value is None or problem.status in (cp.INFEASIBLE, cp.INFEASIBLE_INACCURATE):
-        if objective == "sum":
-            peak = {"order": order, "L_max": L_max, "structure": structure, "in_band": in_band}
-            C, *_ = _solve_in_cvxpy(P, Q, angles, M_max=np.inf, objective="peak", **peak)
-            smallest = _sigmas(P, Q, LearningFilter(C, 1.0), angles)[0].max()
-            if smallest > M_max:
-                raise interior_point.Infeasible(M_max, smallest)
-        raise SolverError(f"Clarabel ended with status {problem.status!r} and returned no filter")
-    coefficients = np.zeros((m, m, order))
-    entries = np.ones((m, m), dtype=bool) if structure == "full" else np.eye(m, dtype=bool)
-    coefficients[entries] = np.linalg.solve(R, x.value).reshape(-1, order)
-
-    U, V = _multiplier(subject_to[0]), None
-    if L_max and structure == "full":
-        V = _multiplier(subject_to[2]) / L_max
-    elif L_max:
-        V = LearningFilter(coefficients, 1.0).frequency_response(angles)
-        for i in range(m):
-            V[:, i, i] *= subject_to[2 + i].dual_value / np.abs(V[:, i, i])
-    return coefficients, U, V, f"CVXPY with Clarabel: {problem.status}", None
-
-
-def _multiplier(constraint):
-    """Multiplier of sigma_max(X_i) <= b_i from that of its linear matrix inequality."""
-    Z = constraint.dual_value
-    m = Z.shape[-1] // 4
-    Z = Z.reshape(len(Z), 4, m, 4, m)
-    return -2 * (Z[:, 0, :, 2] + Z[:, 1, :, 3] + 1j * (Z[:, 1, :, 2] - Z[:, 0, :, 3]))
-
-
-def _sigma_max_at_most(parts, bound):
-    """sigma_max(X_i) <= b_i as [[b I, X], [X^H, b I]] >= 0, written in real numbers."""
-    real, imag = parts
-    n, m, _ = real.shape
-    b = cp.multiply(cp.reshape(bound, (n, 1, 1), order="C"), np.tile(np.eye(m), (n, 1, 1)))
-    zero = np.zeros((n, m, m))
-    real_t, imag_t = (cp.swapaxes(part, 1, 2) for part in parts)
-    rows = [
-        [b, zero, real, -imag],
-        [zero, b, imag, real],
-        [real_t, imag_t, b, zero],
-        [-imag_t, real_t, zero, b],
-    ]
-    return cp.concatenate([cp.concatenate(row, axis=2) for row in rows], axis=1) >> 0
-
-
-def _advice(P, Q, angles, M_max, smallest, solve, problem):
+def _advice(statement, smallest, solve):
     """Which bound is too tight, and what would be feasible."""
+    M_max, L_max = statement["M_max"], statement["L_max"]
     remedy = f"the smallest feasible M_max is {smallest:.6g}"
-    if problem["L_max"] is not None:
-        C, *_ = solve(P, Q, angles, M_max=np.inf, objective="peak", **problem | {"L_max": None})
-        without = _sigmas(P, Q, LearningFilter(C, 1.0), angles)[0].max()
+    if L_max is not None:
+        without = solve(L_max=None, M_max=np.inf, objective="peak").peak
         if without <= M_max:
             return (
-                f"infeasible: L_max = {problem['L_max']} is too tight for M_max = {M_max}. With "
+                f"infeasible: L_max = {L_max} is too tight for M_max = {M_max}. With "
                 f"this L_max {remedy}; raise L_max or M_max"
             )
-        remedy += f" with L_max = {problem['L_max']}, and {without:.6g} without a bound on L"
+        remedy += f" with L_max = {L_max}, and {without:.6g} without a bound on L"
     return (
-        f"infeasible: M_max = {M_max} is too tight for a {problem['structure']} filter of order = "
-        f"{problem['order']}; {remedy}. Raise M_max or the order, or lower the cut-off of Q"
+        f"infeasible: M_max = {M_max} is too tight for a {statement['structure']} filter of "
+        f"order = {statement['order']}; {remedy}. Raise M_max or the order, or lower the cut-off "
+        "of Q"
     )
 
 
@@ -445,3 +335,15 @@ def _check_design(P, omega, order, M_max, L_max, band, structure, objective):
     if not in_band.any():
         raise ValueError(f"band = {band!r} contains none of the frequencies omega")
     return in_band
+
+
+def _check_start(start, P, order, structure):
+    n, m, _ = P.shape
+    expected, found = (m, m, order), start.solution.coefficients.shape
+    if found != expected or len(start.solution.U) != n:
+        raise ValueError(
+            f"start is a design with coefficients of shape {found} on {len(start.solution.U)} "
+            f"frequencies, but must have {expected} on {n}: leave start out"
+        )
+    if structure == "diagonal" and np.any(start.solution.coefficients[~np.eye(m, dtype=bool)]):
+        raise ValueError("start is a full filter, but structure = 'diagonal': leave start out")

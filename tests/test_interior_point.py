@@ -95,25 +95,6 @@ def test_unbounded_learning_filters_are_found_in_spite_of_their_size(loop, Q, om
     assert design.certificate.failures == []
 
 
-@pytest.mark.parametrize(
-    ("changes", "saves"),
-    [
-        ({"L_max": 50.5}, True),
-        ({"band": (1e-4, 0.021)}, True),
-        ({"M_max": 0.91}, True),
-        ({"M_max": 0.88}, False),  # the old filter violates the new bound
-    ],
-)
-def test_a_warm_start_reaches_the_same_optimum(loop, Q, omega, changes, saves):
-    arguments = {"band": (1e-4, 0.02), "L_max": 50.0, "M_max": 0.9}
-    before = synthesise(loop, Q, omega, 1.0, **arguments)
-    cold = synthesise(loop, Q, omega, 1.0, **arguments | changes)
-    warm = synthesise(loop, Q, omega, 1.0, start=before, **arguments | changes)
-    assert warm.value == pytest.approx(cold.value, rel=1e-8)
-    if saves:
-        assert warm.warm.iterations < 0.8 * cold.warm.iterations
-
-
 def test_two_solves_give_the_same_bits(loop, Q, omega):
     first, second = (synthesise(loop, Q, omega[::5], 1.0, band=(1e-4, 0.01)) for _ in range(2))
     np.testing.assert_array_equal(first.filter.coefficients, second.filter.coefficients)

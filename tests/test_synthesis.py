@@ -1,4 +1,5 @@
 import warnings
+from dataclasses import replace
 
 import control
 import cvxpy as cp
@@ -7,7 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rodlib import InfeasibleError, LearningFilter, SolverError, published, synthesis, synthesise
+from rodlib import (
+    InfeasibleError,
+    LearningFilter,
+    SolverError,
+    interior_point,
+    published,
+    synthesise,
+)
 from rodlib.synthesis import convergence_matrix, largest_singular_values
 
 
@@ -81,13 +89,13 @@ def test_the_minimum_is_a_minimum(diagonal, loop, Q, omega):
 )
 def test_a_wrong_filter_is_not_returned(loop, Q, omega, monkeypatch, factor, complaint):
     """The check does not trust the solver: a filter out of bounds, or not optimal, raises."""
-    solve = synthesis._solve_structured
+    solve = interior_point.solve
 
-    def dishonest(*arguments, **keywords):
-        coefficients, *rest = solve(*arguments, **keywords)
-        return coefficients * factor, *rest
+    def dishonest(problem):
+        solution = solve(problem)
+        return replace(solution, coefficients=solution.coefficients * factor)
 
-    monkeypatch.setattr(synthesis, "_solve_structured", dishonest)
+    monkeypatch.setattr(interior_point, "solve", dishonest)
     arguments = (loop, Q, omega[::10], 1.0)
     with pytest.raises(SolverError, match=complaint):
         synthesise(*arguments, band=(1e-4, 0.01))

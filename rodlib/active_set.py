@@ -1,0 +1,243 @@
+"""From one optimum to the next: sequential quadratic programming along the active bounds.
+
+When a bound or the band of a synthesis problem changes, the optimum moves, but stays of the same
+kind: at each frequency the largest singular value is a single one, hence a smooth function of the
+coefficients, and of the thousands of bounds about a dozen are active. That is a smooth convex
+program with few unknowns, and Newton's method solves it in a few steps:
+
+- sigma = Re u^H G v has the first derivatives Re u^H dG v. With the other singular vectors and
+  alpha_j = u_j^H dG v, beta_j = u^H dG v_j, the second derivatives are [1]
+
+      (Im u^H dG v)^2 / sigma + sum_j |alpha_j + beta_j^*|^2 / (2 (sigma - sigma_j))
+                              + sum_j |alpha_j - beta_j^*|^2 / (2 (sigma + sigma_j)).
+
+- Each step solves the quadratic program of the second derivatives of the Lagrangian and the
+  linearised bounds [2]. It finds the active bounds anew, so they need not be known.
+- A step that does not improve the objective plus a penalty for violated bounds is corrected to
+  second order [2, 18.3]; if that does not help, it is damped, and asked to remove only a part of
+  the violation.
+
+An interior-point method cannot be started like that: it must go back to where no bound is nearly
+active yet. What it can do, and this method cannot, is to start from nothing, to meet points where
+singular values coincide, and to show that a problem is infeasible. Where this one does not
+converge, after a large change for instance, :func:`resolve` says so.
+
+[1] From the perturbation of the eigenvalues of [[0, G], [G^H, 0]]: T. Kato, Perturbation Theory
+    for Linear Operators, 1966, II.2.
+[2] J. Nocedal, S. Wright, Numerical Optimization, 2006, chapter 18.
+"""
+
+from dataclasses import dataclass
+
+import daqp
+import numpy as np
+
+from rodlib.certificate import largest_singular_values
+from rodlib.cones import Problem, Solution
+
+STEPS = 12
+NEAR = 0.9  # part of a bound from which on it is in the quadratic program
+NOISE = 1e-11  # relative change of the objective that is rounding
+CONVERGED = 1e-9  # expected relative gain below which a full step is the last one
+
+
+@dataclass(frozen=True)
+class Expansion:
+    """sigma_max of a cone at the frequencies `at`, to second order.
+
+    It changes by gradient dx + |curvature dx|^2 / 2; `uv` is the outer product of its vectors.
+    """
+
+    at: np.ndarray
+    sigma: np.ndarray
+    gradient: np.ndarray
+    curvature: np.ndarray
+    uv: np.ndarray
+
+
+def expand(problem, cone, G, at):
+    """The expansion of a cone at its matrices G, at the frequencies `at`."""
+    U, s, Vh = np.linalg.svd(np.moveaxis(G[..., at], -1, 0))
+    left = U.conj().swapaxes(1, 2) @ np.moveaxis(cone.T[..., at], -1, 0)
+    V = Vh.conj().swapaxes(1, 2)
+    basis = problem.basis[:, None, at].T
+
+    def form(i, j):
+        """u_i^H dG v_j, a linear form in the unknowns."""
+        entries = np.zeros((len(at), problem.entries, len(problem.basis)), dtype=complex)
+        entries[:, cone.entries] = (left[:, i, cone.rows] * V[:, cone.cols, j])[..., None] * basis
+        return entries.reshape(len(at), problem.entries * len(problem.basis))
+
+    first = form(0, 0)
+    curvature = [first.imag / np.sqrt(s[:, :1])]
+    for j in range(1, len(cone.T)):
+        alpha, beta = form(j, 0), form(0, j).conj()
+        apart = np.maximum(s[:, 0] - s[:, j], 1e-9 * s[:, 0])
+        for total, distance in ((alpha + beta, apart), (alpha - beta, s[:, 0] + s[:, j])):
+            total /= np.sqrt(2 * distance)[:, None]
+            curvature += [total.real, total.imag]
+    uv = U[:, :, :1] * Vh[:, :1]
+    return Expansion(at, s[:, 0], first.real, np.stack(curvature, axis=1), uv)
+
+
+class Iterate:
+    """A filter, with G and sigma_max of each cone, the objective and the excess over the bounds."""
+
+    def __init__(self, problem, x):
+        self.x, self.G = x, problem.matrices(x)
+        self.sigma = [largest_singular_values(np.moveaxis(G, -1, 0)) for G in self.G]
+        t = self.sigma[0][problem.free]
+        self.objective = t.max() if problem.shared else t.sum()
+        self.bounds = [problem.bounds[min(j, 1)] for j in range(len(self.G))]
+        if problem.shared:
+            self.bounds[0] = self.objective
+        relative = [s.max() / b - 1 for s, b in zip(self.sigma, self.bounds, strict=True)]
+        self.excess = np.maximum(relative, 0)
+
+
+@dataclass(frozen=True)
+class Model:
+    """What a step (dx, dt) does to second order, in units of the objective and of the bounds.
+
+    The objective changes by f d + dx H dx / 2. The bounds A d <= room are those at the
+    frequencies `near`, one array for each cone.
+    """
+
+    H: np.ndarray
+    f: np.ndarray
+    A: np.ndarray
+    room: np.ndarray
+    near: list
+    unit: float
+
+
+def model_at(problem, p, multipliers):
+    """The model at an iterate, with multipliers of the bounds."""
+    K, unit = p.x.size, max(p.objective, 1e-6 * problem.idle)
+    H, f = np.zeros((K, K)), np.append(np.zeros(K), 1 / unit if problem.shared else 0.0)
+    A, room, near = [], [], []
+    for j, (cone, y, bound) in enumerate(zip(problem.cones, multipliers, p.bounds, strict=True)):
+        close = (p.sigma[j] > NEAR * bound) | (y > 0)
+        weight = y + in_sum(problem) if j == 0 else y
+        e = expand(problem, cone, p.G[j], np.flatnonzero(close | (weight > 0)))
+        rows = (e.curvature * np.sqrt(weight[e.at] / unit)[:, None, None]).reshape(-1, K)
+        H += rows.T @ rows
+        if j == 0:
+            f[:K] = in_sum(problem)[e.at] @ e.gradient / unit
+        close = close[e.at]
+        dt = -1.0 if j == 0 and problem.shared else 0.0
+        A.append(np.insert(e.gradient[close], K, dt, axis=1) / bound)
+        room.append(1 - e.sigma[close] / bound)
+        near.append(e.at[close])
+    return Model(H, f, np.vstack(A), np.concatenate(room), near, unit)
+
+
+def in_sum(problem):
+    """One at the frequencies whose sigma_max(M) is in the sum, zero elsewhere."""
+    weight = np.zeros(problem.basis.shape[1])
+    if not problem.shared:
+        weight[problem.free] = 1
+    return weight
+
+
+def quadratic_program(model, room, damping):
+    """The step d that the model finds best, and the multipliers; None if A d <= room has none."""
+    K = len(model.H)
+    H = np.zeros((K + 1, K + 1))
+    H[:K, :K] = model.H + (1e-13 + damping) * np.trace(model.H) / K * np.eye(K)
+    H[K, K] = 1e-9 if model.f[K] else 1.0
+    unbounded, kind = np.full(len(room), -1e30), np.zeros(len(room), dtype=np.int32)
+    tolerances = {"primal_tol": 1e-11, "dual_tol": 1e-12}
+    d, _, status, result = daqp.solve(H, model.f, model.A, room, unbounded, kind, **tolerances)
+    return (d, np.maximum(result["lam"], 0)) if status == 1 else None
+
+
+def improve(problem, p, model, penalty, damping):
+    """A step from p that improves the objective plus the penalty.
+
+    Returns the next iterate, the multipliers, the penalty, the expected gain and the damping with
+    which to continue; or None.
+    """
+    splits = np.cumsum([len(at) for at in model.near])[:-1]
+    part = 1.0  # of the violation of the bounds that the step must remove
+    while damping < 1e4:
+        room = np.where(model.room < 0, part * model.room, model.room)
+        for attempt in ("first", "corrected"):
+            found = quadratic_program(model, room, damping)
+            if found is None:
+                break
+            d, y = found
+            dx = d[:-1]
+            if attempt == "first":
+                penalty = np.maximum(penalty, [1.5 * z.sum() for z in np.split(y, splits)])
+                expected = part * penalty @ p.excess - model.f @ d - dx @ model.H @ dx / 2
+            new = Iterate(problem, p.x + dx.reshape(p.x.shape))
+            gain = (p.objective - new.objective) / model.unit + penalty @ (p.excess - new.excess)
+            if gain + NOISE > 0.1 * (expected + NOISE):
+                if part == 1 and gain + NOISE > 0.75 * (expected + NOISE):
+                    damping = 0.1 * damping if damping > 1e-4 else 0.0
+                return new, np.split(y, splits), penalty, expected, damping
+            reached = zip(new.sigma, model.near, p.bounds, strict=True)
+            reached = np.concatenate([s[at] / b - 1 for s, at, b in reached])
+            room = room + (model.A @ d - model.room) - reached
+        damping, part = max(10 * damping, 1e-4), part / 2
+    return None
+
+
+def resolve(problem: Problem, start: Solution) -> Solution | None:
+    """Solve a problem from the solution of a similar one.
+
+    Parameters
+    ----------
+    problem : Problem
+        From :func:`rodlib.cones.formulate`.
+    start : Solution
+        Of a problem with the same number of frequencies, order and structure.
+
+    Returns
+    -------
+    Solution or None
+        None if the method does not converge.
+    """
+    p, y = Iterate(problem, problem.unknowns(start.coefficients)), first_multipliers(problem, start)
+    penalty, damping = np.zeros(len(y)), 0.0
+    for iteration in range(1, STEPS + 1):
+        model = model_at(problem, p, y)
+        step = improve(problem, p, model, penalty, damping)
+        if step is None:
+            return None
+        p, near, penalty, expected, damping = step
+        y = [np.zeros_like(s) for s in p.sigma]
+        for j, at in enumerate(model.near):
+            y[j][at] = near[j] * model.unit / p.bounds[j]
+        if expected < CONVERGED and p.excess.max() < NOISE:
+            return problem.solution(p.x, last_multipliers(problem, p, y), "active set", iteration)
+    return None
+
+
+def first_multipliers(problem, start):
+    """Multipliers of the bounds of each cone from those of an earlier solution."""
+    U, V = (
+        None if N is None else np.linalg.norm(N, "nuc", axis=(1, 2)) for N in (start.U, start.V)
+    )
+    multipliers = [np.maximum(U - in_sum(problem), 0)]
+    for cone in problem.cones[1:]:
+        if start.V is None:
+            multipliers.append(np.zeros(len(U)))
+        elif len(cone.T) == start.V.shape[1]:
+            multipliers.append(V)
+        else:
+            multipliers.append(np.abs(start.V[:, cone.entries[0], cone.entries[0]]))
+    return [np.where(y > 1e-6 * y.max(), y, 0) for y in multipliers]
+
+
+def last_multipliers(problem, p, y):
+    """Multipliers of G from those of the bounds, and those of the sum."""
+    multipliers = []
+    for j, (cone, G) in enumerate(zip(problem.cones, p.G, strict=True)):
+        weight = y[j] + in_sum(problem) if j == 0 else y[j]
+        at = np.flatnonzero(weight)
+        N = np.zeros_like(G)
+        N[..., at] = np.moveaxis(expand(problem, cone, G, at).uv, 0, -1) * weight[at]
+        multipliers.append(N)
+    return multipliers

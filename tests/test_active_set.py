@@ -1,0 +1,128 @@
+"""The warm start: it finds what a cold solve finds, in far fewer and cheaper steps."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rodlib import InfeasibleError, synthesise
+from rodlib.active_set import expand, resolve
+from rodlib.cones import formulate
+from tests.test_interior_point import random_plant
+
+CHANGES = [
+    *({"M_max": value} for value in (0.97, 0.91, 0.899, 0.88)),
+    *({"L_max": value} for value in (40.0, 49.0, 55.0)),
+    *({"band": (1e-4, value)} for value in (0.01, 0.018, 0.05)),
+]
+
+
+@pytest.fixture(scope="module", params=["diagonal", "full"])
+def before(request, loop, Q, omega):
+    return request.param, synthesise(loop, Q, omega, 1.0, structure=request.param)
+
+
+@pytest.mark.parametrize("changes", CHANGES, ids=str)
+def test_a_changed_bound_or_band_takes_a_few_steps(before, loop, Q, omega, changes):
+    structure, start = before
+    cold = synthesise(loop, Q, omega, 1.0, structure=structure, **changes)
+    warm = synthesise(loop, Q, omega, 1.0, structure=structure, start=start, **changes)
+    assert warm.value == pytest.approx(cold.value, rel=1e-9)
+    assert warm.certificate.gap < 1e-8
+    # A step costs about half of an iteration of the interior-point method.
+    assert warm.solution.method == "active set"
+    assert warm.solution.iterations <= 0.6 * cold.solution.iterations
+
+
+@pytest.mark.parametrize("changes", [{"M_max": 0.85}, {"L_max": 100.0}, {"L_max": 20.0}], ids=str)
+def test_after_a_large_change_the_result_is_the_same(before, loop, Q, omega, changes):
+    structure, start = before
+    cold = synthesise(loop, Q, omega, 1.0, structure=structure, **changes)
+    warm = synthesise(loop, Q, omega, 1.0, structure=structure, start=start, **changes)
+    assert warm.value == pytest.approx(cold.value, rel=1e-8)
+    np.testing.assert_allclose(
+        warm.filter.coefficients, cold.filter.coefficients, atol=1e-3 * np.abs(cold.sigma_L).max()
+    )
+
+
+def test_what_is_infeasible_is_said_to_be(before, loop, Q, omega):
+    structure, start = before
+    with pytest.raises(InfeasibleError, match=r"smallest feasible M_max is 0\.8"):
+        synthesise(loop, Q, omega, 1.0, structure=structure, start=start, M_max=0.8)
+
+
+@settings(max_examples=40)
+@given(
+    st.integers(1, 4),
+    st.sampled_from([1, 3, 8]),
+    st.sampled_from(["diagonal", "full"]),
+    st.sampled_from(["sum", "peak"]),
+    st.sampled_from([1e-6, 1.0, 1e6]),
+    st.sampled_from([0.8, 1.02, 2.0]),
+    st.integers(0, 999),
+)
+def test_random_plants(m, order, structure, objective, gain, change, seed):
+    """A start never changes the result, whatever the plant, its unit and the change."""
+    P, Q, omega = random_plant(seed, m, gain=gain)
+    arguments = {"order": order, "band": (0.01, 0.3), "structure": structure, "M_max": 0.97}
+    arguments |= {"objective": objective}
+    try:
+        start = synthesise(P, Q, omega, 1.0, L_max=10.0 / gain, **arguments)
+        cold = synthesise(P, Q, omega, 1.0, L_max=change * 10.0 / gain, **arguments)
+    except InfeasibleError:
+        return
+    warm = synthesise(P, Q, omega, 1.0, L_max=change * 10.0 / gain, start=start, **arguments)
+    assert warm.value == pytest.approx(cold.value, rel=1e-8, abs=1e-9)
+    assert warm.certificate.failures == []
+
+
+@given(st.integers(1, 4), st.integers(0, 999))
+def test_derivatives_against_differences(m, seed):
+    """Of the largest singular value, by central differences."""
+    P, Q, omega = random_plant(seed, m, n=6)
+    statement = {"order": 3, "M_max": 0.9, "L_max": 5.0, "band_mask": omega < 1}
+    problem = formulate(P, Q, omega, 1.0, structure="full", objective="sum", **statement)
+    rng = np.random.default_rng(seed)
+    x, d = rng.standard_normal((2, problem.entries, 3))
+    for j, cone in enumerate(problem.cones):
+
+        def sigma(step, j=j):
+            return np.linalg.svd(problem.matrices(x + step * d)[j].T, compute_uv=False)[:, 0]
+
+        e = expand(problem, cone, problem.matrices(x)[j], np.arange(6))
+        first = (sigma(1e-5) - sigma(-1e-5)) / 2e-5
+        second = (sigma(1e-4) - 2 * sigma(0) + sigma(-1e-4)) / 1e-8
+        np.testing.assert_allclose(e.sigma, sigma(0), rtol=1e-12)
+        np.testing.assert_allclose(e.gradient @ d.ravel(), first, rtol=1e-5, atol=1e-7)
+        curvature = ((e.curvature @ d.ravel()) ** 2).sum(axis=1)
+        np.testing.assert_allclose(curvature, second, rtol=1e-3, atol=1e-4)
+
+
+def test_where_the_method_does_not_converge_it_says_so(loop, Q, omega):
+    """From L = 0, where all singular values coincide."""
+    P, response = loop.frequency_response(omega), Q.frequency_response(omega)
+    start = synthesise(loop, Q, omega, 1.0)
+    zero = type(start.solution)(0 * start.filter.coefficients, 0 * P, 0 * P, 1.0, "none", 0)
+    statement = {"order": 10, "M_max": 0.9, "L_max": 50.0, "band_mask": omega <= 0.02}
+    statement |= {"structure": "diagonal", "objective": "sum"}
+    assert resolve(formulate(P, response, omega, 1.0, **statement), zero) is None
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"order": 9}, r"coefficients of shape \(2, 2, 10\).*must have \(2, 2, 9\)"),
+        ({"omega": slice(None, None, 2)}, "on 1000 frequencies, but must have .* on 500"),
+    ],
+)
+def test_a_start_that_does_not_fit_is_refused(loop, Q, omega, changes, message):
+    start = synthesise(loop, Q, omega, 1.0)
+    grid = omega[changes.pop("omega", slice(None))]
+    with pytest.raises(ValueError, match=message):
+        synthesise(loop, Q, grid, 1.0, start=start, **changes)
+
+
+def test_a_full_filter_is_no_start_for_a_diagonal_one(loop, Q, omega):
+    start = synthesise(loop, Q, omega, 1.0, structure="full")
+    with pytest.raises(ValueError, match="start is a full filter"):
+        synthesise(loop, Q, omega, 1.0, start=start)
