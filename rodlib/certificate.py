@@ -17,7 +17,7 @@ import numpy as np
 import scipy.sparse.linalg as sparse
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.linalg import schur, solve_triangular
-from scipy.sparse import eye_array
+from scipy.sparse import diags_array, eye_array
 
 from rodlib.filters import LearningFilter, ZeroPhaseButterworth, time_shifts
 
@@ -372,6 +372,16 @@ def _sampling_period(name, system):
     return float(system.dt)
 
 
+def _common(P, Q, L):
+    """Sampling period and number of channels that a plant and the two filters share."""
+    Ts, m = _sampling_period("P", P), len(L.coefficients)
+    if (P.noutputs, P.ninputs) != (m, m):
+        raise ValueError(f"P is {P.noutputs} by {P.ninputs}, but L is {m} by {m}")
+    if not np.allclose([Q.Ts, L.Ts], Ts, rtol=1e-12, atol=0):
+        raise ValueError(f"P.dt = {Ts} s, Q.Ts = {Q.Ts} s and L.Ts = {L.Ts} s must be equal")
+    return Ts, m
+
+
 def learning_model(L: LearningFilter) -> control.StateSpace:
     """Causal model of z^-n_L L(z), whose singular values are those of L of (44).
 
@@ -427,12 +437,7 @@ def convergence_model(
     P L and L P have different singular values: this is the operator on the error, as in Lemma 1,
     not Q (I - L P), which acts on the ILC signal.
     """
-    Ts = _sampling_period("P", P)
-    m = len(L.coefficients)
-    if (P.noutputs, P.ninputs) != (m, m):
-        raise ValueError(f"P is {P.noutputs} by {P.ninputs}, but L is {m} by {m}")
-    if not np.allclose([Q.Ts, L.Ts], Ts, rtol=1e-12, atol=0):
-        raise ValueError(f"P.dt = {Ts} s, Q.Ts = {Q.Ts} s and L.Ts = {L.Ts} s must be equal")
+    Ts, m = _common(P, Q, L)
 
     # The chain holds e(p - 1) ... e(p - n_L). In units that make the taps of order one, so that
     # the entries of A below are too; see _balanced.
@@ -493,12 +498,7 @@ def trial_operators(
     ValueError
         If P is not in discrete time or not as large as L, or `samples` is not positive.
     """
-    Ts = _sampling_period("P", P)
-    m = len(L.coefficients)
-    if (P.noutputs, P.ninputs) != (m, m):
-        raise ValueError(f"P is {P.noutputs} by {P.ninputs}, but L is {m} by {m}")
-    if not np.allclose([Q.Ts, L.Ts], Ts, rtol=1e-12, atol=0):
-        raise ValueError(f"P.dt = {Ts} s, Q.Ts = {Q.Ts} s and L.Ts = {L.Ts} s must be equal")
+    _, m = _common(P, Q, L)
     if not (isinstance(samples, int | np.integer) and samples >= 1):
         raise ValueError(f"samples = {samples!r} must be a whole number, 1 or more")
 
@@ -542,11 +542,16 @@ def impulse_response(P: control.StateSpace, samples: int) -> np.ndarray:
 
 
 def trial_map(
-    P: control.StateSpace, Q: ZeroPhaseButterworth, L: LearningFilter, samples: int
+    P: control.StateSpace,
+    Q: ZeroPhaseButterworth,
+    L: LearningFilter,
+    samples: int,
+    rest: int = 0,
 ) -> sparse.LinearOperator:
     """T = Q_N (I - L_N P_N): what a trial of the ILC law (23) makes of v_k - v_inf.
 
-    Parameters and errors as for :func:`trial_operators`.
+    Parameters and errors as for :func:`trial_operators`; in the last `rest` samples of each
+    trial, v is held at zero.
 
     Returns
     -------
@@ -561,7 +566,12 @@ def trial_map(
     of (35) does not carry over, and Q_N (I - P_N L_N) is not the operator of any trial.
     """
     P_N, Q_N, L_N = trial_operators(P, Q, L, samples)
-    return Q_N @ (sparse.aslinearoperator(eye_array(P_N.shape[0])) - L_N @ P_N)
+    if not (isinstance(rest, int | np.integer) and 0 <= rest < samples):
+        raise ValueError(f"rest = {rest!r} must be a whole number from 0 to samples - 1")
+    active = np.repeat(np.arange(samples) < samples - rest, len(L.coefficients))
+    active = sparse.aslinearoperator(diags_array(active.astype(float)))
+    T = Q_N @ (sparse.aslinearoperator(eye_array(P_N.shape[0])) - L_N @ P_N)
+    return active @ T @ active if rest else T
 
 
 def trial_norm(
@@ -570,13 +580,14 @@ def trial_norm(
     L: LearningFilter,
     samples: int,
     trials: int = 1,
+    rest: int = 0,
 ) -> tuple[float, np.ndarray, np.ndarray]:
     """2-norm of the trial-to-trial map of the ILC signal on a finite trial, by Lanczos.
 
     Parameters
     ----------
-    P, Q, L, samples :
-        As for :func:`trial_operators`.
+    P, Q, L, samples, rest :
+        As for :func:`trial_map`.
     trials : int
         Number of trials in a row: the norm of T^trials.
 
@@ -597,7 +608,7 @@ def trial_norm(
     """
     if not (isinstance(trials, int | np.integer) and trials >= 1):
         raise ValueError(f"trials = {trials!r} must be a whole number, 1 or more")
-    T = trial_map(P, Q, L, samples) ** trials
+    T = trial_map(P, Q, L, samples, rest) ** trials
     start = np.random.default_rng(0).standard_normal(T.shape[1])  # the same result in every run
     try:
         _, vectors = sparse.eigsh(T.H @ T, k=1, v0=start, tol=1e-8, ncv=min(T.shape[1], 60))

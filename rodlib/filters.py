@@ -10,6 +10,7 @@ first and the last sample stand still, which suits a trial that does not end at 
 """
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from numbers import Real
 
 import numpy as np
@@ -30,7 +31,7 @@ class ZeroPhaseButterworth:
     Ts: float
     ends: str = "zero"
 
-    @property
+    @cached_property
     def sections(self) -> np.ndarray:
         """Second-order sections of the forward half of the filter."""
         return butter(self.order, self.cutoff, fs=2 * np.pi / self.Ts, output="sos")

@@ -22,6 +22,7 @@ from scipy.interpolate import CubicSpline
 
 from rodlib import active_set, interior_point
 from rodlib.certificate import (
+    GAP,
     VIOLATION,
     Certificate,
     convergence_model,
@@ -29,6 +30,7 @@ from rodlib.certificate import (
     learning_model,
     lower_bound,
     peak_gain,
+    trial_norm,
 )
 from rodlib.cones import Infeasible, Solution, formulate
 from rodlib.feedback import CurrentTrialLoop, frequency_response
@@ -106,6 +108,7 @@ def synthesise(
     objective="sum",
     solver="structured",
     start=None,
+    samples=None,
     check=True,
 ) -> Synthesis:
     """Design the learning filter by convex optimisation, (39) or (45) with (46).
@@ -137,6 +140,9 @@ def synthesise(
     start : Synthesis, optional
         A design for other bounds, another band or a similar plant to start from, of the same order
         and size. It makes the synthesis faster, not different.
+    samples : int, optional
+        Length of a trial. The certificate then says what one trial does to the ILC signal, by
+        :func:`rodlib.certificate.trial_norm`; P and Q must be models.
     check : bool
         Whether a filter whose certificate fails raises.
 
@@ -157,52 +163,42 @@ def synthesise(
     SolverError
         If the solver fails, or the certificate of its result does.
     """
-    model = (P, Q)
+    model = (P.P if isinstance(P, CurrentTrialLoop) else P, Q)
     P, Q, omega = _frequency_responses(P, Q, omega, Ts)
     in_band = _check_design(P, omega, order, M_max, L_max, band, structure, objective)
     if solver not in ("structured", "cvxpy"):
         raise ValueError(f"solver = {solver!r} must be 'structured' or 'cvxpy'")
     if start is not None:
         _check_start(start, P, order, structure)
+    modelled = isinstance(model[0], control.StateSpace)
+    modelled = modelled and isinstance(model[1], ZeroPhaseButterworth)
+    if samples is not None and not modelled:
+        raise ValueError(
+            f"samples = {samples!r} asks for the norm of a trial, which needs P and Q as models"
+        )
     statement = {
         "order": order, "M_max": M_max, "L_max": L_max, "band_mask": in_band,
         "structure": structure, "objective": objective,
     }  # fmt: skip
 
+    data = (P, Q, omega, Ts)
+    tolerances = CVXPY_TOLERANCES if solver == "cvxpy" else (GAP, VIOLATION)
+
     def solve(**changes):
-        return _solve(solver, (P, Q, omega, Ts), statement | changes)
+        return _solve(solver, data, statement | changes)
 
     def judged(solution):
-        L = LearningFilter(solution.coefficients, Ts)
-        sigma_M, sigma_L = _sigmas(P, Q, L, omega)
-        value = sigma_M[in_band].sum() if objective == "sum" else sigma_M.max()
-        all_M, proven = _peak_of_M(*model, L, (P, Q), omega)
-        certificate = Certificate(
-            value=value,
-            lower_bound=lower_bound(P, Q, omega * Ts, solution.U, solution.V, **statement),
-            idle=np.abs(Q)[in_band].sum() if objective == "sum" else np.abs(Q).max(),
-            M_max=M_max,
-            L_max=L_max,
-            grid_M=sigma_M.max(),
-            grid_L=sigma_L.max(),
-            all_M=all_M,
-            proven=proven,
-            all_L=peak_gain(learning_model(L))[0],
-            **{} if solver == "structured" else {"tolerances": CVXPY_TOLERANCES},
-        )
-        return Synthesis(L, value, certificate, omega, sigma_M, sigma_L, solution)
+        return _judged(solution, data, statement, modelled and model, samples, tolerances)
 
     if start is not None and solver == "structured":
-        problem = formulate(P, Q, omega, Ts, **statement)
-        solution = active_set.resolve(problem, start.solution)
+        solution = active_set.resolve(formulate(*data, **statement), start.solution)
         if solution is not None:
             design = judged(solution)
             if design.certificate.gap < START_GAP and not design.certificate.failures:
                 return design
     try:
         solution = solve()
-        response = LearningFilter(solution.coefficients, Ts)
-        sigma_M, sigma_L = _sigmas(P, Q, response, omega)
+        sigma_M, sigma_L = _sigmas(P, Q, LearningFilter(solution.coefficients, Ts), omega)
         excess = max(sigma_M.max() / M_max, sigma_L.max() / (L_max or np.inf)) - 1
         if solver == "structured" and VIOLATION < excess < ROUNDING:
             # The coefficients are huge. Once more, with as much to spare.
@@ -215,6 +211,34 @@ def synthesise(
         failures = "; ".join(design.certificate.failures)
         raise SolverError(f"{solution.method}: {failures}")
     return design
+
+
+def _judged(solution, data, statement, model, samples, tolerances):
+    """What the solver found, with its certificate."""
+    P, Q, omega, Ts = data
+    in_band = statement["band_mask"]
+    L = LearningFilter(solution.coefficients, Ts)
+    sigma_M, sigma_L = _sigmas(P, Q, L, omega)
+    if statement["objective"] == "sum":
+        value, idle = sigma_M[in_band].sum(), np.abs(Q)[in_band].sum()
+    else:
+        value, idle = sigma_M.max(), np.abs(Q).max()
+    certificate = Certificate(
+        value=value,
+        lower_bound=lower_bound(P, Q, omega * Ts, solution.U, solution.V, **statement),
+        idle=idle,
+        M_max=statement["M_max"],
+        L_max=statement["L_max"],
+        grid_M=sigma_M.max(),
+        grid_L=sigma_L.max(),
+        all_M=peak_gain(convergence_model(*model, L))[0] if model else _peak_between(*data, L),
+        all_L=peak_gain(learning_model(L))[0],
+        proven=bool(model),
+        tolerances=tolerances,
+        trial=np.nan if samples is None else trial_norm(*model, L, samples)[0],
+        samples=samples,
+    )
+    return Synthesis(L, value, certificate, omega, sigma_M, sigma_L, solution)
 
 
 def _solve(solver, samples, statement):
@@ -236,15 +260,12 @@ def _sigmas(P, Q, L, omega):
     return largest_singular_values(M), largest_singular_values(response)
 
 
-def _peak_of_M(P, Q, L, samples, omega):
-    """Peak of sigma_max(M) over all frequencies, and whether it is proven."""
-    P = P.P if isinstance(P, CurrentTrialLoop) else P
-    if isinstance(P, control.StateSpace) and isinstance(Q, ZeroPhaseButterworth):
-        return peak_gain(convergence_model(P, Q, L))[0], True
+def _peak_between(P, Q, omega, Ts, L):
+    """Estimate of the peak of sigma_max(M) over all frequencies, from splines through samples."""
     steps = np.linspace(0, 1, DENSER, endpoint=False)
     dense = np.append((omega[:-1, None] + np.diff(omega)[:, None] * steps).ravel(), omega[-1])
-    P, Q = (CubicSpline(omega, values)(dense) for values in samples)
-    return _sigmas(P, Q, L, dense)[0].max(), False
+    P, Q = (CubicSpline(omega, values)(dense) for values in (P, Q))
+    return _sigmas(P, Q, L, dense)[0].max()
 
 
 def _advice(statement, smallest, solve):

@@ -138,9 +138,11 @@ def test_operators_are_what_the_trials_apply_and_their_adjoints(loop, ends):
 def test_lanczos_finds_the_norm_of_the_matrix(loop, ends):
     Q = zero_phase_butterworth(ends=ends)
     L = LearningFilter(published.matrix("L_diagonal"), 1.0, ends)
-    matrix = trial_map(loop.P, Q, L, 120) @ np.eye(240)
-    for trials in (1, 3):
-        norm, before, after = trial_norm(loop.P, Q, L, 120, trials)
+    for trials, rest in ((1, 0), (3, 0), (1, 15)):
+        matrix = trial_map(loop.P, Q, L, 120) @ np.eye(240)
+        matrix[240 - 2 * rest :] = 0
+        matrix[:, 240 - 2 * rest :] = 0
+        norm, before, after = trial_norm(loop.P, Q, L, 120, trials, rest)
         expected = np.linalg.norm(np.linalg.matrix_power(matrix, trials), 2)
         assert norm == pytest.approx(expected, rel=1e-6)
         assert np.linalg.norm(before) == pytest.approx(1)
@@ -165,10 +167,24 @@ def test_the_end_of_the_trial_breaks_the_norm_of_lemma_1(loop, Q):
     assert trial_norm(loop.P, Q, L, 400, trials=2)[0] < 1
 
 
+def test_at_rest_near_the_end_v_converges_as_without_ends(loop, Q, omega):
+    """The norm is then at most that of Q (I - L P), by which v converges on the whole line."""
+    L = LearningFilter(published.matrix("L_diagonal"), 1.0)
+    without_ends = Q.frequency_response(omega)[:, None, None] * (
+        np.eye(2) - L.frequency_response(omega) @ loop.frequency_response(omega)
+    )
+    peak = largest_singular_values(without_ends).max()
+    assert peak == pytest.approx(0.9361, abs=1e-3)
+    assert 0.98 * peak < trial_norm(loop.P, Q, L, 400, rest=15)[0] < peak
+    with pytest.raises(ValueError, match="rest = 400 must be a whole number from 0"):
+        trial_norm(loop.P, Q, L, 400, rest=400)
+
+
 def test_a_certificate_prints_and_fails_as_it_should(loop, Q, omega):
-    design = synthesise(loop, Q, omega[::5], 1.0, band=(1e-4, 0.01))
+    design = synthesise(loop, Q, omega[::5], 1.0, band=(1e-4, 0.01), samples=200)
     assert design.certificate.failures == []
     text = str(design.certificate)
+    assert "norm of one trial of 200 samples: 1.27" in text
     assert "over all frequencies" in text and "no filter below" in text and "FAILS" not in text
     bad = synthesise(loop, Q, omega[::5], 1.0, band=(1e-4, 0.01), M_max=0.95).certificate
     wrong = replace(bad, M_max=0.9, all_M=1.01, lower_bound=bad.value / 2)

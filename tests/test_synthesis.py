@@ -206,6 +206,8 @@ GRID = np.linspace(0.05, 3, 50)
         ({"band": (0.051, 0.052)}, "contains none"),
         ({"structure": "triangular"}, "structure = 'triangular'"),
         ({"objective": "mean"}, "objective = 'mean'"),
+        ({"samples": 100}, "samples = 100 asks for the norm of a trial, .* P and Q as models"),
+        ({"solver": "simplex"}, "solver = 'simplex'"),
     ],
 )
 def test_bad_arguments_are_refused_before_any_work(changes, message):
