@@ -1,30 +1,28 @@
-"""Iterative learning control of a heated rod: the module behind the notebooks."""
+"""Iterative learning control of a heated rod: the module behind the notebooks.
 
-from rodlib.feedback import CurrentTrialLoop, current_trial_loop, minimal_realisation, paper_loop
-from rodlib.filters import LearningFilter, ZeroPhaseButterworth, update, zero_phase_butterworth
-from rodlib.logs import LogError, load_log, save_log
-from rodlib.rod import Rod, exact_response, midr
-from rodlib.synthesis import InfeasibleError, SolverError, Synthesis, synthesise
-from rodlib.trials import run_trials
+A name is imported when it is first used, so that what needs only a part does not wait for all.
+"""
 
-__all__ = [
-    "CurrentTrialLoop",
-    "InfeasibleError",
-    "LearningFilter",
-    "LogError",
-    "Rod",
-    "SolverError",
-    "Synthesis",
-    "ZeroPhaseButterworth",
-    "current_trial_loop",
-    "exact_response",
-    "load_log",
-    "midr",
-    "minimal_realisation",
-    "paper_loop",
-    "run_trials",
-    "save_log",
-    "synthesise",
-    "update",
-    "zero_phase_butterworth",
-]
+from importlib import import_module
+
+MODULES = {
+    "rod": ("Rod", "exact_response", "midr"),
+    "feedback": ("CurrentTrialLoop", "current_trial_loop", "minimal_realisation", "paper_loop"),
+    "filters": ("LearningFilter", "ZeroPhaseButterworth", "update", "zero_phase_butterworth"),
+    "synthesis": ("InfeasibleError", "SolverError", "Synthesis", "synthesise"),
+    "trials": ("run_trials",),
+    "logs": ("LogError", "load_log", "save_log"),
+}
+HOME = {name: module for module, names in MODULES.items() for name in names}
+
+__all__ = [*HOME]
+
+
+def __getattr__(name):
+    if name not in HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{HOME[name]}"), name)
+
+
+def __dir__():
+    return sorted([*globals(), *HOME])

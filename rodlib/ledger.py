@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from rodlib import published
-from rodlib.logs import write_whole
+from rodlib.files import write_whole
 from rodlib.published import ROOT, Claim
 
 BUILD = ROOT / "build"

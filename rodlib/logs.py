@@ -8,7 +8,6 @@ begin with ``#``, then comma-separated values, one row per trial and sample. pan
 import difflib
 import io
 import json
-import os
 import re
 from pathlib import Path
 
@@ -16,6 +15,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
+from rodlib.files import write_whole
 from rodlib.filters import LearningFilter, ZeroPhaseButterworth, zero_phase_butterworth
 from rodlib.trials import dataset
 
@@ -137,13 +137,6 @@ def save_log(dataset: xr.Dataset, path) -> None:
     metadata |= {k: v for k, v in dataset.attrs.items() if k not in metadata}
     head = "".join(f"# {key}: {' '.join(str(value).split())}\n" for key, value in metadata.items())
     write_whole(Path(path), head + table.to_csv(index=False, lineterminator="\n"))
-
-
-def write_whole(path: Path, text: str) -> None:
-    """Replace a text file as a whole or not at all."""
-    temporary = path.with_name(f".{path.name}.part")
-    temporary.write_text(text, encoding="utf-8", newline="\n")
-    os.replace(temporary, path)
 
 
 def with_law(trials: xr.Dataset, Q: ZeroPhaseButterworth, L: LearningFilter | None) -> xr.Dataset:

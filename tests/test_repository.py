@@ -72,7 +72,7 @@ def test_every_saved_figure_is_tracked_and_used():
     tracked = {
         path.stem for path in (ROOT / "figures").iterdir() if path.suffix in (".png", ".pdf")
     }
-    assert tracked == saved
+    assert tracked == saved | {"performance"}  # which `make bench` draws
     assert len(list((ROOT / "figures").glob("*.png"))) == len(
         list((ROOT / "figures").glob("*.pdf"))
     )

@@ -1,0 +1,93 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rodlib import LearningFilter
+from rodlib.cones import adjoint, formulate, orthonormalise, product, whitened_basis
+
+
+def plant(m, n=20, seed=0):
+    rng = np.random.default_rng(seed)
+    omega = np.geomspace(1e-3, np.pi, n)
+    z = np.exp(1j * omega)[:, None, None]
+    P = (np.eye(m) + 0.2 * rng.standard_normal((m, m))) * 0.2 / (z - 0.8)
+    return P, 1 / (1 + omega**4), omega
+
+
+def statement(omega, structure, objective="sum", L_max=5.0):
+    numbers = {"order": 4, "M_max": 0.9, "L_max": L_max, "band_mask": omega < 1}
+    return numbers | {"structure": structure, "objective": objective}
+
+
+@given(st.integers(1, 4), st.sampled_from(["diagonal", "full"]), st.integers(0, 99))
+def test_matrices_are_those_of_the_filter(m, structure, seed):
+    """G of the cones are M and L of (40) for the filter that the unknowns stand for."""
+    P, Q, omega = plant(m, seed=seed)
+    problem = formulate(P, Q, omega, 1.0, **statement(omega, structure))
+    C = np.random.default_rng(seed).standard_normal((m, m, 4))
+    if structure == "diagonal":
+        C *= np.eye(m)[:, :, None]
+    L = LearningFilter(C, 1.0).frequency_response(omega)
+    M = Q[:, None, None] * (np.eye(m) - P @ L)
+    x = problem.unknowns(C)
+    G = [np.moveaxis(A, -1, 0) for A in problem.matrices(x)]
+    np.testing.assert_allclose(G[0], M, atol=1e-10)
+    if structure == "full":
+        np.testing.assert_allclose(G[1], L, atol=1e-10)
+    else:
+        np.testing.assert_allclose(np.concatenate(G[1:], axis=1)[:, :, 0], L[:, range(m), range(m)])
+    multipliers = [0 * A for A in problem.matrices(x)]
+    solution = problem.solution(x, multipliers, "none", 0)
+    np.testing.assert_allclose(solution.coefficients, C, atol=1e-10)
+    assert solution.peak == pytest.approx(np.linalg.norm(M, 2, axis=(1, 2)).max())
+
+
+def test_gradient_is_the_adjoint_of_response():
+    P, Q, omega = plant(3)
+    rng = np.random.default_rng(1)
+    for cone in formulate(P, Q, omega, 1.0, **statement(omega, "full")).cones:
+        W, L = rng.standard_normal((2, 9, 20)) + 1j * rng.standard_normal((2, 9, 20))
+        W = W.reshape(3, 3, 20)
+        direct = np.einsum("ijn,jin->", W, cone.response(L)).real
+        assert (cone.gradient(W) * L).sum().real == pytest.approx(direct)
+
+
+@pytest.mark.parametrize("L_max", [5.0, None])
+def test_the_basis_is_orthonormal_and_spans_the_powers_of_z(L_max):
+    P, Q, omega = plant(2)
+    basis, R = whitened_basis(P, Q, omega, 4, L_max)
+    z = np.exp(1j * omega) ** np.arange(1, 5)[:, None]
+    np.testing.assert_allclose(R.T.astype(float) @ basis, z, atol=1e-12)
+    weight = np.hypot(
+        np.linalg.norm(Q[:, None, None] * P, axis=(1, 2)) / Q.max(), 1 / (L_max or np.inf)
+    )
+    weighted = weight * basis
+    np.testing.assert_allclose((weighted @ weighted.conj().T).real, np.eye(4), atol=1e-12)
+
+
+def test_orthonormalisation_keeps_more_digits_than_doubles():
+    """Q^T Q = I and Q R = A for a matrix of condition 1e15."""
+    A = np.vander(np.linspace(0.99, 1, 200, dtype=np.longdouble), 8)
+    Q, R = orthonormalise(A)
+    assert np.abs(Q.T @ Q - np.eye(8)).max() < 1e-15
+    assert np.abs(Q @ R - A).max() < 1e-15
+    assert np.linalg.cond(A.astype(float)) > 1e14
+
+
+def test_the_problem_of_the_peak_has_one_variable_and_no_bound_on_it():
+    P, Q, omega = plant(2)
+    problem = formulate(P, Q, omega, 1.0, **statement(omega, "diagonal", "peak"))
+    assert problem.shared and len(problem.free) == 20 and problem.M_max == 0.9
+    assert problem.bounds[0] > 1 and problem.idle == pytest.approx(Q.max())
+    whole = formulate(P, Q, omega, 1.0, **statement(omega, "diagonal"))
+    assert whole.idle == pytest.approx(Q[omega < 1].sum())
+    assert set(whole.levels(7.0, whole.bounds)[0]) == {7.0, 0.9}
+
+
+@given(st.sampled_from([1, 2, 3, 7]), st.integers(0, 99))
+def test_products_of_many_small_matrices(q, seed):
+    rng = np.random.default_rng(seed)
+    A, B = rng.standard_normal((2, q, q, 11)) + 1j * rng.standard_normal((2, q, q, 11))
+    np.testing.assert_allclose(product(A, B), np.einsum("ijn,jkn->ikn", A, B), atol=1e-12)
+    np.testing.assert_allclose(adjoint(A)[:, :, 3], A[:, :, 3].conj().T)
