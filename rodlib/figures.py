@@ -3,7 +3,6 @@
 Importing this module sets the style. Saved files do not change between two runs.
 """
 
-import os
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -14,6 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyArrowPatch, Rectangle
 
+from rodlib.files import replacing
 from rodlib.ledger import BUILD
 from rodlib.rod import Rod
 
@@ -86,10 +86,9 @@ def save(figure: Figure, name: str) -> SavedFigure:
     folder = BUILD / "figures"
     folder.mkdir(parents=True, exist_ok=True)
     for ending, metadata in (("png", {"Software": None}), ("pdf", {"CreationDate": None})):
-        temporary = folder / f".{name}.part"
-        figure.savefig(temporary, format=ending, metadata=metadata)
+        with replacing(folder / f"{name}.{ending}") as temporary:
+            figure.savefig(temporary, format=ending, metadata=metadata)
         figure.set_layout_engine("none")  # once laid out, it stays so
-        os.replace(temporary, folder / f"{name}.{ending}")
     plt.close(figure)  # or the notebook would draw it once more
     return SavedFigure(folder / f"{name}.png", round(figure.get_figwidth() * figure.get_dpi()))
 

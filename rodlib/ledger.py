@@ -5,7 +5,6 @@ the number that tests it meets its criterion. Otherwise it *differs*, by so much
 records its part; :mod:`rodlib.reproduce` joins the parts once all notebooks have run.
 """
 
-import os
 import re
 import shutil
 from collections.abc import Iterable
@@ -15,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from rodlib import published
-from rodlib.files import write_whole
+from rodlib.files import replacing, write_whole
 from rodlib.published import ROOT, Claim
 
 BUILD = ROOT / "build"
@@ -265,8 +264,8 @@ def publish(build: Path = BUILD, root: Path = ROOT) -> None:
     target = root / "figures"
     target.mkdir(exist_ok=True)
     for path in figures:
-        shutil.copyfile(path, target / f".{path.name}.part")
-        os.replace(target / f".{path.name}.part", target / path.name)
+        with replacing(target / path.name) as temporary:
+            shutil.copyfile(path, temporary)
     for path in [*target.glob("fig*"), *target.glob("extra*")]:
         if path not in {target / figure.name for figure in figures}:
             path.unlink()

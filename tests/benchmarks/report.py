@@ -24,7 +24,7 @@ def main(path):
         report = json.load(file)
     groups = {}
     for entry in report["benchmarks"]:
-        row = (entry["extra_info"]["x"], entry["stats"]["median"], entry["extra_info"]["memory"])
+        row = (entry["extra_info"]["x"], entry["stats"]["min"], entry["extra_info"]["memory"])
         groups.setdefault(entry["group"], []).append(row)
 
     lines = ["| problem (39) | frequencies | solver | time (s) | ratio | memory (MB) |"]
