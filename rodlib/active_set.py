@@ -1,6 +1,6 @@
-"""From one optimum to the next: sequential quadratic programming along the active bounds.
+"""From near an optimum to it: sequential quadratic programming along the active bounds.
 
-When a bound or the band of a synthesis problem changes, the optimum moves, but stays of the same
+Near an optimum, or when a bound or the band changes and the optimum moves, things stay of the same
 kind: at each frequency the largest singular value is a single one, hence a smooth function of the
 coefficients, and of the thousands of bounds about a dozen are active. That is a smooth convex
 program with few unknowns, and Newton's method solves it in a few steps:
@@ -35,7 +35,6 @@ import numpy as np
 from rodlib.certificate import largest_singular_values
 from rodlib.cones import Problem, Solution
 
-STEPS = 12
 NEAR = 0.9  # part of a bound from which on it is in the quadratic program
 NOISE = 1e-11  # relative change of the objective that is rounding
 CONVERGED = 1e-9  # expected relative gain below which a full step is the last one
@@ -184,7 +183,7 @@ def improve(problem, p, model, penalty, damping):
     return None
 
 
-def resolve(problem: Problem, start: Solution) -> Solution | None:
+def resolve(problem: Problem, start: Solution, steps: int) -> Solution | None:
     """Solve a problem from the solution of a similar one.
 
     Parameters
@@ -193,6 +192,8 @@ def resolve(problem: Problem, start: Solution) -> Solution | None:
         From :func:`rodlib.cones.formulate`.
     start : Solution
         Of a problem with the same number of frequencies, order and structure.
+    steps : int
+        After how many to give up.
 
     Returns
     -------
@@ -201,7 +202,7 @@ def resolve(problem: Problem, start: Solution) -> Solution | None:
     """
     p, y = Iterate(problem, problem.unknowns(start.coefficients)), first_multipliers(problem, start)
     penalty, damping = np.zeros(len(y)), 0.0
-    for iteration in range(1, STEPS + 1):
+    for iteration in range(1, steps + 1):
         model = model_at(problem, p, y)
         step = improve(problem, p, model, penalty, damping)
         if step is None:

@@ -8,12 +8,12 @@ because Q is scalar. A bound on the largest singular value of either is a linear
 inequality, one per frequency, and the problems are semidefinite programs.
 
 Three modules solve them: :mod:`rodlib.interior_point`, which is fast and the default;
-:mod:`rodlib.active_set`, faster still from the solution of a similar problem; and
-:mod:`rodlib.semidefinite`, which states the problems in CVXPY as the paper does, for reading and
-for comparison. None of them is trusted: what is returned has a certificate.
+:mod:`rodlib.active_set`, which adds digits to its solution, and is faster still from that of a
+similar problem; and :mod:`rodlib.semidefinite`, which states the problems in CVXPY as the paper
+does, for reading and for comparison. None of them is trusted: what is returned has a certificate.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from numbers import Real
 
 import control
@@ -37,7 +37,7 @@ from rodlib.feedback import CurrentTrialLoop, frequency_response
 from rodlib.filters import LearningFilter, ZeroPhaseButterworth
 
 DENSER = 10  # the bounds are looked at between the samples, on a grid this much denser
-START_GAP = 1e-8  # relative duality gap with which the result of a start is accepted
+GOOD = 1e-8  # relative duality gap up to which what the active bounds lead to is accepted
 ROUNDING = 1e-6  # a larger relative violation of a bound is no rounding
 CVXPY_TOLERANCES = (1e-5, 1e-6)  # Clarabel ends "almost solved" on these problems
 
@@ -190,17 +190,28 @@ def synthesise(
     def judged(solution):
         return _judged(solution, data, statement, modelled and model, samples, tolerances)
 
-    if start is not None and solver == "structured":
-        solution = active_set.resolve(formulate(*data, **statement), start.solution)
-        if solution is not None:
-            design = judged(solution)
-            if design.certificate.gap < START_GAP and not design.certificate.failures:
+    def along_bounds(solution, steps):
+        """The design to which the active bounds lead from a solution, if it is a good one."""
+        found = active_set.resolve(formulate(*data, **statement), solution, steps)
+        if found is not None:
+            design = judged(found)
+            if design.certificate.gap < GOOD and not design.certificate.failures:
                 return design
+        return None
+
+    structured = solver == "structured"
+    if structured and start is not None and (design := along_bounds(start.solution, 12)):
+        return design
     try:
         solution = solve()
+        if structured and (design := along_bounds(solution, 3)):  # four more digits
+            found = design.solution
+            iterations = solution.iterations + found.iterations
+            finished = replace(found, method=solution.method, iterations=iterations)
+            return replace(design, solution=finished)
         sigma_M, sigma_L = _sigmas(P, Q, LearningFilter(solution.coefficients, Ts), omega)
         excess = max(sigma_M.max() / M_max, sigma_L.max() / (L_max or np.inf)) - 1
-        if solver == "structured" and VIOLATION < excess < ROUNDING:
+        if structured and VIOLATION < excess < ROUNDING:
             # The coefficients are huge. Once more, with as much to spare.
             margin = 1 - 3 * excess
             solution = solve(M_max=M_max * margin, L_max=L_max and L_max * margin)

@@ -105,7 +105,7 @@ def test_where_the_method_does_not_converge_it_says_so(loop, Q, omega):
     zero = type(start.solution)(0 * start.filter.coefficients, 0 * P, 0 * P, 1.0, "none", 0)
     statement = {"order": 10, "M_max": 0.9, "L_max": 50.0, "band_mask": omega <= 0.02}
     statement |= {"structure": "diagonal", "objective": "sum"}
-    assert resolve(formulate(P, response, omega, 1.0, **statement), zero) is None
+    assert resolve(formulate(P, response, omega, 1.0, **statement), zero, 12) is None
 
 
 @pytest.mark.parametrize(

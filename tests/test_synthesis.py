@@ -12,6 +12,7 @@ from rodlib import (
     InfeasibleError,
     LearningFilter,
     SolverError,
+    active_set,
     interior_point,
     published,
     synthesise,
@@ -96,6 +97,7 @@ def test_a_wrong_filter_is_not_returned(loop, Q, omega, monkeypatch, factor, com
         return replace(solution, coefficients=solution.coefficients * factor)
 
     monkeypatch.setattr(interior_point, "solve", dishonest)
+    monkeypatch.setattr(active_set, "resolve", lambda *_: None)
     arguments = (loop, Q, omega[::10], 1.0)
     with pytest.raises(SolverError, match=complaint):
         synthesise(*arguments, band=(1e-4, 0.01))
