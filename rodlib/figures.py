@@ -42,7 +42,6 @@ mpl.rcParams.update(
         "legend.frameon": False,
         "lines.linewidth": 1.3,
         "svg.hashsalt": "rodlib",
-        "pdf.fonttype": 42,
     }
 )
 
