@@ -40,10 +40,11 @@ def test_structured_and_cvxpy_agree_on_the_papers_problems(loop, Q, omega, struc
     grid = omega[::4]
     arguments = {"band": (grid[0], 0.02), "structure": structure, "objective": objective}
     ours = synthesise(loop, Q, grid, 1.0, **arguments)
-    theirs = synthesise(loop, Q, grid, 1.0, solver="cvxpy", **arguments)
+    theirs = synthesise(loop, Q, grid, 1.0, solver="cvxpy", check=False, **arguments)
     assert ours.certificate.gap < 1e-8
-    # Clarabel may go below our value, as it passes the bounds by up to 1e-6.
-    assert theirs.value == pytest.approx(ours.value, rel=1e-5)
+    # Clarabel ends "almost solved"; its multipliers prove how good it and we are at least.
+    assert theirs.certificate.lower_bound <= ours.value * (1 + 1e-9)
+    assert abs(theirs.value / ours.value - 1) <= theirs.certificate.gap < 1e-4
 
 
 @settings(max_examples=25)
