@@ -1,11 +1,13 @@
 """The warm start: it finds what a cold solve finds, in far fewer and cheaper steps."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rodlib import InfeasibleError, synthesise
+from rodlib import InfeasibleError, active_set, synthesise
 from rodlib.active_set import expand, resolve
 from rodlib.cones import formulate
 from tests.test_interior_point import random_plant
@@ -106,6 +108,22 @@ def test_where_the_method_does_not_converge_it_says_so(loop, Q, omega):
     statement = {"order": 10, "M_max": 0.9, "L_max": 50.0, "band_mask": omega <= 0.02}
     statement |= {"structure": "diagonal", "objective": "sum"}
     assert resolve(formulate(P, response, omega, 1.0, **statement), zero, 12) is None
+
+
+def test_what_the_method_returns_is_judged_more_strictly(loop, Q, omega, monkeypatch):
+    """With multipliers a little off, its result is discarded for that of the cold solve."""
+    start = synthesise(loop, Q, omega, 1.0)
+    calls = []
+
+    def careless(*arguments):
+        found = resolve(*arguments)
+        calls.append(found)
+        return replace(found, U=found.U * (1 - 1e-7), V=found.V * (1 - 1e-7))
+
+    monkeypatch.setattr(active_set, "resolve", careless)
+    design = synthesise(loop, Q, omega, 1.0, start=start, L_max=49.0)
+    assert len(calls) == 2 and None not in calls
+    assert design.solution.method == "interior point" and design.certificate.gap < 1e-8
 
 
 @pytest.mark.parametrize(
