@@ -1,6 +1,7 @@
 """Evidence for a learning filter that does not come from the solver.
 
-Three questions, each answered by code that shares nothing with the optimisation:
+Three questions, each answered by code of its own; the powers of z and the singular values of a
+matrix are all that it shares with the solvers:
 
 - *Is it optimal?* :func:`lower_bound` turns the solver's multipliers, whatever their quality, into
   a bound on the objective that no filter can beat.

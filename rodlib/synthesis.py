@@ -170,12 +170,16 @@ def synthesise(
         raise ValueError(f"solver = {solver!r} must be 'structured' or 'cvxpy'")
     if start is not None:
         _check_start(start, P, order, structure)
-    modelled = isinstance(model[0], control.StateSpace)
-    modelled = modelled and isinstance(model[1], ZeroPhaseButterworth)
-    if samples is not None and not modelled:
+    if not (
+        isinstance(model[0], control.StateSpace) and isinstance(model[1], ZeroPhaseButterworth)
+    ):
+        model = None
+    if samples is not None and model is None:
         raise ValueError(
             f"samples = {samples!r} asks for the norm of a trial, which needs P and Q as models"
         )
+    if samples is not None and not (isinstance(samples, int | np.integer) and samples >= 1):
+        raise ValueError(f"samples = {samples!r} must be a whole number, 1 or more, or None")
     statement = {
         "order": order, "M_max": M_max, "L_max": L_max, "band_mask": in_band,
         "structure": structure, "objective": objective,
@@ -188,7 +192,7 @@ def synthesise(
         return _solve(solver, data, statement | changes)
 
     def judged(solution):
-        return _judged(solution, data, statement, modelled and model, samples, tolerances)
+        return _judged(solution, data, statement, model, samples, tolerances)
 
     def along_bounds(solution, steps):
         """The design to which the active bounds lead from a solution, if it is a good one."""
@@ -200,11 +204,11 @@ def synthesise(
         return None
 
     structured = solver == "structured"
-    if structured and start is not None and (design := along_bounds(start.solution, 12)):
+    if structured and start is not None and (design := along_bounds(start.solution, steps=12)):
         return design
     try:
         solution = solve()
-        if structured and (design := along_bounds(solution, 3)):  # four more digits
+        if structured and (design := along_bounds(solution, steps=3)):  # more digits
             found = design.solution
             iterations = solution.iterations + found.iterations
             finished = replace(found, method=solution.method, iterations=iterations)
@@ -244,7 +248,7 @@ def _judged(solution, data, statement, model, samples, tolerances):
         grid_L=sigma_L.max(),
         all_M=peak_gain(convergence_model(*model, L))[0] if model else _peak_between(*data, L),
         all_L=peak_gain(learning_model(L))[0],
-        proven=bool(model),
+        proven=model is not None,
         tolerances=tolerances,
         trial=np.nan if samples is None else trial_norm(*model, L, samples)[0],
         samples=samples,

@@ -16,6 +16,7 @@ from rodlib import (
     interior_point,
     published,
     synthesise,
+    zero_phase_butterworth,
 )
 from rodlib.synthesis import convergence_matrix, largest_singular_values
 
@@ -181,6 +182,7 @@ def singular_P():
 
 
 GRID = np.linspace(0.05, 3, 50)
+MODELS = {"P": control.ss(0.5, 1, 1, 0, 1.0), "Q": zero_phase_butterworth()}
 
 
 @pytest.mark.parametrize(
@@ -210,6 +212,7 @@ GRID = np.linspace(0.05, 3, 50)
         ({"objective": "mean"}, "objective = 'mean'"),
         ({"samples": 100}, "samples = 100 asks for the norm of a trial, .* P and Q as models"),
         ({"solver": "simplex"}, "solver = 'simplex'"),
+        (MODELS | {"samples": 0}, "samples = 0 must be a whole number, 1 or more"),
     ],
 )
 def test_bad_arguments_are_refused_before_any_work(changes, message):
