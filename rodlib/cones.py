@@ -2,8 +2,9 @@
 
 Given P_i (m x m) and Q_i (scalar) at the frequencies omega_i, find the real coefficients C_k of
 L(z) = sum_k C_k z^k that minimise the sum over a band, or the largest, of sigma_max(M_i), where
-M_i = Q_i (I - P_i L_i), subject to sigma_max(M_i) <= M_max and sigma_max(L_i) <= L_max at all
-frequencies. G_i = F_i + T_i L_i stands for M_i, for L_i or, if L is diagonal, for an entry of it.
+M_i = Q_i (I - P_i L_i), subject to sigma_max(M_i) <= M_max and sigma_max(W L_i) <= 1 at all
+frequencies, where W is I / L_max. G_i = F_i + T_i L_i stands for M_i, for W L_i or, if L is
+diagonal, for an entry of it.
 Two choices keep the numbers tame and the operations few:
 
 - The powers z, z^2, ... are replaced by a basis that is orthonormal with the weight that M and L
@@ -16,6 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rodlib.certificate import weight_of_L
 from rodlib.filters import time_shifts
 
 
@@ -36,7 +38,7 @@ class Solution:
     coefficients : ndarray, shape (m, m, order)
         L(z) = sum_k coefficients[:, :, k - 1] z^k.
     U, V : ndarray, shape (n, m, m), complex
-        Multipliers of M and of L (None without L_max).
+        Multipliers of M and of L.
     peak : float
         Largest sigma_max(M_i).
     method : str
@@ -46,7 +48,7 @@ class Solution:
 
     coefficients: np.ndarray
     U: np.ndarray
-    V: np.ndarray | None
+    V: np.ndarray
     peak: float
     method: str
     iterations: int
@@ -83,7 +85,7 @@ class Problem:
     Attributes
     ----------
     cones : tuple of Cone
-        M, then L, or each of its entries if L is diagonal.
+        M, then W L, or each of its entries if L is diagonal.
     basis, R : ndarray, shape (order, n) and (order, order)
         L = x basis at the frequencies, for x of shape (entries, order); the coefficients are
         the rows of x R^-T.
@@ -94,7 +96,7 @@ class Problem:
     shared : bool
         Whether it is the same for all of them: their largest is minimised, not their sum.
     bounds : ndarray, shape (2,)
-        On sigma_max(M), and on t; on sigma_max(L).
+        On sigma_max(M), and on t; on sigma_max(W L).
     M_max : float
         What the largest must not exceed.
     """
@@ -144,11 +146,13 @@ class Problem:
         for k in reversed(range(len(self.R))):
             c[:, k] = (c[:, k] - c[:, k + 1 :] @ self.R[k, k + 1 :]) / self.R[k, k]
         C[cone.rows, cone.cols] = c
-        U, *V = (N.transpose(2, 0, 1) for N in multipliers)
-        if V and V[0].shape[1] < m:
-            V = [np.concatenate(V, axis=1) * np.eye(m)]
+        U, *V = (
+            product(cone.T if j else np.eye(m)[..., None], N).transpose(2, 0, 1)
+            for j, (cone, N) in enumerate(zip(self.cones, multipliers, strict=True))
+        )
+        V = V[0] if V[0].shape[1] == m else np.concatenate(V, axis=1) * np.eye(m)
         peak = np.linalg.norm(self.matrices(x)[0], 2, axis=(0, 1)).max()
-        return Solution(C, U, V[0] if V else None, peak, method, iterations)
+        return Solution(C, U, V, peak, method, iterations)
 
 
 def product(A, B):
@@ -178,10 +182,10 @@ def orthonormalise(A):
     return Q, R
 
 
-def whitened_basis(P, Q, angles, order, L_max):
-    """Phi = R^-T [z; z^2; ...], orthonormal with the weight that M and L give each frequency."""
+def whitened_basis(P, Q, angles, order, W):
+    """Phi = R^-T [z; z^2; ...], orthonormal with the weight that M and W L give each frequency."""
     weight = np.linalg.norm(Q[:, None, None] * P, axis=(1, 2)) / np.abs(Q).max()
-    weight = np.hypot(weight, 0 if L_max is None else 1 / L_max)
+    weight = np.hypot(weight, np.linalg.norm(W, 2))
     weight = np.maximum(weight, 1e-8 * weight.max())
     z = weight * time_shifts(angles, order).T
     Phi, R = orthonormalise(np.concatenate([z.real, z.imag], axis=1).T)
@@ -205,7 +209,7 @@ def formulate(P, Q, omega, Ts, *, order, M_max, L_max, band_mask, structure, obj
     order : int
     M_max : float
     L_max : float or None
-        None leaves the bound on L out.
+        None: see :func:`rodlib.certificate.weight_of_L`.
     band_mask : ndarray of bool, shape (n,)
         Frequencies over which "sum" sums.
     structure : {"diagonal", "full"}
@@ -220,14 +224,15 @@ def formulate(P, Q, omega, Ts, *, order, M_max, L_max, band_mask, structure, obj
     entries = np.arange(len(rows))
     identity = np.repeat(np.eye(m, dtype=complex)[..., None], n, axis=2)
     T = np.ascontiguousarray(-Q * P.transpose(1, 2, 0))
+    W = weight_of_L(P, Q, L_max)
     cones = [Cone(Q * identity, T, entries, rows, cols)]
-    if L_max is not None and structure == "full":
-        cones.append(Cone(0 * identity, identity, entries, rows, cols))
-    elif L_max is not None:  # smaller cones, one for each entry
-        one = identity[:1, :1]
-        cones += [Cone(0 * one, one, entries[[e]], rows[:1], cols[:1]) for e in entries]
-    basis, R = whitened_basis(P, Q, omega * Ts, order, L_max)
-    bounds = np.array([M_max, 1 if L_max is None else L_max], dtype=float)
+    if structure == "full":
+        cones.append(Cone(0 * identity, W[..., None] * np.ones(n), entries, rows, cols))
+    else:  # smaller cones, one for each entry
+        one = np.ones((1, 1, n), dtype=complex)
+        cones += [Cone(0 * one, W[e, e] * one, entries[[e]], rows[:1], cols[:1]) for e in entries]
+    basis, R = whitened_basis(P, Q, omega * Ts, order, W)
+    bounds = np.array([M_max, 1.0])
     free = np.flatnonzero(band_mask)
     problem = Problem(tuple(cones), basis, R, len(rows), free, False, bounds, M_max)
     return problem.peak() if objective == "peak" else problem

@@ -32,6 +32,10 @@ from rodlib.cones import Infeasible, Problem, Solution, adjoint, product
 
 GAP = 2e-9  # relative gap at which to stop
 EPS = np.finfo(float).eps
+STATIONARY = (
+    1e-2  # part of the gap by which rounding may keep the multipliers from being stationary
+)
+REFINEMENTS = 2
 
 
 @dataclass(frozen=True)
@@ -66,7 +70,9 @@ class Slack:
         self.G, self.b = G, b
         self.A = -product(adjoint(G), G)
         self.A[diagonal] += b**2
-        self.M = inverse(self.A, 0.01 * EPS * b**2)  # (b^2 I - G^H G)^-1
+        _, inverse = cholesky(self.A, 0.01 * EPS * b**2)
+        self.F = adjoint(inverse)
+        self.M = product(self.F, inverse)  # (b^2 I - G^H G)^-1
         self.X = np.empty((2 * q, 2 * q, len(b)), dtype=complex)
         self.X[q:, q:] = b * self.M
         self.X[q:, :q] = -product(self.M, adjoint(G))
@@ -105,11 +111,10 @@ def trace(A):
     return np.einsum("iin->n", A).real
 
 
-def inverse(A, floor):
-    """Inverse of Hermitian positive definite matrices, as a product R^-H R^-1.
+def cholesky(A, floor):
+    """R^H and R^-1 of Hermitian positive definite matrices A = R R^H, by Gaussian elimination.
 
-    Gaussian elimination turns [A, I] into [R^H, R^-1], where A = R R^H. No pivot of A is smaller
-    than the floor, unless by rounding.
+    It turns [A, I] into [R^H, R^-1]. No pivot of A is smaller than the floor, unless by rounding.
     """
     q = len(A)
     A = np.concatenate([A, np.zeros_like(A)], axis=1)
@@ -117,7 +122,7 @@ def inverse(A, floor):
     for k in range(q):
         A[k] *= 1 / np.sqrt(np.maximum(A[k, k].real, floor))
         A[k + 1 :] -= A[k, k + 1 : q, None].conj() * A[k]
-    return product(adjoint(A[:, q:]), A[:, q:])
+    return A[:, :q], A[:, q:]
 
 
 def positive_definite(A):
@@ -130,6 +135,16 @@ def positive_definite(A):
         row = column.conj() * (1 / np.where(positive, pivot, 1))
         A[k + 1 :, k + 1 :] -= column[:, None] * row
     return positive
+
+
+def factorised(H):
+    """Cholesky factor of a matrix with ones on the diagonal, shifted if it must be."""
+    shift = 1e-15
+    while True:
+        try:
+            return cho_factor(H + shift * np.eye(len(H)))
+        except np.linalg.LinAlgError:
+            shift *= 10
 
 
 def longest_step(A, limit, accuracy):
@@ -242,8 +257,63 @@ def normal_matrix(problem, slacks, Y):
     return H.reshape(E * order, -1)
 
 
-def newton(problem, p, slacks):
-    """Factorise the Newton system at p, and return the function that solves it."""
+def square_root(problem, p, slacks, s):
+    """Triangular R with R'R the matrix of the Newton system, without forming that matrix.
+
+    It has the square root of its condition number. <dS_j, Y dS_k X> is the scalar product of
+    C^H dS_j D and C^H dS_k D, where Y = C C^H and X = D D^H with
+
+        D = [[I, -G F], [0, b F]] / sqrt(b),    F F^H = (b^2 I - G^H G)^-1.
+
+    Real and imaginary parts of the entries of L, after t, are the columns of one small matrix per
+    frequency. Its triangular factor eliminates t, unless that is shared.
+    """
+    basis, E = problem.basis, problem.entries
+    n = basis.shape[1]
+    rows = []
+    for j, (cone, a, Y) in enumerate(zip(problem.cones, slacks, p.Y, strict=True)):
+        q = len(cone.T)
+        Ch, _ = cholesky(Y, 0.01 * EPS * trace(Y))
+        block = np.zeros((2 * q, 2 * q, 1 + 2 * E, n), dtype=complex)
+
+        def image(d, D, a=a, Ch=Ch, q=q):
+            """C^H dS D, where dS = [[d I, D], [D^H, d I]]."""
+            N = np.concatenate([a.b * D - d * a.G, -product(adjoint(D), a.G)])
+            N[range(q, 2 * q), range(q)] += a.b * d
+            first = np.concatenate([0 * D, adjoint(D)])
+            first[range(q), range(q)] += d
+            whole = np.concatenate([first, product(N, a.F)], axis=1)
+            return product(Ch, whole) * (1 / np.sqrt(a.b))
+
+        if j == 0:
+            block[:, :, 0, problem.free] = image(1.0, np.zeros_like(a.G))[..., problem.free]
+        for e, r, c in zip(cone.entries, cone.rows, cone.cols, strict=True):
+            D = np.zeros_like(a.G)
+            D[:, c] = cone.T[:, r]
+            block[:, :, 1 + 2 * e] = image(0.0, D)
+            block[:, :, 2 + 2 * e] = image(0.0, 1j * D)
+        block = np.moveaxis(block.reshape(4 * q * q, 1 + 2 * E, n), -1, 0)
+        rows += [block.real, block.imag]
+    barrier = np.zeros((n, 1, 1 + 2 * E))
+    barrier[:, 0, 0] = 1  # where there is no t, something that its elimination leaves alone
+    barrier[problem.free, 0, 0] = np.sqrt(p.eta / s / (len(problem.free) if problem.shared else 1))
+    small = np.linalg.qr(np.concatenate([*rows, barrier], axis=1), mode="r")
+    first, small = (
+        (small[:, :, :1], small[:, :, 1:]) if problem.shared else (None, small[:, 1:, 1:])
+    )
+    parts = np.stack([basis.real, basis.imag])
+    tall = np.einsum("nrep,pkn->nrek", small.reshape(n, -1, E, 2), parts)
+    tall = tall.reshape(-1, E * len(basis))
+    if problem.shared:
+        tall = np.hstack([first.reshape(-1, 1), tall])
+    return np.linalg.qr(tall, mode="r")[int(problem.shared) :, int(problem.shared) :]
+
+
+def newton(problem, p, slacks, total, root):
+    """Factorise the Newton system at p, and return the function that solves it.
+
+    `total` is the complementarity at p. `root`: by :func:`square_root`, slower and more accurate.
+    """
     m = len(p.G[0])
     s, toward = p.bounds[0] - p.t, problem.bounds - p.bounds
     X, Y = slacks[0].X, p.Y[0]
@@ -252,15 +322,16 @@ def newton(problem, p, slacks):
     W = product(Y[m:], X[:, :m]) + product(X[m:], Y[:, :m])
     g = problem.cones[0].gradient(W)
     xt = collect(problem, (g[:, None] * problem.basis).real).reshape(-1, len(p.t))
-    H = normal_matrix(problem, slacks, p.Y)
-    scale = 1 / np.sqrt(np.maximum(np.diag(H), EPS * np.diag(H).max()))
-    H = scale[:, None] * (H - (xt / tt) @ xt.T) * scale
-    shift, factor = 1e-15, None
-    while factor is None:
-        try:
-            factor = cho_factor(H + shift * np.eye(len(H)), lower=True)
-        except np.linalg.LinAlgError:
-            shift *= 10
+    if root:
+        R = square_root(problem, p, slacks, s)
+        scale = 1 / np.linalg.norm(R, axis=0)
+        # a shift of 1e-30 in the squares
+        R = np.linalg.qr(np.vstack([R * scale, 1e-15 * np.eye(len(R))]), mode="r")
+        factor = (R, False)
+    else:
+        H = normal_matrix(problem, slacks, p.Y)
+        scale = 1 / np.sqrt(np.maximum(np.diag(H), EPS * np.diag(H).max()))
+        factor = factorised(scale[:, None] * (H - (xt / tt) @ xt.T) * scale)
 
     def correct(d):
         """d, with coefficients and t changed such that all multipliers become stationary."""
@@ -275,8 +346,11 @@ def newton(problem, p, slacks):
         dY = [-a.sandwich(*e) for a, *e in zip(slacks, p.Y, db, dG, strict=True)]
         return d.moved(Point(dx, dt, 0 * toward, dG, dY, p.eta / s * dt), 1, 1)
 
-    def direction(mu, predictor=None, refine=False):
-        """The direction to Y S = mu I, with the second-order terms of the predictor."""
+    def direction(mu, predictor=None):
+        """The direction to Y S = mu I, with the second-order terms of the predictor.
+
+        None if rounding leaves the multipliers too far from stationary.
+        """
         dY = [mu * a.X - B for a, B in zip(slacks, p.Y, strict=True)]
         deta = (mu - p.eta * toward[0]) / s - p.eta
         still = [0 * A for A in p.G]
@@ -289,9 +363,32 @@ def newton(problem, p, slacks):
             dY = [A - a.sandwich(*e) for A, a, *e in second]
             deta -= predictor.eta * (predictor.bounds[0] - predictor.t) / s
         d = correct(Point(0 * p.x, 0 * p.t, toward, still, dY, deta))
-        return correct(d) if refine else d
+        if predictor is None:
+            return d
+        for _ in range(REFINEMENTS):
+            Y = [A + D for A, D in zip(p.Y, d.Y, strict=True)]
+            left = np.linalg.norm(stationarity(problem, Y)) * np.linalg.norm(p.x)
+            if left <= STATIONARY * total:
+                return d
+            d = correct(d)
+        return d if root else None
 
     return direction
+
+
+def degree(p):
+    """The number that complementarity is mu times, on the central path."""
+    return len(p.t) + sum(Y.shape[0] * Y.shape[2] for Y in p.Y)
+
+
+def step(problem, p, slacks, total, root):
+    """The direction of Mehrotra's method from p; None if it is not accurate enough."""
+    direction = newton(problem, p, slacks, total, root)
+    predictor = direction(0.0)
+    primal, dual = step_lengths(problem, p, predictor, slacks, 0.1)
+    left = complementarity(problem, p.moved(predictor, primal, dual)) / total
+    sigma = min(1, max(left, 0)) ** (1 + 2 * min(primal, dual) ** 2)
+    return direction(sigma * total / degree(p), predictor)
 
 
 def follow(problem, p, enough=0.0):
@@ -300,31 +397,29 @@ def follow(problem, p, enough=0.0):
     Returns the best point, or None if the bounds were never met, and the number of iterations.
     """
     n, m = problem.basis.shape[1], len(p.G[0])
-    degree = len(p.t) + 2 * n * sum(len(G) for G in p.G)
-    best, smallest, gaps = None, np.inf, []
+    best, smallest, gaps, root = None, np.inf, [], False
     for iteration in range(100):
         objective, dual = p.t.sum(), dual_value(problem, p)
         total = complementarity(problem, p)
-        gap = max(total, abs(objective - dual)) / max(objective, 1e-4 * problem.idle)
+        gap = max(total, abs(objective - dual))
         if (p.bounds == problem.bounds).all():
             gaps.append(gap)
             if gap < smallest:
                 best, smallest = p, gap
-            if gap < GAP or objective < enough or min(gaps[-6:]) > smallest:
+            closed = gap < GAP * max(objective, 1e-4 * problem.idle)
+            if closed or objective < enough or min(gaps[-8:]) > smallest:
                 break
         else:  # by more than the first term, no filter that meets the bounds has a larger |x|
             x_max = np.sqrt(5 * n * m) * np.linalg.norm(stationarity(problem, p.Y))
             if iteration > 40 or dual - x_max > len(p.t) * problem.bounds[0]:
                 break
         slacks = [Slack(*a) for a in zip(p.G, problem.levels(p.t, p.bounds), strict=True)]
-        direction = newton(problem, p, slacks)
-        predictor = direction(0.0)
-        primal, dual = step_lengths(problem, p, predictor, slacks, 0.1)
-        left = complementarity(problem, p.moved(predictor, primal, dual)) / total
-        sigma = min(1, max(left, 0)) ** (1 + 2 * min(primal, dual) ** 2)
-        d = direction(sigma * total / degree, predictor, refine=gap < 1e-6)
-        damping = 0.9 + 0.09 * min(primal, dual)
+        d = step(problem, p, slacks, total, root)
+        if d is None:
+            root = True
+            d = step(problem, p, slacks, total, root)
         primal, dual = step_lengths(problem, p, d, slacks, 0.02)
+        damping = 0.9 + 0.09 * min(primal, dual)
         primal, dual = (1.0 if a == 1 else damping * a for a in (primal, dual))
         if max(primal, dual) < 0.01:
             break

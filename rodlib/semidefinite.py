@@ -9,6 +9,7 @@ import warnings
 import cvxpy as cp
 import numpy as np
 
+from rodlib.certificate import weight_of_L
 from rodlib.cones import Infeasible, Solution
 from rodlib.filters import time_shifts
 
@@ -41,7 +42,9 @@ def solve(P, Q, omega, Ts, *, order, M_max, L_max, band_mask, structure, objecti
     gain = Q[:, None, None, None] * np.einsum("nij,njkc->nikc", P, basis)  # -dM / d coefficients
 
     # Whitened unknowns x = R c: their columns of M and L are orthonormal.
-    stacked = np.concatenate([gain, basis / L_max]) if L_max else gain
+    W = weight_of_L(P, Q, L_max)
+    weighted = np.einsum("ij,njkc->nikc", W, basis)
+    stacked = np.concatenate([gain, weighted])
     stacked = stacked.reshape(-1, stacked.shape[-1])
     R = np.linalg.qr(np.vstack([stacked.real, stacked.imag]), mode="r")
     diagonal = np.abs(np.diag(R))
@@ -55,7 +58,7 @@ def solve(P, Q, omega, Ts, *, order, M_max, L_max, band_mask, structure, objecti
         parts = (constant.real + linear.real @ x, constant.imag + linear.imag @ x)
         return [cp.reshape(part, (n, m, m), order="C") for part in parts]
 
-    L = affine(np.zeros((n, m, m)), basis)
+    WL = affine(np.zeros((n, m, m)), weighted)
     M = affine(Q[:, None, None] * np.eye(m), -gain)  # (40)
 
     if objective == "sum":
@@ -69,11 +72,11 @@ def solve(P, Q, omega, Ts, *, order, M_max, L_max, band_mask, structure, objecti
         bound = t * np.ones(n)
         minimise = t
     subject_to = [sigma_max_at_most(M, bound), t <= M_max]  # (39), (45)
-    if L_max and structure == "diagonal":
-        moduli = [cp.norm(cp.vstack([part[:, i, i] for part in L]), axis=0) for i in range(m)]
-        subject_to += [modulus <= L_max for modulus in moduli]  # (39), (46)
-    elif L_max:
-        subject_to += [sigma_max_at_most([part / L_max for part in L], np.ones(n))]
+    if structure == "diagonal":
+        moduli = [cp.norm(cp.vstack([part[:, i, i] for part in WL]), axis=0) for i in range(m)]
+        subject_to += [modulus <= 1 for modulus in moduli]  # (39), (46)
+    else:
+        subject_to += [sigma_max_at_most(WL, np.ones(n))]
 
     problem = cp.Problem(cp.Minimize(minimise), subject_to)
     try:
@@ -99,13 +102,13 @@ def solve(P, Q, omega, Ts, *, order, M_max, L_max, band_mask, structure, objecti
     response = np.einsum("ijk,nk->nij", coefficients, shifts)
     peak = np.linalg.norm(Q[:, None, None] * (np.eye(m) - P @ response), 2, axis=(1, 2)).max()
 
-    U, V = multiplier(subject_to[0]), None
-    if L_max and structure == "full":
-        V = multiplier(subject_to[2]) / L_max
-    elif L_max:
-        V = response
+    U = multiplier(subject_to[0])
+    if structure == "full":
+        V = W @ multiplier(subject_to[2])
+    else:
+        V = W @ (response / np.maximum(np.abs(response), 1e-300))
         for i in range(m):
-            V[:, i, i] *= subject_to[2 + i].dual_value / np.abs(V[:, i, i])
+            V[:, i, i] *= subject_to[2 + i].dual_value
     method = f"CVXPY with Clarabel ({problem.status})"
     return Solution(coefficients, U, V, peak, method, problem.solver_stats.num_iters)
 

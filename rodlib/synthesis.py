@@ -37,8 +37,8 @@ from rodlib.feedback import CurrentTrialLoop, frequency_response
 from rodlib.filters import LearningFilter, ZeroPhaseButterworth
 
 DENSER = 10  # the bounds are looked at between the samples, on a grid this much denser
+HOPELESS = 1 - 1e-6  # from here on a smallest M_max is one, and raising it no remedy
 GOOD = 1e-8  # relative duality gap up to which what the active bounds lead to is accepted
-ROUNDING = 1e-6  # a larger relative violation of a bound is no rounding
 CVXPY_TOLERANCES = (1e-5, 1e-6)  # Clarabel ends "almost solved" on these problems
 
 
@@ -213,12 +213,6 @@ def synthesise(
             iterations = solution.iterations + found.iterations
             finished = replace(found, method=solution.method, iterations=iterations)
             return replace(design, solution=finished)
-        sigma_M, sigma_L = _sigmas(P, Q, LearningFilter(solution.coefficients, Ts), omega)
-        excess = max(sigma_M.max() / M_max, sigma_L.max() / (L_max or np.inf)) - 1
-        if structured and VIOLATION < excess < ROUNDING:
-            # The coefficients are huge. Once more, with as much to spare.
-            margin = 1 - 3 * excess
-            solution = solve(M_max=M_max * margin, L_max=L_max and L_max * margin)
     except Infeasible as error:
         raise InfeasibleError(_advice(statement, error.smallest_M_max, solve)) from None
     design = judged(solution)
@@ -286,19 +280,22 @@ def _peak_between(P, Q, omega, Ts, L):
 def _advice(statement, smallest, solve):
     """Which bound is too tight, and what would be feasible."""
     M_max, L_max = statement["M_max"], statement["L_max"]
+    structure, order = statement["structure"], statement["order"]
     remedy = f"the smallest feasible M_max is {smallest:.6g}"
+    raised = "raise M_max" if smallest < HOPELESS else "no M_max below 1 will do, so"
     if L_max is not None:
         without = solve(L_max=None, M_max=np.inf, objective="peak").peak
         if without <= M_max:
             return (
-                f"infeasible: L_max = {L_max} is too tight for M_max = {M_max}. With "
-                f"this L_max {remedy}; raise L_max or M_max"
+                f"infeasible: L_max = {L_max} is too tight for M_max = {M_max}. With this L_max "
+                f"{remedy}: {raised}{' or' if smallest < HOPELESS else ''} raise L_max"
             )
         remedy += f" with L_max = {L_max}, and {without:.6g} without a bound on L"
+    longer = "a longer filter" + ("" if structure == "full" else ", or a full one")
     return (
-        f"infeasible: M_max = {M_max} is too tight for a {statement['structure']} filter of "
-        f"order = {statement['order']}; {remedy}. Raise M_max or the order, or lower the cut-off "
-        "of Q"
+        f"infeasible: M_max = {M_max} is too tight for a {structure} filter of order = {order}; "
+        f"{remedy}: {raised}{',' if smallest < HOPELESS else ''} take {longer}, lower the cut-off "
+        "of Q, or design a faster loop"
     )
 
 

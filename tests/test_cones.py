@@ -22,7 +22,7 @@ def statement(omega, structure, objective="sum", L_max=5.0):
 
 @given(st.integers(1, 4), st.sampled_from(["diagonal", "full"]), st.integers(0, 99))
 def test_matrices_are_those_of_the_filter(m, structure, seed):
-    """G of the cones are M and L of (40) for the filter that the unknowns stand for."""
+    """G of the cones are M and L / L_max of (39) for the filter that the unknowns stand for."""
     P, Q, omega = plant(m, seed=seed)
     problem = formulate(P, Q, omega, 1.0, **statement(omega, structure))
     C = np.random.default_rng(seed).standard_normal((m, m, 4))
@@ -34,9 +34,10 @@ def test_matrices_are_those_of_the_filter(m, structure, seed):
     G = [np.moveaxis(A, -1, 0) for A in problem.matrices(x)]
     np.testing.assert_allclose(G[0], M, atol=1e-10)
     if structure == "full":
-        np.testing.assert_allclose(G[1], L, atol=1e-10)
+        np.testing.assert_allclose(G[1], L / 5, atol=1e-10)
     else:
-        np.testing.assert_allclose(np.concatenate(G[1:], axis=1)[:, :, 0], L[:, range(m), range(m)])
+        entries = np.concatenate(G[1:], axis=1)[:, :, 0]
+        np.testing.assert_allclose(entries, L[:, range(m), range(m)] / 5)
     multipliers = [0 * A for A in problem.matrices(x)]
     solution = problem.solution(x, multipliers, "none", 0)
     np.testing.assert_allclose(solution.coefficients, C, atol=1e-10)
@@ -56,12 +57,11 @@ def test_gradient_is_the_adjoint_of_response():
 @pytest.mark.parametrize("L_max", [5.0, None])
 def test_the_basis_is_orthonormal_and_spans_the_powers_of_z(L_max):
     P, Q, omega = plant(2)
-    basis, R = whitened_basis(P, Q, omega, 4, L_max)
+    W = np.diag([0.2, 0.1]) if L_max else np.eye(2) * 1e-7
+    basis, R = whitened_basis(P, Q, omega, 4, W)
     z = np.exp(1j * omega) ** np.arange(1, 5)[:, None]
     np.testing.assert_allclose(R.T.astype(float) @ basis, z, atol=1e-12)
-    weight = np.hypot(
-        np.linalg.norm(Q[:, None, None] * P, axis=(1, 2)) / Q.max(), 1 / (L_max or np.inf)
-    )
+    weight = np.hypot(np.linalg.norm(Q[:, None, None] * P, axis=(1, 2)) / Q.max(), W.max())
     weighted = weight * basis
     np.testing.assert_allclose((weighted @ weighted.conj().T).real, np.eye(4), atol=1e-12)
 

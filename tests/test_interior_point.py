@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rodlib import InfeasibleError, synthesise
+from rodlib import InfeasibleError, interior_point, synthesise, zero_phase_butterworth
+from rodlib.cones import formulate
 
 
 def random_plant(seed, m, n=30, gain=1.0):
@@ -101,11 +102,80 @@ def test_nearly_infeasible_problems_are_solved(loop, Q, omega, margin):
     assert f"smallest feasible M_max is {peak:.6g}" in str(error.value)
 
 
-def test_unbounded_learning_filters_are_found_in_spite_of_their_size(loop, Q, omega):
-    design = synthesise(loop, Q, omega, 1.0, L_max=None, objective="peak")
-    assert design.value == pytest.approx(0.461827, abs=1e-6)  # CVXPY with Clarabel: 0.4618272
-    assert np.abs(design.filter.coefficients).max() > 1e7
+@pytest.mark.parametrize("objective", ["sum", "peak"])
+@pytest.mark.parametrize("unit", [1.0, 1e-3])
+def test_without_a_bound_filters_compete_up_to_a_gain_that_doubles_can_hold(
+    loop, Q, omega, objective, unit
+):
+    """The limit counts in units of each input: a plant in other units has the same optimum."""
+    P, U = loop.frequency_response(omega), np.diag([1.0, unit])
+    design = synthesise(P @ U, Q, omega, 1.0, L_max=None, objective=objective)
+    response = Q.frequency_response(omega)[:, None, None] * P @ U
+    gain = np.linalg.norm(response, axis=1).max(axis=0)[:, None, None] * design.filter.coefficients
+    assert np.abs(gain).max() < 1e7
     assert design.certificate.failures == []
+    if objective == "peak":
+        assert design.value == pytest.approx(0.461827, abs=1e-6)  # Clarabel: 0.4618272
+
+
+def lag(T, cutoff, n=400):
+    """The lag 1 / (T s + 1) behind a zero-order hold, and Q, at logarithmic frequencies."""
+    omega = np.geomspace(1e-4, np.pi, n)
+    a = np.exp(-1 / T)
+    P = ((1 - a) / (np.exp(1j * omega) - a))[:, None, None]
+    return P, zero_phase_butterworth(2, cutoff).frequency_response(omega), omega
+
+
+@pytest.mark.parametrize("order", [19, 20, 21, 22])
+def test_the_gap_may_widen_before_it_closes(order):
+    """While the objective falls by orders of magnitude, the dual does not follow at once."""
+    arguments = (*lag(30, 0.3), 1.0)
+    keywords = {"order": order, "band": (1e-4, 0.1)}
+    design = synthesise(*arguments, L_max=50.0, **keywords)
+    if order == 20:
+        reference = synthesise(*arguments, L_max=50.0, solver="cvxpy", check=False, **keywords)
+        assert reference.certificate.lower_bound <= design.value <= reference.value
+    start = synthesise(*arguments, L_max=45.0, **keywords)
+    again = synthesise(*arguments, L_max=50.0, start=start, **keywords)
+    assert again.value == pytest.approx(design.value, rel=1e-6)
+
+
+@pytest.mark.parametrize("T", [3.0, 30.0, 300.0])
+@pytest.mark.parametrize("order", [10, 40])
+@pytest.mark.parametrize("gain", [1e-6, 1e6])
+def test_a_perfect_filter_is_certified(T, order, gain):
+    """Where the optimum is next to zero, the gap counts by the objective without learning."""
+    P, Q, omega = lag(T, 0.05, n=100)
+    design = synthesise(P * gain, Q, omega, 1.0, order=order, L_max=5 * T / gain, band=(1e-4, 0.01))
+    certificate = design.certificate
+    assert design.value < 1e-3 * certificate.idle
+    assert design.value - certificate.lower_bound <= 1e-9 * certificate.idle
+
+
+@pytest.mark.parametrize("objective", ["sum", "peak"])
+@pytest.mark.parametrize(("m", "structure"), [(1, "full"), (2, "diagonal"), (3, "full")])
+def test_both_ways_of_solving_the_newton_system_agree(m, structure, objective):
+    P, Q, omega = random_plant(m, m)
+    numbers = {"order": 3, "M_max": 0.97, "L_max": 20.0, "band_mask": omega < 0.3}
+    problem = formulate(P, Q, omega, 1.0, structure=structure, objective=objective, **numbers)
+    p = interior_point.begin(problem, np.zeros((problem.entries, 3)))
+    for root in (False, True):
+        for _ in range(4):  # some way along the central path
+            slacks = [
+                interior_point.Slack(*a)
+                for a in zip(p.G, problem.levels(p.t, p.bounds), strict=True)
+            ]
+            total = interior_point.complementarity(problem, p)
+            directions = [
+                interior_point.newton(problem, p, slacks, total, root)(0.0)
+                for root in (False, True)
+            ]
+            for name in ("x", "t", "eta"):
+                one, other = (getattr(d, name) for d in directions)
+                np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-9 * np.abs(one).max())
+            d = interior_point.step(problem, p, slacks, total, root)
+            primal, dual = interior_point.step_lengths(problem, p, d, slacks, 0.1)
+            p = p.moved(d, 0.9 * primal, 0.9 * dual)
 
 
 def test_two_solves_give_the_same_bits(loop, Q, omega):

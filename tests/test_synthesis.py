@@ -175,6 +175,28 @@ def test_infeasible_bounds_name_the_culprit_and_the_smallest_M_max(loop, Q, omeg
     assert nearly.sigma_M.max() <= peak * 1.001 * (1 + 1e-6)
 
 
+@pytest.mark.parametrize(
+    ("changes", "remedy"),
+    [
+        ({"M_max": 0.6, "L_max": 1e-9}, "M_max is 1: no M_max below 1 will do, so raise L_max"),
+        ({"order": 11}, "will do, so take a longer filter, or a full one, lower the cut-off of Q"),
+        ({"order": 11, "structure": "full"}, "so take a longer filter, lower the cut-off of Q"),
+        ({"M_max": 0.6, "L_max": 0.2}, "M_max is 0.79.*: raise M_max or raise L_max"),
+        ({"L_max": None}, "M_max is 0.5: raise M_max, take a longer filter"),
+    ],
+)
+def test_what_cannot_help_is_not_advised(changes, remedy):
+    """Delay and zero of (1 - 2 / z) / z^11: on equal steps the mean of M is one up to order 11.
+
+    Its inverse is -(z^12 / 2 + z^13 / 4 + ...), of which the first term leaves one half.
+    """
+    omega = (np.arange(200) + 0.5) * np.pi / 200
+    z = np.exp(1j * omega)[:, None, None]
+    arguments = {"order": 12, "M_max": 0.3, "L_max": 30.0, "band": (0.1, 1)} | changes
+    with pytest.raises(InfeasibleError, match=remedy):
+        synthesise((1 - 2 / z) / z**11, np.ones(200), omega, 1.0, **arguments)
+
+
 def singular_P():
     P = np.tile(np.eye(2, dtype=complex), (50, 1, 1))
     P[7] = [[1, 1], [1, 1]]

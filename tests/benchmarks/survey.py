@@ -1,0 +1,205 @@
+"""Does the synthesis end well for ordinary plants? A survey of many problems, drawn by seed.
+
+`make survey` runs it and writes the README's counts. Each problem must end with a certified
+filter, or with an InfeasibleError whose smallest M_max CVXPY confirms on a sample.
+"""
+
+import argparse
+import json
+import os
+import re
+import time
+import warnings
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import control
+import numpy as np
+
+from rodlib import InfeasibleError, synthesise, zero_phase_butterworth
+from rodlib.feedback import frequency_response
+
+FAMILIES = (
+    "lag", "two lags", "motion stage", "tanks", "slow integrator", "short delay", "long delay",
+    "resonance", "non-minimum phase", "random", "badly scaled",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One problem of the survey: the arguments of synthesise, and what it is."""
+
+    number: int
+    family: str
+    P: np.ndarray
+    Q: np.ndarray
+    omega: np.ndarray
+    Ts: float
+    options: dict
+
+
+def lag(T, Ts):
+    """exp(-T) sampled: gain one, time constant T, behind a zero-order hold."""
+    a = np.exp(-Ts / T)
+    return control.ss(a, 1 - a, 1, 0, Ts)
+
+
+def under_feedback(plant, crossover):
+    """The unit feedback loop of a plant with a proportional gain for a given crossover."""
+    gain = 1 / np.abs(plant(np.exp(1j * crossover * plant.dt)))
+    loop = control.feedback(gain * plant, 1)
+    for _ in range(40):
+        if np.abs(loop.poles()).max() < 0.9999:
+            return loop
+        gain /= 1.5
+        loop = control.feedback(gain * plant, 1)
+    raise ValueError("no gain stabilises this plant")
+
+
+def plant_of(family, rng, order):
+    """A stable loop of the family, with unit gain at frequency zero unless it is random."""
+    s = control.tf("s")
+    Ts = float(rng.choice([0.001, 0.1, 1.0, 60.0]))
+    if family == "lag":
+        return lag(Ts * 10 ** rng.uniform(0, 2.5), Ts)
+    if family == "two lags":
+        return lag(Ts * 10 ** rng.uniform(0, 2), Ts) * lag(Ts * 10 ** rng.uniform(0, 2), Ts)
+    if family == "motion stage":
+        T = Ts * 10 ** rng.uniform(1, 2)
+        stage = control.sample_system(control.ss(1 / (s * (T * s + 1))), Ts)
+        return under_feedback(stage, 0.3 / T)
+    if family == "slow integrator":
+        integrator = control.ss(1, Ts, 1, 0, Ts)
+        return under_feedback(integrator, 10 ** rng.uniform(-3, -0.5) / Ts)
+    if family in ("short delay", "long delay"):
+        short = family == "short delay"
+        delay = rng.integers(0, order + 1) if short else rng.integers(order + 1, 2 * order + 10)
+        chain = control.ss(np.eye(delay, k=-1), np.eye(delay, 1), np.eye(1, delay, k=delay - 1),
+                           0, Ts) if delay else control.ss([], [], [], 1, Ts)  # fmt: skip
+        return chain * lag(Ts * 10 ** rng.uniform(0, 2), Ts)
+    if family == "resonance":
+        w = 10 ** rng.uniform(-2, -0.3) / Ts
+        return control.sample_system(control.ss(w**2 / (s**2 + 0.02 * w * s + w**2)), Ts)
+    if family == "non-minimum phase":
+        T, b = Ts * 10 ** rng.uniform(0.5, 2), rng.uniform(0.1, 2)
+        return control.sample_system(control.ss((1 - b * T * s) / (T * s + 1) ** 2), Ts)
+    if family == "tanks":
+        m = int(rng.integers(2, 4))
+        rates = 10 ** rng.uniform(-2.5, -1, m)
+        A = -np.diag(rates) + np.diag(rates[:-1] * rng.uniform(0.1, 0.9, m - 1), -1)
+        tanks = control.ss(A, np.diag(rates), np.eye(m), 0)
+        return control.sample_system(tanks, Ts) if Ts == 1 else control.sample_system(tanks, 1.0)
+    m, states = int(rng.integers(1, 5)), int(rng.integers(1, 9))
+    A = rng.standard_normal((states, states))
+    A *= rng.uniform(0.5, 0.98) / np.abs(np.linalg.eigvals(A)).max()
+    B, C = rng.standard_normal((states, m)), rng.standard_normal((m, states))
+    D = rng.standard_normal((m, m)) * (states < m)  # or no output is independent of the others
+    if family == "badly scaled":
+        B = B * 10 ** rng.uniform(-4, 4, m)
+        C = 10 ** rng.uniform(-4, 4) * C
+        D = 0 * D if states >= m else D * np.abs(C).max() * np.abs(B).max(axis=0)
+    return control.ss(A, B, C, D, Ts)
+
+
+def problem(number, seed=0):
+    """Problem of that number, the same in every run."""
+    rng = np.random.default_rng([seed, number])
+    family = FAMILIES[number % len(FAMILIES)]
+    order = int(rng.choice([1, 2, 3, 5, 10, 15, 20, 30, 40]))
+    plant = plant_of(family, rng, order)
+    Ts = plant.dt
+    n = int(rng.choice([100, 200, 400, 1000, 2000], p=[0.3, 0.3, 0.25, 0.1, 0.05]))
+    low = 10 ** rng.uniform(-4, -2)
+    omega = np.geomspace(low, np.pi, n) if rng.random() < 0.7 else np.linspace(low, np.pi, n)
+    cutoff = 10 ** rng.uniform(-1.5, -0.2)
+    Q = zero_phase_butterworth(int(rng.integers(1, 4)), cutoff / Ts, Ts)
+    P = frequency_response(plant, omega / Ts)
+    band = (omega[0] / Ts, max(omega[3], cutoff * 10 ** rng.uniform(-1.5, 0)) / Ts)
+    at_cutoff = np.abs(omega - cutoff).argmin()
+    inverse = 1 / np.linalg.svd(P[at_cutoff], compute_uv=False)
+    L_max = [None, 1e3 * inverse[-1], 10 * inverse[-1], 2.5 * inverse[-1], 2.5 * inverse[0],
+             0.3 * inverse[0]][rng.integers(6)]  # fmt: skip
+    options = {
+        "order": min(order, n), "band": band, "L_max": None if L_max is None else float(L_max),
+        "M_max": float(rng.choice([0.8, 0.9, 0.99])),
+        "structure": str(rng.choice(["diagonal", "full"])),
+        "objective": str(rng.choice(["sum", "peak"], p=[0.7, 0.3])),
+    }  # fmt: skip
+    return Problem(number, family, P, Q.frequency_response(omega / Ts), omega / Ts, Ts, options)
+
+
+def outcome(number, seed=0, confirm=False):
+    """How the problem ends: a row of the survey."""
+    p = problem(number, seed)
+    n, m, _ = p.P.shape
+    row = {"number": number, "family": p.family, "m": m, "frequencies": n, **p.options}
+    start = time.perf_counter()
+    with warnings.catch_warnings(record=True) as raised:
+        warnings.simplefilter("always")
+        try:
+            design = synthesise(p.P, p.Q, p.omega, p.Ts, **p.options)
+            row |= {"end": "certified", "method": design.solution.method,
+                    "iterations": design.solution.iterations, "gap": design.certificate.gap,
+                    "value": design.value, "idle": design.certificate.idle}  # fmt: skip
+        except InfeasibleError as error:
+            row |= {"end": "infeasible", "message": str(error)}
+        except Exception as error:
+            row |= {"end": "failed", "message": f"{type(error).__name__}: {error}"}
+    row["time"] = time.perf_counter() - start
+    row["warnings"] = sorted({str(w.message) for w in raised if w.category is not UserWarning})
+    if confirm and row["end"] == "infeasible":
+        row["confirmed"] = confirmed(p, row["message"])
+    return row
+
+
+def confirmed(p, message):
+    """Whether CVXPY finds the same smallest M_max, to 1e-4 of it."""
+    claimed = float(re.search(r"smallest feasible M_max is ([\d.e+-]+\d)", message)[1])
+    options = p.options | {"objective": "peak", "M_max": 0.999999}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            found = synthesise(p.P, p.Q, p.omega, p.Ts, solver="cvxpy", check=False, **options)
+        except InfeasibleError as error:  # from 1 on
+            found = float(re.search(r"smallest feasible M_max is ([\d.e+-]+\d)", str(error))[1])
+            return abs(found - claimed) <= 1e-4 * claimed
+    return abs(found.value - claimed) <= 1e-4 * claimed
+
+
+def _outcome(arguments):
+    return outcome(*arguments)
+
+
+def main():
+    """Run the survey and print its counts."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--problems", type=int, default=550)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--confirm", type=int, default=0, help="infeasible ones given to CVXPY")
+    parser.add_argument("--processes", type=int, default=os.cpu_count())
+    parser.add_argument("--output", type=Path)
+    parser.add_argument("--only", type=int, nargs="*")
+    arguments = parser.parse_args()
+    numbers = arguments.only or range(arguments.problems)
+    rows = []
+    with ProcessPoolExecutor(arguments.processes) as pool:
+        for row in pool.map(_outcome, [(k, arguments.seed) for k in numbers]):
+            rows.append(row)
+            if row["end"] == "failed" or row["warnings"] or row["time"] > 20:
+                print({k: v for k, v in row.items() if k != "omega"}, flush=True)
+    ends = [row["end"] for row in rows]
+    print({end: ends.count(end) for end in sorted(set(ends))})
+    times = np.array([row["time"] for row in rows])
+    print(
+        f"time: median {np.median(times):.2f}, 95 % {np.quantile(times, 0.95):.2f}, max {times.max():.1f} s"
+    )
+    if arguments.output:
+        arguments.output.write_text(json.dumps(rows, indent=1))
+
+
+if __name__ == "__main__":
+    main()
