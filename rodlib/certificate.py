@@ -147,10 +147,10 @@ def lower_bound(
         sum_i Re tr(U_i^H Q_i) = sum_i Re tr(U_i^H M_i) + Re tr(V_i^H L_i)
                                <= sum_i |U_i| sigma_max(M_i) + sum_i |W^-1 V_i|
 
-    with nuclear norms |.| and W of :func:`weight_of_L`. Where |U_i| exceeds the weight of sigma_max(M_i) in the objective, the
-    excess is bounded with M_max. U and V are first projected on those that fulfil the condition,
-    so the bound holds, up to rounding, whatever was passed. A coefficient of L_jk acts on column
-    k of M and L only, so the columns are projected one by one.
+    with nuclear norms |.| and W of :func:`weight_of_L`. Where |U_i| exceeds the weight of
+    sigma_max(M_i) in the objective, the excess is bounded with M_max. U and V are first projected
+    on those that fulfil the condition, so the bound holds, up to rounding, whatever was passed. A
+    coefficient of L_jk acts on column k of M and L only, so the columns are projected one by one.
 
     Parameters
     ----------

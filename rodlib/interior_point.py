@@ -296,7 +296,7 @@ def square_root(problem, p, slacks, s):
         rows += [block.real, block.imag]
     barrier = np.zeros((n, 1, 1 + 2 * E))
     barrier[:, 0, 0] = 1  # where there is no t, something that its elimination leaves alone
-    barrier[problem.free, 0, 0] = np.sqrt(p.eta / s / (len(problem.free) if problem.shared else 1))
+    barrier[problem.free, 0, 0] = np.sqrt(p.eta / s * len(p.t) / len(problem.free))
     small = np.linalg.qr(np.concatenate([*rows, barrier], axis=1), mode="r")
     first, small = (
         (small[:, :, :1], small[:, :, 1:]) if problem.shared else (None, small[:, 1:, 1:])

@@ -43,7 +43,17 @@ CVXPY_TOLERANCES = (1e-5, 1e-6)  # Clarabel ends "almost solved" on these proble
 
 
 class InfeasibleError(ValueError):
-    """No learning filter of the given order and structure meets the bounds."""
+    """No learning filter of the given order and structure meets the bounds.
+
+    Attributes
+    ----------
+    smallest_M_max : float
+        What is feasible with the other arguments; from one on, nothing that converges.
+    """
+
+    def __init__(self, message: str, smallest_M_max: float):
+        super().__init__(message)
+        self.smallest_M_max = smallest_M_max
 
 
 class SolverError(RuntimeError):
@@ -214,7 +224,8 @@ def synthesise(
             finished = replace(found, method=solution.method, iterations=iterations)
             return replace(design, solution=finished)
     except Infeasible as error:
-        raise InfeasibleError(_advice(statement, error.smallest_M_max, solve)) from None
+        smallest = error.smallest_M_max
+        raise InfeasibleError(_advice(statement, smallest, solve), smallest) from None
     design = judged(solution)
     if check and design.certificate.failures:
         failures = "; ".join(design.certificate.failures)
