@@ -14,6 +14,7 @@ export MATPLOTLIBRC := /dev/null
 export IPYTHONDIR := $(CURDIR)/build/ipython
 export JUPYTER_PREFER_ENV_PATH := 1
 export PYTHONUTF8 := 1
+export LC_ALL := C.UTF-8
 export PYTHONWARNINGS := ignore::DeprecationWarning
 .DELETE_ON_ERROR:
 .PHONY: $(BIN)/ready help reproduce test lint data replay bench lab notebooks lock clean

@@ -183,7 +183,9 @@ def test_make_does_not_obey_the_settings_of_python_and_jupyter_around_it():
     names = ["PYTHONPATH", "PYTHONHOME", "PYTHONSTARTUP", "PYTHONOPTIMIZE", "JUPYTER_PATH"]
     names += ["JUPYTER_CONFIG_DIR", "JUPYTER_CONFIG_PATH", "VIRTUAL_ENV", "CONDA_PREFIX"]
     names += ["PYTEST_ADDOPTS", "PIP_TARGET", "RODLIB_RESULTS"]
-    around = {name: "astray" for name in [*names, "IPYTHONDIR", "MATPLOTLIBRC", "PYTHONUTF8"]}
+    around = {
+        name: "astray" for name in [*names, "IPYTHONDIR", "MATPLOTLIBRC", "PYTHONUTF8", "LC_ALL"]
+    }
     outcome = subprocess.run(
         ["make", "--no-print-directory", "--eval=show: ; @env", "show"],
         cwd=ROOT,
