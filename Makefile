@@ -3,14 +3,21 @@
 PYTHON ?= python3
 BIN := .venv/bin
 NOTEBOOKS := $(sort $(wildcard notebooks/*.ipynb))
-# Notebooks run side by side: one thread of linear algebra each. Whatever the caller's environment
-# says, figures and output are the same.
+# Whatever the caller's environment says, figures and output are the same: its settings of Python
+# and Jupyter do not count. Notebooks run side by side: one thread of linear algebra each.
+unexport $(filter PYTHON% IPYTHON% JUPYTER% PYTEST% RODLIB% CONDA% VIRTUAL_ENV%,$(.VARIABLES))
+unexport PIP_TARGET PIP_PREFIX PIP_ROOT PIP_USER
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 export MPLBACKEND := module://matplotlib_inline.backend_inline
+export MATPLOTLIBRC := /dev/null
+export IPYTHONDIR := $(CURDIR)/build/ipython
+export JUPYTER_PREFER_ENV_PATH := 1
+export PYTHONUTF8 := 1
+export LC_ALL := C.UTF-8
 export PYTHONWARNINGS := ignore::DeprecationWarning
 .DELETE_ON_ERROR:
-.PHONY: help reproduce test lint data replay bench lab notebooks lock clean
+.PHONY: $(BIN)/ready help reproduce test lint data replay bench lab notebooks lock clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' Makefile | sed -E 's/:.*## /\t/' | expand -t 12
@@ -31,9 +38,7 @@ data: $(BIN)/ready  ## record the logs of the virtual rig in data/rig anew
 
 replay: $(BIN)/ready  ## replay a log of your own: make replay LOG=path; writes to build/ only
 	@test -n "$(LOG)" || { echo "name a log: make replay LOG=path"; exit 2; }
-	@mkdir -p build
-	$(BIN)/papermill --cwd notebooks -p log "$(abspath $(LOG))" -p no_learning "" \
-		notebooks/05-experiment-replay.ipynb build/replay.ipynb
+	@$(BIN)/python -m rodlib.reproduce "$(LOG)"
 
 bench: $(BIN)/ready  ## time the synthesis; rewrite the README's performance section
 	@mkdir -p build
@@ -56,10 +61,5 @@ lock: $(BIN)/ready  ## resolve the dependencies of pyproject.toml anew: the only
 clean:  ## remove build/ and the environment
 	rm -rf build .venv
 
-$(BIN)/ready: environment.lock pyproject.toml
-	@$(PYTHON) -c 'import sys; sys.version_info >= (3, 11) or sys.exit("Python 3.11 or newer is needed: make PYTHON=...")'
-	@echo "creating the environment from environment.lock (once, some minutes) ..."
-	@$(PYTHON) -m venv --clear .venv
-	@$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r environment.lock
-	@$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
-	@touch $@
+$(BIN)/ready:  # phony: environment.py knows whether there is something to do
+	@$(PYTHON) environment.py

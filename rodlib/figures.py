@@ -13,8 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyArrowPatch, Rectangle
 
-from rodlib.files import replacing
-from rodlib.ledger import BUILD
+from rodlib.files import folder, replacing, results
 from rodlib.rod import Rod
 
 WIDE = (7.2, 3.2)  # inches, one row of axes
@@ -69,7 +68,9 @@ class SavedFigure:
 
 
 def save(figure: Figure, name: str) -> SavedFigure:
-    """Write a figure to build/figures as PNG and PDF, the same bytes in every run, and close it.
+    """Write a figure to build/figures, or to the folder of the run, as PNG and PDF, and close it.
+
+    The same bytes in every run.
 
     Parameters
     ----------
@@ -81,15 +82,19 @@ def save(figure: Figure, name: str) -> SavedFigure:
     -------
     SavedFigure
         As the last expression of a cell, it shows the figure.
+
+    Raises
+    ------
+    RuntimeError
+        Outside a clone of the repository.
     """
-    folder = BUILD / "figures"
-    folder.mkdir(parents=True, exist_ok=True)
+    target = folder(results("figures.save") / "figures")
     for ending, metadata in (("png", {"Software": None}), ("pdf", {"CreationDate": None})):
-        with replacing(folder / f"{name}.{ending}") as temporary:
+        with replacing(target / f"{name}.{ending}") as temporary:
             figure.savefig(temporary, format=ending, metadata=metadata)
         figure.set_layout_engine("none")  # once laid out, it stays so
     plt.close(figure)  # or the notebook would draw it once more
-    return SavedFigure(folder / f"{name}.png", round(figure.get_figwidth() * figure.get_dpi()))
+    return SavedFigure(target / f"{name}.png", round(figure.get_figwidth() * figure.get_dpi()))
 
 
 def draw_rod(axes: Axes, rod: Rod) -> None:

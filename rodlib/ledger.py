@@ -6,7 +6,6 @@ records its part; :mod:`rodlib.reproduce` joins the parts once all notebooks hav
 """
 
 import re
-import shutil
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -14,10 +13,9 @@ import numpy as np
 import pandas as pd
 
 from rodlib import published
-from rodlib.files import replacing, write_whole
-from rodlib.published import ROOT, Claim
+from rodlib.files import folder, publishing, results, write_whole
+from rodlib.published import Claim
 
-BUILD = ROOT / "build"
 REPRODUCED, DIFFERS = "reproduced", "differs"
 UNCHECKED, OTHER = "cannot be checked", "not the paper's parameters"
 VERDICTS = (REPRODUCED, DIFFERS, UNCHECKED, OTHER)
@@ -162,11 +160,16 @@ class Ledger:
         return rows.set_index("place")[["claim", "printed", "computed", "deviation", "verdict"]]
 
     def save(self) -> None:
-        """Write the rows to build/ledger, where :func:`publish` joins them."""
-        folder = BUILD / "ledger"
-        folder.mkdir(parents=True, exist_ok=True)
+        """Write the rows to build/ledger, or to the folder of the run, which joins them.
+
+        Raises
+        ------
+        RuntimeError
+            Outside a clone of the repository.
+        """
         rows = pd.DataFrame(self.rows.values(), columns=COLUMNS)
-        write_whole(folder / f"{self.notebook}.csv", rows.to_csv(index=False, lineterminator="\n"))
+        path = folder(results("Ledger.save") / "ledger") / f"{self.notebook}.csv"
+        write_whole(path, rows.to_csv(index=False, lineterminator="\n"))
 
 
 def _format(value):
@@ -256,20 +259,32 @@ def splice(text: str, name: str, content: str) -> str:
     return before + start + content + end + after
 
 
-def publish(build: Path = BUILD, root: Path = ROOT) -> None:
-    """Move the results of a complete run to figures/ and the README; each file whole or not."""
+def publish(build: Path, root: Path) -> None:
+    """Put the results of a complete run into figures/ and the README: all of them or none.
+
+    Parameters
+    ----------
+    build : Path
+        Folder of the run.
+    root : Path
+        The repository. What `make bench` and a reader put into figures/ stays there.
+
+    Raises
+    ------
+    ValueError
+        If the rows do not make a complete ledger, or the README has no place for it.
+    RuntimeError
+        See :func:`rodlib.files.publishing`.
+    """
     rows = join(build / "ledger")
-    readme = splice((root / "README.md").read_text(encoding="utf-8"), "ledger", summary(rows))
-    figures = sorted((build / "figures").iterdir())
-    target = root / "figures"
-    target.mkdir(exist_ok=True)
-    for path in figures:
-        with replacing(target / path.name) as temporary:
-            shutil.copyfile(path, temporary)
-    for path in [*target.glob("fig*"), *target.glob("extra*")]:
-        if path not in {target / figure.name for figure in figures}:
-            path.unlink()
-    write_whole(target / "ledger.csv", rows.to_csv(index=False, lineterminator="\n"))
-    write_whole(target / "ledger.md", markdown(rows))
-    write_whole(root / "README.md", readme)
-    print(f"figures/: {len(figures)} files; ledger: {rows.verdict.value_counts().to_dict()}")
+    saved = sorted((build / "figures").iterdir())
+    figures = root / "figures"
+    with publishing(root) as new:
+        earlier = [*figures.glob("fig*"), *figures.glob("extra*")]
+        new.update({f"figures/{path.name}": None for path in earlier})
+        new.update({f"figures/{path.name}": path.read_bytes() for path in saved})
+        new["figures/ledger.csv"] = rows.to_csv(index=False, lineterminator="\n").encode()
+        new["figures/ledger.md"] = markdown(rows).encode()
+        readme = (root / "README.md").read_text(encoding="utf-8")
+        new["README.md"] = splice(readme, "ledger", summary(rows)).encode()
+    print(f"figures/: {len(saved)} files; ledger: {rows.verdict.value_counts().to_dict()}")

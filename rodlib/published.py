@@ -1,8 +1,8 @@
 """Every number that the paper prints, as printed, with where it stands.
 
-The data are in data/published: ``claims.csv`` holds single numbers, and statements in words with
-the criterion that we test them by; one file each holds the matrices. Numbers are kept as strings,
-because their last digit says how precise they are.
+The data are in data/published; a wheel has them in rodlib/printed. ``claims.csv`` holds single
+numbers, and statements in words with the criterion that we test them by; one file each holds the
+matrices. Numbers are kept as strings, because their last digit says how precise they are.
 """
 
 import csv
@@ -14,8 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
-ROOT = Path(__file__).resolve().parents[1]
-FOLDER = ROOT / "data" / "published"
+from rodlib.files import ROOT
+
+INSTALLED = Path(__file__).with_name("printed")
+FOLDER = INSTALLED if INSTALLED.is_dir() else ROOT / "data" / "published"
 MATRICES = ("K_s", "K_L", "N", "L_diagonal", "L_full")
 
 

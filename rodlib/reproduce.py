@@ -1,24 +1,57 @@
 """All notebooks end to end, and their results published: what ``make reproduce`` runs.
 
 Three notebooks run at a time, each in a kernel of its own. The executed notebooks, their figures
-and their parts of the ledger go to build/; only when all have succeeded, they go to figures/ and
-the README.
+and their parts of the ledger go to build/reproduce; only when all have succeeded, they go to
+figures/ and the README. ``make replay`` runs one notebook on another log, in build/replay, and
+publishes nothing.
 """
 
+import os
 import shutil
 import signal
 import sys
 import time
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import contextmanager
 from pathlib import Path
 
+from rodlib.files import ROOT, alone, checkout, finish_publishing, folder
 from rodlib.ledger import publish
-from rodlib.published import ROOT
 
 AT_A_TIME = 3  # two processors stay busy while a kernel starts or ends
 
 
-def run(notebook: Path, executed: Path) -> float:
+@contextmanager
+def folder_of_run(command: str, root: Path) -> Iterator[Path]:
+    """An empty folder in build/ that the kernels of this process save to, and no other run.
+
+    Parameters
+    ----------
+    command : str
+        The target of make; its next run clears the folder.
+    root : Path
+        The repository.
+
+    Raises
+    ------
+    RuntimeError
+        If the same command is running already, or `root` is no clone of the repository.
+    """
+    build = folder(checkout(f"make {command}", root) / "build")
+    refusal = f"make {command} is already running in {root}: wait until it has ended"
+    with alone(build / f"{command}.lock", refusal):
+        results = folder(build / command)
+        for path in results.iterdir():  # and not the folder, which may be a link or a mount point
+            if path.is_dir() and not path.is_symlink():
+                shutil.rmtree(path)
+            else:
+                path.unlink()
+        os.environ["RODLIB_RESULTS"] = str(results)  # see rodlib.files.results
+        yield results
+
+
+def run(notebook: Path, executed: Path, **parameters) -> float:
     """Execute a notebook in its own folder, in a new kernel.
 
     Parameters
@@ -27,6 +60,8 @@ def run(notebook: Path, executed: Path) -> float:
         Stays as it is.
     executed : Path
         Where to write the notebook with its outputs, also if a cell fails.
+    **parameters
+        Instead of those in its cell.
 
     Returns
     -------
@@ -48,6 +83,7 @@ def run(notebook: Path, executed: Path) -> float:
         papermill.execute_notebook(
             notebook,
             executed,
+            parameters,
             progress_bar=False,
             request_save_on_cell_execute=False,
             # papermill's own `cwd` is that of the whole process, not of one thread
@@ -70,38 +106,68 @@ def reproduce(root: Path = ROOT) -> None:
     Parameters
     ----------
     root : Path
-        Folder with notebooks/ and README.md. Its build/ is cleared, its figures/ is rewritten.
+        The repository. Its build/reproduce is cleared, its figures/ is rewritten.
 
     Raises
     ------
     RuntimeError
-        If a notebook fails.
+        If a notebook fails, the command is running already, or `root` is no clone.
     ValueError
         If the notebooks' rows do not make a complete ledger.
     """
-    build = root / "build"
-    shutil.rmtree(build, ignore_errors=True)
-    build.mkdir()
-    # the later ones take longer and go first, so that the last to end are short
-    notebooks = sorted((root / "notebooks").glob("*.ipynb"), reverse=True)
-    print(f"running {len(notebooks)} notebooks, {AT_A_TIME} at a time ...", flush=True)
-    with ThreadPoolExecutor(AT_A_TIME) as pool:
-        running = {pool.submit(run, path, build / path.name): path.stem for path in notebooks}
-        for done in as_completed(running):
-            if done.exception():
-                pool.shutdown(cancel_futures=True)
-            print(f"{running[done]} ... done, {done.result():.0f} s", flush=True)
-    publish(build, root)
+    with folder_of_run("reproduce", root) as build:
+        if finish_publishing(root):
+            print("the results of an earlier run, which was interrupted, are published now")
+        # the later ones take longer and go first, so that the last to end are short
+        notebooks = sorted((root / "notebooks").glob("*.ipynb"), reverse=True)
+        print(f"running {len(notebooks)} notebooks, {AT_A_TIME} at a time ...", flush=True)
+        with ThreadPoolExecutor(AT_A_TIME) as pool:
+            running = {pool.submit(run, path, build / path.name): path.stem for path in notebooks}
+            for done in as_completed(running):
+                if done.exception():
+                    pool.shutdown(cancel_futures=True)
+                print(f"{running[done]} ... done, {done.result():.0f} s", flush=True)
+        publish(build, root)
 
 
-def main(root: Path = ROOT) -> None:
-    """Reproduce, and leave with a message if that fails."""
+def replay(log: str, root: Path = ROOT) -> None:
+    """Run the notebook of the experiment on a log of one's own; publish nothing.
+
+    Parameters
+    ----------
+    log : str
+        Path of the log, from the present folder.
+    root : Path
+        The repository. Its build/replay is cleared.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such log.
+    RuntimeError
+        As :func:`reproduce`.
+    """
+    path = Path(log).expanduser().absolute()
+    if not path.is_file():
+        raise FileNotFoundError(f"there is no log {path}: make replay LOG=path")
+    notebook = root / "notebooks" / "05-experiment-replay.ipynb"
+    with folder_of_run("replay", root) as build:
+        executed = build / notebook.name
+        print(f"{executed.relative_to(root)} ...", flush=True)
+        run(notebook, executed, log=str(path), no_learning="")
+
+
+def main(root: Path = ROOT, log: str | None = None) -> None:
+    """Reproduce, or replay a log, and leave with a message if that fails."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C ends at once; the kernels follow
     try:
-        reproduce(root)
+        if log is None:
+            reproduce(root)
+        else:
+            replay(log, root)
     except (RuntimeError, ValueError, OSError) as error:
         sys.exit(str(error))
 
 
 if __name__ == "__main__":
-    main()
+    main(ROOT, *sys.argv[1:])

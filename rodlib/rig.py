@@ -7,6 +7,7 @@ one object. ``python -m rodlib.rig`` records the logs in data/rig.
 """
 
 import json
+import sys
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -14,6 +15,7 @@ import xarray as xr
 
 from rodlib import published
 from rodlib.feedback import CurrentTrialLoop, paper_loop
+from rodlib.files import checkout
 from rodlib.filters import LearningFilter, ZeroPhaseButterworth, update, zero_phase_butterworth
 from rodlib.logs import save_log, with_law
 from rodlib.rod import Rod
@@ -213,9 +215,12 @@ def record(
 
 def main():
     """Record the two experiments of data/rig; the same bytes in every run."""
+    try:
+        folder = checkout("python -m rodlib.rig") / "data" / "rig"
+    except RuntimeError as error:
+        sys.exit(str(error))
     loop, Q = paper_loop(), zero_phase_butterworth()
     printed = LearningFilter(published.matrix("L_diagonal"), loop.Ts)
-    folder = published.ROOT / "data" / "rig"
     folder.mkdir(parents=True, exist_ok=True)
     for name, L, seed in (("learning", printed, 1), ("no-learning", None, 2)):
         print(f"recording {name} ...", flush=True)

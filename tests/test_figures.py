@@ -9,7 +9,7 @@ from rodlib import Rod, figures
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    monkeypatch.setattr(figures, "BUILD", tmp_path)
+    monkeypatch.setenv("RODLIB_RESULTS", str(tmp_path))
     return tmp_path / "figures"
 
 

@@ -86,7 +86,8 @@ def test_unknown_claims_and_wrong_shapes_are_refused():
 @pytest.fixture
 def run(tmp_path, monkeypatch):
     """A complete run in an empty repository: all claims, one figure, a README."""
-    monkeypatch.setattr(ledger, "BUILD", tmp_path / "build")
+    monkeypatch.setenv("RODLIB_RESULTS", str(tmp_path / "build"))
+    (tmp_path / "pyproject.toml").write_text('name = "rodlib"\n')
     book = Ledger("01-model")
     for key, entry in published.claims().items():
         book.record(key, 1e9 if key == "N[1,1]" else _meets(entry))
@@ -113,12 +114,14 @@ def _meets(entry):
 
 def test_publish_writes_ledger_figures_and_readme(run):
     (run / "figures").mkdir()
-    (run / "figures" / "fig99-stale.png").write_bytes(b"old")
+    for name in ("fig99-stale.png", "extra99-stale.pdf", "performance.png"):
+        (run / "figures" / name).write_bytes(b"old")
     ledger.publish(run / "build", run)
     assert sorted(path.name for path in (run / "figures").iterdir()) == [
         "fig01.png",
         "ledger.csv",
         "ledger.md",
+        "performance.png",
     ]
     rows = pd.read_csv(run / "figures" / "ledger.csv", keep_default_na=False)
     assert list(rows.key) == list(published.claims())
@@ -136,6 +139,20 @@ def test_an_incomplete_run_changes_nothing(run):
         ledger.publish(run / "build", run)
     assert not (run / "figures").exists()
     assert (run / "README.md").read_text() == before
+
+
+def test_a_readme_without_a_place_for_the_ledger_changes_nothing(run):
+    (run / "README.md").write_text("no markers")
+    with pytest.raises(ValueError, match="no markers"):
+        ledger.publish(run / "build", run)
+    assert not (run / "figures").exists()
+
+
+def test_nothing_is_published_outside_a_clone(run):
+    (run / "pyproject.toml").unlink()
+    with pytest.raises(RuntimeError, match="writes to a clone of the repository"):
+        ledger.publish(run / "build", run)
+    assert not (run / "figures").exists()
 
 
 def test_a_claim_with_two_rows_is_refused(run):

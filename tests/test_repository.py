@@ -1,7 +1,11 @@
 """The repository itself: notebooks, figures, ledger and README belong together."""
 
 import json
+import os
 import re
+import shutil
+import subprocess
+import sys
 import tomllib
 from itertools import chain
 
@@ -104,3 +108,97 @@ def test_no_notebook_reads_what_another_wrote():
             assert not re.search(
                 r"build/|figures/[a-z0-9]+\.|read_csv", "".join(cell["source"])
             ) or (cell["cell_type"] == "markdown")
+
+
+FROM_A_WHEEL = """
+import runpy, sys
+import matplotlib.pyplot as plt
+from rodlib import figures, published
+from rodlib.ledger import Ledger
+
+print(published.__file__)
+book = Ledger("test", M_max=0.9)
+for name in published.MATRICES:
+    book.record(name, published.matrix(name))
+print(len(published.claims()), {*book.table().verdict})
+
+def start(*arguments):
+    sys.argv = ["", *arguments]
+    runpy.run_module("rodlib.reproduce", run_name="__main__")
+
+for write in (
+    book.save,
+    lambda: figures.save(plt.figure(), "fig02-rod"),
+    start,
+    lambda: start(published.__file__),  # as a log
+    lambda: runpy.run_module("rodlib.rig", run_name="__main__"),
+    lambda: runpy.run_path(sys.orig_argv[-1], run_name="__main__"),
+):
+    try:
+        write()
+    except (RuntimeError, SystemExit) as error:
+        print(error)
+"""
+
+
+def test_a_wheel_has_the_printed_numbers_and_writes_nowhere(tmp_path):
+    """What `pip install` makes of the repository, used from an empty folder."""
+    pytest.importorskip("hatchling")
+    packages, empty = tmp_path / "packages", tmp_path / "empty"
+    install = [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+    install += ["--no-deps", "--no-build-isolation", "--no-compile", "--target", packages, ROOT]
+    subprocess.run(install, check=True)
+    bystander = packages / "build" / "another-package.py"
+    bystander.parent.mkdir()
+    bystander.touch()
+    empty.mkdir()
+    before = sorted(packages.rglob("*"))
+    used = subprocess.run(
+        [sys.executable, "-c", FROM_A_WHEEL, ROOT / "tests" / "benchmarks" / "report.py"],
+        cwd=empty,
+        env=os.environ | {"PYTHONPATH": str(packages), "PYTHONDONTWRITEBYTECODE": "1"},
+        capture_output=True,
+        text=True,
+    )
+    assert used.returncode == 0, used.stderr
+    module, numbers, *refusals = used.stdout.splitlines()
+    assert module == str(packages / "rodlib" / "published.py")
+    assert numbers == f"{len(published.claims())} {{'{ledger.REPRODUCED}'}}"
+    refusal = f" writes to a clone of the repository of rodlib, and {packages} is none: "
+    assert [line.partition(refusal)[0] for line in refusals] == [
+        "Ledger.save",
+        "figures.save",
+        "make reproduce",
+        "make replay",
+        "python -m rodlib.rig",
+        "tests/benchmarks/report.py",
+    ]
+    assert all(refusal in line for line in refusals)
+    assert sorted(packages.rglob("*")) == before and not list(empty.iterdir())
+
+
+def test_make_does_not_obey_the_settings_of_python_and_jupyter_around_it():
+    if not shutil.which("make"):
+        pytest.skip("there is no make")
+    names = ["PYTHONPATH", "PYTHONHOME", "PYTHONSTARTUP", "PYTHONOPTIMIZE", "JUPYTER_PATH"]
+    names += ["JUPYTER_CONFIG_DIR", "JUPYTER_CONFIG_PATH", "VIRTUAL_ENV", "CONDA_PREFIX"]
+    names += ["PYTEST_ADDOPTS", "PIP_TARGET", "RODLIB_RESULTS"]
+    around = {
+        name: "astray" for name in [*names, "IPYTHONDIR", "MATPLOTLIBRC", "PYTHONUTF8", "LC_ALL"]
+    }
+    outcome = subprocess.run(
+        ["make", "--no-print-directory", "--eval=show: ; @env", "show"],
+        cwd=ROOT,
+        env=os.environ | around | {"OMP_NUM_THREADS": "7", "HARMLESS": "kept"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    inside = dict(line.split("=", 1) for line in outcome.stdout.splitlines() if "=" in line)
+    assert not {*names} & {*inside}
+    assert "astray" not in inside.values()
+    assert (inside["PYTHONUTF8"], inside["OMP_NUM_THREADS"], inside["HARMLESS"]) == (
+        "1",
+        "1",
+        "kept",
+    )

@@ -1,10 +1,14 @@
+import os
+import signal
 import subprocess
 import sys
+import time
 
 import nbformat
 import pytest
 
 from rodlib import ledger, published
+from rodlib.files import publishing
 from rodlib.ledger import Ledger
 
 
@@ -18,40 +22,59 @@ def write(path, *cells):
 @pytest.fixture
 def root(tmp_path, monkeypatch):
     """A repository whose one notebook copies a complete ledger and a figure made beforehand."""
-    monkeypatch.setattr(ledger, "BUILD", tmp_path / "made")
-    book = Ledger("01-model")
-    for key, claim in published.claims().items():
-        book.record(key, None if claim.criterion == ledger.UNCHECKED else 1.0)
-    book.save()
+    (tmp_path / "pyproject.toml").write_text('name = "rodlib"\n')
+    (tmp_path / "README.md").write_text("<!-- ledger -->\nold\n<!-- end of ledger -->\n")
+    (tmp_path / "notebooks").mkdir()
+    with monkeypatch.context() as patch:
+        patch.setenv("RODLIB_RESULTS", str(tmp_path / "made"))
+        book = Ledger("01-model")
+        for key, claim in published.claims().items():
+            book.record(key, None if claim.criterion == ledger.UNCHECKED else 1.0)
+        book.save()
     (tmp_path / "made" / "figures").mkdir()
     (tmp_path / "made" / "figures" / "fig01.png").write_bytes(b"picture")
-    (tmp_path / "README.md").write_text("<!-- ledger -->\nold\n<!-- end of ledger -->\n")
-    (tmp_path / "build").mkdir()
-    (tmp_path / "build" / "stale.ipynb").write_text("")
-    (tmp_path / "notebooks").mkdir()
     write(
         tmp_path / "notebooks" / "01-model.ipynb",
-        "import shutil",
-        'shutil.copytree("../made", "../build", dirs_exist_ok=True)',
+        "import shutil; from rodlib.files import results",
+        'shutil.copytree("../made", results("this notebook"), dirs_exist_ok=True)',
     )
     return tmp_path
 
 
-def run(root):
+CALL = (
+    "import pathlib, sys, rodlib.reproduce as r; r.main(pathlib.Path(sys.argv[1]), *sys.argv[2:])"
+)
+
+
+def run(root, *log):
     """In a process of its own, as make does: the kernels' event loops end with it."""
-    call = "import pathlib, sys, rodlib.reproduce as r; r.main(pathlib.Path(sys.argv[1]))"
-    return subprocess.run([sys.executable, "-c", call, root], capture_output=True, text=True)
+    call = [sys.executable, "-c", CALL, root, *log]
+    return subprocess.run(call, capture_output=True, text=True)
 
 
 def test_notebooks_run_in_their_folder_and_their_results_are_published(root):
+    """And nothing else is: neither an earlier run's results, nor those saved by hand."""
+    for stale in ("build/reproduce/figures/deeper", "build/figures"):
+        (root / stale).mkdir(parents=True)
+        (root / stale).with_name("fig02.png").write_bytes(b"stale")
+    (root / "build" / "reproduce" / "link").symlink_to(root / "made")
     outcome = run(root)
     assert outcome.returncode == 0, outcome.stderr
     assert "01-model ... done, " in outcome.stdout
-    assert (root / "figures" / "fig01.png").read_bytes() == b"picture"
+    assert [path.name for path in sorted((root / "figures").iterdir())] == [
+        "fig01.png",
+        "ledger.csv",
+        "ledger.md",
+    ]
     assert "| 01-model " in (root / "README.md").read_text()
-    assert not (root / "build" / "stale.ipynb").exists()
-    executed = nbformat.read(root / "build" / "01-model.ipynb", as_version=4)
+    assert sorted(path.name for path in (root / "build" / "reproduce").iterdir()) == [
+        "01-model.ipynb",
+        "figures",
+        "ledger",
+    ]
+    executed = nbformat.read(root / "build" / "reproduce" / "01-model.ipynb", as_version=4)
     assert [cell.execution_count for cell in executed.cells] == [1, 2]
+    assert (root / "made" / "ledger").is_dir() and (root / "build" / "figures").is_dir()
 
 
 @pytest.mark.parametrize(
@@ -69,3 +92,87 @@ def test_a_notebook_that_fails_is_named_and_nothing_is_published(root, cell, mes
     assert "Traceback (" not in outcome.stderr
     assert not (root / "figures").exists()
     assert "old" in (root / "README.md").read_text()
+
+
+def test_a_second_run_is_refused_a_replay_is_not_and_a_kill_leaves_no_lock(root):
+    """The first run waits in its notebook until it is killed."""
+    wait = "import pathlib, time; pathlib.Path('started').touch(); time.sleep(60)"
+    write(root / "notebooks" / "02-waits.ipynb", wait)
+    replayed = root / "notebooks" / "05-experiment-replay.ipynb"
+    imports = "from rodlib.files import results"
+    show = "print(log, no_learning == '', results('a test'))"
+    write(replayed, f"{imports}; log = no_learning = 'the paper'", show)
+    notebook = nbformat.read(replayed, as_version=4)
+    notebook.cells[0].metadata["tags"] = ["parameters"]
+    nbformat.write(notebook, replayed)
+    log = root / "my log.csv"
+    log.touch()
+    with subprocess.Popen([sys.executable, "-c", CALL, root], stderr=subprocess.PIPE) as first:
+        while not (root / "notebooks" / "started").exists():
+            assert first.poll() is None, first.stderr.read()
+            time.sleep(0.05)
+        second = run(root)
+        assert second.returncode == 1
+        assert second.stderr == (
+            f"make reproduce is already running in {root}: wait until it has ended\n"
+        )
+        replay = run(root, log)
+        assert replay.returncode == 0, replay.stderr
+        first.send_signal(signal.SIGKILL)
+    executed = nbformat.read(root / "build" / "replay" / replayed.name, as_version=4)
+    assert executed.cells[-1].outputs[0].text == f"{log} True {root / 'build' / 'replay'}\n"
+    assert not (root / "figures").exists()
+    (root / "notebooks" / "02-waits.ipynb").unlink()
+    replayed.unlink()
+    third = run(root)
+    assert third.returncode == 0, third.stderr
+
+
+def test_an_interrupted_publication_is_finished_before_anything_else(root):
+    obstacle = root / "figures" / "fig02.png"
+    obstacle.mkdir(parents=True)
+    message = r"published in part, for .*fig02.png.* the next `make reproduce` begins with the rest"
+    with pytest.raises(RuntimeError, match=message), publishing(root) as new:
+        for name in ("fig01.png", "fig02.png", "fig03.png"):
+            new[f"figures/{name}"] = b"from before"
+    assert not (root / "figures" / "fig03.png").exists()
+    obstacle.rmdir()
+    write(root / "notebooks" / "02-fails.ipynb", "1 / 0")
+    outcome = run(root)
+    assert outcome.returncode == 1
+    assert "an earlier run, which was interrupted, are published now" in outcome.stdout
+    assert [path.name for path in sorted((root / "figures").iterdir())] == [
+        "fig01.png",
+        "fig02.png",
+        "fig03.png",
+    ]
+
+
+def test_a_log_that_is_not_there_is_refused(root):
+    outcome = run(root, "nowhere.csv")
+    assert outcome.returncode == 1
+    assert outcome.stderr.startswith("there is no log ")
+    assert not (root / "build").exists()
+
+
+def test_build_may_be_a_link_but_not_a_file(root):
+    (root / "build").write_text("")
+    outcome = run(root)
+    assert outcome.stderr == f"{root / 'build'} must be a folder: remove what is there\n"
+    (root / "build").unlink()
+    (root / "elsewhere").mkdir()
+    (root / "build").symlink_to(root / "elsewhere")
+    outcome = run(root)
+    assert outcome.returncode == 0, outcome.stderr
+    assert (root / "build").is_symlink()
+    assert (root / "elsewhere" / "reproduce" / "01-model.ipynb").exists()
+
+
+def test_outside_a_clone_nothing_is_touched(root):
+    (root / "pyproject.toml").unlink()
+    (root / "build" / "reproduce").mkdir(parents=True)
+    outcome = run(root)
+    assert outcome.returncode == 1
+    assert outcome.stderr.startswith("make reproduce writes to a clone of the repository")
+    assert os.listdir(root / "build") == ["reproduce"]
+    assert not (root / "figures").exists()

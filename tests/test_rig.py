@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rodlib import LearningFilter, Rod, exact_response, published, run_trials
+from rodlib import LearningFilter, Rod, exact_response, published, rig, run_trials
 from rodlib.logs import load_log
 from rodlib.published import ROOT
 from rodlib.rig import Controller, RigParameters, VirtualRig, record
@@ -123,3 +123,11 @@ def test_bad_commands_are_refused():
         VirtualRig().apply([1.0, 2.0])
     with pytest.raises(ValueError, match="finite"):
         VirtualRig().apply([1.0, 2.0, np.nan, 0])
+
+
+def test_the_logs_are_recorded_in_data_rig(monkeypatch):
+    saved = []
+    monkeypatch.setattr(rig, "record", lambda *_: load_log(ROOT / "data/rig/no-learning.csv"))
+    monkeypatch.setattr(rig, "save_log", lambda log, path: saved.append(path))
+    rig.main()
+    assert saved == [ROOT / "data/rig/learning.csv", ROOT / "data/rig/no-learning.csv"]

@@ -1,4 +1,4 @@
-"""Turn the benchmark's results into the README's table and figures/performance."""
+"""Turn the benchmark's results into the README's table and figures/performance: both or none."""
 
 import json
 import sys
@@ -7,9 +7,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from rodlib import figures
-from rodlib.files import write_whole
+from rodlib.files import checkout, publishing
 from rodlib.ledger import splice
-from rodlib.published import ROOT
 
 LABELS = {
     "neighbour": "structured, from the optimum for L_max = 45",
@@ -20,6 +19,10 @@ LABELS = {
 
 
 def main(path):
+    try:
+        root = checkout("tests/benchmarks/report.py")
+    except RuntimeError as error:
+        sys.exit(str(error))
     with open(path, encoding="utf-8") as file:
         report = json.load(file)
     groups = {}
@@ -56,14 +59,14 @@ def main(path):
     machine, python = report["machine_info"], report["machine_info"]["python_version"]
     cpu = machine["cpu"].get("brand_raw", machine["machine"])
     lines += ["", f"Measured on: {cpu}, {machine['cpu'].get('count', '?')} cores, Python {python}."]
-    figures.save(figure, "performance")
-    for ending in ("png", "pdf"):
-        saved = figures.BUILD / "figures" / f"performance.{ending}"
-        saved.replace(ROOT / "figures" / saved.name)
+    saved = figures.save(figure, "performance").path
     lines += ["", "![Time of the synthesis over its size](figures/performance.png)"]
     text = "\n".join(lines) + "\n"
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    write_whole(ROOT / "README.md", splice(readme, "performance", text))
+    with publishing(root) as new:
+        for picture in (saved, saved.with_suffix(".pdf")):
+            new[f"figures/{picture.name}"] = picture.read_bytes()
+        readme = (root / "README.md").read_text(encoding="utf-8")
+        new["README.md"] = splice(readme, "performance", text).encode()
     print(text)
 
 

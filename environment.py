@@ -1,0 +1,66 @@
+"""Create .venv from environment.lock, unless it is there, up to date, and this folder's own.
+
+`make` calls this first. It needs nothing but Python; the environment is complete when bin/ready is
+in it.
+"""
+
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent
+PIP = ("-m", "pip", "install", "--quiet", "--disable-pip-version-check")
+
+
+def is_ready(root: Path) -> bool:
+    """Whether the environment in `root` is complete, newer than the lock, and runs this rodlib.
+
+    An environment carries the absolute path of its folder: in a copy of the folder, it would go on
+    to run the modules of the original.
+    """
+    ready = root / ".venv" / "bin" / "ready"
+    sources = [root / "environment.lock", root / "pyproject.toml"]
+    if not ready.exists() or ready.stat().st_mtime < max(path.stat().st_mtime for path in sources):
+        return False
+    question = "import os, rodlib; os.path.samefile(*rodlib.__path__, 'rodlib') or os._exit(1)"
+    call = [ready.with_name("python"), "-I", "-X", "utf8", "-c", question]  # -I: not by its folder
+    try:
+        return subprocess.run(call, cwd=root, stderr=subprocess.DEVNULL).returncode == 0
+    except OSError:  # its Python has gone
+        return False
+
+
+def create(root: Path) -> None:
+    """Create the environment anew."""
+    python = root / ".venv" / "bin" / "python"
+    (python.parent / "ready").unlink(missing_ok=True)
+    print("creating the environment from environment.lock (once, some minutes) ...", flush=True)
+    for command in (
+        [sys.executable, "-m", "venv", "--clear", root / ".venv"],
+        [python, *PIP, "--require-hashes", "-r", root / "environment.lock"],
+        [python, *PIP, "--no-deps", "--no-build-isolation", "-e", root],
+    ):
+        if subprocess.run(command).returncode:
+            sys.exit(f"the environment is incomplete: {command[2]} failed, see above")
+    (python.parent / "ready").touch()
+
+
+def main(root: Path = ROOT) -> None:
+    """Create the environment if need be; refuse while another process is at it."""
+    if sys.version_info < (3, 11):  # noqa: UP036, whatever Python there is starts this
+        sys.exit("Python 3.11 or newer is needed: make PYTHON=...")
+    if is_ready(root):
+        return
+    from rodlib.files import alone, folder
+
+    refusal = f"another make is creating the environment in {root}: wait until it has ended"
+    try:
+        with alone(folder(root / "build") / "environment.lock", refusal):
+            if not is_ready(root):  # or it has been created in the meantime
+                create(root)
+    except (OSError, RuntimeError) as error:
+        sys.exit(str(error))
+
+
+if __name__ == "__main__":
+    main()
