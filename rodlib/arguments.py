@@ -14,6 +14,8 @@ import numpy as np
 
 LARGEST = 1e100  # the square of what lies beyond it, or below its inverse, may not be a number
 
+MOST = 10**9  # samples, trials, ...: what memory could hold at best
+
 
 def number(name: str, value, what: str, low=-np.inf, high=np.inf) -> float:
     """A finite real number strictly between `low` and `high`; `what` says so in the message."""
@@ -42,6 +44,8 @@ def whole(name: str, value, low: int, high: int | None = None) -> int:
     if not plain or value < low or (high is not None and value > high):
         limits = f"{low} or more" if high is None else f"from {low} to {high}"
         raise ValueError(f"{name} = {reprlib.repr(value)} must be a whole number, {limits}")
+    if value > MOST:
+        raise ValueError(f"{name} = {reprlib.repr(value)} is too large: at most {MOST}")
     return int(value)
 
 
@@ -111,8 +115,10 @@ def array(name: str, value, shape: Sequence[int | str], dtype: type = float) -> 
     """
     try:
         plain = np.asanyarray(value)
-    except ValueError:
-        raise ValueError(f"{name} has rows of different lengths: it must be an array") from None
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"{name} must be an array of numbers, but is none; has it rows of different lengths?"
+        ) from None
     if plain.dtype.kind not in "iufc":
         raise ValueError(f"{name} holds values of type {plain.dtype}, but must hold numbers")
     if plain.dtype.kind == "c" and dtype is float:

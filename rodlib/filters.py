@@ -44,8 +44,8 @@ class ZeroPhaseButterworth:
         if not self._realised():
             raise ValueError(
                 f"cutoff = {cutoff!r} rad/s is too low for order = {order} at Ts = {Ts} s: "
-                "rounding changes the filter by more than a millionth. Raise the cut-off frequency, lower "
-                "the order, or sample at a longer Ts"
+                "rounding changes the filter by more than a millionth. Raise the cut-off, lower "
+                "the order, or take a longer Ts"
             )
 
     def _realised(self):

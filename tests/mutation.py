@@ -154,8 +154,6 @@ def main():
     with tempfile.TemporaryDirectory() as original, ThreadPoolExecutor(chosen.processes) as pool:
         ignored = shutil.ignore_patterns(".venv", ".git", ".*_cache", "build", "__pycache__")
         shutil.copytree(ROOT, original, dirs_exist_ok=True, ignore=ignored)
-        subprocess.run(["git", "init", "-q"], cwd=original, check=True)  # as the tests expect
-        subprocess.run(["git", "add", "-A"], cwd=original, check=True)
 
         def tested(change):
             return survives(change, original, chosen.mirrored, chosen.seconds)
