@@ -10,14 +10,19 @@ and the share that one does. Not part of `make test`: it takes about ten seconds
 import argparse
 import ast
 import copy
+import importlib
+import multiprocessing
 import os
 import random
+import resource
 import shutil
-import subprocess
+import signal
 import sys
 import tempfile
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
+
+import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 DRAWINGS = {"draw_rod", "draw_block_diagram"}  # coordinates of pictures, for the eye alone
@@ -28,6 +33,12 @@ OPERATORS = {
     ast.FloorDiv: ast.Mult, ast.Mod: ast.Mult, ast.Pow: ast.Mult, ast.MatMult: ast.Mult,
     ast.BitAnd: ast.BitOr, ast.BitOr: ast.BitAnd, ast.And: ast.Or, ast.Or: ast.And,
 }  # fmt: skip
+MEMORY = 8 * 2**30  # bytes a test may ask for
+SLOW_TO_IMPORT = [
+    "control", "cvxpy", "daqp", "matplotlib.pyplot",
+    "pandas", "scipy.interpolate", "scipy.optimize", "scipy.signal", "scipy.sparse.linalg",
+    "xarray",
+]  # fmt: skip
 TWINS = {"min": "max", "max": "min", "minimum": "maximum", "maximum": "minimum"}
 TWINS |= {"argmin": "argmax", "argmax": "argmin", "any": "all", "all": "any"}
 
@@ -110,28 +121,45 @@ def shown(node):
 
 
 def survives(change, original, mirrored, seconds):
-    """Whether all tests pass with the change; running out of time counts as noticed."""
+    """Whether all tests pass with the change; to take much too long counts as noticed."""
     name, *_, source = change
     with tempfile.TemporaryDirectory() as folder:
         shutil.copytree(original, folder, dirs_exist_ok=True)
         (Path(folder) / "rodlib" / name).write_text(source, encoding="utf-8")
-        environment = os.environ | {
-            "PYTHONPATH": folder, "PYTHONDONTWRITEBYTECODE": "1", "OMP_NUM_THREADS": "1",
-            "OPENBLAS_NUM_THREADS": "1",
-        }  # fmt: skip
         mirror = f"tests/test_{name}"
         order = [mirror] if (Path(folder) / mirror).exists() else []
-        for tests in order if mirrored and order else [*order, "tests"]:
-            command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", tests]
-            try:
-                run = subprocess.run(
-                    command, cwd=folder, env=environment, capture_output=True, timeout=seconds
-                )
-            except subprocess.TimeoutExpired:
-                return False
-            if run.returncode:
-                return False
-    return True
+        order = order if mirrored and order else [*order, "tests"]
+        return all(passes(folder, tests, seconds) for tests in order)
+
+
+def passes(folder, tests, seconds):
+    """Run tests in a fork of this process, which has imported everything but rodlib."""
+    child = os.fork()
+    if not child:
+        signal.alarm(10 * seconds)  # of the clock, for tests that wait
+        resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
+        resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+        silence = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(silence, 1)
+        os.dup2(silence, 2)
+        os.chdir(folder)
+        os.environ["PYTHONPATH"] = folder
+        sys.path.insert(0, folder)
+        code = 1
+        try:
+            code = pytest.main(["-x", "-q", "-p", "no:cacheprovider", tests])
+        finally:
+            os._exit(int(code))
+    return os.waitpid(child, 0)[1] == 0
+
+
+def prepare():
+    """Once, and not for every change: what takes long to import, on one thread."""
+    sys.dont_write_bytecode = True
+    os.environ |= {"PYTHONDONTWRITEBYTECODE": "1", "MPLBACKEND": "agg"}
+    os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    for name in SLOW_TO_IMPORT:
+        importlib.import_module(name)
 
 
 def main():
@@ -140,35 +168,39 @@ def main():
     parser.add_argument("--changes", type=int, default=300)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--processes", type=int, default=2)
-    parser.add_argument("--seconds", type=float, default=600, help="for the tests of one change")
+    parser.add_argument("--seconds", type=int, default=600, help="of one processor, per change")
     parser.add_argument("--mirrored", action="store_true", help="run tests/test_<module> only")
     chosen = parser.parse_args()
     paths = sorted((ROOT / "rodlib").glob("*.py"))
-    found = [
-        change for path in paths if not chosen.modules or path.stem in chosen.modules
-        for change in all_changes(path)
-    ]  # fmt: skip
+    paths = [path for path in paths if not chosen.modules or path.stem in chosen.modules]
+    found = [change for path in paths for change in all_changes(path)]
     tried = random.Random(chosen.seed).sample(found, min(chosen.changes, len(found)))
     print(f"{len(tried)} of {len(found)} changes", flush=True)
-    survivors = 0
-    with tempfile.TemporaryDirectory() as original, ThreadPoolExecutor(chosen.processes) as pool:
+    prepare()
+    fork = multiprocessing.get_context("fork")
+    with (
+        tempfile.TemporaryDirectory() as original,
+        ProcessPoolExecutor(chosen.processes, mp_context=fork) as pool,
+    ):
         ignored = shutil.ignore_patterns(".venv", ".git", ".*_cache", "build", "__pycache__")
         shutil.copytree(ROOT, original, dirs_exist_ok=True, ignore=ignored)
 
-        def tested(change):
-            return survives(change, original, chosen.mirrored, chosen.seconds)
+        def survival(changes):
+            limits = [
+                [limit] * len(changes) for limit in (original, chosen.mirrored, chosen.seconds)
+            ]
+            return pool.map(survives, changes, *limits)
 
-        unchanged = {path.name: path.read_text(encoding="utf-8") for path in paths}
-        for name in sorted({change[0] for change in tried}):
-            if not tested((name, unchanged[name])):
+        unchanged = [(path.name, path.read_text(encoding="utf-8")) for path in paths]
+        for (name, _), passed in zip(unchanged, survival(unchanged), strict=True):
+            if not passed:
                 sys.exit(f"the tests fail as they are: tests/test_{name}, or others")
-            if not chosen.mirrored:
-                break
-        for change, survived in zip(tried, pool.map(tested, tried), strict=True):
+        survivors = 0
+        for number, (change, survived) in enumerate(zip(tried, survival(tried), strict=True)):
             name, line, before, after, _ = change
             if survived:
                 survivors += 1
-                print(f"rodlib/{name}:{line}: {before} -> {after}", flush=True)
+                print(f"{number}: rodlib/{name}:{line}: {before} -> {after}", flush=True)
     print(f"{len(tried) - survivors} of {len(tried)} noticed, {1 - survivors / len(tried):.1%}")
 
 
