@@ -320,7 +320,7 @@ def _weight(name, value, size, definite=False):
     if not np.allclose(value, value.T) or smallest < -1e-12 or (definite and smallest <= 0):
         kind = "positive definite" if definite else "positive semidefinite"
         raise ValueError(f"{name} must be symmetric and {kind}, but is {value.tolist()}")
-    return value
+    return (value + value.T) / 2  # symmetric to the last digit, as the Riccati equation wants it
 
 
 def _riccati(A, B, Q, R, weights):

@@ -215,6 +215,13 @@ def test_weights_that_do_not_stabilise_are_refused(loop, weights, message):
         current_trial_loop(loop.plant, **weights)
 
 
+def test_a_weight_may_be_symmetric_up_to_rounding(loop):
+    Rs = 0.05 * np.eye(2)
+    Rs[0, 1] = 1e-9
+    found = current_trial_loop(loop.plant, Rs=Rs)
+    np.testing.assert_allclose(found.Ks, loop.Ks, atol=1e-5)
+
+
 def test_a_slow_observer_is_still_an_observer(loop):
     slow = current_trial_loop(loop.plant, Qo=1e-12 * np.eye(12))
     assert 0 < 1 - np.abs(slow.closed.poles()).max() < 1e-6
