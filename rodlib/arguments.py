@@ -19,7 +19,8 @@ MOST = 10**9  # samples, trials, ...: what memory could hold at best
 
 def number(name: str, value, what: str, low=-np.inf, high=np.inf) -> float:
     """A finite real number strictly between `low` and `high`; `what` says so in the message."""
-    plain = isinstance(value, Real) and not isinstance(value, bool | np.bool_)
+    value = value.item() if isinstance(value, np.generic) else value  # 1e100 is no float32
+    plain = isinstance(value, Real) and not isinstance(value, bool)
     if not (plain and low < value < high):
         raise ValueError(f"{name} = {reprlib.repr(value)} must be {what}")
     if value and not 1 / LARGEST <= abs(value) <= LARGEST:
