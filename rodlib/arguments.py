@@ -4,17 +4,28 @@ Each function returns the argument in the type that the code behind the door exp
 ValueError that names the argument, its value and what it must be.
 """
 
+import reprlib
 from collections.abc import Sequence
+from math import isclose
 from numbers import Real
 
+import control
 import numpy as np
+
+LARGEST = 1e100  # the square of what lies beyond it, or below its inverse, may not be a number
+
+MOST = 10**9  # samples, trials, ...: what memory could hold at best
 
 
 def number(name: str, value, what: str, low=-np.inf, high=np.inf) -> float:
     """A finite real number strictly between `low` and `high`; `what` says so in the message."""
-    plain = isinstance(value, Real) and not isinstance(value, bool | np.bool_)
-    if not (plain and np.isfinite(value) and low < value < high):
-        raise ValueError(f"{name} = {value!r} must be {what}")
+    value = value.item() if isinstance(value, np.generic) else value  # 1e100 is no float32
+    plain = isinstance(value, Real) and not isinstance(value, bool)
+    if not (plain and low < value < high):
+        raise ValueError(f"{name} = {reprlib.repr(value)} must be {what}")
+    if value and not 1 / LARGEST <= abs(value) <= LARGEST:
+        size = "large" if abs(value) > 1 else "small"
+        raise ValueError(f"{name} = {reprlib.repr(value)} is too {size}: choose another unit")
     return float(value)
 
 
@@ -33,14 +44,16 @@ def whole(name: str, value, low: int, high: int | None = None) -> int:
     plain = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not plain or value < low or (high is not None and value > high):
         limits = f"{low} or more" if high is None else f"from {low} to {high}"
-        raise ValueError(f"{name} = {value!r} must be a whole number, {limits}")
+        raise ValueError(f"{name} = {reprlib.repr(value)} must be a whole number, {limits}")
+    if value > MOST:
+        raise ValueError(f"{name} = {reprlib.repr(value)} is too large: at most {MOST}")
     return int(value)
 
 
 def flag(name: str, value) -> bool:
     """True or False, and not something that merely counts as one of them."""
     if not isinstance(value, bool | np.bool_):
-        raise ValueError(f"{name} = {value!r} must be True or False")
+        raise ValueError(f"{name} = {reprlib.repr(value)} must be True or False")
     return bool(value)
 
 
@@ -48,8 +61,31 @@ def choice(name: str, value, options: Sequence[str]) -> str:
     """One of a few words."""
     if not (isinstance(value, str) and value in options):
         words = " or ".join(repr(option) for option in options)
-        raise ValueError(f"{name} = {value!r} must be {words}")
+        raise ValueError(f"{name} = {reprlib.repr(value)} must be {words}")
     return value
+
+
+def instance(name: str, value, kind: type):
+    """An object of the given class."""
+    if not isinstance(value, kind):
+        raise ValueError(f"{name} = {reprlib.repr(value)} must be a {kind.__name__}")
+    return value
+
+
+def state_space(name: str, value) -> control.StateSpace:
+    """A state-space model, the entries of whose matrices are finite."""
+    instance(name, value, control.StateSpace)
+    for matrix in "ABCD":
+        array(f"{name}.{matrix}", getattr(value, matrix), (...,))
+    return value
+
+
+def one_period(**periods: float) -> None:
+    """Sampling periods (s) that must be one and the same; each keyword says whose it is."""
+    first = next(iter(periods.values()))
+    if not all(isclose(period, first, rel_tol=1e-12) for period in periods.values()):
+        words = ", ".join(f"{name}.Ts = {period} s" for name, period in periods.items())
+        raise ValueError(f"{words}: the sampling periods must be equal")
 
 
 def array(name: str, value, shape: Sequence[int | str], dtype: type = float) -> np.ndarray:
@@ -62,7 +98,8 @@ def array(name: str, value, shape: Sequence[int | str], dtype: type = float) -> 
     value : array_like
     shape : sequence of int or str
         Sizes that are given, and names for those that are not, such as ``("time", 2)``; a name
-        stands for any size above zero. An Ellipsis in front stands for any number of axes.
+        stands for any size above zero, the same wherever it stands. An Ellipsis in front stands
+        for any number of axes.
     dtype : type
         float, or complex.
 
@@ -75,12 +112,14 @@ def array(name: str, value, shape: Sequence[int | str], dtype: type = float) -> 
     ------
     ValueError
         If the value has another shape, holds anything but numbers, masked entries, an imaginary
-        part where real numbers belong, or values that are not finite.
+        part where real numbers belong, or values that are not finite or beyond `LARGEST`.
     """
     try:
         plain = np.asanyarray(value)
-    except ValueError:
-        raise ValueError(f"{name} has rows of different lengths: it must be an array") from None
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"{name} must be an array of numbers, but is none; has it rows of different lengths?"
+        ) from None
     if plain.dtype.kind not in "iufc":
         raise ValueError(f"{name} holds values of type {plain.dtype}, but must hold numbers")
     if plain.dtype.kind == "c" and dtype is float:
@@ -92,8 +131,9 @@ def array(name: str, value, shape: Sequence[int | str], dtype: type = float) -> 
     sizes = plain.shape
     if wanted and wanted[0] is Ellipsis:
         wanted, sizes = wanted[1:], sizes[max(0, plain.ndim - len(shape) + 1) :]
+    named = {}
     fits = len(sizes) == len(wanted) and all(
-        have > 0 if isinstance(want, str) else have == want
+        have > 0 and have == named.setdefault(want, have) if isinstance(want, str) else have == want
         for want, have in zip(wanted, sizes, strict=True)
     )
     if not fits:
@@ -105,4 +145,11 @@ def array(name: str, value, shape: Sequence[int | str], dtype: type = float) -> 
     if bad.size:
         where = tuple(int(i) for i in bad[0])
         raise ValueError(f"{name} has {len(bad)} values that are not finite, the first at {where}")
+    if np.abs(result).max(initial=0) > LARGEST:
+        raise ValueError(f"{name} has values beyond {LARGEST:g}: choose another unit")
     return result
+
+
+def row(name: str, value, dtype: type = float) -> np.ndarray:
+    """One or more numbers in a row; a number by itself is a row of one."""
+    return array(name, np.atleast_1d(array(name, value, (...,), dtype)), ("n",), dtype)

@@ -53,6 +53,8 @@ class Certificate:
         2-norm of the map of one finite trial, :func:`trial_norm`; NaN if not asked for.
     samples : int or None
         Length of that trial.
+    rest : int
+        Number of samples at its end in which v is held at zero.
     """
 
     value: float
@@ -68,6 +70,7 @@ class Certificate:
     tolerances: tuple[float, float] = (GAP, VIOLATION)
     trial: float = np.nan
     samples: int | None = None
+    rest: int = 0
 
     @property
     def gap(self) -> float:

@@ -5,13 +5,15 @@ feedback, and an observer that also estimates the equivalent input disturbance. 
 iterative learning control then acts on from trial to trial.
 """
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import control
 import numpy as np
-from scipy.linalg import null_space, solve_discrete_are
+from scipy.linalg import LinAlgError, LinAlgWarning, null_space, solve_discrete_are
 
+from rodlib import arguments
 from rodlib.rod import Rod, midr
 
 
@@ -71,11 +73,25 @@ def frequency_response(system: control.StateSpace, omega) -> np.ndarray:
     Returns
     -------
     ndarray, shape (n, outputs, inputs), complex
+
+    Raises
+    ------
+    ValueError
+        If the system is not finite or has no sampling period, or `omega` does not hold numbers in
+        a row, or one of them is the frequency of a pole.
     """
-    omega = np.atleast_1d(omega)
-    points = np.exp(1j * omega * system.dt) if system.isdtime(strict=True) else 1j * omega
+    arguments.state_space("system", system)
+    omega = arguments.row("omega", omega)
+    if system.dt is None or system.dt is True:
+        raise ValueError(f"system.dt = {system.dt} must be 0, or a sampling period in seconds")
+    points = np.exp(1j * omega * system.dt) if system.dt else 1j * omega
     resolvent = points[:, None, None] * np.eye(system.nstates) - system.A
-    return system.C @ np.linalg.solve(resolvent, system.B.astype(complex)) + system.D
+    try:
+        return system.C @ np.linalg.solve(resolvent, system.B.astype(complex)) + system.D
+    except LinAlgError:
+        raise ValueError(
+            "omega has the frequency of a pole: the system has no response there"
+        ) from None
 
 
 def unreachable_modes(A, B, tolerance: float = 1e-9) -> tuple[np.ndarray, np.ndarray]:
@@ -112,11 +128,12 @@ def unreachable_modes(A, B, tolerance: float = 1e-9) -> tuple[np.ndarray, np.nda
 def reachable_basis(A, B) -> np.ndarray:
     """Orthonormal basis of the reachable subspace, shape (n, r)."""
     basis = np.eye(len(A))
-    while True:  # a second pass only for unreachable chains of generalised eigenvectors
+    while basis.size:  # a second pass only for unreachable chains of generalised eigenvectors
         _, silent = unreachable_modes(basis.T @ A @ basis, basis.T @ B)
         if not silent.size:
-            return basis
+            break
         basis = basis @ null_space(np.hstack([silent.real, silent.imag]).T, rcond=1e-9)
+    return basis
 
 
 def minimal_realisation(plant: control.StateSpace, controls: Sequence[str]) -> control.StateSpace:
@@ -140,11 +157,15 @@ def minimal_realisation(plant: control.StateSpace, controls: Sequence[str]) -> c
     Raises
     ------
     ValueError
-        If a control is not an input of the plant.
+        If the plant is not finite, if the controls are not different inputs of it, or if they
+        reach nothing that its outputs show.
     """
-    unknown = [name for name in controls if name not in plant.input_labels]
-    if unknown:
-        raise ValueError(f"controls = {unknown} are not among the inputs {plant.input_labels}")
+    arguments.state_space("plant", plant)
+    given = [str(name) for name in controls] if isinstance(controls, Sequence) else []
+    if not given or sorted(given) != sorted(set(given) & set(plant.input_labels)):
+        raise ValueError(
+            f"controls = {controls!r} must list different inputs out of {plant.input_labels}"
+        )
     disturbances = [name for name in plant.input_labels if name not in controls]
     u = [plant.input_labels.index(name) for name in controls]
     d = [plant.input_labels.index(name) for name in disturbances]
@@ -152,6 +173,8 @@ def minimal_realisation(plant: control.StateSpace, controls: Sequence[str]) -> c
     A, B, C = plant.A, plant.B, plant.C
     T = reachable_basis(A, B[:, u])
     T = T @ reachable_basis((T.T @ A @ T).T, (C @ T).T)
+    if not T.size:
+        raise ValueError(f"controls = {controls!r} reach no state that the outputs show")
     return control.ss(
         T.T @ A @ T,
         T.T @ B[:, u + d],
@@ -187,20 +210,24 @@ def current_trial_loop(
     Raises
     ------
     ValueError
-        If the plant is not in discrete time, has feedthrough, has fewer inputs than outputs, has
-        an unstable mode that no control reaches or no output shows, or has no control authority
-        at frequency zero; if a weight has the wrong shape or is indefinite.
+        If the plant is not in discrete time, is not finite, has feedthrough, has fewer inputs than
+        outputs, has an unstable mode that no control reaches or no output shows, or has no
+        control authority at frequency zero; if a weight has the wrong shape or is indefinite, or
+        if the loop with these weights is not stable.
 
     Notes
     -----
     The disturbance model (14) is integral action, A_d = C_d = I. The paper prints (28) and (29)
     with A and C; the dimensions need A_a and C_a of (15).
     """
+    arguments.state_space("plant", plant)
     n, m = plant.nstates, plant.noutputs
     if not (plant.isdtime(strict=True) and plant.dt is not True):
         raise ValueError(
             f"plant.dt = {plant.dt!r} must be a sampling period in seconds: sample the plant first"
         )
+    if not n:
+        raise ValueError("plant has no states: (12) needs at least one")
     if plant.ninputs < m:
         raise ValueError(
             f"plant has {plant.ninputs} inputs, but each of its {m} outputs needs a control"
@@ -219,10 +246,12 @@ def current_trial_loop(
     _require(A, B, "no control reaches")
     _require(Aa.T, Ca.T, "no output, or none apart from an input disturbance, shows")
 
-    Ps = solve_discrete_are(A, B, Qs, Rs)  # (25)
+    Ps = _riccati(A, B, Qs, Rs, "Qs and Rs")  # (25)
     Ks = np.linalg.solve(B.T @ Ps @ B + Rs, B.T @ Ps @ A)  # (26)
-    Po = solve_discrete_are(Aa.T, Ca.T, Qo, Ro)  # (28)
+    Po = _riccati(Aa.T, Ca.T, Qo, Ro, "Qo and Ro")  # (28)
     KL = np.linalg.solve(Ca @ Po @ Ca.T + Ro, Ca @ Po @ Aa.T).T  # (29)
+    _require_stable(A - B @ Ks, "Qs and Rs")
+    _require_stable(Aa - KL @ Ca, "Qo and Ro")
     N = np.linalg.inv(C @ np.linalg.solve(np.eye(n) - A + B @ Ks, B))
 
     KL1, KL2 = KL[:n], KL[n:]
@@ -265,21 +294,54 @@ def paper_loop(rod: Rod | None = None, degree: int = 3, Ts: float = 1.0) -> Curr
     -------
     CurrentTrialLoop
         Controls Q1 and Q3 (W), disturbances theta_a (K), Q2 and Q4 (W).
+
+    Raises
+    ------
+    ValueError
+        If the rod has not the paper's four sections and two sensors, or `Ts` is not between 1e-6
+        and 1e4 s, where the states of a rod can be told apart.
     """
-    model = minimal_realisation(midr(rod or Rod(), degree), ["Q1", "Q3"])
+    rod = arguments.instance("rod", Rod() if rod is None else rod, Rod)
+    Ts = arguments.number("Ts", Ts, "a sampling period between 1e-6 and 1e4 s", 1e-6, 1e4)
+    if (rod.sections, len(rod.sensors)) != (4, 2):
+        raise ValueError(
+            f"rod has {rod.sections} sections and {len(rod.sensors)} sensors, but the paper's loop "
+            "has Q1 to Q4 and two sensors: for another rod see minimal_realisation and "
+            "current_trial_loop"
+        )
+    model = minimal_realisation(midr(rod, degree), ["Q1", "Q3"])
     model = model[:, ["Q1", "Q3", "theta_a", "Q2", "Q4"]]  # d in the order of (10)
     return current_trial_loop(control.sample_system(model, Ts, method="zoh"))
 
 
 def _weight(name, value, size, definite=False):
-    value = np.asarray(value, dtype=float)
-    if value.shape != (size, size):
-        raise ValueError(f"{name} has shape {value.shape}, but must have shape {(size, size)}")
-    smallest = np.linalg.eigvalsh((value + value.T) / 2).min() if np.isfinite(value).all() else -1
+    value = arguments.array(name, value, (size, size))
+    smallest = np.linalg.eigvalsh((value + value.T) / 2).min()
     if not np.allclose(value, value.T) or smallest < -1e-12 or (definite and smallest <= 0):
         kind = "positive definite" if definite else "positive semidefinite"
         raise ValueError(f"{name} must be symmetric and {kind}, but is {value.tolist()}")
-    return value
+    return (value + value.T) / 2  # symmetric to the last digit, as the Riccati equation wants it
+
+
+def _riccati(A, B, Q, R, weights):
+    try:
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("error", LinAlgWarning)
+            return solve_discrete_are(A, B, Q, R)
+    except (LinAlgError, LinAlgWarning):
+        raise ValueError(
+            f"{weights} leave the Riccati equation of this plant without a solution: a weight is "
+            "zero or too far from the other"
+        ) from None
+
+
+def _require_stable(A, weights):
+    radius = np.abs(np.linalg.eigvals(A)).max()
+    if radius > 1 - 1e-12:  # one, up to rounding
+        raise ValueError(
+            f"{weights} give a loop with a pole of modulus {radius:.6g}, which does not settle: a "
+            "weight is zero or too far from the other"
+        )
 
 
 def _require(A, B, what):

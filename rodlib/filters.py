@@ -9,12 +9,14 @@ two-sided filters of the analysis, seen through the window of the trial. ``ends=
 first and the last sample stand still, which suits a trial that does not end at zero.
 """
 
+import warnings
 from dataclasses import dataclass, field
 from functools import cached_property
-from numbers import Real
 
 import numpy as np
-from scipy.signal import butter, freqz_sos, sosfilt, sosfilt_zi
+from scipy.signal import BadCoefficients, butter, freqz_sos, sosfilt, sosfilt_zi
+
+from rodlib import arguments
 
 ENDS = {"zero": "constant", "hold": "edge"}  # the modes of numpy.pad
 
@@ -23,13 +25,37 @@ ENDS = {"zero": "constant", "hold": "edge"}  # the modes of numpy.pad
 class ZeroPhaseButterworth:
     """The Q-filter (43): a Butterworth low-pass filter applied forward and backward in time.
 
-    Build it with :func:`zero_phase_butterworth`, which checks the arguments.
+    :func:`zero_phase_butterworth` says what the fields are, and what they must be.
     """
 
     order: int
     cutoff: float
     Ts: float
     ends: str = "zero"
+
+    def __post_init__(self):
+        arguments.choice("ends", self.ends, list(ENDS))
+        Ts = arguments.sampling_period("Ts", self.Ts)
+        what = f"in (0, {np.pi / Ts:.6g}) rad/s, up to the Nyquist frequency of Ts = {Ts} s"
+        cutoff = arguments.number("cutoff", self.cutoff, what, 0, np.pi / Ts)
+        order = arguments.whole("order", self.order, 1, 100)
+        for name, value in (("order", order), ("cutoff", cutoff), ("Ts", Ts)):
+            object.__setattr__(self, name, value)
+        if not self._realised():
+            raise ValueError(
+                f"cutoff = {cutoff!r} rad/s is too low for order = {order} at Ts = {Ts} s: "
+                "rounding changes the filter by more than a millionth. Raise the cut-off, lower "
+                "the order, or take a longer Ts"
+            )
+
+    def _realised(self):
+        """Whether the coefficients, which are rounded, give the filter that was asked for."""
+        omega = np.append(self.cutoff * np.linspace(0, 1, 11), np.pi / self.Ts)
+        warped = np.tan(omega[:-1] * self.Ts / 2) / np.tan(self.cutoff * self.Ts / 2)
+        analytic = np.append(1 / (1 + warped ** (2 * self.order)), 0)
+        with np.errstate(all="ignore"), warnings.catch_warnings():
+            warnings.simplefilter("ignore", BadCoefficients)
+            return np.allclose(self.frequency_response(omega), analytic, rtol=0, atol=1e-6)
 
     @cached_property
     def sections(self) -> np.ndarray:
@@ -38,12 +64,13 @@ class ZeroPhaseButterworth:
 
     def frequency_response(self, omega) -> np.ndarray:
         """Squared magnitude of the Butterworth filter at `omega` (rad/s), real, shape (n,)."""
-        _, H = freqz_sos(self.sections, np.atleast_1d(omega), fs=2 * np.pi / self.Ts)
+        omega = arguments.row("omega", omega)
+        _, H = freqz_sos(self.sections, omega, fs=2 * np.pi / self.Ts)
         return np.abs(H) ** 2
 
     def apply(self, signal) -> np.ndarray:
         """Filter a signal of shape (..., time, channel), forward and backward in time."""
-        signal = _signal("signal", signal)
+        signal = arguments.array("signal", signal, (..., "time", "channel"))
         sections = self.sections
         poles = np.concatenate([np.roots(section[3:]) for section in sections])
         # Once the impulse response has decayed to rounding level, the line is as good as infinite.
@@ -81,16 +108,10 @@ def zero_phase_butterworth(
     Raises
     ------
     ValueError
-        If an argument is out of range; the message names it and its value.
+        If an argument is out of range, or rounded coefficients do not give the filter; the message
+        names the argument and its value.
     """
-    if not (isinstance(order, int | np.integer) and order >= 1):
-        raise ValueError(f"order = {order!r} must be a whole number, 1 or more")
-    if not (isinstance(Ts, Real) and 0 < Ts < np.inf):
-        raise ValueError(f"Ts = {Ts!r} must be a positive sampling period in seconds")
-    if not (isinstance(cutoff, Real) and 0 < cutoff < np.pi / Ts):
-        raise ValueError(f"cutoff = {cutoff!r} must be in (0, {np.pi / Ts:.6g}) rad/s (Nyquist)")
-    _check_ends(ends)
-    return ZeroPhaseButterworth(int(order), float(cutoff), float(Ts), ends)
+    return ZeroPhaseButterworth(order, cutoff, Ts, ends)
 
 
 @dataclass(frozen=True)
@@ -117,14 +138,9 @@ class LearningFilter:
     ends: str = "zero"
 
     def __post_init__(self):
-        c = np.array(self.coefficients, dtype=float)
-        if c.ndim != 3 or c.shape[0] != c.shape[1] or not c.size:
-            raise ValueError(f"coefficients have shape {c.shape}, but must be (m, m, order)")
-        if not np.isfinite(c).all():
-            raise ValueError("coefficients must be finite")
-        if not (isinstance(self.Ts, Real) and 0 < self.Ts < np.inf):
-            raise ValueError(f"Ts = {self.Ts!r} must be a positive sampling period in seconds")
-        _check_ends(self.ends)
+        c = arguments.array("coefficients", self.coefficients, ("m", "m", "order"))
+        object.__setattr__(self, "Ts", arguments.sampling_period("Ts", self.Ts))
+        arguments.choice("ends", self.ends, list(ENDS))
         c.flags.writeable = False
         object.__setattr__(self, "coefficients", c)
 
@@ -135,15 +151,12 @@ class LearningFilter:
 
     def frequency_response(self, omega) -> np.ndarray:
         """L(exp(j omega Ts)) at `omega` (rad/s), shape (n, m, m), complex."""
-        shifts = time_shifts(self.Ts * np.atleast_1d(omega), self.order)
+        shifts = time_shifts(self.Ts * arguments.row("omega", omega), self.order)
         return np.einsum("nk,ijk->nij", shifts, self.coefficients).astype(complex)
 
     def apply(self, signal) -> np.ndarray:
         """Filter a signal of shape (..., time, m)."""
-        signal = _signal("signal", signal)
-        m = len(self.coefficients)
-        if signal.shape[-1] != m:
-            raise ValueError(f"signal has {signal.shape[-1]} channels, but the filter has {m}")
+        signal = arguments.array("signal", signal, (..., "time", len(self.coefficients)))
         padding = [(0, 0)] * (signal.ndim - 2) + [(0, self.order), (0, 0)]
         ahead = np.pad(signal, padding, mode=ENDS[self.ends])
         windows = np.lib.stride_tricks.sliding_window_view(ahead, self.order, axis=-2)
@@ -160,7 +173,7 @@ def time_shifts(angles, order) -> np.ndarray:
     return np.exp(1j * np.outer(angles, np.arange(1, order + 1)))
 
 
-def update(v, e, Q: ZeroPhaseButterworth, L: LearningFilter) -> np.ndarray:
+def update(v, e, Q: ZeroPhaseButterworth, L: LearningFilter, rest: int = 0) -> np.ndarray:
     """Compute the next trial's ILC signal by the ILC law (23), v_{k+1} = Q (v_k + L e_k).
 
     Parameters
@@ -168,6 +181,9 @@ def update(v, e, Q: ZeroPhaseButterworth, L: LearningFilter) -> np.ndarray:
     v, e : array_like, shape (time, m)
         ILC signal and tracking error of the trial just done, both in the unit of the output.
     Q, L : ZeroPhaseButterworth, LearningFilter
+    rest : int
+        Number of samples at the end of the trial in which the signal is held at zero. The filters
+        look beyond the end, so what they make of the last samples may grow from trial to trial.
 
     Returns
     -------
@@ -176,26 +192,15 @@ def update(v, e, Q: ZeroPhaseButterworth, L: LearningFilter) -> np.ndarray:
     Raises
     ------
     ValueError
-        If the shapes do not fit, or a signal has a gap (NaN) or an infinite value.
+        If the shapes do not fit, a signal has a gap (NaN) or an infinite value, the filters have
+        different sampling periods, or `rest` is not shorter than the trial.
     """
-    v, e = _signal("v", v), _signal("e", e)
-    if v.shape != e.shape:
-        raise ValueError(f"v has shape {v.shape} and e has shape {e.shape}: they must be equal")
-    if Q.Ts != L.Ts:
-        raise ValueError(f"Q.Ts = {Q.Ts} s and L.Ts = {L.Ts} s: the filters must share one period")
-    return Q.apply(v + L.apply(e))
-
-
-def _signal(name, value):
-    value = np.asarray(value, dtype=float)
-    if value.ndim < 2 or value.shape[-2] < 1:
-        raise ValueError(f"{name} has shape {value.shape}, but must be (time, channel)")
-    bad = np.argwhere(~np.isfinite(value))
-    if bad.size:
-        raise ValueError(f"{name} has {len(bad)} values that are not finite, the first at {bad[0]}")
-    return value
-
-
-def _check_ends(ends):
-    if ends not in ENDS:
-        raise ValueError(f"ends = {ends!r} must be one of {sorted(ENDS)}")
+    arguments.instance("Q", Q, ZeroPhaseButterworth)
+    arguments.instance("L", L, LearningFilter)
+    arguments.one_period(Q=Q.Ts, L=L.Ts)
+    v = arguments.array("v", v, (..., "time", len(L.coefficients)))
+    e = arguments.array("e", e, v.shape)
+    rest = arguments.whole("rest", rest, 0, v.shape[-2] - 1)
+    v = Q.apply(v + L.apply(e))
+    v[..., v.shape[-2] - rest :, :] = 0
+    return v

@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
+from rodlib import arguments
 from rodlib.files import write_whole
 from rodlib.filters import LearningFilter, ZeroPhaseButterworth, zero_phase_butterworth
 from rodlib.trials import dataset
@@ -139,11 +140,18 @@ def save_log(dataset: xr.Dataset, path) -> None:
     write_whole(Path(path), head + table.to_csv(index=False, lineterminator="\n"))
 
 
-def with_law(trials: xr.Dataset, Q: ZeroPhaseButterworth, L: LearningFilter | None) -> xr.Dataset:
-    """Note in the metadata which ILC law (23) made the trials, for the replay."""
+def with_law(
+    trials: xr.Dataset, Q: ZeroPhaseButterworth, L: LearningFilter | None, rest: int = 0
+) -> xr.Dataset:
+    """Note in the metadata which ILC law (23) made the trials, for the replay.
+
+    `rest` is the number of samples at the end of a trial in which v was held at zero.
+    """
     notes = {"Q": json.dumps({"order": Q.order, "cutoff": Q.cutoff, "ends": Q.ends})}
     coefficients = None if L is None else L.coefficients.tolist()
     notes["L"] = json.dumps(coefficients and {"coefficients": coefficients, "ends": L.ends})
+    if rest:
+        notes["rest"] = json.dumps(rest)
     return trials.assign_attrs(notes)
 
 
@@ -164,6 +172,21 @@ def law_of(trials: xr.Dataset) -> tuple[ZeroPhaseButterworth, LearningFilter | N
         return Q, L and LearningFilter(L["coefficients"], Ts, L["ends"])
     except (json.JSONDecodeError, KeyError, TypeError, ValueError) as error:
         raise LogError(f"metadata: Q or L cannot be understood: {error!r}") from None
+
+
+def rest_of(trials: xr.Dataset) -> int:
+    """Samples at the end of a trial in which v was held at zero, as noted in the metadata.
+
+    Raises
+    ------
+    LogError
+        If the note is no whole number below the length of a trial.
+    """
+    try:
+        note = json.loads(trials.attrs.get("rest", "0"))
+        return arguments.whole("rest", note, 0, trials.sizes["time"] - 1)
+    except (TypeError, ValueError) as error:
+        raise LogError(f"metadata: rest cannot be understood: {error}") from None
 
 
 def _report(path, problems):

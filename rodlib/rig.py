@@ -7,19 +7,20 @@ one object. ``python -m rodlib.rig`` records the logs in data/rig.
 """
 
 import json
+import re
 import sys
 from dataclasses import asdict, dataclass
 
 import numpy as np
 import xarray as xr
 
-from rodlib import published
+from rodlib import arguments, published
 from rodlib.feedback import CurrentTrialLoop, paper_loop
 from rodlib.files import checkout
 from rodlib.filters import LearningFilter, ZeroPhaseButterworth, update, zero_phase_butterworth
 from rodlib.logs import save_log, with_law
 from rodlib.rod import Rod
-from rodlib.trials import assumed_disturbance, assumed_reference, dataset
+from rodlib.trials import assumed_disturbance, assumed_reference, check_law, dataset
 
 # Material parameters off by several percent from those of the design model.
 MISMATCHED = Rod(density=8100.0, heat_capacity=440.0, heat_transfer=160.0, conductivity=51.0)
@@ -161,6 +162,7 @@ def record(
     disturbance,
     trials: int = 10,
     pause: int = 600,
+    rest: int = 0,
 ) -> xr.Dataset:
     """Run an experiment of several trials on a rig and record it.
 
@@ -170,7 +172,8 @@ def record(
     Parameters
     ----------
     rig : VirtualRig
-        Or any object with its ``read``, ``apply`` and ``ambient``.
+        Or any object with its ``read``, ``apply`` and ``ambient``; ``Ts`` is compared with the
+        loop's if there is one.
     loop : CurrentTrialLoop
         Controls and disturbances named as the paper's: Q1, Q3 and theta_a, Q2, Q4.
     Q, L : ZeroPhaseButterworth, LearningFilter
@@ -178,20 +181,43 @@ def record(
     reference : ndarray, shape (time, m)
     disturbance : ndarray, shape (trial, time, 3)
         Heat flows of the disturbing elements in the last two columns, W; the first is ignored,
-        the room does what it does.
+        the room does what it does. Further trials than those recorded are ignored, too.
     trials, pause : int
+    rest : int
+        Number of samples at the end of every trial in which v is held at zero.
 
     Returns
     -------
     xarray.Dataset
         As from :func:`rodlib.run_trials`, with the measured ambient temperature.
+
+    Raises
+    ------
+    ValueError
+        If something is missing from the rig, the filters, the loop and the rig do not belong
+        together, or a signal has the wrong shape or a gap.
     """
-    sections = [int(name[1:]) - 1 for name in loop.plant.input_labels if name != "theta_a"]
+    missing = [name for name in ("read", "apply", "ambient") if not hasattr(rig, name)]
+    if missing:
+        raise ValueError(f"rig = {rig!r} has no {', '.join(missing)}: see VirtualRig")
+    arguments.instance("loop", loop, CurrentTrialLoop)
+    check_law(loop, Q, L, rig=arguments.sampling_period("rig.Ts", getattr(rig, "Ts", loop.Ts)))
+    names, m = loop.plant.input_labels, loop.plant.noutputs
+    heated = [name for name in names if name != "theta_a"]
+    if names[m : m + 1] != ["theta_a"] or not all(re.fullmatch(r"Q[1-9]\d*", q) for q in heated):
+        raise ValueError(f"loop has the inputs {names}, but must have Q1, ..., theta_a, Q2, ...")
+    sections = [int(name[1:]) - 1 for name in heated]
+    trials = arguments.whole("trials", trials, 1)
+    pause = arguments.whole("pause", pause, 0)
+    reference = np.round(arguments.array("reference", reference, ("time", m)), 6)
+    rest = arguments.whole("rest", rest, 0, len(reference) - 1)
+    d = arguments.array("disturbance", disturbance, ("trial", len(reference), len(names) - m))
+    if len(d) < trials:
+        raise ValueError(f"disturbance has {len(d)} trials, but trials = {trials} are asked for")
+    d = np.round(d[:trials], 6)
     controller = Controller(loop)
-    reference = np.round(reference, 6)
     shape = (trials, *reference.shape)
     v, u, y, delta = (np.zeros(shape) for _ in range(4))
-    d = np.round(np.array(disturbance[:trials], dtype=float), 6)
 
     def sample(w, flows):
         measured, estimate = rig.read(), controller.delta
@@ -202,7 +228,7 @@ def record(
 
     for k in range(trials):
         if k and L is not None:
-            v[k] = np.round(update(v[k - 1], reference - y[k - 1], Q, L), 6)  # as stored
+            v[k] = np.round(update(v[k - 1], reference - y[k - 1], Q, L, rest), 6)  # as stored
         for _ in range(pause if k else 0):
             sample(reference[0], np.zeros(d.shape[2] - 1))
         for p, w in enumerate(reference + v[k]):
@@ -210,7 +236,7 @@ def record(
             u[k, p], y[k, p], delta[k, p] = sample(w, d[k, p, 1:])
     signals = {"reference": np.broadcast_to(reference, shape), "v": v, "u": u, "y": y}
     signals |= {"delta": delta, "disturbance": d}
-    return with_law(dataset(loop.Ts, loop.plant.input_labels[len(reference[0]) :], **signals), Q, L)
+    return with_law(dataset(loop.Ts, names[m:], **signals), Q, L, rest)
 
 
 def main():

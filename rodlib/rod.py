@@ -6,11 +6,12 @@ approximation, in the frequency domain, and is what every approximation is measu
 """
 
 from dataclasses import dataclass, fields
-from numbers import Real
 
 import control
 import numpy as np
 from scipy.interpolate import BPoly
+
+from rodlib import arguments
 
 
 @dataclass(frozen=True)
@@ -22,8 +23,8 @@ class Rod:
     Raises
     ------
     ValueError
-        If a material parameter or a dimension is not a positive number, if there is no section,
-        or if a sensor lies beyond the rod.
+        If a material parameter or a dimension is not a positive number, if there is no section
+        or no sensor, or if a sensor lies beyond the rod.
     """
 
     length: float = 0.320  # l, m
@@ -38,16 +39,15 @@ class Rod:
 
     def __post_init__(self):
         for field in fields(self)[:7]:
-            value = getattr(self, field.name)
-            if not (isinstance(value, Real) and 0 < value < np.inf):
-                raise ValueError(f"{field.name} = {value!r} must be a positive number (SI units)")
-        if not (isinstance(self.sections, int | np.integer) and self.sections >= 1):
-            raise ValueError(f"sections = {self.sections!r} must be a whole number, 1 or more")
-        outside = [z for z in self.sensors if not 0 <= z <= self.length]
-        if outside or not self.sensors:
+            what = "a positive number (SI units), between 1e-12 and 1e12"
+            arguments.number(field.name, getattr(self, field.name), what, 1e-12, 1e12)
+        arguments.whole("sections", self.sections, 1, 1000)
+        sensors = tuple(arguments.array("sensors", self.sensors, ("sensor",)).tolist())
+        if not all(0 <= z <= self.length for z in sensors):
             raise ValueError(
-                f"sensors = {self.sensors!r} must be positions from 0 to length = {self.length} m"
+                f"sensors = {sensors} must be positions from 0 to length = {self.length} m"
             )
+        object.__setattr__(self, "sensors", sensors)
 
     @property
     def kappa_1(self) -> float:
@@ -124,15 +124,16 @@ def midr(rod: Rod, degree: int = 3) -> control.StateSpace:
     Raises
     ------
     ValueError
-        If `degree` is not a whole number from 1 to 20; beyond that rounding errors take over.
+        If `rod` is no :class:`Rod`, or `degree` is not a whole number from 1 to 20; beyond that
+        rounding errors take over.
 
     Notes
     -----
     The paper refers to its reference [8] for the procedure. This reading of it gives the numbers
     that the paper prints, and equals Galerkin's method on the same polynomials.
     """
-    if not (isinstance(degree, int | np.integer) and 1 <= degree <= 20):
-        raise ValueError(f"degree = {degree!r} must be a whole number from 1 to 20")
+    arguments.instance("rod", rod, Rod)
+    degree = arguments.whole("degree", degree, 1, 20)
     theta = bernstein_basis(rod, degree)
     gradient, integral = theta.derivative(), theta.antiderivative()
     states = rod.sections * degree + 1
@@ -197,9 +198,11 @@ def exact_response(rod: Rod, s) -> np.ndarray:
     Raises
     ------
     ValueError
-        If an entry of `s` is a pole of the rod's uniform mode, s = -kappa_2 / kappa_1.
+        If `s` does not hold numbers in a row, or one of them is the pole of the rod's uniform
+        mode, s = -kappa_2 / kappa_1.
     """
-    s = np.atleast_1d(np.asarray(s, dtype=complex))
+    arguments.instance("rod", rod, Rod)
+    s = arguments.row("s", s, complex)
     pole = -rod.kappa_2 / rod.kappa_1
     if np.any(np.isclose(s, pole, rtol=1e-12, atol=0)):
         raise ValueError(f"s contains {pole:.6g}, where the transfer function has a pole")

@@ -14,13 +14,12 @@ does, for reading and for comparison. None of them is trusted: what is returned 
 """
 
 from dataclasses import dataclass, replace
-from numbers import Real
 
 import control
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from rodlib import active_set, interior_point
+from rodlib import active_set, arguments, interior_point
 from rodlib.certificate import (
     GAP,
     VIOLATION,
@@ -119,6 +118,7 @@ def synthesise(
     solver="structured",
     start=None,
     samples=None,
+    rest=0,
     check=True,
 ) -> Synthesis:
     """Design the learning filter by convex optimisation, (39) or (45) with (46).
@@ -139,7 +139,8 @@ def synthesise(
     M_max : float
         Bound on sigma_max(M), in (0, 1): the slowest convergence tolerated.
     L_max : float or None
-        Bound on sigma_max(L), unit of w per unit of y; None leaves it out.
+        Bound on sigma_max(L), unit of w per unit of y. None leaves it out: filters then compete up
+        to the gain that coefficients in doubles can hold, :func:`rodlib.certificate.weight_of_L`.
     band : (float, float)
         Lowest and highest frequency of the sum in (39), rad/s.
     structure : {"diagonal", "full"}
@@ -153,6 +154,8 @@ def synthesise(
     samples : int, optional
         Length of a trial. The certificate then says what one trial does to the ILC signal, by
         :func:`rodlib.certificate.trial_norm`; P and Q must be models.
+    rest : int
+        Number of samples at the end of that trial in which v is held at zero.
     check : bool
         Whether a filter whose certificate fails raises.
 
@@ -174,22 +177,31 @@ def synthesise(
         If the solver fails, or the certificate of its result does.
     """
     model = (P.P if isinstance(P, CurrentTrialLoop) else P, Q)
-    P, Q, omega = _frequency_responses(P, Q, omega, Ts)
-    in_band = _check_design(P, omega, order, M_max, L_max, band, structure, objective)
-    if solver not in ("structured", "cvxpy"):
-        raise ValueError(f"solver = {solver!r} must be 'structured' or 'cvxpy'")
-    if start is not None:
-        _check_start(start, P, order, structure)
     if not (
         isinstance(model[0], control.StateSpace) and isinstance(model[1], ZeroPhaseButterworth)
     ):
         model = None
-    if samples is not None and model is None:
-        raise ValueError(
-            f"samples = {samples!r} asks for the norm of a trial, which needs P and Q as models"
-        )
-    if samples is not None and not (isinstance(samples, int | np.integer) and samples >= 1):
-        raise ValueError(f"samples = {samples!r} must be a whole number, 1 or more, or None")
+    Ts = arguments.sampling_period("Ts", Ts)
+    P, Q, omega = _frequency_responses(P, Q, omega, Ts)
+    order = arguments.whole("order", order, 1, len(omega))
+    what = "in (0, 1), or the trials do not converge"
+    M_max = arguments.number("M_max", M_max, what, 0, 1)
+    if L_max is not None:
+        L_max = arguments.positive("L_max", L_max, "a positive number, or None for no bound")
+    arguments.choice("structure", structure, ["diagonal", "full"])
+    arguments.choice("objective", objective, ["sum", "peak"])
+    arguments.choice("solver", solver, ["structured", "cvxpy"])
+    arguments.flag("check", check)
+    in_band = _check_band(Q, omega, band, objective)
+    if start is not None:
+        _check_start(start, P, order, structure)
+    if samples is not None:
+        samples = arguments.whole("samples", samples, 2)
+        if model is None:
+            raise ValueError(
+                f"samples = {samples} asks for the norm of a trial, which needs P and Q as models"
+            )
+    rest = arguments.whole("rest", rest, 0, (samples or 1) - 1)
     statement = {
         "order": order, "M_max": M_max, "L_max": L_max, "band_mask": in_band,
         "structure": structure, "objective": objective,
@@ -202,7 +214,7 @@ def synthesise(
         return _solve(solver, data, statement | changes)
 
     def judged(solution):
-        return _judged(solution, data, statement, model, samples, tolerances)
+        return _judged(solution, data, statement, model, (samples, rest), tolerances)
 
     def along_bounds(solution, steps):
         """The design to which the active bounds lead from a solution, if it is a good one."""
@@ -233,9 +245,10 @@ def synthesise(
     return design
 
 
-def _judged(solution, data, statement, model, samples, tolerances):
+def _judged(solution, data, statement, model, trial, tolerances):
     """What the solver found, with its certificate."""
     P, Q, omega, Ts = data
+    samples, rest = trial
     in_band = statement["band_mask"]
     L = LearningFilter(solution.coefficients, Ts)
     sigma_M, sigma_L = _sigmas(P, Q, L, omega)
@@ -255,8 +268,9 @@ def _judged(solution, data, statement, model, samples, tolerances):
         all_L=peak_gain(learning_model(L))[0],
         proven=model is not None,
         tolerances=tolerances,
-        trial=np.nan if samples is None else trial_norm(*model, L, samples)[0],
+        trial=np.nan if samples is None else trial_norm(*model, L, samples, rest=rest)[0],
         samples=samples,
+        rest=rest,
     )
     return Synthesis(L, value, certificate, omega, sigma_M, sigma_L, solution)
 
@@ -312,10 +326,8 @@ def _advice(statement, smallest, solve):
 
 def _frequency_responses(P, Q, omega, Ts):
     """Samples of P and Q on omega, checked."""
-    if not (isinstance(Ts, Real) and 0 < Ts < np.inf):
-        raise ValueError(f"Ts = {Ts!r} must be a positive sampling period in seconds")
-    omega = np.asarray(omega, dtype=float)
-    if omega.ndim != 1 or len(omega) < 2 or not np.all(np.diff(omega) > 0):
+    omega = arguments.array("omega", omega, ("frequency",))
+    if len(omega) < 2 or not np.all(np.diff(omega) > 0):
         raise ValueError(f"omega, of shape {omega.shape}, must be a row of increasing frequencies")
     nyquist = np.pi / Ts
     if omega[0] < 0 or omega[-1] > nyquist * (1 + 1e-9):
@@ -325,28 +337,22 @@ def _frequency_responses(P, Q, omega, Ts):
         )
     P = P.P if isinstance(P, CurrentTrialLoop) else P
     if isinstance(P, control.StateSpace):
+        arguments.state_space("P", P)
         if P.dt != Ts:
             raise ValueError(f"P.dt = {P.dt!r} differs from Ts = {Ts!r}: sample the model at Ts")
         radius = np.abs(P.poles()).max(initial=0)
         if radius >= 1:
             raise ValueError(f"P is unstable: it has a pole of modulus {radius:.6g}, 1 or more")
         P = frequency_response(P, omega)
-    P = np.asarray(P, dtype=complex)
-    if P.shape[:1] != omega.shape or P.ndim != 3 or P.shape[1] != P.shape[2]:
-        raise ValueError(f"P has shape {P.shape}, but must be ({len(omega)}, m, m) to fit omega")
+    P = arguments.array("P", P, (len(omega), "m", "m"), complex)
     if isinstance(Q, ZeroPhaseButterworth):
-        if Q.Ts != Ts:
-            raise ValueError(f"Q.Ts = {Q.Ts!r} differs from Ts = {Ts!r}")
+        arguments.one_period(P=Ts, Q=Q.Ts)
         Q = Q.frequency_response(omega)
-    Q = np.asarray(Q)
-    if Q.shape != omega.shape:
-        raise ValueError(f"Q has shape {Q.shape}, but must be {omega.shape} to fit omega")
-    for name, response in (("P", P), ("Q", Q)):
-        bad = np.flatnonzero(~np.isfinite(response).reshape(len(omega), -1).all(axis=1))
-        if bad.size:
-            raise ValueError(f"{name} is not finite at omega = {omega[bad[0]]:.6g} rad/s")
+    Q = arguments.array("Q", Q, (len(omega),), complex)
+    Q = Q if Q.imag.any() else Q.real
     singular_values = np.linalg.svd(P, compute_uv=False)
-    singular = np.flatnonzero(singular_values[:, -1] <= 1e-12 * singular_values[:, 0])
+    smallest = np.maximum(1e-12 * singular_values[:, 0], 1 / arguments.LARGEST)
+    singular = np.flatnonzero(singular_values[:, -1] <= smallest)
     if singular.size:
         raise ValueError(
             f"P is singular at omega = {omega[singular[0]]:.6g} rad/s (smallest singular value "
@@ -355,20 +361,9 @@ def _frequency_responses(P, Q, omega, Ts):
     return P, Q, omega
 
 
-def _check_design(P, omega, order, M_max, L_max, band, structure, objective):
-    if structure not in ("diagonal", "full"):
-        raise ValueError(f"structure = {structure!r} must be 'diagonal' or 'full'")
-    if objective not in ("sum", "peak"):
-        raise ValueError(f"objective = {objective!r} must be 'sum' or 'peak'")
-    if not (isinstance(order, int | np.integer) and 1 <= order <= len(omega)):
-        raise ValueError(
-            f"order = {order!r} must be a whole number from 1 to len(omega) = {len(omega)}"
-        )
-    if not (isinstance(M_max, Real) and 0 < M_max < 1):
-        raise ValueError(f"M_max = {M_max!r} must be in (0, 1), or the trials do not converge")
-    if L_max is not None and not (isinstance(L_max, Real) and 0 < L_max < np.inf):
-        raise ValueError(f"L_max = {L_max!r} must be a positive number, or None for no bound")
-    low, high = band
+def _check_band(Q, omega, band, objective):
+    """Which frequencies lie in the band; there must be some, and something to learn."""
+    low, high = arguments.array("band", band, (2,))
     slack = 1e-9 * omega[-1]
     if not omega[0] - slack <= low < high <= omega[-1] + slack:
         raise ValueError(
@@ -378,10 +373,16 @@ def _check_design(P, omega, order, M_max, L_max, band, structure, objective):
     in_band = (omega >= low) & (omega <= high)
     if not in_band.any():
         raise ValueError(f"band = {band!r} contains none of the frequencies omega")
+    learned = np.abs(Q[in_band] if objective == "sum" else Q).max()
+    if learned < 1e-6:  # of an error, which the certificate could not tell from nothing
+        raise ValueError(
+            f"Q has a gain of {learned:.3g} at most where the objective counts: it learns nothing"
+        )
     return in_band
 
 
 def _check_start(start, P, order, structure):
+    arguments.instance("start", start, Synthesis)
     n, m, _ = P.shape
     expected, found = (m, m, order), start.solution.coefficients.shape
     if found != expected or len(start.solution.U) != n:

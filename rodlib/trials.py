@@ -7,6 +7,7 @@ The paper's reference trajectories and disturbances are published only as a plot
 import numpy as np
 import xarray as xr
 
+from rodlib import arguments
 from rodlib.feedback import CurrentTrialLoop
 from rodlib.filters import LearningFilter, ZeroPhaseButterworth, update
 
@@ -21,6 +22,7 @@ def run_trials(
     *,
     noise=None,
     initial_state=None,
+    rest: int = 0,
 ) -> xr.Dataset:
     """Simulate trials of the loop (19) under the ILC law (22), (23), starting with v_0 = e_0 = 0.
 
@@ -39,6 +41,8 @@ def run_trials(
         Added to what the sensors report, K: both observer and learning see it.
     initial_state : array_like, shape (n,), optional
         State of the plant at the start of every trial, unknown to the observer. Default zero.
+    rest : int
+        Number of samples at the end of every trial in which v is held at zero.
 
     Returns
     -------
@@ -50,24 +54,27 @@ def run_trials(
     Raises
     ------
     ValueError
-        If a shape does not fit the loop, or a signal is not finite.
+        If a shape does not fit the loop, a signal is not finite, or the filters do not belong to
+        the loop.
     """
+    check_law(loop, Q, L)
     n, m = loop.plant.nstates, loop.plant.noutputs
     names = loop.plant.input_labels[m:]
-    if not (isinstance(trials, int | np.integer) and trials >= 1):
-        raise ValueError(f"trials = {trials!r} must be a whole number, 1 or more")
-    reference = _checked("reference", reference, (None, m))
+    trials = arguments.whole("trials", trials, 1)
+    reference = arguments.array("reference", reference, ("time", m))
     samples = len(reference)
+    rest = arguments.whole("rest", rest, 0, samples - 1)
     shape = (trials, samples, len(names))
-    if disturbance is None or np.ndim(disturbance) != 2:
-        d = _checked("disturbance", np.zeros(shape) if disturbance is None else disturbance, shape)
-    else:
-        d = np.broadcast_to(_checked("disturbance", disturbance, shape[1:]), shape)
+    d = np.zeros(shape)
+    if disturbance is not None:
+        d = arguments.array("disturbance", disturbance, (...,))
+        d = arguments.array("disturbance", d, shape if d.ndim != 2 else shape[1:])
+        d = np.broadcast_to(d, shape)
     shape = (trials, samples, m)
-    noise = _checked("noise", np.zeros(shape) if noise is None else noise, shape)
+    noise = np.zeros(shape) if noise is None else arguments.array("noise", noise, shape)
     chi = np.zeros(loop.closed.nstates)
     if initial_state is not None:
-        chi[:n] = _checked("initial_state", initial_state, (n,))
+        chi[:n] = arguments.array("initial_state", initial_state, (n,))
 
     A = loop.closed.A
     B, E = loop.closed.B[:, :m], loop.closed.B[:, m:]
@@ -75,7 +82,7 @@ def run_trials(
     v, u, y, delta = (np.zeros(shape) for _ in range(4))
     for k in range(trials):
         if k and L is not None:
-            v[k] = update(v[k - 1], reference - y[k - 1] - noise[k - 1], Q, L)  # (23)
+            v[k] = update(v[k - 1], reference - y[k - 1] - noise[k - 1], Q, L, rest)  # (23)
         w = reference + v[k]  # (22)
         states = state_sequence(A, w @ B.T + d[k] @ E.T + noise[k] @ K.T, chi)  # (19)
         y[k] = states @ loop.closed.C.T
@@ -85,6 +92,32 @@ def run_trials(
         loop.Ts, names, reference=np.broadcast_to(reference, shape), v=v, u=u, y=y + noise,
         delta=delta, disturbance=d,
     )  # fmt: skip
+
+
+def check_law(loop, Q, L, **periods: float) -> None:
+    """Check that a loop and the filters of the law fit together, and periods (s) of all else.
+
+    Parameters
+    ----------
+    loop : CurrentTrialLoop
+    Q, L : ZeroPhaseButterworth, LearningFilter or None
+    **periods : float
+        Further sampling periods, s; each keyword says whose it is.
+
+    Raises
+    ------
+    ValueError
+        If the sampling periods differ, the learning filter has not one channel per output of the
+        loop, or an argument is something else altogether.
+    """
+    arguments.instance("loop", loop, CurrentTrialLoop)
+    arguments.instance("Q", Q, ZeroPhaseButterworth)
+    m = loop.plant.noutputs
+    if L is not None:
+        arguments.instance("L", L, LearningFilter)
+        arguments.array("L.coefficients", L.coefficients, (m, m, "order"))
+        periods["L"] = L.Ts
+    arguments.one_period(loop=loop.Ts, Q=Q.Ts, **periods)
 
 
 def state_sequence(A, forcing, initial) -> np.ndarray:
@@ -101,11 +134,19 @@ def state_sequence(A, forcing, initial) -> np.ndarray:
     ndarray, shape (time, n)
         x(0) ... x(time - 1).
 
+    Raises
+    ------
+    ValueError
+        If the shapes do not fit, or a value is not finite.
+
     Notes
     -----
     A loop over 2500 samples costs more than the arithmetic in it. The trial is cut into about 50
     blocks that run side by side from zero; then their initial states are chained and added.
     """
+    A = arguments.array("A", A, ("n", "n"))
+    forcing = arguments.array("forcing", forcing, ("time", len(A)))
+    initial = arguments.array("initial", initial, (len(A),))
     samples, n = forcing.shape
     length = int(np.ceil(np.sqrt(samples)))
     blocks = -(-samples // length)
@@ -167,7 +208,15 @@ def dataset(Ts, disturbances, **signals) -> xr.Dataset:
 
 
 def rms(e: xr.DataArray) -> xr.DataArray:
-    """RMS(e_k) of Section IV: root of the mean over time of e'e, summed over the channels."""
+    """RMS(e_k) of Section IV: root of the mean over time of e'e, summed over the channels.
+
+    `e` is a DataArray with the dimensions time and channel, such as that of a dataset of trials;
+    anything else, or a gap in it, raises a ValueError.
+    """
+    arguments.instance("e", e, xr.DataArray)
+    if not {"time", "channel"} <= set(e.dims):
+        raise ValueError(f"e has dimensions {e.dims}, but must have 'time' and 'channel'")
+    arguments.array("e", e.values, (...,))
     return np.sqrt((e**2).sum("channel").mean("time"))
 
 
@@ -186,7 +235,13 @@ def assumed_reference(samples: int = 2500) -> np.ndarray:
     -------
     ndarray, shape (samples, 2)
         In K above the initial ambient temperature.
+
+    Raises
+    ------
+    ValueError
+        If `samples` is not a whole number, 1 or more.
     """
+    samples = arguments.whole("samples", samples, 1)
     time = np.arange(samples) / samples * 2500
 
     def step(start, stop):
@@ -211,24 +266,18 @@ def assumed_disturbance(samples: int = 2500, trials: int = 10, first: int = 5) -
     -------
     ndarray, shape (trials, samples, 3)
         Ambient temperature (K, zero) and heat flows Q2 and Q4 (W).
+
+    Raises
+    ------
+    ValueError
+        If an argument is not a whole number, 1 or more.
     """
+    samples = arguments.whole("samples", samples, 1)
+    trials = arguments.whole("trials", trials, 1)
+    first = arguments.whole("first", first, 1)
     phase = np.arange(samples) / samples
     pulse = np.clip(np.stack([phase - 0.2, phase - 0.3], axis=1) / 0.5, 0, 1)
     flows = np.array([5.0, -4.0]) * np.sin(np.pi * pulse) ** 2
     disturbance = np.zeros((trials, samples, 3))
     disturbance[first - 1 :, :, 1:] = flows
     return disturbance
-
-
-def _checked(name, value, shape):
-    value = np.asarray(value, dtype=float)
-    fits = value.ndim == len(shape) and all(
-        want in (None, have) for want, have in zip(shape, value.shape, strict=True)
-    )
-    if not fits or (not value.size and None in shape):
-        wanted = "(" + ", ".join("time" if size is None else str(size) for size in shape) + ")"
-        raise ValueError(f"{name} has shape {value.shape}, but must have shape {wanted}")
-    bad = np.argwhere(~np.isfinite(value))
-    if bad.size:
-        raise ValueError(f"{name} has {len(bad)} values that are not finite, the first at {bad[0]}")
-    return value

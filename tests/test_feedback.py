@@ -181,8 +181,60 @@ def test_bad_plants_and_weights_are_refused(plant, weights, message):
 
 
 def test_unknown_control_is_refused():
-    with pytest.raises(ValueError, match=r"controls = \['Q9'\]"):
+    with pytest.raises(ValueError, match=r"controls = \['Q1', 'Q9'\] must list"):
         minimal_realisation(midr(Rod()), ["Q1", "Q9"])
+    with pytest.raises(ValueError, match=r"controls = \['Q1', 'Q1'\] must list"):
+        minimal_realisation(midr(Rod()), ["Q1", "Q1"])
+
+
+def test_controls_that_reach_nothing_are_refused():
+    plant = control.ss(-1, [[0.0, 1.0]], 1, 0, inputs=["u", "d"])
+    with pytest.raises(ValueError, match=r"controls = \['u'\] reach no state"):
+        minimal_realisation(plant, ["u"])
+
+
+def test_a_system_has_no_response_at_its_pole_or_without_a_sampling_period():
+    with pytest.raises(ValueError, match="omega has the frequency of a pole"):
+        frequency_response(control.ss(0, 1, 1, 0), [1.0, 0.0])
+    for dt in (None, True):
+        with pytest.raises(ValueError, match=f"system.dt = {dt} must be 0, or a sampling period"):
+            frequency_response(control.ss(0.5, 1, 1, 0, dt), [1.0])
+
+
+@pytest.mark.parametrize(
+    ("weights", "message"),
+    [
+        ({"Qo": np.zeros((12, 12))}, "Qo and Ro give a loop with a pole of modulus 1,"),
+        ({"Qo": 1e-30 * np.eye(12)}, "Qo and Ro"),
+        ({"Ro": 1e30 * np.eye(2)}, "Qo and Ro"),
+        ({"Qs": 1e30 * np.eye(10)}, "Qs and Rs leave the Riccati equation .* without a solution"),
+    ],
+)
+def test_weights_that_do_not_stabilise_are_refused(loop, weights, message):
+    with pytest.raises(ValueError, match=message):
+        current_trial_loop(loop.plant, **weights)
+
+
+def test_a_weight_may_be_symmetric_up_to_rounding(loop):
+    Rs = 0.05 * np.eye(2)
+    Rs[0, 1] = 1e-9
+    found = current_trial_loop(loop.plant, Rs=Rs)
+    np.testing.assert_allclose(found.Ks, loop.Ks, atol=1e-5)
+
+
+def test_a_slow_observer_is_still_an_observer(loop):
+    slow = current_trial_loop(loop.plant, Qo=1e-12 * np.eye(12))
+    assert 0 < 1 - np.abs(slow.closed.poles()).max() < 1e-6
+
+
+def test_a_rod_that_is_not_the_papers_is_sent_elsewhere():
+    for rod in (Rod(sections=3), Rod(sections=5), Rod(sensors=(0.1,))):
+        with pytest.raises(ValueError, match=r"rod has . sections and . sensors.*Q1 to Q4"):
+            paper_loop(rod)
+    for Ts in (1e-7, 1e5, np.inf):
+        with pytest.raises(ValueError, match=r"Ts = .* must be a sampling period between"):
+            paper_loop(Ts=Ts)
+    assert paper_loop(Ts=np.int64(2)).Ts == 2
 
 
 def test_paper_loop_takes_another_rod_degree_and_period():

@@ -96,6 +96,29 @@ def test_update_is_the_ilc_law(Q):
     np.testing.assert_allclose(update(v, e, Q, L).ravel(), expected, atol=1e-11)
 
 
+@given(st.integers(0, 19), st.integers(0, 2**32 - 1))
+def test_the_signal_rests_at_the_end_and_nowhere_else(rest, seed):
+    v, e = np.random.default_rng(seed).standard_normal((2, 3, 20, 1))
+    Q, L = zero_phase_butterworth(), LearningFilter([[[1.0, -0.5]]], 1.0)
+    rested, free = update(v, e, Q, L, rest), update(v, e, Q, L)
+    assert not rested[:, 20 - rest :].any()
+    np.testing.assert_array_equal(rested[:, : 20 - rest], free[:, : 20 - rest])
+
+
+def test_a_filter_that_rounding_would_change_is_refused():
+    for order, cutoff in ((100, 1e-3), (2, 1e-12), (1, 1e-12), (8, 1e-6)):
+        with pytest.raises(ValueError, match=f"cutoff = {cutoff} rad/s is too low for order"):
+            zero_phase_butterworth(order, cutoff)
+    assert zero_phase_butterworth(2, 1e-3).frequency_response(0.0) == pytest.approx(1)
+    assert zero_phase_butterworth(100, 1.0).frequency_response(1.0) == pytest.approx(0.5)
+
+
+def test_numbers_may_come_from_numpy():
+    Q = zero_phase_butterworth(np.int64(2), np.float64(0.1), np.int32(1))
+    assert zero_phase_butterworth() == Q and isinstance(Q.Ts, float)
+    assert isinstance(LearningFilter(np.ones((1, 1, 1)), np.int64(2)).Ts, float)
+
+
 def test_coefficients_cannot_be_changed_behind_the_filter():
     given_ = np.ones((1, 1, 2))
     L = LearningFilter(given_, 1.0)
@@ -139,14 +162,14 @@ def test_bad_signals_are_refused(Q):
     gap = np.zeros((5, 2))
     gap[3, 1] = np.nan
     with pytest.raises(
-        ValueError, match=r"e has 1 values that are not finite, the first at \[3 1\]"
+        ValueError, match=r"e has 1 values that are not finite, the first at \(3, 1\)"
     ):
         update(np.zeros((5, 2)), gap, Q, L)
-    with pytest.raises(ValueError, match=r"v has shape \(5, 2\) and e has shape \(6, 2\)"):
+    with pytest.raises(ValueError, match=r"e has shape \(6, 2\), but must have shape \(5, 2\)"):
         update(np.zeros((5, 2)), np.zeros((6, 2)), Q, L)
-    with pytest.raises(ValueError, match="3 channels"):
+    with pytest.raises(ValueError, match=r"signal has shape \(5, 3\).* \(..., time, 2\)"):
         L.apply(np.zeros((5, 3)))
     with pytest.raises(ValueError, match=r"shape \(5,\)"):
         Q.apply(np.zeros(5))
-    with pytest.raises(ValueError, match=r"Q\.Ts = 1\.0 s and L.Ts = 2.0 s"):
+    with pytest.raises(ValueError, match=r"Q\.Ts = 1\.0 s, L.Ts = 2.0 s"):
         update(np.zeros((5, 2)), np.zeros((5, 2)), Q, LearningFilter(np.ones((2, 2, 3)), 2.0))

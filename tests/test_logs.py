@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rodlib import LearningFilter, LogError, load_log, logs, run_trials, save_log
-from rodlib.logs import law_of, with_law
+from rodlib.logs import law_of, rest_of, with_law
 from rodlib.published import ROOT
 from rodlib.trials import dataset
 
@@ -155,6 +155,19 @@ def test_the_law_is_noted_and_found_again(loop, Q):
     assert law_of(run) is None
     with pytest.raises(LogError, match="Q or L cannot be understood"):
         law_of(run.assign_attrs(Q="{}", L="null"))
+
+
+def test_the_rest_is_noted_and_found_again(loop, Q, tmp_path):
+    run = run_trials(loop, Q, None, np.zeros((30, 2)), None, 2)
+    assert rest_of(run) == rest_of(with_law(run, Q, None)) == 0
+    assert with_law(run, Q, None).attrs.keys() == {"Ts", "Q", "L"}
+    save_log(with_law(run, Q, None, rest=7), tmp_path / "log.csv")
+    assert "# rest: 7\n" in (tmp_path / "log.csv").read_text()
+    assert rest_of(load_log(tmp_path / "log.csv")) == 7
+    assert rest_of(run.assign_attrs(rest="29")) == 29
+    for note in ("30", "-1", "1.5", "soon", 3):
+        with pytest.raises(LogError, match="rest cannot be understood"):
+            rest_of(run.assign_attrs(rest=note))
 
 
 def test_tracked_logs_are_read_by_pandas_alone_and_say_that_they_are_synthetic():

@@ -1,10 +1,21 @@
 from dataclasses import replace
 
+import control
 import numpy as np
 import pytest
 
-from rodlib import LearningFilter, Rod, exact_response, published, rig, run_trials
-from rodlib.logs import load_log
+from rodlib import (
+    LearningFilter,
+    Rod,
+    current_trial_loop,
+    exact_response,
+    published,
+    rig,
+    run_trials,
+    update,
+    zero_phase_butterworth,
+)
+from rodlib.logs import load_log, rest_of
 from rodlib.published import ROOT
 from rodlib.rig import Controller, RigParameters, VirtualRig, record
 from rodlib.trials import assumed_disturbance, assumed_reference, rms
@@ -109,6 +120,39 @@ def test_ideal_rig_with_nominal_rod_agrees_with_the_simulation(loop, Q):
     run = run_trials(loop, Q, L, reference, disturbance, 3)
     np.testing.assert_allclose(log.y, run.y, atol=0.02 * np.abs(reference).max())
     np.testing.assert_allclose(rms(log.e), rms(run.e), rtol=0.1)
+
+
+def test_v_rests_on_the_rig_too_and_the_log_says_so(loop, Q):
+    L = LearningFilter(published.matrix("L_diagonal"), 1.0)
+    reference, d = assumed_reference(60), np.zeros((3, 60, 3))
+    log = record(VirtualRig(), loop, Q, L, reference, d, 3, pause=5, rest=15)
+    assert not log.v.values[:, -15:].any() and log.v.values[1:, -16].any()
+    assert rest_of(log) == 15
+    for k in range(2):
+        law = update(log.v.values[k], log.e.values[k], Q, L, 15)
+        np.testing.assert_allclose(log.v[k + 1], law, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"rig": VirtualRig(Ts=2.0)}, r"rig.Ts = 2.0 s"),
+        ({"Q": zero_phase_butterworth(Ts=2.0)}, r"loop.Ts = 1.0 s, Q.Ts = 2.0 s, rig.Ts = 1.0 s"),
+        ({"L": LearningFilter(np.ones((2, 2, 1)), 0.5)}, r"rig.Ts = 1.0 s, L.Ts = 0.5 s"),
+        ({"rig": "the red one"}, "rig = 'the red one' has no read, apply, ambient"),
+        ({"trials": 3}, "disturbance has 2 trials, but trials = 3"),
+        ({"disturbance": np.zeros((2, 9, 3))}, r"disturbance has shape \(2, 9, 3\).*trial, 10, 3"),
+        ({"pause": -1}, "pause = -1"),
+        ({"rest": 10}, "rest = 10 must be a whole number, from 0 to 9"),
+        ({"loop": current_trial_loop(control.ss(0.5, 1, 1, 0, 1.0))}, "loop has the inputs"),
+    ],
+)
+def test_an_experiment_that_cannot_work_is_not_begun(loop, Q, changes, message):
+    experiment = {"rig": VirtualRig(), "loop": loop, "Q": Q, "L": None}
+    experiment |= {"reference": np.zeros((10, 2)), "disturbance": np.zeros((2, 10, 3)), "trials": 2}
+    with pytest.raises(ValueError, match=message):
+        record(**experiment | changes)
+    assert experiment["rig"].time == 0
 
 
 def test_first_trial_of_the_tracked_log_is_recorded_again_alike(loop, Q):

@@ -148,7 +148,7 @@ def test_names_of_inputs_and_outputs():
         ({"density": "steel"}, "density = 'steel'"),
         ({"sections": 0}, "sections = 0"),
         ({"sensors": (0.1, 0.5)}, r"sensors = \(0.1, 0.5\)"),
-        ({"sensors": ()}, r"sensors = \(\)"),
+        ({"sensors": ()}, r"sensors has shape \(0,\)"),
     ],
 )
 def test_bad_rods_are_refused(changes, message):
@@ -156,7 +156,13 @@ def test_bad_rods_are_refused(changes, message):
         Rod(**changes)
 
 
-@pytest.mark.parametrize("degree", [0, 21, 2.5])
+def test_rods_at_the_limits_are_taken():
+    rod = Rod(sections=1, sensors=[0, 0.32])
+    assert rod.sensors == (0.0, 0.32) and hash(rod) == hash(Rod(sections=1, sensors=(0, 0.32)))
+    assert midr(rod, 1).nstates == 2 and midr(rod, np.int64(20)).nstates == 21
+
+
+@pytest.mark.parametrize("degree", [0, 21, 2.5, True])
 def test_bad_degrees_are_refused(degree):
     with pytest.raises(ValueError, match="degree = "):
         midr(Rod(), degree)

@@ -18,6 +18,7 @@ from rodlib import (
     synthesise,
     zero_phase_butterworth,
 )
+from rodlib.certificate import trial_norm
 from rodlib.synthesis import convergence_matrix, largest_singular_values
 
 
@@ -214,10 +215,20 @@ MODELS = {"P": control.ss(0.5, 1, 1, 0, 1.0), "Q": zero_phase_butterworth()}
         ({"P": np.ones((49, 2, 2))}, r"P has shape \(49, 2, 2\)"),
         ({"P": np.ones(50)}, r"P has shape \(50,\)"),
         ({"P": singular_P()}, "P is singular at omega = 0.471429"),
-        ({"P": singular_P() * np.nan}, "P is not finite at omega = 0.05"),
+        ({"P": singular_P() * np.nan}, "P has 200 values that are not finite"),
         ({"P": control.ss(1.1, 1, 1, 0, 1.0)}, "P is unstable: it has a pole of modulus 1.1"),
+        ({"P": np.tile(np.eye(2) * 1e-200, (50, 1, 1))}, "P is singular at omega = 0.05 .*1e-200"),
+        ({"P": np.tile(np.eye(2) * 1e200, (50, 1, 1))}, r"P has values beyond 1e\+100"),
+        ({"P": control.ss([[0.5]], [[np.nan]], 1, 0, 1.0)}, r"P.B has 1 values that are not fin"),
         ({"P": control.ss(0.5, 1, 1, 0, 2.0)}, r"P\.dt = 2.0 differs from Ts = 1.0"),
         ({"Q": np.ones(3)}, r"Q has shape \(3,\)"),
+        ({"Q": np.zeros(50)}, "Q has a gain of 0 at most .* it learns nothing"),
+        ({"Q": (GRID > 2).astype(float)}, "Q has a gain of 0 at most"),
+        ({"Q": np.zeros(50), "objective": "peak"}, "Q has a gain of 0 at most"),
+        ({"Q": np.ones(50, dtype=bool)}, "Q holds values of type bool"),
+        ({"Q": zero_phase_butterworth(Ts=0.5)}, r"P.Ts = 1.0 s, Q.Ts = 0.5 s"),
+        ({"omega": GRID[:1]}, r"omega, of shape \(1,\)"),
+        ({"omega": np.append(GRID[:49], GRID[48])}, "increasing"),
         ({"omega": GRID[::-1]}, "increasing"),
         ({"omega": GRID * 2}, r"omega spans \[0.1, 6\].*Nyquist"),
         ({"omega": GRID - 1}, "omega spans"),
@@ -227,14 +238,23 @@ MODELS = {"P": control.ss(0.5, 1, 1, 0, 1.0), "Q": zero_phase_butterworth()}
         ({"M_max": 1.0}, "M_max = 1.0"),
         ({"M_max": "0.9"}, "M_max = '0.9'"),
         ({"L_max": -1.0}, "L_max = -1.0"),
+        ({"L_max": 1e300}, r"L_max = 1e\+300 is too large: choose another unit"),
+        ({"L_max": 1e-300}, "L_max = 1e-300 is too small: choose another unit"),
+        ({"M_max": 0.0}, "M_max = 0.0"),
+        ({"check": 1}, "check = 1 must be True or False"),
+        ({"rest": 1}, "rest = 1 must be a whole number, from 0 to 0"),
         ({"band": (1e-4, 0.5)}, r"band = \(0.0001, 0.5\)"),
         ({"band": (0.5, 0.1)}, r"band = \(0.5, 0.1\)"),
+        ({"band": None}, "band holds values of type object"),
+        ({"band": (0.2, 0.2)}, "band = .* must be two increasing"),
         ({"band": (0.051, 0.052)}, "contains none"),
         ({"structure": "triangular"}, "structure = 'triangular'"),
         ({"objective": "mean"}, "objective = 'mean'"),
         ({"samples": 100}, "samples = 100 asks for the norm of a trial, .* P and Q as models"),
         ({"solver": "simplex"}, "solver = 'simplex'"),
-        (MODELS | {"samples": 0}, "samples = 0 must be a whole number, 1 or more"),
+        (MODELS | {"samples": True}, "samples = True must be a whole number"),
+        (MODELS | {"samples": 9, "rest": 9}, "rest = 9 must be a whole number, from 0 to 8"),
+        (MODELS | {"samples": 0}, "samples = 0 must be a whole number, 2 or more"),
     ],
 )
 def test_bad_arguments_are_refused_before_any_work(changes, message):
@@ -242,3 +262,25 @@ def test_bad_arguments_are_refused_before_any_work(changes, message):
     arguments = {"P": P, "Q": np.ones(50), "omega": GRID, "Ts": 1.0, "band": (0.05, 1)} | changes
     with pytest.raises(ValueError, match=message):
         synthesise(**arguments)
+
+
+def test_numbers_may_come_from_numpy_and_the_rest_reaches_the_certificate(loop, Q, omega):
+    grid = omega[::10]
+    of_numpy = {"order": np.int64(10), "M_max": np.float32(0.95), "L_max": np.int32(50)}
+    of_numpy |= {"band": np.array([grid[0], 0.02]), "samples": np.int64(60), "rest": np.int8(15)}
+    design = synthesise(loop, Q, grid, np.int64(1), **of_numpy)
+    norm = trial_norm(loop.P, Q, design.filter, 60, rest=15)[0]
+    assert design.certificate.trial == pytest.approx(norm, rel=1e-9)
+    assert norm < 0.99 * trial_norm(loop.P, Q, design.filter, 60)[0]
+    assert (design.certificate.samples, design.certificate.rest) == (60, 15)
+
+
+@pytest.mark.parametrize("unit", [1e-90, 1e-12, 1e12, 1e90])
+def test_the_unit_of_the_output_does_not_matter(loop, Q, omega, unit):
+    grid = omega[::10]
+    P, q = loop.frequency_response(grid), Q.frequency_response(grid)
+    plain, scaled = (
+        synthesise(u * P, q, grid, 1.0, L_max=50 / u, band=(grid[0], 0.02)) for u in (1, unit)
+    )
+    assert scaled.value == pytest.approx(plain.value, rel=1e-7)
+    assert scaled.sigma_L.max() * unit == pytest.approx(plain.sigma_L.max(), rel=1e-6)

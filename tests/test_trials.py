@@ -1,3 +1,5 @@
+from itertools import pairwise
+
 import control
 import numpy as np
 import pytest
@@ -6,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rodlib import LearningFilter, published, run_trials, zero_phase_butterworth
+from rodlib.certificate import trial_map
 from rodlib.synthesis import convergence_matrix, largest_singular_values
 from rodlib.trials import assumed_disturbance, assumed_reference, rms, state_sequence
 
@@ -123,6 +126,30 @@ def test_assumed_signals_are_what_the_text_says_of_the_papers():
     assert np.abs(reference).max() <= 10 + 1e-9
 
 
+@pytest.mark.parametrize("rest", [0, 1, 15])
+def test_v_rests_and_converges_as_the_finite_trials_map_says(loop, Q, L, rest):
+    """v_{k+1} - v_k follows T of the certificate, which knows nothing of trials."""
+    rng = np.random.default_rng(4)
+    run = run_trials(loop, Q, L, rng.standard_normal((120, 2)), None, 5, rest=rest)
+    assert not run.v.values[:, 120 - rest :].any() and run.v.values[1:, : 120 - rest].any()
+    steps = np.diff(run.v.values.reshape(5, -1), axis=0)
+    T = trial_map(loop.P, Q, L, 120, rest)
+    for before, after in pairwise(steps):
+        np.testing.assert_allclose(T.matvec(before), after, atol=1e-9 * np.abs(steps).max())
+
+
+def test_filters_of_another_loop_are_refused(loop, Q, L):
+    other = zero_phase_butterworth(Ts=2.0)
+    with pytest.raises(ValueError, match=r"loop.Ts = 1.0 s, Q.Ts = 2.0 s, L.Ts = 1.0 s"):
+        run_trials(loop, other, L, np.zeros((5, 2)))
+    with pytest.raises(ValueError, match=r"loop.Ts = 1.0 s, Q.Ts = 1.0 s, L.Ts = 2.0 s"):
+        run_trials(loop, Q, LearningFilter(L.coefficients, 2.0), np.zeros((5, 2)))
+    with pytest.raises(ValueError, match=r"loop.Ts = 1.0 s, Q.Ts = 2.0 s"):
+        run_trials(loop, other, None, np.zeros((5, 2)))
+    with pytest.raises(ValueError, match=r"L.coefficients has shape \(1, 1, 10\)"):
+        run_trials(loop, Q, LearningFilter(L.coefficients[:1, :1], 1.0), np.zeros((5, 2)))
+
+
 def test_units_and_names_are_in_the_dataset(loop, Q, L):
     run = run_trials(loop, Q, L, np.zeros((20, 2)), None, 2)
     assert run.e.dims == ("trial", "time", "channel")
@@ -150,6 +177,8 @@ def test_held_ends_learn_a_trial_that_does_not_end_at_zero(loop, L):
         ({"disturbance": np.zeros((50, 2))}, r"disturbance has shape \(50, 2\).*\(50, 3\)"),
         ({"disturbance": np.zeros((3, 50, 3))}, r"disturbance has shape \(3, 50, 3\)"),
         ({"trials": 0}, "trials = 0"),
+        ({"rest": 50}, "rest = 50 must be a whole number, from 0 to 49"),
+        ({"rest": -1}, "rest = -1"),
         ({"noise": np.zeros((2, 50, 3))}, "noise has shape"),
         ({"initial_state": np.zeros(13)}, r"initial_state has shape \(13,\)"),
     ],
