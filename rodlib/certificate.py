@@ -17,10 +17,10 @@ import control
 import numpy as np
 import scipy.sparse.linalg as sparse
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.linalg import schur, solve_triangular
+from scipy.linalg import schur
 from scipy.sparse import diags_array, eye_array
 
-from rodlib.filters import LearningFilter, ZeroPhaseButterworth, time_shifts
+from rodlib.filters import LearningFilter, ZeroPhaseButterworth
 
 CHUNK = 2**21  # numbers held at a time while frequency responses are computed
 # Relative duality gap, and relative violation of a bound on the grid, that are accepted.
@@ -147,29 +147,47 @@ def lower_bound(
     float
     """
     n, m, _ = P.shape
-    z = time_shifts(angles, order)
-    T, N = -Q[:, None, None] * P, np.array(U)
+    T, N = -Q[:, None, None] * P, np.array(U, dtype=complex)
     if V is not None:  # in units of L_max, so that both parts have the size of the objective
         T = np.concatenate([T, np.broadcast_to(np.eye(m) / L_max, (n, m, m))])
         N = np.concatenate([N, L_max * V])
-        z = np.concatenate([z, z])
-    columns = [[slice(None), range(m)]] if structure == "full" else [[[k], [k]] for k in range(m)]
-    for rows, column in columns:
-        D = (T[:, :, rows, None] * z[:, None, None]).reshape(len(N) * m, -1)
-        D = np.concatenate([D.real, D.imag])
-        R = np.linalg.qr(D.astype(float), mode="r")
-        part = N[:, :, column].reshape(len(N) * m, -1)
-        part = np.concatenate([part.real, part.imag]).astype(D.dtype)
-        for _ in range(4):  # in long doubles: how well the condition is met counts, not R
-            residual = (D.T @ part).astype(float)
-            part -= D @ solve_triangular(R, solve_triangular(R, residual, trans="T"))
-        half = len(part) // 2
-        N[:, :, column] = (part[:half] + 1j * part[half:]).reshape(len(N), m, -1)
+        angles = np.concatenate([angles, angles])
+    groups = [list(range(m))] if structure == "full" else [[k] for k in range(m)]
+    for group in groups:
+        changes = _changes(T[:, :, group], angles, order)
+        part = _rows(N[:, :, group])
+        for _ in range(2):
+            part -= (part @ changes.T) @ changes
+        N[:, :, group] = part.view(complex).reshape(-1, len(N), m).transpose(1, 2, 0)
     norms = np.linalg.svd(N, compute_uv=False).sum(axis=1)
     bound = (np.trace(N[:n].conj(), axis1=1, axis2=2) * Q).real.sum() - norms[n:].sum()
     if objective == "peak":
         return float(bound / norms[:n].sum())
     return float(bound - M_max * np.maximum(norms[:n] - band_mask, 0).sum())
+
+
+def _changes(T, angles, order):
+    """Orthonormal rows that span what the coefficients can do to T L, shape (n, m, q).
+
+    The powers of z are nearly dependent at low frequencies. Arnoldi's process never forms them: it
+    multiplies the last rows by z - 1 and makes the result orthogonal to all before, which spans
+    the same space and needs no more than doubles.
+    """
+    rows = _rows(T * np.exp(1j * angles)[:, None, None])
+    step = np.repeat(np.expm1(1j * angles), T.shape[1])
+    done = np.empty((0, rows.shape[1]))
+    for _ in range(order):
+        for _ in range(2):  # once leaves what rounding has put back
+            rows = np.linalg.qr((rows - (rows @ done.T) @ done).T)[0].T
+        done = np.vstack([done, rows])
+        rows = (np.ascontiguousarray(rows).view(complex) * step).view(float)
+    return done
+
+
+def _rows(X):
+    """Columns of all X as one real row each, real and imaginary parts in turn: (n, m, q)."""
+    rows = X.transpose(2, 0, 1).reshape(X.shape[2], -1)
+    return np.ascontiguousarray(rows, dtype=complex).view(float)
 
 
 def peak_gain(
