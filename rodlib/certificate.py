@@ -59,7 +59,7 @@ class Certificate:
         First and last design frequency, and pi / Ts, rad/s.
     missed : float
         By how much such splines miss M, in its largest singular value, at samples that are left
-        out; NaN if proven.
+        out; infinite for fewer than four samples, NaN if proven.
     tolerances : (float, float)
         Relative duality gap, and violation of a bound on the grid, that are accepted.
     trial : float
