@@ -1,12 +1,12 @@
 """Evidence for a learning filter that does not come from the solver.
 
-Three questions, each answered by code of its own; the powers of z and the singular values of a
-matrix are all that it shares with the solvers:
+Three questions, each answered by code of its own; the function for the singular values of a matrix
+is all that it shares with the solvers:
 
 - *Is it optimal?* :func:`lower_bound` turns the solver's multipliers, whatever their quality, into
-  a bound on the objective that no filter can beat.
+  a bound on the objective that no filter of the same structure and order can beat.
 - *Are the bounds met between the samples?* The constraints of (39) hold on a grid;
-  :func:`peak_gain` gives the peak over all frequencies, with a proof.
+  :func:`peak_gain` gives the peak over all frequencies, with a proof, if the plant is a model.
 - *Does the finite trial converge?* Lemma 1 is about signals without end; :func:`trial_norm` is
   the norm of what one trial of the ILC law really does, its two ends included.
 """
@@ -17,16 +17,20 @@ import control
 import numpy as np
 import scipy.sparse.linalg as sparse
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.linalg import schur, solve_triangular
+from scipy.linalg import schur
 from scipy.sparse import diags_array, eye_array
 
-from rodlib.filters import LearningFilter, ZeroPhaseButterworth, time_shifts
+from rodlib.filters import LearningFilter, ZeroPhaseButterworth
 
 CHUNK = 2**21  # numbers held at a time while frequency responses are computed
+CLOSEST = 20  # poles next to the unit circle at which rounding is looked into
+LANCZOS = 60  # vectors that the Lanczos iteration keeps
 # Relative duality gap, and relative violation of a bound on the grid, that are accepted.
 GAP = 1e-6
 VIOLATION = 1e-9
 LARGEST = 1e7  # gain of Q P L from which on the rounding of coefficients shows
+# Share of 1 - sigma_max(M) that splines may miss: a narrow resonance shows little on its flanks.
+COARSE = 0.25
 
 
 @dataclass(frozen=True)
@@ -35,8 +39,10 @@ class Certificate:
 
     Attributes
     ----------
+    structure, order : str, int
+        Of the learning filter, "diagonal" or "full", and how many samples it looks ahead.
     value, lower_bound : float
-        The objective reached, and what no filter can go below.
+        The objective reached, and what no such filter within the bounds can go below.
     idle : float
         The objective without learning, L = 0.
     M_max, L_max : float, float or None
@@ -44,9 +50,17 @@ class Certificate:
     grid_M, grid_L : float
         Peaks of sigma_max(M), sigma_max(L) on the design grid.
     all_M, all_L : float
-        Upper bounds, to 1e-8, of the peaks over all frequencies.
+        Upper bounds, to 1e-8, of the peaks over all frequencies; see `proven`.
+    place : float
+        Frequency of `all_M`, rad/s.
     proven : bool
-        False if P or Q were given as samples: `all_M` is then an estimate from splines.
+        False if P or Q were given as samples: `all_M` is then an estimate from splines, for the
+        frequencies from the first to the last sample. All others remain unknown.
+    sampled, nyquist : (float, float), float
+        First and last design frequency, and pi / Ts, rad/s.
+    missed : float
+        By how much such splines miss M, in its largest singular value, at samples that are left
+        out; infinite for fewer than four samples, NaN if proven.
     tolerances : (float, float)
         Relative duality gap, and violation of a bound on the grid, that are accepted.
     trial : float
@@ -57,6 +71,8 @@ class Certificate:
         Number of samples at its end in which v is held at zero.
     """
 
+    structure: str
+    order: int
     value: float
     lower_bound: float
     idle: float
@@ -66,7 +82,11 @@ class Certificate:
     grid_L: float
     all_M: float
     all_L: float
+    place: float
+    sampled: tuple[float, float]
+    nyquist: float
     proven: bool = True
+    missed: float = np.nan
     tolerances: tuple[float, float] = (GAP, VIOLATION)
     trial: float = np.nan
     samples: int | None = None
@@ -76,7 +96,8 @@ class Certificate:
     def gap(self) -> float:
         """Distance of value and lower bound, relative to the value.
 
-        Below a millionth of the objective without learning, a value is as good as zero.
+        Below a thousandth of the objective without learning, it is relative to that: a billionth
+        of the objective without learning is as good as nothing.
         """
         return (self.value - self.lower_bound) / max(self.value, 1e-3 * self.idle)
 
@@ -92,11 +113,31 @@ class Certificate:
             f"sigma_max(L) = {self.grid_L:.12g} > L_max = {self.L_max} on the grid": (
                 self.L_max is not None and self.grid_L > self.L_max * (1 + violation)
             ),
-            f"sigma_max(M) reaches {self.all_M:.9g} between the samples: Lemma 1 does not hold": (
-                self.proven and self.all_M >= 1
-            ),
+            f"sigma_max(M) reaches {self.all_M:.9g} at {self.place:.6g} rad/s, not in omega: "
+            "Lemma 1 does not hold; add frequencies there": self.proven and self.all_M >= 1,
         }
         return [text for text, failed in tests.items() if failed]
+
+    @property
+    def warnings(self) -> list[str]:
+        """What speaks against the estimate of M between the samples; empty if it is proven."""
+        margin = 1 - self.all_M
+        too_coarse = margin > 0 and self.missed > COARSE * margin
+        tests = {
+            f"sigma_max(M) may reach {self.all_M:.4g} at {self.place:.4g} rad/s, between the "
+            "samples, where Lemma 1 would not hold; measure there": margin <= 0,
+            f"the samples are too coarse: splines miss M by {self.missed:.2g} at samples left out, "
+            f"and 1 - sigma_max(M) is {margin:.2g}; measure at more frequencies": too_coarse,
+        }
+        return [] if self.proven else [text for text, warned in tests.items() if warned]
+
+    @property
+    def unknown(self) -> str:
+        """The frequencies at which nothing is known of M if P or Q were given as samples."""
+        low, high = self.sampled
+        parts = [f"below {low:.4g} rad/s"] if low > 0 else []
+        parts += [f"above {high:.4g} rad/s"] if high < self.nyquist * (1 - 1e-9) else []
+        return ", ".join([*parts, "at resonances that no sample shows"])
 
     def __repr__(self):
         bound = "none" if self.L_max is None else f"{self.L_max:g}"
@@ -104,14 +145,29 @@ class Certificate:
             ("", "sigma_max(M)", "sigma_max(L)"),
             ("bound", f"{self.M_max:g}", bound),
             ("on the design grid", f"{self.grid_M:.8f}", f"{self.grid_L:.7g}"),
-            ("over all frequencies", f"{self.all_M:.8f}", f"{self.all_L:.7g}"),
+            (
+                "over all frequencies",
+                f"{self.all_M:.8f}" if self.proven else "not known",
+                f"{self.all_L:.7g}",
+            ),
         ]
         lines = ["{:<22}{:>14}{:>14}".format(*row) for row in rows]
         if not self.proven:
-            lines.append("M between the samples: estimated with splines, not proven")
-        lines.append(f"objective {self.value:.8g}, no filter below {self.lower_bound:.8g}")
+            low, high = self.sampled
+            lines += [
+                f"sigma_max(M) from {low:.4g} to {high:.4g} rad/s, between the samples: "
+                f"{self.all_M:.4f}, estimated",
+                f"sigma_max(M) unknown: {self.unknown}",
+            ]
+        compared = "" if self.L_max is not None else f" with a gain of Q P L up to {LARGEST:.0e}"
+        lines.append(
+            f"objective {self.value:.8g}, no {self.structure} filter of order {self.order}"
+            f"{compared} below {self.lower_bound:.8g}"
+        )
         if self.samples:
-            lines.append(f"norm of one trial of {self.samples} samples: {self.trial:.4f}")
+            rest = f", the last {self.rest} at rest" if self.rest else ""
+            lines.append(f"norm of one trial of {self.samples} samples{rest}: {self.trial:.4f}")
+        lines += [f"WARNING: {text}" for text in self.warnings]
         return "\n".join([*lines, *(f"FAILS: {text}" for text in self.failures)])
 
 
@@ -175,30 +231,48 @@ def lower_bound(
     float
     """
     n, m, _ = P.shape
-    z = time_shifts(angles, order)
-    T, N = -Q[:, None, None] * P, np.array(U)
+    T, N = -Q[:, None, None] * P, np.array(U, dtype=complex)
     if V is not None:  # in units of the bound, so that both parts have the size of the objective
         W = weight_of_L(P, Q, L_max)
         T = np.concatenate([T, np.broadcast_to(W, (n, m, m))])
         N = np.concatenate([N, np.linalg.solve(W, V)])
-        z = np.concatenate([z, z])
-    columns = [[slice(None), range(m)]] if structure == "full" else [[[k], [k]] for k in range(m)]
-    for rows, column in columns:
-        D = (T[:, :, rows, None] * z[:, None, None]).reshape(len(N) * m, -1)
-        D = np.concatenate([D.real, D.imag])
-        R = np.linalg.qr(D.astype(float), mode="r")
-        part = N[:, :, column].reshape(len(N) * m, -1)
-        part = np.concatenate([part.real, part.imag]).astype(D.dtype)
-        for _ in range(4):  # in long doubles: how well the condition is met counts, not R
-            residual = (D.T @ part).astype(float)
-            part -= D @ solve_triangular(R, solve_triangular(R, residual, trans="T"))
-        half = len(part) // 2
-        N[:, :, column] = (part[:half] + 1j * part[half:]).reshape(len(N), m, -1)
+        angles = np.concatenate([angles, angles])
+    groups = [list(range(m))] if structure == "full" else [[k] for k in range(m)]
+    for group in groups:
+        changes = _changes(T[:, :, group], angles, order)
+        part = _rows(N[:, :, group])
+        for _ in range(2):
+            part -= (part @ changes.T) @ changes
+        N[:, :, group] = part.view(complex).reshape(-1, len(N), m).transpose(1, 2, 0)
     norms = np.linalg.svd(N, compute_uv=False).sum(axis=1)
     bound = (np.trace(N[:n].conj(), axis1=1, axis2=2) * Q).real.sum() - norms[n:].sum()
     if objective == "peak":
         return float(bound / norms[:n].sum())
     return float(bound - M_max * np.maximum(norms[:n] - band_mask, 0).sum())
+
+
+def _changes(T, angles, order):
+    """Orthonormal rows that span what the coefficients can do to T L, shape (n, m, q).
+
+    The powers of z are nearly dependent at low frequencies. Arnoldi's process never forms them: it
+    multiplies the last rows by z - 1 and makes the result orthogonal to all before, which spans
+    the same space and needs no more than doubles.
+    """
+    rows = _rows(T * np.exp(1j * angles)[:, None, None])
+    step = np.repeat(np.expm1(1j * angles), T.shape[1])
+    done = np.empty((0, rows.shape[1]))
+    for _ in range(order):
+        for _ in range(2):  # once leaves what rounding has put back
+            rows = np.linalg.qr((rows - (rows @ done.T) @ done).T)[0].T
+        done = np.vstack([done, rows])
+        rows = (np.ascontiguousarray(rows).view(complex) * step).view(float)
+    return done
+
+
+def _rows(X):
+    """Columns of all X as one real row each, real and imaginary parts in turn: (n, m, q)."""
+    rows = X.transpose(2, 0, 1).reshape(X.shape[2], -1)
+    return np.ascontiguousarray(rows, dtype=complex).view(float)
 
 
 def peak_gain(
@@ -219,11 +293,11 @@ def peak_gain(
     Returns
     -------
     gain : float
-        At least the supremum of sigma_max(G(exp(j omega Ts))) over 0 <= omega <= pi / Ts, and at
-        most (1 + tolerance) times it. In the unit of the output per unit of the input.
+        At least the supremum of sigma_max(G(exp(j omega Ts))) over 0 <= omega <= pi / Ts. Above
+        (1 + tolerance) times it only by a bound of the rounding error, see Notes. In the unit of
+        the output per unit of the input.
     omega : float
-        Where the largest value was found, rad/s; sigma_max there is at least
-        gain / (1 + tolerance).
+        Where the largest value was found, rad/s.
 
     Raises
     ------
@@ -232,7 +306,8 @@ def peak_gain(
         or the tolerance is out of range.
     RuntimeError
         If `max_points` does not suffice: sigma_max is equal to its peak, or nearly so, over a
-        wide range (an all-pass filter, say). The message gives the interval found so far.
+        wide range (an all-pass filter, say). The message gives the interval found so far. Or if
+        poles are so close to the unit circle that rounding could move one across.
 
     Notes
     -----
@@ -270,7 +345,13 @@ def peak_gain(
 
     Rounding: the values are those of a Schur form of A, whose diagonal holds the very poles that
     the bound uses. The proof is therefore exact for a system whose matrices differ from the given
-    ones by rounding; that, not the grid, limits the accuracy (relative 1e-12 for the paper's M).
+    ones by rounding. Where that matters most, at the peak and at the angles of the poles closest to
+    the circle, the gain is computed once more from A itself, with a bound of its error: if R
+    approximates (z I - A)^-1 and leaves the residual S = I - (z I - A) R, then
+
+        C (z I - A)^-1 B = C R B + C R (S + S^2 + ...) B.
+
+    What this adds to the peak is added to the gain. It is 1e-9 of it or less for the paper's M.
     No eigenvalue has to be told apart from the unit circle, as in the level-set methods of Boyd,
     Balakrishnan, Bruinsma and Steinbuch: that decision is worth no more than half the digits
     where the level touches the curve.
@@ -282,7 +363,8 @@ def peak_gain(
         raise ValueError("system must be finite, but its matrices hold NaN or infinite values")
     if system.nstates == 0:
         return float(np.linalg.norm(system.D, 2)), 0.0
-    poles, sigma = _gain_function(system)
+    matrices = *_balanced(system.A, system.B, system.C), system.D
+    poles, sigma = _gain_function(*matrices)
     radius = np.abs(poles).max()
     if radius >= 1:
         raise ValueError(f"system is unstable: it has a pole of modulus {radius:.6g}, 1 or more")
@@ -300,7 +382,15 @@ def peak_gain(
         bound = max(bound, ceiling[~keep].max(initial=0))
         left, right = left[:, keep], right[:, keep]
         if not left.size:
-            return float(bound), float(place / Ts)
+            closest = poles[np.argsort(-np.abs(poles))][:CLOSEST]
+            doubtful = {place, *np.abs(np.angle(closest))}
+            highest = max(_rounded_up(*matrices, angle) for angle in doubtful)
+            if highest == np.inf:
+                raise RuntimeError(
+                    f"the peak gain, {peak:.6g} as computed, cannot be told: system has a pole of "
+                    f"modulus {radius:.17g}, which rounding of its matrices could make unstable"
+                )
+            return float(bound + max(highest - peak, 0)), float(place / Ts)
         middle = (left[0] + right[0]) / 2
         points += middle.size
         if points > max_points or np.any((middle == left[0]) | (middle == right[0])):
@@ -319,7 +409,7 @@ def peak_gain(
 def _ceiling(a, b, h):
     """Highest peak that a curve through a and b, a phase h apart, can have in between."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        crest = np.sqrt((a - b) ** 2 + 4 * a * b * np.sin(h / 2) ** 2) / np.sin(h)
+        crest = np.hypot(a - b, 2 * np.sqrt(a) * np.sqrt(b) * np.sin(h / 2)) / np.sin(h)
     inside = np.minimum(a, b) > np.maximum(a, b) * np.cos(h)
     return np.where(h < np.pi / 2, np.where(inside, crest, np.maximum(a, b)), np.inf)
 
@@ -333,11 +423,10 @@ def _phase(poles, theta):
     return len(poles) * theta + 2 * np.arctan(r * np.sin(shift) / real).sum(axis=0)
 
 
-def _gain_function(system):
+def _gain_function(A, B, C, D):
     """Poles of a system, and a function for sigma_max at an array of angles omega Ts."""
-    A, B, C = _balanced(system.A, system.B, system.C)
     T, Z = schur(A, output="complex")
-    B, C, D = Z.conj().T @ B, C @ Z, system.D
+    B, C = Z.conj().T @ B, C @ Z
     n, m = B.shape
 
     def sigma(theta):
@@ -358,17 +447,40 @@ def _gain_function(system):
     return np.diag(T), sigma
 
 
+def _rounded_up(A, B, C, D, theta):
+    """Upper bound of sigma_max at one angle whatever the rounding, of :func:`peak_gain`."""
+    unit, z = (len(A) + 2) * np.finfo(float).eps, np.exp(1j * theta)
+    identity = np.eye(len(A))
+    R = np.linalg.inv(z * identity - A)
+    a, b, c, r = (np.abs(X) for X in (A, B, C, R))
+    residual = np.abs(identity - (z * R - A @ R)) + unit * (identity + r + a @ r)
+    size = np.linalg.norm(residual)
+    if not size < 1:
+        return np.inf
+    left = C @ R
+    error = np.abs(left) @ residual @ b + unit * (c @ r @ b + np.abs(D))
+    further = np.abs(left).sum() * size**2 / (1 - size) * b.sum()
+    return np.linalg.norm(left @ B + D, 2) + np.linalg.norm(error, 2) + further
+
+
 def largest_singular_values(G):
     """Largest singular value of each matrix, shape (n, p, m) to (n,)."""
     if min(G.shape[1:]) > 2:
         return np.linalg.norm(G, 2, axis=(1, 2))
     # Below three by three the Hermitian eigenvalue problem has a closed form, ten times faster.
     G = G if G.shape[1] <= G.shape[2] else np.swapaxes(G, 1, 2)
-    power = (G.real**2 + G.imag**2).sum(axis=2)
-    if G.shape[1] == 1:
-        return np.sqrt(power[:, 0])
-    coupling = np.abs((G[:, 0] * G[:, 1].conj()).sum(axis=1))
-    return np.sqrt(power.mean(axis=1) + np.hypot((power[:, 0] - power[:, 1]) / 2, coupling))
+    with np.errstate(over="ignore", under="ignore", invalid="ignore"):
+        power = (G.real**2 + G.imag**2).sum(axis=2)
+        total = power.sum(axis=1)
+        if G.shape[1] == 1:
+            sigma = np.sqrt(total)
+        else:
+            coupling = np.abs((G[:, 0] * G[:, 1].conj()).sum(axis=1))
+            sigma = np.sqrt(total / 2 + np.hypot((power[:, 0] - power[:, 1]) / 2, coupling))
+    if not (total.min(initial=1) > 1e-280 and total.max(initial=1) < 1e280):
+        extreme = ~((total > 1e-280) & (total < 1e280))  # the squares may have left the doubles
+        sigma[extreme] = np.linalg.norm(G[extreme], 2, axis=(1, 2))
+    return sigma
 
 
 def _balanced(A, B, C):
@@ -382,9 +494,10 @@ def _balanced(A, B, C):
         done = True
         for i in range(len(A)):
             rest = np.arange(len(A)) != i
-            row = np.hypot(np.linalg.norm(A[i, rest]), np.linalg.norm(B[i]))
-            column = np.hypot(np.linalg.norm(A[rest, i]), np.linalg.norm(C[:, i]))
-            exponent = np.round(np.log2(row / column) / 2) if row > 0 and column > 0 else 0
+            row = max(np.abs(A[i, rest]).max(initial=0), np.abs(B[i]).max())
+            column = max(np.abs(A[rest, i]).max(initial=0), np.abs(C[:, i]).max())
+            known = row > 0 and column > 0
+            exponent = np.round((np.log2(row) - np.log2(column)) / 2) if known else 0
             if exponent:
                 scale, done = 2.0**exponent, False
                 A[i] /= scale
@@ -612,7 +725,7 @@ def trial_norm(
     trials: int = 1,
     rest: int = 0,
 ) -> tuple[float, np.ndarray, np.ndarray]:
-    """2-norm of the trial-to-trial map of the ILC signal on a finite trial, by Lanczos.
+    """2-norm of the trial-to-trial map of the ILC signal on a finite trial.
 
     Parameters
     ----------
@@ -625,7 +738,7 @@ def trial_norm(
     -------
     norm : float
         Largest ||v_{k+trials} - v_inf|| / ||v_k - v_inf||. Below one for trials = 1, v converges
-        monotonically. Lanczos approaches it from below.
+        monotonically. Lanczos approaches it from below; short trials have an SVD.
     before, after : ndarray, shape (samples, m)
         The unit v_k - v_inf that is amplified most, and what becomes of it.
 
@@ -639,12 +752,16 @@ def trial_norm(
     if not (isinstance(trials, int | np.integer) and trials >= 1):
         raise ValueError(f"trials = {trials!r} must be a whole number, 1 or more")
     T = trial_map(P, Q, L, samples, rest) ** trials
-    start = np.random.default_rng(0).standard_normal(T.shape[1])  # the same result in every run
-    try:
-        _, vectors = sparse.eigsh(T.H @ T, k=1, v0=start, tol=1e-8, ncv=min(T.shape[1], 60))
-    except sparse.ArpackNoConvergence as error:
-        raise RuntimeError(f"the Lanczos iteration did not converge: {error}") from error
-    before = vectors[:, 0]
+    size = T.shape[1]
+    if size <= LANCZOS:
+        before = np.linalg.svd(T @ np.eye(size))[2][0]
+    else:
+        start = np.random.default_rng(0).standard_normal(size)  # the same result in every run
+        try:
+            _, vectors = sparse.eigsh(T.H @ T, k=1, v0=start, tol=1e-8, ncv=LANCZOS)
+        except sparse.ArpackNoConvergence as error:
+            raise RuntimeError(f"the Lanczos iteration did not converge: {error}") from error
+        before = vectors[:, 0]
     after = T.matvec(before)
     return float(np.linalg.norm(after)), before.reshape(samples, -1), after.reshape(samples, -1)
 

@@ -162,8 +162,9 @@ def synthesise(
     Returns
     -------
     Synthesis
-        With its certificate. What it says about the frequencies between the samples is proven if P
-        and Q are models; from arrays it is read off splines, on a grid ten times denser.
+        With its certificate. What it says about all frequencies is proven if P and Q are models.
+        From arrays it is read off splines between the first and the last frequency, on a grid ten
+        times denser; the certificate warns if the samples are too coarse for that.
 
     Raises
     ------
@@ -256,7 +257,14 @@ def _judged(solution, data, statement, model, trial, tolerances):
         value, idle = sigma_M[in_band].sum(), np.abs(Q)[in_band].sum()
     else:
         value, idle = sigma_M.max(), np.abs(Q).max()
+    if model:
+        all_M, place = peak_gain(convergence_model(*model, L))
+        missed = np.nan
+    else:
+        all_M, place, missed = _peak_between(*data, L)
     certificate = Certificate(
+        structure=statement["structure"],
+        order=statement["order"],
         value=value,
         lower_bound=lower_bound(P, Q, omega * Ts, solution.U, solution.V, **statement),
         idle=idle,
@@ -264,9 +272,13 @@ def _judged(solution, data, statement, model, trial, tolerances):
         L_max=statement["L_max"],
         grid_M=sigma_M.max(),
         grid_L=sigma_L.max(),
-        all_M=peak_gain(convergence_model(*model, L))[0] if model else _peak_between(*data, L),
+        all_M=all_M,
         all_L=peak_gain(learning_model(L))[0],
+        place=place,
+        sampled=(omega[0], omega[-1]),
+        nyquist=np.pi / Ts,
         proven=model is not None,
+        missed=missed,
         tolerances=tolerances,
         trial=np.nan if samples is None else trial_norm(*model, L, samples, rest=rest)[0],
         samples=samples,
@@ -295,11 +307,35 @@ def _sigmas(P, Q, L, omega):
 
 
 def _peak_between(P, Q, omega, Ts, L):
-    """Estimate of the peak of sigma_max(M) over all frequencies, from splines through samples."""
+    """Peak of sigma_max(M) estimated between samples, its frequency, and what the splines miss.
+
+    Measured grids are linear or logarithmic, plants smooth over one or the other. So the splines
+    run over omega or log omega, whichever foretells samples that are left out better.
+    """
     steps = np.linspace(0, 1, DENSER, endpoint=False)
     dense = np.append((omega[:-1, None] + np.diff(omega)[:, None] * steps).ravel(), omega[-1])
-    P, Q = (CubicSpline(omega, values)(dense) for values in (P, Q))
-    return _sigmas(P, Q, L, dense)[0].max()
+    response = L.frequency_response(omega)
+    M = convergence_matrix(P, Q, response)
+    missed = {}
+    for scale in (np.asarray, np.log) if omega[0] > 0 else (np.asarray,):
+        missed[scale] = 0.0 if len(omega) > 3 else np.inf
+        for first in (1, 2):  # every other sample between the two at the ends
+            out = np.arange(first, len(omega) - 1, 2)
+            rest = np.delete(np.arange(len(omega)), out)
+            foretold = _splined(P[rest], Q[rest], omega[rest], response[out], omega[out], scale)
+            miss = largest_singular_values(foretold - M[out]).max(initial=0)
+            missed[scale] = max(missed[scale], miss)
+    scale = min(missed, key=missed.get)
+    sigma = largest_singular_values(
+        _splined(P, Q, omega, L.frequency_response(dense), dense, scale)
+    )
+    return sigma.max(), dense[sigma.argmax()], missed[scale]
+
+
+def _splined(P, Q, omega, response, places, scale):
+    """M of (40) at other frequencies than those of P and Q, where L has this response."""
+    P, Q = (CubicSpline(scale(omega), samples)(scale(places)) for samples in (P, Q))
+    return convergence_matrix(P, Q, response)
 
 
 def _advice(statement, smallest, solve):

@@ -5,20 +5,35 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from rodlib import paper_loop, zero_phase_butterworth
-
 matplotlib.use("agg")
 settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=25)
 settings.load_profile("repeatable")
 
 
+def pytest_addoption(parser):
+    parser.addoption(
+        "--no-longdouble",
+        action="store_true",
+        help="run as on a processor without long doubles: numpy.longdouble is numpy.float64",
+    )
+
+
+def pytest_configure(config):
+    if config.getoption("no_longdouble"):  # before anything imports rodlib
+        np.longdouble, np.clongdouble = np.float64, np.complex128
+
+
 @pytest.fixture(scope="session")
 def loop():
+    from rodlib import paper_loop
+
     return paper_loop()
 
 
 @pytest.fixture(scope="session")
 def Q():
+    from rodlib import zero_phase_butterworth
+
     return zero_phase_butterworth()
 
 

@@ -1,4 +1,5 @@
 from dataclasses import replace
+from fractions import Fraction
 
 import control
 import numpy as np
@@ -6,7 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rodlib import LearningFilter, published, run_trials, synthesise, zero_phase_butterworth
+from rodlib import (
+    LearningFilter,
+    SolverError,
+    published,
+    run_trials,
+    synthesise,
+    zero_phase_butterworth,
+)
 from rodlib.certificate import (
     convergence_model,
     learning_model,
@@ -49,6 +57,87 @@ def test_peak_gain_of_known_systems():
     brute = np.abs(np.exp(2j * w) / (np.exp(2j * w) - 1.8 * np.exp(1j * w) + 0.972)).max()
     assert gain == pytest.approx(brute, rel=1e-8)
     assert peak_gain(control.ss([], [], [], [[3.0, 0], [0, 4]], 1.0))[0] == 4
+
+
+@pytest.mark.parametrize("distance", [1e-2, 1e-4, 1e-8, 1e-10])
+def test_peak_gain_of_a_pole_next_to_the_circle_is_not_too_low(distance):
+    for a in (1 - distance, distance - 1):
+        gain, _ = peak_gain(control.ss(a, 1, 1, 0, 1.0))  # 1 / (z - a): peak 1 / (1 - |a|)
+        ratio = Fraction(gain) * (1 - abs(Fraction(a)))
+        assert 1 <= ratio <= 1 + 1.01e-8 + 1e-14 / distance
+
+
+@given(
+    st.sampled_from([1, 2, 3]), st.sampled_from([1e-2, 1e-4, 1e-8, 1e-10]), st.floats(0.02, 3.12)
+)
+def test_peak_gain_of_resonances_in_series_is_not_too_low(copies, distance, angle):
+    """1 / |z^2 + b z + c|^2 peaks at 1 / ((1 - c)^2 (1 - b^2 / 4c)): exact in fractions."""
+    b, c = -2 * (1 - distance) * np.cos(angle), (1 - distance) ** 2
+    one = control.ss([[-b, -c], [1, 0]], [[1], [0]], [[0, 1]], 0, 1.0)
+    system = one
+    for _ in range(copies - 1):
+        system = one * system
+    try:
+        gain, _ = peak_gain(system)
+    except (ValueError, RuntimeError) as error:  # rounding splits a multiple pole further apart
+        assert copies > 1 and distance**copies < 1e-11 and "pole of modulus" in str(error)
+        return
+    b, c = Fraction(b), Fraction(c)
+    inverse = ((1 - c) ** 2 * (1 - b**2 / (4 * c))) ** copies
+    ratio = Fraction(gain) ** 2 * inverse
+    assert ratio >= 1
+    if copies == 1:
+        assert ratio <= 1 + 2.1e-8 + 1e-13 / (distance * np.sin(angle) ** 2)
+
+
+def exact_gain_squared(system, half_tangents):
+    """|G|^2 at z = (1 + jt)^2 / (1 + t^2) for fractions t, by Faddeev and LeVerrier's algorithm."""
+    A, B, C, D = (
+        np.vectorize(Fraction, otypes=[object])(X) for X in (system.A, system.B, system.C, system.D)
+    )
+    n = len(A)
+    identity = np.vectorize(Fraction, otypes=[object])(np.eye(n, dtype=int))
+    denominator, numerator, X = [Fraction(1)], [D[0, 0]], identity
+    for k in range(1, n + 1):
+        denominator.append(-(A @ X).trace() / k)
+        numerator.append((C @ X @ B)[0, 0] + D[0, 0] * denominator[-1])
+        X = A @ X + denominator[-1] * identity
+
+    def power(polynomial, t):
+        real, imag = (1 - t * t) / (1 + t * t), 2 * t / (1 + t * t)
+        x, y = Fraction(0), Fraction(0)
+        for coefficient in polynomial:
+            x, y = x * real - y * imag + coefficient, x * imag + y * real
+        return x * x + y * y
+
+    return [power(numerator, t) / power(denominator, t) for t in half_tangents]
+
+
+@given(st.integers(1, 5), st.sampled_from([1e-1, 1e-4, 1e-8]), st.integers(0, 999))
+def test_peak_gain_is_above_the_exact_gain_of_random_systems(n, distance, seed):
+    rng = np.random.default_rng(seed)
+    A = rng.standard_normal((n, n))
+    A *= (1 - distance) / np.abs(np.linalg.eigvals(A)).max()
+    system = control.ss(A, rng.standard_normal((n, 1)), rng.standard_normal((1, n)), 1, 1.0)
+    gain, place = peak_gain(system)
+    poles = np.linalg.eigvals(A)
+    near = np.append(place, np.abs(np.angle(poles)))
+    angles = (near[:, None] + distance * np.linspace(-1, 1, 11) * 1e-3).ravel()
+    tangents = [Fraction(t) for t in np.tan(angles / 2) if np.isfinite(t)]
+    assert max(exact_gain_squared(system, tangents)) <= Fraction(gain) ** 2
+
+
+@pytest.mark.parametrize("gain", [1e-300, 1e-170, 1e-150, 1.0, 1e150, 1e170, 1e300])
+def test_gains_whose_squares_leave_the_doubles_are_found(gain):
+    for m in (1, 2, 3):
+        lag = control.ss(0.5 * np.eye(m), gain * np.eye(m), np.eye(m), np.zeros((m, m)), 1.0)
+        assert peak_gain(lag)[0] == pytest.approx(2 * gain, rel=2e-8, abs=0)
+    G = np.random.default_rng(0).standard_normal((5, 2, 3)) * (1 + 2j)
+    scaled = np.concatenate([G, 1e-3 * gain * G, 0 * G])
+    expected = np.linalg.svd(scaled, compute_uv=False)[:, 0]
+    np.testing.assert_allclose(largest_singular_values(scaled), expected, rtol=1e-14)
+    row = largest_singular_values(scaled[:, :1])
+    np.testing.assert_allclose(row, np.linalg.svd(scaled[:, :1])[1][:, 0], rtol=1e-14)
 
 
 @pytest.mark.parametrize(
@@ -117,6 +206,32 @@ def test_lower_bound_holds_for_any_multipliers(structure, objective, L_max):
         assert bound <= design.value * (1 + 1e-9)
 
 
+@given(st.sampled_from([1, 10, 40]), st.sampled_from(["diagonal", "full"]), st.integers(0, 999))
+def test_lower_bound_ignores_what_a_filter_could_do_to_the_multipliers(order, structure, seed):
+    """T L for any L is projected out of U. These L have a given gain, and huge coefficients."""
+    rng = np.random.default_rng(seed)
+    angles = np.geomspace(1e-4, np.pi, 250)
+    z = np.exp(1j * angles)
+    P = np.eye(2) * (0.1 / (z - 0.9))[:, None, None] + 0.2 * rng.standard_normal((2, 2))
+    Q = 1 / (1 + (angles / 0.1) ** 4)
+    statement = {"order": order, "M_max": 0.9, "L_max": None, "band_mask": angles <= 0.02}
+    statement |= {"structure": structure, "objective": "sum"}
+    U = rng.standard_normal((250, 2, 2)) + 1j * rng.standard_normal((250, 2, 2))
+    bound = lower_bound(P, Q, angles, U, None, **statement)
+
+    L = np.zeros((250, 2, 2), dtype=complex)
+    for i, j in np.ndindex(2, 2):
+        if structure == "full" or i == j:
+            L[:, i, j] = z
+            for _ in range((order - 1) // 2):  # a pair of zeros on the circle: real coefficients
+                zero = np.exp(1j * 10 ** rng.uniform(-3, 0))
+                L[:, i, j] *= (z - zero) * (z - zero.conj())
+    change = -Q[:, None, None] * (P @ L)
+    change *= np.linalg.norm(U) / np.linalg.norm(change)
+    moved = lower_bound(P, Q, angles, U + change, None, **statement)
+    assert moved == pytest.approx(bound, rel=1e-11, abs=1e-11 * np.linalg.norm(U))
+
+
 @pytest.mark.parametrize("ends", ["zero", "hold"])
 def test_operators_are_what_the_trials_apply_and_their_adjoints(loop, ends):
     rng = np.random.default_rng(2)
@@ -147,6 +262,19 @@ def test_lanczos_finds_the_norm_of_the_matrix(loop, ends):
         assert norm == pytest.approx(expected, rel=1e-6)
         assert np.linalg.norm(before) == pytest.approx(1)
         assert np.linalg.norm(after) == pytest.approx(norm)
+
+
+@pytest.mark.parametrize("samples", [1, 2, 3])
+@pytest.mark.parametrize("m", [1, 2])
+def test_the_shortest_trials_have_a_norm(m, samples):
+    P = control.ss(0.5 * np.eye(m), np.eye(m), np.eye(m), np.eye(m), 1.0)
+    L = LearningFilter(np.full((m, m, 2), 0.2), 1.0)
+    Q = zero_phase_butterworth(cutoff=1.0)
+    matrix = trial_map(P, Q, L, samples) @ np.eye(samples * m)
+    norm, before, after = trial_norm(P, Q, L, samples)
+    assert norm == pytest.approx(np.linalg.norm(matrix, 2)) and norm > 0
+    assert before.shape == after.shape == (samples, m)
+    np.testing.assert_allclose(matrix @ before.ravel(), after.ravel(), atol=1e-14)
 
 
 def test_trials_move_by_the_trial_map(loop, Q):
@@ -185,7 +313,76 @@ def test_a_certificate_prints_and_fails_as_it_should(loop, Q, omega):
     assert design.certificate.failures == []
     text = str(design.certificate)
     assert "norm of one trial of 200 samples: 1.27" in text
-    assert "over all frequencies" in text and "no filter below" in text and "FAILS" not in text
+    assert (
+        "over all frequencies" in text
+        and "no diagonal filter of order 10 below" in text
+        and "FAILS" not in text
+    )
     bad = synthesise(loop, Q, omega[::5], 1.0, band=(1e-4, 0.01), M_max=0.95).certificate
-    wrong = replace(bad, M_max=0.9, all_M=1.01, lower_bound=bad.value / 2)
+    wrong = replace(bad, M_max=0.9, all_M=1.01, place=0.25, lower_bound=bad.value / 2)
     assert len(wrong.failures) == 3 and str(wrong).count("FAILS") == 3
+    assert "sigma_max(M) reaches 1.01 at 0.25 rad/s, not in omega" in str(wrong)
+    estimated = replace(design.certificate, proven=False, all_M=1.2, place=0.3)
+    assert "WARNING: sigma_max(M) may reach 1.2 at 0.3 rad/s" in str(estimated)
+    assert design.certificate.warnings == estimated.failures == []
+    at_rest = str(replace(design.certificate, rest=15))
+    assert "norm of one trial of 200 samples, the last 15 at rest: 1.27" in at_rest
+
+
+def with_resonance(angle, distance, height):
+    """A lag, and a resonance of `height` times the gain of the lag, at an angle."""
+    lag = control.tf([0.1], [1, -0.9], 1.0)
+    radius = 1 - distance
+    height *= abs(lag(np.exp(1j * angle))) * distance * 2 * np.sin(angle)
+    return lag + control.tf([height], [1, -2 * radius * np.cos(angle), radius**2], 1.0)
+
+
+def peak_around(plant, design, Q, angle):
+    """Largest sigma_max(M) on a grid so fine around an angle that nothing hides there."""
+    omega = angle * (1 + np.linspace(-0.3, 0.3, 60001))
+    L = design.filter.frequency_response(omega)
+    P = plant(np.exp(1j * omega))[:, None, None]
+    return largest_singular_values(convergence_matrix(P, Q.frequency_response(omega), L)).max()
+
+
+@pytest.mark.parametrize(
+    ("distance", "shown"), [(1e-5, False), (1e-3, True)], ids=["hidden", "on its flanks"]
+)
+def test_a_resonance_between_measured_samples(Q, distance, shown):
+    omega = np.geomspace(1e-3, np.pi, 60)
+    angle = np.sqrt(omega[33] * omega[34])
+    plant = with_resonance(angle, distance, 4.0)
+    P = plant(np.exp(1j * omega))[:, None, None]
+    design = synthesise(P, Q, omega, 1.0, order=3, band=(1e-3, 0.02))
+    certificate, text = design.certificate, str(design.certificate)
+    assert certificate.all_M < 1 < peak_around(plant, design, Q, angle)
+    assert bool(certificate.warnings) == shown == ("WARNING: the samples are too coarse" in text)
+    assert "not known" in text and "at resonances that no sample shows" in text
+
+
+def test_what_lies_below_the_first_measured_frequency(Q):
+    omega = np.geomspace(1e-2, np.pi, 100)
+    slow = control.tf([-2e-4], [1, -(1 - 1e-4)], 1.0)
+    plant = control.tf([0.1], [1, -0.9], 1.0) + slow  # its gain is 1, but -1 below 1e-4 rad/s
+    P = plant(np.exp(1j * omega))[:, None, None]
+    design = synthesise(P, Q, omega, 1.0, band=(1e-2, 0.02))
+    certificate, text = design.certificate, str(design.certificate)
+    assert certificate.all_M < 1 < peak_around(plant, design, Q, 1e-5)
+    assert "sigma_max(M) from 0.01 to 3.142 rad/s, between the samples:" in text
+    assert "sigma_max(M) unknown: below 0.01 rad/s, at resonances" in text
+    assert certificate.warnings == [] and certificate.failures == []
+    with pytest.raises(
+        SolverError, match=r"sigma_max\(M\) reaches 2.00\d* at 0 rad/s, not in omega"
+    ):
+        synthesise(control.ss(plant), Q, omega, 1.0, band=(1e-2, 0.02))
+
+
+@pytest.mark.parametrize("grid", [np.geomspace(1e-3, np.pi, 60), np.linspace(0.01, np.pi, 300)])
+def test_the_estimate_between_samples_misses_less_than_it_says(loop, Q, grid):
+    P = loop.frequency_response(grid)
+    design = synthesise(P, Q, grid, 1.0, band=(grid[0], 0.03), M_max=0.99)
+    dense = np.geomspace(grid[0], np.pi, 20001)
+    L = design.filter.frequency_response(dense)
+    M = convergence_matrix(loop.frequency_response(dense), Q.frequency_response(dense), L)
+    peak = largest_singular_values(M).max()
+    assert abs(design.certificate.all_M - peak) < design.certificate.missed
