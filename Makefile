@@ -10,7 +10,7 @@ export OPENBLAS_NUM_THREADS := 1
 export MPLBACKEND := module://matplotlib_inline.backend_inline
 export PYTHONWARNINGS := ignore::DeprecationWarning
 .DELETE_ON_ERROR:
-.PHONY: help reproduce test lint data replay bench lab notebooks lock clean
+.PHONY: help reproduce test lint data replay machines lowest bench lab notebooks lock clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' Makefile | sed -E 's/:.*## /\t/' | expand -t 12
@@ -34,6 +34,17 @@ replay: $(BIN)/ready  ## replay a log of your own: make replay LOG=path; writes 
 	@mkdir -p build
 	$(BIN)/papermill --cwd notebooks -p log "$(abspath $(LOG))" -p no_learning "" \
 		notebooks/05-experiment-replay.ipynb build/replay.ipynb
+
+machines: $(BIN)/ready  ## test and reproduce with other processors' arithmetic (half an hour)
+	$(BIN)/python tests/machines.py
+
+lowest: $(BIN)/ready  ## unit tests with the oldest packages that pyproject.toml admits
+	@mkdir -p build
+	$(BIN)/uv venv --quiet --clear --python $(BIN)/python build/lowest
+	$(BIN)/uv pip compile --quiet pyproject.toml --resolution lowest-direct --no-emit-index-url \
+		--output-file build/lowest.txt
+	$(BIN)/uv pip install --quiet --python build/lowest --constraints build/lowest.txt -e ".[dev]"
+	build/lowest/bin/pytest -q -W ignore::DeprecationWarning -W ignore::FutureWarning
 
 bench: $(BIN)/ready  ## time the synthesis; rewrite the README's performance section
 	@mkdir -p build
