@@ -35,7 +35,7 @@ replay: $(BIN)/ready  ## replay a log of your own: make replay LOG=path; writes 
 	$(BIN)/papermill --cwd notebooks -p log "$(abspath $(LOG))" -p no_learning "" \
 		notebooks/05-experiment-replay.ipynb build/replay.ipynb
 
-machines: $(BIN)/ready  ## test and reproduce with other processors' arithmetic (half an hour)
+machines: $(BIN)/ready  ## test and reproduce with other processors' arithmetic (long)
 	$(BIN)/python tests/machines.py
 
 lowest: $(BIN)/ready  ## unit tests with the oldest packages that pyproject.toml admits
