@@ -17,7 +17,8 @@ export PYTHONUTF8 := 1
 export LC_ALL := C.UTF-8
 export PYTHONWARNINGS := ignore::DeprecationWarning
 .DELETE_ON_ERROR:
-.PHONY: $(BIN)/ready help reproduce test lint data replay bench lab notebooks lock clean
+.PHONY: $(BIN)/ready help reproduce test lint data replay machines lowest survey bench lab notebooks \
+	lock clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' Makefile | sed -E 's/:.*## /\t/' | expand -t 12
@@ -39,6 +40,20 @@ data: $(BIN)/ready  ## record the logs of the virtual rig in data/rig anew
 replay: $(BIN)/ready  ## replay a log of your own: make replay LOG=path; writes to build/ only
 	@test -n "$(LOG)" || { echo "name a log: make replay LOG=path"; exit 2; }
 	@$(BIN)/python -m rodlib.reproduce "$(LOG)"
+
+machines: $(BIN)/ready  ## test and reproduce with other processors' arithmetic (long)
+	$(BIN)/python tests/machines.py
+
+lowest: $(BIN)/ready  ## unit tests with the oldest packages that pyproject.toml admits
+	@mkdir -p build
+	$(BIN)/uv venv --quiet --clear --python $(BIN)/python build/lowest
+	$(BIN)/uv pip compile --quiet pyproject.toml --resolution lowest-direct --no-emit-index-url \
+		--output-file build/lowest.txt
+	$(BIN)/uv pip install --quiet --python build/lowest --constraints build/lowest.txt -e ".[dev]"
+	build/lowest/bin/pytest -q -W ignore::DeprecationWarning -W ignore::FutureWarning
+
+survey: $(BIN)/ready  ## solve 550 problems for ordinary plants; rewrite the README's counts (some minutes)
+	@$(BIN)/python tests/benchmarks/survey.py
 
 bench: $(BIN)/ready  ## time the synthesis; rewrite the README's performance section
 	@mkdir -p build

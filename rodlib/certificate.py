@@ -363,7 +363,12 @@ def peak_gain(
         raise ValueError("system must be finite, but its matrices hold NaN or infinite values")
     if system.nstates == 0:
         return float(np.linalg.norm(system.D, 2)), 0.0
-    matrices = *_balanced(system.A, system.B, system.C), system.D
+    # in units in which inputs and outputs are of order one
+    v, u = (
+        2.0 ** np.round(np.log2(max(np.abs(X).max(), np.abs(system.D).max()) or 1))
+        for X in (system.B, system.C)
+    )
+    matrices = *_balanced(system.A, system.B / v, system.C / u), system.D / v / u
     poles, sigma = _gain_function(*matrices)
     radius = np.abs(poles).max()
     if radius >= 1:
@@ -387,15 +392,16 @@ def peak_gain(
             highest = max(_rounded_up(*matrices, angle) for angle in doubtful)
             if highest == np.inf:
                 raise RuntimeError(
-                    f"the peak gain, {peak:.6g} as computed, cannot be told: system has a pole of "
+                    f"the peak gain, {peak * u * v:.6g} as computed, cannot be told: system has a pole of "
                     f"modulus {radius:.17g}, which rounding of its matrices could make unstable"
                 )
-            return float(bound + max(highest - peak, 0)), float(place / Ts)
+            return float((bound + max(highest - peak, 0)) * u * v), float(place / Ts)
         middle = (left[0] + right[0]) / 2
         points += middle.size
         if points > max_points or np.any((middle == left[0]) | (middle == right[0])):
             raise RuntimeError(
-                f"the peak gain is between {peak:.12g} and {max(bound, ceiling.max()):.12g}; "
+                f"the peak gain is between {peak * u * v:.12g} and "
+                f"{max(bound, ceiling.max()) * u * v:.12g}; "
                 f"to close in further takes more than {max_points} frequencies: "
                 f"raise max_points or tolerance = {tolerance:.1e}"
             )
@@ -582,17 +588,18 @@ def convergence_model(
     """
     Ts, m = _common(P, Q, L)
 
-    # The chain holds e(p - 1) ... e(p - n_L). In units that make the taps of order one, so that
-    # the entries of A below are too; see _balanced.
-    taps, chain = learning_model(L), m * L.order
+    # The chain holds e(p - 1) ... e(p - n_L). L in a unit that makes its taps of order one, and P
+    # in its inverse, so that the entries of A below are, too; see _balanced.
     unit = 2.0 ** np.round(np.log2(np.abs(L.coefficients).max() or 1))
-    taps_C = np.hstack([taps.C / unit, np.zeros((m, m))])
-    delay_C = np.hstack([np.zeros((m, chain - m)), np.eye(m) / unit])
+    taps, chain = learning_model(LearningFilter(L.coefficients / unit, Ts)), m * L.order
+    P_C, P_D = unit * P.C, unit * P.D
+    taps_C = np.hstack([taps.C, np.zeros((m, m))])
+    delay_C = np.eye(m, chain, k=chain - m)
     I_minus_PL = control.ss(
         np.block([[np.eye(chain, k=-m), np.zeros((chain, P.nstates))], [P.B @ taps_C, P.A]]),
-        np.vstack([unit * np.eye(chain, m), P.B @ taps.D]),
-        np.hstack([delay_C - P.D @ taps_C, -P.C]),
-        -P.D @ taps.D,
+        np.vstack([np.eye(chain, m), P.B @ taps.D]),
+        np.hstack([delay_C - P_D @ taps_C, -P_C]),
+        -P_D @ taps.D,
         Ts,
     )
     for section in [*Q.sections, *Q.sections]:

@@ -250,7 +250,8 @@ def _factors(columns, metadata, problems):
 
 
 def _numbers(table, first_row, problems):
-    values = table.apply(pd.to_numeric, errors="coerce").astype(float)
+    readable = table.apply(pd.to_numeric, errors="coerce").notna()
+    values = table.where(readable).astype(float)  # to_numeric itself loses digits before pandas 3
     for column in table:
         bad = np.flatnonzero(~np.isfinite(values[column]))
         if bad.size:

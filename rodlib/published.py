@@ -43,11 +43,15 @@ def number(printed: str) -> float:
     return float(Fraction(printed))
 
 
+def decimals(printed: str) -> int | None:
+    """Number of printed digits after the point; None for fractions, powers, pi and words."""
+    return len(printed.partition(".")[2]) if re.fullmatch(r"-?\d+(\.\d+)?", printed) else None
+
+
 def half_unit(printed: str) -> float:
     """Half a unit of the last printed digit; for fractions, powers and pi, rounding errors only."""
-    if re.fullmatch(r"-?\d+(\.\d+)?", printed):
-        return 0.5 * 10.0 ** -len(printed.partition(".")[2])
-    return 1e-12 * abs(number(printed))
+    places = decimals(printed)
+    return 1e-12 * abs(number(printed)) if places is None else 0.5 * 10.0**-places
 
 
 def _table(name):

@@ -47,6 +47,54 @@ def test_a_criterion_that_is_not_understood_is_refused():
         verdict(claim("in words", "about 3"), 3.0)
 
 
+@pytest.mark.parametrize(
+    ("key", "computed", "shown", "deviation"),
+    [
+        ("zero_s_1", 0.10114238, "0.1011", ""),
+        ("zero_s_1", 0.10115002, "0.1012", "1.0e-04"),
+        ("zero_s_1", 0.10115 - 1e-12, "0.1011", ""),
+        ("length", 0.32, "0.320", ""),
+        ("L_max_rule", 48.926571, "49", "-1.0e+00"),
+        ("L_full[7,L12]", -0.00001, "0.0000", "1.2e-02"),
+        ("sensor_1", 0.375, "0.375", ""),
+        ("sensor_1", 0.3750001, "0.3750001", "1.0e-07"),
+        ("omega_N", np.pi, "3.14159265359", ""),
+        ("diagonal", 0.37960851, "0.37961", "2.8e-01"),
+        ("loop_stable", 0.99999999, "0.99999999", ""),
+        ("lemma_1", np.nan, "nan", ""),
+        ("dc_gain", 3e-15, "below 1e-09", ""),
+        ("ambient_zero", -0.0, "0", ""),
+    ],
+)
+def test_as_many_digits_are_shown_as_are_printed_or_as_the_verdict_needs(
+    key, computed, shown, deviation
+):
+    book = Ledger("test")
+    book.record(key, computed)
+    assert (book.rows[key]["computed"], book.rows[key]["deviation"]) == (shown, deviation)
+
+
+@given(st.sampled_from(sorted(published.claims())), st.floats(allow_nan=False))
+def test_the_verdict_follows_from_what_is_shown(key, computed):
+    entry = published.claims()[key]
+    book = Ledger("test")
+    book.record(key, computed)
+    row = book.rows[key]
+    if row["verdict"] != UNCHECKED and not row["computed"].startswith("below"):
+        assert verdict(entry, float(row["computed"]))[0] == row["verdict"]
+
+
+@given(st.floats(-1e-8, 1e-8))
+def test_what_a_flat_optimum_leaves_open_is_not_shown(rounding):
+    """The last digits of a coefficient differ between processors; its row does not."""
+    rows = []
+    for value in (-0.09319381, -0.09319381 + rounding):
+        book = Ledger("test")
+        book.record("L_full[2,L21]", value)
+        rows.append(book.rows)
+    assert rows[0] == rows[1]
+
+
 def test_a_wrong_gain_is_caught():
     book = Ledger("test")
     wrong = published.matrix("N").copy()

@@ -22,6 +22,14 @@ def test_printed_numbers_and_their_precision(printed, value, half):
     assert published.half_unit(printed) == pytest.approx(half)
 
 
+@pytest.mark.parametrize(
+    ("printed", "places"),
+    [("0.1011", 4), ("-3.50", 2), ("50", 0), ("3/8", None), ("pi", None), ("<= gamma", None)],
+)
+def test_digits_after_the_point(printed, places):
+    assert published.decimals(printed) == places
+
+
 def test_matrices_have_the_shapes_and_a_few_entries_of_the_paper():
     assert published.matrix("K_s").shape == (2, 10)
     assert published.matrix("K_s")[1, 9] == 0.8236

@@ -1,0 +1,126 @@
+"""The tests and `make reproduce` on other machines, as far as this one can stand in for them.
+
+Two machines differ in the last digits of linear algebra. OpenBLAS, on which numpy and scipy rest,
+has code for every family of processors and can be told which to take, and where long doubles are
+no longer than doubles can be acted out. For each such machine a scratch copy of the checkout is
+tested and reproduced; the ledger and the README must come out as they are here, to the byte, and
+the figures to within a few grey levels.
+"""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import matplotlib.image
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+LOGS = ROOT / "build" / "machines"
+KERNELS = ("Haswell", "Zen", "Prescott", "Nehalem", "SkylakeX")
+NO_LONG_DOUBLES = "no long doubles"
+GREY_LEVELS = 3  # of 255, by which a pixel may differ
+TEXTS = ("README.md", "figures/ledger.csv", "figures/ledger.md")
+PRODUCT = "import numpy; x = numpy.ones((64, 64)); x @ x; numpy.linalg.svd(x)"
+SHORT = "import numpy\nnumpy.longdouble, numpy.clongdouble = numpy.float64, numpy.complex128\n"
+
+
+def probe(kernel: str) -> tuple[str, str]:
+    """What OpenBLAS calls the code it takes for `kernel`, and why it cannot be run here, or ""."""
+    environment = os.environ | {"OPENBLAS_CORETYPE": kernel, "OPENBLAS_VERBOSE": "2"}
+    outcome = subprocess.run(
+        [sys.executable, "-c", PRODUCT], env=environment, capture_output=True, text=True
+    )
+    said = outcome.stdout + outcome.stderr
+    core = re.search(r"^Core: (\w+)", said, flags=re.MULTILINE)
+    if not core:
+        return "", "numpy does not rest on an OpenBLAS that can choose"
+    if "Core not found" in said:
+        return core[1], "this OpenBLAS has no code for it"
+    return core[1], "this processor cannot run it" if outcome.returncode else ""
+
+
+def copy_checkout(target: Path) -> None:
+    """Copy what git tracks or would track, as it stands in the working tree."""
+    listing = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
+    names = subprocess.run(listing, cwd=ROOT, check=True, capture_output=True, text=True).stdout
+    for name in filter(None, names.split("\0")):
+        if (ROOT / name).exists():  # not one that is deleted and still tracked
+            (target / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(ROOT / name, target / name)
+
+
+def grey_levels(one: Path, other: Path) -> float:
+    """Largest difference of two pictures in a pixel, of 255 levels; inf if their sizes differ."""
+    one, other = (matplotlib.image.imread(path).astype(float) for path in (one, other))
+    return round(255 * np.abs(one - other).max()) if one.shape == other.shape else np.inf
+
+
+def differences(here: Path, there: Path) -> list[str]:
+    """What `make reproduce` made of the results in another checkout, if it is not the same."""
+    found = [name for name in TEXTS if (here / name).read_bytes() != (there / name).read_bytes()]
+    names = [{path.name for path in (root / "figures").iterdir()} for root in (here, there)]
+    found += [f"figures/{name} only once" for name in sorted(names[0] ^ names[1])]
+    for name in sorted(names[0] & names[1]):
+        if name.endswith(".png"):
+            apart = grey_levels(here / "figures" / name, there / "figures" / name)
+            if apart > GREY_LEVELS:
+                found.append(f"figures/{name} by {apart:g} grey levels")
+    return found
+
+
+def try_machine(name: str) -> list[str]:
+    """Test and reproduce a copy of the checkout as on another machine; what failed, or nothing."""
+    with tempfile.TemporaryDirectory() as folder:
+        checkout, path = Path(folder) / "checkout", Path(folder) / "path"
+        copy_checkout(checkout)
+        path.mkdir()
+        environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(checkout), str(path)])}
+        if name == NO_LONG_DOUBLES:
+            (path / "sitecustomize.py").write_text(SHORT)
+        else:
+            environment["OPENBLAS_CORETYPE"] = name
+        notebooks = sorted(f"notebooks/{path.name}" for path in checkout.glob("notebooks/*.ipynb"))
+        parts = {
+            "tests": ["pytest", "-q", "-p", "no:cacheprovider"],
+            "notebooks": ["pytest", "-q", "--nbval", "--nbval-current-env", *notebooks],
+            "reproduce": ["rodlib.reproduce"],
+        }
+        failed = []
+        for part, command in parts.items():
+            log = LOGS / f"{name.replace(' ', '-')}-{part}.txt"
+            with open(log, "w") as file:
+                outcome = subprocess.run(
+                    [sys.executable, "-m", *command],
+                    cwd=checkout,
+                    env=environment,
+                    stdout=file,
+                    stderr=subprocess.STDOUT,
+                )
+            if outcome.returncode:
+                failed.append(f"{part} (see {log.relative_to(ROOT)})")
+        return failed + differences(ROOT, checkout)
+
+
+def main(names: list[str]) -> int:
+    """Try the machines named, or all, and print a table; the number of those that failed."""
+    LOGS.mkdir(parents=True, exist_ok=True)
+    tried, failures = {}, 0
+    for name in names or [*KERNELS, NO_LONG_DOUBLES]:
+        core, reason = (name, "") if name == NO_LONG_DOUBLES else probe(name)
+        if not reason and core in tried:  # OpenBLAS has one code for several families
+            reason = f"the same code as {tried[core]}"
+        failed = [] if reason else try_machine(name)
+        if not reason:
+            tried[core] = name
+        failures += bool(failed)
+        result = f"left out: {reason}" if reason else "; ".join(failed) or "passed"
+        print(f"{name:<16} {result}", flush=True)
+    return failures
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
