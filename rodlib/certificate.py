@@ -392,8 +392,8 @@ def peak_gain(
             highest = max(_rounded_up(*matrices, angle) for angle in doubtful)
             if highest == np.inf:
                 raise RuntimeError(
-                    f"the peak gain, {peak * u * v:.6g} as computed, cannot be told: system has a pole of "
-                    f"modulus {radius:.17g}, which rounding of its matrices could make unstable"
+                    f"the peak gain, {peak * u * v:.6g} as computed, cannot be told: system has a "
+                    f"pole of modulus {radius:.17g}, which rounding could make unstable"
                 )
             return float((bound + max(highest - peak, 0)) * u * v), float(place / Ts)
         middle = (left[0] + right[0]) / 2

@@ -1,8 +1,13 @@
 """The ledger: what the paper prints against what is computed here, and the verdict.
 
 A number is *reproduced* if it agrees within half a unit of the last digit printed, a statement if
-the number that tests it meets its criterion. Otherwise it *differs*, by so much. Each notebook
+the number that tests it meets its criterion. Otherwise it *differs*, by so much. Where a criterion
+would be ours alone, the verdict is *in words*: up to where the statement holds. Each notebook
 records its part; :mod:`rodlib.reproduce` joins the parts once all notebooks have run.
+
+Rows are of three kinds. *Evidence* could have come out otherwise. *Taken over* are the parameters
+that we use because the paper prints them; an *identity* holds by construction, or follows from
+other rows. Only evidence is counted in the README.
 
 A number is shown to the last digit that the paper prints: more would say nothing about the
 agreement, and the coefficients of a flat optimum are not determined further. Between processors,
@@ -24,8 +29,11 @@ from rodlib.files import folder, publishing, results, write_whole
 from rodlib.published import Claim
 
 REPRODUCED, DIFFERS = "reproduced", "differs"
-UNCHECKED, OTHER = "cannot be checked", "not the paper's parameters"
-VERDICTS = (REPRODUCED, DIFFERS, UNCHECKED, OTHER)
+IN_WORDS, UNCHECKED = "in words", "cannot be checked"
+OTHER = "not the paper's parameters"
+VERDICTS = (REPRODUCED, DIFFERS, IN_WORDS, UNCHECKED)
+WORDS = "words: "  # begins a criterion that is a sentence with a place for the number
+EVIDENCE = "evidence"
 NOISE = 1e-9  # what is smaller is rounding, and not the same on two machines
 BELOW_NOISE = f"below {NOISE:g}"
 SIGNIFICANT = 5  # digits of a number that tests a statement in words
@@ -37,6 +45,7 @@ COLUMNS = [
     "computed",
     "deviation",
     "verdict",
+    "kind",
     "note",
     "notebook",
 ]
@@ -56,7 +65,7 @@ def verdict(claim: Claim, computed: float) -> tuple[str, float]:
     Returns
     -------
     verdict : str
-        "reproduced" or "differs".
+        "reproduced", "differs" or "in words".
     deviation : float
         From the printed number; for a statement, by how much its criterion is missed, else 0.
 
@@ -65,6 +74,8 @@ def verdict(claim: Claim, computed: float) -> tuple[str, float]:
     ValueError
         If the criterion of the claim is not understood.
     """
+    if claim.criterion.startswith(WORDS):
+        return IN_WORDS, 0.0
     if not claim.criterion:
         deviation = computed - published.number(claim.printed)
         holds = abs(deviation) <= published.half_unit(claim.printed) * (1 + 1e-9)
@@ -129,7 +140,7 @@ class Ledger:
         else:
             outcome, deviation = verdict(claim, float(computed))
             shown = _shown(claim, float(computed))
-            if shown != BELOW_NOISE:
+            if shown != BELOW_NOISE and outcome != IN_WORDS:
                 deviation = verdict(claim, float(shown))[1]
         self.rows[key] = {
             "key": key,
@@ -139,6 +150,7 @@ class Ledger:
             "computed": shown,
             "deviation": f"{deviation:.1e}" if abs(deviation) > NOISE else "",
             "verdict": outcome if self.papers_parameters or outcome == UNCHECKED else OTHER,
+            "kind": claim.kind,
             "note": "; ".join(filter(None, [_criterion_in_words(claim), claim.note])),
             "notebook": self.notebook,
         }
@@ -185,6 +197,8 @@ class Ledger:
 
 
 def _shown(claim, value):
+    if claim.criterion.startswith(WORDS):
+        return claim.criterion.removeprefix(WORDS).format(f"{value:.3g}")
     if 0 < abs(value) <= NOISE:
         return BELOW_NOISE
     digits, notation = published.decimals(claim.printed), "f"
@@ -197,6 +211,8 @@ def _shown(claim, value):
 
 def _criterion_in_words(claim):
     if claim.criterion in ("", UNCHECKED) or "+-" in claim.criterion:
+        return ""
+    if claim.criterion.startswith(WORDS):
         return ""
     return f"criterion: {claim.criterion}"
 
@@ -225,28 +241,40 @@ def join(parts: Path) -> pd.DataFrame:
 
 
 def summary(rows: pd.DataFrame) -> str:
-    """Counts of the verdicts by notebook, and all that differs, as Markdown."""
-    counts = pd.crosstab(rows.notebook, rows.verdict).reindex(columns=VERDICTS[:3], fill_value=0)
+    """Counts of the verdicts by notebook, and all that is not simply reproduced, as Markdown."""
+    evidence = rows[rows.kind == EVIDENCE]
+    counts = pd.crosstab(evidence.notebook, evidence.verdict)
+    counts = counts.reindex(columns=VERDICTS, fill_value=0)
     counts.loc["**all**"] = counts.sum()
-    differs = rows[rows.verdict == DIFFERS].copy()
-    group = differs.key.str.extract(rf"^({'|'.join(published.MATRICES)})\[", expand=False)
+    others = rows[rows.kind != EVIDENCE]
+    kinds = ", ".join(f"{n} {kind}" for kind, n in others.kind.value_counts(sort=False).items())
+    agree = (others.verdict == REPRODUCED).sum()
+    rest = (
+        f"Not counted, because they could hardly differ: {kinds}; {agree} of {len(others)} agree."
+    )
+    lines = [rest, "", "What differs:", "", *_reasons(rows[rows.verdict == DIFFERS])]
+    words = rows[rows.verdict == IN_WORDS]
+    lines += ["", "What holds in part, or as far as words can tell:", "", *_reasons(words)]
+    return counts.rename_axis(None, axis=1).to_markdown() + "\n\n" + "\n".join(lines) + "\n"
+
+
+def _reasons(rows):
+    """A line of Markdown for each row, or for all entries of a matrix."""
+    group = rows.key.str.extract(rf"^({'|'.join(published.MATRICES)})\[", expand=False)
     lines = []
-    for name, part in differs.groupby(group.fillna(differs.key), sort=False):
+    for name, part in rows.groupby(group.fillna(rows.key), sort=False):
         first = part.iloc[0]
         if name in published.MATRICES:
             largest = part.deviation.astype(float).abs().max()
             total = sum(key.startswith(f"{name}[") for key in published.claims())
             what = first.claim.partition("[")[0]
             text = f"{what}: {len(part)} of {total} by at most {largest:.1e}"
+        elif first.verdict == IN_WORDS:
+            text = f"{first.claim}: printed “{first.printed}”; {first.computed}"
         else:
             text = f"{first.claim}: printed “{first.printed}”, computed {first.computed}"
         lines.append(f"- {first.place}: {text}" + (f" ({first.note})" if first.note else ""))
-    return (
-        counts.rename_axis(None, axis=1).to_markdown()
-        + "\n\nWhat differs:\n\n"
-        + ("\n".join(lines) if lines else "- nothing")
-        + "\n"
-    )
+    return lines or ["- nothing"]
 
 
 def markdown(rows: pd.DataFrame) -> str:
@@ -256,7 +284,8 @@ def markdown(rows: pd.DataFrame) -> str:
         "# Printed against computed\n\n"
         "Written by `make reproduce`. *Reproduced*: within half a unit of the last printed digit, "
         "or, for a statement in words, the criterion named in its note holds. The criteria are "
-        "ours. Gains depend on the state coordinates; they are compared after one orthogonal "
+        "ours. *Evidence* could have come out otherwise; what is *taken over* or an *identity* "
+        "could not. Gains depend on the state coordinates; they are compared after one orthogonal "
         "change of coordinates, and through products that do not depend on it.\n\n"
         f"{summary(rows)}\n## All rows\n\n{table.to_markdown(index=False, disable_numparse=True)}\n"
     )

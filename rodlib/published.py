@@ -32,6 +32,7 @@ class Claim:
     unit: str = ""
     criterion: str = ""  # for statements: what the computed number must fulfil
     note: str = ""
+    kind: str = "evidence"  # or "taken over" from the paper, or "identity": true by construction
 
 
 def number(printed: str) -> float:
@@ -90,7 +91,9 @@ def claims() -> dict[str, Claim]:
                 for label, printed in zip(head[1:], row[1:], strict=True):
                     entry = f"[{row[0]},{label}]"
                     name = {"key": claim.key + entry, "claim": claim.claim + entry}
-                    expanded.append(replace(claim, **name, printed=printed))
+                    disturbance = claim.key == "K_L" and row[0] in ("11", "12")
+                    kind = "evidence" if disturbance else claim.kind  # no state coordinates
+                    expanded.append(replace(claim, **name, printed=printed, kind=kind))
         elif claim.key == "invariants":
             expanded.extend(_invariants(claim.place))
         else:

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rodlib import ledger, published
-from rodlib.ledger import DIFFERS, OTHER, REPRODUCED, UNCHECKED, Ledger, verdict
+from rodlib.ledger import DIFFERS, IN_WORDS, OTHER, REPRODUCED, UNCHECKED, Ledger, verdict
 from rodlib.published import Claim
 
 
@@ -40,6 +40,26 @@ def test_statements_are_judged_by_their_criterion(criterion, computed, outcome, 
         outcome,
         pytest.approx(deviation, nan_ok=True),
     )
+
+
+def test_a_sentence_of_ours_is_no_criterion(monkeypatch):
+    partly = claim("are small", "words: holds up to {} rad/s")
+    monkeypatch.setattr(published, "claims", lambda: {"key": partly})
+    book = Ledger("test")
+    book.record("key", 0.0084512)
+    row = book.rows["key"]
+    assert (row["verdict"], row["computed"]) == (IN_WORDS, "holds up to 0.00845 rad/s")
+    assert (row["deviation"], row["note"]) == ("", "")
+
+
+def test_only_what_could_have_differed_is_counted():
+    book = Ledger("test")
+    for key, value in (("length", 0.32), ("order", 11), ("unity", 0.0), ("zero_s_1", 0.10114)):
+        book.record(key, value)
+    summary = ledger.summary(pd.DataFrame(book.rows.values()))
+    assert "| **all**    |            1 |         0 |" in summary
+    assert "2 taken over, 1 identity; 2 of 3 agree" in summary
+    assert "filters: printed “10”, computed 11" in summary
 
 
 def test_a_criterion_that_is_not_understood_is_refused():
@@ -80,7 +100,7 @@ def test_the_verdict_follows_from_what_is_shown(key, computed):
     book = Ledger("test")
     book.record(key, computed)
     row = book.rows[key]
-    if row["verdict"] != UNCHECKED and not row["computed"].startswith("below"):
+    if row["verdict"] not in (UNCHECKED, IN_WORDS) and not row["computed"].startswith("below"):
         assert verdict(entry, float(row["computed"]))[0] == row["verdict"]
 
 
@@ -154,6 +174,8 @@ def _meets(entry):
         return published.number(entry.printed)
     if entry.criterion == UNCHECKED:
         return None
+    if entry.criterion.startswith(ledger.WORDS):
+        return 1.0
     first, second, *_ = entry.criterion.split()
     if second == "+-":
         return float(first)
