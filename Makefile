@@ -53,7 +53,7 @@ lowest: $(BIN)/ready  ## unit tests with the oldest packages that pyproject.toml
 	build/lowest/bin/pytest -q -W ignore::DeprecationWarning -W ignore::FutureWarning
 
 survey: $(BIN)/ready  ## solve 550 problems for ordinary plants; rewrite the README's counts (some minutes)
-	@$(BIN)/python tests/benchmarks/survey.py
+	@$(BIN)/python tests/benchmarks/survey.py --publish
 
 bench: $(BIN)/ready  ## time the synthesis; rewrite the README's performance section
 	@mkdir -p build
