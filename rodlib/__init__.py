@@ -11,7 +11,7 @@ MODULES = {
     "filters": ("LearningFilter", "ZeroPhaseButterworth", "update", "zero_phase_butterworth"),
     "synthesis": ("InfeasibleError", "SolverError", "Synthesis", "synthesise"),
     "trials": ("run_trials",),
-    "logs": ("LogError", "load_log", "save_log"),
+    "laboratory": ("LogError", "load_log", "record", "save_log"),
 }
 HOME = {name: module for module, names in MODULES.items() for name in names}
 

@@ -8,6 +8,8 @@ import reprlib
 from collections.abc import Sequence
 from math import isclose
 from numbers import Real
+from os import PathLike
+from pathlib import Path
 
 import control
 import numpy as np
@@ -70,6 +72,22 @@ def instance(name: str, value, kind: type):
     if not isinstance(value, kind):
         raise ValueError(f"{name} = {reprlib.repr(value)} must be a {kind.__name__}")
     return value
+
+
+def by_name(name: str, value, names: Sequence[str]) -> dict:
+    """A dict that says something about some of the signals `names`; None says nothing."""
+    given = instance(name, {} if value is None else value, dict)
+    unknown = [key for key in given if key not in names]
+    if unknown:
+        raise ValueError(f"{name} is about {reprlib.repr(unknown)}, but must name some of {names}")
+    return given
+
+
+def path(name: str, value) -> Path:
+    """The path of a file."""
+    if not isinstance(value, str | PathLike) or not str(value):
+        raise ValueError(f"{name} = {reprlib.repr(value)} must be the path of a file")
+    return Path(value)
 
 
 def state_space(name: str, value) -> control.StateSpace:

@@ -7,7 +7,7 @@ iterative learning control then acts on from trial to trial.
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import control
 import numpy as np
@@ -29,6 +29,8 @@ class CurrentTrialLoop:
         State feedback (26), observer gain (29), static feedforward.
     closed : control.StateSpace
         The loop (19): inputs w1, w2, ..., then d; outputs y; states x, x-hat, epsilon-hat.
+    units : dict
+        Unit of each input and output of the plant, by name; "" if it is not known.
     """
 
     plant: control.StateSpace
@@ -36,6 +38,22 @@ class CurrentTrialLoop:
     KL: np.ndarray
     N: np.ndarray
     closed: control.StateSpace
+    units: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def outputs(self) -> list[str]:
+        """Names of the outputs y."""
+        return self.plant.output_labels
+
+    @property
+    def controls(self) -> list[str]:
+        """Names of the controls u."""
+        return self.plant.input_labels[: self.plant.noutputs]
+
+    @property
+    def disturbances(self) -> list[str]:
+        """Names of the disturbances d, which the controller does not know."""
+        return self.plant.input_labels[self.plant.noutputs :]
 
     @property
     def Ts(self) -> float:
@@ -311,7 +329,9 @@ def paper_loop(rod: Rod | None = None, degree: int = 3, Ts: float = 1.0) -> Curr
         )
     model = minimal_realisation(midr(rod, degree), ["Q1", "Q3"])
     model = model[:, ["Q1", "Q3", "theta_a", "Q2", "Q4"]]  # d in the order of (10)
-    return current_trial_loop(control.sample_system(model, Ts, method="zoh"))
+    loop = current_trial_loop(control.sample_system(model, Ts, method="zoh"))
+    units = {"y1": "K", "y2": "K", "Q1": "W", "Q3": "W", "theta_a": "K", "Q2": "W", "Q4": "W"}
+    return replace(loop, units=units)
 
 
 def _weight(name, value, size, definite=False):

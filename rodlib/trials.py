@@ -4,6 +4,8 @@ The paper's reference trajectories and disturbances are published only as a plot
 :func:`assumed_reference` and :func:`assumed_disturbance` stand in for them.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 import xarray as xr
 
@@ -89,8 +91,9 @@ def run_trials(
         delta[k] = states[:, 2 * n :]
         u[k] = w @ loop.N.T - states[:, n : 2 * n] @ loop.Ks.T - delta[k]  # (18)
     return dataset(
-        loop.Ts, names, reference=np.broadcast_to(reference, shape), v=v, u=u, y=y + noise,
-        delta=delta, disturbance=d,
+        loop.Ts, loop.outputs, loop.controls, loop.disturbances, loop.units,
+        reference=np.broadcast_to(reference, shape), v=v, u=u, y=y + noise, delta=delta,
+        disturbance=d,
     )  # fmt: skip
 
 
@@ -168,42 +171,62 @@ def state_sequence(A, forcing, initial) -> np.ndarray:
     return states[:, :length].reshape(-1, n)[:samples]
 
 
-def dataset(Ts, disturbances, **signals) -> xr.Dataset:
+def dataset(
+    Ts: float,
+    outputs: Sequence[str],
+    controls: Sequence[str],
+    sources: Sequence[str],
+    units: dict[str, str],
+    **signals,
+) -> xr.Dataset:
     """Put the signals of all trials together, with coordinates and units.
 
     Parameters
     ----------
     Ts : float
         Sampling period, s.
-    disturbances : sequence of str
-        Names of the disturbances; those beginning with Q are heat flows.
+    outputs, controls : sequence of str
+        Names of the plant's outputs and controls, one of each per channel.
+    sources : sequence of str
+        Names of the disturbances.
+    units : dict
+        Unit of each of these, by name; "" if it is not known.
     **signals : ndarray, shape (trial, time, channel)
-        reference, v, u, y, delta, and disturbance (trial, time, disturbance).
+        reference, v, y in the units of the outputs; u, delta (the estimate of the input
+        disturbance) in those of the controls; disturbance, of shape (trial, time, source).
 
     Returns
     -------
     xarray.Dataset
+        The signals and e = reference - y, each with its unit as an attribute, or ``"name: unit"``
+        for one after the other where they differ; Ts as an attribute. Coordinates trial (1, 2,
+        ...), time (s) and channel (1, 2, ...), with the names and units of the channels as
+        output, control, output_unit, control_unit; source and source_unit if there are
+        disturbances.
     """
-    units = {"reference": "K", "v": "K", "u": "W", "y": "K", "delta": "W"}
+    signals["e"] = signals["reference"] - signals["y"]
     trials, samples, m = signals["y"].shape
-    variables = {
-        name: (("trial", "time", "channel"), signals[name], {"units": unit})
-        for name, unit in units.items()
-        if name in signals
-    }
-    variables["e"] = (
-        ("trial", "time", "channel"), signals["reference"] - signals["y"], {"units": "K"}
-    )  # fmt: skip
     coordinates = {
         "trial": np.arange(1, trials + 1),
         "time": ("time", Ts * np.arange(samples), {"units": "s"}),
         "channel": np.arange(1, m + 1),
     }
-    if "disturbance" in signals and len(disturbances):
-        per_name = ", ".join(f"{n}: {'W' if n.startswith('Q') else 'K'}" for n in disturbances)
-        dimensions = ("trial", "time", "source")
-        variables["disturbance"] = (dimensions, signals["disturbance"], {"units": per_name})
-        coordinates["source"] = list(disturbances)
+    variables = {}
+    for kind, dimension, names, members in (
+        ("output", "channel", outputs, ("reference", "v", "y", "e")),
+        ("control", "channel", controls, ("u", "delta")),
+        ("source", "source", sources, ("disturbance",)),
+    ):
+        if not len(names) or signals.keys().isdisjoint(members):
+            continue
+        own = [units.get(name, "") for name in names]
+        coordinates[kind] = (dimension, list(names))
+        coordinates[f"{kind}_unit"] = (dimension, own)
+        each = ", ".join(f"{name}: {unit}" for name, unit in zip(names, own, strict=True))
+        attributes = {"units": own[0] if len(set(own)) == 1 else each}
+        for name in members:
+            if name in signals:
+                variables[name] = (("trial", "time", dimension), signals[name], attributes)
     return xr.Dataset(variables, coordinates, {"Ts": float(Ts)})
 
 
