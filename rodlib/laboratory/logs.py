@@ -391,12 +391,10 @@ def _signals(trials):
             if not (isinstance(name, str) and name.isprintable() and name):
                 raise ValueError(f"{role} {name!r} must have a name of printable characters")
             pints.unit(name, unit)
-        clash = [
-            name for name in names if units.get(name, signals[key][name]) != signals[key][name]
-        ]
-        if clash or len(signals[key]) < len(names):
-            raise ValueError(f"{role} = {few(names)} must be different names, each with one unit")
-        units |= signals[key]
+            if units.setdefault(name, unit) != unit:
+                raise ValueError(f"{name!r} has two units, {units[name]!r} and {unit!r}")
+        if len(signals[key]) < len(names):
+            raise ValueError(f"{role} = {few(names)} must be different names")
     return signals
 
 
