@@ -160,7 +160,7 @@ def array(name: str, value, shape: Sequence[int | str], dtype: type = float) -> 
         raise ValueError(f"{name} has shape {plain.shape}, but must have shape ({words})")
     result = np.array(plain, dtype=dtype)
     bad = np.argwhere(~np.isfinite(result))
-    if bad.size:
+    if len(bad):
         where = tuple(int(i) for i in bad[0])
         raise ValueError(f"{name} has {len(bad)} values that are not finite, the first at {where}")
     if np.abs(result).max(initial=0) > LARGEST:

@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 import numpy as np
 import xarray as xr
@@ -23,7 +23,6 @@ from rodlib.trials import check_law, dataset
 LATE = 0.1  # sampling periods that a sample may be off the clock
 
 
-@runtime_checkable
 class Rig(Protocol):
     """What :func:`record` asks of a rig: a driver of two methods, one call each per sample.
 
@@ -144,6 +143,8 @@ def record(
     commanded = bench.commanded(disturbance, trials, len(reference))
     plan = _Plan(loop, Q, L, reference, rest, bench.recorded)
     path = None if path is None else arguments.path("path", path)
+    if path is not None and not path.parent.is_dir():
+        raise ValueError(f"path = '{path}' must be in a folder that exists")
     signals = plan.go_on(path) if path is not None and path.exists() else plan.nothing()
 
     done = len(signals["y"])
@@ -194,9 +195,9 @@ class _Plan:
 
     def go_on(self, path) -> dict[str, list]:
         """The signals of the trials in a log, of which a part of a last trial is cut off."""
-        found, size = load_ended(path, len(self.reference))
-        same = np.array_equal(found.reference[0], self.reference)
-        differing = [] if same else ["reference"]
+        found, size = load_ended(path)
+        own = [np.array_equal(reference, self.reference) for reference in found.reference]
+        differing = [] if all(own) else ["reference"]
         wanted = with_law(xr.Dataset(), self.Q, self.L, self.rest, self.loop).attrs
         for key in ("Q", "L", "rest", "loop"):
             if found.attrs.get(key) != wanted.get(key):
@@ -218,8 +219,10 @@ class _Bench:
     """A rig with the controller on it: signals by name, no reading used before it is checked."""
 
     def __init__(self, rig, loop, decimals):
-        if isinstance(rig, type) or not isinstance(rig, Rig):
-            missing = [name for name in ("read", "apply") if not hasattr(rig, name)]
+        if isinstance(rig, type):
+            raise ValueError(f"rig = {rig!r} is a class: make one")
+        missing = [name for name in ("read", "apply") if not callable(getattr(rig, name, None))]
+        if missing:
             raise ValueError(f"rig = {reprlib.repr(rig)} has no {', '.join(missing)}: see Rig")
         self.rig, self.loop = rig, arguments.instance("loop", loop, CurrentTrialLoop)
         for name in loop.plant.input_labels + loop.plant.output_labels:
@@ -290,25 +293,33 @@ class _Bench:
     def sample(self, w, flows, where) -> dict[str, np.ndarray]:
         """Let one sampling period pass: read, check, then apply what the controller makes of it."""
         try:
-            y = arguments.array("reading", self.rig.read(), (self.loop.plant.noutputs,))
-            measured = dict(zip(self.moved, flows, strict=True))
-            if self.heard:
-                now = self.rig.measured
-                for name in self.heard:
-                    value = float(arguments.array(name, now[name], ()))
-                    measured[name] = round(value, self.decimals.get("disturbance", 300))
-        except (KeyError, ValueError) as error:
-            raise RigError(f"{where}: {error}. Nothing was applied after it") from error
+            y, heard = self.readings()
+            delta = _rounded(self.controller.delta, self.decimals.get("delta"))
+            u = self.controller.step(y, w)
+            command = np.zeros(len(self.inputs))
+            command[self.positions] = np.concatenate([u, flows])
+            self.rig.apply(command)
+        except RigError as error:
+            raise RigError(f"{where}: {error}. Nothing was applied after it") from None
         except Exception as error:
             error.add_note(f"in {where}")
             raise
-        delta = _rounded(self.controller.delta, self.decimals.get("delta"))
-        u = self.controller.step(y, w)
-        command = np.zeros(len(self.inputs))
-        command[self.positions] = np.concatenate([u, flows])
-        self.rig.apply(command)
-        disturbance = np.array([measured[name] for name in self.recorded])
+        known = heard | dict(zip(self.moved, flows, strict=True))
+        disturbance = np.array([known[name] for name in self.recorded])
         return {"u": u, "y": y, "delta": delta, "disturbance": disturbance}
+
+    def readings(self) -> tuple[np.ndarray, dict[str, float]]:
+        """The outputs, and the disturbances that are measured."""
+        y, heard = self.rig.read(), self.rig.measured if self.heard else {}
+        try:
+            y = arguments.array("reading", y, (self.loop.plant.noutputs,))
+            heard = {name: float(arguments.array(name, heard.get(name), ())) for name in self.heard}
+        except ValueError as error:
+            raise RigError(str(error)) from None
+        decimals = self.decimals.get("disturbance")
+        if decimals is not None:
+            heard = {name: round(value, decimals) for name, value in heard.items()}
+        return y, heard
 
     @contextmanager
     def in_the_end_safe(self, begun):

@@ -5,13 +5,12 @@ begin with ``#``, then comma-separated values, one row per trial and sample. pan
 ``read_csv(path, comment="#")``, MATLAB with ``readtable(path, "CommentStyle", "#")``.
 """
 
-import csv
 import difflib
 import json
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from io import BytesIO, StringIO
+from io import BytesIO
 from itertools import count
 
 import numpy as np
@@ -96,25 +95,42 @@ def load_log(path, units: dict[str, str] | None = None) -> xr.Dataset:
         raise LogError(f"{path}: cannot be read: {error}") from None
 
 
-def load_ended(path, samples: int) -> tuple[xr.Dataset, int]:
-    """Load a log without what a killed process has left of a last trial of so many samples.
+def load_ended(path) -> tuple[xr.Dataset, int]:
+    """Load a log that :func:`append_log` can go on with.
+
+    A last trial that is shorter than the first is what a killed process has left: it is ignored.
 
     Returns
     -------
     trials : xarray.Dataset
     size : int
         Of the file up to the end of the last whole trial, bytes.
+
+    Raises
+    ------
+    LogError
+        If the log cannot be used, or its columns are not where :func:`save_log` puts them.
     """
     content = path.read_bytes()
     size = content.rfind(b"\n") + 1
-    lines = content[:size].rsplit(b"\n", samples + 1)[1:-1]
-    numbers = [line.partition(b",")[0] for line in lines]
-    last = [line for line, number in zip(lines, numbers, strict=True) if number == numbers[-1]]
-    if len(last) < samples:
-        size -= sum(len(line) + 1 for line in last)
+    end = first = content.find(b"\n", re.match(rb"(#.*\n)*", content).end()) + 1
+    length = count = 0
+    number = content[first : content.find(b",", first) + 1] or b","
+    while content.startswith(number, end) and end < size:
+        end = content.index(b"\n", end) + 1
+        length += 1
+    start = line = size
+    while line > end:  # back from the last line, as long as it is of the same trial
+        line = content.rfind(b"\n", 0, line - 1) + 1
+        number = content[line : content.find(b",", line) + 1] if start == size else number
+        if not content.startswith(number, line):
+            break
+        start, count = line, count + 1
+    if 0 < count < length:
+        size = start
     trials = _load(BytesIO(content[:size]), path, None)
     header = _head(trials).splitlines(keepends=True)[-1]
-    if b"\n" + header not in content:
+    if not content[:first].endswith(b"\n" + header):
         raise LogError(f"{path}: to go on with it, its columns must be {header.decode().strip()}")
     return trials, size
 
@@ -128,8 +144,10 @@ def _load(file, path, units):
     version = table.metadata.get("format")
     if version not in (FORMAT, FORMER):
         problems.append(f"metadata: format is {version!r}, but must be {FORMAT!r} (or {FORMER!r})")
-    refuse(path, problems)  # without this much, the rest would be a guess
+    refuse(path, problems)  # all further ones would follow from these
     layout = _former_layout(table, problems) if version == FORMER else _layout(table, problems)
+    if not layout.columns:
+        refuse(path, problems)
     Ts, unit = _sampling_period(table.metadata, problems)
     _check_columns(table.header, layout.columns, problems)
     read_rows(file, table, {"trial", "time", *(c.title for c in layout.columns)}, problems)
@@ -173,7 +191,6 @@ def _layout(table, problems):
         for role, key in ROLES.items():
             own = arguments.instance(key, signals.pop(key, {}), dict)
             for name, unit in own.items():
-                pints.unit(name, unit)
                 if layout.units.setdefault(name, unit) != unit:
                     raise ValueError(f"{name!r} has two units")
             layout.names[role] = list(own)
@@ -193,6 +210,11 @@ def _layout(table, problems):
     except (TypeError, ValueError) as error:
         problems.append(f"metadata: signals or limits cannot be understood: {error}")
         return layout
+    for name, unit in layout.units.items():
+        try:
+            pints.unit(name, unit)
+        except ValueError as error:
+            problems.append(f"metadata: {error}")
     for title, (signal, name) in titles.items():
         low, high = limits[title]
         layout.columns.append(Column(title, signal, name, layout.units[name], (low, high)))
@@ -350,7 +372,9 @@ def _head(trials):
     metadata["signals"] = json.dumps(_signals(trials), ensure_ascii=False)
     metadata |= _notes(trials.attrs)
     numbers = [arguments.whole("trials.trial", k, 1, 2**31) for k in trials.trial.values]
-    if len(set(numbers)) < len(numbers) or not numbers or not trials.sizes["time"]:
+    if not numbers or not trials.sizes["time"]:
+        raise ValueError("trials have no samples")
+    if len(set(numbers)) < len(numbers):
         raise ValueError(f"trials.trial = {few(numbers)} must be numbers, none of them twice")
     time = np.asarray(trials.time.values, dtype=float)
     if np.any(~(np.abs(time - Ts * np.arange(len(time))) <= 1e-3 * Ts)):
@@ -367,10 +391,14 @@ def _head(trials):
             raise ValueError(f"trials have values that are not finite in {title!r}")
         if values.min() < low or values.max() > high:
             raise ValueError(f"trials have values of {title!r} that are not from {low} to {high}")
-    header = StringIO()
-    csv.writer(header, lineterminator="\n").writerow(["trial", "time", *columns])
-    lines = "".join(f"# {key}: {value}\n" for key, value in metadata.items())
-    return (lines + header.getvalue()).encode()
+    lines = [f"# {key}: {value}\n" for key, value in metadata.items()]
+    header = ",".join(["trial", "time", *(_quoted(title) for title in columns)])
+    return "".join([*lines, header, "\n"]).encode()
+
+
+def _quoted(title):
+    """As csv has it; # as well, which others take for the start of a comment."""
+    return '"' + title.replace('"', '""') + '"' if re.search('[,"#]', title) else title
 
 
 def _signals(trials):

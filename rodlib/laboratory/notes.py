@@ -91,7 +91,7 @@ def loop_of(trials: xr.Dataset) -> CurrentTrialLoop | None:
         arguments.one_period(log=trials.attrs["Ts"], loop=loop.Ts)
     except (AttributeError, *MISUNDERSTOOD) as error:
         raise LogError(f"metadata: loop cannot be understood: {error!r}") from None
-    recorded = (list(trials.output.values), list(trials.control.values))
+    recorded = (trials.output.values.tolist(), trials.control.values.tolist())
     if names != recorded:
         raise LogError(f"metadata: loop has the signals {names}, but the log {recorded}")
     return loop

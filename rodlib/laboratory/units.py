@@ -60,10 +60,8 @@ def conversion(name: str, source: str, target: str, difference: bool) -> tuple[f
                 f"unit {source!r} of {name} cannot be converted to {target!r}: one counts from a "
                 "zero of its own, the other is that of a difference"
             )
-        factor = _convert(1.0, a, b) - _convert(0.0, a, b)
-        if abs(_convert(2.0, a, b) - _convert(1.0, a, b) - factor) > 1e-9 * abs(factor):
-            raise ValueError(f"unit {source!r} of {name} is logarithmic: it is not converted")
-        return factor, 0.0 if difference else _convert(0.0, a, b)
+        zero = _convert(0.0, a, b)
+        return _convert(1.0, a, b) - zero, 0.0 if difference else zero
     return _convert(1.0, a, b), 0.0
 
 

@@ -364,7 +364,7 @@ def test_attributes_come_back_as_a_line_of_text(tmp_path, good):
         (lambda t: t.assign_attrs(Ts=0), "Ts.* = 0 must be"),
         (lambda t: t.isel(time=slice(1, None)), "time must be 0, Ts, 2 Ts"),
         (lambda t: t.isel(time=slice(0, None, 2)), "time must be 0, Ts, 2 Ts"),
-        (lambda t: t.isel(time=slice(0, 0)), "trial"),
+        (lambda t: t.isel(time=slice(0, 0)), "trials have no samples"),
         (lambda t: t.assign_coords(trial=[1, 2, 2]), "none of them twice"),
         (lambda t: t.assign_coords(trial=[0, 1, 2]), "trials.trial = .*0.* must be a whole number"),
         (lambda t: t.assign_coords(output=("channel", ["a\nb"])), "printable"),
@@ -391,10 +391,10 @@ def test_what_is_cut_off_anywhere_in_the_last_trial_is_read_without_it(tmp_path,
     two = whole.index(b"\n3,0") + 1
     for end in range(two, len(whole)):
         path.write_bytes(whole[:end])
-        trials, size = logs.load_ended(path, 4)
+        trials, size = logs.load_ended(path)
         assert size == two and trials.identical(good.isel(trial=[0, 1]))
     path.write_bytes(whole)
-    trials, size = logs.load_ended(path, 4)
+    trials, size = logs.load_ended(path)
     assert size == len(whole) and trials.identical(good)
     assert path.read_bytes() == whole
 

@@ -29,7 +29,7 @@ def test_the_law_is_noted_and_found_again(loop, Q):
 
 
 @pytest.mark.parametrize(
-    "L", ["{}", "0", "false", "[]", "null, null", '{"coefficients": 3}', "[" * 9999]
+    "L", ["{}", "0", "false", "[]", "null, 1", '{"coefficients": 3}', "[" * 9999]
 )
 def test_a_law_that_is_none_is_refused(loop, Q, L):
     run = run_trials(loop, Q, None, np.zeros((5, 2)), None, 1)
@@ -85,9 +85,7 @@ def test_the_loop_is_rebuilt_to_the_last_digit(loop, tmp_path):
         assert run_trials(rebuilt, Q, None, reference, None, 1).identical(run)
 
 
-@pytest.mark.parametrize(
-    "note", ["{}", "3", "null", "", '{"plant": {"A": 1}}', '{"colour": "red"}']
-)
+@pytest.mark.parametrize("note", ["{}", "3", "null", "", '{"plant": {"A": 1}}', '{"colour": 1}'])
 def test_a_loop_that_is_none_is_refused(loop, Q, note):
     run = run_trials(loop, Q, None, np.ones((9, 2)), None, 1)
     assert loop_of(run) is None
@@ -98,8 +96,8 @@ def test_a_loop_that_is_none_is_refused(loop, Q, note):
 def test_the_loop_of_other_signals_is_refused(loop, Q):
     run = with_law(run_trials(loop, Q, None, np.ones((9, 2)), None, 1), Q, None, 0, loop)
     with pytest.raises(
-        LogError, match="loop has the signals .*'y1', 'y2'.*, but the log .*'a', 'b'"
+        LogError, match=r"loop has the signals .*'y1', 'y2'.* but the log \(\['a', 'b'"
     ):
         loop_of(run.assign_coords(output=("channel", ["a", "b"])))
-    with pytest.raises(LogError, match="log.Ts = 2.0 s, loop.Ts = 1.0 s"):
+    with pytest.raises(LogError, match=r"log.Ts = 2.0 s, loop.Ts = 1.0 s"):
         loop_of(run.assign_attrs(Ts=2.0))

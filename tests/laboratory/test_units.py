@@ -32,7 +32,7 @@ def test_numbers_are_converted(source, target, difference, values, expected):
         ("W", "K", "unit 'W' of level cannot be converted to 'K'"),
         ("K", "degC", "one counts from a zero of its own"),
         ("degF", "mK", "one counts from a zero of its own"),
-        ("dBm", "dBW", "logarithmic"),
+        ("dBm", "mW", "one counts from a zero of its own"),
         ("K", "kelvins per fortnite", "unit 'kelvins per fortnite' of level is not understood"),
         (3, "K", "unit of level = 3 must be a str"),
     ],
@@ -42,9 +42,7 @@ def test_what_cannot_be_converted_is_refused(source, target, message):
         conversion("level", source, target, False)
 
 
-@pytest.mark.parametrize(
-    "text", ["m m m (", "2 K", "K +", "1e999", "import os", "\x00", "((((", "$"]
-)
+@pytest.mark.parametrize("text", ["m m m (", "2 K", "K +", "1e999", "import os", "((((", "$"])
 def test_what_is_no_unit_is_refused_in_words(text):
     with pytest.raises(ValueError, match="of level is not understood: write it as pint does"):
         unit("level", text)
