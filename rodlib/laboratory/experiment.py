@@ -341,7 +341,7 @@ def _report_late(trial, off, Ts):
         warnings.warn(
             f"trial {trial}: {late.size} samples were not on time, the worst, sample {worst + 1}, "
             f"by {off[worst]:.3g} s",
-            stacklevel=3,
+            stacklevel=4,
         )
 
 

@@ -38,7 +38,6 @@ SIGNALS = {  # and what the channels of each are; every log has all but the last
 REQUIRED = [name for name in SIGNALS if name not in ("delta", "disturbance")]
 DIFFERENCES = ("v", "delta")  # of two readings, so that the zero of a unit has no part in them
 ROLES = {"output": "outputs", "control": "controls", "source": "disturbances"}  # in the metadata
-OWN = ("format", "Ts", "signals", "units")  # metadata that are no attributes
 BLOCK = 2**17  # rows written at a time
 
 
@@ -60,6 +59,8 @@ class Layout:
     names: dict[str, list[str]] = field(default_factory=lambda: {role: [] for role in ROLES})
     columns: list[Column] = field(default_factory=list)
     units: dict[str, str] = field(default_factory=dict)  # to be read in, by name
+    time: str | None = None  # unit of the column
+    own: tuple[str, ...] = ("format", "Ts", "signals")  # metadata that are no attributes
 
 
 def load_log(path, units: dict[str, str] | None = None) -> xr.Dataset:
@@ -111,23 +112,19 @@ def load_ended(path) -> tuple[xr.Dataset, int]:
     LogError
         If the log cannot be used, or its columns are not where :func:`save_log` puts them.
     """
-    content = path.read_bytes()
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read: {error}") from None
     size = content.rfind(b"\n") + 1
-    end = first = content.find(b"\n", re.match(rb"(#.*\n)*", content).end()) + 1
-    length = count = 0
-    number = content[first : content.find(b",", first) + 1] or b","
-    while content.startswith(number, end) and end < size:
-        end = content.index(b"\n", end) + 1
-        length += 1
-    start = line = size
-    while line > end:  # back from the last line, as long as it is of the same trial
-        line = content.rfind(b"\n", 0, line - 1) + 1
-        number = content[line : content.find(b",", line) + 1] if start == size else number
-        if not content.startswith(number, line):
-            break
-        start, count = line, count + 1
-    if 0 < count < length:
-        size = start
+    first = content.find(b"\n", re.match(rb"(#.*\n)*", content).end()) + 1
+    number = content[first : content.find(b",", first) + 1]
+    second = re.compile(rb"(?:%b.*\n)*" % re.escape(number)).match(content, first).end()
+    last = content.rfind(b"\n", 0, max(0, size - 1)) + 1
+    number = content[last : content.find(b",", last) + 1]
+    last = content.find(b"\n" + number, first - 1) + 1
+    if last > first and content.count(b"\n", last, size) < content.count(b"\n", first, second):
+        size = last
     trials = _load(BytesIO(content[:size]), path, None)
     header = _head(trials).splitlines(keepends=True)[-1]
     if not content[:first].endswith(b"\n" + header):
@@ -148,12 +145,12 @@ def _load(file, path, units):
     layout = _former_layout(table, problems) if version == FORMER else _layout(table, problems)
     if not layout.columns:
         refuse(path, problems)
-    Ts, unit = _sampling_period(table.metadata, problems)
+    Ts = _sampling_period(table.metadata, layout, problems)
     _check_columns(table.header, layout.columns, problems)
     read_rows(file, table, {"trial", "time", *(c.title for c in layout.columns)}, problems)
     numbers = time = None
     if table.pieces and Ts and {"trial", "time"} <= set(table.header):
-        tick = _seconds("time", _stated(table.metadata).get("time", unit), problems)
+        tick = _seconds(layout.time, problems)
         if tick and all(np.isfinite(table.column(title)).all() for title in ("trial", "time")):
             numbers, time = check_trials(table, Ts / tick, problems)
             time = time * tick
@@ -164,21 +161,22 @@ def _load(file, path, units):
     return _assemble(table, layout, layout.units | asked, Ts, numbers, time)
 
 
-def _sampling_period(metadata, problems):
-    """In s, and the unit it is stated in."""
-    match = re.fullmatch(r"(\S+)\s+(\S+)", metadata.get("Ts", ""))
+def _sampling_period(metadata, layout, problems):
+    """In s; its unit is that of the time as well, unless the metadata have said another."""
     try:
-        Ts = float(match[1]) * pints.conversion("Ts", match[2], "s", False)[0]
-        return arguments.sampling_period("Ts", Ts), match[2]
-    except (TypeError, ValueError):
+        number, unit = metadata.get("Ts", "").split()
+        layout.time = layout.time or unit
+        return arguments.sampling_period(
+            "Ts", float(number) * pints.conversion("Ts", unit, "s", False)[0]
+        )
+    except ValueError:
         stated = metadata.get("Ts")
         problems.append(f"metadata: Ts is {stated!r}, but must be a period such as '1.0 s'")
-        return None, None
 
 
-def _seconds(name, unit, problems):
+def _seconds(unit, problems):
     try:
-        return pints.conversion(name, unit, "s", False)[0]
+        return pints.conversion("time", unit, "s", False)[0]
     except ValueError as error:
         problems.append(f"metadata: {error}")
 
@@ -223,7 +221,9 @@ def _layout(table, problems):
 
 def _former_layout(table, problems):
     """Of format 1: the rod's, in K and W, with a unit for each column."""
-    layout = Layout()
+    pairs = [part.split() for part in table.metadata.get("units", "").split(";")]
+    stated = {pair[0]: pair[1] for pair in pairs if len(pair) == 2}
+    layout = Layout(time=stated.get("time"), own=("format", "Ts", "units"))
     channels = next(i for i in count(1) if f"y{i + 1}" not in table.header)
     sources = [title for title in table.header if re.fullmatch(r"theta_a|Q[0-9]{1,9}", title)]
     layout.names = {
@@ -231,7 +231,6 @@ def _former_layout(table, problems):
         "control": [f"u{i + 1}" for i in range(channels)],
         "source": sources,
     }
-    stated = _stated(table.metadata)
     if "time" in table.header and "time" not in stated:
         problems.append("metadata: units does not name the unit of 'time'")
     optional = any(title.startswith("delta") for title in table.header)
@@ -254,12 +253,6 @@ def _former_layout(table, problems):
             limits = (-size / factor, size / factor)
             layout.columns.append(Column(title, signal, name, stated.get(title, unit), limits))
     return layout
-
-
-def _stated(metadata):
-    """The units of format 1 by column."""
-    pairs = [part.split() for part in metadata.get("units", "").split(";") if part.strip()]
-    return {pair[0]: pair[1] for pair in pairs if len(pair) == 2}
 
 
 def _check_columns(header, columns, problems):
@@ -317,8 +310,8 @@ def _assemble(table, layout, units, Ts, numbers, time):
         start += len(piece)
     signals = {name: s.reshape(len(numbers), samples, -1) for name, s in signals.items()}
     trials = dataset(Ts, *layout.names.values(), units, **signals)
-    notes = {key: value for key, value in table.metadata.items() if key not in OWN}
-    if "limits" in notes:
+    notes = {key: value for key, value in table.metadata.items() if key not in layout.own}
+    if "limits" in notes and "signals" in layout.own:
         notes["limits"] = json.dumps(_limits_in(units, layout.columns))
     return trials.assign_attrs(notes).assign_coords(
         trial=numbers.astype(int), time=("time", time, {"units": "s"})
@@ -460,7 +453,7 @@ def _notes(attributes):
         if key == "Ts":
             continue
         plain = isinstance(key, str) and re.fullmatch(r"[^\s:#]([^:]*[^\s:])?", key)
-        if not (plain and key.isprintable()) or key in OWN:
+        if not (plain and key.isprintable()) or key in Layout.own:
             raise ValueError(f"attribute {key!r} cannot be a line of the log: rename it")
         line = isinstance(value, str) and value.isprintable() and value == value.strip()
         notes[key] = value if line else json.dumps(value, default=str)

@@ -15,6 +15,7 @@ import numpy as np
 PIECE = 2**24  # bytes read at a time
 NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?\s*", re.ASCII | re.IGNORECASE)
 SEPARATORS = {";": "semicolons", "\t": "tabs"}
+NO_ROW = (b"\n#", b"\n\n", b"\n ", b"\n\t")  # what may begin a line that is none
 LISTED = 18  # problems, and names in a message
 
 
@@ -149,7 +150,8 @@ def _rows_of(piece, line, table, problems):
     """A piece without comments and empty lines, the line of each row, and the next line."""
     piece = piece.replace(b"\r\n", b"\n")
     following = line + piece.count(b"\n")
-    if not re.search(rb"(?m)^(#|[ \t]*\n)", piece):
+    marked = b"\n" + piece[:1], piece
+    if not any(begin in part for begin in NO_ROW for part in marked):
         return piece, range(line, following + 1), following
     kept, lines = [], []
     for number, text in enumerate(piece.split(b"\n"), line):

@@ -277,7 +277,7 @@ def test_progress_is_shown_on_a_terminal_only(loop, Q, capfd, monkeypatch):
 
 # Resuming
 
-SHORT = {"reference": np.round(assumed_reference(25) * 0.3, 6), "trials": 4, "pause": 2}
+SHORT = {"reference": np.round(assumed_reference(25) * 0.3, 6), "trials": 3, "pause": 2}
 KILLED = """
 import os, signal, sys
 import pyarrow.csv, scipy.signal
@@ -301,7 +301,7 @@ for samples in map(int, sys.argv[2:]):
     if not process:
         Killed.left = samples
         path = os.path.join(sys.argv[1], f"{samples}.csv")
-        record(Killed(), loop, Q, L, reference, None, 4, 2, path=path)
+        record(Killed(), loop, Q, L, reference, None, 3, 2, path=path)
     print(os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]))
 """
 
@@ -310,12 +310,12 @@ for samples in map(int, sys.argv[2:]):
 def test_a_killed_experiment_goes_on_as_if_nothing_had_been(loop, Q, L, tmp_path):
     """What is on disk are the trials that had ended; the rest comes out the same, bit for bit."""
     whole = record(RestartingRig(), loop, Q, L, **SHORT, path=tmp_path / "whole.csv")
-    kills = np.random.default_rng(0).choice(np.arange(106), 20, replace=False)
+    kills = np.random.default_rng(0).choice(np.arange(79), 14, replace=False)
     outcome = subprocess.run(
         [sys.executable, "-c", KILLED, tmp_path, *map(str, kills)],
         capture_output=True, text=True, env=os.environ | {"PYTHONPATH": str(ROOT)},
     )  # fmt: skip
-    assert outcome.stdout.split() == [str(-signal.SIGKILL)] * 20, outcome.stderr
+    assert outcome.stdout.split() == [str(-signal.SIGKILL)] * 14, outcome.stderr
     for samples in kills:
         path = tmp_path / f"{samples}.csv"
         ended = (samples + 2) // 27
@@ -345,8 +345,8 @@ def test_an_experiment_that_has_ended_leaves_rig_and_log_alone(loop, Q, L, tmp_p
     assert record(device, loop, Q, L, **SHORT | {"trials": 2}, path=path).identical(log)
     assert path.read_bytes() == content and device.time == time
     assert load_log(path).identical(log)
-    more = record(device, loop, Q, L, **SHORT | {"trials": 5}, path=path)
-    assert more.isel(trial=slice(4)).identical(log) and load_log(path).identical(more)
+    more = record(device, loop, Q, L, **SHORT | {"trials": 4}, path=path)
+    assert more.isel(trial=slice(3)).identical(log) and load_log(path).identical(more)
 
 
 def test_notes_that_were_added_to_the_log_stay(loop, Q, tmp_path):

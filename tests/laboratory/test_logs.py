@@ -217,6 +217,7 @@ def stretched(rows):
         (FORMER.replace("; u1 W", ""), "does not name the unit of 'u1'"),
         (FORMER.replace("time s; ", ""), "does not name the unit of 'time'"),
         (FORMER.replace("y1 K", "y1 degF"), "unit 'degF' of y1 cannot be converted to 'K'"),
+        (GOOD.replace("Ts: 1.0 s", "Ts: 1.0"), "Ts is '1.0'"),
         (FORMER.replace("# Ts", "# units: y1 mK\n# Ts"), "'units' is given twice"),
         (FORMER.replace("0.75,", "9999,"), "y1: implausible value 9999 in trial 1, row 5"),
         (FORMER.replace("u1 W", "u1 kW").replace(".25,", "e4,"), "u1: implausible value"),
@@ -282,6 +283,13 @@ def test_a_date_among_the_columns_costs_no_memory(tmp_path):
         load_log(write(tmp_path, FORMER.replace(",Q2", ",y20231105,Q99999999999")))
     assert tracemalloc.get_traced_memory()[1] < 1e8  # 16 MB are read at a time
     tracemalloc.stop()
+
+
+def test_metadata_of_the_other_format_are_notes(tmp_path, good):
+    trials = load_log(write(tmp_path, GOOD.replace("# Ts", "# units: time ms\n# Ts")))
+    assert trials.attrs.pop("units") == "time ms" and trials.identical(good)
+    trials = load_log(write(tmp_path, FORMER.replace("# Ts", "# limits: none\n# Ts")))
+    assert trials.attrs["limits"] == "none"
 
 
 def test_missing_and_binary_files(tmp_path):
