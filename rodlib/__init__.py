@@ -9,6 +9,7 @@ MODULES = {
     "rod": ("Rod", "exact_response", "midr"),
     "feedback": ("CurrentTrialLoop", "current_trial_loop", "minimal_realisation", "paper_loop"),
     "filters": ("LearningFilter", "ZeroPhaseButterworth", "update", "zero_phase_butterworth"),
+    "problem": ("Problem",),
     "synthesis": ("InfeasibleError", "SolverError", "Synthesis", "synthesise"),
     "trials": ("run_trials",),
     "logs": ("LogError", "load_log", "save_log"),

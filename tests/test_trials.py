@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rodlib import LearningFilter, published, run_trials, zero_phase_butterworth
-from rodlib.certificate import trial_map
+from rodlib.evidence import trial_map
 from rodlib.synthesis import convergence_matrix, largest_singular_values
 from rodlib.trials import assumed_disturbance, assumed_reference, rms, state_sequence
 

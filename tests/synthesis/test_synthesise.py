@@ -12,14 +12,17 @@ from rodlib import (
     InfeasibleError,
     LearningFilter,
     SolverError,
-    active_set,
-    interior_point,
     published,
     synthesise,
     zero_phase_butterworth,
 )
-from rodlib.certificate import trial_norm
-from rodlib.synthesis import convergence_matrix, largest_singular_values
+from rodlib.evidence import trial_norm
+from rodlib.synthesis import (
+    active_set,
+    convergence_matrix,
+    interior_point,
+    largest_singular_values,
+)
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +102,7 @@ def test_a_wrong_filter_is_not_returned(loop, Q, omega, monkeypatch, factor, com
         return replace(solution, coefficients=solution.coefficients * factor)
 
     monkeypatch.setattr(interior_point, "solve", dishonest)
-    monkeypatch.setattr(active_set, "resolve", lambda *_: None)
+    monkeypatch.setattr(active_set, "resolve", lambda *_, **__: None)
     arguments = (loop, Q, omega[::10], 1.0)
     with pytest.raises(SolverError, match=complaint):
         synthesise(*arguments, band=(1e-4, 0.01))

@@ -15,7 +15,7 @@ from rodlib import (
     synthesise,
     zero_phase_butterworth,
 )
-from rodlib.certificate import (
+from rodlib.evidence import (
     convergence_model,
     learning_model,
     lower_bound,
@@ -25,6 +25,7 @@ from rodlib.certificate import (
     trial_operators,
 )
 from rodlib.feedback import frequency_response
+from rodlib.problem import pose
 from rodlib.synthesis import convergence_matrix, largest_singular_values
 from rodlib.trials import assumed_reference
 
@@ -197,12 +198,10 @@ def test_lower_bound_holds_for_any_multipliers(structure, objective, L_max):
     arguments["structure"] = structure
     design = synthesise(P, Q, omega, 1.0, **arguments)
     assert 0 <= design.certificate.gap + 1e-12 < 1e-8
-    statement = {"order": 3, "M_max": 0.9, "L_max": L_max, "band_mask": omega <= 1}
-    statement |= {"structure": structure, "objective": objective}
     for _ in range(20):
         U, V = rng.standard_normal((2, 40, 2, 2)) + 1j * rng.standard_normal((2, 40, 2, 2))
         V = None if L_max is None else V
-        bound = lower_bound(P, Q, omega, U, V, **statement)
+        bound = lower_bound(design.problem, U, V)
         assert bound <= design.value * (1 + 1e-9)
 
 
@@ -214,10 +213,9 @@ def test_lower_bound_ignores_what_a_filter_could_do_to_the_multipliers(order, st
     z = np.exp(1j * angles)
     P = np.eye(2) * (0.1 / (z - 0.9))[:, None, None] + 0.2 * rng.standard_normal((2, 2))
     Q = 1 / (1 + (angles / 0.1) ** 4)
-    statement = {"order": order, "M_max": 0.9, "L_max": None, "band_mask": angles <= 0.02}
-    statement |= {"structure": structure, "objective": "sum"}
+    problem = pose(P, Q, angles, 1.0, order=order, L_max=None, structure=structure)
     U = rng.standard_normal((250, 2, 2)) + 1j * rng.standard_normal((250, 2, 2))
-    bound = lower_bound(P, Q, angles, U, None, **statement)
+    bound = lower_bound(problem, U, None)
 
     L = np.zeros((250, 2, 2), dtype=complex)
     for i, j in np.ndindex(2, 2):
@@ -228,7 +226,7 @@ def test_lower_bound_ignores_what_a_filter_could_do_to_the_multipliers(order, st
                 L[:, i, j] *= (z - zero) * (z - zero.conj())
     change = -Q[:, None, None] * (P @ L)
     change *= np.linalg.norm(U) / np.linalg.norm(change)
-    moved = lower_bound(P, Q, angles, U + change, None, **statement)
+    moved = lower_bound(problem, U + change, None)
     assert moved == pytest.approx(bound, rel=1e-11, abs=1e-11 * np.linalg.norm(U))
 
 

@@ -5,8 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rodlib import InfeasibleError, interior_point, synthesise, zero_phase_butterworth
-from rodlib.cones import formulate
+from rodlib import InfeasibleError, synthesise, zero_phase_butterworth
+from rodlib.problem import pose
+from rodlib.synthesis import interior_point
+from rodlib.synthesis.program import formulate
 
 
 def random_plant(seed, m, n=30, gain=1.0):
@@ -156,14 +158,15 @@ def test_a_perfect_filter_is_certified(T, order, gain):
 @pytest.mark.parametrize(("m", "structure"), [(1, "full"), (2, "diagonal"), (3, "full")])
 def test_both_ways_of_solving_the_newton_system_agree(m, structure, objective):
     P, Q, omega = random_plant(m, m)
-    numbers = {"order": 3, "M_max": 0.97, "L_max": 20.0, "band_mask": omega < 0.3}
-    problem = formulate(P, Q, omega, 1.0, structure=structure, objective=objective, **numbers)
+    numbers = {"order": 3, "M_max": 0.97, "L_max": 20.0, "band": (0.01, 0.3)}
+    problem = pose(P, Q, omega, 1.0, structure=structure, objective=objective, **numbers)
+    problem = formulate(problem)
     p = interior_point.begin(problem, np.zeros((problem.entries, 3)))
     for root in (False, True):
         for _ in range(4):  # some way along the central path
             slacks = [
                 interior_point.Slack(*a)
-                for a in zip(p.G, problem.levels(p.t, p.bounds), strict=True)
+                for a in zip(p.G, problem.levels(p.t, p.limits), strict=True)
             ]
             total = interior_point.complementarity(problem, p)
             directions = [
