@@ -39,7 +39,8 @@ class Problem:
     in_band : ndarray of bool, shape (n,)
         Frequencies over which "sum" sums.
     structure : {"diagonal", "full"}
-    objective : {"sum", "peak"}
+    objective : {"sum", "peak", "gain"}
+        "gain" minimises the largest sigma_max(L), with `L_max` for its unit and no bound.
     scale : ndarray, shape (m,)
         What counts as equally large in each channel.
     model : tuple of control.StateSpace and ZeroPhaseButterworth, or None
@@ -113,7 +114,7 @@ class Solution:
     U, V : ndarray, shape (n, m, m), complex
         Multipliers of M and of L.
     peak : float
-        Largest sigma_max(M).
+        Largest sigma_max(M); of W L, for the least gain.
     method : str
         That found it.
     iterations : int

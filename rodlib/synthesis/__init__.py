@@ -37,10 +37,12 @@ __all__ = [
     "Synthesis",
     "convergence_matrix",
     "largest_singular_values",
+    "least_gain",
     "synthesise",
 ]
 
 HOPELESS = 1 - 1e-6  # from here on a smallest M_max is one, and raising it no remedy
+SAME = 1e-9  # relative distance up to which two peaks are the same
 GOOD = 1e-8  # relative duality gap up to which what the active bounds lead to is accepted
 CVXPY_TOLERANCES = (1e-5, 1e-6)  # Clarabel ends "almost solved" on these problems
 
@@ -203,6 +205,37 @@ def synthesise(
         raise SolverError(f"{solution.method}: {'; '.join(certificate.failures)}")
     sigmas = _sigmas(problem, solution)
     return Synthesis(problem.filter(solution.coefficients), problem, certificate, *sigmas, solution)
+
+
+def least_gain(P, Q, omega, Ts, **choices) -> Synthesis:
+    """Design the one filter of (45) that has a rule: of least gain among those of least peak.
+
+    Without (46) the least peak of sigma_max(M) may be reached by many filters, whose gains differ
+    by orders of magnitude; which of them a solver returns is its own affair. This is the one with
+    the least max sigma_max(L) that keeps the least peak to a relative 1e-9.
+
+    Parameters
+    ----------
+    P, Q, omega, Ts, **choices
+        As for :func:`synthesise`: `order`, `structure`, `M_max`, `band`, `scale`, `samples`,
+        `rest`, `check`.
+
+    Returns
+    -------
+    Synthesis
+        Of (45) with (46), where `certificate.L_max` is that gain.
+
+    Raises
+    ------
+    ValueError, InfeasibleError, SolverError
+        As :func:`synthesise`.
+    """
+    without_trial = choices | {"samples": None, "rest": 0}
+    free = synthesise(P, Q, omega, Ts, objective="peak", L_max=None, **without_trial)
+    unit, M_max = free.sigma_L.max(), free.value * (1 + SAME)
+    question = replace(free.problem, objective="gain", L_max=unit, M_max=M_max)
+    L_max = unit * interior_point.solve(formulate(question)).peak
+    return synthesise(P, Q, omega, Ts, objective="peak", L_max=L_max, **choices)
 
 
 def _solve(problem, start):

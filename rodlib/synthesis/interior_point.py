@@ -213,12 +213,11 @@ def dual_value(program, p):
 
 
 def begin(program, x):
-    """A point at x with Y S = mu I, and with the bound on M moved out if x violates it."""
+    """A point at x with Y S = mu I, and with a bound moved out if x violates it."""
     G = program.matrices(x)
-    sigma = np.linalg.norm(G[0], 2, axis=(0, 1))
-    limits = program.limits.copy()
-    if sigma.max() >= limits[0]:
-        limits[0] = 1.5 * sigma.max()
+    sigma, *others = (np.linalg.norm(A, 2, axis=(0, 1)) for A in G)
+    peaks = np.array([sigma.max(), np.max(others)])
+    limits = np.where(peaks < program.limits, program.limits, 1.5 * peaks)
     t = (sigma[program.free] + limits[0]) / 2
     t = t.max(keepdims=True) if program.shared else t
     X = [Slack(*a).X for a in zip(G, program.levels(t, limits), strict=True)]

@@ -17,6 +17,8 @@ from rodlib.filters import time_shifts
 from rodlib.problem import Problem, Solution
 from rodlib.synthesis.bounds import Bound, product
 
+GENEROUS = 3.0  # bound on what is minimised, in its unit: never active
+
 
 class Infeasible(RuntimeError):
     """No filter of this order and structure meets the bounds; see `smallest_M_max`."""
@@ -33,20 +35,20 @@ class Program:
     Attributes
     ----------
     bounds : tuple of Bound
-        M, then W L, or each of its entries if L is diagonal.
+        M, then W L, or each of its entries if L is diagonal; W L, then M, for the least gain.
     basis, R : ndarray, shape (order, n) and (order, order)
         L = x basis at the frequencies, for x of shape (entries, order); the coefficients are
         the rows of x R^-T.
     entries : int
         How many entries of L are not zero.
     free : ndarray
-        Frequencies at which sigma_max(M) has a variable t for a bound.
+        Frequencies at which the first bound has a variable t for its level.
     shared : bool
         Whether it is the same for all of them: their largest is minimised, not their sum.
     limits : ndarray, shape (2,)
-        On sigma_max(M), and on t; on sigma_max(W L).
+        Of the first bound, and of t; of the others.
     M_max : float
-        What the largest must not exceed.
+        What the largest of the first bound must not exceed.
     """
 
     bounds: tuple
@@ -67,7 +69,7 @@ class Program:
     def peak(self):
         """The program of the smallest possible bound on M."""
         size = np.abs(self.bounds[0].F[0, 0])
-        limits = np.array([3 * size.max(), self.limits[1]])
+        limits = np.array([GENEROUS * size.max(), self.limits[1]])
         return replace(self, free=np.arange(len(size)), shared=True, limits=limits)
 
     def levels(self, t, limits):
@@ -128,7 +130,7 @@ def whitened_basis(P, Q, angles, order, W):
 
 
 def formulate(problem: Problem) -> Program:
-    """State (39), or (45) with (46), in terms of bounds."""
+    """State (39), (45) with (46), or the least gain for M_max, in terms of bounds."""
     P, Q, W = problem.P, problem.Q, problem.weight
     n, m, _ = P.shape
     full = problem.structure == "full"
@@ -137,12 +139,15 @@ def formulate(problem: Problem) -> Program:
     identity = np.repeat(np.eye(m, dtype=complex)[..., None], n, axis=2)
     T = np.ascontiguousarray(-Q * P.transpose(1, 2, 0))
     bounds = [Bound(Q * identity, T, entries, rows, cols)]
-    if full:
+    if full or problem.objective == "gain":
         bounds.append(Bound(0 * identity, W[..., None] * np.ones(n), entries, rows, cols))
     else:  # smaller ones, one for each entry
         one = np.ones((1, 1, n), dtype=complex)
         bounds += [Bound(0 * one, W[e, e] * one, entries[[e]], rows[:1], cols[:1]) for e in entries]
     basis, R = whitened_basis(P, Q, problem.angles, problem.order, W)
+    if problem.objective == "gain":
+        free, limits = np.arange(n), np.array([GENEROUS, problem.M_max])
+        return Program(tuple(bounds[::-1]), basis, R, len(rows), free, True, limits, GENEROUS)
     limits = np.array([problem.M_max, 1.0])
     free = np.flatnonzero(problem.in_band)
     program = Program(tuple(bounds), basis, R, len(rows), free, False, limits, problem.M_max)
