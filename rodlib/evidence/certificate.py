@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rodlib.evidence.finite_trial import trial_norm
+from rodlib.evidence.finite_trial import impulse_response, trial_norm
 from rodlib.evidence.models import convergence_model, learning_model
 from rodlib.evidence.optimality import lower_bound
 from rodlib.evidence.peak import peak_between, peak_gain
@@ -16,6 +16,8 @@ GAP = 1e-6
 VIOLATION = 1e-9
 # Share of 1 - sigma_max(M) that splines may miss: a narrow resonance shows little on its flanks.
 COARSE = 0.25
+SLOW = 0.05  # gain of the loop, within the band, below which it counts as slow
+IDLE = 0.9  # share of the error in the band from which on learning counts as idle
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,8 @@ class Certificate:
         Length of that trial.
     rest : int
         Number of samples at its end in which v is held at zero.
+    doubts : tuple of str
+        Why the problem itself may be badly chosen.
     """
 
     structure: str
@@ -76,6 +80,7 @@ class Certificate:
     trial: float = np.nan
     samples: int | None = None
     rest: int = 0
+    doubts: tuple[str, ...] = ()
 
     @property
     def gap(self) -> float:
@@ -105,7 +110,7 @@ class Certificate:
 
     @property
     def warnings(self) -> list[str]:
-        """What speaks against the estimate of M between the samples; empty if it is proven."""
+        """What speaks against the problem, and against the estimate of M between the samples."""
         margin = 1 - self.all_M
         too_coarse = margin > 0 and self.missed > COARSE * margin
         tests = {
@@ -114,7 +119,8 @@ class Certificate:
             f"the samples are too coarse: splines miss M by {self.missed:.2g} at samples left out, "
             f"and 1 - sigma_max(M) is {margin:.2g}; measure at more frequencies": too_coarse,
         }
-        return [] if self.proven else [text for text, warned in tests.items() if warned]
+        coarse = [text for text, warned in tests.items() if warned and not self.proven]
+        return [*self.doubts, *coarse]
 
     @property
     def unknown(self) -> str:
@@ -210,4 +216,32 @@ def certify(
         trial=np.nan if samples is None else trial_norm(*problem.model, L, samples, rest=rest)[0],
         samples=samples,
         rest=rest,
+        doubts=tuple(_doubts(problem, problem.value(sigma_M))),
     )
+
+
+def _doubts(problem, value):
+    """Why little may be learned: a delay, a slow loop, or something unknown."""
+    delay = _delay(problem.model[0], problem.order) if problem.model else 0
+    if delay > problem.order:
+        yield (
+            f"P answers after {delay} samples or more, and the filter looks ahead by only "
+            f"{problem.order}: it never sees what it does; take a longer filter"
+        )
+    passed = np.linalg.svd(problem.P[problem.in_band], compute_uv=False)[:, -1]
+    weakest = passed.argmin()
+    if passed[weakest] < SLOW:
+        yield (
+            f"at {problem.omega[problem.in_band][weakest]:.4g} rad/s, within the band, the loop "
+            f"passes only {passed[weakest]:.2g} of w in some direction, and learning has to make up "
+            "for it; take a faster loop or a lower band"
+        )
+    if problem.objective == "sum" and value > IDLE * problem.idle:
+        yield f"the filter leaves {value / problem.idle:.0%} of the error in the band"
+
+
+def _delay(P, order):
+    """Samples after which P first answers to any input, counted up to one more than the order."""
+    answers = np.abs(impulse_response(P, order + 2)).max(axis=(1, 2))
+    size = np.abs(P.C).max() * np.abs(P.B).max() + np.abs(P.D).max(initial=0)
+    return int(np.argmax(np.append(answers > 1e-12 * size, True)))
