@@ -233,7 +233,7 @@ def _doubts(problem, value):
     if passed[weakest] < SLOW:
         yield (
             f"at {problem.omega[problem.in_band][weakest]:.4g} rad/s, within the band, the loop "
-            f"passes only {passed[weakest]:.2g} of w in some direction, and learning has to make up "
+            f"passes only {passed[weakest]:.2g} of w in some direction, and learning must make up "
             "for it; take a faster loop or a lower band"
         )
     if problem.objective == "sum" and value > IDLE * problem.idle:
