@@ -72,6 +72,15 @@ def instance(name: str, value, kind: type):
     return value
 
 
+def by_name(name: str, value, names: Sequence[str]) -> dict:
+    """A dict that says something about some of the signals `names`; None says nothing."""
+    given = instance(name, {} if value is None else value, dict)
+    unknown = [key for key in given if key not in names]
+    if unknown:
+        raise ValueError(f"{name} is about {reprlib.repr(unknown)}, but must name some of {names}")
+    return given
+
+
 def state_space(name: str, value) -> control.StateSpace:
     """A state-space model, the entries of whose matrices are finite."""
     instance(name, value, control.StateSpace)

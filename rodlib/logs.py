@@ -311,4 +311,7 @@ def _assemble(values, channels, Ts, metadata):
     if sources:
         signals["disturbance"] = stack(sources)
     notes = {k: v for k, v in metadata.items() if k not in ("Ts", "units", "format")}
-    return dataset(Ts, sources, **signals).assign_attrs(notes)
+    outputs, controls = ([f"{name}{i + 1}" for i in range(channels)] for name in "yu")
+    units = dict.fromkeys(outputs, "K") | dict.fromkeys(controls, "W")
+    units |= {name: "W" if name.startswith("Q") else "K" for name in sources}
+    return dataset(Ts, outputs, controls, sources, units, **signals).assign_attrs(notes)

@@ -236,7 +236,8 @@ def record(
             u[k, p], y[k, p], delta[k, p] = sample(w, d[k, p, 1:])
     signals = {"reference": np.broadcast_to(reference, shape), "v": v, "u": u, "y": y}
     signals |= {"delta": delta, "disturbance": d}
-    return with_law(dataset(loop.Ts, names[m:], **signals), Q, L, rest)
+    names = (loop.outputs, loop.controls, loop.disturbances)
+    return with_law(dataset(loop.Ts, *names, loop.units, **signals), Q, L, rest)
 
 
 def main():

@@ -41,7 +41,11 @@ def test_save_and_load_give_the_same_trials(tmp_path_factory, m, trials, samples
     shape = (trials, samples, m)
     signals = {name: rng.standard_normal(shape) for name in ("reference", "v", "u", "y", "delta")}
     signals["disturbance"] = rng.standard_normal((trials, samples, 2))
-    saved = dataset(0.5, ["theta_a", "Q2"], **signals).assign_attrs(origin="synthetic: a test")
+    outputs, controls = ([f"{name}{i + 1}" for i in range(m)] for name in "yu")
+    sources, units = ["theta_a", "Q2"], dict.fromkeys(outputs, "K") | dict.fromkeys(controls, "W")
+    units |= {"theta_a": "K", "Q2": "W"}
+    saved = dataset(0.5, outputs, controls, sources, units, **signals)
+    saved.attrs["origin"] = "synthetic: a test"
     path = tmp_path_factory.mktemp("logs") / "log.csv"
     save_log(saved, path)
     loaded = load_log(path)
