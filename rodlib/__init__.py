@@ -9,7 +9,7 @@ MODULES = {
     "rod": ("Rod", "exact_response", "midr"),
     "feedback": ("CurrentTrialLoop", "current_trial_loop", "minimal_realisation", "paper_loop"),
     "filters": ("LearningFilter", "ZeroPhaseButterworth", "update", "zero_phase_butterworth"),
-    "synthesis": ("InfeasibleError", "SolverError", "Synthesis", "synthesise"),
+    "synthesis": ("InfeasibleError", "SolverError", "Synthesis", "least_gain", "synthesise"),
     "trials": ("run_trials",),
     "logs": ("LogError", "load_log", "save_log"),
 }

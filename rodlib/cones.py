@@ -21,6 +21,9 @@ from rodlib.certificate import weight_of_L
 from rodlib.filters import time_shifts
 
 
+GENEROUS = 3.0  # bound on what is minimised, in its unit: never active
+
+
 class Infeasible(RuntimeError):
     """No filter of this order and structure meets the bounds; see `smallest_M_max`."""
 
@@ -40,7 +43,7 @@ class Solution:
     U, V : ndarray, shape (n, m, m), complex
         Multipliers of M and of L.
     peak : float
-        Largest sigma_max(M_i).
+        Largest sigma_max of the first cone: of M_i, or of W L_i for the least gain.
     method : str
         That found it.
     iterations : int
@@ -85,20 +88,20 @@ class Problem:
     Attributes
     ----------
     cones : tuple of Cone
-        M, then W L, or each of its entries if L is diagonal.
+        M, then W L, or each of its entries if L is diagonal; W L, then M for the least gain.
     basis, R : ndarray, shape (order, n) and (order, order)
         L = x basis at the frequencies, for x of shape (entries, order); the coefficients are
         the rows of x R^-T.
     entries : int
         How many entries of L are not zero.
     free : ndarray
-        Frequencies at which sigma_max(M) has a variable t for a bound.
+        Frequencies at which sigma_max of the first cone has a variable t for a bound.
     shared : bool
         Whether it is the same for all of them: their largest is minimised, not their sum.
     bounds : ndarray, shape (2,)
-        On sigma_max(M), and on t; on sigma_max(W L).
+        On sigma_max of the first cone, and on t; of the others.
     M_max : float
-        What the largest must not exceed.
+        What the largest of the first cone must not exceed.
     """
 
     cones: tuple
@@ -194,7 +197,7 @@ def whitened_basis(P, Q, angles, order, W):
 
 
 def formulate(P, Q, omega, Ts, *, order, M_max, L_max, band_mask, structure, objective):
-    """State (39), or (45) without and with (46), in terms of cones.
+    """State (39), (45) without and with (46), or the least gain for M_max, in terms of cones.
 
     Parameters
     ----------
@@ -213,7 +216,8 @@ def formulate(P, Q, omega, Ts, *, order, M_max, L_max, band_mask, structure, obj
     band_mask : ndarray of bool, shape (n,)
         Frequencies over which "sum" sums.
     structure : {"diagonal", "full"}
-    objective : {"sum", "peak"}
+    objective : {"sum", "peak", "gain"}
+        "gain" minimises the largest sigma_max(W L). `L_max` is its unit, and no bound.
 
     Returns
     -------
@@ -226,12 +230,15 @@ def formulate(P, Q, omega, Ts, *, order, M_max, L_max, band_mask, structure, obj
     T = np.ascontiguousarray(-Q * P.transpose(1, 2, 0))
     W = weight_of_L(P, Q, L_max)
     cones = [Cone(Q * identity, T, entries, rows, cols)]
-    if structure == "full":
+    if structure == "full" or objective == "gain":
         cones.append(Cone(0 * identity, W[..., None] * np.ones(n), entries, rows, cols))
     else:  # smaller cones, one for each entry
         one = np.ones((1, 1, n), dtype=complex)
         cones += [Cone(0 * one, W[e, e] * one, entries[[e]], rows[:1], cols[:1]) for e in entries]
     basis, R = whitened_basis(P, Q, omega * Ts, order, W)
+    if objective == "gain":
+        free, bounds = np.arange(n), np.array([GENEROUS, M_max])
+        return Problem(tuple(cones[::-1]), basis, R, len(rows), free, True, bounds, GENEROUS)
     bounds = np.array([M_max, 1.0])
     free = np.flatnonzero(band_mask)
     problem = Problem(tuple(cones), basis, R, len(rows), free, False, bounds, M_max)

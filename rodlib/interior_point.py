@@ -211,12 +211,11 @@ def dual_value(problem, p):
 
 
 def begin(problem, x):
-    """A point at x with Y S = mu I, and with the bound on M moved out if x violates it."""
+    """A point at x with Y S = mu I, and with a bound moved out if x violates it."""
     G = problem.matrices(x)
-    sigma = np.linalg.norm(G[0], 2, axis=(0, 1))
-    bounds = problem.bounds.copy()
-    if sigma.max() >= bounds[0]:
-        bounds[0] = 1.5 * sigma.max()
+    sigma, *others = (np.linalg.norm(A, 2, axis=(0, 1)) for A in G)
+    peaks = np.array([sigma.max(), np.max(others)])
+    bounds = np.where(peaks < problem.bounds, problem.bounds, 1.5 * peaks)
     t = (sigma[problem.free] + bounds[0]) / 2
     t = t.max(keepdims=True) if problem.shared else t
     X = [Slack(*a).X for a in zip(G, problem.levels(t, bounds), strict=True)]

@@ -38,6 +38,7 @@ from rodlib.filters import LearningFilter, ZeroPhaseButterworth
 DENSER = 10  # the bounds are looked at between the samples, on a grid this much denser
 HOPELESS = 1 - 1e-6  # from here on a smallest M_max is one, and raising it no remedy
 GOOD = 1e-8  # relative duality gap up to which what the active bounds lead to is accepted
+SAME = 1e-9  # relative distance up to which two peaks are the same
 CVXPY_TOLERANCES = (1e-5, 1e-6)  # Clarabel ends "almost solved" on these problems
 
 
@@ -244,6 +245,40 @@ def synthesise(
         failures = "; ".join(design.certificate.failures)
         raise SolverError(f"{solution.method}: {failures}")
     return design
+
+
+def least_gain(P, Q, omega, Ts, **choices) -> Synthesis:
+    """Design the one filter of (45) that has a rule: of least gain among those of least peak.
+
+    Without (46) the least peak of sigma_max(M) may be reached by many filters, whose gains differ
+    by orders of magnitude; which of them a solver returns is its own affair. This is the one with
+    the least max sigma_max(L) that keeps the least peak to a relative 1e-9.
+
+    Parameters
+    ----------
+    P, Q, omega, Ts, **choices
+        As for :func:`synthesise`: `order`, `structure`, `M_max`, `band`, `samples`, `rest`, `check`.
+
+    Returns
+    -------
+    Synthesis
+        Of (45) with (46), where `certificate.L_max` is that gain.
+
+    Raises
+    ------
+    ValueError, InfeasibleError, SolverError
+        As :func:`synthesise`.
+    """
+    without_trial = choices | {"samples": None, "rest": 0}
+    free = synthesise(P, Q, omega, Ts, objective="peak", L_max=None, **without_trial)
+    known, unit = free.certificate, free.sigma_L.max()
+    statement = {
+        "order": known.order, "structure": known.structure, "objective": "gain", "L_max": unit,
+        "M_max": free.value * (1 + SAME), "band_mask": None,
+    }  # fmt: skip
+    data = (*_frequency_responses(P, Q, omega, Ts), Ts)
+    L_max = unit * _solve("structured", data, statement).peak
+    return synthesise(P, Q, omega, Ts, objective="peak", L_max=L_max, **choices)
 
 
 def _judged(solution, data, statement, model, trial, tolerances):
