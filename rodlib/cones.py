@@ -20,7 +20,6 @@ import numpy as np
 from rodlib.certificate import weight_of_L
 from rodlib.filters import time_shifts
 
-
 GENEROUS = 3.0  # bound on what is minimised, in its unit: never active
 
 

@@ -257,7 +257,7 @@ def least_gain(P, Q, omega, Ts, **choices) -> Synthesis:
     Parameters
     ----------
     P, Q, omega, Ts, **choices
-        As for :func:`synthesise`: `order`, `structure`, `M_max`, `band`, `samples`, `rest`, `check`.
+        As for :func:`synthesise`, apart from `objective`, `L_max` and `start`.
 
     Returns
     -------
@@ -271,7 +271,7 @@ def least_gain(P, Q, omega, Ts, **choices) -> Synthesis:
     """
     without_trial = choices | {"samples": None, "rest": 0}
     free = synthesise(P, Q, omega, Ts, objective="peak", L_max=None, **without_trial)
-    known, unit = free.certificate, free.sigma_L.max()
+    known, unit = free.certificate, free.sigma_L.max()  # a gain that is enough
     statement = {
         "order": known.order, "structure": known.structure, "objective": "gain", "L_max": unit,
         "M_max": free.value * (1 + SAME), "band_mask": None,
