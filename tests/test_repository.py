@@ -62,7 +62,7 @@ def test_notebooks_are_executed_in_order_and_readable(path):
             o for o in cell.outputs if o.output_type == "error" or o.get("name") == "stderr"
         ]
     prose = " ".join(c.source for c in notebook.cells if c.cell_type == "markdown")
-    words = re.findall(r"[A-Za-z]{2,}", re.sub(r"\$[^$]*\$", "", prose))
+    words = re.findall(r"[A-Za-z]{2,}", re.sub(r"\$\$[^$]*\$\$|\$[^$]*\$", "", prose))
     assert 300 <= len(words) <= 1500
 
 

@@ -217,8 +217,7 @@ def least_gain(P, Q, omega, Ts, **choices) -> Synthesis:
     Parameters
     ----------
     P, Q, omega, Ts, **choices
-        As for :func:`synthesise`: `order`, `structure`, `M_max`, `band`, `scale`, `samples`,
-        `rest`, `check`.
+        As for :func:`synthesise`, apart from `objective`, `L_max` and `start`.
 
     Returns
     -------
@@ -232,7 +231,7 @@ def least_gain(P, Q, omega, Ts, **choices) -> Synthesis:
     """
     without_trial = choices | {"samples": None, "rest": 0}
     free = synthesise(P, Q, omega, Ts, objective="peak", L_max=None, **without_trial)
-    unit, M_max = free.sigma_L.max(), free.value * (1 + SAME)
+    unit, M_max = free.sigma_L.max(), free.value * (1 + SAME)  # a gain that is enough
     question = replace(free.problem, objective="gain", L_max=unit, M_max=M_max)
     L_max = unit * interior_point.solve(formulate(question)).peak
     return synthesise(P, Q, omega, Ts, objective="peak", L_max=L_max, **choices)

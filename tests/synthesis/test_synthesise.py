@@ -12,6 +12,7 @@ from rodlib import (
     InfeasibleError,
     LearningFilter,
     SolverError,
+    least_gain,
     published,
     synthesise,
     zero_phase_butterworth,
@@ -162,6 +163,43 @@ def test_a_plant_that_one_step_inverts_is_inverted(m, seed):
     design = synthesise(P, np.ones(12), omega, 1.0, **arguments)
     assert design.value < 1e-5
     np.testing.assert_allclose(design.filter.coefficients[:, :, 0], np.linalg.inv(G), atol=1e-4)
+
+
+@pytest.mark.parametrize("structure", ["diagonal", "full"])
+def test_least_gain_of_a_channel_that_could_be_learned_at_once(structure):
+    """The first channel leaves M = z / 2, see above; the second, 1 / (10 z), need not do better.
+
+    To halve its error a gain of 5 is enough, and up to 15 would not be noticed in the peak.
+    """
+    omega = (np.arange(200) + 0.5) * np.pi / 200
+    z = np.exp(1j * omega)
+    P = np.zeros((200, 2, 2), dtype=complex)
+    P[:, 0, 0], P[:, 1, 1] = (1 - 2 / z) / z**11, 0.1 / z
+    arguments = {"order": 12, "band": (0.1, 1), "structure": structure}
+    any_gain = synthesise(P, np.ones(200), omega, 1.0, objective="peak", L_max=None, **arguments)
+    design = least_gain(P, np.ones(200), omega, 1.0, **arguments)
+    assert any_gain.value == pytest.approx(0.5, rel=1e-7)
+    assert any_gain.sigma_L.max() > 5.5
+    assert design.value == pytest.approx(0.5, rel=1e-7)
+    assert design.sigma_L.max() == pytest.approx(5, rel=1e-6)
+    second = np.append(5, np.zeros(11))
+    np.testing.assert_allclose(design.filter.coefficients[1, 1], second, atol=1e-2)
+
+
+def test_with_less_than_the_least_gain_the_peak_is_higher(loop, Q, omega):
+    """As the dual bound of the certificate shows, which no filter of that gain goes below."""
+    grid = omega[::5]
+    arguments = {"order": 10, "band": (grid[0], 0.02), "objective": "peak"}
+    without = {"order": 10, "band": arguments["band"], "samples": 60, "rest": 15}
+    design = least_gain(loop, Q, grid, 1.0, **without)
+    free = synthesise(loop, Q, grid, 1.0, L_max=None, **arguments)
+    assert design.value == pytest.approx(free.value, rel=2e-9)
+    assert (design.certificate.samples, design.certificate.rest) == (60, 15)
+    gain = design.sigma_L.max()
+    assert gain == pytest.approx(design.certificate.L_max, rel=1e-9)
+    assert gain < free.sigma_L.max() / 100
+    less = synthesise(loop, Q, grid, 1.0, L_max=0.998 * gain, **arguments)
+    assert less.certificate.lower_bound > design.value * (1 + 2e-9)
 
 
 def test_infeasible_bounds_name_the_culprit_and_the_smallest_M_max(loop, Q, omega):
