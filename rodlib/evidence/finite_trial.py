@@ -9,6 +9,7 @@ import scipy.sparse.linalg as sparse
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.sparse import diags_array, eye_array
 
+from rodlib import arguments
 from rodlib.evidence.models import common_size
 from rodlib.filters import LearningFilter, ZeroPhaseButterworth
 
@@ -42,8 +43,7 @@ def trial_operators(
         If P is not in discrete time or not as large as L, or `samples` is not positive.
     """
     _, m = common_size(P, Q, L)
-    if not (isinstance(samples, int | np.integer) and samples >= 1):
-        raise ValueError(f"samples = {samples!r} must be a whole number, 1 or more")
+    samples = arguments.whole("samples", samples, 1)
 
     length = next_fast_len(2 * samples, real=True)
     spectrum = rfft(impulse_response(P, samples), length, axis=0)
@@ -109,8 +109,7 @@ def trial_map(
     of (35) does not carry over, and Q_N (I - P_N L_N) is not the operator of any trial.
     """
     P_N, Q_N, L_N = trial_operators(P, Q, L, samples)
-    if not (isinstance(rest, int | np.integer) and 0 <= rest < samples):
-        raise ValueError(f"rest = {rest!r} must be a whole number from 0 to samples - 1")
+    rest = arguments.whole("rest", rest, 0, samples - 1)
     active = np.repeat(np.arange(samples) < samples - rest, len(L.coefficients))
     active = sparse.aslinearoperator(diags_array(active.astype(float)))
     T = Q_N @ (sparse.aslinearoperator(eye_array(P_N.shape[0])) - L_N @ P_N)
@@ -149,8 +148,7 @@ def trial_norm(
     RuntimeError
         If the Lanczos iteration does not converge.
     """
-    if not (isinstance(trials, int | np.integer) and trials >= 1):
-        raise ValueError(f"trials = {trials!r} must be a whole number, 1 or more")
+    trials = arguments.whole("trials", trials, 1)
     T = trial_map(P, Q, L, samples, rest) ** trials
     size = T.shape[1]
     if size <= LANCZOS:
