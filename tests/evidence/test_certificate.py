@@ -302,7 +302,7 @@ def test_at_rest_near_the_end_v_converges_as_without_ends(loop, Q, omega):
     peak = largest_singular_values(without_ends).max()
     assert peak == pytest.approx(0.9361, abs=1e-3)
     assert 0.98 * peak < trial_norm(loop.P, Q, L, 400, rest=15)[0] < peak
-    with pytest.raises(ValueError, match="rest = 400 must be a whole number from 0"):
+    with pytest.raises(ValueError, match="rest = 400 must be a whole number, from 0 to 399"):
         trial_norm(loop.P, Q, L, 400, rest=400)
 
 
