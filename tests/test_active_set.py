@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rodlib import InfeasibleError, active_set, synthesise
-from rodlib.active_set import expand, resolve
+from rodlib.active_set import Iterate, expand, first_multipliers, improve, model_at, resolve
 from rodlib.cones import formulate
 from tests.test_interior_point import random_plant
 
@@ -98,6 +98,33 @@ def test_derivatives_against_differences(m, seed):
         np.testing.assert_allclose(e.gradient @ d.ravel(), first, rtol=1e-5, atol=1e-7)
         curvature = ((e.curvature @ d.ravel()) ** 2).sum(axis=1)
         np.testing.assert_allclose(curvature, second, rtol=1e-3, atol=1e-4)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 4, 7])
+def test_a_corrected_step_meets_curved_bounds_to_second_order(seed, monkeypatch):
+    """Relaxed by h, they are passed by some h^2 with the first step, by next to nothing then."""
+    P, Q, omega = random_plant(seed, 2)
+    arguments = {"order": 3, "M_max": 0.97, "structure": "full"}
+    start = synthesise(P, Q, omega, 1.0, L_max=10.0, band=(0.01, 0.3), **arguments).solution
+    arguments |= {"band_mask": omega <= 0.3, "objective": "sum"}
+
+    def passed(h):
+        problem = formulate(P, Q, omega, 1.0, L_max=10.0 * (1 + h), **arguments)
+        tried = []
+
+        def recorded(problem, x):
+            tried.append(Iterate(problem, x))
+            return tried[-1]
+
+        p = Iterate(problem, problem.unknowns(start.coefficients))
+        model = model_at(problem, p, first_multipliers(problem, start))
+        monkeypatch.setattr(active_set, "Iterate", recorded)
+        improve(problem, p, model, np.full(2, 1e9), 0.0)  # a penalty that refuses the first
+        return [p.sigma[1].max() / p.bounds[1] - 1 for p in tried[:2]]
+
+    (first, corrected), (first_of_half, _) = passed(0.02), passed(0.01)
+    assert first > 1e-7 and first / first_of_half == pytest.approx(4, rel=0.05)
+    assert abs(corrected) < 0.1 * first  # of third order, h times as much
 
 
 def test_where_the_method_does_not_converge_it_says_so(loop, Q, omega):
