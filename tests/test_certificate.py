@@ -16,6 +16,8 @@ from rodlib import (
     zero_phase_butterworth,
 )
 from rodlib.certificate import (
+    _balanced,
+    _rounded_up,
     convergence_model,
     learning_model,
     lower_bound,
@@ -23,6 +25,7 @@ from rodlib.certificate import (
     trial_map,
     trial_norm,
     trial_operators,
+    weight_of_L,
 )
 from rodlib.feedback import frequency_response
 from rodlib.synthesis import convergence_matrix, largest_singular_values
@@ -127,6 +130,37 @@ def test_peak_gain_is_above_the_exact_gain_of_random_systems(n, distance, seed):
     assert max(exact_gain_squared(system, tangents)) <= Fraction(gain) ** 2
 
 
+@pytest.mark.parametrize("distance", [1e-3, 1e-6])
+def test_the_bound_of_rounding_is_above_what_the_last_digit_of_A_does(distance):
+    angle = 0.7
+    A = (1 - distance) * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    B, C, D = np.array([[1.0], [0.5]]), np.array([[1.0, -2.0]]), np.array([[0.3]])
+    bound = _rounded_up(A, B, C, D, angle)
+    z, eps = np.clongdouble(np.exp(1j * angle)), np.longdouble(np.finfo(float).eps)
+    gains = []
+    for signs in np.ndindex(2, 2, 2, 2):
+        (a, b), (c, d) = A * (1 + eps * (2 * np.reshape(signs, (2, 2)) - 1))
+        adjugate = np.array([[z - d, b], [c, z - a]])
+        gains.append(abs((C @ adjugate @ B)[0, 0] / ((z - a) * (z - d) - b * c) + D[0, 0]))
+    assert max(gains) <= bound <= max(gains) * (1 + 1e-13 / distance)
+
+
+@given(st.integers(1, 6), st.integers(1, 3), st.integers(0, 999))
+def test_balancing_changes_units_of_states_only_and_leaves_none_out_of_scale(n, m, seed):
+    rng = np.random.default_rng(seed)
+    sizes = 10.0 ** rng.uniform(-8, 8, (3, n, n))
+    A, B, C = sizes[0], sizes[1][:, :1] * 10.0 ** rng.uniform(-8, 0, (n, m)), sizes[2][:m]
+    balanced, inputs, outputs = _balanced(A, B, C)
+    for k in range(3):  # scaled by powers of two, the same sums are the same to the last bit
+        moved = outputs @ np.linalg.matrix_power(balanced, k) @ inputs
+        np.testing.assert_array_equal(moved, C @ np.linalg.matrix_power(A, k) @ B)
+    for i in range(n):
+        rest = np.arange(n) != i
+        row = np.abs([*balanced[i, rest], *inputs[i]]).max()
+        column = np.abs([*balanced[rest, i], *outputs[:, i]]).max()
+        assert 0.5 <= row / column <= 2
+
+
 @pytest.mark.parametrize("gain", [1e-300, 1e-170, 1e-150, 1.0, 1e150, 1e170, 1e300])
 def test_gains_whose_squares_leave_the_doubles_are_found(gain):
     for m in (1, 2, 3):
@@ -204,6 +238,20 @@ def test_lower_bound_holds_for_any_multipliers(structure, objective, L_max):
         V = None if L_max is None else V
         bound = lower_bound(P, Q, omega, U, V, **statement)
         assert bound <= design.value * (1 + 1e-9)
+
+
+@given(st.integers(1, 3), st.sampled_from([1e-3, 1.0, 1e6]), st.integers(0, 999))
+def test_without_a_bound_each_input_may_have_a_gain_of_ten_millions(m, unit, seed):
+    """Of Q P L, at the frequency and with the phases of the outputs where it is largest."""
+    rng = np.random.default_rng(seed)
+    P = unit * (rng.standard_normal((5, m, m)) + 1j * rng.standard_normal((5, m, m)))
+    Q = rng.uniform(0.1, 2, 5)
+    W = weight_of_L(P, Q, None)
+    for k in range(m):
+        L = np.zeros((m, m))
+        L[k, 0] = 1 / W[k, k]  # as large as sigma_max(W L) <= 1 admits
+        gains = np.linalg.svd(Q[:, None, None] * P @ L / Q.max(), compute_uv=False)[:, 0]
+        assert gains.max() == pytest.approx(1e7)
 
 
 @given(st.sampled_from([1, 10, 40]), st.sampled_from(["diagonal", "full"]), st.integers(0, 999))

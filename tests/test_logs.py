@@ -108,6 +108,29 @@ def test_broken_logs_say_what_is_wrong(tmp_path, text, message):
     assert "log.csv" in str(error.value)
 
 
+@pytest.mark.parametrize(
+    ("second_trial", "message"),
+    [
+        ([0.001, 1.001, 2.001, 3.001], None),
+        ([-0.001, 0.999, 1.999, 2.999], None),
+        ([0.0, 1.0009, 2.0, 2.9991], None),
+        ([0.0011, 1.0, 2.0, 3.0], "trial 2 begins at 0.0011, row 9, not at 0"),
+        ([0.0, 1.0, 2.0012, 3.0], "irregular sampling in trial 2, row 11: a step of 1.0012"),
+        ([0.0, 1.0, 2.0, 3.5], "irregular sampling in trial 2, row 12: a step of 1.5"),
+        ([0.0, 1.0, 2.0, 3.501], "a gap in trial 2, row 12: a step of 1.501"),
+    ],
+)
+def test_clocks_may_be_off_by_a_thousandth_of_a_period(tmp_path, second_trial, message):
+    rows = [f"2,{time},1,0.5,1,1,2\n" for time in second_trial]
+    text = HEAD + COLUMNS + "".join([*ROWS[:4], *rows, *ROWS[8:]])
+    if message is None:
+        assert load_log(write(tmp_path, text)).sizes["trial"] == 3
+        return
+    with pytest.raises(LogError) as error:
+        load_log(write(tmp_path, text))
+    assert message in str(error.value)
+
+
 def test_all_problems_are_reported_at_once(tmp_path):
     text = GOOD.replace("log 1", "log 0").replace("u1 W", "u1 V").replace(",v1,", ",V,")
     with pytest.raises(LogError, match="4 problem") as error:

@@ -162,6 +162,16 @@ def test_first_trial_of_the_tracked_log_is_recorded_again_alike(loop, Q):
     np.testing.assert_array_equal(log.u[0], tracked.u[0])
 
 
+def test_the_tracked_logs_are_of_the_assumed_experiment():
+    for name in ("learning", "no-learning"):
+        tracked = load_log(ROOT / "data" / "rig" / f"{name}.csv")
+        assert tracked.sizes["trial"] == 10
+        for k in range(10):
+            np.testing.assert_array_equal(tracked.reference[k], np.round(assumed_reference(), 6))
+        flows = np.round(assumed_disturbance(), 6)[:, :, 1:]
+        np.testing.assert_array_equal(tracked.disturbance[:, :, 1:], flows)
+
+
 def test_bad_commands_are_refused():
     with pytest.raises(ValueError, match="must be 4 finite numbers"):
         VirtualRig().apply([1.0, 2.0])
