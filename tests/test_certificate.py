@@ -17,6 +17,8 @@ from rodlib import (
 )
 from rodlib.certificate import (
     _balanced,
+    _ceiling,
+    _phase,
     _rounded_up,
     convergence_model,
     learning_model,
@@ -128,6 +130,27 @@ def test_peak_gain_is_above_the_exact_gain_of_random_systems(n, distance, seed):
     angles = (near[:, None] + distance * np.linspace(-1, 1, 11) * 1e-3).ravel()
     tangents = [Fraction(t) for t in np.tan(angles / 2) if np.isfinite(t)]
     assert max(exact_gain_squared(system, tangents)) <= Fraction(gain) ** 2
+
+
+@given(st.integers(1, 5), st.sampled_from([0.5, 1e-3]), st.integers(0, 999))
+def test_the_phase_is_that_of_the_all_pass(n, distance, seed):
+    rng = np.random.default_rng(seed)
+    poles = (1 - distance * rng.uniform(size=n)) * np.exp(1j * rng.uniform(-np.pi, np.pi, n))
+    theta = np.sort(rng.uniform(0, np.pi, 9))
+    z = np.exp(1j * theta)[:, None]
+    all_pass = ((z - poles) / (1 - poles.conj() * z)).prod(axis=1)
+    phase = _phase(poles, theta)
+    np.testing.assert_allclose(np.exp(1j * (phase - phase[0])), all_pass / all_pass[0], atol=1e-9)
+    assert np.all(np.diff(phase) > 0)
+
+
+@given(st.floats(-0.4, 1.9), st.floats(0.01, 1.57), st.sampled_from([1e-200, 1.0, 1e200]))
+def test_the_ceiling_is_the_crest_of_the_sinusoid_through_two_values(place, h, crest):
+    a, b = crest * np.cos(place), crest * np.cos(h - place)
+    if min(a, b) > 0:
+        expected = crest if 0 <= place <= h else max(a, b)
+        assert _ceiling(a, b, h) == pytest.approx(expected, rel=1e-9, abs=0)
+        assert _ceiling(a, b, np.pi / 2) == np.inf
 
 
 @pytest.mark.parametrize("distance", [1e-3, 1e-6])

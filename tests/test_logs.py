@@ -111,20 +111,21 @@ def test_broken_logs_say_what_is_wrong(tmp_path, text, message):
 @pytest.mark.parametrize(
     ("second_trial", "message"),
     [
-        ([0.001, 1.001, 2.001, 3.001], None),
-        ([-0.001, 0.999, 1.999, 2.999], None),
-        ([0.0, 1.0009, 2.0, 2.9991], None),
-        ([0.0011, 1.0, 2.0, 3.0], "trial 2 begins at 0.0011, row 9, not at 0"),
-        ([0.0, 1.0, 2.0012, 3.0], "irregular sampling in trial 2, row 11: a step of 1.0012"),
-        ([0.0, 1.0, 2.0, 3.5], "irregular sampling in trial 2, row 12: a step of 1.5"),
-        ([0.0, 1.0, 2.0, 3.501], "a gap in trial 2, row 12: a step of 1.501"),
+        ([0.002, 2.002, 4.002, 6.002], None),
+        ([-0.002, 1.998, 3.998, 5.998], None),
+        ([0.0, 2.0018, 4.0, 5.9982], None),
+        ([0.0022, 2.0, 4.0, 6.0], "trial 2 begins at 0.0022, row 9, not at 0"),
+        ([0.0, 2.0, 4.0022, 6.0], "irregular sampling in trial 2, row 11: a step of 2.0022"),
+        ([0.0, 2.0, 4.0, 7.0], "irregular sampling in trial 2, row 12: a step of 3"),
+        ([0.0, 2.0, 4.0, 7.01], "a gap in trial 2, row 12: a step of 3.01"),
     ],
 )
 def test_clocks_may_be_off_by_a_thousandth_of_a_period(tmp_path, second_trial, message):
-    rows = [f"2,{time},1,0.5,1,1,2\n" for time in second_trial]
-    text = HEAD + COLUMNS + "".join([*ROWS[:4], *rows, *ROWS[8:]])
+    trials = [[0, 2, 4, 6], second_trial, [0, 2, 4, 6]]
+    rows = [f"{k},{time},1,0.5,1,1,2\n" for k, times in enumerate(trials, 1) for time in times]
+    text = HEAD.replace("Ts: 1.0 s", "Ts: 2.0 s") + COLUMNS + "".join(rows)
     if message is None:
-        assert load_log(write(tmp_path, text)).sizes["trial"] == 3
+        assert load_log(write(tmp_path, text)).attrs["Ts"] == 2
         return
     with pytest.raises(LogError) as error:
         load_log(write(tmp_path, text))
