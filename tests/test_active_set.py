@@ -36,6 +36,16 @@ def test_a_changed_bound_or_band_takes_a_few_steps(before, loop, Q, omega, chang
     assert warm.solution.iterations <= 0.6 * cold.solution.iterations
 
 
+@pytest.mark.parametrize("structure", ["diagonal", "full"])
+def test_the_smallest_peak_is_found_from_a_similar_one_too(loop, Q, omega, structure):
+    arguments = {"structure": structure, "objective": "peak"}
+    start = synthesise(loop, Q, omega, 1.0, L_max=51.0, **arguments)
+    cold = synthesise(loop, Q, omega, 1.0, **arguments)
+    warm = synthesise(loop, Q, omega, 1.0, start=start, **arguments)
+    assert warm.solution.method == "active set"
+    assert warm.value == pytest.approx(cold.value, rel=1e-8)
+
+
 @pytest.mark.parametrize("changes", [{"M_max": 0.85}, {"L_max": 100.0}, {"L_max": 20.0}], ids=str)
 def test_after_a_large_change_the_result_is_the_same(before, loop, Q, omega, changes):
     structure, start = before

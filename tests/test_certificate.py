@@ -400,6 +400,28 @@ def test_a_certificate_prints_and_fails_as_it_should(loop, Q, omega):
     assert "norm of one trial of 200 samples, the last 15 at rest: 1.27" in at_rest
 
 
+def test_a_certificate_fails_from_the_tolerance_on(loop, Q, omega):
+    """A gap of 1e-6, a bound on the grid passed by 1e-9, relative; from 0.25 of the margin on."""
+    good = synthesise(loop, Q, omega[::5], 1.0, band=(1e-4, 0.01)).certificate
+
+    def failing(**changes):
+        return len(replace(good, **changes).failures)
+
+    value = good.value
+    assert value > 1e-3 * good.idle
+    assert not failing(lower_bound=value * (1 - 0.99e-6))
+    assert failing(lower_bound=value * (1 - 1.01e-6)) == 1
+    assert not failing(grid_M=0.9 * (1 + 0.99e-9), grid_L=50 * (1 + 0.99e-9))
+    assert failing(grid_M=0.9 * (1 + 1.01e-9)) == failing(grid_L=50 * (1 + 1.01e-9)) == 1
+    assert not failing(all_M=np.nextafter(1, 0)) and failing(all_M=1.0) == 1
+    for missed, warned in ((0.049, 0), (0.051, 1)):
+        estimated = replace(good, proven=False, all_M=0.8, missed=missed)
+        assert len(estimated.warnings) == warned
+    assert len(replace(good, proven=False, all_M=1.0, missed=0.0).warnings) == 1
+    perfect = replace(good, value=1e-9, lower_bound=0.0, idle=2.0)
+    assert perfect.gap == pytest.approx(5e-7)  # relative to a thousandth of the objective, idle
+
+
 def with_resonance(angle, distance, height):
     """A lag, and a resonance of `height` times the gain of the lag, at an angle."""
     lag = control.tf([0.1], [1, -0.9], 1.0)

@@ -275,6 +275,13 @@ def test_numbers_may_come_from_numpy_and_the_rest_reaches_the_certificate(loop, 
     assert (design.certificate.samples, design.certificate.rest) == (60, 15)
 
 
+def test_what_is_not_learned_at_one_frequency_is_learned_at_others():
+    P, Q = (0.5 / (np.exp(1j * GRID) - 0.5))[:, None, None], 1 / (1 + GRID**4)
+    Q[3] = 0
+    design = synthesise(P, Q, GRID, 1.0, order=3, band=(0.05, 1))
+    assert design.sigma_M[3] == 0 and design.certificate.gap < 1e-8
+
+
 @pytest.mark.parametrize("unit", [1e-90, 1e-12, 1e12, 1e90])
 def test_the_unit_of_the_output_does_not_matter(loop, Q, omega, unit):
     grid = omega[::10]
