@@ -68,11 +68,12 @@ def expand(problem, cone, G, at):
         return entries.reshape(len(at), problem.entries * len(problem.basis))
 
     first = form(0, 0)
-    curvature = [first.imag / np.sqrt(s[:, :1])]
+    size = np.maximum(s[:, 0], 1e-12)  # where Q is zero, M and all its derivatives are
+    curvature = [first.imag / np.sqrt(size)[:, None]]
     for j in range(1, len(cone.T)):
         alpha, beta = form(j, 0), form(0, j).conj()
-        apart = np.maximum(s[:, 0] - s[:, j], 1e-9 * s[:, 0])
-        for total, distance in ((alpha + beta, apart), (alpha - beta, s[:, 0] + s[:, j])):
+        apart = np.maximum(s[:, 0] - s[:, j], 1e-9 * size)
+        for total, distance in ((alpha + beta, apart), (alpha - beta, size + s[:, j])):
             total /= np.sqrt(2 * distance)[:, None]
             curvature += [total.real, total.imag]
     uv = U[:, :, :1] * Vh[:, :1]

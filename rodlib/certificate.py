@@ -20,6 +20,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from scipy.linalg import schur
 from scipy.sparse import diags_array, eye_array
 
+from rodlib import arguments
 from rodlib.filters import LearningFilter, ZeroPhaseButterworth
 
 CHUNK = 2**21  # numbers held at a time while frequency responses are computed
@@ -392,8 +393,9 @@ def peak_gain(
             highest = max(_rounded_up(*matrices, angle) for angle in doubtful)
             if highest == np.inf:
                 raise RuntimeError(
-                    f"the peak gain, {peak * u * v:.6g} as computed, cannot be told: system has a pole of "
-                    f"modulus {radius:.17g}, which rounding of its matrices could make unstable"
+                    f"the peak gain, {peak * u * v:.6g} as computed, cannot be told: system has a "
+                    f"pole of modulus {radius:.17g}, which rounding of its matrices could make "
+                    "unstable"
                 )
             return float((bound + max(highest - peak, 0)) * u * v), float(place / Ts)
         middle = (left[0] + right[0]) / 2
@@ -649,8 +651,7 @@ def trial_operators(
         If P is not in discrete time or not as large as L, or `samples` is not positive.
     """
     _, m = _common(P, Q, L)
-    if not (isinstance(samples, int | np.integer) and samples >= 1):
-        raise ValueError(f"samples = {samples!r} must be a whole number, 1 or more")
+    samples = arguments.whole("samples", samples, 1)
 
     length = next_fast_len(2 * samples, real=True)
     spectrum = rfft(impulse_response(P, samples), length, axis=0)
@@ -716,8 +717,7 @@ def trial_map(
     of (35) does not carry over, and Q_N (I - P_N L_N) is not the operator of any trial.
     """
     P_N, Q_N, L_N = trial_operators(P, Q, L, samples)
-    if not (isinstance(rest, int | np.integer) and 0 <= rest < samples):
-        raise ValueError(f"rest = {rest!r} must be a whole number from 0 to samples - 1")
+    rest = arguments.whole("rest", rest, 0, samples - 1)
     active = np.repeat(np.arange(samples) < samples - rest, len(L.coefficients))
     active = sparse.aslinearoperator(diags_array(active.astype(float)))
     T = Q_N @ (sparse.aslinearoperator(eye_array(P_N.shape[0])) - L_N @ P_N)
@@ -756,8 +756,7 @@ def trial_norm(
     RuntimeError
         If the Lanczos iteration does not converge.
     """
-    if not (isinstance(trials, int | np.integer) and trials >= 1):
-        raise ValueError(f"trials = {trials!r} must be a whole number, 1 or more")
+    trials = arguments.whole("trials", trials, 1)
     T = trial_map(P, Q, L, samples, rest) ** trials
     size = T.shape[1]
     if size <= LANCZOS:

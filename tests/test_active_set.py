@@ -137,6 +137,16 @@ def test_a_corrected_step_meets_curved_bounds_to_second_order(seed, monkeypatch)
     assert abs(corrected) < 0.1 * first  # of third order, h times as much
 
 
+def test_at_an_optimum_one_step_is_enough(loop, Q, omega):
+    start = synthesise(loop, Q, omega, 1.0).solution
+    statement = {"order": 10, "M_max": 0.9, "L_max": 50.0, "band_mask": omega <= 0.02}
+    statement |= {"structure": "diagonal", "objective": "sum"}
+    P, response = loop.frequency_response(omega), Q.frequency_response(omega)
+    found = resolve(formulate(P, response, omega, 1.0, **statement), start, 1)
+    assert found.iterations == 1 and found.method == "active set"
+    np.testing.assert_allclose(found.coefficients, start.coefficients, atol=1e-5)
+
+
 def test_where_the_method_does_not_converge_it_says_so(loop, Q, omega):
     """From L = 0, where all singular values coincide."""
     P, response = loop.frequency_response(omega), Q.frequency_response(omega)

@@ -193,6 +193,9 @@ def test_gains_whose_squares_leave_the_doubles_are_found(gain):
     scaled = np.concatenate([G, 1e-3 * gain * G, 0 * G])
     expected = np.linalg.svd(scaled, compute_uv=False)[:, 0]
     np.testing.assert_allclose(largest_singular_values(scaled), expected, rtol=1e-14)
+    mixed = np.concatenate([G, gain * G])
+    expected = np.linalg.svd(mixed, compute_uv=False)[:, 0]
+    np.testing.assert_allclose(largest_singular_values(mixed), expected, rtol=1e-14)
     row = largest_singular_values(scaled[:, :1])
     np.testing.assert_allclose(row, np.linalg.svd(scaled[:, :1])[1][:, 0], rtol=1e-14)
 
@@ -375,8 +378,23 @@ def test_at_rest_near_the_end_v_converges_as_without_ends(loop, Q, omega):
     peak = largest_singular_values(without_ends).max()
     assert peak == pytest.approx(0.9361, abs=1e-3)
     assert 0.98 * peak < trial_norm(loop.P, Q, L, 400, rest=15)[0] < peak
-    with pytest.raises(ValueError, match="rest = 400 must be a whole number from 0"):
-        trial_norm(loop.P, Q, L, 400, rest=400)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"samples": 0}, "samples = 0 must be a whole number, 1 or more"),
+        ({"samples": 2.5}, "samples = 2.5 must be a whole number"),
+        ({"trials": 0}, "trials = 0 must be a whole number, 1 or more"),
+        ({"trials": 1.0}, "trials = 1.0 must be a whole number"),
+        ({"rest": 40}, "rest = 40 must be a whole number, from 0 to 39"),
+        ({"rest": -1}, "rest = -1 must be a whole number, from 0 to 39"),
+    ],
+)
+def test_trials_that_cannot_be_are_refused(loop, Q, arguments, message):
+    L = LearningFilter(published.matrix("L_diagonal"), 1.0)
+    with pytest.raises(ValueError, match=message):
+        trial_norm(loop.P, Q, L, **{"samples": 40} | arguments)
 
 
 def test_a_certificate_prints_and_fails_as_it_should(loop, Q, omega):

@@ -80,6 +80,8 @@ def test_the_problem_of_the_peak_has_one_variable_and_no_bound_on_it():
     problem = formulate(P, Q, omega, 1.0, **statement(omega, "diagonal", "peak"))
     assert problem.shared and len(problem.free) == 20 and problem.M_max == 0.9
     assert problem.bounds[0] > 1 and problem.idle == pytest.approx(Q.max())
+    louder = formulate(P, 10 * Q, omega, 1.0, **statement(omega, "diagonal", "peak"))
+    assert louder.bounds[0] > louder.idle == pytest.approx(10 * Q.max())
     whole = formulate(P, Q, omega, 1.0, **statement(omega, "diagonal"))
     assert whole.idle == pytest.approx(Q[omega < 1].sum())
     assert set(whole.levels(7.0, whole.bounds)[0]) == {7.0, 0.9}

@@ -1,4 +1,5 @@
-from dataclasses import replace
+import json
+from dataclasses import asdict, replace
 
 import control
 import numpy as np
@@ -133,6 +134,12 @@ def test_v_rests_on_the_rig_too_and_the_log_says_so(loop, Q):
         np.testing.assert_allclose(log.v[k + 1], law, atol=1e-6)
 
 
+def test_the_controller_runs_on_for_ten_minutes_between_two_trials(loop, Q):
+    device = VirtualRig()
+    record(device, loop, Q, None, np.zeros((7, 2)), np.zeros((3, 7, 3)), 3)
+    assert device.time == 3 * 7 + 2 * 600
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -163,8 +170,13 @@ def test_first_trial_of_the_tracked_log_is_recorded_again_alike(loop, Q):
 
 
 def test_the_tracked_logs_are_of_the_assumed_experiment():
-    for name in ("learning", "no-learning"):
+    for name, seed in (("learning", 1), ("no-learning", 2)):
         tracked = load_log(ROOT / "data" / "rig" / f"{name}.csv")
+        device = {"modes": 300, "noise": 0.02, "quantum": 0.01, "lag": 4.0, "limit": 60.0}
+        device |= {"ambient_rate": 5e-5}
+        assert device == asdict(VirtualRig().parameters)
+        device |= {"seed": seed, "rod": json.loads(json.dumps(asdict(VirtualRig().rod)))}
+        assert json.loads(tracked.attrs["rig"]) == device
         assert tracked.sizes["trial"] == 10
         for k in range(10):
             np.testing.assert_array_equal(tracked.reference[k], np.round(assumed_reference(), 6))
