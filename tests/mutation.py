@@ -7,7 +7,8 @@ or by a tenth, a `not` left out, or `max` for `min`. Printed are the changes tha
 and the share that one does. First the tests run once as they are, to learn which lines each of
 them executes and how long it takes. Then a change costs only the tests that execute its line, the
 quick ones first, up to the first that fails. A test that takes ten times as long as it did
-notices, too. Not part of `make test`: it takes about five seconds a change.
+notices, too. Not part of `make test`: it takes about five seconds a change, and a minute
+or more where all tests pass.
 """
 
 import argparse
@@ -66,8 +67,8 @@ FREE_NUMBERS = {
     },
     "how a solver gets to the optimum, and when it gives up: the certificate judges its result": {
         "active_set": [
-            "NEAR =", "NOISE =", "CONVERGED =", "apart =", "K, unit =", "H[:K, :K] =", "H[K, K] =",
-            "tolerances =", "unbounded, kind =", "while damping", "penalty = np.max",
+            "NEAR =", "NOISE =", "CONVERGED =", "size =", "apart =", "K, unit =", "H[:K, :K] =",
+            "H[K, K] =", "tolerances =", "unbounded, kind =", "while damping", "penalty = np.max",
             "if gain + NOISE", "if part == 1", "damping = 0.1", "damping, part =",
             "return [np.where",
         ],
@@ -215,7 +216,7 @@ def changed(node):
     """All nodes that could stand in place of this one."""
     if isinstance(node, ast.Constant) and type(node.value) in (int, float, complex):
         near = [node.value + 1, node.value - 1]
-        near = near if isinstance(node.value, int) else [node.value * 1.1]
+        near = near if isinstance(node.value, int) else [node.value * 1.1 or 1.0]
         return [ast.Constant(value) for value in near]
     if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
         return [node.operand]
