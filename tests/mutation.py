@@ -238,7 +238,10 @@ def changed(node):
 
 
 def places(tree):
-    """Every node with its statement; without drawings, annotations and messages."""
+    """Every node with its statement; without drawings, annotations and messages.
+
+    And without the negative size in reshape, for which numpy takes any negative number.
+    """
 
     def inside(node, statement):
         for field, value in ast.iter_fields(node):
