@@ -70,7 +70,7 @@ FREE_NUMBERS = {
             "NEAR =", "NOISE =", "CONVERGED =", "size =", "apart =", "K, unit =", "H[:K, :K] =",
             "H[K, K] =", "tolerances =", "unbounded, kind =", "while damping", "penalty = np.max",
             "if gain + NOISE", "if part == 1", "damping = 0.1", "damping, part =",
-            "return [np.where",
+            "multipliers = [np.max", "return [np.where",
         ],
         "cones": ["bounds = np.array([3 *", "weight = np.maximum"],
         "interior_point": [
@@ -88,6 +88,9 @@ FREE_NUMBERS = {
         ],
         "cones": ["if A.shape[0] * B.shape[1] > 36"],
         "reproduce": ["AT_A_TIME ="],
+    },
+    "a limit that is not reached": {
+        "certificate": ["for _ in range(100)"], "ledger": ["texts ="],
     },
     "what is as good as zero, or where a square might leave the doubles": {
         "arguments": ['size = "large"'],  # it is asked beyond the limits only
