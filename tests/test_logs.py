@@ -76,6 +76,7 @@ def broken_row(index, text):
         (GOOD.replace("Ts: 1.0 s", "Ts: -1 s"), "Ts is '-1 s'"),
         (GOOD.replace("Ts: 1.0 s", "Ts: often"), "Ts is 'often'"),
         (GOOD.replace(",y1,", ",temp,"), "unknown column 'temp'"),
+        (GOOD.replace(",y1,", ",temp,"), "missing columns ['y1']"),
         (GOOD.replace(",reference1,", ",refrence1,"), "did you mean 'reference1'"),
         (GOOD.replace(",y1,", ",y2,"), "missing columns"),
         (GOOD.replace("; u1 W", ""), "does not name the unit of 'u1'"),
