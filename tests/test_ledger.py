@@ -107,6 +107,13 @@ def test_the_note_names_the_criterion_of_a_statement_in_words():
     assert notes[3].startswith("independent of the state coordinates")
 
 
+def test_a_verdict_that_nobody_gave_counts_zero():
+    book = Ledger("test")
+    book.record("zero_s_1", 0.1011)
+    table = ledger.summary(pd.DataFrame(book.rows.values())).split("\n\n")[0]
+    assert [cell.strip() for cell in table.splitlines()[-1].split("|")[2:5]] == ["1", "0", "0"]
+
+
 def test_a_wrong_gain_is_caught():
     book = Ledger("test")
     wrong = published.matrix("N").copy()
