@@ -515,10 +515,11 @@ def test_a_rod_that_is_not_the_papers_is_sent_elsewhere():
     for rod in (Rod(sections=3), Rod(sections=5), Rod(sensors=(0.1,))):
         with pytest.raises(ValueError, match=r"rod has . sections and . sensors.*Q1 to Q4"):
             paper_loop(rod)
-    for Ts in (1e-7, 1e5, np.inf):
+    for Ts in (1e-6, 1e4, np.inf):
         with pytest.raises(ValueError, match=r"Ts = .* must be a sampling period between"):
             paper_loop(Ts=Ts)
     assert paper_loop(Ts=np.int64(2)).Ts == 2
+    assert (paper_loop(Ts=1.05e-6).Ts, paper_loop(Ts=9.9e3).Ts) == (1.05e-6, 9.9e3)
 
 
 def test_paper_loop_takes_another_rod_degree_and_period():

@@ -132,7 +132,11 @@ def test_coefficients_cannot_be_changed_behind_the_filter():
     ("arguments", "message"),
     [
         ({"order": 0}, "order = 0"),
-        ({"cutoff": 4.0}, "cutoff = 4.0"),
+        ({"order": 101}, "order = 101"),
+        ({"cutoff": 0.0}, r"cutoff = 0.0 must be in \(0, 3.14159\)"),
+        ({"cutoff": -0.1}, r"cutoff = -0.1 must be in \(0, 3.14159\)"),
+        ({"cutoff": 4.0}, r"cutoff = 4.0 must be in \(0, 3.14159\)"),
+        ({"cutoff": 1.6, "Ts": 2.0}, r"cutoff = 1.6 must be in \(0, 1.5708\)"),
         ({"cutoff": "slow"}, "cutoff = 'slow'"),
         ({"Ts": -1.0}, "Ts = -1.0"),
         ({"ends": "mirror"}, "ends = 'mirror'"),

@@ -80,6 +80,7 @@ def broken_row(index, text):
         (GOOD.replace("Ts: 1.0 s", "Ts: -1 s"), "Ts is '-1 s'"),
         (GOOD.replace("Ts: 1.0 s", "Ts: often"), "Ts is 'often'"),
         (GOOD.replace(",y1,", ",temp,"), "unknown column 'temp'"),
+        (GOOD.replace(",y1,", ",temp,"), "missing columns ['y1']"),
         (GOOD.replace(",reference1,", ",refrence1,"), "did you mean 'reference1'"),
         (GOOD.replace(",y1,", ",y2,"), "missing columns"),
         (GOOD.replace("; u1 W", ""), "does not name the unit of 'u1'"),
@@ -110,6 +111,30 @@ def test_broken_logs_say_what_is_wrong(tmp_path, text, message):
         load_log(write(tmp_path, text))
     assert message in str(error.value)
     assert "log.csv" in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("second_trial", "message"),
+    [
+        ([0.002, 2.002, 4.002, 6.002], None),
+        ([-0.002, 1.998, 3.998, 5.998], None),
+        ([0.0, 2.0018, 4.0, 5.9982], None),
+        ([0.0022, 2.0, 4.0, 6.0], "trial 2 begins at 0.0022, row 9, not at 0"),
+        ([0.0, 2.0, 4.0022, 6.0], "irregular sampling in trial 2, row 11: a step of 2.0022"),
+        ([0.0, 2.0, 4.0, 7.0], "irregular sampling in trial 2, row 12: a step of 3"),
+        ([0.0, 2.0, 4.0, 7.01], "a gap in trial 2, row 12: a step of 3.01"),
+    ],
+)
+def test_clocks_may_be_off_by_a_thousandth_of_a_period(tmp_path, second_trial, message):
+    trials = [[0, 2, 4, 6], second_trial, [0, 2, 4, 6]]
+    rows = [f"{k},{time},1,0.5,1,1,2\n" for k, times in enumerate(trials, 1) for time in times]
+    text = HEAD.replace("Ts: 1.0 s", "Ts: 2.0 s") + COLUMNS + "".join(rows)
+    if message is None:
+        assert load_log(write(tmp_path, text)).attrs["Ts"] == 2
+        return
+    with pytest.raises(LogError) as error:
+        load_log(write(tmp_path, text))
+    assert message in str(error.value)
 
 
 def test_all_problems_are_reported_at_once(tmp_path):

@@ -1,4 +1,5 @@
-from dataclasses import replace
+import json
+from dataclasses import asdict, replace
 
 import control
 import numpy as np
@@ -133,6 +134,12 @@ def test_v_rests_on_the_rig_too_and_the_log_says_so(loop, Q):
         np.testing.assert_allclose(log.v[k + 1], law, atol=1e-6)
 
 
+def test_the_controller_runs_on_for_ten_minutes_between_two_trials(loop, Q):
+    device = VirtualRig()
+    record(device, loop, Q, None, np.zeros((7, 2)), np.zeros((3, 7, 3)), 3)
+    assert device.time == 3 * 7 + 2 * 600
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -158,8 +165,23 @@ def test_an_experiment_that_cannot_work_is_not_begun(loop, Q, changes, message):
 def test_first_trial_of_the_tracked_log_is_recorded_again_alike(loop, Q):
     tracked = load_log(ROOT / "data" / "rig" / "no-learning.csv")
     log = record(VirtualRig(seed=2), loop, Q, None, assumed_reference(), assumed_disturbance(), 1)
-    np.testing.assert_array_equal(log.y[0], tracked.y[0])
-    np.testing.assert_array_equal(log.u[0], tracked.u[0])
+    for name in ("reference", "v", "u", "y", "delta", "disturbance"):
+        np.testing.assert_array_equal(log[name][0], tracked[name][0])
+
+
+def test_the_tracked_logs_are_of_the_assumed_experiment():
+    for name, seed in (("learning", 1), ("no-learning", 2)):
+        tracked = load_log(ROOT / "data" / "rig" / f"{name}.csv")
+        device = {"modes": 300, "noise": 0.02, "quantum": 0.01, "lag": 4.0, "limit": 60.0}
+        device |= {"ambient_rate": 5e-5}
+        assert device == asdict(VirtualRig().parameters)
+        device |= {"seed": seed, "rod": json.loads(json.dumps(asdict(VirtualRig().rod)))}
+        assert json.loads(tracked.attrs["rig"]) == device
+        assert tracked.sizes["trial"] == 10
+        for k in range(10):
+            np.testing.assert_array_equal(tracked.reference[k], np.round(assumed_reference(), 6))
+        flows = np.round(assumed_disturbance(), 6)[:, :, 1:]
+        np.testing.assert_array_equal(tracked.disturbance[:, :, 1:], flows)
 
 
 def test_bad_commands_are_refused():

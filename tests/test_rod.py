@@ -209,7 +209,10 @@ def test_names_of_inputs_and_outputs():
         ({"length": -1.0}, "length = -1.0"),
         ({"conductivity": float("nan")}, "conductivity = nan"),
         ({"density": "steel"}, "density = 'steel'"),
+        ({"length": 1e-12}, "length = 1e-12"),
+        ({"density": 1e12}, r"density = 1000000000000.0"),
         ({"sections": 0}, "sections = 0"),
+        ({"sections": 1001}, "sections = 1001"),
         ({"sensors": (0.1, 0.5)}, r"sensors = \(0.1, 0.5\)"),
         ({"sensors": ()}, r"sensors has shape \(0,\)"),
     ],
@@ -222,6 +225,8 @@ def test_bad_rods_are_refused(changes, message):
 def test_rods_at_the_limits_are_taken():
     rod = Rod(sections=1, sensors=[0, 0.32])
     assert rod.sensors == (0.0, 0.32) and hash(rod) == hash(Rod(sections=1, sensors=(0, 0.32)))
+    assert Rod(density=0.95e12).density == 0.95e12 and Rod(density=1.05e-12).density == 1.05e-12
+    assert len(Rod(sections=1000).edges) == 1001
     assert midr(rod, 1).nstates == 2 and midr(rod, np.int64(20)).nstates == 21
 
 

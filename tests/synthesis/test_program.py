@@ -71,6 +71,8 @@ def test_the_problem_of_the_peak_has_one_variable_and_no_bound_on_it():
     problem = formulate(posed(P, Q, omega, "diagonal", "peak"))
     assert problem.shared and len(problem.free) == 20 and problem.M_max == 0.9
     assert problem.limits[0] > 1 and problem.idle == pytest.approx(Q.max())
+    louder = formulate(posed(P, 10 * Q, omega, "diagonal", "peak"))
+    assert louder.limits[0] > louder.idle == pytest.approx(10 * Q.max())
     whole = formulate(posed(P, Q, omega, "diagonal"))
     assert whole.idle == pytest.approx(Q[omega < 1].sum())
     assert set(whole.levels(7.0, whole.limits)[0]) == {7.0, 0.9}

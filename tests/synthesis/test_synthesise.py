@@ -53,6 +53,16 @@ def test_paper_design_meets_its_bounds_and_both_are_active(diagonal, loop, Q, om
     assert np.all(sigma_M <= 0.9 * (1 + 1e-6)) and np.all(sigma_L <= 50 * (1 + 1e-6))
 
 
+def test_the_certificate_names_the_peaks_over_all_frequencies(full, loop, Q):
+    dense = np.linspace(1e-5, np.pi, 20001)
+    responses = (loop.frequency_response(dense), Q.frequency_response(dense))
+    sigma_M, sigma_L = judged(full.filter, *responses, dense)
+    certificate = full.certificate
+    assert certificate.all_M == pytest.approx(sigma_M.max(), rel=1e-5)
+    assert certificate.all_L == pytest.approx(sigma_L.max(), rel=1e-5)
+    assert certificate.place == pytest.approx(dense[sigma_M.argmax()], abs=1e-3)
+
+
 def test_no_design_is_worse_than_the_printed_one(diagonal, full, loop, Q, omega):
     P, Q = loop.frequency_response(omega), Q.frequency_response(omega)
     for design, name, value in ((diagonal, "L_diagonal", 104.865787), (full, "L_full", 69.961958)):
@@ -314,6 +324,14 @@ def test_numbers_may_come_from_numpy_and_the_rest_reaches_the_certificate(loop, 
     assert design.certificate.trial == pytest.approx(norm, rel=1e-9)
     assert norm < 0.99 * trial_norm(loop.P, Q, design.filter, 60)[0]
     assert (design.certificate.samples, design.certificate.rest) == (60, 15)
+
+
+@pytest.mark.parametrize("m", [1, 2])
+def test_what_is_not_learned_at_one_frequency_is_learned_at_others(m):
+    P, Q = (0.5 / (np.exp(1j * GRID) - 0.5))[:, None, None] * np.eye(m), 1 / (1 + GRID**4)
+    Q[3] = 0
+    design = synthesise(P, Q, GRID, 1.0, order=3, band=(0.05, 1), structure="full")
+    assert design.sigma_M[3] == 0 and design.certificate.gap < 1e-8
 
 
 @pytest.mark.parametrize("unit", [1e-90, 1e-12, 1e12, 1e90])
