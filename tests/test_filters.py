@@ -138,7 +138,7 @@ def test_coefficients_cannot_be_changed_behind_the_filter():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"order": 0}, "order = 0"),
+        ({"order": 0}, "order = 0 must be a whole number, from 1 to 100"),
         ({"order": 101}, "order = 101"),
         ({"cutoff": 0.0}, r"cutoff = 0.0 must be in \(0, 3.14159\)"),
         ({"cutoff": -0.1}, r"cutoff = -0.1 must be in \(0, 3.14159\)"),
