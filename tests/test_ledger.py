@@ -79,7 +79,7 @@ def test_a_criterion_that_is_not_understood_is_refused():
         ("sensor_1", 0.375, "0.375", ""),
         ("sensor_1", 0.3750001, "0.3750001", "1.0e-07"),
         ("omega_N", np.pi, "3.14159265359", ""),
-        ("diagonal", 0.37960851, "0.37961", "2.8e-01"),
+        ("damping", 0.37960851, "0.37961", "2.8e-01"),
         ("loop_stable", 0.99999999, "0.99999999", ""),
         ("lemma_1", np.nan, "nan", ""),
         ("dc_gain", 3e-15, "below 1e-09", ""),

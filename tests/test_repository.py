@@ -33,7 +33,11 @@ def test_readme_and_ledger_page_show_the_tracked_ledger(rows):
 def test_ledger_has_every_claim_judged_as_its_numbers_say(rows):
     assert list(rows.key) == list(published.claims())
     for row in rows.itertuples():
-        if row.verdict != ledger.UNCHECKED and not row.computed.startswith("below"):
+        if row.verdict == ledger.IN_WORDS:
+            before, after = published.claims()[row.key].criterion[len(ledger.WORDS) :].split("{}")
+            assert re.fullmatch(re.escape(before) + r"[-+.e\d]+" + re.escape(after), row.computed)
+            assert row.deviation == ""
+        elif row.verdict != ledger.UNCHECKED and row.computed != ledger.BELOW_NOISE:
             outcome, deviation = ledger.verdict(published.claims()[row.key], float(row.computed))
             assert outcome == row.verdict, row.key
             assert row.deviation == (f"{deviation:.1e}" if abs(deviation) > 1e-9 else ""), row.key

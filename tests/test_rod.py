@@ -234,3 +234,33 @@ def test_rods_at_the_limits_are_taken():
 def test_bad_degrees_are_refused(degree):
     with pytest.raises(ValueError, match="degree = "):
         midr(Rod(), degree)
+
+
+@given(MATERIALS, st.floats(-0.02, 1), st.floats(0.001, 1))
+def test_determinant_of_the_papers_rod_is_that_of_the_proof(rod, real, imaginary):
+    """From Q1 and Q3 to the paper's sensors, for any material; notebook 1 derives it."""
+    rod = replace(rod, sections=4, sensors=(3 / 8 * rod.length, 7 / 8 * rod.length))
+    s = complex(real, imaginary) * rod.kappa_2 / rod.kappa_1  # of the order of the slowest pole
+    gamma = np.sqrt((rod.kappa_1 * s + rod.kappa_2) / rod.conductivity)
+    g = 4 / (rod.width * rod.height * rod.length * rod.conductivity * gamma**2)
+    X = gamma * rod.length / 4
+    derived = g**2 * np.sinh(X) ** 2 / (4 * np.cosh(X) * np.cosh(2 * X))
+    determinant = np.linalg.det(exact_response(rod, [s])[0][:, [0, 2]])
+    scale = np.abs(exact_response(rod, [s])[0][:, [0, 2]]).max() ** 2
+    assert abs(determinant - derived) < 1e-9 * scale
+
+
+def test_the_rod_is_minimum_phase():
+    """Along half disks the determinant winds as often as it has zeros in them; it has no poles."""
+    angle = np.linspace(-np.pi / 2, np.pi / 2, 20001)
+    for radius in (1.0, 3.0):
+        arc, diameter = radius * np.exp(1j * angle), np.linspace(radius, -radius, 20001) * 1j
+        boundary = np.concatenate([arc, diameter])
+        exact = np.linalg.det(exact_response(Rod(), boundary)[:, :, [0, 2]])
+        model = midr(Rod())[:, ["Q1", "Q3"]]
+        sI = boundary[:, None, None] * np.eye(model.nstates)
+        cubic = np.linalg.det(model.C @ np.linalg.solve(sI - model.A, model.B.astype(complex)))
+        for values, zeros in ((exact, 0), (cubic, 2)):  # the cubic model has its two
+            steps = np.angle(values[1:] / values[:-1])
+            assert np.abs(steps).max() < 1
+            assert steps.sum() / (2 * np.pi) == pytest.approx(zeros, abs=1e-3)
