@@ -33,7 +33,8 @@ def test_readme_and_ledger_page_show_the_tracked_ledger(rows):
 def test_ledger_has_every_claim_judged_as_its_numbers_say(rows):
     assert list(rows.key) == list(published.claims())
     for row in rows.itertuples():
-        if row.verdict != ledger.UNCHECKED and not row.computed.startswith("below"):
+        judged = row.verdict not in (ledger.UNCHECKED, ledger.IN_WORDS)
+        if judged and not row.computed.startswith("below"):
             outcome, deviation = ledger.verdict(published.claims()[row.key], float(row.computed))
             assert outcome == row.verdict, row.key
             assert row.deviation == (f"{deviation:.1e}" if abs(deviation) > 1e-9 else ""), row.key
