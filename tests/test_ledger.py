@@ -117,12 +117,12 @@ def test_what_a_flat_optimum_leaves_open_is_not_shown(rounding):
 
 def test_the_note_names_the_criterion_of_a_statement_in_words():
     book = Ledger("test")
-    book.record("diagonal", 0.3)
+    book.record("between_L", 1.1)
     book.record("loop_stable", 0.5)
     book.record("zero_s_1", 0.1)
     book.record("K_s K_s'[1,1]", 1.0)
     notes = [row["note"] for row in book.rows.values()]
-    assert notes[0].startswith("criterion: < 0.1; the coupling is below 0.1 only up to")
+    assert notes[0].startswith("criterion: <= 1.000001; close to the Nyquist frequency")
     assert notes[1:3] == ["criterion: < 1", published.claims()["zero_s_1"].note]
     assert notes[3].startswith("independent of the state coordinates")
 

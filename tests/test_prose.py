@@ -27,6 +27,7 @@ CONSTANTS = {  # that no cell prints, with the reason
         "45": "free numbers of a rotation in ten dimensions, 10 x 9 / 2",
         "44": "entries of K_s and K_L, 20 + 24, each with its row in the ledger",
     },
+    "05-experiment-replay": {"300": "modes of the virtual rig, its RigParameters"},
 }
 NUMBER = r"(?<![\w.^])\d+(?:\.\d+)?(?:e[-+]?\d+)?"
 NO_RESULT = re.compile(
