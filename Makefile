@@ -17,8 +17,8 @@ export PYTHONUTF8 := 1
 export LC_ALL := C.UTF-8
 export PYTHONWARNINGS := ignore::DeprecationWarning
 .DELETE_ON_ERROR:
-.PHONY: $(BIN)/ready help reproduce test lint data replay machines lowest survey bench lab notebooks \
-	lock clean
+.PHONY: $(BIN)/ready help reproduce test lint data replay machines mutants lowest survey bench lab \
+	notebooks lock clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' Makefile | sed -E 's/:.*## /\t/' | expand -t 12
@@ -43,6 +43,9 @@ replay: $(BIN)/ready  ## replay a log of your own: make replay LOG=path; writes 
 
 machines: $(BIN)/ready  ## test and reproduce with other processors' arithmetic (long)
 	$(BIN)/python tests/machines.py
+
+mutants: $(BIN)/ready  ## change one thing in rodlib at a time and see whether a test notices (long)
+	$(BIN)/python tests/mutation.py
 
 lowest: $(BIN)/ready  ## unit tests with the oldest packages that pyproject.toml admits
 	@mkdir -p build

@@ -6,10 +6,11 @@ A name is imported when it is first used, so that what needs only a part does no
 from importlib import import_module
 
 MODULES = {
-    "rod": ("Rod", "exact_response", "midr"),
+    "rod": ("Rod", "exact_response", "midr", "sampled_response"),
     "feedback": ("CurrentTrialLoop", "current_trial_loop", "minimal_realisation", "paper_loop"),
     "filters": ("LearningFilter", "ZeroPhaseButterworth", "update", "zero_phase_butterworth"),
-    "synthesis": ("InfeasibleError", "SolverError", "Synthesis", "synthesise"),
+    "problem": ("Problem",),
+    "synthesis": ("InfeasibleError", "SolverError", "Synthesis", "least_gain", "synthesise"),
     "trials": ("run_trials",),
     "laboratory": ("LogError", "load_log", "record", "save_log"),
 }

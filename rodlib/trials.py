@@ -22,11 +22,14 @@ def run_trials(
     disturbance=None,
     trials: int = 10,
     *,
+    plant=None,
     noise=None,
     initial_state=None,
     rest: int = 0,
 ) -> xr.Dataset:
     """Simulate trials of the loop (19) under the ILC law (22), (23), starting with v_0 = e_0 = 0.
+
+    All signals are in the units of the loop's plant.
 
     Parameters
     ----------
@@ -35,38 +38,39 @@ def run_trials(
     Q, L : ZeroPhaseButterworth, LearningFilter
         L None switches learning off, v = 0 on all trials.
     reference : array_like, shape (time, m)
-        Reference trajectory, K.
+        Reference trajectory.
     disturbance : array_like, shape (time, d) or (trial, time, d), optional
-        In the order of the plant's inputs: ambient temperature (K), heat flows (W). Default zero.
+        In the order of ``loop.disturbances``. Default zero.
     trials : int
+    plant : control.StateSpace or control.TransferFunction, optional
+        Another plant in the place of that of the design, as in :meth:`CurrentTrialLoop.around`.
     noise : array_like, shape (trial, time, m), optional
-        Added to what the sensors report, K: both observer and learning see it.
+        Added to what the sensors report: both observer and learning see it.
     initial_state : array_like, shape (n,), optional
-        State of the plant at the start of every trial, unknown to the observer. Default zero.
+        State of the plant that is simulated at the start of every trial, unknown to the observer.
+        Default zero.
     rest : int
         Number of samples at the end of every trial in which v is held at zero.
 
     Returns
     -------
     xarray.Dataset
-        Dimensions trial (from 1), time (s), channel (from 1) and disturbance (by name), with
-        variables reference, v, u, y, delta (the estimate of the input disturbance) and
-        disturbance; e = reference - y as the controller sees it; units as attributes.
+        See :func:`dataset`. The error e = reference - y is the one that the controller sees.
 
     Raises
     ------
     ValueError
-        If a shape does not fit the loop, a signal is not finite, or the filters do not belong to
-        the loop.
+        If a shape does not fit the loop, a signal is not finite, the filters do not belong to the
+        loop, or `plant` has not the loop's signals and sampling period or makes it unstable.
     """
     check_law(loop, Q, L)
-    n, m = loop.plant.nstates, loop.plant.noutputs
-    names = loop.plant.input_labels[m:]
+    closed = loop.closed if plant is None else loop.around(plant)
+    m, n = loop.plant.noutputs, closed.nstates - len(loop.KL)
     trials = arguments.whole("trials", trials, 1)
     reference = arguments.array("reference", reference, ("time", m))
     samples = len(reference)
     rest = arguments.whole("rest", rest, 0, samples - 1)
-    shape = (trials, samples, len(names))
+    shape = (trials, samples, len(loop.disturbances))
     d = np.zeros(shape)
     if disturbance is not None:
         d = arguments.array("disturbance", disturbance, (...,))
@@ -74,22 +78,22 @@ def run_trials(
         d = np.broadcast_to(d, shape)
     shape = (trials, samples, m)
     noise = np.zeros(shape) if noise is None else arguments.array("noise", noise, shape)
-    chi = np.zeros(loop.closed.nstates)
+    chi = np.zeros(closed.nstates)
     if initial_state is not None:
         chi[:n] = arguments.array("initial_state", initial_state, (n,))
 
-    A = loop.closed.A
-    B, E = loop.closed.B[:, :m], loop.closed.B[:, m:]
+    B, E = closed.B[:, :m], closed.B[:, m:]
+    D, F = closed.D[:, :m], closed.D[:, m:]
     K = np.vstack([np.zeros((n, m)), loop.KL])  # where the noise enters the observer (16)
     v, u, y, delta = (np.zeros(shape) for _ in range(4))
     for k in range(trials):
         if k and L is not None:
             v[k] = update(v[k - 1], reference - y[k - 1] - noise[k - 1], Q, L, rest)  # (23)
         w = reference + v[k]  # (22)
-        states = state_sequence(A, w @ B.T + d[k] @ E.T + noise[k] @ K.T, chi)  # (19)
-        y[k] = states @ loop.closed.C.T
-        delta[k] = states[:, 2 * n :]
-        u[k] = w @ loop.N.T - states[:, n : 2 * n] @ loop.Ks.T - delta[k]  # (18)
+        states = state_sequence(closed.A, w @ B.T + d[k] @ E.T + noise[k] @ K.T, chi)  # (19)
+        y[k] = states @ closed.C.T + w @ D.T + d[k] @ F.T
+        x_hat, delta[k] = states[:, n:-m], states[:, -m:]
+        u[k] = w @ loop.N.T - x_hat @ loop.Ks.T - delta[k]  # (18)
     return dataset(
         loop.Ts, loop.outputs, loop.controls, loop.disturbances, loop.units,
         reference=np.broadcast_to(reference, shape), v=v, u=u, y=y + noise, delta=delta,

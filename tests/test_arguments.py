@@ -20,6 +20,7 @@ from rodlib import (
     minimal_realisation,
     paper_loop,
     run_trials,
+    sampled_response,
     synthesise,
     update,
     zero_phase_butterworth,
@@ -29,7 +30,7 @@ from rodlib.laboratory import VirtualRig, record
 from rodlib.trials import assumed_disturbance, assumed_reference, rms, state_sequence
 
 PLANT = control.ss(0.5, [[0.5, 1.0]], 1, 0, 1.0, inputs=["u", "d"], outputs=["y"])
-LOOP, PAPER = current_trial_loop(PLANT), paper_loop()
+LOOP, PAPER = current_trial_loop(PLANT, ["u"]), paper_loop()
 Q, L = zero_phase_butterworth(), LearningFilter([[[0.5, 0.1]]], 1.0)
 L2 = LearningFilter(np.ones((2, 2, 1)), 1.0)
 OMEGA = np.linspace(0.1, 3, 12)
@@ -47,13 +48,19 @@ NOTHING |= {"masked": np.ma.masked_array(np.ones((6, 1)), np.eye(6, 1)), "frame"
 NUMBER = {"-1": -1.0, "complex": 1j, "1e300": 1e300, "list": [1.0], "array": np.ones(3)}
 WHOLE = NUMBER | {"half": 1.5, "float": 1.0}
 REAL = {"complex": np.full((6, 1), 1j), "1e300": np.full((6, 1), 1e300)}
-MODEL = {"nan model": NAN, "number": 1.0, "transfer": control.tf(1, [1, 0.5], 1.0)}
+MODEL = {"nan model": NAN, "number": 1.0, "transfer": control.tf(1, [1, 0.5], 1.0, inputs="F")}
+WRONG_PLANT = {"nan model": NAN, "continuous": control.ss(-1, 1, 1, 0), "names": MODEL["transfer"]}
 
 DOORS = {
     "Rod": (Rod, {}, {f.name: NUMBER for f in fields(Rod)[:7]} | {"sections": WHOLE}),
     "Rod, sensors": (Rod, {}, {"sensors": {"beyond": [9.0], "none": None, "2-D": [[0.1]]}}),
     "midr": (midr, {"rod": Rod(), "degree": 1}, {"rod": NUMBER, "degree": WHOLE}),
     "exact_response": (exact_response, {"rod": Rod(), "s": [1j]}, {"rod": NUMBER, "s": {}}),
+    "sampled_response": (
+        sampled_response,
+        {"rod": Rod(), "omega": OMEGA, "Ts": 1.0},
+        {"rod": NUMBER, "omega": REAL | {"-1": -1.0}, "Ts": NUMBER | {"short": 1e-9}},
+    ),
     "minimal_realisation": (
         minimal_realisation,
         {"plant": PLANT, "controls": ["u"]},
@@ -61,8 +68,14 @@ DOORS = {
     ),
     "current_trial_loop": (
         current_trial_loop,
-        {"plant": PLANT},
-        {"plant": MODEL} | {name: REAL | NUMBER for name in ("Qs", "Rs", "Qo", "Ro")},
+        {"plant": PLANT, "controls": ["u"], "sizes": {"y": 2}, "units": {"u": "N"}},
+        {
+            "plant": MODEL,
+            "controls": {"twice": ["u", "u"], "two": ["u", "d"], "none": None},
+            "sizes": NUMBER | {"zero": {"y": 0}, "words": {"y": "large"}, "d": {"d": 1.0}},
+            "units": NUMBER | {"number": {"y": 1.0}, "pair": {("y", "u"): "K"}},
+        }
+        | {name: REAL | NUMBER for name in ("Qs", "Rs", "Qo", "Ro")},
     ),
     "paper_loop": (paper_loop, {}, {"rod": NUMBER, "degree": WHOLE, "Ts": NUMBER}),
     "frequency_response": (
@@ -70,7 +83,12 @@ DOORS = {
         {"system": PLANT, "omega": OMEGA},
         {"system": MODEL, "omega": REAL},
     ),
-    "loop.frequency_response": (LOOP.frequency_response, {"omega": OMEGA}, {"omega": REAL}),
+    "loop.frequency_response": (
+        LOOP.frequency_response,
+        {"omega": OMEGA, "plant": np.ones((12, 1, 1))},
+        {"omega": REAL, "plant": WRONG_PLANT | {"column": np.ones((12, 1))}},
+    ),
+    "loop.around": (LOOP.around, {"plant": PLANT}, {"plant": WRONG_PLANT | {"number": 1.0}}),
     "zero_phase_butterworth": (
         zero_phase_butterworth,
         {},
@@ -121,6 +139,7 @@ DOORS = {
             "reference": REAL,
             "trials": WHOLE,
             "disturbance": REAL,
+            "plant": WRONG_PLANT | {"number": 1.0},
             "noise": REAL,
             "initial_state": REAL,
             "rest": WHOLE,

@@ -3,17 +3,30 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from plants import furnace, stage, tanks
+from scipy.signal import ss2tf
 
-from rodlib import Rod, current_trial_loop, midr, minimal_realisation, paper_loop, published
+from rodlib import (
+    Rod,
+    current_trial_loop,
+    midr,
+    minimal_realisation,
+    paper_loop,
+    published,
+    sampled_response,
+)
 from rodlib.feedback import frequency_response, unreachable_modes
 
 
-def random_plant(rng, n=4, m=2, disturbances=1):
+def random_plant(rng, n=4, m=2):
+    """Two controls u1, u2 and a disturbance, which has feedthrough."""
     A = rng.standard_normal((n, n))
     A *= 0.95 / np.abs(np.linalg.eigvals(A)).max()
+    D = np.hstack([np.zeros((m, m)), rng.standard_normal((m, 1))])
     return control.ss(
-        A, rng.standard_normal((n, m + disturbances)), rng.standard_normal((m, n)), 0, 1.0
-    )
+        A, rng.standard_normal((n, m + 1)), rng.standard_normal((m, n)), D, 1.0,
+        inputs=["u1", "u2", "d"],
+    )  # fmt: skip
 
 
 def test_gains_agree_with_python_control(loop):
@@ -27,26 +40,107 @@ def test_gains_agree_with_python_control(loop):
     np.testing.assert_allclose(loop.KL, KL, atol=1e-7)
 
 
+def simulated(loop, plant, w, d):
+    """The plant, (16) and (18) written down separately; signals in the loop's order."""
+    n, m = loop.plant.nstates, loop.plant.noutputs
+    A, B, C = loop.plant.A, loop.plant.B[:, :m], loop.plant.C
+    KL1, KL2 = loop.KL[:n], loop.KL[n:]
+    x, x_hat, delta = np.zeros(plant.nstates), np.zeros(n), np.zeros(m)
+    y = np.empty(w.shape)
+    for p in range(len(w)):
+        u = loop.N @ w[p] - loop.Ks @ x_hat - delta
+        inputs = np.concatenate([u, d[p]])
+        y[p] = plant.C @ x + plant.D @ inputs
+        innovation = y[p] - C @ x_hat
+        x = plant.A @ x + plant.B @ inputs
+        x_hat, delta = A @ x_hat + B @ (u + delta) + KL1 @ innovation, delta + KL2 @ innovation
+    return y
+
+
 def test_closed_loop_is_the_interconnection_of_plant_observer_and_feedback(loop):
-    """(19) against a simulation of (12), (16), (18) written down separately."""
     rng = np.random.default_rng(2)
     w, d = rng.standard_normal((60, 2)), rng.standard_normal((60, 3))
-    A, B, E, C = loop.plant.A, loop.plant.B[:, :2], loop.plant.B[:, 2:], loop.plant.C
-    KL1, KL2 = loop.KL[:10], loop.KL[10:]
-    x, x_hat, delta = np.zeros(10), np.zeros(10), np.zeros(2)
-    y = np.empty((60, 2))
-    for p in range(60):
-        y[p] = C @ x
-        u = loop.N @ w[p] - loop.Ks @ x_hat - delta
-        innovation = y[p] - C @ x_hat
-        x = A @ x + B @ u + E @ d[p]
-        x_hat, delta = A @ x_hat + B @ (u + delta) + KL1 @ innovation, delta + KL2 @ innovation
     response = control.forced_response(loop.closed, inputs=np.hstack([w, d]).T)
-    np.testing.assert_allclose(response.outputs.T, y, atol=1e-10)
+    np.testing.assert_allclose(
+        response.outputs.T, simulated(loop, loop.plant, w, d), rtol=0, atol=1e-10
+    )
+
+
+def mixed(plant, rng):
+    """The same plant with its inputs and outputs in another order, and with some more of them."""
+    B = np.hstack([rng.standard_normal((plant.nstates, 1)), plant.B[:, ::-1]])
+    C = np.vstack([np.ones((1, plant.nstates)), plant.C[::-1]])
+    D = np.zeros((len(C), B.shape[1]))
+    D[1:, 1:] = plant.D[::-1, ::-1]
+    inputs, outputs = ["draught", *plant.input_labels[::-1]], ["spare", *plant.output_labels[::-1]]
+    return control.ss(plant.A, B, C, D, plant.dt, inputs=inputs, outputs=outputs)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_the_controller_around_another_plant(seed):
+    """Of another order, with feedthrough, and with its signals in another order."""
+    rng = np.random.default_rng(seed)
+    loop = current_trial_loop(random_plant(rng), ["u1", "u2"])
+    design = loop.plant
+    D = 0.01 * rng.standard_normal(design.D.shape)
+    other = control.ss(
+        np.block([[0.99 * design.A, np.zeros((4, 1))], [np.ones((1, 4)), 0.3]]),
+        np.vstack([design.B, np.ones((1, 3))]), np.hstack([design.C, 0.01 * np.ones((2, 1))]),
+        D, 1.0, inputs=design.input_labels, outputs=design.output_labels,
+    )  # fmt: skip
+    try:
+        closed = loop.around(mixed(other, rng))
+    except ValueError as error:
+        assert "unstable" in str(error)
+        w, d = np.tile(rng.standard_normal(2), (3000, 1)), np.zeros((3000, 1))
+        y = simulated(loop, other, w, d)
+        assert np.abs(y[-100:] - w[-100:]).max() > 1e-6  # a stable one has settled
+        return
+    w, d = rng.standard_normal((40, 2)), rng.standard_normal((40, 1))
+    expected = simulated(loop, other, w, d)
+    response = control.forced_response(closed, inputs=np.hstack([w, d]).T).outputs.T
+    np.testing.assert_allclose(response, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
+    grid = np.append(0.0, np.geomspace(1e-3, np.pi, 20))
+    samples = frequency_response(other[:, ["u1", "u2"]], grid)
+    from_model = loop.frequency_response(grid, plant=other)
+    np.testing.assert_allclose(from_model, frequency_response(closed[:, :2], grid), atol=1e-12)
+    np.testing.assert_allclose(
+        loop.frequency_response(grid, plant=samples),
+        from_model,
+        rtol=0,
+        atol=1e-9 * np.abs(from_model).max(),
+    )
+
+
+@pytest.mark.parametrize("Ts", [0.5, 1.0, 5.0])
+def test_around_the_plant_of_the_design_the_observer_drops_out(Ts):
+    loop = paper_loop(Ts=Ts)
+    grid = np.append(0.0, np.geomspace(1e-4, np.pi / Ts, 50))
+    samples = frequency_response(loop.plant[:, loop.controls], grid)
+    for plant in (loop.plant, samples):
+        np.testing.assert_allclose(
+            loop.frequency_response(grid, plant), loop.frequency_response(grid), rtol=0, atol=1e-12
+        )
+
+
+def test_the_papers_controller_around_the_rod_itself(loop):
+    """Models of rising degree approach what the controller does with the equation (1)-(4)."""
+    grid = np.geomspace(1e-4, 1.0, 30)
+    controls = sampled_response(Rod(), grid, 1.0)[:, :, [0, 2]]
+    rod = loop.frequency_response(grid, plant=controls)
+    errors = []
+    for degree in (3, 6, 12):
+        model = control.sample_system(midr(Rod(), degree), 1.0, method="zoh")
+        errors.append(np.abs(loop.frequency_response(grid, plant=model) - rod).max())
+    assert errors[1] < errors[0] / 10 and errors[2] < errors[1] / 10
+    assert errors[2] < 1e-5
+    # The paper's model itself is good enough where the loop learns, and not beyond.
+    difference = np.abs(loop.frequency_response(grid) - rod).max(axis=(1, 2))
+    assert difference[grid < 0.01].max() < 0.01 < difference.max()
 
 
 def test_P_does_not_depend_on_the_observer(loop, omega):
-    other = current_trial_loop(loop.plant, Qo=100 * np.eye(12), Ro=3 * np.eye(2))
+    other = current_trial_loop(loop.plant, loop.controls, Qo=100 * np.eye(12), Ro=3 * np.eye(2))
     assert np.abs(other.KL - loop.KL).max() > 0.1
     for same in (loop, other):  # all 22 states of (19), against (31) without the observer
         from_w = frequency_response(same.closed[:, ["w1", "w2"]], omega)
@@ -89,7 +183,8 @@ def test_the_order_of_the_reduction_matters_for_the_observer(loop):
     )
     B = np.hstack([observable_first.C.T, np.zeros((10, 1))])
     other = control.ss(observable_first.A.T, B, observable_first.B.T, 0)
-    gain = current_trial_loop(control.sample_system(other, 1.0, method="zoh")).KL[10:]
+    sampled = control.sample_system(other, 1.0, method="zoh")
+    gain = current_trial_loop(sampled, sampled.input_labels[:2]).KL[10:]
     assert np.abs(gain - published.matrix("K_L")[10:]).max() > 0.5e-4
 
 
@@ -139,14 +234,161 @@ def test_unreachable_jordan_chain_is_removed():
 
 @given(st.integers(0, 2**32 - 1))
 def test_any_plant_gets_a_stable_loop_without_steady_state_error(seed):
-    loop = current_trial_loop(random_plant(np.random.default_rng(seed)))
+    loop = current_trial_loop(random_plant(np.random.default_rng(seed)), ["u1", "u2"])
     assert np.abs(loop.closed.poles()).max() < 1
+    at_rest = frequency_response(loop.closed, [0.0])[0]
+    np.testing.assert_allclose(at_rest, np.eye(2, 3), atol=1e-6)
     np.testing.assert_allclose(loop.frequency_response([0.0])[0], np.eye(2), atol=1e-6)
+
+
+def transfer(plant):
+    """The same plant as python-control's transfer function, by scipy."""
+    of_inputs = [ss2tf(plant.A, plant.B, plant.C, plant.D, j) for j in range(plant.ninputs)]
+    numerators = [[rows[i] for rows, _ in of_inputs] for i in range(plant.noutputs)]
+    denominators = [[row for _, row in of_inputs] for _ in range(plant.noutputs)]
+    return control.tf(
+        numerators, denominators, plant.dt,
+        inputs=plant.input_labels, outputs=plant.output_labels,
+    )  # fmt: skip
+
+
+def turned(plant):
+    """The same plant with its two states in other coordinates."""
+    T = np.array([[1.0, 3.0], [-20.0, 0.1]])
+    back = np.linalg.inv(T)
+    return control.ss(
+        T @ plant.A @ back, T @ plant.B, plant.C @ back, plant.D, plant.dt,
+        inputs=plant.input_labels, outputs=plant.output_labels,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("plant", "unit"),
+    [
+        (stage(length=1.0, force=1e3), 1e-3),  # in m and kN
+        (transfer(stage(length=1.0, force=1e3)), 1e-3),
+        (transfer(stage()), 1.0),
+        (turned(stage()), 1.0),
+    ],
+    ids=["units", "units and transfer function", "transfer function", "coordinates"],
+)
+def test_with_sizes_the_loop_depends_on_neither_units_nor_coordinates(plant, unit):
+    """Against the stage in mm and N: the same loop from w and friction to x, physically."""
+    ours = current_trial_loop(stage(), ["F"], {"x": 5.0, "F": 20.0})
+    theirs = current_trial_loop(plant, ["F"], {"x": 5.0 * unit, "F": 20.0 * unit})
+    grid = np.append(0.0, np.geomspace(1e-2, np.pi / 1e-3, 40))
+    expected = frequency_response(ours.closed, grid)
+    found = frequency_response(theirs.closed, grid)  # both units change by the same factor
+    scale = np.abs(expected).max(axis=0)
+    np.testing.assert_allclose(found / scale, expected / scale, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(theirs.N, ours.N, rtol=1e-9)
+    poles = [np.sort_complex(loop.closed.poles()) for loop in (theirs, ours)]
+    np.testing.assert_allclose(*poles, rtol=0, atol=1e-9)
+
+
+def test_sizes_are_what_counts_as_large():
+    """More force makes the stage faster; what is not named is one."""
+    poles = [
+        np.abs(np.linalg.eigvals(loop.plant.A - loop.plant.B[:, :1] @ loop.Ks)).max()
+        for loop in (
+            current_trial_loop(stage(), ["F"], {"x": 1.0, "F": force}) for force in (1.0, 100.0)
+        )
+    ]
+    assert poles[1] < 1 - 2 * (1 - poles[0])
+    named, silent = (current_trial_loop(stage(), ["F"], size) for size in ({"F": 1.0}, {}))
+    assert np.array_equal(named.KL, silent.KL) and np.array_equal(named.Ks, silent.Ks)
+
+
+def test_without_sizes_the_weights_are_the_papers(loop):
+    """Sizes of one give (24) of the paper, too, but Q_o holds in the paper's coordinates only."""
+    again = current_trial_loop(loop.plant, ["Q1", "Q3"])
+    weights = {"Rs": 0.05 * np.eye(2), "Qo": np.diag([1.0] * 10 + [2.0] * 2), "Ro": np.eye(2)}
+    written = current_trial_loop(loop.plant, ["Q1", "Q3"], **weights)
+    sized = current_trial_loop(loop.plant, ["Q1", "Q3"], dict.fromkeys(["y1", "Q1"], 1))
+    for other in (again, written):
+        for name in ("Ks", "KL", "N"):
+            assert np.array_equal(getattr(other, name), getattr(loop, name))
+    assert np.array_equal(sized.Ks, loop.Ks) and np.abs(sized.KL - loop.KL).max() > 1e-3
+
+
+def test_names_and_units_are_those_of_the_plant(loop):
+    assert loop.units == {
+        "y1": "K", "y2": "K", "Q1": "W", "Q3": "W", "theta_a": "K", "Q2": "W", "Q4": "W",
+    }  # fmt: skip
+    pumps = ["pump B", "pump C", "pump A"]
+    level = current_trial_loop(tanks(), pumps, units={"left": "cm", "pump A": "ml/s"})
+    assert (level.controls, level.disturbances) == (pumps, ["leak"])
+    assert level.outputs == ["left", "middle", "right"]
+    assert level.closed.input_labels == ["w1", "w2", "w3", "leak"]
+    assert level.units == dict.fromkeys([*level.outputs, *pumps, "leak"], "") | {
+        "left": "cm", "pump A": "ml/s",
+    }  # fmt: skip
+
+
+def test_without_names_all_inputs_are_controls():
+    square = tanks()[:, ["pump A", "pump B", "pump C"]]
+    loop = current_trial_loop(square)
+    assert loop.controls == square.input_labels and not loop.disturbances
+    np.testing.assert_allclose(loop.frequency_response([0.0])[0], np.eye(3), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("plant", "controls"),
+    [
+        (stage(), ["F"]),
+        (tanks(), ["pump C", "pump A", "pump B"]),
+        (random_plant(np.random.default_rng(5)), ["u1", "u2"]),
+    ],
+    ids=["stage", "tanks", "random"],
+)
+def test_a_transfer_function_is_realised_with_no_more_states_than_it_needs(plant, controls):
+    """Entry by entry the tanks would have 36."""
+    loop = current_trial_loop(transfer(plant), controls)
+    assert loop.plant.nstates == plant.nstates
+    grid = np.geomspace(1e-3, np.pi, 20) / plant.dt
+    expected = frequency_response(plant[:, loop.plant.input_labels], grid)
+    found = frequency_response(loop.plant, grid)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
+
+
+def test_a_long_delay_is_thirty_states_more():
+    loop = current_trial_loop(furnace(30), sizes={"valve": 0.1})
+    assert loop.plant.nstates == 31 and not np.any(loop.plant.D)
+    grid = np.append(0.0, np.geomspace(1e-3, np.pi, 30))
+    z = np.exp(1j * grid)
+    response = frequency_response(loop.plant, grid)[:, 0, 0]
+    np.testing.assert_allclose(response, 0.2 / (z - 0.95) / z**30, rtol=1e-9)
+    for samples in (29, 31):
+        assert np.abs(loop.around(furnace(samples)).poles()).max() < 0.97
+    with pytest.raises(
+        ValueError, match=r"plant makes the loop unstable: a pole at z = 0.99.*, of"
+    ):
+        loop.frequency_response(grid, plant=furnace(40))
+
+
+def test_any_rod_gets_a_loop():
+    """Six sections of aluminium, three controlled outputs, from its parameters to P."""
+    rod = Rod(length=0.6, density=2700.0, heat_capacity=900.0, conductivity=200.0, sections=6,
+              sensors=(0.05, 0.3, 0.55))  # fmt: skip
+    controls = ["Q1", "Q3", "Q6"]
+    model = control.sample_system(minimal_realisation(midr(rod), controls), 2.0, method="zoh")
+    loop = current_trial_loop(model, controls=controls)
+    assert loop.controls == controls and loop.disturbances == ["Q2", "Q4", "Q5", "theta_a"]
+    assert np.abs(loop.closed.poles()).max() < 1
+    at_rest = frequency_response(loop.closed, [0.0])[0]
+    np.testing.assert_allclose(at_rest, np.eye(3, 7), atol=1e-8)
+    grid = np.geomspace(1e-4, 0.1, 20)
+    columns = [rod.inputs.index(name) for name in controls]
+    itself = loop.frequency_response(grid, sampled_response(rod, grid, 2.0)[:, :, columns])
+    np.testing.assert_allclose(itself, loop.frequency_response(grid), rtol=0, atol=0.01)
+
+
+PUMPS = ["pump A", "pump B", "pump C"]
 
 
 def unstable_hidden_mode():
     return control.ss(
-        np.diag([0.5, 1.2]), [[1.0, 0.0], [0.0, 1.0]], [[1.0, 1.0]], 0, 1.0
+        np.diag([0.5, 1.2]), np.eye(2), [[1.0, 1.0]], 0, 1.0, inputs=["u", "d"]
     )  # the input that reaches the unstable mode is a disturbance
 
 
@@ -156,7 +398,7 @@ def unstable_hidden_mode():
         (control.ss(-1, 1, 1, 0), {}, "plant.dt = 0"),
         (control.ss(0.5, 1, 1, 1, 1.0), {}, "plant.D"),
         (control.ss(0.5, [[1.0]], [[1.0], [1.0]], 0, 1.0), {}, "1 inputs"),
-        (unstable_hidden_mode(), {}, r"mode at z = 1.2.* no control reaches"),
+        (unstable_hidden_mode(), {"controls": ["u"]}, r"mode at z = 1.2.* no control reaches"),
         (
             control.ss(0.5, 1, 1, 0, 1.0),
             {"Rs": [[0.0]]},
@@ -169,6 +411,26 @@ def unstable_hidden_mode():
             control.ss([[0, 1.0], [0, 0.5]], [[0.0], [1.0]], [[-1.0, 1.0]], 0, 1.0),
             {},
             "no output, or none apart from an input disturbance",
+        ),
+        (tanks(), {}, r"plant has 4 inputs for 3 outputs: name the controls among \['leak', 'pu"),
+        (tanks(), {"controls": ["leak"]}, r"controls = \['leak'\] are 1 inputs, but each of the 3"),
+        (tanks(), {"controls": ["pump A", "pump B", "pump D"]}, "controls = .* different inputs"),
+        (
+            tanks(),
+            {"controls": PUMPS, "sizes": {"leak": 1}},
+            r"sizes is about \['leak'\], but must",
+        ),
+        (tanks(), {"controls": PUMPS, "sizes": {"left": 0}}, r"sizes\['left'\] = 0 must be a posi"),
+        (tanks(), {"controls": PUMPS, "units": {"h1": "cm"}}, r"units is about \['h1'\]"),
+        (tanks(), {"controls": PUMPS, "units": {"left": 2}}, r"units\['left'\] = 2 must be a str"),
+        (control.tf([1, 0, 0], [1, 0.5], 1.0), {}, "plant has more zeros than poles from u"),
+        (control.tf([1, 0], [1, 0.5], 1.0), {}, r"plant.D must be zero for the controls \['u"),
+        (control.tf(1, [1, 0.5]), {}, "plant.dt = 0 must be a sampling period .* sample the plant"),
+        (control.tf(1, [1, 0.5], True), {}, "plant.dt = True"),
+        (
+            control.ss(0.5, 1, 1, 0, 1.0, inputs="a", outputs="a"),
+            {},
+            "each needs a name of its own",
         ),
     ],
 )
@@ -202,6 +464,28 @@ def test_a_system_has_no_response_at_its_pole_or_without_a_sampling_period():
 
 
 @pytest.mark.parametrize(
+    ("plant", "message"),
+    [
+        (midr(Rod()), "plant.dt = 0 must be a sampling period in seconds: sample the plant first"),
+        (
+            control.sample_system(midr(Rod()), 2.0),
+            "loop.Ts = 1.0 s, plant.Ts = 2.0 s: the sampling",
+        ),
+        (tanks(1.0), r"plant has the signals .* but lacks \['Q1', 'Q3', 'y1', 'y2'\] of the loop"),
+        (np.ones((3, 2, 1)), r"plant has shape \(3, 2, 1\), but must have shape \(3, 2, 2\)"),
+        (np.full((3, 2, 2), np.nan), "plant has 12 values that are not finite"),
+        (
+            control.sample_system(midr(Rod(sensors=(0.28, 0.12))), 1.0),
+            "plant makes the loop unstable: a pole at z",
+        ),
+    ],
+)
+def test_other_plants_that_do_not_fit_are_refused(loop, plant, message):
+    with pytest.raises(ValueError, match=message):
+        loop.frequency_response([0.1, 0.2, 0.3], plant=plant)
+
+
+@pytest.mark.parametrize(
     ("weights", "message"),
     [
         ({"Qo": np.zeros((12, 12))}, "Qo and Ro give a loop with a pole of modulus 1,"),
@@ -212,18 +496,18 @@ def test_a_system_has_no_response_at_its_pole_or_without_a_sampling_period():
 )
 def test_weights_that_do_not_stabilise_are_refused(loop, weights, message):
     with pytest.raises(ValueError, match=message):
-        current_trial_loop(loop.plant, **weights)
+        current_trial_loop(loop.plant, loop.controls, **weights)
 
 
 def test_a_weight_may_be_symmetric_up_to_rounding(loop):
     Rs = 0.05 * np.eye(2)
     Rs[0, 1] = 1e-9
-    found = current_trial_loop(loop.plant, Rs=Rs)
+    found = current_trial_loop(loop.plant, loop.controls, Rs=Rs)
     np.testing.assert_allclose(found.Ks, loop.Ks, atol=1e-5)
 
 
 def test_a_slow_observer_is_still_an_observer(loop):
-    slow = current_trial_loop(loop.plant, Qo=1e-12 * np.eye(12))
+    slow = current_trial_loop(loop.plant, loop.controls, Qo=1e-12 * np.eye(12))
     assert 0 < 1 - np.abs(slow.closed.poles()).max() < 1e-6
 
 
@@ -231,10 +515,11 @@ def test_a_rod_that_is_not_the_papers_is_sent_elsewhere():
     for rod in (Rod(sections=3), Rod(sections=5), Rod(sensors=(0.1,))):
         with pytest.raises(ValueError, match=r"rod has . sections and . sensors.*Q1 to Q4"):
             paper_loop(rod)
-    for Ts in (1e-7, 1e5, np.inf):
+    for Ts in (1e-6, 1e4, np.inf):
         with pytest.raises(ValueError, match=r"Ts = .* must be a sampling period between"):
             paper_loop(Ts=Ts)
     assert paper_loop(Ts=np.int64(2)).Ts == 2
+    assert (paper_loop(Ts=1.05e-6).Ts, paper_loop(Ts=9.9e3).Ts) == (1.05e-6, 9.9e3)
 
 
 def test_paper_loop_takes_another_rod_degree_and_period():

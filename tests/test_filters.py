@@ -105,6 +105,13 @@ def test_the_signal_rests_at_the_end_and_nowhere_else(rest, seed):
     np.testing.assert_array_equal(rested[:, : 20 - rest], free[:, : 20 - rest])
 
 
+def test_a_trial_is_not_all_rest(Q):
+    L, signal = LearningFilter(np.ones((1, 1, 3)), 1.0), np.ones((5, 1))
+    assert update(signal, signal, Q, L, rest=4).any()
+    with pytest.raises(ValueError, match="rest = 5 must be a whole number, from 0 to 4"):
+        update(signal, signal, Q, L, rest=5)
+
+
 def test_a_filter_that_rounding_would_change_is_refused():
     for order, cutoff in ((100, 1e-3), (2, 1e-12), (1, 1e-12), (8, 1e-6)):
         with pytest.raises(ValueError, match=f"cutoff = {cutoff} rad/s is too low for order"):
@@ -131,8 +138,12 @@ def test_coefficients_cannot_be_changed_behind_the_filter():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"order": 0}, "order = 0"),
-        ({"cutoff": 4.0}, "cutoff = 4.0"),
+        ({"order": 0}, "order = 0 must be a whole number, from 1 to 100"),
+        ({"order": 101}, "order = 101"),
+        ({"cutoff": 0.0}, r"cutoff = 0.0 must be in \(0, 3.14159\)"),
+        ({"cutoff": -0.1}, r"cutoff = -0.1 must be in \(0, 3.14159\)"),
+        ({"cutoff": 4.0}, r"cutoff = 4.0 must be in \(0, 3.14159\)"),
+        ({"cutoff": 1.6, "Ts": 2.0}, r"cutoff = 1.6 must be in \(0, 1.5708\)"),
         ({"cutoff": "slow"}, "cutoff = 'slow'"),
         ({"Ts": -1.0}, "Ts = -1.0"),
         ({"ends": "mirror"}, "ends = 'mirror'"),

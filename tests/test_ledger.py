@@ -74,12 +74,12 @@ def test_a_criterion_that_is_not_understood_is_refused():
         ("zero_s_1", 0.10115002, "0.1012", "1.0e-04"),
         ("zero_s_1", 0.10115 - 1e-12, "0.1011", ""),
         ("length", 0.32, "0.320", ""),
-        ("L_max_rule", 48.926571, "49", "-1.0e+00"),
+        ("peak_L_full", 48.926571, "49", "-1.0e+00"),
         ("L_full[7,L12]", -0.00001, "0.0000", "1.2e-02"),
         ("sensor_1", 0.375, "0.375", ""),
         ("sensor_1", 0.3750001, "0.3750001", "1.0e-07"),
         ("omega_N", np.pi, "3.14159265359", ""),
-        ("diagonal", 0.37960851, "0.37961", "2.8e-01"),
+        ("damping", 0.37960851, "0.37961", "2.8e-01"),
         ("loop_stable", 0.99999999, "0.99999999", ""),
         ("lemma_1", np.nan, "nan", ""),
         ("dc_gain", 3e-15, "below 1e-09", ""),
@@ -113,6 +113,25 @@ def test_what_a_flat_optimum_leaves_open_is_not_shown(rounding):
         book.record("L_full[2,L21]", value)
         rows.append(book.rows)
     assert rows[0] == rows[1]
+
+
+def test_the_note_names_the_criterion_of_a_statement_in_words():
+    book = Ledger("test")
+    book.record("between_L", 1.1)
+    book.record("loop_stable", 0.5)
+    book.record("zero_s_1", 0.1)
+    book.record("K_s K_s'[1,1]", 1.0)
+    notes = [row["note"] for row in book.rows.values()]
+    assert notes[0].startswith("criterion: <= 1.000001; close to the Nyquist frequency")
+    assert notes[1:3] == ["criterion: < 1", published.claims()["zero_s_1"].note]
+    assert notes[3].startswith("independent of the state coordinates")
+
+
+def test_a_verdict_that_nobody_gave_counts_zero():
+    book = Ledger("test")
+    book.record("zero_s_1", 0.1011)
+    table = ledger.summary(pd.DataFrame(book.rows.values())).split("\n\n")[0]
+    assert [cell.strip() for cell in table.splitlines()[-1].split("|")[2:5]] == ["1", "0", "0"]
 
 
 def test_a_wrong_gain_is_caught():

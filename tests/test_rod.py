@@ -1,12 +1,13 @@
 from dataclasses import replace
 from itertools import pairwise
 
+import control
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rodlib import Rod, exact_response, midr
+from rodlib import Rod, exact_response, midr, sampled_response
 from rodlib.feedback import frequency_response
 from rodlib.rod import bernstein_basis
 
@@ -112,6 +113,68 @@ def test_exact_response_neither_overflows_nor_misses_its_pole():
         exact_response(rod, [-rod.kappa_2 / rod.kappa_1])
 
 
+def aliased(rod, omega, Ts, most=3000):
+    """Poisson's sum of the exact response behind a hold, over the aliases of omega.
+
+    An entry falls as g / s for a sensor above the heated section; the sum of these is known.
+    """
+    s = 1j * (omega[:, None] + 2 * np.pi / Ts * np.arange(-most, most + 1))
+    G = exact_response(rod, s.ravel()).reshape(*s.shape, len(rod.sensors), -1)
+    section = rod.length / rod.sections
+    above = np.clip(np.array(rod.sensors) // section, 0, rod.sections - 1)[:, None]
+    g = (above == range(rod.sections)) / (rod.width * rod.height * section * rod.kappa_1)
+    g = np.hstack([g, np.full((len(g), 1), rod.kappa_2 / rod.kappa_1)])
+    s, z = s[:, :, None, None], np.exp(1j * omega * Ts)[:, None, None]
+    return (1 - 1 / z) / Ts * ((G / s - g / s**2).sum(axis=1) + g * Ts**2 * z / (z - 1) ** 2)
+
+
+LARGE = Rod(length=1.3, conductivity=200.0, sections=6, sensors=(0.0, 0.3, 1.3))
+
+
+@pytest.mark.parametrize(
+    ("rod", "Ts"), [(Rod(), 0.003), (Rod(), 1.0), (Rod(), 30.0), (LARGE, 1.0), (LARGE, 0.01)]
+)
+def test_sampled_response_is_the_sum_over_the_aliases(rod, Ts):
+    omega = np.array([1e-3, 0.03, 0.4, 1.0]) * np.pi / Ts
+    expected, found = aliased(rod, omega, Ts), sampled_response(rod, omega, Ts)
+    assert found.shape == (4, len(rod.sensors), rod.sections + 1)
+    for part in (slice(-1), slice(-1, None)):  # heat flows, K/W; the air, K/K
+        error = np.abs(found - expected)[:, :, part].max(axis=(1, 2))
+        assert np.all(error < 1e-10 * np.abs(expected[:, :, part]).max(axis=(1, 2)))
+
+
+def test_sampled_response_is_the_limit_of_the_models():
+    omega = np.array([0.0, 1e-3, 0.02, 0.3])
+    exact = sampled_response(Rod(), omega, 1.0)
+    errors = []
+    for degree in (3, 6, 12):
+        model = control.sample_system(midr(Rod(), degree), 1.0, method="zoh")
+        errors.append(np.abs(frequency_response(model, omega) - exact).max())
+    assert errors[0] > 20 * errors[1] > 400 * errors[2] and errors[2] < 1e-5
+
+
+@given(MATERIALS, st.floats(1, 100))
+def test_a_sampler_is_not_seen_at_low_frequencies(rod, Ts):
+    omega = np.array([0.0, 1e-6, 1e-3]) / Ts
+    exact, sampled = exact_response(rod, 1j * omega), sampled_response(rod, omega, Ts)
+    difference = np.abs(sampled - exact).max(axis=(1, 2)) / np.abs(exact).max()
+    assert difference[0] < 1e-12 and np.all(difference[1:] < 2 * omega[1:] * Ts)
+
+
+@pytest.mark.parametrize(
+    ("omega", "Ts", "message"),
+    [
+        ([-1e-3], 1.0, r"omega spans \[-0.001, -0.001\] rad/s, but must lie in \[0, 3.14159\]"),
+        ([0.1, 3.2], 1.0, r"omega spans \[0.1, 3.2\] rad/s"),
+        ([0.1], 0.0, "Ts = 0.0 must be a positive sampling period"),
+        ([0.1], 1e-7, r"Ts = 1e-07 is too short for this rod: .* Take at least 3.8"),
+    ],
+)
+def test_what_cannot_be_sampled_is_refused(omega, Ts, message):
+    with pytest.raises(ValueError, match=message):
+        sampled_response(Rod(), omega, Ts)
+
+
 @given(MATERIALS, st.integers(1, 4), st.integers(0, 2**32 - 1))
 def test_energy_is_conserved_for_any_rod_state_and_input(rod, degree, seed):
     model = midr(rod, degree)
@@ -146,7 +209,10 @@ def test_names_of_inputs_and_outputs():
         ({"length": -1.0}, "length = -1.0"),
         ({"conductivity": float("nan")}, "conductivity = nan"),
         ({"density": "steel"}, "density = 'steel'"),
+        ({"length": 1e-12}, "length = 1e-12"),
+        ({"density": 1e12}, r"density = 1000000000000.0"),
         ({"sections": 0}, "sections = 0"),
+        ({"sections": 1001}, "sections = 1001"),
         ({"sensors": (0.1, 0.5)}, r"sensors = \(0.1, 0.5\)"),
         ({"sensors": ()}, r"sensors has shape \(0,\)"),
     ],
@@ -159,6 +225,8 @@ def test_bad_rods_are_refused(changes, message):
 def test_rods_at_the_limits_are_taken():
     rod = Rod(sections=1, sensors=[0, 0.32])
     assert rod.sensors == (0.0, 0.32) and hash(rod) == hash(Rod(sections=1, sensors=(0, 0.32)))
+    assert Rod(density=0.95e12).density == 0.95e12 and Rod(density=1.05e-12).density == 1.05e-12
+    assert len(Rod(sections=1000).edges) == 1001
     assert midr(rod, 1).nstates == 2 and midr(rod, np.int64(20)).nstates == 21
 
 
@@ -166,3 +234,33 @@ def test_rods_at_the_limits_are_taken():
 def test_bad_degrees_are_refused(degree):
     with pytest.raises(ValueError, match="degree = "):
         midr(Rod(), degree)
+
+
+@given(MATERIALS, st.floats(-0.02, 1), st.floats(0.001, 1))
+def test_determinant_of_the_papers_rod_is_that_of_the_proof(rod, real, imaginary):
+    """From Q1 and Q3 to the paper's sensors, for any material; notebook 1 derives it."""
+    rod = replace(rod, sections=4, sensors=(3 / 8 * rod.length, 7 / 8 * rod.length))
+    s = complex(real, imaginary) * rod.kappa_2 / rod.kappa_1  # of the order of the slowest pole
+    gamma = np.sqrt((rod.kappa_1 * s + rod.kappa_2) / rod.conductivity)
+    g = 4 / (rod.width * rod.height * rod.length * rod.conductivity * gamma**2)
+    X = gamma * rod.length / 4
+    derived = g**2 * np.sinh(X) ** 2 / (4 * np.cosh(X) * np.cosh(2 * X))
+    determinant = np.linalg.det(exact_response(rod, [s])[0][:, [0, 2]])
+    scale = np.abs(exact_response(rod, [s])[0][:, [0, 2]]).max() ** 2
+    assert abs(determinant - derived) < 1e-9 * scale
+
+
+def test_the_rod_is_minimum_phase():
+    """Along half disks the determinant winds as often as it has zeros in them; it has no poles."""
+    angle = np.linspace(-np.pi / 2, np.pi / 2, 20001)
+    for radius in (1.0, 3.0):
+        arc, diameter = radius * np.exp(1j * angle), np.linspace(radius, -radius, 20001) * 1j
+        boundary = np.concatenate([arc, diameter])
+        exact = np.linalg.det(exact_response(Rod(), boundary)[:, :, [0, 2]])
+        model = midr(Rod())[:, ["Q1", "Q3"]]
+        sI = boundary[:, None, None] * np.eye(model.nstates)
+        cubic = np.linalg.det(model.C @ np.linalg.solve(sI - model.A, model.B.astype(complex)))
+        for values, zeros in ((exact, 0), (cubic, 2)):  # the cubic model has its two
+            steps = np.angle(values[1:] / values[:-1])
+            assert np.abs(steps).max() < 1
+            assert steps.sum() / (2 * np.pi) == pytest.approx(zeros, abs=1e-3)

@@ -269,7 +269,7 @@ def check_trials(table: Table, Ts: float, problems: list[str]) -> tuple[np.ndarr
         problems.append(f"trials have different lengths: {'; '.join(few(groups))}")
     sample = np.arange(len(time)) - np.repeat(starts, lengths)
     with np.errstate(over="ignore"):
-        off = np.flatnonzero(~(np.abs(time - sample * Ts) <= 1e-3 * Ts))
+        off = np.flatnonzero(~(np.abs(time - sample * Ts) <= 1e-3 * Ts + 1e-12 * np.abs(time)))
     for row in off[
         np.unique(np.repeat(np.arange(len(starts)), lengths)[off], return_index=True)[1]
     ]:
@@ -283,7 +283,7 @@ def _mistimed(table, numbers, time, sample, row, Ts):
     if sample[row] == 0:
         return f"time: {where}, the first of its trial, is at {time[row]:g}, not at 0"
     step = time[row] - time[row - 1]
-    if abs(step - Ts) <= 1e-3 * Ts:
+    if abs(step - Ts) <= 1e-3 * Ts + 1e-12 * abs(time[row]):
         return (
             f"time: the clock is off, in {where}: sample {sample[row]} is at {time[row]:.9g}, but "
             f"due at {sample[row] * Ts:.9g}"

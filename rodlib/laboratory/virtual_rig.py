@@ -18,11 +18,10 @@ MISMATCHED = Rod(density=8100.0, heat_capacity=440.0, heat_transfer=160.0, condu
 
 @dataclass(frozen=True)
 class RigParameters:
-    """What makes the rig unlike the design model. All of it is assumed.
+    """What makes the rig unlike the design model.
 
-    The limit: thermoelectric modules of 40 mm x 40 mm with 127 couples, the most common size, are
-    commonly rated to pump about 50 W with both faces at the same temperature. A section of the
-    rod has room for two of them.
+    All of it is assumed: the paper says neither how its sensors err, nor what its Peltier elements
+    can pump, nor how fast its laboratory warmed up.
     """
 
     modes: int = 300

@@ -42,6 +42,8 @@ PLANT = control.ss(
     inputs=["pump, left", "heater", "rain"], outputs=["depth", "heat"],
 )  # fmt: skip
 
+PLANT_UNITS = {"pump, left": "l/min", "heater": "W", "depth": "mm", "heat": "degC"}
+
 
 @pytest.fixture(scope="module")
 def L():
@@ -113,7 +115,10 @@ def test_ideal_rig_with_nominal_rod_agrees_with_the_simulation(loop, Q, L):
 
 def test_any_plant_is_run_by_the_names_of_its_signals():
     """A rig that is the loop's plant gives what the simulation gives."""
-    loop, Q = current_trial_loop(PLANT), zero_phase_butterworth(Ts=0.5)
+    loop, Q = (
+        current_trial_loop(PLANT, ["pump, left", "heater"], units=PLANT_UNITS),
+        zero_phase_butterworth(Ts=0.5),
+    )
     L = LearningFilter(0.3 * np.ones((2, 2, 4)), 0.5)
     rng = np.random.default_rng(0)
     reference, rain = rng.standard_normal((40, 2)), rng.standard_normal((3, 40, 1))
@@ -124,7 +129,7 @@ def test_any_plant_is_run_by_the_names_of_its_signals():
     run = run_trials(loop, Q, L, reference, rain, 3)
     for name in run.data_vars:
         np.testing.assert_allclose(log[name], run[name], atol=1e-9)
-    for name in ("output", "control", "source"):
+    for name in ("output", "control", "source", "output_unit", "control_unit", "source_unit"):
         assert list(log[name].values) == list(run[name].values)
     assert not np.any(np.array(device.applied)[:, 0])
 
@@ -153,8 +158,13 @@ def test_v_rests_on_the_rig_too_and_the_log_says_so(loop, Q, L):
         np.testing.assert_array_equal(log.v[k + 1], law)
 
 
+def test_the_controller_runs_on_for_ten_minutes_between_two_trials(loop, Q):
+    device = VirtualRig()
+    record(device, loop, Q, None, np.zeros((7, 2)), None, 3)
+    assert device.time == 3 * 7 + 2 * 600 + 1  # the last one with all at zero
+
+
 def test_the_first_trial_of_a_tracked_log_is_recorded_again_alike():
-    """Three trials of either give the same bits, too, but take some seconds."""
     tracked = load_log(ROOT / "data" / "rig" / "no-learning.csv").isel(trial=[0])
     log = record(VirtualRig(seed=2), L=None, **experiment() | {"trials": 1})
     for name in tracked.data_vars:
@@ -246,7 +256,7 @@ def test_the_rig_is_made_safe_on_every_way_out(loop, Q, error):
 
 
 def test_a_fault_in_apply_says_where_and_makes_the_rig_safe():
-    loop, device = current_trial_loop(PLANT), Bench()
+    loop, device = current_trial_loop(PLANT, ["pump, left", "heater"], units=PLANT_UNITS), Bench()
     device.inputs = ("pump, left", "heater")  # so that the plant's third input is missing
     with pytest.raises(KeyError) as caught:
         record(device, loop, zero_phase_butterworth(Ts=0.5), None, np.ones((4, 2)), None, 1)

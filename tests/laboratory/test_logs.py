@@ -254,6 +254,31 @@ def test_what_means_the_same_is_read_alike(tmp_path, good, text):
     assert list(trials.attrs) == ["Ts"] and trials.attrs["Ts"] == 1.0
 
 
+@pytest.mark.parametrize(
+    ("second_trial", "message"),
+    [
+        ([0.002, 2.002, 4.002, 6.002], None),
+        ([-0.002, 1.998, 3.998, 5.998], None),
+        ([0.0, 2.0018, 4.0, 5.9982], None),
+        ([0.0022, 2.0, 4.0, 6.0], "trial 2, row 9, the first of its trial, is at 0.0022, not at 0"),
+        ([0.0, 2.0, 4.0022, 6.0], "irregular sampling in trial 2, row 11: a step of 2.0022"),
+        ([0.0, 2.0018, 4.0036, 6.0054], "the clock is off, in trial 2, row 11"),
+        ([0.0, 2.0, 4.0, 7.0], "irregular sampling in trial 2, row 12: a step of 3"),
+        ([0.0, 2.0, 4.0, 7.01], "a gap in trial 2, row 12: a step of 3.01"),
+    ],
+)
+def test_clocks_may_be_off_by_a_thousandth_of_a_period(tmp_path, second_trial, message):
+    trials = [[0, 2, 4, 6], second_trial, [0, 2, 4, 6]]
+    rows = [f"{k},{time},1,0.5,1,1,2\n" for k, times in enumerate(trials, 1) for time in times]
+    text = HEAD.replace("Ts: 1.0 s", "Ts: 2.0 s") + COLUMNS + "".join(rows)
+    if message is None:
+        assert load_log(write(tmp_path, text)).attrs["Ts"] == 2
+        return
+    with pytest.raises(LogError) as error:
+        load_log(write(tmp_path, text))
+    assert message in str(error.value)
+
+
 def test_it_does_not_matter_where_the_pieces_are_cut_that_are_read(tmp_path, good, monkeypatch):
     broken = GOOD.replace("\n2,0", "\n# a comment\n\n2,0").replace("\n3,2,1.0", "\n3,2,on")
     for size in range(3, 90):

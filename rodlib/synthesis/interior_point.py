@@ -1,8 +1,8 @@
 """The solver of the synthesis: a structured primal-dual interior-point method.
 
-The problem of :mod:`rodlib.cones` has a bound sigma_max(G_i) <= b at each frequency, where b is
-a variable t (one for each frequency of the band, or a single one for the largest), M_max or
-L_max. Each is a small linear matrix inequality with a multiplier Y:
+The program of :mod:`rodlib.synthesis.program` has bounds sigma_max(G_i) <= b at each frequency,
+where b is a variable t (one for each frequency of the band, or a single one for the largest),
+M_max or one. Each is a small linear matrix inequality with a multiplier Y:
 
     S = [[b I, G], [G^H, b I]] >= 0,    G = F + T L_i,    Y >= 0.
 
@@ -14,7 +14,7 @@ and corrector [2], as in SDPT3 [3]; see [4] for the theory. What is particular h
 - G is that of an actual filter throughout. If a bound is violated at the start, it is moved out,
   and moved back with the steps. Only if this fails is the smallest M_max computed ("phase one").
 
-The method need not be trusted: :mod:`rodlib.certificate` proves what it returns.
+The method need not be trusted: :mod:`rodlib.evidence` proves what it returns.
 
 [1] C. Helmberg, F. Rendl, R. Vanderbei, H. Wolkowicz, SIAM J. Optim. 6 (1996) 342; M. Kojima,
     S. Shindoh, S. Hara, ibid. 7 (1997) 86; R. Monteiro, ibid. 7 (1997) 663.
@@ -28,7 +28,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from rodlib.cones import Infeasible, Problem, Solution, adjoint, product
+from rodlib.problem import Solution
+from rodlib.synthesis.bounds import adjoint, product
+from rodlib.synthesis.program import Infeasible, Program
 
 GAP = 2e-9  # relative gap at which to stop
 EPS = np.finfo(float).eps
@@ -44,7 +46,7 @@ class Point:
 
     x: np.ndarray
     t: np.ndarray
-    bounds: np.ndarray
+    limits: np.ndarray
     G: list
     Y: list
     eta: np.ndarray
@@ -54,7 +56,7 @@ class Point:
         return Point(
             self.x + primal * d.x,
             self.t + primal * d.t,
-            self.bounds + primal * d.bounds,
+            self.limits + primal * d.limits,
             [A + primal * D for A, D in zip(self.G, d.G, strict=True)],
             [A + dual * D for A, D in zip(self.Y, d.Y, strict=True)],
             self.eta + dual * d.eta,
@@ -169,10 +171,10 @@ def longest_step(A, limit, accuracy):
     return low
 
 
-def step_lengths(problem, p, d, slacks, accuracy):
+def step_lengths(program, p, d, slacks, accuracy):
     """The longest primal and dual steps <= 1 from p in the direction d."""
-    db = problem.levels(d.t, d.bounds)
-    primal = 1 / max(1, ((d.t - d.bounds[0]) / (p.bounds[0] - p.t)).max())
+    db = program.levels(d.t, d.limits)
+    primal = 1 / max(1, ((d.t - d.limits[0]) / (p.limits[0] - p.t)).max())
     dual = 1 / max(1, (-d.eta / p.eta).max())
     for slack, Y, dY, *e in zip(slacks, p.Y, d.Y, db, d.G, strict=True):
         primal = min(primal, 1 / max(1, (-e[0] / slack.b).max()))
@@ -181,61 +183,60 @@ def step_lengths(problem, p, d, slacks, accuracy):
     return primal, dual
 
 
-def collect(problem, v):
+def collect(program, v):
     """Sum over the frequencies that share a variable t; frequencies in the last axis."""
-    v = v[..., problem.free]
-    return v.sum(axis=-1, keepdims=True) if problem.shared else v
+    v = v[..., program.free]
+    return v.sum(axis=-1, keepdims=True) if program.shared else v
 
 
-def stationarity(problem, Y):
+def stationarity(program, Y):
     """Derivative of sum <S, Y> with respect to the coefficients."""
-    g = np.zeros((problem.entries, problem.basis.shape[1]), dtype=complex)
-    for cone, A in zip(problem.cones, Y, strict=True):
-        q = len(cone.T)
-        g[cone.entries] += cone.gradient(2 * A[q:, :q])
-    return (g @ problem.basis.T).real.ravel()
+    g = np.zeros((program.entries, program.basis.shape[1]), dtype=complex)
+    for bound, A in zip(program.bounds, Y, strict=True):
+        q = len(bound.T)
+        g[bound.entries] += bound.gradient(2 * A[q:, :q])
+    return (g @ program.basis.T).real.ravel()
 
 
-def complementarity(problem, p):
+def complementarity(program, p):
     """sum <S, Y> + sum (M_max - t) eta."""
-    total = (p.bounds[0] - p.t) @ p.eta
-    for b, G, Y in zip(problem.levels(p.t, p.bounds), p.G, p.Y, strict=True):
+    total = (p.limits[0] - p.t) @ p.eta
+    for b, G, Y in zip(program.levels(p.t, p.limits), p.G, p.Y, strict=True):
         total += b @ trace(Y) + 2 * np.einsum("ijn,jin->", G, Y[len(G) :, : len(G)]).real
     return total
 
 
-def dual_value(problem, p):
+def dual_value(program, p):
     """The dual objective, a lower bound on the primal one if Y and eta are stationary."""
-    zero = replace(p, t=0 * p.t, bounds=problem.bounds, G=[cone.F for cone in problem.cones])
-    return -complementarity(problem, zero)
+    zero = replace(p, t=0 * p.t, limits=program.limits, G=[bound.F for bound in program.bounds])
+    return -complementarity(program, zero)
 
 
-def begin(problem, x):
-    """A point at x with Y S = mu I, and with the bound on M moved out if x violates it."""
-    G = problem.matrices(x)
-    sigma = np.linalg.norm(G[0], 2, axis=(0, 1))
-    bounds = problem.bounds.copy()
-    if sigma.max() >= bounds[0]:
-        bounds[0] = 1.5 * sigma.max()
-    t = (sigma[problem.free] + bounds[0]) / 2
-    t = t.max(keepdims=True) if problem.shared else t
-    X = [Slack(*a).X for a in zip(G, problem.levels(t, bounds), strict=True)]
-    mu = 5 * len(t) / collect(problem, trace(X[0])).sum()
-    return Point(x, t, bounds, G, [mu * A for A in X], mu / (bounds[0] - t))
+def begin(program, x):
+    """A point at x with Y S = mu I, and with a bound moved out if x violates it."""
+    G = program.matrices(x)
+    sigma, *others = (np.linalg.norm(A, 2, axis=(0, 1)) for A in G)
+    peaks = np.array([sigma.max(), np.max(others)])
+    limits = np.where(peaks < program.limits, program.limits, 1.5 * peaks)
+    t = (sigma[program.free] + limits[0]) / 2
+    t = t.max(keepdims=True) if program.shared else t
+    X = [Slack(*a).X for a in zip(G, program.levels(t, limits), strict=True)]
+    mu = 5 * len(t) / collect(program, trace(X[0])).sum()
+    return Point(x, t, limits, G, [mu * A for A in X], mu / (limits[0] - t))
 
 
-def normal_matrix(problem, slacks, Y):
+def normal_matrix(program, slacks, Y):
     """sum <dS_j, Y dS_k X> for all pairs of coefficients.
 
     In terms of D, the off-diagonal block of dS, this is the real part of
     tr(D^H (Y11 D' X22 + X11 D' Y22)) + tr(D (Y21 D' X21 + X21 D' Y21)), that is, a Hermitian form A
     and a symmetric form B in the entries of L at each frequency.
     """
-    basis, E = problem.basis, problem.entries
+    basis, E = program.basis, program.entries
     order, n = basis.shape
     blocks = []
-    for cone, slack, Yc in zip(problem.cones, slacks, Y, strict=True):
-        q, T = len(cone.T), cone.T
+    for bound, slack, Yc in zip(program.bounds, slacks, Y, strict=True):
+        q, T = len(bound.T), bound.T
         blocks.append(
             [product(adjoint(T), product(A[:q, :q], T)) for A in (slack.X, Yc)]
             + [product(A[q:, :q], T) for A in (slack.X, Yc)]
@@ -244,10 +245,10 @@ def normal_matrix(problem, slacks, Y):
     H = np.empty((E, order, E, order))
     for e in range(E):
         A, B = np.zeros((2, E - e, n), dtype=complex)
-        for cone, (X11, Y11, X21, Y21, X22, Y22) in zip(problem.cones, blocks, strict=True):
-            for j in np.flatnonzero(cone.entries == e):
-                r, c = cone.rows[j], cone.cols[j]
-                rs, cs, es = cone.rows[j:], cone.cols[j:], cone.entries[j:] - e
+        for bound, (X11, Y11, X21, Y21, X22, Y22) in zip(program.bounds, blocks, strict=True):
+            for j in np.flatnonzero(bound.entries == e):
+                r, c = bound.rows[j], bound.cols[j]
+                rs, cs, es = bound.rows[j:], bound.cols[j:], bound.entries[j:] - e
                 A[es] += Y11[r, rs] * X22[cs, c] + X11[r, rs] * Y22[cs, c]
                 B[es] += Y21[c, rs] * X21[cs, r] + X21[c, rs] * Y21[cs, r]
         V = A[:, None] * basis + (B[:, None] * basis).conj()
@@ -257,7 +258,7 @@ def normal_matrix(problem, slacks, Y):
     return H.reshape(E * order, -1)
 
 
-def square_root(problem, p, slacks, s):
+def square_root(program, p, slacks, s):
     """Triangular R with R'R the matrix of the Newton system, without forming that matrix.
 
     It has the square root of its condition number. <dS_j, Y dS_k X> is the scalar product of
@@ -268,11 +269,11 @@ def square_root(problem, p, slacks, s):
     Real and imaginary parts of the entries of L, after t, are the columns of one small matrix per
     frequency. Its triangular factor eliminates t, unless that is shared.
     """
-    basis, E = problem.basis, problem.entries
+    basis, E = program.basis, program.entries
     n = basis.shape[1]
     rows = []
-    for j, (cone, a, Y) in enumerate(zip(problem.cones, slacks, p.Y, strict=True)):
-        q = len(cone.T)
+    for j, (bound, a, Y) in enumerate(zip(program.bounds, slacks, p.Y, strict=True)):
+        q = len(bound.T)
         Ch, _ = cholesky(Y, 0.01 * EPS * trace(Y))
         block = np.zeros((2 * q, 2 * q, 1 + 2 * E, n), dtype=complex)
 
@@ -286,63 +287,63 @@ def square_root(problem, p, slacks, s):
             return product(Ch, whole) * (1 / np.sqrt(a.b))
 
         if j == 0:
-            block[:, :, 0, problem.free] = image(1.0, np.zeros_like(a.G))[..., problem.free]
-        for e, r, c in zip(cone.entries, cone.rows, cone.cols, strict=True):
+            block[:, :, 0, program.free] = image(1.0, np.zeros_like(a.G))[..., program.free]
+        for e, r, c in zip(bound.entries, bound.rows, bound.cols, strict=True):
             D = np.zeros_like(a.G)
-            D[:, c] = cone.T[:, r]
+            D[:, c] = bound.T[:, r]
             block[:, :, 1 + 2 * e] = image(0.0, D)
             block[:, :, 2 + 2 * e] = image(0.0, 1j * D)
         block = np.moveaxis(block.reshape(4 * q * q, 1 + 2 * E, n), -1, 0)
         rows += [block.real, block.imag]
     barrier = np.zeros((n, 1, 1 + 2 * E))
     barrier[:, 0, 0] = 1  # where there is no t, something that its elimination leaves alone
-    barrier[problem.free, 0, 0] = np.sqrt(p.eta / s * len(p.t) / len(problem.free))
+    barrier[program.free, 0, 0] = np.sqrt(p.eta / s * len(p.t) / len(program.free))
     small = np.linalg.qr(np.concatenate([*rows, barrier], axis=1), mode="r")
     first, small = (
-        (small[:, :, :1], small[:, :, 1:]) if problem.shared else (None, small[:, 1:, 1:])
+        (small[:, :, :1], small[:, :, 1:]) if program.shared else (None, small[:, 1:, 1:])
     )
     parts = np.stack([basis.real, basis.imag])
     tall = np.einsum("nrep,pkn->nrek", small.reshape(n, -1, E, 2), parts)
     tall = tall.reshape(-1, E * len(basis))
-    if problem.shared:
+    if program.shared:
         tall = np.hstack([first.reshape(-1, 1), tall])
-    return np.linalg.qr(tall, mode="r")[int(problem.shared) :, int(problem.shared) :]
+    return np.linalg.qr(tall, mode="r")[int(program.shared) :, int(program.shared) :]
 
 
-def newton(problem, p, slacks, total, root):
+def newton(program, p, slacks, total, root):
     """Factorise the Newton system at p, and return the function that solves it.
 
     `total` is the complementarity at p. `root`: by :func:`square_root`, slower and more accurate.
     """
     m = len(p.G[0])
-    s, toward = p.bounds[0] - p.t, problem.bounds - p.bounds
+    s, toward = p.limits[0] - p.t, program.limits - p.limits
     X, Y = slacks[0].X, p.Y[0]
     # <I, Y X> and <dS_j, Y X + X Y> / 2: the second derivatives with respect to t, and t and x
-    tt = collect(problem, (Y * X.conj()).real.sum(axis=(0, 1))) + p.eta / s
+    tt = collect(program, (Y * X.conj()).real.sum(axis=(0, 1))) + p.eta / s
     W = product(Y[m:], X[:, :m]) + product(X[m:], Y[:, :m])
-    g = problem.cones[0].gradient(W)
-    xt = collect(problem, (g[:, None] * problem.basis).real).reshape(-1, len(p.t))
+    g = program.bounds[0].gradient(W)
+    xt = collect(program, (g[:, None] * program.basis).real).reshape(-1, len(p.t))
     if root:
-        R = square_root(problem, p, slacks, s)
+        R = square_root(program, p, slacks, s)
         scale = 1 / np.linalg.norm(R, axis=0)
         # a shift of 1e-30 in the squares
         R = np.linalg.qr(np.vstack([R * scale, 1e-15 * np.eye(len(R))]), mode="r")
         factor = (R, False)
     else:
-        H = normal_matrix(problem, slacks, p.Y)
+        H = normal_matrix(program, slacks, p.Y)
         scale = 1 / np.sqrt(np.maximum(np.diag(H), EPS * np.diag(H).max()))
         factor = factorised(scale[:, None] * (H - (xt / tt) @ xt.T) * scale)
 
     def correct(d):
         """d, with coefficients and t changed such that all multipliers become stationary."""
         Y = [A + D for A, D in zip(p.Y, d.Y, strict=True)]
-        rt = collect(problem, trace(Y[0])) - (p.eta + d.eta) - 1
-        dx = scale * cho_solve(factor, scale * (stationarity(problem, Y) - xt @ (rt / tt)))
+        rt = collect(program, trace(Y[0])) - (p.eta + d.eta) - 1
+        dx = scale * cho_solve(factor, scale * (stationarity(program, Y) - xt @ (rt / tt)))
         dt = (rt - dx @ xt) / tt
         dx = dx.reshape(p.x.shape)
-        dL = dx @ problem.basis
-        dG = [cone.response(dL) for cone in problem.cones]
-        db = problem.levels(dt, 0 * toward)
+        dL = dx @ program.basis
+        dG = [bound.response(dL) for bound in program.bounds]
+        db = program.levels(dt, 0 * toward)
         dY = [-a.sandwich(*e) for a, *e in zip(slacks, p.Y, db, dG, strict=True)]
         return d.moved(Point(dx, dt, 0 * toward, dG, dY, p.eta / s * dt), 1, 1)
 
@@ -355,19 +356,19 @@ def newton(problem, p, slacks, total, root):
         deta = (mu - p.eta * toward[0]) / s - p.eta
         still = [0 * A for A in p.G]
         if toward.any():
-            db = problem.levels(0.0, toward)
+            db = program.levels(0.0, toward)
             dY = [A - a.sandwich(*e) for A, a, *e in zip(dY, slacks, p.Y, db, still, strict=True)]
         if predictor is not None:
-            db = problem.levels(predictor.t, predictor.bounds)
+            db = program.levels(predictor.t, predictor.limits)
             second = zip(dY, slacks, predictor.Y, db, predictor.G, strict=True)
             dY = [A - a.sandwich(*e) for A, a, *e in second]
-            deta -= predictor.eta * (predictor.bounds[0] - predictor.t) / s
+            deta -= predictor.eta * (predictor.limits[0] - predictor.t) / s
         d = correct(Point(0 * p.x, 0 * p.t, toward, still, dY, deta))
         if predictor is None:
             return d
         for _ in range(REFINEMENTS):
             Y = [A + D for A, D in zip(p.Y, d.Y, strict=True)]
-            left = np.linalg.norm(stationarity(problem, Y)) * np.linalg.norm(p.x)
+            left = np.linalg.norm(stationarity(program, Y)) * np.linalg.norm(p.x)
             if left <= STATIONARY * total:
                 return d
             d = correct(d)
@@ -381,61 +382,61 @@ def degree(p):
     return len(p.t) + sum(Y.shape[0] * Y.shape[2] for Y in p.Y)
 
 
-def step(problem, p, slacks, total, root):
+def step(program, p, slacks, total, root):
     """The direction of Mehrotra's method from p; None if it is not accurate enough."""
-    direction = newton(problem, p, slacks, total, root)
+    direction = newton(program, p, slacks, total, root)
     predictor = direction(0.0)
-    primal, dual = step_lengths(problem, p, predictor, slacks, 0.1)
-    left = complementarity(problem, p.moved(predictor, primal, dual)) / total
+    primal, dual = step_lengths(program, p, predictor, slacks, 0.1)
+    left = complementarity(program, p.moved(predictor, primal, dual)) / total
     sigma = min(1, max(left, 0)) ** (1 + 2 * min(primal, dual) ** 2)
     return direction(sigma * total / degree(p), predictor)
 
 
-def follow(problem, p, enough=0.0):
+def follow(program, p, enough=0.0):
     """Follow the central path from p until the gap is closed or the objective small enough.
 
     Returns the best point, or None if the bounds were never met, and the number of iterations.
     """
-    n, m = problem.basis.shape[1], len(p.G[0])
+    n, m = program.basis.shape[1], len(p.G[0])
     best, smallest, gaps, root = None, np.inf, [], False
     for iteration in range(100):
-        objective, dual = p.t.sum(), dual_value(problem, p)
-        total = complementarity(problem, p)
+        objective, dual = p.t.sum(), dual_value(program, p)
+        total = complementarity(program, p)
         gap = max(total, abs(objective - dual))
-        if (p.bounds == problem.bounds).all():
+        if (p.limits == program.limits).all():
             gaps.append(gap)
             if gap < smallest:
                 best, smallest = p, gap
-            closed = gap < GAP * max(objective, 1e-4 * problem.idle)
+            closed = gap < GAP * max(objective, 1e-4 * program.idle)
             if closed or objective < enough or min(gaps[-8:]) > smallest:
                 break
         else:  # by more than the first term, no filter that meets the bounds has a larger |x|
-            x_max = np.sqrt(5 * n * m) * np.linalg.norm(stationarity(problem, p.Y))
-            if iteration > 40 or dual - x_max > len(p.t) * problem.bounds[0]:
+            x_max = np.sqrt(5 * n * m) * np.linalg.norm(stationarity(program, p.Y))
+            if iteration > 40 or dual - x_max > len(p.t) * program.limits[0]:
                 break
-        slacks = [Slack(*a) for a in zip(p.G, problem.levels(p.t, p.bounds), strict=True)]
-        d = step(problem, p, slacks, total, root)
+        slacks = [Slack(*a) for a in zip(p.G, program.levels(p.t, p.limits), strict=True)]
+        d = step(program, p, slacks, total, root)
         if d is None:
             root = True
-            d = step(problem, p, slacks, total, root)
-        primal, dual = step_lengths(problem, p, d, slacks, 0.02)
+            d = step(program, p, slacks, total, root)
+        primal, dual = step_lengths(program, p, d, slacks, 0.02)
         damping = 0.9 + 0.09 * min(primal, dual)
         primal, dual = (1.0 if a == 1 else damping * a for a in (primal, dual))
         if max(primal, dual) < 0.01:
             break
         p = p.moved(d, primal, dual)
         if primal == 1:
-            p = replace(p, bounds=problem.bounds)  # without rounding
+            p = replace(p, limits=program.limits)  # without rounding
     return best, iteration
 
 
-def solve(problem: Problem) -> Solution:
-    """Solve a synthesis problem from nothing.
+def solve(program: Program) -> Solution:
+    """Solve a synthesis program from nothing.
 
     Parameters
     ----------
-    problem : Problem
-        From :func:`rodlib.cones.formulate`.
+    program : Program
+        From :func:`rodlib.synthesis.program.formulate`.
 
     Returns
     -------
@@ -448,19 +449,19 @@ def solve(problem: Problem) -> Solution:
     RuntimeError
         If no filter met the bounds although one exists.
     """
-    zero = np.zeros((problem.entries, len(problem.R)))
-    best, iterations = follow(problem, begin(problem, zero))
+    zero = np.zeros((program.entries, len(program.R)))
+    best, iterations = follow(program, begin(program, zero))
     if best is None:  # phase one
-        peak = problem.peak()
-        best, more = follow(peak, begin(peak, zero), enough=problem.M_max)
+        peak = program.peak()
+        best, more = follow(peak, begin(peak, zero), enough=program.M_max)
         iterations += more
-        if best.t[0] >= problem.M_max:
-            raise Infeasible(problem.M_max, best.t[0])
-        best, more = follow(problem, begin(problem, best.x))
+        if best.t[0] >= program.M_max:
+            raise Infeasible(program.M_max, best.t[0])
+        best, more = follow(program, begin(program, best.x))
         iterations += more
     if best is None:
         raise RuntimeError(f"no filter met the bounds after {iterations} iterations")
-    if problem.shared and best.t[0] > problem.M_max:
-        raise Infeasible(problem.M_max, best.t[0])
+    if program.shared and best.t[0] > program.M_max:
+        raise Infeasible(program.M_max, best.t[0])
     multipliers = [-2 * Y[: len(Y) // 2, len(Y) // 2 :] for Y in best.Y]
-    return problem.solution(best.x, multipliers, "interior point", iterations)
+    return program.solution(best.x, multipliers, "interior point", iterations)

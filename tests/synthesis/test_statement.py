@@ -4,10 +4,10 @@ import cvxpy as cp
 import numpy as np
 import pytest
 
-from rodlib.certificate import lower_bound
-from rodlib.cones import Infeasible
-from rodlib.semidefinite import sigma_max_at_most, solve
-from tests.test_cones import plant, statement
+from rodlib.evidence import lower_bound
+from rodlib.synthesis.program import Infeasible, formulate
+from rodlib.synthesis.statement import sigma_max_at_most, solve
+from tests.synthesis.test_program import plant, posed
 
 
 @pytest.mark.parametrize("m", [1, 2, 3])
@@ -26,13 +26,13 @@ def test_the_matrix_inequality_is_that_of_the_largest_singular_value(m):
 @pytest.mark.parametrize("L_max", [5.0, None])
 def test_its_multipliers_prove_its_optimum(structure, objective, L_max):
     P, Q, omega = plant(2)
-    problem = statement(omega, structure, objective, L_max)
-    found = solve(P, Q, omega, 1.0, **problem)
+    problem = posed(P, Q, omega, structure, objective, L_max)
+    found = solve(formulate(problem))
     z = np.exp(1j * np.outer(omega, np.arange(1, 5)))
     M = Q[:, None, None] * (np.eye(2) - P @ np.einsum("ijk,nk->nij", found.coefficients, z))
     sigma = np.linalg.norm(M, 2, axis=(1, 2))
     value = sigma[omega < 1].sum() if objective == "sum" else sigma.max()
-    bound = lower_bound(P, Q, omega, found.U, found.V, **problem)
+    bound = lower_bound(problem, found.U, found.V)
     assert value * (1 - 1e-4) < bound < value * (1 + 1e-9)  # so accurate is Clarabel
     assert found.peak == pytest.approx(sigma.max())
     assert "Clarabel" in found.method and found.iterations > 3
@@ -41,6 +41,6 @@ def test_its_multipliers_prove_its_optimum(structure, objective, L_max):
 def test_what_is_infeasible_is_said_to_be():
     P, Q, omega = plant(2)
     with pytest.raises(Infeasible) as error:
-        solve(P, Q, omega, 1.0, **statement(omega, "diagonal") | {"M_max": 0.05})
-    peak = solve(P, Q, omega, 1.0, **statement(omega, "diagonal", "peak")).peak
+        solve(formulate(posed(P, Q, omega, "diagonal", M_max=0.05)))
+    peak = solve(formulate(posed(P, Q, omega, "diagonal", "peak"))).peak
     assert error.value.smallest_M_max == pytest.approx(peak, rel=1e-6)

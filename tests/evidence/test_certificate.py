@@ -15,7 +15,7 @@ from rodlib import (
     synthesise,
     zero_phase_butterworth,
 )
-from rodlib.certificate import (
+from rodlib.evidence import (
     convergence_model,
     learning_model,
     lower_bound,
@@ -24,7 +24,9 @@ from rodlib.certificate import (
     trial_norm,
     trial_operators,
 )
+from rodlib.evidence.peak import _ceiling, _phase, _rounded_up, balanced
 from rodlib.feedback import frequency_response
+from rodlib.problem import pose
 from rodlib.synthesis import convergence_matrix, largest_singular_values
 from rodlib.trials import assumed_reference
 
@@ -127,6 +129,58 @@ def test_peak_gain_is_above_the_exact_gain_of_random_systems(n, distance, seed):
     assert max(exact_gain_squared(system, tangents)) <= Fraction(gain) ** 2
 
 
+@given(st.integers(1, 5), st.sampled_from([0.5, 1e-3]), st.integers(0, 999))
+def test_the_phase_is_that_of_the_all_pass(n, distance, seed):
+    rng = np.random.default_rng(seed)
+    poles = (1 - distance * rng.uniform(size=n)) * np.exp(1j * rng.uniform(-np.pi, np.pi, n))
+    theta = np.sort(rng.uniform(0, np.pi, 9))
+    z = np.exp(1j * theta)[:, None]
+    all_pass = ((z - poles) / (1 - poles.conj() * z)).prod(axis=1)
+    phase = _phase(poles, theta)
+    np.testing.assert_allclose(np.exp(1j * (phase - phase[0])), all_pass / all_pass[0], atol=1e-9)
+    assert np.all(np.diff(phase) > 0)
+
+
+@given(st.floats(-0.4, 1.9), st.floats(0.01, 1.57), st.sampled_from([1e-200, 1.0, 1e200]))
+def test_the_ceiling_is_the_crest_of_the_sinusoid_through_two_values(place, h, crest):
+    a, b = crest * np.cos(place), crest * np.cos(h - place)
+    if min(a, b) > 0:
+        expected = crest if 0 <= place <= h else max(a, b)
+        assert _ceiling(a, b, h) == pytest.approx(expected, rel=1e-9, abs=0)
+        assert _ceiling(a, b, np.pi / 2) == np.inf
+
+
+@pytest.mark.parametrize("distance", [1e-3, 1e-6])
+def test_the_bound_of_rounding_is_above_what_the_last_digit_of_A_does(distance):
+    angle = 0.7
+    A = (1 - distance) * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    B, C, D = np.array([[1.0], [0.5]]), np.array([[1.0, -2.0]]), np.array([[0.3]])
+    bound = _rounded_up(A, B, C, D, angle)
+    z, eps = np.clongdouble(np.exp(1j * angle)), np.longdouble(np.finfo(float).eps)
+    gains = []
+    for signs in np.ndindex(2, 2, 2, 2):
+        (a, b), (c, d) = A * (1 + eps * (2 * np.reshape(signs, (2, 2)) - 1))
+        adjugate = np.array([[z - d, b], [c, z - a]])
+        gains.append(abs((C @ adjugate @ B)[0, 0] / ((z - a) * (z - d) - b * c) + D[0, 0]))
+    assert max(gains) <= bound <= max(gains) * (1 + 1e-13 / distance)
+
+
+@given(st.integers(1, 6), st.integers(1, 3), st.integers(0, 999))
+def test_balancing_changes_units_of_states_only_and_leaves_none_out_of_scale(n, m, seed):
+    rng = np.random.default_rng(seed)
+    sizes = 10.0 ** rng.uniform(-8, 8, (3, n, n))
+    A, B, C = sizes[0], sizes[1][:, :1] * 10.0 ** rng.uniform(-8, 0, (n, m)), sizes[2][:m]
+    scaled, inputs, outputs = balanced(A, B, C)
+    for k in range(3):  # scaled by powers of two, the same sums are the same to the last bit
+        moved = outputs @ np.linalg.matrix_power(scaled, k) @ inputs
+        np.testing.assert_array_equal(moved, C @ np.linalg.matrix_power(A, k) @ B)
+    for i in range(n):
+        rest = np.arange(n) != i
+        row = np.abs([*scaled[i, rest], *inputs[i]]).max()
+        column = np.abs([*scaled[rest, i], *outputs[:, i]]).max()
+        assert 0.5 <= row / column <= 2
+
+
 @pytest.mark.parametrize("gain", [1e-300, 1e-170, 1e-150, 1.0, 1e150, 1e170, 1e300])
 def test_gains_whose_squares_leave_the_doubles_are_found(gain):
     for m in (1, 2, 3):
@@ -136,6 +190,9 @@ def test_gains_whose_squares_leave_the_doubles_are_found(gain):
     scaled = np.concatenate([G, 1e-3 * gain * G, 0 * G])
     expected = np.linalg.svd(scaled, compute_uv=False)[:, 0]
     np.testing.assert_allclose(largest_singular_values(scaled), expected, rtol=1e-14)
+    mixed = np.concatenate([G, gain * G])
+    expected = np.linalg.svd(mixed, compute_uv=False)[:, 0]
+    np.testing.assert_allclose(largest_singular_values(mixed), expected, rtol=1e-14)
     row = largest_singular_values(scaled[:, :1])
     np.testing.assert_allclose(row, np.linalg.svd(scaled[:, :1])[1][:, 0], rtol=1e-14)
 
@@ -153,8 +210,10 @@ def test_bad_systems_are_refused(system, message):
         peak_gain(system)
 
 
+@pytest.mark.parametrize("order", [1, 2, 3])
 @pytest.mark.parametrize("name", ["L_diagonal", "L_full"])
-def test_models_have_the_singular_values_of_M_and_L(loop, Q, name):
+def test_models_have_the_singular_values_of_M_and_L(loop, name, order):
+    Q = zero_phase_butterworth(order)
     L = LearningFilter(published.matrix(name), 1.0)
     omega = np.geomspace(1e-4, np.pi, 300)
     M = convergence_matrix(
@@ -197,13 +256,26 @@ def test_lower_bound_holds_for_any_multipliers(structure, objective, L_max):
     arguments["structure"] = structure
     design = synthesise(P, Q, omega, 1.0, **arguments)
     assert 0 <= design.certificate.gap + 1e-12 < 1e-8
-    statement = {"order": 3, "M_max": 0.9, "L_max": L_max, "band_mask": omega <= 1}
-    statement |= {"structure": structure, "objective": objective}
     for _ in range(20):
         U, V = rng.standard_normal((2, 40, 2, 2)) + 1j * rng.standard_normal((2, 40, 2, 2))
         V = None if L_max is None else V
-        bound = lower_bound(P, Q, omega, U, V, **statement)
+        bound = lower_bound(design.problem, U, V)
         assert bound <= design.value * (1 + 1e-9)
+
+
+@given(st.integers(1, 3), st.sampled_from([1e-3, 1.0, 1e6]), st.integers(0, 999))
+def test_without_a_bound_each_input_may_have_a_gain_of_ten_millions(m, unit, seed):
+    """Of Q P L, at the frequency and with the phases of the outputs where it is largest."""
+    rng = np.random.default_rng(seed)
+    P = unit * (rng.standard_normal((5, m, m)) + 1j * rng.standard_normal((5, m, m)))
+    Q = rng.uniform(0.1, 2, 5)
+    omega = np.linspace(0.1, 3, 5)
+    W = pose(P, Q, omega, 1.0, order=1, L_max=None, band=(0.1, 3)).weight
+    for k in range(m):
+        L = np.zeros((m, m))
+        L[k, 0] = 1 / W[k, k]  # as large as sigma_max(W L) <= 1 admits
+        gains = np.linalg.svd(Q[:, None, None] * P @ L / Q.max(), compute_uv=False)[:, 0]
+        assert gains.max() == pytest.approx(1e7)
 
 
 @given(st.sampled_from([1, 10, 40]), st.sampled_from(["diagonal", "full"]), st.integers(0, 999))
@@ -214,10 +286,9 @@ def test_lower_bound_ignores_what_a_filter_could_do_to_the_multipliers(order, st
     z = np.exp(1j * angles)
     P = np.eye(2) * (0.1 / (z - 0.9))[:, None, None] + 0.2 * rng.standard_normal((2, 2))
     Q = 1 / (1 + (angles / 0.1) ** 4)
-    statement = {"order": order, "M_max": 0.9, "L_max": None, "band_mask": angles <= 0.02}
-    statement |= {"structure": structure, "objective": "sum"}
+    problem = pose(P, Q, angles, 1.0, order=order, L_max=None, structure=structure)
     U = rng.standard_normal((250, 2, 2)) + 1j * rng.standard_normal((250, 2, 2))
-    bound = lower_bound(P, Q, angles, U, None, **statement)
+    bound = lower_bound(problem, U, None)
 
     L = np.zeros((250, 2, 2), dtype=complex)
     for i, j in np.ndindex(2, 2):
@@ -228,7 +299,7 @@ def test_lower_bound_ignores_what_a_filter_could_do_to_the_multipliers(order, st
                 L[:, i, j] *= (z - zero) * (z - zero.conj())
     change = -Q[:, None, None] * (P @ L)
     change *= np.linalg.norm(U) / np.linalg.norm(change)
-    moved = lower_bound(P, Q, angles, U + change, None, **statement)
+    moved = lower_bound(problem, U + change, None)
     assert moved == pytest.approx(bound, rel=1e-11, abs=1e-11 * np.linalg.norm(U))
 
 
@@ -304,8 +375,23 @@ def test_at_rest_near_the_end_v_converges_as_without_ends(loop, Q, omega):
     peak = largest_singular_values(without_ends).max()
     assert peak == pytest.approx(0.9361, abs=1e-3)
     assert 0.98 * peak < trial_norm(loop.P, Q, L, 400, rest=15)[0] < peak
-    with pytest.raises(ValueError, match="rest = 400 must be a whole number from 0"):
-        trial_norm(loop.P, Q, L, 400, rest=400)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"samples": 0}, "samples = 0 must be a whole number, 1 or more"),
+        ({"samples": 2.5}, "samples = 2.5 must be a whole number"),
+        ({"trials": 0}, "trials = 0 must be a whole number, 1 or more"),
+        ({"trials": 1.0}, "trials = 1.0 must be a whole number"),
+        ({"rest": 40}, "rest = 40 must be a whole number, from 0 to 39"),
+        ({"rest": -1}, "rest = -1 must be a whole number, from 0 to 39"),
+    ],
+)
+def test_trials_that_cannot_be_are_refused(loop, Q, arguments, message):
+    L = LearningFilter(published.matrix("L_diagonal"), 1.0)
+    with pytest.raises(ValueError, match=message):
+        trial_norm(loop.P, Q, L, **{"samples": 40} | arguments)
 
 
 def test_a_certificate_prints_and_fails_as_it_should(loop, Q, omega):
@@ -327,6 +413,28 @@ def test_a_certificate_prints_and_fails_as_it_should(loop, Q, omega):
     assert design.certificate.warnings == estimated.failures == []
     at_rest = str(replace(design.certificate, rest=15))
     assert "norm of one trial of 200 samples, the last 15 at rest: 1.27" in at_rest
+
+
+def test_a_certificate_fails_from_the_tolerance_on(loop, Q, omega):
+    """A gap of 1e-6, a bound on the grid passed by 1e-9, relative; from 0.25 of the margin on."""
+    good = synthesise(loop, Q, omega[::5], 1.0, band=(1e-4, 0.01)).certificate
+
+    def failing(**changes):
+        return len(replace(good, **changes).failures)
+
+    value = good.value
+    assert value > 1e-3 * good.idle
+    assert not failing(lower_bound=value * (1 - 0.99e-6))
+    assert failing(lower_bound=value * (1 - 1.01e-6)) == 1
+    assert not failing(grid_M=0.9 * (1 + 0.99e-9), grid_L=50 * (1 + 0.99e-9))
+    assert failing(grid_M=0.9 * (1 + 1.01e-9)) == failing(grid_L=50 * (1 + 1.01e-9)) == 1
+    assert not failing(all_M=np.nextafter(1, 0)) and failing(all_M=1.0) == 1
+    for missed, warned in ((0.049, 0), (0.051, 1)):
+        estimated = replace(good, proven=False, all_M=0.8, missed=missed)
+        assert len(estimated.warnings) == warned
+    assert len(replace(good, proven=False, all_M=1.0, missed=0.0).warnings) == 1
+    perfect = replace(good, value=1e-9, lower_bound=0.0, idle=2.0)
+    assert perfect.gap == pytest.approx(5e-7)  # relative to a thousandth of the objective, idle
 
 
 def with_resonance(angle, distance, height):

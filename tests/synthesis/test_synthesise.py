@@ -12,14 +12,18 @@ from rodlib import (
     InfeasibleError,
     LearningFilter,
     SolverError,
-    active_set,
-    interior_point,
+    least_gain,
     published,
     synthesise,
     zero_phase_butterworth,
 )
-from rodlib.certificate import trial_norm
-from rodlib.synthesis import convergence_matrix, largest_singular_values
+from rodlib.evidence import trial_norm
+from rodlib.synthesis import (
+    active_set,
+    convergence_matrix,
+    interior_point,
+    largest_singular_values,
+)
 
 
 @pytest.fixture(scope="module")
@@ -47,6 +51,16 @@ def test_paper_design_meets_its_bounds_and_both_are_active(diagonal, loop, Q, om
     assert sigma_L.max() == pytest.approx(50, rel=1e-6)
     assert diagonal.value == pytest.approx(sigma_M[omega <= 0.02].sum(), rel=1e-12)
     assert np.all(sigma_M <= 0.9 * (1 + 1e-6)) and np.all(sigma_L <= 50 * (1 + 1e-6))
+
+
+def test_the_certificate_names_the_peaks_over_all_frequencies(full, loop, Q):
+    dense = np.linspace(1e-5, np.pi, 20001)
+    responses = (loop.frequency_response(dense), Q.frequency_response(dense))
+    sigma_M, sigma_L = judged(full.filter, *responses, dense)
+    certificate = full.certificate
+    assert certificate.all_M == pytest.approx(sigma_M.max(), rel=1e-5)
+    assert certificate.all_L == pytest.approx(sigma_L.max(), rel=1e-5)
+    assert certificate.place == pytest.approx(dense[sigma_M.argmax()], abs=1e-3)
 
 
 def test_no_design_is_worse_than_the_printed_one(diagonal, full, loop, Q, omega):
@@ -99,7 +113,7 @@ def test_a_wrong_filter_is_not_returned(loop, Q, omega, monkeypatch, factor, com
         return replace(solution, coefficients=solution.coefficients * factor)
 
     monkeypatch.setattr(interior_point, "solve", dishonest)
-    monkeypatch.setattr(active_set, "resolve", lambda *_: None)
+    monkeypatch.setattr(active_set, "resolve", lambda *_, **__: None)
     arguments = (loop, Q, omega[::10], 1.0)
     with pytest.raises(SolverError, match=complaint):
         synthesise(*arguments, band=(1e-4, 0.01))
@@ -159,6 +173,43 @@ def test_a_plant_that_one_step_inverts_is_inverted(m, seed):
     design = synthesise(P, np.ones(12), omega, 1.0, **arguments)
     assert design.value < 1e-5
     np.testing.assert_allclose(design.filter.coefficients[:, :, 0], np.linalg.inv(G), atol=1e-4)
+
+
+@pytest.mark.parametrize("structure", ["diagonal", "full"])
+def test_least_gain_of_a_channel_that_could_be_learned_at_once(structure):
+    """The first channel leaves M = z / 2, see above; the second, 1 / (10 z), need not do better.
+
+    To halve its error a gain of 5 is enough, and up to 15 would not be noticed in the peak.
+    """
+    omega = (np.arange(200) + 0.5) * np.pi / 200
+    z = np.exp(1j * omega)
+    P = np.zeros((200, 2, 2), dtype=complex)
+    P[:, 0, 0], P[:, 1, 1] = (1 - 2 / z) / z**11, 0.1 / z
+    arguments = {"order": 12, "band": (0.1, 1), "structure": structure}
+    any_gain = synthesise(P, np.ones(200), omega, 1.0, objective="peak", L_max=None, **arguments)
+    design = least_gain(P, np.ones(200), omega, 1.0, **arguments)
+    assert any_gain.value == pytest.approx(0.5, rel=1e-7)
+    assert any_gain.sigma_L.max() > 5.5
+    assert design.value == pytest.approx(0.5, rel=1e-7)
+    assert design.sigma_L.max() == pytest.approx(5, rel=1e-6)
+    second = np.append(5, np.zeros(11))
+    np.testing.assert_allclose(design.filter.coefficients[1, 1], second, atol=1e-2)
+
+
+def test_with_less_than_the_least_gain_the_peak_is_higher(loop, Q, omega):
+    """As the dual bound of the certificate shows, which no filter of that gain goes below."""
+    grid = omega[::5]
+    arguments = {"order": 10, "band": (grid[0], 0.02), "objective": "peak"}
+    without = {"order": 10, "band": arguments["band"], "samples": 60, "rest": 15}
+    design = least_gain(loop, Q, grid, 1.0, **without)
+    free = synthesise(loop, Q, grid, 1.0, L_max=None, **arguments)
+    assert design.value == pytest.approx(free.value, rel=2e-9)
+    assert (design.certificate.samples, design.certificate.rest) == (60, 15)
+    gain = design.sigma_L.max()
+    assert gain == pytest.approx(design.certificate.L_max, rel=1e-9)
+    assert gain < free.sigma_L.max() / 100
+    less = synthesise(loop, Q, grid, 1.0, L_max=0.998 * gain, **arguments)
+    assert less.certificate.lower_bound > design.value * (1 + 2e-9)
 
 
 def test_infeasible_bounds_name_the_culprit_and_the_smallest_M_max(loop, Q, omega):
@@ -273,6 +324,14 @@ def test_numbers_may_come_from_numpy_and_the_rest_reaches_the_certificate(loop, 
     assert design.certificate.trial == pytest.approx(norm, rel=1e-9)
     assert norm < 0.99 * trial_norm(loop.P, Q, design.filter, 60)[0]
     assert (design.certificate.samples, design.certificate.rest) == (60, 15)
+
+
+@pytest.mark.parametrize("m", [1, 2])
+def test_what_is_not_learned_at_one_frequency_is_learned_at_others(m):
+    P, Q = (0.5 / (np.exp(1j * GRID) - 0.5))[:, None, None] * np.eye(m), 1 / (1 + GRID**4)
+    Q[3] = 0
+    design = synthesise(P, Q, GRID, 1.0, order=3, band=(0.05, 1), structure="full")
+    assert design.sigma_M[3] == 0 and design.certificate.gap < 1e-8
 
 
 @pytest.mark.parametrize("unit", [1e-90, 1e-12, 1e12, 1e90])

@@ -32,74 +32,35 @@ from dataclasses import dataclass
 import daqp
 import numpy as np
 
-from rodlib.certificate import largest_singular_values
-from rodlib.cones import Problem, Solution
+from rodlib.problem import Solution
+from rodlib.synthesis.program import Program
 
-NEAR = 0.9  # part of a bound from which on it is in the quadratic program
+NEAR = 0.9  # part of a limit from which on it is in the quadratic program
 NOISE = 1e-11  # relative change of the objective that is rounding
 CONVERGED = 1e-9  # expected relative gain below which a full step is the last one
 
 
-@dataclass(frozen=True)
-class Expansion:
-    """sigma_max of a cone at the frequencies `at`, to second order.
-
-    It changes by gradient dx + |curvature dx|^2 / 2; `uv` is the outer product of its vectors.
-    """
-
-    at: np.ndarray
-    sigma: np.ndarray
-    gradient: np.ndarray
-    curvature: np.ndarray
-    uv: np.ndarray
-
-
-def expand(problem, cone, G, at):
-    """The expansion of a cone at its matrices G, at the frequencies `at`."""
-    U, s, Vh = np.linalg.svd(np.moveaxis(G[..., at], -1, 0))
-    left = U.conj().swapaxes(1, 2) @ np.moveaxis(cone.T[..., at], -1, 0)
-    V = Vh.conj().swapaxes(1, 2)
-    basis = problem.basis[:, None, at].T
-
-    def form(i, j):
-        """u_i^H dG v_j, a linear form in the unknowns."""
-        entries = np.zeros((len(at), problem.entries, len(problem.basis)), dtype=complex)
-        entries[:, cone.entries] = (left[:, i, cone.rows] * V[:, cone.cols, j])[..., None] * basis
-        return entries.reshape(len(at), problem.entries * len(problem.basis))
-
-    first = form(0, 0)
-    curvature = [first.imag / np.sqrt(s[:, :1])]
-    for j in range(1, len(cone.T)):
-        alpha, beta = form(j, 0), form(0, j).conj()
-        apart = np.maximum(s[:, 0] - s[:, j], 1e-9 * s[:, 0])
-        for total, distance in ((alpha + beta, apart), (alpha - beta, s[:, 0] + s[:, j])):
-            total /= np.sqrt(2 * distance)[:, None]
-            curvature += [total.real, total.imag]
-    uv = U[:, :, :1] * Vh[:, :1]
-    return Expansion(at, s[:, 0], first.real, np.stack(curvature, axis=1), uv)
-
-
 class Iterate:
-    """A filter, with G and sigma_max of each cone, the objective and the excess over the bounds."""
+    """A filter, its G and sigma_max of each bound, the objective, the excess over the limits."""
 
-    def __init__(self, problem, x):
-        self.x, self.G = x, problem.matrices(x)
-        self.sigma = [largest_singular_values(np.moveaxis(G, -1, 0)) for G in self.G]
-        t = self.sigma[0][problem.free]
-        self.objective = t.max() if problem.shared else t.sum()
-        self.bounds = [problem.bounds[min(j, 1)] for j in range(len(self.G))]
-        if problem.shared:
-            self.bounds[0] = self.objective
-        relative = [s.max() / b - 1 for s, b in zip(self.sigma, self.bounds, strict=True)]
+    def __init__(self, program, x):
+        self.x, self.G = x, program.matrices(x)
+        self.sigma = [bound.value(G) for bound, G in zip(program.bounds, self.G, strict=True)]
+        t = self.sigma[0][program.free]
+        self.objective = t.max() if program.shared else t.sum()
+        self.limits = [program.limits[min(j, 1)] for j in range(len(self.G))]
+        if program.shared:
+            self.limits[0] = self.objective
+        relative = [s.max() / b - 1 for s, b in zip(self.sigma, self.limits, strict=True)]
         self.excess = np.maximum(relative, 0)
 
 
 @dataclass(frozen=True)
 class Model:
-    """What a step (dx, dt) does to second order, in units of the objective and of the bounds.
+    """What a step (dx, dt) does to second order, in units of the objective and of the limits.
 
     The objective changes by f d + dx H dx / 2. The bounds A d <= room are those at the
-    frequencies `near`, one array for each cone.
+    frequencies `near`, one array for each bound.
     """
 
     H: np.ndarray
@@ -110,32 +71,34 @@ class Model:
     unit: float
 
 
-def model_at(problem, p, multipliers):
-    """The model at an iterate, with multipliers of the bounds."""
-    K, unit = p.x.size, max(p.objective, 1e-6 * problem.idle)
-    H, f = np.zeros((K, K)), np.append(np.zeros(K), 1 / unit if problem.shared else 0.0)
+def model_at(program, p, multipliers):
+    """The model at an iterate, with multipliers of the limits."""
+    K, unit = p.x.size, max(p.objective, 1e-6 * program.idle)
+    H, f = np.zeros((K, K)), np.append(np.zeros(K), 1 / unit if program.shared else 0.0)
     A, room, near = [], [], []
-    for j, (cone, y, bound) in enumerate(zip(problem.cones, multipliers, p.bounds, strict=True)):
-        close = (p.sigma[j] > NEAR * bound) | (y > 0)
-        weight = y + in_sum(problem) if j == 0 else y
-        e = expand(problem, cone, p.G[j], np.flatnonzero(close | (weight > 0)))
+    for j, (bound, y, limit) in enumerate(zip(program.bounds, multipliers, p.limits, strict=True)):
+        close = (p.sigma[j] > NEAR * limit) | (y > 0)
+        weight = y + in_sum(program) if j == 0 else y
+        e = bound.expand(
+            p.G[j], np.flatnonzero(close | (weight > 0)), program.basis, program.entries
+        )
         rows = (e.curvature * np.sqrt(weight[e.at] / unit)[:, None, None]).reshape(-1, K)
         H += rows.T @ rows
         if j == 0:
-            f[:K] = in_sum(problem)[e.at] @ e.gradient / unit
+            f[:K] = in_sum(program)[e.at] @ e.gradient / unit
         close = close[e.at]
-        dt = -1.0 if j == 0 and problem.shared else 0.0
-        A.append(np.insert(e.gradient[close], K, dt, axis=1) / bound)
-        room.append(1 - e.sigma[close] / bound)
+        dt = -1.0 if j == 0 and program.shared else 0.0
+        A.append(np.insert(e.gradient[close], K, dt, axis=1) / limit)
+        room.append(1 - e.sigma[close] / limit)
         near.append(e.at[close])
     return Model(H, f, np.vstack(A), np.concatenate(room), near, unit)
 
 
-def in_sum(problem):
+def in_sum(program):
     """One at the frequencies whose sigma_max(M) is in the sum, zero elsewhere."""
-    weight = np.zeros(problem.basis.shape[1])
-    if not problem.shared:
-        weight[problem.free] = 1
+    weight = np.zeros(program.basis.shape[1])
+    if not program.shared:
+        weight[program.free] = 1
     return weight
 
 
@@ -151,7 +114,7 @@ def quadratic_program(model, room, damping):
     return (d, np.maximum(result["lam"], 0)) if status == 1 else None
 
 
-def improve(problem, p, model, penalty, damping):
+def improve(program, p, model, penalty, damping):
     """A step from p that improves the objective plus the penalty.
 
     Returns the next iterate, the multipliers, the penalty, the expected gain and the damping with
@@ -170,28 +133,28 @@ def improve(problem, p, model, penalty, damping):
             if attempt == "first":
                 penalty = np.maximum(penalty, [1.5 * z.sum() for z in np.split(y, splits)])
                 expected = part * penalty @ p.excess - model.f @ d - dx @ model.H @ dx / 2
-            new = Iterate(problem, p.x + dx.reshape(p.x.shape))
+            new = Iterate(program, p.x + dx.reshape(p.x.shape))
             gain = (p.objective - new.objective) / model.unit + penalty @ (p.excess - new.excess)
             if gain + NOISE > 0.1 * (expected + NOISE):
                 if part == 1 and gain + NOISE > 0.75 * (expected + NOISE):
                     damping = 0.1 * damping if damping > 1e-4 else 0.0
                 return new, np.split(y, splits), penalty, expected, damping
-            reached = zip(new.sigma, model.near, p.bounds, strict=True)
+            reached = zip(new.sigma, model.near, p.limits, strict=True)
             reached = np.concatenate([s[at] / b - 1 for s, at, b in reached])
             room = room + (model.A @ d - model.room) - reached
         damping, part = max(10 * damping, 1e-4), part / 2
     return None
 
 
-def resolve(problem: Problem, start: Solution, steps: int) -> Solution | None:
-    """Solve a problem from the solution of a similar one.
+def resolve(program: Program, start: Solution, steps: int) -> Solution | None:
+    """Solve a program from the solution of a similar one.
 
     Parameters
     ----------
-    problem : Problem
-        From :func:`rodlib.cones.formulate`.
+    program : Program
+        From :func:`rodlib.synthesis.program.formulate`.
     start : Solution
-        Of a problem with the same number of frequencies, order and structure.
+        Of a program with the same number of frequencies, order and structure.
     steps : int
         After how many to give up.
 
@@ -200,41 +163,43 @@ def resolve(problem: Problem, start: Solution, steps: int) -> Solution | None:
     Solution or None
         None if the method does not converge.
     """
-    p, y = Iterate(problem, problem.unknowns(start.coefficients)), first_multipliers(problem, start)
+    p, y = Iterate(program, program.unknowns(start.coefficients)), first_multipliers(program, start)
     penalty, damping = np.zeros(len(y)), 0.0
     for iteration in range(1, steps + 1):
-        model = model_at(problem, p, y)
-        step = improve(problem, p, model, penalty, damping)
+        model = model_at(program, p, y)
+        step = improve(program, p, model, penalty, damping)
         if step is None:
             return None
         p, near, penalty, expected, damping = step
         y = [np.zeros_like(s) for s in p.sigma]
         for j, at in enumerate(model.near):
-            y[j][at] = near[j] * model.unit / p.bounds[j]
+            y[j][at] = near[j] * model.unit / p.limits[j]
         if expected < CONVERGED and p.excess.max() < NOISE:
-            return problem.solution(p.x, last_multipliers(problem, p, y), "active set", iteration)
+            return program.solution(p.x, last_multipliers(program, p, y), "active set", iteration)
     return None
 
 
-def first_multipliers(problem, start):
-    """Multipliers of the bounds of each cone from those of an earlier solution."""
+def first_multipliers(program, start):
+    """Multipliers of the limits of each bound, from those of an earlier solution."""
     U = np.linalg.norm(start.U, "nuc", axis=(1, 2))
-    multipliers = [np.maximum(U - in_sum(problem), 0)]
-    for cone in problem.cones[1:]:
-        whole = len(cone.T) == start.V.shape[1]
-        V = start.V if whole else start.V[:, cone.entries, cone.entries, None]
-        W = np.moveaxis(cone.T, -1, 0)
+    multipliers = [np.maximum(U - in_sum(program), 0)]
+    for bound in program.bounds[1:]:
+        whole = len(bound.T) == start.V.shape[1]
+        V = start.V if whole else start.V[:, bound.entries, bound.entries, None]
+        W = np.moveaxis(bound.T, -1, 0)
         multipliers.append(np.linalg.norm(np.linalg.solve(W, V), "nuc", axis=(1, 2)))
     return [np.where(y > 1e-6 * y.max(), y, 0) for y in multipliers]
 
 
-def last_multipliers(problem, p, y):
-    """Multipliers of G from those of the bounds, and those of the sum."""
+def last_multipliers(program, p, y):
+    """Multipliers of G from those of the limits, and those of the sum."""
     multipliers = []
-    for j, (cone, G) in enumerate(zip(problem.cones, p.G, strict=True)):
-        weight = y[j] + in_sum(problem) if j == 0 else y[j]
+    for j, (bound, G) in enumerate(zip(program.bounds, p.G, strict=True)):
+        weight = y[j] + in_sum(program) if j == 0 else y[j]
         at = np.flatnonzero(weight)
         N = np.zeros_like(G)
-        N[..., at] = np.moveaxis(expand(problem, cone, G, at).uv, 0, -1) * weight[at]
+        N[..., at] = (
+            np.moveaxis(bound.expand(G, at, program.basis, program.entries).uv, 0, -1) * weight[at]
+        )
         multipliers.append(N)
     return multipliers

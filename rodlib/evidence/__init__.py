@@ -1,0 +1,35 @@
+"""Evidence for a learning filter that does not come from the solver.
+
+Three questions, each answered by code of its own; a problem and a solution are all that it is
+handed, and the function for the singular values of a matrix all that it shares with the solvers:
+
+- *Is it optimal?* :func:`lower_bound` turns the solver's multipliers, whatever their quality, into
+  a bound on the objective that no filter of the same structure and order can beat.
+- *Are the bounds met between the samples?* The constraints of (39) hold on a grid;
+  :func:`peak_gain` gives the peak over all frequencies, with a proof, if the plant is a model.
+- *Does the finite trial converge?* Lemma 1 is about signals without end; :func:`trial_norm` is
+  the norm of what one trial of the ILC law really does, its two ends included.
+
+:func:`certify` puts the answers together.
+"""
+
+from rodlib.evidence.certificate import GAP, VIOLATION, Certificate, certify
+from rodlib.evidence.finite_trial import impulse_response, trial_map, trial_norm, trial_operators
+from rodlib.evidence.models import convergence_model, learning_model
+from rodlib.evidence.optimality import lower_bound
+from rodlib.evidence.peak import peak_gain
+
+__all__ = [
+    "GAP",
+    "VIOLATION",
+    "Certificate",
+    "certify",
+    "convergence_model",
+    "impulse_response",
+    "learning_model",
+    "lower_bound",
+    "peak_gain",
+    "trial_map",
+    "trial_norm",
+    "trial_operators",
+]

@@ -1,0 +1,247 @@
+"""What is known about a learning filter, by evidence independent of the solver."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rodlib.evidence.finite_trial import impulse_response, trial_norm
+from rodlib.evidence.models import convergence_model, learning_model
+from rodlib.evidence.optimality import lower_bound
+from rodlib.evidence.peak import peak_between, peak_gain
+from rodlib.filters import LearningFilter
+from rodlib.problem import LARGEST, Problem, Solution, largest_singular_values
+
+# Relative duality gap, and relative violation of a bound on the grid, that are accepted.
+GAP = 1e-6
+VIOLATION = 1e-9
+# Share of 1 - sigma_max(M) that splines may miss: a narrow resonance shows little on its flanks.
+COARSE = 0.25
+SLOW = 0.05  # gain of the loop, within the band, below which it counts as slow
+IDLE = 0.9  # share of the error in the band from which on learning counts as idle
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What is known about a learning filter, by evidence independent of the solver.
+
+    Attributes
+    ----------
+    structure, order : str, int
+        Of the learning filter, "diagonal" or "full", and how many samples it looks ahead.
+    value, lower_bound : float
+        The objective reached, and what no such filter within the bounds can go below.
+    idle : float
+        The objective without learning, L = 0.
+    M_max, L_max : float, float or None
+        The bounds.
+    grid_M, grid_L : float
+        Peaks of sigma_max(M), sigma_max(L) on the design grid.
+    all_M, all_L : float
+        Upper bounds, to 1e-8, of the peaks over all frequencies; see `proven`.
+    place : float
+        Frequency of `all_M`, rad/s.
+    proven : bool
+        False if P or Q were given as samples: `all_M` is then an estimate from splines, for the
+        frequencies from the first to the last sample. All others remain unknown.
+    sampled, nyquist : (float, float), float
+        First and last design frequency, and pi / Ts, rad/s.
+    missed : float
+        By how much such splines miss M, in its largest singular value, at samples that are left
+        out; infinite for fewer than four samples, NaN if proven.
+    tolerances : (float, float)
+        Relative duality gap, and violation of a bound on the grid, that are accepted.
+    trial : float
+        2-norm of the map of one finite trial, :func:`trial_norm`; NaN if not asked for.
+    samples : int or None
+        Length of that trial.
+    rest : int
+        Number of samples at its end in which v is held at zero.
+    doubts : tuple of str
+        Why the problem itself may be badly chosen.
+    """
+
+    structure: str
+    order: int
+    value: float
+    lower_bound: float
+    idle: float
+    M_max: float
+    L_max: float | None
+    grid_M: float
+    grid_L: float
+    all_M: float
+    all_L: float
+    place: float
+    sampled: tuple[float, float]
+    nyquist: float
+    proven: bool = True
+    missed: float = np.nan
+    tolerances: tuple[float, float] = (GAP, VIOLATION)
+    trial: float = np.nan
+    samples: int | None = None
+    rest: int = 0
+    doubts: tuple[str, ...] = ()
+
+    @property
+    def gap(self) -> float:
+        """Distance of value and lower bound, relative to the value.
+
+        Below a thousandth of the objective without learning, it is relative to that: a billionth
+        of the objective without learning is as good as nothing.
+        """
+        return (self.value - self.lower_bound) / max(self.value, 1e-3 * self.idle)
+
+    @property
+    def failures(self) -> list[str]:
+        """What speaks against the filter; empty if it holds."""
+        gap, violation = self.tolerances
+        tests = {
+            f"relative duality gap {self.gap:.1e} > {gap:g}": self.gap > gap,
+            f"sigma_max(M) = {self.grid_M:.12g} > M_max = {self.M_max} on the grid": (
+                self.grid_M > self.M_max * (1 + violation)
+            ),
+            f"sigma_max(L) = {self.grid_L:.12g} > L_max = {self.L_max} on the grid": (
+                self.L_max is not None and self.grid_L > self.L_max * (1 + violation)
+            ),
+            f"sigma_max(M) reaches {self.all_M:.9g} at {self.place:.6g} rad/s, not in omega: "
+            "Lemma 1 does not hold; add frequencies there": self.proven and self.all_M >= 1,
+        }
+        return [text for text, failed in tests.items() if failed]
+
+    @property
+    def warnings(self) -> list[str]:
+        """What speaks against the problem, and against the estimate of M between the samples."""
+        margin = 1 - self.all_M
+        too_coarse = margin > 0 and self.missed > COARSE * margin
+        tests = {
+            f"sigma_max(M) may reach {self.all_M:.4g} at {self.place:.4g} rad/s, between the "
+            "samples, where Lemma 1 would not hold; measure there": margin <= 0,
+            f"the samples are too coarse: splines miss M by {self.missed:.2g} at samples left out, "
+            f"and 1 - sigma_max(M) is {margin:.2g}; measure at more frequencies": too_coarse,
+        }
+        coarse = [text for text, warned in tests.items() if warned and not self.proven]
+        return [*self.doubts, *coarse]
+
+    @property
+    def unknown(self) -> str:
+        """The frequencies at which nothing is known of M if P or Q were given as samples."""
+        low, high = self.sampled
+        parts = [f"below {low:.4g} rad/s"] if low > 0 else []
+        parts += [f"above {high:.4g} rad/s"] if high < self.nyquist * (1 - 1e-9) else []
+        return ", ".join([*parts, "at resonances that no sample shows"])
+
+    def __repr__(self):
+        bound = "none" if self.L_max is None else f"{self.L_max:g}"
+        rows = [
+            ("", "sigma_max(M)", "sigma_max(L)"),
+            ("bound", f"{self.M_max:g}", bound),
+            ("on the design grid", f"{self.grid_M:.8f}", f"{self.grid_L:.7g}"),
+            (
+                "over all frequencies",
+                f"{self.all_M:.8f}" if self.proven else "not known",
+                f"{self.all_L:.7g}",
+            ),
+        ]
+        lines = ["{:<22}{:>14}{:>14}".format(*row) for row in rows]
+        if not self.proven:
+            low, high = self.sampled
+            lines += [
+                f"sigma_max(M) from {low:.4g} to {high:.4g} rad/s, between the samples: "
+                f"{self.all_M:.4f}, estimated",
+                f"sigma_max(M) unknown: {self.unknown}",
+            ]
+        compared = "" if self.L_max is not None else f" with a gain of Q P L up to {LARGEST:.0e}"
+        lines.append(
+            f"objective {self.value:.8g}, no {self.structure} filter of order {self.order}"
+            f"{compared} below {self.lower_bound:.8g}"
+        )
+        if self.samples:
+            rest = f", the last {self.rest} at rest" if self.rest else ""
+            lines.append(f"norm of one trial of {self.samples} samples{rest}: {self.trial:.4f}")
+        lines += [f"WARNING: {text}" for text in self.warnings]
+        return "\n".join([*lines, *(f"FAILS: {text}" for text in self.failures)])
+
+
+def certify(
+    problem: Problem,
+    solution: Solution,
+    tolerances: tuple[float, float] = (GAP, VIOLATION),
+    samples: int | None = None,
+    rest: int = 0,
+) -> Certificate:
+    """Find out what is true of a filter.
+
+    Parameters
+    ----------
+    problem : Problem
+    solution : Solution
+        Only its coefficients and multipliers are used, and neither is trusted.
+    tolerances : (float, float)
+        Relative duality gap, and violation of a bound on the grid, that are accepted.
+    samples : int, optional
+        Length of a trial whose norm is wanted.
+    rest : int
+        Samples at its end in which v is held at zero.
+
+    Returns
+    -------
+    Certificate
+    """
+    L = LearningFilter(solution.coefficients, problem.Ts)  # in units of scale, as P is
+    response = L.frequency_response(problem.omega)
+    sigma_M = largest_singular_values(problem.M(response))
+    if problem.model:
+        all_M, place = peak_gain(convergence_model(*problem.model, L))
+        missed = np.nan
+    else:
+        all_M, place, missed = peak_between(problem, L)
+    return Certificate(
+        structure=problem.structure,
+        order=problem.order,
+        value=problem.value(sigma_M),
+        lower_bound=lower_bound(problem, solution.U, solution.V),
+        idle=problem.idle,
+        M_max=problem.M_max,
+        L_max=problem.L_max,
+        grid_M=sigma_M.max(),
+        grid_L=largest_singular_values(response).max(),
+        all_M=all_M,
+        all_L=peak_gain(learning_model(L))[0],
+        place=place,
+        sampled=(problem.omega[0], problem.omega[-1]),
+        nyquist=np.pi / problem.Ts,
+        proven=problem.model is not None,
+        missed=missed,
+        tolerances=tolerances,
+        trial=np.nan if samples is None else trial_norm(*problem.model, L, samples, rest=rest)[0],
+        samples=samples,
+        rest=rest,
+        doubts=tuple(_doubts(problem, problem.value(sigma_M))),
+    )
+
+
+def _doubts(problem, value):
+    """Why little may be learned: a delay, a slow loop, or something unknown."""
+    delay = _delay(problem.model[0], problem.order) if problem.model else 0
+    if delay > problem.order:
+        yield (
+            f"P answers after {delay} samples or more, and the filter looks ahead by only "
+            f"{problem.order}: it never sees what it does; take a longer filter"
+        )
+    passed = np.linalg.svd(problem.P[problem.in_band], compute_uv=False)[:, -1]
+    weakest = passed.argmin()
+    if passed[weakest] < SLOW:
+        yield (
+            f"at {problem.omega[problem.in_band][weakest]:.4g} rad/s, within the band, the loop "
+            f"passes only {passed[weakest]:.2g} of w in some direction, and learning must make up "
+            "for it; take a faster loop or a lower band"
+        )
+    if problem.objective == "sum" and value > IDLE * problem.idle:
+        yield f"the filter leaves {value / problem.idle:.0%} of the error in the band"
+
+
+def _delay(P, order):
+    """Samples after which P first answers to any input, counted up to one more than the order."""
+    answers = np.abs(impulse_response(P, order + 2)).max(axis=(1, 2))
+    size = np.abs(P.C).max() * np.abs(P.B).max() + np.abs(P.D).max(initial=0)
+    return int(np.argmax(np.append(answers > 1e-12 * size, True)))
