@@ -35,7 +35,7 @@ lint: $(BIN)/ready  ## ruff on modules, tests and notebooks
 	$(BIN)/ruff format --check
 
 data: $(BIN)/ready  ## record the logs of the virtual rig in data/rig anew
-	$(BIN)/python -m rodlib.rig
+	$(BIN)/python -m rodlib.data
 
 replay: $(BIN)/ready  ## replay a log of your own: make replay LOG=path; writes to build/ only
 	@test -n "$(LOG)" || { echo "name a log: make replay LOG=path"; exit 2; }

@@ -12,7 +12,7 @@ MODULES = {
     "problem": ("Problem",),
     "synthesis": ("InfeasibleError", "SolverError", "Synthesis", "least_gain", "synthesise"),
     "trials": ("run_trials",),
-    "logs": ("LogError", "load_log", "save_log"),
+    "laboratory": ("LogError", "load_log", "record", "save_log"),
 }
 HOME = {name: module for module, names in MODULES.items() for name in names}
 

@@ -8,6 +8,8 @@ import reprlib
 from collections.abc import Sequence
 from math import isclose
 from numbers import Real
+from os import PathLike
+from pathlib import Path
 
 import control
 import numpy as np
@@ -81,6 +83,13 @@ def by_name(name: str, value, names: Sequence[str]) -> dict:
     return given
 
 
+def path(name: str, value) -> Path:
+    """The path of a file."""
+    if not isinstance(value, str | PathLike) or not str(value):
+        raise ValueError(f"{name} = {reprlib.repr(value)} must be the path of a file")
+    return Path(value)
+
+
 def state_space(name: str, value) -> control.StateSpace:
     """A state-space model, the entries of whose matrices are finite."""
     instance(name, value, control.StateSpace)
@@ -151,7 +160,7 @@ def array(name: str, value, shape: Sequence[int | str], dtype: type = float) -> 
         raise ValueError(f"{name} has shape {plain.shape}, but must have shape ({words})")
     result = np.array(plain, dtype=dtype)
     bad = np.argwhere(~np.isfinite(result))
-    if bad.size:
+    if len(bad):
         where = tuple(int(i) for i in bad[0])
         raise ValueError(f"{name} has {len(bad)} values that are not finite, the first at {where}")
     if np.abs(result).max(initial=0) > LARGEST:

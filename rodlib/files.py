@@ -5,7 +5,7 @@ Only the standard library, because `environment.py` needs this before anything i
 
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -119,8 +119,27 @@ def replacing(path: Path) -> Iterator[Path]:
 
 def write_whole(path: Path, text: str) -> None:
     """Replace a text file, UTF-8 with line feeds, as a whole or not at all."""
+    write_pieces(path, [text.encode()])
+
+
+def write_pieces(path: Path, pieces: Iterable[bytes]) -> None:
+    """Replace a file, as a whole or not at all, by pieces that need not fit into memory at once."""
     with replacing(path) as temporary:
-        _write(temporary, text.encode())
+        _write(temporary, pieces)
+
+
+def append_whole(path: Path, content: bytes) -> None:
+    """Append to a file, all or nothing, unless the process is killed in the midst of it."""
+    rest = memoryview(content)
+    with open(path, "r+b", buffering=0) as file:
+        end = file.seek(0, os.SEEK_END)
+        try:
+            while len(rest):
+                rest = rest[file.write(rest) :]
+            os.fsync(file.fileno())
+        except BaseException:
+            file.truncate(end)
+            raise
 
 
 @contextmanager
@@ -155,7 +174,7 @@ def publishing(root: Path) -> Iterator[dict[str, bytes | None]]:
             write_whole(root / JOURNAL, json.dumps(journal))
             for name, content in new.items():
                 if content is not None:
-                    _write(_part(folder((root / name).parent) / Path(name).name), content)
+                    _write(_part(folder((root / name).parent) / Path(name).name), [content])
             write_whole(root / JOURNAL, json.dumps(journal | {"complete": True}))
         except BaseException:
             finish_publishing(root)
@@ -192,8 +211,8 @@ def _part(path):
     return path.with_name(f".{path.name}.part")
 
 
-def _write(path, content):
+def _write(path, pieces):
     with open(path, "wb") as file:
-        file.write(content)
+        file.writelines(pieces)
         file.flush()
         os.fsync(file.fileno())  # a full disk may show here only

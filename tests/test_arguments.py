@@ -26,7 +26,7 @@ from rodlib import (
     zero_phase_butterworth,
 )
 from rodlib.feedback import frequency_response
-from rodlib.rig import VirtualRig, record
+from rodlib.laboratory import VirtualRig, record
 from rodlib.trials import assumed_disturbance, assumed_reference, rms, state_sequence
 
 PLANT = control.ss(0.5, [[0.5, 1.0]], 1, 0, 1.0, inputs=["u", "d"], outputs=["y"])
@@ -167,7 +167,8 @@ DOORS = {
             "Q": MODEL,
             "L": MODEL,
             "reference": REAL,
-            "disturbance": REAL | {"none": None},
+            "disturbance": REAL,
+            "decimals": NUMBER,
             "trials": WHOLE,
             "pause": WHOLE,
             "rest": WHOLE,

@@ -133,7 +133,7 @@ for write in (
     lambda: figures.save(plt.figure(), "fig02-rod"),
     start,
     lambda: start(published.__file__),  # as a log
-    lambda: runpy.run_module("rodlib.rig", run_name="__main__"),
+    lambda: runpy.run_module("rodlib.data", run_name="__main__"),
     lambda: runpy.run_path(sys.orig_argv[-1], run_name="__main__"),
 ):
     try:
@@ -172,7 +172,7 @@ def test_a_wheel_has_the_printed_numbers_and_writes_nowhere(tmp_path):
         "figures.save",
         "make reproduce",
         "make replay",
-        "python -m rodlib.rig",
+        "python -m rodlib.data",
         "tests/benchmarks/report.py",
     ]
     assert all(refusal in line for line in refusals)

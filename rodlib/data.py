@@ -1,0 +1,51 @@
+"""Records the logs of the virtual rig in data/rig: ``python -m rodlib.data``."""
+
+import json
+import sys
+from dataclasses import asdict
+
+import numpy as np
+
+from rodlib import published
+from rodlib.feedback import paper_loop
+from rodlib.files import checkout
+from rodlib.filters import LearningFilter, zero_phase_butterworth
+from rodlib.laboratory import VirtualRig, record, save_log
+from rodlib.trials import assumed_disturbance, assumed_reference
+
+# As many digits as are recorded: heat flows in 0.1 mW, temperatures in 0.1 mK, v in 1 uK.
+DECIMALS = {"v": 6, "u": 4, "delta": 4, "disturbance": 4}
+
+
+def experiment() -> dict:
+    """The experiment of both logs, without rig and learning filter, as `record` takes it."""
+    return {
+        "loop": paper_loop(),
+        "Q": zero_phase_butterworth(),
+        "reference": np.round(assumed_reference(), 6),
+        "disturbance": np.round(assumed_disturbance(), 6),
+        "decimals": DECIMALS,
+    }
+
+
+def main():
+    """Record the two experiments of data/rig; the same bytes in every run."""
+    try:
+        folder = checkout("python -m rodlib.data") / "data" / "rig"
+    except RuntimeError as error:
+        sys.exit(str(error))
+    printed = LearningFilter(published.matrix("L_diagonal"), 1.0)
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, L, seed in (("learning", printed, 1), ("no-learning", None, 2)):
+        print(f"recording {name} ...", flush=True)
+        rig = VirtualRig(seed=seed)
+        log = record(rig, L=L, **experiment())
+        log.attrs["origin"] = "synthetic: virtual rig of rodlib, no laboratory data"
+        log.attrs["rig"] = json.dumps(
+            asdict(rig.parameters) | {"seed": seed, "rod": asdict(rig.rod)}
+        )
+        save_log(log, folder / f"{name}.csv")
+
+
+if __name__ == "__main__":
+    main()

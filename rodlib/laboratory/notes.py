@@ -1,0 +1,115 @@
+"""What made the trials, noted in the metadata as JSON: the ILC law and the loop."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import fields
+
+import control
+import numpy as np
+import xarray as xr
+
+from rodlib import arguments
+from rodlib.feedback import CurrentTrialLoop
+from rodlib.filters import LearningFilter, ZeroPhaseButterworth, zero_phase_butterworth
+from rodlib.laboratory.logs import LogError
+
+MISUNDERSTOOD = (KeyError, TypeError, ValueError, RecursionError)  # what a note may lead to
+
+
+def with_law(
+    trials: xr.Dataset,
+    Q: ZeroPhaseButterworth,
+    L: LearningFilter | None,
+    rest: int = 0,
+    loop: CurrentTrialLoop | None = None,
+) -> xr.Dataset:
+    """Note in the metadata which ILC law (23) made the trials, and around which loop.
+
+    `rest` is the number of samples at the end of a trial in which v was held at zero.
+    """
+    notes = {"Q": json.dumps({"order": Q.order, "cutoff": Q.cutoff, "ends": Q.ends})}
+    notes["L"] = json.dumps(L and {"coefficients": L.coefficients.tolist(), "ends": L.ends})
+    if rest:
+        notes["rest"] = json.dumps(rest)
+    if loop is not None:
+        parts = {part.name: _plain(getattr(loop, part.name)) for part in fields(loop)}
+        notes["loop"] = json.dumps(parts, ensure_ascii=False)
+    return trials.assign_attrs(notes)
+
+
+def law_of(trials: xr.Dataset) -> tuple[ZeroPhaseButterworth, LearningFilter | None] | None:
+    """The filters Q and L noted in the metadata of a log; None if it does not say.
+
+    Raises
+    ------
+    LogError
+        If the notes are there but cannot be understood, or L is for another number of channels.
+    """
+    if "Q" not in trials.attrs or "L" not in trials.attrs:
+        return None
+    Ts, m = trials.attrs["Ts"], trials.sizes["channel"]
+    try:
+        Q, L = json.loads(trials.attrs["Q"]), json.loads(trials.attrs["L"])
+        Q = zero_phase_butterworth(Q["order"], Q["cutoff"], Ts, ends=Q["ends"])
+        if L is None:
+            return Q, None
+        coefficients = arguments.array("coefficients", L["coefficients"], (m, m, "order"))
+        return Q, LearningFilter(coefficients, Ts, L["ends"])
+    except MISUNDERSTOOD as error:
+        raise LogError(f"metadata: Q or L cannot be understood: {error!r}") from None
+
+
+def rest_of(trials: xr.Dataset) -> int:
+    """Samples at the end of a trial in which v was held at zero, as noted in the metadata.
+
+    Raises
+    ------
+    LogError
+        If the note is no whole number below the length of a trial.
+    """
+    try:
+        note = json.loads(trials.attrs.get("rest", "0"))
+        return arguments.whole("rest", note, 0, trials.sizes["time"] - 1)
+    except MISUNDERSTOOD as error:
+        raise LogError(f"metadata: rest cannot be understood: {error}") from None
+
+
+def loop_of(trials: xr.Dataset) -> CurrentTrialLoop | None:
+    """The loop noted in the metadata of a log, to the last digit; None if it does not say.
+
+    Raises
+    ------
+    LogError
+        If the note is there but cannot be understood, or is that of other signals.
+    """
+    if "loop" not in trials.attrs:
+        return None
+    try:
+        note = json.loads(trials.attrs["loop"])
+        loop = CurrentTrialLoop(**{name: _rebuilt(part) for name, part in note.items()})
+        names = (loop.outputs, loop.controls)
+        arguments.one_period(log=trials.attrs["Ts"], loop=loop.Ts)
+    except (AttributeError, *MISUNDERSTOOD) as error:
+        raise LogError(f"metadata: loop cannot be understood: {error!r}") from None
+    recorded = (trials.output.values.tolist(), trials.control.values.tolist())
+    if names != recorded:
+        raise LogError(f"metadata: loop has the signals {names}, but the log {recorded}")
+    return loop
+
+
+def _plain(part):
+    if isinstance(part, control.StateSpace):
+        matrices = {name: getattr(part, name).tolist() for name in "ABCD"}
+        return matrices | {
+            "dt": part.dt, "inputs": part.input_labels, "outputs": part.output_labels
+        }  # fmt: skip
+    return part.tolist() if isinstance(part, np.ndarray) else part
+
+
+def _rebuilt(part):
+    if isinstance(part, Mapping) and "A" in part:
+        A, B, C, D = (np.array(part[name], dtype=float) for name in "ABCD")
+        return control.ss(
+            A, B, C, D, part["dt"], inputs=part["inputs"], outputs=part["outputs"]
+        )  # fmt: skip
+    return np.array(part, dtype=float) if isinstance(part, list) else part
