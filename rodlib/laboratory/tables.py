@@ -177,9 +177,7 @@ def _numbers(piece, header):
             pyarrow.BufferReader(piece),
             arrow.ReadOptions(column_names=names),
             arrow.ParseOptions(ignore_empty_lines=False),
-            arrow.ConvertOptions(
-                column_types=dict.fromkeys(names, pyarrow.float64()), null_values=[]
-            ),
+            arrow.ConvertOptions(column_types=dict.fromkeys(names, pyarrow.float64())),
         ).columns
     except pyarrow.ArrowInvalid:
         return None

@@ -194,6 +194,7 @@ def stretched(rows):
         (HEAD + COLUMNS + "".join(ROWS[:2] + ROWS[3:]), "a gap in trial 1, row 7: a step of 2"),
         (replaced(9, "3,1.3,1,0.5,1,1,2\n"), "irregular sampling in trial 3, row 14"),
         (replaced(1, "1,0,1,0.5,1,1,2\n"), "irregular sampling in trial 1, row 6: a step of 0"),
+        (replaced(5, "# a note\n\n2,1.3,1,0.5,1,1,2\n"), "irregular sampling in trial 2, row 12"),
         (HEAD + COLUMNS + "".join(stretched(8)), "the clock is off, in trial 1, row 7: sample 2 "
          "is at 2.0018, but due at 2"),
         (HEAD + COLUMNS + "".join(ROWS[:-1]), "different lengths: 3 samples in trial 3; 4 samples "
@@ -325,6 +326,23 @@ def test_readings_have_a_zero_and_differences_have_none(tmp_path):
     np.testing.assert_allclose(json.loads(trials.attrs["limits"])["y_depth"], [32, 122])
     with pytest.raises(ValueError, match="one counts from a zero of its own"):
         load_log(write(tmp_path, text), units={"depth": "K"})
+
+
+def test_the_estimate_of_an_input_disturbance_is_a_difference(tmp_path, loop, Q):
+    run = run_trials(loop, Q, None, np.ones((9, 2)), np.ones((9, 3)), 1)
+    assert run.delta[0, -1, 0] != 0
+    save_log(run.assign_coords(control_unit=("channel", ["degC", "W"])), tmp_path / "log.csv")
+    other = load_log(tmp_path / "log.csv", units={"Q1": "degF"})
+    np.testing.assert_allclose(other.delta[:, :, 0], 1.8 * run.delta[:, :, 0], atol=1e-12)
+    np.testing.assert_allclose(other.u[:, :, 0], 1.8 * run.u[:, :, 0] + 32)
+
+
+def test_pandas_reads_a_name_that_looks_like_a_comment(tmp_path, good):
+    odd = good.assign_coords(output=("channel", ["first #1"]))
+    save_log(odd, tmp_path / "log.csv")
+    assert load_log(tmp_path / "log.csv").identical(odd)
+    table = pd.read_csv(tmp_path / "log.csv", comment="#")
+    np.testing.assert_array_equal(table["y_first #1"], good.y.values.ravel())
 
 
 def test_an_interrupted_save_leaves_the_old_log(tmp_path, good, monkeypatch):
