@@ -1,5 +1,13 @@
+import json
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+
 from rodlib import data, load_log
+from rodlib.laboratory import VirtualRig
 from rodlib.published import ROOT
+from rodlib.trials import assumed_disturbance, assumed_reference
 
 
 def test_the_logs_are_recorded_in_data_rig(monkeypatch):
@@ -9,3 +17,18 @@ def test_the_logs_are_recorded_in_data_rig(monkeypatch):
     monkeypatch.setattr(data, "save_log", lambda log, path: saved.append(path))
     data.main()
     assert saved == [ROOT / "data/rig/learning.csv", ROOT / "data/rig/no-learning.csv"]
+
+
+@pytest.mark.parametrize(("name", "seed"), [("learning", 1), ("no-learning", 2)])
+def test_the_tracked_logs_are_of_the_assumed_experiment(name, seed):
+    tracked = load_log(ROOT / "data" / "rig" / f"{name}.csv")
+    device = {"modes": 300, "noise": 0.02, "quantum": 0.01, "lag": 4.0, "limit": 60.0}
+    device |= {"ambient_rate": 5e-5}
+    assert device == asdict(VirtualRig().parameters)
+    device |= {"seed": seed, "rod": json.loads(json.dumps(asdict(VirtualRig().rod)))}
+    assert json.loads(tracked.attrs["rig"]) == device
+    assert tracked.sizes["trial"] == 10
+    flows = np.round(assumed_disturbance(), 6)[:, :, 1:]
+    np.testing.assert_array_equal(tracked.disturbance[:, :, 1:], flows)
+    for k in range(10):
+        np.testing.assert_array_equal(tracked.reference[k], np.round(assumed_reference(), 6))
