@@ -2,6 +2,7 @@ import json
 from dataclasses import asdict
 
 import numpy as np
+import pytest
 
 from rodlib import data, load_log
 from rodlib.laboratory import VirtualRig
@@ -18,16 +19,16 @@ def test_the_logs_are_recorded_in_data_rig(monkeypatch):
     assert saved == [ROOT / "data/rig/learning.csv", ROOT / "data/rig/no-learning.csv"]
 
 
-def test_the_tracked_logs_are_of_the_assumed_experiment():
-    for name, seed in (("learning", 1), ("no-learning", 2)):
-        tracked = load_log(ROOT / "data" / "rig" / f"{name}.csv")
-        device = {"modes": 300, "noise": 0.02, "quantum": 0.01, "lag": 4.0, "limit": 60.0}
-        device |= {"ambient_rate": 5e-5}
-        assert device == asdict(VirtualRig().parameters)
-        device |= {"seed": seed, "rod": json.loads(json.dumps(asdict(VirtualRig().rod)))}
-        assert json.loads(tracked.attrs["rig"]) == device
-        assert tracked.sizes["trial"] == 10
-        for k in range(10):
-            np.testing.assert_array_equal(tracked.reference[k], np.round(assumed_reference(), 6))
-        flows = np.round(assumed_disturbance(), 6)[:, :, 1:]
-        np.testing.assert_array_equal(tracked.disturbance[:, :, 1:], flows)
+@pytest.mark.parametrize(("name", "seed"), [("learning", 1), ("no-learning", 2)])
+def test_the_tracked_logs_are_of_the_assumed_experiment(name, seed):
+    tracked = load_log(ROOT / "data" / "rig" / f"{name}.csv")
+    device = {"modes": 300, "noise": 0.02, "quantum": 0.01, "lag": 4.0, "limit": 60.0}
+    device |= {"ambient_rate": 5e-5}
+    assert device == asdict(VirtualRig().parameters)
+    device |= {"seed": seed, "rod": json.loads(json.dumps(asdict(VirtualRig().rod)))}
+    assert json.loads(tracked.attrs["rig"]) == device
+    assert tracked.sizes["trial"] == 10
+    flows = np.round(assumed_disturbance(), 6)[:, :, 1:]
+    np.testing.assert_array_equal(tracked.disturbance[:, :, 1:], flows)
+    for k in range(10):
+        np.testing.assert_array_equal(tracked.reference[k], np.round(assumed_reference(), 6))

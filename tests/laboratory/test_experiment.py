@@ -115,10 +115,8 @@ def test_ideal_rig_with_nominal_rod_agrees_with_the_simulation(loop, Q, L):
 
 def test_any_plant_is_run_by_the_names_of_its_signals():
     """A rig that is the loop's plant gives what the simulation gives."""
-    loop, Q = (
-        current_trial_loop(PLANT, ["pump, left", "heater"], units=PLANT_UNITS),
-        zero_phase_butterworth(Ts=0.5),
-    )
+    loop = current_trial_loop(PLANT, PLANT.input_labels[:2], units=PLANT_UNITS)
+    Q = zero_phase_butterworth(Ts=0.5)
     L = LearningFilter(0.3 * np.ones((2, 2, 4)), 0.5)
     rng = np.random.default_rng(0)
     reference, rain = rng.standard_normal((40, 2)), rng.standard_normal((3, 40, 1))
@@ -256,7 +254,7 @@ def test_the_rig_is_made_safe_on_every_way_out(loop, Q, error):
 
 
 def test_a_fault_in_apply_says_where_and_makes_the_rig_safe():
-    loop, device = current_trial_loop(PLANT, ["pump, left", "heater"], units=PLANT_UNITS), Bench()
+    loop, device = current_trial_loop(PLANT, PLANT.input_labels[:2]), Bench()
     device.inputs = ("pump, left", "heater")  # so that the plant's third input is missing
     with pytest.raises(KeyError) as caught:
         record(device, loop, zero_phase_butterworth(Ts=0.5), None, np.ones((4, 2)), None, 1)
