@@ -1,7 +1,7 @@
 """The synthesis problems in CVXPY, as the paper states them: one matrix inequality per frequency.
 
 This is the statement to read, and to compare with. :mod:`rodlib.synthesis.interior_point` solves
-the same problems about twenty times faster, and more accurately.
+the same problems ten to forty times faster (the benchmark in the README), and more accurately.
 """
 
 import warnings
