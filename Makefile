@@ -24,7 +24,7 @@ help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' Makefile | sed -E 's/:.*## /\t/' | expand -t 12
 
 reproduce: $(BIN)/ready  ## run all notebooks; regenerate figures/ and the ledger
-	@$(BIN)/python -m rodlib.reproduce
+	@$(BIN)/python -m rodlib.paper.reproduce
 
 test: $(BIN)/ready lint  ## lint, unit tests, and the committed notebooks against a fresh run
 	$(BIN)/pytest -q
@@ -35,11 +35,11 @@ lint: $(BIN)/ready  ## ruff on modules, tests and notebooks
 	$(BIN)/ruff format --check
 
 data: $(BIN)/ready  ## record the logs of the virtual rig in data/rig anew
-	$(BIN)/python -m rodlib.data
+	$(BIN)/python -m rodlib.paper.rig_logs
 
 replay: $(BIN)/ready  ## replay a log of your own: make replay LOG=path; writes to build/ only
 	@test -n "$(LOG)" || { echo "name a log: make replay LOG=path"; exit 2; }
-	@$(BIN)/python -m rodlib.reproduce "$(LOG)"
+	@$(BIN)/python -m rodlib.paper.reproduce "$(LOG)"
 
 machines: $(BIN)/ready  ## test and reproduce with other processors' arithmetic (long)
 	$(BIN)/python tests/machines.py

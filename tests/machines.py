@@ -87,7 +87,7 @@ def try_machine(name: str) -> list[str]:
         parts = {
             "tests": ["pytest", "-q", "-p", "no:cacheprovider"],
             "notebooks": ["pytest", "-q", "--nbval", "--nbval-current-env", *notebooks],
-            "reproduce": ["rodlib.reproduce"],
+            "reproduce": ["rodlib.paper.reproduce"],
         }
         failed = []
         for part, command in parts.items():

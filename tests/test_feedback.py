@@ -12,10 +12,10 @@ from rodlib import (
     midr,
     minimal_realisation,
     paper_loop,
-    published,
     sampled_response,
 )
 from rodlib.feedback import frequency_response, unreachable_modes
+from rodlib.paper import published
 
 
 def random_plant(rng, n=4, m=2):

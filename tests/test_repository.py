@@ -13,8 +13,8 @@ import nbformat
 import pandas as pd
 import pytest
 
-from rodlib import ledger, published
-from rodlib.published import ROOT
+from rodlib.files import ROOT
+from rodlib.paper import ledger, published
 
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 
@@ -115,8 +115,8 @@ def test_no_notebook_reads_what_another_wrote():
 FROM_A_WHEEL = """
 import runpy, sys
 import matplotlib.pyplot as plt
-from rodlib import figures, published
-from rodlib.ledger import Ledger
+from rodlib.paper import figures, published
+from rodlib.paper.ledger import Ledger
 
 print(published.__file__)
 book = Ledger("test", M_max=0.9)
@@ -126,14 +126,14 @@ print(len(published.claims()), {*book.table().verdict})
 
 def start(*arguments):
     sys.argv = ["", *arguments]
-    runpy.run_module("rodlib.reproduce", run_name="__main__")
+    runpy.run_module("rodlib.paper.reproduce", run_name="__main__")
 
 for write in (
     book.save,
     lambda: figures.save(plt.figure(), "fig02-rod"),
     start,
     lambda: start(published.__file__),  # as a log
-    lambda: runpy.run_module("rodlib.data", run_name="__main__"),
+    lambda: runpy.run_module("rodlib.paper.rig_logs", run_name="__main__"),
     lambda: runpy.run_path(sys.orig_argv[-1], run_name="__main__"),
 ):
     try:
@@ -164,7 +164,7 @@ def test_a_wheel_has_the_printed_numbers_and_writes_nowhere(tmp_path):
     )
     assert used.returncode == 0, used.stderr
     module, numbers, *refusals = used.stdout.splitlines()
-    assert module == str(packages / "rodlib" / "published.py")
+    assert module == str(packages / "rodlib" / "paper" / "published.py")
     assert numbers == f"{len(published.claims())} {{'{ledger.REPRODUCED}'}}"
     refusal = f" writes to a clone of the repository of rodlib, and {packages} is none: "
     assert [line.partition(refusal)[0] for line in refusals] == [
@@ -172,7 +172,7 @@ def test_a_wheel_has_the_printed_numbers_and_writes_nowhere(tmp_path):
         "figures.save",
         "make reproduce",
         "make replay",
-        "python -m rodlib.data",
+        "python -m rodlib.paper.rig_logs",
         "tests/benchmarks/report.py",
     ]
     assert all(refusal in line for line in refusals)

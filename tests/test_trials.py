@@ -14,12 +14,12 @@ from rodlib import (
     current_trial_loop,
     midr,
     minimal_realisation,
-    published,
     run_trials,
     synthesise,
     zero_phase_butterworth,
 )
 from rodlib.evidence import trial_map
+from rodlib.paper import published
 from rodlib.synthesis import convergence_matrix, largest_singular_values
 from rodlib.trials import assumed_disturbance, assumed_reference, dataset, rms, state_sequence
 

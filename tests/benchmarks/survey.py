@@ -26,7 +26,7 @@ import numpy as np
 from rodlib import InfeasibleError, SolverError, synthesise, zero_phase_butterworth
 from rodlib.feedback import frequency_response
 from rodlib.files import ROOT, write_whole
-from rodlib.ledger import splice
+from rodlib.paper.ledger import splice
 
 FAMILIES = (
     "lag", "two lags", "motion stage", "tanks", "slow integrator", "short delay", "long delay",

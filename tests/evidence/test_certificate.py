@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from rodlib import (
     LearningFilter,
     SolverError,
-    published,
     run_trials,
     synthesise,
     zero_phase_butterworth,
@@ -26,6 +25,7 @@ from rodlib.evidence import (
 )
 from rodlib.evidence.peak import _ceiling, _phase, _rounded_up, balanced
 from rodlib.feedback import frequency_response
+from rodlib.paper import published
 from rodlib.problem import pose
 from rodlib.synthesis import convergence_matrix, largest_singular_values
 from rodlib.trials import assumed_reference

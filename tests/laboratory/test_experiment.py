@@ -16,14 +16,13 @@ from rodlib import (
     current_trial_loop,
     load_log,
     paper_loop,
-    published,
     record,
     run_trials,
     save_log,
     update,
     zero_phase_butterworth,
 )
-from rodlib.data import experiment
+from rodlib.files import ROOT
 from rodlib.laboratory import (
     Controller,
     RestartingRig,
@@ -33,7 +32,8 @@ from rodlib.laboratory import (
     loop_of,
     rest_of,
 )
-from rodlib.published import ROOT
+from rodlib.paper import published
+from rodlib.paper.rig_logs import experiment
 from rodlib.trials import assumed_disturbance, assumed_reference, rms
 
 IDEAL = RigParameters(noise=0, quantum=0, lag=0, limit=np.inf, ambient_rate=0)
@@ -289,7 +289,8 @@ SHORT = {"reference": np.round(assumed_reference(25) * 0.3, 6), "trials": 3, "pa
 KILLED = """
 import os, signal, sys
 import pyarrow.csv, scipy.signal
-from rodlib import LearningFilter, paper_loop, published, record, zero_phase_butterworth
+from rodlib import LearningFilter, paper_loop, record, zero_phase_butterworth
+from rodlib.paper import published
 from rodlib.laboratory import RestartingRig, units
 from rodlib.trials import assumed_reference
 

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from rodlib import LogError, load_log, run_trials, save_log
+from rodlib.files import ROOT
 from rodlib.laboratory import logs, tables
-from rodlib.published import ROOT
 from rodlib.trials import dataset
 
 SIGNALS = """{"outputs": {"depth": "mm"}, "controls": {"valve, left": "l/min"},

@@ -13,11 +13,11 @@ from rodlib import (
     LearningFilter,
     SolverError,
     least_gain,
-    published,
     synthesise,
     zero_phase_butterworth,
 )
 from rodlib.evidence import trial_norm
+from rodlib.paper import published
 from rodlib.synthesis import (
     active_set,
     convergence_matrix,

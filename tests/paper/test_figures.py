@@ -4,7 +4,8 @@ import matplotlib.pyplot as plt
 import pytest
 from IPython.core.formatters import DisplayFormatter
 
-from rodlib import Rod, figures
+from rodlib import Rod
+from rodlib.paper import figures
 
 
 @pytest.fixture

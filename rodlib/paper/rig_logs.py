@@ -1,4 +1,4 @@
-"""Records the logs of the virtual rig in data/rig: ``python -m rodlib.data``."""
+"""Records the logs of the virtual rig in data/rig: ``python -m rodlib.paper.rig_logs``."""
 
 import json
 import sys
@@ -6,11 +6,11 @@ from dataclasses import asdict
 
 import numpy as np
 
-from rodlib import published
 from rodlib.feedback import paper_loop
 from rodlib.files import checkout
 from rodlib.filters import LearningFilter, zero_phase_butterworth
 from rodlib.laboratory import VirtualRig, record, save_log
+from rodlib.paper import published
 from rodlib.trials import assumed_disturbance, assumed_reference
 
 # As many digits as are recorded: heat flows in 0.1 mW, temperatures in 0.1 mK, v in 1 uK.
@@ -31,7 +31,7 @@ def experiment() -> dict:
 def main():
     """Record the two experiments of data/rig; the same bytes in every run."""
     try:
-        folder = checkout("python -m rodlib.data") / "data" / "rig"
+        folder = checkout("python -m rodlib.paper.rig_logs") / "data" / "rig"
     except RuntimeError as error:
         sys.exit(str(error))
     printed = LearningFilter(published.matrix("L_diagonal"), 1.0)

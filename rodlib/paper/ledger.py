@@ -3,7 +3,7 @@
 A number is *reproduced* if it agrees within half a unit of the last digit printed, a statement if
 the number that tests it meets its criterion. Otherwise it *differs*, by so much. Where a criterion
 would be ours alone, the verdict is *in words*: up to where the statement holds. Each notebook
-records its part; :mod:`rodlib.reproduce` joins the parts once all notebooks have run.
+records its part; :mod:`rodlib.paper.reproduce` joins the parts once all notebooks have run.
 
 Rows are of three kinds. *Evidence* could have come out otherwise. *Taken over* are the parameters
 that we use because the paper prints them; an *identity* holds by construction, or follows from
@@ -24,9 +24,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from rodlib import published
 from rodlib.files import folder, publishing, results, write_whole
-from rodlib.published import Claim
+from rodlib.paper import published
+from rodlib.paper.published import Claim
 
 REPRODUCED, DIFFERS = "reproduced", "differs"
 IN_WORDS, UNCHECKED = "in words", "cannot be checked"
@@ -121,8 +121,8 @@ class Ledger:
         key : str
             Key of a claim, or the name of a printed matrix.
         computed : float or ndarray
-            For a matrix with the shape that :func:`rodlib.published.matrix` gives it. None for
-            what cannot be checked.
+            For a matrix with the shape that :func:`rodlib.paper.published.matrix` gives it.
+            None for what cannot be checked.
 
         Raises
         ------

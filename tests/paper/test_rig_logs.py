@@ -4,18 +4,19 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
-from rodlib import data, load_log
+from rodlib import load_log
+from rodlib.files import ROOT
 from rodlib.laboratory import VirtualRig
-from rodlib.published import ROOT
+from rodlib.paper import rig_logs
 from rodlib.trials import assumed_disturbance, assumed_reference
 
 
 def test_the_logs_are_recorded_in_data_rig(monkeypatch):
     saved = []
     log = load_log(ROOT / "data/rig/no-learning.csv")
-    monkeypatch.setattr(data, "record", lambda *_, **__: log)
-    monkeypatch.setattr(data, "save_log", lambda log, path: saved.append(path))
-    data.main()
+    monkeypatch.setattr(rig_logs, "record", lambda *_, **__: log)
+    monkeypatch.setattr(rig_logs, "save_log", lambda log, path: saved.append(path))
+    rig_logs.main()
     assert saved == [ROOT / "data/rig/learning.csv", ROOT / "data/rig/no-learning.csv"]
 
 

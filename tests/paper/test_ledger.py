@@ -4,9 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rodlib import ledger, published
-from rodlib.ledger import DIFFERS, IN_WORDS, OTHER, REPRODUCED, UNCHECKED, Ledger, verdict
-from rodlib.published import Claim
+from rodlib.paper import ledger, published
+from rodlib.paper.ledger import DIFFERS, IN_WORDS, OTHER, REPRODUCED, UNCHECKED, Ledger, verdict
+from rodlib.paper.published import Claim
 
 
 def claim(printed="0.1011", criterion=""):

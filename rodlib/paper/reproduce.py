@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from rodlib.files import ROOT, alone, checkout, finish_publishing, folder
-from rodlib.ledger import publish
+from rodlib.paper.ledger import publish
 
 AT_A_TIME = 3  # two processors stay busy while a kernel starts or ends
 

@@ -7,9 +7,9 @@ import time
 import nbformat
 import pytest
 
-from rodlib import ledger, published
 from rodlib.files import publishing
-from rodlib.ledger import Ledger
+from rodlib.paper import ledger, published
+from rodlib.paper.ledger import Ledger
 
 
 def write(path, *cells):
@@ -41,9 +41,8 @@ def root(tmp_path, monkeypatch):
     return tmp_path
 
 
-CALL = (
-    "import pathlib, sys, rodlib.reproduce as r; r.main(pathlib.Path(sys.argv[1]), *sys.argv[2:])"
-)
+CALL = "import pathlib, sys; from rodlib.paper import reproduce; "
+CALL += "reproduce.main(pathlib.Path(sys.argv[1]), *sys.argv[2:])"
 
 
 def run(root, *log):

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from rodlib import published
+from rodlib.paper import published
 
 
 @pytest.mark.parametrize(

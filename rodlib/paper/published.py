@@ -1,8 +1,8 @@
 """Every number that the paper prints, as printed, with where it stands.
 
-The data are in data/published; a wheel has them in rodlib/printed. ``claims.csv`` holds single
-numbers, and statements in words with the criterion that we test them by; one file each holds the
-matrices. Numbers are kept as strings, because their last digit says how precise they are.
+The data are in data/published; a wheel has them in rodlib/paper/printed. ``claims.csv`` holds
+single numbers, and statements in words with the criterion that we test them by; one file each holds
+the matrices. Numbers are kept as strings, because their last digit says how precise they are.
 """
 
 import csv
