@@ -3,6 +3,9 @@
 :func:`pose` states a problem and checks it; solvers and evidence take it whole. Frequency responses
 have the frequency first. The channels of P, L and M are in units of `scale`, so that singular
 values compare what counts as equally large.
+
+M is affine in P. A bound on it for several plants, or for all within a radius of them, is as convex
+as for one: *fast for the plant that one believes in, convergent for all that cannot be excluded*.
 """
 
 from collections.abc import Sequence
@@ -45,6 +48,13 @@ class Problem:
         What counts as equally large in each channel.
     model : tuple of control.StateSpace and ZeroPhaseButterworth, or None
         P and Q, if both were given as models.
+    others : ndarray, shape (p, n, m, m), complex
+        Further plants for which the bounds hold; plant number 0 is P, these are 1 to p.
+    other_models : tuple of control.StateSpace or None
+        As far as they were given as models.
+    radius : ndarray, shape (n,) or (n, m, m), or None
+        The bounds hold for all P + Delta with ||Delta|| <= radius at each frequency, or with
+        |Delta_ij| <= radius_ij, and likewise for the other plants.
     """
 
     P: np.ndarray
@@ -59,6 +69,9 @@ class Problem:
     objective: str
     scale: np.ndarray
     model: tuple[control.StateSpace, ZeroPhaseButterworth] | None
+    others: np.ndarray
+    other_models: tuple[control.StateSpace | None, ...] = ()
+    radius: np.ndarray | None = None
 
     @property
     def channels(self) -> int:
@@ -75,13 +88,27 @@ class Problem:
         """The objective without learning, L = 0."""
         return self.value(np.abs(self.Q))
 
-    def value(self, sigma_M) -> float:
-        """The objective, from the largest singular value of M at each frequency."""
-        return float(sigma_M[self.in_band].sum() if self.objective == "sum" else sigma_M.max())
+    @property
+    def robust(self) -> bool:
+        """Whether the bounds hold for more plants than P."""
+        return self.radius is not None or len(self.others) > 0
 
-    def M(self, L) -> np.ndarray:
-        """M of (40) from the frequency response of L."""
-        return convergence_matrix(self.P, self.Q, L)
+    def plant(self, number: int) -> np.ndarray:
+        """Frequency response of a plant; 0 is the nominal one, P."""
+        return self.P if number == 0 else self.others[number - 1]
+
+    def value(self, sigma_M, worst=None) -> float:
+        """The objective, from the largest singular value of M at each frequency.
+
+        `worst`, for the peak: the largest over all plants; by default that of the nominal one.
+        """
+        if self.objective == "sum":
+            return float(sigma_M[self.in_band].sum())
+        return float((sigma_M if worst is None else worst).max())
+
+    def M(self, L, number: int = 0) -> np.ndarray:
+        """M of (40) of a plant, from the frequency response of L."""
+        return convergence_matrix(self.plant(number), self.Q, L)
 
     @property
     def weight(self) -> np.ndarray:
@@ -104,6 +131,34 @@ class Problem:
 
 
 @dataclass(frozen=True)
+class Cuts:
+    """Bounds on M for other plants than the nominal one, or for a radius, with their multipliers.
+
+    For a plant P and a frequency, the matrix that is bounded is G = M = Q (I - P L) if there is no
+    radius r, and otherwise
+
+        G = [M; |Q| r L]                            for a radius of the norm, 2m x m,
+        G = [M; |Q| r_ij (row j of L), all i, j]    entry by entry, m + m^2 x m, i first.
+
+    Attributes
+    ----------
+    plant, frequency : ndarray of int, shape (c,)
+        Of each bound: number of the plant, index of the frequency.
+    N : ndarray, shape (c, rows of G, m), complex
+        Multipliers of G.
+    split : ndarray, shape (c, k)
+        Share d of the bound b that is left to the rows below M: diag(b - d, d) for its rows. One
+        for a radius of the norm; entry by entry m^2, and b - sum_j d_ij for row i of M. Empty
+        without a radius.
+    """
+
+    plant: np.ndarray
+    frequency: np.ndarray
+    N: np.ndarray
+    split: np.ndarray
+
+
+@dataclass(frozen=True)
 class Solution:
     """A learning filter, and the multipliers from which its optimality can be proven.
 
@@ -112,12 +167,14 @@ class Solution:
     coefficients : ndarray, shape (m, m, order)
         L(z) = sum_k coefficients[:, :, k - 1] z^k, in units of `scale`.
     U, V : ndarray, shape (n, m, m), complex
-        Multipliers of M and of L.
+        Multipliers of the nominal M and of L.
     peak : float
         Largest sigma_max(M); of W L, for the least gain.
     method : str
         That found it.
     iterations : int
+    cuts : Cuts or None
+        What was needed of the bounds on M for other plants, and for a radius.
     """
 
     coefficients: np.ndarray
@@ -126,6 +183,7 @@ class Solution:
     peak: float
     method: str
     iterations: int
+    cuts: Cuts | None = None
 
 
 def convergence_matrix(P, Q, L) -> np.ndarray:
@@ -176,6 +234,7 @@ def pose(
     structure="diagonal",
     objective="sum",
     scale=None,
+    uncertainty=None,
 ) -> Problem:
     """State the problem (39), or (45) with (46), and check it.
 
@@ -187,7 +246,8 @@ def pose(
     """
     Ts = arguments.sampling_period("Ts", Ts)
     omega = _frequencies(omega, Ts)
-    plant, P = _response("P", P, omega, Ts)
+    given = _plants(P)
+    plant, P = _response("P" if len(given) == 1 else "P[0]", given[0], omega, Ts)
     q, Q = _q_response(Q, omega, Ts)
     order = arguments.whole("order", order, 1, len(omega))
     what = "in (0, 1), or the trials do not converge"
@@ -197,19 +257,59 @@ def pose(
     arguments.choice("structure", structure, ["diagonal", "full"])
     arguments.choice("objective", objective, ["sum", "peak"])
     in_band = _in_band(Q, omega, band, objective)
-    scale = _scale(scale, P.shape[1])
+    n, m, _ = P.shape
+    others = np.empty((len(given) - 1, n, m, m), dtype=complex)
+    other_models = []
+    for k, other in enumerate(given[1:], 1):
+        model, response = _response(f"P[{k}]", other, omega, Ts)
+        others[k - 1] = arguments.array(f"P[{k}]", response, (n, m, m), complex)
+        other_models.append(model)
+    radius = _radius(uncertainty, n, m)
+    scale = _scale(scale, m)
     if scale is not None:
-        P = P * scale / scale[:, None]
-        if plant is not None:
-            S, R = np.diag(scale), np.diag(1 / scale)
-            plant = control.ss(plant.A, plant.B @ S, R @ plant.C, R @ plant.D @ S, plant.dt)
+        units = scale / scale[:, None]
+        P, others = P * units, others * units
+        plant, *other_models = (_scaled(model, scale) for model in (plant, *other_models))
+        if radius is not None and radius.ndim == 3:
+            radius = radius * units
     else:
-        scale = np.ones(P.shape[1])
+        scale = np.ones(m)
     _refuse_singular(P, omega)
     model = None if plant is None or q is None else (plant, q)
     return Problem(
-        P, Q, omega, Ts, order, M_max, L_max, in_band, structure, objective, scale, model
-    )
+        P, Q, omega, Ts, order, M_max, L_max, in_band, structure, objective, scale, model,
+        others, tuple(other_models), radius,
+    )  # fmt: skip
+
+
+def _plants(P):
+    """A list of plants, the nominal one first, from one plant or several."""
+    several = isinstance(P, np.ndarray) and P.ndim == 4
+    if isinstance(P, list | tuple):
+        one = (CurrentTrialLoop, control.FrequencyResponseData, control.LTI)
+        several = any(isinstance(p, one) or getattr(p, "ndim", 0) == 3 for p in P)
+    return [*P] if several else [P]
+
+
+def _scaled(model, scale):
+    if model is None:
+        return None
+    S, R = np.diag(scale), np.diag(1 / scale)
+    return control.ss(model.A, model.B @ S, R @ model.C, R @ model.D @ S, model.dt)
+
+
+def _radius(uncertainty, n, m):
+    """Radius at each frequency, of the norm or entry by entry; None if it is zero throughout."""
+    if uncertainty is None:
+        return None
+    shape = (n, m, m) if np.ndim(uncertainty) == 3 else (n,)
+    radius = arguments.array("uncertainty", uncertainty, shape)
+    if radius.min() < 0:
+        raise ValueError(
+            f"uncertainty reaches {radius.min():.6g}, but a radius cannot be negative: pass the "
+            "largest ||Delta|| (or |Delta_ij|) at each frequency"
+        )
+    return radius if radius.any() else None
 
 
 def _frequencies(omega, Ts):
