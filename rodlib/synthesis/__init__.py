@@ -30,6 +30,7 @@ from rodlib.problem import (
 )
 from rodlib.synthesis import active_set, interior_point
 from rodlib.synthesis.program import Infeasible, formulate
+from rodlib.synthesis.selection import first_cuts, violated
 
 __all__ = [
     "InfeasibleError",
@@ -116,6 +117,7 @@ def synthesise(
     structure="diagonal",
     objective="sum",
     scale=None,
+    uncertainty=None,
     solver="structured",
     start=None,
     samples=None,
@@ -184,7 +186,7 @@ def synthesise(
     """
     problem = pose(
         P, Q, omega, Ts, order=order, M_max=M_max, L_max=L_max, band=band, structure=structure,
-        objective=objective, scale=scale,
+        objective=objective, scale=scale, uncertainty=uncertainty,
     )  # fmt: skip
     arguments.choice("solver", solver, ["structured", "cvxpy"])
     arguments.flag("check", check)
@@ -239,9 +241,12 @@ def least_gain(P, Q, omega, Ts, **choices) -> Synthesis:
 
 def _solve(problem, start):
     """By the structured solvers: from a start if that leads somewhere, or from nothing."""
-    program = formulate(problem)
+    return _with_cuts(problem, start and start.solution, _solve_program)
+
+
+def _solve_program(problem, program, start):
     if start is not None:
-        found = active_set.resolve(program, start.solution, steps=12)
+        found = active_set.resolve(program, start, steps=12)
         if found is not None and _is_good(problem, found):
             return found
     solution = interior_point.solve(program)
@@ -255,7 +260,19 @@ def _solve(problem, start):
 def _solve_with_cvxpy(problem, start):
     from rodlib.synthesis import statement  # here, because CVXPY takes long to import
 
-    return statement.solve(formulate(problem))
+    return _with_cuts(problem, None, lambda problem, program, start: statement.solve(program))
+
+
+def _with_cuts(problem, start, solve):
+    """Solve with a part of the bounds, add those that the solution violates, and solve again."""
+    plant, frequency = first_cuts(problem, start)
+    while True:
+        start = solve(problem, formulate(problem, plant, frequency), start)
+        limit = start.peak if problem.objective == "peak" else problem.M_max
+        more = violated(problem, start, limit, plant, frequency) if problem.robust else ([], [])
+        if not len(more[0]):
+            return start
+        plant, frequency = np.append(plant, more[0]), np.append(frequency, more[1])
 
 
 def _sigmas(problem, solution):
@@ -268,7 +285,7 @@ def _is_good(problem, solution):
     """Whether a solution is within its bounds and as good as proven to the last digits."""
     sigma_M, sigma_L = _sigmas(problem, solution)
     value = problem.value(sigma_M)
-    gap = value - lower_bound(problem, solution.U, solution.V)
+    gap = 0 if problem.robust else value - lower_bound(problem, solution.U, solution.V)
     return (
         gap < GOOD * max(value, 1e-3 * problem.idle)
         and sigma_M.max() <= problem.M_max * (1 + VIOLATION)

@@ -32,7 +32,7 @@ from dataclasses import dataclass
 import daqp
 import numpy as np
 
-from rodlib.problem import Solution
+from rodlib.problem import Solution, largest_singular_values
 from rodlib.synthesis.program import Program
 
 NEAR = 0.9  # part of a limit from which on it is in the quadratic program
@@ -43,16 +43,30 @@ CONVERGED = 1e-9  # expected relative gain below which a full step is the last o
 class Iterate:
     """A filter, its G and sigma_max of each bound, the objective, the excess over the limits."""
 
-    def __init__(self, program, x):
-        self.x, self.G = x, program.matrices(x)
-        self.sigma = [bound.value(G) for bound, G in zip(program.bounds, self.G, strict=True)]
-        t = self.sigma[0][program.free]
-        self.objective = t.max() if program.shared else t.sum()
-        self.limits = [program.limits[min(j, 1)] for j in range(len(self.G))]
+    def __init__(self, program, x, splits=None):
+        self.x, self.G, self.splits, self.sigma = x, program.matrices(x), [], []
+        # what is looked into: more than the largest M, or the limit on it, leave aside
+        level = NEAR * (self._largest_M(program) if program.shared else program.limits[0])
+        for j, (bound, G) in enumerate(zip(program.bounds, self.G, strict=True)):
+            split = bound.first_split(G) if splits is None else splits[j]
+            split, sigma = bound.tighten(G, split, level)
+            self.splits.append(split)
+            self.sigma.append(sigma)
         if program.shared:
-            self.limits[0] = self.objective
+            minimised = zip(program.bounds, self.sigma, strict=True)
+            self.objective = max(s.max() for bound, s in minimised if bound.limit == 0)
+        else:
+            self.objective = self.sigma[0][program.free].sum()
+        limits = (self.objective if program.shared else program.limits[0], program.limits[1])
+        self.limits = [limits[bound.limit] for bound in program.bounds]
         relative = [s.max() / b - 1 for s, b in zip(self.sigma, self.limits, strict=True)]
         self.excess = np.maximum(relative, 0)
+
+    def _largest_M(self, program):
+        """The largest of the first limit, without a radius."""
+        parts = zip(program.bounds, self.G, strict=True)
+        square = (np.moveaxis(G[: G.shape[1]], -1, 0) for bound, G in parts if bound.limit == 0)
+        return max(largest_singular_values(M).max() for M in square)
 
 
 @dataclass(frozen=True)
@@ -79,24 +93,23 @@ def model_at(program, p, multipliers):
     for j, (bound, y, limit) in enumerate(zip(program.bounds, multipliers, p.limits, strict=True)):
         close = (p.sigma[j] > NEAR * limit) | (y > 0)
         weight = y + in_sum(program) if j == 0 else y
-        e = bound.expand(
-            p.G[j], np.flatnonzero(close | (weight > 0)), program.basis, program.entries
-        )
+        at = np.flatnonzero(close | (weight > 0))
+        e = bound.expand(p.G[j], p.splits[j], at, program.basis, program.entries)
         rows = (e.curvature * np.sqrt(weight[e.at] / unit)[:, None, None]).reshape(-1, K)
         H += rows.T @ rows
         if j == 0:
             f[:K] = in_sum(program)[e.at] @ e.gradient / unit
         close = close[e.at]
-        dt = -1.0 if j == 0 and program.shared else 0.0
+        dt = -1.0 if bound.limit == 0 and program.shared else 0.0
         A.append(np.insert(e.gradient[close], K, dt, axis=1) / limit)
-        room.append(1 - e.sigma[close] / limit)
+        room.append(1 - e.value[close] / limit)
         near.append(e.at[close])
     return Model(H, f, np.vstack(A), np.concatenate(room), near, unit)
 
 
 def in_sum(program):
-    """One at the frequencies whose sigma_max(M) is in the sum, zero elsewhere."""
-    weight = np.zeros(program.basis.shape[1])
+    """One in the columns of the first bound that are in the sum, zero elsewhere."""
+    weight = np.zeros(program.bounds[0].shape[2])
     if not program.shared:
         weight[program.free] = 1
     return weight
@@ -133,7 +146,7 @@ def improve(program, p, model, penalty, damping):
             if attempt == "first":
                 penalty = np.maximum(penalty, [1.5 * z.sum() for z in np.split(y, splits)])
                 expected = part * penalty @ p.excess - model.f @ d - dx @ model.H @ dx / 2
-            new = Iterate(program, p.x + dx.reshape(p.x.shape))
+            new = Iterate(program, p.x + dx.reshape(p.x.shape), p.splits)
             gain = (p.objective - new.objective) / model.unit + penalty @ (p.excess - new.excess)
             if gain + NOISE > 0.1 * (expected + NOISE):
                 if part == 1 and gain + NOISE > 0.75 * (expected + NOISE):
@@ -175,20 +188,38 @@ def resolve(program: Program, start: Solution, steps: int) -> Solution | None:
         for j, at in enumerate(model.near):
             y[j][at] = near[j] * model.unit / p.limits[j]
         if expected < CONVERGED and p.excess.max() < NOISE:
-            return program.solution(p.x, last_multipliers(program, p, y), "active set", iteration)
+            multipliers = last_multipliers(program, p, y)
+            return program.solution(p.x, multipliers, p.splits, "active set", iteration)
     return None
 
 
 def first_multipliers(program, start):
     """Multipliers of the limits of each bound, from those of an earlier solution."""
-    U = np.linalg.norm(start.U, "nuc", axis=(1, 2))
-    multipliers = [np.maximum(U - in_sum(program), 0)]
-    for bound in program.bounds[1:]:
-        whole = len(bound.T) == start.V.shape[1]
-        V = start.V if whole else start.V[:, bound.entries, bound.entries, None]
-        W = np.moveaxis(bound.T, -1, 0)
-        multipliers.append(np.linalg.norm(np.linalg.solve(W, V), "nuc", axis=(1, 2)))
-    return [np.where(y > 1e-6 * y.max(), y, 0) for y in multipliers]
+    multipliers = []
+    for j, bound in enumerate(program.bounds):
+        if bound.plant is not None:
+            y = of_cuts(bound, start)
+        elif j == 0:
+            U = start.U[bound.at]
+            y = np.maximum(np.linalg.norm(U, "nuc", axis=(1, 2)) - in_sum(program), 0)
+        else:
+            whole = len(bound.T) == start.V.shape[1]
+            V = start.V if whole else start.V[:, bound.entries, bound.entries, None]
+            W = np.moveaxis(bound.T, -1, 0)
+            y = np.linalg.norm(np.linalg.solve(W, V), "nuc", axis=(1, 2))
+        multipliers.append(np.where(y > 1e-6 * y.max(initial=0), y, 0))
+    return multipliers
+
+
+def of_cuts(bound, start):
+    """Multipliers of the cuts that are those of an earlier solution, and zero for the others."""
+    y, cuts = np.zeros(bound.shape[2]), start.cuts
+    if cuts is None or cuts.N.shape[1] != len(bound.F):
+        return y
+    size = bound.dual(np.moveaxis(cuts.N, 0, -1), cuts.split.T)
+    known = dict(zip(zip(cuts.plant, cuts.frequency, strict=True), size, strict=True))
+    pairs = zip(bound.plant, bound.at, strict=True)
+    return np.array([known.get(pair, 0.0) for pair in pairs])
 
 
 def last_multipliers(program, p, y):
@@ -198,8 +229,7 @@ def last_multipliers(program, p, y):
         weight = y[j] + in_sum(program) if j == 0 else y[j]
         at = np.flatnonzero(weight)
         N = np.zeros_like(G)
-        N[..., at] = (
-            np.moveaxis(bound.expand(G, at, program.basis, program.entries).uv, 0, -1) * weight[at]
-        )
+        e = bound.expand(G, p.splits[j], at, program.basis, program.entries)
+        N[..., at] = e.N * weight[at]
         multipliers.append(N)
     return multipliers

@@ -3,7 +3,10 @@
 Given P_i (m x m) and Q_i (scalar) at the frequencies omega_i, find the real coefficients C_k of
 L(z) = sum_k C_k z^k that minimise the sum over a band, or the largest, of sigma_max(M_i), where
 M_i = Q_i (I - P_i L_i), subject to sigma_max(M_i) <= M_max and sigma_max(W L_i) <= 1 at all
-frequencies, where W is I / L_max. Each of these is a :class:`rodlib.synthesis.bounds.Bound`.
+frequencies, where W is I / L_max. Each of these is a :class:`rodlib.synthesis.bounds.Bound`. So are
+those on M for other plants and for a radius, with M_max as well. Of thousands of these a handful
+matters: only a selection, the cuts, is in the program, which :func:`rodlib.synthesis.synthesise`
+extends by those that its solution violates.
 
 The powers z, z^2, ... are replaced by a basis that is orthonormal with the weight that M and L give
 each frequency. It is computed in long doubles, see :func:`rodlib.filters.time_shifts`.
@@ -14,10 +17,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rodlib.filters import time_shifts
-from rodlib.problem import Problem, Solution
+from rodlib.problem import Cuts, Problem, Solution
 from rodlib.synthesis.bounds import Bound, product
 
 GENEROUS = 3.0  # bound on what is minimised, in its unit: never active
+SMALLEST = 1e-10  # radius that counts as such, relative to the plant
 
 
 class Infeasible(RuntimeError):
@@ -35,20 +39,22 @@ class Program:
     Attributes
     ----------
     bounds : tuple of Bound
-        M, then W L, or each of its entries if L is diagonal; W L, then M, for the least gain.
+        M, then W L, or each of its entries if L is diagonal; W L, then M, for the least gain. Then
+        the cuts. M is left out where a cut implies it.
     basis, R : ndarray, shape (order, n) and (order, order)
         L = x basis at the frequencies, for x of shape (entries, order); the coefficients are
         the rows of x R^-T.
     entries : int
         How many entries of L are not zero.
     free : ndarray
-        Frequencies at which the first bound has a variable t for its level.
+        Columns at which the first bound has a variable t for its level.
     shared : bool
-        Whether it is the same for all of them: their largest is minimised, not their sum.
+        Whether it is the same for all of them, and for all bounds with the first limit: their
+        largest is minimised, not a sum.
     limits : ndarray, shape (2,)
-        Of the first bound, and of t; of the others.
+        Of the bounds, see :attr:`rodlib.synthesis.bounds.Bound.limit`; the first is that of t, too.
     M_max : float
-        What the largest of the first bound must not exceed.
+        What the largest with the first limit must not exceed.
     """
 
     bounds: tuple
@@ -68,14 +74,22 @@ class Program:
 
     def peak(self):
         """The program of the smallest possible bound on M."""
-        size = np.abs(self.bounds[0].F[0, 0])
-        limits = np.array([GENEROUS * size.max(), self.limits[1]])
-        return replace(self, free=np.arange(len(size)), shared=True, limits=limits)
+        size = max(np.abs(bound.F[0, 0]).max() for bound in self.bounds if bound.limit == 0)
+        limits = np.array([GENEROUS * size, self.limits[1]])
+        return replace(self, free=np.arange(self.bounds[0].shape[2]), shared=True, limits=limits)
+
+    def has_t(self, j):
+        """The columns of bound j whose level is a variable."""
+        if self.shared and self.bounds[j].limit == 0:
+            return np.arange(self.bounds[j].shape[2])
+        return self.free if j == 0 else np.array([], dtype=int)
 
     def levels(self, t, limits):
-        """The level b of each bound, given t and the limits on M and L."""
-        b = [np.full(self.basis.shape[1], limits[min(j, 1)]) for j in range(len(self.bounds))]
-        b[0][self.free] = t
+        """The level b of each bound, given t and the limits."""
+        b = [np.full(bound.shape[2], limits[bound.limit]) for bound in self.bounds]
+        for j, level in enumerate(b):
+            if len(columns := self.has_t(j)):
+                level[columns] = t
         return b
 
     def matrices(self, x):
@@ -88,21 +102,34 @@ class Program:
         bound = self.bounds[0]
         return (coefficients[bound.rows, bound.cols] @ self.R.T).astype(float)
 
-    def solution(self, x, multipliers, method, iterations):
-        """Solution from the unknowns and the multipliers of G, shape (q, q, n) for each bound."""
-        bound, m = self.bounds[0], len(self.bounds[0].T)
+    def solution(self, x, multipliers, splits, method, iterations):
+        """Solution from the unknowns and, for each bound, the multipliers of G and the split."""
+        first, n = self.bounds[0], self.basis.shape[1]
+        m = first.T.shape[1]
         C = np.zeros((m, m, x.shape[1]))
         c = x.astype(self.R.dtype)  # back substitution, in the precision of R
         for k in reversed(range(len(self.R))):
             c[:, k] = (c[:, k] - c[:, k + 1 :] @ self.R[k, k + 1 :]) / self.R[k, k]
-        C[bound.rows, bound.cols] = c
-        U, *V = (
-            product(bound.T if j else np.eye(m)[..., None], N).transpose(2, 0, 1)
-            for j, (bound, N) in enumerate(zip(self.bounds, multipliers, strict=True))
-        )
-        V = V[0] if V[0].shape[1] == m else np.concatenate(V, axis=1) * np.eye(m)
-        peak = np.linalg.norm(self.matrices(x)[0], 2, axis=(0, 1)).max()
-        return Solution(C, U, V, peak, method, iterations)
+        C[first.rows, first.cols] = c
+        U, V = np.zeros((2, n, m, m), dtype=complex)
+        cuts = []
+        for j, (bound, N) in enumerate(zip(self.bounds, multipliers, strict=True)):
+            if bound.plant is not None:
+                cuts.append((bound.plant, bound.at, N.T.swapaxes(1, 2), splits[j].T))
+            elif j == 0:
+                U[bound.at] = np.moveaxis(N, -1, 0)
+            elif len(N) == m:
+                V = np.moveaxis(product(bound.T, N), -1, 0)
+            else:
+                V[:, bound.entries[0], bound.entries[0]] = (bound.T * N)[0, 0]
+        G = self.matrices(x)
+        peaks = [
+            bound.value(*a).max()
+            for bound, *a in zip(self.bounds, G, splits, strict=True)
+            if bound.limit == 0
+        ]
+        cuts = Cuts(*map(np.concatenate, zip(*cuts, strict=True))) if cuts else None
+        return Solution(C, U, V, max(peaks), method, iterations, cuts)
 
 
 def orthonormalise(A):
@@ -129,26 +156,75 @@ def whitened_basis(P, Q, angles, order, W):
     return ((Phi[:n] + 1j * Phi[n:]).T / weight).astype(complex, order="C"), R
 
 
-def formulate(problem: Problem) -> Program:
-    """State (39), (45) with (46), or the least gain for M_max, in terms of bounds."""
-    P, Q, W = problem.P, problem.Q, problem.weight
-    n, m, _ = P.shape
+def bound_on_M(problem, plant, frequency, **kind):
+    """The bound on M for pairs of a plant, by its number, and a frequency, by its index.
+
+    If the problem has a radius, for all plants within it. `kind`: further attributes of the bound.
+    """
+    m, c, Q = problem.channels, len(plant), problem.Q[frequency]
+    P = problem.P[frequency]
+    other = plant > 0
+    P[other] = problem.others[plant[other] - 1, frequency[other]]
+    F, T = np.eye(m)[..., None] * Q, -Q * P.transpose(1, 2, 0)
+    C = None
+    if problem.radius is not None:
+        r = np.maximum(problem.radius, SMALLEST * np.abs(problem.P).max())[frequency]
+        if r.ndim == 1:
+            below = np.abs(Q) * r * np.eye(m)[..., None]
+            C = np.repeat([[-1.0], [1.0]], m, axis=0)
+        else:  # row j of L, once for each row i of Delta
+            below = (np.abs(Q) * r.T).transpose(1, 0, 2)[:, :, None] * np.eye(m)[..., None]
+            below = below.reshape(m * m, m, c)
+            C = np.vstack([-np.repeat(np.eye(m), m, axis=1), np.eye(m * m)])
+        F, T = np.concatenate([F, 0 * below]), np.concatenate([T, below])
+    return Bound(F.astype(complex), T.astype(complex), at=frequency, C=C, plant=plant, **kind)
+
+
+def formulate(problem: Problem, plant=(), frequency=()) -> Program:
+    """State (39), (45) with (46), or the least gain for M_max, in terms of bounds.
+
+    Parameters
+    ----------
+    problem : Problem
+    plant, frequency : array_like of int, shape (c,)
+        The cuts: number of the plant and index of the frequency of each.
+
+    Returns
+    -------
+    Program
+    """
+    W, gain, everywhere = problem.weight, problem.objective == "gain", slice(None)
+    n, m, _ = problem.P.shape
     full = problem.structure == "full"
     rows, cols = np.indices((m, m)).reshape(2, -1) if full else 2 * (np.arange(m),)
     entries = np.arange(len(rows))
-    identity = np.repeat(np.eye(m, dtype=complex)[..., None], n, axis=2)
-    T = np.ascontiguousarray(-Q * P.transpose(1, 2, 0))
-    bounds = [Bound(Q * identity, T, entries, rows, cols)]
-    if full or problem.objective == "gain":
-        bounds.append(Bound(0 * identity, W[..., None] * np.ones(n), entries, rows, cols))
+    on_M = {"entries": entries, "rows": rows, "cols": cols, "limit": int(gain)}
+    on_L = {"limit": int(not gain)}
+    every = np.arange(n)
+    nominal = replace(problem, radius=None)
+    if problem.radius is None:
+        bounds = [replace(bound_on_M(nominal, 0 * every, every, **on_M), at=everywhere, plant=None)]
+    else:  # which implies the nominal one
+        bounds = [bound_on_M(problem, 0 * every, every, **on_M)]
+        if problem.objective == "sum":
+            some = np.flatnonzero(problem.in_band)
+            bounds.insert(0, replace(bound_on_M(nominal, 0 * some, some, **on_M), plant=None))
+    one = np.ones((1, 1, n), dtype=complex)
+    zero = np.zeros((m, m, 1)) * one
+    if full or gain:
+        L = [Bound(zero, W[..., None] * one[0], entries, rows, cols, everywhere, **on_L)]
     else:  # smaller ones, one for each entry
-        one = np.ones((1, 1, n), dtype=complex)
-        bounds += [Bound(0 * one, W[e, e] * one, entries[[e]], rows[:1], cols[:1]) for e in entries]
-    basis, R = whitened_basis(P, Q, problem.angles, problem.order, W)
-    if problem.objective == "gain":
-        free, limits = np.arange(n), np.array([GENEROUS, problem.M_max])
-        return Program(tuple(bounds[::-1]), basis, R, len(rows), free, True, limits, GENEROUS)
+        one_by_one = ((W[e, e] * one, entries[[e]], rows[:1], cols[:1]) for e in entries)
+        L = [Bound(0 * one, *a, everywhere, **on_L) for a in one_by_one]
+    bounds = [*L, *bounds] if gain else [bounds[0], *L, *bounds[1:]]
+    if len(plant):
+        bounds.append(bound_on_M(problem, np.asarray(plant), np.asarray(frequency), **on_M))
+    basis, R = whitened_basis(problem.P, problem.Q, problem.angles, problem.order, W)
+    bounds = tuple(bounds)
+    if gain:
+        limits = np.array([GENEROUS, problem.M_max])
+        return Program(bounds, basis, R, len(rows), every, True, limits, GENEROUS)
     limits = np.array([problem.M_max, 1.0])
-    free = np.flatnonzero(problem.in_band)
-    program = Program(tuple(bounds), basis, R, len(rows), free, False, limits, problem.M_max)
+    free = np.flatnonzero(problem.in_band[bounds[0].at])
+    program = Program(bounds, basis, R, len(rows), free, False, limits, problem.M_max)
     return program.peak() if problem.objective == "peak" else program

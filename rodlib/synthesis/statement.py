@@ -32,23 +32,25 @@ def solve(program: Program) -> Solution:
     RuntimeError
         If Clarabel fails.
     """
-    n = program.basis.shape[1]
     x = cp.Variable(program.entries * len(program.basis))
     t = cp.Variable(1 if program.shared else len(program.free))
-    level = np.zeros((n, t.size))  # of the bound on M: t at some frequencies, M_max at the others
-    level[program.free] = 1 if program.shared else np.eye(t.size)
-    fixed = np.where(level.any(axis=1), 0, program.limits[0])
-    levels = [level @ t + fixed, *[np.ones(n)] * (len(program.bounds) - 1)]
 
-    subject_to = []  # sigma_max(F + T L) <= level, (39), (45), (46)
-    for bound, b in zip(program.bounds, levels, strict=True):
-        shape = (n, *bound.F.shape[:2])
+    subject_to, splits = [], []  # sigma_max(F + T L) <= level, (39), (45), (46)
+    for j, bound in enumerate(program.bounds):
+        p, q, n = bound.shape
+        shape = (n, p, q)
+        has_t = program.has_t(j)
+        share = np.zeros((n, t.size))  # of t in the level
+        share[has_t] = 1 if program.shared else np.eye(t.size)[: len(has_t)]
+        b = share @ t + np.where(share.any(axis=1), 0, program.limits[bound.limit])
         F = np.moveaxis(bound.F, -1, 0).ravel()
         T = np.moveaxis(bound.linear(program.basis), 2, 0).reshape(F.size, -1)
         T = np.pad(T, [(0, 0), (0, x.size - T.shape[1])])
         parts = (F.real + T.real @ x, F.imag + T.imag @ x)
         G = [cp.reshape(part, shape, order="C") for part in parts]
-        subject_to.append(sigma_max_at_most(G, b))
+        d = cp.Variable((n, bound.splits)) if bound.splits else None
+        subject_to.append(sigma_max_at_most(G, b, bound, d))
+        splits.append(d)
     meets = [] if program.shared else [t <= program.M_max]
     problem = cp.Problem(cp.Minimize(cp.sum(t)), subject_to + meets)
     try:
@@ -67,39 +69,60 @@ def solve(program: Program) -> Solution:
         raise RuntimeError(f"Clarabel ended with status {problem.status!r} and returned no filter")
     method = f"CVXPY with Clarabel ({problem.status})"
     coefficients = x.value.reshape(program.entries, -1)
-    multipliers = [multiplier(constraint) for constraint in subject_to]
+    multipliers = [
+        multiplier(constraint, bound)
+        for constraint, bound in zip(subject_to, program.bounds, strict=True)
+    ]
+    levels = program.levels(t.value, program.limits)
+    splits = [
+        np.zeros((0, len(b))) if d is None else np.maximum(d.value.T, 1e-12) / b
+        for d, b in zip(splits, levels, strict=True)
+    ]
     iterations = problem.solver_stats.num_iters
-    solution = program.solution(coefficients, multipliers, method, iterations)
+    solution = program.solution(coefficients, multipliers, splits, method, iterations)
     if program.shared and solution.peak > program.M_max:
         raise Infeasible(program.M_max, solution.peak)
     return solution
 
 
-def sigma_max_at_most(parts, bound):
-    """sigma_max(G_i) <= b_i as [[b I, G], [G^H, b I]] >= 0, written in real numbers."""
+def sigma_max_at_most(parts, b, bound=None, d=None):
+    """sigma_max(G_i) <= b_i as [[Lambda, G], [G^H, b I]] >= 0, written in real numbers.
+
+    Lambda is b I, or that of :mod:`rodlib.synthesis.bounds` with further variables d.
+    """
     real, imag = parts
-    n, m, _ = real.shape
-    if m == 1:
-        return cp.SOC(bound, cp.vstack([part[:, 0, 0] for part in parts]))
-    b = cp.multiply(cp.reshape(bound, (n, 1, 1), order="C"), np.tile(np.eye(m), (n, 1, 1)))
-    zero = np.zeros((n, m, m))
+    n, p, q = real.shape
+    if p == q == 1:
+        return cp.SOC(b, cp.vstack([part[:, 0, 0] for part in parts]))
+
+    def diagonal(levels, size):
+        """A diagonal matrix for each of the n levels, or rows of levels."""
+        levels = cp.reshape(levels, (n, 1, levels.size // n), order="C")
+        return cp.multiply(levels, np.tile(np.eye(size), (n, 1, 1)))
+
+    Lambda = diagonal(b, p)
+    if d is not None:
+        rows = cp.reshape(b, (n, 1), order="C") @ bound.of_b[None] + d @ bound.C.T
+        Lambda = diagonal(rows, p)
+    above, below = np.zeros((n, p, p)), np.zeros((n, q, q))
     real_t, imag_t = (cp.swapaxes(part, 1, 2) for part in parts)
     rows = [
-        [b, zero, real, -imag],
-        [zero, b, imag, real],
-        [real_t, imag_t, b, zero],
-        [-imag_t, real_t, zero, b],
+        [Lambda, above, real, -imag],
+        [above, Lambda, imag, real],
+        [real_t, imag_t, diagonal(b, q), below],
+        [-imag_t, real_t, below, diagonal(b, q)],
     ]
     return cp.concatenate([cp.concatenate(row, axis=2) for row in rows], axis=1) >> 0
 
 
-def multiplier(constraint):
-    """Multiplier of G, shape (q, q, n), from that of its constraint."""
+def multiplier(constraint, bound):
+    """Multiplier of G, shape (p, q, n), from that of its constraint."""
     Z = constraint.dual_value
     if isinstance(constraint, cp.SOC):
         real, imag = Z[1].reshape(2, -1)
         return -(real + 1j * imag)[None, None]
-    m = Z.shape[-1] // 4
-    Z = Z.reshape(len(Z), 4, m, 4, m)
-    N = -2 * (Z[:, 0, :, 2] + Z[:, 1, :, 3] + 1j * (Z[:, 1, :, 2] - Z[:, 0, :, 3]))
+    p = len(bound.F)
+    above, below = np.split(Z[:, : 2 * p, 2 * p :], 2, axis=1)
+    (real, minus_imag), (imag, again) = (np.split(half, 2, axis=2) for half in (above, below))
+    N = -2 * (real + again + 1j * (imag - minus_imag))
     return np.moveaxis(N, 0, -1)

@@ -40,11 +40,11 @@ def test_value_and_derivatives_against_differences(kind, m, seed):
         return norm(bound.matrices((x + step * d) @ program.basis))
 
     G = bound.matrices(x @ program.basis)
-    e = bound.expand(G, np.arange(6), program.basis, program.entries)
+    e = bound.expand(G, None, np.arange(6), program.basis, program.entries)
     first = (sigma(1e-5) - sigma(-1e-5)) / 2e-5
     second = (sigma(1e-4) - 2 * sigma(0) + sigma(-1e-4)) / 1e-8
     np.testing.assert_allclose(bound.value(G), sigma(0), rtol=1e-12)
-    np.testing.assert_allclose(e.sigma, sigma(0), rtol=1e-12)
+    np.testing.assert_allclose(e.value, sigma(0), rtol=1e-12)
     np.testing.assert_allclose(e.gradient @ d.ravel(), first, rtol=1e-5, atol=1e-7)
     curvature = ((e.curvature @ d.ravel()) ** 2).sum(axis=1)
     np.testing.assert_allclose(curvature, second, rtol=1e-3, atol=1e-4)
@@ -57,7 +57,7 @@ def test_the_worst_case_attains_the_value_and_no_other_exceeds_it(kind, m, seed)
     bound, program = bound_of(kind, m, seed)
     x, _ = random_unknowns(program, seed)
     G = bound.matrices(x @ program.basis)
-    worst = np.moveaxis(bound.expand(G, np.arange(6), program.basis, program.entries).uv, 0, -1)
+    worst = bound.expand(G, None, np.arange(6), program.basis, program.entries).N
     np.testing.assert_allclose(bound.dual(worst), 1, rtol=1e-12)
     attained = np.einsum("ijn,ijn->n", worst.conj(), G).real
     np.testing.assert_allclose(attained, norm(G), rtol=1e-10)

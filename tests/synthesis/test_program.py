@@ -40,7 +40,8 @@ def test_matrices_are_those_of_the_filter(m, structure, seed):
         entries = np.concatenate(G[1:], axis=1)[:, :, 0]
         np.testing.assert_allclose(entries, L[:, range(m), range(m)] / 5)
     multipliers = [0 * A for A in problem.matrices(x)]
-    solution = problem.solution(x, multipliers, "none", 0)
+    splits = [np.zeros((0, A.shape[2])) for A in multipliers]
+    solution = problem.solution(x, multipliers, splits, "none", 0)
     np.testing.assert_allclose(solution.coefficients, C, atol=1e-10)
     assert solution.peak == pytest.approx(np.linalg.norm(M, 2, axis=(1, 2)).max())
 
