@@ -10,7 +10,14 @@ MODULES = {
     "feedback": ("CurrentTrialLoop", "current_trial_loop", "minimal_realisation", "paper_loop"),
     "filters": ("LearningFilter", "ZeroPhaseButterworth", "update", "zero_phase_butterworth"),
     "problem": ("Problem",),
-    "synthesis": ("InfeasibleError", "SolverError", "Synthesis", "least_gain", "synthesise"),
+    "synthesis": (
+        "InfeasibleError",
+        "SolverError",
+        "Synthesis",
+        "largest_cutoff",
+        "least_gain",
+        "synthesise",
+    ),
     "trials": ("run_trials",),
     "laboratory": ("LogError", "load_log", "record", "save_log"),
 }

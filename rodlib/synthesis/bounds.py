@@ -213,7 +213,7 @@ class Bound:
         """
         value, split, k = self.value(G, split), split.copy(), self.splits
         active = np.flatnonzero(value > level) if k else np.array([], dtype=int)
-        for _ in range(12):
+        for _ in range(30):
             if not active.size:
                 break
             some = self.columns(active)

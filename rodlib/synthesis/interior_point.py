@@ -261,13 +261,18 @@ def solve(program: Program) -> Solution:
         best, more = follow(peak, begin(peak, zero), enough=program.M_max)
         iterations += more
         if best.t[0] >= program.M_max:
-            raise Infeasible(program.M_max, best.t[0])
+            raise Infeasible(program.M_max, _solution(peak, best, iterations))
         best, more = follow(program, begin(program, best.x))
         iterations += more
     if best is None:
         raise RuntimeError(f"no filter met the bounds after {iterations} iterations")
+    solution = _solution(program, best, iterations)
     if program.shared and best.t[0] > program.M_max:
-        raise Infeasible(program.M_max, best.t[0])
-    multipliers = [-2 * Y[: len(G), len(G) :] for G, Y in zip(best.G, best.Y, strict=True)]
-    splits = [d / b for d, b in zip(best.d, program.levels(best.t, best.limits), strict=True)]
-    return program.solution(best.x, multipliers, splits, "interior point", iterations)
+        raise Infeasible(program.M_max, solution)
+    return solution
+
+
+def _solution(program, p, iterations):
+    multipliers = [-2 * Y[: len(G), len(G) :] for G, Y in zip(p.G, p.Y, strict=True)]
+    splits = [d / b for d, b in zip(p.d, program.levels(p.t, p.limits), strict=True)]
+    return program.solution(p.x, multipliers, splits, "interior point", iterations)

@@ -25,11 +25,14 @@ SMALLEST = 1e-10  # radius that counts as such, relative to the plant
 
 
 class Infeasible(RuntimeError):
-    """No filter of this order and structure meets the bounds; see `smallest_M_max`."""
+    """No filter of this order and structure meets the bounds.
 
-    def __init__(self, M_max, smallest_M_max):
-        super().__init__(f"M_max = {M_max:.10g} is too small, {smallest_M_max:.10g} is possible")
-        self.smallest_M_max = smallest_M_max
+    `nearest` is the solution with the smallest possible M_max, its `peak`.
+    """
+
+    def __init__(self, M_max, nearest):
+        super().__init__(f"M_max = {M_max:.10g} is too small, {nearest.peak:.10g} is possible")
+        self.nearest = nearest
 
 
 @dataclass(frozen=True)

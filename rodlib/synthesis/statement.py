@@ -81,7 +81,7 @@ def solve(program: Program) -> Solution:
     iterations = problem.solver_stats.num_iters
     solution = program.solution(coefficients, multipliers, splits, method, iterations)
     if program.shared and solution.peak > program.M_max:
-        raise Infeasible(program.M_max, solution.peak)
+        raise Infeasible(program.M_max, solution)
     return solution
 
 

@@ -107,8 +107,8 @@ def test_a_corrected_step_meets_curved_bounds_to_second_order(seed, monkeypatch)
         problem = formulate(pose(P, Q, omega, 1.0, L_max=10.0 * (1 + h), **arguments))
         tried = []
 
-        def recorded(problem, x):
-            tried.append(Iterate(problem, x))
+        def recorded(problem, x, splits):
+            tried.append(Iterate(problem, x, splits))
             return tried[-1]
 
         p = Iterate(problem, problem.unknowns(start.coefficients))

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from rodlib import InfeasibleError, synthesise, zero_phase_butterworth
 from rodlib.problem import pose
 from rodlib.synthesis import interior_point
+from rodlib.synthesis.inequalities import Slack
 from rodlib.synthesis.program import formulate
 
 
@@ -154,110 +155,91 @@ def test_a_perfect_filter_is_certified(T, order, gain):
     assert design.value - certificate.lower_bound <= 1e-9 * certificate.idle
 
 
-def dense(b, G):
-    """S = [[b I, G], [G^H, b I]] for each frequency, frequency first."""
-    G = np.moveaxis(G, -1, 0)
-    identity = np.asarray(b)[:, None, None] * np.eye(G.shape[1])
-    return np.block([[identity, G], [G.conj().swapaxes(1, 2), identity]])
+RADII = {"plain": 0.0, "radius": 0.05, "entries": 0.03}
 
 
-@given(st.integers(1, 4), st.integers(0, 999))
-def test_what_a_slack_says_is_what_dense_matrices_say(q, seed):
-    rng = np.random.default_rng(seed)
-    G, D, Z = rng.standard_normal((3, q, q, 5)) + 1j * rng.standard_normal((3, q, q, 5))
-    b = np.linalg.norm(G, 2, axis=(0, 1)) * rng.uniform(1.1, 2, 5)
-    d, steps = rng.standard_normal(5), rng.uniform(0, 0.3, 3)
-    slack, S, dS = interior_point.Slack(G, b), dense(b, G), dense(d, D)
-    X = np.linalg.inv(S)
-    np.testing.assert_allclose(np.moveaxis(slack.X, -1, 0), X, atol=1e-9 * np.abs(X).max())
-    Y = dense(b, Z)
-    product = Y @ dS @ X
-    expected = (product + product.conj().swapaxes(1, 2)) / 2
-    found = np.moveaxis(slack.sandwich(np.moveaxis(Y, 0, -1), d, D), -1, 0)
-    np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
-    along = slack.along(d, D)
-    for a in steps:  # a Schur complement of S + a dS
-        moved = np.moveaxis(G + a * D, -1, 0)
-        complement = (b + a * d)[:, None, None] ** 2 * np.eye(q)
-        complement = complement - moved.conj().swapaxes(1, 2) @ moved
-        polynomial = np.moveaxis(along[0] + a * along[1] + a**2 * along[2], -1, 0)
-        np.testing.assert_allclose(polynomial, complement, atol=1e-12 * np.abs(complement).max())
-    limit = interior_point.longest_step(along, 1.0, 1e-6)
-    inside, outside = (np.linalg.eigvalsh(S + a * dS).min() for a in (limit, limit * (1 + 2e-6)))
-    assert inside > 0 and (limit == 1.0 or outside < 1e-9 * b.max())
-
-
-@given(st.integers(1, 4), st.integers(0, 999))
-def test_factors_of_small_matrices(q, seed):
-    rng = np.random.default_rng(seed)
-    C = rng.standard_normal((7, q, q)) + 1j * rng.standard_normal((7, q, q))
-    A = C @ C.conj().swapaxes(1, 2) + 0.1 * np.eye(q)
-    RH, inverse = (
-        np.moveaxis(X, -1, 0) for X in interior_point.cholesky(np.moveaxis(A, 0, -1), 0.0)
-    )
-    np.testing.assert_allclose(RH.conj().swapaxes(1, 2) @ RH, A, atol=1e-10)
-    np.testing.assert_allclose(
-        inverse @ RH.conj().swapaxes(1, 2), np.tile(np.eye(q), (7, 1, 1)), atol=1e-8
-    )
-    shifted = A - rng.uniform(0, 2, 7)[:, None, None] * np.eye(q)
-    positive = interior_point.positive_definite(np.moveaxis(shifted, 0, -1).copy())
-    np.testing.assert_array_equal(positive, np.linalg.eigvalsh(shifted)[:, 0] > 0)
-
-
-@pytest.mark.parametrize("objective", ["sum", "peak"])
-@pytest.mark.parametrize(("m", "structure"), [(1, "full"), (2, "diagonal"), (3, "full")])
-def test_the_gap_is_the_complementarity_where_the_multipliers_are_stationary(
-    m, structure, objective
-):
+def programs(m, structure, objective, kind):
+    """A small program; with a radius and two more plants unless it is plain."""
     P, Q, omega = random_plant(m, m)
     numbers = {"order": 3, "M_max": 0.97, "L_max": 20.0, "band": (0.01, 0.3)}
-    problem = pose(P, Q, omega, 1.0, structure=structure, objective=objective, **numbers)
-    problem = formulate(problem)
-    p = interior_point.begin(problem, np.zeros((problem.entries, 3)))
-    levels = problem.levels(p.t, p.limits)
-    slacks = [interior_point.Slack(*a) for a in zip(p.G, levels, strict=True)]
+    plants, radius = P, None
+    if kind != "plain":
+        plants = [P, P * 1.05, P * 0.96]
+        radius = RADII[kind] * np.ones((30, m, m)[: 1 if kind == "radius" else 3])
+    numbers |= {"structure": structure, "objective": objective, "uncertainty": radius}
+    problem = pose(plants, Q, omega, 1.0, **numbers)
+    return formulate(problem, *(([1, 2, 1], [3, 3, 7]) if kind != "plain" else ((), ())))
+
+
+def dense(program, p):
+    """S of each bound, frequency first, from plain blocks."""
+    for bound, (diagonal, b, G) in zip(program.bounds, p.S(program), strict=True):
+        n, m = len(b), G.shape[1]
+        G = np.moveaxis(G, -1, 0)
+        Lambda = np.zeros((n, *[len(bound.F)] * 2))
+        np.einsum("nii->ni", Lambda)[:] = diagonal.T
+        yield np.block([[Lambda, G], [G.conj().swapaxes(1, 2), b[:, None, None] * np.eye(m)]])
+
+
+KIND = pytest.mark.parametrize("kind", RADII)
+OBJECTIVE = pytest.mark.parametrize("objective", ["sum", "peak"])
+SIZE = pytest.mark.parametrize(("m", "structure"), [(1, "full"), (2, "diagonal"), (3, "full")])
+
+
+@KIND
+@OBJECTIVE
+@SIZE
+def test_the_gap_is_the_complementarity_where_the_multipliers_are_stationary(
+    m, structure, objective, kind
+):
+    program = programs(m, structure, objective, kind)
+    p = interior_point.begin(program, np.zeros((program.entries, 3)))
+    slacks = [Slack(G, diagonal, b) for diagonal, b, G in p.S(program)]
     total = sum(
-        np.einsum("nij,jin->", dense(b, G), Y).real
-        for b, G, Y in zip(levels, p.G, p.Y, strict=True)
+        np.einsum("nij,jin->", S, Y).real for S, Y in zip(dense(program, p), p.Y, strict=True)
     )
     total += ((p.limits[0] - p.t) * p.eta).sum()
-    found = interior_point.complementarity(problem, p)
+    found = interior_point.complementarity(program, p)
     assert found == pytest.approx(total, rel=1e-12)
-    d = interior_point.newton(problem, p, slacks, total, False)(0.0)
+    d = interior_point.newton(program, p, slacks, total, False)(0.0)
     q = p.moved(d, 1.0, 1.0)  # after a whole step, all equations that are linear hold
-    assert np.abs(interior_point.stationarity(problem, q.Y)).max() < 1e-9 * np.abs(q.Y[0]).max()
-    weights = interior_point.collect(problem, interior_point.trace(q.Y[0]))
+    size = max(np.abs(Y).max() for Y in q.Y)
+    assert np.abs(interior_point.stationarity(program, q.Y)).max() < 1e-9 * size
+    weights = 0
+    for j, (bound, Y) in enumerate(zip(program.bounds, q.Y, strict=True)):
+        diagonal = np.einsum("iin->in", Y).real
+        of_b = np.concatenate([bound.of_b, np.ones(bound.shape[1])]) @ diagonal
+        of_b = of_b[program.has_t(j)]
+        if of_b.size:
+            weights = weights + (of_b.sum(keepdims=True) if program.shared else of_b)
+        if bound.splits:
+            np.testing.assert_allclose(bound.C.T @ diagonal[: len(bound.F)], 0, atol=1e-9 * size)
     np.testing.assert_allclose(weights - q.eta, 1, atol=1e-9)
-    for G, moved in zip(problem.matrices(q.x), q.G, strict=True):
+    for G, moved in zip(program.matrices(q.x), q.G, strict=True):
         np.testing.assert_allclose(moved, G, atol=1e-9)
-    gap = q.t.sum() - interior_point.dual_value(problem, q)
-    assert gap == pytest.approx(interior_point.complementarity(problem, q), abs=1e-9 * total)
+    gap = q.t.sum() - interior_point.dual_value(program, q)
+    assert gap == pytest.approx(interior_point.complementarity(program, q), abs=1e-9 * total)
 
 
-@pytest.mark.parametrize("objective", ["sum", "peak"])
-@pytest.mark.parametrize(("m", "structure"), [(1, "full"), (2, "diagonal"), (3, "full")])
-def test_both_ways_of_solving_the_newton_system_agree(m, structure, objective):
-    P, Q, omega = random_plant(m, m)
-    numbers = {"order": 3, "M_max": 0.97, "L_max": 20.0, "band": (0.01, 0.3)}
-    problem = pose(P, Q, omega, 1.0, structure=structure, objective=objective, **numbers)
-    problem = formulate(problem)
-    p = interior_point.begin(problem, np.zeros((problem.entries, 3)))
+@KIND
+@OBJECTIVE
+@SIZE
+def test_both_ways_of_solving_the_newton_system_agree(m, structure, objective, kind):
+    program = programs(m, structure, objective, kind)
+    p = interior_point.begin(program, np.zeros((program.entries, 3)))
     for root in (False, True):
         for _ in range(4):  # some way along the central path
-            slacks = [
-                interior_point.Slack(*a)
-                for a in zip(p.G, problem.levels(p.t, p.limits), strict=True)
-            ]
-            total = interior_point.complementarity(problem, p)
+            slacks = [Slack(G, diagonal, b) for diagonal, b, G in p.S(program)]
+            total = interior_point.complementarity(program, p)
             directions = [
-                interior_point.newton(problem, p, slacks, total, root)(0.0)
+                interior_point.newton(program, p, slacks, total, root)(0.0)
                 for root in (False, True)
             ]
             for name in ("x", "t", "eta"):
                 one, other = (getattr(d, name) for d in directions)
                 np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-9 * np.abs(one).max())
-            d = interior_point.step(problem, p, slacks, total, root)
-            primal, dual = interior_point.step_lengths(problem, p, d, slacks, 0.1)
+            d = interior_point.step(program, p, slacks, total, root)
+            primal, dual = interior_point.step_lengths(program, p, d, slacks, 0.1)
             p = p.moved(d, 0.9 * primal, 0.9 * dual)
 
 

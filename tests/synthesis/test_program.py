@@ -16,8 +16,8 @@ def plant(m, n=20, seed=0):
     return P, 1 / (1 + omega**4), omega
 
 
-def posed(P, Q, omega, structure, objective="sum", L_max=5.0, M_max=0.9):
-    kind = {"structure": structure, "objective": objective}
+def posed(P, Q, omega, structure, objective="sum", L_max=5.0, M_max=0.9, uncertainty=None):
+    kind = {"structure": structure, "objective": objective, "uncertainty": uncertainty}
     return pose(P, Q, omega, 1.0, order=4, M_max=M_max, L_max=L_max, band=(1e-3, 1), **kind)
 
 

@@ -43,4 +43,4 @@ def test_what_is_infeasible_is_said_to_be():
     with pytest.raises(Infeasible) as error:
         solve(formulate(posed(P, Q, omega, "diagonal", M_max=0.05)))
     peak = solve(formulate(posed(P, Q, omega, "diagonal", "peak"))).peak
-    assert error.value.smallest_M_max == pytest.approx(peak, rel=1e-6)
+    assert error.value.nearest.peak == pytest.approx(peak, rel=1e-6)

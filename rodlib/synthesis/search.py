@@ -1,0 +1,104 @@
+"""Designs that search for more than a filter: the least gain, the largest cut-off of Q."""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.optimize import brentq
+
+from rodlib import arguments
+from rodlib.filters import ZeroPhaseButterworth
+from rodlib.problem import pose
+from rodlib.synthesis.design import Synthesis, solve, synthesise
+
+SAME = 1e-9  # relative distance up to which two peaks are the same
+CLOSE = 1e-4  # relative distance from the largest cut-off
+
+
+def least_gain(P, Q, omega, Ts, **choices) -> Synthesis:
+    """Design the one filter of (45) that has a rule: of least gain among those of least peak.
+
+    Without (46) the least peak of sigma_max(M) may be reached by many filters, whose gains differ
+    by orders of magnitude; which of them a solver returns is its own affair. This is the one with
+    the least max sigma_max(L) that keeps the least peak to a relative 1e-9.
+
+    Parameters
+    ----------
+    P, Q, omega, Ts, **choices
+        As for :func:`synthesise`, apart from `objective`, `L_max` and `start`.
+
+    Returns
+    -------
+    Synthesis
+        Of (45) with (46), where `certificate.L_max` is that gain.
+
+    Raises
+    ------
+    ValueError, InfeasibleError, SolverError
+        As :func:`synthesise`.
+    """
+    without_trial = choices | {"samples": None, "rest": 0}
+    free = synthesise(P, Q, omega, Ts, objective="peak", L_max=None, **without_trial)
+    unit, M_max = free.sigma_L.max(), free.value * (1 + SAME)  # a gain that is enough
+    question = replace(free.problem, objective="gain", L_max=unit, M_max=M_max)
+    L_max = unit * solve(question).peak
+    return synthesise(P, Q, omega, Ts, objective="peak", L_max=L_max, **choices)
+
+
+def largest_cutoff(
+    P, Q: ZeroPhaseButterworth, omega, Ts, **choices
+) -> tuple[ZeroPhaseButterworth, Synthesis]:
+    """Find the largest cut-off of Q for which a filter meets the bounds, and design that.
+
+    What Q passes is learned, and what it stops is not: for given bounds, a practitioner wants to
+    pass as much as they allow. A lower cut-off makes |Q| smaller at each frequency, and with it M:
+    the smallest M_max that can be met increases with the cut-off, and its root is found.
+
+    Parameters
+    ----------
+    P, omega, Ts, **choices
+        As for :func:`synthesise`, for one plant or several, with a radius or without.
+    Q : ZeroPhaseButterworth
+        Its order is kept; the search starts at its cut-off.
+
+    Returns
+    -------
+    Q : ZeroPhaseButterworth
+        With the largest cut-off, to a relative 1e-4; at most 0.999 of the Nyquist frequency.
+    design : Synthesis
+        For it.
+
+    Raises
+    ------
+    ValueError, SolverError
+        As :func:`synthesise`.
+    InfeasibleError
+        If even a cut-off at the lowest design frequency is too high.
+    """
+    arguments.instance("Q", Q, ZeroPhaseButterworth)
+    stated = {name: choices[name] for name in choices if name in pose.__kwdefaults__}
+    problem = replace(pose(P, Q, omega, Ts, **stated), objective="peak")
+    found = {}
+
+    def with_cutoff(logarithm):
+        return replace(Q, cutoff=float(np.exp(logarithm)))
+
+    def excess(logarithm):
+        """The smallest possible M_max with this cut-off, relative to the one that is asked for."""
+        response = with_cutoff(logarithm).frequency_response(problem.omega)
+        question = replace(problem, Q=response, M_max=np.inf)
+        found["solution"] = solve(question, found.get("solution"))
+        return found["solution"].peak / problem.M_max - 1
+
+    highest, lowest = np.log(0.999 * np.pi / Ts), np.log(problem.omega[problem.omega > 0][0])
+    low = high = np.log(Q.cutoff)
+    while excess(high) <= 0 and high < highest:
+        low, high = high, min(high + 1, highest)
+    if excess(high) <= 0:
+        best = highest
+    else:
+        while excess(low) > 0:
+            if low <= lowest:
+                synthesise(P, with_cutoff(lowest), omega, Ts, **choices)  # says what is too tight
+            low = max(low - 1, lowest)
+        best = brentq(excess, low, high, xtol=CLOSE / 2) - CLOSE / 2
+    return with_cutoff(best), synthesise(P, with_cutoff(best), omega, Ts, **choices)
