@@ -10,8 +10,8 @@ import numpy as np
 import xarray as xr
 
 from rodlib import arguments
-from rodlib.feedback import CurrentTrialLoop
 from rodlib.filters import LearningFilter, ZeroPhaseButterworth, update
+from rodlib.loop import CurrentTrialLoop
 
 
 def run_trials(

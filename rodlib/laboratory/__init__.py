@@ -4,8 +4,9 @@ What runs an experiment knows a rig by its Protocol only; the virtual rig is one
 """
 
 from rodlib.laboratory.experiment import Controller, Rig, RigError, record
-from rodlib.laboratory.logs import load_log, save_log
+from rodlib.laboratory.loading import load_log
 from rodlib.laboratory.notes import law_of, loop_of, rest_of, with_law
+from rodlib.laboratory.saving import save_log
 from rodlib.laboratory.tables import LogError
 from rodlib.laboratory.virtual_rig import RestartingRig, RigParameters, VirtualRig
 

@@ -9,9 +9,9 @@ import numpy as np
 import xarray as xr
 
 from rodlib import arguments
-from rodlib.feedback import CurrentTrialLoop
 from rodlib.filters import LearningFilter, ZeroPhaseButterworth, zero_phase_butterworth
-from rodlib.laboratory.logs import LogError
+from rodlib.laboratory.tables import LogError
+from rodlib.loop import CurrentTrialLoop
 
 MISUNDERSTOOD = (KeyError, TypeError, ValueError, RecursionError)  # what a note may lead to
 
