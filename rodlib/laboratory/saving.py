@@ -71,12 +71,12 @@ def head_of(trials: xr.Dataset) -> bytes:
         if values.min() < low or values.max() > high:
             raise ValueError(f"trials have values of {title!r} that are not from {low} to {high}")
     lines = [f"# {key}: {value}\n" for key, value in metadata.items()]
-    header = ",".join(["trial", "time", *(_quoted(title) for title in columns)])
+    header = ",".join(["trial", "time", *(quoted(title) for title in columns)])
     return "".join([*lines, header, "\n"]).encode()
 
 
-def _quoted(title):
-    """As csv has it; # as well, which others take for the start of a comment."""
+def quoted(title: str) -> str:
+    """A title as csv has it; # as well, which others take for the start of a comment."""
     return '"' + title.replace('"', '""') + '"' if re.search('[,"#]', title) else title
 
 
