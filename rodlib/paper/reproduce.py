@@ -17,9 +17,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from rodlib.files import ROOT, alone, checkout, finish_publishing, folder
-from rodlib.laboratory import load_log, replay_of
 from rodlib.paper.ledger import publish
-from rodlib.paper.rig_logs import papers_loop
 
 AT_A_TIME = 3  # two processors stay busy while a kernel starts or ends
 
@@ -135,7 +133,7 @@ def reproduce(root: Path = ROOT) -> None:
 def replay(log: str, root: Path = ROOT) -> None:
     """Run the notebook of the experiment on a log of one's own, and print what it found.
 
-    Publishes nothing. Beside the executed notebook the next trial's v is written as a table.
+    Publishes nothing. Beside the executed notebook, the v of the next trial is written as a table.
 
     Parameters
     ----------
@@ -153,13 +151,17 @@ def replay(log: str, root: Path = ROOT) -> None:
     RuntimeError
         As :func:`reproduce`.
     """
+    from rodlib.laboratory import load_log, replay_of  # here, because they take long to import
+    from rodlib.paper.rig_logs import papers_loop
+
     checkout("make replay", root)
     path = Path(log)
     if not path.exists():  # or else a name may well begin with ~
         path = Path(os.path.expanduser(log))
     path = path.absolute()
     if not path.is_file():
-        raise FileNotFoundError(f"there is no log {path}: make replay LOG=path")
+        what = "is a folder, not a log" if path.is_dir() else "is not there"
+        raise FileNotFoundError(f"{path} {what}: make replay LOG=path")
     replayed = replay_of(load_log(path), papers_loop(path))
     notebook = root / "notebooks" / "05-experiment-replay.ipynb"
     with folder_of_run("replay", root) as build:
