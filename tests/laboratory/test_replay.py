@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from plants import furnace, stage, tanks
+from plants import furnace, random_plant, stage, tanks
 
 from rodlib import (
     LearningFilter,
@@ -37,6 +37,7 @@ LOOPS = {
     "furnace": current_trial_loop(
         furnace(), sizes={"valve": 0.1}, units={"valve": "%", "outlet": "K"}
     ),
+    "feedthrough": current_trial_loop(random_plant(np.random.default_rng(3)), ["u1", "u2"]),
 }
 
 
@@ -57,7 +58,8 @@ class Bench:
         return {name: wave + i for i, name in enumerate(self.loop.disturbances)}
 
     def read(self):
-        return self.loop.plant.C @ self.x
+        plant, d = self.loop.plant, list(self.measured.values())
+        return plant.C @ self.x + plant.D[:, plant.noutputs :] @ d
 
     def apply(self, commands):
         plant, d = self.loop.plant, list(self.measured.values())
