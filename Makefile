@@ -37,9 +37,11 @@ lint: $(BIN)/ready  ## ruff on modules, tests and notebooks
 data: $(BIN)/ready  ## record the logs of the virtual rig in data/rig anew
 	$(BIN)/python -m rodlib.paper.rig_logs
 
+# The path as it is: neither make nor the shell finds anything in it.
+replay: export NAMED = $(value LOG)
 replay: $(BIN)/ready  ## replay a log of your own: make replay LOG=path; writes to build/ only
-	@test -n "$(LOG)" || { echo "name a log: make replay LOG=path"; exit 2; }
-	@$(BIN)/python -m rodlib.paper.reproduce "$(LOG)"
+	@test -n "$$NAMED" || { echo "name a log: make replay LOG=path"; exit 2; }
+	@$(BIN)/python -m rodlib.paper.reproduce "$$NAMED"
 
 machines: $(BIN)/ready  ## test and reproduce with other processors' arithmetic (long)
 	$(BIN)/python tests/machines.py

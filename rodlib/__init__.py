@@ -7,7 +7,9 @@ from importlib import import_module
 
 MODULES = {
     "rod": ("Rod", "exact_response", "midr", "sampled_response"),
-    "feedback": ("CurrentTrialLoop", "current_trial_loop", "minimal_realisation", "paper_loop"),
+    "realisation": ("minimal_realisation",),
+    "loop": ("CurrentTrialLoop",),
+    "feedback": ("current_trial_loop", "paper_loop"),
     "filters": ("LearningFilter", "ZeroPhaseButterworth", "update", "zero_phase_butterworth"),
     "problem": ("Problem",),
     "synthesis": (

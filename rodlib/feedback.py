@@ -1,331 +1,35 @@
-"""The current-trial feedback loop: what holds the rod on its reference within one trial.
+"""The design of the current-trial loop: what holds the rod on its reference within one trial.
 
-Section III, (12)-(32): a minimal realisation of the plant, its exact discretisation, a state
-feedback, and an observer that also estimates the equivalent input disturbance. The loop is what
-iterative learning control then acts on from trial to trial. What a model gets wrong is seen with
-the same controller around another plant.
+Section III, (12)-(29): a state feedback, and an observer that also estimates the equivalent input
+disturbance. The loop is what iterative learning control then acts on from trial to trial.
 """
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
 
 import control
 import numpy as np
-from scipy.linalg import LinAlgError, LinAlgWarning, block_diag, null_space, solve_discrete_are
+from scipy.linalg import LinAlgError, LinAlgWarning, block_diag, solve_discrete_are
 
 from rodlib import arguments
+from rodlib.loop import CurrentTrialLoop
+from rodlib.realisation import (
+    controls_first,
+    frequency_response,
+    minimal_realisation,
+    sampled_plant,
+    unreachable_modes,
+)
 from rodlib.rod import Rod, midr
 
-
-@dataclass(frozen=True)
-class CurrentTrialLoop:
-    """The feedback loop (19) and what it is made of. Arrays are in the order of `plant`.
-
-    Attributes
-    ----------
-    plant : control.StateSpace
-        The plant (12): inputs u (m of them), then d; outputs y (m).
-    Ks, KL, N : ndarray, shapes (m, n), (n + m, m), (m, m)
-        State feedback (26), observer gain (29), static feedforward.
-    units : dict
-        Unit of each input and output of the plant, by name; "" if it is not known.
-    """
-
-    plant: control.StateSpace
-    Ks: np.ndarray
-    KL: np.ndarray
-    N: np.ndarray
-    units: dict[str, str]
-
-    @property
-    def Ts(self) -> float:
-        """Sampling period, s."""
-        return self.plant.dt
-
-    @property
-    def outputs(self) -> list[str]:
-        """Names of the outputs y."""
-        return self.plant.output_labels
-
-    @property
-    def controls(self) -> list[str]:
-        """Names of the controls u."""
-        return self.plant.input_labels[: self.plant.noutputs]
-
-    @property
-    def disturbances(self) -> list[str]:
-        """Names of the disturbances d, which the controller does not know."""
-        return self.plant.input_labels[self.plant.noutputs :]
-
-    @property
-    def P(self) -> control.StateSpace:
-        """The transfer function from w to y, P of (31), as C (zI - A + B K_s)^-1 B N.
-
-        The signal w does not excite the estimation error, so the observer's states are left out.
-        """
-        B = self.plant.B[:, : self.plant.noutputs]
-        return control.ss(
-            self.plant.A - B @ self.Ks, B @ self.N, self.plant.C, 0, self.Ts,
-            inputs=_learned(self), outputs=self.outputs,
-        )  # fmt: skip
-
-    @cached_property
-    def closed(self) -> control.StateSpace:
-        """The loop (19): inputs w1, w2, ..., then d; outputs y; states x, x-hat, epsilon-hat."""
-        return _close(self, self.plant)
-
-    def around(self, plant: control.StateSpace | control.TransferFunction) -> control.StateSpace:
-        """Close the loop (19) of the same controller around another plant.
-
-        Parameters
-        ----------
-        plant : control.StateSpace or control.TransferFunction
-            Of any order. Its signals are matched by name: it must have the loop's controls and
-            outputs, and a disturbance that it lacks has no effect. Others than the loop's are left
-            out. Feedthrough is allowed.
-
-        Returns
-        -------
-        control.StateSpace
-            As `closed`, but the first states are those of `plant`.
-
-        Raises
-        ------
-        ValueError
-            If the plant is not finite, is in continuous time or has another sampling period, lacks
-            a control or an output, or if the loop around it is not stable.
-        """
-        plant = _sampled(plant)
-        arguments.one_period(loop=self.Ts, plant=plant.dt)
-        signals = [*plant.input_labels, *plant.output_labels]
-        missing = [name for name in [*self.controls, *self.outputs] if name not in signals]
-        if missing:
-            raise ValueError(f"plant has the signals {signals}, but lacks {missing} of the loop")
-        names = self.plant.input_labels
-        picked = np.array([[theirs == ours for ours in names] for theirs in plant.input_labels])
-        rows = [plant.output_labels.index(name) for name in self.outputs]
-        closed = _close(
-            self,
-            control.ss(plant.A, plant.B @ picked, plant.C[rows], plant.D[rows] @ picked, plant.dt),
-        )
-        poles = closed.poles()
-        worst = poles[np.abs(poles).argmax()]
-        if abs(worst) > 1 - 1e-12:  # one, up to rounding
-            raise ValueError(
-                f"plant makes the loop unstable: a pole at z = {worst:.6g}, of modulus "
-                f"{abs(worst):.6g}. If the plant is right, make the controller weaker, by a larger "
-                "Rs or Ro"
-            )
-        return closed
-
-    def frequency_response(self, omega, plant=None) -> np.ndarray:
-        """P of (31), of the loop as designed or of the same controller around another plant.
-
-        Around another plant the observer does not drop out: w excites the estimation error.
-
-        Parameters
-        ----------
-        omega : array_like, shape (n,)
-            Angular frequencies, rad/s.
-        plant : control.StateSpace, control.TransferFunction or array_like, optional
-            A model as in :meth:`around`, or samples of shape (n, m, m) of a sampled plant's
-            response on `omega`, from the controls to y in the loop's order: those of
-            :func:`rodlib.sampled_response`, or measured. Samples do not tell whether the loop is
-            stable; that is then for the caller to know. Default: the plant of the design.
-
-        Returns
-        -------
-        ndarray, shape (n, m, m), complex
-
-        Raises
-        ------
-        ValueError
-            As in :meth:`around`; if the samples have another shape or are not finite, or a
-            frequency is that of a pole.
-        """
-        if plant is None:
-            return frequency_response(self.P, omega)
-        m = self.plant.noutputs
-        if isinstance(plant, control.StateSpace | control.TransferFunction):
-            return frequency_response(self.around(plant)[:, :m], omega)
-        omega = arguments.row("omega", omega)
-        G = arguments.array("plant", plant, (len(omega), m, m), complex)
-        A, B, K = _controller(self)
-        # The controller's states and y at once, since its integrators have no response at z = 1.
-        points = np.exp(1j * omega * self.Ts)[:, None, None]
-        left = np.block(
-            [
-                [points * np.eye(len(A)) - A, np.broadcast_to(-self.KL, (len(G), *self.KL.shape))],
-                [G @ K, np.broadcast_to(np.eye(m), G.shape)],
-            ]
-        )
-        right = np.concatenate([np.broadcast_to(B, (len(G), *B.shape)), G @ self.N], axis=1)
-        return _solve(left, right)[:, len(A) :]
-
-
-def _learned(loop):
-    return [f"w{i + 1}" for i in range(loop.plant.noutputs)]
-
-
-def _controller(loop):
-    """Observer (16) and feedback (18): c(p+1) = A c + B w + K_L y, u = N w - K c."""
-    plant, m = loop.plant, loop.plant.noutputs
-    B = plant.B[:, :m]
-    C = np.hstack([plant.C, np.zeros((m, m))])
-    A = block_diag(plant.A - B @ loop.Ks, np.eye(m)) - loop.KL @ C
-    return A, np.vstack([B @ loop.N, np.zeros((m, m))]), np.hstack([loop.Ks, np.eye(m)])
-
-
-def _close(loop, plant):
-    """The controller of a loop around a plant with the same inputs and outputs."""
-    m = loop.plant.noutputs
-    A, B, K = _controller(loop)
-    Bu, E, Du, F = plant.B[:, :m], plant.B[:, m:], plant.D[:, :m], plant.D[:, m:]
-    return control.ss(
-        np.block([[plant.A, -Bu @ K], [loop.KL @ plant.C, A - loop.KL @ Du @ K]]),
-        np.block([[Bu @ loop.N, E], [B + loop.KL @ Du @ loop.N, loop.KL @ F]]),
-        np.hstack([plant.C, -Du @ K]),
-        np.hstack([Du @ loop.N, F]),
-        loop.Ts,
-        inputs=_learned(loop) + loop.disturbances,
-        outputs=loop.outputs,
-        name="current-trial loop",
-    )
-
-
-def frequency_response(system: control.StateSpace, omega) -> np.ndarray:
-    """Frequency response of a state-space model, frequency first.
-
-    Parameters
-    ----------
-    system : control.StateSpace
-        In continuous or discrete time.
-    omega : array_like, shape (n,)
-        Angular frequencies, rad/s.
-
-    Returns
-    -------
-    ndarray, shape (n, outputs, inputs), complex
-
-    Raises
-    ------
-    ValueError
-        If the system is not finite or has no sampling period, or `omega` does not hold numbers in
-        a row, or one of them is the frequency of a pole.
-    """
-    arguments.state_space("system", system)
-    omega = arguments.row("omega", omega)
-    if system.dt is None or system.dt is True:
-        raise ValueError(f"system.dt = {system.dt} must be 0, or a sampling period in seconds")
-    points = np.exp(1j * omega * system.dt) if system.dt else 1j * omega
-    resolvent = points[:, None, None] * np.eye(system.nstates) - system.A
-    return system.C @ _solve(resolvent, system.B.astype(complex)) + system.D
-
-
-def _solve(left, right):
-    try:
-        return np.linalg.solve(left, right)
-    except LinAlgError:
-        raise ValueError(
-            "omega has the frequency of a pole: the system has no response there"
-        ) from None
-
-
-def unreachable_modes(A, B, tolerance: float = 1e-9) -> tuple[np.ndarray, np.ndarray]:
-    """Modes that no input can excite, by Hautus's test.
-
-    Parameters
-    ----------
-    A, B : array_like, shapes (n, n), (n, m)
-        Of a model in continuous or discrete time. For unobservable modes pass A', C'.
-    tolerance : float
-        A mode counts as unreachable if the smallest singular value of [lambda I - A, B], with
-        both blocks scaled to norm one, is below it.
-
-    Returns
-    -------
-    eigenvalues : ndarray, shape (r,)
-    directions : ndarray, shape (n, r)
-        Left eigenvectors; their common null space contains all that can be reached.
-    """
-    A, B = np.asarray(A, dtype=float), np.asarray(B, dtype=float)
-    scale_A, scale_B = (np.linalg.norm(X, 2) or 1.0 for X in (A, B))
-    values, vectors = [], []
-    for eigenvalue in np.linalg.eigvals(A):
-        if any(np.isclose(eigenvalue, seen, rtol=1e-6, atol=1e-9 * scale_A) for seen in values):
-            continue
-        pencil = np.hstack([(eigenvalue * np.eye(len(A)) - A) / scale_A, B / scale_B])
-        left, singular_values, _ = np.linalg.svd(pencil)
-        silent = left[:, singular_values < tolerance]
-        values.extend([eigenvalue] * silent.shape[1])
-        vectors.append(silent)
-    return np.array(values), np.hstack([np.empty((len(A), 0)), *vectors])
-
-
-def reachable_basis(A, B) -> np.ndarray:
-    """Orthonormal basis of the reachable subspace, shape (n, r)."""
-    basis = np.eye(len(A))
-    while basis.size:  # a second pass only for unreachable chains of generalised eigenvectors
-        _, silent = unreachable_modes(basis.T @ A @ basis, basis.T @ B)
-        if not silent.size:
-            break
-        basis = basis @ null_space(np.hstack([silent.real, silent.imag]).T, rcond=1e-9)
-    return basis
-
-
-def minimal_realisation(plant: control.StateSpace, controls: Sequence[str]) -> control.StateSpace:
-    """Restrict a plant to the states that its controls reach and its outputs show.
-
-    The state is expressed in an orthonormal basis of the reachable subspace, then of the
-    observable part of it. The order matters: the observer's weight Q_o = diag(I, 2I) is not
-    invariant, and this is the order that gives the gains which the paper prints.
-
-    Parameters
-    ----------
-    plant : control.StateSpace
-    controls : sequence of str
-        Names of the inputs that are controls u. All others are disturbances d.
-
-    Returns
-    -------
-    control.StateSpace
-        The controls first, then the disturbances, as far as they act on the states kept.
-
-    Raises
-    ------
-    ValueError
-        If the plant is not finite, if the controls are not different inputs of it, or if they
-        reach nothing that its outputs show.
-    """
-    arguments.state_space("plant", plant)
-    plant = _controls_first(plant, controls)
-    A, B, C = plant.A, plant.B, plant.C
-    T = reachable_basis(A, B[:, : len(controls)])
-    T = T @ reachable_basis((T.T @ A @ T).T, (C @ T).T)
-    if not T.size:
-        raise ValueError(f"controls = {controls!r} reach no state that the outputs show")
-    return control.ss(
-        T.T @ A @ T, T.T @ B, C @ T, plant.D, plant.dt,
-        inputs=plant.input_labels, outputs=plant.output_labels, name=plant.name,
-    )  # fmt: skip
-
-
-def _controls_first(plant, controls):
-    """The plant with its inputs in the order controls, disturbances."""
-    names = plant.input_labels
-    given = [str(name) for name in controls] if isinstance(controls, Sequence) else []
-    if not given or sorted(given) != sorted(set(given) & set(names)):
-        raise ValueError(
-            f"controls = {controls!r} must list different inputs of the plant, {names}"
-        )
-    ordered = given + [name for name in names if name not in given]
-    columns = [names.index(name) for name in ordered]
-    return control.ss(
-        plant.A, plant.B[:, columns], plant.C, plant.D[:, columns], plant.dt,
-        inputs=ordered, outputs=plant.output_labels, name=plant.name,
-    )  # fmt: skip
+__all__ = [  # all that Section III needs
+    "CurrentTrialLoop",
+    "current_trial_loop",
+    "frequency_response",
+    "minimal_realisation",
+    "paper_loop",
+    "unreachable_modes",
+]
 
 
 def current_trial_loop(
@@ -382,14 +86,14 @@ def current_trial_loop(
     The disturbance model (14) is integral action, A_d = C_d = I. The paper prints (28) and (29)
     with A and C; the dimensions need A_a and C_a of (15).
     """
-    plant = _sampled(plant)
+    plant = sampled_plant(plant)
     m, names = plant.noutputs, plant.input_labels
     if controls is None and len(names) > m:
         raise ValueError(
             f"plant has {len(names)} inputs for {m} outputs: name the controls among {names}, such "
             f"as controls={names[:m]}; the others are disturbances"
         )
-    plant = _controls_first(plant, names if controls is None else controls)
+    plant = controls_first(plant, names if controls is None else controls)
     count = len(names if controls is None else controls)
     if count != m:
         raise ValueError(
@@ -432,46 +136,6 @@ def current_trial_loop(
     _require_stable(Aa - KL @ Ca, "Qo and Ro")
     N = np.linalg.inv(C @ np.linalg.solve(np.eye(n) - A + B @ Ks, B))
     return CurrentTrialLoop(plant, Ks, KL, N, units)
-
-
-def _sampled(plant):
-    """A plant as a state-space model, if it is finite and in discrete time."""
-    if not isinstance(plant, control.TransferFunction):
-        arguments.state_space("plant", plant)
-    if not (plant.isdtime(strict=True) and plant.dt is not True):
-        raise ValueError(
-            f"plant.dt = {plant.dt!r} must be a sampling period in seconds: sample the plant first"
-        )
-    names = [*plant.output_labels, *plant.input_labels]
-    if len(set(names)) < plant.noutputs + plant.ninputs:
-        raise ValueError(f"plant has the signals {names}: each needs a name of its own")
-    return _realised(plant) if isinstance(plant, control.TransferFunction) else plant
-
-
-def _realised(plant):
-    """Realise each entry of a transfer function, then keep the states that all of them need."""
-    shape = (plant.noutputs, plant.ninputs)
-    entries = {}
-    for i, j in np.ndindex(shape):
-        numerator, denominator = (
-            np.trim_zeros(arguments.row(f"plant.{name}", polynomials[i][j]), "f")
-            for name, polynomials in (("num", plant.num), ("den", plant.den))
-        )
-        if len(numerator) > len(denominator):
-            raise ValueError(
-                f"plant has more zeros than poles from {plant.input_labels[j]} to "
-                f"{plant.output_labels[i]}: it would have to look ahead. Delay it"
-            )
-        entries[i, j] = control.ss(control.tf(plant.num[i][j], plant.den[i][j], plant.dt))
-    rows = np.repeat(np.eye(shape[0]), shape[1], axis=0)
-    columns = np.tile(np.eye(shape[1]), (shape[0], 1))
-    B, C, D = (block_diag(*(getattr(e, x) for e in entries.values())) for x in "BCD")
-    model = control.ss(
-        block_diag(*(entry.A for entry in entries.values())), B @ columns, rows.T @ C,
-        rows.T @ D @ columns, plant.dt,
-        inputs=plant.input_labels, outputs=plant.output_labels, name=plant.name,
-    )  # fmt: skip
-    return minimal_realisation(model, model.input_labels)
 
 
 def paper_loop(rod: Rod | None = None, degree: int = 3, Ts: float = 1.0) -> CurrentTrialLoop:

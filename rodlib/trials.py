@@ -10,8 +10,8 @@ import numpy as np
 import xarray as xr
 
 from rodlib import arguments
-from rodlib.feedback import CurrentTrialLoop
 from rodlib.filters import LearningFilter, ZeroPhaseButterworth, update
+from rodlib.loop import CurrentTrialLoop
 
 
 def run_trials(
@@ -37,8 +37,8 @@ def run_trials(
         With m controls and outputs and d disturbances.
     Q, L : ZeroPhaseButterworth, LearningFilter
         L None switches learning off, v = 0 on all trials.
-    reference : array_like, shape (time, m)
-        Reference trajectory.
+    reference : array_like, shape (time, m) or (trial, time, m)
+        Reference trajectory, of all trials or of each.
     disturbance : array_like, shape (time, d) or (trial, time, d), optional
         In the order of ``loop.disturbances``. Default zero.
     trials : int
@@ -67,8 +67,10 @@ def run_trials(
     closed = loop.closed if plant is None else loop.around(plant)
     m, n = loop.plant.noutputs, closed.nstates - len(loop.KL)
     trials = arguments.whole("trials", trials, 1)
-    reference = arguments.array("reference", reference, ("time", m))
-    samples = len(reference)
+    r = arguments.array("reference", reference, (...,))
+    r = arguments.array("reference", r, (trials, "time", m) if r.ndim == 3 else ("time", m))
+    samples = r.shape[-2]
+    r = np.broadcast_to(r, (trials, samples, m))
     rest = arguments.whole("rest", rest, 0, samples - 1)
     shape = (trials, samples, len(loop.disturbances))
     d = np.zeros(shape)
@@ -88,15 +90,15 @@ def run_trials(
     v, u, y, delta = (np.zeros(shape) for _ in range(4))
     for k in range(trials):
         if k and L is not None:
-            v[k] = update(v[k - 1], reference - y[k - 1] - noise[k - 1], Q, L, rest)  # (23)
-        w = reference + v[k]  # (22)
+            v[k] = update(v[k - 1], r[k - 1] - y[k - 1] - noise[k - 1], Q, L, rest)  # (23)
+        w = r[k] + v[k]  # (22)
         states = state_sequence(closed.A, w @ B.T + d[k] @ E.T + noise[k] @ K.T, chi)  # (19)
         y[k] = states @ closed.C.T + w @ D.T + d[k] @ F.T
         x_hat, delta[k] = states[:, n:-m], states[:, -m:]
         u[k] = w @ loop.N.T - x_hat @ loop.Ks.T - delta[k]  # (18)
     return dataset(
         loop.Ts, loop.outputs, loop.controls, loop.disturbances, loop.units,
-        reference=np.broadcast_to(reference, shape), v=v, u=u, y=y + noise, delta=delta,
+        reference=r, v=v, u=u, y=y + noise, delta=delta,
         disturbance=d,
     )  # fmt: skip
 

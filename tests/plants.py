@@ -1,4 +1,4 @@
-"""Three plants that are not the rod, with names and units of their own."""
+"""Plants that are not the rod, with names and units of their own."""
 
 import control
 import numpy as np
@@ -28,3 +28,14 @@ def furnace(samples=30, Ts=1.0):
     """A valve, a first-order lag, and a pipe that takes `samples` more to the thermometer."""
     numerator, denominator = [0.2], np.append([1.0, -0.95], np.zeros(samples))
     return control.tf(numerator, denominator, Ts, inputs=["valve"], outputs=["outlet"])
+
+
+def random_plant(rng, n=4, m=2):
+    """Two controls u1, u2 and a disturbance, which has feedthrough."""
+    A = rng.standard_normal((n, n))
+    A *= 0.95 / np.abs(np.linalg.eigvals(A)).max()
+    D = np.hstack([np.zeros((m, m)), rng.standard_normal((m, 1))])
+    return control.ss(
+        A, rng.standard_normal((n, m + 1)), rng.standard_normal((m, n)), D, 1.0,
+        inputs=["u1", "u2", "d"],
+    )  # fmt: skip

@@ -25,8 +25,8 @@ from rodlib import (
     update,
     zero_phase_butterworth,
 )
-from rodlib.feedback import frequency_response
 from rodlib.laboratory import VirtualRig, record
+from rodlib.realisation import frequency_response
 from rodlib.trials import assumed_disturbance, assumed_reference, rms, state_sequence
 
 PLANT = control.ss(0.5, [[0.5, 1.0]], 1, 0, 1.0, inputs=["u", "d"], outputs=["y"])

@@ -50,7 +50,7 @@ def test_a_figure_that_only_one_run_made_is_named(checkouts):
 
 def test_the_copy_is_that_of_the_working_tree(tmp_path):
     machines.copy_checkout(tmp_path)
-    for name in ("pyproject.toml", "rodlib/ledger.py", "notebooks/01-model.ipynb"):
+    for name in ("pyproject.toml", "rodlib/paper/ledger.py", "notebooks/01-model.ipynb"):
         assert (tmp_path / name).read_bytes() == (ROOT / name).read_bytes()
     assert not (tmp_path / "build").exists() and not (tmp_path / ".venv").exists()
 

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from rodlib import synthesise, zero_phase_butterworth
-from rodlib.feedback import frequency_response
 from rodlib.problem import pose
+from rodlib.realisation import frequency_response
 
 OMEGA = np.geomspace(1e-3, np.pi, 60)
 Q = zero_phase_butterworth(2, 0.3)

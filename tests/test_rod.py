@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rodlib import Rod, exact_response, midr, sampled_response
-from rodlib.feedback import frequency_response
+from rodlib.realisation import frequency_response
 from rodlib.rod import bernstein_basis
 
 MATERIALS = st.builds(

@@ -16,6 +16,7 @@ from rodlib import (
     minimal_realisation,
     run_trials,
     synthesise,
+    update,
     zero_phase_butterworth,
 )
 from rodlib.evidence import trial_map
@@ -95,6 +96,24 @@ def test_errors_converge_at_least_as_fast_as_lemma_1_says(loop, Q, L, omega):
     run = run_trials(loop, Q, L, assumed_reference(), None, 80)
     distance = np.sqrt(((run.e - run.e[-1]) ** 2).sum(["time", "channel"])).values[:25]
     assert np.all(distance[1:] <= gamma * distance[:-1])
+
+
+def test_each_trial_may_have_its_own_reference(loop, Q, L):
+    rng = np.random.default_rng(11)
+    references, noise = rng.standard_normal((2, 3, 60, 2))
+    run = run_trials(loop, Q, L, references, None, 3, noise=noise)
+    np.testing.assert_array_equal(run.reference, references)
+    np.testing.assert_array_equal(run.e, references - run.y.values)
+    for k in range(1, 3):
+        v = update(run.v.values[k - 1], run.e.values[k - 1], Q, L)
+        np.testing.assert_allclose(run.v[k], v)
+    for k, w in enumerate(references + run.v.values):  # what the loop follows in this trial
+        alone = run_trials(loop, Q, None, w, None, 1, noise=noise[[k]])
+        np.testing.assert_allclose(run.y[k], alone.y[0], atol=1e-12)
+    same = run_trials(loop, Q, L, np.broadcast_to(references[0], (3, 60, 2)), None, 3)
+    np.testing.assert_array_equal(same.y, run_trials(loop, Q, L, references[0], None, 3).y)
+    with pytest.raises(ValueError, match=r"shape \(3, 60, 2\), but must have shape \(4, time"):
+        run_trials(loop, Q, L, references, None, 4)
 
 
 def test_without_learning_all_trials_are_alike(loop, Q):

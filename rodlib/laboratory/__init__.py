@@ -4,14 +4,17 @@ What runs an experiment knows a rig by its Protocol only; the virtual rig is one
 """
 
 from rodlib.laboratory.experiment import Controller, Rig, RigError, record
-from rodlib.laboratory.logs import load_log, save_log
+from rodlib.laboratory.loading import load_log
 from rodlib.laboratory.notes import law_of, loop_of, rest_of, with_law
+from rodlib.laboratory.replay import Replay, replay_of
+from rodlib.laboratory.saving import save_log
 from rodlib.laboratory.tables import LogError
 from rodlib.laboratory.virtual_rig import RestartingRig, RigParameters, VirtualRig
 
 __all__ = [
     "Controller",
     "LogError",
+    "Replay",
     "RestartingRig",
     "Rig",
     "RigError",
@@ -21,6 +24,7 @@ __all__ = [
     "load_log",
     "loop_of",
     "record",
+    "replay_of",
     "rest_of",
     "save_log",
     "with_law",

@@ -13,11 +13,12 @@ import xarray as xr
 from tqdm import tqdm
 
 from rodlib import arguments
-from rodlib.feedback import CurrentTrialLoop
 from rodlib.filters import LearningFilter, ZeroPhaseButterworth, update
 from rodlib.laboratory import units as pints
-from rodlib.laboratory.logs import append_log, load_ended, save_log
+from rodlib.laboratory.loading import load_ended
 from rodlib.laboratory.notes import with_law
+from rodlib.laboratory.saving import append_log, save_log
+from rodlib.loop import CurrentTrialLoop
 from rodlib.trials import check_law, dataset
 
 LATE = 0.1  # sampling periods that a sample may be off the clock

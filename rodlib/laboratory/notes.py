@@ -9,9 +9,10 @@ import numpy as np
 import xarray as xr
 
 from rodlib import arguments
-from rodlib.feedback import CurrentTrialLoop
 from rodlib.filters import LearningFilter, ZeroPhaseButterworth, zero_phase_butterworth
-from rodlib.laboratory.logs import LogError
+from rodlib.laboratory import units as pints
+from rodlib.laboratory.tables import LogError
+from rodlib.loop import CurrentTrialLoop
 
 MISUNDERSTOOD = (KeyError, TypeError, ValueError, RecursionError)  # what a note may lead to
 
@@ -89,12 +90,28 @@ def loop_of(trials: xr.Dataset) -> CurrentTrialLoop | None:
         loop = CurrentTrialLoop(**{name: _rebuilt(part) for name, part in note.items()})
         names = (loop.outputs, loop.controls)
         arguments.one_period(log=trials.attrs["Ts"], loop=loop.Ts)
+        other = _in_other_units(trials, loop.units)
     except (AttributeError, *MISUNDERSTOOD) as error:
         raise LogError(f"metadata: loop cannot be understood: {error!r}") from None
     recorded = (trials.output.values.tolist(), trials.control.values.tolist())
     if names != recorded:
         raise LogError(f"metadata: loop has the signals {names}, but the log {recorded}")
+    if other:
+        raise LogError(f"metadata: loop has other units than the log: load it with units={other}")
     return loop
+
+
+def _in_other_units(trials, units):
+    """Those of `units` that are not the log's; an empty one is not known, and may be any."""
+    other = {}
+    for role in ("output", "control", "source"):
+        if role in trials.coords:
+            names, own = trials[role].values.tolist(), trials[f"{role}_unit"].values.tolist()
+            for name, unit in zip(names, own, strict=True):
+                wanted = units.get(name, "")
+                if wanted and unit and pints.unit(name, wanted) != pints.unit(name, unit):
+                    other[name] = wanted
+    return other
 
 
 def _plain(part):

@@ -25,6 +25,7 @@ GRAY = {"color": "0.55"}
 BLACK_DASHED = BLACK | {"linestyle": "--"}
 GRAY_DASHED = GRAY | {"linestyle": "--"}
 ACCENT = {"color": "tab:red"}  # for what the paper does not show
+SHADES = ("black", "0.55", "tab:red", "tab:blue", "tab:green", "tab:orange")  # of channels
 
 mpl.rcParams.update(
     {

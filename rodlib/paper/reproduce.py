@@ -131,30 +131,47 @@ def reproduce(root: Path = ROOT) -> None:
 
 
 def replay(log: str, root: Path = ROOT) -> None:
-    """Run the notebook of the experiment on a log of one's own; publish nothing.
+    """Run the notebook of the experiment on a log of one's own, and print what it found.
+
+    Publishes nothing. Beside the executed notebook, the v of the next trial is written as a table.
 
     Parameters
     ----------
     log : str
         Path of the log, from the present folder.
     root : Path
-        The repository. Its build/replay is cleared.
+        The repository. Its build/replay is cleared, unless the log cannot be used.
 
     Raises
     ------
     FileNotFoundError
         If there is no such log.
+    LogError
+        If it cannot be used.
     RuntimeError
         As :func:`reproduce`.
     """
-    path = Path(log).expanduser().absolute()
+    from rodlib.laboratory import load_log, replay_of  # here, because they take long to import
+    from rodlib.paper.rig_logs import papers_loop
+
+    checkout("make replay", root)
+    path = Path(log)
+    if not path.exists():  # or else a name may well begin with ~
+        path = Path(os.path.expanduser(log))
+    path = path.absolute()
     if not path.is_file():
-        raise FileNotFoundError(f"there is no log {path}: make replay LOG=path")
+        what = "is a folder, not a log" if path.is_dir() else "is not there"
+        raise FileNotFoundError(f"{path} {what}: make replay LOG=path")
+    replayed = replay_of(load_log(path), papers_loop(path))
     notebook = root / "notebooks" / "05-experiment-replay.ipynb"
     with folder_of_run("replay", root) as build:
-        executed = build / notebook.name
-        print(f"{executed.relative_to(root)} ...", flush=True)
-        run(notebook, executed, log=str(path), no_learning="")
+        executed, table = build / notebook.name, build / "next-trial.csv"
+        print(replayed)
+        if replayed.law is not None:
+            replayed.save_following(table)
+            print(f"v of trial {replayed.numbers[-1] + 1}: {table.relative_to(root)}")
+        print(f"pictures and explanations: {executed.relative_to(root)} ...", flush=True)
+        run(notebook, executed, log=str(path), no_learning="", untold=[])
 
 
 def main(root: Path = ROOT, log: str | None = None) -> None:

@@ -3,13 +3,15 @@
 import json
 import sys
 from dataclasses import asdict
+from pathlib import Path
 
 import numpy as np
 
 from rodlib.feedback import paper_loop
-from rodlib.files import checkout
+from rodlib.files import ROOT, checkout
 from rodlib.filters import LearningFilter, zero_phase_butterworth
 from rodlib.laboratory import VirtualRig, record, save_log
+from rodlib.loop import CurrentTrialLoop
 from rodlib.paper import published
 from rodlib.trials import assumed_disturbance, assumed_reference
 
@@ -26,6 +28,11 @@ def experiment() -> dict:
         "disturbance": np.round(assumed_disturbance(), 6),
         "decimals": DECIMALS,
     }
+
+
+def papers_loop(log: Path) -> CurrentTrialLoop | None:
+    """The loop that made a log, if it is the one in data/rig: format 1 does not say."""
+    return paper_loop() if log.resolve() == ROOT / "data" / "rig" / "learning.csv" else None
 
 
 def main():

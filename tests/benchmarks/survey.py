@@ -24,9 +24,9 @@ import control
 import numpy as np
 
 from rodlib import InfeasibleError, SolverError, synthesise, zero_phase_butterworth
-from rodlib.feedback import frequency_response
 from rodlib.files import ROOT, write_whole
 from rodlib.paper.ledger import splice
+from rodlib.realisation import frequency_response
 
 FAMILIES = (
     "lag", "two lags", "motion stage", "tanks", "slow integrator", "short delay", "long delay",

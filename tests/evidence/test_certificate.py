@@ -24,9 +24,9 @@ from rodlib.evidence import (
     trial_operators,
 )
 from rodlib.evidence.peak import _ceiling, _phase, _rounded_up, balanced
-from rodlib.feedback import frequency_response
 from rodlib.paper import published
 from rodlib.problem import pose
+from rodlib.realisation import frequency_response
 from rodlib.synthesis import convergence_matrix, largest_singular_values
 from rodlib.trials import assumed_reference
 

@@ -101,3 +101,19 @@ def test_the_loop_of_other_signals_is_refused(loop, Q):
         loop_of(run.assign_coords(output=("channel", ["a", "b"])))
     with pytest.raises(LogError, match=r"log.Ts = 2.0 s, loop.Ts = 1.0 s"):
         loop_of(run.assign_attrs(Ts=2.0))
+
+
+def test_the_loop_in_other_units_is_refused(tmp_path):
+    units = {"depth": "mm", "valve": "l/min", "rain": "l/s"}
+    plant = control.ss(0.9, [[0.1, 0.2]], 1, 0, 1.0, inputs=["valve", "rain"], outputs=["depth"])
+    Q, made = zero_phase_butterworth(), current_trial_loop(plant, ["valve"], units=units)
+    run = with_law(run_trials(made, Q, None, np.ones((9, 1)), None, 1), Q, None, 0, made)
+    save_log(run, tmp_path / "log.csv")
+    assert_alike(loop_of(load_log(tmp_path / "log.csv", units={"depth": "millimeter"})), made)
+    for name, unit in {"depth": "m", "valve": "m**3/s", "rain": "l/h"}.items():
+        other = load_log(tmp_path / "log.csv", units={name: unit})
+        message = f"other units than the log: load it with units={{'{name}': '{units[name]}'}}"
+        with pytest.raises(LogError, match=message):
+            loop_of(other)
+    unknown = run.assign_coords(output_unit=("channel", [""]))
+    assert_alike(loop_of(unknown), made)

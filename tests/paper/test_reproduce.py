@@ -1,3 +1,4 @@
+import json
 import os
 import signal
 import subprocess
@@ -105,7 +106,11 @@ def test_a_second_run_is_refused_a_replay_is_not_and_a_kill_leaves_no_lock(root)
     notebook.cells[0].metadata["tags"] = ["parameters"]
     nbformat.write(notebook, replayed)
     log = root / "my log.csv"
-    log.touch()
+    signals = {"outputs": {"x": "mm"}, "controls": {"F": "N"}}
+    log.write_text(
+        f"# format: rodlib trial log 2\n# Ts: 1.0 s\n# signals: {json.dumps(signals)}\n"
+        "trial,time,reference_x,v_x,u_F,y_x\n1,0.0,1.0,0.0,0.0,0.5\n"
+    )
     with subprocess.Popen([sys.executable, "-c", CALL, root], stderr=subprocess.PIPE) as first:
         while not (root / "notebooks" / "started").exists():
             assert first.poll() is None, first.stderr.read()
@@ -150,7 +155,7 @@ def test_an_interrupted_publication_is_finished_before_anything_else(root):
 def test_a_log_that_is_not_there_is_refused(root):
     outcome = run(root, "nowhere.csv")
     assert outcome.returncode == 1
-    assert outcome.stderr.startswith("there is no log ")
+    assert outcome.stderr.endswith("nowhere.csv is not there: make replay LOG=path\n")
     assert not (root / "build").exists()
 
 

@@ -1,0 +1,180 @@
+"""`make replay` as a user calls it: notebook 05 on logs of other plants."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+
+import nbformat
+import numpy as np
+import pytest
+from plants import stage, tanks
+
+from rodlib import (
+    LearningFilter,
+    LogError,
+    current_trial_loop,
+    load_log,
+    paper_loop,
+    run_trials,
+    save_log,
+    zero_phase_butterworth,
+)
+from rodlib.files import ROOT
+from rodlib.laboratory import replay_of, with_law
+from rodlib.paper import reproduce
+from rodlib.paper.rig_logs import papers_loop
+
+ODD = 'my stage\'s "log" of $HOME, ~ & `x` #1.csv'
+
+
+def run_of(loop, rest, trials=4):
+    """A run with a disturbance, and with the law noted."""
+    m = loop.plant.noutputs
+    coefficients = np.zeros((m, m, 6))
+    coefficients[range(m), range(m), -1] = 0.5
+    Q = zero_phase_butterworth(2, 0.06 / loop.Ts, loop.Ts)
+    L = LearningFilter(coefficients, loop.Ts)
+    reference = np.outer(np.sin(np.pi * np.arange(120) / 120) ** 2, 1.0 + np.arange(m))
+    push = np.full((120, len(loop.disturbances)), 0.2)
+    return with_law(run_trials(loop, Q, L, reference, push, trials, rest=rest), Q, L, rest, loop)
+
+
+@pytest.fixture
+def root(tmp_path):
+    """A repository of which only notebook 05 is there."""
+    (tmp_path / "notebooks").mkdir()
+    shutil.copy(ROOT / "notebooks" / "05-experiment-replay.ipynb", tmp_path / "notebooks")
+    (tmp_path / "pyproject.toml").write_text('name = "rodlib"\n')
+    return tmp_path
+
+
+def replay(root, log):
+    call = "import pathlib, sys; from rodlib.paper.reproduce import main; "
+    call += "main(pathlib.Path(sys.argv[1]), sys.argv[2])"
+    return subprocess.run(
+        [sys.executable, "-c", call, root, log], capture_output=True, text=True, cwd=root
+    )
+
+
+def printed(root):
+    notebook = nbformat.read(root / "build" / "replay" / "05-experiment-replay.ipynb", 4)
+    outputs = [output for cell in notebook.cells for output in cell.get("outputs", [])]
+    assert not [output for output in outputs if output.get("name") == "stderr"]
+    return "".join(output.text for output in outputs if output.output_type == "stream")
+
+
+def test_a_stage_is_replayed_with_its_own_loop(root):
+    loop = current_trial_loop(
+        stage(), ["F"], {"x": 1.0, "F": 10.0}, {"x": "mm", "F": "N", "friction": "N"}
+    )
+    run = run_of(loop, rest=0)
+    save_log(run, root / ODD)
+    outcome = replay(root, ODD)
+    assert outcome.returncode == 0, outcome.stderr
+    found = replay_of(load_log(root / ODD))
+    assert outcome.stdout.startswith(f"{found}\nv of trial 5: build/replay/next-trial.csv\n")
+    assert "\nlaw: the recorded v is that of the law in every trial\n" in outcome.stdout
+    assert "mean of all trials: x 100 %" in outcome.stdout
+    table = np.loadtxt(root / "build" / "replay" / "next-trial.csv", delimiter=",", skiprows=3)
+    np.testing.assert_array_equal(table[:, 1:], found.following)
+    text = printed(root)
+    assert "4 trials of 120 samples, Ts = 0.001 s\ndisturbances in the log: ['friction']" in text
+    assert "left out" not in text and "virtual rig" not in text
+    assert "not the paper's parameters" in text
+    figures = root / "build" / "replay" / "figures"
+    tracked = [*(ROOT / "figures").glob("extra05*.png"), ROOT / "figures" / "fig08-convergence.png"]
+    tracked.append(ROOT / "figures" / "fig09-recorded-signals.png")
+    assert sorted(figures.glob("*.png")) == sorted(figures / path.name for path in tracked)
+    assert not (root / "build" / "replay" / "ledger").exists()
+
+
+def test_tanks_in_units_of_their_own_are_replayed_without_a_loop(root):
+    """Three channels, with a rest, no estimate of the observer, and trials from the third on."""
+    units = {"left": "cm", "middle": "mm", "right": "cm"}
+    loop = current_trial_loop(tanks(), ["pump A", "pump B", "pump C"], units=units)
+    run = run_of(loop, rest=10).isel(trial=[2, 3]).drop_vars("delta")
+    del run.attrs["loop"]
+    save_log(run, root / "tanks.csv")
+    outcome = replay(root, "tanks.csv")
+    assert outcome.returncode == 0, outcome.stderr
+    assert "RMS of left, right (cm)  RMS of middle (mm)" in outcome.stdout
+    assert "law: the recorded v is that of the law, as far as the trials before 3 tell" in (
+        outcome.stdout
+    )
+    reason = "left out: simulation and prediction: the log does not say which loop made it"
+    assert reason in outcome.stdout and reason in printed(root)
+    table = np.loadtxt(root / "build" / "replay" / "next-trial.csv", delimiter=",", skiprows=3)
+    assert table.shape == (120, 4) and not table[-10:, 1:].any() and table[-11, 1:].all()
+    assert not (root / "build" / "replay" / "figures" / "extra05-model-fit.png").exists()
+
+
+def broken(log, how):
+    text = log.read_text()
+    if how == "a folder":
+        log.unlink()
+        log.mkdir()
+        return "is a folder, not a log"
+    if how == "not a log":
+        log.write_text("a,b\n1,2\n")
+        return "format is None, but must be 'rodlib trial log 2'"
+    if how == "a gap":
+        log.write_text(text.replace("\n2,0,", "\n2,0,nan,", 1).replace("nan,1.", "nan,", 1))
+        return "problem(s)"
+    if how == "a unit":
+        log.write_text(text.replace('"mm"', '"furlongz"', 1))
+        return "unit 'furlongz' of x is not understood"
+    log.write_text(text.replace("# loop: {", "# loop: {{", 1))
+    return "metadata: loop cannot be understood"
+
+
+@pytest.mark.parametrize("how", ["a folder", "not a log", "a gap", "a unit", "no loop"])
+def test_a_bad_log_is_refused_in_a_few_words_and_an_earlier_replay_stays(root, how):
+    loop = current_trial_loop(stage(), ["F"], units={"x": "mm", "F": "N", "friction": "N"})
+    log, earlier = root / "log.csv", root / "build" / "replay" / "next-trial.csv"
+    save_log(run_of(loop, rest=0, trials=2), log)
+    earlier.parent.mkdir(parents=True)
+    earlier.touch()
+    message = broken(log, how)
+    with pytest.raises((LogError, OSError)) as refusal:  # which `main` ends with
+        reproduce.replay(str(log), root)
+    assert message in str(refusal.value)
+    assert len(str(refusal.value).splitlines()) <= 3
+    assert earlier.exists()
+
+
+@pytest.mark.parametrize("name", [ODD, "plain.csv", "~unknown/log.csv", "a\\b.csv", "-c"])
+def test_make_hands_over_the_path_as_it_is(name, tmp_path):
+    if not shutil.which("make"):
+        pytest.skip("there is no make")
+    python = tmp_path / "bin" / "python"
+    python.parent.mkdir()
+    python.write_text('#!/bin/sh\nfor word; do printf "<%s>" "$word"; done\n')
+    python.chmod(0o755)
+    call = ["make", "--no-print-directory", f"BIN={python.parent}", "PYTHON=true", "replay"]
+    outcome = subprocess.run([*call, f"LOG={name}"], cwd=ROOT, capture_output=True, text=True)
+    assert outcome.stdout == f"<-m><rodlib.paper.reproduce><{name}>"
+    outcome = subprocess.run(call, cwd=ROOT, capture_output=True, text=True)
+    assert outcome.returncode == 2 and outcome.stdout == "name a log: make replay LOG=path\n"
+
+
+def test_a_name_may_begin_with_the_sign_for_home(root, monkeypatch):
+    monkeypatch.chdir(root)
+    (root / "~log.csv").write_text("none")
+    with pytest.raises(LogError, match=r"/~log\.csv: \d problem"):
+        reproduce.replay("~log.csv", root)
+    home = re.escape(os.path.expanduser("~/no such log.csv"))
+    with pytest.raises(FileNotFoundError, match=f"{home} is not there: make replay LOG=path"):
+        reproduce.replay("~/no such log.csv", root)
+
+
+def test_only_the_compendiums_own_log_gets_the_papers_loop(tmp_path):
+    log = ROOT / "data" / "rig" / "learning.csv"
+    np.testing.assert_array_equal(papers_loop(log).KL, paper_loop().KL)
+    copy = tmp_path / "learning.csv"
+    shutil.copy(log, copy)
+    assert papers_loop(copy) is None
+    copy.unlink()
+    copy.symlink_to(log)
+    assert papers_loop(copy) is not None
