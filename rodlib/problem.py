@@ -15,8 +15,9 @@ import control
 import numpy as np
 
 from rodlib import arguments
-from rodlib.feedback import CurrentTrialLoop, frequency_response
 from rodlib.filters import LearningFilter, ZeroPhaseButterworth
+from rodlib.loop import CurrentTrialLoop
+from rodlib.realisation import frequency_response
 
 LARGEST = 1e7  # gain of Q P L from which on the rounding of coefficients shows
 
