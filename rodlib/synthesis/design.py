@@ -213,11 +213,11 @@ def _solve_program(problem, program, start):
     """From a start if that leads somewhere, or from nothing."""
     if start is not None:
         found = active_set.resolve(program, start, steps=12)
-        if found is not None and _is_good(problem, found):
+        if found is not None and _is_good(problem, found, GOOD):
             return found
-    solution = interior_point.solve(program)
+    solution = interior_point.solve(program, lambda found: _is_good(problem, found, GAP / 2))
     found = active_set.resolve(program, solution, steps=3)  # more digits
-    if found is None or not _is_good(problem, found):
+    if found is None or not _is_good(problem, found, GOOD):
         return solution
     iterations = solution.iterations + found.iterations
     return replace(found, method=solution.method, iterations=iterations)
@@ -247,13 +247,13 @@ def _sigmas(problem, solution):
     return largest_singular_values(problem.M(L)), largest_singular_values(L)
 
 
-def _is_good(problem, solution):
-    """Whether a solution is within its bounds and as good as proven to the last digits."""
+def _is_good(problem, solution, gap):
+    """Whether a solution is within its bounds, and proven to be as good as the gap says."""
     sigma_M, sigma_L = _sigmas(problem, solution)
     value = problem.value(sigma_M)
-    gap = 0 if problem.robust else value - lower_bound(problem, solution.U, solution.V)
+    apart = 0 if problem.robust else value - lower_bound(problem, solution.U, solution.V)
     return (
-        gap < GOOD * max(value, 1e-3 * problem.idle)
+        apart < gap * max(value, 1e-3 * problem.idle)
         and sigma_M.max() <= problem.M_max * (1 + VIOLATION)
         and sigma_L.max() <= (problem.L_max or np.inf) * (1 + VIOLATION)
     )

@@ -26,6 +26,7 @@ The method need not be trusted: :mod:`rodlib.evidence` proves what it returns.
 [4] L. Vandenberghe, S. Boyd, SIAM Review 38 (1996) 49; M. Todd, Acta Numerica 10 (2001) 515.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,8 +38,8 @@ from rodlib.synthesis.program import Infeasible, Program
 
 GAP = 2e-9  # relative gap at which to stop
 # Part of the gap by which rounding may keep the multipliers from being stationary.
-STATIONARY = 1e-2
-REFINEMENTS = 2
+STATIONARY = 0.1
+REFINEMENTS = 3
 
 
 @dataclass(frozen=True)
@@ -197,10 +198,11 @@ def step(program, p, slacks, total, root):
     return direction(sigma * total / degree(p), predictor)
 
 
-def follow(program, p, enough=0.0):
+def follow(program, p, enough=0.0, is_good=None):
     """Follow the central path from p until the gap is closed or the objective small enough.
 
-    Returns the best point, or None if the bounds were never met, and the number of iterations.
+    Where rounding ends the quick way, a solution that `is_good` is the last one. Returns the best
+    point, or None if the bounds were never met, and the number of iterations.
     """
     n, m = program.basis.shape[1], p.G[0].shape[1]
     best, smallest, gaps, root = None, np.inf, [], False
@@ -222,6 +224,8 @@ def follow(program, p, enough=0.0):
         slacks = [Slack(G, diagonal, b) for diagonal, b, G in p.S(program)]
         d = step(program, p, slacks, total, root)
         if d is None:
+            if best is p and is_good is not None and is_good(_solution(program, p, iteration)):
+                break
             root = True
             d = step(program, p, slacks, total, root)
         primal, dual = step_lengths(program, p, d, slacks, 0.02)
@@ -235,13 +239,15 @@ def follow(program, p, enough=0.0):
     return best, iteration
 
 
-def solve(program: Program) -> Solution:
+def solve(program: Program, is_good: Callable[[Solution], bool] | None = None) -> Solution:
     """Solve a synthesis program from nothing.
 
     Parameters
     ----------
     program : Program
         From :func:`rodlib.synthesis.program.formulate`.
+    is_good : callable, optional
+        Whether a solution is good enough. It is asked where more digits are expensive.
 
     Returns
     -------
@@ -255,14 +261,14 @@ def solve(program: Program) -> Solution:
         If no filter met the bounds although one exists.
     """
     zero = np.zeros((program.entries, len(program.R)))
-    best, iterations = follow(program, begin(program, zero))
+    best, iterations = follow(program, begin(program, zero), is_good=is_good)
     if best is None:  # phase one
         peak = program.peak()
         best, more = follow(peak, begin(peak, zero), enough=program.M_max)
         iterations += more
         if best.t[0] >= program.M_max:
             raise Infeasible(program.M_max, _solution(peak, best, iterations))
-        best, more = follow(program, begin(program, best.x))
+        best, more = follow(program, begin(program, best.x), is_good=is_good)
         iterations += more
     if best is None:
         raise RuntimeError(f"no filter met the bounds after {iterations} iterations")

@@ -93,36 +93,38 @@ def normal_matrix(program, slacks, Y, local):
     """
     basis, E = program.basis, program.entries
     order, n = basis.shape
-    blocks = []
-    for bound, slack, Yc in zip(program.bounds, slacks, Y, strict=True):
-        p, T = len(bound.F), bound.T
-        blocks.append(
-            [product(adjoint(T), product(A[:p, :p], T)) for A in (slack.X, Yc)]
-            + [product(A[p:, :p], T) for A in (slack.X, Yc)]
-            + [A[p:, p:] for A in (slack.X, Yc)]
+    pairs = np.array([(j, k) for j in range(E) for k in range(j, E)])
+    number = np.zeros((E, E), dtype=int)
+    number[pairs[:, 0], pairs[:, 1]] = np.arange(len(pairs))
+    A, B = np.zeros((2, len(pairs), n), dtype=complex)
+    for part, slack, Yc in zip(local, slacks, Y, strict=True):
+        bound, T, p = part.bound, part.bound.T, len(part.bound.F)
+        (X11, Y11), (X21, Y21), (X22, Y22) = (
+            [product(adjoint(T), product(S[:p, :p], T)) for S in (slack.X, Yc)],
+            [product(S[p:, :p], T) for S in (slack.X, Yc)],
+            [S[p:, p:] for S in (slack.X, Yc)],
         )
+        j, k = np.triu_indices(len(bound.entries))
+        r, c, rs, cs = bound.rows[j], bound.cols[j], bound.rows[k], bound.cols[k]
+        a = Y11[r, rs] * X22[cs, c] + X11[r, rs] * Y22[cs, c]
+        b = Y21[c, rs] * X21[cs, r] + X21[c, rs] * Y21[cs, r]
+        for g, follow in zip(0.5 * part.g, part.follow, strict=True):
+            a -= g[j].conj() * follow[k]
+            b -= g[j] * follow[k]
+        which = number[bound.entries[j], bound.entries[k]]
+        for form, value in ((A, a), (B, b)):
+            if isinstance(bound.at, slice):
+                form[which] += value
+            else:
+                np.add.at(form, (which[:, None], bound.at), value)
+    # Re(A phi_k phi_l^*) + Re(B phi_k phi_l), summed over the frequencies
+    products = [(basis[:, None] * second).reshape(-1, n).T for second in (basis.conj(), basis)]
+    weights = np.concatenate([part for X in products for part in (X.real, -X.imag)])
+    sums = np.concatenate([A.real, A.imag, B.real, B.imag], axis=1) @ weights
     H = np.empty((E, order, E, order))
-    for e in range(E):
-        A, B = np.zeros((2, E - e, n), dtype=complex)
-        for part, (X11, Y11, X21, Y21, X22, Y22) in zip(local, blocks, strict=True):
-            bound, g, follow = part.bound, part.g, part.follow
-            for j in np.flatnonzero(bound.entries == e):
-                r, c = bound.rows[j], bound.cols[j]
-                rs, cs, es = bound.rows[j:], bound.cols[j:], bound.entries[j:] - e
-                a = Y11[r, rs] * X22[cs, c] + X11[r, rs] * Y22[cs, c]
-                b = Y21[c, rs] * X21[cs, r] + X21[c, rs] * Y21[cs, r]
-                for z in range(len(g)):
-                    a -= (0.5 * g[z, j].conj()) * follow[z, j:]
-                    b -= (0.5 * g[z, j]) * follow[z, j:]
-                for form, value in ((A, a), (B, b)):
-                    if isinstance(bound.at, slice):
-                        form[es] += value
-                    else:
-                        np.add.at(form, (es[:, None], bound.at), value)
-        V = A[:, None] * basis + (B[:, None] * basis).conj()
-        V = V.view(float).reshape(-1, 2 * n) @ basis.view(float).T
-        H[e:, :, e] = V.reshape(E - e, order, order)
-        H[e, :, e:] = H[e:, :, e].transpose(2, 0, 1)
+    j, k = pairs.T
+    H[k, :, j] = sums.reshape(-1, order, order)
+    H[j, :, k] = H[k, :, j].transpose(0, 2, 1)
     return H.reshape(E * order, -1)
 
 
