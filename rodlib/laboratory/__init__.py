@@ -7,6 +7,7 @@ from rodlib.laboratory.experiment import Controller, Rig, RigError, record
 from rodlib.laboratory.logs import load_log, save_log
 from rodlib.laboratory.notes import law_of, loop_of, rest_of, with_law
 from rodlib.laboratory.tables import LogError
+from rodlib.laboratory.temperature_control_lab import TemperatureControlLab, heat_balance
 from rodlib.laboratory.virtual_rig import RestartingRig, RigParameters, VirtualRig
 
 __all__ = [
@@ -16,7 +17,9 @@ __all__ = [
     "Rig",
     "RigError",
     "RigParameters",
+    "TemperatureControlLab",
     "VirtualRig",
+    "heat_balance",
     "law_of",
     "load_log",
     "loop_of",

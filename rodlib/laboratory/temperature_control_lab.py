@@ -1,0 +1,149 @@
+"""The Temperature Control Lab: a board with two heaters and two thermometers, as a rig.
+
+It is a kit to learn control with. Its own package, tclab, talks to it and brings an emulator; the
+two differ in what time is, which is hidden here.
+"""
+
+import random
+import time
+
+import control
+import numpy as np
+
+from rodlib import arguments
+
+HEATERS, THERMOMETERS = ["Q1", "Q2"], ["T1", "T2"]
+LAST = 60.0  # s of the wait before the first trial, over which the readings at rest are averaged
+
+
+class TemperatureControlLab:
+    """The kit or its emulator, around a state of rest in which both heaters are on.
+
+    A heater that is off cannot cool; one that is on can be turned down. So :meth:`apply` takes
+    percents above those at rest, :meth:`read` gives kelvins above the temperatures at rest, and
+    every trial begins there. Heaters are cut off at 0 and 100 %.
+
+    Parameters
+    ----------
+    kit : bool
+        Whether to connect to the kit. Default: the emulator, whose time is computed and not waited
+        for.
+    rest : (float, float)
+        The heaters at rest, %.
+    Ts : float
+        Sampling period, s.
+    wait : float
+        How long both heaters are held at rest before a trial, s; at least a minute.
+    seed : int
+        Of the emulator's noise, which comes from Python's own generator of random numbers.
+
+    Raises
+    ------
+    ImportError
+        If the package tclab is missing.
+    ValueError
+        If an argument is out of range.
+    RuntimeError
+        From tclab, if no kit is found.
+    """
+
+    inputs = HEATERS
+
+    def __init__(self, kit=False, rest=(30.0, 40.0), Ts=2.0, wait=900.0, seed=1):
+        self.kit = arguments.flag("kit", kit)
+        self.rest = arguments.array("rest", rest, (2,))
+        if self.rest.min() < 0 or self.rest.max() > 100:
+            raise ValueError(f"rest = {rest!r} must be two numbers from 0 to 100 %")
+        self.Ts = arguments.number(
+            "Ts", Ts, "a sampling period up to a minute, in s", 0, LAST + 1e-9
+        )
+        self.wait = arguments.number("wait", wait, "a minute or more, in s", LAST - 1e-9)
+        seed = arguments.whole("seed", seed, 0)
+        tclab = _package()
+        self.lab = tclab.TCLab() if self.kit else tclab.TCLabModel(synced=False)
+        if not self.kit:
+            random.seed(seed)
+            self.lab.update(0.0)  # its time begins when it is made, which is never the same
+        self.zero = None  # the temperatures at rest, degC
+        self._due = self.clock()
+
+    def clock(self) -> float:
+        """Time, s; the emulator's stands still between two samples."""
+        return time.monotonic() if self.kit else self.lab.tlast
+
+    def begin(self, trial: int) -> None:
+        """Wait for the state of rest; the first time, find the temperatures there."""
+        self._due = self.clock()
+        readings = []
+        for _ in range(round(self.wait / self.Ts)):
+            readings.append(self._temperatures())
+            self.apply([0, 0])
+        if self.zero is None:
+            self.zero = np.mean(readings[-round(LAST / self.Ts) :], axis=0)
+
+    def read(self) -> np.ndarray:
+        """Temperatures above those at rest, K, shape (2,)."""
+        if self.zero is None:
+            raise RuntimeError("the temperatures at rest are not known: call begin first")
+        return self._temperatures() - self.zero
+
+    def apply(self, heaters) -> None:
+        """Set the heaters (%, above those at rest) and let one sampling period pass."""
+        first, second = (self.rest + arguments.array("heaters", heaters, (2,))).tolist()
+        self.lab.Q1(first)  # cut off at 0 and 100 by tclab
+        self.lab.Q2(second)
+        self._due += self.Ts
+        if self.kit:
+            time.sleep(max(0.0, self._due - time.monotonic()))
+        else:
+            self.lab.update(self._due)
+
+    def safe(self) -> None:
+        """Switch the heaters off."""
+        self.lab.Q1(0)
+        self.lab.Q2(0)
+
+    def _temperatures(self):
+        return np.array([self.lab.T1, self.lab.T2])
+
+
+def heat_balance(gains, loss, exchange, lag, Ts) -> control.StateSpace:
+    """Two heaters that warm each other and lose heat to the air, each with a slow thermometer.
+
+    The model for which the parameters can be found from a step test:
+
+        dH_i/dt = gain_i u_i - loss H_i - exchange (H_i - H_j),    lag dT_i/dt = H_i - T_i.
+
+    Parameters
+    ----------
+    gains : (float, float)
+        Of the heaters, K/s per %.
+    loss, exchange : float
+        To the air, and to the other heater, 1/s.
+    lag : float
+        Time constant of a thermometer, s.
+    Ts : float
+        Sampling period, s.
+
+    Returns
+    -------
+    control.StateSpace
+        From Q1, Q2 (%) to T1, T2 (K), both counted from a state of rest; inputs are held for Ts.
+    """
+    I = np.eye(2)  # noqa: E741
+    balance = (loss + exchange) * I - exchange * I[::-1]
+    A = np.block([[-balance, 0 * I], [I / lag, -I / lag]])
+    B, C = np.vstack([np.diag(gains), 0 * I]), np.hstack([0 * I, I])
+    model = control.ss(A, B, C, 0, inputs=HEATERS, outputs=THERMOMETERS, name="heat balance")
+    return control.sample_system(model, Ts, method="zoh")
+
+
+def _package():
+    """The package tclab, which only this driver needs."""
+    try:
+        import tclab
+    except ImportError:
+        raise ImportError(
+            "TemperatureControlLab needs the package tclab: pip install 'rodlib[tclab]'"
+        ) from None
+    return tclab
