@@ -7,7 +7,7 @@ from rodlib.laboratory.experiment import Controller, Rig, RigError, record
 from rodlib.laboratory.logs import load_log, save_log
 from rodlib.laboratory.notes import law_of, loop_of, rest_of, with_law
 from rodlib.laboratory.tables import LogError
-from rodlib.laboratory.temperature_control_lab import TemperatureControlLab, heat_balance
+from rodlib.laboratory.temperature_control_lab import TemperatureControlLab
 from rodlib.laboratory.virtual_rig import RestartingRig, RigParameters, VirtualRig
 
 __all__ = [
@@ -19,7 +19,6 @@ __all__ = [
     "RigParameters",
     "TemperatureControlLab",
     "VirtualRig",
-    "heat_balance",
     "law_of",
     "load_log",
     "loop_of",

@@ -11,6 +11,7 @@ import control
 import numpy as np
 
 from rodlib import arguments
+from rodlib.trials import state_sequence
 
 HEATERS, THERMOMETERS = ["Q1", "Q2"], ["T1", "T2"]
 LAST = 60.0  # s of the wait before the first trial, over which the readings at rest are averaged
@@ -49,7 +50,14 @@ class TemperatureControlLab:
 
     inputs = HEATERS
 
-    def __init__(self, kit=False, rest=(30.0, 40.0), Ts=2.0, wait=900.0, seed=1):
+    def __init__(
+        self,
+        kit: bool = False,
+        rest: tuple[float, float] = (30.0, 40.0),
+        Ts: float = 2.0,
+        wait: float = 900.0,
+        seed: int = 1,
+    ):
         self.kit = arguments.flag("kit", kit)
         self.rest = arguments.array("rest", rest, (2,))
         if self.rest.min() < 0 or self.rest.max() > 100:
@@ -107,35 +115,57 @@ class TemperatureControlLab:
         return np.array([self.lab.T1, self.lab.T2])
 
 
-def heat_balance(gains, loss, exchange, lag, Ts) -> control.StateSpace:
+def heat_balance(gain_1, gain_2, loss, exchange, lag, Ts) -> control.StateSpace:
     """Two heaters that warm each other and lose heat to the air, each with a slow thermometer.
 
-    The model for which the parameters can be found from a step test:
-
-        dH_i/dt = gain_i u_i - loss H_i - exchange (H_i - H_j),    lag dT_i/dt = H_i - T_i.
+    dH_i/dt = gain_i Q_i - loss H_i - exchange (H_i - H_j),    lag dT_i/dt = H_i - T_i
 
     Parameters
     ----------
-    gains : (float, float)
+    gain_1, gain_2 : float
         Of the heaters, K/s per %.
     loss, exchange : float
-        To the air, and to the other heater, 1/s.
+        Of heat to the air, and to the other heater, 1/s.
     lag : float
-        Time constant of a thermometer, s.
+        Time constant of the thermometers, s.
     Ts : float
         Sampling period, s.
 
     Returns
     -------
     control.StateSpace
-        From Q1, Q2 (%) to T1, T2 (K), both counted from a state of rest; inputs are held for Ts.
+        From Q1, Q2 (%, held for a period) to T1, T2 (K), all counted from a state of rest.
     """
     I = np.eye(2)  # noqa: E741
-    balance = (loss + exchange) * I - exchange * I[::-1]
-    A = np.block([[-balance, 0 * I], [I / lag, -I / lag]])
-    B, C = np.vstack([np.diag(gains), 0 * I]), np.hstack([0 * I, I])
+    lost = (loss + exchange) * I - exchange * I[::-1]
+    A = np.block([[-lost, 0 * I], [I / lag, -I / lag]])
+    B, C = np.vstack([np.diag([gain_1, gain_2]), 0 * I]), np.hstack([0 * I, I])
     model = control.ss(A, B, C, 0, inputs=HEATERS, outputs=THERMOMETERS, name="heat balance")
     return control.sample_system(model, Ts, method="zoh")
+
+
+def misfit(parameters, heaters, readings, Ts) -> np.ndarray:
+    """What the heat balance misses of a test from rest, for ``scipy.optimize.least_squares``.
+
+    Parameters
+    ----------
+    parameters : sequence of float
+        The five of :func:`heat_balance`, then by how much the two readings at rest are off, K: the
+        thermometers are coarse.
+    heaters, readings : array_like, shape (time, 2)
+        What was applied (%) and read (K), above rest.
+    Ts : float
+        Sampling period, s.
+
+    Returns
+    -------
+    ndarray, shape (time * 2,)
+        Model minus reading, K.
+    """
+    *balance, off_1, off_2 = parameters
+    model = heat_balance(*balance, Ts)
+    states = state_sequence(model.A, np.asarray(heaters) @ model.B.T, np.zeros(model.nstates))
+    return (states @ model.C.T + [off_1, off_2] - readings).ravel()
 
 
 def _package():

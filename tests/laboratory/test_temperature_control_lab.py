@@ -3,6 +3,9 @@ import sys
 import control
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import least_squares
 
 from rodlib import (
     current_trial_loop,
@@ -16,25 +19,24 @@ from rodlib import (
 from rodlib.laboratory import (
     RigError,
     TemperatureControlLab,
-    heat_balance,
     law_of,
     loop_of,
     temperature_control_lab,
 )
+from rodlib.laboratory.temperature_control_lab import heat_balance, misfit
 
 tclab = pytest.importorskip("tclab")
 
 UNITS = {"T1": "K", "T2": "K", "Q1": "%", "Q2": "%"}
 SIZES = {"T1": 10.0, "T2": 8.0, "Q1": 30.0, "Q2": 40.0}
-TRUE = {  # of the emulator: TCLabModel.update
-    "gains": (200 / 5720, 100 / 5720), "loss": 1 / 20, "exchange": 1 / 100, "lag": 140.0
-}  # fmt: skip
+TRUE = [200 / 5720, 100 / 5720, 1 / 20, 1 / 100, 140.0]  # of the emulator: TCLabModel.update
+GUESS, SCALE = [0.02, 0.02, 0.05, 0.01, 100.0, 0, 0], [0.02, 0.02, 0.05, 0.01, 100.0, 1, 1]
 Q = zero_phase_butterworth(Ts=2.0)
 
 
 @pytest.fixture(scope="module")
 def loop():
-    return current_trial_loop(heat_balance(**TRUE, Ts=2.0), sizes=SIZES, units=UNITS)
+    return current_trial_loop(heat_balance(*TRUE, 2.0), sizes=SIZES, units=UNITS)
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +57,7 @@ def test_the_emulator_is_a_heat_balance(monkeypatch):
     """Solved by Euler's method: half the step, half the difference."""
     undisturbed(monkeypatch)
     u = np.repeat([[20.0, 0.0], [0.0, 0.0], [-10.0, 40.0]], 100, axis=0)
-    model = control.forced_response(heat_balance(**TRUE, Ts=2.0), inputs=u.T).outputs.T
+    model = control.forced_response(heat_balance(*TRUE, 2.0), inputs=u.T).outputs.T
     differences = []
     for step in (0.2, 0.1):
         rig = TemperatureControlLab(wait=3000.0)
@@ -71,13 +73,26 @@ def test_the_emulator_is_a_heat_balance(monkeypatch):
 
 
 def test_what_the_heaters_give_the_air_takes():
-    model = heat_balance((0.03, 0.02), 0.05, 0.01, 100.0, 2.0)
+    model = heat_balance(0.03, 0.02, 0.05, 0.01, 100.0, 2.0)
     for u in ([10.0, 0.0], [3.0, 7.0]):
         at_rest = model.dcgain() @ u
         assert 0.05 * at_rest.sum() == pytest.approx(np.dot([0.03, 0.02], u), rel=1e-9)
     assert model.input_labels == ["Q1", "Q2"] and model.output_labels == ["T1", "T2"]
-    lag = heat_balance((1.0, 1.0), 10.0, 0.0, 100.0, 2.0)  # its heaters are fast
+    lag = heat_balance(1.0, 1.0, 10.0, 0.0, 100.0, 2.0)  # its heaters are fast
     assert lag.poles().real.max() == pytest.approx(np.exp(-2 / 100))
+
+
+@settings(max_examples=10)
+@given(
+    st.tuples(*[st.floats(0.01, 0.05)] * 4, st.floats(50, 200), *[st.floats(-0.3, 0.3)] * 2),
+    st.sampled_from([2.0, 5.0]),
+)
+def test_the_parameters_are_found_again_from_a_step_test(true, Ts):
+    heaters = np.repeat([[20.0, 0.0], [0.0, 30.0]], round(600 / Ts), axis=0)
+    readings = misfit(true, heaters, np.zeros_like(heaters), Ts).reshape(-1, 2)
+    assert not misfit(true, heaters, readings, Ts).any()
+    fit = least_squares(misfit, GUESS, args=(heaters, readings, Ts), x_scale=SCALE)
+    np.testing.assert_allclose(fit.x, true, rtol=1e-4, atol=1e-4)
 
 
 def test_every_trial_begins_at_rest(monkeypatch):
@@ -127,7 +142,7 @@ def test_an_experiment_depends_on_the_seed_alone(loop, L):
 def test_trials_of_the_emulator_are_those_of_the_simulation(loop, L, monkeypatch):
     undisturbed(monkeypatch)
     rig = TemperatureControlLab(wait=3000.0)
-    rig.lab.maxstep = 0.01
+    rig.lab.maxstep = 0.05
     recorded = record(rig, loop, Q, L, REFERENCE, trials=4, pause=0)
     simulated = run_trials(loop, Q, L, REFERENCE, trials=4)
     assert np.abs(recorded.y - simulated.y).max() < 1e-3
