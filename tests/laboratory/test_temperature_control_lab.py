@@ -249,6 +249,7 @@ def test_without_tclab_the_extra_is_named(monkeypatch):
         ({"Ts": 0}, "Ts = 0 must be"),
         ({"wait": 59.0}, "wait = 59.0 must be a minute or more"),
         ({"seed": 0.5}, "seed = 0.5 must be a whole number"),
+        ({"seed": -1}, "seed = -1 must be a whole number, 0 or more"),
     ],
 )
 def test_bad_arguments_are_refused_before_anything_is_connected(changes, message, monkeypatch):
@@ -258,6 +259,7 @@ def test_bad_arguments_are_refused_before_anything_is_connected(changes, message
 
 
 def test_arguments_at_the_limits_are_taken():
-    rig = TemperatureControlLab(rest=(0, 100), Ts=60.0, wait=60.0)
+    rig = TemperatureControlLab(rest=(0, 100), Ts=60.0, wait=60.0, seed=0)
     rig.begin(1)
     assert rig.clock() == 60 and np.isfinite(rig.read()).all()
+    assert TemperatureControlLab(Ts=0.01).Ts == 0.01
