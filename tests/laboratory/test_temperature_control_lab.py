@@ -110,6 +110,16 @@ def test_every_trial_begins_at_rest(monkeypatch):
     assert rig.zero is zero and np.all(zero > [35, 30])
 
 
+def test_the_last_minute_of_the_wait_counts(monkeypatch):
+    shown = []
+    monkeypatch.setattr(tclab.TCLabModel, "measurement", lambda self, T: shown.append(T) or T)
+    rig = TemperatureControlLab(wait=200.0)  # so short that the temperatures still rise
+    rig.begin(1)
+    read = np.reshape(shown, (100, 2))
+    np.testing.assert_allclose(rig.zero, read[-30:].mean(axis=0), rtol=1e-12)
+    assert np.all(read[-30:] - read[-31] > 0)
+
+
 def test_heaters_are_cut_off_where_they_end():
     rig = TemperatureControlLab(rest=(30, 40))
     for asked, applied in [([10, -10], (40, 30)), ([-31, 61], (0, 100)), ([71, -41], (100, 0))]:
