@@ -95,6 +95,12 @@ def test_the_parameters_are_found_again_from_a_step_test(true, Ts):
     np.testing.assert_allclose(fit.x, true, rtol=1e-4, atol=1e-4)
 
 
+def test_what_is_off_at_rest_is_read_as_well():
+    nothing = np.zeros((2, 2))
+    off = misfit([*TRUE, 0.1, -0.2], nothing, nothing, 2.0)
+    assert off.tolist() == [0.1, -0.2, 0.1, -0.2]
+
+
 def test_every_trial_begins_at_rest(monkeypatch):
     undisturbed(monkeypatch)
     rig = TemperatureControlLab(wait=3000.0)
