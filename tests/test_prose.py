@@ -90,7 +90,8 @@ def not_found(notebook, rows, constants=()):
 def ledger():
     rows = pd.read_csv(ROOT / "figures" / "ledger.csv", dtype=str, keep_default_na=False)
     rows = rows[~rows.key.str.contains("[", regex=False)]  # entries of matrices: any digits at all
-    return dict(list(rows.groupby("notebook")))
+    books = dict(list(rows.groupby("notebook")))
+    return {path.stem: books.get(path.stem, rows[:0]) for path in NOTEBOOKS}
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)

@@ -4,10 +4,10 @@ from itertools import pairwise
 import control
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
-from rodlib import Rod, exact_response, midr, sampled_response
+from rodlib import Rod, exact_response, midr, minimal_realisation, sampled_response
 from rodlib.realisation import frequency_response
 from rodlib.rod import bernstein_basis
 
@@ -141,6 +141,47 @@ def test_sampled_response_is_the_sum_over_the_aliases(rod, Ts):
     for part in (slice(-1), slice(-1, None)):  # heat flows, K/W; the air, K/K
         error = np.abs(found - expected)[:, :, part].max(axis=(1, 2))
         assert np.all(error < 1e-10 * np.abs(expected[:, :, part]).max(axis=(1, 2)))
+
+
+BRASS = Rod(  # of notebook 10
+    length=0.6, density=8500.0, heat_capacity=380.0, conductivity=120.0, sections=6,
+    sensors=(0.15, 0.35, 0.55),
+)  # fmt: skip
+
+
+@given(MATERIALS, st.tuples(*[st.floats(0, 0.05)] * 3))
+@example(BRASS, BRASS.sensors)
+def test_exact_response_is_the_sum_over_the_modes(rod, sensors):
+    """Any number of sections and sensors: the heat of each section, in cosines along the rod."""
+    rod, s = replace(rod, sensors=sensors), 1j * np.array([1e-4, 1e-3, 1e-2])
+    n = np.arange(1, 200_001)
+    wave = n * np.pi / rod.length
+    rate = rod.kappa_2 + rod.conductivity * wave**2
+    shapes = np.cos(np.outer(sensors, wave))
+    shares = 2 * np.diff(np.sin(np.outer(rod.edges, wave)), axis=0) / wave * rod.sections
+    shares /= rod.width * rod.height * rod.length**2
+    uniform = 1 / (rod.width * rod.height * rod.length * (rod.kappa_1 * s + rod.kappa_2))
+    modes = np.array([(shapes / (rod.kappa_1 * at + rate)) @ shares.T for at in s])
+    exact = exact_response(rod, s)[:, :, :-1]
+    np.testing.assert_allclose(
+        exact, uniform[:, None, None] + modes, rtol=0, atol=1e-9 * np.abs(exact).max()
+    )
+
+
+def test_a_rod_of_six_sections_and_three_sensors_has_the_model_of_its_response():
+    omega = np.geomspace(1e-4, 1e-2, 20)
+    exact = exact_response(BRASS, 1j * omega)
+    errors = [
+        np.abs(frequency_response(midr(BRASS, degree), omega) - exact).max()
+        for degree in (1, 3, 5, 9)
+    ]
+    assert all(finer < coarser / 30 for coarser, finer in pairwise(errors)), errors
+    assert errors[-1] < 1e-9
+    controls = ["Q1", "Q3", "Q5"]
+    model = minimal_realisation(midr(BRASS), controls)
+    assert (model.nstates, model.input_labels[:3]) == (16, controls)
+    kept = frequency_response(model[:, controls], omega)
+    np.testing.assert_allclose(kept, frequency_response(midr(BRASS)[:, controls], omega), rtol=1e-9)
 
 
 def test_sampled_response_is_the_limit_of_the_models():

@@ -9,6 +9,7 @@ from rodlib.laboratory.notes import law_of, loop_of, rest_of, with_law
 from rodlib.laboratory.replay import Replay, replay_of
 from rodlib.laboratory.saving import save_log
 from rodlib.laboratory.tables import LogError
+from rodlib.laboratory.temperature_control_lab import TemperatureControlLab
 from rodlib.laboratory.virtual_rig import RestartingRig, RigParameters, VirtualRig
 
 __all__ = [
@@ -19,6 +20,7 @@ __all__ = [
     "Rig",
     "RigError",
     "RigParameters",
+    "TemperatureControlLab",
     "VirtualRig",
     "law_of",
     "load_log",

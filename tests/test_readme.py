@@ -1,0 +1,69 @@
+"""The README's snippets: run in order, in one namespace and an empty folder."""
+
+import re
+import shutil
+
+import numpy as np
+import pytest
+
+from rodlib import load_log
+from rodlib.files import ROOT
+from rodlib.laboratory import law_of, loop_of
+from rodlib.trials import rms
+
+SNIPPETS = re.findall(
+    r"^```python\n(.*?)^```$",
+    (ROOT / "README.md").read_text(encoding="utf-8"),
+    flags=re.MULTILINE | re.DOTALL,
+)
+
+
+@pytest.fixture(scope="module")
+def left(tmp_path_factory):
+    """The namespace after each snippet; what a reader brings along is put into the folder."""
+    pytest.importorskip("tclab")
+    folder = tmp_path_factory.mktemp("reader")
+    shutil.copy(ROOT / "data" / "stage" / "closed-loop.csv", folder)
+    error = np.sin(np.linspace(0, 2 * np.pi, 500))
+    np.savetxt(folder / "last-trial.csv", np.column_stack([0 * error, error]), delimiter=",")
+    namespace, states = {}, []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        for snippet in SNIPPETS:
+            exec(snippet, namespace)
+            states.append(dict(namespace))
+        states[-1]["found"] = load_log("my-rig.csv")
+    return states
+
+
+def test_there_are_three_ways_in(left):
+    assert len(SNIPPETS) == 3
+    for state, channels in zip(left, (1, 3, 2), strict=True):
+        design = state["design"]
+        assert not design.certificate.failures
+        assert len(design.filter.coefficients) == channels
+        assert design.sigma_M.max() < 0.9 and design.sigma_L.max() < design.problem.L_max * 1.000001
+
+
+def test_from_a_table_comes_the_next_trials_signal(left):
+    state = left[0]
+    expected = state["Q"].apply(state["design"].filter.apply(state["e"]))
+    assert state["v_next"].shape == (500, 1) and np.abs(expected).max() > 0
+    np.testing.assert_allclose(state["v_next"], expected, rtol=0, atol=1e-12)
+
+
+def test_from_parameters_come_trials_that_converge(left):
+    errors = rms(left[1]["trials"].e).values
+    assert errors[0] > 1 and errors[-1] < 0.01 * errors[0]
+    assert left[1]["loop"].disturbances == ["Q2", "Q4", "Q6", "theta_a"]
+
+
+def test_on_the_emulator_a_log_is_recorded(left):
+    state = left[2]
+    errors = rms(state["log"].e).values
+    assert errors[0] > 1 and np.all(errors[1:] < 0.32)  # a step of its thermometers
+    found = state["found"]
+    assert np.array_equal(found.y, state["log"].y)
+    Q, L = law_of(found)
+    assert state["Q"] == Q and np.array_equal(L.coefficients, state["design"].filter.coefficients)
+    assert loop_of(found).controls == ["Q1", "Q2"]
