@@ -17,12 +17,15 @@ from rodlib import (
     current_trial_loop,
     load_log,
     paper_loop,
+    record,
     run_trials,
     save_log,
+    update,
     zero_phase_butterworth,
 )
 from rodlib.files import ROOT
 from rodlib.laboratory import replay_of, with_law
+from rodlib.laboratory.temperature_control_lab import TemperatureControlLab, heat_balance
 from rodlib.paper import reproduce
 from rodlib.paper.rig_logs import papers_loop
 
@@ -108,6 +111,30 @@ def test_tanks_in_units_of_their_own_are_replayed_without_a_loop(root):
     table = np.loadtxt(root / "build" / "replay" / "next-trial.csv", delimiter=",", skiprows=3)
     assert table.shape == (120, 4) and not table[-10:, 1:].any() and table[-11, 1:].all()
     assert not (root / "build" / "replay" / "figures" / "extra05-model-fit.png").exists()
+
+
+def test_the_log_of_a_kit_is_replayed(root):
+    """As notebook 10 records it, but with fewer samples and trials; nothing in it is rodlib's."""
+    rig = TemperatureControlLab(rest=(30.0, 40.0), Ts=2.0)
+    plant = heat_balance(0.035, 0.017, 0.049, 0.0099, 140.0, rig.Ts)
+    units = {"T1": "K", "T2": "K", "Q1": "%", "Q2": "%"}
+    loop = current_trial_loop(
+        plant, sizes=dict(zip(units, (10, 8, 30, 40), strict=True)), units=units
+    )
+    coefficients = np.zeros((2, 2, 5))
+    coefficients[[0, 1], [0, 1], -1] = 1.5
+    Q, L = zero_phase_butterworth(2, 0.1, rig.Ts), LearningFilter(coefficients, rig.Ts)
+    reference = np.outer(np.sin(np.pi * np.linspace(0, 1, 200)) ** 2, [10.0, 8.0])
+    record(rig, loop, Q, L, reference, trials=3, pause=0, path=root / "lab.csv")
+    outcome = replay(root, "lab.csv")
+    assert outcome.returncode == 0, outcome.stderr
+    assert "\nlaw: the recorded v is that of the law in every trial\n" in outcome.stdout
+    text = printed(root)
+    assert "3 trials of 200 samples, Ts = 2.0 s" in text and "left out" not in text
+    table = np.loadtxt(root / "build" / "replay" / "next-trial.csv", delimiter=",", skiprows=3)
+    log = load_log(root / "lab.csv")
+    following = update(log.v.values[-1], log.e.values[-1], Q, L)
+    np.testing.assert_allclose(table[:, 1:], following, atol=1e-9)
 
 
 def broken(log, how):
