@@ -1,6 +1,6 @@
 """Evidence for a learning filter that does not come from the solver.
 
-Three questions, each answered by code of its own; a problem and a solution are all that it is
+Five questions, each answered by code of its own; a problem and a solution are all that it is
 handed, and the function for the singular values of a matrix all that it shares with the solvers:
 
 - *Is it optimal?* :func:`lower_bound` turns the solver's multipliers, whatever their quality, into
@@ -9,8 +9,12 @@ handed, and the function for the singular values of a matrix all that it shares 
   :func:`peak_gain` gives the peak over all frequencies, with a proof, if the plant is a model.
 - *Does the finite trial converge?* Lemma 1 is about signals without end; :func:`trial_norm` is
   the norm of what one trial of the ILC law really does, its two ends included.
+- *And for another plant?* :func:`worst_case` finds the worst of all plants for which the bounds are
+  to hold, and of all within a radius, with the one that shows it.
+- *And for one that was not tried?* If the plants are independent samples,
+  :func:`violation_probability` bounds the probability that a new one breaks the bounds.
 
-:func:`certify` puts the answers together.
+:func:`certify` puts the answers to the first four together.
 """
 
 from rodlib.evidence.certificate import GAP, VIOLATION, Certificate, certify
@@ -18,18 +22,25 @@ from rodlib.evidence.finite_trial import impulse_response, trial_map, trial_norm
 from rodlib.evidence.models import convergence_model, learning_model
 from rodlib.evidence.optimality import lower_bound
 from rodlib.evidence.peak import peak_gain
+from rodlib.evidence.robustness import WorstCase, worst_case
+from rodlib.evidence.scenario import scenario_bound, support, violation_probability
 
 __all__ = [
     "GAP",
     "VIOLATION",
     "Certificate",
+    "WorstCase",
     "certify",
     "convergence_model",
     "impulse_response",
     "learning_model",
     "lower_bound",
     "peak_gain",
+    "scenario_bound",
+    "support",
     "trial_map",
     "trial_norm",
     "trial_operators",
+    "violation_probability",
+    "worst_case",
 ]

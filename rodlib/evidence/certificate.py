@@ -5,9 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from rodlib.evidence.finite_trial import impulse_response, trial_norm
-from rodlib.evidence.models import convergence_model, learning_model
+from rodlib.evidence.models import learning_model
 from rodlib.evidence.optimality import lower_bound
-from rodlib.evidence.peak import peak_between, peak_gain
+from rodlib.evidence.peak import highest_peak, peak_gain
+from rodlib.evidence.robustness import by_entries, worst_case
 from rodlib.filters import LearningFilter
 from rodlib.problem import LARGEST, Problem, Solution, largest_singular_values
 
@@ -18,6 +19,67 @@ VIOLATION = 1e-9
 COARSE = 0.25
 SLOW = 0.05  # gain of the loop, within the band, below which it counts as slow
 IDLE = 0.9  # share of the error in the band from which on learning counts as idle
+
+
+@dataclass(frozen=True)
+class Robustness:
+    """What the certificate of a design for several plants, or for a radius, says beside.
+
+    Attributes
+    ----------
+    plants : int
+        Their number, with the nominal one, which is number 0.
+    radius : str
+        "" without one, "norm" or "entries".
+    nominal : float
+        Peak of sigma_max(M) of the nominal plant on the design grid.
+    plant, place : int, float
+        Plant and frequency (rad/s) of the peak of all on the grid.
+    attained : float
+        The largest sigma_max(M) there that a plant within the radius was found to reach.
+    peak : int
+        Number of the plant whose peak over all frequencies is the highest, Delta = 0.
+    estimated : int
+        For how many sampled plants that peak was estimated, the worst ones on the grid.
+    """
+
+    plants: int
+    radius: str
+    nominal: float
+    plant: int
+    place: float
+    attained: float
+    peak: int
+    estimated: int
+
+    @property
+    def where(self) -> str:
+        """The plant and the frequency of the peak on the grid."""
+        plant = f" of plant {self.plant}" if self.plants > 1 else ""
+        return f"{plant}{' within the radius' if self.radius else ''} at {self.place:.4g} rad/s"
+
+    @property
+    def lines(self) -> list[str]:
+        """For the table."""
+        several = self.plants > 1
+        lines = [
+            f"worst{f' of {self.plants} plants' if several else ''}"
+            f"{' within the radius' if self.radius else ''} on the design grid: "
+            f"{f'plant {self.plant}, ' if several else ''}at {self.place:.4g} rad/s"
+        ]
+        if self.radius:
+            lines.append(
+                f"a plant within the radius reaches {self.attained:.8f} there; between the samples "
+                "the radius is not known"
+            )
+        return lines
+
+    @property
+    def looked_at(self) -> str:
+        """Which plants an estimate between the samples is about."""
+        if self.estimated == self.plants:
+            return ""
+        return f" for the {self.estimated} sampled plants that are worst on the grid"
 
 
 @dataclass(frozen=True)
@@ -58,6 +120,9 @@ class Certificate:
         Number of samples at its end in which v is held at zero.
     doubts : tuple of str
         Why the problem itself may be badly chosen.
+    robust : Robustness or None
+        For several plants or a radius. `grid_M` and `all_M` are then the largest of all plants;
+        `grid_M` is that within the radius, too, whose size between the samples is not known.
     """
 
     structure: str
@@ -81,6 +146,7 @@ class Certificate:
     samples: int | None = None
     rest: int = 0
     doubts: tuple[str, ...] = ()
+    robust: Robustness | None = None
 
     @property
     def gap(self) -> float:
@@ -95,15 +161,17 @@ class Certificate:
     def failures(self) -> list[str]:
         """What speaks against the filter; empty if it holds."""
         gap, violation = self.tolerances
+        where = self.robust.where if self.robust else ""
         tests = {
             f"relative duality gap {self.gap:.1e} > {gap:g}": self.gap > gap,
-            f"sigma_max(M) = {self.grid_M:.12g} > M_max = {self.M_max} on the grid": (
+            f"sigma_max(M){where} = {self.grid_M:.12g} > M_max = {self.M_max} on the grid": (
                 self.grid_M > self.M_max * (1 + violation)
             ),
             f"sigma_max(L) = {self.grid_L:.12g} > L_max = {self.L_max} on the grid": (
                 self.L_max is not None and self.grid_L > self.L_max * (1 + violation)
             ),
-            f"sigma_max(M) reaches {self.all_M:.9g} at {self.place:.6g} rad/s, not in omega: "
+            f"sigma_max(M){self._whose} reaches {self.all_M:.9g} at {self.place:.6g} rad/s, not in "
+            "omega: "
             "Lemma 1 does not hold; add frequencies there": self.proven and self.all_M >= 1,
         }
         return [text for text, failed in tests.items() if failed]
@@ -114,8 +182,8 @@ class Certificate:
         margin = 1 - self.all_M
         too_coarse = margin > 0 and self.missed > COARSE * margin
         tests = {
-            f"sigma_max(M) may reach {self.all_M:.4g} at {self.place:.4g} rad/s, between the "
-            "samples, where Lemma 1 would not hold; measure there": margin <= 0,
+            f"sigma_max(M){self._whose} may reach {self.all_M:.4g} at {self.place:.4g} rad/s, "
+            "between the samples, where Lemma 1 would not hold; measure there": margin <= 0,
             f"the samples are too coarse: splines miss M by {self.missed:.2g} at samples left out, "
             f"and 1 - sigma_max(M) is {margin:.2g}; measure at more frequencies": too_coarse,
         }
@@ -130,7 +198,15 @@ class Certificate:
         parts += [f"above {high:.4g} rad/s"] if high < self.nyquist * (1 - 1e-9) else []
         return ", ".join([*parts, "at resonances that no sample shows"])
 
+    @property
+    def _whose(self):
+        """Of which plant `all_M` is, for the messages."""
+        several = self.robust and self.robust.plants > 1
+        return f" of plant {self.robust.peak}" if several else ""
+
     def __repr__(self):
+        robust = self.robust
+        within = " without the radius" if robust and robust.radius else ""
         bound = "none" if self.L_max is None else f"{self.L_max:g}"
         rows = [
             ("", "sigma_max(M)", "sigma_max(L)"),
@@ -138,16 +214,22 @@ class Certificate:
             ("on the design grid", f"{self.grid_M:.8f}", f"{self.grid_L:.7g}"),
             (
                 "over all frequencies",
-                f"{self.all_M:.8f}" if self.proven else "not known",
+                f"{self.all_M:.8f}" if self.proven and not within else "not known",
                 f"{self.all_L:.7g}",
             ),
         ]
-        lines = ["{:<22}{:>14}{:>14}".format(*row) for row in rows]
+        if robust:
+            rows.insert(3, ("  of the nominal plant", f"{robust.nominal:.8f}", ""))
+        lines = ["{:<22}{:>14}{:>14}".format(*row).rstrip() for row in rows]
+        if robust:
+            lines += robust.lines
+        if self.proven and within:
+            lines.append(f"sigma_max(M) over all frequencies{within}: {self.all_M:.8f}")
         if not self.proven:
             low, high = self.sampled
             lines += [
-                f"sigma_max(M) from {low:.4g} to {high:.4g} rad/s, between the samples: "
-                f"{self.all_M:.4f}, estimated",
+                f"sigma_max(M){within} from {low:.4g} to {high:.4g} rad/s, between the samples: "
+                f"{self.all_M:.4f}, estimated{robust.looked_at if robust else ''}",
                 f"sigma_max(M) unknown: {self.unknown}",
             ]
         compared = "" if self.L_max is not None else f" with a gain of Q P L up to {LARGEST:.0e}"
@@ -190,33 +272,47 @@ def certify(
     L = LearningFilter(solution.coefficients, problem.Ts)  # in units of scale, as P is
     response = L.frequency_response(problem.omega)
     sigma_M = largest_singular_values(problem.M(response))
-    if problem.model:
-        all_M, place = peak_gain(convergence_model(*problem.model, L))
-        missed = np.nan
-    else:
-        all_M, place, missed = peak_between(problem, L)
+    worst = worst_case(problem, L)
+    value = problem.value(sigma_M, worst.sigma)
+    peak = highest_peak(problem, L, np.argsort(-worst.peaks, kind="stable"))
     return Certificate(
         structure=problem.structure,
         order=problem.order,
-        value=problem.value(sigma_M),
-        lower_bound=lower_bound(problem, solution.U, solution.V),
+        value=value,
+        lower_bound=lower_bound(problem, solution.U, solution.V, solution.cuts),
         idle=problem.idle,
         M_max=problem.M_max,
         L_max=problem.L_max,
-        grid_M=sigma_M.max(),
+        grid_M=worst.sigma.max(),
         grid_L=largest_singular_values(response).max(),
-        all_M=all_M,
+        all_M=peak.sigma,
         all_L=peak_gain(learning_model(L))[0],
-        place=place,
+        place=peak.omega,
         sampled=(problem.omega[0], problem.omega[-1]),
         nyquist=np.pi / problem.Ts,
-        proven=problem.model is not None,
-        missed=missed,
+        proven=peak.proven,
+        missed=peak.missed,
         tolerances=tolerances,
         trial=np.nan if samples is None else trial_norm(*problem.model, L, samples, rest=rest)[0],
         samples=samples,
         rest=rest,
-        doubts=tuple(_doubts(problem, problem.value(sigma_M))),
+        doubts=tuple(_doubts(problem, value)),
+        robust=_robustness(problem, sigma_M, worst, peak) if problem.robust else None,
+    )
+
+
+def _robustness(problem, sigma_M, worst, peak):
+    at = worst.sigma.argmax()
+    radius = "" if problem.radius is None else "entries" if by_entries(problem) else "norm"
+    return Robustness(
+        plants=1 + len(problem.others),
+        radius=radius,
+        nominal=sigma_M.max(),
+        plant=int(worst.plant[at]),
+        place=problem.omega[at],
+        attained=worst.attained[at],
+        peak=int(peak.plant),
+        estimated=peak.estimated,
     )
 
 

@@ -5,65 +5,166 @@ It follows from the solver's multipliers, whatever their quality, by linear alge
 
 import numpy as np
 
-from rodlib.problem import Problem
+from rodlib.evidence.robustness import affine, layout
+from rodlib.problem import Cuts, Problem
+
+STEPS = 200  # of Newton's method; 50 are usual
+FASTER = 10.0  # factor from one weight of the objective against the barrier to the next
+CLOSE = 1e-10  # relative accuracy of all dual norms together
+FAINT = 1e-9  # least eigenvalue of X, relative
 
 
-def lower_bound(problem: Problem, U, V) -> float:
+def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None) -> float:
     """Lower bound on the optimum of (39) or (45), from multipliers and linear algebra alone.
 
-    For all filters that meet the bounds, and all U_i, V_i with sum_i Re tr(U_i^H dM_i) +
-    Re tr(V_i^H dL_i) = 0 for every change of the coefficients,
+    For all filters that meet the bounds, and all U_i, V_i, N_c with sum_i Re tr(U_i^H dM_i) +
+    Re tr(V_i^H dL_i) + sum_c Re tr(N_c^H dG_c) = 0 for every change of the coefficients,
 
-        sum_i Re tr(U_i^H Q_i) = sum_i Re tr(U_i^H M_i) + Re tr(V_i^H L_i)
-                               <= sum_i |U_i| sigma_max(M_i) + sum_i |W^-1 V_i|
+        sum_i Re tr(U_i^H Q_i) + sum_c Re tr(N_c^H F_c)
+            = sum_i Re tr(U_i^H M_i) + Re tr(V_i^H L_i) + sum_c Re tr(N_c^H G_c)
+            <= sum_i |U_i| sigma_max(M_i) + sum_i |W^-1 V_i| + sum_c nu(N_c) b_c
 
-    with nuclear norms |.| and W of :attr:`rodlib.problem.Problem.weight`. Where |U_i| exceeds the
-    weight of sigma_max(M_i) in the objective, the excess is bounded with M_max. U and V are first
-    projected on those that fulfil the condition, so the bound holds, up to rounding, whatever was
-    passed. A coefficient of L_jk acts on column k of M and L only, so the columns are projected one
-    by one.
+    with nuclear norms |.|, W of :attr:`rodlib.problem.Problem.weight`, the matrices G = F + T L of
+    :class:`rodlib.problem.Cuts`, and nu of :func:`dual_norm`, dual to their bound b. Where |U_i|
+    exceeds the weight of sigma_max(M_i) in the objective, the excess is bounded with M_max, and so
+    are the b_c. For the peak, they are no larger than the objective itself. The multipliers are
+    first projected on those that fulfil the condition, so the bound holds, up to rounding, whatever
+    was passed. A coefficient of L_jk acts on column k of M, L and G only, so the columns are
+    projected one by one.
 
     Parameters
     ----------
     problem : Problem
     U, V : ndarray, shape (n, m, m); V may be None
         Multipliers of the bounds on M and on L. With V None, no bound on L is used at all.
+    cuts : Cuts, optional
+        Multipliers of the bounds on other plants, and for a radius. Without them, these bounds are
+        not used.
 
     Returns
     -------
     float
+        For radii of the entries, no filter for which the sufficient condition of
+        :func:`rodlib.evidence.worst_case` holds does better.
     """
     P, Q, angles = problem.P, problem.Q, problem.angles
     n, m, _ = P.shape
-    T, N = -Q[:, None, None] * P, np.array(U, dtype=complex)
+    T, N, turns = [-Q[:, None, None] * P], [U], [angles]
     if V is not None:  # in units of the bound, so that both parts have the size of the objective
         W = problem.weight
-        T = np.concatenate([T, np.broadcast_to(W, (n, m, m))])
-        N = np.concatenate([N, np.linalg.solve(W, V)])
-        angles = np.concatenate([angles, angles])
+        T, N = [*T, np.broadcast_to(W, (n, m, m))], [*N, np.linalg.solve(W, V)]
+        turns.append(angles)
+    F = np.empty((0, layout(problem).size, m))
+    if cuts is not None:
+        F, slope = affine(problem, cuts.plant, cuts.frequency)
+        felt = np.abs(slope).max(axis=2, keepdims=True) > 0  # a row of G that is not zero
+        T, N = [*T, slope], [*N, cuts.N * felt]
+        turns.append(angles[cuts.frequency])
+    angles = np.concatenate([np.repeat(t, X.shape[1]) for t, X in zip(turns, T, strict=True)])
+    T, N = (np.concatenate([X.reshape(-1, m) for X in parts]).astype(complex) for parts in (T, N))
     groups = [list(range(m))] if problem.structure == "full" else [[k] for k in range(m)]
     for group in groups:
-        changes = _changes(T[:, :, group], angles, problem.order)
-        part = _rows(N[:, :, group])
+        changes = _changes(T[:, group], angles, problem.order)
+        part = _rows(N[:, group])
         for _ in range(2):
             part -= (part @ changes.T) @ changes
-        N[:, :, group] = part.view(complex).reshape(-1, len(N), m).transpose(1, 2, 0)
+        N[:, group] = part.view(complex).T
+    plain = 2 * n if V is not None else n
+    N, beyond = N[: plain * m].reshape(-1, m, m), N[plain * m :].reshape(F.shape)
     norms = np.linalg.svd(N, compute_uv=False).sum(axis=1)
     bound = (np.trace(N[:n].conj(), axis1=1, axis2=2) * Q).real.sum() - norms[n:].sum()
+    bound += (beyond.conj() * F).real.sum()
+    others = dual_norm(beyond[:, layout(problem)]).sum()
     if problem.objective == "peak":
-        return float(bound / norms[:n].sum())
-    return float(bound - problem.M_max * np.maximum(norms[:n] - problem.in_band, 0).sum())
+        return float(bound / (norms[:n].sum() + others))
+    excess = np.maximum(norms[:n] - problem.in_band, 0).sum() + others
+    return float(bound - problem.M_max * excess)
+
+
+def dual_norm(N) -> np.ndarray:
+    """Upper bounds of nu(N): the largest Re tr(N^H G) with all G that are bounded by one.
+
+    Parameters
+    ----------
+    N : ndarray, shape (c, g, k, l, m)
+        Rows of multipliers, in g groups of k blocks of l rows, :func:`rodlib.evidence.layout`.
+
+    Returns
+    -------
+    ndarray, shape (c,)
+
+    Notes
+    -----
+    G is bounded by one if shares d > 0 of its blocks exist that add up to one in each group, with
+    sum G_k^H G_k / d_k <= I. So for all X > 0, and c_k = tr(N_k X^-1 N_k^H),
+
+        Re tr(N^H G) <= sum_k sqrt(c_k tr(G_k X G_k^H))
+                     <= sqrt(sum_k c_k d_k) sqrt(sum_k tr(G_k X G_k^H) / d_k)
+                     <= sqrt(sum over groups of max c_k) sqrt(tr X),
+
+    by Cauchy and Schwarz, twice. The least of these bounds is the largest nuclear norm of N with
+    rows weighted by square roots of weights w_k > 0 that add up to one in each group, and belongs
+    to X = (sum_k w_k N_k^H N_k)^(1/2). The weights are found by Newton's method with a barrier,
+    and any of them give a bound that holds. Without a radius nu is the nuclear norm.
+    """
+    count, groups, blocks, rows, m = N.shape
+    if blocks == 1:
+        return np.linalg.svd(N.reshape(count, rows, m), compute_uv=False).sum(axis=1)
+    N = N.reshape(count, groups * blocks, rows, m)
+    size = np.sqrt((np.abs(N) ** 2).sum(axis=(1, 2, 3)))
+    N = N / np.where(size > 0, size, 1)[:, None, None, None]
+    member = np.kron(np.eye(groups), np.ones(blocks))
+    w = np.full(N.shape[:2], 1 / blocks)
+    weight, todo = np.ones(count), np.arange(count)
+    for _ in range(STEPS):
+        step, decrement = _newton_step(N[todo], w[todo], weight[todo], member)
+        w[todo] *= 1 + step / np.where(decrement < 0.25, 1, 1 + 2 * decrement)[:, None]
+        weight[todo] *= np.where(decrement < 0.25, FASTER, 1)
+        todo = todo[weight[todo] * CLOSE * size.sum() < size[todo]]  # little ones need less
+        if not todo.size:
+            break
+    s, C = _costs(N, w)
+    c = np.einsum("ckaa->ck", C).real.reshape(count, groups, blocks)
+    return size * np.sqrt(c.max(axis=2).sum(axis=1) * s.sum(axis=1))
+
+
+def _costs(N, w):
+    """Eigenvalues s of X, and X^(-1/2) N_k^H N_k X^(-1/2) in the basis of its eigenvectors."""
+    count, blocks, rows, m = N.shape
+    weighted = (np.sqrt(w)[..., None, None] * N).reshape(count, blocks * rows, m)
+    floor = np.broadcast_to(FAINT * np.eye(m), (count, m, m))
+    _, s, B = np.linalg.svd(np.concatenate([weighted, floor], axis=1), full_matrices=False)
+    inner = N @ B.conj().swapaxes(1, 2)[:, None] / np.sqrt(s)[:, None, None]
+    return s, inner.conj().swapaxes(2, 3) @ inner
+
+
+def _newton_step(N, w, weight, member):
+    """Relative step of w towards the largest weight tr X + sum log w, and its decrement."""
+    (s, C), (groups, blocks) = _costs(N, w), member.shape
+    C = w[..., None, None] * C
+    c = np.einsum("ckaa->ck", C).real
+    scaled = C / (s[:, :, None] + s[:, None])[:, None]
+    system = np.zeros((len(w), blocks + groups, blocks + groups))
+    curvature = np.einsum("ckab,clab->ckl", scaled, C.conj(), optimize=True).real / 2
+    system[:, :blocks, :blocks] = weight[:, None, None] * curvature + np.eye(blocks)
+    system[:, blocks:, :blocks] = member * w[:, None]
+    system[:, :blocks, blocks:] = system[:, blocks:, :blocks].swapaxes(1, 2)
+    right = np.zeros((len(w), blocks + groups, 1))
+    right[:, :blocks, 0] = weight[:, None] * c / 2 + 1
+    step = np.linalg.solve(system, right)[:, :blocks, 0]
+    metric = system[:, :blocks, :blocks]
+    return step, np.sqrt(np.einsum("ck,ckl,cl->c", step, metric, step))
 
 
 def _changes(T, angles, order):
-    """Orthonormal rows that span what the coefficients can do to T L, shape (n, m, q).
+    """Orthonormal rows that span what the coefficients can do to T L, from the rows of T.
 
     The powers of z are nearly dependent at low frequencies. Arnoldi's process never forms them: it
     multiplies the last rows by z - 1 and makes the result orthogonal to all before, which spans
     the same space and needs no more than doubles.
     """
-    rows = _rows(T * np.exp(1j * angles)[:, None, None])
-    step = np.repeat(np.expm1(1j * angles), T.shape[1])
+    rows = _rows(T * np.exp(1j * angles)[:, None])
+    step = np.expm1(1j * angles)
     done = np.empty((0, rows.shape[1]))
     for _ in range(order):
         for _ in range(2):  # once leaves what rounding has put back
@@ -74,6 +175,5 @@ def _changes(T, angles, order):
 
 
 def _rows(X):
-    """Columns of all X as one real row each, real and imaginary parts in turn: (n, m, q)."""
-    rows = X.transpose(2, 0, 1).reshape(X.shape[2], -1)
-    return np.ascontiguousarray(rows, dtype=complex).view(float)
+    """Each column of X as one real row, real and imaginary parts in turn."""
+    return np.ascontiguousarray(X.T, dtype=complex).view(float)

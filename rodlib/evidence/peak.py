@@ -3,17 +3,20 @@
 For a model it has a proof; from samples it is estimated.
 """
 
+from dataclasses import dataclass
+
 import control
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.linalg import schur
 
-from rodlib.evidence.models import sampling_period
+from rodlib.evidence.models import convergence_model, sampling_period
 from rodlib.problem import Problem, convergence_matrix, largest_singular_values
 
 CHUNK = 2**21  # numbers held at a time while frequency responses are computed
 CLOSEST = 20  # poles next to the unit circle at which rounding is looked into
 DENSER = 10  # the grid between the samples, against theirs
+LOOKED_AT = 20  # sampled plants, the worst of them, that splines are laid through
 
 
 def peak_gain(
@@ -236,7 +239,66 @@ def balanced(A, B, C):
     return A, B, C
 
 
-def peak_between(problem: Problem, L) -> tuple[float, float, float]:
+@dataclass(frozen=True)
+class Peak:
+    """The highest peak of sigma_max(M) over all frequencies among the plants of a problem.
+
+    Attributes
+    ----------
+    sigma, omega : float
+        Its height, an upper bound to 1e-8 if `proven`, and where it is, rad/s.
+    plant : int
+        Whose it is; 0 is the nominal plant.
+    proven : bool
+        Whether all plants are models. Otherwise it is the highest among those that are, and the
+        estimates for the sampled ones that are worst on the grid.
+    missed : float
+        The most that splines miss, as :func:`peak_between` has it; NaN if proven.
+    estimated : int
+        For how many plants there is an estimate.
+    """
+
+    sigma: float
+    omega: float
+    plant: int
+    proven: bool
+    missed: float
+    estimated: int
+
+
+def highest_peak(problem: Problem, L, order) -> Peak:
+    """Find the highest peak of sigma_max(M) over all frequencies, Delta = 0.
+
+    Parameters
+    ----------
+    problem : Problem
+    L : LearningFilter
+        In units of `scale`.
+    order : sequence of int
+        Numbers of the plants, that with the highest peak on the grid first. Every model has a
+        proof; of the sampled plants, the first :data:`LOOKED_AT` have an estimate.
+
+    Returns
+    -------
+    Peak
+    """
+    models, Q = {}, None
+    if problem.model:
+        nominal, Q = problem.model
+        models = dict(enumerate([nominal, *problem.other_models]))
+    worst, missed, sampled = (0.0, 0.0, order[0]), np.nan, 0
+    for k in order:
+        if models.get(k) is not None:
+            M = convergence_model(models[k], Q, L)
+            worst = max(worst, (*peak_gain(M), k))
+        elif sampled < LOOKED_AT:
+            sigma, omega, miss = peak_between(problem, L, k)
+            worst, missed = max(worst, (sigma, omega, k)), np.fmax(missed, miss)
+            sampled += 1
+    return Peak(*worst, sampled == 0, missed, sampled)
+
+
+def peak_between(problem: Problem, L, number: int = 0) -> tuple[float, float, float]:
     """Peak of sigma_max(M) estimated between samples, its frequency, and what the splines miss.
 
     Measured grids are linear or logarithmic, plants smooth over one or the other. So the splines
@@ -247,13 +309,15 @@ def peak_between(problem: Problem, L) -> tuple[float, float, float]:
     problem : Problem
     L : LearningFilter
         In units of `scale`.
+    number : int
+        Of the plant.
 
     Returns
     -------
     peak, omega, missed : float
         `missed` is infinite for fewer than four samples.
     """
-    P, Q, omega = problem.P, problem.Q, problem.omega
+    P, Q, omega = problem.plant(number), problem.Q, problem.omega
     steps = np.linspace(0, 1, DENSER, endpoint=False)
     dense = np.append((omega[:-1, None] + np.diff(omega)[:, None] * steps).ravel(), omega[-1])
     response = L.frequency_response(omega)
