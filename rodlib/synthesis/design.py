@@ -250,11 +250,12 @@ def _sigmas(problem, solution):
 def _is_good(problem, solution, gap):
     """Whether a solution is within its bounds, and proven to be as good as the gap says."""
     sigma_M, sigma_L = _sigmas(problem, solution)
-    value = problem.value(sigma_M)
-    apart = 0 if problem.robust else value - lower_bound(problem, solution.U, solution.V)
+    worst = max(sigma_M.max(), solution.peak if problem.robust else 0)
+    value = problem.value(sigma_M, np.array([worst]))
     return (
-        apart < gap * max(value, 1e-3 * problem.idle)
-        and sigma_M.max() <= problem.M_max * (1 + VIOLATION)
+        value - lower_bound(problem, solution.U, solution.V, solution.cuts)
+        < gap * max(value, 1e-3 * problem.idle)
+        and worst <= problem.M_max * (1 + VIOLATION)
         and sigma_L.max() <= (problem.L_max or np.inf) * (1 + VIOLATION)
     )
 
