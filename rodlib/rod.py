@@ -236,10 +236,15 @@ def sampled_response(rod: Rod, omega, Ts: float) -> np.ndarray:
     The modes cos(n pi z / l), n = 0, 1, ..., of the rod decay with s_n = -(kappa_2 + lambda
     (n pi / l)^2) / kappa_1. With r_n for the static response of mode n and p_n = exp(s_n Ts),
 
-        G(z) = sum_n r_n (1 - p_n) / (z - p_n) = (R - (z - 1) sum_n r_n p_n / (z - p_n)) / z,
+        G(z) = sum_n r_n (1 - p_n) / (z - p_n).
 
-    where R, the sum of all r_n, is :func:`exact_response` at zero. What is left to sum falls as
-    exp(-n^2): a few hundred modes are all that counts.
+    The slow modes are summed like that. The others, infinitely many, have decayed after a few
+    samples: together they have a short impulse response, g_1 / z + g_2 / z^2 + ... with
+
+        g_k = sum_n r_n (1 - p_n) p_n^(k - 1).
+
+    It falls as exp(-n^2), so that a few hundred modes are all that counts, but for the sum of all
+    r_n in g_1. That is what the slow modes leave of :func:`exact_response` at zero.
 
     Parameters
     ----------
@@ -263,12 +268,14 @@ def sampled_response(rod: Rod, omega, Ts: float) -> np.ndarray:
 
     Notes
     -----
-    What is left out, from mode N on, is below 1e-12 of the largest entry at each frequency. With
-    r = 1 / (b h l kappa_2) and x = lambda (N pi / l)^2 Ts / kappa_1 there is |r_n| <= 2 r,
-    p_n <= exp(-x n^2 / N^2) and |z - 1| <= 2, so that it is at most
+    What is left out of g_k, from mode N on, is below 1e-12 of the largest entry at each frequency.
+    With r = 1 / (b h l kappa_2) and x = lambda (N pi / l)^2 Ts / kappa_1 there is |r_n| <= 2 r and
+    p_n <= exp(-x n^2 / N^2), so that the sum over k of what is left out is at most
 
-        4 r / (1 - e^-x) sum_{n >= N} p_n <= 4 r e^-x (1 + N / 2x) / (1 - e^-x).
+        4 r sum_{n >= N} p_n <= 4 r e^-x (1 + N / 2x).
 
+    Slow are the first N / 8 modes. For the others p_n^64 obeys the bound of p_n with N / 8 in the
+    place of N, so that what is left out from g_65 on is smaller still.
     The same flow from all sections excites the uniform mode alone, so that the largest entry is
     no smaller than r (1 - p_0) / 2; hence x = 40 - log(1 - p_0). R is rounded to about 1e-16 r,
     which is below 1e-10 of the largest entry if Ts > 1e-5 kappa_1 / kappa_2, 3 ms for the paper's
@@ -282,6 +289,42 @@ def sampled_response(rod: Rod, omega, Ts: float) -> np.ndarray:
             f"omega spans [{omega.min():.6g}, {omega.max():.6g}] rad/s, but must lie in "
             f"[0, {np.pi / Ts:.6g}] rad/s, up to the Nyquist frequency of Ts = {Ts} s"
         )
+    step = np.expm1(1j * omega * Ts)
+    return held_response(rod, Ts, step, delays(step))
+
+
+POWERS = 64  # of 1 / z; the square of a whole number
+
+
+def delays(step) -> np.ndarray:
+    """1 / z, 1 / z^2, ... at z = 1 + `step`, shape (n, POWERS), for :func:`held_response`."""
+    return np.cumprod(np.broadcast_to(1 / (1 + step[:, None]), (len(step), POWERS)), axis=1)
+
+
+def held_response(rod: Rod, Ts: float, step, delays, inputs=slice(None)) -> np.ndarray:
+    """The transfer function of :func:`sampled_response`, anywhere on or outside the unit circle.
+
+    Parameters
+    ----------
+    rod : Rod
+    Ts : float
+        Sampling period, s.
+    step : ndarray, shape (n,), complex
+        z - 1, where |z| >= 1.
+    delays : ndarray, shape (n, POWERS), complex
+        :func:`delays` of `step`, which many rods can share.
+    inputs : slice or list of int
+        Which of the inputs are wanted. Default: all of them.
+
+    Returns
+    -------
+    ndarray, shape (n, outputs, inputs), complex
+
+    Raises
+    ------
+    ValueError
+        If `Ts` is too short for the rod.
+    """
     decay = Ts / rod.kappa_1
     x = 40 - np.log(-np.expm1(-rod.kappa_2 * decay))
     modes = rod.length / np.pi * np.sqrt(x / (rod.conductivity * decay))
@@ -291,18 +334,22 @@ def sampled_response(rod: Rod, omega, Ts: float) -> np.ndarray:
             f"limit. Take at least {Ts * (modes / 1e5) ** 2:.3g} s"
         )
     n = np.arange(int(np.ceil(modes)))
+    slow = int(np.ceil(modes / np.sqrt(POWERS)))
     rate = rod.kappa_2 + rod.conductivity * (n * np.pi / rod.length) ** 2  # -s_n kappa_1
     middles = (np.arange(rod.sections) + 0.5) / rod.sections
-    shown = np.cos(np.outer(rod.sensors, n * np.pi / rod.length))
+    shown = np.cos(np.outer(n * np.pi / rod.length, rod.sensors))
     flows = np.cos(np.outer(n * np.pi, middles)) * np.sinc(n / 2 / rod.sections)[:, None]
     flows *= (np.where(n, 2, 1) / (rod.width * rod.height * rod.length * rate))[:, None]
-    poles, less_one = np.exp(-rate * decay), np.expm1(-rate * decay)
+    static = exact_response(rod, 0.0)[0].real[:, inputs]
+    r = np.zeros((len(n), len(rod.sensors), rod.sections + 1))
+    r[:, :, :-1] = shown[:, :, None] * flows[:, None]
+    r[0, :, -1] = 1  # the air excites the uniform mode alone
+    r = r[:, :, inputs].reshape(len(n), static.size)
 
-    static = exact_response(rod, 0.0)[0].real[:, :-1]
-    response = np.empty((len(omega), len(rod.sensors), rod.sections + 1), dtype=complex)
-    for k, step in enumerate(np.expm1(1j * omega * Ts)):  # z - 1
-        distance = step - less_one  # z - p_n
-        response[k, :, :-1] = static - step * (shown * (poles / distance)) @ flows
-        response[k, :, :-1] /= 1 + step
-        response[k, :, -1] = -less_one[0] / distance[0]
-    return response
+    p, less_one = np.exp(-rate * decay)[:, None], np.expm1(-rate * decay)[:, None]  # p_n - 1
+    powers = np.exp(-np.outer(np.arange(POWERS), rate[slow:] * decay))
+    g = powers @ (-less_one[slow:] * r[slow:])
+    # What the slow modes leave of the sum of all r_n; small ones first, for fewer digits go.
+    g[0] = static.ravel() - r[:slow][::-1].sum(axis=0) - (p[slow:] * r[slow:])[::-1].sum(axis=0)
+    response = (1 / (step[:, None] - less_one[:slow, 0])) @ (-less_one[:slow] * r[:slow])
+    return (response + delays @ g).reshape(len(step), *static.shape)
