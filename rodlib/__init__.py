@@ -12,6 +12,8 @@ MODULES = {
     "problem": ("Problem",),
     "synthesis": ("InfeasibleError", "SolverError", "Synthesis", "least_gain", "synthesise"),
     "trials": ("run_trials",),
+    "specimens": ("Specimen", "Spread", "draw", "responses", "unstable_poles"),
+    "study": ("Study",),
     "laboratory": ("LogError", "load_log", "record", "save_log"),
 }
 HOME = {name: module for module, names in MODULES.items() for name in names}

@@ -15,9 +15,15 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from rodlib import arguments
 from rodlib.files import alone, folder, replacing
 
+PROCESS = {  # environment of the workers, beside what dask sets
+    "OMP_NUM_THREADS": 1,  # or the number of cores would decide on the last digits
+    "OPENBLAS_NUM_THREADS": 1,
+    # Memory that is fetched from the system anew for every array costs as much as the arithmetic.
+    "MALLOC_TRIM_THRESHOLD_": 2**30,
+    "MALLOC_MMAP_THRESHOLD_": 2**25,
+}
 UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error)
 
 
@@ -69,42 +75,44 @@ def complete(
         found = {part: _load(path) for part, path in zip(parts, paths, strict=True)}
         missing = {part: path for part, path in zip(parts, paths, strict=True) if not found[part]}
         if missing:
+            from distributed import as_completed
+
             with (
-                _cluster(scheduler, workers, len(missing)) as client,
+                _client(scheduler, workers, len(missing)) as client,
                 tqdm(total=len(parts), initial=len(parts) - len(missing), disable=None) as bar,
             ):
                 futures = {client.submit(work, *part, pure=False): part for part in missing}
-                for future in _as_completed(futures):
+                for future in as_completed(futures):
                     part = futures[future]
                     found[part] = future.result()
                     _save(missing[part], found[part])
                     bar.update()
-    return {name: np.concatenate([found[part][name] for part in parts]) for name in found[parts[0]]}
+    return {key: np.concatenate([found[part][key] for part in parts]) for key in found[parts[0]]}
 
 
 @contextmanager
-def _cluster(scheduler, workers, most):
-    from distributed import Client, LocalCluster  # not before it is needed: that takes a second
+def _client(scheduler, workers, most):
+    # Not imported before it is needed: that takes a second.
+    import dask
+    from dask.system import CPU_COUNT
+    from distributed import Client, LocalCluster
 
     if scheduler is not None:
         with Client(scheduler) as client:
             yield client
         return
-    workers = min(workers or len(os.sched_getaffinity(0)), most)
+    settings = {f"distributed.nanny.pre-spawn-environ.{name}": x for name, x in PROCESS.items()}
     with (
+        dask.config.set(settings),
         LocalCluster(
-            n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None,
+            n_workers=min(workers or CPU_COUNT, most),
+            threads_per_worker=1,
+            dashboard_address=None,
             silence_logs=logging.CRITICAL,
         ) as cluster,
         Client(cluster) as client,
-    ):  # fmt: skip
+    ):
         yield client
-
-
-def _as_completed(futures):
-    from distributed import as_completed
-
-    return as_completed(futures)
 
 
 def _save(path, arrays):

@@ -6,6 +6,7 @@ approximation, in the frequency domain, and is what every approximation is measu
 :func:`sampled_response` is the same behind a digital controller.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import control
@@ -290,66 +291,99 @@ def sampled_response(rod: Rod, omega, Ts: float) -> np.ndarray:
             f"[0, {np.pi / Ts:.6g}] rad/s, up to the Nyquist frequency of Ts = {Ts} s"
         )
     step = np.expm1(1j * omega * Ts)
-    return held_response(rod, Ts, step, delays(step))
+    return HeldRod(rod, Ts).response(step, delays(step), rod.inputs)
 
 
 POWERS = 64  # of 1 / z; the square of a whole number
 
 
 def delays(step) -> np.ndarray:
-    """1 / z, 1 / z^2, ... at z = 1 + `step`, shape (n, POWERS), for :func:`held_response`."""
+    """1 / z, 1 / z^2, ... at z = 1 + `step`, shape (n, POWERS), for :class:`HeldRod`."""
     return np.cumprod(np.broadcast_to(1 / (1 + step[:, None]), (len(step), POWERS)), axis=1)
 
 
-def held_response(rod: Rod, Ts: float, step, delays, inputs=slice(None)) -> np.ndarray:
-    """The transfer function of :func:`sampled_response`, anywhere on or outside the unit circle.
+class HeldRod:
+    """The rod of :func:`sampled_response`: its slow modes, and an impulse response for the others.
 
     Parameters
     ----------
     rod : Rod
     Ts : float
         Sampling period, s.
-    step : ndarray, shape (n,), complex
-        z - 1, where |z| >= 1.
-    delays : ndarray, shape (n, POWERS), complex
-        :func:`delays` of `step`, which many rods can share.
-    inputs : slice or list of int
-        Which of the inputs are wanted. Default: all of them.
-
-    Returns
-    -------
-    ndarray, shape (n, outputs, inputs), complex
+    gains : sequence of float, optional
+        Heat flow that each section gets per heat flow commanded. Default: one.
 
     Raises
     ------
     ValueError
         If `Ts` is too short for the rod.
     """
-    decay = Ts / rod.kappa_1
-    x = 40 - np.log(-np.expm1(-rod.kappa_2 * decay))
-    modes = rod.length / np.pi * np.sqrt(x / (rod.conductivity * decay))
-    if modes > 1e5:
-        raise ValueError(
-            f"Ts = {Ts} is too short for this rod: {modes:.3g} modes count, and 100,000 are the "
-            f"limit. Take at least {Ts * (modes / 1e5) ** 2:.3g} s"
-        )
-    n = np.arange(int(np.ceil(modes)))
-    slow = int(np.ceil(modes / np.sqrt(POWERS)))
-    rate = rod.kappa_2 + rod.conductivity * (n * np.pi / rod.length) ** 2  # -s_n kappa_1
-    middles = (np.arange(rod.sections) + 0.5) / rod.sections
-    shown = np.cos(np.outer(n * np.pi / rod.length, rod.sensors))
-    flows = np.cos(np.outer(n * np.pi, middles)) * np.sinc(n / 2 / rod.sections)[:, None]
-    flows *= (np.where(n, 2, 1) / (rod.width * rod.height * rod.length * rate))[:, None]
-    static = exact_response(rod, 0.0)[0].real[:, inputs]
-    r = np.zeros((len(n), len(rod.sensors), rod.sections + 1))
-    r[:, :, :-1] = shown[:, :, None] * flows[:, None]
-    r[0, :, -1] = 1  # the air excites the uniform mode alone
-    r = r[:, :, inputs].reshape(len(n), static.size)
 
-    p, less_one = np.exp(-rate * decay)[:, None], np.expm1(-rate * decay)[:, None]  # p_n - 1
-    powers = np.exp(-np.outer(np.arange(POWERS), rate[slow:] * decay))
-    g = powers @ (-less_one[slow:] * r[slow:])
-    # What the slow modes leave of the sum of all r_n; small ones first, for fewer digits go.
-    g[0] = static.ravel() - r[:slow][::-1].sum(axis=0) - (p[slow:] * r[slow:])[::-1].sum(axis=0)
-    response = (1 / (step[:, None] - less_one[:slow, 0])) @ (-less_one[:slow] * r[:slow])
-    return (response + delays @ g).reshape(len(step), *static.shape)
+    def __init__(self, rod: Rod, Ts: float, gains: Sequence[float] | None = None):
+        decay = Ts / rod.kappa_1
+        x = 40 - np.log(-np.expm1(-rod.kappa_2 * decay))
+        modes = rod.length / np.pi * np.sqrt(x / (rod.conductivity * decay))
+        if modes > 1e5:
+            raise ValueError(
+                f"Ts = {Ts} is too short for this rod: {modes:.3g} modes count, and 100,000 are "
+                f"the limit. Take at least {Ts * (modes / 1e5) ** 2:.3g} s"
+            )
+        n = np.arange(int(np.ceil(modes)))
+        slow = int(np.ceil(modes / np.sqrt(POWERS)))
+        rate = rod.kappa_2 + rod.conductivity * (n * np.pi / rod.length) ** 2  # -s_n kappa_1
+        middles = (np.arange(rod.sections) + 0.5) / rod.sections
+        shown = np.cos(np.outer(n * np.pi / rod.length, rod.sensors))
+        flows = np.cos(np.outer(n * np.pi, middles)) * np.sinc(n / 2 / rod.sections)[:, None]
+        flows *= (np.where(n, 2, 1) / (rod.width * rod.height * rod.length * rate))[:, None]
+        r = np.zeros((len(n), len(rod.sensors), rod.sections + 1))
+        r[:, :, :-1] = shown[:, :, None] * flows[:, None]
+        r[0, :, -1] = 1  # the air excites the uniform mode alone
+
+        gains = np.append(np.ones(rod.sections) if gains is None else gains, 1)
+        r *= gains
+
+        less_one = np.expm1(-rate * decay)  # p_n - 1
+        first = -less_one[:, None, None] * r  # g_1 of each mode
+        powers = np.exp(-np.outer(np.arange(POWERS + 1), rate[slow:] * decay))
+        self.names = rod.inputs
+        self.less_one, self.decay = less_one[:slow], rate[:slow] * decay
+        self.slow, self.fast = first[:slow], np.tensordot(powers[:-1], first[slow:], axes=1)
+        # What the slow modes leave of the sum of all r_n; small ones first, for fewer digits go.
+        rest = exact_response(rod, 0.0)[0].real * gains - r[:slow][::-1].sum(axis=0)
+        self.fast[0] = rest - np.tensordot(powers[1], r[slow:], axes=1)
+
+    def response(self, step, delays, inputs: Sequence[str]) -> np.ndarray:
+        """G(z) on the unit circle.
+
+        Parameters
+        ----------
+        step : ndarray, shape (n,), complex
+            z - 1.
+        delays : ndarray, shape (n, POWERS), complex
+            :func:`delays` of `step`, which many rods can share.
+        inputs : sequence of str
+            Names of the inputs that are wanted.
+
+        Returns
+        -------
+        ndarray, shape (n, outputs, inputs), complex
+        """
+        slow, fast = self._of(inputs)
+        response = (1 / (step[:, None] - self.less_one)) @ slow.reshape(len(slow), -1)
+        response += delays @ fast.reshape(len(fast), -1)
+        return response.reshape(len(step), *slow.shape[1:])
+
+    def impulse_response(self, samples: int, inputs: Sequence[str]) -> np.ndarray:
+        """g_0 = 0, g_1, ... of G(z) = g_1 / z + g_2 / z^2 + ..., (outputs, inputs, samples)."""
+        slow, fast = self._of(inputs)
+        block = int(np.ceil(np.sqrt(samples)))
+        steps = np.arange(block) * self.decay[:, None]
+        powers = np.exp(-block * steps)[:, :, None] * np.exp(-steps)[:, None]  # p^(block i + j)
+        g = np.zeros((*slow.shape[1:], block**2 + 1))
+        g[:, :, 1:] = np.tensordot(slow, powers.reshape(len(slow), -1), axes=(0, 0))
+        g[:, :, 1 : POWERS + 1] += np.moveaxis(fast, 0, -1)[:, :, : block**2]
+        return g[:, :, :samples]
+
+    def _of(self, inputs):
+        wanted = [self.names.index(name) for name in inputs]
+        return self.slow[:, :, wanted], self.fast[:, :, wanted]

@@ -5,7 +5,7 @@ asked of it is answered for its partial differential equation itself behind a ze
 :func:`rodlib.sampled_response`. The controller stays as it was designed on the nominal model.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
 import control
@@ -14,12 +14,11 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 from rodlib import arguments
 from rodlib.feedback import CurrentTrialLoop, frequency_response, reply
-from rodlib.filters import LearningFilter
-from rodlib.rod import Rod, delays, held_response
+from rodlib.rod import HeldRod, Rod, delays
 
 MATERIAL = ("density", "heat_capacity", "heat_transfer", "conductivity")
 STEP = 1.0  # rad, by which the return difference may turn between two frequencies
-NO_PAD = ((0, 0), (0, 0))
+WRAP = 1.6  # lengths of a trial after which its transform begins anew
 ALIAS = 1e-9  # what is left of a sample after one turn of the transform
 
 
@@ -80,6 +79,10 @@ class Specimen:
     rod: Rod
     gains: tuple[float, ...]
 
+    def held(self, Ts: float) -> HeldRod:
+        """Behind a zero-order hold."""
+        return HeldRod(self.rod, Ts, self.gains)
+
 
 def draw(spread: Spread, number: int, root: int = 0, nominal: Rod | None = None) -> Specimen:
     """Draw a rod by number.
@@ -126,7 +129,7 @@ def draw(spread: Spread, number: int, root: int = 0, nominal: Rod | None = None)
 
 
 class Around:
-    """The loop as designed, on a circle of the z-plane, ready for other plants in its place.
+    """The loop as designed, ready for other plants in its place.
 
     With G_0 for the plant of the design, G for the other one and D = G - G_0, the observer sees
     D u + G_d d more than it expects, and the loop answers
@@ -142,48 +145,96 @@ class Around:
         The controls and disturbances are heat flows of a rod and theta_a, by name.
     omega : ndarray, shape (n,)
         Angular frequencies, rad/s.
-    growth : float
-        z = exp((growth + j omega) Ts), 1/s, 0 or more.
+    radius : float
+        |z|, 1 or more: z = radius exp(j omega Ts).
     """
 
-    def __init__(self, loop: CurrentTrialLoop, omega, growth: float = 0.0):
-        self.loop, self.omega = loop, omega
-        self.step = np.expm1((growth + 1j * omega) * loop.Ts)
-        self.delays = delays(self.step)
+    def __init__(self, loop: CurrentTrialLoop, omega, radius: float = 1.0):
         m = loop.plant.noutputs
 
-        def response(model):  # z I - A = r (exp(j omega Ts) I - A / r)
-            r = np.exp(growth * loop.Ts)
-            scaled = control.ss(model.A / r, model.B / r, model.C, model.D, model.dt)
-            return _last(frequency_response(scaled, omega))
+        def response(model):  # z I - A = radius (exp(j omega Ts) I - A / radius)
+            A, B = model.A / radius, model.B / radius
+            return _last(frequency_response(control.ss(A, B, model.C, model.D, model.dt), omega))
 
-        self.G0 = response(loop.plant[:, :m])
+        self.G_0 = response(loop.plant[:, :m])
         self.U, minus_R = np.split(response(reply(loop)), 2, axis=1)
         self.R = -minus_R
 
-    def plant(self, specimen: Specimen, signals: Sequence[str]) -> np.ndarray:
-        """The response of a specimen without a controller to some inputs, (m, signals, n)."""
-        wanted = [specimen.rod.inputs.index(name) for name in signals]
-        G = held_response(specimen.rod, self.loop.Ts, self.step, self.delays, wanted)
-        return _last(G * np.append(specimen.gains, 1)[wanted])
-
-    def return_difference(self, specimen: Specimen) -> np.ndarray:
-        """det(I + R D), shape (n,)."""
-        loaded = self._loaded(self.plant(specimen, self.loop.controls))
-        return np.linalg.det(np.moveaxis(loaded, -1, 0))
-
-    def closed(self, specimen: Specimen, disturbed: bool = False):
-        """From w to y, shape (m, m, n), and if `disturbed` from d to y, shape (m, d, n)."""
-        m = len(self.loop.controls)
-        signals = [*self.loop.controls, *(self.loop.disturbances if disturbed else [])]
-        G, G_d = np.split(self.plant(specimen, signals), [m], axis=1)
-        GX = _times(G, _inverse(self._loaded(G)))
-        return _times(GX, self.U), G_d - _times(GX, _times(self.R, G_d))
-
-    def _loaded(self, G):
-        loaded = _times(self.R, G - self.G0)
+    def loaded(self, G) -> np.ndarray:
+        """I + R D, shape (m, m, n), which as a determinant is the return difference."""
+        loaded = _times(self.R, G - self.G_0)
         loaded[range(len(G)), range(len(G))] += 1
         return loaded
+
+    def closed(self, G, G_d=None):
+        """From w to y, shape (m, m, n), and with the response G_d to d, from d to y."""
+        GX = _times(G, _inverse(self.loaded(G)))
+        P = _times(GX, self.U)
+        return P if G_d is None else (P, G_d - _times(GX, _times(self.R, G_d)))
+
+
+class Grid(Around):
+    """The loop as designed on the unit circle, ready for many specimens in the place of its plant.
+
+    Parameters
+    ----------
+    loop : CurrentTrialLoop
+    omega : ndarray, shape (n,)
+        Angular frequencies, rad/s.
+    """
+
+    def __init__(self, loop: CurrentTrialLoop, omega):
+        super().__init__(loop, omega)
+        self.loop, self.omega = loop, omega
+        self.step = np.expm1(1j * omega * loop.Ts)
+        self.delays = delays(self.step)
+
+    def plant(self, rod: HeldRod) -> np.ndarray:
+        """G of a rod, shape (m, m, n)."""
+        return _last(rod.response(self.step, self.delays, self.loop.controls))
+
+    def P(self, rod: HeldRod) -> np.ndarray:
+        """From w to y around a rod, shape (n, m, m)."""
+        return np.moveaxis(self.closed(self.plant(rod)), -1, 0)
+
+    def unstable_poles(self, rod: HeldRod) -> int:
+        """Number of poles outside the unit circle; the frequencies go from zero to Nyquist."""
+        omega, F = self.omega, self._return_difference(rod)
+        for _ in range(40):
+            turns = np.angle(F[1:] / F[:-1])
+            wide = np.flatnonzero(np.abs(turns) > STEP)
+            if not wide.size:
+                return round(-turns.sum() / np.pi)  # on the other half circle as much again
+            between = (omega[wide] + omega[wide + 1]) / 2
+            values = Grid(self.loop, between)._return_difference(rod)
+            omega, F = np.insert(omega, wide + 1, between), np.insert(F, wide + 1, values)
+        return 1  # on the unit circle, up to rounding
+
+    def _return_difference(self, rod):
+        return np.linalg.det(np.moveaxis(self.loaded(self.plant(rod)), -1, 0))
+
+    @classmethod
+    def whole(cls, loop: CurrentTrialLoop) -> "Grid":
+        """From zero to the Nyquist frequency."""
+        return cls(loop, np.append(0, np.geomspace(1e-5, 1, 300) * np.pi / loop.Ts))
+
+
+def check_loop(loop: CurrentTrialLoop, rod: Rod) -> None:
+    """Check that a loop is that of a rod: its signals are, by name."""
+    arguments.instance("loop", loop, CurrentTrialLoop)
+    strangers = {*loop.controls, *loop.disturbances} - {*rod.inputs}
+    if strangers or loop.outputs != rod.outputs:
+        raise ValueError(
+            f"loop has the signals {[*loop.plant.input_labels, *loop.outputs]}, but must be that of "
+            f"a rod, with inputs among {rod.inputs} and the outputs {rod.outputs}"
+        )
+
+
+def _held(loop, specimens):
+    specimens = [arguments.instance("specimens", each, Specimen) for each in specimens]
+    for each in specimens:
+        check_loop(loop, each.rod)
+    return [each.held(loop.Ts) for each in specimens]
 
 
 def _last(response):
@@ -201,13 +252,14 @@ def _inverse(A):
     return np.array([[d, -b], [-c, a]]) / (a * d - b * c)
 
 
-def responses(loop: CurrentTrialLoop, specimens: Iterable[Specimen], omega) -> np.ndarray:
+def responses(loop: CurrentTrialLoop, specimens: Sequence[Specimen], omega) -> np.ndarray:
     """P of (31) around each specimen: what ``synthesise([...])`` takes as plants.
 
     Parameters
     ----------
     loop : CurrentTrialLoop
-    specimens : iterable of Specimen
+        Of a rod.
+    specimens : sequence of Specimen
     omega : array_like, shape (n,)
         Angular frequencies, rad/s, from 0 to the Nyquist frequency.
 
@@ -216,37 +268,34 @@ def responses(loop: CurrentTrialLoop, specimens: Iterable[Specimen], omega) -> n
     ndarray, shape (specimens, n, m, m), complex
         A response tells nothing if the loop is not stable: see :func:`unstable_poles`.
     """
-    around = Around(loop, arguments.row("omega", omega))
-    return np.array([np.moveaxis(around.closed(each)[0], -1, 0) for each in specimens])
+    rods, grid = _held(loop, specimens), Grid(loop, arguments.row("omega", omega))
+    return np.array([grid.P(rod) for rod in rods])
 
 
-def unstable_poles(loop: CurrentTrialLoop, specimens: Iterable[Specimen]) -> np.ndarray:
-    """Number of poles outside the unit circle of the loop around each specimen, shape (specimens,).
+def unstable_poles(loop: CurrentTrialLoop, specimens: Sequence[Specimen]) -> np.ndarray:
+    """Number of poles outside the unit circle of the loop around each specimen.
+
+    Parameters
+    ----------
+    loop : CurrentTrialLoop
+        Of a rod.
+    specimens : sequence of Specimen
+
+    Returns
+    -------
+    ndarray of int, shape (specimens,)
 
     Notes
     -----
-    det(I + R D) is the quotient of the characteristic polynomials of the loop around the specimen
-    and of the loop as designed, times that of the two plants without a controller. All but the
-    first have their zeros inside the unit circle, and far outside the quotient is one. So it winds
-    around zero, along the unit circle, once clockwise for every unstable pole. Between two
-    frequencies it must turn by less than `STEP`; where it does not, more are taken. As the rod has
-    infinitely many poles, there is no matrix whose eigenvalues could tell.
+    As the rod has infinitely many poles, there is no matrix whose eigenvalues could tell. But
+    det(I + R D) is the characteristic polynomial of the loop around the specimen times that of the
+    plant of the design, over those of the loop as designed and of the specimen. These three have
+    their zeros inside the unit circle, and far outside the quotient is one. So, along the unit
+    circle, it winds around zero once clockwise for every unstable pole. Between two frequencies it
+    must turn by less than `STEP`; where it does not, more are taken.
     """
-    around = Around(loop, np.append(0, np.geomspace(1e-5, 1, 300) * np.pi / loop.Ts))
-    return np.array([_winding(around, each) for each in specimens])
-
-
-def _winding(around, specimen):
-    omega, F = around.omega, around.return_difference(specimen)
-    for _ in range(40):
-        turns = np.angle(F[1:] / F[:-1])
-        wide = np.flatnonzero(np.abs(turns) > STEP)
-        if not wide.size:
-            return round(-turns.sum() / np.pi)  # on the other half circle as much again
-        between = (omega[wide] + omega[wide + 1]) / 2
-        values = Around(around.loop, between).return_difference(specimen)
-        omega, F = np.insert(omega, wide + 1, between), np.insert(F, wide + 1, values)
-    return 1  # a pole on the unit circle, up to rounding
+    rods, grid = _held(loop, specimens), Grid.whole(loop)
+    return np.array([grid.unstable_poles(rod) for rod in rods])
 
 
 class Course:
@@ -266,59 +315,66 @@ class Course:
     """
 
     def __init__(self, loop, Q, filters, reference, disturbance, trials, rest):
-        T, m = reference.shape
+        self.loop, T = loop, len(reference)
         order = max(L.order for L in filters)
         poles = np.concatenate([np.roots(section[3:]) for section in Q.sections])
         tail = int(np.log(ALIAS**3) / np.log(np.abs(poles).max()))  # of Q, as far as it may wrap
-        self.samples, self.N = T, next_fast_len(max(2 * T, T + order + tail), real=True)
-        growth = -np.log(ALIAS) / self.N / loop.Ts
-        self.weight = np.exp(-growth * loop.Ts * np.arange(T))
-        self.kept = np.arange(T) < T - rest
-        self.around = Around(loop, np.linspace(0, np.pi / loop.Ts, self.N // 2 + 1), growth)
-        z = 1 + self.around.step
+        self.samples, self.N = T, next_fast_len(max(int(WRAP * T), T + order + tail), real=True)
+        r = ALIAS ** (-1 / self.N)
+        self.growth, self.decay = r ** np.arange(T), r ** -np.arange(T)
+        self.kept = T - rest
+        omega = np.linspace(0, np.pi, self.N // 2 + 1) / loop.Ts
+        self.around = Around(loop, omega, r)
+        z = r * np.exp(1j * omega * loop.Ts)
         self.Q = _butterworth(Q, z) * _butterworth(Q, 1 / z)
-        ahead = z ** np.arange(1, order + 1)[:, None]
-        c = np.array([np.pad(L.coefficients, (*NO_PAD, (0, order - L.order))) for L in filters])
-        self.L = np.einsum("fijk,kn->fijn", c, ahead)
-        self.before = np.zeros((len(c), m, order, m, len(z)), dtype=complex)
-        for p in range(order):  # L makes of e(p) what belongs before the trial, and is cut off
-            self.before[:, :, p] = np.einsum("fijk,kn->fjin", c[..., p:], ahead[: order - p])
-        self.reference = reference.T
-        self.R = self._transform(self.reference)
+        self.ahead = z ** np.arange(1, order + 1)[:, None]
+        c = np.zeros((len(filters), *filters[0].coefficients.shape[:2], 2 * order))
+        for f, L in enumerate(filters):
+            c[f, :, :, : L.order] = L.coefficients
+        self.L = np.einsum("fijk,kn->fijn", c[..., :order], self.ahead)
+        # q samples before the trial, L sees c_(q + p) e(p).
+        self.first = np.lib.stride_tricks.sliding_window_view(c, order, axis=3)[:, :, :, :order]
+        self.w = self._transform(reference.T)
         if disturbance is not None:
             disturbance = np.swapaxes(disturbance, -1, -2)
             disturbance = np.broadcast_to(disturbance, (trials, *disturbance.shape[-2:]))
-        self.D = [None] * trials if disturbance is None else self._transform(disturbance)
+        self.d = [None] * trials if disturbance is None else self._transform(disturbance)
 
-    def rms(self, specimens: Sequence[Specimen]) -> np.ndarray:
-        """RMS(e_k) of every trial, shape (specimens, filters, trials)."""
-        around = [self.around.closed(each, self.D[0] is not None) for each in specimens]
-        P = np.array([P for P, _ in around])
-        P_d = np.array([P_d for _, P_d in around])
-        V = np.zeros((len(P), *self.L.shape[:2], self.L.shape[3]))
-        rms = []
-        for D in self.D:
-            Y = np.einsum("gijn,gfjn->gfin", P, self.R + V)
-            if D is not None:
-                Y += np.einsum("gijn,jn->gin", P_d, D)[:, None]
-            e = self.reference - self._signal(Y)
-            rms.append(np.sqrt(np.einsum("gfit,gfit->gf", e, e) / self.samples))
-            if len(rms) < len(self.D):
-                V = V + np.einsum("fijn,gfjn->gfin", self.L, self._transform(e)) - self._before(e)
-                V = self._transform(self._signal(self.Q * V) * self.kept)  # (23)
-        return np.stack(rms, axis=2)
+    def rms(self, rods: Sequence[HeldRod]) -> np.ndarray:
+        """RMS(e_k) of every trial, shape (rods, filters, trials)."""
+        P, P_d = self._closed(rods)
+        V = np.zeros((len(rods), 1, *self.w.shape))  # one filter is like another as yet
+        rms = np.empty((len(rods), len(self.L), len(self.d)))
+        for k, d in enumerate(self.d):
+            Y = np.einsum("gijn,gfjn->gfin", P, self.w + V)
+            if d is not None:
+                Y += np.einsum("gijn,jn->gin", P_d, d)[:, None]
+            e = irfft(self.w - Y, self.N)  # weighted by r^-p
+            e[..., self.samples :] = 0
+            plain = e[..., : self.samples] * self.growth
+            rms[:, :, k] = np.sqrt(np.einsum("gfit,gfit->gf", plain, plain) / self.samples)
+            if k + 1 < len(self.d):
+                V = V + np.einsum("fijn,gfjn->gfin", self.L, rfft(e)) - self._before(plain)
+                v = irfft(self.Q * V, self.N)
+                v[..., self.kept :] = 0
+                V = rfft(v)  # (23)
+        return rms
+
+    def _closed(self, rods):
+        m, signals = len(self.w), self.loop.controls
+        if self.d[0] is not None:
+            signals = [*signals, *self.loop.disturbances]
+        G = [self._transform(rod.impulse_response(self.samples, signals)) for rod in rods]
+        both = [self.around.closed(each[:, :m], each[:, m:]) for each in G]
+        return (np.array(each) for each in zip(*both, strict=True))
 
     def _before(self, e):
-        first = np.swapaxes(e[..., : self.before.shape[2]], 0, 1)
-        flat = self.before.reshape(len(first), first[0, 0].size, -1).view(float)
-        cut = first.reshape(*first.shape[:2], -1) @ flat  # real numbers: half the work
-        return np.swapaxes(cut.view(complex).reshape(*first.shape[:3], -1), 0, 1)
+        """What L looks ahead to from before the trial, where it is not applied."""
+        first = np.einsum("fijqp,gfjp->gfiq", self.first, e[..., : self.first.shape[-1]])
+        return (first @ self.ahead.view(float)).view(complex)
 
     def _transform(self, signal):
-        return rfft(signal * self.weight, self.N)
-
-    def _signal(self, transform):
-        return irfft(transform, self.N)[..., : self.samples] / self.weight
+        return rfft(signal * self.decay, self.N)
 
 
 def _butterworth(Q, z):

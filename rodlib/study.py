@@ -6,7 +6,7 @@ finds it out for the first so many.
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property, lru_cache, partial
 from importlib import import_module
 from pathlib import Path
@@ -22,14 +22,7 @@ from rodlib.feedback import CurrentTrialLoop
 from rodlib.filters import LearningFilter, ZeroPhaseButterworth
 from rodlib.problem import convergence_matrix, largest_singular_values
 from rodlib.rod import Rod
-from rodlib.specimens import (
-    MATERIAL,
-    Around,
-    Course,
-    Spread,
-    draw,
-    unstable_poles,
-)
+from rodlib.specimens import MATERIAL, Course, Grid, Spread, check_loop, draw
 from rodlib.trials import assumed_reference, check_law
 
 SIZE = 100  # rods in a batch: a second or two
@@ -80,7 +73,7 @@ class Study:
     Q: ZeroPhaseButterworth
     filters: dict[str, LearningFilter]
     spread: Spread
-    nominal: Rod = Rod()
+    nominal: Rod = field(default_factory=Rod)
     root: int = 0
     omega: np.ndarray | None = None
     band: tuple[float, float] = (1e-4, 0.02)
@@ -90,45 +83,35 @@ class Study:
     rest: int = 0
 
     def __post_init__(self):
-        loop, m = self.loop, len(arguments.instance("loop", self.loop, CurrentTrialLoop).outputs)
-        arguments.instance("filters", self.filters, dict)
-        if not self.filters or not all(isinstance(name, str) for name in self.filters):
-            raise ValueError(f"filters = {self.filters} must hold learning filters by name")
+        draw(self.spread, 0, self.root, self.nominal)  # which checks these three
+        loop = self.loop
+        check_loop(loop, self.nominal)
+        if not arguments.instance("filters", self.filters, dict):
+            raise ValueError("filters = {} must hold at least one learning filter, by name")
         for name, L in self.filters.items():
             check_law(loop, self.Q, arguments.instance(f"filters[{name!r}]", L, LearningFilter))
         for name, each in {"Q": self.Q, **self.filters}.items():
             if each.ends != "zero":
                 raise ValueError(f"{name}.ends = {each.ends!r} must be 'zero' in a study")
-        draw(self.spread, 0, self.root, self.nominal)  # which checks these
-        strangers = {*loop.controls, *loop.disturbances} - {*self.nominal.inputs}
-        if strangers or loop.outputs != self.nominal.outputs:
-            raise ValueError(
-                f"loop has {strangers or loop.outputs}, but must be that of a rod, with inputs "
-                f"among {self.nominal.inputs} and outputs {self.nominal.outputs}"
-            )
-        nyquist = np.pi / loop.Ts
+
         omega = np.geomspace(1e-4, np.pi, 1000) / loop.Ts if self.omega is None else self.omega
         omega = arguments.array("omega", omega, ("frequency",))
-        low, high = arguments.array("band", self.band, (2,))
-        if not (0 <= omega[0] and omega[-1] <= nyquist * (1 + 1e-9) and np.all(np.diff(omega) > 0)):
-            raise ValueError(f"omega must increase within [0, {nyquist:.6g}] rad/s")
-        if not np.any((low <= omega) & (omega <= high)):
-            raise ValueError(f"band = {self.band} contains none of the frequencies omega")
-        reference = assumed_reference() if self.reference is None else self.reference
-        reference = arguments.array("reference", reference, ("time", m))
+        if omega[0] < 0 or omega[-1] > np.pi / loop.Ts * (1 + 1e-9) or np.any(np.diff(omega) <= 0):
+            raise ValueError(f"omega must increase within [0, {np.pi / loop.Ts:.6g}] rad/s")
+        band = tuple(arguments.array("band", self.band, (2,)).tolist())
+        if not _within(omega, band).any():
+            raise ValueError(f"band = {band} contains none of the frequencies omega")
         trials = arguments.whole("trials", self.trials, 1)
-        disturbance = self.disturbance
-        if disturbance is not None:
+        reference = assumed_reference() if self.reference is None else self.reference
+        reference = arguments.array("reference", reference, ("time", len(loop.outputs)))
+        rest = arguments.whole("rest", self.rest, 0, len(reference) - 1)
+        d = self.disturbance
+        if d is not None:
             shape = (trials, len(reference), len(loop.disturbances))
-            disturbance = arguments.array("disturbance", disturbance, (...,))
-            disturbance = arguments.array(
-                "disturbance", disturbance, shape if disturbance.ndim != 2 else shape[1:]
-            )
-        arguments.whole("rest", self.rest, 0, len(reference) - 1)
-        for name, value in (
-            ("omega", omega), ("band", (float(low), float(high))),
-            ("reference", reference), ("disturbance", disturbance), ("trials", trials),
-        ):  # fmt: skip
+            d = arguments.array("disturbance", d, (...,))
+            d = arguments.array("disturbance", d, shape if d.ndim != 2 else shape[1:])
+        checked = {"omega": omega, "band": band, "trials": trials, "reference": reference}
+        for name, value in (checked | {"rest": rest, "disturbance": d}).items():
             object.__setattr__(self, name, value)
 
     @property
@@ -138,8 +121,12 @@ class Study:
         return hashlib.sha256(f"{_code()} {plain}".encode()).hexdigest()[:24]
 
     @cached_property
-    def _around(self):
-        return Around(self.loop, self.omega)
+    def _grid(self):
+        return Grid(self.loop, self.omega)
+
+    @cached_property
+    def _whole(self):
+        return Grid.whole(self.loop)
 
     @cached_property
     def _course(self):
@@ -160,18 +147,18 @@ class Study:
         found = {name: np.array([getattr(each.rod, name) for each in drawn]) for name in MATERIAL}
         found["sensors"] = np.array([each.rod.sensors for each in drawn])
         found["gains"] = np.array([each.gains for each in drawn])
-        found["unstable_poles"] = unstable_poles(self.loop, drawn)
-
-        q, in_band = self.Q.frequency_response(self.omega), _within(self.omega, self.band)
+        rods = [each.held(self.loop.Ts) for each in drawn]
+        found["unstable_poles"] = np.array([self._whole.unstable_poles(rod) for rod in rods])
+        q = self.Q.frequency_response(self.omega)
         L = [L.frequency_response(self.omega) for L in self.filters.values()]
-        sigma = np.empty((len(drawn), len(L), len(self.omega)))
-        for i, each in enumerate(drawn):
-            P = np.moveaxis(self._around.closed(each)[0], -1, 0)
+        sigma = np.empty((len(rods), len(L), len(self.omega)))
+        for i, rod in enumerate(rods):
+            P = self._grid.P(rod)
             sigma[i] = [largest_singular_values(convergence_matrix(P, q, each)) for each in L]
         found["rate"] = sigma.max(axis=2)  # of Lemma 1
         found["rate_omega"] = self.omega[sigma.argmax(axis=2)]
-        found["objective"] = sigma[:, :, in_band].sum(axis=2)
-        groups = [drawn[i : i + TOGETHER] for i in range(0, len(drawn), TOGETHER)]
+        found["objective"] = sigma[:, :, _within(self.omega, self.band)].sum(axis=2)
+        groups = [rods[i : i + TOGETHER] for i in range(0, len(rods), TOGETHER)]
         found["rms"] = np.concatenate([self._course.rms(group) for group in groups])
         for name in ("rate", "rate_omega", "objective", "rms"):
             found[name][found["unstable_poles"] > 0] = np.nan
