@@ -17,7 +17,7 @@ export PYTHONUTF8 := 1
 export LC_ALL := C.UTF-8
 export PYTHONWARNINGS := ignore::DeprecationWarning
 .DELETE_ON_ERROR:
-.PHONY: $(BIN)/ready help reproduce test lint data replay machines mutants lowest survey bench lab \
+.PHONY: $(BIN)/ready help reproduce test lint data replay machines mutants lowest survey study bench lab \
 	notebooks lock clean
 
 help:  ## list the targets
@@ -57,6 +57,9 @@ lowest: $(BIN)/ready  ## unit tests with the oldest packages that pyproject.toml
 
 survey: $(BIN)/ready  ## solve 550 problems for ordinary plants; rewrite the README's counts (some minutes)
 	@$(BIN)/python tests/benchmarks/survey.py --publish
+
+study: $(BIN)/ready  ## 10,000 rods that are off: make study [SCHEDULER=address]; results in build/study
+	@$(BIN)/python -m rodlib.paper.study $(SCHEDULER)
 
 bench: $(BIN)/ready  ## time the synthesis; rewrite the README's performance section
 	@mkdir -p build

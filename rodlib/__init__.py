@@ -6,7 +6,8 @@ A name is imported when it is first used, so that what needs only a part does no
 from importlib import import_module
 
 MODULES = {
-    "rod": ("Rod", "exact_response", "midr", "sampled_response"),
+    "rod": ("Rod", "exact_response", "midr"),
+    "held": ("sampled_response",),
     "feedback": ("CurrentTrialLoop", "current_trial_loop", "minimal_realisation", "paper_loop"),
     "filters": ("LearningFilter", "ZeroPhaseButterworth", "update", "zero_phase_butterworth"),
     "problem": ("Problem",),

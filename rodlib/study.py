@@ -18,16 +18,17 @@ import scipy
 import xarray as xr
 
 from rodlib import arguments, batches, files
+from rodlib.course import Course
 from rodlib.feedback import CurrentTrialLoop
 from rodlib.filters import LearningFilter, ZeroPhaseButterworth
 from rodlib.problem import convergence_matrix, largest_singular_values
 from rodlib.rod import Rod
-from rodlib.specimens import MATERIAL, Course, Grid, Spread, check_loop, draw
+from rodlib.specimens import MATERIAL, Grid, Spread, check_loop, draw
 from rodlib.trials import assumed_reference, check_law
 
 SIZE = 100  # rods in a batch: a second or two
 TOGETHER = 4  # specimens simulated at once: what fits into the processor's cache
-CODE = ("rod", "feedback", "filters", "problem", "trials", "specimens", "study")
+CODE = ("rod", "held", "feedback", "filters", "problem", "trials", "specimens", "course", "study")
 UNITS = {"density": "kg/m3", "heat_capacity": "J/(kg K)", "heat_transfer": "W/(m2 K)"}
 UNITS |= {"conductivity": "W/(m K)", "sensors": "m", "gains": "1", "unstable_poles": "1"}
 UNITS |= {"rate": "1", "rate_omega": "rad/s", "objective": "1"}
