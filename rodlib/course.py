@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft
+from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
 from rodlib.held import HeldRod
 from rodlib.specimens import Around
@@ -17,9 +17,9 @@ class Course:
 
     What :func:`rodlib.run_trials` computes sample by sample is computed for a whole trial at once.
     On a circle |z| = r > 1 the z-transform of a signal that is weighted by r^-p is a Fourier
-    transform, the loop is a product, and what wraps around after N samples comes back as r^-N:
-    nothing to speak of. That holds for any plant, stable or not. Both filters are products, too,
-    since beyond the ends of a trial signals are zero.
+    transform, and the loop is a product, if it is stable. What wraps around after N samples comes
+    back as r^-N: nothing to speak of. Both filters are products, too, since beyond the ends of a
+    trial signals are zero.
 
     Parameters
     ----------
@@ -35,9 +35,9 @@ class Course:
         tail = int(np.log(ALIAS**3) / np.log(np.abs(poles).max()))  # of Q, as far as it may wrap
         self.samples, self.N = T, next_fast_len(max(int(WRAP * T), T + order + tail), real=True)
         r = ALIAS ** (-1 / self.N)
-        self.growth, self.decay = r ** np.arange(max(T, order)), r ** -np.arange(T)
+        self.growth, self.decay = r ** np.arange(max(T, order)), r ** -np.arange(self.N)
         self.kept = T - rest
-        omega = np.linspace(0, np.pi, self.N // 2 + 1) / loop.Ts
+        omega = rfftfreq(self.N, loop.Ts / (2 * np.pi))
         self.around = Around(loop, omega, r)
         z = r * np.exp(1j * omega * loop.Ts)
         self.Q = _butterworth(Q, z) * _butterworth(Q, 1 / z)
@@ -78,7 +78,7 @@ class Course:
         m, signals = len(self.w), self.loop.controls
         if self.d[0] is not None:
             signals = [*signals, *self.loop.disturbances]
-        G = [self._transform(rod.impulse_response(self.samples, signals)) for rod in rods]
+        G = [self._transform(rod.impulse_response(self.N, signals)) for rod in rods]
         both = [self.around.closed(each[:, :m], each[:, m:]) for each in G]
         return (np.array(each) for each in zip(*both, strict=True))
 
@@ -88,7 +88,7 @@ class Course:
         return (first @ self.ahead.view(float)).view(complex)
 
     def _transform(self, signal):
-        return rfft(signal * self.decay, self.N)
+        return rfft(signal * self.decay[: signal.shape[-1]], self.N)
 
 
 def _butterworth(Q, z):

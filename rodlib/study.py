@@ -208,7 +208,9 @@ def run(
     arguments.instance("study", study, Study)
     rods = arguments.whole("rods", rods, 1)
     workers = None if workers is None else arguments.whole("workers", workers, 1)
-    where = files.results("rodlib.study.run") / "study" if folder is None else Path(folder)
+    if folder is None:
+        folder = files.results("rodlib.study.run") / "study"
+    where = arguments.path("folder", folder)
     # A copy, as what the original may have computed need not travel.
     work = partial(_judge, cloudpickle.dumps(replace(study)), _code())
     found = batches.complete(

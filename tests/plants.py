@@ -1,7 +1,9 @@
-"""Three plants that are not the rod, with names and units of their own."""
+"""Three plants that are not the rod, with names and units of their own, and a model of a rod."""
 
 import control
 import numpy as np
+
+from rodlib import exact_response
 
 
 def stage(length=1e-3, force=1.0, Ts=1e-3):
@@ -28,3 +30,24 @@ def furnace(samples=30, Ts=1.0):
     """A valve, a first-order lag, and a pipe that takes `samples` more to the thermometer."""
     numerator, denominator = [0.2], np.append([1.0, -0.95], np.zeros(samples))
     return control.tf(numerator, denominator, Ts, inputs=["valve"], outputs=["outlet"])
+
+
+def modal_model(specimen, Ts, modes=250):
+    """The rod behind a hold with so many modes, the others as gains that act within a sample."""
+    rod = specimen.rod
+    n = np.arange(modes)
+    rate = rod.kappa_2 + rod.conductivity * (n * np.pi / rod.length) ** 2
+    p = np.exp(-rate * Ts / rod.kappa_1)
+    middles = (np.arange(rod.sections) + 0.5) / rod.sections
+    shown = np.cos(np.outer(rod.sensors, n * np.pi / rod.length))
+    r = np.zeros((modes, rod.sections + 1))
+    r[:, :-1] = np.cos(np.outer(n * np.pi, middles)) * np.sinc(n / 2 / rod.sections)[:, None]
+    r[:, :-1] *= (np.where(n, 2, 1) / (rod.width * rod.height * rod.length * rate))[:, None]
+    r[0, -1] = 1
+    gains = np.append(specimen.gains, 1)
+    left = exact_response(rod, 0.0)[0].real - shown @ r
+    m = len(rod.sensors)
+    A = np.diag(np.append(p, np.zeros(m)))
+    B = np.vstack([(1 - p)[:, None] * r, left]) * gains
+    C = np.hstack([shown, np.eye(m)])
+    return control.ss(A, B, C, 0, Ts, inputs=rod.inputs, outputs=rod.outputs)
