@@ -58,9 +58,9 @@ def sampled_response(rod: Rod, omega, Ts: float) -> np.ndarray:
         4 r sum_{n >= N} p_n <= 4 r e^-x (1 + N / 2x).
 
     Slow are the first N / 8 modes. For the others p_n^64 obeys the bound of p_n with N / 8 in the
-    place of N, so that what is left out from g_65 on is smaller still.
-    The same flow from all sections excites the uniform mode alone, so that the largest entry is
-    no smaller than r (1 - p_0) / 2; hence x = 40 - log(1 - p_0). R is rounded to about 1e-16 r,
+    place of N, so that what is left out from g_65 on is smaller still. The same flow from all
+    sections excites the uniform mode alone, so that the largest entry is no smaller than
+    r (1 - p_0) / 2; hence x = 40 - log(1 - p_0). The sum of all r_n is rounded to about 1e-16 r,
     which is below 1e-10 of the largest entry if Ts > 1e-5 kappa_1 / kappa_2, 3 ms for the paper's
     rig; with a shorter period that holds at low frequencies only.
     """

@@ -2,8 +2,22 @@
 
 import control
 import numpy as np
+from hypothesis import strategies as st
 
-from rodlib import exact_response
+from rodlib import Rod, exact_response
+
+MATERIALS = st.builds(
+    Rod,
+    length=st.floats(0.05, 2),
+    width=st.floats(0.01, 0.1),
+    height=st.floats(0.005, 0.05),
+    density=st.floats(500, 20000),
+    heat_capacity=st.floats(100, 4000),
+    heat_transfer=st.floats(1, 500),
+    conductivity=st.floats(1, 400),
+    sections=st.integers(1, 6),
+    sensors=st.just((0.03, 0.05)),
+)
 
 
 def stage(length=1e-3, force=1.0, Ts=1e-3):

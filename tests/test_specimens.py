@@ -13,7 +13,6 @@ from rodlib import (
     Spread,
     current_trial_loop,
     draw,
-    exact_response,
     midr,
     minimal_realisation,
     paper_loop,
@@ -87,20 +86,6 @@ def test_responses_are_those_of_the_loop_around_the_sampled_rod(number):
     G *= np.array(specimen.gains)[[0, 2]]
     expected = loop.frequency_response(omega, G)
     np.testing.assert_allclose(responses(loop, [specimen], omega)[0], expected, atol=1e-11)
-
-
-@pytest.mark.parametrize("Ts", [0.01, 1.0, 20.0])
-def test_impulse_response_is_that_of_the_modes(Ts):
-    specimen = draw(ALL, 3)
-    signals = ["theta_a", "Q3", "Q1"]
-    model = modal_model(specimen, Ts, modes=4000 if Ts < 1 else 250)[:, signals]
-    g = specimen.held(Ts).impulse_response(300, signals)
-    poles, static = np.diag(model.A), exact_response(specimen.rod, 0.0).real.max()
-    assert g.shape == (2, 3, 300) and not g[:, :, 0].any()
-    for k in (1, 2, 3, 64, 65, 66, 299):
-        expected = (model.C * poles ** (k - 1)) @ model.B
-        np.testing.assert_allclose(g[:, :, k], expected, rtol=0, atol=1e-15 * static)
-    assert specimen.held(Ts).impulse_response(1, ["Q1"]).tolist() == [[[0.0]], [[0.0]]]
 
 
 def test_modal_model_of_these_tests_is_the_sampled_rod():
