@@ -17,8 +17,8 @@ export PYTHONUTF8 := 1
 export LC_ALL := C.UTF-8
 export PYTHONWARNINGS := ignore::DeprecationWarning
 .DELETE_ON_ERROR:
-.PHONY: $(BIN)/ready help reproduce test lint data replay machines mutants lowest survey bench lab \
-	notebooks lock clean
+.PHONY: $(BIN)/ready help reproduce test lint data replay machines mutants lowest survey study \
+	bench lab notebooks lock clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' Makefile | sed -E 's/:.*## /\t/' | expand -t 12
@@ -60,9 +60,12 @@ lowest: $(BIN)/ready  ## unit tests with the oldest packages that pyproject.toml
 survey: $(BIN)/ready  ## solve 550 problems for ordinary plants; rewrite the README's counts (some minutes)
 	@$(BIN)/python tests/benchmarks/survey.py --publish
 
-bench: $(BIN)/ready  ## time the synthesis; rewrite the README's performance section
+study: $(BIN)/ready  ## 10,000 rods that are off: make study [SCHEDULER=address]; results in build/study
+	@$(BIN)/python -m rodlib.paper.study $(SCHEDULER)
+
+bench: $(BIN)/ready  ## time the synthesis and the study; rewrite the README's performance section
 	@mkdir -p build
-	$(BIN)/pytest -q tests/benchmarks/bench_synthesis.py --benchmark-json=build/benchmark.json \
+	$(BIN)/pytest -q tests/benchmarks/bench_*.py --benchmark-json=build/benchmark.json \
 		--benchmark-columns=median,min,max,rounds
 	$(BIN)/python tests/benchmarks/report.py build/benchmark.json
 

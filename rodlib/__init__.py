@@ -6,12 +6,14 @@ A name is imported when it is first used, so that what needs only a part does no
 from importlib import import_module
 
 MODULES = {
-    "rod": ("Rod", "exact_response", "midr", "sampled_response"),
+    "rod": ("Rod", "exact_response", "midr"),
+    "held": ("sampled_response",),
     "realisation": ("minimal_realisation",),
     "loop": ("CurrentTrialLoop",),
     "feedback": ("current_trial_loop", "paper_loop"),
     "filters": ("LearningFilter", "ZeroPhaseButterworth", "update", "zero_phase_butterworth"),
     "problem": ("Problem",),
+    "evidence": ("violation_probability", "worst_case"),
     "synthesis": (
         "InfeasibleError",
         "SolverError",
@@ -21,6 +23,7 @@ MODULES = {
         "synthesise",
     ),
     "trials": ("run_trials",),
+    "study": ("Specimen", "Spread", "Study", "draw", "responses", "unstable_poles"),
     "laboratory": ("LogError", "load_log", "record", "save_log"),
 }
 HOME = {name: module for module, names in MODULES.items() for name in names}

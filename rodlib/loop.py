@@ -190,3 +190,27 @@ def _close(loop, plant):
         outputs=loop.outputs,
         name="current-trial loop",
     )
+
+
+def reply(loop: CurrentTrialLoop) -> control.StateSpace:
+    """What the controls u of the loop (19) answer to w and to an error in the measured outputs.
+
+    With it the same controller around another plant can be computed from the loop as designed,
+    which is stable, and not from the controller alone, which integrates.
+
+    Parameters
+    ----------
+    loop : CurrentTrialLoop
+
+    Returns
+    -------
+    control.StateSpace
+        2m inputs: w, then what is added to y before the observer (16) sees it. m outputs: u.
+    """
+    closed, m = loop.closed, loop.plant.noutputs
+    enters = np.zeros((closed.nstates, m))
+    enters[-len(loop.KL) :] = loop.KL
+    _, _, K = _controller(loop)
+    shown = np.hstack([np.zeros((m, closed.nstates - len(loop.KL))), -K])  # (18)
+    D = np.hstack([loop.N, np.zeros((m, m))])
+    return control.ss(closed.A, np.hstack([closed.B[:, :m], enters]), shown, D, loop.Ts)

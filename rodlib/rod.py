@@ -3,7 +3,7 @@
 Section II of the paper. The rod obeys (1)-(4); :func:`midr` turns it into the ordinary
 differential equations (8), (9); :func:`exact_response` solves the same equations without
 approximation, in the frequency domain, and is what every approximation is measured against;
-:func:`sampled_response` is the same behind a digital controller.
+:func:`rodlib.sampled_response` is the same behind a digital controller.
 """
 
 from dataclasses import dataclass, fields
@@ -228,81 +228,3 @@ def exact_response(rod: Rod, s) -> np.ndarray:
     return np.concatenate(
         [flows, np.broadcast_to(air[:, None, None], (*flows.shape[:2], 1))], axis=2
     )
-
-
-def sampled_response(rod: Rod, omega, Ts: float) -> np.ndarray:
-    """Frequency response of the rod's equation (1)-(4) between a zero-order hold and a sampler.
-
-    The modes cos(n pi z / l), n = 0, 1, ..., of the rod decay with s_n = -(kappa_2 + lambda
-    (n pi / l)^2) / kappa_1. With r_n for the static response of mode n and p_n = exp(s_n Ts),
-
-        G(z) = sum_n r_n (1 - p_n) / (z - p_n) = (R - (z - 1) sum_n r_n p_n / (z - p_n)) / z,
-
-    where R, the sum of all r_n, is :func:`exact_response` at zero. What is left to sum falls as
-    exp(-n^2): a few hundred modes are all that counts.
-
-    Parameters
-    ----------
-    rod : Rod
-    omega : array_like, shape (n,)
-        Angular frequencies, rad/s, from 0 to the Nyquist frequency pi / Ts.
-    Ts : float
-        Sampling period, s.
-
-    Returns
-    -------
-    ndarray, shape (n, outputs, inputs), complex
-        Inputs and outputs in the order of :func:`midr`; theta_a is held like the heat flows.
-
-    Raises
-    ------
-    ValueError
-        If `rod` is no :class:`Rod`, `Ts` is no sampling period or so short that more than
-        100,000 modes count, or `omega` does not hold numbers in a row from
-        0 to pi / Ts.
-
-    Notes
-    -----
-    What is left out, from mode N on, is below 1e-12 of the largest entry at each frequency. With
-    r = 1 / (b h l kappa_2) and x = lambda (N pi / l)^2 Ts / kappa_1 there is |r_n| <= 2 r,
-    p_n <= exp(-x n^2 / N^2) and |z - 1| <= 2, so that it is at most
-
-        4 r / (1 - e^-x) sum_{n >= N} p_n <= 4 r e^-x (1 + N / 2x) / (1 - e^-x).
-
-    The same flow from all sections excites the uniform mode alone, so that the largest entry is
-    no smaller than r (1 - p_0) / 2; hence x = 40 - log(1 - p_0). R is rounded to about 1e-16 r,
-    which is below 1e-10 of the largest entry if Ts > 1e-5 kappa_1 / kappa_2, 3 ms for the paper's
-    rig; with a shorter period that holds at low frequencies only.
-    """
-    arguments.instance("rod", rod, Rod)
-    Ts = arguments.sampling_period("Ts", Ts)
-    omega = arguments.row("omega", omega)
-    if omega.min() < 0 or omega.max() > np.pi / Ts * (1 + 1e-9):
-        raise ValueError(
-            f"omega spans [{omega.min():.6g}, {omega.max():.6g}] rad/s, but must lie in "
-            f"[0, {np.pi / Ts:.6g}] rad/s, up to the Nyquist frequency of Ts = {Ts} s"
-        )
-    decay = Ts / rod.kappa_1
-    x = 40 - np.log(-np.expm1(-rod.kappa_2 * decay))
-    modes = rod.length / np.pi * np.sqrt(x / (rod.conductivity * decay))
-    if modes > 1e5:
-        raise ValueError(
-            f"Ts = {Ts} is too short for this rod: {modes:.3g} modes count, and 100,000 are the "
-            f"limit. Take at least {Ts * (modes / 1e5) ** 2:.3g} s"
-        )
-    n = np.arange(int(np.ceil(modes)))
-    rate = rod.kappa_2 + rod.conductivity * (n * np.pi / rod.length) ** 2  # -s_n kappa_1
-    middles = (np.arange(rod.sections) + 0.5) / rod.sections
-    shown = np.cos(np.outer(rod.sensors, n * np.pi / rod.length))
-    flows = np.cos(np.outer(n * np.pi, middles)) * np.sinc(n / 2 / rod.sections)[:, None]
-    flows *= (np.where(n, 2, 1) / (rod.width * rod.height * rod.length * rate))[:, None]
-    poles, less_one = np.exp(-rate * decay), np.expm1(-rate * decay)
-
-    static = exact_response(rod, 0.0)[0].real[:, :-1]
-    response = np.empty((len(omega), len(rod.sensors), rod.sections + 1), dtype=complex)
-    for k, step in enumerate(np.expm1(1j * omega * Ts)):  # z - 1
-        distance = step - less_one  # z - p_n
-        response[k, :, :-1] = static - step * (shown * (poles / distance)) @ flows
-        response[k, :, :-1] /= 1 + step
-        response[k, :, -1] = -less_one[0] / distance[0]
-    return response

@@ -1,28 +1,15 @@
 from dataclasses import replace
 from itertools import pairwise
 
-import control
 import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
+from plants import MATERIALS
 
-from rodlib import Rod, exact_response, midr, minimal_realisation, sampled_response
+from rodlib import Rod, exact_response, midr, minimal_realisation
 from rodlib.realisation import frequency_response
 from rodlib.rod import bernstein_basis
-
-MATERIALS = st.builds(
-    Rod,
-    length=st.floats(0.05, 2),
-    width=st.floats(0.01, 0.1),
-    height=st.floats(0.005, 0.05),
-    density=st.floats(500, 20000),
-    heat_capacity=st.floats(100, 4000),
-    heat_transfer=st.floats(1, 500),
-    conductivity=st.floats(1, 400),
-    sections=st.integers(1, 6),
-    sensors=st.just((0.03, 0.05)),
-)
 
 
 def galerkin(rod, degree):
@@ -113,36 +100,6 @@ def test_exact_response_neither_overflows_nor_misses_its_pole():
         exact_response(rod, [-rod.kappa_2 / rod.kappa_1])
 
 
-def aliased(rod, omega, Ts, most=3000):
-    """Poisson's sum of the exact response behind a hold, over the aliases of omega.
-
-    An entry falls as g / s for a sensor above the heated section; the sum of these is known.
-    """
-    s = 1j * (omega[:, None] + 2 * np.pi / Ts * np.arange(-most, most + 1))
-    G = exact_response(rod, s.ravel()).reshape(*s.shape, len(rod.sensors), -1)
-    section = rod.length / rod.sections
-    above = np.clip(np.array(rod.sensors) // section, 0, rod.sections - 1)[:, None]
-    g = (above == range(rod.sections)) / (rod.width * rod.height * section * rod.kappa_1)
-    g = np.hstack([g, np.full((len(g), 1), rod.kappa_2 / rod.kappa_1)])
-    s, z = s[:, :, None, None], np.exp(1j * omega * Ts)[:, None, None]
-    return (1 - 1 / z) / Ts * ((G / s - g / s**2).sum(axis=1) + g * Ts**2 * z / (z - 1) ** 2)
-
-
-LARGE = Rod(length=1.3, conductivity=200.0, sections=6, sensors=(0.0, 0.3, 1.3))
-
-
-@pytest.mark.parametrize(
-    ("rod", "Ts"), [(Rod(), 0.003), (Rod(), 1.0), (Rod(), 30.0), (LARGE, 1.0), (LARGE, 0.01)]
-)
-def test_sampled_response_is_the_sum_over_the_aliases(rod, Ts):
-    omega = np.array([1e-3, 0.03, 0.4, 1.0]) * np.pi / Ts
-    expected, found = aliased(rod, omega, Ts), sampled_response(rod, omega, Ts)
-    assert found.shape == (4, len(rod.sensors), rod.sections + 1)
-    for part in (slice(-1), slice(-1, None)):  # heat flows, K/W; the air, K/K
-        error = np.abs(found - expected)[:, :, part].max(axis=(1, 2))
-        assert np.all(error < 1e-10 * np.abs(expected[:, :, part]).max(axis=(1, 2)))
-
-
 BRASS = Rod(  # of notebook 10
     length=0.6, density=8500.0, heat_capacity=380.0, conductivity=120.0, sections=6,
     sensors=(0.15, 0.35, 0.55),
@@ -182,38 +139,6 @@ def test_a_rod_of_six_sections_and_three_sensors_has_the_model_of_its_response()
     assert (model.nstates, model.input_labels[:3]) == (16, controls)
     kept = frequency_response(model[:, controls], omega)
     np.testing.assert_allclose(kept, frequency_response(midr(BRASS)[:, controls], omega), rtol=1e-9)
-
-
-def test_sampled_response_is_the_limit_of_the_models():
-    omega = np.array([0.0, 1e-3, 0.02, 0.3])
-    exact = sampled_response(Rod(), omega, 1.0)
-    errors = []
-    for degree in (3, 6, 12):
-        model = control.sample_system(midr(Rod(), degree), 1.0, method="zoh")
-        errors.append(np.abs(frequency_response(model, omega) - exact).max())
-    assert errors[0] > 20 * errors[1] > 400 * errors[2] and errors[2] < 1e-5
-
-
-@given(MATERIALS, st.floats(1, 100))
-def test_a_sampler_is_not_seen_at_low_frequencies(rod, Ts):
-    omega = np.array([0.0, 1e-6, 1e-3]) / Ts
-    exact, sampled = exact_response(rod, 1j * omega), sampled_response(rod, omega, Ts)
-    difference = np.abs(sampled - exact).max(axis=(1, 2)) / np.abs(exact).max()
-    assert difference[0] < 1e-12 and np.all(difference[1:] < 2 * omega[1:] * Ts)
-
-
-@pytest.mark.parametrize(
-    ("omega", "Ts", "message"),
-    [
-        ([-1e-3], 1.0, r"omega spans \[-0.001, -0.001\] rad/s, but must lie in \[0, 3.14159\]"),
-        ([0.1, 3.2], 1.0, r"omega spans \[0.1, 3.2\] rad/s"),
-        ([0.1], 0.0, "Ts = 0.0 must be a positive sampling period"),
-        ([0.1], 1e-7, r"Ts = 1e-07 is too short for this rod: .* Take at least 3.8"),
-    ],
-)
-def test_what_cannot_be_sampled_is_refused(omega, Ts, message):
-    with pytest.raises(ValueError, match=message):
-        sampled_response(Rod(), omega, Ts)
 
 
 @given(MATERIALS, st.integers(1, 4), st.integers(0, 2**32 - 1))

@@ -41,7 +41,8 @@ def main(path):
             lines.append(f"| {' | '.join(cells)} |")
     lines += ["", "| growing | from | to | time (s) | exponent of time, upper half | memory (MB) |"]
     lines += ["|---|---:|---:|---:|---:|---:|"]
-    figure, axes = plt.subplots(1, 3, figsize=figures.WIDE, sharey=True)
+    trials = dict(row[:2] for row in groups.pop("trials"))
+    figure, axes = plt.subplots(1, len(groups), figsize=figures.WIDE, sharey=True)
     for column, (name, rows) in zip(axes, groups.items(), strict=True):
         x, time, memory = np.array(sorted(rows)).T
         upper = slice(len(x) // 2, None)  # below, what does not grow with the problem counts
@@ -60,6 +61,9 @@ def main(path):
     axes[0].set_ylabel("time (s)")
     machine, python = report["machine_info"], report["machine_info"]["python_version"]
     cpu = machine["cpu"].get("brand_raw", machine["machine"])
+    ratio = trials["one_by_one"] / trials["side_by_side"]
+    lines += ["", f"Trials of many rods side by side are {ratio:.0f} times as fast, rod by rod, as"]
+    lines += ["a loop over `run_trials`."]
     lines += ["", f"Measured on: {cpu}, {machine['cpu'].get('count', '?')} cores, Python {python}."]
     saved = figures.save(figure, "performance").path
     lines += ["", "![Time of the synthesis over its size](figures/performance.png)"]

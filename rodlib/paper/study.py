@@ -1,0 +1,54 @@
+"""The study of 10,000 rods: ``make study``, or ``python -m rodlib.paper.study [scheduler]``.
+
+With the address of a dask scheduler it runs on its workers. It goes on where it was interrupted.
+"""
+
+import sys
+
+import pandas as pd
+
+from rodlib.feedback import paper_loop
+from rodlib.files import checkout, replacing, results
+from rodlib.filters import LearningFilter, zero_phase_butterworth
+from rodlib.paper import published
+from rodlib.study import Study, run
+from rodlib.study.specimens import Spread
+
+RODS = 10_000
+SPREADS = {"material": Spread(0.2, 0.2, 0.2, 0.2), "everything": Spread.of_all(0.2)}
+
+
+def study(spread: Spread) -> Study:
+    """The paper's two printed filters around rods that are off."""
+    filters = {
+        kind: LearningFilter(published.matrix(f"L_{kind}"), 1.0) for kind in ("diagonal", "full")
+    }
+    return Study(paper_loop(), zero_phase_butterworth(), filters, spread)
+
+
+def main(scheduler: str | None = None, rods: int = RODS):
+    """Run the study, print how many rods converge, and save what was found in build/study."""
+    try:
+        checkout("make study")
+    except RuntimeError as error:
+        sys.exit(str(error))
+    for name, spread in SPREADS.items():
+        found = run(study(spread), rods, scheduler=scheduler)
+        path = results("make study") / "study" / f"{name}.nc"
+        with replacing(path) as temporary:
+            found.to_netcdf(temporary, engine="scipy")
+        table = pd.DataFrame(
+            {
+                "stable, %": 100 * (found.unstable_poles == 0).mean().item(),
+                "rate below one, %": 100 * (found.rate < 1).mean("rod").to_series(),
+                "largest rate": found.rate.max("rod").to_series(),
+                f"median RMS of trial {found.trial[-1].item()}, K": found.rms[..., -1]
+                .median("rod")
+                .to_series(),
+            }
+        )
+        print(f"{rods} rods, {name} off by up to 20 %: {path}\n{table.round(3)}\n")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:2])

@@ -1,0 +1,85 @@
+import control
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from plants import MATERIALS, modal_model
+
+from rodlib import Rod, Spread, draw, exact_response, midr, sampled_response
+from rodlib.feedback import frequency_response
+
+
+def aliased(rod, omega, Ts, most=3000):
+    """Poisson's sum of the exact response behind a hold, over the aliases of omega.
+
+    An entry falls as g / s for a sensor above the heated section; the sum of these is known.
+    """
+    s = 1j * (omega[:, None] + 2 * np.pi / Ts * np.arange(-most, most + 1))
+    G = exact_response(rod, s.ravel()).reshape(*s.shape, len(rod.sensors), -1)
+    section = rod.length / rod.sections
+    above = np.clip(np.array(rod.sensors) // section, 0, rod.sections - 1)[:, None]
+    g = (above == range(rod.sections)) / (rod.width * rod.height * section * rod.kappa_1)
+    g = np.hstack([g, np.full((len(g), 1), rod.kappa_2 / rod.kappa_1)])
+    s, z = s[:, :, None, None], np.exp(1j * omega * Ts)[:, None, None]
+    return (1 - 1 / z) / Ts * ((G / s - g / s**2).sum(axis=1) + g * Ts**2 * z / (z - 1) ** 2)
+
+
+LARGE = Rod(length=1.3, conductivity=200.0, sections=6, sensors=(0.0, 0.3, 1.3))
+
+
+@pytest.mark.parametrize(
+    ("rod", "Ts"), [(Rod(), 0.003), (Rod(), 1.0), (Rod(), 30.0), (LARGE, 1.0), (LARGE, 0.01)]
+)
+def test_sampled_response_is_the_sum_over_the_aliases(rod, Ts):
+    omega = np.array([1e-3, 0.03, 0.4, 1.0]) * np.pi / Ts
+    expected, found = aliased(rod, omega, Ts), sampled_response(rod, omega, Ts)
+    assert found.shape == (4, len(rod.sensors), rod.sections + 1)
+    for part in (slice(-1), slice(-1, None)):  # heat flows, K/W; the air, K/K
+        error = np.abs(found - expected)[:, :, part].max(axis=(1, 2))
+        assert np.all(error < 1e-10 * np.abs(expected[:, :, part]).max(axis=(1, 2)))
+
+
+def test_sampled_response_is_the_limit_of_the_models():
+    omega = np.array([0.0, 1e-3, 0.02, 0.3])
+    exact = sampled_response(Rod(), omega, 1.0)
+    errors = []
+    for degree in (3, 6, 12):
+        model = control.sample_system(midr(Rod(), degree), 1.0, method="zoh")
+        errors.append(np.abs(frequency_response(model, omega) - exact).max())
+    assert errors[0] > 20 * errors[1] > 400 * errors[2] and errors[2] < 1e-5
+
+
+@given(MATERIALS, st.floats(1, 100))
+def test_a_sampler_is_not_seen_at_low_frequencies(rod, Ts):
+    omega = np.array([0.0, 1e-6, 1e-3]) / Ts
+    exact, sampled = exact_response(rod, 1j * omega), sampled_response(rod, omega, Ts)
+    difference = np.abs(sampled - exact).max(axis=(1, 2)) / np.abs(exact).max()
+    assert difference[0] < 1e-12 and np.all(difference[1:] < 2 * omega[1:] * Ts)
+
+
+@pytest.mark.parametrize(
+    ("omega", "Ts", "message"),
+    [
+        ([-1e-3], 1.0, r"omega spans \[-0.001, -0.001\] rad/s, but must lie in \[0, 3.14159\]"),
+        ([0.1, 3.2], 1.0, r"omega spans \[0.1, 3.2\] rad/s"),
+        ([0.1], 0.0, "Ts = 0.0 must be a positive sampling period"),
+        ([0.1], 1e-7, r"Ts = 1e-07 is too short for this rod: .* Take at least 3.8"),
+    ],
+)
+def test_what_cannot_be_sampled_is_refused(omega, Ts, message):
+    with pytest.raises(ValueError, match=message):
+        sampled_response(Rod(), omega, Ts)
+
+
+@pytest.mark.parametrize("Ts", [0.01, 1.0, 20.0])
+def test_impulse_response_is_that_of_the_modes(Ts):
+    specimen = draw(Spread.of_all(0.3), 3)
+    signals = ["theta_a", "Q3", "Q1"]
+    model = modal_model(specimen, Ts, modes=4000 if Ts < 1 else 250)[:, signals]
+    g = specimen.held(Ts).impulse_response(300, signals)
+    poles, static = np.diag(model.A), exact_response(specimen.rod, 0.0).real.max()
+    assert g.shape == (2, 3, 300) and not g[:, :, 0].any()
+    for k in (1, 2, 3, 64, 65, 66, 299):
+        expected = (model.C * poles ** (k - 1)) @ model.B
+        np.testing.assert_allclose(g[:, :, k], expected, rtol=0, atol=1e-15 * static)
+    assert specimen.held(Ts).impulse_response(1, ["Q1"]).tolist() == [[[0.0]], [[0.0]]]
