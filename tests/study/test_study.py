@@ -16,10 +16,10 @@ from rodlib import (
     paper_loop,
     run_trials,
     sampled_response,
-    study,
     zero_phase_butterworth,
 )
 from rodlib.paper import published
+from rodlib.study import study
 from rodlib.trials import assumed_reference, rms
 
 LOOP, Q, OMEGA = paper_loop(), zero_phase_butterworth(), np.geomspace(1e-4, np.pi, 60)
