@@ -11,7 +11,7 @@ from rodlib.problem import pose
 from rodlib.synthesis.design import Synthesis, solve, synthesise
 
 SAME = 1e-9  # relative distance up to which two peaks are the same
-CLOSE = 1e-4  # relative distance from the largest cut-off
+CLOSE = 1e-3  # relative distance from the largest cut-off
 
 
 def least_gain(P, Q, omega, Ts, **choices) -> Synthesis:
@@ -63,7 +63,7 @@ def largest_cutoff(
     Returns
     -------
     Q : ZeroPhaseButterworth
-        With the largest cut-off, to a relative 1e-4; at most 0.999 of the Nyquist frequency.
+        With the largest cut-off, to a relative 1e-3; at most 0.999 of the Nyquist frequency.
     design : Synthesis
         For it.
 
