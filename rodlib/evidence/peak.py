@@ -286,20 +286,18 @@ def highest_peak(problem: Problem, L, order) -> Peak:
     if problem.model:
         nominal, Q = problem.model
         models = dict(enumerate([nominal, *problem.other_models]))
-    worst, missed, sampled = (0.0, 0.0, order[0]), np.nan, 0
+    worst, missed = (0.0, 0.0, order[0]), np.nan
     for k in order:
         if models.get(k) is not None:
-            M = convergence_model(models[k], Q, L)
-            worst = max(worst, (*peak_gain(M), k))
-        elif sampled < LOOKED_AT:
-            sigma, omega, miss = peak_between(problem, L, k)
-            worst, missed = max(worst, (sigma, omega, k)), np.fmax(missed, miss)
-            sampled += 1
-    return Peak(*worst, sampled == 0, missed, sampled)
+            worst = max(worst, (*peak_gain(convergence_model(models[k], Q, L)), k))
+    sampled = [k for k in order if models.get(k) is None][:LOOKED_AT]
+    for k, (sigma, omega, miss) in zip(sampled, peaks_between(problem, L, sampled), strict=True):
+        worst, missed = max(worst, (sigma, omega, k)), np.fmax(missed, miss)
+    return Peak(*worst, not sampled, missed, len(sampled))
 
 
-def peak_between(problem: Problem, L, number: int = 0) -> tuple[float, float, float]:
-    """Peak of sigma_max(M) estimated between samples, its frequency, and what the splines miss.
+def peaks_between(problem: Problem, L, numbers) -> list[tuple[float, float, float]]:
+    """Peaks of sigma_max(M) estimated between samples, and by how much the splines miss them.
 
     Measured grids are linear or logarithmic, plants smooth over one or the other. So the splines
     run over omega or log omega, whichever foretells samples that are left out better.
@@ -309,18 +307,24 @@ def peak_between(problem: Problem, L, number: int = 0) -> tuple[float, float, fl
     problem : Problem
     L : LearningFilter
         In units of `scale`.
-    number : int
-        Of the plant.
+    numbers : sequence of int
+        Of the plants.
 
     Returns
     -------
-    peak, omega, missed : float
+    list of (peak, omega, missed)
         `missed` is infinite for fewer than four samples.
     """
-    P, Q, omega = problem.plant(number), problem.Q, problem.omega
+    if not len(numbers):
+        return []
+    omega = problem.omega
     steps = np.linspace(0, 1, DENSER, endpoint=False)
     dense = np.append((omega[:-1, None] + np.diff(omega)[:, None] * steps).ravel(), omega[-1])
-    response = L.frequency_response(omega)
+    responses = L.frequency_response(omega), dense, L.frequency_response(dense)
+    return [_peak_between(problem.plant(k), problem.Q, omega, *responses) for k in numbers]
+
+
+def _peak_between(P, Q, omega, response, dense, dense_response):
     M = convergence_matrix(P, Q, response)
     missed = {}
     for scale in (np.asarray, np.log) if omega[0] > 0 else (np.asarray,):
@@ -332,9 +336,7 @@ def peak_between(problem: Problem, L, number: int = 0) -> tuple[float, float, fl
             miss = largest_singular_values(foretold - M[out]).max(initial=0)
             missed[scale] = max(missed[scale], miss)
     scale = min(missed, key=missed.get)
-    sigma = largest_singular_values(
-        _splined(P, Q, omega, L.frequency_response(dense), dense, scale)
-    )
+    sigma = largest_singular_values(_splined(P, Q, omega, dense_response, dense, scale))
     return sigma.max(), dense[sigma.argmax()], missed[scale]
 
 

@@ -220,7 +220,7 @@ class Bound:
             _, _, g, R, H = some._second_order(G[..., active], split[:, active])
             g, R = g[:, -k:], R[..., -k:]
             H = H[:, -k:, -k:] + R.swapaxes(1, 2) @ R
-            d = -np.linalg.solve(H + 1e-14 * np.eye(k), g[..., None])[..., 0].T
+            d = -_solve(H, g[..., None])[..., 0].T
             before = self.diagonal(np.ones(len(active)), split[:, active])
             into_wall = (-self.C @ d) / before
             d *= np.minimum(1, 0.9 / np.maximum(into_wall.max(axis=0), 1e-300))
@@ -247,8 +247,8 @@ class Bound:
         value, N, g, R, H = some._second_order(G[..., at], split[:, at] if k else None)
         if k:
             H = H + R.swapaxes(1, 2) @ R
-            inner = H[:, -k:, -k:] + 1e-14 * np.eye(k)
-            follow = np.linalg.solve(inner, np.concatenate([H[:, -k:, :-k], g[:, -k:, None]], 2))
+            right = np.concatenate([H[:, -k:, :-k], g[:, -k:, None]], axis=2)
+            follow = _solve(H[:, -k:, -k:], right)
             g = g[:, :-k] - np.einsum("ckx,ck->cx", H[:, -k:, :-k], follow[..., -1])
             w, X = np.linalg.eigh(H[:, :-k, :-k] - H[:, :-k, -k:] @ follow[..., :-1])
             R = np.sqrt(np.maximum(w, 0))[:, :, None] * X.swapaxes(1, 2)
@@ -265,6 +265,13 @@ class Bound:
 
         gradient = in_unknowns(g.reshape(len(at), 1, 2, e))[:, 0]
         return Expansion(at, value, gradient, in_unknowns(R.reshape(len(at), R.shape[1], 2, e)), N)
+
+
+def _solve(H, right):
+    """H^-1 right for positive semidefinite matrices, whatever the units of their rows."""
+    scale = 1 / np.sqrt(np.maximum(np.einsum("cii->ci", H), 1e-280))[..., None]
+    H = H * scale * scale.swapaxes(1, 2) + 1e-14 * np.eye(H.shape[1])
+    return scale * np.linalg.solve(H, scale * right)
 
 
 def product(A, B):

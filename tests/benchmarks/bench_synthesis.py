@@ -12,6 +12,10 @@ import numpy as np
 import pytest
 
 from rodlib import paper_loop, synthesise, zero_phase_butterworth
+from rodlib.problem import pose
+from rodlib.study import Spread, draw, responses
+from rodlib.synthesis import interior_point, statement
+from rodlib.synthesis.program import formulate
 
 FREQUENCIES = (250, 500, 1000, 2000, 4000, 8000, 16000)
 ORDERS = (5, 10, 20, 40)
@@ -114,3 +118,36 @@ def test_growth_with_order(benchmark, order):
 @pytest.mark.parametrize("m", SIZES)
 def test_growth_with_size(benchmark, m):
     measure(benchmark, "size", m, synthesise, *chain(m), structure="full")
+
+
+def rods(count, frequencies):
+    """Rods whose material is off by up to 30 %, and the arguments of the paper's problem."""
+    P, Q, omega, Ts = paper_problem(frequencies)
+    spread = Spread(density=0.3, heat_capacity=0.3, heat_transfer=0.3, conductivity=0.3)
+    plants = responses(paper_loop(), [draw(spread, i) for i in range(count)], omega)
+    return [P, *plants], Q, omega, Ts
+
+
+def for_many(count, frequencies):
+    """From the parameters of the rods to the certified filter for all of them."""
+    return synthesise(*rods(count, frequencies), M_max=0.99)
+
+
+def all_at_once(count, frequencies, solver):
+    """The same with all bounds in one program."""
+    problem = pose(*rods(count, frequencies), M_max=0.99)
+    plant, frequency = np.indices((count, frequencies)).reshape(2, -1)
+    return solver.solve(formulate(problem, plant + 1, frequency))
+
+
+@pytest.mark.parametrize("method", ["structured", "all", "cvxpy"])
+def test_many_plants(benchmark, method):
+    arguments = (10, 125)
+    if method == "structured":
+        return measure(benchmark, "10 rods, 125", method, for_many, *arguments)
+    solver = {"all": interior_point, "cvxpy": statement}[method]
+    measure(benchmark, "10 rods, 125", method, all_at_once, *arguments, solver, rounds=1)
+
+
+def test_a_thousand_plants(benchmark):
+    measure(benchmark, "1000 rods, 1000", "structured", for_many, 1000, 1000)

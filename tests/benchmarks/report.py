@@ -13,6 +13,7 @@ from rodlib.paper.ledger import splice
 LABELS = {
     "neighbour": "structured, from the optimum for L_max = 45",
     "structured": "structured",
+    "all": "structured, all bounds at once",
     "cvxpy": "CVXPY, batched",
     "naive": "CVXPY, one `sigma_max` per frequency",
 }

@@ -2,8 +2,10 @@
 
 `make survey` runs it and writes the README's counts. Drawn are lags, integrators under feedback,
 delays, resonances, non-minimum-phase plants, tanks and random plants of size 1 to 4, also badly
-scaled, with orders from 1 to 40 and 100 to 2000 frequencies. Each problem must end with a certified
-filter, or with an InfeasibleError whose smallest M_max CVXPY confirms on a sample.
+scaled, with orders from 1 to 40 and 100 to 2000 frequencies. The bounds of every other problem hold
+for more plants than one: further ones, a radius of the norm or entry by entry, or both. Each must
+end with a certified filter, or with an InfeasibleError whose smallest M_max CVXPY confirms on a
+sample.
 """
 
 import argparse
@@ -40,7 +42,7 @@ class Problem:
 
     number: int
     family: str
-    P: np.ndarray
+    P: list[np.ndarray]
     Q: np.ndarray
     omega: np.ndarray
     Ts: float
@@ -134,14 +136,33 @@ def problem(number, seed=0):
         "structure": str(rng.choice(["diagonal", "full"])),
         "objective": str(rng.choice(["sum", "peak"], p=[0.7, 0.3])),
     }  # fmt: skip
-    return Problem(number, family, P, Q.frequency_response(omega / Ts), omega / Ts, Ts, options)
+    plants, options["uncertainty"] = uncertain(P, np.random.default_rng([seed, number, 1]), number)
+    return Problem(
+        number, family, plants, Q.frequency_response(omega / Ts), omega / Ts, Ts, options
+    )
+
+
+def uncertain(P, rng, number):
+    """Plants and radius: for every other number more than the nominal plant alone."""
+    m = P.shape[1]
+    kind = rng.choice(["plants", "norm", "entries", "plants and norm"]) if number % 2 else ""
+    size, plants, radius = rng.choice([0.01, 0.05, 0.2]), [P], None
+    if "plants" in kind:
+        gains = 1 + size * rng.uniform(-1, 1, (rng.integers(1, 6), m, m))
+        plants += [*(P * gain for gain in gains)]
+    if "norm" in kind:
+        radius = 0.5 * size * np.linalg.norm(P, 2, axis=(1, 2))
+    if "entries" in kind:
+        radius = 0.5 * size * np.abs(P)
+    return plants, radius
 
 
 def outcome(number, seed=0, confirm=False):
     """How the problem ends: a row of the survey."""
     p = problem(number, seed)
-    n, m, _ = p.P.shape
+    n, m, _ = p.P[0].shape
     row = {"number": number, "family": p.family, "m": m, "frequencies": n, **p.options}
+    row |= {"plants": len(p.P), "uncertainty": np.ndim(p.options["uncertainty"])}
     start = time.perf_counter()
     with warnings.catch_warnings(record=True) as raised:
         warnings.simplefilter("always")

@@ -23,7 +23,7 @@ def test_a_larger_cutoff_is_infeasible_and_it_is_not(start, share):
 
 
 def test_where_all_may_pass_it_does():
-    P, _, omega = random_plant(1, 1)
+    _, _, omega = random_plant(1, 1)
     delay = np.exp(-1j * omega)[:, None, None]  # of one sample, which the filter looks ahead
     Q, design = largest_cutoff(delay, zero_phase_butterworth(2, 0.1), omega, 1.0, **CHOICES)
     assert Q.cutoff == pytest.approx(0.999 * np.pi) and Q.order == 2
