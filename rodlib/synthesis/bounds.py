@@ -25,7 +25,7 @@ import numpy as np
 
 from rodlib.problem import largest_singular_values
 
-INSIDE = 0.05  # share of b that a first split leaves to the rows below M at least
+INSIDE = 0.05  # share of b that a first split leaves to the rows of M, and to those below
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,7 @@ class Bound:
         above = np.sqrt((rows[:m] ** 2).sum(axis=0))
         share = np.sqrt(below) + INSIDE * (above + 1e-300)
         taken = (-self.C[:m] @ share).max(axis=0)  # in the row that has least left
-        return share / (above + taken)
+        return share / (above + (1 + INSIDE) * taken)
 
     def value(self, G, split=None):
         """The smallest b for G with this split, at each column: the largest singular value."""

@@ -108,7 +108,7 @@ def test_a_wrong_filter_is_not_returned(loop, Q, omega, monkeypatch, factor, com
     """The check does not trust the solver: a filter out of bounds, or not optimal, raises."""
     solve = interior_point.solve
 
-    def dishonest(problem):
+    def dishonest(problem, is_good=None):
         solution = solve(problem)
         return replace(solution, coefficients=solution.coefficients * factor)
 
