@@ -25,7 +25,7 @@ from rodlib.evidence import (
 )
 from rodlib.evidence.peak import _ceiling, _phase, _rounded_up, balanced
 from rodlib.paper import published
-from rodlib.problem import pose
+from rodlib.posing import pose
 from rodlib.realisation import frequency_response
 from rodlib.synthesis import convergence_matrix, largest_singular_values
 from rodlib.trials import assumed_reference
@@ -186,15 +186,6 @@ def test_gains_whose_squares_leave_the_doubles_are_found(gain):
     for m in (1, 2, 3):
         lag = control.ss(0.5 * np.eye(m), gain * np.eye(m), np.eye(m), np.zeros((m, m)), 1.0)
         assert peak_gain(lag)[0] == pytest.approx(2 * gain, rel=2e-8, abs=0)
-    G = np.random.default_rng(0).standard_normal((5, 2, 3)) * (1 + 2j)
-    scaled = np.concatenate([G, 1e-3 * gain * G, 0 * G])
-    expected = np.linalg.svd(scaled, compute_uv=False)[:, 0]
-    np.testing.assert_allclose(largest_singular_values(scaled), expected, rtol=1e-14)
-    mixed = np.concatenate([G, gain * G])
-    expected = np.linalg.svd(mixed, compute_uv=False)[:, 0]
-    np.testing.assert_allclose(largest_singular_values(mixed), expected, rtol=1e-14)
-    row = largest_singular_values(scaled[:, :1])
-    np.testing.assert_allclose(row, np.linalg.svd(scaled[:, :1])[1][:, 0], rtol=1e-14)
 
 
 @pytest.mark.parametrize(
@@ -261,21 +252,6 @@ def test_lower_bound_holds_for_any_multipliers(structure, objective, L_max):
         V = None if L_max is None else V
         bound = lower_bound(design.problem, U, V)
         assert bound <= design.value * (1 + 1e-9)
-
-
-@given(st.integers(1, 3), st.sampled_from([1e-3, 1.0, 1e6]), st.integers(0, 999))
-def test_without_a_bound_each_input_may_have_a_gain_of_ten_millions(m, unit, seed):
-    """Of Q P L, at the frequency and with the phases of the outputs where it is largest."""
-    rng = np.random.default_rng(seed)
-    P = unit * (rng.standard_normal((5, m, m)) + 1j * rng.standard_normal((5, m, m)))
-    Q = rng.uniform(0.1, 2, 5)
-    omega = np.linspace(0.1, 3, 5)
-    W = pose(P, Q, omega, 1.0, order=1, L_max=None, band=(0.1, 3)).weight
-    for k in range(m):
-        L = np.zeros((m, m))
-        L[k, 0] = 1 / W[k, k]  # as large as sigma_max(W L) <= 1 admits
-        gains = np.linalg.svd(Q[:, None, None] * P @ L / Q.max(), compute_uv=False)[:, 0]
-        assert gains.max() == pytest.approx(1e7)
 
 
 @given(st.sampled_from([1, 10, 40]), st.sampled_from(["diagonal", "full"]), st.integers(0, 999))

@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rodlib import InfeasibleError, LearningFilter, synthesise
-from rodlib.problem import convergence_matrix, largest_singular_values, pose
+from rodlib.posing import pose
+from rodlib.problem import convergence_matrix, largest_singular_values
 from rodlib.synthesis.design import solve
 from rodlib.synthesis.program import formulate
 from rodlib.synthesis.selection import violated
