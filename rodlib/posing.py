@@ -1,6 +1,7 @@
 """Stating a problem: plants in whatever form they are known, on one grid, each argument checked."""
 
-from collections.abc import Sequence
+import reprlib
+from collections.abc import Iterator, Sequence
 
 import control
 import numpy as np
@@ -10,6 +11,8 @@ from rodlib.filters import ZeroPhaseButterworth
 from rodlib.loop import CurrentTrialLoop
 from rodlib.problem import Problem
 from rodlib.realisation import frequency_response
+
+MODELS = (CurrentTrialLoop, control.LTI)  # what a plant may be, if not an array
 
 
 def pose(
@@ -49,14 +52,13 @@ def pose(
     arguments.choice("objective", objective, ["sum", "peak"])
     in_band = _in_band(Q, omega, band, objective)
     n, m, _ = P.shape
+    radius, scale = _radius(uncertainty, n, m), _scale(scale, m)
     others = np.empty((len(given) - 1, n, m, m), dtype=complex)
     other_models = []
     for k, other in enumerate(given[1:], 1):
         model, response = _response(f"P[{k}]", other, omega, Ts)
         others[k - 1] = arguments.array(f"P[{k}]", response, (n, m, m), complex)
         other_models.append(model)
-    radius = _radius(uncertainty, n, m)
-    scale = _scale(scale, m)
     if scale is not None:
         units = scale / scale[:, None]
         P, others = P * units, others * units
@@ -75,11 +77,22 @@ def pose(
 
 def _plants(P):
     """A list of plants, the nominal one first, from one plant or several."""
+    if isinstance(P, Iterator):
+        raise ValueError(f"P = {reprlib.repr(P)} can be read only once: pass a list of plants")
     several = isinstance(P, np.ndarray) and P.ndim == 4
     if isinstance(P, list | tuple):
-        one = (CurrentTrialLoop, control.FrequencyResponseData, control.LTI)
-        several = any(isinstance(p, one) or getattr(p, "ndim", 0) == 3 for p in P)
+        several = not P or any(isinstance(p, MODELS) or _axes(p) == 3 for p in P)
+    if several and not len(P):
+        raise ValueError(f"P = {P!r} holds no plant: pass one or more, the nominal one first")
     return [*P] if several else [P]
+
+
+def _axes(value):
+    """Number of axes of an array; rows of different lengths are found where they are read."""
+    try:
+        return np.ndim(value)
+    except ValueError:
+        return 0
 
 
 def _scaled(model, scale):
@@ -93,8 +106,13 @@ def _radius(uncertainty, n, m):
     """Radius at each frequency, of the norm or entry by entry; None if it is zero throughout."""
     if uncertainty is None:
         return None
-    shape = (n, m, m) if np.ndim(uncertainty) == 3 else (n,)
-    radius = arguments.array("uncertainty", uncertainty, shape)
+    radius = arguments.array("uncertainty", uncertainty, (...,))
+    if radius.shape not in [(n,), (n, m, m)]:
+        size = f"= {radius}" if radius.ndim == 0 else f"has shape {radius.shape}, but"
+        raise ValueError(
+            f"uncertainty {size} must have shape ({n},), a radius of the norm at each frequency, "
+            f"or ({n}, {m}, {m}), of each entry: np.full({n}, r) is a radius r at all frequencies"
+        )
     if radius.min() < 0:
         raise ValueError(
             f"uncertainty reaches {radius.min():.6g}, but a radius cannot be negative: pass the "
@@ -122,12 +140,9 @@ def _response(name, P, omega, Ts):
         P = P.P
     model = None
     if isinstance(P, control.FrequencyResponseData):
-        P = _of_frd(name, P, omega)
+        P = _of_frd(name, P, omega, Ts)
     elif isinstance(P, control.TransferFunction | control.StateSpace):
-        if P.dt != Ts:
-            raise ValueError(
-                f"{name}.dt = {P.dt!r} differs from Ts = {Ts!r}: sample the model at Ts"
-            )
+        _check_period(name, P.dt, Ts)
         if isinstance(P, control.StateSpace):
             model = arguments.state_space(name, P)
         elif P.ninputs == P.noutputs == 1:
@@ -144,8 +159,15 @@ def _response(name, P, omega, Ts):
     return model, arguments.array(name, P, (len(omega), "m", "m"), complex)
 
 
-def _of_frd(name, P, omega):
+def _check_period(name, dt, Ts):
+    if dt is True or dt != Ts:  # True, some period, equals 1 s
+        raise ValueError(f"{name}.dt = {dt!r} differs from Ts = {Ts!r}: sample the model at Ts")
+
+
+def _of_frd(name, P, omega, Ts):
     """Samples of python-control's frequency response data, which must be those on omega."""
+    if P.dt and P.dt is not True:  # measured ones need not say it
+        _check_period(name, P.dt, Ts)
     same = len(P.omega) == len(omega) and np.allclose(P.omega, omega, rtol=1e-9, atol=0)
     if not same:
         raise ValueError(

@@ -29,6 +29,9 @@ def test_defaults_are_those_of_synthesise():
     assert [*stated.values()] == [asked[name] for name in stated]
 
 
+SAMPLES = frequency_response(coupled(), OMEGA)
+
+
 def test_samples_frd_and_models_are_the_same_problem():
     model = coupled()
     samples = frequency_response(model, OMEGA)
@@ -49,6 +52,20 @@ def test_transfer_functions_are_models_if_they_have_one_channel():
     posed = pose(two, Q, OMEGA, 1.0, band=BAND)
     np.testing.assert_allclose(posed.P[:, 0, 1], 0.02 / (z - 0.9), rtol=1e-12)
     np.testing.assert_allclose(posed.P[:, 1, 0], 0.01 / (z - 0.8), rtol=1e-12)
+
+
+@pytest.mark.parametrize("several", [list, tuple])
+def test_several_plants_may_be_known_in_several_ways(several):
+    """The first as a model; the others are the same plant, as samples in four ways."""
+    frd = control.frd(np.moveaxis(SAMPLES, 0, -1), OMEGA)
+    given = several([coupled(), SAMPLES, frd, SAMPLES.tolist(), [*SAMPLES]])
+    posed = pose(given, Q, OMEGA, 1.0, band=BAND, uncertainty=[0.1] * 60)
+    assert posed.others.shape == (4, 60, 2, 2) and posed.other_models == (None,) * 4
+    for other in posed.others:
+        np.testing.assert_allclose(other, posed.P, rtol=1e-12)
+    np.testing.assert_array_equal(posed.radius, np.full(60, 0.1))
+    in_one = pose(np.stack([SAMPLES] * 3), Q, OMEGA, 1.0, band=BAND)
+    assert in_one.others.shape == (2, 60, 2, 2)
 
 
 @pytest.mark.parametrize("structure", ["diagonal", "full"])
@@ -104,6 +121,30 @@ def test_scale_weighs_the_channels():
         ),
         ({"P": control.tf([0.1], [1, -1.1], 1.0)}, "P is unstable: it has a pole of modulus 1.1"),
         ({"P": control.tf([0.1], [1, 0.9])}, r"P.dt = 0 differs from Ts = 1.0: sample the model"),
+        ({"P": control.ss(0.2, 0.8, 1, 0, True)}, "P.dt = True differs from Ts = 1.0: sample the"),
+        ({"P": control.ss(0.2, 0.8, 1, 0, None)}, "P.dt = None differs from Ts = 1.0: sample the"),
+        ({"P": control.frd(control.ss(0.5, 1, 1, 0, 0.5), OMEGA)}, r"P.dt = 0.5 differs from Ts"),
+        ({"P": []}, r"P = \[\] holds no plant: pass one or more, the nominal one first"),
+        ({"P": ()}, r"P = \(\) holds no plant"),
+        ({"P": np.ones((0, 60, 2, 2))}, "P = .* holds no plant"),
+        ({"P": (p for p in [SAMPLES])}, "P = <generator .* only once: pass a list of plants"),
+        ({"P": [SAMPLES, None]}, r"P\[1\] holds values of type object, but must hold numbers"),
+        ({"P": [SAMPLES, "lag"]}, r"P\[1\] holds values of type <U3, but must hold numbers"),
+        ({"P": [coupled(), 0.5]}, r"P\[1\] has shape \(\), but must have shape \(60, m, m\)"),
+        ({"P": [coupled(), SAMPLES[:, :1, :1]]}, r"P\[1\] has shape \(60, 1, 1\), .* \(60, 2, 2\)"),
+        ({"P": [SAMPLES, control.ss(0.5, 1, 1, 0, 2.0)]}, r"P\[1\].dt = 2.0 differs from Ts = 1.0"),
+        ({"P": [SAMPLES, control.ss(0.5, 1, 1, 0, True)]}, r"P\[1\].dt = True differs from Ts"),
+        (
+            {"P": [SAMPLES, control.frd(coupled(), OMEGA[:9])]},
+            r"P\[1\] is known at 9 frequencies .* not those of omega",
+        ),
+        ({"uncertainty": 0.1}, r"uncertainty = 0.1 must have shape \(60,\), .* or \(60, 2, 2\)"),
+        ({"uncertainty": np.array(0.1)}, r"uncertainty = 0.1 .* np.full\(60, r\) is a radius r"),
+        ({"uncertainty": np.ones((60, 2))}, r"uncertainty has shape \(60, 2\), but must have"),
+        ({"uncertainty": np.ones((60, 1, 1))}, r"uncertainty has shape \(60, 1, 1\), but must"),
+        ({"uncertainty": np.full(60, 0.1j)}, "uncertainty is complex, but must be real"),
+        ({"uncertainty": "0.1"}, "uncertainty holds values of type <U3, but must hold numbers"),
+        ({"uncertainty": [[0.1], [0.1, 0.2]]}, "uncertainty must be an array of numbers"),
     ],
 )
 def test_what_does_not_fit_is_refused(changes, message):

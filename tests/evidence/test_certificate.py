@@ -192,13 +192,46 @@ def test_gains_whose_squares_leave_the_doubles_are_found(gain):
     ("system", "message"),
     [
         (control.ss(1.0, 1, 1, 0, 1.0), "unstable: it has a pole of modulus 1"),
-        (control.ss(-1.0, 1, 1, 0), "must be a sampling period"),
+        (control.ss(-1.0, 1, 1, 0), "system.dt = 0 must be a sampling period in seconds"),
+        (control.ss(0.5, 1, 1, 0, True), "system.dt = True must be a sampling period in seconds"),
+        (control.ss(0.5, 1, 1, 0, None), "system.dt = None must be a sampling period in seconds"),
+        (control.tf([1], [1, -0.5], 1.0), "system = .* must be a StateSpace"),
+        (np.ones((50, 1, 1)), "system = .* must be a StateSpace"),
         (control.ss(0.5, np.inf, 1, 0, 1.0), "must be finite"),
     ],
 )
 def test_bad_systems_are_refused(system, message):
     with pytest.raises(ValueError, match=message):
         peak_gain(system)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"P": control.ss(0.2, 0.8, 1, 0, True)}, "P.dt = True must be a sampling period"),
+        ({"P": control.tf([1], [1, -0.5], 1.0)}, "P = .* must be a StateSpace"),
+        ({"P": control.ss([], [], [], np.eye(2), 1.0)}, "P is 2 by 2, but L is 1 by 1"),
+        ({"Q": np.ones(50)}, "Q = .* must be a ZeroPhaseButterworth"),
+        ({"L": np.ones((1, 1, 3))}, "L = .* must be a LearningFilter"),
+    ],
+)
+@pytest.mark.parametrize("evidence", [convergence_model, lambda P, Q, L: trial_norm(P, Q, L, 9)])
+def test_what_is_no_model_or_no_filter_is_refused(evidence, changes, message):
+    L = LearningFilter(np.ones((1, 1, 3)), 1.0)
+    given = {"P": control.ss(0.5, 1, 1, 0, 1.0), "Q": zero_phase_butterworth(), "L": L} | changes
+    with pytest.raises(ValueError, match=message):
+        evidence(**given)
+
+
+def test_whole_numbers_are_numbers():
+    """A lag of whole numbers, 1 / z, is that of floats, as a model and as samples."""
+    whole, omega = control.ss([[0]], [[1]], [[1]], [[0]], 1), np.linspace(0.1, 3, 9)
+    assert peak_gain(whole)[0] == pytest.approx(1, rel=1e-8)
+    Q, numbers = zero_phase_butterworth(), {"order": 2, "band": (0.1, 1)}
+    for P in (whole, np.ones((9, 1, 1), dtype=int)):
+        floats = P.astype(float) if isinstance(P, np.ndarray) else control.ss(0.0, 1.0, 1, 0, 1.0)
+        one, other = (synthesise(p, Q, omega, 1.0, **numbers) for p in (P, floats))
+        np.testing.assert_array_equal(one.filter.coefficients, other.filter.coefficients)
 
 
 @pytest.mark.parametrize("order", [1, 2, 3])
