@@ -23,18 +23,22 @@ def test_a_larger_cutoff_is_infeasible_and_it_is_not(start, share):
 
 
 def test_where_all_may_pass_it_does():
-    P, _, omega = random_plant(1, 1)
-    Q, design = largest_cutoff(
-        0 * P + 1, zero_phase_butterworth(2, 0.1), omega, 1.0, **CHOICES | {"M_max": 0.99}
-    )
+    """A delay of one sample is learned at once, whatever Q passes."""
+    _, _, omega = random_plant(1, 1)
+    delay = np.exp(-1j * omega)[:, None, None]
+    Q, design = largest_cutoff(delay, zero_phase_butterworth(2, 0.1), omega, 1.0, **CHOICES)
     assert Q.cutoff == pytest.approx(0.999 * np.pi) and Q.order == 2
-    assert design.certificate.grid_M <= 0.99 * (1 + 1e-9)
+    assert design.certificate.grid_M < 1e-6
 
 
 def test_where_nothing_may_pass_it_says_what_is_too_tight():
+    """Neither sign of P can be learned, and even with the lowest cut-off Q passes a half."""
     P, _, omega = random_plant(1, 2)
-    with pytest.raises(InfeasibleError, match="most in the way"):
-        largest_cutoff([P, -P], zero_phase_butterworth(2, 0.1), omega, 1.0, **CHOICES)
+    with pytest.raises(InfeasibleError, match="most in the way") as error:
+        largest_cutoff(
+            [P, -P], zero_phase_butterworth(2, 0.1), omega, 1.0, **CHOICES | {"M_max": 0.4}
+        )
+    assert error.value.smallest_M_max == pytest.approx(0.5, rel=1e-6)
 
 
 def test_Q_must_have_a_cutoff():
