@@ -37,6 +37,7 @@ import pytest
 from hypothesis import Phase, settings
 
 ROOT = Path(__file__).resolve().parent.parent
+MODULES = ROOT / "rodlib"
 OPERATORS = {
     ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq,
     ast.NotEq: ast.Eq, ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In,
@@ -61,44 +62,51 @@ SLOW_TO_IMPORT = [
 # They are left out; operators and comparisons on these lines are not.
 FREE_NUMBERS = {
     "how a picture looks": {
-        "figures": [
+        "paper/figures": [
             "WIDE =", "TALL =", '"figure.', '"savefig.dpi"', '"font.size"', '"axes.', '"lines.',
         ],
     },
     "how a solver gets to the optimum, and when it gives up: the certificate judges its result": {
-        "active_set": [
-            "NEAR =", "NOISE =", "CONVERGED =", "size =", "apart =", "K, unit =", "H[:K, :K] =",
-            "H[K, K] =", "tolerances =", "unbounded, kind =", "while damping", "penalty = np.max",
+        "synthesis/active_set": [
+            "NEAR =", "NOISE =", "CONVERGED =", "K, unit =", "H[:K, :K] =", "H[K, K] =",
+            "unbounded, kind =", "tolerances =", "while damping", "penalty = np.max",
             "if gain + NOISE", "if part == 1", "damping = 0.1", "damping, part =",
-            "multipliers = [np.max", "return [np.where",
+            "multipliers.append(np.where",
         ],
-        "cones": ["bounds = np.array([3 *", "weight = np.maximum"],
-        "interior_point": [
-            "GAP =", "1e-2  #", "REFINEMENTS =", "_, inverse =", "Ch, _ =", "shift =", "shift *=",
-            "while high - low", "bounds[0] = 1.5", "mu = 5", "scale = 1 / np.sqrt",
-            "R = np.linalg.qr(np.vstack([R * scale", "primal, dual = step_lengths",
-            "sigma = min(1", "for iteration in", "closed =", "if closed", "if iteration > 40",
-            "damping =", "if max(primal, dual)",
+        "synthesis/bounds": ["INSIDE =", "size =", "apart =", "for _ in range("],
+        "synthesis/design": ["GOOD =", "CVXPY_TOLERANCES ="],
+        "synthesis/inequalities": ["_, inverse =", "while high - low"],
+        "synthesis/interior_point": [
+            "GAP =", "STATIONARY =", "REFINEMENTS =", "limits = np.where(peaks", "mu = 5",
+            "primal, dual = step_lengths", "sigma = min(1", "for iteration in", "closed =",
+            "if closed", "if iteration > 40", "damping =", "if max(primal, dual)",
         ],
-        "synthesis": ["DENSER =", "GOOD =", "CVXPY_TOLERANCES =", "if structured and"],
+        "synthesis/newton": [
+            "Ch, _ =", "shift =", "shift *=", "scale = 1 / np.sqrt(np.maximum",
+            "R = np.linalg.qr(np.vstack([R * scale",
+        ],
+        "synthesis/program": ["GENEROUS =", "weight = np.maximum"],
     },
     "how work is divided": {
-        "certificate": [
-            "CHUNK =", "CLOSEST =", "LANCZOS =", "step = max(1", "start = np.random", "unit = 2.0",
-        ],
-        "cones": ["if A.shape[0] * B.shape[1] > 36"],
-        "reproduce": ["AT_A_TIME ="],
+        "evidence/finite_trial": ["LANCZOS =", "start = np.random"],
+        "evidence/models": ["unit = 2.0"],
+        "evidence/peak": ["CHUNK =", "CLOSEST =", "DENSER =", "step = max(1"],
+        "paper/reproduce": ["AT_A_TIME ="],
+        "synthesis/bounds": ["if A.shape[0] * B.shape[1] > 36"],
     },
     "a limit that is not reached": {
-        "certificate": ["for _ in range(100)"], "ledger": ["texts ="],
+        "evidence/optimality": ["STEPS ="],
+        "evidence/peak": ["for _ in range(100)"],
+        "evidence/robustness": ["STEPS ="],
+        "paper/ledger": ["texts ="],
     },
     "what is as good as zero, or where a square might leave the doubles": {
         "arguments": ['size = "large"'],  # it is asked beyond the limits only
-        "certificate": ["if not (total.min", "extreme =", "return int(np.ceil(np.log(1e-18)"],
+        "evidence/finite_trial": ["return int(np.ceil(np.log(1e-18)"],
         "filters": ["decay = int"],
-        "rig": ["near =", "lagging ="],
-        "semidefinite": ["V = W @ (response"],
-        "synthesis": ["slack = 1e-9"],
+        "laboratory/virtual_rig": ["near =", "lagging ="],
+        "posing": ["slack = 1e-9"],
+        "problem": ["if not (total.min", "extreme ="],
     },
 }  # fmt: skip
 
@@ -135,7 +143,8 @@ class Tests:
             chosen = set().union(
                 *(tests for (module, _), tests in self.executing.items() if module == change.module)
             ) - {None}
-        mirror = f"tests/test_{change.module}.py"
+        module = Path(change.module)
+        mirror = f"tests/{module.with_name(f'test_{module.name}.py').as_posix()}"
 
         def costs(test):
             return self.seconds[test] * (1 if test.startswith(mirror) else 4)
@@ -187,7 +196,7 @@ class Measuring:
         for path in data.measured_files():
             for line, contexts in data.contexts_by_lineno(path).items():
                 tests = set().union(*(users[context] for context in contexts))
-                executing[Path(path).stem, line] = tests
+                executing[name_of(Path(path), self.folder / "rodlib"), line] = tests
         return Tests(self.seconds, executing, self.elsewhere)
 
 
@@ -213,6 +222,11 @@ class Chosen:
         """That an example fails is enough; the simplest one is not looked for."""
         settings.register_profile("any", settings.default, phases=[Phase.explicit, Phase.generate])
         settings.load_profile("any")
+
+
+def name_of(path, folder=MODULES):
+    """Of a module in a folder, such as "filters" or "evidence/peak"."""
+    return path.relative_to(folder).with_suffix("").as_posix()
 
 
 def changed(node):
@@ -286,12 +300,12 @@ def all_changes(path):
             stop = ends[node.end_lineno - 1] + node.end_col_offset
             source = (text.encode()[:start] + after.encode() + text.encode()[stop:]).decode()
             before, number = ast.unparse(node), isinstance(node, ast.Constant)
-            yield Change(path.stem, node.lineno, head(statement), before, after, source, number)
+            yield Change(name_of(path), node.lineno, head(statement), before, after, source, number)
 
 
 def free_numbers(paths):
     """Modules and lines of `FREE_NUMBERS`; an entry that fits no line is an error."""
-    text = {path.stem: path.read_text(encoding="utf-8").splitlines() for path in paths}
+    text = {name_of(path): path.read_text(encoding="utf-8").splitlines() for path in paths}
     found = set()
     for modules in FREE_NUMBERS.values():
         for module, beginnings in modules.items():
@@ -392,17 +406,19 @@ def prepare():
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("modules", nargs="*", help="such as filters; all if none is named")
+    parser.add_argument("modules", nargs="*", help="filters, evidence/peak, ...; by default all")
     parser.add_argument("--changes", type=int, default=300)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--processes", type=int, default=2)
     chosen = parser.parse_args()
-    paths = sorted((ROOT / "rodlib").glob("*.py"))
+    paths = sorted(MODULES.rglob("*.py"))
     free = free_numbers(paths)
+    for module in {*chosen.modules} - {name_of(path) for path in paths}:
+        parser.error(f"there is no module rodlib/{module}.py")
     found = [
         change
         for path in paths
-        if not chosen.modules or path.stem in chosen.modules
+        if not chosen.modules or name_of(path) in chosen.modules
         for change in all_changes(path)
     ]
     left = [c for c in found if not (c.number and (c.module, c.line) in free)]
@@ -423,7 +439,7 @@ def main():
                 if survived:
                     print(change, flush=True)
     for module in sorted(all_of):
-        print(f"{module:16}{noticed[module]:4} of {all_of[module]:3} noticed")
+        print(f"{module:34}{noticed[module]:4} of {all_of[module]:3} noticed")
     share = noticed.total() / all_of.total()
     print(f"{noticed.total()} of {all_of.total()} noticed, {share:.1%} (seed {chosen.seed})")
 

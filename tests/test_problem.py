@@ -1,95 +1,37 @@
-"""The problem as it is stated: where P may come from, and in which units."""
+"""The problem as an object, and the singular values that it is about."""
 
-import control
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from rodlib import synthesise, zero_phase_butterworth
-from rodlib.problem import pose
-from rodlib.realisation import frequency_response
-
-OMEGA = np.geomspace(1e-3, np.pi, 60)
-Q = zero_phase_butterworth(2, 0.3)
-BAND = (1e-3, 0.1)
+from rodlib.posing import pose
+from rodlib.problem import largest_singular_values
 
 
-def coupled():
-    """Two lags with coupling, in discrete time."""
-    A = np.array([[0.9, 0.05], [0.02, 0.8]])
-    return control.ss(A, np.diag([0.1, 0.2]), np.eye(2), 0, 1.0)
+@pytest.mark.parametrize("gain", [1e-300, 1e-170, 1e-150, 1.0, 1e150, 1e170, 1e300])
+def test_singular_values_whose_squares_leave_the_doubles_are_found(gain):
+    G = np.random.default_rng(0).standard_normal((5, 2, 3)) * (1 + 2j)
+    scaled = np.concatenate([G, 1e-3 * gain * G, 0 * G])
+    expected = np.linalg.svd(scaled, compute_uv=False)[:, 0]
+    np.testing.assert_allclose(largest_singular_values(scaled), expected, rtol=1e-14)
+    mixed = np.concatenate([G, gain * G])
+    expected = np.linalg.svd(mixed, compute_uv=False)[:, 0]
+    np.testing.assert_allclose(largest_singular_values(mixed), expected, rtol=1e-14)
+    row = largest_singular_values(scaled[:, :1])
+    np.testing.assert_allclose(row, np.linalg.svd(scaled[:, :1])[1][:, 0], rtol=1e-14)
 
 
-def test_samples_frd_and_models_are_the_same_problem():
-    model = coupled()
-    samples = frequency_response(model, OMEGA)
-    frd = control.frd(np.moveaxis(samples, 0, -1), OMEGA)
-    for P in (model, frd):
-        np.testing.assert_allclose(pose(P, Q, OMEGA, 1.0, band=BAND).P, samples, rtol=1e-12)
-    assert pose(model, Q, OMEGA, 1.0, band=BAND).model is not None
-    assert pose(frd, Q, OMEGA, 1.0, band=BAND).model is None
-
-
-def test_transfer_functions_are_models_if_they_have_one_channel():
-    lag = control.tf([0.1], [1, -0.9], 1.0)
-    posed = pose(lag, Q, OMEGA, 1.0, band=BAND)
-    z = np.exp(1j * OMEGA)
-    np.testing.assert_allclose(posed.P[:, 0, 0], 0.1 / (z - 0.9), rtol=1e-12)
-    assert posed.model is not None
-    two = control.tf([[[0.1], [0.02]], [[0.01], [0.2]]], [[[1, -0.9]] * 2, [[1, -0.8]] * 2], 1.0)
-    posed = pose(two, Q, OMEGA, 1.0, band=BAND)
-    np.testing.assert_allclose(posed.P[:, 0, 1], 0.02 / (z - 0.9), rtol=1e-12)
-    np.testing.assert_allclose(posed.P[:, 1, 0], 0.01 / (z - 0.8), rtol=1e-12)
-
-
-@pytest.mark.parametrize("structure", ["diagonal", "full"])
-@pytest.mark.parametrize("as_model", [False, True])
-def test_units_do_not_matter_if_scale_says_what_is_equally_large(structure, as_model):
-    """In kelvin and bar, or in kelvin and pascal: the same filter, and the same certificate."""
-    bar, pascal = np.diag([1.0, 1.0]), np.diag([1.0, 1e5])
-    designs = []
-    for unit in (bar, pascal):
-        m = coupled()
-        model = control.ss(m.A, m.B @ np.linalg.inv(unit), unit @ m.C, 0, 1.0)
-        P = model if as_model else frequency_response(model, OMEGA)
-        kind = {"structure": structure, "L_max": 3.0, "band": BAND}
-        designs.append(synthesise(P, Q, OMEGA, 1.0, scale=2.0 * np.diag(unit), **kind))
-    one, other = designs
-    back = np.einsum(
-        "i,ijk,j->ijk", 1 / np.diag(pascal), other.filter.coefficients, np.diag(pascal)
-    )
-    np.testing.assert_allclose(back, one.filter.coefficients, atol=1e-6)
-    for name in ("value", "lower_bound", "all_M", "all_L", "grid_L"):
-        a, b = (getattr(design.certificate, name) for design in designs)
-        assert a == pytest.approx(b, rel=1e-6)
-    unscaled = synthesise(coupled(), Q, OMEGA, 1.0, L_max=3.0, band=BAND, structure=structure)
-    assert unscaled.value == pytest.approx(one.value, rel=1e-9)  # twice as large for both
-
-
-def test_scale_weighs_the_channels():
-    """What is larger in the second channel by its scale alone counts as less."""
-    kind = {"structure": "full", "L_max": 3.0, "band": BAND}
-    plain = synthesise(coupled(), Q, OMEGA, 1.0, **kind)
-    weighed = synthesise(coupled(), Q, OMEGA, 1.0, scale=[1.0, 10.0], **kind)
-    S, L = np.diag([1.0, 10.0]), weighed.filter.frequency_response(OMEGA)
-    scaled = np.linalg.inv(S) @ L @ S
-    np.testing.assert_allclose(np.linalg.norm(scaled, 2, axis=(1, 2)), weighed.sigma_L, rtol=1e-9)
-    assert np.abs(plain.filter.coefficients - weighed.filter.coefficients).max() > 1e-3
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"scale": [1.0]}, r"scale has shape \(1,\), but must have shape \(2,\)"),
-        ({"scale": [1.0, 0.0]}, r"scale = \[1.0, 0.0\] must be positive"),
-        ({"scale": [1.0, np.nan]}, "scale has 1 values that are not finite"),
-        (
-            {"P": control.frd(np.ones((2, 2, 3)), [0.1, 0.2, 0.3])},
-            "P is known at 3 frequencies from 0.1 to 0.3 rad/s, .* pass omega = P.omega",
-        ),
-        ({"P": control.tf([0.1], [1, -1.1], 1.0)}, "P is unstable: it has a pole of modulus 1.1"),
-        ({"P": control.tf([0.1], [1, 0.9])}, r"P.dt = 0 differs from Ts = 1.0: sample the model"),
-    ],
-)
-def test_what_does_not_fit_is_refused(changes, message):
-    with pytest.raises(ValueError, match=message):
-        pose(**{"P": coupled(), "Q": Q, "omega": OMEGA, "Ts": 1.0, "band": BAND} | changes)
+@given(st.integers(1, 3), st.sampled_from([1e-3, 1.0, 1e6]), st.integers(0, 999))
+def test_without_a_bound_each_input_may_have_a_gain_of_ten_millions(m, unit, seed):
+    """Of Q P L, at the frequency and with the phases of the outputs where it is largest."""
+    rng = np.random.default_rng(seed)
+    P = unit * (rng.standard_normal((5, m, m)) + 1j * rng.standard_normal((5, m, m)))
+    Q = rng.uniform(0.1, 2, 5)
+    omega = np.linspace(0.1, 3, 5)
+    W = pose(P, Q, omega, 1.0, order=1, L_max=None, band=(0.1, 3)).weight
+    for k in range(m):
+        L = np.zeros((m, m))
+        L[k, 0] = 1 / W[k, k]  # as large as sigma_max(W L) <= 1 admits
+        gains = np.linalg.svd(Q[:, None, None] * P @ L / Q.max(), compute_uv=False)[:, 0]
+        assert gains.max() == pytest.approx(1e7)

@@ -3,6 +3,7 @@
 import control
 import numpy as np
 
+from rodlib import arguments
 from rodlib.filters import LearningFilter, ZeroPhaseButterworth
 
 
@@ -21,6 +22,7 @@ def learning_model(L: LearningFilter) -> control.StateSpace:
         e(p - 1), e(p - 2), ... A delay has gain one at every frequency, so it changes no
         singular value.
     """
+    arguments.instance("L", L, LearningFilter)
     m, _, order = L.coefficients.shape
     newest_first = np.concatenate([L.coefficients[:, :, k] for k in range(order - 1, -1, -1)], 1)
     states = m * (order - 1)
@@ -54,7 +56,8 @@ def convergence_model(
     Raises
     ------
     ValueError
-        If P is not in discrete time, or not as large as L, or the sampling periods differ.
+        If P is no state-space model in discrete time with a sampling period in seconds, or not as
+        large as L, or the sampling periods differ.
 
     Notes
     -----
@@ -84,7 +87,9 @@ def convergence_model(
 
 def common_size(P, Q, L):
     """Sampling period and number of channels that a plant and the two filters share."""
-    Ts, m = sampling_period("P", P), len(L.coefficients)
+    Ts = sampling_period("P", P)
+    arguments.instance("Q", Q, ZeroPhaseButterworth)
+    m = len(arguments.instance("L", L, LearningFilter).coefficients)
     if (P.noutputs, P.ninputs) != (m, m):
         raise ValueError(f"P is {P.noutputs} by {P.ninputs}, but L is {m} by {m}")
     if not np.allclose([Q.Ts, L.Ts], Ts, rtol=1e-12, atol=0):
@@ -93,6 +98,8 @@ def common_size(P, Q, L):
 
 
 def sampling_period(name, system):
+    """That of a state-space model, in seconds."""
+    arguments.instance(name, system, control.StateSpace)
     if not (system.isdtime(strict=True) and system.dt is not True):
         raise ValueError(f"{name}.dt = {system.dt!r} must be a sampling period in seconds")
     return float(system.dt)

@@ -7,7 +7,8 @@ import numpy as np
 from rodlib import arguments
 from rodlib.evidence import GAP, VIOLATION, Certificate, certify, lower_bound
 from rodlib.filters import LearningFilter
-from rodlib.problem import Problem, Solution, largest_singular_values, pose
+from rodlib.posing import pose
+from rodlib.problem import Problem, Solution, largest_singular_values
 from rodlib.synthesis import active_set, interior_point
 from rodlib.synthesis.program import Infeasible, formulate
 from rodlib.synthesis.selection import first_cuts, violated

@@ -7,7 +7,7 @@ from scipy.optimize import brentq
 
 from rodlib import arguments
 from rodlib.filters import ZeroPhaseButterworth
-from rodlib.problem import pose
+from rodlib.posing import pose
 from rodlib.synthesis.design import Synthesis, solve, synthesise
 
 SAME = 1e-9  # relative distance up to which two peaks are the same

@@ -6,7 +6,8 @@ import pytest
 
 from rodlib import synthesise, zero_phase_butterworth
 from rodlib.evidence import certify
-from rodlib.problem import Solution, pose
+from rodlib.posing import pose
+from rodlib.problem import Solution
 
 OMEGA = np.geomspace(1e-4, np.pi, 200)
 

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from rodlib.evidence import lower_bound
 from rodlib.evidence.optimality import dual_norm
 from rodlib.evidence.robustness import layout
-from rodlib.problem import Cuts, pose
+from rodlib.posing import pose
+from rodlib.problem import Cuts
 
 sizes = st.integers(1, 3)
 kinds = st.sampled_from(["norm", "entries"])

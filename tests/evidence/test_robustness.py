@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 
 from rodlib import LearningFilter
 from rodlib.evidence import worst_case
-from rodlib.problem import pose
+from rodlib.posing import pose
 
 sizes = st.integers(1, 3)
 kinds = st.sampled_from(["norm", "entries"])

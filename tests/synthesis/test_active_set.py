@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rodlib import InfeasibleError, synthesise
-from rodlib.problem import pose
+from rodlib.posing import pose
 from rodlib.synthesis import active_set
 from rodlib.synthesis.active_set import (
     Iterate,

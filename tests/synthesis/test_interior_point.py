@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rodlib import InfeasibleError, synthesise, zero_phase_butterworth
-from rodlib.problem import pose
+from rodlib.posing import pose
 from rodlib.synthesis import interior_point
 from rodlib.synthesis.inequalities import Slack
 from rodlib.synthesis.program import formulate

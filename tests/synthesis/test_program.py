@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rodlib import LearningFilter
-from rodlib.problem import pose
+from rodlib.posing import pose
 from rodlib.synthesis.program import formulate, orthonormalise, whitened_basis
 
 

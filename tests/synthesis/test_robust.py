@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rodlib import InfeasibleError, LearningFilter, synthesise
-from rodlib.problem import convergence_matrix, largest_singular_values, pose
+from rodlib.posing import pose
+from rodlib.problem import convergence_matrix, largest_singular_values
 from rodlib.synthesis.design import solve
 from rodlib.synthesis.program import formulate
 from rodlib.synthesis.selection import violated
@@ -43,16 +44,14 @@ def test_structured_and_cvxpy_find_the_same_optimum(m, structure, objective, kin
         try:
             synthesise(P, Q, omega, 1.0, **choices, M_max=0.01)
         except InfeasibleError as error:
-            choices["M_max"] = min(1.01 * error.smallest_M_max, 0.99)
+            choices["M_max"] = 1.01 * error.smallest_M_max
     ours = synthesise(P, Q, omega, 1.0, **choices)
     theirs = synthesise(P, Q, omega, 1.0, solver="cvxpy", **choices)
     assert ours.value == pytest.approx(theirs.value, rel=1e-5)
     assert ours.certificate.gap < 1e-6 and theirs.certificate.gap < 1e-5
     nominal = synthesise(P[0] if kind.startswith("plants") else P, Q, omega, 1.0,
                          **choices | {"uncertainty": None})  # fmt: skip
-    assert ours.value >= nominal.value * (1 - 1e-8)
-    if objective == "peak":
-        assert ours.value > nominal.value * (1 + 1e-6)  # it costs something
+    assert ours.value > nominal.value * (1 + 1e-6)  # it costs something
 
 
 @pytest.mark.parametrize("objective", ["sum", "peak"])
@@ -78,17 +77,21 @@ def test_a_selection_of_the_bounds_is_as_good_as_all_of_them(objective):
     assert found.cuts is None or len(found.cuts.plant) < 4 * len(omega)
 
 
-@settings(max_examples=5)
+@settings(max_examples=8)
 @given(st.integers(1, 3), st.booleans(), st.integers(0, 99))
 def test_no_radius_is_the_nominal_design_and_a_larger_one_costs_more(m, entries, seed):
     P, Q, omega = random_plant(seed, m, 12)
-    choices = CHOICES | {"objective": "peak", "M_max": 0.999}
     size = np.abs(P) if entries else np.linalg.norm(P, 2, axis=(1, 2))
-    values = [
-        synthesise(P, Q, omega, 1.0, **choices, uncertainty=share * size).value
-        for share in (0, 0.1, 0.2)
-    ]
-    nominal = synthesise(P, Q, omega, 1.0, **choices).value
+
+    def least_peak(uncertainty=None):
+        try:
+            return synthesise(
+                P, Q, omega, 1.0, **CHOICES, objective="peak", uncertainty=uncertainty
+            ).value
+        except InfeasibleError as error:  # the peak is above M_max
+            return error.smallest_M_max
+
+    nominal, values = least_peak(), [least_peak(share * size) for share in (0, 0.1, 0.2)]
     assert values[0] == nominal
     assert nominal <= values[1] * (1 + 1e-8) and values[1] <= values[2] * (1 + 1e-8)
 
@@ -109,12 +112,21 @@ def test_for_one_channel_the_bound_is_the_closed_form():
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_from_an_earlier_design_the_result_is_the_same(kind):
+    """For other bounds; for fewer plants or more, and with another radius or none."""
     P, Q, omega, choices = question(2, kind, 7)
     choices["objective"] = "peak"
-    start = synthesise(P, Q, omega, 1.0, **choices | {"L_max": 6.0})
-    warm = synthesise(P, Q, omega, 1.0, **choices, start=start)
     cold = synthesise(P, Q, omega, 1.0, **choices)
-    assert warm.value == pytest.approx(cold.value, rel=1e-7)
+    plants = P if isinstance(P, list) else [P]
+    radius = 0.05 * np.linalg.norm(plants[0], 2, axis=(1, 2))
+    others = [
+        (P, choices | {"L_max": 6.0}),
+        (plants[:2], choices | {"uncertainty": None}),
+        ([*plants, 1.05 * plants[0]], choices | {"uncertainty": radius}),
+    ]
+    for other, stated in others:
+        start = synthesise(other, Q, omega, 1.0, **stated)
+        warm = synthesise(P, Q, omega, 1.0, **choices, start=start)
+        assert warm.value == pytest.approx(cold.value, rel=1e-7)
 
 
 def test_what_stands_in_the_way_is_named():

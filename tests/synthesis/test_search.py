@@ -18,23 +18,27 @@ def test_a_larger_cutoff_is_infeasible_and_it_is_not(start, share):
     Q, design = largest_cutoff(P, zero_phase_butterworth(2, start), omega, 1.0, **choices)
     assert design.certificate.failures == []
     with pytest.raises(InfeasibleError):
-        wider = zero_phase_butterworth(2, Q.cutoff * 1.002)
+        wider = zero_phase_butterworth(2, Q.cutoff * 1.001)
         synthesise(P, wider, omega, 1.0, **choices)
 
 
 def test_where_all_may_pass_it_does():
+    """A delay of one sample is learned at once, whatever Q passes."""
     _, _, omega = random_plant(1, 1)
-    delay = np.exp(-1j * omega)[:, None, None]  # of one sample, which the filter looks ahead
+    delay = np.exp(-1j * omega)[:, None, None]
     Q, design = largest_cutoff(delay, zero_phase_butterworth(2, 0.1), omega, 1.0, **CHOICES)
     assert Q.cutoff == pytest.approx(0.999 * np.pi) and Q.order == 2
     assert design.certificate.grid_M < 1e-6
 
 
 def test_where_nothing_may_pass_it_says_what_is_too_tight():
+    """Neither sign of P can be learned, and even with the lowest cut-off Q passes a half."""
     P, _, omega = random_plant(1, 2)
-    with pytest.raises(InfeasibleError, match="most in the way"):
-        choices = CHOICES | {"M_max": 0.4}  # and Q passes a half at its cut-off
-        largest_cutoff([P, -P], zero_phase_butterworth(2, 0.1), omega, 1.0, **choices)
+    with pytest.raises(InfeasibleError, match="most in the way") as error:
+        largest_cutoff(
+            [P, -P], zero_phase_butterworth(2, 0.1), omega, 1.0, **CHOICES | {"M_max": 0.4}
+        )
+    assert error.value.smallest_M_max == pytest.approx(0.5, rel=1e-6)
 
 
 def test_Q_must_have_a_cutoff():

@@ -108,8 +108,8 @@ def test_a_wrong_filter_is_not_returned(loop, Q, omega, monkeypatch, factor, com
     """The check does not trust the solver: a filter out of bounds, or not optimal, raises."""
     solve = interior_point.solve
 
-    def dishonest(problem, is_good=None):
-        solution = solve(problem)
+    def dishonest(program, is_good):
+        solution = solve(program, is_good)
         return replace(solution, coefficients=solution.coefficients * factor)
 
     monkeypatch.setattr(interior_point, "solve", dishonest)
