@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from rodlib import paper_loop, synthesise, zero_phase_butterworth
-from rodlib.problem import pose
+from rodlib.posing import pose
 from rodlib.study import Spread, draw, responses
 from rodlib.synthesis import interior_point, statement
 from rodlib.synthesis.program import formulate
