@@ -32,13 +32,13 @@ def left(tmp_path_factory):
         for snippet in SNIPPETS:
             exec(snippet, namespace)
             states.append(dict(namespace))
-        states[-1]["found"] = load_log("my-rig.csv")
+        states[2]["found"] = load_log("my-rig.csv")
     return states
 
 
-def test_there_are_three_ways_in(left):
-    assert len(SNIPPETS) == 3
-    for state, channels in zip(left, (1, 3, 2), strict=True):
+def test_there_are_three_ways_in_and_one_step_further(left):
+    assert len(SNIPPETS) == 4
+    for state, channels in zip(left[:3], (1, 3, 2), strict=True):
         design = state["design"]
         assert not design.certificate.failures
         assert len(design.filter.coefficients) == channels
@@ -67,3 +67,15 @@ def test_on_the_emulator_a_log_is_recorded(left):
     Q, L = law_of(found)
     assert state["Q"] == Q and np.array_equal(L.coefficients, state["design"].filter.coefficients)
     assert loop_of(found).controls == ["Q1", "Q2"]
+
+
+def test_for_many_plants_the_bounds_hold(left):
+    robust, within = left[3]["robust"], left[3]["design"]
+    assert not robust.certificate.failures and not within.certificate.failures
+    assert robust.certificate.robust.plants == 201 and within.certificate.robust.radius == "norm"
+    P = np.stack([robust.problem.plant(k) for k in range(0, 201, 20)])
+    L = robust.filter.frequency_response(left[3]["omega"])
+    response = left[3]["Q"].frequency_response(left[3]["omega"])
+    M = response[:, None, None] * (np.eye(2) - P @ L)
+    assert np.linalg.norm(M, 2, axis=(2, 3)).max() <= 0.95 * (1 + 1e-9)
+    assert 0 < left[3]["violation_probability"](robust) < 0.2
