@@ -29,6 +29,7 @@ def pose(
     objective="sum",
     scale=None,
     uncertainty=None,
+    noise=None,
 ) -> Problem:
     """State the problem (39), or (45) with (46), and check it.
 
@@ -71,8 +72,23 @@ def pose(
     model = None if plant is None or q is None else (plant, q)
     return Problem(
         P, Q, omega, Ts, order, M_max, L_max, in_band, structure, objective, scale, model,
-        others, tuple(other_models), radius,
+        others, tuple(other_models), radius, _weights(noise, omega, Ts, m, M_max, scale),
     )  # fmt: skip
+
+
+def _weights(noise, omega, Ts, m, M_max, scale):
+    """Weights of |Q P L|^2 that make its sum a mean over all frequencies, for each input of L."""
+    if noise is None:
+        return None
+    n = len(omega)
+    shape = (n, m) if np.ndim(noise) == 2 else (n,)
+    noise = arguments.array("noise", noise, shape).reshape(n, -1)
+    if noise.min() < 0:
+        raise ValueError(f"noise reaches {noise.min():.6g}, but a spectral density is not negative")
+    edges = np.concatenate([[0.0], (omega[1:] + omega[:-1]) / 2, [np.pi / Ts]])
+    width = np.diff(edges)[:, None] / np.pi
+    weights = width * noise / scale**2 / (1 - M_max**2) * np.ones(m)
+    return weights if weights.any() else None
 
 
 def _plants(P):

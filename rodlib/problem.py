@@ -52,6 +52,8 @@ class Problem:
     radius : ndarray, shape (n,) or (n, m, m), or None
         The bounds hold for all P + Delta with ||Delta|| <= radius at each frequency, or with
         |Delta_ij| <= radius_ij, and likewise for the other plants.
+    noise : ndarray, shape (n, m), or None
+        Weights of what learning from noise costs, see :meth:`cost_of_noise`.
     """
 
     P: np.ndarray
@@ -69,6 +71,7 @@ class Problem:
     others: np.ndarray
     other_models: tuple[control.StateSpace | None, ...] = ()
     radius: np.ndarray | None = None
+    noise: np.ndarray | None = None
 
     @property
     def channels(self) -> int:
@@ -102,6 +105,18 @@ class Problem:
         if self.objective == "sum":
             return float(sigma_M[self.in_band].sum())
         return float((sigma_M if worst is None else worst).max())
+
+    def cost_of_noise(self, L) -> float:
+        """What is added to the objective: a bound on what noise adds to the error's variance.
+
+        Noise that is new in every trial, of the spectral density Phi, makes the converged error's
+        variance larger by no more than the mean over all frequencies of
+        tr(Q P L Phi (Q P L)^H) / (1 - M_max^2), whatever M is within its bound. It is quadratic
+        in the learning filter, and convex.
+        """
+        if self.noise is None:
+            return 0.0
+        return float((np.abs(self.Q[:, None, None] * self.P @ L) ** 2 * self.noise[:, None]).sum())
 
     def M(self, L, number: int = 0) -> np.ndarray:
         """M of (40) of a plant, from the frequency response of L."""

@@ -273,13 +273,13 @@ def certify(
     response = L.frequency_response(problem.omega)
     sigma_M = largest_singular_values(problem.M(response))
     worst = worst_case(problem, L)
-    value = problem.value(sigma_M, worst.sigma)
+    value = problem.value(sigma_M, worst.sigma) + problem.cost_of_noise(response)
     peak = highest_peak(problem, L, np.argsort(-worst.peaks, kind="stable"))
     return Certificate(
         structure=problem.structure,
         order=problem.order,
         value=value,
-        lower_bound=lower_bound(problem, solution.U, solution.V, solution.cuts),
+        lower_bound=lower_bound(problem, solution.U, solution.V, solution.cuts, response),
         idle=problem.idle,
         M_max=problem.M_max,
         L_max=problem.L_max,

@@ -14,7 +14,7 @@ CLOSE = 1e-10  # relative accuracy of all dual norms together
 FAINT = 1e-9  # least eigenvalue of X, relative
 
 
-def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None) -> float:
+def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None, L=None) -> float:
     """Lower bound on the optimum of (39) or (45), from multipliers and linear algebra alone.
 
     For all filters that meet the bounds, and all U_i, V_i, N_c with sum_i Re tr(U_i^H dM_i) +
@@ -27,7 +27,9 @@ def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None) -> float:
     with nuclear norms |.|, W of :attr:`rodlib.problem.Problem.weight`, the matrices G = F + T L of
     :class:`rodlib.problem.Cuts`, and nu of :func:`dual_norm`, dual to their bound b. Where |U_i|
     exceeds the weight of sigma_max(M_i) in the objective, the excess is bounded with M_max, and so
-    are the b_c. For the peak, they are no larger than the objective itself. The multipliers are
+    are the b_c. For the peak, they are no larger than the objective itself. The cost of noise is
+    the square sum |G|^2 of weighted entries G of Q P L, and |G|^2 >= Re tr(N^H G) - |N|^2 / 4 for
+    every N: one more such term, which N = 2 G makes as large as it can be. The multipliers are
     first projected on those that fulfil the condition, so the bound holds, up to rounding, whatever
     was passed. A coefficient of L_jk acts on column k of M, L and G only, so the columns are
     projected one by one.
@@ -40,6 +42,9 @@ def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None) -> float:
     cuts : Cuts, optional
         Multipliers of the bounds on other plants, and for a radius. Without them, these bounds are
         not used.
+    L : ndarray, shape (n, m, m), optional
+        Frequency response of the filter at which the cost of noise is linearised, in units of
+        `scale`. Without it the cost is taken to be zero.
 
     Returns
     -------
@@ -60,15 +65,25 @@ def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None) -> float:
         felt = np.abs(slope).max(axis=2, keepdims=True) > 0  # a row of G that is not zero
         T, N = [*T, slope], [*N, cuts.N * felt]
         turns.append(angles[cuts.frequency])
+    noisy = problem.noise is not None and L is not None
+    if noisy:
+        weight = np.sqrt(problem.noise)
+        slope = Q[:, None, None] * P
+        T, N, turns = [*T, slope], [*N, 2 * weight[:, None] * (slope @ L)], [*turns, angles]
     angles = np.concatenate([np.repeat(t, X.shape[1]) for t, X in zip(turns, T, strict=True)])
     T, N = (np.concatenate([X.reshape(-1, m) for X in parts]).astype(complex) for parts in (T, N))
-    groups = [list(range(m))] if problem.structure == "full" else [[k] for k in range(m)]
-    for group in groups:
-        changes = _changes(T[:, group], angles, problem.order)
-        part = _rows(N[:, group])
+    for rows, columns in _groups(problem, noisy):
+        part = T[:, rows]
+        if noisy:  # the last rows, in the weight of this column
+            part[-n * m :] *= np.repeat(weight[:, columns[0]], m)[:, None]
+        changes = _changes(part, angles, problem.order)
+        part = _rows(N[:, columns])
         for _ in range(2):
             part -= (part @ changes.T) @ changes
-        N[:, group] = part.view(complex).T
+        N[:, columns] = part.view(complex).T
+    noise = 0.0
+    if noisy:
+        N, noise = N[: -n * m], (np.abs(N[-n * m :]) ** 2).sum() / 4
     plain = 2 * n if V is not None else n
     N, beyond = N[: plain * m].reshape(-1, m, m), N[plain * m :].reshape(F.shape)
     norms = np.linalg.svd(N, compute_uv=False).sum(axis=1)
@@ -76,9 +91,18 @@ def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None) -> float:
     bound += (beyond.conj() * F).real.sum()
     others = dual_norm(beyond[:, layout(problem)]).sum()
     if problem.objective == "peak":
-        return float(bound / (norms[:n].sum() + others))
+        total = norms[:n].sum() + others
+        return float(bound / total - noise / total**2)
     excess = np.maximum(norms[:n] - problem.in_band, 0).sum() + others
-    return float(bound - problem.M_max * excess)
+    return float(bound - problem.M_max * excess - noise)
+
+
+def _groups(problem, noisy):
+    """Rows and columns of L whose coefficients change the same rows of T L in the same way."""
+    every = list(range(problem.channels))
+    if problem.structure == "diagonal":
+        return [([k], [k]) for k in every]
+    return [(every, [k]) for k in every] if noisy else [(every, every)]
 
 
 def dual_norm(N) -> np.ndarray:

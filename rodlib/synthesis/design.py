@@ -91,6 +91,7 @@ def synthesise(
     objective="sum",
     scale=None,
     uncertainty=None,
+    noise=None,
     solver="structured",
     start=None,
     samples=None,
@@ -132,6 +133,11 @@ def synthesise(
         Radius at each frequency: the bounds hold for each P + Delta with ||Delta|| <= radius, by a
         condition that is exact, or with |Delta_ij| <= radius_ij, by one that is sufficient. Of the
         channels in units of `scale` for the norm, of the plant's own entry by entry.
+    noise : array_like, shape (n,) or (n, m), optional
+        Spectral density of the noise of the outputs, new in every trial; white noise of standard
+        deviation s has s^2 Ts. Added to the objective is then what it adds at most to the variance
+        of the converged error, :meth:`rodlib.problem.Problem.cost_of_noise`, in units of `scale`;
+        multiply the density to make more of that, or less.
     solver : {"structured", "cvxpy"}
         :mod:`rodlib.synthesis.interior_point`, or the problem as the paper states it, in CVXPY.
     start : Synthesis, optional
@@ -166,6 +172,7 @@ def synthesise(
     problem = pose(
         P, Q, omega, Ts, order=order, M_max=M_max, L_max=L_max, band=band, structure=structure,
         objective=objective, scale=scale, uncertainty=uncertainty,
+        noise=noise,
     )  # fmt: skip
     arguments.choice("solver", solver, ["structured", "cvxpy"])
     arguments.flag("check", check)
@@ -183,7 +190,8 @@ def synthesise(
     certificate = certify(problem, solution, tolerances, samples, rest)
     if check and certificate.failures:
         raise SolverError(f"{solution.method}: {'; '.join(certificate.failures)}")
-    sigmas = _sigmas(problem, solution)
+    L = _response(problem, solution)
+    sigmas = largest_singular_values(problem.M(L)), largest_singular_values(L)
     return Synthesis(problem.filter(solution.coefficients), problem, certificate, *sigmas, solution)
 
 
@@ -242,19 +250,19 @@ def _with_cuts(problem, start, solve):
         plant, frequency = np.append(plant, more[0]), np.append(frequency, more[1])
 
 
-def _sigmas(problem, solution):
-    """sigma_max(M) and sigma_max(L) at the design frequencies, in units of scale."""
-    L = LearningFilter(solution.coefficients, problem.Ts).frequency_response(problem.omega)
-    return largest_singular_values(problem.M(L)), largest_singular_values(L)
+def _response(problem, solution):
+    """Of the filter at the design frequencies, in units of scale."""
+    return LearningFilter(solution.coefficients, problem.Ts).frequency_response(problem.omega)
 
 
 def _is_good(problem, solution, gap):
     """Whether a solution is within its bounds, and proven to be as good as the gap says."""
-    sigma_M, sigma_L = _sigmas(problem, solution)
+    L = _response(problem, solution)
+    sigma_M, sigma_L = largest_singular_values(problem.M(L)), largest_singular_values(L)
     worst = max(sigma_M.max(), solution.peak if problem.robust else 0)
-    value = problem.value(sigma_M, np.array([worst]))
+    value = problem.value(sigma_M, np.array([worst])) + problem.cost_of_noise(L)
     return (
-        value - lower_bound(problem, solution.U, solution.V, solution.cuts)
+        value - lower_bound(problem, solution.U, solution.V, solution.cuts, L)
         < gap * max(value, 1e-3 * problem.idle)
         and worst <= problem.M_max * (1 + VIOLATION)
         and sigma_L.max() <= (problem.L_max or np.inf) * (1 + VIOLATION)
@@ -264,7 +272,7 @@ def _is_good(problem, solution, gap):
 def _explained(problem, nearest):
     """The error that says which bound is too tight, where, and what would be feasible."""
     if len(problem.others):  # not all of them had a say so far
-        nearest = solve(replace(problem, M_max=np.inf, objective="peak"), nearest)
+        nearest = solve(replace(problem, M_max=np.inf, objective="peak", noise=None), nearest)
     size = np.linalg.norm(nearest.U, axis=(1, 2))
     plant, frequency = 0, size.argmax()
     if nearest.cuts is not None:
@@ -284,7 +292,7 @@ def _advice(problem, smallest):
     remedy = f"the smallest feasible M_max is {smallest:.6g}"
     raised = "raise M_max" if smallest < HOPELESS else "no M_max below 1 will do, so"
     if L_max is not None:
-        unbounded = replace(problem, L_max=None, M_max=np.inf, objective="peak")
+        unbounded = replace(problem, L_max=None, M_max=np.inf, objective="peak", noise=None)
         without = solve(unbounded).peak
         if without <= M_max:
             return (

@@ -109,7 +109,8 @@ def complementarity(program, p):
 def dual_value(program, p):
     """The dual objective, a lower bound on the primal one if Y and eta are stationary."""
     nothing = {"t": 0 * p.t, "d": [0 * d for d in p.d], "G": [bound.F for bound in program.bounds]}
-    return -complementarity(program, replace(p, limits=program.limits, **nothing))
+    linear = complementarity(program, replace(p, limits=program.limits, **nothing))
+    return -linear - program.quadratic(p.x)
 
 
 def begin(program, x):
@@ -148,7 +149,8 @@ def newton(program, p, slacks, total, root):
     def correct(d):
         """d, with x, t and the splits changed such that all multipliers become stationary."""
         Y = [A + D for A, D in zip(p.Y, d.Y, strict=True)]
-        dx, dt, dd = solve(stationarity(program, Y), Y, p.eta + d.eta)
+        residual = stationarity(program, Y) - program.slope(p.x + d.x)
+        dx, dt, dd = solve(residual, Y, p.eta + d.eta)
         dL = dx @ program.basis
         dG = [bound.response(dL) for bound in program.bounds]
         correction = Point(dx, dt, 0 * toward, dd, dG, [], p.eta / s * dt)
@@ -174,8 +176,8 @@ def newton(program, p, slacks, total, root):
             return d
         for _ in range(REFINEMENTS):
             Y = [A + D for A, D in zip(p.Y, d.Y, strict=True)]
-            left = np.linalg.norm(stationarity(program, Y)) * np.linalg.norm(p.x)
-            if left <= STATIONARY * total:
+            left = np.linalg.norm(stationarity(program, Y) - program.slope(p.x + d.x))
+            if left * np.linalg.norm(p.x) <= STATIONARY * total:
                 return d
             d = correct(d)
         return d if root else None
@@ -207,7 +209,7 @@ def follow(program, p, enough=0.0, is_good=None):
     n, m = program.basis.shape[1], p.G[0].shape[1]
     best, smallest, gaps, root = None, np.inf, [], False
     for iteration in range(100):
-        objective, dual = p.t.sum(), dual_value(program, p)
+        objective, dual = p.t.sum() + program.quadratic(p.x), dual_value(program, p)
         total = complementarity(program, p)
         gap = max(total, abs(objective - dual))
         if (p.limits == program.limits).all():

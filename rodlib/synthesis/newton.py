@@ -222,6 +222,9 @@ def factorise(program, slacks, Y, barrier, root=False):
         xt = onto_x([part.xt if part.shared else 0 * part.bound.T[0, 0] for part in local])
     if root:
         R = square_root(program, slacks, Y, barrier)
+        if program.H is not None:
+            w, X = np.linalg.eigh(program.H)
+            R = np.linalg.qr(np.vstack([R, np.sqrt(np.maximum(w, 0))[:, None] * X.T]), mode="r")
         scale = 1 / np.linalg.norm(R, axis=0)
         # a shift of 1e-30 in the squares
         R = np.linalg.qr(np.vstack([R * scale, 1e-15 * np.eye(len(R))]), mode="r")
@@ -230,6 +233,8 @@ def factorise(program, slacks, Y, barrier, root=False):
         H = normal_matrix(program, slacks, Y, local)
         if program.shared:
             H -= np.outer(xt, xt / tt)
+        if program.H is not None:
+            H += program.H
         scale = 1 / np.sqrt(np.maximum(np.diag(H), EPS * np.diag(H).max()))
         factor = _factorised(scale[:, None] * H * scale)
 

@@ -58,6 +58,8 @@ class Program:
         Of the bounds, see :attr:`rodlib.synthesis.bounds.Bound.limit`; the first is that of t, too.
     M_max : float
         What the largest with the first limit must not exceed.
+    H : ndarray, shape (K, K), or None
+        x'H x / 2 is added to what is minimised.
     """
 
     bounds: tuple
@@ -68,6 +70,15 @@ class Program:
     shared: bool
     limits: np.ndarray
     M_max: float
+    H: np.ndarray | None = None
+
+    def quadratic(self, x):
+        """x'H x / 2."""
+        return 0.0 if self.H is None else 0.5 * x.ravel() @ self.H @ x.ravel()
+
+    def slope(self, x):
+        """H x."""
+        return 0.0 if self.H is None else self.H @ x.ravel()
 
     @property
     def idle(self):
@@ -79,7 +90,8 @@ class Program:
         """The program of the smallest possible bound on M."""
         size = max(np.abs(bound.F[0, 0]).max() for bound in self.bounds if bound.limit == 0)
         limits = np.array([GENEROUS * size, self.limits[1]])
-        return replace(self, free=np.arange(self.bounds[0].shape[2]), shared=True, limits=limits)
+        free = np.arange(self.bounds[0].shape[2])
+        return replace(self, free=free, shared=True, limits=limits, H=None)
 
     def has_t(self, j):
         """The columns of bound j whose level is a variable."""
@@ -230,4 +242,19 @@ def formulate(problem: Problem, plant=(), frequency=()) -> Program:
     limits = np.array([problem.M_max, 1.0])
     free = np.flatnonzero(problem.in_band[bounds[0].at])
     program = Program(bounds, basis, R, len(rows), free, False, limits, problem.M_max)
-    return program.peak() if problem.objective == "peak" else program
+    if problem.objective == "peak":
+        program = program.peak()
+    if problem.noise is not None:  # at whose price the peak could be higher
+        program = replace(program, limits=limits, H=cost_of_noise(problem, basis, rows, cols))
+    return program
+
+
+def cost_of_noise(problem, basis, rows, cols):
+    """The H with x'H x / 2 the :meth:`rodlib.problem.Problem.cost_of_noise` of the filter."""
+    G = problem.Q[:, None, None] * problem.P
+    gram = G.conj().swapaxes(1, 2) @ G
+    same = cols[:, None] == cols
+    weight = gram[:, rows[:, None], rows] * same * problem.noise[:, cols][:, None]
+    half = np.einsum("nij,kn,ln->ikjl", weight, basis.conj(), basis, optimize=True).real
+    H = 2 * half.reshape(len(rows) * len(basis), -1)
+    return (H + H.T) / 2

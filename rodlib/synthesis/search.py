@@ -86,7 +86,7 @@ def largest_cutoff(
     def excess(logarithm):
         """The smallest possible M_max with this cut-off, relative to the one that is asked for."""
         response = with_cutoff(logarithm).frequency_response(problem.omega)
-        question = replace(problem, Q=response, M_max=np.inf)
+        question = replace(problem, Q=response, M_max=np.inf, noise=None)
         found["solution"] = solve(question, found.get("solution"))
         return found["solution"].peak / problem.M_max - 1
 

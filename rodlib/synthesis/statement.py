@@ -52,7 +52,10 @@ def solve(program: Program) -> Solution:
         subject_to.append(sigma_max_at_most(G, b, bound, d))
         splits.append(d)
     meets = [] if program.shared else [t <= program.M_max]
-    problem = cp.Problem(cp.Minimize(cp.sum(t)), subject_to + meets)
+    cost = cp.sum(t)
+    if program.H is not None:
+        cost += cp.sum_squares(root_of(program.H) @ x) / 2
+    problem = cp.Problem(cp.Minimize(cost), subject_to + meets)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # "may be inaccurate": the caller checks the result
@@ -83,6 +86,12 @@ def solve(program: Program) -> Solution:
     if program.shared and solution.peak > program.M_max:
         raise Infeasible(program.M_max, solution)
     return solution
+
+
+def root_of(H):
+    """R with R'R = H."""
+    w, X = np.linalg.eigh(H)
+    return np.sqrt(np.maximum(w, 0))[:, None] * X.T
 
 
 def sigma_max_at_most(parts, b, bound=None, d=None):
