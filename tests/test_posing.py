@@ -19,7 +19,7 @@ BAND = (1e-3, 0.1)
 def coupled():
     """Two lags with coupling, in discrete time."""
     A = np.array([[0.9, 0.05], [0.02, 0.8]])
-    return control.ss(A, np.diag([0.1, 0.2]), np.eye(2), 0, 1.0)
+    return control.ss(A, [[0.1, 0.02], [0.01, 0.2]], np.eye(2), 0, 1.0)
 
 
 def test_defaults_are_those_of_synthesise():
@@ -96,6 +96,8 @@ def test_units_do_not_matter_if_scale_says_what_is_equally_large(structure, as_m
         assert a == pytest.approx(b, rel=1e-6)
     unscaled = synthesise(coupled(), Q, OMEGA, 1.0, L_max=3.0, band=BAND, structure=structure)
     assert unscaled.value == pytest.approx(one.value, rel=1e-9)  # twice as large for both
+    if as_model:
+        assert unscaled.certificate.all_M == pytest.approx(one.certificate.all_M, rel=1e-9)
 
 
 def test_scale_weighs_the_channels():
