@@ -125,9 +125,10 @@ def steps_of(step, trials: int) -> np.ndarray:
     ValueError
         If there is another number of them, or one is not in (0, 1].
     """
-    if np.ndim(step) == 0:
+    given = arguments.array("step", step, (...,))
+    if given.ndim == 0:
         return np.full(trials - 1, arguments.share("step", step))
-    steps = arguments.array("step", step, (trials - 1,))
+    steps = arguments.array("step", given, (trials - 1,))
     return np.array([arguments.share(f"step[{k}]", a) for k, a in enumerate(steps)])
 
 

@@ -75,26 +75,54 @@ class TrialNoise:
 
     Attributes
     ----------
+    omega : ndarray, shape (n,)
+        Increasing angular frequencies, rad/s, up to the Nyquist frequency.
+    Ts : float
+        Sampling period, s.
     P : ndarray, shape (n, m, m), complex
         Frequency response of the loop from w to y, (31).
-    measured : Spectrum
-        Of x, how the measured outputs, and so e, deviate from trial to trial.
-    true : Spectrum or None
-        Of t, how the outputs themselves do; None where that is not known.
+    measured_density : ndarray, shape (n, m, m), complex
+        Of x, how the measured outputs, and so e, deviate from trial to trial. May be given in any
+        of the forms that :func:`trial_noise` takes.
+    true_density : ndarray, shape (n, m, m), complex; or None
+        Of t, how the outputs themselves do; None where it is not known. What the sensors add and
+        what the feedback makes of it cannot be told apart by looking at the measured outputs.
 
     Raises
     ------
     ValueError
-        If P is not known at the frequencies and for the channels of the spectra.
+        If an argument is out of range or has another shape, or a density is none.
     """
 
+    omega: np.ndarray
+    Ts: float
     P: np.ndarray
-    measured: Spectrum
-    true: Spectrum | None = None
+    measured_density: np.ndarray
+    true_density: np.ndarray | None = None
 
     def __post_init__(self):
-        P = arguments.array("P", self.P, self.measured.density.shape, complex)
-        object.__setattr__(self, "P", P)
+        Ts = arguments.sampling_period("Ts", self.Ts)
+        omega = arguments.frequencies("omega", self.omega, Ts)
+        P = arguments.array("P", self.P, (len(omega), "m", "m"), complex)
+        checked = {"Ts": Ts, "omega": omega, "P": P}
+        for name in ("measured_density", "true_density"):
+            value = getattr(self, name)
+            if value is not None or name == "measured_density":
+                checked[name] = _density(name, value, omega, P.shape[1])
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def measured(self) -> Spectrum:
+        """Of x."""
+        return Spectrum(self.omega, self.Ts, self.measured_density)
+
+    @property
+    def true(self) -> Spectrum | None:
+        """Of t; None where it is not known."""
+        if self.true_density is None:
+            return None
+        return Spectrum(self.omega, self.Ts, self.true_density)
 
 
 @dataclass(frozen=True)
@@ -134,11 +162,11 @@ def trial_noise(
         With m outputs and d disturbances.
     omega : array_like, shape (n,)
         Increasing angular frequencies, rad/s, up to the Nyquist frequency.
-    noise : float, array_like, or function of omega
+    noise : float or array_like
         Spectral density of what the sensors add to y, see :class:`Spectrum`. White noise: the
         variance, of all outputs or of each, shape (m,). Coloured noise: shape (n,) for all
         outputs, (n, m) for each, (n, m, m) where they depend on each other.
-    disturbance : float, array_like, or function of omega, optional
+    disturbance : float or array_like, optional
         Likewise, for ``loop.disturbances``. Default zero.
     plant : control.StateSpace or control.TransferFunction, optional
         Another plant in the place of that of the design, as in :meth:`CurrentTrialLoop.around`.
@@ -155,14 +183,14 @@ def trial_noise(
     """
     arguments.instance("loop", loop, CurrentTrialLoop)
     omega, m = arguments.frequencies("omega", omega, loop.Ts), loop.plant.noutputs
-    sensors = spectrum("noise", noise, omega, loop.Ts, m).density
+    sensors = _density("noise", noise, omega, m)
     response = frequency_response(with_noise(loop, plant), omega)
     P, G, T = np.split(response, [m, -m], axis=2)
     true, measured = _through(T, sensors), _through(np.eye(m) + T, sensors)
     if disturbance is not None:
-        d = spectrum("disturbance", disturbance, omega, loop.Ts, len(loop.disturbances))
-        true, measured = (x + _through(G, d.density) for x in (true, measured))
-    return TrialNoise(P, Spectrum(omega, loop.Ts, measured), Spectrum(omega, loop.Ts, true))
+        flows = _through(G, _density("disturbance", disturbance, omega, len(loop.disturbances)))
+        true, measured = true + flows, measured + flows
+    return TrialNoise(omega, loop.Ts, P, measured, true)
 
 
 def converged_noise(
@@ -191,12 +219,12 @@ def converged_noise(
     """
     step = arguments.share("step", step)
     M, QPL = _learning(new, Q, L)
-    M, added = _stepped(M, step), step**2 * _through(QPL, new.measured.density)
+    M, added = _stepped(M, step), step**2 * _through(QPL, new.measured_density)
     rate = np.abs(np.linalg.eigvals(M)).max(axis=1)
     if rate.max() >= 1:
         raise ValueError(
             f"L does not converge: M has an eigenvalue of modulus {rate.max():.6g} at "
-            f"{new.measured.omega[rate.argmax()]:.6g} rad/s"
+            f"{new.omega[rate.argmax()]:.6g} rad/s"
         )
     # Smith's method: the sum over M^k (.) M^k^H, doubling the number of terms.
     total, size = added, 1.0
@@ -232,7 +260,7 @@ def noise_by_trial(
     """
     steps = [arguments.share(f"step[{k}]", a) for k, a in enumerate(arguments.row("step", step))]
     M, QPL = _learning(new, Q, L)
-    added = _through(QPL, new.measured.density)
+    added = _through(QPL, new.measured_density)
     density = [np.zeros_like(added)]
     for a in steps:
         density.append(_through(_stepped(M, a), density[-1]) + a**2 * added)
@@ -266,78 +294,55 @@ def noise_bound(new: TrialNoise, Q: ZeroPhaseButterworth, M_max, L_max) -> float
     g >= sigma_max(Q P L), so that tr Phi <= tr Phi_x g^2 / (1 - c^2). As M = Q I - Q P L, each of
     the two is at most |Q| plus the other one, too; and Q P L is at most |Q| sigma_max(P) L_max.
     """
-    omega, Ts = new.measured.omega, new.measured.Ts
-    _check_filter("Q", Q, ZeroPhaseButterworth, Ts)
+    arguments.instance("new", new, TrialNoise)
+    _check_filter("Q", Q, ZeroPhaseButterworth, new.Ts)
     limits = {"M_max": M_max, "L_max": L_max}
     for name, value in limits.items():
-        limits[name] = arguments.array(name, value, (len(omega),) if np.ndim(value) else ())
+        value = arguments.array(name, value, (...,))
+        limits[name] = arguments.array(name, value, new.omega.shape if value.ndim else ())
         if limits[name].min() < 0:
             raise ValueError(f"{name} reaches {limits[name].min():g}, but must not be negative")
     if limits["M_max"].max() >= 1:
         raise ValueError(f"M_max reaches {limits['M_max'].max():g}, but must be below one")
-    q = np.abs(Q.frequency_response(omega))
+    q = Q.frequency_response(new.omega)
     gain = q * largest_singular_values(new.P) * limits["L_max"]
     rate = np.minimum(limits["M_max"], q + gain)
     gain = np.minimum(gain, q + rate)
-    power = np.einsum("nii->n", new.measured.density).real * gain**2 / (1 - rate**2)
-    return Spectrum(omega, Ts, power[:, None, None]).total
+    power = np.einsum("nii->n", new.measured_density).real * gain**2 / (1 - rate**2)
+    return Spectrum(new.omega, new.Ts, power[:, None, None]).total
 
 
-def spectrum(name: str, value, omega, Ts: float, m: int) -> Spectrum:
-    """The spectrum that an argument says in short, in one of the forms of :func:`trial_noise`.
-
-    Parameters
-    ----------
-    name : str
-        Of the argument, for the message.
-    value : float, array_like, or function of omega
-    omega : array_like, shape (n,)
-    Ts : float
-    m : int
-        Number of signals.
-
-    Returns
-    -------
-    Spectrum
-
-    Raises
-    ------
-    ValueError
-        As for :func:`trial_noise`.
-    """
-    Ts = arguments.sampling_period("Ts", Ts)
-    omega = arguments.frequencies("omega", omega, Ts)
-    given = arguments.array(name, value(omega) if callable(value) else value, (...,), complex)
+def _density(name, value, omega, m):
+    """A density of shape (n, m, m), from any of the forms of :func:`trial_noise`."""
+    given = arguments.array(name, value, (...,), complex)
     n = len(omega)
     if given.shape not in [(), (m,), (n,), (n, m), (n, m, m)]:
         raise ValueError(
             f"{name} has shape {given.shape}, but must be a variance, shape () or ({m},), or a "
             f"density at the {n} frequencies, shape ({n},), ({n}, {m}) or ({n}, {m}, {m})"
         )
-    if given.ndim == 3:
-        density = given
-    else:
+    if given.ndim < 3:
         each = given[:, None] if given.shape == (n,) != (m,) else given
-        density = np.broadcast_to(each, (n, m))[..., None] * np.eye(m)
-    size = np.abs(density).max(initial=0)
-    apart = np.abs(density - density.conj().swapaxes(1, 2)).max(initial=0)
-    if apart > HERMITIAN * size or np.linalg.eigvalsh(density).min(initial=0) < -HERMITIAN * size:
+        given = np.broadcast_to(each, (n, m))[..., None] * np.eye(m)
+    size = np.abs(given).max()
+    apart = np.abs(given - given.conj().swapaxes(1, 2)).max()
+    if apart > HERMITIAN * size or np.linalg.eigvalsh(given).min() < -HERMITIAN * size:
         raise ValueError(
             f"{name} is no spectral density: at each frequency it must be real and not negative, "
             "or a Hermitian matrix without negative eigenvalues"
         )
-    return Spectrum(omega, Ts, density)
+    return given
 
 
 def _learning(new, Q, L):
     """M and Q P L, for a step of one."""
-    omega, Ts = new.measured.omega, new.measured.Ts
-    _check_filter("Q", Q, ZeroPhaseButterworth, Ts)
-    _check_filter("L", L, LearningFilter, Ts)
+    arguments.instance("new", new, TrialNoise)
+    _check_filter("Q", Q, ZeroPhaseButterworth, new.Ts)
+    _check_filter("L", L, LearningFilter, new.Ts)
     m = new.P.shape[1]
     arguments.array("L.coefficients", L.coefficients, (m, m, "order"))
-    q = Q.frequency_response(omega)
-    M = convergence_matrix(new.P, q, L.frequency_response(omega))
+    q = Q.frequency_response(new.omega)
+    M = convergence_matrix(new.P, q, L.frequency_response(new.omega))
     return M, q[:, None, None] * np.eye(m) - M
 
 
@@ -351,7 +356,7 @@ def _stepped(M, step):
 
 
 def _learned(new, density):
-    return LearnedNoise(new, Spectrum(new.measured.omega, new.measured.Ts, density))
+    return LearnedNoise(new, Spectrum(new.omega, new.Ts, density))
 
 
 def _through(H, density):

@@ -194,8 +194,8 @@ def random_case(m, seed, n=6):
     random = rng.standard_normal((3, n, m, m)) + 1j * rng.standard_normal((3, n, m, m))
     change = 0.95 * random[0] / np.linalg.norm(random[0], 2, axis=(1, 2))[:, None, None]
     P = (np.eye(m) - change) @ np.linalg.inv(L.frequency_response(omega))
-    measured, true = (Spectrum(omega, 1.0, x @ x.conj().swapaxes(1, 2)) for x in random[1:])
-    return TrialNoise(P, measured, true), Q, L
+    measured, true = (x @ x.conj().swapaxes(1, 2) for x in random[1:])
+    return TrialNoise(omega, 1.0, P, measured, true), Q, L
 
 
 def responses(new, Q, L):
@@ -249,9 +249,9 @@ def test_no_trial_is_above_the_bound_and_one_channel_may_attain_it(m, seed, step
 def test_where_the_bound_is_sharp():
     """One channel, M at its bound and Q P L as large as Q and M allow, or as P and L do."""
     omega, Q = np.linspace(0.01, 3, 50), zero_phase_butterworth(1, 1.0)
-    L, density = LearningFilter([[[1.0]]], 1.0), Spectrum(omega, 1.0, np.ones((50, 1, 1)))
+    L = LearningFilter([[[1.0]]], 1.0)
     z = np.exp(1j * omega)[:, None, None]
-    ahead = TrialNoise((1 + 0.8) / z, density)  # P L = 1.8
+    ahead = TrialNoise(omega, 1.0, (1 + 0.8) / z, 1.0)  # P L = 1.8
     rate = 0.8 * Q.frequency_response(omega)
     for L_max in (1.0, 100.0):
         expected = converged_noise(ahead, Q, L).learned.total
@@ -290,7 +290,7 @@ def test_steps_that_fall_let_the_noise_of_the_past_fade():
     """With steps 1/k and M = 0, v is the mean over k trials, whose variance falls as 1/k."""
     omega, Q = np.linspace(0.01, 3, 50), zero_phase_butterworth(1, 1.0)
     z = np.exp(1j * omega)[:, None, None]
-    new = TrialNoise(1 / z, Spectrum(omega, 1.0, np.ones((50, 1, 1))))
+    new = TrialNoise(omega, 1.0, 1 / z, 1.0)
     L = LearningFilter([[[1.0]]], 1.0)
     averaged = noise_by_trial(new, Q, L, 1 / np.arange(1, 200))
     q = Q.frequency_response(omega)[:, None, None]
@@ -332,7 +332,6 @@ def test_a_densitys_forms_and_units():
         np.full(500, 4.0),
         np.full((500, 3), 4.0),
         np.broadcast_to(4 * np.eye(3), (500, 3, 3)),
-        lambda omega: 4 + 0 * omega,
     ]
     first, *others = (trial_noise(loop, omega, noise=form) for form in forms)
     for other in others:
@@ -379,7 +378,7 @@ def test_around_another_plant(loop):
         (-1.0, "noise is no spectral density"),
         ([1.0, -1.0, 0.0], "noise is no spectral density"),
         (np.ones(2), r"noise has shape \(2,\), but must be a variance, shape \(\) or \(3,\)"),
-        (lambda omega: np.ones((4, 3)), r"noise has shape \(4, 3\)"),
+        (np.ones((4, 3)), r"noise has shape \(4, 3\)"),
         (np.full((500, 3, 3), np.triu(np.ones((3, 3)))), "noise is no spectral density"),
         (np.full((500, 3, 3), 1 - np.eye(3)), "noise is no spectral density"),
         (1j, "noise is no spectral density"),
@@ -398,7 +397,7 @@ def test_what_does_not_fit_is_refused():
     with pytest.raises(ValueError, match=r"omega, of shape .* increasing"):
         trial_noise(loop, omega[::-1], 1.0)
     with pytest.raises(ValueError, match=r"P has shape \(2, 3, 3\)"):
-        TrialNoise(new.P[:2], new.measured)
+        TrialNoise(omega, 2.0, new.P[:2], 1.0)
     with pytest.raises(ValueError, match=r"L does not converge: M has an eigenvalue of modulus"):
         converged_noise(new, Q, LearningFilter(-L.coefficients, L.Ts))
     with pytest.raises(ValueError, match=r"step = 1.5 must be in \(0, 1\]"):
@@ -423,7 +422,7 @@ def test_without_a_loop_what_e_shows_is_enough():
     """P and what e shows without learning may be measured; the true error is then not known."""
     loop, Q, omega, [L] = case("stage")
     new = trial_noise(loop, omega, 1.0)
-    seen = converged_noise(TrialNoise(new.P, new.measured), Q, L)
+    seen = converged_noise(TrialNoise(omega, loop.Ts, new.P, new.measured_density), Q, L)
     np.testing.assert_array_equal(
         seen.measured.density, converged_noise(new, Q, L).measured.density
     )
