@@ -217,6 +217,7 @@ DOORS = {
             "trials": WHOLE,
             "pause": WHOLE,
             "rest": WHOLE,
+            "step": NUMBER | {"0": 0},
         },
     ),
 }  # fmt: skip
