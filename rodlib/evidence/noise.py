@@ -22,7 +22,7 @@ import numpy as np
 from rodlib import arguments
 from rodlib.filters import LearningFilter, ZeroPhaseButterworth
 from rodlib.loop import CurrentTrialLoop, with_noise
-from rodlib.problem import convergence_matrix, largest_singular_values
+from rodlib.problem import largest_singular_values
 from rodlib.realisation import frequency_response
 
 HERMITIAN = 1e-9  # relative, by how much a spectral density may miss being one
@@ -188,20 +188,22 @@ def trial_noise(
     P, G, T = np.split(response, [m, -m], axis=2)
     true, measured = _through(T, sensors), _through(np.eye(m) + T, sensors)
     if disturbance is not None:
+        if not loop.disturbances:
+            raise ValueError("disturbance must be None: the loop has none")
         flows = _through(G, _density("disturbance", disturbance, omega, len(loop.disturbances)))
         true, measured = true + flows, measured + flows
     return TrialNoise(omega, loop.Ts, P, measured, true)
 
 
-def converged_noise(
-    new: TrialNoise, Q: ZeroPhaseButterworth, L: LearningFilter, step: float = 1.0
-) -> LearnedNoise:
+def converged_noise(new: TrialNoise, Q, L: LearningFilter, step: float = 1.0) -> LearnedNoise:
     """What is random in the error when all that comes again is learned.
 
     Parameters
     ----------
     new : TrialNoise
-    Q, L : ZeroPhaseButterworth, LearningFilter
+    Q : ZeroPhaseButterworth or array_like, shape (n,)
+        The filter, or its frequency response on ``new.omega``.
+    L : LearningFilter
     step : float
         Of :func:`rodlib.update`, the same after every trial.
 
@@ -235,15 +237,13 @@ def converged_noise(
     return _learned(new, total)
 
 
-def noise_by_trial(
-    new: TrialNoise, Q: ZeroPhaseButterworth, L: LearningFilter, step
-) -> list[LearnedNoise]:
+def noise_by_trial(new: TrialNoise, Q, L: LearningFilter, step) -> list[LearnedNoise]:
     """What is random in the error of each trial, from the first on, where v = 0.
 
     Parameters
     ----------
     new : TrialNoise
-    Q, L : ZeroPhaseButterworth, LearningFilter
+    Q, L : as for :func:`converged_noise`
     step : array_like, shape (trials - 1,)
         Of :func:`rodlib.update`, from each trial to the next.
 
@@ -267,13 +267,13 @@ def noise_by_trial(
     return [_learned(new, each) for each in density]
 
 
-def noise_bound(new: TrialNoise, Q: ZeroPhaseButterworth, M_max, L_max) -> float:
+def noise_bound(new: TrialNoise, Q, M_max, L_max) -> float:
     """Bound on the noise that learning adds, for every filter that keeps the bounds of (39).
 
     Parameters
     ----------
     new : TrialNoise
-    Q : ZeroPhaseButterworth
+    Q : as for :func:`converged_noise`
     M_max, L_max : float or array_like, shape (n,)
         Bounds on sigma_max(M), below one, and sigma_max(L), at all frequencies or at each.
 
@@ -294,8 +294,7 @@ def noise_bound(new: TrialNoise, Q: ZeroPhaseButterworth, M_max, L_max) -> float
     g >= sigma_max(Q P L), so that tr Phi <= tr Phi_x g^2 / (1 - c^2). As M = Q I - Q P L, each of
     the two is at most |Q| plus the other one, too; and Q P L is at most |Q| sigma_max(P) L_max.
     """
-    arguments.instance("new", new, TrialNoise)
-    _check_filter("Q", Q, ZeroPhaseButterworth, new.Ts)
+    q = np.abs(_q_response(new, Q))
     limits = {"M_max": M_max, "L_max": L_max}
     for name, value in limits.items():
         value = arguments.array(name, value, (...,))
@@ -304,7 +303,6 @@ def noise_bound(new: TrialNoise, Q: ZeroPhaseButterworth, M_max, L_max) -> float
             raise ValueError(f"{name} reaches {limits[name].min():g}, but must not be negative")
     if limits["M_max"].max() >= 1:
         raise ValueError(f"M_max reaches {limits['M_max'].max():g}, but must be below one")
-    q = Q.frequency_response(new.omega)
     gain = q * largest_singular_values(new.P) * limits["L_max"]
     rate = np.minimum(limits["M_max"], q + gain)
     gain = np.minimum(gain, q + rate)
@@ -336,19 +334,21 @@ def _density(name, value, omega, m):
 
 def _learning(new, Q, L):
     """M and Q P L, for a step of one."""
-    arguments.instance("new", new, TrialNoise)
-    _check_filter("Q", Q, ZeroPhaseButterworth, new.Ts)
-    _check_filter("L", L, LearningFilter, new.Ts)
-    m = new.P.shape[1]
+    q, m = _q_response(new, Q), new.P.shape[1]
+    arguments.instance("L", L, LearningFilter)
+    arguments.one_period(noise=new.Ts, L=L.Ts)
     arguments.array("L.coefficients", L.coefficients, (m, m, "order"))
-    q = Q.frequency_response(new.omega)
-    M = convergence_matrix(new.P, q, L.frequency_response(new.omega))
-    return M, q[:, None, None] * np.eye(m) - M
+    q = q[:, None, None]
+    QPL = q * new.P @ L.frequency_response(new.omega)
+    return q * np.eye(m) - QPL, QPL  # (40)
 
 
-def _check_filter(name, value, kind, Ts):
-    arguments.instance(name, value, kind)
-    arguments.one_period(noise=Ts, **{name: value.Ts})
+def _q_response(new, Q):
+    arguments.instance("new", new, TrialNoise)
+    if isinstance(Q, ZeroPhaseButterworth):
+        arguments.one_period(noise=new.Ts, Q=Q.Ts)
+        Q = Q.frequency_response(new.omega)
+    return arguments.array("Q", Q, new.omega.shape, complex)
 
 
 def _stepped(M, step):

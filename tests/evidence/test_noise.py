@@ -225,6 +225,19 @@ def test_what_is_learned_solves_the_lyapunov_equation(m, seed, step):
         np.testing.assert_allclose(found.measured.density[i], total[1], rtol=0, atol=1e-8)
 
 
+@given(sizes, seeds)
+def test_Q_may_be_samples_and_complex(m, seed):
+    """A phase of Q turns M and Q P L alike, and so changes no spectrum."""
+    new, Q, L = random_case(m, seed)
+    q = Q.frequency_response(new.omega)
+    found, same = (converged_noise(new, each, L).learned.density for each in (Q, q))
+    np.testing.assert_array_equal(found, same)
+    assert noise_bound(new, q, 0.5, 2.0) == noise_bound(new, Q, 0.5, 2.0)
+    turned = converged_noise(new, q * np.exp(1j * new.omega), L).learned.density
+    limit = 1e-9 * np.abs(found).max()
+    np.testing.assert_allclose(turned, found, rtol=0, atol=limit)
+
+
 @given(seeds)
 def test_one_channel_has_a_closed_form(seed):
     new, Q, L = random_case(1, seed)
@@ -394,6 +407,9 @@ def test_what_is_no_density_is_refused(noise, words):
 def test_what_does_not_fit_is_refused():
     loop, Q, omega, [L] = case("tanks")
     new = trial_noise(loop, omega, 1.0)
+    without = current_trial_loop(tanks()[:, ["pump A", "pump B", "pump C"]])
+    with pytest.raises(ValueError, match="disturbance must be None: the loop has none"):
+        trial_noise(without, omega, 1.0, 1.0)
     with pytest.raises(ValueError, match=r"omega, of shape .* increasing"):
         trial_noise(loop, omega[::-1], 1.0)
     with pytest.raises(ValueError, match=r"P has shape \(2, 3, 3\)"):
