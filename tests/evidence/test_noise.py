@@ -270,6 +270,10 @@ def test_where_the_bound_is_sharp():
         expected = converged_noise(ahead, Q, L).learned.total
         assert noise_bound(ahead, Q, rate, L_max) == pytest.approx(expected, rel=1e-12)
     assert noise_bound(ahead, Q, rate, 0.5) < expected
+    # Where Q P L is at most 0.1, M is at most 0.2, whatever its bound.
+    plain = TrialNoise(omega, 1.0, np.ones((50, 1, 1)), 1.0)
+    found = noise_bound(plain, np.full(50, 0.1), 0.9, 1.0)
+    assert found == pytest.approx(0.1 / np.sqrt(1 - 0.2**2), rel=1e-12)
 
 
 @pytest.mark.parametrize("name", ["rod", "stage", "tanks"])
@@ -415,7 +419,7 @@ def test_what_does_not_fit_is_refused():
     with pytest.raises(ValueError, match=r"P has shape \(2, 3, 3\)"):
         TrialNoise(omega, 2.0, new.P[:2], 1.0)
     with pytest.raises(ValueError, match=r"L does not converge: M has an eigenvalue of modulus"):
-        converged_noise(new, Q, LearningFilter(-L.coefficients, L.Ts))
+        converged_noise(new, Q, LearningFilter(-0.01 * L.coefficients, L.Ts))
     with pytest.raises(ValueError, match=r"step = 1.5 must be in \(0, 1\]"):
         converged_noise(new, Q, L, 1.5)
     with pytest.raises(ValueError, match=r"step\[1\] = .*0.0.* must be in \(0, 1\]"):
