@@ -13,7 +13,14 @@ MODULES = {
     "feedback": ("current_trial_loop", "paper_loop"),
     "filters": ("LearningFilter", "ZeroPhaseButterworth", "update", "zero_phase_butterworth"),
     "problem": ("Problem",),
-    "evidence": ("violation_probability", "worst_case"),
+    "evidence": (
+        "converged_noise",
+        "noise_bound",
+        "noise_by_trial",
+        "trial_noise",
+        "violation_probability",
+        "worst_case",
+    ),
     "synthesis": (
         "InfeasibleError",
         "SolverError",

@@ -41,6 +41,13 @@ def sampling_period(name: str, value) -> float:
     return positive(name, value, "a positive sampling period in seconds")
 
 
+def share(name: str, value) -> float:
+    """A number above zero, at most one."""
+    if positive(name, value, "in (0, 1]") > 1:
+        raise ValueError(f"{name} = {reprlib.repr(value)} must be in (0, 1]")
+    return float(value)
+
+
 def whole(name: str, value, low: int, high: int | None = None) -> int:
     """A whole number, at least `low` and at most `high`."""
     plain = isinstance(value, int | np.integer) and not isinstance(value, bool)
@@ -171,3 +178,17 @@ def array(name: str, value, shape: Sequence[int | str], dtype: type = float) -> 
 def row(name: str, value, dtype: type = float) -> np.ndarray:
     """One or more numbers in a row; a number by itself is a row of one."""
     return array(name, np.atleast_1d(array(name, value, (...,), dtype)), ("n",), dtype)
+
+
+def frequencies(name: str, value, Ts: float) -> np.ndarray:
+    """Two or more increasing angular frequencies, rad/s, from zero up to the Nyquist frequency."""
+    omega = array(name, value, ("frequency",))
+    if len(omega) < 2 or not np.all(np.diff(omega) > 0):
+        raise ValueError(f"{name}, of shape {omega.shape}, must be a row of increasing frequencies")
+    nyquist = np.pi / Ts
+    if omega[0] < 0 or omega[-1] > nyquist * (1 + 1e-9):
+        raise ValueError(
+            f"{name} spans [{omega[0]:.6g}, {omega[-1]:.6g}] rad/s, but must lie in "
+            f"[0, {nyquist:.6g}] rad/s, up to the Nyquist frequency of Ts = {Ts} s"
+        )
+    return omega

@@ -173,8 +173,13 @@ def time_shifts(angles, order) -> np.ndarray:
     return np.exp(1j * np.outer(angles, np.arange(1, order + 1)))
 
 
-def update(v, e, Q: ZeroPhaseButterworth, L: LearningFilter, rest: int = 0) -> np.ndarray:
+def update(
+    v, e, Q: ZeroPhaseButterworth, L: LearningFilter, rest: int = 0, step: float = 1.0
+) -> np.ndarray:
     """Compute the next trial's ILC signal by the ILC law (23), v_{k+1} = Q (v_k + L e_k).
+
+    With a step a below one, v goes only that share of the way there,
+    v_{k+1} = (1 - a) v_k + a Q (v_k + L e_k): slower, but what noise does to e is averaged.
 
     Parameters
     ----------
@@ -184,6 +189,8 @@ def update(v, e, Q: ZeroPhaseButterworth, L: LearningFilter, rest: int = 0) -> n
     rest : int
         Number of samples at the end of the trial in which the signal is held at zero. The filters
         look beyond the end, so what they make of the last samples may grow from trial to trial.
+    step : float
+        In (0, 1].
 
     Returns
     -------
@@ -193,7 +200,7 @@ def update(v, e, Q: ZeroPhaseButterworth, L: LearningFilter, rest: int = 0) -> n
     ------
     ValueError
         If the shapes do not fit, a signal has a gap (NaN) or an infinite value, the filters have
-        different sampling periods, or `rest` is not shorter than the trial.
+        different sampling periods, `rest` is not shorter than the trial, or `step` is out of range.
     """
     arguments.instance("Q", Q, ZeroPhaseButterworth)
     arguments.instance("L", L, LearningFilter)
@@ -201,6 +208,7 @@ def update(v, e, Q: ZeroPhaseButterworth, L: LearningFilter, rest: int = 0) -> n
     v = arguments.array("v", v, (..., "time", len(L.coefficients)))
     e = arguments.array("e", e, v.shape)
     rest = arguments.whole("rest", rest, 0, v.shape[-2] - 1)
-    v = Q.apply(v + L.apply(e))
+    step = arguments.share("step", step)
+    v = (1 - step) * v + step * Q.apply(v + L.apply(e))
     v[..., v.shape[-2] - rest :, :] = 0
     return v

@@ -192,6 +192,29 @@ def _close(loop, plant):
     )
 
 
+def with_noise(loop: CurrentTrialLoop, plant=None) -> control.StateSpace:
+    """The loop (19) with an error in the measured outputs as a further input.
+
+    Parameters
+    ----------
+    loop : CurrentTrialLoop
+    plant : control.StateSpace or control.TransferFunction, optional
+        Another plant, as in :meth:`CurrentTrialLoop.around`.
+
+    Returns
+    -------
+    control.StateSpace
+        As ``loop.closed``, without names, and with m inputs more: what is added to y before the
+        observer (16) sees it. The outputs are y themselves, and not what is measured of them.
+    """
+    closed = loop.closed if plant is None else loop.around(plant)
+    m = loop.plant.noutputs
+    enters = np.zeros((closed.nstates, m))
+    enters[-len(loop.KL) :] = loop.KL
+    D = np.hstack([closed.D, np.zeros((m, m))])
+    return control.ss(closed.A, np.hstack([closed.B, enters]), closed.C, D, loop.Ts)
+
+
 def reply(loop: CurrentTrialLoop) -> control.StateSpace:
     """What the controls u of the loop (19) answer to w and to an error in the measured outputs.
 
@@ -207,10 +230,8 @@ def reply(loop: CurrentTrialLoop) -> control.StateSpace:
     control.StateSpace
         2m inputs: w, then what is added to y before the observer (16) sees it. m outputs: u.
     """
-    closed, m = loop.closed, loop.plant.noutputs
-    enters = np.zeros((closed.nstates, m))
-    enters[-len(loop.KL) :] = loop.KL
+    noisy, m = with_noise(loop), loop.plant.noutputs
+    B = np.hstack([noisy.B[:, :m], noisy.B[:, -m:]])
     _, _, K = _controller(loop)
-    shown = np.hstack([np.zeros((m, closed.nstates - len(loop.KL))), -K])  # (18)
-    D = np.hstack([loop.N, np.zeros((m, m))])
-    return control.ss(closed.A, np.hstack([closed.B[:, :m], enters]), shown, D, loop.Ts)
+    shown = np.hstack([np.zeros((m, noisy.nstates - len(loop.KL))), -K])  # (18)
+    return control.ss(noisy.A, B, shown, np.hstack([loop.N, np.zeros((m, m))]), loop.Ts)

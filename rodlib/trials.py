@@ -11,7 +11,7 @@ import xarray as xr
 
 from rodlib import arguments
 from rodlib.filters import LearningFilter, ZeroPhaseButterworth, update
-from rodlib.loop import CurrentTrialLoop
+from rodlib.loop import CurrentTrialLoop, with_noise
 
 
 def run_trials(
@@ -26,6 +26,7 @@ def run_trials(
     noise=None,
     initial_state=None,
     rest: int = 0,
+    step=1.0,
 ) -> xr.Dataset:
     """Simulate trials of the loop (19) under the ILC law (22), (23), starting with v_0 = e_0 = 0.
 
@@ -51,6 +52,8 @@ def run_trials(
         Default zero.
     rest : int
         Number of samples at the end of every trial in which v is held at zero.
+    step : float or array_like, shape (trials - 1,)
+        Of :func:`rodlib.update`, in (0, 1], or one from each trial to the next.
 
     Returns
     -------
@@ -61,12 +64,14 @@ def run_trials(
     ------
     ValueError
         If a shape does not fit the loop, a signal is not finite, the filters do not belong to the
-        loop, or `plant` has not the loop's signals and sampling period or makes it unstable.
+        loop, `step` is out of range, or `plant` has not the loop's signals and sampling period or
+        makes it unstable.
     """
     check_law(loop, Q, L)
-    closed = loop.closed if plant is None else loop.around(plant)
+    closed = with_noise(loop, plant)
     m, n = loop.plant.noutputs, closed.nstates - len(loop.KL)
     trials = arguments.whole("trials", trials, 1)
+    steps = steps_of(step, trials)
     r = arguments.array("reference", reference, (...,))
     r = arguments.array("reference", r, (trials, "time", m) if r.ndim == 3 else ("time", m))
     samples = r.shape[-2]
@@ -84,13 +89,13 @@ def run_trials(
     if initial_state is not None:
         chi[:n] = arguments.array("initial_state", initial_state, (n,))
 
-    B, E = closed.B[:, :m], closed.B[:, m:]
-    D, F = closed.D[:, :m], closed.D[:, m:]
-    K = np.vstack([np.zeros((n, m)), loop.KL])  # where the noise enters the observer (16)
+    B, E, K = np.split(closed.B, [m, -m], axis=1)
+    D, F, _ = np.split(closed.D, [m, -m], axis=1)
     v, u, y, delta = (np.zeros(shape) for _ in range(4))
     for k in range(trials):
         if k and L is not None:
-            v[k] = update(v[k - 1], r[k - 1] - y[k - 1] - noise[k - 1], Q, L, rest)  # (23)
+            e = r[k - 1] - y[k - 1] - noise[k - 1]
+            v[k] = update(v[k - 1], e, Q, L, rest, steps[k - 1])  # (23)
         w = r[k] + v[k]  # (22)
         states = state_sequence(closed.A, w @ B.T + d[k] @ E.T + noise[k] @ K.T, chi)  # (19)
         y[k] = states @ closed.C.T + w @ D.T + d[k] @ F.T
@@ -101,6 +106,30 @@ def run_trials(
         reference=r, v=v, u=u, y=y + noise, delta=delta,
         disturbance=d,
     )  # fmt: skip
+
+
+def steps_of(step, trials: int) -> np.ndarray:
+    """The steps from each trial to the next, from one for all or one for each.
+
+    Parameters
+    ----------
+    step : float or array_like, shape (trials - 1,)
+    trials : int
+
+    Returns
+    -------
+    ndarray, shape (trials - 1,)
+
+    Raises
+    ------
+    ValueError
+        If there is another number of them, or one is not in (0, 1].
+    """
+    given = arguments.array("step", step, (...,))
+    if given.ndim == 0:
+        return np.full(trials - 1, arguments.share("step", step))
+    steps = arguments.array("step", given, (trials - 1,))
+    return np.array([arguments.share(f"step[{k}]", a) for k, a in enumerate(steps)])
 
 
 def check_law(loop, Q, L, **periods: float) -> None:

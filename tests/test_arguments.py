@@ -14,17 +14,22 @@ from rodlib import (
     LearningFilter,
     Rod,
     arguments,
+    converged_noise,
     current_trial_loop,
     exact_response,
     midr,
     minimal_realisation,
+    noise_bound,
+    noise_by_trial,
     paper_loop,
     run_trials,
     sampled_response,
     synthesise,
+    trial_noise,
     update,
     zero_phase_butterworth,
 )
+from rodlib.evidence import TrialNoise
 from rodlib.laboratory import VirtualRig, record
 from rodlib.realisation import frequency_response
 from rodlib.trials import assumed_disturbance, assumed_reference, rms, state_sequence
@@ -34,6 +39,7 @@ LOOP, PAPER = current_trial_loop(PLANT, ["u"]), paper_loop()
 Q, L = zero_phase_butterworth(), LearningFilter([[[0.5, 0.1]]], 1.0)
 L2 = LearningFilter(np.ones((2, 2, 1)), 1.0)
 OMEGA = np.linspace(0.1, 3, 12)
+NOISE = {"omega": OMEGA, "Ts": 1.0, "P": LOOP.frequency_response(OMEGA), "measured_density": 1.0}
 SIGNAL = np.zeros((6, 1))
 NAN = control.ss(0.5, [[1.0, np.nan]], 1, 0, 1.0, inputs=["u", "d"])
 
@@ -49,6 +55,7 @@ NUMBER = {"-1": -1.0, "complex": 1j, "1e300": 1e300, "list": [1.0], "array": np.
 WHOLE = NUMBER | {"half": 1.5, "float": 1.0}
 REAL = {"complex": np.full((6, 1), 1j), "1e300": np.full((6, 1), 1e300)}
 MODEL = {"nan model": NAN, "number": 1.0, "transfer": control.tf(1, [1, 0.5], 1.0, inputs="F")}
+DENSITY = REAL | {"-1": -1.0, "lists": [[1.0]], "matrices": np.full((12, 2, 2), 1.0)}
 WRONG_PLANT = {"nan model": NAN, "continuous": control.ss(-1, 1, 1, 0), "names": MODEL["transfer"]}
 
 DOORS = {
@@ -106,7 +113,7 @@ DOORS = {
     "update": (
         update,
         {"v": SIGNAL, "e": SIGNAL, "Q": Q, "L": L},
-        {"v": REAL, "e": REAL, "Q": MODEL, "L": MODEL, "rest": WHOLE},
+        {"v": REAL, "e": REAL, "Q": MODEL, "L": MODEL, "rest": WHOLE, "step": NUMBER | {"0": 0}},
     ),
     "synthesise": (
         synthesise,
@@ -143,7 +150,45 @@ DOORS = {
             "noise": REAL,
             "initial_state": REAL,
             "rest": WHOLE,
+            "step": REAL | {"0": 0.0, "2": 2.0},
         },
+    ),
+    "trial_noise": (
+        trial_noise,
+        {"loop": LOOP, "omega": OMEGA, "noise": 1.0, "disturbance": 1.0},
+        {
+            "loop": MODEL,
+            "omega": REAL | NUMBER | {"falling": OMEGA[::-1]},
+            "noise": DENSITY,
+            "disturbance": DENSITY,
+            "plant": WRONG_PLANT | {"number": 1.0},
+        },
+    ),
+    "TrialNoise": (
+        TrialNoise,
+        NOISE,
+        {
+            "omega": REAL | NUMBER,
+            "Ts": NUMBER,
+            "P": REAL | NUMBER,
+            "measured_density": DENSITY | {"none": None},
+            "true_density": DENSITY,
+        },
+    ),
+    "converged_noise": (
+        converged_noise,
+        {"new": TrialNoise(**NOISE), "Q": Q, "L": L},
+        {"new": MODEL, "Q": MODEL, "L": MODEL, "step": NUMBER | {"0": 0}},
+    ),
+    "noise_by_trial": (
+        noise_by_trial,
+        {"new": TrialNoise(**NOISE), "Q": Q, "L": L, "step": [1, 0.5]},
+        {"new": MODEL, "Q": MODEL, "L": MODEL, "step": REAL | {"0": [0.0], "2": [1, 2]}},
+    ),
+    "noise_bound": (
+        noise_bound,
+        {"new": TrialNoise(**NOISE), "Q": Q, "M_max": 0.9, "L_max": 2.0},
+        {"new": MODEL, "Q": MODEL, "M_max": REAL | {"1": 1, "-1": -1.0}, "L_max": REAL},
     ),
     "state_sequence": (
         state_sequence,
@@ -172,6 +217,7 @@ DOORS = {
             "trials": WHOLE,
             "pause": WHOLE,
             "rest": WHOLE,
+            "step": NUMBER | {"0": 0},
         },
     ),
 }  # fmt: skip
@@ -280,6 +326,28 @@ def test_an_array_is_a_copy_of_the_type_asked_for():
     assert arguments.array("x", 1e100, ()) == 1e100
     unmasked = np.ma.masked_array([1.0], [False])
     assert type(arguments.array("x", unmasked, (1,))) is np.ndarray
+
+
+@given(st.floats())
+def test_a_share_is_above_zero_and_at_most_one(value):
+    if 1e-100 <= value <= 1:
+        assert arguments.share("step", value) == value
+    else:
+        with pytest.raises(ValueError, match=r"step = .* (must be in|is too (small|large))"):
+            arguments.share("step", value)
+
+
+def test_frequencies_end_at_the_nyquist_frequency():
+    top = np.pi / 0.5
+    assert arguments.frequencies("omega", [0, top], 0.5).tolist() == [0, top]
+    for wrong in ([0, 1.001 * top], [-0.1, 1]):
+        with pytest.raises(
+            ValueError, match=r"omega spans \[.*\] rad/s, but must lie in \[0, 6.28"
+        ):
+            arguments.frequencies("omega", wrong, 0.5)
+    for wrong in ([1.0], [1, 1], [2, 1]):
+        with pytest.raises(ValueError, match="must be a row of increasing frequencies"):
+            arguments.frequencies("omega", wrong, 0.5)
 
 
 def test_a_row_may_be_one_number():

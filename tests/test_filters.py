@@ -96,6 +96,24 @@ def test_update_is_the_ilc_law(Q):
     np.testing.assert_allclose(update(v, e, Q, L).ravel(), expected, atol=1e-11)
 
 
+@given(st.floats(0.001, 1), st.integers(0, 3), st.integers(0, 2**32 - 1))
+def test_a_step_goes_a_share_of_the_way(step, rest, seed):
+    v, e = np.random.default_rng(seed).standard_normal((2, 20, 1))
+    Q, L = zero_phase_butterworth(), LearningFilter([[[1.0, -0.5]]], 1.0)
+    whole, part = update(v, e, Q, L, rest), update(v, e, Q, L, rest, step)
+    moving = slice(0, 20 - rest)
+    np.testing.assert_allclose(part[moving] - v[moving], step * (whole - v)[moving], atol=1e-12)
+    assert not part[20 - rest :].any()
+    np.testing.assert_array_equal(update(v, e, Q, L, rest, step=1), whole)
+
+
+@pytest.mark.parametrize("step", [0, -0.5, 1.1, np.nan, True, "1", 1 + 1e-15])
+def test_a_step_is_a_share(step):
+    Q, L = zero_phase_butterworth(), LearningFilter([[[1.0]]], 1.0)
+    with pytest.raises(ValueError, match=r"step = .* must be in \(0, 1\]"):
+        update(np.ones((5, 1)), np.ones((5, 1)), Q, L, step=step)
+
+
 @given(st.integers(0, 19), st.integers(0, 2**32 - 1))
 def test_the_signal_rests_at_the_end_and_nowhere_else(rest, seed):
     v, e = np.random.default_rng(seed).standard_normal((2, 3, 20, 1))

@@ -116,6 +116,24 @@ def test_each_trial_may_have_its_own_reference(loop, Q, L):
         run_trials(loop, Q, L, references, None, 4)
 
 
+def test_each_trial_may_have_its_own_step(loop, Q, L):
+    r, steps = assumed_reference(200), [1.0, 0.5, 0.2]
+    run = run_trials(loop, Q, L, r, None, 4, step=steps)
+    for k, step in enumerate(steps):
+        v = update(run.v.values[k], run.e.values[k], Q, L, step=step)
+        np.testing.assert_allclose(run.v[k + 1], v, atol=1e-12)
+    same = run_trials(loop, Q, L, r, None, 4, step=0.5)
+    np.testing.assert_array_equal(same.v, run_trials(loop, Q, L, r, None, 4, step=[0.5] * 3).v)
+    np.testing.assert_array_equal(
+        run_trials(loop, Q, L, r, None, 2).v, run_trials(loop, Q, L, r, None, 2, step=[1]).v
+    )
+    run_trials(loop, Q, L, r, None, 1, step=[])
+    with pytest.raises(ValueError, match=r"step has shape \(3,\), but must have shape \(4,\)"):
+        run_trials(loop, Q, L, r, None, 5, step=steps)
+    with pytest.raises(ValueError, match=r"step\[1\] = .*2.0.* must be in \(0, 1\]"):
+        run_trials(loop, Q, L, r, None, 3, step=[1, 2])
+
+
 def test_without_learning_all_trials_are_alike(loop, Q):
     run = run_trials(loop, Q, None, assumed_reference(), assumed_disturbance())
     measure = rms(run.e).values

@@ -1,6 +1,6 @@
 """Evidence for a learning filter that does not come from the solver.
 
-Five questions, each answered by code of its own; a problem and a solution are all that it is
+Six questions, each answered by code of its own; a problem and a solution are all that it is
 handed, and the function for the singular values of a matrix all that it shares with the solvers:
 
 - *Is it optimal?* :func:`lower_bound` turns the solver's multipliers, whatever their quality, into
@@ -13,6 +13,9 @@ handed, and the function for the singular values of a matrix all that it shares 
   to hold, and of all within a radius, with the one that shows it.
 - *And for one that was not tried?* If the plants are independent samples,
   :func:`violation_probability` bounds the probability that a new one breaks the bounds.
+- *And what does noise do?* :func:`converged_noise` is what is left of the error if noise or a
+  disturbance is new in every trial, of :func:`trial_noise` and of what learning makes of it;
+  :func:`noise_bound` holds for every filter within the bounds.
 
 :func:`certify` puts the answers to the first four together.
 """
@@ -20,6 +23,15 @@ handed, and the function for the singular values of a matrix all that it shares 
 from rodlib.evidence.certificate import GAP, VIOLATION, Certificate, certify
 from rodlib.evidence.finite_trial import impulse_response, trial_map, trial_norm, trial_operators
 from rodlib.evidence.models import convergence_model, learning_model
+from rodlib.evidence.noise import (
+    LearnedNoise,
+    Spectrum,
+    TrialNoise,
+    converged_noise,
+    noise_bound,
+    noise_by_trial,
+    trial_noise,
+)
 from rodlib.evidence.optimality import lower_bound
 from rodlib.evidence.peak import peak_gain
 from rodlib.evidence.robustness import WorstCase, worst_case
@@ -29,16 +41,23 @@ __all__ = [
     "GAP",
     "VIOLATION",
     "Certificate",
+    "LearnedNoise",
+    "Spectrum",
+    "TrialNoise",
     "WorstCase",
     "certify",
+    "converged_noise",
     "convergence_model",
     "impulse_response",
     "learning_model",
     "lower_bound",
+    "noise_bound",
+    "noise_by_trial",
     "peak_gain",
     "scenario_bound",
     "support",
     "trial_map",
+    "trial_noise",
     "trial_norm",
     "trial_operators",
     "violation_probability",

@@ -5,7 +5,7 @@ What runs an experiment knows a rig by its Protocol only; the virtual rig is one
 
 from rodlib.laboratory.experiment import Controller, Rig, RigError, record
 from rodlib.laboratory.loading import load_log
-from rodlib.laboratory.notes import law_of, loop_of, rest_of, with_law
+from rodlib.laboratory.notes import law_of, loop_of, rest_of, step_of, with_law
 from rodlib.laboratory.replay import Replay, replay_of
 from rodlib.laboratory.saving import save_log
 from rodlib.laboratory.tables import LogError
@@ -29,5 +29,6 @@ __all__ = [
     "replay_of",
     "rest_of",
     "save_log",
+    "step_of",
     "with_law",
 ]

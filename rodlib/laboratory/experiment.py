@@ -85,6 +85,7 @@ def record(
     *,
     path=None,
     rest: int = 0,
+    step: float = 1.0,
     decimals: dict[str, int] | None = None,
 ) -> xr.Dataset:
     """Run an experiment of several trials on a rig and record it.
@@ -112,6 +113,8 @@ def record(
         is dropped. Without a path, a fault costs all trials.
     rest : int
         Number of samples at the end of every trial in which v is held at zero.
+    step : float
+        Of :func:`rodlib.update`, in (0, 1], the same after every trial.
     decimals : dict, optional
         Of v, u (rounded before they act), delta and measured disturbances. Default: all digits.
 
@@ -141,8 +144,9 @@ def record(
     pause = arguments.whole("pause", pause, 0)
     reference = arguments.array("reference", reference, ("time", loop.plant.noutputs))
     rest = arguments.whole("rest", rest, 0, len(reference) - 1)
+    step = arguments.share("step", step)
     commanded = bench.commanded(disturbance, trials, len(reference))
-    plan = _Plan(loop, Q, L, reference, rest, bench.recorded)
+    plan = _Plan(loop, Q, L, reference, rest, step, bench.recorded)
     path = None if path is None else arguments.path("path", path)
     if path is not None and not path.parent.is_dir():
         raise ValueError(f"path = '{path}' must be in a folder that exists")
@@ -154,7 +158,7 @@ def record(
         for k in range(done, trials):
             v = np.zeros_like(reference)
             if k and L is not None:
-                v = update(signals["v"][-1], reference - signals["y"][-1], Q, L, rest)
+                v = update(signals["v"][-1], reference - signals["y"][-1], Q, L, rest, step)
             bar.set_description(f"trial {k + 1} of {trials}")
             bench.begin(k + 1)
             bench.pause(k + 1, pause if k else 0, reference[0], bar)
@@ -176,6 +180,7 @@ class _Plan:
     L: LearningFilter | None
     reference: np.ndarray
     rest: int
+    step: float
     sources: list[str]  # of the disturbances that are recorded
 
     def nothing(self) -> dict[str, list]:
@@ -192,15 +197,15 @@ class _Plan:
             loop.Ts, loop.outputs, loop.controls, self.sources, loop.units, **stacked
         )  # fmt: skip
         run = run.assign_coords(trial=np.arange(first, first + count))
-        return with_law(run, self.Q, self.L, self.rest, loop)
+        return with_law(run, self.Q, self.L, self.rest, loop, self.step)
 
     def go_on(self, path) -> dict[str, list]:
         """The signals of the trials in a log, of which a part of a last trial is cut off."""
         found, size = load_ended(path)
         own = [np.array_equal(reference, self.reference) for reference in found.reference]
         differing = [] if all(own) else ["reference"]
-        wanted = with_law(xr.Dataset(), self.Q, self.L, self.rest, self.loop).attrs
-        for key in ("Q", "L", "rest", "loop"):
+        wanted = with_law(xr.Dataset(), self.Q, self.L, self.rest, self.loop, self.step).attrs
+        for key in ("Q", "L", "rest", "step", "loop"):
             if found.attrs.get(key) != wanted.get(key):
                 differing.append(key)
         if found.coords.get("source", np.array([])).values.tolist() != self.sources:

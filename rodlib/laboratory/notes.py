@@ -23,15 +23,19 @@ def with_law(
     L: LearningFilter | None,
     rest: int = 0,
     loop: CurrentTrialLoop | None = None,
+    step: float = 1.0,
 ) -> xr.Dataset:
     """Note in the metadata which ILC law (23) made the trials, and around which loop.
 
-    `rest` is the number of samples at the end of a trial in which v was held at zero.
+    `rest` is the number of samples at the end of a trial in which v was held at zero, `step` the
+    share of the way that v went, both as in :func:`rodlib.update`.
     """
     notes = {"Q": json.dumps({"order": Q.order, "cutoff": Q.cutoff, "ends": Q.ends})}
     notes["L"] = json.dumps(L and {"coefficients": L.coefficients.tolist(), "ends": L.ends})
     if rest:
         notes["rest"] = json.dumps(rest)
+    if step != 1:
+        notes["step"] = json.dumps(step)
     if loop is not None:
         parts = {part.name: _plain(getattr(loop, part.name)) for part in fields(loop)}
         notes["loop"] = json.dumps(parts, ensure_ascii=False)
@@ -73,6 +77,20 @@ def rest_of(trials: xr.Dataset) -> int:
         return arguments.whole("rest", note, 0, trials.sizes["time"] - 1)
     except MISUNDERSTOOD as error:
         raise LogError(f"metadata: rest cannot be understood: {error}") from None
+
+
+def step_of(trials: xr.Dataset) -> float:
+    """The step of :func:`rodlib.update` from each trial to the next, as noted in the metadata.
+
+    Raises
+    ------
+    LogError
+        If the note is no number in (0, 1].
+    """
+    try:
+        return arguments.share("step", json.loads(trials.attrs.get("step", "1")))
+    except MISUNDERSTOOD as error:
+        raise LogError(f"metadata: step cannot be understood: {error}") from None
 
 
 def loop_of(trials: xr.Dataset) -> CurrentTrialLoop | None:

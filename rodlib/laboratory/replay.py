@@ -16,7 +16,7 @@ import xarray as xr
 from rodlib import arguments
 from rodlib.files import write_pieces
 from rodlib.filters import LearningFilter, ZeroPhaseButterworth, update
-from rodlib.laboratory.notes import law_of, loop_of, rest_of
+from rodlib.laboratory.notes import law_of, loop_of, rest_of, step_of
 from rodlib.laboratory.saving import quoted
 from rodlib.laboratory.tables import few, rows
 from rodlib.loop import CurrentTrialLoop
@@ -37,6 +37,8 @@ class Replay:
     law : tuple of ZeroPhaseButterworth and LearningFilter (or None), or None
     rest : int
         Samples at the end of every trial in which v was held at zero.
+    step : float
+        Of the law, from each trial to the next.
     untold : tuple of str
         Disturbances that the simulation is not told of.
     """
@@ -45,6 +47,7 @@ class Replay:
     loop: CurrentTrialLoop | None
     law: tuple[ZeroPhaseButterworth, LearningFilter | None] | None
     rest: int
+    step: float
     untold: tuple[str, ...]
 
     @property
@@ -82,8 +85,9 @@ class Replay:
         told = [name not in self.untold for name in self.loop.disturbances]
         reference = self.trials.reference.transpose("trial", "time", "channel").values
         return run_trials(
-            self.loop, *self.law, reference, self.disturbance * told, len(reference), rest=self.rest
-        )
+            self.loop, *self.law, reference, self.disturbance * told, len(reference),
+            rest=self.rest, step=self.step,
+        )  # fmt: skip
 
     @cached_property
     def predicted(self) -> np.ndarray | None:
@@ -140,7 +144,7 @@ class Replay:
         trial = self.trials.isel(trial=k)
         if L is None:
             return np.zeros_like(trial.v.values)
-        return update(trial.v.values, trial.e.values, Q, L, self.rest)
+        return update(trial.v.values, trial.e.values, Q, L, self.rest, self.step)
 
     def save_following(self, path) -> None:
         """Write the next trial's v as a table; the file is replaced as a whole or not at all.
@@ -273,7 +277,9 @@ def replay_of(
             raise ValueError(
                 f"loop has the outputs {loop.outputs}, but the log {trials.output.values.tolist()}"
             )
-    return Replay(trials, noted or loop, law_of(trials), rest_of(trials), tuple(untold))
+    return Replay(
+        trials, noted or loop, law_of(trials), rest_of(trials), step_of(trials), tuple(untold)
+    )
 
 
 def by_unit(units: Sequence[str]) -> dict[str, list[int]]:

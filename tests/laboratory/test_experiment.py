@@ -145,6 +145,18 @@ def test_only_known_disturbances_are_recorded(loop, Q):
     assert list(log.source.values) == ["theta_a"] and np.all(log.disturbance == 0.5)
 
 
+def test_a_step_holds_on_the_rig_too_and_when_it_goes_on(loop, Q, L, tmp_path):
+    made = {"loop": loop, "Q": Q, "L": L, "reference": assumed_reference(60), "pause": 5}
+    made |= {"step": 0.3, "path": tmp_path / "log.csv"}
+    record(VirtualRig(), trials=2, **made)
+    log = record(VirtualRig(), trials=4, **made)
+    for k in range(3):
+        law = update(log.v.values[k], log.e.values[k], Q, L, step=0.3)
+        np.testing.assert_array_equal(log.v[k + 1], law)
+    with pytest.raises(ValueError, match="another experiment, see its step"):
+        record(VirtualRig(), trials=5, **made | {"step": 1.0})
+
+
 def test_v_rests_on_the_rig_too_and_the_log_says_so(loop, Q, L):
     reference = assumed_reference(60)
     log = record(VirtualRig(), loop, Q, L, reference, None, 3, pause=5, rest=15)
@@ -375,6 +387,7 @@ def test_notes_that_were_added_to_the_log_stay(loop, Q, tmp_path):
         ({"L": None}, "L"),
         ({"Q": zero_phase_butterworth(cutoff=0.2)}, "Q"),
         ({"rest": 3}, "rest"),
+        ({"step": 0.5}, "step"),
         ({"rig": SimpleNamespace(read=len, apply=len)}, "disturbances"),
         ({"loop": paper_loop(degree=4)}, "loop"),
     ],

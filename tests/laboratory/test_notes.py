@@ -13,7 +13,7 @@ from rodlib import (
     save_log,
     zero_phase_butterworth,
 )
-from rodlib.laboratory import law_of, loop_of, rest_of, with_law
+from rodlib.laboratory import law_of, loop_of, rest_of, step_of, with_law
 
 
 def test_the_law_is_noted_and_found_again(loop, Q):
@@ -56,6 +56,16 @@ def test_the_rest_is_noted_and_found_again(loop, Q, tmp_path):
     for note in ("30", "-1", "1.5", "soon", 3):
         with pytest.raises(LogError, match="rest cannot be understood"):
             rest_of(run.assign_attrs(rest=note))
+
+
+def test_the_step_is_noted_and_found_again(loop, Q, tmp_path):
+    run = run_trials(loop, Q, None, np.zeros((30, 2)), None, 2)
+    assert step_of(run) == step_of(with_law(run, Q, None)) == 1
+    save_log(with_law(run, Q, None, step=1 / 3), tmp_path / "log.csv")
+    assert step_of(load_log(tmp_path / "log.csv")) == 1 / 3
+    for note in ("0", "1.1", "-1", "NaN", "true", "[1]", "soon", 3):
+        with pytest.raises(LogError, match="step cannot be understood"):
+            step_of(run.assign_attrs(step=note))
 
 
 def assert_alike(one, two):

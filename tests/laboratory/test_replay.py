@@ -90,11 +90,13 @@ def recorded(name, tmp_path, trials=3, gain=1.0, **options):
     return load_log(path)
 
 
-@pytest.mark.parametrize("rest", [0, 20])
+@pytest.mark.parametrize(("rest", "step"), [(0, 1.0), (20, 0.3)])
 @pytest.mark.parametrize("name", LOOPS)
-def test_where_the_model_is_right_the_log_is_what_is_simulated_and_predicted(name, rest, tmp_path):
+def test_where_the_model_is_right_the_log_is_what_is_simulated_and_predicted(
+    name, rest, step, tmp_path
+):
     """The disturbances differ from trial to trial and have names that are not the rod's."""
-    replay = replay_of(recorded(name, tmp_path, rest=rest))
+    replay = replay_of(recorded(name, tmp_path, rest=rest, step=step))
     y = replay.trials.y.values
     size = np.abs(y).max()
     np.testing.assert_allclose(replay.simulated.y.values, y, rtol=0, atol=1e-9 * size)
@@ -158,14 +160,14 @@ def test_each_trial_has_its_own_reference(tmp_path):
 
 
 def test_without_a_loop_only_what_needs_no_model_is_done(tmp_path):
-    trials = recorded("tanks", tmp_path, rest=15)
+    trials = recorded("tanks", tmp_path, rest=15, step=0.4)
     del trials.attrs["loop"]
     replay = replay_of(trials)
     assert replay.loop is replay.simulated is replay.predicted is replay.fit is None
     assert replay.disturbance is None
     assert replay.about_the_law == "the recorded v is that of the law in every trial"
     last = trials.isel(trial=-1)
-    following = update(last.v.values, last.e.values, *law_of(trials), rest_of(trials))
+    following = update(last.v.values, last.e.values, *law_of(trials), rest_of(trials), 0.4)
     np.testing.assert_array_equal(replay.following, following)
     assert not following[-15:].any() and following[-16].all()
     (reason,) = replay.left_out
