@@ -89,27 +89,42 @@ def complete(
 
 
 @contextmanager
-def _client(scheduler, workers, most):
+def local_cluster(workers: int | None = None):
+    """A dask cluster on this computer, for several runs: its ``scheduler_address`` names it.
+
+    Parameters
+    ----------
+    workers : int, optional
+        Number of processes. Default: one for each core.
+    """
     # Not imported before it is needed: that takes a second.
     import dask
     from dask.system import CPU_COUNT
-    from distributed import Client, LocalCluster
+    from distributed import LocalCluster
+
+    settings = {f"distributed.nanny.pre-spawn-environ.{name}": x for name, x in PROCESS.items()}
+    with (
+        dask.config.set(settings),
+        LocalCluster(
+            n_workers=workers or CPU_COUNT,
+            threads_per_worker=1,
+            dashboard_address=None,
+            silence_logs=logging.CRITICAL,
+        ) as cluster,
+    ):
+        yield cluster
+
+
+@contextmanager
+def _client(scheduler, workers, most):
+    from dask.system import CPU_COUNT
+    from distributed import Client
 
     if scheduler is not None:
         with Client(scheduler) as client:
             yield client
         return
-    settings = {f"distributed.nanny.pre-spawn-environ.{name}": x for name, x in PROCESS.items()}
-    with (
-        dask.config.set(settings),
-        LocalCluster(
-            n_workers=min(workers or CPU_COUNT, most),
-            threads_per_worker=1,
-            dashboard_address=None,
-            silence_logs=logging.CRITICAL,
-        ) as cluster,
-        Client(cluster) as client,
-    ):
+    with local_cluster(min(workers or CPU_COUNT, most)) as cluster, Client(cluster) as client:
         yield client
 
 
