@@ -108,11 +108,20 @@ def local_cluster(workers: int | None = None):
         LocalCluster(
             n_workers=workers or CPU_COUNT,
             threads_per_worker=1,
-            dashboard_address=None,
+            dashboard_address=":0",  # any free port: another cluster may be running
             silence_logs=logging.CRITICAL,
         ) as cluster,
     ):
+        cluster.loop.asyncio_loop.set_exception_handler(_unless_late)
         yield cluster
+
+
+def _unless_late(loop, context):
+    """Say what went wrong in dask, but for timers that run out when nobody waits any more."""
+    from tornado.util import TimeoutError as Late
+
+    if not isinstance(context.get("exception"), Late):
+        loop.default_exception_handler(context)
 
 
 @contextmanager
@@ -122,6 +131,7 @@ def _client(scheduler, workers, most):
 
     if scheduler is not None:
         with Client(scheduler) as client:
+            client.loop.asyncio_loop.set_exception_handler(_unless_late)
             yield client
         return
     with local_cluster(min(workers or CPU_COUNT, most)) as cluster, Client(cluster) as client:
