@@ -9,7 +9,17 @@ A :class:`Study` says how far off the rods may be and what is to be found out ab
 - :mod:`rodlib.study.study`: the question and its answer.
 """
 
+from rodlib.study.batches import local_cluster
 from rodlib.study.specimens import Specimen, Spread, draw, responses, unstable_poles
 from rodlib.study.study import Study, run
 
-__all__ = ["Specimen", "Spread", "Study", "draw", "responses", "run", "unstable_poles"]
+__all__ = [
+    "Specimen",
+    "Spread",
+    "Study",
+    "draw",
+    "local_cluster",
+    "responses",
+    "run",
+    "unstable_poles",
+]

@@ -89,27 +89,52 @@ def complete(
 
 
 @contextmanager
-def _client(scheduler, workers, most):
+def local_cluster(workers: int | None = None):
+    """A dask cluster on this computer, for several runs: its ``scheduler_address`` names it.
+
+    Parameters
+    ----------
+    workers : int, optional
+        Number of processes. Default: one for each core.
+    """
     # Not imported before it is needed: that takes a second.
     import dask
     from dask.system import CPU_COUNT
-    from distributed import Client, LocalCluster
+    from distributed import LocalCluster
 
-    if scheduler is not None:
-        with Client(scheduler) as client:
-            yield client
-        return
     settings = {f"distributed.nanny.pre-spawn-environ.{name}": x for name, x in PROCESS.items()}
     with (
         dask.config.set(settings),
         LocalCluster(
-            n_workers=min(workers or CPU_COUNT, most),
+            n_workers=workers or CPU_COUNT,
             threads_per_worker=1,
-            dashboard_address=None,
+            dashboard_address=":0",  # any free port: another cluster may be running
             silence_logs=logging.CRITICAL,
         ) as cluster,
-        Client(cluster) as client,
     ):
+        cluster.loop.asyncio_loop.set_exception_handler(_unless_late)
+        yield cluster
+
+
+def _unless_late(loop, context):
+    """Say what went wrong in dask, but for timers that run out when nobody waits any more."""
+    from tornado.util import TimeoutError as Late
+
+    if not isinstance(context.get("exception"), Late):
+        loop.default_exception_handler(context)
+
+
+@contextmanager
+def _client(scheduler, workers, most):
+    from dask.system import CPU_COUNT
+    from distributed import Client
+
+    if scheduler is not None:
+        with Client(scheduler) as client:
+            client.loop.asyncio_loop.set_exception_handler(_unless_late)
+            yield client
+        return
+    with local_cluster(min(workers or CPU_COUNT, most)) as cluster, Client(cluster) as client:
         yield client
 
 

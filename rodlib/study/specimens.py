@@ -63,6 +63,47 @@ class Spread:
         share = _share("share", share)
         return cls(*[share] * 5, sensors=share * rod.length / rod.sections / 2)
 
+    def specimen(self, deviations, nominal: Rod | None = None) -> "Specimen":
+        """The rod that is off by these shares of the spread.
+
+        Parameters
+        ----------
+        deviations : array_like, shape (4 + sections + sensors,)
+            From -1 to 1: of the four material parameters in the order above, of the gain of each
+            Peltier element, of the position of each sensor.
+        nominal : Rod, optional
+            The one that it was meant to be. Default: the paper's.
+
+        Returns
+        -------
+        Specimen
+
+        Raises
+        ------
+        ValueError
+            If the deviations are not so many or reach beyond 1, or the spread would move a sensor
+            beyond the rod.
+        """
+        nominal = arguments.instance("nominal", Rod() if nominal is None else nominal, Rod)
+        count = len(MATERIAL) + nominal.sections + len(nominal.sensors)
+        off = arguments.array("deviations", deviations, (count,))
+        if np.abs(off).max() > 1:
+            raise ValueError(f"deviations reach {np.abs(off).max():.6g} in size, but 1 is the most")
+        room = min(*nominal.sensors, nominal.length - max(nominal.sensors))
+        if self.sensors > room:
+            raise ValueError(
+                f"spread.sensors = {self.sensors} m would move a sensor of the nominal rod beyond "
+                f"its end: at most {room:.6g} m"
+            )
+        material, gains, sensors = np.split(off, [len(MATERIAL), len(MATERIAL) + nominal.sections])
+        changed = {
+            name: getattr(nominal, name) * (1 + getattr(self, name) * by)
+            for name, by in zip(MATERIAL, material, strict=True)
+        }
+        places = np.clip(nominal.sensors + self.sensors * sensors, 0, nominal.length)  # of rounding
+        rod = replace(nominal, **changed, sensors=tuple(places))
+        return Specimen(rod, tuple((1 + self.gains * gains).tolist()))
+
 
 def _share(name, value):
     what = "from 0 to below 1 (0.2 is 20 %)"
@@ -115,24 +156,8 @@ def draw(spread: Spread, number: int, root: int = 0, nominal: Rod | None = None)
     arguments.instance("spread", spread, Spread)
     nominal = arguments.instance("nominal", Rod() if nominal is None else nominal, Rod)
     seed = [arguments.whole("number", number, 0), arguments.whole("root", root, 0)]
-    least, most = min(nominal.sensors), max(nominal.sensors)
-    room = min(least, nominal.length - most)
-    if spread.sensors > room:
-        raise ValueError(
-            f"spread.sensors = {spread.sensors} m would move a sensor of the nominal rod beyond "
-            f"its end: at most {room:.6g} m"
-        )
-    off = np.random.default_rng(seed).uniform(
-        -1, 1, len(MATERIAL) + nominal.sections + len(nominal.sensors)
-    )
-    material, gains, sensors = np.split(off, [len(MATERIAL), len(MATERIAL) + nominal.sections])
-    changed = {
-        name: getattr(nominal, name) * (1 + getattr(spread, name) * by)
-        for name, by in zip(MATERIAL, material, strict=True)
-    }
-    places = np.clip(nominal.sensors + spread.sensors * sensors, 0, nominal.length)  # of rounding
-    rod = replace(nominal, **changed, sensors=tuple(places))
-    return Specimen(rod, tuple((1 + spread.gains * gains).tolist()))
+    count = len(MATERIAL) + nominal.sections + len(nominal.sensors)
+    return spread.specimen(np.random.default_rng(seed).uniform(-1, 1, count), nominal)
 
 
 class Around:

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rodlib.files import alone
-from rodlib.study.batches import _load, _save, complete
+from rodlib.study.batches import _load, _save, complete, local_cluster
 
 EXPECTED = np.arange(10.0) ** 2
 
@@ -109,15 +109,13 @@ def test_an_error_of_the_work_is_raised_and_the_rest_is_kept(finished, tmp_path)
 
 
 def test_a_cluster_by_its_address_damaged_files_and_more_numbers(finished, tmp_path):
-    from distributed import LocalCluster
-
     copied(finished, tmp_path)
     paths = sorted(tmp_path.glob("*.npz"))
     content = paths[0].read_bytes()
     paths[0].write_bytes(content[: len(content) // 2])  # cut off
     paths[1].write_bytes(content)  # another's, although whole
     paths[2].write_bytes(b"")
-    with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
+    with local_cluster(1) as cluster:
         address = cluster.scheduler_address
         found = complete(partial(squares, tmp_path), "name", 11, 2, tmp_path, scheduler=address)
     assert trace(tmp_path) == [0, 2, 4, 10]

@@ -50,6 +50,28 @@ def test_a_rod_is_drawn_by_its_number_alone():
     np.testing.assert_allclose(first.rod.sensors, [0.12, 0.28] + 0.012 * off[8:], rtol=1e-14)
 
 
+def test_deviations_name_the_parameters_in_order():
+    spread = Spread(0.1, 0.2, 0.3, 0.4, gains=0.5, sensors=0.01)
+    heavy = spread.specimen([1, -1, 0.5, 0, 0, 1, 0, 0, -1, 1])
+    rod = Rod()
+    assert heavy.rod.density == pytest.approx(1.1 * rod.density)
+    assert heavy.rod.heat_capacity == pytest.approx(0.8 * rod.heat_capacity)
+    assert heavy.rod.heat_transfer == pytest.approx(1.15 * rod.heat_transfer)
+    assert heavy.rod.conductivity == rod.conductivity
+    assert heavy.gains == (1, 1.5, 1, 1)
+    np.testing.assert_allclose(heavy.rod.sensors, [0.11, 0.29], rtol=1e-14)
+    assert spread.specimen(np.zeros(10)) == Specimen(rod, (1.0,) * 4)
+
+
+@pytest.mark.parametrize(
+    ("deviations", "message"),
+    [(np.zeros(9), "deviations"), ([-1.5, *[0] * 9], "deviations reach 1.5 in size")],
+)
+def test_deviations_beyond_the_spread_are_refused(deviations, message):
+    with pytest.raises(ValueError, match=message):
+        ALL.specimen(deviations)
+
+
 @given(st.integers(0, 10**6), st.floats(1e-6, 0.9), st.floats(1e-6, 0.9))
 def test_another_spread_stretches_the_same_deviations(number, one, other):
     far, near = (draw(Spread(conductivity=share), number).rod for share in (one, other))
