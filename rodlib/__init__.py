@@ -21,7 +21,16 @@ MODULES = {
         "synthesise",
     ),
     "trials": ("run_trials",),
-    "laboratory": ("LogError", "load_log", "record", "save_log"),
+    "laboratory": (
+        "LogError",
+        "expected_radius",
+        "load_log",
+        "measured_response",
+        "multisine",
+        "record",
+        "save_log",
+        "shake",
+    ),
 }
 HOME = {name: module for module, names in MODULES.items() for name in names}
 
