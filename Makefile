@@ -27,8 +27,8 @@ reproduce: $(BIN)/ready  ## run all notebooks; regenerate figures/ and the ledge
 	@$(BIN)/python -m rodlib.paper.reproduce
 
 test: $(BIN)/ready lint  ## lint, unit tests, and the committed notebooks against a fresh run
-	$(BIN)/pytest -q
-	$(BIN)/pytest -q --nbval --nbval-current-env $(NOTEBOOKS)
+	$(BIN)/pytest -q -n 2 --dist loadfile
+	$(BIN)/pytest -q -n 2 --dist loadfile --nbval --nbval-current-env $(NOTEBOOKS)
 
 lint: $(BIN)/ready  ## ruff on modules, tests and notebooks
 	$(BIN)/ruff check

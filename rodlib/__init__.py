@@ -31,7 +31,16 @@ MODULES = {
     ),
     "trials": ("run_trials",),
     "study": ("Specimen", "Spread", "Study", "draw", "responses", "unstable_poles"),
-    "laboratory": ("LogError", "load_log", "record", "save_log"),
+    "laboratory": (
+        "LogError",
+        "expected_radius",
+        "load_log",
+        "measured_response",
+        "multisine",
+        "record",
+        "save_log",
+        "shake",
+    ),
 }
 HOME = {name: module for module, names in MODULES.items() for name in names}
 

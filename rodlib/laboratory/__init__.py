@@ -3,8 +3,11 @@
 What runs an experiment knows a rig by its Protocol only; the virtual rig is one that fits.
 """
 
-from rodlib.laboratory.experiment import Controller, Rig, RigError, record
+from rodlib.laboratory.bench import Controller, Rig, RigError
+from rodlib.laboratory.excitation import Excitation, multisine
+from rodlib.laboratory.experiment import record, shake
 from rodlib.laboratory.loading import load_log
+from rodlib.laboratory.measurement import MeasuredResponse, expected_radius, measured_response
 from rodlib.laboratory.notes import law_of, loop_of, rest_of, step_of, with_law
 from rodlib.laboratory.replay import Replay, replay_of
 from rodlib.laboratory.saving import save_log
@@ -14,7 +17,9 @@ from rodlib.laboratory.virtual_rig import RestartingRig, RigParameters, VirtualR
 
 __all__ = [
     "Controller",
+    "Excitation",
     "LogError",
+    "MeasuredResponse",
     "Replay",
     "RestartingRig",
     "Rig",
@@ -22,13 +27,17 @@ __all__ = [
     "RigParameters",
     "TemperatureControlLab",
     "VirtualRig",
+    "expected_radius",
     "law_of",
     "load_log",
     "loop_of",
+    "measured_response",
+    "multisine",
     "record",
     "replay_of",
     "rest_of",
     "save_log",
+    "shake",
     "step_of",
     "with_law",
 ]

