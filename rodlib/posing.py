@@ -40,7 +40,7 @@ def pose(
     Problem
     """
     Ts = arguments.sampling_period("Ts", Ts)
-    omega = _frequencies(omega, Ts)
+    omega = arguments.frequencies("omega", omega, Ts)
     given = _plants(P)
     plant, P = _response("P" if len(given) == 1 else "P[0]", given[0], omega, Ts)
     q, Q = _q_response(Q, omega, Ts)
@@ -86,7 +86,7 @@ def _weights(noise, omega, Ts, m, M_max, scale):
     if noise.min() < 0:
         raise ValueError(f"noise reaches {noise.min():.6g}, but a spectral density is not negative")
     edges = np.concatenate([[0.0], (omega[1:] + omega[:-1]) / 2, [np.pi / Ts]])
-    width = np.diff(edges)[:, None] / np.pi
+    width = np.diff(edges)[:, None] * Ts / np.pi
     weights = width * noise / scale**2 / (1 - M_max**2) * np.ones(m)
     return weights if weights.any() else None
 
@@ -135,19 +135,6 @@ def _radius(uncertainty, n, m):
             "largest ||Delta|| (or |Delta_ij|) at each frequency"
         )
     return radius if radius.any() else None
-
-
-def _frequencies(omega, Ts):
-    omega = arguments.array("omega", omega, ("frequency",))
-    if len(omega) < 2 or not np.all(np.diff(omega) > 0):
-        raise ValueError(f"omega, of shape {omega.shape}, must be a row of increasing frequencies")
-    nyquist = np.pi / Ts
-    if omega[0] < 0 or omega[-1] > nyquist * (1 + 1e-9):
-        raise ValueError(
-            f"omega spans [{omega[0]:.6g}, {omega[-1]:.6g}] rad/s, but must lie in "
-            f"[0, {nyquist:.6g}] rad/s, up to the Nyquist frequency of Ts = {Ts} s"
-        )
-    return omega
 
 
 def _response(name, P, omega, Ts):

@@ -123,6 +123,8 @@ class Certificate:
     robust : Robustness or None
         For several plants or a radius. `grid_M` and `all_M` are then the largest of all plants;
         `grid_M` is that within the radius, too, whose size between the samples is not known.
+    noise : float
+        What of the value is the cost of noise; zero if that was not asked for.
     """
 
     structure: str
@@ -147,6 +149,7 @@ class Certificate:
     rest: int = 0
     doubts: tuple[str, ...] = ()
     robust: Robustness | None = None
+    noise: float = 0.0
 
     @property
     def gap(self) -> float:
@@ -237,6 +240,8 @@ class Certificate:
             f"objective {self.value:.8g}, no {self.structure} filter of order {self.order}"
             f"{compared} below {self.lower_bound:.8g}"
         )
+        if self.noise:
+            lines.append(f"of which the cost of noise: {self.noise:.4g}")
         if self.samples:
             rest = f", the last {self.rest} at rest" if self.rest else ""
             lines.append(f"norm of one trial of {self.samples} samples{rest}: {self.trial:.4f}")
@@ -273,7 +278,8 @@ def certify(
     response = L.frequency_response(problem.omega)
     sigma_M = largest_singular_values(problem.M(response))
     worst = worst_case(problem, L)
-    value = problem.value(sigma_M, worst.sigma) + problem.cost_of_noise(response)
+    noise = problem.cost_of_noise(response)
+    value = problem.value(sigma_M, worst.sigma) + noise
     peak = highest_peak(problem, L, np.argsort(-worst.peaks, kind="stable"))
     return Certificate(
         structure=problem.structure,
@@ -298,6 +304,7 @@ def certify(
         rest=rest,
         doubts=tuple(_doubts(problem, value)),
         robust=_robustness(problem, sigma_M, worst, peak) if problem.robust else None,
+        noise=noise,
     )
 
 

@@ -65,7 +65,10 @@ class Synthesis:
 
     @property
     def value(self) -> float:
-        """The objective: the sum of sigma_max(M) over the band, or its peak."""
+        """The objective: the sum of the nominal sigma_max(M) over the band, or the peak of all.
+
+        With the cost of noise, if that was asked for.
+        """
         return self.certificate.value
 
     @property
@@ -134,10 +137,11 @@ def synthesise(
         condition that is exact, or with |Delta_ij| <= radius_ij, by one that is sufficient. Of the
         channels in units of `scale` for the norm, of the plant's own entry by entry.
     noise : array_like, shape (n,) or (n, m), optional
-        Spectral density of the noise of the outputs, new in every trial; white noise of standard
-        deviation s has s^2 Ts. Added to the objective is then what it adds at most to the variance
-        of the converged error, :meth:`rodlib.problem.Problem.cost_of_noise`, in units of `scale`;
-        multiply the density to make more of that, or less.
+        Spectral density of what is new in the measured outputs in every trial, as in
+        :class:`rodlib.evidence.Spectrum`: white noise has its variance. Added to the objective is
+        then what it adds at most to the variance of the converged error,
+        :meth:`rodlib.problem.Problem.cost_of_noise`, in units of `scale`; multiply the density to
+        make more of that, or less.
     solver : {"structured", "cvxpy"}
         :mod:`rodlib.synthesis.interior_point`, or the problem as the paper states it, in CVXPY.
     start : Synthesis, optional
@@ -238,11 +242,11 @@ def _solve_with_cvxpy(problem, start):
     return _with_cuts(problem, None, lambda problem, program, start: statement.solve(program))
 
 
-def _with_cuts(problem, start, solve):
+def _with_cuts(problem, start, solver):
     """Solve with a part of the bounds, add those that the solution violates, and solve again."""
     plant, frequency = first_cuts(problem, start)
     while True:
-        start = solve(problem, formulate(problem, plant, frequency), start)
+        start = solver(problem, formulate(problem, plant, frequency), start)
         limit = start.peak if problem.objective == "peak" else problem.M_max
         more = violated(problem, start, limit, plant, frequency) if problem.robust else ([], [])
         if not len(more[0]):

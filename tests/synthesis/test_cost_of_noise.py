@@ -4,9 +4,16 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from plants import stage, tanks
 
-from rodlib import LearningFilter, largest_cutoff, synthesise, zero_phase_butterworth
-from rodlib.evidence import lower_bound
+from rodlib import (
+    LearningFilter,
+    current_trial_loop,
+    largest_cutoff,
+    synthesise,
+    zero_phase_butterworth,
+)
+from rodlib.evidence import converged_noise, lower_bound, trial_noise
 from rodlib.posing import pose
 from rodlib.synthesis.program import formulate
 from tests.synthesis.test_interior_point import random_plant
@@ -58,6 +65,24 @@ def test_structured_and_cvxpy_find_the_same_optimum(m, structure, objective, siz
     start = synthesise(P, Q, omega, 1.0, **choices | {"L_max": 15.0})
     again = synthesise(P, Q, omega, 1.0, **choices, start=start)
     assert again.value == pytest.approx(ours.value, rel=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("build", "controls"), [(stage, ["F"]), (tanks, ["pump A", "pump B", "pump C"])]
+)
+def test_the_variance_of_the_error_grows_by_no_more_than_the_cost(build, controls):
+    """By the evidence, which solves for the converged error; at sampling periods far from one."""
+    loop = current_trial_loop(build(), controls)
+    omega = np.geomspace(1e-3, np.pi, 300) / loop.Ts
+    Q = zero_phase_butterworth(2, 0.1 / loop.Ts, loop.Ts)
+    new = trial_noise(loop, omega, noise=0.01**2)
+    noise = np.einsum("nii->ni", new.measured.density).real
+    band = (omega[0], 0.02 / loop.Ts)
+    design = synthesise(loop, Q, omega, loop.Ts, band=band, noise=noise)
+    grown = converged_noise(new, Q, design.filter).learned.total ** 2
+    cost = design.certificate.noise
+    assert 0 < grown <= cost < 20 * grown
+    assert f"of which the cost of noise: {cost:.4g}" in str(design)
 
 
 @pytest.mark.parametrize("objective", ["sum", "peak"])
