@@ -111,8 +111,8 @@ class Problem:
 
         Noise that is new in every trial, of the spectral density Phi, makes the converged error's
         variance larger by no more than the mean over all frequencies of
-        tr(Q P L Phi (Q P L)^H) / (1 - M_max^2); see :mod:`rodlib.evidence.noise`. It is quadratic in
-        the learning filter, and convex.
+        tr(Q P L Phi (Q P L)^H) / (1 - M_max^2); see :mod:`rodlib.evidence.noise`. It is quadratic
+        in the learning filter, and convex.
         """
         if self.noise is None:
             return 0.0
