@@ -80,7 +80,8 @@ def record(
     Warns
     -----
     UserWarning
-        After a trial in which samples were not on time, if the rig has a clock.
+        After a trial in which samples were not on time, if the rig has a clock, or commands beyond
+        what it follows, if it has limits.
     """
     bench = Bench(rig, loop, decimals)
     Ts = arguments.sampling_period("rig.Ts", getattr(rig, "Ts", loop.Ts))
@@ -123,8 +124,8 @@ def shake(
     Returns
     -------
     xarray.Dataset
-        As from :func:`record`, with the excitation noted in the metadata. For
-        :func:`measured_response`.
+        As from :func:`record`, with the excitation and the limits of the rig noted in the metadata.
+        For :func:`measured_response`.
 
     Raises
     ------
@@ -136,7 +137,8 @@ def shake(
     Warns
     -----
     UserWarning
-        After a trial in which samples were not on time, if the rig has a clock.
+        After a trial in which samples were not on time, if the rig has a clock, or commands beyond
+        what it follows, if it has limits.
     """
     bench = Bench(rig, loop, decimals)
     arguments.instance("excitation", excitation, Excitation)
@@ -147,7 +149,9 @@ def shake(
     if excitation.channels != m:
         raise ValueError(f"excitation is for {excitation.channels} channels, but the loop has {m}")
     commanded = bench.commanded(None, *signals.shape[:2])
-    plan = _Shaking(loop, np.zeros(signals.shape[1:]), bench.recorded, excitation, signals)
+    reference = np.zeros(signals.shape[1:])
+    limits = {name: bench.limits[name] for name in loop.controls if name in bench.limits}
+    plan = _Shaking(loop, reference, bench.recorded, excitation, signals, limits)
     return _conduct(bench, plan, commanded, 0, path)
 
 
@@ -244,10 +248,11 @@ class _Shaking(_Plan):
 
     excitation: Excitation
     signals: np.ndarray
+    limits: dict[str, list[float]]
 
     def v(self, signals) -> np.ndarray:
         """That of the trial after those given."""
         return self.signals[len(signals["y"])]
 
     def noted(self, run: xr.Dataset) -> xr.Dataset:
-        return with_excitation(run, self.excitation, self.loop)
+        return with_excitation(run, self.excitation, self.loop, self.limits)

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, fields
+from types import MappingProxyType
 
 import control
 import numpy as np
@@ -10,6 +11,7 @@ import xarray as xr
 
 from rodlib import arguments
 from rodlib.filters import LearningFilter, ZeroPhaseButterworth, zero_phase_butterworth
+from rodlib.laboratory import actuators
 from rodlib.laboratory import units as pints
 from rodlib.laboratory.excitation import Excitation
 from rodlib.laboratory.tables import LogError
@@ -44,11 +46,34 @@ def with_law(
 
 
 def with_excitation(
-    trials: xr.Dataset, excitation: Excitation, loop: CurrentTrialLoop
+    trials: xr.Dataset,
+    excitation: Excitation,
+    loop: CurrentTrialLoop,
+    limits: Mapping[str, list[float]] = MappingProxyType({}),
 ) -> xr.Dataset:
-    """Note in the metadata which excitation made the trials, one experiment each, of which loop."""
-    note = json.dumps(asdict(excitation))
-    return trials.assign_attrs({"excitation": note, "loop": _note_of(loop)})
+    """Note in the metadata which excitation made the trials, one experiment each, of which loop.
+
+    `limits` are the lowest and highest command that an actuator follows, by name.
+    """
+    notes = {"excitation": json.dumps(asdict(excitation)), "loop": _note_of(loop)}
+    if limits:
+        notes["actuators"] = json.dumps(dict(limits), ensure_ascii=False)
+    return trials.assign_attrs(notes)
+
+
+def actuators_of(trials: xr.Dataset) -> dict[str, list[float]]:
+    """Limits of the actuators, by name, as noted in the metadata; those it does not say, left out.
+
+    Raises
+    ------
+    LogError
+        If the note is there but cannot be understood.
+    """
+    try:
+        note = json.loads(trials.attrs.get("actuators", "{}"))
+        return actuators.checked("actuators", note, trials.control.values.tolist())
+    except MISUNDERSTOOD as error:
+        raise LogError(f"metadata: actuators cannot be understood: {error}") from None
 
 
 def excitation_of(trials: xr.Dataset) -> Excitation | None:

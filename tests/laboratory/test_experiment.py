@@ -146,7 +146,7 @@ def test_only_known_disturbances_are_recorded(loop, Q):
 
 
 def test_a_step_holds_on_the_rig_too_and_when_it_goes_on(loop, Q, L, tmp_path):
-    made = {"loop": loop, "Q": Q, "L": L, "reference": assumed_reference(60), "pause": 5}
+    made = {"loop": loop, "Q": Q, "L": L, "reference": assumed_reference(60) * 0.02, "pause": 5}
     made |= {"step": 0.3, "path": tmp_path / "log.csv"}
     record(VirtualRig(), trials=2, **made)
     log = record(VirtualRig(), trials=4, **made)
@@ -158,7 +158,7 @@ def test_a_step_holds_on_the_rig_too_and_when_it_goes_on(loop, Q, L, tmp_path):
 
 
 def test_v_rests_on_the_rig_too_and_the_log_says_so(loop, Q, L):
-    reference = assumed_reference(60)
+    reference = assumed_reference(60) * 0.02
     log = record(VirtualRig(), loop, Q, L, reference, None, 3, pause=5, rest=15)
     assert not log.v.values[:, -15:].any() and log.v.values[1:, -16].any()
     assert rest_of(log) == 15
@@ -286,6 +286,37 @@ def test_samples_that_are_not_on_time_are_reported(loop, Q):
         record(VirtualRig(), loop, Q, None, np.zeros((20, 2)), None, 2, pause=3)
 
 
+def test_commands_that_the_rig_cuts_off_are_reported(loop, Q):
+    """By the names of its inputs, which may be others and in another order than the controls."""
+
+    def driver(**more):
+        return SimpleNamespace(read=lambda: [0, 0], apply=len, inputs=["Q3", "fan", "Q1"], **more)
+
+    reference = np.zeros((20, 2))
+    reference[5:10, 0] = 10.0  # 47 and 16 W by N alone
+    with pytest.warns(UserWarning) as told:
+        log = record(driver(limits={"Q1": (-60, 40), "fan": (0, 1)}), loop, Q, None, reference,
+                     trials=2, pause=0)  # fmt: skip
+    share = np.mean(log.u.values[..., 0] > 40, axis=1)
+    assert share.min() > 0
+    assert [str(one.message).split(" of all")[0] for one in told] == [
+        f"trial {k}: commands were beyond the limits of Q1 in {part:.1%}"
+        for k, part in zip((1, 2), share, strict=True)
+    ]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        record(driver(), loop, Q, None, reference, trials=1)
+        record(driver(limits={"Q1": (-60, 1e3)}), loop, Q, None, reference, trials=1)
+    for limits, message in (
+        ({"Q2": (0, 1)}, "rig.limits is about .*'Q2'"),
+        ({"Q1": (1, 0)}, r"rig.limits\['Q1'\] = \(1, 0\) must be a lower and a higher number"),
+        ({"Q1": 60}, r"rig.limits\['Q1'\] has shape \(\)"),
+        ([60], "rig.limits = "),
+    ):
+        with pytest.raises(ValueError, match=message):
+            record(driver(limits=limits), loop, Q, None, reference)
+
+
 def test_progress_is_shown_on_a_terminal_only(loop, Q, capfd, monkeypatch):
     record(VirtualRig(), loop, Q, None, np.ones((20, 2)), None, 2, pause=3)
     assert capfd.readouterr() == ("", "")
@@ -297,7 +328,7 @@ def test_progress_is_shown_on_a_terminal_only(loop, Q, capfd, monkeypatch):
 
 # Resuming
 
-SHORT = {"reference": np.round(assumed_reference(25) * 0.3, 6), "trials": 3, "pause": 2}
+SHORT = {"reference": np.round(assumed_reference(25) * 0.02, 6), "trials": 3, "pause": 2}
 KILLED = """
 import os, signal, sys
 import pyarrow.csv, scipy.signal
@@ -316,7 +347,7 @@ class Killed(RestartingRig):
 units.unit("x", "K")  # now, and not in every fork
 loop, Q = paper_loop(), zero_phase_butterworth()
 L = LearningFilter(published.matrix("L_diagonal"), 1.0)
-reference = (assumed_reference(25) * 0.3).round(6)
+reference = (assumed_reference(25) * 0.02).round(6)
 for samples in map(int, sys.argv[2:]):
     process = os.fork()
     if not process:
