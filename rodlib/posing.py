@@ -2,6 +2,7 @@
 
 import reprlib
 from collections.abc import Iterator, Sequence
+from typing import Protocol, runtime_checkable
 
 import control
 import numpy as np
@@ -13,6 +14,21 @@ from rodlib.problem import Problem
 from rodlib.realisation import frequency_response
 
 MODELS = (CurrentTrialLoop, control.LTI)  # what a plant may be, if not an array
+CONFIDENCE = 0.99  # in a measured response, if not said otherwise
+
+
+@runtime_checkable
+class Measured(Protocol):
+    """A response that was measured, with the radius in which the truth lies."""
+
+    def on(self, omega, confidence, scale) -> tuple[np.ndarray, np.ndarray]:
+        """Response, shape (n, m, m), and radius, shape (n,), on the design frequencies.
+
+        Both of the channels in units of `scale`, shape (m,), or their own if that is None.
+        """
+
+    def basis(self, omega, confidence) -> tuple[str, ...]:
+        """What was measured, and what is assumed beside it on these frequencies."""
 
 
 def pose(
@@ -30,6 +46,7 @@ def pose(
     scale=None,
     uncertainty=None,
     noise=None,
+    confidence=None,
 ) -> Problem:
     """State the problem (39), or (45) with (46), and check it.
 
@@ -41,6 +58,14 @@ def pose(
     """
     Ts = arguments.sampling_period("Ts", Ts)
     omega = arguments.frequencies("omega", omega, Ts)
+    basis = ()
+    if isinstance(P, Measured):
+        P, uncertainty, basis = _measured(P, omega, uncertainty, confidence, scale)
+    elif confidence is not None:
+        raise ValueError(
+            f"confidence = {confidence!r} is for a measured response, but P is not one: "
+            "pass the radius as uncertainty"
+        )
     given = _plants(P)
     plant, P = _response("P" if len(given) == 1 else "P[0]", given[0], omega, Ts)
     q, Q = _q_response(Q, omega, Ts)
@@ -72,8 +97,23 @@ def pose(
     model = None if plant is None or q is None else (plant, q)
     return Problem(
         P, Q, omega, Ts, order, M_max, L_max, in_band, structure, objective, scale, model,
-        others, tuple(other_models), radius, _weights(noise, omega, Ts, m, M_max, scale),
+        others, tuple(other_models), radius, _weights(noise, omega, Ts, m, M_max, scale), basis,
     )  # fmt: skip
+
+
+def _measured(P, omega, uncertainty, confidence, scale):
+    """Response and radius of a measurement, and what they rest on."""
+    if uncertainty is not None:
+        raise ValueError(
+            "uncertainty must be None if P is a measured response, which has a radius of its own: "
+            "for a larger one, pass both of P.on(omega, confidence) as arrays"
+        )
+    confidence = CONFIDENCE if confidence is None else confidence
+    response, radius = P.on(omega, confidence, None)
+    if scale is not None:
+        scale = _scale(scale, response.shape[1])
+        radius = P.on(omega, confidence, scale)[1]
+    return response, radius, P.basis(omega, confidence)
 
 
 def _weights(noise, omega, Ts, m, M_max, scale):
@@ -97,6 +137,12 @@ def _plants(P):
         raise ValueError(f"P = {reprlib.repr(P)} can be read only once: pass a list of plants")
     several = isinstance(P, np.ndarray) and P.ndim == 4
     if isinstance(P, list | tuple):
+        measured = [isinstance(p, Measured) for p in P]
+        if any(measured):
+            raise ValueError(
+                f"P[{measured.index(True)}] is a measured response, whose radius would count for "
+                "all of the list: pass it alone, or P.on(omega, confidence) as arrays"
+            )
         several = not P or any(isinstance(p, MODELS) or _axes(p) == 3 for p in P)
     if several and not len(P):
         raise ValueError(f"P = {P!r} holds no plant: pass one or more, the nominal one first")

@@ -54,6 +54,8 @@ class Problem:
         |Delta_ij| <= radius_ij, and likewise for the other plants.
     noise : ndarray, shape (n, m), or None
         Weights of what learning from noise costs, see :meth:`cost_of_noise`.
+    basis : tuple of str
+        What P and its radius rest on, if they were measured.
     """
 
     P: np.ndarray
@@ -72,6 +74,7 @@ class Problem:
     other_models: tuple[control.StateSpace | None, ...] = ()
     radius: np.ndarray | None = None
     noise: np.ndarray | None = None
+    basis: tuple[str, ...] = ()
 
     @property
     def channels(self) -> int:
@@ -92,6 +95,19 @@ class Problem:
     def robust(self) -> bool:
         """Whether the bounds hold for more plants than P."""
         return self.radius is not None or len(self.others) > 0
+
+    @property
+    def unusable(self) -> np.ndarray:
+        """Whether the radius of the norm admits a singular plant, at each frequency, shape (n,).
+
+        Of such a plant, in some direction, no learning filter sees anything: the largest singular
+        value of M is |Q| or more for one of those within the radius.
+        """
+        if self.radius is None or self.radius.ndim > 1:
+            return np.zeros(len(self.omega), dtype=bool)
+        plants = np.concatenate([self.P[None], self.others])
+        smallest = np.linalg.svd(plants, compute_uv=False)[..., -1].min(axis=0)
+        return self.radius >= smallest
 
     def plant(self, number: int) -> np.ndarray:
         """Frequency response of a plant; 0 is the nominal one, P."""

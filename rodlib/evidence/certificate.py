@@ -4,8 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rodlib.evidence.finite_trial import impulse_response, trial_norm
+from rodlib.evidence.doubts import doubts, useless
+from rodlib.evidence.finite_trial import trial_norm
 from rodlib.evidence.models import learning_model
+from rodlib.evidence.noise import accumulated
 from rodlib.evidence.optimality import lower_bound
 from rodlib.evidence.peak import highest_peak, peak_gain
 from rodlib.evidence.robustness import by_entries, worst_case
@@ -17,8 +19,6 @@ GAP = 1e-6
 VIOLATION = 1e-9
 # Share of 1 - sigma_max(M) that splines may miss: a narrow resonance shows little on its flanks.
 COARSE = 0.25
-SLOW = 0.05  # gain of the loop, within the band, below which it counts as slow
-IDLE = 0.9  # share of the error in the band from which on learning counts as idle
 
 
 @dataclass(frozen=True)
@@ -125,6 +125,11 @@ class Certificate:
         `grid_M` is that within the radius, too, whose size between the samples is not known.
     noise : float
         What of the value is the cost of noise; zero if that was not asked for.
+    new, learned : float
+        RMS, in units of `scale`, of what is new in the measured outputs of a trial, and of what
+        learning has made of that in all trials before, for the nominal plant; zero without noise.
+    basis : tuple of str
+        What P and its radius rest on, if they were measured, and where they are of no use.
     """
 
     structure: str
@@ -150,6 +155,9 @@ class Certificate:
     doubts: tuple[str, ...] = ()
     robust: Robustness | None = None
     noise: float = 0.0
+    new: float = 0.0
+    learned: float = 0.0
+    basis: tuple[str, ...] = ()
 
     @property
     def gap(self) -> float:
@@ -241,10 +249,16 @@ class Certificate:
             f"{compared} below {self.lower_bound:.8g}"
         )
         if self.noise:
-            lines.append(f"of which the cost of noise: {self.noise:.4g}")
+            lines += [
+                f"of which the cost of noise: {self.noise:.4g}",
+                f"RMS of the measured error, converged, from noise: "
+                f"{np.hypot(self.new, self.learned):.4g}; {self.new:.4g} are new in each trial, "
+                f"{self.learned:.4g} are learned",
+            ]
         if self.samples:
             rest = f", the last {self.rest} at rest" if self.rest else ""
             lines.append(f"norm of one trial of {self.samples} samples{rest}: {self.trial:.4f}")
+        lines += self.basis
         lines += [f"WARNING: {text}" for text in self.warnings]
         return "\n".join([*lines, *(f"FAILS: {text}" for text in self.failures)])
 
@@ -279,6 +293,7 @@ def certify(
     sigma_M = largest_singular_values(problem.M(response))
     worst = worst_case(problem, L)
     noise = problem.cost_of_noise(response)
+    new, learned = _rms_of_noise(problem, response)
     value = problem.value(sigma_M, worst.sigma) + noise
     peak = highest_peak(problem, L, np.argsort(-worst.peaks, kind="stable"))
     return Certificate(
@@ -302,10 +317,26 @@ def certify(
         trial=np.nan if samples is None else trial_norm(*problem.model, L, samples, rest=rest)[0],
         samples=samples,
         rest=rest,
-        doubts=tuple(_doubts(problem, value)),
+        doubts=tuple(doubts(problem, value)),
         robust=_robustness(problem, sigma_M, worst, peak) if problem.robust else None,
         noise=noise,
+        new=new,
+        learned=learned,
+        basis=(*problem.basis, *useless(problem)),
     )
+
+
+def _rms_of_noise(problem, L):
+    """RMS of what is new in a trial, and of what is learned of it, converged."""
+    if problem.noise is None:
+        return 0.0, 0.0
+    share = problem.noise * (1 - problem.M_max**2)  # of each frequency in the variance
+    M = problem.M(L)
+    if np.abs(np.linalg.eigvals(M)).max() >= 1:
+        return np.sqrt(share.sum()), np.inf
+    QPL = problem.Q[:, None, None] * problem.P @ L
+    learned = accumulated(M, QPL * share[:, None] @ QPL.conj().swapaxes(1, 2))
+    return np.sqrt(share.sum()), np.sqrt(np.einsum("nii->", learned).real)
 
 
 def _robustness(problem, sigma_M, worst, peak):
@@ -321,30 +352,3 @@ def _robustness(problem, sigma_M, worst, peak):
         peak=int(peak.plant),
         estimated=peak.estimated,
     )
-
-
-def _doubts(problem, value):
-    """Why little may be learned: a delay, a slow loop, or something unknown."""
-    delay = _delay(problem.model[0], problem.order) if problem.model else 0
-    if delay > problem.order:
-        yield (
-            f"P answers after {delay} samples or more, and the filter looks ahead by only "
-            f"{problem.order}: it never sees what it does; take a longer filter"
-        )
-    passed = np.linalg.svd(problem.P[problem.in_band], compute_uv=False)[:, -1]
-    weakest = passed.argmin()
-    if passed[weakest] < SLOW:
-        yield (
-            f"at {problem.omega[problem.in_band][weakest]:.4g} rad/s, within the band, the loop "
-            f"passes only {passed[weakest]:.2g} of w in some direction, and learning must make up "
-            "for it; take a faster loop or a lower band"
-        )
-    if problem.objective == "sum" and value > IDLE * problem.idle:
-        yield f"the filter leaves {value / problem.idle:.0%} of the error in the band"
-
-
-def _delay(P, order):
-    """Samples after which P first answers to any input, counted up to one more than the order."""
-    answers = np.abs(impulse_response(P, order + 2)).max(axis=(1, 2))
-    size = np.abs(P.C).max() * np.abs(P.B).max() + np.abs(P.D).max(initial=0)
-    return int(np.argmax(np.append(answers > 1e-12 * size, True)))

@@ -228,13 +228,27 @@ def converged_noise(new: TrialNoise, Q, L: LearningFilter, step: float = 1.0) ->
             f"L does not converge: M has an eigenvalue of modulus {rate.max():.6g} at "
             f"{new.omega[rate.argmax()]:.6g} rad/s"
         )
-    # Smith's method: the sum over M^k (.) M^k^H, doubling the number of terms.
-    total, size = added, 1.0
-    while size > NEGLIGIBLE:
-        total = total + _through(M, total)
+    return _learned(new, accumulated(M, added))
+
+
+def accumulated(M, added) -> np.ndarray:
+    """Sum of M^k `added` M^k^H over all k, that is, Phi = M Phi M^H + `added`, by Smith's method.
+
+    Parameters
+    ----------
+    M, added : ndarray, shape (n, m, m), complex
+        M without an eigenvalue of modulus one or more, which is not checked.
+
+    Returns
+    -------
+    ndarray, shape (n, m, m), complex
+    """
+    size = 1.0
+    while size > NEGLIGIBLE:  # the number of terms doubles
+        added = added + _through(M, added)
         M = M @ M
         size = largest_singular_values(M).max() ** 2
-    return _learned(new, total)
+    return added
 
 
 def noise_by_trial(new: TrialNoise, Q, L: LearningFilter, step) -> list[LearnedNoise]:

@@ -94,7 +94,7 @@ class MeasuredResponse:
             inputs=[f"w_{name}" for name in self.loop.outputs], outputs=self.loop.outputs,
         )  # fmt: skip
 
-    def on(self, omega, confidence: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
+    def on(self, omega, confidence: float = 0.95, scale=None) -> tuple[np.ndarray, np.ndarray]:
         """Response and radius on other frequencies, for the synthesis.
 
         Parameters
@@ -103,6 +103,8 @@ class MeasuredResponse:
             Frequencies, rad/s.
         confidence : float
             Probability that the truth lies within the radius at all measured frequencies.
+        scale : array_like, shape (m,), optional
+            Units of the channels, of both response and radius; see :func:`rodlib.synthesise`.
 
         Returns
         -------
@@ -115,6 +117,8 @@ class MeasuredResponse:
             response is that of this frequency, the radius contains all that P may then be.
         """
         omega = np.abs(arguments.row("omega", omega))
+        if scale is not None:
+            return self._in_units_of(arguments.row("scale", scale)).on(omega, confidence)
         radius = np.append(0.0, self.radius(confidence, jointly=True))
         knots = np.append(0.0, self.omega)
         P = np.concatenate([[np.eye(len(self.loop.outputs))], self.response])
@@ -127,6 +131,45 @@ class MeasuredResponse:
         beyond = omega > knots[-1] * (1 + 1e-9)
         anything = 2 * np.linalg.norm(P[-1], 2) + radius[-1]
         return spline, np.where(beyond, anything, np.interp(omega, knots, radius) + bend)
+
+    def _in_units_of(self, scale):
+        """The same with its channels divided by scale."""
+        size = self.loop.plant.noutputs
+        scale = arguments.array("scale", scale, (size,))
+        return replace(
+            self,
+            response=self.response * scale / scale[:, None],
+            noise=self.noise / scale / scale[:, None],
+            spread=self.spread * scale,
+        )
+
+    def basis(self, omega, confidence: float = 0.95) -> tuple[str, ...]:
+        """What was measured, and what :meth:`on` assumes beside it.
+
+        Parameters
+        ----------
+        omega, confidence
+            As for :meth:`on`.
+
+        Returns
+        -------
+        tuple of str
+            For the certificate of a design; the findings last.
+        """
+        low, high = self.omega[[0, -1]]
+        beyond = np.count_nonzero(arguments.row("omega", omega) > high * (1 + 1e-9))
+        lines = [
+            f"P measured at {len(self.omega)} frequencies from {low:.4g} to {high:.4g} rad/s; at "
+            f"all of them the truth is within the radius with confidence {confidence:g}",
+            "assumed: between them P is not further from their spline than straight lines are; "
+            "P(0) = I",
+        ]
+        if beyond:
+            lines.append(
+                f"assumed: above {high:.4g} rad/s, at {beyond} of the design frequencies, P is not "
+                "larger than there"
+            )
+        return (*lines, *self.findings)
 
     def __repr__(self):
         radius = self.radius()

@@ -95,6 +95,7 @@ def synthesise(
     scale=None,
     uncertainty=None,
     noise=None,
+    confidence=None,
     solver="structured",
     start=None,
     samples=None,
@@ -105,11 +106,11 @@ def synthesise(
 
     Parameters
     ----------
-    P : array_like, shape (n, m, m), or a model, or CurrentTrialLoop, or a list of these
+    P : array_like, shape (n, m, m), a model, CurrentTrialLoop, or a list of these; or measured
         Frequency response of the closed loop on `omega`, measured or computed, for any m, also as
         python-control's frequency response data; or a discrete-time model of it, state space or
         transfer function. Of a list the first is the nominal plant, whose convergence is made fast;
-        the bounds hold for all of them.
+        the bounds hold for all of them. A :class:`rodlib.MeasuredResponse` brings its radius along.
     Q : array_like, shape (n,), or ZeroPhaseButterworth
         Frequency response of the Q-filter on `omega`, or the filter.
     omega : array_like, shape (n,)
@@ -142,6 +143,9 @@ def synthesise(
         then what it adds at most to the variance of the converged error,
         :meth:`rodlib.problem.Problem.cost_of_noise`, in units of `scale`; multiply the density to
         make more of that, or less.
+    confidence : float, optional
+        Of a measured response: probability that the truth lies within its radius at all frequencies
+        that were measured. Default 0.99.
     solver : {"structured", "cvxpy"}
         :mod:`rodlib.synthesis.interior_point`, or the problem as the paper states it, in CVXPY.
     start : Synthesis, optional
@@ -176,7 +180,7 @@ def synthesise(
     problem = pose(
         P, Q, omega, Ts, order=order, M_max=M_max, L_max=L_max, band=band, structure=structure,
         objective=objective, scale=scale, uncertainty=uncertainty,
-        noise=noise,
+        noise=noise, confidence=confidence,
     )  # fmt: skip
     arguments.choice("solver", solver, ["structured", "cvxpy"])
     arguments.flag("check", check)
@@ -287,6 +291,13 @@ def _explained(problem, nearest):
     omega = float(problem.omega[frequency])
     place = f"plant {plant} at {omega:.4g} rad/s" if problem.robust else f"{omega:.4g} rad/s"
     message = f"{_advice(problem, nearest.peak)} (most in the way: {place})"
+    lost = problem.omega[problem.unusable & (np.abs(problem.Q) > problem.M_max)]
+    if lost.size:
+        message += (
+            f". P is not known well enough at {len(lost)} frequencies from {lost[0]:.4g} to "
+            f"{lost[-1]:.4g} rad/s, where the radius admits singular plants: measure longer there, "
+            "or lower the cut-off of Q"
+        )
     return InfeasibleError(message, nearest.peak, plant, omega)
 
 

@@ -13,7 +13,7 @@ from rodlib import (
     synthesise,
     zero_phase_butterworth,
 )
-from rodlib.evidence import converged_noise, lower_bound, trial_noise
+from rodlib.evidence import TrialNoise, converged_noise, lower_bound, trial_noise
 from rodlib.posing import pose
 from rodlib.synthesis.program import formulate
 from tests.synthesis.test_interior_point import random_plant
@@ -83,6 +83,10 @@ def test_the_variance_of_the_error_grows_by_no_more_than_the_cost(build, control
     cost = design.certificate.noise
     assert 0 < grown <= cost < 20 * grown
     assert f"of which the cost of noise: {cost:.4g}" in str(design)
+    apart = converged_noise(TrialNoise(omega, loop.Ts, new.P, noise), Q, design.filter)
+    assert design.certificate.learned == pytest.approx(apart.learned.total, rel=1e-9)
+    assert design.certificate.new == pytest.approx(new.measured.total, rel=1e-12)
+    assert f"{design.certificate.learned:.4g} are learned" in str(design)
 
 
 @pytest.mark.parametrize("objective", ["sum", "peak"])
