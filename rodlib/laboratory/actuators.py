@@ -8,7 +8,11 @@ from rodlib import arguments
 
 
 def checked(name: str, limits, actuators: Sequence[str]) -> dict[str, list[float]]:
-    """Lowest and highest command that each actuator follows, by name; None says nothing."""
+    """Lowest and highest command that each actuator follows, by name; None says nothing.
+
+    Raises a ValueError that begins with `name` if one is not a lower and a higher finite number, or
+    is said of what is none of the `actuators`.
+    """
     found = {}
     for key, pair in arguments.by_name(name, limits, actuators).items():
         low, high = arguments.array(f"{name}[{key!r}]", pair, (2,)).tolist()
