@@ -332,3 +332,19 @@ def test_between_the_lines_and_as_an_frd(loop, quick):
     for confidence in (0, 1, "high"):
         with pytest.raises(ValueError, match=r"confidence = .* must be between 0 and 1"):
             measured.radius(confidence)
+
+
+@pytest.mark.parametrize("scale", [(1.0, 1.0), (5.0, 5.0), (0.1, 30.0)])
+def test_in_units_of_a_scale_it_is_what_was_measured_in_these_units(loop, quick, scale):
+    y = answer(loop, quick.signals, noise_of(quick, 0.02, 6)[0])
+    measured = measured_response(log_of(loop, quick, y))
+    last, windows = slice(-quick.evaluated, None), windows_of(quick.harmonics, quick, loop)
+    w, y = quick.signals[:, last] / scale, y[:, last] / scale
+    other = _estimate(w, y, windows, quick, loop)
+    dense = np.geomspace(1e-3, 1.0, 50)
+    for ours, theirs in zip(measured.on(dense, 0.9, scale), other.on(dense, 0.9), strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-6, atol=1e-12)
+    lines = measured.basis(dense, 0.9)
+    assert f"from {measured.omega[0]:.4g} to {measured.omega[-1]:.4g} rad/s" in lines[0]
+    assert f"at {(dense > measured.omega[-1]).sum()} of the design frequencies" in lines[2]
+    assert len(measured.basis(measured.omega, 0.9)) == 2 + len(measured.findings)
