@@ -75,10 +75,10 @@ def test_every_picture_has_a_caption_that_stands_for_it(path):
     captions = []
     for cell in nbformat.read(path, as_version=4).cells:
         outputs = cell.get("outputs", [])
-        for picture, below in zip(outputs, [*outputs[1:], None], strict=True):
+        for k, picture in enumerate(outputs):
             if "image/png" in picture.get("data", {}):
                 captions.append(picture.metadata["image/png"]["alt"])
-                assert below.data["text/markdown"] == f"*{captions[-1]}*"
+                assert outputs[k + 1].data["text/markdown"] == f"*{captions[-1]}*"
     assert len({*captions}) == len(captions) > 0
     for caption in captions:
         assert 40 <= len(caption) <= 400 and caption.endswith("."), caption
