@@ -7,6 +7,13 @@ from importlib import import_module
 
 MODULES = {
     "rod": ("Rod", "exact_response", "midr"),
+    "approximations": (
+        "balanced_truncation",
+        "finite_differences",
+        "finite_elements",
+        "finite_volumes",
+        "modal_series",
+    ),
     "held": ("sampled_response",),
     "realisation": ("minimal_realisation",),
     "loop": ("CurrentTrialLoop",),
