@@ -9,7 +9,7 @@ and :func:`tune` searches the tuning of a design for which they are best.
 """
 
 from rodlib.alternatives.gradient import gradient
-from rodlib.alternatives.h_infinity import generalised_plant, h_infinity
+from rodlib.alternatives.h_infinity import full_information, generalised_plant, h_infinity
 from rodlib.alternatives.inversion import outer_zeros, stable_inversion, zero_phase_inversion
 from rodlib.alternatives.norm_optimal import NormOptimal
 from rodlib.alternatives.proportional import p_type, pd_type
@@ -23,6 +23,7 @@ __all__ = [
     "Tuned",
     "TwoSidedFilter",
     "extent",
+    "full_information",
     "generalised_plant",
     "gradient",
     "h_infinity",

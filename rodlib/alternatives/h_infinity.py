@@ -10,6 +10,8 @@ from rodlib.alternatives.inversion import square
 from rodlib.alternatives.two_sided import TwoSidedFilter
 from rodlib.filters import ZeroPhaseButterworth
 
+ROUNDING = 1e-9  # relative, of the solution of the Riccati equation
+
 
 def h_infinity(
     P: control.StateSpace,
@@ -71,7 +73,7 @@ def h_infinity(
     if emphasis < 1 or (emphasis > 1 and corner is None):
         raise ValueError(f"emphasis = {emphasis} must be one, or more with a corner in rad/s")
     plant = generalised_plant(P, Q, effort, preview, emphasis, corner)
-    K = _full_information(plant, m, level)
+    K = full_information(plant, m, level)
 
     T, U = schur(K.A, output="complex")
     triangular = T, U.conj().T @ K.B, K.C @ U, K.D
@@ -130,10 +132,30 @@ def _on_each(A, B, C, D, m):
     return [np.kron(np.eye(m), matrix) for matrix in (A, B, C, D)]
 
 
-def _full_information(plant, m, level):
-    """K with u = K e, such that what the plant makes of e is below the level, or a ValueError."""
+def full_information(plant: control.StateSpace, m: int, level: float) -> control.StateSpace:
+    """K of u = K w that keeps what a plant makes of its disturbance below a level.
+
+    Parameters
+    ----------
+    plant : control.StateSpace
+        In discrete time; inputs w, known when u is chosen, then u.
+    m : int
+        Number of w.
+    level : float
+        Bound on the largest singular value from w, at all frequencies.
+
+    Returns
+    -------
+    control.StateSpace
+        With as many states as the plant.
+
+    Raises
+    ------
+    ValueError
+        If no K reaches the level.
+    """
     A, B, C, D = plant.A, plant.B, plant.C, plant.D
-    R = D.T @ D - np.diag([level**2] * m + [0.0] * m)
+    R = D.T @ D - np.diag([level**2] * m + [0.0] * (plant.ninputs - m))
     refusal = (
         f"level = {level:.6g} is not reached by any filter: raise it, or preview, or lower effort"
     )
@@ -147,6 +169,8 @@ def _full_information(plant, m, level):
     K = control.ss(A - B[:, m:] @ F, B[:, :m] - B[:, m:] @ G, -F, -G, plant.dt)
     against = R[:m, :m] - R[:m, m:] @ G
     saddle = np.linalg.eigvalsh(R_u).min() > 0 > np.linalg.eigvalsh(against).max()
-    if not saddle or np.abs(np.linalg.eigvals(K.A)).max() >= 1:
+    worth = np.linalg.eigvalsh(X)  # of a state: no negative energy
+    stable = np.abs(np.linalg.eigvals(K.A)).max() < 1
+    if not (saddle and stable and worth[0] > -ROUNDING * worth[-1]):
         raise ValueError(refusal)
     return K

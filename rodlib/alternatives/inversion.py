@@ -5,14 +5,14 @@ import numpy as np
 
 from rodlib import arguments
 from rodlib.alternatives.two_sided import TwoSidedFilter
-from rodlib.filters import ZeroPhaseButterworth
+from rodlib.filters import zero_phase_butterworth
 from rodlib.realisation import frequency_response
 
 
 def stable_inversion(
-    P: control.StateSpace, gain: float = 1.0, low_pass: ZeroPhaseButterworth | None = None
+    P: control.StateSpace, gain: float = 1.0, cutoff: float | None = None
 ) -> TwoSidedFilter:
-    """L = gain P^-1 F, with a low-pass filter F, as a filter bounded in both directions of time.
+    """L = gain P^-1 F, with a low-pass filter F, stable in both directions of time together.
 
     Poles of the inverse inside the unit circle act forward, those outside backward in time: that is
     what the inverse transform of the response makes of them. S. Devasia, D. Chen and B. Paden,
@@ -25,8 +25,9 @@ def stable_inversion(
         In discrete time, m inputs and m outputs, stable.
     gain : float
         In (0, 1].
-    low_pass : ZeroPhaseButterworth, optional
-        F: the inverse of a plant that passes little of a frequency is large there. Default: one.
+    cutoff : float, optional
+        Of F, a Butterworth filter of order 2 applied forward and backward in time, rad/s: where a
+        plant passes next to nothing, its inverse is large. Default: no F.
 
     Returns
     -------
@@ -35,20 +36,21 @@ def stable_inversion(
     Raises
     ------
     ValueError
-        If `P` is no such model, or `gain` is out of range. A zero on the unit circle shows when the
-        filter is applied.
+        If `P` is no such model, or `gain` or `cutoff` is out of range. A zero on the unit circle
+        shows when the filter is applied.
     """
     gain, (m, Ts) = arguments.share("gain", gain), square(P)
+    passed = _low_pass(cutoff, Ts)
 
     def response(omega):
-        share = gain * _passed(low_pass, omega)
+        share = gain * passed(omega)
         return share[:, None, None] * np.linalg.inv(frequency_response(P, omega))
 
     return TwoSidedFilter(response, m, Ts)
 
 
 def zero_phase_inversion(
-    P: control.StateSpace, gain: float = 1.0, low_pass: ZeroPhaseButterworth | None = None
+    P: control.StateSpace, gain: float = 1.0, cutoff: float | None = None
 ) -> TwoSidedFilter:
     """Zero-phase-error tracking, each channel by itself: the zeros outside are not inverted.
 
@@ -68,8 +70,8 @@ def zero_phase_inversion(
         In discrete time, m inputs and m outputs, stable.
     gain : float
         In (0, 1].
-    low_pass : ZeroPhaseButterworth, optional
-        F, as for :func:`stable_inversion`.
+    cutoff : float, optional
+        As for :func:`stable_inversion`.
 
     Returns
     -------
@@ -78,9 +80,11 @@ def zero_phase_inversion(
     Raises
     ------
     ValueError
-        If `P` is no such model or has a zero at frequency zero, or `gain` is out of range.
+        If `P` is no such model or has a zero at frequency zero, or `gain` or `cutoff` is
+        out of range.
     """
     gain, (m, Ts) = arguments.share("gain", gain), square(P)
+    passed = _low_pass(cutoff, Ts)
     zeros = [outer_zeros(P[i, i]) for i in range(m)]
     for i, each in enumerate(zeros):
         if np.any(np.abs(each - 1) < 1e-9):
@@ -91,14 +95,16 @@ def zero_phase_inversion(
         entries = np.einsum("nii->ni", frequency_response(P, omega))
         for i in range(m):
             factor = np.prod(np.abs((z - zeros[i]) / (1 - zeros[i])) ** 2, axis=1)
-            L[:, i, i] = gain * _passed(low_pass, omega) * factor / entries[:, i]
+            L[:, i, i] = gain * passed(omega) * factor / entries[:, i]
         return L
 
     return TwoSidedFilter(response, m, Ts)
 
 
-def _passed(low_pass, omega):
-    return np.ones(len(omega)) if low_pass is None else low_pass.frequency_response(omega)
+def _low_pass(cutoff, Ts):
+    return (
+        np.ones_like if cutoff is None else zero_phase_butterworth(2, cutoff, Ts).frequency_response
+    )
 
 
 def outer_zeros(P: control.StateSpace) -> np.ndarray:

@@ -33,13 +33,13 @@ class Tuned:
 
 
 def tune(
-    design: Callable[..., LearningOperator],
+    design: Callable,
     box: dict[str, tuple[float, float]],
     rehearsal: Rehearsal,
     M_max: float = 0.9,
     evaluations: int = 24,
 ) -> Tuned:
-    """Search the tuning of a design whose trials are best.
+    """Search for the tuning of a design whose trials are best.
 
     The criterion is the sum of RMS(e_k) over all trials but the first, rehearsed on the model of
     the design, with a rate of at most `M_max`. It counts speed, what is left in the end, and what
@@ -49,7 +49,8 @@ def tune(
     Parameters
     ----------
     design : callable
-        From the parameters, by name, to a filter; a ValueError says that there is none.
+        From the parameters, by name, to a filter, or to what has one as its ``filter``, as a
+        :class:`rodlib.Synthesis` does; a ValueError says that there is none.
     box : dict
         Lowest and highest value of each parameter, above zero; of whole numbers, whole numbers.
     rehearsal : Rehearsal
@@ -82,9 +83,10 @@ def tune(
             for name, value in zip(box, values, strict=True)
         }
         try:
-            L = design(**parameters)
+            found = design(**parameters)
         except ValueError:
             return WORST
+        L = getattr(found, "filter", found)
         rate = rehearsal.rate(L)
         if rate > M_max * (1 + 1e-6):
             return WORST * rate / (1 + rate)  # towards a lower rate
