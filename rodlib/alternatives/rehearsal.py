@@ -1,7 +1,6 @@
 """Trials on a plant that is known by its response: the same judge for every learning filter."""
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy.fft import irfft, rfft
@@ -9,6 +8,8 @@ from scipy.fft import irfft, rfft
 from rodlib import arguments
 from rodlib.filters import LearningOperator, ZeroPhaseButterworth, check_learning, update
 from rodlib.problem import convergence_matrix, largest_singular_values
+
+JUDGED = 500  # lines at which the rate is computed, spaced by their logarithms
 
 
 @dataclass(frozen=True)
@@ -49,14 +50,14 @@ class Rehearsal:
         for name, value in {"alone": alone, "P": P, "rest": rest}.items():
             object.__setattr__(self, name, value)
 
-    @cached_property
-    def _q(self):
-        return self.Q.frequency_response(lines(self.alone.shape[1], self.Q.Ts))
-
     def rate(self, L: LearningOperator) -> float:
-        """Of Lemma 1, by the lines: the largest sigma_max(M)."""
-        response = L.frequency_response(lines(self.alone.shape[1], self.Q.Ts))
-        return float(largest_singular_values(convergence_matrix(self.P, self._q, response)).max())
+        """Of Lemma 1, the largest sigma_max(M), at `JUDGED` of the lines."""
+        samples = self.alone.shape[1]
+        chosen = np.unique(np.append(0, np.geomspace(1, samples, JUDGED).round().astype(int)))
+        omega = lines(samples, self.Q.Ts)[chosen]
+        q, response = self.Q.frequency_response(omega), L.frequency_response(omega)
+        M = convergence_matrix(self.P[chosen], q, response)
+        return float(largest_singular_values(M).max())
 
     def errors(self, L: LearningOperator) -> np.ndarray:
         """e_k, shape (trials, samples, m)."""
