@@ -8,7 +8,7 @@ import xarray as xr
 from tqdm import tqdm
 
 from rodlib import arguments
-from rodlib.filters import LearningFilter, ZeroPhaseButterworth, update
+from rodlib.filters import LearningFilter, LearningOperator, ZeroPhaseButterworth, update
 from rodlib.laboratory.bench import Bench, Rig
 from rodlib.laboratory.excitation import Excitation
 from rodlib.laboratory.loading import load_ended
@@ -22,7 +22,7 @@ def record(
     rig: Rig,
     loop: CurrentTrialLoop,
     Q: ZeroPhaseButterworth,
-    L: LearningFilter | None,
+    L: LearningOperator | None,
     reference,
     disturbance=None,
     trials: int = 10,
@@ -44,8 +44,8 @@ def record(
     rig : Rig
     loop : CurrentTrialLoop
         Its names and units are those of the record.
-    Q, L : ZeroPhaseButterworth, LearningFilter
-        L None switches learning off.
+    Q, L : ZeroPhaseButterworth, LearningOperator
+        L None switches learning off. A log can name no other L than a LearningFilter.
     reference : array_like, shape (time, m)
     disturbance : array_like, shape (time, d) or (trial, time, d), optional
         What to command to those of ``loop.disturbances`` that are inputs of the rig. What it
@@ -86,6 +86,8 @@ def record(
     bench = Bench(rig, loop, decimals)
     Ts = arguments.sampling_period("rig.Ts", getattr(rig, "Ts", loop.Ts))
     check_law(loop, Q, L, rig=Ts)
+    if path is not None and L is not None:
+        arguments.instance("L", L, LearningFilter)  # or the log could not say what made it
     trials = arguments.whole("trials", trials, 1)
     pause = arguments.whole("pause", pause, 0)
     reference = arguments.array("reference", reference, ("time", loop.plant.noutputs))
@@ -227,7 +229,7 @@ class _Learning(_Plan):
     """Trials under the ILC law."""
 
     Q: ZeroPhaseButterworth
-    L: LearningFilter | None
+    L: LearningOperator | None
     rest: int
     step: float
 

@@ -10,7 +10,12 @@ import numpy as np
 import xarray as xr
 
 from rodlib import arguments
-from rodlib.filters import LearningFilter, ZeroPhaseButterworth, zero_phase_butterworth
+from rodlib.filters import (
+    LearningFilter,
+    LearningOperator,
+    ZeroPhaseButterworth,
+    zero_phase_butterworth,
+)
 from rodlib.laboratory import actuators
 from rodlib.laboratory import units as pints
 from rodlib.laboratory.excitation import Excitation
@@ -24,7 +29,7 @@ MISUNDERSTOOD = (KeyError, TypeError, ValueError, RecursionError)  # what a note
 def with_law(
     trials: xr.Dataset,
     Q: ZeroPhaseButterworth,
-    L: LearningFilter | None,
+    L: LearningOperator | None,
     rest: int = 0,
     loop: CurrentTrialLoop | None = None,
     step: float = 1.0,
@@ -32,10 +37,12 @@ def with_law(
     """Note in the metadata which ILC law (23) made the trials, and around which loop.
 
     `rest` is the number of samples at the end of a trial in which v was held at zero, `step` the
-    share of the way that v went, both as in :func:`rodlib.update`.
+    share of the way that v went, both as in :func:`rodlib.update`. Of a learning operator that is
+    no :class:`rodlib.LearningFilter` nothing is noted.
     """
     notes = {"Q": json.dumps({"order": Q.order, "cutoff": Q.cutoff, "ends": Q.ends})}
-    notes["L"] = json.dumps(L and {"coefficients": L.coefficients.tolist(), "ends": L.ends})
+    if L is None or isinstance(L, LearningFilter):
+        notes["L"] = json.dumps(L and {"coefficients": L.coefficients.tolist(), "ends": L.ends})
     if rest:
         notes["rest"] = json.dumps(rest)
     if step != 1:

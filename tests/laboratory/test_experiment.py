@@ -12,6 +12,7 @@ import pytest
 
 from rodlib import (
     LearningFilter,
+    NormOptimal,
     Rod,
     current_trial_loop,
     load_log,
@@ -155,6 +156,15 @@ def test_a_step_holds_on_the_rig_too_and_when_it_goes_on(loop, Q, L, tmp_path):
         np.testing.assert_array_equal(log.v[k + 1], law)
     with pytest.raises(ValueError, match="another experiment, see its step"):
         record(VirtualRig(), trials=5, **made | {"step": 1.0})
+
+
+def test_another_learning_operator_learns_on_the_rig_but_no_log_could_name_it(loop, Q, tmp_path):
+    reference, L = assumed_reference(1200), NormOptimal(loop.P, 0.01, 1200)
+    run = record(VirtualRig(Rod(), IDEAL), loop, Q, L, reference, trials=2, pause=300)
+    assert rms(run.e)[1] < 0.1 * rms(run.e)[0]
+    assert "L" not in run.attrs
+    with pytest.raises(ValueError, match=r"L = .* must be a LearningFilter"):
+        record(VirtualRig(Rod(), IDEAL), loop, Q, L, reference, path=tmp_path / "log.csv")
 
 
 def test_v_rests_on_the_rig_too_and_the_log_says_so(loop, Q, L):
