@@ -77,7 +77,7 @@ class Panel:
                 widgets.Box(saving, layout={"flex_flow": "row wrap"}),
             ],
             layout={
-                "flex": "2 1 440px", "min_width": "300px", "max_width": "960px",
+                "flex": "2 1 440px", "min_width": "300px", "max_width": "800px",
                 "align_items": "flex-start", "padding": "0 0 0 12px",
             },
         )  # fmt: skip

@@ -19,11 +19,11 @@ from matplotlib.transforms import Bbox
 from rodlib.paper.figures import SHADES
 from rodlib.workbench.outcome import Outcome
 
-SIZE, DPI = (7.6, 5.2), 130  # inches; what 900 pixels of a notebook show well
+SIZE = (7.6, 5.2)  # inches, of 100 pixels each
 BEFORE = {"color": "0.75", "linewidth": 2.4}
 BOUND = {"color": "tab:red", "linewidth": 1, "linestyle": "--"}
 MIDDLE = 0.47  # of the figure's height, between the labels of the upper axes and the lower titles
-KEPT = 100  # drawn axes, a megabyte each
+KEPT = 100  # drawn axes, a third of a megabyte each
 ROUND = np.array([1, 1.5, 2, 3, 5, 7, 10])
 ENTRIES = [  # how those of a filter look; gray is for the filter before
     {"color": shade, "linestyle": style}
@@ -40,7 +40,7 @@ class Picture:
     """
 
     def __init__(self):
-        self.figure = Figure(SIZE, dpi=DPI, layout="none")
+        self.figure = Figure(SIZE, dpi=100, layout="none")
         FigureCanvasAgg(self.figure)
         self.axes = self.figure.subplots(2, 2)
         self._drawn = {}
