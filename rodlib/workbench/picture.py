@@ -22,7 +22,7 @@ from rodlib.workbench.outcome import Outcome
 SIZE = (7.6, 5.2)  # inches, of 100 pixels each
 BEFORE = {"color": "0.75", "linewidth": 2.4}
 BOUND = {"color": "tab:red", "linewidth": 1, "linestyle": "--"}
-MIDDLE = 0.47  # of the figure's height, between the labels of the upper axes and the lower titles
+MIDDLE = 0.475  # of the figure's height, between the labels of the upper axes and the lower titles
 KEPT = 100  # drawn axes, a third of a megabyte each
 ROUND = np.array([1, 1.5, 2, 3, 5, 7, 10])
 ENTRIES = [  # how those of a filter look; gray is for the filter before
@@ -134,13 +134,13 @@ class Picture:
         """The picture as a PNG file; the same bytes for the same outcomes."""
         canvas = self.figure.canvas
         renderer = canvas.get_renderer()
-        renderer.clear()
-        self.figure.patch.draw(renderer)
-        for number, axes in enumerate(self.axes.flat):
-            if axes.get_visible():
-                canvas.restore_region(self._axes(number, axes, renderer))
-        for axes in self.axes.flat:
-            for line in axes.lines if axes.get_visible() else []:
+        shown = [(k, axes) for k, axes in enumerate(self.axes.flat) if axes.get_visible()]
+        parts = [self._axes(number, axes, renderer) for number, axes in shown]
+        self._clear(renderer)
+        for part in parts:
+            canvas.restore_region(part)
+        for _, axes in shown:
+            for line in axes.lines:
                 line.draw(renderer)
         for text in (self._words, self._message):
             text.draw(renderer)
@@ -151,6 +151,10 @@ class Picture:
         )  # fmt: skip
         return buffer.getvalue()
 
+    def _clear(self, renderer):
+        renderer.clear()
+        self.figure.patch.draw(renderer)
+
     def _axes(self, number, axes, renderer):
         """Axes without their lines, as they were drawn before or are drawn now."""
         legend = axes.get_legend()
@@ -159,6 +163,7 @@ class Picture:
         if key not in self._drawn:
             if len(self._drawn) >= KEPT:
                 self._drawn.clear()
+            self._clear(renderer)
             lines = [*axes.lines]
             for line in lines:
                 line.set_visible(False)
