@@ -18,7 +18,7 @@ export LC_ALL := C.UTF-8
 export PYTHONWARNINGS := ignore::DeprecationWarning
 .DELETE_ON_ERROR:
 .PHONY: $(BIN)/ready help reproduce test lint data replay machines mutants lowest survey study \
-	bench lab notebooks lock clean
+	pages bench lab notebooks lock clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' Makefile | sed -E 's/:.*## /\t/' | expand -t 12
@@ -63,6 +63,9 @@ survey: $(BIN)/ready  ## solve 550 problems for ordinary plants; rewrite the REA
 
 study: $(BIN)/ready  ## 10,000 rods that are off: make study [SCHEDULER=address]; results in build/study
 	@$(BIN)/python -m rodlib.paper.study $(SCHEDULER)
+
+pages: $(BIN)/ready  ## the notebooks, the ledger and the reference as HTML, in build/pages
+	@$(BIN)/python -m rodlib.paper.pages
 
 bench: $(BIN)/ready  ## time the synthesis and the study; rewrite the README's performance section
 	@mkdir -p build

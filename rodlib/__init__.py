@@ -7,11 +7,24 @@ from importlib import import_module
 
 MODULES = {
     "rod": ("Rod", "exact_response", "midr"),
+    "approximations": (
+        "balanced_truncation",
+        "finite_differences",
+        "finite_elements",
+        "finite_volumes",
+        "modal_series",
+    ),
     "held": ("sampled_response",),
     "realisation": ("minimal_realisation",),
     "loop": ("CurrentTrialLoop",),
     "feedback": ("current_trial_loop", "paper_loop"),
-    "filters": ("LearningFilter", "ZeroPhaseButterworth", "update", "zero_phase_butterworth"),
+    "filters": (
+        "LearningFilter",
+        "LearningOperator",
+        "ZeroPhaseButterworth",
+        "update",
+        "zero_phase_butterworth",
+    ),
     "problem": ("Problem",),
     "evidence": (
         "converged_noise",
@@ -30,6 +43,17 @@ MODULES = {
         "synthesise",
     ),
     "trials": ("run_trials",),
+    "alternatives": (
+        "NormOptimal",
+        "Rehearsal",
+        "gradient",
+        "h_infinity",
+        "p_type",
+        "pd_type",
+        "stable_inversion",
+        "tune",
+        "zero_phase_inversion",
+    ),
     "study": ("Specimen", "Spread", "Study", "draw", "responses", "unstable_poles"),
     "laboratory": (
         "LogError",

@@ -166,8 +166,8 @@ def array(name: str, value, shape: Sequence[int | str], dtype: type = float) -> 
         words += "," if len(shape) == 1 else ""
         raise ValueError(f"{name} has shape {plain.shape}, but must have shape ({words})")
     result = np.array(plain, dtype=dtype)
-    bad = np.argwhere(~np.isfinite(result))
-    if len(bad):
+    if not np.isfinite(result).all():
+        bad = np.argwhere(~np.isfinite(result))
         where = tuple(int(i) for i in bad[0])
         raise ValueError(f"{name} has {len(bad)} values that are not finite, the first at {where}")
     if np.abs(result).max(initial=0) > LARGEST:

@@ -12,6 +12,7 @@ first and the last sample stand still, which suits a trial that does not end at 
 import warnings
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from scipy.signal import BadCoefficients, butter, freqz_sos, sosfilt, sosfilt_zi
@@ -114,6 +115,23 @@ def zero_phase_butterworth(
     return ZeroPhaseButterworth(order, cutoff, Ts, ends)
 
 
+@runtime_checkable
+class LearningOperator(Protocol):
+    """Whatever can stand for L in the law (23): it knows its response and acts on a trial.
+
+    :class:`LearningFilter` is one; those of other designs are in :mod:`rodlib.alternatives`.
+    """
+
+    Ts: float
+    channels: int
+
+    def frequency_response(self, omega) -> np.ndarray:
+        """At `omega` (rad/s), shape (n, channels, channels), complex."""
+
+    def apply(self, signal) -> np.ndarray:
+        """Filter a signal of shape (..., time, channels)."""
+
+
 @dataclass(frozen=True)
 class LearningFilter:
     """The learning filter L of (42), (44): a non-causal finite impulse response.
@@ -145,6 +163,11 @@ class LearningFilter:
         object.__setattr__(self, "coefficients", c)
 
     @property
+    def channels(self) -> int:
+        """Number m of channels."""
+        return len(self.coefficients)
+
+    @property
     def order(self) -> int:
         """Number of samples that the filter looks ahead."""
         return self.coefficients.shape[2]
@@ -156,7 +179,7 @@ class LearningFilter:
 
     def apply(self, signal) -> np.ndarray:
         """Filter a signal of shape (..., time, m)."""
-        signal = arguments.array("signal", signal, (..., "time", len(self.coefficients)))
+        signal = arguments.array("signal", signal, (..., "time", self.channels))
         padding = [(0, 0)] * (signal.ndim - 2) + [(0, self.order), (0, 0)]
         ahead = np.pad(signal, padding, mode=ENDS[self.ends])
         windows = np.lib.stride_tricks.sliding_window_view(ahead, self.order, axis=-2)
@@ -173,8 +196,15 @@ def time_shifts(angles, order) -> np.ndarray:
     return np.exp(1j * np.outer(angles, np.arange(1, order + 1)))
 
 
+def check_learning(L: LearningOperator, channels: int) -> None:
+    """Check that L is a learning operator for so many channels; a ValueError says so if not."""
+    arguments.instance("L", L, LearningOperator)
+    if L.channels != channels:
+        raise ValueError(f"L acts on {L.channels} channels, but must act on {channels}")
+
+
 def update(
-    v, e, Q: ZeroPhaseButterworth, L: LearningFilter, rest: int = 0, step: float = 1.0
+    v, e, Q: ZeroPhaseButterworth, L: LearningOperator, rest: int = 0, step: float = 1.0
 ) -> np.ndarray:
     """Compute the next trial's ILC signal by the ILC law (23), v_{k+1} = Q (v_k + L e_k).
 
@@ -185,7 +215,7 @@ def update(
     ----------
     v, e : array_like, shape (time, m)
         ILC signal and tracking error of the trial just done, both in the unit of the output.
-    Q, L : ZeroPhaseButterworth, LearningFilter
+    Q, L : ZeroPhaseButterworth, LearningOperator
     rest : int
         Number of samples at the end of the trial in which the signal is held at zero. The filters
         look beyond the end, so what they make of the last samples may grow from trial to trial.
@@ -203,9 +233,9 @@ def update(
         different sampling periods, `rest` is not shorter than the trial, or `step` is out of range.
     """
     arguments.instance("Q", Q, ZeroPhaseButterworth)
-    arguments.instance("L", L, LearningFilter)
+    arguments.instance("L", L, LearningOperator)
     arguments.one_period(Q=Q.Ts, L=L.Ts)
-    v = arguments.array("v", v, (..., "time", len(L.coefficients)))
+    v = arguments.array("v", v, (..., "time", L.channels))
     e = arguments.array("e", e, v.shape)
     rest = arguments.whole("rest", rest, 0, v.shape[-2] - 1)
     step = arguments.share("step", step)

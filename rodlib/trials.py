@@ -10,14 +10,14 @@ import numpy as np
 import xarray as xr
 
 from rodlib import arguments
-from rodlib.filters import LearningFilter, ZeroPhaseButterworth, update
+from rodlib.filters import LearningOperator, ZeroPhaseButterworth, check_learning, update
 from rodlib.loop import CurrentTrialLoop, with_noise
 
 
 def run_trials(
     loop: CurrentTrialLoop,
     Q: ZeroPhaseButterworth,
-    L: LearningFilter | None,
+    L: LearningOperator | None,
     reference,
     disturbance=None,
     trials: int = 10,
@@ -36,7 +36,7 @@ def run_trials(
     ----------
     loop : CurrentTrialLoop
         With m controls and outputs and d disturbances.
-    Q, L : ZeroPhaseButterworth, LearningFilter
+    Q, L : ZeroPhaseButterworth, LearningOperator
         L None switches learning off, v = 0 on all trials.
     reference : array_like, shape (time, m) or (trial, time, m)
         Reference trajectory, of all trials or of each.
@@ -138,22 +138,20 @@ def check_law(loop, Q, L, **periods: float) -> None:
     Parameters
     ----------
     loop : CurrentTrialLoop
-    Q, L : ZeroPhaseButterworth, LearningFilter or None
+    Q, L : ZeroPhaseButterworth, LearningOperator or None
     **periods : float
         Further sampling periods, s; each keyword says whose it is.
 
     Raises
     ------
     ValueError
-        If the sampling periods differ, the learning filter has not one channel per output of the
-        loop, or an argument is something else altogether.
+        If the sampling periods differ, L has not one channel per output of the loop, or an argument
+        is something else altogether.
     """
     arguments.instance("loop", loop, CurrentTrialLoop)
     arguments.instance("Q", Q, ZeroPhaseButterworth)
-    m = loop.plant.noutputs
     if L is not None:
-        arguments.instance("L", L, LearningFilter)
-        arguments.array("L.coefficients", L.coefficients, (m, m, "order"))
+        check_learning(L, loop.plant.noutputs)
         periods["L"] = L.Ts
     arguments.one_period(loop=loop.Ts, Q=Q.Ts, **periods)
 

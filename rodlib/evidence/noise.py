@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rodlib import arguments
-from rodlib.filters import LearningFilter, ZeroPhaseButterworth
+from rodlib.filters import LearningOperator, ZeroPhaseButterworth, check_learning
 from rodlib.loop import CurrentTrialLoop, with_noise
 from rodlib.problem import largest_singular_values
 from rodlib.realisation import frequency_response
@@ -195,7 +195,7 @@ def trial_noise(
     return TrialNoise(omega, loop.Ts, P, measured, true)
 
 
-def converged_noise(new: TrialNoise, Q, L: LearningFilter, step: float = 1.0) -> LearnedNoise:
+def converged_noise(new: TrialNoise, Q, L: LearningOperator, step: float = 1.0) -> LearnedNoise:
     """What is random in the error when all that comes again is learned.
 
     Parameters
@@ -203,7 +203,7 @@ def converged_noise(new: TrialNoise, Q, L: LearningFilter, step: float = 1.0) ->
     new : TrialNoise
     Q : ZeroPhaseButterworth or array_like, shape (n,)
         The filter, or its frequency response on ``new.omega``.
-    L : LearningFilter
+    L : LearningOperator
     step : float
         Of :func:`rodlib.update`, the same after every trial.
 
@@ -251,7 +251,7 @@ def accumulated(M, added) -> np.ndarray:
     return added
 
 
-def noise_by_trial(new: TrialNoise, Q, L: LearningFilter, step) -> list[LearnedNoise]:
+def noise_by_trial(new: TrialNoise, Q, L: LearningOperator, step) -> list[LearnedNoise]:
     """What is random in the error of each trial, from the first on, where v = 0.
 
     Parameters
@@ -349,9 +349,8 @@ def _density(name, value, omega, m):
 def _learning(new, Q, L):
     """M and Q P L, for a step of one."""
     q, m = _q_response(new, Q), new.P.shape[1]
-    arguments.instance("L", L, LearningFilter)
+    check_learning(L, m)
     arguments.one_period(noise=new.Ts, L=L.Ts)
-    arguments.array("L.coefficients", L.coefficients, (m, m, "order"))
     q = q[:, None, None]
     QPL = q * new.P @ L.frequency_response(new.omega)
     return q * np.eye(m) - QPL, QPL  # (40)

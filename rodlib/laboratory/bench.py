@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from rodlib import arguments
+from rodlib.laboratory import actuators
 from rodlib.laboratory import units as pints
 from rodlib.loop import CurrentTrialLoop
 
@@ -19,11 +20,13 @@ class Rig(Protocol):
     """What :func:`record` asks of a rig: a driver of two methods, one call each per sample.
 
     A rig may have more. ``inputs``: names of the numbers that ``apply`` takes; without it they are
-    the loop's controls. ``Ts``: its sampling period, s. ``measured``: a dict of what else it
-    measures, by name, such as the temperature of the room. ``safe()``: what leaves it in a safe
-    state; without it, zeros are applied. ``begin(trial)``: what brings it into the state in which
-    every trial begins, such as a homing run; the controller then starts afresh, too. ``clock()``:
-    the time, s, by which samples are late or not, such as ``time.monotonic``.
+    the loop's controls. ``limits``: a dict of the lowest and the highest number that it follows, by
+    the name of the input; what is beyond them is warned of. ``Ts``: its sampling period, s.
+    ``measured``: a dict of what else it measures, by name, such as the temperature of the room.
+    ``safe()``: what leaves it in a safe state; without it, zeros are applied. ``begin(trial)``:
+    what brings it into the state in which every trial begins, such as a homing run; the controller
+    then starts afresh, too. ``clock()``: the time, s, by which samples are late or not, such as
+    ``time.monotonic``.
     """
 
     def read(self) -> Sequence[float]:
@@ -84,6 +87,7 @@ class Bench:
         missing = [name for name in loop.controls if name not in self.inputs]
         if missing:
             raise ValueError(f"rig.inputs = {self.inputs} must name the controls {missing}")
+        self.limits = actuators.checked("rig.limits", getattr(rig, "limits", None), self.inputs)
         heard = getattr(rig, "measured", {})
         self.moved = [name for name in loop.disturbances if name in self.inputs]
         self.heard = [n for n in loop.disturbances if n in heard and n not in self.moved]
@@ -137,7 +141,9 @@ class Bench:
             bar.set_postfix_str(f"RMS {np.sqrt(squares / (p + 1)):.3g}", refresh=False)
             bar.update()
         _report_late(trial, np.array(off), self.loop.Ts)
-        return {"v": v} | {name: np.array([s[name] for s in signals]) for name in signals[0]}
+        signals = {name: np.array([s[name] for s in signals]) for name in signals[0]}
+        _report_beyond(trial, actuators.beyond(signals["u"], self.loop.controls, self.limits))
+        return {"v": v} | signals
 
     def sample(self, w, flows, where) -> dict[str, np.ndarray]:
         """Let one sampling period pass: read, check, then apply what the controller makes of it."""
@@ -190,6 +196,16 @@ def _report_late(trial, off, Ts):
         warnings.warn(
             f"trial {trial}: {late.size} samples were not on time, the worst, sample {worst + 1}, "
             f"by {off[worst]:.3g} s",
+            stacklevel=5,
+        )
+
+
+def _report_beyond(trial, shares):
+    """Warn of commands that the rig cut off."""
+    if shares:
+        warnings.warn(
+            f"trial {trial}: commands were beyond the limits of {shares} of all samples; what the "
+            "actuators cannot do, no learning will do for them",
             stacklevel=5,
         )
 

@@ -8,7 +8,7 @@ import xarray as xr
 from tqdm import tqdm
 
 from rodlib import arguments
-from rodlib.filters import LearningFilter, ZeroPhaseButterworth, update
+from rodlib.filters import LearningFilter, LearningOperator, ZeroPhaseButterworth, update
 from rodlib.laboratory.bench import Bench, Rig
 from rodlib.laboratory.excitation import Excitation
 from rodlib.laboratory.loading import load_ended
@@ -22,7 +22,7 @@ def record(
     rig: Rig,
     loop: CurrentTrialLoop,
     Q: ZeroPhaseButterworth,
-    L: LearningFilter | None,
+    L: LearningOperator | None,
     reference,
     disturbance=None,
     trials: int = 10,
@@ -44,8 +44,8 @@ def record(
     rig : Rig
     loop : CurrentTrialLoop
         Its names and units are those of the record.
-    Q, L : ZeroPhaseButterworth, LearningFilter
-        L None switches learning off.
+    Q, L : ZeroPhaseButterworth, LearningOperator
+        L None switches learning off. A log can name no other L than a LearningFilter.
     reference : array_like, shape (time, m)
     disturbance : array_like, shape (time, d) or (trial, time, d), optional
         What to command to those of ``loop.disturbances`` that are inputs of the rig. What it
@@ -80,11 +80,14 @@ def record(
     Warns
     -----
     UserWarning
-        After a trial in which samples were not on time, if the rig has a clock.
+        After a trial in which samples were not on time, if the rig has a clock, or commands beyond
+        what it follows, if it has limits.
     """
     bench = Bench(rig, loop, decimals)
     Ts = arguments.sampling_period("rig.Ts", getattr(rig, "Ts", loop.Ts))
     check_law(loop, Q, L, rig=Ts)
+    if path is not None and L is not None:
+        arguments.instance("L", L, LearningFilter)  # or the log could not say what made it
     trials = arguments.whole("trials", trials, 1)
     pause = arguments.whole("pause", pause, 0)
     reference = arguments.array("reference", reference, ("time", loop.plant.noutputs))
@@ -123,8 +126,8 @@ def shake(
     Returns
     -------
     xarray.Dataset
-        As from :func:`record`, with the excitation noted in the metadata. For
-        :func:`measured_response`.
+        As from :func:`record`, with the excitation and the limits of the rig noted in the metadata.
+        For :func:`measured_response`.
 
     Raises
     ------
@@ -136,7 +139,8 @@ def shake(
     Warns
     -----
     UserWarning
-        After a trial in which samples were not on time, if the rig has a clock.
+        After a trial in which samples were not on time, if the rig has a clock, or commands beyond
+        what it follows, if it has limits.
     """
     bench = Bench(rig, loop, decimals)
     arguments.instance("excitation", excitation, Excitation)
@@ -147,7 +151,9 @@ def shake(
     if excitation.channels != m:
         raise ValueError(f"excitation is for {excitation.channels} channels, but the loop has {m}")
     commanded = bench.commanded(None, *signals.shape[:2])
-    plan = _Shaking(loop, np.zeros(signals.shape[1:]), bench.recorded, excitation, signals)
+    reference = np.zeros(signals.shape[1:])
+    limits = {name: bench.limits[name] for name in loop.controls if name in bench.limits}
+    plan = _Shaking(loop, reference, bench.recorded, excitation, signals, limits)
     return _conduct(bench, plan, commanded, 0, path)
 
 
@@ -223,7 +229,7 @@ class _Learning(_Plan):
     """Trials under the ILC law."""
 
     Q: ZeroPhaseButterworth
-    L: LearningFilter | None
+    L: LearningOperator | None
     rest: int
     step: float
 
@@ -244,10 +250,11 @@ class _Shaking(_Plan):
 
     excitation: Excitation
     signals: np.ndarray
+    limits: dict[str, list[float]]
 
     def v(self, signals) -> np.ndarray:
         """That of the trial after those given."""
         return self.signals[len(signals["y"])]
 
     def noted(self, run: xr.Dataset) -> xr.Dataset:
-        return with_excitation(run, self.excitation, self.loop)
+        return with_excitation(run, self.excitation, self.loop, self.limits)

@@ -61,17 +61,12 @@ def drift(y, windows, excitation, measured):
     )
 
 
-def beyond(log, limits):
-    """Commands that the actuators did not follow."""
-    beyond = {}
-    for name, (low, high) in limits.items():
-        u = log.u.sel(channel=log.control == name).values
-        beyond[name] = np.mean((u < low) | (u > high))
-    listed = ", ".join(f"{name} in {share:.1%}" for name, share in beyond.items() if share)
-    if not listed:
+def beyond(shares):
+    """Commands that the actuators did not follow, from the share of them."""
+    if not shares:
         return None
     return (
-        f"commands were beyond the limits of {listed} of all samples: what was measured is not the "
+        f"commands were beyond the limits of {shares} of all samples: what was measured is not the "
         "loop, and the radius does not contain that. Shake with a smaller amplitude"
     )
 

@@ -14,9 +14,10 @@ import xarray as xr
 from scipy.interpolate import make_interp_spline
 
 from rodlib import arguments
+from rodlib.laboratory import actuators
 from rodlib.laboratory import findings as doubts
 from rodlib.laboratory.excitation import Excitation
-from rodlib.laboratory.notes import excitation_of, loop_of
+from rodlib.laboratory.notes import actuators_of, excitation_of, loop_of
 from rodlib.laboratory.region import TINY, radius_of
 from rodlib.laboratory.tables import LogError, few
 from rodlib.laboratory.transient import NEIGHBOURS, SPAN, nearest, separated, windows_of
@@ -190,8 +191,9 @@ def measured_response(
     log : xarray.Dataset
         From :func:`shake`, or loaded.
     limits : dict, optional
-        Lowest and highest command that an actuator follows, by the name of the control. A slow
-        plant hides from its outputs what a limit does.
+        Lowest and highest command that an actuator follows, by the name of the control. Default:
+        those that the rig knew when it was shaken, if any. A slow plant hides from its outputs what
+        a limit does.
 
     Returns
     -------
@@ -230,15 +232,12 @@ def measured_response(
     excitation, loop = excitation_of(log), loop_of(log)
     if excitation is None or loop is None:
         raise LogError("log names no excitation or no loop in its metadata: it is not of shake")
-    limits = {
-        name: arguments.array(f"limits[{name!r}]", pair, (2,))
-        for name, pair in arguments.by_name("limits", limits, loop.controls).items()
-    }
+    limits = actuators_of(log) | actuators.checked("limits", limits, loop.controls)
     w, y = _signals(log, excitation)
     windows = windows_of(excitation.harmonics, excitation, loop)
     measured = _estimate(w, y, windows, excitation, loop)
     reports = (
-        doubts.beyond(log, limits),
+        doubts.beyond(actuators.beyond(log.u.values, loop.controls, limits)),
         doubts.distortion(y, excitation, measured),
         doubts.drift(y, windows, excitation, measured),
         doubts.unanchored(measured),

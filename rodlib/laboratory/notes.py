@@ -3,13 +3,20 @@
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, fields
+from types import MappingProxyType
 
 import control
 import numpy as np
 import xarray as xr
 
 from rodlib import arguments
-from rodlib.filters import LearningFilter, ZeroPhaseButterworth, zero_phase_butterworth
+from rodlib.filters import (
+    LearningFilter,
+    LearningOperator,
+    ZeroPhaseButterworth,
+    zero_phase_butterworth,
+)
+from rodlib.laboratory import actuators
 from rodlib.laboratory import units as pints
 from rodlib.laboratory.excitation import Excitation
 from rodlib.laboratory.tables import LogError
@@ -22,7 +29,7 @@ MISUNDERSTOOD = (KeyError, TypeError, ValueError, RecursionError)  # what a note
 def with_law(
     trials: xr.Dataset,
     Q: ZeroPhaseButterworth,
-    L: LearningFilter | None,
+    L: LearningOperator | None,
     rest: int = 0,
     loop: CurrentTrialLoop | None = None,
     step: float = 1.0,
@@ -30,9 +37,13 @@ def with_law(
     """Note in the metadata which ILC law (23) made the trials, and around which loop.
 
     `rest` is the number of samples at the end of a trial in which v was held at zero, `step` the
-    share of the way that v went, both as in :func:`rodlib.update`.
+    share of the way that v went, both as in :func:`rodlib.update`. Of a learning operator that is
+    no :class:`rodlib.LearningFilter` nothing is noted.
     """
-    notes = {name: json.dumps(note) for name, note in notes_of_law(Q, L).items()}
+    law = notes_of_law(Q, L if isinstance(L, LearningFilter) else None)
+    if L is not None and not isinstance(L, LearningFilter):
+        del law["L"]
+    notes = {name: json.dumps(note) for name, note in law.items()}
     if rest:
         notes["rest"] = json.dumps(rest)
     if step != 1:
@@ -43,11 +54,34 @@ def with_law(
 
 
 def with_excitation(
-    trials: xr.Dataset, excitation: Excitation, loop: CurrentTrialLoop
+    trials: xr.Dataset,
+    excitation: Excitation,
+    loop: CurrentTrialLoop,
+    limits: Mapping[str, list[float]] = MappingProxyType({}),
 ) -> xr.Dataset:
-    """Note in the metadata which excitation made the trials, one experiment each, of which loop."""
-    note = json.dumps(asdict(excitation))
-    return trials.assign_attrs({"excitation": note, "loop": _note_of(loop)})
+    """Note in the metadata which excitation made the trials, one experiment each, of which loop.
+
+    `limits` are the lowest and highest command that an actuator follows, by name.
+    """
+    notes = {"excitation": json.dumps(asdict(excitation)), "loop": _note_of(loop)}
+    if limits:
+        notes["actuators"] = json.dumps(dict(limits), ensure_ascii=False)
+    return trials.assign_attrs(notes)
+
+
+def actuators_of(trials: xr.Dataset) -> dict[str, list[float]]:
+    """Limits of the actuators, by name, as noted in the metadata; those it does not say, left out.
+
+    Raises
+    ------
+    LogError
+        If the note is there but cannot be understood.
+    """
+    try:
+        note = json.loads(trials.attrs.get("actuators", "{}"))
+        return actuators.checked("actuators", note, trials.control.values.tolist())
+    except MISUNDERSTOOD as error:
+        raise LogError(f"metadata: actuators cannot be understood: {error}") from None
 
 
 def excitation_of(trials: xr.Dataset) -> Excitation | None:

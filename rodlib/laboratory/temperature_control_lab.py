@@ -75,6 +75,11 @@ class TemperatureControlLab:
         self.zero = None  # the temperatures at rest, degC
         self._due = self.clock()
 
+    @property
+    def limits(self) -> dict[str, tuple[float, float]]:
+        """Lowest and highest heaters, %, above those at rest."""
+        return {name: (-at, 100 - at) for name, at in zip(HEATERS, self.rest.tolist(), strict=True)}
+
     def clock(self) -> float:
         """Time, s; the emulator's stands still between two samples."""
         return time.monotonic() if self.kit else self.lab.tlast

@@ -88,6 +88,12 @@ class VirtualRig:
         return [f"Q{i + 1}" for i in range(self.rod.sections)]
 
     @property
+    def limits(self) -> dict[str, tuple[float, float]]:
+        """Lowest and highest heat flow of each element that has a limit, W."""
+        limit = self.parameters.limit
+        return {name: (-limit, limit) for name in self.inputs if np.isfinite(limit)}
+
+    @property
     def measured(self) -> dict[str, float]:
         """What is measured besides the outputs: the ambient temperature."""
         return {"theta_a": self.ambient}

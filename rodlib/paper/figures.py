@@ -3,6 +3,7 @@
 Importing this module sets the style. Saved files do not change between two runs.
 """
 
+from base64 import b64encode
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -56,19 +57,30 @@ class SavedFigure:
         The PNG file.
     width : int
         On the screen, in pixels; the file has more, for print.
+    caption : str
+        Stands below the figure, and in its place for who cannot see it.
     """
 
     path: Path
     width: int
+    caption: str
 
     def __repr__(self) -> str:
         return f"figures/{self.path.name}"
 
-    def _repr_png_(self):
-        return self.path.read_bytes(), {"width": self.width}
+    def _ipython_display_(self):
+        from IPython.display import Markdown, display  # here, since only notebooks have it loaded
+
+        picture = b64encode(self.path.read_bytes()).decode()
+        display(
+            {"image/png": picture, "text/plain": repr(self)},
+            raw=True,
+            metadata={"image/png": {"width": self.width, "alt": self.caption}},
+        )
+        display(Markdown(f"*{self.caption}*"))
 
 
-def save(figure: Figure, name: str) -> SavedFigure:
+def save(figure: Figure, name: str, caption: str) -> SavedFigure:
     """Write a figure to build/figures, or to the folder of the run, as PNG and PDF, and close it.
 
     The same bytes in every run.
@@ -78,6 +90,8 @@ def save(figure: Figure, name: str) -> SavedFigure:
     figure : matplotlib.figure.Figure
     name : str
         Without ending; begins with the paper's figure, as in "fig04-frequency-response".
+    caption : str
+        A sentence or two, plain text, that say what is to be seen; they stand for themselves.
 
     Returns
     -------
@@ -95,7 +109,8 @@ def save(figure: Figure, name: str) -> SavedFigure:
             figure.savefig(temporary, format=ending, metadata=metadata)
         figure.set_layout_engine("none")  # once laid out, it stays so
     plt.close(figure)  # or the notebook would draw it once more
-    return SavedFigure(target / f"{name}.png", round(figure.get_figwidth() * figure.get_dpi()))
+    width = round(figure.get_figwidth() * figure.get_dpi())
+    return SavedFigure(target / f"{name}.png", width, caption)
 
 
 def draw_rod(axes: Axes, rod: Rod) -> None:

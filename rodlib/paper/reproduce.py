@@ -1,11 +1,13 @@
 """All notebooks end to end, and their results published: what ``make reproduce`` runs.
 
-Three notebooks run at a time, each in a kernel of its own. The executed notebooks, their figures
-and their parts of the ledger go to build/reproduce; only when all have succeeded, they go to
-figures/ and the README. ``make replay`` runs one notebook on another log, in build/replay, and
-publishes nothing.
+Three notebooks run at a time, each in a kernel of its own; a terminal shows the cell that each is
+in and the time left, by what the cells took in the last run if there was one. The executed
+notebooks, their figures and their parts of the ledger go to build/reproduce; only when all have
+succeeded, they go to figures/ and the README. ``make replay`` runs one notebook on another log, in
+build/replay, and publishes nothing.
 """
 
+import json
 import os
 import shutil
 import signal
@@ -14,7 +16,10 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
+
+from tqdm import tqdm
 
 from rodlib.files import ROOT, alone, checkout, finish_publishing, folder
 from rodlib.paper.ledger import publish
@@ -51,7 +56,26 @@ def folder_of_run(command: str, root: Path) -> Iterator[Path]:
         yield results
 
 
-def run(notebook: Path, executed: Path, **parameters) -> float:
+def seconds_by_cell(executed: Path, notebook: Path) -> list[float]:
+    """How long each cell took in an earlier run; as if they were alike, if that cannot be said.
+
+    Parameters
+    ----------
+    executed : Path
+        What :func:`run` wrote, if it is there.
+    notebook : Path
+        As it is now.
+    """
+    count = len(json.loads(notebook.read_text(encoding="utf-8"))["cells"])
+    try:
+        cells = json.loads(executed.read_text(encoding="utf-8"))["cells"]
+        seconds = [float(cell["metadata"]["papermill"]["duration"]) for cell in cells]
+    except (OSError, ValueError, KeyError, TypeError):  # no run, or one that did not end
+        seconds = []
+    return seconds if len(seconds) == count else [1.0] * count
+
+
+def run(notebook: Path, executed: Path, seconds: list[float] | None = None, **parameters) -> float:
     """Execute a notebook in its own folder, in a new kernel.
 
     Parameters
@@ -60,6 +84,8 @@ def run(notebook: Path, executed: Path, **parameters) -> float:
         Stays as it is.
     executed : Path
         Where to write the notebook with its outputs, also if a cell fails.
+    seconds : list of float, optional
+        What each cell may take, from :func:`seconds_by_cell`, for the time left on a terminal.
     **parameters
         Instead of those in its cell.
 
@@ -79,6 +105,11 @@ def run(notebook: Path, executed: Path, **parameters) -> float:
     import papermill
 
     start = time.perf_counter()
+    seconds = seconds or seconds_by_cell(executed, notebook)
+    bar = tqdm(
+        total=sum(seconds), desc=f"{notebook.stem:<22}", leave=False, disable=None,
+        bar_format="{desc} {bar:20} {remaining} left{postfix}",
+    )  # fmt: skip
     try:
         papermill.execute_notebook(
             notebook,
@@ -89,6 +120,7 @@ def run(notebook: Path, executed: Path, **parameters) -> float:
             # papermill's own `cwd` is that of the whole process, not of one thread
             resources={"metadata": {"path": str(notebook.parent)}},
             shutdown_kernel="immediate",  # all is written by then
+            on_cell_start=partial(_show, bar, seconds),
         )
     except papermill.PapermillExecutionError as error:
         raise RuntimeError(
@@ -97,7 +129,14 @@ def run(notebook: Path, executed: Path, **parameters) -> float:
         ) from None
     except Exception as error:
         raise RuntimeError(f"{notebook.stem} failed: {error}") from error
+    finally:
+        bar.close()
     return time.perf_counter() - start
+
+
+def _show(bar, seconds, cell, cell_index):
+    bar.n = sum(seconds[:cell_index])
+    bar.set_postfix_str(f"cell {cell_index + 1} of {len(seconds)}")
 
 
 def reproduce(root: Path = ROOT) -> None:
@@ -115,18 +154,24 @@ def reproduce(root: Path = ROOT) -> None:
     ValueError
         If the notebooks' rows do not make a complete ledger.
     """
+    # the later ones take longer and go first, so that the last to end are short
+    notebooks = sorted((root / "notebooks").glob("*.ipynb"), reverse=True)
+    last = root / "build" / "reproduce"
+    seconds = {path: seconds_by_cell(last / path.name, path) for path in notebooks}
     with folder_of_run("reproduce", root) as build:
         if finish_publishing(root):
             print("the results of an earlier run, which was interrupted, are published now")
-        # the later ones take longer and go first, so that the last to end are short
-        notebooks = sorted((root / "notebooks").glob("*.ipynb"), reverse=True)
         print(f"running {len(notebooks)} notebooks, {AT_A_TIME} at a time ...", flush=True)
         with ThreadPoolExecutor(AT_A_TIME) as pool:
-            running = {pool.submit(run, path, build / path.name): path.stem for path in notebooks}
+            running = {
+                pool.submit(run, path, build / path.name, seconds[path]): path.stem
+                for path in notebooks
+            }
             for done in as_completed(running):
                 if done.exception():
                     pool.shutdown(cancel_futures=True)
-                print(f"{running[done]} ... done, {done.result():.0f} s", flush=True)
+                tqdm.write(f"{running[done]} ... done, {done.result():.0f} s")
+                sys.stdout.flush()
         publish(build, root)
 
 

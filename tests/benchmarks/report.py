@@ -43,6 +43,7 @@ def main(path):
     lines += ["", "| growing | from | to | time (s) | exponent of time, upper half | memory (MB) |"]
     lines += ["|---|---:|---:|---:|---:|---:|"]
     trials = dict(row[:2] for row in groups.pop("trials"))
+    designs = dict(row[:2] for row in groups.pop("alternatives"))
     figure, axes = plt.subplots(1, len(groups), figsize=figures.WIDE, sharey=True)
     for column, (name, rows) in zip(axes, groups.items(), strict=True):
         x, time, memory = np.array(sorted(rows)).T
@@ -65,6 +66,8 @@ def main(path):
     ratio = trials["one_by_one"] / trials["side_by_side"]
     lines += ["", f"Trials of many rods side by side are {ratio:.0f} times as fast, rod by rod, as"]
     lines += ["a loop over `run_trials`."]
+    lines += ["", "A filter of another design, and its first use on a trial of 2500 samples:"]
+    lines += [", ".join(f"{name} {time:.3f} s" for name, time in designs.items()) + "."]
     lines += ["", f"Measured on: {cpu}, {machine['cpu'].get('count', '?')} cores, Python {python}."]
     saved = figures.save(figure, "performance").path
     lines += ["", "![Time of the synthesis over its size](figures/performance.png)"]

@@ -12,6 +12,7 @@ import pytest
 
 from rodlib import (
     LearningFilter,
+    NormOptimal,
     Rod,
     current_trial_loop,
     load_log,
@@ -146,7 +147,7 @@ def test_only_known_disturbances_are_recorded(loop, Q):
 
 
 def test_a_step_holds_on_the_rig_too_and_when_it_goes_on(loop, Q, L, tmp_path):
-    made = {"loop": loop, "Q": Q, "L": L, "reference": assumed_reference(60), "pause": 5}
+    made = {"loop": loop, "Q": Q, "L": L, "reference": assumed_reference(60) * 0.02, "pause": 5}
     made |= {"step": 0.3, "path": tmp_path / "log.csv"}
     record(VirtualRig(), trials=2, **made)
     log = record(VirtualRig(), trials=4, **made)
@@ -157,8 +158,17 @@ def test_a_step_holds_on_the_rig_too_and_when_it_goes_on(loop, Q, L, tmp_path):
         record(VirtualRig(), trials=5, **made | {"step": 1.0})
 
 
+def test_another_learning_operator_learns_on_the_rig_but_no_log_could_name_it(loop, Q, tmp_path):
+    reference, L = assumed_reference(1200), NormOptimal(loop.P, 0.01, 1200)
+    run = record(VirtualRig(Rod(), IDEAL), loop, Q, L, reference, trials=2, pause=300)
+    assert rms(run.e)[1] < 0.1 * rms(run.e)[0]
+    assert "L" not in run.attrs
+    with pytest.raises(ValueError, match=r"L = .* must be a LearningFilter"):
+        record(VirtualRig(Rod(), IDEAL), loop, Q, L, reference, path=tmp_path / "log.csv")
+
+
 def test_v_rests_on_the_rig_too_and_the_log_says_so(loop, Q, L):
-    reference = assumed_reference(60)
+    reference = assumed_reference(60) * 0.02
     log = record(VirtualRig(), loop, Q, L, reference, None, 3, pause=5, rest=15)
     assert not log.v.values[:, -15:].any() and log.v.values[1:, -16].any()
     assert rest_of(log) == 15
@@ -286,6 +296,37 @@ def test_samples_that_are_not_on_time_are_reported(loop, Q):
         record(VirtualRig(), loop, Q, None, np.zeros((20, 2)), None, 2, pause=3)
 
 
+def test_commands_that_the_rig_cuts_off_are_reported(loop, Q):
+    """By the names of its inputs, which may be others and in another order than the controls."""
+
+    def driver(**more):
+        return SimpleNamespace(read=lambda: [0, 0], apply=len, inputs=["Q3", "fan", "Q1"], **more)
+
+    reference = np.zeros((20, 2))
+    reference[5:10, 0] = 10.0  # 47 and 16 W by N alone
+    with pytest.warns(UserWarning) as told:
+        log = record(driver(limits={"Q1": (-60, 40), "fan": (0, 1)}), loop, Q, None, reference,
+                     trials=2, pause=0)  # fmt: skip
+    share = np.mean(log.u.values[..., 0] > 40, axis=1)
+    assert share.min() > 0
+    assert [str(one.message).split(" of all")[0] for one in told] == [
+        f"trial {k}: commands were beyond the limits of Q1 in {part:.1%}"
+        for k, part in zip((1, 2), share, strict=True)
+    ]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        record(driver(), loop, Q, None, reference, trials=1)
+        record(driver(limits={"Q1": (-60, 1e3)}), loop, Q, None, reference, trials=1)
+    for limits, message in (
+        ({"Q2": (0, 1)}, "rig.limits is about .*'Q2'"),
+        ({"Q1": (1, 0)}, r"rig.limits\['Q1'\] = \(1, 0\) must be a lower and a higher number"),
+        ({"Q1": 60}, r"rig.limits\['Q1'\] has shape \(\)"),
+        ([60], "rig.limits = "),
+    ):
+        with pytest.raises(ValueError, match=message):
+            record(driver(limits=limits), loop, Q, None, reference)
+
+
 def test_progress_is_shown_on_a_terminal_only(loop, Q, capfd, monkeypatch):
     record(VirtualRig(), loop, Q, None, np.ones((20, 2)), None, 2, pause=3)
     assert capfd.readouterr() == ("", "")
@@ -297,7 +338,7 @@ def test_progress_is_shown_on_a_terminal_only(loop, Q, capfd, monkeypatch):
 
 # Resuming
 
-SHORT = {"reference": np.round(assumed_reference(25) * 0.3, 6), "trials": 3, "pause": 2}
+SHORT = {"reference": np.round(assumed_reference(25) * 0.02, 6), "trials": 3, "pause": 2}
 KILLED = """
 import os, signal, sys
 import pyarrow.csv, scipy.signal
@@ -316,7 +357,7 @@ class Killed(RestartingRig):
 units.unit("x", "K")  # now, and not in every fork
 loop, Q = paper_loop(), zero_phase_butterworth()
 L = LearningFilter(published.matrix("L_diagonal"), 1.0)
-reference = (assumed_reference(25) * 0.3).round(6)
+reference = (assumed_reference(25) * 0.02).round(6)
 for samples in map(int, sys.argv[2:]):
     process = os.fork()
     if not process:

@@ -1,5 +1,6 @@
 """Measuring P: against loops that are known exactly, and a rig that shares nothing with them."""
 
+import warnings
 from dataclasses import replace
 
 import control
@@ -218,21 +219,37 @@ def test_shaking_is_logged_and_gone_on_with(loop, short, tmp_path):
     np.testing.assert_array_equal(log.y, at_once.y)
 
 
-def test_an_actuator_at_its_limit_is_reported(loop, quick, short):
-    """By what it does to the outputs, where that shows, or by its limits."""
+def test_an_actuator_at_its_limit_is_reported(loop, quick, short, tmp_path):
+    """By what it does to the outputs, where that shows, or by its limits, which the rig knows."""
     strong = replace(quick, amplitude=(20.0, 20.0))
-    log = shake(RestartingRig(parameters=RigParameters(limit=40.0)), loop, strong)
+    rig = RestartingRig(parameters=RigParameters(limit=40.0))
+    with pytest.warns(UserWarning, match=r"trial \d: .* beyond the limits of Q1 in .*%, Q3 in"):
+        log = shake(rig, loop, strong)
     with pytest.warns(UserWarning) as told:
         assert "smaller amplitude" in repr(measured_response(log))
     assert any("the loop is not linear: y1" in str(one.message) for one in told)
-    log = shake(RestartingRig(parameters=RigParameters(limit=4.0)), loop, short)
-    with pytest.warns(UserWarning) as told:
-        measured_response(log, {name: (-4.0, 4.0) for name in loop.controls})
-    share = np.mean(np.abs(log.u.values[..., 0]) > 4)
-    assert f"limits of {loop.controls[0]} in {share:.1%}" in str(told[0].message)
+    rig, path = RestartingRig(parameters=RigParameters(limit=4.0)), tmp_path / "shaken.csv"
+    with pytest.warns(UserWarning, match="what the actuators cannot do"):
+        log = shake(rig, loop, short, path=path)
+    share = np.mean(np.abs(log.u.values) > 4, axis=(0, 1))
+    for known in (log, load_log(path)):
+        with pytest.warns(UserWarning) as told:
+            measured_response(known)
+        assert f"limits of Q1 in {share[0]:.1%}, Q3 in {share[1]:.1%} of all" in str(
+            told[0].message
+        )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        measured = measured_response(log, {"Q1": (-1e3, 1e3)})
+    assert f"limits of Q3 in {share[1]:.1%} of all" in measured.findings[0]
+    with pytest.raises(LogError, match="actuators cannot be understood"):
+        measured_response(log.assign_attrs(actuators='{"Q1": [4, -4]}'))
     y = answer(loop, quick.signals, noise_of(quick, 0.02, 4)[0])
     log = log_of(loop, quick, y)  # whose commands are zero
     assert not measured_response(log, {"Q1": (-60.0, 60.0)}).findings
+    for limits in ({"Q1": (1.0, -1.0)}, {"Q1": 1.0}, {"Q2": (-1.0, 1.0)}):
+        with pytest.raises(ValueError, match=r"^limits"):
+            measured_response(log, limits)
 
 
 def test_a_drift_is_reported_with_what_it_does(loop, quick):
@@ -315,3 +332,19 @@ def test_between_the_lines_and_as_an_frd(loop, quick):
     for confidence in (0, 1, "high"):
         with pytest.raises(ValueError, match=r"confidence = .* must be between 0 and 1"):
             measured.radius(confidence)
+
+
+@pytest.mark.parametrize("scale", [(1.0, 1.0), (5.0, 5.0), (0.1, 30.0)])
+def test_in_units_of_a_scale_it_is_what_was_measured_in_these_units(loop, quick, scale):
+    y = answer(loop, quick.signals, noise_of(quick, 0.02, 6)[0])
+    measured = measured_response(log_of(loop, quick, y))
+    last, windows = slice(-quick.evaluated, None), windows_of(quick.harmonics, quick, loop)
+    w, y = quick.signals[:, last] / scale, y[:, last] / scale
+    other = _estimate(w, y, windows, quick, loop)
+    dense = np.geomspace(1e-3, 1.0, 50)
+    for ours, theirs in zip(measured.on(dense, 0.9, scale), other.on(dense, 0.9), strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-6, atol=1e-12)
+    lines = measured.basis(dense, 0.9)
+    assert f"from {measured.omega[0]:.4g} to {measured.omega[-1]:.4g} rad/s" in lines[0]
+    assert f"at {(dense > measured.omega[-1]).sum()} of the design frequencies" in lines[2]
+    assert len(measured.basis(measured.omega, 0.9)) == 2 + len(measured.findings)

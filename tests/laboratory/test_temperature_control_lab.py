@@ -10,8 +10,11 @@ from scipy.optimize import least_squares
 from rodlib import (
     current_trial_loop,
     load_log,
+    measured_response,
+    multisine,
     record,
     run_trials,
+    shake,
     synthesise,
     update,
     zero_phase_butterworth,
@@ -164,6 +167,61 @@ def test_trials_of_the_emulator_are_those_of_the_simulation(loop, L, monkeypatch
     assert np.abs(recorded.y - simulated.y).max() < 1e-3
     assert np.abs(simulated.e[0]).max() > 1 > 10 * np.abs(recorded.e[3]).max()
     assert (rig.lab.Q1(), rig.lab.Q2()) == (0, 0)
+
+
+ROUGH = [0.03, 0.02, 0.05, 0.0, 100.0]  # what a loop is designed on that is then measured
+
+
+def measure(amplitude, rest=(50.0, 50.0)):
+    """The loop shaken around a state of rest; its measured response and the true one."""
+    loop = current_trial_loop(heat_balance(*ROUGH, 2.0), sizes=SIZES, units=UNITS)
+    excitation = multisine(loop, 8e-3, 0.3, amplitude, 1.5, lines=16)
+    rig = TemperatureControlLab(rest=rest, wait=3000.0)
+    rig.lab.maxstep = 0.1
+    measured = measured_response(shake(rig, loop, excitation))
+    return measured, loop.frequency_response(measured.omega, heat_balance(*TRUE, 2.0))
+
+
+def test_without_noise_the_measured_response_is_that_of_the_heat_balance(monkeypatch):
+    """Around any state of rest; what is left is Euler's method."""
+    undisturbed(monkeypatch)
+    found = [measure([2.5, 1.5], rest) for rest in ((50.0, 50.0), (40.0, 60.0))]
+    for measured, truth in found:
+        assert not measured.findings
+        assert np.linalg.norm(measured.response - truth, 2, axis=(1, 2)).max() < 5e-3
+    model = found[0][0].loop.frequency_response(measured.omega)
+    assert np.linalg.norm(model - truth, 2, axis=(1, 2)).max() > 0.5
+    np.testing.assert_allclose(found[0][0].response, found[1][0].response, atol=1e-6)
+
+
+def test_with_noise_the_region_covers_it(monkeypatch):
+    monkeypatch.setattr(tclab.TCLabModel, "quantize", lambda self, T: T)
+    measured, truth = measure([2.5, 1.5])
+    assert not measured.findings
+    radius = measured.radius(0.999, jointly=True)
+    assert np.all(np.linalg.norm(measured.response - truth, 2, axis=(1, 2)) < radius + 5e-3)
+    assert radius.max() < 0.1
+
+
+def test_the_converter_shows_and_is_within_what_the_finding_says():
+    with pytest.warns(UserWarning, match="the loop is not linear") as told:
+        measured, truth = measure([2.5, 1.5])
+    said = float(str(told[0].message).split("off by about ")[1].split(",")[0])
+    off = np.linalg.norm(measured.response - truth, 2, axis=(1, 2))
+    assert np.all(off < measured.radius(0.99, jointly=True) + said)
+
+
+def test_heaters_at_their_limits_are_told():
+    assert TemperatureControlLab(rest=(30, 40)).limits == {"Q1": (-30, 70), "Q2": (-40, 60)}
+    with pytest.warns(UserWarning) as told:
+        measured, truth = measure([5.0, 5.0])
+    assert [str(one.message).split(" in ")[0] for one in told[:3]] == [
+        "trial 1: commands were beyond the limits of Q1",
+        "trial 2: commands were beyond the limits of Q1",
+        "commands were beyond the limits of Q1",
+    ]
+    off = np.linalg.norm(measured.response - truth, 2, axis=(1, 2))
+    assert (off / measured.radius(0.99, jointly=True)).max() > 2
 
 
 @pytest.fixture(scope="module")

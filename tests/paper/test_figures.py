@@ -1,8 +1,8 @@
 import hashlib
+from base64 import b64decode
 
 import matplotlib.pyplot as plt
 import pytest
-from IPython.core.formatters import DisplayFormatter
 
 from rodlib import Rod
 from rodlib.paper import figures
@@ -26,21 +26,27 @@ def digests(folder):
 
 
 def test_saved_figures_are_the_same_bytes_every_time(folder):
-    figures.save(draw(), "fig02-test")
+    figures.save(draw(), "fig02-test", "A rod.")
     first = digests(folder)
-    figures.save(draw(), "fig02-test")
+    figures.save(draw(), "fig02-test", "A rod.")
     assert sorted(first) == ["fig02-test.pdf", "fig02-test.png"]
     assert digests(folder) == first
 
 
-def test_a_notebook_shows_the_saved_file_and_draws_nothing_itself(folder):
+def test_a_notebook_shows_the_saved_file_and_its_caption_and_draws_nothing_itself(
+    folder, monkeypatch
+):
     figure, _ = plt.subplots(figsize=(7.2, 2.0))
-    saved = figures.save(figure, "fig02-test")
+    saved = figures.save(figure, "fig02-test", "A rod.")
     assert not plt.fignum_exists(figure.number)
-    shown, metadata = DisplayFormatter().format(saved)
-    assert shown["image/png"] == (folder / "fig02-test.png").read_bytes()
-    assert shown["text/plain"] == "figures/fig02-test.png"
-    assert metadata["image/png"] == {"width": 720}
+    shown = []
+    monkeypatch.setattr("IPython.display.display", lambda *a, **k: shown.append((*a, k)))
+    saved._ipython_display_()
+    (picture, how), (caption, _) = shown
+    assert b64decode(picture["image/png"]) == (folder / "fig02-test.png").read_bytes()
+    assert picture["text/plain"] == "figures/fig02-test.png"
+    assert how["metadata"]["image/png"] == {"width": 720, "alt": "A rod."}
+    assert caption.data == "*A rod.*"
     assert plt.imread(folder / "fig02-test.png").shape[:2] == (400, 1440)
 
 

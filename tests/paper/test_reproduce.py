@@ -1,8 +1,11 @@
+import fcntl
 import json
 import os
 import signal
+import struct
 import subprocess
 import sys
+import termios
 import time
 
 import nbformat
@@ -11,6 +14,7 @@ import pytest
 from rodlib.files import publishing
 from rodlib.paper import ledger, published
 from rodlib.paper.ledger import Ledger
+from rodlib.paper.reproduce import seconds_by_cell
 
 
 def write(path, *cells):
@@ -75,6 +79,25 @@ def test_notebooks_run_in_their_folder_and_their_results_are_published(root):
     executed = nbformat.read(root / "build" / "reproduce" / "01-model.ipynb", as_version=4)
     assert [cell.execution_count for cell in executed.cells] == [1, 2]
     assert (root / "made" / "ledger").is_dir() and (root / "build" / "figures").is_dir()
+
+
+def test_a_terminal_shows_the_cell_and_the_time_left_and_a_file_only_lines(root):
+    assert run(root).stderr == ""
+    before = root / "build" / "reproduce" / "01-model.ipynb"
+    notebook = root / "notebooks" / "01-model.ipynb"
+    seconds = seconds_by_cell(before, notebook)
+    assert len(seconds) == 2 and max(seconds) < 20 and seconds != [1.0, 1.0]
+    ours, theirs = os.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 30, 100, 0, 0))
+    call = [sys.executable, "-c", CALL, root]
+    outcome = subprocess.run(call, stdout=subprocess.PIPE, stderr=theirs, text=True)
+    assert outcome.stdout.count("01-model ... done, ") == 1
+    shown = os.read(ours, 100_000).decode()
+    assert "left, cell 1 of 2" in shown and "left, cell 2 of 2" in shown
+    write(notebook, "1", "2", "3")
+    assert seconds_by_cell(before, notebook) == [1.0] * 3
+    before.write_text("half a noteb")
+    assert seconds_by_cell(before, notebook) == [1.0] * 3
 
 
 @pytest.mark.parametrize(

@@ -21,9 +21,9 @@ from rodlib.synthesis.program import formulate
 from tests.synthesis.test_interior_point import random_plant
 
 CHANGES = [
-    *({"M_max": value} for value in (0.97, 0.91, 0.899, 0.88)),
-    *({"L_max": value} for value in (40.0, 49.0, 55.0)),
-    *({"band": (1e-4, value)} for value in (0.01, 0.018, 0.05)),
+    *({"M_max": value} for value in (0.97, 0.899, 0.88)),
+    *({"L_max": value} for value in (40.0, 55.0)),
+    *({"band": (1e-4, value)} for value in (0.01, 0.05)),
 ]
 
 
@@ -71,7 +71,7 @@ def test_what_is_infeasible_is_said_to_be(before, loop, Q, omega):
         synthesise(loop, Q, omega, 1.0, structure=structure, start=start, M_max=0.8)
 
 
-@settings(max_examples=40)
+@settings(max_examples=15)
 @given(
     st.integers(1, 4),
     st.sampled_from([1, 3, 8]),

@@ -81,8 +81,9 @@ def test_where_nothing_can_be_learned_is_named():
     assert 0 < len(lost) < 100
     place = f"at {len(lost)} frequencies from {lost[0]:.4g} to {lost[-1]:.4g} rad/s"
     assert f"nothing can be learned {place}" in str(design)
-    many = pose([P, loop], Q, omega, 1.0, uncertainty=np.full(100, 0.01))
-    np.testing.assert_array_equal(many.unusable, smallest <= 0.01)
+    for factor in (0.5, 2.0):
+        many = pose([P, factor * P], Q, omega, 1.0, uncertainty=np.full(100, 0.01))
+        np.testing.assert_array_equal(many.unusable, min(factor, 1) * smallest <= 0.01)
     with pytest.raises(InfeasibleError, match="P is not known well enough at") as caught:
         synthesise(Estimate(P, 0.5), Q, omega, 1.0, confidence=CONFIDENCE)
     here = (smallest <= 0.5) & (np.abs(Q.frequency_response(omega)) > 0.9)

@@ -1,0 +1,244 @@
+"""Other ways from the rod's equation to a state-space model, beside :func:`rodlib.midr`.
+
+Section V of the paper leaves open how well other approximations of the partial differential
+equation (1)-(4) do. Here are five, with the inputs and outputs of :func:`rodlib.midr`. Four of them
+are ordinary differential equations of one form,
+
+    kappa_1 M dx/dt = -(lambda K + kappa_2 M) x + F u,
+
+with storage M, conduction K and supply F. They differ in what the states are: temperatures at
+points (finite differences), averages over cells (finite volumes), coefficients of local functions
+(finite elements) or of cosines (modal series). The fifth cuts a fine model down.
+"""
+
+from collections.abc import Sequence
+from copy import deepcopy
+
+import control
+import numpy as np
+from scipy.linalg import eigh, solve_continuous_lyapunov
+
+from rodlib import arguments
+from rodlib.rod import Rod, midr
+
+FINE = 12  # degree of the model that is truncated: its error is below 1e-7 up to 0.1 rad/s
+ROUNDING = 1e-7  # Hankel singular values below it, relative to the first, are rounding
+
+
+def finite_differences(rod: Rod, intervals: int) -> control.StateSpace:
+    """Temperatures at equally spaced points, with second differences for the curvature.
+
+    At the ends the slope is zero by a mirrored point beyond them. On the edge of a section, where
+    the heat flow (4) jumps, it is the mean of both sides. Between points, sensors read the straight
+    line.
+
+    Parameters
+    ----------
+    rod : Rod
+    intervals : int
+        Number of intervals in each section, 1000 or fewer.
+
+    Returns
+    -------
+    control.StateSpace
+        As :func:`rodlib.midr`, with ``sections * intervals + 1`` states (K). The error falls with
+        the square of `intervals`.
+
+    Raises
+    ------
+    ValueError
+        If `rod` is no :class:`Rod`, or `intervals` is out of range.
+    """
+    arguments.instance("rod", rod, Rod)
+    intervals = arguments.whole("intervals", intervals, 1, 1000)
+    points = np.linspace(0, rod.length, rod.sections * intervals + 1)
+    heat = np.zeros((len(points), rod.sections))
+    for i in range(rod.sections):
+        first, last = i * intervals, (i + 1) * intervals
+        heat[first : last + 1, i] = points[1]
+        heat[[first, last], i] = points[1] / 2
+    return _of_points(rod, points, heat, points[1])
+
+
+def finite_volumes(rod: Rod, cells: int) -> control.StateSpace:
+    """Average temperatures of equal cells, and the heat that flows between neighbours.
+
+    The flow follows from the difference of two averages by Fourier's law (2). Between the middles
+    of two cells, sensors read the straight line, beyond the outer ones the average.
+
+    Parameters
+    ----------
+    rod : Rod
+    cells : int
+        Number of cells in each section, 1000 or fewer.
+
+    Returns
+    -------
+    control.StateSpace
+        As :func:`rodlib.midr`, with ``sections * cells`` states (K). The error falls with the
+        square of `cells`.
+
+    Raises
+    ------
+    ValueError
+        If `rod` is no :class:`Rod`, or `cells` is out of range.
+    """
+    arguments.instance("rod", rod, Rod)
+    cells = arguments.whole("cells", cells, 1, 1000)
+    faces = np.linspace(0, rod.length, rod.sections * cells + 1)
+    heat = np.kron(np.eye(rod.sections), np.full((cells, 1), faces[1]))
+    return _of_points(rod, (faces[:-1] + faces[1:]) / 2, heat, faces[1])
+
+
+def finite_elements(rod: Rod, element, elements: int = 1) -> control.StateSpace:
+    """Galerkin's method with finite elements of scikit-fem.
+
+    Parameters
+    ----------
+    rod : Rod
+    element : skfem.Element
+        For a line, such as ``skfem.ElementLineP1()`` or ``skfem.ElementLineHermite()``.
+    elements : int, default 1
+        Number of elements in each section, 1000 or fewer.
+
+    Returns
+    -------
+    control.StateSpace
+        As :func:`rodlib.midr`; the states are the coefficients of the elements' functions. With one
+        element of degree M in each section, continuous and no more, the response is that of
+        :func:`rodlib.midr`.
+
+    Raises
+    ------
+    ValueError
+        If `rod` is no :class:`Rod`, `element` is no element for a line with continuous functions,
+        or `elements` is out of range.
+    ImportError
+        Without the package scikit-fem, which the extra ``rodlib[approximations]`` brings.
+    """
+    import skfem
+    from skfem.models.poisson import laplace, mass, unit_load
+
+    arguments.instance("rod", rod, Rod)
+    elements = arguments.whole("elements", elements, 1, 1000)
+    known = isinstance(element, skfem.Element) and element.refdom is skfem.MeshLine.elem.refdom
+    if not (known and element.nodal_dofs):
+        raise ValueError(
+            f"element = {element!r} must be an element of scikit-fem for a line, with values at "
+            "its ends"
+        )
+    mesh = skfem.MeshLine(np.linspace(0, rod.length, rod.sections * elements + 1))
+    # ElementLinePp keeps its values by the number of points: a new one, with more than sensors.
+    element, order = deepcopy(element), 2 * max(element.maxdeg, len(rod.sensors))
+    basis = skfem.Basis(mesh, element, intorder=order)
+    section = np.arange(mesh.nelements).reshape(rod.sections, elements)
+    heat = np.column_stack([unit_load.assemble(basis.with_elements(each)) for each in section])
+    shown = basis.probes(np.array([rod.sensors])).toarray()
+    return _model(
+        rod, mass.assemble(basis).toarray(), laplace.assemble(basis).toarray(), heat, shown
+    )
+
+
+def modal_series(rod: Rod, modes: int) -> control.StateSpace:
+    """The slowest modes cos(n pi z / l), n = 0, 1, ..., each of them exact.
+
+    Parameters
+    ----------
+    rod : Rod
+    modes : int
+        Number of modes, 10,000 or fewer.
+
+    Returns
+    -------
+    control.StateSpace
+        As :func:`rodlib.midr`; the states are the amplitudes of the modes (K). The error falls as
+        slowly as the third power of `modes`, since the heat flow (4) jumps.
+
+    Raises
+    ------
+    ValueError
+        If `rod` is no :class:`Rod`, or `modes` is out of range.
+    """
+    arguments.instance("rod", rod, Rod)
+    n = np.arange(arguments.whole("modes", modes, 1, 10_000))
+    middles = (np.arange(rod.sections) + 0.5) / rod.sections
+    heat = np.cos(np.outer(n * np.pi, middles)) * np.sinc(n / 2 / rod.sections)[:, None]
+    heat *= rod.length / rod.sections  # integral of the mode over each section
+    M = np.diag(np.where(n, 0.5, 1) * rod.length)  # integral of the square of the mode
+    waves = n * np.pi / rod.length
+    return _model(rod, M, M * waves**2, heat, np.cos(np.outer(rod.sensors, waves)))
+
+
+def balanced_truncation(
+    rod: Rod, states: int, inputs: Sequence[str] | None = None
+) -> control.StateSpace:
+    """What counts most between inputs and outputs, cut out of a fine model (Moore, 1981).
+
+    In balanced coordinates each state is as hard to excite as it is to see, by as much as its
+    Hankel singular value says; those with the smallest are left out.
+
+    Parameters
+    ----------
+    rod : Rod
+    states : int
+        How many to keep.
+    inputs : sequence of str, optional
+        Those that count; the model has the others as well. Default: all, as large as one watt and
+        one kelvin.
+
+    Returns
+    -------
+    control.StateSpace
+        As :func:`rodlib.midr`.
+
+    Raises
+    ------
+    ValueError
+        If `rod` is no :class:`Rod`, the rod has not so many states that can be told from rounding,
+        or `inputs` does not name inputs of it.
+
+    Notes
+    -----
+    At each frequency the error between `inputs` and outputs is at most twice the sum of the Hankel
+    singular values left out, besides that of the fine model, :func:`rodlib.midr` of degree 12.
+    """
+    fine = midr(rod, FINE)
+    states = arguments.whole("states", states, 1, fine.nstates)
+    names = rod.inputs if inputs is None else inputs
+    if not (isinstance(names, Sequence) and names and set(names) <= set(rod.inputs)):
+        raise ValueError(f"inputs = {inputs!r} must list some of {rod.inputs}")
+    counted = fine.B[:, [rod.inputs.index(name) for name in names]]
+    R = _root(solve_continuous_lyapunov(fine.A, -counted @ counted.T))
+    S = _root(solve_continuous_lyapunov(fine.A.T, -fine.C.T @ fine.C))
+    U, hankel, Vh = np.linalg.svd(S.T @ R)
+    known = int((hankel > ROUNDING * hankel[0]).sum())
+    if states > known:
+        raise ValueError(f"states = {states} is too many: {known} can be told from rounding")
+    scale = np.sqrt(hankel[:states])
+    left, right = S @ U[:, :states] / scale, R @ Vh[:states].T / scale
+    return _named(rod, left.T @ fine.A @ right, left.T @ fine.B, fine.C @ right)
+
+
+def _of_points(rod, points, heat, distance):
+    """Points that conduct to their neighbours; sensors between them read the straight line."""
+    step = np.diff(np.eye(len(points)), axis=0)
+    shown = np.column_stack([np.interp(rod.sensors, points, each) for each in np.eye(len(points))])
+    return _model(rod, np.diag(heat.sum(axis=1)), step.T @ step / distance, heat, shown)
+
+
+def _model(rod, M, K, heat, shown):
+    """The equations above: `heat` is what F is without the density of the flow, (4)."""
+    density = rod.sections / (rod.width * rod.height * rod.length)
+    F = np.column_stack([density * heat, rod.kappa_2 * heat.sum(axis=1)])
+    A = -np.linalg.solve(M, rod.conductivity * K + rod.kappa_2 * M) / rod.kappa_1
+    return _named(rod, A, np.linalg.solve(M, F) / rod.kappa_1, shown)
+
+
+def _named(rod, A, B, C):
+    return control.ss(A, B, C, 0, inputs=rod.inputs, outputs=rod.outputs, name="rod")
+
+
+def _root(W):
+    """R with R R' = W, of which negative eigenvalues are rounding."""
+    values, vectors = eigh(W)
+    return vectors * np.sqrt(np.clip(values, 0, None))

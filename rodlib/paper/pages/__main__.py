@@ -1,0 +1,5 @@
+"""``python -m rodlib.paper.pages``."""
+
+from rodlib.paper.pages import main
+
+main()

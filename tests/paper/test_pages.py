@@ -1,0 +1,127 @@
+"""The pages: all that they link to is there, nothing comes from elsewhere, and a browser agrees."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from html import unescape
+from urllib.parse import unquote, urlsplit
+
+import pandas as pd
+import pytest
+from bs4 import BeautifulSoup
+
+from rodlib.files import ROOT
+from rodlib.paper.pages import main
+from rodlib.paper.pages.text import as_html, formula
+
+CALL = "import pathlib, sys; from rodlib.paper.pages import main; main(pathlib.Path(sys.argv[1]))"
+SOURCES = ["pyproject.toml", "README.md", "CONTRIBUTING.md", "LICENSE", "CITATION.cff"]
+SOURCES += ["environment.lock", "notebooks", "figures", "data", "rodlib"]
+
+
+def linked(root):
+    """A repository of links to this one, so that what is built does not get into its build/."""
+    for name in SOURCES:
+        (root / name).symlink_to(ROOT / name)
+    return root
+
+
+@pytest.fixture(scope="module")
+def pages(tmp_path_factory):
+    root = linked(tmp_path_factory.mktemp("repository"))
+    call = [sys.executable, "-c", CALL, root]  # apart: pdoc changes what it looks at
+    outcome = subprocess.run(call, capture_output=True, text=True, timeout=300)
+    assert outcome.returncode == 0 and not outcome.stderr, outcome.stderr
+    assert outcome.stdout.endswith(f"open {root / 'build' / 'pages' / 'index.html'}\n")
+    assert os.listdir(root / "build") == ["pages"] or "pages.lock" in os.listdir(root / "build")
+    return root / "build" / "pages"
+
+
+def parsed(path):
+    return BeautifulSoup(path.read_text("utf-8"), "html.parser")
+
+
+def test_no_link_is_dead_and_nothing_is_fetched_from_elsewhere(pages):
+    texts = {
+        path: re.sub(
+            r"(<script[^>]*>).*?</script>", r"\1", path.read_text("utf-8"), flags=re.DOTALL
+        )
+        for path in pages.rglob("*.html")
+    }
+    names = {str(path.relative_to(pages)) for path in texts}
+    assert {"index.html", "ledger.html", "figures.html", "reference/rodlib/rod.html"} <= names
+    assert {f"notebooks/{path.stem}.html" for path in (ROOT / "notebooks").glob("*.ipynb")} <= names
+    anchors = {path: {*re.findall(r'<[^<>]* id="([^"]*)"', text)} for path, text in texts.items()}
+    for path, text in texts.items():
+        for element, url in re.findall(r'<(\w+) [^<>]*?\b(?:href|src)="([^"]*)"', text):
+            target, shown = urlsplit(unescape(url)), f"{path.relative_to(pages)}: {url[:100]}"
+            if target.scheme == "data":
+                continue
+            if target.scheme:  # a link to follow, nothing that the page needs
+                assert element == "a" and target.scheme in ("https", "mailto"), shown
+                continue
+            place = (path.parent / unquote(target.path)).resolve() if target.path else path
+            assert place.is_file() and place.is_relative_to(pages), shown
+            if target.fragment and place in anchors:
+                assert unquote(target.fragment) in anchors[place], shown
+        assert "<iframe" not in text
+    for sheet in pages.rglob("*.css"):
+        assert not re.search(r"url\(|@import", sheet.read_text("utf-8"))
+
+
+def test_formulas_are_drawn_and_pictures_have_words(pages):
+    for path in (ROOT / "notebooks").glob("*.ipynb"):
+        cells = json.loads(path.read_text("utf-8"))["cells"]
+        page = parsed(pages / "notebooks" / f"{path.stem}.html")
+        text = "\n\n".join("".join(c["source"]) for c in cells if c["cell_type"] == "markdown")
+        text = re.sub(r"```.*?```|`[^`]*`", "", text, flags=re.DOTALL)
+        formulas = re.findall(r"\$\$(.+?)\$\$|\$([^$]+?)\$", text, flags=re.DOTALL)
+        drawn = [e["aria-label"] for e in page.select("svg.math")]
+        assert drawn == [" ".join((a or b).split()) for a, b in formulas]
+        pictures = page.select("img")
+        assert pictures and all(len(e["alt"]) >= 40 for e in pictures)
+        assert page.h1.get_text() and page.title.get_text() in page.h1.get_text()
+    assert {e["src"] for e in parsed(pages / "figures.html").select("figure img")} == {
+        f"figures/{path.name}"
+        for path in (ROOT / "figures").glob("*.png")
+        if path.stem != "performance"
+    }
+
+
+def test_the_ledger_is_all_there(pages):
+    rows = pd.read_csv(ROOT / "figures" / "ledger.csv", dtype=str, keep_default_na=False)
+    shown = parsed(pages / "ledger.html").select("#ledger tbody tr")
+    assert [row["data-verdict"] for row in shown] == rows.verdict.tolist()
+    for element, row in zip(shown, rows.itertuples(), strict=True):
+        assert all(text in element.get_text() for text in (row.claim, row.printed, row.computed))
+
+
+def test_a_formula_sits_on_the_line_and_nonsense_is_refused():
+    x, fraction = formula("x"), formula(r"\frac{a}{b}", inline=False)
+    heights = [float(re.search(r'height="([\d.]+)em"', drawn)[1]) for drawn in (x, fraction)]
+    below = [-float(re.search(r"vertical-align:(-[\d.]+)em", drawn)[1]) for drawn in (x, fraction)]
+    assert heights[0] < 1 < heights[1] and 0 <= below[0] < 0.2 < below[1] < heights[1]
+    assert 'aria-label="\\frac{a}{b}"' in fraction and "currentColor" in fraction
+    with pytest.raises(ValueError, match=r"the formula .* cannot be drawn"):
+        formula(r"\begin{bmatrix} 1 \nosuchthing")
+    html = as_html("a [link](x.md) and $\\sigma$\n\n| a |\n|---|\n| 1 |\n", lambda url: f"to/{url}")
+    assert 'href="to/x.md"' in html and "<table>" in html and "$" not in html
+
+
+def test_a_dead_link_or_a_bad_formula_leaves_the_earlier_pages_alone(tmp_path):
+    linked(tmp_path)
+    (tmp_path / "build" / "pages").mkdir(parents=True)
+    (tmp_path / "build" / "pages" / "index.html").write_text("from before")
+    (tmp_path / "README.md").unlink()
+    for text, message in (
+        ("see [that](nowhere.md)", "README.md links to nowhere.md, which is not there"),
+        ("see [that](data/rig)", "README.md links to the folder data/rig, which has no page"),
+        (r"as $\nosuchthing{$", "the formula"),
+    ):
+        (tmp_path / "README.md").write_text(f"# Title\n\n{text}\n")
+        with pytest.raises(SystemExit, match=message):
+            main(tmp_path)
+        assert (tmp_path / "build" / "pages" / "index.html").read_text() == "from before"
+        assert {*os.listdir(tmp_path / "build")} <= {"pages", "pages.lock"}

@@ -1,0 +1,200 @@
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import skfem
+from hypothesis import given
+from hypothesis import strategies as st
+from plants import MATERIALS
+
+from rodlib import (
+    Rod,
+    balanced_truncation,
+    exact_response,
+    finite_differences,
+    finite_elements,
+    finite_volumes,
+    midr,
+    modal_series,
+)
+from rodlib.realisation import frequency_response
+
+BRASS = Rod(
+    length=0.6, density=8500.0, heat_capacity=380.0, conductivity=120.0, sections=6,
+    sensors=(0.15, 0.35, 0.55),
+)  # fmt: skip
+PAIR = Rod(sections=2, sensors=(0.0, 0.08, 0.16, 0.32))  # at both ends and on an edge
+P1, P2, HERMITE = skfem.ElementLineP1(), skfem.ElementLineP2(), skfem.ElementLineHermite()
+OMEGA = np.geomspace(1e-4, 1e-1, 30)
+BUILD = {
+    "finite differences": finite_differences,
+    "finite volumes": finite_volumes,
+    "linear elements": lambda rod, n: finite_elements(rod, P1, n),
+    "quadratic elements": lambda rod, n: finite_elements(rod, P2, n),
+    "cubic elements": lambda rod, n: finite_elements(rod, skfem.ElementLinePp(3), n),
+    "Hermite's elements": lambda rod, n: finite_elements(rod, HERMITE, n),
+    "modal series": lambda rod, n: modal_series(rod, rod.sections * n),
+}
+
+
+def error(model, rod):
+    """Of the responses to the heat flows, relative to the largest."""
+    exact = exact_response(rod, 1j * OMEGA)
+    return (
+        np.abs(frequency_response(model, OMEGA) - exact)[:, :, :-1].max()
+        / np.abs(exact[:, :, :-1]).max()
+    )
+
+
+@pytest.mark.parametrize("rod", [Rod(), BRASS, PAIR], ids=["paper's", "brass", "pair"])
+@pytest.mark.parametrize(
+    ("method", "order", "slack"),
+    [
+        ("finite differences", 2, 0.1),
+        ("finite volumes", 2, 0.1),
+        ("linear elements", 2, 0.1),
+        ("quadratic elements", 4, 0.15),  # 2p at a sensor on an element's end
+        ("cubic elements", 6, 0.15),
+        ("Hermite's elements", 4, 0.4),
+    ],
+)
+def test_error_falls_with_the_order_known_from_theory(rod, method, order, slack):
+    coarse, fine = (error(BUILD[method](rod, n), rod) for n in (4, 8))
+    assert np.log2(coarse / fine) == pytest.approx(order, abs=slack)
+
+
+def test_modal_series_has_the_exact_poles_and_converges_with_the_third_power():
+    for rod in (Rod(), BRASS, PAIR):
+        model = modal_series(rod, 50)
+        exact = -(rod.kappa_2 + rod.conductivity * (np.arange(50) * np.pi / rod.length) ** 2)
+        np.testing.assert_allclose(np.diag(model.A), exact / rod.kappa_1, rtol=1e-12)
+    coarse, fine = (error(modal_series(Rod(), n), Rod()) for n in (64, 256))
+    assert np.log(coarse / fine) / np.log(4) == pytest.approx(3, abs=0.1)
+
+
+@given(MATERIALS, st.tuples(*[st.floats(0, 0.05)] * 3), st.integers(1, 4))
+def test_any_rod_has_the_names_of_midr_and_follows_the_air(rod, sensors, count):
+    rod = replace(rod, sensors=sensors)
+    for method, build in BUILD.items():
+        model = build(rod, count)
+        assert model.input_labels == rod.inputs and model.output_labels == rod.outputs, method
+        assert model.poles().real.max() < 0, method
+        at_rest = frequency_response(model, [0.0])[0]
+        np.testing.assert_allclose(at_rest[:, -1], 1, rtol=1e-8, err_msg=method)
+
+
+@given(MATERIALS, st.tuples(*[st.floats(0, 0.05)] * 3), st.integers(1, 6))
+def test_differences_and_volumes_never_cool_what_is_heated(rod, sensors, count):
+    """No entry off the diagonal of A, of B and of C is negative: nor is any response."""
+    rod = replace(rod, sensors=sensors)
+    for build in (finite_differences, finite_volumes):
+        model = build(rod, count)
+        assert np.all(model.A - np.diag(np.diag(model.A)) >= 0)
+        assert np.all(model.B >= 0) and np.all(model.C >= 0)
+
+
+@given(MATERIALS, st.tuples(*[st.floats(0, 0.05)] * 4), st.integers(3, 6))
+def test_one_element_in_each_section_is_midr(rod, sensors, degree):
+    """With two, three and four sensors: cubic elements have four quadrature points."""
+    element = skfem.ElementLinePp(degree)
+    for count in (4, 3, 2):
+        each = replace(rod, sensors=sensors[:count])
+        model = frequency_response(finite_elements(each, element), OMEGA)
+        expected = frequency_response(midr(each, degree), OMEGA)
+        np.testing.assert_allclose(model, expected, atol=1e-9 * np.abs(expected).max())
+
+
+def test_linear_and_quadratic_elements_are_midr_too():
+    for degree, element in ((1, P1), (2, P2)):
+        model = frequency_response(finite_elements(BRASS, element), OMEGA)
+        expected = frequency_response(midr(BRASS, degree), OMEGA)
+        np.testing.assert_allclose(model, expected, atol=1e-12 * np.abs(expected).max())
+
+
+def test_differences_and_volumes_agree_where_a_sensor_reads_a_point_and_a_face():
+    for rod in (Rod(), BRASS, PAIR):
+        differences, volumes = (
+            frequency_response(build(rod, 6), OMEGA)
+            for build in (finite_differences, finite_volumes)
+        )
+        np.testing.assert_allclose(differences, volumes, rtol=0, atol=1e-12)
+    assert error(finite_differences(Rod(), 3), Rod()) > 1.4 * error(finite_volumes(Rod(), 3), Rod())
+
+
+def hankel_singular_values(model):
+    """From the eigenvalues of the product of both Gramians, each by a Kronecker sum."""
+    n, eye = model.nstates, np.eye(model.nstates)
+    sums = np.kron(model.A, eye) + np.kron(eye, model.A)
+    P = np.linalg.solve(sums, -(model.B @ model.B.T).ravel()).reshape(n, n)
+    sums = np.kron(model.A.T, eye) + np.kron(eye, model.A.T)
+    O = np.linalg.solve(sums, -(model.C.T @ model.C).ravel()).reshape(n, n)  # noqa: E741
+    return np.sort(np.sqrt(np.abs(np.linalg.eigvals(P @ O))))[::-1]
+
+
+@pytest.mark.parametrize(
+    ("rod", "inputs"), [(Rod(), ["Q1", "Q3"]), (Rod(), None), (PAIR, ["theta_a", "Q2"])]
+)
+def test_truncation_errs_by_twice_the_hankel_singular_values_left_out_at_most(rod, inputs):
+    counted = inputs or rod.inputs
+    hankel = hankel_singular_values(midr(rod, 8)[:, counted])
+    omega = np.append(0, np.geomspace(1e-5, 10, 200))
+    exact = exact_response(rod, 1j * omega)
+    columns = [rod.inputs.index(name) for name in counted]
+    for states in (1, 2, 4, 6):
+        model = balanced_truncation(rod, states, inputs)
+        assert (model.nstates, model.input_labels) == (states, rod.inputs)
+        left = (frequency_response(model, omega) - exact)[:, :, columns]
+        errors = np.linalg.norm(left, 2, axis=(1, 2))
+        assert hankel[states] * 0.1 < errors.max() <= 2 * hankel[states:].sum() * 1.01
+
+
+def test_truncation_is_better_the_more_states_it_keeps():
+    columns = [0, 2]
+    exact = exact_response(Rod(), 1j * OMEGA)[:, :, columns]
+    errors = [
+        np.abs(
+            frequency_response(balanced_truncation(Rod(), n, ("Q1", "Q3")), OMEGA)[:, :, columns]
+            - exact
+        ).max()
+        for n in (2, 4, 8, 12)
+    ]
+    assert all(finer < coarser / 5 for coarser, finer in pairwise(errors)), errors
+
+
+@pytest.mark.parametrize("build", [finite_differences, finite_volumes, modal_series])
+@pytest.mark.parametrize("count", [0, -1, 2.5, True, 10_001])
+def test_bad_counts_are_refused(build, count):
+    with pytest.raises(ValueError, match=f"= {count} must be a whole number"):
+        build(Rod(), count)
+    with pytest.raises(ValueError, match="rod = 'iron' must be a Rod"):
+        build("iron", 1)
+
+
+@pytest.mark.parametrize(
+    ("element", "elements", "message"),
+    [
+        ("P1", 1, "element = 'P1' must be an element of scikit-fem for a line"),
+        (skfem.ElementLineP0(), 1, "element = .*ElementLineP0.*, with values at its ends"),
+        (skfem.ElementTriP1(), 1, "element = .*ElementTriP1.* for a line"),
+        (P1, 0, "elements = 0 must be a whole number"),
+    ],
+)
+def test_bad_elements_are_refused(element, elements, message):
+    with pytest.raises(ValueError, match=message):
+        finite_elements(Rod(), element, elements)
+
+
+@pytest.mark.parametrize(
+    ("states", "inputs", "message"),
+    [
+        (0, None, "states = 0 must be a whole number, from 1 to 49"),
+        (49, None, r"states = 49 is too many: \d+ can be told from rounding"),
+        (4, [], r"inputs = \[\] must list some of"),
+        (4, ["Q5"], r"inputs = \['Q5'\] must list some of"),
+        (4, "Q1", "inputs = 'Q1' must list some of"),
+    ],
+)
+def test_bad_truncations_are_refused(states, inputs, message):
+    with pytest.raises(ValueError, match=message):
+        balanced_truncation(Rod(), states, inputs)
