@@ -5,7 +5,7 @@ BIN := .venv/bin
 NOTEBOOKS := $(sort $(wildcard notebooks/*.ipynb))
 # Whatever the caller's environment says, figures and output are the same: its settings of Python
 # and Jupyter do not count. Notebooks run side by side: one thread of linear algebra each.
-unexport $(filter PYTHON% IPYTHON% JUPYTER% PYTEST% RODLIB% CONDA% VIRTUAL_ENV%,$(.VARIABLES))
+unexport $(filter PYTHON% IPYTHON% JUPYTER% JPY% PYTEST% RODLIB% CONDA% VIRTUAL_ENV%,$(.VARIABLES))
 unexport PIP_TARGET PIP_PREFIX PIP_ROOT PIP_USER
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
@@ -26,9 +26,10 @@ help:  ## list the targets
 reproduce: $(BIN)/ready  ## run all notebooks; regenerate figures/ and the ledger
 	@$(BIN)/python -m rodlib.paper.reproduce
 
-test: $(BIN)/ready lint  ## lint, unit tests, and the committed notebooks against a fresh run
+test: $(BIN)/ready lint  ## lint, unit tests, the committed notebooks against a fresh run, a browser
 	$(BIN)/pytest -q -n 2 --dist loadfile
 	$(BIN)/pytest -q -n 2 --dist loadfile --nbval --nbval-current-env $(NOTEBOOKS)
+	$(BIN)/pytest -q -rs tests/browser
 
 lint: $(BIN)/ready  ## ruff on modules, tests and notebooks
 	$(BIN)/ruff check
@@ -72,8 +73,8 @@ bench: $(BIN)/ready  ## time the synthesis and the study; rewrite the README's p
 		--benchmark-columns=median,min,max,rounds
 	$(BIN)/python tests/benchmarks/report.py build/benchmark.json
 
-lab: $(BIN)/ready  ## open the notebooks in JupyterLab
-	$(BIN)/jupyter lab --notebook-dir=notebooks
+lab: $(BIN)/ready  ## open the notebooks in JupyterLab, the workbench first
+	$(BIN)/jupyter lab --notebook-dir=notebooks --LabApp.default_url=/lab/tree/11-workbench.ipynb
 
 notebooks: $(BIN)/ready  ## execute the tracked notebooks in place, before a commit
 	$(BIN)/jupyter nbconvert --to notebook --execute --inplace \

@@ -58,10 +58,13 @@ MODULES = {
     "laboratory": (
         "LogError",
         "expected_radius",
+        "load_law",
         "load_log",
+        "loop_of",
         "measured_response",
         "multisine",
         "record",
+        "save_law",
         "save_log",
         "shake",
     ),

@@ -6,6 +6,7 @@ What runs an experiment knows a rig by its Protocol only; the virtual rig is one
 from rodlib.laboratory.bench import Controller, Rig, RigError
 from rodlib.laboratory.excitation import Excitation, multisine
 from rodlib.laboratory.experiment import record, shake
+from rodlib.laboratory.law import load_law, save_law
 from rodlib.laboratory.loading import load_log
 from rodlib.laboratory.measurement import MeasuredResponse, expected_radius, measured_response
 from rodlib.laboratory.notes import law_of, loop_of, rest_of, step_of, with_law
@@ -29,6 +30,7 @@ __all__ = [
     "VirtualRig",
     "expected_radius",
     "law_of",
+    "load_law",
     "load_log",
     "loop_of",
     "measured_response",
@@ -36,6 +38,7 @@ __all__ = [
     "record",
     "replay_of",
     "rest_of",
+    "save_law",
     "save_log",
     "shake",
     "step_of",

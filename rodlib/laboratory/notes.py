@@ -40,9 +40,10 @@ def with_law(
     share of the way that v went, both as in :func:`rodlib.update`. Of a learning operator that is
     no :class:`rodlib.LearningFilter` nothing is noted.
     """
-    notes = {"Q": json.dumps({"order": Q.order, "cutoff": Q.cutoff, "ends": Q.ends})}
-    if L is None or isinstance(L, LearningFilter):
-        notes["L"] = json.dumps(L and {"coefficients": L.coefficients.tolist(), "ends": L.ends})
+    law = notes_of_law(Q, L if isinstance(L, LearningFilter) else None)
+    if L is not None and not isinstance(L, LearningFilter):
+        del law["L"]
+    notes = {name: json.dumps(note) for name, note in law.items()}
     if rest:
         notes["rest"] = json.dumps(rest)
     if step != 1:
@@ -111,16 +112,30 @@ def law_of(trials: xr.Dataset) -> tuple[ZeroPhaseButterworth, LearningFilter | N
     """
     if "Q" not in trials.attrs or "L" not in trials.attrs:
         return None
-    Ts, m = trials.attrs["Ts"], trials.sizes["channel"]
+    m = trials.sizes["channel"]
     try:
-        Q, L = json.loads(trials.attrs["Q"]), json.loads(trials.attrs["L"])
-        Q = zero_phase_butterworth(Q["order"], Q["cutoff"], Ts, ends=Q["ends"])
-        if L is None:
-            return Q, None
-        coefficients = arguments.array("coefficients", L["coefficients"], (m, m, "order"))
-        return Q, LearningFilter(coefficients, Ts, L["ends"])
+        notes = {name: json.loads(trials.attrs[name]) for name in "QL"}
+        Q, L = law_of_notes(notes, trials.attrs["Ts"])
+        if L is not None:
+            arguments.array("coefficients", L.coefficients, (m, m, "order"))
+        return Q, L
     except MISUNDERSTOOD as error:
         raise LogError(f"metadata: Q or L cannot be understood: {error!r}") from None
+
+
+def notes_of_law(Q: ZeroPhaseButterworth, L: LearningFilter | None) -> dict:
+    """Q and L as what JSON can hold, to the last digit."""
+    return {
+        "Q": {"order": Q.order, "cutoff": Q.cutoff, "ends": Q.ends},
+        "L": L and {"coefficients": L.coefficients.tolist(), "ends": L.ends},
+    }
+
+
+def law_of_notes(notes: Mapping, Ts) -> tuple[ZeroPhaseButterworth, LearningFilter | None]:
+    """The filters of such notes; one of :data:`MISUNDERSTOOD` if they are none."""
+    Q, L = notes["Q"], notes["L"]
+    Q = zero_phase_butterworth(Q["order"], Q["cutoff"], Ts, ends=Q["ends"])
+    return Q, None if L is None else LearningFilter(L["coefficients"], Ts, L["ends"])
 
 
 def rest_of(trials: xr.Dataset) -> int:

@@ -1,0 +1,63 @@
+"""The workbench: turn a knob of the design and see what it does, in JupyterLab.
+
+From a plant and the knobs to a filter, its picture and the Python that makes it, without a widget;
+:mod:`rodlib.workbench.panel` puts the widgets in front:
+
+    plants → settings → outcome → picture → panel
+"""
+
+import os
+
+from rodlib import arguments
+from rodlib.workbench.outcome import Outcome, try_out
+from rodlib.workbench.picture import Picture
+from rodlib.workbench.plants import Plant, plant_of_file, plant_of_rod
+from rodlib.workbench.settings import Settings
+
+__all__ = [
+    "Outcome",
+    "Picture",
+    "Plant",
+    "Settings",
+    "plant_of_file",
+    "plant_of_rod",
+    "try_out",
+    "workbench",
+]
+
+
+def workbench(plants: dict[str, Plant] | None = None, live: bool | None = None):
+    """Show the workbench below the cell, where there is somebody to use it.
+
+    Parameters
+    ----------
+    plants : dict of Plant, optional
+        Plants of one's own by the names under which they can be chosen, beside the rod and files.
+    live : bool, optional
+        Whether to show widgets. Default: if a notebook server has started this kernel for a
+        notebook, which it says by the variable JPY_SESSION_NAME. nbconvert, papermill and nbval
+        start kernels of their own, without it: what they write then holds no widgets.
+
+    Returns
+    -------
+    Panel or None
+        With ``settings`` and ``outcome``, what it shows at the moment; None if it is not live.
+
+    Raises
+    ------
+    ValueError
+        If an argument is something else.
+    """
+    for name, plant in arguments.instance("plants", plants or {}, dict).items():
+        arguments.instance(f"plants[{name!r}]", plant, Plant)
+    if live is None:
+        live = "JPY_SESSION_NAME" in os.environ
+    if not arguments.flag("live", live):
+        return None
+    from IPython.display import display  # here, because these two come with the extra "notebooks"
+
+    from rodlib.workbench.panel import Panel
+
+    panel = Panel(plants or {})
+    display(panel.widget)
+    return panel

@@ -1,0 +1,127 @@
+"""Plants on the workbench: what filters are designed for, and what their trials follow."""
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from rodlib import arguments
+from rodlib.feedback import paper_loop
+from rodlib.laboratory import LogError, MeasuredResponse, load_log, loop_of, measured_response
+from rodlib.laboratory.notes import excitation_of
+from rodlib.laboratory.replay import replay_of
+from rodlib.loop import CurrentTrialLoop
+from rodlib.paper.rig_logs import papers_loop
+from rodlib.rod import Rod
+from rodlib.trials import assumed_disturbance, assumed_reference
+
+TRIALS = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Plant:
+    """What filters are designed for, and what ten trials with them follow.
+
+    Attributes
+    ----------
+    source : str
+        The Python expression that makes `response`, with ``rodlib`` and ``np`` at hand.
+    response : CurrentTrialLoop or MeasuredResponse
+        What the synthesis is given.
+    reference : array_like, shape (time, m), optional
+        Default, assumed: every output goes to one and back within 1000 samples.
+    disturbance : array_like, shape (10, time, d), optional
+        In the order of ``loop.disturbances``. Default zero.
+    order : int
+        Samples that the learning filter looks ahead at first; more than the plant's delay.
+
+    Raises
+    ------
+    ValueError
+        If an argument is something else, or the reference has another shape.
+    """
+
+    source: str
+    response: CurrentTrialLoop | MeasuredResponse
+    reference: np.ndarray | None = None
+    disturbance: np.ndarray | None = None
+    order: int = 10
+
+    def __post_init__(self):
+        arguments.instance("source", self.source, str)
+        if not isinstance(self.response, CurrentTrialLoop | MeasuredResponse):
+            raise ValueError(
+                f"response = {self.response!r} must be a loop, such as current_trial_loop makes, "
+                "or a measured response"
+            )
+        arguments.whole("order", self.order, 1)
+        m = len(self.loop.outputs)
+        reference = self.reference
+        if reference is None:
+            reference = np.repeat(np.sin(np.pi * np.arange(1000) / 1000)[:, None] ** 2, m, axis=1)
+        reference = arguments.array("reference", reference, ("time", m))
+        object.__setattr__(self, "reference", reference)
+        if self.disturbance is not None:
+            shape = (TRIALS, len(reference), len(self.loop.disturbances))
+            disturbance = arguments.array("disturbance", self.disturbance, shape)
+            object.__setattr__(self, "disturbance", disturbance)
+
+    @property
+    def measured(self) -> bool:
+        """Whether the response was measured, and brings a radius of its own."""
+        return isinstance(self.response, MeasuredResponse)
+
+    @property
+    def loop(self) -> CurrentTrialLoop:
+        """The loop whose model the trials are simulated with."""
+        return self.response.loop if self.measured else self.response
+
+    def size(self, omega) -> np.ndarray:
+        """||P||, the largest singular value, at `omega` (rad/s)."""
+        known = self.response
+        P = known.on(omega)[0] if self.measured else known.frequency_response(omega)
+        return np.linalg.norm(P, 2, axis=(1, 2))
+
+
+def plant_of_rod(rod: Rod) -> Plant:
+    """The paper's loop around a rod, with the assumed reference and disturbances of Section IV.
+
+    Raises
+    ------
+    ValueError
+        As :func:`rodlib.paper_loop`.
+    """
+    arguments.instance("rod", rod, Rod)
+    changed = [f.name for f in fields(Rod) if getattr(rod, f.name) != f.default]
+    given = ", ".join(f"{name}={getattr(rod, name)!r}" for name in changed)
+    source = f"rodlib.paper_loop(rodlib.Rod({given}))" if given else "rodlib.paper_loop()"
+    return Plant(source, paper_loop(rod), assumed_reference(), assumed_disturbance())
+
+
+def plant_of_file(path) -> Plant:
+    """What a log tells of a plant.
+
+    Parameters
+    ----------
+    path : path-like
+        Of an experiment of :func:`rodlib.shake`, from which the response is measured; or of
+        :func:`rodlib.record`: then it is that of the loop that the log names, and the trials
+        repeat the reference and the disturbances of the last one recorded.
+
+    Raises
+    ------
+    LogError
+        If the log cannot be used, or names no loop.
+    """
+    path = str(arguments.path("path", path))
+    log = load_log(path)
+    if excitation_of(log) is not None:
+        return Plant(f"rodlib.measured_response(rodlib.load_log({path!r}))", measured_response(log))
+    named = loop_of(log) is not None
+    replay = replay_of(log, papers_loop(Path(path)))
+    if replay.loop is None:
+        raise LogError(f"{path} names no loop in its metadata: it is of neither shake nor record")
+    reference = replay.trials.reference.transpose("trial", "time", "channel").values[-1]
+    again = np.repeat(replay.disturbance[-1:], TRIALS, axis=0)
+    source = f"rodlib.loop_of(rodlib.load_log({path!r}))" if named else "rodlib.paper_loop()"
+    return Plant(source, replay.loop, reference, again)

@@ -1,0 +1,153 @@
+"""The workbench in JupyterLab in a browser, against designs that are made here.
+
+One reader, one workbench: each test begins where the one before has left the knobs, and says which
+they are.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rodlib import Rod, load_law
+from rodlib.workbench import Picture, Settings, plant_of_rod, try_out
+
+
+@pytest.fixture(scope="module")
+def paper():
+    return Settings.of(plant_of_rod(Rod()))
+
+
+def drawn(settings, before=None):
+    """The picture of settings, made here."""
+    return Picture().show(try_out(settings), before and try_out(before)).png()
+
+
+def run(lines):
+    """What the lines make, in a namespace of their own."""
+    namespace = {}
+    exec(lines, namespace)
+    return namespace
+
+
+@pytest.fixture
+def first(reader, paper):
+    """The paper's choice, whatever was before."""
+    reader.choose("plant", "a log")
+    reader.choose("plant", "the rod")
+    return paper
+
+
+def test_it_begins_with_the_papers_choice(reader, paper, shots):
+    assert reader.picture == drawn(paper)
+    assert reader.line.startswith("Certificate: σ(M) ≤ 0.9001 at all frequencies")
+    for width in (1280, 800):
+        reader.show(width, 1500, shots / f"start-{width}.png")
+        assert reader.overflow == []
+
+
+def test_a_slider_is_followed_when_it_is_let_go(reader, paper):
+    before = reader.picture
+    reader.drag("M_max", 0.985, release=False)
+    reader.page.wait_for_timeout(300)
+    assert reader.picture == before
+    picture = reader.after(reader.page.mouse.up)
+    moved = replace(paper, M_max=float(reader.read("M_max")))
+    assert moved.M_max > 0.95
+    assert picture == drawn(moved, paper)  # and the one before in gray
+
+
+def test_the_newest_setting_counts(reader, paper):
+    """Ten changes within the time of two designs."""
+    last, shown = float(reader.read("M_max")), len(reader.times)
+    handle = reader.knob("M_max").locator(".noUi-handle")
+    handle.focus()
+    for _ in range(10):
+        reader.page.keyboard.press("ArrowLeft")
+    wanted = f"{last - 0.01:.3f}"
+    assert reader.read("M_max") == wanted
+    reader.until(f"M_max={float(wanted)},")
+    assert len(reader.times) - shown < 8
+    reader.page.wait_for_timeout(600)  # nothing follows that would be older
+    assert f"M_max={float(wanted)}," in reader.python
+
+
+def test_the_lines_run_as_they_were_copied(reader, paper, shots):
+    reader.choose("structure", "full")
+    reader.show(1280, 1500, shots / "full.png")
+    reader.page.locator(
+        ".jp-OutputArea-output", has=reader.page.locator(".widget-image")
+    ).screenshot(path=shots / "workbench.png")
+    reader.after(reader.type, "uncertainty (%)", "2")
+    reader.page.locator(".workbench-python").click()
+    reader.page.keyboard.press("Control+c")
+    copied = reader.page.evaluate("() => navigator.clipboard.readText()")
+    assert copied.split() == reader.python.split()
+    design = run(copied)["design"]
+    M_max = float(reader.read("M_max"))
+    wanted = replace(paper, M_max=M_max, structure="full", uncertainty=2.0)
+    direct = try_out(wanted).design
+    assert np.array_equal(design.filter.coefficients, direct.filter.coefficients)
+    assert reader.picture == drawn(wanted, replace(wanted, uncertainty=0.0))
+
+
+def test_what_is_saved_is_what_is_shown(reader, tmp_path):
+    reader.type("file", str(tmp_path / "law.json"))
+    reader.page.get_by_text("save Q and L").click()
+    reader.page.get_by_text("saved: ").wait_for()
+    namespace = run(reader.python)
+    Q, L = load_law(tmp_path / "law.json")
+    assert namespace["Q"] == Q
+    assert np.array_equal(L.coefficients, namespace["design"].filter.coefficients)
+    reader.type("file", str(tmp_path / "nowhere" / "law.json"))
+    reader.page.get_by_text("save Q and L").click()
+    reader.page.get_by_text("not saved: ").wait_for()
+
+
+def test_infeasible_and_back_by_the_button(reader, first, shots):
+    tight = replace(first, L_max=20.0)
+    reader.after(reader.type, "L_max", "20")
+    reader.after(reader.type, "M_max", "0.5")
+    infeasible = replace(tight, M_max=0.5)
+    assert try_out(infeasible).M_max == 0.869
+    assert reader.picture == drawn(infeasible)
+    assert reader.python.strip() == "" and reader.page.get_by_text("save Q and L").is_disabled()
+    for width in (1280, 800):
+        reader.show(width, 1500, shots / f"infeasible-{width}.png")
+        assert reader.overflow == []
+    picture = reader.after(reader.page.get_by_text("set M_max to 0.869").click)
+    assert reader.read("M_max") == "0.869"
+    assert picture == drawn(replace(tight, M_max=0.869), tight)
+    assert not reader.page.get_by_text("set M_max to").is_visible()
+
+
+def test_nonsense_in_a_field_does_no_harm(reader, paper):
+    kept = reader.read("L_max")
+    for nonsense in ("abc", "", "--"):
+        reader.type("L_max", nonsense)
+        assert reader.read("L_max") == kept
+    reader.after(reader.type, "L_max", "1e99")  # as far as it goes
+    assert float(reader.read("L_max")) == 1000
+    reader.after(reader.type, "band from (rad/s)", "5")
+    assert reader.python.strip() == ""
+    reader.after(reader.type, "band from (rad/s)", "1e-4")
+    reader.page.get_by_text("parameters of the rod", exact=True).click()
+    reader.after(reader.type, "density (kg/m³)", "-1")
+    assert reader.python.strip() == ""
+    reader.after(reader.type, "density (kg/m³)", "7000")
+    assert "Rod(density=7000.0)" in reader.python
+    assert run(reader.python)["design"].problem.L_max == 1000
+
+
+def test_a_log_is_a_plant(reader, shots):
+    reader.choose("plant", "a log")
+    found = run(reader.python)["design"]
+    assert not found.certificate.failures
+    reader.after(reader.type, "path of the log", "no/such/file.csv")
+    assert reader.python.strip() == ""
+    reader.choose("plant", "the rod")
+    assert "Rod(density=7000.0)" in reader.python
+
+
+def test_the_page_never_complained(reader):
+    assert reader.complaints == []
