@@ -29,7 +29,7 @@ reproduce: $(BIN)/ready  ## run all notebooks; regenerate figures/ and the ledge
 test: $(BIN)/ready lint  ## lint, unit tests, the committed notebooks against a fresh run, a browser
 	$(BIN)/pytest -q -n 2 --dist loadfile
 	$(BIN)/pytest -q -n 2 --dist loadfile --nbval --nbval-current-env $(NOTEBOOKS)
-	$(BIN)/pytest -q -rs tests/browser
+	$(BIN)/pytest -q -rs -n 2 --dist loadfile tests/browser
 
 lint: $(BIN)/ready  ## ruff on modules, tests and notebooks
 	$(BIN)/ruff check

@@ -1,5 +1,6 @@
 """Markdown with formulas as HTML that needs neither scripts nor fonts: formulas become drawings."""
 
+import re
 from functools import cache
 from xml.etree import ElementTree
 
@@ -52,6 +53,14 @@ class _Renderer(IPythonRenderer):
     def __init__(self, target):
         super().__init__(escape=False)
         self.target = target
+
+    def heading(self, text, level, **attrs):
+        words = re.sub(
+            r'<svg.*?aria-label="([^"]*)".*?</svg>|<[^>]+>', r"\1", text, flags=re.DOTALL
+        )
+        name = re.sub(r"\W+", "-", words).strip("-").lower()
+        link = f'<a class="anchor-link" href="#{name}" aria-label="link to this heading">¶</a>'
+        return f'<h{level} id="{name}">{text}{link}</h{level}>\n'
 
     def inline_math(self, body):
         return formula(body)

@@ -1,4 +1,4 @@
-"""The pages: all that they link to is there, nothing comes from elsewhere, and a browser agrees."""
+"""The pages: what they link to is there, nothing comes from elsewhere, and a browser agrees."""
 
 import json
 import os
@@ -106,6 +106,8 @@ def test_a_formula_sits_on_the_line_and_nonsense_is_refused():
     assert 'aria-label="\\frac{a}{b}"' in fraction and "currentColor" in fraction
     with pytest.raises(ValueError, match=r"the formula .* cannot be drawn"):
         formula(r"\begin{bmatrix} 1 \nosuchthing")
+    heading = as_html("## Was $x = 50$ a *good* choice?", str)
+    assert '<h2 id="was-x-50-a-good-choice">Was <svg' in heading and 'href="#was-' in heading
     html = as_html("a [link](x.md) and $\\sigma$\n\n| a |\n|---|\n| 1 |\n", lambda url: f"to/{url}")
     assert 'href="to/x.md"' in html and "<table>" in html and "$" not in html
 
@@ -125,3 +127,52 @@ def test_a_dead_link_or_a_bad_formula_leaves_the_earlier_pages_alone(tmp_path):
             main(tmp_path)
         assert (tmp_path / "build" / "pages" / "index.html").read_text() == "from before"
         assert {*os.listdir(tmp_path / "build")} <= {"pages", "pages.lock"}
+
+
+SEEN = """() => ({
+    width: document.documentElement.scrollWidth,
+    formulas: [...document.querySelectorAll("svg.math")]
+        .filter(e => !e.getBoundingClientRect().height).length,
+    pictures: [...document.images].filter(e => e.complete && !e.naturalWidth).length,
+    hidden: ["color", "backgroundColor"].map(e => getComputedStyle(document.body)[e])
+        .every((e, _, all) => e === all[0]),
+})"""
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_on_a_telephone_nothing_sticks_out_or_is_missing(browser, pages, scheme):
+    context = browser.new_context(viewport={"width": 400, "height": 800}, color_scheme=scheme)
+    page, said = context.new_page(), []
+    page.on("console", lambda message: said.append(message.text))
+    page.on("pageerror", lambda error: said.append(str(error)))
+    page.on(
+        "request",
+        lambda request: request.url.startswith(("file:", "data:")) or said.append(request.url),
+    )
+    places = [*pages.glob("*.html"), *(pages / "notebooks").glob("*.html")]
+    places += [pages / "reference" / name for name in ("rodlib.html", "rodlib/rod.html")]
+    for place in places:
+        page.goto(place.as_uri())
+        seen = page.evaluate(SEEN)
+        name = str(place.relative_to(pages))
+        assert seen == {"width": 400, "formulas": 0, "pictures": 0, "hidden": False}, name
+        assert said == [], name
+    context.close()
+
+
+def test_the_ledger_is_searched_and_filtered(browser, pages):
+    rows = pd.read_csv(ROOT / "figures" / "ledger.csv", dtype=str, keep_default_na=False)
+    page = browser.new_page()
+    page.goto((pages / "ledger.html").as_uri())
+    shown = page.locator("#ledger tbody tr:visible")
+    assert shown.count() == len(rows)
+    for verdict in rows.verdict.unique():
+        if verdict != "differs":
+            page.get_by_label(verdict).uncheck()
+    assert shown.count() == (rows.verdict == "differs").sum() > 0
+    page.get_by_label("Search").fill("MONOTONICALLY 2500")
+    assert shown.count() == 1 and "Lemma 1" in shown.inner_text()
+    assert page.locator("#shown").inner_text() == f"1 of {len(rows)} rows"
+    page.get_by_label("Search").fill("no such row")
+    assert shown.count() == 0
+    page.close()
