@@ -6,7 +6,7 @@ import pytest
 from hypothesis import settings
 
 matplotlib.use("agg")
-settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=15)
+settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=10)
 settings.load_profile("repeatable")
 
 
