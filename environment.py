@@ -4,6 +4,7 @@
 in it.
 """
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -30,19 +31,32 @@ def is_ready(root: Path) -> bool:
         return False
 
 
+def entry(package: str, lock: str) -> str:
+    """The lines of a lock that pin and hash a package."""
+    return re.search(rf"^{package}==.*?(?=^\S|\Z)", lock, re.MULTILINE | re.DOTALL)[0]
+
+
 def create(root: Path) -> None:
-    """Create the environment anew."""
-    python = root / ".venv" / "bin" / "python"
+    """Create the environment anew, by uv, which the lock holds, or else by pip, which is slower."""
+    python, lock = root / ".venv" / "bin" / "python", root / "environment.lock"
     (python.parent / "ready").unlink(missing_ok=True)
     print("creating the environment from environment.lock (once, some minutes) ...", flush=True)
-    for command in (
-        [sys.executable, "-m", "venv", "--clear", root / ".venv"],
-        [python, *PIP, "--require-hashes", "-r", root / "environment.lock"],
-        [python, *PIP, "--no-deps", "--no-build-isolation", "-e", root],
-    ):
-        if subprocess.run(command).returncode:
-            sys.exit(f"the environment is incomplete: {command[2]} failed, see above")
+    run([sys.executable, "-m", "venv", "--clear", root / ".venv"])
+    first = root / ".venv" / "first.txt"
+    first.write_text(entry("uv", lock.read_text(encoding="utf-8")), encoding="utf-8")
+    run([python, *PIP, "--require-hashes", "-r", first])
+    by_uv = [python.with_name("uv"), "pip", "install", "--quiet", "--python", python]
+    if subprocess.run([*by_uv, "--require-hashes", "-r", lock]).returncode:
+        print("by uv it does not go; by pip it takes longer ...", flush=True)
+        run([python, *PIP, "--require-hashes", "-r", lock])
+    run([python, *PIP, "--no-deps", "--no-build-isolation", "-e", root])
     (python.parent / "ready").touch()
+
+
+def run(command) -> None:
+    """Run a command, or leave with a message."""
+    if subprocess.run(command).returncode:
+        sys.exit(f"the environment is incomplete: {command[2]} failed, see above")
 
 
 def main(root: Path = ROOT) -> None:
