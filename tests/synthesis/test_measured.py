@@ -64,6 +64,7 @@ def test_the_bound_holds_for_the_truth_if_it_is_within_the_radius(name):
     assert largest_singular_values(M).max() <= 0.9 * (1 + 1e-9)
     response, radius = measured.on(omega, CONFIDENCE, scale)
     two_steps = synthesise(response / units, Q, omega, loop.Ts, uncertainty=radius, **choices)
+    np.testing.assert_array_equal(design.problem.radius, radius)  # in units of scale
     assert design.value == pytest.approx(two_steps.value, rel=1e-9)
     assert "read off at 120 frequencies, with confidence 0.9" in str(design)
     assert "read off" not in str(two_steps)
