@@ -174,7 +174,7 @@ class Panel:
         if self.outcome.design is not None:
             self.before = self.outcome
         self.outcome = outcome
-        self.image.value = self.picture.show(outcome, self.before).png()
+        picture = self.picture.show(outcome, self.before).png()
         self.remedy.layout.display = "none" if outcome.M_max is None else ""
         if outcome.M_max is not None:
             self.remedy.description = f"set M_max to {outcome.M_max:.3f}"
@@ -184,6 +184,8 @@ class Panel:
         look = "user-select: all; white-space: pre-wrap; line-height: 1.3"  # one click marks all
         code = escape(outcome.settings.python) if found else ""
         self.python.value = f'<pre class="workbench-python" style="{look}">{code}</pre>'
+        # last: who sees the new picture reads what belongs to it
+        self.image.value = picture
 
     def _set(self, **values):
         for name, value in values.items():
