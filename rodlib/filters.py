@@ -63,7 +63,7 @@ class ZeroPhaseButterworth:
         """Second-order sections of the forward half of the filter."""
         return butter(self.order, self.cutoff, fs=2 * np.pi / self.Ts, output="sos")
 
-    @property
+    @cached_property
     def poles(self) -> np.ndarray:
         """Of the forward half, section by section: a polynomial of all of them would lose them."""
         return np.concatenate([np.roots(section[3:]) for section in self.sections])

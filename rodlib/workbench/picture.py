@@ -146,7 +146,7 @@ class Picture:
             text.draw(renderer)
         buffer = BytesIO()
         imsave(
-            buffer, np.asarray(canvas.buffer_rgba()), format="png",
+            buffer, np.asarray(canvas.buffer_rgba())[..., :3], format="png",
             metadata={"Software": None}, pil_kwargs={"compress_level": 1},
         )  # fmt: skip
         return buffer.getvalue()
