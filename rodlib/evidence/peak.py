@@ -4,6 +4,7 @@ For a model it has a proof; from samples it is estimated.
 """
 
 from dataclasses import dataclass
+from math import log2
 
 import control
 import numpy as np
@@ -245,23 +246,25 @@ def balanced(A, B, C):
     units of 1e-8, the others lose eight digits.
     """
     A, B, C = (np.array(X, dtype=float) for X in (A, B, C))
+    n = len(A)
+    size = np.zeros((n + 1, n + 1))  # of what else stands in a state's row and in its column
+    size[:n, :n] = np.abs(A) * (1 - np.eye(n))
+    size[:n, n], size[n, :n] = np.abs(B).max(axis=1), np.abs(C).max(axis=0)
+    exponents, changed = np.zeros(n), True
     for _ in range(100):
-        done = True
-        for i in range(len(A)):
-            rest = np.arange(len(A)) != i
-            row = max(np.abs(A[i, rest]).max(initial=0), np.abs(B[i]).max())
-            column = max(np.abs(A[rest, i]).max(initial=0), np.abs(C[:, i]).max())
-            known = row > 0 and column > 0
-            exponent = np.round((np.log2(row) - np.log2(column)) / 2) if known else 0
-            if exponent:
-                scale, done = 2.0**exponent, False
-                A[i] /= scale
-                B[i] /= scale
-                A[:, i] *= scale
-                C[:, i] *= scale
-        if done:
+        if not changed:
             break
-    return A, B, C
+        changed = False
+        for i in range(n):
+            row, column = size[i].max(), size[:, i].max()
+            exponent = round((log2(row) - log2(column)) / 2) if row > 0 and column > 0 else 0
+            if exponent:
+                size[i] *= 2.0**-exponent
+                size[:, i] *= 2.0**exponent
+                exponents[i] += exponent
+                changed = True
+    scale = 2.0**exponents
+    return A * scale / scale[:, None], B / scale[:, None], C * scale
 
 
 @dataclass(frozen=True)
