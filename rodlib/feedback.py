@@ -128,15 +128,13 @@ def current_trial_loop(
     Qo = _weight("Qo", block_diag(spread, 2 * Su**2) if Qo is None else Qo, n + m)
     Ro = _weight("Ro", Sy**2 if Ro is None else Ro, m, definite=True)
 
-    T, inverse = _even_coordinates(A, B, C)  # in which (25) and (28) are solved
-    A, B, C = inverse @ A @ T, inverse @ B, C @ T
-    I, O = np.eye(m), np.zeros  # noqa: E741
-    Ta, inverse_a = block_diag(T, I), block_diag(inverse, I)
+    even = _even_coordinates(A, B, C)
+    _require_held(*_in_coordinates(even, A, B, C))
+    T, inverse = (np.eye(n), np.eye(n)) if sizes is None else even
+    A, B, C = _in_coordinates((T, inverse), A, B, C)
+    Ta, inverse_a = block_diag(T, np.eye(m)), block_diag(inverse, np.eye(m))
     Qs, Qo = T.T @ Qs @ T, inverse_a @ Qo @ inverse_a.T
-    Aa = np.block([[A, B], [O((m, n)), I]])  # (15) with A_d = C_d = I
-    Ca = np.hstack([C, O((m, m))])
-    _require(A, B, "no control reaches")
-    _require(Aa.T, Ca.T, "no output, or none apart from an input disturbance, shows")
+    Aa, Ca = _with_disturbance(A, B, C)
     Ps = _riccati(A, B, Qs, Rs, "Qs and Rs")  # (25)
     Ks = np.linalg.solve(B.T @ Ps @ B + Rs, B.T @ Ps @ A)  # (26)
     Po = _riccati(Aa.T, Ca.T, Qo, Ro, "Qo and Ro")  # (28)
@@ -197,11 +195,23 @@ def _weight(name, value, size, definite=False):
     return (value + value.T) / 2  # symmetric to the last digit, as the Riccati equation wants it
 
 
+def _with_disturbance(A, B, C):
+    """A_a and C_a of (15), with A_d = C_d = I."""
+    n, m = B.shape
+    I, O = np.eye(m), np.zeros  # noqa: E741
+    return np.block([[A, B], [O((m, n)), I]]), np.hstack([C, O((m, m))])
+
+
+def _in_coordinates(coordinates, A, B, C):
+    T, inverse = coordinates
+    return inverse @ A @ T, inverse @ B, C @ T
+
+
 def _even_coordinates(A, B, C):
     """Coordinates T of the state, and T^-1, in which no entry is small by its unit alone.
 
-    The gains do not depend on them, but rounding does: lags that are slow beside Ts, as a transfer
-    function has them, leave the Riccati equations without a solution in its own coordinates.
+    With `sizes` the loop does not depend on them, but rounding does: of a transfer function with
+    lags that are slow beside Ts, the Riccati equations have no solution in its own coordinates.
     """
     n, m = B.shape
     _, Z = schur(A, output="real")
@@ -230,8 +240,16 @@ def _require_stable(A, weights):
         )
 
 
-def _require(A, B, what):
-    poles, _ = unreachable_modes(A, B)
-    unstable = poles[np.abs(poles) > 1 - 1e-12]  # one, up to rounding
-    if unstable.size:
-        raise ValueError(f"plant has a mode at z = {unstable[0]:.6g} that {what}: no gain holds it")
+def _require_held(A, B, C):
+    """Refuse a plant with an unstable mode that no gain holds."""
+    Aa, Ca = _with_disturbance(A, B, C)
+    for X, Y, what in (
+        (A, B, "no control reaches"),
+        (Aa.T, Ca.T, "no output, or none apart from an input disturbance, shows"),
+    ):
+        poles, _ = unreachable_modes(X, Y)
+        unstable = poles[np.abs(poles) > 1 - 1e-12]  # one, up to rounding
+        if unstable.size:
+            raise ValueError(
+                f"plant has a mode at z = {unstable[0]:.6g} that {what}: no gain holds it"
+            )
