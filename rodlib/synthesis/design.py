@@ -125,7 +125,7 @@ def synthesise(
         Bound on sigma_max(L), unit of w per unit of y. None leaves it out: filters then compete up
         to the gain that coefficients in doubles can hold, :attr:`rodlib.problem.Problem.weight`.
     band : (float, float)
-        Lowest and highest frequency of the sum in (39), rad/s.
+        Lowest and highest frequency of the sum in (39), rad/s. A peak has none.
     structure : {"diagonal", "full"}
     objective : {"sum", "peak"}
         "sum" is (39), for the nominal plant; "peak" is (45), with (46) unless `L_max` is None: the
