@@ -63,6 +63,11 @@ class ZeroPhaseButterworth:
         """Second-order sections of the forward half of the filter."""
         return butter(self.order, self.cutoff, fs=2 * np.pi / self.Ts, output="sos")
 
+    @cached_property
+    def poles(self) -> np.ndarray:
+        """Of the forward half, section by section: a polynomial of all of them would lose them."""
+        return np.concatenate([np.roots(section[3:]) for section in self.sections])
+
     def frequency_response(self, omega) -> np.ndarray:
         """Squared magnitude of the Butterworth filter at `omega` (rad/s), real, shape (n,)."""
         omega = arguments.row("omega", omega)
@@ -73,9 +78,8 @@ class ZeroPhaseButterworth:
         """Filter a signal of shape (..., time, channel), forward and backward in time."""
         signal = arguments.array("signal", signal, (..., "time", "channel"))
         sections = self.sections
-        poles = np.concatenate([np.roots(section[3:]) for section in sections])
         # Once the impulse response has decayed to rounding level, the line is as good as infinite.
-        decay = int(np.ceil(np.log(1e-18) / np.log(np.abs(poles).max())))
+        decay = int(np.ceil(np.log(1e-18) / np.log(np.abs(self.poles).max())))
         padding = [(0, 0)] * (signal.ndim - 2) + [(decay, decay), (0, 0)]
         once = np.pad(signal, padding, mode=ENDS[self.ends])
         at_rest = sosfilt_zi(sections).reshape(len(sections), *[1] * (signal.ndim - 2), 2, 1)

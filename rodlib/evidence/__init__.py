@@ -22,7 +22,7 @@ handed, and the function for the singular values of a matrix all that it shares 
 
 from rodlib.evidence.certificate import GAP, VIOLATION, Certificate, certify
 from rodlib.evidence.finite_trial import impulse_response, trial_map, trial_norm, trial_operators
-from rodlib.evidence.models import convergence_model, learning_model
+from rodlib.evidence.models import error_model, learning_model
 from rodlib.evidence.noise import (
     LearnedNoise,
     Spectrum,
@@ -47,7 +47,7 @@ __all__ = [
     "WorstCase",
     "certify",
     "converged_noise",
-    "convergence_model",
+    "error_model",
     "impulse_response",
     "learning_model",
     "lower_bound",

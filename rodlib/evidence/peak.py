@@ -4,13 +4,16 @@ For a model it has a proof; from samples it is estimated.
 """
 
 from dataclasses import dataclass
+from math import log2
 
 import control
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.linalg import schur
 
-from rodlib.evidence.models import convergence_model, sampling_period
+from rodlib import arguments
+from rodlib.evidence.models import error_model, sampling_period
+from rodlib.filters import ZeroPhaseButterworth
 from rodlib.problem import Problem, convergence_matrix, largest_singular_values
 
 CHUNK = 2**21  # numbers held at a time while frequency responses are computed
@@ -20,15 +23,24 @@ LOOKED_AT = 20  # sampled plants, the worst of them, that splines are laid throu
 
 
 def peak_gain(
-    system: control.StateSpace, tolerance: float = 1e-8, max_points: int = 2_000_000
+    system: control.StateSpace,
+    Q: ZeroPhaseButterworth | None = None,
+    tolerance: float = 1e-8,
+    max_points: int = 2_000_000,
 ) -> tuple[float, float]:
     """Peak over all frequencies of the largest singular value, as an upper bound with a proof.
+
+    That of M is the peak of :func:`error_model` with Q.
 
     Parameters
     ----------
     system : control.StateSpace
         Stable, in discrete time, with a sampling period in seconds; any number of inputs and
         outputs.
+    Q : ZeroPhaseButterworth, optional
+        That the system is followed by, in each channel. It is not made a part of the system: the
+        poles of a filter of high order with a low cut-off lie so close together that a Schur form
+        tears them apart.
     tolerance : float
         Relative; from 1e-12 to 1. The cost grows like its inverse square root.
     max_points : int
@@ -37,9 +49,9 @@ def peak_gain(
     Returns
     -------
     gain : float
-        At least the supremum of sigma_max(G(exp(j omega Ts))) over 0 <= omega <= pi / Ts. Above
-        (1 + tolerance) times it only by a bound of the rounding error, see Notes. In the unit of
-        the output per unit of the input.
+        At least the supremum of Q(omega) sigma_max(G(exp(j omega Ts))) over
+        0 <= omega <= pi / Ts. Above (1 + tolerance) times it only by a bound of the rounding
+        error, see Notes. In the unit of the output per unit of the input.
     omega : float
         Where the largest value was found, rad/s.
 
@@ -47,7 +59,7 @@ def peak_gain(
     ------
     ValueError
         If the system is not in discrete time with a sampling period, is unstable or not finite,
-        or the tolerance is out of range.
+        Q has another sampling period, or the tolerance is out of range.
     RuntimeError
         If `max_points` does not suffice: sigma_max is equal to its peak, or nearly so, over a
         wide range (an all-pass filter, say). The message gives the interval found so far. Or if
@@ -56,7 +68,8 @@ def peak_gain(
     Notes
     -----
     No grid is fine enough by itself; what can happen between two samples must be bounded. Here
-    the poles bound it. Let a_1 ... a_n be the eigenvalues of A, and
+    the poles bound it. Let a_1 ... a_n be the eigenvalues of A, with those of the Butterworth
+    filter H twice over if there is Q = |H|^2: it counts as H^2, which has its modulus. Let
 
         phi(theta) = sum_j integral from 0 to theta of (1 - |a_j|^2) / |exp(j t) - a_j|^2 dt,
 
@@ -105,7 +118,9 @@ def peak_gain(
         raise ValueError(f"tolerance = {tolerance!r} must be in [1e-12, 1]")
     if not all(np.isfinite(X).all() for X in (system.A, system.B, system.C, system.D)):
         raise ValueError("system must be finite, but its matrices hold NaN or infinite values")
-    if system.nstates == 0:
+    if Q is not None:
+        arguments.one_period(system=Ts, Q=arguments.instance("Q", Q, ZeroPhaseButterworth).Ts)
+    if system.nstates == 0:  # and Q is one at zero
         return float(np.linalg.norm(system.D, 2)), 0.0
     # in units in which inputs and outputs are of order one
     v, u = (
@@ -113,7 +128,7 @@ def peak_gain(
         for X in (system.B, system.C)
     )
     matrices = *balanced(system.A, system.B / v, system.C / u), system.D / v / u
-    poles, sigma = _gain_function(*matrices)
+    poles, sigma = _gain_function(*matrices, Q)
     radius = np.abs(poles).max()
     if radius >= 1:
         raise ValueError(f"system is unstable: it has a pole of modulus {radius:.6g}, 1 or more")
@@ -133,7 +148,7 @@ def peak_gain(
         if not left.size:
             closest = poles[np.argsort(-np.abs(poles))][:CLOSEST]
             doubtful = {place, *np.abs(np.angle(closest))}
-            highest = max(_rounded_up(*matrices, angle) for angle in doubtful)
+            highest = max(_rounded_up(*matrices, at) * _filter_rounded_up(Q, at) for at in doubtful)
             if highest == np.inf:
                 raise RuntimeError(
                     f"the peak gain, {peak * u * v:.6g} as computed, cannot be told: system has a "
@@ -173,8 +188,8 @@ def _phase(poles, theta):
     return len(poles) * theta + 2 * np.arctan(r * np.sin(shift) / real).sum(axis=0)
 
 
-def _gain_function(A, B, C, D):
-    """Poles of a system, and a function for sigma_max at an array of angles omega Ts."""
+def _gain_function(A, B, C, D, Q):
+    """Poles of a system and of Q, and a function for Q sigma_max at an array of angles omega Ts."""
     T, Z = schur(A, output="complex")
     B, C = Z.conj().T @ B, C @ Z
     n, m = B.shape
@@ -182,7 +197,7 @@ def _gain_function(A, B, C, D):
     def sigma(theta):
         step = max(1, CHUNK // (n * m))
         parts = [part(theta[i : i + step]) for i in range(0, len(theta), step)]
-        return np.concatenate(parts)
+        return np.concatenate(parts) * (1 if Q is None else Q.frequency_response(theta / Q.Ts))
 
     def part(theta):
         z = np.exp(1j * theta)
@@ -194,7 +209,7 @@ def _gain_function(A, B, C, D):
         G = (C @ X).reshape(-1, m, len(z)) + D[:, :, None]
         return largest_singular_values(np.moveaxis(G, -1, 0))
 
-    return np.diag(T), sigma
+    return np.concatenate([np.diag(T), [] if Q is None else np.tile(Q.poles, 2)]), sigma
 
 
 def _rounded_up(A, B, C, D, theta):
@@ -213,6 +228,17 @@ def _rounded_up(A, B, C, D, theta):
     return np.linalg.norm(left @ B + D, 2) + np.linalg.norm(error, 2) + further
 
 
+def _filter_rounded_up(Q, theta):
+    """Upper bound of Q at one angle whatever the rounding; one if there is none."""
+    if Q is None:
+        return 1.0
+    polynomials = Q.sections.reshape(-1, 2, 3)  # numerator and denominator of each section
+    value = np.abs(polynomials @ np.exp(-1j * theta * np.arange(3)))
+    error = 10 * np.finfo(float).eps * np.abs(polynomials).sum(axis=-1)
+    most, least = value[:, 0] + error[:, 0], value[:, 1] - error[:, 1]
+    return np.prod(most / least) ** 2 if least.min() > 0 else np.inf
+
+
 def balanced(A, B, C):
     """Scale the states by powers of two so that no entry of A is large merely by its unit.
 
@@ -220,23 +246,25 @@ def balanced(A, B, C):
     units of 1e-8, the others lose eight digits.
     """
     A, B, C = (np.array(X, dtype=float) for X in (A, B, C))
+    n = len(A)
+    size = np.zeros((n + 1, n + 1))  # of what else stands in a state's row and in its column
+    size[:n, :n] = np.abs(A) * (1 - np.eye(n))
+    size[:n, n], size[n, :n] = np.abs(B).max(axis=1), np.abs(C).max(axis=0)
+    exponents, changed = np.zeros(n), True
     for _ in range(100):
-        done = True
-        for i in range(len(A)):
-            rest = np.arange(len(A)) != i
-            row = max(np.abs(A[i, rest]).max(initial=0), np.abs(B[i]).max())
-            column = max(np.abs(A[rest, i]).max(initial=0), np.abs(C[:, i]).max())
-            known = row > 0 and column > 0
-            exponent = np.round((np.log2(row) - np.log2(column)) / 2) if known else 0
-            if exponent:
-                scale, done = 2.0**exponent, False
-                A[i] /= scale
-                B[i] /= scale
-                A[:, i] *= scale
-                C[:, i] *= scale
-        if done:
+        if not changed:
             break
-    return A, B, C
+        changed = False
+        for i in range(n):
+            row, column = size[i].max(), size[:, i].max()
+            exponent = round((log2(row) - log2(column)) / 2) if row > 0 and column > 0 else 0
+            if exponent:
+                size[i] *= 2.0**-exponent
+                size[:, i] *= 2.0**exponent
+                exponents[i] += exponent
+                changed = True
+    scale = 2.0**exponents
+    return A * scale / scale[:, None], B / scale[:, None], C * scale
 
 
 @dataclass(frozen=True)
@@ -289,7 +317,7 @@ def highest_peak(problem: Problem, L, order) -> Peak:
     worst, missed = (0.0, 0.0, order[0]), np.nan
     for k in order:
         if models.get(k) is not None:
-            worst = max(worst, (*peak_gain(convergence_model(models[k], Q, L)), k))
+            worst = max(worst, (*peak_gain(error_model(models[k], L), Q), k))
     sampled = [k for k in order if models.get(k) is None][:LOOKED_AT]
     for k, (sigma, omega, miss) in zip(sampled, peaks_between(problem, L, sampled), strict=True):
         worst, missed = max(worst, (sigma, omega, k)), np.fmax(missed, miss)

@@ -37,6 +37,7 @@ from rodlib.synthesis.program import Program
 
 NEAR = 0.9  # part of a limit from which on it is in the quadratic program
 NOISE = 1e-11  # relative change of the objective that is rounding
+MOST_DAMPING = 1e4  # at which to give up
 CONVERGED = 1e-9  # expected relative gain below which a full step is the last one
 
 
@@ -131,15 +132,15 @@ def quadratic_program(model, room, damping):
     return (d, np.maximum(result["lam"], 0)) if status == 1 else None
 
 
-def improve(program, p, model, penalty, damping):
-    """A step from p that improves the objective plus the penalty.
+def improve(program, p, model, penalty, damping, most=MOST_DAMPING):
+    """A step from p that improves the objective plus the penalty, with damping below the most.
 
     Returns the next iterate, the multipliers, the penalty, the expected gain and the damping with
     which to continue; or None.
     """
     splits = np.cumsum([len(at) for at in model.near])[:-1]
     part = 1.0  # of the violation of the bounds that the step must remove
-    while damping < 1e4:
+    while damping < most:
         room = np.where(model.room < 0, part * model.room, model.room)
         for attempt in ("first", "corrected"):
             found = quadratic_program(model, room, damping)
@@ -163,7 +164,9 @@ def improve(program, p, model, penalty, damping):
     return None
 
 
-def resolve(program: Program, start: Solution, steps: int) -> Solution | None:
+def resolve(
+    program: Program, start: Solution, steps: int, most: float = MOST_DAMPING
+) -> Solution | None:
     """Solve a program from the solution of a similar one.
 
     Parameters
@@ -174,6 +177,8 @@ def resolve(program: Program, start: Solution, steps: int) -> Solution | None:
         Of a program with the same number of frequencies, order and structure.
     steps : int
         After how many to give up.
+    most : float
+        Damping of a step at which to give up; the first that is tried after none is 1e-4.
 
     Returns
     -------
@@ -184,7 +189,7 @@ def resolve(program: Program, start: Solution, steps: int) -> Solution | None:
     penalty, damping = np.zeros(len(y)), 0.0
     for iteration in range(1, steps + 1):
         model = model_at(program, p, y)
-        step = improve(program, p, model, penalty, damping)
+        step = improve(program, p, model, penalty, damping, most)
         if step is None:
             return None
         p, near, penalty, expected, damping = step

@@ -233,7 +233,8 @@ def _solve_program(problem, program, start):
         if found is not None and _is_good(problem, found, GOOD):
             return found
     solution = interior_point.solve(program, lambda found: _is_good(problem, found, GAP / 2))
-    found = active_set.resolve(program, solution, steps=3)  # more digits
+    # More digits, where they are to be had by a few steps that are full or nearly so.
+    found = active_set.resolve(program, solution, steps=3, most=1e-3)
     if found is None or not _is_good(problem, found, GOOD):
         return solution
     iterations = solution.iterations + found.iterations
@@ -308,7 +309,9 @@ def _advice(problem, smallest):
     raised = "raise M_max" if smallest < HOPELESS else "no M_max below 1 will do, so"
     if L_max is not None:
         unbounded = replace(problem, L_max=None, M_max=np.inf, objective="peak", noise=None)
-        without = solve(unbounded).peak
+        without = _with_cuts(
+            unbounded, None, lambda _, program, start: interior_point.solve(program, enough=M_max)
+        ).peak
         if without <= M_max:
             return (
                 f"infeasible: L_max = {L_max} is too tight for M_max = {M_max}. With this L_max "

@@ -241,7 +241,11 @@ def follow(program, p, enough=0.0, is_good=None):
     return best, iteration
 
 
-def solve(program: Program, is_good: Callable[[Solution], bool] | None = None) -> Solution:
+def solve(
+    program: Program,
+    is_good: Callable[[Solution], bool] | None = None,
+    enough: float = 0.0,
+) -> Solution:
     """Solve a synthesis program from nothing.
 
     Parameters
@@ -250,6 +254,8 @@ def solve(program: Program, is_good: Callable[[Solution], bool] | None = None) -
         From :func:`rodlib.synthesis.program.formulate`.
     is_good : callable, optional
         Whether a solution is good enough. It is asked where more digits are expensive.
+    enough : float
+        Objective below which a solution need not be optimal.
 
     Returns
     -------
@@ -263,14 +269,14 @@ def solve(program: Program, is_good: Callable[[Solution], bool] | None = None) -
         If no filter met the bounds although one exists.
     """
     zero = np.zeros((program.entries, len(program.R)))
-    best, iterations = follow(program, begin(program, zero), is_good=is_good)
+    best, iterations = follow(program, begin(program, zero), enough, is_good)
     if best is None:  # phase one
         peak = program.peak()
         best, more = follow(peak, begin(peak, zero), enough=program.M_max)
         iterations += more
         if best.t[0] >= program.M_max:
             raise Infeasible(program.M_max, _solution(peak, best, iterations))
-        best, more = follow(program, begin(program, best.x), is_good=is_good)
+        best, more = follow(program, begin(program, best.x), enough, is_good)
         iterations += more
     if best is None:
         raise RuntimeError(f"no filter met the bounds after {iterations} iterations")

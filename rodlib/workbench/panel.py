@@ -21,7 +21,7 @@ from rodlib.workbench.settings import Settings
 
 ROD, FILE = "the rod", "a log"
 LOG = ROOT / "data" / "rig" / "learning.csv"  # for a start
-PAUSE = 0.02  # s; changes that follow each other faster are one
+PAUSE = 0.01  # s; changes that follow each other faster are one
 ROD_UNITS = {
     "length": "m", "width": "m", "height": "m", "density": "kg/m³",
     "heat_capacity": "J/(kg K)", "heat_transfer": "W/(m² K)", "conductivity": "W/(m K)",

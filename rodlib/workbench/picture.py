@@ -12,9 +12,9 @@ from itertools import cycle, islice, product
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.image import imsave
 from matplotlib.lines import Line2D
 from matplotlib.transforms import Bbox
+from PIL import Image
 
 from rodlib.paper.figures import SHADES
 from rodlib.workbench.outcome import Outcome
@@ -23,7 +23,8 @@ SIZE = (7.6, 5.2)  # inches, of 100 pixels each
 BEFORE = {"color": "0.75", "linewidth": 2.4}
 BOUND = {"color": "tab:red", "linewidth": 1, "linestyle": "--"}
 MIDDLE = 0.475  # of the figure's height, between the labels of the upper axes and the lower titles
-KEPT = 100  # drawn axes, a third of a megabyte each
+TOP = 0.94  # from here up the words on the colours
+KEPT = 100  # drawn parts, a third of a megabyte each
 ROUND = np.array([1, 1.5, 2, 3, 5, 7, 10])
 ENTRIES = [  # how those of a filter look; gray is for the filter before
     {"color": shade, "linestyle": style}
@@ -135,20 +136,21 @@ class Picture:
         canvas = self.figure.canvas
         renderer = canvas.get_renderer()
         shown = [(k, axes) for k, axes in enumerate(self.axes.flat) if axes.get_visible()]
+        lines = [line for _, axes in shown for line in axes.lines]
+        for line in lines:
+            line.set_visible(False)
         parts = [self._axes(number, axes, renderer) for number, axes in shown]
+        parts.append(self._part(self._words.get_text(), self._words, (0, TOP, 1, 1), renderer))
+        for line in lines:
+            line.set_visible(True)
         self._clear(renderer)
         for part in parts:
             canvas.restore_region(part)
-        for _, axes in shown:
-            for line in axes.lines:
-                line.draw(renderer)
-        for text in (self._words, self._message):
-            text.draw(renderer)
+        for artist in (*lines, self._message):
+            artist.draw(renderer)
         buffer = BytesIO()
-        imsave(
-            buffer, np.asarray(canvas.buffer_rgba()), format="png",
-            metadata={"Software": None}, pil_kwargs={"compress_level": 1},
-        )  # fmt: skip
+        opaque = np.asarray(canvas.buffer_rgba())[..., :3]
+        Image.fromarray(opaque).save(buffer, "png", compress_level=1)
         return buffer.getvalue()
 
     def _clear(self, renderer):
@@ -156,25 +158,24 @@ class Picture:
         self.figure.patch.draw(renderer)
 
     def _axes(self, number, axes, renderer):
-        """Axes without their lines, as they were drawn before or are drawn now."""
+        """Axes without their lines."""
         legend = axes.get_legend()
         names = tuple(text.get_text() for text in legend.texts) if legend else ()
         key = (number, axes.get_title(loc="left"), *axes.get_xlim(), *axes.get_ylim(), names)
+        row, column = divmod(number, 2)
+        left, right = ((0, 0.5), (0.5, 1))[column]
+        low, high = ((MIDDLE, 1), (0, MIDDLE))[row]
+        return self._part(key, axes, (left, low, right, high), renderer)
+
+    def _part(self, key, artist, corners, renderer):
+        """What an artist makes of a part of the picture, as it was drawn before or is drawn now."""
         if key not in self._drawn:
             if len(self._drawn) >= KEPT:
                 self._drawn.clear()
             self._clear(renderer)
-            lines = [*axes.lines]
-            for line in lines:
-                line.set_visible(False)
-            axes.draw(renderer)
-            for line in lines:
-                line.set_visible(True)
-            row, column = divmod(number, 2)
-            left, low = (0, 0.5)[column], (MIDDLE, 0)[row]
-            right, high = (0.5, 1)[column], (1, MIDDLE)[row]
-            corner = Bbox([[left, low], [right, high]]).transformed(self.figure.transFigure)
-            self._drawn[key] = self.figure.canvas.copy_from_bbox(corner)
+            artist.draw(renderer)
+            box = Bbox.from_extents(*corners).transformed(self.figure.transFigure)
+            self._drawn[key] = self.figure.canvas.copy_from_bbox(box)
         return self._drawn[key]
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rodlib import LearningFilter, synthesise, zero_phase_butterworth
-from rodlib.evidence import convergence_model, peak_gain, worst_case
+from rodlib.evidence import error_model, peak_gain, worst_case
 from rodlib.evidence.peak import LOOKED_AT
 from rodlib.feedback import frequency_response
 from rodlib.problem import convergence_matrix
@@ -30,7 +30,7 @@ MODELS = [lag(), lag(1.3), lag(0.8, 0.93)]
 def test_models_have_a_proof_each_and_the_worst_is_named():
     design = synthesise(MODELS, Q, OMEGA, 1.0, **ASKED)
     certificate = design.certificate
-    peaks = [peak_gain(convergence_model(P, Q, design.filter)) for P in MODELS]
+    peaks = [peak_gain(error_model(P, design.filter), Q) for P in MODELS]
     worst = int(np.argmax(peaks, axis=0)[0])
     assert (certificate.all_M, certificate.place) == peaks[worst]
     assert certificate.robust.peak == certificate.robust.plant == worst > 0
@@ -91,7 +91,7 @@ def test_a_model_among_samples_keeps_its_proof():
     design = synthesise(plants, Q, OMEGA, 1.0, **ASKED)
     certificate = design.certificate
     assert not certificate.proven and certificate.robust.estimated == 1
-    proven = peak_gain(convergence_model(MODELS[1], Q, design.filter))[0]
+    proven = peak_gain(error_model(MODELS[1], design.filter), Q)[0]
     assert certificate.all_M >= proven
     assert "estimated for the 1 sampled plants that are worst" in str(certificate)
 

@@ -143,8 +143,8 @@ def test_what_the_method_returns_is_judged_more_strictly(loop, Q, omega, monkeyp
     start = synthesise(loop, Q, omega, 1.0)
     calls = []
 
-    def careless(*arguments, steps):
-        found = resolve(*arguments, steps)
+    def careless(*arguments, **more):
+        found = resolve(*arguments, **more)
         calls.append(found)
         return replace(found, U=found.U * (1 - 1e-7), V=found.V * (1 - 1e-7))
 

@@ -74,6 +74,8 @@ def test_drawn_by_parts_it_is_what_matplotlib_draws(name, request):
     whole = BytesIO()
     picture.figure.savefig(whole, format="png", dpi=picture.figure.dpi)
     whole = matplotlib.image.imread(BytesIO(whole.getvalue()))
+    assert (whole[..., 3] == 1).all()  # nothing shines through
+    whole = whole[..., :3]
     assert parts.shape == whole.shape
     differs = np.abs(parts - whole).max(axis=2) > 0.02
     assert differs.mean() < 2e-3  # where lines meet frames, which one is on top
