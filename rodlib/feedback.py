@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import control
 import numpy as np
-from scipy.linalg import LinAlgError, LinAlgWarning, block_diag, solve_discrete_are
+from scipy.linalg import LinAlgWarning, block_diag, matrix_balance, schur, solve_discrete_are
 
 from rodlib import arguments
 from rodlib.loop import CurrentTrialLoop
@@ -30,6 +30,11 @@ __all__ = [  # all that Section III needs
     "paper_loop",
     "unreachable_modes",
 ]
+
+UNFIT = (
+    "a weight is zero or too far from the other; the default ones fit the plant's units if `sizes` "
+    "say what counts as large"
+)
 
 
 def current_trial_loop(
@@ -117,17 +122,19 @@ def current_trial_loop(
     Sy, Su = np.diag(large[:m]), np.diag(large[m:])
 
     n, A, B, C = plant.nstates, plant.A, plant.B[:, :m], plant.C
-    I, O = np.eye(m), np.zeros  # noqa: E741
-    Aa = np.block([[A, B], [O((m, n)), I]])  # (15) with A_d = C_d = I
-    Ca = np.hstack([C, O((m, m))])
     spread = np.eye(n) if sizes is None else B @ Su**2 @ B.T
     Qs = _weight("Qs", C.T @ np.linalg.inv(Sy**2) @ C if Qs is None else Qs, n)
     Rs = _weight("Rs", 0.05 * np.linalg.inv(Su**2) if Rs is None else Rs, m, definite=True)
     Qo = _weight("Qo", block_diag(spread, 2 * Su**2) if Qo is None else Qo, n + m)
     Ro = _weight("Ro", Sy**2 if Ro is None else Ro, m, definite=True)
-    _require(A, B, "no control reaches")
-    _require(Aa.T, Ca.T, "no output, or none apart from an input disturbance, shows")
 
+    even = _even_coordinates(A, B, C)
+    _require_held(*_in_coordinates(even, A, B, C))
+    T, inverse = (np.eye(n), np.eye(n)) if sizes is None else even
+    A, B, C = _in_coordinates((T, inverse), A, B, C)
+    Ta, inverse_a = block_diag(T, np.eye(m)), block_diag(inverse, np.eye(m))
+    Qs, Qo = T.T @ Qs @ T, inverse_a @ Qo @ inverse_a.T
+    Aa, Ca = _with_disturbance(A, B, C)
     Ps = _riccati(A, B, Qs, Rs, "Qs and Rs")  # (25)
     Ks = np.linalg.solve(B.T @ Ps @ B + Rs, B.T @ Ps @ A)  # (26)
     Po = _riccati(Aa.T, Ca.T, Qo, Ro, "Qo and Ro")  # (28)
@@ -135,7 +142,7 @@ def current_trial_loop(
     _require_stable(A - B @ Ks, "Qs and Rs")
     _require_stable(Aa - KL @ Ca, "Qo and Ro")
     N = np.linalg.inv(C @ np.linalg.solve(np.eye(n) - A + B @ Ks, B))
-    return CurrentTrialLoop(plant, Ks, KL, N, units)
+    return CurrentTrialLoop(plant, Ks @ inverse, Ta @ KL, N, units)
 
 
 def paper_loop(rod: Rod | None = None, degree: int = 3, Ts: float = 1.0) -> CurrentTrialLoop:
@@ -188,15 +195,39 @@ def _weight(name, value, size, definite=False):
     return (value + value.T) / 2  # symmetric to the last digit, as the Riccati equation wants it
 
 
+def _with_disturbance(A, B, C):
+    """A_a and C_a of (15), with A_d = C_d = I."""
+    n, m = B.shape
+    I, O = np.eye(m), np.zeros  # noqa: E741
+    return np.block([[A, B], [O((m, n)), I]]), np.hstack([C, O((m, m))])
+
+
+def _in_coordinates(coordinates, A, B, C):
+    T, inverse = coordinates
+    return inverse @ A @ T, inverse @ B, C @ T
+
+
+def _even_coordinates(A, B, C):
+    """Coordinates T of the state, and T^-1, in which no entry is small by its unit alone.
+
+    With `sizes` the loop does not depend on them, but rounding does: of a transfer function with
+    lags that are slow beside Ts, the Riccati equations have no solution in its own coordinates.
+    """
+    n, m = B.shape
+    _, Z = schur(A, output="real")
+    plant = np.block([[Z.T @ A @ Z, Z.T @ B], [C @ Z, np.zeros((m, m))]])
+    _, (scale, _) = matrix_balance(plant, permute=False, separate=True)
+    return Z * scale[:n], Z.T / scale[:n, None]
+
+
 def _riccati(A, B, Q, R, weights):
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("error", LinAlgWarning)
             return solve_discrete_are(A, B, Q, R)
-    except (LinAlgError, LinAlgWarning):
+    except (ValueError, LinAlgWarning):  # LinAlgError is a ValueError, and not the only one
         raise ValueError(
-            f"{weights} leave the Riccati equation of this plant without a solution: a weight is "
-            "zero or too far from the other"
+            f"{weights} leave the Riccati equation of this plant without a solution: {UNFIT}"
         ) from None
 
 
@@ -204,13 +235,21 @@ def _require_stable(A, weights):
     radius = np.abs(np.linalg.eigvals(A)).max()
     if radius > 1 - 1e-12:  # one, up to rounding
         raise ValueError(
-            f"{weights} give a loop with a pole of modulus {radius:.6g}, which does not settle: a "
-            "weight is zero or too far from the other"
+            f"{weights} give a loop with a pole of modulus {radius:.6g}, which does not settle: "
+            f"{UNFIT}"
         )
 
 
-def _require(A, B, what):
-    poles, _ = unreachable_modes(A, B)
-    unstable = poles[np.abs(poles) >= 1]
-    if unstable.size:
-        raise ValueError(f"plant has a mode at z = {unstable[0]:.6g} that {what}: no gain holds it")
+def _require_held(A, B, C):
+    """Refuse a plant with an unstable mode that no gain holds."""
+    Aa, Ca = _with_disturbance(A, B, C)
+    for X, Y, what in (
+        (A, B, "no control reaches"),
+        (Aa.T, Ca.T, "no output, or none apart from an input disturbance, shows"),
+    ):
+        poles, _ = unreachable_modes(X, Y)
+        unstable = poles[np.abs(poles) > 1 - 1e-12]  # one, up to rounding
+        if unstable.size:
+            raise ValueError(
+                f"plant has a mode at z = {unstable[0]:.6g} that {what}: no gain holds it"
+            )

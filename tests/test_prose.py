@@ -1,11 +1,11 @@
 """Numbers in the prose of the notebooks: each is an output, in the ledger, or a choice in the code.
 
-Read are numbers in digits, in text and in formulas. Labels of equations, figures and the like,
-exponents, indices and sizes (2 x 2) are no results; neither are whole numbers up to 12 without a
-unit, which count things. A number is found where another one of the same notebook rounds to its
-printed digits; signs are left to the words around it. Of wrong numbers with three digits or
-more none was found by chance (120 tried), of two digits one in six, of one digit most: what must
-not move unseen is given with three.
+Read are numbers in digits, in text, in formulas and in the captions of figures. Labels of
+equations, figures and the like, exponents, indices and sizes (2 x 2) are no results; neither are
+whole numbers up to 12 without a unit, which count things. A number is found where another one of
+the same notebook rounds to its printed digits; signs are left to the words around it. Of wrong
+numbers with three digits or more none was found by chance (120 tried), of two digits one in six,
+of one digit most: what must not move unseen is given with three.
 """
 
 import io
@@ -76,7 +76,10 @@ def known_numbers(notebook, rows):
 
 
 def not_found(notebook, rows, constants=()):
-    prose = "\n\n".join(cell.source for cell in notebook.cells if cell.cell_type == "markdown")
+    texts = [cell.source for cell in notebook.cells if cell.cell_type == "markdown"]
+    outputs = [o for cell in notebook.cells for o in cell.get("outputs", [])]
+    texts += [o.data["text/markdown"] for o in outputs if "text/markdown" in o.get("data", {})]
+    prose = "\n\n".join(texts)
     known = known_numbers(notebook, rows)
     return [
         shown
@@ -105,6 +108,9 @@ def test_a_wrong_number_is_found(wrong, ledger):
     name = "02-feedback"
     notebook = nbformat.read(ROOT / "notebooks" / f"{name}.ipynb", as_version=4)
     notebook.cells.append(nbformat.v4.new_markdown_cell(f"It is {wrong} in all."))
+    assert not_found(notebook, ledger[name], CONSTANTS[name]) == re.findall(r"\d[\d.]*", wrong)
+    caption = nbformat.v4.new_output("display_data", {"text/markdown": f"*It is {wrong}.*"})
+    notebook.cells[-1] = nbformat.v4.new_code_cell(outputs=[caption])
     assert not_found(notebook, ledger[name], CONSTANTS[name]) == re.findall(r"\d[\d.]*", wrong)
 
 

@@ -19,6 +19,7 @@ GAP = 1e-6
 VIOLATION = 1e-9
 # Share of 1 - sigma_max(M) that splines may miss: a narrow resonance shows little on its flanks.
 COARSE = 0.25
+LOUD = 1.5  # times the bound on L that its peak may reach off the grid, unless there is a warning
 
 
 @dataclass(frozen=True)
@@ -189,16 +190,22 @@ class Certificate:
 
     @property
     def warnings(self) -> list[str]:
-        """What speaks against the problem, and against the estimate of M between the samples."""
+        """What speaks against the problem, and against what is said between the samples."""
         margin = 1 - self.all_M
         too_coarse = margin > 0 and self.missed > COARSE * margin
         tests = {
             f"sigma_max(M){self._whose} may reach {self.all_M:.4g} at {self.place:.4g} rad/s, "
-            "between the samples, where Lemma 1 would not hold; measure there": margin <= 0,
+            "between the samples, where Lemma 1 would not hold; measure there, or smooth samples "
+            "that scatter": margin <= 0,
             f"the samples are too coarse: splines miss M by {self.missed:.2g} at samples left out, "
             f"and 1 - sigma_max(M) is {margin:.2g}; measure at more frequencies": too_coarse,
         }
         coarse = [text for text, warned in tests.items() if warned and not self.proven]
+        if self.L_max is not None and self.all_L > LOUD * self.L_max:
+            coarse.append(
+                f"sigma_max(L) reaches {self.all_L:.4g} off the design frequencies, where nothing "
+                f"holds it to {self.L_max:.4g}; add frequencies, up to {self.nyquist:.4g} rad/s"
+            )
         return [*self.doubts, *coarse]
 
     @property

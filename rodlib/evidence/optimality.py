@@ -93,14 +93,14 @@ def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None, L=None) -> flo
     if problem.objective == "peak":
         total = norms[:n].sum() + others
         if not noise:
-            return float(bound / total)
+            return max(0.0, float(bound / total))  # as it could not be less
         # s times the multipliers: for s total > 1 the excess is bounded with M_max, as it is below
         low = min(max(bound, 0) / (2 * noise), 1 / total)
         high = max((bound - total * problem.M_max) / (2 * noise), 1 / total)
         over = (high * total - 1) * problem.M_max
-        return float(max(low * bound - low**2 * noise, high * bound - high**2 * noise - over))
+        return float(max(0, low * bound - low**2 * noise, high * bound - high**2 * noise - over))
     excess = np.maximum(norms[:n] - problem.in_band, 0).sum() + others
-    return float(bound - problem.M_max * excess - noise)
+    return max(0.0, float(bound - problem.M_max * excess - noise))
 
 
 def _groups(problem, noisy):

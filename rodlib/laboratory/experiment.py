@@ -211,7 +211,8 @@ class _Plan:
         differing = [] if all(own) else ["reference"]
         wanted = self.noted(xr.Dataset()).attrs
         differing += [key for key in MADE_BY if found.attrs.get(key) != wanted.get(key)]
-        if found.coords.get("source", np.array([])).values.tolist() != self.sources:
+        sources = found.source.values.tolist() if "source" in found.coords else []
+        if sources != self.sources:
             differing.append("disturbances")
         if found.trial.values.tolist() != list(range(1, found.sizes["trial"] + 1)):
             differing.append("numbers of the trials")

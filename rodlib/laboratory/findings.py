@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d
 from scipy.special import fdtrc
 from scipy.stats import chi2
 
@@ -11,6 +12,8 @@ from rodlib.laboratory.transient import separated, windows_of
 
 DRIFT = 3.0  # standard deviations without it, from which a drift is reported
 SURE = 1e-3  # probability of a false report
+FAIR = 1.2  # of a radius may be missed, as half of the lines are asked for more than all
+BY_LINE = ("omega", "response", "noise", "spread", "freedom")  # of a measured response
 
 
 def distortion(y, excitation, measured):
@@ -80,3 +83,26 @@ def unanchored(measured):
         f"P differs from I by {away:.2g} at the lowest frequency, {measured.omega[0]:.3g} rad/s: "
         "between it and zero, P is not known. Shake at lower frequencies, or design above"
     )
+
+
+def sparse(measured):
+    """Whether every other line foretells those between, within the radius that it would claim."""
+    n = len(measured.omega)
+    own, number = measured.radius(1 - SURE, jointly=True), np.arange(n)
+    worst, report = 0.0, None
+    for odd in (0, 1):
+        kept = (number % 2 == odd) | (number == 0) | (number == n - 1)
+        half = replace(measured, **{name: getattr(measured, name)[kept] for name in BY_LINE})
+        foretold, radius = half.on(measured.omega, 1 - SURE)
+        radius = maximum_filter1d(radius, 5)  # which by itself is small where P hardly bends
+        off = np.linalg.norm(foretold - measured.response, 2, axis=(1, 2))
+        excess = off - FAIR * (radius + own)
+        k = excess.argmax()
+        if excess[k] > worst:
+            worst = excess[k]
+            report = (
+                f"lines are too far apart near {measured.omega[k]:.3g} rad/s: from every other one "
+                f"P would be off by {off[k]:.2g} there, with a radius of {radius[k]:.2g}; between "
+                "those that there are, the radius may be as wrong. Shake with more lines"
+            )
+    return report

@@ -209,7 +209,7 @@ def measured_response(
     -----
     UserWarning
         Each of the findings: commands beyond the limits, a loop that is not linear, outputs that
-        drift, a lowest frequency that is too high for what is known at zero.
+        drift, a lowest frequency that is too high for what is known at zero, lines too far apart.
 
     Notes
     -----
@@ -241,6 +241,7 @@ def measured_response(
         doubts.distortion(y, excitation, measured),
         doubts.drift(y, windows, excitation, measured),
         doubts.unanchored(measured),
+        doubts.sparse(measured),
     )
     findings = tuple(report for report in reports if report)
     for finding in findings:

@@ -258,11 +258,14 @@ def check_loop(loop: CurrentTrialLoop, rod: Rod) -> None:
     if strangers or loop.outputs != rod.outputs:
         raise ValueError(
             f"loop has the signals {[*loop.plant.input_labels, *loop.outputs]}, but must be that "
-            f"of a rod, with inputs among {rod.inputs} and the outputs {rod.outputs}"
+            f"of a rod, with inputs among {rod.inputs} and the outputs {rod.outputs}; for a rod "
+            "with others, pass it as nominal where rods are drawn"
         )
 
 
 def _held(loop, specimens):
+    if isinstance(specimens, Specimen):
+        raise ValueError("specimens is a single specimen, but must be a list of them: [specimen]")
     specimens = [arguments.instance("specimens", each, Specimen) for each in specimens]
     for each in specimens:
         check_loop(loop, each.rod)

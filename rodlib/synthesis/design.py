@@ -125,7 +125,7 @@ def synthesise(
         Bound on sigma_max(L), unit of w per unit of y. None leaves it out: filters then compete up
         to the gain that coefficients in doubles can hold, :attr:`rodlib.problem.Problem.weight`.
     band : (float, float)
-        Lowest and highest frequency of the sum in (39), rad/s.
+        Lowest and highest frequency of the sum in (39), rad/s. A peak has none.
     structure : {"diagonal", "full"}
     objective : {"sum", "peak"}
         "sum" is (39), for the nominal plant; "peak" is (45), with (46) unless `L_max` is None: the
@@ -305,7 +305,7 @@ def _explained(problem, nearest):
 def _advice(problem, smallest):
     """Which bound is too tight, and what would be feasible."""
     M_max, L_max = problem.M_max, problem.L_max
-    remedy = f"the smallest feasible M_max is {smallest:.6g}"
+    remedy = f"the smallest feasible M_max is {_rounded_up(smallest)}"
     raised = "raise M_max" if smallest < HOPELESS else "no M_max below 1 will do, so"
     if L_max is not None:
         unbounded = replace(problem, L_max=None, M_max=np.inf, objective="peak", noise=None)
@@ -324,6 +324,12 @@ def _advice(problem, smallest):
         f"{problem.order}; {remedy}: {raised}{',' if smallest < HOPELESS else ''} take {longer}, "
         "lower the cut-off of Q (largest_cutoff finds how far), or design a faster loop"
     )
+
+
+def _rounded_up(M_max):
+    """In six digits, and not less than it is, or who follows the advice is refused again."""
+    unit = 10.0 ** (np.floor(np.log10(M_max)) - 5)
+    return f"{np.ceil(M_max / unit) * unit:.6g}"
 
 
 def _trial(problem, samples, rest):

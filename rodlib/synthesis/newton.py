@@ -259,6 +259,8 @@ def factorise(program, slacks, Y, barrier, root=False):
 
 def _factorised(H):
     """Cholesky factor of a matrix with ones on the diagonal, shifted if it must be."""
+    if not np.isfinite(H).all():
+        raise RuntimeError("the bounds leave less room than rounding takes")
     shift = 1e-15
     while True:
         try:

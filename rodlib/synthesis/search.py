@@ -9,8 +9,9 @@ from rodlib import arguments
 from rodlib.filters import ZeroPhaseButterworth
 from rodlib.posing import pose
 from rodlib.synthesis.design import Synthesis, solve, synthesise
+from rodlib.synthesis.program import Infeasible
 
-SAME = 1e-9  # relative distance up to which two peaks are the same
+SAME = (1e-9, 1e-6, 1e-4)  # relative distance up to which two peaks are the same
 CLOSE = 1e-3  # relative distance from the largest cut-off
 
 
@@ -19,7 +20,8 @@ def least_gain(P, Q, omega, Ts, **choices) -> Synthesis:
 
     Without (46) the least peak of sigma_max(M) may be reached by many filters, whose gains differ
     by orders of magnitude; which of them a solver returns is its own affair. This is the one with
-    the least max sigma_max(L) that keeps the least peak to a relative 1e-9.
+    the least max sigma_max(L) that keeps the least peak to a relative 1e-9; where filters that do
+    are too much alike for the solver to tell, to 1e-6 or 1e-4.
 
     Parameters
     ----------
@@ -38,9 +40,15 @@ def least_gain(P, Q, omega, Ts, **choices) -> Synthesis:
     """
     without_trial = choices | {"samples": None, "rest": 0}
     free = synthesise(P, Q, omega, Ts, objective="peak", L_max=None, **without_trial)
-    unit, M_max = free.sigma_L.max(), free.value * (1 + SAME)  # a gain that is enough
-    question = replace(free.problem, objective="gain", L_max=unit, M_max=M_max)
-    L_max = unit * solve(question).peak
+    L_max = unit = free.sigma_L.max()  # a gain that is enough
+    question = replace(free.problem, objective="gain", L_max=unit)
+    for same in SAME:
+        try:
+            with np.errstate(all="ignore"):
+                L_max = unit * solve(replace(question, M_max=free.value * (1 + same))).peak
+            break
+        except (Infeasible, RuntimeError):
+            continue
     return synthesise(P, Q, omega, Ts, objective="peak", L_max=L_max, **choices)
 
 

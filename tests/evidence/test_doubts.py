@@ -35,6 +35,19 @@ def test_a_loop_slower_than_the_band_is_named(loop, Q, omega):
     assert synthesise(loop, Q, omega, 1.0).certificate.warnings == []
 
 
+@pytest.mark.parametrize(("highest", "warned"), [(0.6, True), (1.0, False)])
+def test_a_gain_that_no_design_frequency_holds_is_named(highest, warned):
+    """Above the highest of them the learning filter may do what it likes."""
+    lag = control.ss(0.5, 0.5, 1, 0, 1.0)
+    omega = np.linspace(1e-3, highest * np.pi, 300)
+    Q = zero_phase_butterworth(2, 0.3)
+    design = synthesise(lag, Q, omega, 1.0, band=(0.001, 0.2), L_max=5.0)
+    L = design.filter.frequency_response(np.linspace(0, np.pi, 20000))
+    assert (np.abs(L).max() > 7.5) == warned
+    said = f"sigma_max(L) reaches {np.abs(L).max():.4g} off the design frequencies"
+    assert any(said in warning for warning in design.certificate.warnings) == warned
+
+
 def test_learning_that_does_nothing_is_named():
     P = behind_delay(1)
     problem = pose(P, zero_phase_butterworth(2, 0.05), OMEGA, 1.0)

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import control
 import numpy as np
 import pytest
+from plants import stage, tanks
 
 from rodlib import (
     LearningFilter,
@@ -386,6 +387,40 @@ def test_a_killed_experiment_goes_on_as_if_nothing_had_been(loop, Q, L, tmp_path
             assert load_log(path).identical(whole.isel(trial=slice(ended)))
         assert record(RestartingRig(), loop, Q, L, **SHORT, path=path).identical(whole)
         assert path.read_bytes() == (tmp_path / "whole.csv").read_bytes()
+
+
+class Homed:
+    """A plant as a rig, without noise, that begins every trial at rest, until it fails."""
+
+    def __init__(self, plant, fails=None):
+        self.plant, self.left = plant, fails
+
+    def begin(self, trial):
+        self.x = np.zeros(self.plant.nstates)
+
+    def read(self):
+        self.left = None if self.left is None else self.left - 1
+        return np.full(self.plant.noutputs, np.nan) if self.left == 0 else self.plant.C @ self.x
+
+    def apply(self, commands):
+        self.x = self.plant.A @ self.x + self.plant.B @ commands
+
+
+@pytest.mark.parametrize(
+    "plant", [stage()[:, ["F"]], tanks()[:, ["pump A", "pump B", "pump C"]]], ids=["stage", "tanks"]
+)
+def test_an_experiment_without_disturbances_goes_on_after_a_fault(plant, tmp_path):
+    loop = current_trial_loop(plant)
+    m, path = plant.noutputs, tmp_path / "log.csv"
+    L = LearningFilter(0.1 * np.eye(m)[..., None], loop.Ts)
+    task = {"reference": np.outer(np.hanning(40), np.ones(m)), "trials": 3, "pause": 0}
+    law = loop, zero_phase_butterworth(2, 0.1 / loop.Ts, loop.Ts), L
+    with pytest.raises(RigError, match="trial 2, sample 10"):
+        record(Homed(plant, fails=50), *law, **task, path=path)
+    assert load_log(path).sizes["trial"] == 1
+    at_once = record(Homed(plant), *law, **task)
+    assert record(Homed(plant), *law, **task, path=path).identical(at_once)
+    assert load_log(path).identical(at_once)
 
 
 def test_what_is_left_of_a_trial_is_dropped(loop, Q, L, tmp_path):

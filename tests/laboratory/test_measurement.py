@@ -278,6 +278,24 @@ def test_a_lowest_frequency_above_the_bandwidth_is_reported(loop):
         measured_response(log_of(loop, high, y))
 
 
+@pytest.mark.parametrize(("samples", "lines"), [(20, 40), (20, 200), (3, 40)])
+def test_lines_too_far_apart_for_a_delay_are_reported(samples, lines):
+    """The phase of a long delay turns by more than a radian between 40 lines, and not of 200."""
+    loop = current_trial_loop(furnace(samples, Ts=30.0), sizes={"outlet": 10.0, "valve": 5.0})
+    plan = multisine(loop, 5e-4, 0.08, 5.0, 35.0, lines=lines)
+    log = log_of(loop, plan, answer(loop, plan.signals, noise_of(plan, 1e-3, 3)[0]))
+    if (samples, lines) == (20, 40):
+        with pytest.warns(UserWarning, match=r"lines are too far apart near 0\.0\d+ rad/s.* more"):
+            measured = measured_response(log)
+        assert measured.findings[0] in measured.basis([0.01])
+    else:
+        measured = measured_response(log)
+    grid = np.geomspace(1e-4, 0.07, 500)
+    response, radius = measured.on(grid, 0.999)
+    off = np.linalg.norm(response - loop.frequency_response(grid), 2, axis=(1, 2))
+    assert (np.max(off / radius) > 2) == bool(measured.findings)  # the warning is about the truth
+
+
 def test_wrong_records_are_refused(loop, quick):
     w = quick.signals
     y = answer(loop, w, noise_of(quick, 0.02, 5)[0])

@@ -179,6 +179,11 @@ def test_a_rod_with_other_sections_and_one_sensor():
         (lambda: draw(0.2, 0), "spread = 0.2 must be a Spread"),
         (lambda: draw(Spread(), 0, nominal="paper"), "nominal = 'paper' must be a Rod"),
         (lambda: responses(paper_loop(), [Rod()], [0.1]), "must be a Specimen"),
+        (lambda: responses(paper_loop(), draw(ALL, 0), [0.1]), r"must be a list .* \[specimen\]"),
+        (
+            lambda: responses(paper_loop(), [draw(ALL, 0, nominal=Rod(sections=3))], [0.1]),
+            r"outputs \['y1', 'y2'\]; for a rod with others, pass it as nominal",
+        ),
         (lambda: responses(paper_loop(), [draw(ALL, 0)], ["a"]), "omega holds values of type"),
         (lambda: unstable_poles("loop", [draw(ALL, 0)]), "loop = 'loop' must be"),
         (

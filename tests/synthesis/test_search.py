@@ -1,9 +1,19 @@
-"""The largest cut-off of Q; the least gain is in test_synthesise."""
+"""The largest cut-off of Q, and the least gain; that of the paper's filter: test_synthesise."""
 
+import control
+import cvxpy as cp
 import numpy as np
 import pytest
+from plants import furnace
 
-from rodlib import InfeasibleError, largest_cutoff, synthesise, zero_phase_butterworth
+from rodlib import (
+    InfeasibleError,
+    current_trial_loop,
+    largest_cutoff,
+    least_gain,
+    synthesise,
+    zero_phase_butterworth,
+)
 from tests.synthesis.test_interior_point import random_plant
 
 CHOICES = {"order": 3, "L_max": 8.0, "band": (0.01, 0.03), "M_max": 0.6}
@@ -45,3 +55,31 @@ def test_Q_must_have_a_cutoff():
     P, Q, omega = random_plant(1, 2)
     with pytest.raises(ValueError, match="Q"):
         largest_cutoff(P, Q, omega, 1.0)
+
+
+@pytest.mark.parametrize("order", [2, 3])
+def test_the_least_gain_of_a_lag_is_that_of_cvxpy(order):
+    """One filter only has the least peak; there is no band to be named, at any sampling period."""
+    Ts = 1e-3
+    omega = np.geomspace(1e-3, np.pi, 100) / Ts
+    lag, Q = control.ss(0.9, 0.1, 1, 0, Ts), zero_phase_butterworth(2, 300.0, Ts)
+    design = least_gain(lag, Q, omega, Ts, order=order)
+    z = np.exp(1j * omega * Ts)
+    L = np.power.outer(z, np.arange(1, order + 1)) @ (c := cp.Variable(order))
+    M = cp.multiply(Q.frequency_response(omega), 1 - cp.multiply(0.1 / (z - 0.9), L))
+    least = cp.Problem(cp.Minimize(cp.max(cp.abs(M)))).solve("CLARABEL")
+    assert design.value == pytest.approx(least, rel=2e-6)
+    room = [cp.abs(M) <= least * (1 + 1e-5)]
+    gain = cp.Problem(cp.Minimize(cp.max(cp.abs(L))), room).solve("CLARABEL")
+    assert design.certificate.L_max == pytest.approx(gain, rel=2e-3)
+    assert c.size == design.filter.order
+
+
+def test_the_least_gain_of_a_loop_that_can_be_inverted_is_that_of_its_inverse():
+    """The loop around a lag and a delay is b / (z - a) / z^n, its inverse a learning filter."""
+    loop = current_trial_loop(furnace(3, Ts=30.0), sizes={"outlet": 10.0, "valve": 5.0})
+    omega = np.geomspace(1e-3, np.pi, 100) / 30.0
+    design = least_gain(loop, np.ones(100), omega, 30.0, order=5)
+    inverse = 1 / loop.frequency_response(omega)
+    assert 0 <= design.certificate.lower_bound <= design.value < 1e-9
+    assert design.certificate.L_max == pytest.approx(np.abs(inverse).max(), rel=1e-6)
