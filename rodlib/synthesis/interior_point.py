@@ -30,6 +30,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from tqdm import tqdm
 
 from rodlib.problem import Solution
 from rodlib.synthesis.inequalities import Slack, longest_step, trace
@@ -40,6 +41,7 @@ GAP = 2e-9  # relative gap at which to stop
 # Part of the gap by which rounding may keep the multipliers from being stationary.
 STATIONARY = 0.1
 REFINEMENTS = 3
+PATIENCE = 3  # s without a word on progress
 
 
 @dataclass(frozen=True)
@@ -208,7 +210,8 @@ def follow(program, p, enough=0.0, is_good=None):
     """
     n, m = program.basis.shape[1], p.G[0].shape[1]
     best, smallest, gaps, root = None, np.inf, [], False
-    for iteration in range(100):
+    steps = range(100)
+    for iteration in tqdm(steps, "interior point", leave=False, delay=PATIENCE, disable=None):
         objective, dual = p.t.sum() + program.quadratic(p.x), dual_value(program, p)
         total = complementarity(program, p)
         gap = max(total, abs(objective - dual))

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import brentq
+from tqdm import tqdm
 
 from rodlib import arguments
 from rodlib.filters import ZeroPhaseButterworth
@@ -96,18 +97,20 @@ def largest_cutoff(
         response = with_cutoff(logarithm).frequency_response(problem.omega)
         question = replace(problem, Q=response, M_max=np.inf, noise=None)
         found["solution"] = solve(question, found.get("solution"))
+        bar.update()
         return found["solution"].peak / problem.M_max - 1
 
     highest, lowest = np.log(0.999 * np.pi / Ts), np.log(problem.omega[problem.omega > 0][0])
     low = high = np.log(Q.cutoff)
-    while excess(high) <= 0 and high < highest:
-        low, high = high, min(high + 1, highest)
-    if excess(high) <= 0:
-        best = highest
-    else:
-        while excess(low) > 0:
-            if low <= lowest:
-                synthesise(P, with_cutoff(lowest), omega, Ts, **choices)  # says what is too tight
-            low = max(low - 1, lowest)
-        best = brentq(excess, low, high, xtol=CLOSE / 2) - CLOSE / 2
+    with tqdm(desc="largest cut-off", unit=" solved", leave=False, disable=None) as bar:
+        while excess(high) <= 0 and high < highest:
+            low, high = high, min(high + 1, highest)
+        if excess(high) <= 0:
+            best = highest
+        else:
+            while excess(low) > 0:
+                if low <= lowest:  # this says what is too tight
+                    synthesise(P, with_cutoff(lowest), omega, Ts, **choices)
+                low = max(low - 1, lowest)
+            best = brentq(excess, low, high, xtol=CLOSE / 2) - CLOSE / 2
     return with_cutoff(best), synthesise(P, with_cutoff(best), omega, Ts, **choices)

@@ -42,8 +42,12 @@ class Outcome:
 
     @property
     def line(self) -> str:
-        """The certificate in a line."""
-        return self.message if self.design is None else certificate_line(self.design.certificate)
+        """The certificate in a line, and what was found of a measurement."""
+        if self.design is None:
+            return self.message
+        findings = getattr(self.settings.plant.response, "findings", ())
+        found = (f"the measurement: {text}" for text in findings)
+        return "; ".join([certificate_line(self.design.certificate), *found])
 
 
 def try_out(settings: Settings) -> Outcome:

@@ -69,7 +69,7 @@ class Settings:
             "M_max": 0.9,
             "L_max": float(f"{2.5 / plant.size([cutoff])[0]:.1g}"),
             "cutoff": cutoff,
-            "band": (float(f"{1e-4 / Ts:.3g}"), float(f"{0.02 / Ts:.3g}")),
+            "band": (_no_lower(1e-4 / Ts), float(f"{0.02 / Ts:.3g}")),
             "order": plant.order,
         }
         return cls(plant, **choices | changes)
@@ -138,3 +138,9 @@ class Settings:
             f"Q = rodlib.zero_phase_butterworth({self.Q_order}, {self.cutoff!r}, {self.Ts!r})\n"
             f"design = rodlib.synthesise(P, Q, omega, {self.Ts!r}, {choices})\n"
         )
+
+
+def _no_lower(omega):
+    """In three digits, and no lower: below the first design frequency no band begins."""
+    rounded = float(f"{omega:.3g}")
+    return rounded if rounded >= omega else float(f"{1.005 * omega:.3g}")

@@ -177,6 +177,14 @@ def test_the_papers_choices_are_carried_over():
     assert stage.L_max == pytest.approx(2.5 / abs(P[0, 0, 0]), rel=0.2)
 
 
+@pytest.mark.parametrize("Ts", [1e-4, 0.003, 0.03, 0.3, 1.0, 3.0, 12.0, 30.0])
+def test_the_band_begins_with_the_design_frequencies(Ts):
+    """Three digits of 1e-4 / Ts may lie below it."""
+    settings = Settings.of(Plant("lag", current_trial_loop(control.ss(0.9, 0.1, 1, 0, Ts))))
+    assert settings.omega[0] * (1 - 1e-12) <= settings.band[0] < 1.01 * settings.omega[0]
+    assert settings.band[0] == float(f"{settings.band[0]:.3g}")
+
+
 def test_a_plant_must_be_one():
     loop = current_trial_loop(plants.stage(), ["F"])
     with pytest.raises(ValueError, match="response = 3 must be a loop"):
@@ -223,6 +231,8 @@ def test_a_measured_response_brings_its_radius(tmp_path):
     settings = Settings.of(plant)
     outcome = try_out(settings)
     assert "within the radius" in outcome.line
+    doubted = replace(plant, response=replace(plant.response, findings=("outputs drift",)))
+    assert "the measurement: outputs drift" in try_out(Settings.of(doubted)).line
     by_hand = run(settings.python)
     assert repr(by_hand["P"]) == repr(
         measured_response(run_of.assign_attrs(with_excitation(run_of, excitation, loop).attrs))
