@@ -166,13 +166,13 @@ def array(name: str, value, shape: Sequence[int | str], dtype: type = float) -> 
         words += "," if len(shape) == 1 else ""
         raise ValueError(f"{name} has shape {plain.shape}, but must have shape ({words})")
     result = np.array(plain, dtype=dtype)
-    if not np.isfinite(result).all():
-        bad = np.argwhere(~np.isfinite(result))
-        where = tuple(int(i) for i in bad[0])
-        raise ValueError(f"{name} has {len(bad)} values that are not finite, the first at {where}")
-    if np.abs(result).max(initial=0) > LARGEST:
+    if np.abs(result).max(initial=0) <= LARGEST:  # what is not a number is not below it either
+        return result
+    bad = np.argwhere(~np.isfinite(result))
+    if not len(bad):
         raise ValueError(f"{name} has values beyond {LARGEST:g}: choose another unit")
-    return result
+    where = tuple(int(i) for i in bad[0])
+    raise ValueError(f"{name} has {len(bad)} values that are not finite, the first at {where}")
 
 
 def row(name: str, value, dtype: type = float) -> np.ndarray:

@@ -68,6 +68,16 @@ class ZeroPhaseButterworth:
         """Of the forward half, section by section: a polynomial of all of them would lose them."""
         return np.concatenate([np.roots(section[3:]) for section in self.sections])
 
+    @cached_property
+    def _decay(self):
+        """Samples after which the impulse response has decayed to rounding level."""
+        return int(np.ceil(np.log(1e-18) / np.log(np.abs(self.poles).max())))
+
+    @cached_property
+    def _at_rest(self):
+        """The state of each section that a constant one leads to, shape (sections, 2)."""
+        return sosfilt_zi(self.sections)
+
     def frequency_response(self, omega) -> np.ndarray:
         """Squared magnitude of the Butterworth filter at `omega` (rad/s), real, shape (n,)."""
         omega = arguments.row("omega", omega)
@@ -77,12 +87,10 @@ class ZeroPhaseButterworth:
     def apply(self, signal) -> np.ndarray:
         """Filter a signal of shape (..., time, channel), forward and backward in time."""
         signal = arguments.array("signal", signal, (..., "time", "channel"))
-        sections = self.sections
-        # Once the impulse response has decayed to rounding level, the line is as good as infinite.
-        decay = int(np.ceil(np.log(1e-18) / np.log(np.abs(self.poles).max())))
+        sections, decay = self.sections, self._decay  # after which the line is as good as infinite
         padding = [(0, 0)] * (signal.ndim - 2) + [(decay, decay), (0, 0)]
         once = np.pad(signal, padding, mode=ENDS[self.ends])
-        at_rest = sosfilt_zi(sections).reshape(len(sections), *[1] * (signal.ndim - 2), 2, 1)
+        at_rest = self._at_rest.reshape(len(sections), *[1] * (signal.ndim - 2), 2, 1)
         for _ in range(2):
             filtered, _ = sosfilt(sections, once, axis=-2, zi=at_rest * once[..., :1, :])
             once = np.flip(filtered, axis=-2)

@@ -38,7 +38,8 @@ def frequency_response(system: control.StateSpace, omega) -> np.ndarray:
     if system.dt is None or system.dt is True:
         raise ValueError(f"system.dt = {system.dt} must be 0, or a sampling period in seconds")
     points = np.exp(1j * omega * system.dt) if system.dt else 1j * omega
-    resolvent = points[:, None, None] * np.eye(system.nstates) - system.A
+    resolvent = np.repeat(-system.A[None].astype(complex), len(points), axis=0)
+    np.einsum("nii->ni", resolvent)[:] += points[:, None]  # on the diagonals alone, in place
     return system.C @ solve_off_poles(resolvent, system.B.astype(complex)) + system.D
 
 

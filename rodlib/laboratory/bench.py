@@ -1,5 +1,6 @@
 """A rig with the controller on it: the loop, sample by sample as on hardware."""
 
+import math
 import reprlib
 import warnings
 from collections.abc import Sequence
@@ -137,8 +138,9 @@ class Bench:
             if clock:
                 off.append(clock() - start - p * self.loop.Ts)
             signals.append(self.sample(w, flows, f"trial {trial}, sample {p + 1}"))
-            squares += np.sum((r - signals[-1]["y"]) ** 2)
-            bar.set_postfix_str(f"RMS {np.sqrt(squares / (p + 1)):.3g}", refresh=False)
+            error = r - signals[-1]["y"]
+            squares += float(error @ error)
+            bar.set_postfix_str(f"RMS {math.sqrt(squares / (p + 1)):.3g}", refresh=False)
             bar.update()
         _report_late(trial, np.array(off), self.loop.Ts)
         signals = {name: np.array([s[name] for s in signals]) for name in signals[0]}
@@ -211,4 +213,4 @@ def _report_beyond(trial, shares):
 
 
 def _rounded(values, decimals):
-    return values if decimals is None else np.round(values, decimals)
+    return values if decimals is None else values.round(decimals)

@@ -113,7 +113,7 @@ class VirtualRig:
         if self.parameters.noise:
             noisy = noisy + self.parameters.noise * self._random.standard_normal(len(noisy))
         quantum = self.parameters.quantum
-        return np.round(np.round(noisy / quantum) * quantum, 9) if quantum else noisy
+        return (np.rint(noisy / quantum) * quantum).round(9) if quantum else noisy
 
     def apply(self, heat_flows) -> None:
         """Command heat flows (W), shape (sections,), and let one sampling period pass.
@@ -128,7 +128,8 @@ class VirtualRig:
             raise ValueError(
                 f"heat_flows = {heat_flows!r} must be {len(self._flows)} finite numbers"
             )
-        command = np.clip(command, -self.parameters.limit, self.parameters.limit)
+        limit = self.parameters.limit
+        command = np.minimum(np.maximum(command, -limit), limit)
         self._modes *= self._decay
         self._modes += self._held @ command + self._lagging @ (self._flows - command)
         self._modes[0] += self._air * self.ambient

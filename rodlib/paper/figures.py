@@ -4,6 +4,7 @@ Importing this module sets the style. Saved files do not change between two runs
 """
 
 from base64 import b64encode
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -104,13 +105,27 @@ def save(figure: Figure, name: str, caption: str) -> SavedFigure:
         Outside a clone of the repository.
     """
     target = folder(results("figures.save") / "figures")
-    for ending, metadata in (("png", {"Software": None}), ("pdf", {"CreationDate": None})):
-        with replacing(target / f"{name}.{ending}") as temporary:
-            figure.savefig(temporary, format=ending, metadata=metadata)
-        figure.set_layout_engine("none")  # once laid out, it stays so
-    plt.close(figure)  # or the notebook would draw it once more
     width = round(figure.get_figwidth() * figure.get_dpi())
+    with _laid_out(figure):
+        for ending, metadata in (("png", {"Software": None}), ("pdf", {"CreationDate": None})):
+            with replacing(target / f"{name}.{ending}") as temporary:
+                figure.savefig(temporary, format=ending, metadata=metadata)
+    plt.close(figure)  # or the notebook would draw it once more
     return SavedFigure(target / f"{name}.png", width, caption)
+
+
+@contextmanager
+def _laid_out(figure):
+    """Lay a figure out once, as its files need it, and leave it without an engine for the layout.
+
+    With one, even with "none", savefig draws the figure twice for every file.
+    """
+    if figure.get_layout_engine():
+        figure.set_dpi(mpl.rcParams["savefig.dpi"])  # a text is not as wide with another
+        figure.get_layout_engine().execute(figure)
+    with mpl.rc_context({"figure.constrained_layout.use": False}):  # or savefig brings it back
+        figure.set_layout_engine(None)
+        yield
 
 
 def draw_rod(axes: Axes, rod: Rod) -> None:

@@ -154,10 +154,10 @@ def reproduce(root: Path = ROOT) -> None:
     ValueError
         If the notebooks' rows do not make a complete ledger.
     """
-    # the later ones take longer and go first, so that the last to end are short
-    notebooks = sorted((root / "notebooks").glob("*.ipynb"), reverse=True)
-    last = root / "build" / "reproduce"
+    notebooks, last = sorted((root / "notebooks").glob("*.ipynb")), root / "build" / "reproduce"
     seconds = {path: seconds_by_cell(last / path.name, path) for path in notebooks}
+    # the longest first, so that the last to end are short; as yet unknown, those with most cells
+    notebooks.sort(key=lambda path: sum(seconds[path]), reverse=True)
     with folder_of_run("reproduce", root) as build:
         if finish_publishing(root):
             print("the results of an earlier run, which was interrupted, are published now")

@@ -8,7 +8,7 @@ import io
 import logging
 import os
 from collections.abc import Callable
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -53,7 +53,9 @@ def complete(
         Address of a dask scheduler, such as ``"tcp://host:8786"``, whose workers have this very
         rodlib. Default: a cluster on this computer, for the time of the call.
     workers : int, optional
-        Number of processes of that cluster. Default: one for each core.
+        Number of processes of that cluster. Default: one for each core. 0 does the work in this
+        process, which takes less than a cluster takes to start if the work is short; how many
+        threads its linear algebra has may then decide on last digits.
 
     Returns
     -------
@@ -73,19 +75,31 @@ def complete(
         found = {part: _load(path) for part, path in zip(parts, paths, strict=True)}
         missing = {part: path for part, path in zip(parts, paths, strict=True) if not found[part]}
         if missing:
-            from distributed import as_completed
-
+            here = workers == 0 and scheduler is None
+            done = _in_turn(work, missing) if here else _on_dask(work, missing, scheduler, workers)
             with (
-                _client(scheduler, workers, len(missing)) as client,
+                closing(done),
                 tqdm(total=len(parts), initial=len(parts) - len(missing), disable=None) as bar,
             ):
-                futures = {client.submit(work, *part, pure=False): part for part in missing}
-                for future in as_completed(futures):
-                    part = futures[future]
-                    found[part] = future.result()
-                    _save(missing[part], found[part])
+                for part, arrays in done:
+                    found[part] = arrays
+                    _save(missing[part], arrays)
                     bar.update()
     return {key: np.concatenate([found[part][key] for part in parts]) for key in found[parts[0]]}
+
+
+def _in_turn(work, parts):
+    for part in parts:
+        yield part, work(*part)
+
+
+def _on_dask(work, parts, scheduler, workers):
+    from distributed import as_completed
+
+    with _client(scheduler, workers, len(parts)) as client:
+        futures = {client.submit(work, *part, pure=False): part for part in parts}
+        for future in as_completed(futures):
+            yield futures[future], future.result()
 
 
 @contextmanager

@@ -209,7 +209,7 @@ def run(
     """
     arguments.instance("study", study, Study)
     rods = arguments.whole("rods", rods, 1)
-    workers = None if workers is None else arguments.whole("workers", workers, 1)
+    workers = None if workers is None else arguments.whole("workers", workers, 0)
     if folder is None:
         folder = files.results("rodlib.study.run") / "study"
     where = arguments.path("folder", folder)

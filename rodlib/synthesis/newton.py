@@ -118,9 +118,7 @@ def normal_matrix(program, slacks, Y, local):
             else:
                 np.add.at(form, (which[:, None], bound.at), value)
     # Re(A phi_k phi_l^*) + Re(B phi_k phi_l), summed over the frequencies
-    products = [(basis[:, None] * second).reshape(-1, n).T for second in (basis.conj(), basis)]
-    weights = np.concatenate([part for X in products for part in (X.real, -X.imag)])
-    sums = np.concatenate([A.real, A.imag, B.real, B.imag], axis=1) @ weights
+    sums = np.concatenate([A.real, A.imag, B.real, B.imag], axis=1) @ program.products
     H = np.empty((E, order, E, order))
     j, k = pairs.T
     H[k, :, j] = sums.reshape(-1, order, order)

@@ -13,6 +13,7 @@ each frequency. It is computed in long doubles, see :func:`rodlib.filters.time_s
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -71,6 +72,17 @@ class Program:
     limits: np.ndarray
     M_max: float
     H: np.ndarray | None = None
+
+    @cached_property
+    def products(self):
+        """phi_k phi_l^* and phi_k phi_l of the basis, shape (4 n, order^2): real, -imaginary parts.
+
+        Every Newton step weighs them anew.
+        """
+        order, n = self.basis.shape
+        both = [self.basis[:, None] * second for second in (self.basis.conj(), self.basis)]
+        flat = [X.reshape(order * order, n).T for X in both]
+        return np.concatenate([part for X in flat for part in (X.real, -X.imag)])
 
     def quadratic(self, x):
         """x'H x / 2."""

@@ -1,8 +1,11 @@
 import hashlib
 from base64 import b64decode
+from io import BytesIO
 
+import matplotlib as mpl
 import matplotlib.pyplot as plt
 import pytest
+from matplotlib.figure import Figure
 
 from rodlib import Rod
 from rodlib.paper import figures
@@ -31,6 +34,31 @@ def test_saved_figures_are_the_same_bytes_every_time(folder):
     figures.save(draw(), "fig02-test", "A rod.")
     assert sorted(first) == ["fig02-test.pdf", "fig02-test.png"]
     assert digests(folder) == first
+
+
+def test_a_figure_is_laid_out_as_matplotlib_would_and_drawn_once_for_each_file(folder, monkeypatch):
+    def curves():
+        figure, axes = plt.subplots(2, 1, sharex=True)
+        axes[0].loglog([1e-4, 3.0], [1.0, 1e-3], label="a curve")
+        axes[0].set(ylabel="gain (K/W)", title="A title")
+        axes[1].set(xlabel="frequency (rad/s)")
+        axes[0].legend(loc="center left", bbox_to_anchor=(1, 0.5))
+        return figure
+
+    def places(figure):
+        return [axes.get_position().bounds for axes in figure.axes]
+
+    whole, draw, drawn = curves(), Figure.draw, []
+    whole.savefig(BytesIO(), format="png")
+    monkeypatch.setattr(
+        Figure, "draw", lambda self, to: (draw(self, to), drawn.append(places(self)))
+    )
+    figure = curves()
+    before = places(figure)
+    figures.save(figure, "fig02-test", "A curve.")
+    assert drawn == [places(whole), places(whole)]
+    assert drawn[0] != before
+    assert mpl.rcParams["figure.constrained_layout.use"]
 
 
 def test_a_notebook_shows_the_saved_file_and_its_caption_and_draws_nothing_itself(

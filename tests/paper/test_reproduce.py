@@ -12,7 +12,7 @@ import nbformat
 import pytest
 
 from rodlib.files import publishing
-from rodlib.paper import ledger, published
+from rodlib.paper import ledger, published, reproduce
 from rodlib.paper.ledger import Ledger
 from rodlib.paper.reproduce import seconds_by_cell
 
@@ -98,6 +98,30 @@ def test_a_terminal_shows_the_cell_and_the_time_left_and_a_file_only_lines(root)
     assert seconds_by_cell(before, notebook) == [1.0] * 3
     before.write_text("half a noteb")
     assert seconds_by_cell(before, notebook) == [1.0] * 3
+
+
+def test_the_longest_notebook_goes_first_as_far_as_an_earlier_run_tells(root, monkeypatch):
+    started = []
+
+    def run(notebook, executed, seconds):
+        started.append(notebook.stem)
+        return 0.0
+
+    monkeypatch.setenv("RODLIB_RESULTS", "")  # which a run sets for its kernels
+    monkeypatch.setattr(reproduce, "AT_A_TIME", 1)
+    monkeypatch.setattr(reproduce, "run", run)
+    monkeypatch.setattr(reproduce, "publish", lambda build, root: None)
+    for name, cells in (("02-some", 3), ("03-many", 5), ("04-few", 1)):
+        write(root / "notebooks" / f"{name}.ipynb", *["1"] * cells)
+    reproduce.reproduce(root)
+    assert started == ["03-many", "02-some", "01-model", "04-few"]
+
+    notebook = nbformat.read(root / "notebooks" / "04-few.ipynb", as_version=4)
+    notebook.cells[0].metadata["papermill"] = {"duration": 4.0}
+    nbformat.write(notebook, root / "build" / "reproduce" / "04-few.ipynb")
+    started.clear()
+    reproduce.reproduce(root)
+    assert started == ["03-many", "04-few", "02-some", "01-model"]
 
 
 @pytest.mark.parametrize(

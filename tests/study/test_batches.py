@@ -79,6 +79,19 @@ def test_a_killed_worker_changes_nothing(finished, tmp_path):
     assert contents(tmp_path) == contents(finished)
 
 
+def test_this_process_alone_gives_the_same_files_and_starts_no_other(
+    finished, tmp_path, monkeypatch
+):
+    monkeypatch.setattr("distributed.LocalCluster", None)
+    paths = sorted(finished.glob("*.npz"))[:2]
+    for path in paths:
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    found = complete(partial(squares, tmp_path), "name", 10, 2, tmp_path, workers=0)
+    np.testing.assert_array_equal(found["square"], EXPECTED)
+    assert trace(tmp_path) == [4, 6, 8]
+    assert contents(tmp_path) == contents(finished)
+
+
 def interrupted(folder):
     complete(partial(slow_squares, folder), "name", 10, 2, folder, workers=1)
 

@@ -74,17 +74,18 @@ def test_any_number_of_workers_finds_the_same_to_the_byte(tmp_path, monkeypatch)
                     time.sleep(0.01)
             folder, address = tmp_path / str(workers), cluster.scheduler_address
             found[workers] = study.run(SMALL, 7, folder=folder, scheduler=address)
+    found[0] = study.run(SMALL, 7, folder=tmp_path / "0", workers=0)
     contents = [
         {path.name: path.read_bytes() for path in (tmp_path / str(workers)).glob("*.npz")}
         for workers in found
     ]
-    assert len(contents[0]) == 4 and contents[0] == contents[1] == contents[2]
+    assert len(contents[0]) == 4 and all(each == contents[0] for each in contents)
     here = SMALL.judge(0, 2)
     for name, values in here.items():
         np.testing.assert_array_equal(found[4][name][:2], values)
 
     data = found[1]
-    assert data.identical(found[2]) and data.identical(found[4])
+    assert all(data.identical(each) for each in found.values())
     assert dict(data.sizes) == {"rod": 7, "filter": 2, "trial": 3, "channel": 2, "element": 4}
     assert [*data.filter.values] == ["diagonal", "full"] and [*data.trial.values] == [1, 2, 3]
     assert data.rms.attrs["units"] == "K" and data.conductivity.attrs["units"] == "W/(m K)"
@@ -155,7 +156,7 @@ def test_what_is_no_study_is_refused(changes, message):
     [
         ((SMALL, 0), {}, "rods = 0 must be a whole number"),
         ((FILTERS, 5), {}, "must be a Study"),
-        ((SMALL, 5), {"workers": 0}, "workers = 0"),
+        ((SMALL, 5), {"workers": -1}, "workers = -1"),
         ((SMALL, 5), {"folder": 7}, "folder = 7 must be the path of a file"),
     ],
 )
