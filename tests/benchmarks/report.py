@@ -17,6 +17,7 @@ LABELS = {
     "cvxpy": "CVXPY, batched",
     "naive": "CVXPY, one `sigma_max` per frequency",
 }
+CAPTION = "Time of the synthesis over what it grows with; gray: the power law of the upper half."
 
 
 def main(path):
@@ -69,7 +70,7 @@ def main(path):
     lines += ["", "A filter of another design, and its first use on a trial of 2500 samples:"]
     lines += [", ".join(f"{name} {time:.3f} s" for name, time in designs.items()) + "."]
     lines += ["", f"Measured on: {cpu}, {machine['cpu'].get('count', '?')} cores, Python {python}."]
-    saved = figures.save(figure, "performance").path
+    saved = figures.save(figure, "performance", CAPTION).path
     lines += ["", "![Time of the synthesis over its size](figures/performance.png)"]
     text = "\n".join(lines) + "\n"
     with publishing(root) as new:

@@ -1,0 +1,68 @@
+"""The benchmarks are not timed here; that they can be run, and what is made of them, is tested."""
+
+import json
+import pickle
+import sys
+
+import pytest
+
+from rodlib.files import ROOT
+
+FOLDER = ROOT / "tests" / "benchmarks"
+
+
+@pytest.fixture
+def benchmarks(monkeypatch):
+    """The modules of the benchmarks can be imported."""
+    pytest.importorskip("pytest_benchmark")
+    monkeypatch.syspath_prepend(FOLDER)
+    yield
+    for path in FOLDER.glob("*.py"):
+        sys.modules.pop(path.stem, None)
+
+
+def entry(group, x, time):
+    extra = {"x": x, "memory": 10 * time}
+    return {"group": group, "extra_info": extra, "stats": {"min": time}}
+
+
+def test_ratios_and_exponents_are_those_of_the_times(benchmarks, monkeypatch, tmp_path):
+    import report
+
+    entries = [entry("diagonal, 250", "structured", 0.2), entry("diagonal, 250", "cvxpy", 3.0)]
+    entries += [entry("size", x, 0.01 * x**2) for x in (1, 2, 3, 4)]
+    entries += [entry("order", x, 0.1 * x) for x in (5, 10, 20)]
+    entries += [entry("trials", "one_by_one", 2.2), entry("trials", "side_by_side", 0.2)]
+    entries.append(entry("alternatives", "P-type", 0.004))
+    cpu = {"brand_raw": "a processor", "count": 3}
+    machine = {"cpu": cpu, "python_version": "3.12", "machine": ""}
+    times, readme = tmp_path / "times.json", tmp_path / "README.md"
+    times.write_text(json.dumps({"benchmarks": entries, "machine_info": machine}))
+    readme.write_text("before\n<!-- performance -->\nold\n<!-- end of performance -->\nafter\n")
+    (tmp_path / "pyproject.toml").write_text('name = "rodlib"')  # a clone, by its looks
+    monkeypatch.setenv("RODLIB_RESULTS", str(tmp_path / "results"))
+    monkeypatch.setattr(report, "checkout", lambda name: tmp_path)
+    report.main(times)
+    lines = readme.read_text().splitlines()
+    assert "| diagonal | 250 | structured | 0.20 | 1 | 2 |" in lines
+    assert "| diagonal | 250 | CVXPY, batched | 3.00 | 15 | 30 |" in lines
+    assert "| size | 1 | 4 | 0.01 to 0.16 | 2.0 | 0 to 2 |" in lines
+    assert "| order | 5 | 20 | 0.50 to 2.00 | 1.0 | 5 to 20 |" in lines
+    assert "Trials of many rods side by side are 11 times as fast, rod by rod, as" in lines
+    assert "Measured on: a processor, 3 cores, Python 3.12." in lines
+    assert lines[0] == "before" and lines[-1] == "after" and "old" not in lines
+    assert (tmp_path / "figures" / "performance.png").stat().st_size > 1000
+
+
+def test_what_is_measured_travels_to_another_process(benchmarks, monkeypatch):
+    """Memory is that of a fresh process, which gets the function and its arguments pickled."""
+    import bench_synthesis
+
+    sent = []
+    monkeypatch.setattr(bench_synthesis, "measure", lambda *a, **k: sent.append((a[3:], k)))
+    for method in ("structured", "all", "cvxpy"):
+        bench_synthesis.test_many_plants(None, method)
+    bench_synthesis.test_growth_with_size(None, 2)
+    for call in sent:
+        pickle.dumps(call)
+    assert len(sent) == 4
