@@ -163,11 +163,12 @@ for write in (
 
 
 def test_a_wheel_has_the_printed_numbers_and_writes_nowhere(tmp_path):
-    """What `pip install` makes of the repository, used from an empty folder."""
+    """What an installation makes of the repository, used from an empty folder."""
     pytest.importorskip("hatchling")
+    pytest.importorskip("uv")
     packages, empty = tmp_path / "packages", tmp_path / "empty"
-    install = [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
-    install += ["--no-deps", "--no-build-isolation", "--no-compile", "--target", packages, ROOT]
+    install = [sys.executable, "-m", "uv", "pip", "install", "--quiet", "--offline", "--no-deps"]
+    install += ["--python", sys.executable, "--no-build-isolation", "--target", packages, ROOT]
     subprocess.run(install, check=True)
     bystander = packages / "build" / "another-package.py"
     bystander.parent.mkdir()

@@ -233,8 +233,9 @@ def _solve_program(problem, program, start):
         if found is not None and _is_good(problem, found, GOOD):
             return found
     solution = interior_point.solve(program, lambda found: _is_good(problem, found, GAP / 2))
-    # More digits, where they are to be had by a few steps that are full or nearly so.
-    found = active_set.resolve(program, solution, steps=3, most=1e-3)
+    # More digits, where a few steps lead to them; of a sum, only such as are full or nearly so.
+    most = 1e-3 if problem.objective == "sum" else active_set.MOST_DAMPING
+    found = active_set.resolve(program, solution, steps=3, most=most)
     if found is None or not _is_good(problem, found, GOOD):
         return solution
     iterations = solution.iterations + found.iterations
