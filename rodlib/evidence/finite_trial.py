@@ -42,8 +42,8 @@ def trial_operators(
     ValueError
         If P is not in discrete time or not as large as L, or `samples` is not positive.
     """
-    arguments.instance("Q", Q, ZeroPhaseButterworth)
-    _, m = common_size(P, L, Q=Q)
+    Ts, m = common_size(P, L)
+    arguments.one_period(P=Ts, Q=arguments.instance("Q", Q, ZeroPhaseButterworth).Ts)
     samples = arguments.whole("samples", samples, 1)
 
     length = next_fast_len(2 * samples, real=True)

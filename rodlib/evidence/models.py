@@ -77,13 +77,13 @@ def error_model(P: control.StateSpace, L: LearningFilter) -> control.StateSpace:
     )
 
 
-def common_size(P, L, **filters):
-    """Sampling period and number of channels that a plant, L and other filters by name share."""
+def common_size(P, L):
+    """Sampling period and number of channels that a plant and a learning filter share."""
     Ts = sampling_period("P", P)
     m = len(arguments.instance("L", L, LearningFilter).coefficients)
     if (P.noutputs, P.ninputs) != (m, m):
         raise ValueError(f"P is {P.noutputs} by {P.ninputs}, but L is {m} by {m}")
-    arguments.one_period(P=Ts, L=L.Ts, **{name: each.Ts for name, each in filters.items()})
+    arguments.one_period(P=Ts, L=L.Ts)
     return Ts, m
 
 

@@ -68,19 +68,21 @@ def peak_gain(
     Notes
     -----
     No grid is fine enough by itself; what can happen between two samples must be bounded. Here
-    the poles bound it. Let a_1 ... a_n be the eigenvalues of A, with those of the Butterworth
-    filter H twice over if there is Q = |H|^2: it counts as H^2, which has its modulus. Let
+    the poles bound it. Let a_1 ... a_n be the eigenvalues of A, and the poles of the Butterworth
+    filter H if there is Q = |H|^2, which is real; and let
 
         phi(theta) = sum_j integral from 0 to theta of (1 - |a_j|^2) / |exp(j t) - a_j|^2 dt,
 
     the phase of the all-pass B(z) = prod_j (z - a_j) / (1 - conj(a_j) z). It increases. Let g be
-    the peak of sigma_max and theta* = omega* Ts a place where it is attained. Then
+    the peak of Q sigma_max, with Q = 1 if there is none, and theta* = omega* Ts a place where it is
+    attained. Then
 
-        sigma_max(theta) >= g cos(phi(theta) - phi(theta*))  if  |phi(theta) - phi(theta*)| <= pi.
+        Q sigma_max(theta) >= g cos(phi(theta) - phi(theta*))  if  |phi(theta) - phi(theta*)| <= pi.
 
-    *Proof.* Take the unit vectors u, v with u* G(theta*) v = g and let T(theta) = Re u* G v / g.
-    Then |T| <= sigma_max / g <= 1 everywhere and T(theta*) = 1. T is a trigonometric polynomial
-    of degree n or less over W(theta) = prod_j |exp(j theta) - a_j|^2, and so is
+    *Proof.* Take the unit vectors u, v with Q u* G(theta*) v = g and let
+    T(theta) = Q Re u* G v / g. Then |T| <= Q sigma_max / g <= 1 everywhere and T(theta*) = 1. Q and
+    Re u* G v are trigonometric polynomials over the |exp(j theta) - a_j|^2 of their poles, so that
+    T is one of degree n or less over W(theta) = prod_j |exp(j theta) - a_j|^2, and so is
     S(theta) = cos(phi(theta) - phi(theta*)) = Re(B(exp(j theta)) / B(exp(j theta*))), and hence
     D = S - T, which has no more than 2n zeros in a period unless it is zero throughout. S runs
     through +1 and -1 in turn at theta* = t_0 < t_1 < ... < t_2n = t_0 + 2 pi. Because |T| <= 1, D
@@ -209,7 +211,7 @@ def _gain_function(A, B, C, D, Q):
         G = (C @ X).reshape(-1, m, len(z)) + D[:, :, None]
         return largest_singular_values(np.moveaxis(G, -1, 0))
 
-    return np.concatenate([np.diag(T), [] if Q is None else np.tile(Q.poles, 2)]), sigma
+    return np.concatenate([np.diag(T), [] if Q is None else Q.poles]), sigma
 
 
 def _rounded_up(A, B, C, D, theta):

@@ -9,7 +9,7 @@ from tqdm import tqdm
 from rodlib import arguments
 from rodlib.filters import ZeroPhaseButterworth
 from rodlib.posing import pose
-from rodlib.synthesis.design import Synthesis, solve, synthesise
+from rodlib.synthesis.design import SolverError, Synthesis, solve, synthesise
 from rodlib.synthesis.program import Infeasible
 
 SAME = (1e-9, 1e-6, 1e-4)  # relative distance up to which two peaks are the same
@@ -41,7 +41,7 @@ def least_gain(P, Q, omega, Ts, **choices) -> Synthesis:
     """
     without_trial = choices | {"samples": None, "rest": 0}
     free = synthesise(P, Q, omega, Ts, objective="peak", L_max=None, **without_trial)
-    L_max = unit = free.sigma_L.max()  # a gain that is enough
+    unit = free.sigma_L.max()  # a gain that is enough
     question = replace(free.problem, objective="gain", L_max=unit)
     for same in SAME:
         try:
@@ -50,6 +50,11 @@ def least_gain(P, Q, omega, Ts, **choices) -> Synthesis:
             break
         except (Infeasible, RuntimeError):
             continue
+    else:
+        raise SolverError(
+            "the least gain was not found: filters that keep the least peak are too much alike; "
+            "take a shorter filter, or synthesise with an L_max"
+        )
     return synthesise(P, Q, omega, Ts, objective="peak", L_max=L_max, **choices)
 
 

@@ -8,12 +8,14 @@ from plants import furnace
 
 from rodlib import (
     InfeasibleError,
+    SolverError,
     current_trial_loop,
     largest_cutoff,
     least_gain,
     synthesise,
     zero_phase_butterworth,
 )
+from rodlib.synthesis import search
 from tests.synthesis.test_interior_point import random_plant
 
 CHOICES = {"order": 3, "L_max": 8.0, "band": (0.01, 0.03), "M_max": 0.6}
@@ -83,3 +85,13 @@ def test_the_least_gain_of_a_loop_that_can_be_inverted_is_that_of_its_inverse():
     inverse = 1 / loop.frequency_response(omega)
     assert 0 <= design.certificate.lower_bound <= design.value < 1e-9
     assert design.certificate.L_max == pytest.approx(np.abs(inverse).max(), rel=1e-6)
+
+
+def test_a_least_gain_that_is_not_found_is_no_other_gain(monkeypatch):
+    def fails(problem):
+        raise RuntimeError("the bounds leave less room than rounding takes")
+
+    monkeypatch.setattr(search, "solve", fails)
+    lag, omega = control.ss(0.5, 0.5, 1, 0, 1.0), np.linspace(0.01, 3, 30)
+    with pytest.raises(SolverError, match=r"least gain was not found.* take a shorter filter"):
+        least_gain(lag, zero_phase_butterworth(2, 0.3), omega, 1.0, order=2)

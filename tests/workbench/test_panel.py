@@ -46,6 +46,16 @@ def test_knobs_make_settings_and_settings_the_picture(panel, knobs, stage):
     assert knobs["noise"].description == "noise (mm)"
 
 
+def test_who_sees_a_new_picture_reads_what_belongs_to_it(panel, knobs):
+    """Widgets change one after the other, also in a browser: the picture is the last."""
+    read = []
+    panel.image.observe(lambda change: read.append((panel.python.value, panel.line.value)), "value")
+    for M_max in (0.95, 0.001, 0.93):
+        knobs["M_max"].value = M_max
+        assert read[-1] == (panel.python.value, panel.line.value)
+    assert len(read) == len(set(read)) == 3
+
+
 def test_infeasible_and_back(panel, knobs):
     knobs["M_max"].value = 0.06
     assert panel.outcome.design is None and panel.save.disabled
