@@ -16,6 +16,7 @@ import numpy as np
 from rodlib.filters import LearningFilter, ZeroPhaseButterworth
 
 LARGEST = 1e7  # gain of Q P L from which on the rounding of coefficients shows
+TIED = 1e-6  # relative distance at which rounding, or the accuracy of a solver, decides an order
 
 
 @dataclass(frozen=True)
@@ -227,6 +228,11 @@ def convergence_matrix(P, Q, L) -> np.ndarray:
     ndarray, shape (n, m, m), complex
     """
     return Q[:, None, None] * (np.eye(P.shape[1]) - P @ L)
+
+
+def tied(values):
+    """Which of several values are the largest, as far as rounding leaves it open."""
+    return values >= values.max(axis=0) * (1 - TIED)
 
 
 def largest_singular_values(G):

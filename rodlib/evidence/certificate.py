@@ -19,6 +19,7 @@ GAP = 1e-6
 VIOLATION = 1e-9
 # Share of 1 - sigma_max(M) that splines may miss: a narrow resonance shows little on its flanks.
 COARSE = 0.25
+NAMED = 4  # of those that are tied as the worst, so many are named
 LOUD = 1.5  # times the bound on L that its peak may reach off the grid, unless there is a warning
 
 
@@ -34,8 +35,8 @@ class Robustness:
         "" without one, "norm" or "entries".
     nominal : float
         Peak of sigma_max(M) of the nominal plant on the design grid.
-    plant, place : int, float
-        Plant and frequency (rad/s) of the peak of all on the grid.
+    worst : tuple of (int, float)
+        Plants and frequencies (rad/s) of the peak of all on the grid: each that is tied.
     attained : float
         The largest sigma_max(M) there that a plant within the radius was found to reach.
     peak : int
@@ -47,27 +48,27 @@ class Robustness:
     plants: int
     radius: str
     nominal: float
-    plant: int
-    place: float
+    worst: tuple[tuple[int, float], ...]
     attained: float
     peak: int
     estimated: int
 
     @property
     def where(self) -> str:
-        """The plant and the frequency of the peak on the grid."""
-        plant = f" of plant {self.plant}" if self.plants > 1 else ""
-        return f"{plant}{' within the radius' if self.radius else ''} at {self.place:.4g} rad/s"
+        """The plants and frequencies of the peak on the grid."""
+        many = self.plants > 1
+        places = [
+            f"{f'plant {number} ' if many else ''}at {omega:.4g}" for number, omega in self.worst
+        ]
+        more = f" and {len(places) - NAMED} more" if len(places) > NAMED else ""
+        return f"{', '.join(places[:NAMED])} rad/s{more}"
 
     @property
     def lines(self) -> list[str]:
         """For the table."""
-        several = self.plants > 1
-        lines = [
-            f"worst{f' of {self.plants} plants' if several else ''}"
-            f"{' within the radius' if self.radius else ''} on the design grid: "
-            f"{f'plant {self.plant}, ' if several else ''}at {self.place:.4g} rad/s"
-        ]
+        of = f" of {self.plants} plants" if self.plants > 1 else ""
+        within = " within the radius" if self.radius else ""
+        lines = [f"worst{of}{within} on the design grid: {self.where}"]
         if self.radius:
             lines.append(
                 f"a plant within the radius reaches {self.attained:.8f} there; between the samples "
@@ -173,7 +174,7 @@ class Certificate:
     def failures(self) -> list[str]:
         """What speaks against the filter; empty if it holds."""
         gap, violation = self.tolerances
-        where = self.robust.where if self.robust else ""
+        where = f" at its worst ({self.robust.where})" if self.robust else ""
         tests = {
             f"relative duality gap {self.gap:.1e} > {gap:g}": self.gap > gap,
             f"sigma_max(M){where} = {self.grid_M:.12g} > M_max = {self.M_max} on the grid": (
@@ -347,15 +348,14 @@ def _rms_of_noise(problem, L):
 
 
 def _robustness(problem, sigma_M, worst, peak):
-    at = worst.sigma.argmax()
+    at = [frequency for _, frequency in worst.tied]
     radius = "" if problem.radius is None else "entries" if by_entries(problem) else "norm"
     return Robustness(
         plants=1 + len(problem.others),
         radius=radius,
         nominal=sigma_M.max(),
-        plant=int(worst.plant[at]),
-        place=problem.omega[at],
-        attained=worst.attained[at],
+        worst=tuple((plant, float(problem.omega[frequency])) for plant, frequency in worst.tied),
+        attained=worst.attained[at].max(),
         peak=int(peak.plant),
         estimated=peak.estimated,
     )

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from rodlib.evidence.finite_trial import impulse_response
-from rodlib.problem import Problem
+from rodlib.problem import TIED, Problem
 
 SLOW = 0.05  # gain of the loop, within the band, below which it counts as slow
 IDLE = 0.9  # share of the error in the band from which on learning counts as idle
@@ -22,7 +22,7 @@ def doubts(problem: Problem, value: float) -> Iterator[str]:
     if problem.objective == "peak":
         return
     passed = np.linalg.svd(problem.P[problem.in_band], compute_uv=False)[:, -1]
-    weakest = passed.argmin()
+    weakest = (passed <= passed.min() * (1 + TIED)).argmax()
     if passed[weakest] < SLOW:
         yield (
             f"at {problem.omega[problem.in_band][weakest]:.4g} rad/s, within the band, the loop "

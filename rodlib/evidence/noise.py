@@ -22,7 +22,7 @@ import numpy as np
 from rodlib import arguments
 from rodlib.filters import LearningOperator, ZeroPhaseButterworth, check_learning
 from rodlib.loop import CurrentTrialLoop, with_noise
-from rodlib.problem import largest_singular_values
+from rodlib.problem import largest_singular_values, tied
 from rodlib.realisation import frequency_response
 
 HERMITIAN = 1e-9  # relative, by how much a spectral density may miss being one
@@ -226,7 +226,7 @@ def converged_noise(new: TrialNoise, Q, L: LearningOperator, step: float = 1.0) 
     if rate.max() >= 1:
         raise ValueError(
             f"L does not converge: M has an eigenvalue of modulus {rate.max():.6g} at "
-            f"{new.omega[rate.argmax()]:.6g} rad/s"
+            f"{new.omega[tied(rate).argmax()]:.6g} rad/s"
         )
     return _learned(new, accumulated(M, added))
 

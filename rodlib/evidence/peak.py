@@ -14,7 +14,7 @@ from scipy.linalg import schur
 from rodlib import arguments
 from rodlib.evidence.models import error_model, sampling_period
 from rodlib.filters import ZeroPhaseButterworth
-from rodlib.problem import Problem, convergence_matrix, largest_singular_values
+from rodlib.problem import Problem, convergence_matrix, largest_singular_values, tied
 
 CHUNK = 2**21  # numbers held at a time while frequency responses are computed
 CLOSEST = 20  # poles next to the unit circle at which rounding is looked into
@@ -278,7 +278,7 @@ class Peak:
     sigma, omega : float
         Its height, an upper bound to 1e-8 if `proven`, and where it is, rad/s.
     plant : int
-        Whose it is; 0 is the nominal plant.
+        Whose it is; 0 is the nominal plant. Of those that are tied, the first.
     proven : bool
         Whether all plants are models. Otherwise it is the highest among those that are, and the
         estimates for the sampled ones that are worst on the grid.
@@ -316,14 +316,16 @@ def highest_peak(problem: Problem, L, order) -> Peak:
     if problem.model:
         nominal, Q = problem.model
         models = dict(enumerate([nominal, *problem.other_models]))
-    worst, missed = (0.0, 0.0, order[0]), np.nan
-    for k in order:
-        if models.get(k) is not None:
-            worst = max(worst, (*peak_gain(error_model(models[k], L), Q), k))
+    proven = [k for k in order if models.get(k) is not None]
     sampled = [k for k in order if models.get(k) is None][:LOOKED_AT]
-    for k, (sigma, omega, miss) in zip(sampled, peaks_between(problem, L, sampled), strict=True):
-        worst, missed = max(worst, (sigma, omega, k)), np.fmax(missed, miss)
-    return Peak(*worst, not sampled, missed, len(sampled))
+    peaks = [(*peak_gain(error_model(models[k], L), Q), k, np.nan) for k in proven]
+    between = zip(peaks_between(problem, L, sampled), sampled, strict=True)
+    peaks += [(sigma, omega, k, missed) for (sigma, omega, missed), k in between]
+    peaks.sort(key=lambda peak: peak[2])
+    sigma, omega, plant, missed = np.array(peaks).T
+    at = tied(sigma).argmax()
+    missed = np.fmax.reduce(missed)
+    return Peak(sigma.max(), omega[at], int(plant[at]), not sampled, missed, len(sampled))
 
 
 def peaks_between(problem: Problem, L, numbers) -> list[tuple[float, float, float]]:

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import elementwise
 
 from rodlib.filters import LearningFilter
-from rodlib.problem import Problem, largest_singular_values
+from rodlib.problem import Problem, largest_singular_values, tied
 
 FARTHEST = 40.0  # logarithm of how unequal two shares may be: the smaller is then below rounding
 NEXT = 1e-12  # distance of neighbouring logarithms
@@ -34,11 +34,14 @@ class WorstCase:
         What it is for the plant and the Delta below. Without a radius, or with one of the norm,
         that is `sigma` up to rounding.
     plant : ndarray of int, shape (n,)
-        Number of the worst plant; 0 is the nominal one.
+        Number of the worst plant; 0 is the nominal one. Of those that are tied, the first.
     Delta : ndarray, shape (n, m, m), complex; or None without a radius
         Within the radius, in units of `scale`, as `problem.P` is.
     peaks : ndarray, shape (1 + number of other plants,)
         Largest sigma_max(M) of each plant by itself, Delta = 0.
+    tied : tuple of (int, int)
+        Plant and index of the frequency of the worst of all, in the order of the frequencies;
+        several if rounding could decide between them.
     """
 
     sigma: np.ndarray
@@ -46,6 +49,7 @@ class WorstCase:
     plant: np.ndarray
     Delta: np.ndarray | None
     peaks: np.ndarray
+    tied: tuple[tuple[int, int], ...]
 
 
 def worst_case(problem: Problem, L: LearningFilter) -> WorstCase:
@@ -87,11 +91,11 @@ def worst_case(problem: Problem, L: LearningFilter) -> WorstCase:
     response = L.frequency_response(problem.omega)
     each = (problem.M(response, k) for k in range(1 + len(problem.others)))
     nominal = np.array([largest_singular_values(M) for M in each])
-    plant, peaks = nominal.argmax(axis=0), nominal.max(axis=1)
+    plant, peaks = tied(nominal).argmax(axis=0), nominal.max(axis=1)
+    at = np.arange(len(problem.omega))
     if problem.radius is None:
         sigma = nominal.max(axis=0)
-        return WorstCase(sigma, sigma, plant, None, peaks)
-    at = np.arange(len(problem.omega))
+        return WorstCase(sigma, sigma, plant, None, peaks, _pairs(nominal, at))
     best_shares = _shares_of_entries if by_entries(problem) else _shares_of_norm
     shares = best_shares(stacked(problem, plant, at, response))
     sigma = _bound(stacked(problem, plant, at, response), shares)
@@ -109,7 +113,16 @@ def worst_case(problem: Problem, L: LearningFilter) -> WorstCase:
         there = at[worse]
         plant[there], sigma[there], shares[there] = number[worse], value[worse], found[worse]
     Delta, attained = _worst_Delta(problem, plant, response, shares)
-    return WorstCase(sigma, attained, plant, Delta, peaks)
+    [at] = np.nonzero(tied(sigma))
+    each = [stacked(problem, np.full(len(at), k), at, response) for k in range(len(nominal))]
+    of_all = np.array([_bound(G, best_shares(G)) for G in each])
+    return WorstCase(sigma, attained, plant, Delta, peaks, _pairs(of_all, at))
+
+
+def _pairs(values, at):
+    """Plant and frequency of all that are tied as the worst, of values of plants at frequencies."""
+    frequency, plant = np.nonzero(tied(values.ravel()).reshape(values.shape).T)
+    return tuple(zip(plant.tolist(), at[frequency].tolist(), strict=True))
 
 
 def by_entries(problem: Problem) -> bool:

@@ -8,7 +8,7 @@ from rodlib import arguments
 from rodlib.evidence import GAP, VIOLATION, Certificate, certify, lower_bound
 from rodlib.filters import LearningFilter
 from rodlib.posing import pose
-from rodlib.problem import Problem, Solution, largest_singular_values
+from rodlib.problem import Problem, Solution, largest_singular_values, tied
 from rodlib.synthesis import active_set, interior_point
 from rodlib.synthesis.program import Infeasible, formulate
 from rodlib.synthesis.selection import first_cuts, violated
@@ -284,12 +284,12 @@ def _explained(problem, nearest):
     if len(problem.others):  # not all of them had a say so far
         nearest = solve(replace(problem, M_max=np.inf, objective="peak", noise=None), nearest)
     size = np.linalg.norm(nearest.U, axis=(1, 2))
-    plant, frequency = 0, size.argmax()
+    plant, frequency = 0, tied(size).argmax()
     if nearest.cuts is not None:
         of_cuts = np.linalg.norm(nearest.cuts.N, axis=(1, 2))
         if of_cuts.max() > size.max():
-            plant = int(nearest.cuts.plant[of_cuts.argmax()])
-            frequency = nearest.cuts.frequency[of_cuts.argmax()]
+            most = tied(of_cuts).argmax()
+            plant, frequency = int(nearest.cuts.plant[most]), nearest.cuts.frequency[most]
     omega = float(problem.omega[frequency])
     place = f"plant {plant} at {omega:.4g} rad/s" if problem.robust else f"{omega:.4g} rad/s"
     message = f"{_advice(problem, nearest.peak)} (most in the way: {place})"
