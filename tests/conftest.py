@@ -3,6 +3,7 @@
 import matplotlib
 import numpy as np
 import pytest
+import rounding
 from hypothesis import settings
 
 matplotlib.use("agg")
@@ -16,11 +17,14 @@ def pytest_addoption(parser):
         action="store_true",
         help="run as on a processor without long doubles: numpy.longdouble is numpy.float64",
     )
+    parser.addoption("--rounding", type=int, metavar="SEED", help="vary the rounding, by a seed")
 
 
 def pytest_configure(config):
     if config.getoption("no_longdouble"):  # before anything imports rodlib
         np.longdouble, np.clongdouble = np.float64, np.complex128
+    if config.getoption("rounding") is not None:
+        rounding.vary(config.getoption("rounding"))
 
 
 @pytest.fixture(scope="session")

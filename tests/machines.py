@@ -1,10 +1,13 @@
 """The tests and `make reproduce` on other machines, as far as this one can stand in for them.
 
 Two machines differ in the last digits of linear algebra. OpenBLAS, on which numpy and scipy rest,
-has code for every family of processors and can be told which to take, and where long doubles are
-no longer than doubles can be acted out. For each such machine a scratch copy of the checkout is
-tested and reproduced; the ledger and the README must come out as they are here, to the byte, and
-the figures to within a few grey levels.
+has code for every family of processors and can be told which to take, as far as this processor can
+run it; where long doubles are no longer than doubles can be acted out; and rounding itself can be
+varied, by a seed, which needs no other processor. For each such machine a scratch copy of the
+checkout is tested and reproduced; the ledger and the README must come out as they are here, to the
+byte, and the figures to within a few grey levels.
+
+`python tests/machines.py [NAME ...]`: some of them; `rounding-7` is the seed 7.
 """
 
 import os
@@ -21,11 +24,14 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 LOGS = ROOT / "build" / "machines"
 KERNELS = ("Haswell", "Zen", "Prescott", "Nehalem", "SkylakeX")
-NO_LONG_DOUBLES = "no long doubles"
+NO_LONG_DOUBLES = "no-long-doubles"
+ROUNDING = tuple(f"rounding-{seed}" for seed in range(1, 6))
 GREY_LEVELS = 3  # of 255, by which a pixel may differ
+PYTEST = ("pytest", "-q", "-n", "2", "--dist", "loadfile", "-p", "no:cacheprovider")
 TEXTS = ("README.md", "figures/ledger.csv", "figures/ledger.md")
 PRODUCT = "import numpy; x = numpy.ones((64, 64)); x @ x; numpy.linalg.svd(x)"
 SHORT = "import numpy\nnumpy.longdouble, numpy.clongdouble = numpy.float64, numpy.complex128\n"
+VARIED = "import rounding\nrounding.vary({seed})\n"
 
 
 def probe(kernel: str) -> tuple[str, str]:
@@ -78,20 +84,22 @@ def try_machine(name: str) -> list[str]:
         checkout, path = Path(folder) / "checkout", Path(folder) / "path"
         copy_checkout(checkout)
         path.mkdir()
-        environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(checkout), str(path)])}
-        if name == NO_LONG_DOUBLES:
-            (path / "sitecustomize.py").write_text(SHORT)
-        else:
+        places = [checkout, checkout / "tests", path]
+        environment = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, places))}
+        if name in KERNELS:
             environment["OPENBLAS_CORETYPE"] = name
+        else:  # what every process begins with: tests, kernels, and those that they start
+            begin = SHORT if name == NO_LONG_DOUBLES else VARIED.format(seed=name.split("-")[1])
+            (path / "sitecustomize.py").write_text(begin)
         notebooks = sorted(f"notebooks/{path.name}" for path in checkout.glob("notebooks/*.ipynb"))
         parts = {
-            "tests": ["pytest", "-q", "-p", "no:cacheprovider"],
-            "notebooks": ["pytest", "-q", "--nbval", "--nbval-current-env", *notebooks],
+            "tests": [*PYTEST],
+            "notebooks": [*PYTEST, "--nbval", "--nbval-current-env", *notebooks],
             "reproduce": ["rodlib.paper.reproduce"],
         }
         failed = []
         for part, command in parts.items():
-            log = LOGS / f"{name.replace(' ', '-')}-{part}.txt"
+            log = LOGS / f"{name}-{part}.txt"
             with open(log, "w") as file:
                 outcome = subprocess.run(
                     [sys.executable, "-m", *command],
@@ -109,8 +117,8 @@ def main(names: list[str]) -> int:
     """Try the machines named, or all, and print a table; the number of those that failed."""
     LOGS.mkdir(parents=True, exist_ok=True)
     tried, failures = {}, 0
-    for name in names or [*KERNELS, NO_LONG_DOUBLES]:
-        core, reason = (name, "") if name == NO_LONG_DOUBLES else probe(name)
+    for name in names or [*KERNELS, NO_LONG_DOUBLES, *ROUNDING]:
+        core, reason = probe(name) if name in KERNELS else (name, "")
         if not reason and core in tried:  # OpenBLAS has one code for several families
             reason = f"the same code as {tried[core]}"
         failed = [] if reason else try_machine(name)

@@ -1,0 +1,128 @@
+"""Another machine's rounding, acted out on this one: what depends on last digits comes to light.
+
+Two processors differ in the last digits of linear algebra. Here each floating-point result of
+numpy.linalg, scipy.linalg, the Fourier transforms, and products of matrices in rodlib is
+multiplied by 1 + a few units in the last place: Monte Carlo arithmetic, by a seed. The same
+operands give the same result, numbers of the same size in one result are changed alike (so
+conjugate pairs and symmetric matrices remain such), and an exact zero remains.
+
+`pytest --rounding SEED` runs tests so, `make machines` notebooks and all other processes, too.
+"""
+
+import ast
+import functools
+import importlib.machinery
+import sys
+import zlib
+
+import numpy as np
+
+ULPS = 4  # at most, as far as the libraries of two processors were seen apart in one operation
+UNROUNDED = {  # functions that arrange numbers, and do not calculate
+    "block_diag", "circulant", "companion", "diagonal", "fftfreq", "fftshift", "hankel",
+    "ifftshift", "matrix_transpose", "rfftfreq", "toeplitz", "tril", "triu",
+}  # fmt: skip
+PRODUCTS = ("dot", "einsum", "inner", "tensordot", "vdot")
+
+
+def vary(seed: int) -> None:
+    """Vary the rounding of this process from now on; before anything else is imported."""
+    import scipy.fft
+    import scipy.linalg
+
+    for room in (np.linalg, scipy.linalg, np.fft, scipy.fft):
+        names = [name for name in room.__all__ if name not in UNROUNDED]
+        _replace(room, names, seed)
+    _replace(np, PRODUCTS, seed)
+    product = _varied(lambda one, other: one @ other, "product", seed)
+    sys.meta_path.insert(0, _Finder(product))
+
+
+def _replace(room, names, seed):
+    for name in names:
+        function = getattr(room, name)
+        if callable(function) and not isinstance(function, type):
+            setattr(room, name, _varied(function, name, seed))
+
+
+def _varied(function, name, seed):
+    """The function, with results that are moved in their last places."""
+
+    @functools.wraps(function)
+    def varied(*operands, **named):
+        result = function(*operands, **named)
+        if name == "einsum" and len(operands) == 2:  # one operand: a view that may be written to
+            return result
+        shapes = [getattr(operand, "shape", ()) for operand in operands]
+        return move(result, zlib.crc32(f"{seed} {name} {shapes}".encode()))
+
+    return varied
+
+
+def move(result, key: int):
+    """A result, or those of a tuple, times 1 + a few units in the last place."""
+    if isinstance(result, tuple):
+        parts = [move(part, key) for part in result]
+        return type(result)(*parts) if hasattr(result, "_fields") else tuple(parts)
+    if type(result) is not np.ndarray and not isinstance(result, np.inexact):
+        return result
+    if result.dtype.char == "D":
+        real, imaginary = np.abs(result.real), np.abs(result.imag)
+        parts = np.empty(result.shape, complex)
+        parts.real = result.real * _factors(real, imaginary, key)
+        parts.imag = result.imag * _factors(imaginary, real, key)
+        return parts if isinstance(result, np.ndarray) else parts[()]
+    return result * _factors(np.abs(result), None, key) if result.dtype.char == "d" else result
+
+
+def _factors(size, beside, key):
+    """1 + a whole number of units in the last place, from the digits of a number and a key."""
+    mixed = _mix(np.ravel(size).view(np.uint64) ^ np.uint64(key))
+    if beside is not None:
+        mixed = _mix(mixed ^ np.ravel(beside).view(np.uint64))
+    units = (mixed % np.uint64(2 * ULPS + 1)).astype(float) - ULPS
+    return (1 + units * np.finfo(float).eps).reshape(np.shape(size))
+
+
+def _mix(bits):
+    """Each bit of the outcome depends on all (the finaliser of SplitMix64)."""
+    bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    bits = (bits ^ (bits >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return bits ^ (bits >> np.uint64(31))
+
+
+class _Finder:
+    """Finds the modules of rodlib, whose `@` is then the varied product."""
+
+    def __init__(self, product):
+        self.product = product
+
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] != "rodlib":
+            return None
+        spec = importlib.machinery.PathFinder.find_spec(name, path, target)
+        if spec and spec.origin and spec.origin.endswith(".py"):
+            spec.loader = _Loader(name, spec.origin)
+            spec.loader.product = self.product
+        return spec
+
+
+class _Loader(importlib.machinery.SourceFileLoader):
+    """Compiles with `@` replaced, and neither reads nor leaves a cached module."""
+
+    def get_code(self, fullname):
+        tree = _Products().visit(ast.parse(self.get_data(self.path), self.path))
+        return compile(ast.fix_missing_locations(tree), self.path, "exec")
+
+    def exec_module(self, module):
+        module.__dict__["__product__"] = self.product
+        super().exec_module(module)
+
+
+class _Products(ast.NodeTransformer):
+    def visit_BinOp(self, node):
+        self.generic_visit(node)
+        if not isinstance(node.op, ast.MatMult):
+            return node
+        call = ast.Call(ast.Name("__product__", ast.Load()), [node.left, node.right], [])
+        return ast.copy_location(call, node)
