@@ -16,6 +16,8 @@ import numpy as np
 
 LARGEST = 1e100  # the square of what lies beyond it, or below its inverse, may not be a number
 
+CIRCLE = 1 - 1e-12  # modulus from which on a pole is on the unit circle, up to rounding
+
 MOST = 10**9  # samples, trials, ...: what memory could hold at best
 
 
@@ -103,6 +105,13 @@ def state_space(name: str, value) -> control.StateSpace:
     for matrix in "ABCD":
         array(f"{name}.{matrix}", getattr(value, matrix), (...,))
     return value
+
+
+def stable(name: str, poles) -> None:
+    """The poles of a system in discrete time that settles."""
+    radius = np.abs(poles).max(initial=0)
+    if radius > CIRCLE:
+        raise ValueError(f"{name} is unstable: it has a pole of modulus {radius:.6g}, 1 or more")
 
 
 def one_period(**periods: float) -> None:

@@ -109,7 +109,7 @@ class CurrentTrialLoop:
         )
         poles = closed.poles()
         worst = poles[np.abs(poles).argmax()]
-        if abs(worst) > 1 - 1e-12:  # one, up to rounding
+        if abs(worst) > arguments.CIRCLE:
             raise ValueError(
                 f"plant makes the loop unstable: a pole at z = {worst:.6g}, of modulus "
                 f"{abs(worst):.6g}. If the plant is right, make the controller weaker, by a larger "

@@ -196,11 +196,7 @@ def _response(name, P, omega, Ts):
             model = arguments.state_space(name, P)
         elif P.ninputs == P.noutputs == 1:
             model = control.ss(P)
-        radius = np.abs(P.poles()).max(initial=0)
-        if radius >= 1:
-            raise ValueError(
-                f"{name} is unstable: it has a pole of modulus {radius:.6g}, 1 or more"
-            )
+        arguments.stable(name, P.poles())
         if model is not None:
             P = frequency_response(model, omega)
         else:

@@ -174,7 +174,8 @@ def test_without_sizes_the_weights_are_the_papers(loop):
     sized = current_trial_loop(loop.plant, ["Q1", "Q3"], dict.fromkeys(["y1", "Q1"], 1))
     for other in (again, written):
         for name in ("Ks", "KL", "N"):
-            assert np.array_equal(getattr(other, name), getattr(loop, name))
+            # Other rounding moves the gains by up to 6e-12 (seeds 1 to 5): the realisation does.
+            np.testing.assert_allclose(getattr(other, name), getattr(loop, name), atol=5e-11)
     np.testing.assert_allclose(sized.Ks, loop.Ks, atol=1e-11)  # in other coordinates
     assert np.abs(sized.KL - loop.KL).max() > 1e-3
 
@@ -216,7 +217,12 @@ def test_a_transfer_function_is_realised_with_no_more_states_than_it_needs(plant
     grid = np.geomspace(1e-3, np.pi, 20) / plant.dt
     expected = frequency_response(plant[:, loop.plant.input_labels], grid)
     found = frequency_response(loop.plant, grid)
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
+    # What rounding of the coefficients of a denominator does to it where it is least.
+    denominators = [a for row in transfer(plant).den_list for a in row]
+    z = np.exp(1j * grid * plant.dt)
+    lost = max(np.abs(a).sum() / np.abs(np.polyval(a, z)).min() for a in denominators)
+    atol = 100 * np.finfo(float).eps * lost * np.abs(expected).max()
+    np.testing.assert_allclose(found, expected, rtol=0, atol=atol)
 
 
 def test_a_long_delay_is_thirty_states_more():
@@ -345,11 +351,11 @@ def test_a_rod_that_is_not_the_papers_is_sent_elsewhere():
     for rod in (Rod(sections=3), Rod(sections=5), Rod(sensors=(0.1,))):
         with pytest.raises(ValueError, match=r"rod has . sections and . sensors.*Q1 to Q4"):
             paper_loop(rod)
-    for Ts in (1e-6, 1e4, np.inf):
+    for Ts in (1e-5, 1e4, np.inf):
         with pytest.raises(ValueError, match=r"Ts = .* must be a sampling period between"):
             paper_loop(Ts=Ts)
     assert paper_loop(Ts=np.int64(2)).Ts == 2
-    assert (paper_loop(Ts=1.05e-6).Ts, paper_loop(Ts=9.9e3).Ts) == (1.05e-6, 9.9e3)
+    assert (paper_loop(Ts=1.05e-5).Ts, paper_loop(Ts=9.9e3).Ts) == (1.05e-5, 9.9e3)
 
 
 def test_paper_loop_takes_another_rod_degree_and_period():

@@ -122,7 +122,5 @@ def square(P: control.StateSpace) -> tuple[int, float]:
             f"P has {P.ninputs} inputs, {P.noutputs} outputs and P.dt = {P.dt!r}: it must have as "
             "many of each, and a sampling period in seconds"
         )
-    radius = np.abs(P.poles()).max(initial=0)
-    if radius >= 1:
-        raise ValueError(f"P is unstable: it has a pole of modulus {radius:.6g}, 1 or more")
+    arguments.stable("P", P.poles())
     return P.noutputs, float(P.dt)

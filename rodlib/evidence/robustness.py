@@ -195,7 +195,8 @@ def _balance(G):
         return t - np.clip(np.nan_to_num(wanted), -FARTHEST, FARTHEST)
 
     ends = np.full(len(G), FARTHEST + 1)
-    root = elementwise.find_root(imbalance, (-ends, ends), args=(np.arange(len(G)),))
+    with np.errstate(invalid="ignore"):  # a bracket at rounding level, which is then halved
+        root = elementwise.find_root(imbalance, (-ends, ends), args=(np.arange(len(G)),))
     return root.x, *np.clip(root.bracket, root.x - NEXT, root.x + NEXT)
 
 

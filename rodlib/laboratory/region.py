@@ -54,5 +54,6 @@ def radius_of(noise, spread, freedom, miss):
 
     quantile = np.log(fdtri(2 * m**2, 2 * freedom, 1 - miss))
     bracket = np.log(gain.min(1)) + quantile - 1e-6, np.log(gain.max(1)) + quantile + 1e-6
-    found = elementwise.find_root(excess, bracket, args=(np.arange(len(noise)),))
+    with np.errstate(invalid="ignore"):  # a bracket at rounding level, which is then halved
+        found = elementwise.find_root(excess, bracket, args=(np.arange(len(noise)),))
     return np.exp(found.x / 2)

@@ -22,7 +22,8 @@ def least_gain(P, Q, omega, Ts, **choices) -> Synthesis:
     Without (46) the least peak of sigma_max(M) may be reached by many filters, whose gains differ
     by orders of magnitude; which of them a solver returns is its own affair. This is the one with
     the least max sigma_max(L) that keeps the least peak to a relative 1e-9; where filters that do
-    are too much alike for the solver to tell, to 1e-6 or 1e-4.
+    are too much alike for the solver to tell, to 1e-6 or 1e-4. Below a thousandth of the peak
+    without learning that is relative to it, as the gap of a certificate is.
 
     Parameters
     ----------
@@ -46,7 +47,8 @@ def least_gain(P, Q, omega, Ts, **choices) -> Synthesis:
     for same in SAME:
         try:
             with np.errstate(all="ignore"):
-                L_max = unit * solve(replace(question, M_max=free.value * (1 + same))).peak
+                room = same * max(free.value, 1e-3 * free.problem.idle)
+                L_max = unit * solve(replace(question, M_max=free.value + room)).peak
             break
         except (Infeasible, RuntimeError):
             continue
