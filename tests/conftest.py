@@ -1,10 +1,14 @@
 """What several test files need: the paper's loop, grid and Q-filter."""
 
+import os
+
 import matplotlib
 import numpy as np
 import pytest
 import rounding
 from hypothesis import settings
+
+from rodlib.files import ROOT
 
 matplotlib.use("agg")
 settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=10)
@@ -23,8 +27,12 @@ def pytest_addoption(parser):
 def pytest_configure(config):
     if config.getoption("no_longdouble"):  # before anything imports rodlib
         np.longdouble, np.clongdouble = np.float64, np.complex128
-    if config.getoption("rounding") is not None:
-        rounding.vary(config.getoption("rounding"))
+    seed = config.getoption("rounding")
+    if seed is not None:
+        before = os.environ.get("PYTHONPATH", "")
+        folder = ROOT / "build" / f"rounding-{seed}"
+        os.environ["PYTHONPATH"] = rounding.search_path(folder, seed, before)
+        rounding.vary(seed)
 
 
 @pytest.fixture(scope="session")

@@ -20,6 +20,7 @@ from pathlib import Path
 
 import matplotlib.image
 import numpy as np
+import rounding
 
 ROOT = Path(__file__).resolve().parents[1]
 LOGS = ROOT / "build" / "machines"
@@ -31,7 +32,6 @@ PYTEST = ("pytest", "-q", "-n", "2", "--dist", "loadfile", "-p", "no:cacheprovid
 TEXTS = ("README.md", "figures/ledger.csv", "figures/ledger.md")
 PRODUCT = "import numpy; x = numpy.ones((64, 64)); x @ x; numpy.linalg.svd(x)"
 SHORT = "import numpy\nnumpy.longdouble, numpy.clongdouble = numpy.float64, numpy.complex128\n"
-VARIED = "import rounding\nrounding.vary({seed})\n"
 
 
 def probe(kernel: str) -> tuple[str, str]:
@@ -84,13 +84,14 @@ def try_machine(name: str) -> list[str]:
         checkout, path = Path(folder) / "checkout", Path(folder) / "path"
         copy_checkout(checkout)
         path.mkdir()
-        places = [checkout, checkout / "tests", path]
-        environment = os.environ | {"PYTHONPATH": os.pathsep.join(map(str, places))}
+        environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(checkout), str(path)])}
         if name in KERNELS:
             environment["OPENBLAS_CORETYPE"] = name
-        else:  # what every process begins with: tests, kernels, and those that they start
-            begin = SHORT if name == NO_LONG_DOUBLES else VARIED.format(seed=name.split("-")[1])
-            (path / "sitecustomize.py").write_text(begin)
+        elif name == NO_LONG_DOUBLES:
+            (path / "sitecustomize.py").write_text(SHORT)
+        else:
+            seed = int(name.removeprefix("rounding-"))
+            environment["PYTHONPATH"] = rounding.search_path(path, seed, str(checkout))
         notebooks = sorted(f"notebooks/{path.name}" for path in checkout.glob("notebooks/*.ipynb"))
         parts = {
             "tests": [*PYTEST],

@@ -7,14 +7,16 @@ depend on rounding remains: the same operands give the same result, numbers of t
 one result are changed alike (conjugate pairs, symmetric matrices, other units by a power of two),
 and a number of few digits is exact.
 
-`pytest --rounding SEED` runs tests so, `make machines` notebooks and all other processes, too.
+`pytest --rounding SEED` runs tests so, with the processes that they start; `make machines` all.
 """
 
 import ast
 import functools
 import importlib.machinery
+import os
 import sys
 import zlib
+from pathlib import Path
 
 import numpy as np
 
@@ -27,11 +29,21 @@ UNROUNDED = {  # functions that arrange numbers, and do not calculate
 PRODUCTS = ("dot", "einsum", "inner", "tensordot", "vdot")
 
 
+def search_path(folder: Path, seed: int, path: str = "") -> str:
+    """The PYTHONPATH, before `path`, with which processes vary their rounding from the start."""
+    folder.mkdir(parents=True, exist_ok=True)
+    begin = f"import rounding\nrounding.vary({seed})\n"
+    (folder / "sitecustomize.py").write_text(begin, encoding="utf-8")
+    return os.pathsep.join(filter(None, [str(folder), str(Path(__file__).parent), path]))
+
+
 def vary(seed: int) -> None:
-    """Vary the rounding of this process from now on; before anything else is imported."""
+    """Vary the rounding of this process from now on, once; before anything else is imported."""
     import scipy.fft
     import scipy.linalg
 
+    if any(isinstance(finder, _Finder) for finder in sys.meta_path):
+        return
     for room in (np.linalg, scipy.linalg, np.fft, scipy.fft):
         names = [name for name in room.__all__ if name not in UNROUNDED]
         _replace(room, names, seed)

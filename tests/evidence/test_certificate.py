@@ -58,7 +58,9 @@ def test_peak_gain_of_known_systems():
     w = np.linspace(place - 1e-3, place + 1e-3, 200001)
     brute = np.abs(np.exp(2j * w) / (np.exp(2j * w) - 1.8 * np.exp(1j * w) + 0.972)).max()
     assert gain == pytest.approx(brute, rel=1e-8)
-    assert peak_gain(control.ss([], [], [], [[3.0, 0], [0, 4]], 1.0))[0] == pytest.approx(4, rel=1e-14)
+    assert peak_gain(control.ss([], [], [], [[3.0, 0], [0, 4]], 1.0))[0] == pytest.approx(
+        4, rel=1e-14
+    )
 
 
 @pytest.mark.parametrize("distance", [1e-2, 1e-4, 1e-8, 1e-10])
