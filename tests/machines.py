@@ -4,7 +4,7 @@ Two machines differ in the last digits of linear algebra. OpenBLAS, on which num
 has code for every family of processors and can be told which to take, and where long doubles are
 no longer than doubles can be acted out. For each such machine a scratch copy of the checkout is
 tested and reproduced; the ledger and the README must come out as they are here, to the byte, and
-the figures to within a few grey levels.
+the figures the same, as `make reproduce` judges it.
 """
 
 import os
@@ -15,14 +15,12 @@ import sys
 import tempfile
 from pathlib import Path
 
-import matplotlib.image
-import numpy as np
+from rodlib.paper.pictures import SAME, compared
 
 ROOT = Path(__file__).resolve().parents[1]
 LOGS = ROOT / "build" / "machines"
 KERNELS = ("Haswell", "Zen", "Prescott", "Nehalem", "SkylakeX")
 NO_LONG_DOUBLES = "no long doubles"
-GREY_LEVELS = 3  # of 255, by which a pixel may differ
 TEXTS = ("README.md", "figures/ledger.csv", "figures/ledger.md")
 PRODUCT = "import numpy; x = numpy.ones((64, 64)); x @ x; numpy.linalg.svd(x)"
 SHORT = "import numpy\nnumpy.longdouble, numpy.clongdouble = numpy.float64, numpy.complex128\n"
@@ -53,23 +51,11 @@ def copy_checkout(target: Path) -> None:
             shutil.copy2(ROOT / name, target / name)
 
 
-def grey_levels(one: Path, other: Path) -> float:
-    """Largest difference of two pictures in a pixel, of 255 levels; inf if their sizes differ."""
-    one, other = (matplotlib.image.imread(path).astype(float) for path in (one, other))
-    return round(255 * np.abs(one - other).max()) if one.shape == other.shape else np.inf
-
-
 def differences(here: Path, there: Path) -> list[str]:
     """What `make reproduce` made of the results in another checkout, if it is not the same."""
     found = [name for name in TEXTS if (here / name).read_bytes() != (there / name).read_bytes()]
-    names = [{path.name for path in (root / "figures").iterdir()} for root in (here, there)]
-    found += [f"figures/{name} only once" for name in sorted(names[0] ^ names[1])]
-    for name in sorted(names[0] & names[1]):
-        if name.endswith(".png"):
-            apart = grey_levels(here / "figures" / name, there / "figures" / name)
-            if apart > GREY_LEVELS:
-                found.append(f"figures/{name} by {apart:g} grey levels")
-    return found
+    figures = compared(there / "figures", here / "figures")
+    return found + [f"figures/{name} {kind}" for name, kind in figures.items() if kind != SAME]
 
 
 def try_machine(name: str) -> list[str]:
