@@ -68,7 +68,7 @@ def before(tmp_path_factory):
     [
         {},
         {"compression": 1},
-        *({"noise": noise} for noise in (1e-15, 1e-13, 1e-11, 1e-9)),
+        *({"noise": noise} for noise in (1e-13, 1e-9)),
         {"raised": 0.25 * PRECISION * POINT},
         {"left": 0.1 + 1e-11},  # more digits, so that lines break elsewhere
     ],
@@ -82,7 +82,6 @@ def test_what_rounding_moves_is_the_same(before, tmp_path, changes):
 @pytest.mark.parametrize(
     "changes",
     [
-        {"raised": PIXEL},
         {"raised": 0.2 * PIXEL},
         {"raised": 3 * PRECISION * POINT},
         {"label": "rate 0.902"},
@@ -103,7 +102,7 @@ def test_what_can_be_seen_is_different_in_each_file(before, tmp_path, changes):
     assert compared(drawn, before) == {"fig01": "different"}
 
 
-@pytest.mark.parametrize("points", [0.003, 0.02, 0.1])
+@pytest.mark.parametrize("points", [0.02, 0.1])
 def test_the_distance_is_that_by_which_an_edge_has_moved(tmp_path, points):
     """Sloped, because Matplotlib moves others to the next pixel; 1 / 255 of one is rounding."""
     for name, y in (("one", 0.0), ("other", points)):
