@@ -5,7 +5,7 @@ has code for every family of processors and can be told which to take, as far as
 run it; where long doubles are no longer than doubles can be acted out; and rounding itself can be
 varied, by a seed, which needs no other processor. For each such machine a scratch copy of the
 checkout is tested and reproduced; the ledger and the README must come out as they are here, to the
-byte, and the figures to within a few grey levels.
+byte, and the figures the same, as `make reproduce` judges it.
 
 `python tests/machines.py [NAME ...]`: some of them; `rounding-7` is the seed 7.
 """
@@ -18,16 +18,15 @@ import sys
 import tempfile
 from pathlib import Path
 
-import matplotlib.image
-import numpy as np
 import rounding
+
+from rodlib.paper.pictures import SAME, compared
 
 ROOT = Path(__file__).resolve().parents[1]
 LOGS = ROOT / "build" / "machines"
 KERNELS = ("Haswell", "Zen", "Prescott", "Nehalem", "SkylakeX")
 NO_LONG_DOUBLES = "no-long-doubles"
 ROUNDING = tuple(f"rounding-{seed}" for seed in range(1, 6))
-GREY_LEVELS = 3  # of 255, by which a pixel may differ
 PYTEST = ("pytest", "-q", "-n", "2", "--dist", "loadfile", "-p", "no:cacheprovider")
 TEXTS = ("README.md", "figures/ledger.csv", "figures/ledger.md")
 PRODUCT = "import numpy; x = numpy.ones((64, 64)); x @ x; numpy.linalg.svd(x)"
@@ -59,23 +58,11 @@ def copy_checkout(target: Path) -> None:
             shutil.copy2(ROOT / name, target / name)
 
 
-def grey_levels(one: Path, other: Path) -> float:
-    """Largest difference of two pictures in a pixel, of 255 levels; inf if their sizes differ."""
-    one, other = (matplotlib.image.imread(path).astype(float) for path in (one, other))
-    return round(255 * np.abs(one - other).max()) if one.shape == other.shape else np.inf
-
-
 def differences(here: Path, there: Path) -> list[str]:
     """What `make reproduce` made of the results in another checkout, if it is not the same."""
     found = [name for name in TEXTS if (here / name).read_bytes() != (there / name).read_bytes()]
-    names = [{path.name for path in (root / "figures").iterdir()} for root in (here, there)]
-    found += [f"figures/{name} only once" for name in sorted(names[0] ^ names[1])]
-    for name in sorted(names[0] & names[1]):
-        if name.endswith(".png"):
-            apart = grey_levels(here / "figures" / name, there / "figures" / name)
-            if apart > GREY_LEVELS:
-                found.append(f"figures/{name} by {apart:g} grey levels")
-    return found
+    figures = compared(there / "figures", here / "figures")
+    return found + [f"figures/{name} {kind}" for name, kind in figures.items() if kind != SAME]
 
 
 def try_machine(name: str) -> list[str]:

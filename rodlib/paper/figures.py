@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyArrowPatch, Rectangle
 
 from rodlib.files import folder, replacing, results
+from rodlib.paper.pictures import PIXELS_PER_INCH
 from rodlib.rod import Rod
 
 WIDE = (7.2, 3.2)  # inches, one row of axes
@@ -33,7 +34,7 @@ mpl.rcParams.update(
     {
         "figure.figsize": WIDE,
         "figure.dpi": 100,
-        "savefig.dpi": 200,
+        "savefig.dpi": PIXELS_PER_INCH,
         "figure.constrained_layout.use": True,
         "font.size": 9,
         "axes.grid": True,

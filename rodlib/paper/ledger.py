@@ -25,7 +25,7 @@ import numpy as np
 import pandas as pd
 
 from rodlib.files import folder, publishing, results, write_whole
-from rodlib.paper import published
+from rodlib.paper import pictures, published
 from rodlib.paper.published import Claim
 
 REPRODUCED, DIFFERS = "reproduced", "differs"
@@ -310,6 +310,9 @@ def splice(text: str, name: str, content: str) -> str:
 def publish(build: Path, root: Path) -> None:
     """Put the results of a complete run into figures/ and the README: all of them or none.
 
+    What shows the same as the file that is there, which is the tracked one unless an earlier run
+    has replaced it, leaves that file alone. The last line printed names all the rest.
+
     Parameters
     ----------
     build : Path
@@ -325,14 +328,34 @@ def publish(build: Path, root: Path) -> None:
         See :func:`rodlib.files.publishing`.
     """
     rows = join(build / "ledger")
-    saved = sorted((build / "figures").iterdir())
-    figures = root / "figures"
     with publishing(root) as new:
-        earlier = [*figures.glob("fig*"), *figures.glob("extra*")]
-        new.update({f"figures/{path.name}": None for path in earlier})
-        new.update({f"figures/{path.name}": path.read_bytes() for path in saved})
-        new["figures/ledger.csv"] = rows.to_csv(index=False, lineterminator="\n").encode()
-        new["figures/ledger.md"] = markdown(rows).encode()
         readme = (root / "README.md").read_text(encoding="utf-8")
-        new["README.md"] = splice(readme, "ledger", summary(rows)).encode()
-    print(f"figures/: {len(saved)} files; ledger: {rows.verdict.value_counts().to_dict()}")
+        texts = {
+            "figures/ledger.csv": rows.to_csv(index=False, lineterminator="\n").encode(),
+            "figures/ledger.md": markdown(rows).encode(),
+            "README.md": splice(readme, "ledger", summary(rows)).encode(),
+        }
+        drawn, before = build / "figures", root / "figures"
+        figures = pictures.compared(drawn, before)
+        for name in (name for name in figures if figures[name] != pictures.SAME):
+            new.update({f"figures/{path.name}": None for path in before.glob(f"{name}.*")})
+            files = drawn.glob(f"{name}.*")
+            new.update({f"figures/{path.name}": path.read_bytes() for path in files})
+        old = {name: (root / name).read_bytes() for name in texts if (root / name).exists()}
+        changed = [name for name in texts if texts[name] != old.get(name)]
+        new.update({name: texts[name] for name in changed})
+    print(f"ledger: {rows.verdict.value_counts().to_dict()}")
+    print(_told(figures, changed))
+
+
+def _told(figures, changed):
+    """How many figures are the same, and what has become of the others and of texts."""
+    same = list(figures.values()).count(pictures.SAME)
+    if same == len(figures) and not changed:
+        return f"all {same} figures, the ledger and the README are the same as before"
+    told = f"{same} of {len(figures)} figures are the same as before"
+    rest = figures | dict.fromkeys(changed, pictures.DIFFERENT)
+    for kind in (pictures.DIFFERENT, pictures.NEW, pictures.GONE):
+        names = ", ".join(name for name in rest if rest[name] == kind)
+        told += f"; {kind}: {names}" if names else ""
+    return told

@@ -145,7 +145,7 @@ def reproduce(root: Path = ROOT) -> None:
     Parameters
     ----------
     root : Path
-        The repository. Its build/reproduce is cleared, its figures/ is rewritten.
+        The repository. Its build/reproduce is cleared, what differs in its figures/ replaced.
 
     Raises
     ------

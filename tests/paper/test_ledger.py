@@ -1,3 +1,4 @@
+import matplotlib.image
 import numpy as np
 import pandas as pd
 import pytest
@@ -218,6 +219,47 @@ def test_publish_writes_ledger_figures_and_readme(run):
     readme = (run / "README.md").read_text()
     assert readme.startswith("before\n<!-- ledger -->\n| ") and readme.endswith("-->\nafter\n")
     assert "1 of 4 by at most 1.0e+09" in readme
+
+
+def save(folder, name, moved, gray):
+    folder.mkdir(exist_ok=True)
+    (folder / f"{name}.pdf").write_text(f"{20 + moved} 30 m\n")
+    matplotlib.image.imsave(folder / f"{name}.png", np.full((2, 2, 3), gray, dtype=np.uint8))
+
+
+def test_what_is_the_same_stays_as_it_is_and_the_last_line_names_the_rest(run, capsys):
+    """A figure whose PNG is another is replaced with its PDF, so that they show the same data."""
+
+    def told():
+        ledger.publish(run / "build", run)
+        return capsys.readouterr().out.splitlines()[-1]
+
+    def state():
+        paths = [*before.iterdir(), run / "README.md"]
+        return {path.name: (path.read_bytes(), path.stat().st_mtime_ns) for path in paths}
+
+    drawn, before = run / "build" / "figures", run / "figures"
+    for name in ("fig01", "fig02", "fig03", "fig04"):
+        save(before, name, 0.0, 100)
+    for name, moved, gray in (("fig01", 0.004, 101), ("fig02", 0.004, 120), ("fig03", 0.1, 100)):
+        (drawn / f"{name}.png").unlink(missing_ok=True)
+        save(drawn, name, moved, gray)
+    save(drawn, "extra05", 0.0, 100)
+    first = state()
+    assert told() == (
+        "1 of 5 figures are the same as before; "
+        "different: fig02, fig03, figures/ledger.csv, figures/ledger.md, README.md; "
+        "new: extra05; gone: fig04"
+    )
+    second = state()
+    assert {name for name in first if first[name] == second.get(name)} == {"fig01.pdf", "fig01.png"}
+    for name in ("extra05", "fig02", "fig03"):
+        for end in ("pdf", "png"):
+            assert second[f"{name}.{end}"][0] == (drawn / f"{name}.{end}").read_bytes()
+    assert told() == "all 4 figures, the ledger and the README are the same as before"
+    assert state() == second
+    (run / "figures" / "ledger.md").write_text("other")
+    assert told() == "4 of 4 figures are the same as before; different: figures/ledger.md"
 
 
 def test_an_incomplete_run_changes_nothing(run):

@@ -65,6 +65,10 @@ def test_notebooks_run_in_their_folder_and_their_results_are_published(root):
     outcome = run(root)
     assert outcome.returncode == 0, outcome.stderr
     assert "01-model ... done, " in outcome.stdout
+    assert outcome.stdout.splitlines()[-1] == (
+        "0 of 1 figures are the same as before; "
+        "different: figures/ledger.csv, figures/ledger.md, README.md; new: fig01"
+    )
     assert [path.name for path in sorted((root / "figures").iterdir())] == [
         "fig01.png",
         "ledger.csv",
