@@ -376,7 +376,7 @@ def test_a_killed_experiment_goes_on_as_if_nothing_had_been(loop, Q, L, tmp_path
     kills = np.random.default_rng(0).choice(np.arange(79), 14, replace=False)
     outcome = subprocess.run(
         [sys.executable, "-c", KILLED, tmp_path, *map(str, kills)],
-        capture_output=True, text=True, env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True, text=True,
     )  # fmt: skip
     assert outcome.stdout.split() == [str(-signal.SIGKILL)] * 14, outcome.stderr
     for samples in kills:
