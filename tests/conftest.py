@@ -1,12 +1,17 @@
 """What several test files need: the paper's loop, grid and Q-filter."""
 
+import os
+
 import matplotlib
 import numpy as np
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 matplotlib.use("agg")
-settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=10)
+slow = [HealthCheck.too_slow]  # which a machine may be
+settings.register_profile(
+    "repeatable", derandomize=True, deadline=None, max_examples=10, suppress_health_check=slow
+)
 settings.load_profile("repeatable")
 
 
@@ -21,6 +26,15 @@ def pytest_addoption(parser):
 def pytest_configure(config):
     if config.getoption("no_longdouble"):  # before anything imports rodlib
         np.longdouble, np.clongdouble = np.float64, np.complex128
+
+
+@pytest.fixture
+def gate(tmp_path):
+    """A named pipe: a process that reads it waits until the test has ended, however it ends."""
+    path = tmp_path / "gate"
+    os.mkfifo(path)
+    with open(path, "r+b", buffering=0):
+        yield path
 
 
 @pytest.fixture(scope="session")

@@ -71,9 +71,10 @@ def test_a_folder_may_be_a_link_but_not_a_file(tmp_path):
 
 def test_the_second_is_refused_until_the_first_is_killed(tmp_path):
     lock = tmp_path / "lock"
-    call = "import sys, time; from pathlib import Path; from rodlib.files import alone\n"
-    call += "with alone(Path(sys.argv[1]), ''): print('at it', flush=True); time.sleep(60)"
-    with subprocess.Popen([sys.executable, "-c", call, lock], stdout=subprocess.PIPE) as first:
+    call = "import sys; from pathlib import Path; from rodlib.files import alone\n"
+    call += "with alone(Path(sys.argv[1]), ''): print('at it', flush=True); sys.stdin.read()"
+    command, pipe = [sys.executable, "-c", call, lock], subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe) as first:
         assert first.stdout.readline() == b"at it\n"
         with pytest.raises(RuntimeError, match="busy"), alone(lock, "busy"):
             pytest.fail("must not come that far")
