@@ -154,6 +154,22 @@ def test_wherever_publishing_ends_all_is_old_or_all_is_new(tmp_path, how):
     assert len(outcomes) > 15
 
 
+@pytest.mark.parametrize("kind", ["a pipe", "a link to a device"])
+def test_only_regular_files_are_replaced(tmp_path, kind):
+    path = tmp_path / kind
+    if kind == "a pipe":
+        os.mkfifo(path)
+    else:
+        path.symlink_to(os.devnull)
+    with pytest.raises(FileExistsError, match=f"{kind} is no regular file: choose another name"):
+        write_whole(path, "new")
+    assert path.exists() and not path.is_file() and os.listdir(tmp_path) == [kind]
+    write_whole(tmp_path / "file", "old")
+    (tmp_path / "link").symlink_to(tmp_path / "file")
+    write_whole(tmp_path / "link", "new")
+    assert (tmp_path / "link").read_text() == "new"
+
+
 def test_a_mistake_while_collecting_changes_nothing(tmp_path):
     (tmp_path / "pyproject.toml").write_text('name = "rodlib"\n')
     write_whole(tmp_path / "README.md", "old")
