@@ -107,11 +107,12 @@ def state_space(name: str, value) -> control.StateSpace:
     return value
 
 
-def stable(name: str, poles) -> None:
-    """The poles of a system in discrete time that settles."""
+def stable(name: str, poles) -> float:
+    """The largest modulus of the poles of a system in discrete time, which must settle."""
     radius = np.abs(poles).max(initial=0)
     if radius > CIRCLE:
         raise ValueError(f"{name} is unstable: it has a pole of modulus {radius:.6g}, 1 or more")
+    return radius
 
 
 def one_period(**periods: float) -> None:
@@ -156,6 +157,8 @@ def array(name: str, value, shape: Sequence[int | str], dtype: type = float) -> 
         ) from None
     if plain.dtype.kind not in "iufc":
         raise ValueError(f"{name} holds values of type {plain.dtype}, but must hold numbers")
+    if _counts_a_flag(value):  # numpy takes True among numbers for one
+        raise ValueError(f"{name} holds True or False, but must hold numbers")
     if plain.dtype.kind == "c" and dtype is float:
         raise ValueError(f"{name} is complex, but must be real")
     if np.ma.is_masked(plain):
@@ -182,6 +185,13 @@ def array(name: str, value, shape: Sequence[int | str], dtype: type = float) -> 
         raise ValueError(f"{name} has values beyond {LARGEST:g}: choose another unit")
     where = tuple(int(i) for i in bad[0])
     raise ValueError(f"{name} has {len(bad)} values that are not finite, the first at {where}")
+
+
+def _counts_a_flag(value):
+    """Whether there is a bool somewhere in a list."""
+    if isinstance(value, list | tuple):
+        return any(map(_counts_a_flag, value))
+    return isinstance(value, bool | np.bool_)
 
 
 def row(name: str, value, dtype: type = float) -> np.ndarray:

@@ -108,7 +108,14 @@ def replacing(path: Path) -> Iterator[Path]:
     ------
     Path
         Beside `path`; removed in case of an error.
+
+    Raises
+    ------
+    FileExistsError
+        If `path` is there and no regular file: a device is not written to by replacing it.
     """
+    if path.exists() and not path.is_file():
+        raise FileExistsError(f"{path} is no regular file: choose another name")
     temporary = _part(path)
     try:
         yield temporary

@@ -28,6 +28,11 @@ class CurrentTrialLoop:
         State feedback (26), observer gain (29), static feedforward.
     units : dict
         Unit of each input and output of the plant, by name; "" if it is not known.
+
+    Raises
+    ------
+    ValueError
+        If the plant is not in discrete time, a gain has another shape, or a unit is missing.
     """
 
     plant: control.StateSpace
@@ -35,6 +40,16 @@ class CurrentTrialLoop:
     KL: np.ndarray
     N: np.ndarray
     units: dict[str, str]
+
+    def __post_init__(self):
+        plant = arguments.state_space("plant", self.plant)
+        arguments.sampling_period("plant.dt", plant.dt)
+        n, m = plant.nstates, plant.noutputs
+        for name, shape in {"Ks": (m, n), "KL": (n + m, m), "N": (m, m)}.items():
+            object.__setattr__(self, name, arguments.array(name, getattr(self, name), shape))
+        units = arguments.instance("units", self.units, dict)
+        for name in [*plant.input_labels, *plant.output_labels]:
+            arguments.instance(f"units[{name!r}]", units.get(name), str)
 
     @property
     def Ts(self) -> float:

@@ -6,12 +6,15 @@ import matplotlib
 import numpy as np
 import pytest
 import rounding
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 from rodlib.files import ROOT
 
 matplotlib.use("agg")
-settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=10)
+slow = [HealthCheck.too_slow]  # which a machine may be
+settings.register_profile(
+    "repeatable", derandomize=True, deadline=None, max_examples=10, suppress_health_check=slow
+)
 settings.load_profile("repeatable")
 
 
@@ -33,6 +36,15 @@ def pytest_configure(config):
         folder = ROOT / "build" / f"rounding-{seed}"
         os.environ["PYTHONPATH"] = rounding.search_path(folder, seed, before)
         rounding.vary(seed)
+
+
+@pytest.fixture
+def gate(tmp_path):
+    """A named pipe: a process that reads it waits until the test has ended, however it ends."""
+    path = tmp_path / "gate"
+    os.mkfifo(path)
+    with open(path, "r+b", buffering=0):
+        yield path
 
 
 @pytest.fixture(scope="session")

@@ -317,6 +317,12 @@ def test_shapes(shape, sizes, fits):
         assert word in str(error.value)
 
 
+@pytest.mark.parametrize("value", [[True, 0.5], [[1, 2], (3, np.True_)], True])
+def test_true_is_no_number_of_an_array(value):
+    with pytest.raises(ValueError, match=r"x holds (True or False|values of type bool), but must"):
+        arguments.array("x", value, (...,))
+
+
 def test_an_array_is_a_copy_of_the_type_asked_for():
     given_ = np.arange(3)
     copy = arguments.array("x", given_, (3,))

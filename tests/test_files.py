@@ -71,9 +71,10 @@ def test_a_folder_may_be_a_link_but_not_a_file(tmp_path):
 
 def test_the_second_is_refused_until_the_first_is_killed(tmp_path):
     lock = tmp_path / "lock"
-    call = "import sys, time; from pathlib import Path; from rodlib.files import alone\n"
-    call += "with alone(Path(sys.argv[1]), ''): print('at it', flush=True); time.sleep(60)"
-    with subprocess.Popen([sys.executable, "-c", call, lock], stdout=subprocess.PIPE) as first:
+    call = "import sys; from pathlib import Path; from rodlib.files import alone\n"
+    call += "with alone(Path(sys.argv[1]), ''): print('at it', flush=True); sys.stdin.read()"
+    command, pipe = [sys.executable, "-c", call, lock], subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe) as first:
         assert first.stdout.readline() == b"at it\n"
         with pytest.raises(RuntimeError, match="busy"), alone(lock, "busy"):
             pytest.fail("must not come that far")
@@ -151,6 +152,22 @@ def test_wherever_publishing_ends_all_is_old_or_all_is_new(tmp_path, how):
     assert decided == sorted(decided) and {*decided} == {False, True}
     assert any(finished for _, finished in outcomes)
     assert len(outcomes) > 15
+
+
+@pytest.mark.parametrize("kind", ["a pipe", "a link to a device"])
+def test_only_regular_files_are_replaced(tmp_path, kind):
+    path = tmp_path / kind
+    if kind == "a pipe":
+        os.mkfifo(path)
+    else:
+        path.symlink_to(os.devnull)
+    with pytest.raises(FileExistsError, match=f"{kind} is no regular file: choose another name"):
+        write_whole(path, "new")
+    assert path.exists() and not path.is_file() and os.listdir(tmp_path) == [kind]
+    write_whole(tmp_path / "file", "old")
+    (tmp_path / "link").symlink_to(tmp_path / "file")
+    write_whole(tmp_path / "link", "new")
+    assert (tmp_path / "link").read_text() == "new"
 
 
 def test_a_mistake_while_collecting_changes_nothing(tmp_path):

@@ -131,7 +131,7 @@ def peak_gain(
     )
     matrices = *balanced(system.A, system.B / v, system.C / u), system.D / v / u
     poles, sigma = _gain_function(*matrices, Q)
-    arguments.stable("system", poles)
+    radius = arguments.stable("system", poles)
 
     theta = np.linspace(0, np.pi, 4 * len(poles) + 1)
     value, phase = sigma(theta), _phase(poles, theta)

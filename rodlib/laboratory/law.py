@@ -5,6 +5,7 @@ import json
 from rodlib import arguments
 from rodlib.files import write_whole
 from rodlib.filters import LearningFilter, ZeroPhaseButterworth
+from rodlib.laboratory.layout import read_json
 from rodlib.laboratory.notes import MISUNDERSTOOD, law_of_notes, notes_of_law
 
 FORMAT = "rodlib law 1"
@@ -57,7 +58,7 @@ def load_law(path) -> tuple[ZeroPhaseButterworth, LearningFilter]:
     """
     path = arguments.path("path", path)
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = read_json(path.read_text(encoding="utf-8"))
         if content["format"] != FORMAT:
             raise ValueError(f"format {content['format']!r} is not {FORMAT!r}")
         Q, L = law_of_notes(content, content["Ts"])

@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections.abc import Sequence
+import reprlib
 from dataclasses import dataclass, field
 from itertools import count
 
@@ -86,6 +86,9 @@ def former_layout_of(table, problems):
     """Of format 1: the rod's, in K and W, with a unit for each column."""
     pairs = [part.split() for part in table.metadata.get("units", "").split(";")]
     stated = {pair[0]: pair[1] for pair in pairs if len(pair) == 2}
+    for title in stated:
+        if [pair[0] for pair in pairs if pair].count(title) > 1:
+            problems.append(f"metadata: units names the unit of {title!r} twice")
     layout = Layout(time=stated.get("time"), own=("format", "Ts", "units"))
     channels = next(i for i in count(1) if f"y{i + 1}" not in table.header)
     sources = [title for title in table.header if re.fullmatch(r"theta_a|Q[0-9]{1,9}", title)]
@@ -124,22 +127,34 @@ def limits_of(text, titles):
     unknown = [title for title in stated if title not in titles]
     if unknown:
         raise ValueError(f"limits are stated for {few(unknown)}, which are no columns")
-    limits = dict.fromkeys(titles, (-np.inf, np.inf)) | stated
-    for title, limit in limits.items():
-        if not (isinstance(limit, Sequence) and len(limit) == 2 and limit[0] < limit[1]):
-            raise ValueError(f"limits of {title!r} = {limit!r} must be two numbers, [low, high]")
+    limits = dict.fromkeys(titles, (-np.inf, np.inf))
+    for title, limit in stated.items():
+        name = f"limits of {title!r} = {reprlib.repr(limit)}"
+        low, high = arguments.array(name, limit, (2,)).tolist()
+        if not low < high:
+            raise ValueError(f"{name} must be two numbers, [low, high]")
+        limits[title] = (low, high)
     return limits
 
 
 def _object(name, text):
     """A JSON object of the metadata."""
-
-    def once(pairs):
-        if len(pairs) > len(dict(pairs)):
-            raise ValueError("a name stands there twice")
-        return dict(pairs)
-
     try:
-        return arguments.instance(name, json.loads(text, object_pairs_hook=once), dict)
+        return arguments.instance(name, read_json(text), dict)
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{name} must be a JSON object: {error}") from None
+
+
+def read_json(text: str):
+    """What JSON says; a ValueError if it says anything twice, or what JSON has no word for."""
+    return json.loads(text, object_pairs_hook=_once, parse_constant=_refuse_constant)
+
+
+def _once(pairs):
+    if len(pairs) > len(dict(pairs)):
+        raise ValueError("a name stands there twice")
+    return dict(pairs)
+
+
+def _refuse_constant(word):
+    raise ValueError(f"{word} is no number")

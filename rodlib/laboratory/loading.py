@@ -25,6 +25,7 @@ from rodlib.laboratory.layout import (
 )
 from rodlib.laboratory.saving import head_of
 from rodlib.laboratory.tables import (
+    NUMBER,
     LogError,
     check_trials,
     few,
@@ -138,6 +139,8 @@ def _sampling_period(metadata, layout, problems):
     try:
         number, unit = metadata.get("Ts", "").split()
         layout.time = layout.time or unit
+        if not NUMBER.fullmatch(number):  # as in the rows: float takes more
+            raise ValueError(number)
         return arguments.sampling_period(
             "Ts", float(number) * pints.conversion("Ts", unit, "s", False)[0]
         )

@@ -19,6 +19,7 @@ from rodlib.filters import (
 from rodlib.laboratory import actuators
 from rodlib.laboratory import units as pints
 from rodlib.laboratory.excitation import Excitation
+from rodlib.laboratory.layout import read_json
 from rodlib.laboratory.tables import LogError
 from rodlib.loop import CurrentTrialLoop
 
@@ -78,7 +79,7 @@ def actuators_of(trials: xr.Dataset) -> dict[str, list[float]]:
         If the note is there but cannot be understood.
     """
     try:
-        note = json.loads(trials.attrs.get("actuators", "{}"))
+        note = read_json(trials.attrs.get("actuators", "{}"))
         return actuators.checked("actuators", note, trials.control.values.tolist())
     except MISUNDERSTOOD as error:
         raise LogError(f"metadata: actuators cannot be understood: {error}") from None
@@ -95,7 +96,7 @@ def excitation_of(trials: xr.Dataset) -> Excitation | None:
     if "excitation" not in trials.attrs:
         return None
     try:
-        excitation = Excitation(**json.loads(trials.attrs["excitation"]))
+        excitation = Excitation(**read_json(trials.attrs["excitation"]))
         arguments.one_period(log=trials.attrs["Ts"], excitation=excitation.Ts)
     except MISUNDERSTOOD as error:
         raise LogError(f"metadata: excitation cannot be understood: {error!r}") from None
@@ -114,7 +115,7 @@ def law_of(trials: xr.Dataset) -> tuple[ZeroPhaseButterworth, LearningFilter | N
         return None
     m = trials.sizes["channel"]
     try:
-        notes = {name: json.loads(trials.attrs[name]) for name in "QL"}
+        notes = {name: read_json(trials.attrs[name]) for name in "QL"}
         Q, L = law_of_notes(notes, trials.attrs["Ts"])
         if L is not None:
             arguments.array("coefficients", L.coefficients, (m, m, "order"))
@@ -147,7 +148,7 @@ def rest_of(trials: xr.Dataset) -> int:
         If the note is no whole number below the length of a trial.
     """
     try:
-        note = json.loads(trials.attrs.get("rest", "0"))
+        note = read_json(trials.attrs.get("rest", "0"))
         return arguments.whole("rest", note, 0, trials.sizes["time"] - 1)
     except MISUNDERSTOOD as error:
         raise LogError(f"metadata: rest cannot be understood: {error}") from None
@@ -162,7 +163,7 @@ def step_of(trials: xr.Dataset) -> float:
         If the note is no number in (0, 1].
     """
     try:
-        return arguments.share("step", json.loads(trials.attrs.get("step", "1")))
+        return arguments.share("step", read_json(trials.attrs.get("step", "1")))
     except MISUNDERSTOOD as error:
         raise LogError(f"metadata: step cannot be understood: {error}") from None
 
@@ -178,12 +179,12 @@ def loop_of(trials: xr.Dataset) -> CurrentTrialLoop | None:
     if "loop" not in trials.attrs:
         return None
     try:
-        note = json.loads(trials.attrs["loop"])
-        loop = CurrentTrialLoop(**{name: _rebuilt(part) for name, part in note.items()})
+        note = read_json(trials.attrs["loop"])
+        loop = CurrentTrialLoop(**note | {"plant": _rebuilt(note["plant"])})
         names = (loop.outputs, loop.controls)
         arguments.one_period(log=trials.attrs["Ts"], loop=loop.Ts)
         other = _in_other_units(trials, loop.units)
-    except (AttributeError, *MISUNDERSTOOD) as error:
+    except MISUNDERSTOOD as error:
         raise LogError(f"metadata: loop cannot be understood: {error!r}") from None
     recorded = (trials.output.values.tolist(), trials.control.values.tolist())
     if names != recorded:
@@ -220,10 +221,6 @@ def _plain(part):
     return part.tolist() if isinstance(part, np.ndarray) else part
 
 
-def _rebuilt(part):
-    if isinstance(part, Mapping) and "A" in part:
-        A, B, C, D = (np.array(part[name], dtype=float) for name in "ABCD")
-        return control.ss(
-            A, B, C, D, part["dt"], inputs=part["inputs"], outputs=part["outputs"]
-        )  # fmt: skip
-    return np.array(part, dtype=float) if isinstance(part, list) else part
+def _rebuilt(plant):
+    A, B, C, D = (arguments.array(f"plant.{name}", plant[name], (...,)) for name in "ABCD")
+    return control.ss(A, B, C, D, plant["dt"], inputs=plant["inputs"], outputs=plant["outputs"])

@@ -69,7 +69,9 @@ def head_of(trials: xr.Dataset) -> bytes:
         if not np.isfinite(values).all():
             raise ValueError(f"trials have values that are not finite in {title!r}")
         if values.min() < low or values.max() > high:
-            raise ValueError(f"trials have values of {title!r} that are not from {low} to {high}")
+            raise ValueError(
+                f"trials have values of {title!r} that are not from {low:g} to {high:g}"
+            )
     lines = [f"# {key}: {value}\n" for key, value in metadata.items()]
     header = ",".join(["trial", "time", *(quoted(title) for title in columns)])
     return "".join([*lines, header, "\n"]).encode()

@@ -5,9 +5,16 @@ temperatures, here as in the paper. A log does not say which zero its kelvins co
 two are never converted into each other; delta_degC and K are.
 """
 
+import re
 from functools import cache
 
 from rodlib import arguments
+
+# What is a unit to look at. pint also takes sums, numbers that come to 1, and signs to pass over.
+NAME = r"(?:[^\W\d_]\w*+|Δ?°\w*+|[%‰])"
+POWER = r"(?:(?:\*\*|\^)-?[0-9](?:\.[0-9]+)?|⁻?[¹²³⁴-⁹])?"
+FACTOR = rf"\(*{NAME}{POWER}(?:\){POWER})*"
+PLAIN = re.compile(rf"(?:(?:1 ?/ ?)?{FACTOR}(?: ?[*/·⋅ ] ?{FACTOR})*)?")
 
 
 @cache
@@ -21,6 +28,8 @@ def unit(name: str, text):
     """The unit of `name` that `text` stands for; a ValueError if pint knows none."""
     arguments.instance(f"unit of {name}", text, str)
     try:
+        if not PLAIN.fullmatch(text):
+            raise ValueError(text)
         return _registry().Unit(text)
     except Exception:  # pint raises whatever its parser comes across
         raise ValueError(

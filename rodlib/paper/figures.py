@@ -115,6 +115,23 @@ def save(figure: Figure, name: str, caption: str) -> SavedFigure:
     return SavedFigure(target / f"{name}.png", width, caption)
 
 
+def plain(name: str) -> str:
+    """A name from outside, as a label shows it to the letter.
+
+    Parameters
+    ----------
+    name : str
+        Of a signal in a log: its ``$`` begins no formula, and a ``_`` in front, by which matplotlib
+        would leave it out of a legend, is behind a space.
+
+    Returns
+    -------
+    str
+    """
+    shown = name.replace("$", r"\$")
+    return f" {shown}" if shown.startswith("_") else shown
+
+
 @contextmanager
 def _laid_out(figure):
     """Lay a figure out once, as its files need it, and leave it without an engine for the layout.

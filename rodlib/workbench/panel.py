@@ -12,7 +12,8 @@ import ipywidgets as widgets
 import numpy as np
 
 from rodlib.files import ROOT
-from rodlib.laboratory import save_law
+from rodlib.laboratory import load_law, save_law
+from rodlib.laboratory.notes import notes_of_law
 from rodlib.rod import Rod
 from rodlib.workbench.outcome import Outcome, try_out
 from rodlib.workbench.picture import Picture
@@ -192,11 +193,14 @@ class Panel:
             self.knobs[name].value = value
 
     def _save(self, button):
-        """Save the filters that are shown, and say where, or why not."""
-        settings = self.settings
+        """Save the filters that are shown, read them again, and say where they are, or why not."""
+        settings, path = self.settings, self.target.value
+        law = settings.Q, self.outcome.design.filter
         try:
-            save_law(self.target.value, settings.Q, self.outcome.design.filter, settings.python)
-            self.saved.value = f"saved: {escape(os.path.abspath(self.target.value))}"
+            save_law(path, *law, settings.python)
+            if notes_of_law(*load_law(path)) != notes_of_law(*law):
+                raise ValueError(f"{path} holds another law than was written to it: try again")
+            self.saved.value = f"saved: {escape(os.path.abspath(path))}"
         except (ValueError, OSError) as error:
             self.saved.value = f"not saved: {escape(str(error))}"
 

@@ -55,8 +55,9 @@ class Picture:
         trials.set(xlabel="trial", xticks=np.arange(1, 11), xlim=(0.7, 10.3), yscale="log")
         self._words = self.figure.text(0.07, 0.96, "")
         self._message = self.figure.text(
-            0.5, 0.5, "", ha="center", va="center", fontsize=12, linespacing=1.5
-        )
+            0.5, 0.5, "", ha="center", va="center", fontsize=12, linespacing=1.5,
+            parse_math=False,  # it may name a file
+        )  # fmt: skip
 
     def show(self, outcome: Outcome, before: Outcome | None = None) -> "Picture":
         """Put in the lines of an outcome, and of one before it in gray; or why there is no filter.
@@ -116,7 +117,7 @@ class Picture:
         low, high = np.log10([max(values.min(), 1e-15), max(values.max(), 1e-15)])
         trials.set_ylim(10 ** np.floor(low), 10 ** (np.floor(high) + 1))
         unit = _unit(outcomes[0].settings.plant.loop)
-        trials.set_title(f"RMS of the error{unit}, simulated")
+        trials.set_title(f"RMS of the error{unit}, simulated", parse_math=False)
         coefficients = np.concatenate([d.filter.coefficients.ravel() for d in designs])
         least, most = coefficients.min(), coefficients.max()
         lags.set_ylim(-_round_up(-least) if least < 0 else 0, _round_up(most) if most > 0 else 0)

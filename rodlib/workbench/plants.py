@@ -115,12 +115,20 @@ def plant_of_file(path) -> Plant:
     """
     path = str(arguments.path("path", path))
     log = load_log(path)
+    try:
+        return _plant_of_log(log, path)
+    except ValueError as error:
+        raise LogError(f"{path}: {error}") from None
+
+
+def _plant_of_log(log, path):
+    """As :func:`plant_of_file`, of what has been loaded."""
     if excitation_of(log) is not None:
         return Plant(f"rodlib.measured_response(rodlib.load_log({path!r}))", measured_response(log))
     named = loop_of(log) is not None
     replay = replay_of(log, papers_loop(Path(path)))
     if replay.loop is None:
-        raise LogError(f"{path} names no loop in its metadata: it is of neither shake nor record")
+        raise LogError("it names no loop in its metadata: it is of neither shake nor record")
     reference = replay.trials.reference.transpose("trial", "time", "channel").values[-1]
     again = np.repeat(replay.disturbance[-1:], TRIALS, axis=0)
     source = f"rodlib.loop_of(rodlib.load_log({path!r}))" if named else "rodlib.paper_loop()"

@@ -20,7 +20,7 @@ NAMES = (
     "chromium-headless-shell", "chromium", "chromium-browser", "google-chrome",
     "google-chrome-stable", "chrome",
 )  # fmt: skip
-PATIENCE = 60  # s, for what takes a few on a machine that is not busy
+PATIENCE = 300  # s, for what takes a few on a machine that is not busy: a last resort
 
 
 def found_browser(own):

@@ -16,6 +16,14 @@ BYTES = """async () => {
     const bytes = new Uint8Array(await blob.arrayBuffer());
     return btoa(bytes.reduce((text, byte) => text + String.fromCharCode(byte), '')); }"""
 
+# Whether nothing has moved for ten pictures of the screen.
+AT_REST = """async () => {
+    const places = () => JSON.stringify([...document.querySelectorAll('.widget-box *')]
+        .map(each => each.getBoundingClientRect()));
+    const before = places();
+    for (let k = 0; k < 10; k++) await new Promise(requestAnimationFrame);
+    return places() === before; }"""
+
 CLIPPED = """() => [...document.querySelectorAll(
         '.jp-OutputArea .widget-label, .jp-OutputArea .jupyter-button, .workbench-python')]
     .filter(each => each.offsetParent && each.scrollWidth > each.clientWidth + 1)
@@ -92,11 +100,16 @@ class Reader:
             "text => document.querySelector('.workbench-python').innerText.includes(text)", arg=text
         )
 
+    def until_drawn(self, picture):
+        """Wait until a picture is shown, by its bytes."""
+        shown = f"async wanted => await ({BYTES})() === wanted"
+        self.page.wait_for_function(shown, arg=base64.b64encode(picture).decode())
+
     def show(self, width, height, path):
         """Make the window as large, and take a picture of it."""
         self.page.set_viewport_size({"width": width, "height": height})
         self.page.locator(".widget-image").scroll_into_view_if_needed()
-        self.page.wait_for_timeout(500)  # for the layout
+        self.page.wait_for_function(AT_REST)
         self.page.screenshot(path=path)
 
     @property

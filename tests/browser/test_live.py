@@ -52,12 +52,11 @@ def test_it_begins_with_the_papers_choice(reader, paper, shots):
 def test_a_slider_is_followed_when_it_is_let_go(reader, paper):
     before = reader.picture
     reader.drag("M_max", 0.985, release=False)
-    reader.page.wait_for_timeout(300)
     assert reader.picture == before
     picture = reader.after(reader.page.mouse.up)
     moved = replace(paper, M_max=float(reader.read("M_max")))
     assert moved.M_max > 0.95
-    assert picture == drawn(moved, paper)  # and the one before in gray
+    assert picture == drawn(moved, paper)  # in gray the one before: there was none on the way
 
 
 def test_the_newest_setting_counts(reader, paper):
@@ -68,8 +67,10 @@ def test_the_newest_setting_counts(reader, paper):
     assert reader.read("M_max") == wanted
     reader.until(f"M_max={float(wanted)},")
     assert len(reader.times) - shown < 8
-    reader.page.wait_for_timeout(600)  # nothing follows that would be older
-    assert f"M_max={float(wanted)}," in reader.python
+    newest = replace(paper, M_max=float(wanted))
+    reader.type("M_max", "0.93")
+    # in gray the newest: nothing followed it that would be older
+    reader.until_drawn(drawn(replace(newest, M_max=0.93), newest))
 
 
 def test_the_lines_run_as_they_were_copied(reader, paper, shots):

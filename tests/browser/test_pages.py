@@ -32,7 +32,7 @@ def linked(root):
 def pages(tmp_path_factory):
     root = linked(tmp_path_factory.mktemp("repository"))
     call = [sys.executable, "-c", CALL, root]  # apart: pdoc changes what it looks at
-    outcome = subprocess.run(call, capture_output=True, text=True, timeout=300)
+    outcome = subprocess.run(call, capture_output=True, text=True)
     assert outcome.returncode == 0 and not outcome.stderr, outcome.stderr
     assert outcome.stdout.endswith(f"open {root / 'build' / 'pages' / 'index.html'}\n")
     assert os.listdir(root / "build") == ["pages"] or "pages.lock" in os.listdir(root / "build")

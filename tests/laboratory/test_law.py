@@ -42,6 +42,8 @@ def law(Q):
         ({"Q": {"order": 2}}, "KeyError"),
         ({"L": None}, "L = None must be a LearningFilter"),
         ({"L": {"coefficients": [1.0], "ends": "zero"}}, "coefficients has shape"),
+        ({"L": {"coefficients": [[[True, 0.5]]], "ends": "zero"}}, "holds True or False"),
+        ({"Ts": float("nan")}, "NaN is no number"),
     ],
 )
 def test_a_file_that_is_no_law_is_refused(tmp_path, law, changes, message):
@@ -51,6 +53,14 @@ def test_a_file_that_is_no_law_is_refused(tmp_path, law, changes, message):
     with pytest.raises(ValueError, match=r"law.json' is no law of save_law: .*") as error:
         load_law(path)
     assert message in str(error.value)
+
+
+def test_what_a_file_says_twice_is_refused(tmp_path, law):
+    path = tmp_path / "law.json"
+    save_law(path, *law)
+    path.write_text(path.read_text().replace('"Ts"', '"Ts": 2.0, "Ts"'))
+    with pytest.raises(ValueError, match="a name stands there twice"):
+        load_law(path)
 
 
 @pytest.mark.parametrize("text", ["", "[]", "3", "{}", "trial,time\n1,0", "[" * 9999])

@@ -46,6 +46,11 @@ def test_a_log_written_by_hand_is_read(good):
     assert "delta" not in good
 
 
+def test_a_period_in_minutes_is_that_of_the_column_time(tmp_path):
+    trials = load_log(write(tmp_path, GOOD.replace("1.0 s", "1.0 min")))
+    assert trials.attrs["Ts"] == 60 and [*trials.time.values] == [0, 60, 120, 180]
+
+
 def test_a_log_of_the_former_format_is_read_in_kelvin_and_watt(tmp_path):
     trials = load_log(write(tmp_path, FORMER))
     assert trials.u[1, 2, 0] == 2.25
@@ -99,6 +104,12 @@ def stretched(rows):
         (GOOD.replace("Ts: 1.0 s", "Ts: often"), "Ts is 'often'"),
         (GOOD.replace("Ts: 1.0 s", "Ts: 1e400 s"), "Ts is '1e400 s'"),
         (GOOD.replace("Ts: 1.0 s", "Ts: 1.0 K"), "Ts is '1.0 K'"),
+        (GOOD.replace("Ts: 1.0 s", "Ts: 1.0 s*1"), "Ts is '1.0 s*1'"),
+        (GOOD.replace("Ts: 1.0 s", "Ts: 1.0 $s$"), "Ts is '1.0 $s$'"),
+        (GOOD.replace("Ts: 1.0 s", "Ts: １.0 s"), "Ts is '１.0 s'"),
+        (GOOD.replace("Ts: 1.0 s", "Ts: 0_1 s"), "Ts is '0_1 s'"),
+        (GOOD.replace('"mm"', '"mm*1"'), "unit 'mm*1' of depth is not understood"),
+        (replaced(6, "2,2,1.0,１,1,1,2.0\n"), "v_depth: entry is '１', not a finite"),
         (GOOD.replace("Ts: 1.0 s", "Ts: 1e9 s"), "irregular sampling in trial 1, row 6"),
         (GOOD.replace("# Ts", "# Ts: 2.0 s\n# Ts"), "'Ts' is given twice, again in line 3"),
         (GOOD + "# Ts: 2.0 s\n", "'Ts' is given twice, again in line 17"),
@@ -148,6 +159,13 @@ def stretched(rows):
         (GOOD.replace("# Ts", '# limits: {"y": [0, 0.5]}\n# Ts'), "for ['y'], which are no col"),
         (GOOD.replace("# Ts", '# limits: {"y_depth": [1, 0]}\n# Ts'), "two numbers, [low, high]"),
         (GOOD.replace("# Ts", '# limits: {"y_depth": ["0", 1]}\n# Ts'), "cannot be understood"),
+        (GOOD.replace("# Ts", '# limits: {"y_depth": ["0", "1"]}\n# Ts'),
+         "limits of 'y_depth' = ['0', '1'] holds values of type <U1, but must hold numbers"),
+        (GOOD.replace("# Ts", '# limits: {"y_depth": "09"}\n# Ts'), "limits of 'y_depth' = '09'"),
+        (GOOD.replace("# Ts", '# limits: {"y_depth": {}}\n# Ts'), "limits of 'y_depth' = {} holds"),
+        (GOOD.replace("# Ts", '# limits: {"y_depth": [false, 1.5]}\n# Ts'), "holds True or False"),
+        (GOOD.replace("# Ts", '# limits: {"y_depth": [0, 1e999]}\n# Ts'), "are not finite"),
+        (GOOD.replace("# Ts", '# limits: {"y_depth": [-Infinity, 1]}\n# Ts'), "-Infinity is no n"),
         (FORMER.replace("log 1", "log 7"), "format is 'rodlib trial log 7'"),
         (FORMER.replace(",y1,", ",temp,"), "unknown column 'temp'"),
         (FORMER.replace(",y1,", ",y2,"), "missing columns"),
@@ -155,6 +173,7 @@ def stretched(rows):
         (FORMER.replace(",Q2", ",v1"), "column 'v1' stands there 2 times"),
         (FORMER.replace("; u1 W", ""), "does not name the unit of 'u1'"),
         (FORMER.replace("time s; ", ""), "does not name the unit of 'time'"),
+        (FORMER.replace("; u1 W", "; u1 W; u1 kW"), "names the unit of 'u1' twice"),
         (FORMER.replace("y1 K", "y1 degF"), "unit 'degF' of y1 cannot be converted to 'K'"),
         (GOOD.replace("Ts: 1.0 s", "Ts: 1.0"), "Ts is '1.0'"),
         (FORMER.replace("# Ts", "# units: y1 mK\n# Ts"), "'units' is given twice"),

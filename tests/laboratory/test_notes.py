@@ -1,3 +1,4 @@
+import json
 from dataclasses import fields
 
 import control
@@ -85,7 +86,8 @@ def assert_alike(one, two):
 
 def test_the_loop_is_rebuilt_to_the_last_digit(loop, tmp_path):
     plant = control.ss(0.7, 1 / 3, 1, 0, 0.1, inputs=['the "valve"'], outputs=["level, ϑ"])
-    for made in (loop, current_trial_loop(plant)):
+    named = control.ss(0.7, 1 / 3, 1, 0, 0.1, inputs=["B"], outputs=["A"])  # as its matrices
+    for made in (loop, current_trial_loop(plant), current_trial_loop(named)):
         Q = zero_phase_butterworth(Ts=made.Ts)
         reference = np.ones((9, made.plant.noutputs))
         run = run_trials(made, Q, None, reference, None, 1)
@@ -101,6 +103,30 @@ def test_a_loop_that_is_none_is_refused(loop, Q, note):
     assert loop_of(run) is None
     with pytest.raises(LogError, match="loop cannot be understood"):
         loop_of(run.assign_attrs(loop=note))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"KL": [["a"] * 2] * 3}, "KL holds values of type <U1, but must hold numbers"),
+        ({"KL": [["1_0"] * 2] * 8}, "KL holds values of type <U3"),
+        ({"KL": "strong"}, "KL holds values of type <U6"),
+        ({"KL": [[1.0]]}, r"KL has shape \(1, 1\), but must have shape"),
+        ({"N": [[True, 0.5], [0.5, 1.0]]}, "N holds True or False"),
+        ({"Ks": None}, "Ks holds values of type object"),
+        ({"units": {"Q1": "W"}}, r"units\['Q3'\] = None must be a str"),
+        ({"units": ["K", "W"]}, r"units = \['K', 'W'\] must be a dict"),
+        ({"dt": True}, "plant.dt = True must be a positive sampling period"),
+        ({"A": [["1"]]}, "plant.A holds values of type <U1"),
+    ],
+)
+def test_a_loop_with_a_part_that_is_none_is_refused(loop, Q, changes, message):
+    run = with_law(run_trials(loop, Q, None, np.ones((9, 2)), None, 1), Q, None, 0, loop)
+    note = json.loads(run.attrs["loop"])
+    for name, value in changes.items():
+        (note if name in note else note["plant"])[name] = value
+    with pytest.raises(LogError, match=f"metadata: loop cannot be understood: .*{message}"):
+        loop_of(run.assign_attrs(loop=json.dumps(note)))
 
 
 def test_the_loop_of_other_signals_is_refused(loop, Q):

@@ -19,6 +19,10 @@ from rodlib.laboratory.units import conversion, unit
         ("%", "", False, [50], [0.5]),
         ("µm", "um", False, [7], [7]),
         ("degC", "degC", False, [0.1 + 0.2], [0.1 + 0.2]),
+        ("W/(m K)", "mW/(m*K)", False, [2], [2000]),
+        ("kg/m³", "g / cm^3", False, [7800], [7.8]),
+        ("m/s**2", "mm·s⁻¹/s", False, [1], [1000]),
+        ("1/min", "Hz", False, [30], [0.5]),
     ],
 )
 def test_numbers_are_converted(source, target, difference, values, expected):
@@ -42,7 +46,14 @@ def test_what_cannot_be_converted_is_refused(source, target, message):
         conversion("level", source, target, False)
 
 
-@pytest.mark.parametrize("text", ["m m m (", "2 K", "K +", "1e999", "import os", "((((", "$"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "m m m (", "2 K", "K +", "1e999", "import os", "((((", "$", "ｓ", "s**２", 60 * "a" + "!",
+        # and what pint passes over
+        "s*1", "1.0*s", "1", "+s", "s%1", "s**1_0", "s**1e0", "s**99", "$s$", "s#x", "s.", " ",
+    ],
+)  # fmt: skip
 def test_what_is_no_unit_is_refused_in_words(text):
     with pytest.raises(ValueError, match="of level is not understood: write it as pint does"):
         unit("level", text)

@@ -252,5 +252,5 @@ def test_a_log_without_a_loop_is_refused(tmp_path):
     loop = current_trial_loop(plants.stage(), ["F"])
     save_log(run_trials(loop, Settings.of(Plant("", loop)).Q, None, np.zeros((9, 1)), None, 1),
              tmp_path / "bare.csv")  # fmt: skip
-    with pytest.raises(ValueError, match=r"bare.csv names no loop in its metadata"):
+    with pytest.raises(ValueError, match=r"bare.csv: it names no loop in its metadata"):
         plant_of_file(tmp_path / "bare.csv")

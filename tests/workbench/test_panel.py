@@ -1,13 +1,16 @@
 """The widgets, without a browser: what knobs do to settings, and that nothing stale is computed."""
 
 import asyncio
+import os
+import selectors
 from dataclasses import replace
 
 import numpy as np
 import plants
 import pytest
 
-from rodlib import current_trial_loop, load_law
+from rodlib import current_trial_loop, load_law, run_trials, save_law, save_log
+from rodlib.laboratory.notes import with_law
 from rodlib.workbench import Picture, Plant, Settings, try_out, workbench
 
 pytest.importorskip("ipywidgets")
@@ -83,6 +86,24 @@ def test_a_field_that_makes_no_sense_says_so(panel, knobs):
     assert panel.settings is None and "must be the path of a file" in panel.outcome.message
 
 
+class Clock(selectors.DefaultSelector):
+    """Makes an event loop that never waits: time goes on when there is nothing else to do."""
+
+    now = 0.0
+
+    def select(self, timeout=None):
+        self.now += timeout or 0
+        return super().select(0)
+
+
+def run(coroutine):
+    clock = Clock()
+    loop = asyncio.SelectorEventLoop(clock)
+    loop.time = lambda: clock.now
+    with asyncio.Runner(loop_factory=lambda: loop) as runner:
+        return runner.run(coroutine)
+
+
 def test_what_follows_at_once_is_one_change(panel, knobs):
     async def turned():
         count = panel.designs
@@ -93,7 +114,7 @@ def test_what_follows_at_once_is_one_change(panel, knobs):
         await asyncio.sleep(0.1)
         return panel.designs - count
 
-    assert asyncio.run(turned()) == 1
+    assert run(turned()) == 1
     assert panel.settings.L_max == 2.2
 
 
@@ -105,7 +126,7 @@ def test_to_and_fro_is_no_change(panel, knobs):
         await asyncio.sleep(0.1)
         return panel.designs - count
 
-    assert asyncio.run(turned()) == 0
+    assert run(turned()) == 0
 
 
 def test_what_is_shown_is_saved(panel, knobs, tmp_path):
@@ -117,6 +138,51 @@ def test_what_is_shown_is_saved(panel, knobs, tmp_path):
     panel.target.value = ""
     panel.save.click()
     assert panel.saved.value.startswith("not saved: ")
+    (tmp_path / "device").symlink_to(os.devnull)
+    panel.target.value = str(tmp_path / "device")
+    panel.save.click()
+    assert panel.saved.value.startswith("not saved: ")
+    assert panel.saved.value.endswith("device is no regular file: choose another name")
+
+
+def test_what_is_said_to_be_saved_is_read_again(panel, knobs, tmp_path, monkeypatch):
+    def save_another(path, Q, L, note):
+        save_law(path, Q, replace(L, coefficients=L.coefficients * (1 + 1e-15)), note)
+
+    monkeypatch.setattr("rodlib.workbench.panel.save_law", save_another)
+    panel.target.value = str(tmp_path / "law.json")
+    panel.save.click()
+    assert panel.saved.value.endswith(
+        "law.json holds another law than was written to it: try again"
+    )
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"KL": [[', '"KL": [["a", ', "KL must be an array of numbers"),
+        ('"KL": [[', '"KL": [["a"], [', "KL "),
+        ('"units": {"x"', '"units": {"z"', "units['x'] = None must be a str"),
+        ("# loop", '# limits: {"y_x": ["a", "b"]}\n# loop', "limits of 'y_x' = ['a', 'b'] holds"),
+    ],
+)
+def test_a_log_that_cannot_be_used_says_which_and_why(panel, tmp_path, stage, old, new, message):
+    """Its name is no formula."""
+    path = tmp_path / r"$\frac{$.csv"
+    Q = Settings.of(stage).Q
+    run = run_trials(stage.loop, Q, None, np.zeros((9, 1)), None, 1)
+    save_log(with_law(run, Q, None, loop=stage.loop), path)
+    panel.choice.value = ROD
+    panel.file.value = str(path)
+    panel.choice.value = FILE
+    assert panel.outcome.design is not None
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    panel.choice.value = ROD
+    panel.choice.value = FILE
+    assert panel.settings is None
+    assert str(path) in panel.outcome.message and message in panel.outcome.message
 
 
 def test_widgets_are_shown_to_those_who_can_use_them(stage, monkeypatch, capsys):

@@ -34,6 +34,19 @@ def message():
     return Outcome(None, message="there is no filter, and this is why: " + 30 * "much to say ")
 
 
+def test_names_from_outside_are_no_formulas(tanks):
+    name = r"no such file: '$\frac{$.csv'"
+    picture = Picture().show(Outcome(None, message=name))
+    assert picture.png() and picture._message.get_text() == name
+    plant = tanks.settings.plant
+    units = dict.fromkeys(plant.loop.units, r"$\frac{$")
+    loop = replace(plant.loop, units=units)
+    plant = replace(plant, response=loop)
+    picture = Picture().show(replace(tanks, settings=replace(tanks.settings, plant=plant)))
+    assert picture.png()
+    assert r"$\frac{$" in picture.axes[0, 1].get_title(loc="left")
+
+
 def test_the_lines_are_the_designs(paper, full):
     (rate, trials), (gain, lags) = Picture().show(full, paper).axes
     P = paper.settings.plant.loop.frequency_response(paper.settings.omega)
