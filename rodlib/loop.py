@@ -28,6 +28,12 @@ class CurrentTrialLoop:
         State feedback (26), observer gain (29), static feedforward.
     units : dict
         Unit of each input and output of the plant, by name; "" if it is not known.
+
+    Raises
+    ------
+    ValueError
+        If the plant is no model in discrete time, a gain has another shape or is not finite, or
+        `units` is about other signals.
     """
 
     plant: control.StateSpace
@@ -35,6 +41,15 @@ class CurrentTrialLoop:
     KL: np.ndarray
     N: np.ndarray
     units: dict[str, str]
+
+    def __post_init__(self):
+        plant = sampled_plant(self.plant)
+        n, m = plant.nstates, plant.noutputs
+        units = arguments.instance("units", self.units, dict)
+        arguments.by_name("units", units, [*plant.input_labels, *plant.output_labels])
+        for name, shape in {"Ks": (m, n), "KL": (n + m, m), "N": (m, m)}.items():
+            object.__setattr__(self, name, arguments.array(name, getattr(self, name), shape))
+        object.__setattr__(self, "plant", plant)
 
     @property
     def Ts(self) -> float:
