@@ -11,6 +11,7 @@ points (finite differences), averages over cells (finite volumes), coefficients 
 (finite elements) or of cosines (modal series). The fifth cuts a fine model down.
 """
 
+import reprlib
 from collections.abc import Sequence
 from copy import deepcopy
 
@@ -124,8 +125,8 @@ def finite_elements(rod: Rod, element, elements: int = 1) -> control.StateSpace:
     known = isinstance(element, skfem.Element) and element.refdom is skfem.MeshLine.elem.refdom
     if not (known and element.nodal_dofs):
         raise ValueError(
-            f"element = {element!r} must be an element of scikit-fem for a line, with values at "
-            "its ends"
+            f"element = {element!r:.200} must be an element of scikit-fem for a line, with "
+            "values at its ends"
         )
     mesh = skfem.MeshLine(np.linspace(0, rod.length, rod.sections * elements + 1))
     # ElementLinePp keeps its values by the number of points: a new one, with more than sensors.
@@ -205,15 +206,16 @@ def balanced_truncation(
     fine = midr(rod, FINE)
     states = arguments.whole("states", states, 1, fine.nstates)
     names = rod.inputs if inputs is None else inputs
-    if not (isinstance(names, Sequence) and names and set(names) <= set(rod.inputs)):
-        raise ValueError(f"inputs = {inputs!r} must list some of {rod.inputs}")
+    known = isinstance(names, Sequence) and all(name in rod.inputs for name in names)
+    if not (known and names):
+        raise ValueError(f"inputs = {reprlib.repr(inputs)} must list some of {rod.inputs}")
     counted = fine.B[:, [rod.inputs.index(name) for name in names]]
     R = _root(solve_continuous_lyapunov(fine.A, -counted @ counted.T))
     S = _root(solve_continuous_lyapunov(fine.A.T, -fine.C.T @ fine.C))
     U, hankel, Vh = np.linalg.svd(S.T @ R)
-    known = int((hankel > ROUNDING * hankel[0]).sum())
-    if states > known:
-        raise ValueError(f"states = {states} is too many: {known} can be told from rounding")
+    told = int((hankel > ROUNDING * hankel[0]).sum())
+    if states > told:
+        raise ValueError(f"states = {states} is too many: {told} can be told from rounding")
     scale = np.sqrt(hankel[:states])
     left, right = S @ U[:, :states] / scale, R @ Vh[:states].T / scale
     return _named(rod, left.T @ fine.A @ right, left.T @ fine.B, fine.C @ right)

@@ -33,6 +33,13 @@ def number(name: str, value, what: str, low=-np.inf, high=np.inf) -> float:
     return float(value)
 
 
+def not_negative(name: str, value, what: str = "a number, 0 or more") -> float:
+    """A finite number, zero or above."""
+    if number(name, value, what) < 0:
+        raise ValueError(f"{name} = {reprlib.repr(value)} must be {what}")
+    return float(value)
+
+
 def positive(name: str, value, what: str = "a positive number") -> float:
     """A finite number above zero."""
     return number(name, value, what, low=0)

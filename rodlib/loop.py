@@ -32,7 +32,8 @@ class CurrentTrialLoop:
     Raises
     ------
     ValueError
-        If the plant is not in discrete time, a gain has another shape, or a unit is missing.
+        If the plant is no model in discrete time, a gain has another shape or is not finite, or
+        a unit is missing, no text, or about another signal.
     """
 
     plant: control.StateSpace
@@ -42,14 +43,15 @@ class CurrentTrialLoop:
     units: dict[str, str]
 
     def __post_init__(self):
-        plant = arguments.state_space("plant", self.plant)
-        arguments.sampling_period("plant.dt", plant.dt)
+        plant = sampled_plant(self.plant)
         n, m = plant.nstates, plant.noutputs
         for name, shape in {"Ks": (m, n), "KL": (n + m, m), "N": (m, m)}.items():
             object.__setattr__(self, name, arguments.array(name, getattr(self, name), shape))
-        units = arguments.instance("units", self.units, dict)
-        for name in [*plant.input_labels, *plant.output_labels]:
+        signals = [*plant.input_labels, *plant.output_labels]
+        units = arguments.by_name("units", arguments.instance("units", self.units, dict), signals)
+        for name in signals:
             arguments.instance(f"units[{name!r}]", units.get(name), str)
+        object.__setattr__(self, "plant", plant)
 
     @property
     def Ts(self) -> float:

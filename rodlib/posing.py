@@ -63,8 +63,8 @@ def pose(
         P, uncertainty, basis = _measured(P, omega, uncertainty, confidence, scale)
     elif confidence is not None:
         raise ValueError(
-            f"confidence = {confidence!r} is for a measured response, but P is not one: "
-            "pass the radius as uncertainty"
+            f"confidence = {reprlib.repr(confidence)} is for a measured response, but P is not "
+            "one: pass the radius as uncertainty"
         )
     given = _plants(P)
     plant, P = _response("P" if len(given) == 1 else "P[0]", given[0], omega, Ts)
@@ -121,7 +121,7 @@ def _weights(noise, omega, Ts, m, M_max, scale):
     if noise is None:
         return None
     n = len(omega)
-    shape = (n, m) if np.ndim(noise) == 2 else (n,)
+    shape = (n, m) if _axes(noise) == 2 else (n,)
     noise = arguments.array("noise", noise, shape).reshape(n, -1)
     if noise.min() < 0:
         raise ValueError(f"noise reaches {noise.min():.6g}, but a spectral density is not negative")
@@ -153,7 +153,7 @@ def _axes(value):
     """Number of axes of an array; rows of different lengths are found where they are read."""
     try:
         return np.ndim(value)
-    except ValueError:
+    except (TypeError, ValueError):
         return 0
 
 

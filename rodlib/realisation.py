@@ -4,6 +4,7 @@ Section III, before (12): what is left of a model when nothing is kept that no c
 output shows; and any plant, a transfer function as well, as such a model in discrete time.
 """
 
+import reprlib
 from collections.abc import Sequence
 
 import control
@@ -144,7 +145,7 @@ def controls_first(plant: control.StateSpace, controls: Sequence[str]) -> contro
     given = [str(name) for name in controls] if isinstance(controls, Sequence) else []
     if not given or sorted(given) != sorted(set(given) & set(names)):
         raise ValueError(
-            f"controls = {controls!r} must list different inputs of the plant, {names}"
+            f"controls = {reprlib.repr(controls)} must list different inputs of the plant, {names}"
         )
     ordered = given + [name for name in names if name not in given]
     columns = [names.index(name) for name in ordered]

@@ -109,6 +109,7 @@ def _low_pass(cutoff, Ts):
 
 def outer_zeros(P: control.StateSpace) -> np.ndarray:
     """Zeros of a square model outside the unit circle, or on it up to rounding."""
+    square(P)
     zeros = control.zeros(P)
     zeros = zeros[np.isfinite(zeros)]
     return zeros[np.abs(zeros) > 1 - 1e-9]

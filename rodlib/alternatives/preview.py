@@ -64,15 +64,8 @@ def h_infinity(
     that of python-control's ``hinfsyn`` after a bilinear transform, where that reaches what it
     claims (tested); it needs slycot, and took more than a hundred times as long for the rod.
     """
-    m, Ts = square(P)
-    arguments.instance("Q", Q, ZeroPhaseButterworth)
-    arguments.one_period(P=Ts, Q=Q.Ts)
-    level, effort = arguments.positive("level", level), arguments.positive("effort", effort)
-    preview = arguments.whole("preview", preview, 1)
-    emphasis = arguments.number("emphasis", emphasis, "one or more")
-    if emphasis < 1 or (emphasis > 1 and corner is None):
-        raise ValueError(f"emphasis = {emphasis} must be one, or more with a corner in rad/s")
     plant = generalised_plant(P, Q, effort, preview, emphasis, corner)
+    m, Ts = P.noutputs, P.dt
     K = full_information(plant, m, level)
 
     T, U = schur(K.A, output="complex")
@@ -103,8 +96,17 @@ def generalised_plant(P, Q, effort, preview, emphasis=1.0, corner=None) -> contr
     control.StateSpace
         Of 2m inputs and 2m outputs.
     """
-    m, Ts, chain = P.noutputs, P.dt, P.noutputs * preview
-    n = P.nstates
+    m, Ts = square(P)
+    arguments.instance("Q", Q, ZeroPhaseButterworth)
+    arguments.one_period(P=Ts, Q=Q.Ts)
+    effort = arguments.positive("effort", effort)
+    preview = arguments.whole("preview", preview, 1)
+    emphasis = arguments.number("emphasis", emphasis, "one or more")
+    if emphasis < 1 or (emphasis > 1 and corner is None):
+        raise ValueError(f"emphasis = {emphasis} must be one, or more with a corner in rad/s")
+    if corner is not None:
+        corner = arguments.number("corner", corner, "in (0, Nyquist)", 0, np.pi / Ts)
+    n, chain = P.nstates, m * preview
     plant = control.ss(
         np.block([[np.eye(chain, k=-m), np.zeros((chain, n))], [np.zeros((n, chain)), P.A]]),
         np.block([[np.eye(chain, m), np.zeros((chain, m))], [np.zeros((n, m)), P.B]]),
@@ -114,7 +116,7 @@ def generalised_plant(P, Q, effort, preview, emphasis=1.0, corner=None) -> contr
     )
     weights = [(s[:3], s[3:]) for s in [*Q.sections, *Q.sections]]
     if emphasis > 1:
-        a = np.tan(arguments.number("corner", corner, "in (0, Nyquist)", 0, np.pi / Ts) * Ts / 2)
+        a = np.tan(corner * Ts / 2)
         weights.append(([1 + emphasis * a, emphasis * a - 1], [1 + a, a - 1]))
     for numerator, denominator in weights:
         plant = control.ss(*_on_each(*tf2ss(numerator, denominator), m), Ts) * plant
@@ -152,8 +154,10 @@ def full_information(plant: control.StateSpace, m: int, level: float) -> control
     Raises
     ------
     ValueError
-        If no K reaches the level.
+        If no K reaches the level, or an argument is out of range.
     """
+    arguments.state_space("plant", plant)
+    m, level = arguments.whole("m", m, 1, plant.ninputs - 1), arguments.positive("level", level)
     A, B, C, D = plant.A, plant.B, plant.C, plant.D
     R = D.T @ D - np.diag([level**2] * m + [0.0] * (plant.ninputs - m))
     refusal = (

@@ -50,8 +50,13 @@ class Rehearsal:
         for name, value in {"alone": alone, "P": P, "rest": rest}.items():
             object.__setattr__(self, name, value)
 
+    def _check(self, L):
+        check_learning(L, self.alone.shape[2])
+        arguments.one_period(Q=self.Q.Ts, L=L.Ts)
+
     def rate(self, L: LearningOperator) -> float:
         """Of Lemma 1, the largest sigma_max(M), at `JUDGED` of the lines."""
+        self._check(L)
         samples = self.alone.shape[1]
         chosen = np.unique(np.append(0, np.geomspace(1, samples, JUDGED).round().astype(int)))
         omega = lines(samples, self.Q.Ts)[chosen]
@@ -61,7 +66,7 @@ class Rehearsal:
 
     def errors(self, L: LearningOperator) -> np.ndarray:
         """e_k, shape (trials, samples, m)."""
-        check_learning(L, self.alone.shape[2])
+        self._check(L)
         samples = self.alone.shape[1]
         errors, v = self.alone.copy(), np.zeros(self.alone.shape[1:])
         for k in range(1, len(errors)):
@@ -77,4 +82,5 @@ class Rehearsal:
 
 def lines(samples: int, Ts: float) -> np.ndarray:
     """Frequencies (rad/s) of a trial that is followed by as many zeros, shape (samples + 1,)."""
+    samples, Ts = arguments.whole("samples", samples, 1), arguments.sampling_period("Ts", Ts)
     return 2 * np.pi * np.fft.rfftfreq(2 * samples, Ts)

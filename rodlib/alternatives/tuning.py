@@ -68,8 +68,11 @@ def tune(
     ValueError
         If an argument is out of range, or no tuning that was tried converges at that rate.
     """
+    arguments.instance("design", design, Callable)
+    arguments.instance("rehearsal", rehearsal, Rehearsal)
     M_max = arguments.number("M_max", M_max, "in (0, 1)", 0, 1)
     evaluations = arguments.whole("evaluations", evaluations, 4)
+    arguments.instance("box", box, dict)
     edges = [arguments.array(f"box[{name!r}]", ends, (2,)) for name, ends in box.items()]
     for name, (low, high) in zip(box, edges, strict=True):
         if not 0 < low < high:
@@ -87,6 +90,7 @@ def tune(
         except ValueError:
             return WORST
         L = getattr(found, "filter", found)
+        arguments.instance(f"design(**{parameters})", L, LearningOperator)
         rate = rehearsal.rate(L)
         if rate > M_max * (1 + 1e-6):
             return WORST * rate / (1 + rate)  # towards a lower rate

@@ -29,11 +29,21 @@ class TwoSidedFilter:
     channels : int
     Ts : float
         Sampling period, s.
+
+    Raises
+    ------
+    ValueError
+        If an argument is something else.
     """
 
     response: Callable[[np.ndarray], np.ndarray]
     channels: int
     Ts: float
+
+    def __post_init__(self):
+        arguments.instance("response", self.response, Callable)
+        arguments.whole("channels", self.channels, 1)
+        arguments.sampling_period("Ts", self.Ts)
 
     def frequency_response(self, omega) -> np.ndarray:
         """L at `omega` (rad/s), shape (n, channels, channels), complex."""
@@ -71,8 +81,10 @@ def impulse_response(L: LearningOperator) -> tuple[np.ndarray, np.ndarray]:
     Raises
     ------
     ValueError
-        If it does not decay within `LONGEST` samples: L has a pole on the unit circle, or nearly.
+        If it does not decay within `LONGEST` samples: L has a pole on the unit circle, or nearly;
+        or if `L` is something else.
     """
+    arguments.instance("L", L, LearningOperator)
     n = SHORTEST
     while n <= LONGEST:
         omega = rfftfreq(n, L.Ts / (2 * np.pi))
@@ -102,6 +114,11 @@ def extent(L: LearningOperator, share: float = 0.999) -> tuple[int, int]:
     -------
     ahead, back : int
         In samples; below zero if it begins later than that.
+
+    Raises
+    ------
+    ValueError
+        As :func:`impulse_response`, or if `share` is out of range.
     """
     share = arguments.share("share", share)
     lags, taps = impulse_response(L)

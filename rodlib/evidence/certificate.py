@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rodlib import arguments
 from rodlib.evidence.doubts import doubts, useless
 from rodlib.evidence.finite_trial import trial_norm
 from rodlib.evidence.models import learning_model
@@ -295,7 +296,16 @@ def certify(
     Returns
     -------
     Certificate
+
+    Raises
+    ------
+    ValueError
+        If an argument is something else, or the norm of a trial is wanted without models.
     """
+    arguments.instance("problem", problem, Problem)
+    arguments.instance("solution", solution, Solution)
+    tolerances = tuple(arguments.array("tolerances", tolerances, (2,)).tolist())
+    samples, rest = checked_trial(problem, samples, rest)
     L = LearningFilter(solution.coefficients, problem.Ts)  # in units of scale, as P is
     response = L.frequency_response(problem.omega)
     sigma_M = largest_singular_values(problem.M(response))
@@ -332,6 +342,17 @@ def certify(
         learned=learned,
         basis=(*problem.basis, *useless(problem)),
     )
+
+
+def checked_trial(problem: Problem, samples: int | None, rest: int) -> tuple[int | None, int]:
+    """Length of a trial and of the rest at its end; a ValueError if it has no norm."""
+    if samples is not None:
+        samples = arguments.whole("samples", samples, 2)
+        if problem.model is None:
+            raise ValueError(
+                f"samples = {samples} asks for the norm of a trial, which needs P and Q as models"
+            )
+    return samples, arguments.whole("rest", rest, 0, (samples or 1) - 1)
 
 
 def _rms_of_noise(problem, L):

@@ -5,6 +5,7 @@ It follows from the solver's multipliers, whatever their quality, by linear alge
 
 import numpy as np
 
+from rodlib import arguments
 from rodlib.evidence.robustness import affine, layout
 from rodlib.problem import Cuts, Problem
 
@@ -51,9 +52,21 @@ def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None, L=None) -> flo
     float
         For radii of the entries, no filter for which the sufficient condition of
         :func:`rodlib.evidence.worst_case` holds does better.
+
+    Raises
+    ------
+    ValueError
+        If an argument is something else, has another shape or is not finite.
     """
+    arguments.instance("problem", problem, Problem)
     P, Q, angles = problem.P, problem.Q, problem.angles
     n, m, _ = P.shape
+    U = arguments.array("U", U, P.shape, complex)
+    V = V if V is None else arguments.array("V", V, P.shape, complex)
+    L = L if L is None else arguments.array("L", L, P.shape, complex)
+    if cuts is not None:
+        arguments.instance("cuts", cuts, Cuts)
+
     T, N, turns = [-Q[:, None, None] * P], [U], [angles]
     if V is not None:  # in units of the bound, so that both parts have the size of the objective
         W = problem.weight

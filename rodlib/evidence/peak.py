@@ -116,8 +116,9 @@ def peak_gain(
     where the level touches the curve.
     """
     Ts = sampling_period("system", system)
-    if not 1e-12 <= tolerance <= 1:
+    if arguments.share("tolerance", tolerance) < 1e-12:
         raise ValueError(f"tolerance = {tolerance!r} must be in [1e-12, 1]")
+    max_points = arguments.whole("max_points", max_points, 1)
     if not all(np.isfinite(X).all() for X in (system.A, system.B, system.C, system.D)):
         raise ValueError("system must be finite, but its matrices hold NaN or infinite values")
     if Q is not None:

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import elementwise
 
-from rodlib.filters import LearningFilter
+from rodlib import arguments
+from rodlib.filters import LearningFilter, check_learning
 from rodlib.problem import Problem, largest_singular_values, tied
 
 FARTHEST = 40.0  # logarithm of how unequal two shares may be: the smaller is then below rounding
@@ -65,6 +66,11 @@ def worst_case(problem: Problem, L: LearningFilter) -> WorstCase:
     -------
     WorstCase
 
+    Raises
+    ------
+    ValueError
+        If an argument is something else, or L has other channels or another sampling period.
+
     Notes
     -----
     For a radius r of the norm, and rho = |Q| r, the worst case is exactly
@@ -88,6 +94,9 @@ def worst_case(problem: Problem, L: LearningFilter) -> WorstCase:
     of each of four kinds (normal, M a tenth as large, unitary, M a multiple of I), for m = 2 and 3,
     the Delta that is found stays below it by 1.3 % at most and by 0.006 % on average.
     """
+    arguments.instance("problem", problem, Problem)
+    check_learning(L, problem.channels)
+    arguments.one_period(problem=problem.Ts, L=L.Ts)
     response = L.frequency_response(problem.omega)
     each = (problem.M(response, k) for k in range(1 + len(problem.others)))
     nominal = np.array([largest_singular_values(M) for M in each])

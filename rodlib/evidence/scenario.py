@@ -83,7 +83,7 @@ def support(solution: Solution) -> np.ndarray:
     degenerate, bounds meet that could stand in for one another, and their multipliers are not
     unique. Counting too many makes :func:`scenario_bound` larger, and it still holds.
     """
-    cuts = solution.cuts
+    cuts = arguments.instance("solution", solution, Solution).cuts
     if cuts is None:
         return np.empty(0, dtype=int)
     size = np.linalg.norm(cuts.N, axis=(1, 2))
@@ -114,11 +114,12 @@ def violation_probability(design, beta: float = 1e-6) -> float:
     Raises
     ------
     ValueError
-        If the design is for one plant alone, or `beta` is out of range.
+        If the design is none or for one plant alone, or `beta` is out of range.
     """
+    solution = arguments.instance("design.solution", getattr(design, "solution", None), Solution)
     samples = len(design.problem.others)
     if not samples:
         raise ValueError(
             "design is for one plant alone: pass synthesise a list, the nominal plant and samples"
         )
-    return scenario_bound(samples, len(support(design.solution)), beta)
+    return scenario_bound(samples, len(support(solution)), beta)

@@ -49,9 +49,17 @@ class Controller:
     loop : CurrentTrialLoop
     decimals : int, optional
         To which commands are rounded. Default: not at all.
+
+    Raises
+    ------
+    ValueError
+        If an argument is something else.
     """
 
     def __init__(self, loop: CurrentTrialLoop, decimals: int | None = None):
+        arguments.instance("loop", loop, CurrentTrialLoop)
+        if decimals is not None:
+            arguments.whole("decimals", decimals, 0, 300)
         n, m = loop.plant.nstates, loop.plant.noutputs
         self.loop, self.decimals = loop, decimals
         self._B = loop.plant.B[:, :m]
@@ -59,7 +67,8 @@ class Controller:
 
     def step(self, y, w) -> np.ndarray:
         """The controls u(p) from the measured y(p) and w(p); advances the observer."""
-        loop = self.loop
+        loop, m = self.loop, len(self.delta)
+        y, w = arguments.array("y", y, (m,)), arguments.array("w", w, (m,))
         u = _rounded(loop.N @ w - loop.Ks @ self._x_hat - self.delta, self.decimals)  # (18)
         surprise = loop.KL @ (y - loop.plant.C @ self._x_hat)
         n = len(self._x_hat)

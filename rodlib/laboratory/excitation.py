@@ -50,14 +50,17 @@ class Excitation:
         arguments.sampling_period("Ts", self.Ts)
         period = arguments.whole("period", self.period, 3)
         arguments.whole("periods", self.periods, FEWEST)
+        arguments.array("harmonics", self.harmonics, ("line",))
         highest = 0
         for harmonic in self.harmonics:
             highest = arguments.whole("harmonics", harmonic, highest + 1, (period - 1) // 2)
-        arguments.array("phases", self.phases, (len(self.harmonics),))
-        if arguments.row("amplitude", self.amplitude).min() <= 0:
-            raise ValueError(f"amplitude = {self.amplitude} must be positive numbers")
-        for name in ("harmonics", "phases", "amplitude"):
-            object.__setattr__(self, name, tuple(getattr(self, name)))
+        phases = arguments.array("phases", self.phases, (len(self.harmonics),))
+        amplitude = arguments.array("amplitude", self.amplitude, ("input",))
+        if amplitude.min() <= 0:
+            raise ValueError(f"amplitude = {amplitude} must be positive numbers")
+        object.__setattr__(self, "harmonics", tuple(self.harmonics))
+        object.__setattr__(self, "phases", tuple(phases.tolist()))
+        object.__setattr__(self, "amplitude", tuple(amplitude.tolist()))
 
     @property
     def channels(self) -> int:
@@ -149,7 +152,8 @@ def multisine(
     nyquist = np.pi / Ts
     lowest = arguments.number("lowest", lowest, "between 0 and pi / Ts / 4", 0, nyquist / 4)
     highest = arguments.number("highest", highest, "between lowest and pi / Ts", lowest, nyquist)
-    amplitude = arguments.array("amplitude", np.broadcast_to(amplitude, (m,)), (m,))
+    amplitude = arguments.array("amplitude", amplitude, () if np.isscalar(amplitude) else (m,))
+    amplitude = np.broadcast_to(amplitude, (m,))
     hours = arguments.positive("hours", hours, "a positive number of hours")
     lines = arguments.whole("lines", lines, 2)
     period = round(2 * np.pi / (lowest * Ts))

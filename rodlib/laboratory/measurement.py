@@ -156,6 +156,7 @@ class MeasuredResponse:
         tuple of str
             For the certificate of a design; the findings last.
         """
+        confidence = arguments.number("confidence", confidence, "between 0 and 1", 0, 1)
         low, high = self.omega[[0, -1]]
         beyond = np.count_nonzero(arguments.row("omega", omega) > high * (1 + 1e-9))
         lines = [
@@ -305,6 +306,7 @@ def expected_radius(
 def _miss(confidence, jointly, count):
     """Probability that the truth lies outside at one of `count` frequencies."""
     confidence = arguments.number("confidence", confidence, "between 0 and 1", 0, 1)
+    jointly = arguments.flag("jointly", jointly)
     return 1 - (confidence ** (1 / count) if jointly else confidence)
 
 

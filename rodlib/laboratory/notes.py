@@ -41,16 +41,22 @@ def with_law(
     share of the way that v went, both as in :func:`rodlib.update`. Of a learning operator that is
     no :class:`rodlib.LearningFilter` nothing is noted.
     """
+    arguments.instance("trials", trials, xr.Dataset)
+    arguments.instance("Q", Q, ZeroPhaseButterworth)
+    if L is not None:
+        arguments.instance("L", L, LearningOperator)
     law = notes_of_law(Q, L if isinstance(L, LearningFilter) else None)
     if L is not None and not isinstance(L, LearningFilter):
         del law["L"]
     notes = {name: json.dumps(note) for name, note in law.items()}
+    rest = arguments.whole("rest", rest, 0)
     if rest:
         notes["rest"] = json.dumps(rest)
+    step = arguments.share("step", step)
     if step != 1:
         notes["step"] = json.dumps(step)
     if loop is not None:
-        notes["loop"] = _note_of(loop)
+        notes["loop"] = _note_of(arguments.instance("loop", loop, CurrentTrialLoop))
     return trials.assign_attrs(notes)
 
 
@@ -111,10 +117,11 @@ def law_of(trials: xr.Dataset) -> tuple[ZeroPhaseButterworth, LearningFilter | N
     LogError
         If the notes are there but cannot be understood, or L is for another number of channels.
     """
+    arguments.instance("trials", trials, xr.Dataset)
     if "Q" not in trials.attrs or "L" not in trials.attrs:
         return None
-    m = trials.sizes["channel"]
     try:
+        m = trials.sizes["channel"]
         notes = {name: read_json(trials.attrs[name]) for name in "QL"}
         Q, L = law_of_notes(notes, trials.attrs["Ts"])
         if L is not None:
@@ -147,9 +154,10 @@ def rest_of(trials: xr.Dataset) -> int:
     LogError
         If the note is no whole number below the length of a trial.
     """
+    arguments.instance("trials", trials, xr.Dataset)
     try:
         note = read_json(trials.attrs.get("rest", "0"))
-        return arguments.whole("rest", note, 0, trials.sizes["time"] - 1)
+        return arguments.whole("rest", note, 0, trials.sizes.get("time", 1) - 1)
     except MISUNDERSTOOD as error:
         raise LogError(f"metadata: rest cannot be understood: {error}") from None
 
@@ -162,6 +170,7 @@ def step_of(trials: xr.Dataset) -> float:
     LogError
         If the note is no number in (0, 1].
     """
+    arguments.instance("trials", trials, xr.Dataset)
     try:
         return arguments.share("step", read_json(trials.attrs.get("step", "1")))
     except MISUNDERSTOOD as error:
@@ -176,6 +185,7 @@ def loop_of(trials: xr.Dataset) -> CurrentTrialLoop | None:
     LogError
         If the note is there but cannot be understood, or is that of other signals.
     """
+    arguments.instance("trials", trials, xr.Dataset)
     if "loop" not in trials.attrs:
         return None
     try:

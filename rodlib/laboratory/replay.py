@@ -5,6 +5,7 @@ them is left out, and the findings say so.
 """
 
 import json
+import reprlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,7 +18,7 @@ from rodlib import arguments
 from rodlib.files import write_pieces
 from rodlib.filters import LearningFilter, ZeroPhaseButterworth, update
 from rodlib.laboratory.notes import law_of, loop_of, rest_of, step_of
-from rodlib.laboratory.saving import quoted
+from rodlib.laboratory.saving import quoted, signals_of
 from rodlib.laboratory.tables import few, rows
 from rodlib.loop import CurrentTrialLoop
 from rodlib.trials import rms, run_trials, state_sequence
@@ -268,10 +269,15 @@ def replay_of(
         If `loop` has another number of channels or another sampling period than the log.
     """
     arguments.instance("trials", trials, xr.Dataset)
+    signals_of(trials)  # which checks that it has all that a log has
     trials = trials.sortby("trial").transpose("trial", "time", ...)
+    if loop is not None:
+        arguments.instance("loop", loop, CurrentTrialLoop)
+    listed = isinstance(untold, Sequence) and not isinstance(untold, str)
+    if not (listed and all(isinstance(name, str) for name in untold)):
+        raise ValueError(f"untold = {reprlib.repr(untold)} must be a list of names")
     noted = loop_of(trials)
     if noted is None and loop is not None:
-        arguments.instance("loop", loop, CurrentTrialLoop)
         arguments.one_period(log=trials.attrs["Ts"], loop=loop.Ts)
         if len(loop.outputs) != trials.sizes["channel"]:
             raise ValueError(

@@ -48,7 +48,7 @@ def head_of(trials: xr.Dataset) -> bytes:
     arguments.instance("trials", trials, xr.Dataset)
     Ts = arguments.sampling_period("trials.attrs['Ts']", trials.attrs.get("Ts"))
     metadata = {"format": FORMAT, "Ts": f"{Ts!r} s"}
-    metadata["signals"] = json.dumps(_signals(trials), ensure_ascii=False)
+    metadata["signals"] = json.dumps(signals_of(trials), ensure_ascii=False)
     metadata |= _notes(trials.attrs)
     numbers = [arguments.whole("trials.trial", k, 1, 2**31) for k in trials.trial.values]
     if not numbers or not trials.sizes["time"]:
@@ -82,8 +82,8 @@ def quoted(title: str) -> str:
     return '"' + title.replace('"', '""') + '"' if re.search('[,"#]', title) else title
 
 
-def _signals(trials):
-    """Names and units of the signals, by role, as the metadata say it."""
+def signals_of(trials) -> dict[str, dict[str, str]]:
+    """Names and units of the signals, by role, as the metadata say it, if all are there."""
     missing = [name for name in REQUIRED if name not in trials]
     if missing:
         raise ValueError(f"trials lack {missing}: a log needs {REQUIRED}")

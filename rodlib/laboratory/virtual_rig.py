@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rodlib import arguments
 from rodlib.rod import Rod
 
 # Material parameters off by several percent from those of the design model.
@@ -31,6 +32,14 @@ class RigParameters:
     limit: float = 60.0  # largest heat flow of an element, W
     ambient_rate: float = 5e-5  # rise of the ambient temperature, K/s
 
+    def __post_init__(self):
+        arguments.whole("modes", self.modes, 1)
+        for name in ("noise", "quantum", "lag"):
+            arguments.not_negative(name, getattr(self, name))
+        if not (isinstance(self.limit, float) and self.limit == np.inf):  # which is none
+            arguments.not_negative("limit", self.limit, "a heat flow in W, 0 or more, or np.inf")
+        arguments.number("ambient_rate", self.ambient_rate, "a finite number")
+
 
 class VirtualRig:
     """A rod in the laboratory, sample by sample.
@@ -43,6 +52,11 @@ class VirtualRig:
         Sampling period, s.
     seed : int
         Of the sensor noise.
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range or something else.
 
     Notes
     -----
@@ -58,6 +72,9 @@ class VirtualRig:
         Ts: float = 1.0,
         seed: int = 1,
     ):
+        arguments.instance("rod", rod, Rod)
+        arguments.instance("parameters", parameters, RigParameters)
+        Ts, seed = arguments.sampling_period("Ts", Ts), arguments.whole("seed", seed, 0)
         self.rod, self.parameters, self.Ts = rod, parameters, Ts
         self.seed, self.time = seed, 0.0
         self._random = np.random.default_rng(seed)
@@ -123,11 +140,7 @@ class VirtualRig:
         ValueError
             If the shape is wrong or a value is not finite.
         """
-        command = np.asarray(heat_flows, dtype=float)
-        if command.shape != self._flows.shape or not np.isfinite(command).all():
-            raise ValueError(
-                f"heat_flows = {heat_flows!r} must be {len(self._flows)} finite numbers"
-            )
+        command = arguments.array("heat_flows", heat_flows, self._flows.shape)
         limit = self.parameters.limit
         command = np.minimum(np.maximum(command, -limit), limit)
         self._modes *= self._decay
@@ -138,9 +151,8 @@ class VirtualRig:
 
     def profile(self, z) -> np.ndarray:
         """True temperature at positions `z` (m), K; what no sensor shows."""
-        return (
-            np.cos(np.outer(z, np.arange(len(self._modes)) * np.pi / self.rod.length)) @ self._modes
-        )
+        n, z = np.arange(len(self._modes)), arguments.row("z", z)
+        return np.cos(np.outer(z, n * np.pi / self.rod.length)) @ self._modes
 
 
 class RestartingRig(VirtualRig):
@@ -152,6 +164,7 @@ class RestartingRig(VirtualRig):
 
     def begin(self, trial: int) -> None:
         """Begin a trial, counted from 1."""
+        trial = arguments.whole("trial", trial, 1)
         self._random = np.random.default_rng([self.seed, trial])
         self._modes[:], self._flows[:] = 0, 0
         self.time = 0.0

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
+from rodlib import arguments
 from rodlib.files import alone, folder, replacing
 
 PROCESS = {  # environment of the workers, beside what dask sets
@@ -111,6 +112,8 @@ def local_cluster(workers: int | None = None):
     workers : int, optional
         Number of processes. Default: one for each core.
     """
+    if workers is not None:
+        arguments.whole("workers", workers, 1)
     # Not imported before it is needed: that takes a second.
     import dask
     from dask.system import CPU_COUNT

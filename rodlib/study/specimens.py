@@ -5,6 +5,7 @@ asked of it is answered for its partial differential equation itself behind a ze
 :func:`rodlib.sampled_response`. The controller stays as it was designed on the nominal model.
 """
 
+import reprlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -50,10 +51,7 @@ class Spread:
     def __post_init__(self):
         for name in (*MATERIAL, "gains"):
             object.__setattr__(self, name, _share(name, getattr(self, name)))
-        what = "a length in metres, 0 or more"
-        sensors = arguments.number("sensors", self.sensors, what)
-        if sensors < 0:
-            raise ValueError(f"sensors = {sensors} must be {what}")
+        sensors = arguments.not_negative("sensors", self.sensors, "a length in metres, 0 or more")
         object.__setattr__(self, "sensors", sensors)
 
     @classmethod
@@ -122,13 +120,23 @@ class Specimen:
     rod : Rod
     gains : tuple of float
         Heat flow that each Peltier element delivers per heat flow commanded.
+
+    Raises
+    ------
+    ValueError
+        If an argument is something else.
     """
 
     rod: Rod
     gains: tuple[float, ...]
 
+    def __post_init__(self):
+        arguments.instance("rod", self.rod, Rod)
+        arguments.array("gains", self.gains, (self.rod.sections,))
+
     def held(self, Ts: float) -> HeldRod:
         """Behind a zero-order hold."""
+        arguments.sampling_period("Ts", Ts)
         return HeldRod(self.rod, Ts, self.gains)
 
 
@@ -264,10 +272,13 @@ def check_loop(loop: CurrentTrialLoop, rod: Rod) -> None:
 
 
 def _held(loop, specimens):
-    if isinstance(specimens, Specimen):
-        raise ValueError("specimens is a single specimen, but must be a list of them: [specimen]")
-    specimens = [arguments.instance("specimens", each, Specimen) for each in specimens]
-    for each in specimens:
+    arguments.instance("loop", loop, CurrentTrialLoop)
+    if not (isinstance(specimens, list | tuple) and specimens):
+        raise ValueError(
+            f"specimens = {reprlib.repr(specimens)} must be a list of them: [specimen]"
+        )
+    for k, each in enumerate(specimens):
+        arguments.instance(f"specimens[{k}]", each, Specimen)
         check_loop(loop, each.rod)
     return [each.held(loop.Ts) for each in specimens]
 

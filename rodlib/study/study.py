@@ -6,6 +6,8 @@ finds it out for the first so many.
 
 import hashlib
 import json
+import re
+import reprlib
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property, lru_cache, partial
 from importlib import import_module
@@ -28,6 +30,7 @@ from rodlib.study.specimens import MATERIAL, Grid, Spread, check_loop, draw
 from rodlib.trials import assumed_reference, check_law
 
 SIZE = 100  # rods in a batch: a second or two
+ADDRESS = re.compile(r"(\w+://)?[^/\s]+:\d+")  # of a dask scheduler
 TOGETHER = 4  # specimens simulated at once: what fits into the processor's cache
 CODE = ("rod", "held", "realisation", "loop", "feedback", "filters", "problem", "trials")
 CODE += ("study.specimens", "study.course", "study.study")
@@ -86,7 +89,8 @@ class Study:
     rest: int = 0
 
     def __post_init__(self):
-        draw(self.spread, 0, self.root, self.nominal)  # which checks these three
+        arguments.instance("nominal", self.nominal, Rod)
+        draw(self.spread, 0, self.root, self.nominal)  # which checks the other two
         loop = self.loop
         check_loop(loop, self.nominal)
         if not arguments.instance("filters", self.filters, dict):
@@ -146,6 +150,8 @@ class Study:
         dict of ndarray
             The variables of :func:`run`, the first axis being the rods.
         """
+        start = arguments.whole("start", start, 0)
+        stop = arguments.whole("stop", stop, start + 1)
         drawn = [draw(self.spread, i, self.root, self.nominal) for i in range(start, stop)]
         found = {name: np.array([getattr(each.rod, name) for each in drawn]) for name in MATERIAL}
         found["sensors"] = np.array([each.rod.sensors for each in drawn])
@@ -210,6 +216,10 @@ def run(
     arguments.instance("study", study, Study)
     rods = arguments.whole("rods", rods, 1)
     workers = None if workers is None else arguments.whole("workers", workers, 0)
+    if not (scheduler is None or (isinstance(scheduler, str) and ADDRESS.fullmatch(scheduler))):
+        raise ValueError(
+            f"scheduler = {reprlib.repr(scheduler)} must be an address, such as 'tcp://host:8786'"
+        )
     if folder is None:
         folder = files.results("rodlib.study.run") / "study"
     where = arguments.path("folder", folder)

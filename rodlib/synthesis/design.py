@@ -6,6 +6,7 @@ import numpy as np
 
 from rodlib import arguments
 from rodlib.evidence import GAP, VIOLATION, Certificate, certify, lower_bound
+from rodlib.evidence.certificate import checked_trial
 from rodlib.filters import LearningFilter
 from rodlib.posing import pose
 from rodlib.problem import Problem, Solution, largest_singular_values, tied
@@ -184,7 +185,7 @@ def synthesise(
     )  # fmt: skip
     arguments.choice("solver", solver, ["structured", "cvxpy"])
     arguments.flag("check", check)
-    samples, rest = _trial(problem, samples, rest)
+    checked_trial(problem, samples, rest)  # before long work
     if start is not None:
         _check_start(start, problem)
     by_solver = _solve_with_cvxpy if solver == "cvxpy" else solve
@@ -331,17 +332,6 @@ def _rounded_up(M_max):
     """In six digits, and not less than it is, or who follows the advice is refused again."""
     unit = 10.0 ** (np.floor(np.log10(M_max)) - 5)
     return f"{np.ceil(M_max / unit) * unit:.6g}"
-
-
-def _trial(problem, samples, rest):
-    """Length of a trial and of the rest at its end, checked."""
-    if samples is not None:
-        samples = arguments.whole("samples", samples, 2)
-        if problem.model is None:
-            raise ValueError(
-                f"samples = {samples} asks for the norm of a trial, which needs P and Q as models"
-            )
-    return samples, arguments.whole("rest", rest, 0, (samples or 1) - 1)
 
 
 def _check_start(start, problem):

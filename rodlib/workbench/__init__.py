@@ -48,7 +48,8 @@ def workbench(plants: dict[str, Plant] | None = None, live: bool | None = None):
     ValueError
         If an argument is something else.
     """
-    for name, plant in arguments.instance("plants", plants or {}, dict).items():
+    plants = arguments.instance("plants", {} if plants is None else plants, dict)
+    for name, plant in plants.items():
         arguments.instance(f"plants[{name!r}]", plant, Plant)
     if live is None:
         live = "JPY_SESSION_NAME" in os.environ
@@ -58,6 +59,6 @@ def workbench(plants: dict[str, Plant] | None = None, live: bool | None = None):
 
     from rodlib.workbench.panel import Panel
 
-    panel = Panel(plants or {})
+    panel = Panel(plants)
     display(panel.widget)
     return panel

@@ -9,10 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rodlib import arguments
 from rodlib.evidence import Certificate
 from rodlib.synthesis import InfeasibleError, SolverError, Synthesis, synthesise
 from rodlib.trials import rms, run_trials
-from rodlib.workbench.plants import TRIALS
+from rodlib.workbench.plants import TRIALS, Plant
 from rodlib.workbench.settings import Settings
 
 
@@ -62,8 +63,10 @@ def try_out(settings: Settings) -> Outcome:
     Outcome
         The same for the same settings, whatever was tried out before.
     """
-    plant, Q = settings.plant, None
+    arguments.instance("settings", settings, Settings)
     try:
+        plant = arguments.instance("plant", settings.plant, Plant)
+        seed = arguments.whole("seed", settings.seed, 0)
         Q = settings.Q
         design = synthesise(plant.response, Q, settings.omega, settings.Ts, **settings.problem)
     except InfeasibleError as error:
@@ -71,7 +74,7 @@ def try_out(settings: Settings) -> Outcome:
     except (ValueError, SolverError) as error:
         return Outcome(settings, message=str(error))
     samples, m = plant.reference.shape
-    rng = np.random.default_rng(settings.seed)
+    rng = np.random.default_rng(seed)
     noise = settings.noise * rng.standard_normal((TRIALS, samples, m))
     trials = run_trials(
         plant.loop, Q, design.filter, plant.reference, plant.disturbance, TRIALS, noise=noise

@@ -16,6 +16,7 @@ from matplotlib.lines import Line2D
 from matplotlib.transforms import Bbox
 from PIL import Image
 
+from rodlib import arguments
 from rodlib.paper.figures import SHADES
 from rodlib.workbench.outcome import Outcome
 
@@ -73,6 +74,9 @@ class Picture:
         Picture
             Itself.
         """
+        arguments.instance("outcome", outcome, Outcome)
+        if before is not None:
+            arguments.instance("before", before, Outcome)
         for axes in self.axes.flat:
             axes.set_visible(outcome.design is not None)
             for line in [*axes.lines]:

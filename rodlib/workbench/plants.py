@@ -1,5 +1,6 @@
 """Plants on the workbench: what filters are designed for, and what their trials follow."""
 
+import reprlib
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -51,8 +52,8 @@ class Plant:
         arguments.instance("source", self.source, str)
         if not isinstance(self.response, CurrentTrialLoop | MeasuredResponse):
             raise ValueError(
-                f"response = {self.response!r} must be a loop, such as current_trial_loop makes, "
-                "or a measured response"
+                f"response = {reprlib.repr(self.response)} must be a loop, such as "
+                "current_trial_loop makes, or a measured response"
             )
         arguments.whole("order", self.order, 1)
         m = len(self.loop.outputs)

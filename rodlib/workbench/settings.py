@@ -63,8 +63,8 @@ class Settings:
         Settings
             L_max is the paper's rule, 2.5 / sigma_max(P) at the cut-off frequency, to one digit.
         """
-        Ts = plant.loop.Ts
-        cutoff = float(f"{changes.get('cutoff', 0.1 / Ts):.3g}")
+        Ts = arguments.instance("plant", plant, Plant).loop.Ts
+        cutoff = float(f"{arguments.positive('cutoff', changes.get('cutoff', 0.1 / Ts)):.3g}")
         choices = {
             "M_max": 0.9,
             "L_max": float(f"{2.5 / plant.size([cutoff])[0]:.1g}"),
@@ -87,6 +87,7 @@ class Settings:
     @property
     def Q(self) -> ZeroPhaseButterworth:
         """The Q-filter."""
+        arguments.whole("Q_order", self.Q_order, 1, 100)
         return zero_phase_butterworth(self.Q_order, self.cutoff, self.Ts)
 
     @property
@@ -106,16 +107,16 @@ class Settings:
             "band": self.band,
             "structure": self.structure,
         }
-        if self.uncertainty:
-            percent = arguments.positive("uncertainty", self.uncertainty, "zero or more (%)")
+        percent = arguments.not_negative("uncertainty", self.uncertainty, "zero or more (%)")
+        if percent:
             if self.plant.measured:
                 raise ValueError(
                     f"uncertainty = {percent:g} % must be 0 for a measured response, which brings "
                     "a radius of its own"
                 )
             choices["uncertainty"] = percent / 100 * self.plant.size(self.omega)
-        if self.noise:
-            deviation = arguments.positive("noise", self.noise, "zero or more")
+        deviation = arguments.not_negative("noise", self.noise, "zero or more")
+        if deviation:
             choices["noise"] = np.full(FREQUENCIES, deviation**2)
         return choices
 

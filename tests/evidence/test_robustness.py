@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 from rodlib import LearningFilter
+from rodlib.alternatives import TwoSidedFilter
 from rodlib.evidence import worst_case
 from rodlib.posing import pose
 
@@ -134,11 +135,9 @@ def test_the_worst_of_many_plants_has_its_number():
         np.testing.assert_allclose(named, worst.sigma, rtol=1e-12)
 
 
-class Given:
+def given_as(L, problem):
     """A frequency response in the place of a filter."""
-
-    def __init__(self, L):
-        self.frequency_response = lambda omega: L
+    return TwoSidedFilter(lambda omega: L, problem.channels, problem.Ts)
 
 
 def test_a_Delta_is_found_where_two_directions_are_amplified_equally():
@@ -147,7 +146,7 @@ def test_a_Delta_is_found_where_two_directions_are_amplified_equally():
     M, L = np.diag([1.0, 0.2]), np.tile(np.diag([0.3, 0.9]), (4, 1, 1))
     P = np.tile((np.eye(2) - M) @ np.linalg.inv(L[0]), (4, 1, 1)).astype(complex)
     radius = np.array([0.5, 0.9, 1.0, 1.1])
-    worst = worst_case(replace(problem, P=P, Q=np.ones(4), radius=radius), Given(L))
+    worst = worst_case(replace(problem, P=P, Q=np.ones(4), radius=radius), given_as(L, problem))
     np.testing.assert_allclose(worst.attained, worst.sigma, rtol=1e-12)
     x = np.linspace(0, np.pi / 2, 100_001)
     x = np.stack([np.cos(x), np.sin(x)])
@@ -171,6 +170,6 @@ def test_the_bound_for_radii_of_the_entries_loses_hardly_anything(m, family):
     radius = np.ones((n, m, m)) if family == "unitary" else rng.uniform(0, 1, (n, m, m))
     problem = replace(problem, P=(np.eye(m) - M) @ np.linalg.inv(L), Q=np.ones(n), radius=radius)
 
-    worst = worst_case(problem, Given(L))
+    worst = worst_case(problem, given_as(L, problem))
     lost = 1 - worst.attained / worst.sigma
     assert lost.max() < 0.013 and lost.mean() < 1e-4

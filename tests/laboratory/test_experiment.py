@@ -258,9 +258,11 @@ def test_what_is_no_reading_never_reaches_the_actuators(loop, Q, L, tmp_path, ba
 
 
 def test_a_thermometer_in_the_room_that_fails_ends_the_trial(loop, Q):
-    device = VirtualRig(parameters=RigParameters(ambient_rate=np.nan))
+    class Unplugged(VirtualRig):
+        ambient = np.nan
+
     with pytest.raises(RigError, match="trial 1, sample 1: theta_a has 1 values"):
-        record(device, loop, Q, None, np.zeros((5, 2)), None, 1)
+        record(Unplugged(), loop, Q, None, np.zeros((5, 2)), None, 1)
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit, OSError("unplugged")])

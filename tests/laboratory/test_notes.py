@@ -116,7 +116,7 @@ def test_a_loop_that_is_none_is_refused(loop, Q, note):
         ({"Ks": None}, "Ks holds values of type object"),
         ({"units": {"Q1": "W"}}, r"units\['Q3'\] = None must be a str"),
         ({"units": ["K", "W"]}, r"units = \['K', 'W'\] must be a dict"),
-        ({"dt": True}, "plant.dt = True must be a positive sampling period"),
+        ({"dt": True}, "plant.dt = True must be a sampling period"),
         ({"A": [["1"]]}, "plant.A holds values of type <U1"),
     ],
 )

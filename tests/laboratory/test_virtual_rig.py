@@ -88,9 +88,9 @@ def test_room_warms_up_and_the_rod_follows():
 
 
 def test_bad_commands_are_refused():
-    with pytest.raises(ValueError, match="must be 4 finite numbers"):
+    with pytest.raises(ValueError, match=r"heat_flows has shape \(2,\), .* \(4,\)"):
         VirtualRig().apply([1.0, 2.0])
-    with pytest.raises(ValueError, match="finite"):
+    with pytest.raises(ValueError, match="heat_flows has 1 values that are not finite"):
         VirtualRig().apply([1.0, 2.0, np.nan, 0])
 
 
