@@ -1,12 +1,13 @@
 import fcntl
 import json
+import multiprocessing
 import os
-import signal
 import struct
 import subprocess
 import sys
 import termios
 import time
+from types import SimpleNamespace
 
 import nbformat
 import pytest
@@ -50,10 +51,29 @@ CALL = "import pathlib, sys; from rodlib.paper import reproduce; "
 CALL += "reproduce.main(pathlib.Path(sys.argv[1]), *sys.argv[2:])"
 
 
+APART = multiprocessing.get_context("forkserver")  # which has imported once what all need
+APART.set_forkserver_preload(["rodlib.paper.reproduce", "papermill"])
+
+
+def begin(root, *log):
+    """A process of its own, as make starts it: the kernels' event loops end with it."""
+    process = APART.Process(target=to_files, args=(root, *map(str, log)))
+    process.start()
+    return process
+
+
+def to_files(root, *log):
+    for number, name in ((1, "stdout"), (2, "stderr")):
+        with open(root / name, "w") as file:
+            os.dup2(file.fileno(), number)
+    reproduce.main(root, *log)
+
+
 def run(root, *log):
-    """In a process of its own, as make does: the kernels' event loops end with it."""
-    call = [sys.executable, "-c", CALL, root, *log]
-    return subprocess.run(call, capture_output=True, text=True)
+    process = begin(root, *log)
+    process.join()
+    said = {name: (root / name).read_text() for name in ("stdout", "stderr")}
+    return SimpleNamespace(returncode=process.exitcode, **said)
 
 
 def test_notebooks_run_in_their_folder_and_their_results_are_published(root):
@@ -164,9 +184,10 @@ def test_a_second_run_is_refused_a_replay_is_not_and_a_kill_leaves_no_lock(root,
         f"# format: rodlib trial log 2\n# Ts: 1.0 s\n# signals: {json.dumps(signals)}\n"
         "trial,time,reference_x,v_x,u_F,y_x\n1,0.0,1.0,0.0,0.0,0.5\n"
     )
-    with subprocess.Popen([sys.executable, "-c", CALL, root], stderr=subprocess.PIPE) as first:
+    first = begin(root)
+    try:
         while not (root / "notebooks" / "started").exists():
-            assert first.poll() is None, first.stderr.read()
+            assert first.is_alive(), (root / "stderr").read_text()
             time.sleep(0.05)
         second = run(root)
         assert second.returncode == 1
@@ -175,7 +196,9 @@ def test_a_second_run_is_refused_a_replay_is_not_and_a_kill_leaves_no_lock(root,
         )
         replay = run(root, log)
         assert replay.returncode == 0, replay.stderr
-        first.send_signal(signal.SIGKILL)
+    finally:
+        first.kill()
+        first.join()
     executed = nbformat.read(root / "build" / "replay" / replayed.name, as_version=4)
     assert executed.cells[-1].outputs[0].text == f"{log} True {root / 'build' / 'replay'}\n"
     assert not (root / "figures").exists()

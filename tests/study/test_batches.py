@@ -53,9 +53,9 @@ def contents(folder):
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
-    """The work done on one process, and its files."""
+    """The work done by this process, and its files."""
     folder = tmp_path_factory.mktemp("finished")
-    found = complete(partial(squares, folder), "name", 10, 2, folder, workers=1)
+    found = complete(partial(squares, folder), "name", 10, 2, folder, workers=0)
     np.testing.assert_array_equal(found["square"], EXPECTED)
     assert trace(folder) == [0, 2, 4, 6, 8]
     return folder
@@ -107,7 +107,7 @@ def test_a_killed_run_goes_on_where_it_was(finished, tmp_path, gate):
     run.join()
     before = {path: path.stat().st_mtime_ns for path in tmp_path.glob("*.npz")}
     (tmp_path / "trace").unlink()
-    found = complete(partial(squares, tmp_path), "name", 10, 2, tmp_path, workers=1)
+    found = complete(partial(squares, tmp_path), "name", 10, 2, tmp_path, workers=0)
     np.testing.assert_array_equal(found["square"], EXPECTED)
     assert len(before) == 2 and len(trace(tmp_path)) == 3
     assert all(path.stat().st_mtime_ns == when for path, when in before.items())

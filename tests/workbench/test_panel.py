@@ -162,7 +162,7 @@ def test_what_is_said_to_be_saved_is_read_again(panel, knobs, tmp_path, monkeypa
     [
         ('"KL": [[', '"KL": [["a", ', "KL must be an array of numbers"),
         ('"KL": [[', '"KL": [["a"], [', "KL "),
-        ('"units": {"x"', '"units": {"z"', "units['x'] = None must be a str"),
+        ('"units": {"x"', '"units": {"z"', "units is about ['z']"),
         ("# loop", '# limits: {"y_x": ["a", "b"]}\n# loop', "limits of 'y_x' = ['a', 'b'] holds"),
     ],
 )
