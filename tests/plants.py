@@ -1,4 +1,6 @@
-"""Plants that are not the rod, with names and units of their own, and a model of a rod."""
+"""Plants that are not the rod, a model of a rod, and how to choose among many cases."""
+
+from itertools import product
 
 import control
 import numpy as np
@@ -18,6 +20,14 @@ MATERIALS = st.builds(
     sections=st.integers(1, 6),
     sensors=st.just((0.03, 0.05)),
 )
+
+
+def half(*choices):
+    """Half of all combinations of choices, in which any two of different kinds still meet."""
+    places = product(*(range(len(options)) for options in choices))
+    return [
+        values for at, values in zip(places, product(*choices), strict=True) if sum(at) % 2 == 0
+    ]
 
 
 def stage(length=1e-3, force=1.0, Ts=1e-3):
