@@ -27,9 +27,12 @@ reproduce: $(BIN)/ready  ## run all notebooks; regenerate figures/ and the ledge
 	@$(BIN)/python -m rodlib.paper.reproduce
 
 test: $(BIN)/ready lint  ## lint, unit tests, the committed notebooks against a fresh run, a browser
-	$(BIN)/pytest -q -n 2 --dist loadfile
-	$(BIN)/pytest -q -n 2 --dist loadfile --nbval --nbval-current-env $(NOTEBOOKS)
-	$(BIN)/pytest -q -rs -n 2 --dist loadfile tests/browser
+	@rm -rf build/test
+	@mkdir -p build/test
+	RODLIB_RESULTS="$(CURDIR)/build/test" \
+		$(BIN)/pytest -q -n 3 --dist loadfile --nbval --nbval-current-env $(NOTEBOOKS)
+	$(BIN)/python tests/results.py build/test
+	$(BIN)/pytest -q -rs -n 3 --dist loadfile tests tests/browser
 
 lint: $(BIN)/ready  ## ruff on modules, tests and notebooks
 	$(BIN)/ruff check

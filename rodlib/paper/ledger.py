@@ -329,33 +329,40 @@ def publish(build: Path, root: Path) -> None:
     """
     rows = join(build / "ledger")
     with publishing(root) as new:
-        readme = (root / "README.md").read_text(encoding="utf-8")
-        texts = {
-            "figures/ledger.csv": rows.to_csv(index=False, lineterminator="\n").encode(),
-            "figures/ledger.md": markdown(rows).encode(),
-            "README.md": splice(readme, "ledger", summary(rows)).encode(),
-        }
-        drawn, before = build / "figures", root / "figures"
-        figures = pictures.compared(drawn, before)
+        figures, texts = changes(rows, build, root)
         for name in (name for name in figures if figures[name] != pictures.SAME):
-            new.update({f"figures/{path.name}": None for path in before.glob(f"{name}.*")})
-            files = drawn.glob(f"{name}.*")
-            new.update({f"figures/{path.name}": path.read_bytes() for path in files})
-        old = {name: (root / name).read_bytes() for name in texts if (root / name).exists()}
-        changed = [name for name in texts if texts[name] != old.get(name)]
-        new.update({name: texts[name] for name in changed})
+            before, drawn = ((at / "figures").glob(f"{name}.*") for at in (root, build))
+            new.update({f"figures/{path.name}": None for path in before})
+            new.update({f"figures/{path.name}": path.read_bytes() for path in drawn})
+        new.update(texts)
     print(f"ledger: {rows.verdict.value_counts().to_dict()}")
-    print(_told(figures, changed))
+    print(told(figures, texts))
 
 
-def _told(figures, changed):
+def changes(
+    rows: pd.DataFrame, build: Path, root: Path
+) -> tuple[dict[str, str], dict[str, bytes]]:
+    """What a run has made of the figures, as :func:`rodlib.paper.pictures.compared` names it, and
+    those texts that are other than they were, by their names."""
+    readme = (root / "README.md").read_text(encoding="utf-8")
+    texts = {
+        "figures/ledger.csv": rows.to_csv(index=False, lineterminator="\n").encode(),
+        "figures/ledger.md": markdown(rows).encode(),
+        "README.md": splice(readme, "ledger", summary(rows)).encode(),
+    }
+    old = {name: (root / name).read_bytes() for name in texts if (root / name).exists()}
+    changed = {name: text for name, text in texts.items() if text != old.get(name)}
+    return pictures.compared(build / "figures", root / "figures"), changed
+
+
+def told(figures: dict[str, str], changed: Iterable[str]) -> str:
     """How many figures are the same, and what has become of the others and of texts."""
     same = list(figures.values()).count(pictures.SAME)
     if same == len(figures) and not changed:
         return f"all {same} figures, the ledger and the README are the same as before"
-    told = f"{same} of {len(figures)} figures are the same as before"
+    line = f"{same} of {len(figures)} figures are the same as before"
     rest = figures | dict.fromkeys(changed, pictures.DIFFERENT)
     for kind in (pictures.DIFFERENT, pictures.NEW, pictures.GONE):
         names = ", ".join(name for name in rest if rest[name] == kind)
-        told += f"; {kind}: {names}" if names else ""
-    return told
+        line += f"; {kind}: {names}" if names else ""
+    return line
