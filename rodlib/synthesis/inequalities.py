@@ -104,13 +104,12 @@ def cholesky(A, floor):
 
 def positive_definite(A):
     """Which of the Hermitian matrices are positive definite. They are overwritten."""
-    positive = np.ones(A.shape[-1], dtype=bool)
-    for k in range(len(A)):
-        pivot = A[k, k].real
-        positive &= pivot > 0
-        column = A[k + 1 :, k]
-        row = column.conj() * (1 / np.where(positive, pivot, 1))
-        A[k + 1 :, k + 1 :] -= column[:, None] * row
+    positive = A[0, 0].real > 0
+    for k in range(1, len(A)):
+        column = A[k:, k - 1]
+        row = column.conj() * (1 / np.where(positive, A[k - 1, k - 1].real, 1))
+        A[k:, k:] -= column[:, None] * row
+        positive &= A[k, k].real > 0
     return positive
 
 
