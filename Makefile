@@ -32,7 +32,7 @@ test: $(BIN)/ready lint  ## lint, unit tests, the committed notebooks against a 
 	RODLIB_RESULTS="$(CURDIR)/build/test" \
 		$(BIN)/pytest -q -n 3 --dist loadfile --nbval --nbval-current-env $(NOTEBOOKS)
 	$(BIN)/python tests/results.py build/test
-	$(BIN)/pytest -q -rs -n 3 --dist loadfile tests tests/browser
+	$(BIN)/pytest -q -rs -n 2 --dist loadfile -p no:nbval tests tests/browser
 
 lint: $(BIN)/ready  ## ruff on modules, tests and notebooks
 	$(BIN)/ruff check
