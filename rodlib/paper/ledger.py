@@ -339,9 +339,7 @@ def publish(build: Path, root: Path) -> None:
     print(told(figures, texts))
 
 
-def changes(
-    rows: pd.DataFrame, build: Path, root: Path
-) -> tuple[dict[str, str], dict[str, bytes]]:
+def changes(rows: pd.DataFrame, build: Path, root: Path) -> tuple[dict[str, str], dict[str, bytes]]:
     """What a run has made of the figures, as :func:`rodlib.paper.pictures.compared` names it, and
     those texts that are other than they were, by their names."""
     readme = (root / "README.md").read_text(encoding="utf-8")
