@@ -47,7 +47,7 @@ replay: $(BIN)/ready  ## replay a log of your own: make replay LOG=path; writes 
 	@test -n "$$NAMED" || { echo "name a log: make replay LOG=path"; exit 2; }
 	@$(BIN)/python -m rodlib.paper.reproduce "$$NAMED"
 
-machines: $(BIN)/ready  ## test and reproduce with the arithmetic of other processors (long)
+machines: $(BIN)/ready  ## the tests with the rounding of other processors (long)
 	$(BIN)/python tests/machines.py $(MACHINES)
 
 mutants: $(BIN)/ready  ## change one thing in rodlib at a time and see whether a test notices (long)

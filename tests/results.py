@@ -6,12 +6,16 @@
 import sys
 from pathlib import Path
 
-from rodlib.files import ROOT
 from rodlib.paper import pictures
 from rodlib.paper.ledger import changes, join, told
 
-if __name__ == "__main__":
-    build = Path(sys.argv[1])
-    figures, texts = changes(join(build / "ledger"), build, ROOT)
+
+def main(build: Path, root: Path) -> bool:
+    """Say what is the same and what is not; whether anything is not."""
+    figures, texts = changes(join(build / "ledger"), build, root)
     print(told(figures, texts))
-    sys.exit(bool(texts) or {*figures.values()} != {pictures.SAME})
+    return bool(texts) or any(kind != pictures.SAME for kind in figures.values())
+
+
+if __name__ == "__main__":
+    sys.exit(main(Path(sys.argv[1]), Path(__file__).resolve().parents[1]))
