@@ -3,6 +3,7 @@ import pytest
 from machines import ROOT
 
 
+@pytest.mark.skipif(not (ROOT / ".git").exists(), reason="a copy without git")
 def test_the_copy_is_that_of_the_working_tree(tmp_path):
     machines.copy_checkout(tmp_path)
     for name in ("pyproject.toml", "rodlib/paper/ledger.py", "notebooks/01-model.ipynb"):
