@@ -22,7 +22,7 @@ import numpy as np
 
 ULPS = 4  # at most, as far as the libraries of two processors were seen apart in one operation
 FEW = 26  # bits: a number that leaves half of its digits unused was not rounded
-SMALL = 512  # numbers of an operand up to which they are looked for in the result
+SMALL = 2**16  # comparisons up to which the numbers of an operand are looked for in the result
 UNROUNDED = {  # functions that arrange numbers, and do not calculate
     "block_diag", "circulant", "companion", "diagonal", "fftfreq", "fftshift", "hankel",
     "ifftshift", "matrix_transpose", "rfftfreq", "toeplitz", "tril", "triu",
@@ -89,9 +89,10 @@ def move(result, key: int, operands=()):
     units = (_mix(digits ^ np.uint64(key)) % np.uint64(2 * ULPS + 1)).astype(float) - ULPS
     units[digits % np.uint64(2**FEW) == 0] = 0
     for operand in operands:  # times one, plus nothing
-        if isinstance(operand, np.ndarray) and operand.dtype.char in "dD" and operand.size < SMALL:
+        if isinstance(operand, np.ndarray) and operand.dtype.char in "dD":
             own = np.ravel(operand).view(float).view(np.uint64) & np.uint64(2**52 - 1)
-            units[np.isin(digits, own)] = 0
+            if own.size * digits.size <= SMALL:
+                units[(digits == own[:, None]).any(axis=0)] = 0
     parts *= 1 + units * np.finfo(float).eps
     return moved if isinstance(result, np.ndarray) else moved[()]
 
