@@ -125,7 +125,9 @@ class Picture:
         coefficients = np.concatenate([d.filter.coefficients.ravel() for d in designs])
         least, most = coefficients.min(), coefficients.max()
         lags.set_ylim(-_round_up(-least) if least < 0 else 0, _round_up(most) if most > 0 else 0)
-        lags.set_xlim(0.5, max(d.filter.order for d in designs) + 0.5)
+        # Not halves: with ten coefficients a marker would fall between two pixels, and rounding
+        # would say into which of them.
+        lags.set_xlim(0.4, max(d.filter.order for d in designs) + 0.6)
         lags.xaxis.get_major_locator().set_params(integer=True)
         names = [*entries(outcomes[0])]
         if lags.get_legend() is None or names != [t.get_text() for t in lags.get_legend().texts]:
