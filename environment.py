@@ -65,7 +65,7 @@ def main(root: Path = ROOT) -> None:
         sys.exit("Python 3.11 or newer is needed: make PYTHON=...")
     if is_ready(root):
         return
-    from rodlib.files import alone, folder
+    from rodlib.ilc.files import alone, folder
 
     refusal = f"another make is creating the environment in {root}: wait until it has ended"
     try:

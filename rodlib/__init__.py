@@ -1,9 +1,11 @@
 """Iterative learning control of a heated rod: the module behind the notebooks.
 
-A name is imported when it is first used, so that what needs only a part does not wait for all.
+On this floor is what the paper is about: the rod, its models, its loop and its rigs. One floor
+below, in :mod:`rodlib.ilc`, is the toolbox for any plant, whose names are at home here, too. A name
+is imported when it is first used, so that what needs only a part does not wait for all.
 """
 
-from importlib import import_module
+from rodlib import ilc
 
 MODULES = {
     "rod": ("Rod", "exact_response", "midr"),
@@ -15,70 +17,14 @@ MODULES = {
         "modal_series",
     ),
     "held": ("sampled_response",),
-    "realisation": ("minimal_realisation",),
-    "loop": ("CurrentTrialLoop",),
-    "feedback": ("current_trial_loop", "paper_loop"),
-    "filters": (
-        "LearningFilter",
-        "LearningOperator",
-        "ZeroPhaseButterworth",
-        "update",
-        "zero_phase_butterworth",
-    ),
-    "problem": ("Problem",),
-    "evidence": (
-        "converged_noise",
-        "noise_bound",
-        "noise_by_trial",
-        "trial_noise",
-        "violation_probability",
-        "worst_case",
-    ),
-    "synthesis": (
-        "InfeasibleError",
-        "SolverError",
-        "Synthesis",
-        "largest_cutoff",
-        "least_gain",
-        "synthesise",
-    ),
-    "trials": ("run_trials",),
-    "alternatives": (
-        "NormOptimal",
-        "Rehearsal",
-        "gradient",
-        "h_infinity",
-        "p_type",
-        "pd_type",
-        "stable_inversion",
-        "tune",
-        "zero_phase_inversion",
-    ),
-    "study": ("Specimen", "Spread", "Study", "draw", "responses", "unstable_poles"),
-    "laboratory": (
-        "LogError",
-        "expected_radius",
-        "load_law",
-        "load_log",
-        "loop_of",
-        "measured_response",
-        "multisine",
-        "record",
-        "save_law",
-        "save_log",
-        "shake",
-    ),
+    "case": ("paper_loop",),
+    "specimens": ("Specimen", "Spread", "draw", "responses", "unstable_poles"),
+    "study": ("Study",),
 }
-HOME = {name: module for module, names in MODULES.items() for name in names}
+MODULES |= {f"ilc.{module}": names for module, names in ilc.MODULES.items()}
 
-__all__ = [*HOME]
-
-
-def __getattr__(name):
-    if name not in HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{HOME[name]}"), name)
+__getattr__, __all__ = ilc.lazily(__name__, MODULES)
 
 
 def __dir__():
-    return sorted([*globals(), *HOME])
+    return sorted([*globals(), *__all__])

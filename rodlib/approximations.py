@@ -19,7 +19,7 @@ import control
 import numpy as np
 from scipy.linalg import eigh, solve_continuous_lyapunov
 
-from rodlib import arguments
+from rodlib.ilc import arguments
 from rodlib.rod import Rod, midr
 
 FINE = 12  # degree of the model that is truncated: its error is below 1e-7 up to 0.1 rad/s

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rodlib import arguments
+from rodlib.ilc import arguments
 from rodlib.rod import Rod, exact_response
 
 POWERS = 64  # of 1 / z; the square of a whole number

@@ -12,7 +12,7 @@ import control
 import numpy as np
 from scipy.interpolate import BPoly
 
-from rodlib import arguments
+from rodlib.ilc import arguments
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import pytest
 import rounding
 from hypothesis import HealthCheck, settings
 
-from rodlib.files import ROOT
+from rodlib.paper.repository import ROOT
 
 matplotlib.use("agg")
 slow = [HealthCheck.too_slow]  # which a machine may be

@@ -18,7 +18,7 @@ from rodlib import (
     midr,
     modal_series,
 )
-from rodlib.realisation import frequency_response
+from rodlib.ilc.models import frequency_response
 
 BRASS = Rod(
     length=0.6, density=8500.0, heat_capacity=380.0, conductivity=120.0, sections=6,

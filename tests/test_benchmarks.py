@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from rodlib.files import ROOT
+from rodlib.paper.repository import ROOT
 
 FOLDER = ROOT / "tests" / "benchmarks"
 

@@ -4,8 +4,8 @@ import numpy as np
 import plants
 
 from rodlib import current_trial_loop
-from rodlib.feedback import frequency_response
-from rodlib.files import ROOT
+from rodlib.ilc.models import frequency_response
+from rodlib.paper.repository import ROOT
 
 TABLE = ROOT / "data" / "stage" / "closed-loop.csv"
 

@@ -8,7 +8,8 @@ import sys
 
 import pytest
 
-from rodlib.files import ROOT, alone
+from rodlib.ilc.files import alone
+from rodlib.paper.repository import ROOT
 
 spec = importlib.util.spec_from_file_location("environment", ROOT / "environment.py")
 environment = importlib.util.module_from_spec(spec)

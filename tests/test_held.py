@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from plants import MATERIALS, modal_model
 
 from rodlib import Rod, Spread, draw, exact_response, midr, sampled_response
-from rodlib.feedback import frequency_response
+from rodlib.ilc.models import frequency_response
 
 
 def aliased(rod, omega, Ts, most=3000):

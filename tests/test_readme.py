@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from rodlib import load_log
-from rodlib.files import ROOT
-from rodlib.laboratory import law_of, loop_of
-from rodlib.laboratory.temperature_control_lab import heat_balance
-from rodlib.problem import convergence_matrix, largest_singular_values
-from rodlib.trials import rms
+from rodlib.ilc.laboratory import law_of, loop_of
+from rodlib.ilc.laboratory.temperature_control_lab import heat_balance
+from rodlib.ilc.problem import convergence_matrix, largest_singular_values
+from rodlib.ilc.trials import rms
+from rodlib.paper.repository import ROOT
 
 SNIPPETS = re.findall(
     r"^```python\n(.*?)^```$",

@@ -3,9 +3,9 @@ import shutil
 import pytest
 import results
 
-from rodlib.files import ROOT
 from rodlib.paper import ledger, published
 from rodlib.paper.ledger import Ledger, publish
+from rodlib.paper.repository import ROOT
 
 FIGURE = "fig02-rod"
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from plants import MATERIALS
 
 from rodlib import Rod, exact_response, midr, minimal_realisation
-from rodlib.realisation import frequency_response
+from rodlib.ilc.models import frequency_response
 from rodlib.rod import bernstein_basis
 
 

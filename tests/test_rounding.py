@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from rodlib.files import ROOT
+from rodlib.paper.repository import ROOT
 
 SIZES = {"max_magnitude": 1e300, "allow_nan": False}
 ELEMENTS = {float: st.floats(-1e300, 1e300), complex: st.complex_numbers(**SIZES)}

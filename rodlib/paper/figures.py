@@ -15,8 +15,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyArrowPatch, Rectangle
 
-from rodlib.files import folder, replacing, results
+from rodlib.ilc.files import folder, replacing
 from rodlib.paper.pictures import PIXELS_PER_INCH
+from rodlib.paper.repository import results
 from rodlib.rod import Rod
 
 WIDE = (7.2, 3.2)  # inches, one row of axes

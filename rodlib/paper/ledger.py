@@ -24,9 +24,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from rodlib.files import folder, publishing, results, write_whole
+from rodlib.ilc.files import folder, write_whole
 from rodlib.paper import pictures, published
 from rodlib.paper.published import Claim
+from rodlib.paper.repository import publishing, results
 
 REPRODUCED, DIFFERS = "reproduced", "differs"
 IN_WORDS, UNCHECKED = "in words", "cannot be checked"
@@ -325,7 +326,7 @@ def publish(build: Path, root: Path) -> None:
     ValueError
         If the rows do not make a complete ledger, or the README has no place for it.
     RuntimeError
-        See :func:`rodlib.files.publishing`.
+        See :func:`rodlib.paper.repository.publishing`.
     """
     rows = join(build / "ledger")
     with publishing(root) as new:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rodlib.files import ROOT
+from rodlib.paper.repository import ROOT
 
 INSTALLED = Path(__file__).with_name("printed")
 FOLDER = INSTALLED if INSTALLED.is_dir() else ROOT / "data" / "published"

@@ -21,8 +21,9 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from rodlib.files import ROOT, alone, checkout, finish_publishing, folder
+from rodlib.ilc.files import alone, folder
 from rodlib.paper.ledger import publish
+from rodlib.paper.repository import ROOT, checkout, finish_publishing
 
 AT_A_TIME = 3  # two processors stay busy while a kernel starts or ends
 
@@ -52,7 +53,7 @@ def folder_of_run(command: str, root: Path) -> Iterator[Path]:
                 shutil.rmtree(path)
             else:
                 path.unlink()
-        os.environ["RODLIB_RESULTS"] = str(results)  # see rodlib.files.results
+        os.environ["RODLIB_RESULTS"] = str(results)  # see rodlib.paper.repository.results
         yield results
 
 
@@ -196,7 +197,7 @@ def replay(log: str, root: Path = ROOT) -> None:
     RuntimeError
         As :func:`reproduce`.
     """
-    from rodlib.laboratory import load_log, replay_of  # here, because they take long to import
+    from rodlib.ilc.laboratory import load_log, replay_of  # here, because they take long to import
     from rodlib.paper.rig_logs import papers_loop
 
     checkout("make replay", root)

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from rodlib.feedback import paper_loop
-from rodlib.files import ROOT, checkout
-from rodlib.filters import LearningFilter, zero_phase_butterworth
-from rodlib.laboratory import VirtualRig, record, save_log
-from rodlib.loop import CurrentTrialLoop
+from rodlib.case import assumed_disturbance, assumed_reference, paper_loop
+from rodlib.ilc.filters import LearningFilter, zero_phase_butterworth
+from rodlib.ilc.laboratory import record, save_log
+from rodlib.ilc.loop import CurrentTrialLoop
 from rodlib.paper import published
-from rodlib.trials import assumed_disturbance, assumed_reference
+from rodlib.paper.repository import ROOT, checkout
+from rodlib.rigs import VirtualRig
 
 # As many digits as are recorded: heat flows in 0.1 mW, temperatures in 0.1 mK, v in 1 uK.
 DECIMALS = {"v": 6, "u": 4, "delta": 4, "disturbance": 4}

@@ -7,12 +7,13 @@ import sys
 
 import pandas as pd
 
-from rodlib.feedback import paper_loop
-from rodlib.files import checkout, replacing, results
-from rodlib.filters import LearningFilter, zero_phase_butterworth
+from rodlib.case import paper_loop
+from rodlib.ilc.files import replacing
+from rodlib.ilc.filters import LearningFilter, zero_phase_butterworth
 from rodlib.paper import published
+from rodlib.paper.repository import checkout, results
+from rodlib.specimens import Spread
 from rodlib.study import Study, run
-from rodlib.study.specimens import Spread
 
 RODS = 10_000
 SPREADS = {"material": Spread(0.2, 0.2, 0.2, 0.2), "everything": Spread.of_all(0.2)}

@@ -3,23 +3,13 @@
 A :class:`Study` says how far off the rods may be and what is to be found out about each of them;
 :func:`run` finds it out for the first so many.
 
-- :mod:`rodlib.study.specimens`: the rods, and the loop around each of them;
+- :mod:`rodlib.specimens`: the rods, and the loop around each of them;
 - :mod:`rodlib.study.course`: the trials of many rods at once;
 - :mod:`rodlib.study.batches`: work in batches on dask, each finished one a file;
 - :mod:`rodlib.study.study`: the question and its answer.
 """
 
 from rodlib.study.batches import local_cluster
-from rodlib.study.specimens import Specimen, Spread, draw, responses, unstable_poles
 from rodlib.study.study import Study, run
 
-__all__ = [
-    "Specimen",
-    "Spread",
-    "Study",
-    "draw",
-    "local_cluster",
-    "responses",
-    "run",
-    "unstable_poles",
-]
+__all__ = ["Study", "local_cluster", "run"]

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from rodlib import arguments
-from rodlib.files import alone, folder, replacing
+from rodlib.ilc import arguments
+from rodlib.ilc.files import alone, folder, replacing
 
 PROCESS = {  # environment of the workers, beside what dask sets
     "OMP_NUM_THREADS": 1,  # or the number of cores would decide on the last digits

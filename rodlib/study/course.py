@@ -6,7 +6,7 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
 from rodlib.held import HeldRod
-from rodlib.study.specimens import Around
+from rodlib.specimens import Around
 
 ALIAS = 1e-9  # what is left of a sample after one turn of the transform
 WRAP = 1.6  # lengths of a trial after which its transform begins anew

@@ -19,21 +19,22 @@ import numpy as np
 import scipy
 import xarray as xr
 
-from rodlib import arguments, files
-from rodlib.filters import LearningFilter, ZeroPhaseButterworth
-from rodlib.loop import CurrentTrialLoop
-from rodlib.problem import convergence_matrix, largest_singular_values
+from rodlib.case import assumed_reference
+from rodlib.ilc import arguments, files
+from rodlib.ilc.filters import LearningFilter, ZeroPhaseButterworth
+from rodlib.ilc.loop import CurrentTrialLoop
+from rodlib.ilc.problem import convergence_matrix, largest_singular_values
+from rodlib.ilc.trials import check_law
 from rodlib.rod import Rod
+from rodlib.specimens import MATERIAL, Grid, Spread, check_loop, draw
 from rodlib.study import batches
 from rodlib.study.course import Course
-from rodlib.study.specimens import MATERIAL, Grid, Spread, check_loop, draw
-from rodlib.trials import assumed_reference, check_law
 
 SIZE = 100  # rods in a batch: a second or two
 ADDRESS = re.compile(r"(\w+://)?[^/\s]+:\d+")  # of a dask scheduler
 TOGETHER = 4  # specimens simulated at once: what fits into the processor's cache
-CODE = ("rod", "held", "realisation", "loop", "feedback", "filters", "problem", "trials")
-CODE += ("study.specimens", "study.course", "study.study")
+CODE = ("rod", "held", "case", "specimens", "study.course", "study.study")
+CODE += tuple(f"ilc.{name}" for name in ("models", "loop", "filters", "problem", "trials"))
 UNITS = {"density": "kg/m3", "heat_capacity": "J/(kg K)", "heat_transfer": "W/(m2 K)"}
 UNITS |= {"conductivity": "W/(m K)", "sensors": "m", "gains": "1", "unstable_poles": "1"}
 UNITS |= {"rate": "1", "rate_omega": "rad/s", "objective": "1"}
@@ -61,7 +62,7 @@ class Study:
     band : tuple of float
         Over which the objective of (39) sums, rad/s.
     reference : ndarray, shape (time, m)
-        Default: :func:`rodlib.trials.assumed_reference`.
+        Default: :func:`rodlib.case.assumed_reference`.
     disturbance : ndarray, shape (time, d) or (trials, time, d), optional
         In the order of ``loop.disturbances``. Default zero.
     trials : int

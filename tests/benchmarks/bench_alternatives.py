@@ -10,7 +10,8 @@ import pytest
 from bench_synthesis import measure
 
 from rodlib import paper_loop, synthesise, zero_phase_butterworth
-from rodlib.alternatives import (
+from rodlib.case import assumed_reference
+from rodlib.ilc.alternatives import (
     NormOptimal,
     gradient,
     h_infinity,
@@ -18,7 +19,6 @@ from rodlib.alternatives import (
     stable_inversion,
     zero_phase_inversion,
 )
-from rodlib.trials import assumed_reference
 
 DESIGNS = {
     "P-type": lambda loop, Q: p_type(1.0, 89, 2, loop.Ts),

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from rodlib import paper_loop, synthesise, zero_phase_butterworth
-from rodlib.posing import pose
-from rodlib.study import Spread, draw, responses
-from rodlib.synthesis import interior_point, statement
-from rodlib.synthesis.program import formulate
+from rodlib.ilc.posing import pose
+from rodlib.ilc.synthesis import interior_point, statement
+from rodlib.ilc.synthesis.program import formulate
+from rodlib.specimens import Spread, draw, responses
 
 FREQUENCIES = (250, 500, 1000, 2000, 4000, 8000, 16000)
 ORDERS = (5, 10, 20, 40)

@@ -6,9 +6,9 @@ import sys
 import matplotlib.pyplot as plt
 import numpy as np
 
-from rodlib.files import checkout, publishing
 from rodlib.paper import figures
 from rodlib.paper.ledger import splice
+from rodlib.paper.repository import checkout, publishing
 
 LABELS = {
     "neighbour": "structured, from the optimum for L_max = 45",

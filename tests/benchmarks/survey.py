@@ -26,9 +26,10 @@ import control
 import numpy as np
 
 from rodlib import InfeasibleError, SolverError, synthesise, zero_phase_butterworth
-from rodlib.files import ROOT, write_whole
+from rodlib.ilc.files import write_whole
+from rodlib.ilc.models import frequency_response
 from rodlib.paper.ledger import splice
-from rodlib.realisation import frequency_response
+from rodlib.paper.repository import ROOT
 
 FAMILIES = (
     "lag", "two lags", "motion stage", "tanks", "slow integrator", "short delay", "long delay",

@@ -14,7 +14,8 @@ from pathlib import Path
 import pytest
 from driver import Reader
 
-from rodlib.files import ROOT, folder
+from rodlib.ilc.files import folder
+from rodlib.paper.repository import ROOT
 
 NAMES = (
     "chromium-headless-shell", "chromium", "chromium-browser", "google-chrome",

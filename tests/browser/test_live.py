@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from rodlib import Rod, load_law
-from rodlib.workbench import Picture, Settings, plant_of_rod, try_out
+from rodlib.ilc.workbench import Picture, Settings, try_out
+from rodlib.paper.knobs import plant_of_rod
 
 TEN_KEYS = """handle => { for (let k = 0; k < 10; k++)
     handle.dispatchEvent(new KeyboardEvent('keydown', {key: 'ArrowLeft', bubbles: true})); }"""

@@ -12,9 +12,9 @@ import pandas as pd
 import pytest
 from bs4 import BeautifulSoup
 
-from rodlib.files import ROOT
 from rodlib.paper.pages import main
 from rodlib.paper.pages.text import as_html, formula
+from rodlib.paper.repository import ROOT
 
 CALL = "import pathlib, sys; from rodlib.paper.pages import main; main(pathlib.Path(sys.argv[1]))"
 SOURCES = ["pyproject.toml", "README.md", "CONTRIBUTING.md", "LICENSE", "CITATION.cff"]

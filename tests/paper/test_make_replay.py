@@ -23,10 +23,10 @@ from rodlib import (
     update,
     zero_phase_butterworth,
 )
-from rodlib.files import ROOT
-from rodlib.laboratory import replay_of, with_law
-from rodlib.laboratory.temperature_control_lab import TemperatureControlLab, heat_balance
+from rodlib.ilc.laboratory import replay_of, with_law
+from rodlib.ilc.laboratory.temperature_control_lab import TemperatureControlLab, heat_balance
 from rodlib.paper import reproduce
+from rodlib.paper.repository import ROOT
 from rodlib.paper.rig_logs import papers_loop
 
 ODD = 'my stage\'s "log" of $HOME, ~ & `x` #1.csv'

@@ -12,9 +12,9 @@ from types import SimpleNamespace
 import nbformat
 import pytest
 
-from rodlib.files import publishing
 from rodlib.paper import ledger, published, reproduce
 from rodlib.paper.ledger import Ledger
+from rodlib.paper.repository import publishing
 from rodlib.paper.reproduce import seconds_by_cell
 
 
@@ -41,7 +41,7 @@ def root(tmp_path, monkeypatch):
     (tmp_path / "made" / "figures" / "fig01.png").write_bytes(b"picture")
     write(
         tmp_path / "notebooks" / "01-model.ipynb",
-        "import shutil; from rodlib.files import results",
+        "import shutil; from rodlib.paper.repository import results",
         'shutil.copytree("../made", results("this notebook"), dirs_exist_ok=True)',
     )
     return tmp_path
@@ -172,7 +172,7 @@ def test_a_second_run_is_refused_a_replay_is_not_and_a_kill_leaves_no_lock(root,
     wait = "import pathlib; pathlib.Path('started').touch(); pathlib.Path('../gate').read_bytes()"
     write(root / "notebooks" / "02-waits.ipynb", wait)
     replayed = root / "notebooks" / "05-experiment-replay.ipynb"
-    imports = "from rodlib.files import results"
+    imports = "from rodlib.paper.repository import results"
     show = "print(log, no_learning == '', results('a test'))"
     write(replayed, f"{imports}; log = no_learning = 'the paper'", show)
     notebook = nbformat.read(replayed, as_version=4)

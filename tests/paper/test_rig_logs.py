@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from rodlib import load_log
-from rodlib.files import ROOT
-from rodlib.laboratory import VirtualRig
+from rodlib.case import assumed_disturbance, assumed_reference
 from rodlib.paper import rig_logs
-from rodlib.trials import assumed_disturbance, assumed_reference
+from rodlib.paper.repository import ROOT
+from rodlib.rigs import VirtualRig
 
 
 def test_the_logs_are_recorded_in_data_rig(monkeypatch):

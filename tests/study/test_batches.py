@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rodlib.files import alone
+from rodlib.ilc.files import alone
 from rodlib.study.batches import _load, _save, complete, local_cluster
 
 EXPECTED = np.arange(10.0) ** 2

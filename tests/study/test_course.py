@@ -4,17 +4,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from plants import modal_model
 
-from rodlib import (
-    LearningFilter,
-    Spread,
-    draw,
-    paper_loop,
-    run_trials,
-    zero_phase_butterworth,
-)
+from rodlib import LearningFilter, Spread, draw, paper_loop, run_trials, zero_phase_butterworth
+from rodlib.case import assumed_disturbance, assumed_reference
+from rodlib.ilc.trials import rms
 from rodlib.paper import published
 from rodlib.study.course import Course
-from rodlib.trials import assumed_disturbance, assumed_reference, rms
 
 ALL = Spread.of_all(0.3)
 SLOW = paper_loop(Ts=10.0)

@@ -18,9 +18,10 @@ from rodlib import (
     sampled_response,
     zero_phase_butterworth,
 )
+from rodlib.case import assumed_reference
+from rodlib.ilc.trials import rms
 from rodlib.paper import published
 from rodlib.study import study
-from rodlib.trials import assumed_reference, rms
 
 LOOP, Q, OMEGA = paper_loop(), zero_phase_butterworth(), np.geomspace(1e-4, np.pi, 60)
 FILTERS = {

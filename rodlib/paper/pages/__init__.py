@@ -17,8 +17,9 @@ import pandas as pd
 from jinja2 import Environment, FileSystemLoader
 from pygments.formatters import HtmlFormatter
 
-from rodlib.files import ROOT, alone, checkout, folder
+from rodlib.ilc.files import alone, folder
 from rodlib.paper.pages.text import as_html
+from rodlib.paper.repository import ROOT, checkout
 
 HERE = Path(__file__).parent
 DOCUMENTS = {  # of the repository, and the page that each becomes

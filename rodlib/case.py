@@ -1,0 +1,117 @@
+"""The paper's case: its current-trial loop, and what stands in for its reference and disturbances.
+
+Section IV. The reference trajectories and disturbances are published only as a plot (Fig. 7), so
+:func:`assumed_reference` and :func:`assumed_disturbance` stand in for them.
+"""
+
+import control
+import numpy as np
+
+from rodlib.ilc import arguments
+from rodlib.ilc.gains import current_trial_loop
+from rodlib.ilc.loop import CurrentTrialLoop
+from rodlib.ilc.models import minimal_realisation
+from rodlib.rod import Rod, midr
+
+
+def paper_loop(rod: Rod | None = None, degree: int = 3, Ts: float = 1.0) -> CurrentTrialLoop:
+    """Build the paper's current-trial loop, Section IV.
+
+    Parameters
+    ----------
+    rod : Rod, optional
+        Default: the paper's rig.
+    degree : int, default 3
+        Degree M of the polynomials in :func:`rodlib.midr`.
+    Ts : float, default 1.0
+        Sampling period, s.
+
+    Returns
+    -------
+    CurrentTrialLoop
+        Controls Q1 and Q3 (W), disturbances theta_a (K), Q2 and Q4 (W); outputs y1 and y2 (K).
+
+    Raises
+    ------
+    ValueError
+        If the rod has not the paper's four sections and two sensors, or `Ts` is not between 1e-5
+        and 1e4 s. Beyond, states cannot be told apart; and the poles of the loop would come closer
+        to the unit circle than the square root of rounding, to which a Riccati solver finds them.
+    """
+    rod = arguments.instance("rod", Rod() if rod is None else rod, Rod)
+    Ts = arguments.number("Ts", Ts, "a sampling period between 1e-5 and 1e4 s", 1e-5, 1e4)
+    if (rod.sections, len(rod.sensors)) != (4, 2):
+        raise ValueError(
+            f"rod has {rod.sections} sections and {len(rod.sensors)} sensors, but the paper's loop "
+            "has Q1 to Q4 and two sensors: for another rod see minimal_realisation and "
+            "current_trial_loop"
+        )
+    model = minimal_realisation(midr(rod, degree), ["Q1", "Q3"])
+    model = model[:, ["Q1", "Q3", "theta_a", "Q2", "Q4"]]  # d in the order of (10)
+    units = {name: "W" if name.startswith("Q") else "K" for name in rod.inputs + rod.outputs}
+    return current_trial_loop(
+        control.sample_system(model, Ts, method="zoh"), controls=["Q1", "Q3"], units=units
+    )
+
+
+def assumed_reference(samples: int = 2500) -> np.ndarray:
+    """Assumed reference trajectory, for the one that the paper shows as a plot only (Fig. 7).
+
+    Both outputs start and end at the initial ambient temperature and move between levels of up
+    to 10 K along quintic steps, whose first and second derivatives are continuous.
+
+    Parameters
+    ----------
+    samples : int
+        Length of the trial; the shape is stretched to it.
+
+    Returns
+    -------
+    ndarray, shape (samples, 2)
+        In K above the initial ambient temperature.
+
+    Raises
+    ------
+    ValueError
+        If `samples` is not a whole number, 1 or more.
+    """
+    samples = arguments.whole("samples", samples, 1)
+    time = np.arange(samples) / samples * 2500
+
+    def step(start, stop):
+        s = np.clip((time - start) / (stop - start), 0, 1)
+        return s**3 * (10 - 15 * s + 6 * s**2)
+
+    first = 10 * step(100, 700) - 4 * step(1000, 1400) - 6 * step(1700, 2300)
+    second = 8 * step(200, 900) + 2 * step(1200, 1500) - 10 * step(1700, 2350)
+    return np.stack([first, second], axis=1)
+
+
+def assumed_disturbance(samples: int = 2500, trials: int = 10, first: int = 5) -> np.ndarray:
+    """Assumed disturbances of Fig. 7: heat flows Q2 and Q4, from trial `first` on.
+
+    Parameters
+    ----------
+    samples, trials : int
+    first : int
+        First trial with a disturbance, counted from 1.
+
+    Returns
+    -------
+    ndarray, shape (trials, samples, 3)
+        Ambient temperature (K, zero) and heat flows Q2 and Q4 (W).
+
+    Raises
+    ------
+    ValueError
+        If an argument is not a whole number, 1 or more.
+    """
+    samples = arguments.whole("samples", samples, 1)
+    trials = arguments.whole("trials", trials, 1)
+    first = arguments.whole("first", first, 1)
+    phase = np.arange(samples) / samples
+    pulse = np.clip(np.stack([phase - 0.2, phase - 0.3], axis=1) / 0.5, 0, 1)
+    flows = np.array([5.0, -4.0]) * np.sin(np.pi * pulse) ** 2
+    disturbance = np.zeros((trials, samples, 3))
+    disturbance[first - 1 :, :, 1:] = flows
+    return disturbance

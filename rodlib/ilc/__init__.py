@@ -1,0 +1,80 @@
+"""Iterative learning control of any plant: the toolbox, which knows nothing of the rod.
+
+A name is imported when it is first used, so that what needs only a part does not wait for all.
+"""
+
+from importlib import import_module
+
+MODULES = {
+    "models": ("minimal_realisation",),
+    "loop": ("CurrentTrialLoop",),
+    "gains": ("current_trial_loop",),
+    "filters": (
+        "LearningFilter",
+        "LearningOperator",
+        "ZeroPhaseButterworth",
+        "update",
+        "zero_phase_butterworth",
+    ),
+    "problem": ("Problem",),
+    "trials": ("run_trials",),
+    "evidence": (
+        "converged_noise",
+        "noise_bound",
+        "noise_by_trial",
+        "trial_noise",
+        "violation_probability",
+        "worst_case",
+    ),
+    "synthesis": (
+        "InfeasibleError",
+        "SolverError",
+        "Synthesis",
+        "largest_cutoff",
+        "least_gain",
+        "synthesise",
+    ),
+    "alternatives": (
+        "NormOptimal",
+        "Rehearsal",
+        "gradient",
+        "h_infinity",
+        "p_type",
+        "pd_type",
+        "stable_inversion",
+        "tune",
+        "zero_phase_inversion",
+    ),
+    "laboratory": (
+        "LogError",
+        "expected_radius",
+        "load_law",
+        "load_log",
+        "loop_of",
+        "measured_response",
+        "multisine",
+        "record",
+        "save_law",
+        "save_log",
+        "shake",
+    ),
+}
+
+
+def lazily(package: str, modules: dict[str, tuple[str, ...]]):
+    """``__getattr__`` of a package, and the names that it finds: those of its modules."""
+    home = {name: f"{package}.{module}" for module, names in modules.items() for name in names}
+
+    def get(name):
+        if name not in home:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        return getattr(import_module(home[name]), name)
+
+    return get, [*home]
+
+
+__getattr__, __all__ = lazily(__name__, MODULES)
+
+
+def __dir__():
+    return sorted([*globals(), *__all__])

@@ -1,0 +1,38 @@
+"""Other learning filters than the paper's, for the same law (23), and one judge for all of them.
+
+Each family in a module of its own: :mod:`proportional`, :mod:`inversion`, :mod:`adjoint`,
+:mod:`norm_optimal`, :mod:`preview`. What a design returns is a
+:class:`rodlib.ilc.filters.LearningOperator`, as a :class:`rodlib.LearningFilter` is: it goes where
+L goes, into :func:`rodlib.update`, :func:`rodlib.run_trials`, :func:`rodlib.record` and
+:func:`rodlib.converged_noise`. A :class:`Rehearsal` runs the same trials for one after the other,
+and :func:`tune` searches the tuning of a design for which they are best.
+"""
+
+from rodlib.ilc.alternatives.adjoint import gradient
+from rodlib.ilc.alternatives.inversion import outer_zeros, stable_inversion, zero_phase_inversion
+from rodlib.ilc.alternatives.norm_optimal import NormOptimal
+from rodlib.ilc.alternatives.preview import full_information, generalised_plant, h_infinity
+from rodlib.ilc.alternatives.proportional import p_type, pd_type
+from rodlib.ilc.alternatives.rehearsal import Rehearsal, lines
+from rodlib.ilc.alternatives.tuning import Tuned, tune
+from rodlib.ilc.alternatives.two_sided import TwoSidedFilter, extent, impulse_response
+
+__all__ = [
+    "NormOptimal",
+    "Rehearsal",
+    "Tuned",
+    "TwoSidedFilter",
+    "extent",
+    "full_information",
+    "generalised_plant",
+    "gradient",
+    "h_infinity",
+    "impulse_response",
+    "lines",
+    "outer_zeros",
+    "p_type",
+    "pd_type",
+    "stable_inversion",
+    "tune",
+    "zero_phase_inversion",
+]

@@ -1,0 +1,127 @@
+"""Learning by the inverse of the plant, which a zero outside the unit circle makes two-sided."""
+
+import control
+import numpy as np
+
+from rodlib.ilc import arguments
+from rodlib.ilc.alternatives.two_sided import TwoSidedFilter
+from rodlib.ilc.filters import zero_phase_butterworth
+from rodlib.ilc.models import frequency_response
+
+
+def stable_inversion(
+    P: control.StateSpace, gain: float = 1.0, cutoff: float | None = None
+) -> TwoSidedFilter:
+    """L = gain P^-1 F, with a low-pass filter F, stable in both directions of time together.
+
+    Poles of the inverse inside the unit circle act forward, those outside backward in time: that is
+    what the inverse transform of the response makes of them. S. Devasia, D. Chen and B. Paden,
+    Nonlinear inversion-based output tracking, IEEE Transactions on Automatic Control 41 (1996)
+    930-942; for ILC the first designs of the paper's [9].
+
+    Parameters
+    ----------
+    P : control.StateSpace
+        In discrete time, m inputs and m outputs, stable.
+    gain : float
+        In (0, 1].
+    cutoff : float, optional
+        Of F, a Butterworth filter of order 2 applied forward and backward in time, rad/s: where a
+        plant passes next to nothing, its inverse is large. Default: no F.
+
+    Returns
+    -------
+    TwoSidedFilter
+
+    Raises
+    ------
+    ValueError
+        If `P` is no such model, or `gain` or `cutoff` is out of range. A zero on the unit circle
+        shows when the filter is applied.
+    """
+    gain, (m, Ts) = arguments.share("gain", gain), square(P)
+    passed = _low_pass(cutoff, Ts)
+
+    def response(omega):
+        share = gain * passed(omega)
+        return share[:, None, None] * np.linalg.inv(frequency_response(P, omega))
+
+    return TwoSidedFilter(response, m, Ts)
+
+
+def zero_phase_inversion(
+    P: control.StateSpace, gain: float = 1.0, cutoff: float | None = None
+) -> TwoSidedFilter:
+    """Zero-phase-error tracking, each channel by itself: the zeros outside are not inverted.
+
+    With the zeros zeta of P_ii outside the unit circle or on it,
+
+        L_ii = gain P_ii^-1 F prod |z - zeta|^2 / |1 - zeta|^2   on the unit circle,
+
+    so that P_ii L_ii is real, and `gain` at frequency zero. The factor cancels the poles outside:
+    but for F, and looking ahead far enough, the filter runs forward in time. The
+    coupling is left out of the design. M. Tomizuka, Zero phase error tracking algorithm for
+    digital control, Journal of Dynamic Systems, Measurement, and Control 109 (1987) 65-68, the
+    paper's [10].
+
+    Parameters
+    ----------
+    P : control.StateSpace
+        In discrete time, m inputs and m outputs, stable.
+    gain : float
+        In (0, 1].
+    cutoff : float, optional
+        As for :func:`stable_inversion`.
+
+    Returns
+    -------
+    TwoSidedFilter
+
+    Raises
+    ------
+    ValueError
+        If `P` is no such model or has a zero at frequency zero, or `gain` or `cutoff` is
+        out of range.
+    """
+    gain, (m, Ts) = arguments.share("gain", gain), square(P)
+    passed = _low_pass(cutoff, Ts)
+    zeros = [outer_zeros(P[i, i]) for i in range(m)]
+    for i, each in enumerate(zeros):
+        if np.any(np.abs(each - 1) < 1e-9):
+            raise ValueError(f"P[{i}, {i}] has a zero at frequency zero, which no L undoes")
+
+    def response(omega):
+        z, L = np.exp(1j * omega * Ts)[:, None], np.zeros((len(omega), m, m), dtype=complex)
+        entries = np.einsum("nii->ni", frequency_response(P, omega))
+        for i in range(m):
+            factor = np.prod(np.abs((z - zeros[i]) / (1 - zeros[i])) ** 2, axis=1)
+            L[:, i, i] = gain * passed(omega) * factor / entries[:, i]
+        return L
+
+    return TwoSidedFilter(response, m, Ts)
+
+
+def _low_pass(cutoff, Ts):
+    return (
+        np.ones_like if cutoff is None else zero_phase_butterworth(2, cutoff, Ts).frequency_response
+    )
+
+
+def outer_zeros(P: control.StateSpace) -> np.ndarray:
+    """Zeros of a square model outside the unit circle, or on it up to rounding."""
+    square(P)
+    zeros = control.zeros(P)
+    zeros = zeros[np.isfinite(zeros)]
+    return zeros[np.abs(zeros) > 1 - 1e-9]
+
+
+def square(P: control.StateSpace) -> tuple[int, float]:
+    """Number of channels and sampling period (s) of a model that L can be designed for."""
+    arguments.state_space("P", P)
+    if P.ninputs != P.noutputs or not P.isdtime(strict=True) or P.dt is True:
+        raise ValueError(
+            f"P has {P.ninputs} inputs, {P.noutputs} outputs and P.dt = {P.dt!r}: it must have as "
+            "many of each, and a sampling period in seconds"
+        )
+    arguments.stable("P", P.poles())
+    return P.noutputs, float(P.dt)

@@ -1,0 +1,96 @@
+"""Norm-optimal learning in lifted form: the best change of v for a whole trial, at once."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import control
+import numpy as np
+from scipy.sparse import csc_array, eye_array, kron
+from scipy.sparse.linalg import SuperLU, splu
+
+from rodlib.ilc import arguments
+from rodlib.ilc.alternatives.inversion import square
+from rodlib.ilc.models import frequency_response
+
+
+@dataclass(frozen=True)
+class NormOptimal:
+    """L = (P_N^T P_N + weight I)^-1 P_N^T, for trials of N samples.
+
+    The change of v that minimises ||e - P_N change||^2 + weight ||change||^2. N. Amann, D. H. Owens
+    and E. Rogers, Iterative learning control using optimal feedback and feedforward actions,
+    International Journal of Control 65 (1996) 277-293; on the rod, the paper's [15].
+
+    Attributes
+    ----------
+    P : control.StateSpace
+        In discrete time, m inputs and m outputs, stable; acts from rest.
+    weight : float
+        Above zero, in the square of the unit of y per unit of w.
+    samples : int
+        Length N of a trial.
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range.
+
+    Notes
+    -----
+    The inverse is never formed. With x for the states of P and lambda for the multipliers of
+    x(p) = A x(p-1) + B change(p-1), the conditions of optimality couple neighbouring samples alone:
+    a sparse matrix, block tridiagonal and the same in each row, factored once.
+    """
+
+    P: control.StateSpace
+    weight: float
+    samples: int
+
+    def __post_init__(self):
+        square(self.P)
+        object.__setattr__(self, "weight", arguments.positive("weight", self.weight))
+        object.__setattr__(self, "samples", arguments.whole("samples", self.samples, 1))
+
+    @property
+    def Ts(self) -> float:
+        """Sampling period, s."""
+        return self.P.dt
+
+    @property
+    def channels(self) -> int:
+        """Number m of channels."""
+        return self.P.noutputs
+
+    def frequency_response(self, omega) -> np.ndarray:
+        """(P^H P + weight I)^-1 P^H, to which L tends far from the ends of a long trial."""
+        P = frequency_response(self.P, omega)
+        adjoint = P.conj().swapaxes(1, 2)
+        return np.linalg.solve(adjoint @ P + self.weight * np.eye(self.channels), adjoint)
+
+    @cached_property
+    def _factors(self) -> SuperLU:
+        """Of the conditions of optimality, for x(p), change(p), lambda(p), p = 0, 1, ..."""
+        A, B, C, D = self.P.A, self.P.B, self.P.C, self.P.D
+        n, m = B.shape
+        O, I = np.zeros, np.eye(n)  # noqa: E741
+        here = np.block(
+            [
+                [C.T @ C, C.T @ D, I],
+                [D.T @ C, D.T @ D + self.weight * np.eye(m), O((m, n))],
+                [I, O((n, m + n))],
+            ]
+        )
+        before = np.block([[O((n + m, 2 * n + m))], [-A, -B, O((n, n))]])
+        N = self.samples
+        system = kron(eye_array(N), here) + kron(eye_array(N, k=-1), before)
+        system = csc_array(system + kron(eye_array(N, k=1), before.T))
+        return splu(system, permc_spec="NATURAL")  # samples in turn: pivots stay near the diagonal
+
+    def apply(self, signal) -> np.ndarray:
+        """The best change for an error of shape (..., samples, m)."""
+        signal = arguments.array("signal", signal, (..., self.samples, self.channels))
+        n, m = self.P.B.shape
+        right = np.zeros((*signal.shape[:-1], 2 * n + m))
+        right[..., :n], right[..., n : n + m] = signal @ self.P.C, signal @ self.P.D
+        solved = self._factors.solve(right.reshape(-1, self.samples * (2 * n + m)).T).T
+        return solved.reshape(right.shape)[..., n : n + m]

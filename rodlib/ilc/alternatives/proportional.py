@@ -1,0 +1,72 @@
+"""P-type and PD-type learning: the error, and its slope, a few samples later."""
+
+import numpy as np
+
+from rodlib.ilc import arguments
+from rodlib.ilc.filters import LearningFilter
+
+
+def p_type(gain: float, ahead: int, channels: int, Ts: float) -> LearningFilter:
+    """L(q) = gain q^ahead I: what went wrong `ahead` samples later is added now.
+
+    S. Arimoto, S. Kawamura and F. Miyazaki, Bettering operation of robots by learning, Journal of
+    Robotic Systems 1 (1984) 123-140; the shift makes up for the delay of the plant.
+
+    Parameters
+    ----------
+    gain : float
+        Above zero, unit of w per unit of y.
+    ahead : int
+        Samples, one or more.
+    channels : int
+    Ts : float
+        Sampling period, s.
+
+    Returns
+    -------
+    LearningFilter
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range.
+    """
+    return pd_type(gain, 0.0, arguments.whole("ahead", ahead, 1), channels, Ts)
+
+
+def pd_type(gain: float, slope: float, ahead: int, channels: int, Ts: float) -> LearningFilter:
+    """L(q) = (gain + slope (1 - 1/q) / Ts) q^ahead I, with the slope of the error as well.
+
+    Source as for :func:`p_type`.
+
+    Parameters
+    ----------
+    gain : float
+        Above zero, unit of w per unit of y.
+    slope : float
+        In the same unit times s.
+    ahead : int
+        Samples; two or more unless the slope is zero, since a filter (44) looks ahead.
+    channels : int
+    Ts : float
+        Sampling period, s.
+
+    Returns
+    -------
+    LearningFilter
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range.
+    """
+    gain = arguments.positive("gain", gain)
+    slope = arguments.number("slope", slope, "a finite number")
+    Ts = arguments.sampling_period("Ts", Ts)
+    ahead = arguments.whole("ahead", ahead, 2 if slope else 1)
+    coefficients = np.zeros(ahead)
+    coefficients[-1] = gain + slope / Ts
+    if slope:
+        coefficients[-2] = -slope / Ts
+    each = np.eye(arguments.whole("channels", channels, 1))
+    return LearningFilter(each[..., None] * coefficients, Ts)

@@ -1,0 +1,129 @@
+"""A learning filter that is known by its frequency response, and acts by the fast transform.
+
+Most alternatives to a short filter (44) reach far into the past and the future at once. None of
+them needs a recursion of its own: between two trials the whole last trial is known.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
+
+from rodlib.ilc import arguments
+from rodlib.ilc.filters import LearningOperator
+
+SHORTEST, LONGEST = 2**12, 2**20  # samples of the transform, for an impulse response
+NEGLIGIBLE = 1e-9  # of its largest entry
+
+
+@dataclass(frozen=True)
+class TwoSidedFilter:
+    """A learning filter for :func:`rodlib.update`, for signals that are zero outside the trial.
+
+    Attributes
+    ----------
+    response : callable
+        From omega (rad/s), shape (n,), to L, shape (n, channels, channels), complex.
+    channels : int
+    Ts : float
+        Sampling period, s.
+
+    Raises
+    ------
+    ValueError
+        If an argument is something else.
+    """
+
+    response: Callable[[np.ndarray], np.ndarray]
+    channels: int
+    Ts: float
+
+    def __post_init__(self):
+        arguments.instance("response", self.response, Callable)
+        arguments.whole("channels", self.channels, 1)
+        arguments.sampling_period("Ts", self.Ts)
+
+    def frequency_response(self, omega) -> np.ndarray:
+        """L at `omega` (rad/s), shape (n, channels, channels), complex."""
+        return self.response(arguments.row("omega", omega))
+
+    @cached_property
+    def _taps(self):
+        lags, taps = impulse_response(self)
+        return lags[0], taps
+
+    def apply(self, signal) -> np.ndarray:
+        """Filter a signal of shape (..., time, channels)."""
+        signal = arguments.array("signal", signal, (..., "time", self.channels))
+        first, taps = self._taps
+        samples, n = signal.shape[-2], next_fast_len(signal.shape[-2] + len(taps), real=True)
+        spectrum = rfft(taps, n, axis=0) @ rfft(signal, n, axis=-2)[..., None]
+        filtered = np.roll(irfft(spectrum[..., 0], n, axis=-2), first, axis=-2)
+        return filtered[..., :samples, :]
+
+
+def impulse_response(L: LearningOperator) -> tuple[np.ndarray, np.ndarray]:
+    """Two-sided impulse response of a learning filter, by the inverse transform of its response.
+
+    Parameters
+    ----------
+    L : LearningOperator
+
+    Returns
+    -------
+    lags : ndarray of int, shape (n,)
+        From the future (below zero) to the past.
+    taps : ndarray, shape (n, channels, channels)
+        L e at p is the sum of ``taps[i] @ e[p - lags[i]]``. What is left out is below `NEGLIGIBLE`.
+
+    Raises
+    ------
+    ValueError
+        If it does not decay within `LONGEST` samples: L has a pole on the unit circle, or nearly;
+        or if `L` is something else.
+    """
+    arguments.instance("L", L, LearningOperator)
+    n = SHORTEST
+    while n <= LONGEST:
+        omega = rfftfreq(n, L.Ts / (2 * np.pi))
+        taps = np.fft.fftshift(irfft(L.frequency_response(omega), n, axis=0), axes=0)
+        size = np.abs(taps).max(axis=(1, 2))
+        kept = slice(n // 4, -n // 4)
+        if max(size[: n // 4].max(), size[-n // 4 :].max()) <= NEGLIGIBLE * size.max():
+            return np.arange(-n // 2, n // 2)[kept], taps[kept]
+        n *= 2
+    raise ValueError(
+        f"L has an impulse response that does not decay within {LONGEST // 4} samples: a pole, "
+        "which for an inverse is a zero of P, is on the unit circle or next to it. Take a design "
+        "with a weight on v, such as norm_optimal"
+    )
+
+
+def extent(L: LearningOperator, share: float = 0.999) -> tuple[int, int]:
+    """How far a learning filter looks ahead and back.
+
+    Parameters
+    ----------
+    L : LearningOperator
+    share : float
+        Of the energy of its impulse response, in (0, 1]; half of the rest is left out at each end.
+
+    Returns
+    -------
+    ahead, back : int
+        In samples; below zero if it begins later than that.
+
+    Raises
+    ------
+    ValueError
+        As :func:`impulse_response`, or if `share` is out of range.
+    """
+    share = arguments.share("share", share)
+    lags, taps = impulse_response(L)
+    energy = np.cumsum((taps**2).sum(axis=(1, 2)))
+    energy /= energy[-1]
+    first = np.searchsorted(energy, (1 - share) / 2 + 1e-12)
+    last = np.searchsorted(energy, (1 + share) / 2 - 1e-12)
+    return int(-lags[first]), int(lags[last])

@@ -1,0 +1,207 @@
+"""Does the finite trial converge? The norm of what one trial of the ILC law really does.
+
+Lemma 1 is about signals without end; here the two ends of the trial are included.
+"""
+
+import control
+import numpy as np
+import scipy.sparse.linalg as sparse
+from scipy.fft import irfft, next_fast_len, rfft
+from scipy.sparse import diags_array, eye_array
+
+from rodlib.ilc import arguments
+from rodlib.ilc.evidence.models import common_size
+from rodlib.ilc.filters import LearningFilter, ZeroPhaseButterworth
+
+LANCZOS = 60  # vectors that the Lanczos iteration keeps
+
+
+def trial_operators(
+    P: control.StateSpace, Q: ZeroPhaseButterworth, L: LearningFilter, samples: int
+) -> tuple[sparse.LinearOperator, sparse.LinearOperator, sparse.LinearOperator]:
+    """P, Q and L as they act on a trial of finite length, each with its adjoint.
+
+    Parameters
+    ----------
+    P : control.StateSpace
+        In discrete time, m inputs (w), m outputs (y); acts from rest, for the length of the trial.
+    Q, L : ZeroPhaseButterworth, LearningFilter
+        Act as in :func:`rodlib.update`, with their own `ends`.
+    samples : int
+        Length of the trial.
+
+    Returns
+    -------
+    P_N, Q_N, L_N : scipy.sparse.linalg.LinearOperator, shape (samples m, samples m)
+        On signals of shape (samples, m), raveled. P_N is a lower triangular block Toeplitz
+        matrix. Q_N and L_N are block Toeplitz if `ends` is "zero"; if it is "hold", what the
+        matrix would do to the samples beyond an end is added to its first or last block column.
+
+    Raises
+    ------
+    ValueError
+        If P is not in discrete time or not as large as L, or `samples` is not positive.
+    """
+    Ts, m = common_size(P, L)
+    arguments.one_period(P=Ts, Q=arguments.instance("Q", Q, ZeroPhaseButterworth).Ts)
+    samples = arguments.whole("samples", samples, 1)
+
+    length = next_fast_len(2 * samples, real=True)
+    spectrum = rfft(impulse_response(P, samples), length, axis=0)
+
+    def P_apply(signal, spectrum=spectrum):
+        product = spectrum @ rfft(signal, length, axis=-2)[..., None]
+        return irfft(product[..., 0], length, axis=-2)[..., :samples, :]
+
+    def P_adjoint(signal):  # the adjoint of a convolution runs backward in time
+        transposed = np.swapaxes(spectrum, -1, -2)
+        return np.flip(P_apply(np.flip(signal, axis=-2), transposed), axis=-2)
+
+    reach = _reach(Q)
+    two_sided = ZeroPhaseButterworth(Q.order, Q.cutoff, Q.Ts, "zero")
+
+    def Q_adjoint(signal):
+        if Q.ends == "zero":  # a symmetric Toeplitz matrix
+            return Q.apply(signal)
+        padding = [(0, 0)] * (signal.ndim - 2) + [(reach, reach), (0, 0)]
+        return _fold(two_sided.apply(np.pad(signal, padding)), reach, reach)
+
+    def L_adjoint(signal):
+        out = np.zeros((*signal.shape[:-2], samples + L.order, m))
+        for k in range(1, L.order + 1):
+            out[..., k : k + samples, :] += signal @ L.coefficients[:, :, k - 1]
+        return _fold(out, 0, L.order) if L.ends == "hold" else out[..., :samples, :]
+
+    pairs = [(P_apply, P_adjoint), (Q.apply, Q_adjoint), (L.apply, L_adjoint)]
+    return tuple(_operator(apply, adjoint, samples, m) for apply, adjoint in pairs)
+
+
+def impulse_response(P: control.StateSpace, samples: int) -> np.ndarray:
+    """Markov parameters D, C B, C A B, ... of P, shape (samples, outputs, inputs).
+
+    Raises
+    ------
+    ValueError
+        If P is no state-space model, or `samples` is not positive.
+    """
+    arguments.state_space("P", P)
+    samples = arguments.whole("samples", samples, 1)
+    h = np.empty((samples, P.noutputs, P.ninputs))
+    h[0], X = P.D, P.B
+    for p in range(1, samples):
+        h[p], X = P.C @ X, P.A @ X
+    return h
+
+
+def trial_map(
+    P: control.StateSpace,
+    Q: ZeroPhaseButterworth,
+    L: LearningFilter,
+    samples: int,
+    rest: int = 0,
+) -> sparse.LinearOperator:
+    """T = Q_N (I - L_N P_N): what a trial of the ILC law (23) makes of v_k - v_inf.
+
+    Parameters and errors as for :func:`trial_operators`; in the last `rest` samples of each
+    trial, v is held at zero.
+
+    Returns
+    -------
+    scipy.sparse.linalg.LinearOperator, shape (samples m, samples m)
+        v_{k+1} - v_inf = T (v_k - v_inf) and e_k - e_inf = -P_N (v_k - v_inf), exactly.
+
+    Notes
+    -----
+    The error alone has no such map. P_N maps the last sample of v to zero (P has a delay), and
+    maps the exponentials z^p of its zeros z outside the unit circle, which live at the end of
+    the trial, to next to nothing; Q_N then moves them to where they show. So M = P Q (P^-1 - L)
+    of (35) does not carry over, and Q_N (I - P_N L_N) is not the operator of any trial.
+    """
+    P_N, Q_N, L_N = trial_operators(P, Q, L, samples)
+    rest = arguments.whole("rest", rest, 0, samples - 1)
+    active = np.repeat(np.arange(samples) < samples - rest, len(L.coefficients))
+    active = sparse.aslinearoperator(diags_array(active.astype(float)))
+    T = Q_N @ (sparse.aslinearoperator(eye_array(P_N.shape[0])) - L_N @ P_N)
+    return active @ T @ active if rest else T
+
+
+def trial_norm(
+    P: control.StateSpace,
+    Q: ZeroPhaseButterworth,
+    L: LearningFilter,
+    samples: int,
+    trials: int = 1,
+    rest: int = 0,
+) -> tuple[float, np.ndarray, np.ndarray]:
+    """2-norm of the trial-to-trial map of the ILC signal on a finite trial.
+
+    Parameters
+    ----------
+    P, Q, L, samples, rest :
+        As for :func:`trial_map`.
+    trials : int
+        Number of trials in a row: the norm of T^trials.
+
+    Returns
+    -------
+    norm : float
+        Largest ||v_{k+trials} - v_inf|| / ||v_k - v_inf||. Below one for trials = 1, v converges
+        monotonically. Lanczos approaches it from below; short trials have an SVD.
+    before, after : ndarray, shape (samples, m)
+        The unit v_k - v_inf that is amplified most, and what becomes of it.
+
+    Raises
+    ------
+    ValueError
+        As :func:`trial_operators`.
+    RuntimeError
+        If the Lanczos iteration does not converge.
+    """
+    trials = arguments.whole("trials", trials, 1)
+    T = trial_map(P, Q, L, samples, rest) ** trials
+    size = T.shape[1]
+    if size <= LANCZOS:
+        before = np.linalg.svd(T @ np.eye(size))[2][0]
+    else:
+        start = np.random.default_rng(0).standard_normal(size)  # the same result in every run
+        try:
+            _, vectors = sparse.eigsh(T.H @ T, k=1, v0=start, tol=1e-8, ncv=LANCZOS)
+        except sparse.ArpackNoConvergence as error:
+            raise RuntimeError(f"the Lanczos iteration did not converge: {error}") from error
+        before = vectors[:, 0]
+    after = T.matvec(before)
+    return float(np.linalg.norm(after)), before.reshape(samples, -1), after.reshape(samples, -1)
+
+
+def _operator(apply, adjoint, samples, m):
+    def on_columns(function):
+        def matmat(X):
+            signals = np.moveaxis(np.reshape(X, (samples, m, -1)), -1, 0)
+            return np.moveaxis(function(signals), 0, -1).reshape(samples * m, -1)
+
+        return matmat
+
+    forward, backward = on_columns(apply), on_columns(adjoint)
+    return sparse.LinearOperator(
+        (samples * m,) * 2,
+        matvec=forward,
+        rmatvec=backward,
+        matmat=forward,
+        rmatmat=backward,
+        dtype=float,
+    )
+
+
+def _fold(signal, before, after):
+    """Adjoint of holding the ends: what lies beyond an end is added to the sample at the end."""
+    samples = signal.shape[-2] - before - after
+    out = signal[..., before : before + samples, :].copy()
+    out[..., 0, :] += signal[..., :before, :].sum(axis=-2)
+    out[..., -1, :] += signal[..., before + samples :, :].sum(axis=-2)
+    return out
+
+
+def _reach(Q):
+    """Number of samples after which the impulse response of the Q-filter is at rounding level."""
+    radius = max(np.abs(np.roots(section[3:])).max(initial=0) for section in Q.sections)
+    return int(np.ceil(np.log(1e-18) / np.log(radius)))

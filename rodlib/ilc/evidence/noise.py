@@ -1,0 +1,377 @@
+"""What is left of the error if something is new in every trial: noise, and random disturbances.
+
+What comes again in every trial is learned. What is new in trial k, learning takes for an error
+that will come again, and passes it on to all later trials. With n_k in the measured outputs and d_k
+as a disturbance, the loop without learning deviates by
+
+    t_k = T n_k + G d_k (the true outputs),    x_k = n_k + t_k (the measured ones, which e shows),
+
+T and G being the closed loop's responses; with learning P v_k comes on top. As Q is a scalar,
+v_{k+1} = Q (v_k + L e_k) with e_k = e_0 - P v_k - x_k gives for the random part p_k of P v_k
+
+    p_{k+1} = M p_k - Q P L x_k,    M = Q (I - P L).
+
+p_k depends on earlier trials alone, and so is independent of x_k and t_k: spectral densities add.
+Trials are taken to be without end, as in Lemma 1.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rodlib.ilc import arguments
+from rodlib.ilc.filters import LearningOperator, ZeroPhaseButterworth, check_learning
+from rodlib.ilc.loop import CurrentTrialLoop, with_noise
+from rodlib.ilc.models import frequency_response
+from rodlib.ilc.problem import largest_singular_values, tied
+
+HERMITIAN = 1e-9  # relative, by how much a spectral density may miss being one
+NEGLIGIBLE = 1e-17  # share of what is passed on that is no longer added up
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """Spectral density of m random signals.
+
+    Attributes
+    ----------
+    omega : ndarray, shape (n,)
+        Angular frequencies, rad/s.
+    Ts : float
+        Sampling period, s.
+    density : ndarray, shape (n, m, m), complex
+        Its mean over all frequencies is the covariance, so that white noise has its variance as
+        its density. One in unit^2 / Hz, counted over positive frequencies, is 2 Ts times as large.
+    """
+
+    omega: np.ndarray
+    Ts: float
+    density: np.ndarray
+
+    @property
+    def rms(self) -> np.ndarray:
+        """Of each signal, shape (m,), by the trapezoidal rule.
+
+        Below the first and above the last frequency the density is taken to stand still.
+        """
+        points = np.concatenate([[0], self.omega, [np.pi / self.Ts]])
+        power = np.einsum("nii->ni", self.density).real
+        power = np.concatenate([power[:1], power, power[-1:]])
+        return np.sqrt(np.trapezoid(power, points, axis=0) * self.Ts / np.pi)
+
+    @property
+    def total(self) -> float:
+        """Root of the sum of their squares, as in :func:`rodlib.ilc.trials.rms`."""
+        return float(np.linalg.norm(self.rms))
+
+    def __add__(self, other: "Spectrum") -> "Spectrum":
+        """That of the sum with independent signals, known at the same frequencies."""
+        return Spectrum(self.omega, self.Ts, self.density + other.density)
+
+
+@dataclass(frozen=True)
+class TrialNoise:
+    """What is new in every trial, without learning. Made by :func:`trial_noise`, or measured.
+
+    Attributes
+    ----------
+    omega : ndarray, shape (n,)
+        Increasing angular frequencies, rad/s, up to the Nyquist frequency.
+    Ts : float
+        Sampling period, s.
+    P : ndarray, shape (n, m, m), complex
+        Frequency response of the loop from w to y, (31).
+    measured_density : ndarray, shape (n, m, m), complex
+        Of x, how the measured outputs, and so e, deviate from trial to trial. May be given in any
+        of the forms that :func:`trial_noise` takes.
+    true_density : ndarray, shape (n, m, m), complex; or None
+        Of t, how the outputs themselves do; None where it is not known. What the sensors add and
+        what the feedback makes of it cannot be told apart by looking at the measured outputs.
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range or has another shape, or a density is none.
+    """
+
+    omega: np.ndarray
+    Ts: float
+    P: np.ndarray
+    measured_density: np.ndarray
+    true_density: np.ndarray | None = None
+
+    def __post_init__(self):
+        Ts = arguments.sampling_period("Ts", self.Ts)
+        omega = arguments.frequencies("omega", self.omega, Ts)
+        P = arguments.array("P", self.P, (len(omega), "m", "m"), complex)
+        checked = {"Ts": Ts, "omega": omega, "P": P}
+        for name in ("measured_density", "true_density"):
+            value = getattr(self, name)
+            if value is not None or name == "measured_density":
+                checked[name] = _density(name, value, omega, P.shape[1])
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def measured(self) -> Spectrum:
+        """Of x."""
+        return Spectrum(self.omega, self.Ts, self.measured_density)
+
+    @property
+    def true(self) -> Spectrum | None:
+        """Of t; None where it is not known."""
+        if self.true_density is None:
+            return None
+        return Spectrum(self.omega, self.Ts, self.true_density)
+
+
+@dataclass(frozen=True)
+class LearnedNoise:
+    """What is random in a trial with learning. Made by :func:`converged_noise`.
+
+    Attributes
+    ----------
+    new : TrialNoise
+        What is new in the trial: all there is without learning.
+    learned : Spectrum
+        Of p, what learning has made of earlier trials: P v without its mean.
+    """
+
+    new: TrialNoise
+    learned: Spectrum
+
+    @property
+    def measured(self) -> Spectrum:
+        """Of e, the error that the controller sees."""
+        return self.new.measured + self.learned
+
+    @property
+    def true(self) -> Spectrum | None:
+        """Of the error of the outputs themselves; None where that is not known."""
+        return None if self.new.true is None else self.new.true + self.learned
+
+
+def trial_noise(
+    loop: CurrentTrialLoop, omega, noise=0.0, disturbance=None, *, plant=None
+) -> TrialNoise:
+    """What the loop makes of noise and disturbances that are new in every trial.
+
+    Parameters
+    ----------
+    loop : CurrentTrialLoop
+        With m outputs and d disturbances.
+    omega : array_like, shape (n,)
+        Increasing angular frequencies, rad/s, up to the Nyquist frequency.
+    noise : float or array_like
+        Spectral density of what the sensors add to y, see :class:`Spectrum`. White noise: the
+        variance, of all outputs or of each, shape (m,). Coloured noise: shape (n,) for all
+        outputs, (n, m) for each, (n, m, m) where they depend on each other.
+    disturbance : float or array_like, optional
+        Likewise, for ``loop.disturbances``. Default zero.
+    plant : control.StateSpace or control.TransferFunction, optional
+        Another plant in the place of that of the design, as in :meth:`CurrentTrialLoop.around`.
+
+    Returns
+    -------
+    TrialNoise
+
+    Raises
+    ------
+    ValueError
+        If omega is not such frequencies, or a density has another shape, is not finite, or is not
+        Hermitian and positive semidefinite; as :meth:`CurrentTrialLoop.around` for `plant`.
+    """
+    arguments.instance("loop", loop, CurrentTrialLoop)
+    omega, m = arguments.frequencies("omega", omega, loop.Ts), loop.plant.noutputs
+    sensors = _density("noise", noise, omega, m)
+    response = frequency_response(with_noise(loop, plant), omega)
+    P, G, T = np.split(response, [m, -m], axis=2)
+    true, measured = _through(T, sensors), _through(np.eye(m) + T, sensors)
+    if disturbance is not None:
+        if not loop.disturbances:
+            raise ValueError("disturbance must be None: the loop has none")
+        flows = _through(G, _density("disturbance", disturbance, omega, len(loop.disturbances)))
+        true, measured = true + flows, measured + flows
+    return TrialNoise(omega, loop.Ts, P, measured, true)
+
+
+def converged_noise(new: TrialNoise, Q, L: LearningOperator, step: float = 1.0) -> LearnedNoise:
+    """What is random in the error when all that comes again is learned.
+
+    Parameters
+    ----------
+    new : TrialNoise
+    Q : ZeroPhaseButterworth or array_like, shape (n,)
+        The filter, or its frequency response on ``new.omega``.
+    L : LearningOperator
+    step : float
+        Of :func:`rodlib.update`, the same after every trial.
+
+    Returns
+    -------
+    LearnedNoise
+        Its `learned` is the solution Phi of Phi = M Phi M^H + (Q P L) Phi_x (Q P L)^H, at each
+        frequency; for one channel Phi_x |Q P L|^2 / (1 - |M|^2). A step a takes the place of M by
+        (1 - a) I + a M, and of Q P L by a Q P L.
+
+    Raises
+    ------
+    ValueError
+        If the trials do not converge at some frequency, or the filters do not fit.
+    """
+    step = arguments.share("step", step)
+    M, QPL = _learning(new, Q, L)
+    M, added = _stepped(M, step), step**2 * _through(QPL, new.measured_density)
+    rate = np.abs(np.linalg.eigvals(M)).max(axis=1)
+    if rate.max() >= 1:
+        raise ValueError(
+            f"L does not converge: M has an eigenvalue of modulus {rate.max():.6g} at "
+            f"{new.omega[tied(rate).argmax()]:.6g} rad/s"
+        )
+    return _learned(new, accumulated(M, added))
+
+
+def accumulated(M, added) -> np.ndarray:
+    """Sum of M^k `added` M^k^H over all k, that is, Phi = M Phi M^H + `added`, by Smith's method.
+
+    Parameters
+    ----------
+    M, added : ndarray, shape (n, m, m), complex
+        M without an eigenvalue of modulus one or more, which is not checked.
+
+    Returns
+    -------
+    ndarray, shape (n, m, m), complex
+    """
+    size = 1.0
+    while size > NEGLIGIBLE:  # the number of terms doubles
+        added = added + _through(M, added)
+        M = M @ M
+        size = largest_singular_values(M).max() ** 2
+    return added
+
+
+def noise_by_trial(new: TrialNoise, Q, L: LearningOperator, step) -> list[LearnedNoise]:
+    """What is random in the error of each trial, from the first on, where v = 0.
+
+    Parameters
+    ----------
+    new : TrialNoise
+    Q, L : as for :func:`converged_noise`
+    step : array_like, shape (trials - 1,)
+        Of :func:`rodlib.update`, from each trial to the next.
+
+    Returns
+    -------
+    list of LearnedNoise
+        One for each trial. With steps that tend to zero, and whose sum has no limit, what is
+        learned of noise tends to zero, if all eigenvalues of M have a real part below one.
+
+    Raises
+    ------
+    ValueError
+        If a step is not in (0, 1], or the filters do not fit.
+    """
+    steps = [arguments.share(f"step[{k}]", a) for k, a in enumerate(arguments.row("step", step))]
+    M, QPL = _learning(new, Q, L)
+    added = _through(QPL, new.measured_density)
+    density = [np.zeros_like(added)]
+    for a in steps:
+        density.append(_through(_stepped(M, a), density[-1]) + a**2 * added)
+    return [_learned(new, each) for each in density]
+
+
+def noise_bound(new: TrialNoise, Q, M_max, L_max) -> float:
+    """Bound on the noise that learning adds, for every filter that keeps the bounds of (39).
+
+    Parameters
+    ----------
+    new : TrialNoise
+    Q : as for :func:`converged_noise`
+    M_max, L_max : float or array_like, shape (n,)
+        Bounds on sigma_max(M), below one, and sigma_max(L), at all frequencies or at each.
+
+    Returns
+    -------
+    float
+        Not below `total` of what :func:`converged_noise` says is learned, nor, with falling steps
+        or without, below that of any trial.
+
+    Raises
+    ------
+    ValueError
+        If a bound is negative, M_max is not below one, or a shape does not fit.
+
+    Notes
+    -----
+    At each frequency, tr Phi <= c^2 tr Phi + g^2 tr Phi_x with c >= sigma_max(M) and
+    g >= sigma_max(Q P L), so that tr Phi <= tr Phi_x g^2 / (1 - c^2). As M = Q I - Q P L, each of
+    the two is at most |Q| plus the other one, too; and Q P L is at most |Q| sigma_max(P) L_max.
+    """
+    q = np.abs(_q_response(new, Q))
+    limits = {"M_max": M_max, "L_max": L_max}
+    for name, value in limits.items():
+        value = arguments.array(name, value, (...,))
+        limits[name] = arguments.array(name, value, new.omega.shape if value.ndim else ())
+        if limits[name].min() < 0:
+            raise ValueError(f"{name} reaches {limits[name].min():g}, but must not be negative")
+    if limits["M_max"].max() >= 1:
+        raise ValueError(f"M_max reaches {limits['M_max'].max():g}, but must be below one")
+    gain = q * largest_singular_values(new.P) * limits["L_max"]
+    rate = np.minimum(limits["M_max"], q + gain)
+    gain = np.minimum(gain, q + rate)
+    power = np.einsum("nii->n", new.measured_density).real * gain**2 / (1 - rate**2)
+    return Spectrum(new.omega, new.Ts, power[:, None, None]).total
+
+
+def _density(name, value, omega, m):
+    """A density of shape (n, m, m), from any of the forms of :func:`trial_noise`."""
+    given = arguments.array(name, value, (...,), complex)
+    n = len(omega)
+    if given.shape not in [(), (m,), (n,), (n, m), (n, m, m)]:
+        raise ValueError(
+            f"{name} has shape {given.shape}, but must be a variance, shape () or ({m},), or a "
+            f"density at the {n} frequencies, shape ({n},), ({n}, {m}) or ({n}, {m}, {m})"
+        )
+    if given.ndim < 3:
+        each = given[:, None] if given.shape == (n,) != (m,) else given
+        given = np.broadcast_to(each, (n, m))[..., None] * np.eye(m)
+    size = np.abs(given).max()
+    apart = np.abs(given - given.conj().swapaxes(1, 2)).max()
+    if apart > HERMITIAN * size or np.linalg.eigvalsh(given).min() < -HERMITIAN * size:
+        raise ValueError(
+            f"{name} is no spectral density: at each frequency it must be real and not negative, "
+            "or a Hermitian matrix without negative eigenvalues"
+        )
+    return given
+
+
+def _learning(new, Q, L):
+    """M and Q P L, for a step of one."""
+    q, m = _q_response(new, Q), new.P.shape[1]
+    check_learning(L, m)
+    arguments.one_period(noise=new.Ts, L=L.Ts)
+    q = q[:, None, None]
+    QPL = q * new.P @ L.frequency_response(new.omega)
+    return q * np.eye(m) - QPL, QPL  # (40)
+
+
+def _q_response(new, Q):
+    arguments.instance("new", new, TrialNoise)
+    if isinstance(Q, ZeroPhaseButterworth):
+        arguments.one_period(noise=new.Ts, Q=Q.Ts)
+        Q = Q.frequency_response(new.omega)
+    return arguments.array("Q", Q, new.omega.shape, complex)
+
+
+def _stepped(M, step):
+    return (1 - step) * np.eye(M.shape[1]) + step * M
+
+
+def _learned(new, density):
+    return LearnedNoise(new, Spectrum(new.omega, new.Ts, density))
+
+
+def _through(H, density):
+    """Spectral density of a signal behind H."""
+    return H @ density @ H.conj().swapaxes(1, 2)

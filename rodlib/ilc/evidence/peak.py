@@ -1,0 +1,377 @@
+"""Are the bounds met between the samples? The peak over all frequencies.
+
+For a model it has a proof; from samples it is estimated.
+"""
+
+from dataclasses import dataclass
+from math import log2
+
+import control
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.linalg import schur
+
+from rodlib.ilc import arguments
+from rodlib.ilc.evidence.models import error_model, sampling_period
+from rodlib.ilc.filters import ZeroPhaseButterworth
+from rodlib.ilc.problem import Problem, convergence_matrix, largest_singular_values, tied
+
+CHUNK = 2**21  # numbers held at a time while frequency responses are computed
+CLOSEST = 20  # poles next to the unit circle at which rounding is looked into
+DENSER = 10  # the grid between the samples, against theirs
+LOOKED_AT = 20  # sampled plants, the worst of them, that splines are laid through
+
+
+def peak_gain(
+    system: control.StateSpace,
+    Q: ZeroPhaseButterworth | None = None,
+    tolerance: float = 1e-8,
+    max_points: int = 2_000_000,
+) -> tuple[float, float]:
+    """Peak over all frequencies of the largest singular value, as an upper bound with a proof.
+
+    That of M is the peak of :func:`error_model` with Q.
+
+    Parameters
+    ----------
+    system : control.StateSpace
+        Stable, in discrete time, with a sampling period in seconds; any number of inputs and
+        outputs.
+    Q : ZeroPhaseButterworth, optional
+        That the system is followed by, in each channel. It is not made a part of the system: the
+        poles of a filter of high order with a low cut-off lie so close together that a Schur form
+        tears them apart.
+    tolerance : float
+        Relative; from 1e-12 to 1. The cost grows like its inverse square root.
+    max_points : int
+        Frequencies to be looked at before giving up.
+
+    Returns
+    -------
+    gain : float
+        At least the supremum of Q(omega) sigma_max(G(exp(j omega Ts))) over
+        0 <= omega <= pi / Ts. Above (1 + tolerance) times it only by a bound of the rounding
+        error, see Notes. In the unit of the output per unit of the input.
+    omega : float
+        Where the largest value was found, rad/s.
+
+    Raises
+    ------
+    ValueError
+        If the system is not in discrete time with a sampling period, is unstable or not finite,
+        Q has another sampling period, or the tolerance is out of range.
+    RuntimeError
+        If `max_points` does not suffice: sigma_max is equal to its peak, or nearly so, over a
+        wide range (an all-pass filter, say). The message gives the interval found so far. Or if
+        poles are so close to the unit circle that rounding could move one across.
+
+    Notes
+    -----
+    No grid is fine enough by itself; what can happen between two samples must be bounded. Here
+    the poles bound it. Let a_1 ... a_n be the eigenvalues of A, and the poles of the Butterworth
+    filter H if there is Q = |H|^2, which is real; and let
+
+        phi(theta) = sum_j integral from 0 to theta of (1 - |a_j|^2) / |exp(j t) - a_j|^2 dt,
+
+    the phase of the all-pass B(z) = prod_j (z - a_j) / (1 - conj(a_j) z). It increases. Let g be
+    the peak of Q sigma_max, with Q = 1 if there is none, and theta* = omega* Ts a place where it is
+    attained. Then
+
+        Q sigma_max(theta) >= g cos(phi(theta) - phi(theta*))  if  |phi(theta) - phi(theta*)| <= pi.
+
+    *Proof.* Take the unit vectors u, v with Q u* G(theta*) v = g and let
+    T(theta) = Q Re u* G v / g. Then |T| <= Q sigma_max / g <= 1 everywhere and T(theta*) = 1. Q and
+    Re u* G v are trigonometric polynomials over the |exp(j theta) - a_j|^2 of their poles, so that
+    T is one of degree n or less over W(theta) = prod_j |exp(j theta) - a_j|^2, and so is
+    S(theta) = cos(phi(theta) - phi(theta*)) = Re(B(exp(j theta)) / B(exp(j theta*))), and hence
+    D = S - T, which has no more than 2n zeros in a period unless it is zero throughout. S runs
+    through +1 and -1 in turn at theta* = t_0 < t_1 < ... < t_2n = t_0 + 2 pi. Because |T| <= 1, D
+    is >= 0 at t_0, t_2, ... and <= 0 at t_1, t_3, ..., so each of the 2n - 2 intervals
+    [t_1, t_2] ... [t_2n-2, t_2n-1] holds a zero. If it is at an end, T = +1 or -1 is stationary
+    there, as S is; the zero is double and counts once for each of the two intervals it belongs
+    to. So is the zero at t_0. These are 2n. If T < S at some place in (t_0, t_1), D > 0 there
+    and D(t_1) <= 0, which makes one more zero in (t_0, t_1]: contradiction. The other side is
+    the mirror image. (This is the inequality of Bernstein and Szego for rational functions; see
+    Borwein and Erdelyi, Mathematika 43 (1996) 413-423. For a finite impulse response of length
+    n + 1, phi = n theta and it is Riesz's lemma of 1914.)
+
+    So if theta* lies between two samples a < b with h = phi(b) - phi(a) < pi / 2, the peak is no
+    higher than the sinusoid in phi through (0, sigma_max(a)) and (h, sigma_max(b)), or than the
+    higher of the two if the sinusoid has its crest elsewhere. An interval is dropped once that
+    bound is within the tolerance of the highest value seen, and halved if not. When none is
+    left, the bound is proven; near the peak h is then about sqrt(8 tolerance). Real systems
+    have the same singular values at negative frequencies, so [0, pi / Ts] is enough.
+
+    Rounding: the values are those of a Schur form of A, whose diagonal holds the very poles that
+    the bound uses. The proof is therefore exact for a system whose matrices differ from the given
+    ones by rounding. Where that matters most, at the peak and at the angles of the poles closest to
+    the circle, the gain is computed once more from A itself, with a bound of its error: if R
+    approximates (z I - A)^-1 and leaves the residual S = I - (z I - A) R, then
+
+        C (z I - A)^-1 B = C R B + C R (S + S^2 + ...) B.
+
+    What this adds to the peak is added to the gain. It is 1e-9 of it or less for the paper's M.
+    No eigenvalue has to be told apart from the unit circle, as in the level-set methods of Boyd,
+    Balakrishnan, Bruinsma and Steinbuch: that decision is worth no more than half the digits
+    where the level touches the curve.
+    """
+    Ts = sampling_period("system", system)
+    if arguments.share("tolerance", tolerance) < 1e-12:
+        raise ValueError(f"tolerance = {tolerance!r} must be in [1e-12, 1]")
+    max_points = arguments.whole("max_points", max_points, 1)
+    if not all(np.isfinite(X).all() for X in (system.A, system.B, system.C, system.D)):
+        raise ValueError("system must be finite, but its matrices hold NaN or infinite values")
+    if Q is not None:
+        arguments.one_period(system=Ts, Q=arguments.instance("Q", Q, ZeroPhaseButterworth).Ts)
+    if system.nstates == 0:  # and Q is one at zero
+        return float(np.linalg.norm(system.D, 2)), 0.0
+    # in units in which inputs and outputs are of order one
+    v, u = (
+        2.0 ** np.round(np.log2(max(np.abs(X).max(), np.abs(system.D).max()) or 1))
+        for X in (system.B, system.C)
+    )
+    matrices = *balanced(system.A, system.B / v, system.C / u), system.D / v / u
+    poles, sigma = _gain_function(*matrices, Q)
+    radius = arguments.stable("system", poles)
+
+    theta = np.linspace(0, np.pi, 4 * len(poles) + 1)
+    value, phase = sigma(theta), _phase(poles, theta)
+    best = value.argmax()
+    peak, place = value[best], theta[best]
+    left, right = (np.stack([x[s] for x in (theta, value, phase)])
+                   for s in (slice(None, -1), slice(1, None)))  # fmt: skip
+    bound, points = peak, theta.size
+    while True:
+        ceiling = _ceiling(left[1], right[1], right[2] - left[2])
+        keep = ceiling > peak * (1 + tolerance)
+        bound = max(bound, ceiling[~keep].max(initial=0))
+        left, right = left[:, keep], right[:, keep]
+        if not left.size:
+            closest = poles[np.argsort(-np.abs(poles))][:CLOSEST]
+            doubtful = {place, *np.abs(np.angle(closest))}
+            highest = max(_rounded_up(*matrices, at) * _filter_rounded_up(Q, at) for at in doubtful)
+            if highest == np.inf:
+                raise RuntimeError(
+                    f"the peak gain, {peak * u * v:.6g} as computed, cannot be told: system has a "
+                    f"pole of modulus {radius:.17g}, which rounding could make unstable"
+                )
+            return float((bound + max(highest - peak, 0)) * u * v), float(place / Ts)
+        middle = (left[0] + right[0]) / 2
+        points += middle.size
+        if points > max_points or np.any((middle == left[0]) | (middle == right[0])):
+            raise RuntimeError(
+                f"the peak gain is between {peak * u * v:.12g} and "
+                f"{max(bound, ceiling.max()) * u * v:.12g}; "
+                f"to close in further takes more than {max_points} frequencies: "
+                f"raise max_points or tolerance = {tolerance:.1e}"
+            )
+        middle = np.stack([middle, sigma(middle), _phase(poles, middle)])
+        best = middle[1].argmax()
+        if middle[1, best] > peak:
+            peak, place = middle[1, best], middle[0, best]
+        left, right = np.hstack([left, middle]), np.hstack([middle, right])
+
+
+def _ceiling(a, b, h):
+    """Highest peak that a curve through a and b, a phase h apart, can have in between."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        crest = np.hypot(a - b, 2 * np.sqrt(a) * np.sqrt(b) * np.sin(h / 2)) / np.sin(h)
+    inside = np.minimum(a, b) > np.maximum(a, b) * np.cos(h)
+    return np.where(h < np.pi / 2, np.where(inside, crest, np.maximum(a, b)), np.inf)
+
+
+def _phase(poles, theta):
+    """Phase phi of the all-pass with these poles, of :func:`peak_gain`, shape of theta."""
+    r, angle = np.abs(poles)[:, None], np.angle(poles)[:, None]
+    shift = theta - angle
+    # 1 - r cos(shift), without cancellation for poles next to the circle
+    real = (1 - r) + 2 * r * np.sin(shift / 2) ** 2
+    return len(poles) * theta + 2 * np.arctan(r * np.sin(shift) / real).sum(axis=0)
+
+
+def _gain_function(A, B, C, D, Q):
+    """Poles of a system and of Q, and a function for Q sigma_max at an array of angles omega Ts."""
+    T, Z = schur(A, output="complex")
+    B, C = Z.conj().T @ B, C @ Z
+    n, m = B.shape
+
+    def sigma(theta):
+        step = max(1, CHUNK // (n * m))
+        parts = [part(theta[i : i + step]) for i in range(0, len(theta), step)]
+        return np.concatenate(parts) * (1 if Q is None else Q.frequency_response(theta / Q.Ts))
+
+    def part(theta):
+        z = np.exp(1j * theta)
+        X = np.empty((n, m * len(z)), dtype=complex)
+        # (z I - T) X = B, from the last row up, for all frequencies at once
+        for i in range(n - 1, -1, -1):
+            row = (T[i, i + 1 :] @ X[i + 1 :]).reshape(m, -1) + B[i, :, None]
+            X[i] = (row / (z - T[i, i])).ravel()
+        G = (C @ X).reshape(-1, m, len(z)) + D[:, :, None]
+        return largest_singular_values(np.moveaxis(G, -1, 0))
+
+    return np.concatenate([np.diag(T), [] if Q is None else Q.poles]), sigma
+
+
+def _rounded_up(A, B, C, D, theta):
+    """Upper bound of sigma_max at one angle whatever the rounding, of :func:`peak_gain`."""
+    unit, z = (len(A) + 2) * np.finfo(float).eps, np.exp(1j * theta)
+    identity = np.eye(len(A))
+    R = np.linalg.inv(z * identity - A)
+    a, b, c, r = (np.abs(X) for X in (A, B, C, R))
+    residual = np.abs(identity - (z * R - A @ R)) + unit * (identity + r + a @ r)
+    size = np.linalg.norm(residual)
+    if not size < 1:
+        return np.inf
+    left = C @ R
+    error = np.abs(left) @ residual @ b + unit * (c @ r @ b + np.abs(D))
+    further = np.abs(left).sum() * size**2 / (1 - size) * b.sum()
+    return np.linalg.norm(left @ B + D, 2) + np.linalg.norm(error, 2) + further
+
+
+def _filter_rounded_up(Q, theta):
+    """Upper bound of Q at one angle whatever the rounding; one if there is none."""
+    if Q is None:
+        return 1.0
+    polynomials = Q.sections.reshape(-1, 2, 3)  # numerator and denominator of each section
+    value = np.abs(polynomials @ np.exp(-1j * theta * np.arange(3)))
+    error = 10 * np.finfo(float).eps * np.abs(polynomials).sum(axis=-1)
+    most, least = value[:, 0] + error[:, 0], value[:, 1] - error[:, 1]
+    return np.prod(most / least) ** 2 if least.min() > 0 else np.inf
+
+
+def balanced(A, B, C):
+    """Scale the states by powers of two so that no entry of A is large merely by its unit.
+
+    The error of a Schur form is relative to the largest entry of A. If one state is counted in
+    units of 1e-8, the others lose eight digits.
+    """
+    A, B, C = (np.array(X, dtype=float) for X in (A, B, C))
+    n = len(A)
+    size = np.zeros((n + 1, n + 1))  # of what else stands in a state's row and in its column
+    size[:n, :n] = np.abs(A) * (1 - np.eye(n))
+    size[:n, n], size[n, :n] = np.abs(B).max(axis=1), np.abs(C).max(axis=0)
+    exponents, changed = np.zeros(n), True
+    for _ in range(100):
+        if not changed:
+            break
+        changed = False
+        for i in range(n):
+            row, column = size[i].max(), size[:, i].max()
+            exponent = round((log2(row) - log2(column)) / 2) if row > 0 and column > 0 else 0
+            if exponent:
+                size[i] *= 2.0**-exponent
+                size[:, i] *= 2.0**exponent
+                exponents[i] += exponent
+                changed = True
+    scale = 2.0**exponents
+    return A * scale / scale[:, None], B / scale[:, None], C * scale
+
+
+@dataclass(frozen=True)
+class Peak:
+    """The highest peak of sigma_max(M) over all frequencies among the plants of a problem.
+
+    Attributes
+    ----------
+    sigma, omega : float
+        Its height, an upper bound to 1e-8 if `proven`, and where it is, rad/s.
+    plant : int
+        Whose it is; 0 is the nominal plant. Of those that are tied, the first.
+    proven : bool
+        Whether all plants are models. Otherwise it is the highest among those that are, and the
+        estimates for the sampled ones that are worst on the grid.
+    missed : float
+        The most that splines miss, as :func:`peak_between` has it; NaN if proven.
+    estimated : int
+        For how many plants there is an estimate.
+    """
+
+    sigma: float
+    omega: float
+    plant: int
+    proven: bool
+    missed: float
+    estimated: int
+
+
+def highest_peak(problem: Problem, L, order) -> Peak:
+    """Find the highest peak of sigma_max(M) over all frequencies, Delta = 0.
+
+    Parameters
+    ----------
+    problem : Problem
+    L : LearningFilter
+        In units of `scale`.
+    order : sequence of int
+        Numbers of the plants, that with the highest peak on the grid first. Every model has a
+        proof; of the sampled plants, the first :data:`LOOKED_AT` have an estimate.
+
+    Returns
+    -------
+    Peak
+    """
+    models, Q = {}, None
+    if problem.model:
+        nominal, Q = problem.model
+        models = dict(enumerate([nominal, *problem.other_models]))
+    proven = [k for k in order if models.get(k) is not None]
+    sampled = [k for k in order if models.get(k) is None][:LOOKED_AT]
+    peaks = [(*peak_gain(error_model(models[k], L), Q), k, np.nan) for k in proven]
+    between = zip(peaks_between(problem, L, sampled), sampled, strict=True)
+    peaks += [(sigma, omega, k, missed) for (sigma, omega, missed), k in between]
+    peaks.sort(key=lambda peak: peak[2])
+    sigma, omega, plant, missed = np.array(peaks).T
+    at = tied(sigma).argmax()
+    missed = np.fmax.reduce(missed)
+    return Peak(sigma.max(), omega[at], int(plant[at]), not sampled, missed, len(sampled))
+
+
+def peaks_between(problem: Problem, L, numbers) -> list[tuple[float, float, float]]:
+    """Peaks of sigma_max(M) estimated between samples, and by how much the splines miss them.
+
+    Measured grids are linear or logarithmic, plants smooth over one or the other. So the splines
+    run over omega or log omega, whichever foretells samples that are left out better.
+
+    Parameters
+    ----------
+    problem : Problem
+    L : LearningFilter
+        In units of `scale`.
+    numbers : sequence of int
+        Of the plants.
+
+    Returns
+    -------
+    list of (peak, omega, missed)
+        `missed` is infinite for fewer than four samples.
+    """
+    if not len(numbers):
+        return []
+    omega = problem.omega
+    steps = np.linspace(0, 1, DENSER, endpoint=False)
+    dense = np.append((omega[:-1, None] + np.diff(omega)[:, None] * steps).ravel(), omega[-1])
+    responses = L.frequency_response(omega), dense, L.frequency_response(dense)
+    return [_peak_between(problem.plant(k), problem.Q, omega, *responses) for k in numbers]
+
+
+def _peak_between(P, Q, omega, response, dense, dense_response):
+    M = convergence_matrix(P, Q, response)
+    missed = {}
+    for scale in (np.asarray, np.log) if omega[0] > 0 else (np.asarray,):
+        missed[scale] = 0.0 if len(omega) > 3 else np.inf
+        for first in (1, 2):  # every other sample between the two at the ends
+            out = np.arange(first, len(omega) - 1, 2)
+            rest = np.delete(np.arange(len(omega)), out)
+            foretold = _splined(P[rest], Q[rest], omega[rest], response[out], omega[out], scale)
+            miss = largest_singular_values(foretold - M[out]).max(initial=0)
+            missed[scale] = max(missed[scale], miss)
+    scale = min(missed, key=missed.get)
+    sigma = largest_singular_values(_splined(P, Q, omega, dense_response, dense, scale))
+    return sigma.max(), dense[sigma.argmax()], missed[scale]
+
+
+def _splined(P, Q, omega, response, places, scale):
+    """M of (40) at other frequencies than those of P and Q, where L has this response."""
+    P, Q = (CubicSpline(scale(omega), samples)(scale(places)) for samples in (P, Q))
+    return convergence_matrix(P, Q, response)

@@ -1,0 +1,256 @@
+"""The two filters of the ILC law v_{k+1} = Q (v_k + L e_k), equation (23).
+
+Each filter knows its frequency response and how it acts on a finite trial. Both look ahead in
+time, which is no contradiction: they act between two trials, when the whole last trial is known.
+
+Beyond the two ends of a trial nothing has been recorded, so something must be assumed there.
+``ends="zero"`` takes every signal as zero outside the trial; the filters are then exactly the
+two-sided filters of the analysis, seen through the window of the trial. ``ends="hold"`` lets the
+first and the last sample stand still, which suits a trial that does not end at zero.
+"""
+
+import warnings
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from scipy.signal import BadCoefficients, butter, freqz_sos, sosfilt, sosfilt_zi
+
+from rodlib.ilc import arguments
+
+ENDS = {"zero": "constant", "hold": "edge"}  # the modes of numpy.pad
+
+
+@dataclass(frozen=True)
+class ZeroPhaseButterworth:
+    """The Q-filter (43): a Butterworth low-pass filter applied forward and backward in time.
+
+    :func:`zero_phase_butterworth` says what the fields are, and what they must be.
+    """
+
+    order: int
+    cutoff: float
+    Ts: float
+    ends: str = "zero"
+
+    def __post_init__(self):
+        arguments.choice("ends", self.ends, list(ENDS))
+        Ts = arguments.sampling_period("Ts", self.Ts)
+        what = f"in (0, {np.pi / Ts:.6g}) rad/s, up to the Nyquist frequency of Ts = {Ts} s"
+        cutoff = arguments.number("cutoff", self.cutoff, what, 0, np.pi / Ts)
+        order = arguments.whole("order", self.order, 1, 100)
+        for name, value in (("order", order), ("cutoff", cutoff), ("Ts", Ts)):
+            object.__setattr__(self, name, value)
+        if not self._realised():
+            raise ValueError(
+                f"cutoff = {cutoff!r} rad/s is too low for order = {order} at Ts = {Ts} s: "
+                "rounding changes the filter by more than a millionth. Raise the cut-off, lower "
+                "the order, or take a longer Ts"
+            )
+
+    def _realised(self):
+        """Whether the coefficients, which are rounded, give the filter that was asked for."""
+        omega = np.append(self.cutoff * np.linspace(0, 1, 11), np.pi / self.Ts)
+        warped = np.tan(omega[:-1] * self.Ts / 2) / np.tan(self.cutoff * self.Ts / 2)
+        analytic = np.append(1 / (1 + warped ** (2 * self.order)), 0)
+        with np.errstate(all="ignore"), warnings.catch_warnings():
+            warnings.simplefilter("ignore", BadCoefficients)
+            return np.allclose(self.frequency_response(omega), analytic, rtol=0, atol=1e-6)
+
+    @cached_property
+    def sections(self) -> np.ndarray:
+        """Second-order sections of the forward half of the filter."""
+        return butter(self.order, self.cutoff, fs=2 * np.pi / self.Ts, output="sos")
+
+    @cached_property
+    def poles(self) -> np.ndarray:
+        """Of the forward half, section by section: a polynomial of all of them would lose them."""
+        return np.concatenate([np.roots(section[3:]) for section in self.sections])
+
+    @cached_property
+    def _decay(self):
+        """Samples after which the impulse response has decayed to rounding level."""
+        return int(np.ceil(np.log(1e-18) / np.log(np.abs(self.poles).max())))
+
+    @cached_property
+    def _at_rest(self):
+        """The state of each section that a constant one leads to, shape (sections, 2)."""
+        return sosfilt_zi(self.sections)
+
+    def frequency_response(self, omega) -> np.ndarray:
+        """Squared magnitude of the Butterworth filter at `omega` (rad/s), real, shape (n,)."""
+        omega = arguments.row("omega", omega)
+        _, H = freqz_sos(self.sections, omega, fs=2 * np.pi / self.Ts)
+        return np.abs(H) ** 2
+
+    def apply(self, signal) -> np.ndarray:
+        """Filter a signal of shape (..., time, channel), forward and backward in time."""
+        signal = arguments.array("signal", signal, (..., "time", "channel"))
+        sections, decay = self.sections, self._decay  # after which the line is as good as infinite
+        padding = [(0, 0)] * (signal.ndim - 2) + [(decay, decay), (0, 0)]
+        once = np.pad(signal, padding, mode=ENDS[self.ends])
+        at_rest = self._at_rest.reshape(len(sections), *[1] * (signal.ndim - 2), 2, 1)
+        for _ in range(2):
+            filtered, _ = sosfilt(sections, once, axis=-2, zi=at_rest * once[..., :1, :])
+            once = np.flip(filtered, axis=-2)
+        return once[..., decay:-decay, :]
+
+
+def zero_phase_butterworth(
+    order: int = 2, cutoff: float = 0.1, Ts: float = 1.0, *, ends: str = "zero"
+) -> ZeroPhaseButterworth:
+    """Build the Q-filter (43). The defaults are the paper's.
+
+    Parameters
+    ----------
+    order : int
+        Order n_Q of the Butterworth filter; the zero-phase filter has twice that order.
+    cutoff : float
+        Cut-off frequency, rad/s. There the Butterworth filter is down by 3 dB, the Q-filter,
+        which squares its magnitude, by 6 dB.
+    Ts : float
+        Sampling period, s.
+    ends : {"zero", "hold"}
+        What a signal is taken to be outside the trial.
+
+    Returns
+    -------
+    ZeroPhaseButterworth
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range, or rounded coefficients do not give the filter; the message
+        names the argument and its value.
+    """
+    return ZeroPhaseButterworth(order, cutoff, Ts, ends)
+
+
+@runtime_checkable
+class LearningOperator(Protocol):
+    """Whatever can stand for L in the law (23): it knows its response and acts on a trial.
+
+    :class:`LearningFilter` is one; those of other designs are in :mod:`rodlib.ilc.alternatives`.
+    """
+
+    Ts: float
+    channels: int
+
+    def frequency_response(self, omega) -> np.ndarray:
+        """At `omega` (rad/s), shape (n, channels, channels), complex."""
+
+    def apply(self, signal) -> np.ndarray:
+        """Filter a signal of shape (..., time, channels)."""
+
+
+@dataclass(frozen=True)
+class LearningFilter:
+    """The learning filter L of (42), (44): a non-causal finite impulse response.
+
+    Attributes
+    ----------
+    coefficients : ndarray, shape (m, m, order)
+        L_ij(q) = sum_k coefficients[i, j, k - 1] q^k, where q looks one sample ahead.
+    Ts : float
+        Sampling period, s.
+    ends : {"zero", "hold"}
+        What the error is taken to be beyond the end of the trial.
+
+    Raises
+    ------
+    ValueError
+        If the coefficients have the wrong shape or are not finite, or Ts is not positive.
+    """
+
+    coefficients: np.ndarray = field(repr=False)
+    Ts: float
+    ends: str = "zero"
+
+    def __post_init__(self):
+        c = arguments.array("coefficients", self.coefficients, ("m", "m", "order"))
+        object.__setattr__(self, "Ts", arguments.sampling_period("Ts", self.Ts))
+        arguments.choice("ends", self.ends, list(ENDS))
+        c.flags.writeable = False
+        object.__setattr__(self, "coefficients", c)
+
+    @property
+    def channels(self) -> int:
+        """Number m of channels."""
+        return len(self.coefficients)
+
+    @property
+    def order(self) -> int:
+        """Number of samples that the filter looks ahead."""
+        return self.coefficients.shape[2]
+
+    def frequency_response(self, omega) -> np.ndarray:
+        """L(exp(j omega Ts)) at `omega` (rad/s), shape (n, m, m), complex."""
+        shifts = time_shifts(self.Ts * arguments.row("omega", omega), self.order)
+        return np.einsum("nk,ijk->nij", shifts, self.coefficients).astype(complex)
+
+    def apply(self, signal) -> np.ndarray:
+        """Filter a signal of shape (..., time, m)."""
+        signal = arguments.array("signal", signal, (..., "time", self.channels))
+        padding = [(0, 0)] * (signal.ndim - 2) + [(0, self.order), (0, 0)]
+        ahead = np.pad(signal, padding, mode=ENDS[self.ends])
+        windows = np.lib.stride_tricks.sliding_window_view(ahead, self.order, axis=-2)
+        return np.tensordot(windows[..., 1:, :, :], self.coefficients, axes=([-2, -1], [1, 2]))
+
+
+def time_shifts(angles, order) -> np.ndarray:
+    """z, z^2, ..., z^order for z = exp(j angles), in long doubles, shape (n, order).
+
+    They are nearly dependent at low frequencies. Without a bound (46) a learning filter has
+    coefficients of 1e9 that all but cancel, and doubles would leave seven digits of its gain.
+    """
+    angles = np.asarray(angles, dtype=np.longdouble)
+    return np.exp(1j * np.outer(angles, np.arange(1, order + 1)))
+
+
+def check_learning(L: LearningOperator, channels: int) -> None:
+    """Check that L is a learning operator for so many channels; a ValueError says so if not."""
+    arguments.instance("L", L, LearningOperator)
+    if L.channels != channels:
+        raise ValueError(f"L acts on {L.channels} channels, but must act on {channels}")
+
+
+def update(
+    v, e, Q: ZeroPhaseButterworth, L: LearningOperator, rest: int = 0, step: float = 1.0
+) -> np.ndarray:
+    """Compute the next trial's ILC signal by the ILC law (23), v_{k+1} = Q (v_k + L e_k).
+
+    With a step a below one, v goes only that share of the way there,
+    v_{k+1} = (1 - a) v_k + a Q (v_k + L e_k): slower, but what noise does to e is averaged.
+
+    Parameters
+    ----------
+    v, e : array_like, shape (time, m)
+        ILC signal and tracking error of the trial just done, both in the unit of the output.
+    Q, L : ZeroPhaseButterworth, LearningOperator
+    rest : int
+        Number of samples at the end of the trial in which the signal is held at zero. The filters
+        look beyond the end, so what they make of the last samples may grow from trial to trial.
+    step : float
+        In (0, 1].
+
+    Returns
+    -------
+    ndarray, shape (time, m)
+
+    Raises
+    ------
+    ValueError
+        If the shapes do not fit, a signal has a gap (NaN) or an infinite value, the filters have
+        different sampling periods, `rest` is not shorter than the trial, or `step` is out of range.
+    """
+    arguments.instance("Q", Q, ZeroPhaseButterworth)
+    arguments.instance("L", L, LearningOperator)
+    arguments.one_period(Q=Q.Ts, L=L.Ts)
+    v = arguments.array("v", v, (..., "time", L.channels))
+    e = arguments.array("e", e, v.shape)
+    rest = arguments.whole("rest", rest, 0, v.shape[-2] - 1)
+    step = arguments.share("step", step)
+    v = (1 - step) * v + step * Q.apply(v + L.apply(e))
+    v[..., v.shape[-2] - rest :, :] = 0
+    return v

@@ -1,0 +1,225 @@
+"""A rig with the controller on it: the loop, sample by sample as on hardware."""
+
+import math
+import reprlib
+import warnings
+from collections.abc import Sequence
+from contextlib import contextmanager
+from typing import Protocol
+
+import numpy as np
+
+from rodlib.ilc import arguments
+from rodlib.ilc.laboratory import actuators
+from rodlib.ilc.laboratory import units as pints
+from rodlib.ilc.loop import CurrentTrialLoop
+
+LATE = 0.1  # sampling periods that a sample may be off the clock
+
+
+class Rig(Protocol):
+    """What :func:`record` asks of a rig: a driver of two methods, one call each per sample.
+
+    A rig may have more. ``inputs``: names of the numbers that ``apply`` takes; without it they are
+    the loop's controls. ``limits``: a dict of the lowest and the highest number that it follows, by
+    the name of the input; what is beyond them is warned of. ``Ts``: its sampling period, s.
+    ``measured``: a dict of what else it measures, by name, such as the temperature of the room.
+    ``safe()``: what leaves it in a safe state; without it, zeros are applied. ``begin(trial)``:
+    what brings it into the state in which every trial begins, such as a homing run; the controller
+    then starts afresh, too. ``clock()``: the time, s, by which samples are late or not, such as
+    ``time.monotonic``.
+    """
+
+    def read(self) -> Sequence[float]:
+        """The outputs now, in the order and the units of the loop."""
+
+    def apply(self, commands) -> None:
+        """Set the inputs, and return when the next sample is due."""
+
+
+class RigError(RuntimeError):
+    """A rig that gave what is no reading; nothing that follows from it was applied."""
+
+
+class Controller:
+    """Observer (16) and state feedback (18), sample by sample as on hardware.
+
+    Parameters
+    ----------
+    loop : CurrentTrialLoop
+    decimals : int, optional
+        To which commands are rounded. Default: not at all.
+
+    Raises
+    ------
+    ValueError
+        If an argument is something else.
+    """
+
+    def __init__(self, loop: CurrentTrialLoop, decimals: int | None = None):
+        arguments.instance("loop", loop, CurrentTrialLoop)
+        if decimals is not None:
+            arguments.whole("decimals", decimals, 0, 300)
+        n, m = loop.plant.nstates, loop.plant.noutputs
+        self.loop, self.decimals = loop, decimals
+        self._B = loop.plant.B[:, :m]
+        self._x_hat, self.delta = np.zeros(n), np.zeros(m)
+
+    def step(self, y, w) -> np.ndarray:
+        """The controls u(p) from the measured y(p) and w(p); advances the observer."""
+        loop, m = self.loop, len(self.delta)
+        y, w = arguments.array("y", y, (m,)), arguments.array("w", w, (m,))
+        u = _rounded(loop.N @ w - loop.Ks @ self._x_hat - self.delta, self.decimals)  # (18)
+        surprise = loop.KL @ (y - loop.plant.C @ self._x_hat)
+        n = len(self._x_hat)
+        self._x_hat = loop.plant.A @ self._x_hat + self._B @ (u + self.delta) + surprise[:n]  # (16)
+        self.delta = self.delta + surprise[n:]
+        return u
+
+
+class Bench:
+    """A rig with the controller on it: signals by name, no reading used before it is checked."""
+
+    def __init__(self, rig, loop, decimals):
+        if isinstance(rig, type):
+            raise ValueError(f"rig = {rig!r} is a class: make one")
+        missing = [name for name in ("read", "apply") if not callable(getattr(rig, name, None))]
+        if missing:
+            raise ValueError(f"rig = {reprlib.repr(rig)} has no {', '.join(missing)}: see Rig")
+        self.rig, self.loop = rig, arguments.instance("loop", loop, CurrentTrialLoop)
+        for name in loop.plant.input_labels + loop.plant.output_labels:
+            pints.unit(name, loop.units.get(name, ""))
+        decimals = arguments.by_name("decimals", decimals, ["v", "u", "delta", "disturbance"])
+        for name, value in decimals.items():
+            arguments.whole(f"decimals[{name!r}]", value, 0, 300)
+        self.decimals = decimals
+        self.inputs = list(getattr(rig, "inputs", loop.controls))
+        missing = [name for name in loop.controls if name not in self.inputs]
+        if missing:
+            raise ValueError(f"rig.inputs = {self.inputs} must name the controls {missing}")
+        self.limits = actuators.checked("rig.limits", getattr(rig, "limits", None), self.inputs)
+        heard = getattr(rig, "measured", {})
+        self.moved = [name for name in loop.disturbances if name in self.inputs]
+        self.heard = [n for n in loop.disturbances if n in heard and n not in self.moved]
+        self.recorded = [n for n in loop.disturbances if n in self.moved + self.heard]
+        self.positions = [self.inputs.index(name) for name in loop.controls + self.moved]
+        self.controller = None
+
+    def commanded(self, disturbance, trials, samples) -> np.ndarray:
+        """The commands to the disturbances that are inputs, shape (trial, time, them)."""
+        names = self.loop.disturbances
+        if disturbance is None:
+            return np.zeros((trials, samples, len(self.moved)))
+        d = arguments.array("disturbance", disturbance, (..., samples, len(names)))
+        if d.ndim == 2:
+            d = np.broadcast_to(d, (trials, *d.shape))
+        d = arguments.array("disturbance", d, ("trial", samples, len(names)))
+        if len(d) < trials:
+            raise ValueError(
+                f"disturbance has {len(d)} trials, but trials = {trials} are asked for"
+            )
+        unknown = [n for i, n in enumerate(names) if n not in self.recorded and d[..., i].any()]
+        if unknown:
+            raise ValueError(f"disturbance is not zero for {unknown}, which are no rig.inputs")
+        return d[:trials][..., [names.index(name) for name in self.moved]]
+
+    def begin(self, trial):
+        """Bring the rig to where trials begin, if it can; without a past, the controller, too."""
+        restarts = hasattr(self.rig, "begin")
+        if restarts:
+            self.rig.begin(trial)
+        if restarts or self.controller is None:
+            self.controller = Controller(self.loop, self.decimals.get("u"))
+
+    def pause(self, trial, samples, w, bar):
+        """Hold the start of the reference before a trial."""
+        for p in range(samples):
+            self.sample(w, np.zeros(len(self.moved)), f"pause before trial {trial}, sample {p + 1}")
+            bar.update()
+
+    def run(self, trial, reference, v, commanded, bar) -> dict[str, np.ndarray]:
+        """Run one trial; its signals, shape (time, channel)."""
+        v = _rounded(v, self.decimals.get("v"))
+        signals, squares, off = [], 0.0, []
+        clock = getattr(self.rig, "clock", None)
+        start = clock() if clock else 0.0
+        for p, (r, w, flows) in enumerate(zip(reference, reference + v, commanded, strict=True)):
+            if clock:
+                off.append(clock() - start - p * self.loop.Ts)
+            signals.append(self.sample(w, flows, f"trial {trial}, sample {p + 1}"))
+            error = r - signals[-1]["y"]
+            squares += float(error @ error)
+            bar.set_postfix_str(f"RMS {math.sqrt(squares / (p + 1)):.3g}", refresh=False)
+            bar.update()
+        _report_late(trial, np.array(off), self.loop.Ts)
+        signals = {name: np.array([s[name] for s in signals]) for name in signals[0]}
+        _report_beyond(trial, actuators.beyond(signals["u"], self.loop.controls, self.limits))
+        return {"v": v} | signals
+
+    def sample(self, w, flows, where) -> dict[str, np.ndarray]:
+        """Let one sampling period pass: read, check, then apply what the controller makes of it."""
+        try:
+            y, heard = self.readings()
+            delta = _rounded(self.controller.delta, self.decimals.get("delta"))
+            u = self.controller.step(y, w)
+            command = np.zeros(len(self.inputs))
+            command[self.positions] = np.concatenate([u, flows])
+            self.rig.apply(command)
+        except RigError as error:
+            raise RigError(f"{where}: {error}. Nothing was applied after it") from None
+        except Exception as error:
+            error.add_note(f"in {where}")
+            raise
+        known = heard | dict(zip(self.moved, flows, strict=True))
+        disturbance = np.array([known[name] for name in self.recorded])
+        return {"u": u, "y": y, "delta": delta, "disturbance": disturbance}
+
+    def readings(self) -> tuple[np.ndarray, dict[str, float]]:
+        """The outputs, and the disturbances that are measured."""
+        y, heard = self.rig.read(), self.rig.measured if self.heard else {}
+        try:
+            y = arguments.array("reading", y, (self.loop.plant.noutputs,))
+            heard = {name: float(arguments.array(name, heard.get(name), ())) for name in self.heard}
+        except ValueError as error:
+            raise RigError(str(error)) from None
+        decimals = self.decimals.get("disturbance")
+        if decimals is not None:
+            heard = {name: round(value, decimals) for name, value in heard.items()}
+        return y, heard
+
+    @contextmanager
+    def in_the_end_safe(self, begun):
+        """Leave the rig in a safe state on every way out."""
+        try:
+            yield
+        finally:
+            if begun and hasattr(self.rig, "safe"):
+                self.rig.safe()
+            elif begun:
+                self.rig.apply(np.zeros(len(self.inputs)))
+
+
+def _report_late(trial, off, Ts):
+    """Warn of samples that were not on time; `off` says by how many seconds each was late."""
+    late = np.flatnonzero(np.abs(off) > LATE * Ts)
+    if late.size:
+        worst = np.abs(off).argmax()
+        warnings.warn(
+            f"trial {trial}: {late.size} samples were not on time, the worst, sample {worst + 1}, "
+            f"by {off[worst]:.3g} s",
+            stacklevel=5,
+        )
+
+
+def _report_beyond(trial, shares):
+    """Warn of commands that the rig cut off."""
+    if shares:
+        warnings.warn(
+            f"trial {trial}: commands were beyond the limits of {shares} of all samples; what the "
+            "actuators cannot do, no learning will do for them",
+            stacklevel=5,
+        )
+
+
+def _rounded(values, decimals):
+    return values if decimals is None else values.round(decimals)

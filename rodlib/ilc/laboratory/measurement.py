@@ -1,0 +1,352 @@
+"""From a shaken loop to its frequency response P, with the region in which the truth lies.
+
+No model is fitted. Each line of the excitation is looked at with the lines around it that are not
+excited: these hold what remains of the transient, a smooth function of frequency, and noise. The
+transient is interpolated and taken off; what scatters about it is the noise, and so the accuracy.
+"""
+
+import warnings
+from dataclasses import dataclass, replace
+
+import control
+import numpy as np
+import xarray as xr
+from scipy.interpolate import make_interp_spline
+
+from rodlib.ilc import arguments
+from rodlib.ilc.laboratory import actuators
+from rodlib.ilc.laboratory import findings as doubts
+from rodlib.ilc.laboratory.excitation import Excitation
+from rodlib.ilc.laboratory.notes import actuators_of, excitation_of, loop_of
+from rodlib.ilc.laboratory.region import TINY, radius_of
+from rodlib.ilc.laboratory.tables import LogError, few
+from rodlib.ilc.laboratory.transient import NEIGHBOURS, SPAN, nearest, separated, windows_of
+from rodlib.ilc.loop import CurrentTrialLoop
+
+
+@dataclass(frozen=True)
+class MeasuredResponse:
+    """The frequency response from w to y as measured, and how far off it may be.
+
+    At each frequency its error is C^(1/2) G `spread`, where the entries of G, m by m, are
+    independent, complex and normal with variance one. `noise` estimates C with `freedom` complex
+    degrees of freedom.
+
+    Attributes
+    ----------
+    omega : ndarray, shape (n,)
+        Frequencies, rad/s.
+    response : ndarray, shape (n, m, m), complex
+    noise : ndarray, shape (n, m, m), complex
+        Estimated covariance of the outputs' spectra, the transient taken off.
+    spread : ndarray, shape (n, m, m), complex
+        Inverse of the spectra of w, (experiment, input).
+    freedom : ndarray, shape (n,), int
+    loop : CurrentTrialLoop
+        Whose controller ran. Its observer integrates, so that P(0) = I.
+    findings : tuple of str
+        What speaks against the measurement, and what follows from it.
+    """
+
+    omega: np.ndarray
+    response: np.ndarray
+    noise: np.ndarray
+    spread: np.ndarray
+    freedom: np.ndarray
+    loop: CurrentTrialLoop
+    findings: tuple[str, ...] = ()
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Covariance of the entries P11, P12, ... of the response, shape (n, m m, m m), complex."""
+        each = np.einsum("nik,nej,nel->nijkl", self.noise, self.spread, self.spread.conj())
+        size = self.response[0].size
+        return each.reshape(-1, size, size)
+
+    def radius(self, confidence: float = 0.95, jointly: bool = False) -> np.ndarray:
+        """Radius of ||Delta||, the largest singular value, that covers the truth.
+
+        Parameters
+        ----------
+        confidence : float
+            Probability, between 0 and 1, that the truth lies within.
+        jointly : bool
+            Whether within all radii at once, rather than within each.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+
+        Notes
+        -----
+        For one channel |Delta|^2 has an F distribution. For more, the size of Delta has one, with
+        the degrees of freedom of the noise in all its directions together (Satterthwaite), and its
+        shape that of a normal matrix; the share of truths covered by 95 % is then between 93 and
+        96.5 %, from 4 degrees of freedom on (tests/laboratory/test_measurement.py).
+        """
+        miss = _miss(confidence, jointly, len(self.omega))
+        return radius_of(self.noise, self.spread, self.freedom, miss)
+
+    def frd(self) -> control.FrequencyResponseData:
+        """The response as python-control's frequency response data."""
+        return control.frd(
+            np.moveaxis(self.response, 0, -1), self.omega, dt=self.loop.Ts,
+            inputs=[f"w_{name}" for name in self.loop.outputs], outputs=self.loop.outputs,
+        )  # fmt: skip
+
+    def on(self, omega, confidence: float = 0.95, scale=None) -> tuple[np.ndarray, np.ndarray]:
+        """Response and radius on other frequencies, for the synthesis.
+
+        Parameters
+        ----------
+        omega : array_like, shape (n,)
+            Frequencies, rad/s.
+        confidence : float
+            Probability that the truth lies within the radius at all measured frequencies.
+        scale : array_like, shape (m,), optional
+            Units of the channels, of both response and radius; see :func:`rodlib.ilc.synthesise`.
+
+        Returns
+        -------
+        response : ndarray, shape (n, m, m), complex
+            A cubic spline through what was measured and, at frequency zero, I.
+        radius : ndarray, shape (n,)
+            That of the neighbours, interpolated linearly, and by how much the spline differs from
+            straight lines: it is assumed that it is not further than this from the truth. Above the
+            highest frequency that was measured, it is assumed that P is not larger than there: the
+            response is that of this frequency, the radius contains all that P may then be.
+        """
+        omega = np.abs(arguments.row("omega", omega))
+        if scale is not None:
+            return self._in_units_of(arguments.row("scale", scale)).on(omega, confidence)
+        radius = np.append(0.0, self.radius(confidence, jointly=True))
+        knots = np.append(0.0, self.omega)
+        P = np.concatenate([[np.eye(len(self.loop.outputs))], self.response])
+        knots_both = np.concatenate([-knots[:0:-1], knots])
+        P_both = np.concatenate([P[:0:-1].conj(), P])
+        spline, straight = (
+            make_interp_spline(knots_both, P_both, k)(np.minimum(omega, knots[-1])) for k in (3, 1)
+        )
+        bend = np.linalg.norm(spline - straight, 2, axis=(1, 2))
+        beyond = omega > knots[-1] * (1 + 1e-9)
+        anything = 2 * np.linalg.norm(P[-1], 2) + radius[-1]
+        return spline, np.where(beyond, anything, np.interp(omega, knots, radius) + bend)
+
+    def _in_units_of(self, scale):
+        """The same with its channels divided by scale."""
+        size = self.loop.plant.noutputs
+        scale = arguments.array("scale", scale, (size,))
+        return replace(
+            self,
+            response=self.response * scale / scale[:, None],
+            noise=self.noise / scale / scale[:, None],
+            spread=self.spread * scale,
+        )
+
+    def basis(self, omega, confidence: float = 0.95) -> tuple[str, ...]:
+        """What was measured, and what :meth:`on` assumes beside it.
+
+        Parameters
+        ----------
+        omega, confidence
+            As for :meth:`on`.
+
+        Returns
+        -------
+        tuple of str
+            For the certificate of a design; the findings last.
+        """
+        confidence = arguments.number("confidence", confidence, "between 0 and 1", 0, 1)
+        low, high = self.omega[[0, -1]]
+        beyond = np.count_nonzero(arguments.row("omega", omega) > high * (1 + 1e-9))
+        lines = [
+            f"P measured at {len(self.omega)} frequencies from {low:.4g} to {high:.4g} rad/s; at "
+            f"all of them the truth is within the radius with confidence {confidence:g}",
+            "assumed: between them P is not further from their spline than straight lines are; "
+            "P(0) = I",
+        ]
+        if beyond:
+            lines.append(
+                f"assumed: above {high:.4g} rad/s, at {beyond} of the design frequencies, P is not "
+                "larger than there"
+            )
+        return (*lines, *self.findings)
+
+    def __repr__(self):
+        radius = self.radius()
+        lines = [
+            f"P at {len(self.omega)} frequencies from {self.omega[0]:.3g} to "
+            f"{self.omega[-1]:.3g} rad/s, and P(0) = I",
+            f"within {radius.min():.2g} to {radius.max():.2g} (95 %, at each frequency)",
+        ]
+        return "\n".join([*lines, *self.findings])
+
+
+def measured_response(
+    log: xr.Dataset, limits: dict[str, tuple[float, float]] | None = None
+) -> MeasuredResponse:
+    """Estimate the frequency response from w to y from the record of a loop that was shaken.
+
+    Parameters
+    ----------
+    log : xarray.Dataset
+        From :func:`shake`, or loaded.
+    limits : dict, optional
+        Lowest and highest command that an actuator follows, by the name of the control. Default:
+        those that the rig knew when it was shaken, if any. A slow plant hides from its outputs what
+        a limit does.
+
+    Returns
+    -------
+    MeasuredResponse
+
+    Raises
+    ------
+    LogError
+        If the log is no such record, lacks an experiment, or w is not periodic or does not excite
+        every line.
+
+    Warns
+    -----
+    UserWarning
+        Each of the findings: commands beyond the limits, a loop that is not linear, outputs that
+        drift, a lowest frequency that is too high for what is known at zero, lines too far apart.
+
+    Notes
+    -----
+    The spectrum of all periods of an experiment is P W + T + V: between the harmonics W is zero and
+    T, from the state at the start and at the end, and the noise V are left. This is the local
+    polynomial method for periodic excitation (Pintelon, Schoukens, Vandersteen and Barbé,
+    Estimation of nonparametric noise and FRF models for multivariable linear systems, Mech. Syst.
+    Signal Process. 24, 2010), with a prescribed pole: T is a polynomial not in z but in
+    1 / (1 - p / z), where p is the slowest pole of the loop as designed. So a slow transient is
+    one, too, as with the local rational method (McKelvey and Guérin, Non-parametric frequency
+    response estimation using a local rational model, SYSID 2012), and the estimate stays linear in
+    the data. Noise is taken to be stationary and smooth across neighbouring lines; where it rises
+    more steeply than in proportion to frequency, the radius at the lowest lines is larger than need
+    be.
+
+    No well-kept library does this: pyFRF and scipy.signal average spectra, without a transient or
+    a covariance.
+    """
+    arguments.instance("log", log, xr.Dataset)
+    excitation, loop = excitation_of(log), loop_of(log)
+    if excitation is None or loop is None:
+        raise LogError("log names no excitation or no loop in its metadata: it is not of shake")
+    limits = actuators_of(log) | actuators.checked("limits", limits, loop.controls)
+    w, y = _signals(log, excitation)
+    windows = windows_of(excitation.harmonics, excitation, loop)
+    measured = _estimate(w, y, windows, excitation, loop)
+    reports = (
+        doubts.beyond(actuators.beyond(log.u.values, loop.controls, limits)),
+        doubts.distortion(y, excitation, measured),
+        doubts.drift(y, windows, excitation, measured),
+        doubts.unanchored(measured),
+        doubts.sparse(measured),
+    )
+    findings = tuple(report for report in reports if report)
+    for finding in findings:
+        warnings.warn(finding, stacklevel=2)
+    return replace(measured, findings=findings)
+
+
+def expected_radius(
+    excitation: Excitation, rest: xr.Dataset, confidence: float = 0.95, jointly: bool = False
+) -> np.ndarray:
+    """How accurate a measurement will be, from the noise of a rest.
+
+    Parameters
+    ----------
+    excitation : Excitation
+    rest : xarray.Dataset
+        From :func:`record` with the loop at rest: reference zero, no learning. At frequencies
+        below those that it is long enough for, the noise of the lowest that it shows is taken; that
+        is more than there is in a loop that integrates.
+    confidence, jointly
+        As in :meth:`MeasuredResponse.radius`.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        At the frequencies of the excitation.
+
+    Raises
+    ------
+    ValueError
+        If the rest is too short, or of another loop.
+    """
+    arguments.instance("excitation", excitation, Excitation)
+    arguments.instance("rest", rest, xr.Dataset)
+    miss = _miss(confidence, jointly, len(excitation.harmonics))
+    loop, m = loop_of(rest), excitation.channels
+    if loop is None:
+        raise LogError("rest names no loop in its metadata: it is not of record")
+    arguments.one_period(rest=loop.Ts, excitation=excitation.Ts)
+    y = arguments.array(
+        "rest.y", rest.y.transpose("trial", "time", "channel"), ("trial", "time", m)
+    )
+    samples = y.shape[1]
+    if samples < 4 * NEIGHBOURS:
+        raise ValueError(f"rest has {samples} samples, but must have {4 * NEIGHBOURS} or more")
+    Y = np.fft.rfft(y, axis=1)[:, 1:]
+    power = np.einsum("erj,erk->rjk", Y, Y.conj()) / (len(y) * samples)
+    windows = windows_of(excitation.harmonics, excitation, loop)
+    noise = []
+    for window, omega in zip(windows, excitation.omega, strict=True):
+        line = omega * excitation.Ts * samples / (2 * np.pi)
+        near = nearest(line, np.arange(1, len(power) + 1)[: max(4, int(SPAN * line))])
+        noise.append(window.variance * excitation.evaluated * power[near - 1].mean(0))
+    lines = np.array(excitation.harmonics)
+    W = np.fft.fft(excitation.signals[:, -excitation.period :], axis=1)[:, lines]
+    spread = np.linalg.inv(np.moveaxis(W, 0, 2) * excitation.periods)
+    freedom = np.array([m * window.freedom for window in windows])
+    return radius_of(np.array(noise), spread, freedom, miss)
+
+
+def _miss(confidence, jointly, count):
+    """Probability that the truth lies outside at one of `count` frequencies."""
+    confidence = arguments.number("confidence", confidence, "between 0 and 1", 0, 1)
+    jointly = arguments.flag("jointly", jointly)
+    return 1 - (confidence ** (1 / count) if jointly else confidence)
+
+
+def _signals(log, excitation):
+    """w and y of the periods that are evaluated, shape (experiment, time, m), if all are there."""
+    m = excitation.channels
+    if log.sizes["channel"] != m or log.sizes["time"] != excitation.samples:
+        raise LogError(
+            f"log has {log.sizes['channel']} channels and {log.sizes['time']} samples, but its "
+            f"excitation {m} and {excitation.samples}"
+        )
+    if log.trial.values.tolist() != list(range(1, m + 1)):
+        raise LogError(
+            f"log has the experiments {few(log.trial.values.tolist())} of {m}: go on with shake "
+            "and the same path"
+        )
+    log = log.isel(time=slice(-excitation.evaluated, None))
+    w = arguments.array("log.v", (log.reference + log.v).values, (m, "time", m))
+    y = arguments.array("log.y", log.y.values, (m, "time", m))
+    again = np.abs(np.diff(w.reshape(m, excitation.periods, -1, m), axis=1)).max(axis=(0, 1, 2))
+    for name, off, size in zip(log.output.values, again, np.abs(w).max(axis=(0, 1)), strict=True):
+        if off > 1e-6 * size:
+            raise LogError(f"w of {name} is not periodic: it differs by {off:.3g} between periods")
+    return w, y
+
+
+def _estimate(w, y, windows, excitation, loop):
+    """The response from the signals (experiment, time, channel), before it is doubted."""
+    W = np.fft.rfft(w, axis=1)[:, [window.line for window in windows]]
+    W = np.moveaxis(W, 0, 2)  # (line, input, experiment)
+    _refuse_weak(W, excitation.omega)
+    net, noise, freedom = separated(y, windows)
+    spread = np.linalg.inv(W)
+    return MeasuredResponse(excitation.omega, net @ spread, noise, spread, freedom, loop)
+
+
+def _refuse_weak(W, omega):
+    """Refuse lines that are not excited in all directions."""
+    values = np.linalg.svd(W, compute_uv=False)
+    weak = omega[values[:, -1] <= 1e-6 * max(values.max(), TINY)]
+    if weak.size:
+        listed = ", ".join(few([f"{x:.4g}" for x in weak]))
+        raise LogError(f"w does not excite all inputs at {listed} rad/s: P is not known there")

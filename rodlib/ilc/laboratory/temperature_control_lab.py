@@ -1,0 +1,184 @@
+"""The Temperature Control Lab: a board with two heaters and two thermometers, as a rig.
+
+It is a kit to learn control with. Its own package, tclab, talks to it and brings an emulator; the
+two differ in what time is, which is hidden here.
+"""
+
+import random
+import time
+
+import control
+import numpy as np
+
+from rodlib.ilc import arguments
+from rodlib.ilc.trials import state_sequence
+
+HEATERS, THERMOMETERS = ["Q1", "Q2"], ["T1", "T2"]
+LAST = 60.0  # s of the wait before the first trial, over which the readings at rest are averaged
+
+
+class TemperatureControlLab:
+    """The kit or its emulator, around a state of rest in which both heaters are on.
+
+    A heater that is off cannot cool; one that is on can be turned down. So :meth:`apply` takes
+    percents above those at rest, :meth:`read` gives kelvins above the temperatures at rest, and
+    every trial begins there. Heaters are cut off at 0 and 100 %.
+
+    Parameters
+    ----------
+    kit : bool
+        Whether to connect to the kit. Default: the emulator, whose time is computed and not waited
+        for.
+    rest : (float, float)
+        The heaters at rest, %.
+    Ts : float
+        Sampling period, s.
+    wait : float
+        How long both heaters are held at rest before a trial, s; at least a minute.
+    seed : int
+        Of the emulator's noise, which comes from Python's own generator of random numbers.
+
+    Raises
+    ------
+    ImportError
+        If the package tclab is missing.
+    ValueError
+        If an argument is out of range.
+    RuntimeError
+        From tclab, if no kit is found.
+    """
+
+    inputs = HEATERS
+
+    def __init__(
+        self,
+        kit: bool = False,
+        rest: tuple[float, float] = (30.0, 40.0),
+        Ts: float = 2.0,
+        wait: float = 900.0,
+        seed: int = 1,
+    ):
+        self.kit = arguments.flag("kit", kit)
+        self.rest = arguments.array("rest", rest, (2,))
+        if self.rest.min() < 0 or self.rest.max() > 100:
+            raise ValueError(f"rest = {rest!r} must be two numbers from 0 to 100 %")
+        self.Ts = arguments.number(
+            "Ts", Ts, "a sampling period up to a minute, in s", 0, LAST + 1e-9
+        )
+        self.wait = arguments.number("wait", wait, "a minute or more, in s", LAST - 1e-9)
+        seed = arguments.whole("seed", seed, 0)
+        tclab = _package()
+        self.lab = tclab.TCLab() if self.kit else tclab.TCLabModel(synced=False)
+        if not self.kit:
+            random.seed(seed)
+            self.lab.update(0.0)  # its time begins when it is made, which is never the same
+        self.zero = None  # the temperatures at rest, degC
+        self._due = self.clock()
+
+    @property
+    def limits(self) -> dict[str, tuple[float, float]]:
+        """Lowest and highest heaters, %, above those at rest."""
+        return {name: (-at, 100 - at) for name, at in zip(HEATERS, self.rest.tolist(), strict=True)}
+
+    def clock(self) -> float:
+        """Time, s; the emulator's stands still between two samples."""
+        return time.monotonic() if self.kit else self.lab.tlast
+
+    def begin(self, trial: int) -> None:
+        """Wait for the state of rest; the first time, find the temperatures there."""
+        self._due = self.clock()
+        readings = []
+        for _ in range(round(self.wait / self.Ts)):
+            readings.append(self._temperatures())
+            self.apply([0, 0])
+        if self.zero is None:
+            self.zero = np.mean(readings[-round(LAST / self.Ts) :], axis=0)
+
+    def read(self) -> np.ndarray:
+        """Temperatures above those at rest, K, shape (2,)."""
+        if self.zero is None:
+            raise RuntimeError("the temperatures at rest are not known: call begin first")
+        return self._temperatures() - self.zero
+
+    def apply(self, heaters) -> None:
+        """Set the heaters (%, above those at rest) and let one sampling period pass."""
+        first, second = (self.rest + arguments.array("heaters", heaters, (2,))).tolist()
+        self.lab.Q1(first)  # cut off at 0 and 100 by tclab
+        self.lab.Q2(second)
+        self._due += self.Ts
+        if self.kit:
+            time.sleep(max(0.0, self._due - time.monotonic()))
+        else:
+            self.lab.update(self._due)
+
+    def safe(self) -> None:
+        """Switch the heaters off."""
+        self.lab.Q1(0)
+        self.lab.Q2(0)
+
+    def _temperatures(self):
+        return np.array([self.lab.T1, self.lab.T2])
+
+
+def heat_balance(gain_1, gain_2, loss, exchange, lag, Ts) -> control.StateSpace:
+    """Two heaters that warm each other and lose heat to the air, each with a slow thermometer.
+
+    dH_i/dt = gain_i Q_i - loss H_i - exchange (H_i - H_j),    lag dT_i/dt = H_i - T_i
+
+    Parameters
+    ----------
+    gain_1, gain_2 : float
+        Of the heaters, K/s per %.
+    loss, exchange : float
+        Of heat to the air, and to the other heater, 1/s.
+    lag : float
+        Time constant of the thermometers, s.
+    Ts : float
+        Sampling period, s.
+
+    Returns
+    -------
+    control.StateSpace
+        From Q1, Q2 (%, held for a period) to T1, T2 (K), all counted from a state of rest.
+    """
+    I = np.eye(2)  # noqa: E741
+    lost = (loss + exchange) * I - exchange * I[::-1]
+    A = np.block([[-lost, 0 * I], [I / lag, -I / lag]])
+    B, C = np.vstack([np.diag([gain_1, gain_2]), 0 * I]), np.hstack([0 * I, I])
+    model = control.ss(A, B, C, 0, inputs=HEATERS, outputs=THERMOMETERS, name="heat balance")
+    return control.sample_system(model, Ts, method="zoh")
+
+
+def misfit(parameters, heaters, readings, Ts) -> np.ndarray:
+    """What the heat balance misses of a test from rest, for ``scipy.optimize.least_squares``.
+
+    Parameters
+    ----------
+    parameters : sequence of float
+        The five of :func:`heat_balance`, then by how much the two readings at rest are off, K: the
+        thermometers are coarse.
+    heaters, readings : array_like, shape (time, 2)
+        What was applied (%) and read (K), above rest.
+    Ts : float
+        Sampling period, s.
+
+    Returns
+    -------
+    ndarray, shape (time * 2,)
+        Model minus reading, K.
+    """
+    *balance, off_1, off_2 = parameters
+    model = heat_balance(*balance, Ts)
+    states = state_sequence(model.A, np.asarray(heaters) @ model.B.T, np.zeros(model.nstates))
+    return (states @ model.C.T + [off_1, off_2] - readings).ravel()
+
+
+def _package():
+    """The package tclab, which only this driver needs."""
+    try:
+        import tclab
+    except ImportError:
+        raise ImportError(
+            "TemperatureControlLab needs the package tclab: pip install 'rodlib[tclab]'"
+        ) from None
+    return tclab

@@ -1,0 +1,254 @@
+"""The current-trial loop as an object: its closed loop and P, also around another plant.
+
+Section III, (16)-(19), (30)-(32): the plant, an observer that also estimates the equivalent input
+disturbance, and a state feedback. What a model gets wrong is seen with the same controller around
+another plant. How the gains are designed is in :mod:`rodlib.ilc.gains`.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import control
+import numpy as np
+from scipy.linalg import block_diag
+
+from rodlib.ilc import arguments
+from rodlib.ilc.models import frequency_response, sampled_plant, solve_off_poles
+
+
+@dataclass(frozen=True)
+class CurrentTrialLoop:
+    """The feedback loop (19) and what it is made of. Arrays are in the order of `plant`.
+
+    Attributes
+    ----------
+    plant : control.StateSpace
+        The plant (12): inputs u (m of them), then d; outputs y (m).
+    Ks, KL, N : ndarray, shapes (m, n), (n + m, m), (m, m)
+        State feedback (26), observer gain (29), static feedforward.
+    units : dict
+        Unit of each input and output of the plant, by name; "" if it is not known.
+
+    Raises
+    ------
+    ValueError
+        If the plant is no model in discrete time, a gain has another shape or is not finite, or
+        a unit is missing, no text, or about another signal.
+    """
+
+    plant: control.StateSpace
+    Ks: np.ndarray
+    KL: np.ndarray
+    N: np.ndarray
+    units: dict[str, str]
+
+    def __post_init__(self):
+        plant = sampled_plant(self.plant)
+        n, m = plant.nstates, plant.noutputs
+        for name, shape in {"Ks": (m, n), "KL": (n + m, m), "N": (m, m)}.items():
+            object.__setattr__(self, name, arguments.array(name, getattr(self, name), shape))
+        signals = [*plant.input_labels, *plant.output_labels]
+        units = arguments.by_name("units", arguments.instance("units", self.units, dict), signals)
+        for name in signals:
+            arguments.instance(f"units[{name!r}]", units.get(name), str)
+        object.__setattr__(self, "plant", plant)
+
+    @property
+    def Ts(self) -> float:
+        """Sampling period, s."""
+        return self.plant.dt
+
+    @property
+    def outputs(self) -> list[str]:
+        """Names of the outputs y."""
+        return self.plant.output_labels
+
+    @property
+    def controls(self) -> list[str]:
+        """Names of the controls u."""
+        return self.plant.input_labels[: self.plant.noutputs]
+
+    @property
+    def disturbances(self) -> list[str]:
+        """Names of the disturbances d, which the controller does not know."""
+        return self.plant.input_labels[self.plant.noutputs :]
+
+    @property
+    def P(self) -> control.StateSpace:
+        """The transfer function from w to y, P of (31), as C (zI - A + B K_s)^-1 B N.
+
+        The signal w does not excite the estimation error, so the observer's states are left out.
+        """
+        B = self.plant.B[:, : self.plant.noutputs]
+        return control.ss(
+            self.plant.A - B @ self.Ks, B @ self.N, self.plant.C, 0, self.Ts,
+            inputs=_learned(self), outputs=self.outputs,
+        )  # fmt: skip
+
+    @cached_property
+    def closed(self) -> control.StateSpace:
+        """The loop (19): inputs w1, w2, ..., then d; outputs y; states x, x-hat, epsilon-hat."""
+        return _close(self, self.plant)
+
+    def around(self, plant: control.StateSpace | control.TransferFunction) -> control.StateSpace:
+        """Close the loop (19) of the same controller around another plant.
+
+        Parameters
+        ----------
+        plant : control.StateSpace or control.TransferFunction
+            Of any order. Its signals are matched by name: it must have the loop's controls and
+            outputs, and a disturbance that it lacks has no effect. Others than the loop's are left
+            out. Feedthrough is allowed.
+
+        Returns
+        -------
+        control.StateSpace
+            As `closed`, but the first states are those of `plant`.
+
+        Raises
+        ------
+        ValueError
+            If the plant is not finite, is in continuous time or has another sampling period, lacks
+            a control or an output, or if the loop around it is not stable.
+        """
+        plant = sampled_plant(plant)
+        arguments.one_period(loop=self.Ts, plant=plant.dt)
+        signals = [*plant.input_labels, *plant.output_labels]
+        missing = [name for name in [*self.controls, *self.outputs] if name not in signals]
+        if missing:
+            raise ValueError(f"plant has the signals {signals}, but lacks {missing} of the loop")
+        names = self.plant.input_labels
+        picked = np.array([[theirs == ours for ours in names] for theirs in plant.input_labels])
+        rows = [plant.output_labels.index(name) for name in self.outputs]
+        closed = _close(
+            self,
+            control.ss(plant.A, plant.B @ picked, plant.C[rows], plant.D[rows] @ picked, plant.dt),
+        )
+        poles = closed.poles()
+        worst = poles[np.abs(poles).argmax()]
+        if abs(worst) > arguments.CIRCLE:
+            raise ValueError(
+                f"plant makes the loop unstable: a pole at z = {worst:.6g}, of modulus "
+                f"{abs(worst):.6g}. If the plant is right, make the controller weaker, by a larger "
+                "Rs or Ro"
+            )
+        return closed
+
+    def frequency_response(self, omega, plant=None) -> np.ndarray:
+        """P of (31), of the loop as designed or of the same controller around another plant.
+
+        Around another plant the observer does not drop out: w excites the estimation error.
+
+        Parameters
+        ----------
+        omega : array_like, shape (n,)
+            Angular frequencies, rad/s.
+        plant : control.StateSpace, control.TransferFunction or array_like, optional
+            A model as in :meth:`around`, or samples of shape (n, m, m) of a sampled plant's
+            response on `omega`, from the controls to y in the loop's order: those of
+            :func:`rodlib.sampled_response`, or measured. Samples do not tell whether the loop is
+            stable; that is then for the caller to know. Default: the plant of the design.
+
+        Returns
+        -------
+        ndarray, shape (n, m, m), complex
+
+        Raises
+        ------
+        ValueError
+            As in :meth:`around`; if the samples have another shape or are not finite, or a
+            frequency is that of a pole.
+        """
+        if plant is None:
+            return frequency_response(self.P, omega)
+        m = self.plant.noutputs
+        if isinstance(plant, control.StateSpace | control.TransferFunction):
+            return frequency_response(self.around(plant)[:, :m], omega)
+        omega = arguments.row("omega", omega)
+        G = arguments.array("plant", plant, (len(omega), m, m), complex)
+        A, B, K = _controller(self)
+        # The controller's states and y at once, since its integrators have no response at z = 1.
+        points = np.exp(1j * omega * self.Ts)[:, None, None]
+        left = np.block(
+            [
+                [points * np.eye(len(A)) - A, np.broadcast_to(-self.KL, (len(G), *self.KL.shape))],
+                [G @ K, np.broadcast_to(np.eye(m), G.shape)],
+            ]
+        )
+        right = np.concatenate([np.broadcast_to(B, (len(G), *B.shape)), G @ self.N], axis=1)
+        return solve_off_poles(left, right)[:, len(A) :]
+
+
+def _learned(loop):
+    return [f"w{i + 1}" for i in range(loop.plant.noutputs)]
+
+
+def _controller(loop):
+    """Observer (16) and feedback (18): c(p+1) = A c + B w + K_L y, u = N w - K c."""
+    plant, m = loop.plant, loop.plant.noutputs
+    B = plant.B[:, :m]
+    C = np.hstack([plant.C, np.zeros((m, m))])
+    A = block_diag(plant.A - B @ loop.Ks, np.eye(m)) - loop.KL @ C
+    return A, np.vstack([B @ loop.N, np.zeros((m, m))]), np.hstack([loop.Ks, np.eye(m)])
+
+
+def _close(loop, plant):
+    """The controller of a loop around a plant with the same inputs and outputs."""
+    m = loop.plant.noutputs
+    A, B, K = _controller(loop)
+    Bu, E, Du, F = plant.B[:, :m], plant.B[:, m:], plant.D[:, :m], plant.D[:, m:]
+    return control.ss(
+        np.block([[plant.A, -Bu @ K], [loop.KL @ plant.C, A - loop.KL @ Du @ K]]),
+        np.block([[Bu @ loop.N, E], [B + loop.KL @ Du @ loop.N, loop.KL @ F]]),
+        np.hstack([plant.C, -Du @ K]),
+        np.hstack([Du @ loop.N, F]),
+        loop.Ts,
+        inputs=_learned(loop) + loop.disturbances,
+        outputs=loop.outputs,
+        name="current-trial loop",
+    )
+
+
+def with_noise(loop: CurrentTrialLoop, plant=None) -> control.StateSpace:
+    """The loop (19) with an error in the measured outputs as a further input.
+
+    Parameters
+    ----------
+    loop : CurrentTrialLoop
+    plant : control.StateSpace or control.TransferFunction, optional
+        Another plant, as in :meth:`CurrentTrialLoop.around`.
+
+    Returns
+    -------
+    control.StateSpace
+        As ``loop.closed``, without names, and with m inputs more: what is added to y before the
+        observer (16) sees it. The outputs are y themselves, and not what is measured of them.
+    """
+    closed = loop.closed if plant is None else loop.around(plant)
+    m = loop.plant.noutputs
+    enters = np.zeros((closed.nstates, m))
+    enters[-len(loop.KL) :] = loop.KL
+    D = np.hstack([closed.D, np.zeros((m, m))])
+    return control.ss(closed.A, np.hstack([closed.B, enters]), closed.C, D, loop.Ts)
+
+
+def reply(loop: CurrentTrialLoop) -> control.StateSpace:
+    """What the controls u of the loop (19) answer to w and to an error in the measured outputs.
+
+    With it the same controller around another plant can be computed from the loop as designed,
+    which is stable, and not from the controller alone, which integrates.
+
+    Parameters
+    ----------
+    loop : CurrentTrialLoop
+
+    Returns
+    -------
+    control.StateSpace
+        2m inputs: w, then what is added to y before the observer (16) sees it. m outputs: u.
+    """
+    noisy, m = with_noise(loop), loop.plant.noutputs
+    B = np.hstack([noisy.B[:, :m], noisy.B[:, -m:]])
+    _, _, K = _controller(loop)
+    shown = np.hstack([np.zeros((m, noisy.nstates - len(loop.KL))), -K])  # (18)
+    return control.ss(noisy.A, B, shown, np.hstack([loop.N, np.zeros((m, m))]), loop.Ts)

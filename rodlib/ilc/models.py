@@ -1,0 +1,202 @@
+"""State-space models: their response, and the states that inputs reach and outputs show.
+
+Section III, before (12): what is left of a model when nothing is kept that no control reaches or no
+output shows; and any plant, a transfer function as well, as such a model in discrete time.
+"""
+
+import reprlib
+from collections.abc import Sequence
+
+import control
+import numpy as np
+from scipy.linalg import LinAlgError, block_diag, null_space
+
+from rodlib.ilc import arguments
+
+
+def frequency_response(system: control.StateSpace, omega) -> np.ndarray:
+    """Frequency response of a state-space model, frequency first.
+
+    Parameters
+    ----------
+    system : control.StateSpace
+        In continuous or discrete time.
+    omega : array_like, shape (n,)
+        Angular frequencies, rad/s.
+
+    Returns
+    -------
+    ndarray, shape (n, outputs, inputs), complex
+
+    Raises
+    ------
+    ValueError
+        If the system is not finite or has no sampling period, or `omega` does not hold numbers in
+        a row, or one of them is the frequency of a pole.
+    """
+    arguments.state_space("system", system)
+    omega = arguments.row("omega", omega)
+    if system.dt is None or system.dt is True:
+        raise ValueError(f"system.dt = {system.dt} must be 0, or a sampling period in seconds")
+    points = np.exp(1j * omega * system.dt) if system.dt else 1j * omega
+    resolvent = np.repeat(-system.A[None].astype(complex), len(points), axis=0)
+    np.einsum("nii->ni", resolvent)[:] += points[:, None]  # on the diagonals alone, in place
+    return system.C @ solve_off_poles(resolvent, system.B.astype(complex)) + system.D
+
+
+def solve_off_poles(left, right) -> np.ndarray:
+    """Solve linear equations, one for each frequency; at a pole, a ValueError says so."""
+    try:
+        return np.linalg.solve(left, right)
+    except LinAlgError:
+        raise ValueError(
+            "omega has the frequency of a pole: the system has no response there"
+        ) from None
+
+
+def unreachable_modes(A, B, tolerance: float = 1e-9) -> tuple[np.ndarray, np.ndarray]:
+    """Modes that no input can excite, by Hautus's test.
+
+    Parameters
+    ----------
+    A, B : array_like, shapes (n, n), (n, m)
+        Of a model in continuous or discrete time. For unobservable modes pass A', C'.
+    tolerance : float
+        A mode counts as unreachable if the smallest singular value of [lambda I - A, B], with
+        both blocks scaled to norm one, is below it.
+
+    Returns
+    -------
+    eigenvalues : ndarray, shape (r,)
+    directions : ndarray, shape (n, r)
+        Left eigenvectors; their common null space contains all that can be reached.
+    """
+    A, B = np.asarray(A, dtype=float), np.asarray(B, dtype=float)
+    scale_A, scale_B = (np.linalg.norm(X, 2) or 1.0 for X in (A, B))
+    values, vectors = [], []
+    for eigenvalue in np.linalg.eigvals(A):
+        if any(np.isclose(eigenvalue, seen, rtol=1e-6, atol=1e-9 * scale_A) for seen in values):
+            continue
+        pencil = np.hstack([(eigenvalue * np.eye(len(A)) - A) / scale_A, B / scale_B])
+        left, singular_values, _ = np.linalg.svd(pencil)
+        silent = left[:, singular_values < tolerance]
+        values.extend([eigenvalue] * silent.shape[1])
+        vectors.append(silent)
+    return np.array(values), np.hstack([np.empty((len(A), 0)), *vectors])
+
+
+def reachable_basis(A, B) -> np.ndarray:
+    """Orthonormal basis of the reachable subspace, shape (n, r)."""
+    basis = np.eye(len(A))
+    while basis.size:  # a second pass only for unreachable chains of generalised eigenvectors
+        _, silent = unreachable_modes(basis.T @ A @ basis, basis.T @ B)
+        if not silent.size:
+            break
+        basis = basis @ null_space(np.hstack([silent.real, silent.imag]).T, rcond=1e-9)
+    return basis
+
+
+def minimal_realisation(plant: control.StateSpace, controls: Sequence[str]) -> control.StateSpace:
+    """Restrict a plant to the states that its controls reach and its outputs show.
+
+    The state is expressed in an orthonormal basis of the reachable subspace, then of the
+    observable part of it. The order matters: the observer's weight Q_o = diag(I, 2I) is not
+    invariant, and this is the order that gives the gains which the paper prints.
+
+    Parameters
+    ----------
+    plant : control.StateSpace
+    controls : sequence of str
+        Names of the inputs that are controls u. All others are disturbances d.
+
+    Returns
+    -------
+    control.StateSpace
+        The controls first, then the disturbances, as far as they act on the states kept.
+
+    Raises
+    ------
+    ValueError
+        If the plant is not finite, if the controls are not different inputs of it, or if they
+        reach nothing that its outputs show.
+    """
+    arguments.state_space("plant", plant)
+    plant = controls_first(plant, controls)
+    A, B, C = plant.A, plant.B, plant.C
+    T = reachable_basis(A, B[:, : len(controls)])
+    T = T @ reachable_basis((T.T @ A @ T).T, (C @ T).T)
+    if not T.size:
+        raise ValueError(f"controls = {controls!r} reach no state that the outputs show")
+    return control.ss(
+        T.T @ A @ T, T.T @ B, C @ T, plant.D, plant.dt,
+        inputs=plant.input_labels, outputs=plant.output_labels, name=plant.name,
+    )  # fmt: skip
+
+
+def controls_first(plant: control.StateSpace, controls: Sequence[str]) -> control.StateSpace:
+    """The plant with its inputs in the order controls, disturbances.
+
+    Raises
+    ------
+    ValueError
+        If the controls are not different inputs of the plant.
+    """
+    names = plant.input_labels
+    given = [str(name) for name in controls] if isinstance(controls, Sequence) else []
+    if not given or sorted(given) != sorted(set(given) & set(names)):
+        raise ValueError(
+            f"controls = {reprlib.repr(controls)} must list different inputs of the plant, {names}"
+        )
+    ordered = given + [name for name in names if name not in given]
+    columns = [names.index(name) for name in ordered]
+    return control.ss(
+        plant.A, plant.B[:, columns], plant.C, plant.D[:, columns], plant.dt,
+        inputs=ordered, outputs=plant.output_labels, name=plant.name,
+    )  # fmt: skip
+
+
+def sampled_plant(plant: control.StateSpace | control.TransferFunction) -> control.StateSpace:
+    """A plant in discrete time as a state-space model; realises a transfer function.
+
+    Raises
+    ------
+    ValueError
+        If the plant is something else, is not finite, has no sampling period or two signals of the
+        same name, or if a transfer function has more zeros than poles.
+    """
+    if not isinstance(plant, control.TransferFunction):
+        arguments.state_space("plant", plant)
+    if not (plant.isdtime(strict=True) and plant.dt is not True):
+        raise ValueError(
+            f"plant.dt = {plant.dt!r} must be a sampling period in seconds: sample the plant first"
+        )
+    names = [*plant.output_labels, *plant.input_labels]
+    if len(set(names)) < plant.noutputs + plant.ninputs:
+        raise ValueError(f"plant has the signals {names}: each needs a name of its own")
+    return _realised(plant) if isinstance(plant, control.TransferFunction) else plant
+
+
+def _realised(plant):
+    """Realise each entry of a transfer function, then keep the states that all of them need."""
+    shape = (plant.noutputs, plant.ninputs)
+    entries = {}
+    for i, j in np.ndindex(shape):
+        numerator, denominator = (
+            np.trim_zeros(arguments.row(f"plant.{name}", polynomials[i][j]), "f")
+            for name, polynomials in (("num", plant.num), ("den", plant.den))
+        )
+        if len(numerator) > len(denominator):
+            raise ValueError(
+                f"plant has more zeros than poles from {plant.input_labels[j]} to "
+                f"{plant.output_labels[i]}: it would have to look ahead. Delay it"
+            )
+        entries[i, j] = control.ss(control.tf(plant.num[i][j], plant.den[i][j], plant.dt))
+    rows = np.repeat(np.eye(shape[0]), shape[1], axis=0)
+    columns = np.tile(np.eye(shape[1]), (shape[0], 1))
+    B, C, D = (block_diag(*(getattr(e, x) for e in entries.values())) for x in "BCD")
+    model = control.ss(
+        block_diag(*(entry.A for entry in entries.values())), B @ columns, rows.T @ C,
+        rows.T @ D @ columns, plant.dt,
+        inputs=plant.input_labels, outputs=plant.output_labels, name=plant.name,
+    )  # fmt: skip
+    return minimal_realisation(model, model.input_labels)

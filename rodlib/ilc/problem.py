@@ -1,0 +1,255 @@
+"""What is asked of the learning filter: the problems (39), (45), (46) as one checked object.
+
+:func:`rodlib.ilc.posing.pose` states a problem and checks it; solvers and evidence take it whole.
+Frequency responses have the frequency first. The channels of P, L and M are in units of `scale`,
+so that singular values compare what counts as equally large.
+
+M is affine in P. A bound on it for several plants, or for all within a radius of them, is as convex
+as for one: *fast for the plant that one believes in, convergent for all that cannot be excluded*.
+"""
+
+from dataclasses import dataclass
+
+import control
+import numpy as np
+
+from rodlib.ilc.filters import LearningFilter, ZeroPhaseButterworth
+
+LARGEST = 1e7  # gain of Q P L from which on the rounding of coefficients shows
+TIED = 1e-6  # relative distance at which rounding, or the accuracy of a solver, decides an order
+
+
+@dataclass(frozen=True)
+class Problem:
+    """The problem of a learning filter. Made by :func:`rodlib.ilc.posing.pose`.
+
+    Attributes
+    ----------
+    P : ndarray, shape (n, m, m), complex
+        Frequency response of the plant, that is, of the current-trial loop.
+    Q : ndarray, shape (n,)
+        Frequency response of the Q-filter.
+    omega : ndarray, shape (n,)
+        Design frequencies, rad/s.
+    Ts : float
+        Sampling period, s.
+    order : int
+        Number of samples that the learning filter looks ahead.
+    M_max, L_max : float, float or None
+        Bounds on sigma_max(M) and sigma_max(L).
+    in_band : ndarray of bool, shape (n,)
+        Frequencies over which "sum" sums.
+    structure : {"diagonal", "full"}
+    objective : {"sum", "peak", "gain"}
+        "gain" minimises the largest sigma_max(L), with `L_max` for its unit and no bound.
+    scale : ndarray, shape (m,)
+        What counts as equally large in each channel.
+    model : tuple of control.StateSpace and ZeroPhaseButterworth, or None
+        P and Q, if both were given as models.
+    others : ndarray, shape (p, n, m, m), complex
+        Further plants for which the bounds hold; plant number 0 is P, these are 1 to p.
+    other_models : tuple of control.StateSpace or None
+        As far as they were given as models.
+    radius : ndarray, shape (n,) or (n, m, m), or None
+        The bounds hold for all P + Delta with ||Delta|| <= radius at each frequency, or with
+        |Delta_ij| <= radius_ij, and likewise for the other plants.
+    noise : ndarray, shape (n, m), or None
+        Weights of what learning from noise costs, see :meth:`cost_of_noise`.
+    basis : tuple of str
+        What P and its radius rest on, if they were measured.
+    """
+
+    P: np.ndarray
+    Q: np.ndarray
+    omega: np.ndarray
+    Ts: float
+    order: int
+    M_max: float
+    L_max: float | None
+    in_band: np.ndarray
+    structure: str
+    objective: str
+    scale: np.ndarray
+    model: tuple[control.StateSpace, ZeroPhaseButterworth] | None
+    others: np.ndarray
+    other_models: tuple[control.StateSpace | None, ...] = ()
+    radius: np.ndarray | None = None
+    noise: np.ndarray | None = None
+    basis: tuple[str, ...] = ()
+
+    @property
+    def channels(self) -> int:
+        """Number m of channels."""
+        return self.P.shape[1]
+
+    @property
+    def angles(self) -> np.ndarray:
+        """omega Ts."""
+        return self.omega * self.Ts
+
+    @property
+    def idle(self) -> float:
+        """The objective without learning, L = 0."""
+        return self.value(np.abs(self.Q))
+
+    @property
+    def robust(self) -> bool:
+        """Whether the bounds hold for more plants than P."""
+        return self.radius is not None or len(self.others) > 0
+
+    @property
+    def unusable(self) -> np.ndarray:
+        """Whether the radius of the norm admits a singular plant, at each frequency, shape (n,).
+
+        Of such a plant, in some direction, no learning filter sees anything: the largest singular
+        value of M is |Q| or more for one of those within the radius.
+        """
+        if self.radius is None or self.radius.ndim > 1:
+            return np.zeros(len(self.omega), dtype=bool)
+        plants = np.concatenate([self.P[None], self.others])
+        smallest = np.linalg.svd(plants, compute_uv=False)[..., -1].min(axis=0)
+        return self.radius >= smallest
+
+    def plant(self, number: int) -> np.ndarray:
+        """Frequency response of a plant; 0 is the nominal one, P."""
+        return self.P if number == 0 else self.others[number - 1]
+
+    def value(self, sigma_M, worst=None) -> float:
+        """The objective, from the largest singular value of M at each frequency.
+
+        `worst`, for the peak: the largest over all plants; by default that of the nominal one.
+        """
+        if self.objective == "sum":
+            return float(sigma_M[self.in_band].sum())
+        return float((sigma_M if worst is None else worst).max())
+
+    def cost_of_noise(self, L) -> float:
+        """What is added to the objective: a bound on what noise adds to the error's variance.
+
+        Noise that is new in every trial, of the spectral density Phi, makes the converged error's
+        variance larger by no more than the mean over all frequencies of
+        tr(Q P L Phi (Q P L)^H) / (1 - M_max^2); see :mod:`rodlib.ilc.evidence.noise`. It is
+        quadratic in the learning filter, and convex.
+        """
+        if self.noise is None:
+            return 0.0
+        return float((np.abs(self.Q[:, None, None] * self.P @ L) ** 2 * self.noise[:, None]).sum())
+
+    def M(self, L, number: int = 0) -> np.ndarray:
+        """M of (40) of a plant, from the frequency response of L."""
+        return convergence_matrix(self.plant(number), self.Q, L)
+
+    @property
+    def weight(self) -> np.ndarray:
+        """W, shape (m, m), such that sigma_max(W L) <= 1 is the bound on the learning filter.
+
+        That is I / L_max. Without a bound (46), filters are still compared only up to where their
+        coefficients, held in doubles, determine M to about 1e-9: up to a gain of 1e7 of Q P L,
+        counted for each input by itself. What larger ones could gain on paper, no computer can
+        apply.
+        """
+        if self.L_max is not None:
+            return np.eye(self.channels) / self.L_max
+        gains = np.linalg.norm(self.Q[:, None, None] * self.P, axis=1).max(axis=0)
+        return np.diag(gains / np.abs(self.Q).max() / LARGEST)
+
+    def filter(self, coefficients) -> LearningFilter:
+        """The learning filter, in the plant's own units, of coefficients in units of `scale`."""
+        units = self.scale[:, None, None] / self.scale[None, :, None]
+        return LearningFilter(coefficients * units, self.Ts)
+
+
+@dataclass(frozen=True)
+class Cuts:
+    """Bounds on M for other plants than the nominal one, or for a radius, with their multipliers.
+
+    For a plant P and a frequency, the matrix that is bounded is G = M = Q (I - P L) if there is no
+    radius r, and otherwise
+
+        G = [M; |Q| r L]                            for a radius of the norm, 2m x m,
+        G = [M; |Q| r_ij (row j of L), all i, j]    entry by entry, m + m^2 x m, i first.
+
+    Attributes
+    ----------
+    plant, frequency : ndarray of int, shape (c,)
+        Of each bound: number of the plant, index of the frequency.
+    N : ndarray, shape (c, rows of G, m), complex
+        Multipliers of G.
+    split : ndarray, shape (c, k)
+        Share d of the bound b that is left to the rows below M: diag(b - d, d) for its rows. One
+        for a radius of the norm; entry by entry m^2, and b - sum_j d_ij for row i of M. Empty
+        without a radius.
+    """
+
+    plant: np.ndarray
+    frequency: np.ndarray
+    N: np.ndarray
+    split: np.ndarray
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A learning filter, and the multipliers from which its optimality can be proven.
+
+    Attributes
+    ----------
+    coefficients : ndarray, shape (m, m, order)
+        L(z) = sum_k coefficients[:, :, k - 1] z^k, in units of `scale`.
+    U, V : ndarray, shape (n, m, m), complex
+        Multipliers of the nominal M and of L.
+    peak : float
+        Largest sigma_max(M); of W L, for the least gain.
+    method : str
+        That found it.
+    iterations : int
+    cuts : Cuts or None
+        What was needed of the bounds on M for other plants, and for a radius.
+    """
+
+    coefficients: np.ndarray
+    U: np.ndarray
+    V: np.ndarray
+    peak: float
+    method: str
+    iterations: int
+    cuts: Cuts | None = None
+
+
+def convergence_matrix(P, Q, L) -> np.ndarray:
+    """Evaluate M = Q (I - P L) of (40) from frequency responses.
+
+    Parameters
+    ----------
+    P, L : ndarray, shape (n, m, m)
+    Q : ndarray, shape (n,)
+
+    Returns
+    -------
+    ndarray, shape (n, m, m), complex
+    """
+    return Q[:, None, None] * (np.eye(P.shape[1]) - P @ L)
+
+
+def tied(values):
+    """Which of several values are the largest, as far as rounding leaves it open."""
+    return values >= values.max(axis=0) * (1 - TIED)
+
+
+def largest_singular_values(G):
+    """Largest singular value of each matrix, shape (n, p, m) to (n,)."""
+    if min(G.shape[1:]) > 2:
+        return np.linalg.norm(G, 2, axis=(1, 2))
+    # Below three by three the Hermitian eigenvalue problem has a closed form, ten times faster.
+    G = G if G.shape[1] <= G.shape[2] else np.swapaxes(G, 1, 2)
+    with np.errstate(over="ignore", under="ignore", invalid="ignore"):
+        power = (G.real**2 + G.imag**2).sum(axis=2)
+        total = power.sum(axis=1)
+        if G.shape[1] == 1:
+            sigma = np.sqrt(total)
+        else:
+            coupling = np.abs((G[:, 0] * G[:, 1].conj()).sum(axis=1))
+            sigma = np.sqrt(total / 2 + np.hypot((power[:, 0] - power[:, 1]) / 2, coupling))
+    if not (total.min(initial=1) > 1e-280 and total.max(initial=1) < 1e280):
+        extreme = ~((total > 1e-280) & (total < 1e280))  # the squares may have left the doubles
+        sigma[extreme] = np.linalg.norm(G[extreme], 2, axis=(1, 2))
+    return sigma

@@ -1,0 +1,244 @@
+"""From near an optimum to it: sequential quadratic programming along the active bounds.
+
+Near an optimum, or when a bound or the band changes and the optimum moves, things stay of the same
+kind: at each frequency the largest singular value is a single one, hence a smooth function of the
+coefficients, and of the thousands of bounds about a dozen are active. That is a smooth convex
+program with few unknowns, and Newton's method solves it in a few steps:
+
+- sigma = Re u^H G v has the first derivatives Re u^H dG v. With the other singular vectors and
+  alpha_j = u_j^H dG v, beta_j = u^H dG v_j, the second derivatives are [1]
+
+      (Im u^H dG v)^2 / sigma + sum_j |alpha_j + beta_j^*|^2 / (2 (sigma - sigma_j))
+                              + sum_j |alpha_j - beta_j^*|^2 / (2 (sigma + sigma_j)).
+
+- Each step solves the quadratic program of the second derivatives of the Lagrangian and the
+  linearised bounds [2]. It finds the active bounds anew, so they need not be known.
+- A step that does not improve the objective plus a penalty for violated bounds is corrected to
+  second order [2, 18.3]; if that does not help, it is damped, and asked to remove only a part of
+  the violation.
+
+An interior-point method cannot be started like that: it must go back to where no bound is nearly
+active yet. What it can do, and this method cannot, is to start from nothing, to meet points where
+singular values coincide, and to show that a problem is infeasible. Where this one does not
+converge, after a large change for instance, :func:`resolve` says so.
+
+[1] From the perturbation of the eigenvalues of [[0, G], [G^H, 0]]: T. Kato, Perturbation Theory
+    for Linear Operators, 1966, II.2.
+[2] J. Nocedal, S. Wright, Numerical Optimization, 2006, chapter 18.
+"""
+
+from dataclasses import dataclass
+
+import daqp
+import numpy as np
+
+from rodlib.ilc.problem import Solution, largest_singular_values
+from rodlib.ilc.synthesis.program import Program
+
+NEAR = 0.9  # part of a limit from which on it is in the quadratic program
+NOISE = 1e-11  # relative change of the objective that is rounding
+MOST_DAMPING = 1e4  # at which to give up
+CONVERGED = 1e-9  # expected relative gain below which a full step is the last one
+
+
+class Iterate:
+    """A filter, its G and sigma_max of each bound, the objective, the excess over the limits."""
+
+    def __init__(self, program, x, splits=None):
+        self.x, self.G, self.splits, self.sigma = x, program.matrices(x), [], []
+        # what is looked into: more than the largest M, or the limit on it, leave aside
+        level = NEAR * (self._largest_M(program) if program.shared else program.limits[0])
+        for j, (bound, G) in enumerate(zip(program.bounds, self.G, strict=True)):
+            split = bound.first_split(G) if splits is None else splits[j]
+            split, sigma = bound.tighten(G, split, level)
+            self.splits.append(split)
+            self.sigma.append(sigma)
+        if program.shared:
+            minimised = zip(program.bounds, self.sigma, strict=True)
+            self.objective = max(s.max() for bound, s in minimised if bound.limit == 0)
+        else:
+            self.objective = self.sigma[0][program.free].sum()
+        limits = (self.objective if program.shared else program.limits[0], program.limits[1])
+        self.objective += program.quadratic(x)
+        self.limits = [limits[bound.limit] for bound in program.bounds]
+        relative = [s.max() / b - 1 for s, b in zip(self.sigma, self.limits, strict=True)]
+        self.excess = np.maximum(relative, 0)
+
+    def _largest_M(self, program):
+        """The largest of the first limit, without a radius."""
+        parts = zip(program.bounds, self.G, strict=True)
+        square = (np.moveaxis(G[: G.shape[1]], -1, 0) for bound, G in parts if bound.limit == 0)
+        return max(largest_singular_values(M).max() for M in square)
+
+
+@dataclass(frozen=True)
+class Model:
+    """What a step (dx, dt) does to second order, in units of the objective and of the limits.
+
+    The objective changes by f d + dx H dx / 2. The bounds A d <= room are those at the
+    frequencies `near`, one array for each bound.
+    """
+
+    H: np.ndarray
+    f: np.ndarray
+    A: np.ndarray
+    room: np.ndarray
+    near: list
+    unit: float
+
+
+def model_at(program, p, multipliers):
+    """The model at an iterate, with multipliers of the limits."""
+    K, unit = p.x.size, max(p.objective, 1e-6 * program.idle)
+    H, f = np.zeros((K, K)), np.append(np.zeros(K), 1 / unit if program.shared else 0.0)
+    A, room, near = [], [], []
+    for j, (bound, y, limit) in enumerate(zip(program.bounds, multipliers, p.limits, strict=True)):
+        close = (p.sigma[j] > NEAR * limit) | (y > 0)
+        weight = y + in_sum(program) if j == 0 else y
+        at = np.flatnonzero(close | (weight > 0))
+        e = bound.expand(p.G[j], p.splits[j], at, program.basis, program.entries)
+        rows = (e.curvature * np.sqrt(weight[e.at] / unit)[:, None, None]).reshape(-1, K)
+        H += rows.T @ rows
+        if j == 0:
+            f[:K] = in_sum(program)[e.at] @ e.gradient / unit
+            if program.H is not None:
+                H += program.H / unit
+                f[:K] += program.slope(p.x) / unit
+        close = close[e.at]
+        dt = -1.0 if bound.limit == 0 and program.shared else 0.0
+        A.append(np.insert(e.gradient[close], K, dt, axis=1) / limit)
+        room.append(1 - e.value[close] / limit)
+        near.append(e.at[close])
+    return Model(H, f, np.vstack(A), np.concatenate(room), near, unit)
+
+
+def in_sum(program):
+    """One in the columns of the first bound that are in the sum, zero elsewhere."""
+    weight = np.zeros(program.bounds[0].shape[2])
+    if not program.shared:
+        weight[program.free] = 1
+    return weight
+
+
+def quadratic_program(model, room, damping):
+    """The step d that the model finds best, and the multipliers; None if A d <= room has none."""
+    K = len(model.H)
+    H = np.zeros((K + 1, K + 1))
+    H[:K, :K] = model.H + (1e-13 + damping) * np.trace(model.H) / K * np.eye(K)
+    H[K, K] = 1e-9 if model.f[K] else 1.0
+    unbounded, kind = np.full(len(room), -1e30), np.zeros(len(room), dtype=np.int32)
+    tolerances = {"primal_tol": 1e-11, "dual_tol": 1e-12}
+    d, _, status, result = daqp.solve(H, model.f, model.A, room, unbounded, kind, **tolerances)
+    return (d, np.maximum(result["lam"], 0)) if status == 1 else None
+
+
+def improve(program, p, model, penalty, damping, most=MOST_DAMPING):
+    """A step from p that improves the objective plus the penalty, with damping below the most.
+
+    Returns the next iterate, the multipliers, the penalty, the expected gain and the damping with
+    which to continue; or None.
+    """
+    splits = np.cumsum([len(at) for at in model.near])[:-1]
+    part = 1.0  # of the violation of the bounds that the step must remove
+    while damping < most:
+        room = np.where(model.room < 0, part * model.room, model.room)
+        for attempt in ("first", "corrected"):
+            found = quadratic_program(model, room, damping)
+            if found is None:
+                break
+            d, y = found
+            dx = d[:-1]
+            if attempt == "first":
+                penalty = np.maximum(penalty, [1.5 * z.sum() for z in np.split(y, splits)])
+                expected = part * penalty @ p.excess - model.f @ d - dx @ model.H @ dx / 2
+            new = Iterate(program, p.x + dx.reshape(p.x.shape), p.splits)
+            gain = (p.objective - new.objective) / model.unit + penalty @ (p.excess - new.excess)
+            if gain + NOISE > 0.1 * (expected + NOISE):
+                if part == 1 and gain + NOISE > 0.75 * (expected + NOISE):
+                    damping = 0.1 * damping if damping > 1e-4 else 0.0
+                return new, np.split(y, splits), penalty, expected, damping
+            reached = zip(new.sigma, model.near, p.limits, strict=True)
+            reached = np.concatenate([s[at] / b - 1 for s, at, b in reached])
+            room = room + (model.A @ d - model.room) - reached
+        damping, part = max(10 * damping, 1e-4), part / 2
+    return None
+
+
+def resolve(
+    program: Program, start: Solution, steps: int, most: float = MOST_DAMPING
+) -> Solution | None:
+    """Solve a program from the solution of a similar one.
+
+    Parameters
+    ----------
+    program : Program
+        From :func:`rodlib.ilc.synthesis.program.formulate`.
+    start : Solution
+        Of a program with the same number of frequencies, order and structure.
+    steps : int
+        After how many to give up.
+    most : float
+        Damping of a step at which to give up; the first that is tried after none is 1e-4.
+
+    Returns
+    -------
+    Solution or None
+        None if the method does not converge.
+    """
+    p, y = Iterate(program, program.unknowns(start.coefficients)), first_multipliers(program, start)
+    penalty, damping = np.zeros(len(y)), 0.0
+    for iteration in range(1, steps + 1):
+        model = model_at(program, p, y)
+        step = improve(program, p, model, penalty, damping, most)
+        if step is None:
+            return None
+        p, near, penalty, expected, damping = step
+        y = [np.zeros_like(s) for s in p.sigma]
+        for j, at in enumerate(model.near):
+            y[j][at] = near[j] * model.unit / p.limits[j]
+        if expected < CONVERGED and p.excess.max() < NOISE:
+            multipliers = last_multipliers(program, p, y)
+            return program.solution(p.x, multipliers, p.splits, "active set", iteration)
+    return None
+
+
+def first_multipliers(program, start):
+    """Multipliers of the limits of each bound, from those of an earlier solution."""
+    multipliers = []
+    for j, bound in enumerate(program.bounds):
+        if bound.plant is not None:
+            y = of_cuts(bound, start)
+        elif j == 0:
+            U = start.U[bound.at]
+            y = np.maximum(np.linalg.norm(U, "nuc", axis=(1, 2)) - in_sum(program), 0)
+        else:
+            whole = len(bound.T) == start.V.shape[1]
+            V = start.V if whole else start.V[:, bound.entries, bound.entries, None]
+            W = np.moveaxis(bound.T, -1, 0)
+            y = np.linalg.norm(np.linalg.solve(W, V), "nuc", axis=(1, 2))
+        multipliers.append(np.where(y > 1e-6 * y.max(initial=0), y, 0))
+    return multipliers
+
+
+def of_cuts(bound, start):
+    """Multipliers of the cuts that are those of an earlier solution, and zero for the others."""
+    y, cuts = np.zeros(bound.shape[2]), start.cuts
+    if cuts is None or cuts.N.shape[1] != len(bound.F):
+        return y
+    size = bound.dual(np.moveaxis(cuts.N, 0, -1), cuts.split.T)
+    known = dict(zip(zip(cuts.plant, cuts.frequency, strict=True), size, strict=True))
+    pairs = zip(bound.plant, bound.at, strict=True)
+    return np.array([known.get(pair, 0.0) for pair in pairs])
+
+
+def last_multipliers(program, p, y):
+    """Multipliers of G from those of the limits, and those of the sum."""
+    multipliers = []
+    for j, (bound, G) in enumerate(zip(program.bounds, p.G, strict=True)):
+        weight = y[j] + in_sum(program) if j == 0 else y[j]
+        at = np.flatnonzero(weight)
+        N = np.zeros_like(G)
+        e = bound.expand(G, p.splits[j], at, program.basis, program.entries)
+        N[..., at] = e.N * weight[at]
+        multipliers.append(N)
+    return multipliers

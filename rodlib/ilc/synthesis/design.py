@@ -1,0 +1,349 @@
+"""From the problem to a filter with its certificate: the way through the synthesis."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rodlib.ilc import arguments
+from rodlib.ilc.evidence import GAP, VIOLATION, Certificate, certify, lower_bound
+from rodlib.ilc.evidence.certificate import checked_trial
+from rodlib.ilc.filters import LearningFilter
+from rodlib.ilc.posing import pose
+from rodlib.ilc.problem import Problem, Solution, largest_singular_values, tied
+from rodlib.ilc.synthesis import active_set, interior_point
+from rodlib.ilc.synthesis.program import Infeasible, formulate
+from rodlib.ilc.synthesis.selection import first_cuts, violated
+
+HOPELESS = 1 - 1e-6  # from here on a smallest M_max is one, and raising it no remedy
+GOOD = 1e-8  # relative duality gap up to which what the active bounds lead to is accepted
+CVXPY_TOLERANCES = (1e-5, 1e-6)  # Clarabel ends "almost solved" on these problems
+
+
+class InfeasibleError(ValueError):
+    """No learning filter of the given order and structure meets the bounds.
+
+    Attributes
+    ----------
+    smallest_M_max : float
+        What is feasible with the other arguments; from one on, nothing that converges.
+    plant, omega : int, float
+        Where the bound on M that stands most in the way is: number of the plant, 0 for the nominal
+        one, and frequency, rad/s.
+    """
+
+    def __init__(self, message: str, smallest_M_max: float, plant: int = 0, omega: float = np.nan):
+        super().__init__(message)
+        self.smallest_M_max, self.plant, self.omega = smallest_M_max, plant, omega
+
+
+class SolverError(RuntimeError):
+    """The solver returned no filter, or one whose certificate fails."""
+
+
+@dataclass(frozen=True)
+class Synthesis:
+    """A learning filter and what was checked about it, from singular values.
+
+    Attributes
+    ----------
+    filter : LearningFilter
+    problem : Problem
+        What was asked of it.
+    certificate : Certificate
+        Optimality and bounds, by code independent of the solver.
+    sigma_M, sigma_L : ndarray, shape (n,)
+        Largest singular values of M and of L at the design frequencies.
+    solution : Solution
+        What the solver said. It is not relied on. ``synthesise(..., start=design)`` begins there.
+    """
+
+    filter: LearningFilter
+    problem: Problem
+    certificate: Certificate
+    sigma_M: np.ndarray
+    sigma_L: np.ndarray
+    solution: Solution
+
+    @property
+    def value(self) -> float:
+        """The objective: the sum of the nominal sigma_max(M) over the band, or the peak of all.
+
+        With the cost of noise, if that was asked for.
+        """
+        return self.certificate.value
+
+    @property
+    def omega(self) -> np.ndarray:
+        """The design frequencies, rad/s."""
+        return self.problem.omega
+
+    def __repr__(self):
+        return f"{self.solution.method}, {self.solution.iterations} iterations\n{self.certificate}"
+
+
+def synthesise(
+    P,
+    Q,
+    omega,
+    Ts,
+    *,
+    order=10,
+    M_max=0.9,
+    L_max=50.0,
+    band=(1e-4, 0.02),
+    structure="diagonal",
+    objective="sum",
+    scale=None,
+    uncertainty=None,
+    noise=None,
+    confidence=None,
+    solver="structured",
+    start=None,
+    samples=None,
+    rest=0,
+    check=True,
+) -> Synthesis:
+    """Design the learning filter by convex optimisation, (39) or (45) with (46).
+
+    Parameters
+    ----------
+    P : array_like, shape (n, m, m), a model, CurrentTrialLoop, or a list of these; or measured
+        Frequency response of the closed loop on `omega`, measured or computed, for any m, also as
+        python-control's frequency response data; or a discrete-time model of it, state space or
+        transfer function. Of a list the first is the nominal plant, whose convergence is made fast;
+        the bounds hold for all of them. A :class:`rodlib.MeasuredResponse` brings its radius along.
+    Q : array_like, shape (n,), or ZeroPhaseButterworth
+        Frequency response of the Q-filter on `omega`, or the filter.
+    omega : array_like, shape (n,)
+        Design frequencies, rad/s, increasing, up to the Nyquist frequency pi / Ts.
+    Ts : float
+        Sampling period, s.
+    order : int
+        Number of samples n_L that the learning filter looks ahead (44).
+    M_max : float
+        Bound on sigma_max(M), in (0, 1): the slowest convergence tolerated.
+    L_max : float or None
+        Bound on sigma_max(L), unit of w per unit of y. None leaves it out: filters then compete up
+        to the gain that coefficients in doubles can hold,
+        :attr:`rodlib.ilc.problem.Problem.weight`.
+    band : (float, float)
+        Lowest and highest frequency of the sum in (39), rad/s. A peak has none.
+    structure : {"diagonal", "full"}
+    objective : {"sum", "peak"}
+        "sum" is (39), for the nominal plant; "peak" is (45), with (46) unless `L_max` is None: the
+        largest over all plants.
+    scale : array_like, shape (m,), optional
+        What counts as equally large in each channel. Singular values, `L_max` and the certificate
+        are then those of the channels divided by it, so that units do not matter. Default: ones.
+    uncertainty : array_like, shape (n,) or (n, m, m), optional
+        Radius at each frequency: the bounds hold for each P + Delta with ||Delta|| <= radius, by a
+        condition that is exact, or with |Delta_ij| <= radius_ij, by one that is sufficient. Of the
+        channels in units of `scale` for the norm, of the plant's own entry by entry.
+    noise : array_like, shape (n,) or (n, m), optional
+        Spectral density of what is new in the measured outputs in every trial, as in
+        :class:`rodlib.ilc.evidence.Spectrum`: white noise has its variance. Added to the objective
+        is then what it adds at most to the variance of the converged error,
+        :meth:`rodlib.ilc.problem.Problem.cost_of_noise`, in units of `scale`; multiply the density
+        to make more of that, or less.
+    confidence : float, optional
+        Of a measured response: probability that the truth lies within its radius at all frequencies
+        that were measured. Default 0.99.
+    solver : {"structured", "cvxpy"}
+        :mod:`rodlib.ilc.synthesis.interior_point`, or the problem as the paper states it, in CVXPY.
+    start : Synthesis, optional
+        A design for other bounds, another band or a similar plant to start from, of the same order
+        and size. It makes the synthesis faster, not different.
+    samples : int, optional
+        Length of a trial. The certificate then says what one trial does to the ILC signal, by
+        :func:`rodlib.ilc.evidence.trial_norm`; P and Q must be models.
+    rest : int
+        Number of samples at the end of that trial in which v is held at zero.
+    check : bool
+        Whether a filter whose certificate fails raises.
+
+    Returns
+    -------
+    Synthesis
+        With its certificate. What it says about all frequencies is proven if P and Q are models.
+        From arrays it is read off splines between the first and the last frequency, on a grid ten
+        times denser; the certificate warns if the samples are too coarse for that.
+
+    Raises
+    ------
+    ValueError
+        If an argument has the wrong shape or is out of range, P is unstable, or singular at a
+        frequency. The message names the argument and the value.
+    InfeasibleError
+        If no filter meets the bounds; the message says which of them is too tight, and the
+        smallest `M_max` that is feasible.
+    SolverError
+        If the solver fails, or the certificate of its result does.
+    """
+    problem = pose(
+        P, Q, omega, Ts, order=order, M_max=M_max, L_max=L_max, band=band, structure=structure,
+        objective=objective, scale=scale, uncertainty=uncertainty,
+        noise=noise, confidence=confidence,
+    )  # fmt: skip
+    arguments.choice("solver", solver, ["structured", "cvxpy"])
+    arguments.flag("check", check)
+    checked_trial(problem, samples, rest)  # before long work
+    if start is not None:
+        _check_start(start, problem)
+    by_solver = _solve_with_cvxpy if solver == "cvxpy" else solve
+    tolerances = CVXPY_TOLERANCES if solver == "cvxpy" else (GAP, VIOLATION)
+    try:
+        solution = by_solver(problem, start and start.solution)
+    except Infeasible as error:
+        raise _explained(problem, error.nearest) from None
+    except RuntimeError as error:
+        raise SolverError(f"{solver}: {error}") from None
+    certificate = certify(problem, solution, tolerances, samples, rest)
+    if check and certificate.failures:
+        raise SolverError(f"{solution.method}: {'; '.join(certificate.failures)}")
+    L = _response(problem, solution)
+    sigmas = largest_singular_values(problem.M(L)), largest_singular_values(L)
+    return Synthesis(problem.filter(solution.coefficients), problem, certificate, *sigmas, solution)
+
+
+def solve(problem: Problem, start: Solution | None = None) -> Solution:
+    """Solve a problem by the structured solvers, without a certificate.
+
+    Parameters
+    ----------
+    problem : Problem
+    start : Solution, optional
+        Of a similar problem.
+
+    Returns
+    -------
+    Solution
+
+    Raises
+    ------
+    Infeasible
+        If M_max cannot be met.
+    RuntimeError
+        If the solvers fail.
+    """
+    return _with_cuts(problem, start, _solve_program)
+
+
+def _solve_program(problem, program, start):
+    """From a start if that leads somewhere, or from nothing."""
+    if start is not None:
+        found = active_set.resolve(program, start, steps=12)
+        if found is not None and _is_good(problem, found, GOOD):
+            return found
+    solution = interior_point.solve(program, lambda found: _is_good(problem, found, GAP / 2))
+    # More digits, where a few steps lead to them; of a sum, only such as are full or nearly so.
+    most = 1e-3 if problem.objective == "sum" else active_set.MOST_DAMPING
+    found = active_set.resolve(program, solution, steps=3, most=most)
+    if found is None or not _is_good(problem, found, GOOD):
+        return solution
+    iterations = solution.iterations + found.iterations
+    return replace(found, method=solution.method, iterations=iterations)
+
+
+def _solve_with_cvxpy(problem, start):
+    from rodlib.ilc.synthesis import statement  # here, because CVXPY takes long to import
+
+    return _with_cuts(problem, None, lambda problem, program, start: statement.solve(program))
+
+
+def _with_cuts(problem, start, solver):
+    """Solve with a part of the bounds, add those that the solution violates, and solve again."""
+    plant, frequency = first_cuts(problem, start)
+    while True:
+        start = solver(problem, formulate(problem, plant, frequency), start)
+        limit = start.peak if problem.objective == "peak" else problem.M_max
+        more = violated(problem, start, limit, plant, frequency) if problem.robust else ([], [])
+        if not len(more[0]):
+            return start
+        plant, frequency = np.append(plant, more[0]), np.append(frequency, more[1])
+
+
+def _response(problem, solution):
+    """Of the filter at the design frequencies, in units of scale."""
+    return LearningFilter(solution.coefficients, problem.Ts).frequency_response(problem.omega)
+
+
+def _is_good(problem, solution, gap):
+    """Whether a solution is within its bounds, and proven to be as good as the gap says."""
+    L = _response(problem, solution)
+    sigma_M, sigma_L = largest_singular_values(problem.M(L)), largest_singular_values(L)
+    worst = max(sigma_M.max(), solution.peak if problem.robust else 0)
+    value = problem.value(sigma_M, np.array([worst])) + problem.cost_of_noise(L)
+    return (
+        value - lower_bound(problem, solution.U, solution.V, solution.cuts, L)
+        < gap * max(value, 1e-3 * problem.idle)
+        and worst <= problem.M_max * (1 + VIOLATION)
+        and sigma_L.max() <= (problem.L_max or np.inf) * (1 + VIOLATION)
+    )
+
+
+def _explained(problem, nearest):
+    """The error that says which bound is too tight, where, and what would be feasible."""
+    if len(problem.others):  # not all of them had a say so far
+        nearest = solve(replace(problem, M_max=np.inf, objective="peak", noise=None), nearest)
+    size = np.linalg.norm(nearest.U, axis=(1, 2))
+    plant, frequency = 0, tied(size).argmax()
+    if nearest.cuts is not None:
+        of_cuts = np.linalg.norm(nearest.cuts.N, axis=(1, 2))
+        if of_cuts.max() > size.max():
+            most = tied(of_cuts).argmax()
+            plant, frequency = int(nearest.cuts.plant[most]), nearest.cuts.frequency[most]
+    omega = float(problem.omega[frequency])
+    place = f"plant {plant} at {omega:.4g} rad/s" if problem.robust else f"{omega:.4g} rad/s"
+    message = f"{_advice(problem, nearest.peak)} (most in the way: {place})"
+    lost = problem.omega[problem.unusable & (np.abs(problem.Q) > problem.M_max)]
+    if lost.size:
+        message += (
+            f". P is not known well enough at {len(lost)} frequencies from {lost[0]:.4g} to "
+            f"{lost[-1]:.4g} rad/s, where the radius admits singular plants: measure longer there, "
+            "or lower the cut-off of Q"
+        )
+    return InfeasibleError(message, nearest.peak, plant, omega)
+
+
+def _advice(problem, smallest):
+    """Which bound is too tight, and what would be feasible."""
+    M_max, L_max = problem.M_max, problem.L_max
+    remedy = f"the smallest feasible M_max is {_rounded_up(smallest)}"
+    raised = "raise M_max" if smallest < HOPELESS else "no M_max below 1 will do, so"
+    if L_max is not None:
+        unbounded = replace(problem, L_max=None, M_max=np.inf, objective="peak", noise=None)
+        without = _with_cuts(
+            unbounded, None, lambda _, program, start: interior_point.solve(program, enough=M_max)
+        ).peak
+        if without <= M_max:
+            return (
+                f"infeasible: L_max = {L_max} is too tight for M_max = {M_max}. With this L_max "
+                f"{remedy}: {raised}{' or' if smallest < HOPELESS else ''} raise L_max"
+            )
+        remedy += f" with L_max = {L_max}, and {without:.6g} without a bound on L"
+    longer = "a longer filter" + ("" if problem.structure == "full" else ", or a full one")
+    return (
+        f"infeasible: M_max = {M_max} is too tight for a {problem.structure} filter of order = "
+        f"{problem.order}; {remedy}: {raised}{',' if smallest < HOPELESS else ''} take {longer}, "
+        "lower the cut-off of Q (largest_cutoff finds how far), or design a faster loop"
+    )
+
+
+def _rounded_up(M_max):
+    """In six digits, and not less than it is, or who follows the advice is refused again."""
+    unit = 10.0 ** (np.floor(np.log10(M_max)) - 5)
+    return f"{np.ceil(M_max / unit) * unit:.6g}"
+
+
+def _check_start(start, problem):
+    arguments.instance("start", start, Synthesis)
+    n, m, _ = problem.P.shape
+    expected, found = (m, m, problem.order), start.solution.coefficients.shape
+    if found != expected or len(start.solution.U) != n:
+        raise ValueError(
+            f"start is a design with coefficients of shape {found} on {len(start.solution.U)} "
+            f"frequencies, but must have {expected} on {n}: leave start out"
+        )
+    off_diagonal = start.solution.coefficients[~np.eye(m, dtype=bool)]
+    if problem.structure == "diagonal" and np.any(off_diagonal):
+        raise ValueError("start is a full filter, but structure = 'diagonal': leave start out")

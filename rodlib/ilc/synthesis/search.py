@@ -1,0 +1,123 @@
+"""Designs that search for more than a filter: the least gain, the largest cut-off of Q."""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.optimize import brentq
+from tqdm import tqdm
+
+from rodlib.ilc import arguments
+from rodlib.ilc.filters import ZeroPhaseButterworth
+from rodlib.ilc.posing import pose
+from rodlib.ilc.synthesis.design import SolverError, Synthesis, solve, synthesise
+from rodlib.ilc.synthesis.program import Infeasible
+
+SAME = (1e-9, 1e-6, 1e-4)  # relative distance up to which two peaks are the same
+CLOSE = 1e-3  # relative distance from the largest cut-off
+
+
+def least_gain(P, Q, omega, Ts, **choices) -> Synthesis:
+    """Design the one filter of (45) that has a rule: of least gain among those of least peak.
+
+    Without (46) the least peak of sigma_max(M) may be reached by many filters, whose gains differ
+    by orders of magnitude; which of them a solver returns is its own affair. This is the one with
+    the least max sigma_max(L) that keeps the least peak to a relative 1e-9; where filters that do
+    are too much alike for the solver to tell, to 1e-6 or 1e-4. Below a thousandth of the peak
+    without learning that is relative to it, as the gap of a certificate is.
+
+    Parameters
+    ----------
+    P, Q, omega, Ts, **choices
+        As for :func:`synthesise`, apart from `objective`, `L_max` and `start`.
+
+    Returns
+    -------
+    Synthesis
+        Of (45) with (46), where `certificate.L_max` is that gain.
+
+    Raises
+    ------
+    ValueError, InfeasibleError, SolverError
+        As :func:`synthesise`.
+    """
+    without_trial = choices | {"samples": None, "rest": 0}
+    free = synthesise(P, Q, omega, Ts, objective="peak", L_max=None, **without_trial)
+    unit = free.sigma_L.max()  # a gain that is enough
+    question = replace(free.problem, objective="gain", L_max=unit)
+    for same in SAME:
+        try:
+            with np.errstate(all="ignore"):
+                room = same * max(free.value, 1e-3 * free.problem.idle)
+                L_max = unit * solve(replace(question, M_max=free.value + room)).peak
+            break
+        except (Infeasible, RuntimeError):
+            continue
+    else:
+        raise SolverError(
+            "the least gain was not found: filters that keep the least peak are too much alike; "
+            "take a shorter filter, or synthesise with an L_max"
+        )
+    return synthesise(P, Q, omega, Ts, objective="peak", L_max=L_max, **choices)
+
+
+def largest_cutoff(
+    P, Q: ZeroPhaseButterworth, omega, Ts, **choices
+) -> tuple[ZeroPhaseButterworth, Synthesis]:
+    """Find the largest cut-off of Q for which a filter meets the bounds, and design that.
+
+    What Q passes is learned, and what it stops is not: for given bounds, a practitioner wants to
+    pass as much as they allow. A lower cut-off makes |Q| smaller at each frequency, and with it M:
+    the smallest M_max that can be met increases with the cut-off, and its root is found. Nothing is
+    left for the objective there: a little below the largest cut-off, learning is faster.
+
+    Parameters
+    ----------
+    P, omega, Ts, **choices
+        As for :func:`synthesise`, for one plant or several, with a radius or without.
+    Q : ZeroPhaseButterworth
+        Its order is kept; the search starts at its cut-off.
+
+    Returns
+    -------
+    Q : ZeroPhaseButterworth
+        With the largest cut-off, to a relative 1e-3; at most 0.999 of the Nyquist frequency.
+    design : Synthesis
+        For it.
+
+    Raises
+    ------
+    ValueError, SolverError
+        As :func:`synthesise`.
+    InfeasibleError
+        If even a cut-off at the lowest design frequency is too high.
+    """
+    arguments.instance("Q", Q, ZeroPhaseButterworth)
+    stated = {name: choices[name] for name in choices if name in pose.__kwdefaults__}
+    problem = replace(pose(P, Q, omega, Ts, **stated), objective="peak")
+    found = {}
+
+    def with_cutoff(logarithm):
+        return replace(Q, cutoff=float(np.exp(logarithm)))
+
+    def excess(logarithm):
+        """The smallest possible M_max with this cut-off, relative to the one that is asked for."""
+        response = with_cutoff(logarithm).frequency_response(problem.omega)
+        question = replace(problem, Q=response, M_max=np.inf, noise=None)
+        found["solution"] = solve(question, found.get("solution"))
+        bar.update()
+        return found["solution"].peak / problem.M_max - 1
+
+    highest, lowest = np.log(0.999 * np.pi / Ts), np.log(problem.omega[problem.omega > 0][0])
+    low = high = np.log(Q.cutoff)
+    with tqdm(desc="largest cut-off", unit=" solved", leave=False, disable=None) as bar:
+        while excess(high) <= 0 and high < highest:
+            low, high = high, min(high + 1, highest)
+        if excess(high) <= 0:
+            best = highest
+        else:
+            while excess(low) > 0:
+                if low <= lowest:  # this says what is too tight
+                    synthesise(P, with_cutoff(lowest), omega, Ts, **choices)
+                low = max(low - 1, lowest)
+            best = brentq(excess, low, high, xtol=CLOSE / 2) - CLOSE / 2
+    return with_cutoff(best), synthesise(P, with_cutoff(best), omega, Ts, **choices)

@@ -1,0 +1,272 @@
+"""Trials under the ILC law: one trial of the closed loop, and a sequence of them. Section IV."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import xarray as xr
+
+from rodlib.ilc import arguments
+from rodlib.ilc.filters import LearningOperator, ZeroPhaseButterworth, check_learning, update
+from rodlib.ilc.loop import CurrentTrialLoop, with_noise
+
+
+def run_trials(
+    loop: CurrentTrialLoop,
+    Q: ZeroPhaseButterworth,
+    L: LearningOperator | None,
+    reference,
+    disturbance=None,
+    trials: int = 10,
+    *,
+    plant=None,
+    noise=None,
+    initial_state=None,
+    rest: int = 0,
+    step=1.0,
+) -> xr.Dataset:
+    """Simulate trials of the loop (19) under the ILC law (22), (23), starting with v_0 = e_0 = 0.
+
+    All signals are in the units of the loop's plant.
+
+    Parameters
+    ----------
+    loop : CurrentTrialLoop
+        With m controls and outputs and d disturbances.
+    Q, L : ZeroPhaseButterworth, LearningOperator
+        L None switches learning off, v = 0 on all trials.
+    reference : array_like, shape (time, m) or (trial, time, m)
+        Reference trajectory, of all trials or of each.
+    disturbance : array_like, shape (time, d) or (trial, time, d), optional
+        In the order of ``loop.disturbances``. Default zero.
+    trials : int
+    plant : control.StateSpace or control.TransferFunction, optional
+        Another plant in the place of that of the design, as in :meth:`CurrentTrialLoop.around`.
+    noise : array_like, shape (trial, time, m), optional
+        Added to what the sensors report: both observer and learning see it.
+    initial_state : array_like, shape (n,), optional
+        State of the plant that is simulated at the start of every trial, unknown to the observer.
+        Default zero.
+    rest : int
+        Number of samples at the end of every trial in which v is held at zero.
+    step : float or array_like, shape (trials - 1,)
+        Of :func:`rodlib.update`, in (0, 1], or one from each trial to the next.
+
+    Returns
+    -------
+    xarray.Dataset
+        See :func:`dataset`. The error e = reference - y is the one that the controller sees.
+
+    Raises
+    ------
+    ValueError
+        If a shape does not fit the loop, a signal is not finite, the filters do not belong to the
+        loop, `step` is out of range, or `plant` has not the loop's signals and sampling period or
+        makes it unstable.
+    """
+    check_law(loop, Q, L)
+    closed = with_noise(loop, plant)
+    m, n = loop.plant.noutputs, closed.nstates - len(loop.KL)
+    trials = arguments.whole("trials", trials, 1)
+    steps = steps_of(step, trials)
+    r = arguments.array("reference", reference, (...,))
+    r = arguments.array("reference", r, (trials, "time", m) if r.ndim == 3 else ("time", m))
+    samples = r.shape[-2]
+    r = np.broadcast_to(r, (trials, samples, m))
+    rest = arguments.whole("rest", rest, 0, samples - 1)
+    shape = (trials, samples, len(loop.disturbances))
+    d = np.zeros(shape)
+    if disturbance is not None:
+        d = arguments.array("disturbance", disturbance, (...,))
+        d = arguments.array("disturbance", d, shape if d.ndim != 2 else shape[1:])
+        d = np.broadcast_to(d, shape)
+    shape = (trials, samples, m)
+    noise = np.zeros(shape) if noise is None else arguments.array("noise", noise, shape)
+    chi = np.zeros(closed.nstates)
+    if initial_state is not None:
+        chi[:n] = arguments.array("initial_state", initial_state, (n,))
+
+    B, E, K = np.split(closed.B, [m, -m], axis=1)
+    D, F, _ = np.split(closed.D, [m, -m], axis=1)
+    v, u, y, delta = (np.zeros(shape) for _ in range(4))
+    for k in range(trials):
+        if k and L is not None:
+            e = r[k - 1] - y[k - 1] - noise[k - 1]
+            v[k] = update(v[k - 1], e, Q, L, rest, steps[k - 1])  # (23)
+        w = r[k] + v[k]  # (22)
+        states = state_sequence(closed.A, w @ B.T + d[k] @ E.T + noise[k] @ K.T, chi)  # (19)
+        y[k] = states @ closed.C.T + w @ D.T + d[k] @ F.T
+        x_hat, delta[k] = states[:, n:-m], states[:, -m:]
+        u[k] = w @ loop.N.T - x_hat @ loop.Ks.T - delta[k]  # (18)
+    return dataset(
+        loop.Ts, loop.outputs, loop.controls, loop.disturbances, loop.units,
+        reference=r, v=v, u=u, y=y + noise, delta=delta,
+        disturbance=d,
+    )  # fmt: skip
+
+
+def steps_of(step, trials: int) -> np.ndarray:
+    """The steps from each trial to the next, from one for all or one for each.
+
+    Parameters
+    ----------
+    step : float or array_like, shape (trials - 1,)
+    trials : int
+
+    Returns
+    -------
+    ndarray, shape (trials - 1,)
+
+    Raises
+    ------
+    ValueError
+        If there is another number of them, or one is not in (0, 1].
+    """
+    given = arguments.array("step", step, (...,))
+    if given.ndim == 0:
+        return np.full(trials - 1, arguments.share("step", step))
+    steps = arguments.array("step", given, (trials - 1,))
+    return np.array([arguments.share(f"step[{k}]", a) for k, a in enumerate(steps)])
+
+
+def check_law(loop, Q, L, **periods: float) -> None:
+    """Check that a loop and the filters of the law fit together, and periods (s) of all else.
+
+    Parameters
+    ----------
+    loop : CurrentTrialLoop
+    Q, L : ZeroPhaseButterworth, LearningOperator or None
+    **periods : float
+        Further sampling periods, s; each keyword says whose it is.
+
+    Raises
+    ------
+    ValueError
+        If the sampling periods differ, L has not one channel per output of the loop, or an argument
+        is something else altogether.
+    """
+    arguments.instance("loop", loop, CurrentTrialLoop)
+    arguments.instance("Q", Q, ZeroPhaseButterworth)
+    if L is not None:
+        check_learning(L, loop.plant.noutputs)
+        periods["L"] = L.Ts
+    arguments.one_period(loop=loop.Ts, Q=Q.Ts, **periods)
+
+
+def state_sequence(A, forcing, initial) -> np.ndarray:
+    """States of x(p+1) = A x(p) + f(p), all at once.
+
+    Parameters
+    ----------
+    A : ndarray, shape (n, n)
+    forcing : ndarray, shape (time, n)
+    initial : ndarray, shape (n,)
+
+    Returns
+    -------
+    ndarray, shape (time, n)
+        x(0) ... x(time - 1).
+
+    Raises
+    ------
+    ValueError
+        If the shapes do not fit, or a value is not finite.
+
+    Notes
+    -----
+    A loop over 2500 samples costs more than the arithmetic in it. The trial is cut into about 50
+    blocks that run side by side from zero; then their initial states are chained and added.
+    """
+    A = arguments.array("A", A, ("n", "n"))
+    forcing = arguments.array("forcing", forcing, ("time", len(A)))
+    initial = arguments.array("initial", initial, (len(A),))
+    samples, n = forcing.shape
+    length = int(np.ceil(np.sqrt(samples)))
+    blocks = -(-samples // length)
+    padded = np.zeros((blocks * length, n))
+    padded[:samples] = forcing
+    padded = padded.reshape(blocks, length, n)
+
+    powers = np.empty((length + 1, n, n))  # A^0 ... A^length
+    states = np.zeros((blocks, length + 1, n))
+    powers[0] = np.eye(n)
+    for p in range(length):
+        powers[p + 1] = A @ powers[p]
+        states[:, p + 1] = states[:, p] @ A.T + padded[:, p]
+    starts = np.empty((blocks, n))
+    starts[0] = initial
+    for block in range(blocks - 1):
+        starts[block + 1] = powers[length] @ starts[block] + states[block, length]
+    states += np.tensordot(starts, powers, axes=(1, 2))
+    return states[:, :length].reshape(-1, n)[:samples]
+
+
+def dataset(
+    Ts: float,
+    outputs: Sequence[str],
+    controls: Sequence[str],
+    sources: Sequence[str],
+    units: dict[str, str],
+    **signals,
+) -> xr.Dataset:
+    """Put the signals of all trials together, with coordinates and units.
+
+    Parameters
+    ----------
+    Ts : float
+        Sampling period, s.
+    outputs, controls : sequence of str
+        Names of the plant's outputs and controls, one of each per channel.
+    sources : sequence of str
+        Names of the disturbances.
+    units : dict
+        Unit of each of these, by name; "" if it is not known.
+    **signals : ndarray, shape (trial, time, channel)
+        reference, v, y in the units of the outputs; u, delta (the estimate of the input
+        disturbance) in those of the controls; disturbance, of shape (trial, time, source).
+
+    Returns
+    -------
+    xarray.Dataset
+        The signals and e = reference - y, each with its unit as an attribute, or ``"name: unit"``
+        for one after the other where they differ; Ts as an attribute. Coordinates trial (1, 2,
+        ...), time (s) and channel (1, 2, ...), with the names and units of the channels as
+        output, control, output_unit, control_unit; source and source_unit if there are
+        disturbances.
+    """
+    signals["e"] = signals["reference"] - signals["y"]
+    trials, samples, m = signals["y"].shape
+    coordinates = {
+        "trial": np.arange(1, trials + 1),
+        "time": ("time", Ts * np.arange(samples), {"units": "s"}),
+        "channel": np.arange(1, m + 1),
+    }
+    variables = {}
+    for kind, dimension, names, members in (
+        ("output", "channel", outputs, ("reference", "v", "y", "e")),
+        ("control", "channel", controls, ("u", "delta")),
+        ("source", "source", sources, ("disturbance",)),
+    ):
+        if not len(names) or signals.keys().isdisjoint(members):
+            continue
+        own = [units.get(name, "") for name in names]
+        coordinates[kind] = (dimension, list(names))
+        coordinates[f"{kind}_unit"] = (dimension, own)
+        each = ", ".join(f"{name}: {unit}" for name, unit in zip(names, own, strict=True))
+        attributes = {"units": own[0] if len(set(own)) == 1 else each}
+        for name in members:
+            if name in signals:
+                variables[name] = (("trial", "time", dimension), signals[name], attributes)
+    return xr.Dataset(variables, coordinates, {"Ts": float(Ts)})
+
+
+def rms(e: xr.DataArray) -> xr.DataArray:
+    """RMS(e_k) of Section IV: root of the mean over time of e'e, summed over the channels.
+
+    `e` is a DataArray with the dimensions time and channel, such as that of a dataset of trials;
+    anything else, or a gap in it, raises a ValueError.
+    """
+    arguments.instance("e", e, xr.DataArray)
+    if not {"time", "channel"} <= set(e.dims):
+        raise ValueError(f"e has dimensions {e.dims}, but must have 'time' and 'channel'")
+    arguments.array("e", e.values, (...,))
+    return np.sqrt((e**2).sum("channel").mean("time"))

@@ -1,0 +1,103 @@
+"""From settings to what they give: a filter with its certificate, or the reason why there is none.
+
+Every design is solved from nothing. To start from the last one would take half the time, but the
+optimum is flat: coefficients would differ in the third digit with the way by which one came.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from rodlib.ilc import arguments
+from rodlib.ilc.evidence import Certificate
+from rodlib.ilc.synthesis import InfeasibleError, SolverError, Synthesis, synthesise
+from rodlib.ilc.trials import rms, run_trials
+from rodlib.ilc.workbench.plants import TRIALS, Plant
+from rodlib.ilc.workbench.settings import Settings
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What the settings give.
+
+    Attributes
+    ----------
+    settings : Settings or None
+        None if there is not even a plant.
+    design : Synthesis or None
+        None if there is no filter.
+    rms : ndarray, shape (10,)
+        RMS of the error by trial, all channels together, simulated; empty without a filter.
+    message : str
+        Why there is no filter, and what would help; empty if there is one.
+    M_max : float or None
+        Where there is one, to three digits, if a higher M_max is all that it takes.
+    """
+
+    settings: Settings | None
+    design: Synthesis | None = None
+    rms: tuple[float, ...] = ()
+    message: str = ""
+    M_max: float | None = None
+
+    @property
+    def line(self) -> str:
+        """The certificate in a line, and what was found of a measurement."""
+        if self.design is None:
+            return self.message
+        findings = getattr(self.settings.plant.response, "findings", ())
+        found = (f"the measurement: {text}" for text in findings)
+        return "; ".join([certificate_line(self.design.certificate), *found])
+
+
+def try_out(settings: Settings) -> Outcome:
+    """Design a filter, certify it and simulate ten trials; never raise because of the settings.
+
+    Parameters
+    ----------
+    settings : Settings
+
+    Returns
+    -------
+    Outcome
+        The same for the same settings, whatever was tried out before.
+    """
+    arguments.instance("settings", settings, Settings)
+    try:
+        plant = arguments.instance("plant", settings.plant, Plant)
+        seed = arguments.whole("seed", settings.seed, 0)
+        Q = settings.Q
+        design = synthesise(plant.response, Q, settings.omega, settings.Ts, **settings.problem)
+    except InfeasibleError as error:
+        return Outcome(settings, message=str(error), M_max=_remedy(error.smallest_M_max))
+    except (ValueError, SolverError) as error:
+        return Outcome(settings, message=str(error))
+    samples, m = plant.reference.shape
+    rng = np.random.default_rng(seed)
+    noise = settings.noise * rng.standard_normal((TRIALS, samples, m))
+    trials = run_trials(
+        plant.loop, Q, design.filter, plant.reference, plant.disturbance, TRIALS, noise=noise
+    )
+    return Outcome(settings, design, tuple(rms(trials.e).values.tolist()))
+
+
+def _remedy(smallest):
+    """The next M_max of three digits that leaves the solver some room; None if there is none."""
+    M_max = math.ceil(1000 * smallest + 0.05) / 1000
+    return M_max if M_max < 1 else None
+
+
+def certificate_line(certificate: Certificate) -> str:
+    """What is known about a filter, in a line."""
+    robust = certificate.robust
+    if robust and robust.radius:
+        rate = f"σ(M) ≤ {certificate.grid_M:.4f} within the radius, at the design frequencies"
+    elif certificate.proven:
+        rate = f"σ(M) ≤ {certificate.all_M:.4f} at all frequencies"
+    else:
+        rate = f"σ(M) ≤ {certificate.all_M:.4f} between the samples, estimated"
+    gain = f"σ(L) ≤ {certificate.all_L:.4g} at all frequencies"
+    optimal = f"objective {certificate.value:.4g}, none below {certificate.lower_bound:.4g}"
+    warned = [f"warning: {text}" for text in certificate.warnings]
+    return "; ".join([rate, gain, optimal, *warned])

@@ -1,0 +1,135 @@
+"""Plants on the workbench: what filters are designed for, and what their trials follow."""
+
+import reprlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from rodlib.ilc import arguments
+from rodlib.ilc.laboratory import LogError, MeasuredResponse, load_log, loop_of, measured_response
+from rodlib.ilc.laboratory.notes import excitation_of
+from rodlib.ilc.laboratory.replay import replay_of
+from rodlib.ilc.loop import CurrentTrialLoop
+from rodlib.paper.rig_logs import papers_loop
+
+TRIALS = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Plant:
+    """What filters are designed for, and what ten trials with them follow.
+
+    Attributes
+    ----------
+    source : str
+        The Python expression that makes `response`, with ``rodlib`` and ``np`` at hand.
+    response : CurrentTrialLoop or MeasuredResponse
+        What the synthesis is given.
+    reference : array_like, shape (time, m), optional
+        Default, assumed: every output goes to one and back within 1000 samples.
+    disturbance : array_like, shape (10, time, d), optional
+        In the order of ``loop.disturbances``. Default zero.
+    order : int
+        Samples that the learning filter looks ahead at first; more than the plant's delay.
+
+    Raises
+    ------
+    ValueError
+        If an argument is something else, or the reference has another shape.
+    """
+
+    source: str
+    response: CurrentTrialLoop | MeasuredResponse
+    reference: np.ndarray | None = None
+    disturbance: np.ndarray | None = None
+    order: int = 10
+
+    def __post_init__(self):
+        arguments.instance("source", self.source, str)
+        if not isinstance(self.response, CurrentTrialLoop | MeasuredResponse):
+            raise ValueError(
+                f"response = {reprlib.repr(self.response)} must be a loop, such as "
+                "current_trial_loop makes, or a measured response"
+            )
+        arguments.whole("order", self.order, 1)
+        m = len(self.loop.outputs)
+        reference = self.reference
+        if reference is None:
+            reference = np.repeat(np.sin(np.pi * np.arange(1000) / 1000)[:, None] ** 2, m, axis=1)
+        reference = arguments.array("reference", reference, ("time", m))
+        object.__setattr__(self, "reference", reference)
+        if self.disturbance is not None:
+            shape = (TRIALS, len(reference), len(self.loop.disturbances))
+            disturbance = arguments.array("disturbance", self.disturbance, shape)
+            object.__setattr__(self, "disturbance", disturbance)
+
+    @property
+    def measured(self) -> bool:
+        """Whether the response was measured, and brings a radius of its own."""
+        return isinstance(self.response, MeasuredResponse)
+
+    @property
+    def loop(self) -> CurrentTrialLoop:
+        """The loop whose model the trials are simulated with."""
+        return self.response.loop if self.measured else self.response
+
+    def size(self, omega) -> np.ndarray:
+        """||P||, the largest singular value, at `omega` (rad/s)."""
+        known = self.response
+        P = known.on(omega)[0] if self.measured else known.frequency_response(omega)
+        return np.linalg.norm(P, 2, axis=(1, 2))
+
+
+@dataclass(frozen=True, eq=False)
+class Family:
+    """Plants that differ in a few numbers, each of which gets a knob.
+
+    Attributes
+    ----------
+    make : callable
+        Makes the :class:`Plant` of given parameters, by keyword, or raises a ValueError.
+    parameters : dict of (float, str)
+        What each is at first, and its unit, by name.
+    """
+
+    make: Callable[..., Plant]
+    parameters: dict[str, tuple[float, str]]
+
+
+def plant_of_file(path) -> Plant:
+    """What a log tells of a plant.
+
+    Parameters
+    ----------
+    path : path-like
+        Of an experiment of :func:`rodlib.shake`, from which the response is measured; or of
+        :func:`rodlib.record`: then it is that of the loop that the log names, and the trials
+        repeat the reference and the disturbances of the last one recorded.
+
+    Raises
+    ------
+    LogError
+        If the log cannot be used, or names no loop.
+    """
+    path = str(arguments.path("path", path))
+    log = load_log(path)
+    try:
+        return _plant_of_log(log, path)
+    except ValueError as error:
+        raise LogError(f"{path}: {error}") from None
+
+
+def _plant_of_log(log, path):
+    """As :func:`plant_of_file`, of what has been loaded."""
+    if excitation_of(log) is not None:
+        return Plant(f"rodlib.measured_response(rodlib.load_log({path!r}))", measured_response(log))
+    named = loop_of(log) is not None
+    replay = replay_of(log, papers_loop(Path(path)))
+    if replay.loop is None:
+        raise LogError("it names no loop in its metadata: it is of neither shake nor record")
+    reference = replay.trials.reference.transpose("trial", "time", "channel").values[-1]
+    again = np.repeat(replay.disturbance[-1:], TRIALS, axis=0)
+    source = f"rodlib.ilc.loop_of(rodlib.load_log({path!r}))" if named else "rodlib.paper_loop()"
+    return Plant(source, replay.loop, reference, again)

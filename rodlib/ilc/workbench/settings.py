@@ -1,0 +1,147 @@
+"""The knobs of the workbench, and the Python that makes what they say."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rodlib.ilc import arguments
+from rodlib.ilc.filters import ZeroPhaseButterworth, zero_phase_butterworth
+from rodlib.ilc.workbench.plants import Plant
+
+FREQUENCIES = 200  # of the design; the paper has 1000, which take three times as long
+
+
+@dataclass(frozen=True)
+class Settings:
+    """A plant, and the position of every knob. Nothing is checked before it is tried out.
+
+    Attributes
+    ----------
+    plant : Plant
+    M_max, L_max : float
+        Bounds on sigma_max(M) and sigma_max(L).
+    cutoff : float
+        Of the Q-filter, rad/s.
+    band : (float, float)
+        Of the sum in (39), rad/s.
+    order : int
+        Of the learning filter.
+    Q_order : int
+    structure : {"diagonal", "full"}
+    uncertainty : float
+        Radius of what is not known of P at each frequency, in percent of ||P||.
+    noise : float
+        Standard deviation of white noise in each measured output, new in every trial, in its unit.
+    seed : int
+        Of the noise in the simulated trials.
+    """
+
+    plant: Plant
+    M_max: float
+    L_max: float
+    cutoff: float
+    band: tuple[float, float]
+    order: int
+    Q_order: int = 2
+    structure: str = "diagonal"
+    uncertainty: float = 0.0
+    noise: float = 0.0
+    seed: int = 0
+
+    @classmethod
+    def of(cls, plant: Plant, **changes) -> "Settings":
+        """The paper's choices, carried over to another plant by its sampling period.
+
+        Parameters
+        ----------
+        plant : Plant
+        **changes
+            Other knobs than the paper's.
+
+        Returns
+        -------
+        Settings
+            L_max is the paper's rule, 2.5 / sigma_max(P) at the cut-off frequency, to one digit.
+        """
+        Ts = arguments.instance("plant", plant, Plant).loop.Ts
+        cutoff = float(f"{arguments.positive('cutoff', changes.get('cutoff', 0.1 / Ts)):.3g}")
+        choices = {
+            "M_max": 0.9,
+            "L_max": float(f"{2.5 / plant.size([cutoff])[0]:.1g}"),
+            "cutoff": cutoff,
+            "band": (_no_lower(1e-4 / Ts), float(f"{0.02 / Ts:.3g}")),
+            "order": plant.order,
+        }
+        return cls(plant, **choices | changes)
+
+    @property
+    def Ts(self) -> float:
+        """Sampling period, s."""
+        return self.plant.loop.Ts
+
+    @property
+    def omega(self) -> np.ndarray:
+        """The design frequencies, rad/s."""
+        return np.geomspace(1e-4, np.pi, FREQUENCIES) / self.Ts
+
+    @property
+    def Q(self) -> ZeroPhaseButterworth:
+        """The Q-filter."""
+        arguments.whole("Q_order", self.Q_order, 1, 100)
+        return zero_phase_butterworth(self.Q_order, self.cutoff, self.Ts)
+
+    @property
+    def problem(self) -> dict:
+        """What else the synthesis is told, by keyword.
+
+        Raises
+        ------
+        ValueError
+            If the uncertainty or the noise is negative, or a measured response is given another
+            uncertainty than its own.
+        """
+        choices = {
+            "order": self.order,
+            "M_max": self.M_max,
+            "L_max": self.L_max,
+            "band": self.band,
+            "structure": self.structure,
+        }
+        percent = arguments.not_negative("uncertainty", self.uncertainty, "zero or more (%)")
+        if percent:
+            if self.plant.measured:
+                raise ValueError(
+                    f"uncertainty = {percent:g} % must be 0 for a measured response, which brings "
+                    "a radius of its own"
+                )
+            choices["uncertainty"] = percent / 100 * self.plant.size(self.omega)
+        deviation = arguments.not_negative("noise", self.noise, "zero or more")
+        if deviation:
+            choices["noise"] = np.full(FREQUENCIES, deviation**2)
+        return choices
+
+    @property
+    def python(self) -> str:
+        """Three lines that make the same filter, to the last digit, and their imports."""
+        size = "np.linalg.norm(P.frequency_response(omega), 2, axis=(1, 2))"
+        in_words = {
+            "uncertainty": f"{self.uncertainty / 100!r} * {size}",
+            "noise": f"np.full({FREQUENCIES}, {self.noise!r}**2)",
+        }
+        choices = ", ".join(
+            f"{name}={in_words.get(name, repr(value))}" for name, value in self.problem.items()
+        )
+        return (
+            "import numpy as np\n"
+            "import rodlib\n\n"
+            f"P, omega = {self.plant.source}, "
+            f"np.geomspace(1e-4, np.pi, {FREQUENCIES}) / {self.Ts!r}\n"
+            f"Q = rodlib.zero_phase_butterworth({self.Q_order}, {self.cutoff!r}, {self.Ts!r})\n"
+            f"design = rodlib.ilc.synthesise(P, Q, omega, {self.Ts!r}, {choices})\n"
+        )
+
+
+def _no_lower(omega):
+    """In three digits, and no lower: below the first design frequency no band begins."""
+    rounded = float(f"{omega:.3g}")
+    return rounded if rounded >= omega else float(f"{1.005 * omega:.3g}")

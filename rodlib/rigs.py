@@ -1,0 +1,170 @@
+"""The virtual rig that stands in for the laboratory.
+
+Nothing here knows the design model, or what runs an experiment: the rig is a modal series of the
+rod's equation with material parameters of its own. Its interface is what a hardware driver would
+offer, one call each per sample: :meth:`VirtualRig.read` and :meth:`VirtualRig.apply`. Whoever has
+a real rod replaces that one object, see :class:`rodlib.ilc.laboratory.Rig`.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rodlib.ilc import arguments
+from rodlib.rod import Rod
+
+# Material parameters off by several percent from those of the design model.
+MISMATCHED = Rod(density=8100.0, heat_capacity=440.0, heat_transfer=160.0, conductivity=51.0)
+
+
+@dataclass(frozen=True)
+class RigParameters:
+    """What makes the rig unlike the design model.
+
+    All of it is assumed: the paper says neither how its sensors err, nor what its Peltier elements
+    can pump, nor how fast its laboratory warmed up.
+    """
+
+    modes: int = 300
+    noise: float = 0.02  # standard deviation of the sensor noise, K
+    quantum: float = 0.01  # resolution of the sensors, K
+    lag: float = 4.0  # time constant of the Peltier elements, s
+    limit: float = 60.0  # largest heat flow of an element, W
+    ambient_rate: float = 5e-5  # rise of the ambient temperature, K/s
+
+    def __post_init__(self):
+        arguments.whole("modes", self.modes, 1)
+        for name in ("noise", "quantum", "lag"):
+            arguments.not_negative(name, getattr(self, name))
+        if not (isinstance(self.limit, float) and self.limit == np.inf):  # which is none
+            arguments.not_negative("limit", self.limit, "a heat flow in W, 0 or more, or np.inf")
+        arguments.number("ambient_rate", self.ambient_rate, "a finite number")
+
+
+class VirtualRig:
+    """A rod in the laboratory, sample by sample.
+
+    Parameters
+    ----------
+    rod : Rod
+    parameters : RigParameters
+    Ts : float
+        Sampling period, s.
+    seed : int
+        Of the sensor noise.
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range or something else.
+
+    Notes
+    -----
+    With theta = sum_n T_n(t) cos(n pi z / l), (1)-(4) fall apart into one first-order equation per
+    mode. Commands are held for a period and pass the lag of the elements; both are integrated
+    exactly.
+    """
+
+    def __init__(
+        self,
+        rod: Rod = MISMATCHED,
+        parameters: RigParameters = RigParameters(),
+        Ts: float = 1.0,
+        seed: int = 1,
+    ):
+        arguments.instance("rod", rod, Rod)
+        arguments.instance("parameters", parameters, RigParameters)
+        Ts, seed = arguments.sampling_period("Ts", Ts), arguments.whole("seed", seed, 0)
+        self.rod, self.parameters, self.Ts = rod, parameters, Ts
+        self.seed, self.time = seed, 0.0
+        self._random = np.random.default_rng(seed)
+        n = np.arange(parameters.modes)
+        wave = n * np.pi / rod.length
+        s = -(rod.kappa_2 + rod.conductivity * wave**2) / rod.kappa_1
+        # Mean of cos(wave z) over each section; mode n > 0 has half the norm of mode 0.
+        edges = np.sin(np.outer(wave[1:], rod.edges)) / wave[1:, None]
+        shares = np.diff(edges, axis=1) / (rod.length / rod.sections)
+        shares = np.vstack([np.ones(rod.sections), 2 * shares])
+        input_gain = shares / (rod.kappa_1 * rod.width * rod.height * rod.length)
+
+        self._decay = np.exp(s * Ts)
+        self._held = (np.expm1(s * Ts) / s)[:, None] * input_gain
+        self._lag = np.exp(-Ts / parameters.lag) if parameters.lag else 0.0
+        difference = -1 / parameters.lag - s if parameters.lag else np.inf
+        near = np.abs(difference * Ts) < 1e-6
+        lagging = (self._lag - self._decay) / np.where(near, 1, difference)
+        self._lagging = np.where(near, Ts * self._decay, lagging)[:, None] * input_gain
+        self._air = -np.expm1(s[0] * Ts)
+        self._sensors = np.cos(np.outer(rod.sensors, wave))
+        self._modes = np.zeros(parameters.modes)
+        self._flows = np.zeros(rod.sections)
+
+    @property
+    def inputs(self) -> list[str]:
+        """Names of the heat flows, in the order of :meth:`apply`."""
+        return [f"Q{i + 1}" for i in range(self.rod.sections)]
+
+    @property
+    def limits(self) -> dict[str, tuple[float, float]]:
+        """Lowest and highest heat flow of each element that has a limit, W."""
+        limit = self.parameters.limit
+        return {name: (-limit, limit) for name in self.inputs if np.isfinite(limit)}
+
+    @property
+    def measured(self) -> dict[str, float]:
+        """What is measured besides the outputs: the ambient temperature."""
+        return {"theta_a": self.ambient}
+
+    def clock(self) -> float:
+        """Time, s; here it stands still between two samples."""
+        return self.time
+
+    @property
+    def ambient(self) -> float:
+        """Ambient temperature above its initial value, K, as a thermometer in the room shows it."""
+        return self.parameters.ambient_rate * self.time
+
+    def read(self) -> np.ndarray:
+        """Read the sensors: K above the initial ambient temperature, shape (m,)."""
+        noisy = self._sensors @ self._modes
+        if self.parameters.noise:
+            noisy = noisy + self.parameters.noise * self._random.standard_normal(len(noisy))
+        quantum = self.parameters.quantum
+        return (np.rint(noisy / quantum) * quantum).round(9) if quantum else noisy
+
+    def apply(self, heat_flows) -> None:
+        """Command heat flows (W), shape (sections,), and let one sampling period pass.
+
+        Raises
+        ------
+        ValueError
+            If the shape is wrong or a value is not finite.
+        """
+        command = arguments.array("heat_flows", heat_flows, self._flows.shape)
+        limit = self.parameters.limit
+        command = np.minimum(np.maximum(command, -limit), limit)
+        self._modes *= self._decay
+        self._modes += self._held @ command + self._lagging @ (self._flows - command)
+        self._modes[0] += self._air * self.ambient
+        self._flows = command + self._lag * (self._flows - command)
+        self.time += self.Ts
+
+    def profile(self, z) -> np.ndarray:
+        """True temperature at positions `z` (m), K; what no sensor shows."""
+        n, z = np.arange(len(self._modes)), arguments.row("z", z)
+        return np.cos(np.outer(z, n * np.pi / self.rod.length)) @ self._modes
+
+
+class RestartingRig(VirtualRig):
+    """A virtual rig that begins every trial at rest, in a room at its initial temperature.
+
+    The sensor noise of a trial depends on `seed` and the number of the trial alone. So an
+    experiment that goes on in another process gives what it would have given in one.
+    """
+
+    def begin(self, trial: int) -> None:
+        """Begin a trial, counted from 1."""
+        trial = arguments.whole("trial", trial, 1)
+        self._random = np.random.default_rng([self.seed, trial])
+        self._modes[:], self._flows[:] = 0, 0
+        self.time = 0.0

@@ -1,0 +1,55 @@
+"""The certificate says when the problem itself promises little."""
+
+import control
+import numpy as np
+import pytest
+
+from rodlib import synthesise, zero_phase_butterworth
+from rodlib.ilc.evidence import certify
+from rodlib.ilc.posing import pose
+from rodlib.ilc.problem import Solution
+
+OMEGA = np.geomspace(1e-4, np.pi, 200)
+
+
+def behind_delay(steps):
+    """The lag 0.1 / (z - 0.9) behind a delay, which answers after steps + 1 samples."""
+    chain = control.ss(np.eye(steps, k=-1), np.eye(steps, 1), np.eye(1, steps, k=steps - 1), 0, 1.0)
+    return chain * control.ss(0.9, 0.1, 1, 0, 1.0)
+
+
+@pytest.mark.parametrize(("order", "warned"), [(10, True), (30, True), (31, False), (35, False)])
+def test_a_filter_shorter_than_the_delay_is_named(order, warned):
+    Q = zero_phase_butterworth(2, 0.05)
+    design = synthesise(behind_delay(30), Q, OMEGA, 1.0, order=order, L_max=30.0, M_max=0.999)
+    text = f"and the filter looks ahead by only {order}: it never sees what it does"
+    assert any(text in warning for warning in design.certificate.warnings) == warned
+    assert ("WARNING: P answers after" in str(design)) == warned
+
+
+def test_a_loop_slower_than_the_band_is_named(loop, Q, omega):
+    slow = control.ss(0.999, 0.001, 1, 0, 1.0)
+    design = synthesise(slow, Q, OMEGA, 1.0, band=(1e-4, 0.1), L_max=None)
+    [warning] = design.certificate.warnings
+    assert warning.startswith("at 0.09") and "the loop passes only 0.01 of w" in warning
+    assert synthesise(loop, Q, omega, 1.0).certificate.warnings == []
+
+
+@pytest.mark.parametrize(("highest", "warned"), [(0.6, True), (1.0, False)])
+def test_a_gain_that_no_design_frequency_holds_is_named(highest, warned):
+    """Above the highest of them the learning filter may do what it likes."""
+    lag = control.ss(0.5, 0.5, 1, 0, 1.0)
+    omega = np.linspace(1e-3, highest * np.pi, 300)
+    Q = zero_phase_butterworth(2, 0.3)
+    design = synthesise(lag, Q, omega, 1.0, band=(0.001, 0.2), L_max=5.0)
+    L = design.filter.frequency_response(np.linspace(0, np.pi, 20000))
+    assert (np.abs(L).max() > 7.5) == warned
+    said = f"sigma_max(L) reaches {np.abs(L).max():.4g} off the design frequencies"
+    assert any(said in warning for warning in design.certificate.warnings) == warned
+
+
+def test_learning_that_does_nothing_is_named():
+    P = behind_delay(1)
+    problem = pose(P, zero_phase_butterworth(2, 0.05), OMEGA, 1.0)
+    nothing = Solution(np.zeros((1, 1, 10)), np.zeros((200, 1, 1)), np.zeros((200, 1, 1)), 1, "", 0)
+    assert certify(problem, nothing).warnings == ["the filter leaves 100% of the error in the band"]

@@ -1,0 +1,155 @@
+import json
+from dataclasses import fields
+
+import control
+import numpy as np
+import pytest
+
+from rodlib import (
+    LearningFilter,
+    LogError,
+    current_trial_loop,
+    load_log,
+    run_trials,
+    save_log,
+    zero_phase_butterworth,
+)
+from rodlib.ilc.laboratory import law_of, loop_of, rest_of, step_of, with_law
+
+
+def test_the_law_is_noted_and_found_again(loop, Q):
+    rng = np.random.default_rng(0)
+    L = LearningFilter(rng.standard_normal((2, 2, 3)), 1.0, "hold")
+    run = run_trials(loop, Q, L, np.zeros((30, 2)), None, 2)
+    noted_Q, noted_L = law_of(with_law(run, Q, L))
+    assert noted_Q == Q
+    np.testing.assert_array_equal(noted_L.coefficients, L.coefficients)
+    assert noted_L.ends == "hold"
+    assert law_of(with_law(run, Q, None))[1] is None
+    assert law_of(run) is None
+
+
+@pytest.mark.parametrize(
+    "L", ["{}", "0", "false", "[]", "null, 1", '{"coefficients": 3}', "[" * 9999]
+)
+def test_a_law_that_is_none_is_refused(loop, Q, L):
+    run = run_trials(loop, Q, None, np.zeros((5, 2)), None, 1)
+    with pytest.raises(LogError, match="Q or L cannot be understood"):
+        law_of(with_law(run, Q, None).assign_attrs(L=L))
+    with pytest.raises(LogError, match="Q or L cannot be understood"):
+        law_of(run.assign_attrs(Q=L, L="null"))
+
+
+def test_a_law_for_other_channels_is_refused(loop, Q):
+    run = run_trials(loop, Q, None, np.zeros((5, 2)), None, 1)
+    with pytest.raises(LogError, match=r"shape \(3, 3, 4\), but must have shape \(2, 2, order\)"):
+        law_of(with_law(run, Q, LearningFilter(np.ones((3, 3, 4)), 1.0)))
+
+
+def test_the_rest_is_noted_and_found_again(loop, Q, tmp_path):
+    run = run_trials(loop, Q, None, np.zeros((30, 2)), None, 2)
+    assert rest_of(run) == rest_of(with_law(run, Q, None)) == 0
+    assert with_law(run, Q, None).attrs.keys() == {"Ts", "Q", "L"}
+    save_log(with_law(run, Q, None, rest=7), tmp_path / "log.csv")
+    assert "# rest: 7\n" in (tmp_path / "log.csv").read_text()
+    assert rest_of(load_log(tmp_path / "log.csv")) == 7
+    assert rest_of(run.assign_attrs(rest="29")) == 29
+    for note in ("30", "-1", "1.5", "soon", 3):
+        with pytest.raises(LogError, match="rest cannot be understood"):
+            rest_of(run.assign_attrs(rest=note))
+
+
+def test_the_step_is_noted_and_found_again(loop, Q, tmp_path):
+    run = run_trials(loop, Q, None, np.zeros((30, 2)), None, 2)
+    assert step_of(run) == step_of(with_law(run, Q, None)) == 1
+    save_log(with_law(run, Q, None, step=1 / 3), tmp_path / "log.csv")
+    assert step_of(load_log(tmp_path / "log.csv")) == 1 / 3
+    for note in ("0", "1.1", "-1", "NaN", "true", "[1]", "soon", 3):
+        with pytest.raises(LogError, match="step cannot be understood"):
+            step_of(run.assign_attrs(step=note))
+
+
+def assert_alike(one, two):
+    for part in fields(one):
+        a, b = getattr(one, part.name), getattr(two, part.name)
+        if isinstance(a, control.StateSpace):
+            assert (a.dt, a.input_labels, a.output_labels) == (
+                b.dt,
+                b.input_labels,
+                b.output_labels,
+            )
+            for name in "ABCD":
+                assert getattr(a, name).tobytes() == getattr(b, name).tobytes()
+        else:
+            assert np.array_equal(a, b)
+
+
+def test_the_loop_is_rebuilt_to_the_last_digit(loop, tmp_path):
+    plant = control.ss(0.7, 1 / 3, 1, 0, 0.1, inputs=['the "valve"'], outputs=["level, ϑ"])
+    named = control.ss(0.7, 1 / 3, 1, 0, 0.1, inputs=["B"], outputs=["A"])  # as its matrices
+    for made in (loop, current_trial_loop(plant), current_trial_loop(named)):
+        Q = zero_phase_butterworth(Ts=made.Ts)
+        reference = np.ones((9, made.plant.noutputs))
+        run = run_trials(made, Q, None, reference, None, 1)
+        save_log(with_law(run, Q, None, 0, made), tmp_path / "log.csv")
+        rebuilt = loop_of(load_log(tmp_path / "log.csv"))
+        assert_alike(made, rebuilt)
+        assert run_trials(rebuilt, Q, None, reference, None, 1).identical(run)
+
+
+@pytest.mark.parametrize("note", ["{}", "3", "null", "", '{"plant": {"A": 1}}', '{"colour": 1}'])
+def test_a_loop_that_is_none_is_refused(loop, Q, note):
+    run = run_trials(loop, Q, None, np.ones((9, 2)), None, 1)
+    assert loop_of(run) is None
+    with pytest.raises(LogError, match="loop cannot be understood"):
+        loop_of(run.assign_attrs(loop=note))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"KL": [["a"] * 2] * 3}, "KL holds values of type <U1, but must hold numbers"),
+        ({"KL": [["1_0"] * 2] * 8}, "KL holds values of type <U3"),
+        ({"KL": "strong"}, "KL holds values of type <U6"),
+        ({"KL": [[1.0]]}, r"KL has shape \(1, 1\), but must have shape"),
+        ({"N": [[True, 0.5], [0.5, 1.0]]}, "N holds True or False"),
+        ({"Ks": None}, "Ks holds values of type object"),
+        ({"units": {"Q1": "W"}}, r"units\['Q3'\] = None must be a str"),
+        ({"units": ["K", "W"]}, r"units = \['K', 'W'\] must be a dict"),
+        ({"dt": True}, "plant.dt = True must be a sampling period"),
+        ({"A": [["1"]]}, "plant.A holds values of type <U1"),
+    ],
+)
+def test_a_loop_with_a_part_that_is_none_is_refused(loop, Q, changes, message):
+    run = with_law(run_trials(loop, Q, None, np.ones((9, 2)), None, 1), Q, None, 0, loop)
+    note = json.loads(run.attrs["loop"])
+    for name, value in changes.items():
+        (note if name in note else note["plant"])[name] = value
+    with pytest.raises(LogError, match=f"metadata: loop cannot be understood: .*{message}"):
+        loop_of(run.assign_attrs(loop=json.dumps(note)))
+
+
+def test_the_loop_of_other_signals_is_refused(loop, Q):
+    run = with_law(run_trials(loop, Q, None, np.ones((9, 2)), None, 1), Q, None, 0, loop)
+    with pytest.raises(
+        LogError, match=r"loop has the signals .*'y1', 'y2'.* but the log \(\['a', 'b'"
+    ):
+        loop_of(run.assign_coords(output=("channel", ["a", "b"])))
+    with pytest.raises(LogError, match=r"log.Ts = 2.0 s, loop.Ts = 1.0 s"):
+        loop_of(run.assign_attrs(Ts=2.0))
+
+
+def test_the_loop_in_other_units_is_refused(tmp_path):
+    units = {"depth": "mm", "valve": "l/min", "rain": "l/s"}
+    plant = control.ss(0.9, [[0.1, 0.2]], 1, 0, 1.0, inputs=["valve", "rain"], outputs=["depth"])
+    Q, made = zero_phase_butterworth(), current_trial_loop(plant, ["valve"], units=units)
+    run = with_law(run_trials(made, Q, None, np.ones((9, 1)), None, 1), Q, None, 0, made)
+    save_log(run, tmp_path / "log.csv")
+    assert_alike(loop_of(load_log(tmp_path / "log.csv", units={"depth": "millimeter"})), made)
+    for name, unit in {"depth": "m", "valve": "m**3/s", "rain": "l/h"}.items():
+        other = load_log(tmp_path / "log.csv", units={name: unit})
+        message = f"other units than the log: load it with units={{'{name}': '{units[name]}'}}"
+        with pytest.raises(LogError, match=message):
+            loop_of(other)
+    unknown = run.assign_coords(output_unit=("channel", [""]))
+    assert_alike(loop_of(unknown), made)

@@ -1,0 +1,186 @@
+"""Filters for several plants, and for all within a radius: against CVXPY, and among each other."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from plants import half
+
+from rodlib import InfeasibleError, LearningFilter, synthesise
+from rodlib.ilc.posing import pose
+from rodlib.ilc.problem import convergence_matrix, largest_singular_values
+from rodlib.ilc.synthesis.design import solve
+from rodlib.ilc.synthesis.program import formulate
+from rodlib.ilc.synthesis.selection import violated
+from tests.ilc.synthesis.test_interior_point import random_plant
+
+KINDS = ("norm", "entries", "plants", "plants and norm")
+CHOICES = {"order": 3, "L_max": 8.0, "band": (0.01, 0.3)}
+
+
+def question(m, kind, seed, n=15):
+    """Plants, Q, frequencies and choices for which the bounds on more than one plant matter."""
+    P, Q, omega = random_plant(seed, m, n)
+    rng = np.random.default_rng(seed)
+    choices = dict(CHOICES)
+    size = np.linalg.norm(P, 2, axis=(1, 2))
+    if kind == "norm":
+        choices["uncertainty"] = 0.3 * size
+    if kind == "entries":
+        choices["uncertainty"] = 0.3 * np.abs(P)
+    if kind.startswith("plants"):
+        P = [P, *(P * (1 + 0.4 * rng.uniform(-1, 1, (m, m))) for _ in range(4))]
+    if kind == "plants and norm":
+        choices["uncertainty"] = 0.1 * size
+    return P, Q, omega, choices
+
+
+@pytest.mark.parametrize(
+    ("shape", "objective", "kind"),
+    half([(1, "full"), (2, "full"), (2, "diagonal")], ["sum", "peak"], KINDS),
+)
+def test_structured_and_cvxpy_find_the_same_optimum(shape, objective, kind):
+    m, structure = shape
+    P, Q, omega, choices = question(m, kind, m)
+    choices |= {"structure": structure, "objective": objective}
+    if objective == "sum":  # a little more than what is possible, so that it is active
+        try:
+            synthesise(P, Q, omega, 1.0, **choices, M_max=0.01)
+        except InfeasibleError as error:
+            choices["M_max"] = 1.01 * error.smallest_M_max
+    ours = synthesise(P, Q, omega, 1.0, **choices)
+    theirs = synthesise(P, Q, omega, 1.0, solver="cvxpy", **choices)
+    assert ours.value == pytest.approx(theirs.value, rel=1e-5)
+    assert ours.certificate.gap < 1e-6 and theirs.certificate.gap < 1e-5
+    nominal = synthesise(P[0] if kind.startswith("plants") else P, Q, omega, 1.0,
+                         **choices | {"uncertainty": None})  # fmt: skip
+    assert ours.value >= nominal.value * (1 - 1e-8)
+    if objective == "peak":
+        assert ours.value > nominal.value * (1 + 1e-6)  # it costs something
+
+
+@pytest.mark.parametrize("objective", ["sum", "peak"])
+def test_a_selection_of_the_bounds_is_as_good_as_all_of_them(objective):
+    P, Q, omega, choices = question(2, "plants", 5)
+    problem = pose(P, Q, omega, 1.0, **choices, objective=objective, M_max=0.9)
+    plant, frequency = np.indices((4, len(omega))).reshape(2, -1)
+    whole = formulate(problem, plant + 1, frequency)
+    from rodlib.ilc.synthesis import interior_point
+
+    reference = interior_point.solve(whole)
+    found = solve(problem)
+    for solution in (reference, found):
+        none = np.array([], dtype=int)
+        limit = solution.peak if objective == "peak" else problem.M_max
+        assert not len(violated(problem, solution, limit * (1 + 1e-9), none, none)[0])
+    values = [
+        problem.value(largest_singular_values(problem.M(response)), solution.peak * np.ones(1))
+        for solution in (reference, found)
+        for response in [LearningFilter(solution.coefficients, 1.0).frequency_response(omega)]
+    ]
+    assert values[1] == pytest.approx(values[0], rel=1e-7)
+    assert found.cuts is None or len(found.cuts.plant) < 4 * len(omega)
+
+
+@settings(max_examples=8)
+@given(st.integers(1, 3), st.booleans(), st.integers(0, 99))
+def test_no_radius_is_the_nominal_design_and_a_larger_one_costs_more(m, entries, seed):
+    P, Q, omega = random_plant(seed, m, 12)
+    size = np.abs(P) if entries else np.linalg.norm(P, 2, axis=(1, 2))
+
+    def least_peak(uncertainty=None):
+        try:
+            return synthesise(
+                P, Q, omega, 1.0, **CHOICES, objective="peak", uncertainty=uncertainty
+            ).value
+        except InfeasibleError as error:  # the peak is above M_max
+            return error.smallest_M_max
+
+    nominal, values = least_peak(), [least_peak(share * size) for share in (0, 0.1, 0.2)]
+    assert values[0] == nominal
+    assert nominal <= values[1] * (1 + 1e-8) and values[1] <= values[2] * (1 + 1e-8)
+
+
+def test_for_one_channel_the_bound_is_the_closed_form():
+    """|M| + |Q| r |L| <= M_max, and a radius entry by entry is the same."""
+    P, Q, omega = random_plant(3, 1)
+    r = 0.25 * np.abs(P[:, 0, 0])
+    choices = CHOICES | {"objective": "peak"}
+    norm = synthesise(P, Q, omega, 1.0, uncertainty=r, **choices)
+    entry = synthesise(P, Q, omega, 1.0, uncertainty=r[:, None, None], **choices)
+    assert norm.value == pytest.approx(entry.value, rel=1e-7)
+    L = norm.filter.frequency_response(omega)
+    M = convergence_matrix(P, Q, L)
+    worst = np.abs(M[:, 0, 0]) + np.abs(Q) * r * np.abs(L[:, 0, 0])
+    assert worst.max() == pytest.approx(norm.value, rel=1e-8)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_from_an_earlier_design_the_result_is_the_same(kind):
+    """For other bounds; for fewer plants or more, and with another radius or none."""
+    P, Q, omega, choices = question(2, kind, 7)
+    choices["objective"] = "peak"
+    cold = synthesise(P, Q, omega, 1.0, **choices)
+    plants = P if isinstance(P, list) else [P]
+    radius = 0.05 * np.linalg.norm(plants[0], 2, axis=(1, 2))
+    others = [
+        (P, choices | {"L_max": 6.0}),
+        (plants[:2], choices | {"uncertainty": None}),
+        ([*plants, 1.05 * plants[0]], choices | {"uncertainty": radius}),
+    ]
+    for other, stated in others:
+        start = synthesise(other, Q, omega, 1.0, **stated)
+        warm = synthesise(P, Q, omega, 1.0, **choices, start=start)
+        assert warm.value == pytest.approx(cold.value, rel=1e-7)
+
+
+def test_what_stands_in_the_way_is_named():
+    """A plant of the wrong sign cannot be learned together with the nominal one."""
+    P, Q, omega = random_plant(1, 2)
+    with pytest.raises(InfeasibleError, match="most in the way: plant 2 at") as error:
+        synthesise([P, 1.1 * P, -P], Q, omega, 1.0, **CHOICES)
+    assert error.value.plant == 2 and error.value.omega in omega
+    assert error.value.smallest_M_max >= Q.max() * (1 - 1e-6)
+
+
+@pytest.mark.parametrize(
+    ("P", "uncertainty", "message"),
+    [
+        ("list", -0.1, "uncertainty reaches -0.1, but a radius cannot be negative"),
+        ("list", np.nan, "uncertainty"),
+        ("other size", 0.1, r"P\[1\].*shape"),
+        ("nan", 0.1, r"P\[2\]"),
+        ("list", "wrong length", "uncertainty"),
+    ],
+)
+def test_wrong_plants_and_radii_are_refused_by_name(P, uncertainty, message):
+    nominal, Q, omega = random_plant(1, 2)
+    broken = nominal.copy()
+    broken[3, 0, 0] = np.nan
+    plants = {"list": [nominal], "other size": [nominal, nominal[:, :1, :1]]}
+    plants["nan"] = [nominal, nominal, broken]
+    radius = np.ones(7) if uncertainty == "wrong length" else np.full(30, uncertainty)
+    with pytest.raises(ValueError, match=message):
+        synthesise(plants[P], Q, omega, 1.0, uncertainty=radius, **CHOICES)
+
+
+def test_a_list_of_one_plant_is_that_plant():
+    P, Q, omega = random_plant(1, 2)
+    one, listed = (synthesise(p, Q, omega, 1.0, **CHOICES) for p in (P, [P]))
+    np.testing.assert_array_equal(one.filter.coefficients, listed.filter.coefficients)
+
+
+def test_in_other_units_the_filter_is_the_same():
+    """Kelvin and bar against kelvin and pascal, for two plants and a radius."""
+    P, Q, omega, choices = question(2, "plants", 4)
+    choices["M_max"] = 0.95
+    units = np.array([1.0, 1e5])
+    radius = np.full((len(omega), 2, 2), 0.01)
+    here = synthesise(P, Q, omega, 1.0, uncertainty=radius, **choices)
+    factor = units[:, None] / units
+    there = synthesise([p * factor for p in P], Q, omega, 1.0, scale=units,
+                       uncertainty=radius * factor, **choices)  # fmt: skip
+    assert there.value == pytest.approx(here.value, rel=1e-6)
+    np.testing.assert_allclose(
+        there.filter.coefficients / factor[..., None], here.filter.coefficients, atol=1e-3
+    )

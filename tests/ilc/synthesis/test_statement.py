@@ -1,0 +1,46 @@
+"""The CVXPY statement; how it compares with the structured solver is in test_interior_point."""
+
+import cvxpy as cp
+import numpy as np
+import pytest
+
+from rodlib.ilc.evidence import lower_bound
+from rodlib.ilc.synthesis.program import Infeasible, formulate
+from rodlib.ilc.synthesis.statement import sigma_max_at_most, solve
+from tests.ilc.synthesis.test_program import plant, posed
+
+
+@pytest.mark.parametrize("m", [1, 2, 3])
+def test_the_matrix_inequality_is_that_of_the_largest_singular_value(m):
+    rng = np.random.default_rng(m)
+    X = rng.standard_normal((5, m, m)) + 1j * rng.standard_normal((5, m, m))
+    b = cp.Variable(5)
+    parts = [cp.Constant(part) for part in (X.real, X.imag)]
+    problem = cp.Problem(cp.Minimize(cp.sum(b)), [sigma_max_at_most(parts, b)])
+    problem.solve(solver=cp.CLARABEL, canon_backend=cp.SCIPY_CANON_BACKEND)
+    np.testing.assert_allclose(b.value, np.linalg.norm(X, 2, axis=(1, 2)), rtol=1e-6)
+
+
+@pytest.mark.parametrize("objective", ["sum", "peak"])
+@pytest.mark.parametrize("structure", ["diagonal", "full"])
+@pytest.mark.parametrize("L_max", [5.0, None])
+def test_its_multipliers_prove_its_optimum(structure, objective, L_max):
+    P, Q, omega = plant(2)
+    problem = posed(P, Q, omega, structure, objective, L_max)
+    found = solve(formulate(problem))
+    z = np.exp(1j * np.outer(omega, np.arange(1, 5)))
+    M = Q[:, None, None] * (np.eye(2) - P @ np.einsum("ijk,nk->nij", found.coefficients, z))
+    sigma = np.linalg.norm(M, 2, axis=(1, 2))
+    value = sigma[omega < 1].sum() if objective == "sum" else sigma.max()
+    bound = lower_bound(problem, found.U, found.V)
+    assert value * (1 - 1e-4) < bound < value * (1 + 1e-9)  # so accurate is Clarabel
+    assert found.peak == pytest.approx(sigma.max())
+    assert "Clarabel" in found.method and found.iterations > 3
+
+
+def test_what_is_infeasible_is_said_to_be():
+    P, Q, omega = plant(2)
+    with pytest.raises(Infeasible) as error:
+        solve(formulate(posed(P, Q, omega, "diagonal", M_max=0.05)))
+    peak = solve(formulate(posed(P, Q, omega, "diagonal", "peak"))).peak
+    assert error.value.nearest.peak == pytest.approx(peak, rel=1e-6)

@@ -1,0 +1,349 @@
+import warnings
+from dataclasses import replace
+
+import control
+import cvxpy as cp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from plants import half
+
+from rodlib import (
+    InfeasibleError,
+    LearningFilter,
+    SolverError,
+    least_gain,
+    synthesise,
+    zero_phase_butterworth,
+)
+from rodlib.ilc.evidence import VIOLATION, trial_norm
+from rodlib.ilc.problem import convergence_matrix, largest_singular_values
+from rodlib.ilc.synthesis import active_set, interior_point
+from rodlib.ilc.synthesis.design import solve
+from rodlib.paper import published
+
+
+@pytest.fixture(scope="module")
+def diagonal(loop, Q, omega):
+    return synthesise(loop, Q, omega, 1.0)
+
+
+@pytest.fixture(scope="module")
+def full(loop, Q, omega):
+    return synthesise(loop, Q, omega, 1.0, structure="full")
+
+
+def judged(L, P, Q, omega):
+    """Largest singular values of M and L by numpy's SVD, not by what synthesise uses."""
+    response = L.frequency_response(omega)
+    M = Q[:, None, None] * (np.eye(P.shape[1]) - P @ response)
+    return [np.linalg.svd(X, compute_uv=False)[:, 0] for X in (M, response)]
+
+
+def test_paper_design_meets_its_bounds_and_both_are_active(diagonal, loop, Q, omega):
+    sigma_M, sigma_L = judged(
+        diagonal.filter, loop.frequency_response(omega), Q.frequency_response(omega), omega
+    )
+    assert sigma_M.max() == pytest.approx(0.9, rel=1e-6)
+    assert sigma_L.max() == pytest.approx(50, rel=1e-6)
+    assert diagonal.value == pytest.approx(sigma_M[omega <= 0.02].sum(), rel=1e-12)
+    assert np.all(sigma_M <= 0.9 * (1 + 1e-6)) and np.all(sigma_L <= 50 * (1 + 1e-6))
+
+
+def test_the_certificate_names_the_peaks_over_all_frequencies(full, loop, Q):
+    dense = np.linspace(1e-5, np.pi, 20001)
+    responses = (loop.frequency_response(dense), Q.frequency_response(dense))
+    sigma_M, sigma_L = judged(full.filter, *responses, dense)
+    certificate = full.certificate
+    assert certificate.all_M == pytest.approx(sigma_M.max(), rel=1e-5)
+    assert certificate.all_L == pytest.approx(sigma_L.max(), rel=1e-5)
+    assert certificate.place == pytest.approx(dense[sigma_M.argmax()], abs=1e-3)
+
+
+def test_no_design_is_worse_than_the_printed_one(diagonal, full, loop, Q, omega):
+    P, Q = loop.frequency_response(omega), Q.frequency_response(omega)
+    for design, name, value in ((diagonal, "L_diagonal", 104.865787), (full, "L_full", 69.961958)):
+        printed = LearningFilter(published.matrix(name), 1.0)
+        M = convergence_matrix(P, Q, printed.frequency_response(omega))
+        objective = largest_singular_values(M)[omega <= 0.02].sum()
+        assert objective == pytest.approx(value, abs=1e-6)  # found independently
+        assert design.value < objective
+        assert design.value > objective * (1 - 1e-5)
+
+
+def test_printed_filters_on_our_plant(loop, Q, omega):
+    P, Q = loop.frequency_response(omega), Q.frequency_response(omega)
+    for name, rate, gain in (
+        ("L_diagonal", 0.8999993, 50.00004),
+        ("L_full", 0.8830, 50.00007),
+    ):
+        sigma_M, sigma_L = judged(LearningFilter(published.matrix(name), 1.0), P, Q, omega)
+        assert sigma_M.max() == pytest.approx(rate, abs=5e-5 if rate == 0.8830 else 5e-8)
+        assert sigma_L.max() == pytest.approx(gain, abs=5e-6)
+
+
+def test_the_minimum_is_a_minimum(diagonal, loop, Q, omega):
+    """No small step that keeps the bounds finds a lower objective."""
+    P, response = loop.frequency_response(omega), Q.frequency_response(omega)
+    rng = np.random.default_rng(0)
+    better = 0
+    for _ in range(200):
+        step = np.zeros((2, 2, 10))
+        step[[0, 1], [0, 1]] = rng.standard_normal((2, 10)) * 10.0 ** rng.uniform(-4, -1)
+        trial = LearningFilter(diagonal.filter.coefficients + step, 1.0)
+        sigma_M, sigma_L = judged(trial, P, response, omega)
+        feasible = sigma_M.max() <= 0.9 and sigma_L.max() <= 50
+        better += feasible and sigma_M[omega <= 0.02].sum() < diagonal.value * (1 - 1e-6)
+    assert better == 0
+
+
+@pytest.mark.parametrize(
+    ("factor", "complaint"),
+    [(1.001, r"sigma_max\(L\) = 50\.05"), (0.9, "relative duality gap")],
+)
+def test_a_wrong_filter_is_not_returned(loop, Q, omega, monkeypatch, factor, complaint):
+    """The check does not trust the solver: a filter out of bounds, or not optimal, raises."""
+    solve = interior_point.solve
+
+    def dishonest(program, is_good):
+        solution = solve(program, is_good)
+        return replace(solution, coefficients=solution.coefficients * factor)
+
+    monkeypatch.setattr(interior_point, "solve", dishonest)
+    monkeypatch.setattr(active_set, "resolve", lambda *_, **__: None)
+    arguments = (loop, Q, omega[::10], 1.0)
+    with pytest.raises(SolverError, match=complaint):
+        synthesise(*arguments, band=(1e-4, 0.01))
+    assert synthesise(*arguments, band=(1e-4, 0.01), check=False).certificate.failures
+
+
+def test_samples_and_models_give_the_same_design(loop, Q, omega):
+    grid = omega[::10]
+    band = (grid[0], 0.02)
+    from_model = synthesise(loop.P, Q, grid, 1.0, band=band)
+    from_samples = synthesise(
+        loop.frequency_response(grid), Q.frequency_response(grid), grid, 1.0, band=band
+    )
+    assert from_model.value == pytest.approx(from_samples.value, rel=1e-6)
+    assert from_model.certificate.proven and not from_samples.certificate.proven
+    proven, splines = from_model.certificate.all_M, from_samples.certificate.all_M
+    assert splines == pytest.approx(proven, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("shape", "L_max", "objective"),
+    half([(1, "full"), (2, "full"), (3, "diagonal")], [3.0, None], ["sum", "peak"]),
+)
+def test_random_plants_against_cvxpys_own_atoms(shape, L_max, objective):
+    """The same problem with one sigma_max atom per frequency, as CVXPY users would write it."""
+    m, structure = shape
+    rng = np.random.default_rng(m)
+    n, order = 25, 3
+    omega = np.linspace(0.05, np.pi, n)
+    z = np.exp(1j * omega)
+    P = np.eye(m) * (0.5 / (z - 0.5))[:, None, None]
+    P = P + 0.1 * rng.standard_normal((m, m)) / (z - 0.3)[:, None, None]
+    Q = 1 / (1 + omega**4)
+    band = (0.05, 1.0)
+    arguments = {"order": order, "L_max": L_max, "structure": structure, "objective": objective}
+    design = synthesise(P, Q, omega, 1.0, band=band, **arguments)
+
+    taps = [cp.Variable((m, m), diag=structure == "diagonal") for _ in range(order)]
+    L = [sum(z_i**k * tap for k, tap in enumerate(taps, 1)) for z_i in z]
+    rates = [cp.sigma_max(q * (np.eye(m) - p @ l_i)) for q, p, l_i in zip(Q, P, L, strict=True)]
+    bounds = [rate <= 0.9 for rate in rates]
+    bounds += [cp.sigma_max(l_i) <= L_max for l_i in L] if L_max else []
+    inside = (omega >= band[0]) & (omega <= band[1])
+    chosen = [rate for rate, member in zip(rates, inside, strict=True) if member]
+    value = cp.sum(cp.hstack(chosen)) if objective == "sum" else cp.max(cp.hstack(rates))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Clarabel's "may be inaccurate"
+        reference = cp.Problem(cp.Minimize(value), bounds).solve(solver=cp.CLARABEL)
+    assert design.value == pytest.approx(reference, rel=1e-5)
+
+
+@given(st.integers(1, 4), st.integers(0, 2**32 - 1))
+def test_a_plant_that_one_step_inverts_is_inverted(m, seed):
+    """P = G z^-1 has the learning filter G^-1 z, with M = 0."""
+    G = np.random.default_rng(seed).standard_normal((m, m)) + 3 * np.eye(m)
+    omega = np.linspace(0.1, np.pi, 12)
+    P = G * np.exp(-1j * omega)[:, None, None]
+    arguments = {"order": 2, "L_max": None, "band": (0.1, 3), "structure": "full"}
+    design = synthesise(P, np.ones(12), omega, 1.0, **arguments)
+    assert design.value < 1e-5
+    np.testing.assert_allclose(design.filter.coefficients[:, :, 0], np.linalg.inv(G), atol=1e-4)
+
+
+@pytest.mark.parametrize("structure", ["diagonal", "full"])
+def test_least_gain_of_a_channel_that_could_be_learned_at_once(structure):
+    """The first channel leaves M = z / 2, see above; the second, 1 / (10 z), need not do better.
+
+    To halve its error a gain of 5 is enough, and up to 15 would not be noticed in the peak.
+    """
+    omega = (np.arange(200) + 0.5) * np.pi / 200
+    z = np.exp(1j * omega)
+    P = np.zeros((200, 2, 2), dtype=complex)
+    P[:, 0, 0], P[:, 1, 1] = (1 - 2 / z) / z**11, 0.1 / z
+    arguments = {"order": 12, "band": (0.1, 1), "structure": structure}
+    any_gain = synthesise(P, np.ones(200), omega, 1.0, objective="peak", L_max=None, **arguments)
+    design = least_gain(P, np.ones(200), omega, 1.0, **arguments)
+    assert any_gain.value == pytest.approx(0.5, rel=1e-7)
+    assert any_gain.sigma_L.max() > 5.5
+    assert design.value == pytest.approx(0.5, rel=1e-7)
+    assert design.sigma_L.max() == pytest.approx(5, rel=1e-6)
+    second = np.append(5, np.zeros(11))
+    np.testing.assert_allclose(design.filter.coefficients[1, 1], second, atol=1e-2)
+
+
+def test_with_less_than_the_least_gain_the_peak_is_higher(loop, Q, omega):
+    """As the dual bound of the certificate shows, which no filter of that gain goes below."""
+    grid = omega[::5]
+    arguments = {"order": 10, "band": (grid[0], 0.02), "objective": "peak"}
+    without = {"order": 10, "band": arguments["band"], "samples": 60, "rest": 15}
+    design = least_gain(loop, Q, grid, 1.0, **without)
+    free = synthesise(loop, Q, grid, 1.0, L_max=None, **arguments)
+    assert design.value == pytest.approx(free.value, rel=2e-9)
+    assert (design.certificate.samples, design.certificate.rest) == (60, 15)
+    gain = design.sigma_L.max()
+    # The ninth digit of the peak decides the fourth of the gain; more than that is rounding.
+    unit, room = free.sigma_L.max(), free.value * (1 + 2e-9)
+    roomier = solve(replace(free.problem, objective="gain", L_max=unit, M_max=room)).peak * unit
+    assert roomier < gain <= design.certificate.L_max * (1 + VIOLATION)
+    assert design.certificate.L_max < roomier * (1 + 1e-3)
+    assert gain < free.sigma_L.max() / 100
+    less = synthesise(loop, Q, grid, 1.0, L_max=0.998 * gain, **arguments)
+    assert less.certificate.lower_bound > design.value * (1 + 2e-9)
+
+
+def test_infeasible_bounds_name_the_culprit_and_the_smallest_M_max(loop, Q, omega):
+    grid = omega[::5]
+    arguments = {"band": (grid[0], 0.01), "L_max": 50.0}
+    peak = synthesise(loop, Q, grid, 1.0, objective="peak", **arguments).value
+    with pytest.raises(
+        InfeasibleError, match=r"L_max = 50\.0 is too tight for M_max = 0.6"
+    ) as error:
+        synthesise(loop, Q, grid, 1.0, M_max=0.6, **arguments)
+    assert f"smallest feasible M_max is {peak:.4g}"[:-1] in str(error.value)
+    with pytest.raises(InfeasibleError, match=r"M_max = 0\.1 is too tight for a diagonal filter"):
+        synthesise(loop, Q, grid, 1.0, M_max=0.1, **arguments)
+    nearly = synthesise(loop, Q, grid, 1.0, M_max=peak * 1.001, **arguments)
+    assert nearly.sigma_M.max() <= peak * 1.001 * (1 + 1e-6)
+
+
+@pytest.mark.parametrize(
+    ("changes", "remedy"),
+    [
+        ({"M_max": 0.6, "L_max": 1e-9}, "M_max is 1: no M_max below 1 will do, so raise L_max"),
+        ({"order": 11}, "will do, so take a longer filter, or a full one, lower the cut-off of Q"),
+        ({"order": 11, "structure": "full"}, "so take a longer filter, lower the cut-off of Q"),
+        ({"M_max": 0.6, "L_max": 0.2}, "M_max is 0.79.*: raise M_max or raise L_max"),
+        ({"L_max": None}, r"M_max is 0.5(00001)?: raise M_max, take a longer filter"),  # rounded up
+    ],
+)
+def test_what_cannot_help_is_not_advised(changes, remedy):
+    """Delay and zero of (1 - 2 / z) / z^11: on equal steps the mean of M is one up to order 11.
+
+    Its inverse is -(z^12 / 2 + z^13 / 4 + ...), of which the first term leaves one half.
+    """
+    omega = (np.arange(200) + 0.5) * np.pi / 200
+    z = np.exp(1j * omega)[:, None, None]
+    arguments = {"order": 12, "M_max": 0.3, "L_max": 30.0, "band": (0.1, 1)} | changes
+    with pytest.raises(InfeasibleError, match=remedy):
+        synthesise((1 - 2 / z) / z**11, np.ones(200), omega, 1.0, **arguments)
+
+
+def singular_P():
+    P = np.tile(np.eye(2, dtype=complex), (50, 1, 1))
+    P[7] = [[1, 1], [1, 1]]
+    return P
+
+
+GRID = np.linspace(0.05, 3, 50)
+MODELS = {"P": control.ss(0.5, 1, 1, 0, 1.0), "Q": zero_phase_butterworth()}
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"P": np.ones((50, 2, 3))}, r"P has shape \(50, 2, 3\)"),
+        ({"P": np.ones((49, 2, 2))}, r"P has shape \(49, 2, 2\)"),
+        ({"P": np.ones(50)}, r"P has shape \(50,\)"),
+        ({"P": singular_P()}, "P is singular at omega = 0.471429"),
+        ({"P": singular_P() * np.nan}, "P has 200 values that are not finite"),
+        ({"P": control.ss(1.1, 1, 1, 0, 1.0)}, "P is unstable: it has a pole of modulus 1.1"),
+        ({"P": np.tile(np.eye(2) * 1e-200, (50, 1, 1))}, "P is singular at omega = 0.05 .*1e-200"),
+        ({"P": np.tile(np.eye(2) * 1e200, (50, 1, 1))}, r"P has values beyond 1e\+100"),
+        ({"P": control.ss([[0.5]], [[np.nan]], 1, 0, 1.0)}, r"P.B has 1 values that are not fin"),
+        ({"P": control.ss(0.5, 1, 1, 0, 2.0)}, r"P\.dt = 2.0 differs from Ts = 1.0"),
+        ({"Q": np.ones(3)}, r"Q has shape \(3,\)"),
+        ({"Q": np.zeros(50)}, "Q has a gain of 0 at most .* it learns nothing"),
+        ({"Q": (GRID > 2).astype(float)}, "Q has a gain of 0 at most"),
+        ({"Q": np.zeros(50), "objective": "peak"}, "Q has a gain of 0 at most"),
+        ({"Q": np.ones(50, dtype=bool)}, "Q holds values of type bool"),
+        ({"Q": zero_phase_butterworth(Ts=0.5)}, r"P.Ts = 1.0 s, Q.Ts = 0.5 s"),
+        ({"omega": GRID[:1]}, r"omega, of shape \(1,\)"),
+        ({"omega": np.append(GRID[:49], GRID[48])}, "increasing"),
+        ({"omega": GRID[::-1]}, "increasing"),
+        ({"omega": GRID * 2}, r"omega spans \[0.1, 6\].*Nyquist"),
+        ({"omega": GRID - 1}, "omega spans"),
+        ({"Ts": 0.0}, "Ts = 0.0"),
+        ({"order": 0}, "order = 0"),
+        ({"order": 51}, "order = 51"),
+        ({"M_max": 1.0}, "M_max = 1.0"),
+        ({"M_max": "0.9"}, "M_max = '0.9'"),
+        ({"L_max": -1.0}, "L_max = -1.0"),
+        ({"L_max": 1e300}, r"L_max = 1e\+300 is too large: choose another unit"),
+        ({"L_max": 1e-300}, "L_max = 1e-300 is too small: choose another unit"),
+        ({"M_max": 0.0}, "M_max = 0.0"),
+        ({"check": 1}, "check = 1 must be True or False"),
+        ({"rest": 1}, "rest = 1 must be a whole number, from 0 to 0"),
+        ({"band": (1e-4, 0.5)}, r"band = \(0.0001, 0.5\)"),
+        ({"band": (0.5, 0.1)}, r"band = \(0.5, 0.1\)"),
+        ({"band": None}, "band holds values of type object"),
+        ({"band": (0.2, 0.2)}, "band = .* must be two increasing"),
+        ({"band": (0.051, 0.052)}, "contains none"),
+        ({"structure": "triangular"}, "structure = 'triangular'"),
+        ({"objective": "mean"}, "objective = 'mean'"),
+        ({"samples": 100}, "samples = 100 asks for the norm of a trial, .* P and Q as models"),
+        ({"solver": "simplex"}, "solver = 'simplex'"),
+        (MODELS | {"samples": True}, "samples = True must be a whole number"),
+        (MODELS | {"samples": 9, "rest": 9}, "rest = 9 must be a whole number, from 0 to 8"),
+        (MODELS | {"samples": 0}, "samples = 0 must be a whole number, 2 or more"),
+    ],
+)
+def test_bad_arguments_are_refused_before_any_work(changes, message):
+    P = np.tile(np.eye(2), (50, 1, 1))
+    arguments = {"P": P, "Q": np.ones(50), "omega": GRID, "Ts": 1.0, "band": (0.05, 1)} | changes
+    with pytest.raises(ValueError, match=message):
+        synthesise(**arguments)
+
+
+def test_numbers_may_come_from_numpy_and_the_rest_reaches_the_certificate(loop, Q, omega):
+    grid = omega[::10]
+    of_numpy = {"order": np.int64(10), "M_max": np.float32(0.95), "L_max": np.int32(50)}
+    of_numpy |= {"band": np.array([grid[0], 0.02]), "samples": np.int64(60), "rest": np.int8(15)}
+    design = synthesise(loop, Q, grid, np.int64(1), **of_numpy)
+    norm = trial_norm(loop.P, Q, design.filter, 60, rest=15)[0]
+    assert design.certificate.trial == pytest.approx(norm, rel=1e-9)
+    assert norm < 0.99 * trial_norm(loop.P, Q, design.filter, 60)[0]
+    assert (design.certificate.samples, design.certificate.rest) == (60, 15)
+
+
+@pytest.mark.parametrize("m", [1, 2])
+def test_what_is_not_learned_at_one_frequency_is_learned_at_others(m):
+    P, Q = (0.5 / (np.exp(1j * GRID) - 0.5))[:, None, None] * np.eye(m), 1 / (1 + GRID**4)
+    Q[3] = 0
+    design = synthesise(P, Q, GRID, 1.0, order=3, band=(0.05, 1), structure="full")
+    assert design.sigma_M[3] == 0 and design.certificate.gap < 1e-8
+
+
+@pytest.mark.parametrize("unit", [1e-90, 1e-12, 1e12, 1e90])
+def test_the_unit_of_the_output_does_not_matter(loop, Q, omega, unit):
+    grid = omega[::10]
+    P, q = loop.frequency_response(grid), Q.frequency_response(grid)
+    plain, scaled = (
+        synthesise(u * P, q, grid, 1.0, L_max=50 / u, band=(grid[0], 0.02)) for u in (1, unit)
+    )
+    assert scaled.value == pytest.approx(plain.value, rel=1e-7)
+    assert scaled.sigma_L.max() * unit == pytest.approx(plain.sigma_L.max(), rel=1e-6)

@@ -1,0 +1,12 @@
+"""What is tested of the workbench does not depend on how many frequencies there are: take few."""
+
+import pytest
+
+from rodlib.ilc.workbench import settings
+
+
+@pytest.fixture(scope="package", autouse=True)
+def few_frequencies():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(settings, "FREQUENCIES", 60)
+        yield

@@ -1,0 +1,108 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rodlib import Rod, exact_response
+from rodlib.rigs import RestartingRig, RigParameters, VirtualRig
+
+IDEAL = RigParameters(noise=0, quantum=0, lag=0, limit=np.inf, ambient_rate=0)
+
+
+def run_rig(device, commands):
+    readings = []
+    for command in commands:
+        readings.append(device.read())
+        device.apply(command)
+    return np.array(readings)
+
+
+def test_step_response_settles_at_the_exact_gain():
+    device = VirtualRig(Rod(), IDEAL)
+    for element in range(4):
+        device = VirtualRig(Rod(), IDEAL)
+        readings = run_rig(device, np.tile(np.eye(4)[element], (4000, 1)))
+        np.testing.assert_allclose(
+            readings[-1], exact_response(Rod(), [0.0])[0].real[:, element], rtol=1e-4
+        )
+
+
+@pytest.mark.parametrize("omega", [0.002, 0.02, 0.1])
+def test_sinusoids_pass_as_in_the_exact_response(omega):
+    """Held inputs: the exact response times that of the hold, once the start has died away."""
+    periods = round(2 * np.pi / omega)
+    omega = 2 * np.pi / periods
+    time = np.arange(3000 + 3 * periods)
+    commands = np.sin(omega * time)[:, None] * np.eye(4)[0]
+    readings = run_rig(VirtualRig(Rod(), IDEAL), commands)[-3 * periods :]
+    phase = np.exp(-1j * omega * time[-3 * periods :])
+    measured = 2j * (phase @ readings) / len(phase)
+    hold = (1 - np.exp(-1j * omega)) / (1j * omega)
+    expected = exact_response(Rod(), [1j * omega])[0][:, 0] * hold
+    np.testing.assert_allclose(measured, expected, atol=2e-3 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("lag", [0.0, 4.0])
+def test_heat_is_conserved(lag):
+    """With hardly any loss to the air, what the elements supply is what the rod stores."""
+    rod = Rod(heat_transfer=1e-9)
+    device = VirtualRig(rod, replace(IDEAL, lag=lag))
+    commands = np.random.default_rng(0).uniform(-20, 20, (200, 4))
+    commands[100:] = 0  # lets the lag run out
+    run_rig(device, commands)
+    mean = np.mean(device.profile((np.arange(4000) + 0.5) / 4000 * rod.length))
+    stored = rod.kappa_1 * rod.length * rod.width * rod.height * mean
+    assert stored == pytest.approx(commands.sum(), rel=1e-6)
+
+
+def test_at_rest_the_air_takes_what_the_elements_give():
+    rod = Rod()
+    device = VirtualRig(rod, IDEAL)
+    run_rig(device, np.tile([3.0, 0, 5.0, -1.0], (4000, 1)))
+    mean = np.mean(device.profile((np.arange(4000) + 0.5) / 4000 * rod.length))
+    assert rod.heat_transfer * rod.width * rod.length * mean == pytest.approx(7.0, rel=1e-5)
+
+
+def test_lag_saturation_noise_and_quantisation():
+    base = VirtualRig(Rod(), IDEAL)
+    slow = VirtualRig(Rod(), replace(IDEAL, lag=10.0))
+    clipped = VirtualRig(Rod(), replace(IDEAL, limit=5.0))
+    commands = np.tile([20.0, 0, 0, 0], (60, 1))
+    fast = run_rig(base, commands)
+    late = run_rig(slow, commands)
+    assert 0 < late[-1, 0] < fast[-1, 0]
+    np.testing.assert_allclose(run_rig(clipped, commands), fast / 4, atol=1e-12)
+    noisy = VirtualRig(Rod(), replace(IDEAL, noise=0.05, quantum=0.01), seed=3)
+    readings = np.array([noisy.read() for _ in range(4000)])
+    assert readings.std() == pytest.approx(0.05, rel=0.05)
+    np.testing.assert_allclose(readings * 100, np.round(readings * 100), atol=1e-6)
+    again = VirtualRig(Rod(), replace(IDEAL, noise=0.05, quantum=0.01), seed=3)
+    np.testing.assert_array_equal(readings[:50], [again.read() for _ in range(50)])
+
+
+def test_room_warms_up_and_the_rod_follows():
+    device = VirtualRig(Rod(), replace(IDEAL, ambient_rate=1e-4))
+    run_rig(device, np.zeros((5000, 4)))
+    assert device.ambient == pytest.approx(0.5)
+    assert np.all(np.abs(device.read() - 0.5 + 262e-4) < 2e-3)  # behind by its time constant
+
+
+def test_bad_commands_are_refused():
+    with pytest.raises(ValueError, match=r"heat_flows has shape \(2,\), .* \(4,\)"):
+        VirtualRig().apply([1.0, 2.0])
+    with pytest.raises(ValueError, match="heat_flows has 1 values that are not finite"):
+        VirtualRig().apply([1.0, 2.0, np.nan, 0])
+
+
+def test_every_trial_of_a_restarting_rig_depends_on_seed_and_number_alone():
+    commands = np.tile([20.0, 0, 3, 0], (30, 1))
+    device, later = RestartingRig(seed=3), RestartingRig(seed=3)
+    trials = []
+    for trial in (1, 2, 3):
+        device.begin(trial)
+        trials.append(run_rig(device, commands))
+        assert device.clock() == 30.0
+    later.begin(3)
+    np.testing.assert_array_equal(run_rig(later, commands), trials[2])
+    assert np.any(trials[0] != trials[1])
+    np.testing.assert_allclose(trials[0], trials[1], atol=0.2)  # noise only
