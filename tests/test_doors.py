@@ -48,7 +48,7 @@ from rodlib.ilc import alternatives, arguments, evidence, laboratory, synthesis,
 from rodlib.ilc.filters import ZeroPhaseButterworth
 from rodlib.ilc.laboratory import measured_response, with_law
 from rodlib.ilc.models import frequency_response
-from rodlib.ilc.trials import rms, state_sequence
+from rodlib.ilc.trials import rms
 from rodlib.ilc.workbench import Outcome, Plant, Settings
 from rodlib.paper.knobs import plant_of_rod
 from rodlib.rigs import RestartingRig, RigParameters, VirtualRig
@@ -193,7 +193,6 @@ DOORS = [
     (update, {"v": SIGNAL, "e": SIGNAL, "Q": Q, "L": L}),
     (run_trials, {"loop": LOOP, "Q": Q, "L": L, "reference": SIGNAL, "trials": 2},
      {"L": MODELS | {"none": ...}, "step": REAL | {"0": 0.0, "2": 2.0}}),
-    (state_sequence, {"A": np.eye(2), "forcing": np.ones((3, 2)), "initial": np.zeros(2)}),
     (rms, {"e": xr.DataArray(SIGNAL, dims=("time", "channel"))}),
     (assumed_reference, {"samples": 5}),
     (assumed_disturbance, {"samples": 5, "trials": 2, "first": 1}),

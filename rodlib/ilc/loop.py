@@ -87,7 +87,10 @@ class CurrentTrialLoop:
 
     @cached_property
     def closed(self) -> control.StateSpace:
-        """The loop (19): inputs w1, w2, ..., then d; outputs y; states x, x-hat, epsilon-hat."""
+        """The loop (19): inputs w1, w2, ..., then d; outputs y; states x, x-hat, epsilon-hat.
+
+        Its frequency response from w is P of (31), and from d it is P-tilde of (32).
+        """
         return _close(self, self.plant)
 
     def around(self, plant: control.StateSpace | control.TransferFunction) -> control.StateSpace:
@@ -160,7 +163,7 @@ class CurrentTrialLoop:
             frequency is that of a pole.
         """
         if plant is None:
-            return frequency_response(self.P, omega)
+            return frequency_response(self.P, omega)  # (31)
         m = self.plant.noutputs
         if isinstance(plant, control.StateSpace | control.TransferFunction):
             return frequency_response(self.around(plant)[:, :m], omega)
@@ -188,7 +191,7 @@ def _controller(loop):
     plant, m = loop.plant, loop.plant.noutputs
     B = plant.B[:, :m]
     C = np.hstack([plant.C, np.zeros((m, m))])
-    A = block_diag(plant.A - B @ loop.Ks, np.eye(m)) - loop.KL @ C
+    A = block_diag(plant.A - B @ loop.Ks, np.eye(m)) - loop.KL @ C  # (16) with u of (18)
     return A, np.vstack([B @ loop.N, np.zeros((m, m))]), np.hstack([loop.Ks, np.eye(m)])
 
 
@@ -197,7 +200,7 @@ def _close(loop, plant):
     m = loop.plant.noutputs
     A, B, K = _controller(loop)
     Bu, E, Du, F = plant.B[:, :m], plant.B[:, m:], plant.D[:, :m], plant.D[:, m:]
-    return control.ss(
+    return control.ss(  # (19)
         np.block([[plant.A, -Bu @ K], [loop.KL @ plant.C, A - loop.KL @ Du @ K]]),
         np.block([[Bu @ loop.N, E], [B + loop.KL @ Du @ loop.N, loop.KL @ F]]),
         np.hstack([plant.C, -Du @ K]),
@@ -210,20 +213,7 @@ def _close(loop, plant):
 
 
 def with_noise(loop: CurrentTrialLoop, plant=None) -> control.StateSpace:
-    """The loop (19) with an error in the measured outputs as a further input.
-
-    Parameters
-    ----------
-    loop : CurrentTrialLoop
-    plant : control.StateSpace or control.TransferFunction, optional
-        Another plant, as in :meth:`CurrentTrialLoop.around`.
-
-    Returns
-    -------
-    control.StateSpace
-        As ``loop.closed``, without names, and with m inputs more: what is added to y before the
-        observer (16) sees it. The outputs are y themselves, and not what is measured of them.
-    """
+    """The loop (19) with m inputs more: what is added to y before the observer (16) sees it."""
     closed = loop.closed if plant is None else loop.around(plant)
     m = loop.plant.noutputs
     enters = np.zeros((closed.nstates, m))
@@ -233,20 +223,9 @@ def with_noise(loop: CurrentTrialLoop, plant=None) -> control.StateSpace:
 
 
 def reply(loop: CurrentTrialLoop) -> control.StateSpace:
-    """What the controls u of the loop (19) answer to w and to an error in the measured outputs.
-
-    With it the same controller around another plant can be computed from the loop as designed,
-    which is stable, and not from the controller alone, which integrates.
-
-    Parameters
-    ----------
-    loop : CurrentTrialLoop
-
-    Returns
-    -------
-    control.StateSpace
-        2m inputs: w, then what is added to y before the observer (16) sees it. m outputs: u.
-    """
+    """From w and what is added to y before the observer (16) sees it to the controls u, (18)."""
+    # With it the controller around another plant can be computed from the loop as designed, which
+    # is stable, and not from the controller alone, which integrates.
     noisy, m = with_noise(loop), loop.plant.noutputs
     B = np.hstack([noisy.B[:, :m], noisy.B[:, -m:]])
     _, _, K = _controller(loop)

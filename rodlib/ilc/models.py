@@ -134,13 +134,7 @@ def minimal_realisation(plant: control.StateSpace, controls: Sequence[str]) -> c
 
 
 def controls_first(plant: control.StateSpace, controls: Sequence[str]) -> control.StateSpace:
-    """The plant with its inputs in the order controls, disturbances.
-
-    Raises
-    ------
-    ValueError
-        If the controls are not different inputs of the plant.
-    """
+    """The plant with its inputs in the order controls, disturbances."""
     names = plant.input_labels
     given = [str(name) for name in controls] if isinstance(controls, Sequence) else []
     if not given or sorted(given) != sorted(set(given) & set(names)):
@@ -156,14 +150,7 @@ def controls_first(plant: control.StateSpace, controls: Sequence[str]) -> contro
 
 
 def sampled_plant(plant: control.StateSpace | control.TransferFunction) -> control.StateSpace:
-    """A plant in discrete time as a state-space model; realises a transfer function.
-
-    Raises
-    ------
-    ValueError
-        If the plant is something else, is not finite, has no sampling period or two signals of the
-        same name, or if a transfer function has more zeros than poles.
-    """
+    """A plant in discrete time as a state-space model; realises a transfer function."""
     if not isinstance(plant, control.TransferFunction):
         arguments.state_space("plant", plant)
     if not (plant.isdtime(strict=True) and plant.dt is not True):
