@@ -249,7 +249,7 @@ DOORS = [
      {"response": {"class": ..., "function": ...} | THING}),
     (TWO_SIDED.frequency_response, {"omega": OMEGA}),
     (TWO_SIDED.apply, {"signal": SIGNAL}),
-    (alternatives.impulse_response, {"L": L}),
+    (alternatives.two_sided_taps, {"L": L}),
     (alternatives.extent, {"L": L}),
     (alternatives.lines, {"samples": 6, "Ts": 1.0}),
     (alternatives.Rehearsal, {"P": np.ones((7, 1, 1)), "Q": Q, "alone": np.ones((2, 6, 1))},

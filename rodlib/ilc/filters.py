@@ -156,11 +156,6 @@ class LearningFilter:
         Sampling period, s.
     ends : {"zero", "hold"}
         What the error is taken to be beyond the end of the trial.
-
-    Raises
-    ------
-    ValueError
-        If the coefficients have the wrong shape or are not finite, or Ts is not positive.
     """
 
     coefficients: np.ndarray = field(repr=False)

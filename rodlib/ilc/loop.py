@@ -28,12 +28,6 @@ class CurrentTrialLoop:
         State feedback (26), observer gain (29), static feedforward.
     units : dict
         Unit of each input and output of the plant, by name; "" if it is not known.
-
-    Raises
-    ------
-    ValueError
-        If the plant is no model in discrete time, a gain has another shape or is not finite, or
-        a unit is missing, no text, or about another signal.
     """
 
     plant: control.StateSpace

@@ -25,11 +25,6 @@ def p_type(gain: float, ahead: int, channels: int, Ts: float) -> LearningFilter:
     Returns
     -------
     LearningFilter
-
-    Raises
-    ------
-    ValueError
-        If an argument is out of range.
     """
     return pd_type(gain, 0.0, arguments.whole("ahead", ahead, 1), channels, Ts)
 
@@ -54,11 +49,6 @@ def pd_type(gain: float, slope: float, ahead: int, channels: int, Ts: float) -> 
     Returns
     -------
     LearningFilter
-
-    Raises
-    ------
-    ValueError
-        If an argument is out of range.
     """
     gain = arguments.positive("gain", gain)
     slope = arguments.number("slope", slope, "a finite number")

@@ -30,11 +30,6 @@ class Rehearsal:
         Error of each trial without learning, with all noise and disturbances.
     rest : int
         Of :func:`rodlib.update`.
-
-    Raises
-    ------
-    ValueError
-        If a shape does not fit, or a value is not finite.
     """
 
     P: np.ndarray

@@ -29,11 +29,6 @@ class TwoSidedFilter:
     channels : int
     Ts : float
         Sampling period, s.
-
-    Raises
-    ------
-    ValueError
-        If an argument is something else.
     """
 
     response: Callable[[np.ndarray], np.ndarray]
@@ -51,7 +46,7 @@ class TwoSidedFilter:
 
     @cached_property
     def _taps(self):
-        lags, taps = impulse_response(self)
+        lags, taps = two_sided_taps(self)
         return lags[0], taps
 
     def apply(self, signal) -> np.ndarray:
@@ -64,7 +59,7 @@ class TwoSidedFilter:
         return filtered[..., :samples, :]
 
 
-def impulse_response(L: LearningOperator) -> tuple[np.ndarray, np.ndarray]:
+def two_sided_taps(L: LearningOperator) -> tuple[np.ndarray, np.ndarray]:
     """Two-sided impulse response of a learning filter, by the inverse transform of its response.
 
     Parameters
@@ -114,14 +109,9 @@ def extent(L: LearningOperator, share: float = 0.999) -> tuple[int, int]:
     -------
     ahead, back : int
         In samples; below zero if it begins later than that.
-
-    Raises
-    ------
-    ValueError
-        As :func:`impulse_response`, or if `share` is out of range.
     """
     share = arguments.share("share", share)
-    lags, taps = impulse_response(L)
+    lags, taps = two_sided_taps(L)
     energy = np.cumsum((taps**2).sum(axis=(1, 2)))
     energy /= energy[-1]
     first = np.searchsorted(energy, (1 - share) / 2 + 1e-12)

@@ -33,11 +33,6 @@ class Plant:
         In the order of ``loop.disturbances``. Default zero.
     order : int
         Samples that the learning filter looks ahead at first; more than the plant's delay.
-
-    Raises
-    ------
-    ValueError
-        If an argument is something else, or the reference has another shape.
     """
 
     source: str
