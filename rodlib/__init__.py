@@ -8,18 +8,13 @@ is imported when it is first used, so that what needs only a part does not wait 
 from rodlib import ilc
 
 MODULES = {
-    "rod": ("Rod", "exact_response", "midr"),
-    "approximations": (
-        "balanced_truncation",
-        "finite_differences",
-        "finite_elements",
-        "finite_volumes",
-        "modal_series",
-    ),
-    "held": ("sampled_response",),
-    "case": ("paper_loop",),
-    "specimens": ("Specimen", "Spread", "draw", "responses", "unstable_poles"),
-    "study": ("Study",),
+    "rod": "Rod exact_response midr",
+    "approximations": """balanced_truncation finite_differences finite_elements finite_volumes
+        modal_series""",
+    "held": "sampled_response",
+    "case": "paper_loop",
+    "specimens": "Specimen Spread draw responses unstable_poles",
+    "study": "Study",
 }
 MODULES |= {f"ilc.{module}": names for module, names in ilc.MODULES.items()}
 

@@ -121,8 +121,7 @@ def zero_phase_butterworth(
     Raises
     ------
     ValueError
-        If an argument is out of range, or rounded coefficients do not give the filter; the message
-        names the argument and its value.
+        If an argument is out of range, or rounded coefficients do not give the filter.
     """
     return ZeroPhaseButterworth(order, cutoff, Ts, ends)
 
@@ -236,8 +235,7 @@ def update(
     Raises
     ------
     ValueError
-        If the shapes do not fit, a signal has a gap (NaN) or an infinite value, the filters have
-        different sampling periods, `rest` is not shorter than the trial, or `step` is out of range.
+        If signals and filters do not fit together, or a signal has a gap (NaN).
     """
     arguments.instance("Q", Q, ZeroPhaseButterworth)
     arguments.instance("L", L, LearningOperator)

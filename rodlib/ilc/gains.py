@@ -63,12 +63,9 @@ def current_trial_loop(
     Raises
     ------
     ValueError
-        If the plant is not in discrete time, is not finite, has feedthrough from a control, has
-        fewer inputs than outputs, or more and `controls` does not say which are meant, has an
-        unstable mode that no control reaches or no output shows, or has no control authority at
-        frequency zero; if a transfer function has more zeros than poles; if a name, size or unit is
-        none of the plant's; if a weight has the wrong shape or is indefinite, or if the loop with
-        these weights is not stable.
+        If the plant is not in discrete time, has feedthrough from a control, not as many controls
+        as outputs, or an unstable mode that no control reaches or no output shows; if a name is
+        none of the plant's, a weight is indefinite, or the loop with these weights is not stable.
 
     Notes
     -----

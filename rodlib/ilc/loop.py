@@ -105,8 +105,8 @@ class CurrentTrialLoop:
         Raises
         ------
         ValueError
-            If the plant is not finite, is in continuous time or has another sampling period, lacks
-            a control or an output, or if the loop around it is not stable.
+            If the plant has another sampling period, lacks a control or an output, or if the loop
+            around it is not stable.
         """
         plant = sampled_plant(plant)
         arguments.one_period(loop=self.Ts, plant=plant.dt)
@@ -153,8 +153,7 @@ class CurrentTrialLoop:
         Raises
         ------
         ValueError
-            As in :meth:`around`; if the samples have another shape or are not finite, or a
-            frequency is that of a pole.
+            As in :meth:`around`, or if a frequency is that of a pole.
         """
         if plant is None:
             return frequency_response(self.P, omega)  # (31)

@@ -65,9 +65,7 @@ def run_trials(
     Raises
     ------
     ValueError
-        If a shape does not fit the loop, a signal is not finite, the filters do not belong to the
-        loop, `step` is out of range, or `plant` has not the loop's signals and sampling period or
-        makes it unstable.
+        If a signal or a filter does not fit the loop, or `plant` makes it unstable.
     """
     check_law(loop, Q, L)
     closed = with_noise(loop, plant)

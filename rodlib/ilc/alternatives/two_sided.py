@@ -20,20 +20,11 @@ NEGLIGIBLE = 1e-9  # of its largest entry
 
 @dataclass(frozen=True)
 class TwoSidedFilter:
-    """A learning filter for :func:`rodlib.update`, for signals that are zero outside the trial.
+    """A learning filter for :func:`rodlib.update`, for signals that are zero outside the trial."""
 
-    Attributes
-    ----------
-    response : callable
-        From omega (rad/s), shape (n,), to L, shape (n, channels, channels), complex.
-    channels : int
-    Ts : float
-        Sampling period, s.
-    """
-
-    response: Callable[[np.ndarray], np.ndarray]
+    response: Callable[[np.ndarray], np.ndarray]  # from omega (rad/s) to L, (n, channels, channels)
     channels: int
-    Ts: float
+    Ts: float  # s
 
     def __post_init__(self):
         arguments.instance("response", self.response, Callable)
@@ -71,13 +62,8 @@ def two_sided_taps(L: LearningOperator) -> tuple[np.ndarray, np.ndarray]:
     lags : ndarray of int, shape (n,)
         From the future (below zero) to the past.
     taps : ndarray, shape (n, channels, channels)
-        L e at p is the sum of ``taps[i] @ e[p - lags[i]]``. What is left out is below `NEGLIGIBLE`.
-
-    Raises
-    ------
-    ValueError
-        If it does not decay within `LONGEST` samples: L has a pole on the unit circle, or nearly;
-        or if `L` is something else.
+        L e at p is the sum of ``taps[i] @ e[p - lags[i]]``. What is left out is below `NEGLIGIBLE`;
+        of a filter with a pole on the unit circle, or nearly, a ValueError says that it is not.
     """
     arguments.instance("L", L, LearningOperator)
     n = SHORTEST

@@ -9,8 +9,7 @@ from math import floor, log10
 import ipywidgets as widgets
 import numpy as np
 
-from rodlib.ilc.laboratory import load_law, save_law
-from rodlib.ilc.laboratory.notes import notes_of_law
+from rodlib.ilc.laboratory import save_law
 from rodlib.ilc.workbench.outcome import Outcome, try_out
 from rodlib.ilc.workbench.picture import Picture
 from rodlib.ilc.workbench.plants import Family, Plant, plant_of_file
@@ -23,15 +22,7 @@ PAUSE = 0.01  # s; changes that follow each other faster are one
 class Panel:
     """Knobs to the left, the picture to the right, or below where there is no room beside them.
 
-    Attributes
-    ----------
-    widget : ipywidgets.Widget
-    outcome : Outcome
-        What is shown.
-    before : Outcome or None
-        The filter before that, in gray.
-    designs : int
-        How many outcomes have been computed.
+    Its `widget` shows `outcome`, in gray the last filter `before` that; `designs` counts them.
     """
 
     def __init__(self, plants: dict[str, Plant | Family], log: str = ""):
@@ -136,8 +127,7 @@ class Panel:
         most = float(f"{np.abs(plant.reference).max():.1g}")
         knobs["noise"].step = most / 100
         _set_range(knobs["noise"], 0, most, settings.noise)
-        unit = " and ".join(sorted({plant.loop.units[name] for name in plant.loop.outputs} - {""}))
-        knobs["noise"].description = f"noise ({unit})" if unit else "noise"
+        knobs["noise"].description = f"noise ({plant.unit})" if plant.unit else "noise"
         knobs["uncertainty"].disabled = plant.measured
         knobs["low"].value, knobs["high"].value = settings.band
         for name in ("M_max", "Q_order", "structure", "uncertainty"):
@@ -193,13 +183,10 @@ class Panel:
         self.knobs["M_max"].value = self.outcome.M_max
 
     def _save(self, button):
-        """Save the filters that are shown, read them again, and say where they are, or why not."""
+        """Save the filters that are shown, and say where they are, or why not."""
         settings, path = self.settings, self.target.value
-        law = settings.Q, self.outcome.design.filter
         try:
-            save_law(path, *law, settings.python)
-            if notes_of_law(*load_law(path)) != notes_of_law(*law):
-                raise ValueError(f"{path} holds another law than was written to it: try again")
+            save_law(path, settings.Q, self.outcome.design.filter, settings.python)
             self.saved.value = f"saved: {escape(os.path.abspath(path))}"
         except (ValueError, OSError) as error:
             self.saved.value = f"not saved: {escape(str(error))}"

@@ -43,12 +43,7 @@ ENTRIES = [  # how those of a filter look; gray is for the filter before
 
 
 class Picture:
-    """Four axes whose lines are replaced from outcome to outcome.
-
-    Attributes
-    ----------
-    figure : matplotlib.figure.Figure
-    """
+    """Four axes whose lines are replaced from outcome to outcome: its `figure` is Matplotlib's."""
 
     @mpl.rc_context(STYLE)
     def __init__(self):
@@ -131,7 +126,8 @@ class Picture:
         values = np.concatenate([outcome.rms for outcome in outcomes])
         low, high = np.log10([max(values.min(), 1e-15), max(values.max(), 1e-15)])
         trials.set_ylim(10 ** np.floor(low), 10 ** (np.floor(high) + 1))
-        unit = _unit(outcomes[0].settings.plant.loop)
+        unit = outcomes[0].settings.plant.unit
+        unit = f" ({unit})" if unit else ""
         trials.set_title(f"RMS of the error{unit}, simulated", parse_math=False)
         coefficients = np.concatenate([d.filter.coefficients.ravel() for d in designs])
         least, most = coefficients.min(), coefficients.max()
@@ -209,13 +205,6 @@ def _alike(before, outcome):
     """Whether two filters can stand in the same axes."""
     sizes = [len(each.design.filter.coefficients) for each in (before, outcome)]
     return sizes[0] == sizes[1] and before.settings.Ts == outcome.settings.Ts
-
-
-def _unit(loop):
-    """The unit of the outputs, if they have one in common."""
-    units = {loop.units[name] for name in loop.outputs}
-    unit = units.pop() if len(units) == 1 else ""
-    return f" ({unit})" if unit else ""
 
 
 def _round_up(value):

@@ -34,8 +34,6 @@ class Settings:
         Radius of what is not known of P at each frequency, in percent of ||P||.
     noise : float
         Standard deviation of white noise in each measured output, new in every trial, in its unit.
-    seed : int
-        Of the noise in the simulated trials.
     """
 
     plant: Plant
@@ -48,7 +46,6 @@ class Settings:
     structure: str = "diagonal"
     uncertainty: float = 0.0
     noise: float = 0.0
-    seed: int = 0
 
     @classmethod
     def of(cls, plant: Plant, **changes) -> "Settings":
