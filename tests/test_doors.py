@@ -43,7 +43,6 @@ from rodlib import (
 )
 from rodlib.case import assumed_disturbance, assumed_reference
 from rodlib.ilc import alternatives, evidence, laboratory, synthesis, workbench
-from rodlib.ilc.filters import ZeroPhaseButterworth
 from rodlib.ilc.laboratory import measured_response, with_law
 from rodlib.ilc.models import frequency_response
 from rodlib.ilc.trials import rms
@@ -182,7 +181,6 @@ DOORS = [
      {"plant": PLANTS | {"column": ONES[0]}}),
     (LOOP.around, {"plant": PLANT}, {"plant": PLANTS | {"number": 1.0}}),
     (zero_phase_butterworth, {}),
-    (ZeroPhaseButterworth, {"order": 2, "cutoff": 0.1, "Ts": 1.0}),
     (Q.frequency_response, {"omega": OMEGA}),
     (Q.apply, {"signal": SIGNAL}, {"signal": REAL | {"four axes": ...}}),
     (LearningFilter, {"coefficients": L.coefficients, "Ts": 1.0}),

@@ -88,25 +88,11 @@ class CurrentTrialLoop:
         return _close(self, self.plant)
 
     def around(self, plant: control.StateSpace | control.TransferFunction) -> control.StateSpace:
-        """Close the loop (19) of the same controller around another plant.
+        """The loop (19) of the same controller around another plant, if it is stable.
 
-        Parameters
-        ----------
-        plant : control.StateSpace or control.TransferFunction
-            Of any order. Its signals are matched by name: it must have the loop's controls and
-            outputs, and a disturbance that it lacks has no effect. Others than the loop's are left
-            out. Feedthrough is allowed.
-
-        Returns
-        -------
-        control.StateSpace
-            As `closed`, but the first states are those of `plant`.
-
-        Raises
-        ------
-        ValueError
-            If the plant has another sampling period, lacks a control or an output, or if the loop
-            around it is not stable.
+        As `closed`, but the first states are those of `plant`, a model of any order. Its signals
+        are matched by name: it must have the loop's controls and outputs, and a disturbance that it
+        lacks has no effect. Others than the loop's are left out. Feedthrough is allowed.
         """
         plant = sampled_plant(plant)
         arguments.one_period(loop=self.Ts, plant=plant.dt)

@@ -49,18 +49,9 @@ class Settings:
 
     @classmethod
     def of(cls, plant: Plant, **changes) -> "Settings":
-        """The paper's choices, carried over to another plant by its sampling period.
+        """The paper's choices but for `changes`, carried over to another plant by its Ts.
 
-        Parameters
-        ----------
-        plant : Plant
-        **changes
-            Other knobs than the paper's.
-
-        Returns
-        -------
-        Settings
-            L_max is the paper's rule, 2.5 / sigma_max(P) at the cut-off frequency, to one digit.
+        L_max is the paper's rule, 2.5 / sigma_max(P) at the cut-off frequency, to one digit.
         """
         Ts = arguments.instance("plant", plant, Plant).loop.Ts
         cutoff = float(f"{arguments.positive('cutoff', changes.get('cutoff', 0.1 / Ts)):.3g}")
