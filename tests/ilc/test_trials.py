@@ -179,24 +179,6 @@ def test_initial_state_is_that_of_the_plant(loop, Q):
     np.testing.assert_allclose(run.u[:, 0], 0)
 
 
-def test_assumed_signals_are_what_the_text_says_of_the_papers():
-    reference, disturbance = assumed_reference(), assumed_disturbance()
-    assert reference.shape == (2500, 2) and disturbance.shape == (10, 2500, 3)
-    assert not reference[0].any() and not disturbance[:4].any() and not disturbance[:, :, 0].any()
-    assert disturbance[4:, :, 1:].any(axis=(1, 2)).all()
-    assert np.abs(np.diff(reference, 3, axis=0)).max() < 1e-4  # smooth
-    assert np.abs(reference).max() <= 10 + 1e-9
-
-
-def test_there_is_no_trial_zero():
-    for name in ("samples", "trials", "first"):
-        with pytest.raises(ValueError, match=f"{name} = 0 must be a whole number, 1 or more"):
-            assumed_disturbance(**{name: 0})
-    with pytest.raises(ValueError, match="samples = 0 must be a whole number, 1 or more"):
-        assumed_reference(0)
-    assert assumed_disturbance(5, 2, 1)[0].any() and assumed_reference(1).shape == (1, 2)
-
-
 @pytest.mark.parametrize("rest", [0, 1, 15])
 def test_v_rests_and_converges_as_the_finite_trials_map_says(loop, Q, L, rest):
     """v_{k+1} - v_k follows T of the certificate, which knows nothing of trials."""
