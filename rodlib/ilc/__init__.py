@@ -22,6 +22,8 @@ MODULES = {
         "converged_noise",
         "noise_bound",
         "noise_by_trial",
+        "rate",
+        "rates",
         "trial_noise",
         "violation_probability",
         "worst_case",

@@ -13,6 +13,8 @@ handed, and the function for the singular values of a matrix all that it shares 
   to hold, and of all within a radius, with the one that shows it.
 - *And for one that was not tried?* If the plants are independent samples,
   :func:`violation_probability` bounds the probability that a new one breaks the bounds.
+- *How fast do the trials converge?* :func:`rate` is the gamma of Lemma 1 on a grid, for any plant
+  and any learning operator.
 - *And what does noise do?* :func:`converged_noise` is what is left of the error if noise or a
   disturbance is new in every trial, of :func:`trial_noise` and of what learning makes of it;
   :func:`noise_bound` holds for every filter within the bounds.
@@ -21,6 +23,7 @@ handed, and the function for the singular values of a matrix all that it shares 
 """
 
 from rodlib.ilc.evidence.certificate import GAP, VIOLATION, Certificate, certify
+from rodlib.ilc.evidence.convergence import Rate, rate, rates
 from rodlib.ilc.evidence.finite_trial import (
     impulse_response,
     trial_map,
@@ -47,6 +50,7 @@ __all__ = [
     "VIOLATION",
     "Certificate",
     "LearnedNoise",
+    "Rate",
     "Spectrum",
     "TrialNoise",
     "WorstCase",
@@ -59,6 +63,8 @@ __all__ = [
     "noise_bound",
     "noise_by_trial",
     "peak_gain",
+    "rate",
+    "rates",
     "scenario_bound",
     "support",
     "trial_map",

@@ -18,7 +18,6 @@ CVXPY as the paper does, for reading and for comparison. None of them is trusted
 has a certificate.
 """
 
-from rodlib.ilc.problem import convergence_matrix, largest_singular_values
 from rodlib.ilc.synthesis.design import InfeasibleError, SolverError, Synthesis, synthesise
 from rodlib.ilc.synthesis.search import largest_cutoff, least_gain
 
@@ -26,9 +25,7 @@ __all__ = [
     "InfeasibleError",
     "SolverError",
     "Synthesis",
-    "convergence_matrix",
     "largest_cutoff",
-    "largest_singular_values",
     "least_gain",
     "synthesise",
 ]

@@ -274,11 +274,11 @@ def solve(
     zero = np.zeros((program.entries, len(program.R)))
     best, iterations = follow(program, begin(program, zero), enough, is_good)
     if best is None:  # phase one
-        peak = program.peak()
-        best, more = follow(peak, begin(peak, zero), enough=program.M_max)
+        minimax = program.minimax()
+        best, more = follow(minimax, begin(minimax, zero), enough=program.M_max)
         iterations += more
         if best.t[0] >= program.M_max:
-            raise Infeasible(program.M_max, _solution(peak, best, iterations))
+            raise Infeasible(program.M_max, _solution(minimax, best, iterations))
         best, more = follow(program, begin(program, best.x), enough, is_good)
         iterations += more
     if best is None:

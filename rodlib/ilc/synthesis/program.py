@@ -28,11 +28,11 @@ SMALLEST = 1e-10  # radius that counts as such, relative to the plant
 class Infeasible(RuntimeError):
     """No filter of this order and structure meets the bounds.
 
-    `nearest` is the solution with the smallest possible M_max, its `peak`.
+    `nearest` is the solution with the smallest possible M_max, its `largest`.
     """
 
     def __init__(self, M_max, nearest):
-        super().__init__(f"M_max = {M_max:.10g} is too small, {nearest.peak:.10g} is possible")
+        super().__init__(f"M_max = {M_max:.10g} is too small, {nearest.largest:.10g} is possible")
         self.nearest = nearest
 
 
@@ -99,7 +99,7 @@ class Program:
         size = np.abs(self.bounds[0].F[0, 0, self.free])
         return size.max() if self.shared else size.sum()
 
-    def peak(self):
+    def minimax(self):
         """The program of the smallest possible bound on M."""
         size = max(np.abs(bound.F[0, 0]).max() for bound in self.bounds if bound.limit == 0)
         limits = np.array([GENEROUS * size, self.limits[1]])
@@ -185,27 +185,17 @@ def whitened_basis(P, Q, angles, order, W):
 
 
 def bound_on_M(problem, plant, frequency, **kind):
-    """The bound on M for pairs of a plant, by its number, and a frequency, by its index.
-
-    If the problem has a radius, for all plants within it. `kind`: further attributes of the bound.
-    """
-    m, c, Q = problem.channels, len(plant), problem.Q[frequency]
+    """The bound on M, or that for the radius, for pairs of a plant, by number, and a frequency."""
+    m, Q = problem.channels, problem.Q[frequency]
     P = problem.P[frequency]
     other = plant > 0
     P[other] = problem.others[plant[other] - 1, frequency[other]]
     F, T = np.eye(m)[..., None] * Q, -Q * P.transpose(1, 2, 0)
-    C = None
     if problem.radius is not None:
         r = np.maximum(problem.radius, SMALLEST * np.abs(problem.P).max())[frequency]
-        if r.ndim == 1:
-            below = np.abs(Q) * r * np.eye(m)[..., None]
-            C = np.repeat([[-1.0], [1.0]], m, axis=0)
-        else:  # row j of L, once for each row i of Delta
-            below = (np.abs(Q) * r.T).transpose(1, 0, 2)[:, :, None] * np.eye(m)[..., None]
-            below = below.reshape(m * m, m, c)
-            C = np.vstack([-np.repeat(np.eye(m), m, axis=1), np.eye(m * m)])
+        below = np.abs(Q) * r * np.eye(m)[..., None]
         F, T = np.concatenate([F, 0 * below]), np.concatenate([T, below])
-    return Bound(F.astype(complex), T.astype(complex), at=frequency, C=C, plant=plant, **kind)
+    return Bound(F.astype(complex), T.astype(complex), at=frequency, plant=plant, **kind)
 
 
 def formulate(problem: Problem, plant=(), frequency=()) -> Program:
@@ -256,7 +246,7 @@ def formulate(problem: Problem, plant=(), frequency=()) -> Program:
     free = np.flatnonzero(problem.in_band[bounds[0].at])
     program = Program(bounds, basis, R, len(rows), free, False, limits, problem.M_max)
     if problem.objective == "peak":
-        program = program.peak()
+        program = program.minimax()
     if problem.noise is not None:  # at whose price the peak could be higher
         program = replace(program, limits=limits, H=cost_of_noise(problem, basis, rows, cols))
     return program

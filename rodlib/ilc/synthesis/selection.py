@@ -7,7 +7,6 @@ optimal for a part of the bounds and meets all of them is optimal for all.
 
 import numpy as np
 
-from rodlib.ilc.filters import LearningFilter
 from rodlib.ilc.problem import largest_singular_values
 from rodlib.ilc.synthesis.program import bound_on_M
 
@@ -31,7 +30,7 @@ def violated(problem, solution, limit, plant, frequency):
     plant, frequency : ndarray of int
         Further ones.
     """
-    L = LearningFilter(solution.coefficients, problem.Ts).frequency_response(problem.omega)
+    L = problem.response(solution)
     n = len(problem.omega)
     highest, which = np.full(n, limit * (1 + PASSED)), np.full(n, -1)
     for k in range(1, len(problem.others) + 1):

@@ -467,10 +467,12 @@ def test_a_certificate_prints_and_fails_as_it_should(loop, Q, omega):
         and "FAILS" not in text
     )
     bad = synthesise(loop, Q, omega[::5], 1.0, band=(1e-4, 0.01), M_max=0.95).certificate
-    wrong = replace(bad, M_max=0.9, all_M=1.01, place=0.25, lower_bound=bad.value / 2)
+    tighter, peak = replace(bad.problem, M_max=0.9), replace(bad.peak, sigma=1.01, omega=0.25)
+    wrong = replace(bad, problem=tighter, peak=peak, lower_bound=bad.value / 2)
     assert len(wrong.failures) == 3 and str(wrong).count("FAILS") == 3
     assert "sigma_max(M) reaches 1.01 at 0.25 rad/s, not in omega" in str(wrong)
-    estimated = replace(design.certificate, proven=False, all_M=1.2, place=0.3)
+    peak = replace(peak, proven=False, sigma=1.2, omega=0.3)
+    estimated = replace(design.certificate, peak=peak)
     assert "WARNING: sigma_max(M) may reach 1.2 at 0.3 rad/s" in str(estimated)
     assert design.certificate.warnings == estimated.failures == []
     at_rest = str(replace(design.certificate, rest=15))
@@ -481,22 +483,26 @@ def test_a_certificate_fails_from_the_tolerance_on(loop, Q, omega):
     """A gap of 1e-6, a bound on the grid passed by 1e-9, relative; from 0.25 of the margin on."""
     good = synthesise(loop, Q, omega[::5], 1.0, band=(1e-4, 0.01)).certificate
 
-    def failing(**changes):
-        return len(replace(good, **changes).failures)
+    def failing(sigma_M=None, all_M=0.9, **changes):
+        worst = replace(good.worst, sigma=np.array([sigma_M])) if sigma_M else good.worst
+        peak = replace(good.peak, sigma=all_M)
+        return len(replace(good, worst=worst, peak=peak, **changes).failures)
 
-    value = good.value
-    assert value > 1e-3 * good.idle
+    def estimated(all_M, missed):
+        return replace(good, peak=replace(good.peak, proven=False, sigma=all_M, missed=missed))
+
+    value, idle = good.value, good.problem.idle
+    assert value > 1e-3 * idle
     assert not failing(lower_bound=value * (1 - 0.99e-6))
     assert failing(lower_bound=value * (1 - 1.01e-6)) == 1
-    assert not failing(grid_M=0.9 * (1 + 0.99e-9), grid_L=50 * (1 + 0.99e-9))
-    assert failing(grid_M=0.9 * (1 + 1.01e-9)) == failing(grid_L=50 * (1 + 1.01e-9)) == 1
+    assert not failing(0.9 * (1 + 0.99e-9), grid_L=50 * (1 + 0.99e-9))
+    assert failing(0.9 * (1 + 1.01e-9)) == failing(grid_L=50 * (1 + 1.01e-9)) == 1
     assert not failing(all_M=np.nextafter(1, 0)) and failing(all_M=1.0) == 1
     for missed, warned in ((0.049, 0), (0.051, 1)):
-        estimated = replace(good, proven=False, all_M=0.8, missed=missed)
-        assert len(estimated.warnings) == warned
-    assert len(replace(good, proven=False, all_M=1.0, missed=0.0).warnings) == 1
-    perfect = replace(good, value=1e-9, lower_bound=0.0, idle=2.0)
-    assert perfect.gap == pytest.approx(5e-7)  # relative to a thousandth of the objective, idle
+        assert len(estimated(0.8, missed).warnings) == warned
+    assert len(estimated(1.0, 0.0).warnings) == 1
+    perfect = replace(good, value=1e-9 * idle, lower_bound=0.0)
+    assert perfect.gap == pytest.approx(1e-6)  # relative to a thousandth of the objective, idle
 
 
 def with_resonance(angle, distance, height):
@@ -555,4 +561,4 @@ def test_the_estimate_between_samples_misses_less_than_it_says(loop, Q, grid):
     L = design.filter.frequency_response(dense)
     M = convergence_matrix(loop.frequency_response(dense), Q.frequency_response(dense), L)
     peak = largest_singular_values(M).max()
-    assert abs(design.certificate.all_M - peak) < design.certificate.missed
+    assert abs(design.certificate.all_M - peak) < design.certificate.peak.missed

@@ -58,7 +58,7 @@ def test_the_certificate_names_the_peaks_over_all_frequencies(full, loop, Q):
     certificate = full.certificate
     assert certificate.all_M == pytest.approx(sigma_M.max(), rel=1e-5)
     assert certificate.all_L == pytest.approx(sigma_L.max(), rel=1e-5)
-    assert certificate.place == pytest.approx(dense[sigma_M.argmax()], abs=1e-3)
+    assert certificate.peak.omega == pytest.approx(dense[sigma_M.argmax()], abs=1e-3)
 
 
 def test_no_design_is_worse_than_the_printed_one(diagonal, full, loop, Q, omega):
@@ -208,9 +208,9 @@ def test_with_less_than_the_least_gain_the_peak_is_higher(loop, Q, omega):
     gain = design.sigma_L.max()
     # The ninth digit of the peak decides the fourth of the gain; more than that is rounding.
     unit, room = free.sigma_L.max(), free.value * (1 + 2e-9)
-    roomier = solve(replace(free.problem, objective="gain", L_max=unit, M_max=room)).peak * unit
-    assert roomier < gain <= design.certificate.L_max * (1 + VIOLATION)
-    assert design.certificate.L_max < roomier * (1 + 1e-3)
+    roomier = solve(replace(free.problem, objective="gain", L_max=unit, M_max=room)).largest * unit
+    assert roomier < gain <= design.problem.L_max * (1 + VIOLATION)
+    assert design.problem.L_max < roomier * (1 + 1e-3)
     assert gain < free.sigma_L.max() / 100
     less = synthesise(loop, Q, grid, 1.0, L_max=0.998 * gain, **arguments)
     assert less.certificate.lower_bound > design.value * (1 + 2e-9)
