@@ -77,13 +77,7 @@ def trial_operators(
 
 
 def impulse_response(P: control.StateSpace, samples: int) -> np.ndarray:
-    """Markov parameters D, C B, C A B, ... of P, shape (samples, outputs, inputs).
-
-    Raises
-    ------
-    ValueError
-        If P is no state-space model, or `samples` is not positive.
-    """
+    """Markov parameters D, C B, C A B, ... of P, shape (samples, outputs, inputs)."""
     arguments.state_space("P", P)
     samples = arguments.whole("samples", samples, 1)
     h = np.empty((samples, P.noutputs, P.ninputs))

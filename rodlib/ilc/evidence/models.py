@@ -10,17 +10,8 @@ from rodlib.ilc.filters import LearningFilter
 def learning_model(L: LearningFilter) -> control.StateSpace:
     """Causal model of z^-n_L L(z), whose singular values are those of L of (44).
 
-    Parameters
-    ----------
-    L : LearningFilter
-        Of order n_L with m channels: L(z) = sum_k c_k z^k, k = 1 ... n_L.
-
-    Returns
-    -------
-    control.StateSpace
-        y(p) = c_nL e(p) + c_(nL-1) e(p - 1) + ... + c_1 e(p - nL + 1), with m (n_L - 1) states:
-        e(p - 1), e(p - 2), ... A delay has gain one at every frequency, so it changes no
-        singular value.
+    y(p) = c_nL e(p) + c_(nL-1) e(p - 1) + ... + c_1 e(p - nL + 1), with m (n_L - 1) states: e(p -
+    1), e(p - 2), ... A delay has gain one at every frequency, so it changes no singular value.
     """
     arguments.instance("L", L, LearningFilter)
     m, _, order = L.coefficients.shape
@@ -34,30 +25,10 @@ def learning_model(L: LearningFilter) -> control.StateSpace:
 def error_model(P: control.StateSpace, L: LearningFilter) -> control.StateSpace:
     """Causal model of z^-n_L (I - P L), what a trial makes of the error before Q has its say.
 
-    Parameters
-    ----------
-    P : control.StateSpace
-        In discrete time, m inputs (w) and m outputs (y): :func:`reduced_loop` for the paper's. Its
-        states are taken over as they are.
-    L : LearningFilter
-
-    Returns
-    -------
-    control.StateSpace
-        |Q| times its singular values are those of M = Q (I - P L), (40), at every frequency. With
-        n states of P it has m n_L + n: the taps of z^-n_L L and the delay of the direct path share
-        one chain.
-
-    Raises
-    ------
-    ValueError
-        If P is no state-space model in discrete time with a sampling period in seconds, or not as
-        large as L, or the sampling periods differ.
-
-    Notes
-    -----
-    P L and L P have different singular values: this is the operator on the error, as in Lemma 1,
-    not I - L P, which acts on the ILC signal.
+    |Q| times its singular values are those of M = Q (I - P L), (40), at every frequency. With n
+    states of P it has m n_L + n: the taps of z^-n_L L and the delay of the direct path share one
+    chain. P L and L P have different singular values: this is the operator on the error, as in
+    Lemma 1, not I - L P, which acts on the ILC signal.
     """
     Ts, m = common_size(P, L)
 

@@ -232,17 +232,7 @@ def converged_noise(new: TrialNoise, Q, L: LearningOperator, step: float = 1.0) 
 
 
 def accumulated(M, added) -> np.ndarray:
-    """Sum of M^k `added` M^k^H over all k, that is, Phi = M Phi M^H + `added`, by Smith's method.
-
-    Parameters
-    ----------
-    M, added : ndarray, shape (n, m, m), complex
-        M without an eigenvalue of modulus one or more, which is not checked.
-
-    Returns
-    -------
-    ndarray, shape (n, m, m), complex
-    """
+    """Phi = M Phi M^H + `added`, the sum of M^k `added` M^k^H over all k, by Smith's method."""
     size = 1.0
     while size > NEGLIGIBLE:  # the number of terms doubles
         added = added + _through(M, added)

@@ -29,31 +29,11 @@ def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None, L=None) -> flo
     |U_i| exceeds the weight of sigma_max(M_i) in the objective, the excess is bounded with M_max,
     and so are the b_c. For the peak, they are no larger than the objective itself. The cost of
     noise is the square sum |G|^2 of weighted entries G of Q P L, and |G|^2 >= Re tr(N^H G) - |N|^2
-    / 4 for every N: one more such term, which N = 2 G makes as large as it can be. The multipliers
-    are first projected on those that fulfil the condition, so the bound holds, up to rounding,
-    whatever was passed. A coefficient of L_jk acts on column k of M, L and G only, so the columns
-    are projected one by one.
-
-    Parameters
-    ----------
-    problem : Problem
-    U, V : ndarray, shape (n, m, m); V may be None
-        Multipliers of the bounds on M and on L. With V None, no bound on L is used at all.
-    cuts : Cuts, optional
-        Multipliers of the bounds on other plants, and for a radius. Without them, these bounds are
-        not used.
-    L : ndarray, shape (n, m, m), optional
-        Frequency response of the filter at which the cost of noise is linearised, in units of
-        `scale`. Without it the cost is taken to be zero.
-
-    Returns
-    -------
-    float
-
-    Raises
-    ------
-    ValueError
-        If an argument is something else, has another shape or is not finite.
+    / 4 for every N: one more such term, which N = 2 G at the filter L makes as large as it can be.
+    The multipliers are first projected on those that fulfil the condition, so the bound holds, up
+    to rounding, whatever was passed. A coefficient of L_jk acts on column k of M, L and G only, so
+    the columns are projected one by one. What is None is not used: V, the bound on L; cuts; L, the
+    cost of noise.
     """
     arguments.instance("problem", problem, Problem)
     P, Q, angles = problem.P, problem.Q, problem.angles
