@@ -14,6 +14,8 @@ on long vectors: for m = 2 several times faster than a call of LAPACK for each.
 
 [1] S. Boyd, L. El Ghaoui, E. Feron, V. Balakrishnan, Linear Matrix Inequalities in System and
     Control Theory, 1994, 2.6.3.
+[2] From the perturbation of the eigenvalues of [[0, G], [G^H, 0]]: T. Kato, Perturbation Theory
+    for Linear Operators, 1966, II.2.
 """
 
 from dataclasses import dataclass, replace
@@ -38,31 +40,19 @@ class Expansion:
 
 @dataclass(frozen=True)
 class Bound:
-    """A bound on G = F + T L, at some frequencies, for a q x q part L of the filter.
+    """A bound on G = F + T L, (p, q, c), at some frequencies, for a q x q part L of the filter.
 
     With as many rows of G as columns it is the plain one; with twice as many, that for a radius.
-
-    Attributes
-    ----------
-    F, T : ndarray, shape (p, q, c)
-    entries, rows, cols : ndarray of int
-        The entries `entries` of the filter stand at `rows`, `cols` of L; the others are zero.
-    at : ndarray of int, shape (c,), or slice
-        Frequency of each column.
-    limit : int
-        Which of the program's limits it has: that of what is minimised (0), or the other (1).
-    plant : ndarray of int, shape (c,), or None
-        Number of the plant of each column; None for the nominal M and for L.
     """
 
     F: np.ndarray
     T: np.ndarray
-    entries: np.ndarray
+    entries: np.ndarray  # of the filter, that stand at `rows`, `cols` of L; the others are zero
     rows: np.ndarray
     cols: np.ndarray
-    at: np.ndarray | slice
-    limit: int = 0
-    plant: np.ndarray | None = None
+    at: np.ndarray | slice  # frequency of each column
+    limit: int = 0  # of the program's: that of what is minimised (0), or the other (1)
+    plant: np.ndarray | None = None  # number for each column; None for the nominal M and for L
 
     @property
     def shape(self):
@@ -151,9 +141,15 @@ class Bound:
     def _second_order(self, G, split):
         """sigma of Lambda^(-1/2) G to second order in L and the split, in real numbers.
 
+        sigma = Re u^H G v has the first derivatives Re u^H dG v. With the other singular vectors
+        and alpha_j = u_j^H dG v, beta_j = u^H dG v_j, the second derivatives are [2]
+
+            (Im u^H dG v)^2 / sigma + sum_j |alpha_j + beta_j^*|^2 / (2 (sigma - sigma_j))
+                                    + sum_j |alpha_j - beta_j^*|^2 / (2 (sigma + sigma_j)).
+
         Returns sigma, its derivative with respect to G, the gradient, and the second derivatives as
         the sum of R'R and H. Unknowns are the real parts of the bound's entries of L, then the
-        imaginary ones, then the split. Derived in :mod:`rodlib.ilc.synthesis.active_set`.
+        imaginary ones, then the split.
         """
         (p, q, c), k = G.shape, self.splits
         root = np.sqrt(self.diagonal(np.ones(c), split)) if k else np.ones((1, c))
@@ -202,10 +198,7 @@ class Bound:
         return s[:, 0], np.moveaxis(N, 0, -1), real(first), R, H
 
     def tighten(self, G, split, level):
-        """The split that makes the value smallest, by Newton's method, and that value.
-
-        Only where the value is above the level; elsewhere they stay as they are.
-        """
+        """The split of the smallest value, and that value, wherever it is above the level."""
         value, split = self.value(G, split), split.copy()
         active = np.flatnonzero(value > level) if self.splits else np.array([], dtype=int)
         for _ in range(30):
@@ -229,11 +222,7 @@ class Bound:
         return split, value
 
     def expand(self, G, split, at, basis, count):
-        """The value to second order at the matrices G, at the columns `at`.
-
-        The split follows so that it stays the best. `basis` and the number `count` of the filter's
-        entries say what the unknowns are.
-        """
+        """The value at the columns `at` to second order, with the split that stays the best."""
         some, e = self.columns(at), len(self.entries)
         value, N, g, R, H = some._second_order(G[..., at], split[:, at])
         if self.splits:

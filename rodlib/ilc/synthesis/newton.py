@@ -15,10 +15,10 @@ from rodlib.ilc.synthesis.inequalities import EPS, cholesky, trace
 
 
 class Local:
-    """One bound: its second derivatives with respect to d, t and L, and d and t eliminated.
+    """One bound: its second derivatives in d, t and L, and d or a t of its own eliminated.
 
-    A t that several bounds share stays. Attributes of what is eliminated: `inverse` of its block,
-    `follow`, how it follows the entries of L, and `shift`, how it follows a shared t.
+    A t that several bounds share stays. `inverse` is that of what is eliminated, `follow` how it
+    follows the entries of L, and `shift` a shared t.
     """
 
     def __init__(self, program, j, slack, Y, barrier):
@@ -177,22 +177,9 @@ def square_root(program, slacks, Y, barrier):
 def factorise(program, slacks, Y, barrier, root=False):
     """Factorise the Newton system, and return the function that solves it.
 
-    Parameters
-    ----------
-    program : Program
-    slacks : list of Slack
-    Y : list of ndarray
-        The multipliers.
-    barrier : ndarray
-        Second derivative of the barrier of t <= limit, for each t.
-    root : bool
-        By :func:`square_root`, slower and more accurate.
-
-    Returns
-    -------
-    solve : callable
-        From residuals, of stationarity with respect to x, shape (E order,), and to Y and eta as
-        :meth:`Local.residual` takes them, to the changes of x, of t, and of d for each bound.
+    From residuals, of stationarity with respect to x, and to Y and eta as :meth:`Local.residual`
+    takes them, to the changes of x, of t, and of d for each bound. `barrier`: second derivative of
+    that of t <= limit, for each t. `root`: by :func:`square_root`.
     """
     basis, E = program.basis, program.entries
     local = [

@@ -26,10 +26,7 @@ SMALLEST = 1e-10  # radius that counts as such, relative to the plant
 
 
 class Infeasible(RuntimeError):
-    """No filter of this order and structure meets the bounds.
-
-    `nearest` is the solution with the smallest possible M_max, its `largest`.
-    """
+    """No filter meets the bounds; `nearest` has the smallest possible M_max, its `largest`."""
 
     def __init__(self, M_max, nearest):
         super().__init__(f"M_max = {M_max:.10g} is too small, {nearest.largest:.10g} is possible")
@@ -38,48 +35,27 @@ class Infeasible(RuntimeError):
 
 @dataclass(frozen=True)
 class Program:
-    """What to minimise, and within which bounds.
+    """What to minimise, and within which bounds."""
 
-    Attributes
-    ----------
-    bounds : tuple of Bound
-        M, then W L, or each of its entries if L is diagonal; W L, then M, for the least gain. Then
-        the cuts. M is left out where a cut implies it.
-    basis, R : ndarray, shape (order, n) and (order, order)
-        L = x basis at the frequencies, for x of shape (entries, order); the coefficients are
-        the rows of x R^-T.
-    entries : int
-        How many entries of L are not zero.
-    free : ndarray
-        Columns at which the first bound has a variable t for its level.
-    shared : bool
-        Whether it is the same for all of them, and for all bounds with the first limit: their
-        largest is minimised, not a sum.
-    limits : ndarray, shape (2,)
-        Of the bounds, see :attr:`rodlib.ilc.synthesis.bounds.Bound.limit`; the first is that of t,
-        too.
-    M_max : float
-        What the largest with the first limit must not exceed.
-    H : ndarray, shape (K, K), or None
-        x'H x / 2 is added to what is minimised.
-    """
-
+    # M, then W L or, if L is diagonal, each of its entries; W L, then M, for the least gain; the
+    # cuts. M is left out where a cut implies it.
     bounds: tuple
+    # (order, n) and (order, order): L = x basis for x of shape (entries, order), and the
+    # coefficients are the rows of x R^-T
     basis: np.ndarray
     R: np.ndarray
-    entries: int
-    free: np.ndarray
+    entries: int  # how many of L are not zero
+    free: np.ndarray  # columns at which the first bound has a variable t for its level
+    # whether t is the same for these, and for all bounds with the first limit: their largest is
+    # minimised, not a sum
     shared: bool
-    limits: np.ndarray
-    M_max: float
-    H: np.ndarray | None = None
+    limits: np.ndarray  # of the bounds; the first is that of t, too
+    M_max: float  # what the largest with the first limit must not exceed
+    H: np.ndarray | None = None  # x'H x / 2 is added to what is minimised
 
     @cached_property
     def products(self):
-        """phi_k phi_l^* and phi_k phi_l of the basis, shape (4 n, order^2): real, -imaginary parts.
-
-        Every Newton step weighs them anew.
-        """
+        """Re and -Im of phi_k phi_l^*, then of phi_k phi_l, (4 n, order^2): for Newton steps."""
         order, n = self.basis.shape
         both = [self.basis[:, None] * second for second in (self.basis.conj(), self.basis)]
         flat = [X.reshape(order * order, n).T for X in both]
@@ -199,18 +175,7 @@ def bound_on_M(problem, plant, frequency, **kind):
 
 
 def formulate(problem: Problem, plant=(), frequency=()) -> Program:
-    """State (39), (45) with (46), or the least gain for M_max, in terms of bounds.
-
-    Parameters
-    ----------
-    problem : Problem
-    plant, frequency : array_like of int, shape (c,)
-        The cuts: number of the plant and index of the frequency of each.
-
-    Returns
-    -------
-    Program
-    """
+    """State (39), (45) with (46), or the least gain, with cuts of these plants and frequencies."""
     W, gain, everywhere = problem.weight, problem.objective == "gain", slice(None)
     n, m, _ = problem.P.shape
     full = problem.structure == "full"

@@ -14,22 +14,7 @@ PASSED = 1e-10  # relative violation that is rounding
 
 
 def violated(problem, solution, limit, plant, frequency):
-    """At each frequency the bound that a filter violates most, if it violates one.
-
-    Parameters
-    ----------
-    problem : Problem
-    solution : Solution
-    limit : float
-        The bound.
-    plant, frequency : ndarray of int, shape (c,)
-        The cuts that the solution meets.
-
-    Returns
-    -------
-    plant, frequency : ndarray of int
-        Further ones.
-    """
+    """Plant and frequency of new cuts: at each frequency that which a solution violates most."""
     L = problem.response(solution)
     n = len(problem.omega)
     highest, which = np.full(n, limit * (1 + PASSED)), np.full(n, -1)

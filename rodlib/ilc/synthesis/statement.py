@@ -15,24 +15,7 @@ from rodlib.ilc.synthesis.program import Infeasible, Program
 
 
 def solve(program: Program) -> Solution:
-    """State the problem in CVXPY and solve it with Clarabel.
-
-    Parameters
-    ----------
-    program : Program
-        From :func:`rodlib.ilc.synthesis.program.formulate`.
-
-    Returns
-    -------
-    Solution
-
-    Raises
-    ------
-    Infeasible
-        If M_max cannot be met.
-    RuntimeError
-        If Clarabel fails.
-    """
+    """State the problem in CVXPY and solve it with Clarabel; Infeasible if M_max cannot be met."""
     x = cp.Variable(program.entries * len(program.basis))
     t = cp.Variable(1 if program.shared else len(program.free))
 
