@@ -11,15 +11,7 @@ from rodlib.ilc.problem import convergence_matrix, largest_singular_values, tied
 
 
 class Rate(NamedTuple):
-    """The rate of convergence; of several plants, an array of each.
-
-    Attributes
-    ----------
-    gamma : float
-        Largest sigma_max(M): by so much the norm of the error shrinks from trial to trial.
-    omega : float
-        Frequency where that is, rad/s; of those that are tied, the lowest.
-    """
+    """Lemma 1's gamma, the largest sigma_max(M), and the frequency (rad/s) where it is."""
 
     gamma: float
     omega: float
@@ -28,6 +20,8 @@ class Rate(NamedTuple):
 def rate(P, Q, L: LearningOperator, omega) -> Rate:
     """The rate of convergence: the gamma of Lemma 1, max sigma_max(M), and where it is.
 
+    By so much the norm of the error shrinks, at least, from trial to trial.
+
     Parameters
     ----------
     P, Q, L, omega
@@ -35,12 +29,10 @@ def rate(P, Q, L: LearningOperator, omega) -> Rate:
 
     Returns
     -------
-    Rate
-
-    Raises
-    ------
-    ValueError
-        As :func:`rates`.
+    gamma : float
+    omega : float
+        Frequency where that is, rad/s; of those that are tied, the lowest. For several plants,
+        both are arrays.
     """
     sigma = rates(P, Q, L, omega)
     where = np.asarray(omega)[tied(sigma.T).argmax(axis=0)]

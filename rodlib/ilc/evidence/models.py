@@ -3,7 +3,6 @@
 import control
 import numpy as np
 
-from rodlib.ilc import arguments
 from rodlib.ilc.filters import LearningFilter
 
 
@@ -13,7 +12,6 @@ def learning_model(L: LearningFilter) -> control.StateSpace:
     y(p) = c_nL e(p) + c_(nL-1) e(p - 1) + ... + c_1 e(p - nL + 1), with m (n_L - 1) states: e(p -
     1), e(p - 2), ... A delay has gain one at every frequency, so it changes no singular value.
     """
-    arguments.instance("L", L, LearningFilter)
     m, _, order = L.coefficients.shape
     newest_first = np.concatenate([L.coefficients[:, :, k] for k in range(order - 1, -1, -1)], 1)
     states = m * (order - 1)
@@ -30,12 +28,11 @@ def error_model(P: control.StateSpace, L: LearningFilter) -> control.StateSpace:
     chain. P L and L P have different singular values: this is the operator on the error, as in
     Lemma 1, not I - L P, which acts on the ILC signal.
     """
-    Ts, m = common_size(P, L)
-
+    m = len(L.coefficients)
     # The chain holds e(p - 1) ... e(p - n_L). L in a unit that makes its taps of order one, and P
     # in its inverse, so that the entries of A below are, too; see peak.balanced.
     unit = 2.0 ** np.round(np.log2(np.abs(L.coefficients).max() or 1))
-    taps, chain = learning_model(LearningFilter(L.coefficients / unit, Ts)), m * L.order
+    taps, chain = learning_model(LearningFilter(L.coefficients / unit, L.Ts)), m * L.order
     P_C, P_D = unit * P.C, unit * P.D
     taps_C = np.hstack([taps.C, np.zeros((m, m))])
     delay_C = np.eye(m, chain, k=chain - m)
@@ -44,23 +41,5 @@ def error_model(P: control.StateSpace, L: LearningFilter) -> control.StateSpace:
         np.vstack([np.eye(chain, m), P.B @ taps.D]),
         np.hstack([delay_C - P_D @ taps_C, -P_C]),
         -P_D @ taps.D,
-        Ts,
+        L.Ts,
     )
-
-
-def common_size(P, L):
-    """Sampling period and number of channels that a plant and a learning filter share."""
-    Ts = sampling_period("P", P)
-    m = len(arguments.instance("L", L, LearningFilter).coefficients)
-    if (P.noutputs, P.ninputs) != (m, m):
-        raise ValueError(f"P is {P.noutputs} by {P.ninputs}, but L is {m} by {m}")
-    arguments.one_period(P=Ts, L=L.Ts)
-    return Ts, m
-
-
-def sampling_period(name, system):
-    """That of a state-space model, in seconds."""
-    arguments.instance(name, system, control.StateSpace)
-    if not (system.isdtime(strict=True) and system.dt is not True):
-        raise ValueError(f"{name}.dt = {system.dt!r} must be a sampling period in seconds")
-    return float(system.dt)

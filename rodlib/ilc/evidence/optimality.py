@@ -5,7 +5,6 @@ It follows from the solver's multipliers, whatever their quality, by linear alge
 
 import numpy as np
 
-from rodlib.ilc import arguments
 from rodlib.ilc.evidence.robustness import affine
 from rodlib.ilc.problem import Cuts, Problem
 
@@ -35,15 +34,8 @@ def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None, L=None) -> flo
     the columns are projected one by one. What is None is not used: V, the bound on L; cuts; L, the
     cost of noise.
     """
-    arguments.instance("problem", problem, Problem)
     P, Q, angles = problem.P, problem.Q, problem.angles
     n, m, _ = P.shape
-    U = arguments.array("U", U, P.shape, complex)
-    V = V if V is None else arguments.array("V", V, P.shape, complex)
-    L = L if L is None else arguments.array("L", L, P.shape, complex)
-    if cuts is not None:
-        arguments.instance("cuts", cuts, Cuts)
-
     T, N, turns = [-Q[:, None, None] * P], [U], [angles]
     if V is not None:  # in units of the bound, so that both parts have the size of the objective
         W = problem.weight

@@ -57,7 +57,7 @@ from scipy.interpolate import CubicSpline
 from scipy.linalg import schur
 
 from rodlib.ilc import arguments
-from rodlib.ilc.evidence.models import error_model, sampling_period
+from rodlib.ilc.evidence.models import error_model
 from rodlib.ilc.filters import ZeroPhaseButterworth
 from rodlib.ilc.problem import Problem, convergence_matrix, largest_singular_values, tied
 
@@ -82,14 +82,6 @@ def peak_gain(
     suffice, because sigma_max is nearly equal to its peak over a wide range, as of an all-pass
     filter, or if poles are so close to the unit circle that rounding could move one across.
     """
-    Ts = sampling_period("system", system)
-    if arguments.share("tolerance", tolerance) < 1e-12:
-        raise ValueError(f"tolerance = {tolerance!r} must be in [1e-12, 1]")
-    max_points = arguments.whole("max_points", max_points, 1)
-    if not all(np.isfinite(X).all() for X in (system.A, system.B, system.C, system.D)):
-        raise ValueError("system must be finite, but its matrices hold NaN or infinite values")
-    if Q is not None:
-        arguments.one_period(system=Ts, Q=arguments.instance("Q", Q, ZeroPhaseButterworth).Ts)
     if system.nstates == 0:  # and Q is one at zero
         return float(np.linalg.norm(system.D, 2)), 0.0
     # in units in which inputs and outputs are of order one
@@ -122,7 +114,7 @@ def peak_gain(
                     f"the peak gain, {peak * u * v:.6g} as computed, cannot be told: system has a "
                     f"pole of modulus {radius:.17g}, which rounding could make unstable"
                 )
-            return float((bound + max(highest - peak, 0)) * u * v), float(place / Ts)
+            return float((bound + max(highest - peak, 0)) * u * v), float(place / system.dt)
         middle = (left[0] + right[0]) / 2
         points += middle.size
         if points > max_points or np.any((middle == left[0]) | (middle == right[0])):

@@ -34,8 +34,8 @@ class WorstCase:
     peaks : ndarray, shape (1 + number of other plants,)
         Largest sigma_max(M) of each plant by itself, Delta = 0.
     tied : tuple of (int, int)
-        Plant and index of the frequency of the worst of all, in the order of the frequencies;
-        several if rounding could decide between them.
+        Plants and indices of the frequencies of the worst of all, as far as rounding cannot decide
+        between them.
     """
 
     sigma: np.ndarray

@@ -25,9 +25,6 @@ def scenario_bound(samples: int, support: int, beta: float = 1e-6) -> float:
     one. The sum is the distribution function of the negative binomial distribution, an incomplete
     beta function, so that N may be a million.
     """
-    samples = arguments.whole("samples", samples, 1)
-    support = arguments.whole("support", support, 0, samples)
-    beta = arguments.number("beta", beta, "in (0, 1)", 0, 1)
     if support == samples:
         return 1.0
     after = support + 1
@@ -89,6 +86,7 @@ def violation_probability(design, beta: float = 1e-6) -> float:
         If the design is none or for one plant alone, or `beta` is out of range.
     """
     solution = arguments.instance("design.solution", getattr(design, "solution", None), Solution)
+    beta = arguments.number("beta", beta, "in (0, 1)", 0, 1)
     samples = len(design.problem.others)
     if not samples:
         raise ValueError(

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rodlib.ilc import arguments
-from rodlib.ilc.evidence import GAP, VIOLATION, Certificate, certify, lower_bound
-from rodlib.ilc.evidence.certificate import checked_trial
+from rodlib.ilc.evidence.certificate import GAP, VIOLATION, Certificate, certify, checked_trial
+from rodlib.ilc.evidence.optimality import lower_bound
 from rodlib.ilc.filters import LearningFilter
 from rodlib.ilc.posing import pose
 from rodlib.ilc.problem import Problem, Solution, largest_singular_values, tied
@@ -27,8 +27,7 @@ class InfeasibleError(ValueError):
     smallest_M_max : float
         What is feasible with the other arguments; from one on, nothing that converges.
     plant, omega : int, float
-        Where the bound on M that stands most in the way is: number of the plant, 0 for the nominal
-        one, and frequency, rad/s.
+        Where the bound on M that stands most in the way is; plant number 0 is the nominal one.
     """
 
     def __init__(self, message: str, smallest_M_max: float, plant: int = 0, omega: float = np.nan):
@@ -66,10 +65,7 @@ class Synthesis:
 
     @property
     def value(self) -> float:
-        """The objective: the sum of the nominal sigma_max(M) over the band, or the peak of all.
-
-        With the cost of noise, if that was asked for.
-        """
+        """The objective, with the cost of noise, if that was asked for."""
         return self.certificate.value
 
     @property
@@ -108,10 +104,10 @@ def synthesise(
     Parameters
     ----------
     P : array_like, shape (n, m, m), a model, CurrentTrialLoop, or a list of these; or measured
-        Frequency response of the closed loop on `omega`, measured or computed, for any m, also as
-        python-control's frequency response data; or a discrete-time model of it, state space or
-        transfer function. Of a list the first is the nominal plant, whose convergence is made fast;
-        the bounds hold for all of them. A :class:`rodlib.MeasuredResponse` brings its radius along.
+        Frequency response of the closed loop on `omega`, for any m, also as python-control's
+        frequency response data; or a discrete-time model of it, state space or transfer function.
+        Of a list the first is the nominal plant, whose convergence is made fast; the bounds hold
+        for all of them. A :class:`rodlib.MeasuredResponse` brings its radius along.
     Q : array_like, shape (n,), or ZeroPhaseButterworth
         Frequency response of the Q-filter on `omega`, or the filter.
     omega : array_like, shape (n,)
@@ -124,8 +120,7 @@ def synthesise(
         Bound on sigma_max(M), in (0, 1): the slowest convergence tolerated.
     L_max : float or None
         Bound on sigma_max(L), unit of w per unit of y. None leaves it out: filters then compete up
-        to the gain that coefficients in doubles can hold,
-        :attr:`rodlib.ilc.problem.Problem.weight`.
+        to the gain that coefficients in doubles can hold, :attr:`rodlib.ilc.Problem.weight`.
     band : (float, float)
         Lowest and highest frequency of the sum in (39), rad/s. A peak has none.
     structure : {"diagonal", "full"}
@@ -139,16 +134,15 @@ def synthesise(
         Radius at each frequency: the bounds hold for each P + Delta with ||Delta|| <= radius, of
         the channels in units of `scale`, by a condition that is exact.
     noise : array_like, shape (n,) or (n, m), optional
-        Spectral density of what is new in the measured outputs in every trial, as in
-        :class:`rodlib.ilc.evidence.Spectrum`: white noise has its variance. Added to the objective
-        is then what it adds at most to the variance of the converged error,
-        :meth:`rodlib.ilc.problem.Problem.cost_of_noise`, in units of `scale`; multiply the density
-        to make more of that, or less.
+        Spectral density of what is new in the measured outputs in every trial; white noise has its
+        variance. What it adds at most to the variance of the converged error is then added to the
+        objective, :meth:`rodlib.ilc.Problem.cost_of_noise`, in units of `scale`; multiply the
+        density to make more of that, or less.
     confidence : float, optional
         Of a measured response: probability that the truth lies within its radius at all frequencies
         that were measured. Default 0.99.
     solver : {"structured", "cvxpy"}
-        :mod:`rodlib.ilc.synthesis.interior_point`, or the problem as the paper states it, in CVXPY.
+        The package's own solvers, or the problem as the paper states it, in CVXPY.
     start : Synthesis, optional
         A design for other bounds, another band or a similar plant to start from, of the same order
         and size. It makes the synthesis faster, not different.
@@ -164,8 +158,8 @@ def synthesise(
     -------
     Synthesis
         With its certificate. What it says about all frequencies is proven if P and Q are models.
-        From arrays it is read off splines between the first and the last frequency, on a grid ten
-        times denser; the certificate warns if the samples are too coarse for that.
+        From arrays it is read off splines between the first and the last frequency; the
+        certificate warns if the samples are too coarse for that.
 
     Raises
     ------
@@ -173,8 +167,7 @@ def synthesise(
         If an argument has the wrong shape or is out of range, P is unstable, or singular at a
         frequency. The message names the argument and the value.
     InfeasibleError
-        If no filter meets the bounds; the message says which of them is too tight, and the
-        smallest `M_max` that is feasible.
+        If no filter meets the bounds; the message says which of them is too tight.
     SolverError
         If the solver fails, or the certificate of its result does.
     """
@@ -192,7 +185,7 @@ def certified(
     """Solve a problem, and certify the filter; arguments and errors of :func:`synthesise`."""
     arguments.choice("solver", solver, ["structured", "cvxpy"])
     arguments.flag("check", check)
-    checked_trial(problem, samples, rest)  # before long work
+    samples, rest = checked_trial(problem, samples, rest)
     if start is not None:
         _check_start(start, problem)
     by_solver = _solve_with_cvxpy if solver == "cvxpy" else solve

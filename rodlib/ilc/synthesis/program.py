@@ -3,10 +3,8 @@
 Given P_i (m x m) and Q_i (scalar) at the frequencies omega_i, find the real coefficients C_k of
 L(z) = sum_k C_k z^k that minimise the sum over a band, or the largest, of sigma_max(M_i), where
 M_i = Q_i (I - P_i L_i), subject to sigma_max(M_i) <= M_max and sigma_max(W L_i) <= 1 at all
-frequencies, where W is I / L_max. Each of these is a :class:`rodlib.ilc.synthesis.bounds.Bound`. So
-are those on M for other plants and for a radius, with M_max as well. Of thousands of these a
-handful matters: only a selection, the cuts, is in the program, which
-:func:`rodlib.ilc.synthesis.synthesise` extends by those that its solution violates.
+frequencies, where W is I / L_max. Each of these is a :class:`rodlib.ilc.synthesis.bounds.Bound`,
+and so are the cuts, those for other plants and for a radius.
 
 The powers z, z^2, ... are replaced by a basis that is orthonormal with the weight that M and L give
 each frequency. It is computed in long doubles, see :func:`rodlib.ilc.filters.time_shifts`.

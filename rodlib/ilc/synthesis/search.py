@@ -34,12 +34,7 @@ def least_gain(P, Q, omega, Ts=None, **choices) -> Synthesis:
     Returns
     -------
     Synthesis
-        Of (45) with (46), where `problem.L_max` is that gain.
-
-    Raises
-    ------
-    ValueError, InfeasibleError, SolverError
-        As :func:`synthesise`.
+        Of (45) with (46), where `problem.L_max` is that gain. Raises as :func:`synthesise`.
     """
     asked, how = _parted(choices)
     problem = pose(P, Q, omega, Ts, objective="peak", L_max=None, **asked)
@@ -68,10 +63,10 @@ def largest_cutoff(
 ) -> tuple[ZeroPhaseButterworth, Synthesis]:
     """Find the largest cut-off of Q for which a filter meets the bounds, and design that.
 
-    What Q passes is learned, and what it stops is not: for given bounds, a practitioner wants to
-    pass as much as they allow. A lower cut-off makes |Q| smaller at each frequency, and with it M:
-    the smallest M_max that can be met increases with the cut-off, and its root is found. Nothing is
-    left for the objective there: a little below the largest cut-off, learning is faster.
+    For given bounds, a practitioner wants to pass and to learn as much as they allow. A lower
+    cut-off makes |Q| smaller at each frequency, and with it M: the smallest M_max that can be met
+    increases with the cut-off, and its root is found. Nothing is left for the objective there: a
+    little below the largest cut-off, learning is faster.
 
     Parameters
     ----------
@@ -85,14 +80,8 @@ def largest_cutoff(
     Q : ZeroPhaseButterworth
         With the largest cut-off, to a relative 1e-3; at most 0.999 of the Nyquist frequency.
     design : Synthesis
-        For it.
-
-    Raises
-    ------
-    ValueError, SolverError
-        As :func:`synthesise`.
-    InfeasibleError
-        If even a cut-off at the lowest design frequency is too high.
+        For it. Raises as :func:`synthesise`, if even a cut-off at the lowest design frequency is
+        too high.
     """
     arguments.instance("Q", Q, ZeroPhaseButterworth)
     asked, how = _parted(choices)

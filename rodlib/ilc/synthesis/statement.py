@@ -1,8 +1,6 @@
 """The synthesis problems in CVXPY, as the paper states them: one matrix inequality per frequency.
 
-This is the statement to read, and to compare with. :mod:`rodlib.ilc.synthesis.interior_point`
-solves the same problems more accurately, with 1000 frequencies about ten to thirty times faster
-(the benchmark in the README).
+This is the statement to read, and to compare with.
 """
 
 import warnings

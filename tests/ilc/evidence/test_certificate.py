@@ -9,16 +9,10 @@ from hypothesis import strategies as st
 
 from rodlib import LearningFilter, SolverError, run_trials, synthesise, zero_phase_butterworth
 from rodlib.case import assumed_reference
-from rodlib.ilc.evidence import (
-    error_model,
-    learning_model,
-    lower_bound,
-    peak_gain,
-    trial_map,
-    trial_norm,
-    trial_operators,
-)
-from rodlib.ilc.evidence.peak import _ceiling, _phase, _rounded_up, balanced
+from rodlib.ilc.evidence import trial_map, trial_norm, trial_operators
+from rodlib.ilc.evidence.models import error_model, learning_model
+from rodlib.ilc.evidence.optimality import lower_bound
+from rodlib.ilc.evidence.peak import _ceiling, _phase, _rounded_up, balanced, peak_gain
 from rodlib.ilc.models import frequency_response
 from rodlib.ilc.posing import pose
 from rodlib.ilc.problem import convergence_matrix, largest_singular_values
@@ -186,21 +180,9 @@ def test_gains_whose_squares_leave_the_doubles_are_found(gain):
         assert peak_gain(lag)[0] == pytest.approx(2 * gain, rel=2e-8, abs=0)
 
 
-@pytest.mark.parametrize(
-    ("system", "message"),
-    [
-        (control.ss(1.0, 1, 1, 0, 1.0), "unstable: it has a pole of modulus 1"),
-        (control.ss(-1.0, 1, 1, 0), "system.dt = 0 must be a sampling period in seconds"),
-        (control.ss(0.5, 1, 1, 0, True), "system.dt = True must be a sampling period in seconds"),
-        (control.ss(0.5, 1, 1, 0, None), "system.dt = None must be a sampling period in seconds"),
-        (control.tf([1], [1, -0.5], 1.0), "system = .* must be a StateSpace"),
-        (np.ones((50, 1, 1)), "system = .* must be a StateSpace"),
-        (control.ss(0.5, np.inf, 1, 0, 1.0), "must be finite"),
-    ],
-)
-def test_bad_systems_are_refused(system, message):
-    with pytest.raises(ValueError, match=message):
-        peak_gain(system)
+def test_an_unstable_system_has_no_peak():
+    with pytest.raises(ValueError, match="unstable: it has a pole of modulus 1"):
+        peak_gain(control.ss(1.0, 1, 1, 0, 1.0))
 
 
 @pytest.mark.parametrize(
@@ -213,15 +195,11 @@ def test_bad_systems_are_refused(system, message):
         ({"L": np.ones((1, 1, 3))}, "L = .* must be a LearningFilter"),
     ],
 )
-@pytest.mark.parametrize(
-    "evidence",
-    [lambda P, Q, L: peak_gain(error_model(P, L), Q), lambda P, Q, L: trial_norm(P, Q, L, 9)],
-)
-def test_what_is_no_model_or_no_filter_is_refused(evidence, changes, message):
+def test_what_is_no_model_or_no_filter_is_refused(changes, message):
     L = LearningFilter(np.ones((1, 1, 3)), 1.0)
     given = {"P": control.ss(0.5, 1, 1, 0, 1.0), "Q": zero_phase_butterworth(), "L": L} | changes
     with pytest.raises(ValueError, match=message):
-        evidence(**given)
+        trial_norm(**given, samples=9)
 
 
 def test_whole_numbers_are_numbers():

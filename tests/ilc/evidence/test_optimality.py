@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rodlib.ilc.evidence import lower_bound
-from rodlib.ilc.evidence.optimality import dual_norm
+from rodlib.ilc.evidence.optimality import dual_norm, lower_bound
 from rodlib.ilc.posing import pose
 from rodlib.ilc.problem import Cuts
 

@@ -27,9 +27,7 @@ def random_plant(seed, m, n=30, gain=1.0):
 
 
 @pytest.mark.parametrize("objective", ["sum", "peak"])
-@pytest.mark.parametrize(
-    ("m", "structure"), [(1, "full"), (2, "full"), (3, "diagonal"), (4, "full")]
-)
+@pytest.mark.parametrize(("m", "structure"), [(1, "full"), (2, "full"), (3, "diagonal")])
 def test_structured_and_cvxpy_find_the_same_optimum(m, structure, objective):
     P, Q, omega = random_plant(m, m, n=25)
     arguments = {"order": 3, "L_max": 20.0, "band": (0.01, 0.3), "M_max": 0.97}
@@ -44,7 +42,7 @@ def test_structured_and_cvxpy_find_the_same_optimum(m, structure, objective):
 @pytest.mark.parametrize("objective", ["sum", "peak"])
 @pytest.mark.parametrize("structure", ["diagonal", "full"])
 def test_structured_and_cvxpy_agree_on_the_papers_problems(loop, Q, omega, structure, objective):
-    grid = omega[::4]
+    grid = omega[::8]
     arguments = {"band": (grid[0], 0.02), "structure": structure, "objective": objective}
     ours = synthesise(loop, Q, grid, 1.0, **arguments)
     theirs = synthesise(loop, Q, grid, 1.0, solver="cvxpy", check=False, **arguments)
@@ -54,9 +52,9 @@ def test_structured_and_cvxpy_agree_on_the_papers_problems(loop, Q, omega, struc
     assert abs(theirs.value / ours.value - 1) <= theirs.certificate.gap < 1e-4
 
 
-@settings(max_examples=25)
+@settings(max_examples=8)
 @given(
-    st.integers(1, 4),
+    st.integers(1, 3),
     st.sampled_from([1, 2, 5, 10]),
     st.sampled_from(["diagonal", "full"]),
     st.sampled_from(["sum", "peak"]),
@@ -96,7 +94,7 @@ def test_shortest_and_longest_filters_on_the_papers_plant(loop, Q, omega, order,
 
 
 @given(st.floats(0.3, 0.95), st.floats(0.5, 2.5), st.floats(1.0, 3.0), st.integers(1, 5))
-@settings(max_examples=8)
+@settings(max_examples=4)
 def test_what_the_refusal_advises_is_feasible(pole, cutoff, L_max, order):
     """Rounded to nearest, every other number that it names would be refused again."""
     lag, Q = control.ss(pole, 1 - pole, 1, 0, 1.0), zero_phase_butterworth(2, cutoff)

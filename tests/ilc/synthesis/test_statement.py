@@ -4,7 +4,7 @@ import cvxpy as cp
 import numpy as np
 import pytest
 
-from rodlib.ilc.evidence import lower_bound
+from rodlib.ilc.evidence.optimality import lower_bound
 from rodlib.ilc.synthesis.program import Infeasible, formulate
 from rodlib.ilc.synthesis.statement import sigma_max_at_most, solve
 from tests.ilc.synthesis.test_program import plant, posed
