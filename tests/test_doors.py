@@ -212,19 +212,12 @@ DOORS = [
      {"step": REAL | {"0": [0.0], "2": [1, 2]}}),
     (evidence.noise_bound, {"new": NOISE, "Q": Q, "M_max": 0.9, "L_max": 2.0},
      {"M_max": REAL | {"1": 1, "-1": -1.0}, "L_max": REAL}),
-    (evidence.certify, {"problem": PROBLEM, "solution": SOLUTION}),
     (evidence.worst_case, {"problem": PROBLEM, "L": L}),
-    (evidence.lower_bound,
-     {"problem": PROBLEM, "U": SOLUTION.U, "V": SOLUTION.V, "cuts": SOLUTION.cuts, "L": None},
-     {"U": COMPLEX, "V": COMPLEX | {"none": ...}, "L": COMPLEX}),
-    (evidence.peak_gain, {"system": P, "Q": Q}, {"system": MODELS}),
-    (evidence.learning_model, {"L": L}),
-    (evidence.error_model, {"P": P, "L": L}, MODEL),
-    (evidence.impulse_response, {"P": P, "samples": 3}, MODEL),
+    *((door, {"P": LOOP, "Q": Q, "L": L, "omega": OMEGA}, {"P": REAL})
+      for door in (evidence.rate, evidence.rates)),
     (evidence.trial_operators, {"P": P, "Q": Q, "L": L, "samples": 6}, MODEL),
     (evidence.trial_map, {"P": P, "Q": Q, "L": L, "samples": 6}, MODEL),
     (evidence.trial_norm, {"P": P, "Q": Q, "L": L, "samples": 6}, MODEL),
-    (evidence.scenario_bound, {"samples": 9, "support": 2}),
     (evidence.support, {"solution": SOLUTION}),
     (evidence.violation_probability, {"design": DESIGN}),
     (alternatives.p_type, {"gain": 1.0, "ahead": 1, "channels": 1, "Ts": 1.0}),
@@ -323,10 +316,9 @@ DOORS = [
 # Made by other doors, or without an argument; and inside: protocols, constants, and what solvers
 # call a thousand times with what was checked before.
 MADE = {"Certificate", "InfeasibleError", "LearnedNoise", "LogError", "MeasuredResponse"}
-MADE |= {"Outcome", "Picture", "Replay", "RigError", "SolverError", "Spectrum", "Synthesis"}
+MADE |= {"Outcome", "Picture", "Rate", "Replay", "RigError", "SolverError", "Spectrum", "Synthesis"}
 MADE |= {"Tuned", "WorstCase"}
-INSIDE = {"Family", "GAP", "LearningOperator", "Problem", "Rig", "VIOLATION", "convergence_matrix"}
-INSIDE |= {"largest_singular_values"}
+INSIDE = {"Family", "LearningOperator", "Problem", "Rig"}
 ROOMS = ("alternatives", "evidence", "laboratory", "synthesis", "workbench")
 ROOMS = ("study", *(f"ilc.{room}" for room in ROOMS))
 

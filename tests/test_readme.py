@@ -88,7 +88,7 @@ def test_for_many_plants_the_bounds_hold(left):
     left = left[-1]
     robust, within = left["robust"], left["design"]
     assert not robust.certificate.failures and not within.certificate.failures
-    assert robust.certificate.robust.plants == 201 and within.certificate.robust.radius == "norm"
+    assert len(robust.problem.others) == 200 and within.problem.radius is not None
     P = np.stack([robust.problem.plant(k) for k in range(0, 201, 20)])
     L = robust.filter.frequency_response(left["omega"])
     response = left["Q"].frequency_response(left["omega"])

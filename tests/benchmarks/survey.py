@@ -171,7 +171,7 @@ def outcome(number, seed=0, confirm=False):
             design = synthesise(p.P, p.Q, p.omega, p.Ts, **p.options)
             row |= {"end": "certified", "method": design.solution.method,
                     "iterations": design.solution.iterations, "gap": design.certificate.gap,
-                    "value": design.value, "idle": design.certificate.idle}  # fmt: skip
+                    "value": design.value, "idle": design.problem.idle}  # fmt: skip
         except InfeasibleError as error:
             row |= {"end": "infeasible", "smallest": error.smallest_M_max}
         except Exception as error:

@@ -6,8 +6,8 @@ import numpy as np
 from scipy.fft import irfft, rfft
 
 from rodlib.ilc import arguments
+from rodlib.ilc.evidence import rate
 from rodlib.ilc.filters import LearningOperator, ZeroPhaseButterworth, check_learning
-from rodlib.ilc.problem import convergence_matrix, largest_singular_values
 from rodlib.ilc.trials import learn
 
 JUDGED = 500  # lines at which the rate is computed, spaced by their logarithms
@@ -46,24 +46,16 @@ class Rehearsal:
         for name, value in {"alone": alone, "P": P, "rest": rest}.items():
             object.__setattr__(self, name, value)
 
-    def _check(self, L):
-        check_learning(L, self.alone.shape[2])
-        arguments.one_period(Q=self.Q.Ts, L=L.Ts)
-
     def rate(self, L: LearningOperator) -> float:
         """Of Lemma 1, the largest sigma_max(M), at `JUDGED` of the lines."""
-        self._check(L)
         samples = self.alone.shape[1]
         chosen = np.unique(np.append(0, np.geomspace(1, samples, JUDGED).round().astype(int)))
-        omega = lines(samples, self.Q.Ts)[chosen]
-        q, response = self.Q.frequency_response(omega), L.frequency_response(omega)
-        M = convergence_matrix(self.P[chosen], q, response)
-        return float(largest_singular_values(M).max())
+        return float(rate(self.P[chosen], self.Q, L, lines(samples, self.Q.Ts)[chosen]).gamma)
 
     def errors(self, L: LearningOperator) -> np.ndarray:
         """e_k, shape (trials, samples, m)."""
-        self._check(L)
-        trials, samples, _ = self.alone.shape
+        trials, samples, m = self.alone.shape
+        check_learning(L, m)
 
         def run(k, v):
             Pv = self.P @ rfft(v, 2 * samples, axis=0)[..., None]

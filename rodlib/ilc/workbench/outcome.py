@@ -74,8 +74,7 @@ def _remedy(smallest):
 
 def certificate_line(certificate: Certificate) -> str:
     """What is known about a filter, in a line."""
-    robust = certificate.robust
-    if robust and robust.radius:
+    if certificate.problem.radius is not None:
         rate = f"σ(M) ≤ {certificate.grid_M:.4f} within the radius, at the design frequencies"
     elif certificate.proven:
         rate = f"σ(M) ≤ {certificate.all_M:.4f} at all frequencies"

@@ -12,6 +12,7 @@ from rodlib.ilc.laboratory import LogError, MeasuredResponse, load_log, loop_of,
 from rodlib.ilc.laboratory.notes import excitation_of
 from rodlib.ilc.laboratory.replay import replay_of
 from rodlib.ilc.loop import CurrentTrialLoop
+from rodlib.ilc.problem import Problem
 from rodlib.paper.rig_logs import papers_loop
 
 TRIALS = 10
@@ -39,7 +40,7 @@ class Plant:
     response: CurrentTrialLoop | MeasuredResponse
     reference: np.ndarray | None = None
     disturbance: np.ndarray | None = None
-    order: int = 10
+    order: int = Problem.order
 
     def __post_init__(self):
         arguments.instance("source", self.source, str)

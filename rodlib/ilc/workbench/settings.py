@@ -6,6 +6,7 @@ import numpy as np
 
 from rodlib.ilc import arguments
 from rodlib.ilc.filters import ZeroPhaseButterworth, zero_phase_butterworth
+from rodlib.ilc.problem import Problem
 from rodlib.ilc.workbench.plants import Plant
 
 FREQUENCIES = 200  # of the design; the paper has 1000, which take three times as long
@@ -41,9 +42,9 @@ class Settings:
     cutoff: float
     band: tuple[float, float]
     order: int
-    M_max: float = 0.9
-    Q_order: int = 2
-    structure: str = "diagonal"
+    M_max: float = Problem.M_max
+    Q_order: int = ZeroPhaseButterworth.order
+    structure: str = Problem.structure
     uncertainty: float = 0.0
     noise: float = 0.0
 
@@ -54,11 +55,13 @@ class Settings:
         L_max is the paper's rule, 2.5 / sigma_max(P) at the cut-off frequency, to one digit.
         """
         Ts = arguments.instance("plant", plant, Plant).loop.Ts
-        cutoff = float(f"{arguments.positive('cutoff', changes.get('cutoff', 0.1 / Ts)):.3g}")
+        cutoff = changes.get("cutoff", ZeroPhaseButterworth.cutoff / Ts)
+        cutoff = float(f"{arguments.positive('cutoff', cutoff):.3g}")
+        low, high = Problem.band
         choices = {
             "L_max": float(f"{2.5 / plant.size([cutoff])[0]:.1g}"),
             "cutoff": cutoff,
-            "band": (_no_lower(1e-4 / Ts), float(f"{0.02 / Ts:.3g}")),
+            "band": (_no_lower(low / Ts), float(f"{high / Ts:.3g}")),
             "order": plant.order,
         }
         return cls(plant, **choices | changes)

@@ -20,7 +20,7 @@ from rodlib.ilc.alternatives import (
     stable_inversion,
     zero_phase_inversion,
 )
-from rodlib.ilc.evidence import impulse_response
+from rodlib.ilc.evidence.finite_trial import impulse_response
 from rodlib.ilc.models import frequency_response
 
 LOOPS = {
