@@ -198,7 +198,6 @@ def replay(log: str, root: Path = ROOT) -> None:
         As :func:`reproduce`.
     """
     from rodlib.ilc.laboratory import load_log, replay_of  # here, because they take long to import
-    from rodlib.paper.rig_logs import papers_loop
 
     checkout("make replay", root)
     path = Path(log)
@@ -208,7 +207,7 @@ def replay(log: str, root: Path = ROOT) -> None:
     if not path.is_file():
         what = "is a folder, not a log" if path.is_dir() else "is not there"
         raise FileNotFoundError(f"{path} {what}: make replay LOG=path")
-    replayed = replay_of(load_log(path), papers_loop(path))
+    replayed = replay_of(load_log(path))
     notebook = root / "notebooks" / "05-experiment-replay.ipynb"
     with folder_of_run("replay", root) as build:
         executed, table = build / notebook.name, build / "next-trial.csv"

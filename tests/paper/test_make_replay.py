@@ -16,7 +16,6 @@ from rodlib import (
     LogError,
     current_trial_loop,
     load_log,
-    paper_loop,
     record,
     run_trials,
     save_log,
@@ -27,7 +26,6 @@ from rodlib.ilc.laboratory import replay_of, with_law
 from rodlib.ilc.laboratory.temperature_control_lab import TemperatureControlLab, heat_balance
 from rodlib.paper import reproduce
 from rodlib.paper.repository import ROOT
-from rodlib.paper.rig_logs import papers_loop
 
 ODD = 'my stage\'s "log" of $HOME, ~ & `x` #1.csv'
 
@@ -214,14 +212,3 @@ def test_a_name_may_begin_with_the_sign_for_home(root, monkeypatch):
     home = re.escape(os.path.expanduser("~/no such log.csv"))
     with pytest.raises(FileNotFoundError, match=f"{home} is not there: make replay LOG=path"):
         reproduce.replay("~/no such log.csv", root)
-
-
-def test_only_the_compendiums_own_log_gets_the_papers_loop(tmp_path):
-    log = ROOT / "data" / "rig" / "learning.csv"
-    np.testing.assert_array_equal(papers_loop(log).KL, paper_loop().KL)
-    copy = tmp_path / "learning.csv"
-    shutil.copy(log, copy)
-    assert papers_loop(copy) is None
-    copy.unlink()
-    copy.symlink_to(log)
-    assert papers_loop(copy) is not None

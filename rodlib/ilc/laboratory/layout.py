@@ -1,10 +1,8 @@
-"""What the metadata of a log say about its columns, in both formats."""
+"""What the metadata of a log say about its columns."""
 
 import json
-import re
 import reprlib
 from dataclasses import dataclass, field
-from itertools import count
 
 import numpy as np
 
@@ -12,13 +10,14 @@ from rodlib.ilc import arguments
 from rodlib.ilc.laboratory import units as pints
 from rodlib.ilc.laboratory.tables import few
 
-FORMAT, FORMER = "rodlib trial log 2", "rodlib trial log 1"
+FORMAT = "rodlib trial log 2"
 SIGNALS = {  # and what the channels of each are; every log has all but the last two
     "reference": "output", "v": "output", "u": "control", "y": "output",
     "delta": "control", "disturbance": "source",
 }  # fmt: skip
 REQUIRED = [name for name in SIGNALS if name not in ("delta", "disturbance")]
 DIFFERENCES = ("v", "delta")  # of two readings, so that the zero of a unit has no part in them
+OWN = ("format", "Ts", "signals")  # metadata that are no attributes
 ROLES = {"output": "outputs", "control": "controls", "source": "disturbances"}  # in the metadata
 
 
@@ -40,12 +39,10 @@ class Layout:
     names: dict[str, list[str]] = field(default_factory=lambda: {role: [] for role in ROLES})
     columns: list[Column] = field(default_factory=list)
     units: dict[str, str] = field(default_factory=dict)  # to be read in, by name
-    time: str | None = None  # unit of the column
-    own: tuple[str, ...] = ("format", "Ts", "signals")  # metadata that are no attributes
 
 
 def layout_of(table, problems):
-    """Of format 2: the metadata name the signals, and the columns are called after them."""
+    """The metadata name the signals, and the columns are called after them."""
     layout = Layout()
     try:
         signals = _object("signals", table.metadata.get("signals", ""))
@@ -79,45 +76,6 @@ def layout_of(table, problems):
     for title, (signal, name) in titles.items():
         low, high = limits[title]
         layout.columns.append(Column(title, signal, name, layout.units[name], (low, high)))
-    return layout
-
-
-def former_layout_of(table, problems):
-    """Of format 1: the rod's, in K and W, with a unit for each column."""
-    pairs = [part.split() for part in table.metadata.get("units", "").split(";")]
-    stated = {pair[0]: pair[1] for pair in pairs if len(pair) == 2}
-    for title in stated:
-        if [pair[0] for pair in pairs if pair].count(title) > 1:
-            problems.append(f"metadata: units names the unit of {title!r} twice")
-    layout = Layout(time=stated.get("time"), own=("format", "Ts", "units"))
-    channels = next(i for i in count(1) if f"y{i + 1}" not in table.header)
-    sources = [title for title in table.header if re.fullmatch(r"theta_a|Q[0-9]{1,9}", title)]
-    layout.names = {
-        "output": [f"y{i + 1}" for i in range(channels)],
-        "control": [f"u{i + 1}" for i in range(channels)],
-        "source": sources,
-    }
-    if "time" in table.header and "time" not in stated:
-        problems.append("metadata: units does not name the unit of 'time'")
-    optional = any(title.startswith("delta") for title in table.header)
-    for signal, role in SIGNALS.items():
-        for index, name in enumerate(layout.names[role]):
-            title = name if role == "source" else f"{signal}{index + 1}"
-            if signal == "delta" and not optional:
-                continue
-            flow = role == "control" or name.startswith("Q")
-            unit, size = ("W", 1e4) if flow else ("K", 500.0)
-            layout.units[name] = unit
-            factor = 1.0
-            if title in table.header and title not in stated:
-                problems.append(f"metadata: units does not name the unit of {title!r}")
-            elif title in stated:
-                try:
-                    factor, _ = pints.conversion(title, stated[title], unit, False)
-                except ValueError as error:
-                    problems.append(f"metadata: {error}")
-            limits = (-size / factor, size / factor)
-            layout.columns.append(Column(title, signal, name, stated.get(title, unit), limits))
     return layout
 
 

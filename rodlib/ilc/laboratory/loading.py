@@ -15,14 +15,7 @@ import xarray as xr
 
 from rodlib.ilc import arguments
 from rodlib.ilc.laboratory import units as pints
-from rodlib.ilc.laboratory.layout import (
-    DIFFERENCES,
-    FORMAT,
-    FORMER,
-    SIGNALS,
-    former_layout_of,
-    layout_of,
-)
+from rodlib.ilc.laboratory.layout import DIFFERENCES, FORMAT, OWN, SIGNALS, layout_of
 from rodlib.ilc.laboratory.saving import head_of
 from rodlib.ilc.laboratory.tables import (
     NUMBER,
@@ -112,21 +105,20 @@ def _load(file, path, units):
     except UnicodeError as error:
         raise LogError(f"{path}: cannot be read as text: {error}") from None
     version = table.metadata.get("format")
-    if version not in (FORMAT, FORMER):
-        problems.append(f"metadata: format is {version!r}, but must be {FORMAT!r} (or {FORMER!r})")
+    if version != FORMAT:
+        problems.append(f"metadata: format is {version!r}, but must be {FORMAT!r}")
     refuse(path, problems)  # all further ones would follow from these
-    layout = former_layout_of(table, problems) if version == FORMER else layout_of(table, problems)
+    layout = layout_of(table, problems)
     if not layout.columns:
         refuse(path, problems)
-    Ts = _sampling_period(table.metadata, layout, problems)
+    Ts, tick = _sampling_period(table.metadata, problems)
     _check_columns(table.header, layout.columns, problems)
     read_rows(file, table, {"trial", "time", *(c.title for c in layout.columns)}, problems)
     numbers = time = None
-    if table.pieces and Ts and {"trial", "time"} <= set(table.header):
-        tick = _seconds(layout.time, problems)
-        if tick and all(np.isfinite(table.column(title)).all() for title in ("trial", "time")):
-            numbers, time = check_trials(table, Ts / tick, problems)
-            time = time * tick
+    readable = bool(table.pieces and Ts) and {"trial", "time"} <= {*table.header}
+    if readable and all(np.isfinite(table.column(title)).all() for title in ("trial", "time")):
+        numbers, time = check_trials(table, Ts / tick, problems)
+        time = time * tick
     refuse(path, problems)
     asked = arguments.by_name("units", units, list(layout.units))
     _check_limits(table, layout.columns, problems)
@@ -134,26 +126,18 @@ def _load(file, path, units):
     return _assemble(table, layout, layout.units | asked, Ts, numbers, time)
 
 
-def _sampling_period(metadata, layout, problems):
-    """In s; its unit is that of the time as well, unless the metadata have said another."""
+def _sampling_period(metadata, problems):
+    """In s, and the unit of it and of the time in s."""
     try:
         number, unit = metadata.get("Ts", "").split()
-        layout.time = layout.time or unit
         if not NUMBER.fullmatch(number):  # as in the rows: float takes more
             raise ValueError(number)
-        return arguments.sampling_period(
-            "Ts", float(number) * pints.conversion("Ts", unit, "s", False)[0]
-        )
+        tick, _ = pints.conversion("Ts", unit, "s", False)
+        return arguments.sampling_period("Ts", float(number) * tick), tick
     except ValueError:
         stated = metadata.get("Ts")
         problems.append(f"metadata: Ts is {stated!r}, but must be a period such as '1.0 s'")
-
-
-def _seconds(unit, problems):
-    try:
-        return pints.conversion("time", unit, "s", False)[0]
-    except ValueError as error:
-        problems.append(f"metadata: {error}")
+        return None, None
 
 
 def _check_columns(header, columns, problems):
@@ -211,8 +195,8 @@ def _assemble(table, layout, units, Ts, numbers, time):
         start += len(piece)
     signals = {name: s.reshape(len(numbers), samples, -1) for name, s in signals.items()}
     trials = dataset(Ts, *layout.names.values(), units, **signals)
-    notes = {key: value for key, value in table.metadata.items() if key not in layout.own}
-    if "limits" in notes and "signals" in layout.own:
+    notes = {key: value for key, value in table.metadata.items() if key not in OWN}
+    if "limits" in notes:
         notes["limits"] = json.dumps(_limits_in(units, layout.columns))
     return trials.assign_attrs(notes).assign_coords(
         trial=numbers.astype(int), time=("time", time, {"units": "s"})

@@ -10,7 +10,7 @@ import xarray as xr
 from rodlib.ilc import arguments
 from rodlib.ilc.files import append_whole, write_pieces
 from rodlib.ilc.laboratory import units as pints
-from rodlib.ilc.laboratory.layout import FORMAT, REQUIRED, ROLES, SIGNALS, Layout, limits_of
+from rodlib.ilc.laboratory.layout import FORMAT, OWN, REQUIRED, ROLES, SIGNALS, limits_of
 from rodlib.ilc.laboratory.tables import few, rows
 
 BLOCK = 2**17  # rows written at a time
@@ -114,7 +114,7 @@ def _notes(attributes):
         if key == "Ts":
             continue
         plain = isinstance(key, str) and re.fullmatch(r"[^\s:#]([^:]*[^\s:])?", key)
-        if not (plain and key.isprintable()) or key in Layout.own:
+        if not (plain and key.isprintable()) or key in OWN:
             raise ValueError(f"attribute {key!r} cannot be a line of the log: rename it")
         line = isinstance(value, str) and value.isprintable() and value == value.strip()
         notes[key] = value if line else json.dumps(value, default=str)

@@ -476,13 +476,13 @@ def test_another_experiment_does_not_go_on_with_the_log(loop, Q, L, tmp_path, ch
     assert path.read_bytes() == content and made["rig"].time == time
 
 
-def test_a_log_without_the_loop_is_not_gone_on_with(loop, Q, L, tmp_path):
-    content = (ROOT / "data" / "rig" / "learning.csv").read_bytes()
+def test_a_log_that_record_did_not_write_is_not_gone_on_with(loop, Q, L, tmp_path):
     path = tmp_path / "log.csv"
-    path.write_bytes(content)
-    with pytest.raises(ValueError, match="its columns must be trial,time,reference_y1"):
-        record(VirtualRig(), loop, Q, L, assumed_reference(), None, path=path)
-    assert path.read_bytes() == content
-    path.write_text("")
-    with pytest.raises(ValueError, match="format is None"):
-        record(VirtualRig(), loop, Q, L, assumed_reference(), None, path=path)
+    record(VirtualRig(), loop, Q, L, **SHORT, path=path)
+    lines = path.read_text().splitlines(keepends=True)
+    unnamed = "".join(line for line in lines if not line.startswith("# loop"))
+    for text, message in ((unnamed, "another experiment, see its loop"), ("", "format is None")):
+        path.write_text(text)
+        with pytest.raises(ValueError, match=message):
+            record(VirtualRig(), loop, Q, L, **SHORT, path=path)
+        assert path.read_text() == text

@@ -20,7 +20,7 @@ from rodlib import (
     update,
     zero_phase_butterworth,
 )
-from rodlib.ilc.laboratory import law_of, replay_of, rest_of, with_law
+from rodlib.ilc.laboratory import law_of, loop_of, replay_of, rest_of, with_law
 from rodlib.ilc.laboratory.replay import by_unit, rms_by_trial
 from rodlib.ilc.trials import dataset
 from rodlib.paper.repository import ROOT
@@ -190,19 +190,16 @@ def test_without_a_law_nothing_is_said_of_it(tmp_path):
     assert not (tmp_path / "next.csv").exists()
 
 
-def test_a_log_of_the_former_format_never_gets_the_rods_loop_by_itself(loop):
+def test_the_simulation_of_the_tracked_log_is_told_of_what_it_shall_know():
     trials = load_log(ROOT / "data" / "rig" / "learning.csv").isel(trial=slice(5))
-    replay = replay_of(trials)
-    assert replay.loop is replay.simulated is replay.predicted is None
-    assert replay.about_the_law == "the recorded v is that of the law in every trial"
-    full = replay_of(trials, loop)
-    told = replay_of(trials, loop, untold=["theta_a"])
+    full = replay_of(trials)
+    told = replay_of(trials, untold=["theta_a"])
     assert "disturbances ['theta_a']: the simulation is not told of them" in told.left_out
     Q, L = law_of(trials)
     for replay, rows in ((full, [0, 1, 2]), (told, [1, 2])):
         d = np.zeros((5, 2500, 3))
         d[..., rows] = trials.disturbance.values[..., rows]
-        expected = run_trials(loop, Q, L, trials.reference.values[0], d, 5)
+        expected = run_trials(loop_of(trials), Q, L, trials.reference.values[0], d, 5)
         np.testing.assert_array_equal(replay.simulated.y, expected.y)
     assert rms_by_trial(told.simulated.e).iloc[4, 0] == pytest.approx(1.04, abs=0.005)
 
