@@ -198,6 +198,7 @@ def replay(log: str, root: Path = ROOT) -> None:
         As :func:`reproduce`.
     """
     from rodlib.ilc.laboratory import load_log, replay_of  # here, because they take long to import
+    from rodlib.ilc.laboratory.report import save_following, summary
 
     checkout("make replay", root)
     path = Path(log)
@@ -211,9 +212,9 @@ def replay(log: str, root: Path = ROOT) -> None:
     notebook = root / "notebooks" / "05-experiment-replay.ipynb"
     with folder_of_run("replay", root) as build:
         executed, table = build / notebook.name, build / "next-trial.csv"
-        print(replayed)
+        print(summary(replayed))
         if replayed.law is not None:
-            replayed.save_following(table)
+            save_following(replayed, table)
             print(f"v of trial {replayed.numbers[-1] + 1}: {table.relative_to(root)}")
         print(f"pictures and explanations: {executed.relative_to(root)} ...", flush=True)
         run(notebook, executed, log=str(path), no_learning="", untold=[])

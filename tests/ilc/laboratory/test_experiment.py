@@ -352,7 +352,7 @@ class Killed(RestartingRig):
         Killed.left -= 1
         return super().read()
 
-units.unit("x", "K")  # now, and not in every fork
+units.understood("x", "K")  # now, and not in every fork
 loop, Q = paper_loop(), zero_phase_butterworth()
 L = LearningFilter(published.matrix("L_diagonal"), 1.0)
 reference = (assumed_reference(25) * 0.02).round(6)

@@ -3,7 +3,6 @@
 import warnings
 from dataclasses import replace
 
-import control
 import numpy as np
 import pytest
 from plants import furnace, stage, tanks
@@ -327,7 +326,7 @@ def test_wrong_records_are_refused(loop, quick):
         shake(RestartingRig(), loop, replace(quick, amplitude=(1.0,)))
 
 
-def test_between_the_lines_and_as_an_frd(loop, quick):
+def test_between_the_lines(loop, quick):
     y = answer(loop, quick.signals, noise_of(quick, 0.02, 6)[0])
     measured = measured_response(log_of(loop, quick, y))
     response, radius = measured.on(measured.omega, 0.9)
@@ -342,9 +341,6 @@ def test_between_the_lines_and_as_an_frd(loop, quick):
     start, bound = measured.on([1e-9], 0.99)
     np.testing.assert_allclose(start[0], np.eye(2), atol=1e-6)
     assert bound[0] < 1e-6
-    frd = measured.frd()
-    assert isinstance(frd, control.FrequencyResponseData) and frd.dt == loop.Ts
-    np.testing.assert_array_equal(frd.frdata[..., 2], measured.response[2])
     for confidence in (0, 1, "high"):
         with pytest.raises(ValueError, match=r"confidence = .* must be between 0 and 1"):
             measured.radius(confidence)

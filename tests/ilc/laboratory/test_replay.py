@@ -21,7 +21,14 @@ from rodlib import (
     zero_phase_butterworth,
 )
 from rodlib.ilc.laboratory import law_of, loop_of, replay_of, rest_of, with_law
-from rodlib.ilc.laboratory.replay import by_unit, rms_by_trial
+from rodlib.ilc.laboratory.report import (
+    about_the_law,
+    by_unit,
+    left_out,
+    rms_by_trial,
+    save_following,
+    summary,
+)
 from rodlib.ilc.trials import dataset
 from rodlib.paper.repository import ROOT
 
@@ -103,8 +110,8 @@ def test_where_the_model_is_right_the_log_is_what_is_simulated_and_predicted(
     np.testing.assert_allclose(replay.predicted, y, rtol=0, atol=1e-9 * size)
     np.testing.assert_allclose(replay.fit, 1, atol=1e-8)
     assert replay.departure.to_numpy().max() < 1e-12 * size
-    assert replay.about_the_law == "the recorded v is that of the law in every trial"
-    assert replay.left_out == []
+    assert about_the_law(replay) == "the recorded v is that of the law in every trial"
+    assert left_out(replay) == []
     assert replay.loop.outputs == LOOPS[name].outputs
     if name != "furnace":  # which has no disturbance
         assert replay.sources == LOOPS[name].disturbances
@@ -165,14 +172,14 @@ def test_without_a_loop_only_what_needs_no_model_is_done(tmp_path):
     replay = replay_of(trials)
     assert replay.loop is replay.simulated is replay.predicted is replay.fit is None
     assert replay.disturbance is None
-    assert replay.about_the_law == "the recorded v is that of the law in every trial"
+    assert about_the_law(replay) == "the recorded v is that of the law in every trial"
     last = trials.isel(trial=-1)
     following = update(last.v.values, last.e.values, *law_of(trials), rest_of(trials), 0.4)
     np.testing.assert_array_equal(replay.following, following)
     assert not following[-15:].any() and following[-16].all()
-    (reason,) = replay.left_out
+    (reason,) = left_out(replay)
     assert reason.startswith("simulation and prediction: the log does not say which loop made it")
-    assert f"left out: {reason}" in str(replay)
+    assert f"left out: {reason}" in summary(replay)
     given = replay_of(trials, LOOPS["tanks"])
     np.testing.assert_allclose(given.predicted, trials.y, atol=1e-9)
 
@@ -183,10 +190,10 @@ def test_without_a_law_nothing_is_said_of_it(tmp_path):
     replay = replay_of(trials)
     assert replay.law is replay.departure is replay.following is replay.simulated is None
     assert replay.predicted is not None
-    assert "law: the log does not say which law made it" in str(replay)
-    assert replay.left_out[0].startswith("law check, next trial and simulation: the log does not")
+    assert "law: the log does not say which law made it" in summary(replay)
+    assert left_out(replay)[0].startswith("law check, next trial and simulation: the log does not")
     with pytest.raises(ValueError, match="the log does not say which law made it"):
-        replay.save_following(tmp_path / "next.csv")
+        save_following(replay, tmp_path / "next.csv")
     assert not (tmp_path / "next.csv").exists()
 
 
@@ -194,7 +201,7 @@ def test_the_simulation_of_the_tracked_log_is_told_of_what_it_shall_know():
     trials = load_log(ROOT / "data" / "rig" / "learning.csv").isel(trial=slice(5))
     full = replay_of(trials)
     told = replay_of(trials, untold=["theta_a"])
-    assert "disturbances ['theta_a']: the simulation is not told of them" in told.left_out
+    assert "disturbances ['theta_a']: the simulation is not told of them" in left_out(told)
     Q, L = law_of(trials)
     for replay, rows in ((full, [0, 1, 2]), (told, [1, 2])):
         d = np.zeros((5, 2500, 3))
@@ -209,7 +216,7 @@ def test_other_disturbances_than_the_models_are_named(tmp_path):
     trials["source"] = ["draught"]
     replay = replay_of(trials)
     assert not replay.disturbance.any()
-    assert replay.left_out == ["disturbances ['draught']: the model does not know them"]
+    assert left_out(replay) == ["disturbances ['draught']: the model does not know them"]
 
 
 def test_trials_are_known_by_their_numbers(tmp_path):
@@ -219,11 +226,11 @@ def test_trials_are_known_by_their_numbers(tmp_path):
     some = replay_of(trials.sel(trial=[5, 2, 3]))
     np.testing.assert_array_equal(some.following, replay_of(trials.sel(trial=[4, 5])).following)
     assert some.departure.isna().to_numpy().ravel().tolist() == [True, False, True]
-    assert some.about_the_law == (
+    assert about_the_law(some) == (
         "the recorded v is that of the law, as far as the trials before 2, 5 tell"
     )
     assert some.simulated is None and some.predicted is not None
-    assert some.left_out == ["simulation: not all trials from 1 on are there, but [2, 3, 5]"]
+    assert left_out(some) == ["simulation: not all trials from 1 on are there, but [2, 3, 5]"]
 
 
 @settings(max_examples=10)
@@ -236,7 +243,7 @@ def test_a_departure_from_the_law_is_found_whatever_the_unit(trial, channel, siz
     assert np.all(replay_of(run).departure <= 1e-12 * scale)
     run["v"][trial - 1, 70, channel] += size * largest
     name = loop.outputs[channel]
-    said = replay_of(run).about_the_law
+    said = about_the_law(replay_of(run))
     assert said.startswith(f"v departs from the law from trial {trial} on, by ")
     assert said.endswith(f" cm in {name}")
     amount = float(said.split("by ")[1].split()[0])
@@ -247,10 +254,12 @@ def test_a_signal_without_learning_is_zero_by_the_law():
     loop = LOOPS["stage"]
     Q, _ = law(loop)
     run = with_law(run_trials(loop, Q, None, bump(1), None, 3), Q, None, 0, loop)
-    assert replay_of(run).about_the_law == "the recorded v is that of the law in every trial"
+    assert about_the_law(replay_of(run)) == "the recorded v is that of the law in every trial"
     np.testing.assert_array_equal(replay_of(run).following, np.zeros((150, 1)))
     run["v"][1, 5] = 1e-6
-    assert replay_of(run).about_the_law.startswith("v departs from the law from trial 2 on, by 1.0")
+    assert about_the_law(replay_of(run)).startswith(
+        "v departs from the law from trial 2 on, by 1.0"
+    )
 
 
 def test_a_plant_that_needs_feedback_is_not_predicted_without():
@@ -260,8 +269,8 @@ def test_a_plant_that_needs_feedback_is_not_predicted_without():
     replay = replay_of(with_law(run_trials(loop, Q, L, bump(1), None, 2), Q, L, 0, loop))
     assert replay.predicted is replay.fit is None
     assert replay.simulated is not None
-    assert replay.left_out == ["prediction: without feedback the model is unstable"]
-    assert "fit" not in str(replay)
+    assert left_out(replay) == ["prediction: without feedback the model is unstable"]
+    assert "fit" not in summary(replay)
 
 
 @pytest.mark.parametrize("names", [["left", "middle", "right"], ['a, "b"', "# 2", "ϑ / K"]])
@@ -270,7 +279,7 @@ def test_what_to_apply_next_is_read_back_equal(names, tmp_path):
     del trials.attrs["loop"]  # of the plant's former names
     replay = replay_of(trials)
     path = tmp_path / "next.csv"
-    replay.save_following(path)
+    save_following(replay, path)
     titles = pd.read_csv(path, comment="#", nrows=0).columns.tolist()
     assert titles == ["time", *(f"v_{name}" for name in names)]
     table = np.loadtxt(path, delimiter=",", skiprows=3)
@@ -288,7 +297,7 @@ def test_the_table_is_replaced_as_a_whole_or_not_at_all(tmp_path, monkeypatch):
     path.write_text("as before")
     monkeypatch.setattr(os, "replace", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
-        replay.save_following(path)
+        save_following(replay, path)
     assert path.read_text() == "as before"
     assert sorted(file.name for file in tmp_path.iterdir()) == ["log.csv", "next.csv"]
 
@@ -307,7 +316,7 @@ def test_errors_are_summed_over_channels_of_one_unit_only(tmp_path):
 
 
 def test_the_findings_in_words(tmp_path):
-    lines = str(replay_of(recorded("stage", tmp_path))).splitlines()
+    lines = summary(replay_of(recorded("stage", tmp_path))).splitlines()
     assert lines[0] == "3 trials of 150 samples, Ts = 0.001 s"
     assert lines[1] == "law: the recorded v is that of the law in every trial"
     assert lines[3].split() == ["RMS", "(mm),", "log", "RMS", "(mm),", "simulation"]
