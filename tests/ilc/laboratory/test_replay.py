@@ -1,12 +1,6 @@
-import json
-import os
-
 import control
 import numpy as np
-import pandas as pd
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from plants import furnace, random_plant, stage, tanks
 
 from rodlib import (
@@ -23,7 +17,6 @@ from rodlib import (
 from rodlib.ilc.laboratory import law_of, loop_of, replay_of, rest_of, with_law
 from rodlib.ilc.laboratory.report import (
     about_the_law,
-    by_unit,
     left_out,
     rms_by_trial,
     save_following,
@@ -48,7 +41,7 @@ LOOPS = {
 }
 
 
-class Bench:
+class Itself:
     """The plant of the design as a rig, which measures its disturbances; trials begin at zero."""
 
     def __init__(self, loop, gain=1.0):
@@ -91,7 +84,7 @@ def recorded(name, tmp_path, trials=3, gain=1.0, **options):
     path = tmp_path / "log.csv"
     reference = bump(loop.plant.noutputs)
     record(
-        Bench(loop, gain), loop, *law(loop), reference,
+        Itself(loop, gain), loop, *law(loop), reference,
         trials=trials, pause=0, path=path, **options,
     )  # fmt: skip
     return load_log(path)
@@ -233,23 +226,6 @@ def test_trials_are_known_by_their_numbers(tmp_path):
     assert left_out(some) == ["simulation: not all trials from 1 on are there, but [2, 3, 5]"]
 
 
-@settings(max_examples=10)
-@given(st.integers(1, 4), st.integers(0, 2), st.floats(1e-3, 10), st.integers(-9, 9))
-def test_a_departure_from_the_law_is_found_whatever_the_unit(trial, channel, size, exponent):
-    loop, scale = LOOPS["tanks"], 10.0**exponent
-    Q, L = law(loop)
-    run = with_law(run_trials(loop, Q, L, scale * bump(3), None, 4), Q, L)
-    largest = np.abs(run.v.values[..., channel]).max()
-    assert np.all(replay_of(run).departure <= 1e-12 * scale)
-    run["v"][trial - 1, 70, channel] += size * largest
-    name = loop.outputs[channel]
-    said = about_the_law(replay_of(run))
-    assert said.startswith(f"v departs from the law from trial {trial} on, by ")
-    assert said.endswith(f" cm in {name}")
-    amount = float(said.split("by ")[1].split()[0])
-    assert amount == pytest.approx(size * largest, rel=0.06)
-
-
 def test_a_signal_without_learning_is_zero_by_the_law():
     loop = LOOPS["stage"]
     Q, _ = law(loop)
@@ -271,60 +247,6 @@ def test_a_plant_that_needs_feedback_is_not_predicted_without():
     assert replay.simulated is not None
     assert left_out(replay) == ["prediction: without feedback the model is unstable"]
     assert "fit" not in summary(replay)
-
-
-@pytest.mark.parametrize("names", [["left", "middle", "right"], ['a, "b"', "# 2", "ϑ / K"]])
-def test_what_to_apply_next_is_read_back_equal(names, tmp_path):
-    trials = recorded("tanks", tmp_path).assign_coords(output=("channel", names))
-    del trials.attrs["loop"]  # of the plant's former names
-    replay = replay_of(trials)
-    path = tmp_path / "next.csv"
-    save_following(replay, path)
-    titles = pd.read_csv(path, comment="#", nrows=0).columns.tolist()
-    assert titles == ["time", *(f"v_{name}" for name in names)]
-    table = np.loadtxt(path, delimiter=",", skiprows=3)
-    np.testing.assert_array_equal(table[:, 0], trials.time)
-    np.testing.assert_array_equal(table[:, 1:], replay.following)
-    first, second = path.read_text(encoding="utf-8").splitlines()[:2]
-    assert first == "# ILC signal v of trial 4, to be added to the reference"
-    units = {"time": "s"} | {f"v_{name}": "cm" for name in names}
-    assert json.loads(second.removeprefix("# units: ")) == units
-
-
-def test_the_table_is_replaced_as_a_whole_or_not_at_all(tmp_path, monkeypatch):
-    replay = replay_of(recorded("stage", tmp_path))
-    path = tmp_path / "next.csv"
-    path.write_text("as before")
-    monkeypatch.setattr(os, "replace", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
-    with pytest.raises(KeyboardInterrupt):
-        save_following(replay, path)
-    assert path.read_text() == "as before"
-    assert sorted(file.name for file in tmp_path.iterdir()) == ["log.csv", "next.csv"]
-
-
-def test_errors_are_summed_over_channels_of_one_unit_only(tmp_path):
-    e = recorded("tanks", tmp_path).e
-    one = rms_by_trial(e)
-    assert one.columns.tolist() == ["RMS (cm)"] and one.index.tolist() == [1, 2, 3]
-    np.testing.assert_allclose(one["RMS (cm)"], np.sqrt((e.values**2).sum(2).mean(1)))
-    mixed = rms_by_trial(e.assign_coords(output_unit=("channel", ["cm", "", "cm"])))
-    assert mixed.columns.tolist() == ["RMS of left, right (cm)", "RMS of middle"]
-    np.testing.assert_allclose(mixed["RMS of middle"], np.sqrt((e.values[..., 1] ** 2).mean(1)))
-    expected = np.sqrt((e.values[..., [0, 2]] ** 2).sum(2).mean(1))
-    np.testing.assert_allclose(mixed.iloc[:, 0], expected)
-    assert by_unit(["K", "bar", "K"]) == {"K": [0, 2], "bar": [1]}
-
-
-def test_the_findings_in_words(tmp_path):
-    lines = summary(replay_of(recorded("stage", tmp_path))).splitlines()
-    assert lines[0] == "3 trials of 150 samples, Ts = 0.001 s"
-    assert lines[1] == "law: the recorded v is that of the law in every trial"
-    assert lines[3].split() == ["RMS", "(mm),", "log", "RMS", "(mm),", "simulation"]
-    for k, line in enumerate(lines[5:8], 1):
-        number, log, simulation = line.split()
-        assert int(number) == k and log == simulation
-    assert lines[8] == "fit of the model's prediction, mean of all trials: x 100 %"
-    assert len(lines) == 9
 
 
 def test_what_does_not_belong_together_is_refused(tmp_path, loop):
