@@ -299,7 +299,7 @@ DOORS = [
      {"trials": THING | {"frame": ...}, "L": MODELS | {"none": ...}}),
     *((door, {"trials": LOG}, {"trials": THING | {"frame": ...}})
       for door in (laboratory.law_of, laboratory.loop_of, laboratory.rest_of, laboratory.step_of)),
-    (laboratory.replay_of, {"trials": LOG, "loop": LOOP},
+    (laboratory.replay_of, {"trials": LOG},
      {"trials": THING, "untold": {"numbers": [1, 2], "empty": ...}}),
     (RigParameters, {},
      dict.fromkeys(["noise", "quantum", "lag"], NUMBER)

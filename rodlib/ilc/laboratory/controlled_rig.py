@@ -97,6 +97,7 @@ class ControlledRig:
         self.heard = [n for n in loop.disturbances if n in heard and n not in self.moved]
         self.recorded = [n for n in loop.disturbances if n in self.moved + self.heard]
         self.positions = [self.inputs.index(name) for name in loop.controls + self.moved]
+        self.Ts = arguments.sampling_period("rig.Ts", getattr(rig, "Ts", loop.Ts))
         self.controller = None
 
     def commanded(self, disturbance, trials, samples) -> np.ndarray:
@@ -105,8 +106,7 @@ class ControlledRig:
         if disturbance is None:
             return np.zeros((trials, samples, len(self.moved)))
         d = arguments.array("disturbance", disturbance, (..., samples, len(names)))
-        if d.ndim == 2:
-            d = np.broadcast_to(d, (trials, *d.shape))
+        d = d if d.ndim != 2 else np.broadcast_to(d, (trials, *d.shape))
         d = arguments.array("disturbance", d, ("trial", samples, len(names)))
         if len(d) < trials:
             raise ValueError(
@@ -145,7 +145,12 @@ class ControlledRig:
             squares += float(error @ error)
             bar.set_postfix_str(f"RMS {math.sqrt(squares / (p + 1)):.3g}", refresh=False)
             bar.update()
-        _report_late(trial, np.array(off), self.loop.Ts)
+        off = np.array(off)
+        late = np.flatnonzero(np.abs(off) > LATE * self.loop.Ts)
+        if late.size:
+            worst = np.abs(off).argmax()
+            many = f"{late.size} samples were not on time, the worst, sample {worst + 1}, by"
+            warnings.warn(f"trial {trial}: {many} {off[worst]:.3g} s", stacklevel=4)
         signals = {name: np.array([s[name] for s in signals]) for name in signals[0]}
         cut_off = limits.commands_beyond(signals["u"], self.loop.controls, self.limits)
         if cut_off:
@@ -194,18 +199,6 @@ class ControlledRig:
                 self.rig.safe()
             elif begun:
                 self.rig.apply(np.zeros(len(self.inputs)))
-
-
-def _report_late(trial, off, Ts):
-    """Warn of samples that were not on time; `off` says by how many seconds each was late."""
-    late = np.flatnonzero(np.abs(off) > LATE * Ts)
-    if late.size:
-        worst = np.abs(off).argmax()
-        warnings.warn(
-            f"trial {trial}: {late.size} samples were not on time, the worst, sample {worst + 1}, "
-            f"by {off[worst]:.3g} s",
-            stacklevel=5,
-        )
 
 
 def _rounded(values, decimals):

@@ -83,8 +83,7 @@ def record(
         what it follows, if it has limits.
     """
     controlled = ControlledRig(rig, loop, decimals)
-    Ts = arguments.sampling_period("rig.Ts", getattr(rig, "Ts", loop.Ts))
-    check_law(loop, Q, L, rig=Ts)
+    check_law(loop, Q, L, rig=controlled.Ts)
     if path is not None and L is not None:
         arguments.instance("L", L, LearningFilter)  # or the log could not say what made it
     trials = arguments.whole("trials", trials, 1)
@@ -116,8 +115,8 @@ def shake(
 ) -> xr.Dataset:
     """Shake the loop on a rig, w = v, and record it: the trials from which P can be estimated.
 
-    Each experiment of the excitation is a trial; the reference is zero, there is no pause. However
-    this ends, the rig is left in a safe state. On a terminal, progress is shown.
+    Each experiment of the excitation is a trial; the reference is zero, there is no pause. All else
+    is as in :func:`record`, also what is refused and warned of.
 
     Parameters
     ----------
@@ -126,9 +125,7 @@ def shake(
         Of the controller that runs, whose names and units are those of the record.
     excitation : Excitation
         From :func:`multisine`.
-    path : path-like, optional
-        Of a log, as in :func:`record`: what is there is gone on with.
-    decimals : dict, optional
+    path, decimals
         As in :func:`record`.
 
     Returns
@@ -136,24 +133,10 @@ def shake(
     xarray.Dataset
         As from :func:`record`, with the excitation and the limits of the rig noted in the metadata.
         For :func:`measured_response`.
-
-    Raises
-    ------
-    ValueError
-        As in :func:`record`; if the excitation is for another number of channels.
-    RigError
-        If a reading is not finite or has the wrong shape: the trial ends, those before it stay.
-
-    Warns
-    -----
-    UserWarning
-        After a trial in which samples were not on time, if the rig has a clock, or commands beyond
-        what it follows, if it has limits.
     """
     controlled = ControlledRig(rig, loop, decimals)
     arguments.instance("excitation", excitation, Excitation)
-    Ts = arguments.sampling_period("rig.Ts", getattr(rig, "Ts", loop.Ts))
-    arguments.one_period(loop=loop.Ts, rig=Ts, excitation=excitation.Ts)
+    arguments.one_period(loop=loop.Ts, rig=controlled.Ts, excitation=excitation.Ts)
     shaken = excitation.signals
     m = loop.plant.noutputs
     if excitation.channels != m:

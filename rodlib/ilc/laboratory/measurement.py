@@ -96,7 +96,7 @@ class MeasuredResponse:
         """
         omega = np.abs(arguments.row("omega", omega))
         if scale is not None:
-            return self._in_units_of(arguments.row("scale", scale)).on(omega, confidence)
+            return self._in_units_of(scale).on(omega, confidence)
         radius = np.append(0.0, self.radius(confidence, jointly=True))
         knots = np.append(0.0, self.omega)
         P = np.concatenate([[np.eye(len(self.loop.outputs))], self.response])
@@ -112,8 +112,7 @@ class MeasuredResponse:
 
     def _in_units_of(self, scale):
         """The same with its channels divided by scale."""
-        size = self.loop.plant.noutputs
-        scale = arguments.array("scale", scale, (size,))
+        scale = arguments.array("scale", scale, (self.loop.plant.noutputs,))
         return replace(
             self,
             response=self.response * scale / scale[:, None],

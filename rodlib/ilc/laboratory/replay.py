@@ -64,19 +64,14 @@ class Replay:
         """The same experiment on the model: the law, each trial's reference, the disturbances."""
         if self.loop is None or self.law is None or not self.from_the_first:
             return None
-        told = [name not in self.untold for name in self.loop.disturbances]
-        reference = self.trials.reference.transpose("trial", "time", "channel").values
-        return run_trials(
-            self.loop, *self.law, reference, self.disturbance * told, len(reference),
-            rest=self.rest, step=self.step,
-        )  # fmt: skip
+        reference = self.trials.reference.values
+        told = self.disturbance * [name not in self.untold for name in self.loop.disturbances]
+        made = {"trials": len(reference), "rest": self.rest, "step": self.step}
+        return run_trials(self.loop, *self.law, reference, told, **made)
 
     @cached_property
     def predicted(self) -> np.ndarray | None:
-        """Outputs of the model under the recorded controls and disturbances, without feedback.
-
-        Every trial begins with the model at zero. Shape (trial, time, m).
-        """
+        """Outputs of the model, from zero, under what was recorded of its inputs; no feedback."""
         if self.loop is None or self.diverges:
             return None
         plant, m = self.loop.plant, len(self.outputs)
@@ -98,10 +93,7 @@ class Replay:
 
     @cached_property
     def departure(self) -> pd.DataFrame | None:
-        """How far the recorded v is from that of the law, at most, by trial and output.
-
-        The law is applied to what was recorded of the trial before; NaN if that is not in the log.
-        """
+        """How far v is at most from what follows from the trial before, if that is in the log."""
         if self.law is None:
             return None
         v, found = self.trials.v.values, {}
@@ -139,17 +131,13 @@ class Replay:
         return np.abs(self.loop.plant.poles()).max() > 1 + 1e-9
 
 
-def replay_of(
-    trials: xr.Dataset, loop: CurrentTrialLoop | None = None, untold: Sequence[str] = ()
-) -> Replay:
+def replay_of(trials: xr.Dataset, untold: Sequence[str] = ()) -> Replay:
     """Replay a log with the law and the loop that its metadata name.
 
     Parameters
     ----------
     trials : xarray.Dataset
         From :func:`rodlib.load_log` or :func:`rodlib.record`.
-    loop : CurrentTrialLoop, optional
-        For a log that does not say which it was. Its channels are those of the log in their order.
     untold : sequence of str, optional
         Names of disturbances that the simulation shall not be told of.
 
@@ -161,24 +149,12 @@ def replay_of(
     ------
     LogError
         If the law or the loop is noted, but cannot be understood.
-    ValueError
-        If `loop` has another number of channels or another sampling period than the log.
     """
     arguments.instance("trials", trials, xr.Dataset)
     signals_of(trials)  # which checks that it has all that a log has
     trials = trials.sortby("trial").transpose("trial", "time", ...)
-    if loop is not None:
-        arguments.instance("loop", loop, CurrentTrialLoop)
     listed = isinstance(untold, Sequence) and not isinstance(untold, str)
     if not (listed and all(isinstance(name, str) for name in untold)):
         raise ValueError(f"untold = {reprlib.repr(untold)} must be a list of names")
-    noted = loop_of(trials)
-    if noted is None and loop is not None:
-        arguments.one_period(log=trials.attrs["Ts"], loop=loop.Ts)
-        if len(loop.outputs) != trials.sizes["channel"]:
-            raise ValueError(
-                f"loop has the outputs {loop.outputs}, but the log {trials.output.values.tolist()}"
-            )
-    return Replay(
-        trials, noted or loop, law_of(trials), rest_of(trials), step_of(trials), tuple(untold)
-    )
+    law, loop = law_of(trials), loop_of(trials)
+    return Replay(trials, loop, law, rest_of(trials), step_of(trials), tuple(untold))

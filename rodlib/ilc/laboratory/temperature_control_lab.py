@@ -117,14 +117,8 @@ def heat_balance(gain_1, gain_2, loss, exchange, lag, Ts) -> control.StateSpace:
 
     Parameters
     ----------
-    gain_1, gain_2 : float
-        Of the heaters, K/s per %.
-    loss, exchange : float
-        Of heat to the air, and to the other heater, 1/s.
-    lag : float
-        Time constant of the thermometers, s.
-    Ts : float
-        Sampling period, s.
+    gain_1, gain_2, loss, exchange, lag, Ts : float
+        In K/s per %, 1/s (to the air, and to the other heater) and s.
 
     Returns
     -------
