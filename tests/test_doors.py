@@ -76,7 +76,6 @@ ALL = laboratory.Excitation(1.0, 40, 4, (1, 2, 3, 5, 8), np.zeros(5), (1.0, 1.0)
 RIG = RestartingRig(parameters=RigParameters(modes=5))
 SHAKEN = laboratory.shake(RIG, PAPER, ALL)
 LOG = with_law(run_trials(LOOP, Q, L, np.zeros((70, 1)), None, 2), Q, L, 0, LOOP)
-REPLAY = laboratory.replay_of(LOG)
 MEASURED = laboratory.MeasuredResponse(OMEGA, RESPONSE, 1e-6 * ONES, ONES, np.full(12, 9), LOOP)
 FOLDER = TemporaryDirectory()
 HERE = Path(FOLDER.name)
@@ -288,9 +287,8 @@ DOORS = [
      {"trials": THING | {"frame": ...}, "L": MODELS | {"none": ...}}),
     *((door, {"trials": LOG}, {"trials": THING | {"frame": ...}})
       for door in (laboratory.law_of, laboratory.loop_of, laboratory.rest_of, laboratory.step_of)),
-    (laboratory.replay_of, {"trials": LOG, "loop": LOOP},
+    (laboratory.replay_of, {"trials": LOG},
      {"trials": THING, "untold": {"numbers": [1, 2], "empty": ...}}),
-    (REPLAY.save_following, {"path": HERE / "following"}),
     (RigParameters, {},
      dict.fromkeys(["noise", "quantum", "lag"], NUMBER)
      | {"limit": NUMBER | {"inf": ...}, "ambient_rate": NUMBER | {"-1": ...}}),

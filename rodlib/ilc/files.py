@@ -102,20 +102,6 @@ def write_pieces(path: Path, pieces: Iterable[bytes]) -> None:
         _write(temporary, pieces)
 
 
-def append_whole(path: Path, content: bytes) -> None:
-    """Append to a file, all or nothing, unless the process is killed in the midst of it."""
-    rest = memoryview(content)
-    with open(path, "r+b", buffering=0) as file:
-        end = file.seek(0, os.SEEK_END)
-        try:
-            while len(rest):
-                rest = rest[file.write(rest) :]
-            os.fsync(file.fileno())
-        except BaseException:
-            file.truncate(end)
-            raise
-
-
 def _part(path):
     return path.with_name(f".{path.name}.part")
 

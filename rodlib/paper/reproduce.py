@@ -3,8 +3,8 @@
 Three notebooks run at a time, each in a kernel of its own; a terminal shows the cell that each is
 in and the time left, by what the cells took in the last run if there was one. The executed
 notebooks, their figures and their parts of the ledger go to build/reproduce; only when all have
-succeeded, they go to figures/ and the README. ``make replay`` runs one notebook on another log, in
-build/replay, and publishes nothing.
+succeeded, they go to figures/ and the README. ``make replay`` runs a notebook of its own on another
+log, in build/replay, and publishes nothing.
 """
 
 import json
@@ -25,6 +25,7 @@ from rodlib.ilc.files import alone, folder
 from rodlib.paper.ledger import publish
 from rodlib.paper.repository import ROOT, checkout, finish_publishing
 
+REPORT = Path(__file__).with_name("replay.ipynb")
 AT_A_TIME = 3  # two processors stay busy while a kernel starts or ends
 
 
@@ -177,28 +178,13 @@ def reproduce(root: Path = ROOT) -> None:
 
 
 def replay(log: str, root: Path = ROOT) -> None:
-    """Run the notebook of the experiment on a log of one's own, and print what it found.
+    """Print what a log of one's own shows, and make a report of it with pictures in build/replay.
 
-    Publishes nothing. Beside the executed notebook, the v of the next trial is written as a table.
-
-    Parameters
-    ----------
-    log : str
-        Path of the log, from the present folder.
-    root : Path
-        The repository. Its build/replay is cleared, unless the log cannot be used.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such log.
-    LogError
-        If it cannot be used.
-    RuntimeError
-        As :func:`reproduce`.
+    The v of the next trial is written beside it, as a table. What an earlier replay has left there
+    is cleared, unless the log cannot be used.
     """
     from rodlib.ilc.laboratory import load_log, replay_of  # here, because they take long to import
-    from rodlib.paper.rig_logs import papers_loop
+    from rodlib.ilc.laboratory.report import save_following, summary
 
     checkout("make replay", root)
     path = Path(log)
@@ -208,16 +194,16 @@ def replay(log: str, root: Path = ROOT) -> None:
     if not path.is_file():
         what = "is a folder, not a log" if path.is_dir() else "is not there"
         raise FileNotFoundError(f"{path} {what}: make replay LOG=path")
-    replayed = replay_of(load_log(path), papers_loop(path))
-    notebook = root / "notebooks" / "05-experiment-replay.ipynb"
+    replayed = replay_of(load_log(path))
     with folder_of_run("replay", root) as build:
-        executed, table = build / notebook.name, build / "next-trial.csv"
-        print(replayed)
+        report, table = build / REPORT.name, build / "next-trial.csv"
+        print(summary(replayed))
         if replayed.law is not None:
-            replayed.save_following(table)
+            save_following(replayed, table)
             print(f"v of trial {replayed.numbers[-1] + 1}: {table.relative_to(root)}")
-        print(f"pictures and explanations: {executed.relative_to(root)} ...", flush=True)
-        run(notebook, executed, log=str(path), no_learning="", untold=[])
+        print(f"pictures and explanations: {report.relative_to(root)} ...", flush=True)
+        shutil.copy(REPORT, report)
+        run(report, report, log=str(path))
 
 
 def main(root: Path = ROOT, log: str | None = None) -> None:

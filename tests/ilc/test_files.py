@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from rodlib.ilc.files import alone, append_whole, folder, replacing, write_whole
+from rodlib.ilc.files import alone, folder, replacing, write_whole
 from rodlib.paper.repository import ROOT, checkout, finish_publishing, publishing, results
 
 
@@ -168,19 +168,3 @@ def test_a_mistake_while_collecting_changes_nothing(tmp_path):
         raise KeyError("a figure")
     assert state(tmp_path) == {"README.md": "old"}
     assert os.listdir(tmp_path / "build") == ["publishing.lock"]
-
-
-def test_what_is_appended_is_there_as_a_whole_or_not_at_all(tmp_path, monkeypatch):
-    path = tmp_path / "log"
-    path.write_bytes(b"one")
-    append_whole(path, b" two")
-    assert path.read_bytes() == b"one two"
-    for error in (OSError("full"), KeyboardInterrupt()):
-
-        def fail(_, error=error):
-            raise error
-
-        monkeypatch.setattr(os, "fsync", fail)
-        with pytest.raises(type(error)):
-            append_whole(path, b" three")
-        assert path.read_bytes() == b"one two"

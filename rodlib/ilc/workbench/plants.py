@@ -3,17 +3,15 @@
 import reprlib
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from rodlib.ilc import arguments
-from rodlib.ilc.laboratory import LogError, MeasuredResponse, load_log, loop_of, measured_response
+from rodlib.ilc.laboratory import LogError, MeasuredResponse, load_log, measured_response
 from rodlib.ilc.laboratory.notes import excitation_of
 from rodlib.ilc.laboratory.replay import replay_of
 from rodlib.ilc.loop import CurrentTrialLoop
 from rodlib.ilc.problem import Problem
-from rodlib.paper.rig_logs import papers_loop
 
 TRIALS = 10
 
@@ -111,11 +109,10 @@ def _plant_of_log(log, path):
     """As :func:`plant_of_file`, of what has been loaded."""
     if excitation_of(log) is not None:
         return Plant(f"rodlib.measured_response(rodlib.load_log({path!r}))", measured_response(log))
-    named = loop_of(log) is not None
-    replay = replay_of(log, papers_loop(Path(path)))
+    replay = replay_of(log)
     if replay.loop is None:
         raise LogError("it names no loop in its metadata: it is of neither shake nor record")
     reference = replay.trials.reference.transpose("trial", "time", "channel").values[-1]
     again = np.repeat(replay.disturbance[-1:], TRIALS, axis=0)
-    source = f"rodlib.ilc.loop_of(rodlib.load_log({path!r}))" if named else "rodlib.paper_loop()"
+    source = f"rodlib.loop_of(rodlib.load_log({path!r}))"
     return Plant(source, replay.loop, reference, again)

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rodlib import Rod, current_trial_loop, measured_response, multisine, update
+from rodlib.ilc.laboratory import save_log
 from rodlib.ilc.laboratory.notes import with_excitation, with_law
-from rodlib.ilc.laboratory.saving import save_log
 from rodlib.ilc.trials import dataset, run_trials, state_sequence
 from rodlib.ilc.workbench import Plant, Settings, plant_of_file, try_out
 from rodlib.paper.knobs import plant_of_rod
