@@ -23,7 +23,7 @@ from tqdm import tqdm
 
 from rodlib.ilc.files import alone, folder
 from rodlib.paper.ledger import publish
-from rodlib.paper.repository import ROOT, checkout, finish_publishing
+from rodlib.paper.repository import ROOT, checkout
 
 AT_A_TIME = 3  # two processors stay busy while a kernel starts or ends
 
@@ -160,8 +160,6 @@ def reproduce(root: Path = ROOT) -> None:
     # the longest first, so that the last to end are short; as yet unknown, those with most cells
     notebooks.sort(key=lambda path: sum(seconds[path]), reverse=True)
     with folder_of_run("reproduce", root) as build:
-        if finish_publishing(root):
-            print("the results of an earlier run, which was interrupted, are published now")
         print(f"running {len(notebooks)} notebooks, {AT_A_TIME} at a time ...", flush=True)
         with ThreadPoolExecutor(AT_A_TIME) as pool:
             running = {

@@ -33,22 +33,21 @@ def main(scheduler: str | None = None, rods: int = RODS):
         checkout("make study")
     except RuntimeError as error:
         sys.exit(str(error))
+    folder = results("make study") / "study"
     for name, spread in SPREADS.items():
-        found = run(study(spread), rods, scheduler=scheduler)
-        path = results("make study") / "study" / f"{name}.nc"
-        with replacing(path) as temporary:
+        found = run(study(spread), rods, folder=folder, scheduler=scheduler)
+        with replacing(folder / f"{name}.nc") as temporary:
             found.to_netcdf(temporary, engine="scipy")
+        last = found.rms[..., -1]
         table = pd.DataFrame(
             {
                 "stable, %": 100 * (found.unstable_poles == 0).mean().item(),
                 "rate below one, %": 100 * (found.rate < 1).mean("rod").to_series(),
                 "largest rate": found.rate.max("rod").to_series(),
-                f"median RMS of trial {found.trial[-1].item()}, K": found.rms[..., -1]
-                .median("rod")
-                .to_series(),
+                f"median RMS of trial {last.trial.item()}, K": last.median("rod").to_series(),
             }
         )
-        print(f"{rods} rods, {name} off by up to 20 %: {path}\n{table.round(3)}\n")
+        print(f"{rods} rods, {name} off by up to 20 %: {folder / name}.nc\n{table.round(3)}\n")
 
 
 if __name__ == "__main__":

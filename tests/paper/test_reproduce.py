@@ -14,7 +14,6 @@ import pytest
 
 from rodlib.paper import ledger, published, reproduce
 from rodlib.paper.ledger import Ledger
-from rodlib.paper.repository import publishing
 from rodlib.paper.reproduce import seconds_by_cell
 
 
@@ -206,26 +205,6 @@ def test_a_second_run_is_refused_a_replay_is_not_and_a_kill_leaves_no_lock(root,
     replayed.unlink()
     third = run(root)
     assert third.returncode == 0, third.stderr
-
-
-def test_an_interrupted_publication_is_finished_before_anything_else(root):
-    obstacle = root / "figures" / "fig02.png"
-    obstacle.mkdir(parents=True)
-    message = r"published in part, for .*fig02.png.* the next `make reproduce` begins with the rest"
-    with pytest.raises(RuntimeError, match=message), publishing(root) as new:
-        for name in ("fig01.png", "fig02.png", "fig03.png"):
-            new[f"figures/{name}"] = b"from before"
-    assert not (root / "figures" / "fig03.png").exists()
-    obstacle.rmdir()
-    write(root / "notebooks" / "02-fails.ipynb", "1 / 0")
-    outcome = run(root)
-    assert outcome.returncode == 1
-    assert "an earlier run, which was interrupted, are published now" in outcome.stdout
-    assert [path.name for path in sorted((root / "figures").iterdir())] == [
-        "fig01.png",
-        "fig02.png",
-        "fig03.png",
-    ]
 
 
 def test_a_log_that_is_not_there_is_refused(root):
