@@ -45,6 +45,7 @@ def main(path):
     lines += ["|---|---:|---:|---:|---:|---:|"]
     trials = dict(row[:2] for row in groups.pop("trials"))
     designs = dict(row[:2] for row in groups.pop("alternatives"))
+    plt.style.use("rodlib.paper.style")
     figure, axes = plt.subplots(1, len(groups), figsize=figures.WIDE, sharey=True)
     for column, (name, rows) in zip(axes, groups.items(), strict=True):
         x, time, memory = np.array(sorted(rows)).T
