@@ -34,11 +34,6 @@ class Spread:
         Of the heat flow that each Peltier element delivers for the one commanded, relative.
     sensors : float
         Of the position of each sensor, m.
-
-    Raises
-    ------
-    ValueError
-        If a spread is negative, or a relative one is not below 1.
     """
 
     density: float = 0.0
@@ -71,16 +66,6 @@ class Spread:
             Peltier element, of the position of each sensor.
         nominal : Rod, optional
             The one that it was meant to be. Default: the paper's.
-
-        Returns
-        -------
-        Specimen
-
-        Raises
-        ------
-        ValueError
-            If the deviations are not so many or reach beyond 1, or the spread would move a sensor
-            beyond the rod.
         """
         nominal = arguments.instance("nominal", Rod() if nominal is None else nominal, Rod)
         count = len(MATERIAL) + nominal.sections + len(nominal.sensors)
@@ -113,19 +98,7 @@ def _share(name, value):
 
 @dataclass(frozen=True)
 class Specimen:
-    """A rod as it may be.
-
-    Attributes
-    ----------
-    rod : Rod
-    gains : tuple of float
-        Heat flow that each Peltier element delivers per heat flow commanded.
-
-    Raises
-    ------
-    ValueError
-        If an argument is something else.
-    """
+    """A rod as it may be, with the heat flow that each element delivers per heat flow commanded."""
 
     rod: Rod
     gains: tuple[float, ...]
@@ -155,11 +128,6 @@ def draw(spread: Spread, number: int, root: int = 0, nominal: Rod | None = None)
     Returns
     -------
     Specimen
-
-    Raises
-    ------
-    ValueError
-        If a number is not whole or negative, or the spread would move a sensor beyond the rod.
     """
     arguments.instance("spread", spread, Spread)
     nominal = arguments.instance("nominal", Rod() if nominal is None else nominal, Rod)
@@ -301,10 +269,6 @@ def unstable_poles(loop: CurrentTrialLoop, specimens: Sequence[Specimen]) -> np.
     loop : CurrentTrialLoop
         Of a rod.
     specimens : sequence of Specimen
-
-    Returns
-    -------
-    ndarray of int, shape (specimens,)
 
     Notes
     -----

@@ -87,8 +87,7 @@ class Study:
     Raises
     ------
     ValueError
-        If the filters do not belong to the loop, the loop is not that of a rod, or an argument is
-        out of range; the message names it.
+        If the filters do not belong to the loop, or the loop is not that of a rod.
     """
 
     loop: CurrentTrialLoop
@@ -117,9 +116,7 @@ class Study:
             if each.ends != "zero":
                 raise ValueError(f"{name}.ends = {each.ends!r} must be 'zero' in a study")
         omega = np.geomspace(1e-4, np.pi, 1000) / loop.Ts if self.omega is None else self.omega
-        omega = arguments.array("omega", omega, ("frequency",))
-        if omega[0] < 0 or omega[-1] > np.pi / loop.Ts * (1 + 1e-9) or np.any(np.diff(omega) <= 0):
-            raise ValueError(f"omega must increase within [0, {np.pi / loop.Ts:.6g}] rad/s")
+        omega = arguments.frequencies("omega", omega, loop.Ts)
         band = tuple(arguments.array("band", self.band, (2,)).tolist())
         if not _within(omega, band).any():
             raise ValueError(f"band = {band} contains none of the frequencies omega")
@@ -156,13 +153,7 @@ class Study:
         return Course(*law, self.reference, self.disturbance, self.trials, self.rest)
 
     def judge(self, start: int, stop: int) -> dict[str, np.ndarray]:
-        """Find out what is asked about the rods from number `start` up to `stop`.
-
-        Returns
-        -------
-        dict of ndarray
-            The variables of :func:`run`, the first axis being the rods.
-        """
+        """Find out what is asked about some rods: the variables of :func:`run`, the rods first."""
         start = arguments.whole("start", start, 0)
         stop = arguments.whole("stop", stop, start + 1)
         drawn = [draw(self.spread, i, self.root, self.nominal) for i in range(start, stop)]
@@ -224,8 +215,6 @@ def run(
 
     Raises
     ------
-    ValueError
-        If an argument is not what it should be.
     RuntimeError
         If another process works in the folder, or a worker has another rodlib.
     OSError

@@ -212,8 +212,6 @@ DOORS = [
      {"M_max": REAL | {"1": 1, "-1": -1.0}, "L_max": REAL}),
     (evidence.certify, {"problem": PROBLEM, "solution": SOLUTION}),
     (evidence.worst_case, {"problem": PROBLEM, "L": L}),
-    *((door, {"P": LOOP, "Q": Q, "L": L, "omega": OMEGA}, {"P": REAL})
-      for door in (evidence.rate, evidence.rates)),
     (evidence.lower_bound,
      {"problem": PROBLEM, "U": SOLUTION.U, "V": SOLUTION.V, "cuts": SOLUTION.cuts, "L": None},
      {"U": COMPLEX, "V": COMPLEX | {"none": ...}, "L": COMPLEX}),
@@ -322,9 +320,10 @@ DOORS = [
 # Made by other doors, or without an argument; and inside: protocols, constants, and what solvers
 # call a thousand times with what was checked before.
 MADE = {"Certificate", "InfeasibleError", "LearnedNoise", "LogError", "MeasuredResponse"}
-MADE |= {"Outcome", "Picture", "Rate", "Replay", "RigError", "SolverError", "Spectrum", "Synthesis"}
+MADE |= {"Outcome", "Picture", "Replay", "RigError", "SolverError", "Spectrum", "Synthesis"}
 MADE |= {"Tuned", "WorstCase"}
-INSIDE = {"Family", "GAP", "LearningOperator", "Problem", "Rig", "VIOLATION"}
+INSIDE = {"Family", "GAP", "LearningOperator", "Problem", "Rig", "VIOLATION", "convergence_matrix"}
+INSIDE |= {"largest_singular_values"}
 ROOMS = ("alternatives", "evidence", "laboratory", "synthesis", "workbench")
 ROOMS = tuple(f"ilc.{room}" for room in ROOMS)
 

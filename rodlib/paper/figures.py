@@ -51,7 +51,7 @@ class SavedFigure:
 def save(figure: Figure, name: str, caption: str) -> SavedFigure:
     """Write a figure to build/figures, or to the folder of the run, as PNG and PDF, and close it.
 
-    The same bytes in every run.
+    The same bytes in every run. As the last expression of a cell, the outcome shows the figure.
 
     Parameters
     ----------
@@ -60,16 +60,6 @@ def save(figure: Figure, name: str, caption: str) -> SavedFigure:
         Without ending; begins with the paper's figure, as in "fig04-frequency-response".
     caption : str
         A sentence or two, plain text, that say what is to be seen; they stand for themselves.
-
-    Returns
-    -------
-    SavedFigure
-        As the last expression of a cell, it shows the figure.
-
-    Raises
-    ------
-    RuntimeError
-        Outside a clone of the repository.
     """
     target = folder(results("figures.save") / "figures")
     width = round(figure.get_figwidth() * figure.get_dpi())
