@@ -61,8 +61,8 @@ lowest: $(BIN)/ready  ## unit tests with the oldest packages that pyproject.toml
 	$(BIN)/uv pip install --quiet --python build/lowest --constraints build/lowest.txt -e ".[dev]"
 	build/lowest/bin/pytest -q -W ignore::DeprecationWarning -W ignore::FutureWarning
 
-survey: $(BIN)/ready  ## solve 550 problems for ordinary plants; rewrite the README's counts (some minutes)
-	@$(BIN)/python tests/benchmarks/survey.py --publish
+survey: $(BIN)/ready  ## solve 550 problems for ordinary plants; count how it ends (some minutes)
+	@$(BIN)/python tests/benchmarks/survey.py
 
 study: $(BIN)/ready  ## 10,000 rods that are off: make study [SCHEDULER=address]; results in build/study
 	@$(BIN)/python -m rodlib.paper.study $(SCHEDULER)
@@ -70,7 +70,7 @@ study: $(BIN)/ready  ## 10,000 rods that are off: make study [SCHEDULER=address]
 pages: $(BIN)/ready  ## the notebooks, the ledger and the reference as HTML, in build/pages
 	@$(BIN)/python -m rodlib.paper.pages
 
-bench: $(BIN)/ready  ## time the synthesis and the study; rewrite the README's performance section
+bench: $(BIN)/ready  ## time the synthesis and the study; rewrite figures/performance.*
 	@mkdir -p build
 	$(BIN)/pytest -q tests/benchmarks/bench_*.py --benchmark-json=build/benchmark.json \
 		--benchmark-columns=median,min,max,rounds
