@@ -18,7 +18,6 @@ from jinja2 import Environment, FileSystemLoader
 from pygments.formatters import HtmlFormatter
 
 from rodlib.ilc.files import alone, folder
-from rodlib.paper.ledger import DEVIATIONS
 from rodlib.paper.pages.text import as_html
 from rodlib.paper.repository import ROOT, checkout
 
@@ -27,13 +26,11 @@ DOCUMENTS = {  # of the repository, and the page that each becomes
     "README.md": "index.html",
     "CONTRIBUTING.md": "contributing.html",
     "data/README.md": "data.html",
-    "figures/performance.md": "performance.html",
 }
 PLACES = DOCUMENTS | {  # what links may lead to beside notebooks, modules and files
     "figures": "figures.html",
     "figures/ledger.md": "ledger.html",
     "rodlib": "reference/rodlib.html",
-    "rodlib/ilc": "reference/rodlib/ilc.html",
     "data": "data.html",
     "notebooks": "index.html",
 }
@@ -146,9 +143,7 @@ class Pages:
         """A page with the ledger, to be searched and filtered."""
         rows = pd.read_csv(self.root / "figures" / "ledger.csv", dtype=str, keep_default_na=False)
         body = self.template.get_template("ledger.html").render(
-            rows=rows.to_dict("records"),
-            verdicts=rows.verdict.value_counts().to_dict(),
-            deviations=as_html(DEVIATIONS.read_text(encoding="utf-8"), str),
+            rows=rows.to_dict("records"), verdicts=rows.verdict.value_counts().to_dict()
         )
         self.write("ledger.html", "The ledger", body)
 
