@@ -25,15 +25,18 @@ from pygments.formatters import HtmlFormatter
 
 import rodlib
 from rodlib.ilc.files import alone, folder
+from rodlib.paper.ledger import DEVIATIONS
 from rodlib.paper.repository import ROOT, checkout
 
 PLACES = {  # of what links may lead to, beside notebooks, modules and files
     "README.md": "index.html",
     "CONTRIBUTING.md": "contributing.html",
     "data/README.md": "data.html",
+    "figures/performance.md": "performance.html",
     "figures": "figures.html",
     "figures/ledger.md": "ledger.html",
     "rodlib": "reference/rodlib.html",
+    "rodlib/ilc": "reference/rodlib/ilc.html",
     "data": "data.html",
     "notebooks": "index.html",
 }
@@ -87,6 +90,9 @@ class Renderer(IPythonRenderer):
         return f'<div class="display">{formula(body, inline=False)}</div>'
 
 
+as_html = MarkdownWithMath(renderer=Renderer(escape=False)).render
+
+
 class Pages:
     """The pages of a repository as they are written to an empty folder."""
 
@@ -136,8 +142,7 @@ class Pages:
         exporter = HTMLExporter(
             template_name="basic", exclude_input_prompt=True, exclude_output_prompt=True
         )
-        render = MarkdownWithMath(renderer=Renderer(escape=False)).render
-        exporter.register_filter("markdown2html", render)
+        exporter.register_filter("markdown2html", as_html)
         body, _ = exporter.from_notebook_node(notebook)
         body = re.sub(
             r'\b(href|src)="([^"]+)"',
@@ -166,8 +171,11 @@ class Pages:
     def ledger(self) -> None:
         """A page with the ledger, to be searched and filtered."""
         rows = pd.read_csv(self.root / "figures" / "ledger.csv", dtype=str, keep_default_na=False)
-        counts = rows.verdict.value_counts().to_dict()
-        self.write("ledger.html", "The ledger", rows=rows.to_dict("records"), verdicts=counts)
+        self.write(
+            "ledger.html", "The ledger", rows=rows.to_dict("records"),
+            verdicts=rows.verdict.value_counts().to_dict(),
+            deviations=as_html(DEVIATIONS.read_text(encoding="utf-8")),
+        )  # fmt: skip
 
     def reference(self) -> None:
         """The reference of the modules, from their docstrings."""
@@ -187,7 +195,7 @@ def make_pages(root: Path = ROOT) -> Path:
     refusal = f"make pages is already running in {root}: wait until it has ended"
     with alone(build / "pages.lock", refusal), tempfile.TemporaryDirectory(dir=build) as made:
         pages = Pages(root, Path(made))
-        for source in ("README.md", "CONTRIBUTING.md", "data/README.md"):
+        for source in ("README.md", "CONTRIBUTING.md", "data/README.md", "figures/performance.md"):
             pages.document(source, _notebook((root / source).read_text(encoding="utf-8")))
         for source, notebook in pages.notebooks.items():
             print(source, flush=True)

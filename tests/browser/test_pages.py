@@ -11,9 +11,8 @@ from urllib.parse import unquote, urlsplit
 import pandas as pd
 import pytest
 from bs4 import BeautifulSoup
-from nbconvert.filters.markdown_mistune import MarkdownWithMath
 
-from rodlib.paper.pages import Renderer, formula, main
+from rodlib.paper.pages import as_html, formula, main
 from rodlib.paper.repository import ROOT
 
 CALL = "import pathlib, sys; from rodlib.paper.pages import main; main(pathlib.Path(sys.argv[1]))"
@@ -107,9 +106,8 @@ def test_a_formula_sits_on_the_line_and_nonsense_is_refused():
     assert 'aria-label="\\frac{a}{b}"' in fraction and "currentColor" in fraction
     with pytest.raises(ValueError, match=r"the formula .* cannot be drawn"):
         formula(r"\begin{bmatrix} 1 \nosuchthing")
-    html = MarkdownWithMath(renderer=Renderer(escape=False)).render
-    assert '<h2 id="was-x-50-a-good-choice">Was <svg' in html("## Was $x = 50$ a *good* choice?")
-    table = html("a [link](x.md) and $\\sigma$\n\n| a |\n|---|\n| 1 |\n\n`$a$`")
+    assert '<h2 id="was-x-50-a-good-choice">Was <svg' in as_html("## Was $x = 50$ a *good* choice?")
+    table = as_html("a [link](x.md) and $\\sigma$\n\n| a |\n|---|\n| 1 |\n\n`$a$`")
     assert "<table>" in table and "<code>$a$</code>" in table and table.count("$") == 2
 
 
