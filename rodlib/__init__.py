@@ -9,18 +9,13 @@ passed and does not belong there is a ValueError that names the argument.
 from rodlib import ilc
 
 MODULES = {
-    "rod": ("Rod", "exact_response", "midr"),
-    "approximations": (
-        "balanced_truncation",
-        "finite_differences",
-        "finite_elements",
-        "finite_volumes",
-        "modal_series",
-    ),
-    "held": ("sampled_response",),
-    "case": ("paper_loop",),
-    "specimens": ("Specimen", "Spread", "draw", "responses", "unstable_poles"),
-    "study": ("Study",),
+    "rod": "Rod exact_response midr",
+    "approximations": """balanced_truncation finite_differences finite_elements finite_volumes
+        modal_series""",
+    "held": "sampled_response",
+    "case": "paper_loop",
+    "specimens": "Specimen Spread draw responses unstable_poles",
+    "study": "Study",
 }
 MODULES |= {f"ilc.{module}": names for module, names in ilc.MODULES.items()}
 
