@@ -2,7 +2,8 @@
 
 On this floor is what the paper is about: the rod, its models, its loop and its rigs. One floor
 below, in :mod:`rodlib.ilc`, is the toolbox for any plant, whose names are at home here, too. A name
-is imported when it is first used, so that what needs only a part does not wait for all.
+is imported when it is first used, so that what needs only a part does not wait for all. What is
+passed and does not belong there is a ValueError that names the argument.
 """
 
 from rodlib import ilc

@@ -145,13 +145,6 @@ def tried(**choices):
         raise ValueError(outcome.message)
 
 
-@wraps(study.local_cluster)
-def cluster(workers):
-    """Without workers not even opened: that takes a second, and is tested elsewhere."""
-    if workers is not None:
-        study.local_cluster(workers).__enter__()
-
-
 # Each door, what belongs there, and what does not if its name does not say so.
 DOORS = [
     (Rod, {f.name: f.default for f in fields(Rod)},
@@ -262,7 +255,6 @@ DOORS = [
      | COURSE),
     (STUDY.judge, {"start": 0, "stop": 1}, {"start": WHOLE}),
     (study.run, {"study": STUDY, "rods": 1, "folder": HERE / "study", "workers": 0}),
-    (cluster, {"workers": None}),
     (laboratory.Controller, {"loop": LOOP}, {"decimals": WHOLE}),
     (laboratory.Controller(LOOP).step, {"y": [0.0], "w": [0.0]}),
     (laboratory.Excitation, MULTISINE, {"amplitude": REAL | {"number": 1.0, "2-D": [[1.0]]}}),
@@ -318,7 +310,7 @@ MADE |= {"Outcome", "Picture", "Rate", "Replay", "RigError", "SolverError", "Spe
 MADE |= {"Tuned", "WorstCase"}
 INSIDE = {"Family", "LearningOperator", "Problem", "Rig"}
 ROOMS = ("alternatives", "evidence", "laboratory", "synthesis", "workbench")
-ROOMS = ("study", *(f"ilc.{room}" for room in ROOMS))
+ROOMS = tuple(f"ilc.{room}" for room in ROOMS)
 
 
 def named(door):
