@@ -166,7 +166,7 @@ def test_what_is_said_to_be_saved_is_read_again(panel, knobs, tmp_path, monkeypa
         ('"KL": [[', '"KL": [["a", ', "KL must be an array of numbers"),
         ('"KL": [[', '"KL": [["a"], [', "KL "),
         ('"units": {"x"', '"units": {"z"', "units is about ['z']"),
-        ("# loop", '# limits: {"y_x": ["a", "b"]}\n# loop', "limits of 'y_x' = ['a', 'b'] holds"),
+        ("# loop", '# limits: {"y_x": ["a", "b"]}\n# loop', "limits['y_x'] holds values"),
     ],
 )
 def test_a_log_that_cannot_be_used_says_which_and_why(panel, tmp_path, stage, old, new, message):
