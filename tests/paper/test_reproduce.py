@@ -143,13 +143,6 @@ def test_a_second_run_is_refused_a_replay_is_not_and_a_kill_leaves_no_lock(root,
     """The first run waits in its notebook until it is killed."""
     wait = "import pathlib; pathlib.Path('started').touch(); pathlib.Path('../gate').read_bytes()"
     write(root / "notebooks" / "02-waits.ipynb", wait)
-    replayed = root / "notebooks" / "05-experiment-replay.ipynb"
-    imports = "from rodlib.paper.repository import results"
-    show = "print(log, no_learning == '', results('a test'))"
-    write(replayed, f"{imports}; log = no_learning = 'the paper'", show)
-    notebook = nbformat.read(replayed, as_version=4)
-    notebook.cells[0].metadata["tags"] = ["parameters"]
-    nbformat.write(notebook, replayed)
     log = root / "my log.csv"
     signals = {"outputs": {"x": "mm"}, "controls": {"F": "N"}}
     log.write_text(
@@ -171,11 +164,9 @@ def test_a_second_run_is_refused_a_replay_is_not_and_a_kill_leaves_no_lock(root,
     finally:
         first.kill()
         first.join()
-    executed = nbformat.read(root / "build" / "replay" / replayed.name, as_version=4)
-    assert executed.cells[-1].outputs[0].text == f"{log} True {root / 'build' / 'replay'}\n"
+    assert (root / "build" / "replay" / "replay.ipynb").exists()
     assert not (root / "figures").exists()
     (root / "notebooks" / "02-waits.ipynb").unlink()
-    replayed.unlink()
     third = run(root)
     assert third.returncode == 0, third.stderr
 

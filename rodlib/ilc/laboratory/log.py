@@ -68,9 +68,7 @@ def save_log(trials: xr.Dataset, path) -> None:
     ----------
     trials : xarray.Dataset
         From :func:`rodlib.run_trials`, :func:`rodlib.record` or :func:`load_log`. Attributes are
-        written as metadata: a line of text as it is, all else as JSON. With ``limits``, a JSON
-        object of the lowest and highest plausible value by column, implausible values are not
-        saved.
+        written as metadata: a line of text as it is, all else as JSON.
     path : path-like
 
     Raises
@@ -91,12 +89,10 @@ def save_log(trials: xr.Dataset, path) -> None:
             values = values.reshape(len(columns["time"]), -1).T
             names = [f"{signal}_{name}" for name in trials[role].values]
             columns |= dict(zip(names, values, strict=True))
-    plausible = _limits_of(metadata, columns)
+    _limits_of(metadata, columns)  # or it could not be loaded
     for title, values in columns.items():
         if not np.isfinite(values).all():
             raise ValueError(f"trials have values that are not finite in {title!r}")
-        if title in plausible and limits.beyond(values, plausible[title]).any():
-            raise ValueError(f"values of {title!r} in trials are not within {plausible[title]}")
     lines = [f"# {key}: {value}\n" for key, value in metadata.items()]
     header = ",".join(tables.quoted(title) for title in columns)
     write_pieces(path, ["".join([*lines, header, "\n"]).encode(), tables.rows([*columns.values()])])

@@ -3,7 +3,6 @@
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, fields
-from types import MappingProxyType
 
 import control
 import numpy as np
@@ -38,15 +37,12 @@ def with_law(
     arguments.instance("Q", Q, ZeroPhaseButterworth)
     if L is not None:
         arguments.instance("L", L, LearningOperator)
-    law = notes_of_law(Q, L if isinstance(L, LearningFilter) else None)
-    if L is not None and not isinstance(L, LearningFilter):
-        del law["L"]
-    notes = {name: json.dumps(note) for name, note in law.items()}
-    rest = arguments.whole("rest", rest, 0)
-    if rest:
+    named = L is None or isinstance(L, LearningFilter)
+    law = notes_of_law(Q, L if named else None)
+    notes = {name: json.dumps(note) for name, note in law.items() if named or name != "L"}
+    if rest := arguments.whole("rest", rest, 0):
         notes["rest"] = json.dumps(rest)
-    step = arguments.share("step", step)
-    if step != 1:
+    if (step := arguments.share("step", step)) != 1:
         notes["step"] = json.dumps(step)
     if loop is not None:
         notes["loop"] = _note_of(arguments.instance("loop", loop, CurrentTrialLoop))
@@ -57,12 +53,12 @@ def with_excitation(
     trials: xr.Dataset,
     excitation: Excitation,
     loop: CurrentTrialLoop,
-    followed: Mapping[str, tuple[float, float]] = MappingProxyType({}),
+    followed: Mapping[str, tuple[float, float]] | None = None,
 ) -> xr.Dataset:
     """Note which excitation made the trials, of which loop, and what its actuators follow."""
     notes = {"excitation": json.dumps(asdict(excitation)), "loop": _note_of(loop)}
     if followed:
-        notes["actuators"] = json.dumps(dict(followed), ensure_ascii=False)
+        notes["actuators"] = json.dumps(followed, ensure_ascii=False)
     return trials.assign_attrs(notes)
 
 
@@ -181,14 +177,7 @@ def loop_of(trials: xr.Dataset) -> CurrentTrialLoop | None:
 
 
 def _note_of(loop):
-    parts = {part.name: _plain(getattr(loop, part.name)) for part in fields(loop)}
-    return json.dumps(parts, ensure_ascii=False)
-
-
-def _plain(part):
-    if isinstance(part, control.StateSpace):
-        matrices = {name: getattr(part, name).tolist() for name in "ABCD"}
-        return matrices | {
-            "dt": part.dt, "inputs": part.input_labels, "outputs": part.output_labels
-        }  # fmt: skip
-    return part.tolist() if isinstance(part, np.ndarray) else part
+    parts = {part.name: getattr(loop, part.name) for part in fields(loop)}
+    plant, names = loop.plant, {"inputs": loop.plant.input_labels, "outputs": loop.outputs}
+    parts["plant"] = {name: getattr(plant, name) for name in "ABCD"} | {"dt": plant.dt} | names
+    return json.dumps(parts, ensure_ascii=False, default=np.ndarray.tolist)
