@@ -9,7 +9,8 @@ from math import floor, log10
 import ipywidgets as widgets
 import numpy as np
 
-from rodlib.ilc.laboratory import save_law
+from rodlib.ilc.laboratory import load_law, save_law
+from rodlib.ilc.laboratory.notes import notes_of_law
 from rodlib.ilc.workbench.outcome import Outcome, try_out
 from rodlib.ilc.workbench.picture import Picture
 from rodlib.ilc.workbench.plants import Family, Plant, plant_of_file
@@ -183,10 +184,13 @@ class Panel:
         self.knobs["M_max"].value = self.outcome.M_max
 
     def _save(self, button):
-        """Save the filters that are shown, and say where they are, or why not."""
+        """Save the filters that are shown, read them again, and say where they are, or why not."""
         settings, path = self.settings, self.target.value
+        law = settings.Q, self.outcome.design.filter
         try:
-            save_law(path, settings.Q, self.outcome.design.filter, settings.python)
+            save_law(path, *law, settings.python)
+            if notes_of_law(*load_law(path)) != notes_of_law(*law):
+                raise ValueError(f"{path} holds another law than was written to it: try again")
             self.saved.value = f"saved: {escape(os.path.abspath(path))}"
         except (ValueError, OSError) as error:
             self.saved.value = f"not saved: {escape(str(error))}"
