@@ -45,7 +45,6 @@ def main(path):
     lines += ["|---|---:|---:|---:|---:|---:|"]
     trials = dict(row[:2] for row in groups.pop("trials"))
     designs = dict(row[:2] for row in groups.pop("alternatives"))
-    plt.style.use("rodlib.paper.style")
     figure, axes = plt.subplots(1, len(groups), figsize=figures.WIDE, sharey=True)
     for column, (name, rows) in zip(axes, groups.items(), strict=True):
         x, time, memory = np.array(sorted(rows)).T
@@ -83,4 +82,5 @@ def main(path):
 
 
 if __name__ == "__main__":
+    plt.style.use("rodlib.paper.style")
     main(sys.argv[1])
