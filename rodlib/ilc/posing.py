@@ -1,7 +1,7 @@
 """Stating a problem: plants in whatever form they are known, on one grid, each argument checked."""
 
 import reprlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Protocol, runtime_checkable
 
 import control
@@ -35,28 +35,21 @@ def pose(
     P,
     Q,
     omega,
-    Ts,
+    Ts=None,
     *,
-    order=10,
-    M_max=0.9,
-    L_max=50.0,
-    band=(1e-4, 0.02),
-    structure="diagonal",
-    objective="sum",
+    order=Problem.order,
+    M_max=Problem.M_max,
+    L_max=Problem.L_max,
+    band=Problem.band,
+    structure=Problem.structure,
+    objective=Problem.objective,
     scale=None,
     uncertainty=None,
     noise=None,
     confidence=None,
 ) -> Problem:
-    """State the problem (39), or (45) with (46), and check it.
-
-    Parameters, their defaults and errors as for :func:`rodlib.ilc.synthesise`.
-
-    Returns
-    -------
-    Problem
-    """
-    Ts = arguments.sampling_period("Ts", Ts)
+    """State the problem (39), or (45) with (46), and check it; see :func:`rodlib.synthesise`."""
+    Ts = arguments.sampling_period("Ts", period(P, Q) if Ts is None else Ts)
     omega = arguments.frequencies("omega", omega, Ts)
     basis = ()
     if isinstance(P, Measured):
@@ -66,39 +59,43 @@ def pose(
             f"confidence = {reprlib.repr(confidence)} is for a measured response, but P is not "
             "one: pass the radius as uncertainty"
         )
-    given = _plants(P)
-    plant, P = _response("P" if len(given) == 1 else "P[0]", given[0], omega, Ts)
-    q, Q = _q_response(Q, omega, Ts)
-    order = arguments.whole("order", order, 1, len(omega))
+    (plant, *other_models), responses = on_grid(plants(P), omega, Ts)
+    P, others = responses[0], responses[1:]
+    n, m, _ = P.shape
+    q, Q = Q_on_grid(Q, omega, Ts)
+    order = arguments.whole("order", order, 1, n)
     what = "in (0, 1), or the trials do not converge"
     M_max = arguments.number("M_max", M_max, what, 0, 1)
     if L_max is not None:
         L_max = arguments.positive("L_max", L_max, "a positive number, or None for no bound")
     arguments.choice("structure", structure, ["diagonal", "full"])
     arguments.choice("objective", objective, ["sum", "peak"])
-    in_band = _in_band(Q, omega, band, objective)
-    n, m, _ = P.shape
-    radius, scale = _radius(uncertainty, n, m), _scale(scale, m)
-    others = np.empty((len(given) - 1, n, m, m), dtype=complex)
-    other_models = []
-    for k, other in enumerate(given[1:], 1):
-        model, response = _response(f"P[{k}]", other, omega, Ts)
-        others[k - 1] = arguments.array(f"P[{k}]", response, (n, m, m), complex)
-        other_models.append(model)
-    if scale is not None:
+    band = _band(band, Q, omega, objective)
+    radius = _radius(uncertainty, n)
+    if scale is None:
+        scale = np.ones(m)
+    else:
+        scale = _scale(scale, m)
         units = scale / scale[:, None]
         P, others = P * units, others * units
         plant, *other_models = (_scaled(model, scale) for model in (plant, *other_models))
-        if radius is not None and radius.ndim == 3:
-            radius = radius * units
-    else:
-        scale = np.ones(m)
     _refuse_singular(P, omega)
     model = None if plant is None or q is None else (plant, q)
     return Problem(
-        P, Q, omega, Ts, order, M_max, L_max, in_band, structure, objective, scale, model,
-        others, tuple(other_models), radius, _weights(noise, omega, Ts, m, M_max, scale), basis,
+        P, Q, omega, Ts, scale, model, others, order, M_max, L_max, band, structure, objective,
+        tuple(other_models), radius, _weights(noise, omega, Ts, m, M_max, scale), basis,
     )  # fmt: skip
+
+
+def period(P, Q):
+    """The sampling period that Q, or else a plant, knows."""
+    several = isinstance(P, list | tuple)
+    for thing in (Q, *(P if several else [P])):
+        if isinstance(thing, ZeroPhaseButterworth | CurrentTrialLoop):
+            return thing.Ts
+        if isinstance(thing, control.LTI) and thing.dt and thing.dt is not True:
+            return thing.dt
+    raise ValueError("Ts must be given, as neither P nor Q knows the sampling period")
 
 
 def _measured(P, omega, uncertainty, confidence, scale):
@@ -111,28 +108,12 @@ def _measured(P, omega, uncertainty, confidence, scale):
     confidence = CONFIDENCE if confidence is None else confidence
     response, radius = P.on(omega, confidence, None)
     if scale is not None:
-        scale = _scale(scale, response.shape[1])
-        radius = P.on(omega, confidence, scale)[1]
+        radius = P.on(omega, confidence, _scale(scale, response.shape[1]))[1]
     return response, radius, P.basis(omega, confidence)
 
 
-def _weights(noise, omega, Ts, m, M_max, scale):
-    """Weights of |Q P L|^2 that make its sum a mean over all frequencies, for each input of L."""
-    if noise is None:
-        return None
-    n = len(omega)
-    shape = (n, m) if _axes(noise) == 2 else (n,)
-    noise = arguments.array("noise", noise, shape).reshape(n, -1)
-    if noise.min() < 0:
-        raise ValueError(f"noise reaches {noise.min():.6g}, but a spectral density is not negative")
-    edges = np.concatenate([[0.0], (omega[1:] + omega[:-1]) / 2, [np.pi / Ts]])
-    width = np.diff(edges)[:, None] * Ts / np.pi
-    weights = width * noise / scale**2 / (1 - M_max**2) * np.ones(m)
-    return weights if weights.any() else None
-
-
-def _plants(P):
-    """A list of plants, the nominal one first, from one plant or several."""
+def plants(P):
+    """The plants by their names in messages, the nominal one first, from one plant or several."""
     if isinstance(P, Iterator):
         raise ValueError(f"P = {reprlib.repr(P)} can be read only once: pass a list of plants")
     several = isinstance(P, np.ndarray) and P.ndim == 4
@@ -146,7 +127,7 @@ def _plants(P):
         several = not P or any(isinstance(p, MODELS) or _axes(p) == 3 for p in P)
     if several and not len(P):
         raise ValueError(f"P = {P!r} holds no plant: pass one or more, the nominal one first")
-    return [*P] if several else [P]
+    return {f"P[{k}]": plant for k, plant in enumerate(P)} if several else {"P": P}
 
 
 def _axes(value):
@@ -157,51 +138,39 @@ def _axes(value):
         return 0
 
 
-def _scaled(model, scale):
-    if model is None:
-        return None
-    S, R = np.diag(scale), np.diag(1 / scale)
-    return control.ss(model.A, model.B @ S, R @ model.C, R @ model.D @ S, model.dt)
-
-
-def _radius(uncertainty, n, m):
-    """Radius at each frequency, of the norm or entry by entry; None if it is zero throughout."""
-    if uncertainty is None:
-        return None
-    radius = arguments.array("uncertainty", uncertainty, (...,))
-    if radius.shape not in [(n,), (n, m, m)]:
-        size = f"= {radius}" if radius.ndim == 0 else f"has shape {radius.shape}, but"
-        raise ValueError(
-            f"uncertainty {size} must have shape ({n},), a radius of the norm at each frequency, "
-            f"or ({n}, {m}, {m}), of each entry: np.full({n}, r) is a radius r at all frequencies"
-        )
-    if radius.min() < 0:
-        raise ValueError(
-            f"uncertainty reaches {radius.min():.6g}, but a radius cannot be negative: pass the "
-            "largest ||Delta|| (or |Delta_ij|) at each frequency"
-        )
-    return radius if radius.any() else None
+def on_grid(plants, omega, Ts):
+    """Each plant as a model, or None, and their frequency responses on omega, (p, n, m, m)."""
+    models, shape = [], (len(omega), "m", "m")
+    for k, (name, plant) in enumerate(plants.items()):
+        model, response = _response(name, plant, omega, Ts)
+        response = arguments.array(name, response, shape, complex)
+        if k == 0:
+            shape = response.shape
+            responses = np.empty((len(plants), *shape), dtype=complex)
+        responses[k] = response
+        models.append(model)
+    return models, responses
 
 
 def _response(name, P, omega, Ts):
-    """The plant as a model, or None, and its frequency response on omega."""
+    """The plant as a model, or None, and its frequency response on omega, not yet checked."""
     if isinstance(P, CurrentTrialLoop):
         P = P.P
-    model = None
     if isinstance(P, control.FrequencyResponseData):
-        P = _of_frd(name, P, omega, Ts)
-    elif isinstance(P, control.TransferFunction | control.StateSpace):
-        _check_period(name, P.dt, Ts)
-        if isinstance(P, control.StateSpace):
-            model = arguments.state_space(name, P)
-        elif P.ninputs == P.noutputs == 1:
-            model = control.ss(P)
-        arguments.stable(name, P.poles())
-        if model is not None:
-            P = frequency_response(model, omega)
-        else:
-            P = np.moveaxis(np.reshape(P(np.exp(1j * omega * Ts)), (*P.shape, len(omega))), -1, 0)
-    return model, arguments.array(name, P, (len(omega), "m", "m"), complex)
+        return None, _of_frd(name, P, omega, Ts)
+    if not isinstance(P, control.TransferFunction | control.StateSpace):
+        return None, P
+    _check_period(name, P.dt, Ts)
+    model = None
+    if isinstance(P, control.StateSpace):
+        model = arguments.state_space(name, P)
+    elif P.ninputs == P.noutputs == 1:
+        model = control.ss(P)
+    arguments.stable(name, P.poles())
+    if model is not None:
+        return model, frequency_response(model, omega)
+    response = np.reshape(P(np.exp(1j * omega * Ts)), (*P.shape, len(omega)))
+    return None, np.moveaxis(response, -1, 0)
 
 
 def _check_period(name, dt, Ts):
@@ -222,8 +191,8 @@ def _of_frd(name, P, omega, Ts):
     return np.moveaxis(P.frdata, -1, 0)
 
 
-def _q_response(Q, omega, Ts):
-    """The Q-filter as a model, or None, and its frequency response."""
+def Q_on_grid(Q, omega, Ts):
+    """The Q-filter as a model, or None, and its frequency response on omega."""
     model = Q if isinstance(Q, ZeroPhaseButterworth) else None
     if model is not None:
         arguments.one_period(P=Ts, Q=Q.Ts)
@@ -232,9 +201,9 @@ def _q_response(Q, omega, Ts):
     return model, Q if Q.imag.any() else Q.real
 
 
-def _in_band(Q, omega, band, objective):
-    """Which frequencies lie in the band, if it is summed over; there must be something to learn."""
-    low, high = arguments.array("band", band, (2,))
+def _band(band, Q, omega, objective):
+    """The band, which must lie within omega if it is summed over; there is something to learn."""
+    low, high = arguments.array("band", band, (2,)).tolist()
     in_band = (omega >= low) & (omega <= high)
     if objective == "sum":
         slack = 1e-9 * omega[-1]
@@ -250,16 +219,56 @@ def _in_band(Q, omega, band, objective):
         raise ValueError(
             f"Q has a gain of {learned:.3g} at most where the objective counts: it learns nothing"
         )
-    return in_band
+    return low, high
 
 
-def _scale(scale: Sequence[float] | None, m):
-    if scale is None:
+def _radius(uncertainty, n):
+    """Radius at each frequency; None if it is zero throughout."""
+    if uncertainty is None:
         return None
+    radius = arguments.array("uncertainty", uncertainty, (...,))
+    if radius.shape != (n,):
+        size = f"= {radius}" if radius.ndim == 0 else f"has shape {radius.shape}, but"
+        raise ValueError(
+            f"uncertainty {size} must have shape ({n},), the largest ||Delta|| at each frequency: "
+            f"np.full({n}, r) is a radius r at all frequencies"
+        )
+    if radius.min() < 0:
+        raise ValueError(
+            f"uncertainty reaches {radius.min():.6g}, but a radius cannot be negative: pass the "
+            "largest ||Delta|| at each frequency"
+        )
+    return radius if radius.any() else None
+
+
+def _scale(scale, m):
     scale = arguments.array("scale", scale, (m,))
     if scale.min() <= 0:
         raise ValueError(f"scale = {scale.tolist()} must be positive, one number per channel")
     return scale
+
+
+def _scaled(model, scale):
+    """A model, if there is one, with its channels in units of scale."""
+    if model is None:
+        return None
+    S, R = np.diag(scale), np.diag(1 / scale)
+    return control.ss(model.A, model.B @ S, R @ model.C, R @ model.D @ S, model.dt)
+
+
+def _weights(noise, omega, Ts, m, M_max, scale):
+    """Weights of |Q P L|^2 that make its sum a mean over all frequencies, for each input of L."""
+    if noise is None:
+        return None
+    n = len(omega)
+    shape = (n, m) if _axes(noise) == 2 else (n,)
+    noise = arguments.array("noise", noise, shape).reshape(n, -1)
+    if noise.min() < 0:
+        raise ValueError(f"noise reaches {noise.min():.6g}, but a spectral density is not negative")
+    edges = np.concatenate([[0.0], (omega[1:] + omega[:-1]) / 2, [np.pi / Ts]])
+    width = np.diff(edges)[:, None] * Ts / np.pi
+    weights = width * noise / scale**2 / (1 - M_max**2) * np.ones(m)
+    return weights if weights.any() else None
 
 
 def _refuse_singular(P, omega):

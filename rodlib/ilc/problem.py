@@ -15,7 +15,7 @@ import numpy as np
 
 from rodlib.ilc.filters import LearningFilter, ZeroPhaseButterworth
 
-LARGEST = 1e7  # gain of Q P L from which on the rounding of coefficients shows
+MOST_GAIN = 1e7  # of Q P L, from which on the rounding of coefficients shows
 TIED = 1e-6  # relative distance at which rounding, or the accuracy of a solver, decides an order
 
 
@@ -33,26 +33,26 @@ class Problem:
         Design frequencies, rad/s.
     Ts : float
         Sampling period, s.
-    order : int
-        Number of samples that the learning filter looks ahead.
-    M_max, L_max : float, float or None
-        Bounds on sigma_max(M) and sigma_max(L).
-    in_band : ndarray of bool, shape (n,)
-        Frequencies over which "sum" sums.
-    structure : {"diagonal", "full"}
-    objective : {"sum", "peak", "gain"}
-        "gain" minimises the largest sigma_max(L), with `L_max` for its unit and no bound.
     scale : ndarray, shape (m,)
         What counts as equally large in each channel.
     model : tuple of control.StateSpace and ZeroPhaseButterworth, or None
         P and Q, if both were given as models.
     others : ndarray, shape (p, n, m, m), complex
         Further plants for which the bounds hold; plant number 0 is P, these are 1 to p.
+    order : int
+        Number of samples that the learning filter looks ahead.
+    M_max, L_max : float, float or None
+        Bounds on sigma_max(M) and sigma_max(L).
+    band : (float, float)
+        Lowest and highest frequency over which "sum" sums, rad/s.
+    structure : {"diagonal", "full"}
+    objective : {"sum", "peak", "gain"}
+        "gain" minimises the largest sigma_max(L), with `L_max` for its unit and no bound.
     other_models : tuple of control.StateSpace or None
         As far as they were given as models.
-    radius : ndarray, shape (n,) or (n, m, m), or None
-        The bounds hold for all P + Delta with ||Delta|| <= radius at each frequency, or with
-        |Delta_ij| <= radius_ij, and likewise for the other plants.
+    radius : ndarray, shape (n,), or None
+        The bounds hold for all P + Delta with ||Delta|| <= radius at each frequency, and likewise
+        for the other plants.
     noise : ndarray, shape (n, m), or None
         Weights of what learning from noise costs, see :meth:`cost_of_noise`.
     basis : tuple of str
@@ -63,15 +63,15 @@ class Problem:
     Q: np.ndarray
     omega: np.ndarray
     Ts: float
-    order: int
-    M_max: float
-    L_max: float | None
-    in_band: np.ndarray
-    structure: str
-    objective: str
     scale: np.ndarray
     model: tuple[control.StateSpace, ZeroPhaseButterworth] | None
     others: np.ndarray
+    order: int = 10
+    M_max: float = 0.9
+    L_max: float | None = 50.0
+    band: tuple[float, float] = (1e-4, 0.02)
+    structure: str = "diagonal"
+    objective: str = "sum"
     other_models: tuple[control.StateSpace | None, ...] = ()
     radius: np.ndarray | None = None
     noise: np.ndarray | None = None
@@ -88,6 +88,11 @@ class Problem:
         return self.omega * self.Ts
 
     @property
+    def in_band(self) -> np.ndarray:
+        """Which of the frequencies lie in the band, shape (n,)."""
+        return (self.omega >= self.band[0]) & (self.omega <= self.band[1])
+
+    @property
     def idle(self) -> float:
         """The objective without learning, L = 0."""
         return self.value(np.abs(self.Q))
@@ -99,12 +104,12 @@ class Problem:
 
     @property
     def unusable(self) -> np.ndarray:
-        """Whether the radius of the norm admits a singular plant, at each frequency, shape (n,).
+        """Whether the radius admits a singular plant, at each frequency, shape (n,).
 
         Of such a plant, in some direction, no learning filter sees anything: the largest singular
         value of M is |Q| or more for one of those within the radius.
         """
-        if self.radius is None or self.radius.ndim > 1:
+        if self.radius is None:
             return np.zeros(len(self.omega), dtype=bool)
         plants = np.concatenate([self.P[None], self.others])
         smallest = np.linalg.svd(plants, compute_uv=False)[..., -1].min(axis=0)
@@ -151,82 +156,43 @@ class Problem:
         if self.L_max is not None:
             return np.eye(self.channels) / self.L_max
         gains = np.linalg.norm(self.Q[:, None, None] * self.P, axis=1).max(axis=0)
-        return np.diag(gains / np.abs(self.Q).max() / LARGEST)
+        return np.diag(gains / np.abs(self.Q).max() / MOST_GAIN)
 
     def filter(self, coefficients) -> LearningFilter:
         """The learning filter, in the plant's own units, of coefficients in units of `scale`."""
         units = self.scale[:, None, None] / self.scale[None, :, None]
         return LearningFilter(coefficients * units, self.Ts)
 
+    def response(self, solution: "Solution") -> np.ndarray:
+        """Frequency response of a solution's filter, shape (n, m, m), in units of `scale`."""
+        return LearningFilter(solution.coefficients, self.Ts).frequency_response(self.omega)
+
 
 @dataclass(frozen=True)
 class Cuts:
-    """Bounds on M for other plants than the nominal one, or for a radius, with their multipliers.
+    """Bounds on G = M for other plants, and on G = [M; |Q| r L] for a radius r, as multipliers."""
 
-    For a plant P and a frequency, the matrix that is bounded is G = M = Q (I - P L) if there is no
-    radius r, and otherwise
-
-        G = [M; |Q| r L]                            for a radius of the norm, 2m x m,
-        G = [M; |Q| r_ij (row j of L), all i, j]    entry by entry, m + m^2 x m, i first.
-
-    Attributes
-    ----------
-    plant, frequency : ndarray of int, shape (c,)
-        Of each bound: number of the plant, index of the frequency.
-    N : ndarray, shape (c, rows of G, m), complex
-        Multipliers of G.
-    split : ndarray, shape (c, k)
-        Share d of the bound b that is left to the rows below M: diag(b - d, d) for its rows. One
-        for a radius of the norm; entry by entry m^2, and b - sum_j d_ij for row i of M. Empty
-        without a radius.
-    """
-
-    plant: np.ndarray
-    frequency: np.ndarray
-    N: np.ndarray
-    split: np.ndarray
+    plant: np.ndarray  # (c,): number of the plant of each bound
+    frequency: np.ndarray  # (c,): index of its frequency
+    N: np.ndarray  # (c, rows of G, m), complex: multipliers of G
+    split: np.ndarray  # (c, 1), or (c, 0) without r: share of the bound left to the rows below M
 
 
 @dataclass(frozen=True)
 class Solution:
-    """A learning filter, and the multipliers from which its optimality can be proven.
+    """A learning filter, and the multipliers from which its optimality can be proven."""
 
-    Attributes
-    ----------
-    coefficients : ndarray, shape (m, m, order)
-        L(z) = sum_k coefficients[:, :, k - 1] z^k, in units of `scale`.
-    U, V : ndarray, shape (n, m, m), complex
-        Multipliers of the nominal M and of L.
-    peak : float
-        Largest sigma_max(M); of W L, for the least gain.
-    method : str
-        That found it.
-    iterations : int
-    cuts : Cuts or None
-        What was needed of the bounds on M for other plants, and for a radius.
-    """
-
-    coefficients: np.ndarray
-    U: np.ndarray
-    V: np.ndarray
-    peak: float
+    coefficients: np.ndarray  # (m, m, order): of L(z) = sum_k C_k z^k, in units of `scale`
+    U: np.ndarray  # (n, m, m), complex: multipliers of the nominal M
+    V: np.ndarray  # (n, m, m), complex: multipliers of L
+    largest: float  # sigma_max(M); of W L, for the least gain
     method: str
     iterations: int
-    cuts: Cuts | None = None
+    cuts: Cuts | None = None  # what was needed of them
 
 
 def convergence_matrix(P, Q, L) -> np.ndarray:
-    """Evaluate M = Q (I - P L) of (40) from frequency responses.
-
-    Parameters
-    ----------
-    P, L : ndarray, shape (n, m, m)
-    Q : ndarray, shape (n,)
-
-    Returns
-    -------
-    ndarray, shape (n, m, m), complex
-    """
+    """M = Q (I - P L) of (40), (n, m, m), from frequency responses P, L (n, m, m) and Q (n,)."""
     return Q[:, None, None] * (np.eye(P.shape[1]) - P @ L)
 
 

@@ -1,4 +1,4 @@
-"""Turn the benchmark's results into the README's table and figures/performance: both or none."""
+"""Turn the benchmark's results into the tables and the picture of figures/performance."""
 
 import json
 import sys
@@ -45,6 +45,7 @@ def main(path):
     lines += ["|---|---:|---:|---:|---:|---:|"]
     trials = dict(row[:2] for row in groups.pop("trials"))
     designs = dict(row[:2] for row in groups.pop("alternatives"))
+    plt.style.use("rodlib.paper.style")
     figure, axes = plt.subplots(1, len(groups), figsize=figures.WIDE, sharey=True)
     for column, (name, rows) in zip(axes, groups.items(), strict=True):
         x, time, memory = np.array(sorted(rows)).T
@@ -71,13 +72,13 @@ def main(path):
     lines += [", ".join(f"{name} {time:.3f} s" for name, time in designs.items()) + "."]
     lines += ["", f"Measured on: {cpu}, {machine['cpu'].get('count', '?')} cores, Python {python}."]
     saved = figures.save(figure, "performance", CAPTION).path
-    lines += ["", "![Time of the synthesis over its size](figures/performance.png)"]
+    lines += ["", "![Time of the synthesis over its size](performance.png)"]
     text = "\n".join(lines) + "\n"
     with publishing(root) as new:
         for picture in (saved, saved.with_suffix(".pdf")):
             new[f"figures/{picture.name}"] = picture.read_bytes()
-        readme = (root / "README.md").read_text(encoding="utf-8")
-        new["README.md"] = splice(readme, "performance", text).encode()
+        page = (root / "figures" / "performance.md").read_text(encoding="utf-8")
+        new["figures/performance.md"] = splice(page, "performance", text).encode()
     print(text)
 
 

@@ -1,12 +1,11 @@
 """The problem as it is stated: where P may come from, and in which units."""
 
-import inspect
-
 import control
 import numpy as np
 import pytest
+from plants import furnace
 
-from rodlib import LearningFilter, synthesise, zero_phase_butterworth
+from rodlib import LearningFilter, current_trial_loop, synthesise, zero_phase_butterworth
 from rodlib.ilc.models import frequency_response
 from rodlib.ilc.posing import pose
 from rodlib.ilc.problem import largest_singular_values
@@ -20,13 +19,6 @@ def coupled():
     """Two lags with coupling, in discrete time."""
     A = np.array([[0.9, 0.05], [0.02, 0.8]])
     return control.ss(A, [[0.1, 0.02], [0.01, 0.2]], np.eye(2), 0, 1.0)
-
-
-def test_defaults_are_those_of_synthesise():
-    """They are stated twice, to be read at both doors."""
-    stated = inspect.signature(pose).parameters
-    asked = inspect.signature(synthesise).parameters
-    assert [*stated.values()] == [asked[name] for name in stated]
 
 
 SAMPLES = frequency_response(coupled(), OMEGA)
@@ -52,6 +44,17 @@ def test_transfer_functions_are_models_if_they_have_one_channel():
     posed = pose(two, Q, OMEGA, 1.0, band=BAND)
     np.testing.assert_allclose(posed.P[:, 0, 1], 0.02 / (z - 0.9), rtol=1e-12)
     np.testing.assert_allclose(posed.P[:, 1, 0], 0.01 / (z - 0.8), rtol=1e-12)
+
+
+def test_the_sampling_period_is_taken_from_what_knows_it():
+    response, q = SAMPLES[::2], Q.frequency_response(OMEGA[::2])
+    loop = current_trial_loop(furnace(3, Ts=30.0), sizes={"outlet": 10.0, "valve": 5.0})
+    slow = OMEGA[::2] / 30
+    for P, filter_Q, grid, Ts in [
+        (response, Q, OMEGA[::2], 1.0), (coupled(), q, OMEGA[::2], 1.0), (loop, q, slow, 30.0),
+        ([response, coupled()], q, OMEGA[::2], 1.0),
+    ]:  # fmt: skip
+        assert pose(P, filter_Q, grid, objective="peak").Ts == Ts
 
 
 @pytest.mark.parametrize("several", [list, tuple])
@@ -123,30 +126,26 @@ def test_scale_weighs_the_channels():
         ),
         ({"P": control.tf([0.1], [1, -1.1], 1.0)}, "P is unstable: it has a pole of modulus 1.1"),
         ({"P": control.tf([0.1], [1, 0.9])}, r"P.dt = 0 differs from Ts = 1.0: sample the model"),
+        ({"Ts": 0.5}, r"P.dt = 1.0 differs from Ts = 0.5"),
+        ({"P": SAMPLES, "Q": np.ones(60), "Ts": None}, "Ts must be given, as neither P nor Q"),
         ({"P": control.ss(0.2, 0.8, 1, 0, True)}, "P.dt = True differs from Ts = 1.0: sample the"),
-        ({"P": control.ss(0.2, 0.8, 1, 0, None)}, "P.dt = None differs from Ts = 1.0: sample the"),
         ({"P": control.frd(control.ss(0.5, 1, 1, 0, 0.5), OMEGA)}, r"P.dt = 0.5 differs from Ts"),
         ({"P": []}, r"P = \[\] holds no plant: pass one or more, the nominal one first"),
-        ({"P": ()}, r"P = \(\) holds no plant"),
         ({"P": np.ones((0, 60, 2, 2))}, "P = .* holds no plant"),
         ({"P": (p for p in [SAMPLES])}, "P = <generator .* only once: pass a list of plants"),
         ({"P": [SAMPLES, None]}, r"P\[1\] holds values of type object, but must hold numbers"),
-        ({"P": [SAMPLES, "lag"]}, r"P\[1\] holds values of type <U3, but must hold numbers"),
-        ({"P": [coupled(), 0.5]}, r"P\[1\] has shape \(\), but must have shape \(60, m, m\)"),
+        ({"P": [coupled(), 0.5]}, r"P\[1\] has shape \(\), but must have shape \(60, 2, 2\)"),
         ({"P": [coupled(), SAMPLES[:, :1, :1]]}, r"P\[1\] has shape \(60, 1, 1\), .* \(60, 2, 2\)"),
         ({"P": [SAMPLES, control.ss(0.5, 1, 1, 0, 2.0)]}, r"P\[1\].dt = 2.0 differs from Ts = 1.0"),
-        ({"P": [SAMPLES, control.ss(0.5, 1, 1, 0, True)]}, r"P\[1\].dt = True differs from Ts"),
         (
             {"P": [SAMPLES, control.frd(coupled(), OMEGA[:9])]},
             r"P\[1\] is known at 9 frequencies .* not those of omega",
         ),
-        ({"uncertainty": 0.1}, r"uncertainty = 0.1 must have shape \(60,\), .* or \(60, 2, 2\)"),
-        ({"uncertainty": np.array(0.1)}, r"uncertainty = 0.1 .* np.full\(60, r\) is a radius r"),
-        ({"uncertainty": np.ones((60, 2))}, r"uncertainty has shape \(60, 2\), but must have"),
-        ({"uncertainty": np.ones((60, 1, 1))}, r"uncertainty has shape \(60, 1, 1\), but must"),
-        ({"uncertainty": np.full(60, 0.1j)}, "uncertainty is complex, but must be real"),
-        ({"uncertainty": "0.1"}, "uncertainty holds values of type <U3, but must hold numbers"),
-        ({"uncertainty": [[0.1], [0.1, 0.2]]}, "uncertainty must be an array of numbers"),
+        (
+            {"uncertainty": 0.1},
+            r"uncertainty = 0.1 must .* \(60,\), .* np.full\(60, r\) is a radius",
+        ),
+        ({"uncertainty": np.ones((60, 2, 2))}, r"uncertainty has shape \(60, 2, 2\), but must"),
     ],
 )
 def test_what_does_not_fit_is_refused(changes, message):

@@ -10,7 +10,6 @@ from scipy.fft import irfft, next_fast_len, rfft
 from scipy.sparse import diags_array, eye_array
 
 from rodlib.ilc import arguments
-from rodlib.ilc.evidence.models import common_size
 from rodlib.ilc.filters import LearningFilter, ZeroPhaseButterworth
 
 LANCZOS = 60  # vectors that the Lanczos iteration keeps
@@ -42,8 +41,14 @@ def trial_operators(
     ValueError
         If P is not in discrete time or not as large as L, or `samples` is not positive.
     """
-    Ts, m = common_size(P, L)
-    arguments.one_period(P=Ts, Q=arguments.instance("Q", Q, ZeroPhaseButterworth).Ts)
+    arguments.state_space("P", P)
+    arguments.instance("Q", Q, ZeroPhaseButterworth)
+    m = len(arguments.instance("L", L, LearningFilter).coefficients)
+    if (P.noutputs, P.ninputs) != (m, m):
+        raise ValueError(f"P is {P.noutputs} by {P.ninputs}, but L is {m} by {m}")
+    if not (P.isdtime(strict=True) and P.dt is not True):
+        raise ValueError(f"P.dt = {P.dt!r} must be a sampling period in seconds")
+    arguments.one_period(P=P.dt, L=L.Ts, Q=Q.Ts)
     samples = arguments.whole("samples", samples, 1)
 
     length = next_fast_len(2 * samples, real=True)
@@ -77,15 +82,7 @@ def trial_operators(
 
 
 def impulse_response(P: control.StateSpace, samples: int) -> np.ndarray:
-    """Markov parameters D, C B, C A B, ... of P, shape (samples, outputs, inputs).
-
-    Raises
-    ------
-    ValueError
-        If P is no state-space model, or `samples` is not positive.
-    """
-    arguments.state_space("P", P)
-    samples = arguments.whole("samples", samples, 1)
+    """Markov parameters D, C B, C A B, ... of P, shape (samples, outputs, inputs)."""
     h = np.empty((samples, P.noutputs, P.ninputs))
     h[0], X = P.D, P.B
     for p in range(1, samples):

@@ -3,26 +3,15 @@
 import control
 import numpy as np
 
-from rodlib.ilc import arguments
 from rodlib.ilc.filters import LearningFilter
 
 
 def learning_model(L: LearningFilter) -> control.StateSpace:
     """Causal model of z^-n_L L(z), whose singular values are those of L of (44).
 
-    Parameters
-    ----------
-    L : LearningFilter
-        Of order n_L with m channels: L(z) = sum_k c_k z^k, k = 1 ... n_L.
-
-    Returns
-    -------
-    control.StateSpace
-        y(p) = c_nL e(p) + c_(nL-1) e(p - 1) + ... + c_1 e(p - nL + 1), with m (n_L - 1) states:
-        e(p - 1), e(p - 2), ... A delay has gain one at every frequency, so it changes no
-        singular value.
+    y(p) = c_nL e(p) + c_(nL-1) e(p - 1) + ... + c_1 e(p - nL + 1), with m (n_L - 1) states: e(p -
+    1), e(p - 2), ... A delay has gain one at every frequency, so it changes no singular value.
     """
-    arguments.instance("L", L, LearningFilter)
     m, _, order = L.coefficients.shape
     newest_first = np.concatenate([L.coefficients[:, :, k] for k in range(order - 1, -1, -1)], 1)
     states = m * (order - 1)
@@ -34,37 +23,16 @@ def learning_model(L: LearningFilter) -> control.StateSpace:
 def error_model(P: control.StateSpace, L: LearningFilter) -> control.StateSpace:
     """Causal model of z^-n_L (I - P L), what a trial makes of the error before Q has its say.
 
-    Parameters
-    ----------
-    P : control.StateSpace
-        In discrete time, m inputs (w) and m outputs (y): :func:`reduced_loop` for the paper's. Its
-        states are taken over as they are.
-    L : LearningFilter
-
-    Returns
-    -------
-    control.StateSpace
-        |Q| times its singular values are those of M = Q (I - P L), (40), at every frequency. With
-        n states of P it has m n_L + n: the taps of z^-n_L L and the delay of the direct path share
-        one chain.
-
-    Raises
-    ------
-    ValueError
-        If P is no state-space model in discrete time with a sampling period in seconds, or not as
-        large as L, or the sampling periods differ.
-
-    Notes
-    -----
-    P L and L P have different singular values: this is the operator on the error, as in Lemma 1,
-    not I - L P, which acts on the ILC signal.
+    |Q| times its singular values are those of M = Q (I - P L), (40), at every frequency. With n
+    states of P it has m n_L + n: the taps of z^-n_L L and the delay of the direct path share one
+    chain. P L and L P have different singular values: this is the operator on the error, as in
+    Lemma 1, not I - L P, which acts on the ILC signal.
     """
-    Ts, m = common_size(P, L)
-
+    m = len(L.coefficients)
     # The chain holds e(p - 1) ... e(p - n_L). L in a unit that makes its taps of order one, and P
     # in its inverse, so that the entries of A below are, too; see peak.balanced.
     unit = 2.0 ** np.round(np.log2(np.abs(L.coefficients).max() or 1))
-    taps, chain = learning_model(LearningFilter(L.coefficients / unit, Ts)), m * L.order
+    taps, chain = learning_model(LearningFilter(L.coefficients / unit, L.Ts)), m * L.order
     P_C, P_D = unit * P.C, unit * P.D
     taps_C = np.hstack([taps.C, np.zeros((m, m))])
     delay_C = np.eye(m, chain, k=chain - m)
@@ -73,23 +41,5 @@ def error_model(P: control.StateSpace, L: LearningFilter) -> control.StateSpace:
         np.vstack([np.eye(chain, m), P.B @ taps.D]),
         np.hstack([delay_C - P_D @ taps_C, -P_C]),
         -P_D @ taps.D,
-        Ts,
+        L.Ts,
     )
-
-
-def common_size(P, L):
-    """Sampling period and number of channels that a plant and a learning filter share."""
-    Ts = sampling_period("P", P)
-    m = len(arguments.instance("L", L, LearningFilter).coefficients)
-    if (P.noutputs, P.ninputs) != (m, m):
-        raise ValueError(f"P is {P.noutputs} by {P.ninputs}, but L is {m} by {m}")
-    arguments.one_period(P=Ts, L=L.Ts)
-    return Ts, m
-
-
-def sampling_period(name, system):
-    """That of a state-space model, in seconds."""
-    arguments.instance(name, system, control.StateSpace)
-    if not (system.isdtime(strict=True) and system.dt is not True):
-        raise ValueError(f"{name}.dt = {system.dt!r} must be a sampling period in seconds")
-    return float(system.dt)

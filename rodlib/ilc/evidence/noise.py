@@ -20,9 +20,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from rodlib.ilc import arguments
-from rodlib.ilc.filters import LearningOperator, ZeroPhaseButterworth, check_learning
+from rodlib.ilc.filters import LearningOperator, check_learning
 from rodlib.ilc.loop import CurrentTrialLoop, with_noise
 from rodlib.ilc.models import frequency_response
+from rodlib.ilc.posing import Q_on_grid
 from rodlib.ilc.problem import largest_singular_values, tied
 
 HERMITIAN = 1e-9  # relative, by how much a spectral density may miss being one
@@ -40,8 +41,8 @@ class Spectrum:
     Ts : float
         Sampling period, s.
     density : ndarray, shape (n, m, m), complex
-        Its mean over all frequencies is the covariance, so that white noise has its variance as
-        its density. One in unit^2 / Hz, counted over positive frequencies, is 2 Ts times as large.
+        Its mean over all frequencies is the covariance, so that white noise has its variance as its
+        density. One in unit^2 / Hz, counted over positive frequencies, is 2 Ts times as large.
     """
 
     omega: np.ndarray
@@ -50,10 +51,7 @@ class Spectrum:
 
     @property
     def rms(self) -> np.ndarray:
-        """Of each signal, shape (m,), by the trapezoidal rule.
-
-        Below the first and above the last frequency the density is taken to stand still.
-        """
+        """Of each signal, (m,), by trapezia; beyond the frequencies the density stands still."""
         points = np.concatenate([[0], self.omega, [np.pi / self.Ts]])
         power = np.einsum("nii->ni", self.density).real
         power = np.concatenate([power[:1], power, power[-1:]])
@@ -75,10 +73,8 @@ class TrialNoise:
 
     Attributes
     ----------
-    omega : ndarray, shape (n,)
-        Increasing angular frequencies, rad/s, up to the Nyquist frequency.
-    Ts : float
-        Sampling period, s.
+    omega, Ts
+        As for :class:`Spectrum`.
     P : ndarray, shape (n, m, m), complex
         Frequency response of the loop from w to y, (31).
     measured_density : ndarray, shape (n, m, m), complex
@@ -87,11 +83,6 @@ class TrialNoise:
     true_density : ndarray, shape (n, m, m), complex; or None
         Of t, how the outputs themselves do; None where it is not known. What the sensors add and
         what the feedback makes of it cannot be told apart by looking at the measured outputs.
-
-    Raises
-    ------
-    ValueError
-        If an argument is out of range or has another shape, or a density is none.
     """
 
     omega: np.ndarray
@@ -178,8 +169,7 @@ def trial_noise(
     Raises
     ------
     ValueError
-        If omega is not such frequencies, or a density has another shape, is not finite, or is not
-        Hermitian and positive semidefinite; as :meth:`CurrentTrialLoop.around` for `plant`.
+        If omega or a density is none, or as :meth:`CurrentTrialLoop.around` for `plant`.
     """
     arguments.instance("loop", loop, CurrentTrialLoop)
     omega, m = arguments.frequencies("omega", omega, loop.Ts), loop.plant.noutputs
@@ -232,17 +222,7 @@ def converged_noise(new: TrialNoise, Q, L: LearningOperator, step: float = 1.0) 
 
 
 def accumulated(M, added) -> np.ndarray:
-    """Sum of M^k `added` M^k^H over all k, that is, Phi = M Phi M^H + `added`, by Smith's method.
-
-    Parameters
-    ----------
-    M, added : ndarray, shape (n, m, m), complex
-        M without an eigenvalue of modulus one or more, which is not checked.
-
-    Returns
-    -------
-    ndarray, shape (n, m, m), complex
-    """
+    """Phi = M Phi M^H + `added`, the sum of M^k `added` M^k^H over all k, by Smith's method."""
     size = 1.0
     while size > NEGLIGIBLE:  # the number of terms doubles
         added = added + _through(M, added)
@@ -256,8 +236,7 @@ def noise_by_trial(new: TrialNoise, Q, L: LearningOperator, step) -> list[Learne
 
     Parameters
     ----------
-    new : TrialNoise
-    Q, L : as for :func:`converged_noise`
+    new, Q, L : as for :func:`converged_noise`
     step : array_like, shape (trials - 1,)
         Of :func:`rodlib.update`, from each trial to the next.
 
@@ -284,10 +263,13 @@ def noise_by_trial(new: TrialNoise, Q, L: LearningOperator, step) -> list[Learne
 def noise_bound(new: TrialNoise, Q, M_max, L_max) -> float:
     """Bound on the noise that learning adds, for every filter that keeps the bounds of (39).
 
+    At each frequency, tr Phi <= c^2 tr Phi + g^2 tr Phi_x with c >= sigma_max(M) and
+    g >= sigma_max(Q P L), so that tr Phi <= tr Phi_x g^2 / (1 - c^2). As M = Q I - Q P L, each of
+    the two is at most |Q| plus the other one, too; and Q P L is at most |Q| sigma_max(P) L_max.
+
     Parameters
     ----------
-    new : TrialNoise
-    Q : as for :func:`converged_noise`
+    new, Q : as for :func:`converged_noise`
     M_max, L_max : float or array_like, shape (n,)
         Bounds on sigma_max(M), below one, and sigma_max(L), at all frequencies or at each.
 
@@ -301,12 +283,6 @@ def noise_bound(new: TrialNoise, Q, M_max, L_max) -> float:
     ------
     ValueError
         If a bound is negative, M_max is not below one, or a shape does not fit.
-
-    Notes
-    -----
-    At each frequency, tr Phi <= c^2 tr Phi + g^2 tr Phi_x with c >= sigma_max(M) and
-    g >= sigma_max(Q P L), so that tr Phi <= tr Phi_x g^2 / (1 - c^2). As M = Q I - Q P L, each of
-    the two is at most |Q| plus the other one, too; and Q P L is at most |Q| sigma_max(P) L_max.
     """
     q = np.abs(_q_response(new, Q))
     limits = {"M_max": M_max, "L_max": L_max}
@@ -358,10 +334,7 @@ def _learning(new, Q, L):
 
 def _q_response(new, Q):
     arguments.instance("new", new, TrialNoise)
-    if isinstance(Q, ZeroPhaseButterworth):
-        arguments.one_period(noise=new.Ts, Q=Q.Ts)
-        Q = Q.frequency_response(new.omega)
-    return arguments.array("Q", Q, new.omega.shape, complex)
+    return Q_on_grid(Q, new.omega, new.Ts)[1]
 
 
 def _stepped(M, step):

@@ -5,13 +5,11 @@ It follows from the solver's multipliers, whatever their quality, by linear alge
 
 import numpy as np
 
-from rodlib.ilc import arguments
-from rodlib.ilc.evidence.robustness import affine, layout
+from rodlib.ilc.evidence.robustness import affine
 from rodlib.ilc.problem import Cuts, Problem
 
-STEPS = 200  # of Newton's method; 50 are usual
-FASTER = 10.0  # factor from one weight of the objective against the barrier to the next
-CLOSE = 1e-10  # relative accuracy of all dual norms together
+STEPS = 50  # of bisection
+FARTHEST = 40.0  # logarithm of how unequal two weights may be: the smaller is then below rounding
 FAINT = 1e-9  # least eigenvalue of X, relative
 
 
@@ -30,49 +28,20 @@ def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None, L=None) -> flo
     |U_i| exceeds the weight of sigma_max(M_i) in the objective, the excess is bounded with M_max,
     and so are the b_c. For the peak, they are no larger than the objective itself. The cost of
     noise is the square sum |G|^2 of weighted entries G of Q P L, and |G|^2 >= Re tr(N^H G) - |N|^2
-    / 4 for every N: one more such term, which N = 2 G makes as large as it can be. The multipliers
-    are first projected on those that fulfil the condition, so the bound holds, up to rounding,
-    whatever was passed. A coefficient of L_jk acts on column k of M, L and G only, so the columns
-    are projected one by one.
-
-    Parameters
-    ----------
-    problem : Problem
-    U, V : ndarray, shape (n, m, m); V may be None
-        Multipliers of the bounds on M and on L. With V None, no bound on L is used at all.
-    cuts : Cuts, optional
-        Multipliers of the bounds on other plants, and for a radius. Without them, these bounds are
-        not used.
-    L : ndarray, shape (n, m, m), optional
-        Frequency response of the filter at which the cost of noise is linearised, in units of
-        `scale`. Without it the cost is taken to be zero.
-
-    Returns
-    -------
-    float
-        For radii of the entries, no filter for which the sufficient condition of
-        :func:`rodlib.ilc.evidence.worst_case` holds does better.
-
-    Raises
-    ------
-    ValueError
-        If an argument is something else, has another shape or is not finite.
+    / 4 for every N: one more such term, which N = 2 G at the filter L makes as large as it can be.
+    The multipliers are first projected on those that fulfil the condition, so the bound holds, up
+    to rounding, whatever was passed. A coefficient of L_jk acts on column k of M, L and G only, so
+    the columns are projected one by one. What is None is not used: V, the bound on L; cuts; L, the
+    cost of noise.
     """
-    arguments.instance("problem", problem, Problem)
     P, Q, angles = problem.P, problem.Q, problem.angles
     n, m, _ = P.shape
-    U = arguments.array("U", U, P.shape, complex)
-    V = V if V is None else arguments.array("V", V, P.shape, complex)
-    L = L if L is None else arguments.array("L", L, P.shape, complex)
-    if cuts is not None:
-        arguments.instance("cuts", cuts, Cuts)
-
     T, N, turns = [-Q[:, None, None] * P], [U], [angles]
     if V is not None:  # in units of the bound, so that both parts have the size of the objective
         W = problem.weight
         T, N = [*T, np.broadcast_to(W, (n, m, m))], [*N, np.linalg.solve(W, V)]
         turns.append(angles)
-    F = np.empty((0, layout(problem).size, m))
+    F = np.empty((0, m, m))
     if cuts is not None:
         F, slope = affine(problem, cuts.plant, cuts.frequency)
         felt = np.abs(slope).max(axis=2, keepdims=True) > 0  # a row of G that is not zero
@@ -102,7 +71,7 @@ def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None, L=None) -> flo
     norms = np.linalg.svd(N, compute_uv=False).sum(axis=1)
     bound = (np.trace(N[:n].conj(), axis1=1, axis2=2) * Q).real.sum() - norms[n:].sum()
     bound += (beyond.conj() * F).real.sum()
-    others = dual_norm(beyond[:, layout(problem)]).sum()
+    others = dual_norm(beyond).sum()
     if problem.objective == "peak":
         total = norms[:n].sum() + others
         if not noise:
@@ -125,78 +94,44 @@ def _groups(problem, noisy):
 
 
 def dual_norm(N) -> np.ndarray:
-    """Upper bounds of nu(N): the largest Re tr(N^H G) with all G that are bounded by one.
+    """Upper bounds of nu(N), shape (c,): the largest Re tr(N^H G) with all G bounded by one.
 
-    Parameters
-    ----------
-    N : ndarray, shape (c, g, k, l, m)
-        Rows of multipliers, in g groups of k blocks of l rows, :func:`rodlib.ilc.evidence.layout`.
-
-    Returns
-    -------
-    ndarray, shape (c,)
-
-    Notes
-    -----
-    G is bounded by one if shares d > 0 of its blocks exist that add up to one in each group, with
-    sum G_k^H G_k / d_k <= I. So for all X > 0, and c_k = tr(N_k X^-1 N_k^H),
+    Without a radius nu is the nuclear norm. With one, G = [G_1; G_2] is bounded by one if shares
+    d_1 + d_2 = 1 exist with sum G_k^H G_k / d_k <= I. So for all X > 0, and
+    c_k = tr(N_k X^-1 N_k^H),
 
         Re tr(N^H G) <= sum_k sqrt(c_k tr(G_k X G_k^H))
                      <= sqrt(sum_k c_k d_k) sqrt(sum_k tr(G_k X G_k^H) / d_k)
-                     <= sqrt(sum over groups of max c_k) sqrt(tr X),
+                     <= sqrt(max c_k) sqrt(tr X),
 
     by Cauchy and Schwarz, twice. The least of these bounds is the largest nuclear norm of N with
-    rows weighted by square roots of weights w_k > 0 that add up to one in each group, and belongs
-    to X = (sum_k w_k N_k^H N_k)^(1/2). The weights are found by Newton's method with a barrier,
-    and any of them give a bound that holds. Without a radius nu is the nuclear norm.
+    its two parts weighted by square roots of w_1 + w_2 = 1, and belongs to
+    X = (sum_k w_k N_k^H N_k)^(1/2): tr X is concave in w_1, with the slope (c_1 - c_2) / 2.
+    Bisection finds where that is zero, and any w gives a bound that holds.
     """
-    count, groups, blocks, rows, m = N.shape
-    if blocks == 1:
-        return np.linalg.svd(N.reshape(count, rows, m), compute_uv=False).sum(axis=1)
-    N = N.reshape(count, groups * blocks, rows, m)
-    size = np.sqrt((np.abs(N) ** 2).sum(axis=(1, 2, 3)))
-    N = N / np.where(size > 0, size, 1)[:, None, None, None]
-    member = np.kron(np.eye(groups), np.ones(blocks))
-    w = np.full(N.shape[:2], 1 / blocks)
-    weight, todo = np.ones(count), np.arange(count)
+    count, rows, m = N.shape
+    if rows == m:
+        return np.linalg.svd(N, compute_uv=False).sum(axis=1)
+    size = np.linalg.norm(N, axis=(1, 2))
+    N = (N / np.where(size > 0, size, 1)[:, None, None]).reshape(count, 2, m, m)
+    low, high = np.full((2, count), [[-FARTHEST], [FARTHEST]])
     for _ in range(STEPS):
-        step, decrement = _newton_step(N[todo], w[todo], weight[todo], member)
-        w[todo] *= 1 + step / np.where(decrement < 0.25, 1, 1 + 2 * decrement)[:, None]
-        weight[todo] *= np.where(decrement < 0.25, FASTER, 1)
-        todo = todo[weight[todo] * CLOSE * size.sum() < size[todo]]  # little ones need less
-        if not todo.size:
-            break
-    s, C = _costs(N, w)
-    c = np.einsum("ckaa->ck", C).real.reshape(count, groups, blocks)
-    return size * np.sqrt(c.max(axis=2).sum(axis=1) * s.sum(axis=1))
+        middle = (low + high) / 2  # of log(w_1 / w_2)
+        c, _ = _costs(N, middle)
+        low, high = np.where(c[0] > c[1], [middle, high], [low, middle])
+    c, trace = _costs(N, (low + high) / 2)
+    return size * np.sqrt(c.max(axis=0) * trace)
 
 
-def _costs(N, w):
-    """Eigenvalues s of X, and X^(-1/2) N_k^H N_k X^(-1/2) in the basis of its eigenvectors."""
-    count, blocks, rows, m = N.shape
-    weighted = (np.sqrt(w)[..., None, None] * N).reshape(count, blocks * rows, m)
+def _costs(N, t):
+    """c_1 and c_2, and the trace of X, for w_1 = 1 / (1 + exp(-t))."""
+    count, _, m, _ = N.shape
+    w = np.stack([1 / (1 + np.exp(-t)), 1 / (1 + np.exp(t))], axis=1)
+    weighted = (np.sqrt(w)[..., None, None] * N).reshape(count, 2 * m, m)
     floor = np.broadcast_to(FAINT * np.eye(m), (count, m, m))
     _, s, B = np.linalg.svd(np.concatenate([weighted, floor], axis=1), full_matrices=False)
     inner = N @ B.conj().swapaxes(1, 2)[:, None] / np.sqrt(s)[:, None, None]
-    return s, inner.conj().swapaxes(2, 3) @ inner
-
-
-def _newton_step(N, w, weight, member):
-    """Relative step of w towards the largest weight tr X + sum log w, and its decrement."""
-    (s, C), (groups, blocks) = _costs(N, w), member.shape
-    C = w[..., None, None] * C
-    c = np.einsum("ckaa->ck", C).real
-    scaled = C / (s[:, :, None] + s[:, None])[:, None]
-    system = np.zeros((len(w), blocks + groups, blocks + groups))
-    curvature = np.einsum("ckab,clab->ckl", scaled, C.conj(), optimize=True).real / 2
-    system[:, :blocks, :blocks] = weight[:, None, None] * curvature + np.eye(blocks)
-    system[:, blocks:, :blocks] = member * w[:, None]
-    system[:, :blocks, blocks:] = system[:, blocks:, :blocks].swapaxes(1, 2)
-    right = np.zeros((len(w), blocks + groups, 1))
-    right[:, :blocks, 0] = weight[:, None] * c / 2 + 1
-    step = np.linalg.solve(system, right)[:, :blocks, 0]
-    metric = system[:, :blocks, :blocks]
-    return step, np.sqrt(np.einsum("ck,ckl,cl->c", step, metric, step))
+    return (np.abs(inner) ** 2).sum(axis=(2, 3)).T, s.sum(axis=1)
 
 
 def _changes(T, angles, order):

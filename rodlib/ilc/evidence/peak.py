@@ -1,6 +1,51 @@
 """Are the bounds met between the samples? The peak over all frequencies.
 
-For a model it has a proof; from samples it is estimated.
+From samples it is estimated. For a model it has a proof. No grid is fine enough by itself; what can
+happen between two samples must be bounded, and the poles bound it. Let a_1 ... a_n be the
+eigenvalues of A, and the poles of the Butterworth filter H if there is Q = |H|^2, which is real;
+and let
+
+    phi(theta) = sum_j integral from 0 to theta of (1 - |a_j|^2) / |exp(j t) - a_j|^2 dt,
+
+the phase of the all-pass B(z) = prod_j (z - a_j) / (1 - conj(a_j) z). It increases. Let g be the
+peak of Q sigma_max, with Q = 1 if there is none, and theta* = omega* Ts where it is attained. Then
+
+    Q sigma_max(theta) >= g cos(phi(theta) - phi(theta*))  if  |phi(theta) - phi(theta*)| <= pi.
+
+*Proof.* Take the unit vectors u, v with Q u* G(theta*) v = g and let T(theta) = Q Re u* G v / g.
+Then |T| <= Q sigma_max / g <= 1 everywhere and T(theta*) = 1. Q and Re u* G v are trigonometric
+polynomials over the |exp(j theta) - a_j|^2 of their poles, so that T is one of degree n or less
+over W(theta) = prod_j |exp(j theta) - a_j|^2, and so is S(theta) = cos(phi(theta) - phi(theta*))
+= Re(B(exp(j theta)) / B(exp(j theta*))), and hence D = S - T, which has no more than 2n zeros in a
+period unless it is zero throughout. S runs through +1 and -1 in turn at theta* = t_0 < t_1 < ... <
+t_2n = t_0 + 2 pi. Because |T| <= 1, D is >= 0 at t_0, t_2, ... and <= 0 at t_1, t_3, ..., so each
+of the 2n - 2 intervals [t_1, t_2] ... [t_2n-2, t_2n-1] holds a zero. If it is at an end, T = +1 or
+-1 is stationary there, as S is; the zero is double and counts once for each of the two intervals it
+belongs to. So is the zero at t_0. These are 2n. If T < S at some place in (t_0, t_1), D > 0 there
+and D(t_1) <= 0, which makes one more zero in (t_0, t_1]: contradiction. The other side is the
+mirror image. (This is the inequality of Bernstein and Szego for rational functions; see Borwein and
+Erdelyi, Mathematika 43 (1996) 413-423. For a finite impulse response of length n + 1, phi = n theta
+and it is Riesz's lemma of 1914.)
+
+So if theta* lies between two samples a < b with h = phi(b) - phi(a) < pi / 2, the peak is no higher
+than the sinusoid in phi through (0, sigma_max(a)) and (h, sigma_max(b)), or than the higher of the
+two if the sinusoid has its crest elsewhere. An interval is dropped once that bound is within the
+tolerance of the highest value seen, and halved if not. When none is left, the bound is proven; near
+the peak h is then about sqrt(8 tolerance). Real systems have the same singular values at negative
+frequencies, so [0, pi / Ts] is enough.
+
+Rounding: the values are those of a Schur form of A, whose diagonal holds the very poles that the
+bound uses. The proof is therefore exact for a system whose matrices differ from the given ones by
+rounding. Where that matters most, at the peak and at the angles of the poles closest to the circle,
+the gain is computed once more from A itself, with a bound of its error: if R approximates
+(z I - A)^-1 and leaves the residual S = I - (z I - A) R, then
+
+    C (z I - A)^-1 B = C R B + C R (S + S^2 + ...) B.
+
+What this adds to the peak is added to the gain, 1e-9 of it or less for the paper's M. No eigenvalue
+has to be told apart from the unit circle, as in the level-set methods of Boyd, Balakrishnan,
+Bruinsma and Steinbuch: that decision is worth no more than half the digits where the level touches
+the curve.
 """
 
 from dataclasses import dataclass
@@ -12,7 +57,7 @@ from scipy.interpolate import CubicSpline
 from scipy.linalg import schur
 
 from rodlib.ilc import arguments
-from rodlib.ilc.evidence.models import error_model, sampling_period
+from rodlib.ilc.evidence.models import error_model
 from rodlib.ilc.filters import ZeroPhaseButterworth
 from rodlib.ilc.problem import Problem, convergence_matrix, largest_singular_values, tied
 
@@ -28,101 +73,15 @@ def peak_gain(
     tolerance: float = 1e-8,
     max_points: int = 2_000_000,
 ) -> tuple[float, float]:
-    """Peak over all frequencies of the largest singular value, as an upper bound with a proof.
+    """Peak over all frequencies of Q sigma_max, as an upper bound with a proof, and where it is.
 
-    That of M is the peak of :func:`error_model` with Q.
-
-    Parameters
-    ----------
-    system : control.StateSpace
-        Stable, in discrete time, with a sampling period in seconds; any number of inputs and
-        outputs.
-    Q : ZeroPhaseButterworth, optional
-        That the system is followed by, in each channel. It is not made a part of the system: the
-        poles of a filter of high order with a low cut-off lie so close together that a Schur form
-        tears them apart.
-    tolerance : float
-        Relative; from 1e-12 to 1. The cost grows like its inverse square root.
-    max_points : int
-        Frequencies to be looked at before giving up.
-
-    Returns
-    -------
-    gain : float
-        At least the supremum of Q(omega) sigma_max(G(exp(j omega Ts))) over
-        0 <= omega <= pi / Ts. Above (1 + tolerance) times it only by a bound of the rounding
-        error, see Notes. In the unit of the output per unit of the input.
-    omega : float
-        Where the largest value was found, rad/s.
-
-    Raises
-    ------
-    ValueError
-        If the system is not in discrete time with a sampling period, is unstable or not finite,
-        Q has another sampling period, or the tolerance is out of range.
-    RuntimeError
-        If `max_points` does not suffice: sigma_max is equal to its peak, or nearly so, over a
-        wide range (an all-pass filter, say). The message gives the interval found so far. Or if
-        poles are so close to the unit circle that rounding could move one across.
-
-    Notes
-    -----
-    No grid is fine enough by itself; what can happen between two samples must be bounded. Here
-    the poles bound it. Let a_1 ... a_n be the eigenvalues of A, and the poles of the Butterworth
-    filter H if there is Q = |H|^2, which is real; and let
-
-        phi(theta) = sum_j integral from 0 to theta of (1 - |a_j|^2) / |exp(j t) - a_j|^2 dt,
-
-    the phase of the all-pass B(z) = prod_j (z - a_j) / (1 - conj(a_j) z). It increases. Let g be
-    the peak of Q sigma_max, with Q = 1 if there is none, and theta* = omega* Ts a place where it is
-    attained. Then
-
-        Q sigma_max(theta) >= g cos(phi(theta) - phi(theta*))  if  |phi(theta) - phi(theta*)| <= pi.
-
-    *Proof.* Take the unit vectors u, v with Q u* G(theta*) v = g and let
-    T(theta) = Q Re u* G v / g. Then |T| <= Q sigma_max / g <= 1 everywhere and T(theta*) = 1. Q and
-    Re u* G v are trigonometric polynomials over the |exp(j theta) - a_j|^2 of their poles, so that
-    T is one of degree n or less over W(theta) = prod_j |exp(j theta) - a_j|^2, and so is
-    S(theta) = cos(phi(theta) - phi(theta*)) = Re(B(exp(j theta)) / B(exp(j theta*))), and hence
-    D = S - T, which has no more than 2n zeros in a period unless it is zero throughout. S runs
-    through +1 and -1 in turn at theta* = t_0 < t_1 < ... < t_2n = t_0 + 2 pi. Because |T| <= 1, D
-    is >= 0 at t_0, t_2, ... and <= 0 at t_1, t_3, ..., so each of the 2n - 2 intervals
-    [t_1, t_2] ... [t_2n-2, t_2n-1] holds a zero. If it is at an end, T = +1 or -1 is stationary
-    there, as S is; the zero is double and counts once for each of the two intervals it belongs
-    to. So is the zero at t_0. These are 2n. If T < S at some place in (t_0, t_1), D > 0 there
-    and D(t_1) <= 0, which makes one more zero in (t_0, t_1]: contradiction. The other side is
-    the mirror image. (This is the inequality of Bernstein and Szego for rational functions; see
-    Borwein and Erdelyi, Mathematika 43 (1996) 413-423. For a finite impulse response of length
-    n + 1, phi = n theta and it is Riesz's lemma of 1914.)
-
-    So if theta* lies between two samples a < b with h = phi(b) - phi(a) < pi / 2, the peak is no
-    higher than the sinusoid in phi through (0, sigma_max(a)) and (h, sigma_max(b)), or than the
-    higher of the two if the sinusoid has its crest elsewhere. An interval is dropped once that
-    bound is within the tolerance of the highest value seen, and halved if not. When none is
-    left, the bound is proven; near the peak h is then about sqrt(8 tolerance). Real systems
-    have the same singular values at negative frequencies, so [0, pi / Ts] is enough.
-
-    Rounding: the values are those of a Schur form of A, whose diagonal holds the very poles that
-    the bound uses. The proof is therefore exact for a system whose matrices differ from the given
-    ones by rounding. Where that matters most, at the peak and at the angles of the poles closest to
-    the circle, the gain is computed once more from A itself, with a bound of its error: if R
-    approximates (z I - A)^-1 and leaves the residual S = I - (z I - A) R, then
-
-        C (z I - A)^-1 B = C R B + C R (S + S^2 + ...) B.
-
-    What this adds to the peak is added to the gain. It is 1e-9 of it or less for the paper's M.
-    No eigenvalue has to be told apart from the unit circle, as in the level-set methods of Boyd,
-    Balakrishnan, Bruinsma and Steinbuch: that decision is worth no more than half the digits
-    where the level touches the curve.
+    Q is not made a part of the system: the poles of a filter of high order with a low cut-off lie
+    so close together that a Schur form tears them apart. The gain is at least the supremum, and
+    above (1 + tolerance) times it only by a bound of the rounding error; the cost grows like the
+    inverse square root of the tolerance. A RuntimeError says so if `max_points` frequencies do not
+    suffice, because sigma_max is nearly equal to its peak over a wide range, as of an all-pass
+    filter, or if poles are so close to the unit circle that rounding could move one across.
     """
-    Ts = sampling_period("system", system)
-    if arguments.share("tolerance", tolerance) < 1e-12:
-        raise ValueError(f"tolerance = {tolerance!r} must be in [1e-12, 1]")
-    max_points = arguments.whole("max_points", max_points, 1)
-    if not all(np.isfinite(X).all() for X in (system.A, system.B, system.C, system.D)):
-        raise ValueError("system must be finite, but its matrices hold NaN or infinite values")
-    if Q is not None:
-        arguments.one_period(system=Ts, Q=arguments.instance("Q", Q, ZeroPhaseButterworth).Ts)
     if system.nstates == 0:  # and Q is one at zero
         return float(np.linalg.norm(system.D, 2)), 0.0
     # in units in which inputs and outputs are of order one
@@ -155,7 +114,7 @@ def peak_gain(
                     f"the peak gain, {peak * u * v:.6g} as computed, cannot be told: system has a "
                     f"pole of modulus {radius:.17g}, which rounding could make unstable"
                 )
-            return float((bound + max(highest - peak, 0)) * u * v), float(place / Ts)
+            return float((bound + max(highest - peak, 0)) * u * v), float(place / system.dt)
         middle = (left[0] + right[0]) / 2
         points += middle.size
         if points > max_points or np.any((middle == left[0]) | (middle == right[0])):
@@ -181,7 +140,7 @@ def _ceiling(a, b, h):
 
 
 def _phase(poles, theta):
-    """Phase phi of the all-pass with these poles, of :func:`peak_gain`, shape of theta."""
+    """Phase phi of the all-pass with these poles, shape of theta."""
     r, angle = np.abs(poles)[:, None], np.angle(poles)[:, None]
     shift = theta - angle
     # 1 - r cos(shift), without cancellation for poles next to the circle
@@ -214,7 +173,7 @@ def _gain_function(A, B, C, D, Q):
 
 
 def _rounded_up(A, B, C, D, theta):
-    """Upper bound of sigma_max at one angle whatever the rounding, of :func:`peak_gain`."""
+    """Upper bound of sigma_max at one angle whatever the rounding."""
     unit, z = (len(A) + 2) * np.finfo(float).eps, np.exp(1j * theta)
     identity = np.eye(len(A))
     R = np.linalg.inv(z * identity - A)
@@ -270,46 +229,21 @@ def balanced(A, B, C):
 
 @dataclass(frozen=True)
 class Peak:
-    """The highest peak of sigma_max(M) over all frequencies among the plants of a problem.
+    """The highest peak of sigma_max(M) over all frequencies among the plants of a problem."""
 
-    Attributes
-    ----------
-    sigma, omega : float
-        Its height, an upper bound to 1e-8 if `proven`, and where it is, rad/s.
-    plant : int
-        Whose it is; 0 is the nominal plant. Of those that are tied, the first.
-    proven : bool
-        Whether all plants are models. Otherwise it is the highest among those that are, and the
-        estimates for the sampled ones that are worst on the grid.
-    missed : float
-        The most that splines miss, as :func:`peak_between` has it; NaN if proven.
-    estimated : int
-        For how many plants there is an estimate.
-    """
-
-    sigma: float
-    omega: float
-    plant: int
-    proven: bool
-    missed: float
-    estimated: int
+    sigma: float  # an upper bound to 1e-8 if proven
+    omega: float  # where it is, rad/s
+    plant: int  # whose it is; of those that are tied, the first
+    proven: bool  # whether all plants are models, not sampled ones with an estimate
+    missed: float  # the most that splines miss of M at samples left out; NaN if proven
+    estimated: int  # for how many plants there is an estimate
 
 
 def highest_peak(problem: Problem, L, order) -> Peak:
-    """Find the highest peak of sigma_max(M) over all frequencies, Delta = 0.
+    """Find the highest peak of sigma_max(M) over all frequencies, Delta = 0; L in units of `scale`.
 
-    Parameters
-    ----------
-    problem : Problem
-    L : LearningFilter
-        In units of `scale`.
-    order : sequence of int
-        Numbers of the plants, that with the highest peak on the grid first. Every model has a
-        proof; of the sampled plants, the first :data:`LOOKED_AT` have an estimate.
-
-    Returns
-    -------
-    Peak
+    `order`: numbers of the plants, that with the highest peak on the grid first. Every model has a
+    proof; of the sampled plants, the first :data:`LOOKED_AT` have an estimate.
     """
     models, Q = {}, None
     if problem.model:
@@ -328,23 +262,11 @@ def highest_peak(problem: Problem, L, order) -> Peak:
 
 
 def peaks_between(problem: Problem, L, numbers) -> list[tuple[float, float, float]]:
-    """Peaks of sigma_max(M) estimated between samples, and by how much the splines miss them.
+    """Peaks of sigma_max(M) estimated between samples, where, and how much splines miss of them.
 
     Measured grids are linear or logarithmic, plants smooth over one or the other. So the splines
-    run over omega or log omega, whichever foretells samples that are left out better.
-
-    Parameters
-    ----------
-    problem : Problem
-    L : LearningFilter
-        In units of `scale`.
-    numbers : sequence of int
-        Of the plants.
-
-    Returns
-    -------
-    list of (peak, omega, missed)
-        `missed` is infinite for fewer than four samples.
+    run over omega or log omega, whichever foretells samples that are left out better; with fewer
+    than four samples they miss an infinite amount.
     """
     if not len(numbers):
         return []

@@ -12,43 +12,19 @@ FARTHEST = (-700.0, 36.0)  # logarithms of the odds of a violation, as far as do
 
 
 def scenario_bound(samples: int, support: int, beta: float = 1e-6) -> float:
-    """Bound on the probability that a new plant violates what holds for the sampled ones.
+    """Bound on the probability that a new plant violates what holds for N independent samples.
 
-    Parameters
-    ----------
-    samples : int
-        Number N of plants, sampled independently, for which the bounds hold.
-    support : int
-        Number k of them that the design depends on, :func:`support`.
-    beta : float
-        In (0, 1): the probability, over the samples, that the bound is false.
+    It is epsilon(k) = 1 - t(k) for k of them that the design depends on, :func:`support`, and
+    itself false with a probability of at most beta; t(k) is the only solution in (0, 1) of
 
-    Returns
-    -------
-    float
-        epsilon(k) = 1 - t(k), where t(k) is the only solution in (0, 1) of
+        beta / (N + 1) sum_{m=k}^{N} binom(m, k) t^(m-k) = binom(N, k) t^(N-k)
 
-            beta / (N + 1) sum_{m=k}^{N} binom(m, k) t^(m-k) = binom(N, k) t^(N-k)
-
-        for k < N, and epsilon(N) = 1.
-
-    Raises
-    ------
-    ValueError
-        If `samples` is not positive, `support` not from 0 to `samples`, or `beta` not in (0, 1).
-
-    Notes
-    -----
-    M. C. Campi and S. Garatti, Wait-and-judge scenario optimization, Mathematical Programming 167
-    (2018) 155-189, Theorem 1, for convex problems with one solution that are not degenerate: the
-    plants of support alone lead to the same design, with probability one.
-
-    The sum is the distribution function of the negative binomial distribution, an incomplete
+    for k < N, and epsilon(N) = 1. M. C. Campi and S. Garatti, Wait-and-judge scenario optimization,
+    Mathematical Programming 167 (2018) 155-189, Theorem 1, for convex problems with one solution
+    that are not degenerate: the plants of support alone lead to the same design, with probability
+    one. The sum is the distribution function of the negative binomial distribution, an incomplete
     beta function, so that N may be a million.
     """
-    samples = arguments.whole("samples", samples, 1)
-    support = arguments.whole("support", support, 0, samples)
-    beta = arguments.number("beta", beta, "in (0, 1)", 0, 1)
     if support == samples:
         return 1.0
     after = support + 1
@@ -74,14 +50,9 @@ def support(solution: Solution) -> np.ndarray:
     Returns
     -------
     ndarray of int
-        Plants with a multiplier that is not negligible. If the others are left out, the design
-        stays what it is, and :func:`rodlib.ilc.evidence.lower_bound` proves it without them.
-
-    Notes
-    -----
-    The least number of plants that lead to the same design can be smaller: where the problem is
-    degenerate, bounds meet that could stand in for one another, and their multipliers are not
-    unique. Counting too many makes :func:`scenario_bound` larger, and it still holds.
+        Plants with a multiplier that is not negligible. Without the others the design stays what
+        it is. Where bounds meet that could stand in for one another, fewer may do; counting too
+        many makes the bound of :func:`violation_probability` larger, and it still holds.
     """
     cuts = arguments.instance("solution", solution, Solution).cuts
     if cuts is None:
@@ -95,21 +66,19 @@ def support(solution: Solution) -> np.ndarray:
 def violation_probability(design, beta: float = 1e-6) -> float:
     """How likely is it that a new plant breaks the bounds that a design keeps for all it was given?
 
-    That the plants other than the first are independent samples of the distribution of the new one
-    is not for this function to know. A new plant breaks the bounds if sigma_max(M) exceeds, at a
-    design frequency, the largest that the certificate says.
-
     Parameters
     ----------
     design : Synthesis
-        For several plants, or whatever else has a `problem` and a `solution`.
+        For several plants, of which all but the first are independent samples of the distribution
+        of the new one; that is not for this function to know.
     beta : float
         In (0, 1): the probability, over the samples, that the answer is false.
 
     Returns
     -------
     float
-        :func:`scenario_bound` of the number of plants and of those of :func:`support`.
+        Bound on the probability that sigma_max(M) of the new plant exceeds, at a design frequency,
+        the largest that the certificate says.
 
     Raises
     ------
@@ -117,6 +86,7 @@ def violation_probability(design, beta: float = 1e-6) -> float:
         If the design is none or for one plant alone, or `beta` is out of range.
     """
     solution = arguments.instance("design.solution", getattr(design, "solution", None), Solution)
+    beta = arguments.number("beta", beta, "in (0, 1)", 0, 1)
     samples = len(design.problem.others)
     if not samples:
         raise ValueError(

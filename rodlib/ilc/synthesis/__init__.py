@@ -5,20 +5,16 @@ The frequency response of the learning filter is linear in its coefficients, so 
     M = P Q (P^-1 - L) = Q (I - P L)                                                        (40)
 
 is affine in them. A bound on the largest singular value of either is a linear matrix inequality,
-one per frequency, and the problems are semidefinite programs.
-
-M is affine in P, too. The bounds may be asked for several plants, and for all that lie within a
-radius of them, at the price of more inequalities of the same kind.
+one per frequency, and the problems are semidefinite programs; for further plants, and for all
+within a radius of them, there are more inequalities of the same kind.
 
 :mod:`rodlib.ilc.synthesis.design` is the way through. Three modules solve the problems:
 :mod:`rodlib.ilc.synthesis.interior_point`, which is fast and the default;
 :mod:`rodlib.ilc.synthesis.active_set`, which adds digits to its solution, and is faster still from
-that of a similar problem; and :mod:`rodlib.ilc.synthesis.statement`, which states the problems in
-CVXPY as the paper does, for reading and for comparison. None of them is trusted: what is returned
-has a certificate.
+that of a similar problem; and :mod:`rodlib.ilc.synthesis.statement`, in CVXPY. None of them is
+trusted: what is returned has a certificate.
 """
 
-from rodlib.ilc.problem import convergence_matrix, largest_singular_values
 from rodlib.ilc.synthesis.design import InfeasibleError, SolverError, Synthesis, synthesise
 from rodlib.ilc.synthesis.search import largest_cutoff, least_gain
 
@@ -26,9 +22,7 @@ __all__ = [
     "InfeasibleError",
     "SolverError",
     "Synthesis",
-    "convergence_matrix",
     "largest_cutoff",
-    "largest_singular_values",
     "least_gain",
     "synthesise",
 ]

@@ -5,16 +5,11 @@ kind: at each frequency the largest singular value is a single one, hence a smoo
 coefficients, and of the thousands of bounds about a dozen are active. That is a smooth convex
 program with few unknowns, and Newton's method solves it in a few steps:
 
-- sigma = Re u^H G v has the first derivatives Re u^H dG v. With the other singular vectors and
-  alpha_j = u_j^H dG v, beta_j = u^H dG v_j, the second derivatives are [1]
-
-      (Im u^H dG v)^2 / sigma + sum_j |alpha_j + beta_j^*|^2 / (2 (sigma - sigma_j))
-                              + sum_j |alpha_j - beta_j^*|^2 / (2 (sigma + sigma_j)).
-
-- Each step solves the quadratic program of the second derivatives of the Lagrangian and the
-  linearised bounds [2]. It finds the active bounds anew, so they need not be known.
+- Each step solves the quadratic program of the second derivatives of the Lagrangian
+  (:mod:`rodlib.ilc.synthesis.bounds`) and the linearised bounds [1]. It finds the active bounds
+  anew, so they need not be known.
 - A step that does not improve the objective plus a penalty for violated bounds is corrected to
-  second order [2, 18.3]; if that does not help, it is damped, and asked to remove only a part of
+  second order [1, 18.3]; if that does not help, it is damped, and asked to remove only a part of
   the violation.
 
 An interior-point method cannot be started like that: it must go back to where no bound is nearly
@@ -22,9 +17,7 @@ active yet. What it can do, and this method cannot, is to start from nothing, to
 singular values coincide, and to show that a problem is infeasible. Where this one does not
 converge, after a large change for instance, :func:`resolve` says so.
 
-[1] From the perturbation of the eigenvalues of [[0, G], [G^H, 0]]: T. Kato, Perturbation Theory
-    for Linear Operators, 1966, II.2.
-[2] J. Nocedal, S. Wright, Numerical Optimization, 2006, chapter 18.
+[1] J. Nocedal, S. Wright, Numerical Optimization, 2006, chapter 18.
 """
 
 from dataclasses import dataclass
@@ -73,18 +66,14 @@ class Iterate:
 
 @dataclass(frozen=True)
 class Model:
-    """What a step (dx, dt) does to second order, in units of the objective and of the limits.
-
-    The objective changes by f d + dx H dx / 2. The bounds A d <= room are those at the
-    frequencies `near`, one array for each bound.
-    """
+    """What a step d = (dx, dt) adds to the objective, f d + dx H dx / 2, within A d <= room."""
 
     H: np.ndarray
     f: np.ndarray
     A: np.ndarray
     room: np.ndarray
-    near: list
-    unit: float
+    near: list  # columns of each bound that A and room are about
+    unit: float  # of the objective
 
 
 def model_at(program, p, multipliers):
@@ -135,8 +124,7 @@ def quadratic_program(model, room, damping):
 def improve(program, p, model, penalty, damping, most=MOST_DAMPING):
     """A step from p that improves the objective plus the penalty, with damping below the most.
 
-    Returns the next iterate, the multipliers, the penalty, the expected gain and the damping with
-    which to continue; or None.
+    Returns the next iterate, multipliers, penalty, expected gain and next damping; or None.
     """
     splits = np.cumsum([len(at) for at in model.near])[:-1]
     part = 1.0  # of the violation of the bounds that the step must remove
@@ -167,23 +155,10 @@ def improve(program, p, model, penalty, damping, most=MOST_DAMPING):
 def resolve(
     program: Program, start: Solution, steps: int, most: float = MOST_DAMPING
 ) -> Solution | None:
-    """Solve a program from the solution of a similar one.
+    """Solve a program from the solution of a similar one; None if that does not converge.
 
-    Parameters
-    ----------
-    program : Program
-        From :func:`rodlib.ilc.synthesis.program.formulate`.
-    start : Solution
-        Of a program with the same number of frequencies, order and structure.
-    steps : int
-        After how many to give up.
-    most : float
-        Damping of a step at which to give up; the first that is tried after none is 1e-4.
-
-    Returns
-    -------
-    Solution or None
-        None if the method does not converge.
+    It gives up after so many steps, or where a step needs the most of damping; the first that is
+    tried after none is 1e-4.
     """
     p, y = Iterate(program, program.unknowns(start.coefficients)), first_multipliers(program, start)
     penalty, damping = np.zeros(len(y)), 0.0

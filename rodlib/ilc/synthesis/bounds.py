@@ -1,22 +1,21 @@
 """A bound on a largest singular value: its value, its derivatives, its dual, its worst case.
 
 There are two kinds, and one class for both. The plain one is sigma_max(G) <= b, with G = F + T L.
-The other holds for all plants within a radius. If M changes to M + sum_k e_k g_k with vectors e_k
-of length one and unknown sizes |g_k| <= 1 times the rows of a matrix H, the worst case is at most b
-if numbers d exist such that
+The other holds for all plants within a radius: sigma_max(M + E H) <= b for every E of norm one or
+less. That is so if and only if a number d exists such that
 
-    S = [[Lambda, G], [G^H, b I]] >= 0,    G = [M; H],    Lambda = diag(b - d, d),
+    S = [[Lambda, G], [G^H, b I]] >= 0,    G = [M; H],    Lambda = diag((b - d) I, d I),
 
-where d is subtracted in the rows of M that it concerns, and stands in its own rows of H. This is
-the S-procedure; for a radius of the norm, where there is a single d, it is exact, and entry by
-entry sufficient [1]. With given shares d = b split it is a plain bound again, on
+by the S-procedure [1]. With a given share d = b split it is a plain bound again, on
 Lambda(split)^(-1/2) G, so that the smallest b is the minimum of that over the split.
 
 Arrays have the frequency last, so that an operation on all the small matrices is a few operations
 on long vectors: for m = 2 several times faster than a call of LAPACK for each.
 
 [1] S. Boyd, L. El Ghaoui, E. Feron, V. Balakrishnan, Linear Matrix Inequalities in System and
-    Control Theory, 1994, 2.6.3 and 4.3.
+    Control Theory, 1994, 2.6.3.
+[2] From the perturbation of the eigenvalues of [[0, G], [G^H, 0]]: T. Kato, Perturbation Theory
+    for Linear Operators, 1966, II.2.
 """
 
 from dataclasses import dataclass, replace
@@ -25,15 +24,12 @@ import numpy as np
 
 from rodlib.ilc.problem import largest_singular_values
 
-INSIDE = 0.05  # share of b that a first split leaves to the rows of M, and to those below
+INSIDE = 0.05  # share of b that a first split leaves to M, and to H, at least
 
 
 @dataclass(frozen=True)
 class Expansion:
-    """The value of a bound at the columns `at`, to second order.
-
-    It changes by gradient dx + |curvature dx|^2 / 2; `N` is its derivative with respect to G.
-    """
+    """The value at the columns `at`, + gradient dx + |curvature dx|^2 / 2; N is its slope in G."""
 
     at: np.ndarray
     value: np.ndarray
@@ -44,32 +40,19 @@ class Expansion:
 
 @dataclass(frozen=True)
 class Bound:
-    """A bound on G = F + T L, at some frequencies, for a q x q part L of the filter.
+    """A bound on G = F + T L, (p, q, c), at some frequencies, for a q x q part L of the filter.
 
-    Attributes
-    ----------
-    F, T : ndarray, shape (p, q, c)
-    entries, rows, cols : ndarray of int
-        The entries `entries` of the filter stand at `rows`, `cols` of L; the others are zero.
-    at : ndarray of int, shape (c,), or slice
-        Frequency of each column.
-    limit : int
-        Which of the program's limits it has: that of what is minimised (0), or the other (1).
-    C : ndarray, shape (p, k)
-        Lambda = diag(b + C d) in the rows of M, and diag(C d) in those below; k = 0 if plain.
-    plant : ndarray of int, shape (c,), or None
-        Number of the plant of each column; None for the nominal M and for L.
+    With as many rows of G as columns it is the plain one; with twice as many, that for a radius.
     """
 
     F: np.ndarray
     T: np.ndarray
-    entries: np.ndarray
+    entries: np.ndarray  # of the filter, that stand at `rows`, `cols` of L; the others are zero
     rows: np.ndarray
     cols: np.ndarray
-    at: np.ndarray | slice
-    limit: int = 0
-    C: np.ndarray | None = None
-    plant: np.ndarray | None = None
+    at: np.ndarray | slice  # frequency of each column
+    limit: int = 0  # of the program's: that of what is minimised (0), or the other (1)
+    plant: np.ndarray | None = None  # number for each column; None for the nominal M and for L
 
     @property
     def shape(self):
@@ -78,13 +61,18 @@ class Bound:
 
     @property
     def splits(self):
-        """How many numbers d there are."""
-        return 0 if self.C is None else self.C.shape[1]
+        """How many numbers d there are: one for a radius, else none."""
+        return int(self.shape[0] > self.shape[1])
 
     @property
     def of_b(self):
         """1 for the rows of Lambda that b stands in, 0 for the others; shape (p,)."""
-        return np.ones(len(self.F)) if self.C is None else (self.C.max(axis=1) <= 0).astype(float)
+        return (np.arange(self.shape[0]) < self.shape[1]).astype(float)
+
+    @property
+    def of_d(self):
+        """-1 for the rows of Lambda that d is subtracted in, 1 for its own; shape (p,)."""
+        return 1 - 2 * self.of_b
 
     def columns(self, at):
         """The bound at some of its columns only."""
@@ -94,7 +82,7 @@ class Bound:
 
     def diagonal(self, b, d):
         """Lambda, shape (p, c); (1, c) if plain, where it is b I."""
-        return b[None] if self.C is None else self.of_b[:, None] * b + self.C @ d
+        return self.of_b[:, None] * b + self.of_d[:, None] * d if self.splits else b[None]
 
     def response(self, L):
         """T L, given all entries of the filter, shape (entries, n)."""
@@ -120,22 +108,22 @@ class Bound:
 
     def first_split(self, G):
         """A split for G, shape (k, c), that leaves a positive share to each row of Lambda."""
-        if self.C is None:
+        if not self.splits:
             return np.zeros((0, G.shape[-1]))
-        m = int(self.of_b.sum())
-        rows = np.sqrt((np.abs(G) ** 2).sum(axis=1))
-        below = np.maximum(self.C[m:], 0).T @ rows[m:] ** 2
-        above = np.sqrt((rows[:m] ** 2).sum(axis=0))
-        share = np.sqrt(below) + INSIDE * (above + 1e-300)
-        taken = (-self.C[:m] @ share).max(axis=0)  # in the row that has least left
-        return share / (above + (1 + INSIDE) * taken)
+        power = (np.abs(G) ** 2).sum(axis=1)
+        above, below = np.sqrt(np.stack([self.of_b, 1 - self.of_b]) @ power)
+        share = below + INSIDE * (above + 1e-300)
+        return (share / (above + (1 + INSIDE) * share))[None]
+
+    def _scaled(self, G, split):
+        """Lambda(split)^(-1/2) G."""
+        if not self.splits:
+            return G
+        return G / np.sqrt(self.diagonal(np.ones(G.shape[-1]), split))[:, None]
 
     def value(self, G, split=None):
         """The smallest b for G with this split, at each column: the largest singular value."""
-        if self.C is None:
-            return largest_singular_values(np.moveaxis(G, -1, 0))
-        scaled = G / np.sqrt(self.diagonal(np.ones(G.shape[-1]), split))[:, None]
-        return largest_singular_values(np.moveaxis(scaled, -1, 0))
+        return largest_singular_values(np.moveaxis(self._scaled(G, split), -1, 0))
 
     def dual(self, N, split=None):
         """The largest Re tr(N^H G) with a value of G of one or less: a nuclear norm."""
@@ -153,24 +141,29 @@ class Bound:
     def _second_order(self, G, split):
         """sigma of Lambda^(-1/2) G to second order in L and the split, in real numbers.
 
+        sigma = Re u^H G v has the first derivatives Re u^H dG v. With the other singular vectors
+        and alpha_j = u_j^H dG v, beta_j = u^H dG v_j, the second derivatives are [2]
+
+            (Im u^H dG v)^2 / sigma + sum_j |alpha_j + beta_j^*|^2 / (2 (sigma - sigma_j))
+                                    + sum_j |alpha_j - beta_j^*|^2 / (2 (sigma + sigma_j)).
+
         Returns sigma, its derivative with respect to G, the gradient, and the second derivatives as
         the sum of R'R and H. Unknowns are the real parts of the bound's entries of L, then the
         imaginary ones, then the split.
         """
-        c, k = G.shape[-1], self.splits
+        (p, q, c), k = G.shape, self.splits
         root = np.sqrt(self.diagonal(np.ones(c), split)) if k else np.ones((1, c))
-        scaled = np.moveaxis(G / root[:, None], -1, 0)
-        U, s, Vh = np.linalg.svd(scaled)
+        U, s, Vh = np.linalg.svd(np.moveaxis(G / root[:, None], -1, 0))
         V = Vh.conj().swapaxes(1, 2)
-        left = U.conj().swapaxes(1, 2) @ np.moveaxis(self.T / root[:, None], -1, 0)
-        share = self.C / (root.T**2)[:, :, None] if k else np.zeros((c, len(G), 0))
-        q = V.shape[1]
+        T = np.moveaxis(self.T / root[:, None], -1, 0)
+        left = U.conj().swapaxes(1, 2) @ T
+        share = self.of_d / root.T**2 if k else np.zeros((c, p))
 
         def form(i, j):
             """u_i^H dG v_j, where G is the scaled one: linear in entries of L and split."""
             of_L = left[:, i, self.rows] * V[:, self.cols, j]
             rotated = U[:, :, i].conj() * U[:, :, j] * s[:, j, None]
-            return of_L, -0.5 * np.einsum("cr,crk->ck", rotated, share)
+            return of_L, -0.5 * (rotated * share).sum(axis=1, keepdims=True)[:, :k]
 
         def real(form):
             of_L, of_split = form
@@ -183,7 +176,7 @@ class Bound:
         first = form(0, 0)
         size = np.maximum(s[:, 0], 1e-12)  # where Q is zero, M and all its derivatives are
         rows = [imag(first) / np.sqrt(size)[:, None]]
-        for j in range(1, U.shape[1]):
+        for j in range(1, p):
             alpha = form(j, 0)
             beta = form(0, j) if j < q else None
             other = s[:, j] if j < q else 0.0
@@ -197,34 +190,26 @@ class Bound:
         if k:
             H = np.zeros((c, R.shape[2], R.shape[2]))
             weight = np.abs(U[:, :, 0]) ** 2 * s[:, :1]
-            H[:, -k:, -k:] = 0.75 * np.einsum("cr,crk,crl->ckl", weight, share, share)
-            scaled_T = np.moveaxis(self.T / root[:, None], -1, 0)
-            row = U[:, :, :1].conj() * scaled_T[:, :, self.rows] * V[:, None, self.cols, 0]
-            cross = -0.5 * np.einsum("crk,cre->cke", share, row)
-            cross = np.concatenate([cross.real, -cross.imag], axis=2)
-            H[:, -k:, :-k], H[:, :-k, -k:] = cross, cross.swapaxes(1, 2)
+            H[:, -1, -1] = 0.75 * (weight * share**2).sum(axis=1)
+            row = U[:, :, :1].conj() * T[:, :, self.rows] * V[:, None, self.cols, 0]
+            cross = -0.5 * (share[:, :, None] * row).sum(axis=1)
+            H[:, -1, :-1] = H[:, :-1, -1] = np.concatenate([cross.real, -cross.imag], axis=1)
         N = U[:, :, :1] * Vh[:, :1] / root.T[:, :, None]
         return s[:, 0], np.moveaxis(N, 0, -1), real(first), R, H
 
     def tighten(self, G, split, level):
-        """The split that makes the value smallest, by Newton's method, and that value.
-
-        Only where the value is above the level; elsewhere they stay as they are.
-        """
-        value, split, k = self.value(G, split), split.copy(), self.splits
-        active = np.flatnonzero(value > level) if k else np.array([], dtype=int)
+        """The split of the smallest value, and that value, wherever it is above the level."""
+        value, split = self.value(G, split), split.copy()
+        active = np.flatnonzero(value > level) if self.splits else np.array([], dtype=int)
         for _ in range(30):
             if not active.size:
                 break
-            some = self.columns(active)
+            some, before = self.columns(active), split[0, active]
             _, _, g, R, H = some._second_order(G[..., active], split[:, active])
-            g, R = g[:, -k:], R[..., -k:]
-            H = H[:, -k:, -k:] + R.swapaxes(1, 2) @ R
-            d = -_solve(H, g[..., None])[..., 0].T
-            before = self.diagonal(np.ones(len(active)), split[:, active])
-            into_wall = (-self.C @ d) / before
-            d *= np.minimum(1, 0.9 / np.maximum(into_wall.max(axis=0), 1e-300))
-            gain = -(g.T * d).sum(axis=0)
+            curvature = H[:, -1, -1] + (R[..., -1] ** 2).sum(axis=1)
+            d = -g[:, -1] / np.maximum(curvature, 1e-280)
+            d = np.clip(d, -0.9 * before, 0.9 * (1 - before))
+            gain = -g[:, -1] * d
             for _ in range(6):
                 new = split[:, active] + d
                 there = some.value(G[..., active], new)
@@ -237,20 +222,15 @@ class Bound:
         return split, value
 
     def expand(self, G, split, at, basis, count):
-        """The value to second order at the matrices G, at the columns `at`.
-
-        The split follows so that it stays the best. `basis` and the number `count` of the filter's
-        entries say what the unknowns are.
-        """
-        some = self.columns(at)
-        k, e = self.splits, len(self.entries)
-        value, N, g, R, H = some._second_order(G[..., at], split[:, at] if k else None)
-        if k:
+        """The value at the columns `at` to second order, with the split that stays the best."""
+        some, e = self.columns(at), len(self.entries)
+        value, N, g, R, H = some._second_order(G[..., at], split[:, at])
+        if self.splits:
             H = H + R.swapaxes(1, 2) @ R
-            right = np.concatenate([H[:, -k:, :-k], g[:, -k:, None]], axis=2)
-            follow = _solve(H[:, -k:, -k:], right)
-            g = g[:, :-k] - np.einsum("ckx,ck->cx", H[:, -k:, :-k], follow[..., -1])
-            w, X = np.linalg.eigh(H[:, :-k, :-k] - H[:, :-k, -k:] @ follow[..., :-1])
+            cross, own = H[:, -1, :-1], np.maximum(H[:, -1, -1:], 1e-280)
+            g = g[:, :-1] - cross * g[:, -1:] / own
+            left = H[:, :-1, :-1] - cross[:, :, None] * (cross / own)[:, None]
+            w, X = np.linalg.eigh(left)
             R = np.sqrt(np.maximum(w, 0))[:, :, None] * X.swapaxes(1, 2)
         phi = basis[:, some.at]
 
@@ -265,13 +245,6 @@ class Bound:
 
         gradient = in_unknowns(g.reshape(len(at), 1, 2, e))[:, 0]
         return Expansion(at, value, gradient, in_unknowns(R.reshape(len(at), R.shape[1], 2, e)), N)
-
-
-def _solve(H, right):
-    """H^-1 right for positive semidefinite matrices, whatever the units of their rows."""
-    scale = 1 / np.sqrt(np.maximum(np.einsum("cii->ci", H), 1e-280))[..., None]
-    H = H * scale * scale.swapaxes(1, 2) + 1e-14 * np.eye(H.shape[1])
-    return scale * np.linalg.solve(H, scale * right)
 
 
 def product(A, B):

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rodlib.ilc import arguments
-from rodlib.ilc.evidence import GAP, VIOLATION, Certificate, certify, lower_bound
-from rodlib.ilc.evidence.certificate import checked_trial
+from rodlib.ilc.evidence.certificate import GAP, VIOLATION, Certificate, certify, checked_trial
+from rodlib.ilc.evidence.optimality import lower_bound
 from rodlib.ilc.filters import LearningFilter
 from rodlib.ilc.posing import pose
 from rodlib.ilc.problem import Problem, Solution, largest_singular_values, tied
@@ -27,8 +27,7 @@ class InfeasibleError(ValueError):
     smallest_M_max : float
         What is feasible with the other arguments; from one on, nothing that converges.
     plant, omega : int, float
-        Where the bound on M that stands most in the way is: number of the plant, 0 for the nominal
-        one, and frequency, rad/s.
+        Where the bound on M that stands most in the way is; plant number 0 is the nominal one.
     """
 
     def __init__(self, message: str, smallest_M_max: float, plant: int = 0, omega: float = np.nan):
@@ -66,10 +65,7 @@ class Synthesis:
 
     @property
     def value(self) -> float:
-        """The objective: the sum of the nominal sigma_max(M) over the band, or the peak of all.
-
-        With the cost of noise, if that was asked for.
-        """
+        """The objective, with the cost of noise, if that was asked for."""
         return self.certificate.value
 
     @property
@@ -85,14 +81,14 @@ def synthesise(
     P,
     Q,
     omega,
-    Ts,
+    Ts=None,
     *,
-    order=10,
-    M_max=0.9,
-    L_max=50.0,
-    band=(1e-4, 0.02),
-    structure="diagonal",
-    objective="sum",
+    order=Problem.order,
+    M_max=Problem.M_max,
+    L_max=Problem.L_max,
+    band=Problem.band,
+    structure=Problem.structure,
+    objective=Problem.objective,
     scale=None,
     uncertainty=None,
     noise=None,
@@ -108,24 +104,23 @@ def synthesise(
     Parameters
     ----------
     P : array_like, shape (n, m, m), a model, CurrentTrialLoop, or a list of these; or measured
-        Frequency response of the closed loop on `omega`, measured or computed, for any m, also as
-        python-control's frequency response data; or a discrete-time model of it, state space or
-        transfer function. Of a list the first is the nominal plant, whose convergence is made fast;
-        the bounds hold for all of them. A :class:`rodlib.MeasuredResponse` brings its radius along.
+        Frequency response of the closed loop on `omega`, for any m, also as python-control's
+        frequency response data; or a discrete-time model of it, state space or transfer function.
+        Of a list the first is the nominal plant, whose convergence is made fast; the bounds hold
+        for all of them. A :class:`rodlib.MeasuredResponse` brings its radius along.
     Q : array_like, shape (n,), or ZeroPhaseButterworth
         Frequency response of the Q-filter on `omega`, or the filter.
     omega : array_like, shape (n,)
         Design frequencies, rad/s, increasing, up to the Nyquist frequency pi / Ts.
-    Ts : float
-        Sampling period, s.
+    Ts : float, optional
+        Sampling period, s; for arrays, of which none knows it.
     order : int
         Number of samples n_L that the learning filter looks ahead (44).
     M_max : float
         Bound on sigma_max(M), in (0, 1): the slowest convergence tolerated.
     L_max : float or None
         Bound on sigma_max(L), unit of w per unit of y. None leaves it out: filters then compete up
-        to the gain that coefficients in doubles can hold,
-        :attr:`rodlib.ilc.problem.Problem.weight`.
+        to the gain that coefficients in doubles can hold, :attr:`rodlib.ilc.Problem.weight`.
     band : (float, float)
         Lowest and highest frequency of the sum in (39), rad/s. A peak has none.
     structure : {"diagonal", "full"}
@@ -135,21 +130,19 @@ def synthesise(
     scale : array_like, shape (m,), optional
         What counts as equally large in each channel. Singular values, `L_max` and the certificate
         are then those of the channels divided by it, so that units do not matter. Default: ones.
-    uncertainty : array_like, shape (n,) or (n, m, m), optional
-        Radius at each frequency: the bounds hold for each P + Delta with ||Delta|| <= radius, by a
-        condition that is exact, or with |Delta_ij| <= radius_ij, by one that is sufficient. Of the
-        channels in units of `scale` for the norm, of the plant's own entry by entry.
+    uncertainty : array_like, shape (n,), optional
+        Radius at each frequency: the bounds hold for each P + Delta with ||Delta|| <= radius, of
+        the channels in units of `scale`, by a condition that is exact.
     noise : array_like, shape (n,) or (n, m), optional
-        Spectral density of what is new in the measured outputs in every trial, as in
-        :class:`rodlib.ilc.evidence.Spectrum`: white noise has its variance. Added to the objective
-        is then what it adds at most to the variance of the converged error,
-        :meth:`rodlib.ilc.problem.Problem.cost_of_noise`, in units of `scale`; multiply the density
-        to make more of that, or less.
+        Spectral density of what is new in the measured outputs in every trial; white noise has its
+        variance. What it adds at most to the variance of the converged error is then added to the
+        objective, :meth:`rodlib.ilc.Problem.cost_of_noise`, in units of `scale`; multiply the
+        density to make more of that, or less.
     confidence : float, optional
         Of a measured response: probability that the truth lies within its radius at all frequencies
         that were measured. Default 0.99.
     solver : {"structured", "cvxpy"}
-        :mod:`rodlib.ilc.synthesis.interior_point`, or the problem as the paper states it, in CVXPY.
+        The package's own solvers, or the problem as the paper states it, in CVXPY.
     start : Synthesis, optional
         A design for other bounds, another band or a similar plant to start from, of the same order
         and size. It makes the synthesis faster, not different.
@@ -165,8 +158,8 @@ def synthesise(
     -------
     Synthesis
         With its certificate. What it says about all frequencies is proven if P and Q are models.
-        From arrays it is read off splines between the first and the last frequency, on a grid ten
-        times denser; the certificate warns if the samples are too coarse for that.
+        From arrays it is read off splines between the first and the last frequency; the
+        certificate warns if the samples are too coarse for that.
 
     Raises
     ------
@@ -174,8 +167,7 @@ def synthesise(
         If an argument has the wrong shape or is out of range, P is unstable, or singular at a
         frequency. The message names the argument and the value.
     InfeasibleError
-        If no filter meets the bounds; the message says which of them is too tight, and the
-        smallest `M_max` that is feasible.
+        If no filter meets the bounds; the message says which of them is too tight.
     SolverError
         If the solver fails, or the certificate of its result does.
     """
@@ -184,9 +176,16 @@ def synthesise(
         objective=objective, scale=scale, uncertainty=uncertainty,
         noise=noise, confidence=confidence,
     )  # fmt: skip
+    return certified(problem, solver=solver, start=start, samples=samples, rest=rest, check=check)
+
+
+def certified(
+    problem: Problem, *, solver="structured", start=None, samples=None, rest=0, check=True
+) -> Synthesis:
+    """Solve a problem, and certify the filter; arguments and errors of :func:`synthesise`."""
     arguments.choice("solver", solver, ["structured", "cvxpy"])
     arguments.flag("check", check)
-    checked_trial(problem, samples, rest)  # before long work
+    samples, rest = checked_trial(problem, samples, rest)
     if start is not None:
         _check_start(start, problem)
     by_solver = _solve_with_cvxpy if solver == "cvxpy" else solve
@@ -200,31 +199,13 @@ def synthesise(
     certificate = certify(problem, solution, tolerances, samples, rest)
     if check and certificate.failures:
         raise SolverError(f"{solution.method}: {'; '.join(certificate.failures)}")
-    L = _response(problem, solution)
+    L = problem.response(solution)
     sigmas = largest_singular_values(problem.M(L)), largest_singular_values(L)
     return Synthesis(problem.filter(solution.coefficients), problem, certificate, *sigmas, solution)
 
 
 def solve(problem: Problem, start: Solution | None = None) -> Solution:
-    """Solve a problem by the structured solvers, without a certificate.
-
-    Parameters
-    ----------
-    problem : Problem
-    start : Solution, optional
-        Of a similar problem.
-
-    Returns
-    -------
-    Solution
-
-    Raises
-    ------
-    Infeasible
-        If M_max cannot be met.
-    RuntimeError
-        If the solvers fail.
-    """
+    """Solve a problem by the structured solvers, without a certificate; Infeasible if it is."""
     return _with_cuts(problem, start, _solve_program)
 
 
@@ -255,23 +236,18 @@ def _with_cuts(problem, start, solver):
     plant, frequency = first_cuts(problem, start)
     while True:
         start = solver(problem, formulate(problem, plant, frequency), start)
-        limit = start.peak if problem.objective == "peak" else problem.M_max
+        limit = start.largest if problem.objective == "peak" else problem.M_max
         more = violated(problem, start, limit, plant, frequency) if problem.robust else ([], [])
         if not len(more[0]):
             return start
         plant, frequency = np.append(plant, more[0]), np.append(frequency, more[1])
 
 
-def _response(problem, solution):
-    """Of the filter at the design frequencies, in units of scale."""
-    return LearningFilter(solution.coefficients, problem.Ts).frequency_response(problem.omega)
-
-
 def _is_good(problem, solution, gap):
     """Whether a solution is within its bounds, and proven to be as good as the gap says."""
-    L = _response(problem, solution)
+    L = problem.response(solution)
     sigma_M, sigma_L = largest_singular_values(problem.M(L)), largest_singular_values(L)
-    worst = max(sigma_M.max(), solution.peak if problem.robust else 0)
+    worst = max(sigma_M.max(), solution.largest if problem.robust else 0)
     value = problem.value(sigma_M, np.array([worst])) + problem.cost_of_noise(L)
     return (
         value - lower_bound(problem, solution.U, solution.V, solution.cuts, L)
@@ -293,8 +269,8 @@ def _explained(problem, nearest):
             most = tied(of_cuts).argmax()
             plant, frequency = int(nearest.cuts.plant[most]), nearest.cuts.frequency[most]
     omega = float(problem.omega[frequency])
-    place = f"plant {plant} at {omega:.4g} rad/s" if problem.robust else f"{omega:.4g} rad/s"
-    message = f"{_advice(problem, nearest.peak)} (most in the way: {place})"
+    where = f"plant {plant} at {omega:.4g} rad/s" if problem.robust else f"{omega:.4g} rad/s"
+    message = f"{_advice(problem, nearest.largest)} (most in the way: {where})"
     lost = problem.omega[problem.unusable & (np.abs(problem.Q) > problem.M_max)]
     if lost.size:
         message += (
@@ -302,7 +278,7 @@ def _explained(problem, nearest):
             f"{lost[-1]:.4g} rad/s, where the radius admits singular plants: measure longer there, "
             "or lower the cut-off of Q"
         )
-    return InfeasibleError(message, nearest.peak, plant, omega)
+    return InfeasibleError(message, nearest.largest, plant, omega)
 
 
 def _advice(problem, smallest):
@@ -314,7 +290,7 @@ def _advice(problem, smallest):
         unbounded = replace(problem, L_max=None, M_max=np.inf, objective="peak", noise=None)
         without = _with_cuts(
             unbounded, None, lambda _, program, start: interior_point.solve(program, enough=M_max)
-        ).peak
+        ).largest
         if without <= M_max:
             return (
                 f"infeasible: L_max = {L_max} is too tight for M_max = {M_max}. With this L_max "

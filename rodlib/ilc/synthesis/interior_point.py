@@ -136,10 +136,7 @@ def begin(program, x):
 
 
 def newton(program, p, slacks, total, root):
-    """Factorise the Newton system at p, and return the function that finds a direction.
-
-    `total` is the complementarity at p. `root`: by a slower and more accurate factorisation.
-    """
+    """A function for the directions from p; `root`: factorised more slowly, and more accurately."""
     s, toward = p.limits[0] - p.t, program.limits - p.limits
     solve = factorise(program, slacks, p.Y, p.eta / s, root)
 
@@ -203,7 +200,7 @@ def step(program, p, slacks, total, root):
 
 
 def follow(program, p, enough=0.0, is_good=None):
-    """Follow the central path from p until the gap is closed or the objective small enough.
+    """Follow the central path until the gap is closed or the objective small enough.
 
     Where rounding ends the quick way, a solution that `is_good` is the last one. Returns the best
     point, or None if the bounds were never met, and the number of iterations.
@@ -249,36 +246,19 @@ def solve(
     is_good: Callable[[Solution], bool] | None = None,
     enough: float = 0.0,
 ) -> Solution:
-    """Solve a synthesis program from nothing.
+    """Solve a program from nothing; Infeasible if M_max cannot be met.
 
-    Parameters
-    ----------
-    program : Program
-        From :func:`rodlib.ilc.synthesis.program.formulate`.
-    is_good : callable, optional
-        Whether a solution is good enough. It is asked where more digits are expensive.
-    enough : float
-        Objective below which a solution need not be optimal.
-
-    Returns
-    -------
-    Solution
-
-    Raises
-    ------
-    Infeasible
-        If M_max cannot be met.
-    RuntimeError
-        If no filter met the bounds although one exists.
+    `is_good` is asked whether a solution is good enough, where more digits are expensive; below the
+    objective `enough` one need not be optimal.
     """
     zero = np.zeros((program.entries, len(program.R)))
     best, iterations = follow(program, begin(program, zero), enough, is_good)
     if best is None:  # phase one
-        peak = program.peak()
-        best, more = follow(peak, begin(peak, zero), enough=program.M_max)
+        minimax = program.minimax()
+        best, more = follow(minimax, begin(minimax, zero), enough=program.M_max)
         iterations += more
         if best.t[0] >= program.M_max:
-            raise Infeasible(program.M_max, _solution(peak, best, iterations))
+            raise Infeasible(program.M_max, _solution(minimax, best, iterations))
         best, more = follow(program, begin(program, best.x), enough, is_good)
         iterations += more
     if best is None:

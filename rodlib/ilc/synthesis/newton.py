@@ -15,10 +15,10 @@ from rodlib.ilc.synthesis.inequalities import EPS, cholesky, trace
 
 
 class Local:
-    """One bound: its second derivatives with respect to d, t and L, and d and t eliminated.
+    """One bound: its second derivatives in d, t and L, and d or a t of its own eliminated.
 
-    A t that several bounds share stays. Attributes of what is eliminated: `inverse` of its block,
-    `follow`, how it follows the entries of L, and `shift`, how it follows a shared t.
+    A t that several bounds share stays. `inverse` is that of what is eliminated, `follow` how it
+    follows the entries of L, and `shift` a shared t.
     """
 
     def __init__(self, program, j, slack, Y, barrier):
@@ -28,7 +28,7 @@ class Local:
         self.shared = program.shared and len(self.has_t) > 0
         self.own_t = not program.shared and len(self.has_t) > 0
         directions = np.zeros((k + 1, p + q))
-        directions[:k, :p] = 0 if bound.C is None else bound.C.T
+        directions[:k, :p] = bound.of_d
         directions[k, :p], directions[k, p:] = bound.of_b, 1
         if not len(self.has_t):
             directions = directions[:k]
@@ -45,7 +45,7 @@ class Local:
             Z[k, k] += 1 - here  # where there is no t, nothing
             Z[k, k, self.has_t] += barrier
         inner = slice(0, k + self.own_t)
-        self.inverse, self.g = _inverse(Z[inner, inner]), g[inner]
+        self.inverse, self.g = 1 / Z[inner, inner], g[inner]  # of one number or none
         self.follow = np.einsum("xyc,yec->xec", self.inverse, self.g)
         if self.shared:
             self.shift = np.einsum("xyc,yc->xc", self.inverse, Z[inner, k])
@@ -56,7 +56,7 @@ class Local:
         """By how much Y is not stationary with respect to what is eliminated, and a shared t."""
         bound, p = self.bound, len(self.bound.F)
         diagonal = np.einsum("iin->in", Y).real
-        of_d = np.zeros((0, Y.shape[-1])) if bound.C is None else bound.C.T @ diagonal[:p]
+        of_d = np.tile(bound.of_d, (bound.splits, 1)) @ diagonal[:p]
         if not len(self.has_t):
             return of_d, 0.0
         of_t = bound.of_b @ diagonal[:p] + diagonal[p:].sum(axis=0)
@@ -75,14 +75,6 @@ class Local:
             dz = dz - self.shift * dt
         k = self.bound.splits
         return dz[:k], dz[k][self.has_t] if self.own_t else dt
-
-
-def _inverse(Z):
-    if len(Z) == 1:
-        return 1 / Z
-    scale = 1 / np.sqrt(np.einsum("iic->ic", Z))
-    Z = Z * scale * scale[:, None]
-    return np.moveaxis(np.linalg.inv(np.moveaxis(Z, -1, 0)), 0, -1) * scale * scale[:, None]
 
 
 def normal_matrix(program, slacks, Y, local):
@@ -144,8 +136,8 @@ def square_root(program, slacks, Y, barrier):
         has_t, k, e = program.has_t(j), bound.splits, len(bound.entries)
         columns = np.zeros((p + q, p + q, k + 1 + 2 * e, c), dtype=complex)
         zero, one = np.zeros((p, q, c), dtype=complex), np.ones(c)
-        for z in range(k):
-            columns[:, :, z] = a.root(Ch, bound.C[:, z, None] * one, 0 * one, zero)
+        if k:
+            columns[:, :, 0] = a.root(Ch, bound.of_d[:, None] * one, 0 * one, zero)
         columns[:, :, k, has_t] = a.root(Ch, bound.of_b[:, None] * one, one, zero)[..., has_t]
         for i, (row, col) in enumerate(zip(bound.rows, bound.cols, strict=True)):
             for part, unit in enumerate((1, 1j)):
@@ -185,22 +177,9 @@ def square_root(program, slacks, Y, barrier):
 def factorise(program, slacks, Y, barrier, root=False):
     """Factorise the Newton system, and return the function that solves it.
 
-    Parameters
-    ----------
-    program : Program
-    slacks : list of Slack
-    Y : list of ndarray
-        The multipliers.
-    barrier : ndarray
-        Second derivative of the barrier of t <= limit, for each t.
-    root : bool
-        By :func:`square_root`, slower and more accurate.
-
-    Returns
-    -------
-    solve : callable
-        From residuals, of stationarity with respect to x, shape (E order,), and to Y and eta as
-        :meth:`Local.residual` takes them, to the changes of x, of t, and of d for each bound.
+    From residuals, of stationarity with respect to x, and to Y and eta as :meth:`Local.residual`
+    takes them, to the changes of x, of t, and of d for each bound. `barrier`: second derivative of
+    that of t <= limit, for each t. `root`: by :func:`square_root`.
     """
     basis, E = program.basis, program.entries
     local = [

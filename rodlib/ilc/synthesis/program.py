@@ -3,10 +3,8 @@
 Given P_i (m x m) and Q_i (scalar) at the frequencies omega_i, find the real coefficients C_k of
 L(z) = sum_k C_k z^k that minimise the sum over a band, or the largest, of sigma_max(M_i), where
 M_i = Q_i (I - P_i L_i), subject to sigma_max(M_i) <= M_max and sigma_max(W L_i) <= 1 at all
-frequencies, where W is I / L_max. Each of these is a :class:`rodlib.ilc.synthesis.bounds.Bound`. So
-are those on M for other plants and for a radius, with M_max as well. Of thousands of these a
-handful matters: only a selection, the cuts, is in the program, which
-:func:`rodlib.ilc.synthesis.synthesise` extends by those that its solution violates.
+frequencies, where W is I / L_max. Each of these is a :class:`rodlib.ilc.synthesis.bounds.Bound`,
+and so are the cuts, those for other plants and for a radius.
 
 The powers z, z^2, ... are replaced by a basis that is orthonormal with the weight that M and L give
 each frequency. It is computed in long doubles, see :func:`rodlib.ilc.filters.time_shifts`.
@@ -26,60 +24,36 @@ SMALLEST = 1e-10  # radius that counts as such, relative to the plant
 
 
 class Infeasible(RuntimeError):
-    """No filter of this order and structure meets the bounds.
-
-    `nearest` is the solution with the smallest possible M_max, its `peak`.
-    """
+    """No filter meets the bounds; `nearest` has the smallest possible M_max, its `largest`."""
 
     def __init__(self, M_max, nearest):
-        super().__init__(f"M_max = {M_max:.10g} is too small, {nearest.peak:.10g} is possible")
+        super().__init__(f"M_max = {M_max:.10g} is too small, {nearest.largest:.10g} is possible")
         self.nearest = nearest
 
 
 @dataclass(frozen=True)
 class Program:
-    """What to minimise, and within which bounds.
+    """What to minimise, and within which bounds."""
 
-    Attributes
-    ----------
-    bounds : tuple of Bound
-        M, then W L, or each of its entries if L is diagonal; W L, then M, for the least gain. Then
-        the cuts. M is left out where a cut implies it.
-    basis, R : ndarray, shape (order, n) and (order, order)
-        L = x basis at the frequencies, for x of shape (entries, order); the coefficients are
-        the rows of x R^-T.
-    entries : int
-        How many entries of L are not zero.
-    free : ndarray
-        Columns at which the first bound has a variable t for its level.
-    shared : bool
-        Whether it is the same for all of them, and for all bounds with the first limit: their
-        largest is minimised, not a sum.
-    limits : ndarray, shape (2,)
-        Of the bounds, see :attr:`rodlib.ilc.synthesis.bounds.Bound.limit`; the first is that of t,
-        too.
-    M_max : float
-        What the largest with the first limit must not exceed.
-    H : ndarray, shape (K, K), or None
-        x'H x / 2 is added to what is minimised.
-    """
-
+    # M, then W L or, if L is diagonal, each of its entries; W L, then M, for the least gain; the
+    # cuts. M is left out where a cut implies it.
     bounds: tuple
+    # (order, n) and (order, order): L = x basis for x of shape (entries, order), and the
+    # coefficients are the rows of x R^-T
     basis: np.ndarray
     R: np.ndarray
-    entries: int
-    free: np.ndarray
+    entries: int  # how many of L are not zero
+    free: np.ndarray  # columns at which the first bound has a variable t for its level
+    # whether t is the same for these, and for all bounds with the first limit: their largest is
+    # minimised, not a sum
     shared: bool
-    limits: np.ndarray
-    M_max: float
-    H: np.ndarray | None = None
+    limits: np.ndarray  # of the bounds; the first is that of t, too
+    M_max: float  # what the largest with the first limit must not exceed
+    H: np.ndarray | None = None  # x'H x / 2 is added to what is minimised
 
     @cached_property
     def products(self):
-        """phi_k phi_l^* and phi_k phi_l of the basis, shape (4 n, order^2): real, -imaginary parts.
-
-        Every Newton step weighs them anew.
-        """
+        """Re and -Im of phi_k phi_l^*, then of phi_k phi_l, (4 n, order^2): for Newton steps."""
         order, n = self.basis.shape
         both = [self.basis[:, None] * second for second in (self.basis.conj(), self.basis)]
         flat = [X.reshape(order * order, n).T for X in both]
@@ -99,7 +73,7 @@ class Program:
         size = np.abs(self.bounds[0].F[0, 0, self.free])
         return size.max() if self.shared else size.sum()
 
-    def peak(self):
+    def minimax(self):
         """The program of the smallest possible bound on M."""
         size = max(np.abs(bound.F[0, 0]).max() for bound in self.bounds if bound.limit == 0)
         limits = np.array([GENEROUS * size, self.limits[1]])
@@ -185,42 +159,21 @@ def whitened_basis(P, Q, angles, order, W):
 
 
 def bound_on_M(problem, plant, frequency, **kind):
-    """The bound on M for pairs of a plant, by its number, and a frequency, by its index.
-
-    If the problem has a radius, for all plants within it. `kind`: further attributes of the bound.
-    """
-    m, c, Q = problem.channels, len(plant), problem.Q[frequency]
+    """The bound on M, or that for the radius, for pairs of a plant, by number, and a frequency."""
+    m, Q = problem.channels, problem.Q[frequency]
     P = problem.P[frequency]
     other = plant > 0
     P[other] = problem.others[plant[other] - 1, frequency[other]]
     F, T = np.eye(m)[..., None] * Q, -Q * P.transpose(1, 2, 0)
-    C = None
     if problem.radius is not None:
         r = np.maximum(problem.radius, SMALLEST * np.abs(problem.P).max())[frequency]
-        if r.ndim == 1:
-            below = np.abs(Q) * r * np.eye(m)[..., None]
-            C = np.repeat([[-1.0], [1.0]], m, axis=0)
-        else:  # row j of L, once for each row i of Delta
-            below = (np.abs(Q) * r.T).transpose(1, 0, 2)[:, :, None] * np.eye(m)[..., None]
-            below = below.reshape(m * m, m, c)
-            C = np.vstack([-np.repeat(np.eye(m), m, axis=1), np.eye(m * m)])
+        below = np.abs(Q) * r * np.eye(m)[..., None]
         F, T = np.concatenate([F, 0 * below]), np.concatenate([T, below])
-    return Bound(F.astype(complex), T.astype(complex), at=frequency, C=C, plant=plant, **kind)
+    return Bound(F.astype(complex), T.astype(complex), at=frequency, plant=plant, **kind)
 
 
 def formulate(problem: Problem, plant=(), frequency=()) -> Program:
-    """State (39), (45) with (46), or the least gain for M_max, in terms of bounds.
-
-    Parameters
-    ----------
-    problem : Problem
-    plant, frequency : array_like of int, shape (c,)
-        The cuts: number of the plant and index of the frequency of each.
-
-    Returns
-    -------
-    Program
-    """
+    """State (39), (45) with (46), or the least gain, with cuts of these plants and frequencies."""
     W, gain, everywhere = problem.weight, problem.objective == "gain", slice(None)
     n, m, _ = problem.P.shape
     full = problem.structure == "full"
@@ -256,7 +209,7 @@ def formulate(problem: Problem, plant=(), frequency=()) -> Program:
     free = np.flatnonzero(problem.in_band[bounds[0].at])
     program = Program(bounds, basis, R, len(rows), free, False, limits, problem.M_max)
     if problem.objective == "peak":
-        program = program.peak()
+        program = program.minimax()
     if problem.noise is not None:  # at whose price the peak could be higher
         program = replace(program, limits=limits, H=cost_of_noise(problem, basis, rows, cols))
     return program

@@ -7,16 +7,17 @@ from scipy.optimize import brentq
 from tqdm import tqdm
 
 from rodlib.ilc import arguments
+from rodlib.ilc.evidence.certificate import checked_trial
 from rodlib.ilc.filters import ZeroPhaseButterworth
 from rodlib.ilc.posing import pose
-from rodlib.ilc.synthesis.design import SolverError, Synthesis, solve, synthesise
+from rodlib.ilc.synthesis.design import SolverError, Synthesis, certified, solve
 from rodlib.ilc.synthesis.program import Infeasible
 
 SAME = (1e-9, 1e-6, 1e-4)  # relative distance up to which two peaks are the same
 CLOSE = 1e-3  # relative distance from the largest cut-off
 
 
-def least_gain(P, Q, omega, Ts, **choices) -> Synthesis:
+def least_gain(P, Q, omega, Ts=None, **choices) -> Synthesis:
     """Design the one filter of (45) that has a rule: of least gain among those of least peak.
 
     Without (46) the least peak of sigma_max(M) may be reached by many filters, whose gains differ
@@ -33,22 +34,19 @@ def least_gain(P, Q, omega, Ts, **choices) -> Synthesis:
     Returns
     -------
     Synthesis
-        Of (45) with (46), where `certificate.L_max` is that gain.
-
-    Raises
-    ------
-    ValueError, InfeasibleError, SolverError
-        As :func:`synthesise`.
+        Of (45) with (46), where `problem.L_max` is that gain. Raises as :func:`synthesise`.
     """
-    without_trial = choices | {"samples": None, "rest": 0}
-    free = synthesise(P, Q, omega, Ts, objective="peak", L_max=None, **without_trial)
+    asked, how = _parted(choices)
+    problem = pose(P, Q, omega, Ts, objective="peak", L_max=None, **asked)
+    checked_trial(problem, how.get("samples"), how.get("rest", 0))
+    free = certified(problem, **how | {"samples": None, "rest": 0})
     unit = free.sigma_L.max()  # a gain that is enough
-    question = replace(free.problem, objective="gain", L_max=unit)
+    question = replace(problem, objective="gain", L_max=unit)
     for same in SAME:
         try:
             with np.errstate(all="ignore"):
-                room = same * max(free.value, 1e-3 * free.problem.idle)
-                L_max = unit * solve(replace(question, M_max=free.value + room)).peak
+                room = same * max(free.value, 1e-3 * problem.idle)
+                L_max = unit * solve(replace(question, M_max=free.value + room)).largest
             break
         except (Infeasible, RuntimeError):
             continue
@@ -57,18 +55,18 @@ def least_gain(P, Q, omega, Ts, **choices) -> Synthesis:
             "the least gain was not found: filters that keep the least peak are too much alike; "
             "take a shorter filter, or synthesise with an L_max"
         )
-    return synthesise(P, Q, omega, Ts, objective="peak", L_max=L_max, **choices)
+    return certified(replace(problem, L_max=L_max), **how)
 
 
 def largest_cutoff(
-    P, Q: ZeroPhaseButterworth, omega, Ts, **choices
+    P, Q: ZeroPhaseButterworth, omega, Ts=None, **choices
 ) -> tuple[ZeroPhaseButterworth, Synthesis]:
     """Find the largest cut-off of Q for which a filter meets the bounds, and design that.
 
-    What Q passes is learned, and what it stops is not: for given bounds, a practitioner wants to
-    pass as much as they allow. A lower cut-off makes |Q| smaller at each frequency, and with it M:
-    the smallest M_max that can be met increases with the cut-off, and its root is found. Nothing is
-    left for the objective there: a little below the largest cut-off, learning is faster.
+    For given bounds, a practitioner wants to pass and to learn as much as they allow. A lower
+    cut-off makes |Q| smaller at each frequency, and with it M: the smallest M_max that can be met
+    increases with the cut-off, and its root is found. Nothing is left for the objective there: a
+    little below the largest cut-off, learning is faster.
 
     Parameters
     ----------
@@ -82,18 +80,13 @@ def largest_cutoff(
     Q : ZeroPhaseButterworth
         With the largest cut-off, to a relative 1e-3; at most 0.999 of the Nyquist frequency.
     design : Synthesis
-        For it.
-
-    Raises
-    ------
-    ValueError, SolverError
-        As :func:`synthesise`.
-    InfeasibleError
-        If even a cut-off at the lowest design frequency is too high.
+        For it. Raises as :func:`synthesise`, if even a cut-off at the lowest design frequency is
+        too high.
     """
     arguments.instance("Q", Q, ZeroPhaseButterworth)
-    stated = {name: choices[name] for name in choices if name in pose.__kwdefaults__}
-    problem = replace(pose(P, Q, omega, Ts, **stated), objective="peak")
+    asked, how = _parted(choices)
+    stated = pose(P, Q, omega, Ts, **asked)
+    problem = replace(stated, objective="peak", M_max=np.inf, noise=None)
     found = {}
 
     def with_cutoff(logarithm):
@@ -102,12 +95,11 @@ def largest_cutoff(
     def excess(logarithm):
         """The smallest possible M_max with this cut-off, relative to the one that is asked for."""
         response = with_cutoff(logarithm).frequency_response(problem.omega)
-        question = replace(problem, Q=response, M_max=np.inf, noise=None)
-        found["solution"] = solve(question, found.get("solution"))
+        found["solution"] = solve(replace(problem, Q=response), found.get("solution"))
         bar.update()
-        return found["solution"].peak / problem.M_max - 1
+        return found["solution"].largest / stated.M_max - 1
 
-    highest, lowest = np.log(0.999 * np.pi / Ts), np.log(problem.omega[problem.omega > 0][0])
+    highest, lowest = np.log(0.999 * np.pi / Q.Ts), np.log(problem.omega[problem.omega > 0][0])
     low = high = np.log(Q.cutoff)
     with tqdm(desc="largest cut-off", unit=" solved", leave=False, disable=None) as bar:
         while excess(high) <= 0 and high < highest:
@@ -116,8 +108,17 @@ def largest_cutoff(
             best = highest
         else:
             while excess(low) > 0:
-                if low <= lowest:  # this says what is too tight
-                    synthesise(P, with_cutoff(lowest), omega, Ts, **choices)
+                if low <= lowest:  # the design says what is too tight
+                    best = lowest
+                    break
                 low = max(low - 1, lowest)
-            best = brentq(excess, low, high, xtol=CLOSE / 2) - CLOSE / 2
-    return with_cutoff(best), synthesise(P, with_cutoff(best), omega, Ts, **choices)
+            else:
+                best = brentq(excess, low, high, xtol=CLOSE / 2) - CLOSE / 2
+    widest = with_cutoff(best)
+    return widest, certified(pose(P, widest, omega, Ts, **asked), **how)
+
+
+def _parted(choices):
+    """The choices for :func:`pose`, and those for :func:`certified`."""
+    asked = {name: choices[name] for name in choices if name in pose.__kwdefaults__}
+    return asked, {name: choices[name] for name in choices if name not in asked}

@@ -7,7 +7,6 @@ optimal for a part of the bounds and meets all of them is optimal for all.
 
 import numpy as np
 
-from rodlib.ilc.filters import LearningFilter
 from rodlib.ilc.problem import largest_singular_values
 from rodlib.ilc.synthesis.program import bound_on_M
 
@@ -15,23 +14,8 @@ PASSED = 1e-10  # relative violation that is rounding
 
 
 def violated(problem, solution, limit, plant, frequency):
-    """At each frequency the bound that a filter violates most, if it violates one.
-
-    Parameters
-    ----------
-    problem : Problem
-    solution : Solution
-    limit : float
-        The bound.
-    plant, frequency : ndarray of int, shape (c,)
-        The cuts that the solution meets.
-
-    Returns
-    -------
-    plant, frequency : ndarray of int
-        Further ones.
-    """
-    L = LearningFilter(solution.coefficients, problem.Ts).frequency_response(problem.omega)
+    """Plant and frequency of new cuts: at each frequency that which a solution violates most."""
+    L = problem.response(solution)
     n = len(problem.omega)
     highest, which = np.full(n, limit * (1 + PASSED)), np.full(n, -1)
     for k in range(1, len(problem.others) + 1):

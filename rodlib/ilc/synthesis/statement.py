@@ -1,8 +1,6 @@
 """The synthesis problems in CVXPY, as the paper states them: one matrix inequality per frequency.
 
-This is the statement to read, and to compare with. :mod:`rodlib.ilc.synthesis.interior_point`
-solves the same problems more accurately, with 1000 frequencies about ten to thirty times faster
-(the benchmark in the README).
+This is the statement to read, and to compare with.
 """
 
 import warnings
@@ -15,24 +13,7 @@ from rodlib.ilc.synthesis.program import Infeasible, Program
 
 
 def solve(program: Program) -> Solution:
-    """State the problem in CVXPY and solve it with Clarabel.
-
-    Parameters
-    ----------
-    program : Program
-        From :func:`rodlib.ilc.synthesis.program.formulate`.
-
-    Returns
-    -------
-    Solution
-
-    Raises
-    ------
-    Infeasible
-        If M_max cannot be met.
-    RuntimeError
-        If Clarabel fails.
-    """
+    """State the problem in CVXPY and solve it with Clarabel; Infeasible if M_max cannot be met."""
     x = cp.Variable(program.entries * len(program.basis))
     t = cp.Variable(1 if program.shared else len(program.free))
 
@@ -49,7 +30,7 @@ def solve(program: Program) -> Solution:
         T = np.pad(T, [(0, 0), (0, x.size - T.shape[1])])
         parts = (F.real + T.real @ x, F.imag + T.imag @ x)
         G = [cp.reshape(part, shape, order="C") for part in parts]
-        d = cp.Variable((n, bound.splits)) if bound.splits else None
+        d = cp.Variable((n, 1)) if bound.splits else None
         subject_to.append(sigma_max_at_most(G, b, bound, d))
         splits.append(d)
     meets = [] if program.shared else [t <= program.M_max]
@@ -68,7 +49,7 @@ def solve(program: Program) -> Solution:
         raise RuntimeError(f"Clarabel failed: {error}") from None
     failed = x.value is None or problem.status in (cp.INFEASIBLE, cp.INFEASIBLE_INACCURATE)
     if failed and not program.shared:
-        solve(program.peak())  # which raises, if it is the bounds
+        solve(program.minimax())  # which raises, if it is the bounds
     if failed:
         raise RuntimeError(f"Clarabel ended with status {problem.status!r} and returned no filter")
     method = f"CVXPY with Clarabel ({problem.status})"
@@ -84,7 +65,7 @@ def solve(program: Program) -> Solution:
     ]
     iterations = problem.solver_stats.num_iters
     solution = program.solution(coefficients, multipliers, splits, method, iterations)
-    if program.shared and solution.peak > program.M_max:
+    if program.shared and solution.largest > program.M_max:
         raise Infeasible(program.M_max, solution)
     return solution
 
@@ -112,7 +93,7 @@ def sigma_max_at_most(parts, b, bound=None, d=None):
 
     Lambda = diagonal(b, p)
     if d is not None:
-        rows = cp.reshape(b, (n, 1), order="C") @ bound.of_b[None] + d @ bound.C.T
+        rows = cp.reshape(b, (n, 1), order="C") @ bound.of_b[None] + d @ bound.of_d[None]
         Lambda = diagonal(rows, p)
     above, below = np.zeros((n, p, p)), np.zeros((n, q, q))
     real_t, imag_t = (cp.swapaxes(part, 1, 2) for part in parts)

@@ -139,8 +139,8 @@ def test_a_single_impulse_through_200_trials_tells_the_rms(name, source):
     shares = np.arange(1, m + 1.0)
     mixed = colour(omega, loop.Ts, pole)[:, None, None] * np.outer(shares, shares)
     tail = np.sqrt(1 - pole**2) * pole ** np.arange(samples - at)
-    for i, L in enumerate(filters):
-        white = name != "rod" or (i < 1 and source == "noise")
+    for L in filters:
+        white = name != "rod"
         count = 1 + m * white
         signals = {key: np.zeros((1, count, samples, size)) for key, size in sizes.items()}
         signals[source][0, 0, at:] = np.outer(tail, shares)

@@ -15,7 +15,6 @@ from rodlib.ilc.evidence import worst_case
 from rodlib.ilc.posing import pose
 
 sizes = st.integers(1, 3)
-kinds = st.sampled_from(["norm", "entries"])
 seeds = st.integers(0, 999)
 
 
@@ -23,13 +22,13 @@ def complex_normal(rng, *shape):
     return rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
 
 
-def random_case(m, kind, seed, n=5, others=0):
+def random_case(m, seed, n=5, others=0):
     """A problem with random responses, a complex Q that is zero once, and a random filter."""
     rng = np.random.default_rng(seed)
     P = complex_normal(rng, 1 + others, n, m, m)
     Q = 0.5 * complex_normal(rng, n)
     Q[0] = 0
-    radius = rng.uniform(0, 1, (n, m, m) if kind == "entries" else n)
+    radius = rng.uniform(0, 1, n)
     radius[1] = 0
     problem = pose(
         list(P), Q, np.linspace(0.1, 3, n), 1.0, order=3, band=(0.1, 3), uncertainty=radius
@@ -44,25 +43,21 @@ def sigma_max(problem, L, i, k=0, Delta=0):
     return np.linalg.norm(problem.Q[i] * (np.eye(len(P)) - P @ response), 2)
 
 
-@given(sizes, kinds, st.integers(0, 4), seeds)
-def test_the_plant_and_the_Delta_that_are_named_reach_what_is_said(m, kind, others, seed):
-    problem, L = random_case(m, kind, seed, others=others)
+@given(sizes, st.integers(0, 4), seeds)
+def test_the_plant_and_the_Delta_that_are_named_reach_what_is_said(m, others, seed):
+    problem, L = random_case(m, seed, others=others)
     worst = worst_case(problem, L)
     for i, Delta in enumerate(worst.Delta):
         reached = sigma_max(problem, L, i, worst.plant[i], Delta)
         assert reached == pytest.approx(worst.attained[i], rel=1e-12, abs=1e-15)
-    if kind == "norm":
-        size = np.linalg.norm(worst.Delta, 2, axis=(1, 2))
-        np.testing.assert_allclose(worst.attained, worst.sigma, rtol=1e-12)
-    else:
-        size = np.abs(worst.Delta)
-        np.testing.assert_array_less(worst.attained, worst.sigma * (1 + 1e-12) + 1e-15)
+    np.testing.assert_allclose(worst.attained, worst.sigma, rtol=1e-12)
+    size = np.linalg.norm(worst.Delta, 2, axis=(1, 2))
     assert np.all(size <= problem.radius * (1 + 1e-12))
 
 
-@given(sizes, kinds, st.integers(0, 4), seeds)
-def test_no_plant_within_the_radius_is_worse(m, kind, others, seed):
-    problem, L = random_case(m, kind, seed, others=others)
+@given(sizes, st.integers(0, 4), seeds)
+def test_no_plant_within_the_radius_is_worse(m, others, seed):
+    problem, L = random_case(m, seed, others=others)
     worst = worst_case(problem, L)
     rng = np.random.default_rng(seed)
     for i, k in np.ndindex(len(problem.omega), 1 + others):
@@ -70,44 +65,39 @@ def test_no_plant_within_the_radius_is_worse(m, kind, others, seed):
         assert sigma_max(problem, L, i, k) <= worst.peaks[k] * (1 + 1e-12)
         for _ in range(10):
             Delta = complex_normal(rng, m, m)
-            size = np.abs(Delta) if kind == "entries" else np.linalg.norm(Delta, 2)
-            Delta *= problem.radius[i] / size
+            Delta *= problem.radius[i] / np.linalg.norm(Delta, 2)
             assert sigma_max(problem, L, i, k, Delta) <= worst.sigma[i] * (1 + 1e-12)
 
 
-@pytest.mark.parametrize("kind", ["norm", "entries"])
 @pytest.mark.parametrize("m", [2, 3])
-def test_a_search_by_an_optimiser_ends_at_the_worst_case_and_not_above(m, kind):
-    problem, L = random_case(m, kind, 7)
+def test_a_search_by_an_optimiser_ends_at_the_worst_case_and_not_above(m):
+    problem, L = random_case(m, 7)
     worst = worst_case(problem, L)
     rng = np.random.default_rng(0)
     i = 3
 
     def negative(x):
         A, B = x.reshape(2, m, m)
-        if kind == "entries":  # the worst entries are as large as they may be
-            Delta = problem.radius[i] * np.exp(1j * A)
-        else:
-            Delta = problem.radius[i] * (A + 1j * B) / np.linalg.norm(A + 1j * B, 2)
+        Delta = problem.radius[i] * (A + 1j * B) / np.linalg.norm(A + 1j * B, 2)
         return -sigma_max(problem, L, i, 0, Delta)
 
-    ends = [minimize(negative, rng.standard_normal(2 * m * m), tol=1e-7) for _ in range(4)]
+    ends = [minimize(negative, rng.standard_normal(2 * m * m), tol=1e-7) for _ in range(2)]
     found = -min(end.fun for end in ends)
     assert worst.sigma[i] * (1 - 1e-6) < found <= worst.sigma[i] * (1 + 1e-12)
 
 
-@given(kinds, seeds)
-def test_for_one_channel_it_is_M_plus_rho_L(kind, seed):
-    problem, L = random_case(1, kind, seed)
+@given(seeds)
+def test_for_one_channel_it_is_M_plus_rho_L(seed):
+    problem, L = random_case(1, seed)
     response = L.frequency_response(problem.omega)
-    radius = problem.radius.reshape(-1)
-    expected = np.abs(problem.M(response)).ravel() + np.abs(problem.Q * response.ravel()) * radius
+    rho_L = np.abs(problem.Q * response.ravel()) * problem.radius
+    expected = np.abs(problem.M(response)).ravel() + rho_L
     np.testing.assert_allclose(worst_case(problem, L).sigma, expected, rtol=1e-12)
 
 
-@given(sizes, kinds, st.integers(0, 4), seeds)
-def test_a_radius_that_grows_makes_it_worse_and_none_is_that_of_the_plants(m, kind, others, seed):
-    problem, L = random_case(m, kind, seed, others=others)
+@given(sizes, st.integers(0, 4), seeds)
+def test_a_radius_that_grows_makes_it_worse_and_none_is_that_of_the_plants(m, others, seed):
+    problem, L = random_case(m, seed, others=others)
     plants = worst_case(replace(problem, radius=None), L)
     assert plants.Delta is None
     levels = [
@@ -115,20 +105,20 @@ def test_a_radius_that_grows_makes_it_worse_and_none_is_that_of_the_plants(m, ki
         for factor in (1e-13, 0.3, 1, 3)
     ]
     np.testing.assert_allclose(levels[0], plants.sigma, rtol=1e-10)
-    grows = problem.radius.reshape(len(problem.omega), -1).any(axis=1) & (problem.Q != 0)
+    grows = (problem.radius > 0) & (problem.Q != 0)
     for less, more in pairwise(levels):
         np.testing.assert_allclose(more[~grows], less[~grows], rtol=1e-10)
         assert np.all(more[grows] > less[grows])
 
 
 def test_the_worst_of_many_plants_has_its_number():
-    problem, L = random_case(2, "norm", 3, n=20, others=50)
+    problem, L = random_case(2, 3, n=20, others=20)
     for radius in (None, problem.radius, 20 * problem.radius):  # the last turns the order
         posed = replace(problem, radius=radius)
         worst = worst_case(posed, L)
         alone = [
             worst_case(replace(posed, P=problem.plant(k), others=problem.others[:0]), L).sigma
-            for k in range(51)
+            for k in range(21)
         ]
         np.testing.assert_allclose(worst.sigma, np.max(alone, axis=0), rtol=1e-12)
         named = np.array(alone)[worst.plant, np.arange(20)]
@@ -142,7 +132,7 @@ def given_as(L, problem):
 
 def test_a_Delta_is_found_where_two_directions_are_amplified_equally():
     """One is worst for M and the other for L, and only their sum is worst for both."""
-    problem, _ = random_case(2, "norm", 0, n=4)
+    problem, _ = random_case(2, 0, n=4)
     M, L = np.diag([1.0, 0.2]), np.tile(np.diag([0.3, 0.9]), (4, 1, 1))
     P = np.tile((np.eye(2) - M) @ np.linalg.inv(L[0]), (4, 1, 1)).astype(complex)
     radius = np.array([0.5, 0.9, 1.0, 1.1])
@@ -152,24 +142,3 @@ def test_a_Delta_is_found_where_two_directions_are_amplified_equally():
     x = np.stack([np.cos(x), np.sin(x)])
     sums = np.linalg.norm(M @ x, axis=0) + np.outer(radius, np.linalg.norm(L[0] @ x, axis=0))
     np.testing.assert_allclose(worst.sigma, sums.max(axis=1), rtol=1e-8)
-
-
-@pytest.mark.parametrize("m", [2, 3])
-@pytest.mark.parametrize("family", ["normal", "little M", "unitary", "multiple of I"])
-def test_the_bound_for_radii_of_the_entries_loses_hardly_anything(m, family):
-    """L and M are given, and the plant with Q = 1 that leads to them follows."""
-    rng = np.random.default_rng(1)
-    n = 200
-    M, L = complex_normal(rng, 2, n, m, m)
-    if family == "unitary":
-        M, L = np.linalg.qr(M)[0], np.linalg.qr(L)[0]
-    M = {"little M": 0.1 * M, "multiple of I": rng.uniform(0.1, 1, (n, 1, 1)) * np.eye(m)}.get(
-        family, M
-    )
-    problem, _ = random_case(m, "entries", 0, n=n)
-    radius = np.ones((n, m, m)) if family == "unitary" else rng.uniform(0, 1, (n, m, m))
-    problem = replace(problem, P=(np.eye(m) - M) @ np.linalg.inv(L), Q=np.ones(n), radius=radius)
-
-    worst = worst_case(problem, given_as(L, problem))
-    lost = 1 - worst.attained / worst.sigma
-    assert lost.max() < 0.013 and lost.mean() < 1e-4

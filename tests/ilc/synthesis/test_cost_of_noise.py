@@ -13,7 +13,8 @@ from rodlib import (
     synthesise,
     zero_phase_butterworth,
 )
-from rodlib.ilc.evidence import TrialNoise, converged_noise, lower_bound, trial_noise
+from rodlib.ilc.evidence import TrialNoise, converged_noise, trial_noise
+from rodlib.ilc.evidence.optimality import lower_bound
 from rodlib.ilc.posing import pose
 from rodlib.ilc.synthesis.program import formulate
 from tests.ilc.synthesis.test_interior_point import random_plant

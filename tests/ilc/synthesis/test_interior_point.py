@@ -27,9 +27,7 @@ def random_plant(seed, m, n=30, gain=1.0):
 
 
 @pytest.mark.parametrize("objective", ["sum", "peak"])
-@pytest.mark.parametrize(
-    ("m", "structure"), [(1, "full"), (2, "full"), (3, "diagonal"), (4, "full")]
-)
+@pytest.mark.parametrize(("m", "structure"), [(1, "full"), (2, "full"), (3, "diagonal")])
 def test_structured_and_cvxpy_find_the_same_optimum(m, structure, objective):
     P, Q, omega = random_plant(m, m, n=25)
     arguments = {"order": 3, "L_max": 20.0, "band": (0.01, 0.3), "M_max": 0.97}
@@ -44,7 +42,7 @@ def test_structured_and_cvxpy_find_the_same_optimum(m, structure, objective):
 @pytest.mark.parametrize("objective", ["sum", "peak"])
 @pytest.mark.parametrize("structure", ["diagonal", "full"])
 def test_structured_and_cvxpy_agree_on_the_papers_problems(loop, Q, omega, structure, objective):
-    grid = omega[::4]
+    grid = omega[::8]
     arguments = {"band": (grid[0], 0.02), "structure": structure, "objective": objective}
     ours = synthesise(loop, Q, grid, 1.0, **arguments)
     theirs = synthesise(loop, Q, grid, 1.0, solver="cvxpy", check=False, **arguments)
@@ -54,9 +52,9 @@ def test_structured_and_cvxpy_agree_on_the_papers_problems(loop, Q, omega, struc
     assert abs(theirs.value / ours.value - 1) <= theirs.certificate.gap < 1e-4
 
 
-@settings(max_examples=25)
+@settings(max_examples=8)
 @given(
-    st.integers(1, 4),
+    st.integers(1, 3),
     st.sampled_from([1, 2, 5, 10]),
     st.sampled_from(["diagonal", "full"]),
     st.sampled_from(["sum", "peak"]),
@@ -96,7 +94,7 @@ def test_shortest_and_longest_filters_on_the_papers_plant(loop, Q, omega, order,
 
 
 @given(st.floats(0.3, 0.95), st.floats(0.5, 2.5), st.floats(1.0, 3.0), st.integers(1, 5))
-@settings(max_examples=8)
+@settings(max_examples=4)
 def test_what_the_refusal_advises_is_feasible(pole, cutoff, L_max, order):
     """Rounded to nearest, every other number that it names would be refused again."""
     lag, Q = control.ss(pole, 1 - pole, 1, 0, 1.0), zero_phase_butterworth(2, cutoff)
@@ -169,11 +167,11 @@ def test_a_perfect_filter_is_certified(T, order, gain):
     P, Q, omega = lag(T, 0.05, n=100)
     design = synthesise(P * gain, Q, omega, 1.0, order=order, L_max=5 * T / gain, band=(1e-4, 0.01))
     certificate = design.certificate
-    assert design.value < 1e-3 * certificate.idle
-    assert design.value - certificate.lower_bound <= 1e-9 * certificate.idle
+    assert design.value < 1e-3 * design.problem.idle
+    assert design.value - certificate.lower_bound <= 1e-9 * design.problem.idle
 
 
-RADII = {"plain": 0.0, "radius": 0.05, "entries": 0.03}
+KINDS = ("plain", "radius")
 
 
 def programs(m, structure, objective, kind):
@@ -183,7 +181,7 @@ def programs(m, structure, objective, kind):
     plants, radius = P, None
     if kind != "plain":
         plants = [P, P * 1.05, P * 0.96]
-        radius = RADII[kind] * np.ones((30, m, m)[: 1 if kind == "radius" else 3])
+        radius = np.full(30, 0.05)
     numbers |= {"structure": structure, "objective": objective, "uncertainty": radius}
     problem = pose(plants, Q, omega, 1.0, **numbers)
     return formulate(problem, *(([1, 2, 1], [3, 3, 7]) if kind != "plain" else ((), ())))
@@ -199,7 +197,7 @@ def dense(program, p):
         yield np.block([[Lambda, G], [G.conj().swapaxes(1, 2), b[:, None, None] * np.eye(m)]])
 
 
-KIND = pytest.mark.parametrize("kind", RADII)
+KIND = pytest.mark.parametrize("kind", KINDS)
 OBJECTIVE = pytest.mark.parametrize("objective", ["sum", "peak"])
 SIZE = pytest.mark.parametrize(("m", "structure"), [(1, "full"), (2, "diagonal"), (3, "full")])
 
@@ -231,7 +229,7 @@ def test_the_gap_is_the_complementarity_where_the_multipliers_are_stationary(
         if of_b.size:
             weights = weights + (of_b.sum(keepdims=True) if program.shared else of_b)
         if bound.splits:
-            np.testing.assert_allclose(bound.C.T @ diagonal[: len(bound.F)], 0, atol=1e-9 * size)
+            np.testing.assert_allclose(bound.of_d @ diagonal[: len(bound.F)], 0, atol=1e-9 * size)
     np.testing.assert_allclose(weights - q.eta, 1, atol=1e-9)
     for G, moved in zip(program.matrices(q.x), q.G, strict=True):
         np.testing.assert_allclose(moved, G, atol=1e-9)

@@ -43,7 +43,7 @@ def test_matrices_are_those_of_the_filter(m, structure, seed):
     splits = [np.zeros((0, A.shape[2])) for A in multipliers]
     solution = problem.solution(x, multipliers, splits, "none", 0)
     np.testing.assert_allclose(solution.coefficients, C, atol=1e-10)
-    assert solution.peak == pytest.approx(np.linalg.norm(M, 2, axis=(1, 2)).max())
+    assert solution.largest == pytest.approx(np.linalg.norm(M, 2, axis=(1, 2)).max())
 
 
 @pytest.mark.parametrize("L_max", [5.0, None])

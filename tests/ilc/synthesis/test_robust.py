@@ -2,19 +2,18 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from plants import half
 
 from rodlib import InfeasibleError, LearningFilter, synthesise
 from rodlib.ilc.posing import pose
 from rodlib.ilc.problem import convergence_matrix, largest_singular_values
+from rodlib.ilc.synthesis import interior_point
 from rodlib.ilc.synthesis.design import solve
 from rodlib.ilc.synthesis.program import formulate
 from rodlib.ilc.synthesis.selection import violated
 from tests.ilc.synthesis.test_interior_point import random_plant
 
-KINDS = ("norm", "entries", "plants", "plants and norm")
+KINDS = ("radius", "plants", "plants and radius")
 CHOICES = {"order": 3, "L_max": 8.0, "band": (0.01, 0.3)}
 
 
@@ -24,13 +23,11 @@ def question(m, kind, seed, n=15):
     rng = np.random.default_rng(seed)
     choices = dict(CHOICES)
     size = np.linalg.norm(P, 2, axis=(1, 2))
-    if kind == "norm":
+    if kind == "radius":
         choices["uncertainty"] = 0.3 * size
-    if kind == "entries":
-        choices["uncertainty"] = 0.3 * np.abs(P)
     if kind.startswith("plants"):
         P = [P, *(P * (1 + 0.4 * rng.uniform(-1, 1, (m, m))) for _ in range(4))]
-    if kind == "plants and norm":
+    if kind == "plants and radius":
         choices["uncertainty"] = 0.1 * size
     return P, Q, omega, choices
 
@@ -65,16 +62,14 @@ def test_a_selection_of_the_bounds_is_as_good_as_all_of_them(objective):
     problem = pose(P, Q, omega, 1.0, **choices, objective=objective, M_max=0.9)
     plant, frequency = np.indices((4, len(omega))).reshape(2, -1)
     whole = formulate(problem, plant + 1, frequency)
-    from rodlib.ilc.synthesis import interior_point
-
     reference = interior_point.solve(whole)
     found = solve(problem)
     for solution in (reference, found):
         none = np.array([], dtype=int)
-        limit = solution.peak if objective == "peak" else problem.M_max
+        limit = solution.largest if objective == "peak" else problem.M_max
         assert not len(violated(problem, solution, limit * (1 + 1e-9), none, none)[0])
     values = [
-        problem.value(largest_singular_values(problem.M(response)), solution.peak * np.ones(1))
+        problem.value(largest_singular_values(problem.M(response)), solution.largest * np.ones(1))
         for solution in (reference, found)
         for response in [LearningFilter(solution.coefficients, 1.0).frequency_response(omega)]
     ]
@@ -82,11 +77,10 @@ def test_a_selection_of_the_bounds_is_as_good_as_all_of_them(objective):
     assert found.cuts is None or len(found.cuts.plant) < 4 * len(omega)
 
 
-@settings(max_examples=8)
-@given(st.integers(1, 3), st.booleans(), st.integers(0, 99))
-def test_no_radius_is_the_nominal_design_and_a_larger_one_costs_more(m, entries, seed):
-    P, Q, omega = random_plant(seed, m, 12)
-    size = np.abs(P) if entries else np.linalg.norm(P, 2, axis=(1, 2))
+@pytest.mark.parametrize("m", [1, 2])
+def test_no_radius_is_the_nominal_design_and_a_larger_one_costs_more(m):
+    P, Q, omega = random_plant(7, m, 12)
+    size = np.linalg.norm(P, 2, axis=(1, 2))
 
     def least_peak(uncertainty=None):
         try:
@@ -97,41 +91,37 @@ def test_no_radius_is_the_nominal_design_and_a_larger_one_costs_more(m, entries,
             return error.smallest_M_max
 
     nominal, values = least_peak(), [least_peak(share * size) for share in (0, 0.1, 0.2)]
-    assert values[0] == nominal
-    assert nominal <= values[1] * (1 + 1e-8) and values[1] <= values[2] * (1 + 1e-8)
+    assert values[0] == nominal < values[1] < values[2]
 
 
 def test_for_one_channel_the_bound_is_the_closed_form():
-    """|M| + |Q| r |L| <= M_max, and a radius entry by entry is the same."""
+    """|M| + |Q| r |L| <= M_max."""
     P, Q, omega = random_plant(3, 1)
     r = 0.25 * np.abs(P[:, 0, 0])
     choices = CHOICES | {"objective": "peak"}
     norm = synthesise(P, Q, omega, 1.0, uncertainty=r, **choices)
-    entry = synthesise(P, Q, omega, 1.0, uncertainty=r[:, None, None], **choices)
-    assert norm.value == pytest.approx(entry.value, rel=1e-7)
     L = norm.filter.frequency_response(omega)
     M = convergence_matrix(P, Q, L)
     worst = np.abs(M[:, 0, 0]) + np.abs(Q) * r * np.abs(L[:, 0, 0])
     assert worst.max() == pytest.approx(norm.value, rel=1e-8)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_from_an_earlier_design_the_result_is_the_same(kind):
-    """For other bounds; for fewer plants or more, and with another radius or none."""
-    P, Q, omega, choices = question(2, kind, 7)
+@pytest.mark.parametrize(
+    "earlier", ["other bounds", "fewer plants and no radius", "more plants and another radius"]
+)
+def test_from_an_earlier_design_the_result_is_the_same(earlier):
+    P, Q, omega, choices = question(2, "plants and radius", 7, n=12)
     choices["objective"] = "peak"
     cold = synthesise(P, Q, omega, 1.0, **choices)
-    plants = P if isinstance(P, list) else [P]
-    radius = 0.05 * np.linalg.norm(plants[0], 2, axis=(1, 2))
-    others = [
-        (P, choices | {"L_max": 6.0}),
-        (plants[:2], choices | {"uncertainty": None}),
-        ([*plants, 1.05 * plants[0]], choices | {"uncertainty": radius}),
-    ]
-    for other, stated in others:
-        start = synthesise(other, Q, omega, 1.0, **stated)
-        warm = synthesise(P, Q, omega, 1.0, **choices, start=start)
-        assert warm.value == pytest.approx(cold.value, rel=1e-7)
+    radius = 0.05 * np.linalg.norm(P[0], 2, axis=(1, 2))
+    other, stated = {
+        "other bounds": (P, {"L_max": 6.0}),
+        "fewer plants and no radius": (P[:2], {"uncertainty": None}),
+        "more plants and another radius": ([*P, 1.05 * P[0]], {"uncertainty": radius}),
+    }[earlier]
+    start = synthesise(other, Q, omega, 1.0, **choices | stated)
+    warm = synthesise(P, Q, omega, 1.0, **choices, start=start)
+    assert warm.value == pytest.approx(cold.value, rel=1e-7)
 
 
 def test_what_stands_in_the_way_is_named():
@@ -171,15 +161,13 @@ def test_a_list_of_one_plant_is_that_plant():
 
 
 def test_in_other_units_the_filter_is_the_same():
-    """Kelvin and bar against kelvin and pascal, for two plants and a radius."""
+    """Kelvin and bar against kelvin and pascal, for two plants; a radius is in units of scale."""
     P, Q, omega, choices = question(2, "plants", 4)
-    choices["M_max"] = 0.95
+    choices |= {"M_max": 0.95, "uncertainty": np.full(len(omega), 0.01)}
     units = np.array([1.0, 1e5])
-    radius = np.full((len(omega), 2, 2), 0.01)
-    here = synthesise(P, Q, omega, 1.0, uncertainty=radius, **choices)
     factor = units[:, None] / units
-    there = synthesise([p * factor for p in P], Q, omega, 1.0, scale=units,
-                       uncertainty=radius * factor, **choices)  # fmt: skip
+    here = synthesise(P, Q, omega, 1.0, **choices)
+    there = synthesise([p * factor for p in P], Q, omega, 1.0, scale=units, **choices)
     assert there.value == pytest.approx(here.value, rel=1e-6)
     np.testing.assert_allclose(
         there.filter.coefficients / factor[..., None], here.filter.coefficients, atol=1e-3

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from rodlib import synthesise, zero_phase_butterworth
-from rodlib.ilc.evidence import certify
+from rodlib.ilc.evidence.certificate import certify
 from rodlib.ilc.posing import pose
 from rodlib.ilc.problem import Solution
 

@@ -11,7 +11,7 @@ SLOW = 0.05  # gain of the loop, within the band, below which it counts as slow
 IDLE = 0.9  # share of the error in the band from which on learning counts as idle
 
 
-def doubts(problem: Problem, value: float) -> Iterator[str]:
+def findings(problem: Problem, value: float) -> Iterator[str]:
     """Why little may be learned: a delay, a slow loop, or something unknown."""
     delay = _delay(problem.model[0], problem.order) if problem.model else 0
     if delay > problem.order:

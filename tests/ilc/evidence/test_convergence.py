@@ -1,0 +1,53 @@
+"""The gamma of Lemma 1, for plants in whatever form they are known."""
+
+import numpy as np
+import pytest
+from plants import stage
+
+from rodlib import LearningFilter, current_trial_loop, rate, rates, zero_phase_butterworth
+from rodlib.ilc.alternatives import p_type
+from rodlib.paper import published
+
+
+@pytest.fixture(scope="module")
+def printed():
+    return LearningFilter(published.matrix("L_diagonal"), 1.0)
+
+
+def by_the_book(P, q, L):
+    M = q[:, None, None] * (np.eye(P.shape[1]) - P @ L)
+    return np.linalg.svd(M, compute_uv=False)[:, 0]
+
+
+def test_the_printed_filter_converges_at_the_rate_that_it_is_designed_for(loop, Q, omega, printed):
+    P, q = loop.frequency_response(omega), Q.frequency_response(omega)
+    expected = by_the_book(P, q, printed.frequency_response(omega))
+    for plant in (loop, loop.P, P):
+        np.testing.assert_allclose(rates(plant, Q, printed, omega), expected, rtol=1e-9)
+    gamma, where = rate(loop, q, printed, omega)
+    assert gamma == pytest.approx(expected.max(), rel=1e-9) and gamma.ndim == where.ndim == 0
+    assert where == omega[np.flatnonzero(expected > gamma * (1 - 1e-6))[0]]
+
+
+def test_of_several_plants_each_has_a_rate(loop, Q, omega, printed):
+    P = loop.frequency_response(omega)
+    several = rate([loop, 1.2 * P, 0.5 * P], Q, printed, omega)
+    for k, factor in enumerate((1, 1.2, 0.5)):
+        alone = rate(factor * P, Q, printed, omega)
+        assert several.gamma[k] == pytest.approx(alone.gamma, rel=1e-9)
+        assert several.omega[k] == alone.omega
+    stacked = rates(np.stack([P, 1.2 * P]), Q, printed, omega)
+    assert stacked.shape == (2, 1000) and rate([P], Q, printed, omega).gamma.shape == (1,)
+
+
+def test_any_plant_and_any_learning_operator_have_one():
+    loop = current_trial_loop(stage(), ["F"])
+    Q, L = zero_phase_butterworth(Ts=loop.Ts), p_type(0.3, 2, 1, loop.Ts)
+    omega = np.linspace(0, np.pi / loop.Ts, 50)
+    P = loop.frequency_response(omega)
+    expected = by_the_book(P, Q.frequency_response(omega), L.frequency_response(omega))
+    np.testing.assert_allclose(rates(loop, Q, L, omega), expected, rtol=1e-9)
+    with pytest.raises(ValueError, match=r"P\.dt = .* differs from Ts"):
+        rate(loop, Q, p_type(0.3, 2, 1, loop.Ts / 2), omega)
+    with pytest.raises(ValueError, match="L acts on 2 channels, but must act on 1"):
+        rate(loop, Q, p_type(0.3, 2, 2, loop.Ts), omega)
