@@ -290,7 +290,7 @@ def _signals(log, excitation):
 
 
 def _estimate(w, y, windows, excitation, loop):
-    """The response from the signals (experiment, time, channel), before it is doubted."""
+    """The response from the signals (experiment, time, channel), before it is judged."""
     W = np.fft.rfft(w, axis=1)[:, [window.line for window in windows]]
     W = np.moveaxis(W, 0, 2)  # (line, input, experiment)
     _refuse_weak(W, excitation.omega)
