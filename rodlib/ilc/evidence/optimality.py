@@ -4,11 +4,12 @@ It follows from the solver's multipliers, whatever their quality, by linear alge
 """
 
 import numpy as np
+from scipy.optimize import elementwise
 
 from rodlib.ilc.evidence.robustness import affine
 from rodlib.ilc.problem import Cuts, Problem
 
-STEPS = 50  # of bisection
+CLOSE = 1e-9  # accuracy of dual norms, relative to the largest
 FARTHEST = 40.0  # logarithm of how unequal two weights may be: the smaller is then below rounding
 FAINT = 1e-9  # least eigenvalue of X, relative
 
@@ -107,19 +108,25 @@ def dual_norm(N) -> np.ndarray:
     by Cauchy and Schwarz, twice. The least of these bounds is the largest nuclear norm of N with
     its two parts weighted by square roots of w_1 + w_2 = 1, and belongs to
     X = (sum_k w_k N_k^H N_k)^(1/2): tr X is concave in w_1, with the slope (c_1 - c_2) / 2.
-    Bisection finds where that is zero, and any w gives a bound that holds.
+    Any w gives a bound that holds.
     """
     count, rows, m = N.shape
     if rows == m:
         return np.linalg.svd(N, compute_uv=False).sum(axis=1)
     size = np.linalg.norm(N, axis=(1, 2))
     N = (N / np.where(size > 0, size, 1)[:, None, None]).reshape(count, 2, m, m)
-    low, high = np.full((2, count), [[-FARTHEST], [FARTHEST]])
-    for _ in range(STEPS):
-        middle = (low + high) / 2  # of log(w_1 / w_2)
-        c, _ = _costs(N, middle)
-        low, high = np.where(c[0] > c[1], [middle, high], [low, middle])
-    c, trace = _costs(N, (low + high) / 2)
+
+    share = size / (size.max(initial=0) or 1)  # little ones need less accuracy
+
+    def slope(t, i):
+        c, _ = _costs(N[i], t)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            slope = np.nan_to_num(np.log(c[0]) - np.log(c[1])) * share[i]
+        return np.where(np.abs(t) < FARTHEST, slope, -np.sign(t))  # or the best is beyond an end
+
+    ends, exact = np.full(count, FARTHEST), {"fatol": CLOSE}
+    t = elementwise.find_root(slope, (-ends, ends), args=(np.arange(count),), tolerances=exact).x
+    c, trace = _costs(N, t)
     return size * np.sqrt(c.max(axis=0) * trace)
 
 
