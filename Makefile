@@ -2,6 +2,7 @@
 
 PYTHON ?= python3
 BIN := .venv/bin
+MUTANTS := "*__mutmut_29"  # one of each function that is long enough, some 300 in all
 NOTEBOOKS := $(sort $(wildcard notebooks/*.ipynb))
 # Whatever the caller's environment says, figures and output are the same: its settings of Python
 # and Jupyter do not count. Notebooks run side by side: one thread of linear algebra each.
@@ -50,8 +51,9 @@ replay: $(BIN)/ready  ## replay a log of your own: make replay LOG=path; writes 
 machines: $(BIN)/ready  ## the tests with the rounding of other processors (long)
 	$(BIN)/python tests/machines.py $(MACHINES)
 
-mutants: $(BIN)/ready  ## change one thing in rodlib at a time and see whether a test notices (long)
-	$(BIN)/python tests/mutation.py
+mutants: $(BIN)/ready  ## change one thing in rodlib at a time and list what no test notices (long)
+	$(BIN)/mutmut run $(MUTANTS)
+	@$(BIN)/mutmut results | grep -v "not checked"
 
 lowest: $(BIN)/ready  ## unit tests with the oldest packages that pyproject.toml admits
 	@mkdir -p build
@@ -61,8 +63,8 @@ lowest: $(BIN)/ready  ## unit tests with the oldest packages that pyproject.toml
 	$(BIN)/uv pip install --quiet --python build/lowest --constraints build/lowest.txt -e ".[dev]"
 	build/lowest/bin/pytest -q -W ignore::DeprecationWarning -W ignore::FutureWarning
 
-survey: $(BIN)/ready  ## solve 550 problems for ordinary plants; rewrite the README's counts (some minutes)
-	@$(BIN)/python tests/benchmarks/survey.py --publish
+survey: $(BIN)/ready  ## solve 550 problems for ordinary plants; count how it ends (some minutes)
+	@$(BIN)/python tests/benchmarks/survey.py
 
 study: $(BIN)/ready  ## 10,000 rods that are off: make study [SCHEDULER=address]; results in build/study
 	@$(BIN)/python -m rodlib.paper.study $(SCHEDULER)
@@ -70,7 +72,7 @@ study: $(BIN)/ready  ## 10,000 rods that are off: make study [SCHEDULER=address]
 pages: $(BIN)/ready  ## the notebooks, the ledger and the reference as HTML, in build/pages
 	@$(BIN)/python -m rodlib.paper.pages
 
-bench: $(BIN)/ready  ## time the synthesis and the study; rewrite the README's performance section
+bench: $(BIN)/ready  ## time the synthesis and the study; rewrite figures/performance.*
 	@mkdir -p build
 	$(BIN)/pytest -q tests/benchmarks/bench_*.py --benchmark-json=build/benchmark.json \
 		--benchmark-columns=median,min,max,rounds
@@ -89,7 +91,7 @@ lock: $(BIN)/ready  ## resolve the dependencies of pyproject.toml anew: the only
 		--custom-compile-command "make lock" --quiet --output-file environment.lock
 
 clean:  ## remove build/ and the environment
-	rm -rf build .venv
+	rm -rf build mutants .venv
 
 $(BIN)/ready:  # phony: environment.py knows whether there is something to do
 	@$(PYTHON) environment.py

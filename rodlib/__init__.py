@@ -2,24 +2,20 @@
 
 On this floor is what the paper is about: the rod, its models, its loop and its rigs. One floor
 below, in :mod:`rodlib.ilc`, is the toolbox for any plant, whose names are at home here, too. A name
-is imported when it is first used, so that what needs only a part does not wait for all.
+is imported when it is first used, so that what needs only a part does not wait for all. What is
+passed and does not belong there is a ValueError that names the argument.
 """
 
 from rodlib import ilc
 
 MODULES = {
-    "rod": ("Rod", "exact_response", "midr"),
-    "approximations": (
-        "balanced_truncation",
-        "finite_differences",
-        "finite_elements",
-        "finite_volumes",
-        "modal_series",
-    ),
-    "held": ("sampled_response",),
-    "case": ("paper_loop",),
-    "specimens": ("Specimen", "Spread", "draw", "responses", "unstable_poles"),
-    "study": ("Study",),
+    "rod": "Rod exact_response midr",
+    "approximations": """balanced_truncation finite_differences finite_elements finite_volumes
+        modal_series""",
+    "held": "sampled_response",
+    "case": "paper_loop",
+    "specimens": "Specimen Spread draw responses unstable_poles",
+    "study": "Study",
 }
 MODULES |= {f"ilc.{module}": names for module, names in ilc.MODULES.items()}
 

@@ -44,11 +44,6 @@ def finite_differences(rod: Rod, intervals: int) -> control.StateSpace:
     control.StateSpace
         As :func:`rodlib.midr`, with ``sections * intervals + 1`` states (K). The error falls with
         the square of `intervals`.
-
-    Raises
-    ------
-    ValueError
-        If `rod` is no :class:`Rod`, or `intervals` is out of range.
     """
     arguments.instance("rod", rod, Rod)
     intervals = arguments.whole("intervals", intervals, 1, 1000)
@@ -78,11 +73,6 @@ def finite_volumes(rod: Rod, cells: int) -> control.StateSpace:
     control.StateSpace
         As :func:`rodlib.midr`, with ``sections * cells`` states (K). The error falls with the
         square of `cells`.
-
-    Raises
-    ------
-    ValueError
-        If `rod` is no :class:`Rod`, or `cells` is out of range.
     """
     arguments.instance("rod", rod, Rod)
     cells = arguments.whole("cells", cells, 1, 1000)
@@ -154,11 +144,6 @@ def modal_series(rod: Rod, modes: int) -> control.StateSpace:
     control.StateSpace
         As :func:`rodlib.midr`; the states are the amplitudes of the modes (K). The error falls as
         slowly as the third power of `modes`, since the heat flow (4) jumps.
-
-    Raises
-    ------
-    ValueError
-        If `rod` is no :class:`Rod`, or `modes` is out of range.
     """
     arguments.instance("rod", rod, Rod)
     n = np.arange(arguments.whole("modes", modes, 1, 10_000))
@@ -182,7 +167,7 @@ def balanced_truncation(
     ----------
     rod : Rod
     states : int
-        How many to keep.
+        How many to keep, as far as they can be told from rounding.
     inputs : sequence of str, optional
         Those that count; the model has the others as well. Default: all, as large as one watt and
         one kelvin.
@@ -191,12 +176,6 @@ def balanced_truncation(
     -------
     control.StateSpace
         As :func:`rodlib.midr`.
-
-    Raises
-    ------
-    ValueError
-        If `rod` is no :class:`Rod`, the rod has not so many states that can be told from rounding,
-        or `inputs` does not name inputs of it.
 
     Notes
     -----

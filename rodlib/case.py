@@ -58,22 +58,9 @@ def assumed_reference(samples: int = 2500) -> np.ndarray:
     """Assumed reference trajectory, for the one that the paper shows as a plot only (Fig. 7).
 
     Both outputs start and end at the initial ambient temperature and move between levels of up
-    to 10 K along quintic steps, whose first and second derivatives are continuous.
-
-    Parameters
-    ----------
-    samples : int
-        Length of the trial; the shape is stretched to it.
-
-    Returns
-    -------
-    ndarray, shape (samples, 2)
-        In K above the initial ambient temperature.
-
-    Raises
-    ------
-    ValueError
-        If `samples` is not a whole number, 1 or more.
+    to 10 K along quintic steps, whose first and second derivatives are continuous. The shape is
+    stretched to the length of the trial. In K above the initial ambient temperature, shape
+    (samples, 2).
     """
     samples = arguments.whole("samples", samples, 1)
     time = np.arange(samples) / samples * 2500
@@ -90,21 +77,7 @@ def assumed_reference(samples: int = 2500) -> np.ndarray:
 def assumed_disturbance(samples: int = 2500, trials: int = 10, first: int = 5) -> np.ndarray:
     """Assumed disturbances of Fig. 7: heat flows Q2 and Q4, from trial `first` on.
 
-    Parameters
-    ----------
-    samples, trials : int
-    first : int
-        First trial with a disturbance, counted from 1.
-
-    Returns
-    -------
-    ndarray, shape (trials, samples, 3)
-        Ambient temperature (K, zero) and heat flows Q2 and Q4 (W).
-
-    Raises
-    ------
-    ValueError
-        If an argument is not a whole number, 1 or more.
+    Ambient temperature (K, zero) and heat flows Q2 and Q4 (W), shape (trials, samples, 3).
     """
     samples = arguments.whole("samples", samples, 1)
     trials = arguments.whole("trials", trials, 1)

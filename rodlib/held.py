@@ -84,18 +84,7 @@ def delays(step) -> np.ndarray:
 class HeldRod:
     """The rod of :func:`sampled_response`: its slow modes, and an impulse response for the others.
 
-    Parameters
-    ----------
-    rod : Rod
-    Ts : float
-        Sampling period, s.
-    gains : sequence of float, optional
-        Heat flow that each section gets per heat flow commanded. Default: one.
-
-    Raises
-    ------
-    ValueError
-        If `Ts` is too short for the rod.
+    Each section may get another heat flow than the one commanded, by its gain.
     """
 
     def __init__(self, rod: Rod, Ts: float, gains: Sequence[float] | None = None):
@@ -132,21 +121,7 @@ class HeldRod:
         self.fast[0] = rest - np.tensordot(powers[1], r[slow:], axes=1)
 
     def response(self, step, delays, inputs: Sequence[str]) -> np.ndarray:
-        """G(z) on the unit circle.
-
-        Parameters
-        ----------
-        step : ndarray, shape (n,), complex
-            z - 1.
-        delays : ndarray, shape (n, POWERS), complex
-            :func:`delays` of `step`, which many rods can share.
-        inputs : sequence of str
-            Names of the inputs that are wanted.
-
-        Returns
-        -------
-        ndarray, shape (n, outputs, inputs), complex
-        """
+        """G(z) at z = 1 + step for some inputs, shape (n, outputs, inputs); `delays` of `step`."""
         slow, fast = self._of(inputs)
         response = (1 / (step[:, None] - self.less_one)) @ slow.reshape(len(slow), -1)
         response += delays @ fast.reshape(len(fast), -1)

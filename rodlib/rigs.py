@@ -53,11 +53,6 @@ class VirtualRig:
     seed : int
         Of the sensor noise.
 
-    Raises
-    ------
-    ValueError
-        If an argument is out of range or something else.
-
     Notes
     -----
     With theta = sum_n T_n(t) cos(n pi z / l), (1)-(4) fall apart into one first-order equation per
@@ -133,13 +128,7 @@ class VirtualRig:
         return (np.rint(noisy / quantum) * quantum).round(9) if quantum else noisy
 
     def apply(self, heat_flows) -> None:
-        """Command heat flows (W), shape (sections,), and let one sampling period pass.
-
-        Raises
-        ------
-        ValueError
-            If the shape is wrong or a value is not finite.
-        """
+        """Command heat flows (W), shape (sections,), and let one sampling period pass."""
         command = arguments.array("heat_flows", heat_flows, self._flows.shape)
         limit = self.parameters.limit
         command = np.minimum(np.maximum(command, -limit), limit)

@@ -20,12 +20,6 @@ class Rod:
     """A metal rod, heated from below in equal sections and cooled from above by the air.
 
     The defaults are the rig of the paper, Section IV. Lengths are in metres.
-
-    Raises
-    ------
-    ValueError
-        If a material parameter or a dimension is not a positive number, if there is no section
-        or no sensor, or if a sensor lies beyond the rod.
     """
 
     length: float = 0.320  # l, m
@@ -77,20 +71,10 @@ class Rod:
 
 
 def bernstein_basis(rod: Rod, degree: int) -> BPoly:
-    """Continuous piecewise polynomials in Bernstein form, (5)-(7).
+    """Continuous piecewise polynomials in Bernstein form, (5)-(7), as functions of z (m).
 
-    Parameters
-    ----------
-    rod : Rod
-    degree : int
-        Degree M of the polynomials, 1 or more.
-
-    Returns
-    -------
-    scipy.interpolate.BPoly
-        Maps positions z (m) to the values of the ``sections * degree + 1`` basis functions that
-        remain when neighbouring sections share their edge coefficient (7). Coefficients are in
-        the order of the state vector of (8).
+    Neighbouring sections share their edge coefficient (7), so that ``sections * degree + 1`` basis
+    functions remain. Coefficients are in the order of the state vector of (8).
     """
     coefficients = np.zeros((degree + 1, rod.sections, rod.sections * degree + 1))
     for i in range(rod.sections):
@@ -114,19 +98,13 @@ def midr(rod: Rod, degree: int = 3) -> control.StateSpace:
     ----------
     rod : Rod
     degree : int, default 3
-        Degree M of the polynomials in each section.
+        Degree M of the polynomials in each section, 20 or less: beyond, rounding takes over.
 
     Returns
     -------
     control.StateSpace
         Inputs Q1, Q2, ... (W) and theta_a (K), outputs y1, y2, ... (K), as deviations from the
         initial ambient temperature; ``sections * degree + 1`` states, which are temperatures (K).
-
-    Raises
-    ------
-    ValueError
-        If `rod` is no :class:`Rod`, or `degree` is not a whole number from 1 to 20; beyond that
-        rounding errors take over.
 
     Notes
     -----
@@ -141,10 +119,7 @@ def midr(rod: Rod, degree: int = 3) -> control.StateSpace:
     section = rod.length / rod.sections
     area = rod.width * rod.height
 
-    # What q(z) integrates: the storage of heat, the heat flow of each section, the ambient air.
-    def stored(z):
-        return integral(z)
-
+    # What q(z) integrates: the heat flow of each section, the storage of heat, the ambient air.
     def supplied(z):
         return np.clip((z[:, None] - rod.edges[:-1]) / section, 0, 1) / area  # integral of (4)
 
@@ -159,7 +134,7 @@ def midr(rod: Rod, degree: int = 3) -> control.StateSpace:
         return np.einsum("nw,snx->swx", weights, on_sections).reshape(rod.sections * degree, -1)
 
     end = np.array([rod.length])
-    G = np.vstack([project(stored(z)), stored(end)])
+    G = np.vstack([project(integral(z)), integral(end)])
     F = np.vstack([project(gradient(z)), np.zeros(states)])
     S = np.vstack([project(supplied(z)), supplied(end)])
     a = np.vstack([project(z), end[None]])

@@ -34,11 +34,6 @@ class Spread:
         Of the heat flow that each Peltier element delivers for the one commanded, relative.
     sensors : float
         Of the position of each sensor, m.
-
-    Raises
-    ------
-    ValueError
-        If a spread is negative, or a relative one is not below 1.
     """
 
     density: float = 0.0
@@ -71,16 +66,6 @@ class Spread:
             Peltier element, of the position of each sensor.
         nominal : Rod, optional
             The one that it was meant to be. Default: the paper's.
-
-        Returns
-        -------
-        Specimen
-
-        Raises
-        ------
-        ValueError
-            If the deviations are not so many or reach beyond 1, or the spread would move a sensor
-            beyond the rod.
         """
         nominal = arguments.instance("nominal", Rod() if nominal is None else nominal, Rod)
         count = len(MATERIAL) + nominal.sections + len(nominal.sensors)
@@ -113,19 +98,7 @@ def _share(name, value):
 
 @dataclass(frozen=True)
 class Specimen:
-    """A rod as it may be.
-
-    Attributes
-    ----------
-    rod : Rod
-    gains : tuple of float
-        Heat flow that each Peltier element delivers per heat flow commanded.
-
-    Raises
-    ------
-    ValueError
-        If an argument is something else.
-    """
+    """A rod as it may be, with the heat flow that each element delivers per heat flow commanded."""
 
     rod: Rod
     gains: tuple[float, ...]
@@ -155,11 +128,6 @@ def draw(spread: Spread, number: int, root: int = 0, nominal: Rod | None = None)
     Returns
     -------
     Specimen
-
-    Raises
-    ------
-    ValueError
-        If a number is not whole or negative, or the spread would move a sensor beyond the rod.
     """
     arguments.instance("spread", spread, Spread)
     nominal = arguments.instance("nominal", Rod() if nominal is None else nominal, Rod)
@@ -168,8 +136,8 @@ def draw(spread: Spread, number: int, root: int = 0, nominal: Rod | None = None)
     return spread.specimen(np.random.default_rng(seed).uniform(-1, 1, count), nominal)
 
 
-class Around:
-    """The loop as designed, ready for other plants in its place.
+class Grid:
+    """The loop as designed, at points in the z-plane, ready for other plants in its place.
 
     With G_0 for the plant of the design, G for the other one and D = G - G_0, the observer sees
     D u + G_d d more than it expects, and the loop answers
@@ -177,65 +145,36 @@ class Around:
         u = U w - R (D u + G_d d),   so that   u = X (U w - R G_d d),   X = (I + R D)^-1.
 
     U and R belong to the loop as designed: stable, and finite at z = 1 too, where the controller
-    itself is not. Arrays have the frequencies last, as numpy is then fastest.
-
-    Parameters
-    ----------
-    loop : CurrentTrialLoop
-        The controls and disturbances are heat flows of a rod and theta_a, by name.
-    omega : ndarray, shape (n,)
-        Angular frequencies, rad/s.
-    radius : float
-        |z|, 1 or more: z = radius exp(j omega Ts).
+    itself is not. The points are z = radius exp(j omega Ts), none of them inside the unit circle.
+    Arrays have the points last, as numpy is then fastest.
     """
 
     def __init__(self, loop: CurrentTrialLoop, omega, radius: float = 1.0):
-        m = loop.plant.noutputs
-
         def response(model):  # z I - A = radius (exp(j omega Ts) I - A / radius)
             A, B = model.A / radius, model.B / radius
             return _last(frequency_response(control.ss(A, B, model.C, model.D, model.dt), omega))
 
-        self.G_0 = response(loop.plant[:, :m])
+        self.loop, self.omega = loop, omega
+        self.step = np.expm1(np.log(radius) + 1j * omega * loop.Ts)
+        self.delays = delays(self.step)
+        self.G_0 = response(loop.plant[:, : loop.plant.noutputs])
         self.U, minus_R = np.split(response(reply(loop)), 2, axis=1)
         self.R = -minus_R
 
-    def loaded(self, G) -> np.ndarray:
-        """I + R D, shape (m, m, n), which as a determinant is the return difference."""
-        loaded = _times(self.R, G - self.G_0)
-        loaded[range(len(G)), range(len(G))] += 1
-        return loaded
+    @classmethod
+    def whole(cls, loop: CurrentTrialLoop) -> "Grid":
+        """On the unit circle, from zero to the Nyquist frequency."""
+        return cls(loop, np.append(0, np.geomspace(1e-5, 1, 300) * np.pi / loop.Ts))
 
     def closed(self, G, G_d=None):
         """From w to y, shape (m, m, n), and with the response G_d to d, from d to y."""
-        GX = _times(G, _inverse(self.loaded(G)))
+        GX = _times(G, _inverse(self._loaded(G)))
         P = _times(GX, self.U)
         return P if G_d is None else (P, G_d - _times(GX, _times(self.R, G_d)))
 
-
-class Grid(Around):
-    """The loop as designed on the unit circle, ready for many specimens in the place of its plant.
-
-    Parameters
-    ----------
-    loop : CurrentTrialLoop
-    omega : ndarray, shape (n,)
-        Angular frequencies, rad/s.
-    """
-
-    def __init__(self, loop: CurrentTrialLoop, omega):
-        super().__init__(loop, omega)
-        self.loop, self.omega = loop, omega
-        self.step = np.expm1(1j * omega * loop.Ts)
-        self.delays = delays(self.step)
-
-    def plant(self, rod: HeldRod) -> np.ndarray:
-        """G of a rod, shape (m, m, n)."""
-        return _last(rod.response(self.step, self.delays, self.loop.controls))
-
     def P(self, rod: HeldRod) -> np.ndarray:
         """From w to y around a rod, shape (n, m, m)."""
-        return np.moveaxis(self.closed(self.plant(rod)), -1, 0)
+        return np.moveaxis(self.closed(self._plant(rod)), -1, 0)
 
     def unstable_poles(self, rod: HeldRod) -> int:
         """Number of poles outside the unit circle; the frequencies go from zero to Nyquist."""
@@ -251,12 +190,16 @@ class Grid(Around):
         return 1  # on the unit circle, up to rounding
 
     def _return_difference(self, rod):
-        return np.linalg.det(np.moveaxis(self.loaded(self.plant(rod)), -1, 0))
+        return np.linalg.det(np.moveaxis(self._loaded(self._plant(rod)), -1, 0))
 
-    @classmethod
-    def whole(cls, loop: CurrentTrialLoop) -> "Grid":
-        """From zero to the Nyquist frequency."""
-        return cls(loop, np.append(0, np.geomspace(1e-5, 1, 300) * np.pi / loop.Ts))
+    def _plant(self, rod):
+        return _last(rod.response(self.step, self.delays, self.loop.controls))
+
+    def _loaded(self, G):
+        """I + R D, whose determinant is the return difference."""
+        loaded = _times(self.R, G - self.G_0)
+        loaded[range(len(G)), range(len(G))] += 1
+        return loaded
 
 
 def check_loop(loop: CurrentTrialLoop, rod: Rod) -> None:
@@ -326,10 +269,6 @@ def unstable_poles(loop: CurrentTrialLoop, specimens: Sequence[Specimen]) -> np.
     loop : CurrentTrialLoop
         Of a rod.
     specimens : sequence of Specimen
-
-    Returns
-    -------
-    ndarray of int, shape (specimens,)
 
     Notes
     -----

@@ -36,14 +36,15 @@ def test_ratios_and_exponents_are_those_of_the_times(benchmarks, monkeypatch, tm
     entries.append(entry("alternatives", "P-type", 0.004))
     cpu = {"brand_raw": "a processor", "count": 3}
     machine = {"cpu": cpu, "python_version": "3.12", "machine": ""}
-    times, readme = tmp_path / "times.json", tmp_path / "README.md"
+    times, page = tmp_path / "times.json", tmp_path / "figures" / "performance.md"
+    page.parent.mkdir()
     times.write_text(json.dumps({"benchmarks": entries, "machine_info": machine}))
-    readme.write_text("before\n<!-- performance -->\nold\n<!-- end of performance -->\nafter\n")
+    page.write_text("before\n<!-- performance -->\nold\n<!-- end of performance -->\nafter\n")
     (tmp_path / "pyproject.toml").write_text('name = "rodlib"')  # a clone, by its looks
     monkeypatch.setenv("RODLIB_RESULTS", str(tmp_path / "results"))
     monkeypatch.setattr(report, "checkout", lambda name: tmp_path)
     report.main(times)
-    lines = readme.read_text().splitlines()
+    lines = page.read_text().splitlines()
     assert "| diagonal | 250 | structured | 0.20 | 1 | 2 |" in lines
     assert "| diagonal | 250 | CVXPY, batched | 3.00 | 15 | 30 |" in lines
     assert "| size | 1 | 4 | 0.01 to 0.16 | 2.0 | 0 to 2 |" in lines

@@ -1,4 +1,4 @@
-"""The checks themselves, and every public door of rodlib with things that do not belong there."""
+"""Every public door of rodlib, with what belongs there and with things that do not."""
 
 import inspect
 import re
@@ -14,8 +14,6 @@ import numpy as np
 import pytest
 import skfem
 import xarray as xr
-from hypothesis import given
-from hypothesis import strategies as st
 
 import rodlib
 from rodlib import (
@@ -44,11 +42,10 @@ from rodlib import (
     zero_phase_butterworth,
 )
 from rodlib.case import assumed_disturbance, assumed_reference
-from rodlib.ilc import alternatives, arguments, evidence, laboratory, synthesis, workbench
-from rodlib.ilc.filters import ZeroPhaseButterworth
+from rodlib.ilc import alternatives, evidence, laboratory, synthesis, workbench
 from rodlib.ilc.laboratory import measured_response, with_law
 from rodlib.ilc.models import frequency_response
-from rodlib.ilc.trials import rms, state_sequence
+from rodlib.ilc.trials import rms
 from rodlib.ilc.workbench import Outcome, Plant, Settings
 from rodlib.paper.knobs import plant_of_rod
 from rodlib.rigs import RestartingRig, RigParameters, VirtualRig
@@ -79,7 +76,6 @@ ALL = laboratory.Excitation(1.0, 40, 4, (1, 2, 3, 5, 8), np.zeros(5), (1.0, 1.0)
 RIG = RestartingRig(parameters=RigParameters(modes=5))
 SHAKEN = laboratory.shake(RIG, PAPER, ALL)
 LOG = with_law(run_trials(LOOP, Q, L, np.zeros((70, 1)), None, 2), Q, L, 0, LOOP)
-REPLAY = laboratory.replay_of(LOG)
 MEASURED = laboratory.MeasuredResponse(OMEGA, RESPONSE, 1e-6 * ONES, ONES, np.full(12, 9), LOOP)
 FOLDER = TemporaryDirectory()
 HERE = Path(FOLDER.name)
@@ -149,13 +145,6 @@ def tried(**choices):
         raise ValueError(outcome.message)
 
 
-@wraps(study.local_cluster)
-def cluster(workers):
-    """Without workers not even opened: that takes a second, and is tested elsewhere."""
-    if workers is not None:
-        study.local_cluster(workers).__enter__()
-
-
 # Each door, what belongs there, and what does not if its name does not say so.
 DOORS = [
     (Rod, {f.name: f.default for f in fields(Rod)},
@@ -184,7 +173,6 @@ DOORS = [
      {"plant": PLANTS | {"column": ONES[0]}}),
     (LOOP.around, {"plant": PLANT}, {"plant": PLANTS | {"number": 1.0}}),
     (zero_phase_butterworth, {}),
-    (ZeroPhaseButterworth, {"order": 2, "cutoff": 0.1, "Ts": 1.0}),
     (Q.frequency_response, {"omega": OMEGA}),
     (Q.apply, {"signal": SIGNAL}, {"signal": REAL | {"four axes": ...}}),
     (LearningFilter, {"coefficients": L.coefficients, "Ts": 1.0}),
@@ -193,7 +181,6 @@ DOORS = [
     (update, {"v": SIGNAL, "e": SIGNAL, "Q": Q, "L": L}),
     (run_trials, {"loop": LOOP, "Q": Q, "L": L, "reference": SIGNAL, "trials": 2},
      {"L": MODELS | {"none": ...}, "step": REAL | {"0": 0.0, "2": 2.0}}),
-    (state_sequence, {"A": np.eye(2), "forcing": np.ones((3, 2)), "initial": np.zeros(2)}),
     (rms, {"e": xr.DataArray(SIGNAL, dims=("time", "channel"))}),
     (assumed_reference, {"samples": 5}),
     (assumed_disturbance, {"samples": 5, "trials": 2, "first": 1}),
@@ -243,7 +230,7 @@ DOORS = [
      {"response": {"class": ..., "function": ...} | THING}),
     (TWO_SIDED.frequency_response, {"omega": OMEGA}),
     (TWO_SIDED.apply, {"signal": SIGNAL}),
-    (alternatives.impulse_response, {"L": L}),
+    (alternatives.two_sided_taps, {"L": L}),
     (alternatives.extent, {"L": L}),
     (alternatives.lines, {"samples": 6, "Ts": 1.0}),
     (alternatives.Rehearsal, {"P": np.ones((7, 1, 1)), "Q": Q, "alone": np.ones((2, 6, 1))},
@@ -268,7 +255,6 @@ DOORS = [
      | COURSE),
     (STUDY.judge, {"start": 0, "stop": 1}, {"start": WHOLE}),
     (study.run, {"study": STUDY, "rods": 1, "folder": HERE / "study", "workers": 0}),
-    (cluster, {"workers": None}),
     (laboratory.Controller, {"loop": LOOP}, {"decimals": WHOLE}),
     (laboratory.Controller(LOOP).step, {"y": [0.0], "w": [0.0]}),
     (laboratory.Excitation, MULTISINE, {"amplitude": REAL | {"number": 1.0, "2-D": [[1.0]]}}),
@@ -293,9 +279,8 @@ DOORS = [
      {"trials": THING | {"frame": ...}, "L": MODELS | {"none": ...}}),
     *((door, {"trials": LOG}, {"trials": THING | {"frame": ...}})
       for door in (laboratory.law_of, laboratory.loop_of, laboratory.rest_of, laboratory.step_of)),
-    (laboratory.replay_of, {"trials": LOG, "loop": LOOP},
+    (laboratory.replay_of, {"trials": LOG},
      {"trials": THING, "untold": {"numbers": [1, 2], "empty": ...}}),
-    (REPLAY.save_following, {"path": HERE / "following"}),
     (RigParameters, {},
      dict.fromkeys(["noise", "quantum", "lag"], NUMBER)
      | {"limit": NUMBER | {"inf": ...}, "ambient_rate": NUMBER | {"-1": ...}}),
@@ -325,7 +310,7 @@ MADE |= {"Outcome", "Picture", "Rate", "Replay", "RigError", "SolverError", "Spe
 MADE |= {"Tuned", "WorstCase"}
 INSIDE = {"Family", "LearningOperator", "Problem", "Rig"}
 ROOMS = ("alternatives", "evidence", "laboratory", "synthesis", "workbench")
-ROOMS = ("study", *(f"ilc.{room}" for room in ROOMS))
+ROOMS = tuple(f"ilc.{room}" for room in ROOMS)
 
 
 def named(door):
@@ -344,10 +329,11 @@ def wrong(door, name):
             yield kind, value
 
 
-CASES = [(door, name) for door in DOORS for name in named(door)[1]]
+def name_of(door):
+    return named(door)[0]
 
 
-@pytest.mark.parametrize("door", DOORS, ids=lambda door: named(door)[0])
+@pytest.mark.parametrize("door", DOORS, ids=name_of)
 def test_every_door_is_open_to_what_belongs_there(door):
     if door[0] is laboratory.TemperatureControlLab:
         pytest.importorskip("tclab")
@@ -355,17 +341,16 @@ def test_every_door_is_open_to_what_belongs_there(door):
         door[0](**door[1])
 
 
-@pytest.mark.parametrize(
-    ("door", "name"), CASES, ids=lambda each: each if isinstance(each, str) else named(each)[0]
-)
-def test_every_door_is_shut_to_what_does_not(door, name):
+@pytest.mark.parametrize("door", DOORS, ids=name_of)
+def test_every_door_is_shut_to_what_does_not(door):
     """Only a ValueError that names the argument, and no warning, whatever is passed."""
-    for kind, value in wrong(door, name):
-        with warnings.catch_warnings(action="error"), pytest.raises(ValueError) as error:
-            door[0](**door[1] | {name: value})
-            pytest.fail(f"{kind} may pass")
-        assert re.search(rf"\b{name}\b", str(error.value)), kind
-        assert len(str(error.value)) < 500, kind
+    for name in named(door)[1]:
+        for kind, value in wrong(door, name):
+            with warnings.catch_warnings(action="error"), pytest.raises(ValueError) as error:
+                door[0](**door[1] | {name: value})
+                pytest.fail(f"{name}: {kind} may pass")
+            assert re.search(rf"\b{name}\b", str(error.value)), (name, kind)
+            assert len(str(error.value)) < 500, (name, kind)
 
 
 def test_what_is_exported_is_a_door_or_said_to_be_none():
@@ -380,129 +365,3 @@ def test_what_is_exported_is_a_door_or_said_to_be_none():
             doors = [m for m in methods if callable(m) and m.__code__.co_argcount > 1]
             doors += [] if name in MADE else [inspect.unwrap(thing)]
             assert {*doors} <= known, f"{room.__name__}.{name}"
-
-
-@given(st.floats() | st.integers() | st.fractions(), st.floats(-5, 5), st.floats(-5, 5))
-def test_a_number_lies_strictly_between_its_limits(value, low, high):
-    if low < value < high and (value == 0 or 1e-100 <= abs(value) <= 1e100):
-        assert arguments.number("x", value, "right", low, high) == float(value)
-    else:
-        with pytest.raises(ValueError, match=r"x = .* (must be right|is too)"):
-            arguments.number("x", value, "right", low, high)
-
-
-def test_numbers_at_the_limits():
-    assert arguments.number("x", 1e100, "right") == 1e100
-    assert arguments.number("x", -1e-100, "right") == -1e-100
-    for value, word in ((1.1e100, "large"), (9e-101, "small"), (-1.1e100, "large")):
-        with pytest.raises(ValueError, match=f"is too {word}: choose another unit"):
-            arguments.number("x", value, "right")
-    with pytest.raises(ValueError, match="x = 0 must be a positive number"):
-        arguments.positive("x", 0)
-
-
-@given(st.integers(-3, 9), st.integers(-3, 3), st.none() | st.integers(0, 5))
-def test_a_whole_number_may_be_its_limits(value, low, high):
-    if value >= low and (high is None or value <= high):
-        for same in (value, np.int16(value)):
-            assert type(arguments.whole("n", same, low, high)) is int
-    else:
-        limits = f"{low} or more" if high is None else f"from {low} to {high}"
-        with pytest.raises(ValueError, match=f"n = {value} must be a whole number, {limits}"):
-            arguments.whole("n", value, low, high)
-
-
-def test_a_whole_number_has_an_end():
-    assert arguments.whole("n", 10**9, 1) == 10**9
-    with pytest.raises(ValueError, match="n = 1000000001 is too large: at most 1000000000"):
-        arguments.whole("n", 10**9 + 1, 1)
-
-
-def test_flags_and_words():
-    assert arguments.flag("x", np.True_) is True and arguments.flag("x", False) is False
-    assert arguments.choice("x", "a", ["a", "b"]) == "a"
-    with pytest.raises(ValueError, match="x = 'c' must be 'a' or 'b'"):
-        arguments.choice("x", "c", ["a", "b"])
-
-
-@pytest.mark.parametrize(
-    ("shape", "sizes", "fits"),
-    [
-        ((2, "m"), (2, 5), True),
-        ((2, "m"), (3, 5), False),
-        ((2, "m"), (2, 0), False),
-        ((2, "m"), (2,), False),
-        ((2, 0), (2, 0), True),
-        (("m", "m"), (3, 3), True),
-        (("m", "m"), (3, 4), False),
-        ((..., 2), (2,), True),
-        ((..., 2), (7, 8, 2), True),
-        ((..., 2), (), False),
-        ((..., "t", 2), (2,), False),
-        ((..., "t", 2), (9, 3, 2), True),
-        ((...,), (), True),
-        ((), (), True),
-        (("n",), (4,), True),
-    ],
-)
-def test_shapes(shape, sizes, fits):
-    value = np.ones(sizes)
-    if fits:
-        np.testing.assert_array_equal(arguments.array("x", value, shape), value)
-        return
-    with pytest.raises(ValueError) as error:
-        arguments.array("x", value, shape)
-    for word in (f"x has shape {sizes}", *(str(size) for size in shape if size is not ...)):
-        assert word in str(error.value)
-
-
-@pytest.mark.parametrize("value", [[True, 0.5], [[1, 2], (3, np.True_)], True])
-def test_true_is_no_number_of_an_array(value):
-    with pytest.raises(ValueError, match=r"x holds (True or False|values of type bool), but must"):
-        arguments.array("x", value, (...,))
-
-
-def test_an_array_is_a_copy_of_the_type_asked_for():
-    given_ = np.arange(3)
-    copy = arguments.array("x", given_, (3,))
-    copy[0] = 9
-    assert given_[0] == 0 and copy.dtype == float
-    assert arguments.array("x", given_, (3,), complex).dtype == complex
-    assert arguments.array("x", 1e100, ()) == 1e100
-    unmasked = np.ma.masked_array([1.0], [False])
-    assert type(arguments.array("x", unmasked, (1,))) is np.ndarray
-
-
-@given(st.floats())
-def test_a_share_is_above_zero_and_at_most_one(value):
-    if 1e-100 <= value <= 1:
-        assert arguments.share("step", value) == value
-    else:
-        with pytest.raises(ValueError, match=r"step = .* (must be in|is too (small|large))"):
-            arguments.share("step", value)
-
-
-def test_frequencies_end_at_the_nyquist_frequency():
-    top = np.pi / 0.5
-    assert arguments.frequencies("omega", [0, top], 0.5).tolist() == [0, top]
-    for wrong in ([0, 1.001 * top], [-0.1, 1]):
-        with pytest.raises(
-            ValueError, match=r"omega spans \[.*\] rad/s, but must lie in \[0, 6.28"
-        ):
-            arguments.frequencies("omega", wrong, 0.5)
-    for wrong in ([1.0], [1, 1], [2, 1]):
-        with pytest.raises(ValueError, match="must be a row of increasing frequencies"):
-            arguments.frequencies("omega", wrong, 0.5)
-
-
-def test_a_row_may_be_one_number():
-    assert arguments.row("x", 2.0).tolist() == [2.0]
-    assert arguments.row("x", [1, 2]).tolist() == [1.0, 2.0]
-    with pytest.raises(ValueError, match=r"x has shape \(1, 2\), but must have shape \(n,\)"):
-        arguments.row("x", [[1, 2]])
-
-
-def test_periods_are_equal_up_to_rounding():
-    arguments.one_period(loop=0.3, Q=0.1 * 3, L=0.3)
-    with pytest.raises(ValueError, match=r"loop.Ts = 1.0 s, Q.Ts = 1.000000001 s: the sampling"):
-        arguments.one_period(loop=1.0, Q=1.000000001)

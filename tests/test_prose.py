@@ -1,5 +1,8 @@
 """Numbers in the prose of the notebooks: each is an output, in the ledger, or a choice in the code.
 
+In the README and in the list of deviations each is one of the notebooks, or of the benchmarks, that
+the paragraph names.
+
 Read are numbers in digits, in text, in formulas and in the captions of figures. Labels of
 equations, figures and the like, exponents, indices and sizes (2 x 2) are no results; neither are
 whole numbers up to 12 without a unit, which count things. A number is found where another one of
@@ -19,6 +22,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rodlib.paper.ledger import DEVIATIONS
 from rodlib.paper.repository import ROOT
 
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
@@ -101,6 +105,33 @@ def ledger():
 def test_every_number_in_prose_is_computed_or_chosen(path, ledger):
     notebook = nbformat.read(path, as_version=4)
     assert not_found(notebook, ledger[path.stem], CONSTANTS.get(path.stem, ())) == []
+
+
+def paragraphs():
+    """Of the README and the list of deviations, without tables, code and what is generated."""
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    readme = re.sub(r"<!-- ledger -->.*<!-- end of ledger -->", "", readme, flags=re.DOTALL)
+    for text in (readme, DEVIATIONS.read_text(encoding="utf-8")):
+        for paragraph in re.split(r"\n\n+|\n(?=- )", text):
+            if not paragraph.startswith(("```", "    ", "|")):
+                yield paragraph
+
+
+def test_every_number_of_the_readme_is_where_it_points(ledger):
+    seen = 0
+    for paragraph in paragraphs():
+        named = {int(number) for number in re.findall(r"[Nn]otebook (\d+)", paragraph)}
+        known = set()
+        for path in NOTEBOOKS:
+            if int(path.stem[:2]) in named:
+                known |= known_numbers(nbformat.read(path, as_version=4), ledger[path.stem])
+        if "performance.md" in paragraph:
+            text = (ROOT / "figures" / "performance.md").read_text(encoding="utf-8")
+            known |= {Decimal(found) for found in re.findall(NUMBER, text)}
+        for shown, factors in numbers(paragraph) if known else ():
+            assert any(is_rounding_of(shown, value, factors) for value in known), (shown, paragraph)
+            seen += 1
+    assert seen > 30
 
 
 @pytest.mark.parametrize("wrong", ["271 s", "261.7 s", "$0.0339$ rad/s", "37.3 %", "13.1 K"])

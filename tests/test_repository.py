@@ -1,5 +1,6 @@
 """The repository itself: notebooks, figures, ledger and README belong together."""
 
+import ast
 import json
 import os
 import re
@@ -60,8 +61,9 @@ def test_notebooks_are_executed_in_order_and_readable(path):
     assert [cell.execution_count for cell in code] == list(range(1, len(code) + 1))
     assert [cell for cell in code if "parameters" in cell.metadata.get("tags", [])] == [code[1]]
     for cell in code:
-        assert len(cell.source.splitlines()) <= (30 if cell is code[0] else 25), cell.source
-        assert not re.search(r"^\s*def ", cell.source, flags=re.MULTILINE), cell.source
+        assert cell is code[0] or len(cell.source.splitlines()) <= 25, cell.source
+        for node in ast.walk(ast.parse(cell.source)):  # a longer function belongs to the module
+            assert not isinstance(node, ast.FunctionDef) or node.end_lineno - node.lineno < 12
         assert not [
             o for o in cell.outputs if o.output_type == "error" or o.get("name") == "stderr"
         ]
@@ -104,10 +106,10 @@ def test_every_saved_figure_is_tracked_and_used():
 
 
 def test_readme_links_lead_somewhere():
-    for name in ("README.md", "CONTRIBUTING.md"):
-        text = (ROOT / name).read_text(encoding="utf-8")
-        for target in re.findall(r"\]\((?!https?:)([^)#]+)\)", text):
-            assert (ROOT / target).exists(), f"{name}: {target}"
+    for name in ("README.md", "CONTRIBUTING.md", "figures/performance.md"):
+        path = ROOT / name
+        for target in re.findall(r"\]\((?!https?:|#)([^)#]+)", path.read_text(encoding="utf-8")):
+            assert (path.parent / target).exists(), f"{name}: {target}"
 
 
 def test_lock_pins_and_hashes_every_direct_dependency():

@@ -6,66 +6,28 @@ A name is imported when it is first used, so that what needs only a part does no
 from importlib import import_module
 
 MODULES = {
-    "models": ("minimal_realisation",),
-    "loop": ("CurrentTrialLoop",),
-    "gains": ("current_trial_loop",),
-    "filters": (
-        "LearningFilter",
-        "LearningOperator",
-        "ZeroPhaseButterworth",
-        "update",
-        "zero_phase_butterworth",
-    ),
-    "problem": ("Problem",),
-    "trials": ("run_trials",),
-    "evidence": (
-        "converged_noise",
-        "noise_bound",
-        "noise_by_trial",
-        "rate",
-        "rates",
-        "trial_noise",
-        "violation_probability",
-        "worst_case",
-    ),
-    "synthesis": (
-        "InfeasibleError",
-        "SolverError",
-        "Synthesis",
-        "largest_cutoff",
-        "least_gain",
-        "synthesise",
-    ),
-    "alternatives": (
-        "NormOptimal",
-        "Rehearsal",
-        "gradient",
-        "h_infinity",
-        "p_type",
-        "pd_type",
-        "stable_inversion",
-        "tune",
-        "zero_phase_inversion",
-    ),
-    "laboratory": (
-        "LogError",
-        "expected_radius",
-        "load_law",
-        "load_log",
-        "loop_of",
-        "measured_response",
-        "multisine",
-        "record",
-        "save_law",
-        "save_log",
-        "shake",
-    ),
+    "models": "minimal_realisation",
+    "loop": "CurrentTrialLoop",
+    "gains": "current_trial_loop",
+    "filters": """LearningFilter LearningOperator ZeroPhaseButterworth update
+        zero_phase_butterworth""",
+    "problem": "Problem",
+    "trials": "run_trials",
+    "evidence": """converged_noise noise_bound noise_by_trial rate rates trial_noise
+        violation_probability worst_case""",
+    "synthesis": "InfeasibleError SolverError Synthesis largest_cutoff least_gain synthesise",
+    "alternatives": """NormOptimal Rehearsal gradient h_infinity p_type pd_type stable_inversion
+        tune zero_phase_inversion""",
+    "laboratory": """LogError expected_radius load_law load_log loop_of measured_response multisine
+        record save_law save_log shake""",
 }
 
 
-def lazily(package: str, modules: dict[str, tuple[str, ...]]):
+def lazily(package: str, modules: dict[str, str]):
     """``__getattr__`` of a package, and the names that it finds: those of its modules."""
-    home = {name: f"{package}.{module}" for module, names in modules.items() for name in names}
+    home = {
+        name: f"{package}.{module}" for module, names in modules.items() for name in names.split()
+    }
 
     def get(name):
         if name not in home:

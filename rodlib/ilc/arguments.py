@@ -131,30 +131,10 @@ def one_period(**periods: float) -> None:
 
 
 def array(name: str, value, shape: Sequence[int | str], dtype: type = float) -> np.ndarray:
-    """An array of finite numbers.
+    """A new array of finite numbers, of a shape such as ``("time", 2)`` or ``(..., "m", "m")``.
 
-    Parameters
-    ----------
-    name : str
-        Of the argument, for the message.
-    value : array_like
-    shape : sequence of int or str
-        Sizes that are given, and names for those that are not, such as ``("time", 2)``; a name
-        stands for any size above zero, the same wherever it stands. An Ellipsis in front stands
-        for any number of axes.
-    dtype : type
-        float, or complex.
-
-    Returns
-    -------
-    ndarray
-        A new array of that type.
-
-    Raises
-    ------
-    ValueError
-        If the value has another shape, holds anything but numbers, masked entries, an imaginary
-        part where real numbers belong, or values that are not finite or beyond `LARGEST`.
+    A name stands for any size above zero, the same wherever it stands, and an Ellipsis in front
+    for any number of axes. `dtype` is float or complex.
     """
     try:
         plain = np.asanyarray(value)

@@ -17,13 +17,7 @@ except ImportError:  # on Windows
 
 
 def folder(path: Path) -> Path:
-    """Make a folder, unless it or a link to one is there.
-
-    Raises
-    ------
-    NotADirectoryError
-        If a file is in the way.
-    """
+    """Make a folder, unless it or a link to one is there; a file in the way is an error."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError):
@@ -35,21 +29,9 @@ def folder(path: Path) -> Path:
 
 @contextmanager
 def alone(lock: Path, refusal: str, wait: bool = False) -> Iterator[None]:
-    """Keep other processes from doing the same.
+    """Refuse other processes, or let them wait, until this one has finished or is dead.
 
-    Parameters
-    ----------
-    lock : Path
-        A file in a folder that exists. The file stays, the lock ends with the process.
-    refusal : str
-        What to say to the second.
-    wait : bool
-        Let the second wait instead.
-
-    Raises
-    ------
-    RuntimeError
-        If another process is at it.
+    The file stays, the lock on it ends with the process.
     """
     with open(lock, "a", encoding="utf-8") as file:
         try:
@@ -64,22 +46,9 @@ def alone(lock: Path, refusal: str, wait: bool = False) -> Iterator[None]:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A file to write instead of `path`, which it replaces if nothing goes wrong.
+    """A file to write beside `path`, in a folder that is there; it replaces `path` if all is well.
 
-    Parameters
-    ----------
-    path : Path
-        In a folder that exists.
-
-    Yields
-    ------
-    Path
-        Beside `path`; removed in case of an error.
-
-    Raises
-    ------
-    FileExistsError
-        If `path` is there and no regular file: a device is not written to by replacing it.
+    A device or a pipe is refused: it is not written to by being replaced.
     """
     if path.exists() and not path.is_file():
         raise FileExistsError(f"{path} is no regular file: choose another name")
@@ -102,18 +71,26 @@ def write_pieces(path: Path, pieces: Iterable[bytes]) -> None:
         _write(temporary, pieces)
 
 
-def append_whole(path: Path, content: bytes) -> None:
-    """Append to a file, all or nothing, unless the process is killed in the midst of it."""
-    rest = memoryview(content)
-    with open(path, "r+b", buffering=0) as file:
-        end = file.seek(0, os.SEEK_END)
-        try:
-            while len(rest):
-                rest = rest[file.write(rest) :]
-            os.fsync(file.fileno())
-        except BaseException:
-            file.truncate(end)
-            raise
+def replace_all(new: dict[Path, bytes | None]) -> None:
+    """Replace several files, one by one and in order, once all are written; None is for removed.
+
+    An error while they are written leaves all as it was. What ends later, be it by a kill, leaves
+    some replaced, none of them half; in either case another call mends it.
+    """
+    for path in new:
+        folder(path.parent)
+    try:
+        for path, content in new.items():
+            if content is not None:
+                _write(_part(path), [content])
+        for path, content in new.items():
+            if content is None:
+                path.unlink(missing_ok=True)
+            else:
+                os.replace(_part(path), path)
+    finally:
+        for path in new:
+            _part(path).unlink(missing_ok=True)
 
 
 def _part(path):

@@ -26,12 +26,27 @@ ENDS = {"zero": "constant", "hold": "edge"}  # the modes of numpy.pad
 class ZeroPhaseButterworth:
     """The Q-filter (43): a Butterworth low-pass filter applied forward and backward in time.
 
-    :func:`zero_phase_butterworth` says what the fields are, and what they must be.
+    Attributes
+    ----------
+    order : int
+        Order n_Q of the Butterworth filter; the zero-phase filter has twice that order.
+    cutoff : float
+        Cut-off frequency, rad/s. There the Butterworth filter is down by 3 dB, the Q-filter,
+        which squares its magnitude, by 6 dB.
+    Ts : float
+        Sampling period, s.
+    ends : {"zero", "hold"}
+        What a signal is taken to be outside the trial.
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range, or rounded coefficients do not give the filter.
     """
 
-    order: int
-    cutoff: float
-    Ts: float
+    order: int = 2
+    cutoff: float = 0.1
+    Ts: float = 1.0
     ends: str = "zero"
 
     def __post_init__(self):
@@ -82,7 +97,7 @@ class ZeroPhaseButterworth:
         """Squared magnitude of the Butterworth filter at `omega` (rad/s), real, shape (n,)."""
         omega = arguments.row("omega", omega)
         _, H = freqz_sos(self.sections, omega, fs=2 * np.pi / self.Ts)
-        return np.abs(H) ** 2
+        return np.abs(H) ** 2  # (43)
 
     def apply(self, signal) -> np.ndarray:
         """Filter a signal of shape (..., time, channel), forward and backward in time."""
@@ -97,34 +112,7 @@ class ZeroPhaseButterworth:
         return once[..., decay:-decay, :]
 
 
-def zero_phase_butterworth(
-    order: int = 2, cutoff: float = 0.1, Ts: float = 1.0, *, ends: str = "zero"
-) -> ZeroPhaseButterworth:
-    """Build the Q-filter (43). The defaults are the paper's.
-
-    Parameters
-    ----------
-    order : int
-        Order n_Q of the Butterworth filter; the zero-phase filter has twice that order.
-    cutoff : float
-        Cut-off frequency, rad/s. There the Butterworth filter is down by 3 dB, the Q-filter,
-        which squares its magnitude, by 6 dB.
-    Ts : float
-        Sampling period, s.
-    ends : {"zero", "hold"}
-        What a signal is taken to be outside the trial.
-
-    Returns
-    -------
-    ZeroPhaseButterworth
-
-    Raises
-    ------
-    ValueError
-        If an argument is out of range, or rounded coefficients do not give the filter; the message
-        names the argument and its value.
-    """
-    return ZeroPhaseButterworth(order, cutoff, Ts, ends)
+zero_phase_butterworth = ZeroPhaseButterworth  # as one says with scipy: butter(order, cutoff)
 
 
 @runtime_checkable
@@ -156,11 +144,6 @@ class LearningFilter:
         Sampling period, s.
     ends : {"zero", "hold"}
         What the error is taken to be beyond the end of the trial.
-
-    Raises
-    ------
-    ValueError
-        If the coefficients have the wrong shape or are not finite, or Ts is not positive.
     """
 
     coefficients: np.ndarray = field(repr=False)
@@ -187,7 +170,7 @@ class LearningFilter:
     def frequency_response(self, omega) -> np.ndarray:
         """L(exp(j omega Ts)) at `omega` (rad/s), shape (n, m, m), complex."""
         shifts = time_shifts(self.Ts * arguments.row("omega", omega), self.order)
-        return np.einsum("nk,ijk->nij", shifts, self.coefficients).astype(complex)
+        return np.einsum("nk,ijk->nij", shifts, self.coefficients).astype(complex)  # (44)
 
     def apply(self, signal) -> np.ndarray:
         """Filter a signal of shape (..., time, m)."""
@@ -241,8 +224,7 @@ def update(
     Raises
     ------
     ValueError
-        If the shapes do not fit, a signal has a gap (NaN) or an infinite value, the filters have
-        different sampling periods, `rest` is not shorter than the trial, or `step` is out of range.
+        If signals and filters do not fit together, or a signal has a gap (NaN).
     """
     arguments.instance("Q", Q, ZeroPhaseButterworth)
     arguments.instance("L", L, LearningOperator)
@@ -251,6 +233,6 @@ def update(
     e = arguments.array("e", e, v.shape)
     rest = arguments.whole("rest", rest, 0, v.shape[-2] - 1)
     step = arguments.share("step", step)
-    v = (1 - step) * v + step * Q.apply(v + L.apply(e))
+    v = (1 - step) * v + step * Q.apply(v + L.apply(e))  # (23)
     v[..., v.shape[-2] - rest :, :] = 0
     return v

@@ -1,4 +1,4 @@
-"""The design of the current-trial loop: what holds the rod on its reference within one trial.
+"""The design of the current-trial loop: what holds a plant on its reference within one trial.
 
 Section III, (12)-(29): a state feedback, and an observer that also estimates the equivalent input
 disturbance. The loop is what iterative learning control then acts on from trial to trial.
@@ -63,18 +63,29 @@ def current_trial_loop(
     Raises
     ------
     ValueError
-        If the plant is not in discrete time, is not finite, has feedthrough from a control, has
-        fewer inputs than outputs, or more and `controls` does not say which are meant, has an
-        unstable mode that no control reaches or no output shows, or has no control authority at
-        frequency zero; if a transfer function has more zeros than poles; if a name, size or unit is
-        none of the plant's; if a weight has the wrong shape or is indefinite, or if the loop with
-        these weights is not stable.
+        If the plant is not in discrete time, has feedthrough from a control, not as many controls
+        as outputs, or an unstable mode that no control reaches or no output shows; if a name is
+        none of the plant's, a weight is indefinite, or the loop with these weights is not stable.
 
     Notes
     -----
     The disturbance model (14) is integral action, A_d = C_d = I. The paper prints (28) and (29)
     with A and C; the dimensions need A_a and C_a of (15).
     """
+    plant = _checked(plant, controls)
+    m = plant.noutputs
+    names = [*plant.output_labels, *plant.input_labels]
+    units = dict.fromkeys(names, "") | arguments.by_name("units", units, names)
+    weights = _weights(plant, sizes, Qs, Rs, Qo, Ro)
+    A, B, C = plant.A, plant.B[:, :m], plant.C
+    even = _even_coordinates(A, B, C)
+    _require_held(*_in_coordinates(even, A, B, C))
+    Ks, KL, N = _gains(A, B, C, *weights, coordinates=None if sizes is None else even)
+    return CurrentTrialLoop(plant, Ks, KL, N, units)
+
+
+def _checked(plant, controls):
+    """The plant (12) as a model with its controls first, if that is what it is."""
     plant = sampled_plant(plant)
     m, names = plant.noutputs, plant.input_labels
     if controls is None and len(names) > m:
@@ -96,25 +107,30 @@ def current_trial_loop(
             f"plant.D must be zero for the controls {plant.input_labels[:m]}: (12) has no direct "
             "feedthrough. Delay them by a sample"
         )
-    names = [*plant.output_labels, *plant.input_labels]
-    units = dict.fromkeys(names, "") | arguments.by_name("units", units, names)
-    for name, unit in units.items():
-        arguments.instance(f"units[{name!r}]", unit, str)
-    large = dict.fromkeys(names[: 2 * m], 1.0)
-    large |= arguments.by_name("sizes", sizes, names[: 2 * m])
+    return plant
+
+
+def _weights(plant, sizes, Qs, Rs, Qo, Ro):
+    """The weights of (24) and (27), checked, or what they are by default."""
+    n, m = plant.nstates, plant.noutputs
+    names = [*plant.output_labels, *plant.input_labels[:m]]
+    large = dict.fromkeys(names, 1.0) | arguments.by_name("sizes", sizes, names)
     large = [arguments.positive(f"sizes[{name!r}]", size) for name, size in large.items()]
     Sy, Su = np.diag(large[:m]), np.diag(large[m:])
-
-    n, A, B, C = plant.nstates, plant.A, plant.B[:, :m], plant.C
+    B, C = plant.B[:, :m], plant.C
     spread = np.eye(n) if sizes is None else B @ Su**2 @ B.T
-    Qs = _weight("Qs", C.T @ np.linalg.inv(Sy**2) @ C if Qs is None else Qs, n)
-    Rs = _weight("Rs", 0.05 * np.linalg.inv(Su**2) if Rs is None else Rs, m, definite=True)
-    Qo = _weight("Qo", block_diag(spread, 2 * Su**2) if Qo is None else Qo, n + m)
-    Ro = _weight("Ro", Sy**2 if Ro is None else Ro, m, definite=True)
+    return (
+        _weight("Qs", C.T @ np.linalg.inv(Sy**2) @ C if Qs is None else Qs, n),  # (24)
+        _weight("Rs", 0.05 * np.linalg.inv(Su**2) if Rs is None else Rs, m, definite=True),
+        _weight("Qo", block_diag(spread, 2 * Su**2) if Qo is None else Qo, n + m),  # (27)
+        _weight("Ro", Sy**2 if Ro is None else Ro, m, definite=True),
+    )
 
-    even = _even_coordinates(A, B, C)
-    _require_held(*_in_coordinates(even, A, B, C))
-    T, inverse = (np.eye(n), np.eye(n)) if sizes is None else even
+
+def _gains(A, B, C, Qs, Rs, Qo, Ro, coordinates):
+    """K_s of (26), K_L of (29) and N, computed in the coordinates of the state that are given."""
+    n, m = B.shape
+    T, inverse = (np.eye(n), np.eye(n)) if coordinates is None else coordinates
     A, B, C = _in_coordinates((T, inverse), A, B, C)
     Ta, inverse_a = block_diag(T, np.eye(m)), block_diag(inverse, np.eye(m))
     Qs, Qo = T.T @ Qs @ T, inverse_a @ Qo @ inverse_a.T
@@ -126,7 +142,7 @@ def current_trial_loop(
     _require_stable(A - B @ Ks, "Qs and Rs")
     _require_stable(Aa - KL @ Ca, "Qo and Ro")
     N = np.linalg.inv(C @ np.linalg.solve(np.eye(n) - A + B @ Ks, B))
-    return CurrentTrialLoop(plant, Ks @ inverse, Ta @ KL, N, units)
+    return Ks @ inverse, Ta @ KL, N
 
 
 def _weight(name, value, size, definite=False):
@@ -144,7 +160,7 @@ def _with_disturbance(A, B, C):
     """A_a and C_a of (15), with A_d = C_d = I."""
     n, m = B.shape
     I, O = np.eye(m), np.zeros  # noqa: E741
-    return np.block([[A, B], [O((m, n)), I]]), np.hstack([C, O((m, m))])
+    return np.block([[A, B], [O((m, n)), I]]), np.hstack([C, O((m, m))])  # (15)
 
 
 def _in_coordinates(coordinates, A, B, C):

@@ -28,12 +28,6 @@ class CurrentTrialLoop:
         State feedback (26), observer gain (29), static feedforward.
     units : dict
         Unit of each input and output of the plant, by name; "" if it is not known.
-
-    Raises
-    ------
-    ValueError
-        If the plant is no model in discrete time, a gain has another shape or is not finite, or
-        a unit is missing, no text, or about another signal.
     """
 
     plant: control.StateSpace
@@ -87,29 +81,18 @@ class CurrentTrialLoop:
 
     @cached_property
     def closed(self) -> control.StateSpace:
-        """The loop (19): inputs w1, w2, ..., then d; outputs y; states x, x-hat, epsilon-hat."""
+        """The loop (19): inputs w1, w2, ..., then d; outputs y; states x, x-hat, epsilon-hat.
+
+        Its frequency response from w is P of (31), and from d it is P-tilde of (32).
+        """
         return _close(self, self.plant)
 
     def around(self, plant: control.StateSpace | control.TransferFunction) -> control.StateSpace:
-        """Close the loop (19) of the same controller around another plant.
+        """The loop (19) of the same controller around another plant, if it is stable.
 
-        Parameters
-        ----------
-        plant : control.StateSpace or control.TransferFunction
-            Of any order. Its signals are matched by name: it must have the loop's controls and
-            outputs, and a disturbance that it lacks has no effect. Others than the loop's are left
-            out. Feedthrough is allowed.
-
-        Returns
-        -------
-        control.StateSpace
-            As `closed`, but the first states are those of `plant`.
-
-        Raises
-        ------
-        ValueError
-            If the plant is not finite, is in continuous time or has another sampling period, lacks
-            a control or an output, or if the loop around it is not stable.
+        As `closed`, but the first states are those of `plant`, a model of any order. Its signals
+        are matched by name: it must have the loop's controls and outputs, and a disturbance that it
+        lacks has no effect. Others than the loop's are left out. Feedthrough is allowed.
         """
         plant = sampled_plant(plant)
         arguments.one_period(loop=self.Ts, plant=plant.dt)
@@ -156,11 +139,10 @@ class CurrentTrialLoop:
         Raises
         ------
         ValueError
-            As in :meth:`around`; if the samples have another shape or are not finite, or a
-            frequency is that of a pole.
+            As in :meth:`around`, or if a frequency is that of a pole.
         """
         if plant is None:
-            return frequency_response(self.P, omega)
+            return frequency_response(self.P, omega)  # (31)
         m = self.plant.noutputs
         if isinstance(plant, control.StateSpace | control.TransferFunction):
             return frequency_response(self.around(plant)[:, :m], omega)
@@ -188,7 +170,7 @@ def _controller(loop):
     plant, m = loop.plant, loop.plant.noutputs
     B = plant.B[:, :m]
     C = np.hstack([plant.C, np.zeros((m, m))])
-    A = block_diag(plant.A - B @ loop.Ks, np.eye(m)) - loop.KL @ C
+    A = block_diag(plant.A - B @ loop.Ks, np.eye(m)) - loop.KL @ C  # (16) with u of (18)
     return A, np.vstack([B @ loop.N, np.zeros((m, m))]), np.hstack([loop.Ks, np.eye(m)])
 
 
@@ -197,7 +179,7 @@ def _close(loop, plant):
     m = loop.plant.noutputs
     A, B, K = _controller(loop)
     Bu, E, Du, F = plant.B[:, :m], plant.B[:, m:], plant.D[:, :m], plant.D[:, m:]
-    return control.ss(
+    return control.ss(  # (19)
         np.block([[plant.A, -Bu @ K], [loop.KL @ plant.C, A - loop.KL @ Du @ K]]),
         np.block([[Bu @ loop.N, E], [B + loop.KL @ Du @ loop.N, loop.KL @ F]]),
         np.hstack([plant.C, -Du @ K]),
@@ -210,20 +192,7 @@ def _close(loop, plant):
 
 
 def with_noise(loop: CurrentTrialLoop, plant=None) -> control.StateSpace:
-    """The loop (19) with an error in the measured outputs as a further input.
-
-    Parameters
-    ----------
-    loop : CurrentTrialLoop
-    plant : control.StateSpace or control.TransferFunction, optional
-        Another plant, as in :meth:`CurrentTrialLoop.around`.
-
-    Returns
-    -------
-    control.StateSpace
-        As ``loop.closed``, without names, and with m inputs more: what is added to y before the
-        observer (16) sees it. The outputs are y themselves, and not what is measured of them.
-    """
+    """The loop (19) with m inputs more: what is added to y before the observer (16) sees it."""
     closed = loop.closed if plant is None else loop.around(plant)
     m = loop.plant.noutputs
     enters = np.zeros((closed.nstates, m))
@@ -233,20 +202,9 @@ def with_noise(loop: CurrentTrialLoop, plant=None) -> control.StateSpace:
 
 
 def reply(loop: CurrentTrialLoop) -> control.StateSpace:
-    """What the controls u of the loop (19) answer to w and to an error in the measured outputs.
-
-    With it the same controller around another plant can be computed from the loop as designed,
-    which is stable, and not from the controller alone, which integrates.
-
-    Parameters
-    ----------
-    loop : CurrentTrialLoop
-
-    Returns
-    -------
-    control.StateSpace
-        2m inputs: w, then what is added to y before the observer (16) sees it. m outputs: u.
-    """
+    """From w and what is added to y before the observer (16) sees it to the controls u, (18)."""
+    # With it the controller around another plant can be computed from the loop as designed, which
+    # is stable, and not from the controller alone, which integrates.
     noisy, m = with_noise(loop), loop.plant.noutputs
     B = np.hstack([noisy.B[:, :m], noisy.B[:, -m:]])
     _, _, K = _controller(loop)

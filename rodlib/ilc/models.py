@@ -31,8 +31,7 @@ def frequency_response(system: control.StateSpace, omega) -> np.ndarray:
     Raises
     ------
     ValueError
-        If the system is not finite or has no sampling period, or `omega` does not hold numbers in
-        a row, or one of them is the frequency of a pole.
+        If a frequency is that of a pole, or the system is of no known sampling period.
     """
     arguments.state_space("system", system)
     omega = arguments.row("omega", omega)
@@ -54,16 +53,15 @@ def solve_off_poles(left, right) -> np.ndarray:
         ) from None
 
 
-def unreachable_modes(A, B, tolerance: float = 1e-9) -> tuple[np.ndarray, np.ndarray]:
+def unreachable_modes(A, B) -> tuple[np.ndarray, np.ndarray]:
     """Modes that no input can excite, by Hautus's test.
 
     Parameters
     ----------
     A, B : array_like, shapes (n, n), (n, m)
-        Of a model in continuous or discrete time. For unobservable modes pass A', C'.
-    tolerance : float
-        A mode counts as unreachable if the smallest singular value of [lambda I - A, B], with
-        both blocks scaled to norm one, is below it.
+        Of a model in continuous or discrete time. For unobservable modes pass A', C'. A mode counts
+        as unreachable if the smallest singular value of [lambda I - A, B], with both blocks scaled
+        to norm one, is below 1e-9.
 
     Returns
     -------
@@ -79,7 +77,7 @@ def unreachable_modes(A, B, tolerance: float = 1e-9) -> tuple[np.ndarray, np.nda
             continue
         pencil = np.hstack([(eigenvalue * np.eye(len(A)) - A) / scale_A, B / scale_B])
         left, singular_values, _ = np.linalg.svd(pencil)
-        silent = left[:, singular_values < tolerance]
+        silent = left[:, singular_values < 1e-9]
         values.extend([eigenvalue] * silent.shape[1])
         vectors.append(silent)
     return np.array(values), np.hstack([np.empty((len(A), 0)), *vectors])
@@ -117,8 +115,7 @@ def minimal_realisation(plant: control.StateSpace, controls: Sequence[str]) -> c
     Raises
     ------
     ValueError
-        If the plant is not finite, if the controls are not different inputs of it, or if they
-        reach nothing that its outputs show.
+        If the controls are not different inputs, or reach nothing that the outputs show.
     """
     arguments.state_space("plant", plant)
     plant = controls_first(plant, controls)
@@ -134,13 +131,7 @@ def minimal_realisation(plant: control.StateSpace, controls: Sequence[str]) -> c
 
 
 def controls_first(plant: control.StateSpace, controls: Sequence[str]) -> control.StateSpace:
-    """The plant with its inputs in the order controls, disturbances.
-
-    Raises
-    ------
-    ValueError
-        If the controls are not different inputs of the plant.
-    """
+    """The plant with its inputs in the order controls, disturbances."""
     names = plant.input_labels
     given = [str(name) for name in controls] if isinstance(controls, Sequence) else []
     if not given or sorted(given) != sorted(set(given) & set(names)):
@@ -156,14 +147,7 @@ def controls_first(plant: control.StateSpace, controls: Sequence[str]) -> contro
 
 
 def sampled_plant(plant: control.StateSpace | control.TransferFunction) -> control.StateSpace:
-    """A plant in discrete time as a state-space model; realises a transfer function.
-
-    Raises
-    ------
-    ValueError
-        If the plant is something else, is not finite, has no sampling period or two signals of the
-        same name, or if a transfer function has more zeros than poles.
-    """
+    """A plant in discrete time as a state-space model; realises a transfer function."""
     if not isinstance(plant, control.TransferFunction):
         arguments.state_space("plant", plant)
     if not (plant.isdtime(strict=True) and plant.dt is not True):
@@ -179,7 +163,7 @@ def sampled_plant(plant: control.StateSpace | control.TransferFunction) -> contr
 def _realised(plant):
     """Realise each entry of a transfer function, then keep the states that all of them need."""
     shape = (plant.noutputs, plant.ninputs)
-    entries = {}
+    entries = []
     for i, j in np.ndindex(shape):
         numerator, denominator = (
             np.trim_zeros(arguments.row(f"plant.{name}", polynomials[i][j]), "f")
@@ -190,13 +174,12 @@ def _realised(plant):
                 f"plant has more zeros than poles from {plant.input_labels[j]} to "
                 f"{plant.output_labels[i]}: it would have to look ahead. Delay it"
             )
-        entries[i, j] = control.ss(control.tf(plant.num[i][j], plant.den[i][j], plant.dt))
+        entries.append(control.ss(control.tf(plant.num[i][j], plant.den[i][j], plant.dt)))
     rows = np.repeat(np.eye(shape[0]), shape[1], axis=0)
     columns = np.tile(np.eye(shape[1]), (shape[0], 1))
-    B, C, D = (block_diag(*(getattr(e, x) for e in entries.values())) for x in "BCD")
+    A, B, C, D = (block_diag(*(getattr(entry, x) for entry in entries)) for x in "ABCD")
     model = control.ss(
-        block_diag(*(entry.A for entry in entries.values())), B @ columns, rows.T @ C,
-        rows.T @ D @ columns, plant.dt,
+        A, B @ columns, rows.T @ C, rows.T @ D @ columns, plant.dt,
         inputs=plant.input_labels, outputs=plant.output_labels, name=plant.name,
     )  # fmt: skip
     return minimal_realisation(model, model.input_labels)

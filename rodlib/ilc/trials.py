@@ -23,8 +23,9 @@ def run_trials(
     initial_state=None,
     rest: int = 0,
     step=1.0,
+    v=None,
 ) -> xr.Dataset:
-    """Simulate trials of the loop (19) under the ILC law (22), (23), starting with v_0 = e_0 = 0.
+    """Simulate trials of the loop (19) under the ILC law (22), (23).
 
     All signals are in the units of the loop's plant.
 
@@ -33,7 +34,7 @@ def run_trials(
     loop : CurrentTrialLoop
         With m controls and outputs and d disturbances.
     Q, L : ZeroPhaseButterworth, LearningOperator
-        L None switches learning off, v = 0 on all trials.
+        L None switches learning off: v stays what it is.
     reference : array_like, shape (time, m) or (trial, time, m)
         Reference trajectory, of all trials or of each.
     disturbance : array_like, shape (time, d) or (trial, time, d), optional
@@ -50,53 +51,52 @@ def run_trials(
         Number of samples at the end of every trial in which v is held at zero.
     step : float or array_like, shape (trials - 1,)
         Of :func:`rodlib.update`, in (0, 1], or one from each trial to the next.
+    v : array_like, shape (time, m), optional
+        ILC signal of the first trial. Default zero.
 
     Returns
     -------
     xarray.Dataset
-        See :func:`dataset`. The error e = reference - y is the one that the controller sees.
+        The signals reference, v, u, y, delta (the estimate of the input disturbance), disturbance,
+        and e = reference - y, the error that the controller sees. Each has the dimensions trial
+        (1, 2, ...), time (s), and channel (1, 2, ...) or source, and its unit as an attribute; the
+        channels have the coordinates output, control, output_unit and control_unit.
 
     Raises
     ------
     ValueError
-        If a shape does not fit the loop, a signal is not finite, the filters do not belong to the
-        loop, `step` is out of range, or `plant` has not the loop's signals and sampling period or
-        makes it unstable.
+        If a signal or a filter does not fit the loop, or `plant` makes it unstable.
     """
     check_law(loop, Q, L)
     closed = with_noise(loop, plant)
     m, n = loop.plant.noutputs, closed.nstates - len(loop.KL)
     trials = arguments.whole("trials", trials, 1)
-    steps = steps_of(step, trials)
-    r = arguments.array("reference", reference, (...,))
-    r = arguments.array("reference", r, (trials, "time", m) if r.ndim == 3 else ("time", m))
-    samples = r.shape[-2]
-    r = np.broadcast_to(r, (trials, samples, m))
+    r = _each_trial("reference", reference, trials, "time", m)
+    shape = trials, samples, _ = r.shape
     rest = arguments.whole("rest", rest, 0, samples - 1)
-    shape = (trials, samples, len(loop.disturbances))
-    d = np.zeros(shape)
-    if disturbance is not None:
-        d = arguments.array("disturbance", disturbance, (...,))
-        d = arguments.array("disturbance", d, shape if d.ndim != 2 else shape[1:])
-        d = np.broadcast_to(d, shape)
-    shape = (trials, samples, m)
+    d = np.zeros((samples, len(loop.disturbances))) if disturbance is None else disturbance
+    d = _each_trial("disturbance", d, trials, samples, len(loop.disturbances))
     noise = np.zeros(shape) if noise is None else arguments.array("noise", noise, shape)
     chi = np.zeros(closed.nstates)
     if initial_state is not None:
         chi[:n] = arguments.array("initial_state", initial_state, (n,))
+    first = np.zeros(shape[1:]) if v is None else arguments.array("v", v, shape[1:])
+    first[samples - rest :] = 0
 
     B, E, K = np.split(closed.B, [m, -m], axis=1)
     D, F, _ = np.split(closed.D, [m, -m], axis=1)
     v, u, y, delta = (np.zeros(shape) for _ in range(4))
-    for k in range(trials):
-        if k and L is not None:
-            e = r[k - 1] - y[k - 1] - noise[k - 1]
-            v[k] = update(v[k - 1], e, Q, L, rest, steps[k - 1])  # (23)
-        w = r[k] + v[k]  # (22)
+
+    def run(k, v_k):
+        v[k] = v_k
+        w = r[k] + v_k  # (22)
         states = state_sequence(closed.A, w @ B.T + d[k] @ E.T + noise[k] @ K.T, chi)  # (19)
         y[k] = states @ closed.C.T + w @ D.T + d[k] @ F.T
         x_hat, delta[k] = states[:, n:-m], states[:, -m:]
         u[k] = w @ loop.N.T - x_hat @ loop.Ks.T - delta[k]  # (18)
+        return r[k] - y[k] - noise[k]
+
+    learn(run, first, Q, L, trials, rest, _steps(step, trials))
     return dataset(
         loop.Ts, loop.outputs, loop.controls, loop.disturbances, loop.units,
         reference=r, v=v, u=u, y=y + noise, delta=delta,
@@ -104,23 +104,26 @@ def run_trials(
     )  # fmt: skip
 
 
-def steps_of(step, trials: int) -> np.ndarray:
-    """The steps from each trial to the next, from one for all or one for each.
+def learn(run, v, Q, L, trials, rest=0, steps=None) -> np.ndarray:
+    """Errors of all trials under the law (23); run(k, v) makes that of trial k, 0 the first."""
+    errors = [run(0, v)]
+    for k in range(1, trials):
+        if L is not None:
+            v = update(v, errors[-1], Q, L, rest, 1.0 if steps is None else steps[k - 1])
+        errors.append(run(k, v))
+    return np.array(errors)
 
-    Parameters
-    ----------
-    step : float or array_like, shape (trials - 1,)
-    trials : int
 
-    Returns
-    -------
-    ndarray, shape (trials - 1,)
+def _each_trial(name, signal, trials, samples, channels):
+    """A signal of all trials, or of each, with the trial as the first axis."""
+    shape = (samples, channels)
+    signal = arguments.array(name, signal, (...,))
+    signal = arguments.array(name, signal, shape if signal.ndim < 3 else (trials, *shape))
+    return np.broadcast_to(signal, (trials, *signal.shape[-2:]))
 
-    Raises
-    ------
-    ValueError
-        If there is another number of them, or one is not in (0, 1].
-    """
+
+def _steps(step, trials):
+    """The steps from each trial to the next, from one for all or one for each."""
     given = arguments.array("step", step, (...,))
     if given.ndim == 0:
         return np.full(trials - 1, arguments.share("step", step))
@@ -129,21 +132,7 @@ def steps_of(step, trials: int) -> np.ndarray:
 
 
 def check_law(loop, Q, L, **periods: float) -> None:
-    """Check that a loop and the filters of the law fit together, and periods (s) of all else.
-
-    Parameters
-    ----------
-    loop : CurrentTrialLoop
-    Q, L : ZeroPhaseButterworth, LearningOperator or None
-    **periods : float
-        Further sampling periods, s; each keyword says whose it is.
-
-    Raises
-    ------
-    ValueError
-        If the sampling periods differ, L has not one channel per output of the loop, or an argument
-        is something else altogether.
-    """
+    """Check that a loop, the filters of the law and further sampling periods fit together."""
     arguments.instance("loop", loop, CurrentTrialLoop)
     arguments.instance("Q", Q, ZeroPhaseButterworth)
     if L is not None:
@@ -153,32 +142,9 @@ def check_law(loop, Q, L, **periods: float) -> None:
 
 
 def state_sequence(A, forcing, initial) -> np.ndarray:
-    """States of x(p+1) = A x(p) + f(p), all at once.
-
-    Parameters
-    ----------
-    A : ndarray, shape (n, n)
-    forcing : ndarray, shape (time, n)
-    initial : ndarray, shape (n,)
-
-    Returns
-    -------
-    ndarray, shape (time, n)
-        x(0) ... x(time - 1).
-
-    Raises
-    ------
-    ValueError
-        If the shapes do not fit, or a value is not finite.
-
-    Notes
-    -----
-    A loop over 2500 samples costs more than the arithmetic in it. The trial is cut into about 50
-    blocks that run side by side from zero; then their initial states are chained and added.
-    """
-    A = arguments.array("A", A, ("n", "n"))
-    forcing = arguments.array("forcing", forcing, ("time", len(A)))
-    initial = arguments.array("initial", initial, (len(A),))
+    """States x(0) ... x(time - 1) of x(p+1) = A x(p) + f(p), all at once, shape (time, n)."""
+    # A loop over 2500 samples costs more than the arithmetic in it. The trial is cut into about 50
+    # blocks that run side by side from zero; then their initial states are chained and added.
     samples, n = forcing.shape
     length = int(np.ceil(np.sqrt(samples)))
     blocks = -(-samples // length)
@@ -210,28 +176,10 @@ def dataset(
 ) -> xr.Dataset:
     """Put the signals of all trials together, with coordinates and units.
 
-    Parameters
-    ----------
-    Ts : float
-        Sampling period, s.
-    outputs, controls : sequence of str
-        Names of the plant's outputs and controls, one of each per channel.
-    sources : sequence of str
-        Names of the disturbances.
-    units : dict
-        Unit of each of these, by name; "" if it is not known.
-    **signals : ndarray, shape (trial, time, channel)
-        reference, v, y in the units of the outputs; u, delta (the estimate of the input
-        disturbance) in those of the controls; disturbance, of shape (trial, time, source).
-
-    Returns
-    -------
-    xarray.Dataset
-        The signals and e = reference - y, each with its unit as an attribute, or ``"name: unit"``
-        for one after the other where they differ; Ts as an attribute. Coordinates trial (1, 2,
-        ...), time (s) and channel (1, 2, ...), with the names and units of the channels as
-        output, control, output_unit, control_unit; source and source_unit if there are
-        disturbances.
+    `outputs`, `controls` and `sources` are the names of the plant's outputs, controls and
+    disturbances, `units` their units by name; "" if one is not known. The signals are those that
+    :func:`run_trials` returns, as far as there are any; where the units of a signal's channels
+    differ, its attribute says ``"name: unit"`` for one after the other.
     """
     signals["e"] = signals["reference"] - signals["y"]
     trials, samples, m = signals["y"].shape

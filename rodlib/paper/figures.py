@@ -1,29 +1,22 @@
-"""Figures: one style, one way of saving, and the two drawings of the paper.
-
-Importing this module sets the style. Saved files do not change between two runs.
-"""
+"""Figures as they are saved and shown; their style is ``plt.style.use("rodlib.paper.style")``."""
 
 from base64 import b64encode
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 
 import matplotlib as mpl
 import matplotlib.pyplot as plt
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, FancyArrowPatch, Rectangle
 
 from rodlib.ilc.files import folder, replacing
 from rodlib.paper.pictures import PIXELS_PER_INCH
 from rodlib.paper.repository import results
-from rodlib.rod import Rod
 
 WIDE = (7.2, 3.2)  # inches, one row of axes
 TALL = (7.2, 5.0)  # inches, two rows of axes
 
-# The paper's line styles: black for the first, gray for the second of a pair, dashed for variants.
+# As in the paper: black for the first, gray for the second of a pair, dashed for variants.
 BLACK = {"color": "black"}
 GRAY = {"color": "0.55"}
 BLACK_DASHED = BLACK | {"linestyle": "--"}
@@ -31,41 +24,13 @@ GRAY_DASHED = GRAY | {"linestyle": "--"}
 ACCENT = {"color": "tab:red"}  # for what the paper does not show
 SHADES = ("black", "0.55", "tab:red", "tab:blue", "tab:green", "tab:orange")  # of channels
 
-mpl.rcParams.update(
-    {
-        "figure.figsize": WIDE,
-        "figure.dpi": 100,
-        "savefig.dpi": PIXELS_PER_INCH,
-        "figure.constrained_layout.use": True,
-        "font.size": 9,
-        "axes.grid": True,
-        "axes.titlesize": 9,
-        "axes.titlelocation": "left",
-        "axes.titley": 1.0,  # fixed: to look for what may be in its way takes long
-        "grid.color": "0.9",
-        "legend.frameon": False,
-        "lines.linewidth": 1.3,
-        "svg.hashsalt": "rodlib",
-    }
-)
-
 
 @dataclass(frozen=True)
 class SavedFigure:
-    """A figure in a file. A notebook shows the file itself: what is read is what is published.
+    """A figure in a file. A notebook shows the file itself: what is read is what is published."""
 
-    Parameters
-    ----------
-    path : Path
-        The PNG file.
-    width : int
-        On the screen, in pixels; the file has more, for print.
-    caption : str
-        Stands below the figure, and in its place for who cannot see it.
-    """
-
-    path: Path
-    width: int
+    path: Path  # of the PNG file
+    width: int  # on the screen, in pixels; the file has more, for print
     caption: str
 
     def __repr__(self) -> str:
@@ -86,7 +51,7 @@ class SavedFigure:
 def save(figure: Figure, name: str, caption: str) -> SavedFigure:
     """Write a figure to build/figures, or to the folder of the run, as PNG and PDF, and close it.
 
-    The same bytes in every run.
+    The same bytes in every run. As the last expression of a cell, the outcome shows the figure.
 
     Parameters
     ----------
@@ -95,147 +60,29 @@ def save(figure: Figure, name: str, caption: str) -> SavedFigure:
         Without ending; begins with the paper's figure, as in "fig04-frequency-response".
     caption : str
         A sentence or two, plain text, that say what is to be seen; they stand for themselves.
-
-    Returns
-    -------
-    SavedFigure
-        As the last expression of a cell, it shows the figure.
-
-    Raises
-    ------
-    RuntimeError
-        Outside a clone of the repository.
     """
     target = folder(results("figures.save") / "figures")
     width = round(figure.get_figwidth() * figure.get_dpi())
     with _laid_out(figure):
         for ending, metadata in (("png", {"Software": None}), ("pdf", {"CreationDate": None})):
             with replacing(target / f"{name}.{ending}") as temporary:
-                figure.savefig(temporary, format=ending, metadata=metadata)
+                figure.savefig(temporary, dpi=PIXELS_PER_INCH, format=ending, metadata=metadata)
     plt.close(figure)  # or the notebook would draw it once more
     return SavedFigure(target / f"{name}.png", width, caption)
 
 
 def plain(name: str) -> str:
-    """A name from outside, as a label shows it to the letter.
-
-    Parameters
-    ----------
-    name : str
-        Of a signal in a log: its ``$`` begins no formula, and a ``_`` in front, by which matplotlib
-        would leave it out of a legend, is behind a space.
-
-    Returns
-    -------
-    str
-    """
+    """A name from outside, as a label shows it to the letter: no formula, and not left out."""
     shown = name.replace("$", r"\$")
     return f" {shown}" if shown.startswith("_") else shown
 
 
 @contextmanager
 def _laid_out(figure):
-    """Lay a figure out once, as its files need it, and leave it without an engine for the layout.
-
-    With one, even with "none", savefig draws the figure twice for every file.
-    """
+    """Lay a figure out once; with an engine for it, savefig would draw it twice for every file."""
     if figure.get_layout_engine():
-        figure.set_dpi(mpl.rcParams["savefig.dpi"])  # a text is not as wide with another
+        figure.set_dpi(PIXELS_PER_INCH)  # a text is not as wide with another
         figure.get_layout_engine().execute(figure)
     with mpl.rc_context({"figure.constrained_layout.use": False}):  # or savefig brings it back
         figure.set_layout_engine(None)
         yield
-
-
-def draw_rod(axes: Axes, rod: Rod) -> None:
-    """Draw the rod with its Peltier elements and sensors, to scale along z (the paper's Fig. 2)."""
-    axes.set_axis_off()
-    length, section = rod.length * 1e3, rod.length * 1e3 / rod.sections
-    axes.add_patch(Rectangle((0, 0), length, 12, facecolor="0.85", edgecolor="black"))
-    axes.text(-4, 6, "insulated", ha="right", va="center", fontsize=8)
-    axes.text(length + 4, 6, "insulated", ha="left", va="center", fontsize=8)
-    for i in range(rod.sections):
-        middle = (i + 0.5) * section
-        axes.add_patch(
-            Rectangle((i * section + 2, -9), section - 4, 8, facecolor="white", edgecolor="black")
-        )
-        axes.text(middle - 4, -5.2, f"Peltier {i + 1}", ha="right", va="center", fontsize=7)
-        axes.annotate(
-            "", (middle, 3), (middle, -17), arrowprops={"arrowstyle": "-|>", "color": "tab:red"}
-        )
-        axes.text(middle + 3, -15, rf"$\dot Q_{{{i + 1}}}(t)$", color="tab:red", va="center")
-    for i, z in enumerate(rod.sensors):
-        axes.plot(z * 1e3, 12, "o", color="tab:blue", clip_on=False, zorder=3)
-        axes.text(z * 1e3 + 4, 16, rf"$y_{i + 1}$ at {z * 1e3:g} mm", color="tab:blue", va="center")
-    axes.text(length * 0.02, 16, r"air, $\vartheta_a(t)$", va="center")
-    for edge in rod.edges * 1e3:
-        axes.plot([edge, edge], [-24, -21], **BLACK)
-        axes.text(edge, -26, f"{edge:g}", ha="center", va="top")
-    axes.annotate("", (length + 14, -22.5), (0, -22.5), arrowprops={"arrowstyle": "->"})
-    axes.text(length + 15, -22.5, "z (mm)", va="center")
-    axes.set_xlim(-40, length + 48)
-    axes.set_ylim(-32, 20)
-
-
-def draw_block_diagram(axes: Axes) -> None:
-    """Draw the control scheme: ILC around the current-trial loop (the paper's Fig. 3)."""
-    axes.set_axis_off()
-    axes.set_xlim(0, 15.2)
-    axes.set_ylim(0, 8.2)
-
-    def block(x, y, width, height, text, **style):
-        box = Rectangle((x, y), width, height, facecolor="white", edgecolor="black", **style)
-        axes.add_patch(box)
-        axes.text(x + width / 2, y + height / 2, text, ha="center", va="center")
-
-    def arrow(*points, label="", offset=(0.1, 0.25)):
-        for start, stop in pairwise(points[:-1]):
-            axes.plot(*zip(start, stop, strict=True), color="black", linewidth=1)
-        head = {"arrowstyle": "-|>", "mutation_scale": 9, "shrinkA": 0, "shrinkB": 0}
-        axes.add_patch(FancyArrowPatch(*points[-2:], color="black", **head))
-        axes.text(points[0][0] + offset[0], points[0][1] + offset[1], label)
-
-    def sum_at(x, y, *signs):
-        axes.add_patch(Circle((x, y), 0.22, facecolor="white", edgecolor="black"))
-        for dx, dy, sign in signs:
-            axes.text(x + dx, y + dy, sign, fontsize=8, ha="center", va="center")
-
-    # the current-trial loop
-    axes.add_patch(Rectangle((4.35, 0.25), 9.35, 4.6, facecolor="0.94", edgecolor="none"))
-    axes.text(4.5, 0.4, "current-trial loop, $P$", fontsize=8, color="0.35")
-    block(4.8, 3.4, 1.0, 0.9, "$N$")
-    sum_at(7.0, 3.85, (-0.38, -0.3, "$-$"), (0.32, -0.42, "$-$"))
-    block(9.3, 3.4, 2.2, 0.9, "plant (12)")
-    block(9.3, 1.2, 2.2, 1.2, "observer\n(16)")
-    block(7.35, 0.75, 1.0, 0.8, "$K_s$")
-    arrow((5.8, 3.85), (6.78, 3.85))
-    arrow((7.22, 3.85), (9.3, 3.85), label="$u$", offset=(0.5, 0.18))
-    arrow((10.4, 5.5), (10.4, 4.3), label="$d$", offset=(0.15, -0.2))
-    arrow((11.5, 3.85), (15.0, 3.85), label="$y$", offset=(2.9, 0.18))
-    arrow((12.4, 3.85), (12.4, 1.8), (11.5, 1.8))
-    arrow((8.7, 3.85), (8.7, 2.15), (9.3, 2.15))
-    arrow((9.3, 1.75), (7.1, 1.75), (7.1, 3.63), label=r"$\hat\delta$", offset=(-1.3, 0.12))
-    arrow((9.3, 1.35), (9.0, 1.35), (9.0, 1.15), (8.35, 1.15))
-    axes.text(8.95, 0.75, r"$\hat x$")
-    arrow((7.35, 1.15), (6.9, 1.15), (6.9, 3.63))
-    # the learning between trials
-    sum_at(2.9, 3.85)
-    arrow((0.2, 3.85), (2.68, 3.85), label=r"$y^{\mathrm{ref}}$", offset=(0.1, 0.2))
-    arrow((3.12, 3.85), (4.8, 3.85), label="$w_{k+1}$", offset=(0.25, 0.18))
-    axes.plot(12.4, 3.85, "k.", markersize=5)
-    axes.plot(8.7, 3.85, "k.", markersize=5)
-    axes.plot(1.3, 3.85, "k.", markersize=5)
-    sum_at(12.4, 6.9, (0.3, -0.42, "$-$"))
-    arrow((12.4, 3.85), (12.4, 6.68))
-    arrow((1.3, 3.85), (1.3, 7.9), (12.4, 7.9), (12.4, 7.12))
-    block(10.0, 6.45, 1.0, 0.9, "$L$")
-    arrow((12.18, 6.9), (11.0, 6.9), label="$e_k$", offset=(-0.75, 0.18))
-    sum_at(8.7, 6.9)
-    arrow((10.0, 6.9), (8.92, 6.9))
-    block(6.3, 6.45, 1.0, 0.9, "$Q$")
-    arrow((8.48, 6.9), (7.3, 6.9))
-    block(4.1, 5.6, 1.6, 0.7, "memory", linestyle="--")
-    arrow((6.3, 6.9), (2.9, 6.9), (2.9, 4.07), label="$v_{k+1}$", offset=(-2.0, 0.18))
-    arrow((3.5, 6.9), (3.5, 5.95), (4.1, 5.95))
-    arrow((5.7, 5.95), (8.7, 5.95), (8.7, 6.68), label="$v_k$", offset=(0.3, 0.15))
-    axes.plot(3.5, 6.9, "k.", markersize=5)

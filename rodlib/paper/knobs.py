@@ -14,13 +14,7 @@ UNITS = {
 
 
 def plant_of_rod(rod: Rod) -> Plant:
-    """The paper's loop around a rod, with the assumed reference and disturbances of Section IV.
-
-    Raises
-    ------
-    ValueError
-        As :func:`rodlib.paper_loop`.
-    """
+    """The paper's loop around a rod, with the assumed reference and disturbances of Section IV."""
     arguments.instance("rod", rod, Rod)
     changed = [f.name for f in fields(Rod) if getattr(rod, f.name) != f.default]
     given = ", ".join(f"{name}={getattr(rod, name)!r}" for name in changed)

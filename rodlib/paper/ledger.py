@@ -7,7 +7,8 @@ records its part; :mod:`rodlib.paper.reproduce` joins the parts once all noteboo
 
 Rows are of three kinds. *Evidence* could have come out otherwise. *Taken over* are the parameters
 that we use because the paper prints them; an *identity* holds by construction, or follows from
-other rows. Only evidence is counted in the README.
+other rows. Only evidence is counted in the README, and the coefficients of (39) in a row of their
+own, because the optimum that they belong to is flat.
 
 A number is shown to the last digit that the paper prints: more would say nothing about the
 agreement, and the coefficients of a flat optimum are not determined further. Between processors,
@@ -33,48 +34,21 @@ REPRODUCED, DIFFERS = "reproduced", "differs"
 IN_WORDS, UNCHECKED = "in words", "cannot be checked"
 OTHER = "not the paper's parameters"
 VERDICTS = (REPRODUCED, DIFFERS, IN_WORDS, UNCHECKED)
+DEVIATIONS = Path(__file__).with_name("deviations.md")
 WORDS = "words: "  # begins a criterion that is a sentence with a place for the number
 EVIDENCE = "evidence"
 NOISE = 1e-9  # what is smaller is rounding, and not the same on two machines
 BELOW_NOISE = f"below {NOISE:g}"
 SIGNIFICANT = 5  # digits of a number that tests a statement in words
+COEFFICIENT = r"L_(?:diagonal|full)\["  # how the key of one of (39) begins
 COLUMNS = [
-    "key",
-    "place",
-    "claim",
-    "printed",
-    "computed",
-    "deviation",
-    "verdict",
-    "kind",
-    "note",
+    "key", "place", "claim", "printed", "computed", "deviation", "verdict", "kind", "note",
     "notebook",
-]
-
-# The tables in the notebooks show whole sentences.
-pd.set_option("display.max_colwidth", None, "display.max_rows", None, "display.width", 200)
+]  # fmt: skip
 
 
 def verdict(claim: Claim, computed: float) -> tuple[str, float]:
-    """Judge a computed number.
-
-    Parameters
-    ----------
-    claim : Claim
-    computed : float
-
-    Returns
-    -------
-    verdict : str
-        "reproduced", "differs" or "in words".
-    deviation : float
-        From the printed number; for a statement, by how much its criterion is missed, else 0.
-
-    Raises
-    ------
-    ValueError
-        If the criterion of the claim is not understood.
-    """
+    """Judge a number; the deviation is that from the printed one, or from a criterion missed."""
     if claim.criterion.startswith(WORDS):
         return IN_WORDS, 0.0
     if not claim.criterion:
@@ -94,7 +68,7 @@ def verdict(claim: Claim, computed: float) -> tuple[str, float]:
 
 
 class Ledger:
-    """The rows of one notebook.
+    """The rows of one notebook, in which pandas then shows whole sentences.
 
     Parameters
     ----------
@@ -106,6 +80,7 @@ class Ledger:
     """
 
     def __init__(self, notebook: str, **parameters):
+        pd.set_option("display.max_colwidth", None, "display.max_rows", None, "display.width", 200)
         self.notebook = notebook
         self.rows = {}
         known = published.claims()
@@ -143,6 +118,7 @@ class Ledger:
             shown = _shown(claim, float(computed))
             if shown != BELOW_NOISE and outcome != IN_WORDS:
                 deviation = verdict(claim, float(shown))[1]
+        criterion = f"criterion: {claim.criterion}" if re.match("[<=>]", claim.criterion) else ""
         self.rows[key] = {
             "key": key,
             "place": claim.place,
@@ -152,7 +128,7 @@ class Ledger:
             "deviation": f"{deviation:.1e}" if abs(deviation) > NOISE else "",
             "verdict": outcome if self.papers_parameters or outcome == UNCHECKED else OTHER,
             "kind": claim.kind,
-            "note": "; ".join(filter(None, [_criterion_in_words(claim), claim.note])),
+            "note": "; ".join(filter(None, [criterion, claim.note])),
             "notebook": self.notebook,
         }
 
@@ -185,13 +161,7 @@ class Ledger:
         return rows.set_index("place")[["claim", "printed", "computed", "deviation", "verdict"]]
 
     def save(self) -> None:
-        """Write the rows to build/ledger, or to the folder of the run, which joins them.
-
-        Raises
-        ------
-        RuntimeError
-            Outside a clone of the repository.
-        """
+        """Write the rows to build/ledger, or to the folder of the run, which joins them."""
         rows = pd.DataFrame(self.rows.values(), columns=COLUMNS)
         path = folder(results("Ledger.save") / "ledger") / f"{self.notebook}.csv"
         write_whole(path, rows.to_csv(index=False, lineterminator="\n"))
@@ -210,27 +180,8 @@ def _shown(claim, value):
     return next(text for text in texts if verdict(claim, float(text))[0] == outcome)
 
 
-def _criterion_in_words(claim):
-    if claim.criterion in ("", UNCHECKED) or "+-" in claim.criterion:
-        return ""
-    if claim.criterion.startswith(WORDS):
-        return ""
-    return f"criterion: {claim.criterion}"
-
-
 def join(parts: Path) -> pd.DataFrame:
-    """Join the notebooks' rows in the order of the paper.
-
-    Parameters
-    ----------
-    parts : Path
-        Folder with one CSV file per notebook.
-
-    Raises
-    ------
-    ValueError
-        If a claim has no row, or more than one.
-    """
+    """The rows of all notebooks, a CSV file each, in the order of the paper: one for each claim."""
     paths = sorted(parts.glob("*.csv"))
     tables = [pd.read_csv(path, dtype=str, keep_default_na=False) for path in paths]
     rows = pd.concat(tables) if tables else pd.DataFrame(columns=COLUMNS)
@@ -242,21 +193,28 @@ def join(parts: Path) -> pd.DataFrame:
 
 
 def summary(rows: pd.DataFrame) -> str:
-    """Counts of the verdicts by notebook, and all that is not simply reproduced, as Markdown."""
+    """What the README says of the results: the counts, and the statements that differ."""
+    statements = rows[(rows.verdict == DIFFERS) & ~rows.key.str.match(COEFFICIENT)]
+    return f"{_counts(rows)}\nBeside coefficients, these differ:\n\n{_reasons(statements)}"
+
+
+def _counts(rows):
+    """How many claims of each notebook got which verdict, as Markdown."""
     evidence = rows[rows.kind == EVIDENCE]
-    counts = pd.crosstab(evidence.notebook, evidence.verdict)
+    coefficients = evidence.key.str.match(COEFFICIENT)
+    counts = pd.crosstab(
+        evidence.notebook.mask(coefficients, "coefficients of (39), a flat optimum"),
+        evidence.verdict,
+    )
     counts = counts.reindex(columns=VERDICTS, fill_value=0)
     counts.loc["**all**"] = counts.sum()
     others = rows[rows.kind != EVIDENCE]
     kinds = ", ".join(f"{n} {kind}" for kind, n in others.kind.value_counts(sort=False).items())
     agree = (others.verdict == REPRODUCED).sum()
-    rest = (
-        f"Not counted, because they could hardly differ: {kinds}; {agree} of {len(others)} agree."
+    return (
+        f"{counts.rename_axis(None, axis=1).to_markdown()}\n\nNot counted, because they could "
+        f"hardly differ: {kinds}; {agree} of {len(others)} agree.\n"
     )
-    lines = [rest, "", "What differs:", "", *_reasons(rows[rows.verdict == DIFFERS])]
-    words = rows[rows.verdict == IN_WORDS]
-    lines += ["", "What holds in part, or as far as words can tell:", "", *_reasons(words)]
-    return counts.rename_axis(None, axis=1).to_markdown() + "\n\n" + "\n".join(lines) + "\n"
 
 
 def _reasons(rows):
@@ -275,31 +233,36 @@ def _reasons(rows):
         else:
             text = f"{first.claim}: printed “{first.printed}”, computed {first.computed}"
         lines.append(f"- {first.place}: {text}" + (f" ({first.note})" if first.note else ""))
-    return lines or ["- nothing"]
+    return "\n".join(lines or ["- nothing"]) + "\n"
 
 
 def markdown(rows: pd.DataFrame) -> str:
-    """The whole ledger as a readable page."""
+    """The whole ledger as a readable page, with what we do otherwise than the paper."""
     table = rows.drop(columns="key").replace({r"\|": r"\|"}, regex=True)
-    return (
-        "# Printed against computed\n\n"
-        "Written by `make reproduce`. *Reproduced*: within half a unit of the last printed digit, "
-        "or, for a statement in words, the criterion named in its note holds. The criteria are "
-        "ours. *Evidence* could have come out otherwise; what is *taken over* or an *identity* "
-        "could not. Gains depend on the state coordinates; they are compared after one orthogonal "
-        "change of coordinates, and through products that do not depend on it.\n\n"
-        f"{summary(rows)}\n## All rows\n\n{table.to_markdown(index=False, disable_numparse=True)}\n"
-    )
+    return f"""# Printed against computed
+
+Written by `make reproduce`. *Reproduced*: within half a unit of the last printed digit, or, for a
+statement in words, the criterion named in its note holds. The criteria are ours. *Evidence* could
+have come out otherwise; what is *taken over* or an *identity* could not.
+
+{_counts(rows)}
+What differs:
+
+{_reasons(rows[rows.verdict == DIFFERS])}
+What holds in part, or as far as words can tell:
+
+{_reasons(rows[rows.verdict == IN_WORDS])}
+## Deviations from the paper
+
+{DEVIATIONS.read_text(encoding="utf-8")}
+## All rows
+
+{table.to_markdown(index=False, disable_numparse=True)}
+"""
 
 
 def splice(text: str, name: str, content: str) -> str:
-    """Replace what stands between the two markers `name` of a Markdown text.
-
-    Raises
-    ------
-    ValueError
-        If the text does not have the two markers.
-    """
+    """Replace what stands between the two markers `name` of a Markdown text."""
     start, end = f"<!-- {name} -->\n", f"<!-- end of {name} -->"
     before, found, rest = text.partition(start)
     _, closed, after = rest.partition(end)
@@ -309,25 +272,7 @@ def splice(text: str, name: str, content: str) -> str:
 
 
 def publish(build: Path, root: Path) -> None:
-    """Put the results of a complete run into figures/ and the README: all of them or none.
-
-    What shows the same as the file that is there, which is the tracked one unless an earlier run
-    has replaced it, leaves that file alone. The last line printed names all the rest.
-
-    Parameters
-    ----------
-    build : Path
-        Folder of the run.
-    root : Path
-        The repository. What `make bench` and a reader put into figures/ stays there.
-
-    Raises
-    ------
-    ValueError
-        If the rows do not make a complete ledger, or the README has no place for it.
-    RuntimeError
-        See :func:`rodlib.paper.repository.publishing`.
-    """
+    """Put what a complete run has changed into figures/ and the README, and print what that is."""
     rows = join(build / "ledger")
     with publishing(root) as new:
         figures, texts = changes(rows, build, root)

@@ -22,19 +22,9 @@ SAME, DIFFERENT, NEW, GONE = "the same", "different", "new", "gone"
 
 
 def compared(drawn: Path, before: Path) -> dict[str, str]:
-    """What has become of each figure of the notebooks, by name and in order.
+    """What has become of each figure: "the same", "different", "new" or "gone", by name, in order.
 
     A figure is the same if its PNG and its PDF are, so that both are kept or replaced together.
-
-    Parameters
-    ----------
-    drawn, before : Path
-        Folders.
-
-    Returns
-    -------
-    dict
-        "the same", "different", "new" or "gone".
     """
     new, old = _files_by_figure(drawn), _files_by_figure(before)
     found = dict.fromkeys(sorted(old | new), SAME)
@@ -63,13 +53,7 @@ def _files_by_figure(folder: Path) -> dict[str, dict[str, Path]]:
 
 
 def distance(one: Path, other: Path) -> float:
-    """How far things have moved from one picture to the other, in points.
-
-    Returns
-    -------
-    float
-        At most; inf if the pictures differ by something else, or one cannot be read.
-    """
+    """How far things have moved, in points, at most; inf if there is another difference."""
     try:
         if one.read_bytes() == other.read_bytes():
             return 0.0

@@ -61,11 +61,7 @@ def _table(name):
 
 
 def matrix(name: str) -> np.ndarray:
-    """A printed matrix, one of `MATRICES`.
-
-    ``K_s`` is (2, 10), ``K_L`` (12, 2), ``N`` (2, 2); the coefficients ``L_diagonal`` and
-    ``L_full`` are (2, 2, 10) as in :class:`rodlib.LearningFilter`.
-    """
+    """A printed matrix, one of `MATRICES`, filters with the shape of their coefficients."""
     values = np.array([[number(entry) for entry in row[1:]] for row in _table(name)[1:]])
     if name == "K_s":
         return values.T

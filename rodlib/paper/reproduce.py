@@ -1,10 +1,9 @@
 """All notebooks end to end, and their results published: what ``make reproduce`` runs.
 
-Three notebooks run at a time, each in a kernel of its own; a terminal shows the cell that each is
-in and the time left, by what the cells took in the last run if there was one. The executed
-notebooks, their figures and their parts of the ledger go to build/reproduce; only when all have
-succeeded, they go to figures/ and the README. ``make replay`` runs one notebook on another log, in
-build/replay, and publishes nothing.
+Three notebooks run at a time, each in a kernel of its own; a terminal shows how many cells are
+left. The executed notebooks, their figures and their parts of the ledger go to build/reproduce;
+only when all have succeeded, they go to figures/ and the README. ``make replay`` runs a notebook of
+its own on another log, in build/replay, and publishes nothing.
 """
 
 import json
@@ -16,34 +15,21 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 
 from tqdm import tqdm
 
 from rodlib.ilc.files import alone, folder
 from rodlib.paper.ledger import publish
-from rodlib.paper.repository import ROOT, checkout, finish_publishing
+from rodlib.paper.repository import ROOT, checkout
 
+REPORT = Path(__file__).with_name("replay.ipynb")
 AT_A_TIME = 3  # two processors stay busy while a kernel starts or ends
 
 
 @contextmanager
 def folder_of_run(command: str, root: Path) -> Iterator[Path]:
-    """An empty folder in build/ that the kernels of this process save to, and no other run.
-
-    Parameters
-    ----------
-    command : str
-        The target of make; its next run clears the folder.
-    root : Path
-        The repository.
-
-    Raises
-    ------
-    RuntimeError
-        If the same command is running already, or `root` is no clone of the repository.
-    """
+    """An empty folder in build/ that the kernels of this process save to, and no other run."""
     build = folder(checkout(f"make {command}", root) / "build")
     refusal = f"make {command} is already running in {root}: wait until it has ended"
     with alone(build / f"{command}.lock", refusal):
@@ -57,48 +43,10 @@ def folder_of_run(command: str, root: Path) -> Iterator[Path]:
         yield results
 
 
-def seconds_by_cell(executed: Path, notebook: Path) -> list[float]:
-    """How long each cell took in an earlier run; as if they were alike, if that cannot be said.
+def run(notebook: Path, executed: Path, bar: tqdm | None = None, **parameters) -> float:
+    """Execute a notebook in its own folder, in a new kernel, and say how many seconds it took.
 
-    Parameters
-    ----------
-    executed : Path
-        What :func:`run` wrote, if it is there.
-    notebook : Path
-        As it is now.
-    """
-    count = len(json.loads(notebook.read_text(encoding="utf-8"))["cells"])
-    try:
-        cells = json.loads(executed.read_text(encoding="utf-8"))["cells"]
-        seconds = [float(cell["metadata"]["papermill"]["duration"]) for cell in cells]
-    except (OSError, ValueError, KeyError, TypeError):  # no run, or one that did not end
-        seconds = []
-    return seconds if len(seconds) == count else [1.0] * count
-
-
-def run(notebook: Path, executed: Path, seconds: list[float] | None = None, **parameters) -> float:
-    """Execute a notebook in its own folder, in a new kernel.
-
-    Parameters
-    ----------
-    notebook : Path
-        Stays as it is.
-    executed : Path
-        Where to write the notebook with its outputs, also if a cell fails.
-    seconds : list of float, optional
-        What each cell may take, from :func:`seconds_by_cell`, for the time left on a terminal.
-    **parameters
-        Instead of those in its cell.
-
-    Returns
-    -------
-    float
-        How long it took, in seconds.
-
-    Raises
-    ------
-    RuntimeError
-        If a cell fails or the kernel dies; the message says which and how.
+    It is written with its outputs also if a cell fails or the kernel dies: a RuntimeError says so.
     """
     # jsonschema, which reads notebooks, builds a grammar of web addresses if it finds the package:
     # two seconds for nothing.
@@ -106,11 +54,6 @@ def run(notebook: Path, executed: Path, seconds: list[float] | None = None, **pa
     import papermill
 
     start = time.perf_counter()
-    seconds = seconds or seconds_by_cell(executed, notebook)
-    bar = tqdm(
-        total=sum(seconds), desc=f"{notebook.stem:<22}", leave=False, disable=None,
-        bar_format="{desc} {bar:20} {remaining} left{postfix}",
-    )  # fmt: skip
     try:
         papermill.execute_notebook(
             notebook,
@@ -121,7 +64,7 @@ def run(notebook: Path, executed: Path, seconds: list[float] | None = None, **pa
             # papermill's own `cwd` is that of the whole process, not of one thread
             resources={"metadata": {"path": str(notebook.parent)}},
             shutdown_kernel="immediate",  # all is written by then
-            on_cell_start=partial(_show, bar, seconds),
+            on_cell_complete=lambda **cell: bar is None or bar.update(),
         )
     except papermill.PapermillExecutionError as error:
         raise RuntimeError(
@@ -130,43 +73,23 @@ def run(notebook: Path, executed: Path, seconds: list[float] | None = None, **pa
         ) from None
     except Exception as error:
         raise RuntimeError(f"{notebook.stem} failed: {error}") from error
-    finally:
-        bar.close()
     return time.perf_counter() - start
-
-
-def _show(bar, seconds, cell, cell_index):
-    bar.n = sum(seconds[:cell_index])
-    bar.set_postfix_str(f"cell {cell_index + 1} of {len(seconds)}")
 
 
 def reproduce(root: Path = ROOT) -> None:
     """Run all notebooks and publish the figures and the ledger; on an error, publish nothing.
 
-    Parameters
-    ----------
-    root : Path
-        The repository. Its build/reproduce is cleared, what differs in its figures/ replaced.
-
-    Raises
-    ------
-    RuntimeError
-        If a notebook fails, the command is running already, or `root` is no clone.
-    ValueError
-        If the notebooks' rows do not make a complete ledger.
+    Clears build/reproduce, and replaces in figures/ what differs.
     """
-    notebooks, last = sorted((root / "notebooks").glob("*.ipynb")), root / "build" / "reproduce"
-    seconds = {path: seconds_by_cell(last / path.name, path) for path in notebooks}
-    # the longest first, so that the last to end are short; as yet unknown, those with most cells
-    notebooks.sort(key=lambda path: sum(seconds[path]), reverse=True)
+    texts = {path: path.read_text("utf-8") for path in sorted((root / "notebooks").glob("*.ipynb"))}
+    cells = {path: len(json.loads(text)["cells"]) for path, text in texts.items()}
+    notebooks = sorted(cells, key=cells.get, reverse=True)  # so that the last to end are short
     with folder_of_run("reproduce", root) as build:
-        if finish_publishing(root):
-            print("the results of an earlier run, which was interrupted, are published now")
         print(f"running {len(notebooks)} notebooks, {AT_A_TIME} at a time ...", flush=True)
-        with ThreadPoolExecutor(AT_A_TIME) as pool:
+        bar = tqdm(total=sum(cells.values()), unit="cell", leave=False, disable=None)
+        with bar, ThreadPoolExecutor(AT_A_TIME) as pool:
             running = {
-                pool.submit(run, path, build / path.name, seconds[path]): path.stem
-                for path in notebooks
+                pool.submit(run, path, build / path.name, bar): path.stem for path in notebooks
             }
             for done in as_completed(running):
                 if done.exception():
@@ -177,28 +100,13 @@ def reproduce(root: Path = ROOT) -> None:
 
 
 def replay(log: str, root: Path = ROOT) -> None:
-    """Run the notebook of the experiment on a log of one's own, and print what it found.
+    """Print what a log of one's own shows, and make a report of it with pictures in build/replay.
 
-    Publishes nothing. Beside the executed notebook, the v of the next trial is written as a table.
-
-    Parameters
-    ----------
-    log : str
-        Path of the log, from the present folder.
-    root : Path
-        The repository. Its build/replay is cleared, unless the log cannot be used.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such log.
-    LogError
-        If it cannot be used.
-    RuntimeError
-        As :func:`reproduce`.
+    The v of the next trial is written beside it, as a table. What an earlier replay has left there
+    is cleared, unless the log cannot be used.
     """
     from rodlib.ilc.laboratory import load_log, replay_of  # here, because they take long to import
-    from rodlib.paper.rig_logs import papers_loop
+    from rodlib.ilc.laboratory.report import save_following, summary
 
     checkout("make replay", root)
     path = Path(log)
@@ -208,16 +116,16 @@ def replay(log: str, root: Path = ROOT) -> None:
     if not path.is_file():
         what = "is a folder, not a log" if path.is_dir() else "is not there"
         raise FileNotFoundError(f"{path} {what}: make replay LOG=path")
-    replayed = replay_of(load_log(path), papers_loop(path))
-    notebook = root / "notebooks" / "05-experiment-replay.ipynb"
+    replayed = replay_of(load_log(path))
     with folder_of_run("replay", root) as build:
-        executed, table = build / notebook.name, build / "next-trial.csv"
-        print(replayed)
+        report, table = build / REPORT.name, build / "next-trial.csv"
+        print(summary(replayed))
         if replayed.law is not None:
-            replayed.save_following(table)
+            save_following(replayed, table)
             print(f"v of trial {replayed.numbers[-1] + 1}: {table.relative_to(root)}")
-        print(f"pictures and explanations: {executed.relative_to(root)} ...", flush=True)
-        run(notebook, executed, log=str(path), no_learning="", untold=[])
+        print(f"pictures and explanations: {report.relative_to(root)} ...", flush=True)
+        shutil.copy(REPORT, report)
+        run(report, report, log=str(path))
 
 
 def main(root: Path = ROOT, log: str | None = None) -> None:

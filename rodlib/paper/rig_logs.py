@@ -3,16 +3,14 @@
 import json
 import sys
 from dataclasses import asdict
-from pathlib import Path
 
 import numpy as np
 
 from rodlib.case import assumed_disturbance, assumed_reference, paper_loop
 from rodlib.ilc.filters import LearningFilter, zero_phase_butterworth
 from rodlib.ilc.laboratory import record, save_log
-from rodlib.ilc.loop import CurrentTrialLoop
 from rodlib.paper import published
-from rodlib.paper.repository import ROOT, checkout
+from rodlib.paper.repository import checkout
 from rodlib.rigs import VirtualRig
 
 # As many digits as are recorded: heat flows in 0.1 mW, temperatures in 0.1 mK, v in 1 uK.
@@ -28,11 +26,6 @@ def experiment() -> dict:
         "disturbance": np.round(assumed_disturbance(), 6),
         "decimals": DECIMALS,
     }
-
-
-def papers_loop(log: Path) -> CurrentTrialLoop | None:
-    """The loop that made a log, if it is the one in data/rig: format 1 does not say."""
-    return paper_loop() if log.resolve() == ROOT / "data" / "rig" / "learning.csv" else None
 
 
 def main():

@@ -11,7 +11,7 @@ from rodlib.case import paper_loop
 from rodlib.ilc.files import replacing
 from rodlib.ilc.filters import LearningFilter, zero_phase_butterworth
 from rodlib.paper import published
-from rodlib.paper.repository import checkout, results
+from rodlib.paper.repository import results
 from rodlib.specimens import Spread
 from rodlib.study import Study, run
 
@@ -29,27 +29,24 @@ def study(spread: Spread) -> Study:
 
 def main(scheduler: str | None = None, rods: int = RODS):
     """Run the study, print how many rods converge, and save what was found in build/study."""
-    try:
-        checkout("make study")
-    except RuntimeError as error:
-        sys.exit(str(error))
+    folder = results("make study") / "study"
     for name, spread in SPREADS.items():
-        found = run(study(spread), rods, scheduler=scheduler)
-        path = results("make study") / "study" / f"{name}.nc"
-        with replacing(path) as temporary:
+        found = run(study(spread), rods, folder=folder, scheduler=scheduler)
+        with replacing(folder / f"{name}.nc") as temporary:
             found.to_netcdf(temporary, engine="scipy")
-        table = pd.DataFrame(
-            {
-                "stable, %": 100 * (found.unstable_poles == 0).mean().item(),
-                "rate below one, %": 100 * (found.rate < 1).mean("rod").to_series(),
-                "largest rate": found.rate.max("rod").to_series(),
-                f"median RMS of trial {found.trial[-1].item()}, K": found.rms[..., -1]
-                .median("rod")
-                .to_series(),
-            }
-        )
-        print(f"{rods} rods, {name} off by up to 20 %: {path}\n{table.round(3)}\n")
+        last = found.rms[..., -1]
+        columns = {
+            "rate below one, %": 100 * (found.rate < 1).mean("rod"),
+            "largest rate": found.rate.max("rod"),
+            f"median RMS of trial {last.trial.item()}, K": last.median("rod"),
+        }
+        table = pd.DataFrame({name: column.to_series() for name, column in columns.items()})
+        table.insert(0, "stable, %", 100 * (found.unstable_poles == 0).mean().item())
+        print(f"{rods} rods, {name} off by up to 20 %: {folder / name}.nc\n{table.round(3)}\n")
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:2])
+    try:
+        main(*sys.argv[1:2])
+    except RuntimeError as error:
+        sys.exit(str(error))

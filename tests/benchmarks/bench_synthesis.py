@@ -1,6 +1,6 @@
 """Time and memory of the synthesis: against CVXPY in the same run, and as the problem grows.
 
-`make bench` runs these and writes the README's table and figures/performance.
+`make bench` runs these and writes figures/performance.
 """
 
 import multiprocessing

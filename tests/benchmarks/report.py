@@ -1,4 +1,4 @@
-"""Turn the benchmark's results into the README's table and figures/performance: both or none."""
+"""Turn the benchmark's results into the tables and the picture of figures/performance."""
 
 import json
 import sys
@@ -71,15 +71,16 @@ def main(path):
     lines += [", ".join(f"{name} {time:.3f} s" for name, time in designs.items()) + "."]
     lines += ["", f"Measured on: {cpu}, {machine['cpu'].get('count', '?')} cores, Python {python}."]
     saved = figures.save(figure, "performance", CAPTION).path
-    lines += ["", "![Time of the synthesis over its size](figures/performance.png)"]
+    lines += ["", "![Time of the synthesis over its size](performance.png)"]
     text = "\n".join(lines) + "\n"
     with publishing(root) as new:
         for picture in (saved, saved.with_suffix(".pdf")):
             new[f"figures/{picture.name}"] = picture.read_bytes()
-        readme = (root / "README.md").read_text(encoding="utf-8")
-        new["README.md"] = splice(readme, "performance", text).encode()
+        page = (root / "figures" / "performance.md").read_text(encoding="utf-8")
+        new["figures/performance.md"] = splice(page, "performance", text).encode()
     print(text)
 
 
 if __name__ == "__main__":
+    plt.style.use("rodlib.paper.style")
     main(sys.argv[1])

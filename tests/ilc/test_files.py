@@ -5,8 +5,7 @@ import sys
 
 import pytest
 
-from rodlib.ilc.files import alone, append_whole, folder, replacing, write_whole
-from rodlib.paper.repository import ROOT, checkout, finish_publishing, publishing, results
+from rodlib.ilc.files import alone, folder, replacing, write_whole
 
 
 def test_a_file_is_replaced(tmp_path):
@@ -27,23 +26,6 @@ def test_after_an_error_the_old_file_is_whole_and_nothing_else_is_left(tmp_path)
         raise KeyboardInterrupt
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_only_a_clone_is_written_to(tmp_path):
-    assert checkout("a test") == ROOT
-    with pytest.raises(RuntimeError, match=rf"a test writes to a clone .* {tmp_path} is none"):
-        checkout("a test", tmp_path)
-    (tmp_path / "pyproject.toml").write_text('[project]\nname = "another"\n')
-    with pytest.raises(RuntimeError, match="clone it and work there"), publishing(tmp_path):
-        pytest.fail("must not come that far")
-    assert [path.name for path in tmp_path.iterdir()] == ["pyproject.toml"]
-
-
-def test_results_go_to_build_or_to_the_folder_of_the_run(tmp_path, monkeypatch):
-    monkeypatch.delenv("RODLIB_RESULTS", raising=False)
-    assert results("a test") == ROOT / "build"
-    monkeypatch.setenv("RODLIB_RESULTS", str(tmp_path))
-    assert results("a test") == tmp_path
 
 
 def test_a_folder_may_be_a_link_but_not_a_file(tmp_path):
@@ -73,77 +55,6 @@ def test_the_second_is_refused_until_the_first_is_killed(tmp_path):
         pass
 
 
-OLD = {"README.md": "old", "figures/fig01.png": "old", "figures/fig02.png": "gone"}
-NEW = {"README.md": "new", "figures/fig01.png": "new", "figures/fig03.png": "came"}
-
-# Publishes NEW, and at one of its operations on files ends: by a kill, or by a full disk.
-STOPPED = """
-import errno, os, sys
-from pathlib import Path
-from rodlib.paper.repository import publishing
-
-root, step, how = Path(sys.argv[1]), int(sys.argv[2]), sys.argv[3]
-count = 0
-
-def watch(event, arguments):
-    global count
-    if event in ("open", "os.rename", "os.remove", "os.mkdir") and str(root) in str(arguments[0]):
-        count += 1
-        if count == step and how == "kill":
-            os._exit(9)
-        writing = event == "open" and "w" in str(arguments[1])
-        if count == step or (count > step and writing):
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-sys.addaudithook(watch)
-with publishing(root) as new:
-    new["figures/fig02.png"] = None
-    for name in ("README.md", "figures/fig01.png"):
-        new[name] = b"new"
-    new["figures/fig03.png"] = b"came"
-"""
-
-
-def state(root):
-    files = [path for path in root.rglob("*") if path.is_file() and path.parent.name != "build"]
-    return {
-        path.relative_to(root).as_posix(): path.read_text()
-        for path in files
-        if path.name != "pyproject.toml"
-    }
-
-
-@pytest.mark.parametrize("how", ["kill", "full"])
-def test_wherever_publishing_ends_all_is_old_or_all_is_new(tmp_path, how):
-    """At every single operation, from the first on, until one run gets through."""
-    outcomes = []
-    for step in range(1, 100):
-        root = tmp_path / str(step)
-        (root / "figures").mkdir(parents=True)
-        (root / "pyproject.toml").write_text('name = "rodlib"\n')
-        for name, text in OLD.items():
-            (root / name).write_text(text)
-        call = [sys.executable, "-c", STOPPED, root, str(step), how]
-        stopped = subprocess.run(call, capture_output=True, text=True)
-        if stopped.returncode == 0:
-            break
-        assert stopped.returncode == (9 if how == "kill" else 1), stopped.stderr
-        assert how == "kill" or "No space left" in stopped.stderr
-        before = state(root)
-        finished = finish_publishing(root)
-        after = state(root)
-        assert after in (OLD, NEW)
-        assert finish_publishing(root) is False and state(root) == after
-        if how == "full" and "published in part" not in stopped.stderr:
-            assert before == after, "whoever sees the error need not mend anything"
-        outcomes.append((after == NEW, finished))
-    assert state(root) == NEW
-    decided = [new for new, _ in outcomes]
-    assert decided == sorted(decided) and {*decided} == {False, True}
-    assert any(finished for _, finished in outcomes)
-    assert len(outcomes) > 15
-
-
 @pytest.mark.parametrize("kind", ["a pipe", "a link to a device"])
 def test_only_regular_files_are_replaced(tmp_path, kind):
     path = tmp_path / kind
@@ -158,29 +69,3 @@ def test_only_regular_files_are_replaced(tmp_path, kind):
     (tmp_path / "link").symlink_to(tmp_path / "file")
     write_whole(tmp_path / "link", "new")
     assert (tmp_path / "link").read_text() == "new"
-
-
-def test_a_mistake_while_collecting_changes_nothing(tmp_path):
-    (tmp_path / "pyproject.toml").write_text('name = "rodlib"\n')
-    write_whole(tmp_path / "README.md", "old")
-    with pytest.raises(KeyError), publishing(tmp_path) as new:
-        new["README.md"] = b"new"
-        raise KeyError("a figure")
-    assert state(tmp_path) == {"README.md": "old"}
-    assert os.listdir(tmp_path / "build") == ["publishing.lock"]
-
-
-def test_what_is_appended_is_there_as_a_whole_or_not_at_all(tmp_path, monkeypatch):
-    path = tmp_path / "log"
-    path.write_bytes(b"one")
-    append_whole(path, b" two")
-    assert path.read_bytes() == b"one two"
-    for error in (OSError("full"), KeyboardInterrupt()):
-
-        def fail(_, error=error):
-            raise error
-
-        monkeypatch.setattr(os, "fsync", fail)
-        with pytest.raises(type(error)):
-            append_whole(path, b" three")
-        assert path.read_bytes() == b"one two"

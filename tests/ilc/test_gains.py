@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from plants import furnace, random_plant, stage, tanks
 from scipy.signal import ss2tf
 
-from rodlib import Rod, current_trial_loop, midr, minimal_realisation, paper_loop, sampled_response
+from rodlib import Rod, current_trial_loop, midr, minimal_realisation, sampled_response
 from rodlib.ilc.models import frequency_response
 from rodlib.paper import published
 
@@ -338,20 +338,3 @@ def test_a_weight_may_be_symmetric_up_to_rounding(loop):
 def test_a_slow_observer_is_still_an_observer(loop):
     slow = current_trial_loop(loop.plant, loop.controls, Qo=1e-12 * np.eye(12))
     assert 0 < 1 - np.abs(slow.closed.poles()).max() < 1e-6
-
-
-def test_a_rod_that_is_not_the_papers_is_sent_elsewhere():
-    for rod in (Rod(sections=3), Rod(sections=5), Rod(sensors=(0.1,))):
-        with pytest.raises(ValueError, match=r"rod has . sections and . sensors.*Q1 to Q4"):
-            paper_loop(rod)
-    for Ts in (1e-5, 1e4, np.inf):
-        with pytest.raises(ValueError, match=r"Ts = .* must be a sampling period between"):
-            paper_loop(Ts=Ts)
-    assert paper_loop(Ts=np.int64(2)).Ts == 2
-    assert (paper_loop(Ts=1.05e-5).Ts, paper_loop(Ts=9.9e3).Ts) == (1.05e-5, 9.9e3)
-
-
-def test_paper_loop_takes_another_rod_degree_and_period():
-    loop = paper_loop(Rod(conductivity=100.0), degree=2, Ts=2.0)
-    assert (loop.Ts, loop.plant.nstates, loop.closed.nstates) == (2.0, 7, 16)
-    assert loop.plant.input_labels == ["Q1", "Q3", "theta_a", "Q2", "Q4"]

@@ -9,6 +9,13 @@ from matplotlib.figure import Figure
 
 from rodlib import Rod
 from rodlib.paper import figures
+from rodlib.paper.drawings import draw_block_diagram, draw_rod
+
+
+@pytest.fixture(autouse=True)
+def style():
+    with plt.style.context("rodlib.paper.style"):
+        yield
 
 
 @pytest.fixture
@@ -19,8 +26,8 @@ def folder(tmp_path, monkeypatch):
 
 def draw():
     figure, axes = plt.subplots(1, 2)
-    figures.draw_rod(axes[0], Rod())
-    figures.draw_block_diagram(axes[1])
+    draw_rod(axes[0], Rod())
+    draw_block_diagram(axes[1])
     return figure
 
 
@@ -81,7 +88,7 @@ def test_a_notebook_shows_the_saved_file_and_its_caption_and_draws_nothing_itsel
 @pytest.mark.parametrize("rod", [Rod(), Rod(sections=6, length=1.0, sensors=(0.1, 0.5, 0.9))])
 def test_the_drawing_shows_what_the_rod_has(rod):
     figure, axes = plt.subplots()
-    figures.draw_rod(axes, rod)
+    draw_rod(axes, rod)
     texts = " ".join(text.get_text() for text in axes.texts)
     for i, z in enumerate(rod.sensors):
         assert f"$y_{i + 1}$ at {z * 1e3:g} mm" in texts

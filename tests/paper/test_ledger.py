@@ -1,3 +1,5 @@
+import re
+
 import matplotlib.image
 import numpy as np
 import pandas as pd
@@ -61,6 +63,18 @@ def test_only_what_could_have_differed_is_counted():
     assert "| **all**    |            1 |         0 |" in summary
     assert "2 taken over, 1 identity; 2 of 3 agree" in summary
     assert "filters: printed “10”, computed 11" in summary
+
+
+def test_coefficients_of_a_flat_optimum_have_a_row_and_no_line_in_the_readme():
+    book = Ledger("03-ilc-synthesis")
+    book.record("L_diagonal", published.matrix("L_diagonal") + np.eye(2)[..., None])
+    book.record("peak_L_full", 48.9)
+    rows = pd.DataFrame(book.rows.values())
+    counts, rest = ledger.summary(rows).split("Beside coefficients")
+    assert re.search(r"\| 03-ilc-synthesis +\| +0 \| +1 \|", counts)
+    assert re.search(r"\| coefficients of \(39\), a flat optimum +\| +0 \| +20 \|", counts)
+    assert "computed 49" in rest and "coefficient of" not in rest
+    assert "diagonal: 20 of 20 by at most 1.0e+00" in ledger.markdown(rows)
 
 
 def test_a_criterion_that_is_not_understood_is_refused():

@@ -1,4 +1,4 @@
-"""`make replay` as a user calls it: notebook 05 on logs of other plants."""
+"""`make replay` as a user calls it: a report on logs of other plants."""
 
 import os
 import re
@@ -16,18 +16,14 @@ from rodlib import (
     LogError,
     current_trial_loop,
     load_log,
-    paper_loop,
-    record,
     run_trials,
     save_log,
-    update,
     zero_phase_butterworth,
 )
 from rodlib.ilc.laboratory import replay_of, with_law
-from rodlib.ilc.laboratory.temperature_control_lab import TemperatureControlLab, heat_balance
+from rodlib.ilc.laboratory.report import summary
 from rodlib.paper import reproduce
 from rodlib.paper.repository import ROOT
-from rodlib.paper.rig_logs import papers_loop
 
 ODD = 'my stage\'s "log" of $HOME, ~ & `x` #1.csv'
 
@@ -46,9 +42,7 @@ def run_of(loop, rest, trials=4):
 
 @pytest.fixture
 def root(tmp_path):
-    """A repository of which only notebook 05 is there."""
-    (tmp_path / "notebooks").mkdir()
-    shutil.copy(ROOT / "notebooks" / "05-experiment-replay.ipynb", tmp_path / "notebooks")
+    """A repository with nothing in it."""
     (tmp_path / "pyproject.toml").write_text('name = "rodlib"\n')
     return tmp_path
 
@@ -62,7 +56,7 @@ def replay(root, log):
 
 
 def printed(root):
-    notebook = nbformat.read(root / "build" / "replay" / "05-experiment-replay.ipynb", 4)
+    notebook = nbformat.read(root / "build" / "replay" / "replay.ipynb", 4)
     outputs = [output for cell in notebook.cells for output in cell.get("outputs", [])]
     assert not [output for output in outputs if output.get("name") == "stderr"]
     return "".join(output.text for output in outputs if output.output_type == "stream")
@@ -77,20 +71,17 @@ def test_a_stage_is_replayed_with_its_own_loop(root):
     outcome = replay(root, ODD)
     assert outcome.returncode == 0, outcome.stderr
     found = replay_of(load_log(root / ODD))
-    assert outcome.stdout.startswith(f"{found}\nv of trial 5: build/replay/next-trial.csv\n")
+    assert outcome.stdout.startswith(
+        f"{summary(found)}\nv of trial 5: build/replay/next-trial.csv\n"
+    )
     assert "\nlaw: the recorded v is that of the law in every trial\n" in outcome.stdout
     assert "mean of all trials: x 100 %" in outcome.stdout
     table = np.loadtxt(root / "build" / "replay" / "next-trial.csv", delimiter=",", skiprows=3)
     np.testing.assert_array_equal(table[:, 1:], found.following)
-    text = printed(root)
-    assert "4 trials of 120 samples, Ts = 0.001 s\ndisturbances in the log: ['friction']" in text
-    assert "left out" not in text and "virtual rig" not in text
-    assert "not the paper's parameters" in text
-    figures = root / "build" / "replay" / "figures"
-    tracked = [*(ROOT / "figures").glob("extra05*.png"), ROOT / "figures" / "fig08-convergence.png"]
-    tracked.append(ROOT / "figures" / "fig09-recorded-signals.png")
-    assert sorted(figures.glob("*.png")) == sorted(figures / path.name for path in tracked)
-    assert not (root / "build" / "replay" / "ledger").exists()
+    assert printed(root) == f"{summary(found)}\n" and "left out" not in printed(root)
+    figures = (root / "build" / "replay" / "figures").glob("*.png")
+    names = ["convergence", "model-fit", "next-trial", "signals", "start-of-a-trial"]
+    assert sorted(path.stem for path in figures) == names
 
 
 @pytest.fixture
@@ -132,29 +123,7 @@ def test_tanks_in_units_of_their_own_are_replayed_without_a_loop(root, replay_he
     assert text.count(reason) >= 2  # of the command, and of the notebook
     table = np.loadtxt(root / "build" / "replay" / "next-trial.csv", delimiter=",", skiprows=3)
     assert table.shape == (120, 4) and not table[-10:, 1:].any() and table[-11, 1:].all()
-    assert not (root / "build" / "replay" / "figures" / "extra05-model-fit.png").exists()
-
-
-def test_the_log_of_a_kit_is_replayed(root, replay_here):
-    """As notebook 10 records it, but with fewer samples and trials; nothing in it is rodlib's."""
-    rig = TemperatureControlLab(rest=(30.0, 40.0), Ts=2.0)
-    plant = heat_balance(0.035, 0.017, 0.049, 0.0099, 140.0, rig.Ts)
-    units = {"T1": "K", "T2": "K", "Q1": "%", "Q2": "%"}
-    loop = current_trial_loop(
-        plant, sizes=dict(zip(units, (10, 8, 30, 40), strict=True)), units=units
-    )
-    coefficients = np.zeros((2, 2, 5))
-    coefficients[[0, 1], [0, 1], -1] = 1.5
-    Q, L = zero_phase_butterworth(2, 0.1, rig.Ts), LearningFilter(coefficients, rig.Ts)
-    reference = np.outer(np.sin(np.pi * np.linspace(0, 1, 200)) ** 2, [10.0, 8.0])
-    record(rig, loop, Q, L, reference, trials=3, pause=0, path=root / "lab.csv")
-    text = replay_here("lab.csv")
-    assert "\nlaw: the recorded v is that of the law in every trial\n" in text
-    assert "3 trials of 200 samples, Ts = 2.0 s" in text and "left out" not in text
-    table = np.loadtxt(root / "build" / "replay" / "next-trial.csv", delimiter=",", skiprows=3)
-    log = load_log(root / "lab.csv")
-    following = update(log.v.values[-1], log.e.values[-1], Q, L)
-    np.testing.assert_allclose(table[:, 1:], following, atol=1e-9)
+    assert not (root / "build" / "replay" / "figures" / "model-fit.png").exists()
 
 
 def broken(log, how):
@@ -214,14 +183,3 @@ def test_a_name_may_begin_with_the_sign_for_home(root, monkeypatch):
     home = re.escape(os.path.expanduser("~/no such log.csv"))
     with pytest.raises(FileNotFoundError, match=f"{home} is not there: make replay LOG=path"):
         reproduce.replay("~/no such log.csv", root)
-
-
-def test_only_the_compendiums_own_log_gets_the_papers_loop(tmp_path):
-    log = ROOT / "data" / "rig" / "learning.csv"
-    np.testing.assert_array_equal(papers_loop(log).KL, paper_loop().KL)
-    copy = tmp_path / "learning.csv"
-    shutil.copy(log, copy)
-    assert papers_loop(copy) is None
-    copy.unlink()
-    copy.symlink_to(log)
-    assert papers_loop(copy) is not None

@@ -51,13 +51,6 @@ def distances(one, other):
     return [distance(one / f"fig01.{end}", other / f"fig01.{end}") for end in ("png", "pdf")]
 
 
-@pytest.fixture(scope="module", autouse=True)
-def style():
-    """Not that of the notebooks, which another test may have set."""
-    with plt.style.context("default"):
-        yield
-
-
 @pytest.fixture(scope="module")
 def before(tmp_path_factory):
     return draw(tmp_path_factory.mktemp("pictures") / "before")

@@ -4,7 +4,7 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
-from rodlib import load_log
+from rodlib import load_log, loop_of, paper_loop
 from rodlib.case import assumed_disturbance, assumed_reference
 from rodlib.paper import rig_logs
 from rodlib.paper.repository import ROOT
@@ -29,6 +29,7 @@ def test_the_tracked_logs_are_of_the_assumed_experiment(name, seed):
     device |= {"seed": seed, "rod": json.loads(json.dumps(asdict(VirtualRig().rod)))}
     assert json.loads(tracked.attrs["rig"]) == device
     assert tracked.sizes["trial"] == 10
+    np.testing.assert_allclose(loop_of(tracked).KL, paper_loop().KL, rtol=1e-9)
     flows = np.round(assumed_disturbance(), 6)[:, :, 1:]
     np.testing.assert_array_equal(tracked.disturbance[:, :, 1:], flows)
     for k in range(10):

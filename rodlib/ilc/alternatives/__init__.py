@@ -15,7 +15,7 @@ from rodlib.ilc.alternatives.preview import full_information, generalised_plant,
 from rodlib.ilc.alternatives.proportional import p_type, pd_type
 from rodlib.ilc.alternatives.rehearsal import Rehearsal, lines
 from rodlib.ilc.alternatives.tuning import Tuned, tune
-from rodlib.ilc.alternatives.two_sided import TwoSidedFilter, extent, impulse_response
+from rodlib.ilc.alternatives.two_sided import TwoSidedFilter, extent, two_sided_taps
 
 __all__ = [
     "NormOptimal",
@@ -27,12 +27,12 @@ __all__ = [
     "generalised_plant",
     "gradient",
     "h_infinity",
-    "impulse_response",
     "lines",
     "outer_zeros",
     "p_type",
     "pd_type",
     "stable_inversion",
     "tune",
+    "two_sided_taps",
     "zero_phase_inversion",
 ]

@@ -28,11 +28,6 @@ def gradient(P: control.StateSpace, step: float) -> TwoSidedFilter:
     -------
     TwoSidedFilter
         On a trial of N samples its matrix is step P_N^T.
-
-    Raises
-    ------
-    ValueError
-        If `P` is no such model, or `step` is not positive.
     """
     step, (m, Ts) = arguments.positive("step", step), square(P)
     return TwoSidedFilter(

@@ -32,12 +32,7 @@ def stable_inversion(
     Returns
     -------
     TwoSidedFilter
-
-    Raises
-    ------
-    ValueError
-        If `P` is no such model, or `gain` or `cutoff` is out of range. A zero on the unit circle
-        shows when the filter is applied.
+        Of a model with a zero on the unit circle, a ValueError says so when it is applied.
     """
     gain, (m, Ts) = arguments.share("gain", gain), square(P)
     passed = _low_pass(cutoff, Ts)
@@ -64,24 +59,8 @@ def zero_phase_inversion(
     digital control, Journal of Dynamic Systems, Measurement, and Control 109 (1987) 65-68, the
     paper's [10].
 
-    Parameters
-    ----------
-    P : control.StateSpace
-        In discrete time, m inputs and m outputs, stable.
-    gain : float
-        In (0, 1].
-    cutoff : float, optional
-        As for :func:`stable_inversion`.
-
-    Returns
-    -------
-    TwoSidedFilter
-
-    Raises
-    ------
-    ValueError
-        If `P` is no such model or has a zero at frequency zero, or `gain` or `cutoff` is
-        out of range.
+    Parameters and result as for :func:`stable_inversion`; of a model with a zero at frequency zero
+    a ValueError says that there is none.
     """
     gain, (m, Ts) = arguments.share("gain", gain), square(P)
     passed = _low_pass(cutoff, Ts)

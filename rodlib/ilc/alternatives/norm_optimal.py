@@ -30,11 +30,6 @@ class NormOptimal:
     samples : int
         Length N of a trial.
 
-    Raises
-    ------
-    ValueError
-        If an argument is out of range.
-
     Notes
     -----
     The inverse is never formed. With x for the states of P and lambda for the multipliers of

@@ -49,11 +49,7 @@ def h_infinity(
     Returns
     -------
     TwoSidedFilter
-
-    Raises
-    ------
-    ValueError
-        If an argument is out of range, or no filter reaches the level.
+        If none reaches the level, a ValueError says so.
 
     Notes
     -----
@@ -149,12 +145,7 @@ def full_information(plant: control.StateSpace, m: int, level: float) -> control
     Returns
     -------
     control.StateSpace
-        With as many states as the plant.
-
-    Raises
-    ------
-    ValueError
-        If no K reaches the level, or an argument is out of range.
+        With as many states as the plant. If none reaches the level, a ValueError says so.
     """
     arguments.state_space("plant", plant)
     m, level = arguments.whole("m", m, 1, plant.ninputs - 1), arguments.positive("level", level)

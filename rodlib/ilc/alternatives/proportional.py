@@ -10,26 +10,8 @@ def p_type(gain: float, ahead: int, channels: int, Ts: float) -> LearningFilter:
     """L(q) = gain q^ahead I: what went wrong `ahead` samples later is added now.
 
     S. Arimoto, S. Kawamura and F. Miyazaki, Bettering operation of robots by learning, Journal of
-    Robotic Systems 1 (1984) 123-140; the shift makes up for the delay of the plant.
-
-    Parameters
-    ----------
-    gain : float
-        Above zero, unit of w per unit of y.
-    ahead : int
-        Samples, one or more.
-    channels : int
-    Ts : float
-        Sampling period, s.
-
-    Returns
-    -------
-    LearningFilter
-
-    Raises
-    ------
-    ValueError
-        If an argument is out of range.
+    Robotic Systems 1 (1984) 123-140; the shift makes up for the delay of the plant. Parameters and
+    result as for :func:`pd_type`, with a slope of zero.
     """
     return pd_type(gain, 0.0, arguments.whole("ahead", ahead, 1), channels, Ts)
 
@@ -37,7 +19,7 @@ def p_type(gain: float, ahead: int, channels: int, Ts: float) -> LearningFilter:
 def pd_type(gain: float, slope: float, ahead: int, channels: int, Ts: float) -> LearningFilter:
     """L(q) = (gain + slope (1 - 1/q) / Ts) q^ahead I, with the slope of the error as well.
 
-    Source as for :func:`p_type`.
+    S. Arimoto, S. Kawamura and F. Miyazaki, as for :func:`p_type`.
 
     Parameters
     ----------
@@ -46,7 +28,7 @@ def pd_type(gain: float, slope: float, ahead: int, channels: int, Ts: float) -> 
     slope : float
         In the same unit times s.
     ahead : int
-        Samples; two or more unless the slope is zero, since a filter (44) looks ahead.
+        Samples, one or more; two or more unless the slope is zero, since a filter (44) looks ahead.
     channels : int
     Ts : float
         Sampling period, s.
@@ -54,11 +36,6 @@ def pd_type(gain: float, slope: float, ahead: int, channels: int, Ts: float) -> 
     Returns
     -------
     LearningFilter
-
-    Raises
-    ------
-    ValueError
-        If an argument is out of range.
     """
     gain = arguments.positive("gain", gain)
     slope = arguments.number("slope", slope, "a finite number")

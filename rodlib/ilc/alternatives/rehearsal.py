@@ -6,8 +6,9 @@ import numpy as np
 from scipy.fft import irfft, rfft
 
 from rodlib.ilc import arguments
-from rodlib.ilc.filters import LearningOperator, ZeroPhaseButterworth, check_learning, update
-from rodlib.ilc.problem import convergence_matrix, largest_singular_values
+from rodlib.ilc.evidence import rate
+from rodlib.ilc.filters import LearningOperator, ZeroPhaseButterworth, check_learning
+from rodlib.ilc.trials import learn
 
 JUDGED = 500  # lines at which the rate is computed, spaced by their logarithms
 
@@ -29,11 +30,6 @@ class Rehearsal:
         Error of each trial without learning, with all noise and disturbances.
     rest : int
         Of :func:`rodlib.update`.
-
-    Raises
-    ------
-    ValueError
-        If a shape does not fit, or a value is not finite.
     """
 
     P: np.ndarray
@@ -50,30 +46,22 @@ class Rehearsal:
         for name, value in {"alone": alone, "P": P, "rest": rest}.items():
             object.__setattr__(self, name, value)
 
-    def _check(self, L):
-        check_learning(L, self.alone.shape[2])
-        arguments.one_period(Q=self.Q.Ts, L=L.Ts)
-
     def rate(self, L: LearningOperator) -> float:
         """Of Lemma 1, the largest sigma_max(M), at `JUDGED` of the lines."""
-        self._check(L)
         samples = self.alone.shape[1]
         chosen = np.unique(np.append(0, np.geomspace(1, samples, JUDGED).round().astype(int)))
-        omega = lines(samples, self.Q.Ts)[chosen]
-        q, response = self.Q.frequency_response(omega), L.frequency_response(omega)
-        M = convergence_matrix(self.P[chosen], q, response)
-        return float(largest_singular_values(M).max())
+        return float(rate(self.P[chosen], self.Q, L, lines(samples, self.Q.Ts)[chosen]).gamma)
 
     def errors(self, L: LearningOperator) -> np.ndarray:
         """e_k, shape (trials, samples, m)."""
-        self._check(L)
-        samples = self.alone.shape[1]
-        errors, v = self.alone.copy(), np.zeros(self.alone.shape[1:])
-        for k in range(1, len(errors)):
-            v = update(v, errors[k - 1], self.Q, L, self.rest)
+        trials, samples, m = self.alone.shape
+        check_learning(L, m)
+
+        def run(k, v):
             Pv = self.P @ rfft(v, 2 * samples, axis=0)[..., None]
-            errors[k] -= irfft(Pv[..., 0], 2 * samples, axis=0)[:samples]
-        return errors
+            return self.alone[k] - irfft(Pv[..., 0], 2 * samples, axis=0)[:samples]
+
+        return learn(run, np.zeros_like(self.alone[0]), self.Q, L, trials, self.rest)
 
     def rms(self, L: LearningOperator) -> np.ndarray:
         """RMS(e_k) of Section IV, shape (trials,)."""

@@ -16,20 +16,11 @@ WORST = 1e9  # what a tuning costs that leads to no filter
 
 @dataclass(frozen=True)
 class Tuned:
-    """The best that was found of a design.
+    """The best that was found of a design."""
 
-    Attributes
-    ----------
-    parameters : dict
-        By name.
-    filter : LearningOperator
-    value : float
-        Of the criterion.
-    """
-
-    parameters: dict[str, float]
+    parameters: dict[str, float]  # by name
     filter: LearningOperator
-    value: float
+    value: float  # of the criterion
 
 
 def tune(
@@ -62,11 +53,8 @@ def tune(
     Returns
     -------
     Tuned
-
-    Raises
-    ------
-    ValueError
-        If an argument is out of range, or no tuning that was tried converges at that rate.
+        With `parameters`, `filter` and the criterion's `value`. If no tuning that was tried
+        converges at that rate, a ValueError says so.
     """
     arguments.instance("design", design, Callable)
     arguments.instance("rehearsal", rehearsal, Rehearsal)

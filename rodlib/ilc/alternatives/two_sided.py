@@ -20,25 +20,11 @@ NEGLIGIBLE = 1e-9  # of its largest entry
 
 @dataclass(frozen=True)
 class TwoSidedFilter:
-    """A learning filter for :func:`rodlib.update`, for signals that are zero outside the trial.
+    """A learning filter for :func:`rodlib.update`, for signals that are zero outside the trial."""
 
-    Attributes
-    ----------
-    response : callable
-        From omega (rad/s), shape (n,), to L, shape (n, channels, channels), complex.
-    channels : int
-    Ts : float
-        Sampling period, s.
-
-    Raises
-    ------
-    ValueError
-        If an argument is something else.
-    """
-
-    response: Callable[[np.ndarray], np.ndarray]
+    response: Callable[[np.ndarray], np.ndarray]  # from omega (rad/s) to L, (n, channels, channels)
     channels: int
-    Ts: float
+    Ts: float  # s
 
     def __post_init__(self):
         arguments.instance("response", self.response, Callable)
@@ -51,7 +37,7 @@ class TwoSidedFilter:
 
     @cached_property
     def _taps(self):
-        lags, taps = impulse_response(self)
+        lags, taps = two_sided_taps(self)
         return lags[0], taps
 
     def apply(self, signal) -> np.ndarray:
@@ -64,7 +50,7 @@ class TwoSidedFilter:
         return filtered[..., :samples, :]
 
 
-def impulse_response(L: LearningOperator) -> tuple[np.ndarray, np.ndarray]:
+def two_sided_taps(L: LearningOperator) -> tuple[np.ndarray, np.ndarray]:
     """Two-sided impulse response of a learning filter, by the inverse transform of its response.
 
     Parameters
@@ -76,13 +62,8 @@ def impulse_response(L: LearningOperator) -> tuple[np.ndarray, np.ndarray]:
     lags : ndarray of int, shape (n,)
         From the future (below zero) to the past.
     taps : ndarray, shape (n, channels, channels)
-        L e at p is the sum of ``taps[i] @ e[p - lags[i]]``. What is left out is below `NEGLIGIBLE`.
-
-    Raises
-    ------
-    ValueError
-        If it does not decay within `LONGEST` samples: L has a pole on the unit circle, or nearly;
-        or if `L` is something else.
+        L e at p is the sum of ``taps[i] @ e[p - lags[i]]``. What is left out is below `NEGLIGIBLE`;
+        of a filter with a pole on the unit circle, or nearly, a ValueError says that it is not.
     """
     arguments.instance("L", L, LearningOperator)
     n = SHORTEST
@@ -114,14 +95,9 @@ def extent(L: LearningOperator, share: float = 0.999) -> tuple[int, int]:
     -------
     ahead, back : int
         In samples; below zero if it begins later than that.
-
-    Raises
-    ------
-    ValueError
-        As :func:`impulse_response`, or if `share` is out of range.
     """
     share = arguments.share("share", share)
-    lags, taps = impulse_response(L)
+    lags, taps = two_sided_taps(L)
     energy = np.cumsum((taps**2).sum(axis=(1, 2)))
     energy /= energy[-1]
     first = np.searchsorted(energy, (1 - share) / 2 + 1e-12)

@@ -24,27 +24,14 @@ class Excitation:
     that with one input at a time (Dobrowiecki, Schoukens and Guillaume, Optimized excitation
     signals for MIMO frequency response function measurements, IEEE Trans. Instrum. Meas. 55,
     2006).
-
-    Attributes
-    ----------
-    Ts : float
-        Sampling period, s.
-    period, periods : int
-        Samples of a period, and how many periods of each experiment are evaluated.
-    harmonics : tuple of int
-        Of the period, increasing.
-    phases : tuple of float
-        One for each harmonic, rad.
-    amplitude : tuple of float
-        Largest |w| of each input, in the units of the outputs.
     """
 
-    Ts: float
-    period: int
-    periods: int
-    harmonics: tuple[int, ...]
-    phases: tuple[float, ...]
-    amplitude: tuple[float, ...]
+    Ts: float  # s
+    period: int  # samples
+    periods: int  # of each experiment that are evaluated
+    harmonics: tuple[int, ...]  # of the period, increasing
+    phases: tuple[float, ...]  # of the harmonics, rad
+    amplitude: tuple[float, ...]  # largest |w| of each input, in the units of the outputs
 
     def __post_init__(self):
         arguments.sampling_period("Ts", self.Ts)

@@ -7,6 +7,7 @@ from scipy.ndimage import maximum_filter1d
 from scipy.special import fdtrc
 from scipy.stats import chi2
 
+from rodlib.ilc.laboratory.limits import commands_beyond
 from rodlib.ilc.laboratory.region import TINY
 from rodlib.ilc.laboratory.transient import separated, windows_of
 
@@ -16,7 +17,28 @@ FAIR = 1.2  # of a radius may be missed, as half of the lines are asked for more
 BY_LINE = ("omega", "response", "noise", "spread", "freedom")  # of a measured response
 
 
-def distortion(y, excitation, measured):
+def findings_of(u, y, limits, windows, excitation, measured) -> tuple[str, ...]:
+    """All findings: of the commands, the outputs, and what was measured from them."""
+    reports = (
+        _cut_off(u, measured.loop.controls, limits),
+        _distortion(y, excitation, measured),
+        _drift(y, windows, excitation, measured),
+        _unanchored(measured),
+        _sparse(measured),
+    )
+    return tuple(report for report in reports if report)
+
+
+def _cut_off(u, controls, limits):
+    """Commands that the actuators did not follow."""
+    beyond = commands_beyond(u, controls, limits)
+    return beyond and (
+        f"{beyond}: what was measured is not the loop, and the radius does not contain that. Shake "
+        "with a smaller amplitude"
+    )
+
+
+def _distortion(y, excitation, measured):
     """What is found at harmonics that were not excited: there, a linear loop shows noise only."""
     excited = np.array(excitation.harmonics)
     between = (excited[1:] + excited[:-1]) // 2
@@ -42,7 +64,7 @@ def distortion(y, excitation, measured):
     )
 
 
-def drift(y, windows, excitation, measured):
+def _drift(y, windows, excitation, measured):
     """Whether the means drift from period to period, more than what else there is would explain."""
     periods, m = excitation.periods, excitation.channels
     means = y.reshape(m, periods, -1, m).mean(axis=2)
@@ -64,17 +86,7 @@ def drift(y, windows, excitation, measured):
     )
 
 
-def beyond(shares):
-    """Commands that the actuators did not follow, from the share of them."""
-    if not shares:
-        return None
-    return (
-        f"commands were beyond the limits of {shares} of all samples: what was measured is not the "
-        "loop, and the radius does not contain that. Shake with a smaller amplitude"
-    )
-
-
-def unanchored(measured):
+def _unanchored(measured):
     """Whether P has turned away from I before the lowest frequency."""
     away = np.linalg.norm(measured.response[0] - np.eye(len(measured.response[0])), 2)
     if away <= 1:
@@ -85,7 +97,7 @@ def unanchored(measured):
     )
 
 
-def sparse(measured):
+def _sparse(measured):
     """Whether every other line foretells those between, within the radius that it would claim."""
     n = len(measured.omega)
     own, number = measured.radius(1 - SURE, jointly=True), np.arange(n)

@@ -5,8 +5,13 @@ import json
 from rodlib.ilc import arguments
 from rodlib.ilc.files import write_whole
 from rodlib.ilc.filters import LearningFilter, ZeroPhaseButterworth
-from rodlib.ilc.laboratory.layout import read_json
-from rodlib.ilc.laboratory.notes import MISUNDERSTOOD, law_of_notes, notes_of_law
+from rodlib.ilc.laboratory.log import read_json
+from rodlib.ilc.laboratory.notes import (
+    MISUNDERSTOOD,
+    filter_of,
+    learning_filter_of,
+    notes_of_law,
+)
 
 FORMAT = "rodlib law 1"
 
@@ -52,16 +57,14 @@ def load_law(path) -> tuple[ZeroPhaseButterworth, LearningFilter]:
     Raises
     ------
     ValueError
-        If the file is none of these, or cannot be understood.
-    OSError
-        If it cannot be read.
+        If the file is none of these, or cannot be understood; an OSError if it cannot be read.
     """
     path = arguments.path("path", path)
     try:
         content = read_json(path.read_text(encoding="utf-8"))
         if content["format"] != FORMAT:
             raise ValueError(f"format {content['format']!r} is not {FORMAT!r}")
-        Q, L = law_of_notes(content, content["Ts"])
-        return Q, arguments.instance("L", L, LearningFilter)
+        L = learning_filter_of(content["L"], content["Ts"])
+        return filter_of(content["Q"], content["Ts"]), arguments.instance("L", L, LearningFilter)
     except MISUNDERSTOOD as error:
         raise ValueError(f"path = {str(path)!r} is no law of save_law: {error!r}") from None

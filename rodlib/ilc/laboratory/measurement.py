@@ -8,18 +8,18 @@ transient is interpolated and taken off; what scatters about it is the noise, an
 import warnings
 from dataclasses import dataclass, replace
 
-import control
 import numpy as np
 import xarray as xr
 from scipy.interpolate import make_interp_spline
 
 from rodlib.ilc import arguments
-from rodlib.ilc.laboratory import actuators
-from rodlib.ilc.laboratory import findings as doubts
 from rodlib.ilc.laboratory.excitation import Excitation
+from rodlib.ilc.laboratory.findings import findings_of
+from rodlib.ilc.laboratory.limits import named_limits
+from rodlib.ilc.laboratory.log import LogError
 from rodlib.ilc.laboratory.notes import actuators_of, excitation_of, loop_of
 from rodlib.ilc.laboratory.region import TINY, radius_of
-from rodlib.ilc.laboratory.tables import LogError, few
+from rodlib.ilc.laboratory.tables import few
 from rodlib.ilc.laboratory.transient import NEIGHBOURS, SPAN, nearest, separated, windows_of
 from rodlib.ilc.loop import CurrentTrialLoop
 
@@ -31,30 +31,15 @@ class MeasuredResponse:
     At each frequency its error is C^(1/2) G `spread`, where the entries of G, m by m, are
     independent, complex and normal with variance one. `noise` estimates C with `freedom` complex
     degrees of freedom.
-
-    Attributes
-    ----------
-    omega : ndarray, shape (n,)
-        Frequencies, rad/s.
-    response : ndarray, shape (n, m, m), complex
-    noise : ndarray, shape (n, m, m), complex
-        Estimated covariance of the outputs' spectra, the transient taken off.
-    spread : ndarray, shape (n, m, m), complex
-        Inverse of the spectra of w, (experiment, input).
-    freedom : ndarray, shape (n,), int
-    loop : CurrentTrialLoop
-        Whose controller ran. Its observer integrates, so that P(0) = I.
-    findings : tuple of str
-        What speaks against the measurement, and what follows from it.
     """
 
-    omega: np.ndarray
-    response: np.ndarray
-    noise: np.ndarray
-    spread: np.ndarray
-    freedom: np.ndarray
-    loop: CurrentTrialLoop
-    findings: tuple[str, ...] = ()
+    omega: np.ndarray  # rad/s, shape (n,)
+    response: np.ndarray  # shape (n, m, m), complex
+    noise: np.ndarray  # covariance of the outputs' spectra, without transient, likewise
+    spread: np.ndarray  # inverse of the spectra of w, (experiment, input), likewise
+    freedom: np.ndarray  # shape (n,)
+    loop: CurrentTrialLoop  # whose controller ran; its observer integrates, so that P(0) = I
+    findings: tuple[str, ...] = ()  # what speaks against the measurement, and what follows
 
     @property
     def covariance(self) -> np.ndarray:
@@ -82,17 +67,10 @@ class MeasuredResponse:
         For one channel |Delta|^2 has an F distribution. For more, the size of Delta has one, with
         the degrees of freedom of the noise in all its directions together (Satterthwaite), and its
         shape that of a normal matrix; the share of truths covered by 95 % is then between 93 and
-        96.5 %, from 4 degrees of freedom on (tests/laboratory/test_measurement.py).
+        96.5 %, from 4 degrees of freedom on (tests/ilc/laboratory/test_measurement.py).
         """
         miss = _miss(confidence, jointly, len(self.omega))
         return radius_of(self.noise, self.spread, self.freedom, miss)
-
-    def frd(self) -> control.FrequencyResponseData:
-        """The response as python-control's frequency response data."""
-        return control.frd(
-            np.moveaxis(self.response, 0, -1), self.omega, dt=self.loop.Ts,
-            inputs=[f"w_{name}" for name in self.loop.outputs], outputs=self.loop.outputs,
-        )  # fmt: skip
 
     def on(self, omega, confidence: float = 0.95, scale=None) -> tuple[np.ndarray, np.ndarray]:
         """Response and radius on other frequencies, for the synthesis.
@@ -118,7 +96,7 @@ class MeasuredResponse:
         """
         omega = np.abs(arguments.row("omega", omega))
         if scale is not None:
-            return self._in_units_of(arguments.row("scale", scale)).on(omega, confidence)
+            return self._in_units_of(scale).on(omega, confidence)
         radius = np.append(0.0, self.radius(confidence, jointly=True))
         knots = np.append(0.0, self.omega)
         P = np.concatenate([[np.eye(len(self.loop.outputs))], self.response])
@@ -134,8 +112,7 @@ class MeasuredResponse:
 
     def _in_units_of(self, scale):
         """The same with its channels divided by scale."""
-        size = self.loop.plant.noutputs
-        scale = arguments.array("scale", scale, (size,))
+        scale = arguments.array("scale", scale, (self.loop.plant.noutputs,))
         return replace(
             self,
             response=self.response * scale / scale[:, None],
@@ -144,18 +121,7 @@ class MeasuredResponse:
         )
 
     def basis(self, omega, confidence: float = 0.95) -> tuple[str, ...]:
-        """What was measured, and what :meth:`on` assumes beside it.
-
-        Parameters
-        ----------
-        omega, confidence
-            As for :meth:`on`.
-
-        Returns
-        -------
-        tuple of str
-            For the certificate of a design; the findings last.
-        """
+        """What was measured, and what :meth:`on` assumes beside it; the findings last."""
         confidence = arguments.number("confidence", confidence, "between 0 and 1", 0, 1)
         low, high = self.omega[[0, -1]]
         beyond = np.count_nonzero(arguments.row("omega", omega) > high * (1 + 1e-9))
@@ -225,26 +191,16 @@ def measured_response(
     the data. Noise is taken to be stationary and smooth across neighbouring lines; where it rises
     more steeply than in proportion to frequency, the radius at the lowest lines is larger than need
     be.
-
-    No well-kept library does this: pyFRF and scipy.signal average spectra, without a transient or
-    a covariance.
     """
     arguments.instance("log", log, xr.Dataset)
     excitation, loop = excitation_of(log), loop_of(log)
     if excitation is None or loop is None:
         raise LogError("log names no excitation or no loop in its metadata: it is not of shake")
-    limits = actuators_of(log) | actuators.checked("limits", limits, loop.controls)
+    limits = actuators_of(log) | named_limits("limits", limits, loop.controls)
     w, y = _signals(log, excitation)
     windows = windows_of(excitation.harmonics, excitation, loop)
     measured = _estimate(w, y, windows, excitation, loop)
-    reports = (
-        doubts.beyond(actuators.beyond(log.u.values, loop.controls, limits)),
-        doubts.distortion(y, excitation, measured),
-        doubts.drift(y, windows, excitation, measured),
-        doubts.unanchored(measured),
-        doubts.sparse(measured),
-    )
-    findings = tuple(report for report in reports if report)
+    findings = findings_of(log.u.values, y, limits, windows, excitation, measured)
     for finding in findings:
         warnings.warn(finding, stacklevel=2)
     return replace(measured, findings=findings)
@@ -334,7 +290,7 @@ def _signals(log, excitation):
 
 
 def _estimate(w, y, windows, excitation, loop):
-    """The response from the signals (experiment, time, channel), before it is doubted."""
+    """The response from the signals (experiment, time, channel), before it is judged."""
     W = np.fft.rfft(w, axis=1)[:, [window.line for window in windows]]
     W = np.moveaxis(W, 0, 2)  # (line, input, experiment)
     _refuse_weak(W, excitation.omega)

@@ -1,9 +1,8 @@
 """What made the trials, noted in the metadata as JSON: the law or the excitation, the loop."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, fields
-from types import MappingProxyType
 
 import control
 import numpy as np
@@ -16,11 +15,9 @@ from rodlib.ilc.filters import (
     ZeroPhaseButterworth,
     zero_phase_butterworth,
 )
-from rodlib.ilc.laboratory import actuators
-from rodlib.ilc.laboratory import units as pints
 from rodlib.ilc.laboratory.excitation import Excitation
-from rodlib.ilc.laboratory.layout import read_json
-from rodlib.ilc.laboratory.tables import LogError
+from rodlib.ilc.laboratory.limits import named_limits
+from rodlib.ilc.laboratory.log import LogError, read_json
 from rodlib.ilc.loop import CurrentTrialLoop
 
 MADE_BY = ("Q", "L", "rest", "step", "excitation", "loop")  # the keys of all notes
@@ -35,25 +32,17 @@ def with_law(
     loop: CurrentTrialLoop | None = None,
     step: float = 1.0,
 ) -> xr.Dataset:
-    """Note in the metadata which ILC law (23) made the trials, and around which loop.
-
-    `rest` is the number of samples at the end of a trial in which v was held at zero, `step` the
-    share of the way that v went, both as in :func:`rodlib.update`. Of a learning operator that is
-    no :class:`rodlib.LearningFilter` nothing is noted.
-    """
+    """Note which ILC law (23) made the trials, and around which loop; of L, only coefficients."""
     arguments.instance("trials", trials, xr.Dataset)
     arguments.instance("Q", Q, ZeroPhaseButterworth)
     if L is not None:
         arguments.instance("L", L, LearningOperator)
-    law = notes_of_law(Q, L if isinstance(L, LearningFilter) else None)
-    if L is not None and not isinstance(L, LearningFilter):
-        del law["L"]
-    notes = {name: json.dumps(note) for name, note in law.items()}
-    rest = arguments.whole("rest", rest, 0)
-    if rest:
+    named = L is None or isinstance(L, LearningFilter)
+    law = notes_of_law(Q, L if named else None)
+    notes = {name: json.dumps(note) for name, note in law.items() if named or name != "L"}
+    if rest := arguments.whole("rest", rest, 0):
         notes["rest"] = json.dumps(rest)
-    step = arguments.share("step", step)
-    if step != 1:
+    if (step := arguments.share("step", step)) != 1:
         notes["step"] = json.dumps(step)
     if loop is not None:
         notes["loop"] = _note_of(arguments.instance("loop", loop, CurrentTrialLoop))
@@ -64,71 +53,56 @@ def with_excitation(
     trials: xr.Dataset,
     excitation: Excitation,
     loop: CurrentTrialLoop,
-    limits: Mapping[str, list[float]] = MappingProxyType({}),
+    followed: Mapping[str, tuple[float, float]] | None = None,
 ) -> xr.Dataset:
-    """Note in the metadata which excitation made the trials, one experiment each, of which loop.
-
-    `limits` are the lowest and highest command that an actuator follows, by name.
-    """
+    """Note which excitation made the trials, of which loop, and what its actuators follow."""
     notes = {"excitation": json.dumps(asdict(excitation)), "loop": _note_of(loop)}
-    if limits:
-        notes["actuators"] = json.dumps(dict(limits), ensure_ascii=False)
+    if followed:
+        notes["actuators"] = json.dumps(followed, ensure_ascii=False)
     return trials.assign_attrs(notes)
 
 
-def actuators_of(trials: xr.Dataset) -> dict[str, list[float]]:
-    """Limits of the actuators, by name, as noted in the metadata; those it does not say, left out.
-
-    Raises
-    ------
-    LogError
-        If the note is there but cannot be understood.
-    """
+def _noted(trials, key, read: Callable, default=None):
+    """What `read` makes of the note `key` of a log; `default` if it is not there."""
+    arguments.instance("trials", trials, xr.Dataset)
+    if key not in trials.attrs:
+        return default
     try:
-        note = read_json(trials.attrs.get("actuators", "{}"))
-        return actuators.checked("actuators", note, trials.control.values.tolist())
+        return read(read_json(trials.attrs[key]))
     except MISUNDERSTOOD as error:
-        raise LogError(f"metadata: actuators cannot be understood: {error}") from None
+        raise LogError(f"metadata: {key} cannot be understood: {error!r}") from None
+
+
+def actuators_of(trials: xr.Dataset) -> dict[str, tuple[float, float]]:
+    """Lowest and highest command that each actuator follows, by name, of those that are noted."""
+    names = trials.control.values.tolist()
+    return _noted(trials, "actuators", lambda note: named_limits("actuators", note, names), {})
 
 
 def excitation_of(trials: xr.Dataset) -> Excitation | None:
-    """The excitation noted in the metadata of a log; None if it does not say.
+    """The excitation noted in the metadata of a log; None if it does not say."""
 
-    Raises
-    ------
-    LogError
-        If the note is there but cannot be understood, or is that of other trials.
-    """
-    if "excitation" not in trials.attrs:
-        return None
-    try:
-        excitation = Excitation(**read_json(trials.attrs["excitation"]))
+    def read(note):
+        excitation = Excitation(**note)
         arguments.one_period(log=trials.attrs["Ts"], excitation=excitation.Ts)
-    except MISUNDERSTOOD as error:
-        raise LogError(f"metadata: excitation cannot be understood: {error!r}") from None
-    return excitation
+        return excitation
+
+    return _noted(trials, "excitation", read)
 
 
 def law_of(trials: xr.Dataset) -> tuple[ZeroPhaseButterworth, LearningFilter | None] | None:
-    """The filters Q and L noted in the metadata of a log; None if it does not say.
+    """The filters Q and L noted in the metadata of a log; None if it does not say."""
 
-    Raises
-    ------
-    LogError
-        If the notes are there but cannot be understood, or L is for another number of channels.
-    """
-    arguments.instance("trials", trials, xr.Dataset)
-    if "Q" not in trials.attrs or "L" not in trials.attrs:
-        return None
-    try:
-        m = trials.sizes["channel"]
-        notes = {name: read_json(trials.attrs[name]) for name in "QL"}
-        Q, L = law_of_notes(notes, trials.attrs["Ts"])
+    def read(note):
+        L = learning_filter_of(note, trials.attrs["Ts"])
         if L is not None:
+            m = trials.sizes["channel"]
             arguments.array("coefficients", L.coefficients, (m, m, "order"))
-        return Q, L
-    except MISUNDERSTOOD as error:
-        raise LogError(f"metadata: Q or L cannot be understood: {error!r}") from None
+        return L
+
+    Q = _noted(trials, "Q", lambda note: filter_of(note, trials.attrs["Ts"]))
+    L = _noted(trials, "L", read)
+    return None if Q is None or "L" not in trials.attrs else (Q, L)
 
 
 def notes_of_law(Q: ZeroPhaseButterworth, L: LearningFilter | None) -> dict:
@@ -139,98 +113,71 @@ def notes_of_law(Q: ZeroPhaseButterworth, L: LearningFilter | None) -> dict:
     }
 
 
-def law_of_notes(notes: Mapping, Ts) -> tuple[ZeroPhaseButterworth, LearningFilter | None]:
-    """The filters of such notes; one of :data:`MISUNDERSTOOD` if they are none."""
-    Q, L = notes["Q"], notes["L"]
-    Q = zero_phase_butterworth(Q["order"], Q["cutoff"], Ts, ends=Q["ends"])
-    return Q, None if L is None else LearningFilter(L["coefficients"], Ts, L["ends"])
+def filter_of(note: Mapping, Ts) -> ZeroPhaseButterworth:
+    """Q of such a note; one of :data:`MISUNDERSTOOD` if it is none."""
+    return zero_phase_butterworth(note["order"], note["cutoff"], Ts, ends=note["ends"])
+
+
+def learning_filter_of(note: Mapping | None, Ts) -> LearningFilter | None:
+    """L of such a note, likewise."""
+    return None if note is None else LearningFilter(note["coefficients"], Ts, note["ends"])
 
 
 def rest_of(trials: xr.Dataset) -> int:
-    """Samples at the end of a trial in which v was held at zero, as noted in the metadata.
-
-    Raises
-    ------
-    LogError
-        If the note is no whole number below the length of a trial.
-    """
+    """Samples at the end of a trial in which v was held at zero, as noted in the metadata."""
     arguments.instance("trials", trials, xr.Dataset)
-    try:
-        note = read_json(trials.attrs.get("rest", "0"))
-        return arguments.whole("rest", note, 0, trials.sizes.get("time", 1) - 1)
-    except MISUNDERSTOOD as error:
-        raise LogError(f"metadata: rest cannot be understood: {error}") from None
+    longest = trials.sizes.get("time", 1) - 1
+    return _noted(trials, "rest", lambda note: arguments.whole("rest", note, 0, longest), 0)
 
 
 def step_of(trials: xr.Dataset) -> float:
-    """The step of :func:`rodlib.update` from each trial to the next, as noted in the metadata.
-
-    Raises
-    ------
-    LogError
-        If the note is no number in (0, 1].
-    """
-    arguments.instance("trials", trials, xr.Dataset)
-    try:
-        return arguments.share("step", read_json(trials.attrs.get("step", "1")))
-    except MISUNDERSTOOD as error:
-        raise LogError(f"metadata: step cannot be understood: {error}") from None
+    """The step of :func:`rodlib.update` from each trial to the next, as noted in the metadata."""
+    return _noted(trials, "step", lambda note: arguments.share("step", note), 1.0)
 
 
 def loop_of(trials: xr.Dataset) -> CurrentTrialLoop | None:
     """The loop noted in the metadata of a log, to the last digit; None if it does not say.
 
+    Parameters
+    ----------
+    trials : xarray.Dataset
+        From :func:`rodlib.load_log` or :func:`rodlib.record`.
+
+    Returns
+    -------
+    CurrentTrialLoop or None
+
     Raises
     ------
     LogError
-        If the note is there but cannot be understood, or is that of other signals.
+        If the note is there but cannot be understood, or is that of other signals or units.
     """
-    arguments.instance("trials", trials, xr.Dataset)
-    if "loop" not in trials.attrs:
-        return None
-    try:
-        note = read_json(trials.attrs["loop"])
-        loop = CurrentTrialLoop(**note | {"plant": _rebuilt(note["plant"])})
-        names = (loop.outputs, loop.controls)
+
+    def read(note):
+        plant = note["plant"]
+        A, B, C, D = (arguments.array(f"plant.{name}", plant[name], (...,)) for name in "ABCD")
+        names = {"inputs": plant["inputs"], "outputs": plant["outputs"]}
+        loop = CurrentTrialLoop(**note | {"plant": control.ss(A, B, C, D, plant["dt"], **names)})
         arguments.one_period(log=trials.attrs["Ts"], loop=loop.Ts)
-        other = _in_other_units(trials, loop.units)
-    except MISUNDERSTOOD as error:
-        raise LogError(f"metadata: loop cannot be understood: {error!r}") from None
-    recorded = (trials.output.values.tolist(), trials.control.values.tolist())
-    if names != recorded:
-        raise LogError(f"metadata: loop has the signals {names}, but the log {recorded}")
-    if other:
-        raise LogError(f"metadata: loop has other units than the log: load it with units={other}")
+        return loop
+
+    loop = _noted(trials, "loop", read)
+    if loop is None:
+        return None
+    for role, names in (("output", loop.outputs), ("control", loop.controls), ("source", ())):
+        own = trials[role].values.tolist() if role in trials.coords else []
+        if role != "source" and names != own:
+            raise LogError(f"metadata: loop has the {role}s {names}, but the log {own}")
+        units = trials[f"{role}_unit"].values.tolist() if own else []
+        for name, unit in zip(own, units, strict=True):
+            wanted = loop.units.get(name, "")
+            if wanted and unit and wanted != unit:  # an empty one is not known
+                raise LogError(f"metadata: loop has {name} in {wanted!r}, but the log in {unit!r}")
     return loop
 
 
-def _in_other_units(trials, units):
-    """Those of `units` that are not the log's; an empty one is not known, and may be any."""
-    other = {}
-    for role in ("output", "control", "source"):
-        if role in trials.coords:
-            names, own = trials[role].values.tolist(), trials[f"{role}_unit"].values.tolist()
-            for name, unit in zip(names, own, strict=True):
-                wanted = units.get(name, "")
-                if wanted and unit and pints.unit(name, wanted) != pints.unit(name, unit):
-                    other[name] = wanted
-    return other
-
-
 def _note_of(loop):
-    parts = {part.name: _plain(getattr(loop, part.name)) for part in fields(loop)}
-    return json.dumps(parts, ensure_ascii=False)
-
-
-def _plain(part):
-    if isinstance(part, control.StateSpace):
-        matrices = {name: getattr(part, name).tolist() for name in "ABCD"}
-        return matrices | {
-            "dt": part.dt, "inputs": part.input_labels, "outputs": part.output_labels
-        }  # fmt: skip
-    return part.tolist() if isinstance(part, np.ndarray) else part
-
-
-def _rebuilt(plant):
-    A, B, C, D = (arguments.array(f"plant.{name}", plant[name], (...,)) for name in "ABCD")
-    return control.ss(A, B, C, D, plant["dt"], inputs=plant["inputs"], outputs=plant["outputs"])
+    parts = {part.name: getattr(loop, part.name) for part in fields(loop)}
+    plant, names = loop.plant, {"inputs": loop.plant.input_labels, "outputs": loop.outputs}
+    parts["plant"] = {name: getattr(plant, name) for name in "ABCD"} | {"dt": plant.dt} | names
+    return json.dumps(parts, ensure_ascii=False, default=np.ndarray.tolist)

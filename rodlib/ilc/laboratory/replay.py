@@ -1,10 +1,9 @@
-"""What a log says of its experiment: was the law followed, is the model right, what comes next.
+"""A log, run again through its law and its loop: what both would have given.
 
 The law and the loop are those that the log itself names. Where it names none, what would need
-them is left out, and the findings say so.
+them is left out; report.py says so, and judges the rest.
 """
 
-import json
 import reprlib
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,41 +14,23 @@ import pandas as pd
 import xarray as xr
 
 from rodlib.ilc import arguments
-from rodlib.ilc.files import write_pieces
 from rodlib.ilc.filters import LearningFilter, ZeroPhaseButterworth, update
+from rodlib.ilc.laboratory.log import signals_of
 from rodlib.ilc.laboratory.notes import law_of, loop_of, rest_of, step_of
-from rodlib.ilc.laboratory.saving import quoted, signals_of
-from rodlib.ilc.laboratory.tables import few, rows
 from rodlib.ilc.loop import CurrentTrialLoop
-from rodlib.ilc.trials import rms, run_trials, state_sequence
-
-AGREES = 1e-5  # of the largest v of an output: logs may hold few digits of it
+from rodlib.ilc.trials import run_trials, state_sequence
 
 
 @dataclass(frozen=True)
 class Replay:
-    """A log, and what its law and its loop make of it; None stands for what they are needed for.
+    """A log, and what its law and its loop make of it; None stands for what they are needed for."""
 
-    Attributes
-    ----------
-    trials : xarray.Dataset
-        The log, its trials in the order of their numbers.
-    loop : CurrentTrialLoop or None
-    law : tuple of ZeroPhaseButterworth and LearningFilter (or None), or None
-    rest : int
-        Samples at the end of every trial in which v was held at zero.
-    step : float
-        Of the law, from each trial to the next.
-    untold : tuple of str
-        Disturbances that the simulation is not told of.
-    """
-
-    trials: xr.Dataset
+    trials: xr.Dataset  # in the order of their numbers
     loop: CurrentTrialLoop | None
     law: tuple[ZeroPhaseButterworth, LearningFilter | None] | None
-    rest: int
-    step: float
-    untold: tuple[str, ...]
+    rest: int  # samples at the end of every trial in which v was held at zero
+    step: float  # of the law, from each trial to the next
+    untold: tuple[str, ...]  # disturbances that the simulation is not told of
 
     @property
     def outputs(self) -> list[str]:
@@ -81,22 +62,17 @@ class Replay:
     @cached_property
     def simulated(self) -> xr.Dataset | None:
         """The same experiment on the model: the law, each trial's reference, the disturbances."""
-        if self.loop is None or self.law is None or not self._from_the_first:
+        if self.loop is None or self.law is None or not self.from_the_first:
             return None
-        told = [name not in self.untold for name in self.loop.disturbances]
-        reference = self.trials.reference.transpose("trial", "time", "channel").values
-        return run_trials(
-            self.loop, *self.law, reference, self.disturbance * told, len(reference),
-            rest=self.rest, step=self.step,
-        )  # fmt: skip
+        reference = self.trials.reference.values
+        told = self.disturbance * [name not in self.untold for name in self.loop.disturbances]
+        made = {"trials": len(reference), "rest": self.rest, "step": self.step}
+        return run_trials(self.loop, *self.law, reference, told, **made)
 
     @cached_property
     def predicted(self) -> np.ndarray | None:
-        """Outputs of the model under the recorded controls and disturbances, without feedback.
-
-        Every trial begins with the model at zero. Shape (trial, time, m).
-        """
-        if self.loop is None or self._diverges:
+        """Outputs of the model, from zero, under what was recorded of its inputs; no feedback."""
+        if self.loop is None or self.diverges:
             return None
         plant, m = self.loop.plant, len(self.outputs)
         signals = np.concatenate([self.trials.u.values, self.disturbance], axis=2)
@@ -117,10 +93,7 @@ class Replay:
 
     @cached_property
     def departure(self) -> pd.DataFrame | None:
-        """How far the recorded v is from that of the law, at most, by trial and output.
-
-        The law is applied to what was recorded of the trial before; NaN if that is not in the log.
-        """
+        """How far v is at most from what follows from the trial before, if that is in the log."""
         if self.law is None:
             return None
         v, found = self.trials.v.values, {}
@@ -147,113 +120,24 @@ class Replay:
             return np.zeros_like(trial.v.values)
         return update(trial.v.values, trial.e.values, Q, L, self.rest, self.step)
 
-    def save_following(self, path) -> None:
-        """Write the next trial's v as a table; the file is replaced as a whole or not at all.
-
-        Parameters
-        ----------
-        path : path-like
-            CSV: the time in s, then a column for each output, as in a log. Lines that begin with
-            ``#`` say which trial it is for, and the units.
-
-        Raises
-        ------
-        ValueError
-            If the log does not say which law made it.
-        """
-        path = arguments.path("path", path)
-        if self.law is None:
-            raise ValueError("the log does not say which law made it: there is no next trial")
-        titles = [f"v_{name}" for name in self.outputs]
-        units = dict(zip(titles, self.trials.output_unit.values.tolist(), strict=True))
-        head = (
-            f"# ILC signal v of trial {self.numbers[-1] + 1}, to be added to the reference\n"
-            f"# units: {json.dumps({'time': 's'} | units, ensure_ascii=False)}\n"
-            f"{','.join(['time', *map(quoted, titles)])}\n"
-        )
-        write_pieces(path, [head.encode(), rows((self.trials.time.values,), [self.following])])
-
     @property
-    def about_the_law(self) -> str:
-        """Whether the recorded v is that of the law, in a sentence."""
-        if self.law is None:
-            return "the log does not say which law made it"
-        largest = np.abs(self.trials.v.values).max(axis=(0, 1))
-        wrong = self.departure > AGREES * largest
-        if wrong.to_numpy().any():
-            number, name = wrong.stack().idxmax()
-            unit = self.trials.output_unit.values[self.outputs.index(name)]
-            amount = f"{self.departure.loc[number, name]:.1e} {unit}".strip()
-            return f"v departs from the law from trial {number} on, by {amount} in {name}"
-        unknown = self.departure.index[self.departure.isna().all(axis=1)].tolist()
-        if unknown:
-            which = ", ".join(few([str(number) for number in unknown]))
-            return f"the recorded v is that of the law, as far as the trials before {which} tell"
-        return "the recorded v is that of the law in every trial"
-
-    @property
-    def left_out(self) -> list[str]:
-        """What was left out, and why."""
-        reasons = []
-        if self.law is None:
-            reasons.append(
-                "law check, next trial and simulation: the log does not say which law made it; "
-                "its metadata need Q and L"
-            )
-        if self.loop is None:
-            reasons.append(
-                "simulation and prediction: the log does not say which loop made it; its metadata "
-                "need loop"
-            )
-            return reasons
-        if not self._from_the_first:
-            reasons.append(f"simulation: not all trials from 1 on are there, but {self.numbers}")
-        if self._diverges:
-            reasons.append("prediction: without feedback the model is unstable")
-        unknown = [name for name in self.sources if name not in self.loop.disturbances]
-        if unknown:
-            reasons.append(f"disturbances {unknown}: the model does not know them")
-        if told := [name for name in self.sources if name in self.untold]:
-            reasons.append(f"disturbances {told}: the simulation is not told of them")
-        return reasons
-
-    @property
-    def _from_the_first(self):
+    def from_the_first(self) -> bool:
+        """Whether all trials from the first on are there."""
         return self.numbers == list(range(1, len(self.numbers) + 1))
 
     @property
-    def _diverges(self):
-        return np.abs(self.loop.plant.poles()).max() > 1 + 1e-9  # an integrator does not
-
-    def __str__(self) -> str:
-        table = rms_by_trial(self.trials.e)
-        if self.simulated is not None:
-            simulated = rms_by_trial(self.simulated.e).add_suffix(", simulation")
-            table = pd.concat([table.add_suffix(", log"), simulated], axis=1)
-        lines = [
-            f"{len(self.numbers)} trials of {self.trials.sizes['time']} samples, Ts = "
-            f"{self.trials.attrs['Ts']:g} s",
-            f"law: {self.about_the_law}",
-            f"RMS of the error:\n{table.to_string(float_format='{:.3g}'.format)}",
-        ]
-        if self.fit is not None:
-            mean = (100 * self.fit.mean()).round(1)
-            fits = ", ".join(f"{name} {value:g} %" for name, value in mean.items())
-            lines.append(f"fit of the model's prediction, mean of all trials: {fits}")
-        return "\n".join([*lines, *(f"left out: {reason}" for reason in self.left_out)])
+    def diverges(self) -> bool:
+        """Whether the model without feedback runs away; an integrator does not."""
+        return np.abs(self.loop.plant.poles()).max() > 1 + 1e-9
 
 
-def replay_of(
-    trials: xr.Dataset, loop: CurrentTrialLoop | None = None, untold: Sequence[str] = ()
-) -> Replay:
+def replay_of(trials: xr.Dataset, untold: Sequence[str] = ()) -> Replay:
     """Replay a log with the law and the loop that its metadata name.
 
     Parameters
     ----------
     trials : xarray.Dataset
         From :func:`rodlib.load_log` or :func:`rodlib.record`.
-    loop : CurrentTrialLoop, optional
-        For a log that does not say which it was. Its channels are those of the log in their order.
     untold : sequence of str, optional
         Names of disturbances that the simulation shall not be told of.
 
@@ -265,43 +149,12 @@ def replay_of(
     ------
     LogError
         If the law or the loop is noted, but cannot be understood.
-    ValueError
-        If `loop` has another number of channels or another sampling period than the log.
     """
     arguments.instance("trials", trials, xr.Dataset)
     signals_of(trials)  # which checks that it has all that a log has
     trials = trials.sortby("trial").transpose("trial", "time", ...)
-    if loop is not None:
-        arguments.instance("loop", loop, CurrentTrialLoop)
     listed = isinstance(untold, Sequence) and not isinstance(untold, str)
     if not (listed and all(isinstance(name, str) for name in untold)):
         raise ValueError(f"untold = {reprlib.repr(untold)} must be a list of names")
-    noted = loop_of(trials)
-    if noted is None and loop is not None:
-        arguments.one_period(log=trials.attrs["Ts"], loop=loop.Ts)
-        if len(loop.outputs) != trials.sizes["channel"]:
-            raise ValueError(
-                f"loop has the outputs {loop.outputs}, but the log {trials.output.values.tolist()}"
-            )
-    return Replay(
-        trials, noted or loop, law_of(trials), rest_of(trials), step_of(trials), tuple(untold)
-    )
-
-
-def by_unit(units: Sequence[str]) -> dict[str, list[int]]:
-    """Channels whose signals have the same unit, and so can stand in one sum or picture."""
-    return {unit: [i for i, other in enumerate(units) if other == unit] for unit in units}
-
-
-def with_unit(text: str, unit: str) -> str:
-    """A label with its unit behind it, if there is one."""
-    return f"{text} ({unit})" if unit else text
-
-
-def rms_by_trial(e: xr.DataArray) -> pd.DataFrame:
-    """RMS(e_k), :func:`rodlib.ilc.trials.rms`, by trial; a column for each unit of the outputs."""
-    groups, columns = by_unit(e.output_unit.values.tolist()), {}
-    for unit, channels in groups.items():
-        names = "" if len(groups) == 1 else f" of {', '.join(e.output.values[channels])}"
-        columns[with_unit(f"RMS{names}", unit)] = rms(e.isel(channel=channels)).values
-    return pd.DataFrame(columns, pd.Index(e.trial.values, name="trial"))
+    law, loop = law_of(trials), loop_of(trials)
+    return Replay(trials, loop, law, rest_of(trials), step_of(trials), tuple(untold))

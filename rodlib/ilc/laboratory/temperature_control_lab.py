@@ -11,7 +11,6 @@ import control
 import numpy as np
 
 from rodlib.ilc import arguments
-from rodlib.ilc.trials import state_sequence
 
 HEATERS, THERMOMETERS = ["Q1", "Q2"], ["T1", "T2"]
 LAST = 60.0  # s of the wait before the first trial, over which the readings at rest are averaged
@@ -37,15 +36,6 @@ class TemperatureControlLab:
         How long both heaters are held at rest before a trial, s; at least a minute.
     seed : int
         Of the emulator's noise, which comes from Python's own generator of random numbers.
-
-    Raises
-    ------
-    ImportError
-        If the package tclab is missing.
-    ValueError
-        If an argument is out of range.
-    RuntimeError
-        From tclab, if no kit is found.
     """
 
     inputs = HEATERS
@@ -127,14 +117,8 @@ def heat_balance(gain_1, gain_2, loss, exchange, lag, Ts) -> control.StateSpace:
 
     Parameters
     ----------
-    gain_1, gain_2 : float
-        Of the heaters, K/s per %.
-    loss, exchange : float
-        Of heat to the air, and to the other heater, 1/s.
-    lag : float
-        Time constant of the thermometers, s.
-    Ts : float
-        Sampling period, s.
+    gain_1, gain_2, loss, exchange, lag, Ts : float
+        In K/s per %, 1/s (to the air, and to the other heater) and s.
 
     Returns
     -------
@@ -147,30 +131,6 @@ def heat_balance(gain_1, gain_2, loss, exchange, lag, Ts) -> control.StateSpace:
     B, C = np.vstack([np.diag([gain_1, gain_2]), 0 * I]), np.hstack([0 * I, I])
     model = control.ss(A, B, C, 0, inputs=HEATERS, outputs=THERMOMETERS, name="heat balance")
     return control.sample_system(model, Ts, method="zoh")
-
-
-def misfit(parameters, heaters, readings, Ts) -> np.ndarray:
-    """What the heat balance misses of a test from rest, for ``scipy.optimize.least_squares``.
-
-    Parameters
-    ----------
-    parameters : sequence of float
-        The five of :func:`heat_balance`, then by how much the two readings at rest are off, K: the
-        thermometers are coarse.
-    heaters, readings : array_like, shape (time, 2)
-        What was applied (%) and read (K), above rest.
-    Ts : float
-        Sampling period, s.
-
-    Returns
-    -------
-    ndarray, shape (time * 2,)
-        Model minus reading, K.
-    """
-    *balance, off_1, off_2 = parameters
-    model = heat_balance(*balance, Ts)
-    states = state_sequence(model.A, np.asarray(heaters) @ model.B.T, np.zeros(model.nstates))
-    return (states @ model.C.T + [off_1, off_2] - readings).ravel()
 
 
 def _package():

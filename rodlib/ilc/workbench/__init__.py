@@ -46,11 +46,6 @@ def workbench(
     -------
     Panel or None
         With ``settings`` and ``outcome``, what it shows at the moment; None if it is not live.
-
-    Raises
-    ------
-    ValueError
-        If an argument is something else.
     """
     plants = arguments.instance("plants", {} if plants is None else plants, dict)
     for name, plant in plants.items():

@@ -19,27 +19,13 @@ from rodlib.ilc.workbench.settings import Settings
 
 @dataclass(frozen=True)
 class Outcome:
-    """What the settings give.
+    """What the settings give: a design, or a message that says why there is none."""
 
-    Attributes
-    ----------
-    settings : Settings or None
-        None if there is not even a plant.
-    design : Synthesis or None
-        None if there is no filter.
-    rms : ndarray, shape (10,)
-        RMS of the error by trial, all channels together, simulated; empty without a filter.
-    message : str
-        Why there is no filter, and what would help; empty if there is one.
-    M_max : float or None
-        Where there is one, to three digits, if a higher M_max is all that it takes.
-    """
-
-    settings: Settings | None
+    settings: Settings | None  # None if there is not even a plant
     design: Synthesis | None = None
-    rms: tuple[float, ...] = ()
-    message: str = ""
-    M_max: float | None = None
+    rms: tuple[float, ...] = ()  # of the error by trial, all channels together, simulated
+    message: str = ""  # why there is no filter, and what would help
+    M_max: float | None = None  # from which on there is one, if that is all that it takes
 
     @property
     def line(self) -> str:
@@ -66,7 +52,6 @@ def try_out(settings: Settings) -> Outcome:
     arguments.instance("settings", settings, Settings)
     try:
         plant = arguments.instance("plant", settings.plant, Plant)
-        seed = arguments.whole("seed", settings.seed, 0)
         Q = settings.Q
         design = synthesise(plant.response, Q, settings.omega, settings.Ts, **settings.problem)
     except InfeasibleError as error:
@@ -74,8 +59,7 @@ def try_out(settings: Settings) -> Outcome:
     except (ValueError, SolverError) as error:
         return Outcome(settings, message=str(error))
     samples, m = plant.reference.shape
-    rng = np.random.default_rng(seed)
-    noise = settings.noise * rng.standard_normal((TRIALS, samples, m))
+    noise = settings.noise * np.random.default_rng(0).standard_normal((TRIALS, samples, m))
     trials = run_trials(
         plant.loop, Q, design.filter, plant.reference, plant.disturbance, TRIALS, noise=noise
     )

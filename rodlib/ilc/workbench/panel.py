@@ -3,7 +3,6 @@
 import asyncio
 import os
 import warnings
-from contextlib import contextmanager
 from html import escape
 from math import floor, log10
 
@@ -24,22 +23,13 @@ PAUSE = 0.01  # s; changes that follow each other faster are one
 class Panel:
     """Knobs to the left, the picture to the right, or below where there is no room beside them.
 
-    Attributes
-    ----------
-    widget : ipywidgets.Widget
-    outcome : Outcome
-        What is shown.
-    before : Outcome or None
-        The filter before that, in gray.
-    designs : int
-        How many outcomes have been computed.
+    Its `widget` shows `outcome`, in gray the last filter `before` that; `designs` counts them.
     """
 
     def __init__(self, plants: dict[str, Plant | Family], log: str = ""):
         self.plants, self.picture = plants, Picture()
         self.outcome, self.before, self.designs = Outcome(None), None, 0
-        self._made = (None, None)  # the plant that was made last, and of what
-        self._due, self._quiet = None, False
+        self._plant, self._due, self._quiet = None, None, False
         self.choice, self.file, self.knobs = _knobs([*plants, FILE], log)
         families = {name: plant for name, plant in plants.items() if isinstance(plant, Family)}
         self.parameters = {name: _parameters(family) for name, family in families.items()}
@@ -50,23 +40,27 @@ class Panel:
         self.save = widgets.Button(description="save Q and L", layout={"width": "auto"})
         self.saved = widgets.HTML()
         self.widget = self._laid_out()
-        self.remedy.on_click(lambda button: self._set(M_max=self.outcome.M_max))
+        self.remedy.on_click(self._remedy)
         self.save.on_click(self._save)
-        self.choice.observe(self._begin, "value")
-        own = [knob for knobs in self.parameters.values() for knob in knobs.values()]
-        for knob in (self.file, *own, *self.knobs.values()):
+        for knob in (self.choice, self.file):
+            knob.observe(self._begin, "value")
+        for knob in [knob for knobs in self.parameters.values() for knob in knobs.values()]:
+            knob.observe(self._another, "value")
+        for knob in self.knobs.values():
             knob.observe(self._changed, "value")
         self._begin()
 
     def _laid_out(self):
-        self.families = {
+        """All widgets in their places; `shown_with` has those that one plant alone needs."""
+        self.shown_with = {
             name: widgets.Accordion(
                 [widgets.VBox([*knobs.values()])], titles=[f"parameters of {name}"]
             )
             for name, knobs in self.parameters.items()
-        }
+        } | {FILE: self.file}
+        *families, file = self.shown_with.values()
         left = widgets.VBox(
-            [self.choice, self.file, *self.knobs.values(), *self.families.values()],
+            [self.choice, file, *self.knobs.values(), *families],
             layout={"flex": "1 1 320px", "min_width": "300px", "max_width": "400px"},
         )
         saving = [self.target, self.save, self.saved]
@@ -87,55 +81,58 @@ class Panel:
         """What is shown was made of these; None if there was not even a plant."""
         return self.outcome.settings
 
-    def _plant(self):
-        """The plant of the knobs, made anew only if they say another one."""
-        name = self.choice.value
-        if isinstance(self.plants.get(name), Plant):
-            return self.plants[name]
+    @property
+    def plant(self) -> Plant:
+        """The plant that is chosen, made anew only after its own widgets have said another one."""
+        if self._plant is None:
+            with warnings.catch_warnings(action="ignore"):  # they are in a measurement's findings
+                self._plant = self._made(self.choice.value)
+        return self._plant
+
+    def _made(self, name):
         if name == FILE:
-            path = os.path.expanduser(self.file.value.strip())
-            of = (path, os.path.exists(path) and os.path.getmtime(path))
-        else:
-            of = (
-                name,
-                {parameter: knob.value for parameter, knob in self.parameters[name].items()},
-            )
-        if of != self._made[0]:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # a measurement's findings are in its certificate
-                made = plant_of_file(of[0]) if name == FILE else self.plants[name].make(**of[1])
-                self._made = (of, made)
-        return self._made[1]
+            return plant_of_file(os.path.expanduser(self.file.value.strip()))
+        if name in self.parameters:
+            values = {word: knob.value for word, knob in self.parameters[name].items()}
+            return self.plants[name].make(**values)
+        return self.plants[name]
 
     def _begin(self, change=None):
-        """Another plant: begin with the paper's choices, carried over to it."""
-        self.file.layout.display = "" if self.choice.value == FILE else "none"
-        for name, accordion in self.families.items():
-            accordion.layout.display = "" if self.choice.value == name else "none"
+        """Another plant is chosen: begin with the paper's choices, carried over to it."""
+        for name, widget in self.shown_with.items():
+            widget.layout.display = "" if self.choice.value == name else "none"
+        self._plant = None
         try:
-            settings = Settings.of(self._plant())
+            settings = Settings.of(self.plant)
         except (ValueError, OSError) as error:
             return self._show(Outcome(None, message=str(error)))
-        with self._quietly():
-            self._fit_ranges(settings)
+        self._quiet = True
+        try:
+            self._fit(settings)
+        finally:
+            self._quiet = False
         self.update()
 
-    def _fit_ranges(self, settings):
-        """Set all knobs, and what they can be set to, for a plant."""
+    def _another(self, change):
+        """The same kind of plant, with another parameter: the knobs stay."""
+        self._plant = None
+        self._changed(change)
+
+    def _fit(self, settings):
+        """Set all knobs, and what they can be set to, for the plant of the settings."""
         knobs, plant = self.knobs, settings.plant
-        gain, cutoff = log10(settings.L_max), log10(settings.cutoff)
-        _set_range(knobs["L_max"], floor(gain) - 1, floor(gain) + 2, settings.L_max)
-        _set_range(knobs["cutoff"], floor(cutoff) - 1, floor(cutoff) + 2, settings.cutoff)
+        for name in ("L_max", "cutoff"):
+            decade = floor(log10(getattr(settings, name)))
+            _set_range(knobs[name], decade - 1, decade + 2, getattr(settings, name))
         _set_range(knobs["order"], 1, max(20, 2 * settings.order), settings.order)
         most = float(f"{np.abs(plant.reference).max():.1g}")
         knobs["noise"].step = most / 100
-        _set_range(knobs["noise"], 0, most, 0)
-        unit = " and ".join(sorted({plant.loop.units[name] for name in plant.loop.outputs} - {""}))
-        knobs["noise"].description = f"noise ({unit})" if unit else "noise"
+        _set_range(knobs["noise"], 0, most, settings.noise)
+        knobs["noise"].description = f"noise ({plant.unit})" if plant.unit else "noise"
         knobs["uncertainty"].disabled = plant.measured
-        (low, high), choices = settings.band, {"M_max": 0.9, "Q_order": 2, "uncertainty": 0}
-        for name, value in {"low": low, "high": high, "structure": "diagonal", **choices}.items():
-            knobs[name].value = value
+        knobs["low"].value, knobs["high"].value = settings.band
+        for name in ("M_max", "Q_order", "structure", "uncertainty"):
+            knobs[name].value = getattr(settings, name)
 
     def _said(self):
         """What the knobs say, rounded to what they show."""
@@ -143,15 +140,7 @@ class Panel:
         for name in ("L_max", "cutoff", "noise", "uncertainty"):
             say[name] = float(f"{say[name]:.3g}")
         say["M_max"] = round(say["M_max"], 3)
-        return Settings(self._plant(), band=(say.pop("low"), say.pop("high")), **say)
-
-    @contextmanager
-    def _quietly(self):
-        self._quiet = True
-        try:
-            yield
-        finally:
-            self._quiet = False
+        return Settings(self.plant, band=(say.pop("low"), say.pop("high")), **say)
 
     def _changed(self, change):
         """A knob was turned: update soon, unless another one follows; the newest setting counts."""
@@ -191,9 +180,8 @@ class Panel:
         # last: who sees the new picture reads what belongs to it
         self.image.value = picture
 
-    def _set(self, **values):
-        for name, value in values.items():
-            self.knobs[name].value = value
+    def _remedy(self, button):
+        self.knobs["M_max"].value = self.outcome.M_max
 
     def _save(self, button):
         """Save the filters that are shown, read them again, and say where they are, or why not."""
@@ -230,23 +218,21 @@ def _knobs(plants, log):
     three = {"readout_format": ".3g", "step": 0.02} | lazy
     return choice, file, {
         "M_max": widgets.FloatSlider(
-            0.9, min=0.05, max=0.999, step=0.001, readout_format=".3f", description="M_max", **lazy
+            min=0.05, max=0.999, step=0.001, readout_format=".3f", description="M_max", **lazy
         ),
-        "L_max": widgets.FloatLogSlider(50, description="L_max", **three),
-        "cutoff": widgets.FloatLogSlider(
-            0.1, min=-2, max=1, description="cut-off (rad/s)", **three
-        ),
-        "Q_order": widgets.IntSlider(2, min=1, max=6, description="order of Q", **lazy),
-        "order": widgets.IntSlider(10, min=1, max=20, description="order of L", **lazy),
+        "L_max": widgets.FloatLogSlider(description="L_max", **three),
+        "cutoff": widgets.FloatLogSlider(description="cut-off (rad/s)", **three),
+        "Q_order": widgets.IntSlider(min=1, max=6, description="order of Q", **lazy),
+        "order": widgets.IntSlider(description="order of L", **lazy),
         "structure": widgets.Dropdown(
             options=["diagonal", "full"], description="structure", **common
         ),
-        "low": widgets.FloatText(1e-4, description="band from (rad/s)", **lazy),
-        "high": widgets.FloatText(0.02, description="band to (rad/s)", **lazy),
+        "low": widgets.FloatText(description="band from (rad/s)", **lazy),
+        "high": widgets.FloatText(description="band to (rad/s)", **lazy),
         "uncertainty": widgets.FloatSlider(
-            0, min=0, max=20, step=0.5, readout_format=".1f", description="uncertainty (%)", **lazy
+            min=0, max=20, step=0.5, readout_format=".1f", description="uncertainty (%)", **lazy
         ),
-        "noise": widgets.FloatSlider(0, min=0, max=10, description="noise", **three),
+        "noise": widgets.FloatSlider(description="noise", **three),
     }  # fmt: skip
 
 

@@ -9,6 +9,7 @@ import textwrap
 from io import BytesIO
 from itertools import cycle, islice, product
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -20,9 +21,18 @@ from rodlib.ilc import arguments
 from rodlib.ilc.workbench.outcome import Outcome
 
 SIZE = (7.6, 5.2)  # inches, of 100 pixels each
+STYLE = {
+    "font.size": 9, "axes.titlesize": 9, "axes.titlelocation": "left", "axes.grid": True,
+    "axes.titley": 1.0,  # fixed: to look for what may be in its way takes long
+    "grid.color": "0.9", "legend.frameon": False, "lines.linewidth": 1.3,
+}  # fmt: skip
 BEFORE = {"color": "0.75", "linewidth": 2.4}
 BOUND = {"color": "tab:red", "linewidth": 1, "linestyle": "--"}
 MIDDLE = 0.475  # of the figure's height, between the labels of the upper axes and the lower titles
+PARTS = {  # of the figure that the axes draw on: left, low, right, high
+    (0, 0): (0, MIDDLE, 0.5, 1), (0, 1): (0.5, MIDDLE, 1, 1),
+    (1, 0): (0, 0, 0.5, MIDDLE), (1, 1): (0.5, 0, 1, MIDDLE),
+}  # fmt: skip
 TOP = 0.94  # from here up the words on the colours
 KEPT = 100  # drawn parts, a third of a megabyte each
 ROUND = np.array([1, 1.5, 2, 3, 5, 7, 10])
@@ -33,13 +43,9 @@ ENTRIES = [  # how those of a filter look; gray is for the filter before
 
 
 class Picture:
-    """Four axes whose lines are replaced from outcome to outcome.
+    """Four axes whose lines are replaced from outcome to outcome: its `figure` is Matplotlib's."""
 
-    Attributes
-    ----------
-    figure : matplotlib.figure.Figure
-    """
-
+    @mpl.rc_context(STYLE)
     def __init__(self):
         self.figure = Figure(SIZE, dpi=100, layout="none")
         FigureCanvasAgg(self.figure)
@@ -59,6 +65,7 @@ class Picture:
             parse_math=False,  # it may name a file
         )  # fmt: skip
 
+    @mpl.rc_context(STYLE)
     def show(self, outcome: Outcome, before: Outcome | None = None) -> "Picture":
         """Put in the lines of an outcome, and of one before it in gray; or why there is no filter.
 
@@ -119,7 +126,8 @@ class Picture:
         values = np.concatenate([outcome.rms for outcome in outcomes])
         low, high = np.log10([max(values.min(), 1e-15), max(values.max(), 1e-15)])
         trials.set_ylim(10 ** np.floor(low), 10 ** (np.floor(high) + 1))
-        unit = _unit(outcomes[0].settings.plant.loop)
+        unit = outcomes[0].settings.plant.unit
+        unit = f" ({unit})" if unit else ""
         trials.set_title(f"RMS of the error{unit}, simulated", parse_math=False)
         coefficients = np.concatenate([d.filter.coefficients.ravel() for d in designs])
         least, most = coefficients.min(), coefficients.max()
@@ -137,19 +145,19 @@ class Picture:
                 labelspacing=0.2,
             )  # fmt: skip
 
+    @mpl.rc_context(STYLE)
     def png(self) -> bytes:
         """The picture as a PNG file; the same bytes for the same outcomes."""
-        canvas = self.figure.canvas
-        renderer = canvas.get_renderer()
-        shown = [(k, axes) for k, axes in enumerate(self.axes.flat) if axes.get_visible()]
+        canvas, renderer = self.figure.canvas, self.figure.canvas.get_renderer()
+        shown = [(place, axes) for place, axes in np.ndenumerate(self.axes) if axes.get_visible()]
         lines = [line for _, axes in shown for line in axes.lines]
         for line in lines:
             line.set_visible(False)
-        parts = [self._axes(number, axes, renderer) for number, axes in shown]
-        parts.append(self._part(self._words.get_text(), self._words, (0, TOP, 1, 1), renderer))
+        parts = [self._part(_look(axes), axes, PARTS[place]) for place, axes in shown]
+        parts.append(self._part(self._words.get_text(), self._words, (0, TOP, 1, 1)))
         for line in lines:
             line.set_visible(True)
-        self._clear(renderer)
+        self._clear()
         for part in parts:
             canvas.restore_region(part)
         for artist in (*lines, self._message):
@@ -159,30 +167,28 @@ class Picture:
         Image.fromarray(opaque).save(buffer, "png", compress_level=1)
         return buffer.getvalue()
 
-    def _clear(self, renderer):
+    def _clear(self):
+        renderer = self.figure.canvas.get_renderer()
         renderer.clear()
         self.figure.patch.draw(renderer)
 
-    def _axes(self, number, axes, renderer):
-        """Axes without their lines."""
-        legend = axes.get_legend()
-        names = tuple(text.get_text() for text in legend.texts) if legend else ()
-        key = (number, axes.get_title(loc="left"), *axes.get_xlim(), *axes.get_ylim(), names)
-        row, column = divmod(number, 2)
-        left, right = ((0, 0.5), (0.5, 1))[column]
-        low, high = ((MIDDLE, 1), (0, MIDDLE))[row]
-        return self._part(key, axes, (left, low, right, high), renderer)
-
-    def _part(self, key, artist, corners, renderer):
-        """What an artist makes of a part of the picture, as it was drawn before or is drawn now."""
-        if key not in self._drawn:
+    def _part(self, look, artist, corners):
+        """What an artist without lines makes of a part of the picture, drawn once for each look."""
+        if (look, corners) not in self._drawn:
             if len(self._drawn) >= KEPT:
                 self._drawn.clear()
-            self._clear(renderer)
-            artist.draw(renderer)
+            self._clear()
+            artist.draw(self.figure.canvas.get_renderer())
             box = Bbox.from_extents(*corners).transformed(self.figure.transFigure)
-            self._drawn[key] = self.figure.canvas.copy_from_bbox(box)
-        return self._drawn[key]
+            self._drawn[look, corners] = self.figure.canvas.copy_from_bbox(box)
+        return self._drawn[look, corners]
+
+
+def _look(axes):
+    """What the look of axes without their lines depends on."""
+    legend = axes.get_legend()
+    names = tuple(text.get_text() for text in legend.texts) if legend else ()
+    return axes.get_title(loc="left"), *axes.get_xlim(), *axes.get_ylim(), names
 
 
 def entries(outcome: Outcome) -> dict[str, np.ndarray]:
@@ -199,13 +205,6 @@ def _alike(before, outcome):
     """Whether two filters can stand in the same axes."""
     sizes = [len(each.design.filter.coefficients) for each in (before, outcome)]
     return sizes[0] == sizes[1] and before.settings.Ts == outcome.settings.Ts
-
-
-def _unit(loop):
-    """The unit of the outputs, if they have one in common."""
-    units = {loop.units[name] for name in loop.outputs}
-    unit = units.pop() if len(units) == 1 else ""
-    return f" ({unit})" if unit else ""
 
 
 def _round_up(value):

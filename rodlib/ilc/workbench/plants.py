@@ -3,16 +3,15 @@
 import reprlib
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from rodlib.ilc import arguments
-from rodlib.ilc.laboratory import LogError, MeasuredResponse, load_log, loop_of, measured_response
+from rodlib.ilc.laboratory import LogError, MeasuredResponse, load_log, measured_response
 from rodlib.ilc.laboratory.notes import excitation_of
 from rodlib.ilc.laboratory.replay import replay_of
 from rodlib.ilc.loop import CurrentTrialLoop
-from rodlib.paper.rig_logs import papers_loop
+from rodlib.ilc.problem import Problem
 
 TRIALS = 10
 
@@ -33,18 +32,13 @@ class Plant:
         In the order of ``loop.disturbances``. Default zero.
     order : int
         Samples that the learning filter looks ahead at first; more than the plant's delay.
-
-    Raises
-    ------
-    ValueError
-        If an argument is something else, or the reference has another shape.
     """
 
     source: str
     response: CurrentTrialLoop | MeasuredResponse
     reference: np.ndarray | None = None
     disturbance: np.ndarray | None = None
-    order: int = 10
+    order: int = Problem.order
 
     def __post_init__(self):
         arguments.instance("source", self.source, str)
@@ -75,6 +69,12 @@ class Plant:
         """The loop whose model the trials are simulated with."""
         return self.response.loop if self.measured else self.response
 
+    @property
+    def unit(self) -> str:
+        """The unit of the outputs, if they have one in common."""
+        units = {self.loop.units[name] for name in self.loop.outputs}
+        return units.pop() if len(units) == 1 else ""
+
     def size(self, omega) -> np.ndarray:
         """||P||, the largest singular value, at `omega` (rad/s)."""
         known = self.response
@@ -84,34 +84,18 @@ class Plant:
 
 @dataclass(frozen=True, eq=False)
 class Family:
-    """Plants that differ in a few numbers, each of which gets a knob.
+    """Plants that differ in a few numbers, each of which gets a knob."""
 
-    Attributes
-    ----------
-    make : callable
-        Makes the :class:`Plant` of given parameters, by keyword, or raises a ValueError.
-    parameters : dict of (float, str)
-        What each is at first, and its unit, by name.
-    """
-
-    make: Callable[..., Plant]
-    parameters: dict[str, tuple[float, str]]
+    make: Callable[..., Plant]  # of the parameters, by keyword
+    parameters: dict[str, tuple[float, str]]  # by name: what each is at first, and its unit
 
 
 def plant_of_file(path) -> Plant:
-    """What a log tells of a plant.
+    """What a log tells of a plant; a :class:`rodlib.LogError` says why it tells nothing.
 
-    Parameters
-    ----------
-    path : path-like
-        Of an experiment of :func:`rodlib.shake`, from which the response is measured; or of
-        :func:`rodlib.record`: then it is that of the loop that the log names, and the trials
-        repeat the reference and the disturbances of the last one recorded.
-
-    Raises
-    ------
-    LogError
-        If the log cannot be used, or names no loop.
+    From one of :func:`rodlib.shake` the response is measured. Of one of :func:`rodlib.record` it is
+    that of the loop that the log names, and the trials repeat the reference and the disturbances of
+    the last one recorded.
     """
     path = str(arguments.path("path", path))
     log = load_log(path)
@@ -125,11 +109,10 @@ def _plant_of_log(log, path):
     """As :func:`plant_of_file`, of what has been loaded."""
     if excitation_of(log) is not None:
         return Plant(f"rodlib.measured_response(rodlib.load_log({path!r}))", measured_response(log))
-    named = loop_of(log) is not None
-    replay = replay_of(log, papers_loop(Path(path)))
+    replay = replay_of(log)
     if replay.loop is None:
         raise LogError("it names no loop in its metadata: it is of neither shake nor record")
     reference = replay.trials.reference.transpose("trial", "time", "channel").values[-1]
     again = np.repeat(replay.disturbance[-1:], TRIALS, axis=0)
-    source = f"rodlib.ilc.loop_of(rodlib.load_log({path!r}))" if named else "rodlib.paper_loop()"
+    source = f"rodlib.loop_of(rodlib.load_log({path!r}))"
     return Plant(source, replay.loop, reference, again)

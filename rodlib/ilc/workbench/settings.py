@@ -6,6 +6,7 @@ import numpy as np
 
 from rodlib.ilc import arguments
 from rodlib.ilc.filters import ZeroPhaseButterworth, zero_phase_butterworth
+from rodlib.ilc.problem import Problem
 from rodlib.ilc.workbench.plants import Plant
 
 FREQUENCIES = 200  # of the design; the paper has 1000, which take three times as long
@@ -18,58 +19,49 @@ class Settings:
     Attributes
     ----------
     plant : Plant
-    M_max, L_max : float
-        Bounds on sigma_max(M) and sigma_max(L).
+    L_max : float
+        Bound on sigma_max(L).
     cutoff : float
         Of the Q-filter, rad/s.
     band : (float, float)
         Of the sum in (39), rad/s.
     order : int
         Of the learning filter.
+    M_max : float
+        Bound on sigma_max(M).
     Q_order : int
     structure : {"diagonal", "full"}
     uncertainty : float
         Radius of what is not known of P at each frequency, in percent of ||P||.
     noise : float
         Standard deviation of white noise in each measured output, new in every trial, in its unit.
-    seed : int
-        Of the noise in the simulated trials.
     """
 
     plant: Plant
-    M_max: float
     L_max: float
     cutoff: float
     band: tuple[float, float]
     order: int
-    Q_order: int = 2
-    structure: str = "diagonal"
+    M_max: float = Problem.M_max
+    Q_order: int = ZeroPhaseButterworth.order
+    structure: str = Problem.structure
     uncertainty: float = 0.0
     noise: float = 0.0
-    seed: int = 0
 
     @classmethod
     def of(cls, plant: Plant, **changes) -> "Settings":
-        """The paper's choices, carried over to another plant by its sampling period.
+        """The paper's choices but for `changes`, carried over to another plant by its Ts.
 
-        Parameters
-        ----------
-        plant : Plant
-        **changes
-            Other knobs than the paper's.
-
-        Returns
-        -------
-        Settings
-            L_max is the paper's rule, 2.5 / sigma_max(P) at the cut-off frequency, to one digit.
+        L_max is the paper's rule, 2.5 / sigma_max(P) at the cut-off frequency, to one digit.
         """
         Ts = arguments.instance("plant", plant, Plant).loop.Ts
-        cutoff = float(f"{arguments.positive('cutoff', changes.get('cutoff', 0.1 / Ts)):.3g}")
+        cutoff = changes.get("cutoff", ZeroPhaseButterworth.cutoff / Ts)
+        cutoff = float(f"{arguments.positive('cutoff', cutoff):.3g}")
+        low, high = Problem.band
         choices = {
-            "M_max": 0.9,
             "L_max": float(f"{2.5 / plant.size([cutoff])[0]:.1g}"),
             "cutoff": cutoff,
-            "band": (_no_lower(1e-4 / Ts), float(f"{0.02 / Ts:.3g}")),
+            "band": (_no_lower(low / Ts), float(f"{high / Ts:.3g}")),
             "order": plant.order,
         }
         return cls(plant, **choices | changes)
@@ -92,14 +84,7 @@ class Settings:
 
     @property
     def problem(self) -> dict:
-        """What else the synthesis is told, by keyword.
-
-        Raises
-        ------
-        ValueError
-            If the uncertainty or the noise is negative, or a measured response is given another
-            uncertainty than its own.
-        """
+        """What else the synthesis is told, by keyword."""
         choices = {
             "order": self.order,
             "M_max": self.M_max,
@@ -137,7 +122,7 @@ class Settings:
             f"P, omega = {self.plant.source}, "
             f"np.geomspace(1e-4, np.pi, {FREQUENCIES}) / {self.Ts!r}\n"
             f"Q = rodlib.zero_phase_butterworth({self.Q_order}, {self.cutoff!r}, {self.Ts!r})\n"
-            f"design = rodlib.ilc.synthesise(P, Q, omega, {self.Ts!r}, {choices})\n"
+            f"design = rodlib.synthesise(P, Q, omega, {self.Ts!r}, {choices})\n"
         )
 
 

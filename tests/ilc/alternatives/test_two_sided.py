@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rodlib import LearningFilter, converged_noise, run_trials, trial_noise, update
-from rodlib.ilc.alternatives import TwoSidedFilter, extent, impulse_response
+from rodlib.ilc.alternatives import TwoSidedFilter, extent, two_sided_taps
 from rodlib.paper import published
 
 
@@ -56,7 +56,7 @@ def test_a_filter_that_looks_ahead_does_in_the_law_what_a_learning_filter_does(l
 def test_a_pole_outside_the_circle_acts_backward_in_time(pole):
     """1 / (1 - p / z): p^k for k >= 0 inside, -p^k for k < 0 outside."""
     L = TwoSidedFilter(lambda w: 1 / (1 - pole * np.exp(-1j * w))[:, None, None], 1, 1.0)
-    lags, taps = impulse_response(L)
+    lags, taps = two_sided_taps(L)
     forward = abs(pole) < 1
     acts = (lags >= 0) == forward
     expected = np.zeros(len(lags))

@@ -9,7 +9,7 @@ import numpy as np
 import plants
 import pytest
 
-from rodlib import current_trial_loop, load_law, run_trials, save_law, save_log
+from rodlib import current_trial_loop, load_law, run_trials, save_log
 from rodlib.ilc.laboratory.notes import with_law
 from rodlib.ilc.workbench import Picture, Plant, Settings, try_out, workbench
 
@@ -148,28 +148,7 @@ def test_what_is_shown_is_saved(panel, knobs, tmp_path):
     assert panel.saved.value.endswith("device is no regular file: choose another name")
 
 
-def test_what_is_said_to_be_saved_is_read_again(panel, knobs, tmp_path, monkeypatch):
-    def save_another(path, Q, L, note):
-        save_law(path, Q, replace(L, coefficients=L.coefficients * (1 + 1e-15)), note)
-
-    monkeypatch.setattr("rodlib.ilc.workbench.panel.save_law", save_another)
-    panel.target.value = str(tmp_path / "law.json")
-    panel.save.click()
-    assert panel.saved.value.endswith(
-        "law.json holds another law than was written to it: try again"
-    )
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ('"KL": [[', '"KL": [["a", ', "KL must be an array of numbers"),
-        ('"KL": [[', '"KL": [["a"], [', "KL "),
-        ('"units": {"x"', '"units": {"z"', "units is about ['z']"),
-        ("# loop", '# limits: {"y_x": ["a", "b"]}\n# loop', "limits of 'y_x' = ['a', 'b'] holds"),
-    ],
-)
-def test_a_log_that_cannot_be_used_says_which_and_why(panel, tmp_path, stage, old, new, message):
+def test_a_log_that_cannot_be_used_says_which_and_why(panel, tmp_path, stage):
     """Its name is no formula."""
     path = tmp_path / r"$\frac{$.csv"
     Q = Settings.of(stage).Q
@@ -180,12 +159,13 @@ def test_a_log_that_cannot_be_used_says_which_and_why(panel, tmp_path, stage, ol
     panel.choice.value = FILE
     assert panel.outcome.design is not None
     text = path.read_text()
-    assert old in text
-    path.write_text(text.replace(old, new, 1))
+    assert '"KL": [[' in text
+    path.write_text(text.replace('"KL": [[', '"KL": [["a", ', 1))
     panel.choice.value = ROD
     panel.choice.value = FILE
     assert panel.settings is None
-    assert str(path) in panel.outcome.message and message in panel.outcome.message
+    assert str(path) in panel.outcome.message
+    assert "KL must be an array of numbers" in panel.outcome.message
 
 
 def test_widgets_are_shown_to_those_who_can_use_them(stage, monkeypatch, capsys):

@@ -75,13 +75,13 @@ def test_the_bytes_do_not_depend_on_what_was_drawn_before(paper, full, tanks, me
     assert len(set(fresh.values())) == 3
     used = Picture().show(paper)
     used.png()
-    for _ in range(2):
-        assert used.show(full, paper).png() == fresh["full"]
-        assert used.show(message, paper).png() == fresh["why"]
-        assert used.show(tanks, full).png() == fresh["tanks"]  # of another plant: not in gray
+    assert used.show(full, paper).png() == fresh["full"]
+    assert used.show(message, paper).png() == fresh["why"]
+    assert used.show(tanks, full).png() == fresh["tanks"]  # of another plant: not in gray
+    assert used.show(full, paper).png() == fresh["full"]
 
 
-@pytest.mark.parametrize("name", ["full", "tanks", "message"])
+@pytest.mark.parametrize("name", ["tanks", "message"])
 def test_drawn_by_parts_it_is_what_matplotlib_draws(name, request):
     picture = Picture().show(request.getfixturevalue(name))
     parts = matplotlib.image.imread(BytesIO(picture.png()))
@@ -97,7 +97,7 @@ def test_drawn_by_parts_it_is_what_matplotlib_draws(name, request):
     assert not differs[seam - 20 : seam + 20].any()
 
 
-@pytest.mark.parametrize("name", ["paper", "full", "tanks", "message"])
+@pytest.mark.parametrize("name", ["full", "tanks", "message"])
 def test_everything_fits(name, request):
     picture = Picture().show(request.getfixturevalue(name), request.getfixturevalue("paper"))
     figure = picture.figure

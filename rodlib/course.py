@@ -6,26 +6,22 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
 from rodlib.held import HeldRod
-from rodlib.specimens import Around
+from rodlib.specimens import Grid
 
 ALIAS = 1e-9  # what is left of a sample after one turn of the transform
 WRAP = 1.6  # lengths of a trial after which its transform begins anew
 
 
 class Course:
-    """A course of trials under the ILC law, simulated around one specimen after the other.
+    """A course of trials under the ILC law, simulated around one rod after the other.
 
-    What :func:`rodlib.run_trials` computes sample by sample is computed for a whole trial at once.
-    On a circle |z| = r > 1 the z-transform of a signal that is weighted by r^-p is a Fourier
-    transform, and the loop is a product, if it is stable. What wraps around after N samples comes
-    back as r^-N: nothing to speak of. Both filters are products, too, since beyond the ends of a
-    trial signals are zero.
-
-    Parameters
-    ----------
-    loop, Q, reference, disturbance, trials, rest
-        As for :func:`rodlib.run_trials`, checked before.
-    filters : sequence of LearningFilter
+    :func:`rodlib.run_trials` needs a model, and goes from sample to sample; here a whole trial is
+    computed at once, for rods that have none. On a circle |z| = r > 1 the z-transform of a signal
+    that is weighted by r^-p is a Fourier transform, and the loop is a product, if it is stable.
+    What wraps around after N samples comes back as r^-N: nothing to speak of. Both filters are
+    products, too, since beyond the ends of a trial signals are zero; to filter in time, as
+    :func:`rodlib.update` does, would make a study take two thirds longer. The arguments are those
+    of :func:`rodlib.run_trials`, checked before, and filters in the place of L.
     """
 
     def __init__(self, loop, Q, filters, reference, disturbance, trials, rest):
@@ -38,7 +34,7 @@ class Course:
         self.growth, self.decay = r ** np.arange(max(T, order)), r ** -np.arange(self.N)
         self.kept = T - rest
         omega = rfftfreq(self.N, loop.Ts / (2 * np.pi))
-        self.around = Around(loop, omega, r)
+        self.grid = Grid(loop, omega, r)
         z = r * np.exp(1j * omega * loop.Ts)
         self.Q = _butterworth(Q, z) * _butterworth(Q, 1 / z)
         self.ahead = z ** np.arange(1, order + 1)[:, None]
@@ -49,10 +45,10 @@ class Course:
         # q samples before the trial, L sees c_(q + p) e(p).
         self.first = np.lib.stride_tricks.sliding_window_view(c, order, axis=3)[:, :, :, :order]
         self.w = self._transform(reference.T)
+        self.d = [None] * trials
         if disturbance is not None:
-            disturbance = np.swapaxes(disturbance, -1, -2)
-            disturbance = np.broadcast_to(disturbance, (trials, *disturbance.shape[-2:]))
-        self.d = [None] * trials if disturbance is None else self._transform(disturbance)
+            d = np.broadcast_to(disturbance, (trials, *disturbance.shape[-2:]))
+            self.d = self._transform(np.swapaxes(d, 1, 2))
 
     def rms(self, rods: Sequence[HeldRod]) -> np.ndarray:
         """RMS(e_k) of every trial, shape (rods, filters, trials)."""
@@ -79,7 +75,7 @@ class Course:
         if self.d[0] is not None:
             signals = [*signals, *self.loop.disturbances]
         G = [self._transform(rod.impulse_response(self.N, signals)) for rod in rods]
-        both = [self.around.closed(each[:, :m], each[:, m:]) for each in G]
+        both = [self.grid.closed(each[:, :m], each[:, m:]) for each in G]
         return (np.array(each) for each in zip(*both, strict=True))
 
     def _before(self, e):

@@ -1,9 +1,13 @@
+import multiprocessing
+import os
+import signal
 import time
-from dataclasses import replace
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
-from distributed import Client, LocalCluster
+from distributed import LocalCluster
 from plants import modal_model, stage
 
 from rodlib import (
@@ -16,12 +20,13 @@ from rodlib import (
     paper_loop,
     run_trials,
     sampled_response,
+    study,
     zero_phase_butterworth,
 )
 from rodlib.case import assumed_reference
+from rodlib.ilc.files import alone
 from rodlib.ilc.trials import rms
 from rodlib.paper import published
-from rodlib.study import study
 
 LOOP, Q, OMEGA = paper_loop(), zero_phase_butterworth(), np.geomspace(1e-4, np.pi, 60)
 FILTERS = {
@@ -64,37 +69,137 @@ def test_a_loop_that_is_not_stable_has_no_rate():
         assert np.isnan(found[name][lost]).all() and np.isfinite(found[name][~lost]).all()
 
 
-def test_any_number_of_workers_finds_the_same_to_the_byte(tmp_path, monkeypatch):
-    monkeypatch.setattr(study, "SIZE", 2)
-    found = {}
-    with LocalCluster(2, threads_per_worker=1, dashboard_address=None, silence_logs=50) as cluster:
-        for workers in (2, 1):
-            cluster.scale(workers)
-            with Client(cluster) as client:
-                while len(client.ncores()) != workers:
-                    time.sleep(0.01)
-            folder, address = tmp_path / str(workers), cluster.scheduler_address
-            found[workers] = study.run(SMALL, 7, folder=folder, scheduler=address)
-    found[0] = study.run(SMALL, 7, folder=tmp_path / "0", workers=0)
-    contents = [
-        {path.name: path.read_bytes() for path in (tmp_path / str(workers)).glob("*.npz")}
-        for workers in found
-    ]
-    assert len(contents[0]) == 4 and all(each == contents[0] for each in contents)
-    here = SMALL.judge(0, 2)
-    for name, values in here.items():
-        np.testing.assert_array_equal(found[2][name][:2], values)
+@dataclass(frozen=True)
+class Watched(Study):
+    """A study that leaves a trace of each batch, and where rod 4 is judged does as it is told."""
 
-    data = found[1]
-    assert all(data.identical(each) for each in found.values())
+    then: str = ""  # "wait", "die" once, or "fail"
+    folder: str = ""
+
+    def judge(self, start, stop):
+        folder = Path(self.folder)
+        if start == 4 and self.then == "wait":
+            (folder / "gate").read_bytes()
+        if start == 4 and self.then == "die" and not (folder / "dead").exists():
+            (folder / "dead").touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        if start == 4 and self.then == "fail":
+            while len(batches(folder)) < 3:
+                time.sleep(0.01)
+            raise ArithmeticError("four is too much")
+        (folder / f"judged-{start}").touch()
+        return super().judge(start, stop)
+
+    name = "watched"  # whatever it does
+
+
+def watched(folder, then=""):
+    return Watched(
+        **{field.name: getattr(SMALL, field.name) for field in fields(Study)},
+        then=then, folder=str(folder),
+    )  # fmt: skip
+
+
+def batches(folder):
+    return {path.name[-17:]: path.read_bytes() for path in folder.glob("*.npz")}
+
+
+def judged(folder):
+    return sorted(int(path.name[7:]) for path in folder.glob("judged-*"))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def small_batches():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(study, "SIZE", 2)
+        yield
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """What this process finds by itself, and its folder."""
+    folder = tmp_path_factory.mktemp("finished")
+    return study.run(SMALL, 7, folder=folder, workers=0), folder
+
+
+@pytest.fixture(scope="module")
+def scheduler():
+    with LocalCluster(2, threads_per_worker=1, dashboard_address=":0", silence_logs=50) as cluster:
+        yield cluster.scheduler_address
+
+
+def test_any_number_of_workers_finds_the_same_to_the_byte(finished, scheduler, tmp_path):
+    (data, folder), found = finished, {}
+    found["one"] = study.run(SMALL, 7, folder=tmp_path / "one", workers=1)
+    found["two"] = study.run(SMALL, 7, folder=tmp_path / "two", scheduler=scheduler)
+    assert len(batches(folder)) == 4
+    for name, each in found.items():
+        assert each.identical(data) and batches(tmp_path / name) == batches(folder)
+    for name, values in SMALL.judge(0, 2).items():
+        np.testing.assert_array_equal(data[name][:2], values)
+
     assert dict(data.sizes) == {"rod": 7, "filter": 2, "trial": 3, "channel": 2, "element": 4}
     assert [*data.filter.values] == ["diagonal", "full"] and [*data.trial.values] == [1, 2, 3]
     assert data.rms.attrs["units"] == "K" and data.conductivity.attrs["units"] == "W/(m K)"
     assert all("units" in data[name].attrs for name in data)
     assert data.attrs["spread_sensors"] == 0.3 * 0.04 and data.attrs["root"] == 0
-    # Fewer rods are known without any worker, up to whole batches.
-    again = study.run(SMALL, 4, folder=tmp_path / "1", scheduler="tcp://nobody:1")
+
+
+def test_what_is_finished_is_not_judged_again(finished):
+    """Fewer rods are known without any worker, up to whole batches."""
+    data, folder = finished
+    again = study.run(SMALL, 4, folder=folder, scheduler="tcp://nobody:1")
     assert again.identical(data.isel(rod=slice(4)))
+
+
+def test_without_a_folder_nothing_is_kept(finished, tmp_path, monkeypatch):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("tempfile.tempdir", None)
+    assert study.run(SMALL, 2, workers=0).identical(finished[0].isel(rod=slice(2)))
+    assert os.listdir(tmp_path) == []
+
+
+def interrupted(folder):
+    study.SIZE = 2
+    study.run(watched(folder, "wait"), 7, folder=folder, workers=0)
+
+
+def test_a_killed_run_goes_on_where_it_was(finished, tmp_path, gate):
+    run = multiprocessing.get_context("spawn").Process(target=interrupted, args=(tmp_path,))
+    run.start()
+    while len(batches(tmp_path)) < 2:
+        assert run.is_alive()
+        time.sleep(0.01)
+    run.kill()
+    run.join()
+    assert judged(tmp_path) == [0, 2]
+    for path in tmp_path.glob("judged-*"):
+        path.unlink()
+    study.run(watched(tmp_path), 7, folder=tmp_path, workers=0)
+    assert judged(tmp_path) == [4, 6]
+    assert batches(tmp_path) == batches(finished[1])
+
+
+def test_a_killed_worker_changes_nothing(finished, scheduler, tmp_path):
+    study.run(watched(tmp_path, "die"), 7, folder=tmp_path, scheduler=scheduler)
+    assert (tmp_path / "dead").exists()
+    assert batches(tmp_path) == batches(finished[1])
+
+
+def test_an_error_of_the_work_is_raised_and_the_rest_is_kept(finished, scheduler, tmp_path):
+    with pytest.raises(ArithmeticError, match="four is too much"):
+        study.run(watched(tmp_path, "fail"), 7, folder=tmp_path, scheduler=scheduler)
+    rest = {part: content for part, content in batches(finished[1]).items() if part[:6] != "000004"}
+    assert batches(tmp_path) == rest and len(rest) == 3
+
+
+def test_a_second_run_in_the_same_folder_is_refused(tmp_path):
+    with (
+        alone(tmp_path / "lock", "the test"),
+        pytest.raises(RuntimeError, match=f"another process is at work in {tmp_path}"),
+    ):
+        study.run(SMALL, 2, folder=tmp_path, workers=0)
 
 
 def test_the_name_depends_on_all_parameters_and_on_the_code(monkeypatch):
@@ -123,7 +228,7 @@ def test_the_name_depends_on_all_parameters_and_on_the_code(monkeypatch):
 
 def test_a_worker_with_another_rodlib_is_refused():
     with pytest.raises(RuntimeError, match="a worker has another rodlib"):
-        study._judge(b"", "of another rodlib", 0, 1)
+        study._judge(SMALL, "of another rodlib", 0, 1)
 
 
 @pytest.mark.parametrize(
@@ -138,8 +243,8 @@ def test_a_worker_with_another_rodlib_is_refused():
         ({"filters": {"none": None}}, r"filters\['none'\] = None must be a LearningFilter"),
         ({"spread": 0.2}, "spread = 0.2 must be a Spread"),
         ({"root": -1}, "root = -1"),
-        ({"omega": [0.1, 0.1]}, r"omega must increase within \[0, 3.14159\]"),
-        ({"omega": [0.1, 4.0]}, r"omega must increase within \[0, 3.14159\]"),
+        ({"omega": [0.1, 0.1]}, "omega, .* must be a row of increasing frequencies"),
+        ({"omega": [0.1, 4.0]}, r"omega spans .* must lie in \[0, 3.14159\]"),
         ({"band": (2e-5, 3e-5)}, "contains none of the frequencies"),
         ({"trials": 0}, "trials = 0"),
         ({"reference": np.zeros((5, 3))}, r"reference has shape \(5, 3\)"),

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from plants import furnace, stage, tanks
 
 from rodlib import current_trial_loop, measured_response, multisine, shake
-from rodlib.ilc.laboratory import actuators
+from rodlib.ilc.laboratory.limits import commands_beyond, named_limits
 from rodlib.ilc.models import sampled_plant
 
 CASES = {  # loop, lowest and highest frequency (rad/s), amplitude, hours
@@ -75,9 +75,9 @@ def test_what_is_cut_off_is_told_and_what_is_not_is_not(case):
 def test_the_share_is_that_of_the_samples_beyond_either_end(commands, low, width):
     u = np.array(commands, dtype=float)[:, None] * [1, 0]
     expected = sum(not low <= value <= low + width for value in commands) / len(commands)
-    said = actuators.beyond(u, ["fan", "belt"], {"fan": [low, low + width]})
-    assert said == (f"fan in {expected:.1%}" if expected else "")
-    assert actuators.beyond(u, ["fan", "belt"], {}) == ""
+    said = commands_beyond(u, ["fan", "belt"], {"fan": (low, low + width)})
+    assert (f" of fan in {expected:.1%} of all samples" in said) == bool(said) == bool(expected)
+    assert commands_beyond(u, ["fan", "belt"], {}) == ""
 
 
 @pytest.mark.parametrize(
@@ -92,6 +92,6 @@ def test_the_share_is_that_of_the_samples_beyond_either_end(commands, low, width
 )
 def test_limits_that_are_none_are_refused(limits, message):
     with pytest.raises(ValueError, match=message):
-        actuators.checked("limits", limits, ["fan"])
-    assert actuators.checked("limits", None, ["fan"]) == {}
-    assert actuators.checked("limits", {"fan": (0, 12)}, ["fan"]) == {"fan": [0.0, 12.0]}
+        named_limits("limits", limits, ["fan"])
+    assert named_limits("limits", None, ["fan"]) == {}
+    assert named_limits("limits", {"fan": (0, 12)}, ["fan"]) == {"fan": (0.0, 12.0)}

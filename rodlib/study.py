@@ -1,25 +1,30 @@
-"""For which rods does it converge? Many plants: sampled, simulated in batches, on dask, resumable.
+"""For which rods does it converge? Many rods: drawn, judged and simulated in batches, on dask.
 
 A :class:`Study` says which rods may be, and what is to be found out about each of them; :func:`run`
-finds it out for the first so many.
+finds it out for the first so many. A batch is computed by itself, by whichever worker, so that any
+number of workers finds the same to the byte. A finished one is a file in a folder, with all that it
+depends on in its name; what is there is not computed again.
 """
 
 import hashlib
+import io
 import json
+import logging
 import re
 import reprlib
+from contextlib import closing, nullcontext
 from dataclasses import asdict, dataclass, field, fields, replace
-from functools import cached_property, lru_cache, partial
-from importlib import import_module
+from functools import cache, cached_property
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
-import cloudpickle
 import control
 import numpy as np
-import scipy
 import xarray as xr
+from tqdm import tqdm
 
 from rodlib.case import assumed_reference
+from rodlib.course import Course
 from rodlib.ilc import arguments, files
 from rodlib.ilc.filters import LearningFilter, ZeroPhaseButterworth
 from rodlib.ilc.loop import CurrentTrialLoop
@@ -27,17 +32,27 @@ from rodlib.ilc.problem import convergence_matrix, largest_singular_values
 from rodlib.ilc.trials import check_law
 from rodlib.rod import Rod
 from rodlib.specimens import MATERIAL, Grid, Spread, check_loop, draw
-from rodlib.study import batches
-from rodlib.study.course import Course
 
-SIZE = 100  # rods in a batch: a second or two
+SIZE = 500  # rods in a batch: a few seconds
+TOGETHER = 4  # rods simulated at once: what fits into the processor's cache
 ADDRESS = re.compile(r"(\w+://)?[^/\s]+:\d+")  # of a dask scheduler
-TOGETHER = 4  # specimens simulated at once: what fits into the processor's cache
-CODE = ("rod", "held", "case", "specimens", "study.course", "study.study")
-CODE += tuple(f"ilc.{name}" for name in ("models", "loop", "filters", "problem", "trials"))
-UNITS = {"density": "kg/m3", "heat_capacity": "J/(kg K)", "heat_transfer": "W/(m2 K)"}
-UNITS |= {"conductivity": "W/(m K)", "sensors": "m", "gains": "1", "unstable_poles": "1"}
-UNITS |= {"rate": "1", "rate_omega": "rad/s", "objective": "1"}
+MEMORY = {  # for the workers: what is fetched anew for every array costs as much as the arithmetic
+    "MALLOC_TRIM_THRESHOLD_": 2**30,
+    "MALLOC_MMAP_THRESHOLD_": 2**25,
+}
+FOUND = {  # what is found out about each rod: over which dimensions, in which unit
+    "density": (("rod",), "kg/m3"),
+    "heat_capacity": (("rod",), "J/(kg K)"),
+    "heat_transfer": (("rod",), "W/(m2 K)"),
+    "conductivity": (("rod",), "W/(m K)"),
+    "unstable_poles": (("rod",), "1"),
+    "sensors": (("rod", "channel"), "m"),
+    "gains": (("rod", "element"), "1"),
+    "rate": (("rod", "filter"), "1"),
+    "rate_omega": (("rod", "filter"), "rad/s"),
+    "objective": (("rod", "filter"), "1"),
+    "rms": (("rod", "filter", "trial"), None),  # that of the outputs
+}
 
 
 @dataclass(frozen=True)
@@ -72,8 +87,7 @@ class Study:
     Raises
     ------
     ValueError
-        If the filters do not belong to the loop, the loop is not that of a rod, or an argument is
-        out of range; the message names it.
+        If the filters do not belong to the loop, or the loop is not that of a rod.
     """
 
     loop: CurrentTrialLoop
@@ -101,11 +115,8 @@ class Study:
         for name, each in {"Q": self.Q, **self.filters}.items():
             if each.ends != "zero":
                 raise ValueError(f"{name}.ends = {each.ends!r} must be 'zero' in a study")
-
         omega = np.geomspace(1e-4, np.pi, 1000) / loop.Ts if self.omega is None else self.omega
-        omega = arguments.array("omega", omega, ("frequency",))
-        if omega[0] < 0 or omega[-1] > np.pi / loop.Ts * (1 + 1e-9) or np.any(np.diff(omega) <= 0):
-            raise ValueError(f"omega must increase within [0, {np.pi / loop.Ts:.6g}] rad/s")
+        omega = arguments.frequencies("omega", omega, loop.Ts)
         band = tuple(arguments.array("band", self.band, (2,)).tolist())
         if not _within(omega, band).any():
             raise ValueError(f"band = {band} contains none of the frequencies omega")
@@ -124,7 +135,7 @@ class Study:
 
     @property
     def name(self) -> str:
-        """A hash of all parameters and of the code that counts: the same name, the same results."""
+        """A hash of all parameters and of rodlib itself: the same name, the same results."""
         plain = json.dumps(asdict(self), default=_plain)
         return hashlib.sha256(f"{_code()} {plain}".encode()).hexdigest()[:24]
 
@@ -138,19 +149,11 @@ class Study:
 
     @cached_property
     def _course(self):
-        filters = list(self.filters.values())
-        return Course(
-            self.loop, self.Q, filters, self.reference, self.disturbance, self.trials, self.rest
-        )
+        law = self.loop, self.Q, list(self.filters.values())
+        return Course(*law, self.reference, self.disturbance, self.trials, self.rest)
 
     def judge(self, start: int, stop: int) -> dict[str, np.ndarray]:
-        """Find out what is asked about the rods from number `start` up to `stop`.
-
-        Returns
-        -------
-        dict of ndarray
-            The variables of :func:`run`, the first axis being the rods.
-        """
+        """Find out what is asked about some rods: the variables of :func:`run`, the rods first."""
         start = arguments.whole("start", start, 0)
         stop = arguments.whole("stop", stop, start + 1)
         drawn = [draw(self.spread, i, self.root, self.nominal) for i in range(start, stop)]
@@ -185,17 +188,21 @@ def run(
 ) -> xr.Dataset:
     """Find out what a study asks about its first so many rods.
 
-    What has been found out before is read from the folder: a run that was interrupted goes on, and
-    one with more rods begins with those that are known.
-
     Parameters
     ----------
     study : Study
     rods : int
     folder : path, optional
-        Where finished batches are kept. Default: build/study of the repository.
-    scheduler, workers : optional
-        Of dask, as for :func:`rodlib.study.batches.complete`.
+        Where finished batches are kept, one file each, written as a whole or not at all: a run that
+        was interrupted goes on, and one with more rods begins with those that are known. Default:
+        nowhere.
+    scheduler : str, optional
+        Address of a dask scheduler, such as ``"tcp://host:8786"``, whose workers have this very
+        rodlib. Default: a cluster on this computer, for the time of the call.
+    workers : int, optional
+        Number of processes of that cluster. Default: one for each core. 0 does the work in this
+        process, which takes less than a cluster takes to start if the work is short; how many
+        threads its linear algebra has may then decide on last digits.
 
     Returns
     -------
@@ -208,11 +215,10 @@ def run(
 
     Raises
     ------
-    ValueError
-        If an argument is not what it should be.
     RuntimeError
-        If another process works in the folder, if a worker has another rodlib, or without `folder`
-        outside a clone of the repository.
+        If another process works in the folder, or a worker has another rodlib.
+    OSError
+        If there is no scheduler at that address.
     """
     arguments.instance("study", study, Study)
     rods = arguments.whole("rods", rods, 1)
@@ -221,27 +227,74 @@ def run(
         raise ValueError(
             f"scheduler = {reprlib.repr(scheduler)} must be an address, such as 'tcp://host:8786'"
         )
-    if folder is None:
-        folder = files.results("rodlib.study.run") / "study"
-    where = arguments.path("folder", folder)
-    # A copy, as what the original may have computed need not travel.
-    work = partial(_judge, cloudpickle.dumps(replace(study)), _code())
-    found = batches.complete(
-        work, study.name, rods, SIZE, where, scheduler=scheduler, workers=workers
-    )
+    kept = TemporaryDirectory() if folder is None else nullcontext(arguments.path("folder", folder))
+    with kept as where:
+        found = _in_batches(study, rods, files.folder(Path(where)), scheduler, workers)
     return _dataset(study, found)
 
 
-def _judge(pickled, code, start, stop):
-    if code != _code():
-        raise RuntimeError("a worker has another rodlib, numpy or scipy: give it the one here")
-    return _unpickled(pickled).judge(start, stop)
+def _in_batches(study, rods, where, scheduler, workers):
+    """Judge the batches that are not in the folder yet, and put together all that are."""
+    parts = [(start, min(start + SIZE, rods)) for start in range(0, rods, SIZE)]
+    paths = {part: where / f"{study.name}-{part[0]:06}-{part[1]:06}.npz" for part in parts}
+    with files.alone(where / "lock", f"another process is at work in {where}: wait or stop it"):
+        missing = [part for part in parts if not paths[part].exists()]
+        bar = tqdm(total=len(parts), initial=len(parts) - len(missing), disable=None)
+        with bar, closing(_judged(study, missing, scheduler, workers)) as results:
+            for part, found in results:
+                content = io.BytesIO()
+                np.savez(content, **found)
+                files.write_pieces(paths[part], [content.getbuffer()])
+                bar.update()
+    kept = [dict(np.load(path)) for path in paths.values()]
+    return {name: np.concatenate([found[name] for found in kept]) for name in kept[0]}
 
 
-@lru_cache(maxsize=1)
-def _unpickled(pickled):
-    """The study, kept from batch to batch with what it has computed for all of them."""
-    return cloudpickle.loads(pickled)
+def _judged(study, parts, scheduler, workers):
+    """Judge batches in this process or on dask, and give each as soon as it is finished."""
+    if not parts or (workers == 0 and scheduler is None):
+        yield from ((part, study.judge(*part)) for part in parts)
+        return
+    from distributed import Client, as_completed  # here, since that takes a second
+
+    here = nullcontext(scheduler) if scheduler else _cluster(workers, len(parts))
+    with here as address, Client(address) as client:
+        # A copy, as what the original may have computed need not travel.
+        judged = {
+            client.submit(_judge, replace(study), study.name, *part, pure=False): part
+            for part in parts
+        }
+        for future in as_completed(judged):
+            yield judged[future], future.result()
+
+
+def _cluster(workers, most):
+    """A dask cluster on this computer, for the time of a run."""
+    import dask
+    from dask.system import CPU_COUNT
+    from distributed import LocalCluster
+
+    settings = {f"distributed.nanny.pre-spawn-environ.{name}": x for name, x in MEMORY.items()}
+    with dask.config.set(settings):
+        return LocalCluster(
+            n_workers=min(workers or CPU_COUNT, most),
+            threads_per_worker=1,
+            dashboard_address=":0",  # any free port: another cluster may be running
+            silence_logs=logging.CRITICAL,
+        )
+
+
+def _judge(study, name, start, stop):
+    if study.name != name:
+        raise RuntimeError("a worker has another rodlib than this process, or other parameters")
+    return study.judge(start, stop)
+
+
+@cache
+def _code():
+    """A hash of all modules."""
+    paths = sorted(Path(__file__).parent.rglob("*.py"))
+    return hashlib.sha256(b"\0".join(path.read_bytes() for path in paths)).hexdigest()
 
 
 def _within(omega, band):
@@ -257,22 +310,11 @@ def _plain(value):
     raise TypeError(f"{value!r} has no plain form")
 
 
-@lru_cache
-def _code():
-    """A hash of the modules that the results come from, and the versions of what they build on."""
-    sources = [Path(import_module(f"rodlib.{name}").__file__).read_bytes() for name in CODE]
-    versions = f"numpy {np.__version__}, scipy {scipy.__version__}"
-    return hashlib.sha256(b"\0".join([versions.encode(), *sources])).hexdigest()
-
-
 def _dataset(study, found):
-    dimensions = {name: ("rod",) for name in (*MATERIAL, "unstable_poles")}
-    dimensions |= {"sensors": ("rod", "channel"), "gains": ("rod", "element")}
-    dimensions |= {name: ("rod", "filter") for name in ("rate", "rate_omega", "objective")}
-    dimensions["rms"] = ("rod", "filter", "trial")
-    units = UNITS | {"rms": study.loop.units[study.loop.outputs[0]]}
+    unit = study.loop.units[study.loop.outputs[0]]
     variables = {
-        name: (axes, found[name], {"units": units[name]}) for name, axes in dimensions.items()
+        name: (dimensions, found[name], {"units": own or unit})
+        for name, (dimensions, own) in FOUND.items()
     }
     coordinates = {
         "rod": np.arange(len(found["rms"])),

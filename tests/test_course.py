@@ -6,9 +6,9 @@ from plants import modal_model
 
 from rodlib import LearningFilter, Spread, draw, paper_loop, run_trials, zero_phase_butterworth
 from rodlib.case import assumed_disturbance, assumed_reference
+from rodlib.course import Course
 from rodlib.ilc.trials import rms
 from rodlib.paper import published
-from rodlib.study.course import Course
 
 ALL = Spread.of_all(0.3)
 SLOW = paper_loop(Ts=10.0)

@@ -10,8 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from rodlib.ilc import arguments
-from rodlib.ilc.laboratory import actuators
-from rodlib.ilc.laboratory import units as pints
+from rodlib.ilc.laboratory import limits, units
 from rodlib.ilc.loop import CurrentTrialLoop
 
 LATE = 0.1  # sampling periods that a sample may be off the clock
@@ -49,11 +48,6 @@ class Controller:
     loop : CurrentTrialLoop
     decimals : int, optional
         To which commands are rounded. Default: not at all.
-
-    Raises
-    ------
-    ValueError
-        If an argument is something else.
     """
 
     def __init__(self, loop: CurrentTrialLoop, decimals: int | None = None):
@@ -77,7 +71,7 @@ class Controller:
         return u
 
 
-class Bench:
+class ControlledRig:
     """A rig with the controller on it: signals by name, no reading used before it is checked."""
 
     def __init__(self, rig, loop, decimals):
@@ -88,7 +82,7 @@ class Bench:
             raise ValueError(f"rig = {reprlib.repr(rig)} has no {', '.join(missing)}: see Rig")
         self.rig, self.loop = rig, arguments.instance("loop", loop, CurrentTrialLoop)
         for name in loop.plant.input_labels + loop.plant.output_labels:
-            pints.unit(name, loop.units.get(name, ""))
+            units.understood(name, loop.units.get(name, ""))
         decimals = arguments.by_name("decimals", decimals, ["v", "u", "delta", "disturbance"])
         for name, value in decimals.items():
             arguments.whole(f"decimals[{name!r}]", value, 0, 300)
@@ -97,12 +91,13 @@ class Bench:
         missing = [name for name in loop.controls if name not in self.inputs]
         if missing:
             raise ValueError(f"rig.inputs = {self.inputs} must name the controls {missing}")
-        self.limits = actuators.checked("rig.limits", getattr(rig, "limits", None), self.inputs)
+        self.limits = limits.named_limits("rig.limits", getattr(rig, "limits", None), self.inputs)
         heard = getattr(rig, "measured", {})
         self.moved = [name for name in loop.disturbances if name in self.inputs]
         self.heard = [n for n in loop.disturbances if n in heard and n not in self.moved]
         self.recorded = [n for n in loop.disturbances if n in self.moved + self.heard]
         self.positions = [self.inputs.index(name) for name in loop.controls + self.moved]
+        self.Ts = arguments.sampling_period("rig.Ts", getattr(rig, "Ts", loop.Ts))
         self.controller = None
 
     def commanded(self, disturbance, trials, samples) -> np.ndarray:
@@ -111,8 +106,7 @@ class Bench:
         if disturbance is None:
             return np.zeros((trials, samples, len(self.moved)))
         d = arguments.array("disturbance", disturbance, (..., samples, len(names)))
-        if d.ndim == 2:
-            d = np.broadcast_to(d, (trials, *d.shape))
+        d = d if d.ndim != 2 else np.broadcast_to(d, (trials, *d.shape))
         d = arguments.array("disturbance", d, ("trial", samples, len(names)))
         if len(d) < trials:
             raise ValueError(
@@ -151,9 +145,17 @@ class Bench:
             squares += float(error @ error)
             bar.set_postfix_str(f"RMS {math.sqrt(squares / (p + 1)):.3g}", refresh=False)
             bar.update()
-        _report_late(trial, np.array(off), self.loop.Ts)
+        off = np.array(off)
+        late = np.flatnonzero(np.abs(off) > LATE * self.loop.Ts)
+        if late.size:
+            worst = np.abs(off).argmax()
+            many = f"{late.size} samples were not on time, the worst, sample {worst + 1}, by"
+            warnings.warn(f"trial {trial}: {many} {off[worst]:.3g} s", stacklevel=4)
         signals = {name: np.array([s[name] for s in signals]) for name in signals[0]}
-        _report_beyond(trial, actuators.beyond(signals["u"], self.loop.controls, self.limits))
+        cut_off = limits.commands_beyond(signals["u"], self.loop.controls, self.limits)
+        if cut_off:
+            learned = "what the actuators cannot do, no learning will do for them"
+            warnings.warn(f"trial {trial}: {cut_off}; {learned}", stacklevel=4)
         return {"v": v} | signals
 
     def sample(self, w, flows, where) -> dict[str, np.ndarray]:
@@ -197,28 +199,6 @@ class Bench:
                 self.rig.safe()
             elif begun:
                 self.rig.apply(np.zeros(len(self.inputs)))
-
-
-def _report_late(trial, off, Ts):
-    """Warn of samples that were not on time; `off` says by how many seconds each was late."""
-    late = np.flatnonzero(np.abs(off) > LATE * Ts)
-    if late.size:
-        worst = np.abs(off).argmax()
-        warnings.warn(
-            f"trial {trial}: {late.size} samples were not on time, the worst, sample {worst + 1}, "
-            f"by {off[worst]:.3g} s",
-            stacklevel=5,
-        )
-
-
-def _report_beyond(trial, shares):
-    """Warn of commands that the rig cut off."""
-    if shares:
-        warnings.warn(
-            f"trial {trial}: commands were beyond the limits of {shares} of all samples; what the "
-            "actuators cannot do, no learning will do for them",
-            stacklevel=5,
-        )
 
 
 def _rounded(values, decimals):

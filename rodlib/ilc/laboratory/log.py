@@ -1,0 +1,312 @@
+"""The trial log, a plain-text table that data/README.md describes: loaded and saved, with checks.
+
+Metadata stand in lines that begin with ``#``, then comma-separated values, one row per trial and
+sample. pandas reads it with ``read_csv(path, comment="#")``, MATLAB with
+``readtable(path, "CommentStyle", "#")``.
+"""
+
+import difflib
+import json
+import re
+
+import numpy as np
+import xarray as xr
+
+from rodlib.ilc import arguments
+from rodlib.ilc.files import write_pieces
+from rodlib.ilc.laboratory import limits, tables, units
+from rodlib.ilc.laboratory.sampling import check_trials, off, starts_of
+from rodlib.ilc.laboratory.tables import NUMBER, few
+from rodlib.ilc.trials import dataset
+
+FORMAT = "rodlib trial log 2"
+SIGNALS = {  # and what the channels of each are; every log has all but the last two
+    "reference": "output", "v": "output", "u": "control", "y": "output",
+    "delta": "control", "disturbance": "source",
+}  # fmt: skip
+REQUIRED = [name for name in SIGNALS if name not in ("delta", "disturbance")]
+ROLES = {"output": "outputs", "control": "controls", "source": "disturbances"}  # in the metadata
+OWN = ("format", "Ts", "signals")  # metadata that are no attributes
+
+
+class LogError(ValueError):
+    """A log that cannot be used; the message lists what is wrong with it."""
+
+
+def load_log(path) -> xr.Dataset:
+    """Load a trial log and check it.
+
+    Parameters
+    ----------
+    path : path-like
+
+    Returns
+    -------
+    xarray.Dataset
+        As :func:`rodlib.run_trials` gives it, in the units and with the numbers of the trials of
+        the file; ``delta`` and ``disturbance`` only if it has them. The metadata are attributes.
+
+    Raises
+    ------
+    LogError
+        With its problems, each with its trial or row: unreadable file, metadata, column names,
+        units, entries that are not numbers, gaps, sampling, trial numbers and lengths,
+        implausible values.
+    """
+    return _load(arguments.path("path", path))
+
+
+def load_ended(path) -> xr.Dataset:
+    """The trials in a log that have ended: without a last one that is shorter than the first."""
+    return _load(path, ended=True)
+
+
+def save_log(trials: xr.Dataset, path) -> None:
+    """Save trials as a log; the file is replaced as a whole or not at all.
+
+    Parameters
+    ----------
+    trials : xarray.Dataset
+        From :func:`rodlib.run_trials`, :func:`rodlib.record` or :func:`load_log`. Attributes are
+        written as metadata: a line of text as it is, all else as JSON.
+    path : path-like
+
+    Raises
+    ------
+    ValueError
+        If a signal, a coordinate or an attribute is not what :func:`load_log` would give back.
+    """
+    path = arguments.path("path", path)
+    arguments.instance("trials", trials, xr.Dataset)
+    Ts = arguments.sampling_period("trials.attrs['Ts']", trials.attrs.get("Ts"))
+    metadata = {"format": FORMAT, "Ts": f"{Ts!r} s"}
+    metadata["signals"] = json.dumps(signals_of(trials), ensure_ascii=False)
+    metadata |= _notes(trials.attrs)
+    columns = _counters(trials, Ts)
+    for signal, role in SIGNALS.items():
+        if signal in trials:
+            values = trials[signal].transpose("trial", "time", ...).values.astype(float)
+            values = values.reshape(len(columns["time"]), -1).T
+            names = [f"{signal}_{name}" for name in trials[role].values]
+            columns |= dict(zip(names, values, strict=True))
+    _limits_of(metadata, columns)  # or it could not be loaded
+    for title, values in columns.items():
+        if not np.isfinite(values).all():
+            raise ValueError(f"trials have values that are not finite in {title!r}")
+    lines = [f"# {key}: {value}\n" for key, value in metadata.items()]
+    header = ",".join(tables.quoted(title) for title in columns)
+    write_pieces(path, ["".join([*lines, header, "\n"]).encode(), tables.rows([*columns.values()])])
+
+
+def signals_of(trials: xr.Dataset) -> dict[str, dict[str, str]]:
+    """Names and units of the signals, by role, as the metadata say it, if all are there."""
+    missing = [name for name in REQUIRED if name not in trials]
+    if missing:
+        raise ValueError(f"trials lack {missing}: a log needs {REQUIRED}")
+    roles = dict.fromkeys(role for signal, role in SIGNALS.items() if signal in trials)
+    needed = ["trial", "time", *(role + end for role in roles for end in ("", "_unit"))]
+    missing = [name for name in needed if name not in trials.coords]
+    if missing:
+        raise ValueError(f"trials lack the coordinates {missing}: see rodlib.ilc.trials.dataset")
+    signals = {}
+    for role in roles:
+        names, own = trials[role].values.tolist(), trials[f"{role}_unit"].values.tolist()
+        signals[ROLES[role]] = dict(zip(names, own, strict=True))
+        if not all(isinstance(name, str) and name.isprintable() and name for name in names):
+            raise ValueError(f"{role} = {few(names)} must be names of printable characters")
+        if len(signals[ROLES[role]]) < len(names):
+            raise ValueError(f"{role} = {few(names)} must be different names")
+    for name, unit in _units_of(signals).items():
+        units.understood(name, unit)
+    return signals
+
+
+def read_json(text: str):
+    """What JSON says; a ValueError if it says anything twice, or what JSON has no word for."""
+    return json.loads(text, object_pairs_hook=_once, parse_constant=_refuse_constant)
+
+
+def _once(pairs):
+    if len(pairs) > len(dict(pairs)):
+        raise ValueError("a name stands there twice")
+    return dict(pairs)
+
+
+def _refuse_constant(word):
+    raise ValueError(f"{word} is no number")
+
+
+def _load(path, ended=False):
+    """As :func:`load_log`, or :func:`load_ended`."""
+    try:
+        content = path.read_bytes()
+        table, start = tables.read_head(content)
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read: {error}") from None
+    except UnicodeError as error:
+        raise LogError(f"{path}: cannot be read as text: {error}") from None
+    problems, metadata = table.problems, table.metadata
+    if metadata.get("format") != FORMAT:
+        problems.append(f"metadata: format is {metadata.get('format')!r}, but must be {FORMAT!r}")
+    _refuse(path, problems)  # all further ones would follow from these
+    signals, titles, plausible = _columns_of(table)
+    _refuse(path, problems)
+    own = _units_of(signals)
+    for name, unit in own.items():
+        try:
+            units.understood(name, unit)
+        except ValueError as error:
+            problems.append(f"metadata: {error}")
+    Ts, tick = _sampling_period(metadata, problems)
+    end = content.rfind(b"\n") + 1 if ended else len(content)
+    tables.read_rows(table, memoryview(content)[start:end])
+    problems += _problems_of_titles(table.header, ["trial", "time", *titles])
+    problems += table.problems_of(["trial", "time", *titles])
+    problems += [] if table.columns.size else ["the table has no rows"]
+    _refuse(path, problems)
+
+    if ended:
+        _drop_short_last_trial(table)
+    numbers, time, problems = check_trials(table, Ts / tick)
+    problems += _implausible(table, plausible, titles, own)
+    _refuse(path, problems)
+    read = {}
+    for title, (signal, _) in titles.items():
+        read.setdefault(signal, []).append(table.column(title).reshape(len(numbers), -1))
+    read = {signal: np.stack(each, 2) for signal, each in read.items()}
+    names = [list(signals.get(key, {})) for key in ROLES.values()]
+    notes = {key: value for key, value in metadata.items() if key not in OWN}
+    coordinates = {"trial": numbers.astype(int), "time": ("time", tick * time, {"units": "s"})}
+    return dataset(Ts, *names, own, **read).assign_attrs(notes).assign_coords(coordinates)
+
+
+def _refuse(path, problems):
+    if problems:
+        listed = "".join(f"\n- {text}" for text in few(problems))
+        raise LogError(f"{path}: {len(problems)} problem(s){listed}")
+
+
+def _columns_of(table):
+    """Signals by role, signal and name by title of a column, limits by title; notes problems."""
+    try:
+        signals = _object("signals", table.metadata)
+        m = len(arguments.instance("outputs", signals.get("outputs"), dict))
+        for key in signals:
+            arguments.instance(key, signals[key], dict)
+        if not {*signals} <= {*ROLES.values()} or not m or m != len(signals.get("controls", ())):
+            words = ", ".join(ROLES.values())
+            raise ValueError(f"it must have {words} and one control for each output")
+        _units_of(signals)
+        estimated = any(title.startswith("delta_") for title in table.header)
+        titles = {
+            f"{signal}_{name}": (signal, name)
+            for signal, role in SIGNALS.items()
+            for name in signals.get(ROLES[role], ())
+            if signal != "delta" or estimated
+        }
+        return signals, titles, _limits_of(table.metadata, titles)
+    except (TypeError, ValueError) as error:
+        table.problems.append(f"metadata: signals or limits cannot be understood: {error}")
+        return {}, {}, {}
+
+
+def _units_of(signals):
+    """The unit of each signal, by its name."""
+    found = {}
+    for own in signals.values():
+        for name, unit in own.items():
+            if found.setdefault(name, unit) != unit:
+                raise ValueError(f"{name!r} has two units, {found[name]!r} and {unit!r}")
+    return found
+
+
+def _limits_of(metadata, titles):
+    """The limits of plausibility that are stated, by column."""
+    stated = _object("limits", metadata)
+    unknown = [title for title in stated if title not in titles]
+    if unknown:
+        raise ValueError(f"limits are stated for {few(unknown)}, which are no columns")
+    return limits.named_limits("limits", stated, list(titles))
+
+
+def _object(name, metadata):
+    """A JSON object of the metadata."""
+    try:
+        return arguments.instance(name, read_json(metadata.get(name, "{}")), dict)
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{name} must be a JSON object: {error}") from None
+
+
+def _sampling_period(metadata, problems):
+    """In s, and the unit of it and of the time in s."""
+    try:
+        number, unit = metadata.get("Ts", "").split()
+        if not NUMBER.fullmatch(number):  # as in the rows: float takes more
+            raise ValueError(number)
+        tick = units.seconds(unit)
+        return arguments.sampling_period("Ts", float(number) * tick), tick
+    except ValueError:
+        stated = metadata.get("Ts")
+        problems.append(f"metadata: Ts is {stated!r}, but must be a period such as '1.0 s'")
+        return None, None
+
+
+def _problems_of_titles(header, titles):
+    problems = []
+    for title in header:
+        if title not in titles:
+            close = difflib.get_close_matches(title, titles[:100], n=1)
+            hint = f"; did you mean {close[0]!r}?" if close else ""
+            problems.append(f"unknown column {title!r}{hint}")
+    missing = [title for title in titles if title not in header]
+    return problems + ([f"missing columns {few(missing)}"] if missing else [])
+
+
+def _drop_short_last_trial(table):
+    """What a killed process has left of a trial."""
+    starts = starts_of(table.column("trial"))
+    if len(starts) > 1 and table.columns.shape[1] - starts[-1] < starts[1]:
+        table.columns = table.columns[:, : starts[-1]]
+
+
+def _implausible(table, plausible, titles, own):
+    """What is not within the limits."""
+    problems = []
+    for title, (low, high) in plausible.items():
+        values = table.column(title)
+        rows = np.flatnonzero(limits.beyond(values, (low, high)))
+        if rows.size:
+            trial = table.column("trial")[rows[0]]
+            problems.append(
+                f"{title}: implausible value {values[rows[0]]:g} in trial {trial:g}, row "
+                f"{table.lines[rows[0]]}: not from {low:g} to {high:g} {own[titles[title][1]]}; "
+                f"wrong unit? ({rows.size} such values)"
+            )
+    return problems
+
+
+def _notes(attributes):
+    """The attributes as metadata: a line of text as it is, all else as JSON."""
+    notes = {}
+    for key, value in attributes.items():
+        if key == "Ts":
+            continue
+        plain = isinstance(key, str) and re.fullmatch(r"[^\s:#]([^:]*[^\s:])?", key)
+        if not (plain and key.isprintable()) or key in OWN:
+            raise ValueError(f"attribute {key!r} cannot be a line of the log: rename it")
+        line = isinstance(value, str) and value.isprintable() and value == value.strip()
+        notes[key] = value if line else json.dumps(value, default=str)
+    return notes
+
+
+def _counters(trials, Ts):
+    """The columns trial and time."""
+    numbers = [arguments.whole("trials.trial", k, 1, 2**31) for k in trials.trial.values]
+    if not numbers or not trials.sizes["time"]:
+        raise ValueError("trials have no samples")
+    if len(set(numbers)) < len(numbers):
+        raise ValueError(f"trials.trial = {few(numbers)} must be numbers, none of them twice")
+    time = np.asarray(trials.time.values, dtype=float)
+    if off(time, Ts).any():
+        raise ValueError(f"trials.time must be 0, Ts, 2 Ts, ... with Ts = {Ts} s")
+    return {"trial": np.repeat(numbers, len(time)), "time": np.tile(time, len(numbers))}

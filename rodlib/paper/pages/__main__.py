@@ -1,5 +1,0 @@
-"""``python -m rodlib.paper.pages``."""
-
-from rodlib.paper.pages import main
-
-main()
