@@ -62,7 +62,7 @@ def pose(
     (plant, *other_models), responses = on_grid(plants(P), omega, Ts)
     P, others = responses[0], responses[1:]
     n, m, _ = P.shape
-    q, Q = Q_on_grid(Q, omega, Ts)
+    q, Q = Q_on_grid(Q, omega, P=Ts)
     order = arguments.whole("order", order, 1, n)
     what = "in (0, 1), or the trials do not converge"
     M_max = arguments.number("M_max", M_max, what, 0, 1)
@@ -191,11 +191,11 @@ def _of_frd(name, P, omega, Ts):
     return np.moveaxis(P.frdata, -1, 0)
 
 
-def Q_on_grid(Q, omega, Ts):
-    """The Q-filter as a model, or None, and its frequency response on omega."""
+def Q_on_grid(Q, omega, **known):
+    """The Q-filter as a model, or None, and its frequency response; `known`: a sampling period."""
     model = Q if isinstance(Q, ZeroPhaseButterworth) else None
     if model is not None:
-        arguments.one_period(P=Ts, Q=Q.Ts)
+        arguments.one_period(**known, Q=Q.Ts)
         Q = Q.frequency_response(omega)
     Q = arguments.array("Q", Q, (len(omega),), complex)
     return model, Q if Q.imag.any() else Q.real

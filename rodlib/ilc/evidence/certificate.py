@@ -28,54 +28,26 @@ LOUD = 1.5  # times the bound on L that its peak may reach off the grid, unless 
 class Certificate:
     """What is known about a learning filter, by evidence independent of the solver.
 
-    Attributes
-    ----------
-    problem : Problem
-        What was asked of it.
-    value, lower_bound : float
-        The objective reached, and what no such filter within the bounds can go below.
-    worst : WorstCase
-        Of all plants and within the radius, at each of the design frequencies.
-    peak : Peak
-        Highest sigma_max(M) over all frequencies, of all plants, without the radius, whose size
-        between the samples is not known.
-    grid_L, all_L : float
-        Peaks of sigma_max(L): on the design grid; an upper bound, to 1e-8, for all frequencies.
-    tolerances : (float, float)
-        Relative duality gap, and violation of a bound on the grid, that are accepted.
-    trial : float
-        2-norm of the map of one finite trial, :func:`trial_norm`; NaN if not asked for.
-    samples : int or None
-        Length of that trial.
-    rest : int
-        Number of samples at its end in which v is held at zero.
-    findings : tuple of str
-        Why the problem itself may be badly chosen.
-    noise : float
-        What of the value is the cost of noise; zero if that was not asked for.
-    new, learned : float
-        RMS, in units of `scale`, of what is new in the measured outputs of a trial, and of what
-        learning has made of that in all trials before, for the nominal plant; zero without noise.
-    basis : tuple of str
-        What P and its radius rest on, if they were measured, and where they are of no use.
+    `failures` speak against the filter, `warnings` against the problem; printed, it says all it
+    knows.
     """
 
     problem: Problem
-    value: float
-    lower_bound: float
-    worst: WorstCase
-    peak: Peak
-    grid_L: float
-    all_L: float
-    tolerances: tuple[float, float] = (GAP, VIOLATION)
-    trial: float = np.nan
-    samples: int | None = None
-    rest: int = 0
-    findings: tuple[str, ...] = ()
-    noise: float = 0.0
-    new: float = 0.0
-    learned: float = 0.0
-    basis: tuple[str, ...] = ()
+    value: float  # the objective reached
+    lower_bound: float  # what no such filter within the bounds can go below
+    worst: WorstCase  # of all plants, within the radius, at each of the design frequencies
+    peak: Peak  # over all frequencies, without the radius, which is not known between the samples
+    grid_L: float  # peak of sigma_max(L) on the design grid
+    all_L: float  # an upper bound of it, to 1e-8, for all frequencies
+    tolerances: tuple[float, float] = (GAP, VIOLATION)  # that are accepted
+    trial: float = np.nan  # 2-norm of the map of one finite trial, if asked for
+    samples: int | None = None  # length of that trial
+    rest: int = 0  # of it, in which v is held at zero
+    findings: tuple[str, ...] = ()  # why the problem itself may be badly chosen
+    noise: float = 0.0  # what of the value is the cost of noise
+    new: float = 0.0  # RMS, in units of `scale`, of what is new in the measured outputs of a trial
+    learned: float = 0.0  # and of what learning has made of that in all trials before
+    basis: tuple[str, ...] = ()  # what P and its radius rest on, and where they are of no use
 
     @property
     def grid_M(self) -> float:

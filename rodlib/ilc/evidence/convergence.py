@@ -65,7 +65,7 @@ def rates(P, Q, L: LearningOperator, omega) -> np.ndarray:
     omega = arguments.frequencies("omega", omega, L.Ts)
     given = plants(P)
     _, responses = on_grid(given, omega, L.Ts)
-    _, q = Q_on_grid(Q, omega, L.Ts)
+    _, q = Q_on_grid(Q, omega, L=L.Ts)
     check_learning(L, responses[0].shape[1])
     response = L.frequency_response(omega)
     sigma = [largest_singular_values(convergence_matrix(each, q, response)) for each in responses]

@@ -334,7 +334,7 @@ def _learning(new, Q, L):
 
 def _q_response(new, Q):
     arguments.instance("new", new, TrialNoise)
-    return Q_on_grid(Q, new.omega, new.Ts)[1]
+    return Q_on_grid(Q, new.omega, noise=new.Ts)[1]
 
 
 def _stepped(M, step):

@@ -19,31 +19,14 @@ NEXT = 1e-12  # distance of neighbouring logarithms
 
 @dataclass(frozen=True)
 class WorstCase:
-    """The worst case of sigma_max(M) at each frequency. Made by :func:`worst_case`.
+    """The worst case of sigma_max(M) at each frequency. Made by :func:`worst_case`."""
 
-    Attributes
-    ----------
-    sigma : ndarray, shape (n,)
-        sigma_max(Q (I - (P_k + Delta) L)) is at most this for all plants k and all Delta.
-    attained : ndarray, shape (n,)
-        What it is for the plant and the Delta below: `sigma`, up to rounding.
-    plant : ndarray of int, shape (n,)
-        Number of the worst plant; 0 is the nominal one. Of those that are tied, the first.
-    Delta : ndarray, shape (n, m, m), complex; or None without a radius
-        Within the radius, in units of `scale`, as `problem.P` is.
-    peaks : ndarray, shape (1 + number of other plants,)
-        Largest sigma_max(M) of each plant by itself, Delta = 0.
-    tied : tuple of (int, int)
-        Plants and indices of the frequencies of the worst of all, as far as rounding cannot decide
-        between them.
-    """
-
-    sigma: np.ndarray
-    attained: np.ndarray
-    plant: np.ndarray
-    Delta: np.ndarray | None
-    peaks: np.ndarray
-    tied: tuple[tuple[int, int], ...]
+    sigma: np.ndarray  # (n,): an upper bound for all plants k and all Delta
+    attained: np.ndarray  # (n,): what it is for the plant and the Delta below; `sigma`, but rounded
+    plant: np.ndarray  # (n,): number of the worst plant, 0 for the nominal one; of tied ones, first
+    Delta: np.ndarray | None  # (n, m, m): within the radius, in units of `scale`; None without one
+    peaks: np.ndarray  # (1 + others,): largest sigma_max(M) of each plant by itself, Delta = 0
+    tied: tuple[tuple[int, int], ...]  # plants and indices of frequencies of the worst of all
 
 
 def worst_case(problem: Problem, L: LearningFilter) -> WorstCase:
