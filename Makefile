@@ -2,7 +2,8 @@
 
 PYTHON ?= python3
 BIN := .venv/bin
-MUTANTS := "*__mutmut_29"  # one of each function that is long enough, some 300 in all
+# One of each function that is long enough, some 300 in all.
+MUTANTS := "*__mutmut_29"
 NOTEBOOKS := $(sort $(wildcard notebooks/*.ipynb))
 # Whatever the caller's environment says, figures and output are the same: its settings of Python
 # and Jupyter do not count. Notebooks run side by side: one thread of linear algebra each.
