@@ -60,7 +60,7 @@ RESPONSE = LOOP.frequency_response(OMEGA)
 ASKED = {"P": LOOP, "Q": Q, "omega": OMEGA, "Ts": 1.0, "order": 2, "band": (0.1, 1.0)}
 DESIGN = synthesise(**ASKED | {"P": [P, 0.99 * P]})
 PROBLEM, SOLUTION = DESIGN.problem, DESIGN.solution
-NOISE = evidence.TrialNoise(OMEGA, 1.0, RESPONSE, 1.0)
+NOISE = evidence.trial_noise(LOOP, OMEGA, 1.0)
 GENERALISED = alternatives.generalised_plant(P, Q, 0.01, 2)
 REHEARSAL = alternatives.Rehearsal(np.ones((7, 1, 1)), Q, np.ones((2, 6, 1)))
 TWO_SIDED = alternatives.TwoSidedFilter(L.frequency_response, 1, 1.0)
@@ -120,8 +120,8 @@ NAMED = {
             max_points modes number order pause period periods preview Q_order rest rods root
             samples sections seed states stop support trial trials workers"""),
         (REAL, """A alone coefficients deviations disturbance e forcing gains harmonics heat_flows
-            initial initial_state KL Ks measured_density N noise omega P phases Qo Qs reference Ro
-            Rs scale sensors signal tolerances true_density uncertainty v w y z"""),
+            initial initial_state KL Ks N noise omega P phases Qo Qs reference Ro
+            Rs scale sensors signal tolerances uncertainty v w y z"""),
         (MODELS, "L loop Q"),
         (PLANTS, "plant"),
         (THING | {"numbers": [1, 2], "twice": ["u", "u"], "none": None}, "controls inputs untold"),
@@ -196,9 +196,6 @@ DOORS = [
     (evidence.trial_noise, {"loop": LOOP, "omega": OMEGA, "noise": 1.0, "disturbance": 1.0},
      {"omega": REAL | NUMBER | {"falling": OMEGA[::-1]}, "noise": DENSITY,
       "disturbance": DENSITY}),
-    (evidence.TrialNoise, {f.name: getattr(NOISE, f.name) for f in fields(NOISE)},
-     {"omega": REAL | NUMBER, "P": REAL | NUMBER, "measured_density": DENSITY,
-      "true_density": DENSITY}),
     (evidence.converged_noise, {"new": NOISE, "Q": Q, "L": L}),
     (evidence.noise_by_trial, {"new": NOISE, "Q": Q, "L": L, "step": [1, 0.5]},
      {"step": REAL | {"0": [0.0], "2": [1, 2]}}),
@@ -307,7 +304,7 @@ DOORS = [
 # call a thousand times with what was checked before.
 MADE = {"Certificate", "InfeasibleError", "LearnedNoise", "LogError", "MeasuredResponse"}
 MADE |= {"Outcome", "Picture", "Rate", "Replay", "RigError", "SolverError", "Spectrum", "Synthesis"}
-MADE |= {"Tuned", "WorstCase"}
+MADE |= {"TrialNoise", "Tuned", "WorstCase"}
 INSIDE = {"Family", "LearningOperator", "Problem", "Rig"}
 ROOMS = ("alternatives", "evidence", "laboratory", "synthesis", "workbench")
 ROOMS = tuple(f"ilc.{room}" for room in ROOMS)

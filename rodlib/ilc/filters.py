@@ -37,11 +37,6 @@ class ZeroPhaseButterworth:
         Sampling period, s.
     ends : {"zero", "hold"}
         What a signal is taken to be outside the trial.
-
-    Raises
-    ------
-    ValueError
-        If an argument is out of range, or rounded coefficients do not give the filter.
     """
 
     order: int = 2
@@ -84,7 +79,7 @@ class ZeroPhaseButterworth:
         return np.concatenate([np.roots(section[3:]) for section in self.sections])
 
     @cached_property
-    def _decay(self):
+    def decay(self):
         """Samples after which the impulse response has decayed to rounding level."""
         return int(np.ceil(np.log(1e-18) / np.log(np.abs(self.poles).max())))
 
@@ -102,7 +97,7 @@ class ZeroPhaseButterworth:
     def apply(self, signal) -> np.ndarray:
         """Filter a signal of shape (..., time, channel), forward and backward in time."""
         signal = arguments.array("signal", signal, (..., "time", "channel"))
-        sections, decay = self.sections, self._decay  # after which the line is as good as infinite
+        sections, decay = self.sections, self.decay  # after which the line is as good as infinite
         padding = [(0, 0)] * (signal.ndim - 2) + [(decay, decay), (0, 0)]
         once = np.pad(signal, padding, mode=ENDS[self.ends])
         at_rest = self._at_rest.reshape(len(sections), *[1] * (signal.ndim - 2), 2, 1)
@@ -220,11 +215,6 @@ def update(
     Returns
     -------
     ndarray, shape (time, m)
-
-    Raises
-    ------
-    ValueError
-        If signals and filters do not fit together, or a signal has a gap (NaN).
     """
     arguments.instance("Q", Q, ZeroPhaseButterworth)
     arguments.instance("L", L, LearningOperator)

@@ -37,8 +37,9 @@ def current_trial_loop(
     Parameters
     ----------
     plant : control.StateSpace or control.TransferFunction
-        The model (12) with m outputs, without direct feedthrough from its controls. A transfer
-        function is realised with as few states as it needs.
+        The model (12) with m outputs, in discrete time, without direct feedthrough from its
+        controls, and without an unstable mode that no control reaches or no output shows. A
+        transfer function is realised with as few states as it needs.
     controls : sequence of str, optional
         Names of the m inputs that are controls u; any others are disturbances d, which the
         controller does not know. Default: all inputs, if there are as many as outputs.
@@ -59,13 +60,6 @@ def current_trial_loop(
     Returns
     -------
     CurrentTrialLoop
-
-    Raises
-    ------
-    ValueError
-        If the plant is not in discrete time, has feedthrough from a control, not as many controls
-        as outputs, or an unstable mode that no control reaches or no output shows; if a name is
-        none of the plant's, a weight is indefinite, or the loop with these weights is not stable.
 
     Notes
     -----

@@ -135,11 +135,6 @@ class CurrentTrialLoop:
         Returns
         -------
         ndarray, shape (n, m, m), complex
-
-        Raises
-        ------
-        ValueError
-            As in :meth:`around`, or if a frequency is that of a pole.
         """
         if plant is None:
             return frequency_response(self.P, omega)  # (31)

@@ -27,11 +27,6 @@ def frequency_response(system: control.StateSpace, omega) -> np.ndarray:
     Returns
     -------
     ndarray, shape (n, outputs, inputs), complex
-
-    Raises
-    ------
-    ValueError
-        If a frequency is that of a pole, or the system is of no known sampling period.
     """
     arguments.state_space("system", system)
     omega = arguments.row("omega", omega)
@@ -111,11 +106,6 @@ def minimal_realisation(plant: control.StateSpace, controls: Sequence[str]) -> c
     -------
     control.StateSpace
         The controls first, then the disturbances, as far as they act on the states kept.
-
-    Raises
-    ------
-    ValueError
-        If the controls are not different inputs, or reach nothing that the outputs show.
     """
     arguments.state_space("plant", plant)
     plant = controls_first(plant, controls)

@@ -61,11 +61,6 @@ def run_trials(
         and e = reference - y, the error that the controller sees. Each has the dimensions trial
         (1, 2, ...), time (s), and channel (1, 2, ...) or source, and its unit as an attribute; the
         channels have the coordinates output, control, output_unit and control_unit.
-
-    Raises
-    ------
-    ValueError
-        If a signal or a filter does not fit the loop, or `plant` makes it unstable.
     """
     check_law(loop, Q, L)
     closed = with_noise(loop, plant)

@@ -20,19 +20,9 @@ class Rate(NamedTuple):
 def rate(P, Q, L: LearningOperator, omega) -> Rate:
     """The rate of convergence: the gamma of Lemma 1, max sigma_max(M), and where it is.
 
-    By so much the norm of the error shrinks, at least, from trial to trial.
-
-    Parameters
-    ----------
-    P, Q, L, omega
-        As for :func:`rates`.
-
-    Returns
-    -------
-    gamma : float
-    omega : float
-        Frequency where that is, rad/s; of those that are tied, the lowest. For several plants,
-        both are arrays.
+    By so much the norm of the error shrinks, at least, from trial to trial. Parameters as for
+    :func:`rates`. Of frequencies that are tied, it is the lowest; for several plants, both are
+    arrays.
     """
     sigma = rates(P, Q, L, omega)
     where = np.asarray(omega)[tied(sigma.T).argmax(axis=0)]
@@ -40,7 +30,7 @@ def rate(P, Q, L: LearningOperator, omega) -> Rate:
 
 
 def rates(P, Q, L: LearningOperator, omega) -> np.ndarray:
-    """sigma_max(M) at each frequency, by which the error of that frequency shrinks at least.
+    """sigma_max(M) at each frequency, by which the error there shrinks at least.
 
     Parameters
     ----------
@@ -55,11 +45,6 @@ def rates(P, Q, L: LearningOperator, omega) -> np.ndarray:
     Returns
     -------
     ndarray, shape (n,); or (p, n) for several plants
-
-    Raises
-    ------
-    ValueError
-        If an argument is something else, or they do not fit each other.
     """
     arguments.instance("L", L, LearningOperator)
     omega = arguments.frequencies("omega", omega, L.Ts)

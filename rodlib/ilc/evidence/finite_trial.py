@@ -3,6 +3,8 @@
 Lemma 1 is about signals without end; here the two ends of the trial are included.
 """
 
+from dataclasses import replace
+
 import control
 import numpy as np
 import scipy.sparse.linalg as sparse
@@ -23,7 +25,7 @@ def trial_operators(
     Parameters
     ----------
     P : control.StateSpace
-        In discrete time, m inputs (w), m outputs (y); acts from rest, for the length of the trial.
+        In discrete time, m inputs (w), m outputs (y); acts from rest.
     Q, L : ZeroPhaseButterworth, LearningFilter
         Act as in :func:`rodlib.update`, with their own `ends`.
     samples : int
@@ -35,11 +37,6 @@ def trial_operators(
         On signals of shape (samples, m), raveled. P_N is a lower triangular block Toeplitz
         matrix. Q_N and L_N are block Toeplitz if `ends` is "zero"; if it is "hold", what the
         matrix would do to the samples beyond an end is added to its first or last block column.
-
-    Raises
-    ------
-    ValueError
-        If P is not in discrete time or not as large as L, or `samples` is not positive.
     """
     arguments.state_space("P", P)
     arguments.instance("Q", Q, ZeroPhaseButterworth)
@@ -62,8 +59,7 @@ def trial_operators(
         transposed = np.swapaxes(spectrum, -1, -2)
         return np.flip(P_apply(np.flip(signal, axis=-2), transposed), axis=-2)
 
-    reach = _reach(Q)
-    two_sided = ZeroPhaseButterworth(Q.order, Q.cutoff, Q.Ts, "zero")
+    reach, two_sided = Q.decay, replace(Q, ends="zero")
 
     def Q_adjoint(signal):
         if Q.ends == "zero":  # a symmetric Toeplitz matrix
@@ -99,16 +95,9 @@ def trial_map(
 ) -> sparse.LinearOperator:
     """T = Q_N (I - L_N P_N): what a trial of the ILC law (23) makes of v_k - v_inf.
 
-    Parameters and errors as for :func:`trial_operators`; in the last `rest` samples of each
-    trial, v is held at zero.
+    v_{k+1} - v_inf = T (v_k - v_inf) and e_k - e_inf = -P_N (v_k - v_inf), exactly. Parameters as
+    for :func:`trial_operators`; in the last `rest` samples of each trial, v is held at zero.
 
-    Returns
-    -------
-    scipy.sparse.linalg.LinearOperator, shape (samples m, samples m)
-        v_{k+1} - v_inf = T (v_k - v_inf) and e_k - e_inf = -P_N (v_k - v_inf), exactly.
-
-    Notes
-    -----
     The error alone has no such map. P_N maps the last sample of v to zero (P has a delay), and
     maps the exponentials z^p of its zeros z outside the unit circle, which live at the end of
     the trial, to next to nothing; Q_N then moves them to where they show. So M = P Q (P^-1 - L)
@@ -143,16 +132,10 @@ def trial_norm(
     -------
     norm : float
         Largest ||v_{k+trials} - v_inf|| / ||v_k - v_inf||. Below one for trials = 1, v converges
-        monotonically. Lanczos approaches it from below; short trials have an SVD.
+        monotonically. Lanczos approaches it from below, or a RuntimeError says that it does not
+        converge; short trials have an SVD.
     before, after : ndarray, shape (samples, m)
         The unit v_k - v_inf that is amplified most, and what becomes of it.
-
-    Raises
-    ------
-    ValueError
-        As :func:`trial_operators`.
-    RuntimeError
-        If the Lanczos iteration does not converge.
     """
     trials = arguments.whole("trials", trials, 1)
     T = trial_map(P, Q, L, samples, rest) ** trials
@@ -196,9 +179,3 @@ def _fold(signal, before, after):
     out[..., 0, :] += signal[..., :before, :].sum(axis=-2)
     out[..., -1, :] += signal[..., before + samples :, :].sum(axis=-2)
     return out
-
-
-def _reach(Q):
-    """Number of samples after which the impulse response of the Q-filter is at rounding level."""
-    radius = max(np.abs(np.roots(section[3:])).max(initial=0) for section in Q.sections)
-    return int(np.ceil(np.log(1e-18) / np.log(radius)))

@@ -7,11 +7,9 @@ from rodlib.ilc.filters import LearningFilter
 
 
 def learning_model(L: LearningFilter) -> control.StateSpace:
-    """Causal model of z^-n_L L(z), whose singular values are those of L of (44).
-
-    y(p) = c_nL e(p) + c_(nL-1) e(p - 1) + ... + c_1 e(p - nL + 1), with m (n_L - 1) states: e(p -
-    1), e(p - 2), ... A delay has gain one at every frequency, so it changes no singular value.
-    """
+    """Causal model of z^-n_L L(z), whose singular values are those of L of (44)."""
+    # y(p) = c_nL e(p) + ... + c_1 e(p - nL + 1), with m (n_L - 1) states e(p - 1), e(p - 2) ...
+    # A delay has gain one at every frequency, so it changes no singular value.
     m, _, order = L.coefficients.shape
     newest_first = np.concatenate([L.coefficients[:, :, k] for k in range(order - 1, -1, -1)], 1)
     states = m * (order - 1)
@@ -21,16 +19,11 @@ def learning_model(L: LearningFilter) -> control.StateSpace:
 
 
 def error_model(P: control.StateSpace, L: LearningFilter) -> control.StateSpace:
-    """Causal model of z^-n_L (I - P L), what a trial makes of the error before Q has its say.
-
-    |Q| times its singular values are those of M = Q (I - P L), (40), at every frequency. With n
-    states of P it has m n_L + n: the taps of z^-n_L L and the delay of the direct path share one
-    chain. P L and L P have different singular values: this is the operator on the error, as in
-    Lemma 1, not I - L P, which acts on the ILC signal.
-    """
+    """Causal model of z^-n_L (I - P L): |Q| times its singular values are those of M of (40)."""
     m = len(L.coefficients)
-    # The chain holds e(p - 1) ... e(p - n_L). L in a unit that makes its taps of order one, and P
-    # in its inverse, so that the entries of A below are, too; see peak.balanced.
+    # The taps of z^-n_L L and the delay of the direct path share a chain, e(p - 1) ... e(p - n_L).
+    # L in a unit that makes its taps of order one, and P in its inverse, so that the entries of A
+    # below are, too; see peak.balanced.
     unit = 2.0 ** np.round(np.log2(np.abs(L.coefficients).max() or 1))
     taps, chain = learning_model(LearningFilter(L.coefficients / unit, L.Ts)), m * L.order
     P_C, P_D = unit * P.C, unit * P.D

@@ -15,7 +15,7 @@ p_k depends on earlier trials alone, and so is independent of x_k and t_k: spect
 Trials are taken to be without end, as in Lemma 1.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -34,20 +34,13 @@ NEGLIGIBLE = 1e-17  # share of what is passed on that is no longer added up
 class Spectrum:
     """Spectral density of m random signals.
 
-    Attributes
-    ----------
-    omega : ndarray, shape (n,)
-        Angular frequencies, rad/s.
-    Ts : float
-        Sampling period, s.
-    density : ndarray, shape (n, m, m), complex
-        Its mean over all frequencies is the covariance, so that white noise has its variance as its
-        density. One in unit^2 / Hz, counted over positive frequencies, is 2 Ts times as large.
+    Its mean over all frequencies is the covariance, so that white noise has its variance as its
+    density. One in unit^2 / Hz, counted over positive frequencies, is 2 Ts times as large.
     """
 
-    omega: np.ndarray
-    Ts: float
-    density: np.ndarray
+    omega: np.ndarray  # (n,), rad/s
+    Ts: float  # s
+    density: np.ndarray  # (n, m, m), complex
 
     @property
     def rms(self) -> np.ndarray:
@@ -64,82 +57,25 @@ class Spectrum:
 
     def __add__(self, other: "Spectrum") -> "Spectrum":
         """That of the sum with independent signals, known at the same frequencies."""
-        return Spectrum(self.omega, self.Ts, self.density + other.density)
+        return replace(self, density=self.density + other.density)
 
 
 @dataclass(frozen=True)
 class TrialNoise:
-    """What is new in every trial, without learning. Made by :func:`trial_noise`, or measured.
+    """What is new in every trial, without learning. Made by :func:`trial_noise`."""
 
-    Attributes
-    ----------
-    omega, Ts
-        As for :class:`Spectrum`.
-    P : ndarray, shape (n, m, m), complex
-        Frequency response of the loop from w to y, (31).
-    measured_density : ndarray, shape (n, m, m), complex
-        Of x, how the measured outputs, and so e, deviate from trial to trial. May be given in any
-        of the forms that :func:`trial_noise` takes.
-    true_density : ndarray, shape (n, m, m), complex; or None
-        Of t, how the outputs themselves do; None where it is not known. What the sensors add and
-        what the feedback makes of it cannot be told apart by looking at the measured outputs.
-    """
-
-    omega: np.ndarray
-    Ts: float
-    P: np.ndarray
-    measured_density: np.ndarray
-    true_density: np.ndarray | None = None
-
-    def __post_init__(self):
-        Ts = arguments.sampling_period("Ts", self.Ts)
-        omega = arguments.frequencies("omega", self.omega, Ts)
-        P = arguments.array("P", self.P, (len(omega), "m", "m"), complex)
-        checked = {"Ts": Ts, "omega": omega, "P": P}
-        for name in ("measured_density", "true_density"):
-            value = getattr(self, name)
-            if value is not None or name == "measured_density":
-                checked[name] = _density(name, value, omega, P.shape[1])
-        for name, value in checked.items():
-            object.__setattr__(self, name, value)
-
-    @property
-    def measured(self) -> Spectrum:
-        """Of x."""
-        return Spectrum(self.omega, self.Ts, self.measured_density)
-
-    @property
-    def true(self) -> Spectrum | None:
-        """Of t; None where it is not known."""
-        if self.true_density is None:
-            return None
-        return Spectrum(self.omega, self.Ts, self.true_density)
+    P: np.ndarray  # (n, m, m): frequency response of the loop from w to y, (31)
+    measured: Spectrum  # of x, how the measured outputs, and so e, deviate from trial to trial
+    true: Spectrum  # of t, how the outputs themselves do
 
 
 @dataclass(frozen=True)
 class LearnedNoise:
-    """What is random in a trial with learning. Made by :func:`converged_noise`.
+    """What is random in a trial with learning. Made by :func:`converged_noise`."""
 
-    Attributes
-    ----------
-    new : TrialNoise
-        What is new in the trial: all there is without learning.
-    learned : Spectrum
-        Of p, what learning has made of earlier trials: P v without its mean.
-    """
-
-    new: TrialNoise
-    learned: Spectrum
-
-    @property
-    def measured(self) -> Spectrum:
-        """Of e, the error that the controller sees."""
-        return self.new.measured + self.learned
-
-    @property
-    def true(self) -> Spectrum | None:
-        """Of the error of the outputs themselves; None where that is not known."""
-        return None if self.new.true is None else self.new.true + self.learned
+    measured: Spectrum  # of e, the error that the controller sees
+    true: Spectrum  # of the error of the outputs themselves
+    learned: Spectrum  # in both, of p: what learning has made of earlier trials
 
 
 def trial_noise(
@@ -165,11 +101,6 @@ def trial_noise(
     Returns
     -------
     TrialNoise
-
-    Raises
-    ------
-    ValueError
-        If omega or a density is none, or as :meth:`CurrentTrialLoop.around` for `plant`.
     """
     arguments.instance("loop", loop, CurrentTrialLoop)
     omega, m = arguments.frequencies("omega", omega, loop.Ts), loop.plant.noutputs
@@ -182,7 +113,7 @@ def trial_noise(
             raise ValueError("disturbance must be None: the loop has none")
         flows = _through(G, _density("disturbance", disturbance, omega, len(loop.disturbances)))
         true, measured = true + flows, measured + flows
-    return TrialNoise(omega, loop.Ts, P, measured, true)
+    return TrialNoise(P, Spectrum(omega, loop.Ts, measured), Spectrum(omega, loop.Ts, true))
 
 
 def converged_noise(new: TrialNoise, Q, L: LearningOperator, step: float = 1.0) -> LearnedNoise:
@@ -192,7 +123,7 @@ def converged_noise(new: TrialNoise, Q, L: LearningOperator, step: float = 1.0) 
     ----------
     new : TrialNoise
     Q : ZeroPhaseButterworth or array_like, shape (n,)
-        The filter, or its frequency response on ``new.omega``.
+        The filter, or its frequency response on ``new.measured.omega``.
     L : LearningOperator
     step : float
         Of :func:`rodlib.update`, the same after every trial.
@@ -202,21 +133,17 @@ def converged_noise(new: TrialNoise, Q, L: LearningOperator, step: float = 1.0) 
     LearnedNoise
         Its `learned` is the solution Phi of Phi = M Phi M^H + (Q P L) Phi_x (Q P L)^H, at each
         frequency; for one channel Phi_x |Q P L|^2 / (1 - |M|^2). A step a takes the place of M by
-        (1 - a) I + a M, and of Q P L by a Q P L.
-
-    Raises
-    ------
-    ValueError
-        If the trials do not converge at some frequency, or the filters do not fit.
+        (1 - a) I + a M, and of Q P L by a Q P L. If the trials do not converge at some frequency,
+        a ValueError says so.
     """
     step = arguments.share("step", step)
     M, QPL = _learning(new, Q, L)
-    M, added = _stepped(M, step), step**2 * _through(QPL, new.measured_density)
+    M, added = _stepped(M, step), step**2 * _through(QPL, new.measured.density)
     rate = np.abs(np.linalg.eigvals(M)).max(axis=1)
     if rate.max() >= 1:
         raise ValueError(
             f"L does not converge: M has an eigenvalue of modulus {rate.max():.6g} at "
-            f"{new.omega[tied(rate).argmax()]:.6g} rad/s"
+            f"{new.measured.omega[tied(rate).argmax()]:.6g} rad/s"
         )
     return _learned(new, accumulated(M, added))
 
@@ -245,15 +172,10 @@ def noise_by_trial(new: TrialNoise, Q, L: LearningOperator, step) -> list[Learne
     list of LearnedNoise
         One for each trial. With steps that tend to zero, and whose sum has no limit, what is
         learned of noise tends to zero, if all eigenvalues of M have a real part below one.
-
-    Raises
-    ------
-    ValueError
-        If a step is not in (0, 1], or the filters do not fit.
     """
     steps = [arguments.share(f"step[{k}]", a) for k, a in enumerate(arguments.row("step", step))]
     M, QPL = _learning(new, Q, L)
-    added = _through(QPL, new.measured_density)
+    added = _through(QPL, new.measured.density)
     density = [np.zeros_like(added)]
     for a in steps:
         density.append(_through(_stepped(M, a), density[-1]) + a**2 * added)
@@ -278,17 +200,12 @@ def noise_bound(new: TrialNoise, Q, M_max, L_max) -> float:
     float
         Not below `total` of what :func:`converged_noise` says is learned, nor, with falling steps
         or without, below that of any trial.
-
-    Raises
-    ------
-    ValueError
-        If a bound is negative, M_max is not below one, or a shape does not fit.
     """
     q = np.abs(_q_response(new, Q))
     limits = {"M_max": M_max, "L_max": L_max}
     for name, value in limits.items():
         value = arguments.array(name, value, (...,))
-        limits[name] = arguments.array(name, value, new.omega.shape if value.ndim else ())
+        limits[name] = arguments.array(name, value, new.measured.omega.shape if value.ndim else ())
         if limits[name].min() < 0:
             raise ValueError(f"{name} reaches {limits[name].min():g}, but must not be negative")
     if limits["M_max"].max() >= 1:
@@ -296,8 +213,8 @@ def noise_bound(new: TrialNoise, Q, M_max, L_max) -> float:
     gain = q * largest_singular_values(new.P) * limits["L_max"]
     rate = np.minimum(limits["M_max"], q + gain)
     gain = np.minimum(gain, q + rate)
-    power = np.einsum("nii->n", new.measured_density).real * gain**2 / (1 - rate**2)
-    return Spectrum(new.omega, new.Ts, power[:, None, None]).total
+    power = np.einsum("nii->n", new.measured.density).real * gain**2 / (1 - rate**2)
+    return replace(new.measured, density=power[:, None, None]).total
 
 
 def _density(name, value, omega, m):
@@ -326,15 +243,15 @@ def _learning(new, Q, L):
     """M and Q P L, for a step of one."""
     q, m = _q_response(new, Q), new.P.shape[1]
     check_learning(L, m)
-    arguments.one_period(noise=new.Ts, L=L.Ts)
+    arguments.one_period(noise=new.measured.Ts, L=L.Ts)
     q = q[:, None, None]
-    QPL = q * new.P @ L.frequency_response(new.omega)
+    QPL = q * new.P @ L.frequency_response(new.measured.omega)
     return q * np.eye(m) - QPL, QPL  # (40)
 
 
 def _q_response(new, Q):
     arguments.instance("new", new, TrialNoise)
-    return Q_on_grid(Q, new.omega, noise=new.Ts)[1]
+    return Q_on_grid(Q, new.measured.omega, noise=new.measured.Ts)[1]
 
 
 def _stepped(M, step):
@@ -342,7 +259,8 @@ def _stepped(M, step):
 
 
 def _learned(new, density):
-    return LearnedNoise(new, Spectrum(new.omega, new.Ts, density))
+    learned = replace(new.measured, density=density)
+    return LearnedNoise(new.measured + learned, new.true + learned, learned)
 
 
 def _through(H, density):

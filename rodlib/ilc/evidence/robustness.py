@@ -42,11 +42,6 @@ def worst_case(problem: Problem, L: LearningFilter) -> WorstCase:
     -------
     WorstCase
 
-    Raises
-    ------
-    ValueError
-        If an argument is something else, or L has other channels or another sampling period.
-
     Notes
     -----
     For a radius r, and rho = |Q| r, the worst case is exactly

@@ -1,4 +1,15 @@
-"""What do the plants that were tried say about one that was not? The scenario bound."""
+"""What do the plants that were tried say about one that was not? The scenario bound.
+
+If a design depends on k of N independent samples, what holds for them is violated by a new one with
+a probability of at most epsilon(k) = 1 - t(k), which is itself false with a probability of at most
+beta. For k < N, t(k) is the only solution in (0, 1) of
+
+    beta / (N + 1) sum_{m=k}^{N} binom(m, k) t^(m-k) = binom(N, k) t^(N-k),
+
+and epsilon(N) = 1. M. C. Campi and S. Garatti, Wait-and-judge scenario optimization, Mathematical
+Programming 167 (2018) 155-189, Theorem 1, for convex problems with one solution that are not
+degenerate: the plants of support alone lead to the same design, with probability one.
+"""
 
 import numpy as np
 from scipy.optimize import bisect
@@ -12,21 +23,11 @@ FARTHEST = (-700.0, 36.0)  # logarithms of the odds of a violation, as far as do
 
 
 def scenario_bound(samples: int, support: int, beta: float = 1e-6) -> float:
-    """Bound on the probability that a new plant violates what holds for N independent samples.
-
-    It is epsilon(k) = 1 - t(k) for k of them that the design depends on, :func:`support`, and
-    itself false with a probability of at most beta; t(k) is the only solution in (0, 1) of
-
-        beta / (N + 1) sum_{m=k}^{N} binom(m, k) t^(m-k) = binom(N, k) t^(N-k)
-
-    for k < N, and epsilon(N) = 1. M. C. Campi and S. Garatti, Wait-and-judge scenario optimization,
-    Mathematical Programming 167 (2018) 155-189, Theorem 1, for convex problems with one solution
-    that are not degenerate: the plants of support alone lead to the same design, with probability
-    one. The sum is the distribution function of the negative binomial distribution, an incomplete
-    beta function, so that N may be a million.
-    """
+    """Bound on the probability that a new plant violates what holds for independent samples."""
     if support == samples:
         return 1.0
+    # The sum is the distribution function of the negative binomial distribution, an incomplete beta
+    # function, so that N may be a million.
     after = support + 1
     log_binomial = -betaln(after, samples - support + 1) - np.log(samples + 1)
 
@@ -43,16 +44,9 @@ def scenario_bound(samples: int, support: int, beta: float = 1e-6) -> float:
 def support(solution: Solution) -> np.ndarray:
     """Numbers of the plants, other than the nominal one, that a design depends on.
 
-    Parameters
-    ----------
-    solution : Solution
-
-    Returns
-    -------
-    ndarray of int
-        Plants with a multiplier that is not negligible. Without the others the design stays what
-        it is. Where bounds meet that could stand in for one another, fewer may do; counting too
-        many makes the bound of :func:`violation_probability` larger, and it still holds.
+    They have a multiplier that is not negligible. Without the others the design stays what it is.
+    Where bounds meet that could stand in for one another, fewer may do; counting too many makes
+    the bound of :func:`violation_probability` larger, and it still holds.
     """
     cuts = arguments.instance("solution", solution, Solution).cuts
     if cuts is None:
@@ -79,11 +73,6 @@ def violation_probability(design, beta: float = 1e-6) -> float:
     float
         Bound on the probability that sigma_max(M) of the new plant exceeds, at a design frequency,
         the largest that the certificate says.
-
-    Raises
-    ------
-    ValueError
-        If the design is none or for one plant alone, or `beta` is out of range.
     """
     solution = arguments.instance("design.solution", getattr(design, "solution", None), Solution)
     beta = arguments.number("beta", beta, "in (0, 1)", 0, 1)

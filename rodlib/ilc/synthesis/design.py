@@ -163,9 +163,6 @@ def synthesise(
 
     Raises
     ------
-    ValueError
-        If an argument has the wrong shape or is out of range, P is unstable, or singular at a
-        frequency. The message names the argument and the value.
     InfeasibleError
         If no filter meets the bounds; the message says which of them is too tight.
     SolverError

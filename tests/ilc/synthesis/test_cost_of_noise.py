@@ -1,5 +1,7 @@
 """The cost of noise in the objective: against CVXPY, against its definition, and its effect."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -13,7 +15,7 @@ from rodlib import (
     synthesise,
     zero_phase_butterworth,
 )
-from rodlib.ilc.evidence import TrialNoise, converged_noise, trial_noise
+from rodlib.ilc.evidence import converged_noise, trial_noise
 from rodlib.ilc.evidence.optimality import lower_bound
 from rodlib.ilc.posing import pose
 from rodlib.ilc.synthesis.program import formulate
@@ -86,7 +88,8 @@ def test_the_variance_of_the_error_grows_by_no_more_than_the_cost(build, control
     cost = design.certificate.noise
     assert 0 < grown <= cost < 20 * grown
     assert f"of which the cost of noise: {cost:.4g}" in str(design)
-    apart = converged_noise(TrialNoise(omega, loop.Ts, new.P, noise), Q, design.filter)
+    alone = replace(new.measured, density=noise[..., None] * np.eye(noise.shape[1]))
+    apart = converged_noise(replace(new, measured=alone), Q, design.filter)
     assert design.certificate.learned == pytest.approx(apart.learned.total, rel=1e-9)
     assert design.certificate.new == pytest.approx(new.measured.total, rel=1e-12)
     assert f"{design.certificate.learned:.4g} are learned" in str(design)
