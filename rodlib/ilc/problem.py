@@ -21,61 +21,25 @@ TIED = 1e-6  # relative distance at which rounding, or the accuracy of a solver,
 
 @dataclass(frozen=True)
 class Problem:
-    """The problem of a learning filter. Made by :func:`rodlib.ilc.posing.pose`.
+    """The problem of a learning filter. Made by :func:`rodlib.ilc.posing.pose`."""
 
-    Attributes
-    ----------
-    P : ndarray, shape (n, m, m), complex
-        Frequency response of the plant, that is, of the current-trial loop.
-    Q : ndarray, shape (n,)
-        Frequency response of the Q-filter.
-    omega : ndarray, shape (n,)
-        Design frequencies, rad/s.
-    Ts : float
-        Sampling period, s.
-    scale : ndarray, shape (m,)
-        What counts as equally large in each channel.
-    model : tuple of control.StateSpace and ZeroPhaseButterworth, or None
-        P and Q, if both were given as models.
-    others : ndarray, shape (p, n, m, m), complex
-        Further plants for which the bounds hold; plant number 0 is P, these are 1 to p.
-    order : int
-        Number of samples that the learning filter looks ahead.
-    M_max, L_max : float, float or None
-        Bounds on sigma_max(M) and sigma_max(L).
-    band : (float, float)
-        Lowest and highest frequency over which "sum" sums, rad/s.
-    structure : {"diagonal", "full"}
-    objective : {"sum", "peak", "gain"}
-        "gain" minimises the largest sigma_max(L), with `L_max` for its unit and no bound.
-    other_models : tuple of control.StateSpace or None
-        As far as they were given as models.
-    radius : ndarray, shape (n,), or None
-        The bounds hold for all P + Delta with ||Delta|| <= radius at each frequency, and likewise
-        for the other plants.
-    noise : ndarray, shape (n, m), or None
-        Weights of what learning from noise costs, see :meth:`cost_of_noise`.
-    basis : tuple of str
-        What P and its radius rest on, if they were measured.
-    """
-
-    P: np.ndarray
-    Q: np.ndarray
-    omega: np.ndarray
-    Ts: float
-    scale: np.ndarray
-    model: tuple[control.StateSpace, ZeroPhaseButterworth] | None
-    others: np.ndarray
-    order: int = 10
-    M_max: float = 0.9
-    L_max: float | None = 50.0
-    band: tuple[float, float] = (1e-4, 0.02)
-    structure: str = "diagonal"
-    objective: str = "sum"
-    other_models: tuple[control.StateSpace | None, ...] = ()
-    radius: np.ndarray | None = None
-    noise: np.ndarray | None = None
-    basis: tuple[str, ...] = ()
+    P: np.ndarray  # (n, m, m), complex: frequency response of the plant, the current-trial loop
+    Q: np.ndarray  # (n,): of the Q-filter
+    omega: np.ndarray  # (n,): design frequencies, rad/s
+    Ts: float  # sampling period, s
+    scale: np.ndarray  # (m,): what counts as equally large in each channel
+    model: tuple[control.StateSpace, ZeroPhaseButterworth] | None  # P and Q, if both are models
+    others: np.ndarray  # (p, n, m, m): plants 1 to p, for which the bounds hold as for P, plant 0
+    order: int = 10  # number of samples that the learning filter looks ahead
+    M_max: float = 0.9  # bound on sigma_max(M)
+    L_max: float | None = 50.0  # bound on sigma_max(L)
+    band: tuple[float, float] = (1e-4, 0.02)  # over which "sum" sums, rad/s
+    structure: str = "diagonal"  # or "full"
+    objective: str = "sum"  # or "peak"; or "gain": the least sigma_max(L), in units of L_max
+    other_models: tuple[control.StateSpace | None, ...] = ()  # as far as others are models
+    radius: np.ndarray | None = None  # (n,): the bounds hold for all P + Delta, ||Delta|| <= radius
+    noise: np.ndarray | None = None  # (n, m): weights of what learning from noise costs
+    basis: tuple[str, ...] = ()  # what P and its radius rest on, if they were measured
 
     @property
     def channels(self) -> int:
@@ -104,11 +68,9 @@ class Problem:
 
     @property
     def unusable(self) -> np.ndarray:
-        """Whether the radius admits a singular plant, at each frequency, shape (n,).
-
-        Of such a plant, in some direction, no learning filter sees anything: the largest singular
-        value of M is |Q| or more for one of those within the radius.
-        """
+        """Whether the radius admits a singular plant, at each frequency, shape (n,)."""
+        # Of such a plant, in some direction, no learning filter sees anything: the largest singular
+        # value of M is |Q| or more for one of those within the radius.
         if self.radius is None:
             return np.zeros(len(self.omega), dtype=bool)
         plants = np.concatenate([self.P[None], self.others])
@@ -125,36 +87,35 @@ class Problem:
         `worst`, for the peak: the largest over all plants; by default that of the nominal one.
         """
         if self.objective == "sum":
-            return float(sigma_M[self.in_band].sum())
-        return float((sigma_M if worst is None else worst).max())
+            return float(sigma_M[self.in_band].sum())  # (39)
+        return float((sigma_M if worst is None else worst).max())  # (45)
 
     def cost_of_noise(self, L) -> float:
         """What is added to the objective: a bound on what noise adds to the error's variance.
 
-        Noise that is new in every trial, of the spectral density Phi, makes the converged error's
-        variance larger by no more than the mean over all frequencies of
-        tr(Q P L Phi (Q P L)^H) / (1 - M_max^2); see :mod:`rodlib.ilc.evidence.noise`. It is
-        quadratic in the learning filter, and convex.
+        For a spectral density Phi that is the mean over all frequencies of
+        tr(Q P L Phi (Q P L)^H) / (1 - M_max^2), see :mod:`rodlib.ilc.evidence.noise`: quadratic in
+        the learning filter, and convex.
         """
         if self.noise is None:
             return 0.0
         return float((np.abs(self.Q[:, None, None] * self.P @ L) ** 2 * self.noise[:, None]).sum())
 
     def M(self, L, number: int = 0) -> np.ndarray:
-        """M of (40) of a plant, from the frequency response of L."""
+        """M of a plant, from the frequency response of L."""
         return convergence_matrix(self.plant(number), self.Q, L)
 
     @property
     def weight(self) -> np.ndarray:
         """W, shape (m, m), such that sigma_max(W L) <= 1 is the bound on the learning filter.
 
-        That is I / L_max. Without a bound (46), filters are still compared only up to where their
+        That is I / L_max, (46). Without a bound, filters are still compared only up to where their
         coefficients, held in doubles, determine M to about 1e-9: up to a gain of 1e7 of Q P L,
         counted for each input by itself. What larger ones could gain on paper, no computer can
         apply.
         """
         if self.L_max is not None:
-            return np.eye(self.channels) / self.L_max
+            return np.eye(self.channels) / self.L_max  # (46)
         gains = np.linalg.norm(self.Q[:, None, None] * self.P, axis=1).max(axis=0)
         return np.diag(gains / np.abs(self.Q).max() / MOST_GAIN)
 
@@ -192,8 +153,8 @@ class Solution:
 
 
 def convergence_matrix(P, Q, L) -> np.ndarray:
-    """M = Q (I - P L) of (40), (n, m, m), from frequency responses P, L (n, m, m) and Q (n,)."""
-    return Q[:, None, None] * (np.eye(P.shape[1]) - P @ L)
+    """M = P Q (P^-1 - L), (n, m, m), from frequency responses P, L (n, m, m) and Q (n,)."""
+    return Q[:, None, None] * (np.eye(P.shape[1]) - P @ L)  # (36), (40)
 
 
 def tied(values):

@@ -42,25 +42,22 @@ the gain is computed once more from A itself, with a bound of its error: if R ap
 
     C (z I - A)^-1 B = C R B + C R (S + S^2 + ...) B.
 
-What this adds to the peak is added to the gain, 1e-9 of it or less for the paper's M. No eigenvalue
-has to be told apart from the unit circle, as in the level-set methods of Boyd, Balakrishnan,
-Bruinsma and Steinbuch: that decision is worth no more than half the digits where the level touches
-the curve.
+What this adds to the peak is added to the gain, 1e-9 of it or less for the paper's M.
 """
 
 from dataclasses import dataclass
-from math import log2
 
 import control
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.linalg import schur
+from scipy.linalg import matrix_balance, schur
 
 from rodlib.ilc import arguments
 from rodlib.ilc.evidence.models import error_model
 from rodlib.ilc.filters import ZeroPhaseButterworth
 from rodlib.ilc.problem import Problem, convergence_matrix, largest_singular_values, tied
 
+MOST_POINTS = 2_000_000  # frequencies at which to give up
 CHUNK = 2**21  # numbers held at a time while frequency responses are computed
 CLOSEST = 20  # poles next to the unit circle at which rounding is looked into
 DENSER = 10  # the grid between the samples, against theirs
@@ -68,20 +65,14 @@ LOOKED_AT = 20  # sampled plants, the worst of them, that splines are laid throu
 
 
 def peak_gain(
-    system: control.StateSpace,
-    Q: ZeroPhaseButterworth | None = None,
-    tolerance: float = 1e-8,
-    max_points: int = 2_000_000,
+    system: control.StateSpace, Q: ZeroPhaseButterworth | None = None, tolerance: float = 1e-8
 ) -> tuple[float, float]:
-    """Peak over all frequencies of Q sigma_max, as an upper bound with a proof, and where it is.
-
-    Q is not made a part of the system: the poles of a filter of high order with a low cut-off lie
-    so close together that a Schur form tears them apart. The gain is at least the supremum, and
-    above (1 + tolerance) times it only by a bound of the rounding error; the cost grows like the
-    inverse square root of the tolerance. A RuntimeError says so if `max_points` frequencies do not
-    suffice, because sigma_max is nearly equal to its peak over a wide range, as of an all-pass
-    filter, or if poles are so close to the unit circle that rounding could move one across.
-    """
+    """Peak over all frequencies of Q sigma_max, as an upper bound with a proof, and where it is."""
+    # Q is not made a part of the system: the poles of a filter of high order with a low cut-off lie
+    # so close together that a Schur form tears them apart. The gain is at least the supremum, and
+    # above (1 + tolerance) times it only by a bound of the rounding error; the cost grows like the
+    # inverse square root of the tolerance, unless sigma_max is nearly equal to its peak over a wide
+    # range, as of an all-pass filter.
     if system.nstates == 0:  # and Q is one at zero
         return float(np.linalg.norm(system.D, 2)), 0.0
     # in units in which inputs and outputs are of order one
@@ -117,12 +108,11 @@ def peak_gain(
             return float((bound + max(highest - peak, 0)) * u * v), float(place / system.dt)
         middle = (left[0] + right[0]) / 2
         points += middle.size
-        if points > max_points or np.any((middle == left[0]) | (middle == right[0])):
+        if points > MOST_POINTS or np.any((middle == left[0]) | (middle == right[0])):
             raise RuntimeError(
                 f"the peak gain is between {peak * u * v:.12g} and "
                 f"{max(bound, ceiling.max()) * u * v:.12g}; "
-                f"to close in further takes more than {max_points} frequencies: "
-                f"raise max_points or tolerance = {tolerance:.1e}"
+                f"to close in further takes more than {MOST_POINTS} frequencies"
             )
         middle = np.stack([middle, sigma(middle), _phase(poles, middle)])
         best = middle[1].argmax()
@@ -200,30 +190,15 @@ def _filter_rounded_up(Q, theta):
 
 
 def balanced(A, B, C):
-    """Scale the states by powers of two so that no entry of A is large merely by its unit.
-
-    The error of a Schur form is relative to the largest entry of A. If one state is counted in
-    units of 1e-8, the others lose eight digits.
-    """
+    """Scale the states by powers of two so that no entry of A is large merely by its unit."""
+    # The error of a Schur form is relative to the largest entry of A. If one state is counted in
+    # units of 1e-8, the others lose eight digits.
     A, B, C = (np.array(X, dtype=float) for X in (A, B, C))
-    n = len(A)
-    size = np.zeros((n + 1, n + 1))  # of what else stands in a state's row and in its column
-    size[:n, :n] = np.abs(A) * (1 - np.eye(n))
-    size[:n, n], size[n, :n] = np.abs(B).max(axis=1), np.abs(C).max(axis=0)
-    exponents, changed = np.zeros(n), True
-    for _ in range(100):
-        if not changed:
-            break
-        changed = False
-        for i in range(n):
-            row, column = size[i].max(), size[:, i].max()
-            exponent = round((log2(row) - log2(column)) / 2) if row > 0 and column > 0 else 0
-            if exponent:
-                size[i] *= 2.0**-exponent
-                size[:, i] *= 2.0**exponent
-                exponents[i] += exponent
-                changed = True
-    scale = 2.0**exponents
+    size = np.pad(np.abs(A), (0, 1))  # with one row and column for what goes in and comes out
+    size[:-1, -1], size[-1, :-1] = np.abs(B).max(axis=1), np.abs(C).max(axis=0)
+    np.fill_diagonal(size, 0)  # which no unit changes
+    _, (scale, _) = matrix_balance(size, permute=False, separate=True)
+    scale = scale[:-1] / scale[-1]
     return A * scale / scale[:, None], B / scale[:, None], C * scale
 
 
@@ -240,11 +215,7 @@ class Peak:
 
 
 def highest_peak(problem: Problem, L, order) -> Peak:
-    """Find the highest peak of sigma_max(M) over all frequencies, Delta = 0; L in units of `scale`.
-
-    `order`: numbers of the plants, that with the highest peak on the grid first. Every model has a
-    proof; of the sampled plants, the first :data:`LOOKED_AT` have an estimate.
-    """
+    """The highest peak of sigma_max(M), Delta = 0; `order`: plants, the highest on a grid first."""
     models, Q = {}, None
     if problem.model:
         nominal, Q = problem.model
@@ -262,12 +233,7 @@ def highest_peak(problem: Problem, L, order) -> Peak:
 
 
 def peaks_between(problem: Problem, L, numbers) -> list[tuple[float, float, float]]:
-    """Peaks of sigma_max(M) estimated between samples, where, and how much splines miss of them.
-
-    Measured grids are linear or logarithmic, plants smooth over one or the other. So the splines
-    run over omega or log omega, whichever foretells samples that are left out better; with fewer
-    than four samples they miss an infinite amount.
-    """
+    """Peaks of sigma_max(M) estimated between samples, where, and how much splines miss of M."""
     if not len(numbers):
         return []
     omega = problem.omega
@@ -278,6 +244,9 @@ def peaks_between(problem: Problem, L, numbers) -> list[tuple[float, float, floa
 
 
 def _peak_between(P, Q, omega, response, dense, dense_response):
+    # Measured grids are linear or logarithmic, plants smooth over one or the other. So the splines
+    # run over omega or log omega, whichever foretells samples that are left out better; with fewer
+    # than four samples they miss an infinite amount.
     M = convergence_matrix(P, Q, response)
     missed = {}
     for scale in (np.asarray, np.log) if omega[0] > 0 else (np.asarray,):

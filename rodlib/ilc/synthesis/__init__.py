@@ -1,17 +1,11 @@
 """Synthesis of the learning filter: the convex problems (39), (45) and (46).
 
-The frequency response of the learning filter is linear in its coefficients, so that
-
-    M = P Q (P^-1 - L) = Q (I - P L)                                                        (40)
-
-is affine in them. A bound on the largest singular value of either is a linear matrix inequality,
-one per frequency, and the problems are semidefinite programs; for further plants, and for all
-within a radius of them, there are more inequalities of the same kind.
-
-:mod:`rodlib.ilc.synthesis.design` is the way through. Three modules solve the problems:
-:mod:`rodlib.ilc.synthesis.interior_point`, which is fast and the default;
-:mod:`rodlib.ilc.synthesis.active_set`, which adds digits to its solution, and is faster still from
-that of a similar problem; and :mod:`rodlib.ilc.synthesis.statement`, in CVXPY. None of them is
+M of (40) is affine in the coefficients of L. A bound on the largest singular value of either is a
+linear matrix inequality, one per frequency, and the problems are semidefinite programs.
+:mod:`~rodlib.ilc.synthesis.design` is the way through. Three modules solve the problems:
+:mod:`~rodlib.ilc.synthesis.interior_point`, which is fast and the default;
+:mod:`~rodlib.ilc.synthesis.active_set`, which adds digits to its solution, and is faster still from
+that of a similar problem; and :mod:`~rodlib.ilc.synthesis.statement`, in CVXPY. None of them is
 trusted: what is returned has a certificate.
 """
 

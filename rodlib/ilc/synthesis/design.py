@@ -30,7 +30,7 @@ class InfeasibleError(ValueError):
         Where the bound on M that stands most in the way is; plant number 0 is the nominal one.
     """
 
-    def __init__(self, message: str, smallest_M_max: float, plant: int = 0, omega: float = np.nan):
+    def __init__(self, message: str, smallest_M_max: float, plant: int, omega: float):
         super().__init__(message)
         self.smallest_M_max, self.plant, self.omega = smallest_M_max, plant, omega
 
@@ -41,27 +41,14 @@ class SolverError(RuntimeError):
 
 @dataclass(frozen=True)
 class Synthesis:
-    """A learning filter and what was checked about it, from singular values.
-
-    Attributes
-    ----------
-    filter : LearningFilter
-    problem : Problem
-        What was asked of it.
-    certificate : Certificate
-        Optimality and bounds, by code independent of the solver.
-    sigma_M, sigma_L : ndarray, shape (n,)
-        Largest singular values of M and of L at the design frequencies.
-    solution : Solution
-        What the solver said. It is not relied on. ``synthesise(..., start=design)`` begins there.
-    """
+    """A learning filter and what was checked about it, from singular values."""
 
     filter: LearningFilter
-    problem: Problem
-    certificate: Certificate
-    sigma_M: np.ndarray
-    sigma_L: np.ndarray
-    solution: Solution
+    problem: Problem  # what was asked of it
+    certificate: Certificate  # of optimality and bounds, by code independent of the solver
+    sigma_M: np.ndarray  # (n,): largest singular values of M at the design frequencies
+    sigma_L: np.ndarray  # and of L
+    solution: Solution  # what the solver said, on which nothing relies
 
     @property
     def value(self) -> float:

@@ -183,6 +183,7 @@ def formulate(problem: Problem, plant=(), frequency=()) -> Program:
     on_L = {"limit": int(not gain)}
     every = np.arange(n)
     nominal = replace(problem, radius=None)
+    # sigma_max(M) <= M_max, or, where it is in the sum (39) or the largest (45), a level
     if problem.radius is None:
         bounds = [replace(bound_on_M(nominal, 0 * every, every, **on_M), at=everywhere, plant=None)]
     else:  # which implies the nominal one
@@ -190,6 +191,7 @@ def formulate(problem: Problem, plant=(), frequency=()) -> Program:
         if problem.objective == "sum":
             some = np.flatnonzero(problem.in_band)
             bounds.insert(0, replace(bound_on_M(nominal, 0 * some, some, **on_M), plant=None))
+    # sigma_max(L) <= L_max, (39), (46)
     one = np.ones((1, 1, n), dtype=complex)
     zero = np.zeros((m, m, 1)) * one
     if full or gain:
@@ -209,7 +211,7 @@ def formulate(problem: Problem, plant=(), frequency=()) -> Program:
     free = np.flatnonzero(problem.in_band[bounds[0].at])
     program = Program(bounds, basis, R, len(rows), free, False, limits, problem.M_max)
     if problem.objective == "peak":
-        program = program.minimax()
+        program = program.minimax()  # (45)
     if problem.noise is not None:  # at whose price the peak could be higher
         program = replace(program, limits=limits, H=cost_of_noise(problem, basis, rows, cols))
     return program

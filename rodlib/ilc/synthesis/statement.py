@@ -17,7 +17,7 @@ def solve(program: Program) -> Solution:
     x = cp.Variable(program.entries * len(program.basis))
     t = cp.Variable(1 if program.shared else len(program.free))
 
-    subject_to, splits = [], []  # sigma_max(F + T L) <= level, (39), (45), (46)
+    subject_to, splits = [], []  # sigma_max(F + T L) <= level: of M in (39), (45), of L in (46)
     for j, bound in enumerate(program.bounds):
         p, q, n = bound.shape
         shape = (n, p, q)
@@ -34,7 +34,7 @@ def solve(program: Program) -> Solution:
         subject_to.append(sigma_max_at_most(G, b, bound, d))
         splits.append(d)
     meets = [] if program.shared else [t <= program.M_max]
-    cost = cp.sum(t)
+    cost = cp.sum(t)  # over the band in (39), the largest in (45)
     if program.H is not None:
         cost += cp.sum_squares(root_of(program.H) @ x) / 2
     problem = cp.Problem(cp.Minimize(cost), subject_to + meets)

@@ -168,9 +168,9 @@ def test_balancing_changes_units_of_states_only_and_leaves_none_out_of_scale(n, 
         np.testing.assert_array_equal(moved, C @ np.linalg.matrix_power(A, k) @ B)
     for i in range(n):
         rest = np.arange(n) != i
-        row = np.abs([*scaled[i, rest], *inputs[i]]).max()
-        column = np.abs([*scaled[rest, i], *outputs[:, i]]).max()
-        assert 0.5 <= row / column <= 2
+        row = np.linalg.norm([*scaled[i, rest], np.abs(inputs[i]).max()])
+        column = np.linalg.norm([*scaled[rest, i], np.abs(outputs[:, i]).max()])
+        assert 3 / 7 <= row / column <= 7 / 3  # another power gains less than LAPACK's 5 %
 
 
 @pytest.mark.parametrize("gain", [1e-300, 1e-170, 1e-150, 1.0, 1e150, 1e170, 1e300])
