@@ -215,7 +215,6 @@ DOORS = [
     (alternatives.gradient, {"P": P, "step": 0.1}, MODEL | {"step": NUMBER}),
     (alternatives.stable_inversion, {"P": P}, MODEL),
     (alternatives.zero_phase_inversion, {"P": P}, MODEL),
-    (alternatives.outer_zeros, {"P": P}, MODEL),
     (alternatives.h_infinity, {"P": P, "Q": Q, "level": 0.95, "effort": 0.01, "preview": 2}, MODEL),
     (alternatives.generalised_plant, {"P": P, "Q": Q, "effort": 0.01, "preview": 2}, MODEL),
     (alternatives.full_information, {"plant": GENERALISED, "m": 1, "level": 0.95},

@@ -1,15 +1,12 @@
 """Other learning filters than the paper's, for the same law (23), and one judge for all of them.
 
-Each family in a module of its own: :mod:`proportional`, :mod:`inversion`, :mod:`adjoint`,
-:mod:`norm_optimal`, :mod:`preview`. What a design returns is a
-:class:`rodlib.ilc.filters.LearningOperator`, as a :class:`rodlib.LearningFilter` is: it goes where
-L goes, into :func:`rodlib.update`, :func:`rodlib.run_trials`, :func:`rodlib.record` and
-:func:`rodlib.converged_noise`. A :class:`Rehearsal` runs the same trials for one after the other,
-and :func:`tune` searches the tuning of a design for which they are best.
+What a design returns is a :class:`rodlib.ilc.filters.LearningOperator`, as a
+:class:`rodlib.LearningFilter` is: it goes where L goes. A :class:`Rehearsal` runs the same trials
+for one after the other, and :func:`tune` searches the tuning for which they are best.
 """
 
 from rodlib.ilc.alternatives.adjoint import gradient
-from rodlib.ilc.alternatives.inversion import outer_zeros, stable_inversion, zero_phase_inversion
+from rodlib.ilc.alternatives.inversion import stable_inversion, zero_phase_inversion
 from rodlib.ilc.alternatives.norm_optimal import NormOptimal
 from rodlib.ilc.alternatives.preview import full_information, generalised_plant, h_infinity
 from rodlib.ilc.alternatives.proportional import p_type, pd_type
@@ -28,7 +25,6 @@ __all__ = [
     "gradient",
     "h_infinity",
     "lines",
-    "outer_zeros",
     "p_type",
     "pd_type",
     "stable_inversion",

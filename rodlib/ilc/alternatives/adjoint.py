@@ -9,7 +9,7 @@ from rodlib.ilc.models import frequency_response
 
 
 def gradient(P: control.StateSpace, step: float) -> TwoSidedFilter:
-    """L = step P^*, the adjoint of P: the plant with its time reversed.
+    """L = step P^*, the adjoint of P: the plant with its time reversed, step P_N^T on N samples.
 
     v moves against the gradient of ||e||^2 / 2, which is -P^* e. Without Q the rate is
     max |1 - step sigma^2| over the singular values sigma of P, so that `step` must be below
@@ -23,11 +23,6 @@ def gradient(P: control.StateSpace, step: float) -> TwoSidedFilter:
         In discrete time, m inputs and m outputs, stable.
     step : float
         Above zero.
-
-    Returns
-    -------
-    TwoSidedFilter
-        On a trial of N samples its matrix is step P_N^T.
     """
     step, (m, Ts) = arguments.positive("step", step), square(P)
     return TwoSidedFilter(

@@ -53,9 +53,8 @@ def zero_phase_inversion(
 
         L_ii = gain P_ii^-1 F prod |z - zeta|^2 / |1 - zeta|^2   on the unit circle,
 
-    so that P_ii L_ii is real, and `gain` at frequency zero. The factor cancels the poles outside:
-    but for F, and looking ahead far enough, the filter runs forward in time. The
-    coupling is left out of the design. M. Tomizuka, Zero phase error tracking algorithm for
+    so that P_ii L_ii is real, and `gain` at frequency zero. The coupling is left out of the design.
+    M. Tomizuka, Zero phase error tracking algorithm for
     digital control, Journal of Dynamic Systems, Measurement, and Control 109 (1987) 65-68, the
     paper's [10].
 
@@ -81,14 +80,13 @@ def zero_phase_inversion(
 
 
 def _low_pass(cutoff, Ts):
-    return (
-        np.ones_like if cutoff is None else zero_phase_butterworth(2, cutoff, Ts).frequency_response
-    )
+    if cutoff is None:
+        return np.ones_like
+    return zero_phase_butterworth(2, cutoff, Ts).frequency_response
 
 
 def outer_zeros(P: control.StateSpace) -> np.ndarray:
     """Zeros of a square model outside the unit circle, or on it up to rounding."""
-    square(P)
     zeros = control.zeros(P)
     zeros = zeros[np.isfinite(zeros)]
     return zeros[np.abs(zeros) > 1 - 1e-9]

@@ -36,7 +36,7 @@ def h_infinity(
     Q : ZeroPhaseButterworth
         Enters as the square of the causal Butterworth filter, which has its magnitude.
     level : float
-        Above zero. For `emphasis` one, and any larger one, a bound on the rate of convergence.
+        Above zero, a bound on the rate of convergence. If none reaches it, a ValueError says so.
     effort : float
         Above zero, unit of y per unit of w.
     preview : int
@@ -45,11 +45,6 @@ def h_infinity(
         One or more.
     corner : float, optional
         rad/s, below the Nyquist frequency; needed if `emphasis` is not one.
-
-    Returns
-    -------
-    TwoSidedFilter
-        If none reaches the level, a ValueError says so.
 
     Notes
     -----
@@ -86,11 +81,6 @@ def generalised_plant(P, Q, effort, preview, emphasis=1.0, corner=None) -> contr
     """From e, `preview` samples early, and u = K e to [W Q (z^-preview e - P u); effort u].
 
     Parameters as for :func:`h_infinity`.
-
-    Returns
-    -------
-    control.StateSpace
-        Of 2m inputs and 2m outputs.
     """
     m, Ts = square(P)
     arguments.instance("Q", Q, ZeroPhaseButterworth)
@@ -136,16 +126,11 @@ def full_information(plant: control.StateSpace, m: int, level: float) -> control
     Parameters
     ----------
     plant : control.StateSpace
-        In discrete time; inputs w, known when u is chosen, then u.
+        In discrete time; m inputs w, known when u is chosen, then u.
     m : int
-        Number of w.
     level : float
-        Bound on the largest singular value from w, at all frequencies.
-
-    Returns
-    -------
-    control.StateSpace
-        With as many states as the plant. If none reaches the level, a ValueError says so.
+        Bound on the largest singular value from w, at all frequencies. If no K reaches it, a
+        ValueError says so.
     """
     arguments.state_space("plant", plant)
     m, level = arguments.whole("m", m, 1, plant.ninputs - 1), arguments.positive("level", level)

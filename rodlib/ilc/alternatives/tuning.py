@@ -53,8 +53,7 @@ def tune(
     Returns
     -------
     Tuned
-        With `parameters`, `filter` and the criterion's `value`. If no tuning that was tried
-        converges at that rate, a ValueError says so.
+        If no tuning that was tried converges at that rate, a ValueError says so.
     """
     arguments.instance("design", design, Callable)
     arguments.instance("rehearsal", rehearsal, Rehearsal)

@@ -16,6 +16,7 @@ from rodlib.ilc.filters import LearningOperator
 
 SHORTEST, LONGEST = 2**12, 2**20  # samples of the transform, for an impulse response
 NEGLIGIBLE = 1e-9  # of its largest entry
+MOST = 0.999  # of its energy; half of the rest is left out at each end
 
 
 @dataclass(frozen=True)
@@ -82,24 +83,14 @@ def two_sided_taps(L: LearningOperator) -> tuple[np.ndarray, np.ndarray]:
     )
 
 
-def extent(L: LearningOperator, share: float = 0.999) -> tuple[int, int]:
-    """How far a learning filter looks ahead and back.
+def extent(L: LearningOperator) -> tuple[int, int]:
+    """How far a learning filter looks ahead and back, in samples, with nearly all of its energy.
 
-    Parameters
-    ----------
-    L : LearningOperator
-    share : float
-        Of the energy of its impulse response, in (0, 1]; half of the rest is left out at each end.
-
-    Returns
-    -------
-    ahead, back : int
-        In samples; below zero if it begins later than that.
+    Either is below zero if the filter begins later than that.
     """
-    share = arguments.share("share", share)
     lags, taps = two_sided_taps(L)
     energy = np.cumsum((taps**2).sum(axis=(1, 2)))
     energy /= energy[-1]
-    first = np.searchsorted(energy, (1 - share) / 2 + 1e-12)
-    last = np.searchsorted(energy, (1 + share) / 2 - 1e-12)
+    first = np.searchsorted(energy, (1 - MOST) / 2)
+    last = np.searchsorted(energy, (1 + MOST) / 2)
     return int(-lags[first]), int(lags[last])

@@ -14,12 +14,12 @@ from rodlib.ilc.alternatives import (
     generalised_plant,
     gradient,
     h_infinity,
-    outer_zeros,
     p_type,
     pd_type,
     stable_inversion,
     zero_phase_inversion,
 )
+from rodlib.ilc.alternatives.inversion import outer_zeros
 from rodlib.ilc.evidence.finite_trial import impulse_response
 from rodlib.ilc.models import frequency_response
 
