@@ -177,11 +177,9 @@ class LearningFilter:
 
 
 def time_shifts(angles, order) -> np.ndarray:
-    """z, z^2, ..., z^order for z = exp(j angles), in long doubles, shape (n, order).
-
-    They are nearly dependent at low frequencies. Without a bound (46) a learning filter has
-    coefficients of 1e9 that all but cancel, and doubles would leave seven digits of its gain.
-    """
+    """z, z^2, ..., z^order for z = exp(j angles), in long doubles, shape (n, order)."""
+    # They are nearly dependent at low frequencies. Without a bound (46) a learning filter has
+    # coefficients of 1e9 that all but cancel, and doubles would leave seven digits of its gain.
     angles = np.asarray(angles, dtype=np.longdouble)
     return np.exp(1j * np.outer(angles, np.arange(1, order + 1)))
 

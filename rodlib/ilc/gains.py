@@ -163,11 +163,9 @@ def _in_coordinates(coordinates, A, B, C):
 
 
 def _even_coordinates(A, B, C):
-    """Coordinates T of the state, and T^-1, in which no entry is small by its unit alone.
-
-    With `sizes` the loop does not depend on them, but rounding does: of a transfer function with
-    lags that are slow beside Ts, the Riccati equations have no solution in its own coordinates.
-    """
+    """Coordinates T of the state, and T^-1, in which no entry is small by its unit alone."""
+    # With `sizes` the loop does not depend on them, but rounding does: of a transfer function with
+    # lags that are slow beside Ts, the Riccati equations have no solution in its own coordinates.
     n, m = B.shape
     _, Z = schur(A, output="real")
     plant = np.block([[Z.T @ A @ Z, Z.T @ B], [C @ Z, np.zeros((m, m))]])

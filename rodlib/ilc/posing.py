@@ -22,10 +22,7 @@ class Measured(Protocol):
     """A response that was measured, with the radius in which the truth lies."""
 
     def on(self, omega, confidence, scale) -> tuple[np.ndarray, np.ndarray]:
-        """Response, shape (n, m, m), and radius, shape (n,), on the design frequencies.
-
-        Both of the channels in units of `scale`, shape (m,), or their own if that is None.
-        """
+        """Response, (n, m, m), and radius, (n,), on omega, in units of `scale`, (m,) or None."""
 
     def basis(self, omega, confidence) -> tuple[str, ...]:
         """What was measured, and what is assumed beside it on these frequencies."""
@@ -140,16 +137,13 @@ def _axes(value):
 
 def on_grid(plants, omega, Ts):
     """Each plant as a model, or None, and their frequency responses on omega, (p, n, m, m)."""
-    models, shape = [], (len(omega), "m", "m")
-    for k, (name, plant) in enumerate(plants.items()):
+    models, responses, shape = [], [], (len(omega), "m", "m")
+    for name, plant in plants.items():
         model, response = _response(name, plant, omega, Ts)
-        response = arguments.array(name, response, shape, complex)
-        if k == 0:
-            shape = response.shape
-            responses = np.empty((len(plants), *shape), dtype=complex)
-        responses[k] = response
+        responses.append(arguments.array(name, response, shape, complex))
         models.append(model)
-    return models, responses
+        shape = responses[0].shape
+    return models, np.array(responses)
 
 
 def _response(name, P, omega, Ts):

@@ -61,6 +61,10 @@ class Problem:
         """The objective without learning, L = 0."""
         return self.value(np.abs(self.Q))
 
+    def unit(self, value) -> float:
+        """What a gap is relative to: the objective, or a thousandth of that without learning."""
+        return max(value, 1e-3 * self.idle)  # a billionth of that is as good as nothing
+
     @property
     def robust(self) -> bool:
         """Whether the bounds hold for more plants than P."""

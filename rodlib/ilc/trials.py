@@ -169,13 +169,7 @@ def dataset(
     units: dict[str, str],
     **signals,
 ) -> xr.Dataset:
-    """Put the signals of all trials together, with coordinates and units.
-
-    `outputs`, `controls` and `sources` are the names of the plant's outputs, controls and
-    disturbances, `units` their units by name; "" if one is not known. The signals are those that
-    :func:`run_trials` returns, as far as there are any; where the units of a signal's channels
-    differ, its attribute says ``"name: unit"`` for one after the other.
-    """
+    """Put the signals that :func:`run_trials` returns together, with coordinates and units."""
     signals["e"] = signals["reference"] - signals["y"]
     trials, samples, m = signals["y"].shape
     coordinates = {
@@ -195,6 +189,7 @@ def dataset(
         coordinates[kind] = (dimension, list(names))
         coordinates[f"{kind}_unit"] = (dimension, own)
         each = ", ".join(f"{name}: {unit}" for name, unit in zip(names, own, strict=True))
+        # where units differ, "name: unit" for one after the other
         attributes = {"units": own[0] if len(set(own)) == 1 else each}
         for name in members:
             if name in signals:

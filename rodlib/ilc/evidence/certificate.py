@@ -26,11 +26,7 @@ LOUD = 1.5  # times the bound on L that its peak may reach off the grid, unless 
 
 @dataclass(frozen=True)
 class Certificate:
-    """What is known about a learning filter, by evidence independent of the solver.
-
-    `failures` speak against the filter, `warnings` against the problem; printed, it says all it
-    knows.
-    """
+    """What is known about a learning filter, by evidence independent of the solver."""
 
     problem: Problem
     value: float  # the objective reached
@@ -62,16 +58,12 @@ class Certificate:
     @property
     def proven(self) -> bool:
         """False if P or Q were given as samples: between them `all_M` is read off splines."""
-        return self.peak.proven
+        return not self.peak.estimated
 
     @property
     def gap(self) -> float:
-        """Distance of value and lower bound, relative to the value.
-
-        Below a thousandth of the objective without learning, it is relative to that: a billionth
-        of the objective without learning is as good as nothing.
-        """
-        return (self.value - self.lower_bound) / max(self.value, 1e-3 * self.problem.idle)
+        """Distance of value and lower bound, relative to :meth:`rodlib.ilc.Problem.unit`."""
+        return (self.value - self.lower_bound) / self.problem.unit(self.value)
 
     @property
     def failures(self) -> list[str]:

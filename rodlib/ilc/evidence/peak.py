@@ -197,7 +197,8 @@ def balanced(A, B, C):
     size = np.pad(np.abs(A), (0, 1))  # with one row and column for what goes in and comes out
     size[:-1, -1], size[-1, :-1] = np.abs(B).max(axis=1), np.abs(C).max(axis=0)
     np.fill_diagonal(size, 0)  # which no unit changes
-    _, (scale, _) = matrix_balance(size, permute=False, separate=True)
+    with np.errstate(invalid="ignore"):  # SciPy makes whole numbers of them, which are not used
+        _, (scale, _) = matrix_balance(size, permute=False, separate=True)
     scale = scale[:-1] / scale[-1]
     return A * scale / scale[:, None], B / scale[:, None], C * scale
 
@@ -209,9 +210,8 @@ class Peak:
     sigma: float  # an upper bound to 1e-8 if proven
     omega: float  # where it is, rad/s
     plant: int  # whose it is; of those that are tied, the first
-    proven: bool  # whether all plants are models, not sampled ones with an estimate
     missed: float  # the most that splines miss of M at samples left out; NaN if proven
-    estimated: int  # for how many plants there is an estimate
+    estimated: int  # for how many plants there is an estimate, as they are no models
 
 
 def highest_peak(problem: Problem, L, order) -> Peak:
@@ -229,7 +229,7 @@ def highest_peak(problem: Problem, L, order) -> Peak:
     sigma, omega, plant, missed = np.array(peaks).T
     at = tied(sigma).argmax()
     missed = np.fmax.reduce(missed)
-    return Peak(sigma.max(), omega[at], int(plant[at]), not sampled, missed, len(sampled))
+    return Peak(sigma.max(), omega[at], int(plant[at]), missed, len(sampled))
 
 
 def peaks_between(problem: Problem, L, numbers) -> list[tuple[float, float, float]]:

@@ -38,10 +38,6 @@ def worst_case(problem: Problem, L: LearningFilter) -> WorstCase:
     L : LearningFilter
         In units of `scale`.
 
-    Returns
-    -------
-    WorstCase
-
     Notes
     -----
     For a radius r, and rho = |Q| r, the worst case is exactly
@@ -146,11 +142,9 @@ def _images(G, x):
 
 
 def _balanced_vector(G):
-    """The unit x with the largest |M x| + |rho L x|.
-
-    Where two are amplified equally at the best alpha, one with too large an M x and one with too
-    large an L x, it is the sum of both for which alpha is the best, too.
-    """
+    """The unit x with the largest |M x| + |rho L x|."""
+    # Where two are amplified equally at the best alpha, one with too large an M x and one with too
+    # large an L x, it is the sum of both for which alpha is the best, too.
     t, low, high = _balance(G)
     x, y = _most_amplified(G, low), _most_amplified(G, high)
     y = y * _phase((y.conj() * x).sum(axis=1))[:, None]

@@ -1,21 +1,15 @@
 """From near an optimum to it: sequential quadratic programming along the active bounds.
 
-Near an optimum, or when a bound or the band changes and the optimum moves, things stay of the same
-kind: at each frequency the largest singular value is a single one, hence a smooth function of the
-coefficients, and of the thousands of bounds about a dozen are active. That is a smooth convex
-program with few unknowns, and Newton's method solves it in a few steps:
+There the largest singular value at each frequency is a single one, hence a smooth function of the
+coefficients, and of the thousands of bounds about a dozen are active: Newton's method takes a few
+steps. Each solves the quadratic program of the second derivatives of the Lagrangian
+(:mod:`rodlib.ilc.synthesis.bounds`) and the linearised bounds [1], and so finds the active ones
+anew. A step that does not improve the objective plus a penalty for violated bounds is corrected to
+second order [1, 18.3]; if that does not help, it is damped, and asked to remove only a part of the
+violation.
 
-- Each step solves the quadratic program of the second derivatives of the Lagrangian
-  (:mod:`rodlib.ilc.synthesis.bounds`) and the linearised bounds [1]. It finds the active bounds
-  anew, so they need not be known.
-- A step that does not improve the objective plus a penalty for violated bounds is corrected to
-  second order [1, 18.3]; if that does not help, it is damped, and asked to remove only a part of
-  the violation.
-
-An interior-point method cannot be started like that: it must go back to where no bound is nearly
-active yet. What it can do, and this method cannot, is to start from nothing, to meet points where
-singular values coincide, and to show that a problem is infeasible. Where this one does not
-converge, after a large change for instance, :func:`resolve` says so.
+What this method cannot do, and an interior-point method can, is to start from nothing, to meet
+points where singular values coincide, and to show that a problem is infeasible.
 
 [1] J. Nocedal, S. Wright, Numerical Optimization, 2006, chapter 18.
 """
@@ -122,10 +116,7 @@ def quadratic_program(model, room, damping):
 
 
 def improve(program, p, model, penalty, damping, most=MOST_DAMPING):
-    """A step from p that improves the objective plus the penalty, with damping below the most.
-
-    Returns the next iterate, multipliers, penalty, expected gain and next damping; or None.
-    """
+    """The next iterate, if any, with its multipliers, penalty, expected gain and damping."""
     splits = np.cumsum([len(at) for at in model.near])[:-1]
     part = 1.0  # of the violation of the bounds that the step must remove
     while damping < most:
@@ -155,11 +146,7 @@ def improve(program, p, model, penalty, damping, most=MOST_DAMPING):
 def resolve(
     program: Program, start: Solution, steps: int, most: float = MOST_DAMPING
 ) -> Solution | None:
-    """Solve a program from the solution of a similar one; None if that does not converge.
-
-    It gives up after so many steps, or where a step needs the most of damping; the first that is
-    tried after none is 1e-4.
-    """
+    """Solve a program from the solution of a similar one, if few steps and little damping do."""
     p, y = Iterate(program, program.unknowns(start.coefficients)), first_multipliers(program, start)
     penalty, damping = np.zeros(len(y)), 0.0
     for iteration in range(1, steps + 1):

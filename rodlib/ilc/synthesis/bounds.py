@@ -40,12 +40,9 @@ class Expansion:
 
 @dataclass(frozen=True)
 class Bound:
-    """A bound on G = F + T L, (p, q, c), at some frequencies, for a q x q part L of the filter.
+    """A bound on G = F + T L, (p, q, c), at some frequencies, for a q x q part L of the filter."""
 
-    With as many rows of G as columns it is the plain one; with twice as many, that for a radius.
-    """
-
-    F: np.ndarray
+    F: np.ndarray  # with p = q for the plain one, p = 2 q for that with a radius
     T: np.ndarray
     entries: np.ndarray  # of the filter, that stand at `rows`, `cols` of L; the others are zero
     rows: np.ndarray
@@ -230,8 +227,7 @@ class Bound:
             cross, own = H[:, -1, :-1], np.maximum(H[:, -1, -1:], 1e-280)
             g = g[:, :-1] - cross * g[:, -1:] / own
             left = H[:, :-1, :-1] - cross[:, :, None] * (cross / own)[:, None]
-            w, X = np.linalg.eigh(left)
-            R = np.sqrt(np.maximum(w, 0))[:, :, None] * X.swapaxes(1, 2)
+            R = root_of(left)
         phi = basis[:, some.at]
 
         def in_unknowns(a):
@@ -255,6 +251,12 @@ def product(A, B):
     for j in range(1, len(B)):
         C += A[:, j, None] * B[j]
     return C
+
+
+def root_of(H):
+    """R with R'R = H, of symmetric positive semidefinite matrices, (..., n, n)."""
+    w, X = np.linalg.eigh(H)
+    return np.sqrt(np.maximum(w, 0))[..., None] * np.swapaxes(X, -1, -2)
 
 
 def adjoint(A):

@@ -235,7 +235,7 @@ def _is_good(problem, solution, gap):
     value = problem.value(sigma_M, np.array([worst])) + problem.cost_of_noise(L)
     return (
         value - lower_bound(problem, solution.U, solution.V, solution.cuts, L)
-        < gap * max(value, 1e-3 * problem.idle)
+        < gap * problem.unit(value)
         and worst <= problem.M_max * (1 + VIOLATION)
         and sigma_L.max() <= (problem.L_max or np.inf) * (1 + VIOLATION)
     )

@@ -11,10 +11,7 @@ EPS = np.finfo(float).eps
 
 
 class Slack:
-    """S = [[Lambda, G], [G^H, b I]] at each frequency, and its inverse X.
-
-    Lambda is diagonal and given by its diagonal, shape (p, n), or (1, n) if all of it is the same.
-    """
+    """S and its inverse X, given the diagonal of Lambda, (p, n), or (1, n) if it is b I."""
 
     def __init__(self, G, diagonal, b):
         p, q, n = G.shape
@@ -33,11 +30,9 @@ class Slack:
         self.X[range(p), range(p)] += 1 / diagonal
 
     def change(self, dl, d, D):
-        """dS [-Lambda^-1 G; I], where dS = [[dl, D], [D^H, d I]].
-
-        Near the solution X is very large where dS nearly vanishes. These differences take care of
-        that cancellation before they are multiplied by X.
-        """
+        """dS [-Lambda^-1 G; I], where dS = [[dl, D], [D^H, d I]]."""
+        # Near the solution X is very large where dS nearly vanishes. These differences take care of
+        # that cancellation before they are multiplied by X.
         p, q, _ = D.shape
         N = np.concatenate([D - dl[:, None] * self.H, -product(adjoint(D), self.H)])
         N[range(p, p + q), range(q)] += d
@@ -89,11 +84,8 @@ def trace(A):
 
 
 def cholesky(A, floor):
-    """R^H and R^-1 of Hermitian positive definite matrices A = R R^H, by Gaussian elimination.
-
-    It turns [A, I] into [R^H, R^-1]. No pivot of A is smaller than the floor, unless by rounding.
-    """
-    q = len(A)
+    """R^H and R^-1 of positive definite A = R R^H; but by rounding, no pivot is below a floor."""
+    q = len(A)  # Gaussian elimination turns [A, I] into [R^H, R^-1]
     A = np.concatenate([A, np.zeros_like(A)], axis=1)
     A[range(q), range(q, 2 * q)] = 1
     for k in range(q):
@@ -114,10 +106,7 @@ def positive_definite(A):
 
 
 def longest_step(A, limit, accuracy):
-    """The largest a <= limit with A[0] + a A[1] + a^2 A[2] ... positive definite, by bisection.
-
-    Each round looks only at the frequencies that failed in the last round that failed.
-    """
+    """The largest a <= limit with A[0] + a A[1] + a^2 A[2] ... positive definite, by bisection."""
     low, high, a = 0.0, limit, limit
     while high - low > accuracy * high and high > 1e-9:
         value = A[-1] * a
@@ -128,7 +117,7 @@ def longest_step(A, limit, accuracy):
         failing = ~positive_definite(value)
         if failing.any():
             high = a
-            A = [term[..., failing] for term in A]
+            A = [term[..., failing] for term in A]  # the others would not fail below
         else:
             low = a
         a = (low + high) / 2

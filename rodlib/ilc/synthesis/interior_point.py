@@ -2,12 +2,8 @@
 
 The program of :mod:`rodlib.ilc.synthesis.program` has bounds sigma_max(G_i) <= b at each frequency,
 where b is a variable t (one for each frequency of the band, or a single one for the largest),
-M_max or one. Each is a small linear matrix inequality with a multiplier Y:
-
-    S = [[b I, G], [G^H, b I]] >= 0,    G = F + T L_i,    Y >= 0,
-
-or, for all plants within a radius, with a diagonal matrix of b and further variables d in place of
-the first b I, see :mod:`rodlib.ilc.synthesis.bounds`.
+M_max or one. Each is a small linear matrix inequality S >= 0 with a multiplier Y >= 0, and perhaps
+a further variable d, see :mod:`rodlib.ilc.synthesis.bounds`.
 
 The method follows the central path Y S = mu I with the HKM direction [1] and Mehrotra's predictor
 and corrector [2], as in SDPT3 [3]; see [4] for the theory. What is particular here:
@@ -16,8 +12,6 @@ and corrector [2], as in SDPT3 [3]; see [4] for the theory. What is particular h
   coefficients, whose matrix is a sum over i of m^2 x m^2 matrices times products of powers of z_i.
 - G is that of an actual filter throughout. If a bound is violated at the start, it is moved out,
   and moved back with the steps. Only if this fails is the smallest M_max computed ("phase one").
-
-The method need not be trusted: :mod:`rodlib.ilc.evidence` proves what it returns.
 
 [1] C. Helmberg, F. Rendl, R. Vanderbei, H. Wolkowicz, SIAM J. Optim. 6 (1996) 342; M. Kojima,
     S. Shindoh, S. Hara, ibid. 7 (1997) 86; R. Monteiro, ibid. 7 (1997) 663.
@@ -156,10 +150,7 @@ def newton(program, p, slacks, total, root):
         return d.moved(replace(correction, Y=change(correction)), 1, 1)
 
     def direction(mu, predictor=None):
-        """The direction to Y S = mu I, with the second-order terms of the predictor.
-
-        None if rounding leaves the multipliers too far from stationary.
-        """
+        """The direction to Y S = mu I, to second order; None if rounding spoils it."""
         dY = [mu * a.X - B for a, B in zip(slacks, p.Y, strict=True)]
         deta = (mu - p.eta * toward[0]) / s - p.eta
         zeros = [0 * A for A in p.d], [0 * A for A in p.G]
@@ -200,11 +191,7 @@ def step(program, p, slacks, total, root):
 
 
 def follow(program, p, enough=0.0, is_good=None):
-    """Follow the central path until the gap is closed or the objective small enough.
-
-    Where rounding ends the quick way, a solution that `is_good` is the last one. Returns the best
-    point, or None if the bounds were never met, and the number of iterations.
-    """
+    """The best point on the central path, or None if no bounds were met, and the iterations."""
     n, m = program.basis.shape[1], p.G[0].shape[1]
     best, smallest, gaps, root = None, np.inf, [], False
     steps = range(100)
@@ -226,6 +213,7 @@ def follow(program, p, enough=0.0, is_good=None):
         slacks = [Slack(G, diagonal, b) for diagonal, b, G in p.S(program)]
         d = step(program, p, slacks, total, root)
         if d is None:
+            # rounding ends the quick way: is more of the slow one needed?
             if best is p and is_good is not None and is_good(_solution(program, p, iteration)):
                 break
             root = True

@@ -10,16 +10,12 @@ one.
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from rodlib.ilc.synthesis.bounds import adjoint, product
+from rodlib.ilc.synthesis.bounds import adjoint, product, root_of
 from rodlib.ilc.synthesis.inequalities import EPS, cholesky, trace
 
 
 class Local:
-    """One bound: its second derivatives in d, t and L, and d or a t of its own eliminated.
-
-    A t that several bounds share stays. `inverse` is that of what is eliminated, `follow` how it
-    follows the entries of L, and `shift` a shared t.
-    """
+    """One bound: its second derivatives in d, t and L, and d or a t of its own eliminated."""
 
     def __init__(self, program, j, slack, Y, barrier):
         bound = program.bounds[j]
@@ -46,6 +42,7 @@ class Local:
             Z[k, k, self.has_t] += barrier
         inner = slice(0, k + self.own_t)
         self.inverse, self.g = 1 / Z[inner, inner], g[inner]  # of one number or none
+        # how what is eliminated follows the entries of L, and a t that several bounds share
         self.follow = np.einsum("xyc,yec->xec", self.inverse, self.g)
         if self.shared:
             self.shift = np.einsum("xyc,yc->xc", self.inverse, Z[inner, k])
@@ -78,12 +75,10 @@ class Local:
 
 
 def normal_matrix(program, slacks, Y, local):
-    """sum <dS_j, Y dS_k X> for all pairs of coefficients, with d and own t eliminated.
-
-    In terms of D, the off-diagonal block of dS, this is the real part of
-    tr(D^H (Y11 D' X22 + X11 D' Y22)) + tr(D (Y21 D' X21 + X21 D' Y21)), that is, a Hermitian form A
-    and a symmetric form B in the entries of L at each frequency.
-    """
+    """sum <dS_j, Y dS_k X> for all pairs of coefficients, with d and own t eliminated."""
+    # In terms of D, the off-diagonal block of dS, this is the real part of
+    # tr(D^H (Y11 D' X22 + X11 D' Y22)) + tr(D (Y21 D' X21 + X21 D' Y21)), that is, a Hermitian form
+    # A and a symmetric form B in the entries of L at each frequency.
     basis, E = program.basis, program.entries
     order, n = basis.shape
     pairs = np.array([(j, k) for j in range(E) for k in range(j, E)])
@@ -120,13 +115,11 @@ def normal_matrix(program, slacks, Y, local):
 
 
 def square_root(program, slacks, Y, barrier):
-    """Triangular R with R'R the matrix of the Newton system, without forming that matrix.
-
-    It has the square root of its condition number. <dS_j, Y dS_k X> is the scalar product of
-    C^H dS_j R and C^H dS_k R, where Y = C C^H and X = R R^H. For d, t, and real and imaginary parts
-    of the entries of L these are the columns of one small matrix per inequality. Its triangular
-    factor eliminates d and a t of its own; a shared t is eliminated at last.
-    """
+    """Triangular R with R'R the matrix of the Newton system, without forming that matrix."""
+    # It has the square root of its condition number. <dS_j, Y dS_k X> is the scalar product of
+    # C^H dS_j R and C^H dS_k R, where Y = C C^H and X = R R^H. For d, t, and real and imaginary
+    # parts of the entries of L these are the columns of one small matrix per inequality. Its
+    # triangular factor eliminates d and a t of its own; a shared t is eliminated at last.
     basis, E = program.basis, program.entries
     parts = np.stack([basis.real, basis.imag])
     whole, tall = [], []  # bounds at all frequencies come together; the others as they are
@@ -175,12 +168,8 @@ def square_root(program, slacks, Y, barrier):
 
 
 def factorise(program, slacks, Y, barrier, root=False):
-    """Factorise the Newton system, and return the function that solves it.
-
-    From residuals, of stationarity with respect to x, and to Y and eta as :meth:`Local.residual`
-    takes them, to the changes of x, of t, and of d for each bound. `barrier`: second derivative of
-    that of t <= limit, for each t. `root`: by :func:`square_root`.
-    """
+    """A function from residuals in x, and Y and eta, to the changes of x, of t, and of each d."""
+    # `barrier`: second derivative of that of t <= limit, for each t
     basis, E = program.basis, program.entries
     local = [
         Local(program, j, slack, Yc, barrier)
@@ -201,8 +190,7 @@ def factorise(program, slacks, Y, barrier, root=False):
     if root:
         R = square_root(program, slacks, Y, barrier)
         if program.H is not None:
-            w, X = np.linalg.eigh(program.H)
-            R = np.linalg.qr(np.vstack([R, np.sqrt(np.maximum(w, 0))[:, None] * X.T]), mode="r")
+            R = np.linalg.qr(np.vstack([R, root_of(program.H)]), mode="r")
         scale = 1 / np.linalg.norm(R, axis=0)
         # a shift of 1e-30 in the squares
         R = np.linalg.qr(np.vstack([R * scale, 1e-15 * np.eye(len(R))]), mode="r")

@@ -23,18 +23,10 @@ def least_gain(P, Q, omega, Ts=None, **choices) -> Synthesis:
     Without (46) the least peak of sigma_max(M) may be reached by many filters, whose gains differ
     by orders of magnitude; which of them a solver returns is its own affair. This is the one with
     the least max sigma_max(L) that keeps the least peak to a relative 1e-9; where filters that do
-    are too much alike for the solver to tell, to 1e-6 or 1e-4. Below a thousandth of the peak
-    without learning that is relative to it, as the gap of a certificate is.
+    are too much alike for the solver to tell, to 1e-6 or 1e-4.
 
-    Parameters
-    ----------
-    P, Q, omega, Ts, **choices
-        As for :func:`synthesise`, apart from `objective`, `L_max` and `start`.
-
-    Returns
-    -------
-    Synthesis
-        Of (45) with (46), where `problem.L_max` is that gain. Raises as :func:`synthesise`.
+    Parameters and errors as for :func:`synthesise`, apart from `objective`, `L_max` and `start`;
+    so is the result, of (45) with (46), where `problem.L_max` is that gain.
     """
     asked, how = _parted(choices)
     problem = pose(P, Q, omega, Ts, objective="peak", L_max=None, **asked)
@@ -45,7 +37,7 @@ def least_gain(P, Q, omega, Ts=None, **choices) -> Synthesis:
     for same in SAME:
         try:
             with np.errstate(all="ignore"):
-                room = same * max(free.value, 1e-3 * problem.idle)
+                room = same * problem.unit(free.value)
                 L_max = unit * solve(replace(question, M_max=free.value + room)).largest
             break
         except (Infeasible, RuntimeError):
@@ -63,15 +55,14 @@ def largest_cutoff(
 ) -> tuple[ZeroPhaseButterworth, Synthesis]:
     """Find the largest cut-off of Q for which a filter meets the bounds, and design that.
 
-    For given bounds, a practitioner wants to pass and to learn as much as they allow. A lower
-    cut-off makes |Q| smaller at each frequency, and with it M: the smallest M_max that can be met
-    increases with the cut-off, and its root is found. Nothing is left for the objective there: a
-    little below the largest cut-off, learning is faster.
+    A lower cut-off makes |Q| smaller at each frequency, and with it M: the smallest M_max that can
+    be met increases with the cut-off, and its root is found. Nothing is left for the objective
+    there: a little below the largest cut-off, learning is faster.
 
     Parameters
     ----------
     P, omega, Ts, **choices
-        As for :func:`synthesise`, for one plant or several, with a radius or without.
+        As for :func:`synthesise`.
     Q : ZeroPhaseButterworth
         Its order is kept; the search starts at its cut-off.
 

@@ -9,6 +9,7 @@ import cvxpy as cp
 import numpy as np
 
 from rodlib.ilc.problem import Solution
+from rodlib.ilc.synthesis.bounds import root_of
 from rodlib.ilc.synthesis.program import Infeasible, Program
 
 
@@ -70,17 +71,8 @@ def solve(program: Program) -> Solution:
     return solution
 
 
-def root_of(H):
-    """R with R'R = H."""
-    w, X = np.linalg.eigh(H)
-    return np.sqrt(np.maximum(w, 0))[:, None] * X.T
-
-
 def sigma_max_at_most(parts, b, bound=None, d=None):
-    """sigma_max(G_i) <= b_i as [[Lambda, G], [G^H, b I]] >= 0, written in real numbers.
-
-    Lambda is b I, or that of :mod:`rodlib.ilc.synthesis.bounds` with further variables d.
-    """
+    """sigma_max(G_i) <= b_i as [[Lambda, G], [G^H, b I]] >= 0, written in real numbers."""
     real, imag = parts
     n, p, q = real.shape
     if p == q == 1:
