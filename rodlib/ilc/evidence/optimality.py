@@ -142,12 +142,10 @@ def _costs(N, t):
 
 
 def _changes(T, angles, order):
-    """Orthonormal rows that span what the coefficients can do to T L, from the rows of T.
-
-    The powers of z are nearly dependent at low frequencies. Arnoldi's process never forms them: it
-    multiplies the last rows by z - 1 and makes the result orthogonal to all before, which spans
-    the same space and needs no more than doubles.
-    """
+    """Orthonormal rows that span what the coefficients can do to T L, from the rows of T."""
+    # The powers of z are nearly dependent at low frequencies. Arnoldi's process never forms them:
+    # it multiplies the last rows by z - 1 and makes the result orthogonal to all before, which
+    # spans the same space and needs no more than doubles.
     rows = _rows(T * np.exp(1j * angles)[:, None])
     step = np.expm1(1j * angles)
     done = np.empty((0, rows.shape[1]))

@@ -449,7 +449,7 @@ def test_a_certificate_prints_and_fails_as_it_should(loop, Q, omega):
     wrong = replace(bad, problem=tighter, peak=peak, lower_bound=bad.value / 2)
     assert len(wrong.failures) == 3 and str(wrong).count("FAILS") == 3
     assert "sigma_max(M) reaches 1.01 at 0.25 rad/s, not in omega" in str(wrong)
-    peak = replace(peak, proven=False, sigma=1.2, omega=0.3)
+    peak = replace(peak, estimated=1, sigma=1.2, omega=0.3)
     estimated = replace(design.certificate, peak=peak)
     assert "WARNING: sigma_max(M) may reach 1.2 at 0.3 rad/s" in str(estimated)
     assert design.certificate.warnings == estimated.failures == []
@@ -467,7 +467,7 @@ def test_a_certificate_fails_from_the_tolerance_on(loop, Q, omega):
         return len(replace(good, worst=worst, peak=peak, **changes).failures)
 
     def estimated(all_M, missed):
-        return replace(good, peak=replace(good.peak, proven=False, sigma=all_M, missed=missed))
+        return replace(good, peak=replace(good.peak, estimated=1, sigma=all_M, missed=missed))
 
     value, idle = good.value, good.problem.idle
     assert value > 1e-3 * idle
