@@ -42,7 +42,7 @@ class CurrentTrialLoop:
         for name, shape in {"Ks": (m, n), "KL": (n + m, m), "N": (m, m)}.items():
             object.__setattr__(self, name, arguments.array(name, getattr(self, name), shape))
         signals = [*plant.input_labels, *plant.output_labels]
-        units = arguments.by_name("units", arguments.instance("units", self.units, dict), signals)
+        units = arguments.by_name("units", self.units, signals)
         for name in signals:
             arguments.instance(f"units[{name!r}]", units.get(name), str)
         object.__setattr__(self, "plant", plant)

@@ -7,10 +7,9 @@ import numpy as np
 from rodlib.ilc import arguments
 from rodlib.ilc.evidence.findings import findings, useless
 from rodlib.ilc.evidence.finite_trial import trial_norm
-from rodlib.ilc.evidence.models import learning_model
 from rodlib.ilc.evidence.noise import accumulated
 from rodlib.ilc.evidence.optimality import lower_bound
-from rodlib.ilc.evidence.peak import Peak, highest_peak, peak_gain
+from rodlib.ilc.evidence.peak import Peak, highest_peak, learning_model, peak_gain
 from rodlib.ilc.evidence.robustness import WorstCase, worst_case
 from rodlib.ilc.filters import LearningFilter
 from rodlib.ilc.problem import MOST_GAIN, Problem, Solution, largest_singular_values

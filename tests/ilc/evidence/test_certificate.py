@@ -10,9 +10,16 @@ from hypothesis import strategies as st
 from rodlib import LearningFilter, SolverError, run_trials, synthesise, zero_phase_butterworth
 from rodlib.case import assumed_reference
 from rodlib.ilc.evidence import trial_map, trial_norm, trial_operators
-from rodlib.ilc.evidence.models import error_model, learning_model
 from rodlib.ilc.evidence.optimality import lower_bound
-from rodlib.ilc.evidence.peak import _ceiling, _phase, _rounded_up, balanced, peak_gain
+from rodlib.ilc.evidence.peak import (
+    _ceiling,
+    _phase,
+    _rounded_up,
+    balanced,
+    error_model,
+    learning_model,
+    peak_gain,
+)
 from rodlib.ilc.models import frequency_response
 from rodlib.ilc.posing import pose
 from rodlib.ilc.problem import convergence_matrix, largest_singular_values

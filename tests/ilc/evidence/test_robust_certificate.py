@@ -8,8 +8,7 @@ import pytest
 
 from rodlib import LearningFilter, synthesise, zero_phase_butterworth
 from rodlib.ilc.evidence import worst_case
-from rodlib.ilc.evidence.models import error_model
-from rodlib.ilc.evidence.peak import LOOKED_AT, peak_gain
+from rodlib.ilc.evidence.peak import LOOKED_AT, error_model, peak_gain
 from rodlib.ilc.models import frequency_response
 from rodlib.ilc.problem import convergence_matrix
 
