@@ -48,6 +48,17 @@ def solve_off_poles(left, right) -> np.ndarray:
         ) from None
 
 
+def by_substitution(T, B, C, D, z) -> np.ndarray:
+    """C (zI - T)^-1 B + D of a triangular T, for all z at once, shape (n, outputs, inputs)."""
+    n, m = B.shape
+    X = np.empty((n, m * len(z)), dtype=complex)
+    for i in reversed(range(n)):  # (zI - T) X = B, from the last row up
+        row = (T[i, i + 1 :] @ X[i + 1 :]).reshape(m, -1) + B[i, :, None]
+        X[i] = (row / (z - T[i, i])).ravel()
+    G = (C @ X).reshape(-1, m, len(z)) + D[:, :, None]
+    return np.moveaxis(G, -1, 0)
+
+
 def unreachable_modes(A, B) -> tuple[np.ndarray, np.ndarray]:
     """Modes that no input can excite, by Hautus's test.
 

@@ -9,6 +9,7 @@ from rodlib.ilc import arguments
 from rodlib.ilc.alternatives.inversion import square
 from rodlib.ilc.alternatives.two_sided import TwoSidedFilter
 from rodlib.ilc.filters import ZeroPhaseButterworth
+from rodlib.ilc.models import by_substitution
 
 ROUNDING = 1e-9  # relative, of the solution of the Riccati equation
 
@@ -64,17 +65,9 @@ def h_infinity(
 
     def response(omega):
         z = np.exp(1j * omega * Ts)
-        return z[:, None, None] ** preview * _by_substitution(*triangular, z)
+        return z[:, None, None] ** preview * by_substitution(*triangular, z)
 
     return TwoSidedFilter(response, m, Ts)
-
-
-def _by_substitution(T, B, C, D, z):
-    """C (zI - T)^-1 B + D of a triangular T, shape (n, m, m), for all z at once."""
-    X = np.zeros((len(T), B.shape[1], len(z)), dtype=complex)
-    for i in reversed(range(len(T))):
-        X[i] = (B[i, :, None] + np.tensordot(T[i, i + 1 :], X[i + 1 :], axes=1)) / (z - T[i, i])
-    return np.moveaxis(np.tensordot(C, X, axes=1), -1, 0) + D
 
 
 def generalised_plant(P, Q, effort, preview, emphasis=1.0, corner=None) -> control.StateSpace:

@@ -54,6 +54,7 @@ from scipy.linalg import matrix_balance, schur
 
 from rodlib.ilc import arguments
 from rodlib.ilc.filters import LearningFilter, ZeroPhaseButterworth
+from rodlib.ilc.models import by_substitution
 from rodlib.ilc.problem import Problem, convergence_matrix, largest_singular_values, tied
 
 MOST_POINTS = 2_000_000  # frequencies at which to give up
@@ -141,22 +142,12 @@ def _gain_function(A, B, C, D, Q):
     """Poles of a system and of Q, and a function for Q sigma_max at an array of angles omega Ts."""
     T, Z = schur(A, output="complex")
     B, C = Z.conj().T @ B, C @ Z
-    n, m = B.shape
 
     def sigma(theta):
-        step = max(1, CHUNK // (n * m))
-        parts = [part(theta[i : i + step]) for i in range(0, len(theta), step)]
-        return np.concatenate(parts) * (1 if Q is None else Q.frequency_response(theta / Q.Ts))
-
-    def part(theta):
-        z = np.exp(1j * theta)
-        X = np.empty((n, m * len(z)), dtype=complex)
-        # (z I - T) X = B, from the last row up, for all frequencies at once
-        for i in range(n - 1, -1, -1):
-            row = (T[i, i + 1 :] @ X[i + 1 :]).reshape(m, -1) + B[i, :, None]
-            X[i] = (row / (z - T[i, i])).ravel()
-        G = (C @ X).reshape(-1, m, len(z)) + D[:, :, None]
-        return largest_singular_values(np.moveaxis(G, -1, 0))
+        step = max(1, CHUNK // B.size)
+        parts = [np.exp(1j * theta[i : i + step]) for i in range(0, len(theta), step)]
+        gains = [largest_singular_values(by_substitution(T, B, C, D, z)) for z in parts]
+        return np.concatenate(gains) * (1 if Q is None else Q.frequency_response(theta / Q.Ts))
 
     return np.concatenate([np.diag(T), [] if Q is None else Q.poles]), sigma
 

@@ -25,8 +25,8 @@ def least_gain(P, Q, omega, Ts=None, **choices) -> Synthesis:
     the least max sigma_max(L) that keeps the least peak to a relative 1e-9; where filters that do
     are too much alike for the solver to tell, to 1e-6 or 1e-4.
 
-    Parameters and errors as for :func:`synthesise`, apart from `objective`, `L_max` and `start`;
-    so is the result, of (45) with (46), where `problem.L_max` is that gain.
+    Parameters and errors as for :func:`synthesise`, apart from `objective`, `L_max` and `start`.
+    The result is that of (45) with (46), where `problem.L_max` is that gain.
     """
     asked, how = _parted(choices)
     problem = pose(P, Q, omega, Ts, objective="peak", L_max=None, **asked)
