@@ -84,7 +84,7 @@ def trace(A):
 
 
 def cholesky(A, floor):
-    """R^H and R^-1 of positive definite A = R R^H; but by rounding, no pivot is below a floor."""
+    """R^H and R^-1 of A = R R^H > 0; no pivot of A is below the floor, unless by rounding."""
     q = len(A)  # Gaussian elimination turns [A, I] into [R^H, R^-1]
     A = np.concatenate([A, np.zeros_like(A)], axis=1)
     A[range(q), range(q, 2 * q)] = 1
