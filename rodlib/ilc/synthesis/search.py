@@ -1,6 +1,7 @@
 """Designs that search for more than a filter: the least gain, the largest cut-off of Q."""
 
 from dataclasses import replace
+from inspect import signature
 
 import numpy as np
 from scipy.optimize import brentq
@@ -111,5 +112,6 @@ def largest_cutoff(
 
 def _parted(choices):
     """The choices for :func:`pose`, and those for :func:`certified`."""
-    asked = {name: choices[name] for name in choices if name in pose.__kwdefaults__}
+    known = signature(pose).parameters
+    asked = {name: choices[name] for name in choices if name in known}
     return asked, {name: choices[name] for name in choices if name not in asked}
