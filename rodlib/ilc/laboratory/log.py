@@ -49,9 +49,7 @@ def load_log(path) -> xr.Dataset:
     Raises
     ------
     LogError
-        With its problems, each with its trial or row: unreadable file, metadata, column names,
-        units, entries that are not numbers, gaps, sampling, trial numbers and lengths,
-        implausible values.
+        With all that is wrong, each problem with its trial or row.
     """
     return _load(arguments.path("path", path))
 
@@ -140,7 +138,7 @@ def _load(path, ended=False):
     """As :func:`load_log`, or :func:`load_ended`."""
     try:
         content = path.read_bytes()
-        table, start = tables.read_head(content)
+        table = tables.read(content[: content.rfind(b"\n") + 1] if ended else content)
     except OSError as error:
         raise LogError(f"{path}: cannot be read: {error}") from None
     except UnicodeError as error:
@@ -158,8 +156,6 @@ def _load(path, ended=False):
         except ValueError as error:
             problems.append(f"metadata: {error}")
     Ts, tick = _sampling_period(metadata, problems)
-    end = content.rfind(b"\n") + 1 if ended else len(content)
-    tables.read_rows(table, memoryview(content)[start:end])
     problems += _problems_of_titles(table.header, ["trial", "time", *titles])
     problems += table.problems_of(["trial", "time", *titles])
     problems += [] if table.columns.size else ["the table has no rows"]

@@ -15,7 +15,6 @@ from scipy.interpolate import make_interp_spline
 from rodlib.ilc import arguments
 from rodlib.ilc.laboratory.excitation import Excitation
 from rodlib.ilc.laboratory.findings import findings_of
-from rodlib.ilc.laboratory.limits import named_limits
 from rodlib.ilc.laboratory.log import LogError
 from rodlib.ilc.laboratory.notes import actuators_of, excitation_of, loop_of
 from rodlib.ilc.laboratory.region import TINY, radius_of
@@ -148,19 +147,13 @@ class MeasuredResponse:
         return "\n".join([*lines, *self.findings])
 
 
-def measured_response(
-    log: xr.Dataset, limits: dict[str, tuple[float, float]] | None = None
-) -> MeasuredResponse:
+def measured_response(log: xr.Dataset) -> MeasuredResponse:
     """Estimate the frequency response from w to y from the record of a loop that was shaken.
 
     Parameters
     ----------
     log : xarray.Dataset
         From :func:`shake`, or loaded.
-    limits : dict, optional
-        Lowest and highest command that an actuator follows, by the name of the control. Default:
-        those that the rig knew when it was shaken, if any. A slow plant hides from its outputs what
-        a limit does.
 
     Returns
     -------
@@ -196,11 +189,10 @@ def measured_response(
     excitation, loop = excitation_of(log), loop_of(log)
     if excitation is None or loop is None:
         raise LogError("log names no excitation or no loop in its metadata: it is not of shake")
-    limits = actuators_of(log) | named_limits("limits", limits, loop.controls)
     w, y = _signals(log, excitation)
     windows = windows_of(excitation.harmonics, excitation, loop)
     measured = _estimate(w, y, windows, excitation, loop)
-    findings = findings_of(log.u.values, y, limits, windows, excitation, measured)
+    findings = findings_of(log.u.values, y, actuators_of(log), windows, excitation, measured)
     for finding in findings:
         warnings.warn(finding, stacklevel=2)
     return replace(measured, findings=findings)
