@@ -6,10 +6,17 @@ What runs an experiment knows a rig by its Protocol only; the virtual rig is one
 from rodlib.ilc.laboratory.controlled_rig import Controller, Rig, RigError
 from rodlib.ilc.laboratory.excitation import Excitation, multisine
 from rodlib.ilc.laboratory.experiment import record, shake
-from rodlib.ilc.laboratory.law import load_law, save_law
 from rodlib.ilc.laboratory.log import LogError, load_log, save_log
 from rodlib.ilc.laboratory.measurement import MeasuredResponse, expected_radius, measured_response
-from rodlib.ilc.laboratory.notes import law_of, loop_of, rest_of, step_of, with_law
+from rodlib.ilc.laboratory.notes import (
+    law_of,
+    load_law,
+    loop_of,
+    rest_of,
+    save_law,
+    step_of,
+    with_law,
+)
 from rodlib.ilc.laboratory.replay import Replay, replay_of
 from rodlib.ilc.laboratory.temperature_control_lab import TemperatureControlLab
 

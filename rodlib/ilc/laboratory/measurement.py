@@ -40,13 +40,6 @@ class MeasuredResponse:
     loop: CurrentTrialLoop  # whose controller ran; its observer integrates, so that P(0) = I
     findings: tuple[str, ...] = ()  # what speaks against the measurement, and what follows
 
-    @property
-    def covariance(self) -> np.ndarray:
-        """Covariance of the entries P11, P12, ... of the response, shape (n, m m, m m), complex."""
-        each = np.einsum("nik,nej,nel->nijkl", self.noise, self.spread, self.spread.conj())
-        size = self.response[0].size
-        return each.reshape(-1, size, size)
-
     def radius(self, confidence: float = 0.95, jointly: bool = False) -> np.ndarray:
         """Radius of ||Delta||, the largest singular value, that covers the truth.
 
@@ -60,13 +53,6 @@ class MeasuredResponse:
         Returns
         -------
         ndarray, shape (n,)
-
-        Notes
-        -----
-        For one channel |Delta|^2 has an F distribution. For more, the size of Delta has one, with
-        the degrees of freedom of the noise in all its directions together (Satterthwaite), and its
-        shape that of a normal matrix; the share of truths covered by 95 % is then between 93 and
-        96.5 %, from 4 degrees of freedom on (tests/ilc/laboratory/test_measurement.py).
         """
         miss = _miss(confidence, jointly, len(self.omega))
         return radius_of(self.noise, self.spread, self.freedom, miss)
@@ -89,9 +75,8 @@ class MeasuredResponse:
             A cubic spline through what was measured and, at frequency zero, I.
         radius : ndarray, shape (n,)
             That of the neighbours, interpolated linearly, and by how much the spline differs from
-            straight lines: it is assumed that it is not further than this from the truth. Above the
-            highest frequency that was measured, it is assumed that P is not larger than there: the
-            response is that of this frequency, the radius contains all that P may then be.
+            straight lines. Above the highest frequency the response is the one there, and the
+            radius contains all that is not larger. :meth:`basis` says what is assumed by that.
         """
         omega = np.abs(arguments.row("omega", omega))
         if scale is not None:
@@ -217,11 +202,6 @@ def expected_radius(
     -------
     ndarray, shape (n,)
         At the frequencies of the excitation.
-
-    Raises
-    ------
-    ValueError
-        If the rest is too short, or of another loop.
     """
     arguments.instance("excitation", excitation, Excitation)
     arguments.instance("rest", rest, xr.Dataset)
