@@ -120,7 +120,7 @@ def multisine(
     amplitude : float or array_like, shape (m,)
         Largest |w| of each input, in the units of the outputs.
     hours : float
-        Time for all experiments.
+        Time for all experiments. If it is too short, the error says what is needed.
     lines : int
         Number of lines, spaced evenly on a logarithmic scale as far as harmonics can be; where
         they would fall on the same, there are fewer.
@@ -128,11 +128,6 @@ def multisine(
     Returns
     -------
     Excitation
-
-    Raises
-    ------
-    ValueError
-        If an argument is out of range, or the time is too short: the message says what is needed.
     """
     arguments.instance("loop", loop, CurrentTrialLoop)
     Ts, m = loop.Ts, loop.plant.noutputs

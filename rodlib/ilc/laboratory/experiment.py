@@ -70,9 +70,7 @@ def record(
     Raises
     ------
     ValueError
-        If something is missing from the rig, the filters, the loop and the rig do not belong
-        together, a signal has the wrong shape or a gap, a unit is unknown, or the log at `path` is
-        that of another experiment; before anything is applied.
+        If something does not belong together; before anything is applied.
     RigError
         If a reading is not finite or has the wrong shape: the trial ends, those before it stay.
 

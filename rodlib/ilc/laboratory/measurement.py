@@ -17,10 +17,12 @@ from rodlib.ilc.laboratory.excitation import Excitation
 from rodlib.ilc.laboratory.findings import findings_of
 from rodlib.ilc.laboratory.log import LogError
 from rodlib.ilc.laboratory.notes import actuators_of, excitation_of, loop_of
-from rodlib.ilc.laboratory.region import TINY, radius_of
+from rodlib.ilc.laboratory.region import radius_of
 from rodlib.ilc.laboratory.tables import few
 from rodlib.ilc.laboratory.transient import NEIGHBOURS, SPAN, nearest, separated, windows_of
 from rodlib.ilc.loop import CurrentTrialLoop
+
+ROUNDED = 0.02  # of the amplitude: how far w may be from the excitation, as logs hold few digits
 
 
 @dataclass(frozen=True)
@@ -147,8 +149,7 @@ def measured_response(log: xr.Dataset) -> MeasuredResponse:
     Raises
     ------
     LogError
-        If the log is no such record, lacks an experiment, or w is not periodic or does not excite
-        every line.
+        If the log is no such record, lacks an experiment, or w is not the excitation.
 
     Warns
     -----
@@ -240,41 +241,24 @@ def _miss(confidence, jointly, count):
 
 def _signals(log, excitation):
     """w and y of the periods that are evaluated, shape (experiment, time, m), if all are there."""
-    m = excitation.channels
-    if log.sizes["channel"] != m or log.sizes["time"] != excitation.samples:
-        raise LogError(
-            f"log has {log.sizes['channel']} channels and {log.sizes['time']} samples, but its "
-            f"excitation {m} and {excitation.samples}"
-        )
+    m, shaken = excitation.channels, excitation.signals
     if log.trial.values.tolist() != list(range(1, m + 1)):
         raise LogError(
             f"log has the experiments {few(log.trial.values.tolist())} of {m}: go on with shake "
             "and the same path"
         )
-    log = log.isel(time=slice(-excitation.evaluated, None))
-    w = arguments.array("log.v", (log.reference + log.v).values, (m, "time", m))
-    y = arguments.array("log.y", log.y.values, (m, "time", m))
-    again = np.abs(np.diff(w.reshape(m, excitation.periods, -1, m), axis=1)).max(axis=(0, 1, 2))
-    for name, off, size in zip(log.output.values, again, np.abs(w).max(axis=(0, 1)), strict=True):
-        if off > 1e-6 * size:
-            raise LogError(f"w of {name} is not periodic: it differs by {off:.3g} between periods")
-    return w, y
+    w = arguments.array("log.v", (log.reference + log.v).values, shaken.shape)
+    off = np.abs(w - shaken).max(axis=(0, 1)) / excitation.amplitude
+    for name, share in zip(log.output.values, off, strict=True):
+        if share > ROUNDED:
+            raise LogError(f"w of {name} is not its excitation: it is off by {share:.2g} of it")
+    y = arguments.array("log.y", log.y.values, shaken.shape)
+    return w[:, -excitation.evaluated :], y[:, -excitation.evaluated :]
 
 
 def _estimate(w, y, windows, excitation, loop):
     """The response from the signals (experiment, time, channel), before it is judged."""
     W = np.fft.rfft(w, axis=1)[:, [window.line for window in windows]]
-    W = np.moveaxis(W, 0, 2)  # (line, input, experiment)
-    _refuse_weak(W, excitation.omega)
+    spread = np.linalg.inv(np.moveaxis(W, 0, 2))  # (line, experiment, input)
     net, noise, freedom = separated(y, windows)
-    spread = np.linalg.inv(W)
     return MeasuredResponse(excitation.omega, net @ spread, noise, spread, freedom, loop)
-
-
-def _refuse_weak(W, omega):
-    """Refuse lines that are not excited in all directions."""
-    values = np.linalg.svd(W, compute_uv=False)
-    weak = omega[values[:, -1] <= 1e-6 * max(values.max(), TINY)]
-    if weak.size:
-        listed = ", ".join(few([f"{x:.4g}" for x in weak]))
-        raise LogError(f"w does not excite all inputs at {listed} rad/s: P is not known there")

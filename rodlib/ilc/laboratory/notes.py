@@ -218,11 +218,6 @@ def load_law(path) -> tuple[ZeroPhaseButterworth, LearningFilter]:
     Returns
     -------
     tuple of ZeroPhaseButterworth and LearningFilter
-
-    Raises
-    ------
-    ValueError
-        If the file is no law; an OSError if it cannot be read.
     """
     path = arguments.path("path", path)
     try:
