@@ -164,12 +164,10 @@ def _envelope(phases, harmonics, period):
 
 
 def _phases_of_low_peaks(harmonics, m):
-    """Phases for which none of the m turns has high peaks.
-
-    The signal is clipped, less and less, and the phases of what is left are taken, as by Van der
-    Ouderaa, Schoukens and Renneboog (Peak factor minimization using a time-frequency domain
-    swapping algorithm, IEEE Trans. Instrum. Meas. 37, 1988), from Schroeder's phases on.
-    """
+    """Phases for which none of the m turns has high peaks."""
+    # The signal is clipped, less and less, and the phases of what is left are taken, as by Van der
+    # Ouderaa, Schoukens and Renneboog (Peak factor minimization using a time-frequency domain
+    # swapping algorithm, IEEE Trans. Instrum. Meas. 37, 1988), from Schroeder's phases on.
     period = next_fast_len(8 * harmonics[-1])
     count = np.arange(1, len(harmonics) + 1)
     best = phases = -np.pi * count * (count - 1) / len(harmonics)

@@ -18,27 +18,13 @@ TRIALS = 10
 
 @dataclass(frozen=True, eq=False)
 class Plant:
-    """What filters are designed for, and what ten trials with them follow.
+    """What filters are designed for, and what ten trials with them follow."""
 
-    Attributes
-    ----------
-    source : str
-        The Python expression that makes `response`, with ``rodlib`` and ``np`` at hand.
-    response : CurrentTrialLoop or MeasuredResponse
-        What the synthesis is given.
-    reference : array_like, shape (time, m), optional
-        Default, assumed: every output goes to one and back within 1000 samples.
-    disturbance : array_like, shape (10, time, d), optional
-        In the order of ``loop.disturbances``. Default zero.
-    order : int
-        Samples that the learning filter looks ahead at first; more than the plant's delay.
-    """
-
-    source: str
-    response: CurrentTrialLoop | MeasuredResponse
-    reference: np.ndarray | None = None
-    disturbance: np.ndarray | None = None
-    order: int = Problem.order
+    source: str  # the Python expression that makes `response`, with rodlib and np at hand
+    response: CurrentTrialLoop | MeasuredResponse  # what the synthesis is given
+    reference: np.ndarray | None = None  # shape (time, m); default: all outputs to one and back
+    disturbance: np.ndarray | None = None  # shape (10, time, d), as loop.disturbances; default zero
+    order: int = Problem.order  # samples to look ahead at first; more than the plant's delay
 
     def __post_init__(self):
         arguments.instance("source", self.source, str)
