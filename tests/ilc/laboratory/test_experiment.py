@@ -314,7 +314,7 @@ def test_commands_that_the_rig_cuts_off_are_reported(loop, Q):
         warnings.simplefilter("error")
         record(driver(), loop, Q, None, reference, trials=1)
         record(driver(limits={"Q1": (-60, 1e3)}), loop, Q, None, reference, trials=1)
-    with pytest.raises(ValueError, match="rig.limits is about .*'Q2'"):
+    with pytest.raises(ValueError, match=r"rig\.limits is about .*'Q2'"):
         record(driver(limits={"Q2": (0, 1)}), loop, Q, None, reference)
 
 
