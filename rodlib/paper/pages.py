@@ -24,6 +24,7 @@ from nbconvert.filters.markdown_mistune import IPythonRenderer, MarkdownWithMath
 from pygments.formatters import HtmlFormatter
 
 import rodlib
+from rodlib.ilc import laboratory
 from rodlib.ilc.files import alone, folder
 from rodlib.paper.ledger import DEVIATIONS
 from rodlib.paper.repository import ROOT, checkout
@@ -179,7 +180,7 @@ class Pages:
 
     def reference(self) -> None:
         """The reference of the modules, from their docstrings."""
-        for package in (rodlib, rodlib.ilc):  # what a door hands on, pdoc looks for without asking
+        for package in (rodlib, rodlib.ilc, laboratory):  # pdoc does not ask them for their names
             vars(package).update({name: getattr(package, name) for name in package.__all__})
         modules = [
             name

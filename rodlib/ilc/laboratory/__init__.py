@@ -3,38 +3,22 @@
 What runs an experiment knows a rig by its Protocol only; the virtual rig is one that fits.
 """
 
-from rodlib.ilc.laboratory.controlled_rig import Controller, Rig, RigError
-from rodlib.ilc.laboratory.excitation import Excitation, multisine
-from rodlib.ilc.laboratory.experiment import record, shake
-from rodlib.ilc.laboratory.law import load_law, save_law
-from rodlib.ilc.laboratory.log import LogError, load_log, save_log
-from rodlib.ilc.laboratory.measurement import MeasuredResponse, expected_radius, measured_response
-from rodlib.ilc.laboratory.notes import law_of, loop_of, rest_of, step_of, with_law
-from rodlib.ilc.laboratory.replay import Replay, replay_of
-from rodlib.ilc.laboratory.temperature_control_lab import TemperatureControlLab
+from rodlib.ilc import lazily
 
-__all__ = [
-    "Controller",
-    "Excitation",
-    "LogError",
-    "MeasuredResponse",
-    "Replay",
-    "Rig",
-    "RigError",
-    "TemperatureControlLab",
-    "expected_radius",
-    "law_of",
-    "load_law",
-    "load_log",
-    "loop_of",
-    "measured_response",
-    "multisine",
-    "record",
-    "replay_of",
-    "rest_of",
-    "save_law",
-    "save_log",
-    "shake",
-    "step_of",
-    "with_law",
-]
+__getattr__, __all__ = lazily(
+    __name__,
+    {
+        "controlled_rig": "Controller Rig RigError",
+        "excitation": "Excitation multisine",
+        "experiment": "record shake",
+        "log": "LogError load_log save_log",
+        "measurement": "MeasuredResponse expected_radius measured_response",
+        "notes": "law_of load_law loop_of rest_of save_law step_of with_law",
+        "replay": "Replay replay_of",
+        "temperature_control_lab": "TemperatureControlLab",
+    },
+)
+
+
+def __dir__():
+    return sorted([*globals(), *__all__])

@@ -120,7 +120,7 @@ def multisine(
     amplitude : float or array_like, shape (m,)
         Largest |w| of each input, in the units of the outputs.
     hours : float
-        Time for all experiments.
+        Time for all experiments. If it is too short, the error says what is needed.
     lines : int
         Number of lines, spaced evenly on a logarithmic scale as far as harmonics can be; where
         they would fall on the same, there are fewer.
@@ -128,11 +128,6 @@ def multisine(
     Returns
     -------
     Excitation
-
-    Raises
-    ------
-    ValueError
-        If an argument is out of range, or the time is too short: the message says what is needed.
     """
     arguments.instance("loop", loop, CurrentTrialLoop)
     Ts, m = loop.Ts, loop.plant.noutputs
@@ -169,12 +164,10 @@ def _envelope(phases, harmonics, period):
 
 
 def _phases_of_low_peaks(harmonics, m):
-    """Phases for which none of the m turns has high peaks.
-
-    The signal is clipped, less and less, and the phases of what is left are taken, as by Van der
-    Ouderaa, Schoukens and Renneboog (Peak factor minimization using a time-frequency domain
-    swapping algorithm, IEEE Trans. Instrum. Meas. 37, 1988), from Schroeder's phases on.
-    """
+    """Phases for which none of the m turns has high peaks."""
+    # The signal is clipped, less and less, and the phases of what is left are taken, as by Van der
+    # Ouderaa, Schoukens and Renneboog (Peak factor minimization using a time-frequency domain
+    # swapping algorithm, IEEE Trans. Instrum. Meas. 37, 1988), from Schroeder's phases on.
     period = next_fast_len(8 * harmonics[-1])
     count = np.arange(1, len(harmonics) + 1)
     best = phases = -np.pi * count * (count - 1) / len(harmonics)

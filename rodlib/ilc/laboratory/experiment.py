@@ -70,9 +70,7 @@ def record(
     Raises
     ------
     ValueError
-        If something is missing from the rig, the filters, the loop and the rig do not belong
-        together, a signal has the wrong shape or a gap, a unit is unknown, or the log at `path` is
-        that of another experiment; before anything is applied.
+        If something does not belong together; before anything is applied.
     RigError
         If a reading is not finite or has the wrong shape: the trial ends, those before it stay.
 
@@ -99,10 +97,8 @@ def record(
         e = reference - signals["y"][-1]
         return update(signals["v"][-1], e, Q, L, rest, step)
 
-    def noted(run):
-        return with_law(run, Q, L, rest, loop, step)
-
-    return _Experiment(controlled, reference, commanded, following, noted).run(pause, path)
+    notes = with_law(xr.Dataset(), Q, L, rest, loop, step).attrs
+    return _Experiment(controlled, reference, commanded, following, notes).run(pause, path)
 
 
 def shake(
@@ -144,14 +140,13 @@ def shake(
     commanded = controlled.commanded(None, *shaken.shape[:2])
     followed = {n: controlled.limits[n] for n in loop.controls if n in controlled.limits}
 
+    notes = with_excitation(xr.Dataset(), excitation, loop, followed).attrs
+
     def following(signals):
         return shaken[len(signals["y"])]
 
-    def noted(run):
-        return with_excitation(run, excitation, loop, followed)
-
     reference = np.zeros(shaken.shape[1:])
-    return _Experiment(controlled, reference, commanded, following, noted).run(0, path)
+    return _Experiment(controlled, reference, commanded, following, notes).run(0, path)
 
 
 @dataclass(frozen=True)
@@ -162,7 +157,7 @@ class _Experiment:
     reference: np.ndarray
     commanded: np.ndarray  # of the disturbances that are inputs, shape (trial, time, them)
     following: Callable[[dict[str, list]], np.ndarray]  # v after the trials whose signals are given
-    noted: Callable[[xr.Dataset], xr.Dataset]  # trials, with what made them noted
+    notes: dict[str, str]  # of what makes the trials
 
     def run(self, pause, path) -> xr.Dataset:
         """Run the trials that are not in the log at `path` yet; all trials."""
@@ -196,15 +191,14 @@ class _Experiment:
         loop, signals = self.rig.loop, {name: np.stack(each) for name, each in signals.items()}
         signals["reference"] = np.broadcast_to(self.reference, signals["y"].shape)
         names = loop.outputs, loop.controls, self.rig.recorded
-        trials = self.noted(dataset(loop.Ts, *names, loop.units, **signals))
-        return trials.assign_attrs(notes | trials.attrs)
+        trials = dataset(loop.Ts, *names, loop.units, **signals)
+        return trials.assign_attrs(notes | trials.attrs | self.notes)
 
     def check(self, found, path) -> None:
         """Refuse the trials of another experiment."""
         own = [np.array_equal(reference, self.reference) for reference in found.reference]
         differing = [] if all(own) else ["reference"]
-        wanted = self.noted(xr.Dataset()).attrs
-        differing += [key for key in MADE_BY if found.attrs.get(key) != wanted.get(key)]
+        differing += [key for key in MADE_BY if found.attrs.get(key) != self.notes.get(key)]
         sources = found.source.values.tolist() if "source" in found.coords else []
         if sources != self.rig.recorded:
             differing.append("disturbances")

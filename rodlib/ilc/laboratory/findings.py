@@ -72,8 +72,8 @@ def _drift(y, windows, excitation, measured):
     slope = np.einsum("p,epj->ej", steps, means) / np.sum(steps**2)
     ramp = slope[:, None] * np.arange(y.shape[1])[:, None] / excitation.period
     off = np.linalg.norm(separated(ramp, windows)[0] @ measured.spread, 2, axis=(1, 2))
-    without = replace(measured, noise=separated(y - ramp, windows)[1])
-    deviation = np.sqrt(np.einsum("nkk->n", without.covariance).real)
+    noise = np.einsum("njj->n", separated(y - ramp, windows)[1]).real
+    deviation = np.sqrt(noise) * np.linalg.norm(measured.spread, axis=(1, 2))
     worst = (off / np.maximum(deviation, TINY)).argmax()
     if off[worst] <= DRIFT * deviation[worst]:
         return None

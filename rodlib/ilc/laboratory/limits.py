@@ -7,18 +7,15 @@ import numpy as np
 from rodlib.ilc import arguments
 
 
-def checked(name: str, limits) -> tuple[float, float]:
-    """A lower and a higher finite number."""
-    low, high = arguments.array(name, limits, (2,)).tolist()
-    if not low < high:
-        raise ValueError(f"{name} = {limits!r} must be a lower and a higher number")
-    return low, high
-
-
 def named_limits(name: str, limits, names: Sequence[str]) -> dict[str, tuple[float, float]]:
     """The limits of some of the signals `names`; None says nothing."""
-    given = arguments.by_name(name, limits, names)
-    return {key: checked(f"{name}[{key!r}]", pair) for key, pair in given.items()}
+    found = {}
+    for key, pair in arguments.by_name(name, limits, names).items():
+        low, high = arguments.array(f"{name}[{key!r}]", pair, (2,)).tolist()
+        if not low < high:
+            raise ValueError(f"{name}[{key!r}] = {pair!r} must be a lower and a higher number")
+        found[key] = low, high
+    return found
 
 
 def beyond(values, limits: tuple[float, float]) -> np.ndarray:

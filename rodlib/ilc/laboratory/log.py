@@ -49,9 +49,7 @@ def load_log(path) -> xr.Dataset:
     Raises
     ------
     LogError
-        With its problems, each with its trial or row: unreadable file, metadata, column names,
-        units, entries that are not numbers, gaps, sampling, trial numbers and lengths,
-        implausible values.
+        With all that is wrong, each problem with its trial or row.
     """
     return _load(arguments.path("path", path))
 
@@ -100,22 +98,18 @@ def save_log(trials: xr.Dataset, path) -> None:
 
 def signals_of(trials: xr.Dataset) -> dict[str, dict[str, str]]:
     """Names and units of the signals, by role, as the metadata say it, if all are there."""
-    missing = [name for name in REQUIRED if name not in trials]
-    if missing:
-        raise ValueError(f"trials lack {missing}: a log needs {REQUIRED}")
     roles = dict.fromkeys(role for signal, role in SIGNALS.items() if signal in trials)
     needed = ["trial", "time", *(role + end for role in roles for end in ("", "_unit"))]
-    missing = [name for name in needed if name not in trials.coords]
+    missing = [name for name in REQUIRED + needed if name not in trials.variables]
     if missing:
-        raise ValueError(f"trials lack the coordinates {missing}: see rodlib.ilc.trials.dataset")
+        raise ValueError(f"trials lack {missing}: see rodlib.ilc.trials.dataset")
     signals = {}
     for role in roles:
         names, own = trials[role].values.tolist(), trials[f"{role}_unit"].values.tolist()
         signals[ROLES[role]] = dict(zip(names, own, strict=True))
-        if not all(isinstance(name, str) and name.isprintable() and name for name in names):
-            raise ValueError(f"{role} = {few(names)} must be names of printable characters")
-        if len(signals[ROLES[role]]) < len(names):
-            raise ValueError(f"{role} = {few(names)} must be different names")
+        plain = all(isinstance(name, str) and name.isprintable() and name for name in names)
+        if not plain or len(set(names)) < len(names):
+            raise ValueError(f"{role} = {few(names)} must be different names, all printable")
     for name, unit in _units_of(signals).items():
         units.understood(name, unit)
     return signals
@@ -140,7 +134,7 @@ def _load(path, ended=False):
     """As :func:`load_log`, or :func:`load_ended`."""
     try:
         content = path.read_bytes()
-        table, start = tables.read_head(content)
+        table = tables.read(content[: content.rfind(b"\n") + 1] if ended else content)
     except OSError as error:
         raise LogError(f"{path}: cannot be read: {error}") from None
     except UnicodeError as error:
@@ -158,8 +152,6 @@ def _load(path, ended=False):
         except ValueError as error:
             problems.append(f"metadata: {error}")
     Ts, tick = _sampling_period(metadata, problems)
-    end = content.rfind(b"\n") + 1 if ended else len(content)
-    tables.read_rows(table, memoryview(content)[start:end])
     problems += _problems_of_titles(table.header, ["trial", "time", *titles])
     problems += table.problems_of(["trial", "time", *titles])
     problems += [] if table.columns.size else ["the table has no rows"]

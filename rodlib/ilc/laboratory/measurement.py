@@ -15,13 +15,14 @@ from scipy.interpolate import make_interp_spline
 from rodlib.ilc import arguments
 from rodlib.ilc.laboratory.excitation import Excitation
 from rodlib.ilc.laboratory.findings import findings_of
-from rodlib.ilc.laboratory.limits import named_limits
 from rodlib.ilc.laboratory.log import LogError
 from rodlib.ilc.laboratory.notes import actuators_of, excitation_of, loop_of
-from rodlib.ilc.laboratory.region import TINY, radius_of
+from rodlib.ilc.laboratory.region import radius_of
 from rodlib.ilc.laboratory.tables import few
 from rodlib.ilc.laboratory.transient import NEIGHBOURS, SPAN, nearest, separated, windows_of
 from rodlib.ilc.loop import CurrentTrialLoop
+
+ROUNDED = 0.02  # of the amplitude: how far w may be from the excitation, as logs hold few digits
 
 
 @dataclass(frozen=True)
@@ -41,13 +42,6 @@ class MeasuredResponse:
     loop: CurrentTrialLoop  # whose controller ran; its observer integrates, so that P(0) = I
     findings: tuple[str, ...] = ()  # what speaks against the measurement, and what follows
 
-    @property
-    def covariance(self) -> np.ndarray:
-        """Covariance of the entries P11, P12, ... of the response, shape (n, m m, m m), complex."""
-        each = np.einsum("nik,nej,nel->nijkl", self.noise, self.spread, self.spread.conj())
-        size = self.response[0].size
-        return each.reshape(-1, size, size)
-
     def radius(self, confidence: float = 0.95, jointly: bool = False) -> np.ndarray:
         """Radius of ||Delta||, the largest singular value, that covers the truth.
 
@@ -61,13 +55,6 @@ class MeasuredResponse:
         Returns
         -------
         ndarray, shape (n,)
-
-        Notes
-        -----
-        For one channel |Delta|^2 has an F distribution. For more, the size of Delta has one, with
-        the degrees of freedom of the noise in all its directions together (Satterthwaite), and its
-        shape that of a normal matrix; the share of truths covered by 95 % is then between 93 and
-        96.5 %, from 4 degrees of freedom on (tests/ilc/laboratory/test_measurement.py).
         """
         miss = _miss(confidence, jointly, len(self.omega))
         return radius_of(self.noise, self.spread, self.freedom, miss)
@@ -90,9 +77,8 @@ class MeasuredResponse:
             A cubic spline through what was measured and, at frequency zero, I.
         radius : ndarray, shape (n,)
             That of the neighbours, interpolated linearly, and by how much the spline differs from
-            straight lines: it is assumed that it is not further than this from the truth. Above the
-            highest frequency that was measured, it is assumed that P is not larger than there: the
-            response is that of this frequency, the radius contains all that P may then be.
+            straight lines. Above the highest frequency the response is the one there, and the
+            radius contains all that is not larger. :meth:`basis` says what is assumed by that.
         """
         omega = np.abs(arguments.row("omega", omega))
         if scale is not None:
@@ -148,19 +134,13 @@ class MeasuredResponse:
         return "\n".join([*lines, *self.findings])
 
 
-def measured_response(
-    log: xr.Dataset, limits: dict[str, tuple[float, float]] | None = None
-) -> MeasuredResponse:
+def measured_response(log: xr.Dataset) -> MeasuredResponse:
     """Estimate the frequency response from w to y from the record of a loop that was shaken.
 
     Parameters
     ----------
     log : xarray.Dataset
         From :func:`shake`, or loaded.
-    limits : dict, optional
-        Lowest and highest command that an actuator follows, by the name of the control. Default:
-        those that the rig knew when it was shaken, if any. A slow plant hides from its outputs what
-        a limit does.
 
     Returns
     -------
@@ -169,8 +149,7 @@ def measured_response(
     Raises
     ------
     LogError
-        If the log is no such record, lacks an experiment, or w is not periodic or does not excite
-        every line.
+        If the log is no such record, lacks an experiment, or w is not the excitation.
 
     Warns
     -----
@@ -196,11 +175,10 @@ def measured_response(
     excitation, loop = excitation_of(log), loop_of(log)
     if excitation is None or loop is None:
         raise LogError("log names no excitation or no loop in its metadata: it is not of shake")
-    limits = actuators_of(log) | named_limits("limits", limits, loop.controls)
     w, y = _signals(log, excitation)
     windows = windows_of(excitation.harmonics, excitation, loop)
     measured = _estimate(w, y, windows, excitation, loop)
-    findings = findings_of(log.u.values, y, limits, windows, excitation, measured)
+    findings = findings_of(log.u.values, y, actuators_of(log), windows, excitation, measured)
     for finding in findings:
         warnings.warn(finding, stacklevel=2)
     return replace(measured, findings=findings)
@@ -225,11 +203,6 @@ def expected_radius(
     -------
     ndarray, shape (n,)
         At the frequencies of the excitation.
-
-    Raises
-    ------
-    ValueError
-        If the rest is too short, or of another loop.
     """
     arguments.instance("excitation", excitation, Excitation)
     arguments.instance("rest", rest, xr.Dataset)
@@ -268,41 +241,24 @@ def _miss(confidence, jointly, count):
 
 def _signals(log, excitation):
     """w and y of the periods that are evaluated, shape (experiment, time, m), if all are there."""
-    m = excitation.channels
-    if log.sizes["channel"] != m or log.sizes["time"] != excitation.samples:
-        raise LogError(
-            f"log has {log.sizes['channel']} channels and {log.sizes['time']} samples, but its "
-            f"excitation {m} and {excitation.samples}"
-        )
+    m, shaken = excitation.channels, excitation.signals
     if log.trial.values.tolist() != list(range(1, m + 1)):
         raise LogError(
             f"log has the experiments {few(log.trial.values.tolist())} of {m}: go on with shake "
             "and the same path"
         )
-    log = log.isel(time=slice(-excitation.evaluated, None))
-    w = arguments.array("log.v", (log.reference + log.v).values, (m, "time", m))
-    y = arguments.array("log.y", log.y.values, (m, "time", m))
-    again = np.abs(np.diff(w.reshape(m, excitation.periods, -1, m), axis=1)).max(axis=(0, 1, 2))
-    for name, off, size in zip(log.output.values, again, np.abs(w).max(axis=(0, 1)), strict=True):
-        if off > 1e-6 * size:
-            raise LogError(f"w of {name} is not periodic: it differs by {off:.3g} between periods")
-    return w, y
+    w = arguments.array("log.v", (log.reference + log.v).values, shaken.shape)
+    off = np.abs(w - shaken).max(axis=(0, 1)) / excitation.amplitude
+    for name, share in zip(log.output.values, off, strict=True):
+        if share > ROUNDED:
+            raise LogError(f"w of {name} is not its excitation: it is off by {share:.2g} of it")
+    y = arguments.array("log.y", log.y.values, shaken.shape)
+    return w[:, -excitation.evaluated :], y[:, -excitation.evaluated :]
 
 
 def _estimate(w, y, windows, excitation, loop):
     """The response from the signals (experiment, time, channel), before it is judged."""
     W = np.fft.rfft(w, axis=1)[:, [window.line for window in windows]]
-    W = np.moveaxis(W, 0, 2)  # (line, input, experiment)
-    _refuse_weak(W, excitation.omega)
+    spread = np.linalg.inv(np.moveaxis(W, 0, 2))  # (line, experiment, input)
     net, noise, freedom = separated(y, windows)
-    spread = np.linalg.inv(W)
     return MeasuredResponse(excitation.omega, net @ spread, noise, spread, freedom, loop)
-
-
-def _refuse_weak(W, omega):
-    """Refuse lines that are not excited in all directions."""
-    values = np.linalg.svd(W, compute_uv=False)
-    weak = omega[values[:, -1] <= 1e-6 * max(values.max(), TINY)]
-    if weak.size:
-        listed = ", ".join(few([f"{x:.4g}" for x in weak]))
-        raise LogError(f"w does not excite all inputs at {listed} rad/s: P is not known there")

@@ -1,4 +1,7 @@
-"""What made the trials, noted in the metadata as JSON: the law or the excitation, the loop."""
+"""What made the trials, as JSON: the law or the excitation, and the loop.
+
+All of it is noted in the metadata of a log; a law stands in a file of its own, too.
+"""
 
 import json
 from collections.abc import Callable, Mapping
@@ -9,6 +12,7 @@ import numpy as np
 import xarray as xr
 
 from rodlib.ilc import arguments
+from rodlib.ilc.files import write_whole
 from rodlib.ilc.filters import (
     LearningFilter,
     LearningOperator,
@@ -20,6 +24,7 @@ from rodlib.ilc.laboratory.limits import named_limits
 from rodlib.ilc.laboratory.log import LogError, read_json
 from rodlib.ilc.loop import CurrentTrialLoop
 
+LAW = "rodlib law 1"  # format of the file
 MADE_BY = ("Q", "L", "rest", "step", "excitation", "loop")  # the keys of all notes
 MISUNDERSTOOD = (KeyError, TypeError, ValueError, RecursionError)  # what a note may lead to
 
@@ -94,13 +99,13 @@ def law_of(trials: xr.Dataset) -> tuple[ZeroPhaseButterworth, LearningFilter | N
     """The filters Q and L noted in the metadata of a log; None if it does not say."""
 
     def read(note):
-        L = learning_filter_of(note, trials.attrs["Ts"])
+        L = _learning_filter_of(note, trials.attrs["Ts"])
         if L is not None:
             m = trials.sizes["channel"]
             arguments.array("coefficients", L.coefficients, (m, m, "order"))
         return L
 
-    Q = _noted(trials, "Q", lambda note: filter_of(note, trials.attrs["Ts"]))
+    Q = _noted(trials, "Q", lambda note: _filter_of(note, trials.attrs["Ts"]))
     L = _noted(trials, "L", read)
     return None if Q is None or "L" not in trials.attrs else (Q, L)
 
@@ -113,13 +118,11 @@ def notes_of_law(Q: ZeroPhaseButterworth, L: LearningFilter | None) -> dict:
     }
 
 
-def filter_of(note: Mapping, Ts) -> ZeroPhaseButterworth:
-    """Q of such a note; one of :data:`MISUNDERSTOOD` if it is none."""
+def _filter_of(note: Mapping, Ts) -> ZeroPhaseButterworth:
     return zero_phase_butterworth(note["order"], note["cutoff"], Ts, ends=note["ends"])
 
 
-def learning_filter_of(note: Mapping | None, Ts) -> LearningFilter | None:
-    """L of such a note, likewise."""
+def _learning_filter_of(note: Mapping | None, Ts) -> LearningFilter | None:
     return None if note is None else LearningFilter(note["coefficients"], Ts, note["ends"])
 
 
@@ -181,3 +184,47 @@ def _note_of(loop):
     plant, names = loop.plant, {"inputs": loop.plant.input_labels, "outputs": loop.outputs}
     parts["plant"] = {name: getattr(plant, name) for name in "ABCD"} | {"dt": plant.dt} | names
     return json.dumps(parts, ensure_ascii=False, default=np.ndarray.tolist)
+
+
+def save_law(path, Q: ZeroPhaseButterworth, L: LearningFilter, note: str = "") -> None:
+    """Write Q and L to a file, to the last digit; it is replaced as a whole or not at all.
+
+    Parameters
+    ----------
+    path : path-like
+        JSON: ``format``, ``Ts`` (s), ``Q`` (order, cutoff in rad/s, ends), ``L`` (coefficients of
+        shape (m, m, order), ends) and ``note``.
+    Q, L : ZeroPhaseButterworth, LearningFilter
+    note : str
+        What made them, for those who read the file.
+    """
+    path = arguments.path("path", path)
+    arguments.instance("Q", Q, ZeroPhaseButterworth)
+    arguments.instance("L", L, LearningFilter)
+    arguments.instance("note", note, str)
+    arguments.one_period(Q=Q.Ts, L=L.Ts)
+    content = {"format": LAW, "Ts": Q.Ts, **notes_of_law(Q, L), "note": note}
+    write_whole(path, json.dumps(content, ensure_ascii=False, indent=1) + "\n")
+
+
+def load_law(path) -> tuple[ZeroPhaseButterworth, LearningFilter]:
+    """Read Q and L, as in ``record(rig, loop, *load_law(path), reference)``.
+
+    Parameters
+    ----------
+    path : path-like
+        Written by :func:`save_law`.
+
+    Returns
+    -------
+    tuple of ZeroPhaseButterworth and LearningFilter
+    """
+    path = arguments.path("path", path)
+    try:
+        content = read_json(path.read_text(encoding="utf-8"))
+        if content["format"] != LAW:
+            raise ValueError(f"format {content['format']!r} is not {LAW!r}")
+        L = _learning_filter_of(content["L"], content["Ts"])
+        return _filter_of(content["Q"], content["Ts"]), arguments.instance("L", L, LearningFilter)
+    except MISUNDERSTOOD as error:
+        raise ValueError(f"path = {str(path)!r} is no law of save_law: {error!r}") from None

@@ -1,4 +1,9 @@
-"""How far off a measured matrix may be: the norm of a normal one whose covariance is estimated."""
+"""How far off a measured matrix may be: the norm of a normal one whose covariance is estimated.
+
+The square of one entry has an F distribution. The size of a matrix has one, with the freedom of the
+noise in all its directions together (Satterthwaite), and its shape is that of a normal matrix; 95 %
+then cover from 93 to 96.5 % of the truths, from 4 degrees of freedom on, as the tests count.
+"""
 
 from functools import cache
 
@@ -21,12 +26,10 @@ def _directions(m):
 
 
 def _shrunk(noise, freedom):
-    """Eigenvalues of the noise's covariance, eigenvectors, and the freedom of their sum.
-
-    Those of an estimate lie further apart than the true ones. They are drawn towards their mean
-    until the sum of their squares is what it is without bias; it also tells in how many directions
-    the noise goes, from 1 to m, each of which has its own degrees of freedom.
-    """
+    """Eigenvalues of the noise's covariance, eigenvectors, and the freedom of their sum."""
+    # Those of an estimate lie further apart than the true ones. They are drawn towards their mean
+    # until the sum of their squares is what it is without bias; it also tells in how many
+    # directions the noise goes, from 1 to m, each of which has its own degrees of freedom.
     m = noise.shape[-1]
     values, vectors = np.linalg.eigh(noise)
     values = np.maximum(values, 0)

@@ -144,11 +144,6 @@ def replay_of(trials: xr.Dataset, untold: Sequence[str] = ()) -> Replay:
     Returns
     -------
     Replay
-
-    Raises
-    ------
-    LogError
-        If the law or the loop is noted, but cannot be understood.
     """
     arguments.instance("trials", trials, xr.Dataset)
     signals_of(trials)  # which checks that it has all that a log has

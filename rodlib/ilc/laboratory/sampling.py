@@ -1,4 +1,4 @@
-"""Whether the rows of a log are trials: numbered, equally long, sampled on time."""
+"""Whether the rows of a log are trials: numbered, in one piece, equally long, sampled on time."""
 
 import numpy as np
 
@@ -20,11 +20,7 @@ def starts_of(numbers) -> np.ndarray:
 
 
 def check_trials(table: Table, Ts: float) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Numbers of the trials, times of the first one, and what is not as it must be.
-
-    Each trial has a number of its own and stands in one piece, all are equally long and sampled
-    every `Ts`, in the unit of the table, from zero on.
-    """
+    """Numbers of the trials, times of the first one, and problems; Ts in the table's unit."""
     problems, time = [], table.column("time")
     starts = starts_of(table.column("trial"))
     numbers, lengths = table.column("trial")[starts], np.diff([*starts, len(time)])

@@ -26,7 +26,7 @@ def few(words: Sequence[str]) -> list[str]:
 
 @dataclass
 class Table:
-    """What stands in a file, as far as it could be read; the rows are read after the header."""
+    """What stands in a file, as far as it could be read."""
 
     metadata: dict[str, str] = field(default_factory=dict)
     header: list[str] = field(default_factory=list)
@@ -52,12 +52,12 @@ class Table:
         self.faults.setdefault(title, [text, 0])[1] += 1
 
 
-def read_head(content: bytes) -> tuple[Table, int]:
-    """A table without its rows, and how many bytes stand before them."""
+def read(content: bytes) -> Table:
+    """The table in a file; its rows, if nothing is wrong above them."""
     if content[:2] in (BOM_UTF16_LE, BOM_UTF16_BE):
         raise UnicodeError("it is UTF-16: save it as UTF-8")
-    table, end = Table(), len(BOM_UTF8) if content.startswith(BOM_UTF8) else 0
-    line = 0
+    table, line = Table(), 0
+    end = len(BOM_UTF8) if content.startswith(BOM_UTF8) else 0
     while not table.header and end < len(content):
         start, line = end, line + 1
         end = content.find(b"\n", start) + 1 or len(content)
@@ -69,9 +69,10 @@ def read_head(content: bytes) -> tuple[Table, int]:
             table.metadata.setdefault(key, value)
         elif text.strip() and not text.startswith("#"):
             table.header = _entries(text)
-    table.lines = range(line + 1, line + 1)
     table.problems += _problems_of_header(table.header)
-    return table, end
+    if not table.problems:
+        _read_rows(table, memoryview(content)[end:], line + 1)
+    return table
 
 
 def _entries(text):
@@ -93,9 +94,8 @@ def _problems_of_header(header):
     return [f"column {title!r} stands there {header.count(title)} times" for title in again]
 
 
-def read_rows(table: Table, content: memoryview) -> None:
-    """Read the rows that stand in `content` into a table."""
-    first = table.lines.start
+def _read_rows(table, content, first):
+    """Read the rows that stand in `content`, from the line `first` of the file on."""
     table.columns = _all_at_once(content, len(table.header))
     table.lines = range(first, first + table.columns.shape[1])
     if np.isfinite(table.columns).all():

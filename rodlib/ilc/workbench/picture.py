@@ -1,8 +1,7 @@
 """The picture of an outcome: the singular values with their bounds, the filter, ten trials.
 
 A layout that is found anew takes as long as the design, and so do the ticks. Here the layout is
-fixed, limits are round numbers, and axes that have been drawn before are copied: what is left to
-draw are lines.
+fixed, limits are round numbers, and what stands behind the lines is copied until it changes.
 """
 
 import textwrap
@@ -14,7 +13,6 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.transforms import Bbox
 from PIL import Image
 
 from rodlib.ilc import arguments
@@ -28,13 +26,6 @@ STYLE = {
 }  # fmt: skip
 BEFORE = {"color": "0.75", "linewidth": 2.4}
 BOUND = {"color": "tab:red", "linewidth": 1, "linestyle": "--"}
-MIDDLE = 0.475  # of the figure's height, between the labels of the upper axes and the lower titles
-PARTS = {  # of the figure that the axes draw on: left, low, right, high
-    (0, 0): (0, MIDDLE, 0.5, 1), (0, 1): (0.5, MIDDLE, 1, 1),
-    (1, 0): (0, 0, 0.5, MIDDLE), (1, 1): (0.5, 0, 1, MIDDLE),
-}  # fmt: skip
-TOP = 0.94  # from here up the words on the colours
-KEPT = 100  # drawn parts, a third of a megabyte each
 ROUND = np.array([1, 1.5, 2, 3, 5, 7, 10])
 SHADES = ("black", "tab:red", "tab:blue", "tab:green", "tab:orange")
 ENTRIES = [  # how those of a filter look; gray is for the filter before
@@ -50,7 +41,7 @@ class Picture:
         self.figure = Figure(SIZE, dpi=100, layout="none")
         FigureCanvasAgg(self.figure)
         self.axes = self.figure.subplots(2, 2)
-        self._drawn = {}
+        self._behind, self._look = None, None
         (rate, trials), (gain, lags) = self.axes
         self.figure.subplots_adjust(0.07, 0.09, 0.985, 0.89, wspace=0.2, hspace=0.45)
         rate.set(title=r"rate $\bar\sigma(M)$: what a trial leaves of the error", ylim=(0, 1.05))
@@ -115,6 +106,8 @@ class Picture:
         if not before:
             rate.axhline(design.problem.M_max, **BOUND)
             gain.axhline(design.problem.L_max, **BOUND)
+        for line in [line for axes in self.axes.flat for line in axes.lines]:
+            line.set_animated(True)  # drawn when the figure is saved, and by png
 
     def _fit(self, outcomes):
         """Limits that hold all outcomes, and labels of the first."""
@@ -137,57 +130,35 @@ class Picture:
         lags.set_xlim(0.4, max(d.filter.order for d in designs) + 0.6)
         lags.xaxis.get_major_locator().set_params(integer=True)
         names = [*entries(outcomes[0])]
-        if lags.get_legend() is None or names != [t.get_text() for t in lags.get_legend().texts]:
-            handles = [Line2D([], [], **look) for look in islice(cycle(ENTRIES), len(names))]
-            lags.legend(
-                handles, names, loc="lower right", bbox_to_anchor=(1.02, 0.97), ncols=5, fontsize=8,
-                borderpad=0.2, handlelength=0.9, handletextpad=0.4, columnspacing=0.8,
-                labelspacing=0.2,
-            )  # fmt: skip
+        handles = [Line2D([], [], **look) for look in islice(cycle(ENTRIES), len(names))]
+        lags.legend(
+            handles, names, loc="lower right", bbox_to_anchor=(1.02, 0.97), ncols=5, fontsize=8,
+            borderpad=0.2, handlelength=0.9, handletextpad=0.4, columnspacing=0.8,
+            labelspacing=0.2,
+        )  # fmt: skip
 
     @mpl.rc_context(STYLE)
     def png(self) -> bytes:
         """The picture as a PNG file; the same bytes for the same outcomes."""
-        canvas, renderer = self.figure.canvas, self.figure.canvas.get_renderer()
-        shown = [(place, axes) for place, axes in np.ndenumerate(self.axes) if axes.get_visible()]
-        lines = [line for _, axes in shown for line in axes.lines]
-        for line in lines:
-            line.set_visible(False)
-        parts = [self._part(_look(axes), axes, PARTS[place]) for place, axes in shown]
-        parts.append(self._part(self._words.get_text(), self._words, (0, TOP, 1, 1)))
-        for line in lines:
-            line.set_visible(True)
-        self._clear()
-        for part in parts:
-            canvas.restore_region(part)
-        for artist in (*lines, self._message):
-            artist.draw(renderer)
+        canvas, shown = self.figure.canvas, [axes for axes in self.axes.flat if axes.get_visible()]
+        words = [text.get_text() for text in self.figure.texts]
+        look = words, [_look(axes) for axes in shown]
+        if look != self._look:
+            canvas.draw()
+            self._behind, self._look = canvas.copy_from_bbox(self.figure.bbox), look
+        canvas.restore_region(self._behind)
+        for line in [line for axes in shown for line in axes.lines]:
+            line.draw(canvas.get_renderer())
         buffer = BytesIO()
         opaque = np.asarray(canvas.buffer_rgba())[..., :3]
         Image.fromarray(opaque).save(buffer, "png", compress_level=1)
         return buffer.getvalue()
 
-    def _clear(self):
-        renderer = self.figure.canvas.get_renderer()
-        renderer.clear()
-        self.figure.patch.draw(renderer)
-
-    def _part(self, look, artist, corners):
-        """What an artist without lines makes of a part of the picture, drawn once for each look."""
-        if (look, corners) not in self._drawn:
-            if len(self._drawn) >= KEPT:
-                self._drawn.clear()
-            self._clear()
-            artist.draw(self.figure.canvas.get_renderer())
-            box = Bbox.from_extents(*corners).transformed(self.figure.transFigure)
-            self._drawn[look, corners] = self.figure.canvas.copy_from_bbox(box)
-        return self._drawn[look, corners]
-
 
 def _look(axes):
-    """What the look of axes without their lines depends on."""
+    """What the look of axes depends on, but for their lines."""
     legend = axes.get_legend()
-    names = tuple(text.get_text() for text in legend.texts) if legend else ()
+    names = [text.get_text() for text in legend.texts] if legend else []
     return axes.get_title(loc="left"), *axes.get_xlim(), *axes.get_ylim(), names
 
 

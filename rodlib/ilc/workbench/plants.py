@@ -18,27 +18,13 @@ TRIALS = 10
 
 @dataclass(frozen=True, eq=False)
 class Plant:
-    """What filters are designed for, and what ten trials with them follow.
+    """What filters are designed for, and what ten trials with them follow."""
 
-    Attributes
-    ----------
-    source : str
-        The Python expression that makes `response`, with ``rodlib`` and ``np`` at hand.
-    response : CurrentTrialLoop or MeasuredResponse
-        What the synthesis is given.
-    reference : array_like, shape (time, m), optional
-        Default, assumed: every output goes to one and back within 1000 samples.
-    disturbance : array_like, shape (10, time, d), optional
-        In the order of ``loop.disturbances``. Default zero.
-    order : int
-        Samples that the learning filter looks ahead at first; more than the plant's delay.
-    """
-
-    source: str
-    response: CurrentTrialLoop | MeasuredResponse
-    reference: np.ndarray | None = None
-    disturbance: np.ndarray | None = None
-    order: int = Problem.order
+    source: str  # the Python expression that makes `response`, with rodlib and np at hand
+    response: CurrentTrialLoop | MeasuredResponse  # what the synthesis is given
+    reference: np.ndarray | None = None  # shape (time, m); default: all outputs to one and back
+    disturbance: np.ndarray | None = None  # shape (10, time, d), as loop.disturbances; default zero
+    order: int = Problem.order  # samples to look ahead at first; more than the plant's delay
 
     def __post_init__(self):
         arguments.instance("source", self.source, str)
@@ -91,28 +77,17 @@ class Family:
 
 
 def plant_of_file(path) -> Plant:
-    """What a log tells of a plant; a :class:`rodlib.LogError` says why it tells nothing.
-
-    From one of :func:`rodlib.shake` the response is measured. Of one of :func:`rodlib.record` it is
-    that of the loop that the log names, and the trials repeat the reference and the disturbances of
-    the last one recorded.
-    """
+    """A loop that was shaken, as measured; or one that was recorded, with its last trial again."""
     path = str(arguments.path("path", path))
-    log = load_log(path)
+    log, source = load_log(path), f"rodlib.load_log({path!r})"
     try:
-        return _plant_of_log(log, path)
+        if excitation_of(log) is not None:
+            return Plant(f"rodlib.measured_response({source})", measured_response(log))
+        replay = replay_of(log)
+        if replay.loop is None:
+            raise LogError("it names no loop in its metadata: it is of neither shake nor record")
+        again = np.repeat(replay.disturbance[-1:], TRIALS, axis=0)
+        reference = replay.trials.reference.values[-1]
+        return Plant(f"rodlib.loop_of({source})", replay.loop, reference, again)
     except ValueError as error:
         raise LogError(f"{path}: {error}") from None
-
-
-def _plant_of_log(log, path):
-    """As :func:`plant_of_file`, of what has been loaded."""
-    if excitation_of(log) is not None:
-        return Plant(f"rodlib.measured_response(rodlib.load_log({path!r}))", measured_response(log))
-    replay = replay_of(log)
-    if replay.loop is None:
-        raise LogError("it names no loop in its metadata: it is of neither shake nor record")
-    reference = replay.trials.reference.transpose("trial", "time", "channel").values[-1]
-    again = np.repeat(replay.disturbance[-1:], TRIALS, axis=0)
-    source = f"rodlib.loop_of(rodlib.load_log({path!r}))"
-    return Plant(source, replay.loop, reference, again)

@@ -14,39 +14,18 @@ FREQUENCIES = 200  # of the design; the paper has 1000, which take three times a
 
 @dataclass(frozen=True)
 class Settings:
-    """A plant, and the position of every knob. Nothing is checked before it is tried out.
-
-    Attributes
-    ----------
-    plant : Plant
-    L_max : float
-        Bound on sigma_max(L).
-    cutoff : float
-        Of the Q-filter, rad/s.
-    band : (float, float)
-        Of the sum in (39), rad/s.
-    order : int
-        Of the learning filter.
-    M_max : float
-        Bound on sigma_max(M).
-    Q_order : int
-    structure : {"diagonal", "full"}
-    uncertainty : float
-        Radius of what is not known of P at each frequency, in percent of ||P||.
-    noise : float
-        Standard deviation of white noise in each measured output, new in every trial, in its unit.
-    """
+    """A plant, and the position of every knob. Nothing is checked before it is tried out."""
 
     plant: Plant
-    L_max: float
-    cutoff: float
-    band: tuple[float, float]
-    order: int
-    M_max: float = Problem.M_max
+    L_max: float  # bound on sigma_max(L)
+    cutoff: float  # of the Q-filter, rad/s
+    band: tuple[float, float]  # of the sum in (39), rad/s
+    order: int  # of the learning filter
+    M_max: float = Problem.M_max  # bound on sigma_max(M)
     Q_order: int = ZeroPhaseButterworth.order
-    structure: str = Problem.structure
-    uncertainty: float = 0.0
-    noise: float = 0.0
+    structure: str = Problem.structure  # "diagonal" or "full"
+    uncertainty: float = 0.0  # radius of what is not known of P, in percent of ||P||
+    noise: float = 0.0  # standard deviation in each output, white, in its unit; new in every trial
 
     @classmethod
     def of(cls, plant: Plant, **changes) -> "Settings":

@@ -314,14 +314,8 @@ def test_commands_that_the_rig_cuts_off_are_reported(loop, Q):
         warnings.simplefilter("error")
         record(driver(), loop, Q, None, reference, trials=1)
         record(driver(limits={"Q1": (-60, 1e3)}), loop, Q, None, reference, trials=1)
-    for limits, message in (
-        ({"Q2": (0, 1)}, "rig.limits is about .*'Q2'"),
-        ({"Q1": (1, 0)}, r"rig.limits\['Q1'\] = \(1, 0\) must be a lower and a higher number"),
-        ({"Q1": 60}, r"rig.limits\['Q1'\] has shape \(\)"),
-        ([60], "rig.limits = "),
-    ):
-        with pytest.raises(ValueError, match=message):
-            record(driver(limits=limits), loop, Q, None, reference)
+    with pytest.raises(ValueError, match=r"rig\.limits is about .*'Q2'"):
+        record(driver(limits={"Q2": (0, 1)}), loop, Q, None, reference)
 
 
 def test_progress_is_shown_on_a_terminal_only(loop, Q, capfd, monkeypatch):

@@ -282,8 +282,8 @@ def test_attributes_come_back_as_a_line_of_text(tmp_path, good):
     [
         (lambda t: None, "trials = None must be a Dataset"),
         (lambda t: t.drop_vars("u"), r"lack \['u'\]"),
-        (lambda t: t.drop_vars("output"), r"lack the coordinates \['output'\]"),
-        (lambda t: t.drop_vars("source_unit"), r"lack the coordinates \['source_unit'\]"),
+        (lambda t: t.drop_vars("output"), r"lack \['output'\]"),
+        (lambda t: t.drop_vars("source_unit"), r"lack \['source_unit'\]"),
         (lambda t: t.assign(y=t.y * np.nan), "not finite in 'y_depth'"),
         (lambda t: t.assign(y=t.y.where(t.time < 2)), "not finite in 'y_depth'"),
         (lambda t: t.assign_attrs(Ts=0), "Ts.* = 0 must be"),

@@ -12,13 +12,6 @@ HEAD = '# made: by hand\n\ntrial,depth,"valve, left"\n'
 ROWS = ["1,0.5,2\n", "1,1.5,3\n", "2,2.5,4\n"]
 
 
-def read(text, encoding="utf-8"):
-    content = text.encode(encoding)
-    table, start = tables.read_head(content)
-    tables.read_rows(table, memoryview(content)[start:])
-    return table
-
-
 def replaced(row, text):
     return HEAD + "".join([*ROWS[:row], text, *ROWS[row + 1 :]])
 
@@ -34,7 +27,7 @@ def replaced(row, text):
     ],
 )
 def test_rows_are_read_and_known_by_their_line(text, lines):
-    table = read(text)
+    table = tables.read(text.encode())
     assert table.metadata == {"made": "by hand"} and not table.problems
     np.testing.assert_array_equal(table.column("depth"), [0.5, 1.5, 2.5])
     np.testing.assert_array_equal(table.column("valve, left"), [2, 3, 4])
@@ -60,7 +53,7 @@ def test_rows_are_read_and_known_by_their_line(text, lines):
     ],
 )  # fmt: skip
 def test_what_is_no_number_is_told_by_its_row(text, message):
-    table = read(text)
+    table = tables.read(text.encode())
     assert table.problems_of(table.header) == [message]
     assert table.problems_of(["trial"]) == ([] if message.startswith("depth") else [message])
     assert np.isfinite(table.column("trial")).sum() >= 2
@@ -78,7 +71,7 @@ def test_what_is_no_number_is_told_by_its_row(text, message):
     ],
 )
 def test_a_header_that_is_none_is_told(header, message):
-    (problem,) = tables.read_head(header.encode())[0].problems
+    (problem,) = tables.read(header.encode()).problems
     assert message in problem
 
 
@@ -86,5 +79,5 @@ def test_a_header_that_is_none_is_told(header, message):
 def test_numbers_and_titles_are_read_as_they_were_written(numbers, title):
     title = title.replace("\r", "").replace("\n", "").strip() or "#"
     assert next(csv.reader(StringIO(tables.quoted(title)))) == [title]
-    table = read("x,z\n" + tables.rows([np.array(numbers), np.arange(len(numbers))]).decode())
+    table = tables.read(b"x,z\n" + tables.rows([np.array(numbers), np.arange(len(numbers))]))
     assert table.column("x").tobytes() == np.array(numbers).tobytes()

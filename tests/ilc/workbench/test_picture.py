@@ -10,7 +10,6 @@ import pytest
 
 from rodlib import Rod, current_trial_loop
 from rodlib.ilc.workbench import Outcome, Picture, Plant, Settings, try_out
-from rodlib.ilc.workbench.picture import MIDDLE
 from rodlib.paper.knobs import plant_of_rod
 
 
@@ -82,7 +81,7 @@ def test_the_bytes_do_not_depend_on_what_was_drawn_before(paper, full, tanks, me
 
 
 @pytest.mark.parametrize("name", ["tanks", "message"])
-def test_drawn_by_parts_it_is_what_matplotlib_draws(name, request):
+def test_drawn_line_by_line_it_is_what_matplotlib_draws(name, request):
     picture = Picture().show(request.getfixturevalue(name))
     parts = matplotlib.image.imread(BytesIO(picture.png()))
     whole = BytesIO()
@@ -93,8 +92,6 @@ def test_drawn_by_parts_it_is_what_matplotlib_draws(name, request):
     assert parts.shape == whole.shape
     differs = np.abs(parts - whole).max(axis=2) > 0.02
     assert differs.mean() < 2e-3  # where lines meet frames, which one is on top
-    seam = round((1 - MIDDLE) * len(differs))
-    assert not differs[seam - 20 : seam + 20].any()
 
 
 @pytest.mark.parametrize("name", ["full", "tanks", "message"])
