@@ -124,10 +124,6 @@ def draw(spread: Spread, number: int, root: int = 0, nominal: Rod | None = None)
         stretches the same rod's deviations.
     nominal : Rod, optional
         The one that it was meant to be. Default: the paper's.
-
-    Returns
-    -------
-    Specimen
     """
     arguments.instance("spread", spread, Spread)
     nominal = arguments.instance("nominal", Rod() if nominal is None else nominal, Rod)
@@ -140,9 +136,7 @@ class Grid:
     """The loop as designed, at points in the z-plane, ready for other plants in its place.
 
     With G_0 for the plant of the design, G for the other one and D = G - G_0, the observer sees
-    D u + G_d d more than it expects, and the loop answers
-
-        u = U w - R (D u + G_d d),   so that   u = X (U w - R G_d d),   X = (I + R D)^-1.
+    D u more than it expects, and the loop answers u = U w - R D u, so that y = G (I + R D)^-1 U w.
 
     U and R belong to the loop as designed: stable, and finite at z = 1 too, where the controller
     itself is not. The points are z = radius exp(j omega Ts), none of them inside the unit circle.
@@ -166,11 +160,9 @@ class Grid:
         """On the unit circle, from zero to the Nyquist frequency."""
         return cls(loop, np.append(0, np.geomspace(1e-5, 1, 300) * np.pi / loop.Ts))
 
-    def closed(self, G, G_d=None):
-        """From w to y, shape (m, m, n), and with the response G_d to d, from d to y."""
-        GX = _times(G, _inverse(self._loaded(G)))
-        P = _times(GX, self.U)
-        return P if G_d is None else (P, G_d - _times(GX, _times(self.R, G_d)))
+    def closed(self, G):
+        """From w to y, shape (m, m, n)."""
+        return _times(_times(G, _inverse(self._loaded(G))), self.U)
 
     def P(self, rod: HeldRod) -> np.ndarray:
         """From w to y around a rod, shape (n, m, m)."""
