@@ -1,8 +1,7 @@
 """Rods as they may be: drawn at random, and one controller around each of them.
 
-A specimen is a rod whose parameters are off, with Peltier elements whose gains are off. What is
-asked of it is answered for its partial differential equation itself behind a zero-order hold,
-:func:`rodlib.sampled_response`. The controller stays as it was designed on the nominal model.
+A specimen is the partial differential equation itself behind a zero-order hold, with parameters and
+gains that are off. The controller stays as it was designed on the nominal model.
 """
 
 import reprlib
@@ -26,22 +25,15 @@ STEP = 1.0  # rad, by which the return difference may turn between two frequenci
 class Spread:
     """How far off a rod may be: each parameter by itself, uniformly from -spread to +spread.
 
-    Attributes
-    ----------
-    density, heat_capacity, heat_transfer, conductivity : float
-        Of the material parameters, relative: 0.2 is 20 %.
-    gains : float
-        Of the heat flow that each Peltier element delivers for the one commanded, relative.
-    sensors : float
-        Of the position of each sensor, m.
+    Relative, 0.2 for 20 %, but for the sensors.
     """
 
     density: float = 0.0
     heat_capacity: float = 0.0
     heat_transfer: float = 0.0
     conductivity: float = 0.0
-    gains: float = 0.0
-    sensors: float = 0.0
+    gains: float = 0.0  # heat flow of each Peltier element for the one commanded
+    sensors: float = 0.0  # position of each sensor, m
 
     def __post_init__(self):
         for name in (*MATERIAL, "gains"):

@@ -59,36 +59,16 @@ FOUND = {  # what is found out about each rod: over which dimensions, in which u
 
 @dataclass(frozen=True)
 class Study:
-    """Which rods may be, and what is asked about each of them. Checked when it is made.
+    """Which rods may be, and what is asked about each of them. Checked when it is made."""
 
-    Attributes
-    ----------
-    loop : CurrentTrialLoop
-        Of a rod, as designed; the controller stays.
-    Q : ZeroPhaseButterworth
-    filters : dict of LearningFilter
-        By name. Both kinds of filter take signals as zero beyond the ends of a trial.
-    spread : Spread
-        How far off the rods are.
-    nominal : Rod
-        What they were meant to be.
-    root : int
-        Of the random numbers.
-    omega : ndarray, shape (n,)
-        Frequencies of the rate, increasing, rad/s. Default: 1000 from 1e-4 rad/s to Nyquist.
-    reference : ndarray, shape (time, m)
-        Default: :func:`rodlib.case.assumed_reference`.
-    trials : int
-    """
-
-    loop: CurrentTrialLoop
-    Q: ZeroPhaseButterworth
-    filters: dict[str, LearningFilter]
-    spread: Spread
-    nominal: Rod = field(default_factory=Rod)
-    root: int = 0
-    omega: np.ndarray | None = None
-    reference: np.ndarray | None = None
+    loop: CurrentTrialLoop  # of a rod, as designed; the controller stays
+    Q: ZeroPhaseButterworth  # takes signals as zero beyond the ends of a trial, as do the others
+    filters: dict[str, LearningFilter]  # by name
+    spread: Spread  # how far off the rods are
+    nominal: Rod = field(default_factory=Rod)  # what they were meant to be
+    root: int = 0  # of the random numbers
+    omega: np.ndarray | None = None  # of the rate; default: 1000 from 1e-4 rad/s to Nyquist
+    reference: np.ndarray | None = None  # (time, m); default: that of rodlib.case
     trials: int = 5
 
     def __post_init__(self):
@@ -149,14 +129,12 @@ class Study:
 
 
 class Course:
-    """Trials under the ILC law around one rod after the other: each trial at once, without a model.
+    """Trials under the ILC law around one rod after the other: each trial at once, without a model."""
 
-    On a circle |z| = r > 1 the z-transform of a signal that is weighted by r^-p is a Fourier
-    transform, and the loop is a product, if it is stable. What wraps around after N samples comes
-    back as r^-N: nothing to speak of. Both filters are products, too, since beyond the ends of a
-    trial signals are zero; to filter in time, as :func:`rodlib.update` does, would make a study
-    take two thirds longer.
-    """
+    # On a circle |z| = r > 1 the z-transform of a signal that is weighted by r^-p is a Fourier
+    # transform, and the loop is a product, if it is stable. What wraps around after N samples comes
+    # back as r^-N: nothing to speak of. Both filters are products, too, since beyond the ends of a
+    # trial signals are zero; to filter in time, as `update` does, would take two thirds longer.
 
     def __init__(self, loop, Q, filters, reference, trials):
         self.loop, self.trials, T = loop, trials, len(reference)
