@@ -129,7 +129,7 @@ class Study:
 
 
 class Course:
-    """Trials under the ILC law around one rod after the other: each trial at once, without a model."""
+    """Trials under the ILC law around rods that have no model: each trial at once."""
 
     # On a circle |z| = r > 1 the z-transform of a signal that is weighted by r^-p is a Fourier
     # transform, and the loop is a product, if it is stable. What wraps around after N samples comes

@@ -116,18 +116,13 @@ def linked(root: Path, target: Path, source: str, url: str) -> str:
     return posixpath.relpath(place, start or ".") + (anchor and f"#{anchor}")
 
 
-def document(root: Path, target: Path, source: str, notebook) -> None:
-    """A page from a notebook with its outputs, or from one cell of Markdown."""
-    exporter = HTMLExporter(
-        template_name="basic", exclude_input_prompt=True, exclude_output_prompt=True
-    )
-    exporter.register_filter("markdown2html", as_html)
-    body, _ = exporter.from_notebook_node(notebook)
+def document(root: Path, target: Path, source: str, text: str, body: str) -> None:
+    """A page from a document whose Markdown begins with a title, and whose HTML is `body`."""
 
     def link(found):
         return f'{found[1]}="{linked(root, target, source, found[2])}"'
 
-    title = re.search(r"^# (.*)", notebook.cells[0].source, re.MULTILINE)[1]
+    title = re.search(r"^# (.*)", text, re.MULTILINE)[1]
     body = re.sub(r'\b(href|src)="([^"]+)"', link, body)
     write(target, place_of(source), re.sub(r"[*`$]", "", title), body=body)
 
@@ -176,10 +171,17 @@ def make_pages(root: Path, target: Path) -> None:
     }
     menu = [(place_of(path), _named(path)) for path in notebooks]
     pdoc.render.env.globals |= {"menu": menu, **colours}
-    texts = {path: _notebook((root / path).read_text(encoding="utf-8")) for path in TEXTS}
-    texts["figures"] = _notebook(all_figures(notebooks))
-    for source, notebook in (texts | notebooks).items():
-        document(root, target, source, notebook)
+    texts = {path: (root / path).read_text(encoding="utf-8") for path in TEXTS}
+    texts["figures"] = all_figures(notebooks)
+    for source, text in texts.items():
+        document(root, target, source, text, as_html(text))
+    exporter = HTMLExporter(
+        template_name="basic", exclude_input_prompt=True, exclude_output_prompt=True
+    )
+    exporter.register_filter("markdown2html", as_html)
+    for source, notebook in notebooks.items():
+        body, _ = exporter.from_notebook_node(notebook)
+        document(root, target, source, notebook.cells[0].source, body)
     rows = pd.read_csv(root / "figures" / "ledger.csv", dtype=str, keep_default_na=False)
     deviations = as_html(DEVIATIONS.read_text(encoding="utf-8"))
     write(target, "ledger.html", "The ledger", rows=rows, deviations=deviations)
@@ -188,10 +190,6 @@ def make_pages(root: Path, target: Path) -> None:
 
 def _named(path):
     return Path(path).stem.replace("-", " ", 1)
-
-
-def _notebook(markdown):
-    return nbformat.v4.new_notebook(cells=[nbformat.v4.new_markdown_cell(markdown)])
 
 
 def main(root: Path = ROOT) -> None:
