@@ -5,7 +5,7 @@ Four of the five are ordinary differential equations of one form,
     kappa_1 M dx/dt = -(lambda K + kappa_2 M) x + F u,
 
 with storage M, conduction K and supply F. They differ in what the states are. The fifth cuts a fine
-model down.
+model down. All have the inputs and outputs of :func:`rodlib.midr`.
 """
 
 import reprlib
@@ -164,11 +164,6 @@ def balanced_truncation(
     inputs : sequence of str, optional
         Those that count; the model has the others as well. Default: all, as large as one watt and
         one kelvin.
-
-    Returns
-    -------
-    control.StateSpace
-        As :func:`rodlib.midr`.
 
     Notes
     -----

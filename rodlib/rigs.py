@@ -91,7 +91,7 @@ class VirtualRig:
     @property
     def inputs(self) -> list[str]:
         """Names of the heat flows, in the order of :meth:`apply`."""
-        return [f"Q{i + 1}" for i in range(self.rod.sections)]
+        return self.rod.inputs[:-1]
 
     @property
     def limits(self) -> dict[str, tuple[float, float]]:

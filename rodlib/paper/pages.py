@@ -36,8 +36,6 @@ TEXTS = {  # of the repository, with their pages
 PLACES = TEXTS | {  # of what else links may lead to, beside notebooks, modules and files
     "figures": "figures.html",
     "figures/ledger.md": "ledger.html",
-    "rodlib": "reference/rodlib.html",
-    "rodlib/ilc": "reference/rodlib/ilc.html",
     "data": "data.html",
     "notebooks": "index.html",
 }
@@ -54,8 +52,8 @@ def place_of(path: str) -> str:
     """Where the pages hold what the repository has at a path."""
     if path.endswith(".ipynb"):
         return path.replace(".ipynb", ".html")
-    if re.match(r"rodlib/.*\.py$", path):
-        return f"reference/{path.replace('.py', '.html')}"
+    if path.split("/")[0] == "rodlib":
+        return f"reference/{path.removesuffix('.py')}.html"
     return PLACES.get(path, path)
 
 
