@@ -91,9 +91,9 @@ class Renderer(IPythonRenderer):
 as_html = MarkdownWithMath(renderer=Renderer(escape=False)).render
 
 
-def write(target: Path, page: str, title: str, **body) -> None:
-    """Write a page around its body, by the template of its name or else that of all."""
-    template = pdoc.render.env.select_template([f"{page}.jinja2", "page.html.jinja2"])
+def write(target: Path, page: str, title: str, form: str = "page.html.jinja2", **body) -> None:
+    """Write a page around its body, by a template."""
+    template = pdoc.render.env.get_template(form)
     text = template.render(title=title, page=page, up="../" * page.count("/"), **body)
     (folder((target / page).parent) / Path(page).name).write_text(text, encoding="utf-8")
 
@@ -182,7 +182,8 @@ def make_pages(root: Path, target: Path) -> None:
         document(root, target, source, notebook.cells[0].source, body)
     rows = pd.read_csv(root / "figures" / "ledger.csv", dtype=str, keep_default_na=False)
     deviations = as_html(DEVIATIONS.read_text(encoding="utf-8"))
-    write(target, "ledger.html", "The ledger", rows=rows, deviations=deviations)
+    form = "ledger.html.jinja2"
+    write(target, "ledger.html", "The ledger", form, rows=rows, deviations=deviations)
     reference(target / "reference")
 
 
