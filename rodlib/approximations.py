@@ -1,14 +1,11 @@
-"""Other ways from the rod's equation to a state-space model, beside :func:`rodlib.midr`.
+"""Other ways from the rod's equation to a state-space model, beside :func:`rodlib.midr`. Section V.
 
-Section V of the paper leaves open how well other approximations of the partial differential
-equation (1)-(4) do. Here are five, with the inputs and outputs of :func:`rodlib.midr`. Four of them
-are ordinary differential equations of one form,
+Four of the five are ordinary differential equations of one form,
 
     kappa_1 M dx/dt = -(lambda K + kappa_2 M) x + F u,
 
-with storage M, conduction K and supply F. They differ in what the states are: temperatures at
-points (finite differences), averages over cells (finite volumes), coefficients of local functions
-(finite elements) or of cosines (modal series). The fifth cuts a fine model down.
+with storage M, conduction K and supply F. They differ in what the states are. The fifth cuts a fine
+model down. All have the inputs and outputs of :func:`rodlib.midr`.
 """
 
 import reprlib
@@ -99,13 +96,9 @@ def finite_elements(rod: Rod, element, elements: int = 1) -> control.StateSpace:
         element of degree M in each section, continuous and no more, the response is that of
         :func:`rodlib.midr`.
 
-    Raises
-    ------
-    ValueError
-        If `rod` is no :class:`Rod`, `element` is no element for a line with continuous functions,
-        or `elements` is out of range.
-    ImportError
-        Without the package scikit-fem, which the extra ``rodlib[approximations]`` brings.
+    Notes
+    -----
+    Needs the package scikit-fem, which the extra ``rodlib[approximations]`` brings.
     """
     import skfem
     from skfem.models.poisson import laplace, mass, unit_load
@@ -171,11 +164,6 @@ def balanced_truncation(
     inputs : sequence of str, optional
         Those that count; the model has the others as well. Default: all, as large as one watt and
         one kelvin.
-
-    Returns
-    -------
-    control.StateSpace
-        As :func:`rodlib.midr`.
 
     Notes
     -----

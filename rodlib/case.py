@@ -30,15 +30,10 @@ def paper_loop(rod: Rod | None = None, degree: int = 3, Ts: float = 1.0) -> Curr
     -------
     CurrentTrialLoop
         Controls Q1 and Q3 (W), disturbances theta_a (K), Q2 and Q4 (W); outputs y1 and y2 (K).
-
-    Raises
-    ------
-    ValueError
-        If the rod has not the paper's four sections and two sensors, or `Ts` is not between 1e-5
-        and 1e4 s. Beyond, states cannot be told apart; and the poles of the loop would come closer
-        to the unit circle than the square root of rounding, to which a Riccati solver finds them.
     """
     rod = arguments.instance("rod", Rod() if rod is None else rod, Rod)
+    # Beyond, states cannot be told apart; and the poles of the loop would come closer to the unit
+    # circle than the square root of rounding, to which a Riccati solver finds them.
     Ts = arguments.number("Ts", Ts, "a sampling period between 1e-5 and 1e4 s", 1e-5, 1e4)
     if (rod.sections, len(rod.sensors)) != (4, 2):
         raise ValueError(

@@ -42,13 +42,6 @@ def sampled_response(rod: Rod, omega, Ts: float) -> np.ndarray:
     ndarray, shape (n, outputs, inputs), complex
         Inputs and outputs in the order of :func:`midr`; theta_a is held like the heat flows.
 
-    Raises
-    ------
-    ValueError
-        If `rod` is no :class:`Rod`, `Ts` is no sampling period or so short that more than
-        100,000 modes count, or `omega` does not hold numbers in a row from
-        0 to pi / Ts.
-
     Notes
     -----
     What is left out of g_k, from mode N on, is below 1e-12 of the largest entry at each frequency.

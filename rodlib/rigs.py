@@ -1,9 +1,7 @@
 """The virtual rig that stands in for the laboratory.
 
-Nothing here knows the design model, or what runs an experiment: the rig is a modal series of the
-rod's equation with material parameters of its own. Its interface is what a hardware driver would
-offer, one call each per sample: :meth:`VirtualRig.read` and :meth:`VirtualRig.apply`. Whoever has
-a real rod replaces that one object, see :class:`rodlib.ilc.laboratory.Rig`.
+It knows neither the design model nor what runs an experiment, but has material parameters of its
+own. Whoever has a real rod replaces that one object, see :class:`rodlib.ilc.laboratory.Rig`.
 """
 
 from dataclasses import dataclass
@@ -19,11 +17,7 @@ MISMATCHED = Rod(density=8100.0, heat_capacity=440.0, heat_transfer=160.0, condu
 
 @dataclass(frozen=True)
 class RigParameters:
-    """What makes the rig unlike the design model.
-
-    All of it is assumed: the paper says neither how its sensors err, nor what its Peltier elements
-    can pump, nor how fast its laboratory warmed up.
-    """
+    """What makes the rig unlike the design model; all assumed, as the paper says nothing of it."""
 
     modes: int = 300
     noise: float = 0.02  # standard deviation of the sensor noise, K
@@ -97,7 +91,7 @@ class VirtualRig:
     @property
     def inputs(self) -> list[str]:
         """Names of the heat flows, in the order of :meth:`apply`."""
-        return [f"Q{i + 1}" for i in range(self.rod.sections)]
+        return self.rod.inputs[:-1]
 
     @property
     def limits(self) -> dict[str, tuple[float, float]]:
@@ -138,17 +132,12 @@ class VirtualRig:
         self._flows = command + self._lag * (self._flows - command)
         self.time += self.Ts
 
-    def profile(self, z) -> np.ndarray:
-        """True temperature at positions `z` (m), K; what no sensor shows."""
-        n, z = np.arange(len(self._modes)), arguments.row("z", z)
-        return np.cos(np.outer(z, n * np.pi / self.rod.length)) @ self._modes
-
 
 class RestartingRig(VirtualRig):
     """A virtual rig that begins every trial at rest, in a room at its initial temperature.
 
-    The sensor noise of a trial depends on `seed` and the number of the trial alone. So an
-    experiment that goes on in another process gives what it would have given in one.
+    The sensor noise of a trial depends on `seed` and its number alone, so that an experiment may go
+    on in another process.
     """
 
     def begin(self, trial: int) -> None:

@@ -170,12 +170,6 @@ def exact_response(rod: Rod, s) -> np.ndarray:
     -------
     ndarray, shape (n, outputs, inputs), complex
         Inputs and outputs in the order of :func:`midr`.
-
-    Raises
-    ------
-    ValueError
-        If `s` does not hold numbers in a row, or one of them is the pole of the rod's uniform
-        mode, s = -kappa_2 / kappa_1.
     """
     arguments.instance("rod", rod, Rod)
     s = arguments.row("s", s, complex)

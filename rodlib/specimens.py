@@ -1,8 +1,7 @@
 """Rods as they may be: drawn at random, and one controller around each of them.
 
-A specimen is a rod whose parameters are off, with Peltier elements whose gains are off. What is
-asked of it is answered for its partial differential equation itself behind a zero-order hold,
-:func:`rodlib.sampled_response`. The controller stays as it was designed on the nominal model.
+A specimen is the partial differential equation itself behind a zero-order hold, with parameters and
+gains that are off. The controller stays as it was designed on the nominal model.
 """
 
 import reprlib
@@ -26,22 +25,15 @@ STEP = 1.0  # rad, by which the return difference may turn between two frequenci
 class Spread:
     """How far off a rod may be: each parameter by itself, uniformly from -spread to +spread.
 
-    Attributes
-    ----------
-    density, heat_capacity, heat_transfer, conductivity : float
-        Of the material parameters, relative: 0.2 is 20 %.
-    gains : float
-        Of the heat flow that each Peltier element delivers for the one commanded, relative.
-    sensors : float
-        Of the position of each sensor, m.
+    Relative, 0.2 for 20 %, but for the sensors.
     """
 
     density: float = 0.0
     heat_capacity: float = 0.0
     heat_transfer: float = 0.0
     conductivity: float = 0.0
-    gains: float = 0.0
-    sensors: float = 0.0
+    gains: float = 0.0  # heat flow of each Peltier element for the one commanded
+    sensors: float = 0.0  # position of each sensor, m
 
     def __post_init__(self):
         for name in (*MATERIAL, "gains"):
@@ -124,10 +116,6 @@ def draw(spread: Spread, number: int, root: int = 0, nominal: Rod | None = None)
         stretches the same rod's deviations.
     nominal : Rod, optional
         The one that it was meant to be. Default: the paper's.
-
-    Returns
-    -------
-    Specimen
     """
     arguments.instance("spread", spread, Spread)
     nominal = arguments.instance("nominal", Rod() if nominal is None else nominal, Rod)
@@ -140,9 +128,7 @@ class Grid:
     """The loop as designed, at points in the z-plane, ready for other plants in its place.
 
     With G_0 for the plant of the design, G for the other one and D = G - G_0, the observer sees
-    D u + G_d d more than it expects, and the loop answers
-
-        u = U w - R (D u + G_d d),   so that   u = X (U w - R G_d d),   X = (I + R D)^-1.
+    D u more than it expects, and the loop answers u = U w - R D u, so that y = G (I + R D)^-1 U w.
 
     U and R belong to the loop as designed: stable, and finite at z = 1 too, where the controller
     itself is not. The points are z = radius exp(j omega Ts), none of them inside the unit circle.
@@ -166,11 +152,9 @@ class Grid:
         """On the unit circle, from zero to the Nyquist frequency."""
         return cls(loop, np.append(0, np.geomspace(1e-5, 1, 300) * np.pi / loop.Ts))
 
-    def closed(self, G, G_d=None):
-        """From w to y, shape (m, m, n), and with the response G_d to d, from d to y."""
-        GX = _times(G, _inverse(self._loaded(G)))
-        P = _times(GX, self.U)
-        return P if G_d is None else (P, G_d - _times(GX, _times(self.R, G_d)))
+    def closed(self, G):
+        """From w to y, shape (m, m, n)."""
+        return _times(_times(G, _inverse(self._loaded(G))), self.U)
 
     def P(self, rod: HeldRod) -> np.ndarray:
         """From w to y around a rod, shape (n, m, m)."""

@@ -1,30 +1,29 @@
 """For which rods does it converge? Many rods: drawn, judged and simulated in batches, on dask.
 
-A :class:`Study` says which rods may be, and what is to be found out about each of them; :func:`run`
-finds it out for the first so many. A batch is computed by itself, by whichever worker, so that any
-number of workers finds the same to the byte. A finished one is a file in a folder, with all that it
-depends on in its name; what is there is not computed again.
+A batch is computed by itself, so that any number of workers finds the same to the byte. A finished
+one is a file, with all that it depends on in its name; what is there is not computed again.
 """
 
 import hashlib
-import io
 import json
 import logging
 import re
 import reprlib
-from contextlib import closing, nullcontext
-from dataclasses import asdict, dataclass, field, fields, replace
-from functools import cache, cached_property
+from collections.abc import Sequence
+from contextlib import nullcontext
+from dataclasses import asdict, dataclass, field, fields
+from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import control
 import numpy as np
 import xarray as xr
+from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from tqdm import tqdm
 
 from rodlib.case import assumed_reference
-from rodlib.course import Course
+from rodlib.held import HeldRod
 from rodlib.ilc import arguments, files
 from rodlib.ilc.filters import LearningFilter, ZeroPhaseButterworth
 from rodlib.ilc.loop import CurrentTrialLoop
@@ -37,9 +36,12 @@ SIZE = 500  # rods in a batch: a few seconds
 TOGETHER = 4  # rods simulated at once: what fits into the processor's cache
 ADDRESS = re.compile(r"(\w+://)?[^/\s]+:\d+")  # of a dask scheduler
 MEMORY = {  # for the workers: what is fetched anew for every array costs as much as the arithmetic
-    "MALLOC_TRIM_THRESHOLD_": 2**30,
-    "MALLOC_MMAP_THRESHOLD_": 2**25,
+    "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": 2**30,
+    "distributed.nanny.pre-spawn-environ.MALLOC_MMAP_THRESHOLD_": 2**25,
 }
+ALIAS = 1e-9  # what is left of a sample after one turn of a trial's transform
+WRAP = 1.6  # lengths of a trial after which its transform begins anew
+BAND = (1e-4, 0.02)  # over which the objective of (39) sums, rad/s
 FOUND = {  # what is found out about each rod: over which dimensions, in which unit
     "density": (("rod",), "kg/m3"),
     "heat_capacity": (("rod",), "J/(kg K)"),
@@ -51,57 +53,23 @@ FOUND = {  # what is found out about each rod: over which dimensions, in which u
     "rate": (("rod", "filter"), "1"),
     "rate_omega": (("rod", "filter"), "rad/s"),
     "objective": (("rod", "filter"), "1"),
-    "rms": (("rod", "filter", "trial"), None),  # that of the outputs
+    "rms": (("rod", "filter", "trial"), "K"),
 }
 
 
 @dataclass(frozen=True)
 class Study:
-    """Which rods may be, and what is asked about each of them. Checked when it is made.
+    """Which rods may be, and what is asked about each of them. Checked when it is made."""
 
-    Attributes
-    ----------
-    loop : CurrentTrialLoop
-        Of a rod, as designed; the controller stays.
-    Q : ZeroPhaseButterworth
-    filters : dict of LearningFilter
-        By name. Both kinds of filter take signals as zero beyond the ends of a trial.
-    spread : Spread
-        How far off the rods are.
-    nominal : Rod
-        What they were meant to be.
-    root : int
-        Of the random numbers.
-    omega : ndarray, shape (n,)
-        Frequencies of the rate, increasing, rad/s. Default: 1000 from 1e-4 rad/s to Nyquist.
-    band : tuple of float
-        Over which the objective of (39) sums, rad/s.
-    reference : ndarray, shape (time, m)
-        Default: :func:`rodlib.case.assumed_reference`.
-    disturbance : ndarray, shape (time, d) or (trials, time, d), optional
-        In the order of ``loop.disturbances``. Default zero.
-    trials : int
-    rest : int
-        As for :func:`rodlib.run_trials`.
-
-    Raises
-    ------
-    ValueError
-        If the filters do not belong to the loop, or the loop is not that of a rod.
-    """
-
-    loop: CurrentTrialLoop
-    Q: ZeroPhaseButterworth
-    filters: dict[str, LearningFilter]
-    spread: Spread
-    nominal: Rod = field(default_factory=Rod)
-    root: int = 0
-    omega: np.ndarray | None = None
-    band: tuple[float, float] = (1e-4, 0.02)
-    reference: np.ndarray | None = None
-    disturbance: np.ndarray | None = None
+    loop: CurrentTrialLoop  # of a rod, as designed; the controller stays
+    Q: ZeroPhaseButterworth  # takes signals as zero beyond the ends of a trial, as do the others
+    filters: dict[str, LearningFilter]  # by name
+    spread: Spread  # how far off the rods are
+    nominal: Rod = field(default_factory=Rod)  # what they were meant to be
+    root: int = 0  # of the random numbers
+    omega: np.ndarray | None = None  # of the rate; default: 1000 from 1e-4 rad/s to Nyquist
+    reference: np.ndarray | None = None  # (time, m); default: that of rodlib.case
     trials: int = 5
-    rest: int = 0
 
     def __post_init__(self):
         arguments.instance("nominal", self.nominal, Rod)
@@ -116,21 +84,13 @@ class Study:
             if each.ends != "zero":
                 raise ValueError(f"{name}.ends = {each.ends!r} must be 'zero' in a study")
         omega = np.geomspace(1e-4, np.pi, 1000) / loop.Ts if self.omega is None else self.omega
-        omega = arguments.frequencies("omega", omega, loop.Ts)
-        band = tuple(arguments.array("band", self.band, (2,)).tolist())
-        if not _within(omega, band).any():
-            raise ValueError(f"band = {band} contains none of the frequencies omega")
-        trials = arguments.whole("trials", self.trials, 1)
         reference = assumed_reference() if self.reference is None else self.reference
-        reference = arguments.array("reference", reference, ("time", len(loop.outputs)))
-        rest = arguments.whole("rest", self.rest, 0, len(reference) - 1)
-        d = self.disturbance
-        if d is not None:
-            shape = (trials, len(reference), len(loop.disturbances))
-            d = arguments.array("disturbance", d, (...,))
-            d = arguments.array("disturbance", d, shape if d.ndim != 2 else shape[1:])
-        checked = {"omega": omega, "band": band, "trials": trials, "reference": reference}
-        for name, value in (checked | {"rest": rest, "disturbance": d}).items():
+        checked = {
+            "omega": arguments.frequencies("omega", omega, loop.Ts),
+            "reference": arguments.array("reference", reference, ("time", len(loop.outputs))),
+            "trials": arguments.whole("trials", self.trials, 1),
+        }
+        for name, value in checked.items():
             object.__setattr__(self, name, value)
 
     @property
@@ -138,19 +98,6 @@ class Study:
         """A hash of all parameters and of rodlib itself: the same name, the same results."""
         plain = json.dumps(asdict(self), default=_plain)
         return hashlib.sha256(f"{_code()} {plain}".encode()).hexdigest()[:24]
-
-    @cached_property
-    def _grid(self):
-        return Grid(self.loop, self.omega)
-
-    @cached_property
-    def _whole(self):
-        return Grid.whole(self.loop)
-
-    @cached_property
-    def _course(self):
-        law = self.loop, self.Q, list(self.filters.values())
-        return Course(*law, self.reference, self.disturbance, self.trials, self.rest)
 
     def judge(self, start: int, stop: int) -> dict[str, np.ndarray]:
         """Find out what is asked about some rods: the variables of :func:`run`, the rods first."""
@@ -161,21 +108,86 @@ class Study:
         found["sensors"] = np.array([each.rod.sensors for each in drawn])
         found["gains"] = np.array([each.gains for each in drawn])
         rods = [each.held(self.loop.Ts) for each in drawn]
-        found["unstable_poles"] = np.array([self._whole.unstable_poles(rod) for rod in rods])
+        whole, grid = Grid.whole(self.loop), Grid(self.loop, self.omega)
+        found["unstable_poles"] = np.array([whole.unstable_poles(rod) for rod in rods])
         q = self.Q.frequency_response(self.omega)
         L = [L.frequency_response(self.omega) for L in self.filters.values()]
         sigma = np.empty((len(rods), len(L), len(self.omega)))
         for i, rod in enumerate(rods):
-            P = self._grid.P(rod)
+            P = grid.P(rod)
             sigma[i] = [largest_singular_values(convergence_matrix(P, q, each)) for each in L]
         found["rate"] = sigma.max(axis=2)  # of Lemma 1
         found["rate_omega"] = self.omega[sigma.argmax(axis=2)]
-        found["objective"] = sigma[:, :, _within(self.omega, self.band)].sum(axis=2)
+        band = (BAND[0] <= self.omega) & (self.omega <= BAND[1])
+        found["objective"] = sigma[:, :, band].sum(axis=2)
+        course = Course(self.loop, self.Q, [*self.filters.values()], self.reference, self.trials)
         groups = [rods[i : i + TOGETHER] for i in range(0, len(rods), TOGETHER)]
-        found["rms"] = np.concatenate([self._course.rms(group) for group in groups])
+        found["rms"] = np.concatenate([course.rms(group) for group in groups])
         for name in ("rate", "rate_omega", "objective", "rms"):
             found[name][found["unstable_poles"] > 0] = np.nan
         return found
+
+
+class Course:
+    """Trials under the ILC law around rods that have no model: each trial at once."""
+
+    # On a circle |z| = r > 1 the z-transform of a signal that is weighted by r^-p is a Fourier
+    # transform, and the loop is a product, if it is stable. What wraps around after N samples comes
+    # back as r^-N: nothing to speak of. Both filters are products, too, since beyond the ends of a
+    # trial signals are zero; to filter in time, as `update` does, would take two thirds longer.
+
+    def __init__(self, loop, Q, filters, reference, trials):
+        self.loop, self.trials, T = loop, trials, len(reference)
+        order = max(L.order for L in filters)
+        poles = np.concatenate([np.roots(section[3:]) for section in Q.sections])
+        tail = int(np.log(ALIAS**3) / np.log(np.abs(poles).max()))  # of Q, as far as it may wrap
+        self.samples, self.N = T, next_fast_len(max(int(WRAP * T), T + order + tail), real=True)
+        r = ALIAS ** (-1 / self.N)
+        self.growth, self.decay = r ** np.arange(max(T, order)), r ** -np.arange(self.N)
+        omega = rfftfreq(self.N, loop.Ts / (2 * np.pi))
+        self.grid = Grid(loop, omega, r)
+        z = r * np.exp(1j * omega * loop.Ts)
+        self.Q = _butterworth(Q, z) * _butterworth(Q, 1 / z)
+        self.ahead = z ** np.arange(1, order + 1)[:, None]
+        c = np.zeros((len(filters), *filters[0].coefficients.shape[:2], 2 * order))
+        for f, L in enumerate(filters):
+            c[f, :, :, : L.order] = L.coefficients
+        self.L = np.einsum("fijk,kn->fijn", c[..., :order], self.ahead)
+        # q samples before the trial, L sees c_(q + p) e(p).
+        self.first = np.lib.stride_tricks.sliding_window_view(c, order, axis=3)[:, :, :, :order]
+        self.w = self._transform(reference.T)
+
+    def rms(self, rods: Sequence[HeldRod]) -> np.ndarray:
+        """RMS(e_k) of every trial, shape (rods, filters, trials)."""
+        G = [self._transform(rod.impulse_response(self.N, self.loop.controls)) for rod in rods]
+        P = np.array([self.grid.closed(each) for each in G])
+        V = np.zeros((len(rods), 1, *self.w.shape))  # one filter is like another as yet
+        rms = np.empty((len(rods), len(self.L), self.trials))
+        for k in range(self.trials):
+            Y = np.einsum("gijn,gfjn->gfin", P, self.w + V)
+            e = irfft(self.w - Y, self.N)  # weighted by r^-p
+            e[..., self.samples :] = 0
+            plain = e[..., : len(self.growth)] * self.growth
+            rms[:, :, k] = np.sqrt(np.einsum("gfit,gfit->gf", plain, plain) / self.samples)
+            if k + 1 < self.trials:
+                V = V + np.einsum("fijn,gfjn->gfin", self.L, rfft(e)) - self._before(plain)
+                v = irfft(self.Q * V, self.N)
+                v[..., self.samples :] = 0
+                V = rfft(v)  # (23)
+        return rms
+
+    def _before(self, e):
+        """What L looks ahead to from before the trial, where it is not applied."""
+        first = np.einsum("fijqp,gfjp->gfiq", self.first, e[..., : self.first.shape[-1]])
+        return (first @ self.ahead.view(float)).view(complex)
+
+    def _transform(self, signal):
+        return rfft(signal * self.decay[: signal.shape[-1]], self.N)
+
+
+def _butterworth(Q, z):
+    """The forward half of the Q-filter."""
+    return np.prod([np.polyval(s[:3], z) / np.polyval(s[3:], z) for s in Q.sections], axis=0)
 
 
 def run(
@@ -193,9 +205,8 @@ def run(
     study : Study
     rods : int
     folder : path, optional
-        Where finished batches are kept, one file each, written as a whole or not at all: a run that
-        was interrupted goes on, and one with more rods begins with those that are known. Default:
-        nowhere.
+        Where finished batches are kept, one file each, so that a run that was interrupted, or one
+        with more rods, goes on. Default: nowhere.
     scheduler : str, optional
         Address of a dask scheduler, such as ``"tcp://host:8786"``, whose workers have this very
         rodlib. Default: a cluster on this computer, for the time of the call.
@@ -212,13 +223,6 @@ def run(
         (below one the error converges monotonically, Lemma 1), `rate_omega`, where that is, and
         `objective`, the sum of (39). `rms` of each rod, filter and trial. NaN where the loop is not
         stable. Units as attributes; the spread, the root and the study's name, too.
-
-    Raises
-    ------
-    RuntimeError
-        If another process works in the folder, or a worker has another rodlib.
-    OSError
-        If there is no scheduler at that address.
     """
     arguments.instance("study", study, Study)
     rods = arguments.whole("rods", rods, 1)
@@ -239,13 +243,10 @@ def _in_batches(study, rods, where, scheduler, workers):
     paths = {part: where / f"{study.name}-{part[0]:06}-{part[1]:06}.npz" for part in parts}
     with files.alone(where / "lock", f"another process is at work in {where}: wait or stop it"):
         missing = [part for part in parts if not paths[part].exists()]
-        bar = tqdm(total=len(parts), initial=len(parts) - len(missing), disable=None)
-        with bar, closing(_judged(study, missing, scheduler, workers)) as results:
-            for part, found in results:
-                content = io.BytesIO()
-                np.savez(content, **found)
-                files.write_pieces(paths[part], [content.getbuffer()])
-                bar.update()
+        judged = _judged(study, missing, scheduler, workers)
+        for part, found in tqdm(judged, total=len(missing), disable=None):
+            with files.replacing(paths[part]) as temporary, open(temporary, "wb") as file:
+                np.savez(file, **found)
     kept = [dict(np.load(path)) for path in paths.values()]
     return {name: np.concatenate([found[name] for found in kept]) for name in kept[0]}
 
@@ -255,33 +256,21 @@ def _judged(study, parts, scheduler, workers):
     if not parts or (workers == 0 and scheduler is None):
         yield from ((part, study.judge(*part)) for part in parts)
         return
-    from distributed import Client, as_completed  # here, since that takes a second
+    import dask  # here, since that takes a second
+    from dask.system import CPU_COUNT
+    from distributed import Client, as_completed
 
-    here = nullcontext(scheduler) if scheduler else _cluster(workers, len(parts))
-    with here as address, Client(address) as client:
-        # A copy, as what the original may have computed need not travel.
-        judged = {
-            client.submit(_judge, replace(study), study.name, *part, pure=False): part
-            for part in parts
-        }
+    cluster = {
+        "n_workers": min(workers or CPU_COUNT, len(parts)),
+        "threads_per_worker": 1,
+        "dashboard_address": ":0",  # any free port: another cluster may be running
+        "silence_logs": logging.CRITICAL,
+    }
+    with dask.config.set(MEMORY), Client(scheduler, **({} if scheduler else cluster)) as client:
+        name = study.name
+        judged = {client.submit(_judge, study, name, *part, pure=False): part for part in parts}
         for future in as_completed(judged):
             yield judged[future], future.result()
-
-
-def _cluster(workers, most):
-    """A dask cluster on this computer, for the time of a run."""
-    import dask
-    from dask.system import CPU_COUNT
-    from distributed import LocalCluster
-
-    settings = {f"distributed.nanny.pre-spawn-environ.{name}": x for name, x in MEMORY.items()}
-    with dask.config.set(settings):
-        return LocalCluster(
-            n_workers=min(workers or CPU_COUNT, most),
-            threads_per_worker=1,
-            dashboard_address=":0",  # any free port: another cluster may be running
-            silence_logs=logging.CRITICAL,
-        )
 
 
 def _judge(study, name, start, stop):
@@ -297,24 +286,16 @@ def _code():
     return hashlib.sha256(b"\0".join(path.read_bytes() for path in paths)).hexdigest()
 
 
-def _within(omega, band):
-    return (band[0] <= omega) & (omega <= band[1])
-
-
 def _plain(value):
-    if isinstance(value, np.ndarray):
-        return value.tolist()
     if isinstance(value, control.StateSpace):
-        matrices = [getattr(value, name).tolist() for name in "ABCD"]
-        return [*matrices, value.dt, value.input_labels, value.output_labels]
-    raise TypeError(f"{value!r} has no plain form")
+        return [*control.ssdata(value), value.dt, value.input_labels, value.output_labels]
+    return value.tolist()
 
 
 def _dataset(study, found):
-    unit = study.loop.units[study.loop.outputs[0]]
     variables = {
-        name: (dimensions, found[name], {"units": own or unit})
-        for name, (dimensions, own) in FOUND.items()
+        name: (dimensions, found[name], {"units": unit})
+        for name, (dimensions, unit) in FOUND.items()
     }
     coordinates = {
         "rod": np.arange(len(found["rms"])),

@@ -283,7 +283,6 @@ DOORS = [
     *((door, {"rod": Rod(), "parameters": RigParameters(modes=5)})
       for door in (VirtualRig, RestartingRig)),
     (RIG.apply, {"heat_flows": np.zeros(4)}),
-    (RIG.profile, {"z": [0.1]}),
     (RIG.begin, {"trial": 1}),
     (laboratory.TemperatureControlLab, {},
      {"kit": THING | {"true": ...}, "rest": REAL, "wait": NUMBER}),

@@ -1,4 +1,1 @@
-"""What the compendium itself needs: the printed numbers, the ledger, the figures, make reproduce.
-
-The rest of rodlib does not import from here, but for the notebooks and the tests.
-"""
+"""What the compendium itself needs: printed numbers, ledger, figures, make reproduce, pages."""

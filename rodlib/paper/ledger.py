@@ -1,21 +1,17 @@
 """The ledger: what the paper prints against what is computed here, and the verdict.
 
 A number is *reproduced* if it agrees within half a unit of the last digit printed, a statement if
-the number that tests it meets its criterion. Otherwise it *differs*, by so much. Where a criterion
-would be ours alone, the verdict is *in words*: up to where the statement holds. Each notebook
-records its part; :mod:`rodlib.paper.reproduce` joins the parts once all notebooks have run.
+the number that tests it meets its criterion; otherwise it *differs*. Where a criterion would be
+ours alone, the verdict is *in words*: up to where the statement holds.
 
-Rows are of three kinds. *Evidence* could have come out otherwise. *Taken over* are the parameters
-that we use because the paper prints them; an *identity* holds by construction, or follows from
-other rows. Only evidence is counted in the README, and the coefficients of (39) in a row of their
-own, because the optimum that they belong to is flat.
+*Evidence* could have come out otherwise. *Taken over* are the parameters that we use because the
+paper prints them; an *identity* holds by construction, or follows from other rows.
 
-A number is shown to the last digit that the paper prints: more would say nothing about the
-agreement, and the coefficients of a flat optimum are not determined further. Between processors,
-and if P is changed in its fifteenth digit, those of (39), non-diagonal, move by up to 3e-8; the
-one that lies closest to where its fourth decimal would change is 1.4e-7 away. A number that tests
-a statement in words is shown with five significant digits, for the same reason. More are shown only
-where the verdict would not follow from these. The deviation is that of the number shown.
+A number is shown to the last digit that the paper prints, one that tests a statement in words with
+five significant digits, and with more only where the verdict would not follow from these: more
+would say nothing about the agreement, and the coefficients of a flat optimum are not determined
+further. Between processors those of (39), non-diagonal, move by up to 3e-8; the one that lies
+closest to where its fourth decimal would change is 1.4e-7 away.
 """
 
 import re
@@ -48,7 +44,7 @@ COLUMNS = [
 
 
 def verdict(claim: Claim, computed: float) -> tuple[str, float]:
-    """Judge a number; the deviation is that from the printed one, or from a criterion missed."""
+    """A verdict, and the deviation from the printed number, or from a criterion missed."""
     if claim.criterion.startswith(WORDS):
         return IN_WORDS, 0.0
     if not claim.criterion:
@@ -99,13 +95,6 @@ class Ledger:
         computed : float or ndarray
             For a matrix with the shape that :func:`rodlib.paper.published.matrix` gives it.
             None for what cannot be checked.
-
-        Raises
-        ------
-        KeyError
-            If the paper makes no such claim.
-        ValueError
-            If the shape does not fit.
         """
         if key in published.MATRICES:
             self._record_matrix(key, np.asarray(computed))
@@ -286,8 +275,7 @@ def publish(build: Path, root: Path) -> None:
 
 
 def changes(rows: pd.DataFrame, build: Path, root: Path) -> tuple[dict[str, str], dict[str, bytes]]:
-    """What a run has made of the figures, as :func:`rodlib.paper.pictures.compared` names it, and
-    those texts that are other than they were, by their names."""
+    """What a run has made of each figure, in a word, and the texts that are not what they were."""
     readme = (root / "README.md").read_text(encoding="utf-8")
     texts = {
         "figures/ledger.csv": rows.to_csv(index=False, lineterminator="\n").encode(),

@@ -22,20 +22,15 @@ SAME, DIFFERENT, NEW, GONE = "the same", "different", "new", "gone"
 
 
 def compared(drawn: Path, before: Path) -> dict[str, str]:
-    """What has become of each figure: "the same", "different", "new" or "gone", by name, in order.
-
-    A figure is the same if its PNG and its PDF are, so that both are kept or replaced together.
-    """
+    """What has become of each figure, by name, in order; the same are those with both files so."""
     new, old = _files_by_figure(drawn), _files_by_figure(before)
-    found = dict.fromkeys(sorted(old | new), SAME)
-    for name in found:
+    found = dict.fromkeys(old, GONE)
+    for name, files in new.items():
         if name not in old:
             found[name] = NEW
-        elif name not in new:
-            found[name] = GONE
-        elif not _same(new[name], old[name]):
-            found[name] = DIFFERENT
-    return found
+        else:
+            found[name] = SAME if _same(files, old[name]) else DIFFERENT
+    return dict(sorted(found.items()))
 
 
 def _same(one, other):

@@ -98,16 +98,14 @@ def claims() -> dict[str, Claim]:
 
 
 def _invariants(place):
-    """Products of K_s and K_L that no orthogonal change of state coordinates alters.
-
-    Their tolerance is what the rounding of the printed entries can add up to.
-    """
+    """Products of K_s and K_L that no orthogonal change of state coordinates alters."""
     Ks, KL1 = matrix("K_s"), matrix("K_L")[:10].T
     rounding = half_unit("0.0001")
     for label, X, Y in (("K_s K_s'", Ks, Ks), ("K_L1' K_L1", KL1, KL1), ("K_s K_L1", Ks, KL1)):
         for i in range(2):
             for j in range(i if X is Y else 0, 2):
                 value = X[i] @ Y[j]
+                # what the rounding of the printed entries can add up to
                 tolerance = rounding * (np.abs(X[i]).sum() + np.abs(Y[j]).sum() + 10 * rounding)
                 yield Claim(
                     f"{label}[{i + 1},{j + 1}]",

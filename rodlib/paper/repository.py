@@ -29,14 +29,11 @@ def results(what: str) -> Path:
 
 @contextmanager
 def publishing(root: Path) -> Iterator[dict[str, bytes | None]]:
-    """Replace several files of the repository, given by name, the README last; None removes one.
-
-    A run that is killed may have replaced some of them, none of them by half. The README that
-    speaks of them is then the old one, and the next run, or git, brings all to one state.
-    """
+    """Replace several files of the repository, given by name; None removes one."""
     checkout("publishing", root)
     with alone(folder(root / "build") / "publishing.lock", "another process publishes", wait=True):
         new = {}
         yield new
+        # The README last: after a kill it is the old one, and the next run, or git, mends the rest.
         names = sorted(new, key=lambda name: name == "README.md")
         replace_all({root / name: new[name] for name in names})

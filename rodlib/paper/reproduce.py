@@ -1,9 +1,7 @@
 """All notebooks end to end, and their results published: what ``make reproduce`` runs.
 
-Three notebooks run at a time, each in a kernel of its own; a terminal shows how many cells are
-left. The executed notebooks, their figures and their parts of the ledger go to build/reproduce;
-only when all have succeeded, they go to figures/ and the README. ``make replay`` runs a notebook of
-its own on another log, in build/replay, and publishes nothing.
+Notebooks, figures and parts of the ledger go to build/reproduce; only when all have succeeded, to
+figures/ and the README. ``make replay`` runs a notebook of its own on another log, in build/replay.
 """
 
 import json
@@ -44,10 +42,7 @@ def folder_of_run(command: str, root: Path) -> Iterator[Path]:
 
 
 def run(notebook: Path, executed: Path, bar: tqdm | None = None, **parameters) -> float:
-    """Execute a notebook in its own folder, in a new kernel, and say how many seconds it took.
-
-    It is written with its outputs also if a cell fails or the kernel dies: a RuntimeError says so.
-    """
+    """Execute a notebook in its own folder, in a new kernel, and say how many seconds it took."""
     # jsonschema, which reads notebooks, builds a grammar of web addresses if it finds the package:
     # two seconds for nothing.
     sys.modules.setdefault("rfc3987_syntax", None)
@@ -77,10 +72,7 @@ def run(notebook: Path, executed: Path, bar: tqdm | None = None, **parameters) -
 
 
 def reproduce(root: Path = ROOT) -> None:
-    """Run all notebooks and publish the figures and the ledger; on an error, publish nothing.
-
-    Clears build/reproduce, and replaces in figures/ what differs.
-    """
+    """Run all notebooks and publish the figures and the ledger; on an error, publish nothing."""
     texts = {path: path.read_text("utf-8") for path in sorted((root / "notebooks").glob("*.ipynb"))}
     cells = {path: len(json.loads(text)["cells"]) for path, text in texts.items()}
     notebooks = sorted(cells, key=cells.get, reverse=True)  # so that the last to end are short
@@ -100,11 +92,7 @@ def reproduce(root: Path = ROOT) -> None:
 
 
 def replay(log: str, root: Path = ROOT) -> None:
-    """Print what a log of one's own shows, and make a report of it with pictures in build/replay.
-
-    The v of the next trial is written beside it, as a table. What an earlier replay has left there
-    is cleared, unless the log cannot be used.
-    """
+    """Print what a log shows; a report with pictures and the next trial's v go to build/replay."""
     from rodlib.ilc.laboratory import load_log, replay_of  # here, because they take long to import
     from rodlib.ilc.laboratory.report import save_following, summary
 

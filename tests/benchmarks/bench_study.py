@@ -22,7 +22,7 @@ from rodlib import (
     zero_phase_butterworth,
 )
 from rodlib.paper import published
-from rodlib.study import run
+from rodlib.study import Course, run
 
 RODS = (100, 1000, 10000)
 SAMPLE = 20
@@ -34,6 +34,12 @@ def study():
         kind: LearningFilter(published.matrix(f"L_{kind}"), 1.0) for kind in ("diagonal", "full")
     }
     return Study(paper_loop(), zero_phase_butterworth(), filters, Spread.of_all(0.2))
+
+
+@cache
+def course():
+    of = study()
+    return Course(of.loop, of.Q, [*of.filters.values()], of.reference, of.trials)
 
 
 def run_afresh(rods):
@@ -51,7 +57,7 @@ def one_by_one(models):
 
 def side_by_side(rods):
     for start in range(0, len(rods), 4):
-        study()._course.rms([rod.held(1.0) for rod in rods[start : start + 4]])
+        course().rms([rod.held(1.0) for rod in rods[start : start + 4]])
 
 
 @pytest.mark.parametrize("rods", RODS)

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 from bs4 import BeautifulSoup
 
-from rodlib.paper.pages import as_html, formula, main
+from rodlib.paper.pages import TEXTS, as_html, formula, main
 from rodlib.paper.repository import ROOT
 
 CALL = "import pathlib, sys; from rodlib.paper.pages import main; main(pathlib.Path(sys.argv[1]))"
@@ -69,6 +69,13 @@ def test_no_link_is_dead_and_nothing_is_fetched_from_elsewhere(pages):
         assert "<iframe" not in text
         assert not re.search(r"""url\((?!['"]?data:)|@import""", text)
     assert {path.suffix for path in pages.rglob("*.*")} <= {".html", ".js", ".png", *COPIED}
+
+
+def test_the_texts_have_their_pages(pages):
+    for text, page in TEXTS.items():
+        written = re.findall(r"^#+ (.*)", (ROOT / text).read_text("utf-8"), re.MULTILINE)
+        headings = [e.contents[0] for e in parsed(pages / page).select("main :is(h1, h2, h3)")]
+        assert headings and {*headings} <= {*written}, page
 
 
 def test_formulas_are_drawn_and_pictures_have_words(pages):

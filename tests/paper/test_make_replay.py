@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 
+import matplotlib
 import nbformat
 import numpy as np
 import pytest
@@ -105,7 +106,8 @@ def replay_here(root, monkeypatch, capsys):
         assert not said.err
         return said.out
 
-    return replay
+    with matplotlib.rc_context():  # the notebook chooses a style
+        yield replay
 
 
 def test_tanks_in_units_of_their_own_are_replayed_without_a_loop(root, replay_here):
