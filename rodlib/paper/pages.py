@@ -145,7 +145,7 @@ def all_figures(notebooks: dict) -> str:
 
 def reference(target: Path) -> None:
     """The reference of the modules, from their docstrings."""
-    for package in (rodlib, rodlib.ilc, laboratory):  # what a door hands on, pdoc looks for without asking
+    for package in (rodlib, rodlib.ilc, laboratory):  # pdoc does not ask for what doors hand on
         vars(package).update({name: getattr(package, name) for name in package.__all__})
     modules = [
         name
