@@ -139,7 +139,7 @@ def midr(rod: Rod, degree: int = 3) -> control.StateSpace:
     S = np.vstack([project(supplied(z)), supplied(end)])
     a = np.vstack([project(z), end[None]])
 
-    # kappa_1 G dx/dt = (lambda F - kappa_2 G) x + S u + kappa_2 a theta_a
+    # (8): kappa_1 G dx/dt = (lambda F - kappa_2 G) x + S u + kappa_2 a theta_a
     A = np.linalg.solve(G, rod.conductivity * F - rod.kappa_2 * G) / rod.kappa_1
     B = np.linalg.solve(G, np.hstack([S, rod.kappa_2 * a])) / rod.kappa_1
     return control.ss(

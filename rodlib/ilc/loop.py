@@ -174,7 +174,7 @@ def _close(loop, plant):
     m = loop.plant.noutputs
     A, B, K = _controller(loop)
     Bu, E, Du, F = plant.B[:, :m], plant.B[:, m:], plant.D[:, :m], plant.D[:, m:]
-    return control.ss(  # (19)
+    return control.ss(  # (19), of which (31) and (32) are the responses
         np.block([[plant.A, -Bu @ K], [loop.KL @ plant.C, A - loop.KL @ Du @ K]]),
         np.block([[Bu @ loop.N, E], [B + loop.KL @ Du @ loop.N, loop.KL @ F]]),
         np.hstack([plant.C, -Du @ K]),
