@@ -9,7 +9,7 @@ import numpy as np
 import plants
 import pytest
 
-from rodlib import current_trial_loop, load_law, run_trials, save_log
+from rodlib import current_trial_loop, load_law, run_trials, save_law, save_log
 from rodlib.ilc.laboratory.notes import with_law
 from rodlib.ilc.workbench import Picture, Plant, Settings, try_out, workbench
 
@@ -146,6 +146,18 @@ def test_what_is_shown_is_saved(panel, knobs, tmp_path):
     panel.save.click()
     assert panel.saved.value.startswith("not saved: ")
     assert panel.saved.value.endswith("device is no regular file: choose another name")
+
+
+def test_what_is_said_to_be_saved_is_read_again(panel, knobs, tmp_path, monkeypatch):
+    def save_another(path, Q, L, note):
+        save_law(path, Q, replace(L, coefficients=L.coefficients * (1 + 1e-15)), note)
+
+    monkeypatch.setattr("rodlib.ilc.workbench.panel.save_law", save_another)
+    panel.target.value = str(tmp_path / "law.json")
+    panel.save.click()
+    assert panel.saved.value.endswith(
+        "law.json holds another law than was written to it: try again"
+    )
 
 
 def test_a_log_that_cannot_be_used_says_which_and_why(panel, tmp_path, stage):
