@@ -80,7 +80,7 @@ bench: $(BIN)/ready  ## time the synthesis and the study; rewrite figures/perfor
 	$(BIN)/python tests/benchmarks/report.py build/benchmark.json
 
 lab: $(BIN)/ready  ## open the notebooks in JupyterLab, the workbench first
-	$(BIN)/jupyter lab --notebook-dir=notebooks --LabApp.default_url=/lab/tree/11-workbench.ipynb
+	$(BIN)/jupyter lab --notebook-dir=notebooks --LabApp.default_url=/lab/tree/12-workbench.ipynb
 
 notebooks: $(BIN)/ready  ## execute the tracked notebooks in place, before a commit
 	$(BIN)/jupyter nbconvert --to notebook --execute --inplace \

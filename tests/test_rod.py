@@ -100,7 +100,7 @@ def test_exact_response_neither_overflows_nor_misses_its_pole():
         exact_response(rod, [-rod.kappa_2 / rod.kappa_1])
 
 
-BRASS = Rod(  # of notebook 10
+BRASS = Rod(  # of notebook 11
     length=0.6, density=8500.0, heat_capacity=380.0, conductivity=120.0, sections=6,
     sensors=(0.15, 0.35, 0.55),
 )  # fmt: skip

@@ -6,7 +6,7 @@ solvers. :mod:`~rodlib.ilc.evidence.certificate` puts the answers together that 
 """
 
 from rodlib.ilc.evidence.certificate import Certificate
-from rodlib.ilc.evidence.convergence import Rate, rate, rates
+from rodlib.ilc.evidence.convergence import Rate, mean_rate, rate, rates
 from rodlib.ilc.evidence.finite_trial import trial_map, trial_norm, trial_operators
 from rodlib.ilc.evidence.noise import (
     LearnedNoise,
@@ -28,6 +28,7 @@ __all__ = [
     "TrialNoise",
     "WorstCase",
     "converged_noise",
+    "mean_rate",
     "noise_bound",
     "noise_by_trial",
     "rate",

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rodlib.ilc import arguments
+from rodlib.ilc.evidence.convergence import log_mean
 from rodlib.ilc.evidence.findings import findings, useless
 from rodlib.ilc.evidence.finite_trial import trial_norm
 from rodlib.ilc.evidence.noise import accumulated
@@ -30,6 +31,7 @@ class Certificate:
     problem: Problem
     value: float  # the objective reached
     lower_bound: float  # what no such filter within the bounds can go below
+    nominal: np.ndarray  # (n,): sigma_max(M) of the nominal plant at the design frequencies
     worst: WorstCase  # of all plants, within the radius, at each of the design frequencies
     peak: Peak  # over all frequencies, without the radius, which is not known between the samples
     grid_L: float  # peak of sigma_max(L) on the design grid
@@ -53,6 +55,11 @@ class Certificate:
     def all_M(self) -> float:
         """Peak of sigma_max(M) over all frequencies, to 1e-8; an estimate if it is not proven."""
         return self.peak.sigma
+
+    @property
+    def mean_M(self) -> float:
+        """Mean of sigma_max(M) of the nominal plant over the band, as :func:`mean_rate`."""
+        return float(log_mean(self.nominal, self.problem.omega, self.problem.band))
 
     @property
     def proven(self) -> bool:
@@ -189,6 +196,8 @@ class Certificate:
             f"objective {self.value:.8g}, no {problem.structure} filter of order {problem.order}"
             f"{compared} below {self.lower_bound:.8g}",
         ]
+        if problem.objective == "sum" and 0 < problem.band[0] < problem.band[1]:
+            lines.append(f"mean of sigma_max(M) over the band: {self.mean_M:.4f}")
         if self.noise:
             lines += [
                 f"of which the cost of noise: {self.noise:.4g}",
@@ -222,6 +231,7 @@ def certify(
         problem,
         value,
         lower_bound(problem, solution.U, solution.V, solution.cuts, response),
+        sigma_M,
         worst,
         highest_peak(problem, L, np.argsort(-worst.peaks, kind="stable")),
         largest_singular_values(response).max(),

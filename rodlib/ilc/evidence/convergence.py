@@ -1,4 +1,4 @@
-"""How fast do the trials converge? The gamma of Lemma 1, on a grid of frequencies."""
+"""How fast do the trials converge? The gamma of Lemma 1 and sigma_max(M), on a grid."""
 
 from typing import NamedTuple
 
@@ -27,6 +27,33 @@ def rate(P, Q, L: LearningOperator, omega) -> Rate:
     sigma = rates(P, Q, L, omega)
     where = np.asarray(omega)[tied(sigma.T).argmax(axis=0)]
     return Rate(sigma.max(axis=-1), where)
+
+
+def mean_rate(P, Q, L: LearningOperator, omega, band=None):
+    """The mean of sigma_max(M) over the logarithm of frequency, in the band.
+
+    What the sum in (39) is on a logarithmic grid, but for the number of its terms: designs on
+    different grids can be compared. By trapezia, whose corners are `omega` and the ends of the
+    band (low, high), in rad/s, by default the first and the last of `omega`. Other parameters as
+    for :func:`rates`; a float, or for several plants an array of shape (p,).
+    """
+    sigma, omega = rates(P, Q, L, omega), np.asarray(omega)
+    band = omega[[0, -1]] if band is None else arguments.array("band", band, (2,))
+    low, high = band
+    if not omega[0] <= low < high <= omega[-1] or low <= 0:
+        raise ValueError(
+            f"band = {band.tolist()} must be two increasing frequencies above zero, within omega, "
+            f"which goes from {omega[0]:.6g} to {omega[-1]:.6g} rad/s"
+        )
+    return np.apply_along_axis(log_mean, -1, sigma, omega, band)[()]
+
+
+def log_mean(sigma, omega, band) -> float:
+    """Mean over the logarithm of frequency, in the band, of what is known at `omega`."""
+    within = omega[(omega > band[0]) & (omega < band[1])]
+    place = np.log(np.concatenate([band[:1], within, band[1:]]))
+    values = np.interp(place, np.log(np.maximum(omega, band[0] / 2)), sigma)
+    return np.trapezoid(values, place) / (place[-1] - place[0])
 
 
 def rates(P, Q, L: LearningOperator, omega) -> np.ndarray:

@@ -3,8 +3,17 @@
 import numpy as np
 import pytest
 from plants import stage
+from scipy.integrate import quad
 
-from rodlib import LearningFilter, current_trial_loop, rate, rates, zero_phase_butterworth
+from rodlib import (
+    LearningFilter,
+    current_trial_loop,
+    mean_rate,
+    rate,
+    rates,
+    synthesise,
+    zero_phase_butterworth,
+)
 from rodlib.ilc.alternatives import p_type
 from rodlib.paper import published
 
@@ -51,3 +60,26 @@ def test_any_plant_and_any_learning_operator_have_one():
         rate(loop, Q, p_type(0.3, 2, 1, loop.Ts / 2), omega)
     with pytest.raises(ValueError, match="L acts on 2 channels, but must act on 1"):
         rate(loop, Q, p_type(0.3, 2, 2, loop.Ts), omega)
+
+
+def test_the_mean_over_the_band_does_not_depend_on_the_grid(loop, Q, printed):
+    """Against adaptive quadrature; a kink between corners costs the square of their distance."""
+    band = (1e-4, 0.02)
+
+    def sigma(place):
+        return rates(loop, Q, printed, [np.exp(place), 1.0])[0]
+
+    area, _ = quad(sigma, *np.log(band), epsabs=1e-8, limit=200)
+    exact = area / np.log(band[1] / band[0])
+    for grid in (np.geomspace(1e-4, np.pi, 100), np.linspace(0, np.pi, 20001)):
+        mean = mean_rate(loop, Q, printed, grid, band)
+        assert mean == pytest.approx(exact, abs=1e-3)
+    fine = np.geomspace(*band, 2001)
+    assert mean_rate(loop, Q, printed, fine) == pytest.approx(exact, abs=1e-6)
+    design = synthesise(loop, Q, np.geomspace(1e-4, np.pi, 100), 1.0)
+    mean = mean_rate(loop, Q, design.filter, np.geomspace(*band, 4001))
+    assert design.certificate.mean_M == pytest.approx(mean, abs=1e-3)
+    assert f"over the band: {design.certificate.mean_M:.4f}" in repr(design)
+    for wrong in [(0, 0.02), (0.02, 1e-4), (1e-5, 0.02)]:
+        with pytest.raises(ValueError, match=r"band = .* must be two increasing frequencies"):
+            mean_rate(loop, Q, printed, fine, wrong)

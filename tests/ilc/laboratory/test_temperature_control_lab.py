@@ -203,7 +203,7 @@ def test_heaters_at_their_limits_are_told():
 
 @pytest.fixture(scope="module")
 def log(loop, L, tmp_path_factory):
-    """A short log of the emulator, as notebook 10 records it."""
+    """A short log of the emulator, as notebook 11 records it."""
     path = tmp_path_factory.mktemp("log") / "lab.csv"
     record(TemperatureControlLab(), loop, Q, L, REFERENCE, trials=3, pause=0, path=path)
     return path

@@ -183,7 +183,7 @@ def test_a_log_that_cannot_be_used_says_which_and_why(panel, tmp_path, stage):
 def test_widgets_are_shown_to_those_who_can_use_them(stage, monkeypatch, capsys):
     monkeypatch.delenv("JPY_SESSION_NAME", raising=False)
     assert workbench() is None and workbench(live=False) is None
-    monkeypatch.setenv("JPY_SESSION_NAME", "notebooks/11-workbench.ipynb")
+    monkeypatch.setenv("JPY_SESSION_NAME", "notebooks/12-workbench.ipynb")
     assert workbench(live=False) is None
     panel = workbench({ROD: rods(), "stage": stage})
     assert panel.choice.options == (ROD, "stage", FILE)
