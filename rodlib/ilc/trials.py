@@ -1,5 +1,6 @@
 """Trials under the ILC law: one trial of the closed loop, and a sequence of them. Section IV."""
 
+import warnings
 from collections.abc import Sequence
 
 import numpy as np
@@ -8,6 +9,8 @@ import xarray as xr
 from rodlib.ilc import arguments
 from rodlib.ilc.filters import LearningOperator, ZeroPhaseButterworth, check_learning, update
 from rodlib.ilc.loop import CurrentTrialLoop, with_noise
+from rodlib.ilc.models import state_sequence
+from rodlib.ilc.watch import Course, rate_of
 
 
 def run_trials(
@@ -61,6 +64,11 @@ def run_trials(
         and e = reference - y, the error that the controller sees. Each has the dimensions trial
         (1, 2, ...), time (s), and channel (1, 2, ...) or source, and its unit as an attribute; the
         channels have the coordinates output, control, output_unit and control_unit.
+
+    Warns
+    -----
+    UserWarning
+        If the trials show that they do not converge, see :mod:`rodlib.ilc.watch`.
     """
     check_law(loop, Q, L)
     closed = with_noise(loop, plant)
@@ -91,7 +99,13 @@ def run_trials(
         u[k] = w @ loop.N.T - x_hat @ loop.Ks.T - delta[k]  # (18)
         return r[k] - y[k] - noise[k]
 
-    learn(run, first, Q, L, trials, rest, _steps(step, trials))
+    errors = learn(run, first, Q, L, trials, rest, _steps(step, trials))
+    if L is not None:
+        P, names = loop.P, loop.outputs
+        units, rate = [loop.units[name] for name in names], rate_of(P, Q, L)
+        course = Course(v, errors, r, names, units, 1, None if plant is None else P, rate)
+        for finding in course.all_findings().values():
+            warnings.warn(finding, stacklevel=2)
     return dataset(
         loop.Ts, loop.outputs, loop.controls, loop.disturbances, loop.units,
         reference=r, v=v, u=u, y=y + noise, delta=delta,
@@ -134,31 +148,6 @@ def check_law(loop, Q, L, **periods: float) -> None:
         check_learning(L, loop.plant.noutputs)
         periods["L"] = L.Ts
     arguments.one_period(loop=loop.Ts, Q=Q.Ts, **periods)
-
-
-def state_sequence(A, forcing, initial) -> np.ndarray:
-    """States x(0) ... x(time - 1) of x(p+1) = A x(p) + f(p), all at once, shape (time, n)."""
-    # A loop over 2500 samples costs more than the arithmetic in it. The trial is cut into about 50
-    # blocks that run side by side from zero; then their initial states are chained and added.
-    samples, n = forcing.shape
-    length = int(np.ceil(np.sqrt(samples)))
-    blocks = -(-samples // length)
-    padded = np.zeros((blocks * length, n))
-    padded[:samples] = forcing
-    padded = padded.reshape(blocks, length, n)
-
-    powers = np.empty((length + 1, n, n))  # A^0 ... A^length
-    states = np.zeros((blocks, length + 1, n))
-    powers[0] = np.eye(n)
-    for p in range(length):
-        powers[p + 1] = A @ powers[p]
-        states[:, p + 1] = states[:, p] @ A.T + padded[:, p]
-    starts = np.empty((blocks, n))
-    starts[0] = initial
-    for block in range(blocks - 1):
-        starts[block + 1] = powers[length] @ starts[block] + states[block, length]
-    states += np.tensordot(starts, powers, axes=(1, 2))
-    return states[:, :length].reshape(-1, n)[:samples]
 
 
 def dataset(

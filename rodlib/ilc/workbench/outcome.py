@@ -5,6 +5,7 @@ optimum is flat: coefficients would differ in the third digit with the way by wh
 """
 
 import math
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,15 +27,17 @@ class Outcome:
     rms: tuple[float, ...] = ()  # of the error by trial, all channels together, simulated
     message: str = ""  # why there is no filter, and what would help
     M_max: float | None = None  # from which on there is one, if that is all that it takes
+    findings: tuple[str, ...] = ()  # what speaks against the trials
 
     @property
     def line(self) -> str:
-        """The certificate in a line, and what was found of a measurement."""
+        """The certificate in a line, and what was found of a measurement and of the trials."""
         if self.design is None:
             return self.message
         findings = getattr(self.settings.plant.response, "findings", ())
         found = (f"the measurement: {text}" for text in findings)
-        return "; ".join([certificate_line(self.design.certificate), *found])
+        watched = (f"the trials: {text}" for text in self.findings)
+        return "; ".join([certificate_line(self.design.certificate), *found, *watched])
 
 
 def try_out(settings: Settings) -> Outcome:
@@ -60,10 +63,12 @@ def try_out(settings: Settings) -> Outcome:
         return Outcome(settings, message=str(error))
     samples, m = plant.reference.shape
     noise = settings.noise * np.random.default_rng(0).standard_normal((TRIALS, samples, m))
-    trials = run_trials(
-        plant.loop, Q, design.filter, plant.reference, plant.disturbance, TRIALS, noise=noise
-    )
-    return Outcome(settings, design, tuple(rms(trials.e).values.tolist()))
+    with warnings.catch_warnings(record=True, action="always") as told:
+        trials = run_trials(
+            plant.loop, Q, design.filter, plant.reference, plant.disturbance, TRIALS, noise=noise
+        )
+    found = tuple(str(warning.message) for warning in told)
+    return Outcome(settings, design, tuple(rms(trials.e).values.tolist()), findings=found)
 
 
 def _remedy(smallest):
