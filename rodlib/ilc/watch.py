@@ -102,11 +102,14 @@ class Course:
         """Where it grows, and what the model says of growth."""
         remedy = "learn less, by a lower cut-off or a smaller step"
         power, tenth = np.sum((e / np.abs(e).max()) ** 2, axis=1), max(1, len(e) // 10)
-        for part, end in ((power[:tenth], "first"), (power[-tenth:], "last")):
+        for part, where, cure in (
+            (power[:tenth], "first", "let the reference rest at first"),
+            (power[-tenth:], "last", "let v rest there"),
+        ):
             if part.sum() > power.sum() / 2:
                 return (
-                    f"Most of it is in the {end} tenth of the trial, where the filters look beyond "
-                    "what was recorded: choose other ends of Q and L, or let v rest there"
+                    f"Most of it is in the {where} tenth of the trial, where the filters reach "
+                    f"beyond what was recorded: {cure}, or choose other ends of Q and L"
                 )
         if self.rate is None:
             return f"If nothing new disturbs the trials, the law diverges: {remedy}"

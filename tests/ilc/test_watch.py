@@ -101,14 +101,14 @@ def test_a_law_of_the_wrong_sign_is_said_to_be_none_of_the_models():
         run_trials(loop, Q, L, bump(300, [10.0, 5.0, 8.0]), trials=6)
 
 
-def test_growth_at_the_end_of_a_trial_is_told_from_that_of_another_plant():
-    """The furnace's filter looks ahead of the trial, where it multiplies what it takes for zero."""
+def test_growth_at_an_end_of_the_trial_is_told_from_that_of_another_plant():
+    """The furnace's filter would act before the trial begins; without a bound on L it shows."""
     loop = current_trial_loop(furnace(20))
     Q = zero_phase_butterworth(2, 0.1, 1.0)
     L = synthesise(loop, Q, GRID, 1.0, order=25, L_max=None, band=(1e-4, 0.01)).filter
     assert rate(loop, Q, L, GRID).gamma < 1
     noise = 0.01 * np.random.default_rng(0).standard_normal((10, 1000, 1))
-    with pytest.warns(UserWarning, match="last tenth of the trial"):
+    with pytest.warns(UserWarning, match="first tenth of the trial"):
         run_trials(loop, Q, L, bump(1000, [1.0]), None, 10, noise=noise)
 
 
@@ -138,7 +138,7 @@ def test_pumps_at_their_limit_are_not_taken_for_converged(share, known, laws):
         told |= Course(*given, P=P).findings()
         v.append(update(v[-1], e[-1], Q, L))
     flat = [np.sqrt(np.sum(error**2)) for error in e[3:]]
-    assert max(flat) < 1.1 * min(flat) and not {"error"} & {*told}
+    assert max(flat) < 1.2 * min(flat) and not {"error"} & {*told}
     assert np.abs(v[-1]).max() > 3 * np.abs(v[2]).max()
     assert "contradict the loop's model" in told["model"] if known else "v grows" in told["v"]
 
