@@ -40,6 +40,12 @@ class RigError(RuntimeError):
     """A rig that gave what is no reading; nothing that follows from it was applied."""
 
 
+class StoppedError(RigError):
+    """A trial that went beyond a stop limit; what was learned before it is in `trials`."""
+
+    trials = None  # as from record; None if no trial has ended
+
+
 class Controller:
     """Observer (16) and state feedback (18), sample by sample as on hardware.
 
@@ -99,6 +105,13 @@ class ControlledRig:
         self.positions = [self.inputs.index(name) for name in loop.controls + self.moved]
         self.Ts = arguments.sampling_period("rig.Ts", getattr(rig, "Ts", loop.Ts))
         self.controller = None
+        self.stop = {}  # limits of outputs and commands, by name
+
+    def stop_at(self, stop, reference):
+        """Set the limits of outputs and commands beyond which a trial stops."""
+        outputs, commands = self.loop.outputs, self.loop.controls
+        own = [self.loop.units[name] for name in outputs]
+        self.stop = limits.stop_limits(stop, reference, outputs, own, commands, self.limits)
 
     def commanded(self, disturbance, trials, samples) -> np.ndarray:
         """The commands to the disturbances that are inputs, shape (trial, time, them)."""
@@ -163,18 +176,28 @@ class ControlledRig:
         try:
             y, heard = self.readings()
             delta = _rounded(self.controller.delta, self.decimals.get("delta"))
+            self.check(y, self.loop.outputs)
             u = self.controller.step(y, w)
+            self.check(u, self.loop.controls)
             command = np.zeros(len(self.inputs))
             command[self.positions] = np.concatenate([u, flows])
             self.rig.apply(command)
         except RigError as error:
-            raise RigError(f"{where}: {error}. Nothing was applied after it") from None
+            raise type(error)(f"{where}: {error}. Nothing was applied after it") from None
         except Exception as error:
             error.add_note(f"in {where}")
             raise
         known = heard | dict(zip(self.moved, flows, strict=True))
         disturbance = np.array([known[name] for name in self.recorded])
         return {"u": u, "y": y, "delta": delta, "disturbance": disturbance}
+
+    def check(self, values, names):
+        """Stop at what is beyond the limits."""
+        for name, value in zip(names, values, strict=True):
+            low, high = self.stop.get(name, (-math.inf, math.inf))
+            if not low <= value <= high:
+                what = f"{name} = {value:.6g} is not from {low:.6g} to {high:.6g}"
+                raise StoppedError(f"{what}, the limits of stop")
 
     def readings(self) -> tuple[np.ndarray, dict[str, float]]:
         """The outputs, and the disturbances that are measured."""

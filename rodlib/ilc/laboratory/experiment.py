@@ -1,5 +1,6 @@
 """Running an experiment on a rig, trial by trial: learning by the ILC law, or shaking the loop."""
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -9,12 +10,13 @@ from tqdm import tqdm
 
 from rodlib.ilc import arguments
 from rodlib.ilc.filters import LearningFilter, LearningOperator, ZeroPhaseButterworth, update
-from rodlib.ilc.laboratory.controlled_rig import ControlledRig, Rig
+from rodlib.ilc.laboratory.controlled_rig import ControlledRig, Rig, StoppedError
 from rodlib.ilc.laboratory.excitation import Excitation
 from rodlib.ilc.laboratory.log import load_ended, save_log
 from rodlib.ilc.laboratory.notes import MADE_BY, with_excitation, with_law
 from rodlib.ilc.loop import CurrentTrialLoop
 from rodlib.ilc.trials import check_law, dataset
+from rodlib.ilc.watch import Course, rate_of
 
 
 def record(
@@ -31,6 +33,7 @@ def record(
     rest: int = 0,
     step: float = 1.0,
     decimals: dict[str, int] | None = None,
+    stop: dict[str, tuple[float, float] | None] | None = None,
 ) -> xr.Dataset:
     """Run an experiment of several trials on a rig and record it.
 
@@ -61,6 +64,10 @@ def record(
         Of :func:`rodlib.update`, in (0, 1], the same after every trial.
     decimals : dict, optional
         Of v, u (rounded before they act), delta and measured disturbances. Default: all digits.
+    stop : dict, optional
+        Lowest and highest of outputs and commands, by name, beyond which the experiment stops; None
+        stands for no limit. Default: outputs may be beyond all references by five times the largest
+        in the same unit, if that is not zero, and commands span ten times the limits of the rig.
 
     Returns
     -------
@@ -73,12 +80,16 @@ def record(
         If something does not belong together; before anything is applied.
     RigError
         If a reading is not finite or has the wrong shape: the trial ends, those before it stay.
+    StoppedError
+        If something is beyond a limit of `stop`, which it says how to go on from. It is a RigError,
+        and has the trials before in its attribute ``trials``.
 
     Warns
     -----
     UserWarning
         After a trial in which samples were not on time, if the rig has a clock, or commands beyond
-        what it follows, if it has limits.
+        what it follows, if it has limits; once, if the trials show that they do not converge, see
+        :mod:`rodlib.ilc.watch`.
     """
     controlled = ControlledRig(rig, loop, decimals)
     check_law(loop, Q, L, rig=controlled.Ts)
@@ -98,7 +109,9 @@ def record(
         return update(signals["v"][-1], e, Q, L, rest, step)
 
     notes = with_law(xr.Dataset(), Q, L, rest, loop, step).attrs
-    return _Experiment(controlled, reference, commanded, following, notes).run(pause, path)
+    controlled.stop_at(stop, reference)
+    law = None if L is None else (Q, L)
+    return _Experiment(controlled, reference, commanded, following, notes, law).run(pause, path)
 
 
 def shake(
@@ -108,6 +121,7 @@ def shake(
     *,
     path=None,
     decimals: dict[str, int] | None = None,
+    stop: dict[str, tuple[float, float] | None] | None = None,
 ) -> xr.Dataset:
     """Shake the loop on a rig, w = v, and record it: the trials from which P can be estimated.
 
@@ -121,7 +135,7 @@ def shake(
         Of the controller that runs, whose names and units are those of the record.
     excitation : Excitation
         From :func:`multisine`.
-    path, decimals
+    path, decimals, stop
         As in :func:`record`.
 
     Returns
@@ -145,6 +159,7 @@ def shake(
     def following(signals):
         return shaken[len(signals["y"])]
 
+    controlled.stop_at(stop, shaken)
     reference = np.zeros(shaken.shape[1:])
     return _Experiment(controlled, reference, commanded, following, notes).run(0, path)
 
@@ -158,6 +173,7 @@ class _Experiment:
     commanded: np.ndarray  # of the disturbances that are inputs, shape (trial, time, them)
     following: Callable[[dict[str, list]], np.ndarray]  # v after the trials whose signals are given
     notes: dict[str, str]  # of what makes the trials
+    law: tuple[ZeroPhaseButterworth, LearningOperator] | None = None  # that shall converge
 
     def run(self, pause, path) -> xr.Dataset:
         """Run the trials that are not in the log at `path` yet; all trials."""
@@ -171,20 +187,49 @@ class _Experiment:
             self.check(found, path)
             signals, notes = {name: list(found[name].values) for name in names}, found.attrs
 
-        done, trials = len(signals["y"]), len(self.commanded)
+        done, trials, said = len(signals["y"]), len(self.commanded), set()
         samples = max(0, trials - done) * (len(self.reference) + pause) - (0 if done else pause)
         with self.rig.in_the_end_safe(done < trials), tqdm(total=samples, disable=None) as bar:
             for k in range(done, trials):
                 v = self.following(signals)
                 bar.set_description(f"trial {k + 1} of {trials}")
-                self.rig.begin(k + 1)
-                self.rig.pause(k + 1, pause if k else 0, self.reference[0], bar)
-                trial = self.rig.run(k + 1, self.reference, v, self.commanded[k], bar)
+                try:
+                    self.rig.begin(k + 1)
+                    self.rig.pause(k + 1, pause if k else 0, self.reference[0], bar)
+                    trial = self.rig.run(k + 1, self.reference, v, self.commanded[k], bar)
+                except StoppedError as error:
+                    raise self.stopped(error, signals, notes, path) from None
                 for name, values in signals.items():
                     values.append(trial[name])
                 if path is not None:
                     save_log(self.trials(signals, notes), path)
+                for kind, finding in self.findings(signals).items():
+                    if kind not in said:
+                        warnings.warn(f"after trial {k + 1}: {finding}", stacklevel=3)
+                    said.add(kind)
         return self.trials(signals, notes)
+
+    def findings(self, signals) -> dict[str, str]:
+        """What the last trial says, with those before it."""
+        if self.law is None:
+            return {}
+        loop, (v, y) = self.rig.loop, (np.stack(signals[name]) for name in ("v", "y"))
+        units = [loop.units[name] for name in loop.outputs]
+        reference = np.broadcast_to(self.reference, y.shape)
+        given = v, reference - y, reference, loop.outputs, units
+        return Course(*given, P=loop.P, rate=rate_of(loop.P, *self.law)).findings()
+
+    def stopped(self, error, signals, notes, path) -> StoppedError:
+        """The error, with what is kept and how to go on."""
+        kept, where = len(signals["y"]), "the attribute trials of this error"
+        where = where if path is None else f"'{path}'"
+        more = StoppedError(
+            f"{error}. The rig is left safe; {kept} trial(s) are kept in {where}. If the rig is as "
+            "it should be, go on with less learning, by another_law=True with a smaller step or a "
+            "lower cut-off; or with wider limits, by stop"
+        )
+        more.trials = self.trials(signals, notes) if kept else None
+        return more
 
     def trials(self, signals, notes) -> xr.Dataset:
         """The signals of all trials, put together."""
