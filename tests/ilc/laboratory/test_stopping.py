@@ -87,8 +87,8 @@ def test_what_was_learned_before_a_stop_is_kept(loop, Q, tmp_path):
     assert load_log(path).identical(at.value.trials)
     assert at.value.trials.identical(whole.isel(trial=slice(2)))
     assert record(RestartingRig(), loop, Q, L, **SHORT, path=path).identical(whole)
-    told = {"stop": {"y1": (-200.0, 200.0), "y2": None}}
-    with pytest.raises(StoppedError, match="trial 3, sample [67]: Q. = "):
+    told = {"stop": {"y1": (-200.0, 200.0), "y2": None, "Q1": (-60.0, 60.0)}}
+    with pytest.raises(StoppedError, match="trial 3, sample 6: Q1 = "):
         record(Knocked(), loop, Q, L, **SHORT, **told)
 
 
@@ -129,4 +129,4 @@ def test_pumps_at_their_limit_are_told_of_by_a_rig_that_knows_no_limits():
     with warnings.catch_warnings(action="error"):
         record(Model(tanks(), noise=0.02), loop, Q, L, reference, trials=4)
     with pytest.warns(UserWarning, match="after trial 4: .*at its limit"):
-        record(Model(tanks(), limit=50.0, noise=0.02), loop, Q, L, reference, trials=7)
+        record(Model(tanks(), limit=50.0, noise=0.02), loop, Q, L, reference, trials=4)
