@@ -25,6 +25,7 @@ def experiment() -> dict:
         "reference": np.round(assumed_reference(), 6),
         "disturbance": np.round(assumed_disturbance(), 6),
         "decimals": DECIMALS,
+        "pause": 600,  # the paper's ten minutes
     }
 
 

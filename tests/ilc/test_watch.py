@@ -58,7 +58,7 @@ def laws():
     return made
 
 
-@settings(max_examples=60)  # 0 of 2,100 with other seeds, when it was written
+@settings(max_examples=60)  # 1 of 1,600 with other seeds, when it was written
 @given(st.integers(0, 2**32 - 1))
 def test_ordinary_trials_are_no_news(laws, seed):
     """Converging, noisy, white or not, with disturbances that repeat or do not, and small steps."""

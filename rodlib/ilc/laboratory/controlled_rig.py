@@ -11,6 +11,7 @@ import numpy as np
 
 from rodlib.ilc import arguments
 from rodlib.ilc.laboratory import limits, units
+from rodlib.ilc.laboratory.mistakes import mistake_in
 from rodlib.ilc.loop import CurrentTrialLoop
 
 LATE = 0.1  # sampling periods that a sample may be off the clock
@@ -106,6 +107,7 @@ class ControlledRig:
         self.Ts = arguments.sampling_period("rig.Ts", getattr(rig, "Ts", loop.Ts))
         self.controller = None
         self.stop = {}  # limits of outputs and commands, by name
+        self.samples, self.w = [], None  # of the trial that runs, or ran last
 
     def stop_at(self, stop, reference):
         """Set the limits of outputs and commands beyond which a trial stops."""
@@ -138,23 +140,31 @@ class ControlledRig:
         if restarts or self.controller is None:
             self.controller = Controller(self.loop, self.decimals.get("u"))
 
-    def pause(self, trial, samples, w, bar):
-        """Hold the start of the reference before a trial."""
-        for p in range(samples):
-            self.sample(w, np.zeros(len(self.moved)), f"pause before trial {trial}, sample {p + 1}")
-            bar.update()
+    def pause(self, trial, samples, w, start, bar):
+        """Hold the start of the reference before a trial, if samples is None until all is back."""
+        held, y, wait = np.zeros(len(self.moved)), [], samples is None
+        for p in range(start.longest if wait else samples):
+            y.append(self.sample(w, held, f"pause before trial {trial}, sample {p + 1}")["y"])
+            bar.update(0 if wait else 1)
+            if wait and p % max(1, start.window // 10) == 0 and start.back(y, w):
+                return
+        if wait:
+            warnings.warn(
+                f"before trial {trial} the outputs were not back and still after {len(y)} samples",
+                stacklevel=5,
+            )
 
     def run(self, trial, reference, v, commanded, bar) -> dict[str, np.ndarray]:
         """Run one trial; its signals, shape (time, channel)."""
         v = _rounded(v, self.decimals.get("v"))
-        signals, squares, off = [], 0.0, []
+        self.samples, self.w, squares, off = [], reference + v, 0.0, []
         clock = getattr(self.rig, "clock", None)
         start = clock() if clock else 0.0
-        for p, (r, w, flows) in enumerate(zip(reference, reference + v, commanded, strict=True)):
+        for p, (r, w, flows) in enumerate(zip(reference, self.w, commanded, strict=True)):
             if clock:
                 off.append(clock() - start - p * self.loop.Ts)
-            signals.append(self.sample(w, flows, f"trial {trial}, sample {p + 1}"))
-            error = r - signals[-1]["y"]
+            self.samples.append(self.sample(w, flows, f"trial {trial}, sample {p + 1}"))
+            error = r - self.samples[-1]["y"]
             squares += float(error @ error)
             bar.set_postfix_str(f"RMS {math.sqrt(squares / (p + 1)):.3g}", refresh=False)
             bar.update()
@@ -163,13 +173,32 @@ class ControlledRig:
         if late.size:
             worst = np.abs(off).argmax()
             many = f"{late.size} samples were not on time, the worst, sample {worst + 1}, by"
-            warnings.warn(f"trial {trial}: {many} {off[worst]:.3g} s", stacklevel=4)
-        signals = {name: np.array([s[name] for s in signals]) for name in signals[0]}
+            warnings.warn(f"trial {trial}: {many} {off[worst]:.3g} s", stacklevel=5)
+        signals = self.signals()
         cut_off = limits.commands_beyond(signals["u"], self.loop.controls, self.limits)
         if cut_off:
             learned = "what the actuators cannot do, no learning will do for them"
-            warnings.warn(f"trial {trial}: {cut_off}; {learned}", stacklevel=4)
+            warnings.warn(f"trial {trial}: {cut_off}; {learned}", stacklevel=5)
         return {"v": v} | signals
+
+    def signals(self) -> dict[str, np.ndarray]:
+        """What was sampled of the trial that runs, or ran last."""
+        return {name: np.array([s[name] for s in self.samples]) for name in self.samples[0]}
+
+    def mistake(self) -> str | None:
+        """What the samples of a first trial, from rest, say of the wiring."""
+        if not self.samples:
+            return None
+        plant, signals, names = self.loop.plant, self.signals(), self.loop.controls
+        model = plant[:, [*names, *self.recorded]]
+        lows, highs = zip(*(self.limits.get(n, (-np.inf, np.inf)) for n in names), strict=True)
+        given = (
+            np.clip(signals["u"], lows, highs),
+            signals["disturbance"],
+            signals["y"],
+            self.w[: len(self.samples)],
+        )
+        return mistake_in(model, *given, self.loop.outputs, names)
 
     def sample(self, w, flows, where) -> dict[str, np.ndarray]:
         """Let one sampling period pass: read, check, then apply what the controller makes of it."""

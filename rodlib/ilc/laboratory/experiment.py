@@ -9,11 +9,13 @@ import xarray as xr
 from tqdm import tqdm
 
 from rodlib.ilc import arguments
+from rodlib.ilc.files import alone
 from rodlib.ilc.filters import LearningFilter, LearningOperator, ZeroPhaseButterworth, update
 from rodlib.ilc.laboratory.controlled_rig import ControlledRig, Rig, StoppedError
 from rodlib.ilc.laboratory.excitation import Excitation
 from rodlib.ilc.laboratory.log import load_ended, save_log
 from rodlib.ilc.laboratory.notes import MADE_BY, with_excitation, with_law
+from rodlib.ilc.laboratory.start import Start
 from rodlib.ilc.loop import CurrentTrialLoop
 from rodlib.ilc.trials import check_law, dataset
 from rodlib.ilc.watch import Course, rate_of
@@ -27,7 +29,7 @@ def record(
     reference,
     disturbance=None,
     trials: int = 10,
-    pause: int = 600,
+    pause: int | None = None,
     *,
     path=None,
     rest: int = 0,
@@ -37,9 +39,9 @@ def record(
 ) -> xr.Dataset:
     """Run an experiment of several trials on a rig and record it.
 
-    Between two trials the controller keeps running for `pause` samples, as in the paper, so that
-    the rig is back at the start of the reference when the next trial begins. However this ends,
-    the rig is left in a safe state. On a terminal, progress is shown.
+    Between two trials the controller keeps running and holds the start of the reference, as in the
+    paper, until the rig is back where the first trial started. However this ends, the rig is left
+    in a safe state. On a terminal, progress is shown.
 
     Parameters
     ----------
@@ -53,11 +55,15 @@ def record(
         What to command to those of ``loop.disturbances`` that are inputs of the rig. What it
         measures of them is recorded instead of the values given here; of others nothing is known,
         and they must be zero. Further trials than those recorded are ignored. Default zero.
-    trials, pause : int
+    trials : int
+    pause : int, optional
+        Samples between two trials. Default: until the outputs are back and still, two trials at
+        most; for a rig that has `begin`, none.
     path : path-like, optional
         Of a log, which is written anew when a trial ends, so that a fault costs one trial at most;
         without it, all. If the log is there, its trials must be of the same experiment, and the
-        next one follows; a last trial that is shorter than the first is dropped.
+        next one follows; a last trial that is shorter than the first is dropped. Meanwhile no other
+        process can record to it.
     rest : int
         Number of samples at the end of every trial in which v is held at zero.
     step : float
@@ -88,15 +94,17 @@ def record(
     -----
     UserWarning
         After a trial in which samples were not on time, if the rig has a clock, or commands beyond
-        what it follows, if it has limits; once, if the trials show that they do not converge, see
-        :mod:`rodlib.ilc.watch`.
+        what it follows, if it has limits; that started elsewhere than the first; after the first,
+        if a mistake in the wiring explains it; once, if the trials show that they do not converge,
+        see :mod:`rodlib.ilc.watch`.
     """
     controlled = ControlledRig(rig, loop, decimals)
     check_law(loop, Q, L, rig=controlled.Ts)
     if path is not None and L is not None:
         arguments.instance("L", L, LearningFilter)  # or the log could not say what made it
     trials = arguments.whole("trials", trials, 1)
-    pause = arguments.whole("pause", pause, 0)
+    pause = None if pause is None else arguments.whole("pause", pause, 0)
+    pause = 0 if pause is None and hasattr(rig, "begin") else pause
     reference = arguments.array("reference", reference, ("time", loop.plant.noutputs))
     rest = arguments.whole("rest", rest, 0, len(reference) - 1)
     step = arguments.share("step", step)
@@ -161,7 +169,8 @@ def shake(
 
     controlled.stop_at(stop, shaken)
     reference = np.zeros(shaken.shape[1:])
-    return _Experiment(controlled, reference, commanded, following, notes).run(0, path)
+    made = controlled, reference, commanded, following, notes
+    return _Experiment(*made, alike=False).run(0, path)
 
 
 @dataclass(frozen=True)
@@ -174,12 +183,21 @@ class _Experiment:
     following: Callable[[dict[str, list]], np.ndarray]  # v after the trials whose signals are given
     notes: dict[str, str]  # of what makes the trials
     law: tuple[ZeroPhaseButterworth, LearningOperator] | None = None  # that shall converge
+    alike: bool = True  # whether all trials shall start from the same state
 
     def run(self, pause, path) -> xr.Dataset:
         """Run the trials that are not in the log at `path` yet; all trials."""
-        path = None if path is None else arguments.path("path", path)
-        if path is not None and not path.parent.is_dir():
+        if path is None:
+            return self.run_trials(pause, None)
+        path = arguments.path("path", path)
+        if not path.parent.is_dir():
             raise ValueError(f"path = '{path}' must be in a folder that exists")
+        busy = f"path = '{path}' is recorded to by another process: wait, or give another path"
+        with alone(path.with_name(f".{path.name}.lock"), busy):
+            return self.run_trials(pause, path)
+
+    def run_trials(self, pause, path) -> xr.Dataset:
+        """As `run`, with the path of a log that nobody else writes, or None."""
         names = ("v", "u", "y", "delta", *(["disturbance"] if self.rig.recorded else []))
         signals, notes = {name: [] for name in names}, {}
         if path is not None and path.exists():
@@ -188,14 +206,18 @@ class _Experiment:
             signals, notes = {name: list(found[name].values) for name in names}, found.attrs
 
         done, trials, said = len(signals["y"]), len(self.commanded), set()
-        samples = max(0, trials - done) * (len(self.reference) + pause) - (0 if done else pause)
+        lasting = pause or 0
+        samples = max(0, trials - done) * (len(self.reference) + lasting)
+        samples -= 0 if done else lasting
         with self.rig.in_the_end_safe(done < trials), tqdm(total=samples, disable=None) as bar:
             for k in range(done, trials):
                 v = self.following(signals)
                 bar.set_description(f"trial {k + 1} of {trials}")
                 try:
                     self.rig.begin(k + 1)
-                    self.rig.pause(k + 1, pause if k else 0, self.reference[0], bar)
+                    if k:
+                        start = self.start(signals)
+                        self.rig.pause(k + 1, pause, self.reference[0], start, bar)
                     trial = self.rig.run(k + 1, self.reference, v, self.commanded[k], bar)
                 except StoppedError as error:
                     raise self.stopped(error, signals, notes, path) from None
@@ -205,28 +227,41 @@ class _Experiment:
                     save_log(self.trials(signals, notes), path)
                 for kind, finding in self.findings(signals).items():
                     if kind not in said:
-                        warnings.warn(f"after trial {k + 1}: {finding}", stacklevel=3)
+                        warnings.warn(f"after trial {k + 1}: {finding}", stacklevel=4)
                     said.add(kind)
         return self.trials(signals, notes)
 
     def findings(self, signals) -> dict[str, str]:
         """What the last trial says, with those before it."""
+        k, found = len(signals["y"]) - 1, {}
+        if self.alike and k and (missed := self.start(signals).missed(signals["y"][-1])):
+            found["start"] = missed
+        if not k and (mistake := self.rig.mistake()):
+            found["mistake"] = f"it looks as if {mistake}"
         if self.law is None:
-            return {}
+            return found
         loop, (v, y) = self.rig.loop, (np.stack(signals[name]) for name in ("v", "y"))
         units = [loop.units[name] for name in loop.outputs]
         reference = np.broadcast_to(self.reference, y.shape)
         given = v, reference - y, reference, loop.outputs, units
-        return Course(*given, P=loop.P, rate=rate_of(loop.P, *self.law)).findings()
+        return found | Course(*given, P=loop.P, rate=rate_of(loop.P, *self.law)).findings()
+
+    def start(self, signals) -> Start:
+        """Where the first trial started."""
+        loop = self.rig.loop
+        units = [loop.units[name] for name in loop.outputs]
+        return Start.of(signals["y"][0], self.reference, loop.outputs, units)
 
     def stopped(self, error, signals, notes, path) -> StoppedError:
         """The error, with what is kept and how to go on."""
         kept, where = len(signals["y"]), "the attribute trials of this error"
         where = where if path is None else f"'{path}'"
+        mistake = None if kept else self.rig.mistake()
+        seen = f"{error}. It looks as if {mistake}" if mistake else f"{error}"
         more = StoppedError(
-            f"{error}. The rig is left safe; {kept} trial(s) are kept in {where}. If the rig is as "
-            "it should be, go on with less learning, by another_law=True with a smaller step or a "
-            "lower cut-off; or with wider limits, by stop"
+            f"{seen}. The rig is left safe; {kept} trial(s) are kept in {where}. If units, signs "
+            "and wires are right, go on with less learning, by another_law=True and a smaller step "
+            "or a lower cut-off; or with wider limits, by stop"
         )
         more.trials = self.trials(signals, notes) if kept else None
         return more

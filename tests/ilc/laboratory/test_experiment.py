@@ -175,7 +175,7 @@ def test_v_rests_on_the_rig_too_and_the_log_says_so(loop, Q, L):
 
 def test_the_controller_runs_on_for_ten_minutes_between_two_trials(loop, Q):
     device = VirtualRig()
-    record(device, loop, Q, None, np.zeros((7, 2)), None, 3)
+    record(device, loop, Q, None, np.zeros((7, 2)), None, 3, pause=600)
     assert device.time == 3 * 7 + 2 * 600 + 1  # the last one with all at zero
 
 
@@ -297,7 +297,8 @@ def test_commands_that_the_rig_cuts_off_are_reported(loop, Q):
     """By the names of its inputs, which may be others and in another order than the controls."""
 
     def driver(**more):
-        return SimpleNamespace(read=lambda: [0, 0], apply=len, inputs=["Q3", "fan", "Q1"], **more)
+        read = np.random.default_rng(0).standard_normal(10**4).reshape(-1, 2).tolist().pop
+        return SimpleNamespace(read=read, apply=len, inputs=["Q3", "fan", "Q1"], **more)
 
     reference = np.zeros((20, 2))
     reference[5:10, 0] = 10.0  # 47 and 16 W by N alone

@@ -88,7 +88,7 @@ def test_what_was_learned_before_a_stop_is_kept(loop, Q, tmp_path):
     assert at.value.trials.identical(whole.isel(trial=slice(2)))
     assert record(RestartingRig(), loop, Q, L, **SHORT, path=path).identical(whole)
     told = {"stop": {"y1": (-200.0, 200.0), "y2": None, "Q1": (-60.0, 60.0)}}
-    with pytest.raises(StoppedError, match="trial 3, sample 6: Q1 = "):
+    with pytest.raises(StoppedError, match="trial 3, sample 7: Q1 = "):
         record(Knocked(), loop, Q, L, **SHORT, **told)
 
 
