@@ -7,7 +7,7 @@ from importlib import import_module
 
 MODULES = {
     "models": "minimal_realisation",
-    "loop": "CurrentTrialLoop",
+    "loop": "ClosedLoop CurrentTrialLoop",
     "gains": "current_trial_loop",
     "filters": """LearningFilter LearningOperator ZeroPhaseButterworth update
         zero_phase_butterworth""",

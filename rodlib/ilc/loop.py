@@ -1,11 +1,13 @@
-"""The current-trial loop as an object: its closed loop and P, also around another plant.
+"""Loops as objects: the current-trial loop with its P, and loops whose controller is not ours.
 
 Section III, (16)-(19), (30)-(32): the plant, an observer that also estimates the equivalent input
 disturbance, and a state feedback. What a model gets wrong is seen with the same controller around
 another plant. How the gains are designed is in :mod:`rodlib.ilc.gains`.
 """
 
-from dataclasses import dataclass
+import reprlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import control
@@ -66,6 +68,21 @@ class CurrentTrialLoop:
     def disturbances(self) -> list[str]:
         """Names of the disturbances d, which the controller does not know."""
         return self.plant.input_labels[self.plant.noutputs :]
+
+    @property
+    def references(self) -> list[str]:
+        """Names of the inputs w = r + v."""
+        return _learned(self)
+
+    @property
+    def static_gain(self) -> np.ndarray:
+        """P at frequency zero: the observer integrates, so that it is I for any plant."""
+        return np.eye(len(self.outputs))
+
+    @property
+    def slowest(self) -> float:
+        """Largest modulus of the poles."""
+        return float(np.abs(self.closed.poles()).max())
 
     @property
     def P(self) -> control.StateSpace:
@@ -157,7 +174,122 @@ class CurrentTrialLoop:
 
 
 def _learned(loop):
-    return [f"w{i + 1}" for i in range(loop.plant.noutputs)]
+    return [f"w{i + 1}" for i in range(len(loop.outputs))]
+
+
+@dataclass(frozen=True)
+class ClosedLoop:
+    """A loop whose controller is not ours, such as a PID in a PLC: it takes w = r + v, y follows.
+
+    Nothing else is assumed of it, not even that P(0) = I. Without P it can be run and shaken, by
+    which P can be measured; with P it can be simulated, and filters can be designed for it.
+
+    Attributes
+    ----------
+    P : control.StateSpace or control.TransferFunction, optional
+        From w to y, in discrete time and stable.
+    Ts : float, optional
+        Sampling period, s. Default: that of P.
+    outputs : sequence of str, optional
+        Names of y. Default: those of P.
+    controls : sequence of str
+        Names of the commands u, one for each output, if the rig tells them.
+    disturbances : sequence of str
+        Names of what else the rig measures, or can be commanded.
+    units : dict
+        Unit of each of these, by name; "" if it is not said.
+    """
+
+    P: control.StateSpace | None = None
+    Ts: float | None = None
+    outputs: Sequence[str] | None = None
+    controls: Sequence[str] = ()
+    disturbances: Sequence[str] = ()
+    units: dict[str, str] = field(default_factory=dict)
+
+    def __post_init__(self):
+        P, Ts, outputs = self.P, self.Ts, self.outputs
+        if P is not None:
+            P = _known(P)
+            outputs = P.output_labels if outputs is None else outputs
+            Ts = P.dt if Ts is None else Ts
+        if Ts is None or outputs is None:
+            raise ValueError("P = None: then Ts and outputs must be given")
+        Ts = arguments.sampling_period("Ts", Ts)
+        names = {"outputs": outputs, "controls": self.controls, "disturbances": self.disturbances}
+        names = {role: _different(role, given) for role, given in names.items()}
+        m = len(names["outputs"])
+        if not m or (P is not None and P.noutputs != m):
+            raise ValueError(f"outputs = {outputs!r} must name the outputs of P")
+        if len(names["controls"]) not in (0, m):
+            raise ValueError(f"controls = {self.controls!r} must be one for each output, or none")
+        if P is not None:
+            arguments.one_period(Ts=Ts, P=P.dt)
+        signals = [name for given in names.values() for name in given]
+        units = dict.fromkeys(signals, "") | arguments.by_name("units", self.units, signals)
+        for name in signals:
+            arguments.instance(f"units[{name!r}]", units[name], str)
+        for name, value in ({"P": P, "Ts": Ts, "units": units} | names).items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def references(self) -> list[str]:
+        """Names of the inputs w = r + v."""
+        return _learned(self) if self.P is None else self.P.input_labels
+
+    @property
+    def static_gain(self) -> None:
+        """P at frequency zero, of which nothing is known but what was measured."""
+        return None
+
+    @property
+    def slowest(self) -> float | None:
+        """Largest modulus of the poles of P, if it is known."""
+        return None if self.P is None else float(np.abs(self.P.poles()).max(initial=0))
+
+    def model(self, plant=None) -> control.StateSpace:
+        """P, or `plant` in its place, which is another model from w to y."""
+        if plant is None and self.P is None:
+            raise ValueError("loop has no P: it can be run and shaken, but not simulated")
+        P = self.P if plant is None else _known(plant, "plant")
+        arguments.one_period(loop=self.Ts, plant=P.dt)
+        if P.noutputs != len(self.outputs):
+            raise ValueError(f"plant has {P.noutputs} outputs, but the loop {len(self.outputs)}")
+        return P
+
+    def frequency_response(self, omega, plant=None) -> np.ndarray:
+        """P, or another model from w to y, at `omega` (rad/s), shape (n, m, m)."""
+        return frequency_response(self.model(plant), omega)
+
+
+Loop = CurrentTrialLoop | ClosedLoop
+
+
+def check_loop(loop) -> Loop:
+    """Any loop."""
+    if not isinstance(loop, Loop):
+        raise ValueError(f"loop = {reprlib.repr(loop)} must be a CurrentTrialLoop or a ClosedLoop")
+    return loop
+
+
+def _known(P, name="P"):
+    """A stable model from w to y."""
+    try:
+        P = sampled_plant(P)
+    except ValueError as error:
+        raise ValueError(f"{name} must be a model from w to y: {error}") from None
+    arguments.stable(name, P.poles())
+    if P.ninputs != P.noutputs:
+        raise ValueError(f"{name} has {P.ninputs} inputs and {P.noutputs} outputs: w is as y")
+    return P
+
+
+def _different(role, names):
+    """A list of names."""
+    listed = isinstance(names, Sequence) and not isinstance(names, str | bytes)
+    if not listed or not all(isinstance(n, str) for n in names) or len({*names}) < len(names):
+        raise ValueError(f"{role} = {reprlib.repr(names)} must be different names")
+    return list(names)
 
 
 def _controller(loop):

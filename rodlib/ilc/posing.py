@@ -9,11 +9,11 @@ import numpy as np
 
 from rodlib.ilc import arguments
 from rodlib.ilc.filters import ZeroPhaseButterworth
-from rodlib.ilc.loop import CurrentTrialLoop
+from rodlib.ilc.loop import Loop
 from rodlib.ilc.models import frequency_response
 from rodlib.ilc.problem import Problem
 
-MODELS = (CurrentTrialLoop, control.LTI)  # what a plant may be, if not an array
+MODELS = (Loop, control.LTI)  # what a plant may be, if not an array
 CONFIDENCE = 0.99  # in a measured response, if not said otherwise
 
 
@@ -88,7 +88,7 @@ def period(P, Q):
     """The sampling period that Q, or else a plant, knows."""
     several = isinstance(P, list | tuple)
     for thing in (Q, *(P if several else [P])):
-        if isinstance(thing, ZeroPhaseButterworth | CurrentTrialLoop):
+        if isinstance(thing, ZeroPhaseButterworth | Loop):
             return thing.Ts
         if isinstance(thing, control.LTI) and thing.dt and thing.dt is not True:
             return thing.dt
@@ -148,7 +148,7 @@ def on_grid(plants, omega, Ts):
 
 def _response(name, P, omega, Ts):
     """The plant as a model, or None, and its frequency response on omega, not yet checked."""
-    if isinstance(P, CurrentTrialLoop):
+    if isinstance(P, Loop):
         P = P.P
     if isinstance(P, control.FrequencyResponseData):
         return None, _of_frd(name, P, omega, Ts)

@@ -8,13 +8,13 @@ import xarray as xr
 
 from rodlib.ilc import arguments
 from rodlib.ilc.filters import LearningOperator, ZeroPhaseButterworth, check_learning, update
-from rodlib.ilc.loop import CurrentTrialLoop, with_noise
+from rodlib.ilc.loop import ClosedLoop, Loop, check_loop, with_noise
 from rodlib.ilc.models import state_sequence
 from rodlib.ilc.watch import Course, rate_of
 
 
 def run_trials(
-    loop: CurrentTrialLoop,
+    loop: Loop,
     Q: ZeroPhaseButterworth,
     L: LearningOperator | None,
     reference,
@@ -34,8 +34,8 @@ def run_trials(
 
     Parameters
     ----------
-    loop : CurrentTrialLoop
-        With m controls and outputs and d disturbances.
+    loop : CurrentTrialLoop or ClosedLoop
+        With m outputs and d disturbances. Of a ClosedLoop only P is simulated, no disturbance.
     Q, L : ZeroPhaseButterworth, LearningOperator
         L None switches learning off: v stays what it is.
     reference : array_like, shape (time, m) or (trial, time, m)
@@ -44,12 +44,14 @@ def run_trials(
         In the order of ``loop.disturbances``. Default zero.
     trials : int
     plant : control.StateSpace or control.TransferFunction, optional
-        Another plant in the place of that of the design, as in :meth:`CurrentTrialLoop.around`.
+        Another plant in the place of that of the design, as in :meth:`CurrentTrialLoop.around`; for
+        a ClosedLoop, another P.
     noise : array_like, shape (trial, time, m), optional
-        Added to what the sensors report: both observer and learning see it.
+        Added to what the sensors report: both observer and learning see it; of a ClosedLoop,
+        learning only.
     initial_state : array_like, shape (n,), optional
-        State of the plant that is simulated at the start of every trial, unknown to the observer.
-        Default zero.
+        State of the plant that is simulated at the start of every trial, unknown to the observer,
+        or of P. Default zero.
     rest : int
         Number of samples at the end of every trial in which v is held at zero.
     step : float or array_like, shape (trials - 1,)
@@ -63,7 +65,8 @@ def run_trials(
         The signals reference, v, u, y, delta (the estimate of the input disturbance), disturbance,
         and e = reference - y, the error that the controller sees. Each has the dimensions trial
         (1, 2, ...), time (s), and channel (1, 2, ...) or source, and its unit as an attribute; the
-        channels have the coordinates output, control, output_unit and control_unit.
+        channels have the coordinates output, control, output_unit and control_unit. Of a
+        ClosedLoop there are no u and delta.
 
     Warns
     -----
@@ -71,8 +74,7 @@ def run_trials(
         If the trials show that they do not converge, see :mod:`rodlib.ilc.watch`.
     """
     check_law(loop, Q, L)
-    closed = with_noise(loop, plant)
-    m, n = loop.plant.noutputs, closed.nstates - len(loop.KL)
+    m, simulate, n, nx = len(loop.outputs), *_simulation(loop, plant)
     trials = arguments.whole("trials", trials, 1)
     r = _each_trial("reference", reference, trials, "time", m)
     shape = trials, samples, _ = r.shape
@@ -80,23 +82,19 @@ def run_trials(
     d = np.zeros((samples, len(loop.disturbances))) if disturbance is None else disturbance
     d = _each_trial("disturbance", d, trials, samples, len(loop.disturbances))
     noise = np.zeros(shape) if noise is None else arguments.array("noise", noise, shape)
-    chi = np.zeros(closed.nstates)
+    chi = np.zeros(nx)
     if initial_state is not None:
         chi[:n] = arguments.array("initial_state", initial_state, (n,))
     first = np.zeros(shape[1:]) if v is None else arguments.array("v", v, shape[1:])
     first[samples - rest :] = 0
 
-    B, E, K = np.split(closed.B, [m, -m], axis=1)
-    D, F, _ = np.split(closed.D, [m, -m], axis=1)
-    v, u, y, delta = (np.zeros(shape) for _ in range(4))
+    v, y, made = np.zeros(shape), np.zeros(shape), []
 
     def run(k, v_k):
         v[k] = v_k
         w = r[k] + v_k  # (22)
-        states = state_sequence(closed.A, w @ B.T + d[k] @ E.T + noise[k] @ K.T, chi)  # (19)
-        y[k] = states @ closed.C.T + w @ D.T + d[k] @ F.T
-        x_hat, delta[k] = states[:, n:-m], states[:, -m:]
-        u[k] = w @ loop.N.T - x_hat @ loop.Ks.T - delta[k]  # (18)
+        y[k], more = simulate(w, d[k], noise[k], chi)
+        made.append(more)
         return r[k] - y[k] - noise[k]
 
     errors = learn(run, first, Q, L, trials, rest, _steps(step, trials))
@@ -106,11 +104,37 @@ def run_trials(
         course = Course(v, errors, r, names, units, 1, None if plant is None else P, rate)
         for finding in course.all_findings().values():
             warnings.warn(finding, stacklevel=2)
+    more = {name: np.array([trial[name] for trial in made]) for name in made[0]}
     return dataset(
-        loop.Ts, loop.outputs, loop.controls, loop.disturbances, loop.units,
-        reference=r, v=v, u=u, y=y + noise, delta=delta,
-        disturbance=d,
+        loop.Ts, loop.outputs, loop.controls if more else [], loop.disturbances, loop.units,
+        reference=r, v=v, y=y + noise, disturbance=d, **more,
     )  # fmt: skip
+
+
+def _simulation(loop, plant):
+    """What makes a trial of w, d and noise, and the numbers of the plant's and of all states."""
+    if isinstance(loop, ClosedLoop):
+        P = loop.model(plant)
+
+        def answer(w, d, noise, x):
+            if d.any():
+                raise ValueError("disturbance is not zero, but loop.P says nothing of disturbances")
+            return state_sequence(P.A, w @ P.B.T, x) @ P.C.T + w @ P.D.T, {}
+
+        return answer, P.nstates, P.nstates
+
+    closed, m = with_noise(loop, plant), len(loop.outputs)
+    n = closed.nstates - len(loop.KL)
+    B, E, K = np.split(closed.B, [m, -m], axis=1)
+    D, F, _ = np.split(closed.D, [m, -m], axis=1)
+
+    def simulate(w, d, noise, chi):
+        states = state_sequence(closed.A, w @ B.T + d @ E.T + noise @ K.T, chi)  # (19)
+        x_hat, delta = states[:, n:-m], states[:, -m:]
+        u = w @ loop.N.T - x_hat @ loop.Ks.T - delta  # (18)
+        return states @ closed.C.T + w @ D.T + d @ F.T, {"u": u, "delta": delta}
+
+    return simulate, n, closed.nstates
 
 
 def learn(run, v, Q, L, trials, rest=0, steps=None) -> np.ndarray:
@@ -142,10 +166,10 @@ def _steps(step, trials):
 
 def check_law(loop, Q, L, **periods: float) -> None:
     """Check that a loop, the filters of the law and further sampling periods fit together."""
-    arguments.instance("loop", loop, CurrentTrialLoop)
+    check_loop(loop)
     arguments.instance("Q", Q, ZeroPhaseButterworth)
     if L is not None:
-        check_learning(L, loop.plant.noutputs)
+        check_learning(L, len(loop.outputs))
         periods["L"] = L.Ts
     arguments.one_period(loop=loop.Ts, Q=Q.Ts, **periods)
 

@@ -8,7 +8,7 @@ from rodlib.ilc import lazily
 __getattr__, __all__ = lazily(
     __name__,
     {
-        "controlled_rig": "Controller Rig RigError StoppedError",
+        "controlled_rig": "Controller Rig RigError StoppedError TrialRig",
         "excitation": "Excitation multisine",
         "experiment": "record shake",
         "log": "LogError load_log save_log",

@@ -12,7 +12,7 @@ import numpy as np
 from rodlib.ilc import arguments
 from rodlib.ilc.laboratory import limits, units
 from rodlib.ilc.laboratory.mistakes import mistake_in
-from rodlib.ilc.loop import CurrentTrialLoop
+from rodlib.ilc.loop import CurrentTrialLoop, check_loop
 
 LATE = 0.1  # sampling periods that a sample may be off the clock
 
@@ -20,14 +20,17 @@ LATE = 0.1  # sampling periods that a sample may be off the clock
 class Rig(Protocol):
     """What :func:`record` asks of a rig: a driver of two methods, one call each per sample.
 
+    With a :class:`rodlib.ClosedLoop`, whose controller is on the rig, the inputs are w = r + v, and
+    ``measured`` has the commands u, if the loop names any.
+
     A rig may have more. ``inputs``: names of the numbers that ``apply`` takes; without it they are
-    the loop's controls. ``limits``: a dict of the lowest and the highest number that it follows, by
-    the name of the input; what is beyond them is warned of. ``Ts``: its sampling period, s.
-    ``measured``: a dict of what else it measures, by name, such as the temperature of the room.
-    ``safe()``: what leaves it in a safe state; without it, zeros are applied. ``begin(trial)``:
-    what brings it into the state in which every trial begins, such as a homing run; the controller
-    then starts afresh, too. ``clock()``: the time, s, by which samples are late or not, such as
-    ``time.monotonic``.
+    the loop's controls, or references. ``limits``: a dict of the lowest and the highest number that
+    it follows, by the name of the input; what is beyond them is warned of. ``Ts``: its sampling
+    period, s. ``measured``: a dict of what else it measures, by name, such as the temperature of
+    the room. ``safe()``: what leaves it in a safe state; without it, zeros are applied.
+    ``begin(trial)``: what brings it into the state in which every trial begins, such as a homing
+    run; the controller then starts afresh, too. ``clock()``: the time, s, by which samples are late
+    or not, such as ``time.monotonic``.
     """
 
     def read(self) -> Sequence[float]:
@@ -35,6 +38,17 @@ class Rig(Protocol):
 
     def apply(self, commands) -> None:
         """Set the inputs, and return when the next sample is due."""
+
+
+class TrialRig(Protocol):
+    """Another kind of driver, trial by trial, for a target that runs the controller by itself.
+
+    It may have ``Ts``, ``limits``, ``safe()`` and ``begin(trial)``, as :class:`Rig` has. No
+    pause between trials: ``run`` begins where every trial begins.
+    """
+
+    def run(self, w):
+        """Upload w (time, output), start, download: y, or the pair y, u if the loop names u."""
 
 
 class RigError(RuntimeError):
@@ -85,25 +99,34 @@ class ControlledRig:
         if isinstance(rig, type):
             raise ValueError(f"rig = {rig!r} is a class: make one")
         missing = [name for name in ("read", "apply") if not callable(getattr(rig, name, None))]
-        if missing:
+        self.whole = bool(missing) and callable(getattr(rig, "run", None))
+        if missing and not self.whole:
             raise ValueError(f"rig = {reprlib.repr(rig)} has no {', '.join(missing)}: see Rig")
-        self.rig, self.loop = rig, arguments.instance("loop", loop, CurrentTrialLoop)
-        for name in loop.plant.input_labels + loop.plant.output_labels:
+        self.rig, self.loop = rig, check_loop(loop)
+        self.ours = isinstance(loop, CurrentTrialLoop)  # the controller, if it is not on the rig
+        self.commands = loop.controls if self.ours else loop.references
+        for name in [*loop.controls, *loop.disturbances, *loop.outputs]:
             units.understood(name, loop.units.get(name, ""))
         decimals = arguments.by_name("decimals", decimals, ["v", "u", "delta", "disturbance"])
         for name, value in decimals.items():
             arguments.whole(f"decimals[{name!r}]", value, 0, 300)
         self.decimals = decimals
-        self.inputs = list(getattr(rig, "inputs", loop.controls))
-        missing = [name for name in loop.controls if name not in self.inputs]
+        self.inputs = list(getattr(rig, "inputs", self.commands))
+        missing = [name for name in self.commands if name not in self.inputs]
         if missing:
-            raise ValueError(f"rig.inputs = {self.inputs} must name the controls {missing}")
+            what = "controls" if self.ours else "references"
+            raise ValueError(f"rig.inputs = {self.inputs} must name the {what} {missing}")
         self.limits = limits.named_limits("rig.limits", getattr(rig, "limits", None), self.inputs)
-        heard = getattr(rig, "measured", {})
-        self.moved = [name for name in loop.disturbances if name in self.inputs]
+        heard = {} if self.whole else getattr(rig, "measured", {})
+        self.told = [] if self.ours or self.whole else loop.controls  # u, by who commands it
+        missing = [name for name in self.told if name not in heard]
+        if missing:
+            raise ValueError(f"rig.measured must have the controls {missing} of the loop")
+        moved = [] if self.whole else loop.disturbances
+        self.moved = [name for name in moved if name in self.inputs]
         self.heard = [n for n in loop.disturbances if n in heard and n not in self.moved]
         self.recorded = [n for n in loop.disturbances if n in self.moved + self.heard]
-        self.positions = [self.inputs.index(name) for name in loop.controls + self.moved]
+        self.positions = [self.inputs.index(name) for name in self.commands + self.moved]
         self.Ts = arguments.sampling_period("rig.Ts", getattr(rig, "Ts", loop.Ts))
         self.controller = None
         self.stop = {}  # limits of outputs and commands, by name
@@ -111,9 +134,16 @@ class ControlledRig:
 
     def stop_at(self, stop, reference):
         """Set the limits of outputs and commands beyond which a trial stops."""
-        outputs, commands = self.loop.outputs, self.loop.controls
+        outputs, commands = self.loop.outputs, self.commands
         own = [self.loop.units[name] for name in outputs]
         self.stop = limits.stop_limits(stop, reference, outputs, own, commands, self.limits)
+
+    @property
+    def recorded_signals(self) -> list[str]:
+        """Which signals a trial has."""
+        names = {"v": True, "u": self.loop.controls, "y": True}
+        names |= {"delta": self.ours and not self.whole, "disturbance": self.recorded}
+        return [name for name, there in names.items() if there]
 
     def commanded(self, disturbance, trials, samples) -> np.ndarray:
         """The commands to the disturbances that are inputs, shape (trial, time, them)."""
@@ -137,7 +167,7 @@ class ControlledRig:
         restarts = hasattr(self.rig, "begin")
         if restarts:
             self.rig.begin(trial)
-        if restarts or self.controller is None:
+        if self.ours and (restarts or self.controller is None):
             self.controller = Controller(self.loop, self.decimals.get("u"))
 
     def pause(self, trial, samples, w, start, bar):
@@ -158,6 +188,10 @@ class ControlledRig:
         """Run one trial; its signals, shape (time, channel)."""
         v = _rounded(v, self.decimals.get("v"))
         self.samples, self.w, squares, off = [], reference + v, 0.0, []
+        if self.whole:
+            self.download(trial)
+            bar.update(len(v))
+            return {"v": v} | self.signals()
         clock = getattr(self.rig, "clock", None)
         start = clock() if clock else 0.0
         for p, (r, w, flows) in enumerate(zip(reference, self.w, commanded, strict=True)):
@@ -175,11 +209,42 @@ class ControlledRig:
             many = f"{late.size} samples were not on time, the worst, sample {worst + 1}, by"
             warnings.warn(f"trial {trial}: {many} {off[worst]:.3g} s", stacklevel=5)
         signals = self.signals()
-        cut_off = limits.commands_beyond(signals["u"], self.loop.controls, self.limits)
+        commands = signals["u"] if self.ours else self.w
+        cut_off = limits.commands_beyond(commands, self.commands, self.limits)
         if cut_off:
             learned = "what the actuators cannot do, no learning will do for them"
             warnings.warn(f"trial {trial}: {cut_off}; {learned}", stacklevel=5)
         return {"v": v} | signals
+
+    def download(self, trial):
+        """Let the rig run a whole trial by itself; its samples."""
+        with_u, shape = bool(self.loop.controls), self.w.shape
+        try:
+            result = self.rig.run(self.w.copy())
+            y, *more = result if with_u and isinstance(result, tuple) else (result,)
+            try:
+                downloaded = {"y": arguments.array("y", y, shape)}
+                if with_u:
+                    given = more[0] if more else None
+                    downloaded["u"] = _rounded(
+                        arguments.array("u", given, shape), self.decimals.get("u")
+                    )
+            except ValueError as error:
+                raise RigError(str(error)) from None
+        except RigError as error:
+            raise RigError(f"trial {trial}: {error}") from None
+        except Exception as error:
+            error.add_note(f"in trial {trial}")
+            raise
+        samples = zip(*downloaded.values(), strict=True)
+        self.samples = [dict(zip(downloaded, sample, strict=True)) for sample in samples]
+        for p, sample in enumerate(self.samples):
+            try:
+                self.check(sample["y"], self.loop.outputs)
+                if self.ours:
+                    self.check(sample["u"], self.commands)
+            except StoppedError as error:
+                raise StoppedError(f"trial {trial}, sample {p + 1}: {error}") from None
 
     def signals(self) -> dict[str, np.ndarray]:
         """What was sampled of the trial that runs, or ran last."""
@@ -187,29 +252,31 @@ class ControlledRig:
 
     def mistake(self) -> str | None:
         """What the samples of a first trial, from rest, say of the wiring."""
-        if not self.samples:
+        if not self.samples or (self.loop.P is None):
             return None
-        plant, signals, names = self.loop.plant, self.signals(), self.loop.controls
-        model = plant[:, [*names, *self.recorded]]
+        signals, names, w = self.signals(), self.commands, self.w[: len(self.samples)]
+        model, commands, known = self.loop.P, w, np.zeros((len(w), 0))
+        if self.ours:
+            known = signals.get("disturbance", known)
+            model, commands = self.loop.plant[:, [*names, *self.recorded]], signals["u"]
         lows, highs = zip(*(self.limits.get(n, (-np.inf, np.inf)) for n in names), strict=True)
-        given = (
-            np.clip(signals["u"], lows, highs),
-            signals["disturbance"],
-            signals["y"],
-            self.w[: len(self.samples)],
-        )
+        given = np.clip(commands, lows, highs), known, signals["y"], w
         return mistake_in(model, *given, self.loop.outputs, names)
 
     def sample(self, w, flows, where) -> dict[str, np.ndarray]:
         """Let one sampling period pass: read, check, then apply what the controller makes of it."""
         try:
             y, heard = self.readings()
-            delta = _rounded(self.controller.delta, self.decimals.get("delta"))
             self.check(y, self.loop.outputs)
-            u = self.controller.step(y, w)
-            self.check(u, self.loop.controls)
+            if self.ours:
+                found = {"delta": _rounded(self.controller.delta, self.decimals.get("delta"))}
+                commands = found["u"] = self.controller.step(y, w)
+            else:
+                u = np.array([heard.pop(name) for name in self.told])
+                found, commands = {"u": u} if self.told else {}, w
+            self.check(commands, self.commands)
             command = np.zeros(len(self.inputs))
-            command[self.positions] = np.concatenate([u, flows])
+            command[self.positions] = np.concatenate([commands, flows])
             self.rig.apply(command)
         except RigError as error:
             raise type(error)(f"{where}: {error}. Nothing was applied after it") from None
@@ -218,7 +285,7 @@ class ControlledRig:
             raise
         known = heard | dict(zip(self.moved, flows, strict=True))
         disturbance = np.array([known[name] for name in self.recorded])
-        return {"u": u, "y": y, "delta": delta, "disturbance": disturbance}
+        return found | {"y": y, "disturbance": disturbance}
 
     def check(self, values, names):
         """Stop at what is beyond the limits."""
@@ -229,16 +296,17 @@ class ControlledRig:
                 raise StoppedError(f"{what}, the limits of stop")
 
     def readings(self) -> tuple[np.ndarray, dict[str, float]]:
-        """The outputs, and the disturbances that are measured."""
-        y, heard = self.rig.read(), self.rig.measured if self.heard else {}
+        """The outputs, and what else is measured: disturbances, and u if it is not ours."""
+        names = self.heard + self.told
+        y, heard = self.rig.read(), self.rig.measured if names else {}
         try:
-            y = arguments.array("reading", y, (self.loop.plant.noutputs,))
-            heard = {name: float(arguments.array(name, heard.get(name), ())) for name in self.heard}
+            y = arguments.array("reading", y, (len(self.loop.outputs),))
+            heard = {name: float(arguments.array(name, heard.get(name), ())) for name in names}
         except ValueError as error:
             raise RigError(str(error)) from None
-        decimals = self.decimals.get("disturbance")
-        if decimals is not None:
-            heard = {name: round(value, decimals) for name, value in heard.items()}
+        for name, value in heard.items():
+            decimals = self.decimals.get("u" if name in self.told else "disturbance")
+            heard[name] = value if decimals is None else round(value, decimals)
         return y, heard
 
     @contextmanager
@@ -249,7 +317,7 @@ class ControlledRig:
         finally:
             if begun and hasattr(self.rig, "safe"):
                 self.rig.safe()
-            elif begun:
+            elif begun and not self.whole:
                 self.rig.apply(np.zeros(len(self.inputs)))
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.fft import next_fast_len
 
 from rodlib.ilc import arguments
-from rodlib.ilc.loop import CurrentTrialLoop
+from rodlib.ilc.loop import Loop, check_loop
 
 LEAD = 0.25  # periods before those that are evaluated, in which most of the transient decays
 FEWEST = 3  # periods: with fewer, nothing around the lowest line tells the noise
@@ -101,7 +101,7 @@ class Excitation:
 
 
 def multisine(
-    loop: CurrentTrialLoop,
+    loop: Loop,
     lowest: float,
     highest: float,
     amplitude,
@@ -112,7 +112,7 @@ def multisine(
 
     Parameters
     ----------
-    loop : CurrentTrialLoop
+    loop : CurrentTrialLoop or ClosedLoop
         Its sampling period and number of channels count; the model in it does not.
     lowest, highest : float
         Frequencies, rad/s. The lowest sets the period. Below it, P is known from the loop's
@@ -129,8 +129,7 @@ def multisine(
     -------
     Excitation
     """
-    arguments.instance("loop", loop, CurrentTrialLoop)
-    Ts, m = loop.Ts, loop.plant.noutputs
+    Ts, m = check_loop(loop).Ts, len(loop.outputs)
     nyquist = np.pi / Ts
     lowest = arguments.number("lowest", lowest, "between 0 and pi / Ts / 4", 0, nyquist / 4)
     highest = arguments.number("highest", highest, "between lowest and pi / Ts", lowest, nyquist)

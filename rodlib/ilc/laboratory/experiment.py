@@ -11,19 +11,19 @@ from tqdm import tqdm
 from rodlib.ilc import arguments
 from rodlib.ilc.files import alone
 from rodlib.ilc.filters import LearningFilter, LearningOperator, ZeroPhaseButterworth, update
-from rodlib.ilc.laboratory.controlled_rig import ControlledRig, Rig, StoppedError
+from rodlib.ilc.laboratory.controlled_rig import ControlledRig, Rig, StoppedError, TrialRig
 from rodlib.ilc.laboratory.excitation import Excitation
 from rodlib.ilc.laboratory.log import load_ended, save_log
 from rodlib.ilc.laboratory.notes import MADE_BY, with_excitation, with_law
 from rodlib.ilc.laboratory.start import Start
-from rodlib.ilc.loop import CurrentTrialLoop
+from rodlib.ilc.loop import Loop
 from rodlib.ilc.trials import check_law, dataset
 from rodlib.ilc.watch import Course, rate_of
 
 
 def record(
-    rig: Rig,
-    loop: CurrentTrialLoop,
+    rig: Rig | TrialRig,
+    loop: Loop,
     Q: ZeroPhaseButterworth,
     L: LearningOperator | None,
     reference,
@@ -45,8 +45,8 @@ def record(
 
     Parameters
     ----------
-    rig : Rig
-    loop : CurrentTrialLoop
+    rig : Rig or TrialRig
+    loop : CurrentTrialLoop or ClosedLoop
         Its names and units are those of the record.
     Q, L : ZeroPhaseButterworth, LearningOperator
         L None switches learning off. A log can name no other L than a LearningFilter.
@@ -104,8 +104,10 @@ def record(
         arguments.instance("L", L, LearningFilter)  # or the log could not say what made it
     trials = arguments.whole("trials", trials, 1)
     pause = None if pause is None else arguments.whole("pause", pause, 0)
-    pause = 0 if pause is None and hasattr(rig, "begin") else pause
-    reference = arguments.array("reference", reference, ("time", loop.plant.noutputs))
+    if pause and controlled.whole:
+        raise ValueError(f"pause = {pause}, but rig.run begins where every trial begins: leave it")
+    pause = 0 if pause is None and (controlled.whole or hasattr(rig, "begin")) else pause
+    reference = arguments.array("reference", reference, ("time", len(loop.outputs)))
     rest = arguments.whole("rest", rest, 0, len(reference) - 1)
     step = arguments.share("step", step)
     commanded = controlled.commanded(disturbance, trials, len(reference))
@@ -123,8 +125,8 @@ def record(
 
 
 def shake(
-    rig: Rig,
-    loop: CurrentTrialLoop,
+    rig: Rig | TrialRig,
+    loop: Loop,
     excitation: Excitation,
     *,
     path=None,
@@ -139,7 +141,7 @@ def shake(
     Parameters
     ----------
     rig : Rig
-    loop : CurrentTrialLoop
+    loop : CurrentTrialLoop or ClosedLoop
         Of the controller that runs, whose names and units are those of the record.
     excitation : Excitation
         From :func:`multisine`.
@@ -156,7 +158,7 @@ def shake(
     arguments.instance("excitation", excitation, Excitation)
     arguments.one_period(loop=loop.Ts, rig=controlled.Ts, excitation=excitation.Ts)
     shaken = excitation.signals
-    m = loop.plant.noutputs
+    m = len(loop.outputs)
     if excitation.channels != m:
         raise ValueError(f"excitation is for {excitation.channels} channels, but the loop has {m}")
     commanded = controlled.commanded(None, *shaken.shape[:2])
@@ -198,12 +200,11 @@ class _Experiment:
 
     def run_trials(self, pause, path) -> xr.Dataset:
         """As `run`, with the path of a log that nobody else writes, or None."""
-        names = ("v", "u", "y", "delta", *(["disturbance"] if self.rig.recorded else []))
-        signals, notes = {name: [] for name in names}, {}
+        signals, notes = {name: [] for name in self.rig.recorded_signals}, {}
         if path is not None and path.exists():
             found = load_ended(path)
             self.check(found, path)
-            signals, notes = {name: list(found[name].values) for name in names}, found.attrs
+            signals, notes = {name: list(found[name].values) for name in signals}, found.attrs
 
         done, trials, said = len(signals["y"]), len(self.commanded), set()
         lasting = pause or 0
@@ -244,7 +245,8 @@ class _Experiment:
         units = [loop.units[name] for name in loop.outputs]
         reference = np.broadcast_to(self.reference, y.shape)
         given = v, reference - y, reference, loop.outputs, units
-        return found | Course(*given, P=loop.P, rate=rate_of(loop.P, *self.law)).findings()
+        rate = None if loop.P is None else rate_of(loop.P, *self.law)
+        return found | Course(*given, P=loop.P, rate=rate).findings()
 
     def start(self, signals) -> Start:
         """Where the first trial started."""

@@ -87,7 +87,9 @@ def _drift(y, windows, excitation, measured):
 
 
 def _unanchored(measured):
-    """Whether P has turned away from I before the lowest frequency."""
+    """Whether P has turned away from I before the lowest frequency, if it is I at zero."""
+    if not measured.anchored:
+        return None
     away = np.linalg.norm(measured.response[0] - np.eye(len(measured.response[0])), 2)
     if away <= 1:
         return None

@@ -20,11 +20,11 @@ from rodlib.ilc.laboratory.tables import NUMBER, few
 from rodlib.ilc.trials import dataset
 
 FORMAT = "rodlib trial log 2"
-SIGNALS = {  # and what the channels of each are; every log has all but the last two
+SIGNALS = {  # and what the channels of each are; u only if the commands are known
     "reference": "output", "v": "output", "u": "control", "y": "output",
     "delta": "control", "disturbance": "source",
 }  # fmt: skip
-REQUIRED = [name for name in SIGNALS if name not in ("delta", "disturbance")]
+REQUIRED = ["reference", "v", "y"]
 ROLES = {"output": "outputs", "control": "controls", "source": "disturbances"}  # in the metadata
 OWN = ("format", "Ts", "signals")  # metadata that are no attributes
 
@@ -185,9 +185,10 @@ def _columns_of(table):
         m = len(arguments.instance("outputs", signals.get("outputs"), dict))
         for key in signals:
             arguments.instance(key, signals[key], dict)
-        if not {*signals} <= {*ROLES.values()} or not m or m != len(signals.get("controls", ())):
+        controls = len(signals.get("controls", range(m)))  # those that are named
+        if not {*signals} <= {*ROLES.values()} or not m or m != controls:
             words = ", ".join(ROLES.values())
-            raise ValueError(f"it must have {words} and one control for each output")
+            raise ValueError(f"it must have {words} and one control for each output, or none")
         _units_of(signals)
         estimated = any(title.startswith("delta_") for title in table.header)
         titles = {

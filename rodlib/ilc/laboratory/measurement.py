@@ -20,7 +20,7 @@ from rodlib.ilc.laboratory.notes import actuators_of, excitation_of, loop_of
 from rodlib.ilc.laboratory.region import radius_of
 from rodlib.ilc.laboratory.tables import few
 from rodlib.ilc.laboratory.transient import NEIGHBOURS, SPAN, nearest, separated, windows_of
-from rodlib.ilc.loop import CurrentTrialLoop
+from rodlib.ilc.loop import Loop
 
 ROUNDED = 0.02  # of the amplitude: how far w may be from the excitation, as logs hold few digits
 
@@ -39,7 +39,7 @@ class MeasuredResponse:
     noise: np.ndarray  # covariance of the outputs' spectra, without transient, likewise
     spread: np.ndarray  # inverse of the spectra of w, (experiment, input), likewise
     freedom: np.ndarray  # shape (n,)
-    loop: CurrentTrialLoop  # whose controller ran; its observer integrates, so that P(0) = I
+    loop: Loop  # whose controller ran; if its observer integrates, P(0) = I
     findings: tuple[str, ...] = ()  # what speaks against the measurement, and what follows
 
     def radius(self, confidence: float = 0.95, jointly: bool = False) -> np.ndarray:
@@ -74,31 +74,48 @@ class MeasuredResponse:
         Returns
         -------
         response : ndarray, shape (n, m, m), complex
-            A cubic spline through what was measured and, at frequency zero, I.
+            A cubic spline through what was measured and, at frequency zero, I, if that is known of
+            the loop.
         radius : ndarray, shape (n,)
             That of the neighbours, interpolated linearly, and by how much the spline differs from
             straight lines. Above the highest frequency the response is the one there, and the
-            radius contains all that is not larger. :meth:`basis` says what is assumed by that.
+            radius contains all that is not larger; so, too, below the lowest, of a loop of which
+            P(0) is not known. :meth:`basis` says what is assumed by that.
         """
         omega = np.abs(arguments.row("omega", omega))
         if scale is not None:
             return self._in_units_of(scale).on(omega, confidence)
-        radius = np.append(0.0, self.radius(confidence, jointly=True))
-        knots = np.append(0.0, self.omega)
-        P = np.concatenate([[np.eye(len(self.loop.outputs))], self.response])
-        knots_both = np.concatenate([-knots[:0:-1], knots])
-        P_both = np.concatenate([P[:0:-1].conj(), P])
+        radius, knots, P = self.radius(confidence, jointly=True), self.omega, self.response
+        below = omega < knots[0] * (1 - 1e-9)
+        knots_both, P_both = (
+            np.concatenate([s * x[::-1].conj(), x]) for s, x in ((-1, knots), (1, P))
+        )
+        if self.anchored:
+            radius, knots, below = (
+                np.append(0.0, radius),
+                np.append(0.0, knots),
+                np.zeros_like(below),
+            )
+            knots_both = np.insert(knots_both, len(P), 0.0)
+            P_both = np.insert(P_both, len(P), self.loop.static_gain, axis=0)
         spline, straight = (
             make_interp_spline(knots_both, P_both, k)(np.minimum(omega, knots[-1])) for k in (3, 1)
         )
         bend = np.linalg.norm(spline - straight, 2, axis=(1, 2))
         beyond = omega > knots[-1] * (1 + 1e-9)
-        anything = 2 * np.linalg.norm(P[-1], 2) + radius[-1]
-        return spline, np.where(beyond, anything, np.interp(omega, knots, radius) + bend)
+        known = np.interp(omega, knots, radius) + bend
+        for k, unknown in ((-1, beyond), (0, below)):
+            known = np.where(unknown, 2 * np.linalg.norm(P[k], 2) + radius[k], known)
+        return spline, known
+
+    @property
+    def anchored(self) -> bool:
+        """Whether P(0) is known of the loop."""
+        return self.loop.static_gain is not None
 
     def _in_units_of(self, scale):
         """The same with its channels divided by scale."""
-        scale = arguments.array("scale", scale, (self.loop.plant.noutputs,))
+        scale = arguments.array("scale", scale, (len(self.loop.outputs),))
         return replace(
             self,
             response=self.response * scale / scale[:, None],
@@ -115,7 +132,9 @@ class MeasuredResponse:
             f"P measured at {len(self.omega)} frequencies from {low:.4g} to {high:.4g} rad/s; at "
             f"all of them the truth is within the radius with confidence {confidence:g}",
             "assumed: between them P is not further from their spline than straight lines are; "
-            "P(0) = I",
+            + (
+                "P(0) = I" if self.anchored else f"below {low:.4g} rad/s P is not larger than there"
+            ),
         ]
         if beyond:
             lines.append(
@@ -128,7 +147,7 @@ class MeasuredResponse:
         radius = self.radius()
         lines = [
             f"P at {len(self.omega)} frequencies from {self.omega[0]:.3g} to "
-            f"{self.omega[-1]:.3g} rad/s, and P(0) = I",
+            f"{self.omega[-1]:.3g} rad/s{', and P(0) = I' if self.anchored else ''}",
             f"within {radius.min():.2g} to {radius.max():.2g} (95 %, at each frequency)",
         ]
         return "\n".join([*lines, *self.findings])
@@ -178,7 +197,9 @@ def measured_response(log: xr.Dataset) -> MeasuredResponse:
     w, y = _signals(log, excitation)
     windows = windows_of(excitation.harmonics, excitation, loop)
     measured = _estimate(w, y, windows, excitation, loop)
-    findings = findings_of(log.u.values, y, actuators_of(log), windows, excitation, measured)
+    findings = findings_of(
+        log.get("u", log.v).values, y, actuators_of(log), windows, excitation, measured
+    )
     for finding in findings:
         warnings.warn(finding, stacklevel=2)
     return replace(measured, findings=findings)

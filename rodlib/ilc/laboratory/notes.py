@@ -22,7 +22,7 @@ from rodlib.ilc.filters import (
 from rodlib.ilc.laboratory.excitation import Excitation
 from rodlib.ilc.laboratory.limits import named_limits
 from rodlib.ilc.laboratory.log import LogError, read_json
-from rodlib.ilc.loop import CurrentTrialLoop
+from rodlib.ilc.loop import ClosedLoop, CurrentTrialLoop, Loop, check_loop
 
 LAW = "rodlib law 1"  # format of the file
 MADE_BY = ("Q", "L", "rest", "step", "excitation", "loop")  # the keys of all notes
@@ -34,7 +34,7 @@ def with_law(
     Q: ZeroPhaseButterworth,
     L: LearningOperator | None,
     rest: int = 0,
-    loop: CurrentTrialLoop | None = None,
+    loop: Loop | None = None,
     step: float = 1.0,
 ) -> xr.Dataset:
     """Note which ILC law (23) made the trials, and around which loop; of L, only coefficients."""
@@ -50,14 +50,14 @@ def with_law(
     if (step := arguments.share("step", step)) != 1:
         notes["step"] = json.dumps(step)
     if loop is not None:
-        notes["loop"] = _note_of(arguments.instance("loop", loop, CurrentTrialLoop))
+        notes["loop"] = _note_of(check_loop(loop))
     return trials.assign_attrs(notes)
 
 
 def with_excitation(
     trials: xr.Dataset,
     excitation: Excitation,
-    loop: CurrentTrialLoop,
+    loop: Loop,
     followed: Mapping[str, tuple[float, float]] | None = None,
 ) -> xr.Dataset:
     """Note which excitation made the trials, of which loop, and what its actuators follow."""
@@ -80,7 +80,7 @@ def _noted(trials, key, read: Callable, default=None):
 
 def actuators_of(trials: xr.Dataset) -> dict[str, tuple[float, float]]:
     """Lowest and highest command that each actuator follows, by name, of those that are noted."""
-    names = trials.control.values.tolist()
+    names = trials.control.values.tolist() if "control" in trials.coords else []
     return _noted(trials, "actuators", lambda note: named_limits("actuators", note, names), {})
 
 
@@ -138,7 +138,7 @@ def step_of(trials: xr.Dataset) -> float:
     return _noted(trials, "step", lambda note: arguments.share("step", note), 1.0)
 
 
-def loop_of(trials: xr.Dataset) -> CurrentTrialLoop | None:
+def loop_of(trials: xr.Dataset) -> Loop | None:
     """The loop noted in the metadata of a log, to the last digit; None if it does not say.
 
     Parameters
@@ -148,7 +148,7 @@ def loop_of(trials: xr.Dataset) -> CurrentTrialLoop | None:
 
     Returns
     -------
-    CurrentTrialLoop or None
+    CurrentTrialLoop or ClosedLoop, or None
 
     Raises
     ------
@@ -157,10 +157,8 @@ def loop_of(trials: xr.Dataset) -> CurrentTrialLoop | None:
     """
 
     def read(note):
-        plant = note["plant"]
-        A, B, C, D = (arguments.array(f"plant.{name}", plant[name], (...,)) for name in "ABCD")
-        names = {"inputs": plant["inputs"], "outputs": plant["outputs"]}
-        loop = CurrentTrialLoop(**note | {"plant": control.ss(A, B, C, D, plant["dt"], **names)})
+        kind, key = (CurrentTrialLoop, "plant") if "plant" in note else (ClosedLoop, "P")
+        loop = kind(**note | {key: _model_of(key, note[key])})
         arguments.one_period(log=trials.attrs["Ts"], loop=loop.Ts)
         return loop
 
@@ -181,9 +179,20 @@ def loop_of(trials: xr.Dataset) -> CurrentTrialLoop | None:
 
 def _note_of(loop):
     parts = {part.name: getattr(loop, part.name) for part in fields(loop)}
-    plant, names = loop.plant, {"inputs": loop.plant.input_labels, "outputs": loop.outputs}
-    parts["plant"] = {name: getattr(plant, name) for name in "ABCD"} | {"dt": plant.dt} | names
+    for key, part in parts.items():
+        if isinstance(part, control.StateSpace):
+            names = {"inputs": part.input_labels, "outputs": part.output_labels}
+            parts[key] = {name: getattr(part, name) for name in "ABCD"} | {"dt": part.dt} | names
     return json.dumps(parts, ensure_ascii=False, default=np.ndarray.tolist)
+
+
+def _model_of(key, note):
+    """A model that :func:`_note_of` noted."""
+    if note is None:
+        return None
+    A, B, C, D = (arguments.array(f"{key}.{name}", note[name], (...,)) for name in "ABCD")
+    names = {"inputs": note["inputs"], "outputs": note["outputs"]}
+    return control.ss(A, B, C, D, note["dt"], **names)
 
 
 def save_law(path, Q: ZeroPhaseButterworth, L: LearningFilter, note: str = "") -> None:

@@ -17,7 +17,7 @@ from rodlib.ilc import arguments
 from rodlib.ilc.filters import LearningFilter, ZeroPhaseButterworth, update
 from rodlib.ilc.laboratory.log import signals_of
 from rodlib.ilc.laboratory.notes import law_of, loop_of, rest_of, step_of
-from rodlib.ilc.loop import CurrentTrialLoop
+from rodlib.ilc.loop import ClosedLoop, Loop
 from rodlib.ilc.trials import run_trials, state_sequence
 
 
@@ -26,7 +26,7 @@ class Replay:
     """A log, and what its law and its loop make of it; None stands for what they are needed for."""
 
     trials: xr.Dataset  # in the order of their numbers
-    loop: CurrentTrialLoop | None
+    loop: Loop | None
     law: tuple[ZeroPhaseButterworth, LearningFilter | None] | None
     rest: int  # samples at the end of every trial in which v was held at zero
     step: float  # of the law, from each trial to the next
@@ -62,17 +62,28 @@ class Replay:
     @cached_property
     def simulated(self) -> xr.Dataset | None:
         """The same experiment on the model: the law, each trial's reference, the disturbances."""
-        if self.loop is None or self.law is None or not self.from_the_first:
+        if self.loop is None or self.law is None or not self.from_the_first or self.loop.P is None:
             return None
         reference = self.trials.reference.values
-        told = self.disturbance * [name not in self.untold for name in self.loop.disturbances]
+        unknown = self.loop.disturbances if isinstance(self.loop, ClosedLoop) else self.untold
+        told = self.disturbance * [name not in unknown for name in self.loop.disturbances]
         made = {"trials": len(reference), "rest": self.rest, "step": self.step}
         return run_trials(self.loop, *self.law, reference, told, **made)
 
     @cached_property
     def predicted(self) -> np.ndarray | None:
-        """Outputs of the model, from zero, under what was recorded of its inputs; no feedback."""
-        if self.loop is None or self.diverges:
+        """Outputs of the model, from zero, under what was recorded of its inputs; no feedback.
+
+        Of a ClosedLoop, whose model is that of the loop, these are w.
+        """
+        if self.loop is None or self.loop.P is None or self.diverges:
+            return None
+        if isinstance(self.loop, ClosedLoop):
+            P, zero = self.loop.P, np.zeros(self.loop.P.nstates)
+            signals = (self.trials.reference + self.trials.v).values
+            answers = [state_sequence(P.A, w @ P.B.T, zero) @ P.C.T + w @ P.D.T for w in signals]
+            return np.stack(answers)
+        if "u" not in self.trials:
             return None
         plant, m = self.loop.plant, len(self.outputs)
         signals = np.concatenate([self.trials.u.values, self.disturbance], axis=2)
@@ -128,7 +139,8 @@ class Replay:
     @property
     def diverges(self) -> bool:
         """Whether the model without feedback runs away; an integrator does not."""
-        return np.abs(self.loop.plant.poles()).max() > 1 + 1e-9
+        model = self.loop.P if isinstance(self.loop, ClosedLoop) else self.loop.plant
+        return model is not None and np.abs(model.poles()).max(initial=0) > 1 + 1e-9
 
 
 def replay_of(trials: xr.Dataset, untold: Sequence[str] = ()) -> Replay:

@@ -49,6 +49,8 @@ def left_out(replay: Replay) -> list[str]:
             "loop"
         )
         return reasons
+    if replay.loop.P is None:
+        reasons.append("simulation and prediction: the loop has no P")
     if not replay.from_the_first:
         reasons.append(f"simulation: not all trials from 1 on are there, but {replay.numbers}")
     if replay.diverges:

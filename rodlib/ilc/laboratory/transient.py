@@ -33,7 +33,7 @@ class Window:
 
 def windows_of(harmonics, excitation, loop):
     """Of each harmonic the nearest lines that are none."""
-    pole = np.abs(loop.closed.poles()).max()
+    pole = loop.slowest or 1 - 2 * np.pi / excitation.period  # if unknown, as slow as is shaken
     evaluated, windows = excitation.evaluated, []
     for line in excitation.periods * np.array(harmonics):
         lines = np.arange(1, min(int(SPAN * line) + 1, (evaluated + 1) // 2))

@@ -10,7 +10,7 @@ from rodlib.ilc import arguments
 from rodlib.ilc.laboratory import LogError, MeasuredResponse, load_log, measured_response
 from rodlib.ilc.laboratory.notes import excitation_of
 from rodlib.ilc.laboratory.replay import replay_of
-from rodlib.ilc.loop import CurrentTrialLoop
+from rodlib.ilc.loop import Loop
 from rodlib.ilc.problem import Problem
 
 TRIALS = 10
@@ -21,17 +21,21 @@ class Plant:
     """What filters are designed for, and what ten trials with them follow."""
 
     source: str  # the Python expression that makes `response`, with rodlib and np at hand
-    response: CurrentTrialLoop | MeasuredResponse  # what the synthesis is given
+    response: Loop | MeasuredResponse  # what the synthesis is given
     reference: np.ndarray | None = None  # shape (time, m); default: all outputs to one and back
     disturbance: np.ndarray | None = None  # shape (10, time, d), as loop.disturbances; default zero
     order: int = Problem.order  # samples to look ahead at first; more than the plant's delay
 
     def __post_init__(self):
         arguments.instance("source", self.source, str)
-        if not isinstance(self.response, CurrentTrialLoop | MeasuredResponse):
+        if not isinstance(self.response, Loop | MeasuredResponse):
             raise ValueError(
                 f"response = {reprlib.repr(self.response)} must be a loop, such as "
                 "current_trial_loop makes, or a measured response"
+            )
+        if self.loop.P is None:
+            raise ValueError(
+                "response has no P, which the trials are simulated with: see ClosedLoop"
             )
         arguments.whole("order", self.order, 1)
         m = len(self.loop.outputs)
@@ -51,7 +55,7 @@ class Plant:
         return isinstance(self.response, MeasuredResponse)
 
     @property
-    def loop(self) -> CurrentTrialLoop:
+    def loop(self) -> Loop:
         """The loop whose model the trials are simulated with."""
         return self.response.loop if self.measured else self.response
 

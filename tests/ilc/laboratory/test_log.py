@@ -281,7 +281,7 @@ def test_attributes_come_back_as_a_line_of_text(tmp_path, good):
     ("changed", "message"),
     [
         (lambda t: None, "trials = None must be a Dataset"),
-        (lambda t: t.drop_vars("u"), r"lack \['u'\]"),
+        (lambda t: t.drop_vars("v"), r"lack \['v'\]"),
         (lambda t: t.drop_vars("output"), r"lack \['output'\]"),
         (lambda t: t.drop_vars("source_unit"), r"lack \['source_unit'\]"),
         (lambda t: t.assign(y=t.y * np.nan), "not finite in 'y_depth'"),
