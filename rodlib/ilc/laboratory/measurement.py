@@ -74,39 +74,29 @@ class MeasuredResponse:
         Returns
         -------
         response : ndarray, shape (n, m, m), complex
-            A cubic spline through what was measured and, at frequency zero, I, if that is known of
-            the loop.
+            A cubic spline through what was measured, at negative frequencies as well, and I at
+            frequency zero, if that is known of the loop.
         radius : ndarray, shape (n,)
             That of the neighbours, interpolated linearly, and by how much the spline differs from
             straight lines. Above the highest frequency the response is the one there, and the
-            radius contains all that is not larger; so, too, below the lowest, of a loop of which
-            P(0) is not known. :meth:`basis` says what is assumed by that.
+            radius contains all that is not larger. :meth:`basis` says what is assumed by that.
         """
         omega = np.abs(arguments.row("omega", omega))
         if scale is not None:
             return self._in_units_of(scale).on(omega, confidence)
         radius, knots, P = self.radius(confidence, jointly=True), self.omega, self.response
-        below = omega < knots[0] * (1 - 1e-9)
-        knots_both, P_both = (
-            np.concatenate([s * x[::-1].conj(), x]) for s, x in ((-1, knots), (1, P))
-        )
+        both, P_both = np.append(-knots[::-1], knots), np.append(P[::-1].conj(), P, axis=0)
         if self.anchored:
-            radius, knots, below = (
-                np.append(0.0, radius),
-                np.append(0.0, knots),
-                np.zeros_like(below),
-            )
-            knots_both = np.insert(knots_both, len(P), 0.0)
+            radius, knots = np.append(0.0, radius), np.append(0.0, knots)
+            both = np.insert(both, len(P), 0.0)
             P_both = np.insert(P_both, len(P), self.loop.static_gain, axis=0)
         spline, straight = (
-            make_interp_spline(knots_both, P_both, k)(np.minimum(omega, knots[-1])) for k in (3, 1)
+            make_interp_spline(both, P_both, k)(np.minimum(omega, knots[-1])) for k in (3, 1)
         )
         bend = np.linalg.norm(spline - straight, 2, axis=(1, 2))
         beyond = omega > knots[-1] * (1 + 1e-9)
-        known = np.interp(omega, knots, radius) + bend
-        for k, unknown in ((-1, beyond), (0, below)):
-            known = np.where(unknown, 2 * np.linalg.norm(P[k], 2) + radius[k], known)
-        return spline, known
+        anything = 2 * np.linalg.norm(P[-1], 2) + radius[-1]
+        return spline, np.where(beyond, anything, np.interp(omega, knots, radius) + bend)
 
     @property
     def anchored(self) -> bool:
@@ -132,9 +122,7 @@ class MeasuredResponse:
             f"P measured at {len(self.omega)} frequencies from {low:.4g} to {high:.4g} rad/s; at "
             f"all of them the truth is within the radius with confidence {confidence:g}",
             "assumed: between them P is not further from their spline than straight lines are; "
-            + (
-                "P(0) = I" if self.anchored else f"below {low:.4g} rad/s P is not larger than there"
-            ),
+            + ("P(0) = I" if self.anchored else f"nor between {-low:.4g} and {low:.4g} rad/s"),
         ]
         if beyond:
             lines.append(

@@ -24,7 +24,7 @@ class Outcome:
 
     settings: Settings | None  # None if there is not even a plant
     design: Synthesis | None = None
-    rms: tuple[float, ...] = ()  # of the error by trial, all channels together, simulated
+    rms: tuple[float, ...] = ()  # of the error by trial, all channels together, if simulated
     message: str = ""  # why there is no filter, and what would help
     M_max: float | None = None  # from which on there is one, if that is all that it takes
     findings: tuple[str, ...] = ()  # what speaks against the trials
@@ -61,6 +61,8 @@ def try_out(settings: Settings) -> Outcome:
         return Outcome(settings, message=str(error), M_max=_remedy(error.smallest_M_max))
     except (ValueError, SolverError) as error:
         return Outcome(settings, message=str(error))
+    if plant.loop.P is None:
+        return Outcome(settings, design)
     samples, m = plant.reference.shape
     noise = settings.noise * np.random.default_rng(0).standard_normal((TRIALS, samples, m))
     with warnings.catch_warnings(record=True, action="always") as told:

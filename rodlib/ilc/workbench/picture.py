@@ -116,12 +116,14 @@ class Picture:
         for axes in (rate, gain):
             axes.set_xlim(designs[0].omega[[0, -1]])
         gain.set_ylim(0, _round_up(max(max(d.sigma_L.max(), d.problem.L_max) for d in designs)))
-        values = np.concatenate([outcome.rms for outcome in outcomes])
+        values = np.concatenate([outcome.rms or [1.0] for outcome in outcomes])
         low, high = np.log10([max(values.min(), 1e-15), max(values.max(), 1e-15)])
         trials.set_ylim(10 ** np.floor(low), 10 ** (np.floor(high) + 1))
         unit = outcomes[0].settings.plant.unit
         unit = f" ({unit})" if unit else ""
-        trials.set_title(f"RMS of the error{unit}, simulated", parse_math=False)
+        simulated = f"RMS of the error{unit}, simulated"
+        none = "not simulated: the loop has no P"
+        trials.set_title(simulated if outcomes[0].rms else none, parse_math=False)
         coefficients = np.concatenate([d.filter.coefficients.ravel() for d in designs])
         least, most = coefficients.min(), coefficients.max()
         lags.set_ylim(-_round_up(-least) if least < 0 else 0, _round_up(most) if most > 0 else 0)

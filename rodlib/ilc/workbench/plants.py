@@ -33,9 +33,9 @@ class Plant:
                 f"response = {reprlib.repr(self.response)} must be a loop, such as "
                 "current_trial_loop makes, or a measured response"
             )
-        if self.loop.P is None:
+        if not self.measured and self.loop.P is None:
             raise ValueError(
-                "response has no P, which the trials are simulated with: see ClosedLoop"
+                "response has no P, for which filters are designed: measure it, by shake"
             )
         arguments.whole("order", self.order, 1)
         m = len(self.loop.outputs)
@@ -56,7 +56,7 @@ class Plant:
 
     @property
     def loop(self) -> Loop:
-        """The loop whose model the trials are simulated with."""
+        """The loop whose model the trials are simulated with, if it has one."""
         return self.response.loop if self.measured else self.response
 
     @property

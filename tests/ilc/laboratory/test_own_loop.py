@@ -28,7 +28,7 @@ from rodlib.ilc.laboratory import RigError, StoppedError
 from rodlib.ilc.laboratory.replay import replay_of
 from rodlib.ilc.laboratory.report import summary
 from rodlib.ilc.trials import rms
-from rodlib.ilc.workbench import Plant, Settings, plant_of_file, try_out
+from rodlib.ilc.workbench import Picture, Plant, Settings, plant_of_file, try_out
 
 # Two PIDs of a coupled plant; P(0) is not I, as with proportional action alone.
 P = control.ss(
@@ -131,7 +131,7 @@ def test_its_commands_are_recorded_if_the_rig_tells_them(tmp_path):
     downloaded = record(whole, loop, Q, L, REFERENCE, trials=2)
     np.testing.assert_array_equal(downloaded.u[1], 2 * (REFERENCE + downloaded.v.values[1]))
     whole.run = lambda w: w
-    with pytest.raises(RigError, match="trial 1: u has shape"):
+    with pytest.raises(RigError, match="trial 1: u holds values of type object"):
         record(whole, loop, Q, L, REFERENCE)
 
 
@@ -184,7 +184,7 @@ def test_it_is_shaken_and_nothing_is_assumed_of_it_at_frequency_zero(loop, devic
     omega = np.array([0.0, 0.1, measured.omega[0], 1.0, 31.0])
     response, radius = measured.on(omega)
     off = np.linalg.norm(response - KNOWN.frequency_response(omega), 2, axis=(1, 2))
-    assert np.all(off <= radius) and radius[0] > 2 * np.linalg.norm(truth[0], 2) > 100 * radius[2]
+    assert np.all(off <= radius) and radius[:4].max() < 0.1
     assert "P(0)" not in "".join(measured.basis(omega)) + repr(measured)
 
 
@@ -197,8 +197,13 @@ def test_filters_are_designed_for_it_and_the_workbench_takes_it(tmp_path):
     for plant in (Plant("loop", KNOWN), plant_of_file(tmp_path / "log.csv")):
         outcome = try_out(Settings.of(plant))
         assert outcome.design is not None and outcome.rms[-1] < 0.2 * outcome.rms[0]
-    with pytest.raises(ValueError, match="response"):
+    with pytest.raises(ValueError, match="response has no P"):
         Plant("loop", NAMED)
+    shaken = shake(Whole(0.001), NAMED, multisine(NAMED, 0.3, 20.0, 1.0, 0.2, 12))
+    save_log(shaken, tmp_path / "shaken.csv")
+    outcome = try_out(Settings.of(plant_of_file(tmp_path / "shaken.csv")))
+    assert outcome.design is not None and outcome.rms == ()
+    Picture().show(outcome).png()
 
 
 def test_what_is_no_loop_is_refused():
