@@ -52,6 +52,7 @@ from rodlib.rigs import RestartingRig, RigParameters, VirtualRig
 
 PLANT = control.ss(0.5, [[0.5, 1.0]], 1, 0, 1.0, inputs=["u", "d"], outputs=["y"])
 LOOP, PAPER = current_trial_loop(PLANT, ["u"]), paper_loop()
+OWN = rodlib.ClosedLoop(LOOP.P)
 P, MODEL = LOOP.P, midr(Rod(), 1)
 Q, L = zero_phase_butterworth(), LearningFilter([[[0.5, 0.1]]], 1.0)
 L2 = LearningFilter(np.ones((2, 2, 1)), 1.0)
@@ -107,6 +108,8 @@ DENSITY = REAL | {"-1": -1.0, "lists": [[1.0]], "matrices": np.full((12, 2, 2), 
 FLAG, TEXT = THING | {"true": ...}, THING | {"text": ...}
 FILE, LOGS = THING | {"text": ..., "no name": ""}, THING | {"frame": ...}
 WORD = {"other": "mirror"}
+LISTED = {"number": 1.5, "text": "y", "numbers": [1], "twice": ["u", "u"]}
+MODELED = PLANTS | {"names": ..., "number": 1.5}
 
 # By the name of the argument, where a door says nothing else; of what is not listed, THING.
 NAMED = {
@@ -171,6 +174,13 @@ DOORS = [
      {"plant": PLANTS | {"names": ...}}),
     (LOOP.frequency_response, {"omega": OMEGA, "plant": ONES},
      {"plant": PLANTS | {"column": ONES[0]}}),
+    (rodlib.ClosedLoop,
+     {"P": P, "Ts": 1.0, "outputs": ["y"], "controls": ["u"], "disturbances": ["d"],
+      "units": {"y": "m"}},
+     {"P": MODELED, "units": THING | {"number": {"y": 1.0}, "none": ...}, "outputs": LISTED,
+      "controls": LISTED | {"empty": ...}, "disturbances": LISTED | {"empty": ...}}),
+    (OWN.frequency_response, {"omega": OMEGA, "plant": P}, {"plant": MODELED}),
+    (OWN.model, {"plant": P}, {"plant": MODELED}),
     (LOOP.around, {"plant": PLANT}, {"plant": PLANTS | {"number": 1.0}}),
     (zero_phase_butterworth, {}),
     (Q.frequency_response, {"omega": OMEGA}),
@@ -260,7 +270,7 @@ DOORS = [
     (laboratory.record,
      {"rig": RIG, "loop": PAPER, "Q": Q, "L": L2, "reference": np.zeros((5, 2)),
       "disturbance": np.zeros((2, 5, 3)), "trials": 2, "pause": 1},
-     {"L": MODELS | {"none": ...}}),
+     {"L": MODELS | {"none": ...}, "another_law": THING | {"true": ...}}),
     (laboratory.shake, {"rig": RIG, "loop": PAPER, "excitation": ALL}),
     (measured_response, {"log": SHAKEN}),
     (laboratory.expected_radius, {"excitation": EXCITATION, "rest": LOG}, {"rest": THING}),
@@ -301,9 +311,9 @@ DOORS = [
 # Made by other doors, or without an argument; and inside: protocols, constants, and what solvers
 # call a thousand times with what was checked before.
 MADE = {"Certificate", "InfeasibleError", "LearnedNoise", "LogError", "MeasuredResponse"}
-MADE |= {"Outcome", "Picture", "Rate", "Replay", "RigError", "SolverError", "Spectrum", "Synthesis"}
-MADE |= {"TrialNoise", "Tuned", "WorstCase"}
-INSIDE = {"Family", "LearningOperator", "Problem", "Rig"}
+MADE |= {"Outcome", "Picture", "Rate", "Replay", "RigError", "SolverError", "Spectrum"}
+MADE |= {"StoppedError", "Synthesis", "TrialNoise", "Tuned", "WorstCase"}
+INSIDE = {"Family", "LearningOperator", "Problem", "Rig", "TrialRig"}
 ROOMS = ("alternatives", "evidence", "laboratory", "synthesis", "workbench")
 ROOMS = tuple(f"ilc.{room}" for room in ROOMS)
 

@@ -76,11 +76,11 @@ def run_trials(
     check_law(loop, Q, L)
     m, simulate, n, nx = len(loop.outputs), *_simulation(loop, plant)
     trials = arguments.whole("trials", trials, 1)
-    r = _each_trial("reference", reference, trials, "time", m)
+    r = each_trial("reference", reference, trials, "time", m)
     shape = trials, samples, _ = r.shape
     rest = arguments.whole("rest", rest, 0, samples - 1)
     d = np.zeros((samples, len(loop.disturbances))) if disturbance is None else disturbance
-    d = _each_trial("disturbance", d, trials, samples, len(loop.disturbances))
+    d = each_trial("disturbance", d, trials, samples, len(loop.disturbances))
     noise = np.zeros(shape) if noise is None else arguments.array("noise", noise, shape)
     chi = np.zeros(nx)
     if initial_state is not None:
@@ -147,7 +147,7 @@ def learn(run, v, Q, L, trials, rest=0, steps=None) -> np.ndarray:
     return np.array(errors)
 
 
-def _each_trial(name, signal, trials, samples, channels):
+def each_trial(name, signal, trials, samples, channels):
     """A signal of all trials, or of each, with the trial as the first axis."""
     shape = (samples, channels)
     signal = arguments.array(name, signal, (...,))

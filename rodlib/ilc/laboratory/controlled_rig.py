@@ -184,9 +184,13 @@ class ControlledRig:
                 stacklevel=5,
             )
 
+    def rounded_v(self, v) -> np.ndarray:
+        """An ILC signal with as many digits as are recorded."""
+        return _rounded(v, self.decimals.get("v"))
+
     def run(self, trial, reference, v, commanded, bar) -> dict[str, np.ndarray]:
         """Run one trial; its signals, shape (time, channel)."""
-        v = _rounded(v, self.decimals.get("v"))
+        v = self.rounded_v(v)
         self.samples, self.w, squares, off = [], reference + v, 0.0, []
         if self.whole:
             self.download(trial)
@@ -310,14 +314,14 @@ class ControlledRig:
         return y, heard
 
     @contextmanager
-    def in_the_end_safe(self, begun):
+    def in_the_end_safe(self):
         """Leave the rig in a safe state on every way out."""
         try:
             yield
         finally:
-            if begun and hasattr(self.rig, "safe"):
+            if hasattr(self.rig, "safe"):
                 self.rig.safe()
-            elif begun and not self.whole:
+            elif not self.whole:
                 self.rig.apply(np.zeros(len(self.inputs)))
 
 

@@ -1,5 +1,6 @@
 """Running an experiment on a rig, trial by trial: learning by the ILC law, or shaking the loop."""
 
+import json
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,10 +15,10 @@ from rodlib.ilc.filters import LearningFilter, LearningOperator, ZeroPhaseButter
 from rodlib.ilc.laboratory.controlled_rig import ControlledRig, Rig, StoppedError, TrialRig
 from rodlib.ilc.laboratory.excitation import Excitation
 from rodlib.ilc.laboratory.log import load_ended, save_log
-from rodlib.ilc.laboratory.notes import MADE_BY, with_excitation, with_law
+from rodlib.ilc.laboratory.notes import BEGUN, EARLIER, LAW, MADE_BY, with_excitation, with_law
 from rodlib.ilc.laboratory.start import Start
 from rodlib.ilc.loop import Loop
-from rodlib.ilc.trials import check_law, dataset
+from rodlib.ilc.trials import check_law, dataset, each_trial
 from rodlib.ilc.watch import Course, rate_of
 
 
@@ -36,6 +37,8 @@ def record(
     step: float = 1.0,
     decimals: dict[str, int] | None = None,
     stop: dict[str, tuple[float, float] | None] | None = None,
+    v=None,
+    another_law: bool = False,
 ) -> xr.Dataset:
     """Run an experiment of several trials on a rig and record it.
 
@@ -50,7 +53,8 @@ def record(
         Its names and units are those of the record.
     Q, L : ZeroPhaseButterworth, LearningOperator
         L None switches learning off. A log can name no other L than a LearningFilter.
-    reference : array_like, shape (time, m)
+    reference : array_like, shape (time, m) or (trial, time, m)
+        Reference trajectory, of all trials or of each.
     disturbance : array_like, shape (time, d) or (trial, time, d), optional
         What to command to those of ``loop.disturbances`` that are inputs of the rig. What it
         measures of them is recorded instead of the values given here; of others nothing is known,
@@ -62,8 +66,9 @@ def record(
     path : path-like, optional
         Of a log, which is written anew when a trial ends, so that a fault costs one trial at most;
         without it, all. If the log is there, its trials must be of the same experiment, and the
-        next one follows; a last trial that is shorter than the first is dropped. Meanwhile no other
-        process can record to it.
+        next one follows; a last trial that is shorter than the first is dropped. If it has `trials`
+        or more, none is run, and all of them are returned. Meanwhile no other process can record
+        to it.
     rest : int
         Number of samples at the end of every trial in which v is held at zero.
     step : float
@@ -74,6 +79,11 @@ def record(
         Lowest and highest of outputs and commands, by name, beyond which the experiment stops; None
         stands for no limit. Default: outputs may be beyond all references by five times the largest
         in the same unit, if that is not zero, and commands span ten times the limits of the rig.
+    v : array_like, shape (time, m), optional
+        ILC signal of the first trial. Default zero. With L None, that of all trials.
+    another_law : bool
+        Whether a log that is there may be gone on with by another Q, L, rest or step. The earlier
+        ones, and for how many trials they held, stay in its metadata.
 
     Returns
     -------
@@ -107,21 +117,29 @@ def record(
     if pause and controlled.whole:
         raise ValueError(f"pause = {pause}, but rig.run begins where every trial begins: leave it")
     pause = 0 if pause is None and (controlled.whole or hasattr(rig, "begin")) else pause
-    reference = arguments.array("reference", reference, ("time", len(loop.outputs)))
-    rest = arguments.whole("rest", rest, 0, len(reference) - 1)
+    another_law = arguments.flag("another_law", another_law)
+    reference = each_trial("reference", reference, trials, "time", len(loop.outputs))
+    samples = reference.shape[1]
+    rest = arguments.whole("rest", rest, 0, samples - 1)
+    first = np.zeros(reference.shape[1:])
+    if v is not None:
+        first = arguments.array("v", v, first.shape)
+        first[samples - rest :] = 0
     step = arguments.share("step", step)
-    commanded = controlled.commanded(disturbance, trials, len(reference))
+    commanded = controlled.commanded(disturbance, trials, samples)
 
     def following(signals):
-        if L is None or not signals["y"]:
-            return np.zeros_like(reference)
-        e = reference - signals["y"][-1]
+        done = len(signals["y"])
+        if L is None or not done:
+            return signals["v"][-1] if done else first
+        e = reference[done - 1] - signals["y"][-1]
         return update(signals["v"][-1], e, Q, L, rest, step)
 
     notes = with_law(xr.Dataset(), Q, L, rest, loop, step).attrs
+    notes |= {} if v is None else {BEGUN: "v of trial 1 was given"}
     controlled.stop_at(stop, reference)
-    law = None if L is None else (Q, L)
-    return _Experiment(controlled, reference, commanded, following, notes, law).run(pause, path)
+    made = controlled, reference, commanded, following, notes, None if L is None else (Q, L)
+    return _Experiment(*made, another_law=another_law).run(pause, path)
 
 
 def shake(
@@ -170,7 +188,7 @@ def shake(
         return shaken[len(signals["y"])]
 
     controlled.stop_at(stop, shaken)
-    reference = np.zeros(shaken.shape[1:])
+    reference = np.zeros(shaken.shape)
     made = controlled, reference, commanded, following, notes
     return _Experiment(*made, alike=False).run(0, path)
 
@@ -180,12 +198,13 @@ class _Experiment:
     """What all trials of an experiment have in common."""
 
     rig: ControlledRig
-    reference: np.ndarray
+    reference: np.ndarray  # shape (trial, time, output)
     commanded: np.ndarray  # of the disturbances that are inputs, shape (trial, time, them)
     following: Callable[[dict[str, list]], np.ndarray]  # v after the trials whose signals are given
     notes: dict[str, str]  # of what makes the trials
     law: tuple[ZeroPhaseButterworth, LearningOperator] | None = None  # that shall converge
     alike: bool = True  # whether all trials shall start from the same state
+    another_law: bool = False  # whether trials of another law may be gone on with
 
     def run(self, pause, path) -> xr.Dataset:
         """Run the trials that are not in the log at `path` yet; all trials."""
@@ -204,13 +223,19 @@ class _Experiment:
         if path is not None and path.exists():
             found = load_ended(path)
             self.check(found, path)
-            signals, notes = {name: list(found[name].values) for name in signals}, found.attrs
+            signals = {name: list(found[name].values) for name in signals}
+            notes = self.gone_on_with(found)
 
         done, trials, said = len(signals["y"]), len(self.commanded), set()
+        if done > trials:
+            more = f"path = '{path}' has {done} trials, more than trials = {trials}"
+            warnings.warn(f"{more}: none is run, and all of them are returned", stacklevel=4)
+        if done >= trials:
+            return found
         lasting = pause or 0
-        samples = max(0, trials - done) * (len(self.reference) + lasting)
+        samples = (trials - done) * (self.reference.shape[1] + lasting)
         samples -= 0 if done else lasting
-        with self.rig.in_the_end_safe(done < trials), tqdm(total=samples, disable=None) as bar:
+        with self.rig.in_the_end_safe(), tqdm(total=samples, disable=None) as bar:
             for k in range(done, trials):
                 v = self.following(signals)
                 bar.set_description(f"trial {k + 1} of {trials}")
@@ -218,8 +243,8 @@ class _Experiment:
                     self.rig.begin(k + 1)
                     if k:
                         start = self.start(signals)
-                        self.rig.pause(k + 1, pause, self.reference[0], start, bar)
-                    trial = self.rig.run(k + 1, self.reference, v, self.commanded[k], bar)
+                        self.rig.pause(k + 1, pause, self.reference[k, 0], start, bar)
+                    trial = self.rig.run(k + 1, self.reference[k], v, self.commanded[k], bar)
                 except StoppedError as error:
                     raise self.stopped(error, signals, notes, path) from None
                 for name, values in signals.items():
@@ -235,15 +260,15 @@ class _Experiment:
     def findings(self, signals) -> dict[str, str]:
         """What the last trial says, with those before it."""
         k, found = len(signals["y"]) - 1, {}
-        if self.alike and k and (missed := self.start(signals).missed(signals["y"][-1])):
+        alike = self.alike and np.array_equal(self.reference[k, 0], self.reference[0, 0])
+        if alike and k and (missed := self.start(signals).missed(signals["y"][-1])):
             found["start"] = missed
         if not k and (mistake := self.rig.mistake()):
             found["mistake"] = f"it looks as if {mistake}"
         if self.law is None:
             return found
         loop, (v, y) = self.rig.loop, (np.stack(signals[name]) for name in ("v", "y"))
-        units = [loop.units[name] for name in loop.outputs]
-        reference = np.broadcast_to(self.reference, y.shape)
+        units, reference = [loop.units[name] for name in loop.outputs], self.reference[: k + 1]
         given = v, reference - y, reference, loop.outputs, units
         rate = None if loop.P is None else rate_of(loop.P, *self.law)
         return found | Course(*given, P=loop.P, rate=rate).findings()
@@ -252,7 +277,7 @@ class _Experiment:
         """Where the first trial started."""
         loop = self.rig.loop
         units = [loop.units[name] for name in loop.outputs]
-        return Start.of(signals["y"][0], self.reference, loop.outputs, units)
+        return Start.of(signals["y"][0], self.reference[0], loop.outputs, units)
 
     def stopped(self, error, signals, notes, path) -> StoppedError:
         """The error, with what is kept and how to go on."""
@@ -271,16 +296,22 @@ class _Experiment:
     def trials(self, signals, notes) -> xr.Dataset:
         """The signals of all trials, put together."""
         loop, signals = self.rig.loop, {name: np.stack(each) for name, each in signals.items()}
-        signals["reference"] = np.broadcast_to(self.reference, signals["y"].shape)
+        signals["reference"] = self.reference[: len(signals["y"])]
         names = loop.outputs, loop.controls, self.rig.recorded
         trials = dataset(loop.Ts, *names, loop.units, **signals)
         return trials.assign_attrs(notes | trials.attrs | self.notes)
 
     def check(self, found, path) -> None:
         """Refuse the trials of another experiment."""
-        own = [np.array_equal(reference, self.reference) for reference in found.reference]
+        pairs = zip(found.reference.values, self.reference, strict=False)
+        own = [np.array_equal(one, other) for one, other in pairs]
         differing = [] if all(own) else ["reference"]
-        differing += [key for key in MADE_BY if found.attrs.get(key) != self.notes.get(key)]
+        free = LAW if self.another_law else ()
+        noted = [key for key in MADE_BY if found.attrs.get(key) != self.notes.get(key)]
+        differing += [key for key in noted if key not in free]
+        first = self.rig.rounded_v(self.following({"y": [], "v": []}))
+        if BEGUN in self.notes and not np.array_equal(found.v[0], first):
+            differing.append("v of trial 1")
         sources = found.source.values.tolist() if "source" in found.coords else []
         if sources != self.rig.recorded:
             differing.append("disturbances")
@@ -290,4 +321,15 @@ class _Experiment:
             raise ValueError(
                 f"path = '{path}' holds another experiment, see its {', '.join(differing)}: give "
                 "another path, or go on with the same"
+                + (", or say another_law=True" if {*differing} <= {*LAW} else "")
             )
+
+    def gone_on_with(self, found) -> dict:
+        """The notes of a log, with the law that held so far among the earlier ones if it ends."""
+        held = {key: found.attrs[key] for key in LAW if key in found.attrs}
+        notes = {key: note for key, note in found.attrs.items() if key not in MADE_BY}
+        if held != {key: self.notes[key] for key in LAW if key in self.notes}:
+            earlier = json.loads(notes.get(EARLIER, "[]"))
+            law = {key: json.loads(note) for key, note in held.items()}
+            notes[EARLIER] = json.dumps([*earlier, {"trials": found.sizes["trial"]} | law])
+        return notes

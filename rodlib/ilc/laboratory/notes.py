@@ -24,8 +24,10 @@ from rodlib.ilc.laboratory.limits import named_limits
 from rodlib.ilc.laboratory.log import LogError, read_json
 from rodlib.ilc.loop import ClosedLoop, CurrentTrialLoop, Loop, check_loop
 
-LAW = "rodlib law 1"  # format of the file
-MADE_BY = ("Q", "L", "rest", "step", "excitation", "loop")  # the keys of all notes
+FORMAT = "rodlib law 1"  # of the file
+LAW = ("Q", "L", "rest", "step")  # the keys of the notes of a law
+MADE_BY = (*LAW, "excitation", "loop")  # and of all
+EARLIER, BEGUN = "earlier laws", "begun"  # laws that held before; whether v of trial 1 was given
 MISUNDERSTOOD = (KeyError, TypeError, ValueError, RecursionError)  # what a note may lead to
 
 
@@ -138,6 +140,21 @@ def step_of(trials: xr.Dataset) -> float:
     return _noted(trials, "step", lambda note: arguments.share("step", note), 1.0)
 
 
+def earlier_laws_of(trials: xr.Dataset) -> list[tuple[int, xr.Dataset]]:
+    """The laws that held before another one, each by its notes, and up to which trial."""
+
+    def read(note):
+        laws = []
+        for law in note:
+            until = arguments.whole("trials", law["trials"], 1)
+            notes = {key: json.dumps(law[key]) for key in LAW if key in law}
+            kept = {key: n for key, n in trials.attrs.items() if key not in LAW}
+            laws.append((until, trials.assign_attrs().drop_attrs().assign_attrs(kept | notes)))
+        return laws
+
+    return _noted(trials, EARLIER, read, [])
+
+
 def loop_of(trials: xr.Dataset) -> Loop | None:
     """The loop noted in the metadata of a log, to the last digit; None if it does not say.
 
@@ -212,7 +229,7 @@ def save_law(path, Q: ZeroPhaseButterworth, L: LearningFilter, note: str = "") -
     arguments.instance("L", L, LearningFilter)
     arguments.instance("note", note, str)
     arguments.one_period(Q=Q.Ts, L=L.Ts)
-    content = {"format": LAW, "Ts": Q.Ts, **notes_of_law(Q, L), "note": note}
+    content = {"format": FORMAT, "Ts": Q.Ts, **notes_of_law(Q, L), "note": note}
     write_whole(path, json.dumps(content, ensure_ascii=False, indent=1) + "\n")
 
 
@@ -231,8 +248,8 @@ def load_law(path) -> tuple[ZeroPhaseButterworth, LearningFilter]:
     path = arguments.path("path", path)
     try:
         content = read_json(path.read_text(encoding="utf-8"))
-        if content["format"] != LAW:
-            raise ValueError(f"format {content['format']!r} is not {LAW!r}")
+        if content["format"] != FORMAT:
+            raise ValueError(f"format {content['format']!r} is not {FORMAT!r}")
         L = _learning_filter_of(content["L"], content["Ts"])
         return _filter_of(content["Q"], content["Ts"]), arguments.instance("L", L, LearningFilter)
     except MISUNDERSTOOD as error:

@@ -5,6 +5,7 @@ them is left out; report.py says so, and judges the rest.
 """
 
 import reprlib
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,9 +17,19 @@ import xarray as xr
 from rodlib.ilc import arguments
 from rodlib.ilc.filters import LearningFilter, ZeroPhaseButterworth, update
 from rodlib.ilc.laboratory.log import signals_of
-from rodlib.ilc.laboratory.notes import law_of, loop_of, rest_of, step_of
+from rodlib.ilc.laboratory.notes import (
+    BEGUN,
+    earlier_laws_of,
+    law_of,
+    loop_of,
+    rest_of,
+    step_of,
+)
+from rodlib.ilc.laboratory.start import Start
 from rodlib.ilc.loop import ClosedLoop, Loop
-from rodlib.ilc.trials import run_trials, state_sequence
+from rodlib.ilc.models import state_sequence
+from rodlib.ilc.trials import run_trials
+from rodlib.ilc.watch import Course, rate_of
 
 
 @dataclass(frozen=True)
@@ -31,6 +42,7 @@ class Replay:
     rest: int  # samples at the end of every trial in which v was held at zero
     step: float  # of the law, from each trial to the next
     untold: tuple[str, ...]  # disturbances that the simulation is not told of
+    earlier: tuple[tuple[int, "Replay"], ...] = ()  # by the laws before, up to which trial each
 
     @property
     def outputs(self) -> list[str]:
@@ -67,8 +79,12 @@ class Replay:
         reference = self.trials.reference.values
         unknown = self.loop.disturbances if isinstance(self.loop, ClosedLoop) else self.untold
         told = self.disturbance * [name not in unknown for name in self.loop.disturbances]
+        if self.earlier:
+            return None
         made = {"trials": len(reference), "rest": self.rest, "step": self.step}
-        return run_trials(self.loop, *self.law, reference, told, **made)
+        made["v"] = self.trials.v.values[0] if self.begun else None
+        with warnings.catch_warnings(action="ignore"):  # the log's own findings say it
+            return run_trials(self.loop, *self.law, reference, told, **made)
 
     @cached_property
     def predicted(self) -> np.ndarray | None:
@@ -109,7 +125,10 @@ class Replay:
             return None
         v, found = self.trials.v.values, {}
         for k, number in enumerate(self.numbers):
-            if number == 1 or self.law[1] is None:
+            L = self._law_of_trial(number).law[1]
+            if number == 1:
+                expected = np.full_like(v[k], np.nan) if self.begun else np.zeros_like(v[k])
+            elif L is None and not self.begun and not self.earlier:
                 expected = np.zeros_like(v[k])
             elif k and self.numbers[k - 1] == number - 1:
                 expected = self._after(k - 1)
@@ -118,6 +137,28 @@ class Replay:
             found[number] = np.abs(v[k] - expected).max(axis=0)
         return pd.DataFrame.from_dict(found, "index", columns=self.outputs).rename_axis("trial")
 
+    @cached_property
+    def findings(self) -> tuple[str, ...]:
+        """What speaks against the trials: they do not converge, or start elsewhere."""
+        trials, law = self.trials, self.law
+        if np.any(np.diff(self.numbers) != 1):
+            return ()
+        e, y, reference = (trials[name].values for name in ("e", "y", "reference"))
+        names = self.outputs, trials.output_unit.values.tolist()
+        found = {}
+        if self.from_the_first:
+            start = Start.of(y[0], reference[0], *names)
+            for k in range(1, len(y)):
+                alike = np.array_equal(reference[k, 0], reference[0, 0])
+                if alike and (missed := start.missed(y[k])):
+                    found.setdefault("start", f"trial {k + 1}: {missed}")
+        if law is not None and law[1] is not None:
+            P = None if self.loop is None else self.loop.P
+            rate = None if P is None else rate_of(P, *law)
+            course = Course(trials.v.values, e, reference, *names, self.numbers[0], P, rate)
+            found |= course.all_findings()
+        return tuple(found.values())
+
     @property
     def following(self) -> np.ndarray | None:
         """The v to apply in the trial after the last one, shape (time, m)."""
@@ -125,11 +166,20 @@ class Replay:
 
     def _after(self, k):
         """The v that follows the trial `k` of the log by the law."""
-        Q, L = self.law
         trial = self.trials.isel(trial=k)
-        if L is None:
-            return np.zeros_like(trial.v.values)
-        return update(trial.v.values, trial.e.values, Q, L, self.rest, self.step)
+        made = self._law_of_trial(int(trial.trial) + 1)
+        if made.law[1] is None:
+            return trial.v.values
+        return update(trial.v.values, trial.e.values, *made.law, made.rest, made.step)
+
+    def _law_of_trial(self, number):
+        """The replay with the law that made v of a trial."""
+        return next((made for until, made in self.earlier if number <= until), self)
+
+    @property
+    def begun(self) -> bool:
+        """Whether v of the first trial was given."""
+        return BEGUN in self.trials.attrs
 
     @property
     def from_the_first(self) -> bool:
@@ -156,6 +206,12 @@ def replay_of(trials: xr.Dataset, untold: Sequence[str] = ()) -> Replay:
     Returns
     -------
     Replay
+
+    Warns
+    -----
+    UserWarning
+        Each of the findings: trials that do not converge, see :mod:`rodlib.ilc.watch`, or that
+        start elsewhere than the first.
     """
     arguments.instance("trials", trials, xr.Dataset)
     signals_of(trials)  # which checks that it has all that a log has
@@ -164,4 +220,12 @@ def replay_of(trials: xr.Dataset, untold: Sequence[str] = ()) -> Replay:
     if not (listed and all(isinstance(name, str) for name in untold)):
         raise ValueError(f"untold = {reprlib.repr(untold)} must be a list of names")
     law, loop = law_of(trials), loop_of(trials)
-    return Replay(trials, loop, law, rest_of(trials), step_of(trials), tuple(untold))
+    earlier = tuple(
+        (until, Replay(log, loop, law_of(log), rest_of(log), step_of(log), ()))
+        for until, log in earlier_laws_of(trials)
+    )
+    made = law, rest_of(trials), step_of(trials), tuple(untold), earlier
+    replay = Replay(trials, loop, *made)
+    for finding in replay.findings:
+        warnings.warn(finding, stacklevel=2)
+    return replay

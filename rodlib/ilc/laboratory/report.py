@@ -53,6 +53,9 @@ def left_out(replay: Replay) -> list[str]:
         reasons.append("simulation and prediction: the loop has no P")
     if not replay.from_the_first:
         reasons.append(f"simulation: not all trials from 1 on are there, but {replay.numbers}")
+    if replay.earlier:
+        until = ", ".join(str(number) for number, _ in replay.earlier)
+        reasons.append(f"simulation: another law held up to trial {until}")
     if replay.diverges:
         reasons.append("prediction: without feedback the model is unstable")
     unknown = [name for name in replay.sources if name not in replay.loop.disturbances]
@@ -80,6 +83,7 @@ def summary(replay: Replay) -> str:
         mean = (100 * replay.fit.mean()).round(1)
         fits = ", ".join(f"{name} {value:g} %" for name, value in mean.items())
         lines.append(f"fit of the model's prediction, mean of all trials: {fits}")
+    lines += [f"WARNING: {finding}" for finding in replay.findings]
     return "\n".join([*lines, *(f"left out: {reason}" for reason in left_out(replay))])
 
 
