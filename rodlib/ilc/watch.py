@@ -28,6 +28,7 @@ WALKS = 0.3  # of the error, that these steps make together: a slow law does not
 MATTERS = 0.2  # of the error: how far the outputs must be foretold to move, to be asked whether
 FOLLOWS = 0.5  # of what was foretold: less is none of the model, whatever its accuracy
 STANDARD = 3.0  # standard deviations of that share
+LEARNED = 5.0  # times the noise of one trial, that learning may make of it: see `_loudest`
 ROUNDING = 1e-9  # of the largest signal
 GRID = 200  # frequencies at which the rate of the model is asked for
 
@@ -84,7 +85,8 @@ class Course:
             while since and x[since - 1] < x[since]:
                 since -= 1
             rises = len(x) - 1 - since
-            if not rises or x[-1] < GROWTH * x[since]:
+            loud = self._loudest() * np.linalg.norm(noise_of(self.e[0][:, channels]))
+            if not rises or x[-1] < max(GROWTH * x[since], loud):
                 continue
             freedom = freedom_of(self.e[k][:, channels] - self.e[k - 1][:, channels])
             grown, leap = x[-1] / x[since], x[-1] / x[:-1].max()
@@ -97,6 +99,14 @@ class Course:
                     f"{self.first + k}. {self._why(self.e[k][:, channels])}"
                 )
         return None
+
+    def _loudest(self):
+        """What learning makes of the noise of a trial, at most, if it converges.
+
+        That is sqrt(1 + |Q P L|^2 / (1 - |M|^2)), where Q P L = Q - M is below 1 + |M|.
+        """
+        known = self.rate is not None and self.rate < 1
+        return min(np.sqrt(2 / (1 - self.rate)), 2 * LEARNED) if known else LEARNED
 
     def _why(self, e):
         """Where it grows, and what the model says of growth."""
@@ -189,6 +199,14 @@ def size(signals) -> np.ndarray:
     """The RMS of each of the signals (trial, time, channel), summed over the channels."""
     largest = np.abs(signals).max(initial=np.finfo(float).tiny)  # whose square may be no number
     return largest * np.sqrt(np.sum((signals / largest) ** 2, axis=2).mean(axis=1))
+
+
+def noise_of(signals) -> np.ndarray:
+    """Standard deviation of white noise in signals (time, channel), from neighbours in time."""
+    if len(signals) < 3:
+        return np.zeros(signals.shape[1])
+    largest = max(np.abs(signals).max(), np.finfo(float).tiny)
+    return largest * np.sqrt(np.mean(np.diff(signals / largest, 2, axis=0) ** 2, axis=0) / 6)
 
 
 def freedom_of(signal) -> float:

@@ -14,6 +14,7 @@ from scipy.stats import f as f_distribution
 from rodlib import (
     LearningFilter,
     current_trial_loop,
+    paper_loop,
     rate,
     run_trials,
     synthesise,
@@ -23,6 +24,7 @@ from rodlib import (
 from rodlib.ilc.laboratory import Controller
 from rodlib.ilc.trials import rms
 from rodlib.ilc.watch import SURE, Course, by_noise, freedom_of, rate_of
+from rodlib.paper import published
 
 PUMPS = ["pump A", "pump B", "pump C"]
 GRID = np.geomspace(1e-4, np.pi, 200)
@@ -174,3 +176,17 @@ def test_another_reference_is_another_error(laws):
     growing = np.array([bump(200, a * np.array(amplitude)) for a in (0.1, 0.3, 1.0, 3.0, 9.0)])
     with warnings.catch_warnings(action="error"):
         run_trials(loop, Q, L, growing, trials=5)
+
+
+def test_what_learning_makes_of_noise_is_no_divergence(laws):
+    """With nothing to follow, the error rises to the level of the noise that was learned."""
+    loop, Q, L, *_ = laws[3]
+    noise = np.random.default_rng(0).standard_normal((12, 900, 1))
+    with warnings.catch_warnings(action="error"):
+        run = run_trials(loop, Q, L, np.zeros((900, 1)), None, 12, noise=noise)
+        assert rms(run.e).values[-1] > rms(run.e).values[0]
+        paper, loud = paper_loop(), LearningFilter(published.matrix("L_diagonal"), 1.0)
+        white = 0.02 * np.random.default_rng(0).standard_normal((10, 2500, 2))
+        zero = np.zeros((2500, 2))
+        run = run_trials(paper, zero_phase_butterworth(), loud, zero, None, 10, noise=white)
+    assert rms(run.e).values[-1] > rms(run.e).values[0]

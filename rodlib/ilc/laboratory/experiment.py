@@ -78,7 +78,7 @@ def record(
     stop : dict, optional
         Lowest and highest of outputs and commands, by name, beyond which the experiment stops; None
         stands for no limit. Default: outputs may be beyond all references by five times the largest
-        in the same unit, if that is not zero, and commands span ten times the limits of the rig.
+        in the same unit, if it is not zero; commands may span a hundred times the rig's limits.
     v : array_like, shape (time, m), optional
         ILC signal of the first trial. Default zero. With L None, that of all trials.
     another_law : bool

@@ -7,7 +7,7 @@ import numpy as np
 from rodlib.ilc import arguments
 
 FAR = 5.0  # times the largest reference that outputs may be beyond all references
-WIDE = 10.0  # times what an actuator follows that commands may span
+WIDE = 100.0  # times what an actuator follows, that commands may span: no loop that works does
 
 
 def named_limits(name: str, limits, names: Sequence[str]) -> dict[str, tuple[float, float]]:

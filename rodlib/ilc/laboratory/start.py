@@ -5,6 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rodlib.ilc.watch import noise_of
+
 NEAR = 0.02  # of the largest reference in the same unit, that a start may be off
 SURE = 5.0  # standard deviations of the noise, likewise
 STILL = 0.1  # of a trial, in which outputs that are back stand still
@@ -60,8 +62,3 @@ class Start:
             f"it starts {', '.join(each)} from where the first trial did: what is learned holds "
             "for one start. Wait for longer, by pause, or bring the rig back, by its begin"
         )
-
-
-def noise_of(y) -> np.ndarray:
-    """Standard deviation of white noise in signals (time, output), from neighbours in time."""
-    return np.sqrt(np.mean(np.diff(y, 2, axis=0) ** 2, axis=0) / 6) if len(y) > 2 else 0 * y[0]

@@ -14,8 +14,9 @@ from test_stopping import bump
 from rodlib import LearningFilter, current_trial_loop, record, zero_phase_butterworth
 from rodlib.case import assumed_reference
 from rodlib.ilc.laboratory import RigError
-from rodlib.ilc.laboratory.start import Start, noise_of
+from rodlib.ilc.laboratory.start import Start
 from rodlib.ilc.trials import rms
+from rodlib.ilc.watch import noise_of
 from rodlib.paper import published
 from rodlib.paper.repository import ROOT
 from rodlib.rigs import RigParameters, VirtualRig
