@@ -7,7 +7,9 @@ import matplotlib.pyplot as plt
 import pytest
 from matplotlib.figure import Figure
 
+from rodlib import Rod
 from rodlib.paper import figures
+from rodlib.paper.drawings import draw_block_diagram, draw_rod
 
 
 @pytest.fixture(autouse=True)
@@ -24,9 +26,8 @@ def folder(tmp_path, monkeypatch):
 
 def draw():
     figure, axes = plt.subplots(1, 2)
-    axes[0].plot([0, 3, 1], label=r"$\dot Q_1(t)$")
-    axes[0].legend()
-    axes[1].annotate("", (0, 0), (1, 1), arrowprops={"arrowstyle": "-|>", "color": "tab:red"})
+    draw_rod(axes[0], Rod())
+    draw_block_diagram(axes[1])
     return figure
 
 
@@ -82,3 +83,15 @@ def test_a_notebook_shows_the_saved_file_and_its_caption_and_draws_nothing_itsel
     assert how["metadata"]["image/png"] == {"width": 720, "alt": "A rod."}
     assert caption.data == "*A rod.*"
     assert plt.imread(folder / "fig02-test.png").shape[:2] == (400, 1440)
+
+
+@pytest.mark.parametrize("rod", [Rod(), Rod(sections=6, length=1.0, sensors=(0.1, 0.5, 0.9))])
+def test_the_drawing_shows_what_the_rod_has(rod):
+    figure, axes = plt.subplots()
+    draw_rod(axes, rod)
+    texts = " ".join(text.get_text() for text in axes.texts)
+    for i, z in enumerate(rod.sensors):
+        assert f"$y_{i + 1}$ at {z * 1e3:g} mm" in texts
+    assert f"Peltier {rod.sections}" in texts
+    assert len(axes.patches) >= rod.sections + 1
+    plt.close(figure)
