@@ -24,7 +24,7 @@ MODULES = {
 
 
 def lazily(package: str, modules: dict[str, str]):
-    """``__getattr__`` of a package, and the names that it finds: those of its modules."""
+    """``__getattr__``, ``__dir__`` and ``__all__`` of a package: the names of its modules."""
     home = {
         name: f"{package}.{module}" for module, names in modules.items() for name in names.split()
     }
@@ -34,11 +34,7 @@ def lazily(package: str, modules: dict[str, str]):
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         return getattr(import_module(home[name]), name)
 
-    return get, [*home]
+    return get, lambda: sorted([*vars(import_module(package)), *home]), [*home]
 
 
-__getattr__, __all__ = lazily(__name__, MODULES)
-
-
-def __dir__():
-    return sorted([*globals(), *__all__])
+__getattr__, __dir__, __all__ = lazily(__name__, MODULES)

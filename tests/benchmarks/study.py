@@ -1,4 +1,4 @@
-"""The study of 10,000 rods: ``make study``, or ``python -m rodlib.paper.study [scheduler]``.
+"""The study of 10,000 rods: ``make study``, or ``python tests/benchmarks/study.py [scheduler]``.
 
 With the address of a dask scheduler it runs on its workers. It goes on where it was interrupted.
 """
