@@ -44,7 +44,7 @@ FIGURES = """# Figures
 
 All figures of the notebooks. Those that begin with *fig* follow a figure of the paper, with its
 number; the *extra* ones show what the paper does not."""
-TEMPLATES = Path(__file__).with_name("templates")  # which go before those of pdoc
+TEMPLATES = Path(__file__).with_name("templates")  # which go before pdoc's and nbconvert's
 SIZE = 16  # pixels at which formulas are drawn; on the page they are as large as the text around
 ziamath.config.svg2 = False  # glyphs as paths, since two drawings on a page must not share names
 
@@ -175,7 +175,11 @@ def make_pages(root: Path, target: Path) -> None:
     for source, text in texts.items():
         document(root, target, source, text, as_html(text))
     exporter = HTMLExporter(
-        template_name="basic", exclude_input_prompt=True, exclude_output_prompt=True
+        template_name="basic",
+        template_file="notebook.html.jinja2",  # in which folded code is a line that opens it
+        extra_template_paths=[str(TEMPLATES)],
+        exclude_input_prompt=True,
+        exclude_output_prompt=True,
     )
     exporter.register_filter("markdown2html", as_html)
     for source, notebook in notebooks.items():
