@@ -61,8 +61,9 @@ def try_out(settings: Settings) -> Outcome:
     samples, m = plant.reference.shape
     noise = settings.noise * np.random.default_rng(0).standard_normal((TRIALS, samples, m))
     trials = run_trials(
-        plant.loop, Q, design.filter, plant.reference, plant.disturbance, TRIALS, noise=noise
-    )
+        plant.loop, Q, design.filter, plant.reference, plant.disturbance, TRIALS,
+        noise=noise, rest=plant.rest,
+    )  # fmt: skip
     return Outcome(settings, design, tuple(rms(trials.e).values.tolist()))
 
 

@@ -101,7 +101,7 @@ def test_the_trials_are_those_of_the_law(outcome, settings):
         w = np.hstack([r + v, np.zeros((len(r), len(loop.disturbances)))])
         e = r - np.atleast_2d(control.forced_response(loop.closed, U=w.T).outputs).T
         found.append(np.sqrt(np.mean(np.sum(e**2, axis=1))))
-        v = update(v, e, settings.Q, outcome.design.filter)
+        v = update(v, e, settings.Q, outcome.design.filter, rest=15)  # where nothing moves
     assert len(outcome.rms) == 10
     np.testing.assert_allclose(outcome.rms[:3], found, rtol=1e-6, atol=1e-9)
     assert found[2] < 0.2 * found[0]
@@ -211,6 +211,8 @@ def test_the_signals_of_a_plant_must_be_its_own():
         Plant("loop", loop, np.zeros((10, 2)))
     with pytest.raises(ValueError, match="disturbance has shape"):
         Plant("loop", loop, np.zeros((10, 1)), np.zeros((10, 1)))
+    with pytest.raises(ValueError, match="rest = 10 must be"):
+        Plant("loop", loop, np.zeros((10, 1)), rest=10)
 
 
 def test_a_log_brings_its_loop_its_reference_and_its_disturbances(tmp_path):
