@@ -26,7 +26,7 @@ class Settings:
     structure: str = Problem.structure  # "diagonal" or "full"
     uncertainty: float = 0.0  # radius of what is not known of P, in percent of ||P||
     noise: float = 0.0  # standard deviation in each output, white, in its unit; new in every trial
-    noise_weight: float = 0.0  # in the design; 1: see `problem`
+    noise_weight: float = 0.0  # of what learning makes of it, in the design: see `problem`
 
     @classmethod
     def of(cls, plant: Plant, **changes) -> "Settings":
