@@ -27,7 +27,7 @@ from rodlib.paper.repository import ROOT, checkout
 
 TEXTS = ("README.md", "CONTRIBUTING.md", "data/README.md")
 TEXTS += ("figures/ledger.md", "figures/performance.md")
-TEMPLATES = Path(__file__).with_name("templates")  # which go before those of pdoc
+TEMPLATES = Path(__file__).with_name("templates")  # which go before those of pdoc and nbconvert
 SIZE = 16  # pixels at which formulas are drawn; on the page they are as large as the text around
 ziamath.config.svg2 = False  # glyphs as paths, since two drawings on a page must not share names
 
@@ -122,7 +122,9 @@ def make_pages(root: Path, target: Path) -> None:
     texts = {path: (root / path).read_text(encoding="utf-8") for path in TEXTS}
     for source, text in (texts | {"figures": all_figures(notebooks)}).items():
         document(root, target, source, text, as_html(text))
-    exporter = HTMLExporter(template_name="basic")
+    exporter = HTMLExporter(  # in which folded code is a line that opens it
+        template_file="notebook.html.jinja2", extra_template_paths=[str(TEMPLATES)]
+    )
     exporter.register_filter("markdown2html", as_html)
     for source, notebook in notebooks.items():
         body, _ = exporter.from_notebook_node(notebook)

@@ -98,6 +98,22 @@ def test_formulas_are_drawn_and_pictures_have_words(pages):
     }
 
 
+def test_folded_code_is_a_line_that_opens_it(pages):
+    seen = set()
+    for path in (ROOT / "notebooks").glob("*.ipynb"):
+        cells = json.loads(path.read_text("utf-8"))["cells"]
+        code = [cell for cell in cells if cell["cell_type"] == "code"]
+        shown = parsed(pages / "notebooks" / f"{path.stem}.html").select(".code_cell")
+        for cell, element in zip(code, shown, strict=True):
+            folded, source = element.select_one(".input > details"), "".join(cell["source"])
+            hidden = cell["metadata"].get("jupyter", {}).get("source_hidden", False)
+            assert (folded is not None) == hidden
+            assert not element.select("details[open], details img")
+            assert (folded or element).select_one(".highlight").get_text().strip() == source.strip()
+            seen.add(folded and folded.summary.get_text())
+    assert seen == {None, "imports", "code of the picture", "code of the ledger's rows"}
+
+
 def test_the_ledger_is_all_there(pages):
     rows = pd.read_csv(ROOT / "figures" / "ledger.csv", dtype=str, keep_default_na=False)
     shown = parsed(pages / "figures" / "ledger.html").select("table")[-1].select("tbody tr")
@@ -166,6 +182,19 @@ def test_on_a_telephone_nothing_sticks_out_or_is_missing(browser, pages, scheme)
         assert seen == {"width": 400, "formulas": 0, "pictures": 0, "hidden": False}, name
         assert said == [], name
     context.close()
+
+
+@pytest.mark.parametrize("width", [400, 1280])
+def test_folded_code_opens_and_its_picture_stays(browser, pages, width):
+    page = browser.new_page(viewport={"width": width, "height": 800})
+    page.goto((pages / "notebooks" / "01-model.html").as_uri())
+    cell = page.locator(".code_cell", has=page.locator("summary", has_text="picture")).first
+    code, picture = cell.locator(".highlight"), cell.locator("img")
+    assert picture.is_visible() and not code.is_visible()
+    cell.locator("summary").click()
+    assert picture.is_visible() and code.is_visible()
+    assert page.evaluate("() => document.documentElement.scrollWidth") == width
+    page.close()
 
 
 def test_the_ledger_is_searched_and_filtered(browser, pages):

@@ -242,7 +242,7 @@ def certify(
         trial=np.nan if samples is None else trial_norm(*problem.model, L, samples, rest=rest)[0],
         samples=samples,
         rest=rest,
-        findings=tuple(findings(problem, value)),
+        findings=tuple(findings(problem, value - noise)),  # noise is no error that is left
         noise=noise,
         new=new,
         learned=learned,

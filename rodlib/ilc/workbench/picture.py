@@ -89,7 +89,9 @@ class Picture:
         self._draw(outcome)
         self._fit(shown)
         gray = "    gray: the filter before" if len(shown) > 1 else ""
-        self._words.set_text(f"black: this filter    red, dashed: its bounds{gray}")
+        self._words.set_text(
+            f"black: this filter    red: its bounds    dotted: its mean rate in the band{gray}"
+        )
         return self
 
     def _draw(self, outcome, before=False):
@@ -102,6 +104,8 @@ class Picture:
         ahead = np.arange(1, design.filter.order + 1)
         for entry, own in zip(entries(outcome).values(), cycle(ENTRIES), strict=False):
             lags.plot(ahead, entry, marker=".", **(look if before else own))
+        mean = design.certificate.mean_M
+        rate.plot(design.problem.band, [mean, mean], **look | {"linestyle": ":"})
         if not before:
             rate.axhline(design.problem.M_max, **BOUND)
             gain.axhline(design.problem.L_max, **BOUND)

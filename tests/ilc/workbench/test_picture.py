@@ -51,12 +51,15 @@ def test_the_lines_are_the_designs(paper, full):
     q = paper.settings.Q.frequency_response(paper.settings.omega)[:, None, None]
     for number, outcome in enumerate((paper, full)):  # the one before is below
         L = outcome.design.filter.frequency_response(outcome.settings.omega)
+        mean = 2 * [outcome.design.certificate.mean_M]
+        assert list(rate.lines[2 * number + 1].get_ydata()) == mean
         for axes, matrices in ((rate, q * (np.eye(2) - P @ L)), (gain, L)):
             sigma = np.linalg.svd(matrices, compute_uv=False)[:, 0]
-            np.testing.assert_allclose(axes.lines[number].get_ydata(), sigma, rtol=1e-9, atol=1e-12)
-            np.testing.assert_array_equal(axes.lines[number].get_xdata(), outcome.settings.omega)
+            line = axes.lines[2 * number if axes is rate else number]
+            np.testing.assert_allclose(line.get_ydata(), sigma, rtol=1e-9, atol=1e-12)
+            np.testing.assert_array_equal(line.get_xdata(), outcome.settings.omega)
         assert tuple(trials.lines[number].get_ydata()) == outcome.rms
-    assert [rate.lines[2].get_ydata()[0], gain.lines[2].get_ydata()[0]] == [0.9, 100.0]
+    assert [rate.lines[4].get_ydata()[0], gain.lines[2].get_ydata()[0]] == [0.9, 100.0]
     shown = [line.get_ydata() for line in lags.lines]
     c, before = full.design.filter.coefficients, paper.design.filter.coefficients
     expected = [before[0, 0], before[1, 1], c[0, 0], c[1, 1], c[0, 1], c[1, 0]]
