@@ -6,7 +6,14 @@ solvers. :mod:`~rodlib.ilc.evidence.certificate` puts the answers together that 
 """
 
 from rodlib.ilc.evidence.certificate import Certificate
-from rodlib.ilc.evidence.convergence import Rate, mean_rate, rate, rates
+from rodlib.ilc.evidence.convergence import (
+    Rate,
+    SpectralRate,
+    mean_rate,
+    rate,
+    rates,
+    spectral_rate,
+)
 from rodlib.ilc.evidence.finite_trial import trial_map, trial_norm, trial_operators
 from rodlib.ilc.evidence.noise import (
     LearnedNoise,
@@ -24,6 +31,7 @@ __all__ = [
     "Certificate",
     "LearnedNoise",
     "Rate",
+    "SpectralRate",
     "Spectrum",
     "TrialNoise",
     "WorstCase",
@@ -33,6 +41,7 @@ __all__ = [
     "noise_by_trial",
     "rate",
     "rates",
+    "spectral_rate",
     "support",
     "trial_map",
     "trial_noise",
