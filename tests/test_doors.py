@@ -303,7 +303,17 @@ DOORS = [
 # Made by other doors, or without an argument; and inside: protocols, constants, and what solvers
 # call a thousand times with what was checked before.
 MADE = {"Certificate", "InfeasibleError", "LearnedNoise", "LogError", "MeasuredResponse"}
-MADE |= {"Outcome", "Picture", "Rate", "Replay", "RigError", "SolverError", "Spectrum", "Synthesis"}
+MADE |= {
+    "Outcome",
+    "Picture",
+    "Rate",
+    "Replay",
+    "RigError",
+    "SolverError",
+    "SpectralRate",
+    "Spectrum",
+    "Synthesis",
+}
 MADE |= {"TrialNoise", "Tuned", "WorstCase"}
 INSIDE = {"Family", "LearningOperator", "Problem", "Rig"}
 ROOMS = ("alternatives", "evidence", "laboratory", "synthesis", "workbench")
