@@ -205,7 +205,7 @@ DOORS = [
      {"M_max": REAL | {"1": 1, "-1": -1.0}, "L_max": REAL}),
     (evidence.worst_case, {"problem": PROBLEM, "L": L}),
     *((door, {"P": LOOP, "Q": Q, "L": L, "omega": OMEGA}, {"P": REAL})
-      for door in (evidence.rate, evidence.rates, evidence.mean_rate)),
+      for door in (evidence.rate, evidence.rates, evidence.spectral_rate, evidence.mean_rate)),
     (evidence.trial_operators, {"P": P, "Q": Q, "L": L, "samples": 6}, MODEL),
     (evidence.trial_map, {"P": P, "Q": Q, "L": L, "samples": 6}, MODEL),
     (evidence.trial_norm, {"P": P, "Q": Q, "L": L, "samples": 6}, MODEL),
@@ -304,7 +304,17 @@ DOORS = [
 # Made by other doors, or without an argument; and inside: protocols, constants, and what solvers
 # call a thousand times with what was checked before.
 MADE = {"Certificate", "InfeasibleError", "LearnedNoise", "LogError", "MeasuredResponse"}
-MADE |= {"Outcome", "Picture", "Rate", "Replay", "RigError", "SolverError", "Spectrum", "Synthesis"}
+MADE |= {
+    "Outcome",
+    "Picture",
+    "Rate",
+    "Replay",
+    "RigError",
+    "SolverError",
+    "SpectralRate",
+    "Spectrum",
+    "Synthesis",
+}
 MADE |= {"TrialNoise", "Tuned", "WorstCase"}
 INSIDE = {"Family", "LearningOperator", "Problem", "Rig"}
 ROOMS = ("alternatives", "evidence", "laboratory", "synthesis", "workbench")

@@ -165,8 +165,8 @@ class Solution:
 
 
 def convergence_matrix(P, Q, L) -> np.ndarray:
-    """M = P Q (P^-1 - L) = Q (I - P L) from frequency responses P, L, (n, m, m), and Q, (n,)."""
-    return Q[:, None, None] * (np.eye(P.shape[1]) - P @ L)  # (36), (40)
+    """M = P Q (P^-1 - L) = Q (I - P L) from responses P, L, (..., n, m, m), and Q, (n,)."""
+    return Q[:, None, None] * (np.eye(P.shape[-1]) - P @ L)  # (36), (40)
 
 
 def tied(values):
