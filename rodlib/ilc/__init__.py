@@ -13,8 +13,8 @@ MODULES = {
         zero_phase_butterworth""",
     "problem": "Problem",
     "trials": "run_trials",
-    "evidence": """converged_noise mean_rate noise_bound noise_by_trial rate rates trial_noise
-        violation_probability worst_case""",
+    "evidence": """converged_noise mean_rate noise_bound noise_by_trial noise_on_trial rate
+        rates trial_noise violation_probability worst_case""",
     "synthesis": "InfeasibleError SolverError Synthesis largest_cutoff least_gain synthesise",
     "alternatives": """NormOptimal Rehearsal gradient h_infinity p_type pd_type stable_inversion
         tune zero_phase_inversion""",

@@ -17,6 +17,7 @@ from rodlib.ilc.evidence.noise import (
     noise_by_trial,
     trial_noise,
 )
+from rodlib.ilc.evidence.noisy_trial import noise_on_trial
 from rodlib.ilc.evidence.robustness import WorstCase, worst_case
 from rodlib.ilc.evidence.scenario import support, violation_probability
 
@@ -31,6 +32,7 @@ __all__ = [
     "mean_rate",
     "noise_bound",
     "noise_by_trial",
+    "noise_on_trial",
     "rate",
     "rates",
     "support",
