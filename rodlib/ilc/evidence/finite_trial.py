@@ -8,13 +8,14 @@ from dataclasses import replace
 import control
 import numpy as np
 import scipy.sparse.linalg as sparse
-from scipy.fft import irfft, next_fast_len, rfft
+from scipy.fft import fft, ifft, irfft, next_fast_len, rfft
 from scipy.sparse import diags_array, eye_array
 
 from rodlib.ilc import arguments
-from rodlib.ilc.filters import LearningFilter, ZeroPhaseButterworth
+from rodlib.ilc.filters import ENDS, LearningFilter, ZeroPhaseButterworth
 
 LANCZOS = 60  # vectors that the Lanczos iteration keeps
+SIDE_BY_SIDE = 50  # signals that are filtered at a time
 
 
 def trial_operators(
@@ -35,8 +36,8 @@ def trial_operators(
     -------
     P_N, Q_N, L_N : scipy.sparse.linalg.LinearOperator, shape (samples m, samples m)
         On signals of shape (samples, m), raveled. P_N is a lower triangular block Toeplitz
-        matrix. Q_N and L_N are block Toeplitz if `ends` is "zero"; if it is "hold", what the
-        matrix would do to the samples beyond an end is added to its first or last block column.
+        matrix. Q_N and L_N are block Toeplitz if `ends` is "zero"; where an end is held, what the
+        matrix would do to the samples beyond it is added to its first or last block column.
     """
     arguments.state_space("P", P)
     arguments.instance("Q", Q, ZeroPhaseButterworth)
@@ -65,13 +66,13 @@ def trial_operators(
         if Q.ends == "zero":  # a symmetric Toeplitz matrix
             return Q.apply(signal)
         padding = [(0, 0)] * (signal.ndim - 2) + [(reach, reach), (0, 0)]
-        return _fold(two_sided.apply(np.pad(signal, padding)), reach, reach)
+        return _fold(two_sided.apply(np.pad(signal, padding)), reach, reach, Q.ends)
 
     def L_adjoint(signal):
         out = np.zeros((*signal.shape[:-2], samples + L.order, m))
         for k in range(1, L.order + 1):
             out[..., k : k + samples, :] += signal @ L.coefficients[:, :, k - 1]
-        return _fold(out, 0, L.order) if L.ends == "hold" else out[..., :samples, :]
+        return _fold(out, 0, L.order, L.ends)
 
     pairs = [(P_apply, P_adjoint), (Q.apply, Q_adjoint), (L.apply, L_adjoint)]
     return tuple(_operator(apply, adjoint, samples, m) for apply, adjoint in pairs)
@@ -153,6 +154,32 @@ def trial_norm(
     return float(np.linalg.norm(after)), before.reshape(samples, -1), after.reshape(samples, -1)
 
 
+def switched_on(
+    P: control.StateSpace, Q: ZeroPhaseButterworth, omega, samples: int, rest: int = 0
+) -> np.ndarray:
+    """What Q and P leave of a sinusoid that is switched on when the trial starts: Q P, and more.
+
+    Returns
+    -------
+    ndarray, shape (n, m, m)
+        R(omega), triangular, such that the mean over the trial of |P_N Q_N u|^2 is |R a|^2 for
+        u(p) = a exp(j omega p Ts), p = 0 ... samples - 1. For long trials R tends to Q P, but for
+        a unitary factor. If u is a random signal, stationary within the trial, of density Phi, then
+        the mean of |P_N Q_N u|^2 is that of tr(R Phi R^H) over all frequencies. What L looks ahead
+        to is such a signal: of a trial's start it notices nothing, but v begins there.
+    """
+    m, length = P.noutputs, next_fast_len(2 * samples)
+    spectrum = fft(impulse_response(P, samples), length, axis=0)
+    R = np.empty((len(omega), m, m), dtype=complex)
+    for at in range(0, len(omega), SIDE_BY_SIDE):
+        angles = P.dt * np.outer(omega[at : at + SIDE_BY_SIDE], np.arange(samples))
+        v = Q.apply(np.stack([np.cos(angles), np.sin(angles)], axis=-1)) @ [1, 1j]
+        v[:, samples - rest :] = 0
+        y = ifft(fft(v, length)[..., None, None] * spectrum, axis=1)[:, :samples]
+        R[at : at + SIDE_BY_SIDE] = np.linalg.qr(y.reshape(len(v), -1, m), mode="r")
+    return R / np.sqrt(samples)
+
+
 def _operator(apply, adjoint, samples, m):
     def on_columns(function):
         def matmat(X):
@@ -172,10 +199,13 @@ def _operator(apply, adjoint, samples, m):
     )
 
 
-def _fold(signal, before, after):
-    """Adjoint of holding the ends: what lies beyond an end is added to the sample at the end."""
+def _fold(signal, before, after, ends):
+    """Adjoint of holding ends: what lies beyond one that is held is added to the sample there."""
     samples = signal.shape[-2] - before - after
     out = signal[..., before : before + samples, :].copy()
-    out[..., 0, :] += signal[..., :before, :].sum(axis=-2)
-    out[..., -1, :] += signal[..., before + samples :, :].sum(axis=-2)
+    first, last = (mode == "edge" for mode in ENDS[ends])
+    if first:
+        out[..., 0, :] += signal[..., :before, :].sum(axis=-2)
+    if last:
+        out[..., -1, :] += signal[..., before + samples :, :].sum(axis=-2)
     return out

@@ -174,9 +174,14 @@ def measured_response(log: xr.Dataset) -> MeasuredResponse:
     1 / (1 - p / z), where p is the slowest pole of the loop as designed. So a slow transient is
     one, too, as with the local rational method (McKelvey and Guérin, Non-parametric frequency
     response estimation using a local rational model, SYSID 2012), and the estimate stays linear in
-    the data. Noise is taken to be stationary and smooth across neighbouring lines; where it rises
-    more steeply than in proportion to frequency, the radius at the lowest lines is larger than need
-    be.
+    the data. Noise is taken to be stationary, and to differ between neighbouring lines as white
+    noise of the sensors does behind the loop as designed: below its bandwidth the loop takes noise
+    away, a little above it adds some, within a few lines. What enters there with another shape is
+    told less well. With 99 % for all of 42 lines together, from 1.9e-3 rad/s on, the paper's loop
+    on a rod of other parameters covers 98.9 % of 2000 truths, and 98.8 % of 600 with noise that
+    lasts for 10 samples; but 97 % if it lasts for 100, and 96 % if the room warms by 1.8 K an
+    hour. What is no noise at all, such as the steps of a converter that nothing dithers, it does
+    not cover.
     """
     arguments.instance("log", log, xr.Dataset)
     excitation, loop = excitation_of(log), loop_of(log)
@@ -233,7 +238,8 @@ def expected_radius(
     for window, omega in zip(windows, excitation.omega, strict=True):
         line = omega * excitation.Ts * samples / (2 * np.pi)
         near = nearest(line, np.arange(1, len(power) + 1)[: max(4, int(SPAN * line))])
-        noise.append(window.variance * excitation.evaluated * power[near - 1].mean(0))
+        scale = np.sqrt(window.variance * excitation.evaluated)
+        noise.append(scale[:, None] * power[near - 1].mean(0) * scale)
     lines = np.array(excitation.harmonics)
     W = np.fft.fft(excitation.signals[:, -excitation.period :], axis=1)[:, lines]
     spread = np.linalg.inv(np.moveaxis(W, 0, 2) * excitation.periods)

@@ -2,12 +2,21 @@
 
 from dataclasses import replace
 
+import control
 import numpy as np
 import pytest
 from plants import furnace
+from scipy.signal import fftconvolve
 from scipy.stats import binom
 
-from rodlib import current_trial_loop, load_log, paper_loop, record, sampled_response
+from rodlib import (
+    current_trial_loop,
+    load_log,
+    midr,
+    paper_loop,
+    record,
+    sampled_response,
+)
 from rodlib.ilc.laboratory import (
     LogError,
     RigError,
@@ -20,7 +29,7 @@ from rodlib.ilc.laboratory import (
 from rodlib.ilc.laboratory.measurement import MeasuredResponse, _estimate
 from rodlib.ilc.laboratory.notes import excitation_of, with_excitation
 from rodlib.ilc.laboratory.region import radius_of
-from rodlib.ilc.laboratory.transient import windows_of
+from rodlib.ilc.laboratory.transient import separated, windows_of
 from rodlib.ilc.trials import dataset, state_sequence
 from rodlib.rigs import MISMATCHED, RestartingRig, RigParameters
 
@@ -107,6 +116,41 @@ def test_the_region_covers_the_truth_as_often_as_it_says(seeds):
     together = np.all(errors <= radii(measured, 0.9, jointly=True), axis=1).sum()
     low, high = binom.interval(0.999, SEEDS, 0.9)
     assert low <= together <= high
+
+
+@pytest.fixture(scope="module")
+def shaped(loop):
+    """Noise behind the loop around another rod, at lines below and above the loop's bandwidth."""
+    excitation = multisine(loop, 3.84e-3, 0.3, 5.0, 3.0, lines=60)
+    windows = windows_of(excitation.harmonics, excitation, loop)
+    plant = control.sample_system(midr(MISMATCHED, degree=6), loop.Ts, method="zoh")
+    pulses = np.zeros((2, 3000, 2))
+    pulses[[0, 1], 0, [0, 1]] = 1.0
+    after = np.array([answer(loop, 0 * one[None], one[None], plant)[0] for one in pulses])
+    noise = 0.02 * np.random.default_rng(5).standard_normal((SEEDS, 2, excitation.samples, 2))
+    heard = sum(
+        fftconvolve(noise[..., [i]], after[i][None, None], axes=2)[:, :, : excitation.samples]
+        for i in range(2)
+    )
+    W = np.fft.fft(excitation.signals[:, -excitation.evaluated :], axis=1)
+    spread = np.linalg.inv(np.moveaxis(W[:, [window.line for window in windows]], 0, 2))
+    found = [separated(y[:, -excitation.evaluated :], windows) for y in heard]
+    errors = np.array([net @ spread for net, _, _ in found])
+    return errors, np.array([noise for _, noise, _ in found]), found[0][2], spread
+
+
+def test_noise_that_the_loop_shapes_is_told_right_where_it_bends(shaped):
+    """Its density has a peak near the bandwidth: a mean over neighbours misses a sixth of it."""
+    errors, noise, freedom, spread = shaped
+    lines = slice(1, 8)
+    predicted = np.einsum("snii->n", noise).real * np.sum(np.abs(spread) ** 2, axis=(1, 2))
+    ratio = predicted[lines] / np.sum(np.abs(errors) ** 2, axis=(0, 2, 3))[lines]
+    assert np.all(np.abs(ratio - 1) < 0.12) and abs(ratio.mean() - 1) < 0.05
+    repeated = [np.tile(x, (SEEDS, *[1] * (x.ndim - 1))) for x in (spread, freedom)]
+    radius = radius_of(noise.reshape(-1, 2, 2), *repeated, 0.05).reshape(SEEDS, -1)
+    covered = np.linalg.norm(errors, 2, axis=(2, 3)) <= radius
+    assert covered[:, lines].mean() == pytest.approx(0.95, abs=0.015)
+    assert covered.mean() == pytest.approx(0.95, abs=0.007)
 
 
 def covariance(measured):
