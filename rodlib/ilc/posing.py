@@ -9,6 +9,7 @@ import numpy as np
 
 from rodlib.ilc import arguments
 from rodlib.ilc.filters import ZeroPhaseButterworth
+from rodlib.ilc.gaps import without_gaps
 from rodlib.ilc.loop import CurrentTrialLoop
 from rodlib.ilc.models import frequency_response
 from rodlib.ilc.problem import Problem
@@ -44,6 +45,7 @@ def pose(
     uncertainty=None,
     noise=None,
     confidence=None,
+    beyond=None,
 ) -> Problem:
     """State the problem (39), or (45) with (46), and check it; see :func:`rodlib.synthesise`."""
     Ts = arguments.sampling_period("Ts", period(P, Q) if Ts is None else Ts)
@@ -56,7 +58,7 @@ def pose(
             f"confidence = {reprlib.repr(confidence)} is for a measured response, but P is not "
             "one: pass the radius as uncertainty"
         )
-    (plant, *other_models), responses = on_grid(plants(P), omega, Ts)
+    models, responses = on_grid(plants(P), omega, Ts)
     P, others = responses[0], responses[1:]
     n, m, _ = P.shape
     q, Q = Q_on_grid(Q, omega, P=Ts)
@@ -75,13 +77,15 @@ def pose(
         scale = _scale(scale, m)
         units = scale / scale[:, None]
         P, others = P * units, others * units
-        plant, *other_models = (_scaled(model, scale) for model in (plant, *other_models))
+        models = [_scaled(model, scale) for model in models]
     _refuse_singular(P, omega)
-    model = None if plant is None or q is None else (plant, q)
-    return Problem(
-        P, Q, omega, Ts, scale, model, others, order, M_max, L_max, band, structure, objective,
-        tuple(other_models), radius, _weights(noise, omega, Ts, m, M_max, scale), basis,
+    noise = _weights(noise, omega, Ts, m, M_max, scale)
+    problem = Problem(
+        P, Q, omega, Ts, scale, others, tuple(models), q,
+        np.ones(n, dtype=bool), np.full(n, np.inf), np.ones(n),
+        order, M_max, L_max, band, structure, objective, radius, noise, basis,
     )  # fmt: skip
+    return without_gaps(problem, beyond)
 
 
 def period(P, Q):

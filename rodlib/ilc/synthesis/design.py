@@ -1,5 +1,6 @@
 """From the problem to a filter with its certificate: the way through the synthesis."""
 
+import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -58,7 +59,7 @@ class Synthesis:
     @property
     def omega(self) -> np.ndarray:
         """The design frequencies, rad/s."""
-        return self.problem.omega
+        return self.problem.omega[self.problem.asked]
 
     def __repr__(self):
         return f"{self.solution.method}, {self.solution.iterations} iterations\n{self.certificate}"
@@ -80,6 +81,7 @@ def synthesise(
     uncertainty=None,
     noise=None,
     confidence=None,
+    beyond=None,
     solver="structured",
     start=None,
     samples=None,
@@ -128,6 +130,10 @@ def synthesise(
     confidence : float, optional
         Of a measured response: probability that the truth lies within its radius at all frequencies
         that were measured. Default 0.99.
+    beyond : float, optional
+        The largest sigma_max(P), in units of `scale`, above the last frequency of a plant that is
+        known as samples, if that is below the Nyquist frequency: with it M is bounded there.
+        Default: as at the last frequency. L keeps its bound up to the Nyquist frequency anyway.
     solver : {"structured", "cvxpy"}
         The package's own solvers, or the problem as the paper states it, in CVXPY.
     start : Synthesis, optional
@@ -158,7 +164,7 @@ def synthesise(
     problem = pose(
         P, Q, omega, Ts, order=order, M_max=M_max, L_max=L_max, band=band, structure=structure,
         objective=objective, scale=scale, uncertainty=uncertainty,
-        noise=noise, confidence=confidence,
+        noise=noise, confidence=confidence, beyond=beyond,
     )  # fmt: skip
     return certified(problem, solver=solver, start=start, samples=samples, rest=rest, check=check)
 
@@ -183,8 +189,10 @@ def certified(
     certificate = certify(problem, solution, tolerances, samples, rest)
     if check and certificate.failures:
         raise SolverError(f"{solution.method}: {'; '.join(certificate.failures)}")
-    L = problem.response(solution)
-    sigmas = largest_singular_values(problem.M(L)), largest_singular_values(L)
+    for text in certificate.warnings:
+        warnings.warn(text, stacklevel=3)
+    L = problem.response(solution)[problem.asked]
+    sigmas = certificate.nominal[problem.asked], largest_singular_values(L)
     return Synthesis(problem.filter(solution.coefficients), problem, certificate, *sigmas, solution)
 
 
@@ -230,14 +238,14 @@ def _with_cuts(problem, start, solver):
 def _is_good(problem, solution, gap):
     """Whether a solution is within its bounds, and proven to be as good as the gap says."""
     L = problem.response(solution)
-    sigma_M, sigma_L = largest_singular_values(problem.M(L)), largest_singular_values(L)
+    sigma_M = largest_singular_values(problem.M(L))
     worst = max(sigma_M.max(), solution.largest if problem.robust else 0)
     value = problem.value(sigma_M, np.array([worst])) + problem.cost_of_noise(L)
     return (
         value - lower_bound(problem, solution.U, solution.V, solution.cuts, L)
         < gap * problem.unit(value)
         and worst <= problem.M_max * (1 + VIOLATION)
-        and sigma_L.max() <= (problem.L_max or np.inf) * (1 + VIOLATION)
+        and (problem.L_max is None or problem.passed_L(L) <= 1 + VIOLATION)
     )
 
 

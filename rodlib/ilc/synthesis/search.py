@@ -78,7 +78,6 @@ def largest_cutoff(
     arguments.instance("Q", Q, ZeroPhaseButterworth)
     asked, how = _parted(choices)
     stated = pose(P, Q, omega, Ts, **asked)
-    problem = replace(stated, objective="peak", M_max=np.inf, noise=None)
     found = {}
 
     def with_cutoff(logarithm):
@@ -86,12 +85,13 @@ def largest_cutoff(
 
     def excess(logarithm):
         """The smallest possible M_max with this cut-off, relative to the one that is asked for."""
-        response = with_cutoff(logarithm).frequency_response(problem.omega)
-        found["solution"] = solve(replace(problem, Q=response), found.get("solution"))
+        peak = pose(P, with_cutoff(logarithm), omega, Ts, **asked | {"objective": "peak"})
+        problem = replace(peak, M_max=np.inf, noise=None)
+        found["solution"] = solve(problem, found.get("solution"))
         bar.update()
         return found["solution"].largest / stated.M_max - 1
 
-    highest, lowest = np.log(0.999 * np.pi / Q.Ts), np.log(problem.omega[problem.omega > 0][0])
+    highest, lowest = np.log(0.999 * np.pi / Q.Ts), np.log(stated.omega[stated.omega > 0][0])
     low = high = np.log(Q.cutoff)
     with tqdm(desc="largest cut-off", unit=" solved", leave=False, disable=None) as bar:
         while excess(high) <= 0 and high < highest:
