@@ -3,10 +3,12 @@
 import warnings
 from dataclasses import dataclass, replace
 
+import control
 import numpy as np
 
 from rodlib.ilc import arguments
 from rodlib.ilc.evidence.certificate import GAP, VIOLATION, Certificate, certify, checked_trial
+from rodlib.ilc.evidence.check import Check, check
 from rodlib.ilc.evidence.optimality import lower_bound
 from rodlib.ilc.filters import LearningFilter
 from rodlib.ilc.posing import pose
@@ -60,6 +62,35 @@ class Synthesis:
     def omega(self) -> np.ndarray:
         """The design frequencies, rad/s."""
         return self.problem.omega[self.problem.asked]
+
+    def check(self, P, omega=None, *, uncertainty=None, confidence=None, beyond=None) -> Check:
+        """What the filter does on another plant: the rate, and does it converge?
+
+        Parameters
+        ----------
+        P : a model, CurrentTrialLoop, array_like or measured, as for :func:`synthesise`
+            One plant, with the channels and the sampling period of the design.
+        omega : array_like, shape (n,), optional
+            Frequencies, rad/s. Default: those of P, if it has some, else those of the design.
+        uncertainty, confidence, beyond
+            As for :func:`synthesise`.
+
+        Returns
+        -------
+        Check
+            Print it. `gamma` is the rate of Lemma 1, `spectral_radius` below one says that the
+            trials converge all the same. For another Q than that of the design: :func:`rate`.
+        """
+        own, Q = self.problem, self.problem.butterworth
+        if omega is None:
+            omega = P.omega if isinstance(P, control.FrequencyResponseData) else self.omega
+        if Q is None:
+            Q = own.Q[own.asked]
+        problem = pose(
+            P, Q, omega, own.Ts, order=own.order, L_max=None, objective="peak", scale=own.scale,
+            uncertainty=uncertainty, confidence=confidence, beyond=beyond,
+        )  # fmt: skip
+        return check(problem, LearningFilter(self.solution.coefficients, own.Ts))
 
     def __repr__(self):
         return f"{self.solution.method}, {self.solution.iterations} iterations\n{self.certificate}"

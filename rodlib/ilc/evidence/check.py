@@ -1,0 +1,60 @@
+"""What a filter does on another plant than that of its design: the rate, and does it converge?"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rodlib.ilc.evidence.peak import estimated_peak, proven_peak
+from rodlib.ilc.evidence.robustness import worst_case
+from rodlib.ilc.filters import LearningFilter
+from rodlib.ilc.problem import Problem, tied
+
+
+@dataclass(frozen=True)
+class Check:
+    """What a learning filter does on a plant. Made by :meth:`rodlib.Synthesis.check`."""
+
+    gamma: float  # largest sigma_max(M), of all plants within the radius: Lemma 1's rate
+    omega: float  # where it is, rad/s
+    spectral_radius: float  # largest |eigenvalue of M| on the grid, Delta = 0
+    proven: bool  # whether gamma holds at all frequencies, not on the grid and by splines only
+    basis: tuple[str, ...]  # what P and its radius rest on
+
+    @property
+    def monotone(self) -> bool:
+        """Whether every trial brings the error nearer to its limit (Lemma 1)."""
+        return self.gamma < 1
+
+    @property
+    def converges(self) -> bool:
+        """Whether the trials converge at all, if not each of them comes nearer."""
+        return self.monotone or self.spectral_radius < 1
+
+    def __repr__(self):
+        how = "converges, but not monotonically"
+        if self.monotone:
+            how = "converges monotonically"
+        elif not self.converges:
+            how = "diverges"
+        known = "at all frequencies" if self.proven else "on the grid, and between by splines"
+        return "\n".join(
+            [
+                f"{how}: sigma_max(M) is {self.gamma:.4f} at most, at {self.omega:.4g} rad/s "
+                f"({known}), |eigenvalue of M| {self.spectral_radius:.4f}",
+                *self.basis,
+            ]
+        )
+
+
+def check(problem: Problem, L: LearningFilter) -> Check:
+    """What a filter, in units of `scale`, does on the plant of a problem."""
+    worst = worst_case(problem, L)
+    M = problem.M(L.frequency_response(problem.omega))
+    radius = np.abs(np.linalg.eigvals(M)).max()
+    peaks = [proven_peak(problem, L), estimated_peak(problem, L, worst.peaks)[0]]
+    gamma, omega = worst.sigma.max(), problem.omega[tied(worst.sigma).argmax()]
+    for peak in peaks:
+        if peak is not None and peak.sigma > gamma:
+            gamma, omega = peak.sigma, peak.omega
+    proven = peaks[1] is None and problem.radius is None
+    return Check(float(gamma), float(omega), float(radius), proven, problem.basis)
