@@ -68,7 +68,7 @@ survey: $(BIN)/ready  ## solve 550 problems for ordinary plants; count how it en
 	@$(BIN)/python tests/benchmarks/survey.py
 
 study: $(BIN)/ready  ## 10,000 rods that are off: make study [SCHEDULER=address]; results in build/study
-	@$(BIN)/python -m rodlib.paper.study $(SCHEDULER)
+	@$(BIN)/python tests/benchmarks/study.py $(SCHEDULER)
 
 pages: $(BIN)/ready  ## the notebooks, the ledger and the reference as HTML, in build/pages
 	@$(BIN)/python -m rodlib.paper.pages

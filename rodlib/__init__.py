@@ -19,8 +19,4 @@ MODULES = {
 }
 MODULES |= {f"ilc.{module}": names for module, names in ilc.MODULES.items()}
 
-__getattr__, __all__ = ilc.lazily(__name__, MODULES)
-
-
-def __dir__():
-    return sorted([*globals(), *__all__])
+__getattr__, __dir__, __all__ = ilc.lazily(__name__, MODULES)

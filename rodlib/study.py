@@ -25,6 +25,7 @@ from tqdm import tqdm
 from rodlib.case import assumed_reference
 from rodlib.held import HeldRod
 from rodlib.ilc import arguments, files
+from rodlib.ilc.evidence.convergence import spectral_radii
 from rodlib.ilc.filters import LearningFilter, ZeroPhaseButterworth
 from rodlib.ilc.loop import CurrentTrialLoop
 from rodlib.ilc.problem import convergence_matrix, largest_singular_values
@@ -52,6 +53,7 @@ FOUND = {  # what is found out about each rod: over which dimensions, in which u
     "gains": (("rod", "element"), "1"),
     "rate": (("rod", "filter"), "1"),
     "rate_omega": (("rod", "filter"), "rad/s"),
+    "spectral_rate": (("rod", "filter"), "1"),
     "objective": (("rod", "filter"), "1"),
     "rms": (("rod", "filter", "trial"), "K"),
 }
@@ -112,18 +114,23 @@ class Study:
         found["unstable_poles"] = np.array([whole.unstable_poles(rod) for rod in rods])
         q = self.Q.frequency_response(self.omega)
         L = [L.frequency_response(self.omega) for L in self.filters.values()]
-        sigma = np.empty((len(rods), len(L), len(self.omega)))
+        sigma, radius = np.empty((2, len(rods), len(L), len(self.omega)))
         for i, rod in enumerate(rods):
             P = grid.P(rod)
-            sigma[i] = [largest_singular_values(convergence_matrix(P, q, each)) for each in L]
+            M = [convergence_matrix(P, q, each) for each in L]
+            sigma[i], radius[i] = (
+                [largest_singular_values(each) for each in M],
+                [*map(spectral_radii, M)],
+            )
         found["rate"] = sigma.max(axis=2)  # of Lemma 1
         found["rate_omega"] = self.omega[sigma.argmax(axis=2)]
+        found["spectral_rate"] = radius.max(axis=2)
         band = (BAND[0] <= self.omega) & (self.omega <= BAND[1])
         found["objective"] = sigma[:, :, band].sum(axis=2)
         course = Course(self.loop, self.Q, [*self.filters.values()], self.reference, self.trials)
         groups = [rods[i : i + TOGETHER] for i in range(0, len(rods), TOGETHER)]
         found["rms"] = np.concatenate([course.rms(group) for group in groups])
-        for name in ("rate", "rate_omega", "objective", "rms"):
+        for name in ("rate", "rate_omega", "spectral_rate", "objective", "rms"):
             found[name][found["unstable_poles"] > 0] = np.nan
         return found
 
@@ -220,7 +227,8 @@ def run(
     xarray.Dataset
         Of each rod its parameters, `sensors` and `gains`, and the number of unstable poles of the
         loop around it. Of each rod and filter `rate`, the largest sigma_max(M) over the frequencies
-        (below one the error converges monotonically, Lemma 1), `rate_omega`, where that is, and
+        (below one the error converges monotonically, Lemma 1), `rate_omega`, where that is,
+        `spectral_rate`, the largest spectral radius of M (below one the error converges), and
         `objective`, the sum of (39). `rms` of each rod, filter and trial. NaN where the loop is not
         stable. Units as attributes; the spread, the root and the study's name, too.
     """

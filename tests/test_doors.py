@@ -199,11 +199,13 @@ DOORS = [
     (evidence.converged_noise, {"new": NOISE, "Q": Q, "L": L}),
     (evidence.noise_by_trial, {"new": NOISE, "Q": Q, "L": L, "step": [1, 0.5]},
      {"step": REAL | {"0": [0.0], "2": [1, 2]}}),
+    (evidence.noise_on_trial, {"loop": LOOP, "Q": Q, "L": L, "samples": 6, "noise": 1.0},
+     {"noise": REAL | {"-1": -1.0}}),
     (evidence.noise_bound, {"new": NOISE, "Q": Q, "M_max": 0.9, "L_max": 2.0},
      {"M_max": REAL | {"1": 1, "-1": -1.0}, "L_max": REAL}),
     (evidence.worst_case, {"problem": PROBLEM, "L": L}),
     *((door, {"P": LOOP, "Q": Q, "L": L, "omega": OMEGA}, {"P": REAL})
-      for door in (evidence.rate, evidence.rates, evidence.mean_rate)),
+      for door in (evidence.rate, evidence.rates, evidence.spectral_rate, evidence.mean_rate)),
     (evidence.trial_operators, {"P": P, "Q": Q, "L": L, "samples": 6}, MODEL),
     (evidence.trial_map, {"P": P, "Q": Q, "L": L, "samples": 6}, MODEL),
     (evidence.trial_norm, {"P": P, "Q": Q, "L": L, "samples": 6}, MODEL),
@@ -292,7 +294,8 @@ DOORS = [
     (workbench.plant_of_file, {"path": HERE / "log"}),
     (Settings.of, {"plant": ON_BENCH}, {"plant": THING}),
     (tried, vars(Settings.of(ON_BENCH)),
-     {"L_max": NUMBER | {"none": ...}, "noise": NUMBER, "uncertainty": NUMBER, "band": THING}),
+     {"L_max": NUMBER | {"none": ...}, "noise": NUMBER, "noise_weight": NUMBER,
+      "uncertainty": NUMBER, "band": THING}),
     (workbench.try_out, {"settings": Settings.of(ON_BENCH)}),
     (workbench.Picture().show, {"outcome": Outcome(None, message="none")}),
     (workbench.workbench, {"live": False}, {"log": THING | {"text": ...}}),
@@ -301,7 +304,17 @@ DOORS = [
 # Made by other doors, or without an argument; and inside: protocols, constants, and what solvers
 # call a thousand times with what was checked before.
 MADE = {"Certificate", "InfeasibleError", "LearnedNoise", "LogError", "MeasuredResponse"}
-MADE |= {"Outcome", "Picture", "Rate", "Replay", "RigError", "SolverError", "Spectrum", "Synthesis"}
+MADE |= {
+    "Outcome",
+    "Picture",
+    "Rate",
+    "Replay",
+    "RigError",
+    "SolverError",
+    "SpectralRate",
+    "Spectrum",
+    "Synthesis",
+}
 MADE |= {"TrialNoise", "Tuned", "WorstCase"}
 INSIDE = {"Family", "LearningOperator", "Problem", "Rig"}
 ROOMS = ("alternatives", "evidence", "laboratory", "synthesis", "workbench")

@@ -76,6 +76,38 @@ def test_notebooks_are_executed_in_order_and_readable(path):
     assert 300 <= len(words) <= 1500
 
 
+def is_folded(source):
+    """Whether code is that of a picture, or states nothing but rows of the ledger."""
+    named = [{getattr(n, "id", "") for n in ast.walk(s)} for s in ast.parse(source).body]
+    of_ledger = "ledger.save()" in source or all("ledger" in names for names in named)
+    return of_ledger or bool(re.search(r"\bsave\(figure, \"", source))
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_imports_pictures_and_the_ledger_are_folded_and_nothing_else(path):
+    """So that one reads question, equation, the few lines that are it, picture, answer."""
+    notebook = nbformat.read(path, as_version=4)
+    code = [cell for cell in notebook.cells if cell.cell_type == "code"]
+    for cell in code:
+        hidden = cell.metadata.get("jupyter", {}).get("source_hidden", False)
+        assert hidden == (cell is code[0] or is_folded(cell.source)), cell.source
+    assert len(notebook.cells) <= 30
+
+
+@pytest.mark.parametrize(
+    ("source", "folded"),
+    [
+        ('ledger.record("a", 1)\nfor key in "bc":\n    ledger.record(key, 2)', True),
+        ("size = rms(e)\nledger.record('a', size)", False),
+        ("size = rms(e)\nledger.save()\nledger.table()", True),
+        ('figure = plt.figure()\nsave(figure, "fig01-x", caption)', True),
+        ("save_log(run, path)\nledger", False),
+    ],
+)
+def test_what_is_folded(source, folded):
+    assert is_folded(source) == folded
+
+
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_every_picture_has_a_caption_that_stands_for_it(path):
     captions = []

@@ -55,6 +55,9 @@ def test_what_is_found_out_about_a_rod():
             sigma = np.linalg.norm(Q.frequency_response(OMEGA)[:, None, None] * M, 2, axis=(1, 2))
             assert found["rate"][i, f] == pytest.approx(sigma.max(), rel=1e-9)
             assert found["rate_omega"][i, f] == OMEGA[sigma.argmax()]
+            eigenvalues = np.linalg.eigvals(Q.frequency_response(OMEGA)[:, None, None] * M)
+            largest = np.abs(eigenvalues).max()
+            assert found["spectral_rate"][i, f] == pytest.approx(largest, rel=1e-9)
             expected = sigma[OMEGA <= 0.02].sum()
             assert found["objective"][i, f] == pytest.approx(expected, rel=1e-9)
             plant = modal_model(specimen, 1.0, 150)
@@ -68,7 +71,7 @@ def test_a_loop_that_is_not_stable_has_no_rate():
     found = narrow.judge(0, 12)
     lost = found["unstable_poles"] > 0
     assert lost.any() and not lost.all()
-    for name in ("rate", "rate_omega", "objective", "rms"):
+    for name in ("rate", "rate_omega", "spectral_rate", "objective", "rms"):
         assert np.isnan(found[name][lost]).all() and np.isfinite(found[name][~lost]).all()
 
 

@@ -13,8 +13,8 @@ MODULES = {
         zero_phase_butterworth""",
     "problem": "Problem",
     "trials": "run_trials",
-    "evidence": """converged_noise mean_rate noise_bound noise_by_trial rate rates trial_noise
-        violation_probability worst_case""",
+    "evidence": """converged_noise mean_rate noise_bound noise_by_trial noise_on_trial rate
+        rates spectral_rate trial_noise violation_probability worst_case""",
     "synthesis": "InfeasibleError SolverError Synthesis largest_cutoff least_gain synthesise",
     "alternatives": """NormOptimal Rehearsal gradient h_infinity p_type pd_type stable_inversion
         tune zero_phase_inversion""",
@@ -24,7 +24,7 @@ MODULES = {
 
 
 def lazily(package: str, modules: dict[str, str]):
-    """``__getattr__`` of a package, and the names that it finds: those of its modules."""
+    """``__getattr__``, ``__dir__`` and ``__all__`` of a package: the names of its modules."""
     home = {
         name: f"{package}.{module}" for module, names in modules.items() for name in names.split()
     }
@@ -34,11 +34,7 @@ def lazily(package: str, modules: dict[str, str]):
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         return getattr(import_module(home[name]), name)
 
-    return get, [*home]
+    return get, lambda: sorted([*vars(import_module(package)), *home]), [*home]
 
 
-__getattr__, __all__ = lazily(__name__, MODULES)
-
-
-def __dir__():
-    return sorted([*globals(), *__all__])
+__getattr__, __dir__, __all__ = lazily(__name__, MODULES)

@@ -43,6 +43,7 @@ class Problem:
     radius: np.ndarray | None = None  # (n,): the bounds hold for all P + Delta, ||Delta|| <= radius
     noise: np.ndarray | None = None  # (n, m): weights of what learning from noise costs
     basis: tuple[str, ...] = ()  # what P and its radius rest on, if they were measured
+    switched: np.ndarray | None = None  # (n, m, m): in the place of Q P, if noise begins at a start
     findings: tuple[str, ...] = ()  # what the statement itself leaves in doubt
 
     @property
@@ -109,11 +110,18 @@ class Problem:
 
         For a spectral density Phi that is the mean over all frequencies of
         tr(Q P L Phi (Q P L)^H) / (1 - M_max^2), see :mod:`rodlib.ilc.evidence.noise`: quadratic in
-        the learning filter, and convex.
+        the learning filter, and convex. For a trial that has a start, `switched` stands for Q P,
+        see :func:`rodlib.ilc.evidence.finite_trial.switched_on`; what one trial passes on is then
+        exact, and the sum over all trials, 1 / (1 - M_max^2), no longer a bound.
         """
         if self.noise is None:
             return 0.0
-        return float((np.abs(self.Q[:, None, None] * self.P @ L) ** 2 * self.noise[:, None]).sum())
+        return float((np.abs(self.passed @ L) ** 2 * self.noise[:, None]).sum())
+
+    @property
+    def passed(self) -> np.ndarray:
+        """What of L and the noise is passed on to the next trial, shape (n, m, m): Q P."""
+        return self.Q[:, None, None] * self.P if self.switched is None else self.switched
 
     def M(self, L, number: int = 0) -> np.ndarray:
         """M of a plant, from the frequency response of L."""
@@ -177,8 +185,8 @@ class Solution:
 
 
 def convergence_matrix(P, Q, L) -> np.ndarray:
-    """M = P Q (P^-1 - L) = Q (I - P L) from frequency responses P, L, (n, m, m), and Q, (n,)."""
-    return Q[:, None, None] * (np.eye(P.shape[1]) - P @ L)  # (36), (40)
+    """M = P Q (P^-1 - L) = Q (I - P L) from responses P, L, (..., n, m, m), and Q, (n,)."""
+    return Q[:, None, None] * (np.eye(P.shape[-1]) - P @ L)  # (36), (40)
 
 
 def tied(values):

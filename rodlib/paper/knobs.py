@@ -4,7 +4,7 @@ from dataclasses import fields
 
 from rodlib.case import assumed_disturbance, assumed_reference, paper_loop
 from rodlib.ilc import arguments
-from rodlib.ilc.workbench.plants import Family, Plant
+from rodlib.ilc.workbench.plants import REST, Family, Plant
 from rodlib.rod import Rod
 
 UNITS = {
@@ -19,7 +19,7 @@ def plant_of_rod(rod: Rod) -> Plant:
     changed = [f.name for f in fields(Rod) if getattr(rod, f.name) != f.default]
     given = ", ".join(f"{name}={getattr(rod, name)!r}" for name in changed)
     source = f"rodlib.paper_loop(rodlib.Rod({given}))" if given else "rodlib.paper_loop()"
-    return Plant(source, paper_loop(rod), assumed_reference(), assumed_disturbance())
+    return Plant(source, paper_loop(rod), assumed_reference(), assumed_disturbance(), rest=REST)
 
 
 def rods() -> Family:

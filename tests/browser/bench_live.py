@@ -17,6 +17,7 @@ SLIDERS = [
     "order of L",
     "uncertainty (%)",
     "noise (K)",
+    "weight of noise",
 ]
 
 

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 from bs4 import BeautifulSoup
 
-from rodlib.paper.pages import TEXTS, as_html, formula, main
+from rodlib.paper.pages import TEXTS, as_html, formula, main, page_of
 from rodlib.paper.repository import ROOT
 
 CALL = "import pathlib, sys; from rodlib.paper.pages import main; main(pathlib.Path(sys.argv[1]))"
@@ -51,7 +51,7 @@ def test_no_link_is_dead_and_nothing_is_fetched_from_elsewhere(pages):
         for path in pages.rglob("*.html")
     }
     names = {str(path.relative_to(pages)) for path in texts}
-    assert {"index.html", "ledger.html", "figures.html", "reference/rodlib/rod.html"} <= names
+    assert {"index.html", "figures/ledger.html", "figures.html", "rodlib/rod.html"} <= names
     assert {f"notebooks/{path.stem}.html" for path in (ROOT / "notebooks").glob("*.ipynb")} <= names
     anchors = {path: {*re.findall(r'<[^<>]* id="([^"]*)"', text)} for path, text in texts.items()}
     for path, text in texts.items():
@@ -72,7 +72,8 @@ def test_no_link_is_dead_and_nothing_is_fetched_from_elsewhere(pages):
 
 
 def test_the_texts_have_their_pages(pages):
-    for text, page in TEXTS.items():
+    for text in TEXTS:
+        page = page_of(text)
         written = re.findall(r"^#+ (.*)", (ROOT / text).read_text("utf-8"), re.MULTILINE)
         headings = [e.contents[0] for e in parsed(pages / page).select("main :is(h1, h2, h3)")]
         assert headings and {*headings} <= {*written}, page
@@ -90,19 +91,36 @@ def test_formulas_are_drawn_and_pictures_have_words(pages):
         pictures = page.select("img")
         assert pictures and all(len(e["alt"]) >= 40 for e in pictures)
         assert page.h1.get_text() and page.title.get_text() in page.h1.get_text()
-    assert {e["src"] for e in parsed(pages / "figures.html").select("figure img")} == {
+    assert {e["src"] for e in parsed(pages / "figures.html").select("main img")} == {
         f"figures/{path.name}"
         for path in (ROOT / "figures").glob("*.png")
         if path.stem not in ("performance", "workbench")  # of no notebook
     }
 
 
+def test_folded_code_is_a_line_that_opens_it(pages):
+    seen = set()
+    for path in (ROOT / "notebooks").glob("*.ipynb"):
+        cells = json.loads(path.read_text("utf-8"))["cells"]
+        code = [cell for cell in cells if cell["cell_type"] == "code"]
+        shown = parsed(pages / "notebooks" / f"{path.stem}.html").select(".code_cell")
+        for cell, element in zip(code, shown, strict=True):
+            folded, source = element.select_one(".input > details"), "".join(cell["source"])
+            hidden = cell["metadata"].get("jupyter", {}).get("source_hidden", False)
+            assert (folded is not None) == hidden
+            assert not element.select("details[open], details img")
+            assert (folded or element).select_one(".highlight").get_text().strip() == source.strip()
+            seen.add(folded and folded.summary.get_text())
+    assert seen == {None, "imports", "code of the picture", "code of the ledger's rows"}
+
+
 def test_the_ledger_is_all_there(pages):
     rows = pd.read_csv(ROOT / "figures" / "ledger.csv", dtype=str, keep_default_na=False)
-    shown = parsed(pages / "ledger.html").select("#ledger tbody tr")
-    assert [row["data-verdict"] for row in shown] == rows.verdict.tolist()
-    for element, row in zip(shown, rows.itertuples(), strict=True):
-        assert all(text in element.get_text() for text in (row.claim, row.printed, row.computed))
+    shown = parsed(pages / "figures" / "ledger.html").select("table")[-1].select("tbody tr")
+    for element, (_, *texts) in zip(shown, rows.itertuples(index=False), strict=True):
+        assert [cell.get_text() for cell in element.select("td")] == texts
+        (link,) = element.select("a")
+        assert link["href"] == f"../notebooks/{link.get_text()}.html"
 
 
 def test_a_formula_sits_on_the_line_and_nonsense_is_refused():
@@ -125,7 +143,6 @@ def test_a_dead_link_or_a_bad_formula_leaves_the_earlier_pages_alone(tmp_path):
     (tmp_path / "README.md").unlink()
     for text, message in (
         ("see [that](nowhere.md)", "README.md links to nowhere.md, which is not there"),
-        ("see [that](data/rig)", "README.md links to the folder data/rig, which has no page"),
         (r"as $\nosuchthing{$", "the formula"),
     ):
         (tmp_path / "README.md").write_text(f"# Title\n\n{text}\n")
@@ -155,8 +172,9 @@ def test_on_a_telephone_nothing_sticks_out_or_is_missing(browser, pages, scheme)
         "request",
         lambda request: request.url.startswith(("file:", "data:")) or said.append(request.url),
     )
-    places = [*pages.glob("*.html"), *(pages / "notebooks").glob("*.html")]
-    places += [pages / "reference" / name for name in ("rodlib.html", "rodlib/rod.html")]
+    places = [*pages.glob("*.html"), pages / "rodlib" / "rod.html"]
+    places += [*pages.glob("notebooks/*.html"), *pages.glob("figures/*.html")]
+    places += [*pages.glob("data/*.html")]
     for place in places:
         page.goto(place.as_uri())
         seen = page.evaluate(SEEN)
@@ -166,10 +184,23 @@ def test_on_a_telephone_nothing_sticks_out_or_is_missing(browser, pages, scheme)
     context.close()
 
 
+@pytest.mark.parametrize("width", [400, 1280])
+def test_folded_code_opens_and_its_picture_stays(browser, pages, width):
+    page = browser.new_page(viewport={"width": width, "height": 800})
+    page.goto((pages / "notebooks" / "01-model.html").as_uri())
+    cell = page.locator(".code_cell", has=page.locator("summary", has_text="picture")).first
+    code, picture = cell.locator(".highlight"), cell.locator("img")
+    assert picture.is_visible() and not code.is_visible()
+    cell.locator("summary").click()
+    assert picture.is_visible() and code.is_visible()
+    assert page.evaluate("() => document.documentElement.scrollWidth") == width
+    page.close()
+
+
 def test_the_ledger_is_searched_and_filtered(browser, pages):
     rows = pd.read_csv(ROOT / "figures" / "ledger.csv", dtype=str, keep_default_na=False)
     page = browser.new_page()
-    page.goto((pages / "ledger.html").as_uri())
+    page.goto((pages / "figures" / "ledger.html").as_uri())
     shown = page.locator("#ledger tbody tr:visible")
     assert shown.count() == len(rows)
     for verdict in rows.verdict.unique():

@@ -47,8 +47,8 @@ def save(figure, folder):
     return folder
 
 
-def distances(one, other):
-    return [distance(one / f"fig01.{end}", other / f"fig01.{end}") for end in ("png", "pdf")]
+def moved(one, other):
+    return distance(one / "fig01.png", other / "fig01.png")
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +68,7 @@ def before(tmp_path_factory):
 )
 def test_what_rounding_moves_is_the_same(before, tmp_path, changes):
     drawn = draw(tmp_path / "drawn", **changes)
-    assert max(distances(before, drawn)) <= PRECISION
+    assert moved(before, drawn) <= PRECISION
     assert compared(drawn, before) == {"fig01": "the same"}
 
 
@@ -89,9 +89,9 @@ def test_what_rounding_moves_is_the_same(before, tmp_path, changes):
         {"width": 361},
     ],
 )
-def test_what_can_be_seen_is_different_in_each_file(before, tmp_path, changes):
+def test_what_can_be_seen_is_different(before, tmp_path, changes):
     drawn = draw(tmp_path / "drawn", **changes)
-    assert min(distances(before, drawn)) > PRECISION
+    assert moved(before, drawn) > PRECISION
     assert compared(drawn, before) == {"fig01": "different"}
 
 
@@ -104,33 +104,23 @@ def test_the_distance_is_that_by_which_an_edge_has_moved(tmp_path, points):
         black = {"facecolor": "black", "edgecolor": "none"}
         figure.add_artist(plt.Polygon(corners, transform=figure.transFigure, **black))
         save(figure, tmp_path / name)
-    pixels, numbers = distances(tmp_path / "one", tmp_path / "other")
-    assert numbers == pytest.approx(points, abs=1e-6)
+    pixels = moved(tmp_path / "one", tmp_path / "other")
     assert pixels == pytest.approx(points, abs=2 * 72 / PIXELS_PER_INCH / 255)
 
 
-def test_a_number_in_a_text_is_part_of_it(tmp_path):
-    """Some versions of Matplotlib write a text as a whole, others letter by letter."""
-    for name, text in (("one", rb"(rate \(0.901) Tj"), ("other", rb"(rate \(0.902) Tj")):
-        (tmp_path / f"{name}.pdf").write_bytes(b"10.001 20 Td " + text)
-    assert distance(tmp_path / "one.pdf", tmp_path / "other.pdf") == np.inf
-
-
 def test_a_file_that_cannot_be_read_is_as_far_as_can_be(before, tmp_path):
-    for end in ("png", "pdf", "svg"):
-        whole, broken = before / f"fig01.{end}", tmp_path / f"fig01.{end}"
+    whole, broken = before / "fig01.png", tmp_path / "fig01.png"
+    assert distance(whole, broken) == np.inf
+    for content in (b"", b"<<<<<<< HEAD\n"):
+        broken.write_bytes(content)
         assert distance(whole, broken) == np.inf
-        for content in (b"", b"<<<<<<< HEAD\n"):
-            broken.write_bytes(content)
-            assert distance(whole, broken) == np.inf
-        if end != "svg":
-            content = whole.read_bytes()
-            for k in range(100, len(content), len(content) // 11):
-                broken.write_bytes(content[:-k])
-                assert distance(whole, broken) == np.inf
-                damaged = bytes(byte ^ 0x55 for byte in content[k : k + 9])
-                broken.write_bytes(content[:k] + damaged + content[k + 9 :])
-                assert distance(broken, whole) == np.inf
+    content = whole.read_bytes()
+    for k in range(100, len(content), len(content) // 11):
+        broken.write_bytes(content[:-k])
+        assert distance(whole, broken) == np.inf
+        damaged = bytes(byte ^ 0x55 for byte in content[k : k + 9])
+        broken.write_bytes(content[:k] + damaged + content[k + 9 :])
+        assert distance(broken, whole) == np.inf
 
 
 def test_a_figure_is_both_its_files_and_figures_that_come_and_go_are_named(before, tmp_path):
@@ -140,7 +130,7 @@ def test_a_figure_is_both_its_files_and_figures_that_come_and_go_are_named(befor
     for name, folder in (("extra02", drawn), ("fig03", tracked), ("performance", tracked)):
         shutil.copy(before / "fig01.png", folder / f"{name}.png")
     assert compared(drawn, tracked) == {"extra02": "new", "fig01": "the same", "fig03": "gone"}
-    shutil.copy(draw(tmp_path / "other", markers=4) / "fig01.pdf", drawn)
+    shutil.copy(draw(tmp_path / "other", markers=4) / "fig01.png", drawn)
     assert compared(drawn, tracked)["fig01"] == "different"
     (drawn / "fig01.pdf").unlink()
     assert compared(drawn, tracked)["fig01"] == "different"

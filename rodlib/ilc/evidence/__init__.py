@@ -5,39 +5,18 @@ they are handed, and the function for the singular values of a matrix all that t
 solvers. :mod:`~rodlib.ilc.evidence.certificate` puts the answers together that every filter has.
 """
 
-from rodlib.ilc.evidence.certificate import Certificate
-from rodlib.ilc.evidence.convergence import Rate, mean_rate, rate, rates
-from rodlib.ilc.evidence.finite_trial import trial_map, trial_norm, trial_operators
-from rodlib.ilc.evidence.noise import (
-    LearnedNoise,
-    Spectrum,
-    TrialNoise,
-    converged_noise,
-    noise_bound,
-    noise_by_trial,
-    trial_noise,
-)
-from rodlib.ilc.evidence.robustness import WorstCase, worst_case
-from rodlib.ilc.evidence.scenario import support, violation_probability
+from rodlib.ilc import lazily
 
-__all__ = [
-    "Certificate",
-    "LearnedNoise",
-    "Rate",
-    "Spectrum",
-    "TrialNoise",
-    "WorstCase",
-    "converged_noise",
-    "mean_rate",
-    "noise_bound",
-    "noise_by_trial",
-    "rate",
-    "rates",
-    "support",
-    "trial_map",
-    "trial_noise",
-    "trial_norm",
-    "trial_operators",
-    "violation_probability",
-    "worst_case",
-]
+__getattr__, __dir__, __all__ = lazily(
+    __name__,
+    {
+        "certificate": "Certificate",
+        "convergence": "Rate SpectralRate mean_rate rate rates spectral_rate",
+        "finite_trial": "trial_map trial_norm trial_operators",
+        "noise": """LearnedNoise Spectrum TrialNoise converged_noise noise_bound noise_by_trial
+            trial_noise""",
+        "noisy_trial": "noise_on_trial",
+        "robustness": "WorstCase worst_case",
+        "scenario": "support violation_probability",
+    },
+)

@@ -207,9 +207,11 @@ class Certificate:
         if problem.objective == "sum" and 0 < problem.band[0] < problem.band[1]:
             lines.append(f"mean of sigma_max(M) over the band: {self.mean_M:.4f}")
         if self.noise:
+            start = problem.switched is not None
             lines += [
-                f"of which the cost of noise: {self.noise:.4g}",
-                f"RMS of the measured error, converged, from noise: "
+                f"of which the cost of noise{f', on a trial of {self.samples} samples' * start}: "
+                f"{self.noise:.4g}",
+                f"RMS of the measured error, converged, from noise{', without ends' * start}: "
                 f"{np.hypot(self.new, self.learned):.4g}; {self.new:.4g} are new in each trial, "
                 f"{self.learned:.4g} are learned",
             ]
@@ -252,7 +254,7 @@ def certify(
         trial=np.nan if samples is None else trial_norm(*problem.model, L, samples, rest=rest)[0],
         samples=samples,
         rest=rest,
-        findings=tuple(findings(problem, value)),
+        findings=tuple(findings(problem, value - noise)),  # noise is no error that is left
         noise=noise,
         new=new,
         learned=learned,

@@ -1,4 +1,9 @@
-"""How fast do the trials converge? The gamma of Lemma 1 and sigma_max(M), on a grid."""
+"""Do the trials converge, and how fast? Two numbers of M = Q (I - P L), on a grid.
+
+The largest sigma_max(M) is the gamma of Lemma 1: below one the error converges *monotonically*, in
+every trial by that factor at least. The largest spectral radius of M is never larger: below one the
+error *converges*, though it may grow before. Both are about trials without ends.
+"""
 
 from typing import NamedTuple
 
@@ -8,6 +13,8 @@ from rodlib.ilc import arguments
 from rodlib.ilc.filters import LearningOperator, check_learning
 from rodlib.ilc.posing import Q_on_grid, on_grid, plants
 from rodlib.ilc.problem import convergence_matrix, largest_singular_values, tied
+
+TOGETHER = 5000  # matrices at once: what fits into the processor's cache
 
 
 class Rate(NamedTuple):
@@ -27,6 +34,25 @@ def rate(P, Q, L: LearningOperator, omega) -> Rate:
     sigma = rates(P, Q, L, omega)
     where = np.asarray(omega)[tied(sigma.T).argmax(axis=0)]
     return Rate(sigma.max(axis=-1), where)
+
+
+class SpectralRate(NamedTuple):
+    """The largest spectral radius of M, and the frequency (rad/s) where it is."""
+
+    radius: float
+    omega: float
+
+
+def spectral_rate(P, Q, L: LearningOperator, omega) -> SpectralRate:
+    """Whether the trials converge at all: the largest spectral radius of M, and where it is.
+
+    Below one the error converges, in the end by that factor from trial to trial; where
+    sigma_max(M) is above one, it may grow before. For one channel it is the gamma of Lemma 1.
+    Parameters, and what is told of ties and several plants, as for :func:`rate`.
+    """
+    radius = _at_each(P, Q, L, omega, spectral_radii)
+    where = np.asarray(omega)[tied(radius.T).argmax(axis=0)]
+    return SpectralRate(radius.max(axis=-1), where)
 
 
 def mean_rate(P, Q, L: LearningOperator, omega, band=None):
@@ -73,12 +99,29 @@ def rates(P, Q, L: LearningOperator, omega) -> np.ndarray:
     -------
     ndarray, shape (n,); or (p, n) for several plants
     """
+    return _at_each(P, Q, L, omega, largest_singular_values)
+
+
+def _at_each(P, Q, L, omega, size):
+    """A size of M at each frequency, for one plant or for several."""
     arguments.instance("L", L, LearningOperator)
     omega = arguments.frequencies("omega", omega, L.Ts)
     given = plants(P)
     _, responses = on_grid(given, omega, L.Ts)
     _, q = Q_on_grid(Q, omega, L=L.Ts)
     check_learning(L, responses[0].shape[1])
-    response = L.frequency_response(omega)
-    sigma = [largest_singular_values(convergence_matrix(each, q, response)) for each in responses]
-    return sigma[0] if "P" in given else np.array(sigma)
+    response, together = L.frequency_response(omega), max(1, TOGETHER // len(omega))
+    found = []
+    for k in range(0, len(responses), together):
+        M = convergence_matrix(responses[k : k + together], q, response)
+        found.append(size(M.reshape(-1, *M.shape[2:])).reshape(M.shape[:2]))
+    return found[0][0] if "P" in given else np.concatenate(found)
+
+
+def spectral_radii(M) -> np.ndarray:
+    """Largest modulus of an eigenvalue of each matrix, shape (n, m, m) to (n,)."""
+    if M.shape[1] != 2:
+        return np.abs(np.linalg.eigvals(M)).max(axis=1)
+    (a, b), (c, d) = np.moveaxis(M, 0, -1)  # in closed form ten times faster
+    root = np.sqrt(((a - d) / 2) ** 2 + b * c)
+    return np.maximum(np.abs((a + d) / 2 + root), np.abs((a + d) / 2 - root))

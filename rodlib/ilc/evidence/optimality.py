@@ -51,7 +51,7 @@ def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None, L=None) -> flo
     noisy = problem.noise is not None and L is not None
     if noisy:
         weight = np.sqrt(problem.noise)
-        slope = Q[:, None, None] * P
+        slope = problem.passed
         T, N, turns = [*T, slope], [*N, 2 * weight[:, None] * (slope @ L)], [*turns, angles]
     angles = np.concatenate([np.repeat(t, X.shape[1]) for t, X in zip(turns, T, strict=True)])
     T, N = (np.concatenate([X.reshape(-1, m) for X in parts]).astype(complex) for parts in (T, N))

@@ -5,7 +5,7 @@ What runs an experiment knows a rig by its Protocol only; the virtual rig is one
 
 from rodlib.ilc import lazily
 
-__getattr__, __all__ = lazily(
+__getattr__, __dir__, __all__ = lazily(
     __name__,
     {
         "controlled_rig": "Controller Rig RigError",
@@ -18,7 +18,3 @@ __getattr__, __all__ = lazily(
         "temperature_control_lab": "TemperatureControlLab",
     },
 )
-
-
-def __dir__():
-    return sorted([*globals(), *__all__])

@@ -9,6 +9,7 @@ import numpy as np
 from rodlib.ilc import arguments
 from rodlib.ilc.evidence.certificate import GAP, VIOLATION, Certificate, certify, checked_trial
 from rodlib.ilc.evidence.check import Check, check
+from rodlib.ilc.evidence.finite_trial import switched_on
 from rodlib.ilc.evidence.optimality import lower_bound
 from rodlib.ilc.filters import LearningFilter
 from rodlib.ilc.posing import pose
@@ -157,7 +158,8 @@ def synthesise(
         Spectral density of what is new in the measured outputs in every trial; white noise has its
         variance. What it adds at most to the variance of the converged error is then added to the
         objective, :meth:`rodlib.ilc.Problem.cost_of_noise`, in units of `scale`; multiply the
-        density to make more of that, or less.
+        density to make more of that, or less. With `samples`, what noise does at the start of a
+        trial counts, too; without, a filter of large gain may look quiet and not be so.
     confidence : float, optional
         Of a measured response: probability that the truth lies within its radius at all frequencies
         that were measured. Default 0.99.
@@ -172,7 +174,8 @@ def synthesise(
         and size. It makes the synthesis faster, not different.
     samples : int, optional
         Length of a trial. The certificate then says what one trial does to the ILC signal, by
-        :func:`rodlib.ilc.evidence.trial_norm`; P and Q must be models.
+        :func:`rodlib.ilc.evidence.trial_norm`, and the cost of noise is that of such a trial; P
+        and Q must be models.
     rest : int
         Number of samples at the end of that trial in which v is held at zero.
     check : bool
@@ -207,6 +210,9 @@ def certified(
     arguments.choice("solver", solver, ["structured", "cvxpy"])
     arguments.flag("check", check)
     samples, rest = checked_trial(problem, samples, rest)
+    if samples is not None and problem.noise is not None:
+        switched = switched_on(*problem.model, problem.omega, samples, rest)
+        problem = replace(problem, switched=switched)
     if start is not None:
         _check_start(start, problem)
     by_solver = _solve_with_cvxpy if solver == "cvxpy" else solve

@@ -231,14 +231,10 @@ def follow(program, p, enough=0.0, is_good=None):
 
 def solve(
     program: Program,
-    is_good: Callable[[Solution], bool] | None = None,
-    enough: float = 0.0,
+    is_good: Callable[[Solution], bool] | None = None,  # asked where more digits are expensive
+    enough: float = 0.0,  # below this objective a filter need not be optimal
 ) -> Solution:
-    """Solve a program from nothing; Infeasible if M_max cannot be met.
-
-    `is_good` is asked whether a solution is good enough, where more digits are expensive; below the
-    objective `enough` one need not be optimal.
-    """
+    """Solve a program from nothing; Infeasible if M_max cannot be met."""
     zero = np.zeros((program.entries, len(program.R)))
     best, iterations = follow(program, begin(program, zero), enough, is_good)
     if best is None:  # phase one

@@ -219,7 +219,7 @@ def formulate(problem: Problem, plant=(), frequency=()) -> Program:
 
 def cost_of_noise(problem, basis, rows, cols):
     """The H with x'H x / 2 the :meth:`rodlib.ilc.problem.Problem.cost_of_noise` of the filter."""
-    G = problem.Q[:, None, None] * problem.P
+    G = problem.passed
     gram = G.conj().swapaxes(1, 2) @ G
     same = cols[:, None] == cols
     weight = gram[:, rows[:, None], rows] * same * problem.noise[:, cols][:, None]

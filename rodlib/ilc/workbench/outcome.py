@@ -61,8 +61,9 @@ def try_out(settings: Settings) -> Outcome:
     samples, m = plant.reference.shape
     noise = settings.noise * np.random.default_rng(0).standard_normal((TRIALS, samples, m))
     trials = run_trials(
-        plant.loop, Q, design.filter, plant.reference, plant.disturbance, TRIALS, noise=noise
-    )
+        plant.loop, Q, design.filter, plant.reference, plant.disturbance, TRIALS,
+        noise=noise, rest=plant.rest,
+    )  # fmt: skip
     return Outcome(settings, design, tuple(rms(trials.e).values.tolist()))
 
 
@@ -81,6 +82,9 @@ def certificate_line(certificate: Certificate) -> str:
     else:
         rate = f"σ(M) ≤ {certificate.all_M:.4f} between the samples, estimated"
     gain = f"σ(L) ≤ {certificate.all_L:.4g} at all frequencies"
+    mean = f"mean σ(M) over the band {certificate.mean_M:.4f}"
     optimal = f"objective {certificate.value:.4g}, none below {certificate.lower_bound:.4g}"
+    learned = f"noise learned {certificate.learned / (certificate.new or 1):.3f} times what is new"
+    optimal = [optimal, *([learned] if certificate.noise else [])]
     warned = [f"warning: {text}" for text in certificate.warnings]
-    return "; ".join([rate, gain, optimal, *warned])
+    return "; ".join([rate, gain, mean, *optimal, *warned])

@@ -1,7 +1,7 @@
 """The picture of an outcome: the singular values with their bounds, the filter, ten trials.
 
-A layout that is found anew takes as long as the design, and so do the ticks. Here the layout is
-fixed, limits are round numbers, and what stands behind the lines is copied until it changes.
+A layout that is found anew takes as long as the design. Here it is fixed, and limits are round
+numbers.
 """
 
 import textwrap
@@ -41,7 +41,6 @@ class Picture:
         self.figure = Figure(SIZE, dpi=100, layout="none")
         FigureCanvasAgg(self.figure)
         self.axes = self.figure.subplots(2, 2)
-        self._behind, self._look = None, None
         (rate, trials), (gain, lags) = self.axes
         self.figure.subplots_adjust(0.07, 0.09, 0.985, 0.89, wspace=0.2, hspace=0.45)
         rate.set(title=r"rate $\bar\sigma(M)$: what a trial leaves of the error", ylim=(0, 1.05))
@@ -90,7 +89,9 @@ class Picture:
         self._draw(outcome)
         self._fit(shown)
         gray = "    gray: the filter before" if len(shown) > 1 else ""
-        self._words.set_text(f"black: this filter    red, dashed: its bounds{gray}")
+        self._words.set_text(
+            f"black: this filter    red: its bounds    dotted: its mean rate in the band{gray}"
+        )
         return self
 
     def _draw(self, outcome, before=False):
@@ -103,11 +104,11 @@ class Picture:
         ahead = np.arange(1, design.filter.order + 1)
         for entry, own in zip(entries(outcome).values(), cycle(ENTRIES), strict=False):
             lags.plot(ahead, entry, marker=".", **(look if before else own))
+        mean = design.certificate.mean_M
+        rate.plot(design.problem.band, [mean, mean], **look | {"linestyle": ":"})
         if not before:
             rate.axhline(design.problem.M_max, **BOUND)
             gain.axhline(design.problem.L_max, **BOUND)
-        for line in [line for axes in self.axes.flat for line in axes.lines]:
-            line.set_animated(True)  # drawn when the figure is saved, and by png
 
     def _fit(self, outcomes):
         """Limits that hold all outcomes, and labels of the first."""
@@ -140,26 +141,10 @@ class Picture:
     @mpl.rc_context(STYLE)
     def png(self) -> bytes:
         """The picture as a PNG file; the same bytes for the same outcomes."""
-        canvas, shown = self.figure.canvas, [axes for axes in self.axes.flat if axes.get_visible()]
-        words = [text.get_text() for text in self.figure.texts]
-        look = words, [_look(axes) for axes in shown]
-        if look != self._look:
-            canvas.draw()
-            self._behind, self._look = canvas.copy_from_bbox(self.figure.bbox), look
-        canvas.restore_region(self._behind)
-        for line in [line for axes in shown for line in axes.lines]:
-            line.draw(canvas.get_renderer())
-        buffer = BytesIO()
-        opaque = np.asarray(canvas.buffer_rgba())[..., :3]
+        self.figure.canvas.draw()
+        buffer, opaque = BytesIO(), np.asarray(self.figure.canvas.buffer_rgba())[..., :3]
         Image.fromarray(opaque).save(buffer, "png", compress_level=1)
         return buffer.getvalue()
-
-
-def _look(axes):
-    """What the look of axes depends on, but for their lines."""
-    legend = axes.get_legend()
-    names = [text.get_text() for text in legend.texts] if legend else []
-    return axes.get_title(loc="left"), *axes.get_xlim(), *axes.get_ylim(), names
 
 
 def entries(outcome: Outcome) -> dict[str, np.ndarray]:

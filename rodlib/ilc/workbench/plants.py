@@ -14,6 +14,7 @@ from rodlib.ilc.loop import CurrentTrialLoop
 from rodlib.ilc.problem import Problem
 
 TRIALS = 10
+REST = 15  # samples, of a trial whose reference ends at rest
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,9 +23,11 @@ class Plant:
 
     source: str  # the Python expression that makes `response`, with rodlib and np at hand
     response: CurrentTrialLoop | MeasuredResponse  # what the synthesis is given
-    reference: np.ndarray | None = None  # shape (time, m); default: all outputs to one and back
+    reference: np.ndarray | None = None  # shape (time, m); default: all to one, back, and a rest
     disturbance: np.ndarray | None = None  # shape (10, time, d), as loop.disturbances; default zero
     order: int = Problem.order  # samples to look ahead at first; more than the plant's delay
+    rest: int | None = None  # samples at the end in which v is zero; default none, but with the
+    # default reference
 
     def __post_init__(self):
         arguments.instance("source", self.source, str)
@@ -36,10 +39,13 @@ class Plant:
         arguments.whole("order", self.order, 1)
         m = len(self.loop.outputs)
         reference = self.reference
+        rest = (REST if reference is None else 0) if self.rest is None else self.rest
         if reference is None:
-            reference = np.repeat(np.sin(np.pi * np.arange(1000) / 1000)[:, None] ** 2, m, axis=1)
+            there_and_back = np.sin(np.pi * np.minimum(np.arange(1000) / 950, 1)) ** 2
+            reference = np.repeat(there_and_back[:, None], m, axis=1)
         reference = arguments.array("reference", reference, ("time", m))
         object.__setattr__(self, "reference", reference)
+        object.__setattr__(self, "rest", arguments.whole("rest", rest, 0, len(reference) - 1))
         if self.disturbance is not None:
             shape = (TRIALS, len(reference), len(self.loop.disturbances))
             disturbance = arguments.array("disturbance", self.disturbance, shape)
@@ -88,6 +94,7 @@ def plant_of_file(path) -> Plant:
             raise LogError("it names no loop in its metadata: it is of neither shake nor record")
         again = np.repeat(replay.disturbance[-1:], TRIALS, axis=0)
         reference = replay.trials.reference.values[-1]
-        return Plant(f"rodlib.loop_of({source})", replay.loop, reference, again)
+        source = f"rodlib.loop_of({source})"
+        return Plant(source, replay.loop, reference, again, rest=replay.rest)
     except ValueError as error:
         raise LogError(f"{path}: {error}") from None

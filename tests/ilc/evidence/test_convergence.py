@@ -11,6 +11,7 @@ from rodlib import (
     mean_rate,
     rate,
     rates,
+    spectral_rate,
     synthesise,
     zero_phase_butterworth,
 )
@@ -83,3 +84,30 @@ def test_the_mean_over_the_band_does_not_depend_on_the_grid(loop, Q, printed):
     for wrong in [(0, 0.02), (0.02, 1e-4), (1e-5, 0.02)]:
         with pytest.raises(ValueError, match=r"band = .* must be two increasing frequencies"):
             mean_rate(loop, Q, printed, fine, wrong)
+
+
+@pytest.mark.parametrize("m", [1, 2, 3])
+def test_the_spectral_rate_is_that_of_numpys_eigenvalues(m):
+    rng = np.random.default_rng(m)
+    omega, P = np.linspace(0.1, 3, 30), rng.standard_normal((4, 30, m, m, 2)) @ [1, 1j]
+    L = LearningFilter(rng.standard_normal((m, m, 3)), 1.0)
+    q = rng.uniform(size=30)
+    M = q[:, None, None] * (np.eye(m) - P @ L.frequency_response(omega))
+    expected = np.abs(np.linalg.eigvals(M)).max(axis=-1)
+    radius, where = spectral_rate(P, q, L, omega)
+    np.testing.assert_allclose(radius, expected.max(axis=1), rtol=1e-9)
+    assert where.tolist() == omega[expected.argmax(axis=1)].tolist()
+    assert spectral_rate(P[1], q, L, omega).radius == pytest.approx(radius[1], rel=1e-12)
+    gamma = rate(P, q, L, omega).gamma
+    assert np.all(radius <= gamma * (1 + 1e-12))
+    assert (m == 1) == np.allclose(radius, gamma, rtol=1e-9)
+
+
+def test_trials_that_converge_may_grow_before():
+    """One channel feeds the other: in the first trials, by hand, the error is 3 times as large."""
+    M, omega = np.array([[0.5, 3.0], [0.0, 0.5]]), np.array([0.1, 0.2, 0.3, 0.4])
+    P = np.exp(-1j * omega)[:, None, None] * (np.eye(2) - M)  # for L = q
+    given = P, np.ones(4), p_type(1.0, 1, 2, 1.0), omega
+    assert spectral_rate(*given).radius == pytest.approx(0.5)
+    assert rate(*given).gamma > np.linalg.norm(M @ [0, 1]) > 3
+    assert np.linalg.norm(np.linalg.matrix_power(M, 20)) < 1e-3

@@ -12,13 +12,16 @@ from rodlib import (
     LearningFilter,
     current_trial_loop,
     largest_cutoff,
+    noise_on_trial,
     synthesise,
     zero_phase_butterworth,
 )
-from rodlib.ilc.evidence import converged_noise, trial_noise
+from rodlib.ilc.evidence import converged_noise, trial_noise, trial_operators
+from rodlib.ilc.evidence.finite_trial import switched_on
 from rodlib.ilc.evidence.optimality import lower_bound
 from rodlib.ilc.posing import pose
 from rodlib.ilc.synthesis.program import formulate
+from rodlib.ilc.trials import rms
 from tests.ilc.synthesis.test_interior_point import random_plant
 
 CHOICES = {"order": 3, "M_max": 0.97, "L_max": 20.0, "band": (0.01, 0.3)}
@@ -159,3 +162,83 @@ def test_with_other_searches_it_goes_along():
         P, zero_phase_butterworth(2, 0.5), omega, 1.0, **choices, noise=np.ones(20)
     )
     assert design.certificate.failures == [] and 0 < Q.cutoff < np.pi
+
+
+def loop_of(build, controls):
+    loop = current_trial_loop(build(), controls)
+    omega = np.geomspace(1e-3, np.pi, 300) / loop.Ts
+    return loop, zero_phase_butterworth(2, 0.1 / loop.Ts, loop.Ts), omega
+
+
+@pytest.mark.parametrize(("samples", "rest", "ends"), [(60, 0, "zero"), (90, 20, "hold")])
+@pytest.mark.parametrize(
+    ("build", "controls", "structure"),
+    [(stage, ["F"], "full"), (tanks, ["pump A", "pump B", "pump C"], "diagonal")],
+)
+def test_on_a_trial_the_cost_is_what_one_trial_makes_of_noise(
+    build, controls, structure, samples, rest, ends
+):
+    """By matrices of the trial: of white noise in it, and in the few samples that L looks beyond
+    it, the energy that Q and P leave of L times it. The program and the proof see the same."""
+    loop, Q, omega = loop_of(build, controls)
+    Q, m = replace(Q, ends=ends), len(controls)
+    variance = np.linspace(1, 2, m) * 0.01**2
+    choices = {"band": (omega[0], 0.02 / loop.Ts), "structure": structure}
+    choices |= {"samples": samples, "rest": rest, "noise": np.tile(variance, (300, 1))}
+    design = synthesise(loop, Q, omega, **choices)
+    L = design.filter
+    P_N, Q_N, _ = trial_operators(loop.P, Q, L, samples)
+    ahead = np.zeros((samples, m, samples + L.order, m))
+    for p, k in np.ndindex(samples, L.order):
+        ahead[p, :, p + k + 1] = L.coefficients[:, :, k]
+    v = Q_N @ ahead.reshape(samples * m, -1)
+    v[(samples - rest) * m :] = 0
+    energy = ((P_N @ v) ** 2).sum(axis=0).reshape(-1, m).sum(axis=0) @ variance
+    expected = energy / samples / (1 - 0.9**2)
+    assert design.certificate.noise == pytest.approx(expected, rel=1e-2)  # by 300 frequencies
+    assert design.certificate.gap < 1e-6
+    program = formulate(design.problem)
+    x = program.unknowns(design.solution.coefficients)
+    assert program.quadratic(x) == pytest.approx(design.certificate.noise, rel=1e-8)
+    endless = replace(design.problem, switched=None)
+    response = L.frequency_response(omega)
+    assert endless.cost_of_noise(response) != pytest.approx(expected, rel=0.02)
+    assert f"the cost of noise, on a trial of {samples} samples: " in str(design)
+    if not rest:
+        theirs = synthesise(loop, Q, omega, **choices, solver="cvxpy")
+        assert theirs.value == pytest.approx(design.value, rel=1e-5)
+
+
+def test_of_a_long_trial_it_is_that_without_ends():
+    loop, Q, omega = loop_of(stage, ["F"])
+    omega = omega[::50]
+    R = switched_on(loop.P, Q, omega, 50_000)[:, 0, 0]
+    QP = Q.frequency_response(omega) * loop.frequency_response(omega)[:, 0, 0]
+    np.testing.assert_allclose(np.abs(R), np.abs(QP), atol=1e-3 * np.abs(QP).max())
+
+
+def test_the_start_counts_only_if_there_is_noise_and_a_trial():
+    loop, Q, omega = loop_of(stage, ["F"])
+    choices = {"band": (omega[0], 0.02 / loop.Ts)}
+    noise = np.full(300, 1e-4)
+    assert synthesise(loop, Q, omega, **choices, noise=noise).problem.switched is None
+    assert synthesise(loop, Q, omega, **choices, samples=50).problem.switched is None
+    with pytest.raises(ValueError, match="samples = 50 asks for the norm of a trial"):
+        responses = loop.frequency_response(omega)
+        synthesise(responses, Q, omega, **choices, noise=noise, samples=50)
+
+
+def test_with_the_start_in_the_objective_a_loud_filter_is_not_chosen(loop, Q):
+    """The paper's loop, of whose gain nothing else is said; with a bound of 400, it is reached."""
+    omega = np.geomspace(1e-4, np.pi, 250)
+    noise = np.full(250, 3e5 * 0.02**2)
+    designs = {
+        "endless": synthesise(loop, Q, omega, L_max=400, noise=noise),
+        "start": synthesise(loop, Q, omega, L_max=None, noise=noise, samples=2500),
+    }
+    found = {
+        name: 1e3 * float(rms(noise_on_trial(loop, Q, design.filter, 2500, 0.02**2).true))
+        for name, design in designs.items()
+    }
+    assert found["start"] < 0.8 * found["endless"]
+    assert designs["start"].sigma_L.max() < 150 < designs["endless"].sigma_L.max()
