@@ -6,7 +6,8 @@ time, which is no contradiction: they act between two trials, when the whole las
 Beyond the two ends of a trial nothing has been recorded, so something must be assumed there.
 ``ends="zero"`` takes every signal as zero outside the trial; the filters are then exactly the
 two-sided filters of the analysis, seen through the window of the trial. ``ends="hold"`` lets the
-first and the last sample stand still, which suits a trial that does not end at zero.
+first and the last sample stand still, ``ends="hold-last"`` only the last, which suits a trial that
+begins at rest and does not end at zero.
 """
 
 import warnings
@@ -19,7 +20,11 @@ from scipy.signal import BadCoefficients, butter, freqz_sos, sosfilt, sosfilt_zi
 
 from rodlib.ilc import arguments
 
-ENDS = {"zero": "constant", "hold": "edge"}  # the modes of numpy.pad
+ENDS = {  # the modes of numpy.pad, before the trial and after it
+    "zero": ("constant", "constant"),
+    "hold": ("edge", "edge"),
+    "hold-last": ("constant", "edge"),
+}
 
 
 @dataclass(frozen=True)
@@ -35,7 +40,7 @@ class ZeroPhaseButterworth:
         which squares its magnitude, by 6 dB.
     Ts : float
         Sampling period, s.
-    ends : {"zero", "hold"}
+    ends : {"zero", "hold", "hold-last"}
         What a signal is taken to be outside the trial.
     """
 
@@ -98,13 +103,20 @@ class ZeroPhaseButterworth:
         """Filter a signal of shape (..., time, channel), forward and backward in time."""
         signal = arguments.array("signal", signal, (..., "time", "channel"))
         sections, decay = self.sections, self.decay  # after which the line is as good as infinite
-        padding = [(0, 0)] * (signal.ndim - 2) + [(decay, decay), (0, 0)]
-        once = np.pad(signal, padding, mode=ENDS[self.ends])
+        once = _continued(signal, decay, decay, self.ends)
         at_rest = self._at_rest.reshape(len(sections), *[1] * (signal.ndim - 2), 2, 1)
         for _ in range(2):
             filtered, _ = sosfilt(sections, once, axis=-2, zi=at_rest * once[..., :1, :])
             once = np.flip(filtered, axis=-2)
         return once[..., decay:-decay, :]
+
+
+def _continued(signal, before, after, ends):
+    """A signal of shape (..., time, channel) with so many samples more at the ends of the trial."""
+    trials = [(0, 0)] * (signal.ndim - 2)
+    for width, mode in zip([(before, 0), (0, after)], ENDS[ends], strict=True):
+        signal = np.pad(signal, [*trials, width, (0, 0)], mode=mode)
+    return signal
 
 
 zero_phase_butterworth = ZeroPhaseButterworth  # as one says with scipy: butter(order, cutoff)
@@ -137,8 +149,9 @@ class LearningFilter:
         L_ij(q) = sum_k coefficients[i, j, k - 1] q^k, where q looks one sample ahead.
     Ts : float
         Sampling period, s.
-    ends : {"zero", "hold"}
-        What the error is taken to be beyond the end of the trial.
+    ends : {"zero", "hold", "hold-last"}
+        What the error is taken to be beyond the end of the trial. L does not look before its start:
+        the last two are the same.
     """
 
     coefficients: np.ndarray = field(repr=False)
@@ -170,8 +183,7 @@ class LearningFilter:
     def apply(self, signal) -> np.ndarray:
         """Filter a signal of shape (..., time, m)."""
         signal = arguments.array("signal", signal, (..., "time", self.channels))
-        padding = [(0, 0)] * (signal.ndim - 2) + [(0, self.order), (0, 0)]
-        ahead = np.pad(signal, padding, mode=ENDS[self.ends])
+        ahead = _continued(signal, 0, self.order, self.ends)
         windows = np.lib.stride_tricks.sliding_window_view(ahead, self.order, axis=-2)
         return np.tensordot(windows[..., 1:, :, :], self.coefficients, axes=([-2, -1], [1, 2]))
 

@@ -49,7 +49,17 @@ def test_q_that_holds_the_ends_passes_a_constant():
     assert zero_phase_butterworth().apply(constant)[-1, 0] < 2
 
 
-@pytest.mark.parametrize("ends", ["zero", "hold"])
+def test_q_that_holds_the_last_sample_takes_what_was_before_the_trial_as_zero():
+    rng = np.random.default_rng(5)
+    signal = rng.standard_normal((200, 2))
+    held = zero_phase_butterworth(ends="hold-last").apply(signal)
+    begun = np.vstack([np.zeros((700, 2)), signal])
+    expected = zero_phase_butterworth(ends="hold").apply(begun)[700:]
+    np.testing.assert_allclose(held, expected, rtol=0, atol=1e-12)
+    assert abs(held - zero_phase_butterworth(ends="hold").apply(signal))[0].max() > 0.01
+
+
+@pytest.mark.parametrize("ends", ["zero", "hold", "hold-last"])
 def test_filters_act_on_every_trial_of_a_stack_alike(ends):
     rng = np.random.default_rng(1)
     trials = rng.standard_normal((3, 80, 2))

@@ -346,12 +346,12 @@ def test_a_plant_that_the_controller_does_not_hold_is_refused(loop, Q, L):
 def test_held_ends_learn_a_trial_that_does_not_end_at_zero(loop, L):
     reference = assumed_reference()[:900]
     last = []
-    for ends in ("zero", "hold"):
+    for ends in ("zero", "hold", "hold-last"):
         Q = zero_phase_butterworth(ends=ends)
         held = LearningFilter(L.coefficients, 1.0, ends)
         run = run_trials(loop, Q, held, reference, None, 10)
         last.append(abs(run.e[-1, -1, 0].item()))  # this channel stands at 10 K
-    assert last[1] < last[0] / 3
+    assert max(last[1:]) < last[0] / 3
 
 
 @pytest.mark.parametrize(

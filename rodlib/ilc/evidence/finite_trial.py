@@ -12,7 +12,7 @@ from scipy.fft import fft, ifft, irfft, next_fast_len, rfft
 from scipy.sparse import diags_array, eye_array
 
 from rodlib.ilc import arguments
-from rodlib.ilc.filters import LearningFilter, ZeroPhaseButterworth
+from rodlib.ilc.filters import ENDS, LearningFilter, ZeroPhaseButterworth
 
 LANCZOS = 60  # vectors that the Lanczos iteration keeps
 SIDE_BY_SIDE = 50  # signals that are filtered at a time
@@ -36,8 +36,8 @@ def trial_operators(
     -------
     P_N, Q_N, L_N : scipy.sparse.linalg.LinearOperator, shape (samples m, samples m)
         On signals of shape (samples, m), raveled. P_N is a lower triangular block Toeplitz
-        matrix. Q_N and L_N are block Toeplitz if `ends` is "zero"; if it is "hold", what the
-        matrix would do to the samples beyond an end is added to its first or last block column.
+        matrix. Q_N and L_N are block Toeplitz if `ends` is "zero"; where an end is held, what the
+        matrix would do to the samples beyond it is added to its first or last block column.
     """
     arguments.state_space("P", P)
     arguments.instance("Q", Q, ZeroPhaseButterworth)
@@ -66,13 +66,13 @@ def trial_operators(
         if Q.ends == "zero":  # a symmetric Toeplitz matrix
             return Q.apply(signal)
         padding = [(0, 0)] * (signal.ndim - 2) + [(reach, reach), (0, 0)]
-        return _fold(two_sided.apply(np.pad(signal, padding)), reach, reach)
+        return _fold(two_sided.apply(np.pad(signal, padding)), reach, reach, Q.ends)
 
     def L_adjoint(signal):
         out = np.zeros((*signal.shape[:-2], samples + L.order, m))
         for k in range(1, L.order + 1):
             out[..., k : k + samples, :] += signal @ L.coefficients[:, :, k - 1]
-        return _fold(out, 0, L.order) if L.ends == "hold" else out[..., :samples, :]
+        return _fold(out, 0, L.order, L.ends)
 
     pairs = [(P_apply, P_adjoint), (Q.apply, Q_adjoint), (L.apply, L_adjoint)]
     return tuple(_operator(apply, adjoint, samples, m) for apply, adjoint in pairs)
@@ -199,10 +199,13 @@ def _operator(apply, adjoint, samples, m):
     )
 
 
-def _fold(signal, before, after):
-    """Adjoint of holding the ends: what lies beyond an end is added to the sample at the end."""
+def _fold(signal, before, after, ends):
+    """Adjoint of holding ends: what lies beyond one that is held is added to the sample there."""
     samples = signal.shape[-2] - before - after
     out = signal[..., before : before + samples, :].copy()
-    out[..., 0, :] += signal[..., :before, :].sum(axis=-2)
-    out[..., -1, :] += signal[..., before + samples :, :].sum(axis=-2)
+    first, last = (mode == "edge" for mode in ENDS[ends])
+    if first:
+        out[..., 0, :] += signal[..., :before, :].sum(axis=-2)
+    if last:
+        out[..., -1, :] += signal[..., before + samples :, :].sum(axis=-2)
     return out

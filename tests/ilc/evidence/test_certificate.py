@@ -350,7 +350,7 @@ def test_lower_bound_ignores_what_a_filter_could_do_to_the_multipliers(order, st
     assert moved == pytest.approx(bound, rel=1e-11, abs=1e-11 * np.linalg.norm(U))
 
 
-@pytest.mark.parametrize("ends", ["zero", "hold"])
+@pytest.mark.parametrize("ends", ["zero", "hold", "hold-last"])
 def test_operators_are_what_the_trials_apply_and_their_adjoints(loop, ends):
     rng = np.random.default_rng(2)
     samples = 60
@@ -367,7 +367,7 @@ def test_operators_are_what_the_trials_apply_and_their_adjoints(loop, ends):
         np.testing.assert_allclose(adjoint, matrix.T, atol=1e-11)
 
 
-@pytest.mark.parametrize("ends", ["zero", "hold"])
+@pytest.mark.parametrize("ends", ["zero", "hold", "hold-last"])
 def test_lanczos_finds_the_norm_of_the_matrix(loop, ends):
     Q = zero_phase_butterworth(ends=ends)
     L = LearningFilter(published.matrix("L_diagonal"), 1.0, ends)
