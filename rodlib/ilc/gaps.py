@@ -11,9 +11,11 @@ from itertools import pairwise
 import numpy as np
 
 from rodlib.ilc import arguments
+from rodlib.ilc.models import frequency_response
 from rodlib.ilc.problem import Problem, largest_singular_values
 
 ROUNDING = 1e-9  # of an angle; what is nearer to pi is at the Nyquist frequency
+LEAST = 1e-6  # gain of P L that is always let be, so that what is left of M_max may be nothing
 
 
 def without_gaps(problem: Problem, beyond=None) -> Problem:
@@ -24,90 +26,109 @@ def without_gaps(problem: Problem, beyond=None) -> Problem:
     """
     # But for a delay, a filter of n samples is a polynomial of degree (n - 1) / 2 in exp(i angle).
     # Next to its largest value it falls no faster than the cosine of that degree (M. Riesz).
-    known, n = problem.angles, problem.order
-    near = np.pi / (4 * n)
-    size, end = _size_beyond(problem, beyond), known[-1] < np.pi - ROUNDING
-    reach = np.concatenate([[known[0]], np.diff(known) / 2, [np.pi - known[-1]]])  # to a sample
-    coarse = problem.L_max is not None and reach.max() > near
+    known, near = problem.angles, np.pi / (4 * problem.order)
+    size = _size_beyond(problem, beyond)
+    coarse = problem.L_max is not None and _reach(known).max() > near
     if not coarse and size is None:
         return problem
     added = []
     if coarse:
-        added += [
-            np.linspace(a, b, 1 + int(np.ceil((b - a) / near)))[1:-1] for a, b in pairwise(known)
-        ]
-        added.append(np.linspace(0, known[0], 1 + int(np.ceil(known[0] / near)))[:-1])
-    if end:
-        added.append(np.linspace(known[-1], np.pi, 2 + int((np.pi - known[-1]) / near))[1:])
+        inner = [_steps(a, b, near)[1:-1] for a, b in pairwise(known)]
+        added = [_steps(0, known[0], near)[:-1], *inner]
+    if known[-1] < np.pi - ROUNDING:
+        added.append(_steps(known[-1], np.pi, near)[1:])
     angles = np.concatenate([known, *added])
     order = np.argsort(angles, kind="stable")
     angles, asked = angles[order], order < len(known)
+    wide = _spread(problem, asked)
+    wide["omega"] = np.where(asked, wide["omega"], angles / problem.Ts)
+    share = np.cos((problem.order - 1) / 2 * _reach(angles)) if coarse else np.ones(len(angles))
+    limit = np.full(len(angles), np.inf)
+    problem = replace(problem, **wide, asked=asked, share_L=share, limit_L=limit)
+    return problem if size is None else _bounded_beyond(problem, size, near)
 
-    def spread(values, axis=0):
-        if values is None:
-            return None
-        shape = list(values.shape)
-        shape[axis] = len(angles)
-        out = np.zeros(shape, dtype=values.dtype)
-        np.moveaxis(out, axis, 0)[asked] = np.moveaxis(values, axis, 0)
-        return out
 
-    reach = np.concatenate([[angles[0]], np.diff(angles) / 2, [np.pi - angles[-1]]])
-    share = (
-        np.cos((n - 1) / 2 * np.maximum(reach[:-1], reach[1:])) if coarse else np.ones(len(asked))
-    )
-    omega = np.where(asked, spread(problem.omega), angles / problem.Ts)
-    limit, basis, findings = np.full(len(angles), np.inf), problem.basis, ()
-    if size is not None:
-        unknown = angles > known[-1]
-        limit[unknown], said, findings = _limit_beyond(problem, omega[unknown], size)
-        basis = (*basis, said)
-    return replace(
-        problem, P=spread(problem.P), Q=spread(problem.Q), omega=omega,
-        others=spread(problem.others, axis=1), radius=spread(problem.radius),
-        noise=spread(problem.noise), asked=asked, limit_L=limit, share_L=share, basis=basis,
-        findings=findings,
-    )  # fmt: skip
+def refined(problem: Problem, omega) -> Problem:
+    """The problem with M of those plants that are models bounded at further frequencies, too."""
+    # What is known as samples only, or within a radius, is not known there: a model stands for it.
+    omega = np.array(sorted(omega))
+    models = [None if P is None else frequency_response(P, omega) for P in problem.models]
+    known = next(response for response in models if response is not None)
+    P, *others = (known if response is None else response for response in models)
+    order = np.argsort(np.append(problem.omega, omega), kind="stable")
+    new = order >= len(problem.omega)
+    wide = _spread(problem, ~new, asked=0, share_L=0, limit_L=0)
+    wide["omega"][new], wide["share_L"][new], wide["limit_L"][new] = omega, 1, np.inf
+    wide["P"][new], wide["Q"][new] = P, problem.butterworth.frequency_response(omega)
+    if others:
+        wide["others"][:, new] = others
+    return replace(problem, **wide)
+
+
+def _reach(angles):
+    """The farthest from each sample that another angle can be and have no nearer sample."""
+    between = np.diff(angles) / 2
+    return np.maximum([angles[0], *between], [*between, np.pi - angles[-1]])
+
+
+def _steps(a, b, near):
+    """From a to b, both included, in equal steps that are no longer than `near`."""
+    return np.linspace(a, b, 1 + int(np.ceil((b - a) / near)))
+
+
+def _spread(problem, known, **more):
+    """What a problem says of each frequency, with zeros at those that it does not know."""
+    wide = {}
+    axes = {"P": 0, "Q": 0, "omega": 0, "others": 1, "radius": 0, "noise": 0}
+    for name, axis in (axes | more).items():
+        values = getattr(problem, name)
+        if values is not None:
+            shape = (*values.shape[:axis], len(known), *values.shape[axis + 1 :])
+            wide[name] = np.zeros(shape, dtype=values.dtype)
+            wide[name][(slice(None),) * axis + (known,)] = values
+    return wide
 
 
 def _size_beyond(problem, beyond):
     """The largest sigma_max(P) above the last frequency; None if P is known up to Nyquist."""
     sampled = [k for k, model in enumerate(problem.models) if model is None]
+    if beyond is not None:
+        beyond = arguments.not_negative("beyond", beyond)
     if not sampled or problem.angles[-1] >= np.pi - ROUNDING:
         if beyond is not None:
             raise ValueError(
-                f"beyond = {beyond!r} is for plants known as samples up to less than the Nyquist "
+                f"beyond = {beyond:.6g} is for plants known as samples up to less than the Nyquist "
                 f"frequency, {np.pi / problem.Ts:.6g} rad/s: leave it out"
             )
         return None
     if beyond is not None:
-        return arguments.not_negative("beyond", beyond)
+        return beyond
     ends = np.array([problem.plant(k)[-1] for k in sampled])
-    return largest_singular_values(ends).max() + (
-        0 if problem.radius is None else problem.radius[-1]
-    )
+    radius = 0.0 if problem.radius is None else problem.radius[-1]
+    return float(largest_singular_values(ends).max() + radius)
 
 
-def _limit_beyond(problem, omega, size):
-    """Bounds on sigma_max(L) where P is only known to be at most so large; what to say of that."""
-    if problem.butterworth is None:
-        Q = np.full(len(omega), np.abs(problem.Q[-1]))
-    else:
-        Q = np.abs(problem.butterworth.frequency_response(omega))
+def _bounded_beyond(problem, size, near):
+    """The problem with L bounded above the last sample so that M is, whatever the phase of P."""
+    unknown = np.arange(len(problem.omega)) >= np.flatnonzero(problem.asked)[-1]
+    omega = problem.omega[unknown]
+    Q, (last, *_) = problem.Q_beyond(omega), omega
+    below = np.maximum.accumulate(np.append(Q[0], Q[:-1]))  # M must keep its bound in between
     with np.errstate(divide="ignore"):  # |Q (I - P L)| <= |Q| (1 + size sigma_max(L))
-        limit = np.where(problem.M_max > Q, (problem.M_max / Q - 1) / size, np.inf)
-    last = problem.omega[-1]
-    said = (
-        f"assumed: above {last:.4g} rad/s, where P is not known, sigma_max(P) is {size:.4g} at "
-        "most, at any phase"
-    )
-    if Q.max() < problem.M_max:
-        return limit, f"{said}; then sigma_max(M) is M_max at most there", ()
-    return (
-        limit,
-        said,
-        (
-            f"Q is {Q.max():.4g} above {last:.4g} rad/s, where P is not known: no filter bounds M "
-            f"by {problem.M_max:g} there; lower the cut-off of Q, or measure further",
-        ),
+        room = np.maximum(problem.M_max / np.maximum(below, 1e-300) - 1, LEAST)
+        limit = np.cos((problem.order - 1) / 4 * near) * room / size
+    limits = problem.limit_L.copy()
+    limits[unknown] = np.where(below < problem.M_max, limit, np.inf)
+    where = f"above {last:.4g} rad/s, where P is not known"
+    said = f"assumed: {where}, sigma_max(P) is {size:.4g} at most, at any phase"
+    if problem.butterworth is None:
+        said += f", and |Q| {Q[0]:.4g}, as at the last sample"
+    findings = ()
+    if Q.max() >= problem.M_max:
+        findings = (
+            f"Q is {Q.max():.4g} {where}: no filter bounds M by {problem.M_max:g} there; lower the "
+            "cut-off of Q, or measure further",
+        )
+    return replace(
+        problem, limit_L=limits, beyond=size, basis=(*problem.basis, said), findings=findings
     )

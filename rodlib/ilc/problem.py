@@ -44,6 +44,7 @@ class Problem:
     noise: np.ndarray | None = None  # (n, m): weights of what learning from noise costs
     basis: tuple[str, ...] = ()  # what P and its radius rest on, if they were measured
     switched: np.ndarray | None = None  # (n, m, m): in the place of Q P, if noise begins at a start
+    beyond: float | None = None  # sigma_max(P) is at most that above the last sample; None if known
     findings: tuple[str, ...] = ()  # what the statement itself leaves in doubt
 
     @property
@@ -64,8 +65,8 @@ class Problem:
 
     @property
     def in_band(self) -> np.ndarray:
-        """Which of the frequencies lie in the band, shape (n,)."""
-        return (self.omega >= self.band[0]) & (self.omega <= self.band[1])
+        """Which of the frequencies that were asked for lie in the band, shape (n,)."""
+        return self.asked & (self.omega >= self.band[0]) & (self.omega <= self.band[1])
 
     @property
     def idle(self) -> float:
@@ -150,6 +151,12 @@ class Problem:
     def passed_L(self, L) -> float:
         """The largest sigma_max(W L) of a frequency response of L: its bound is one."""
         return float(largest_singular_values(self.weight @ L).max())
+
+    def Q_beyond(self, omega) -> np.ndarray:
+        """|Q| at frequencies from the last sample on; of samples, the last."""
+        if self.butterworth is not None:
+            return np.abs(self.butterworth.frequency_response(omega))
+        return np.full(len(omega), np.abs(self.Q[self.asked][-1]))
 
     def filter(self, coefficients) -> LearningFilter:
         """The learning filter, in the plant's own units, of coefficients in units of `scale`."""

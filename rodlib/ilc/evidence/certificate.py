@@ -15,6 +15,7 @@ from rodlib.ilc.evidence.peak import (
     estimated_peak,
     highest,
     learning_model,
+    peak_beyond,
     peak_gain,
     proven_peak,
 )
@@ -42,6 +43,7 @@ class Certificate:
     peak: Peak  # over all frequencies, without the radius, which is not known between the samples
     exact: Peak | None  # of the plants that are models, if Q is one, too
     estimated: int  # for so many of the others, the worst on the grid, there is an estimate
+    beyond: Peak | None  # above the last sample, of the size that is assumed there
     grid_L: float  # peak of sigma_max(L) on the design grid
     passed_L: float  # the largest share of its bound that sigma_max(L) has there
     all_L: float  # an upper bound of it, to 1e-8, for all frequencies
@@ -82,6 +84,11 @@ class Certificate:
         return (self.value - self.lower_bound) / self.problem.unit(self.value)
 
     @property
+    def unseen(self) -> Peak | None:
+        """The highest peak of the models, if it is one or more, where omega does not see it."""
+        return self.exact if self.exact and self.exact.sigma >= 1 else None
+
+    @property
     def failures(self) -> list[str]:
         """What speaks against the filter; empty if it holds."""
         (gap, violation), M_max = self.tolerances, self.problem.M_max
@@ -95,13 +102,14 @@ class Certificate:
                 self.passed_L > 1 + violation
             ),
         }
-        if self.exact:
-            at = self.exact
+        if at := self.unseen:
             reached = (
                 f"sigma_max(M){self._whose(at)} reaches {at.sigma:.9g} at {at.omega:.6g} rad/s"
             )
-            tests[f"{reached}, not in omega: Lemma 1 does not hold; add frequencies there"] = (
-                at.sigma >= 1
+            tests[f"{reached}, not in omega: Lemma 1 does not hold; add frequencies there"] = True
+        if self.beyond and not self.problem.findings:
+            tests[f"sigma_max(M) may reach {self._above} where Lemma 1 does not hold"] = (
+                self.beyond.sigma >= 1
             )
         return [text for text, failed in tests.items() if failed]
 
@@ -145,6 +153,12 @@ class Certificate:
         more = f" and {len(pairs) - NAMED} more" if len(pairs) > NAMED else ""
         return f"{', '.join(pairs[:NAMED])} rad/s{more}"
 
+    @property
+    def _above(self):
+        """How high M is above the last sample, for the messages."""
+        last = self.problem.omega[self.problem.asked][-1]
+        return f"{self.beyond.sigma:.4g} above {last:.4g} rad/s, with the size of P assumed there,"
+
     def _table(self):
         """Bounds and peaks of M and L."""
         M_max, L_max = self.problem.M_max, self.problem.L_max
@@ -187,10 +201,12 @@ class Certificate:
         estimated = self.estimated
         of = f" for the {estimated} sampled plants that are worst on the grid"
         unknown = [f"below {low:.4g} rad/s"] if low > 0 else []
-        unknown += [f"above {high:.4g} rad/s"] if high < self._nyquist * (1 - 1e-9) else []
+        if self.beyond is None and high < self._nyquist * (1 - 1e-9):
+            unknown.append(f"above {high:.4g} rad/s")
         return [
             f"sigma_max(M){without} from {low:.4g} to {high:.4g} rad/s, between the samples: "
             f"{self.all_M:.4f}, estimated{of if estimated <= len(self.problem.others) else ''}",
+            *([f"sigma_max(M) reaches {self._above} at most"] if self.beyond else []),
             f"sigma_max(M) unknown: {', '.join([*unknown, 'at resonances that no sample shows'])}",
         ]
 
@@ -247,6 +263,7 @@ def certify(
         highest([peak for peak in (exact, rough) if peak]),
         exact,
         estimated,
+        peak_beyond(problem, L),
         largest_singular_values(response).max(),
         problem.passed_L(response),
         peak_gain(learning_model(L))[0],

@@ -258,6 +258,18 @@ def estimated_peak(problem: Problem, L, peaks) -> tuple[Peak | None, int]:
     return (highest(found) if found else None), len(found)
 
 
+def peak_beyond(problem: Problem, L) -> Peak | None:
+    """The highest above the last sample of P, of any phase and assumed size; None if P is known."""
+    if problem.beyond is None:
+        return None
+    first, nyquist = problem.omega[problem.asked][-1], np.pi / problem.Ts
+    omega = np.linspace(first, nyquist, 1 + 64 * problem.order)
+    sigma_L = largest_singular_values(L.frequency_response(omega))
+    sigma_M = problem.Q_beyond(omega) * (1 + problem.beyond * sigma_L)
+    at = sigma_M.argmax()
+    return Peak(float(sigma_M[at]), float(omega[at]), 0)
+
+
 def highest(peaks: list[Peak]) -> Peak:
     """The highest of some peaks, and the most that splines miss for any of them."""
     peaks = sorted(peaks, key=lambda peak: peak.plant)

@@ -200,7 +200,22 @@ def synthesise(
         objective=objective, scale=scale, uncertainty=uncertainty,
         noise=noise, confidence=confidence, beyond=beyond,
     )  # fmt: skip
-    return certified(problem, solver=solver, start=start, samples=samples, rest=rest, check=check)
+    return warned(
+        certified(problem, solver=solver, start=start, samples=samples, rest=rest, check=check)
+    )
+
+
+def insist(solution: Solution, certificate: Certificate):
+    """Raise if a certificate fails."""
+    if certificate.failures:
+        raise SolverError(f"{solution.method}: {'; '.join(certificate.failures)}")
+
+
+def warned(design: Synthesis) -> Synthesis:
+    """A design for whoever called the caller, with a warning for each doubt of its certificate."""
+    for text in design.certificate.warnings:
+        warnings.warn(text, stacklevel=3)
+    return design
 
 
 def certified(
@@ -224,10 +239,8 @@ def certified(
     except RuntimeError as error:
         raise SolverError(f"{solver}: {error}") from None
     certificate = certify(problem, solution, tolerances, samples, rest)
-    if check and certificate.failures:
-        raise SolverError(f"{solution.method}: {'; '.join(certificate.failures)}")
-    for text in certificate.warnings:
-        warnings.warn(text, stacklevel=3)
+    if check:
+        insist(solution, certificate)
     L = problem.response(solution)[problem.asked]
     sigmas = certificate.nominal[problem.asked], largest_singular_values(L)
     return Synthesis(problem.filter(solution.coefficients), problem, certificate, *sigmas, solution)

@@ -5,6 +5,7 @@ optimum is flat: coefficients would differ in the third digit with the way by wh
 """
 
 import math
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,7 +54,8 @@ def try_out(settings: Settings) -> Outcome:
     try:
         plant = arguments.instance("plant", settings.plant, Plant)
         Q = settings.Q
-        design = synthesise(plant.response, Q, settings.omega, settings.Ts, **settings.problem)
+        with warnings.catch_warnings(action="ignore"):  # they are in the line
+            design = synthesise(plant.response, Q, settings.omega, settings.Ts, **settings.problem)
     except InfeasibleError as error:
         return Outcome(settings, message=str(error), M_max=_remedy(error.smallest_M_max))
     except (ValueError, SolverError) as error:
