@@ -10,42 +10,34 @@ from itertools import pairwise
 
 import numpy as np
 
-from rodlib.ilc import arguments
 from rodlib.ilc.models import frequency_response
-from rodlib.ilc.problem import Problem, largest_singular_values
+from rodlib.ilc.problem import ROUNDING, Problem
 
-ROUNDING = 1e-9  # of an angle; what is nearer to pi is at the Nyquist frequency
 LEAST = 1e-6  # gain of P L that is always let be, so that what is left of M_max may be nothing
 
 
-def without_gaps(problem: Problem, beyond=None) -> Problem:
-    """The problem with L bounded at further frequencies, where omega is coarse or ends too soon.
-
-    `beyond`: the largest sigma_max(P), in units of `scale`, above the last sample of a plant that
-    is no model; by default as there.
-    """
+def without_gaps(problem: Problem) -> Problem:
+    """The problem with L bounded at further frequencies, where omega is coarse or ends too soon."""
     # But for a delay, a filter of n samples is a polynomial of degree (n - 1) / 2 in exp(i angle).
     # Next to its largest value it falls no faster than the cosine of that degree (M. Riesz).
     known, near = problem.angles, np.pi / (4 * problem.order)
-    size = _size_beyond(problem, beyond)
     coarse = problem.L_max is not None and _reach(known).max() > near
-    if not coarse and size is None:
+    if not coarse and problem.beyond is None:
         return problem
-    added = []
-    if coarse:
-        inner = [_steps(a, b, near)[1:-1] for a, b in pairwise(known)]
-        added = [_steps(0, known[0], near)[:-1], *inner]
-    if known[-1] < np.pi - ROUNDING:
-        added.append(_steps(known[-1], np.pi, near)[1:])
-    angles = np.concatenate([known, *added])
-    order = np.argsort(angles, kind="stable")
-    angles, asked = angles[order], order < len(known)
-    wide = _spread(problem, asked)
-    wide["omega"] = np.where(asked, wide["omega"], angles / problem.Ts)
+    end = 0 if coarse else known[problem.asked][-1]
+    gaps = [(a, b) for a, b in pairwise([0, *known, np.pi]) if a >= end and b - a > ROUNDING]
+    added = [_steps(a, b, near)[1:-1] for a, b in gaps]
+    ends = np.array([0, np.pi])
+    added.append(ends[(ends >= end) & (np.abs(ends - known[[0, -1]]) > ROUNDING)])
+    new = np.concatenate(added)
+    order = np.argsort(np.append(known, new), kind="stable")
+    wide = _spread(problem, old := order < len(known), asked=0)
+    wide["omega"][~old] = np.sort(new) / problem.Ts
+    angles = wide["omega"] * problem.Ts
     share = np.cos((problem.order - 1) / 2 * _reach(angles)) if coarse else np.ones(len(angles))
     limit = np.full(len(angles), np.inf)
-    problem = replace(problem, **wide, asked=asked, share_L=share, limit_L=limit)
-    return problem if size is None else _bounded_beyond(problem, size, near)
+    problem = replace(problem, **wide, share_L=share, limit_L=limit)
+    return problem if problem.beyond is None else _bounded_beyond(problem, near)
 
 
 def refined(problem: Problem, omega) -> Problem:
@@ -57,12 +49,12 @@ def refined(problem: Problem, omega) -> Problem:
     P, *others = (known if response is None else response for response in models)
     order = np.argsort(np.append(problem.omega, omega), kind="stable")
     new = order >= len(problem.omega)
-    wide = _spread(problem, ~new, asked=0, share_L=0, limit_L=0)
-    wide["omega"][new], wide["share_L"][new], wide["limit_L"][new] = omega, 1, np.inf
-    wide["P"][new], wide["Q"][new] = P, problem.butterworth.frequency_response(omega)
+    wide = _spread(problem, ~new, asked=0)
+    wide["omega"][new], wide["P"][new] = omega, P
+    wide["Q"][new] = problem.butterworth.frequency_response(omega)
     if others:
         wide["others"][:, new] = others
-    return replace(problem, **wide)
+    return replace(problem, **wide, share_L=np.ones(len(new)), limit_L=np.full(len(new), np.inf))
 
 
 def _reach(angles):
@@ -79,7 +71,7 @@ def _steps(a, b, near):
 def _spread(problem, known, **more):
     """What a problem says of each frequency, with zeros at those that it does not know."""
     wide = {}
-    axes = {"P": 0, "Q": 0, "omega": 0, "others": 1, "radius": 0, "noise": 0}
+    axes = {"P": 0, "Q": 0, "omega": 0, "others": 1, "radius": 0, "noise": 0, "switched": 0}
     for name, axis in (axes | more).items():
         values = getattr(problem, name)
         if values is not None:
@@ -89,26 +81,7 @@ def _spread(problem, known, **more):
     return wide
 
 
-def _size_beyond(problem, beyond):
-    """The largest sigma_max(P) above the last frequency; None if P is known up to Nyquist."""
-    sampled = [k for k, model in enumerate(problem.models) if model is None]
-    if beyond is not None:
-        beyond = arguments.not_negative("beyond", beyond)
-    if not sampled or problem.angles[-1] >= np.pi - ROUNDING:
-        if beyond is not None:
-            raise ValueError(
-                f"beyond = {beyond:.6g} is for plants known as samples up to less than the Nyquist "
-                f"frequency, {np.pi / problem.Ts:.6g} rad/s: leave it out"
-            )
-        return None
-    if beyond is not None:
-        return beyond
-    ends = np.array([problem.plant(k)[-1] for k in sampled])
-    radius = 0.0 if problem.radius is None else problem.radius[-1]
-    return float(largest_singular_values(ends).max() + radius)
-
-
-def _bounded_beyond(problem, size, near):
+def _bounded_beyond(problem, near):
     """The problem with L bounded above the last sample so that M is, whatever the phase of P."""
     unknown = np.arange(len(problem.omega)) >= np.flatnonzero(problem.asked)[-1]
     omega = problem.omega[unknown]
@@ -116,11 +89,11 @@ def _bounded_beyond(problem, size, near):
     below = np.maximum.accumulate(np.append(Q[0], Q[:-1]))  # M must keep its bound in between
     with np.errstate(divide="ignore"):  # |Q (I - P L)| <= |Q| (1 + size sigma_max(L))
         room = np.maximum(problem.M_max / np.maximum(below, 1e-300) - 1, LEAST)
-        limit = np.cos((problem.order - 1) / 4 * near) * room / size
+        limit = np.cos((problem.order - 1) / 4 * near) * room / problem.beyond
     limits = problem.limit_L.copy()
     limits[unknown] = np.where(below < problem.M_max, limit, np.inf)
     where = f"above {last:.4g} rad/s, where P is not known"
-    said = f"assumed: {where}, sigma_max(P) is {size:.4g} at most, at any phase"
+    said = f"assumed: {where}, sigma_max(P) is {problem.beyond:.4g} at most, at any phase"
     if problem.butterworth is None:
         said += f", and |Q| {Q[0]:.4g}, as at the last sample"
     findings = ()
@@ -129,6 +102,4 @@ def _bounded_beyond(problem, size, near):
             f"Q is {Q.max():.4g} {where}: no filter bounds M by {problem.M_max:g} there; lower the "
             "cut-off of Q, or measure further",
         )
-    return replace(
-        problem, limit_L=limits, beyond=size, basis=(*problem.basis, said), findings=findings
-    )
+    return replace(problem, limit_L=limits, basis=(*problem.basis, said), findings=findings)

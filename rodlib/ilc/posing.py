@@ -9,10 +9,9 @@ import numpy as np
 
 from rodlib.ilc import arguments
 from rodlib.ilc.filters import ZeroPhaseButterworth
-from rodlib.ilc.gaps import without_gaps
 from rodlib.ilc.loop import CurrentTrialLoop
 from rodlib.ilc.models import frequency_response
-from rodlib.ilc.problem import Problem
+from rodlib.ilc.problem import ROUNDING, Problem, largest_singular_values
 
 MODELS = (CurrentTrialLoop, control.LTI)  # what a plant may be, if not an array
 CONFIDENCE = 0.99  # in a measured response, if not said otherwise
@@ -80,12 +79,12 @@ def pose(
         models = [_scaled(model, scale) for model in models]
     _refuse_singular(P, omega)
     noise = _weights(noise, omega, Ts, m, M_max, scale)
-    problem = Problem(
+    beyond = _size_beyond(beyond, models, np.concatenate([P[None], others]), radius, omega[-1], Ts)
+    return Problem(
         P, Q, omega, Ts, scale, others, tuple(models), q,
         np.ones(n, dtype=bool), np.full(n, np.inf), np.ones(n),
-        order, M_max, L_max, band, structure, objective, radius, noise, basis,
+        order, M_max, L_max, band, structure, objective, radius, noise, basis, beyond=beyond,
     )  # fmt: skip
-    return without_gaps(problem, beyond)
 
 
 def period(P, Q):
@@ -237,6 +236,24 @@ def _radius(uncertainty, n):
             "largest ||Delta|| at each frequency"
         )
     return radius if radius.any() else None
+
+
+def _size_beyond(beyond, models, plants, radius, last, Ts):
+    """The largest sigma_max(P) above the last frequency; None if P is known up to Nyquist."""
+    if beyond is not None:
+        beyond = arguments.not_negative("beyond", beyond)
+    sampled = np.array([model is None for model in models])
+    if not sampled.any() or last * Ts >= np.pi - ROUNDING:
+        if beyond is not None:
+            raise ValueError(
+                f"beyond = {beyond:.6g} is for plants known as samples up to less than the Nyquist "
+                f"frequency, {np.pi / Ts:.6g} rad/s: leave it out"
+            )
+        return None
+    if beyond is not None:
+        return beyond
+    size = largest_singular_values(plants[sampled, -1]).max()
+    return float(size if radius is None else size + radius[-1])
 
 
 def _scale(scale, m):

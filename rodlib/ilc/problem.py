@@ -16,6 +16,7 @@ import numpy as np
 from rodlib.ilc.filters import LearningFilter, ZeroPhaseButterworth
 
 MOST_GAIN = 1e7  # of Q P L, from which on the rounding of coefficients shows
+ROUNDING = 1e-9  # of an angle; what is nearer to pi is at the Nyquist frequency
 TIED = 1e-6  # relative distance at which rounding, or the accuracy of a solver, decides an order
 
 
@@ -149,8 +150,12 @@ class Problem:
         )
 
     def passed_L(self, L) -> float:
-        """The largest sigma_max(W L) of a frequency response of L: its bound is one."""
-        return float(largest_singular_values(self.weight @ L).max())
+        """The largest sigma_max(W L) of a frequency response of L, where a bound on it was asked.
+
+        That bound is one.
+        """
+        bounded = np.full(len(self.omega), self.L_max is not None) | np.isfinite(self.limit_L)
+        return float(largest_singular_values((self.weight @ L)[bounded]).max(initial=0))
 
     def Q_beyond(self, omega) -> np.ndarray:
         """|Q| at frequencies from the last sample on; of samples, the last."""

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rodlib.ilc.evidence.peak import estimated_peak, proven_peak
+from rodlib.ilc.evidence.peak import estimated_peak, peak_beyond, proven_peak
 from rodlib.ilc.evidence.robustness import worst_case
 from rodlib.ilc.filters import LearningFilter
 from rodlib.ilc.problem import Problem, tied
@@ -51,10 +51,11 @@ def check(problem: Problem, L: LearningFilter) -> Check:
     worst = worst_case(problem, L)
     M = problem.M(L.frequency_response(problem.omega))
     radius = np.abs(np.linalg.eigvals(M)).max()
-    peaks = [proven_peak(problem, L), estimated_peak(problem, L, worst.peaks)[0]]
+    estimated = estimated_peak(problem, L, worst.peaks)[0]
+    peaks = [proven_peak(problem, L), estimated, peak_beyond(problem, L)]
     gamma, omega = worst.sigma.max(), problem.omega[tied(worst.sigma).argmax()]
     for peak in peaks:
         if peak is not None and peak.sigma > gamma:
             gamma, omega = peak.sigma, peak.omega
-    proven = peaks[1] is None and problem.radius is None
+    proven = estimated is None and problem.radius is None
     return Check(float(gamma), float(omega), float(radius), proven, problem.basis)

@@ -12,6 +12,7 @@ from rodlib.ilc.evidence.check import Check, check
 from rodlib.ilc.evidence.finite_trial import switched_on
 from rodlib.ilc.evidence.optimality import lower_bound
 from rodlib.ilc.filters import LearningFilter
+from rodlib.ilc.gaps import without_gaps
 from rodlib.ilc.posing import pose
 from rodlib.ilc.problem import Problem, Solution, largest_singular_values, tied
 from rodlib.ilc.synthesis import active_set, interior_point
@@ -228,8 +229,11 @@ def certified(
     if samples is not None and problem.noise is not None:
         switched = switched_on(*problem.model, problem.omega, samples, rest)
         problem = replace(problem, switched=switched)
+    asked, problem = problem, without_gaps(problem)
     if start is not None:
         _check_start(start, problem)
+        if len(start.solution.U) != len(problem.omega):  # of what fills the gaps of the grid
+            start = None
     by_solver = _solve_with_cvxpy if solver == "cvxpy" else solve
     tolerances = CVXPY_TOLERANCES if solver == "cvxpy" else (GAP, VIOLATION)
     try:
@@ -243,7 +247,7 @@ def certified(
         insist(solution, certificate)
     L = problem.response(solution)[problem.asked]
     sigmas = certificate.nominal[problem.asked], largest_singular_values(L)
-    return Synthesis(problem.filter(solution.coefficients), problem, certificate, *sigmas, solution)
+    return Synthesis(problem.filter(solution.coefficients), asked, certificate, *sigmas, solution)
 
 
 def solve(problem: Problem, start: Solution | None = None) -> Solution:
@@ -295,7 +299,7 @@ def _is_good(problem, solution, gap):
         value - lower_bound(problem, solution.U, solution.V, solution.cuts, L)
         < gap * problem.unit(value)
         and worst <= problem.M_max * (1 + VIOLATION)
-        and (problem.L_max is None or problem.passed_L(L) <= 1 + VIOLATION)
+        and problem.passed_L(L) <= 1 + VIOLATION
     )
 
 
@@ -355,11 +359,11 @@ def _rounded_up(M_max):
 
 def _check_start(start, problem):
     arguments.instance("start", start, Synthesis)
-    n, m, _ = problem.P.shape
+    n, m = problem.asked.sum(), problem.channels
     expected, found = (m, m, problem.order), start.solution.coefficients.shape
-    if found != expected or len(start.solution.U) != n:
+    if found != expected or len(start.omega) != n:
         raise ValueError(
-            f"start is a design with coefficients of shape {found} on {len(start.solution.U)} "
+            f"start is a design with coefficients of shape {found} on {len(start.omega)} "
             f"frequencies, but must have {expected} on {n}: leave start out"
         )
     off_diagonal = start.solution.coefficients[~np.eye(m, dtype=bool)]

@@ -10,7 +10,7 @@ from tqdm import tqdm
 from rodlib.ilc import arguments
 from rodlib.ilc.evidence.certificate import checked_trial
 from rodlib.ilc.filters import ZeroPhaseButterworth
-from rodlib.ilc.gaps import refined
+from rodlib.ilc.gaps import refined, without_gaps
 from rodlib.ilc.posing import pose
 from rodlib.ilc.synthesis.design import SolverError, Synthesis, certified, insist, solve, warned
 from rodlib.ilc.synthesis.program import Infeasible
@@ -36,7 +36,7 @@ def least_gain(P, Q, omega, Ts=None, **choices) -> Synthesis:
     checked_trial(problem, how.get("samples"), how.get("rest", 0))
     free = certified(problem, **how | {"samples": None, "rest": 0})
     unit = free.sigma_L.max()  # a gain that is enough
-    question = replace(problem, objective="gain", L_max=unit)
+    question = without_gaps(replace(problem, objective="gain", L_max=unit))
     for same in SAME:
         try:
             with np.errstate(all="ignore"):
@@ -108,16 +108,16 @@ def _widest(Q, posed, stated, bar):
 
     def excess(logarithm):
         """The smallest possible M_max with this cut-off, relative to the one that is asked for."""
-        problem = posed(with_cutoff(logarithm), objective="peak")
+        problem = without_gaps(posed(with_cutoff(logarithm), objective="peak"))
         problem = replace(problem, M_max=np.inf, noise=None)
         found["solution"] = solve(problem, found.get("solution"))
         bar.update()
         largest = found["solution"].largest
         if problem.beyond is not None:  # where P is not known, M may be |Q| at least
-            largest = max(largest, *problem.Q_beyond(stated.omega[stated.asked][-1:]))
+            largest = max(largest, *problem.Q_beyond(stated.omega[-1:]))
         return largest / stated.M_max - 1
 
-    lowest = np.log(stated.omega[stated.asked & (stated.omega > 0)][0])
+    lowest = np.log(stated.omega[stated.omega > 0][0])
     highest = np.log(0.999 * np.pi / Q.Ts)
     low = high = np.log(Q.cutoff)
     while excess(high) <= 0:
