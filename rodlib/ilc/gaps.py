@@ -92,14 +92,10 @@ def _bounded_beyond(problem, near):
         limit = np.cos((problem.order - 1) / 4 * near) * room / problem.beyond
     limits = problem.limit_L.copy()
     limits[unknown] = np.where(below < problem.M_max, limit, np.inf)
-    where = f"above {last:.4g} rad/s, where P is not known"
-    said = f"assumed: {where}, sigma_max(P) is {problem.beyond:.4g} at most, at any phase"
-    if problem.butterworth is None:
-        said += f", and |Q| {Q[0]:.4g}, as at the last sample"
     findings = ()
     if Q.max() >= problem.M_max:
         findings = (
-            f"Q is {Q.max():.4g} {where}: no filter bounds M by {problem.M_max:g} there; lower the "
-            "cut-off of Q, or measure further",
+            f"Q is {Q.max():.4g} above {last:.4g} rad/s, where P is not known: no filter bounds M "
+            f"by {problem.M_max:g} there; lower the cut-off of Q, or measure further",
         )
-    return replace(problem, limit_L=limits, basis=(*problem.basis, said), findings=findings)
+    return replace(problem, limit_L=limits, findings=findings)

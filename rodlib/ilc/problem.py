@@ -163,6 +163,18 @@ class Problem:
             return np.abs(self.butterworth.frequency_response(omega))
         return np.full(len(omega), np.abs(self.Q[self.asked][-1]))
 
+    @property
+    def assumed(self) -> tuple[str, ...]:
+        """What is assumed of P and Q above the last sample, in words."""
+        if self.beyond is None:
+            return ()
+        last, Q = self.omega[self.asked][-1], self.Q[self.asked][-1]
+        as_there = "" if self.butterworth else f", and |Q| {np.abs(Q):.4g}, as at the last sample"
+        return (
+            f"assumed: above {last:.4g} rad/s, where P is not known, sigma_max(P) is "
+            f"{self.beyond:.4g} at most, at any phase{as_there}",
+        )
+
     def filter(self, coefficients) -> LearningFilter:
         """The learning filter, in the plant's own units, of coefficients in units of `scale`."""
         units = self.scale[:, None, None] / self.scale[None, :, None]

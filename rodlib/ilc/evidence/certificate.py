@@ -276,7 +276,7 @@ def certify(
         noise=noise,
         new=new,
         learned=learned,
-        basis=(*problem.basis, *useless(problem)),
+        basis=(*problem.basis, *problem.assumed, *useless(problem)),
     )
 
 

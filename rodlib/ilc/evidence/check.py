@@ -18,6 +18,7 @@ class Check:
     omega: float  # where it is, rad/s
     spectral_radius: float  # largest |eigenvalue of M| on the grid, Delta = 0
     proven: bool  # whether gamma holds at all frequencies, not on the grid and by splines only
+    doubt: bool  # whether a radius, or what is assumed above the last sample, admits divergence
     basis: tuple[str, ...]  # what P and its radius rest on
 
     @property
@@ -27,15 +28,13 @@ class Check:
 
     @property
     def converges(self) -> bool:
-        """Whether the trials converge at all, if not each of them comes nearer."""
-        return self.monotone or self.spectral_radius < 1
+        """Whether it is known that the trials converge, if not each of them comes nearer."""
+        return self.monotone or (not self.doubt and self.spectral_radius < 1)
 
     def __repr__(self):
-        how = "converges, but not monotonically"
-        if self.monotone:
-            how = "converges monotonically"
-        elif not self.converges:
-            how = "diverges"
+        how = "diverges" if self.spectral_radius >= 1 else "need not converge"
+        if self.converges:
+            how = "converges monotonically" if self.monotone else "converges, not monotonically"
         known = "at all frequencies" if self.proven else "on the grid, and between by splines"
         return "\n".join(
             [
@@ -47,15 +46,18 @@ class Check:
 
 
 def check(problem: Problem, L: LearningFilter) -> Check:
-    """What a filter, in units of `scale`, does on the plant of a problem."""
+    """What a filter, in units of `scale`, does on the plants of a problem."""
     worst = worst_case(problem, L)
-    M = problem.M(L.frequency_response(problem.omega))
-    radius = np.abs(np.linalg.eigvals(M)).max()
-    estimated = estimated_peak(problem, L, worst.peaks)[0]
-    peaks = [proven_peak(problem, L), estimated, peak_beyond(problem, L)]
+    response = L.frequency_response(problem.omega)
+    each = [problem.M(response, k) for k in range(1 + len(problem.others))]
+    radius = np.abs(np.linalg.eigvals(each)).max()
+    estimated, beyond = estimated_peak(problem, L, worst.peaks)[0], peak_beyond(problem, L)
     gamma, omega = worst.sigma.max(), problem.omega[tied(worst.sigma).argmax()]
-    for peak in peaks:
-        if peak is not None and peak.sigma > gamma:
+    for peak in (proven_peak(problem, L), estimated, beyond):
+        if peak is not None and peak.sigma > gamma * (1 + 1e-8):
             gamma, omega = peak.sigma, peak.omega
-    proven = estimated is None and problem.radius is None
-    return Check(float(gamma), float(omega), float(radius), proven, problem.basis)
+    within = problem.radius is not None
+    doubt = within or (beyond is not None and beyond.sigma >= 1)
+    basis = (*problem.basis, *problem.assumed)
+    proven = estimated is None and not within
+    return Check(float(gamma), float(omega), float(radius), proven, doubt, basis)

@@ -263,7 +263,7 @@ def peak_beyond(problem: Problem, L) -> Peak | None:
     if problem.beyond is None:
         return None
     first, nyquist = problem.omega[problem.asked][-1], np.pi / problem.Ts
-    omega = np.linspace(first, nyquist, 1 + 64 * problem.order)
+    omega = np.linspace(first, nyquist, 1 + 64 * L.order)
     sigma_L = largest_singular_values(L.frequency_response(omega))
     sigma_M = problem.Q_beyond(omega) * (1 + problem.beyond * sigma_L)
     at = sigma_M.argmax()

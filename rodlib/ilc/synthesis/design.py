@@ -3,7 +3,6 @@
 import warnings
 from dataclasses import dataclass, replace
 
-import control
 import numpy as np
 
 from rodlib.ilc import arguments
@@ -70,8 +69,8 @@ class Synthesis:
 
         Parameters
         ----------
-        P : a model, CurrentTrialLoop, array_like or measured, as for :func:`synthesise`
-            One plant, with the channels and the sampling period of the design.
+        P : as for :func:`synthesise`
+            One plant or several, with the channels and the sampling period of the design.
         omega : array_like, shape (n,), optional
             Frequencies, rad/s. Default: those of P, if it has some, else those of the design.
         uncertainty, confidence, beyond
@@ -83,15 +82,24 @@ class Synthesis:
             Print it. `gamma` is the rate of Lemma 1, `spectral_radius` below one says that the
             trials converge all the same. For another Q than that of the design: :func:`rate`.
         """
-        own, Q = self.problem, self.problem.butterworth
+        own, channels = self.problem, self.problem.channels
         if omega is None:
-            omega = P.omega if isinstance(P, control.FrequencyResponseData) else self.omega
+            omega = getattr(P, "omega", self.omega)
+        Q = own.butterworth
         if Q is None:
             Q = own.Q[own.asked]
-        problem = pose(
-            P, Q, omega, own.Ts, order=own.order, L_max=None, objective="peak", scale=own.scale,
-            uncertainty=uncertainty, confidence=confidence, beyond=beyond,
-        )  # fmt: skip
+            if np.shape(omega) != Q.shape or not np.allclose(omega, self.omega, rtol=1e-9, atol=0):
+                raise ValueError(
+                    "omega must be the design frequencies, at which alone the samples of Q are "
+                    "known: synthesise with Q as a filter, or ask rate(P, Q, L, omega)"
+                )
+        known = {"uncertainty": uncertainty, "confidence": confidence, "beyond": beyond}
+        known |= {"order": 1, "L_max": None, "objective": "peak"}
+        problem = pose(P, Q, omega, own.Ts, **known)
+        if problem.channels != channels:
+            raise ValueError(f"P has {problem.channels} channels, but the filter has {channels}")
+        if np.any(own.scale != 1):
+            problem = pose(P, Q, omega, own.Ts, **known, scale=own.scale)
         return check(problem, LearningFilter(self.solution.coefficients, own.Ts))
 
     def __repr__(self):
@@ -324,6 +332,8 @@ def _explained(problem, nearest):
             f"{lost[-1]:.4g} rad/s, where the radius admits singular plants: measure longer there, "
             "or lower the cut-off of Q"
         )
+    if np.isfinite(problem.limit_L).any():
+        message += f". It is {problem.assumed[0]}: measure further, or say otherwise by `beyond`"
     return InfeasibleError(message, nearest.largest, plant, omega)
 
 
