@@ -201,6 +201,8 @@ DOORS = [
       "band": THING | {"1e300": (0.1, 1e300), "one": 0.1},
       "noise": DENSITY,
       "start": THING | {"design": ...}}),
+    (DESIGN.check, {"P": LOOP, "omega": OMEGA},
+     {"P": REAL | {"nan model": NAN, "1e200": RESPONSE * 1e200}}),
     (synthesis.least_gain, ASKED, {"P": REAL, "Q": REAL, "band": THING}),
     (synthesis.largest_cutoff, ASKED, {"P": REAL, "band": THING}),
     (evidence.trial_noise, {"loop": LOOP, "omega": OMEGA, "noise": 1.0, "disturbance": 1.0},
@@ -313,7 +315,7 @@ DOORS = [
 
 # Made by other doors, or without an argument; and inside: protocols, constants, and what solvers
 # call a thousand times with what was checked before.
-MADE = {"Certificate", "InfeasibleError", "LearnedNoise", "LogError", "MeasuredResponse"}
+MADE = {"Certificate", "Check", "InfeasibleError", "LearnedNoise", "LogError", "MeasuredResponse"}
 MADE |= {"Outcome", "Picture", "Rate", "Replay", "RigError", "SolverError", "SpectralRate"}
 MADE |= {"Spectrum", "StoppedError", "Synthesis", "TrialNoise", "Tuned", "WorstCase"}
 INSIDE = {"Family", "LearningOperator", "Problem", "Rig", "TrialRig"}

@@ -11,7 +11,7 @@ from rodlib.ilc import arguments
 from rodlib.ilc.filters import ZeroPhaseButterworth
 from rodlib.ilc.loop import Loop
 from rodlib.ilc.models import frequency_response
-from rodlib.ilc.problem import Problem
+from rodlib.ilc.problem import ROUNDING, Problem, largest_singular_values
 
 MODELS = (Loop, control.LTI)  # what a plant may be, if not an array
 CONFIDENCE = 0.99  # in a measured response, if not said otherwise
@@ -44,6 +44,7 @@ def pose(
     uncertainty=None,
     noise=None,
     confidence=None,
+    beyond=None,
 ) -> Problem:
     """State the problem (39), or (45) with (46), and check it; see :func:`rodlib.synthesise`."""
     Ts = arguments.sampling_period("Ts", period(P, Q) if Ts is None else Ts)
@@ -56,7 +57,7 @@ def pose(
             f"confidence = {reprlib.repr(confidence)} is for a measured response, but P is not "
             "one: pass the radius as uncertainty"
         )
-    (plant, *other_models), responses = on_grid(plants(P), omega, Ts)
+    models, responses = on_grid(plants(P), omega, Ts)
     P, others = responses[0], responses[1:]
     n, m, _ = P.shape
     q, Q = Q_on_grid(Q, omega, P=Ts)
@@ -75,12 +76,14 @@ def pose(
         scale = _scale(scale, m)
         units = scale / scale[:, None]
         P, others = P * units, others * units
-        plant, *other_models = (_scaled(model, scale) for model in (plant, *other_models))
+        models = [_scaled(model, scale) for model in models]
     _refuse_singular(P, omega)
-    model = None if plant is None or q is None else (plant, q)
+    noise = _weights(noise, omega, Ts, m, M_max, scale)
+    beyond = _size_beyond(beyond, models, np.concatenate([P[None], others]), radius, omega[-1], Ts)
     return Problem(
-        P, Q, omega, Ts, scale, model, others, order, M_max, L_max, band, structure, objective,
-        tuple(other_models), radius, _weights(noise, omega, Ts, m, M_max, scale), basis,
+        P, Q, omega, Ts, scale, others, tuple(models), q,
+        np.ones(n, dtype=bool), np.full(n, np.inf), np.ones(n),
+        order, M_max, L_max, band, structure, objective, radius, noise, basis, beyond=beyond,
     )  # fmt: skip
 
 
@@ -233,6 +236,24 @@ def _radius(uncertainty, n):
             "largest ||Delta|| at each frequency"
         )
     return radius if radius.any() else None
+
+
+def _size_beyond(beyond, models, plants, radius, last, Ts):
+    """The largest sigma_max(P) above the last frequency; None if P is known up to Nyquist."""
+    if beyond is not None:
+        beyond = arguments.not_negative("beyond", beyond)
+    sampled = np.array([model is None for model in models])
+    if not sampled.any() or last * Ts >= np.pi - ROUNDING:
+        if beyond is not None:
+            raise ValueError(
+                f"beyond = {beyond:.6g} is for plants known as samples up to less than the Nyquist "
+                f"frequency, {np.pi / Ts:.6g} rad/s: leave it out"
+            )
+        return None
+    if beyond is not None:
+        return beyond
+    size = largest_singular_values(plants[sampled, -1]).max()
+    return float(size if radius is None else size + radius[-1])
 
 
 def _scale(scale, m):

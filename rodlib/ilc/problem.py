@@ -16,6 +16,7 @@ import numpy as np
 from rodlib.ilc.filters import LearningFilter, ZeroPhaseButterworth
 
 MOST_GAIN = 1e7  # of Q P L, from which on the rounding of coefficients shows
+ROUNDING = 1e-9  # of an angle; what is nearer to pi is at the Nyquist frequency
 TIED = 1e-6  # relative distance at which rounding, or the accuracy of a solver, decides an order
 
 
@@ -28,19 +29,30 @@ class Problem:
     omega: np.ndarray  # (n,): design frequencies, rad/s
     Ts: float  # sampling period, s
     scale: np.ndarray  # (m,): what counts as equally large in each channel
-    model: tuple[control.StateSpace, ZeroPhaseButterworth] | None  # P and Q, if both are models
     others: np.ndarray  # (p, n, m, m): plants 1 to p, for which the bounds hold as for P, plant 0
+    models: tuple[control.StateSpace | None, ...]  # all plants, as far as they are models
+    butterworth: ZeroPhaseButterworth | None  # Q, if it is a model
+    asked: np.ndarray  # (n,), bool: False where only L is bounded; P and Q stand as zero there
+    limit_L: np.ndarray  # (n,): bound on sigma_max(L) beside L_max, see `weight`; infinite if none
+    share_L: np.ndarray  # (n,): of L_max that L may have at a sample, so that it keeps it between
     order: int = 10  # number of samples that the learning filter looks ahead
     M_max: float = 0.9  # bound on sigma_max(M)
     L_max: float | None = 50.0  # bound on sigma_max(L)
     band: tuple[float, float] = (1e-4, 0.02)  # over which "sum" sums, rad/s
     structure: str = "diagonal"  # or "full"
     objective: str = "sum"  # or "peak"; or "gain": the least sigma_max(L), in units of L_max
-    other_models: tuple[control.StateSpace | None, ...] = ()  # as far as others are models
     radius: np.ndarray | None = None  # (n,): the bounds hold for all P + Delta, ||Delta|| <= radius
     noise: np.ndarray | None = None  # (n, m): weights of what learning from noise costs
     basis: tuple[str, ...] = ()  # what P and its radius rest on, if they were measured
     switched: np.ndarray | None = None  # (n, m, m): in the place of Q P, if noise begins at a start
+    beyond: float | None = None  # sigma_max(P) is at most that above the last sample; None if known
+    findings: tuple[str, ...] = ()  # what the statement itself leaves in doubt
+
+    @property
+    def model(self) -> tuple[control.StateSpace, ZeroPhaseButterworth] | None:
+        """P and Q, if both are models."""
+        known = self.models[0] is not None and self.butterworth is not None
+        return (self.models[0], self.butterworth) if known else None
 
     @property
     def channels(self) -> int:
@@ -54,8 +66,8 @@ class Problem:
 
     @property
     def in_band(self) -> np.ndarray:
-        """Which of the frequencies lie in the band, shape (n,)."""
-        return (self.omega >= self.band[0]) & (self.omega <= self.band[1])
+        """Which of the frequencies that were asked for lie in the band, shape (n,)."""
+        return self.asked & (self.omega >= self.band[0]) & (self.omega <= self.band[1])
 
     @property
     def idle(self) -> float:
@@ -80,7 +92,7 @@ class Problem:
             return np.zeros(len(self.omega), dtype=bool)
         plants = np.concatenate([self.P[None], self.others])
         smallest = np.linalg.svd(plants, compute_uv=False)[..., -1].min(axis=0)
-        return self.radius >= smallest
+        return self.asked & (self.radius >= smallest)
 
     def plant(self, number: int) -> np.ndarray:
         """Frequency response of a plant; 0 is the nominal one, P."""
@@ -119,17 +131,49 @@ class Problem:
 
     @property
     def weight(self) -> np.ndarray:
-        """W, shape (m, m), such that sigma_max(W L) <= 1 is the bound on the learning filter.
+        """W, shape (n, m, m), such that sigma_max(W L) <= 1 is the bound on the learning filter.
 
-        That is I / L_max, (46). Without a bound, filters are still compared only up to where their
-        coefficients, held in doubles, determine M to about 1e-9: up to a gain of 1e7 of Q P L,
-        counted for each input by itself. What larger ones could gain on paper, no computer can
-        apply.
+        That is I / L_max, (46); less than L_max counts where a coarse grid would let L pass it
+        between two samples, and where P is not known. Without a bound, filters are still compared
+        only up to where their coefficients, held in doubles, determine M to about 1e-9: up to a
+        gain of 1e7 of Q P L, counted for each input by itself. What larger ones could gain on
+        paper, no computer can apply.
         """
+        identity = np.eye(self.channels)
         if self.L_max is not None:
-            return np.eye(self.channels) / self.L_max  # (46)
+            limit = np.minimum(self.L_max * self.share_L, self.limit_L)
+            return identity / limit[:, None, None]  # (46)
         gains = np.linalg.norm(self.Q[:, None, None] * self.P, axis=1).max(axis=0)
-        return np.diag(gains / np.abs(self.Q).max() / MOST_GAIN)
+        most = np.diag(gains / np.abs(self.Q).max() / MOST_GAIN)
+        return np.where(
+            np.isfinite(self.limit_L)[:, None, None], identity / self.limit_L[:, None, None], most
+        )
+
+    def passed_L(self, L) -> float:
+        """The largest sigma_max(W L) of a frequency response of L, where a bound on it was asked.
+
+        That bound is one.
+        """
+        bounded = np.full(len(self.omega), self.L_max is not None) | np.isfinite(self.limit_L)
+        return float(largest_singular_values((self.weight @ L)[bounded]).max(initial=0))
+
+    def Q_beyond(self, omega) -> np.ndarray:
+        """|Q| at frequencies from the last sample on; of samples, the last."""
+        if self.butterworth is not None:
+            return np.abs(self.butterworth.frequency_response(omega))
+        return np.full(len(omega), np.abs(self.Q[self.asked][-1]))
+
+    @property
+    def assumed(self) -> tuple[str, ...]:
+        """What is assumed of P and Q above the last sample, in words."""
+        if self.beyond is None:
+            return ()
+        last, Q = self.omega[self.asked][-1], self.Q[self.asked][-1]
+        as_there = "" if self.butterworth else f", and |Q| {np.abs(Q):.4g}, as at the last sample"
+        return (
+            f"assumed: above {last:.4g} rad/s, where P is not known, sigma_max(P) is "
+            f"{self.beyond:.4g} at most, at any phase{as_there}",
+        )
 
     def filter(self, coefficients) -> LearningFilter:
         """The learning filter, in the plant's own units, of coefficients in units of `scale`."""

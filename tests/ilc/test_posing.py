@@ -63,7 +63,7 @@ def test_several_plants_may_be_known_in_several_ways(several):
     frd = control.frd(np.moveaxis(SAMPLES, 0, -1), OMEGA)
     given = several([coupled(), SAMPLES, frd, SAMPLES.tolist(), [*SAMPLES]])
     posed = pose(given, Q, OMEGA, 1.0, band=BAND, uncertainty=[0.1] * 60)
-    assert posed.others.shape == (4, 60, 2, 2) and posed.other_models == (None,) * 4
+    assert posed.others.shape == (4, 60, 2, 2) and posed.models[1:] == (None,) * 4
     for other in posed.others:
         np.testing.assert_allclose(other, posed.P, rtol=1e-12)
     np.testing.assert_array_equal(posed.radius, np.full(60, 0.1))

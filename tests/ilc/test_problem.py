@@ -30,8 +30,9 @@ def test_without_a_bound_each_input_may_have_a_gain_of_ten_millions(m, unit, see
     Q = rng.uniform(0.1, 2, 5)
     omega = np.linspace(0.1, 3, 5)
     W = pose(P, Q, omega, 1.0, order=1, L_max=None, band=(0.1, 3)).weight
+    assert np.all(W[0] == W)
     for k in range(m):
         L = np.zeros((m, m))
-        L[k, 0] = 1 / W[k, k]  # as large as sigma_max(W L) <= 1 admits
+        L[k, 0] = 1 / W[0, k, k]  # as large as sigma_max(W L) <= 1 admits
         gains = np.linalg.svd(Q[:, None, None] * P @ L / Q.max(), compute_uv=False)[:, 0]
         assert gains.max() == pytest.approx(1e7)

@@ -10,7 +10,15 @@ from rodlib.ilc.evidence.findings import findings, useless
 from rodlib.ilc.evidence.finite_trial import trial_norm
 from rodlib.ilc.evidence.noise import accumulated
 from rodlib.ilc.evidence.optimality import lower_bound
-from rodlib.ilc.evidence.peak import Peak, highest_peak, learning_model, peak_gain
+from rodlib.ilc.evidence.peak import (
+    Peak,
+    estimated_peak,
+    highest,
+    learning_model,
+    peak_beyond,
+    peak_gain,
+    proven_peak,
+)
 from rodlib.ilc.evidence.robustness import WorstCase, worst_case
 from rodlib.ilc.filters import LearningFilter
 from rodlib.ilc.problem import MOST_GAIN, Problem, Solution, largest_singular_values
@@ -21,7 +29,6 @@ VIOLATION = 1e-9
 # Share of 1 - sigma_max(M) that splines may miss: a narrow resonance shows little on its flanks.
 COARSE = 0.25
 NAMED = 4  # of those that are tied as the worst, so many are named
-LOUD = 1.5  # times the bound on L that its peak may reach off the grid, unless there is a warning
 
 
 @dataclass(frozen=True)
@@ -34,7 +41,11 @@ class Certificate:
     nominal: np.ndarray  # (n,): sigma_max(M) of the nominal plant at the design frequencies
     worst: WorstCase  # of all plants, within the radius, at each of the design frequencies
     peak: Peak  # over all frequencies, without the radius, which is not known between the samples
+    exact: Peak | None  # of the plants that are models, if Q is one, too
+    estimated: int  # for so many of the others, the worst on the grid, there is an estimate
+    beyond: Peak | None  # above the last sample, of the size that is assumed there
     grid_L: float  # peak of sigma_max(L) on the design grid
+    passed_L: float  # the largest share of its bound that sigma_max(L) has there
     all_L: float  # an upper bound of it, to 1e-8, for all frequencies
     tolerances: tuple[float, float] = (GAP, VIOLATION)  # that are accepted
     trial: float = np.nan  # 2-norm of the map of one finite trial, if asked for
@@ -59,12 +70,13 @@ class Certificate:
     @property
     def mean_M(self) -> float:
         """Mean of sigma_max(M) of the nominal plant over the band, as :func:`mean_rate`."""
-        return float(log_mean(self.nominal, self.problem.omega, self.problem.band))
+        asked, omega = self.problem.asked, self.problem.omega
+        return float(log_mean(self.nominal[asked], omega[asked], self.problem.band))
 
     @property
     def proven(self) -> bool:
         """False if P or Q were given as samples: between them `all_M` is read off splines."""
-        return not self.peak.estimated
+        return not self.estimated
 
     @property
     def gap(self) -> float:
@@ -72,45 +84,51 @@ class Certificate:
         return (self.value - self.lower_bound) / self.problem.unit(self.value)
 
     @property
+    def unseen(self) -> Peak | None:
+        """The highest peak of the models, if it is one or more, where omega does not see it."""
+        return self.exact if self.exact and self.exact.sigma >= 1 else None
+
+    @property
     def failures(self) -> list[str]:
         """What speaks against the filter; empty if it holds."""
         (gap, violation), M_max, L_max = self.tolerances, self.problem.M_max, self.problem.L_max
+        high_L = L_max is not None and self.grid_L > L_max * (1 + violation)
         where = f" at its worst ({self._where})" if self.problem.robust else ""
         tests = {
             f"relative duality gap {self.gap:.1e} > {gap:g}": self.gap > gap,
             f"sigma_max(M){where} = {self.grid_M:.12g} > M_max = {M_max} on the grid": (
                 self.grid_M > M_max * (1 + violation)
             ),
-            f"sigma_max(L) = {self.grid_L:.12g} > L_max = {L_max} on the grid": (
-                L_max is not None and self.grid_L > L_max * (1 + violation)
-            ),
-            f"sigma_max(M){self._whose} reaches {self.all_M:.9g} at {self.peak.omega:.6g} rad/s, "
-            "not in omega: Lemma 1 does not hold; add frequencies there": (
-                self.proven and self.all_M >= 1
-            ),
+            f"sigma_max(L) = {self.grid_L:.12g} > L_max = {L_max} on the grid": high_L,
+            f"sigma_max(L) is {self.passed_L:.12g} times what bounds it between or above the "
+            "frequencies omega": self.passed_L > 1 + violation and not high_L,
         }
+        if at := self.unseen:
+            reached = (
+                f"sigma_max(M){self._whose(at)} reaches {at.sigma:.9g} at {at.omega:.6g} rad/s"
+            )
+            tests[f"{reached}, not in omega: Lemma 1 does not hold; add frequencies there"] = True
+        if self.beyond and not self.problem.findings:
+            tests[f"sigma_max(M) may reach {self._above} where Lemma 1 does not hold"] = (
+                self.beyond.sigma >= 1
+            )
         return [text for text, failed in tests.items() if failed]
 
     @property
     def warnings(self) -> list[str]:
         """What speaks against the problem, and against what is said between the samples."""
-        margin, L_max, missed = 1 - self.all_M, self.problem.L_max, self.peak.missed
+        margin, missed = 1 - self.all_M, self.peak.missed
         warned = [*self.findings]
         if not self.proven and margin <= 0:
             warned.append(
-                f"sigma_max(M){self._whose} may reach {self.all_M:.4g} at {self.peak.omega:.4g} "
-                "rad/s, between the samples, where Lemma 1 would not hold; measure there, or "
-                "smooth samples that scatter"
+                f"sigma_max(M){self._whose(self.peak)} may reach {self.all_M:.4g} at "
+                f"{self.peak.omega:.4g} rad/s, between the samples, where Lemma 1 would not "
+                "hold; measure there, or smooth samples that scatter"
             )
         elif not self.proven and missed > COARSE * margin:
             warned.append(
                 f"the samples are too coarse: splines miss M by {missed:.2g} at samples left out, "
                 f"and 1 - sigma_max(M) is {margin:.2g}; measure at more frequencies"
-            )
-        if L_max is not None and self.all_L > LOUD * L_max:
-            warned.append(
-                f"sigma_max(L) reaches {self.all_L:.4g} off the design frequencies, where nothing "
-                f"holds it to {L_max:.4g}; add frequencies, up to {self._nyquist:.4g} rad/s"
             )
         return warned
 
@@ -122,10 +140,9 @@ class Certificate:
     def _several(self):
         return len(self.problem.others) > 0
 
-    @property
-    def _whose(self):
-        """Of which plant `all_M` is, for the messages."""
-        return f" of plant {self.peak.plant}" if self._several else ""
+    def _whose(self, peak):
+        """Of which plant a peak is, for the messages."""
+        return f" of plant {peak.plant}" if self._several else ""
 
     @property
     def _where(self):
@@ -136,6 +153,12 @@ class Certificate:
         ]
         more = f" and {len(pairs) - NAMED} more" if len(pairs) > NAMED else ""
         return f"{', '.join(pairs[:NAMED])} rad/s{more}"
+
+    @property
+    def _above(self):
+        """How high M is above the last sample, for the messages."""
+        last = self.problem.omega[self.problem.asked][-1]
+        return f"{self.beyond.sigma:.4g} above {last:.4g} rad/s, with the size of P assumed there,"
 
     def _table(self):
         """Bounds and peaks of M and L."""
@@ -175,14 +198,16 @@ class Certificate:
         if self.proven:
             line = f"sigma_max(M) over all frequencies{without}: {self.all_M:.8f}"
             return [line] if without else []
-        low, high = self.problem.omega[[0, -1]]
-        estimated = self.peak.estimated
+        low, high = self.problem.omega[self.problem.asked][[0, -1]]
+        estimated = self.estimated
         of = f" for the {estimated} sampled plants that are worst on the grid"
         unknown = [f"below {low:.4g} rad/s"] if low > 0 else []
-        unknown += [f"above {high:.4g} rad/s"] if high < self._nyquist * (1 - 1e-9) else []
+        if self.beyond is None and high < self._nyquist * (1 - 1e-9):
+            unknown.append(f"above {high:.4g} rad/s")
         return [
             f"sigma_max(M){without} from {low:.4g} to {high:.4g} rad/s, between the samples: "
             f"{self.all_M:.4f}, estimated{of if estimated <= len(self.problem.others) else ''}",
+            *([f"sigma_max(M) reaches {self._above} at most"] if self.beyond else []),
             f"sigma_max(M) unknown: {', '.join([*unknown, 'at resonances that no sample shows'])}",
         ]
 
@@ -229,14 +254,19 @@ def certify(
     noise = problem.cost_of_noise(response)
     new, learned = _rms_of_noise(problem, response)
     value = problem.value(sigma_M, worst.sigma) + noise
+    exact, (rough, estimated) = proven_peak(problem, L), estimated_peak(problem, L, worst.peaks)
     return Certificate(
         problem,
         value,
         lower_bound(problem, solution.U, solution.V, solution.cuts, response),
         sigma_M,
         worst,
-        highest_peak(problem, L, np.argsort(-worst.peaks, kind="stable")),
+        highest([peak for peak in (exact, rough) if peak]),
+        exact,
+        estimated,
+        peak_beyond(problem, L),
         largest_singular_values(response).max(),
+        problem.passed_L(response),
         peak_gain(learning_model(L))[0],
         tolerances=tolerances,
         trial=np.nan if samples is None else trial_norm(*problem.model, L, samples, rest=rest)[0],
@@ -246,7 +276,7 @@ def certify(
         noise=noise,
         new=new,
         learned=learned,
-        basis=(*problem.basis, *useless(problem)),
+        basis=(*problem.basis, *problem.assumed, *useless(problem)),
     )
 
 

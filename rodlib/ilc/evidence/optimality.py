@@ -40,7 +40,7 @@ def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None, L=None) -> flo
     T, N, turns = [-Q[:, None, None] * P], [U], [angles]
     if V is not None:  # in units of the bound, so that both parts have the size of the objective
         W = problem.weight
-        T, N = [*T, np.broadcast_to(W, (n, m, m))], [*N, np.linalg.solve(W, V)]
+        T, N = [*T, W], [*N, np.linalg.solve(W, V)]
         turns.append(angles)
     F = np.empty((0, m, m))
     if cuts is not None:

@@ -45,7 +45,7 @@ the gain is computed once more from A itself, with a bound of its error: if R ap
 What this adds to the peak is added to the gain, 1e-9 of it or less for the paper's M.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import control
 import numpy as np
@@ -227,42 +227,67 @@ def error_model(P: control.StateSpace, L: LearningFilter) -> control.StateSpace:
 
 @dataclass(frozen=True)
 class Peak:
-    """The highest peak of sigma_max(M) over all frequencies among the plants of a problem."""
+    """The highest peak of sigma_max(M) over all frequencies among some plants of a problem."""
 
     sigma: float  # an upper bound to 1e-8 if proven
     omega: float  # where it is, rad/s
     plant: int  # whose it is; of those that are tied, the first
-    missed: float  # the most that splines miss of M at samples left out; NaN if proven
-    estimated: int  # for how many plants there is an estimate, as they are no models
+    missed: float = np.nan  # the most that splines miss of M at samples left out; NaN if proven
 
 
-def highest_peak(problem: Problem, L, order) -> Peak:
-    """The highest peak of sigma_max(M), Delta = 0; `order`: plants, the highest on a grid first."""
-    models, Q = {}, None
-    if problem.model:
-        nominal, Q = problem.model
-        models = dict(enumerate([nominal, *problem.other_models]))
-    proven = [k for k in order if models.get(k) is not None]
-    sampled = [k for k in order if models.get(k) is None][:LOOKED_AT]
-    peaks = [(*peak_gain(error_model(models[k], L), Q), k, np.nan) for k in proven]
-    between = zip(peaks_between(problem, L, sampled), sampled, strict=True)
-    peaks += [(sigma, omega, k, missed) for (sigma, omega, missed), k in between]
-    peaks.sort(key=lambda peak: peak[2])
-    sigma, omega, plant, missed = np.array(peaks).T
-    at = tied(sigma).argmax()
-    missed = np.fmax.reduce(missed)
-    return Peak(sigma.max(), omega[at], int(plant[at]), missed, len(sampled))
+def proven_peak(problem: Problem, L) -> Peak | None:
+    """Of the plants that are models, proven; None if there is none, or Q is not one."""
+    models = [(k, model) for k, model in enumerate(problem.models) if model is not None]
+    if not models or problem.butterworth is None:
+        return None
+    Q = problem.butterworth
+    return highest([Peak(*peak_gain(error_model(model, L), Q), k) for k, model in models])
+
+
+def estimated_peak(problem: Problem, L, peaks) -> tuple[Peak | None, int]:
+    """Of the others, estimated for those whose `peaks` on the grid are highest; their number."""
+    exact = problem.butterworth is not None
+    order = np.argsort(-peaks, kind="stable")
+    sampled = [k for k in order if not exact or problem.models[k] is None][:LOOKED_AT]
+    found = [
+        Peak(sigma, omega, k, missed)
+        for (sigma, omega, missed), k in zip(
+            peaks_between(problem, L, sampled), sampled, strict=True
+        )
+    ]
+    return (highest(found) if found else None), len(found)
+
+
+def peak_beyond(problem: Problem, L) -> Peak | None:
+    """The highest above the last sample of P, of any phase and assumed size; None if P is known."""
+    if problem.beyond is None:
+        return None
+    first, nyquist = problem.omega[problem.asked][-1], np.pi / problem.Ts
+    omega = np.linspace(first, nyquist, 1 + 64 * L.order)
+    sigma_L = largest_singular_values(L.frequency_response(omega))
+    sigma_M = problem.Q_beyond(omega) * (1 + problem.beyond * sigma_L)
+    at = sigma_M.argmax()
+    return Peak(float(sigma_M[at]), float(omega[at]), 0)
+
+
+def highest(peaks: list[Peak]) -> Peak:
+    """The highest of some peaks, and the most that splines miss for any of them."""
+    peaks = sorted(peaks, key=lambda peak: peak.plant)
+    at = peaks[tied(np.array([peak.sigma for peak in peaks])).argmax()]
+    missed = np.fmax.reduce([peak.missed for peak in peaks])
+    return replace(at, sigma=max(peak.sigma for peak in peaks), missed=missed)
 
 
 def peaks_between(problem: Problem, L, numbers) -> list[tuple[float, float, float]]:
     """Peaks of sigma_max(M) estimated between samples, where, and how much splines miss of M."""
     if not len(numbers):
         return []
-    omega = problem.omega
+    known, omega = problem.asked, problem.omega[problem.asked]
     steps = np.linspace(0, 1, DENSER, endpoint=False)
     dense = np.append((omega[:-1, None] + np.diff(omega)[:, None] * steps).ravel(), omega[-1])
     responses = L.frequency_response(omega), dense, L.frequency_response(dense)
-    return [_peak_between(problem.plant(k), problem.Q, omega, *responses) for k in numbers]
+    Q = problem.Q[known]
+    return [_peak_between(problem.plant(k)[known], Q, omega, *responses) for k in numbers]
 
 
 def _peak_between(P, Q, omega, response, dense, dense_response):

@@ -177,7 +177,9 @@ def first_multipliers(program, start):
             whole = len(bound.T) == start.V.shape[1]
             V = start.V if whole else start.V[:, bound.entries, bound.entries, None]
             W = np.moveaxis(bound.T, -1, 0)
-            y = np.linalg.norm(np.linalg.solve(W, V), "nuc", axis=(1, 2))
+            known = W.any(axis=(1, 2))  # where P stands as zero nothing of M is bounded
+            y = np.zeros(len(W))
+            y[known] = np.linalg.norm(np.linalg.solve(W[known], V[known]), "nuc", axis=(1, 2))
         multipliers.append(np.where(y > 1e-6 * y.max(initial=0), y, 0))
     return multipliers
 

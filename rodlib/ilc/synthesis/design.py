@@ -1,14 +1,17 @@
 """From the problem to a filter with its certificate: the way through the synthesis."""
 
+import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rodlib.ilc import arguments
 from rodlib.ilc.evidence.certificate import GAP, VIOLATION, Certificate, certify, checked_trial
+from rodlib.ilc.evidence.check import Check, check
 from rodlib.ilc.evidence.finite_trial import switched_on
 from rodlib.ilc.evidence.optimality import lower_bound
 from rodlib.ilc.filters import LearningFilter
+from rodlib.ilc.gaps import without_gaps
 from rodlib.ilc.posing import pose
 from rodlib.ilc.problem import Problem, Solution, largest_singular_values, tied
 from rodlib.ilc.synthesis import active_set, interior_point
@@ -59,7 +62,45 @@ class Synthesis:
     @property
     def omega(self) -> np.ndarray:
         """The design frequencies, rad/s."""
-        return self.problem.omega
+        return self.problem.omega[self.problem.asked]
+
+    def check(self, P, omega=None, *, uncertainty=None, confidence=None, beyond=None) -> Check:
+        """What the filter does on another plant: the rate, and does it converge?
+
+        Parameters
+        ----------
+        P : as for :func:`synthesise`
+            One plant or several, with the channels and the sampling period of the design.
+        omega : array_like, shape (n,), optional
+            Frequencies, rad/s. Default: those of P, if it has some, else those of the design.
+        uncertainty, confidence, beyond
+            As for :func:`synthesise`.
+
+        Returns
+        -------
+        Check
+            Print it. `gamma` is the rate of Lemma 1, `spectral_radius` below one says that the
+            trials converge all the same. For another Q than that of the design: :func:`rate`.
+        """
+        own, channels = self.problem, self.problem.channels
+        if omega is None:
+            omega = getattr(P, "omega", self.omega)
+        Q = own.butterworth
+        if Q is None:
+            Q = own.Q[own.asked]
+            if np.shape(omega) != Q.shape or not np.allclose(omega, self.omega, rtol=1e-9, atol=0):
+                raise ValueError(
+                    "omega must be the design frequencies, at which alone the samples of Q are "
+                    "known: synthesise with Q as a filter, or ask rate(P, Q, L, omega)"
+                )
+        known = {"uncertainty": uncertainty, "confidence": confidence, "beyond": beyond}
+        known |= {"order": 1, "L_max": None, "objective": "peak"}
+        problem = pose(P, Q, omega, own.Ts, **known)
+        if problem.channels != channels:
+            raise ValueError(f"P has {problem.channels} channels, but the filter has {channels}")
+        if np.any(own.scale != 1):
+            problem = pose(P, Q, omega, own.Ts, **known, scale=own.scale)
+        return check(problem, LearningFilter(self.solution.coefficients, own.Ts))
 
     def __repr__(self):
         return f"{self.solution.method}, {self.solution.iterations} iterations\n{self.certificate}"
@@ -81,6 +122,7 @@ def synthesise(
     uncertainty=None,
     noise=None,
     confidence=None,
+    beyond=None,
     solver="structured",
     start=None,
     samples=None,
@@ -130,6 +172,10 @@ def synthesise(
     confidence : float, optional
         Of a measured response: probability that the truth lies within its radius at all frequencies
         that were measured. Default 0.99.
+    beyond : float, optional
+        The largest sigma_max(P), in units of `scale`, above the last frequency of a plant that is
+        known as samples, if that is below the Nyquist frequency: with it M is bounded there.
+        Default: as at the last frequency. L keeps its bound up to the Nyquist frequency anyway.
     solver : {"structured", "cvxpy"}
         The package's own solvers, or the problem as the paper states it, in CVXPY.
     start : Synthesis, optional
@@ -161,9 +207,24 @@ def synthesise(
     problem = pose(
         P, Q, omega, Ts, order=order, M_max=M_max, L_max=L_max, band=band, structure=structure,
         objective=objective, scale=scale, uncertainty=uncertainty,
-        noise=noise, confidence=confidence,
+        noise=noise, confidence=confidence, beyond=beyond,
     )  # fmt: skip
-    return certified(problem, solver=solver, start=start, samples=samples, rest=rest, check=check)
+    return warned(
+        certified(problem, solver=solver, start=start, samples=samples, rest=rest, check=check)
+    )
+
+
+def insist(solution: Solution, certificate: Certificate):
+    """Raise if a certificate fails."""
+    if certificate.failures:
+        raise SolverError(f"{solution.method}: {'; '.join(certificate.failures)}")
+
+
+def warned(design: Synthesis) -> Synthesis:
+    """A design for whoever called the caller, with a warning for each doubt of its certificate."""
+    for text in design.certificate.warnings:
+        warnings.warn(text, stacklevel=3)
+    return design
 
 
 def certified(
@@ -176,8 +237,11 @@ def certified(
     if samples is not None and problem.noise is not None:
         switched = switched_on(*problem.model, problem.omega, samples, rest)
         problem = replace(problem, switched=switched)
+    asked, problem = problem, without_gaps(problem)
     if start is not None:
         _check_start(start, problem)
+        if len(start.solution.U) != len(problem.omega):  # of what fills the gaps of the grid
+            start = None
     by_solver = _solve_with_cvxpy if solver == "cvxpy" else solve
     tolerances = CVXPY_TOLERANCES if solver == "cvxpy" else (GAP, VIOLATION)
     try:
@@ -187,11 +251,11 @@ def certified(
     except RuntimeError as error:
         raise SolverError(f"{solver}: {error}") from None
     certificate = certify(problem, solution, tolerances, samples, rest)
-    if check and certificate.failures:
-        raise SolverError(f"{solution.method}: {'; '.join(certificate.failures)}")
-    L = problem.response(solution)
-    sigmas = largest_singular_values(problem.M(L)), largest_singular_values(L)
-    return Synthesis(problem.filter(solution.coefficients), problem, certificate, *sigmas, solution)
+    if check:
+        insist(solution, certificate)
+    L = problem.response(solution)[problem.asked]
+    sigmas = certificate.nominal[problem.asked], largest_singular_values(L)
+    return Synthesis(problem.filter(solution.coefficients), asked, certificate, *sigmas, solution)
 
 
 def solve(problem: Problem, start: Solution | None = None) -> Solution:
@@ -236,14 +300,14 @@ def _with_cuts(problem, start, solver):
 def _is_good(problem, solution, gap):
     """Whether a solution is within its bounds, and proven to be as good as the gap says."""
     L = problem.response(solution)
-    sigma_M, sigma_L = largest_singular_values(problem.M(L)), largest_singular_values(L)
+    sigma_M = largest_singular_values(problem.M(L))
     worst = max(sigma_M.max(), solution.largest if problem.robust else 0)
     value = problem.value(sigma_M, np.array([worst])) + problem.cost_of_noise(L)
     return (
         value - lower_bound(problem, solution.U, solution.V, solution.cuts, L)
         < gap * problem.unit(value)
         and worst <= problem.M_max * (1 + VIOLATION)
-        and sigma_L.max() <= (problem.L_max or np.inf) * (1 + VIOLATION)
+        and problem.passed_L(L) <= 1 + VIOLATION
     )
 
 
@@ -268,6 +332,8 @@ def _explained(problem, nearest):
             f"{lost[-1]:.4g} rad/s, where the radius admits singular plants: measure longer there, "
             "or lower the cut-off of Q"
         )
+    if np.isfinite(problem.limit_L).any():
+        message += f". It is {problem.assumed[0]}: measure further, or say otherwise by `beyond`"
     return InfeasibleError(message, nearest.largest, plant, omega)
 
 
@@ -303,11 +369,11 @@ def _rounded_up(M_max):
 
 def _check_start(start, problem):
     arguments.instance("start", start, Synthesis)
-    n, m, _ = problem.P.shape
+    n, m = problem.asked.sum(), problem.channels
     expected, found = (m, m, problem.order), start.solution.coefficients.shape
-    if found != expected or len(start.solution.U) != n:
+    if found != expected or len(start.omega) != n:
         raise ValueError(
-            f"start is a design with coefficients of shape {found} on {len(start.solution.U)} "
+            f"start is a design with coefficients of shape {found} on {len(start.omega)} "
             f"frequencies, but must have {expected} on {n}: leave start out"
         )
     off_diagonal = start.solution.coefficients[~np.eye(m, dtype=bool)]

@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 
 from rodlib.ilc.filters import time_shifts
-from rodlib.ilc.problem import Cuts, Problem, Solution
+from rodlib.ilc.problem import Cuts, Problem, Solution, largest_singular_values
 from rodlib.ilc.synthesis.bounds import Bound, product
 
 GENEROUS = 3.0  # bound on what is minimised, in its unit: never active
@@ -150,7 +150,7 @@ def orthonormalise(A):
 def whitened_basis(P, Q, angles, order, W):
     """Phi = R^-T [z; z^2; ...], orthonormal with the weight that M and W L give each frequency."""
     weight = np.linalg.norm(Q[:, None, None] * P, axis=(1, 2)) / np.abs(Q).max()
-    weight = np.hypot(weight, np.linalg.norm(W, 2))
+    weight = np.hypot(weight, largest_singular_values(W))
     weight = np.maximum(weight, 1e-8 * weight.max())
     z = weight * time_shifts(angles, order).T
     Phi, R = orthonormalise(np.concatenate([z.real, z.imag], axis=1).T)
@@ -195,9 +195,9 @@ def formulate(problem: Problem, plant=(), frequency=()) -> Program:
     one = np.ones((1, 1, n), dtype=complex)
     zero = np.zeros((m, m, 1)) * one
     if full or gain:
-        L = [Bound(zero, W[..., None] * one[0], entries, rows, cols, everywhere, **on_L)]
+        L = [Bound(zero, np.moveaxis(W, 0, -1) * one[0], entries, rows, cols, everywhere, **on_L)]
     else:  # smaller ones, one for each entry
-        one_by_one = ((W[e, e] * one, entries[[e]], rows[:1], cols[:1]) for e in entries)
+        one_by_one = ((W[:, e, e] * one, entries[[e]], rows[:1], cols[:1]) for e in entries)
         L = [Bound(0 * one, *a, everywhere, **on_L) for a in one_by_one]
     bounds = [*L, *bounds] if gain else [bounds[0], *L, *bounds[1:]]
     if len(plant):

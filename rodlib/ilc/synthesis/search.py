@@ -10,12 +10,14 @@ from tqdm import tqdm
 from rodlib.ilc import arguments
 from rodlib.ilc.evidence.certificate import checked_trial
 from rodlib.ilc.filters import ZeroPhaseButterworth
+from rodlib.ilc.gaps import refined, without_gaps
 from rodlib.ilc.posing import pose
-from rodlib.ilc.synthesis.design import SolverError, Synthesis, certified, solve
+from rodlib.ilc.synthesis.design import SolverError, Synthesis, certified, insist, solve, warned
 from rodlib.ilc.synthesis.program import Infeasible
 
 SAME = (1e-9, 1e-6, 1e-4)  # relative distance up to which two peaks are the same
 CLOSE = 1e-3  # relative distance from the largest cut-off
+ROUNDS = 20  # in each of which a frequency is added, where M passed one between those of omega
 
 
 def least_gain(P, Q, omega, Ts=None, **choices) -> Synthesis:
@@ -34,7 +36,7 @@ def least_gain(P, Q, omega, Ts=None, **choices) -> Synthesis:
     checked_trial(problem, how.get("samples"), how.get("rest", 0))
     free = certified(problem, **how | {"samples": None, "rest": 0})
     unit = free.sigma_L.max()  # a gain that is enough
-    question = replace(problem, objective="gain", L_max=unit)
+    question = without_gaps(replace(problem, objective="gain", L_max=unit))
     for same in SAME:
         try:
             with np.errstate(all="ignore"):
@@ -48,7 +50,7 @@ def least_gain(P, Q, omega, Ts=None, **choices) -> Synthesis:
             "the least gain was not found: filters that keep the least peak are too much alike; "
             "take a shorter filter, or synthesise with an L_max"
         )
-    return certified(replace(problem, L_max=L_max), **how)
+    return warned(certified(replace(problem, L_max=L_max), **how))
 
 
 def largest_cutoff(
@@ -58,7 +60,8 @@ def largest_cutoff(
 
     A lower cut-off makes |Q| smaller at each frequency, and with it M: the smallest M_max that can
     be met increases with the cut-off, and its root is found. Nothing is left for the objective
-    there: a little below the largest cut-off, learning is faster.
+    there: a little below the largest cut-off, learning is faster. Where M of a plant that is a
+    model would pass one between the frequencies of `omega`, it is bounded there, too.
 
     Parameters
     ----------
@@ -77,8 +80,27 @@ def largest_cutoff(
     """
     arguments.instance("Q", Q, ZeroPhaseButterworth)
     asked, how = _parted(choices)
-    stated = pose(P, Q, omega, Ts, **asked)
-    problem = replace(stated, objective="peak", M_max=np.inf, noise=None)
+    arguments.flag("check", how.get("check", True))
+    further, stated = [], pose(P, Q, omega, Ts, **asked)
+
+    def posed(Q, **changes):
+        problem = pose(P, Q, omega, Ts, **asked | changes)
+        return refined(problem, further) if further else problem
+
+    with tqdm(desc="largest cut-off", unit=" solved", leave=False, disable=None) as bar:
+        for _ in range(ROUNDS):
+            Q = _widest(Q, posed, stated, bar)
+            design = certified(posed(Q), **how | {"check": False})
+            if design.certificate.unseen is None:
+                break
+            further.append(design.certificate.unseen.omega)  # M passed one where omega is coarse
+    if how.get("check", True):
+        insist(design.solution, design.certificate)
+    return Q, warned(design)
+
+
+def _widest(Q, posed, stated, bar):
+    """Q with the largest cut-off for which the bounds can be met on the grid."""
     found = {}
 
     def with_cutoff(logarithm):
@@ -86,28 +108,27 @@ def largest_cutoff(
 
     def excess(logarithm):
         """The smallest possible M_max with this cut-off, relative to the one that is asked for."""
-        response = with_cutoff(logarithm).frequency_response(problem.omega)
-        found["solution"] = solve(replace(problem, Q=response), found.get("solution"))
+        problem = without_gaps(posed(with_cutoff(logarithm), objective="peak"))
+        problem = replace(problem, M_max=np.inf, noise=None)
+        found["solution"] = solve(problem, found.get("solution"))
         bar.update()
-        return found["solution"].largest / stated.M_max - 1
+        largest = found["solution"].largest
+        if problem.beyond is not None:  # where P is not known, M may be |Q| at least
+            largest = max(largest, *problem.Q_beyond(stated.omega[-1:]))
+        return largest / stated.M_max - 1
 
-    highest, lowest = np.log(0.999 * np.pi / Q.Ts), np.log(problem.omega[problem.omega > 0][0])
+    lowest = np.log(stated.omega[stated.omega > 0][0])
+    highest = np.log(0.999 * np.pi / Q.Ts)
     low = high = np.log(Q.cutoff)
-    with tqdm(desc="largest cut-off", unit=" solved", leave=False, disable=None) as bar:
-        while excess(high) <= 0 and high < highest:
-            low, high = high, min(high + 1, highest)
-        if excess(high) <= 0:
-            best = highest
-        else:
-            while excess(low) > 0:
-                if low <= lowest:  # the design says what is too tight
-                    best = lowest
-                    break
-                low = max(low - 1, lowest)
-            else:
-                best = brentq(excess, low, high, xtol=CLOSE / 2) - CLOSE / 2
-    widest = with_cutoff(best)
-    return widest, certified(pose(P, widest, omega, Ts, **asked), **how)
+    while excess(high) <= 0:
+        if high >= highest:
+            return with_cutoff(highest)
+        low, high = high, min(high + 1, highest)
+    while excess(low) > 0:
+        if low <= lowest:  # the design says what is too tight
+            return with_cutoff(lowest)
+        low = max(low - 1, lowest)
+    return with_cutoff(brentq(excess, low, high, xtol=CLOSE / 2) - CLOSE / 2)
 
 
 def _parted(choices):

@@ -56,7 +56,8 @@ def try_out(settings: Settings) -> Outcome:
     try:
         plant = arguments.instance("plant", settings.plant, Plant)
         Q = settings.Q
-        design = synthesise(plant.response, Q, settings.omega, settings.Ts, **settings.problem)
+        with warnings.catch_warnings(action="ignore"):  # they are in the line
+            design = synthesise(plant.response, Q, settings.omega, settings.Ts, **settings.problem)
     except InfeasibleError as error:
         return Outcome(settings, message=str(error), M_max=_remedy(error.smallest_M_max))
     except (ValueError, SolverError) as error:

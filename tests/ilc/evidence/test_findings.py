@@ -1,4 +1,6 @@
-"""The certificate says when the problem itself promises little."""
+"""The certificate says when the problem itself promises little, and warns who asked for it."""
+
+from contextlib import nullcontext
 
 import control
 import numpy as np
@@ -21,7 +23,8 @@ def behind_delay(steps):
 @pytest.mark.parametrize(("order", "warned"), [(10, True), (30, True), (31, False), (35, False)])
 def test_a_filter_shorter_than_the_delay_is_named(order, warned):
     Q = zero_phase_butterworth(2, 0.05)
-    design = synthesise(behind_delay(30), Q, OMEGA, 1.0, order=order, L_max=30.0, M_max=0.999)
+    with pytest.warns(match="it never sees what it does") if warned else nullcontext():
+        design = synthesise(behind_delay(30), Q, OMEGA, 1.0, order=order, L_max=30.0, M_max=0.999)
     text = f"and the filter looks ahead by only {order}: it never sees what it does"
     assert any(text in warning for warning in design.certificate.warnings) == warned
     assert ("WARNING: P answers after" in str(design)) == warned
@@ -29,23 +32,24 @@ def test_a_filter_shorter_than_the_delay_is_named(order, warned):
 
 def test_a_loop_slower_than_the_band_is_named(loop, Q, omega):
     slow = control.ss(0.999, 0.001, 1, 0, 1.0)
-    design = synthesise(slow, Q, OMEGA, 1.0, band=(1e-4, 0.1), L_max=None)
+    with pytest.warns(match="take a faster loop") as said:
+        design = synthesise(slow, Q, OMEGA, 1.0, band=(1e-4, 0.1), L_max=None)
+    assert [line.filename for line in said] == [__file__]
     [warning] = design.certificate.warnings
     assert warning.startswith("at 0.09") and "the loop passes only 0.01 of w" in warning
     assert synthesise(loop, Q, omega, 1.0).certificate.warnings == []
 
 
-@pytest.mark.parametrize(("highest", "warned"), [(0.6, True), (1.0, False)])
-def test_a_gain_that_no_design_frequency_holds_is_named(highest, warned):
-    """Above the highest of them the learning filter may do what it likes."""
+@pytest.mark.parametrize("highest", [0.2, 0.6, 1.0])
+def test_a_gain_keeps_its_bound_above_the_design_frequencies(highest):
     lag = control.ss(0.5, 0.5, 1, 0, 1.0)
     omega = np.linspace(1e-3, highest * np.pi, 300)
     Q = zero_phase_butterworth(2, 0.3)
     design = synthesise(lag, Q, omega, 1.0, band=(0.001, 0.2), L_max=5.0)
     L = design.filter.frequency_response(np.linspace(0, np.pi, 20000))
-    assert (np.abs(L).max() > 7.5) == warned
-    said = f"sigma_max(L) reaches {np.abs(L).max():.4g} off the design frequencies"
-    assert any(said in warning for warning in design.certificate.warnings) == warned
+    assert 4.9 < np.abs(L).max() <= 5 * (1 + 1e-4)  # in use, and kept, but for between two samples
+    np.testing.assert_array_equal(design.omega, omega)
+    assert design.sigma_M.shape == design.sigma_L.shape == (300,)
 
 
 def test_learning_that_does_nothing_is_named():

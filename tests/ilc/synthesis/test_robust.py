@@ -77,6 +77,7 @@ def test_a_selection_of_the_bounds_is_as_good_as_all_of_them(objective):
     assert found.cuts is None or len(found.cuts.plant) < 4 * len(omega)
 
 
+@pytest.mark.filterwarnings("ignore:the samples are too coarse")
 @pytest.mark.parametrize("m", [1, 2])
 def test_no_radius_is_the_nominal_design_and_a_larger_one_costs_more(m):
     P, Q, omega = random_plant(7, m, 12)
@@ -106,6 +107,7 @@ def test_for_one_channel_the_bound_is_the_closed_form():
     assert worst.max() == pytest.approx(norm.value, rel=1e-8)
 
 
+@pytest.mark.filterwarnings("ignore:the samples are too coarse")
 @pytest.mark.parametrize(
     "earlier", ["other bounds", "fewer plants and no radius", "more plants and another radius"]
 )

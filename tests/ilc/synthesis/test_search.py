@@ -21,6 +21,7 @@ from tests.ilc.synthesis.test_interior_point import random_plant
 CHOICES = {"order": 3, "L_max": 8.0, "band": (0.01, 0.03), "M_max": 0.6}
 
 
+@pytest.mark.filterwarnings("ignore:the samples are too coarse")
 @pytest.mark.parametrize(("start", "share"), [(0.05, None), (3.0, 0.2)])
 def test_a_larger_cutoff_is_infeasible_and_it_is_not(start, share):
     P, _, omega = random_plant(2, 2)

@@ -113,7 +113,7 @@ def test_a_wrong_filter_is_not_returned(loop, Q, omega, monkeypatch, factor, com
 
     monkeypatch.setattr(interior_point, "solve", dishonest)
     monkeypatch.setattr(active_set, "resolve", lambda *_, **__: None)
-    arguments = (loop, Q, omega[::10], 1.0)
+    arguments = (loop, Q, np.geomspace(1e-4, np.pi, 250), 1.0)
     with pytest.raises(SolverError, match=complaint):
         synthesise(*arguments, band=(1e-4, 0.01))
     assert synthesise(*arguments, band=(1e-4, 0.01), check=False).certificate.failures
@@ -176,6 +176,7 @@ def test_a_plant_that_one_step_inverts_is_inverted(m, seed):
     np.testing.assert_allclose(design.filter.coefficients[:, :, 0], np.linalg.inv(G), atol=1e-4)
 
 
+@pytest.mark.filterwarnings("ignore:Q is 1 above 3.115 rad/s, where P is not known")
 @pytest.mark.parametrize("structure", ["diagonal", "full"])
 def test_least_gain_of_a_channel_that_could_be_learned_at_once(structure):
     """The first channel leaves M = z / 2, see above; the second, 1 / (10 z), need not do better.
@@ -200,7 +201,7 @@ def test_least_gain_of_a_channel_that_could_be_learned_at_once(structure):
 
 def test_with_less_than_the_least_gain_the_peak_is_higher(loop, Q, omega):
     """As the dual bound of the certificate shows, which no filter of that gain goes below."""
-    grid = omega[::5]
+    grid = np.geomspace(1e-4, np.pi, 250)  # not coarse: what is bounded is the gain on the grid
     arguments = {"order": 10, "band": (grid[0], 0.02), "objective": "peak"}
     without = {"order": 10, "band": arguments["band"], "samples": 60, "rest": 15}
     design = least_gain(loop, Q, grid, 1.0, **without)
@@ -340,6 +341,7 @@ def test_what_is_not_learned_at_one_frequency_is_learned_at_others(m):
     assert design.sigma_M[3] == 0 and design.certificate.gap < 1e-8
 
 
+@pytest.mark.filterwarnings("ignore:.*the loop passes only")
 @pytest.mark.parametrize("unit", [1e-90, 1e-12, 1e12, 1e90])
 def test_the_unit_of_the_output_does_not_matter(loop, Q, omega, unit):
     grid = omega[::10]

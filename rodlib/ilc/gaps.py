@@ -1,0 +1,101 @@
+"""Frequencies that the grid of a problem leaves out: what holds there all the same.
+
+The learning filter is known at all frequencies, and keeps its bound at all of them, also where the
+grid is coarse. Where the samples of a plant end below the Nyquist frequency, nothing is known of
+the plant; a bound of its size, whatever its phase, bounds M.
+"""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from rodlib.ilc.models import frequency_response
+from rodlib.ilc.problem import ROUNDING, Problem
+
+LEAST = 1e-6  # gain of P L that is always let be, so that what is left of M_max may be nothing
+
+
+def without_gaps(problem: Problem) -> Problem:
+    """The problem with L bounded at further frequencies, where omega is coarse or ends too soon."""
+    # But for a delay, a filter of n samples is a polynomial of degree (n - 1) / 2 in exp(i angle).
+    # Next to its largest value it falls no faster than the cosine of that degree (M. Riesz).
+    known, near = problem.angles, np.pi / (4 * problem.order)
+    coarse = problem.L_max is not None and _reach(known).max() > near
+    if not coarse and problem.beyond is None:
+        return problem
+    end = 0 if coarse else known[problem.asked][-1]
+    gaps = [(a, b) for a, b in pairwise([0, *known, np.pi]) if a >= end and b - a > ROUNDING]
+    added = [_steps(a, b, near)[1:-1] for a, b in gaps]
+    ends = np.array([0, np.pi])
+    added.append(ends[(ends >= end) & (np.abs(ends - known[[0, -1]]) > ROUNDING)])
+    new = np.concatenate(added)
+    order = np.argsort(np.append(known, new), kind="stable")
+    wide = _spread(problem, old := order < len(known), asked=0)
+    wide["omega"][~old] = np.sort(new) / problem.Ts
+    angles = wide["omega"] * problem.Ts
+    share = np.cos((problem.order - 1) / 2 * _reach(angles)) if coarse else np.ones(len(angles))
+    limit = np.full(len(angles), np.inf)
+    problem = replace(problem, **wide, share_L=share, limit_L=limit)
+    return problem if problem.beyond is None else _bounded_beyond(problem, near)
+
+
+def refined(problem: Problem, omega) -> Problem:
+    """The problem with M of those plants that are models bounded at further frequencies, too."""
+    # What is known as samples only, or within a radius, is not known there: a model stands for it.
+    omega = np.array(sorted(omega))
+    models = [None if P is None else frequency_response(P, omega) for P in problem.models]
+    known = next(response for response in models if response is not None)
+    P, *others = (known if response is None else response for response in models)
+    order = np.argsort(np.append(problem.omega, omega), kind="stable")
+    new = order >= len(problem.omega)
+    wide = _spread(problem, ~new, asked=0)
+    wide["omega"][new], wide["P"][new] = omega, P
+    wide["Q"][new] = problem.butterworth.frequency_response(omega)
+    if others:
+        wide["others"][:, new] = others
+    return replace(problem, **wide, share_L=np.ones(len(new)), limit_L=np.full(len(new), np.inf))
+
+
+def _reach(angles):
+    """The farthest from each sample that another angle can be and have no nearer sample."""
+    between = np.diff(angles) / 2
+    return np.maximum([angles[0], *between], [*between, np.pi - angles[-1]])
+
+
+def _steps(a, b, near):
+    """From a to b, both included, in equal steps that are no longer than `near`."""
+    return np.linspace(a, b, 1 + int(np.ceil((b - a) / near)))
+
+
+def _spread(problem, known, **more):
+    """What a problem says of each frequency, with zeros at those that it does not know."""
+    wide = {}
+    axes = {"P": 0, "Q": 0, "omega": 0, "others": 1, "radius": 0, "noise": 0, "switched": 0}
+    for name, axis in (axes | more).items():
+        values = getattr(problem, name)
+        if values is not None:
+            shape = (*values.shape[:axis], len(known), *values.shape[axis + 1 :])
+            wide[name] = np.zeros(shape, dtype=values.dtype)
+            wide[name][(slice(None),) * axis + (known,)] = values
+    return wide
+
+
+def _bounded_beyond(problem, near):
+    """The problem with L bounded above the last sample so that M is, whatever the phase of P."""
+    unknown = np.arange(len(problem.omega)) >= np.flatnonzero(problem.asked)[-1]
+    omega = problem.omega[unknown]
+    Q, (last, *_) = problem.Q_beyond(omega), omega
+    below = np.maximum.accumulate(np.append(Q[0], Q[:-1]))  # M must keep its bound in between
+    with np.errstate(divide="ignore"):  # |Q (I - P L)| <= |Q| (1 + size sigma_max(L))
+        room = np.maximum(problem.M_max / np.maximum(below, 1e-300) - 1, LEAST)
+        limit = np.cos((problem.order - 1) / 4 * near) * room / problem.beyond
+    limits = problem.limit_L.copy()
+    limits[unknown] = np.where(below < problem.M_max, limit, np.inf)
+    findings = ()
+    if Q.max() >= problem.M_max:
+        findings = (
+            f"Q is {Q.max():.4g} above {last:.4g} rad/s, where P is not known: no filter bounds M "
+            f"by {problem.M_max:g} there; lower the cut-off of Q, or measure further",
+        )
+    return replace(problem, limit_L=limits, findings=findings)
