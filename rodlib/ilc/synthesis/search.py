@@ -89,7 +89,7 @@ def largest_cutoff(
 
     with tqdm(desc="largest cut-off", unit=" solved", leave=False, disable=None) as bar:
         for _ in range(ROUNDS):
-            Q = _widest(Q, posed, stated, bar)
+            Q = _widest(Q, posed, stated, bar, step=0.1 if further else 1.0)
             design = certified(posed(Q), **how | {"check": False})
             if design.certificate.unseen is None:
                 break
@@ -99,8 +99,8 @@ def largest_cutoff(
     return Q, warned(design)
 
 
-def _widest(Q, posed, stated, bar):
-    """Q with the largest cut-off for which the bounds can be met on the grid."""
+def _widest(Q, posed, stated, bar, step):
+    """Q with the largest cut-off for which the bounds can be met; `step`: of its logarithm."""
     found = {}
 
     def with_cutoff(logarithm):
@@ -123,11 +123,11 @@ def _widest(Q, posed, stated, bar):
     while excess(high) <= 0:
         if high >= highest:
             return with_cutoff(highest)
-        low, high = high, min(high + 1, highest)
+        low, high = high, min(high + step, highest)
     while excess(low) > 0:
         if low <= lowest:  # the design says what is too tight
             return with_cutoff(lowest)
-        low = max(low - 1, lowest)
+        low, step = max(low - step, lowest), 2 * step
     return with_cutoff(brentq(excess, low, high, xtol=CLOSE / 2) - CLOSE / 2)
 
 
