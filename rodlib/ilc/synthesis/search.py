@@ -14,12 +14,14 @@ from rodlib.ilc.gaps import refined, without_gaps
 from rodlib.ilc.posing import pose
 from rodlib.ilc.synthesis.design import SolverError, Synthesis, certified, insist, solve, warned
 from rodlib.ilc.synthesis.program import Infeasible
+from rodlib.ilc.synthesis.threads import on_one_thread
 
 SAME = (1e-9, 1e-6, 1e-4)  # relative distance up to which two peaks are the same
 CLOSE = 1e-3  # relative distance from the largest cut-off
 ROUNDS = 20  # in each of which a frequency is added, where M passed one between those of omega
 
 
+@on_one_thread
 def least_gain(P, Q, omega, Ts=None, **choices) -> Synthesis:
     """Design the one filter of (45) that has a rule: of least gain among those of least peak.
 
@@ -53,6 +55,7 @@ def least_gain(P, Q, omega, Ts=None, **choices) -> Synthesis:
     return warned(certified(replace(problem, L_max=L_max), **how))
 
 
+@on_one_thread
 def largest_cutoff(
     P, Q: ZeroPhaseButterworth, omega, Ts=None, **choices
 ) -> tuple[ZeroPhaseButterworth, Synthesis]:
