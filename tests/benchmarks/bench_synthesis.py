@@ -4,12 +4,14 @@
 """
 
 import multiprocessing
+import os
 import resource
 from concurrent.futures import ProcessPoolExecutor
 
 import cvxpy as cp
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
 from rodlib import paper_loop, synthesise, zero_phase_butterworth
 from rodlib.ilc.posing import pose
@@ -60,6 +62,12 @@ def from_a_neighbour(start, *problem, **keywords):
     return synthesise(*problem, start=start, **keywords)
 
 
+def as_users_have_it(*problem, **keywords):
+    """With as many threads of BLAS as there are cores, unless the synthesis holds them back."""
+    with threadpool_limits(os.cpu_count(), "blas"):
+        return synthesise(*problem, **keywords)
+
+
 def _added_memory(function, arguments, keywords):
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     function(*arguments, **keywords)
@@ -86,7 +94,7 @@ def measure(benchmark, group, x, function, *arguments, rounds=3, **keywords):
     ("frequencies", "method"),
     [
         *((250, method) for method in ("naive", "cvxpy", "structured")),
-        *((1000, method) for method in ("cvxpy", "structured", "neighbour")),
+        *((1000, method) for method in ("cvxpy", "structured", "threads", "neighbour")),
     ],
 )
 @pytest.mark.filterwarnings("ignore")
@@ -99,6 +107,9 @@ def test_against_cvxpy(benchmark, frequencies, method, structure):
         start = synthesise(*problem, structure=structure, L_max=45.0)
         keywords = {"structure": structure, "rounds": 9}
         measure(benchmark, group, method, from_a_neighbour, start, *problem, **keywords)
+    elif method == "threads":
+        keywords = {"structure": structure, "rounds": 9}
+        measure(benchmark, group, method, as_users_have_it, *problem, **keywords)
     else:
         rounds = 9 if method == "structured" else 2
         keywords = {"structure": structure, "solver": method, "rounds": rounds}

@@ -17,6 +17,7 @@ from rodlib.ilc.problem import Problem, Solution, largest_singular_values, tied
 from rodlib.ilc.synthesis import active_set, interior_point
 from rodlib.ilc.synthesis.program import Infeasible, formulate
 from rodlib.ilc.synthesis.selection import first_cuts, violated
+from rodlib.ilc.synthesis.threads import on_one_thread
 
 HOPELESS = 1 - 1e-6  # from here on a smallest M_max is one, and raising it no remedy
 GOOD = 1e-8  # relative duality gap up to which what the active bounds lead to is accepted
@@ -100,12 +101,13 @@ class Synthesis:
             raise ValueError(f"P has {problem.channels} channels, but the filter has {channels}")
         if np.any(own.scale != 1):
             problem = pose(P, Q, omega, own.Ts, **known, scale=own.scale)
-        return check(problem, LearningFilter(self.solution.coefficients, own.Ts))
+        return on_one_thread(check)(problem, LearningFilter(self.solution.coefficients, own.Ts))
 
     def __repr__(self):
         return f"{self.solution.method}, {self.solution.iterations} iterations\n{self.certificate}"
 
 
+@on_one_thread
 def synthesise(
     P,
     Q,
@@ -223,7 +225,7 @@ def insist(solution: Solution, certificate: Certificate):
 def warned(design: Synthesis) -> Synthesis:
     """A design for whoever called the caller, with a warning for each doubt of its certificate."""
     for text in design.certificate.warnings:
-        warnings.warn(text, stacklevel=3)
+        warnings.warn(text, stacklevel=4)  # warned, the door, its one thread, whoever called
     return design
 
 

@@ -14,12 +14,14 @@ from rodlib.ilc.gaps import refined, without_gaps
 from rodlib.ilc.posing import pose
 from rodlib.ilc.synthesis.design import SolverError, Synthesis, certified, insist, solve, warned
 from rodlib.ilc.synthesis.program import Infeasible
+from rodlib.ilc.synthesis.threads import on_one_thread
 
 SAME = (1e-9, 1e-6, 1e-4)  # relative distance up to which two peaks are the same
 CLOSE = 1e-3  # relative distance from the largest cut-off
 ROUNDS = 20  # in each of which a frequency is added, where M passed one between those of omega
 
 
+@on_one_thread
 def least_gain(P, Q, omega, Ts=None, **choices) -> Synthesis:
     """Design the one filter of (45) that has a rule: of least gain among those of least peak.
 
@@ -53,6 +55,7 @@ def least_gain(P, Q, omega, Ts=None, **choices) -> Synthesis:
     return warned(certified(replace(problem, L_max=L_max), **how))
 
 
+@on_one_thread
 def largest_cutoff(
     P, Q: ZeroPhaseButterworth, omega, Ts=None, **choices
 ) -> tuple[ZeroPhaseButterworth, Synthesis]:
@@ -89,7 +92,7 @@ def largest_cutoff(
 
     with tqdm(desc="largest cut-off", unit=" solved", leave=False, disable=None) as bar:
         for _ in range(ROUNDS):
-            Q = _widest(Q, posed, stated, bar)
+            Q = _widest(Q, posed, stated, bar, step=0.1 if further else 1.0)
             design = certified(posed(Q), **how | {"check": False})
             if design.certificate.unseen is None:
                 break
@@ -99,8 +102,8 @@ def largest_cutoff(
     return Q, warned(design)
 
 
-def _widest(Q, posed, stated, bar):
-    """Q with the largest cut-off for which the bounds can be met on the grid."""
+def _widest(Q, posed, stated, bar, step):
+    """Q with the largest cut-off for which the bounds can be met; `step`: of its logarithm."""
     found = {}
 
     def with_cutoff(logarithm):
@@ -123,11 +126,11 @@ def _widest(Q, posed, stated, bar):
     while excess(high) <= 0:
         if high >= highest:
             return with_cutoff(highest)
-        low, high = high, min(high + 1, highest)
+        low, high = high, min(high + step, highest)
     while excess(low) > 0:
         if low <= lowest:  # the design says what is too tight
             return with_cutoff(lowest)
-        low = max(low - 1, lowest)
+        low, step = max(low - step, lowest), 2 * step
     return with_cutoff(brentq(excess, low, high, xtol=CLOSE / 2) - CLOSE / 2)
 
 
