@@ -107,7 +107,11 @@ def test_the_worst_of_the_assumed_size_is_what_the_certificate_says(loop):
     M = Q.frequency_response([beyond.omega])[0] * (np.eye(2) - worst @ U @ np.diag(sigma) @ Vh)
     assert np.linalg.norm(M, 2) == pytest.approx(beyond.sigma, rel=1e-9)
     text = str(design)
-    assert f"sigma_max(M) reaches {beyond.sigma:.4g} above 1.2 rad/s" in text
+    said = f"sigma_max(M) above 1.2 rad/s, with the size of P assumed there: {beyond.sigma:.4g} at"
+    assert said in text
+    higher = replace(design.certificate, beyond=replace(beyond, sigma=1.0))
+    [failure] = higher.failures
+    assert failure.endswith("assumed there, may reach 1: Lemma 1 does not hold")
     assert "assumed: above 1.2 rad/s, where P is not known, sigma_max(P) is" in text
     assert "below 0.012 rad/s" in text and "unknown: above" not in text
 

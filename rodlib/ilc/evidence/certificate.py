@@ -109,9 +109,8 @@ class Certificate:
             )
             tests[f"{reached}, not in omega: Lemma 1 does not hold; add frequencies there"] = True
         if self.beyond and not self.problem.findings:
-            tests[f"sigma_max(M) may reach {self._above} where Lemma 1 does not hold"] = (
-                self.beyond.sigma >= 1
-            )
+            reached = f"{self._above}, may reach {self.beyond.sigma:.4g}: Lemma 1 does not hold"
+            tests[reached] = self.beyond.sigma >= 1
         return [text for text, failed in tests.items() if failed]
 
     @property
@@ -156,9 +155,9 @@ class Certificate:
 
     @property
     def _above(self):
-        """How high M is above the last sample, for the messages."""
+        """Where M is bounded by what is assumed, for the messages."""
         last = self.problem.omega[self.problem.asked][-1]
-        return f"{self.beyond.sigma:.4g} above {last:.4g} rad/s, with the size of P assumed there,"
+        return f"sigma_max(M) above {last:.4g} rad/s, with the size of P assumed there"
 
     def _table(self):
         """Bounds and peaks of M and L."""
@@ -207,7 +206,7 @@ class Certificate:
         return [
             f"sigma_max(M){without} from {low:.4g} to {high:.4g} rad/s, between the samples: "
             f"{self.all_M:.4f}, estimated{of if estimated <= len(self.problem.others) else ''}",
-            *([f"sigma_max(M) reaches {self._above} at most"] if self.beyond else []),
+            *([f"{self._above}: {self.beyond.sigma:.4g} at most"] if self.beyond else []),
             f"sigma_max(M) unknown: {', '.join([*unknown, 'at resonances that no sample shows'])}",
         ]
 

@@ -151,7 +151,8 @@ def synthesise(
     M_max : float
         Bound on sigma_max(M), in (0, 1): the slowest convergence tolerated.
     L_max : float or None
-        Bound on sigma_max(L), unit of w per unit of y. None leaves it out: filters then compete up
+        Bound on sigma_max(L), unit of w per unit of y; it holds between the frequencies of a coarse
+        grid, and up to the Nyquist frequency, too. None leaves it out: filters then compete up
         to the gain that coefficients in doubles can hold, :attr:`rodlib.ilc.Problem.weight`.
     band : (float, float)
         Lowest and highest frequency of the sum in (39), rad/s. A peak has none.
@@ -196,8 +197,13 @@ def synthesise(
     -------
     Synthesis
         With its certificate. What it says about all frequencies is proven if P and Q are models.
-        From arrays it is read off splines between the first and the last frequency; the
-        certificate warns if the samples are too coarse for that.
+        From arrays it is read off splines between the first and the last frequency.
+
+    Warns
+    -----
+    UserWarning
+        For each of the certificate's `warnings`: samples too coarse for splines, a delay beyond the
+        filter's reach, a Q that no filter can make up for where P is not known.
 
     Raises
     ------
