@@ -6,6 +6,7 @@ must not be. Nothing is written but to a temporary folder.
 """
 
 import os
+import re
 import sys
 import tempfile
 from collections import Counter
@@ -32,9 +33,9 @@ SETTINGS = {
     "06": [{"samples": 1500, "rest": 30}, {"M_max": 0.85, "noise": 0.1}, {"rest": 0, "seed": 2}],
     "07": [{"L_max": 5.0}, {"Ts": 2.0}, {"M_max": 0.85, "frequencies": 150, "trials": 2}],
     "08": [
-        {"M_max": 0.85, "evaluations": 4, "seeds": 1},
-        {"L_max": 20.0, "noise": 0.1, "evaluations": 4},
-        {"rest": 0, "frequencies": 40, "searched": 2, "evaluations": 4},
+        {"M_max": 0.85, "evaluations": 6, "seeds": 1},
+        {"L_max": 20.0, "noise": 0.1, "evaluations": 6},
+        {"rest": 0, "frequencies": 40, "searched": 2, "evaluations": 6},
     ],
     "09": [FEW, FEW | {"spread": 0.3}, FEW | {"M_max": 0.85, "cutoff": 0.05, "frequencies": 80}],
     "10": [{"trials": 1}, {"trials": 2, "hours": 3.0}, {"amplitude": 2.0, "frequencies": 150}],
@@ -61,9 +62,10 @@ def run(path: Path, parameters: dict) -> tuple[str, str]:
 
 
 def is_a_sentence(error: papermill.PapermillExecutionError) -> bool:
-    """Whether an error was raised by a check of ours, to be read, and not by chance further in."""
-    raised = "".join(error.traceback[-2:]) if error.traceback else ""
-    return error.ename in SENTENCES and "rodlib" in raised
+    """Whether an error was raised by rodlib or by the notebook itself, and not further in."""
+    raised = re.sub(r"\x1b\[[\d;]*m", "", "".join(error.traceback[-2:]))
+    ours = "rodlib" in raised or re.search(r"-> +\d+ +raise ValueError", raised)
+    return error.ename in SENTENCES and bool(ours)
 
 
 def main(wanted: list[str]) -> Counter:
