@@ -79,8 +79,10 @@ bench: $(BIN)/ready  ## time the synthesis and the study; rewrite figures/perfor
 		--benchmark-columns=median,min,max,rounds
 	$(BIN)/python tests/benchmarks/report.py build/benchmark.json
 
-lab: $(BIN)/ready  ## open the notebooks in JupyterLab, the workbench first
-	$(BIN)/jupyter lab --notebook-dir=notebooks --LabApp.default_url=/lab/tree/12-workbench.ipynb
+# Jupyter refuses to run as root, except in a container, where root is whoever started it.
+lab: LAB := $(if $(wildcard /.dockerenv /run/.containerenv),--allow-root)
+lab: $(BIN)/ready  ## JupyterLab, at the workbench first (as root: make lab LAB=--allow-root)
+	$(BIN)/jupyter lab $(LAB) --notebook-dir=notebooks --LabApp.default_url=/lab/tree/12-workbench.ipynb
 
 notebooks: $(BIN)/ready  ## execute the tracked notebooks in place, before a commit
 	$(BIN)/jupyter nbconvert --to notebook --execute --inplace \

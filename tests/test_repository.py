@@ -260,6 +260,16 @@ def test_make_does_not_obey_the_settings_of_python_and_jupyter_around_it():
     )
 
 
+def test_make_lab_runs_as_root_if_one_says_so():
+    """Jupyter refuses root; `make help` says how to insist."""
+    if not shutil.which("make"):
+        pytest.skip("there is no make")
+    call = ["make", "-n", "--no-print-directory", "lab", "LAB=--allow-root"]
+    said = subprocess.run(call, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    assert re.search(r"jupyter lab --allow-root ", said)
+    assert "LAB=--allow-root" in (ROOT / "Makefile").read_text(encoding="utf-8")
+
+
 def test_the_toolbox_knows_nothing_of_the_paper():
     """Not by a name in an import, and not by an import of an import, in a process of its own."""
     imported = re.compile(r"^\s*(?:from|import) (rodlib[.\w]*)", re.MULTILINE)

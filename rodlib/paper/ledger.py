@@ -71,8 +71,8 @@ class Ledger:
     notebook : str
         Name of the notebook, without ending.
     **parameters
-        The values of its parameters that the paper prints, by key. If one is not the paper's, no
-        row gets a verdict.
+        The values of its parameters that the paper prints, by key. If one is not exactly the
+        paper's, no row gets a verdict.
     """
 
     def __init__(self, notebook: str, **parameters):
@@ -81,7 +81,7 @@ class Ledger:
         self.rows = {}
         known = published.claims()
         self.papers_parameters = all(
-            value is not None and verdict(known[key], value)[0] == REPRODUCED
+            value == published.number(known[key].printed)  # a choice has no rounding
             for key, value in parameters.items()
         )
 

@@ -173,8 +173,25 @@ def test_other_parameters_get_no_verdict():
     book.record("order", 10)
     book.record("tool_chain")
     assert [row["verdict"] for row in book.rows.values()] == [OTHER, UNCHECKED]
-    assert Ledger("test", M_max=0.9, L_max=50.0).papers_parameters
-    assert not Ledger("test", L_max=None).papers_parameters
+    assert Ledger("test", M_max=0.9, L_max=50, omega_1=1e-4).papers_parameters
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        {"M_max": 0.85},
+        {"M_max": 0.9001},
+        {"Ts": 0.5},
+        {"L_max": 49.9},
+        {"n_Q": 2.4},
+        {"L_max": None},
+    ],
+)
+def test_parameters_are_the_papers_exactly_or_not_at_all(parameters):
+    """A bound of 0.85 is no 0.9 that was rounded."""
+    book = Ledger("test", **parameters)
+    book.record("order", 10)
+    assert book.rows["order"]["verdict"] == OTHER
 
 
 def test_unknown_claims_and_wrong_shapes_are_refused():

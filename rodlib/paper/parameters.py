@@ -1,0 +1,51 @@
+"""The parameters of a notebook: what they may be, and whether they are those of the text.
+
+A notebook takes other parameters, by papermill or by hand. Below the cell that has them stands one
+call, which refuses in one sentence what no cell could use, and says of a choice that is not the
+text's own that the text was written for another one.
+"""
+
+import numpy as np
+
+from rodlib.ilc.arguments import number, whole
+
+
+def checked(**parameters: tuple) -> dict:
+    """The values of parameters, by name, each in its range.
+
+    Parameters
+    ----------
+    **parameters
+        For a number (value, default, least, most), both ends included, and a whole number if these
+        are whole; for all else (value, default), which is only compared.
+
+    Raises
+    ------
+    ValueError
+        If a value is out of its range: it names the parameter, the value and the range.
+    """
+    for name, (value, _, *ends) in parameters.items():
+        if ends:
+            _in_range(name, value, *ends)
+    other = {name: given for name, given in parameters.items() if given[0] != given[1]}
+    if other:
+        from IPython.display import Markdown, display  # here, since only notebooks have it loaded
+
+        words = ", ".join(f"`{name} = {given[0]!r}`" for name, given in other.items())
+        texts = ", ".join(f"`{given[1]!r}`" for given in other.values())
+        display(
+            Markdown(
+                f"**{words}, where the text has {texts}**: its numbers, and what it concludes from "
+                "them, are about the latter. Believe the cells."
+            )
+        )
+    return {name: value for name, (value, *_) in parameters.items()}
+
+
+def _in_range(name, value, least, most):
+    if isinstance(least, int | np.integer):
+        whole(name, value, int(least), int(most))
+        return
+    what = f"a number from {least:g} to {most:g}"
+    if not least <= number(name, value, what) <= most:
+        raise ValueError(f"{name} = {value!r} must be {what}")
