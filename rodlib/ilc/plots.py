@@ -1,10 +1,10 @@
 """The first picture of a design, or of trials, labelled with the units that they have."""
 
+import reprlib
 from collections.abc import Iterator
 
 import xarray as xr
 
-from rodlib.ilc import arguments
 from rodlib.ilc.laboratory.log import signals_of
 from rodlib.ilc.laboratory.report import by_unit, rms_by_trial, with_unit
 from rodlib.ilc.synthesis import Synthesis
@@ -32,7 +32,9 @@ def plot(shown: Synthesis | xr.Dataset):
     import matplotlib.pyplot as plt
 
     if not isinstance(shown, Synthesis | xr.Dataset):
-        arguments.instance("shown", shown, Synthesis)
+        raise ValueError(
+            f"shown = {reprlib.repr(shown)} must be a Synthesis or a Dataset of trials"
+        )
     with plt.rc_context({"axes.grid": True, "grid.color": "0.9", "legend.frameon": False}):
         figure = _of_design(plt, shown) if isinstance(shown, Synthesis) else _of_trials(plt, shown)
     if "inline" in matplotlib.get_backend():
@@ -73,7 +75,8 @@ def _of_trials(plt, trials):
     figure, axes = _axes(plt, len(errors.columns) + len(rows))
     for ax, (label, values) in zip(axes, errors.items(), strict=False):
         ax.semilogy(errors.index, values, "o-")
-        ax.set(xlabel="trial", ylabel=label, xticks=errors.index)
+        ax.set(xlabel="trial", ylabel=label)
+        ax.xaxis.get_major_locator().set_params(integer=True)
     for ax, (label, lines) in zip(axes[len(errors.columns) :], rows, strict=True):
         for name, values, style in lines:
             ax.plot(trials.time, values, style, label=name)

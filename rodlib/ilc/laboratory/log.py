@@ -62,12 +62,12 @@ def load_log(path) -> xr.Dataset:
         If a trial is missing between others.
     """
     trials = _load(arguments.path("path", path))
-    if missing := missing_between(trials.trial.values.tolist()):
+    if missing := _missing_between(trials.trial.values.tolist()):
         warnings.warn(f"path = '{path}': {missing}", stacklevel=2)
     return trials
 
 
-def missing_between(numbers: Sequence[int]) -> str | None:
+def _missing_between(numbers: Sequence[int]) -> str | None:
     """Which trials are not there between others, in words; in another order they are a choice."""
     gaps = [range(a + 1, b) for a, b in pairwise(numbers)]
     if not any(gaps) or any(b <= a for a, b in pairwise(numbers)):
@@ -142,18 +142,18 @@ def signals_of(trials: xr.Dataset) -> dict[str, dict[str, str]]:
 
 
 def _check_errors(trials):
-    """Refuse an e that is not reference - y, where there is one."""
-    if "e" not in trials:
+    """Refuse an e that is likely another signal; one that is left from before is not used."""
+    if "e" not in trials or not trials.e.size:
         return
-    due, size = trials.reference - trials.y, max(abs(trials.reference).max(), abs(trials.y).max())
-
-    def same(one, other):
-        return abs(one - other).max() <= 1e-6 * size
-
-    if not same(trials.e, due):
-        wrong = "likely it has the wrong sign" if same(-trials.e, due) else "mend it"
-        wrong = "likely it is exchanged with v" if same(trials.v, due) else wrong
-        raise ValueError(f"trials.e is not reference - y: {wrong}, or leave it out")
+    e, v, y, reference = (trials[name] for name in ("e", "v", "y", "reference"))
+    near = 1e-6 * max(abs(y).max(), abs(reference).max())
+    with np.errstate(over="ignore", invalid="ignore"):
+        due = reference - y
+        if abs(e - due).max() <= near:
+            return
+        for likely, other in (("it has the wrong sign", -e), ("it is exchanged with v", v)):
+            if abs(other - due).max() <= near:
+                raise ValueError(f"trials.e is not reference - y: likely {likely}")
 
 
 def read_json(text: str):

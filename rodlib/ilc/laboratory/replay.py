@@ -16,7 +16,7 @@ import xarray as xr
 
 from rodlib.ilc import arguments
 from rodlib.ilc.filters import LearningFilter, ZeroPhaseButterworth, update
-from rodlib.ilc.laboratory.log import missing_between, signals_of
+from rodlib.ilc.laboratory.log import signals_of
 from rodlib.ilc.laboratory.notes import (
     BEGUN,
     earlier_laws_of,
@@ -144,8 +144,6 @@ class Replay:
     def findings(self) -> tuple[str, ...]:
         """What speaks against the trials: they do not converge, or start elsewhere."""
         trials, law = self.trials, self.law
-        if missing := missing_between(self.numbers):
-            return (missing,)
         if np.any(np.diff(self.numbers) != 1):
             return ()
         e, y, reference = (trials[name].values for name in ("e", "y", "reference"))

@@ -216,6 +216,7 @@ def any_trials(draw):
     return run.assign_coords(trial=numbers).assign_attrs(origin=draw(text), note="a: b # c")
 
 
+@pytest.mark.filterwarnings("ignore:.* missing between others")  # of numbers that are random
 @given(any_trials())
 def test_whatever_is_saved_is_loaded_bit_for_bit(tmp_path_factory, saved):
     path = tmp_path_factory.mktemp("logs") / "log.csv"
