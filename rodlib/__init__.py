@@ -8,6 +8,8 @@ passed and does not belong there is a ValueError that names the argument.
 
 from rodlib import ilc
 
+__version__ = "0.1.0"  # as in pyproject.toml
+
 MODULES = {
     "rod": "Rod exact_response midr",
     "approximations": """balanced_truncation finite_differences finite_elements finite_volumes

@@ -308,6 +308,7 @@ DOORS = [
     (tried, vars(Settings.of(ON_BENCH)),
      {"L_max": NUMBER | {"none": ...}, "noise": NUMBER, "noise_weight": NUMBER,
       "uncertainty": NUMBER, "band": THING}),
+    (rodlib.plot, {"shown": LOG}, {"shown": THING | {"design": ..., "frame": ...}}),
     (workbench.try_out, {"settings": Settings.of(ON_BENCH)}),
     (workbench.Picture().show, {"outcome": Outcome(None, message="none")}),
     (workbench.workbench, {"live": False}, {"log": THING | {"text": ...}}),

@@ -12,14 +12,15 @@ MODULES = {
     "filters": """LearningFilter LearningOperator ZeroPhaseButterworth update
         zero_phase_butterworth""",
     "problem": "Problem",
-    "trials": "run_trials",
+    "trials": "rms run_trials",
     "evidence": """converged_noise mean_rate noise_bound noise_by_trial noise_on_trial rate
         rates spectral_rate trial_noise violation_probability worst_case""",
     "synthesis": "InfeasibleError SolverError Synthesis largest_cutoff least_gain synthesise",
     "alternatives": """NormOptimal Rehearsal gradient h_infinity p_type pd_type stable_inversion
         tune zero_phase_inversion""",
-    "laboratory": """LogError expected_radius load_law load_log loop_of measured_response multisine
-        record save_law save_log shake""",
+    "laboratory": """LogError MeasuredResponse Rig RigError expected_radius load_law load_log
+        loop_of measured_response multisine record save_law save_log shake""",
+    "plots": "plot",
 }
 
 

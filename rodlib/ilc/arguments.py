@@ -18,6 +18,8 @@ LARGEST = 1e100  # the square of what lies beyond it, or below its inverse, may 
 
 CIRCLE = 1 - 1e-12  # modulus from which on a pole is on the unit circle, up to rounding
 
+ROLES = ("output", "control", "source")  # coordinates that name the signals of a DataArray
+
 MOST = 10**9  # samples, trials, ...: what memory could hold at best
 
 
@@ -86,7 +88,9 @@ def choice(name: str, value, options: Sequence[str]) -> str:
 def instance(name: str, value, kind: type):
     """An object of the given class."""
     if not isinstance(value, kind):
-        raise ValueError(f"{name} = {reprlib.repr(value)} must be a {kind.__name__}")
+        holds = isinstance(getattr(value, "filter", None), kind)
+        remedy = f", which is its attribute: pass {name}.filter" if holds else ""
+        raise ValueError(f"{name} = {reprlib.repr(value)} must be a {kind.__name__}{remedy}")
     return value
 
 
@@ -97,6 +101,33 @@ def by_name(name: str, value, names: Sequence[str]) -> dict:
     if unknown:
         raise ValueError(f"{name} is about {reprlib.repr(unknown)}, but must name some of {names}")
     return given
+
+
+def names_of(signals) -> list[str] | None:
+    """Whose a table's columns are, or a DataArray's channels; None if they do not say."""
+    if hasattr(signals, "columns"):
+        labels = [*signals.columns]
+    else:
+        role = next((r for r in ROLES if r in getattr(signals, "coords", ())), None)
+        labels = [] if role is None else np.atleast_1d(signals[role]).tolist()
+    return labels if labels and all(isinstance(label, str) for label in labels) else None
+
+
+def in_order(name: str, value, names: Sequence[str]):
+    """Signals in the order of `names`, if they say whose they are; others as they stand."""
+    own = names_of(value)
+    if own is None or own == [*names]:
+        return value
+    if sorted(own) != sorted(names):
+        raise ValueError(
+            f"{name} holds the signals {reprlib.repr(own)}, but must hold {[*names]}: rename them, "
+            "or pass an array, whose columns stand in that order"
+        )
+    if hasattr(value, "columns"):
+        return value[[*names]]
+    role = next(role for role in ROLES if role in value.coords)
+    (dimension,) = value[role].dims
+    return value.isel({dimension: [own.index(label) for label in names]})
 
 
 def path(name: str, value) -> Path:
@@ -195,6 +226,7 @@ def frequencies(name: str, value, Ts: float) -> np.ndarray:
     if omega[0] < 0 or omega[-1] > nyquist * (1 + 1e-9):
         raise ValueError(
             f"{name} spans [{omega[0]:.6g}, {omega[-1]:.6g}] rad/s, but must lie in "
-            f"[0, {nyquist:.6g}] rad/s, up to the Nyquist frequency of Ts = {Ts} s"
+            f"[0, {nyquist:.6g}] rad/s, up to the Nyquist frequency of Ts = {Ts} s: likely "
+            "either is in another unit"
         )
     return omega

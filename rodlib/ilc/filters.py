@@ -10,6 +10,7 @@ first and the last sample stand still, ``ends="hold-last"`` only the last, which
 begins at rest and does not end at zero.
 """
 
+import reprlib
 import warnings
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -53,6 +54,7 @@ class ZeroPhaseButterworth:
         arguments.choice("ends", self.ends, list(ENDS))
         Ts = arguments.sampling_period("Ts", self.Ts)
         what = f"in (0, {np.pi / Ts:.6g}) rad/s, up to the Nyquist frequency of Ts = {Ts} s"
+        what += "; one that is normalised, as scipy's, times that"
         cutoff = arguments.number("cutoff", self.cutoff, what, 0, np.pi / Ts)
         order = arguments.whole("order", self.order, 1, 100)
         for name, value in (("order", order), ("cutoff", cutoff), ("Ts", Ts)):
@@ -61,7 +63,8 @@ class ZeroPhaseButterworth:
             raise ValueError(
                 f"cutoff = {cutoff!r} rad/s is too low for order = {order} at Ts = {Ts} s: "
                 "rounding changes the filter by more than a millionth. Raise the cut-off, lower "
-                "the order, or take a longer Ts"
+                "the order, or take a longer Ts. If it is normalised, as scipy's, it is "
+                f"{cutoff * np.pi / Ts:.6g} rad/s"
             )
 
     def _realised(self):
@@ -196,6 +199,15 @@ def time_shifts(angles, order) -> np.ndarray:
     return np.exp(1j * np.outer(angles, np.arange(1, order + 1)))
 
 
+def check_Q(Q) -> None:
+    """Check that Q can be applied to a trial, and say how to make one that can."""
+    if not isinstance(Q, ZeroPhaseButterworth):
+        raise ValueError(
+            f"Q = {reprlib.repr(Q)} must be a ZeroPhaseButterworth, which runs in both directions: "
+            "zero_phase_butterworth(order, cutoff, Ts), with the cut-off in rad/s"
+        )
+
+
 def check_learning(L: LearningOperator, channels: int) -> None:
     """Check that L is a learning operator for so many channels; a ValueError says so if not."""
     arguments.instance("L", L, LearningOperator)
@@ -213,8 +225,9 @@ def update(
 
     Parameters
     ----------
-    v, e : array_like, shape (time, m)
-        ILC signal and tracking error of the trial just done, both in the unit of the output.
+    v, e : array_like, shape (time, m), or (time,) of one channel
+        ILC signal and tracking error, reference - y, of the trial just done, both in the unit of
+        the output. What says whose its channels are, by columns or coordinates, is matched by that.
     Q, L : ZeroPhaseButterworth, LearningOperator
     rest : int
         Number of samples at the end of the trial in which the signal is held at zero. The filters
@@ -224,15 +237,30 @@ def update(
 
     Returns
     -------
-    ndarray, shape (time, m)
+    ndarray, of the shape of v
     """
-    arguments.instance("Q", Q, ZeroPhaseButterworth)
+    check_Q(Q)
     arguments.instance("L", L, LearningOperator)
     arguments.one_period(Q=Q.Ts, L=L.Ts)
-    v = arguments.array("v", v, (..., "time", L.channels))
-    e = arguments.array("e", e, v.shape)
+    v, e, single = _both(v, e, L.channels)
     rest = arguments.whole("rest", rest, 0, v.shape[-2] - 1)
     step = arguments.share("step", step)
     v = (1 - step) * v + step * Q.apply(v + L.apply(e))  # (23)
     v[..., v.shape[-2] - rest :, :] = 0
-    return v
+    return v[:, 0] if single else v
+
+
+def _both(v, e, channels):
+    """v and e as arrays with the channels last, and whether they came without, as that of one."""
+    called = [getattr(signal, "name", None) for signal in (v, e)]
+    if any(isinstance(own, str) and own == other for own, other in zip(called, "ev", strict=True)):
+        raise ValueError(f"v is called {called[0]!r} and e {called[1]!r}: they are exchanged")
+    names = arguments.names_of(v)
+    if names is not None:
+        e = arguments.in_order("e", e, names)
+    v, e = (arguments.array(name, s, (...,)) for name, s in (("v", v), ("e", e)))
+    single = v.ndim == 1 and channels == 1
+    if single:
+        v, e = v[:, None], e[:, None] if e.ndim == 1 else e
+    v = arguments.array("v", v, (..., "time", channels))
+    return v, arguments.array("e", e, v.shape), single

@@ -196,13 +196,21 @@ def _require_stable(A, weights):
 def _require_held(A, B, C):
     """Refuse a plant with an unstable mode that no gain holds."""
     Aa, Ca = _with_disturbance(A, B, C)
-    for X, Y, what in (
-        (A, B, "no control reaches"),
-        (Aa.T, Ca.T, "no output, or none apart from an input disturbance, shows"),
-    ):
-        poles, _ = unreachable_modes(X, Y)
-        unstable = poles[np.abs(poles) > arguments.CIRCLE]
+    for X, Y, what in ((A, B, "no control reaches"), (A.T, C.T, "no output shows")):
+        unstable = _unstable(X, Y)
         if unstable.size:
             raise ValueError(
                 f"plant has a mode at z = {unstable[0]:.6g} that {what}: no gain holds it"
             )
+    if _unstable(Aa.T, Ca.T).size:  # (A - I) x + B d = 0 and C x = 0 for a d that is not zero
+        raise ValueError(
+            "plant has a zero at z = 1: some constant input leaves no trace in the outputs, so no "
+            "loop holds them at a reference. Take as outputs what they are the differences of, or "
+            "other controls"
+        )
+
+
+def _unstable(A, B):
+    """The unstable modes that B does not reach."""
+    poles, _ = unreachable_modes(A, B)
+    return poles[np.abs(poles) > arguments.CIRCLE]

@@ -14,7 +14,7 @@ import control
 import numpy as np
 from scipy.linalg import block_diag
 
-from rodlib.ilc import arguments
+from rodlib.ilc import arguments, units
 from rodlib.ilc.models import frequency_response, sampled_plant, solve_off_poles
 
 
@@ -44,9 +44,8 @@ class CurrentTrialLoop:
         for name, shape in {"Ks": (m, n), "KL": (n + m, m), "N": (m, m)}.items():
             object.__setattr__(self, name, arguments.array(name, getattr(self, name), shape))
         signals = [*plant.input_labels, *plant.output_labels]
-        units = arguments.by_name("units", self.units, signals)
-        for name in signals:
-            arguments.instance(f"units[{name!r}]", units.get(name), str)
+        given = arguments.by_name("units", self.units, signals)
+        units.check("units", {name: given.get(name) for name in signals})
         object.__setattr__(self, "plant", plant)
 
     @property
@@ -226,10 +225,9 @@ class ClosedLoop:
         if P is not None:
             arguments.one_period(Ts=Ts, P=P.dt)
         signals = [name for given in names.values() for name in given]
-        units = dict.fromkeys(signals, "") | arguments.by_name("units", self.units, signals)
-        for name in signals:
-            arguments.instance(f"units[{name!r}]", units[name], str)
-        for name, value in ({"P": P, "Ts": Ts, "units": units} | names).items():
+        own = dict.fromkeys(signals, "") | arguments.by_name("units", self.units, signals)
+        units.check("units", own)
+        for name, value in ({"P": P, "Ts": Ts, "units": own} | names).items():
             object.__setattr__(self, name, value)
 
     @property

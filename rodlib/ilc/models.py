@@ -6,9 +6,11 @@ output shows; and any plant, a transfer function as well, as such a model in dis
 
 import reprlib
 from collections.abc import Sequence
+from os import PathLike
 
 import control
 import numpy as np
+from scipy import signal
 from scipy.linalg import LinAlgError, block_diag, null_space
 
 from rodlib.ilc import arguments
@@ -172,8 +174,22 @@ def controls_first(plant: control.StateSpace, controls: Sequence[str]) -> contro
     )  # fmt: skip
 
 
+def refuse_foreign(name: str, value) -> None:
+    """Refuse what stands for a model and is none of python-control's; the error says the remedy."""
+    remedy, kind = None, type(value).__name__
+    if isinstance(value, str | PathLike):
+        kind, remedy = "path", "read the file, and pass what stands in it"
+    elif isinstance(value, signal.lti | signal.dlti):
+        remedy = f"of s = {name}.to_ss(), make control.ss(s.A, s.B, s.C, s.D, s.dt)"
+    elif isinstance(value, control.NonlinearIOSystem) and not isinstance(value, control.LTI):
+        remedy = f"linearise it, by control.linearize({name}, x, u)"
+    if remedy:
+        raise ValueError(f"{name} = {reprlib.repr(value)} is a {kind}, and no model: {remedy}")
+
+
 def sampled_plant(plant: control.StateSpace | control.TransferFunction) -> control.StateSpace:
     """A plant in discrete time as a state-space model; realises a transfer function."""
+    refuse_foreign("plant", plant)
     if not isinstance(plant, control.TransferFunction):
         arguments.state_space("plant", plant)
     if not (plant.isdtime(strict=True) and plant.dt is not True):

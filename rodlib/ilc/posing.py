@@ -10,7 +10,8 @@ import numpy as np
 from rodlib.ilc import arguments
 from rodlib.ilc.filters import ZeroPhaseButterworth
 from rodlib.ilc.loop import Loop
-from rodlib.ilc.models import frequency_response
+from rodlib.ilc.models import frequency_response, refuse_foreign
+from rodlib.ilc.plausible import doubts_about_P, doubts_about_Q
 from rodlib.ilc.problem import ROUNDING, Problem, largest_singular_values
 
 MODELS = (Loop, control.LTI)  # what a plant may be, if not an array
@@ -47,9 +48,10 @@ def pose(
     beyond=None,
 ) -> Problem:
     """State the problem (39), or (45) with (46), and check it; see :func:`rodlib.synthesise`."""
+    _refuse_exchanged(Q, omega)
     Ts = arguments.sampling_period("Ts", period(P, Q) if Ts is None else Ts)
     omega = arguments.frequencies("omega", omega, Ts)
-    basis = ()
+    basis, given = (), P
     if isinstance(P, Measured):
         P, uncertainty, basis = _measured(P, omega, uncertainty, confidence, scale)
     elif confidence is not None:
@@ -61,7 +63,12 @@ def pose(
     P, others = responses[0], responses[1:]
     n, m, _ = P.shape
     q, Q = Q_on_grid(Q, omega, P=Ts)
-    order = arguments.whole("order", order, 1, n)
+    order = arguments.whole("order", order, 1)
+    if order > n:
+        raise ValueError(
+            f"order = {order} is more than the {n} frequencies of omega tell: take order = {n} or "
+            "less, or more frequencies"
+        )
     what = "in (0, 1), or the trials do not converge"
     M_max = arguments.number("M_max", M_max, what, 0, 1)
     if L_max is not None:
@@ -78,13 +85,34 @@ def pose(
         P, others = P * units, others * units
         models = [_scaled(model, scale) for model in models]
     _refuse_singular(P, omega)
+    doubts = () if isinstance(given, Measured) else _doubts(given, (P, *others), models, omega, Ts)
+    doubts += (*doubts_about_Q(Q, omega, _learned(band, omega, objective), Ts),)
     noise = _weights(noise, omega, Ts, m, M_max, scale)
     beyond = _size_beyond(beyond, models, np.concatenate([P[None], others]), radius, omega[-1], Ts)
     return Problem(
         P, Q, omega, Ts, scale, others, tuple(models), q,
         np.ones(n, dtype=bool), np.full(n, np.inf), np.ones(n),
         order, M_max, L_max, band, structure, objective, radius, noise, basis, beyond=beyond,
+        doubts=doubts,
     )  # fmt: skip
+
+
+def _refuse_exchanged(Q, omega):
+    """Refuse Q and omega in each other's place."""
+    if isinstance(omega, ZeroPhaseButterworth | control.LTI):
+        raise ValueError(f"omega = {reprlib.repr(omega)} is a filter: likely exchanged with Q")
+
+
+def _doubts(P, responses, models, omega, Ts):
+    """What speaks against those of the plants that are known as samples."""
+    known = zip(plants(P), responses, models, strict=True)
+    found = [doubts_about_P(name, p, omega, Ts) for name, p, model in known if model is None]
+    return tuple(text for texts in found for text in texts)
+
+
+def _learned(band, omega, objective):
+    """Which frequencies are in the band, if the objective has one."""
+    return (omega >= band[0]) & (omega <= band[1]) if objective == "sum" else None
 
 
 def period(P, Q):
@@ -151,6 +179,7 @@ def on_grid(plants, omega, Ts):
 
 def _response(name, P, omega, Ts):
     """The plant as a model, or None, and its frequency response on omega, not yet checked."""
+    refuse_foreign(name, P)
     if isinstance(P, Loop):
         P = P.P
     if isinstance(P, control.FrequencyResponseData):
@@ -194,6 +223,11 @@ def Q_on_grid(Q, omega, **known):
     if model is not None:
         arguments.one_period(**known, Q=Q.Ts)
         Q = Q.frequency_response(omega)
+    elif isinstance(Q, control.LTI):
+        raise ValueError(
+            f"Q = {reprlib.repr(Q)} is a model, which runs in one direction only: pass "
+            "zero_phase_butterworth(order, cutoff, Ts), or the samples of |Q|^2 on omega"
+        )
     Q = arguments.array("Q", Q, (len(omega),), complex)
     return model, Q if Q.imag.any() else Q.real
 
@@ -214,7 +248,8 @@ def _band(band, Q, omega, objective):
     learned = np.abs(Q[in_band] if objective == "sum" else Q).max()
     if learned < 1e-6:  # of an error, which the certificate could not tell from nothing
         raise ValueError(
-            f"Q has a gain of {learned:.3g} at most where the objective counts: it learns nothing"
+            f"Q has a gain of {learned:.3g} at most where the objective counts: it learns "
+            "nothing. Is its cut-off in rad/s?"
         )
     return low, high
 

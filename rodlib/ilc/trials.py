@@ -7,7 +7,13 @@ import numpy as np
 import xarray as xr
 
 from rodlib.ilc import arguments
-from rodlib.ilc.filters import LearningOperator, ZeroPhaseButterworth, check_learning, update
+from rodlib.ilc.filters import (
+    LearningOperator,
+    ZeroPhaseButterworth,
+    check_learning,
+    check_Q,
+    update,
+)
 from rodlib.ilc.loop import ClosedLoop, Loop, check_loop, with_noise
 from rodlib.ilc.models import state_sequence
 from rodlib.ilc.watch import Course, rate_of
@@ -30,7 +36,9 @@ def run_trials(
 ) -> xr.Dataset:
     """Simulate trials of the loop (19) under the ILC law (22), (23).
 
-    All signals are in the units of the loop's plant.
+    All signals are in the units of the loop's plant. What says whose its channels are, as the
+    columns of a DataFrame or a coordinate of a DataArray do, is matched by that. Of one channel,
+    signals may have the shape (time,).
 
     Parameters
     ----------
@@ -74,18 +82,18 @@ def run_trials(
         If the trials show that they do not converge, see :mod:`rodlib.ilc.watch`.
     """
     check_law(loop, Q, L)
-    m, simulate, n, nx = len(loop.outputs), *_simulation(loop, plant)
+    simulate, n, nx = _simulation(loop, plant)
     trials = arguments.whole("trials", trials, 1)
-    r = each_trial("reference", reference, trials, "time", m)
+    r = each_trial("reference", reference, trials, "time", loop.outputs)
     shape = trials, samples, _ = r.shape
     rest = arguments.whole("rest", rest, 0, samples - 1)
     d = np.zeros((samples, len(loop.disturbances))) if disturbance is None else disturbance
-    d = each_trial("disturbance", d, trials, samples, len(loop.disturbances))
-    noise = np.zeros(shape) if noise is None else arguments.array("noise", noise, shape)
+    d = each_trial("disturbance", d, trials, samples, loop.disturbances)
+    noise = np.zeros(shape) if noise is None else in_columns("noise", noise, shape, loop.outputs)
     chi = np.zeros(nx)
     if initial_state is not None:
         chi[:n] = arguments.array("initial_state", initial_state, (n,))
-    first = np.zeros(shape[1:]) if v is None else arguments.array("v", v, shape[1:])
+    first = np.zeros(shape[1:]) if v is None else in_columns("v", v, shape[1:], loop.outputs)
     first[samples - rest :] = 0
 
     v, y, made = np.zeros(shape), np.zeros(shape), []
@@ -147,12 +155,20 @@ def learn(run, v, Q, L, trials, rest=0, steps=None) -> np.ndarray:
     return np.array(errors)
 
 
-def each_trial(name, signal, trials, samples, channels):
+def each_trial(name, signal, trials, samples, names):
     """A signal of all trials, or of each, with the trial as the first axis."""
-    shape = (samples, channels)
-    signal = arguments.array(name, signal, (...,))
+    signal = in_columns(name, signal, (...,), names)
+    shape = (samples, len(names))
     signal = arguments.array(name, signal, shape if signal.ndim < 3 else (trials, *shape))
     return np.broadcast_to(signal, (trials, *signal.shape[-2:]))
+
+
+def in_columns(name, signal, shape, names):
+    """An array with a column for each name, by names if it has some; one needs no second axis."""
+    signal = arguments.array(name, arguments.in_order(name, signal, names), (...,))
+    if signal.ndim == len(names) == 1:
+        signal = signal[:, None]
+    return arguments.array(name, signal, shape)
 
 
 def _steps(step, trials):
@@ -167,7 +183,7 @@ def _steps(step, trials):
 def check_law(loop, Q, L, **periods: float) -> None:
     """Check that a loop, the filters of the law and further sampling periods fit together."""
     check_loop(loop)
-    arguments.instance("Q", Q, ZeroPhaseButterworth)
+    check_Q(Q)
     if L is not None:
         check_learning(L, len(loop.outputs))
         periods["L"] = L.Ts

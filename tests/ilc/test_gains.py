@@ -282,7 +282,7 @@ def unstable_hidden_mode():
         (
             control.ss([[0, 1.0], [0, 0.5]], [[0.0], [1.0]], [[-1.0, 1.0]], 0, 1.0),
             {},
-            "no output, or none apart from an input disturbance",
+            "a zero at z = 1: some constant input leaves no trace in the outputs",
         ),
         (tanks(), {}, r"plant has 4 inputs for 3 outputs: name the controls among \['leak', 'pu"),
         (tanks(), {"controls": ["leak"]}, r"controls = \['leak'\] are 1 inputs, but each of the 3"),

@@ -9,10 +9,11 @@ from typing import Protocol
 
 import numpy as np
 
-from rodlib.ilc import arguments
-from rodlib.ilc.laboratory import limits, units
+from rodlib.ilc import arguments, units
+from rodlib.ilc.laboratory import limits
 from rodlib.ilc.laboratory.mistakes import mistake_in
 from rodlib.ilc.loop import CurrentTrialLoop, check_loop
+from rodlib.ilc.trials import in_columns
 
 LATE = 0.1  # sampling periods that a sample may be off the clock
 
@@ -150,7 +151,7 @@ class ControlledRig:
         names = self.loop.disturbances
         if disturbance is None:
             return np.zeros((trials, samples, len(self.moved)))
-        d = arguments.array("disturbance", disturbance, (..., samples, len(names)))
+        d = in_columns("disturbance", disturbance, (..., samples, len(names)), names)
         d = d if d.ndim != 2 else np.broadcast_to(d, (trials, *d.shape))
         d = arguments.array("disturbance", d, ("trial", samples, len(names)))
         if len(d) < trials:

@@ -1,5 +1,6 @@
 """What the loop is shaken with: periodic multisines, on few lines and with low peaks."""
 
+import warnings
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -10,6 +11,8 @@ from rodlib.ilc import arguments
 from rodlib.ilc.loop import Loop, check_loop
 
 LEAD = 0.25  # periods before those that are evaluated, in which most of the transient decays
+LONGEST = 720.0  # hours: a month, in which no rig stays as it is
+MANY = 1000  # periods, more than which no experiment of more than a day needs
 FEWEST = 3  # periods: with fewer, nothing around the lowest line tells the noise
 POINTS = 2**21  # that are clipped, in rounds over one period
 
@@ -133,7 +136,12 @@ def multisine(
     nyquist = np.pi / Ts
     lowest = arguments.number("lowest", lowest, "between 0 and pi / Ts / 4", 0, nyquist / 4)
     highest = arguments.number("highest", highest, "between lowest and pi / Ts", lowest, nyquist)
-    amplitude = arguments.array("amplitude", amplitude, () if np.isscalar(amplitude) else (m,))
+    amplitude = arguments.array("amplitude", amplitude, (...,))
+    if amplitude.shape not in ((), (m,)):
+        raise ValueError(
+            f"amplitude = {amplitude.tolist()} must be one number, or one for each of the {m} "
+            f"outputs {loop.outputs}"
+        )
     amplitude = np.broadcast_to(amplitude, (m,))
     hours = arguments.positive("hours", hours, "a positive number of hours")
     lines = arguments.whole("lines", lines, 2)
@@ -144,6 +152,12 @@ def multisine(
         raise ValueError(
             f"hours = {hours:g} is too short for {FEWEST} periods of the lowest frequency in {m} "
             f"experiment(s): {needed:.4g} h are needed, or lowest = {lowest * needed / hours:.3g}"
+        )
+    if hours > LONGEST or (hours > 24 and periods > MANY):
+        warnings.warn(
+            f"hours = {hours:g} are {hours / 24:.3g} days, {periods} periods of the lowest "
+            f"frequency: likely seconds, which are {hours / 3600:.3g} h",
+            stacklevel=2,
         )
     top = min(int(highest * Ts * period / (2 * np.pi)), (period - 1) // 2)
     harmonics = np.unique(np.round(np.geomspace(1, top, lines)).astype(int)).tolist()

@@ -18,7 +18,7 @@ from rodlib.ilc.laboratory.log import load_ended, save_log
 from rodlib.ilc.laboratory.notes import BEGUN, EARLIER, LAW, MADE_BY, with_excitation, with_law
 from rodlib.ilc.laboratory.start import Start
 from rodlib.ilc.loop import Loop
-from rodlib.ilc.trials import check_law, dataset, each_trial
+from rodlib.ilc.trials import check_law, dataset, each_trial, in_columns
 from rodlib.ilc.watch import Course, rate_of
 
 
@@ -118,12 +118,12 @@ def record(
         raise ValueError(f"pause = {pause}, but rig.run begins where every trial begins: leave it")
     pause = 0 if pause is None and (controlled.whole or hasattr(rig, "begin")) else pause
     another_law = arguments.flag("another_law", another_law)
-    reference = each_trial("reference", reference, trials, "time", len(loop.outputs))
+    reference = each_trial("reference", reference, trials, "time", loop.outputs)
     samples = reference.shape[1]
     rest = arguments.whole("rest", rest, 0, samples - 1)
     first = np.zeros(reference.shape[1:])
     if v is not None:
-        first = arguments.array("v", v, first.shape)
+        first = in_columns("v", v, first.shape, loop.outputs)
         first[samples - rest :] = 0
     step = arguments.share("step", step)
     commanded = controlled.commanded(disturbance, trials, samples)

@@ -8,13 +8,18 @@ sample. pandas reads it with ``read_csv(path, comment="#")``, MATLAB with
 import difflib
 import json
 import re
+import reprlib
+import warnings
+from collections.abc import Sequence
+from datetime import date
+from itertools import pairwise
 
 import numpy as np
 import xarray as xr
 
-from rodlib.ilc import arguments
+from rodlib.ilc import arguments, units
 from rodlib.ilc.files import write_pieces
-from rodlib.ilc.laboratory import limits, tables, units
+from rodlib.ilc.laboratory import limits, tables
 from rodlib.ilc.laboratory.sampling import check_trials, off, starts_of
 from rodlib.ilc.laboratory.tables import NUMBER, few
 from rodlib.ilc.trials import dataset
@@ -50,8 +55,28 @@ def load_log(path) -> xr.Dataset:
     ------
     LogError
         With all that is wrong, each problem with its trial or row.
+
+    Warns
+    -----
+    UserWarning
+        If a trial is missing between others.
     """
-    return _load(arguments.path("path", path))
+    trials = _load(arguments.path("path", path))
+    if missing := _missing_between(trials.trial.values.tolist()):
+        warnings.warn(f"path = '{path}': {missing}", stacklevel=2)
+    return trials
+
+
+def _missing_between(numbers: Sequence[int]) -> str | None:
+    """Which trials are not there between others, in words; in another order they are a choice."""
+    gaps = [range(a + 1, b) for a, b in pairwise(numbers)]
+    if not any(gaps) or any(b <= a for a, b in pairwise(numbers)):
+        return None
+    which = ", ".join(f"{g[0]} to {g[-1]}" if len(g) > 1 else f"{g[0]}" for g in few(gaps) if g)
+    return (
+        f"trial {which} is missing between others: whether the trials follow from each other by "
+        "the law, and converge, cannot be told across a gap"
+    )
 
 
 def load_ended(path) -> xr.Dataset:
@@ -66,7 +91,7 @@ def save_log(trials: xr.Dataset, path) -> None:
     ----------
     trials : xarray.Dataset
         From :func:`rodlib.run_trials`, :func:`rodlib.record` or :func:`load_log`. Attributes are
-        written as metadata: a line of text as it is, all else as JSON.
+        written as metadata: a line of text as it is, a time as ISO 8601 has it, all else as JSON.
     path : path-like
 
     Raises
@@ -112,7 +137,23 @@ def signals_of(trials: xr.Dataset) -> dict[str, dict[str, str]]:
             raise ValueError(f"{role} = {few(names)} must be different names, all printable")
     for name, unit in _units_of(signals).items():
         units.understood(name, unit)
+    _check_errors(trials)
     return signals
+
+
+def _check_errors(trials):
+    """Refuse an e that is likely another signal; one that is left from before is not used."""
+    if "e" not in trials or not trials.e.size:
+        return
+    e, v, y, reference = (trials[name] for name in ("e", "v", "y", "reference"))
+    near = 1e-6 * max(abs(y).max(), abs(reference).max())
+    with np.errstate(over="ignore", invalid="ignore"):
+        due = reference - y
+        if abs(e - due).max() <= near:
+            return
+        for likely, other in (("it has the wrong sign", -e), ("it is exchanged with v", v)):
+            if abs(other - due).max() <= near:
+                raise ValueError(f"trials.e is not reference - y: likely {likely}")
 
 
 def read_json(text: str):
@@ -141,7 +182,9 @@ def _load(path, ended=False):
         raise LogError(f"{path}: cannot be read as text: {error}") from None
     problems, metadata = table.problems, table.metadata
     if metadata.get("format") != FORMAT:
-        problems.append(f"metadata: format is {metadata.get('format')!r}, but must be {FORMAT!r}")
+        hint = ": load_law reads laws" if content.lstrip().startswith(b"{") else ""
+        stated = metadata.get("format")
+        problems.append(f"metadata: format is {stated!r}, but must be {FORMAT!r}{hint}")
     _refuse(path, problems)  # all further ones would follow from these
     signals, titles, plausible = _columns_of(table)
     _refuse(path, problems)
@@ -279,7 +322,7 @@ def _implausible(table, plausible, titles, own):
 
 
 def _notes(attributes):
-    """The attributes as metadata: a line of text as it is, all else as JSON."""
+    """The attributes as metadata: a line of text or a time as it is, all else as JSON."""
     notes = {}
     for key, value in attributes.items():
         if key == "Ts":
@@ -287,9 +330,24 @@ def _notes(attributes):
         plain = isinstance(key, str) and re.fullmatch(r"[^\s:#]([^:]*[^\s:])?", key)
         if not (plain and key.isprintable()) or key in OWN:
             raise ValueError(f"attribute {key!r} cannot be a line of the log: rename it")
+        value = _as_text(value) if isinstance(value, date | np.datetime64) else value
         line = isinstance(value, str) and value.isprintable() and value == value.strip()
-        notes[key] = value if line else json.dumps(value, default=str)
+        try:
+            notes[key] = value if line else json.dumps(value, default=_as_text)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"attribute {key!r} cannot be a line of the log: {error}") from None
     return notes
+
+
+def _as_text(value):
+    """What JSON has no word for: times in the words of ISO 8601, arrays as lists."""
+    if isinstance(value, np.datetime64):
+        return str(value)
+    if isinstance(value, date):
+        return value.isoformat()
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    raise TypeError(f"{reprlib.repr(value)} is neither text, a number, a time nor a list of them")
 
 
 def _counters(trials, Ts):

@@ -17,6 +17,7 @@ from rodlib.ilc.filters import (
     LearningFilter,
     LearningOperator,
     ZeroPhaseButterworth,
+    check_Q,
     zero_phase_butterworth,
 )
 from rodlib.ilc.laboratory.excitation import Excitation
@@ -41,7 +42,7 @@ def with_law(
 ) -> xr.Dataset:
     """Note which ILC law (23) made the trials, and around which loop; of L, only coefficients."""
     arguments.instance("trials", trials, xr.Dataset)
-    arguments.instance("Q", Q, ZeroPhaseButterworth)
+    check_Q(Q)
     if L is not None:
         arguments.instance("L", L, LearningOperator)
     named = L is None or isinstance(L, LearningFilter)
@@ -225,7 +226,7 @@ def save_law(path, Q: ZeroPhaseButterworth, L: LearningFilter, note: str = "") -
         What made them, for those who read the file.
     """
     path = arguments.path("path", path)
-    arguments.instance("Q", Q, ZeroPhaseButterworth)
+    check_Q(Q)
     arguments.instance("L", L, LearningFilter)
     arguments.instance("note", note, str)
     arguments.one_period(Q=Q.Ts, L=L.Ts)
@@ -246,8 +247,14 @@ def load_law(path) -> tuple[ZeroPhaseButterworth, LearningFilter]:
     tuple of ZeroPhaseButterworth and LearningFilter
     """
     path = arguments.path("path", path)
+    text = path.read_text(encoding="utf-8")
+    if text.startswith("#"):
+        raise ValueError(
+            f"path = {str(path)!r} is no law but a table: of a trial log, its law is "
+            "rodlib.ilc.laboratory.law_of(load_log(path))"
+        )
     try:
-        content = read_json(path.read_text(encoding="utf-8"))
+        content = read_json(text)
         if content["format"] != FORMAT:
             raise ValueError(f"format {content['format']!r} is not {FORMAT!r}")
         L = _learning_filter_of(content["L"], content["Ts"])

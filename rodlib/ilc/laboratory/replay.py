@@ -31,6 +31,9 @@ from rodlib.ilc.models import state_sequence
 from rodlib.ilc.trials import run_trials
 from rodlib.ilc.watch import Course, rate_of
 
+DEPARTS = 1e-3  # of the largest v, that it is off where another law may have made it
+EXPLAINS = 0.01  # of that, which a mistake may leave
+
 
 @dataclass(frozen=True)
 class Replay:
@@ -157,7 +160,29 @@ class Replay:
             rate = None if P is None else rate_of(P, *law)
             course = Course(trials.v.values, e, reference, *names, self.numbers[0], P, rate)
             found |= course.all_findings()
+        if slip := self._slip():
+            found["law"] = slip
         return tuple(found.values())
+
+    def _slip(self):
+        """What made v, if not the law but the law with a usual mistake, as elsewhere programmed."""
+        if self.departure is None:
+            return None
+        v, e = (self.trials[name].values for name in ("v", "e"))
+        for k in range(1, len(v)):
+            made = self._law_of_trial(self.numbers[k])
+            off = np.abs(self._after(k - 1) - v[k]).max()
+            if made.law[1] is None or off <= DEPARTS * np.abs(v).max():
+                continue
+            for words, given in (
+                ("e with the wrong sign, y - reference", (v[k - 1], -e[k - 1])),
+                ("v and e exchanged", (e[k - 1], v[k - 1])),
+            ):
+                left = np.abs(update(*given, *made.law, made.rest, made.step) - v[k]).max()
+                if left <= EXPLAINS * off:
+                    return f"v of trial {self.numbers[k]} is what the law makes of {words}"
+            return None
+        return None
 
     @property
     def following(self) -> np.ndarray | None:

@@ -336,7 +336,7 @@ import os, signal, sys
 import pyarrow.csv, scipy.signal
 from rodlib import LearningFilter, paper_loop, record, zero_phase_butterworth
 from rodlib.paper import published
-from rodlib.ilc.laboratory import units
+from rodlib.ilc import units
 from rodlib.rigs import RestartingRig, RigParameters
 from rodlib.case import assumed_reference
 

@@ -1,6 +1,6 @@
 import pytest
 
-from rodlib.ilc.laboratory.units import seconds, understood
+from rodlib.ilc.units import seconds, understood
 
 
 @pytest.mark.parametrize("text", ["K", "degC", "l/min", "W/(m K)", "m/s**2", "%", ""])

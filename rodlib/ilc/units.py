@@ -2,6 +2,8 @@
 
 from rodlib.ilc import arguments
 
+PLAIN = ("", "K", "degC", "W", "m", "mm", "N", "V", "A")  # which pint need not be asked about
+
 
 def understood(name: str, label):
     """The unit of `name` as pint has it; a ValueError if pint knows none."""
@@ -15,6 +17,17 @@ def understood(name: str, label):
             f"unit {label!r} of {name} is not understood: write it as pint does, such as 'K', "
             "'degC', 'mm/s', 'l/min', or '' for none"
         ) from None
+
+
+def check(name: str, labels: dict[str, str]) -> None:
+    """Check the units of signals, a dict by their names; `name` is that of the dict."""
+    for signal, label in labels.items():
+        arguments.instance(f"{name}[{signal!r}]", label, str)
+        if label not in PLAIN:
+            try:
+                understood(signal, label)
+            except ValueError as error:
+                raise ValueError(f"{name}: {error}") from None
 
 
 def seconds(label: str) -> float:
