@@ -1,0 +1,516 @@
+"""Does it work the whole way? Eleven kinds of plants, from a model or a table to a log that replays.
+
+`make plants` runs it and writes its table to figures/performance.md; `plants.py furnace 3` shows one
+kind whose rig is three times as far off as in the table, and all that was said. Each kind has a model,
+or a table, that the toolbox is given, and a rig that is another plant: parameters off, noise on the
+sensors, limits of the actuators, what is not linear. The way is the same for all: a design, the check
+of it on the rig's own linear plant, ten trials into a log by a driver that dies in the middle, the rest
+of them by another one, a replay of the log. It is well if the trials learned, or if a warning or an
+error in plain words says why not: that nothing learns and nobody says so is the only failure.
+"""
+
+import os
+import sys
+import tempfile
+import warnings
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import control
+import numpy as np
+
+from rodlib import (
+    ClosedLoop,
+    InfeasibleError,
+    current_trial_loop,
+    load_log,
+    measured_response,
+    multisine,
+    record,
+    shake,
+    synthesise,
+    zero_phase_butterworth,
+)
+from rodlib.ilc.files import write_whole
+from rodlib.ilc.laboratory import Controller, RigError, replay_of
+from rodlib.ilc.laboratory.report import summary
+from rodlib.ilc.models import frequency_response
+from rodlib.ilc.trials import rms
+from rodlib.paper.ledger import splice
+from rodlib.paper.repository import ROOT
+
+TRIALS, DIES = 10, 5.5  # trials, and after how many of them the first driver dies
+OFF = (1.0, 3.0)  # how far the rigs are off: as a careful user's, and as nobody would wish
+LEARNED, LOUD = 1 / 3, 2.0  # of the first RMS; or times the noise of the sensors
+SAYS = {  # what a warning or an error says, in a word or two
+    "beyond the limits": "limits", "the error": "error grows", "grows while": "v grows",
+    "contradict": "not the model", "it starts": "start", "not back": "start", "looks as if": "wiring",
+    "passes only": "slow loop", "of the error in the band": "learns little",
+    "too coarse": "coarse", "may reach": "coarse", "answers after": "delay", "not linear": "not linear",
+    "drifts": "drift", "too far apart": "sparse", "differs from I": "no anchor",
+    "nothing can be learned": "not known", "limits of stop": "stopped", "infeasible": "infeasible",
+    "makes the loop unstable": "unstable", "P is unstable": "unstable",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Plant:
+    """What stands on the bench: x(p + 1) = step(x, u), y = output(x); zero is where it rests."""
+
+    states: int
+    step: Callable
+    output: Callable
+    noise: float | np.ndarray  # standard deviation of the sensors
+    limits: dict = field(default_factory=dict)  # of the inputs, by name
+
+    def linear(self, Ts, inputs, outputs):
+        """The plant at rest, by central differences; names are those of the loop."""
+        n, m, h = self.states, len(inputs), 1e-6
+
+        def slopes(f, size):
+            rows = [(f(h * e) - f(-h * e)) / (2 * h) for e in np.eye(size)]
+            return np.array(rows).T
+
+        A = slopes(lambda x: self.step(x, np.zeros(m)), n)
+        B = slopes(lambda u: self.step(np.zeros(n), u), m)
+        return control.ss(A, B, slopes(self.output, n), 0, Ts, inputs=inputs, outputs=outputs)
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One kind: what the toolbox is given, what stands on the bench, and what the user asks for."""
+
+    loop: object
+    bench: Plant
+    reference: np.ndarray
+    cutoff: float  # of Q, rad/s
+    options: dict = field(default_factory=dict)  # of the synthesis
+    P: object = None  # what is known, if it is not the loop
+    linear: Plant | None = None  # for the check, if the bench has no slope at rest
+    homes: bool = True  # whether every trial begins by a homing run
+    whole: bool = False  # whether the target runs a trial by itself
+    rest: int = 0
+
+
+class DeadError(Exception):
+    """The driver lost its device."""
+
+
+class Driver:
+    """The bench, sample by sample; it dies after so many samples, if it is told to."""
+
+    def __init__(self, kind, seed, dies=np.inf):
+        self.bench, self.seed, self.left = kind.bench, seed, dies
+        self.limits = kind.bench.limits
+        self.low, self.high = np.array([*self.limits.values()] or [(-np.inf, np.inf)]).T
+        self.start(0)
+        if kind.homes:
+            self.begin = self.start
+
+    def start(self, trial):
+        """At rest; the noise of a trial depends on its number alone."""
+        self.x, self.random = np.zeros(self.bench.states), np.random.default_rng([self.seed, trial])
+
+    def read(self):
+        y = self.bench.output(self.x)
+        return y + self.bench.noise * self.random.standard_normal(len(y))
+
+    def apply(self, u):
+        self.left -= 1
+        if self.left < 0:
+            raise DeadError
+        self.x = self.bench.step(self.x, np.clip(u, self.low, self.high))
+
+
+class Target:
+    """The same with the controller on the device: a trial goes up, a trial comes down."""
+
+    def __init__(self, kind, seed, dies=np.inf):
+        self.driver, self.loop = Driver(kind, seed, dies), kind.loop
+        self.begin = self.driver.start
+
+    def run(self, w):
+        ours = not isinstance(self.loop, ClosedLoop)
+        controller = Controller(self.loop) if ours else None
+        y, u = [], []
+        for now in w:
+            y.append(self.driver.read())
+            u.append(controller.step(y[-1], now) if ours else now)
+            self.driver.apply(u[-1])
+        return (np.array(y), np.array(u)) if ours else np.array(y)
+
+
+def driver(kind, seed, dies=np.inf):
+    """The driver of a kind."""
+    return (Target if kind.whole else Driver)(kind, seed, dies)
+
+
+def bump(samples, heights):
+    """Rest, up, and back to rest: as smooth as a cosine, one for each channel."""
+    t = np.clip((np.arange(samples) / samples - 0.1) / 0.7, 0, 1)
+    return np.outer(0.5 * (1 - np.cos(2 * np.pi * t)), heights)
+
+
+def flow(f, Ts, steps=1):
+    """One sampling period of dx/dt = f(x, u) with u held, by Runge and Kutta."""
+    h = Ts / steps
+
+    def step(x, u):
+        for _ in range(steps):
+            a = f(x, u)
+            b = f(x + h / 2 * a, u)
+            c = f(x + h / 2 * b, u)
+            x = x + h / 6 * (a + 2 * b + 2 * c + f(x + h * c, u))
+        return x
+
+    return step
+
+
+def of_model(model, noise, limits=None):
+    """A bench whose dynamics are those of a model in discrete time."""
+    A, B, C = model.A, model.B, model.C
+    return Plant(len(A), lambda x, u: A @ x + B @ u, lambda x: C @ x, noise, limits or {})
+
+
+def tanks(off):
+    """Three tanks in a row, a pump each that gives 40 ml/s at most; outlets as Torricelli says."""
+    Ts, pumps, levels = 2.0, ["pump A", "pump B", "pump C"], ["left", "middle", "right"]
+
+    def plant(area, pipe, outlet):
+        between = pipe * np.array([[-1.0, 1, 0], [1, -2, 1], [0, 1, -1]])
+
+        def flows(x, u):  # about a level of 20 cm
+            out = outlet * np.sqrt(20 * np.maximum(20 + x, 0)) - 20 * outlet
+            return (between @ x - 2 * out + u) / area
+
+        limits = dict.fromkeys(pumps, (-15.0, 25.0))
+        return Plant(3, flow(flows, Ts), lambda x: x, 0.02, limits)
+
+    model = plant(150.0, 12.0, 1.0).linear(Ts, pumps, levels)
+    loop = current_trial_loop(model, sizes=dict.fromkeys(levels, 5.0) | dict.fromkeys(pumps, 20.0))
+    bench = plant(150.0 * (1 + 0.1 * off), 12.0 * (1 - 0.15 * off), 1.0 * (1 + 0.15 * off))
+    return Kind(loop, bench, bump(300, [5.0, 3.0, 4.0]), 0.1, homes=False)
+
+
+def column(off):
+    """Skogestad's distillation column: it answers to one direction a hundred times as much."""
+    Ts, names = 60.0, ["top", "bottom"]
+    gains = np.array([[0.878, -0.864], [1.082, -1.096]])
+
+    def plant(minutes, actuators):
+        T = 60.0 * minutes
+        return control.sample_system(
+            control.ss(-np.eye(2) / T, gains @ np.diag(actuators) / T, np.eye(2), 0,
+                       inputs=["reflux", "boilup"], outputs=names), Ts,
+        )  # fmt: skip
+
+    sizes = dict.fromkeys(names, 1.0) | {"reflux": 20.0, "boilup": 20.0}
+    loop = current_trial_loop(plant(75.0, [1.0, 1.0]), sizes=sizes)
+    bench = of_model(plant(75.0 * (1 + 0.1 * off), [1 + 0.1 * off, 1 - 0.1 * off]), 0.005)
+    return Kind(loop, bench, bump(400, [1.0, -0.5]), 0.1 / Ts, {"structure": "full"})
+
+
+def piezo(off):
+    """A piezo at 10 kHz, a resonance of 800 Hz with damping 0.02; the target runs our controller."""
+    Ts = 1e-4
+
+    def plant(w, damping):
+        model = control.ss([[0, 1], [-(w**2), -2 * damping * w]], [[0], [w**2]], [[1, 0]], 0)
+        return control.sample_system(model, Ts)
+
+    model = plant(2 * np.pi * 800, 0.02)
+    model = control.ss(model, inputs=["V"], outputs=["um"])
+    loop = current_trial_loop(model, sizes={"um": 1.0, "V": 1.0})
+    bench = of_model(plant(2 * np.pi * 800 * (1 - 0.05 * off), 0.02), 1e-3, {"V": (-10.0, 10.0)})
+    return Kind(loop, bench, bump(600, [2.0]), 2 * np.pi * 300, whole=True)
+
+
+def furnace(off):
+    """A valve, a lag, and a pipe of 30 samples to the thermometer."""
+    Ts, samples = 1.0, 30
+
+    def plant(gain, pole, delay):
+        numerator, denominator = [gain * (1 - pole)], np.append([1.0, -pole], np.zeros(delay))
+        model = control.ss(control.tf(numerator, denominator, Ts))
+        return control.ss(model, inputs=["valve"], outputs=["outlet"])
+
+    loop = current_trial_loop(plant(4.0, 0.95, samples), sizes={"outlet": 4.0, "valve": 1.0})
+    bench = of_model(plant(4.0 * (1 + 0.1 * off), 0.95, samples + round(2 * off)), 0.01)
+    return Kind(loop, bench, bump(500, [5.0]), 0.05, {"order": 60}, homes=False)
+
+
+def motor(off):
+    """A motor with inertia, known from an ARX fit to a noisy step test."""
+    Ts, random = 0.01, np.random.default_rng(3)
+
+    def plant(inertia, friction):
+        def flows(x, u):  # speed, current; R = 1 ohm, L = 5 mH, k = 0.05
+            return np.array([(0.05 * x[1] - friction * x[0]) / inertia,
+                             (u[0] - x[1] - 0.05 * x[0]) / 0.005])  # fmt: skip
+
+        return Plant(2, flow(flows, Ts, 4), lambda x: x[:1], 0.05, {"V": (-24.0, 24.0)})
+
+    own = plant(2e-4, 1e-4)
+    x, u, y = np.zeros(2), np.repeat(random.choice([-6.0, 6.0], 100), 10), []
+    for volts in u:
+        y.append(x[0] + 0.05 * random.standard_normal())
+        x = own.step(x, np.array([volts]))
+    y = np.array(y)
+    past = np.column_stack([y[1:-1], y[:-2], u[1:-1], u[:-2]])
+    a1, a2, b1, b2 = np.linalg.lstsq(past, y[2:], rcond=None)[0]
+    model = control.tf([b1, b2], [1, -a1, -a2], Ts, inputs=["V"], outputs=["speed"])
+    loop = current_trial_loop(model, sizes={"speed": 100.0, "V": 12.0})
+    bench = plant(2e-4 * (1 + 0.2 * off), 1e-4 * (1 + 0.5 * off))
+    return Kind(loop, bench, bump(200, [150.0]), 40.0)
+
+
+def zones(off):
+    """Two rooms with heavy walls, a heater of 3 kW each, a sample a minute."""
+    Ts, heaters, rooms = 60.0, ["heater A", "heater B"], ["room A", "room B"]
+
+    def plant(air, wall, coupling):
+        def flows(x, u):  # rooms, walls; K, W
+            room, inside = x[:2], x[2:]
+            into = 150.0 * (inside - room) + coupling * (room[::-1] - room)
+            return np.concatenate(
+                [(u + into - 20.0 * room) / air, (-150.0 * (inside - room) - 60.0 * inside) / wall]
+            )
+
+        limits = dict.fromkeys(heaters, (-1000.0, 2000.0))  # about 1 kW
+        return Plant(4, flow(flows, Ts), lambda x: x[:2], 0.02, limits)
+
+    model = plant(2e5, 5e6, 40.0).linear(Ts, heaters, rooms)
+    sizes = dict.fromkeys(rooms, 3.0) | dict.fromkeys(heaters, 1000.0)
+    loop = current_trial_loop(model, sizes=sizes)
+    bench = plant(2e5 * (1 + 0.2 * off), 5e6 * (1 + 0.2 * off), 40.0 * (1 + 0.3 * off))
+    return Kind(loop, bench, bump(480, [3.0, 2.0]), 0.1 / Ts)
+
+
+def levitation(off):
+    """A ball under a magnet, held by a PD of its own, so that P(0) is not one."""
+    Ts, g, gap, current = 1e-3, 9810.0, 10.0, 1.0  # s, mm/s2, mm, A
+
+    def plant(force):  # of the magnet; the current is trimmed so that the ball hangs at the gap
+        def flows(x, u):  # mm, downwards, and mm/s; w moves the set point
+            i = current / np.sqrt(force) + 0.25 * (x[0] - u[0]) + 0.004 * x[1]
+            pull = force * (i / current * gap / max(gap + x[0], 1.0)) ** 2
+            return np.array([x[1], g * (1 - pull)])
+
+        return Plant(2, flow(flows, Ts, 2), lambda x: x[:1], 2e-3, {"w1": (-5.0, 5.0)})
+
+    P = plant(1.0).linear(Ts, ["w1"], ["gap"])
+    return Kind(ClosedLoop(P), plant(1 + 0.15 * off), bump(400, [2.0]), 60.0)
+
+
+def plc(off):
+    """Two coupled ovens under PIDs in a PLC, of which nothing is known: shaken, then taught by w."""
+    Ts, ovens = 0.5, ["oven A", "oven B"]
+
+    def plant(gain, lag):
+        def step(x, w):  # two lags, an integrator for each
+            T, before, I = x[:2], x[2:4], x[4:]
+            e = w - T
+            asked = 3.0 * e + I
+            u = np.clip(asked, -30.0, 70.0)
+            I = I + np.where(u == asked, 3.0 * Ts / 15.0 * e, 0.0)  # stops at the limits
+            heat = gain * (u + 0.2 * u[::-1])
+            T = T + Ts / lag * (before - T)
+            return np.concatenate([T, before + Ts / 3.0 * (heat - before), I])
+
+        return Plant(6, step, lambda x: x[:2], 0.02)
+
+    loop = ClosedLoop(Ts=Ts, outputs=ovens, units=dict.fromkeys(ovens, "K"))
+    then = Kind(loop, plant(1.0, 20.0), np.zeros((1, 2)), 0.2, whole=True)
+    excitation = multisine(loop, 0.02, 1.5, 2.0, 2.0)
+    P = measured_response(shake(driver(then, 1), loop, excitation))
+    now = plant(1.0 - 0.1 * off, 20.0 * (1 + 0.1 * off))
+    return Kind(loop, now, bump(300, [10.0, 6.0]), 0.2, P=P, whole=True)
+
+
+def table(off):
+    """A stage under its own controller, measured up to 100 of 500 Hz; above there is a resonance."""
+    Ts = 1e-3
+
+    def plant(w, resonance):
+        s = control.tf("s")
+        rigid = w**2 / (s**2 + 1.2 * w * s + w**2)
+        model = rigid * (0.97 + 0.03 * resonance**2 / (s**2 + 0.02 * resonance * s + resonance**2))
+        return control.sample_system(control.ss(model), Ts)
+
+    w, resonance, random = 2 * np.pi * 30, 2 * np.pi * 160, np.random.default_rng(5)
+    omega = 2 * np.pi * np.geomspace(0.5, 100, 150)
+    P = frequency_response(plant(w, resonance), omega)[:, 0, 0]
+    P = P + 0.003 * (random.standard_normal((2, 150)).T @ [1, 1j])
+    bench = of_model(plant(w * (1 - 0.1 * off), resonance * (1 - 0.05 * off)), 2e-3)
+    loop = ClosedLoop(Ts=Ts, outputs=["x"])
+    return Kind(loop, bench, bump(400, [5.0]), 2 * np.pi * 30, P=control.frd(P, omega))
+
+
+def gantry(off):
+    """Two axes with dry friction, which their models do not have."""
+    Ts, forces, axes = 1e-3, ["F x", "F y"], ["x", "y"]
+
+    def plant(mass, dry, limit=80.0):
+        def flows(x, u):  # mm, mm/s, N
+            friction = dry * np.tanh(x[2:] / 1.0) + np.array([20.0, 10.0]) * x[2:] / 1e3
+            return np.concatenate([x[2:], 1e3 * (u - friction) / mass])
+
+        limits = dict.fromkeys(forces, (-limit, limit))
+        return Plant(4, flow(flows, Ts, 2), lambda x: x[:2], 1e-3, limits)
+
+    mass = np.array([8.0, 3.0])
+    loop = current_trial_loop(
+        plant(mass, 0.0).linear(Ts, forces, axes),
+        sizes=dict.fromkeys(axes, 1.0) | dict.fromkeys(forces, 40.0),
+    )
+    bench = plant(mass * (1 + 0.1 * off), np.array([4.0, 2.0]) * off)
+    sliding = plant(mass * (1 + 0.1 * off), 0.0)
+    return Kind(loop, bench, bump(500, [20.0, 10.0]), 60.0, linear=sliding)
+
+
+def pendulum(off):
+    """An inverted pendulum that shall lean by 0.8 rad and come back."""
+    Ts = 0.01
+
+    def plant(mass, length):
+        def flows(x, u):
+            inertia = mass * length**2
+            turn = mass * 9.81 * length * np.sin(x[0]) + u[0] - 0.05 * x[1]
+            return np.array([x[1], turn / inertia])
+
+        return Plant(2, flow(flows, Ts), lambda x: x[:1], 1e-3, {"torque": (-10.0, 10.0)})
+
+    model = plant(1.0, 0.5).linear(Ts, ["torque"], ["angle"])
+    loop = current_trial_loop(model, sizes={"angle": 0.5, "torque": 5.0})
+    return Kind(loop, plant(1 + 0.1 * off, 0.5 * (1 + 0.05 * off)), bump(300, [0.8]), 6.0)
+
+
+KINDS = {
+    f.__name__: f
+    for f in (
+        tanks, column, piezo, furnace, motor, zones, levitation, plc, table, gantry, pendulum,
+    )
+}  # fmt: skip
+
+
+def designed(kind):
+    """The filter, as the workbench would choose the arguments: the paper's choices by Ts and P."""
+    Ts, known = kind.loop.Ts, kind.loop if kind.P is None else kind.P
+    Q = zero_phase_butterworth(2, kind.cutoff, Ts)
+    measured = isinstance(known, control.FrequencyResponseData)
+    omega = known.omega if measured else np.geomspace(1e-3, np.pi, 300) / Ts
+    if measured:
+        P = np.moveaxis(known.frdata, -1, 0)[np.abs(omega - kind.cutoff).argmin()]
+    elif kind.P is not None:
+        P = known.on(np.array([kind.cutoff]))[0][0]
+    else:
+        P = known.frequency_response([kind.cutoff])[0]
+    L_max = float(f"{2.5 / np.linalg.norm(P, 2):.1g}")
+    band = (max(omega[0], kind.cutoff / 100), kind.cutoff / 5)
+    return synthesise(
+        known, Q, omega, Ts, **{"order": 20, "L_max": L_max, "band": band} | kind.options
+    )
+
+
+def checked(kind, design):
+    """The rate on the linear plant of the rig."""
+    loop = kind.loop
+    plant = kind.linear or kind.bench
+    if isinstance(loop, ClosedLoop):
+        return design.check(plant.linear(loop.Ts, loop.references, loop.outputs))
+    m = len(loop.outputs)
+    plant = plant.linear(loop.Ts, loop.controls, loop.outputs)
+    return design.check(loop.around(plant)[:, :m])
+
+
+def go(row, kind, path, trials):
+    """The whole way of one kind; what is found on it goes into the row as it is found."""
+    m, samples = len(kind.loop.outputs), len(kind.reference)
+    row |= {"channels": m, "Ts": kind.loop.Ts}
+    design = designed(kind)
+    row |= {"promised": design.certificate.all_M, "design": f"{design}"}
+    try:
+        row["check"] = checked(kind, design)
+    except ValueError as error:
+        row["said"].append(f"{error}")
+    law = kind.loop, zero_phase_butterworth(2, kind.cutoff, kind.loop.Ts), design.filter
+    given = {"trials": trials, "rest": kind.rest}
+    try:
+        record(driver(kind, 7, DIES / TRIALS * trials * samples), *law, kind.reference, path=path, **given)
+    except DeadError:
+        row["kept"] = load_log(path).sizes["trial"]
+    log = record(driver(kind, 7), *law, kind.reference, path=path, **given)
+    row["rms"] = rms(log.e).values
+    replay = replay_of(load_log(path))
+    row["summary"] = summary(replay)
+    off = replay.departure.values.max() / np.abs(log.v.values).max()
+    if off > 1e-9:
+        row["failure"] = f"the log departs from its law by {off:.2g}"
+    if kind.homes:
+        unbroken = record(driver(kind, 7), *law, kind.reference, **given)
+        if not np.array_equal(unbroken.y, log.y):
+            row["failure"] = "gone on with, it is another experiment"
+
+
+def in_short(text):
+    """What a warning or an error says, in a word or two; "?" if it is none that is known."""
+    return next((short for long, short in SAYS.items() if long in text), "?")
+
+
+def outcome(name, off=1.0, trials=TRIALS):
+    """How one kind ends: a row of the table."""
+    row = {"kind": name, "off": off, "said": []}
+    with warnings.catch_warnings(record=True) as raised, tempfile.TemporaryDirectory() as folder:
+        warnings.simplefilter("always")
+        try:
+            kind = KINDS[name](off)
+            row["noise"] = np.linalg.norm(np.broadcast_to(kind.bench.noise, len(kind.loop.outputs)))
+            go(row, kind, Path(folder) / "log.csv", trials)
+        except (InfeasibleError, RigError) as error:
+            row["said"].append(f"{error}")
+        except Exception as error:
+            row["failure"] = f"{type(error).__name__}: {error}"
+    row["said"] += [f"{w.message}" for w in raised]
+    row["words"] = list(dict.fromkeys(in_short(text) for text in row["said"]))
+    row["end"] = end_of(row)
+    return row
+
+
+def end_of(row):
+    """Learned, or said why not; else what went wrong."""
+    if "failure" in row or "?" in row["words"]:
+        return row.get("failure", "said what nobody understands")
+    if "rms" not in row:
+        return "said so"
+    x = row["rms"]
+    learned = x[-1] < max(LEARNED * x[0], LOUD * row["noise"])
+    if learned and x[-1] < 3 * max(x.min(), row["noise"]):
+        return "learned"
+    return "said so" if row["words"] else "silent"
+
+
+def main(chosen):
+    """Print the table; of all kinds it goes to figures/performance.md."""
+    if chosen:
+        row = outcome(chosen[0], *map(float, chosen[1:]))
+        print(row.get("design"), row.get("check"), row.get("summary"), *row["said"], sep="\n\n")
+        print(row["end"], row.get("rms"), row["noise"])
+        return
+    cases = [(name, off) for off in OFF for name in KINDS]
+    with ProcessPoolExecutor() as pool:
+        rows = list(pool.map(outcome, *zip(*cases)))
+    for row in rows:
+        check = row.get("check")
+        print(row["kind"], row["off"], row.get("channels"), row.get("Ts"), row.get("promised"), check and (check.gamma, check.spectral_radius),
+              row.get("rms", [np.nan])[[0, -1]] if "rms" in row else None, row["noise"] if "noise" in row else None, row.get("kept"), row["words"], row["end"], sep=" | ")
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
