@@ -9,7 +9,8 @@ that of a similar problem; and :mod:`~rodlib.ilc.synthesis.statement`, in CVXPY.
 trusted: what is returned has a certificate.
 """
 
-from rodlib.ilc.synthesis.design import InfeasibleError, SolverError, Synthesis, synthesise
+from rodlib.ilc.synthesis.design import synthesise
+from rodlib.ilc.synthesis.result import InfeasibleError, SolverError, Synthesis
 from rodlib.ilc.synthesis.search import largest_cutoff, least_gain
 
 __all__ = [

@@ -1,0 +1,95 @@
+"""What comes of a synthesis: a filter with what is known about it, or why there is none."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rodlib.ilc.evidence.certificate import Certificate
+from rodlib.ilc.evidence.check import Check, check
+from rodlib.ilc.filters import LearningFilter
+from rodlib.ilc.posing import pose
+from rodlib.ilc.problem import Problem, Solution
+from rodlib.ilc.synthesis.threads import on_one_thread
+
+
+class InfeasibleError(ValueError):
+    """No learning filter of the given order and structure meets the bounds.
+
+    Attributes
+    ----------
+    smallest_M_max : float
+        What is feasible with the other arguments; from one on, nothing that converges.
+    plant, omega : int, float
+        Where the bound on M that stands most in the way is; plant number 0 is the nominal one.
+    """
+
+    def __init__(self, message: str, smallest_M_max: float, plant: int, omega: float):
+        super().__init__(message)
+        self.smallest_M_max, self.plant, self.omega = smallest_M_max, plant, omega
+
+
+class SolverError(RuntimeError):
+    """The solver returned no filter, or one whose certificate fails."""
+
+
+@dataclass(frozen=True)
+class Synthesis:
+    """A learning filter and what was checked about it, from singular values."""
+
+    filter: LearningFilter
+    problem: Problem  # what was asked of it
+    certificate: Certificate  # of optimality and bounds, by code independent of the solver
+    sigma_M: np.ndarray  # (n,): largest singular values of M at the design frequencies
+    sigma_L: np.ndarray  # and of L
+    solution: Solution  # what the solver said, on which nothing relies
+
+    @property
+    def value(self) -> float:
+        """The objective, with the cost of noise, if that was asked for."""
+        return self.certificate.value
+
+    @property
+    def omega(self) -> np.ndarray:
+        """The design frequencies, rad/s."""
+        return self.problem.omega[self.problem.asked]
+
+    def check(self, P, omega=None, *, uncertainty=None, confidence=None, beyond=None) -> Check:
+        """What the filter does on another plant: the rate, and does it converge?
+
+        Parameters
+        ----------
+        P : as for :func:`synthesise`
+            One plant or several, with the channels and the sampling period of the design.
+        omega : array_like, shape (n,), optional
+            Frequencies, rad/s. Default: those of P, if it has some, else those of the design.
+        uncertainty, confidence, beyond
+            As for :func:`synthesise`.
+
+        Returns
+        -------
+        Check
+            Print it. `gamma` is the rate of Lemma 1, `spectral_radius` below one says that the
+            trials converge all the same. For another Q than that of the design: :func:`rate`.
+        """
+        own, channels = self.problem, self.problem.channels
+        if omega is None:
+            omega = getattr(P, "omega", self.omega)
+        Q = own.butterworth
+        if Q is None:
+            Q = own.Q[own.asked]
+            if np.shape(omega) != Q.shape or not np.allclose(omega, self.omega, rtol=1e-9, atol=0):
+                raise ValueError(
+                    "omega must be the design frequencies, at which alone the samples of Q are "
+                    "known: synthesise with Q as a filter, or ask rate(P, Q, L, omega)"
+                )
+        known = {"uncertainty": uncertainty, "confidence": confidence, "beyond": beyond}
+        known |= {"order": 1, "L_max": None, "objective": "peak"}
+        problem = pose(P, Q, omega, own.Ts, **known)
+        if problem.channels != channels:
+            raise ValueError(f"P has {problem.channels} channels, but the filter has {channels}")
+        if np.any(own.scale != 1):
+            problem = pose(P, Q, omega, own.Ts, **known, scale=own.scale)
+        return on_one_thread(check)(problem, LearningFilter(self.solution.coefficients, own.Ts))
+
+    def __repr__(self):
+        return f"{self.solution.method}, {self.solution.iterations} iterations\n{self.certificate}"
