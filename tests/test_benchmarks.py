@@ -1,9 +1,11 @@
 """The benchmarks are not timed here; that they can be run, and what is made of them, is tested."""
 
+import ast
 import json
 import pickle
 import sys
 
+import nbformat
 import pytest
 
 from rodlib.paper.repository import ROOT
@@ -67,3 +69,36 @@ def test_what_is_measured_travels_to_another_process(benchmarks, monkeypatch):
     for call in sent:
         pickle.dumps(call)
     assert len(sent) == 4
+
+
+def test_three_other_settings_of_parameters_that_each_notebook_has(benchmarks):
+    import parameters
+
+    notebooks = sorted((ROOT / "notebooks").glob("*.ipynb"))
+    assert [*parameters.SETTINGS] == [path.name[:2] for path in notebooks]
+    for path in notebooks:
+        cells = [c for c in nbformat.read(path, 4).cells if c.cell_type == "code"]
+        chosen = {s.target.id: s.value for s in ast.parse(cells[1].source).body}
+        settings = parameters.SETTINGS[path.name[:2]]
+        assert len(settings) == 3
+        for setting in settings:
+            assert {*setting} <= {*chosen}, path.stem
+            assert setting != {name: ast.literal_eval(chosen[name]) for name in setting}
+
+
+@pytest.mark.parametrize(
+    ("name", "frames", "sentence"),
+    [
+        ("ValueError", ["cell", "File /a/rodlib/ilc/arguments.py:31, in number"], True),
+        ("ValueError", ["cell", "\x1b[31m----> 5\x1b[0m     raise ValueError(message)"], True),
+        ("ValueError", ["cell", "----> 5 axes.plot(x, y)", "File matplotlib/axes.py:7"], False),
+        ("KeyError", ["cell", "File /a/rodlib/ilc/arguments.py:31, in number"], False),
+    ],
+)
+def test_a_check_of_ours_ends_in_a_sentence_and_all_else_in_a_traceback(
+    benchmarks, name, frames, sentence
+):
+    import parameters
+
+    error = parameters.papermill.PapermillExecutionError(0, 1, "", name, "", frames)
+    assert parameters.is_a_sentence(error) == sentence

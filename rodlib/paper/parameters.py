@@ -35,8 +35,8 @@ def checked(**parameters: tuple) -> dict:
         texts = ", ".join(f"`{given[1]!r}`" for given in other.values())
         display(
             Markdown(
-                f"**{words}, where the text has {texts}**: its numbers, and what it concludes from "
-                "them, are about the latter. Believe the cells."
+                f"**{words}; the text was written for {texts}.** What it says of numbers, and "
+                "concludes from them, holds for these only; the cells compute anew."
             )
         )
     return {name: value for name, (value, *_) in parameters.items()}

@@ -43,7 +43,9 @@ def test_other_choices_than_those_of_the_text_are_told_of(monkeypatch):
     assert shown == []
     checked(M_max=(0.85, 0.9, 0.1, 1.0), trials=(10, 10, 2, 50), log=("a.csv", ""))
     (text,) = shown
-    assert text.startswith("**`M_max = 0.85`, `log = 'a.csv'`, where the text has `0.9`, `''`**")
+    assert text.startswith(
+        "**`M_max = 0.85`, `log = 'a.csv'`; the text was written for `0.9`, `''`.**"
+    )
     assert "trials" not in text
 
 
