@@ -14,6 +14,7 @@ import nbformat
 import pandas as pd
 import pytest
 
+import rodlib
 from rodlib.paper import ledger, published
 from rodlib.paper.repository import ROOT
 
@@ -142,6 +143,13 @@ def test_readme_links_lead_somewhere():
         path = ROOT / name
         for target in re.findall(r"\]\((?!https?:|#)([^)#]+)", path.read_text(encoding="utf-8")):
             assert (path.parent / target).exists(), f"{name}: {target}"
+
+
+def test_the_version_is_the_same_wherever_it_stands():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert rodlib.__version__ == project["version"]
+    assert f"\nversion: {rodlib.__version__}\n" in citation
 
 
 def test_lock_pins_and_hashes_every_direct_dependency():

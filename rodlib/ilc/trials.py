@@ -16,7 +16,7 @@ from rodlib.ilc.filters import (
 )
 from rodlib.ilc.loop import ClosedLoop, Loop, check_loop, with_noise
 from rodlib.ilc.models import state_sequence
-from rodlib.ilc.watch import Course, rate_of
+from rodlib.ilc.watch import Course, rates_of
 
 
 def run_trials(
@@ -108,8 +108,8 @@ def run_trials(
     errors = learn(run, first, Q, L, trials, rest, _steps(step, trials))
     if L is not None:
         P, names = loop.P, loop.outputs
-        units, rate = [loop.units[name] for name in names], rate_of(P, Q, L)
-        course = Course(v, errors, r, names, units, 1, None if plant is None else P, rate)
+        units, rates = [loop.units[name] for name in names], rates_of(P, Q, L)
+        course = Course(v, errors, r, names, units, 1, None if plant is None else P, *rates)
         for finding in course.all_findings().values():
             warnings.warn(finding, stacklevel=2)
     more = {name: np.array([trial[name] for trial in made]) for name in made[0]}

@@ -45,6 +45,7 @@ class Course:
     first: int = 1  # number of the first trial
     P: control.StateSpace | None = None  # what the outputs shall follow v by; None: not known
     rate: float | None = None  # max sigma(M) of the model with this law, if known
+    turned: float | None = None  # and with -L
 
     def findings(self, k: int = -1) -> dict[str, str]:
         """What the trial with the index k says, with those before it, by kind."""
@@ -111,6 +112,11 @@ class Course:
     def _why(self, e):
         """Where it grows, and what the model says of growth."""
         remedy = "learn less, by a lower cut-off or a smaller step"
+        if self.turned is not None and self.turned < 1 <= self.rate:
+            return (
+                f"By the loop's own model sigma_max(M) reaches {self.rate:.3g}, but with -L only "
+                f"{self.turned:.3g}: likely L has the wrong sign, as for e = y - reference"
+            )
         power, tenth = np.sum((e / np.abs(e).max()) ** 2, axis=1), max(1, len(e) // 10)
         for part, where, cure in (
             (power[:tenth], "first", "let the reference rest at first"),
@@ -227,9 +233,10 @@ def by_noise(ratio, freedom, rises=None) -> float:
     return min(1.0, rises * (rises + 1) * exceeds) / factorial(min(rises + 1, 100))
 
 
-def rate_of(P: control.StateSpace, Q, L) -> float:
-    """max sigma(M) of a model with a law, on a grid of frequencies; Lemma 1."""
+def rates_of(P: control.StateSpace, Q, L) -> tuple[float, float]:
+    """max sigma(M) of a model with a law, on a grid of frequencies, and with -L; Lemma 1."""
     omega = np.geomspace(1e-4, 1, GRID) * np.pi / Q.Ts
     responses = frequency_response(P, omega), Q.frequency_response(omega)
-    M = convergence_matrix(*responses, L.frequency_response(omega))
-    return float(largest_singular_values(M).max())
+    L = L.frequency_response(omega)
+    M = (convergence_matrix(*responses, response) for response in (L, -L))
+    return tuple(float(largest_singular_values(each).max()) for each in M)

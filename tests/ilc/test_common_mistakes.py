@@ -190,6 +190,10 @@ SUSPECTED = {
         "hours = 10800 are 450 days, 6187 periods .* likely seconds, which are 3 h",
         lambda: multisine(LOOP, 1e-3, 0.1, 1.0, 10800),
     ),
+    "L with the wrong sign": (
+        r"sigma_max\(M\) reaches 2, but with -L only .* likely L has the wrong sign",
+        lambda: run_trials(LOOP, Q, LearningFilter(-L.coefficients, 1.0), MOVE, None, 10),
+    ),
     "e with the wrong sign": (
         "v of trial 2 is what the law makes of e with the wrong sign, y - reference",
         lambda: replay_of(relearned(lambda trial: (trial.v.values, -trial.e.values))),
@@ -215,6 +219,11 @@ def test_a_warning_names_the_likely_cause(words, call):
 def test_what_is_infeasible_by_a_mistake_says_so():
     with pytest.raises(ValueError, match=r"infeasible: .* But where P falls .* conjugated"):
         designed(P=PAPER.frequency_response(OMEGA).conj(), L_max=50.0)
+
+
+def test_a_check_on_another_plant_says_what_speaks_against_it():
+    assert "WARNING" not in repr(DESIGN.check(sampled(), OMEGA))
+    assert "WARNING: where P falls" in repr(DESIGN.check(sampled().conj(), OMEGA))
 
 
 def test_names_of_columns_count():

@@ -19,7 +19,7 @@ from rodlib.ilc.laboratory.notes import BEGUN, EARLIER, LAW, MADE_BY, with_excit
 from rodlib.ilc.laboratory.start import Start
 from rodlib.ilc.loop import Loop
 from rodlib.ilc.trials import check_law, dataset, each_trial, in_columns
-from rodlib.ilc.watch import Course, rate_of
+from rodlib.ilc.watch import Course, rates_of
 
 
 def record(
@@ -270,8 +270,8 @@ class _Experiment:
         loop, (v, y) = self.rig.loop, (np.stack(signals[name]) for name in ("v", "y"))
         units, reference = [loop.units[name] for name in loop.outputs], self.reference[: k + 1]
         given = v, reference - y, reference, loop.outputs, units
-        rate = None if loop.P is None else rate_of(loop.P, *self.law)
-        return found | Course(*given, P=loop.P, rate=rate).findings()
+        rates = (None, None) if loop.P is None else rates_of(loop.P, *self.law)
+        return found | Course(*given, 1, loop.P, *rates).findings()
 
     def start(self, signals) -> Start:
         """Where the first trial started."""

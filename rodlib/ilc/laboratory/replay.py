@@ -29,7 +29,7 @@ from rodlib.ilc.laboratory.start import Start
 from rodlib.ilc.loop import ClosedLoop, Loop
 from rodlib.ilc.models import state_sequence
 from rodlib.ilc.trials import run_trials
-from rodlib.ilc.watch import Course, rate_of
+from rodlib.ilc.watch import Course, rates_of
 
 DEPARTS = 1e-3  # of the largest v, that it is off where another law may have made it
 EXPLAINS = 0.01  # of that, which a mistake may leave
@@ -157,8 +157,8 @@ class Replay:
                     found.setdefault("start", f"trial {k + 1}: {missed}")
         if law is not None and law[1] is not None:
             P = None if self.loop is None else self.loop.P
-            rate = None if P is None else rate_of(P, *law)
-            course = Course(trials.v.values, e, reference, *names, self.numbers[0], P, rate)
+            rates = (None, None) if P is None else rates_of(P, *law)
+            course = Course(trials.v.values, e, reference, *names, self.numbers[0], P, *rates)
             found |= course.all_findings()
         if slip := self._slip():
             found["law"] = slip
