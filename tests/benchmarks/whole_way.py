@@ -52,7 +52,8 @@ SAYS = {  # what a warning or an error says, in a word or two
     "too coarse": "coarse", "may reach": "coarse", "answers after": "delay",
     "not linear": "not linear",
     "drifts": "drift", "too far apart": "sparse", "differs from I": "no anchor",
-    "nothing can be learned": "not known", "limits of stop": "stopped", "infeasible": "infeasible",
+    "nothing can be learned": "not known", "limits of stop": "stopped",
+    "infeasible": "infeasible", "P is singular": "singular",
     "makes the loop unstable": "unstable", "P is unstable": "unstable",
 }  # fmt: skip
 
