@@ -19,8 +19,8 @@ export PYTHONUTF8 := 1
 export LC_ALL := C.UTF-8
 export PYTHONWARNINGS := ignore::DeprecationWarning
 .DELETE_ON_ERROR:
-.PHONY: $(BIN)/ready help reproduce test lint data replay machines mutants lowest survey study \
-	pages bench lab notebooks lock clean
+.PHONY: $(BIN)/ready help reproduce test lint data replay machines mutants lowest survey plants \
+	study pages bench lab notebooks lock clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' Makefile | sed -E 's/:.*## /\t/' | expand -t 12
@@ -66,6 +66,9 @@ lowest: $(BIN)/ready  ## unit tests with the oldest packages that pyproject.toml
 
 survey: $(BIN)/ready  ## solve 550 problems for ordinary plants; count how it ends (some minutes)
 	@$(BIN)/python tests/benchmarks/survey.py
+
+plants: $(BIN)/ready  ## eleven kinds of plants the whole way, from a model to a log (a minute)
+	@$(BIN)/python tests/benchmarks/whole_way.py
 
 study: $(BIN)/ready  ## 10,000 rods that are off: make study [SCHEDULER=address]; results in build/study
 	@$(BIN)/python tests/benchmarks/study.py $(SCHEDULER)

@@ -6,6 +6,7 @@ import pickle
 import sys
 
 import nbformat
+import numpy as np
 import pytest
 
 from rodlib.paper.repository import ROOT
@@ -102,3 +103,30 @@ def test_a_check_of_ours_ends_in_a_sentence_and_all_else_in_a_traceback(
 
     error = parameters.papermill.PapermillExecutionError(0, 1, "", name, "", frames)
     assert parameters.is_a_sentence(error) == sentence
+
+
+@pytest.mark.parametrize("name", ["motor", "levitation"])
+def test_a_kind_of_plant_goes_the_whole_way(benchmarks, name):
+    import whole_way
+
+    row = whole_way.outcome(name, trials=4)
+    assert row["end"] == "learned" and not row["said"] and row["kept"] == 2
+    assert row["promised"] < 0.2 and row["on the rig"] < 0.2
+    assert row["rms"][-1] < row["rms"][0] / 10
+    assert "law: the recorded v is that of the law in every trial" in row["summary"]
+    table = whole_way.table_of([row])
+    assert table.splitlines()[-1].startswith(f"| {name} | 1 | 1 | 0.0")
+
+
+def test_a_kind_that_does_not_learn_is_well_only_if_somebody_says_so(benchmarks, monkeypatch):
+    import whole_way
+
+    row = whole_way.outcome("motor", -3.0, trials=4)  # so light that no loop holds it
+    assert row["end"] == "said so" and "on the rig" not in row and "unstable" in row["words"]
+    assert "| none |" in whole_way.table_of([row])
+    assert whole_way.end_of(row | {"words": []}) == "silent"
+    assert whole_way.end_of(row | {"words": ["?"]}) == "said what is not known"
+    late = {"rms": np.array([1.0, 0.01, 0.3]), "noise": 0.01, "words": []}
+    assert whole_way.end_of(late) == "silent"
+    monkeypatch.setattr(whole_way, "record", lambda *a, **k: 1 / 0)
+    assert whole_way.outcome("motor", trials=4)["end"].startswith("ZeroDivisionError")

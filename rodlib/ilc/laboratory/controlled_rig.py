@@ -196,7 +196,7 @@ class ControlledRig:
         if self.whole:
             self.download(trial)
             bar.update(len(v))
-            return {"v": v} | self.signals()
+            return {"v": v} | self.followed(trial)
         clock = getattr(self.rig, "clock", None)
         start = clock() if clock else 0.0
         for p, (r, w, flows) in enumerate(zip(reference, self.w, commanded, strict=True)):
@@ -213,13 +213,17 @@ class ControlledRig:
             worst = np.abs(off).argmax()
             many = f"{late.size} samples were not on time, the worst, sample {worst + 1}, by"
             warnings.warn(f"trial {trial}: {many} {off[worst]:.3g} s", stacklevel=5)
+        return {"v": v} | self.followed(trial)
+
+    def followed(self, trial):
+        """The signals of the trial that ran, with a warning of commands that were not followed."""
         signals = self.signals()
         commands = signals["u"] if self.ours else self.w
         cut_off = limits.commands_beyond(commands, self.commands, self.limits)
         if cut_off:
             learned = "what the actuators cannot do, no learning will do for them"
-            warnings.warn(f"trial {trial}: {cut_off}; {learned}", stacklevel=5)
-        return {"v": v} | signals
+            warnings.warn(f"trial {trial}: {cut_off}; {learned}", stacklevel=6)
+        return signals
 
     def download(self, trial):
         """Let the rig run a whole trial by itself; its samples."""

@@ -171,6 +171,17 @@ def test_a_target_may_run_our_controller_by_itself():
     assert "delta" not in log
 
 
+@pytest.mark.parametrize("device", [Sampled, Whole])
+def test_what_it_cannot_follow_is_warned_of_whoever_runs_the_trial(device):
+    rig = device()
+    rig.limits = {"set x": (-1.0, 1.5)}
+    with pytest.warns(
+        UserWarning, match="trial 1: commands were beyond the limits of set x"
+    ) as seen:
+        record(rig, KNOWN, Q, None, REFERENCE, trials=1)
+    assert seen[0].filename == __file__
+
+
 @pytest.mark.parametrize("loop", [KNOWN, NAMED], ids=["P", "names"])
 @pytest.mark.parametrize("device", [Sampled, Whole])
 def test_it_is_shaken_and_nothing_is_assumed_of_it_at_frequency_zero(loop, device):

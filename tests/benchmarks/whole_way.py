@@ -1,0 +1,190 @@
+"""Does it work the whole way? Eleven kinds of plants, from a model or a table to a log.
+
+`make plants` runs it and writes its table to figures/performance.md; `whole_way.py furnace 5` shows
+one kind with a rig that is further off, and all that is said. The way is the same for all: a
+design, its check on the linear plant of the rig, trials into a log by a driver that dies in the
+middle, the rest of them by another one, a replay of the log. It is well if the trials learn, or if
+a warning or an error that is known says why not. A failure is what does neither: silence, an error
+that nobody meant for a user, a log that does not go on or replay.
+"""
+
+import os
+import sys
+import tempfile
+import warnings
+from collections import Counter
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import control
+import numpy as np
+from kinds import KINDS, DeadError, driver
+
+from rodlib import (
+    ClosedLoop,
+    InfeasibleError,
+    load_log,
+    record,
+    synthesise,
+    zero_phase_butterworth,
+)
+from rodlib.ilc.files import write_whole
+from rodlib.ilc.laboratory import MeasuredResponse, RigError, replay_of
+from rodlib.ilc.laboratory.report import summary
+from rodlib.ilc.trials import rms
+from rodlib.paper.ledger import splice
+from rodlib.paper.repository import ROOT
+
+OMEGA = np.geomspace(1e-3, np.pi, 300)  # omega Ts, where P is a model or was measured
+TRIALS, DIES = 10, 0.55  # trials, and after what share of them the first driver dies
+OFF = (1.0, 3.0)  # how far the rigs are off: by some ten percent, and by three times that
+LEARNED, LOUD = 1 / 3, 2.0  # of the first RMS; or times the noise of the sensors
+WORSE = 3.0  # times the best RMS, or the noise: what got worse again has not learned
+WELL = {"learned", "said so"}
+SAYS = {  # what a warning or an error says, in a word or two
+    "beyond the limits": "limits", "more than noise": "error grows", "grows while": "v grows",
+    "contradict": "not the model", "it starts": "start", "not back": "start",
+    "looks as if": "wiring",
+    "passes only": "slow loop", "of the error in the band": "learns little",
+    "too coarse": "coarse", "may reach": "coarse", "answers after": "delay",
+    "not linear": "not linear",
+    "drifts": "drift", "too far apart": "sparse", "differs from I": "no anchor",
+    "nothing can be learned": "not known", "limits of stop": "stopped",
+    "infeasible": "infeasible", "P is singular": "singular",
+    "makes the loop unstable": "unstable", "P is unstable": "unstable",
+}  # fmt: skip
+
+
+def law_of(kind):
+    """Q and the design, by the paper's choices carried over by Ts and P, as the workbench does."""
+    Ts, known = kind.loop.Ts, kind.loop if kind.P is None else kind.P
+    Q, omega, at = zero_phase_butterworth(2, kind.cutoff, Ts), OMEGA / Ts, [kind.cutoff]
+    if isinstance(known, control.FrequencyResponseData):
+        omega = known.omega
+        P = known.frdata[..., np.abs(omega - kind.cutoff).argmin()]
+    elif isinstance(known, MeasuredResponse):
+        P = known.on(at)[0][0]
+    else:
+        P = known.frequency_response(at)[0]
+    choices = {
+        "order": 20,
+        "L_max": float(f"{2.5 / np.linalg.norm(P, 2):.1g}"),
+        "band": (max(omega[0], kind.cutoff / 100), kind.cutoff / 5),
+    }
+    return Q, synthesise(known, Q, omega, Ts, **choices | kind.options)
+
+
+def rate_on_the_rig(kind, design):
+    """The largest sigma_max(M) on the linear plant of the rig."""
+    loop, plant = kind.loop, kind.linear or kind.bench
+    if isinstance(loop, ClosedLoop):
+        P = plant.linear(loop.Ts, loop.references, loop.outputs)
+    else:
+        plant = plant.linear(loop.Ts, loop.controls, loop.outputs)
+        P = loop.around(plant)[:, : len(loop.outputs)]
+    return design.check(P).gamma
+
+
+def go(row, kind, path, trials):
+    """The whole way of one kind; what is found on it goes into the row as it is found."""
+    reference = kind.reference
+    row |= {"channels": len(kind.loop.outputs), "Ts": kind.loop.Ts}
+    row["noise"] = float(np.linalg.norm(kind.bench.noise * np.ones(row["channels"])))
+    Q, design = law_of(kind)
+    row |= {"promised": design.certificate.all_M, "design": f"{design}"}
+    try:
+        row["on the rig"] = rate_on_the_rig(kind, design)
+    except ValueError as error:  # no loop that is stable
+        row["said"].append(f"{error}")
+    law = kind.loop, Q, design.filter, reference
+
+    def recorded(dies=np.inf, path=path):
+        return record(driver(kind, dies), *law, trials=trials, path=path)
+
+    try:
+        recorded(DIES * trials * len(reference))
+    except DeadError:
+        row["kept"] = load_log(path).sizes["trial"]
+    log = recorded()
+    row["rms"] = rms(log.e).values
+    replay = replay_of(load_log(path))
+    row["summary"] = summary(replay)
+    if not replay.departure.values.max() <= 1e-9 * np.abs(log.v.values).max():
+        row["failure"] = "the log departs from its law"
+    if kind.homes and not np.array_equal(recorded(path=None).y, log.y):
+        row["failure"] = "gone on with, it is another experiment"
+    if not 0 < row.get("kept", 0) < trials:
+        row["failure"] = "the driver did not die in the middle"
+
+
+def in_short(text):
+    """What a warning or an error says, in a word or two; "?" if it is none that is known."""
+    return next((short for long, short in SAYS.items() if long in text), "?")
+
+
+def outcome(name, off=1.0, trials=TRIALS):
+    """How one kind ends: a row of the table."""
+    row = {"kind": name, "off": off, "said": []}
+    with warnings.catch_warnings(record=True) as raised, tempfile.TemporaryDirectory() as folder:
+        warnings.simplefilter("always")
+        try:
+            go(row, KINDS[name](off), Path(folder) / "log.csv", trials)
+        except (InfeasibleError, RigError) as error:
+            row["said"].append(f"{error}")
+        except Exception as error:
+            row["failure"] = f"{type(error).__name__}: {error}"
+    row["said"] += [f"{warning.message}" for warning in raised]
+    row["words"] = list(dict.fromkeys(map(in_short, row["said"])))
+    return row | {"end": end_of(row)}
+
+
+def end_of(row):
+    """Whether the trials learned, or somebody said why not; else what went wrong."""
+    if "failure" in row or "?" in row["words"]:
+        return row.get("failure", "said what is not known")
+    x, noise = row.get("rms", np.array([np.inf])), row.get("noise", 0.0)
+    if x[-1] < max(LEARNED * x[0], LOUD * noise) and x[-1] < WORSE * max(x.min(), noise):
+        return "learned"
+    return "said so" if row["words"] else "silent"
+
+
+def table_of(rows):
+    """The rows as a table in Markdown."""
+    titles = ["kind", "off", "channels", "Ts (s)", "rate promised", "on the rig", "RMS of trial 1",
+              "of the last", "noise", "said", "end"]  # fmt: skip
+    lines = [f"| {' | '.join(titles)} |", f"|---|{8 * '---:|'}---|---|"]
+    for row in rows:
+        x = row.get("rms", [np.nan])
+        numbers = [row[key] for key in ("off", "channels", "Ts")] + [row["promised"]]
+        numbers += [row.get("on the rig", np.nan), x[0], x[-1], row["noise"]]
+        cells = [f"{value:.3g}" if np.isfinite(value) else "none" for value in numbers]
+        lines.append(
+            f"| {' | '.join([row['kind'], *cells, ', '.join(row['words']), row['end']])} |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def main(chosen):
+    """Print the table, or all about one kind; the table goes to figures/performance.md."""
+    if chosen:
+        row = outcome(chosen[0], *map(float, chosen[1:]))
+        parts = [row.get(key, "") for key in ("design", "summary")]
+        print(*parts, *row["said"], f"{row}", sep="\n\n")
+        return row["end"] not in WELL
+    names, offs = zip(*((name, off) for off in OFF for name in KINDS), strict=True)
+    with ProcessPoolExecutor() as pool:
+        rows = list(pool.map(outcome, names, offs))
+    ends = Counter(row["end"] for row in rows)
+    counts = ", ".join(f"{count} {end}" for end, count in ends.most_common())
+    text = f"{table_of(rows)}\n{len(rows)} ways: {counts}.\n"
+    print(text)
+    page = ROOT / "figures" / "performance.md"
+    write_whole(page, splice(page.read_text(encoding="utf-8"), "plants", text))
+    return bool({*ends} - WELL)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
