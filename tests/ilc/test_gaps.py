@@ -107,7 +107,7 @@ def test_the_worst_of_the_assumed_size_is_what_the_certificate_says(loop):
     M = Q.frequency_response([beyond.omega])[0] * (np.eye(2) - worst @ U @ np.diag(sigma) @ Vh)
     assert np.linalg.norm(M, 2) == pytest.approx(beyond.sigma, rel=1e-9)
     text = str(design)
-    said = f"sigma_max(M) above 1.2 rad/s, with the size of P assumed there: {beyond.sigma:.4g} at"
+    said = f"sigma_max(M) above 1.2 rad/s, with the size of P assumed there: {beyond.sigma:.4f} at"
     assert said in text
     higher = replace(design.certificate, beyond=replace(beyond, sigma=1.0))
     [failure] = higher.failures

@@ -206,7 +206,7 @@ class Certificate:
         return [
             f"sigma_max(M){without} from {low:.4g} to {high:.4g} rad/s, between the samples: "
             f"{self.all_M:.4f}, estimated{of if estimated <= len(self.problem.others) else ''}",
-            *([f"{self._above}: {self.beyond.sigma:.4g} at most"] if self.beyond else []),
+            *([f"{self._above}: {self.beyond.sigma:.4f} at most"] if self.beyond else []),
             f"sigma_max(M) unknown: {', '.join([*unknown, 'at resonances that no sample shows'])}",
         ]
 
