@@ -75,12 +75,12 @@ def _of_trials(plt, trials):
     figure, axes = _axes(plt, len(errors.columns) + len(rows))
     for ax, (label, values) in zip(axes, errors.items(), strict=False):
         ax.semilogy(errors.index, values, "o-")
-        ax.set(xlabel="trial", ylabel=label)
+        ax.set(xlabel="trial", ylabel=_plain(label))
         ax.xaxis.get_major_locator().set_params(integer=True)
     for ax, (label, lines) in zip(axes[len(errors.columns) :], rows, strict=True):
         for name, values, style in lines:
-            ax.plot(trials.time, values, style, label=name)
-        ax.set(xlabel="time (s)", ylabel=label)
+            ax.plot(trials.time, values, style, label=_plain(name))
+        ax.set(xlabel="time (s)", ylabel=_plain(label))
         ax.legend(ncols=2)
     return figure
 
@@ -99,3 +99,8 @@ def _rows(trials) -> Iterator[tuple[str, list]]:
                 if signal == "y":
                     lines.append(("reference", last.reference.values[:, i], f"C{i}--"))
             yield with_unit(f"{signal} in trial {int(last.trial)}", unit), lines
+
+
+def _plain(text):
+    """A text from outside, which is no formula."""
+    return text.replace("$", r"\$")

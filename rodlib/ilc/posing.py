@@ -101,6 +101,14 @@ def _refuse_exchanged(Q, omega):
     """Refuse Q and omega in each other's place."""
     if isinstance(omega, ZeroPhaseButterworth | control.LTI):
         raise ValueError(f"omega = {reprlib.repr(omega)} is a filter: likely exchanged with Q")
+    if _rises(Q) and _axes(omega) == 1 and not _rises(omega):
+        raise ValueError("omega does not increase, but Q does: likely they are exchanged")
+
+
+def _rises(samples):
+    """Whether something is a row of increasing numbers."""
+    row = np.asarray(samples) if _axes(samples) == 1 else np.empty(0)
+    return row.dtype.kind in "iuf" and len(row) > 1 and bool(np.all(np.diff(row) > 0))
 
 
 def _doubts(P, responses, models, omega, Ts):

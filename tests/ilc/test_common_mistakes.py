@@ -127,6 +127,10 @@ REFUSED = {
         "omega = .* is a filter: likely exchanged with Q",
         lambda: synthesise(LOOP, OMEGA, Q),
     ),
+    "samples of Q and omega exchanged": (
+        "omega does not increase, but Q does: likely they are exchanged",
+        lambda: designed(P=sampled(), Q=OMEGA, omega=Q.frequency_response(OMEGA)),
+    ),
     "a file as P": (
         "P = 'rod.csv' is a path, and no model: read the file",
         lambda: designed(P="rod.csv"),

@@ -72,6 +72,13 @@ def test_other_units_stand_in_other_axes_and_what_is_unknown_in_none(trials):
     assert np.array_equal(plot(turned).axes[1].lines[0].get_ydata(), trials.y[-1, :, 0])
 
 
+def test_names_from_outside_are_no_formulas(trials):
+    named = trials.assign_coords(output=("channel", ["$", r"$\frac{$"]))
+    figure = plot(named)
+    figure.draw_without_rendering()
+    assert r"y: \$" in lines_of(figure.axes[1])
+
+
 def test_the_style_of_others_is_left_alone_and_a_stranger_refused(trials):
     before = plt.rcParams.copy()
     plot(trials)
