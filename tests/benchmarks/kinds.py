@@ -88,7 +88,7 @@ class Target:
 
     def __init__(self, kind, dies=np.inf):
         self.driver, self.loop = Driver(kind, dies), kind.loop
-        self.begin = self.driver.start
+        self.begin, self.limits = self.driver.start, self.driver.limits
 
     def run(self, w):
         ours = not isinstance(self.loop, ClosedLoop)
