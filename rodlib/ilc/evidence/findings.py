@@ -7,7 +7,7 @@ import numpy as np
 from rodlib.ilc.evidence.finite_trial import impulse_response
 from rodlib.ilc.problem import TIED, Problem
 
-SLOW = 0.05  # gain of the loop, within the band, below which it counts as slow, of its largest
+SLOW = 0.05  # gain of the loop, within the band, below which it counts as slow: a share of its best
 IDLE = 0.9  # share of the error in the band from which on learning counts as idle
 
 
@@ -23,10 +23,9 @@ def findings(problem: Problem, value: float) -> Iterator[str]:
         )
     if problem.objective == "peak":
         return
-    gains = np.linalg.svd(problem.P[problem.in_band], compute_uv=False)
-    passed = gains[:, -1]
+    passed = np.linalg.svd(problem.P[problem.in_band], compute_uv=False)[:, -1]
     weakest = (passed <= passed.min() * (1 + TIED)).argmax()
-    if passed[weakest] < SLOW * gains.max():  # whatever the units are
+    if passed[weakest] < SLOW * passed.max():  # whatever the units are
         yield (
             f"at {problem.omega[problem.in_band][weakest]:.4g} rad/s, within the band, the loop "
             f"passes only {passed[weakest]:.2g} of w in some direction, and learning must make up "
