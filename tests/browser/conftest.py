@@ -99,7 +99,7 @@ def options_of_make_lab():
     """What the Makefile tells JupyterLab."""
     lines = (ROOT / "Makefile").read_text(encoding="utf-8").replace("\\\n", " ").splitlines()
     line = next(line for line in lines if "jupyter lab " in line)
-    return line.split("jupyter lab ")[1].split()
+    return line.split("jupyter lab ")[1].replace("$(LAB) ", "").split()
 
 
 def wait_for(address, server, log):
