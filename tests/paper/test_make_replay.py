@@ -85,6 +85,14 @@ def test_a_stage_is_replayed_with_its_own_loop(root):
     assert sorted(path.stem for path in figures) == names
 
 
+def test_the_report_stands_executed_and_shows_each_picture_once():
+    """On the synthetic log, in the package; what it prints is held by nbval."""
+    code = [c for c in nbformat.read(reproduce.REPORT, 4).cells if c.cell_type == "code"]
+    assert [cell.execution_count for cell in code] == list(range(1, len(code) + 1))
+    shown = [o for cell in code for o in cell.outputs if "image/png" in o.get("data", {})]
+    assert len(shown) == 5 and all(o.metadata["image/png"]["alt"] for o in shown)
+
+
 @pytest.fixture
 def replay_here(root, monkeypatch, capsys):
     """`make replay` in this process, which runs the notebook's cells without a kernel."""
