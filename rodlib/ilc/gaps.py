@@ -26,17 +26,13 @@ def without_gaps(problem: Problem) -> Problem:
         return problem
     end = 0 if coarse else known[problem.asked][-1]
     gaps = [(a, b) for a, b in pairwise([0, *known, np.pi]) if a >= end and b - a > ROUNDING]
-    added = [_steps(a, b, near)[1:-1] for a, b in gaps]
+    added = [np.linspace(a, b, 1 + int(np.ceil((b - a) / near)))[1:-1] for a, b in gaps]
     ends = np.array([0, np.pi])
     added.append(ends[(ends >= end) & (np.abs(ends - known[[0, -1]]) > ROUNDING)])
-    new = np.concatenate(added)
-    order = np.argsort(np.append(known, new), kind="stable")
-    wide = _spread(problem, old := order < len(known), asked=0)
-    wide["omega"][~old] = np.sort(new) / problem.Ts
-    angles = wide["omega"] * problem.Ts
-    share = np.cos((problem.order - 1) / 2 * _reach(angles)) if coarse else np.ones(len(angles))
-    limit = np.full(len(angles), np.inf)
-    problem = replace(problem, **wide, share_L=share, limit_L=limit)
+    problem, _ = _with(problem, np.sort(np.concatenate(added)) / problem.Ts)
+    if coarse:
+        share = np.cos((problem.order - 1) / 2 * _reach(problem.angles))
+        problem = replace(problem, share_L=share)
     return problem if problem.beyond is None else _bounded_beyond(problem, near)
 
 
@@ -47,14 +43,11 @@ def refined(problem: Problem, omega) -> Problem:
     models = [None if P is None else frequency_response(P, omega) for P in problem.models]
     known = next(response for response in models if response is not None)
     P, *others = (known if response is None else response for response in models)
-    order = np.argsort(np.append(problem.omega, omega), kind="stable")
-    new = order >= len(problem.omega)
-    wide = _spread(problem, ~new, asked=0)
-    wide["omega"][new], wide["P"][new] = omega, P
-    wide["Q"][new] = problem.butterworth.frequency_response(omega)
+    problem, new = _with(problem, omega)
+    problem.P[new], problem.Q[new] = P, problem.butterworth.frequency_response(omega)
     if others:
-        wide["others"][:, new] = others
-    return replace(problem, **wide, share_L=np.ones(len(new)), limit_L=np.full(len(new), np.inf))
+        problem.others[:, new] = others
+    return problem
 
 
 def _reach(angles):
@@ -63,22 +56,19 @@ def _reach(angles):
     return np.maximum([angles[0], *between], [*between, np.pi - angles[-1]])
 
 
-def _steps(a, b, near):
-    """From a to b, both included, in equal steps that are no longer than `near`."""
-    return np.linspace(a, b, 1 + int(np.ceil((b - a) / near)))
-
-
-def _spread(problem, known, **more):
-    """What a problem says of each frequency, with zeros at those that it does not know."""
-    wide = {}
-    axes = {"P": 0, "Q": 0, "omega": 0, "others": 1, "radius": 0, "noise": 0, "switched": 0}
-    for name, axis in (axes | more).items():
-        values = getattr(problem, name)
+def _with(problem, omega):
+    """The problem with further frequencies, where all stands as zero, and which those are."""
+    order = np.argsort(np.append(problem.omega, omega), kind="stable")
+    new, wide = order >= len(problem.omega), {}
+    for name in ("P", "Q", "omega", "others", "radius", "noise", "switched", "asked"):
+        values, axis = getattr(problem, name), int(name == "others")
         if values is not None:
-            shape = (*values.shape[:axis], len(known), *values.shape[axis + 1 :])
+            shape = (*values.shape[:axis], len(new), *values.shape[axis + 1 :])
             wide[name] = np.zeros(shape, dtype=values.dtype)
-            wide[name][(slice(None),) * axis + (known,)] = values
-    return wide
+            wide[name][(slice(None),) * axis + (~new,)] = values
+    wide["omega"][new] = omega
+    free = {"share_L": np.ones(len(new)), "limit_L": np.full(len(new), np.inf)}
+    return replace(problem, **wide, **free), new
 
 
 def _bounded_beyond(problem, near):
