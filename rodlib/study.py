@@ -28,7 +28,7 @@ from rodlib.ilc import arguments, files
 from rodlib.ilc.evidence.convergence import spectral_radii
 from rodlib.ilc.filters import LearningFilter, ZeroPhaseButterworth
 from rodlib.ilc.loop import CurrentTrialLoop
-from rodlib.ilc.problem import convergence_matrix, largest_singular_values
+from rodlib.ilc.problem import Problem, convergence_matrix, largest_singular_values
 from rodlib.ilc.trials import check_law
 from rodlib.rod import Rod
 from rodlib.specimens import MATERIAL, Grid, Spread, check_loop, draw
@@ -42,7 +42,6 @@ MEMORY = {  # for the workers: what is fetched anew for every array costs as muc
 }
 ALIAS = 1e-9  # what is left of a sample after one turn of a trial's transform
 WRAP = 1.6  # lengths of a trial after which its transform begins anew
-BAND = (1e-4, 0.02)  # over which the objective of (39) sums, rad/s
 FOUND = {  # what is found out about each rod: over which dimensions, in which unit
     "density": (("rod",), "kg/m3"),
     "heat_capacity": (("rod",), "J/(kg K)"),
@@ -125,7 +124,8 @@ class Study:
         found["rate"] = sigma.max(axis=2)  # of Lemma 1
         found["rate_omega"] = self.omega[sigma.argmax(axis=2)]
         found["spectral_rate"] = radius.max(axis=2)
-        band = (BAND[0] <= self.omega) & (self.omega <= BAND[1])
+        low, high = Problem.band
+        band = (low <= self.omega) & (self.omega <= high)
         found["objective"] = sigma[:, :, band].sum(axis=2)
         course = Course(self.loop, self.Q, [*self.filters.values()], self.reference, self.trials)
         groups = [rods[i : i + TOGETHER] for i in range(0, len(rods), TOGETHER)]
