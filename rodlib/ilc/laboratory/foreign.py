@@ -26,7 +26,8 @@ SIGNALS = {  # by argument, as titles of a log begin
     "reference": "reference", "v": "v", "inputs": "u", "outputs": "y",
     "disturbances": "disturbance", "measured": "measured",
 }  # fmt: skip
-TIME = re.compile(r"\d{4}-\d\d-\d\d.*|\d+:\d\d(:\d\d.*)?")
+TIME = re.compile(r"(\d{4}-\d\d-\d\d([T ]|$))?(\d+:\d\d(:\d\d(\.\d*)?)?(Z|[+-]\d\d:?\d\d)?)?")
+DAY = 86400.0  # s
 UNIT = re.compile(r"(.*\S)\s*[(\[]([^()\[\]]*)[)\]]")  # "Heater 1 (%)", "Time [s]"
 
 
@@ -63,7 +64,7 @@ def read_table(
         Column of the clock: numbers in the unit of its title or of `units`, by default s, or dates
         and times as in ISO 8601. Without it, rows are `Ts` apart.
     Ts : float, optional
-        Sampling period, s. Default: the median step of the clock, rounded as far as steps scatter.
+        Sampling period, s. Default: the mean step of the clock, rounded as far as steps scatter.
     reference : dict, optional
         Column of what each output should follow. Default: not known.
     v : dict, optional
@@ -150,7 +151,7 @@ def _wanted(given, time, trial):
         raise ValueError("outputs, inputs, disturbances and measured must have different names")
     for word in ("reference", "v"):
         if given[word] is not None and {*given[word]} != {*outputs}:
-            raise ValueError(f"{word} is of {[*given[word]]}, but must be of {[*outputs]}")
+            raise ValueError(f"{word} is of {[*given[word]]}, but outputs are {[*outputs]}")
     if given["v"] is not None and given["reference"] is None:
         raise ValueError("v is given, but no reference, to which it was added")
     wanted = {title: asked for title, asked in wanted.items() if asked[1] is not None}
@@ -195,7 +196,10 @@ def _read(source, content, wanted, given, Ts, labels, resample):
     columns["trial"] = number + (number.min() == 0)
     if "time" in columns:
         unit = "s" if dated else labels.get("time") or layout.unit(places["time"]) or "s"
-        columns["time"] = columns["time"] * seconds(unit)
+        try:
+            columns["time"] = columns["time"] * seconds(unit)
+        except ValueError as error:
+            raise LogError(f"{source}: time = {wanted['time'][1]!r}: {error}") from None
     else:
         starts = sampling.starts_of(columns["trial"])
         rows = np.arange(len(number))
@@ -262,7 +266,7 @@ class _Layout:
                 return titles.index(column)
             if column in titles:
                 raise ValueError("is the title of several columns: give its number")
-        close = difflib.get_close_matches(column, self.titles, n=1)
+        close = difflib.get_close_matches(column, titles, n=1)
         hint = f"did you mean {close[0]!r}? It has" if close else "it has"
         raise ValueError(f"is no column: {hint} {few(self.titles)}")
 
@@ -289,7 +293,7 @@ def _split(text, delimiter):
 
 def _counts(entry, decimal):
     """Whether an entry is a number or a time."""
-    return bool(np.isfinite(tables.number(entry, decimal)) or TIME.fullmatch(entry))
+    return bool(np.isfinite(tables.number(entry, decimal)) or (entry and TIME.fullmatch(entry)))
 
 
 def _layout(lines) -> _Layout | None:
@@ -304,11 +308,12 @@ def _layout(lines) -> _Layout | None:
             numbers = np.array([[_counts(entry, decimal) for entry in row] for row in alike])
             filled = np.array([[entry != "" for entry in row] for row in alike])
             share = numbers.sum() / max(filled.sum(), 1) * len(alike) / max(len(split), 1)
-            if (share, width > 1) > best:
-                best, found = (share, width > 1), (delimiter, decimal, width, numbers.mean(0) > 0.5)
+            if share and (share, width > 1) > best:
+                best, found = (share, width > 1), (delimiter, decimal, numbers.mean(0) >= 0.5)
     if found is None:
         return None
-    delimiter, decimal, width, numeric = found
+    delimiter, decimal, numeric = found
+    width = len(numeric)
 
     def row(k):
         entries = _split(lines[k].lstrip().lstrip(MARKS), delimiter)
@@ -322,7 +327,7 @@ def _layout(lines) -> _Layout | None:
     above = [k for k in range(first) if lines[k].strip() and len(row(k)) == width]
     plain = [k for k in above if not any(_counts(entry, decimal) for entry in row(k))]
     title = plain[-1] if plain else above[-1] if above else None
-    dated = [TIME.fullmatch(entry) is not None for entry in row(first)]
+    dated = [bool(entry and TIME.fullmatch(entry)) for entry in row(first)]
     begin, titles = (first, None) if title is None else (title + 1, row(title))
     return _Layout(delimiter, decimal, width, begin, titles, dated)
 
@@ -342,9 +347,11 @@ def _with_seconds(body, table, clock):
     texts = [row[place].strip() if len(row) == table.width else "" for row in rows]
     series = pd.Series(texts, dtype=object)
     times = pd.to_datetime(series, format="ISO8601", errors="coerce", utc=True)
-    if times.isna().all():
-        times = pd.to_timedelta(series, errors="coerce")
     passed = (times - times.min()).dt.total_seconds()
+    if passed.isna().all():
+        passed = pd.to_timedelta(series, errors="coerce").dt.total_seconds()
+        known = passed.notna()
+        passed[known] = np.unwrap(passed[known], period=DAY)  # past midnight
     table.places[clock], table.width = table.width, table.width + 1
     return [
         text and f"{text}{table.delimiter}{f'{t!r}'.replace('.', table.decimal) if t == t else old}"

@@ -18,7 +18,7 @@ import numpy as np
 import xarray as xr
 
 from rodlib.ilc import arguments, units
-from rodlib.ilc.files import write_pieces
+from rodlib.ilc.files import read_json, write_pieces
 from rodlib.ilc.laboratory import limits, sampling, tables
 from rodlib.ilc.laboratory.tables import NUMBER, few
 from rodlib.ilc.trials import dataset
@@ -166,21 +166,6 @@ def _check_errors(trials):
                 raise ValueError(f"trials.e is not reference - y: likely {likely}")
 
 
-def read_json(text: str):
-    """What JSON says; a ValueError if it says anything twice, or what JSON has no word for."""
-    return json.loads(text, object_pairs_hook=_once, parse_constant=_refuse_constant)
-
-
-def _once(pairs):
-    if len(pairs) > len(dict(pairs)):
-        raise ValueError("a name stands there twice")
-    return dict(pairs)
-
-
-def _refuse_constant(word):
-    raise ValueError(f"{word} is no number")
-
-
 def _load(path, ended=False, resample=False):
     """As :func:`load_log`, or :func:`load_ended`."""
     content = content_of(path)
@@ -206,7 +191,7 @@ def _load(path, ended=False, resample=False):
     problems += _problems_of_titles(table.header, ["trial", "time", *titles])
     problems += table.problems_of(["trial", "time", *titles])
     problems += [] if table.columns.size else ["the table has no rows"]
-    problems += _implausible(table, plausible, titles, own) if not problems else []
+    problems += _implausible(table, plausible, own) if not problems else []
     refuse(path, problems)
     if ended:
         _drop_short_last_trial(table)
@@ -225,13 +210,7 @@ def content_of(path) -> bytes:
 
 def trials_of(source, table, signals, Ts, notes, resample=False, anywhere=False) -> xr.Dataset:
     """The trials in a table with the columns of a log, and the time in s."""
-    titles = {
-        f"{signal}_{name}": signal
-        for signal, role in SIGNALS.items()
-        for name in signals.get(ROLES[role], ())
-        if f"{signal}_{name}" in table.header
-    }
-    notes = dict(notes)
+    titles, notes = _titles(signals, table.header), dict(notes)
     if resample:
         between = [title for title, signal in titles.items() if signal in READ]
         if done := sampling.resample(table, Ts, between):
@@ -258,7 +237,7 @@ def refuse(path, problems) -> None:
 
 
 def _columns_of(table):
-    """Signals by role, signal and name by title of a column, limits by title; notes problems."""
+    """Signals by role, what each column is of, limits by column; notes problems."""
     try:
         signals = _object("signals", table.metadata)
         m = len(arguments.instance("outputs", signals.get("outputs"), dict))
@@ -272,22 +251,23 @@ def _columns_of(table):
                 "measured stands there as 'measured', other inputs as 'disturbances'"
             )
         _units_of(signals)
-        absent = [
-            signal
-            for group in OPTIONAL
-            for signal in group
-            if not any(t.startswith(tuple(f"{other}_" for other in group)) for t in table.header)
-        ]
-        titles = {
-            f"{signal}_{name}": (signal, name)
-            for signal, role in SIGNALS.items()
-            for name in signals.get(ROLES[role], ())
-            if signal not in absent
-        }
+        titles = _titles(signals, table.header)
         return signals, titles, _limits_of(table.metadata, titles)
     except (TypeError, ValueError) as error:
         table.problems.append(f"metadata: signals or limits cannot be understood: {error}")
         return {}, {}, {}
+
+
+def _titles(signals, header):
+    """The columns that a log of these signals has beside trial and time, and the signal of each."""
+    there = {title.partition("_")[0] for title in header}
+    absent = {signal for group in OPTIONAL if there.isdisjoint(group) for signal in group}
+    return {
+        f"{signal}_{name}": signal
+        for signal, role in SIGNALS.items()
+        for name in signals.get(ROLES[role], ())
+        if signal not in absent
+    }
 
 
 def _units_of(signals):
@@ -349,17 +329,17 @@ def _drop_short_last_trial(table):
         table.columns = table.columns[:, : starts[-1]]
 
 
-def _implausible(table, plausible, titles, own):
+def _implausible(table, plausible, own):
     """What is not within the limits."""
     problems = []
     for title, (low, high) in plausible.items():
-        values = table.column(title)
+        values, unit = table.column(title), own[title.partition("_")[2]]
         rows = np.flatnonzero(limits.beyond(values, (low, high)))
         if rows.size:
             trial = table.column("trial")[rows[0]]
             problems.append(
                 f"{title}: implausible value {values[rows[0]]:g} in trial {trial:g}, row "
-                f"{table.lines[rows[0]]}: not from {low:g} to {high:g} {own[titles[title][1]]}; "
+                f"{table.lines[rows[0]]}: not from {low:g} to {high:g} {unit}; "
                 f"wrong unit? ({rows.size} such values)"
             )
     return problems

@@ -12,6 +12,7 @@ from rodlib.ilc.laboratory.tables import Table, few
 
 SLACK = 1e-3  # sampling periods that a time may be off without a word
 SHARE = 0.1  # by which a step of a clock may differ from the sampling period
+ROUND = 2e-3  # of a sampling period that nobody stated, within the scatter of the steps
 DRIFT = 0.01  # by which the mean of its steps may
 MOST = 0.5  # of all samples that may be filled in
 
@@ -29,14 +30,15 @@ def starts_of(numbers) -> np.ndarray:
 
 
 def period_of(table: Table) -> float | None:
-    """The median step of a clock, rounded as far as its steps scatter; None if it stands still."""
+    """The mean step of a clock, rounded as far as its steps scatter; None if it stands still."""
     steps = _steps(table)[0]
-    median = np.median(steps[steps > 0]) if np.any(steps > 0) else None
-    for digits in range(12 if median else 0):
-        Ts = float(f"{median:.{digits}e}")
-        if abs(Ts - median) <= SLACK * median and steps.min() <= Ts <= steps.max():
-            return Ts
-    return median
+    steps = steps[steps > 0]
+    if not steps.size:
+        return None
+    mean = steps.sum() / max(np.round(steps / np.median(steps)).sum(), 1)  # over rows that are lost
+    rounded = (float(f"{mean:.{digits}e}") for digits in range(12))
+    low, high = max(steps.min(), (1 - ROUND) * mean), min(steps.max(), (1 + ROUND) * mean)
+    return next((Ts for Ts in rounded if low <= Ts <= high), mean)
 
 
 def _steps(table):
@@ -97,9 +99,10 @@ def _problems_of_clock(table, Ts):
             f"{where} is {steps[p]:.6g} after the row before, where Ts = {Ts:.6g}: {lost}{count}; "
             "resample=True interpolates"
         ]
-    if steps.size and abs(mean := steps.mean() - Ts) > DRIFT * Ts:
+    ends = SHARE * (table.columns.shape[1] - steps.size)  # of so many trials, which clocks miss
+    if steps.size and abs(steps.mean() - Ts) > (DRIFT + ends / steps.size) * Ts:
         return [
-            f"time: the mean step is {Ts + mean:.6g}, but Ts = {Ts:.6g}: state that as Ts, or "
+            f"time: the mean step is {steps.mean():.6g}, but Ts = {Ts:.6g}: state that as Ts, or "
             "resample=True interpolates"
         ]
     return []
