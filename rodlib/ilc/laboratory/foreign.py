@@ -131,7 +131,10 @@ def read_table(
                 unknown = f"unit {label!r} of {name} is not understood: it is left out"
                 warnings.warn(f"{source}: {unknown}, state it by units", stacklevel=2)
             signals.setdefault(role, {})[name] = label if is_known(label) else ""
-    return log.trials_of(source, table, signals, Ts, notes, resample, anywhere=True)
+    trials = log.trials_of(source, table, signals, Ts, notes, resample, anywhere=True)
+    if "resampled" in trials.attrs:
+        warnings.warn(f"{source}: {trials.attrs['resampled']}", stacklevel=2)
+    return trials
 
 
 def _wanted(given):

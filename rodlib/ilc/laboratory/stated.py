@@ -1,4 +1,4 @@
-"""What the metadata of a log state: its signals, their units and limits, and the sampling period."""
+"""What the metadata of a log state: signals, their units and limits, and the sampling period."""
 
 import difflib
 

@@ -247,7 +247,7 @@ def test_trials_stand_one_after_the_other_with_a_clock_of_their_own_or_one_for_a
         ({"v": {"T1": 5, "T2": 6}}, "v is given, but no reference"),
         ({"measured": {"T1": 5}}, "must have different names"),
         ({"measured": {"T3": 2.5}}, r"measured\['T3'\] = 2.5 must be a title or a number"),
-        ({"measured": {3: 2}}, "measured names 3, but must name by text"),
+        ({"measured": {3: 2}}, "measured names 3, but must name signals by text"),
         ({"time": None, "Ts": None}, "Ts = None must be a sampling period"),
         ({"units": {"T3": "degC"}}, "units is about .*'T3'.*, but must name some of"),
         ({"units": {"T1": "degR"}, "Ts": 2.0}, "row 3 of trial 1 is 1.00128 after the row before, "
