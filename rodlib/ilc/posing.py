@@ -7,7 +7,7 @@ from typing import Protocol, runtime_checkable
 import control
 import numpy as np
 
-from rodlib.ilc import arguments
+from rodlib.ilc import arguments, choices
 from rodlib.ilc.filters import ZeroPhaseButterworth
 from rodlib.ilc.loop import Loop
 from rodlib.ilc.models import frequency_response, refuse_foreign
@@ -32,13 +32,13 @@ class Measured(Protocol):
 def pose(
     P,
     Q,
-    omega,
+    omega=None,
     Ts=None,
     *,
     order=Problem.order,
     M_max=Problem.M_max,
-    L_max=Problem.L_max,
-    band=Problem.band,
+    L_max=choices.CHOOSE,
+    band=None,
     structure=Problem.structure,
     objective=Problem.objective,
     scale=None,
@@ -50,6 +50,8 @@ def pose(
     """State the problem (39), or (45) with (46), and check it; see :func:`rodlib.synthesise`."""
     _refuse_exchanged(Q, omega)
     Ts = arguments.sampling_period("Ts", period(P, Q) if Ts is None else Ts)
+    if omega is None:
+        omega = choices.frequencies([*plants(P).values()], Q, Ts)
     omega = arguments.frequencies("omega", omega, Ts)
     basis, given = (), P
     if isinstance(P, Measured):
@@ -71,11 +73,8 @@ def pose(
         )
     what = "in (0, 1), or the trials do not converge"
     M_max = arguments.number("M_max", M_max, what, 0, 1)
-    if L_max is not None:
-        L_max = arguments.positive("L_max", L_max, "a positive number, or None for no bound")
     arguments.choice("structure", structure, ["diagonal", "full"])
     arguments.choice("objective", objective, ["sum", "peak"])
-    band = _band(band, Q, omega, objective)
     radius = _radius(uncertainty, n)
     if scale is None:
         scale = np.ones(m)
@@ -85,14 +84,16 @@ def pose(
         P, others = P * units, others * units
         models = [_scaled(model, scale) for model in models]
     _refuse_singular(P, omega)
+    band, L_max, chosen = _chosen(band, L_max, objective, q, Q, P, omega)
+    _check_band(band, Q, omega, objective)
     doubts = () if isinstance(given, Measured) else _doubts(given, (P, *others), models, omega, Ts)
     doubts += (*doubts_about_Q(Q, omega, _learned(band, omega, objective), Ts),)
     noise = _weights(noise, omega, Ts, m, M_max, scale)
     beyond = _size_beyond(beyond, models, np.concatenate([P[None], others]), radius, omega[-1], Ts)
     return Problem(
         P, Q, omega, Ts, scale, others, tuple(models), q,
-        np.ones(n, dtype=bool), np.full(n, np.inf), np.ones(n),
-        order, M_max, L_max, band, structure, objective, radius, noise, basis, beyond=beyond,
+        np.ones(n, dtype=bool), np.full(n, np.inf), np.ones(n), band, L_max,
+        order, M_max, structure, objective, radius, noise, (*chosen, *basis), beyond=beyond,
         doubts=doubts,
     )  # fmt: skip
 
@@ -240,9 +241,26 @@ def Q_on_grid(Q, omega, **known):
     return model, Q if Q.imag.any() else Q.real
 
 
-def _band(band, Q, omega, objective):
-    """The band, which must lie within omega if it is summed over; there is something to learn."""
+def _chosen(band, L_max, objective, butterworth, Q, P, omega):
+    """Band and bound on the gain, those that nobody gave by :mod:`rodlib.ilc.choices`, in words."""
+    chosen, cutoff = [], choices.cutoff(butterworth, Q, omega)
+    if band is None:
+        band = choices.band(cutoff, omega)
+        if objective == "sum":
+            chosen.append(f"band = ({band[0]:.4g}, {band[1]:.4g}) rad/s, to a fifth of Q's cut-off")
+    if isinstance(L_max, str) and L_max == choices.CHOOSE:
+        L_max = choices.gain(cutoff, P, omega)
+        chosen.append(f"L_max = {L_max:g}, a gain that inverts P at Q's cut-off")
+    elif L_max is not None:
+        what = f"a positive number, None for no bound, or {choices.CHOOSE!r}"
+        L_max = arguments.positive("L_max", L_max, what)
     low, high = arguments.array("band", band, (2,)).tolist()
+    return (low, high), L_max, [f"chosen: {text}" for text in chosen]
+
+
+def _check_band(band, Q, omega, objective):
+    """The band must lie within omega if it is summed over, and hold something to learn."""
+    low, high = band
     in_band = (omega >= low) & (omega <= high)
     if objective == "sum":
         slack = 1e-9 * omega[-1]
@@ -259,7 +277,6 @@ def _band(band, Q, omega, objective):
             f"Q has a gain of {learned:.3g} at most where the objective counts: it learns "
             "nothing. Is its cut-off in rad/s?"
         )
-    return low, high
 
 
 def _radius(uncertainty, n):
