@@ -232,8 +232,14 @@ def _refuse_singular(P, omega):
     singular_values = np.linalg.svd(P, compute_uv=False)
     smallest = np.maximum(1e-12 * singular_values[:, 0], 1 / arguments.LARGEST)
     singular = np.flatnonzero(singular_values[:, -1] <= smallest)
-    if singular.size:
-        raise ValueError(
-            f"P is singular at omega = {omega[singular[0]]:.6g} rad/s (smallest singular value "
-            f"{singular_values[singular[0], -1]:.3g}): P^-1 in (40) does not exist there"
-        )
+    if not singular.size:
+        return
+    first = singular[0]
+    size = np.abs(P[first])
+    dead = [f"output {k} answers to none" for k in np.flatnonzero(size.max(1) <= smallest[first])]
+    dead += [f"no output answers to w {k}" for k in np.flatnonzero(size.max(0) <= smallest[first])]
+    raise ValueError(
+        f"P is singular at omega = {omega[first]:.6g} rad/s (smallest singular value "
+        f"{singular_values[first, -1]:.3g}): P^-1 in (40) does not exist there"
+        f"{''.join(f'; {text}, counted from 0' for text in dead[:1])}"
+    )
