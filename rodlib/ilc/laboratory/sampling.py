@@ -43,7 +43,7 @@ def period_of(table: Table) -> float | None:
 
 def _steps(table):
     """The steps of the clock within trials, and the rows that they end in."""
-    rows = np.setdiff1d(np.arange(1, table.columns.shape[1]), starts_of(table.column("trial")))
+    rows = np.flatnonzero(np.diff(table.column("trial")) == 0) + 1
     with np.errstate(over="ignore"):
         return table.column("time")[rows] - table.column("time")[rows - 1], rows
 
