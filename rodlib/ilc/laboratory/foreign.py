@@ -174,8 +174,9 @@ def _read(source, content, wanted, labels, resample):
     for title, (word, column) in wanted.items():
         try:
             place = laid.place(column)
-            if place in places.values():
-                raise ValueError("was given before: no column is two signals")
+            for other, taken in places.items():
+                if taken == place:
+                    raise ValueError(f"is the column of {wanted[other][0]}, too")
             places[title] = place
         except ValueError as error:
             problems.append(f"{word} = {column!r} {error}")

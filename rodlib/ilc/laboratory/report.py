@@ -83,6 +83,9 @@ def summary(replay: Replay) -> str:
         mean = (100 * replay.fit.mean()).round(1)
         fits = ", ".join(f"{name} {value:g} %" for name, value in mean.items())
         lines.append(f"fit of the model's prediction, mean of all trials: {fits}")
+    lines += [
+        f"{key}: {trials.attrs[key]}" for key in ("clock", "resampled") if key in trials.attrs
+    ]
     lines += [f"WARNING: {finding}" for finding in replay.findings]
     return "\n".join([*lines, *(f"left out: {reason}" for reason in left_out(replay))])
 

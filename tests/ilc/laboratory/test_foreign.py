@@ -4,16 +4,28 @@ import re
 import warnings
 from dataclasses import dataclass, field
 
+import control
 import numpy as np
 import pandas as pd
+import plants
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rodlib import LogError, load_log, read_table, save_log, zero_phase_butterworth
+from rodlib import (
+    ClosedLoop,
+    LogError,
+    current_trial_loop,
+    load_log,
+    read_table,
+    run_trials,
+    save_log,
+    zero_phase_butterworth,
+)
 from rodlib.ilc.alternatives import p_type
 from rodlib.ilc.filters import update
 from rodlib.ilc.laboratory import replay_of, with_law
+from rodlib.ilc.laboratory.report import about_the_law
 from rodlib.paper.repository import ROOT
 
 BOARD = ROOT / "data" / "tclab" / "board-1s.csv"
@@ -222,6 +234,46 @@ def test_a_table_is_replayed_with_the_law_that_it_is_told():
         replay_of(board())
 
 
+@pytest.mark.parametrize("name", ["stage", "tanks", "furnace", "another's"])
+def test_trials_in_a_table_of_others_replay_as_if_they_were_ours(tmp_path, name):
+    """A stage in mm, tanks with three channels, a long delay, and a controller that is not ours."""
+    if name == "another's":
+        loop, ahead = (
+            ClosedLoop(control.ss(0.8, 0.2, 1, 0, 0.1, inputs=["w"], outputs=["level"])),
+            1,
+        )
+    else:
+        plant, controls = {
+            "stage": (plants.stage(), ["F"]),
+            "tanks": (plants.tanks(), ["pump A", "pump B", "pump C"]),
+            "furnace": (plants.furnace(), ["valve"]),
+        }[name]
+        loop, ahead = current_trial_loop(plant, controls), 31
+    m, Ts = len(loop.outputs), loop.Ts
+    Q, L = zero_phase_butterworth(2, 0.3 / Ts, Ts), p_type(0.01, ahead, m, Ts)
+    reference = np.sin(np.linspace(0, 3, 80))[:, None] * np.arange(1, m + 1)
+    ran = run_trials(loop, Q, L, reference, None, 3)
+    signals = {"ref": ran.reference, "ff": ran.v, "y": ran.y} | ({"u": ran.u} if "u" in ran else {})
+    table = pd.DataFrame({"run": np.repeat([0, 1, 2], 80)})
+    table["clock [min]"] = Ts / 60 * (np.arange(240) + 0.03 * np.sin(np.arange(240)))
+    for word, signal in signals.items():
+        table[[f"{word} {n}" for n in range(m)]] = signal.values.reshape(240, m)
+    table.to_csv(tmp_path / "rig.txt", sep=";", decimal=",", index=False)
+
+    def named(word, names):
+        return {n: f"{word} {k}" for k, n in enumerate(names)}
+
+    log = read_table(
+        tmp_path / "rig.txt", time="clock", trial="run", Ts=Ts,
+        outputs=named("y", loop.outputs), reference=named("ref", loop.outputs),
+        v=named("ff", loop.outputs), inputs=named("u", loop.controls) if "u" in ran else None,
+    )  # fmt: skip
+    replay = replay_of(with_law(log, Q, L, loop=loop))
+    assert about_the_law(replay) == "the recorded v is that of the law in every trial"
+    np.testing.assert_allclose(replay.simulated.y, ran.y, atol=1e-12)
+    assert replay.fit.min(axis=None) > 1 - 1e-6
+
+
 def test_trials_stand_one_after_the_other_with_a_clock_of_their_own_or_one_for_all(tmp_path):
     day = 1.7e9  # s, since 1970
     runs = [(k, day * (k > 0) + t, 10 * k + t) for k in (0, 1, 4) for t in range(4)]
@@ -242,7 +294,7 @@ def test_trials_stand_one_after_the_other_with_a_clock_of_their_own_or_one_for_a
     [
         ({"time": "Tine"}, r"time = 'Tine' is no column: did you mean 'Time'\? It has"),
         ({"time": 7}, "time = 7 must be from 0 to 6, as the rows have 7"),
-        ({"reference": {"T1": 5, "T2": 5}}, r"reference\['T2'\] = 5 was given before"),
+        ({"reference": {"T1": 5, "T2": 5}}, r"reference\['T2'\] = 5 is the column of reference\['T1'\], too"),
         ({"reference": {"T1": 5}}, r"reference is of \['T1'\], but outputs are \['T1', 'T2'\]"),
         ({"v": {"T1": 5, "T2": 6}}, "v is given, but no reference"),
         ({"measured": {"T1": 5}}, "must have different names"),
@@ -310,6 +362,7 @@ def test_a_unit_that_nobody_knows_is_left_out():
         (b"t,x\n0,1\n1,inf\n", "x: entry is 'inf', not a finite number, in row 3"),
         (b"t,x\n0,1\n1,1e400\n", "x: entry is '1e400', not a finite number, in row 3"),
         (b"t;x\n0;1,5\n1;1.234,5\n", "x: entry is '1.234,5', not a finite number, in row 3"),
+        (b"t;x\n0;1,5\n1;1,5\n2;1,5\n3;1,5\n4;2.5\n", "x: entry is '2.5', not a finite number"),
         (b"t,x\n29.02.2024,1\n01.03.2024,1\n", "t: entry is '29.02.2024', not a finite number"),
     ],
 )
