@@ -73,7 +73,7 @@ class Settings:
             "order": self.order,
             "M_max": self.M_max,
             "L_max": self.L_max,
-            "band": self.band,
+            "band": tuple(arguments.array("band", self.band, (2,)).tolist()),
             "structure": self.structure,
         }
         percent = arguments.not_negative("uncertainty", self.uncertainty, "zero or more (%)")
