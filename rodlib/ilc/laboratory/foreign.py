@@ -88,8 +88,8 @@ def read_table(
     Notes
     -----
     Clocks jitter. Each step may differ from `Ts` by a tenth of it, and the mean of all by a
-    hundredth: the samples then count as `Ts` apart, which puts a signal that changes by 1 in a
-    sampling period off by a tenth at most. A clock that stands still or runs back is refused.
+    hundredth: the samples then count as `Ts` apart, and what happens within a step as if it had
+    taken `Ts`. A clock that stands still or runs back is refused.
     """
     given = {"reference": reference, "v": v, "inputs": inputs, "outputs": outputs}
     given |= {"disturbances": disturbances, "measured": measured}
@@ -144,9 +144,8 @@ def _wanted(given):
         columns = {} if word != "outputs" and given[word] is None else given[word]
         for name, column in arguments.instance(word, columns, dict).items():
             if not (isinstance(name, str) and name.isprintable() and name):
-                raise ValueError(
-                    f"{word} names {reprlib.repr(name)}, but must name signals by text"
-                )
+                odd = reprlib.repr(name)
+                raise ValueError(f"{word} names {odd}, but must name signals by text")
             wanted[f"{start}_{name}"] = f"{word}[{name!r}]", column
     outputs, inputs = given["outputs"], given["inputs"]
     if not outputs or (inputs is not None and len(inputs) != len(outputs)):

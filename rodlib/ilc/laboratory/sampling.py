@@ -127,7 +127,8 @@ def resample(table: Table, Ts: float, between: Sequence[str]) -> str | None:
     the one that holds in the middle of a sample counts. What cannot be resampled stays as it is.
     """
     starts, time = starts_of(table.column("trial")), table.column("time")
-    if np.any(_steps(table)[0] <= 0):
+    steps = _steps(table)[0]
+    if np.any(steps <= 0) or np.abs(steps - Ts).max(initial=0) <= SLACK * Ts:
         return None
     trials = [slice(a, b) for a, b in zip(starts, [*starts[1:], len(time)], strict=True)]
     counts = [int(min(np.ptp(time[own]) / Ts + SHARE, 1e9)) + 1 for own in trials]
@@ -146,9 +147,8 @@ def resample(table: Table, Ts: float, between: Sequence[str]) -> str | None:
         filled += count - len(set(np.round((time[own] - begin) / Ts)) & set(range(count)))
         columns.append(new)
         lines += [table.lines[row] for row in last]
-    longest = _steps(table)[0].max(initial=0)
     table.columns, table.lines = np.concatenate(columns, axis=1), lines
     return (
         f"{len(time)} rows were resampled to {len(lines)} samples; near {filled} of them is no "
-        f"row, and the longest step is {longest:.4g} where Ts = {Ts:.6g}"
+        f"row, and the longest step is {steps.max():.4g} where Ts = {Ts:.6g}"
     )

@@ -281,6 +281,8 @@ def test_trials_stand_one_after_the_other_with_a_clock_of_their_own_or_one_for_a
     log = read_table(frame, time="at", trial="run", outputs={"x": "x"})
     assert log.trial.values.tolist() == [1, 2, 5] and log.attrs == {"Ts": 1.0}
     np.testing.assert_array_equal(log.y[..., 0], frame.x.to_numpy().reshape(3, 4))
+    again = read_table(frame, time="at", trial="run", outputs={"x": "x"}, resample=True)
+    assert again.identical(log)  # and no warning, as there is nothing to do
     without = read_table(frame, Ts=0.5, trial=0, outputs={"x": 2})
     np.testing.assert_array_equal(without.time, [0, 0.5, 1, 1.5])
     with pytest.raises(LogError, match=r"row 10 of trial 1 is at .*, not later than"):
@@ -294,7 +296,8 @@ def test_trials_stand_one_after_the_other_with_a_clock_of_their_own_or_one_for_a
     [
         ({"time": "Tine"}, r"time = 'Tine' is no column: did you mean 'Time'\? It has"),
         ({"time": 7}, "time = 7 must be from 0 to 6, as the rows have 7"),
-        ({"reference": {"T1": 5, "T2": 5}}, r"reference\['T2'\] = 5 is the column of reference\['T1'\], too"),
+        ({"reference": {"T1": 5, "T2": 5}},
+         r"reference\['T2'\] = 5 is the column of reference\['T1'\], too"),
         ({"reference": {"T1": 5}}, r"reference is of \['T1'\], but outputs are \['T1', 'T2'\]"),
         ({"v": {"T1": 5, "T2": 6}}, "v is given, but no reference"),
         ({"measured": {"T1": 5}}, "must have different names"),

@@ -92,7 +92,7 @@ def test_resampled_rows_are_interpolated_or_held():
 
 @pytest.mark.parametrize(
     ("times", "Ts"),
-    [([[0, 2, 3, 3]], 2.0), ([[0, 2, 4, 40]], 2.0), ([[0, 2, 4], [0, 2, 4, 6, 8]], 2.0)],
+    [([[0, 2, 3, 3]], 2.0), ([[0, 2, 4, 40]], 2.0), ([[0, 2, 4], [0, 2.5, 4, 6, 8]], 2.0)],
 )
 def test_what_cannot_be_resampled_stays_as_it_is(times, Ts):
     table = table_of(times, range(1, 1 + len(times)))
