@@ -147,7 +147,7 @@ def signals_of(trials: xr.Dataset, *needed: str) -> dict[str, dict[str, str]]:
 
 def _check_errors(trials):
     """Refuse an e that is likely another signal; one that is left from before is not used."""
-    if "e" not in trials or not trials.e.size:
+    if not {"e", "v"} <= {*trials} or not trials.e.size:
         return
     e, v, y, reference = (trials[name] for name in ("e", "v", "y", "reference"))
     near = 1e-6 * max(abs(y).max(), abs(reference).max())

@@ -151,11 +151,13 @@ def test_a_real_clock_is_read_and_what_it_shows_is_said(tmp_path, good):
     np.testing.assert_array_equal(trials.u[0, :, 0], [0.25, 0.25, 2.25, 3.25])
 
 
-def test_a_record_of_commands_and_outputs_needs_no_reference(tmp_path):
+def test_a_record_of_commands_and_outputs_needs_no_reference(tmp_path, good):
     text = pd.read_csv(StringIO(HEAD + COLUMNS + "".join(ROWS)), comment="#")
     bare = text.drop(columns=["reference_depth", "v_depth"]).to_csv(index=False)
     trials = load_log(write(tmp_path, HEAD + bare))
     assert {*trials.data_vars} == {"u", "y", "disturbance"}
+    save_log(good.drop_vars(["reference", "v"]), tmp_path / "again.csv")  # e says nothing alone
+    assert load_log(tmp_path / "again.csv").identical(trials)
     save_log(trials, tmp_path / "again.csv")
     assert load_log(tmp_path / "again.csv").identical(trials)
     with pytest.raises(LogError, match=r"missing columns \['v_depth'\]"):
