@@ -1,0 +1,234 @@
+"""Another task tomorrow: where to begin with a new reference, from the trials of others.
+
+By (30), y_k = P (r + v_k) + P~ d in any trial, converged or not, so that with e_k = r - y_k
+
+    v_k + e_k = F y_k + c,    F = P^-1 - I,    c = -P^-1 P~ d:
+
+what v would have to be if y_k were the reference. F is the plant's; c answers a disturbance that
+repeats; v = F r + c is what any reference r needs. No model of P enters.
+"""
+
+import reprlib
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from scipy.signal import oaconvolve
+
+from rodlib.ilc import arguments
+from rodlib.ilc.trials import in_columns
+
+GROWTH = 1.5  # from one lag of F to the next
+DECAY = 2.0  # a priori, entries of F fall as 1 / |lag|^DECAY
+WEIGHTS = 10.0 ** np.arange(-10, 1)  # of this prior, to choose from, times the mean square
+BLOCKS = 5  # of time, each left out in turn
+ROUNDS, NEAR, LEAST = 20, 0.02, 1e-6  # of the search for the ratio of variances
+EXPLAINED, DOUBTFUL = 0.9, 0.2  # when to warn: share of v + e, of v
+NEVER, NEW, BANDS = 100.0, 0.1, 25  # times the power that was there, share of it, of frequency
+
+
+@dataclass(frozen=True, eq=False)
+class Transfer:
+    """Where to begin with another reference. Signals have the shape (time, m).
+
+    Attributes
+    ----------
+    v : ndarray
+        ILC signal of the first trial: `explained`, which is F r, and `kept`, which answers a
+        disturbance that repeats, whatever the reference.
+    explained, kept : ndarray
+    F : ndarray, shape (m, m, 2 R + 1)
+        Impulse response, from R samples ahead to R back.
+    left_out : ndarray, shape (m,)
+        Share of v_k + e_k that is foretold where it was left out of the fit; 1 is all.
+    doubt : ndarray, shape (m,)
+        RMS by which v may be off, as the trials leave F open: by jackknife, over blocks of time.
+    """
+
+    v: np.ndarray
+    explained: np.ndarray
+    kept: np.ndarray
+    F: np.ndarray
+    left_out: np.ndarray
+    doubt: np.ndarray
+
+
+def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
+    """The ILC signal with which to begin another task, from trials of one task or of several.
+
+    Parameters
+    ----------
+    trials : xarray.Dataset or list of them
+        From :func:`rodlib.run_trials`, :func:`rodlib.record` or :func:`rodlib.load_log`, of one
+        loop, under the same disturbance, of the same length. All count, the first most of all.
+    reference : array_like, shape (time, m)
+        Of the new task, of any length; where the trials had ended, nothing is kept.
+
+    Returns
+    -------
+    Transfer
+
+    Warns
+    -----
+    UserWarning
+        If there is one trial only, which does not tell a disturbance that repeats from what answers
+        the reference; if F and c explain little; if the trials leave v open; if the reference has
+        power where no old one had.
+
+    Notes
+    -----
+    Each row of F is a ridge regression. Lags grow geometrically up to half a trial, with straight
+    lines between, and are weighted as slopes, (y(p - l) - y(p)) / l^2; the weight of the prior is
+    the one that foretells blocks of time left out best. c is a random effect: the mean over K
+    trials has the variance s_w^2 / K + s_c^2, deviations from it have s_w^2, and both are estimated
+    from what is left out (P. Balestra and M. Nerlove, Econometrica 34 (1966) 585-612). So c is told
+    from F r by what differs between trials: v within a task, and the reference between tasks. By
+    kernels, with one task: L. Blanken and T. Oomen, Automatica 114 (2020) 108830.
+    """
+    v, y, old, outputs, Ts = _signals(trials)
+    K, N, m = y.shape
+    new = in_columns("reference", reference, ("time", m), outputs)
+    size = np.sqrt(np.mean(y**2, axis=(0, 1)))
+    size[size == 0] = 1.0
+    basis = _basis(max(1, N // 2))
+    told = [np.hstack([_taps(y_k / size, basis), t]) for y_k, t in zip(y, old + v - y, strict=True)]
+    mean = sum(told) / K
+    about = K * _products(mean)
+    within = sum(_products(signals) for signals in told) - about
+
+    p = m * basis.shape[1]
+    X, before = _taps(new / size, basis), np.zeros((len(new), p + m))
+    before[:N] = mean[: len(new)]
+    rows, kept, left_out, doubt = np.zeros((m, p)), np.zeros_like(new), np.zeros(m), np.zeros(m)
+    for i in range(m):
+        rows[i], others, ratio, left_out[i] = _fit(within, about, p, i, K)
+        kept[:, i] = (1 - ratio) * (before[:, p + i] - before[:, :p] @ rows[i])
+        moved = (X - (1 - ratio) * before[:, :p]) @ (others - rows[i]).T
+        doubt[i] = np.sqrt((1 - 1 / BLOCKS) * np.mean(np.sum(moved**2, axis=1)))
+    explained, F = X @ rows.T, (rows.reshape(m, m, -1) / size[:, None]) @ basis.T
+    found = Transfer(explained + kept, explained, kept, F, left_out, doubt)
+    for finding in _findings(found, K, outputs, [_unseen(*s, Ts) for s in zip(new.T, old.T)]):  # noqa: B905
+        warnings.warn(finding, stacklevel=2)
+    return found
+
+
+def _signals(trials):
+    """v, y and reference of all trials, shape (trial, time, m), the outputs' names, and Ts."""
+    tasks = [trials] if isinstance(trials, xr.Dataset) else trials
+    if not (isinstance(tasks, list | tuple) and tasks):
+        raise ValueError(f"trials = {reprlib.repr(trials)} must be a Dataset of trials, or a list")
+    found, axes = {"v": [], "y": [], "reference": []}, ("trial", "time", "channel")
+    for each in tasks:
+        each = arguments.instance("trials", each, xr.Dataset)
+        each = each if "trial" in each.dims else each.expand_dims("trial")
+        if not all(name in each and {*each[name].dims} == {*axes} for name in found):
+            raise ValueError(f"trials lack one of {[*found]}, or its axes: see run_trials")
+        Ts = arguments.sampling_period("trials.attrs['Ts']", each.attrs.get("Ts"))
+        first = tasks[0] if len(found["v"]) else each
+        arguments.one_period(trials=first.attrs["Ts"], another=Ts)
+        outputs = arguments.names_of(first.y) or first.channel.values.tolist()
+        shape = ("trial", first.sizes["time"], first.sizes["channel"])
+        for name, signals in found.items():
+            signals.append(
+                in_columns(f"trials.{name}", each[name].transpose(*axes), shape, outputs)
+            )
+    return *(np.concatenate(signals) for signals in found.values()), outputs, Ts
+
+
+def _basis(reach):
+    """Taps of F, shape (lags, taps): slopes between lag 0 and others, and lag 0 by itself."""
+    knots = [0, 1]
+    while knots[-1] < reach:
+        knots.append(min(reach, max(knots[-1] + 1, round(GROWTH * knots[-1]))))
+    knots = np.array([-k for k in knots[:0:-1]] + knots)
+    lags, middle = np.arange(-reach, reach + 1), len(knots) // 2
+    hats = np.array([np.interp(lags, knots, one) for one in np.eye(len(knots))]).T
+    hats /= hats.sum(axis=0)
+    slopes = (hats - hats[:, [middle]]) / np.maximum(np.abs(knots), 1) ** DECAY
+    slopes[:, middle] = hats[:, middle] / reach**DECAY
+    return slopes
+
+
+def _taps(signal, basis):
+    """A signal (time, m) by each tap, shape (time, m taps); beyond its ends it stands still."""
+    still = np.pad(signal, [(len(basis) // 2, len(basis) // 2), (0, 0)], mode="edge")
+    taps = oaconvolve(still[:, :, None], basis[:, None], mode="valid", axes=0)
+    return taps.reshape(len(signal), -1)
+
+
+def _products(signals):
+    """Inner products of the columns in each block of time, shape (blocks, columns, columns)."""
+    return np.array([block.T @ block for block in np.array_split(signals, BLOCKS)])
+
+
+def _fit(within, about, p, i, K):
+    """Row i of F; those without each block; s_w^2 / (s_w^2 + K s_c^2); share that is foretold."""
+    ratio = 1.0
+    for _ in range(ROUNDS):
+        S = within + ratio * about
+        fits = [_ridge(S, p, i, weight) for weight in WEIGHTS]
+        row, others = min(fits, key=lambda fit: _missed(S, fit[1], i))
+        if K == 1:
+            break
+        before, off, ours = ratio, _missed(within, others, i) / (K - 1), _missed(about, others, i)
+        ratio = max(LEAST, off / ours) if off < ours else 1.0
+        if abs(np.log(ratio / before)) < NEAR:
+            break
+    power = np.sum(S[:, p + i, p + i])
+    return row, others, ratio, 1 - _missed(S, others, i) / power if power else 1.0
+
+
+def _ridge(S, p, i, weight):
+    """Row i of F, and those without each block."""
+    total = S.sum(axis=0)
+    sums = np.concatenate([total[None], total - S])
+    level = weight * np.trace(total[:p, :p]) / p or 1.0  # where nothing moved, F is zero
+    rows = np.linalg.solve(sums[:, :p, :p] + level * np.eye(p), sums[:, :p, [p + i]])[..., 0]
+    return rows[0], rows[1:]
+
+
+def _missed(S, others, i):
+    """Sum of squares that the rows leave of the blocks that they were made without."""
+    blocks, p = others.shape
+    residual = np.zeros((blocks, S.shape[1]))
+    residual[:, :p], residual[:, p + i] = -others, 1
+    return np.einsum("bp,bpq,bq", residual, S, residual)
+
+
+def _unseen(new, old, Ts):
+    """Share of the power of a new slope in bands where no old one (time, trial) had, and where."""
+    n = 2 * max(len(new), len(old))
+    edges = np.unique(np.geomspace(1, n // 2, BANDS).round().astype(int))
+    slopes = np.diff(new), *np.diff(old, axis=0).T
+    bands = [np.add.reduceat(np.abs(np.fft.rfft(s, n)) ** 2, edges) for s in slopes]
+    fresh = bands[0] > NEVER * np.max(bands[1:], axis=0)
+    share = bands[0][fresh].sum() / (bands[0].sum() or 1.0)
+    return share, 2 * np.pi / (n * Ts) * edges[fresh].min(initial=n)
+
+
+def _findings(found, K, outputs, unseen):
+    """What speaks against beginning so, in words."""
+    if K == 1:
+        yield (
+            "trials are one only: it does not tell a disturbance that repeats from what answers "
+            "the reference, and nothing is kept. Pass all trials, the first one, too"
+        )
+    for i, name in enumerate(outputs):
+        size, (share, low) = np.sqrt(np.mean(found.v[:, i] ** 2)), unseen[i]
+        if found.left_out[i] < EXPLAINED:
+            yield (
+                f"F explains {found.left_out[i]:.0%} of what was learned for {name}: if another "
+                "disturbance came, or actuators reached limits, leave these trials out, by isel"
+            )
+        if share > NEW:
+            yield (
+                f"reference has {share:.0%} of the power of its slope in {name} at frequencies "
+                f"above {low:.2g} rad/s where no old one had any to speak of: v is a guess there"
+            )
+        if found.doubt[i] > DOUBTFUL * size:
+            yield (
+                f"v for {name}, of RMS {size:.3g}, may be off by {found.doubt[i]:.3g}: the trials "
+                "do not tell what answers this reference. Add trials of another task"
+            )
