@@ -23,10 +23,11 @@ from rodlib.ilc.trials import in_columns
 GROWTH = 1.5  # from one lag of F to the next
 DECAY = 2.0  # a priori, entries of F fall as 1 / |lag|^DECAY
 WEIGHTS = 10.0 ** np.arange(-10, 1)  # of this prior, to choose from, times the mean square
+STATIC, FREE = 1e6, 2.0  # times the weight, for F(0) = 0, as if P(0) = I; what else must gain
 BLOCKS = 5  # of time, each left out in turn
-ROUNDS, NEAR, LEAST = 20, 0.02, 1e-6  # of the search for the ratio of variances
+RATIOS = 10.0 ** -np.arange(0, 7)  # of variances, to choose from
 EXPLAINED, DOUBTFUL = 0.9, 0.2  # when to warn: share of v + e, of v
-NEVER, NEW, BANDS = 100.0, 0.1, 25  # times the power that was there, share of it, of frequency
+NEVER, NEW, BANDS = 1e3, 0.1, 25  # times the power that was there, share of it, of frequency
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,15 +37,15 @@ class Transfer:
     Attributes
     ----------
     v : ndarray
-        ILC signal of the first trial: `explained`, which is F r, and `kept`, which answers a
-        disturbance that repeats, whatever the reference.
+        ILC signal of the first trial, explained + kept.
     explained, kept : ndarray
+        F r, and c, which answers a disturbance that repeats, whatever the reference.
     F : ndarray, shape (m, m, 2 R + 1)
         Impulse response, from R samples ahead to R back.
     left_out : ndarray, shape (m,)
         Share of v_k + e_k that is foretold where it was left out of the fit; 1 is all.
     doubt : ndarray, shape (m,)
-        RMS by which v may be off, as the trials leave F open: by jackknife, over blocks of time.
+        RMS by which v may be off, as the trials leave F open: jackknife over blocks of time.
     """
 
     v: np.ndarray
@@ -73,19 +74,19 @@ def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
     Warns
     -----
     UserWarning
-        If there is one trial only, which does not tell a disturbance that repeats from what answers
-        the reference; if F and c explain little; if the trials leave v open; if the reference has
-        power where no old one had.
+        If there is one trial only; if F and c explain little of the trials; if these leave v open;
+        if the reference has power where no old one had.
 
     Notes
     -----
     Each row of F is a ridge regression. Lags grow geometrically up to half a trial, with straight
-    lines between, and are weighted as slopes, (y(p - l) - y(p)) / l^2; the weight of the prior is
-    the one that foretells blocks of time left out best. c is a random effect: the mean over K
-    trials has the variance s_w^2 / K + s_c^2, deviations from it have s_w^2, and both are estimated
-    from what is left out (P. Balestra and M. Nerlove, Econometrica 34 (1966) 585-612). So c is told
-    from F r by what differs between trials: v within a task, and the reference between tasks. By
-    kernels, with one task: L. Blanken and T. Oomen, Automatica 114 (2020) 108830.
+    lines between, and are weighted as slopes, (y(p - l) - y(p)) / l^2. c is a random effect: the
+    mean over K trials has the variance s_w^2 / K + s_c^2, deviations from it have s_w^2 (P.
+    Balestra and M. Nerlove, Econometrica 34 (1966) 585-612). So c is told from F r by what differs
+    between trials: v within a task, and the reference between tasks. The weight, the ratio of the
+    variances, and whether F is zero at frequency zero, as if P(0) = I, are those by which blocks
+    of time that were left out are most likely. By kernels, with one trial: L. Blanken and T.
+    Oomen, Automatica 114 (2020) 108830.
     """
     v, y, old, outputs, Ts = _signals(trials)
     K, N, m = y.shape
@@ -103,13 +104,13 @@ def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
     before[:N] = mean[: len(new)]
     rows, kept, left_out, doubt = np.zeros((m, p)), np.zeros_like(new), np.zeros(m), np.zeros(m)
     for i in range(m):
-        rows[i], others, ratio, left_out[i] = _fit(within, about, p, i, K)
+        rows[i], others, ratio, left_out[i] = _fit(within, about, p, i, m, K)
         kept[:, i] = (1 - ratio) * (before[:, p + i] - before[:, :p] @ rows[i])
         moved = (X - (1 - ratio) * before[:, :p]) @ (others - rows[i]).T
         doubt[i] = np.sqrt((1 - 1 / BLOCKS) * np.mean(np.sum(moved**2, axis=1)))
     explained, F = X @ rows.T, (rows.reshape(m, m, -1) / size[:, None]) @ basis.T
     found = Transfer(explained + kept, explained, kept, F, left_out, doubt)
-    for finding in _findings(found, K, outputs, [_unseen(*s, Ts) for s in zip(new.T, old.T)]):  # noqa: B905
+    for finding in _findings(found, K, outputs, new, old, Ts):
         warnings.warn(finding, stacklevel=2)
     return found
 
@@ -119,22 +120,20 @@ def _signals(trials):
     tasks = [trials] if isinstance(trials, xr.Dataset) else trials
     if not (isinstance(tasks, list | tuple) and tasks):
         raise ValueError(f"trials = {reprlib.repr(trials)} must be a Dataset of trials, or a list")
-    found, axes = {"v": [], "y": [], "reference": []}, ("trial", "time", "channel")
+    found, axes, first = {"v": [], "y": [], "reference": []}, ("trial", "time", "channel"), None
     for each in tasks:
         each = arguments.instance("trials", each, xr.Dataset)
         each = each if "trial" in each.dims else each.expand_dims("trial")
         if not all(name in each and {*each[name].dims} == {*axes} for name in found):
             raise ValueError(f"trials lack one of {[*found]}, or its axes: see run_trials")
         Ts = arguments.sampling_period("trials.attrs['Ts']", each.attrs.get("Ts"))
-        first = tasks[0] if len(found["v"]) else each
-        arguments.one_period(trials=first.attrs["Ts"], another=Ts)
-        outputs = arguments.names_of(first.y) or first.channel.values.tolist()
-        shape = ("trial", first.sizes["time"], first.sizes["channel"])
+        first = first or (Ts, each.sizes, arguments.names_of(each.y) or [*each.channel.values])
+        arguments.one_period(trials=first[0], another=Ts)
+        shape = ("trial", first[1]["time"], first[1]["channel"])
         for name, signals in found.items():
-            signals.append(
-                in_columns(f"trials.{name}", each[name].transpose(*axes), shape, outputs)
-            )
-    return *(np.concatenate(signals) for signals in found.values()), outputs, Ts
+            signal = each[name].transpose(*axes)
+            signals.append(in_columns(f"trials.{name}", signal, shape, first[2]))
+    return *(np.concatenate(signals) for signals in found.values()), first[2], first[0]
 
 
 def _basis(reach):
@@ -147,7 +146,7 @@ def _basis(reach):
     hats = np.array([np.interp(lags, knots, one) for one in np.eye(len(knots))]).T
     hats /= hats.sum(axis=0)
     slopes = (hats - hats[:, [middle]]) / np.maximum(np.abs(knots), 1) ** DECAY
-    slopes[:, middle] = hats[:, middle] / reach**DECAY
+    slopes[:, middle] = hats[:, middle] / reach
     return slopes
 
 
@@ -163,29 +162,36 @@ def _products(signals):
     return np.array([block.T @ block for block in np.array_split(signals, BLOCKS)])
 
 
-def _fit(within, about, p, i, K):
+def _fit(within, about, p, i, m, K):
     """Row i of F; those without each block; s_w^2 / (s_w^2 + K s_c^2); share that is foretold."""
-    ratio = 1.0
-    for _ in range(ROUNDS):
+    power = [np.sum(S[:, p + i, p + i]) for S in (within, about)]
+    if not sum(power) > 0:
+        return np.zeros(p), np.zeros((BLOCKS, p)), 1.0, 1.0
+    best = (np.inf,)
+    for ratio in RATIOS if K > 1 else RATIOS[:1]:
         S = within + ratio * about
-        fits = [_ridge(S, p, i, weight) for weight in WEIGHTS]
-        row, others = min(fits, key=lambda fit: _missed(S, fit[1], i))
-        if K == 1:
-            break
-        before, off, ours = ratio, _missed(within, others, i) / (K - 1), _missed(about, others, i)
-        ratio = max(LEAST, off / ours) if off < ours else 1.0
-        if abs(np.log(ratio / before)) < NEAR:
-            break
-    power = np.sum(S[:, p + i, p + i])
-    return row, others, ratio, 1 - _missed(S, others, i) / power if power else 1.0
+        for static, cost in ((1.0, FREE), (STATIC, 1.0)):
+            for weight in WEIGHTS:
+                row, others = _ridge(S, p, i, m, weight, static)
+                off, ours = (
+                    _missed(P, others, i) * cost + 1e-15 * sum(power) for P in (within, about)
+                )
+                likely = (K - 1) * np.log(off) + np.log(ours)
+                if likely < best[0]:
+                    best = likely, row, others, off, ours
+    _, row, others, off, ours = best
+    ratio = min(1.0, off / (K - 1) / ours) if K > 1 else 1.0
+    left = (off + ratio * ours) / (power[0] + ratio * power[1])
+    return row, others, ratio, 1 - left
 
 
-def _ridge(S, p, i, weight):
+def _ridge(S, p, i, m, weight, static):
     """Row i of F, and those without each block."""
     total = S.sum(axis=0)
     sums = np.concatenate([total[None], total - S])
-    level = weight * np.trace(total[:p, :p]) / p or 1.0  # where nothing moved, F is zero
-    rows = np.linalg.solve(sums[:, :p, :p] + level * np.eye(p), sums[:, :p, [p + i]])[..., 0]
+    prior = np.full((m, p // m), weight * np.trace(total[:p, :p]) / p or 1.0)  # 1: nothing moved
+    prior[:, p // m // 2] *= static
+    rows = np.linalg.solve(sums[:, :p, :p] + np.diag(prior.ravel()), sums[:, :p, [p + i]])[..., 0]
     return rows[0], rows[1:]
 
 
@@ -198,35 +204,36 @@ def _missed(S, others, i):
 
 
 def _unseen(new, old, Ts):
-    """Share of the power of a new slope in bands where no old one (time, trial) had, and where."""
-    n = 2 * max(len(new), len(old))
+    """Share of a slope's power in bands where no old one (trial, time) had any; the lowest."""
+    n = 2 * max(len(new), old.shape[1])
     edges = np.unique(np.geomspace(1, n // 2, BANDS).round().astype(int))
-    slopes = np.diff(new), *np.diff(old, axis=0).T
+    slopes = np.diff(new), *np.diff(old)
     bands = [np.add.reduceat(np.abs(np.fft.rfft(s, n)) ** 2, edges) for s in slopes]
     fresh = bands[0] > NEVER * np.max(bands[1:], axis=0)
     share = bands[0][fresh].sum() / (bands[0].sum() or 1.0)
     return share, 2 * np.pi / (n * Ts) * edges[fresh].min(initial=n)
 
 
-def _findings(found, K, outputs, unseen):
+def _findings(found, K, outputs, new, old, Ts):
     """What speaks against beginning so, in words."""
     if K == 1:
         yield (
-            "trials are one only: it does not tell a disturbance that repeats from what answers "
-            "the reference, and nothing is kept. Pass all trials, the first one, too"
+            "trials are one only, which does not tell a disturbance that repeats from what answers "
+            "the reference: nothing is kept. Pass all trials, the first one, too"
         )
     for i, name in enumerate(outputs):
-        size, (share, low) = np.sqrt(np.mean(found.v[:, i] ** 2)), unseen[i]
         if found.left_out[i] < EXPLAINED:
             yield (
                 f"F explains {found.left_out[i]:.0%} of what was learned for {name}: if another "
                 "disturbance came, or actuators reached limits, leave these trials out, by isel"
             )
+        share, low = _unseen(new[:, i], old[:, :, i], Ts)
         if share > NEW:
             yield (
-                f"reference has {share:.0%} of the power of its slope in {name} at frequencies "
-                f"above {low:.2g} rad/s where no old one had any to speak of: v is a guess there"
+                f"reference has {share:.0%} of the power of its slope in {name} from {low:.2g} "
+                "rad/s on, where no old one had any to speak of: v is a guess there"
             )
+        size = np.sqrt(np.mean(found.v[:, i] ** 2))
         if found.doubt[i] > DOUBTFUL * size:
             yield (
                 f"v for {name}, of RMS {size:.3g}, may be off by {found.doubt[i]:.3g}: the trials "
