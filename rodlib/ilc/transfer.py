@@ -12,6 +12,7 @@ import reprlib
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 import xarray as xr
@@ -23,6 +24,7 @@ from rodlib.ilc.trials import in_columns
 GROWTH = 1.5  # from one lag of F to the next
 DECAY = 2.0  # a priori, entries of F fall as 1 / |lag|^DECAY
 WEIGHTS = 10.0 ** np.arange(-10, 1)  # of this prior, to choose from, times the mean square
+ROUNDING = 1e-14  # of the power
 STATIC, FREE = 1e6, 2.0  # times the weight, for F(0) = 0, as if P(0) = I; what else must gain
 BLOCKS = 5  # of time, each left out in turn
 RATIOS = 10.0 ** -np.arange(0, 7)  # of variances, to choose from
@@ -45,7 +47,8 @@ class Transfer:
     left_out : ndarray, shape (m,)
         Share of v_k + e_k that is foretold where it was left out of the fit; 1 is all.
     doubt : ndarray, shape (m,)
-        RMS by which v may be off, as the trials leave F open: jackknife over blocks of time.
+        RMS by which v may be off, as the trials leave F open: what the fits without one block of
+        time differ by (jackknife), and the one by what differs between trials alone.
     """
 
     v: np.ndarray
@@ -74,7 +77,7 @@ def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
     Warns
     -----
     UserWarning
-        If there is one trial only; if F and c explain little of the trials; if these leave v open;
+        If F and c explain little of the trials; if these leave v open, as one trial alone does;
         if the reference has power where no old one had.
 
     Notes
@@ -104,13 +107,18 @@ def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
     before[:N] = mean[: len(new)]
     rows, kept, left_out, doubt = np.zeros((m, p)), np.zeros_like(new), np.zeros(m), np.zeros(m)
     for i in range(m):
-        rows[i], others, ratio, left_out[i] = _fit(within, about, p, i, m, K)
-        kept[:, i] = (1 - ratio) * (before[:, p + i] - before[:, :p] @ rows[i])
-        moved = (X - (1 - ratio) * before[:, :p]) @ (others - rows[i]).T
-        doubt[i] = np.sqrt((1 - 1 / BLOCKS) * np.mean(np.sum(moved**2, axis=1)))
+        apart, *_ = _fit(within, about, p, i, m, K, [0.0])  # by what differs between trials alone
+        rows[i], others, ratio, left_out[i] = _fit(
+            within, about, p, i, m, K, RATIOS[: 1 if K == 1 else None]
+        )
+        shift, share = before[:, p + i], X - (1 - ratio) * before[:, :p]
+        kept[:, i] = (1 - ratio) * (shift - before[:, :p] @ rows[i])
+        moved = (1 - 1 / BLOCKS) * np.sum((share @ (others - rows[i]).T) ** 2, axis=1)
+        moved += (shift + (X - before[:, :p]) @ apart - X @ rows[i] - kept[:, i]) ** 2
+        doubt[i] = np.sqrt(np.mean(moved))
     explained, F = X @ rows.T, (rows.reshape(m, m, -1) / size[:, None]) @ basis.T
     found = Transfer(explained + kept, explained, kept, F, left_out, doubt)
-    for finding in _findings(found, K, outputs, new, old, Ts):
+    for finding in _findings(found, outputs, new, old, Ts):
         warnings.warn(finding, stacklevel=2)
     return found
 
@@ -162,35 +170,31 @@ def _products(signals):
     return np.array([block.T @ block for block in np.array_split(signals, BLOCKS)])
 
 
-def _fit(within, about, p, i, m, K):
+def _fit(within, about, p, i, m, K, ratios):
     """Row i of F; those without each block; s_w^2 / (s_w^2 + K s_c^2); share that is foretold."""
-    power = [np.sum(S[:, p + i, p + i]) for S in (within, about)]
-    if not sum(power) > 0:
+    power, moved = (within + about)[:, p + i, p + i].sum(), np.trace(about.sum(axis=0)[:p, :p]) / p
+    if not power > 0:
         return np.zeros(p), np.zeros((BLOCKS, p)), 1.0, 1.0
     best = (np.inf,)
-    for ratio in RATIOS if K > 1 else RATIOS[:1]:
-        S = within + ratio * about
-        for static, cost in ((1.0, FREE), (STATIC, 1.0)):
-            for weight in WEIGHTS:
-                row, others = _ridge(S, p, i, m, weight, static)
-                off, ours = (
-                    _missed(P, others, i) * cost + 1e-15 * sum(power) for P in (within, about)
-                )
-                likely = (K - 1) * np.log(off) + np.log(ours)
-                if likely < best[0]:
-                    best = likely, row, others, off, ours
+    for ratio, static, weight in product(ratios, (1.0, STATIC), WEIGHTS):
+        prior = np.full((m, p // m), ROUNDING * moved or 1.0)
+        fit = _ridge(within + ratio * about, p, i, weight, prior, static)
+        off, ours = (_missed(S, fit[1], i) + ROUNDING * power for S in (within, about))
+        likely = (K - 1) * np.log(off) + np.log(ours) + (K * np.log(FREE) if static == 1 else 0)
+        if likely < best[0]:
+            best = likely, *fit, off, ours
     _, row, others, off, ours = best
     ratio = min(1.0, off / (K - 1) / ours) if K > 1 else 1.0
-    left = (off + ratio * ours) / (power[0] + ratio * power[1])
-    return row, others, ratio, 1 - left
+    whole = (within + ratio * about)[:, p + i, p + i].sum()
+    return row, others, ratio, 1 - (off + ratio * ours) / whole
 
 
-def _ridge(S, p, i, m, weight, static):
+def _ridge(S, p, i, weight, prior, static):
     """Row i of F, and those without each block."""
     total = S.sum(axis=0)
     sums = np.concatenate([total[None], total - S])
-    prior = np.full((m, p // m), weight * np.trace(total[:p, :p]) / p or 1.0)  # 1: nothing moved
-    prior[:, p // m // 2] *= static
+    prior += weight * np.trace(total[:p, :p]) / p
+    prior[:, prior.shape[1] // 2] *= static
     rows = np.linalg.solve(sums[:, :p, :p] + np.diag(prior.ravel()), sums[:, :p, [p + i]])[..., 0]
     return rows[0], rows[1:]
 
@@ -214,13 +218,8 @@ def _unseen(new, old, Ts):
     return share, 2 * np.pi / (n * Ts) * edges[fresh].min(initial=n)
 
 
-def _findings(found, K, outputs, new, old, Ts):
+def _findings(found, outputs, new, old, Ts):
     """What speaks against beginning so, in words."""
-    if K == 1:
-        yield (
-            "trials are one only, which does not tell a disturbance that repeats from what answers "
-            "the reference: nothing is kept. Pass all trials, the first one, too"
-        )
     for i, name in enumerate(outputs):
         if found.left_out[i] < EXPLAINED:
             yield (
@@ -237,5 +236,6 @@ def _findings(found, K, outputs, new, old, Ts):
         if found.doubt[i] > DOUBTFUL * size:
             yield (
                 f"v for {name}, of RMS {size:.3g}, may be off by {found.doubt[i]:.3g}: the trials "
-                "do not tell what answers this reference. Add trials of another task"
+                "do not tell what answers this reference, or a disturbance that repeats. Pass the "
+                "first trials, too, where v was another, or trials of another task"
             )
