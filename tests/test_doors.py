@@ -191,6 +191,7 @@ DOORS = [
     (update, {"v": SIGNAL, "e": SIGNAL, "Q": Q, "L": L}),
     (run_trials, {"loop": LOOP, "Q": Q, "L": L, "reference": SIGNAL, "trials": 2},
      {"L": MODELS | {"none": ...}, "step": REAL | {"0": 0.0, "2": 2.0}}),
+    (rodlib.transfer, {"trials": LOG, "reference": np.zeros((70, 1))}, {"trials": THING}),
     (rms, {"e": xr.DataArray(SIGNAL, dims=("time", "channel"))}),
     (assumed_reference, {"samples": 5}),
     (assumed_disturbance, {"samples": 5, "trials": 2, "first": 1}),
