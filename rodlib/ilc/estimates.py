@@ -1,9 +1,8 @@
 """Outputs that are not measured: what the observer makes of them, and learning on combinations.
 
-A loop has as many measured outputs as controls; what counts may be more, such as the temperature
-along a rod. The observer (16) knows it as z-hat = C_z x-hat, and trials can learn on that instead
-of y: J. Wallén, M. Norrlöf and S. Gunnarsson, A framework for analysis of observer-based ILC, Asian
-Journal of Control 13 (2011) 3-14. With m inputs, m combinations of z can be brought to zero.
+The temperature along a rod is more than a loop measures. Its observer (16) has z-hat = C_z x-hat,
+and trials can learn on that: J. Wallén, M. Norrlöf and S. Gunnarsson, A framework for analysis of
+observer-based ILC, Asian Journal of Control 13 (2011) 3-14. m inputs reach m combinations of it.
 """
 
 import warnings
@@ -18,7 +17,7 @@ from rodlib.ilc.models import sampled_plant, state_sequence
 from rodlib.ilc.trials import each_trial
 
 CONDITION = 1e6  # of the response at rest, beyond which errors of the model take over
-DEPARTS = 0.01  # of the largest delta, that a recorded one may be off
+DEPARTS = 1e-3  # of the largest u, that a recorded delta may be off
 
 
 def estimated(
@@ -26,19 +25,17 @@ def estimated(
 ) -> xr.DataArray:
     """What the observer (16) of a loop knew of outputs z in trials that were simulated or recorded.
 
-    The observer only knows `model`, and puts down what it cannot explain to the controls: a
-    disturbance that enters elsewhere makes z-hat wrong, even where y-hat = y. How wrong, a
-    simulation with that disturbance or with another plant tells.
+    It puts down what `model` does not explain to the controls. A disturbance that enters elsewhere
+    makes z-hat wrong, even where y-hat = y; how wrong, a simulation with it tells.
 
     Parameters
     ----------
     trials : xarray.Dataset
         With reference, v and y, from :func:`rodlib.run_trials`, record or load_log.
     loop : CurrentTrialLoop
-        The one of these trials.
     model : control.StateSpace
-        Its plant, state by state, with the outputs z: `loop` is made of the rows that are measured,
-        ``current_trial_loop(model[measured, :], controls)``.
+        The loop's plant, state by state, with the outputs z: `loop` is made of the rows that are
+        measured, ``current_trial_loop(model[measured, :], controls)``.
 
     Returns
     -------
@@ -52,7 +49,7 @@ def estimated(
     """
     arguments.instance("trials", trials, xr.Dataset)
     arguments.instance("loop", loop, CurrentTrialLoop)
-    model, n = sampled_plant(arguments.state_space("model", model)), loop.plant.nstates
+    model, n = sampled_plant(model, "model"), loop.plant.nstates
     if not np.array_equal(model.A, loop.plant.A):
         raise ValueError(
             f"model has {model.nstates} states, which are not those of loop.plant: make both of "
@@ -62,17 +59,15 @@ def estimated(
         raise ValueError(f"trials have no {missing}: pass what run_trials or record returns")
     trials = trials.transpose("trial", "time", ...)
     size = trials.sizes["trial"], trials.sizes["time"]
-    w, y = (
-        each_trial(f"trials.{name}", signal, *size, loop.outputs)
-        for name, signal in (("w", trials.reference + trials.v), ("y", trials.y))
-    )
+    signals = {"w": trials.reference + trials.v, "y": trials.y}
+    w, y = (each_trial(f"trials.{k}", x, *size, loop.outputs) for k, x in signals.items())
     # c is x-hat and delta; (16) with u of (18): c(p+1) = A c(p) + B w(p) + K_L y(p)
     A, B = loop.closed.A[n:, n:], np.hstack([loop.closed.B[n:, : len(loop.outputs)], loop.KL])
     forcing = np.concatenate([w, y], axis=2) @ B.T
     c = np.stack([state_sequence(A, each, np.zeros(len(A))) for each in forcing])
-    if "delta" in trials:
+    if {"delta", "u"} <= {*trials}:
         off = np.abs(c[..., n:] - trials.delta.values).max(axis=(1, 2))
-        late = np.flatnonzero(off > DEPARTS * np.abs(trials.delta.values).max())
+        late = np.flatnonzero(off > DEPARTS * np.abs(trials.u.values).max())
         if late.size:
             warnings.warn(
                 f"in trial {trials.trial.values[late[0]]} the observer was not at rest at first: "
@@ -87,9 +82,8 @@ def combinations(P: control.StateSpace, weights=None) -> tuple[np.ndarray, Close
     """As many combinations T z of outputs as there are inputs, and the loop from w to them.
 
     T = (G' W G)^-1 G' W with G = P(1), the response at rest: if T (r - z) = 0 there, no w leaves
-    less of (r - z)' W (r - z). If r moves, another may; how much less is possible,
-    :class:`rodlib.NormOptimal` of the same P tells. With the reference T r, and T z, measured or
-    estimated, in the place of y, everything works that wants as many outputs as inputs.
+    less of (r - z)' W (r - z). If r moves, another may: see :class:`rodlib.NormOptimal`. With T r
+    and T z, measured or estimated, in the place of r and y, all works that wants p = m.
 
     Parameters
     ----------
@@ -103,11 +97,11 @@ def combinations(P: control.StateSpace, weights=None) -> tuple[np.ndarray, Close
     Returns
     -------
     T : ndarray, shape (m, p)
-        Of a signal of shape (time, p) the combinations are ``signal @ T.T``.
+        The combinations of a signal of shape (time, p) are ``signal @ T.T``.
     loop : ClosedLoop
         Its P is T P, which is I at rest; outputs c1, c2, ...
     """
-    P = sampled_plant(P)
+    P = sampled_plant(P, "P")
     arguments.stable("P", P.poles())
     p, m = P.shape
     if p < m:

@@ -94,18 +94,11 @@ def outer_zeros(P: control.StateSpace) -> np.ndarray:
 
 def square(P: control.StateSpace) -> tuple[int, float]:
     """Number of channels and sampling period (s) of a model that L can be designed for."""
-    Ts = sampled(P)
-    if P.ninputs != P.noutputs:
-        raise ValueError(
-            f"P has {P.ninputs} inputs and {P.noutputs} outputs: it must have as many of each"
-        )
-    return P.noutputs, Ts
-
-
-def sampled(P: control.StateSpace) -> float:
-    """Sampling period (s) of a stable model in discrete time."""
     arguments.state_space("P", P)
-    if not P.isdtime(strict=True) or P.dt is True:
-        raise ValueError(f"P.dt = {P.dt!r} must be a sampling period in seconds: sample the model")
+    if P.ninputs != P.noutputs or not P.isdtime(strict=True) or P.dt is True:
+        raise ValueError(
+            f"P has {P.ninputs} inputs, {P.noutputs} outputs and P.dt = {P.dt!r}: it must have as "
+            "many of each, and a sampling period in seconds"
+        )
     arguments.stable("P", P.poles())
-    return float(P.dt)
+    return P.noutputs, float(P.dt)

@@ -9,8 +9,7 @@ from scipy.sparse import csc_array, eye_array, kron
 from scipy.sparse.linalg import SuperLU, splu
 
 from rodlib.ilc import arguments
-from rodlib.ilc.alternatives.inversion import sampled
-from rodlib.ilc.models import frequency_response
+from rodlib.ilc.models import frequency_response, sampled_plant
 
 
 @dataclass(frozen=True)
@@ -24,9 +23,8 @@ class NormOptimal:
     Attributes
     ----------
     P : control.StateSpace
-        In discrete time, stable; acts from rest. It may have more outputs p than its m inputs: what
-        remains of an error is then the least that any input leaves, but for the weight. The law
-        (23) takes such a map of p channels to m by :func:`rodlib.combinations` only.
+        In discrete time, stable, from rest. With more outputs p than inputs m, no other change of
+        v leaves less of an error, but for the weight; for the law (23) p and m must be equal.
     weight : float
         Above zero, in the square of the unit of y per unit of w.
     samples : int
@@ -44,7 +42,8 @@ class NormOptimal:
     samples: int
 
     def __post_init__(self):
-        sampled(self.P)
+        object.__setattr__(self, "P", sampled_plant(self.P, "P"))
+        arguments.stable("P", self.P.poles())
         object.__setattr__(self, "weight", arguments.positive("weight", self.weight))
         object.__setattr__(self, "samples", arguments.whole("samples", self.samples, 1))
 
