@@ -14,6 +14,7 @@ MODULES = {
     "problem": "Problem",
     "trials": "rms run_trials",
     "transfer": "transfer",
+    "estimates": "combinations estimated",
     "evidence": """converged_noise mean_rate noise_bound noise_by_trial noise_on_trial rate
         rates spectral_rate trial_noise violation_probability worst_case""",
     "synthesis": "InfeasibleError SolverError Synthesis largest_cutoff least_gain synthesise",

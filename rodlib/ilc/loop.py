@@ -272,13 +272,11 @@ def check_loop(loop) -> Loop:
 
 def _known(P, name="P"):
     """A stable model from w to y."""
-    try:
-        P = sampled_plant(P)
-    except ValueError as error:
-        raise ValueError(f"{name} must be a model from w to y: {error}") from None
+    P = sampled_plant(P, name)
     arguments.stable(name, P.poles())
     if P.ninputs != P.noutputs:
-        raise ValueError(f"{name} has {P.ninputs} inputs and {P.noutputs} outputs: w is as y")
+        what = f"{name} has {P.ninputs} inputs and {P.noutputs} outputs: w is as y"
+        raise ValueError(f"{what}; of more outputs, learn on combinations({name})")
     return P
 
 
