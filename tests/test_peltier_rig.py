@@ -14,7 +14,7 @@ from rodlib.peltier_rig import (
     PeltierRig,
     RestartingPeltierRig,
 )
-from rodlib.rigs import RigParameters, VirtualRig
+from rodlib.rigs import MISMATCHED, RigParameters, VirtualRig
 
 SILENT = PeltierParameters(noise=0, quantum=0, ambient_rate=0)
 ROOM = SILENT.temperature
@@ -83,7 +83,7 @@ def test_for_small_currents_it_is_the_linear_rig():
     np.testing.assert_allclose(small, expected, atol=3e-3 * np.abs(expected).max())
 
 
-def reference_solution(rod, p, currents, ambient_rate):
+def reference_solution(rod, p, currents, ambient_rate, Ts):
     """Readings by scipy, from heat flows in watts and absolute temperatures, one cell at a time."""
     cells, share = rod.sections * p.cells, 1 / p.cells
     dz = rod.length / cells
@@ -112,24 +112,29 @@ def reference_solution(rod, p, currents, ambient_rate):
     x, readings = np.full(cells + rod.sections + len(rod.sensors), p.temperature), []
     for k, current in enumerate(currents):
         readings.append(x[cells + rod.sections :] - p.temperature)
-        span, tolerances = (k, k + 1.0), {"rtol": 1e-10, "atol": 1e-9}
+        span, tolerances = (k * Ts, (k + 1) * Ts), {"rtol": 1e-10, "atol": 1e-9}
         x = solve_ivp(slopes, span, x, "LSODA", args=(current,), **tolerances).y[:, -1]
     return np.array(readings)
 
 
-def test_the_integration_is_that_of_scipy():
-    """Large steps of the current, which heat the sinks; a step of 1 s is off by its third order."""
+@pytest.mark.parametrize(
+    ("rod", "Ts"),
+    [(MISMATCHED, 1.0), (Rod(sections=3, sensors=(0.0, 0.15, 0.32), conductivity=200.0), 2.0)],
+)
+def test_the_integration_is_that_of_scipy(rod, Ts):
+    """Large steps of the current, which heat the sinks; a step is off by its third order."""
     parameters = replace(SILENT, cells=4, fan=1.0, sink_capacity=60.0, ambient_rate=0.01)
-    rig = PeltierRig(parameters=parameters)
-    commands = np.random.default_rng(1).uniform(-50, 90, (6, 4)).repeat(10, axis=0)
+    rig = PeltierRig(rod, parameters, Ts)
+    commands = np.random.default_rng(1).uniform(-50, 90, (6, rod.sections)).repeat(10, axis=0)
     currents, readings = [], []
     for command in commands:
         readings.append(rig.read())
         rig.apply(command)
         currents.append(rig.currents)
-    expected = reference_solution(rig.rod, parameters, currents, 0.01)
+    expected = reference_solution(rod, parameters, currents, 0.01, Ts)
     assert np.abs(expected).max() > 5
-    np.testing.assert_allclose(readings, expected, atol=2e-4 * np.abs(expected).max())
+    tolerance = 2e-4 * Ts**2 * np.abs(expected).max()
+    np.testing.assert_allclose(readings, expected, atol=tolerance)
 
 
 def test_at_rest_the_room_gets_the_electrical_power():
