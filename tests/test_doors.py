@@ -48,6 +48,12 @@ from rodlib.ilc.models import frequency_response
 from rodlib.ilc.trials import rms
 from rodlib.ilc.workbench import Outcome, Plant, Settings
 from rodlib.paper.knobs import plant_of_rod
+from rodlib.peltier_rig import (
+    PeltierElement,
+    PeltierParameters,
+    PeltierRig,
+    RestartingPeltierRig,
+)
 from rodlib.rigs import RestartingRig, RigParameters, VirtualRig
 
 PLANT = control.ss(0.5, [[0.5, 1.0]], 1, 0, 1.0, inputs=["u", "d"], outputs=["y"])
@@ -309,6 +315,15 @@ DOORS = [
     *((door, {"rod": Rod(), "parameters": RigParameters(modes=5)})
       for door in (VirtualRig, RestartingRig)),
     (RIG.apply, {"heat_flows": np.zeros(4)}),
+    (PeltierElement, {},
+     {"seebeck": NUMBER | {"0": 0.0}}
+     | dict.fromkeys(["resistance", "conductance", "limit"], NUMBER)),
+    (PeltierParameters, {"cells": 2, "sinks_measured": False},
+     dict.fromkeys(["sink_capacity", "temperature"], NUMBER | {"0": 0.0})
+     | dict.fromkeys(["fan", "convection", "emissivity", "lag", "noise", "quantum"], NUMBER)
+     | {"ambient_rate": NUMBER | {"-1": ...}, "sinks_measured": FLAG}),
+    *((door, {"rod": Rod(), "parameters": PeltierParameters(cells=2)})
+      for door in (PeltierRig, RestartingPeltierRig)),
     (RIG.begin, {"trial": 1}),
     (laboratory.TemperatureControlLab, {},
      {"kit": THING | {"true": ...}, "rest": REAL, "wait": NUMBER}),
