@@ -12,6 +12,7 @@ MODULES = {
     "filters": """LearningFilter LearningOperator ZeroPhaseButterworth update
         zero_phase_butterworth""",
     "problem": "Problem",
+    "within_limits": "update_within",
     "trials": "rms run_trials",
     "evidence": """converged_noise mean_rate noise_bound noise_by_trial noise_on_trial rate
         rates spectral_rate trial_noise violation_probability worst_case""",

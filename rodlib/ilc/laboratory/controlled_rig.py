@@ -10,10 +10,10 @@ from typing import Protocol
 import numpy as np
 
 from rodlib.ilc import arguments, units
-from rodlib.ilc.laboratory import limits
+from rodlib.ilc.actuators import Actuators, named_limits
+from rodlib.ilc.laboratory.limits import commands_beyond, stop_limits
 from rodlib.ilc.laboratory.mistakes import mistake_in
 from rodlib.ilc.loop import CurrentTrialLoop, check_loop
-from rodlib.ilc.trials import in_columns
 
 LATE = 0.1  # sampling periods that a sample may be off the clock
 
@@ -26,7 +26,8 @@ class Rig(Protocol):
 
     A rig may have more. ``inputs``: names of the numbers that ``apply`` takes; without it they are
     the loop's controls, or references. ``limits``: a dict of the lowest and the highest number that
-    it follows, by the name of the input; what is beyond them is warned of. ``Ts``: its sampling
+    it follows, by the name of the input, and third, if need be, the largest change per second;
+    commands are cut off there, and the observer (16) is told. ``Ts``: its sampling
     period, s. ``measured``: a dict of what else it measures, by name, such as the temperature of
     the room. ``safe()``: what leaves it in a safe state; without it, zeros are applied.
     ``begin(trial)``: what brings it into the state in which every trial begins, such as a homing
@@ -45,7 +46,8 @@ class TrialRig(Protocol):
     """Another kind of driver, trial by trial, for a target that runs the controller by itself.
 
     It may have ``Ts``, ``limits``, ``safe()`` and ``begin(trial)``, as :class:`Rig` has. No
-    pause between trials: ``run`` begins where every trial begins.
+    pause between trials: ``run`` begins where every trial begins. At its limits the target cuts off
+    commands, and should tell its observer.
     """
 
     def run(self, w):
@@ -81,14 +83,18 @@ class Controller:
         self._B = loop.plant.B[:, :m]
         self._x_hat, self.delta = np.zeros(n), np.zeros(m)
 
-    def step(self, y, w) -> np.ndarray:
-        """The controls u(p) from the measured y(p) and w(p); advances the observer."""
+    def step(self, y, w, follow=None) -> np.ndarray:
+        """The controls u(p) from the measured y(p) and w(p); advances the observer.
+
+        What the actuators `follow` of u, by default all, is what the observer is told.
+        """
         loop, m = self.loop, len(self.delta)
         y, w = arguments.array("y", y, (m,)), arguments.array("w", w, (m,))
         u = _rounded(loop.N @ w - loop.Ks @ self._x_hat - self.delta, self.decimals)  # (18)
         surprise = loop.KL @ (y - loop.plant.C @ self._x_hat)
-        n = len(self._x_hat)
-        self._x_hat = loop.plant.A @ self._x_hat + self._B @ (u + self.delta) + surprise[:n]  # (16)
+        n, applied = len(self._x_hat), u if follow is None else follow(u)
+        forced = self._B @ (applied + self.delta)
+        self._x_hat = loop.plant.A @ self._x_hat + forced + surprise[:n]  # (16)
         self.delta = self.delta + surprise[n:]
         return u
 
@@ -96,7 +102,7 @@ class Controller:
 class ControlledRig:
     """A rig with the controller on it: signals by name, no reading used before it is checked."""
 
-    def __init__(self, rig, loop, decimals):
+    def __init__(self, rig, loop, decimals, limits=None):
         if isinstance(rig, type):
             raise ValueError(f"rig = {rig!r} is a class: make one")
         missing = [name for name in ("read", "apply") if not callable(getattr(rig, name, None))]
@@ -105,7 +111,7 @@ class ControlledRig:
             raise ValueError(f"rig = {reprlib.repr(rig)} has no {', '.join(missing)}: see Rig")
         self.rig, self.loop = rig, check_loop(loop)
         self.ours = isinstance(loop, CurrentTrialLoop)  # the controller, if it is not on the rig
-        self.commands = loop.controls if self.ours else loop.references
+        self.commands = loop.commands
         for name in [*loop.controls, *loop.disturbances, *loop.outputs]:
             units.understood(name, loop.units.get(name, ""))
         decimals = arguments.by_name("decimals", decimals, ["v", "u", "delta", "disturbance"])
@@ -117,7 +123,13 @@ class ControlledRig:
         if missing:
             what = "controls" if self.ours else "references"
             raise ValueError(f"rig.inputs = {self.inputs} must name the {what} {missing}")
-        self.limits = limits.named_limits("rig.limits", getattr(rig, "limits", None), self.inputs)
+        given = getattr(rig, "limits", None)
+        self.limits = named_limits("rig.limits", given, self.inputs, rated=True)
+        if isinstance(limits, str) and limits == "rig":
+            limits = {n: own for n, own in self.limits.items() if n in self.commands}
+        self.kept = named_limits("limits", limits, self.commands, rated=True)  # by what is applied
+        self.actuators = Actuators.of("limits", self.kept, loop) if self.kept else None
+        self.applied = None  # the last commands
         heard = {} if self.whole else getattr(rig, "measured", {})
         self.told = [] if self.ours or self.whole else loop.controls  # u, by who commands it
         missing = [name for name in self.told if name not in heard]
@@ -137,12 +149,13 @@ class ControlledRig:
         """Set the limits of outputs and commands beyond which a trial stops."""
         outputs, commands = self.loop.outputs, self.commands
         own = [self.loop.units[name] for name in outputs]
-        self.stop = limits.stop_limits(stop, reference, outputs, own, commands, self.limits)
+        self.stop = stop_limits(stop, reference, outputs, own, commands, self.limits)
 
     @property
     def recorded_signals(self) -> list[str]:
         """Which signals a trial has."""
         names = {"v": True, "u": self.loop.controls, "y": True}
+        names |= {"applied": self.ours and self.actuators}
         names |= {"delta": self.ours and not self.whole, "disturbance": self.recorded}
         return [name for name, there in names.items() if there]
 
@@ -151,7 +164,7 @@ class ControlledRig:
         names = self.loop.disturbances
         if disturbance is None:
             return np.zeros((trials, samples, len(self.moved)))
-        d = in_columns("disturbance", disturbance, (..., samples, len(names)), names)
+        d = arguments.in_columns("disturbance", disturbance, (..., samples, len(names)), names)
         d = d if d.ndim != 2 else np.broadcast_to(d, (trials, *d.shape))
         d = arguments.array("disturbance", d, ("trial", samples, len(names)))
         if len(d) < trials:
@@ -168,6 +181,7 @@ class ControlledRig:
         restarts = hasattr(self.rig, "begin")
         if restarts:
             self.rig.begin(trial)
+            self.applied = None
         if self.ours and (restarts or self.controller is None):
             self.controller = Controller(self.loop, self.decimals.get("u"))
 
@@ -219,7 +233,11 @@ class ControlledRig:
         """The signals of the trial that ran, with a warning of commands that were not followed."""
         signals = self.signals()
         commands = signals["u"] if self.ours else self.w
-        cut_off = limits.commands_beyond(commands, self.commands, self.limits)
+        if self.actuators:
+            if self.ours and self.whole:
+                signals["applied"] = self.actuators.follow(commands)
+            return signals
+        cut_off = commands_beyond(commands, self.commands, self.limits)
         if cut_off:
             learned = "what the actuators cannot do, no learning will do for them"
             warnings.warn(f"trial {trial}: {cut_off}; {learned}", stacklevel=6)
@@ -229,7 +247,8 @@ class ControlledRig:
         """Let the rig run a whole trial by itself; its samples."""
         with_u, shape = bool(self.loop.controls), self.w.shape
         try:
-            result = self.rig.run(self.w.copy())
+            cut_off = self.actuators and not self.ours
+            result = self.rig.run(self.actuators.follow(self.w) if cut_off else self.w.copy())
             y, *more = result if with_u and isinstance(result, tuple) else (result,)
             try:
                 downloaded = {"y": arguments.array("y", y, shape)}
@@ -268,8 +287,9 @@ class ControlledRig:
         if self.ours:
             known = signals.get("disturbance", known)
             model, commands = self.loop.plant[:, [*names, *self.recorded]], signals["u"]
-        lows, highs = zip(*(self.limits.get(n, (-np.inf, np.inf)) for n in names), strict=True)
-        given = np.clip(commands, lows, highs), known, signals["y"], w
+        followed = {name: self.limits[name] for name in names if name in self.limits}
+        commands = Actuators.of("rig.limits", followed, self.loop).follow(commands)
+        given = commands, known, signals["y"], w
         return mistake_in(model, *given, self.loop.outputs, names)
 
     def sample(self, w, flows, where) -> dict[str, np.ndarray]:
@@ -279,13 +299,16 @@ class ControlledRig:
             self.check(y, self.loop.outputs)
             if self.ours:
                 found = {"delta": _rounded(self.controller.delta, self.decimals.get("delta"))}
-                commands = found["u"] = self.controller.step(y, w)
+                commands = found["u"] = self.controller.step(y, w, self.follow)
             else:
                 u = np.array([heard.pop(name) for name in self.told])
                 found, commands = {"u": u} if self.told else {}, w
+                self.follow(w)
             self.check(commands, self.commands)
             command = np.zeros(len(self.inputs))
-            command[self.positions] = np.concatenate([commands, flows])
+            command[self.positions] = np.concatenate([self.applied, flows])
+            if self.ours and self.actuators:
+                found["applied"] = self.applied
             self.rig.apply(command)
         except RigError as error:
             raise type(error)(f"{where}: {error}. Nothing was applied after it") from None
@@ -295,6 +318,19 @@ class ControlledRig:
         known = heard | dict(zip(self.moved, flows, strict=True))
         disturbance = np.array([known[name] for name in self.recorded])
         return found | {"y": y, "disturbance": disturbance}
+
+    def follow(self, commands) -> np.ndarray:
+        """What is applied of the commands of a sample."""
+        if self.actuators:
+            commands = self.actuators.next(commands, self.applied)
+        self.applied = commands
+        return commands
+
+    def sent(self, w, signals):
+        """The commands that were asked for in a trial or in all, and what was applied of them."""
+        if self.ours:
+            return signals["u"], signals["applied"]
+        return w, np.reshape([self.actuators.follow(one) for one in np.atleast_3d(w)], w.shape)
 
     def check(self, values, names):
         """Stop at what is beyond the limits."""

@@ -26,10 +26,10 @@ from rodlib.ilc.trials import dataset
 
 FORMAT = "rodlib trial log 2"
 SIGNALS = {  # and what the channels of each are; u only if the commands are known
-    "reference": "output", "v": "output", "u": "control", "y": "output",
+    "reference": "output", "v": "output", "u": "control", "y": "output", "applied": "control",
     "delta": "control", "disturbance": "source",
 }  # fmt: skip
-REQUIRED = ["reference", "v", "y"]
+REQUIRED, OPTIONAL = ["reference", "v", "y"], ["applied", "delta"]
 ROLES = {"output": "outputs", "control": "controls", "source": "disturbances"}  # in the metadata
 OWN = ("format", "Ts", "signals")  # metadata that are no attributes
 
@@ -233,12 +233,12 @@ def _columns_of(table):
             words = ", ".join(ROLES.values())
             raise ValueError(f"it must have {words} and one control for each output, or none")
         _units_of(signals)
-        estimated = any(title.startswith("delta_") for title in table.header)
+        there = {title.partition("_")[0] for title in table.header}
         titles = {
             f"{signal}_{name}": (signal, name)
             for signal, role in SIGNALS.items()
             for name in signals.get(ROLES[role], ())
-            if signal != "delta" or estimated
+            if signal not in OPTIONAL or signal in there
         }
         return signals, titles, _limits_of(table.metadata, titles)
     except (TypeError, ValueError) as error:
