@@ -7,7 +7,7 @@ import numpy as np
 
 from rodlib.ilc import arguments
 
-ROUNDING = 1e-9  # of the width of the limits
+ROUNDING = 1e-6  # of the width of the limits: no more than a solver rounds
 
 
 def named_limits(
@@ -63,10 +63,10 @@ class Actuators:
         return np.minimum(np.maximum(command, low), high)
 
     def follow(self, commands) -> np.ndarray:
-        """What becomes of the commands of a trial, shape (time, m)."""
+        """What becomes of the commands of a trial, shape (..., time, m)."""
         if np.all(np.isinf(self.step)):
             return self.next(commands)
         applied, before = np.empty_like(commands), None
-        for p, command in enumerate(commands):
-            applied[p] = before = self.next(command, before)
+        for p in range(commands.shape[-2]):
+            applied[..., p, :] = before = self.next(commands[..., p, :], before)
         return applied

@@ -19,7 +19,7 @@ from rodlib.ilc.filters import (
 from rodlib.ilc.loop import ClosedLoop, Loop, check_loop, with_noise
 from rodlib.ilc.models import state_sequence
 from rodlib.ilc.watch import Course, rates_of
-from rodlib.ilc.within_limits import projected, realised
+from rodlib.ilc.within_limits import commands_of, projected, realised
 
 
 def run_trials(
@@ -124,21 +124,18 @@ def run_trials(
             return v_k
         if actuators is None:
             return update(v_k, e_k, Q, L, rest, steps[k])
-        u, applied = asked(k)
-        return projected(v_k, e_k, u, applied, Q, L, loop, actuators, rest, steps[k])
+        return projected(v_k, e_k, commands(k), Q, L, loop, actuators, rest, steps[k])
 
-    def asked(k):
-        if isinstance(loop, ClosedLoop):
-            return r[k] + v[k], actuators.follow(r[k] + v[k])
-        return made[k]["u"], made[k]["applied"]
+    def commands(k):
+        return commands_of(loop, actuators, r[k] + v[k], made[k].get("u"), made[k].get("applied"))
 
     errors = learn(run, first, following, trials)
     if L is not None:
         P, names = loop.P, loop.outputs
         units, rates = [loop.units[name] for name in names], rates_of(P, Q, L)
         if actuators is not None:
-            v_done = np.stack([realised(loop, v[k], *asked(k)) for k in range(trials)])
-        given = v if actuators is None else v_done, errors, r, names, units, 1
+            learned = np.stack([realised(loop, v[k], *commands(k)) for k in range(trials)])
+        given = v if actuators is None else learned, errors, r, names, units, 1
         course = Course(*given, None if plant is None else P, *rates)
         for finding in course.all_findings().values():
             warnings.warn(finding, stacklevel=2)

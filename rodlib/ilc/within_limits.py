@@ -19,7 +19,6 @@ from rodlib.ilc.loop import ClosedLoop, Loop, check_loop
 from rodlib.ilc.models import state_sequence
 
 WEIGHT = 1e-4  # of ||v||^2 beside ||P v||^2: what the outputs hardly show stays as the law has it
-INSIDE = 1e-6  # of a limit: so far within it the solver stays, which rounds
 ELASTIC = 1e6  # weight of the square of what is beyond, where nothing is within
 
 
@@ -77,18 +76,25 @@ def update_within(
         If v = 0 in the rest leaves nothing within the limits. The nearest is returned.
     """
     actuators = Actuators.of("limits", limits, check_loop(loop))
-    shape = np.shape(v)
-    v, e = (arguments.in_columns(n, s, (...,), loop.outputs) for n, s in (("v", v), ("e", e)))
+    single = v
+    v = arguments.in_columns("v", v, ("time", len(loop.outputs)), loop.outputs)
+    e = arguments.in_columns("e", e, v.shape, loop.outputs)
     u = arguments.in_columns("u", u, v.shape, loop.commands)
-    if applied is None:
-        applied = actuators.follow(u)
+    applied = actuators.follow(u) if applied is None else applied
     applied = arguments.in_columns("applied", applied, v.shape, loop.commands)
-    return projected(v, e, u, applied, Q, L, loop, actuators, rest, step).reshape(shape)
+    following = projected(v, e, (u, applied), Q, L, loop, actuators, rest, step)
+    return following.reshape(np.shape(single))
 
 
-def projected(v, e, u, applied, Q, L, loop, actuators, rest, step):
+def commands_of(loop: Loop, actuators: Actuators, w, u=None, applied=None):
+    """What was asked for, u or of a ClosedLoop w, and what was applied of it."""
+    asked = w if isinstance(loop, ClosedLoop) else u
+    return asked, actuators.follow(asked) if applied is None else applied
+
+
+def projected(v, e, commands, Q, L, loop, actuators, rest, step):
     """As :func:`update_within`, of what was checked."""
-    v = realised(loop, v, u, applied)
+    v, applied = realised(loop, v, *commands), commands[1]
     wanted = update(v, e, Q, L, rest, step)
     return _nearest(loop, actuators, v, applied, wanted, getattr(L, "weight", WEIGHT), rest)
 
@@ -131,49 +137,49 @@ def _nearest(loop, actuators, v, applied, wanted, weight, rest):
     moves = moves - sparse.kron(earlier, np.hstack([P.A, P.B]))
     still = sparse.kron(one, V).tocsr()[(len(v) - rest) * m :]
     equal = np.append(np.zeros(moves.shape[0]), -v[len(v) - rest :])
-    rows = [sparse.kron(one, S), sparse.kron(one - earlier, S).tocsr()[m:]]
-    bounds = _bounds(actuators, applied)
+    G, low, high = _bounds(actuators, applied, sparse.kron(one, S), sparse.kron(one - earlier, S))
     given = sparse.kron(one, square), linear.ravel(), sparse.vstack([moves, still]), equal
-    low, high = np.hstack(bounds)
-    kept = np.isfinite(low)  # as are those above
-    G = sparse.vstack(rows[: len(bounds)], format="csr")[kept]
-    z, beyond = _solve(*given, G, low[kept], high[kept])
-    if beyond:
+    z = _solve(*given, G, low, high).reshape(len(v), -1)
+    z[len(v) - rest :, P.nstates :] = -v[len(v) - rest :]
+    asked = applied + z @ S.T
+    if not actuators.can(asked):
+        beyond = np.abs(actuators.follow(asked) - asked).max()
         warnings.warn(
             f"no v that rests in the last {rest} samples keeps the commands within the limits: the "
             f"nearest has them beyond by up to {beyond:.3g}. Take a shorter rest",
             stacklevel=4,
         )
-    return v + z.reshape(len(v), -1)[:, P.nstates :]
+    return v + z[:, P.nstates :]
 
 
-def _bounds(actuators, applied):
-    """How far commands, and their steps if these have a limit, may go from those applied."""
-    low, high, step = actuators.lowest, actuators.highest, actuators.step * (1 - INSIDE)
-    margin = INSIDE * np.where(np.isfinite(high - low), high - low, 0.0)
-    pairs = [(low + margin - applied, high - margin - applied)]
-    if np.isfinite(step).any():
-        stepped = np.diff(applied, axis=0)
-        pairs.append((-step - stepped, step - stepped))
-    return [np.stack([low.ravel(), high.ravel()]) for low, high in pairs]
+def _bounds(actuators, applied, commands, steps):
+    """low <= G z <= high: how far commands, and their steps, may go from those applied."""
+    low, high, step = actuators.lowest, actuators.highest, actuators.step[None, :]
+    margin = np.minimum(actuators.rounding, step / 4)
+    moved = np.diff(applied, axis=0)
+    lows = np.vstack([low + margin - applied, margin - step - moved]).ravel()
+    highs = np.vstack([high - margin - applied, step - margin - moved]).ravel()
+    kept = np.isfinite(lows)  # as are those above
+    G = sparse.vstack([commands, steps.tocsr()[applied.shape[1] :]], format="csr")
+    return G[kept], lows[kept], highs[kept]
 
 
 def _solve(H, c, F, b, G, low, high):
-    """The z that minimises z'Hz/2 + c'z with Fz = b and low <= Gz <= high; what is beyond them."""
-    result = _by_piqp(H, c, F, b, G, low, high)
-    if result is not None:
-        return result, 0.0
-    n, rows = len(c), G.shape[0]  # z, and what is beyond
-    H = sparse.block_diag([H, ELASTIC * sparse.eye_array(rows)])
-    F = sparse.hstack([F, sparse.csr_array((F.shape[0], rows))])
-    G = sparse.hstack([G, sparse.eye_array(rows)])
-    result = _by_piqp(H, np.append(c, np.zeros(rows)), F, b, G, low, high)
-    if result is None:
-        raise RuntimeError(
-            "the solver PIQP has found no v within the limits: they may be too narrow, or the "
-            "model's signals of very different sizes"
-        )
-    return result[:n], float(np.abs(result[n:]).max())
+    """The z that minimises z'Hz/2 + c'z with Fz = b and low <= Gz <= high, or is near to that."""
+    z = _by_piqp(H, c, F, b, G, low, high)
+    if z is None:  # with what is beyond as more unknowns
+        n, rows = len(c), G.shape[0]
+        H = sparse.block_diag([H, ELASTIC * sparse.eye_array(rows)])
+        F = sparse.hstack([F, sparse.csr_array((F.shape[0], rows))])
+        G = sparse.hstack([G, sparse.eye_array(rows)])
+        z = _by_piqp(H, np.append(c, np.zeros(rows)), F, b, G, low, high)
+        if z is None:
+            raise RuntimeError(
+                "the solver PIQP has found no v within the limits: are they very narrow, or the "
+                "loop's signals of very different sizes?"
+            )
+        z = z[:n]
+    return z
 
 
 def _by_piqp(H, c, F, b, G, low, high):
@@ -181,4 +187,4 @@ def _by_piqp(H, c, F, b, G, low, high):
     solver.setup(
         *(sparse.csc_matrix(x) if sparse.issparse(x) else x for x in (H, c, F, b, G)), low, high
     )
-    return solver.result.x if solver.solve() == piqp.PIQP_SOLVED else None
+    return solver.result.x.copy() if solver.solve() == piqp.PIQP_SOLVED else None

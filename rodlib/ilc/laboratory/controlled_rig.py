@@ -82,18 +82,15 @@ class Controller:
         self.loop, self.decimals = loop, decimals
         self._B = loop.plant.B[:, :m]
         self._x_hat, self.delta = np.zeros(n), np.zeros(m)
+        self.follow = np.asarray  # what the actuators make of u, which the observer is told
 
-    def step(self, y, w, follow=None) -> np.ndarray:
-        """The controls u(p) from the measured y(p) and w(p); advances the observer.
-
-        What the actuators `follow` of u, by default all, is what the observer is told.
-        """
+    def step(self, y, w) -> np.ndarray:
+        """The controls u(p) from the measured y(p) and w(p); advances the observer."""
         loop, m = self.loop, len(self.delta)
         y, w = arguments.array("y", y, (m,)), arguments.array("w", w, (m,))
         u = _rounded(loop.N @ w - loop.Ks @ self._x_hat - self.delta, self.decimals)  # (18)
         surprise = loop.KL @ (y - loop.plant.C @ self._x_hat)
-        n, applied = len(self._x_hat), u if follow is None else follow(u)
-        forced = self._B @ (applied + self.delta)
+        n, forced = len(self._x_hat), self._B @ (self.follow(u) + self.delta)
         self._x_hat = loop.plant.A @ self._x_hat + forced + surprise[:n]  # (16)
         self.delta = self.delta + surprise[n:]
         return u
@@ -184,6 +181,7 @@ class ControlledRig:
             self.applied = None
         if self.ours and (restarts or self.controller is None):
             self.controller = Controller(self.loop, self.decimals.get("u"))
+            self.controller.follow = self.follow
 
     def pause(self, trial, samples, w, start, bar):
         """Hold the start of the reference before a trial, if samples is None until all is back."""
@@ -299,7 +297,7 @@ class ControlledRig:
             self.check(y, self.loop.outputs)
             if self.ours:
                 found = {"delta": _rounded(self.controller.delta, self.decimals.get("delta"))}
-                commands = found["u"] = self.controller.step(y, w, self.follow)
+                commands = found["u"] = self.controller.step(y, w)
             else:
                 u = np.array([heard.pop(name) for name in self.told])
                 found, commands = {"u": u} if self.told else {}, w
@@ -325,12 +323,6 @@ class ControlledRig:
             commands = self.actuators.next(commands, self.applied)
         self.applied = commands
         return commands
-
-    def sent(self, w, signals):
-        """The commands that were asked for in a trial or in all, and what was applied of them."""
-        if self.ours:
-            return signals["u"], signals["applied"]
-        return w, np.reshape([self.actuators.follow(one) for one in np.atleast_3d(w)], w.shape)
 
     def check(self, values, names):
         """Stop at what is beyond the limits."""

@@ -21,7 +21,7 @@ from rodlib.ilc.laboratory.start import Start
 from rodlib.ilc.loop import Loop
 from rodlib.ilc.trials import check_law, dataset, each_trial
 from rodlib.ilc.watch import Course, rates_of
-from rodlib.ilc.within_limits import projected, realised
+from rodlib.ilc.within_limits import commands_of, projected, realised
 
 
 def record(
@@ -143,8 +143,9 @@ def record(
         r, v, y = reference[done - 1], signals["v"][-1], signals["y"][-1]
         if not controlled.actuators:
             return update(v, r - y, Q, L, rest, step)
-        commands = controlled.sent(r + v, {name: of[-1] for name, of in signals.items()})
-        return projected(v, r - y, *commands, Q, L, loop, controlled.actuators, rest, step)
+        told = (signals[name][-1] for name in ("u", "applied") if name in signals)
+        commands = commands_of(loop, controlled.actuators, r + v, *told)
+        return projected(v, r - y, commands, Q, L, loop, controlled.actuators, rest, step)
 
     notes = with_law(xr.Dataset(), Q, L, rest, loop, step, controlled.kept).attrs
     notes |= {} if v is None else {BEGUN: "v of trial 1 was given"}
@@ -278,16 +279,16 @@ class _Experiment:
             found["start"] = missed
         if not k and (mistake := self.rig.mistake()):
             found["mistake"] = f"it looks as if {mistake}"
-        if self.law is None:
-            return found
         loop, (v, y) = self.rig.loop, (np.stack(signals[name]) for name in ("v", "y"))
         units, reference = [loop.units[name] for name in loop.outputs], self.reference[: k + 1]
         if self.rig.actuators:
-            stacked = {name: np.stack(of) for name, of in signals.items()}
-            asked, applied = self.rig.sent(reference + v, stacked)
-            v = realised(loop, v, asked, applied)
-            if cut_off := commands_beyond(asked[-1], loop.commands, self.rig.kept):
-                found["limits"] = f"{cut_off}; the observer is told, and v is learned within them"
+            told = (np.stack(signals[name]) for name in ("u", "applied") if name in signals)
+            commands = commands_of(loop, self.rig.actuators, reference + v, *told)
+            v = realised(loop, v, *commands)
+            if cut_off := commands_beyond(commands[0][-1], loop.commands, self.rig.kept):
+                found["limits"] = f"{cut_off}, where they were cut off; v is learned within"
+        if self.law is None:
+            return found
         given = v, reference - y, reference, loop.outputs, units
         rates = (None, None) if loop.P is None else rates_of(loop.P, *self.law)
         return found | Course(*given, 1, loop.P, *rates).findings()

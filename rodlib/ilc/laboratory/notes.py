@@ -58,6 +58,8 @@ def with_law(
         notes["step"] = json.dumps(step)
     if loop is not None:
         notes["loop"] = _note_of(check_loop(loop))
+    names = [] if loop is None else loop.commands
+    followed = named_limits("followed", followed, names, rated=True)
     return trials.assign_attrs(notes | _note_of_actuators(followed))
 
 

@@ -32,7 +32,7 @@ from rodlib.ilc.loop import ClosedLoop, Loop
 from rodlib.ilc.models import state_sequence
 from rodlib.ilc.trials import run_trials
 from rodlib.ilc.watch import Course, rates_of
-from rodlib.ilc.within_limits import projected, realised
+from rodlib.ilc.within_limits import commands_of, projected, realised
 
 DEPARTS = 1e-3  # of the largest v, that it is off where another law may have made it
 EXPLAINS = 0.01  # of that, which a mistake may leave
@@ -119,11 +119,8 @@ class Replay:
     def _commands(self):
         """What was asked for, and what was applied of it, shape (trial, time, m)."""
         trials, actuators = self.trials, Actuators.of("actuators", self.limits, self.loop)
-        own = isinstance(self.loop, ClosedLoop)
-        asked = (trials.reference + trials.v if own else trials.u).values
-        if "applied" in trials and not own:
-            return asked, trials.applied.values
-        return asked, np.stack([actuators.follow(one) for one in asked])
+        told = (trials[name].values for name in ("u", "applied") if name in trials)
+        return commands_of(self.loop, actuators, (trials.reference + trials.v).values, *told)
 
     @property
     def fit(self) -> pd.DataFrame | None:
@@ -215,9 +212,9 @@ class Replay:
         given, more = (trial.v.values, trial.e.values), (made.rest, made.step)
         if not made.limits:
             return update(*given, *made.law, *more)
-        given += tuple(commands[k] for commands in made._commands)
+        commands = [each[k] for each in made._commands]
         actuators = Actuators.of("actuators", made.limits, self.loop)
-        return projected(*given, *made.law, self.loop, actuators, *more)
+        return projected(*given, commands, *made.law, self.loop, actuators, *more)
 
     def _law_of_trial(self, number):
         """The replay with the law that made v of a trial."""
