@@ -6,8 +6,6 @@ onto a convex set makes no two signals more distant, so that Lemma 1 still holds
 The program has the stages of the loop, one for each sample; PIQP solves it.
 """
 
-import warnings
-
 import numpy as np
 import piqp
 from scipy import sparse
@@ -19,7 +17,6 @@ from rodlib.ilc.loop import ClosedLoop, Loop, check_loop
 from rodlib.ilc.models import state_sequence
 
 WEIGHT = 1e-4  # of ||v||^2 beside ||P v||^2: what the outputs hardly show stays as the law has it
-ELASTIC = 1e6  # weight of the square of what is beyond, where nothing is within
 
 
 def update_within(
@@ -59,7 +56,8 @@ def update_within(
     applied : array_like, shape (time, m), optional
         What the actuators made of u, and the observer was told. Default: u, cut off at the limits.
     rest, step :
-        As for :func:`rodlib.update`.
+        As for :func:`rodlib.update`. What the loop asks for in the rest, where v is zero, is left
+        out of account.
 
     Returns
     -------
@@ -69,11 +67,6 @@ def update_within(
     ------
     RuntimeError
         If the solver fails.
-
-    Warns
-    -----
-    UserWarning
-        If v = 0 in the rest leaves nothing within the limits. The nearest is returned.
     """
     actuators = Actuators.of("limits", limits, check_loop(loop))
     single = v
@@ -118,14 +111,14 @@ def _nearest(loop, actuators, v, applied, wanted, weight, rest):
     """Of all v whose commands can be followed, the nearest to `wanted`; v made `applied`."""
     if loop.P is None:
         v = v + actuators.follow(applied + wanted - v) - applied
-        v[len(v) - rest :] = 0
-        return v
+        return np.append(v[: len(v) - rest], np.zeros((rest, v.shape[1])), axis=0)
     P, m = loop.P, len(loop.outputs)
     own = isinstance(loop, ClosedLoop)
     K, N = (np.zeros((m, P.nstates)), np.eye(m)) if own else (-loop.Ks, loop.N)  # from w to u
+    active = len(v) - rest
     change = wanted - v
     x = state_sequence(P.A, change @ P.B.T, np.zeros(P.nstates))
-    if actuators.can(applied + x @ K.T + change @ N.T):
+    if actuators.can((applied + x @ K.T + change @ N.T)[:active]):
         return wanted
 
     # Of the states x and the change of v in each sample: C gives outputs, S commands, V itself.
@@ -135,56 +128,27 @@ def _nearest(loop, actuators, v, applied, wanted, weight, rest):
     linear = -np.hstack([x, change]) @ square
     moves = sparse.kron(one, np.eye(P.nstates, P.nstates + m))
     moves = moves - sparse.kron(earlier, np.hstack([P.A, P.B]))
-    still = sparse.kron(one, V).tocsr()[(len(v) - rest) * m :]
-    equal = np.append(np.zeros(moves.shape[0]), -v[len(v) - rest :])
-    G, low, high = _bounds(actuators, applied, sparse.kron(one, S), sparse.kron(one - earlier, S))
-    given = sparse.kron(one, square), linear.ravel(), sparse.vstack([moves, still]), equal
-    z = _solve(*given, G, low, high).reshape(len(v), -1)
-    z[len(v) - rest :, P.nstates :] = -v[len(v) - rest :]
-    asked = applied + z @ S.T
-    if not actuators.can(asked):
-        beyond = np.abs(actuators.follow(asked) - asked).max()
-        warnings.warn(
-            f"no v that rests in the last {rest} samples keeps the commands within the limits: the "
-            f"nearest has them beyond by up to {beyond:.3g}. Take a shorter rest",
-            stacklevel=4,
-        )
-    return v + z[:, P.nstates :]
+    still = sparse.kron(one, V).tocsr()[active * m :]
+    F, equal = sparse.vstack([moves, still]), np.append(np.zeros(moves.shape[0]), -v[active:])
 
+    # How far commands, and their steps, may go from those applied, before the rest.
+    applied, step = applied[:active], actuators.step[None, :]
+    margin, moved = np.minimum(actuators.rounding, step / 4), np.diff(applied, axis=0)
+    low = np.vstack([actuators.lowest + margin - applied, margin - step - moved]).ravel()
+    high = np.vstack([actuators.highest - margin - applied, step - margin - moved]).ravel()
+    commands, steps = (sparse.kron(of, S).tocsr()[: active * m] for of in (one, one - earlier))
+    kept = np.isfinite(low)  # as are those above
+    G = sparse.vstack([commands, steps[m:]], format="csr")[kept]
 
-def _bounds(actuators, applied, commands, steps):
-    """low <= G z <= high: how far commands, and their steps, may go from those applied."""
-    low, high, step = actuators.lowest, actuators.highest, actuators.step[None, :]
-    margin = np.minimum(actuators.rounding, step / 4)
-    moved = np.diff(applied, axis=0)
-    lows = np.vstack([low + margin - applied, margin - step - moved]).ravel()
-    highs = np.vstack([high - margin - applied, step - margin - moved]).ravel()
-    kept = np.isfinite(lows)  # as are those above
-    G = sparse.vstack([commands, steps.tocsr()[applied.shape[1] :]], format="csr")
-    return G[kept], lows[kept], highs[kept]
-
-
-def _solve(H, c, F, b, G, low, high):
-    """The z that minimises z'Hz/2 + c'z with Fz = b and low <= Gz <= high, or is near to that."""
-    z = _by_piqp(H, c, F, b, G, low, high)
-    if z is None:  # with what is beyond as more unknowns
-        n, rows = len(c), G.shape[0]
-        H = sparse.block_diag([H, ELASTIC * sparse.eye_array(rows)])
-        F = sparse.hstack([F, sparse.csr_array((F.shape[0], rows))])
-        G = sparse.hstack([G, sparse.eye_array(rows)])
-        z = _by_piqp(H, np.append(c, np.zeros(rows)), F, b, G, low, high)
-        if z is None:
-            raise RuntimeError(
-                "the solver PIQP has found no v within the limits: are they very narrow, or the "
-                "loop's signals of very different sizes?"
-            )
-        z = z[:n]
-    return z
-
-
-def _by_piqp(H, c, F, b, G, low, high):
     solver = piqp.SparseSolver()
-    solver.setup(
-        *(sparse.csc_matrix(x) if sparse.issparse(x) else x for x in (H, c, F, b, G)), low, high
-    )
-    return solver.result.x.copy() if solver.solve() == piqp.PIQP_SOLVED else None
+    matrices = (sparse.csc_matrix(matrix) for matrix in (sparse.kron(one, square), F, G))
+    H, F, G = matrices
+    solver.setup(H, linear.ravel(), F, equal, G, low[kept], high[kept])
+    status = solver.solve()
+    if status != piqp.PIQP_SOLVED:
+        raise RuntimeError(
+            f"the solver PIQP has found no v within the limits, {status}: are they very narrow, or "
+            "the loop's signals of very different sizes?"
+        )
+    z = solver.result.x.reshape(len(v), -1)[:, P.nstates :]
+    return np.append((v + z)[:active], np.zeros((rest, m)), axis=0)
