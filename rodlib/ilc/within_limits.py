@@ -16,7 +16,7 @@ from rodlib.ilc.filters import LearningOperator, ZeroPhaseButterworth, update
 from rodlib.ilc.loop import ClosedLoop, Loop, check_loop
 from rodlib.ilc.models import state_sequence
 
-WEIGHT = 1e-4  # of ||v||^2 beside ||P v||^2: what the outputs hardly show stays as the law has it
+WEIGHT = 1e-2  # of ||v||^2 beside ||P v||^2: what outputs hardly show stays as the law has it
 
 
 def update_within(
@@ -36,7 +36,7 @@ def update_within(
 
     Of all v whose commands stay within the limits, the one that is nearest to the v* of
     :func:`rodlib.update`: that minimises ||P (v - v*)||^2 + weight ||v - v*||^2, by the model of
-    the loop, from the commands that were applied. The weight is 1e-4, or that of an L which has
+    the loop, from the commands that were applied. The weight is 0.01, or that of an L which has
     one: with that of :class:`rodlib.NormOptimal` and a Q near one this is constrained norm-optimal
     learning, whose predicted error cannot rise.
 

@@ -102,18 +102,14 @@ class Replay:
         """
         if self.loop is None or self.loop.P is None or self.diverges:
             return None
-        if isinstance(self.loop, ClosedLoop):
-            P, zero = self.loop.P, np.zeros(self.loop.P.nstates)
-            _, signals = self._commands
-            answers = [state_sequence(P.A, w @ P.B.T, zero) @ P.C.T + w @ P.D.T for w in signals]
-            return np.stack(answers)
-        if "u" not in self.trials:
+        closed = isinstance(self.loop, ClosedLoop)
+        if not closed and "u" not in self.trials:
             return None
-        plant, m = self.loop.plant, len(self.outputs)
-        signals = np.concatenate([self._commands[1], self.disturbance], axis=2)
-        zero = np.zeros(plant.nstates)
-        states = np.stack([state_sequence(plant.A, s @ plant.B.T, zero) for s in signals])
-        return states @ plant.C.T + signals[..., m:] @ plant.D[:, m:].T
+        model, signals = self.loop.P if closed else self.loop.plant, self._commands[1]
+        signals = signals if closed else np.concatenate([signals, self.disturbance], axis=2)
+        zero = np.zeros(model.nstates)
+        states = np.stack([state_sequence(model.A, s @ model.B.T, zero) for s in signals])
+        return states @ model.C.T + signals @ model.D.T
 
     @cached_property
     def _commands(self):
