@@ -39,6 +39,7 @@ from rodlib import (
     study,
     synthesise,
     update,
+    update_within,
     zero_phase_butterworth,
 )
 from rodlib.case import assumed_disturbance, assumed_reference
@@ -111,6 +112,7 @@ REAL = {"complex": np.full((6, 1), 1j), "1e300": np.full((6, 1), 1e300)}
 MODELS = {"nan model": NAN, "number": 1.0, "transfer": control.tf(1, [1, 0.5], 1.0, inputs="F")}
 PLANTS = {"nan model": NAN, "continuous": control.ss(-1, 1, 1, 0), "names": MODELS["transfer"]}
 DENSITY = REAL | {"-1": -1.0, "lists": [[1.0]], "matrices": np.full((12, 2, 2), 1.0)}
+LIMITS = THING | {"none": ..., "names": {"fan": (0, 1)}}
 FLAG, TEXT = THING | {"true": ...}, THING | {"text": ...}
 FILE, LOGS = THING | {"text": ..., "no name": ""}, THING | {"frame": ...}
 WORD = {"other": "mirror"}
@@ -195,6 +197,9 @@ DOORS = [
     (L.frequency_response, {"omega": OMEGA}),
     (L.apply, {"signal": SIGNAL}),
     (update, {"v": SIGNAL, "e": SIGNAL, "Q": Q, "L": L}),
+    (update_within, {"v": SIGNAL, "e": SIGNAL, "u": SIGNAL, "Q": Q, "L": L, "loop": LOOP,
+                     "limits": {"u": (-1.0, 1.0)}},
+     {"limits": LIMITS | {"turned": {"u": (1, 0)}}}),
     (run_trials, {"loop": LOOP, "Q": Q, "L": L, "reference": SIGNAL, "trials": 2},
      {"L": MODELS | {"none": ...}, "step": REAL | {"0": 0.0, "2": 2.0}}),
     (rodlib.transfer, {"trials": LOG, "reference": np.zeros((70, 1))}, {"trials": THING}),
@@ -286,7 +291,7 @@ DOORS = [
     (laboratory.record,
      {"rig": RIG, "loop": PAPER, "Q": Q, "L": L2, "reference": np.zeros((5, 2)),
       "disturbance": np.zeros((2, 5, 3)), "trials": 2, "pause": 1},
-     {"L": MODELS | {"none": ...}, "another_law": THING | {"true": ...}}),
+     {"L": MODELS | {"none": ...}, "another_law": THING | {"true": ...}, "limits": LIMITS}),
     (laboratory.shake, {"rig": RIG, "loop": PAPER, "excitation": ALL}),
     (measured_response, {"log": SHAKEN}),
     (laboratory.expected_radius, {"excitation": EXCITATION, "rest": LOG}, {"rest": THING}),

@@ -74,6 +74,11 @@ class CurrentTrialLoop:
         return _learned(self)
 
     @property
+    def commands(self) -> list[str]:
+        """Names of what is sent to the actuators: the controls."""
+        return self.controls
+
+    @property
     def static_gain(self) -> np.ndarray:
         """P at frequency zero: the observer integrates, so that it is I for any plant."""
         return np.eye(len(self.outputs))
@@ -234,6 +239,11 @@ class ClosedLoop:
     def references(self) -> list[str]:
         """Names of the inputs w = r + v."""
         return _learned(self) if self.P is None else self.P.input_labels
+
+    @property
+    def commands(self) -> list[str]:
+        """Names of what is sent to the rig: w."""
+        return self.references
 
     @property
     def static_gain(self) -> None:
