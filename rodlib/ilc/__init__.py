@@ -19,7 +19,7 @@ MODULES = {
     "alternatives": """NormOptimal Rehearsal gradient h_infinity p_type pd_type stable_inversion
         tune zero_phase_inversion""",
     "laboratory": """LogError MeasuredResponse Rig RigError expected_radius load_law load_log
-        loop_of measured_response multisine record save_law save_log shake""",
+        loop_of measured_response multisine read_table record save_law save_log shake""",
     "plots": "plot",
 }
 

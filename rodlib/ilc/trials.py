@@ -196,10 +196,12 @@ def dataset(
     controls: Sequence[str],
     sources: Sequence[str],
     units: dict[str, str],
+    sensors: Sequence[str] = (),
     **signals,
 ) -> xr.Dataset:
     """Put the signals that :func:`run_trials` returns together, with coordinates and units."""
-    signals["e"] = signals["reference"] - signals["y"]
+    if "reference" in signals:
+        signals["e"] = signals["reference"] - signals["y"]
     trials, samples, m = signals["y"].shape
     coordinates = {
         "trial": np.arange(1, trials + 1),
@@ -211,6 +213,7 @@ def dataset(
         ("output", "channel", outputs, ("reference", "v", "y", "e")),
         ("control", "channel", controls, ("u", "delta")),
         ("source", "source", sources, ("disturbance",)),
+        ("sensor", "sensor", sensors, ("measured",)),
     ):
         if not len(names) or signals.keys().isdisjoint(members):
             continue

@@ -11,6 +11,7 @@ __getattr__, __dir__, __all__ = lazily(
         "controlled_rig": "Controller Rig RigError StoppedError TrialRig",
         "excitation": "Excitation multisine",
         "experiment": "record shake",
+        "foreign": "read_table",
         "log": "LogError load_log save_log",
         "measurement": "MeasuredResponse expected_radius measured_response",
         "notes": "law_of load_law loop_of rest_of save_law step_of with_law",

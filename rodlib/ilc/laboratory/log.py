@@ -19,18 +19,21 @@ import xarray as xr
 
 from rodlib.ilc import arguments, units
 from rodlib.ilc.files import write_pieces
-from rodlib.ilc.laboratory import limits, tables
-from rodlib.ilc.laboratory.sampling import check_trials, off, starts_of
+from rodlib.ilc.laboratory import limits, sampling, tables
 from rodlib.ilc.laboratory.tables import NUMBER, few
 from rodlib.ilc.trials import dataset
 
 FORMAT = "rodlib trial log 2"
 SIGNALS = {  # and what the channels of each are; u only if the commands are known
     "reference": "output", "v": "output", "u": "control", "y": "output",
-    "delta": "control", "disturbance": "source",
+    "delta": "control", "disturbance": "source", "measured": "sensor",
 }  # fmt: skip
-REQUIRED = ["reference", "v", "y"]
-ROLES = {"output": "outputs", "control": "controls", "source": "disturbances"}  # in the metadata
+OPTIONAL = (("reference", "v"), ("delta",))  # which a log has together, or not at all
+ROLES = {  # in the metadata
+    "output": "outputs", "control": "controls", "source": "disturbances", "sensor": "measured",
+}  # fmt: skip
+READ = ("y", "delta", "measured")  # what sensors show at a moment; all else is held
+FOREIGN = "rodlib.read_table reads other tables, by the names of their columns"
 OWN = ("format", "Ts", "signals")  # metadata that are no attributes
 
 
@@ -38,18 +41,22 @@ class LogError(ValueError):
     """A log that cannot be used; the message lists what is wrong with it."""
 
 
-def load_log(path) -> xr.Dataset:
+def load_log(path, resample: bool = False) -> xr.Dataset:
     """Load a trial log and check it.
 
     Parameters
     ----------
     path : path-like
+        Of a file of :func:`save_log`; :func:`read_table` reads any other table.
+    resample : bool
+        As in :func:`read_table`, which says what a clock may show.
 
     Returns
     -------
     xarray.Dataset
         As :func:`rodlib.run_trials` gives it, in the units and with the numbers of the trials of
-        the file; ``delta`` and ``disturbance`` only if it has them. The metadata are attributes.
+        the file; of ``reference``, ``v`` and ``e``, ``u``, ``delta``, ``disturbance`` and
+        ``measured`` what it has. The metadata are attributes, and ``clock``, if that is not exact.
 
     Raises
     ------
@@ -59,9 +66,10 @@ def load_log(path) -> xr.Dataset:
     Warns
     -----
     UserWarning
-        If a trial is missing between others.
+        If a trial is missing between others, or was resampled.
     """
-    trials = _load(arguments.path("path", path))
+    path = arguments.path("path", path)
+    trials = _load(path, resample=arguments.flag("resample", resample))
     if missing := _missing_between(trials.trial.values.tolist()):
         warnings.warn(f"path = '{path}': {missing}", stacklevel=2)
     return trials
@@ -121,11 +129,13 @@ def save_log(trials: xr.Dataset, path) -> None:
     write_pieces(path, ["".join([*lines, header, "\n"]).encode(), tables.rows([*columns.values()])])
 
 
-def signals_of(trials: xr.Dataset) -> dict[str, dict[str, str]]:
+def signals_of(trials: xr.Dataset, *needed: str) -> dict[str, dict[str, str]]:
     """Names and units of the signals, by role, as the metadata say it, if all are there."""
     roles = dict.fromkeys(role for signal, role in SIGNALS.items() if signal in trials)
-    needed = ["trial", "time", *(role + end for role in roles for end in ("", "_unit"))]
-    missing = [name for name in REQUIRED + needed if name not in trials.variables]
+    needed += ("y", "trial", "time", *(role + end for role in roles for end in ("", "_unit")))
+    together = next(group for group in OPTIONAL if "v" in group)
+    needed += together if any(name in trials for name in together) else ()
+    missing = [name for name in dict.fromkeys(needed) if name not in trials.variables]
     if missing:
         raise ValueError(f"trials lack {missing}: see rodlib.ilc.trials.dataset")
     signals = {}
@@ -171,23 +181,21 @@ def _refuse_constant(word):
     raise ValueError(f"{word} is no number")
 
 
-def _load(path, ended=False):
+def _load(path, ended=False, resample=False):
     """As :func:`load_log`, or :func:`load_ended`."""
+    content = content_of(path)
     try:
-        content = path.read_bytes()
         table = tables.read(content[: content.rfind(b"\n") + 1] if ended else content)
-    except OSError as error:
-        raise LogError(f"{path}: cannot be read: {error}") from None
     except UnicodeError as error:
         raise LogError(f"{path}: cannot be read as text: {error}") from None
     problems, metadata = table.problems, table.metadata
     if metadata.get("format") != FORMAT:
-        hint = ": load_law reads laws" if content.lstrip().startswith(b"{") else ""
+        hint = "rodlib.load_law reads laws" if content.lstrip().startswith(b"{") else FOREIGN
         stated = metadata.get("format")
-        problems.append(f"metadata: format is {stated!r}, but must be {FORMAT!r}{hint}")
-    _refuse(path, problems)  # all further ones would follow from these
+        problems.append(f"metadata: format is {stated!r}, but must be {FORMAT!r}: {hint}")
+    refuse(path, problems)  # all further ones would follow from these
     signals, titles, plausible = _columns_of(table)
-    _refuse(path, problems)
+    refuse(path, problems)
     own = _units_of(signals)
     for name, unit in own.items():
         try:
@@ -198,24 +206,52 @@ def _load(path, ended=False):
     problems += _problems_of_titles(table.header, ["trial", "time", *titles])
     problems += table.problems_of(["trial", "time", *titles])
     problems += [] if table.columns.size else ["the table has no rows"]
-    _refuse(path, problems)
-
+    problems += _implausible(table, plausible, titles, own) if not problems else []
+    refuse(path, problems)
     if ended:
         _drop_short_last_trial(table)
-    numbers, time, problems = check_trials(table, Ts / tick)
-    problems += _implausible(table, plausible, titles, own)
-    _refuse(path, problems)
+    table.columns[table.header.index("time")] *= tick
+    notes = {key: value for key, value in metadata.items() if key not in OWN}
+    return trials_of(path, table, signals, Ts, notes, resample)
+
+
+def content_of(path) -> bytes:
+    """What stands in a file."""
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read: {error}") from None
+
+
+def trials_of(source, table, signals, Ts, notes, resample=False, anywhere=False) -> xr.Dataset:
+    """The trials in a table with the columns of a log, and the time in s."""
+    titles = {
+        f"{signal}_{name}": signal
+        for signal, role in SIGNALS.items()
+        for name in signals.get(ROLES[role], ())
+        if f"{signal}_{name}" in table.header
+    }
+    notes = dict(notes)
+    if resample:
+        between = [title for title, signal in titles.items() if signal in READ]
+        if done := sampling.resample(table, Ts, between):
+            notes["resampled"] = done
+            warnings.warn(f"{source}: {done}", stacklevel=4)
+    numbers, problems = sampling.check_trials(table, Ts, anywhere)
+    refuse(source, problems)
+    if clock := sampling.about_clock(table, Ts):
+        notes["clock"] = clock
     read = {}
-    for title, (signal, _) in titles.items():
+    for title, signal in titles.items():
         read.setdefault(signal, []).append(table.column(title).reshape(len(numbers), -1))
     read = {signal: np.stack(each, 2) for signal, each in read.items()}
-    names = [list(signals.get(key, {})) for key in ROLES.values()]
-    notes = {key: value for key, value in metadata.items() if key not in OWN}
-    coordinates = {"trial": numbers.astype(int), "time": ("time", tick * time, {"units": "s"})}
-    return dataset(Ts, *names, own, **read).assign_attrs(notes).assign_coords(coordinates)
+    *names, sensors = ([*signals.get(key, {})] for key in ROLES.values())
+    trials = dataset(Ts, *names, _units_of(signals), sensors, **read)
+    return trials.assign_coords(trial=numbers.astype(int)).assign_attrs(notes)
 
 
-def _refuse(path, problems):
+def refuse(path, problems) -> None:
+    """A LogError with all problems, if there are any."""
     if problems:
         listed = "".join(f"\n- {text}" for text in few(problems))
         raise LogError(f"{path}: {len(problems)} problem(s){listed}")
@@ -231,14 +267,22 @@ def _columns_of(table):
         controls = len(signals.get("controls", range(m)))  # those that are named
         if not {*signals} <= {*ROLES.values()} or not m or m != controls:
             words = ", ".join(ROLES.values())
-            raise ValueError(f"it must have {words} and one control for each output, or none")
+            raise ValueError(
+                f"it must have {words} and one control for each output, or none; what else is "
+                "measured stands there as 'measured', other inputs as 'disturbances'"
+            )
         _units_of(signals)
-        estimated = any(title.startswith("delta_") for title in table.header)
+        absent = [
+            signal
+            for group in OPTIONAL
+            for signal in group
+            if not any(t.startswith(tuple(f"{other}_" for other in group)) for t in table.header)
+        ]
         titles = {
             f"{signal}_{name}": (signal, name)
             for signal, role in SIGNALS.items()
             for name in signals.get(ROLES[role], ())
-            if signal != "delta" or estimated
+            if signal not in absent
         }
         return signals, titles, _limits_of(table.metadata, titles)
     except (TypeError, ValueError) as error:
@@ -300,7 +344,7 @@ def _problems_of_titles(header, titles):
 
 def _drop_short_last_trial(table):
     """What a killed process has left of a trial."""
-    starts = starts_of(table.column("trial"))
+    starts = sampling.starts_of(table.column("trial"))
     if len(starts) > 1 and table.columns.shape[1] - starts[-1] < starts[1]:
         table.columns = table.columns[:, : starts[-1]]
 
@@ -358,6 +402,6 @@ def _counters(trials, Ts):
     if len(set(numbers)) < len(numbers):
         raise ValueError(f"trials.trial = {few(numbers)} must be numbers, none of them twice")
     time = np.asarray(trials.time.values, dtype=float)
-    if off(time, Ts).any():
+    if sampling.off(time, Ts).any():
         raise ValueError(f"trials.time must be 0, Ts, 2 Ts, ... with Ts = {Ts} s")
     return {"trial": np.repeat(numbers, len(time)), "time": np.tile(time, len(numbers))}

@@ -261,7 +261,7 @@ def replay_of(trials: xr.Dataset, untold: Sequence[str] = ()) -> Replay:
         start elsewhere than the first.
     """
     arguments.instance("trials", trials, xr.Dataset)
-    signals_of(trials)  # which checks that it has all that a log has
+    signals_of(trials, "reference", "v")  # which checks that it has all that a log has
     trials = trials.sortby("trial").transpose("trial", "time", ...)
     listed = isinstance(untold, Sequence) and not isinstance(untold, str)
     if not (listed and all(isinstance(name, str) for name in untold)):
