@@ -22,7 +22,7 @@ from rodlib.ilc.models import state_sequence
 HEATERS, THERMOMETERS = ["Q1", "Q2"], ["T1", "T2"]
 LAST = 60.0  # s of the wait before the first trial, over which the readings at rest are averaged
 UNITS = {"gain_1": "K/s per %", "gain_2": "K/s per %", "loss": "1/s", "exchange": "1/s", "lag": "s"}
-PARTS = 10  # of a record, each left out once, to learn how much the fit depends on it
+PARTS = 6  # of a record, each left out once; with more, noise of a minute makes intervals short
 VAGUE = 0.5  # relative standard error, from which on a record does not tell a parameter
 
 
@@ -173,8 +173,8 @@ def fit_heat_balance(heaters, readings, Ts: float) -> HeatBalanceFit:
 
     There is a second minimum where heater and thermometer exchange their times. Parameters are
     positive, and times between Ts/10 and ten records. The intervals are of the jackknife: how much
-    changes if a tenth of the record is left out. They count noise of any colour and what the model
-    leaves, as far as it differs from one tenth to another.
+    changes if a sixth of the record is left out. They count noise of any colour and what the model
+    leaves, as far as it differs from one sixth to another.
 
     Parameters
     ----------
@@ -211,7 +211,7 @@ def fit_heat_balance(heaters, readings, Ts: float) -> HeatBalanceFit:
     low = [*np.log([swing / longest] * 2 + [1 / longest, 0.01 / longest, shortest]), *-around]
     high = [*np.log([swing / Ts] * 2 + [1 / shortest, 1 / shortest, longest]), *around]
     fits = []
-    for cooling, lag in product((span / 2, span / 6, span / 40), repeat=2):
+    for cooling, lag in product((span / 3, span / 30), repeat=2):
         start = [*np.log([2 * swing / cooling] * 2 + [1 / cooling, 0.3 / cooling, lag]), 0, 0]
         start = np.clip(start, low, high)
         fits.append(least_squares(left, start, bounds=(low, high), x_scale="jac"))
@@ -226,8 +226,8 @@ def fit_heat_balance(heaters, readings, Ts: float) -> HeatBalanceFit:
     fit = HeatBalanceFit(values, covariance, zero, best.fun.reshape(-1, 2))
     if fit.unknown:
         warnings.warn(
-            f"the record does not tell {', '.join(fit.unknown)}: left out a tenth of it, they "
-            f"would be others by more than half. Move each heater by itself, up and down",
+            f"the record does not tell {', '.join(fit.unknown)}: left out a sixth of it, they "
+            f"would be others by more than half. Move each heater, independently, up and down",
             stacklevel=2,
         )
     return fit
