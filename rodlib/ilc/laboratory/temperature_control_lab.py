@@ -23,6 +23,7 @@ HEATERS, THERMOMETERS = ["Q1", "Q2"], ["T1", "T2"]
 LAST = 60.0  # s of the wait before the first trial, over which the readings at rest are averaged
 UNITS = {"gain_1": "K/s per %", "gain_2": "K/s per %", "loss": "1/s", "exchange": "1/s", "lag": "s"}
 PARTS = 6  # of a record, each left out once; with more, noise of a minute makes intervals short
+SURELY = {"ftol": 1e-12, "xtol": 1e-10}  # tolerances, so that the start does not show
 VAGUE = 0.5  # relative standard error, from which on a record does not tell a parameter
 
 
@@ -214,7 +215,7 @@ def fit_heat_balance(heaters, readings, Ts: float) -> HeatBalanceFit:
     for cooling, lag in product((span / 3, span / 30), repeat=2):
         start = [*np.log([2 * swing / cooling] * 2 + [1 / cooling, 0.3 / cooling, lag]), 0, 0]
         start = np.clip(start, low, high)
-        fits.append(least_squares(left, start, bounds=(low, high), x_scale="jac"))
+        fits.append(least_squares(left, start, bounds=(low, high), x_scale="jac", **SURELY))
     best = min(fits, key=lambda fit: fit.cost)
     parts = np.array_split(np.arange(readings.size), PARTS)
     kept = [np.delete(np.arange(readings.size), part) for part in parts]
