@@ -219,7 +219,7 @@ class Course:
         moved = np.diff((self.reference + self.v)[k : k + 2], axis=0)[0]
         foretold = self.e[k] + self.reference[k + 1] - self.reference[k] - self._answer(moved)
         signals = np.stack([self.e[k], foretold, self.e[k + 1]])[..., channels]
-        before, *after = np.sqrt(by_octave(power_of(signals)))
+        before, *after = amplitudes(signals)
         edges = np.append(octaves(len(moved)), len(moved) // 2 + 1) * 2 * np.pi / len(moved)
         promised = self._promised(edges)
         white = np.linalg.norm(noise_of(self.e[k + 1][:, channels]))
@@ -240,21 +240,22 @@ class Course:
             return None
         for channels in self._groups():
             e = self.e[start : k + 1][:, :, channels]
-            x, least = np.sqrt(by_octave(power_of(e))), ROUNDING * size(e).max()
+            e = e / max(np.abs(e).max(), np.finfo(float).tiny)
+            x, total = amplitudes(e), size(e)
             changed = np.diff(e, axis=0).swapaxes(1, 2)[..., None]  # each channel by itself
             power = power_of(changed) / 2  # if it was noise, that of one trial
             noise = by_octave(power.sum(axis=1))
-            squares = np.maximum(by_octave((power[-1] ** 2).sum(axis=0)), least**4)
+            squares = by_octave((power[-1] ** 2).sum(axis=0)) + ROUNDING**4
             freedom = np.maximum(2, 2 * noise[-1] ** 2 / squares)
             for i in range(k - start - 3):
-                if not np.any(x[i + 1] > BREAKS * size(e)[i]):
+                if not np.any(x[i + 1] > BREAKS * total[i]):
                     continue
                 of = self.reached(start + i, channels)
-                excess = x[i + 1] - np.maximum(of["promised"], of["foretold"]) * of["before"]
+                excess = x[i + 1] - np.maximum(of["promised"], of["foretold"]) * x[i]
                 later = noise[i + 2 :][-3:]
-                ratio = np.maximum(excess, 0) ** 2 / (later.mean(axis=0) + least**2)
+                ratio = np.maximum(excess, 0) ** 2 / (later.mean(axis=0) + ROUNDING**2)
                 chance = fdtrc(freedom, freedom * (len(later) + 1) / 2, ratio) * len(ratio)
-                broken = (chance < SURE) & (excess > BREAKS * size(e)[i]) & (x[i + 1] < x[i])
+                broken = (chance < SURE) & (excess > BREAKS * total[i]) & (x[i + 1] < x[i])
                 if broken.any():
                     return self._slowly(start + i, np.argmax(broken * excess), channels)
         return None
@@ -273,7 +274,7 @@ class Course:
 
 def octaves(samples: int) -> np.ndarray:
     """The first harmonic of each octave of a trial's spectrum: 0, 2, 4, 8, ..."""
-    return np.append(0, 2 ** np.arange(1, max(2, (samples // 2).bit_length())))
+    return np.append(0, 2 ** np.arange(1, (samples // 2).bit_length()))
 
 
 def power_of(signals) -> np.ndarray:
@@ -282,6 +283,12 @@ def power_of(signals) -> np.ndarray:
     power = np.sum(np.abs(np.fft.rfft(signals, axis=-2) / samples) ** 2, axis=-1)
     power[..., 1 : (samples + 1) // 2] *= 2
     return power
+
+
+def amplitudes(signals) -> np.ndarray:
+    """RMS of signals (..., time, channel) in each octave, summed over the channels."""
+    largest = max(np.abs(signals).max(), np.finfo(float).tiny)
+    return largest * np.sqrt(by_octave(power_of(signals / largest)))
 
 
 def by_octave(lines) -> np.ndarray:

@@ -26,11 +26,10 @@ from rodlib.ilc.trials import rms
 from rodlib.ilc.watch import (
     SURE,
     Course,
+    amplitudes,
     by_noise,
-    by_octave,
     freedom_of,
     octaves,
-    power_of,
     rates_of,
     size,
 )
@@ -85,6 +84,8 @@ def test_ordinary_trials_are_no_news(laws, seed):
     push = np.broadcast_to(10 ** rng.uniform(-2, 0.5) * push, (trials, samples, d))
     made = {"plant": plants[rng.integers(len(plants))], "step": rng.choice([1.0, 0.5, 0.2])}
     with warnings.catch_warnings(action="error"):
+        if made["plant"] is not None:  # there it is no false report
+            warnings.filterwarnings("ignore", "the rate is not the promised one")
         run_trials(loop, Q, L, bump(samples, amplitude), push, trials, noise=noise, **made)
 
 
@@ -202,14 +203,14 @@ def test_what_learning_makes_of_noise_is_no_divergence(laws):
     assert rms(run.e).values[-1] > rms(run.e).values[0]
 
 
-@pytest.mark.parametrize("samples", [4, 5, 64, 65, 600, 1023])
+@pytest.mark.parametrize("samples", [2, 3, 4, 5, 64, 65, 600, 1023])
 def test_octaves_share_all_that_there_is(samples):
     signals = np.random.default_rng(samples).standard_normal((3, samples, 2))
-    shared = by_octave(power_of(signals))
+    shared = amplitudes(1e200 * signals)
     assert shared.shape == (3, len(octaves(samples)))
-    np.testing.assert_allclose(np.sqrt(shared.sum(axis=1)), size(signals), rtol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(1e-200 * shared, axis=1), size(signals), rtol=1e-12)
     wave = np.cos(2 * np.pi * np.arange(samples) / samples)[None, :, None]
-    assert by_octave(power_of(wave)).argmax() == 0 and octaves(samples)[0] == 0
+    assert amplitudes(wave).argmax() == 0 and not amplitudes(0 * wave).any()
 
 
 def test_the_rate_that_was_reached_is_that_of_the_true_plant_and_foretold_that_of_the_model():

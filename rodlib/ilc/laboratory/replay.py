@@ -184,7 +184,8 @@ class Replay:
         changed = self.earlier or not np.array_equal(*course.reference[k - 1 : k + 1])
         if changed or len({*course.units}) > 1 or np.any(np.diff(self.numbers) != 1):
             return None
-        return pd.DataFrame(course.reached(k - 1)).set_index("frequency")
+        table = pd.DataFrame(course.reached(k - 1)).set_index("frequency")
+        return table.assign(promised=1 - self.step * (1 - table.promised))
 
     def _slip(self):
         """What made v, if not the law but the law with a usual mistake, as elsewhere programmed."""
