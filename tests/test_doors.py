@@ -130,7 +130,7 @@ NAMED = {
         (THING | {"numbers": [1, 2], "twice": ["u", "u"], "none": None}, "controls inputs untold"),
         (THING | {"other": "mirror"}, "ends objective solver structure"),
         (THING | {"text": ...}, "note source"),
-        (THING | {"true": ...}, "check jointly live"),
+        (THING | {"true": ...}, "check jointly live resample"),
         (THING | {"text": ..., "no name": ""}, "folder path"),
         (THING | {"address": "nobody"}, "scheduler"),
     )
@@ -285,6 +285,12 @@ DOORS = [
     (load_law, {"path": HERE / "law"}),
     (save_log, {"trials": LOG, "path": HERE / "log"}, {"trials": THING}),
     (load_log, {"path": HERE / "log"}),
+    (rodlib.read_table,
+     {"path": HERE / "log", "outputs": {"y": "y_y"}, "inputs": {"u": "u_u"}, "time": "time",
+      "Ts": 1.0, "reference": {"y": "reference_y"}, "v": {"y": "v_y"}, "trial": "trial"},
+     dict.fromkeys(["outputs", "inputs", "reference", "v", "disturbances", "measured", "units"],
+                   THING | {"other": {"y": 1.5}})
+     | dict.fromkeys(["time", "trial"], THING | {"number": 1.5, "beyond": 99})),
     (with_law, {"trials": LOG, "Q": Q, "L": L, "loop": LOOP},
      {"trials": THING | {"frame": ...}, "L": MODELS | {"none": ...}}),
     *((door, {"trials": LOG}, {"trials": THING | {"frame": ...}})

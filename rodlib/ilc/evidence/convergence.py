@@ -11,7 +11,7 @@ import numpy as np
 
 from rodlib.ilc import arguments
 from rodlib.ilc.filters import LearningOperator, check_learning
-from rodlib.ilc.posing import Q_on_grid, on_grid, plants
+from rodlib.ilc.plants import Q_on_grid, on_grid, plants
 from rodlib.ilc.problem import convergence_matrix, largest_singular_values, tied
 
 TOGETHER = 5000  # matrices at once: what fits into the processor's cache

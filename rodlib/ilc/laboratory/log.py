@@ -5,7 +5,6 @@ sample. pandas reads it with ``read_csv(path, comment="#")``, MATLAB with
 ``readtable(path, "CommentStyle", "#")``.
 """
 
-import difflib
 import json
 import re
 import reprlib
@@ -19,19 +18,12 @@ import xarray as xr
 
 from rodlib.ilc import arguments, units
 from rodlib.ilc.files import write_pieces
-from rodlib.ilc.laboratory import limits, sampling, tables
-from rodlib.ilc.laboratory.tables import NUMBER, few
+from rodlib.ilc.laboratory import sampling, stated, tables
+from rodlib.ilc.laboratory.stated import OPTIONAL, ROLES, SIGNALS
+from rodlib.ilc.laboratory.tables import few
 from rodlib.ilc.trials import dataset
 
 FORMAT = "rodlib trial log 2"
-SIGNALS = {  # and what the channels of each are; u only if the commands are known
-    "reference": "output", "v": "output", "u": "control", "y": "output",
-    "delta": "control", "disturbance": "source", "measured": "sensor",
-}  # fmt: skip
-OPTIONAL = (("reference", "v"), ("delta",))  # which a log has together, or not at all
-ROLES = {  # in the metadata
-    "output": "outputs", "control": "controls", "source": "disturbances", "sensor": "measured",
-}  # fmt: skip
 READ = ("y", "delta", "measured")  # what sensors show at a moment; all else is held
 FOREIGN = "rodlib.read_table reads other tables, by the names of their columns"
 OWN = ("format", "Ts", "signals")  # metadata that are no attributes
@@ -70,6 +62,8 @@ def load_log(path, resample: bool = False) -> xr.Dataset:
     """
     path = arguments.path("path", path)
     trials = _load(path, resample=arguments.flag("resample", resample))
+    if resample and "resampled" in trials.attrs:
+        warnings.warn(f"{path}: {trials.attrs['resampled']}", stacklevel=2)
     if missing := _missing_between(trials.trial.values.tolist()):
         warnings.warn(f"path = '{path}': {missing}", stacklevel=2)
     return trials
@@ -120,7 +114,7 @@ def save_log(trials: xr.Dataset, path) -> None:
             values = values.reshape(len(columns["time"]), -1).T
             names = [f"{signal}_{name}" for name in trials[role].values]
             columns |= dict(zip(names, values, strict=True))
-    _limits_of(metadata, columns)  # or it could not be loaded
+    stated.limits_of(metadata, columns)  # or it could not be loaded
     for title, values in columns.items():
         if not np.isfinite(values).all():
             raise ValueError(f"trials have values that are not finite in {title!r}")
@@ -145,7 +139,7 @@ def signals_of(trials: xr.Dataset, *needed: str) -> dict[str, dict[str, str]]:
         plain = all(isinstance(name, str) and name.isprintable() and name for name in names)
         if not plain or len(set(names)) < len(names):
             raise ValueError(f"{role} = {few(names)} must be different names, all printable")
-    for name, unit in _units_of(signals).items():
+    for name, unit in stated.units_of(signals).items():
         units.understood(name, unit)
     _check_errors(trials)
     return signals
@@ -153,7 +147,7 @@ def signals_of(trials: xr.Dataset, *needed: str) -> dict[str, dict[str, str]]:
 
 def _check_errors(trials):
     """Refuse an e that is likely another signal; one that is left from before is not used."""
-    if "e" not in trials or not trials.e.size:
+    if not {"e", "v"} <= {*trials} or not trials.e.size:
         return
     e, v, y, reference = (trials[name] for name in ("e", "v", "y", "reference"))
     near = 1e-6 * max(abs(y).max(), abs(reference).max())
@@ -166,21 +160,6 @@ def _check_errors(trials):
                 raise ValueError(f"trials.e is not reference - y: likely {likely}")
 
 
-def read_json(text: str):
-    """What JSON says; a ValueError if it says anything twice, or what JSON has no word for."""
-    return json.loads(text, object_pairs_hook=_once, parse_constant=_refuse_constant)
-
-
-def _once(pairs):
-    if len(pairs) > len(dict(pairs)):
-        raise ValueError("a name stands there twice")
-    return dict(pairs)
-
-
-def _refuse_constant(word):
-    raise ValueError(f"{word} is no number")
-
-
 def _load(path, ended=False, resample=False):
     """As :func:`load_log`, or :func:`load_ended`."""
     content = content_of(path)
@@ -191,22 +170,22 @@ def _load(path, ended=False, resample=False):
     problems, metadata = table.problems, table.metadata
     if metadata.get("format") != FORMAT:
         hint = "rodlib.load_law reads laws" if content.lstrip().startswith(b"{") else FOREIGN
-        stated = metadata.get("format")
-        problems.append(f"metadata: format is {stated!r}, but must be {FORMAT!r}: {hint}")
+        found = metadata.get("format")
+        problems.append(f"metadata: format is {found!r}, but must be {FORMAT!r}: {hint}")
     refuse(path, problems)  # all further ones would follow from these
-    signals, titles, plausible = _columns_of(table)
+    signals, titles, plausible = stated.columns_of(table)
     refuse(path, problems)
-    own = _units_of(signals)
+    own = stated.units_of(signals)
     for name, unit in own.items():
         try:
             units.understood(name, unit)
         except ValueError as error:
             problems.append(f"metadata: {error}")
-    Ts, tick = _sampling_period(metadata, problems)
-    problems += _problems_of_titles(table.header, ["trial", "time", *titles])
+    Ts, tick = stated.period(metadata, problems)
+    problems += stated.problems_of_titles(table.header, ["trial", "time", *titles])
     problems += table.problems_of(["trial", "time", *titles])
     problems += [] if table.columns.size else ["the table has no rows"]
-    problems += _implausible(table, plausible, titles, own) if not problems else []
+    problems += stated.implausible(table, plausible, own) if not problems else []
     refuse(path, problems)
     if ended:
         _drop_short_last_trial(table)
@@ -225,18 +204,11 @@ def content_of(path) -> bytes:
 
 def trials_of(source, table, signals, Ts, notes, resample=False, anywhere=False) -> xr.Dataset:
     """The trials in a table with the columns of a log, and the time in s."""
-    titles = {
-        f"{signal}_{name}": signal
-        for signal, role in SIGNALS.items()
-        for name in signals.get(ROLES[role], ())
-        if f"{signal}_{name}" in table.header
-    }
-    notes = dict(notes)
+    titles, notes = stated.titles_of(signals, table.header), dict(notes)
     if resample:
         between = [title for title, signal in titles.items() if signal in READ]
         if done := sampling.resample(table, Ts, between):
             notes["resampled"] = done
-            warnings.warn(f"{source}: {done}", stacklevel=4)
     numbers, problems = sampling.check_trials(table, Ts, anywhere)
     refuse(source, problems)
     if clock := sampling.about_clock(table, Ts):
@@ -246,7 +218,7 @@ def trials_of(source, table, signals, Ts, notes, resample=False, anywhere=False)
         read.setdefault(signal, []).append(table.column(title).reshape(len(numbers), -1))
     read = {signal: np.stack(each, 2) for signal, each in read.items()}
     *names, sensors = ([*signals.get(key, {})] for key in ROLES.values())
-    trials = dataset(Ts, *names, _units_of(signals), sensors, **read)
+    trials = dataset(Ts, *names, stated.units_of(signals), sensors, **read)
     return trials.assign_coords(trial=numbers.astype(int)).assign_attrs(notes)
 
 
@@ -257,112 +229,11 @@ def refuse(path, problems) -> None:
         raise LogError(f"{path}: {len(problems)} problem(s){listed}")
 
 
-def _columns_of(table):
-    """Signals by role, signal and name by title of a column, limits by title; notes problems."""
-    try:
-        signals = _object("signals", table.metadata)
-        m = len(arguments.instance("outputs", signals.get("outputs"), dict))
-        for key in signals:
-            arguments.instance(key, signals[key], dict)
-        controls = len(signals.get("controls", range(m)))  # those that are named
-        if not {*signals} <= {*ROLES.values()} or not m or m != controls:
-            words = ", ".join(ROLES.values())
-            raise ValueError(
-                f"it must have {words} and one control for each output, or none; what else is "
-                "measured stands there as 'measured', other inputs as 'disturbances'"
-            )
-        _units_of(signals)
-        absent = [
-            signal
-            for group in OPTIONAL
-            for signal in group
-            if not any(t.startswith(tuple(f"{other}_" for other in group)) for t in table.header)
-        ]
-        titles = {
-            f"{signal}_{name}": (signal, name)
-            for signal, role in SIGNALS.items()
-            for name in signals.get(ROLES[role], ())
-            if signal not in absent
-        }
-        return signals, titles, _limits_of(table.metadata, titles)
-    except (TypeError, ValueError) as error:
-        table.problems.append(f"metadata: signals or limits cannot be understood: {error}")
-        return {}, {}, {}
-
-
-def _units_of(signals):
-    """The unit of each signal, by its name."""
-    found = {}
-    for own in signals.values():
-        for name, unit in own.items():
-            if found.setdefault(name, unit) != unit:
-                raise ValueError(f"{name!r} has two units, {found[name]!r} and {unit!r}")
-    return found
-
-
-def _limits_of(metadata, titles):
-    """The limits of plausibility that are stated, by column."""
-    stated = _object("limits", metadata)
-    unknown = [title for title in stated if title not in titles]
-    if unknown:
-        raise ValueError(f"limits are stated for {few(unknown)}, which are no columns")
-    return limits.named_limits("limits", stated, list(titles))
-
-
-def _object(name, metadata):
-    """A JSON object of the metadata."""
-    try:
-        return arguments.instance(name, read_json(metadata.get(name, "{}")), dict)
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"{name} must be a JSON object: {error}") from None
-
-
-def _sampling_period(metadata, problems):
-    """In s, and the unit of it and of the time in s."""
-    try:
-        number, unit = metadata.get("Ts", "").split()
-        if not NUMBER.fullmatch(number):  # as in the rows: float takes more
-            raise ValueError(number)
-        tick = units.seconds(unit)
-        return arguments.sampling_period("Ts", float(number) * tick), tick
-    except ValueError:
-        stated = metadata.get("Ts")
-        problems.append(f"metadata: Ts is {stated!r}, but must be a period such as '1.0 s'")
-        return None, None
-
-
-def _problems_of_titles(header, titles):
-    problems = []
-    for title in header:
-        if title not in titles:
-            close = difflib.get_close_matches(title, titles[:100], n=1)
-            hint = f"; did you mean {close[0]!r}?" if close else ""
-            problems.append(f"unknown column {title!r}{hint}")
-    missing = [title for title in titles if title not in header]
-    return problems + ([f"missing columns {few(missing)}"] if missing else [])
-
-
 def _drop_short_last_trial(table):
     """What a killed process has left of a trial."""
     starts = sampling.starts_of(table.column("trial"))
     if len(starts) > 1 and table.columns.shape[1] - starts[-1] < starts[1]:
         table.columns = table.columns[:, : starts[-1]]
-
-
-def _implausible(table, plausible, titles, own):
-    """What is not within the limits."""
-    problems = []
-    for title, (low, high) in plausible.items():
-        values = table.column(title)
-        rows = np.flatnonzero(limits.beyond(values, (low, high)))
-        if rows.size:
-            trial = table.column("trial")[rows[0]]
-            problems.append(
-                f"{title}: implausible value {values[rows[0]]:g} in trial {trial:g}, row "
-                f"{table.lines[rows[0]]}: not from {low:g} to {high:g} {own[titles[title][1]]}; "
-                f"wrong unit? ({rows.size} such values)"
-            )
-    return problems
 
 
 def _notes(attributes):

@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 
 from rodlib.ilc import arguments
-from rodlib.ilc.files import write_whole
+from rodlib.ilc.files import read_json, write_whole
 from rodlib.ilc.filters import (
     LearningFilter,
     LearningOperator,
@@ -22,7 +22,7 @@ from rodlib.ilc.filters import (
 )
 from rodlib.ilc.laboratory.excitation import Excitation
 from rodlib.ilc.laboratory.limits import named_limits
-from rodlib.ilc.laboratory.log import LogError, read_json
+from rodlib.ilc.laboratory.log import LogError
 from rodlib.ilc.loop import ClosedLoop, CurrentTrialLoop, Loop, check_loop
 
 FORMAT = "rodlib law 1"  # of the file

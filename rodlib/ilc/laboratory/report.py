@@ -90,6 +90,9 @@ def summary(replay: Replay) -> str:
             "share of the error left by the first of the trials to the next, by octaves in rad/s:\n"
             f"{rates.to_string(float_format='{:.2g}'.format)}"
         )
+    lines += [
+        f"{key}: {trials.attrs[key]}" for key in ("clock", "resampled") if key in trials.attrs
+    ]
     lines += [f"WARNING: {finding}" for finding in replay.findings]
     return "\n".join([*lines, *(f"left out: {reason}" for reason in left_out(replay))])
 

@@ -12,6 +12,7 @@ from rodlib.ilc.laboratory.tables import Table, few
 
 SLACK = 1e-3  # sampling periods that a time may be off without a word
 SHARE = 0.1  # by which a step of a clock may differ from the sampling period
+ROUND = 2e-3  # of a sampling period that nobody stated, within the scatter of the steps
 DRIFT = 0.01  # by which the mean of its steps may
 MOST = 0.5  # of all samples that may be filled in
 
@@ -29,19 +30,20 @@ def starts_of(numbers) -> np.ndarray:
 
 
 def period_of(table: Table) -> float | None:
-    """The median step of a clock, rounded as far as its steps scatter; None if it stands still."""
+    """The mean step of a clock, rounded as far as its steps scatter; None if it stands still."""
     steps = _steps(table)[0]
-    median = np.median(steps[steps > 0]) if np.any(steps > 0) else None
-    for digits in range(12 if median else 0):
-        Ts = float(f"{median:.{digits}e}")
-        if abs(Ts - median) <= SLACK * median and steps.min() <= Ts <= steps.max():
-            return Ts
-    return median
+    steps = steps[steps > 0]
+    if not steps.size:
+        return None
+    mean = steps.sum() / max(np.round(steps / np.median(steps)).sum(), 1)  # over rows that are lost
+    rounded = (float(f"{mean:.{digits}e}") for digits in range(12))
+    low, high = max(steps.min(), (1 - ROUND) * mean), min(steps.max(), (1 + ROUND) * mean)
+    return next((Ts for Ts in rounded if low <= Ts <= high), mean)
 
 
 def _steps(table):
     """The steps of the clock within trials, and the rows that they end in."""
-    rows = np.setdiff1d(np.arange(1, table.columns.shape[1]), starts_of(table.column("trial")))
+    rows = np.flatnonzero(np.diff(table.column("trial")) == 0) + 1
     with np.errstate(over="ignore"):
         return table.column("time")[rows] - table.column("time")[rows - 1], rows
 
@@ -97,9 +99,10 @@ def _problems_of_clock(table, Ts):
             f"{where} is {steps[p]:.6g} after the row before, where Ts = {Ts:.6g}: {lost}{count}; "
             "resample=True interpolates"
         ]
-    if steps.size and abs(mean := steps.mean() - Ts) > DRIFT * Ts:
+    ends = SHARE * (table.columns.shape[1] - steps.size)  # of so many trials, which clocks miss
+    if steps.size and abs(steps.mean() - Ts) > (DRIFT + ends / steps.size) * Ts:
         return [
-            f"time: the mean step is {Ts + mean:.6g}, but Ts = {Ts:.6g}: state that as Ts, or "
+            f"time: the mean step is {steps.mean():.6g}, but Ts = {Ts:.6g}: state that as Ts, or "
             "resample=True interpolates"
         ]
     return []
@@ -124,7 +127,8 @@ def resample(table: Table, Ts: float, between: Sequence[str]) -> str | None:
     the one that holds in the middle of a sample counts. What cannot be resampled stays as it is.
     """
     starts, time = starts_of(table.column("trial")), table.column("time")
-    if np.any(_steps(table)[0] <= 0):
+    steps = _steps(table)[0]
+    if np.any(steps <= 0) or np.abs(steps - Ts).max(initial=0) <= SLACK * Ts:
         return None
     trials = [slice(a, b) for a, b in zip(starts, [*starts[1:], len(time)], strict=True)]
     counts = [int(min(np.ptp(time[own]) / Ts + SHARE, 1e9)) + 1 for own in trials]
@@ -143,9 +147,8 @@ def resample(table: Table, Ts: float, between: Sequence[str]) -> str | None:
         filled += count - len(set(np.round((time[own] - begin) / Ts)) & set(range(count)))
         columns.append(new)
         lines += [table.lines[row] for row in last]
-    longest = _steps(table)[0].max(initial=0)
     table.columns, table.lines = np.concatenate(columns, axis=1), lines
     return (
         f"{len(time)} rows were resampled to {len(lines)} samples; near {filled} of them is no "
-        f"row, and the longest step is {longest:.4g} where Ts = {Ts:.6g}"
+        f"row, and the longest step is {steps.max():.4g} where Ts = {Ts:.6g}"
     )

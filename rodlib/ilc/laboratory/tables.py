@@ -45,6 +45,10 @@ class Table:
         """All numbers of a column."""
         return self.columns[self.header.index(title)]
 
+    def add(self, title: str, values) -> None:
+        """Put a further column behind the others."""
+        self.header, self.columns = [*self.header, title], np.vstack([self.columns, values])
+
     def problems_of(self, titles) -> list[str]:
         """The faults in some columns, and rows of another length."""
         return [

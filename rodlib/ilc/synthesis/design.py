@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from rodlib.ilc import arguments
+from rodlib.ilc.choices import CHOOSE
 from rodlib.ilc.evidence.certificate import GAP, VIOLATION, Certificate, certify, checked_trial
 from rodlib.ilc.evidence.finite_trial import switched_on
 from rodlib.ilc.evidence.optimality import lower_bound
@@ -27,13 +28,13 @@ CVXPY_TOLERANCES = (1e-5, 1e-6)  # Clarabel ends "almost solved" on these proble
 def synthesise(
     P,
     Q,
-    omega,
+    omega=None,
     Ts=None,
     *,
     order=Problem.order,
     M_max=Problem.M_max,
-    L_max=Problem.L_max,
-    band=Problem.band,
+    L_max=CHOOSE,
+    band=None,
     structure=Problem.structure,
     objective=Problem.objective,
     scale=None,
@@ -58,20 +59,24 @@ def synthesise(
         for all of them. A :class:`rodlib.MeasuredResponse` brings its radius along.
     Q : array_like, shape (n,), or ZeroPhaseButterworth
         Frequency response of the Q-filter on `omega`, or the filter.
-    omega : array_like, shape (n,)
-        Design frequencies, rad/s, increasing, up to the Nyquist frequency pi / Ts.
+    omega : array_like, shape (n,), optional
+        Design frequencies, rad/s, increasing, up to the Nyquist frequency pi / Ts. Default: those
+        of python-control's frequency response data; of models and measured responses 1000 of them,
+        from a thousandth of Q's cut-off on.
     Ts : float, optional
         Sampling period, s; for arrays, of which none knows it.
     order : int
         Number of samples n_L that the learning filter looks ahead (44).
     M_max : float
         Bound on sigma_max(M), in (0, 1): the slowest convergence tolerated.
-    L_max : float or None
-        Bound on sigma_max(L), unit of w per unit of y; it holds between the frequencies of a coarse
-        grid, and up to the Nyquist frequency, too. None leaves it out: filters then compete up
-        to the gain that coefficients in doubles can hold, :attr:`rodlib.ilc.Problem.weight`.
+    L_max : float, None or "auto"
+        Bound on sigma_max(L), unit of w per unit of y. Default: the gain that inverts P at Q's
+        cut-off, 1 / sigma_min(P), rounded up to one digit. It holds between the frequencies of a
+        coarse grid, and up to the Nyquist frequency, too. None leaves it out: filters then compete
+        up to the gain that coefficients in doubles can hold, :attr:`rodlib.ilc.Problem.weight`.
     band : (float, float)
-        Lowest and highest frequency of the sum in (39), rad/s. A peak has none.
+        Lowest and highest frequency of the sum in (39), rad/s. A peak has none. Default: from the
+        lowest of `omega` to a fifth of Q's cut-off. The certificate says what was chosen.
     structure : {"diagonal", "full"}
     objective : {"sum", "peak"}
         "sum" is (39), for the nominal plant; "peak" is (45), with (46) unless `L_max` is None: the
