@@ -151,10 +151,10 @@ class Replay:
     @cached_property
     def findings(self) -> tuple[str, ...]:
         """What speaks against the trials: they do not converge, or start elsewhere."""
-        trials, law = self.trials, self.law
+        trials = self.trials
         if np.any(np.diff(self.numbers) != 1):
             return ()
-        e, y, reference = (trials[name].values for name in ("e", "y", "reference"))
+        y, reference = trials.y.values, trials.reference.values
         names = self.outputs, trials.output_unit.values.tolist()
         found = {}
         if self.from_the_first:
@@ -163,16 +163,38 @@ class Replay:
                 alike = np.array_equal(reference[k, 0], reference[0, 0])
                 if alike and (missed := start.missed(y[k])):
                     found.setdefault("start", f"trial {k + 1}: {missed}")
-        if law is not None and law[1] is not None:
-            P = None if self.loop is None else self.loop.P
-            rates = (None, None) if P is None else rates_of(P, *law)
-            v = trials.v.values
-            v = realised(self.loop, v, *self._commands) if self.limits else v
-            course = Course(v, e, reference, *names, self.numbers[0], P, *rates)
-            found |= course.all_findings()
+        if self._course is not None:
+            found |= self._course.all_findings()
         if slip := self._slip():
             found["law"] = slip
         return tuple(found.values())
+
+    @cached_property
+    def _course(self):
+        """The trials with what the law and the loop promise of them."""
+        if self.law is None or self.law[1] is None:
+            return None
+        P = None if self.loop is None else self.loop.P
+        promised = (None, None) if P is None else rates_of(P, *self.law)
+        v, e, reference = (self.trials[name].values for name in ("v", "e", "reference"))
+        v = realised(self.loop, v, *self._commands) if self.limits else v
+        units = self.trials.output_unit.values.tolist()
+        return Course(v, e, reference, self.outputs, units, self.numbers[0], P, *promised)
+
+    def reached(self, trial: int = 2) -> pd.DataFrame | None:
+        """The rate that a trial reached, by octaves, see :meth:`Course.reached`; for all outputs.
+
+        None if law, model or trial before are not there, if the law or the reference changed
+        there, or if the outputs have different units.
+        """
+        course, k = self._course, trial - self.numbers[0]
+        if course is None or course.P is None or not 0 < k < len(self.numbers):
+            return None
+        changed = self.earlier or not np.array_equal(*course.reference[k - 1 : k + 1])
+        if changed or len({*course.units}) > 1 or np.any(np.diff(self.numbers) != 1):
+            return None
+        table = pd.DataFrame(course.reached(k - 1)).set_index("frequency")
+        return table.assign(promised=1 - self.step * (1 - table.promised))
 
     def _slip(self):
         """What made v, if not the law but the law with a usual mistake, as elsewhere programmed."""

@@ -13,6 +13,7 @@ from rodlib.ilc.laboratory.replay import Replay
 from rodlib.ilc.laboratory.tables import few, quoted, rows
 from rodlib.ilc.trials import rms
 
+HEARD = 0.01  # of the error in the loudest octave: less is not worth a line
 AGREES = 1e-5  # of the largest v of an output: logs may hold few digits of it
 
 
@@ -83,6 +84,12 @@ def summary(replay: Replay) -> str:
         mean = (100 * replay.fit.mean()).round(1)
         fits = ", ".join(f"{name} {value:g} %" for name, value in mean.items())
         lines.append(f"fit of the model's prediction, mean of all trials: {fits}")
+    if (rates := replay.reached(replay.numbers[0] + 1)) is not None:
+        rates = rates[rates.before > HEARD * rates.before.max()].drop(columns="before")
+        lines.append(
+            "share of the error left by the first of the trials to the next, by octaves in rad/s:\n"
+            f"{rates.to_string(float_format='{:.2g}'.format)}"
+        )
     lines += [
         f"{key}: {trials.attrs[key]}" for key in ("clock", "resampled") if key in trials.attrs
     ]
