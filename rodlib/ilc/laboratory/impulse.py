@@ -17,13 +17,14 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.linalg.lapack import dpotri
 from scipy.optimize import minimize
 from scipy.signal import fftconvolve, lfilter
+from scipy.special import expit
 
-FIRST = 64  # lags of an impulse response at first; doubled until it has decayed
 MOST = 4000  # lags of all inputs together
-CLOSE = 128  # lags are looked at one by one up to here, further on in steps of lag / CLOSE
+CLOSE = 128  # the fast part is looked at lag by lag up to here, further on in steps of lag / CLOSE
+SMOOTH, LONGER = 8, 4  # the slow one in steps of lag / SMOOTH, and so much longer
 KNOTS = 100  # of a drift at most, between which it is straight
-DECAYED = 3e-3  # a priori size of the last lag, relative to the first
 COLOURS = 8  # coefficients at most of the filter that makes the noise white
+FAST, SLOW, DRIFT = range(3)  # kinds of unknowns
 ROUNDS = 3  # of estimating the noise's colour and the response in turn
 WIDE = 3.0  # standard deviation of the logarithms of what the data are to tell, before they do
 SETS, EACH = 25, 40  # sets of hyperparameters that are drawn, and responses for each
@@ -34,59 +35,54 @@ class Impulse:
     """Impulse responses from m inputs to one output that the data admit."""
 
     drawn: np.ndarray  # (draw, m, n)
-    prior: np.ndarray  # (draw, m, n): as large as the largest of them could be, before the data
+    prior: np.ndarray  # (draw, m, n): what they were before the data
     lasting: float  # samples in which a response falls by e, a priori
-    told: int  # lags that the record holds
 
 
 @dataclass(frozen=True)
 class _Data:
-    """Normal equations. The unknowns stand in blocks: m responses, transient, drift."""
+    """Normal equations. The unknowns stand in blocks, of which `kind` says what they are."""
 
     R: np.ndarray  # (p, p)
     b: np.ndarray  # (p,)
     s: float
     count: int  # of data
-    lag: np.ndarray  # (p,): of each unknown; zero in the drift, which does not decay
+    block: np.ndarray  # (p,): which one each unknown is in
+    kind: np.ndarray  # (p,): FAST, SLOW or DRIFT
+    lag: np.ndarray  # (p,): at which time of its response each unknown is
     apart: np.ndarray  # (p - 1,): samples to the next unknown; infinite between two blocks
-    block: np.ndarray  # (p,): which it is in
-    drifts: np.ndarray  # (p,), bool
-    lags: np.ndarray  # of a response that are unknowns; it is straight in between
+    basis: tuple[np.ndarray, ...]  # (n, k): from the unknowns of each block to samples
 
 
 def impulse_of(u, y, seed: int = 0) -> Impulse:
     """From inputs (trial, time, m) and one output (trial, time); a single trial may drift."""
     sizes, size = u.std(axis=(0, 1)), y.std()
-    u, y = u / sizes, y / size
-    m, n, data, eta, H = _fitted(u, y)
+    u, y, m = u / sizes, y / size, u.shape[2]
+    data, eta, H = _fitted(u, y)
     rng = np.random.default_rng(seed)
     values, vectors = np.linalg.eigh(H)
     spread = vectors / np.sqrt(np.maximum(values, 1 / WIDE**2))
-    k, lasting = len(data.lags), np.exp(eta[0])
-    further = np.arange(n, int(np.clip(-np.log(DECAYED) * lasting, n, 5 * n)))
-    every, drawn, before = np.append(data.lags, further), [], []
-    full = np.arange(every[-1] + 1)
+    drawn, before = [], []
     for _ in range(SETS):
-        one = eta + spread @ rng.standard_normal(len(eta))
-        prior, U, half = _posterior(one, data)
+        prior, U, half = _posterior(eta + spread @ rng.standard_normal(len(eta)), data)
         deviation = np.sqrt((data.s - half @ half) / rng.chisquare(data.count, EACH))
         z = half[:, None] + deviation * rng.standard_normal((len(U), EACH))
-        x = solve_triangular(U, z)[: m * k].T.reshape(EACH, m, k)
-        step = np.exp(-np.diff(every) / np.exp(one[1]))
-        free = rng.standard_normal((EACH, m, len(every))) * deviation[:, None, None]
-        x = np.concatenate([x, free[..., k:]], axis=2)
-        for i in range(1, len(every)):  # as the kernel goes on, from one lag to the next
-            own = np.sqrt(1 - step[i - 1] ** 2)
-            free[..., i] = step[i - 1] * free[..., i - 1] + own * free[..., i]
-            if i >= k:
-                x[..., i] = step[i - 1] * x[..., i - 1] + own * x[..., i]
-        shape = np.exp(-every / np.exp(one[0]))
-        c = np.exp(one[3 : 3 + m, None] / 2)
-        for own, kept in ((c * shape * x, drawn), (c.max() * shape * free, before)):
-            own = own.reshape(EACH * m, -1)
-            kept.append(np.array([np.interp(full, every, g) for g in own]).reshape(EACH, m, -1))
+        drawn.append(_responses(prior.d[:, None] * solve_triangular(U, z), data, m))
+        free = deviation * rng.standard_normal((len(U), EACH))
+        for i, rho in enumerate(prior.rho):
+            free[i + 1] = rho * free[i] + np.sqrt(1 - rho**2) * free[i + 1]
+        before.append(_responses(prior.d[:, None] * free, data, m))
     units = size / sizes[:, None]
-    return Impulse(units * np.concatenate(drawn), units * np.concatenate(before), lasting, n)
+    return Impulse(units * np.concatenate(drawn), units * np.concatenate(before), np.exp(eta[0]))
+
+
+def _responses(theta, data, m):
+    """The m impulse responses of unknowns (p, draw), (draw, m, n)."""
+    each = [B @ theta[data.block == k] for k, B in enumerate(data.basis[: 2 * m])]
+    g = np.zeros((m, max(map(len, each)), theta.shape[1]))
+    for k, part in enumerate(each):
+        g[k // 2, : len(part)] += part
+    return np.moveaxis(g, 2, 0)
 
 
 def correlated(a, b, n):
@@ -116,74 +112,88 @@ def _hats(at, knots):
     return np.array([np.interp(at, knots, one) for one in np.eye(len(knots))]).T
 
 
+def _lags(n, close):
+    """One by one at first, further on in steps of lag / close."""
+    lags = [0]
+    while lags[-1] < n - 1:
+        lags.append(min(n - 1, lags[-1] + 1 + lags[-1] // close))
+    return np.array(lags)
+
+
 def _line(N):
     """Offset and slope, orthonormal, (N, 2)."""
     return np.linalg.qr(np.stack([np.ones(N), np.linspace(-1, 1, N)], axis=1))[0]
 
 
-def _knots_of_drift(N):
-    return np.linspace(0, N - 1, min(KNOTS, N))
-
-
 def _normal(u, y, white, n):
     """The data for n lags, with noise as white as `white` makes it."""
     p, (K, N, m) = len(white) - 1, u.shape
-    lags = [0]
-    while lags[-1] < n - 1:
-        lags.append(min(n - 1, lags[-1] + 1 + lags[-1] // CLOSE))
-    lags, drift = np.array(lags), _knots_of_drift(N) if K == 1 else np.empty(0)
-    k, W = len(lags), _hats(np.arange(n), lags)
-    own = np.empty((N, 0))
+    knots = [_lags(n, CLOSE), _lags(LONGER * n, SMOOTH)] * m
+    kinds = [FAST, SLOW] * m
     if K == 1:
-        own = np.hstack([np.pad(W, ((0, N - n), (0, 0))), _hats(np.arange(N), drift)])
+        knots += [*knots[:2], np.linspace(0, N - 1, min(KNOTS, N))]
+        kinds += [FAST, SLOW, DRIFT]
+    basis = [_hats(np.arange(int(each[-1]) + 1), each) for each in knots]
+    sizes = [len(each) for each in knots]
+    ends = np.cumsum(sizes)
+    places = [slice(end - size, end) for end, size in zip(ends, sizes, strict=True)]
     x = lfilter(white, 1, np.moveaxis(u, 2, 0), axis=2)
-    Z, own, e = (
-        np.pad(lfilter(white, 1, each.T)[:, p:], ((0, 0), (p, 0)))
-        for each in (_line(N), np.pad(own, ((0, 0), (0, 1))), y.T)
-    )
-    Z, own = np.linalg.qr(Z.T)[0].T, own[:-1]
-    total, first = m * k + len(own), m * k
+
+    def whitened(rows):
+        rows = lfilter(white, 1, rows) if len(rows) else rows
+        rows[:, :p] = 0
+        return rows
+
+    e, Z = whitened(y), np.linalg.qr(whitened(_line(N).T).T)[0].T
+    own = [np.pad(B[:N], ((0, max(0, N - len(B))), (0, 0))).T for B in basis[2 * m :]]
+    own = whitened(np.concatenate([np.empty((0, N)), *own]))
+    total, first = ends[-1], ends[2 * m - 1]
     R, b, seen = np.zeros((total, total)), np.zeros(total), np.zeros((K, 2, total))
     R[first:, first:], b[first:], seen[:, :, first:] = own @ own.T, own @ e[0], Z @ own.T
     for j in range(m):
-        at = slice(j * k, (j + 1) * k)
+        W = np.hstack([B[:n] for B in basis[:2]])
+        at = slice(places[2 * j].start, places[2 * j + 1].stop)
         b[at] = correlated(e, x[j], n).sum(0) @ W
         seen[:, :, at] = np.stack([correlated(z[None], x[j], n) for z in Z], axis=1) @ W
         for i in range(j + 1):
-            to = slice(i * k, (i + 1) * k)
+            to = slice(places[2 * i].start, places[2 * i + 1].stop)
             R[at, to] = W.T @ gram(x[j], x[i], p, n) @ W
             R[to, at] = R[at, to].T
         if len(own):
             R[first:, at] = correlated(own, x[j], n) @ W
             R[at, first:] = R[first:, at].T
     seen, of_y = seen.reshape(-1, total), (e @ Z.T).ravel()
-    sizes = [k] * m + ([k, len(drift)] if K == 1 else [])
-    lag = np.concatenate([lags] * (m + (K == 1)) + [0 * drift])
-    apart = np.concatenate([np.append(np.diff(lags), np.inf)] * (m + (K == 1)) + [np.diff(drift)])
+    apart = np.concatenate([np.append(np.diff(each), np.inf) for each in knots])[:-1]
     return _Data(
         R - seen.T @ seen, b - seen.T @ of_y, np.sum(e**2) - of_y @ of_y, K * (N - p - 2),
-        lag, apart[: total - 1], np.repeat(np.arange(len(sizes)), sizes),
-        np.arange(total) >= total - len(drift), lags,
+        np.repeat(np.arange(len(sizes)), sizes), np.repeat(kinds, sizes), np.concatenate(knots),
+        apart, tuple(basis),
     )  # fmt: skip
 
 
 class _Prior:
     """Scales d and precision T, tridiagonal, of the prior covariance D T^-1 D, and derivatives.
 
-    `eta` holds logarithms: of the samples in which responses decay, in which they and in which the
-    drift stay alike, and of the variance of each block.
+    `eta`: the logarithm of the samples in which the fast part decays; the logit of the share of
+    them in which it stays alike; the logarithms of how much longer the slow part takes, less one,
+    of the samples in which the drift stays alike, and of the variance of each block.
     """
 
     def __init__(self, eta, data):
-        alike = np.exp(np.where(data.drifts[1:], eta[2], eta[1]))
-        rho = np.exp(-data.apart / alike)
-        left = -np.expm1(-2 * data.apart / alike)  # 1 - rho^2
-        self.d = np.exp(eta[3 + data.block] / 2 - data.lag / np.exp(eta[0]))
-        self.slope = rho * np.where(rho > 0, data.apart, 0) / alike  # of rho over log(alike)
-        self.next, self.d_next = -rho / left, -(1 + rho**2) / left**2
-        self.own = np.append(1, 1 / left) + np.append(rho**2 / left, 0)
-        self.d_own = 2 * rho / left**2  # of both ends of a link
-        self.logdet, self.d_logdet = np.log(left).sum(), -2 * rho / left
+        times = np.exp(eta[0]) * np.array([1, 1 + np.exp(eta[2]), np.inf])
+        alike = np.array([times[FAST] * expit(eta[1]), times[SLOW], np.exp(eta[3])])
+        passed = data.lag / times[data.kind]
+        self.d = np.exp(eta[4 + data.block] / 2 - passed)
+        relative = data.apart / alike[data.kind[1:]]
+        self.rho = rho = np.exp(-relative)
+        left = -np.expm1(-2 * relative)  # 1 - rho^2
+        self.next, self.own = -rho / left, np.append(1, 1 / left) + np.append(rho**2 / left, 0)
+        self.logdet = np.log(left).sum()
+        # Derivatives: of log d, and of T and logdet over the logarithm of `alike`.
+        self.passed = passed
+        slope = rho * np.where(rho > 0, relative, 0)
+        self.d_next, self.d_own = -(1 + rho**2) / left**2 * slope, 2 * rho / left**2 * slope
+        self.d_logdet = -2 * rho / left * slope
 
 
 def _posterior(eta, data):
@@ -212,29 +222,26 @@ def surprise(eta, data, centre):
     scale[1:] -= prior.next * link
     scale[:-1] -= prior.next * link
     rough = prior.d_own * (own[1:] + own[:-1]) / 2 + prior.d_next * link + prior.d_logdet / 2
-    rough *= prior.slope
-    drifts = data.drifts[1:]
-    times = [scale @ data.lag / np.exp(eta[0]), rough[~drifts].sum(), rough[drifts].sum()]
-    return value, np.append(times, np.bincount(data.block, scale) / 2) + off / WIDE
+    fast, slow, drift = np.bincount(data.kind[1:], rough, 3)
+    passed = np.bincount(data.kind, scale * prior.passed, 3)
+    slow += passed[SLOW]
+    first = [fast + passed[FAST] + slow, fast * expit(-eta[1]), slow * expit(eta[2]), drift]
+    return value, np.append(first, np.bincount(data.block, scale) / 2) + off / WIDE
 
 
 def _fitted(u, y):
-    """Number of inputs, of lags, the data, the likeliest eta and how sharp that is."""
+    """The data, the likeliest eta, and how sharp that is."""
     K, N, m = u.shape
-    blocks, longest = m + 2 * (K == 1), min(N, MOST // m)
-    centre = np.log([10.0, 10.0, N / 2] + [10.0] * blocks)
-    bounds = [(-1, np.log(5 * longest)), (-2, np.log(20 * longest)), (0, np.log(20 * N))]
-    white, n, eta = np.ones(1), min(FIRST, longest), centre
+    n, blocks = min(N, MOST // m), 2 * m + 3 * (K == 1)
+    centre = np.array([np.log(10), 1, 1, np.log(N / 2), *[np.log(10)] * blocks])
+    bounds = [(-1, np.log(5 * N)), (-6, 6), (-3, 4), (0, np.log(20 * N)), *[(-40, 40)] * blocks]
+    white, eta = np.ones(1), centre
     for left in reversed(range(ROUNDS)):
-        while True:
-            data = _normal(u, y, white, n)
-            eta = minimize(
-                surprise, eta, (data, centre), jac=True, method="L-BFGS-B",
-                bounds=bounds + [(-40, 40)] * blocks, options={"maxiter": 60, "ftol": 1e-9},
-            ).x  # fmt: skip
-            if np.exp(-n / np.exp(eta[0])) < DECAYED or n == longest:
-                break
-            n = min(2 * n, longest)
+        data = _normal(u, y, white, n)
+        eta = minimize(
+            surprise, eta, (data, centre), jac=True, method="L-BFGS-B", bounds=bounds,
+            options={"maxiter": 80, "ftol": 1e-9},
+        ).x  # fmt: skip
         if not left or (K == 1 and N <= 2 * KNOTS):
             break  # a drift with so many knots is noise of any colour
         new = _whitener(_residual(u, y, data, eta))
@@ -243,19 +250,19 @@ def _fitted(u, y):
         white = new
     step = 1e-3 * np.eye(len(eta))
     H = [surprise(eta + e, data, centre)[1] - surprise(eta - e, data, centre)[1] for e in step]
-    return m, n, data, eta, (np.array(H) + np.transpose(H)) / 4e-3
+    return data, eta, (np.array(H) + np.transpose(H)) / 4e-3
 
 
 def _residual(u, y, data, eta):
     """What the likeliest responses, transient, drift, offset and slope leave of y."""
     prior, U, half = _posterior(eta, data)
-    (K, N, m), blocks = u.shape, data.block
-    theta, every = prior.d * solve_triangular(U, half), np.arange(data.lags[-1] + 1)
-    g = [np.interp(every, data.lags, theta[blocks == j]) for j in range(m + (K == 1))]
-    y = y - sum(fftconvolve(u[:, :, j], g[j][None], axes=1)[:, :N] for j in range(m))
-    if K == 1:
-        y[0, : len(every)] -= g[m]
-        y[0] -= np.interp(np.arange(N), _knots_of_drift(N), theta[data.drifts])
+    K, N, m = u.shape
+    theta = (prior.d * solve_triangular(U, half))[:, None]
+    for j, g in enumerate(_responses(theta, data, m)[0]):
+        y = y - fftconvolve(u[:, :, j], g[None, :N], axes=1)[:, :N]
+    for k in range(2 * m, len(data.basis)):
+        part = (data.basis[k] @ theta[data.block == k])[:N, 0]
+        y[0, : len(part)] -= part
     return y - y @ _line(N) @ _line(N).T
 
 
