@@ -20,9 +20,10 @@ from scipy.signal import fftconvolve, lfilter
 from scipy.special import expit
 
 MOST = 4000  # lags of all inputs together
-CLOSE = 128  # the fast part is looked at lag by lag up to here, further on in steps of lag / CLOSE
-SMOOTH, LONGER = 8, 4  # the slow one in steps of lag / SMOOTH, and so much longer
-KNOTS = 100  # of a drift at most, between which it is straight
+CLOSE = 48  # the fast part is looked at lag by lag up to here, further on in steps of lag / CLOSE
+SMOOTH = 6  # and the slow one in steps of lag / SMOOTH
+ENDS = 0.5  # of a trial: all responses decay by e within less
+KNOTS = 64  # of a drift at most, between which it is straight
 COLOURS = 8  # coefficients at most of the filter that makes the noise white
 FAST, SLOW, DRIFT = range(3)  # kinds of unknowns
 ROUNDS = 3  # of estimating the noise's colour and the response in turn
@@ -51,7 +52,13 @@ class _Data:
     kind: np.ndarray  # (p,): FAST, SLOW or DRIFT
     lag: np.ndarray  # (p,): at which time of its response each unknown is
     apart: np.ndarray  # (p - 1,): samples to the next unknown; infinite between two blocks
+    samples: int  # of a trial
     basis: tuple[np.ndarray, ...]  # (n, k): from the unknowns of each block to samples
+
+    @property
+    def slow(self) -> np.ndarray:
+        """The blocks that are slow parts, each after its fast part."""
+        return np.unique(self.block[self.kind == SLOW])
 
 
 def impulse_of(u, y, seed: int = 0) -> Impulse:
@@ -128,7 +135,7 @@ def _line(N):
 def _normal(u, y, white, n):
     """The data for n lags, with noise as white as `white` makes it."""
     p, (K, N, m) = len(white) - 1, u.shape
-    knots = [_lags(n, CLOSE), _lags(LONGER * n, SMOOTH)] * m
+    knots = [_lags(n, CLOSE), _lags(n, SMOOTH)] * m
     kinds = [FAST, SLOW] * m
     if K == 1:
         knots += [*knots[:2], np.linspace(0, N - 1, min(KNOTS, N))]
@@ -167,7 +174,7 @@ def _normal(u, y, white, n):
     return _Data(
         R - seen.T @ seen, b - seen.T @ of_y, np.sum(e**2) - of_y @ of_y, K * (N - p - 2),
         np.repeat(np.arange(len(sizes)), sizes), np.repeat(kinds, sizes), np.concatenate(knots),
-        apart, tuple(basis),
+        apart, N, tuple(basis),
     )  # fmt: skip
 
 
@@ -176,14 +183,20 @@ class _Prior:
 
     `eta`: the logarithm of the samples in which the fast part decays; the logit of the share of
     them in which it stays alike; the logarithms of how much longer the slow part takes, less one,
-    of the samples in which the drift stays alike, and of the variance of each block.
+    but for its end, of the samples in which the drift stays alike, and of the variance of each
+    block, which for a slow part is relative to that which has the gain of the fast part before it.
     """
 
     def __init__(self, eta, data):
-        times = np.exp(eta[0]) * np.array([1, 1 + np.exp(eta[2]), np.inf])
+        endless, end = np.exp(eta[0]) * (1 + np.exp(eta[2])), ENDS * data.samples
+        slow = endless * end / (endless + end)
+        times = np.array([np.exp(eta[0]), slow, np.inf])
+        self.free = slow / endless  # derivative of one logarithm over the other
+        of_block = eta[4:].copy()
+        of_block[data.slow] += of_block[data.slow - 1] + 2 * np.log(times[FAST] / slow)
         alike = np.array([times[FAST] * expit(eta[1]), times[SLOW], np.exp(eta[3])])
         passed = data.lag / times[data.kind]
-        self.d = np.exp(eta[4 + data.block] / 2 - passed)
+        self.d = np.exp(of_block[data.block] / 2 - passed)
         relative = data.apart / alike[data.kind[1:]]
         self.rho = rho = np.exp(-relative)
         left = -np.expm1(-2 * relative)  # 1 - rho^2
@@ -224,9 +237,13 @@ def surprise(eta, data, centre):
     rough = prior.d_own * (own[1:] + own[:-1]) / 2 + prior.d_next * link + prior.d_logdet / 2
     fast, slow, drift = np.bincount(data.kind[1:], rough, 3)
     passed = np.bincount(data.kind, scale * prior.passed, 3)
-    slow += passed[SLOW]
-    first = [fast + passed[FAST] + slow, fast * expit(-eta[1]), slow * expit(eta[2]), drift]
-    return value, np.append(first, np.bincount(data.block, scale) / 2) + off / WIDE
+    each = np.bincount(data.block, scale) / 2
+    slower = each[data.slow].sum()
+    each[data.slow - 1] += each[data.slow]
+    slow = (slow + passed[SLOW] - 2 * slower) * prior.free
+    fast_time = fast + passed[FAST] + 2 * slower + slow
+    first = [fast_time, fast * expit(-eta[1]), slow * expit(eta[2]), drift]
+    return value, np.append(first, each) + off / WIDE
 
 
 def _fitted(u, y):
@@ -234,13 +251,14 @@ def _fitted(u, y):
     K, N, m = u.shape
     n, blocks = min(N, MOST // m), 2 * m + 3 * (K == 1)
     centre = np.array([np.log(10), 1, 1, np.log(N / 2), *[np.log(10)] * blocks])
+    centre[4 + np.arange(1, blocks, 2)[: m + (K == 1)]] = 0
     bounds = [(-1, np.log(5 * N)), (-6, 6), (-3, 4), (0, np.log(20 * N)), *[(-40, 40)] * blocks]
     white, eta = np.ones(1), centre
     for left in reversed(range(ROUNDS)):
         data = _normal(u, y, white, n)
         eta = minimize(
             surprise, eta, (data, centre), jac=True, method="L-BFGS-B", bounds=bounds,
-            options={"maxiter": 80, "ftol": 1e-9},
+            options={"maxiter": 60, "ftol": 1e-8},
         ).x  # fmt: skip
         if not left or (K == 1 and N <= 2 * KNOTS):
             break  # a drift with so many knots is noise of any colour
@@ -256,7 +274,7 @@ def _fitted(u, y):
 def _residual(u, y, data, eta):
     """What the likeliest responses, transient, drift, offset and slope leave of y."""
     prior, U, half = _posterior(eta, data)
-    K, N, m = u.shape
+    N, m = u.shape[1:]
     theta = (prior.d * solve_triangular(U, half))[:, None]
     for j, g in enumerate(_responses(theta, data, m)[0]):
         y = y - fftconvolve(u[:, :, j], g[None, :N], axes=1)[:, :N]

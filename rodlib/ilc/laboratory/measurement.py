@@ -8,16 +8,18 @@ transient is interpolated and taken off; what scatters about it is the noise, an
 import warnings
 from dataclasses import dataclass, replace
 
+import control
 import numpy as np
 import xarray as xr
-from scipy.interpolate import make_interp_spline
 
 from rodlib.ilc import arguments
+from rodlib.ilc.laboratory.estimation import EstimatedResponse, estimated_response
 from rodlib.ilc.laboratory.excitation import Excitation
 from rodlib.ilc.laboratory.findings import findings_of
 from rodlib.ilc.laboratory.log import LogError
 from rodlib.ilc.laboratory.notes import actuators_of, excitation_of, loop_of
 from rodlib.ilc.laboratory.region import radius_of
+from rodlib.ilc.laboratory.splined import SplinedResponse, TabulatedResponse, beyond_of
 from rodlib.ilc.laboratory.tables import few
 from rodlib.ilc.laboratory.transient import NEIGHBOURS, SPAN, nearest, separated, windows_of
 from rodlib.ilc.loop import Loop
@@ -26,7 +28,7 @@ ROUNDED = 0.02  # of the amplitude: how far w may be from the excitation, as log
 
 
 @dataclass(frozen=True)
-class MeasuredResponse:
+class MeasuredResponse(SplinedResponse):
     """The frequency response from w to y as measured, and how far off it may be.
 
     At each frequency its error is C^(1/2) G `spread`, where the entries of G, m by m, are
@@ -59,53 +61,13 @@ class MeasuredResponse:
         miss = _miss(confidence, jointly, len(self.omega))
         return radius_of(self.noise, self.spread, self.freedom, miss)
 
-    def on(self, omega, confidence: float = 0.95, scale=None) -> tuple[np.ndarray, np.ndarray]:
-        """Response and radius on other frequencies, for the synthesis.
-
-        Parameters
-        ----------
-        omega : array_like, shape (n,)
-            Frequencies, rad/s.
-        confidence : float
-            Probability that the truth lies within the radius at all measured frequencies.
-        scale : array_like, shape (m,), optional
-            Units of the channels, of both response and radius; see :func:`rodlib.ilc.synthesise`.
-
-        Returns
-        -------
-        response : ndarray, shape (n, m, m), complex
-            A cubic spline through what was measured, at negative frequencies as well, and I at
-            frequency zero, if that is known of the loop.
-        radius : ndarray, shape (n,)
-            That of the neighbours, interpolated linearly, and by how much the spline differs from
-            straight lines. Above the highest frequency the response is the one there, and the
-            radius contains all that is not larger. :meth:`basis` says what is assumed by that.
-        """
-        omega = np.abs(arguments.row("omega", omega))
-        if scale is not None:
-            return self._in_units_of(scale).on(omega, confidence)
-        radius, knots, P = self.radius(confidence, jointly=True), self.omega, self.response
-        both, P_both = np.append(-knots[::-1], knots), np.append(P[::-1].conj(), P, axis=0)
-        if self.anchored:
-            radius, knots = np.append(0.0, radius), np.append(0.0, knots)
-            both = np.insert(both, len(P), 0.0)
-            P_both = np.insert(P_both, len(P), self.loop.static_gain, axis=0)
-        spline, straight = (
-            make_interp_spline(both, P_both, k)(np.minimum(omega, knots[-1])) for k in (3, 1)
-        )
-        bend = np.linalg.norm(spline - straight, 2, axis=(1, 2))
-        beyond = omega > knots[-1] * (1 + 1e-9)
-        anything = 2 * np.linalg.norm(P[-1], 2) + radius[-1]
-        return spline, np.where(beyond, anything, np.interp(omega, knots, radius) + bend)
-
     @property
     def anchored(self) -> bool:
-        """Whether P(0) is known of the loop."""
+        """Whether P(0) is known of the loop: it is I."""
         return self.loop.static_gain is not None
 
-    def _in_units_of(self, scale):
+    def in_units_of(self, scale) -> "MeasuredResponse":
         """The same with its channels divided by scale."""
-        scale = arguments.array("scale", scale, (len(self.loop.outputs),))
         return replace(
             self,
             response=self.response * scale / scale[:, None],
@@ -125,10 +87,7 @@ class MeasuredResponse:
             + ("P(0) = I" if self.anchored else f"nor between {-low:.4g} and {low:.4g} rad/s"),
         ]
         if beyond:
-            lines.append(
-                f"assumed: above {high:.4g} rad/s, at {beyond} of the design frequencies, P is not "
-                "larger than there"
-            )
+            lines.append(beyond_of(high, beyond))
         return (*lines, *self.findings)
 
     def __repr__(self):
@@ -141,22 +100,33 @@ class MeasuredResponse:
         return "\n".join([*lines, *self.findings])
 
 
-def measured_response(log: xr.Dataset) -> MeasuredResponse:
-    """Estimate the frequency response from w to y from the record of a loop that was shaken.
+def measured_response(
+    log, of: str | None = None, uncertainty=None
+) -> MeasuredResponse | EstimatedResponse | TabulatedResponse:
+    """Make a measured response, with the region in which the truth lies, of what there is.
 
     Parameters
     ----------
-    log : xarray.Dataset
-        From :func:`shake`, or loaded.
+    log : xarray.Dataset or control.FrequencyResponseData
+        A record: of :func:`shake`; or any other in which the input moved, as trials under learning,
+        from :func:`record`, a reference that moves, or a step test, from :func:`load_log` or
+        :func:`read_table`. Or a table of a frequency response, which is splined between its lines.
+    of : {"w", "u"}, optional
+        Of a record that is not of :func:`shake`: whether P is from w = reference + v to y, in a
+        closed loop, or from the commands u, in an open one. Default: from w, if there is one.
+    uncertainty : array_like, shape (n,), optional
+        Of a table: the radius at its lines. Default: they are exact.
 
     Returns
     -------
-    MeasuredResponse
+    MeasuredResponse, EstimatedResponse or TabulatedResponse
+        For :func:`synthesise`, the workbench and checks.
 
     Raises
     ------
     LogError
-        If the log is no such record, lacks an experiment, or w is not the excitation.
+        If a record lacks an experiment, w is not the excitation, an input never moved, or an output
+        does not settle within a trial.
 
     Warns
     -----
@@ -166,8 +136,8 @@ def measured_response(log: xr.Dataset) -> MeasuredResponse:
 
     Notes
     -----
-    The spectrum of all periods of an experiment is P W + T + V: between the harmonics W is zero and
-    T, from the state at the start and at the end, and the noise V are left. This is the local
+    Records are estimated by :mod:`rodlib.ilc.laboratory.impulse`, but for those of :func:`shake`:
+    there the spectrum of all periods is P W + T + V; between the harmonics W is zero and T, from the state at the start and at the end, and the noise V are left. This is the local
     polynomial method for periodic excitation (Pintelon, Schoukens, Vandersteen and Barbé,
     Estimation of nonparametric noise and FRF models for multivariable linear systems, Mech. Syst.
     Signal Process. 24, 2010), with a prescribed pole: T is a polynomial not in z but in
@@ -183,10 +153,18 @@ def measured_response(log: xr.Dataset) -> MeasuredResponse:
     hour. What is no noise at all, such as the steps of a converter that nothing dithers, it does
     not cover.
     """
+    if isinstance(log, control.FrequencyResponseData):
+        if of is not None:
+            raise ValueError(f"of = {of!r} is for a record, but log is a table")
+        return TabulatedResponse.of(log, uncertainty)
     arguments.instance("log", log, xr.Dataset)
+    if uncertainty is not None:
+        raise ValueError("uncertainty must be None for a record, which tells its own")
     excitation, loop = excitation_of(log), loop_of(log)
-    if excitation is None or loop is None:
-        raise LogError("log names no excitation or no loop in its metadata: it is not of shake")
+    if excitation is None or of is not None:
+        return estimated_response(log, of)
+    if loop is None:
+        raise LogError("log names no loop in its metadata: it is not of shake; or say `of`")
     w, y = _signals(log, excitation)
     windows = windows_of(excitation.harmonics, excitation, loop)
     measured = _estimate(w, y, windows, excitation, loop)
