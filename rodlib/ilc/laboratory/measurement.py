@@ -137,7 +137,8 @@ def measured_response(
     Notes
     -----
     Records are estimated by :mod:`rodlib.ilc.laboratory.impulse`, but for those of :func:`shake`:
-    there the spectrum of all periods is P W + T + V; between the harmonics W is zero and T, from the state at the start and at the end, and the noise V are left. This is the local
+    there the spectrum of all periods is P W + T + V; between the harmonics W is zero and T, from
+    the state at the start and at the end, and the noise V are left. This is the local
     polynomial method for periodic excitation (Pintelon, Schoukens, Vandersteen and Barbé,
     Estimation of nonparametric noise and FRF models for multivariable linear systems, Mech. Syst.
     Signal Process. 24, 2010), with a prescribed pole: T is a polynomial not in z but in
