@@ -16,7 +16,7 @@ __getattr__, __dir__, __all__ = lazily(
         "measurement": "MeasuredResponse expected_radius measured_response",
         "notes": "law_of load_law loop_of rest_of save_law step_of with_law",
         "replay": "Replay replay_of",
-        "splined": "TabulatedResponse",
+        "tabulated": "TabulatedResponse",
         "temperature_control_lab": "TemperatureControlLab",
     },
 )

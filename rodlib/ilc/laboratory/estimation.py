@@ -39,6 +39,7 @@ class EstimatedResponse:
     known: np.ndarray  # shape (n,), bool: whether the data tell more than what was assumed
     loop: Loop  # from whose w to y it is; a ClosedLoop without P, if the record names none
     record: str  # what it was estimated from, in words
+    lasting: float  # s, in which all but a smooth part of the response falls by e
     findings: tuple[str, ...] = ()
 
     @property
@@ -124,8 +125,8 @@ class EstimatedResponse:
         lines = [
             f"P estimated from {self.record}; wherever it is known, the truth is within the radius "
             f"with confidence {confidence:g}",
-            "assumed: the plant is linear, its impulse response decays, slow parts of it smoothly, "
-            "noise does not depend on the input",
+            "assumed: the plant is linear and settles within a trial, smoothly after "
+            f"{self.lasting:.2g} s: a resonance that lasts longer and was not excited is not seen",
         ]
         if not self.known.all():
             ends = self.omega[self.known][[0, -1]]
@@ -185,8 +186,9 @@ def estimated_response(log: xr.Dataset, of: str | None = None) -> EstimatedRespo
         units = dict(zip(outputs, log.output_unit.values.tolist(), strict=True))
         loop = ClosedLoop(None, Ts, outputs, units=units)
     return EstimatedResponse(
-        omega, np.moveaxis(impulse, 2, 0), np.moveaxis(errors, 3, 1), known, loop, record
-    )
+        omega, np.moveaxis(impulse, 2, 0), np.moveaxis(errors, 3, 1), known, loop, record,
+        Ts * max(one.lasting for one in found),
+    )  # fmt: skip
 
 
 def _moved(of, u, y, names, outputs):

@@ -20,7 +20,7 @@ from scipy.signal import fftconvolve, lfilter
 from scipy.special import expit
 
 MOST = 4000  # lags of all inputs together
-CLOSE = 48  # the fast part is looked at lag by lag up to here, further on in steps of lag / CLOSE
+CLOSE = 96  # the fast part is looked at lag by lag up to here, further on in steps of lag / CLOSE
 SMOOTH = 6  # and the slow one in steps of lag / SMOOTH
 ENDS = 0.5  # of a trial: all responses decay by e within less
 KNOTS = 64  # of a drift at most, between which it is straight

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import control
 import numpy as np
 import xarray as xr
+from scipy.interpolate import make_interp_spline
 
 from rodlib.ilc import arguments
 from rodlib.ilc.laboratory.estimation import EstimatedResponse, estimated_response
@@ -19,8 +20,8 @@ from rodlib.ilc.laboratory.findings import findings_of
 from rodlib.ilc.laboratory.log import LogError
 from rodlib.ilc.laboratory.notes import actuators_of, excitation_of, loop_of
 from rodlib.ilc.laboratory.region import radius_of
-from rodlib.ilc.laboratory.splined import SplinedResponse, TabulatedResponse, beyond_of
 from rodlib.ilc.laboratory.tables import few
+from rodlib.ilc.laboratory.tabulated import TabulatedResponse
 from rodlib.ilc.laboratory.transient import NEIGHBOURS, SPAN, nearest, separated, windows_of
 from rodlib.ilc.loop import Loop
 
@@ -28,7 +29,7 @@ ROUNDED = 0.02  # of the amplitude: how far w may be from the excitation, as log
 
 
 @dataclass(frozen=True)
-class MeasuredResponse(SplinedResponse):
+class MeasuredResponse:
     """The frequency response from w to y as measured, and how far off it may be.
 
     At each frequency its error is C^(1/2) G `spread`, where the entries of G, m by m, are
@@ -61,13 +62,53 @@ class MeasuredResponse(SplinedResponse):
         miss = _miss(confidence, jointly, len(self.omega))
         return radius_of(self.noise, self.spread, self.freedom, miss)
 
+    def on(self, omega, confidence: float = 0.95, scale=None) -> tuple[np.ndarray, np.ndarray]:
+        """Response and radius on other frequencies, for the synthesis.
+
+        Parameters
+        ----------
+        omega : array_like, shape (n,)
+            Frequencies, rad/s.
+        confidence : float
+            Probability that the truth lies within the radius at all measured frequencies.
+        scale : array_like, shape (m,), optional
+            Units of the channels, of both response and radius; see :func:`rodlib.ilc.synthesise`.
+
+        Returns
+        -------
+        response : ndarray, shape (n, m, m), complex
+            A cubic spline through what was measured, at negative frequencies as well, and I at
+            frequency zero, if that is known of the loop.
+        radius : ndarray, shape (n,)
+            That of the neighbours, interpolated linearly, and by how much the spline differs from
+            straight lines. Above the highest frequency the response is the one there, and the
+            radius contains all that is not larger. :meth:`basis` says what is assumed by that.
+        """
+        omega = np.abs(arguments.row("omega", omega))
+        if scale is not None:
+            return self._in_units_of(scale).on(omega, confidence)
+        radius, knots, P = self.radius(confidence, jointly=True), self.omega, self.response
+        both, P_both = np.append(-knots[::-1], knots), np.append(P[::-1].conj(), P, axis=0)
+        if self.anchored:
+            radius, knots = np.append(0.0, radius), np.append(0.0, knots)
+            both = np.insert(both, len(P), 0.0)
+            P_both = np.insert(P_both, len(P), self.loop.static_gain, axis=0)
+        spline, straight = (
+            make_interp_spline(both, P_both, k)(np.minimum(omega, knots[-1])) for k in (3, 1)
+        )
+        bend = np.linalg.norm(spline - straight, 2, axis=(1, 2))
+        beyond = omega > knots[-1] * (1 + 1e-9)
+        anything = 2 * np.linalg.norm(P[-1], 2) + radius[-1]
+        return spline, np.where(beyond, anything, np.interp(omega, knots, radius) + bend)
+
     @property
     def anchored(self) -> bool:
-        """Whether P(0) is known of the loop: it is I."""
+        """Whether P(0) is known of the loop."""
         return self.loop.static_gain is not None
 
-    def in_units_of(self, scale) -> "MeasuredResponse":
+    def _in_units_of(self, scale):
         """The same with its channels divided by scale."""
+        scale = arguments.array("scale", scale, (len(self.loop.outputs),))
         return replace(
             self,
             response=self.response * scale / scale[:, None],
@@ -87,7 +128,10 @@ class MeasuredResponse(SplinedResponse):
             + ("P(0) = I" if self.anchored else f"nor between {-low:.4g} and {low:.4g} rad/s"),
         ]
         if beyond:
-            lines.append(beyond_of(high, beyond))
+            lines.append(
+                f"assumed: above {high:.4g} rad/s, at {beyond} of the design frequencies, P is not "
+                "larger than there"
+            )
         return (*lines, *self.findings)
 
     def __repr__(self):

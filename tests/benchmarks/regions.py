@@ -1,6 +1,6 @@
 """How often the truth lies within the region of an estimate, for records of many kinds.
 
-Plants and records are drawn by seed: `python tests/benchmarks/coverage.py [RECORDS] [KIND ...]`.
+Plants and records are drawn by seed: `python tests/benchmarks/regions.py [RECORDS] [KIND ...]`.
 Some two minutes a kind for 500 records on one core, five of two channels.
 """
 
