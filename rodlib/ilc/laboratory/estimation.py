@@ -21,7 +21,7 @@ from rodlib.ilc.problem import largest_singular_values
 LINES = 200  # frequencies at which the region is found
 FEWEST = 20  # samples of a trial
 STILL = 1e-3  # of the range of an input: trials that differ by less do not differ
-LEARNED = 0.5  # of the size before the data: what is not better known after them is not known
+LEARNED = 0.5  # of the largest P, and of its size before the data: what is further off is not known
 LATE = 0.4  # of a response in the later half of the record, from which on it does not settle
 TAIL = 10  # draws beyond which a quantile is extrapolated, as of a normal distribution
 
@@ -171,10 +171,11 @@ def estimated_response(log: xr.Dataset, of: str | None = None) -> EstimatedRespo
     impulse = np.stack([one.drawn.mean(axis=0) for one in found], axis=0)
     errors = drawn - drawn.mean(axis=0)
     sizes = u.std(axis=(0, 1)) / y.std(axis=(0, 1))[:, None]
-    after, before = (
-        np.sqrt(np.mean(np.abs(x * sizes[..., None]) ** 2, axis=(0, 1))) for x in (errors, prior)
-    )
-    known = (after < LEARNED * before.max(axis=0)).all(axis=0)
+    after, before, size = (
+        np.sqrt(np.mean(np.abs(x * sizes[..., None]) ** 2, axis=(0, 1)))
+        for x in (errors, prior, drawn.mean(axis=0, keepdims=True))
+    )  # (input, n)
+    known = (after < LEARNED * np.minimum(before.max(axis=0), size.max())).all(axis=0)
     if not known.any():
         raise LogError(
             f"log tells P at no frequency: what {', '.join(names)} did drowns in noise, or they "
