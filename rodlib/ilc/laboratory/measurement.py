@@ -21,7 +21,7 @@ from rodlib.ilc.laboratory.log import LogError
 from rodlib.ilc.laboratory.notes import actuators_of, excitation_of, loop_of
 from rodlib.ilc.laboratory.region import radius_of
 from rodlib.ilc.laboratory.tables import few
-from rodlib.ilc.laboratory.tabulated import TabulatedResponse
+from rodlib.ilc.laboratory.tabulated import TabulatedResponse, tabulated
 from rodlib.ilc.laboratory.transient import NEIGHBOURS, SPAN, nearest, separated, windows_of
 from rodlib.ilc.loop import Loop
 
@@ -201,7 +201,7 @@ def measured_response(
     if isinstance(log, control.FrequencyResponseData):
         if of is not None:
             raise ValueError(f"of = {of!r} is for a record, but log is a table")
-        return TabulatedResponse.of(log, uncertainty)
+        return tabulated(log, uncertainty)
     arguments.instance("log", log, xr.Dataset)
     if uncertainty is not None:
         raise ValueError("uncertainty must be None for a record, which tells its own")

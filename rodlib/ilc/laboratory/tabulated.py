@@ -23,22 +23,6 @@ class TabulatedResponse:
     uncertainty: np.ndarray  # (n,): the radius at each line, whatever the confidence
     loop: ClosedLoop | None  # names and sampling period, if the table says one
 
-    @classmethod
-    def of(cls, table: control.FrequencyResponseData, uncertainty=None) -> "TabulatedResponse":
-        """From python-control's frequency response data."""
-        omega = arguments.array("log.omega", table.omega, ("frequency",))
-        if len(omega) < 4 or omega[0] <= 0 or np.any(np.diff(omega) <= 0):
-            raise ValueError(f"log.omega = {omega} must be four positive increasing ones, or more")
-        shape = len(omega), "m", "m"
-        P = arguments.array("log.frdata", np.moveaxis(table.frdata, -1, 0), shape, complex)
-        radius = 0.0 * omega if uncertainty is None else uncertainty
-        radius = arguments.array("uncertainty", radius, (len(omega),))
-        if radius.min() < 0:
-            raise ValueError(f"uncertainty reaches {radius.min():.6g}, but must not be negative")
-        timed = table.dt and table.dt is not True
-        loop = ClosedLoop(None, table.dt, table.output_labels) if timed else None
-        return cls(omega, P, radius, loop)
-
     def on(self, omega, confidence: float = 0.95, scale=None) -> tuple[np.ndarray, np.ndarray]:
         """Response and radius on other frequencies, as :meth:`MeasuredResponse.on` gives them.
 
@@ -79,3 +63,19 @@ class TabulatedResponse:
 
     def __repr__(self):
         return "\n".join(self.basis(self.omega))
+
+
+def tabulated(table: control.FrequencyResponseData, uncertainty=None) -> TabulatedResponse:
+    """From python-control's frequency response data."""
+    omega = arguments.array("log.omega", table.omega, ("frequency",))
+    if len(omega) < 4 or omega[0] <= 0 or np.any(np.diff(omega) <= 0):
+        raise ValueError(f"log.omega = {omega} must be four positive increasing ones, or more")
+    shape = len(omega), "m", "m"
+    P = arguments.array("log.frdata", np.moveaxis(table.frdata, -1, 0), shape, complex)
+    radius = 0.0 * omega if uncertainty is None else uncertainty
+    radius = arguments.array("uncertainty", radius, (len(omega),))
+    if radius.min() < 0:
+        raise ValueError(f"uncertainty reaches {radius.min():.6g}, but must not be negative")
+    timed = table.dt and table.dt is not True
+    loop = ClosedLoop(None, table.dt, table.output_labels) if timed else None
+    return TabulatedResponse(omega, P, radius, loop)
