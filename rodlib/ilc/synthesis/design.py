@@ -228,10 +228,10 @@ def _is_good(problem, solution, gap):
     worst = max(sigma_M.max(), solution.largest if problem.robust else 0)
     value = problem.value(sigma_M, np.array([worst])) + problem.cost_of_noise(L)
     return (
-        value - lower_bound(problem, solution.U, solution.V, solution.cuts, L)
-        < gap * problem.unit(value)
-        and worst <= problem.M_max * (1 + VIOLATION)
+        worst <= problem.M_max * (1 + VIOLATION)
         and problem.passed_L(L) <= 1 + VIOLATION
+        and value - lower_bound(problem, solution.U, solution.V, solution.cuts, L)
+        < gap * problem.unit(value)
     )
 
 
