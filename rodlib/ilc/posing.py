@@ -46,6 +46,7 @@ def pose(
     noise=None,
     confidence=None,
     beyond=None,
+    everywhere=False,
 ) -> Problem:
     """State the problem (39), or (45) with (46), and check it; see :func:`rodlib.synthesise`."""
     _refuse_exchanged(Q, omega)
@@ -93,7 +94,7 @@ def pose(
         P, Q, omega, Ts, scale, others, tuple(models), q,
         np.ones(n, dtype=bool), np.full(n, np.inf), np.ones(n),
         order, M_max, L_max, band, structure, objective, radius, noise, basis, beyond=beyond,
-        doubts=doubts,
+        everywhere=arguments.flag("everywhere", everywhere), doubts=doubts,
     )  # fmt: skip
 
 
