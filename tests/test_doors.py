@@ -130,7 +130,7 @@ NAMED = {
         (THING | {"numbers": [1, 2], "twice": ["u", "u"], "none": None}, "controls inputs untold"),
         (THING | {"other": "mirror"}, "ends objective solver structure"),
         (THING | {"text": ...}, "note source"),
-        (THING | {"true": ...}, "check jointly live"),
+        (THING | {"true": ...}, "check everywhere jointly live"),
         (THING | {"text": ..., "no name": ""}, "folder path"),
         (THING | {"address": "nobody"}, "scheduler"),
     )

@@ -39,14 +39,16 @@ def without_gaps(problem: Problem) -> Problem:
 
 
 def refined(problem: Problem, omega, P=None, Q=0) -> Problem:
-    """The problem with its bounds at further, increasing frequencies, too.
+    """The problem with its bounds at further frequencies, too.
 
     There M is that of the plants that are models. What is known as samples only, or within a
-    radius, is not known there: `P`, of all plants, and `Q` stand for it, or else a model; or
-    nothing, so that L alone is bounded.
+    radius, is not known there: `P`, of all plants, and `Q` stand for it, in the order of the
+    frequencies, or else a model; or nothing, so that L alone is bounded.
     """
-    exact, models = problem.butterworth is not None, enumerate(problem.models)
-    known = {k: frequency_response(model, omega) for k, model in models if exact and model}
+    omega, models = np.sort(omega), {}
+    if problem.butterworth is not None:
+        models = {k: model for k, model in enumerate(problem.models) if model is not None}
+    known = {k: frequency_response(model, omega) for k, model in models.items()}
     if P is None:
         P = np.array([next(iter(known.values()), 0 * problem.P[:1])] * len(problem.models))
     if known:

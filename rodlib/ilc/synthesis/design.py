@@ -198,7 +198,7 @@ def solve(problem: Problem, start: Solution | None = None) -> Solution:
 def _solve_program(problem, program, start):
     """From a start if that leads somewhere, or from nothing."""
     if start is not None:
-        good = GAP / 10 if problem.everywhere else GOOD  # crests lie close together
+        good = GAP / 2 if problem.everywhere else GOOD  # crests lie close together
         found = active_set.resolve(program, start, steps=12)
         if found is not None and _is_good(problem, found, good):
             return found

@@ -35,7 +35,8 @@ from rodlib.ilc.synthesis.program import Infeasible, Program
 GAP = 2e-9  # relative gap at which to stop
 # Part of the gap by which rounding may keep the multipliers from being stationary.
 STATIONARY = 0.1
-REFINEMENTS = 10
+# Ways to a step: whether by a square root, slow and accurate, and how often rounding is looked at.
+WAYS = ((False, 2), (False, 10), (True, 10))
 PATIENCE = 3  # s without a word on progress
 
 
@@ -130,8 +131,9 @@ def begin(program, x):
     return replace(p, Y=[mu * A for A in X], eta=mu / (limits[0] - t))
 
 
-def newton(program, p, slacks, total, root):
-    """A function for the directions from p; `root`: factorised more slowly, and more accurately."""
+def newton(program, p, slacks, total, way=WAYS[0]):
+    """A function for the directions from p, in one of the WAYS."""
+    root, looks = way
     s, toward = p.limits[0] - p.t, program.limits - p.limits
     solve = factorise(program, slacks, p.Y, p.eta / s, root)
 
@@ -170,7 +172,7 @@ def newton(program, p, slacks, total, root):
         if predictor is None:
             return d
         done = []  # what rounding has left is removed by conjugate residuals [5]
-        for _ in range(REFINEMENTS):
+        for _ in range(looks):
             Y, left = residual(d)
             if np.linalg.norm(left) * np.linalg.norm(p.x) <= STATIONARY * total:
                 return d
@@ -192,9 +194,9 @@ def degree(p):
     return len(p.t) + sum(Y.shape[0] * Y.shape[2] for Y in p.Y)
 
 
-def step(program, p, slacks, total, root):
+def step(program, p, slacks, total, way):
     """The direction of Mehrotra's method from p; None if it is not accurate enough."""
-    direction = newton(program, p, slacks, total, root)
+    direction = newton(program, p, slacks, total, way)
     predictor = direction(0.0)
     primal, dual = step_lengths(program, p, predictor, slacks, 0.1)
     left = complementarity(program, p.moved(predictor, primal, dual)) / total
@@ -205,7 +207,7 @@ def step(program, p, slacks, total, root):
 def follow(program, p, enough=0.0, is_good=None):
     """The best point on the central path, or None if no bounds were met, and the iterations."""
     n, m = program.basis.shape[1], p.G[0].shape[1]
-    best, smallest, gaps, root = None, np.inf, [], False
+    best, smallest, gaps, way = None, np.inf, [], 0
     steps = range(100)
     for iteration in tqdm(steps, "interior point", leave=False, delay=PATIENCE, disable=None):
         objective, dual = p.t.sum() + program.quadratic(p.x), dual_value(program, p)
@@ -223,13 +225,11 @@ def follow(program, p, enough=0.0, is_good=None):
             if iteration > 40 or dual - x_max > len(p.t) * program.limits[0]:
                 break
         slacks = [Slack(G, diagonal, b) for diagonal, b, G in p.S(program)]
-        d = step(program, p, slacks, total, root)
-        if d is None:
-            # rounding ends the quick way: is more of the slow one needed?
+        while (d := step(program, p, slacks, total, WAYS[way])) is None:
+            # rounding ends the quick way: is more of a slower one needed?
             if best is p and is_good is not None and is_good(_solution(program, p, iteration)):
-                break
-            root = True
-            d = step(program, p, slacks, total, root)
+                return best, iteration
+            way += 1
         primal, dual = step_lengths(program, p, d, slacks, 0.02)
         damping = 0.9 + 0.09 * min(primal, dual)
         primal, dual = (1.0 if a == 1 else damping * a for a in (primal, dual))
