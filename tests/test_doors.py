@@ -143,7 +143,7 @@ NAMED = {
         (THING | {"numbers": [1, 2], "twice": ["u", "u"], "none": None}, "controls inputs untold"),
         (THING | {"other": "mirror"}, "ends objective solver structure"),
         (THING | {"text": ...}, "note source"),
-        (THING | {"true": ...}, "check jointly live resample"),
+        (THING | {"true": ...}, "check everywhere jointly live resample"),
         (THING | {"text": ..., "no name": ""}, "folder path"),
         (THING | {"address": "nobody"}, "scheduler"),
     )
