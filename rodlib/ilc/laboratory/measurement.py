@@ -204,7 +204,7 @@ def measured_response(
         return tabulated(log, uncertainty)
     arguments.instance("log", log, xr.Dataset)
     if uncertainty is not None:
-        raise ValueError("uncertainty must be None for a record, which tells its own")
+        raise ValueError("uncertainty must be None where log is a record, which tells its own")
     excitation, loop = excitation_of(log), loop_of(log)
     if excitation is None or of is not None:
         return estimated_response(log, of)

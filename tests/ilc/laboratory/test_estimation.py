@@ -142,6 +142,6 @@ def test_what_tells_nothing_is_refused_in_words():
     ):
         with pytest.raises(ValueError, match=message):
             measured_response(log, of)
-    with pytest.raises(ValueError, match="uncertainty must be None for a record"):
+    with pytest.raises(ValueError, match="uncertainty must be None where log is a record"):
         measured_response(whole, uncertainty=[0.1])
     assert issubclass(LogError, ValueError)
