@@ -239,6 +239,7 @@ DOORS = [
     (evidence.worst_case, {"problem": PROBLEM, "L": L}),
     *((door, {"P": LOOP, "Q": Q, "L": L, "omega": OMEGA}, {"P": REAL})
       for door in (evidence.rate, evidence.rates, evidence.spectral_rate, evidence.mean_rate)),
+    (evidence.rate_within, {"P": LOOP, "Q": Q, "L": L, "omega": OMEGA}, {"P": REAL}),
     (evidence.trial_operators, {"P": P, "Q": Q, "L": L, "samples": 6}, MODEL),
     (evidence.trial_map, {"P": P, "Q": Q, "L": L, "samples": 6}, MODEL),
     (evidence.trial_norm, {"P": P, "Q": Q, "L": L, "samples": 6}, MODEL),

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from plants import furnace, stage, tanks
+from scipy.linalg import eigh
 from scipy.optimize import lsq_linear
 
 from rodlib import (
@@ -16,6 +17,7 @@ from rodlib import (
     NormOptimal,
     current_trial_loop,
     rate,
+    rate_within,
     run_trials,
     synthesise,
     update,
@@ -185,6 +187,26 @@ def test_no_two_signals_get_more_distant(seed, size):
         return np.sum((lifted(P, samples) @ off.ravel()) ** 2) + WEIGHT * np.sum(off**2)
 
     assert norm(kept[0] - kept[1]) <= norm(wanted[0] - wanted[1]) * (1 + 1e-4) + 1e-6
+
+
+def test_the_rate_in_the_metric_is_a_generalised_eigenvalue():
+    for case in ("stage", "tanks"):
+        loop, Q, L, _, _ = CASES[case]
+        omega = np.geomspace(1e-3, 1, 40) * np.pi / loop.Ts
+        P, one = loop.frequency_response(omega), np.eye(len(loop.outputs))
+        T = Q.frequency_response(omega)[:, None, None] * (one - L.frequency_response(omega) @ P)
+        W = P.conj().swapaxes(1, 2) @ P + WEIGHT * one
+        values = [
+            eigh(t.conj().T @ w @ t, w, eigvals_only=True)[-1] for t, w in zip(T, W, strict=True)
+        ]
+        found = rate_within(loop, Q, L, omega)
+        assert found.gamma == pytest.approx(np.sqrt(max(values)), rel=1e-9)
+        assert found.omega == omega[np.argmax(values)]
+    assert rate_within(loop, Q, L, omega, 1e-10).gamma == pytest.approx(
+        rate(loop, Q, L, omega).gamma, rel=1e-5
+    )
+    with pytest.raises(ValueError, match="P must be one plant"):
+        rate_within([P, P], Q, L, omega)
 
 
 def test_the_outputs_converge_at_the_rate_of_lemma_1_and_the_law_alone_does_not():

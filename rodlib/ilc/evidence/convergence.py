@@ -44,8 +44,10 @@ def rate_within(P, Q, L: LearningOperator, omega, weight: float = 0.01) -> Rate:
     to trial, at least. For small weights, the gamma of :func:`rate`. Of one plant, for endless
     trials, and limits that are met as the model says.
     """
-    weight, omega = arguments.positive("weight", weight), np.asarray(omega)
-    rate(P, Q, L, omega)  # which checks them
+    weight = arguments.positive("weight", weight)
+    if np.ndim(rate(P, Q, L, omega).gamma):  # which checks them
+        raise ValueError("P must be one plant: take each in turn")
+    omega = np.asarray(omega)
     (response,), q = on_grid(plants(P), omega, L.Ts)[1], Q_on_grid(Q, omega, L=L.Ts)[1]
     I = np.eye(response.shape[1])  # noqa: E741
     W = response.conj().swapaxes(1, 2) @ response + weight * I
