@@ -13,11 +13,13 @@ the drift one that does not decay.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import LinAlgError, cholesky, solve_triangular
 from scipy.linalg.lapack import dpotri
 from scipy.optimize import minimize
 from scipy.signal import fftconvolve, lfilter
 from scipy.special import expit
+
+from rodlib.ilc.laboratory.log import LogError
 
 MOST = 4000  # lags of all inputs together
 CLOSE = 96  # the fast part is looked at lag by lag up to here, further on in steps of lag / CLOSE
@@ -216,8 +218,19 @@ def _posterior(eta, data):
     A[i, i] = A[i, i] * (1 + 1e-10) + prior.own
     A[i[1:], i[:-1]] += prior.next
     A[i[:-1], i[1:]] += prior.next
-    U = cholesky(A, check_finite=False)
+    U = _factor(A)
     return prior, U, solve_triangular(U, prior.d * data.b, trans=1, check_finite=False)
+
+
+def _factor(A):
+    """U of A = U' U, of which rounding may have made the smallest eigenvalues negative."""
+    most = A.diagonal().max()
+    for more in (0.0, 1e-14, 1e-13, 1e-12, 1e-11, 1e-10):
+        try:
+            return cholesky(A + more * most * np.eye(len(A)) if more else A, check_finite=False)
+        except LinAlgError:
+            continue
+    raise LogError("log cannot be told apart from rounding: is it without any noise, or constant?")
 
 
 def surprise(eta, data, centre):
