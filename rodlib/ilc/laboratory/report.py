@@ -42,7 +42,7 @@ def left_out(replay: Replay) -> list[str]:
     if replay.law is None:
         reasons.append(
             "law check, next trial and simulation: the log does not say which law made it; its "
-            "metadata need Q and L"
+            "metadata need Q and L, and the loop beside actuators"
         )
     if replay.loop is None:
         reasons.append(

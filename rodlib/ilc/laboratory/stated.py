@@ -5,15 +5,16 @@ import difflib
 import numpy as np
 
 from rodlib.ilc import arguments, units
+from rodlib.ilc.actuators import named_limits
 from rodlib.ilc.files import read_json
 from rodlib.ilc.laboratory import limits
 from rodlib.ilc.laboratory.tables import NUMBER, few
 
 SIGNALS = {  # and what the channels of each are; u only if the commands are known
-    "reference": "output", "v": "output", "u": "control", "y": "output",
+    "reference": "output", "v": "output", "u": "control", "y": "output", "applied": "control",
     "delta": "control", "disturbance": "source", "measured": "sensor",
 }  # fmt: skip
-OPTIONAL = (("reference", "v"), ("delta",))  # which a log has together, or not at all
+OPTIONAL = (("reference", "v"), ("applied",), ("delta",))  # which a log has together, or not at all
 ROLES = {  # in the metadata
     "output": "outputs", "control": "controls", "source": "disturbances", "sensor": "measured",
 }  # fmt: skip
@@ -69,7 +70,7 @@ def limits_of(metadata, titles):
     unknown = [title for title in stated if title not in titles]
     if unknown:
         raise ValueError(f"limits are stated for {few(unknown)}, which are no columns")
-    return limits.named_limits("limits", stated, list(titles))
+    return named_limits("limits", stated, list(titles))
 
 
 def _object(name, metadata):
