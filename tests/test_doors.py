@@ -79,11 +79,16 @@ COURSE = {"omega": np.array([0.001, 0.01, 1.0]), "reference": np.ones((20, 2)), 
 STUDY = Study(PAPER, Q, {"L": L2}, SPREAD, **COURSE)
 MULTISINE = {"Ts": 1.0, "period": 16, "periods": 3}
 MULTISINE |= {"harmonics": (1, 2, 3), "phases": (0.0, 1.0, 2.0), "amplitude": (1.0,)}
+ESTIMATED = laboratory.EstimatedResponse(
+    OMEGA, ONES[:5], np.tile(1e-3 * RESPONSE, (50, 1, 1, 1)), OMEGA > 0, LOOP, "a record", 1.0
+)
 EXCITATION = laboratory.Excitation(**MULTISINE)
 ALL = laboratory.Excitation(1.0, 40, 4, (1, 2, 3, 5, 8), np.zeros(5), (1.0, 1.0))
 RIG = RestartingRig(parameters=RigParameters(modes=5))
 SHAKEN = laboratory.shake(RIG, PAPER, ALL)
 LOG = with_law(run_trials(LOOP, Q, L, np.zeros((70, 1)), None, 2), Q, L, 0, LOOP)
+TABLE = control.frd(np.moveaxis(RESPONSE, 0, -1), OMEGA)
+TABULATED = measured_response(TABLE)
 MEASURED = laboratory.MeasuredResponse(OMEGA, RESPONSE, 1e-6 * ONES, ONES, np.full(12, 9), LOOP)
 FOLDER = TemporaryDirectory()
 HERE = Path(FOLDER.name)
@@ -138,7 +143,7 @@ NAMED = {
         (THING | {"numbers": [1, 2], "twice": ["u", "u"], "none": None}, "controls inputs untold"),
         (THING | {"other": "mirror"}, "ends objective solver structure"),
         (THING | {"text": ...}, "note source"),
-        (THING | {"true": ...}, "check jointly live resample"),
+        (THING | {"true": ...}, "check everywhere jointly live resample"),
         (THING | {"text": ..., "no name": ""}, "folder path"),
         (THING | {"address": "nobody"}, "scheduler"),
     )
@@ -293,7 +298,13 @@ DOORS = [
       "disturbance": np.zeros((2, 5, 3)), "trials": 2, "pause": 1},
      {"L": MODELS | {"none": ...}, "another_law": THING | {"true": ...}, "limits": LIMITS}),
     (laboratory.shake, {"rig": RIG, "loop": PAPER, "excitation": ALL}),
-    (measured_response, {"log": SHAKEN}),
+    (measured_response, {"log": SHAKEN}, {"log": THING, "of": THING | {"text": "y"}}),
+    (measured_response, {"log": TABLE, "uncertainty": np.zeros(12)}),
+    (TABULATED.on, {"omega": OMEGA}),
+    (TABULATED.basis, {"omega": OMEGA}),
+    (ESTIMATED.radius, {}),
+    (ESTIMATED.on, {"omega": OMEGA}),
+    (ESTIMATED.basis, {"omega": OMEGA}),
     (laboratory.expected_radius, {"excitation": EXCITATION, "rest": LOG}, {"rest": THING}),
     (MEASURED.radius, {}),
     (MEASURED.on, {"omega": OMEGA}),
@@ -349,6 +360,7 @@ DOORS = [
 # Made by other doors, or without an argument; and inside: protocols, constants, and what solvers
 # call a thousand times with what was checked before.
 MADE = {"Certificate", "Check", "InfeasibleError", "LearnedNoise", "LogError", "MeasuredResponse"}
+MADE |= {"EstimatedResponse", "TabulatedResponse"}
 MADE |= {"Outcome", "Picture", "Rate", "Replay", "RigError", "SolverError", "SpectralRate"}
 MADE |= {"Spectrum", "StoppedError", "Synthesis", "TrialNoise", "Tuned", "WorstCase"}
 INSIDE = {"Family", "LearningOperator", "Problem", "Rig", "TrialRig"}

@@ -109,7 +109,8 @@ def _of_frd(name, P, omega, Ts):
     if not same:
         raise ValueError(
             f"{name} is known at {len(P.omega)} frequencies from {P.omega[0]:.6g} to "
-            f"{P.omega[-1]:.6g} rad/s, which are not those of omega: pass omega = {name}.omega"
+            f"{P.omega[-1]:.6g} rad/s, which are not those of omega: pass omega = {name}.omega, or "
+            f"{name} = measured_response({name}), which is splined between them"
         )
     return np.moveaxis(P.frdata, -1, 0)
 

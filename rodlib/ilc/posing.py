@@ -31,6 +31,7 @@ def pose(
     noise=None,
     confidence=None,
     beyond=None,
+    everywhere=False,
 ) -> Problem:
     """State the problem (39), or (45) with (46), and check it; see :func:`rodlib.synthesise`."""
     _refuse_exchanged(Q, omega)
@@ -79,7 +80,7 @@ def pose(
         P, Q, omega, Ts, scale, others, tuple(models), q,
         np.ones(n, dtype=bool), np.full(n, np.inf), np.ones(n), band, L_max,
         order, M_max, structure, objective, radius, noise, (*chosen, *basis), beyond=beyond,
-        doubts=doubts,
+        everywhere=arguments.flag("everywhere", everywhere), doubts=doubts,
     )  # fmt: skip
 
 

@@ -47,6 +47,7 @@ class Problem:
     switched: np.ndarray | None = None  # (n, m, m): in the place of Q P, if noise begins at a start
     beyond: float | None = None  # sigma_max(P) is at most that above the last sample; None if known
     findings: tuple[str, ...] = ()  # what the statement itself leaves in doubt
+    everywhere: bool = False  # whether the bounds shall hold between the frequencies omega, too
     doubts: tuple[str, ...] = ()  # what samples of P and Q show to be likely mistakes
 
     @property

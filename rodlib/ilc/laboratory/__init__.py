@@ -9,6 +9,7 @@ __getattr__, __dir__, __all__ = lazily(
     __name__,
     {
         "controlled_rig": "Controller Rig RigError StoppedError TrialRig",
+        "estimation": "EstimatedResponse",
         "excitation": "Excitation multisine",
         "experiment": "record shake",
         "foreign": "read_table",
@@ -16,6 +17,7 @@ __getattr__, __dir__, __all__ = lazily(
         "measurement": "MeasuredResponse expected_radius measured_response",
         "notes": "law_of load_law loop_of rest_of save_law step_of with_law",
         "replay": "Replay replay_of",
+        "tabulated": "TabulatedResponse",
         "temperature_control_lab": "TemperatureControlLab",
     },
 )

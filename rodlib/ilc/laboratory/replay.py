@@ -178,8 +178,8 @@ class Replay:
         promised = (None, None) if P is None else rates_of(P, *self.law)
         v, e, reference = (self.trials[name].values for name in ("v", "e", "reference"))
         v = realised(self.loop, v, *self._commands) if self.limits else v
-        names = self.outputs, self.trials.output_unit.values.tolist()
-        return Course(v, e, reference, *names, self.numbers[0], P, *promised)
+        units = self.trials.output_unit.values.tolist()
+        return Course(v, e, reference, self.outputs, units, self.numbers[0], P, *promised)
 
     def reached(self, trial: int = 2) -> pd.DataFrame | None:
         """The rate that a trial reached, by octaves, see :meth:`Course.reached`; for all outputs.

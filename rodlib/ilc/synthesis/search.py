@@ -138,6 +138,11 @@ def _widest(Q, posed, stated, bar, step):
 
 def _parted(choices):
     """The choices for :func:`pose`, and those for :func:`certified`."""
+    if choices.get("everywhere", False) is not False:
+        raise ValueError(
+            f"everywhere = {choices['everywhere']!r} is for synthesise: leave it out here, and "
+            "pass synthesise what was found, with a little more room"
+        )
     known = signature(pose).parameters
     asked = {name: choices[name] for name in choices if name in known}
     return asked, {name: choices[name] for name in choices if name not in asked}

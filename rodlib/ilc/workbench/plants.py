@@ -8,16 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from rodlib.ilc import arguments
-from rodlib.ilc.laboratory import (
-    LogError,
-    MeasuredResponse,
-    load_log,
-    measured_response,
-    read_table,
-)
+from rodlib.ilc.laboratory import LogError, load_log, measured_response, read_table
 from rodlib.ilc.laboratory.notes import excitation_of, loop_of
 from rodlib.ilc.laboratory.replay import replay_of
 from rodlib.ilc.loop import Loop
+from rodlib.ilc.plants import Measured
 from rodlib.ilc.problem import Problem
 
 TRIALS = 10
@@ -29,7 +24,7 @@ class Plant:
     """What filters are designed for, and what ten trials with them follow."""
 
     source: str  # the Python expression that makes `response`, with rodlib and np at hand
-    response: Loop | MeasuredResponse  # what the synthesis is given
+    response: Loop | Measured  # what the synthesis is given
     reference: np.ndarray | None = None  # shape (time, m); default: all to one, back, and a rest
     disturbance: np.ndarray | None = None  # shape (10, time, d), as loop.disturbances; default zero
     order: int = Problem.order  # samples to look ahead at first; more than the plant's delay
@@ -38,11 +33,13 @@ class Plant:
 
     def __post_init__(self):
         arguments.instance("source", self.source, str)
-        if not isinstance(self.response, Loop | MeasuredResponse):
+        if not isinstance(self.response, Loop | Measured):
             raise ValueError(
                 f"response = {reprlib.repr(self.response)} must be a loop, such as "
                 "current_trial_loop makes, or a measured response"
             )
+        if self.loop is None:
+            raise ValueError("response is a table without a period: control.frd(P, omega, Ts)")
         if not self.measured and self.loop.P is None:
             raise ValueError(
                 "response has no P, for which filters are designed: measure it, by shake"
@@ -65,7 +62,7 @@ class Plant:
     @property
     def measured(self) -> bool:
         """Whether the response was measured, and brings a radius of its own."""
-        return isinstance(self.response, MeasuredResponse)
+        return isinstance(self.response, Measured)
 
     @property
     def loop(self) -> Loop:
