@@ -295,8 +295,10 @@ def test_units_do_not_matter():
         run_trials(ClosedLoop(plant), Q, None, OLD @ factor, trials=1, v=v @ factor)
         for plant, factor in ((P, np.eye(2)), (other, scale))
     ]
-    there = quiet(runs[1], NEW @ scale)
-    np.testing.assert_allclose(there.v, quiet(runs[0], NEW).v @ scale, rtol=1e-6, atol=1e-6)
+    here, there = quiet(runs[0], NEW), quiet(runs[1], NEW @ scale)
+    np.testing.assert_allclose(there.v, here.v @ scale, rtol=1e-6, atol=1e-6)
+    F = np.einsum("ij,jkl,km->iml", scale, here.F, np.linalg.inv(scale))
+    np.testing.assert_allclose(there.F, F, rtol=1e-4, atol=1e-6 * np.abs(F).max())
 
 
 def test_nothing_moved():
