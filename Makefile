@@ -19,7 +19,8 @@ export PYTHONUTF8 := 1
 export LC_ALL := C.UTF-8
 export PYTHONWARNINGS := ignore::DeprecationWarning
 .DELETE_ON_ERROR:
-.PHONY: $(BIN)/ready help reproduce test lint data replay machines mutants lowest survey plants \
+.PHONY: $(BIN)/ready help reproduce test lint data replay machines mutants lowest survey regions \
+	plants solvers \
 	study pages bench lab notebooks lock clean
 
 help:  ## list the targets
@@ -67,8 +68,14 @@ lowest: $(BIN)/ready  ## unit tests with the oldest packages that pyproject.toml
 	$(BIN)/uv pip install --quiet --python build/lowest --constraints build/lowest.txt -e ".[dev]"
 	build/lowest/bin/pytest -q -W ignore::DeprecationWarning -W ignore::FutureWarning
 
+solvers: $(BIN)/ready  ## time solvers for the quadratic program of a trial within limits
+	@$(BIN)/python tests/benchmarks/limits.py
+
 survey: $(BIN)/ready  ## solve 550 problems for ordinary plants; count how it ends (some minutes)
 	@$(BIN)/python tests/benchmarks/survey.py
+
+regions: $(BIN)/ready  ## how often the truth is in an estimate's region, 13 kinds of records (an hour)
+	@$(BIN)/python tests/benchmarks/regions.py
 
 plants: $(BIN)/ready  ## eleven kinds of plants the whole way, from a model to a log (a minute)
 	@$(BIN)/python tests/benchmarks/whole_way.py

@@ -13,6 +13,9 @@ from rodlib.ilc.loop import CurrentTrialLoop
 from rodlib.ilc.models import minimal_realisation
 from rodlib.rod import Rod, midr
 
+BAND = (1e-4, 0.02)  # rad/s, of the sum in (39): Section IV-B
+L_MAX = 50.0  # W/K, bound on sigma_max(L) in (46)
+
 
 def paper_loop(rod: Rod | None = None, degree: int = 3, Ts: float = 1.0) -> CurrentTrialLoop:
     """Build the paper's current-trial loop, Section IV.

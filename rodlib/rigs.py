@@ -1,7 +1,8 @@
 """The virtual rig that stands in for the laboratory.
 
 It knows neither the design model nor what runs an experiment, but has material parameters of its
-own. Whoever has a real rod replaces that one object, see :class:`rodlib.ilc.laboratory.Rig`.
+own. Whoever has a real rod replaces that one object, see :class:`rodlib.ilc.laboratory.Rig`. This
+one is linear; :mod:`rodlib.peltier_rig` is not.
 """
 
 from dataclasses import dataclass
@@ -35,7 +36,60 @@ class RigParameters:
         arguments.number("ambient_rate", self.ambient_rate, "a finite number")
 
 
-class VirtualRig:
+class Bench:
+    """What rigs have in common: a room that warms, noisy sensors, time that passes by samples."""
+
+    def __init__(self, rod: Rod, parameters, Ts: float, seed: int):
+        arguments.instance("rod", rod, Rod)
+        self.rod, self.parameters = rod, parameters
+        self.Ts, self.seed = arguments.sampling_period("Ts", Ts), arguments.whole("seed", seed, 0)
+        self.time = 0.0
+        self._random = np.random.default_rng(self.seed)
+
+    @property
+    def inputs(self) -> list[str]:
+        """Names of the heat flows, in the order of :meth:`apply`."""
+        return self.rod.inputs[:-1]
+
+    @property
+    def measured(self) -> dict[str, float]:
+        """What is measured besides the outputs: the ambient temperature."""
+        return {"theta_a": self.ambient}
+
+    def clock(self) -> float:
+        """Time, s; here it stands still between two samples."""
+        return self.time
+
+    @property
+    def ambient(self) -> float:
+        """Ambient temperature above its initial value, K, as a thermometer in the room shows it."""
+        return self.parameters.ambient_rate * self.time
+
+    def read(self) -> np.ndarray:
+        """Read the sensors: K above the initial ambient temperature, shape (m,)."""
+        noisy = self._sensors @ self._state
+        if self.parameters.noise:
+            noisy = noisy + self.parameters.noise * self._random.standard_normal(len(noisy))
+        quantum = self.parameters.quantum
+        return (np.rint(noisy / quantum) * quantum).round(9) if quantum else noisy
+
+
+class Restarting:
+    """A rig that begins every trial at rest, in a room at its initial temperature.
+
+    The sensor noise of a trial depends on `seed` and its number alone, so that an experiment may go
+    on in another process.
+    """
+
+    def begin(self, trial: int) -> None:
+        """Begin a trial, counted from 1."""
+        trial = arguments.whole("trial", trial, 1)
+        self._random = np.random.default_rng([self.seed, trial])
+        self._rest()
+        self.time = 0.0
+
+
+class VirtualRig(Bench):
     """A rod in the laboratory, sample by sample.
 
     Parameters
@@ -61,12 +115,8 @@ class VirtualRig:
         Ts: float = 1.0,
         seed: int = 1,
     ):
-        arguments.instance("rod", rod, Rod)
         arguments.instance("parameters", parameters, RigParameters)
-        Ts, seed = arguments.sampling_period("Ts", Ts), arguments.whole("seed", seed, 0)
-        self.rod, self.parameters, self.Ts = rod, parameters, Ts
-        self.seed, self.time = seed, 0.0
-        self._random = np.random.default_rng(seed)
+        super().__init__(rod, parameters, Ts, seed)
         n = np.arange(parameters.modes)
         wave = n * np.pi / rod.length
         s = -(rod.kappa_2 + rod.conductivity * wave**2) / rod.kappa_1
@@ -85,13 +135,11 @@ class VirtualRig:
         self._lagging = np.where(near, Ts * self._decay, lagging)[:, None] * input_gain
         self._air = -np.expm1(s[0] * Ts)
         self._sensors = np.cos(np.outer(rod.sensors, wave))
-        self._modes = np.zeros(parameters.modes)
-        self._flows = np.zeros(rod.sections)
+        self._rest()
 
-    @property
-    def inputs(self) -> list[str]:
-        """Names of the heat flows, in the order of :meth:`apply`."""
-        return self.rod.inputs[:-1]
+    def _rest(self):
+        self._state = np.zeros(self.parameters.modes)  # amplitudes of the modes, K
+        self._flows = np.zeros(self.rod.sections)
 
     @property
     def limits(self) -> dict[str, tuple[float, float]]:
@@ -99,50 +147,17 @@ class VirtualRig:
         limit = self.parameters.limit
         return {name: (-limit, limit) for name in self.inputs if np.isfinite(limit)}
 
-    @property
-    def measured(self) -> dict[str, float]:
-        """What is measured besides the outputs: the ambient temperature."""
-        return {"theta_a": self.ambient}
-
-    def clock(self) -> float:
-        """Time, s; here it stands still between two samples."""
-        return self.time
-
-    @property
-    def ambient(self) -> float:
-        """Ambient temperature above its initial value, K, as a thermometer in the room shows it."""
-        return self.parameters.ambient_rate * self.time
-
-    def read(self) -> np.ndarray:
-        """Read the sensors: K above the initial ambient temperature, shape (m,)."""
-        noisy = self._sensors @ self._modes
-        if self.parameters.noise:
-            noisy = noisy + self.parameters.noise * self._random.standard_normal(len(noisy))
-        quantum = self.parameters.quantum
-        return (np.rint(noisy / quantum) * quantum).round(9) if quantum else noisy
-
     def apply(self, heat_flows) -> None:
         """Command heat flows (W), shape (sections,), and let one sampling period pass."""
         command = arguments.array("heat_flows", heat_flows, self._flows.shape)
         limit = self.parameters.limit
         command = np.minimum(np.maximum(command, -limit), limit)
-        self._modes *= self._decay
-        self._modes += self._held @ command + self._lagging @ (self._flows - command)
-        self._modes[0] += self._air * self.ambient
+        self._state *= self._decay
+        self._state += self._held @ command + self._lagging @ (self._flows - command)
+        self._state[0] += self._air * self.ambient
         self._flows = command + self._lag * (self._flows - command)
         self.time += self.Ts
 
 
-class RestartingRig(VirtualRig):
-    """A virtual rig that begins every trial at rest, in a room at its initial temperature.
-
-    The sensor noise of a trial depends on `seed` and its number alone, so that an experiment may go
-    on in another process.
-    """
-
-    def begin(self, trial: int) -> None:
-        """Begin a trial, counted from 1."""
-        trial = arguments.whole("trial", trial, 1)
-        self._random = np.random.default_rng([self.seed, trial])
-        self._modes[:], self._flows[:] = 0, 0
-        self.time = 0.0
+class RestartingRig(Restarting, VirtualRig):
+    """A virtual rig that begins every trial at rest."""

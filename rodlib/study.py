@@ -22,13 +22,13 @@ import xarray as xr
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from tqdm import tqdm
 
-from rodlib.case import assumed_reference
+from rodlib.case import BAND, assumed_reference
 from rodlib.held import HeldRod
 from rodlib.ilc import arguments, files
 from rodlib.ilc.evidence.convergence import spectral_radii
 from rodlib.ilc.filters import LearningFilter, ZeroPhaseButterworth
 from rodlib.ilc.loop import CurrentTrialLoop
-from rodlib.ilc.problem import Problem, convergence_matrix, largest_singular_values
+from rodlib.ilc.problem import convergence_matrix, largest_singular_values
 from rodlib.ilc.trials import check_law
 from rodlib.rod import Rod
 from rodlib.specimens import MATERIAL, Grid, Spread, check_loop, draw
@@ -124,7 +124,7 @@ class Study:
         found["rate"] = sigma.max(axis=2)  # of Lemma 1
         found["rate_omega"] = self.omega[sigma.argmax(axis=2)]
         found["spectral_rate"] = radius.max(axis=2)
-        low, high = Problem.band
+        low, high = BAND
         band = (low <= self.omega) & (self.omega <= high)
         found["objective"] = sigma[:, :, band].sum(axis=2)
         course = Course(self.loop, self.Q, [*self.filters.values()], self.reference, self.trials)

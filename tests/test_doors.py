@@ -39,6 +39,7 @@ from rodlib import (
     study,
     synthesise,
     update,
+    update_within,
     zero_phase_butterworth,
 )
 from rodlib.case import assumed_disturbance, assumed_reference
@@ -48,6 +49,12 @@ from rodlib.ilc.models import frequency_response
 from rodlib.ilc.trials import rms
 from rodlib.ilc.workbench import Outcome, Plant, Settings
 from rodlib.paper.knobs import plant_of_rod
+from rodlib.peltier_rig import (
+    PeltierElement,
+    PeltierParameters,
+    PeltierRig,
+    RestartingPeltierRig,
+)
 from rodlib.rigs import RestartingRig, RigParameters, VirtualRig
 
 PLANT = control.ss(0.5, [[0.5, 1.0]], 1, 0, 1.0, inputs=["u", "d"], outputs=["y"])
@@ -72,11 +79,16 @@ COURSE = {"omega": np.array([0.001, 0.01, 1.0]), "reference": np.ones((20, 2)), 
 STUDY = Study(PAPER, Q, {"L": L2}, SPREAD, **COURSE)
 MULTISINE = {"Ts": 1.0, "period": 16, "periods": 3}
 MULTISINE |= {"harmonics": (1, 2, 3), "phases": (0.0, 1.0, 2.0), "amplitude": (1.0,)}
+ESTIMATED = laboratory.EstimatedResponse(
+    OMEGA, ONES[:5], np.tile(1e-3 * RESPONSE, (50, 1, 1, 1)), OMEGA > 0, LOOP, "a record", 1.0
+)
 EXCITATION = laboratory.Excitation(**MULTISINE)
 ALL = laboratory.Excitation(1.0, 40, 4, (1, 2, 3, 5, 8), np.zeros(5), (1.0, 1.0))
 RIG = RestartingRig(parameters=RigParameters(modes=5))
 SHAKEN = laboratory.shake(RIG, PAPER, ALL)
 LOG = with_law(run_trials(LOOP, Q, L, np.zeros((70, 1)), None, 2), Q, L, 0, LOOP)
+TABLE = control.frd(np.moveaxis(RESPONSE, 0, -1), OMEGA)
+TABULATED = measured_response(TABLE)
 MEASURED = laboratory.MeasuredResponse(OMEGA, RESPONSE, 1e-6 * ONES, ONES, np.full(12, 9), LOOP)
 FOLDER = TemporaryDirectory()
 HERE = Path(FOLDER.name)
@@ -105,6 +117,7 @@ REAL = {"complex": np.full((6, 1), 1j), "1e300": np.full((6, 1), 1e300)}
 MODELS = {"nan model": NAN, "number": 1.0, "transfer": control.tf(1, [1, 0.5], 1.0, inputs="F")}
 PLANTS = {"nan model": NAN, "continuous": control.ss(-1, 1, 1, 0), "names": MODELS["transfer"]}
 DENSITY = REAL | {"-1": -1.0, "lists": [[1.0]], "matrices": np.full((12, 2, 2), 1.0)}
+LIMITS = THING | {"none": ..., "names": {"fan": (0, 1)}}
 FLAG, TEXT = THING | {"true": ...}, THING | {"text": ...}
 FILE, LOGS = THING | {"text": ..., "no name": ""}, THING | {"frame": ...}
 WORD = {"other": "mirror"}
@@ -130,7 +143,7 @@ NAMED = {
         (THING | {"numbers": [1, 2], "twice": ["u", "u"], "none": None}, "controls inputs untold"),
         (THING | {"other": "mirror"}, "ends objective solver structure"),
         (THING | {"text": ...}, "note source"),
-        (THING | {"true": ...}, "check jointly live"),
+        (THING | {"true": ...}, "check everywhere jointly live resample"),
         (THING | {"text": ..., "no name": ""}, "folder path"),
         (THING | {"address": "nobody"}, "scheduler"),
     )
@@ -189,9 +202,16 @@ DOORS = [
     (L.frequency_response, {"omega": OMEGA}),
     (L.apply, {"signal": SIGNAL}),
     (update, {"v": SIGNAL, "e": SIGNAL, "Q": Q, "L": L}),
+    (update_within, {"v": SIGNAL, "e": SIGNAL, "u": SIGNAL, "Q": Q, "L": L, "loop": LOOP,
+                     "limits": {"u": (-1.0, 1.0)}},
+     {"limits": LIMITS | {"turned": {"u": (1, 0)}}}),
     (run_trials, {"loop": LOOP, "Q": Q, "L": L, "reference": SIGNAL, "trials": 2},
      {"L": MODELS | {"none": ...}, "step": REAL | {"0": 0.0, "2": 2.0}}),
     (rodlib.transfer, {"trials": LOG, "reference": np.zeros((70, 1))}, {"trials": THING}),
+    (rodlib.estimated, {"trials": LOG, "loop": LOOP, "model": PLANT},
+     {"trials": THING, "model": MODELS}),
+    (rodlib.combinations, {"P": P, "weights": [1.0]},
+     {"P": PLANTS | {"names": ...}, "weights": REAL | {"-1": [-1.0]}}),
     (rms, {"e": xr.DataArray(SIGNAL, dims=("time", "channel"))}),
     (assumed_reference, {"samples": 5}),
     (assumed_disturbance, {"samples": 5, "trials": 2, "first": 1}),
@@ -234,7 +254,8 @@ DOORS = [
     (alternatives.generalised_plant, {"P": P, "Q": Q, "effort": 0.01, "preview": 2}, MODEL),
     (alternatives.full_information, {"plant": GENERALISED, "m": 1, "level": 0.95},
      {"plant": MODELS}),
-    (alternatives.NormOptimal, {"P": P, "weight": 1.0, "samples": 6}, MODEL),
+    (alternatives.NormOptimal, {"P": P, "weight": 1.0, "samples": 6},
+     {"P": MODELS | {"transfer": ...}}),
     (BEST.frequency_response, {"omega": OMEGA}),
     (BEST.apply, {"signal": SIGNAL}),
     (alternatives.TwoSidedFilter, {"response": L.frequency_response, "channels": 1, "Ts": 1.0},
@@ -275,9 +296,15 @@ DOORS = [
     (laboratory.record,
      {"rig": RIG, "loop": PAPER, "Q": Q, "L": L2, "reference": np.zeros((5, 2)),
       "disturbance": np.zeros((2, 5, 3)), "trials": 2, "pause": 1},
-     {"L": MODELS | {"none": ...}, "another_law": THING | {"true": ...}}),
+     {"L": MODELS | {"none": ...}, "another_law": THING | {"true": ...}, "limits": LIMITS}),
     (laboratory.shake, {"rig": RIG, "loop": PAPER, "excitation": ALL}),
-    (measured_response, {"log": SHAKEN}),
+    (measured_response, {"log": SHAKEN}, {"log": THING, "of": THING | {"text": "y"}}),
+    (measured_response, {"log": TABLE, "uncertainty": np.zeros(12)}),
+    (TABULATED.on, {"omega": OMEGA}),
+    (TABULATED.basis, {"omega": OMEGA}),
+    (ESTIMATED.radius, {}),
+    (ESTIMATED.on, {"omega": OMEGA}),
+    (ESTIMATED.basis, {"omega": OMEGA}),
     (laboratory.expected_radius, {"excitation": EXCITATION, "rest": LOG}, {"rest": THING}),
     (MEASURED.radius, {}),
     (MEASURED.on, {"omega": OMEGA}),
@@ -286,6 +313,12 @@ DOORS = [
     (load_law, {"path": HERE / "law"}),
     (save_log, {"trials": LOG, "path": HERE / "log"}, {"trials": THING}),
     (load_log, {"path": HERE / "log"}),
+    (rodlib.read_table,
+     {"path": HERE / "log", "outputs": {"y": "y_y"}, "inputs": {"u": "u_u"}, "time": "time",
+      "Ts": 1.0, "reference": {"y": "reference_y"}, "v": {"y": "v_y"}, "trial": "trial"},
+     dict.fromkeys(["outputs", "inputs", "reference", "v", "disturbances", "measured", "units"],
+                   THING | {"other": {"y": 1.5}})
+     | dict.fromkeys(["time", "trial"], THING | {"number": 1.5, "beyond": 99})),
     (with_law, {"trials": LOG, "Q": Q, "L": L, "loop": LOOP},
      {"trials": THING | {"frame": ...}, "L": MODELS | {"none": ...}}),
     *((door, {"trials": LOG}, {"trials": THING | {"frame": ...}})
@@ -298,6 +331,15 @@ DOORS = [
     *((door, {"rod": Rod(), "parameters": RigParameters(modes=5)})
       for door in (VirtualRig, RestartingRig)),
     (RIG.apply, {"heat_flows": np.zeros(4)}),
+    (PeltierElement, {},
+     {"seebeck": NUMBER | {"0": 0.0}}
+     | dict.fromkeys(["resistance", "conductance", "limit"], NUMBER)),
+    (PeltierParameters, {"cells": 2, "sinks_measured": False},
+     dict.fromkeys(["sink_capacity", "temperature"], NUMBER | {"0": 0.0})
+     | dict.fromkeys(["fan", "convection", "emissivity", "lag", "noise", "quantum"], NUMBER)
+     | {"ambient_rate": NUMBER | {"-1": ...}, "sinks_measured": FLAG}),
+    *((door, {"rod": Rod(), "parameters": PeltierParameters(cells=2)})
+      for door in (PeltierRig, RestartingPeltierRig)),
     (RIG.begin, {"trial": 1}),
     (laboratory.TemperatureControlLab, {},
      {"kit": THING | {"true": ...}, "rest": REAL, "wait": NUMBER}),
@@ -318,6 +360,7 @@ DOORS = [
 # Made by other doors, or without an argument; and inside: protocols, constants, and what solvers
 # call a thousand times with what was checked before.
 MADE = {"Certificate", "Check", "InfeasibleError", "LearnedNoise", "LogError", "MeasuredResponse"}
+MADE |= {"EstimatedResponse", "TabulatedResponse"}
 MADE |= {"Outcome", "Picture", "Rate", "Replay", "RigError", "SolverError", "SpectralRate"}
 MADE |= {"Spectrum", "StoppedError", "Synthesis", "TrialNoise", "Tuned", "WorstCase"}
 INSIDE = {"Family", "LearningOperator", "Problem", "Rig", "TrialRig"}

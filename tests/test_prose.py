@@ -36,6 +36,10 @@ CONSTANTS = {  # that no cell prints, with the reason
         "98.9": "per cent of 2000 seeds, by tests/benchmarks/confidence.py",
         "2000": "seeds of it",
     },
+    "13-a-strangers-log": {
+        "95": "per cent, what the intervals are for",
+        "91": "per cent of 100 simulated logs of a kind, by tests/benchmarks/heat_balance.py",
+    },
 }
 NUMBER = r"(?<![\w.^])\d+(?:\.\d+)?(?:e[-+]?\d+)?"
 NO_RESULT = re.compile(

@@ -50,7 +50,7 @@ def test_heat_is_conserved(lag):
     commands = np.random.default_rng(0).uniform(-20, 20, (200, 4))
     commands[100:] = 0  # lets the lag run out
     run_rig(device, commands)
-    mean = device._modes[0]  # the others have none
+    mean = device._state[0]  # the others have none
     stored = rod.kappa_1 * rod.length * rod.width * rod.height * mean
     assert stored == pytest.approx(commands.sum(), rel=1e-6)
 
@@ -59,7 +59,7 @@ def test_at_rest_the_air_takes_what_the_elements_give():
     rod = Rod()
     device = VirtualRig(rod, IDEAL)
     run_rig(device, np.tile([3.0, 0, 5.0, -1.0], (4000, 1)))
-    mean = device._modes[0]  # the others have none
+    mean = device._state[0]  # the others have none
     assert rod.heat_transfer * rod.width * rod.length * mean == pytest.approx(7.0, rel=1e-5)
 
 

@@ -12,15 +12,17 @@ MODULES = {
     "filters": """LearningFilter LearningOperator ZeroPhaseButterworth update
         zero_phase_butterworth""",
     "problem": "Problem",
+    "within_limits": "update_within",
     "trials": "rms run_trials",
     "transfer": "transfer",
+    "estimates": "combinations estimated",
     "evidence": """converged_noise mean_rate noise_bound noise_by_trial noise_on_trial rate
-        rates spectral_rate trial_noise violation_probability worst_case""",
+        rate_within rates spectral_rate trial_noise violation_probability worst_case""",
     "synthesis": "InfeasibleError SolverError Synthesis largest_cutoff least_gain synthesise",
     "alternatives": """NormOptimal Rehearsal gradient h_infinity p_type pd_type stable_inversion
         tune zero_phase_inversion""",
     "laboratory": """LogError MeasuredResponse Rig RigError expected_radius load_law load_log
-        loop_of measured_response multisine record save_law save_log shake""",
+        loop_of measured_response multisine read_table record save_law save_log shake""",
     "plots": "plot",
 }
 

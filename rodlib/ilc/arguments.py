@@ -130,6 +130,14 @@ def in_order(name: str, value, names: Sequence[str]):
     return value.isel({dimension: [own.index(label) for label in names]})
 
 
+def in_columns(name, signal, shape, names):
+    """An array with a column for each name, by names if it has some; one needs no second axis."""
+    signal = array(name, in_order(name, signal, names), (...,))
+    if signal.ndim == len(names) == 1:
+        signal = signal[:, None]
+    return array(name, signal, shape)
+
+
 def path(name: str, value) -> Path:
     """The path of a file."""
     if not isinstance(value, str | PathLike) or not str(value):

@@ -1,8 +1,9 @@
-"""Where the repository is, and how it is written to: as a whole or not at all, by one at a time.
+"""How files are read and written: as a whole or not at all, by one at a time.
 
 Only the standard library, because `environment.py` needs this before anything is installed.
 """
 
+import json
 import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -14,6 +15,21 @@ except ImportError:  # on Windows
     import msvcrt
 
     fcntl = None
+
+
+def read_json(text: str):
+    """What JSON says; a ValueError if it says anything twice, or what JSON has no word for."""
+    return json.loads(text, object_pairs_hook=_once, parse_constant=_refuse_constant)
+
+
+def _once(pairs):
+    if len(pairs) > len(dict(pairs)):
+        raise ValueError("a name stands there twice")
+    return dict(pairs)
+
+
+def _refuse_constant(word):
+    raise ValueError(f"{word} is no number")
 
 
 def folder(path: Path) -> Path:

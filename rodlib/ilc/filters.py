@@ -13,7 +13,7 @@ begins at rest and does not end at zero.
 import reprlib
 import warnings
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -21,6 +21,7 @@ from scipy.signal import BadCoefficients, butter, freqz_sos, sosfilt, sosfilt_zi
 
 from rodlib.ilc import arguments
 
+KEPT = 300_000  # numbers, of which time_shifts keeps four times as many at most
 ENDS = {  # the modes of numpy.pad, before the trial and after it
     "zero": ("constant", "constant"),
     "hold": ("edge", "edge"),
@@ -193,10 +194,19 @@ class LearningFilter:
 
 def time_shifts(angles, order) -> np.ndarray:
     """z, z^2, ..., z^order for z = exp(j angles), in long doubles, shape (n, order)."""
+    angles = np.asarray(angles, dtype=float)
+    shifts = _kept_shifts if angles.size * order <= KEPT else _kept_shifts.__wrapped__
+    return shifts(angles.tobytes(), order)
+
+
+@lru_cache(maxsize=4)  # a synthesis asks again and again for the same
+def _kept_shifts(angles, order):
     # They are nearly dependent at low frequencies. Without a bound (46) a learning filter has
     # coefficients of 1e9 that all but cancel, and doubles would leave seven digits of its gain.
-    angles = np.asarray(angles, dtype=np.longdouble)
-    return np.exp(1j * np.outer(angles, np.arange(1, order + 1)))
+    angles = np.frombuffer(angles).astype(np.longdouble)
+    z = np.exp(1j * np.outer(angles, np.arange(1, order + 1)))
+    z.flags.writeable = False
+    return z
 
 
 def check_Q(Q) -> None:

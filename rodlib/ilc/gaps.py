@@ -13,6 +13,7 @@ import numpy as np
 from rodlib.ilc.models import frequency_response
 from rodlib.ilc.problem import ROUNDING, Problem
 
+VALUES = ("P", "Q", "omega", "others", "radius", "noise", "switched", "asked")  # by frequency
 LEAST = 1e-6  # gain of P L that is always let be, so that what is left of M_max may be nothing
 
 
@@ -21,7 +22,8 @@ def without_gaps(problem: Problem) -> Problem:
     # But for a delay, a filter of n samples is a polynomial of degree (n - 1) / 2 in exp(i angle).
     # Next to its largest value it falls no faster than the cosine of that degree (M. Riesz).
     known, near = problem.angles, np.pi / (4 * problem.order)
-    coarse = problem.L_max is not None and _reach(known).max() > near
+    bounded = problem.L_max is not None and not problem.everywhere  # where L passes it, see there
+    coarse = bounded and _reach(known).max() > near
     if not coarse and problem.beyond is None:
         return problem
     end = 0 if coarse else known[problem.asked][-1]
@@ -36,17 +38,25 @@ def without_gaps(problem: Problem) -> Problem:
     return problem if problem.beyond is None else _bounded_beyond(problem, near)
 
 
-def refined(problem: Problem, omega) -> Problem:
-    """The problem with M of those plants that are models bounded at further frequencies, too."""
-    # What is known as samples only, or within a radius, is not known there: a model stands for it.
-    omega = np.array(sorted(omega))
-    models = [None if P is None else frequency_response(P, omega) for P in problem.models]
-    known = next(response for response in models if response is not None)
-    P, *others = (known if response is None else response for response in models)
+def refined(problem: Problem, omega, P=None, Q=0) -> Problem:
+    """The problem with its bounds at further frequencies, too.
+
+    There M is that of the plants that are models. What is known as samples only, or within a
+    radius, is not known there: `P`, of all plants, and `Q` stand for it, in the order of the
+    frequencies, or else a model; or nothing, so that L alone is bounded.
+    """
+    omega, models = np.sort(omega), {}
+    if problem.butterworth is not None:
+        models = {k: model for k, model in enumerate(problem.models) if model is not None}
+    known = {k: frequency_response(model, omega) for k, model in models.items()}
+    if P is None:
+        P = np.array([next(iter(known.values()), 0 * problem.P[:1])] * len(problem.models))
+    if known:
+        Q = problem.butterworth.frequency_response(omega)
+    for k, response in known.items():
+        P[k] = response
     problem, new = _with(problem, omega)
-    problem.P[new], problem.Q[new] = P, problem.butterworth.frequency_response(omega)
-    if others:
-        problem.others[:, new] = others
+    problem.P[new], problem.others[:, new], problem.Q[new] = P[0], P[1:], Q
     return problem
 
 
@@ -60,15 +70,15 @@ def _with(problem, omega):
     """The problem with further frequencies, where all stands as zero, and which those are."""
     order = np.argsort(np.append(problem.omega, omega), kind="stable")
     new, wide = order >= len(problem.omega), {}
-    for name in ("P", "Q", "omega", "others", "radius", "noise", "switched", "asked"):
+    unbounded = {"limit_L": np.inf, "share_L": 1}
+    for name in (*VALUES, *unbounded):
         values, axis = getattr(problem, name), int(name == "others")
         if values is not None:
             shape = (*values.shape[:axis], len(new), *values.shape[axis + 1 :])
-            wide[name] = np.zeros(shape, dtype=values.dtype)
+            wide[name] = np.full(shape, unbounded.get(name, 0), dtype=values.dtype)
             wide[name][(slice(None),) * axis + (~new,)] = values
     wide["omega"][new] = omega
-    free = {"share_L": np.ones(len(new)), "limit_L": np.full(len(new), np.inf)}
-    return replace(problem, **wide, **free), new
+    return replace(problem, **wide), new
 
 
 def _bounded_beyond(problem, near):

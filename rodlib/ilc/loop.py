@@ -74,6 +74,11 @@ class CurrentTrialLoop:
         return _learned(self)
 
     @property
+    def commands(self) -> list[str]:
+        """Names of what is sent to the actuators: the controls."""
+        return self.controls
+
+    @property
     def static_gain(self) -> np.ndarray:
         """P at frequency zero: the observer integrates, so that it is I for any plant."""
         return np.eye(len(self.outputs))
@@ -236,6 +241,11 @@ class ClosedLoop:
         return _learned(self) if self.P is None else self.P.input_labels
 
     @property
+    def commands(self) -> list[str]:
+        """Names of what is sent to the rig: w."""
+        return self.references
+
+    @property
     def static_gain(self) -> None:
         """P at frequency zero, of which nothing is known but what was measured."""
         return None
@@ -272,13 +282,11 @@ def check_loop(loop) -> Loop:
 
 def _known(P, name="P"):
     """A stable model from w to y."""
-    try:
-        P = sampled_plant(P)
-    except ValueError as error:
-        raise ValueError(f"{name} must be a model from w to y: {error}") from None
+    P = sampled_plant(P, name)
     arguments.stable(name, P.poles())
     if P.ninputs != P.noutputs:
-        raise ValueError(f"{name} has {P.ninputs} inputs and {P.noutputs} outputs: w is as y")
+        what = f"{name} has {P.ninputs} inputs and {P.noutputs} outputs: w is as y"
+        raise ValueError(f"{what}; of more outputs, learn on combinations({name})")
     return P
 
 

@@ -187,33 +187,35 @@ def refuse_foreign(name: str, value) -> None:
         raise ValueError(f"{name} = {reprlib.repr(value)} is a {kind}, and no model: {remedy}")
 
 
-def sampled_plant(plant: control.StateSpace | control.TransferFunction) -> control.StateSpace:
+def sampled_plant(
+    plant: control.StateSpace | control.TransferFunction, name: str = "plant"
+) -> control.StateSpace:
     """A plant in discrete time as a state-space model; realises a transfer function."""
-    refuse_foreign("plant", plant)
+    refuse_foreign(name, plant)
     if not isinstance(plant, control.TransferFunction):
-        arguments.state_space("plant", plant)
+        arguments.state_space(name, plant)
     if not (plant.isdtime(strict=True) and plant.dt is not True):
         raise ValueError(
-            f"plant.dt = {plant.dt!r} must be a sampling period in seconds: sample the plant first"
+            f"{name}.dt = {plant.dt!r} must be a sampling period in seconds: sample the plant first"
         )
     names = [*plant.output_labels, *plant.input_labels]
     if len(set(names)) < plant.noutputs + plant.ninputs:
-        raise ValueError(f"plant has the signals {names}: each needs a name of its own")
-    return _realised(plant) if isinstance(plant, control.TransferFunction) else plant
+        raise ValueError(f"{name} has the signals {names}: each needs a name of its own")
+    return _realised(plant, name) if isinstance(plant, control.TransferFunction) else plant
 
 
-def _realised(plant):
+def _realised(plant, called):
     """Realise each entry of a transfer function, then keep the states that all of them need."""
     shape = (plant.noutputs, plant.ninputs)
     entries = []
     for i, j in np.ndindex(shape):
         numerator, denominator = (
-            np.trim_zeros(arguments.row(f"plant.{name}", polynomials[i][j]), "f")
+            np.trim_zeros(arguments.row(f"{called}.{name}", polynomials[i][j]), "f")
             for name, polynomials in (("num", plant.num), ("den", plant.den))
         )
         if len(numerator) > len(denominator):
             raise ValueError(
-                f"plant has more zeros than poles from {plant.input_labels[j]} to "
+                f"{called} has more zeros than poles from {plant.input_labels[j]} to "
                 f"{plant.output_labels[i]}: it would have to look ahead. Delay it"
             )
         entries.append(control.ss(control.tf(plant.num[i][j], plant.den[i][j], plant.dt)))

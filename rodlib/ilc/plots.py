@@ -70,7 +70,7 @@ def _of_design(plt, design):
 
 
 def _of_trials(plt, trials):
-    signals_of(trials)  # which checks that it has all that trials have
+    signals_of(trials, "reference", "v")  # which checks that it has all that trials have
     errors, rows = rms_by_trial(trials.e), [*_rows(trials)]
     figure, axes = _axes(plt, len(errors.columns) + len(rows))
     for ax, (label, values) in zip(axes, errors.items(), strict=False):

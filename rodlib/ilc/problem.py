@@ -35,18 +35,19 @@ class Problem:
     asked: np.ndarray  # (n,), bool: False where only L is bounded; P and Q stand as zero there
     limit_L: np.ndarray  # (n,): bound on sigma_max(L) beside L_max, see `weight`; infinite if none
     share_L: np.ndarray  # (n,): of L_max that L may have at a sample, so that it keeps it between
+    band: tuple[float, float]  # over which "sum" sums, rad/s
+    L_max: float | None  # bound on sigma_max(L)
     order: int = 10  # number of samples that the learning filter looks ahead
     M_max: float = 0.9  # bound on sigma_max(M)
-    L_max: float | None = 50.0  # bound on sigma_max(L)
-    band: tuple[float, float] = (1e-4, 0.02)  # over which "sum" sums, rad/s
     structure: str = "diagonal"  # or "full"
     objective: str = "sum"  # or "peak"; or "gain": the least sigma_max(L), in units of L_max
     radius: np.ndarray | None = None  # (n,): the bounds hold for all P + Delta, ||Delta|| <= radius
     noise: np.ndarray | None = None  # (n, m): weights of what learning from noise costs
-    basis: tuple[str, ...] = ()  # what P and its radius rest on, if they were measured
+    basis: tuple[str, ...] = ()  # what nobody gave; what a measured P and its radius rest on
     switched: np.ndarray | None = None  # (n, m, m): in the place of Q P, if noise begins at a start
     beyond: float | None = None  # sigma_max(P) is at most that above the last sample; None if known
     findings: tuple[str, ...] = ()  # what the statement itself leaves in doubt
+    everywhere: bool = False  # whether the bounds shall hold between the frequencies omega, too
     doubts: tuple[str, ...] = ()  # what samples of P and Q show to be likely mistakes
 
     @property

@@ -5,8 +5,10 @@ from collections.abc import Sequence
 
 import numpy as np
 import xarray as xr
+from tqdm import tqdm
 
 from rodlib.ilc import arguments
+from rodlib.ilc.actuators import Actuators
 from rodlib.ilc.filters import (
     LearningOperator,
     ZeroPhaseButterworth,
@@ -17,6 +19,7 @@ from rodlib.ilc.filters import (
 from rodlib.ilc.loop import ClosedLoop, Loop, check_loop, with_noise
 from rodlib.ilc.models import state_sequence
 from rodlib.ilc.watch import Course, rates_of
+from rodlib.ilc.within_limits import commands_of, projected, realised
 
 
 def run_trials(
@@ -33,6 +36,7 @@ def run_trials(
     rest: int = 0,
     step=1.0,
     v=None,
+    limits: dict[str, tuple[float, ...]] | None = None,
 ) -> xr.Dataset:
     """Simulate trials of the loop (19) under the ILC law (22), (23).
 
@@ -66,6 +70,9 @@ def run_trials(
         Of :func:`rodlib.update`, in (0, 1], or one from each trial to the next.
     v : array_like, shape (time, m), optional
         ILC signal of the first trial. Default zero.
+    limits : dict, optional
+        Of the actuators, as for :func:`rodlib.update_within`, by which v then follows from trial to
+        trial. Commands are cut off at them, and the observer is told. Default: there are none.
 
     Returns
     -------
@@ -74,7 +81,7 @@ def run_trials(
         and e = reference - y, the error that the controller sees. Each has the dimensions trial
         (1, 2, ...), time (s), and channel (1, 2, ...) or source, and its unit as an attribute; the
         channels have the coordinates output, control, output_unit and control_unit. Of a
-        ClosedLoop there are no u and delta.
+        ClosedLoop there are no u and delta. With limits, applied is what they leave of u.
 
     Warns
     -----
@@ -82,21 +89,28 @@ def run_trials(
         If the trials show that they do not converge, see :mod:`rodlib.ilc.watch`.
     """
     check_law(loop, Q, L)
-    simulate, n, nx = _simulation(loop, plant)
+    actuators = None if limits is None else Actuators.of("limits", limits, loop)
+    simulate, n, nx = _simulation(loop, plant, actuators)
     trials = arguments.whole("trials", trials, 1)
     r = each_trial("reference", reference, trials, "time", loop.outputs)
     shape = trials, samples, _ = r.shape
     rest = arguments.whole("rest", rest, 0, samples - 1)
     d = np.zeros((samples, len(loop.disturbances))) if disturbance is None else disturbance
     d = each_trial("disturbance", d, trials, samples, loop.disturbances)
-    noise = np.zeros(shape) if noise is None else in_columns("noise", noise, shape, loop.outputs)
+    noise = (
+        np.zeros(shape)
+        if noise is None
+        else arguments.in_columns("noise", noise, shape, loop.outputs)
+    )
     chi = np.zeros(nx)
     if initial_state is not None:
         chi[:n] = arguments.array("initial_state", initial_state, (n,))
-    first = np.zeros(shape[1:]) if v is None else in_columns("v", v, shape[1:], loop.outputs)
+    first = (
+        np.zeros(shape[1:]) if v is None else arguments.in_columns("v", v, shape[1:], loop.outputs)
+    )
     first[samples - rest :] = 0
 
-    v, y, made = np.zeros(shape), np.zeros(shape), []
+    v, y, made, steps = np.zeros(shape), np.zeros(shape), [], _steps(step, trials)
 
     def run(k, v_k):
         v[k] = v_k
@@ -105,11 +119,24 @@ def run_trials(
         made.append(more)
         return r[k] - y[k] - noise[k]
 
-    errors = learn(run, first, Q, L, trials, rest, _steps(step, trials))
+    def following(k, v_k, e_k):
+        if L is None:
+            return v_k
+        if actuators is None:
+            return update(v_k, e_k, Q, L, rest, steps[k])
+        return projected(v_k, e_k, commands(k), Q, L, loop, actuators, rest, steps[k])
+
+    def commands(k):
+        return commands_of(loop, actuators, r[k] + v[k], made[k].get("u"), made[k].get("applied"))
+
+    errors = learn(run, first, following, trials)
     if L is not None:
         P, names = loop.P, loop.outputs
         units, rates = [loop.units[name] for name in names], rates_of(P, Q, L)
-        course = Course(v, errors, r, names, units, 1, None if plant is None else P, *rates)
+        if actuators is not None:
+            learned = np.stack([realised(loop, v[k], *commands(k)) for k in range(trials)])
+        given = v if actuators is None else learned, errors, r, names, units, 1
+        course = Course(*given, None if plant is None else P, *rates)
         for finding in course.all_findings().values():
             warnings.warn(finding, stacklevel=2)
     more = {name: np.array([trial[name] for trial in made]) for name in made[0]}
@@ -119,7 +146,7 @@ def run_trials(
     )  # fmt: skip
 
 
-def _simulation(loop, plant):
+def _simulation(loop, plant, actuators):
     """What makes a trial of w, d and noise, and the numbers of the plant's and of all states."""
     if isinstance(loop, ClosedLoop):
         P = loop.model(plant)
@@ -127,6 +154,7 @@ def _simulation(loop, plant):
         def answer(w, d, noise, x):
             if d.any():
                 raise ValueError("disturbance is not zero, but loop.P says nothing of disturbances")
+            w = w if actuators is None else actuators.follow(w)
             return state_sequence(P.A, w @ P.B.T, x) @ P.C.T + w @ P.D.T, {}
 
         return answer, P.nstates, P.nstates
@@ -136,39 +164,49 @@ def _simulation(loop, plant):
     B, E, K = np.split(closed.B, [m, -m], axis=1)
     D, F, _ = np.split(closed.D, [m, -m], axis=1)
 
+    def asked(w, states):
+        return w @ loop.N.T - states[..., n:-m] @ loop.Ks.T - states[..., -m:]  # (18)
+
     def simulate(w, d, noise, chi):
-        states = state_sequence(closed.A, w @ B.T + d @ E.T + noise @ K.T, chi)  # (19)
-        x_hat, delta = states[:, n:-m], states[:, -m:]
-        u = w @ loop.N.T - x_hat @ loop.Ks.T - delta  # (18)
-        return states @ closed.C.T + w @ D.T + d @ F.T, {"u": u, "delta": delta}
+        others = d @ E.T + noise @ K.T
+        states = state_sequence(closed.A, w @ B.T + others, chi)  # (19)
+        u, more = asked(w, states), {}
+        if actuators is not None:
+            if not actuators.can(u):
+                w, u = cut_off(w, others, chi)
+                states = state_sequence(closed.A, w @ B.T + others, chi)
+            more["applied"] = actuators.follow(u)
+        more |= {"u": u, "delta": states[:, -m:]}
+        return states @ closed.C.T + w @ D.T + d @ F.T, more
+
+    def cut_off(w, others, chi):
+        """The w with which the loop asks for what the actuators follow, and what it asked for."""
+        done, u, before = w.copy(), np.empty_like(w), None
+        for p in range(len(w)):
+            u[p] = asked(w[p], chi)
+            before = actuators.next(u[p], before)
+            done[p] = realised(loop, w[p], u[p], before)
+            chi = closed.A @ chi + B @ done[p] + others[p]
+        return done, u
 
     return simulate, n, closed.nstates
 
 
-def learn(run, v, Q, L, trials, rest=0, steps=None) -> np.ndarray:
-    """Errors of all trials under the law (23); run(k, v) makes that of trial k, 0 the first."""
+def learn(run, v, following, trials) -> np.ndarray:
+    """Errors of all trials; run(k, v) makes that of trial k, following(k, v, e) the next v."""
     errors = [run(0, v)]
-    for k in range(1, trials):
-        if L is not None:
-            v = update(v, errors[-1], Q, L, rest, 1.0 if steps is None else steps[k - 1])
+    for k in tqdm(range(1, trials), "trials", delay=3, disable=None):
+        v = following(k - 1, v, errors[-1])
         errors.append(run(k, v))
     return np.array(errors)
 
 
 def each_trial(name, signal, trials, samples, names):
     """A signal of all trials, or of each, with the trial as the first axis."""
-    signal = in_columns(name, signal, (...,), names)
+    signal = arguments.in_columns(name, signal, (...,), names)
     shape = (samples, len(names))
     signal = arguments.array(name, signal, shape if signal.ndim < 3 else (trials, *shape))
     return np.broadcast_to(signal, (trials, *signal.shape[-2:]))
-
-
-def in_columns(name, signal, shape, names):
-    """An array with a column for each name, by names if it has some; one needs no second axis."""
-    signal = arguments.array(name, arguments.in_order(name, signal, names), (...,))
-    if signal.ndim == len(names) == 1:
-        signal = signal[:, None]
-    return arguments.array(name, signal, shape)
 
 
 def _steps(step, trials):
@@ -196,10 +234,12 @@ def dataset(
     controls: Sequence[str],
     sources: Sequence[str],
     units: dict[str, str],
+    sensors: Sequence[str] = (),
     **signals,
 ) -> xr.Dataset:
     """Put the signals that :func:`run_trials` returns together, with coordinates and units."""
-    signals["e"] = signals["reference"] - signals["y"]
+    if "reference" in signals:
+        signals["e"] = signals["reference"] - signals["y"]
     trials, samples, m = signals["y"].shape
     coordinates = {
         "trial": np.arange(1, trials + 1),
@@ -209,8 +249,9 @@ def dataset(
     variables = {}
     for kind, dimension, names, members in (
         ("output", "channel", outputs, ("reference", "v", "y", "e")),
-        ("control", "channel", controls, ("u", "delta")),
+        ("control", "channel", controls, ("u", "applied", "delta")),
         ("source", "source", sources, ("disturbance",)),
+        ("sensor", "sensor", sensors, ("measured",)),
     ):
         if not len(names) or signals.keys().isdisjoint(members):
             continue

@@ -19,6 +19,14 @@ def understood(name: str, label):
         ) from None
 
 
+def is_known(label: str) -> bool:
+    """Whether pint knows a unit."""
+    try:
+        return understood("", label) is not None
+    except ValueError:
+        return False
+
+
 def check(name: str, labels: dict[str, str]) -> None:
     """Check the units of signals, a dict by their names; `name` is that of the dict."""
     for signal, label in labels.items():

@@ -1,8 +1,9 @@
 """Whether trials converge, told from their signals: what speaks against it is a finding, in words.
 
-Three things are watched: the error, which shall not grow; v, which shall not grow while the error
-stays; and the outputs, which shall follow v as the loop's model says. What noise does is told from
-the trials themselves: in a converged experiment their errors are independent and alike.
+Four things are watched: the error, which shall not grow; v, which shall not grow while the error
+stays; the outputs, which shall follow v as the loop's model says; and the rate at each frequency,
+which shall be no more than was promised. What noise does is told from the trials themselves: in a
+converged experiment their errors are independent and alike.
 """
 
 from collections.abc import Sequence
@@ -31,6 +32,8 @@ STANDARD = 3.0  # standard deviations of that share
 LEARNED = 5.0  # times the noise of one trial, that learning may make of it: see `_loudest`
 ROUNDING = 1e-9  # of the largest signal
 GRID = 200  # frequencies at which the rate of the model is asked for
+BREAKS = 0.05  # of the error: by how much more must be left in an octave than was promised
+BACK = 6  # trials in which a rate is compared with the noise of the later ones
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,11 +49,13 @@ class Course:
     P: control.StateSpace | None = None  # what the outputs shall follow v by; None: not known
     rate: float | None = None  # max sigma(M) of the model with this law, if known
     turned: float | None = None  # and with -L
+    sigma: np.ndarray | None = None  # omega Ts and sigma_max(M) there, as two rows
 
     def findings(self, k: int = -1) -> dict[str, str]:
         """What the trial with the index k says, with those before it, by kind."""
         k = range(len(self.v))[k]
         found = {"error": self._grows(k), "v": self._walks(k), "model": self._contradicts(k)}
+        found["rate"] = self._breaks_its_promise(k)
         return {kind: text for kind, text in found.items() if text}
 
     def all_findings(self) -> dict[str, str]:
@@ -185,8 +190,7 @@ class Course:
         x = np.sqrt(np.mean(self.e[[k - 1, k]] ** 2, axis=1))
         if not np.any(x[1] > STAYS * x[0]):
             return shares
-        states = state_sequence(self.P.A, change @ self.P.B.T, np.zeros(self.P.nstates))
-        foretold = states @ self.P.C.T + change @ self.P.D.T
+        foretold = self._answer(change)
         y = self.reference[[k - 1, k]] - self.e[[k - 1, k]]
         moved = y[1] - y[0]
         for i in np.flatnonzero(x[1] > STAYS * x[0]):
@@ -199,6 +203,97 @@ class Course:
             if share + STANDARD * deviation < FOLLOWS:
                 shares[i] = share
         return shares
+
+    def _answer(self, change):
+        """What a change of w does to the outputs, by the model."""
+        states = state_sequence(self.P.A, change @ self.P.B.T, np.zeros(self.P.nstates))
+        return states @ self.P.C.T + change @ self.P.D.T
+
+    def reached(self, k: int, channels=slice(None)) -> dict[str, np.ndarray]:
+        """By octaves, up to `frequency` (rad/s): what trial k + 1 has of the error of trial k.
+
+        `promised` is sigma_max(M), for endless trials; `foretold` is what the model makes of the v
+        that was recorded, ends included; `noise` the share of white noise, as large as neighbours
+        in time differ; `before` is the RMS of the error of trial k.
+        """
+        moved = np.diff((self.reference + self.v)[k : k + 2], axis=0)[0]
+        foretold = self.e[k] + self.reference[k + 1] - self.reference[k] - self._answer(moved)
+        signals = np.stack([self.e[k], foretold, self.e[k + 1]])[..., channels]
+        before, *after = amplitudes(signals)
+        edges = np.append(octaves(len(moved)), len(moved) // 2 + 1) * 2 * np.pi / len(moved)
+        promised = self._promised(edges)
+        white = np.linalg.norm(noise_of(self.e[k + 1][:, channels]))
+        noise = white * np.sqrt(np.diff(edges) / edges[-1])
+        before = np.maximum(before, np.finfo(float).tiny)
+        shares = dict(zip(("foretold", "reached", "noise"), (*after, noise) / before, strict=True))
+        return {"frequency": edges[1:] / self.P.dt, "before": before, "promised": promised} | shares
+
+    def _promised(self, edges):
+        """The largest sigma_max(M) in each octave of omega Ts."""
+        within = np.geomspace(np.maximum(edges[:-1], self.sigma[0, 0]), edges[1:], 9)
+        return np.interp(within, *self.sigma).max(axis=0)
+
+    def _breaks_its_promise(self, k):
+        """Falls less than promised, by more than noise, which is how the last trials differ."""
+        start = max(self._alike(k), k - BACK)
+        if self.P is None or self.sigma is None or k < start + 4:
+            return None
+        for channels in self._groups():
+            e = self.e[start : k + 1][:, :, channels]
+            e = e / max(np.abs(e).max(), np.finfo(float).tiny)
+            x, total = amplitudes(e), size(e)
+            changed = np.diff(e, axis=0).swapaxes(1, 2)[..., None]  # each channel by itself
+            power = power_of(changed) / 2  # if it was noise, that of one trial
+            noise = by_octave(power.sum(axis=1))
+            squares = by_octave((power[-1] ** 2).sum(axis=0)) + ROUNDING**4
+            freedom = np.maximum(2, 2 * noise[-1] ** 2 / squares)
+            for i in range(k - start - 3):
+                if not np.any(x[i + 1] > BREAKS * total[i]):
+                    continue
+                of = self.reached(start + i, channels)
+                excess = x[i + 1] - np.maximum(of["promised"], of["foretold"]) * x[i]
+                later = noise[i + 2 :][-3:]
+                ratio = np.maximum(excess, 0) ** 2 / (later.mean(axis=0) + ROUNDING**2)
+                chance = fdtrc(freedom, freedom * (len(later) + 1) / 2, ratio) * len(ratio)
+                broken = (chance < SURE) & (excess > BREAKS * total[i]) & (x[i + 1] < x[i])
+                if broken.any():
+                    return self._slowly(start + i, np.argmax(broken * excess), channels)
+        return None
+
+    def _slowly(self, k, octave, channels):
+        """What is said of a rate that is not the one promised."""
+        of = {name: values[octave] for name, values in self.reached(k, channels).items()}
+        return (
+            f"the rate is not the promised one: up to {of['frequency']:.2g} rad/s, trial "
+            f"{self.first + k + 1} has {of['reached']:.2f} of the error{self._named(channels)} of "
+            f"the one before; the loop's model foretells {of['foretold']:.2f}, sigma_max(M) is "
+            f"{of['promised']:.2f} at most, and noise is less. If nothing new disturbed it, the "
+            "plant is another: measure P (shake), or expect what was reached"
+        )
+
+
+def octaves(samples: int) -> np.ndarray:
+    """The first harmonic of each octave of a trial's spectrum: 0, 2, 4, 8, ..."""
+    return np.append(0, 2 ** np.arange(1, (samples // 2).bit_length()))
+
+
+def power_of(signals) -> np.ndarray:
+    """Mean square of signals (..., time, channel) at each harmonic, summed over the channels."""
+    samples = signals.shape[-2]
+    power = np.sum(np.abs(np.fft.rfft(signals, axis=-2) / samples) ** 2, axis=-1)
+    power[..., 1 : (samples + 1) // 2] *= 2
+    return power
+
+
+def amplitudes(signals) -> np.ndarray:
+    """RMS of signals (..., time, channel) in each octave, summed over the channels."""
+    largest = max(np.abs(signals).max(), np.finfo(float).tiny)
+    return largest * np.sqrt(by_octave(power_of(signals / largest)))
+
+
+def by_octave(lines) -> np.ndarray:
+    """Sums of what stands at the harmonics, octave by octave."""
+    return np.add.reduceat(lines, octaves(2 * lines.shape[-1] - 2), axis=-1)
 
 
 def size(signals) -> np.ndarray:
@@ -233,10 +328,12 @@ def by_noise(ratio, freedom, rises=None) -> float:
     return min(1.0, rises * (rises + 1) * exceeds) / factorial(min(rises + 1, 100))
 
 
-def rates_of(P: control.StateSpace, Q, L) -> tuple[float, float]:
-    """max sigma(M) of a model with a law, on a grid of frequencies, and with -L; Lemma 1."""
-    omega = np.geomspace(1e-4, 1, GRID) * np.pi / Q.Ts
-    responses = frequency_response(P, omega), Q.frequency_response(omega)
-    L = L.frequency_response(omega)
-    M = (convergence_matrix(*responses, response) for response in (L, -L))
-    return tuple(float(largest_singular_values(each).max()) for each in M)
+def rates_of(P: control.StateSpace, Q, L) -> tuple[float, float, np.ndarray]:
+    """max sigma(M) of a model with a law, and with -L; and where: omega Ts, sigma(M). Lemma 1."""
+    grid = np.geomspace(1e-4, 1, GRID) * np.pi
+    responses = frequency_response(P, grid / Q.Ts), Q.frequency_response(grid / Q.Ts)
+    L = L.frequency_response(grid / Q.Ts)
+    M, turned = (
+        largest_singular_values(convergence_matrix(*responses, response)) for response in (L, -L)
+    )
+    return float(M.max()), float(turned.max()), np.stack([grid, M])

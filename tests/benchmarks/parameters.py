@@ -41,6 +41,10 @@ SETTINGS = {
     "10": [{"trials": 1}, {"trials": 2, "hours": 3.0}, {"amplitude": 2.0, "frequencies": 150}],
     "11": [{"trials": 2}, {"rest": 0, "seed": 2}, {"trials": 3, "rest": 40}],
     "12": [{"M_max": 0.85}, {"percent": 60.0}, {"L_max": 5.0}],
+    "13": [{"trials": 3}, {"drawn": 20, "seed": 2}, {"cutoff": 0.08, "rest": 40}],
+    "14": [{"limit": 24.0, "trials": 4}, {"trials": 5, "rest": 0}, {"limit": 16.0, "trials": 4}],
+    "15": [{"trials": 2, "cells": 48}, {"heat": 0.0}, {"M_max": 0.6, "L_max": 200.0}],
+    "16": [{"trials": 2}, {"trials": 3, "resistance": 0.5}, {"trials": 4, "stronger": 12.0}],
 }
 SENTENCES = {"ValueError", "InfeasibleError"}
 WAYS = ("to the end", "in a sentence", "in a traceback")

@@ -19,7 +19,6 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import control
 import numpy as np
 from kinds import KINDS, DeadError, driver
 
@@ -32,7 +31,7 @@ from rodlib import (
     zero_phase_butterworth,
 )
 from rodlib.ilc.files import write_whole
-from rodlib.ilc.laboratory import MeasuredResponse, RigError, replay_of
+from rodlib.ilc.laboratory import RigError, replay_of
 from rodlib.ilc.laboratory.report import summary
 from rodlib.ilc.trials import rms
 from rodlib.paper.ledger import splice
@@ -59,22 +58,10 @@ SAYS = {  # what a warning or an error says, in a word or two
 
 
 def law_of(kind):
-    """Q and the design, by the paper's choices carried over by Ts and P, as the workbench does."""
-    Ts, known = kind.loop.Ts, kind.loop if kind.P is None else kind.P
-    Q, omega, at = zero_phase_butterworth(2, kind.cutoff, Ts), OMEGA / Ts, [kind.cutoff]
-    if isinstance(known, control.FrequencyResponseData):
-        omega = known.omega
-        P = known.frdata[..., np.abs(omega - kind.cutoff).argmin()]
-    elif isinstance(known, MeasuredResponse):
-        P = known.on(at)[0][0]
-    else:
-        P = known.frequency_response(at)[0]
-    choices = {
-        "order": 20,
-        "L_max": float(f"{2.5 / np.linalg.norm(P, 2):.1g}"),
-        "band": (max(omega[0], kind.cutoff / 100), kind.cutoff / 5),
-    }
-    return Q, synthesise(known, Q, omega, Ts, **choices | kind.options)
+    """Q and the design, with what the toolbox chooses by itself."""
+    known = kind.loop if kind.P is None else kind.P
+    Q = zero_phase_butterworth(2, kind.cutoff, kind.loop.Ts)
+    return Q, synthesise(known, Q, **{"order": 20} | kind.options)
 
 
 def rate_on_the_rig(kind, design):

@@ -53,7 +53,7 @@ def test_latency(reader):
         computed.append(spent(process) - start)
         if not reader.python.strip():  # from one reason to the same there is no new picture
             infeasible += 1
-            reader.choose("plant", "a log")
+            reader.choose("plant", "a log or a table")
             reader.choose("plant", "the rod")
             structures = ["diagonal", "full"]
     for name, values in (("wait", np.array(waited) / 1000), ("processor", np.array(computed))):

@@ -37,7 +37,7 @@ def run(lines):
 @pytest.fixture
 def first(reader, paper):
     """The paper's choice, whatever was before."""
-    reader.choose("plant", "a log")
+    reader.choose("plant", "a log or a table")
     reader.choose("plant", "the rod")
     return paper
 
@@ -142,10 +142,10 @@ def test_nonsense_in_a_field_does_no_harm(reader, paper):
 
 
 def test_a_log_is_a_plant(reader, shots):
-    reader.choose("plant", "a log")
+    reader.choose("plant", "a log or a table")
     found = run(reader.python)["design"]
     assert not found.certificate.failures
-    reader.after(reader.type, "path of the log", "no/such/file.csv")
+    reader.after(reader.type, "path of the file", "no/such/file.csv")
     assert reader.python.strip() == ""
     reader.choose("plant", "the rod")
     assert "Rod(density=7000.0)" in reader.python

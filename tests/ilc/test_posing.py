@@ -151,3 +151,17 @@ def test_scale_weighs_the_channels():
 def test_what_does_not_fit_is_refused(changes, message):
     with pytest.raises(ValueError, match=message):
         pose(**{"P": coupled(), "Q": Q, "omega": OMEGA, "Ts": 1.0, "band": BAND} | changes)
+
+
+@pytest.mark.parametrize(
+    ("dead", "message"),
+    [
+        (np.s_[:, 1, :], "output 1 answers to none"),
+        (np.s_[:, :, 0], "no output answers to w 0"),
+    ],
+)
+def test_a_dead_channel_is_named(dead, message):
+    P = SAMPLES.copy()
+    P[dead] = 0
+    with pytest.raises(ValueError, match=f"P is singular at omega = 0.001 rad/s .* {message}"):
+        pose(P, Q, OMEGA, 1.0)

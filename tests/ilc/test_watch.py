@@ -23,7 +23,16 @@ from rodlib import (
 )
 from rodlib.ilc.laboratory import Controller
 from rodlib.ilc.trials import rms
-from rodlib.ilc.watch import SURE, Course, by_noise, freedom_of, rates_of
+from rodlib.ilc.watch import (
+    SURE,
+    Course,
+    amplitudes,
+    by_noise,
+    freedom_of,
+    octaves,
+    rates_of,
+    size,
+)
 from rodlib.paper import published
 
 PUMPS = ["pump A", "pump B", "pump C"]
@@ -75,6 +84,8 @@ def test_ordinary_trials_are_no_news(laws, seed):
     push = np.broadcast_to(10 ** rng.uniform(-2, 0.5) * push, (trials, samples, d))
     made = {"plant": plants[rng.integers(len(plants))], "step": rng.choice([1.0, 0.5, 0.2])}
     with warnings.catch_warnings(action="error"):
+        if made["plant"] is not None:  # there it is no false report
+            warnings.filterwarnings("ignore", "the rate is not the promised one")
         run_trials(loop, Q, L, bump(samples, amplitude), push, trials, noise=noise, **made)
 
 
@@ -190,3 +201,64 @@ def test_what_learning_makes_of_noise_is_no_divergence(laws):
         zero = np.zeros((2500, 2))
         run = run_trials(paper, zero_phase_butterworth(), loud, zero, None, 10, noise=white)
     assert rms(run.e).values[-1] > rms(run.e).values[0]
+
+
+@pytest.mark.parametrize("samples", [2, 3, 4, 5, 64, 65, 600, 1023])
+def test_octaves_share_all_that_there_is(samples):
+    signals = np.random.default_rng(samples).standard_normal((3, samples, 2))
+    shared = amplitudes(1e200 * signals)
+    assert shared.shape == (3, len(octaves(samples)))
+    np.testing.assert_allclose(np.linalg.norm(1e-200 * shared, axis=1), size(signals), rtol=1e-12)
+    wave = np.cos(2 * np.pi * np.arange(samples) / samples)[None, :, None]
+    assert amplitudes(wave).argmax() == 0 and not amplitudes(0 * wave).any()
+
+
+def test_the_rate_that_was_reached_is_that_of_the_true_plant_and_foretold_that_of_the_model():
+    """Far from the ends e_2 = (M + 1 - Q) e_1, frequency by frequency, as for endless trials."""
+    loop, plant = current_trial_loop(furnace(5), None, {"valve": 0.1}), another_furnace(0.5, 8)
+    Q = zero_phase_butterworth(2, 0.3, 1.0)
+    L = synthesise(loop, Q, GRID, 1.0, order=15, band=(1e-4, 0.1)).filter
+    samples = 4096
+    reference = np.zeros((samples, 1))
+    reference[1500:2000] = bump(500, [10.0])
+    reference[2200:2260] = bump(60, [5.0])
+    with warnings.catch_warnings(action="ignore"):
+        run = run_trials(loop, Q, L, reference, trials=2, plant=plant)
+    promised = rates_of(loop.P, Q, L)
+    given = run.v.values, run.e.values, run.reference.values, ["outlet"], ["K"], 1, loop.P
+    of = Course(*given, *promised).reached(0)
+    omega = 2 * np.pi * np.arange(1, samples // 2 + 1) / samples
+    power = np.abs(np.fft.rfft(run.e.values[0, :, 0]))[1:] ** 2
+    q, ell = Q.frequency_response(omega), L.frequency_response(omega)[:, 0, 0]
+    for name, of_plant in (("foretold", None), ("reached", plant)):
+        M = q * (1 - loop.frequency_response(omega, of_plant)[:, 0, 0] * ell)
+        for b, (low, high) in enumerate(zip([0, *of["frequency"]], of["frequency"], strict=False)):
+            at = (omega > low * (1 - 1e-9)) & (omega < high * (1 - 1e-9))
+            if of["before"][b] > 1e-3 * of["before"].max():
+                weighed = np.sqrt(np.sum(np.abs(M + 1 - q)[at] ** 2 * power[at]) / power[at].sum())
+                assert of[name][b] == pytest.approx(weighed, rel=0.02, abs=1e-3), (name, b)
+            if of_plant is None:
+                assert of["promised"][b] == pytest.approx(np.abs(M)[at].max(), rel=0.05, abs=1e-3)
+    assert of["reached"][0] > 3 * of["promised"][0]
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_a_rate_that_was_promised_and_not_reached_is_named(laws, noise):
+    """Trials that converge, but slower: nothing else would say that the pumps are weak."""
+    loop, Q, L, amplitude, _ = laws[0]
+    weak = tanks()
+    weak = control.ss(
+        weak.A, 0.5 * weak.B, weak.C, 0, 2.0, inputs=weak.input_labels, outputs=loop.outputs
+    )
+    noise = noise * np.random.default_rng(3).standard_normal((9, 600, 3))
+    made = loop, Q, L, bump(600, amplitude), None, 9
+    with pytest.warns(
+        UserWarning, match=r"rate is not the promised one: up to 0\.0.*trial 2"
+    ) as told:
+        run = run_trials(*made, plant=weak, noise=noise)
+    assert len(told) == 1 and rms(run.e).values[-1] < 0.1 * rms(run.e).values[0]
+    with warnings.catch_warnings(action="error"):
+        run_trials(*made, plant=tanks(), noise=noise)
+        noise[1] += bump(600, [2.0, 1.0, 0.0])  # news in one trial, which is as large at last
+        noise[5] -= bump(600, [1.0, 2.0, 1.0])
+        run_trials(*made, plant=tanks(), noise=noise)

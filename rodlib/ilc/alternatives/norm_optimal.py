@@ -9,8 +9,7 @@ from scipy.sparse import csc_array, eye_array, kron
 from scipy.sparse.linalg import SuperLU, splu
 
 from rodlib.ilc import arguments
-from rodlib.ilc.alternatives.inversion import square
-from rodlib.ilc.models import frequency_response
+from rodlib.ilc.models import frequency_response, sampled_plant
 
 
 @dataclass(frozen=True)
@@ -24,7 +23,8 @@ class NormOptimal:
     Attributes
     ----------
     P : control.StateSpace
-        In discrete time, m inputs and m outputs, stable; acts from rest.
+        In discrete time, stable, from rest. With more outputs p than inputs m, no other change of
+        v leaves less of an error, but for the weight; for the law (23) p and m must be equal.
     weight : float
         Above zero, in the square of the unit of y per unit of w.
     samples : int
@@ -42,7 +42,8 @@ class NormOptimal:
     samples: int
 
     def __post_init__(self):
-        square(self.P)
+        object.__setattr__(self, "P", sampled_plant(self.P, "P"))
+        arguments.stable("P", self.P.poles())
         object.__setattr__(self, "weight", arguments.positive("weight", self.weight))
         object.__setattr__(self, "samples", arguments.whole("samples", self.samples, 1))
 
@@ -53,14 +54,14 @@ class NormOptimal:
 
     @property
     def channels(self) -> int:
-        """Number m of channels."""
+        """Number p of outputs."""
         return self.P.noutputs
 
     def frequency_response(self, omega) -> np.ndarray:
         """(P^H P + weight I)^-1 P^H, to which L tends far from the ends of a long trial."""
         P = frequency_response(self.P, omega)
         adjoint = P.conj().swapaxes(1, 2)
-        return np.linalg.solve(adjoint @ P + self.weight * np.eye(self.channels), adjoint)
+        return np.linalg.solve(adjoint @ P + self.weight * np.eye(self.P.ninputs), adjoint)
 
     @cached_property
     def _factors(self) -> SuperLU:
@@ -82,7 +83,7 @@ class NormOptimal:
         return splu(system, permc_spec="NATURAL")  # samples in turn: pivots stay near the diagonal
 
     def apply(self, signal) -> np.ndarray:
-        """The best change for an error of shape (..., samples, m)."""
+        """The best change, shape (..., samples, m), for an error of shape (..., samples, p)."""
         signal = arguments.array("signal", signal, (..., self.samples, self.channels))
         n, m = self.P.B.shape
         right = np.zeros((*signal.shape[:-1], 2 * n + m))

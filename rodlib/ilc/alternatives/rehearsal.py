@@ -7,7 +7,7 @@ from scipy.fft import irfft, rfft
 
 from rodlib.ilc import arguments
 from rodlib.ilc.evidence import rate
-from rodlib.ilc.filters import LearningOperator, ZeroPhaseButterworth, check_learning
+from rodlib.ilc.filters import LearningOperator, ZeroPhaseButterworth, check_learning, update
 from rodlib.ilc.trials import learn
 
 JUDGED = 500  # lines at which the rate is computed, spaced by their logarithms
@@ -61,7 +61,10 @@ class Rehearsal:
             Pv = self.P @ rfft(v, 2 * samples, axis=0)[..., None]
             return self.alone[k] - irfft(Pv[..., 0], 2 * samples, axis=0)[:samples]
 
-        return learn(run, np.zeros_like(self.alone[0]), self.Q, L, trials, self.rest)
+        def following(k, v, e):
+            return update(v, e, self.Q, L, self.rest)
+
+        return learn(run, np.zeros_like(self.alone[0]), following, trials)
 
     def rms(self, L: LearningOperator) -> np.ndarray:
         """RMS(e_k) of Section IV, shape (trials,)."""

@@ -12,7 +12,7 @@ __getattr__, __dir__, __all__ = lazily(
     {
         "certificate": "Certificate",
         "check": "Check",
-        "convergence": "Rate SpectralRate mean_rate rate rates spectral_rate",
+        "convergence": "Rate SpectralRate mean_rate rate rate_within rates spectral_rate",
         "finite_trial": "trial_map trial_norm trial_operators",
         "noise": """LearnedNoise Spectrum TrialNoise converged_noise noise_bound noise_by_trial
             trial_noise""",

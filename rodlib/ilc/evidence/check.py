@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rodlib.ilc.evidence.peak import estimated_peak, peak_beyond, proven_peak
+from rodlib.ilc.evidence.peak import estimated_peaks, highest, peak_beyond, proven_peaks
 from rodlib.ilc.evidence.robustness import worst_case
 from rodlib.ilc.filters import LearningFilter
 from rodlib.ilc.problem import Problem, tied
@@ -51,9 +51,10 @@ def check(problem: Problem, L: LearningFilter) -> Check:
     response = L.frequency_response(problem.omega)
     each = [problem.M(response, k) for k in range(1 + len(problem.others))]
     radius = np.abs(np.linalg.eigvals(each)).max()
-    estimated, beyond = estimated_peak(problem, L, worst.peaks)[0], peak_beyond(problem, L)
+    estimated = highest(estimated_peaks(problem, L, worst.peaks))
+    beyond = peak_beyond(problem, L)
     gamma, omega = worst.sigma.max(), problem.omega[tied(worst.sigma).argmax()]
-    for peak in (proven_peak(problem, L), estimated, beyond):
+    for peak in (highest(proven_peaks(problem, L)), estimated, beyond):
         if peak is not None and peak.sigma > gamma * (1 + 1e-8):
             gamma, omega = peak.sigma, peak.omega
     within = problem.radius is not None

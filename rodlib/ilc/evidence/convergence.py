@@ -11,7 +11,7 @@ import numpy as np
 
 from rodlib.ilc import arguments
 from rodlib.ilc.filters import LearningOperator, check_learning
-from rodlib.ilc.posing import Q_on_grid, on_grid, plants
+from rodlib.ilc.plants import Q_on_grid, on_grid, plants
 from rodlib.ilc.problem import convergence_matrix, largest_singular_values, tied
 
 TOGETHER = 5000  # matrices at once: what fits into the processor's cache
@@ -34,6 +34,25 @@ def rate(P, Q, L: LearningOperator, omega) -> Rate:
     sigma = rates(P, Q, L, omega)
     where = np.asarray(omega)[tied(sigma.T).argmax(axis=0)]
     return Rate(sigma.max(axis=-1), where)
+
+
+def rate_within(P, Q, L: LearningOperator, omega, weight: float = 0.01) -> Rate:
+    """The rate of :func:`rodlib.update_within`, in whose metric limits make nothing more distant.
+
+    The largest sigma_max(W^(1/2) Q (I - L P) W^(-1/2)) with W = P^H P + weight I: by so much the
+    root of ||P d||^2 + weight ||d||^2, d the distance of v from where it ends, shrinks from trial
+    to trial, at least. For small weights, the gamma of :func:`rate`. Of one plant, for endless
+    trials, and limits that are met as the model says.
+    """
+    weight, omega = arguments.positive("weight", weight), np.asarray(omega)
+    rate(P, Q, L, omega)  # which checks them
+    (response,), q = on_grid(plants(P), omega, L.Ts)[1], Q_on_grid(Q, omega, L=L.Ts)[1]
+    I = np.eye(response.shape[1])  # noqa: E741
+    W = response.conj().swapaxes(1, 2) @ response + weight * I
+    root = np.linalg.cholesky(W).conj().swapaxes(1, 2)
+    T = q[:, None, None] * (I - L.frequency_response(omega) @ response)
+    sigma = largest_singular_values(root @ T @ np.linalg.inv(root))
+    return Rate(sigma.max(), omega[tied(sigma).argmax()])
 
 
 class SpectralRate(NamedTuple):

@@ -24,7 +24,7 @@ from rodlib.ilc import arguments
 from rodlib.ilc.filters import LearningOperator, check_learning
 from rodlib.ilc.loop import CurrentTrialLoop, with_noise
 from rodlib.ilc.models import frequency_response
-from rodlib.ilc.posing import Q_on_grid
+from rodlib.ilc.plants import Q_on_grid
 from rodlib.ilc.problem import largest_singular_values, tied
 
 HERMITIAN = 1e-9  # relative, by how much a spectral density may miss being one

@@ -235,27 +235,19 @@ class Peak:
     missed: float = np.nan  # the most that splines miss of M at samples left out; NaN if proven
 
 
-def proven_peak(problem: Problem, L) -> Peak | None:
-    """Of the plants that are models, proven; None if there is none, or Q is not one."""
-    models = [(k, model) for k, model in enumerate(problem.models) if model is not None]
-    if not models or problem.butterworth is None:
-        return None
-    Q = problem.butterworth
-    return highest([Peak(*peak_gain(error_model(model, L), Q), k) for k, model in models])
+def proven_peaks(problem: Problem, L) -> list[Peak]:
+    """Of the plants that are models, proven; none if Q is not one."""
+    Q, models = problem.butterworth, enumerate(problem.models)
+    known = [(k, model) for k, model in models if model is not None and Q is not None]
+    return [Peak(*peak_gain(error_model(model, L), Q), k) for k, model in known]
 
 
-def estimated_peak(problem: Problem, L, peaks) -> tuple[Peak | None, int]:
-    """Of the others, estimated for those whose `peaks` on the grid are highest; their number."""
+def estimated_peaks(problem: Problem, L, peaks) -> list[Peak]:
+    """Of the others, estimated for those whose `peaks` on the grid are highest."""
     exact = problem.butterworth is not None
     order = np.argsort(-peaks, kind="stable")
-    sampled = [k for k in order if not exact or problem.models[k] is None][:LOOKED_AT]
-    found = [
-        Peak(sigma, omega, k, missed)
-        for (sigma, omega, missed), k in zip(
-            peaks_between(problem, L, sampled), sampled, strict=True
-        )
-    ]
-    return (highest(found) if found else None), len(found)
+    sampled = [k for k in order if not exact or problem.models[k] is None]
+    return peaks_between(problem, L, sampled[:LOOKED_AT])
 
 
 def peak_beyond(problem: Problem, L) -> Peak | None:
@@ -270,16 +262,18 @@ def peak_beyond(problem: Problem, L) -> Peak | None:
     return Peak(float(sigma_M[at]), float(omega[at]), 0)
 
 
-def highest(peaks: list[Peak]) -> Peak:
-    """The highest of some peaks, and the most that splines miss for any of them."""
+def highest(peaks: list[Peak]) -> Peak | None:
+    """The highest of some peaks, if any, and the most that splines miss for any of them."""
+    if not peaks:
+        return None
     peaks = sorted(peaks, key=lambda peak: peak.plant)
     at = peaks[tied(np.array([peak.sigma for peak in peaks])).argmax()]
     missed = np.fmax.reduce([peak.missed for peak in peaks])
     return replace(at, sigma=max(peak.sigma for peak in peaks), missed=missed)
 
 
-def peaks_between(problem: Problem, L, numbers) -> list[tuple[float, float, float]]:
-    """Peaks of sigma_max(M) estimated between samples, where, and how much splines miss of M."""
+def peaks_between(problem: Problem, L, numbers) -> list[Peak]:
+    """Peaks of sigma_max(M) of some plants, estimated between samples."""
     if not len(numbers):
         return []
     known, omega = problem.asked, problem.omega[problem.asked]
@@ -287,13 +281,20 @@ def peaks_between(problem: Problem, L, numbers) -> list[tuple[float, float, floa
     dense = np.append((omega[:-1, None] + np.diff(omega)[:, None] * steps).ravel(), omega[-1])
     responses = L.frequency_response(omega), dense, L.frequency_response(dense)
     Q = problem.Q[known]
-    return [_peak_between(problem.plant(k)[known], Q, omega, *responses) for k in numbers]
+    return [_peak_between(k, problem.plant(k)[known], Q, omega, *responses) for k in numbers]
 
 
-def _peak_between(P, Q, omega, response, dense, dense_response):
+def _peak_between(number, P, Q, omega, response, dense, dense_response):
+    scale, missed = spline_scale(P, Q, omega, response)
+    P, Q = splined(P, Q, omega, dense, scale)
+    sigma = largest_singular_values(convergence_matrix(P, Q, dense_response))
+    return Peak(sigma.max(), dense[sigma.argmax()], number, missed)
+
+
+def spline_scale(P, Q, omega, response):
+    """The scale over which splines foretell samples that are left out best; what they miss of M."""
     # Measured grids are linear or logarithmic, plants smooth over one or the other. So the splines
-    # run over omega or log omega, whichever foretells samples that are left out better; with fewer
-    # than four samples they miss an infinite amount.
+    # run over omega or log omega; with fewer than four samples they miss an infinite amount.
     M = convergence_matrix(P, Q, response)
     missed = {}
     for scale in (np.asarray, np.log) if omega[0] > 0 else (np.asarray,):
@@ -301,15 +302,12 @@ def _peak_between(P, Q, omega, response, dense, dense_response):
         for first in (1, 2):  # every other sample between the two at the ends
             out = np.arange(first, len(omega) - 1, 2)
             rest = np.delete(np.arange(len(omega)), out)
-            foretold = _splined(P[rest], Q[rest], omega[rest], response[out], omega[out], scale)
-            miss = largest_singular_values(foretold - M[out]).max(initial=0)
-            missed[scale] = max(missed[scale], miss)
-    scale = min(missed, key=missed.get)
-    sigma = largest_singular_values(_splined(P, Q, omega, dense_response, dense, scale))
-    return sigma.max(), dense[sigma.argmax()], missed[scale]
+            foretold = splined(P[rest], Q[rest], omega[rest], omega[out], scale)
+            miss = largest_singular_values(convergence_matrix(*foretold, response[out]) - M[out])
+            missed[scale] = max(missed[scale], miss.max(initial=0))
+    return min(missed.items(), key=lambda item: item[1])
 
 
-def _splined(P, Q, omega, response, places, scale):
-    """M of (40) at other frequencies than those of P and Q, where L has this response."""
-    P, Q = (CubicSpline(scale(omega), samples)(scale(places)) for samples in (P, Q))
-    return convergence_matrix(P, Q, response)
+def splined(P, Q, omega, places, scale):
+    """P and Q at other frequencies than those of their samples."""
+    return [CubicSpline(scale(omega), samples)(scale(places)) for samples in (P, Q)]

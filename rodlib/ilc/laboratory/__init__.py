@@ -9,12 +9,15 @@ __getattr__, __dir__, __all__ = lazily(
     __name__,
     {
         "controlled_rig": "Controller Rig RigError StoppedError TrialRig",
+        "estimation": "EstimatedResponse",
         "excitation": "Excitation multisine",
         "experiment": "record shake",
+        "foreign": "read_table",
         "log": "LogError load_log save_log",
         "measurement": "MeasuredResponse expected_radius measured_response",
         "notes": "law_of load_law loop_of rest_of save_law step_of with_law",
         "replay": "Replay replay_of",
+        "tabulated": "TabulatedResponse",
         "temperature_control_lab": "TemperatureControlLab",
     },
 )

@@ -10,10 +10,10 @@ from typing import Protocol
 import numpy as np
 
 from rodlib.ilc import arguments, units
-from rodlib.ilc.laboratory import limits
+from rodlib.ilc.actuators import Actuators, named_limits
+from rodlib.ilc.laboratory.limits import commands_beyond, stop_limits
 from rodlib.ilc.laboratory.mistakes import mistake_in
 from rodlib.ilc.loop import CurrentTrialLoop, check_loop
-from rodlib.ilc.trials import in_columns
 
 LATE = 0.1  # sampling periods that a sample may be off the clock
 
@@ -26,7 +26,8 @@ class Rig(Protocol):
 
     A rig may have more. ``inputs``: names of the numbers that ``apply`` takes; without it they are
     the loop's controls, or references. ``limits``: a dict of the lowest and the highest number that
-    it follows, by the name of the input; what is beyond them is warned of. ``Ts``: its sampling
+    it follows, by the name of the input, and third, if need be, the largest change per second;
+    commands are cut off there, and the observer (16) is told. ``Ts``: its sampling
     period, s. ``measured``: a dict of what else it measures, by name, such as the temperature of
     the room. ``safe()``: what leaves it in a safe state; without it, zeros are applied.
     ``begin(trial)``: what brings it into the state in which every trial begins, such as a homing
@@ -45,7 +46,8 @@ class TrialRig(Protocol):
     """Another kind of driver, trial by trial, for a target that runs the controller by itself.
 
     It may have ``Ts``, ``limits``, ``safe()`` and ``begin(trial)``, as :class:`Rig` has. No
-    pause between trials: ``run`` begins where every trial begins.
+    pause between trials: ``run`` begins where every trial begins. At its limits the target cuts off
+    commands, and should tell its observer.
     """
 
     def run(self, w):
@@ -80,6 +82,7 @@ class Controller:
         self.loop, self.decimals = loop, decimals
         self._B = loop.plant.B[:, :m]
         self._x_hat, self.delta = np.zeros(n), np.zeros(m)
+        self.follow = np.asarray  # what the actuators make of u, which the observer is told
 
     def step(self, y, w) -> np.ndarray:
         """The controls u(p) from the measured y(p) and w(p); advances the observer."""
@@ -87,8 +90,8 @@ class Controller:
         y, w = arguments.array("y", y, (m,)), arguments.array("w", w, (m,))
         u = _rounded(loop.N @ w - loop.Ks @ self._x_hat - self.delta, self.decimals)  # (18)
         surprise = loop.KL @ (y - loop.plant.C @ self._x_hat)
-        n = len(self._x_hat)
-        self._x_hat = loop.plant.A @ self._x_hat + self._B @ (u + self.delta) + surprise[:n]  # (16)
+        n, forced = len(self._x_hat), self._B @ (self.follow(u) + self.delta)
+        self._x_hat = loop.plant.A @ self._x_hat + forced + surprise[:n]  # (16)
         self.delta = self.delta + surprise[n:]
         return u
 
@@ -96,7 +99,7 @@ class Controller:
 class ControlledRig:
     """A rig with the controller on it: signals by name, no reading used before it is checked."""
 
-    def __init__(self, rig, loop, decimals):
+    def __init__(self, rig, loop, decimals, limits=None):
         if isinstance(rig, type):
             raise ValueError(f"rig = {rig!r} is a class: make one")
         missing = [name for name in ("read", "apply") if not callable(getattr(rig, name, None))]
@@ -105,7 +108,7 @@ class ControlledRig:
             raise ValueError(f"rig = {reprlib.repr(rig)} has no {', '.join(missing)}: see Rig")
         self.rig, self.loop = rig, check_loop(loop)
         self.ours = isinstance(loop, CurrentTrialLoop)  # the controller, if it is not on the rig
-        self.commands = loop.controls if self.ours else loop.references
+        self.commands = loop.commands
         for name in [*loop.controls, *loop.disturbances, *loop.outputs]:
             units.understood(name, loop.units.get(name, ""))
         decimals = arguments.by_name("decimals", decimals, ["v", "u", "delta", "disturbance"])
@@ -117,7 +120,13 @@ class ControlledRig:
         if missing:
             what = "controls" if self.ours else "references"
             raise ValueError(f"rig.inputs = {self.inputs} must name the {what} {missing}")
-        self.limits = limits.named_limits("rig.limits", getattr(rig, "limits", None), self.inputs)
+        given = getattr(rig, "limits", None)
+        self.limits = named_limits("rig.limits", given, self.inputs, rated=True)
+        if isinstance(limits, str) and limits == "rig":
+            limits = {n: own for n, own in self.limits.items() if n in self.commands}
+        self.kept = named_limits("limits", limits, self.commands, rated=True)  # by what is applied
+        self.actuators = Actuators.of("limits", self.kept, loop) if self.kept else None
+        self.applied = None  # the last commands
         heard = {} if self.whole else getattr(rig, "measured", {})
         self.told = [] if self.ours or self.whole else loop.controls  # u, by who commands it
         missing = [name for name in self.told if name not in heard]
@@ -137,12 +146,13 @@ class ControlledRig:
         """Set the limits of outputs and commands beyond which a trial stops."""
         outputs, commands = self.loop.outputs, self.commands
         own = [self.loop.units[name] for name in outputs]
-        self.stop = limits.stop_limits(stop, reference, outputs, own, commands, self.limits)
+        self.stop = stop_limits(stop, reference, outputs, own, commands, self.limits)
 
     @property
     def recorded_signals(self) -> list[str]:
         """Which signals a trial has."""
         names = {"v": True, "u": self.loop.controls, "y": True}
+        names |= {"applied": self.ours and self.actuators}
         names |= {"delta": self.ours and not self.whole, "disturbance": self.recorded}
         return [name for name, there in names.items() if there]
 
@@ -151,7 +161,7 @@ class ControlledRig:
         names = self.loop.disturbances
         if disturbance is None:
             return np.zeros((trials, samples, len(self.moved)))
-        d = in_columns("disturbance", disturbance, (..., samples, len(names)), names)
+        d = arguments.in_columns("disturbance", disturbance, (..., samples, len(names)), names)
         d = d if d.ndim != 2 else np.broadcast_to(d, (trials, *d.shape))
         d = arguments.array("disturbance", d, ("trial", samples, len(names)))
         if len(d) < trials:
@@ -168,8 +178,10 @@ class ControlledRig:
         restarts = hasattr(self.rig, "begin")
         if restarts:
             self.rig.begin(trial)
+            self.applied = None
         if self.ours and (restarts or self.controller is None):
             self.controller = Controller(self.loop, self.decimals.get("u"))
+            self.controller.follow = self.follow
 
     def pause(self, trial, samples, w, start, bar):
         """Hold the start of the reference before a trial, if samples is None until all is back."""
@@ -219,7 +231,11 @@ class ControlledRig:
         """The signals of the trial that ran, with a warning of commands that were not followed."""
         signals = self.signals()
         commands = signals["u"] if self.ours else self.w
-        cut_off = limits.commands_beyond(commands, self.commands, self.limits)
+        if self.actuators:
+            if self.ours and self.whole:
+                signals["applied"] = self.actuators.follow(commands)
+            return signals
+        cut_off = commands_beyond(commands, self.commands, self.limits)
         if cut_off:
             learned = "what the actuators cannot do, no learning will do for them"
             warnings.warn(f"trial {trial}: {cut_off}; {learned}", stacklevel=6)
@@ -229,7 +245,8 @@ class ControlledRig:
         """Let the rig run a whole trial by itself; its samples."""
         with_u, shape = bool(self.loop.controls), self.w.shape
         try:
-            result = self.rig.run(self.w.copy())
+            cut_off = self.actuators and not self.ours
+            result = self.rig.run(self.actuators.follow(self.w) if cut_off else self.w.copy())
             y, *more = result if with_u and isinstance(result, tuple) else (result,)
             try:
                 downloaded = {"y": arguments.array("y", y, shape)}
@@ -268,8 +285,9 @@ class ControlledRig:
         if self.ours:
             known = signals.get("disturbance", known)
             model, commands = self.loop.plant[:, [*names, *self.recorded]], signals["u"]
-        lows, highs = zip(*(self.limits.get(n, (-np.inf, np.inf)) for n in names), strict=True)
-        given = np.clip(commands, lows, highs), known, signals["y"], w
+        followed = {name: self.limits[name] for name in names if name in self.limits}
+        commands = Actuators.of("rig.limits", followed, self.loop).follow(commands)
+        given = commands, known, signals["y"], w
         return mistake_in(model, *given, self.loop.outputs, names)
 
     def sample(self, w, flows, where) -> dict[str, np.ndarray]:
@@ -283,9 +301,12 @@ class ControlledRig:
             else:
                 u = np.array([heard.pop(name) for name in self.told])
                 found, commands = {"u": u} if self.told else {}, w
+                self.follow(w)
             self.check(commands, self.commands)
             command = np.zeros(len(self.inputs))
-            command[self.positions] = np.concatenate([commands, flows])
+            command[self.positions] = np.concatenate([self.applied, flows])
+            if self.ours and self.actuators:
+                found["applied"] = self.applied
             self.rig.apply(command)
         except RigError as error:
             raise type(error)(f"{where}: {error}. Nothing was applied after it") from None
@@ -295,6 +316,13 @@ class ControlledRig:
         known = heard | dict(zip(self.moved, flows, strict=True))
         disturbance = np.array([known[name] for name in self.recorded])
         return found | {"y": y, "disturbance": disturbance}
+
+    def follow(self, commands) -> np.ndarray:
+        """What is applied of the commands of a sample."""
+        if self.actuators:
+            commands = self.actuators.next(commands, self.applied)
+        self.applied = commands
+        return commands
 
     def check(self, values, names):
         """Stop at what is beyond the limits."""

@@ -14,12 +14,14 @@ from rodlib.ilc.files import alone
 from rodlib.ilc.filters import LearningFilter, LearningOperator, ZeroPhaseButterworth, update
 from rodlib.ilc.laboratory.controlled_rig import ControlledRig, Rig, StoppedError, TrialRig
 from rodlib.ilc.laboratory.excitation import Excitation
+from rodlib.ilc.laboratory.limits import commands_beyond
 from rodlib.ilc.laboratory.log import load_ended, save_log
 from rodlib.ilc.laboratory.notes import BEGUN, EARLIER, LAW, MADE_BY, with_excitation, with_law
 from rodlib.ilc.laboratory.start import Start
 from rodlib.ilc.loop import Loop
-from rodlib.ilc.trials import check_law, dataset, each_trial, in_columns
+from rodlib.ilc.trials import check_law, dataset, each_trial
 from rodlib.ilc.watch import Course, rates_of
+from rodlib.ilc.within_limits import commands_of, projected, realised
 
 
 def record(
@@ -38,6 +40,7 @@ def record(
     decimals: dict[str, int] | None = None,
     stop: dict[str, tuple[float, float] | None] | None = None,
     v=None,
+    limits: dict[str, tuple[float, ...]] | str | None = "rig",
     another_law: bool = False,
 ) -> xr.Dataset:
     """Run an experiment of several trials on a rig and record it.
@@ -81,14 +84,19 @@ def record(
         in the same unit, if it is not zero; commands may span a hundred times the rig's limits.
     v : array_like, shape (time, m), optional
         ILC signal of the first trial. Default zero. With L None, that of all trials.
+    limits : dict, optional
+        Of the commands, as for :func:`rodlib.update_within`: they are cut off there, the observer
+        is told, and v is learned within. Default: those of the rig. None leaves them out: then the
+        rig cuts off what it must, which is warned of, and the law (23) does not know.
     another_law : bool
-        Whether a log that is there may be gone on with by another Q, L, rest or step. The earlier
-        ones, and for how many trials they held, stay in its metadata.
+        Whether a log that is there may be gone on with by another Q, L, rest, step or limits. The
+        earlier ones, and for how many trials they held, stay in its metadata.
 
     Returns
     -------
     xarray.Dataset
-        As from :func:`rodlib.run_trials`, with the disturbances that are commanded or measured.
+        As from :func:`rodlib.run_trials`, with the disturbances that are commanded or measured;
+        with limits, `u` is what was asked for, and `applied` what was sent to the rig.
 
     Raises
     ------
@@ -104,11 +112,11 @@ def record(
     -----
     UserWarning
         After a trial in which samples were not on time, if the rig has a clock, or commands beyond
-        what it follows, if it has limits; that started elsewhere than the first; after the first,
-        if a mistake in the wiring explains it; once, if the trials show that they do not converge,
-        see :mod:`rodlib.ilc.watch`.
+        what it follows, if it has limits, once if v is learned within them; that started elsewhere
+        than the first; after the first, if a mistake in the wiring explains it; once, if the trials
+        show that they do not converge, see :mod:`rodlib.ilc.watch`.
     """
-    controlled = ControlledRig(rig, loop, decimals)
+    controlled = ControlledRig(rig, loop, decimals, limits)
     check_law(loop, Q, L, rig=controlled.Ts)
     if path is not None and L is not None:
         arguments.instance("L", L, LearningFilter)  # or the log could not say what made it
@@ -123,7 +131,7 @@ def record(
     rest = arguments.whole("rest", rest, 0, samples - 1)
     first = np.zeros(reference.shape[1:])
     if v is not None:
-        first = in_columns("v", v, first.shape, loop.outputs)
+        first = arguments.in_columns("v", v, first.shape, loop.outputs)
         first[samples - rest :] = 0
     step = arguments.share("step", step)
     commanded = controlled.commanded(disturbance, trials, samples)
@@ -132,10 +140,14 @@ def record(
         done = len(signals["y"])
         if L is None or not done:
             return signals["v"][-1] if done else first
-        e = reference[done - 1] - signals["y"][-1]
-        return update(signals["v"][-1], e, Q, L, rest, step)
+        r, v, y = reference[done - 1], signals["v"][-1], signals["y"][-1]
+        if not controlled.actuators:
+            return update(v, r - y, Q, L, rest, step)
+        told = (signals[name][-1] for name in ("u", "applied") if name in signals)
+        commands = commands_of(loop, controlled.actuators, r + v, *told)
+        return projected(v, r - y, commands, Q, L, loop, controlled.actuators, rest, step)
 
-    notes = with_law(xr.Dataset(), Q, L, rest, loop, step).attrs
+    notes = with_law(xr.Dataset(), Q, L, rest, loop, step, controlled.kept).attrs
     notes |= {} if v is None else {BEGUN: "v of trial 1 was given"}
     controlled.stop_at(stop, reference)
     made = controlled, reference, commanded, following, notes, None if L is None else (Q, L)
@@ -223,6 +235,8 @@ class _Experiment:
         if path is not None and path.exists():
             found = load_ended(path)
             self.check(found, path)
+            if "applied" in signals and "applied" not in found:  # of a law that knew no limits
+                found["applied"] = found.u
             signals = {name: list(found[name].values) for name in signals}
             notes = self.gone_on_with(found)
 
@@ -265,10 +279,16 @@ class _Experiment:
             found["start"] = missed
         if not k and (mistake := self.rig.mistake()):
             found["mistake"] = f"it looks as if {mistake}"
-        if self.law is None:
-            return found
         loop, (v, y) = self.rig.loop, (np.stack(signals[name]) for name in ("v", "y"))
         units, reference = [loop.units[name] for name in loop.outputs], self.reference[: k + 1]
+        if self.rig.actuators:
+            told = (np.stack(signals[name]) for name in ("u", "applied") if name in signals)
+            commands = commands_of(loop, self.rig.actuators, reference + v, *told)
+            v = realised(loop, v, *commands)
+            if cut_off := commands_beyond(commands[0][-1], loop.commands, self.rig.kept):
+                found["limits"] = f"{cut_off}, where they were cut off; v is learned within"
+        if self.law is None:
+            return found
         given = v, reference - y, reference, loop.outputs, units
         rates = (None, None) if loop.P is None else rates_of(loop.P, *self.law)
         return found | Course(*given, 1, loop.P, *rates).findings()

@@ -5,20 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from rodlib.ilc import arguments
+from rodlib.ilc.actuators import named_limits
 
 FAR = 5.0  # times the largest reference that outputs may be beyond all references
 WIDE = 100.0  # times what an actuator follows, that commands may span: no loop that works does
-
-
-def named_limits(name: str, limits, names: Sequence[str]) -> dict[str, tuple[float, float]]:
-    """The limits of some of the signals `names`; None says nothing."""
-    found = {}
-    for key, pair in arguments.by_name(name, limits, names).items():
-        low, high = arguments.array(f"{name}[{key!r}]", pair, (2,)).tolist()
-        if not low < high:
-            raise ValueError(f"{name}[{key!r}] = {pair!r} must be a lower and a higher number")
-        found[key] = low, high
-    return found
 
 
 def beyond(values, limits: tuple[float, float]) -> np.ndarray:
@@ -27,10 +17,10 @@ def beyond(values, limits: tuple[float, float]) -> np.ndarray:
     return (values < low) | (values > high)
 
 
-def commands_beyond(u, controls: Sequence[str], limits: dict[str, tuple[float, float]]) -> str:
+def commands_beyond(u, controls: Sequence[str], limits: dict[str, tuple[float, ...]]) -> str:
     """What share of the commands u, shape (..., control), actuators do not follow; "" for none."""
     shares = {
-        name: beyond(u[..., i], limits[name]).mean()
+        name: beyond(u[..., i], limits[name][:2]).mean()
         for i, name in enumerate(controls)
         if name in limits
     }
@@ -51,7 +41,7 @@ def stop_limits(stop, reference, outputs, units, commands, followed) -> dict:
         if largest:
             low, high = reference[..., i].min(), reference[..., i].max()
             limits[name] = float(low - FAR * largest), float(high + FAR * largest)
-    for name, (low, high) in followed.items():
+    for name, (low, high, *_) in followed.items():
         middle, half = (low + high) / 2, (high - low) / 2
         if name in commands:
             limits[name] = middle - WIDE * half, middle + WIDE * half

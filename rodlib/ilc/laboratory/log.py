@@ -5,7 +5,6 @@ sample. pandas reads it with ``read_csv(path, comment="#")``, MATLAB with
 ``readtable(path, "CommentStyle", "#")``.
 """
 
-import difflib
 import json
 import re
 import reprlib
@@ -19,18 +18,14 @@ import xarray as xr
 
 from rodlib.ilc import arguments, units
 from rodlib.ilc.files import write_pieces
-from rodlib.ilc.laboratory import limits, tables
-from rodlib.ilc.laboratory.sampling import check_trials, off, starts_of
-from rodlib.ilc.laboratory.tables import NUMBER, few
+from rodlib.ilc.laboratory import sampling, stated, tables
+from rodlib.ilc.laboratory.stated import OPTIONAL, ROLES, SIGNALS
+from rodlib.ilc.laboratory.tables import few
 from rodlib.ilc.trials import dataset
 
 FORMAT = "rodlib trial log 2"
-SIGNALS = {  # and what the channels of each are; u only if the commands are known
-    "reference": "output", "v": "output", "u": "control", "y": "output",
-    "delta": "control", "disturbance": "source",
-}  # fmt: skip
-REQUIRED = ["reference", "v", "y"]
-ROLES = {"output": "outputs", "control": "controls", "source": "disturbances"}  # in the metadata
+READ = ("y", "delta", "measured")  # what sensors show at a moment; all else is held
+FOREIGN = "rodlib.read_table reads other tables, by the names of their columns"
 OWN = ("format", "Ts", "signals")  # metadata that are no attributes
 
 
@@ -38,18 +33,22 @@ class LogError(ValueError):
     """A log that cannot be used; the message lists what is wrong with it."""
 
 
-def load_log(path) -> xr.Dataset:
+def load_log(path, resample: bool = False) -> xr.Dataset:
     """Load a trial log and check it.
 
     Parameters
     ----------
     path : path-like
+        Of a file of :func:`save_log`; :func:`read_table` reads any other table.
+    resample : bool
+        As in :func:`read_table`, which says what a clock may show.
 
     Returns
     -------
     xarray.Dataset
         As :func:`rodlib.run_trials` gives it, in the units and with the numbers of the trials of
-        the file; ``delta`` and ``disturbance`` only if it has them. The metadata are attributes.
+        the file; of ``reference``, ``v`` and ``e``, ``u``, ``delta``, ``disturbance`` and
+        ``measured`` what it has. The metadata are attributes, and ``clock``, if that is not exact.
 
     Raises
     ------
@@ -59,9 +58,12 @@ def load_log(path) -> xr.Dataset:
     Warns
     -----
     UserWarning
-        If a trial is missing between others.
+        If a trial is missing between others, or was resampled.
     """
-    trials = _load(arguments.path("path", path))
+    path = arguments.path("path", path)
+    trials = _load(path, resample=arguments.flag("resample", resample))
+    if resample and "resampled" in trials.attrs:
+        warnings.warn(f"{path}: {trials.attrs['resampled']}", stacklevel=2)
     if missing := _missing_between(trials.trial.values.tolist()):
         warnings.warn(f"path = '{path}': {missing}", stacklevel=2)
     return trials
@@ -112,7 +114,7 @@ def save_log(trials: xr.Dataset, path) -> None:
             values = values.reshape(len(columns["time"]), -1).T
             names = [f"{signal}_{name}" for name in trials[role].values]
             columns |= dict(zip(names, values, strict=True))
-    _limits_of(metadata, columns)  # or it could not be loaded
+    stated.limits_of(metadata, columns)  # or it could not be loaded
     for title, values in columns.items():
         if not np.isfinite(values).all():
             raise ValueError(f"trials have values that are not finite in {title!r}")
@@ -121,11 +123,13 @@ def save_log(trials: xr.Dataset, path) -> None:
     write_pieces(path, ["".join([*lines, header, "\n"]).encode(), tables.rows([*columns.values()])])
 
 
-def signals_of(trials: xr.Dataset) -> dict[str, dict[str, str]]:
+def signals_of(trials: xr.Dataset, *needed: str) -> dict[str, dict[str, str]]:
     """Names and units of the signals, by role, as the metadata say it, if all are there."""
     roles = dict.fromkeys(role for signal, role in SIGNALS.items() if signal in trials)
-    needed = ["trial", "time", *(role + end for role in roles for end in ("", "_unit"))]
-    missing = [name for name in REQUIRED + needed if name not in trials.variables]
+    needed += ("y", "trial", "time", *(role + end for role in roles for end in ("", "_unit")))
+    together = next(group for group in OPTIONAL if "v" in group)
+    needed += together if any(name in trials for name in together) else ()
+    missing = [name for name in dict.fromkeys(needed) if name not in trials.variables]
     if missing:
         raise ValueError(f"trials lack {missing}: see rodlib.ilc.trials.dataset")
     signals = {}
@@ -135,7 +139,7 @@ def signals_of(trials: xr.Dataset) -> dict[str, dict[str, str]]:
         plain = all(isinstance(name, str) and name.isprintable() and name for name in names)
         if not plain or len(set(names)) < len(names):
             raise ValueError(f"{role} = {few(names)} must be different names, all printable")
-    for name, unit in _units_of(signals).items():
+    for name, unit in stated.units_of(signals).items():
         units.understood(name, unit)
     _check_errors(trials)
     return signals
@@ -143,7 +147,7 @@ def signals_of(trials: xr.Dataset) -> dict[str, dict[str, str]]:
 
 def _check_errors(trials):
     """Refuse an e that is likely another signal; one that is left from before is not used."""
-    if "e" not in trials or not trials.e.size:
+    if not {"e", "v"} <= {*trials} or not trials.e.size:
         return
     e, v, y, reference = (trials[name] for name in ("e", "v", "y", "reference"))
     near = 1e-6 * max(abs(y).max(), abs(reference).max())
@@ -156,169 +160,80 @@ def _check_errors(trials):
                 raise ValueError(f"trials.e is not reference - y: likely {likely}")
 
 
-def read_json(text: str):
-    """What JSON says; a ValueError if it says anything twice, or what JSON has no word for."""
-    return json.loads(text, object_pairs_hook=_once, parse_constant=_refuse_constant)
-
-
-def _once(pairs):
-    if len(pairs) > len(dict(pairs)):
-        raise ValueError("a name stands there twice")
-    return dict(pairs)
-
-
-def _refuse_constant(word):
-    raise ValueError(f"{word} is no number")
-
-
-def _load(path, ended=False):
+def _load(path, ended=False, resample=False):
     """As :func:`load_log`, or :func:`load_ended`."""
+    content = content_of(path)
     try:
-        content = path.read_bytes()
         table = tables.read(content[: content.rfind(b"\n") + 1] if ended else content)
-    except OSError as error:
-        raise LogError(f"{path}: cannot be read: {error}") from None
     except UnicodeError as error:
         raise LogError(f"{path}: cannot be read as text: {error}") from None
     problems, metadata = table.problems, table.metadata
     if metadata.get("format") != FORMAT:
-        hint = ": load_law reads laws" if content.lstrip().startswith(b"{") else ""
-        stated = metadata.get("format")
-        problems.append(f"metadata: format is {stated!r}, but must be {FORMAT!r}{hint}")
-    _refuse(path, problems)  # all further ones would follow from these
-    signals, titles, plausible = _columns_of(table)
-    _refuse(path, problems)
-    own = _units_of(signals)
+        hint = "rodlib.load_law reads laws" if content.lstrip().startswith(b"{") else FOREIGN
+        found = metadata.get("format")
+        problems.append(f"metadata: format is {found!r}, but must be {FORMAT!r}: {hint}")
+    refuse(path, problems)  # all further ones would follow from these
+    signals, titles, plausible = stated.columns_of(table)
+    refuse(path, problems)
+    own = stated.units_of(signals)
     for name, unit in own.items():
         try:
             units.understood(name, unit)
         except ValueError as error:
             problems.append(f"metadata: {error}")
-    Ts, tick = _sampling_period(metadata, problems)
-    problems += _problems_of_titles(table.header, ["trial", "time", *titles])
+    Ts, tick = stated.period(metadata, problems)
+    problems += stated.problems_of_titles(table.header, ["trial", "time", *titles])
     problems += table.problems_of(["trial", "time", *titles])
     problems += [] if table.columns.size else ["the table has no rows"]
-    _refuse(path, problems)
-
+    problems += stated.implausible(table, plausible, own) if not problems else []
+    refuse(path, problems)
     if ended:
         _drop_short_last_trial(table)
-    numbers, time, problems = check_trials(table, Ts / tick)
-    problems += _implausible(table, plausible, titles, own)
-    _refuse(path, problems)
+    table.columns[table.header.index("time")] *= tick
+    notes = {key: value for key, value in metadata.items() if key not in OWN}
+    return trials_of(path, table, signals, Ts, notes, resample)
+
+
+def content_of(path) -> bytes:
+    """What stands in a file."""
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read: {error}") from None
+
+
+def trials_of(source, table, signals, Ts, notes, resample=False, anywhere=False) -> xr.Dataset:
+    """The trials in a table with the columns of a log, and the time in s."""
+    titles, notes = stated.titles_of(signals, table.header), dict(notes)
+    if resample:
+        between = [title for title, signal in titles.items() if signal in READ]
+        if done := sampling.resample(table, Ts, between):
+            notes["resampled"] = done
+    numbers, problems = sampling.check_trials(table, Ts, anywhere)
+    refuse(source, problems)
+    if clock := sampling.about_clock(table, Ts):
+        notes["clock"] = clock
     read = {}
-    for title, (signal, _) in titles.items():
+    for title, signal in titles.items():
         read.setdefault(signal, []).append(table.column(title).reshape(len(numbers), -1))
     read = {signal: np.stack(each, 2) for signal, each in read.items()}
-    names = [list(signals.get(key, {})) for key in ROLES.values()]
-    notes = {key: value for key, value in metadata.items() if key not in OWN}
-    coordinates = {"trial": numbers.astype(int), "time": ("time", tick * time, {"units": "s"})}
-    return dataset(Ts, *names, own, **read).assign_attrs(notes).assign_coords(coordinates)
+    *names, sensors = ([*signals.get(key, {})] for key in ROLES.values())
+    trials = dataset(Ts, *names, stated.units_of(signals), sensors, **read)
+    return trials.assign_coords(trial=numbers.astype(int)).assign_attrs(notes)
 
 
-def _refuse(path, problems):
+def refuse(path, problems) -> None:
+    """A LogError with all problems, if there are any."""
     if problems:
         listed = "".join(f"\n- {text}" for text in few(problems))
         raise LogError(f"{path}: {len(problems)} problem(s){listed}")
 
 
-def _columns_of(table):
-    """Signals by role, signal and name by title of a column, limits by title; notes problems."""
-    try:
-        signals = _object("signals", table.metadata)
-        m = len(arguments.instance("outputs", signals.get("outputs"), dict))
-        for key in signals:
-            arguments.instance(key, signals[key], dict)
-        controls = len(signals.get("controls", range(m)))  # those that are named
-        if not {*signals} <= {*ROLES.values()} or not m or m != controls:
-            words = ", ".join(ROLES.values())
-            raise ValueError(f"it must have {words} and one control for each output, or none")
-        _units_of(signals)
-        estimated = any(title.startswith("delta_") for title in table.header)
-        titles = {
-            f"{signal}_{name}": (signal, name)
-            for signal, role in SIGNALS.items()
-            for name in signals.get(ROLES[role], ())
-            if signal != "delta" or estimated
-        }
-        return signals, titles, _limits_of(table.metadata, titles)
-    except (TypeError, ValueError) as error:
-        table.problems.append(f"metadata: signals or limits cannot be understood: {error}")
-        return {}, {}, {}
-
-
-def _units_of(signals):
-    """The unit of each signal, by its name."""
-    found = {}
-    for own in signals.values():
-        for name, unit in own.items():
-            if found.setdefault(name, unit) != unit:
-                raise ValueError(f"{name!r} has two units, {found[name]!r} and {unit!r}")
-    return found
-
-
-def _limits_of(metadata, titles):
-    """The limits of plausibility that are stated, by column."""
-    stated = _object("limits", metadata)
-    unknown = [title for title in stated if title not in titles]
-    if unknown:
-        raise ValueError(f"limits are stated for {few(unknown)}, which are no columns")
-    return limits.named_limits("limits", stated, list(titles))
-
-
-def _object(name, metadata):
-    """A JSON object of the metadata."""
-    try:
-        return arguments.instance(name, read_json(metadata.get(name, "{}")), dict)
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"{name} must be a JSON object: {error}") from None
-
-
-def _sampling_period(metadata, problems):
-    """In s, and the unit of it and of the time in s."""
-    try:
-        number, unit = metadata.get("Ts", "").split()
-        if not NUMBER.fullmatch(number):  # as in the rows: float takes more
-            raise ValueError(number)
-        tick = units.seconds(unit)
-        return arguments.sampling_period("Ts", float(number) * tick), tick
-    except ValueError:
-        stated = metadata.get("Ts")
-        problems.append(f"metadata: Ts is {stated!r}, but must be a period such as '1.0 s'")
-        return None, None
-
-
-def _problems_of_titles(header, titles):
-    problems = []
-    for title in header:
-        if title not in titles:
-            close = difflib.get_close_matches(title, titles[:100], n=1)
-            hint = f"; did you mean {close[0]!r}?" if close else ""
-            problems.append(f"unknown column {title!r}{hint}")
-    missing = [title for title in titles if title not in header]
-    return problems + ([f"missing columns {few(missing)}"] if missing else [])
-
-
 def _drop_short_last_trial(table):
     """What a killed process has left of a trial."""
-    starts = starts_of(table.column("trial"))
+    starts = sampling.starts_of(table.column("trial"))
     if len(starts) > 1 and table.columns.shape[1] - starts[-1] < starts[1]:
         table.columns = table.columns[:, : starts[-1]]
-
-
-def _implausible(table, plausible, titles, own):
-    """What is not within the limits."""
-    problems = []
-    for title, (low, high) in plausible.items():
-        values = table.column(title)
-        rows = np.flatnonzero(limits.beyond(values, (low, high)))
-        if rows.size:
-            trial = table.column("trial")[rows[0]]
-            problems.append(
-                f"{title}: implausible value {values[rows[0]]:g} in trial {trial:g}, row "
-                f"{table.lines[rows[0]]}: not from {low:g} to {high:g} {own[titles[title][1]]}; "
-                f"wrong unit? ({rows.size} such values)"
-            )
-    return problems
 
 
 def _notes(attributes):
@@ -358,6 +273,6 @@ def _counters(trials, Ts):
     if len(set(numbers)) < len(numbers):
         raise ValueError(f"trials.trial = {few(numbers)} must be numbers, none of them twice")
     time = np.asarray(trials.time.values, dtype=float)
-    if off(time, Ts).any():
+    if sampling.off(time, Ts).any():
         raise ValueError(f"trials.time must be 0, Ts, 2 Ts, ... with Ts = {Ts} s")
     return {"trial": np.repeat(numbers, len(time)), "time": np.tile(time, len(numbers))}

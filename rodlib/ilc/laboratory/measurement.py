@@ -8,17 +8,20 @@ transient is interpolated and taken off; what scatters about it is the noise, an
 import warnings
 from dataclasses import dataclass, replace
 
+import control
 import numpy as np
 import xarray as xr
 from scipy.interpolate import make_interp_spline
 
 from rodlib.ilc import arguments
+from rodlib.ilc.laboratory.estimation import EstimatedResponse, estimated_response
 from rodlib.ilc.laboratory.excitation import Excitation
 from rodlib.ilc.laboratory.findings import findings_of
 from rodlib.ilc.laboratory.log import LogError
 from rodlib.ilc.laboratory.notes import actuators_of, excitation_of, loop_of
 from rodlib.ilc.laboratory.region import radius_of
 from rodlib.ilc.laboratory.tables import few
+from rodlib.ilc.laboratory.tabulated import TabulatedResponse, tabulated
 from rodlib.ilc.laboratory.transient import NEIGHBOURS, SPAN, nearest, separated, windows_of
 from rodlib.ilc.loop import Loop
 
@@ -141,22 +144,33 @@ class MeasuredResponse:
         return "\n".join([*lines, *self.findings])
 
 
-def measured_response(log: xr.Dataset) -> MeasuredResponse:
-    """Estimate the frequency response from w to y from the record of a loop that was shaken.
+def measured_response(
+    log, of: str | None = None, uncertainty=None
+) -> MeasuredResponse | EstimatedResponse | TabulatedResponse:
+    """Make a measured response, with the region in which the truth lies, of what there is.
 
     Parameters
     ----------
-    log : xarray.Dataset
-        From :func:`shake`, or loaded.
+    log : xarray.Dataset or control.FrequencyResponseData
+        A record: of :func:`shake`; or any other in which the input moved, as trials under learning,
+        from :func:`record`, a reference that moves, or a step test, from :func:`load_log` or
+        :func:`read_table`. Or a table of a frequency response, which is splined between its lines.
+    of : {"w", "u"}, optional
+        Of a record that is not of :func:`shake`: whether P is from w = reference + v to y, in a
+        closed loop, or from the commands u, in an open one. Default: from w, if there is one.
+    uncertainty : array_like, shape (n,), optional
+        Of a table: the radius at its lines. Default: they are exact.
 
     Returns
     -------
-    MeasuredResponse
+    MeasuredResponse, EstimatedResponse or TabulatedResponse
+        For :func:`synthesise`, the workbench and checks.
 
     Raises
     ------
     LogError
-        If the log is no such record, lacks an experiment, or w is not the excitation.
+        If a record lacks an experiment, w is not the excitation, an input never moved, or an output
+        does not settle within a trial.
 
     Warns
     -----
@@ -166,8 +180,9 @@ def measured_response(log: xr.Dataset) -> MeasuredResponse:
 
     Notes
     -----
-    The spectrum of all periods of an experiment is P W + T + V: between the harmonics W is zero and
-    T, from the state at the start and at the end, and the noise V are left. This is the local
+    Records are estimated by :mod:`rodlib.ilc.laboratory.impulse`, but for those of :func:`shake`:
+    there the spectrum of all periods is P W + T + V; between the harmonics W is zero and T, from
+    the state at the start and at the end, and the noise V are left. This is the local
     polynomial method for periodic excitation (Pintelon, Schoukens, Vandersteen and Barbé,
     Estimation of nonparametric noise and FRF models for multivariable linear systems, Mech. Syst.
     Signal Process. 24, 2010), with a prescribed pole: T is a polynomial not in z but in
@@ -183,10 +198,18 @@ def measured_response(log: xr.Dataset) -> MeasuredResponse:
     hour. What is no noise at all, such as the steps of a converter that nothing dithers, it does
     not cover.
     """
+    if isinstance(log, control.FrequencyResponseData):
+        if of is not None:
+            raise ValueError(f"of = {of!r} is for a record, but log is a table")
+        return tabulated(log, uncertainty)
     arguments.instance("log", log, xr.Dataset)
+    if uncertainty is not None:
+        raise ValueError("uncertainty must be None where log is a record, which tells its own")
     excitation, loop = excitation_of(log), loop_of(log)
-    if excitation is None or loop is None:
-        raise LogError("log names no excitation or no loop in its metadata: it is not of shake")
+    if excitation is None or of is not None:
+        return estimated_response(log, of)
+    if loop is None:
+        raise LogError("log names no loop in its metadata: it is not of shake; or say `of`")
     w, y = _signals(log, excitation)
     windows = windows_of(excitation.harmonics, excitation, loop)
     measured = _estimate(w, y, windows, excitation, loop)

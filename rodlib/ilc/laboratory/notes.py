@@ -12,7 +12,8 @@ import numpy as np
 import xarray as xr
 
 from rodlib.ilc import arguments
-from rodlib.ilc.files import write_whole
+from rodlib.ilc.actuators import named_limits
+from rodlib.ilc.files import read_json, write_whole
 from rodlib.ilc.filters import (
     LearningFilter,
     LearningOperator,
@@ -21,12 +22,11 @@ from rodlib.ilc.filters import (
     zero_phase_butterworth,
 )
 from rodlib.ilc.laboratory.excitation import Excitation
-from rodlib.ilc.laboratory.limits import named_limits
-from rodlib.ilc.laboratory.log import LogError, read_json
+from rodlib.ilc.laboratory.log import LogError
 from rodlib.ilc.loop import ClosedLoop, CurrentTrialLoop, Loop, check_loop
 
 FORMAT = "rodlib law 1"  # of the file
-LAW = ("Q", "L", "rest", "step")  # the keys of the notes of a law
+LAW = ("Q", "L", "rest", "step", "actuators")  # the keys of the notes of a law
 MADE_BY = (*LAW, "excitation", "loop")  # and of all
 EARLIER, BEGUN = "earlier laws", "begun"  # laws that held before; whether v of trial 1 was given
 MISUNDERSTOOD = (KeyError, TypeError, ValueError, RecursionError)  # what a note may lead to
@@ -39,8 +39,12 @@ def with_law(
     rest: int = 0,
     loop: Loop | None = None,
     step: float = 1.0,
+    followed: Mapping[str, tuple[float, ...]] | None = None,
 ) -> xr.Dataset:
-    """Note which ILC law (23) made the trials, and around which loop; of L, only coefficients."""
+    """Note which ILC law (23) made the trials, around which loop, and within which limits.
+
+    Of L, only coefficients.
+    """
     arguments.instance("trials", trials, xr.Dataset)
     check_Q(Q)
     if L is not None:
@@ -54,20 +58,24 @@ def with_law(
         notes["step"] = json.dumps(step)
     if loop is not None:
         notes["loop"] = _note_of(check_loop(loop))
-    return trials.assign_attrs(notes)
+    names = [] if loop is None else loop.commands
+    followed = named_limits("followed", followed, names, rated=True)
+    return trials.assign_attrs(notes | _note_of_actuators(followed))
+
+
+def _note_of_actuators(followed):
+    return {"actuators": json.dumps(followed, ensure_ascii=False)} if followed else {}
 
 
 def with_excitation(
     trials: xr.Dataset,
     excitation: Excitation,
     loop: Loop,
-    followed: Mapping[str, tuple[float, float]] | None = None,
+    followed: Mapping[str, tuple[float, ...]] | None = None,
 ) -> xr.Dataset:
     """Note which excitation made the trials, of which loop, and what its actuators follow."""
     notes = {"excitation": json.dumps(asdict(excitation)), "loop": _note_of(loop)}
-    if followed:
-        notes["actuators"] = json.dumps(followed, ensure_ascii=False)
-    return trials.assign_attrs(notes)
+    return trials.assign_attrs(notes | _note_of_actuators(followed))
 
 
 def _noted(trials, key, read: Callable, default=None):
@@ -81,10 +89,16 @@ def _noted(trials, key, read: Callable, default=None):
         raise LogError(f"metadata: {key} cannot be understood: {error!r}") from None
 
 
-def actuators_of(trials: xr.Dataset) -> dict[str, tuple[float, float]]:
-    """Lowest and highest command that each actuator follows, by name, of those that are noted."""
-    names = trials.control.values.tolist() if "control" in trials.coords else []
-    return _noted(trials, "actuators", lambda note: named_limits("actuators", note, names), {})
+def actuators_of(trials: xr.Dataset) -> dict[str, tuple[float, ...]]:
+    """What each actuator follows, by the name of its command, of those that are noted."""
+
+    def read(note):
+        loop = loop_of(trials)
+        names = trials.control.values.tolist() if "control" in trials.coords else []
+        names += [] if loop is None else [n for n in loop.commands if n not in names]
+        return named_limits("actuators", note, names, rated=True)
+
+    return _noted(trials, "actuators", read, {})
 
 
 def excitation_of(trials: xr.Dataset) -> Excitation | None:

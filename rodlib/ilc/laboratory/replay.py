@@ -15,10 +15,12 @@ import pandas as pd
 import xarray as xr
 
 from rodlib.ilc import arguments
+from rodlib.ilc.actuators import Actuators
 from rodlib.ilc.filters import LearningFilter, ZeroPhaseButterworth, update
 from rodlib.ilc.laboratory.log import signals_of
 from rodlib.ilc.laboratory.notes import (
     BEGUN,
+    actuators_of,
     earlier_laws_of,
     law_of,
     loop_of,
@@ -30,6 +32,7 @@ from rodlib.ilc.loop import ClosedLoop, Loop
 from rodlib.ilc.models import state_sequence
 from rodlib.ilc.trials import run_trials
 from rodlib.ilc.watch import Course, rates_of
+from rodlib.ilc.within_limits import commands_of, projected, realised
 
 DEPARTS = 1e-3  # of the largest v, that it is off where another law may have made it
 EXPLAINS = 0.01  # of that, which a mistake may leave
@@ -44,6 +47,7 @@ class Replay:
     law: tuple[ZeroPhaseButterworth, LearningFilter | None] | None
     rest: int  # samples at the end of every trial in which v was held at zero
     step: float  # of the law, from each trial to the next
+    limits: dict[str, tuple[float, ...]]  # of the commands, that v was learned within; or none
     untold: tuple[str, ...]  # disturbances that the simulation is not told of
     earlier: tuple[tuple[int, "Replay"], ...] = ()  # by the laws before, up to which trial each
 
@@ -85,6 +89,7 @@ class Replay:
         if self.earlier:
             return None
         made = {"trials": len(reference), "rest": self.rest, "step": self.step}
+        made["limits"] = self.limits or None
         made["v"] = self.trials.v.values[0] if self.begun else None
         with warnings.catch_warnings(action="ignore"):  # the log's own findings say it
             return run_trials(self.loop, *self.law, reference, told, **made)
@@ -97,18 +102,21 @@ class Replay:
         """
         if self.loop is None or self.loop.P is None or self.diverges:
             return None
-        if isinstance(self.loop, ClosedLoop):
-            P, zero = self.loop.P, np.zeros(self.loop.P.nstates)
-            signals = (self.trials.reference + self.trials.v).values
-            answers = [state_sequence(P.A, w @ P.B.T, zero) @ P.C.T + w @ P.D.T for w in signals]
-            return np.stack(answers)
-        if "u" not in self.trials:
+        closed = isinstance(self.loop, ClosedLoop)
+        if not closed and "u" not in self.trials:
             return None
-        plant, m = self.loop.plant, len(self.outputs)
-        signals = np.concatenate([self.trials.u.values, self.disturbance], axis=2)
-        zero = np.zeros(plant.nstates)
-        states = np.stack([state_sequence(plant.A, s @ plant.B.T, zero) for s in signals])
-        return states @ plant.C.T + signals[..., m:] @ plant.D[:, m:].T
+        model, signals = self.loop.P if closed else self.loop.plant, self._commands[1]
+        signals = signals if closed else np.concatenate([signals, self.disturbance], axis=2)
+        zero = np.zeros(model.nstates)
+        states = np.stack([state_sequence(model.A, s @ model.B.T, zero) for s in signals])
+        return states @ model.C.T + signals @ model.D.T
+
+    @cached_property
+    def _commands(self):
+        """What was asked for, and what was applied of it, shape (trial, time, m)."""
+        trials, actuators = self.trials, Actuators.of("actuators", self.limits, self.loop)
+        told = (trials[name].values for name in ("u", "applied") if name in trials)
+        return commands_of(self.loop, actuators, (trials.reference + trials.v).values, *told)
 
     @property
     def fit(self) -> pd.DataFrame | None:
@@ -143,10 +151,10 @@ class Replay:
     @cached_property
     def findings(self) -> tuple[str, ...]:
         """What speaks against the trials: they do not converge, or start elsewhere."""
-        trials, law = self.trials, self.law
+        trials = self.trials
         if np.any(np.diff(self.numbers) != 1):
             return ()
-        e, y, reference = (trials[name].values for name in ("e", "y", "reference"))
+        y, reference = trials.y.values, trials.reference.values
         names = self.outputs, trials.output_unit.values.tolist()
         found = {}
         if self.from_the_first:
@@ -155,14 +163,38 @@ class Replay:
                 alike = np.array_equal(reference[k, 0], reference[0, 0])
                 if alike and (missed := start.missed(y[k])):
                     found.setdefault("start", f"trial {k + 1}: {missed}")
-        if law is not None and law[1] is not None:
-            P = None if self.loop is None else self.loop.P
-            rates = (None, None) if P is None else rates_of(P, *law)
-            course = Course(trials.v.values, e, reference, *names, self.numbers[0], P, *rates)
-            found |= course.all_findings()
+        if self._course is not None:
+            found |= self._course.all_findings()
         if slip := self._slip():
             found["law"] = slip
         return tuple(found.values())
+
+    @cached_property
+    def _course(self):
+        """The trials with what the law and the loop promise of them."""
+        if self.law is None or self.law[1] is None:
+            return None
+        P = None if self.loop is None else self.loop.P
+        promised = (None, None) if P is None else rates_of(P, *self.law)
+        v, e, reference = (self.trials[name].values for name in ("v", "e", "reference"))
+        v = realised(self.loop, v, *self._commands) if self.limits else v
+        units = self.trials.output_unit.values.tolist()
+        return Course(v, e, reference, self.outputs, units, self.numbers[0], P, *promised)
+
+    def reached(self, trial: int = 2) -> pd.DataFrame | None:
+        """The rate that a trial reached, by octaves, see :meth:`Course.reached`; for all outputs.
+
+        None if law, model or trial before are not there, if the law or the reference changed
+        there, or if the outputs have different units.
+        """
+        course, k = self._course, trial - self.numbers[0]
+        if course is None or course.P is None or not 0 < k < len(self.numbers):
+            return None
+        changed = self.earlier or not np.array_equal(*course.reference[k - 1 : k + 1])
+        if changed or len({*course.units}) > 1 or np.any(np.diff(self.numbers) != 1):
+            return None
+        table = pd.DataFrame(course.reached(k - 1)).set_index("frequency")
+        return table.assign(promised=1 - self.step * (1 - table.promised))
 
     def _slip(self):
         """What made v, if not the law but the law with a usual mistake, as elsewhere programmed."""
@@ -172,7 +204,7 @@ class Replay:
         for k in range(1, len(v)):
             made = self._law_of_trial(self.numbers[k])
             off = np.abs(self._after(k - 1) - v[k]).max()
-            if made.law[1] is None or off <= DEPARTS * np.abs(v).max():
+            if made.law[1] is None or made.limits or off <= DEPARTS * np.abs(v).max():
                 continue
             for words, given in (
                 ("e with the wrong sign, y - reference", (v[k - 1], -e[k - 1])),
@@ -195,7 +227,12 @@ class Replay:
         made = self._law_of_trial(int(trial.trial) + 1)
         if made.law[1] is None:
             return trial.v.values
-        return update(trial.v.values, trial.e.values, *made.law, made.rest, made.step)
+        given, more = (trial.v.values, trial.e.values), (made.rest, made.step)
+        if not made.limits:
+            return update(*given, *made.law, *more)
+        commands = [each[k] for each in made._commands]
+        actuators = Actuators.of("actuators", made.limits, self.loop)
+        return projected(*given, commands, *made.law, self.loop, actuators, *more)
 
     def _law_of_trial(self, number):
         """The replay with the law that made v of a trial."""
@@ -239,17 +276,20 @@ def replay_of(trials: xr.Dataset, untold: Sequence[str] = ()) -> Replay:
         start elsewhere than the first.
     """
     arguments.instance("trials", trials, xr.Dataset)
-    signals_of(trials)  # which checks that it has all that a log has
+    signals_of(trials, "reference", "v")  # which checks that it has all that a log has
     trials = trials.sortby("trial").transpose("trial", "time", ...)
     listed = isinstance(untold, Sequence) and not isinstance(untold, str)
     if not (listed and all(isinstance(name, str) for name in untold)):
         raise ValueError(f"untold = {reprlib.repr(untold)} must be a list of names")
     law, loop = law_of(trials), loop_of(trials)
     earlier = tuple(
-        (until, Replay(log, loop, law_of(log), rest_of(log), step_of(log), ()))
+        (until, Replay(log, loop, law_of(log), rest_of(log), step_of(log), actuators_of(log), ()))
         for until, log in earlier_laws_of(trials)
     )
-    made = law, rest_of(trials), step_of(trials), tuple(untold), earlier
+    limits = {} if law is None else actuators_of(trials)  # not those of an excitation
+    if limits and (loop is None or not (isinstance(loop, ClosedLoop) or "u" in trials)):
+        law, limits = None, {}  # without which it cannot be followed
+    made = law, rest_of(trials), step_of(trials), limits, tuple(untold), earlier
     replay = Replay(trials, loop, *made)
     for finding in replay.findings:
         warnings.warn(finding, stacklevel=2)

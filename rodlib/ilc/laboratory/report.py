@@ -13,6 +13,7 @@ from rodlib.ilc.laboratory.replay import Replay
 from rodlib.ilc.laboratory.tables import few, quoted, rows
 from rodlib.ilc.trials import rms
 
+HEARD = 0.01  # of the error in the loudest octave: less is not worth a line
 AGREES = 1e-5  # of the largest v of an output: logs may hold few digits of it
 
 
@@ -41,7 +42,7 @@ def left_out(replay: Replay) -> list[str]:
     if replay.law is None:
         reasons.append(
             "law check, next trial and simulation: the log does not say which law made it; its "
-            "metadata need Q and L"
+            "metadata need Q and L, and the loop beside actuators"
         )
     if replay.loop is None:
         reasons.append(
@@ -83,6 +84,15 @@ def summary(replay: Replay) -> str:
         mean = (100 * replay.fit.mean()).round(1)
         fits = ", ".join(f"{name} {value:g} %" for name, value in mean.items())
         lines.append(f"fit of the model's prediction, mean of all trials: {fits}")
+    if (rates := replay.reached(replay.numbers[0] + 1)) is not None:
+        rates = rates[rates.before > HEARD * rates.before.max()].drop(columns="before")
+        lines.append(
+            "share of the error left by the first of the trials to the next, by octaves in rad/s:\n"
+            f"{rates.to_string(float_format='{:.2g}'.format)}"
+        )
+    lines += [
+        f"{key}: {trials.attrs[key]}" for key in ("clock", "resampled") if key in trials.attrs
+    ]
     lines += [f"WARNING: {finding}" for finding in replay.findings]
     return "\n".join([*lines, *(f"left out: {reason}" for reason in left_out(replay))])
 

@@ -15,6 +15,7 @@ import numpy as np
 NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?\s*", re.ASCII | re.IGNORECASE)
 METADATA = re.compile(r"#\s*([^:]*[^:\s])\s*:\s*(.*?)\s*")
 SEPARATORS = {";": "semicolons", "\t": "tabs"}
+MISSING = ("", "nan", "na", "n/a", "null", "none", "-")
 LISTED = 18  # problems, and names in a message
 
 
@@ -34,10 +35,19 @@ class Table:
     columns: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))  # NaN for what is none
     lines: Sequence[int] = ()  # of the file, from 1, where each row stands
     faults: dict[str | None, list] = field(default_factory=dict)  # by title; what, and how often
+    places: Sequence[int] | None = None  # of the columns in a row; None: a row has no others
+    width: int = 0  # of a row that has others
+    delimiter: str = ","
+    decimal: str = "."
+    gaps: bool = False  # whether rows may be cut off, and entries missing
 
     def column(self, title: str) -> np.ndarray:
         """All numbers of a column."""
         return self.columns[self.header.index(title)]
+
+    def add(self, title: str, values) -> None:
+        """Put a further column behind the others."""
+        self.header, self.columns = [*self.header, title], np.vstack([self.columns, values])
 
     def problems_of(self, titles) -> list[str]:
         """The faults in some columns, and rows of another length."""
@@ -68,18 +78,25 @@ def read(content: bytes) -> Table:
                 table.problems.append(f"metadata: {key!r} is given twice, again in line {line}")
             table.metadata.setdefault(key, value)
         elif text.strip() and not text.startswith("#"):
-            table.header = _entries(text)
+            table.header = entries(text)
     table.problems += _problems_of_header(table.header)
     if not table.problems:
-        _read_rows(table, memoryview(content)[end:], line + 1)
+        read_rows(table, memoryview(content)[end:], line + 1)
     return table
 
 
-def _entries(text):
+def entries(text: str, delimiter: str = ",") -> list[str]:
+    """What stands in a line."""
     try:
-        return next(csv.reader([text], skipinitialspace=True), [])
+        return next(csv.reader([text], delimiter=delimiter, skipinitialspace=True), [])
     except csv.Error:  # an entry of more than 100,000 characters
         return [""]
+
+
+def number(entry: str, decimal: str = ".") -> float:
+    """The number in an entry; one that is not finite if there is anything else."""
+    entry = entry if decimal == "." else entry.replace(".", "x").replace(decimal, ".")
+    return float(entry) if NUMBER.fullmatch(entry) else np.nan
 
 
 def _problems_of_header(header):
@@ -94,9 +111,11 @@ def _problems_of_header(header):
     return [f"column {title!r} stands there {header.count(title)} times" for title in again]
 
 
-def _read_rows(table, content, first):
+def read_rows(table: Table, content, first: int) -> None:
     """Read the rows that stand in `content`, from the line `first` of the file on."""
-    table.columns = _all_at_once(content, len(table.header))
+    if table.places is None:
+        table.places, table.width = range(len(table.header)), len(table.header)
+    table.columns = _all_at_once(table, content)
     table.lines = range(first, first + table.columns.shape[1])
     if np.isfinite(table.columns).all():
         return
@@ -111,37 +130,42 @@ def _read_rows(table, content, first):
     table.columns, table.lines = np.array(rows).reshape(-1, len(table.header)).T, lines
 
 
-def _all_at_once(content, count):
+def _all_at_once(table, content):
     """The numbers of all rows by column; one that is not finite if there is anything else."""
     import pyarrow  # here, because it takes long to import
     from pyarrow import csv as arrow
 
     if not len(content):
-        return np.empty((count, 0))
-    names = [str(index) for index in range(count)]
+        return np.empty((len(table.header), 0))
+    names = [str(index) for index in range(table.width)]
+    wanted = [names[place] for place in table.places]
     try:
         read = arrow.read_csv(
             pyarrow.BufferReader(content),
             arrow.ReadOptions(column_names=names),
-            arrow.ParseOptions(ignore_empty_lines=False),
-            arrow.ConvertOptions(column_types=dict.fromkeys(names, pyarrow.float64())),
+            arrow.ParseOptions(delimiter=table.delimiter, ignore_empty_lines=False),
+            arrow.ConvertOptions(
+                column_types=dict.fromkeys(wanted, pyarrow.float64()),
+                include_columns=wanted,
+                decimal_point=table.decimal,
+            ),
         )
     except pyarrow.ArrowInvalid:
-        return np.full((count, 1), np.nan)
+        return np.full((len(wanted), 1), np.nan)
     return np.array([column.to_numpy() for column in read.columns])
 
 
 def _row(table, text, line):
     """The numbers of one row, NaN where there is none; notes what is wrong with it."""
-    entries, values = _entries(text), np.full(len(table.header), np.nan)
-    if len(entries) != len(values):
-        what = f"row {line} has {len(entries)} entries, but the header has {len(values)}"
-        table.fault(None, what)
+    found, values = entries(text, table.delimiter), np.full(len(table.header), np.nan)
+    if len(found) != table.width:
+        what = f"row {line} has {len(found)} entries, but the header has {table.width}"
+        if not table.gaps:
+            table.fault(None, what)
         return values
-    for index, (title, entry) in enumerate(zip(table.header, entries, strict=True)):
-        if NUMBER.fullmatch(entry) and np.isfinite(float(entry)):
-            values[index] = float(entry)
-        else:
+    for index, (title, place) in enumerate(zip(table.header, table.places, strict=True)):
+        entry, values[index] = found[place], number(found[place], table.decimal)
+        if not np.isfinite(values[index]) and not (table.gaps and entry.lower() in MISSING):
             what = f"is {entry[:40]!r}, not a finite number" if entry else "is missing"
             table.fault(title, f"{title}: entry {what}, in row {line}")
     return values

@@ -6,14 +6,25 @@ two differ in what time is, which is hidden here.
 
 import random
 import time
+import warnings
+from dataclasses import dataclass
+from itertools import product
 
 import control
 import numpy as np
+import pandas as pd
+from scipy.optimize import least_squares
+from scipy.stats import t
 
 from rodlib.ilc import arguments
+from rodlib.ilc.models import state_sequence
 
 HEATERS, THERMOMETERS = ["Q1", "Q2"], ["T1", "T2"]
 LAST = 60.0  # s of the wait before the first trial, over which the readings at rest are averaged
+UNITS = {"gain_1": "K/s per %", "gain_2": "K/s per %", "loss": "1/s", "exchange": "1/s", "lag": "s"}
+PARTS = 6  # of a record, each left out once; with more, noise of a minute makes intervals short
+SURELY = {"ftol": 1e-12, "xtol": 1e-10}  # tolerances, so that the start does not show
+VAGUE = 0.5  # relative standard error, from which on a record does not tell a parameter
 
 
 class TemperatureControlLab:
@@ -131,6 +142,96 @@ def heat_balance(gain_1, gain_2, loss, exchange, lag, Ts) -> control.StateSpace:
     B, C = np.vstack([np.diag([gain_1, gain_2]), 0 * I]), np.hstack([0 * I, I])
     model = control.ss(A, B, C, 0, inputs=HEATERS, outputs=THERMOMETERS, name="heat balance")
     return control.sample_system(model, Ts, method="zoh")
+
+
+@dataclass(frozen=True, eq=False)
+class HeatBalanceFit:
+    """The parameters of :func:`heat_balance` that a record gives, and how well it tells them."""
+
+    values: np.ndarray  # in the order of heat_balance; NaN for what moves nothing in the record
+    covariance: np.ndarray  # of their logarithms
+    zero: np.ndarray  # readings at rest, as fitted, shape (2,)
+    left: np.ndarray  # readings minus model, K, shape (samples, 2)
+
+    @property
+    def unknown(self) -> list[str]:
+        """Parameters that the record does not tell."""
+        return [name for name, s in zip(UNITS, self._deviations, strict=True) if not s < VAGUE]
+
+    @property
+    def _deviations(self):
+        return np.sqrt(np.diag(self.covariance))
+
+    def table(self, confidence: float = 0.95) -> pd.DataFrame:
+        """Each parameter with its interval and its unit."""
+        width = np.exp(np.minimum(t.ppf((1 + confidence) / 2, PARTS - 1) * self._deviations, 500))
+        columns = {"value": self.values, "from": self.values / width, "to": self.values * width}
+        return pd.DataFrame(columns | {"unit": UNITS.values()}, list(UNITS))
+
+
+def fit_heat_balance(heaters, readings, Ts: float) -> HeatBalanceFit:
+    """The heat balance nearest to a record in least squares, from several starts.
+
+    There is a second minimum where heater and thermometer exchange their times. Parameters are
+    positive, and times between Ts/10 and ten records. The intervals are of the jackknife: how much
+    changes if a sixth of the record is left out. They count noise of any colour and what the model
+    leaves, as far as it differs from one sixth to another.
+
+    Parameters
+    ----------
+    heaters, readings : array, shape (samples, 2)
+        In %, above those at rest, held for Ts; in K or degC, from any zero. Begins at rest.
+    Ts : float
+        Sampling period, s.
+
+    Returns
+    -------
+    HeatBalanceFit
+
+    Warns
+    -----
+    UserWarning
+        If the record does not tell a parameter: a heater that never moves, one step alone.
+    """
+    heaters = arguments.array("heaters", heaters, ("samples", 2))
+    readings = arguments.array("readings", readings, (len(heaters), 2))
+    Ts, span = arguments.sampling_period("Ts", Ts), Ts * len(heaters)
+    if len(heaters) < 5 * PARTS:
+        raise ValueError(f"heaters has {len(heaters)} samples; a fit needs {5 * PARTS} or more")
+
+    def modelled(parameters):
+        model = heat_balance(*parameters, Ts)
+        states = state_sequence(model.A, heaters @ model.B.T, np.zeros(model.nstates))
+        return states @ model.C.T
+
+    def left(z):
+        return (readings - readings[0] - z[5:] - modelled(np.exp(z[:5]))).ravel()
+
+    swing = max(np.ptp(readings, axis=0).max() / max(np.ptp(heaters), 1e-9), 1e-9)  # K per %
+    shortest, longest, around = Ts / 10, 10 * span, np.ptp(readings, axis=0) + 1
+    low = [*np.log([swing / longest] * 2 + [1 / longest, 0.01 / longest, shortest]), *-around]
+    high = [*np.log([swing / Ts] * 2 + [1 / shortest, 1 / shortest, longest]), *around]
+    fits = []
+    for cooling, lag in product((span / 3, span / 30), repeat=2):
+        start = [*np.log([2 * swing / cooling] * 2 + [1 / cooling, 0.3 / cooling, lag]), 0, 0]
+        start = np.clip(start, low, high)
+        fits.append(least_squares(left, start, bounds=(low, high), x_scale="jac", **SURELY))
+    best = min(fits, key=lambda fit: fit.cost)
+    parts = np.array_split(np.arange(readings.size), PARTS)
+    kept = [np.delete(np.arange(readings.size), part) for part in parts]
+    moved = np.array([np.linalg.lstsq(best.jac[k], best.fun[k], rcond=1e-9)[0] for k in kept])
+    covariance = (PARTS - 1) / PARTS * moved[:, :5].T @ moved[:, :5]
+    values, zero = np.exp(best.x[:5]), readings[0] + best.x[5:]
+    idle = np.abs(best.jac[:, :5]).max(axis=0) < 1e-9 * np.abs(best.jac).max()
+    values[idle] = covariance[idle, idle] = np.nan
+    fit = HeatBalanceFit(values, covariance, zero, best.fun.reshape(-1, 2))
+    if fit.unknown:
+        warnings.warn(
+            f"the record does not tell {', '.join(fit.unknown)}: left out a sixth of it, they "
+            f"would be others by more than half. Move each heater, independently, up and down",
+            stacklevel=2,
+        )
+    return fit
 
 
 def _package():

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from rodlib.ilc import arguments
+from rodlib.ilc.choices import CHOOSE
 from rodlib.ilc.evidence.certificate import GAP, VIOLATION, Certificate, certify, checked_trial
 from rodlib.ilc.evidence.finite_trial import switched_on
 from rodlib.ilc.evidence.optimality import lower_bound
@@ -13,6 +14,7 @@ from rodlib.ilc.gaps import without_gaps
 from rodlib.ilc.posing import pose
 from rodlib.ilc.problem import Problem, Solution, largest_singular_values, tied
 from rodlib.ilc.synthesis import active_set, interior_point
+from rodlib.ilc.synthesis.everywhere import PASSED, carried, settled
 from rodlib.ilc.synthesis.program import Infeasible, formulate
 from rodlib.ilc.synthesis.result import InfeasibleError, SolverError, Synthesis
 from rodlib.ilc.synthesis.selection import first_cuts, violated
@@ -27,13 +29,13 @@ CVXPY_TOLERANCES = (1e-5, 1e-6)  # Clarabel ends "almost solved" on these proble
 def synthesise(
     P,
     Q,
-    omega,
+    omega=None,
     Ts=None,
     *,
     order=Problem.order,
     M_max=Problem.M_max,
-    L_max=Problem.L_max,
-    band=Problem.band,
+    L_max=CHOOSE,
+    band=None,
     structure=Problem.structure,
     objective=Problem.objective,
     scale=None,
@@ -41,6 +43,7 @@ def synthesise(
     noise=None,
     confidence=None,
     beyond=None,
+    everywhere=False,
     solver="structured",
     start=None,
     samples=None,
@@ -58,20 +61,24 @@ def synthesise(
         for all of them. A :class:`rodlib.MeasuredResponse` brings its radius along.
     Q : array_like, shape (n,), or ZeroPhaseButterworth
         Frequency response of the Q-filter on `omega`, or the filter.
-    omega : array_like, shape (n,)
-        Design frequencies, rad/s, increasing, up to the Nyquist frequency pi / Ts.
+    omega : array_like, shape (n,), optional
+        Design frequencies, rad/s, increasing, up to the Nyquist frequency pi / Ts. Default: those
+        of python-control's frequency response data; of models and measured responses 1000 of them,
+        from a thousandth of Q's cut-off on.
     Ts : float, optional
         Sampling period, s; for arrays, of which none knows it.
     order : int
         Number of samples n_L that the learning filter looks ahead (44).
     M_max : float
         Bound on sigma_max(M), in (0, 1): the slowest convergence tolerated.
-    L_max : float or None
-        Bound on sigma_max(L), unit of w per unit of y; it holds between the frequencies of a coarse
-        grid, and up to the Nyquist frequency, too. None leaves it out: filters then compete up
-        to the gain that coefficients in doubles can hold, :attr:`rodlib.ilc.Problem.weight`.
+    L_max : float, None or "auto"
+        Bound on sigma_max(L), unit of w per unit of y. Default: the gain that inverts P at Q's
+        cut-off, 1 / sigma_min(P), rounded up to one digit. It holds between the frequencies of a
+        coarse grid, and up to the Nyquist frequency, too. None leaves it out: filters then compete
+        up to the gain that coefficients in doubles can hold, :attr:`rodlib.ilc.Problem.weight`.
     band : (float, float)
-        Lowest and highest frequency of the sum in (39), rad/s. A peak has none.
+        Lowest and highest frequency of the sum in (39), rad/s. A peak has none. Default: from the
+        lowest of `omega` to a fifth of Q's cut-off. The certificate says what was chosen.
     structure : {"diagonal", "full"}
     objective : {"sum", "peak"}
         "sum" is (39), for the nominal plant; "peak" is (45), with (46) unless `L_max` is None: the
@@ -95,6 +102,10 @@ def synthesise(
         The largest sigma_max(P), in units of `scale`, above the last frequency of a plant that is
         known as samples, if that is below the Nyquist frequency: with it M is bounded there.
         Default: as at the last frequency. L keeps its bound up to the Nyquist frequency anyway.
+    everywhere : bool
+        Whether the bounds hold at every frequency, not on `omega` only: where models are known by
+        proof, to a relative 3e-8; between samples by splines, and without the radius. The sum is
+        that over `omega`. It takes about twice as long.
     solver : {"structured", "cvxpy"}
         The package's own solvers, or the problem as the paper states it, in CVXPY.
     start : Synthesis, optional
@@ -132,6 +143,7 @@ def synthesise(
         P, Q, omega, Ts, order=order, M_max=M_max, L_max=L_max, band=band, structure=structure,
         objective=objective, scale=scale, uncertainty=uncertainty,
         noise=noise, confidence=confidence, beyond=beyond,
+        everywhere=everywhere,
     )  # fmt: skip
     return warned(
         certified(problem, solver=solver, start=start, samples=samples, rest=rest, check=check)
@@ -164,12 +176,13 @@ def certified(
     asked, problem = problem, without_gaps(problem)
     if start is not None:
         _check_start(start, problem)
-        if len(start.solution.U) != len(problem.omega):  # of what fills the gaps of the grid
-            start = None
+        start, omega = start.solution, start.certificate.problem.omega
+        if len(omega) > len(problem.omega):  # by what fills the gaps of the grid
+            start = carried(start, omega, problem.omega)
     by_solver = _solve_with_cvxpy if solver == "cvxpy" else solve
     tolerances = CVXPY_TOLERANCES if solver == "cvxpy" else (GAP, VIOLATION)
     try:
-        solution = by_solver(problem, start and start.solution)
+        problem, solution = settled(problem, by_solver, start, PASSED + tolerances[1])
     except Infeasible as error:
         raise _explained(problem, error.nearest) from None
     except RuntimeError as error:
@@ -190,8 +203,9 @@ def solve(problem: Problem, start: Solution | None = None) -> Solution:
 def _solve_program(problem, program, start):
     """From a start if that leads somewhere, or from nothing."""
     if start is not None:
+        good = GAP / 2 if problem.everywhere else GOOD  # crests lie close together
         found = active_set.resolve(program, start, steps=12)
-        if found is not None and _is_good(problem, found, GOOD):
+        if found is not None and _is_good(problem, found, good):
             return found
     solution = interior_point.solve(program, lambda found: _is_good(problem, found, GAP / 2))
     # More digits, where a few steps lead to them; of a sum, only such as are full or nearly so.
@@ -228,17 +242,19 @@ def _is_good(problem, solution, gap):
     worst = max(sigma_M.max(), solution.largest if problem.robust else 0)
     value = problem.value(sigma_M, np.array([worst])) + problem.cost_of_noise(L)
     return (
-        value - lower_bound(problem, solution.U, solution.V, solution.cuts, L)
-        < gap * problem.unit(value)
-        and worst <= problem.M_max * (1 + VIOLATION)
+        worst <= problem.M_max * (1 + VIOLATION)
         and problem.passed_L(L) <= 1 + VIOLATION
+        and value - lower_bound(problem, solution.U, solution.V, solution.cuts, L)
+        < gap * problem.unit(value)
     )
 
 
 def _explained(problem, nearest):
     """The error that says which bound is too tight, where, and what would be feasible."""
-    if len(problem.others):  # not all of them had a say so far
-        nearest = solve(replace(problem, M_max=np.inf, objective="peak", noise=None), nearest)
+    posed, on_grid = problem, len(nearest.U) > len(problem.omega)
+    if len(problem.others) or problem.everywhere:  # not all of them had a say so far
+        posed = replace(problem, M_max=np.inf, objective="peak", noise=None)
+        posed, nearest = settled(posed, solve, None if on_grid else nearest)
     size = np.linalg.norm(nearest.U, axis=(1, 2))
     plant, frequency = 0, tied(size).argmax()
     if nearest.cuts is not None:
@@ -246,9 +262,11 @@ def _explained(problem, nearest):
         if of_cuts.max() > size.max():
             most = tied(of_cuts).argmax()
             plant, frequency = int(nearest.cuts.plant[most]), nearest.cuts.frequency[most]
-    omega = float(problem.omega[frequency])
+    omega = float(posed.omega[frequency])
     where = f"plant {plant} at {omega:.4g} rad/s" if problem.robust else f"{omega:.4g} rad/s"
     message = f"{_advice(problem, nearest.largest)} (most in the way: {where})"
+    if on_grid:
+        message += ". At the frequencies omega alone, without `everywhere`, the bounds can be met"
     lost = problem.omega[problem.unusable & (np.abs(problem.Q) > problem.M_max)]
     if lost.size:
         message += (

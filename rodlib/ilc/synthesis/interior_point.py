@@ -18,6 +18,7 @@ and corrector [2], as in SDPT3 [3]; see [4] for the theory. What is particular h
 [2] S. Mehrotra, SIAM J. Optim. 2 (1992) 575.
 [3] K. Toh, M. Todd, R. Tutuncu, Optim. Methods Softw. 11 (1999) 545; Math. Program. 95 (2003) 189.
 [4] L. Vandenberghe, S. Boyd, SIAM Review 38 (1996) 49; M. Todd, Acta Numerica 10 (2001) 515.
+[5] S. Eisenstat, H. Elman, M. Schultz, SIAM J. Numer. Anal. 20 (1983) 345.
 """
 
 from collections.abc import Callable
@@ -34,7 +35,8 @@ from rodlib.ilc.synthesis.program import Infeasible, Program
 GAP = 2e-9  # relative gap at which to stop
 # Part of the gap by which rounding may keep the multipliers from being stationary.
 STATIONARY = 0.1
-REFINEMENTS = 3
+# Ways to a step: whether by a square root, slow and accurate, and how often rounding is looked at.
+WAYS = ((False, 2), (False, 10), (True, 10))
 PATIENCE = 3  # s without a word on progress
 
 
@@ -129,8 +131,9 @@ def begin(program, x):
     return replace(p, Y=[mu * A for A in X], eta=mu / (limits[0] - t))
 
 
-def newton(program, p, slacks, total, root):
-    """A function for the directions from p; `root`: factorised more slowly, and more accurately."""
+def newton(program, p, slacks, total, way=WAYS[0]):
+    """A function for the directions from p, in one of the WAYS."""
+    root, looks = way
     s, toward = p.limits[0] - p.t, program.limits - p.limits
     solve = factorise(program, slacks, p.Y, p.eta / s, root)
 
@@ -139,15 +142,18 @@ def newton(program, p, slacks, total, root):
         changes = zip(slacks, p.Y, d.S(program), strict=True)
         return [-slack.sandwich(Y, *dS) for slack, Y, dS in changes]
 
-    def correct(d):
-        """d, with x, t and the splits changed such that all multipliers become stationary."""
+    def residual(d):
+        """The multipliers after a step d, and by how much they are not stationary."""
         Y = [A + D for A, D in zip(p.Y, d.Y, strict=True)]
-        residual = stationarity(program, Y) - program.slope(p.x + d.x)
-        dx, dt, dd = solve(residual, Y, p.eta + d.eta)
+        return Y, stationarity(program, Y) - program.slope(p.x + d.x)
+
+    def correction(Y, rx, eta):
+        """What makes multipliers stationary: changes of x, t, the splits, and of Y with them."""
+        dx, dt, dd = solve(rx, Y, eta)
         dL = dx @ program.basis
         dG = [bound.response(dL) for bound in program.bounds]
-        correction = Point(dx, dt, 0 * toward, dd, dG, [], p.eta / s * dt)
-        return d.moved(replace(correction, Y=change(correction)), 1, 1)
+        c = Point(dx, dt, 0 * toward, dd, dG, [], p.eta / s * dt)
+        return replace(c, Y=change(c))
 
     def direction(mu, predictor=None):
         """The direction to Y S = mu I, to second order; None if rounding spoils it."""
@@ -161,15 +167,23 @@ def newton(program, p, slacks, total, root):
             second = zip(dY, slacks, predictor.Y, predictor.S(program), strict=True)
             dY = [A - slack.sandwich(Y, *dS) for A, slack, Y, dS in second]
             deta = deta - predictor.eta * (predictor.limits[0] - predictor.t) / s
-        d = correct(replace(still, Y=dY, eta=deta))
+        d = replace(still, Y=dY, eta=deta)
+        d = d.moved(correction(*residual(d), p.eta + d.eta), 1, 1)
         if predictor is None:
             return d
-        for _ in range(REFINEMENTS):
-            Y = [A + D for A, D in zip(p.Y, d.Y, strict=True)]
-            left = np.linalg.norm(stationarity(program, Y) - program.slope(p.x + d.x))
-            if left * np.linalg.norm(p.x) <= STATIONARY * total:
+        done = []  # what rounding has left is removed by conjugate residuals [5]
+        for _ in range(looks):
+            Y, left = residual(d)
+            if np.linalg.norm(left) * np.linalg.norm(p.x) <= STATIONARY * total:
                 return d
-            d = correct(d)
+            c = correction(Y, left, p.eta + d.eta)
+            effect = program.slope(c.x) - stationarity(program, c.Y)
+            for before, known in done:
+                share = known @ effect / (known @ known)
+                c, effect = c.moved(before, -share, -share), effect - share * known
+            share = effect @ left / (effect @ effect)
+            d = d.moved(c, share, share)
+            done.append((c, effect))
         return d if root else None
 
     return direction
@@ -180,9 +194,9 @@ def degree(p):
     return len(p.t) + sum(Y.shape[0] * Y.shape[2] for Y in p.Y)
 
 
-def step(program, p, slacks, total, root):
+def step(program, p, slacks, total, way):
     """The direction of Mehrotra's method from p; None if it is not accurate enough."""
-    direction = newton(program, p, slacks, total, root)
+    direction = newton(program, p, slacks, total, way)
     predictor = direction(0.0)
     primal, dual = step_lengths(program, p, predictor, slacks, 0.1)
     left = complementarity(program, p.moved(predictor, primal, dual)) / total
@@ -193,7 +207,7 @@ def step(program, p, slacks, total, root):
 def follow(program, p, enough=0.0, is_good=None):
     """The best point on the central path, or None if no bounds were met, and the iterations."""
     n, m = program.basis.shape[1], p.G[0].shape[1]
-    best, smallest, gaps, root = None, np.inf, [], False
+    best, smallest, gaps, way = None, np.inf, [], 0
     steps = range(100)
     for iteration in tqdm(steps, "interior point", leave=False, delay=PATIENCE, disable=None):
         objective, dual = p.t.sum() + program.quadratic(p.x), dual_value(program, p)
@@ -211,13 +225,11 @@ def follow(program, p, enough=0.0, is_good=None):
             if iteration > 40 or dual - x_max > len(p.t) * program.limits[0]:
                 break
         slacks = [Slack(G, diagonal, b) for diagonal, b, G in p.S(program)]
-        d = step(program, p, slacks, total, root)
-        if d is None:
-            # rounding ends the quick way: is more of the slow one needed?
+        while (d := step(program, p, slacks, total, WAYS[way])) is None:
+            # rounding ends the quick way: is more of a slower one needed?
             if best is p and is_good is not None and is_good(_solution(program, p, iteration)):
-                break
-            root = True
-            d = step(program, p, slacks, total, root)
+                return best, iteration
+            way += 1
         primal, dual = step_lengths(program, p, d, slacks, 0.02)
         damping = 0.9 + 0.09 * min(primal, dual)
         primal, dual = (1.0 if a == 1 else damping * a for a in (primal, dual))

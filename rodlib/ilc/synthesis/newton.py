@@ -13,6 +13,8 @@ from scipy.linalg import cho_factor, cho_solve
 from rodlib.ilc.synthesis.bounds import adjoint, product, root_of
 from rodlib.ilc.synthesis.inequalities import EPS, cholesky, trace
 
+CACHED = 2**15  # numbers in a block of columns
+
 
 class Local:
     """One bound: its second derivatives in d, t and L, and d or a t of its own eliminated."""
@@ -94,19 +96,22 @@ def normal_matrix(program, slacks, Y, local):
         )
         j, k = np.triu_indices(len(bound.entries))
         r, c, rs, cs = bound.rows[j], bound.cols[j], bound.rows[k], bound.cols[k]
-        a = Y11[r, rs] * X22[cs, c] + X11[r, rs] * Y22[cs, c]
-        b = Y21[c, rs] * X21[cs, r] + X21[c, rs] * Y21[cs, r]
-        for g, follow in zip(0.5 * part.g, part.follow, strict=True):
-            a -= g[j].conj() * follow[k]
-            b -= g[j] * follow[k]
-        which = number[bound.entries[j], bound.entries[k]]
-        for form, value in ((A, a), (B, b)):
-            if isinstance(bound.at, slice):
-                form[which] += value
-            else:
-                np.add.at(form, (which[:, None], bound.at), value)
+        which, columns = number[bound.entries[j], bound.entries[k]], bound.shape[2]
+        size = max(32, CACHED // len(which))  # of a block that stays in the cache
+        for some in (slice(i, i + size) for i in range(0, columns, size)):
+            x11, y11, x21, y21, x22, y22 = (Z[..., some] for Z in (X11, Y11, X21, Y21, X22, Y22))
+            a = y11[r, rs] * x22[cs, c] + x11[r, rs] * y22[cs, c]
+            b = y21[c, rs] * x21[cs, r] + x21[c, rs] * y21[cs, r]
+            for g, follow in zip(part.g[..., some], part.follow[..., some], strict=True):
+                a -= 0.5 * g[j].conj() * follow[k]
+                b -= 0.5 * g[j] * follow[k]
+            for form, value in ((A, a), (B, b)):
+                if isinstance(bound.at, slice):
+                    form[which, some] += value
+                else:
+                    np.add.at(form, (which[:, None], bound.at[some]), value)
     # Re(A phi_k phi_l^*) + Re(B phi_k phi_l), summed over the frequencies
-    sums = np.concatenate([A.real, A.imag, B.real, B.imag], axis=1) @ program.products
+    sums = sum(form.view(float) @ part for form, part in zip((A, B), program.products, strict=True))
     H = np.empty((E, order, E, order))
     j, k = pairs.T
     H[k, :, j] = sums.reshape(-1, order, order)

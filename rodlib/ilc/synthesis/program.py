@@ -53,11 +53,10 @@ class Program:
 
     @cached_property
     def products(self):
-        """Re and -Im of phi_k phi_l^*, then of phi_k phi_l, (4 n, order^2): for Newton steps."""
-        order, n = self.basis.shape
-        both = [self.basis[:, None] * second for second in (self.basis.conj(), self.basis)]
-        flat = [X.reshape(order * order, n).T for X in both]
-        return np.concatenate([part for X in flat for part in (X.real, -X.imag)])
+        """phi_k^* phi_l and phi_k^* phi_l^*, real and imaginary parts in turn, (2 n, order^2)."""
+        conjugate = self.basis.conj()
+        both = (conjugate[:, None] * second for second in (self.basis, conjugate))
+        return [X.reshape(-1, X.shape[-1]).view(float).T for X in both]
 
     def quadratic(self, x):
         """x'H x / 2."""
@@ -169,7 +168,8 @@ def bound_on_M(problem, plant, frequency, **kind):
         r = np.maximum(problem.radius, SMALLEST * np.abs(problem.P).max())[frequency]
         below = np.abs(Q) * r * np.eye(m)[..., None]
         F, T = np.concatenate([F, 0 * below]), np.concatenate([T, below])
-    return Bound(F.astype(complex), T.astype(complex), at=frequency, plant=plant, **kind)
+    F, T = (np.ascontiguousarray(X, dtype=complex) for X in (F, T))  # as long vectors
+    return Bound(F, T, at=frequency, plant=plant, **kind)
 
 
 def formulate(problem: Problem, plant=(), frequency=()) -> Program:

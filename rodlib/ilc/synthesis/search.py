@@ -23,7 +23,7 @@ ROUNDS = 20  # in each of which a frequency is added, where M passed one between
 
 
 @on_one_thread
-def least_gain(P, Q, omega, Ts=None, **choices) -> Synthesis:
+def least_gain(P, Q, omega=None, Ts=None, **choices) -> Synthesis:
     """Design the one filter of (45) that has a rule: of least gain among those of least peak.
 
     Without (46) the least peak of sigma_max(M) may be reached by many filters, whose gains differ
@@ -58,7 +58,7 @@ def least_gain(P, Q, omega, Ts=None, **choices) -> Synthesis:
 
 @on_one_thread
 def largest_cutoff(
-    P, Q: ZeroPhaseButterworth, omega, Ts=None, **choices
+    P, Q: ZeroPhaseButterworth, omega=None, Ts=None, **choices
 ) -> tuple[ZeroPhaseButterworth, Synthesis]:
     """Find the largest cut-off of Q for which a filter meets the bounds, and design that.
 
@@ -72,7 +72,7 @@ def largest_cutoff(
     P, omega, Ts, **choices
         As for :func:`synthesise`.
     Q : ZeroPhaseButterworth
-        Its order is kept; the search starts at its cut-off.
+        Its order is kept; the search starts at its cut-off, which says what is chosen by default.
 
     Returns
     -------
@@ -86,9 +86,10 @@ def largest_cutoff(
     asked, how = _parted(choices)
     arguments.flag("check", how.get("check", True))
     further, stated = [], pose(P, Q, omega, Ts, **asked)
+    asked |= {"band": stated.band, "L_max": stated.L_max}  # whatever Q will be
 
     def posed(Q, **changes):
-        problem = pose(P, Q, omega, Ts, **asked | changes)
+        problem = pose(P, Q, stated.omega, Ts, **asked | changes)
         return refined(problem, further) if further else problem
 
     with tqdm(desc="largest cut-off", unit=" solved", leave=False, disable=None) as bar:
@@ -137,6 +138,11 @@ def _widest(Q, posed, stated, bar, step):
 
 def _parted(choices):
     """The choices for :func:`pose`, and those for :func:`certified`."""
+    if choices.get("everywhere", False) is not False:
+        raise ValueError(
+            f"everywhere = {choices['everywhere']!r} is for synthesise: leave it out here, and "
+            "pass synthesise what was found, with a little more room"
+        )
     known = signature(pose).parameters
     asked = {name: choices[name] for name in choices if name in known}
     return asked, {name: choices[name] for name in choices if name not in asked}

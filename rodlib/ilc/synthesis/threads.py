@@ -3,9 +3,11 @@
 On one thread sums are also taken in one order, so that the digits are those of any other machine.
 """
 
-from functools import wraps
+from functools import cache, wraps
 
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
+
+pools = cache(ThreadpoolController)  # to look for them takes milliseconds
 
 
 def on_one_thread(function):
@@ -13,7 +15,7 @@ def on_one_thread(function):
 
     @wraps(function)
     def held(*args, **keywords):
-        with threadpool_limits(limits=1, user_api="blas"):
+        with pools().limit(limits=1, user_api="blas"):
             return function(*args, **keywords)
 
     return held

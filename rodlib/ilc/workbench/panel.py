@@ -16,7 +16,7 @@ from rodlib.ilc.workbench.picture import Picture
 from rodlib.ilc.workbench.plants import Family, Plant, plant_of_file
 from rodlib.ilc.workbench.settings import Settings
 
-FILE = "a log"
+FILE = "a log or a table"
 PAUSE = 0.01  # s; changes that follow each other faster are one
 
 
@@ -30,7 +30,7 @@ class Panel:
         self.plants, self.picture = plants, Picture()
         self.outcome, self.before, self.designs = Outcome(None), None, 0
         self._plant, self._due, self._quiet = None, None, False
-        self.choice, self.file, self.knobs = _knobs([*plants, FILE], log)
+        self.choice, self.file, self.columns, self.knobs = _knobs([*plants, FILE], log)
         families = {name: plant for name, plant in plants.items() if isinstance(plant, Family)}
         self.parameters = {name: _parameters(family) for name, family in families.items()}
         self.image = widgets.Image(format="png", layout={"width": "100%"})
@@ -42,7 +42,7 @@ class Panel:
         self.widget = self._laid_out()
         self.remedy.on_click(self._remedy)
         self.save.on_click(self._save)
-        for knob in (self.choice, self.file):
+        for knob in (self.choice, self.file, self.columns):
             knob.observe(self._begin, "value")
         for knob in [knob for knobs in self.parameters.values() for knob in knobs.values()]:
             knob.observe(self._another, "value")
@@ -57,7 +57,7 @@ class Panel:
                 [widgets.VBox([*knobs.values()])], titles=[f"parameters of {name}"]
             )
             for name, knobs in self.parameters.items()
-        } | {FILE: self.file}
+        } | {FILE: widgets.VBox([self.file, self.columns])}
         *families, file = self.shown_with.values()
         left = widgets.VBox(
             [self.choice, file, *self.knobs.values(), *families],
@@ -91,7 +91,8 @@ class Panel:
 
     def _made(self, name):
         if name == FILE:
-            return plant_of_file(os.path.expanduser(self.file.value.strip()))
+            path = os.path.expanduser(self.file.value.strip())
+            return plant_of_file(path, self.columns.value)
         if name in self.parameters:
             values = {word: knob.value for word, knob in self.parameters[name].items()}
             return self.plants[name].make(**values)
@@ -208,15 +209,20 @@ def _parameters(family):
 
 
 def _knobs(plants, log):
-    """The widgets to choose a plant and a file with, and those of the design by name."""
+    """The widgets to choose a plant, a file and its columns with; those of the design by name."""
     common = {"layout": {"width": "99%"}, "style": {"description_width": "120px"}}
     lazy = common | {"continuous_update": False}
     choice = widgets.Dropdown(options=plants, description="plant", **common)
     file = widgets.Text(
-        log, description="path of the log", placeholder="from shake or record", **lazy
+        log, description="path of the file", placeholder="from shake, record or others", **lazy
+    )
+    columns = widgets.Text(
+        description="its columns",
+        placeholder='of a table: time="t", inputs={"Q1": "Heater 1"}, outputs={"T1": 3}',
+        **lazy,
     )
     three = {"readout_format": ".3g", "step": 0.02} | lazy
-    return choice, file, {
+    return choice, file, columns, {
         "M_max": widgets.FloatSlider(
             min=0.05, max=0.999, step=0.001, readout_format=".3f", description="M_max", **lazy
         ),

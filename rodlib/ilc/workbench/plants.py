@@ -1,5 +1,6 @@
 """Plants on the workbench: what filters are designed for, and what their trials follow."""
 
+import ast
 import reprlib
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -7,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from rodlib.ilc import arguments
-from rodlib.ilc.laboratory import LogError, MeasuredResponse, load_log, measured_response
-from rodlib.ilc.laboratory.notes import excitation_of
+from rodlib.ilc.laboratory import LogError, load_log, measured_response, read_table
+from rodlib.ilc.laboratory.notes import excitation_of, loop_of
 from rodlib.ilc.laboratory.replay import replay_of
 from rodlib.ilc.loop import Loop
+from rodlib.ilc.plants import Measured
 from rodlib.ilc.problem import Problem
 
 TRIALS = 10
@@ -22,7 +24,7 @@ class Plant:
     """What filters are designed for, and what ten trials with them follow."""
 
     source: str  # the Python expression that makes `response`, with rodlib and np at hand
-    response: Loop | MeasuredResponse  # what the synthesis is given
+    response: Loop | Measured  # what the synthesis is given
     reference: np.ndarray | None = None  # shape (time, m); default: all to one, back, and a rest
     disturbance: np.ndarray | None = None  # shape (10, time, d), as loop.disturbances; default zero
     order: int = Problem.order  # samples to look ahead at first; more than the plant's delay
@@ -31,11 +33,13 @@ class Plant:
 
     def __post_init__(self):
         arguments.instance("source", self.source, str)
-        if not isinstance(self.response, Loop | MeasuredResponse):
+        if not isinstance(self.response, Loop | Measured):
             raise ValueError(
                 f"response = {reprlib.repr(self.response)} must be a loop, such as "
                 "current_trial_loop makes, or a measured response"
             )
+        if self.loop is None:
+            raise ValueError("response is a table without a period: control.frd(P, omega, Ts)")
         if not self.measured and self.loop.P is None:
             raise ValueError(
                 "response has no P, for which filters are designed: measure it, by shake"
@@ -58,7 +62,7 @@ class Plant:
     @property
     def measured(self) -> bool:
         """Whether the response was measured, and brings a radius of its own."""
-        return isinstance(self.response, MeasuredResponse)
+        return isinstance(self.response, Measured)
 
     @property
     def loop(self) -> Loop:
@@ -86,19 +90,39 @@ class Family:
     parameters: dict[str, tuple[float, str]]  # by name: what each is at first, and its unit
 
 
-def plant_of_file(path) -> Plant:
-    """A loop that was shaken, as measured; or one that was recorded, with its last trial again."""
+def plant_of_file(path, columns: str = "") -> Plant:
+    """A loop that was recorded, with its last trial again; any other record, as measured.
+
+    Of a table, `columns` is what :func:`rodlib.read_table` is told beside the path, as Python, such
+    as ``time="t", outputs={"T1": "Temperature"}``; a log needs none.
+    """
     path = str(arguments.path("path", path))
-    log, source = load_log(path), f"rodlib.load_log({path!r})"
+    if arguments.instance("columns", columns, str).strip():
+        source = f"rodlib.read_table({path!r}, {columns.strip()})"
+        try:
+            log = read_table(path, **_keywords(columns))
+        except (TypeError, SyntaxError) as error:  # of keywords that it has not, or is not given
+            raise ValueError(f"columns = {columns!r} cannot be understood: {error}") from None
+    else:
+        log, source = load_log(path), f"rodlib.load_log({path!r})"
     try:
-        if excitation_of(log) is not None:
+        if excitation_of(log) is not None or loop_of(log) is None:
             return Plant(f"rodlib.measured_response({source})", measured_response(log))
         replay = replay_of(log)
-        if replay.loop is None:
-            raise LogError("it names no loop in its metadata: it is of neither shake nor record")
         again = np.repeat(replay.disturbance[-1:], TRIALS, axis=0)
         reference = replay.trials.reference.values[-1]
         source = f"rodlib.loop_of({source})"
         return Plant(source, replay.loop, reference, again, rest=replay.rest)
     except ValueError as error:
         raise LogError(f"{path}: {error}") from None
+
+
+def _keywords(text):
+    """What a call is told by keyword; nothing is called."""
+    call = ast.parse(f"read_table({text.strip()})", mode="eval").body
+    if not isinstance(call, ast.Call) or call.args or any(k.arg is None for k in call.keywords):
+        raise SyntaxError('write time="...", outputs={"...": "..."}')
+    try:
+        return {keyword.arg: ast.literal_eval(keyword.value) for keyword in call.keywords}
+    except ValueError:
+        raise SyntaxError("each must be a text, a number or a dict of them") from None

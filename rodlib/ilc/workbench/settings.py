@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rodlib.ilc import arguments
+from rodlib.ilc import arguments, choices
 from rodlib.ilc.filters import ZeroPhaseButterworth, zero_phase_butterworth
 from rodlib.ilc.problem import Problem
 from rodlib.ilc.workbench.plants import Plant
 
-FREQUENCIES = 200  # of the design; the paper has 1000, which take three times as long
+FREQUENCIES = 200  # of the design; the paper has 1000
 
 
 @dataclass(frozen=True)
@@ -30,21 +30,21 @@ class Settings:
 
     @classmethod
     def of(cls, plant: Plant, **changes) -> "Settings":
-        """The paper's choices but for `changes`, carried over to another plant by its Ts.
-
-        L_max is the paper's rule, 2.5 / sigma_max(P) at the cut-off frequency, to one digit.
-        """
+        """The paper's choices but for `changes`, carried over to another plant by its Ts."""
         Ts = arguments.instance("plant", plant, Plant).loop.Ts
         cutoff = changes.get("cutoff", ZeroPhaseButterworth.cutoff / Ts)
         cutoff = float(f"{arguments.positive('cutoff', cutoff):.3g}")
-        low, high = Problem.band
-        choices = {
-            "L_max": float(f"{2.5 / plant.size([cutoff])[0]:.1g}"),
+        omega = _omega(Ts)
+        low, high = choices.band(cutoff, omega)
+        known = plant.response
+        P = known.on(omega)[0] if plant.measured else known.frequency_response(omega)
+        own = {
+            "L_max": choices.gain(cutoff, P, omega),
             "cutoff": cutoff,
-            "band": (_no_lower(low / Ts), float(f"{high / Ts:.3g}")),
+            "band": (_no_lower(low), float(f"{high:.3g}")),
             "order": plant.order,
         }
-        return cls(plant, **choices | changes)
+        return cls(plant, **own | changes)
 
     @property
     def Ts(self) -> float:
@@ -54,7 +54,7 @@ class Settings:
     @property
     def omega(self) -> np.ndarray:
         """The design frequencies, rad/s."""
-        return np.geomspace(1e-4, np.pi, FREQUENCIES) / self.Ts
+        return _omega(self.Ts)
 
     @property
     def Q(self) -> ZeroPhaseButterworth:
@@ -69,11 +69,11 @@ class Settings:
         With a `noise_weight` of 1, a filter that makes as much of the noise as one sensor adds, by
         its variance, costs as much for that as no learning does: so it is one knob for all plants.
         """
-        choices = {
+        asked = {
             "order": self.order,
             "M_max": self.M_max,
             "L_max": self.L_max,
-            "band": self.band,
+            "band": tuple(arguments.array("band", self.band, (2,)).tolist()),
             "structure": self.structure,
         }
         percent = arguments.not_negative("uncertainty", self.uncertainty, "zero or more (%)")
@@ -83,12 +83,14 @@ class Settings:
                     f"uncertainty = {percent:g} % must be 0 for a measured response, which brings "
                     "a radius of its own"
                 )
-            choices["uncertainty"] = percent / 100 * self.plant.size(self.omega)
+            asked["uncertainty"] = percent / 100 * self.plant.size(self.omega)
+        elif not self.plant.measured:  # within a radius nothing is known between the frequencies
+            asked["everywhere"] = True
         arguments.not_negative("noise", self.noise, "zero or more")
         weight = arguments.not_negative("noise_weight", self.noise_weight, "zero or more")
         if weight:
-            choices["noise"] = np.full(FREQUENCIES, weight * self._idle)
-        return choices
+            asked["noise"] = np.full(FREQUENCIES, weight * self._idle)
+        return asked
 
     @property
     def _idle(self):
@@ -105,7 +107,7 @@ class Settings:
             "uncertainty": f"{self.uncertainty / 100!r} * {size}",
             "noise": f"np.full({FREQUENCIES}, {self.noise_weight!r} * {self._idle!r})",
         }
-        choices = ", ".join(
+        asked = ", ".join(
             f"{name}={in_words.get(name, repr(value))}" for name, value in self.problem.items()
         )
         return (
@@ -114,8 +116,13 @@ class Settings:
             f"P, omega = {self.plant.source}, "
             f"np.geomspace(1e-4, np.pi, {FREQUENCIES}) / {self.Ts!r}\n"
             f"Q = rodlib.zero_phase_butterworth({self.Q_order}, {self.cutoff!r}, {self.Ts!r})\n"
-            f"design = rodlib.synthesise(P, Q, omega, {self.Ts!r}, {choices})\n"
+            f"design = rodlib.synthesise(P, Q, omega, {self.Ts!r}, {asked})\n"
         )
+
+
+def _omega(Ts):
+    """The design frequencies, rad/s."""
+    return np.geomspace(1e-4, np.pi, FREQUENCIES) / Ts
 
 
 def _no_lower(omega):

@@ -304,7 +304,7 @@ def test_commands_that_the_rig_cuts_off_are_reported(loop, Q):
     reference[5:10, 0] = 10.0  # 47 and 16 W by N alone
     with pytest.warns(UserWarning) as told:
         log = record(driver(limits={"Q1": (-60, 40), "fan": (0, 1)}), loop, Q, None, reference,
-                     trials=2, pause=0)  # fmt: skip
+                     trials=2, pause=0, limits=None)  # fmt: skip
     share = np.mean(log.u.values[..., 0] > 40, axis=1)
     assert share.min() > 0
     assert [str(one.message).split(" of all")[0] for one in told] == [
@@ -459,7 +459,8 @@ def test_notes_that_were_added_to_the_log_stay(loop, Q, tmp_path):
         ({"Q": zero_phase_butterworth(cutoff=0.2)}, "Q"),
         ({"rest": 3}, "rest"),
         ({"step": 0.5}, "step"),
-        ({"rig": SimpleNamespace(read=len, apply=len)}, "disturbances"),
+        ({"rig": SimpleNamespace(read=len, apply=len)}, "actuators, disturbances"),
+        ({"limits": None}, "actuators"),
         ({"loop": paper_loop(degree=4)}, "loop"),
     ],
 )

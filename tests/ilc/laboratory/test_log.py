@@ -1,5 +1,6 @@
 import json
 import os
+from io import StringIO
 
 import numpy as np
 import pandas as pd
@@ -125,13 +126,42 @@ def test_broken_logs_say_what_is_wrong(tmp_path, text, message):
         GOOD.replace("trial,time,", "trial, time, "),
         GOOD.replace("1.0 s", "1e3 ms").replace(",1,1", ",1000,1").replace(",2,1", ",2e3,1")
         .replace(",3,1", ",3e+3,1"),
-        GOOD.replace(",2,1.0", ",2.0009,1.0"),  # at most a thousandth of a sample
+        GOOD.replace(",2,1.0", ",2.0004,1.0"),  # as few digits leave of a step
     ],
 )  # fmt: skip
 def test_what_means_the_same_is_read_alike(tmp_path, good, text):
     trials = load_log(write(tmp_path, text))
     xr.testing.assert_allclose(trials, good, atol=1e-3)
     assert list(trials.attrs) == ["Ts"] and trials.attrs["Ts"] == 1.0
+
+
+def test_a_real_clock_is_read_and_what_it_shows_is_said(tmp_path, good):
+    late = GOOD.replace(",1,1.0", ",1.00128,1.0").replace(",3,1.0", ",3.05,1.0")
+    trials = load_log(write(tmp_path, late))
+    said = "steps from 0.9987 to 1.05 s, median 1.001, where Ts = 1; no sample is lost"
+    assert trials.identical(good.assign_attrs(clock=said))
+    save_log(trials, tmp_path / "again.csv")
+    assert load_log(tmp_path / "again.csv").identical(trials)
+    lost = GOOD.replace("".join(ROWS[5:6]), "").replace(ROWS[1], "").replace(ROWS[9], "")
+    with pytest.raises(LogError, match=r"row 6 of trial 1 is 2 after .* 1 lost .3 such steps"):
+        load_log(write(tmp_path, lost))
+    with pytest.warns(UserWarning, match="9 rows were resampled to 12 samples; near 3 of them"):
+        trials = load_log(tmp_path / "log.csv", resample=True)
+    np.testing.assert_array_equal(trials.y, good.y)
+    np.testing.assert_array_equal(trials.u[0, :, 0], [0.25, 0.25, 2.25, 3.25])
+
+
+def test_a_record_of_commands_and_outputs_needs_no_reference(tmp_path, good):
+    text = pd.read_csv(StringIO(HEAD + COLUMNS + "".join(ROWS)), comment="#")
+    bare = text.drop(columns=["reference_depth", "v_depth"]).to_csv(index=False)
+    trials = load_log(write(tmp_path, HEAD + bare))
+    assert {*trials.data_vars} == {"u", "y", "disturbance"}
+    save_log(good.drop_vars(["reference", "v"]), tmp_path / "again.csv")  # e says nothing alone
+    assert load_log(tmp_path / "again.csv").identical(trials)
+    save_log(trials, tmp_path / "again.csv")
+    assert load_log(tmp_path / "again.csv").identical(trials)
+    with pytest.raises(LogError, match=r"missing columns \['v_depth'\]"):
+        load_log(write(tmp_path, HEAD + text.drop(columns="v_depth").to_csv(index=False)))
 
 
 def test_all_problems_are_reported_at_once_but_no_more_than_can_be_read(tmp_path):

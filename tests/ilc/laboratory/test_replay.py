@@ -1,3 +1,5 @@
+import warnings
+
 import control
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from rodlib import (
     LogError,
     current_trial_loop,
     load_log,
+    paper_loop,
     record,
     run_trials,
     save_log,
@@ -253,3 +256,25 @@ def test_what_does_not_belong_together_is_refused(tmp_path):
         replay_of(None)
     with pytest.raises(LogError, match="loop cannot be understood"):
         replay_of(trials.assign_attrs(loop="{}"))
+
+
+def test_the_rate_that_was_reached_is_told_where_it_can_be():
+    """On the model it is what the model foretells; a law, a loop and one reference are needed."""
+    loop, Q, L = paper_loop(), zero_phase_butterworth(), LearningFilter(np.eye(2)[..., None], 1.0)
+    w = np.outer(np.sin(np.pi * np.arange(400) / 400) ** 2, [8.0, 10.0])
+    run = with_law(run_trials(loop, Q, L, w, None, 3, step=0.5), Q, L, 0, loop, step=0.5)
+    replay = replay_of(run)
+    for trial in (2, 3):
+        table = replay.reached(trial)
+        np.testing.assert_allclose(table.reached, table.foretold, rtol=1e-6)
+        ratio = np.linalg.norm(table.reached * table.before) / np.linalg.norm(table.before)
+        seen = np.sqrt((run.e[trial - 1] ** 2).sum() / (run.e[trial - 2] ** 2).sum())
+        assert ratio == pytest.approx(float(seen)) and np.all(table.promised >= 0.5)
+    assert replay.reached(1) is None and replay.reached(4) is None
+    run = run.copy(deep=True)
+    run["reference"][2] *= 2
+    with warnings.catch_warnings(action="ignore"):
+        assert replay_of(run).reached(3) is None
+        bare = run.assign_attrs()
+        del bare.attrs["loop"]
+        assert replay_of(bare).reached(2) is None

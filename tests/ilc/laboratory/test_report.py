@@ -86,4 +86,9 @@ def test_the_summary_says_it_in_lines():
         number, log, simulation = line.split()
         assert int(number) == k and log == simulation
     assert lines[9] == "fit of the model's prediction, mean of all trials: x 100 %"
-    assert len(lines) == 10
+    assert lines[10].startswith("share of the error left by the first of the trials")
+    assert lines[11].split() == ["promised", "foretold", "reached", "noise"]
+    for line in lines[13:]:  # the trials are the model's
+        foretold, reached = line.split()[2:4]
+        assert foretold == reached
+    assert 14 <= len(lines) <= 20

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from rodlib import InfeasibleError, synthesise, zero_phase_butterworth
 from rodlib.ilc.posing import pose
-from rodlib.ilc.synthesis import interior_point
+from rodlib.ilc.synthesis import interior_point, newton
 from rodlib.ilc.synthesis.inequalities import Slack
 from rodlib.ilc.synthesis.program import formulate
 
@@ -223,7 +223,7 @@ def test_the_gap_is_the_complementarity_where_the_multipliers_are_stationary(
     total += ((p.limits[0] - p.t) * p.eta).sum()
     found = interior_point.complementarity(program, p)
     assert found == pytest.approx(total, rel=1e-12)
-    d = interior_point.newton(program, p, slacks, total, False)(0.0)
+    d = interior_point.newton(program, p, slacks, total)(0.0)
     q = p.moved(d, 1.0, 1.0)  # after a whole step, all equations that are linear hold
     size = max(np.abs(Y).max() for Y in q.Y)
     assert np.abs(interior_point.stationarity(program, q.Y)).max() < 1e-9 * size
@@ -254,7 +254,7 @@ def test_both_ways_of_solving_the_newton_system_agree(m, structure, objective, k
             slacks = [Slack(G, diagonal, b) for diagonal, b, G in p.S(program)]
             total = interior_point.complementarity(program, p)
             directions = [
-                interior_point.newton(program, p, slacks, total, root)(0.0)
+                interior_point.newton(program, p, slacks, total, (root, 10))(0.0)
                 for root in (False, True)
             ]
             for name in ("x", "t", "eta"):
@@ -268,3 +268,31 @@ def test_both_ways_of_solving_the_newton_system_agree(m, structure, objective, k
 def test_two_solves_give_the_same_bits(loop, Q, omega):
     first, second = (synthesise(loop, Q, omega[::5], 1.0, band=(1e-4, 0.01)) for _ in range(2))
     np.testing.assert_array_equal(first.filter.coefficients, second.filter.coefficients)
+
+
+def test_a_spoiled_factor_of_the_newton_system_costs_no_accuracy(monkeypatch):
+    """Where an eigenvalue is taken for a sixteenth of what it is, plain refinement diverges."""
+    exact = newton._factorised
+
+    def spoiled(H):
+        w, X = np.linalg.eigh(H)
+        w[-2:] /= 16
+        return exact((X * w) @ X.T)
+
+    P, Q, omega = random_plant(2, 2)
+    problem = pose(P, Q, omega, 1.0, order=4, L_max=20.0, band=(0.01, 0.3), M_max=0.97)
+    program = formulate(problem)
+    p = interior_point.begin(program, np.full((program.entries, 4), 0.1))
+    slacks = [Slack(G, diagonal, b) for diagonal, b, G in p.S(program)]
+    total = 1e-9 * interior_point.complementarity(program, p)  # so that ten digits are asked for
+    steps, predictor = [], None
+    for factorised in (exact, spoiled):
+        monkeypatch.setattr(newton, "_factorised", factorised)
+        direction = interior_point.newton(program, p, slacks, total, way=(False, 10))
+        predictor = predictor or direction(0.0)
+        steps.append(direction(0.1, predictor))
+    assert None not in steps
+    Y = [A + D for A, D in zip(p.Y, steps[1].Y, strict=True)]
+    left = np.linalg.norm(interior_point.stationarity(program, Y))
+    assert left * np.linalg.norm(p.x) <= 0.1 * total
+    np.testing.assert_allclose(steps[1].x, steps[0].x, rtol=1e-6)

@@ -2,6 +2,7 @@
 
 import asyncio
 import os
+import re
 import selectors
 from dataclasses import replace
 
@@ -16,6 +17,7 @@ from rodlib.ilc.workbench import Picture, Plant, Settings, try_out, workbench
 pytest.importorskip("ipywidgets")
 from rodlib.ilc.workbench.panel import FILE, Panel
 from rodlib.paper.knobs import rods
+from rodlib.paper.repository import ROOT
 
 ROD = "the rod"
 
@@ -88,6 +90,24 @@ def test_a_field_that_makes_no_sense_says_so(panel, knobs):
     assert panel.settings is None and "nowhere.csv" in panel.outcome.message
     panel.file.value = ""
     assert panel.settings is None and "must be the path of a file" in panel.outcome.message
+
+
+def test_a_table_of_others_comes_in_by_the_same_field(panel, tmp_path):
+    """Its columns are told as to read_table; what is not understood is said, and nothing is run."""
+    board = str(ROOT / "data" / "tclab" / "board-1s.csv")
+    panel.choice.value, panel.file.value = FILE, board
+    for columns, message in (
+        ("", "rodlib.read_table reads other tables"),
+        ('time="Time"', "columns = .* missing 1 required .*'outputs'"),
+        ('time="Time", outputs={"T1": "Tempratur 1"}', "did you mean 'Temperature 1'"),
+        ('time="Time", outputs={"T1": "Temperature 1"', "cannot be understood"),
+        ("outputs=open('law.json')", "each must be a text, a number or a dict"),
+        ('"Time", outputs={"T1": 3}', "write time="),
+        ('tine="Time", outputs={"T1": 3}', "unexpected keyword argument 'tine'"),
+    ):
+        panel.columns.value = columns
+        assert panel.settings is None and re.search(message, panel.outcome.message), columns
+    panel.columns.value = ""
 
 
 class Clock(selectors.DefaultSelector):

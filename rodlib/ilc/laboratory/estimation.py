@@ -1,0 +1,229 @@
+"""The frequency response of any record in which the input moved enough, with its region.
+
+Of several trials, what they differ by counts: what repeats in all of them, a disturbance or a start
+that is off, cancels. What is not known, because the input had no power there, is said so.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import xarray as xr
+from scipy.linalg import helmert
+
+from rodlib.ilc import arguments
+from rodlib.ilc.laboratory.impulse import impulse_of
+from rodlib.ilc.laboratory.log import LogError
+from rodlib.ilc.laboratory.notes import loop_of
+from rodlib.ilc.loop import ClosedLoop, Loop
+from rodlib.ilc.problem import largest_singular_values
+
+LINES = 200  # frequencies at which the region is found
+FEWEST = 20  # samples of a trial
+STILL = 1e-3  # of the range of an input: trials that differ by less do not differ
+LEARNED = 0.5  # of the largest P, and of its size before the data: what is further off is not known
+LATE = 0.4  # of a response in the later half of the record, from which on it does not settle
+TAIL = 10  # draws beyond which a quantile is extrapolated, as of a normal distribution
+
+
+@dataclass(frozen=True)
+class EstimatedResponse:
+    """The frequency response from an input to y as estimated, and responses that may be the truth.
+
+    Made by :func:`rodlib.measured_response`; it stands wherever a measured response does.
+    """
+
+    omega: np.ndarray  # rad/s, shape (n,)
+    impulse: np.ndarray  # shape (lags, m, m): the response over time, of which `errors` are off
+    errors: np.ndarray  # shape (draw, n, m, m), complex
+    known: np.ndarray  # shape (n,), bool: whether the data tell more than what was assumed
+    loop: Loop  # from whose w to y it is; a ClosedLoop without P, if the record names none
+    record: str  # what it was estimated from, in words
+    lasting: float  # s, in which all but a smooth part of the response falls by e
+    findings: tuple[str, ...] = ()
+
+    @property
+    def response(self) -> np.ndarray:
+        """The estimate at `omega`, shape (n, m, m), complex."""
+        return self._at(self.omega)
+
+    def _at(self, omega):
+        lags = np.arange(len(self.impulse))
+        return np.tensordot(np.exp(-1j * self.loop.Ts * np.outer(omega, lags)), self.impulse, 1)
+
+    @cached_property
+    def _norms(self):
+        """Of the errors, (draw, n)."""
+        errors = self.errors.reshape(-1, *self.errors.shape[2:])
+        return largest_singular_values(errors).reshape(len(self.errors), -1)
+
+    def radius(self, confidence: float = 0.95, jointly: bool = False) -> np.ndarray:
+        """Radius of ||Delta||, the largest singular value, that covers the truth.
+
+        Parameters
+        ----------
+        confidence : float
+            Probability, between 0 and 1, that the truth lies within.
+        jointly : bool
+            Whether within all radii at once, rather than within each.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            At `omega`. Where the response is not known, it admits all that is not larger than the
+            largest that is known; above all that is known, than at the last frequency that is.
+        """
+        confidence = arguments.number("confidence", confidence, "between 0 and 1", 0, 1)
+        jointly = arguments.flag("jointly", jointly)
+        norms = self._norms
+        radius = np.sqrt(np.mean(norms**2, axis=0))
+        worst = norms / radius
+        if jointly:
+            worst = worst[:, self.known].max(axis=1, keepdims=True)
+        least = TAIL / len(norms)
+        radius *= np.quantile(worst, 1 - max(1 - confidence, least), axis=0)
+        if 1 - confidence < least:
+            radius *= np.sqrt(np.log(1 - confidence) / np.log(least))
+        size = largest_singular_values(self.response)
+        last = np.flatnonzero(self.known)[-1]
+        anything = np.full(len(size), (size + radius)[self.known].max())
+        anything[last:] = (size + radius)[last]
+        return np.where(self.known, radius, size + anything)
+
+    def on(self, omega, confidence: float = 0.95, scale=None) -> tuple[np.ndarray, np.ndarray]:
+        """Response and radius on other frequencies, for the synthesis.
+
+        Parameters
+        ----------
+        omega : array_like, shape (n,)
+            Frequencies, rad/s.
+        confidence : float
+            Probability that the truth lies within the radius at all frequencies that are known.
+        scale : array_like, shape (m,), optional
+            Units of the channels, of both response and radius; see :func:`rodlib.ilc.synthesise`.
+
+        Returns
+        -------
+        response : ndarray, shape (n, m, m), complex
+        radius : ndarray, shape (n,)
+            The larger one of the two neighbours in `self.omega`.
+        """
+        omega = np.abs(arguments.row("omega", omega))
+        if scale is not None:
+            scale = arguments.array("scale", scale, (len(self.loop.outputs),))
+            units = scale / scale[:, None]
+            own = replace(self, impulse=self.impulse * units, errors=self.errors * units)
+            return own.on(omega, confidence)
+        radius = self.radius(confidence, jointly=True)
+        after = np.searchsorted(self.omega, omega).clip(1, len(radius) - 1)
+        return self._at(omega), np.maximum(radius[after - 1], radius[after])
+
+    def basis(self, omega, confidence: float = 0.95) -> tuple[str, ...]:
+        """What it was estimated from, and what is assumed beside it; the findings last."""
+        confidence = arguments.number("confidence", confidence, "between 0 and 1", 0, 1)
+        arguments.row("omega", omega)
+        lines = [
+            f"P estimated from {self.record}; wherever it is known, the truth is within the radius "
+            f"with confidence {confidence:g}",
+            "assumed: the plant is linear and settles within a trial, smoothly after "
+            f"{self.lasting:.2g} s: a resonance that lasts longer and was not excited is not seen",
+        ]
+        if not self.known.all():
+            ends = self.omega[self.known][[0, -1]]
+            lines.append(
+                f"P is known from {ends[0]:.3g} to {ends[1]:.3g} rad/s, not at "
+                f"{np.mean(~self.known):.0%} of {LINES} frequencies: elsewhere the input had too "
+                "little power; assumed: P is not larger there"
+            )
+        return (*lines, *self.findings)
+
+    def __repr__(self):
+        radius = self.radius()[self.known]
+        within = f"within {radius.min():.2g} to {radius.max():.2g} (95 %, at each frequency)"
+        return "\n".join([*self.basis(self.omega), within])
+
+
+def estimated_response(log: xr.Dataset, of: str | None = None) -> EstimatedResponse:
+    """Estimate a frequency response from a record; see :func:`rodlib.measured_response`."""
+    if of is None:
+        of = "w" if "reference" in log else "u"
+    arguments.choice("of", of, ["u", "w"])
+    if of == "w" and "reference" not in log:
+        raise LogError("log has no reference, and so no w: take of = 'u'")
+    if of == "u" and "u" not in log:
+        raise LogError("log has no commands u: take of = 'w', or read them by `inputs`")
+    u = log.u if of == "u" else log.reference + log.get("v", 0)
+    u, y = (x.transpose("trial", "time", "channel").values for x in (u, log.y))
+    names = [str(n) for n in (log.control if of == "u" else log.output).values]
+    outputs = [str(n) for n in log.output.values]
+    u = arguments.array(f"log.{of}", u, ("trial", "time", "channel"))
+    y = arguments.array("log.y", y, u.shape)
+    Ts = arguments.sampling_period("log.Ts", log.attrs.get("Ts"))
+    u, y, record = _moved(of, u, y, names, outputs)
+    found = [impulse_of(u, y[:, :, i]) for i in range(len(outputs))]
+    lags = max(one.drawn.shape[2] for one in found)
+    omega = np.geomspace(np.pi / (2 * u.shape[1] * Ts), np.pi / Ts, LINES)
+    F = np.exp(-1j * Ts * np.outer(np.arange(lags), omega))
+    drawn, prior = (
+        np.stack([getattr(one, name) @ F[: one.drawn.shape[2]] for one in found], axis=1)
+        for name in ("drawn", "prior")
+    )  # (draw, output, input, n)
+    impulse = np.stack([one.drawn.mean(axis=0) for one in found], axis=0)
+    errors = drawn - drawn.mean(axis=0)
+    sizes = u.std(axis=(0, 1)) / y.std(axis=(0, 1))[:, None]
+    after, before, size = (
+        np.sqrt(np.mean(np.abs(x * sizes[..., None]) ** 2, axis=(0, 1)))
+        for x in (errors, prior, drawn.mean(axis=0, keepdims=True))
+    )  # (input, n)
+    known = (after < LEARNED * np.minimum(before.max(axis=0), size.max())).all(axis=0)
+    if not known.any():
+        raise LogError(
+            f"log tells P at no frequency: what {', '.join(names)} did drowns in noise, or they "
+            "moved alike. Record longer, or move them more, each by itself"
+        )
+    _check_settled(np.abs(impulse), outputs, u.shape[1])
+    loop = loop_of(log) if of == "w" else None
+    if loop is None:
+        units = dict(zip(outputs, log.output_unit.values.tolist(), strict=True))
+        loop = ClosedLoop(None, Ts, outputs, units=units)
+    return EstimatedResponse(
+        omega, np.moveaxis(impulse, 2, 0), np.moveaxis(errors, 3, 1), known, loop, record,
+        Ts * max(one.lasting for one in found),
+    )  # fmt: skip
+
+
+def _moved(of, u, y, names, outputs):
+    """Trials that are independent, and what they are, in words; an input must have moved."""
+    K, N, _ = u.shape
+    if N < FEWEST:
+        raise LogError(f"log has {N} samples in a trial, but must have {FEWEST} or more")
+    span = np.ptp(u, axis=(0, 1))
+    still = [name for name, x in zip(names, span, strict=True) if not x]
+    if still:
+        raise LogError(
+            f"log.{of} of {', '.join(still)} never moved: what follows from it is not known. "
+            "Record it while it moves, by a step or by noise"
+        )
+    flat = [name for name, x in zip(outputs, np.ptp(y, axis=(0, 1)), strict=True) if not x]
+    if flat:
+        raise LogError(f"log.y of {', '.join(flat)} never moved: is it connected?")
+    size = f"{K} trials" if K > 1 else "one trial"
+    words = f"{size} of {N} samples, from {of} to y"
+    if K == 1:
+        return u, y, f"{words}; assumed: nothing but {of}, noise and drift moves y"
+    H = helmert(K)
+    if np.all(np.ptp(u, axis=0).max(axis=0) > STILL * span):
+        return np.tensordot(H, u, 1), np.tensordot(H, y, 1), f"{words}, by what the trials differ"
+    mean = u.mean(axis=0, keepdims=True), y.mean(axis=0, keepdims=True)
+    return *mean, f"{words}, in the mean of trials that are alike; assumed: no disturbance repeats"
+
+
+def _check_settled(impulse, outputs, n):
+    """Refuse responses (output, input, lag) that do not end within n samples."""
+    share = impulse[..., n // 2 : n].sum(axis=2) / impulse[..., :n].sum(axis=2)
+    i = share.max(axis=1).argmax()
+    if share[i].max() > LATE:
+        raise LogError(
+            f"{outputs[i]} does not settle within the {n} samples of a trial: it integrates, or "
+            "the record is too short. Record longer, or in a closed loop"
+        )

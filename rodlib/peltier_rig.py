@@ -1,0 +1,224 @@
+"""A rig with Peltier elements, driven by currents: what the design takes for heat is not linear.
+
+The rod is cut into cells. Under each of its sections is an element, below that a sink with a fan. A
+current moves heat from the sink to the rod, heats both, and what is warmer gives heat back; the top
+of the rod loses heat by natural convection and radiation. An inner map turns the heat flow that the
+controller asks for into a current, with what the laboratory knows of its elements. All parameters
+are assumed: the paper gives none.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.constants import Stefan_Boltzmann
+from scipy.linalg import expm
+
+from rodlib.ilc import arguments
+from rodlib.rigs import MISMATCHED, Bench, Restarting
+from rodlib.rod import Rod
+
+
+@dataclass(frozen=True)
+class PeltierElement:
+    """A Peltier element with constant parameters, in the usual one-dimensional model.
+
+    The defaults, rounded, are those of a common element of 127 couples and 6 A.
+
+    Notes
+    -----
+    Of the Joule heat R I^2 half goes to each side, so that with absolute temperatures T
+
+        to the rod     S T_rod I + R I^2 / 2 - K (T_rod - T_sink)
+        from the sink  S T_sink I - R I^2 / 2 - K (T_rod - T_sink) ,
+
+    and the difference is the electrical power S (T_rod - T_sink) I + R I^2. Model, and the way from
+    a data sheet to its parameters: S. Lineykin and S. Ben-Yaakov, "Modeling and analysis of
+    thermoelectric modules", IEEE Trans. Ind. Appl. 43(2), 2007.
+    """
+
+    seebeck: float = 0.05  # S, V/K
+    resistance: float = 2.0  # R, ohm
+    conductance: float = 0.5  # K, W/K
+    limit: float = 6.0  # largest current either way, A
+
+    def __post_init__(self):
+        arguments.positive("seebeck", self.seebeck)
+        for name in ("resistance", "conductance", "limit"):
+            arguments.not_negative(name, getattr(self, name))
+
+    def heat(self, current, rod, sink):
+        """Heat flow to the rod, W, at a current (A) and the temperatures of both sides (K)."""
+        joule = self.resistance * np.square(current) / 2
+        return self.seebeck * rod * current + joule - self.conductance * (rod - sink)
+
+    def current(self, heat, rod, sink):
+        """The least current (A) that gives a heat flow (W); where it cannot cool so much, its best.
+
+        Beyond S T_rod / R a current that cools heats more than it cools.
+        """
+        peltier, twice = self.seebeck * rod, 2 * self.resistance
+        least = -(peltier**2) / twice if twice else -np.inf
+        wanted = np.maximum(heat + self.conductance * (rod - sink), least)
+        return 2 * wanted / (peltier + np.sqrt(np.maximum(peltier**2 + twice * wanted, 0)))
+
+
+@dataclass(frozen=True)
+class PeltierParameters:
+    """Elements, sinks, surface and sensors of the rig, and what its laboratory knows; all assumed.
+
+    The convection is Nu = 0.54 Ra^(1/4) of a warm plate that faces up, area by perimeter its
+    length, in air at 300 K (W. H. McAdams, Heat Transmission, 1954; from Ra = 1e4 on, at 10 K it is
+    half of that). A cold rod has the same, which is too much.
+    """
+
+    element: PeltierElement = PeltierElement()
+    known: PeltierElement = PeltierElement()  # by which heat flows become currents
+    sinks_measured: bool = False  # whether that counts on their temperature, not the initial one
+    sink_capacity: float = 400.0  # of one sink, J/K
+    fan: float = 4.0  # from one sink to the room, W/K
+    convection: float = 3.8  # from the rod, W/(m2 K^(5/4))
+    emissivity: float = 0.8  # of an oxidised surface
+    temperature: float = 293.15  # of the room at first, K
+    lag: float = 2.0  # time constant of the sensors, s
+    noise: float = 0.02  # standard deviation of the sensor noise, K
+    quantum: float = 0.01  # resolution of the sensors, K
+    ambient_rate: float = 5e-5  # rise of the ambient temperature, K/s
+    cells: int = 16  # of each section
+
+    def __post_init__(self):
+        arguments.instance("element", self.element, PeltierElement)
+        arguments.instance("known", self.known, PeltierElement)
+        arguments.flag("sinks_measured", self.sinks_measured)
+        for name in ("sink_capacity", "temperature"):
+            arguments.positive(name, getattr(self, name))
+        for name in ("fan", "convection", "emissivity", "lag", "noise", "quantum"):
+            arguments.not_negative(name, getattr(self, name))
+        arguments.number("ambient_rate", self.ambient_rate, "a finite number")
+        arguments.whole("cells", self.cells, 1, 100)
+
+
+class PeltierRig(Bench):
+    """A rod on Peltier elements in the laboratory, sample by sample.
+
+    Parameters
+    ----------
+    rod : Rod
+        Its `heat_transfer` is not used: what the rod loses follows from the elements and its
+        surface, see :attr:`linearised`.
+    parameters : PeltierParameters
+    Ts : float
+        Sampling period, s.
+    seed : int
+        Of the sensor noise.
+
+    Notes
+    -----
+    Cells of the rod exchange heat by conduction, with the elements by
+    :meth:`PeltierElement.heat`, each by its own temperature, and with the room by convection,
+    c |theta - theta_a|^(5/4), and radiation. A sink has C dT/dt = - (heat from it) - fan (T - T_a).
+    Currents are held for a period, which is one step of the exponential Runge-Kutta method of
+    second order (S. M. Cox and P. C. Matthews, J. Comput. Phys. 176, 2002, ETD2RK): conduction, fan
+    and lag, which are linear and fast, are integrated exactly.
+    """
+
+    def __init__(
+        self,
+        rod: Rod = MISMATCHED,
+        parameters: PeltierParameters = PeltierParameters(),
+        Ts: float = 1.0,
+        seed: int = 1,
+    ):
+        arguments.instance("parameters", parameters, PeltierParameters)
+        super().__init__(rod, parameters, Ts, seed)
+        p, sections, m = parameters, rod.sections, len(rod.sensors)
+        cells = sections * p.cells
+        dz, n = rod.length / cells, cells + sections
+        self._cells, self._sinks = slice(cells), slice(cells, n)
+        self._top = rod.width * dz  # area of a cell's surface, m2
+        self._capacity = np.full(n + m, rod.kappa_1 * rod.width * rod.height * dz)  # J/K
+        self._capacity[self._sinks] = p.sink_capacity
+
+        flows = np.zeros((n + m, n + m))  # W/K
+        links = [
+            (i, i + 1, rod.conductivity * rod.width * rod.height / dz) for i in range(cells - 1)
+        ]
+        back = p.element.conductance / p.cells
+        links += [(i, cells + i // p.cells, back) for i in range(cells)]
+        for i, j, g in links:
+            flows[[i, j, i, j], [i, j, j, i]] += [-g, -g, g, g]
+        flows[self._sinks, self._sinks] -= p.fan * np.eye(sections)
+        A = flows / self._capacity[:, None]
+
+        middles = (np.arange(cells) + 0.5) * dz
+        shown = np.zeros((m, n + m))
+        for i, place in enumerate(rod.sensors):
+            shown[i, :cells] = [np.interp(place, middles, unit) for unit in np.eye(cells)]
+        self._sensors = shown
+        if p.lag:
+            A[n:] = shown / p.lag
+            A[n:, n:] = -np.eye(m) / p.lag
+            self._sensors = np.eye(m, n + m, n)
+        one, none = np.eye(n + m), np.zeros((n + m, n + m))
+        blocks = expm(self.Ts * np.block([[A, one, none], [none, none, one], [none] * 3]))
+        self._decay, self._first, second = np.split(blocks[: n + m], 3, axis=1)
+        self._second = second / self.Ts
+        self._rest()
+
+    def _rest(self):
+        self._state = np.zeros(len(self._capacity))  # cells, sinks, sensors, K above the room
+        self.currents = np.zeros(self.rod.sections)  # A
+
+    @property
+    def sinks(self) -> np.ndarray:
+        """Temperatures of the sinks, K above the initial ambient temperature."""
+        return self._state[self._sinks].copy()
+
+    @property
+    def linearised(self) -> Rod:
+        """The rod that this is for small currents, with sinks at the temperature of the room."""
+        p, under = self.parameters, self.rod.width * self.rod.length / self.rod.sections
+        radiation = 4 * p.emissivity * Stefan_Boltzmann * p.temperature**3
+        return replace(self.rod, heat_transfer=p.element.conductance / under + radiation)
+
+    @property
+    def limits(self) -> dict[str, tuple[float, float]]:
+        """Lowest and highest heat flow, W, that become a current of their own."""
+        known, T = self.parameters.known, self.parameters.temperature
+        limit = self.parameters.element.limit
+        most = known.seebeck * T / known.resistance if known.resistance else np.inf
+        ends = known.heat(np.array([-min(limit, most), limit]), T, T)
+        return dict.fromkeys(self.inputs, tuple(ends.tolist()))
+
+    def apply(self, heat_flows) -> None:
+        """Ask for heat flows (W), shape (sections,), and let one sampling period pass."""
+        asked = arguments.array("heat_flows", heat_flows, self.currents.shape)
+        p = self.parameters
+        sinks = p.temperature + (self._state[self._sinks] if p.sinks_measured else 0)
+        wanted = p.known.current(asked, p.temperature, sinks)
+        self.currents = np.clip(wanted, -p.element.limit, p.element.limit)
+        slopes = self._slopes(self._state)
+        ahead = self._decay @ self._state + self._first @ slopes
+        self._state = ahead + self._second @ (self._slopes(ahead) - slopes)
+        self.time += self.Ts
+
+    def _slopes(self, state):
+        """What is not in the exponentials: K/s of every state."""
+        p, T = self.parameters, self.parameters.temperature
+        flows = np.zeros(len(state))
+        theta, sinks, above = (
+            state[self._cells],
+            state[self._sinks],
+            state[self._cells] - self.ambient,
+        )
+        lost = p.convection * np.abs(above) ** 0.25 * above
+        lost += p.emissivity * Stefan_Boltzmann * ((T + theta) ** 4 - (T + self.ambient) ** 4)
+        joule = p.element.resistance * self.currents**2 / 2
+        pumped = p.element.seebeck * self.currents
+        spread = np.repeat(pumped, p.cells) * (T + theta) + np.repeat(joule, p.cells)
+        flows[self._cells] = spread / p.cells - lost * self._top
+        flows[self._sinks] = joule - pumped * (T + sinks) + p.fan * self.ambient
+        return flows / self._capacity
+
+
+class RestartingPeltierRig(Restarting, PeltierRig):
+    """A rig with Peltier elements that begins every trial at rest."""

@@ -1,0 +1,48 @@
+"""How often the intervals of a fitted heat balance hold the truth, as notebook 13 says.
+
+Logs are simulated with the heaters of the two real ones, and noise that is white or lasts a minute:
+`python tests/benchmarks/heat_balance.py [SEEDS]`. Some two minutes for 100 seeds.
+"""
+
+import sys
+import warnings
+
+import numpy as np
+import pandas as pd
+from scipy.signal import lfilter
+
+from rodlib import read_table
+from rodlib.ilc.laboratory.temperature_control_lab import fit_heat_balance, heat_balance
+from rodlib.ilc.models import state_sequence
+from rodlib.paper.repository import ROOT
+
+TRUE = np.array([0.0033, 0.0018, 0.0051, 0.0018, 18.0])  # about what the logs give
+NAMED = {"time": 0, "inputs": {"Q1": 1, "Q2": 2}, "outputs": {"T1": 3, "T2": 4}}
+
+
+def held(log, lasts: float, seeds: int, size: float = 0.5) -> np.ndarray:
+    """Share of the logs in whose 95 % intervals the truth is, by parameter."""
+    u, model = log.u.values[0], heat_balance(*TRUE, log.Ts)
+    answer = state_sequence(model.A, u @ model.B.T, np.zeros(4)) @ model.C.T
+    pole, within = np.exp(-log.Ts / lasts) if lasts else 0.0, []
+    for seed in range(seeds):
+        white = np.random.default_rng(seed).standard_normal((len(u) + 500, 2))
+        noise = size * np.sqrt(1 - pole**2) * lfilter([1], [1, -pole], white, axis=0)[500:]
+        found = fit_heat_balance(u, 20 + answer + noise, log.Ts).table()
+        within.append((found["from"].values < TRUE) & (found["to"].values > TRUE))
+    return np.mean(within, axis=0)
+
+
+def main(seeds: int) -> pd.DataFrame:
+    """Count, for both logs and both kinds of noise."""
+    warnings.simplefilter("ignore")
+    rows = {}
+    for name in ("board-1s.csv", "board-3s.csv"):
+        log = read_table(ROOT / "data" / "tclab" / name, **NAMED)
+        rows |= {(name, f"{lasts:g} s"): held(log, lasts, seeds) for lasts in (0.0, 60.0)}
+    columns = ["gain_1", "gain_2", "loss", "exchange", "lag"]
+    return pd.DataFrame(rows, columns).T.rename_axis(["heaters of", "noise lasts"])
+
+
+if __name__ == "__main__":
+    print(main(int(sys.argv[1]) if len(sys.argv) > 1 else 100).to_string())

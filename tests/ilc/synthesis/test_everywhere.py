@@ -1,0 +1,204 @@
+"""Bounds at every frequency: judged on dense grids by singular values, not by the peaks' proof."""
+
+from dataclasses import replace
+
+import control
+import numpy as np
+import pytest
+from plants import furnace, stage, tanks
+
+from rodlib import (
+    InfeasibleError,
+    SolverError,
+    current_trial_loop,
+    largest_cutoff,
+    least_gain,
+    synthesise,
+    zero_phase_butterworth,
+)
+from rodlib.ilc.problem import largest_singular_values
+from rodlib.ilc.synthesis import everywhere
+from rodlib.ilc.synthesis.everywhere import carried
+
+PROVEN = 1 + 3e-8  # what the bounds may be passed by
+PAPER = {"L_max": 50.0, "band": (1e-4, 0.02)}
+
+
+def judged(design, P, Q, omega):
+    """The largest sigma_max(M) and sigma_max(L) over frequencies that the design does not know."""
+    L = design.filter.frequency_response(omega)
+    P = P if isinstance(P, control.StateSpace) else P.P
+    P = np.moveaxis(P(np.exp(1j * omega * Q.Ts), squeeze=False), -1, 0)
+    M = Q.frequency_response(omega)[:, None, None] * (np.eye(L.shape[1]) - P @ L)
+    return [np.linalg.svd(X, compute_uv=False).max() for X in (M, L)]
+
+
+def dense(design, Ts=1.0):
+    """Evenly, by decades, and closely about the frequencies that were added."""
+    problem = design.certificate.problem
+    added = problem.omega[~problem.asked, None]
+    about = (added * (1 + np.linspace(-0.01, 0.01, 41))).ravel()
+    grids = np.linspace(0, np.pi, 5001) / Ts, np.geomspace(1e-4, np.pi, 5001) / Ts, about
+    return np.unique(np.concatenate(grids).clip(0, np.pi / Ts))
+
+
+@pytest.mark.parametrize(("structure", "value"), [("diagonal", 104.8675), ("full", 69.9620)])
+def test_the_papers_bounds_hold_at_every_frequency(loop, Q, omega, structure, value):
+    on_grid = synthesise(loop, Q, omega, structure=structure, **PAPER)
+    design = synthesise(loop, Q, omega, structure=structure, everywhere=True, **PAPER)
+    at = dense(design)
+    assert judged(on_grid, loop, Q, at)[1] > 50.03  # the ledger's 1.0007
+    M, L = judged(design, loop, Q, at)
+    assert M <= 0.9 * PROVEN and 49.999 < L <= 50 * PROVEN
+    assert design.value == pytest.approx(value, abs=5e-5)
+    certificate = design.certificate
+    assert on_grid.value < certificate.lower_bound <= design.value
+    assert certificate.gap < 1e-7 and certificate.failures == []
+    assert "bounds asked for at every frequency" in str(design)
+    np.testing.assert_array_equal(design.omega, omega)  # what is added is not the user's
+    assert design.sigma_M.shape == omega.shape
+
+
+def test_what_passes_a_bound_between_the_frequencies_does_not_hold_everywhere(loop, Q, omega):
+    certificate = synthesise(loop, Q, omega, **PAPER).certificate
+    assert certificate.failures == []
+    asked = replace(certificate, problem=replace(certificate.problem, everywhere=True))
+    [failure] = asked.failures
+    assert failure.startswith("sigma_max(M) is 0.9000002") and "above the bounds" in failure
+
+
+@pytest.mark.parametrize("structure", ["diagonal", "full"])
+def test_a_hundred_frequencies_are_as_good_as_a_thousand(loop, Q, omega, structure):
+    many = synthesise(loop, Q, omega, structure=structure, everywhere=True, **PAPER)
+    few = np.geomspace(1e-4, np.pi, 100)
+    few = synthesise(loop, Q, few, structure=structure, everywhere=True, **PAPER)
+    M = Q.frequency_response(omega)[:, None, None] * (
+        np.eye(2) - loop.frequency_response(omega) @ few.filter.frequency_response(omega)
+    )
+    value = largest_singular_values(M)[omega <= 0.02].sum()
+    # of filters that keep the bounds it is the best for another sum, of a tenth of the terms
+    assert many.certificate.lower_bound < value < many.value * (1 + 3e-5)
+
+
+@pytest.mark.parametrize("n", [40, 100])
+def test_the_least_peak_is_that_of_every_grid(loop, Q, n):
+    grid = np.geomspace(1e-4, np.pi, n)
+    design = synthesise(loop, Q, grid, everywhere=True, objective="peak", **PAPER)
+    assert design.value == pytest.approx(0.82469474, abs=3e-8)
+
+
+def other_plants():
+    motion = current_trial_loop(stage(), ["F"], sizes={"x": 1.0, "F": 10.0})  # mm, one channel
+    levels = current_trial_loop(tanks(), ["pump A", "pump B", "pump C"])
+    pipe = current_trial_loop(furnace(20))  # a delay of 20 samples
+    return {
+        "stage": (motion, 100.0, 1e-3, {"L_max": 10.0, "band": (1.0, 60.0)}),
+        "tanks": (levels, 0.05, 2.0, {"L_max": 5.0, "band": (1e-3, 0.02), "structure": "full"}),
+        "furnace": (pipe, 0.05, 1.0, {"L_max": 1.05, "band": (1e-3, 0.02), "order": 25}),
+    }
+
+
+@pytest.mark.filterwarnings("ignore:.*the loop passes only")
+@pytest.mark.filterwarnings("ignore:the filter leaves")
+@pytest.mark.parametrize("name", ["stage", "tanks", "furnace"])
+@pytest.mark.parametrize("as_samples", [False, True])
+def test_other_plants(name, as_samples):
+    loop, cutoff, Ts, choices = other_plants()[name]
+    Q = zero_phase_butterworth(2, cutoff, Ts)
+    omega = np.geomspace(1e-4, np.pi, 80) / Ts
+    P = loop.frequency_response(omega) if as_samples else loop
+    design = synthesise(P, Q, omega, everywhere=True, **choices)
+    M, L = judged(design, loop, Q, dense(design, Ts))
+    certificate = design.certificate
+    assert choices["L_max"] * PROVEN >= L and certificate.failures == []
+    assert certificate.lower_bound <= design.value * (1 + 1e-12)
+    assert certificate.all_M <= 0.9 * PROVEN and certificate.proven is not as_samples
+    assert M <= 0.9 * PROVEN or as_samples  # a spline is the judge, and the certificate says so
+    assert ("between the samples: " in str(design)) is as_samples
+
+
+def test_between_samples_a_spline_is_the_judge(loop, Q):
+    grid = np.geomspace(1e-4, np.pi, 100)
+    P = loop.frequency_response(grid)
+    on_grid = synthesise(P, Q, grid, **PAPER)
+    design = synthesise(P, Q, grid, everywhere=True, **PAPER)
+    assert on_grid.certificate.all_M > 0.90005 and not design.certificate.proven
+    assert design.certificate.all_M <= 0.9 * PROVEN
+    assert judged(design, loop, Q, dense(design))[0] < 0.9001
+
+
+def test_the_bounds_of_several_models_hold_everywhere(loop, Q):
+    other = 1.08 * loop.P
+    grid = np.geomspace(1e-4, np.pi, 60)
+    design = synthesise([loop, other], Q, grid, everywhere=True, M_max=0.93, **PAPER)
+    for plant in (loop.P, other):
+        M, L = judged(design, plant, Q, dense(design))
+        assert M <= 0.93 * PROVEN and L <= 50 * PROVEN
+    radius = np.full(60, 0.005)
+    within = synthesise(loop, Q, grid, everywhere=True, uncertainty=radius, M_max=0.93, **PAPER)
+    assert within.certificate.failures == []
+    assert judged(within, loop, Q, dense(within))[0] <= 0.93 * PROVEN
+
+
+def test_what_only_the_grid_admits_is_infeasible_everywhere(loop, Q):
+    """On 40 frequencies 0.8222 can be met, at all of them 0.8247."""
+    grid, M_max = np.geomspace(1e-4, np.pi, 40), 0.8235
+    synthesise(loop, Q, grid, M_max=M_max, **PAPER)
+    with pytest.raises(InfeasibleError, match="At the frequencies omega alone") as error:
+        synthesise(loop, Q, grid, M_max=M_max, everywhere=True, **PAPER)
+    assert error.value.smallest_M_max == pytest.approx(0.8246947, abs=1e-6)
+    M_max = float(f"{error.value.smallest_M_max:.4f}") + 1e-4  # who follows the advice gets one
+    assert synthesise(loop, Q, grid, M_max=M_max, everywhere=True, **PAPER).certificate.proven
+    with pytest.raises(InfeasibleError) as error:  # not even on the grid
+        synthesise(loop, Q, grid, M_max=0.8, everywhere=True, **PAPER)
+    assert error.value.smallest_M_max == pytest.approx(0.8246947, abs=1e-6)
+    assert "omega alone" not in str(error.value)
+
+
+def test_cvxpy_states_the_same_problem(Q):
+    loop, _, Ts, choices = other_plants()["stage"]
+    grid, Q = np.geomspace(1e-4, np.pi, 30) / Ts, zero_phase_butterworth(2, 100.0, Ts)
+    choices |= {"everywhere": True, "order": 6}
+    ours, theirs = (
+        synthesise(loop, Q, grid, solver=solver, **choices) for solver in ("structured", "cvxpy")
+    )
+    assert theirs.value == pytest.approx(ours.value, rel=1e-5)
+    assert theirs.certificate.all_L == pytest.approx(10, rel=3e-6)
+
+
+def test_the_searches_refuse_it(loop, Q, omega):
+    for search in (least_gain, largest_cutoff):
+        with pytest.raises(ValueError, match="everywhere = True is for synthesise: leave it out"):
+            search(loop, Q, omega, everywhere=True)
+
+
+def test_a_start_changes_nothing_but_the_time(loop, Q):
+    grid = np.geomspace(1e-4, np.pi, 100)
+    start = synthesise(loop, Q, grid, everywhere=True, **PAPER | {"L_max": 45.0})
+    for flag in (True, False):
+        from_it = synthesise(loop, Q, grid, everywhere=flag, start=start, **PAPER)
+        anew = synthesise(loop, Q, grid, everywhere=flag, **PAPER)
+        assert from_it.value == pytest.approx(anew.value, rel=2e-7)
+
+
+def test_a_solution_is_carried_by_its_frequencies(loop, Q):
+    grid = np.geomspace(1e-4, np.pi, 60)
+    plants = [loop, 1.1 * loop.P]
+    design = synthesise(plants, Q, grid, M_max=0.93, everywhere=True, **PAPER)
+    problem, solution = design.certificate.problem, design.solution
+    wider = np.sort(np.append(problem.omega, [0.3, 0.4]))
+    there = carried(solution, problem.omega, wider)
+    back = carried(there, wider, problem.omega)
+    for name in ("U", "V"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(solution, name))
+    np.testing.assert_array_equal(wider[there.cuts.frequency], problem.omega[back.cuts.frequency])
+    np.testing.assert_array_equal(back.cuts.frequency, solution.cuts.frequency)
+    fewer = carried(solution, problem.omega, grid)
+    assert len(fewer.U) == 60 and len(fewer.cuts.N) <= len(solution.cuts.N)
+
+
+def test_if_rounds_run_out_the_filter_is_not_returned(loop, Q, monkeypatch):
+    monkeypatch.setattr(everywhere, "ROUNDS", 2)
+    grid = np.geomspace(1e-4, np.pi, 100)
+    with pytest.raises(SolverError, match=r"at some frequency, above the bounds"):
+        synthesise(loop, Q, grid, everywhere=True, **PAPER)

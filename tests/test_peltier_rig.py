@@ -1,0 +1,198 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from scipy.optimize import minimize_scalar
+
+from rodlib import Rod, record
+from rodlib.peltier_rig import (
+    PeltierElement,
+    PeltierParameters,
+    PeltierRig,
+    RestartingPeltierRig,
+)
+from rodlib.rigs import MISMATCHED, RigParameters, VirtualRig
+
+SILENT = PeltierParameters(noise=0, quantum=0, ambient_rate=0)
+ROOM = SILENT.temperature
+
+
+def run_rig(rig, commands):
+    readings = []
+    for command in commands:
+        readings.append(rig.read())
+        rig.apply(command)
+    return np.array(readings)
+
+
+def test_the_element_has_the_data_sheet_of_a_common_one():
+    """TEC1-12706, hot side at 25 degrees: 6.4 A and 66 K without heat, 50 W without difference."""
+    element, hot = PeltierElement(), 298.15
+
+    def pumped(current, cold):  # from the cold side, which is that of the rod
+        return -element.heat(-current, cold, hot)
+
+    most = minimize_scalar(lambda i: -pumped(i, hot), bounds=(0, 20), method="bounded")
+    assert -most.fun == pytest.approx(50, rel=0.15)
+    cold = np.linspace(200, hot, 20001)
+    currents = element.seebeck * cold / element.resistance
+    coldest = np.flatnonzero(pumped(currents, cold) > 0)[0]
+    assert hot - cold[coldest] == pytest.approx(66, rel=0.05)
+    assert currents[coldest] == pytest.approx(6.4, rel=0.15)
+    voltage = element.seebeck * (hot - cold[coldest]) + element.resistance * currents[coldest]
+    assert voltage == pytest.approx(14.4, rel=0.15)
+
+
+@given(
+    heat=st.floats(-500, 500),
+    resistance=st.sampled_from([0.0, 1e-9, 0.5, 2.0, 8.0]),
+    sink=st.floats(250, 330),
+)
+def test_the_current_is_the_least_that_gives_the_heat_or_the_best(heat, resistance, sink):
+    element = PeltierElement(resistance=resistance)
+    current = element.current(heat, ROOM, sink)
+    peltier = element.seebeck * ROOM
+    assert resistance * current >= -peltier * (1 + 1e-12)  # beyond, more current cools less
+    given_heat = element.heat(current, ROOM, sink)
+    if resistance * current > -peltier * (1 - 1e-6):
+        assert given_heat == pytest.approx(heat, abs=1e-9 * (500 + abs(peltier * current)))
+    else:
+        tried = element.heat(current * np.linspace(0.5, 1.5, 101), ROOM, sink)
+        assert given_heat == pytest.approx(tried.min()) and given_heat >= heat - 1e-9
+
+
+def test_the_convection_is_that_of_a_plate_in_air():
+    """Nu = 0.54 Ra^(1/4) with air at 300 K, of a plate with the rod's size."""
+    rod, conductivity, viscosity, diffusivity = Rod(), 0.0263, 1.589e-5, 2.25e-5
+    size = rod.length * rod.width / (2 * (rod.length + rod.width))
+    rayleigh = 9.81 / 300 * 10.0 * size**3 / (viscosity * diffusivity)
+    expected = 0.54 * rayleigh**0.25 * conductivity / size
+    assert PeltierParameters().convection * 10.0**0.25 == pytest.approx(expected, rel=0.02)
+
+
+def test_for_small_currents_it_is_the_linear_rig():
+    """Where the sinks stay at the temperature of the room: 64 cells against 300 modes."""
+    poor = PeltierElement(conductance=0.3)
+    rig = PeltierRig(parameters=replace(SILENT, element=poor, fan=1e7, lag=0))
+    ideal = RigParameters(noise=0, quantum=0, lag=0, limit=np.inf, ambient_rate=0)
+    linear = VirtualRig(rig.linearised, ideal)
+    commands = 1e-4 * np.random.default_rng(0).standard_normal((40, 4)).repeat(25, axis=0)
+    small, expected = run_rig(rig, commands), run_rig(linear, commands)
+    np.testing.assert_allclose(small, expected, atol=3e-3 * np.abs(expected).max())
+
+
+def reference_solution(rod, p, currents, ambient_rate, Ts):
+    """Readings by scipy, from heat flows in watts and absolute temperatures, one cell at a time."""
+    cells, share = rod.sections * p.cells, 1 / p.cells
+    dz = rod.length / cells
+    mass = rod.density * rod.heat_capacity * rod.width * rod.height * dz
+    e, middles = p.element, (np.arange(cells) + 0.5) * dz
+
+    def slopes(t, x, current):
+        theta, sinks, shown = np.split(x, [cells, cells + rod.sections])
+        room, rates = p.temperature + ambient_rate * t, np.zeros_like(x)
+        for i, T in enumerate(theta):
+            s = i // p.cells
+            into = e.heat(current[s], T, sinks[s]) * share
+            for j in {max(i - 1, 0), min(i + 1, cells - 1)} - {i}:
+                into += rod.conductivity * rod.width * rod.height / dz * (theta[j] - T)
+            lost = p.convection * abs(T - room) ** 0.25 * (T - room)
+            lost += p.emissivity * 5.670374419e-8 * (T**4 - room**4)
+            rates[i] = (into - lost * rod.width * dz) / mass
+        for s, T in enumerate(sinks):
+            mean = theta[s * p.cells : (s + 1) * p.cells].mean()
+            power = e.seebeck * (mean - T) * current[s] + e.resistance * current[s] ** 2
+            taken = e.heat(current[s], mean, T) - power
+            rates[cells + s] = (-taken - p.fan * (T - room)) / p.sink_capacity
+        rates[cells + rod.sections :] = (np.interp(rod.sensors, middles, theta) - shown) / p.lag
+        return rates
+
+    x, readings = np.full(cells + rod.sections + len(rod.sensors), p.temperature), []
+    for k, current in enumerate(currents):
+        readings.append(x[cells + rod.sections :] - p.temperature)
+        span, tolerances = (k * Ts, (k + 1) * Ts), {"rtol": 1e-10, "atol": 1e-9}
+        x = solve_ivp(slopes, span, x, "LSODA", args=(current,), **tolerances).y[:, -1]
+    return np.array(readings)
+
+
+@pytest.mark.parametrize(
+    ("rod", "Ts"),
+    [(MISMATCHED, 1.0), (Rod(sections=3, sensors=(0.0, 0.15, 0.32), conductivity=200.0), 2.0)],
+)
+def test_the_integration_is_that_of_scipy(rod, Ts):
+    """Large steps of the current, which heat the sinks; a step is off by its third order."""
+    parameters = replace(SILENT, cells=4, fan=1.0, sink_capacity=60.0, ambient_rate=0.01)
+    rig = PeltierRig(rod, parameters, Ts)
+    commands = np.random.default_rng(1).uniform(-50, 90, (6, rod.sections)).repeat(10, axis=0)
+    currents, readings = [], []
+    for command in commands:
+        readings.append(rig.read())
+        rig.apply(command)
+        currents.append(rig.currents)
+    expected = reference_solution(rod, parameters, currents, 0.01, Ts)
+    assert np.abs(expected).max() > 5
+    tolerance = 2e-4 * Ts**2 * np.abs(expected).max()
+    np.testing.assert_allclose(readings, expected, atol=tolerance)
+
+
+def test_at_rest_the_room_gets_the_electrical_power():
+    rig = PeltierRig(parameters=replace(SILENT, sink_capacity=20.0))
+    p, e, rod = rig.parameters, rig.parameters.element, rig.rod
+    run_rig(rig, np.tile([60.0, -20.0, 10.0, 0.0], (6000, 1)))
+    theta, sinks = rig._state[: 4 * p.cells], rig.sinks
+    power = e.seebeck * (theta.reshape(4, -1).mean(1) - sinks) * rig.currents
+    power += e.resistance * rig.currents**2
+    lost = p.convection * np.abs(theta) ** 0.25 * theta
+    lost += p.emissivity * 5.670374419e-8 * ((theta + ROOM) ** 4 - ROOM**4)
+    to_the_room = lost.sum() * rod.width * rod.length / len(theta) + p.fan * sinks.sum()
+    assert power.sum() > 30
+    assert to_the_room == pytest.approx(power.sum(), rel=1e-6)
+
+
+def test_a_current_stays_within_its_limit_and_within_what_cools():
+    weak = replace(SILENT, element=PeltierElement(limit=2.0))
+    strong = replace(SILENT, known=PeltierElement(resistance=6.0))
+    for parameters, ends in ((weak, (-2.0, 2.0)), (strong, (-0.05 * ROOM / 6.0, 6.0))):
+        rig = PeltierRig(parameters=parameters)
+        low, high = rig.limits["Q1"]
+        for asked in ([low, high, 0.0, 0.0], [low - 100, high + 100, 0.0, 0.0]):
+            rig.apply(asked)
+            np.testing.assert_allclose(rig.currents, [*ends, 0.0, 0.0], rtol=1e-7, atol=1e-12)
+
+
+def test_who_believes_in_no_joule_heat_cools_too_much_and_heats_the_rod():
+    """Beyond S T / R: the sign of the plant turns, which no thermometer on the sink can tell."""
+    element = PeltierElement(resistance=6.0, limit=20.0)
+    asked = np.tile([-100.0, 0.0, -100.0, 0.0], (300, 1))
+    ends = {}
+    for name, known in (("proportional", replace(element, resistance=0.0)), ("inverse", element)):
+        rig = PeltierRig(parameters=replace(SILENT, element=element, known=known))
+        ends[name] = run_rig(rig, asked)[-1].mean()
+    assert ends["inverse"] < -5 and ends["proportional"] > 5
+
+
+def test_a_thermometer_on_the_sinks_brings_the_heat_that_was_asked_for():
+    asked, flows = np.tile([-30.0, 0.0, -30.0, 0.0], (1500, 1)), {}
+    for measured in (False, True):
+        rig = PeltierRig(parameters=replace(SILENT, convection=0.0, sinks_measured=measured))
+        run_rig(rig, asked)
+        flows[measured] = rig.parameters.element.heat(rig.currents, ROOM, ROOM + rig.sinks)[0]
+        assert rig.sinks[0] > 3
+    assert flows[True] == pytest.approx(-30, abs=0.05)
+    assert flows[False] > -29
+
+
+def test_every_trial_depends_on_seed_and_number_alone(loop, Q):
+    rig, later = RestartingPeltierRig(seed=3), RestartingPeltierRig(seed=3)
+    reference = np.full((20, 2), 1.0)
+    log = record(rig, loop, Q, None, reference, trials=3)
+    later.begin(3)
+    later.time = 5.0
+    again = record(later, loop, Q, None, reference, trials=1)
+    assert np.any(log.y[0] != log.y[1])
+    np.testing.assert_allclose(log.y[0], log.y[1], atol=0.3)  # noise only
+    np.testing.assert_array_equal(log.y[0], again.y[0])
+    np.testing.assert_allclose(log.y * 100, np.round(log.y * 100), atol=1e-6)
