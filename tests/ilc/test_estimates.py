@@ -65,7 +65,8 @@ def test_estimates_are_those_of_the_observer_written_out(name, rod_case):
     shape = 2, 60, len(loop.outputs)
     d = rng.standard_normal((60, len(loop.disturbances)))
     noise = 0.1 * rng.standard_normal(shape)
-    run = run_trials(loop, Q, None, rng.standard_normal(shape), d, 2, noise=noise)
+    r, v = rng.standard_normal(shape), rng.standard_normal(shape[1:])
+    run = run_trials(loop, Q, None, r, d, 2, noise=noise, v=v)
     z_hat = estimated(run, loop, model)
     assert z_hat.dims == ("trial", "time", "estimate")
     assert z_hat.estimate.values.tolist() == model.output_labels
