@@ -19,7 +19,6 @@ import xarray as xr
 from scipy.signal import oaconvolve
 
 from rodlib.ilc import arguments
-from rodlib.ilc.trials import in_columns
 
 GROWTH = 1.5  # from one lag of F to the next
 DECAY = 2.0  # a priori, entries of F fall as 1 / |lag|^DECAY
@@ -67,6 +66,7 @@ def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
     trials : xarray.Dataset or list of them
         From :func:`rodlib.run_trials`, :func:`rodlib.record` or :func:`rodlib.load_log`, of one
         loop, under the same disturbance, of the same length. All count, the first most of all.
+        Where actuators cut off, with v as :func:`rodlib.ilc.within_limits.realised` has it.
     reference : array_like, shape (time, m)
         Of the new task, of any length; where the trials had ended, nothing is kept.
 
@@ -93,7 +93,7 @@ def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
     """
     v, y, old, outputs, Ts = _signals(trials)
     K, N, m = y.shape
-    new = in_columns("reference", reference, ("time", m), outputs)
+    new = arguments.in_columns("reference", reference, ("time", m), outputs)
     size = np.sqrt(np.mean(y**2, axis=(0, 1)))
     size[size == 0] = 1.0
     basis = _basis(max(1, N // 2))
@@ -140,7 +140,7 @@ def _signals(trials):
         shape = ("trial", first[1]["time"], first[1]["channel"])
         for name, signals in found.items():
             signal = each[name].transpose(*axes)
-            signals.append(in_columns(f"trials.{name}", signal, shape, first[2]))
+            signals.append(arguments.in_columns(f"trials.{name}", signal, shape, first[2]))
     return *(np.concatenate(signals) for signals in found.values()), first[2], first[0]
 
 

@@ -25,6 +25,7 @@ from rodlib import (
 from rodlib.case import assumed_disturbance, assumed_reference
 from rodlib.ilc import transfer as module
 from rodlib.ilc.trials import rms
+from rodlib.ilc.within_limits import realised
 from rodlib.rigs import MISMATCHED
 
 Q = zero_phase_butterworth(2, 1.0, 1.0)
@@ -55,6 +56,11 @@ def quiet(*arguments):
 
 OLD = steps(200, (0.1, 0.2, 0.2, 2.0), (0.25, 0.15, 0.3, -1.0))
 NEW = steps(200, (0.2, 0.3, 0.2, -1.5), (0.1, 0.2, 0.25, 3.0))
+
+
+def run_quietly(*arguments, **more):
+    with warnings.catch_warnings(action="ignore"):
+        return run_trials(*arguments, **more)
 
 
 def trials_of(loop, weight=1e-2, trials=5, reference=OLD, **more):
@@ -215,10 +221,10 @@ def test_doubt_is_of_the_size_of_what_is_off():
     loop, plant, Q, samples, (old, new), weight, _ = tanks_case(0.0)
     ratios, wanted = [], steps(samples, *new)
     law = Q, NormOptimal(loop.P, weight, samples)
-    best = run_trials(loop, *law, wanted, None, 30, plant=plant).v.values[-1]
+    best = run_quietly(loop, *law, wanted, None, 30, plant=plant).v.values[-1]
     for seed in range(4):
         noise = 0.02 * np.random.default_rng(seed).standard_normal((4, samples, 3))
-        done = run_trials(loop, *law, steps(samples, *old), None, 4, plant=plant, noise=noise)
+        done = run_quietly(loop, *law, steps(samples, *old), None, 4, plant=plant, noise=noise)
         found = quiet(done, wanted)
         off = Q.apply(found.v - best)[:-20]
         ratios.append(np.sqrt(np.mean(off**2, axis=0)) / found.doubt)
@@ -295,8 +301,24 @@ def test_units_do_not_matter():
         run_trials(ClosedLoop(plant), Q, None, OLD @ factor, trials=1, v=v @ factor)
         for plant, factor in ((P, np.eye(2)), (other, scale))
     ]
-    there = quiet(runs[1], NEW @ scale)
-    np.testing.assert_allclose(there.v, quiet(runs[0], NEW).v @ scale, rtol=1e-6, atol=1e-6)
+    here, there = quiet(runs[0], NEW), quiet(runs[1], NEW @ scale)
+    np.testing.assert_allclose(there.v, here.v @ scale, rtol=1e-6, atol=1e-6)
+    F = np.einsum("ij,jkl,km->iml", scale, here.F, np.linalg.inv(scale))
+    np.testing.assert_allclose(there.F, F, rtol=1e-4, atol=1e-6 * np.abs(F).max())
+
+
+def test_trials_that_actuators_cut_off_count_by_what_was_realised():
+    loop = current_trial_loop(coupled()[0], ["u[0]", "u[1]"])
+    law = Q, NormOptimal(loop.P, 1e-2, 200), OLD, None, 4
+    free, most = quiet(run_trials(loop, *law), NEW), {name: (-1.0, 1.0) for name in loop.controls}
+    with warnings.catch_warnings(action="ignore"):
+        cut = run_trials(loop, *law, limits=most)
+    assert np.abs(cut.u).max() > 1.2
+    signals = zip(cut.v.values, cut.u.values, cut.applied.values, strict=True)
+    v = np.array([realised(loop, *trial) for trial in signals])
+    off = [np.abs(quiet(trials, NEW).v - free.v).max()
+           for trials in (cut, cut.assign(v=(cut.v.dims, v)))]  # fmt: skip
+    assert off[1] < min(0.01, 0.1 * off[0])
 
 
 def test_nothing_moved():
