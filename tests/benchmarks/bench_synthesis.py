@@ -94,7 +94,7 @@ def measure(benchmark, group, x, function, *arguments, rounds=3, **keywords):
     ("frequencies", "method"),
     [
         *((250, method) for method in ("naive", "cvxpy", "structured")),
-        *((1000, method) for method in ("cvxpy", "structured", "threads", "neighbour")),
+        *((1000, name) for name in ("cvxpy", "structured", "everywhere", "threads", "neighbour")),
     ],
 )
 @pytest.mark.filterwarnings("ignore")
@@ -107,6 +107,9 @@ def test_against_cvxpy(benchmark, frequencies, method, structure):
         start = synthesise(*problem, structure=structure, L_max=45.0)
         keywords = {"structure": structure, "rounds": 9}
         measure(benchmark, group, method, from_a_neighbour, start, *problem, **keywords)
+    elif method == "everywhere":
+        keywords = {"structure": structure, "everywhere": True, "rounds": 9}
+        measure(benchmark, group, method, synthesise, paper_loop(), *problem[1:], **keywords)
     elif method == "threads":
         keywords = {"structure": structure, "rounds": 9}
         measure(benchmark, group, method, as_users_have_it, *problem, **keywords)
