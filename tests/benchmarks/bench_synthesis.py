@@ -62,6 +62,11 @@ def from_a_neighbour(start, *problem, **keywords):
     return synthesise(*problem, start=start, **keywords)
 
 
+def of_the_model(*problem, **keywords):
+    """With the plant as a model, so that what holds between the frequencies is proven."""
+    return synthesise(paper_loop(), *problem, **keywords)
+
+
 def as_users_have_it(*problem, **keywords):
     """With as many threads of BLAS as there are cores, unless the synthesis holds them back."""
     with threadpool_limits(os.cpu_count(), "blas"):
@@ -94,7 +99,7 @@ def measure(benchmark, group, x, function, *arguments, rounds=3, **keywords):
     ("frequencies", "method"),
     [
         *((250, method) for method in ("naive", "cvxpy", "structured")),
-        *((1000, method) for method in ("cvxpy", "structured", "threads", "neighbour")),
+        *((1000, name) for name in ("cvxpy", "structured", "everywhere", "threads", "neighbour")),
     ],
 )
 @pytest.mark.filterwarnings("ignore")
@@ -107,6 +112,9 @@ def test_against_cvxpy(benchmark, frequencies, method, structure):
         start = synthesise(*problem, structure=structure, L_max=45.0)
         keywords = {"structure": structure, "rounds": 9}
         measure(benchmark, group, method, from_a_neighbour, start, *problem, **keywords)
+    elif method == "everywhere":
+        keywords = {"structure": structure, "everywhere": True, "rounds": 9}
+        measure(benchmark, group, method, of_the_model, *problem[1:], **keywords)
     elif method == "threads":
         keywords = {"structure": structure, "rounds": 9}
         measure(benchmark, group, method, as_users_have_it, *problem, **keywords)

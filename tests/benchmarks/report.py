@@ -13,6 +13,7 @@ from rodlib.paper.repository import checkout, publishing
 LABELS = {
     "neighbour": "structured, from the optimum for L_max = 45",
     "structured": "structured",
+    "everywhere": "structured, bounds at every frequency",
     "threads": "structured, where BLAS has a thread for each core",
     "all": "structured, all bounds at once",
     "cvxpy": "CVXPY, batched",

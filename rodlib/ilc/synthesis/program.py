@@ -195,7 +195,17 @@ def formulate(problem: Problem, plant=(), frequency=()) -> Program:
     one = np.ones((1, 1, n), dtype=complex)
     zero = np.zeros((m, m, 1)) * one
     if full or gain:
-        L = [Bound(zero, np.moveaxis(W, 0, -1) * one[0], entries, rows, cols, everywhere, **on_L)]
+        L = [
+            Bound(
+                zero,
+                np.ascontiguousarray(np.moveaxis(W, 0, -1), complex),
+                entries,
+                rows,
+                cols,
+                everywhere,
+                **on_L,
+            )
+        ]
     else:  # smaller ones, one for each entry
         one_by_one = ((W[:, e, e] * one, entries[[e]], rows[:1], cols[:1]) for e in entries)
         L = [Bound(0 * one, *a, everywhere, **on_L) for a in one_by_one]
