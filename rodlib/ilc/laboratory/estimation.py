@@ -24,6 +24,7 @@ FEWEST = 20  # samples of a trial
 STILL = 1e-3  # of the range of an input: trials that differ by less do not differ
 LEARNED = 0.5  # of the largest P, and of its size before the data: what is further off is not known
 BEYOND = 3.0  # standard deviations, from which on neighbouring lines contradict an estimate
+SEEN = 0.25  # of the largest P, that neighbouring lines by themselves are off by at most
 EACH = 8  # lines of all trials together, for each input, that are neighbours
 LATE = 0.4  # of a response in the later half of the record, from which on it does not settle
 TAIL = 10  # draws beyond which a quantile is extrapolated, as of a normal distribution
@@ -187,7 +188,7 @@ def estimated_response(log: xr.Dataset, of: str | None = None) -> EstimatedRespo
     off = np.sqrt((after**2).sum(axis=0) * len(outputs))
     alone, agrees = _seen(u / u.std((0, 1)), left / y.std((0, 1)), omega * Ts, off)
     alone /= size.max()
-    known &= agrees & (alone < LEARNED)
+    known &= agrees & (alone < SEEN)
     if not known.any():
         raise LogError(
             f"log tells P at no frequency: what {', '.join(names)} did drowns in noise, or they "
