@@ -204,19 +204,15 @@ class PeltierRig(Bench):
     def _slopes(self, state):
         """What is not in the exponentials: K/s of every state."""
         p, T = self.parameters, self.parameters.temperature
-        flows = np.zeros(len(state))
-        theta, sinks, above = (
-            state[self._cells],
-            state[self._sinks],
-            state[self._cells] - self.ambient,
-        )
-        lost = p.convection * np.abs(above) ** 0.25 * above
-        lost += p.emissivity * Stefan_Boltzmann * ((T + theta) ** 4 - (T + self.ambient) ** 4)
+        flows, theta = np.zeros(len(state)), state[self._cells]
+        above, hot = theta - self.ambient, T + theta
+        lost = p.convection * np.sqrt(np.sqrt(np.abs(above))) * above
+        lost += p.emissivity * Stefan_Boltzmann * (np.square(hot * hot) - (T + self.ambient) ** 4)
         joule = p.element.resistance * self.currents**2 / 2
         pumped = p.element.seebeck * self.currents
-        spread = np.repeat(pumped, p.cells) * (T + theta) + np.repeat(joule, p.cells)
-        flows[self._cells] = spread / p.cells - lost * self._top
-        flows[self._sinks] = joule - pumped * (T + sinks) + p.fan * self.ambient
+        spread = pumped[:, None] * hot.reshape(-1, p.cells) + joule[:, None]
+        flows[self._cells] = spread.ravel() / p.cells - lost * self._top
+        flows[self._sinks] = joule - pumped * (T + state[self._sinks]) + p.fan * self.ambient
         return flows / self._capacity
 
 

@@ -80,7 +80,14 @@ STUDY = Study(PAPER, Q, {"L": L2}, SPREAD, **COURSE)
 MULTISINE = {"Ts": 1.0, "period": 16, "periods": 3}
 MULTISINE |= {"harmonics": (1, 2, 3), "phases": (0.0, 1.0, 2.0), "amplitude": (1.0,)}
 ESTIMATED = laboratory.EstimatedResponse(
-    OMEGA, ONES[:5], np.tile(1e-3 * RESPONSE, (50, 1, 1, 1)), OMEGA > 0, LOOP, "a record", 1.0
+    OMEGA,
+    ONES[:5],
+    np.tile(1e-3 * RESPONSE, (50, 1, 1, 1)),
+    OMEGA > 0,
+    LOOP,
+    "a record",
+    1.0,
+    1e-3 * (OMEGA > 0),
 )
 EXCITATION = laboratory.Excitation(**MULTISINE)
 ALL = laboratory.Excitation(1.0, 40, 4, (1, 2, 3, 5, 8), np.zeros(5), (1.0, 1.0))
@@ -324,6 +331,7 @@ DOORS = [
      {"trials": THING | {"frame": ...}, "L": MODELS | {"none": ...}}),
     *((door, {"trials": LOG}, {"trials": THING | {"frame": ...}})
       for door in (laboratory.law_of, laboratory.loop_of, laboratory.rest_of, laboratory.step_of)),
+    (laboratory.replay_of(LOG).reached, {"trial": 2}),
     (laboratory.replay_of, {"trials": LOG},
      {"trials": THING, "untold": {"numbers": [1, 2], "empty": ...}}),
     (RigParameters, {},

@@ -45,6 +45,7 @@ SETTINGS = {
     "14": [{"limit": 24.0, "trials": 4}, {"trials": 5, "rest": 0}, {"limit": 16.0, "trials": 4}],
     "15": [{"trials": 2, "cells": 48}, {"heat": 0.0}, {"M_max": 0.6, "L_max": 200.0}],
     "16": [{"trials": 2}, {"trials": 3, "resistance": 0.5}, {"trials": 4, "stronger": 12.0}],
+    "17": [{"noise": 0.0, "trials": 3}, {"lag": 10.0, "noise": 0.1, "varying": 4}, {"trials": 5}],
 }
 SENTENCES = {"ValueError", "InfeasibleError"}
 WAYS = ("to the end", "in a sentence", "in a traceback")

@@ -24,6 +24,7 @@ from rodlib import (
     run_trials,
     save_log,
     synthesise,
+    update,
     zero_phase_butterworth,
 )
 from rodlib.ilc.laboratory import Controller
@@ -237,7 +238,10 @@ def test_learning_on_estimates_brings_the_profile_near_the_least_possible(rod_ca
         left.append(r - estimated(run, loop, model).values[0, :, 2:])
         return left[-1] @ T.T
 
-    learn(trial, np.zeros((900, 2)), Q, design.filter, 5)
+    def following(k, v, e):
+        return update(v, e, Q, design.filter)
+
+    learn(trial, np.zeros((900, 2)), following, 5)
     heated = model[model.output_labels[2:], loop.controls]
     u = NormOptimal(heated, 1e-6, 900).apply(r)
     least = np.linalg.norm(r - control.forced_response(heated, inputs=u.T).outputs.T)

@@ -254,7 +254,8 @@ def _moved(of, u, y, names, outputs):
         return u, y, f"{words}; assumed: nothing but {of}, noise and drift moves y"
     H = helmert(K)
     if np.all(np.ptp(u, axis=0).max(axis=0) > STILL * span):
-        return np.tensordot(H, u, 1), np.tensordot(H, y, 1), f"{words}, by what the trials differ"
+        words += ", by what the trials differ; assumed: they start alike"
+        return np.tensordot(H, u, 1), np.tensordot(H, y, 1), words
     mean = u.mean(axis=0, keepdims=True), y.mean(axis=0, keepdims=True)
     return *mean, f"{words}, in the mean of trials that are alike; assumed: no disturbance repeats"
 

@@ -5,6 +5,7 @@ excited: these hold what remains of the transient, a smooth function of frequenc
 transient is interpolated and taken off; what scatters about it is the noise, and so the accuracy.
 """
 
+import reprlib
 import warnings
 from dataclasses import dataclass, replace
 
@@ -200,7 +201,7 @@ def measured_response(
     """
     if isinstance(log, control.FrequencyResponseData):
         if of is not None:
-            raise ValueError(f"of = {of!r} is for a record, but log is a table")
+            raise ValueError(f"of = {reprlib.repr(of)} is for a record, but log is a table")
         return tabulated(log, uncertainty)
     arguments.instance("log", log, xr.Dataset)
     if uncertainty is not None:

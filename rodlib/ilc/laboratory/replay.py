@@ -187,7 +187,7 @@ class Replay:
         None if law, model or trial before are not there, if the law or the reference changed
         there, or if the outputs have different units.
         """
-        course, k = self._course, trial - self.numbers[0]
+        course, k = self._course, arguments.whole("trial", trial, 1) - self.numbers[0]
         if course is None or course.P is None or not 0 < k < len(self.numbers):
             return None
         changed = self.earlier or not np.array_equal(*course.reference[k - 1 : k + 1])

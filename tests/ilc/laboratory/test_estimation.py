@@ -1,6 +1,7 @@
 """A response from records as they come: against plants that are known, and what is refused."""
 
 import sys
+import warnings
 from pathlib import Path
 
 import control
@@ -31,7 +32,7 @@ def off(found, truth):
     return np.linalg.norm(found.response - truth, 2, axis=(1, 2))
 
 
-@pytest.mark.parametrize("kind", ["steps, short", "learning", "learning, starts differ"])
+@pytest.mark.parametrize("kind", ["steps, short", "learning", "steps, wrong start"])
 def test_the_truth_is_within_the_region(kind):
     """A few; `make regions` counts 500 of each kind."""
     held = []
@@ -51,7 +52,8 @@ def learned(loop, trials=4, samples=300, noise=1e-3, repeats=0.0, seed=0):
     r = np.repeat(rng.standard_normal((samples // 4, m)), 4, axis=0) * 0.3
     offset = repeats * np.cumsum(rng.standard_normal((samples, m)), axis=0)
     noise = noise * rng.standard_normal((trials, samples, m)) + offset
-    return run_trials(loop, Q, L, r, None, trials, noise=noise)
+    with warnings.catch_warnings(action="ignore"):  # not all of them converge
+        return run_trials(loop, Q, L, r, None, trials, noise=noise)
 
 
 LOOPS = {
