@@ -19,6 +19,7 @@ SNIPPETS = re.findall(r"^```python\n(.*?)^```$", TEXT, flags=re.MULTILINE | re.D
 
 @pytest.mark.parametrize("number", range(len(SNIPPETS)))
 def test_each_snippet_runs_by_itself_in_an_empty_folder(number, tmp_path):
+    (tmp_path / "data").symlink_to(ROOT / "data")  # all that it needs of the repository
     path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
     run = subprocess.run(
         [sys.executable, "-W", "error::UserWarning", "-c", SNIPPETS[number]],
@@ -28,13 +29,14 @@ def test_each_snippet_runs_by_itself_in_an_empty_folder(number, tmp_path):
     assert run.stdout
 
 
-def test_the_first_snippet_designs_a_filter_for_a_table():
+def test_the_first_snippet_designs_a_filter_for_a_strangers_log(monkeypatch):
+    monkeypatch.chdir(ROOT)
     namespace = {}
     exec(SNIPPETS[0], namespace)
-    design = namespace["design"]
-    assert not design.certificate.failures and design.filter.channels == 1
-    assert 0.05 < design.sigma_M.max() < 0.9 and design.sigma_L.max() < 10 * 1.000001
-    assert "over all frequencies" in str(design)
+    design, P = namespace["design"], namespace["P"]
+    assert not design.certificate.failures and design.filter.channels == 2
+    assert 0.1 < design.certificate.grid_M < 0.9 and 0 < P.radius()[P.known].max() < 0.2
+    assert "chosen: L_max" in str(design) and "P estimated from one trial" in str(design)
 
 
 def test_what_it_says_first_is_what_the_ledger_counts():

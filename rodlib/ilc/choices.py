@@ -21,7 +21,7 @@ SHARE = 1 / 5  # of the cut-off, where the band ends: Q passes 99.8 % there, if 
 def frequencies(P, Q, Ts) -> np.ndarray:
     """Design frequencies, rad/s: of samples their own, of models a logarithmic grid up to Nyquist.
 
-    `P` is a list of plants.
+    `P` is a list of plants; of a measured one the grid begins where it is known.
     """
     known = [plant.omega for plant in P if isinstance(plant, control.FrequencyResponseData)]
     if known:
@@ -34,7 +34,9 @@ def frequencies(P, Q, Ts) -> np.ndarray:
             f"omega must be given, as Q = {reprlib.repr(Q)} is no filter, from whose cut-off a "
             "grid could be chosen"
         )
-    return np.geomspace(Q.cutoff / 10**DECADES, np.pi / Ts, FREQUENCIES)
+    lowest = [Q.cutoff / 10**DECADES]
+    lowest += [plant.omega[getattr(plant, "known", plant.omega > 0)][0] for plant in sampled]
+    return np.geomspace(max(lowest), np.pi / Ts, FREQUENCIES)
 
 
 def cutoff(butterworth, Q, omega) -> float:
@@ -50,9 +52,9 @@ def cutoff(butterworth, Q, omega) -> float:
 
 
 def band(cutoff, omega) -> tuple[float, float]:
-    """From the lowest frequency above zero to a fifth of the cut-off, or as near as there is."""
+    """From the lowest frequency above zero to a fifth of the cut-off, or to the cut-off."""
     low, *higher = omega[omega > 0].tolist()
-    end = SHARE * cutoff
+    end = SHARE * cutoff if SHARE * cutoff > higher[0] else cutoff
     return low, float(min(max(end, higher[0]), omega[-1]))
 
 

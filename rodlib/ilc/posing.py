@@ -130,7 +130,7 @@ def _chosen(band, L_max, objective, butterworth, Q, P, omega):
     if band is None:
         band = choices.band(cutoff, omega)
         if objective == "sum":
-            chosen.append(f"band = ({band[0]:.4g}, {band[1]:.4g}) rad/s, to a fifth of Q's cut-off")
+            chosen.append(f"band = ({band[0]:.4g}, {band[1]:.4g}) rad/s, by Q's cut-off")
     if isinstance(L_max, str) and L_max == choices.CHOOSE:
         L_max = choices.gain(cutoff, P, omega)
         chosen.append(f"L_max = {L_max:g}, a gain that inverts P at Q's cut-off")

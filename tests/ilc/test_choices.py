@@ -54,6 +54,7 @@ def test_a_band_is_within_the_samples_and_not_empty():
     assert choices.band(100.0, omega) == (1.0, 3.0)
     assert choices.band(0.1, omega) == (1.0, 2.0)
     assert choices.band(12.5, omega) == (1.0, 2.5)
+    assert choices.band(2.5, omega) == (1.0, 2.5)
 
 
 def test_samples_bring_their_frequencies_or_need_them(loop, Q):

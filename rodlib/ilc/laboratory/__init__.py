@@ -8,7 +8,7 @@ from rodlib.ilc import lazily
 __getattr__, __dir__, __all__ = lazily(
     __name__,
     {
-        "controlled_rig": "Controller Rig RigError StoppedError TrialRig",
+        "controlled_rig": "Controller",
         "estimation": "EstimatedResponse",
         "excitation": "Excitation multisine",
         "experiment": "record shake",
@@ -17,6 +17,7 @@ __getattr__, __dir__, __all__ = lazily(
         "measurement": "MeasuredResponse expected_radius measured_response",
         "notes": "law_of load_law loop_of rest_of save_law step_of with_law",
         "replay": "Replay replay_of",
+        "rig": "Rig RigError StoppedError TrialRig",
         "tabulated": "TabulatedResponse",
         "temperature_control_lab": "TemperatureControlLab",
     },

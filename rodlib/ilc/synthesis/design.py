@@ -78,7 +78,8 @@ def synthesise(
         up to the gain that coefficients in doubles can hold, :attr:`rodlib.ilc.Problem.weight`.
     band : (float, float)
         Lowest and highest frequency of the sum in (39), rad/s. A peak has none. Default: from the
-        lowest of `omega` to a fifth of Q's cut-off. The certificate says what was chosen.
+        lowest of `omega` to a fifth of Q's cut-off, or to the cut-off. The certificate says what
+        was chosen.
     structure : {"diagonal", "full"}
     objective : {"sum", "peak"}
         "sum" is (39), for the nominal plant; "peak" is (45), with (46) unless `L_max` is None: the
