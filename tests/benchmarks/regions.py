@@ -11,9 +11,12 @@ import numpy as np
 from scipy.signal import lfilter
 
 from rodlib import LearningFilter, update, zero_phase_butterworth
+from rodlib.ilc.files import write_whole
 from rodlib.ilc.laboratory import LogError
 from rodlib.ilc.laboratory.estimation import estimated_response
 from rodlib.ilc.trials import dataset
+from rodlib.paper.ledger import splice
+from rodlib.paper.repository import ROOT
 
 NOISE = 0.03  # relative to the gain of a plant, where a kind does not say otherwise
 
@@ -153,9 +156,10 @@ def response(plants, omega):
 
 
 def main(records, kinds):
-    """Count, a row for each kind."""
-    print("| record | records | each, 95 % | all, 90 % | all, 99 % | known | radius | refused |")
-    print("|---|---:|---:|---:|---:|---:|---:|---:|")
+    """Count, a row for each kind; of all kinds the table goes to figures/performance.md."""
+    table = ["| record | records | each, 95 % | all, 90 % | all, 99 % | known | radius | refused |"]
+    table += ["|---|---:|---:|---:|---:|---:|---:|---:|"]
+    print(*table, sep="\n")
     for kind in kinds:
         each, every, known, size, refused = [], {0.9: [], 0.99: []}, [], [], 0
         for seed in range(records):
@@ -174,12 +178,15 @@ def main(records, kinds):
             known.append(found.known.mean())
             largest = np.linalg.norm(truth, 2, axis=(1, 2)).max()
             size.append(np.median(found.radius(0.95)[found.known]) / largest)
-        print(
+        table.append(
             f"| {kind} | {records} | {np.mean(each):.1%} | {np.mean(every[0.9]):.1%} | "
             f"{np.mean(every[0.99]):.1%} | {np.mean(known):.0%} | {np.median(size):.2g} | "
-            f"{refused} |",
-            flush=True,
+            f"{refused} |"
         )
+        print(table[-1], flush=True)
+    page = ROOT / "figures" / "performance.md"
+    if kinds == [*KINDS]:
+        write_whole(page, splice(page.read_text(encoding="utf-8"), "regions", "\n".join(table)))
 
 
 if __name__ == "__main__":

@@ -26,6 +26,7 @@ LEARNED = 0.5  # of the largest P, and of its size before the data: what is furt
 BEYOND = 3.0  # standard deviations, from which on neighbouring lines contradict an estimate
 SEEN = 0.25  # of the largest P, that neighbouring lines by themselves are off by at most
 EACH = 8  # lines of all trials together, for each input, that are neighbours
+LONGEST = 0.6  # of a record, in which a response falls by e a priori, if it is to settle
 LATE = 0.4  # of a response in the later half of the record, from which on it does not settle
 TAIL = 10  # draws beyond which a quantile is extrapolated, as of a normal distribution
 
@@ -194,14 +195,15 @@ def estimated_response(log: xr.Dataset, of: str | None = None) -> EstimatedRespo
             f"log tells P at no frequency: what {', '.join(names)} did drowns in noise, or they "
             "moved alike. Record longer, or move them more, each by itself"
         )
-    _check_settled(np.abs(impulse), outputs, u.shape[1])
+    lasting = [one.lasting for one in found]
+    _check_settled(np.abs(impulse), lasting, outputs, u.shape[1])
     loop = loop_of(log) if of == "w" else None
     if loop is None:
         units = dict(zip(outputs, log.output_unit.values.tolist(), strict=True))
         loop = ClosedLoop(None, Ts, outputs, units=units)
     return EstimatedResponse(
         omega, np.moveaxis(impulse, 2, 0), np.moveaxis(errors, 3, 1), known, loop, record,
-        Ts * max(one.lasting for one in found), alone,
+        Ts * max(lasting), alone,
     )  # fmt: skip
 
 
@@ -260,12 +262,12 @@ def _moved(of, u, y, names, outputs):
     return *mean, f"{words}, in the mean of trials that are alike; assumed: no disturbance repeats"
 
 
-def _check_settled(impulse, outputs, n):
+def _check_settled(impulse, lasting, outputs, n):
     """Refuse responses (output, input, lag) that do not end within n samples."""
-    share = impulse[..., n // 2 : n].sum(axis=2) / impulse[..., :n].sum(axis=2)
-    i = share.max(axis=1).argmax()
-    if share[i].max() > LATE:
-        raise LogError(
-            f"{outputs[i]} does not settle within the {n} samples of a trial: it integrates, or "
-            "the record is too short. Record longer, or in a closed loop"
-        )
+    share = (impulse[..., n // 2 : n].sum(axis=2) / impulse[..., :n].sum(axis=2)).max(axis=1)
+    for name, late, fall in zip(outputs, share, lasting, strict=True):
+        if late > LATE or fall > LONGEST * n:
+            raise LogError(
+                f"{name} does not settle within the {n} samples of a trial: it integrates or rings "
+                "on, or the record is too short. Record longer, or in a closed loop"
+            )
