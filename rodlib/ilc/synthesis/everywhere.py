@@ -47,8 +47,7 @@ def _passing(problem, solution, most):
     """Frequencies where a solution passes its bounds: crests that samples show, or else peaks."""
     L = LearningFilter(solution.coefficients, problem.Ts)
     limit = most * (solution.largest if problem.objective == "peak" else problem.M_max)
-    gain = solution.largest if problem.objective == "gain" else 1
-    limit_L = np.inf if problem.L_max is None else most * problem.L_max * gain
+    limit_L = np.inf if problem.L_max is None else most * problem.L_max
     response, plants = problem.response(solution), range(1 + len(problem.others))
     sigma_M = np.array([largest_singular_values(problem.M(response, k)) for k in plants])
     found = _crests(problem.omega, sigma_M.max(axis=0), limit)

@@ -260,7 +260,7 @@ def test_both_ways_of_solving_the_newton_system_agree(m, structure, objective, k
             for name in ("x", "t", "eta"):
                 one, other = (getattr(d, name) for d in directions)
                 np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-9 * np.abs(one).max())
-            d = interior_point.step(program, p, slacks, total, root)
+            d = interior_point.step(program, p, slacks, total, (root, 10))
             primal, dual = interior_point.step_lengths(program, p, d, slacks, 0.1)
             p = p.moved(d, 0.9 * primal, 0.9 * dual)
 
