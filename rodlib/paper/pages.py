@@ -85,7 +85,7 @@ def document(root: Path, target: Path, source: str, text: str, body: str) -> Non
     page, title = page_of(source), re.search(r"^# (.*)", text, re.MULTILINE)[1]
     body = re.sub(r'\b(href|src)="(?![a-z]+:)([^"#]+)([^"]*)"', linked, body)
     up = "../" * page.count("/")
-    body = re.sub(r">(\d\d-\S+)</td>", rf'><a href="{up}notebooks/\1.html">\1</a></td>', body)
+    body = re.sub(r">(\d\d-[^\s<]+)</td>", rf'><a href="{up}notebooks/\1.html">\1</a></td>', body)
     template = pdoc.render.env.get_template("page.html.jinja2")
     text = template.render(title=re.sub(r"[*`$]", "", title), page=page, up=up, body=body)
     (folder((target / page).parent) / Path(page).name).write_text(text, encoding="utf-8")

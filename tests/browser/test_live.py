@@ -44,7 +44,7 @@ def first(reader, paper):
 
 def test_it_begins_with_the_papers_choice(reader, paper, shots):
     assert reader.picture == drawn(paper)
-    assert reader.line.startswith("Certificate: σ(M) ≤ 0.9002 at all frequencies")
+    assert reader.line.startswith("Certificate: σ(M) ≤ 0.9000 at all frequencies")
     for width in (1280, 800):
         reader.show(width, 1500, shots / f"start-{width}.png")
         assert reader.overflow == []
