@@ -11,6 +11,7 @@ import numpy as np
 import xarray as xr
 from scipy.linalg import helmert
 from scipy.signal import fftconvolve
+from scipy.special import fdtrc
 
 from rodlib.ilc import arguments
 from rodlib.ilc.laboratory.impulse import impulse_of
@@ -23,6 +24,7 @@ LINES = 200  # frequencies at which the region is found
 FEWEST = 20  # samples of a trial
 STILL = 1e-3  # of the range of an input: trials that differ by less do not differ
 LEARNED = 0.5  # of the largest P, and of its size before the data: what is further off is not known
+SURE = 1e-6  # probability by which noise alone may make trials start apart
 BEYOND = 3.0  # standard deviations, from which on neighbouring lines contradict an estimate
 SEEN = 0.25  # of the largest P, that neighbouring lines by themselves are off by at most
 EACH = 8  # lines of all trials together, for each input, that are neighbours
@@ -190,6 +192,7 @@ def estimated_response(log: xr.Dataset, of: str | None = None) -> EstimatedRespo
     alone, agrees = _seen(u / u.std((0, 1)), left / y.std((0, 1)), omega * Ts, off)
     alone /= size.max()
     known &= agrees & (alone < SEEN)
+    findings = _started_apart(left, outputs) if len(left) > 1 else ()
     if not known.any():
         raise LogError(
             f"log tells P at no frequency: what {', '.join(names)} did drowns in noise, or they "
@@ -203,7 +206,7 @@ def estimated_response(log: xr.Dataset, of: str | None = None) -> EstimatedRespo
         loop = ClosedLoop(None, Ts, outputs, units=units)
     return EstimatedResponse(
         omega, np.moveaxis(impulse, 2, 0), np.moveaxis(errors, 3, 1), known, loop, record,
-        Ts * max(lasting), alone,
+        Ts * max(lasting), alone, findings,
     )  # fmt: skip
 
 
@@ -233,6 +236,19 @@ def _seen(u, left, angles, off):
     with np.errstate(divide="ignore"):
         own = np.sqrt(left_over / np.maximum(count - m, 1) / np.maximum(power, 0))
     return own, largest_singular_values(D) < BEYOND * np.hypot(own, off)
+
+
+def _started_apart(left, outputs):
+    """Whether trials begin further apart than noise lets them, in words."""
+    K, N, _ = left.shape
+    n = max(1, N // 10)
+    first, later = ((x**2).mean(axis=(0, 1)) for x in (left[:, :n], left[:, N // 2 :]))
+    apart = fdtrc(K * n, K * (N - N // 2), first / later) < SURE
+    names = ", ".join(name for name, one in zip(outputs, apart, strict=True) if one)
+    start = f"the trials start from different states ({names}), and the radius assumes that they "
+    return (
+        (f"{start}start alike: bring the plant back before each, or wait longer",) if names else ()
+    )
 
 
 def _moved(of, u, y, names, outputs):

@@ -208,7 +208,10 @@ def measured_response(
         raise ValueError("uncertainty must be None where log is a record, which tells its own")
     excitation, loop = excitation_of(log), loop_of(log)
     if excitation is None or of is not None:
-        return estimated_response(log, of)
+        estimated = estimated_response(log, of)
+        for finding in estimated.findings:
+            warnings.warn(finding, stacklevel=2)
+        return estimated
     if loop is None:
         raise LogError("log names no loop in its metadata: it is not of shake; or say `of`")
     w, y = _signals(log, excitation)

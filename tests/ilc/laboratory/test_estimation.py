@@ -128,6 +128,16 @@ def test_trials_that_are_alike_count_by_their_mean_and_it_says_so():
     assert np.all(off(found, truth) <= found.radius(0.99, jointly=True))
 
 
+def test_trials_that_start_apart_are_told_of():
+    """The region assumes that they do not; that ordinary ones are no news, other tests hold."""
+    rng, plant = np.random.default_rng(0), control.ss(control.tf([0.1], [1, -0.9], 1.0))
+    u = rng.standard_normal((6, 200))
+    y = [control.forced_response(plant, U=row, X0=3 * k).outputs for k, row in enumerate(u)]
+    y = np.array(y) + 0.01 * rng.standard_normal((6, 200))
+    with pytest.warns(UserWarning, match=r"start from different states \(y0\)"):
+        measured_response(several(u[..., None], y[..., None]))
+
+
 def test_what_tells_nothing_is_refused_in_words():
     rng, N = np.random.default_rng(0), 120
     u, noise = rng.standard_normal((2, N)), 0.01 * rng.standard_normal((2, N))
