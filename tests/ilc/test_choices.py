@@ -1,5 +1,7 @@
 """What nobody says is chosen by Q, Ts and P: for the rod what the paper says, whatever the unit."""
 
+from types import SimpleNamespace
+
 import control
 import numpy as np
 import pytest
@@ -66,6 +68,12 @@ def test_samples_bring_their_frequencies_or_need_them(loop, Q):
         pose(P, Q, Ts=1.0)
     with pytest.raises(ValueError, match=r"omega must be given, as Q = .* is no filter"):
         pose(loop, np.ones(60), Ts=1.0)
+
+
+def test_of_a_measured_response_the_grid_begins_where_it_is_known(Q):
+    omega = np.geomspace(1e-3, 3, 9)
+    measured = SimpleNamespace(on=None, omega=omega, known=omega > 0.01)
+    assert choices.frequencies([measured], Q, 1.0)[0] == pytest.approx(omega[omega > 0.01][0])
 
 
 def test_a_stage_at_a_millisecond_learns_without_being_told_anything():

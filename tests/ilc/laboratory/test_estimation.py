@@ -8,6 +8,7 @@ import control
 import numpy as np
 import pytest
 from plants import furnace, stage, tanks
+from scipy.signal import butter, lfilter
 
 from rodlib import (
     ClosedLoop,
@@ -21,6 +22,7 @@ from rodlib import (
     zero_phase_butterworth,
 )
 from rodlib.ilc.laboratory import EstimatedResponse, LogError
+from rodlib.ilc.laboratory.estimation import _seen, estimated_response
 from rodlib.ilc.models import frequency_response
 from rodlib.ilc.workbench import Plant, Settings, try_out
 
@@ -136,6 +138,45 @@ def test_trials_that_start_apart_are_told_of():
     y = np.array(y) + 0.01 * rng.standard_normal((6, 200))
     with pytest.warns(UserWarning, match=r"start from different states \(y0\)"):
         measured_response(several(u[..., None], y[..., None]))
+
+
+def test_what_lines_tell_by_themselves():
+    """White noise of 0.1 under a white input of one is off by 0.1 / sqrt(lines) at each."""
+    rng, angles = np.random.default_rng(0), np.linspace(0.3, 3, 40)
+    u, noise = rng.standard_normal((2, 100, 200, 1))
+    alone, agrees = _seen(u, 0.1 * noise, angles, np.full(40, 1e-3))
+    np.testing.assert_allclose(alone, 0.01, rtol=0.5)  # a hundred trials, a line of each
+    assert agrees.all()
+    echo = 0.3 * np.roll(u, 2, axis=1)  # what an estimate has missed
+    assert not _seen(u, 0.1 * noise + echo, angles, np.full(40, 1e-3))[1].any()
+    assert _seen(u, 0.1 * noise + echo, angles, np.full(40, 0.3))[1].all()  # it said so
+
+
+def test_a_resonance_that_was_hardly_excited_does_not_count_as_known():
+    """Learned up to a quarter of the Nyquist frequency, with one at four fifths of it."""
+    rng, lag, N = np.random.default_rng(0), np.exp(-0.05), 400
+    pole = np.exp(2.5 * (-0.02 + 1j))
+    ring, slow = np.poly([pole, pole.conj()]).real, ([0, 1 - lag], [1, -lag])
+    low = lfilter(*butter(4, 0.25), rng.standard_normal((20, N)), axis=1)
+    y = lfilter(*slow, low) + lfilter([0, 0.05], ring, low) + 0.03 * rng.standard_normal((20, N))
+    found = estimated_response(several(low[..., None], y[..., None]))
+    assert not found.known[np.abs(found.omega - 2.5) < 0.2].any() and found.known.any()
+
+
+def test_what_rests_on_the_prior_alone_does_not_count_as_known():
+    log, _ = KINDS["a reference moves"](np.random.default_rng([0, 17]))
+    found = estimated_response(log)
+    assert found.alone[found.known].max() < 0.25 < found.alone.max()
+
+
+def test_what_rings_on_beyond_the_record_is_refused():
+    rng = np.random.default_rng(3)
+    pole = np.exp(0.3 * (-0.04 + 1j))  # falls by e in 83 of 100 samples
+    a = np.poly([pole, pole.conj()]).real
+    u = np.repeat(rng.standard_normal(34), 3)[:100]
+    y = lfilter([0, a.sum()], a, u) + 0.03 * rng.standard_normal(100)
+    with pytest.raises(LogError, match="rings on"):
+        measured_response(single(u, y))
 
 
 def test_what_tells_nothing_is_refused_in_words():
