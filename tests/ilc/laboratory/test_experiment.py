@@ -29,7 +29,8 @@ from rodlib.ilc.laboratory import Controller, RigError, loop_of, rest_of
 from rodlib.ilc.trials import rms
 from rodlib.paper import published
 from rodlib.paper.repository import ROOT
-from rodlib.paper.rig_logs import experiment
+from rodlib.paper.rig_logs import PARAMETERS, experiment
+from rodlib.peltier_rig import PeltierRig
 from rodlib.rigs import RestartingRig, RigParameters, VirtualRig
 
 IDEAL = RigParameters(noise=0, quantum=0, lag=0, limit=np.inf, ambient_rate=0)
@@ -179,11 +180,14 @@ def test_the_controller_runs_on_for_ten_minutes_between_two_trials(loop, Q):
     assert device.time == 3 * 7 + 2 * 600 + 1  # the last one with all at zero
 
 
-def test_the_first_trial_of_a_tracked_log_is_recorded_again_alike():
-    tracked = load_log(ROOT / "data" / "rig" / "no-learning.csv").isel(trial=[0])
-    log = record(VirtualRig(seed=2), L=None, **experiment() | {"trials": 1})
-    for name in tracked.data_vars:
-        np.testing.assert_array_equal(log[name], tracked[name])
+@pytest.mark.parametrize(("name", "seed", "trials"), [("learning", 1, 2), ("no-learning", 2, 1)])
+def test_the_first_trials_of_a_tracked_log_are_recorded_again_alike(name, seed, trials):
+    tracked = load_log(ROOT / "data" / "rig" / f"{name}.csv").isel(trial=slice(trials))
+    L = LearningFilter(published.matrix("L_diagonal"), 1.0) if name == "learning" else None
+    rig = PeltierRig(parameters=PARAMETERS, seed=seed)
+    log = record(rig, L=L, **experiment() | {"trials": trials})
+    for role in tracked.data_vars:
+        np.testing.assert_array_equal(log[role], tracked[role])
 
 
 def test_what_is_learned_is_rounded_as_in_the_tracked_log():
