@@ -31,7 +31,6 @@ CONSTANTS = {  # that no cell prints, with the reason
         "45": "free numbers of a rotation in ten dimensions, 10 x 9 / 2",
         "44": "entries of K_s and K_L, 20 + 24, each with its row in the ledger",
     },
-    "05-experiment-replay": {"300": "modes of the virtual rig, its RigParameters"},
     "10-measurement": {
         "98.9": "per cent of 2000 seeds, by tests/benchmarks/confidence.py",
         "2000": "seeds of it",
