@@ -2,7 +2,7 @@
 
 It knows neither the design model nor what runs an experiment, but has material parameters of its
 own. Whoever has a real rod replaces that one object, see :class:`rodlib.ilc.laboratory.Rig`. This
-one is linear; :mod:`rodlib.peltier_rig` is not.
+one is linear; :mod:`rodlib.peltier_rig` is not, and recorded the logs in data/rig.
 """
 
 from dataclasses import dataclass
