@@ -13,12 +13,18 @@ from rodlib.rigs import MISMATCHED
 
 
 def test_the_logs_are_recorded_in_data_rig(monkeypatch):
-    saved = []
+    saved, made = [], []
     log = load_log(ROOT / "data/rig/no-learning.csv")
-    monkeypatch.setattr(rig_logs, "record", lambda *_, **__: log)
+
+    def record(rig, L, **_):
+        made.append((rig.seed, rig.parameters == rig_logs.PARAMETERS, L is None))
+        return log
+
+    monkeypatch.setattr(rig_logs, "record", record)
     monkeypatch.setattr(rig_logs, "save_log", lambda log, path: saved.append(path))
     rig_logs.main()
     assert saved == [ROOT / "data/rig/learning.csv", ROOT / "data/rig/no-learning.csv"]
+    assert made == [(1, True, False), (2, True, True)]
 
 
 @pytest.mark.parametrize(("name", "seed"), [("learning", 1), ("no-learning", 2)])
