@@ -1,7 +1,7 @@
 """Records the logs of a virtual rig in data/rig: ``python -m rodlib.paper.rig_logs``.
 
 The rig is one with Peltier elements. Its map from heat flow to current is proportional, as if there
-were no Joule heat: with that, no model of ours stands between the controller and the rod.
+were no Joule heat: with the inverse, an exact model would stand between controller and rod.
 """
 
 import json
