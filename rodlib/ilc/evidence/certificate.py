@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rodlib.ilc import arguments
-from rodlib.ilc.evidence.convergence import log_mean
+from rodlib.ilc.evidence.convergence import log_mean, rates_within
 from rodlib.ilc.evidence.findings import findings, useless
 from rodlib.ilc.evidence.finite_trial import trial_norm
 from rodlib.ilc.evidence.noise import accumulated
@@ -56,6 +56,7 @@ class Certificate:
     noise: float = 0.0  # what of the value is the cost of noise
     new: float = 0.0  # RMS, in units of `scale`, of what is new in the measured outputs of a trial
     learned: float = 0.0  # and of what learning has made of that in all trials before
+    within: float = np.nan  # rate where commands have limits, by :func:`rodlib.update_within`
     basis: tuple[str, ...] = ()  # what P and its radius rest on, and where they are of no use
 
     @property
@@ -242,6 +243,8 @@ class Certificate:
         if self.samples:
             rest = f", the last {self.rest} at rest" if self.rest else ""
             lines.append(f"norm of one trial of {self.samples} samples{rest}: {self.trial:.4f}")
+        promise = "no rate" if self.within >= 1 else f"a rate of {self.within:.4f}"
+        lines.append(f"where commands have limits, by update_within: {promise}, without ends")
         lines += [*self.basis, *(f"WARNING: {text}" for text in self.warnings)]
         return "\n".join([*lines, *(f"FAILS: {text}" for text in self.failures)])
 
@@ -283,8 +286,17 @@ def certify(
         noise=noise,
         new=new,
         learned=learned,
+        within=_within(problem, solution),
         basis=(*problem.basis, *problem.assumed, *useless(problem)),
     )
+
+
+def _within(problem, solution):
+    """Rate where commands have limits: of the nominal plant, on the grid, in the plant's units."""
+    asked, scale = problem.asked, problem.scale
+    P = problem.P[asked] * scale[:, None] / scale
+    L = problem.filter(solution.coefficients).frequency_response(problem.omega[asked])
+    return float(rates_within(P, problem.Q[asked], L).max())
 
 
 def checked_trial(problem: Problem, samples: int | None, rest: int) -> tuple[int | None, int]:

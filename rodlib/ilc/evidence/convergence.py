@@ -13,6 +13,7 @@ from rodlib.ilc import arguments
 from rodlib.ilc.filters import LearningOperator, check_learning
 from rodlib.ilc.plants import Q_on_grid, on_grid, plants
 from rodlib.ilc.problem import convergence_matrix, largest_singular_values, tied
+from rodlib.ilc.within_limits import WEIGHT
 
 TOGETHER = 5000  # matrices at once: what fits into the processor's cache
 
@@ -36,7 +37,7 @@ def rate(P, Q, L: LearningOperator, omega) -> Rate:
     return Rate(sigma.max(axis=-1), where)
 
 
-def rate_within(P, Q, L: LearningOperator, omega, weight: float = 0.01) -> Rate:
+def rate_within(P, Q, L: LearningOperator, omega, weight: float = WEIGHT) -> Rate:
     """The rate of :func:`rodlib.update_within`, in whose metric limits make nothing more distant.
 
     The largest sigma_max(W^(1/2) Q (I - L P) W^(-1/2)) with W = P^H P + weight I: by so much the
@@ -49,12 +50,16 @@ def rate_within(P, Q, L: LearningOperator, omega, weight: float = 0.01) -> Rate:
         raise ValueError("P must be one plant: take each in turn")
     omega = np.asarray(omega)
     (response,), q = on_grid(plants(P), omega, L.Ts)[1], Q_on_grid(Q, omega, L=L.Ts)[1]
-    I = np.eye(response.shape[1])  # noqa: E741
-    W = response.conj().swapaxes(1, 2) @ response + weight * I
-    root = np.linalg.cholesky(W).conj().swapaxes(1, 2)
-    T = q[:, None, None] * (I - L.frequency_response(omega) @ response)
-    sigma = largest_singular_values(root @ T @ np.linalg.inv(root))
+    sigma = rates_within(response, q, L.frequency_response(omega), weight)
     return Rate(sigma.max(), omega[tied(sigma).argmax()])
+
+
+def rates_within(P, Q, L, weight=WEIGHT) -> np.ndarray:
+    """The singular values of :func:`rate_within`, shape (n,), from frequency responses."""
+    I = np.eye(P.shape[1])  # noqa: E741
+    root = np.linalg.cholesky(P.conj().swapaxes(1, 2) @ P + weight * I).conj().swapaxes(1, 2)
+    T = Q[:, None, None] * (I - L @ P)
+    return largest_singular_values(root @ T @ np.linalg.inv(root))
 
 
 class SpectralRate(NamedTuple):

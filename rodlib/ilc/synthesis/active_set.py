@@ -18,11 +18,14 @@ from dataclasses import dataclass
 
 import daqp
 import numpy as np
+import piqp
 
 from rodlib.ilc.problem import Solution, largest_singular_values
 from rodlib.ilc.synthesis.program import Program
 
-NEAR = 0.9  # part of a limit from which on it is in the quadratic program
+NEAR = 0.97  # part of a limit from which on it is in the quadratic program
+FLAT = 1e-7  # least curvature of the quadratic program, relative to the mean
+STATIONARY, WITHIN = 1e-8, 1e-10  # of its solution: what a solver must reach
 NOISE = 1e-11  # relative change of the objective that is rounding
 MOST_DAMPING = 1e4  # at which to give up
 CONVERGED = 1e-9  # expected relative gain below which a full step is the last one
@@ -107,12 +110,32 @@ def quadratic_program(model, room, damping):
     """The step d that the model finds best, and the multipliers; None if A d <= room has none."""
     K = len(model.H)
     H = np.zeros((K + 1, K + 1))
-    H[:K, :K] = model.H + (1e-13 + damping) * np.trace(model.H) / K * np.eye(K)
+    H[:K, :K] = model.H + (FLAT + damping) * np.trace(model.H) / K * np.eye(K)
     H[K, K] = 1e-9 if model.f[K] else 1.0
-    unbounded, kind = np.full(len(room), -1e30), np.zeros(len(room), dtype=np.int32)
-    tolerances = {"primal_tol": 1e-11, "dual_tol": 1e-12}
-    d, _, status, result = daqp.solve(H, model.f, model.A, room, unbounded, kind, **tolerances)
-    return (d, np.maximum(result["lam"], 0)) if status == 1 else None
+    for solver in (_by_active_set, _by_interior_point):
+        d, y = solver(H, model.f, model.A, room)
+        left = np.abs(H @ d + model.f + model.A.T @ y).max()
+        if left < STATIONARY and (model.A @ d < room + WITHIN).all():
+            return d, y
+    return None
+
+
+def _by_active_set(H, f, A, room):
+    """Quick; what it gives is not the solution where bounds of neighbours are nearly parallel."""
+    below, kind = np.full(len(room), -1e30), np.zeros(len(room), dtype=np.int32)
+    d, _, _, result = daqp.solve(H, f, A, room, below, kind, primal_tol=1e-11, dual_tol=1e-12)
+    return d, np.maximum(result["lam"], 0)
+
+
+def _by_interior_point(H, f, A, room):
+    """Slower, and does not mind that."""
+    solver = piqp.DenseSolver()
+    solver.settings.eps_abs = solver.settings.eps_duality_gap_abs = 1e-12
+    solver.settings.eps_rel = solver.settings.eps_duality_gap_rel = 0
+    solver.settings.max_iter = 30
+    solver.setup(H, f, None, None, A, None, room)
+    solver.solve()
+    return np.array(solver.result.x), np.maximum(solver.result.z_u, 0)
 
 
 def improve(program, p, model, penalty, damping, most=MOST_DAMPING):

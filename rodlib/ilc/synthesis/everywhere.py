@@ -24,6 +24,8 @@ from rodlib.ilc.problem import Problem, Solution, largest_singular_values
 ROUNDS = 50
 PASSED = 2e-8  # share of a bound that the proof of a peak may pass it by
 SAME = 1e-8  # relative distance of frequencies that are one
+NEAR = 0.99  # share of a bound from which on a crest is held with those that pass it
+PARTS = (0.05, 0.5)  # of the way from a crest to the next frequencies: what is held, too
 
 
 def settled(
@@ -48,11 +50,18 @@ def _passing(problem, solution, most):
     L = LearningFilter(solution.coefficients, problem.Ts)
     limit = most * (solution.largest if problem.objective == "peak" else problem.M_max)
     limit_L = np.inf if problem.L_max is None else most * problem.L_max
+    limit_L *= solution.largest if problem.objective == "gain" else 1
     response, plants = problem.response(solution), range(1 + len(problem.others))
     sigma_M = np.array([largest_singular_values(problem.M(response, k)) for k in plants])
-    found = _crests(problem.omega, sigma_M.max(axis=0), limit)
-    found += _crests(problem.omega, largest_singular_values(response), limit_L)
-    if not found:
+    sizes = (sigma_M.max(axis=0), limit), (largest_singular_values(response), limit_L)
+
+    def crests(share):
+        return [at for size, most in sizes for at in _crests(problem.omega, size, share * most)]
+
+    found = crests(1)
+    if found:
+        found = crests(NEAR)  # the next round could hold one and have another rise
+    else:
         peaks = [*proven_peaks(problem, L), *estimated_peaks(problem, L, sigma_M.max(axis=1))]
         found = [peak.omega for peak in peaks if peak.sigma > limit]
         sigma, omega = peak_gain(learning_model(L))
@@ -74,10 +83,11 @@ def _crests(omega, sigma, limit):
 
 
 def _new(known, omega):
-    """Those of some frequencies that are not known, with what is halfway to the next that is."""
+    """Those of some frequencies that are not known, and between them and the next that are."""
     # A filter that is held at its crests moves them: next time they are between these.
     after = np.searchsorted(known, omega).clip(1, len(known) - 1)
-    omega = np.sort([omega, (omega + known[after - 1]) / 2, (omega + known[after]) / 2], axis=None)
+    sides = [omega + part * (known[after - k] - omega) for k in (0, 1) for part in PARTS]
+    omega = np.sort([omega, *sides], axis=None)
     near = np.abs(known - omega[:, None]).min(axis=1, initial=np.inf)
     return omega[np.minimum(near, np.diff(omega, prepend=-np.inf)) > SAME * omega]
 

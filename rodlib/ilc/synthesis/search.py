@@ -13,6 +13,7 @@ from rodlib.ilc.filters import ZeroPhaseButterworth
 from rodlib.ilc.gaps import refined, without_gaps
 from rodlib.ilc.posing import pose
 from rodlib.ilc.synthesis.design import certified, insist, solve, warned
+from rodlib.ilc.synthesis.everywhere import carried, settled
 from rodlib.ilc.synthesis.program import Infeasible
 from rodlib.ilc.synthesis.result import SolverError, Synthesis
 from rodlib.ilc.synthesis.threads import on_one_thread
@@ -44,7 +45,8 @@ def least_gain(P, Q, omega=None, Ts=None, **choices) -> Synthesis:
         try:
             with np.errstate(all="ignore"):
                 room = same * problem.unit(free.value)
-                L_max = unit * solve(replace(question, M_max=free.value + room)).largest
+                _, found = settled(replace(question, M_max=free.value + room), solve)
+            L_max = unit * found.largest
             break
         except (Infeasible, RuntimeError):
             continue
@@ -106,7 +108,7 @@ def largest_cutoff(
 
 def _widest(Q, posed, stated, bar, step):
     """Q with the largest cut-off for which the bounds can be met; `step`: of its logarithm."""
-    found = {}
+    last = []  # the problem that was solved last, and its solution
 
     def with_cutoff(logarithm):
         return replace(Q, cutoff=float(np.exp(logarithm)))
@@ -115,9 +117,10 @@ def _widest(Q, posed, stated, bar, step):
         """The smallest possible M_max with this cut-off, relative to the one that is asked for."""
         problem = without_gaps(posed(with_cutoff(logarithm), objective="peak"))
         problem = replace(problem, M_max=np.inf, noise=None)
-        found["solution"] = solve(problem, found.get("solution"))
+        start = carried(last[1], last[0].omega, problem.omega) if last else None
+        last[:] = settled(problem, solve, start)
         bar.update()
-        largest = found["solution"].largest
+        largest = last[1].largest
         if problem.beyond is not None:  # where P is not known, M may be |Q| at least
             largest = max(largest, *problem.Q_beyond(stated.omega[-1:]))
         return largest / stated.M_max - 1
@@ -138,11 +141,6 @@ def _widest(Q, posed, stated, bar, step):
 
 def _parted(choices):
     """The choices for :func:`pose`, and those for :func:`certified`."""
-    if choices.get("everywhere", False) is not False:
-        raise ValueError(
-            f"everywhere = {choices['everywhere']!r} is for synthesise: leave it out here, and "
-            "pass synthesise what was found, with a little more room"
-        )
     known = signature(pose).parameters
     asked = {name: choices[name] for name in choices if name in known}
     return asked, {name: choices[name] for name in choices if name not in asked}

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from rodlib import LearningFilter, SolverError, run_trials, synthesise, zero_phase_butterworth
 from rodlib.case import assumed_reference
-from rodlib.ilc.evidence import trial_map, trial_norm, trial_operators
+from rodlib.ilc.evidence import rate_within, trial_map, trial_norm, trial_operators
 from rodlib.ilc.evidence.optimality import lower_bound
 from rodlib.ilc.evidence.peak import (
     _ceiling,
@@ -463,6 +463,17 @@ def test_a_certificate_prints_and_fails_as_it_should(loop, Q, omega):
     assert design.certificate.warnings == estimated.failures == []
     at_rest = str(replace(design.certificate, rest=15))
     assert "norm of one trial of 200 samples, the last 15 at rest: 1.27" in at_rest
+
+
+def test_a_certificate_says_what_limits_leave_of_the_claim(loop, Q, omega):
+    """In the plant's own units, in which commands are projected, whatever the scale."""
+    grid = omega[::10]
+    for scale in (None, [1.0, 2.0]):
+        design = synthesise(loop, Q, grid, 1.0, band=(1e-4, 0.01), scale=scale, M_max=0.97)
+        own = rate_within(loop, Q, design.filter, grid).gamma
+        assert design.certificate.within == pytest.approx(own, rel=1e-9)
+        assert f"limits, by update_within: a rate of {own:.4f}, without ends" in str(design)
+    assert "update_within: no rate" in str(replace(design.certificate, within=1.0))
 
 
 def test_a_certificate_fails_from_the_tolerance_on(loop, Q, omega):

@@ -166,10 +166,20 @@ def test_cvxpy_states_the_same_problem(Q):
     assert theirs.certificate.all_L == pytest.approx(10, rel=3e-6)
 
 
-def test_the_searches_refuse_it(loop, Q, omega):
-    for search in (least_gain, largest_cutoff):
-        with pytest.raises(ValueError, match="everywhere = True is for synthesise: leave it out"):
-            search(loop, Q, omega, everywhere=True)
+def test_the_searches_hold_their_bounds_everywhere(loop, Q):
+    """With few frequencies what many show: more of them come from below, as a grid is blind."""
+    few, coarse, fine = {"order": 2}, *(np.geomspace(1e-4, np.pi, n) for n in (40, 400))
+    least = least_gain(loop, Q, coarse, everywhere=True, M_max=0.95, **few)
+    by_grid = least_gain(loop, Q, fine, M_max=0.95, **few)
+    M, L = judged(least, loop, Q, dense(least))
+    allowed = least.certificate.problem.L_max
+    assert max(M / least.value, L / allowed) <= PROVEN
+    assert by_grid.value < least.value == pytest.approx(by_grid.value, rel=1e-4)
+    found, design = largest_cutoff(loop, Q, coarse, everywhere=True, L_max=50.0, **few)
+    M, L = judged(design, loop, found, dense(design))
+    assert M <= 0.9 * PROVEN and L <= 50 * PROVEN
+    by_grid, _ = largest_cutoff(loop, Q, fine, L_max=50.0, **few)
+    assert found.cutoff == pytest.approx(by_grid.cutoff, rel=2e-3)  # each is found to 1e-3
 
 
 def test_a_start_changes_nothing_but_the_time(loop, Q):

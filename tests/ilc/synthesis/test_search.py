@@ -88,7 +88,7 @@ def test_the_least_gain_of_a_loop_that_can_be_inverted_is_that_of_its_inverse():
 
 
 def test_a_least_gain_that_is_not_found_is_no_other_gain(monkeypatch):
-    def fails(_):
+    def fails(*_):
         raise RuntimeError("the bounds leave less room than rounding takes")
 
     monkeypatch.setattr(search, "solve", fails)
