@@ -16,6 +16,8 @@ MODULES = {
         modal_series""",
     "held": "sampled_response",
     "case": "paper_loop",
+    "rigs": "RestartingRig RigParameters VirtualRig",
+    "peltier_rig": "PeltierParameters PeltierRig RestartingPeltierRig",
     "specimens": "Specimen Spread draw responses unstable_poles",
     "study": "Study",
 }
