@@ -339,7 +339,7 @@ DOORS = [
      | {"limit": NUMBER | {"inf": ...}, "ambient_rate": NUMBER | {"-1": ...}}),
     *((door, {"rod": Rod(), "parameters": RigParameters(modes=5)})
       for door in (VirtualRig, RestartingRig)),
-    (RIG.apply, {"heat_flows": np.zeros(4)}),
+    *((rig.apply, {"heat_flows": np.zeros(4)}) for rig in (RIG, PeltierRig())),
     (PeltierElement, {},
      {"seebeck": NUMBER | {"0": 0.0}}
      | dict.fromkeys(["resistance", "conductance", "limit"], NUMBER)),
