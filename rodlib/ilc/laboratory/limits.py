@@ -1,4 +1,4 @@
-"""Limits, a lower and a higher number each, and what lies beyond them."""
+"""Commands that actuators do not follow, and limits beyond which an experiment stops."""
 
 from collections.abc import Sequence
 
@@ -11,19 +11,13 @@ FAR = 5.0  # times the largest reference that outputs may be beyond all referenc
 WIDE = 100.0  # times what an actuator follows, that commands may span: no loop that works does
 
 
-def beyond(values, limits: tuple[float, float]) -> np.ndarray:
-    """Which of the values are lower or higher."""
-    low, high = limits
-    return (values < low) | (values > high)
-
-
 def commands_beyond(u, controls: Sequence[str], limits: dict[str, tuple[float, ...]]) -> str:
     """What share of the commands u, shape (..., control), actuators do not follow; "" for none."""
-    shares = {
-        name: beyond(u[..., i], limits[name][:2]).mean()
-        for i, name in enumerate(controls)
-        if name in limits
-    }
+    shares = {}
+    for i, name in enumerate(controls):
+        if name in limits:
+            low, high, *_ = limits[name]
+            shares[name] = ((u[..., i] < low) | (u[..., i] > high)).mean()
     words = ", ".join(f"{name} in {share:.1%}" for name, share in shares.items() if share)
     return words and f"commands were beyond the limits of {words} of all samples"
 
