@@ -14,8 +14,7 @@ __getattr__, __dir__, __all__ = lazily(
         "check": "Check",
         "convergence": "Rate SpectralRate mean_rate rate rate_within rates spectral_rate",
         "finite_trial": "trial_map trial_norm trial_operators",
-        "noise": """LearnedNoise Spectrum TrialNoise converged_noise noise_bound noise_by_trial
-            trial_noise""",
+        "noise": "LearnedNoise Spectrum TrialNoise converged_noise noise_by_trial trial_noise",
         "noisy_trial": "noise_on_trial",
         "robustness": "WorstCase worst_case",
         "scenario": "support violation_probability",
