@@ -10,8 +10,7 @@ from rodlib.ilc import lazily
 __getattr__, __dir__, __all__ = lazily(
     __name__,
     {
-        "adjoint": "gradient",
-        "inversion": "stable_inversion zero_phase_inversion",
+        "inversion": "gradient stable_inversion zero_phase_inversion",
         "norm_optimal": "NormOptimal",
         "preview": "full_information generalised_plant h_infinity",
         "proportional": "p_type pd_type",
