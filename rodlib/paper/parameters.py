@@ -11,18 +11,10 @@ from rodlib.ilc.arguments import number, whole
 
 
 def checked(**parameters: tuple) -> dict:
-    """The values of parameters, by name, each in its range.
+    """The values of parameters, by name, each in its range, or a ValueError that names it.
 
-    Parameters
-    ----------
-    **parameters
-        For a number (value, default, least, most), both ends included, and a whole number if these
-        are whole; for all else (value, default), which is only compared.
-
-    Raises
-    ------
-    ValueError
-        If a value is out of its range: it names the parameter, the value and the range.
+    For a number (value, default, least, most), both ends included, and a whole number if these are
+    whole; for all else (value, default), which is only compared.
     """
     for name, (value, _, *ends) in parameters.items():
         if ends:

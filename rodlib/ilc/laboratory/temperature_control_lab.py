@@ -126,15 +126,8 @@ def heat_balance(gain_1, gain_2, loss, exchange, lag, Ts) -> control.StateSpace:
 
     dH_i/dt = gain_i Q_i - loss H_i - exchange (H_i - H_j),    lag dT_i/dt = H_i - T_i
 
-    Parameters
-    ----------
-    gain_1, gain_2, loss, exchange, lag, Ts : float
-        In K/s per %, 1/s (to the air, and to the other heater) and s.
-
-    Returns
-    -------
-    control.StateSpace
-        From Q1, Q2 (%, held for a period) to T1, T2 (K), all counted from a state of rest.
+    From Q1, Q2 (%, held for Ts) to T1, T2 (K), all counted from a state of rest. The units of the
+    parameters are in `UNITS`.
     """
     I = np.eye(2)  # noqa: E741
     lost = (loss + exchange) * I - exchange * I[::-1]
