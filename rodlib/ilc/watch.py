@@ -221,17 +221,13 @@ class Course:
         signals = np.stack([self.e[k], foretold, self.e[k + 1]])[..., channels]
         before, *after = amplitudes(signals)
         edges = np.append(octaves(len(moved)), len(moved) // 2 + 1) * 2 * np.pi / len(moved)
-        promised = self._promised(edges)
+        within = np.geomspace(np.maximum(edges[:-1], self.sigma[0, 0]), edges[1:], 9)
+        promised = np.interp(within, *self.sigma).max(axis=0)
         white = np.linalg.norm(noise_of(self.e[k + 1][:, channels]))
         noise = white * np.sqrt(np.diff(edges) / edges[-1])
         before = np.maximum(before, np.finfo(float).tiny)
         shares = dict(zip(("foretold", "reached", "noise"), (*after, noise) / before, strict=True))
         return {"frequency": edges[1:] / self.P.dt, "before": before, "promised": promised} | shares
-
-    def _promised(self, edges):
-        """The largest sigma_max(M) in each octave of omega Ts."""
-        within = np.geomspace(np.maximum(edges[:-1], self.sigma[0, 0]), edges[1:], 9)
-        return np.interp(within, *self.sigma).max(axis=0)
 
     def _breaks_its_promise(self, k):
         """Falls less than promised, by more than noise, which is how the last trials differ."""

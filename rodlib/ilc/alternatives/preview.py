@@ -98,7 +98,8 @@ def generalised_plant(P, Q, effort, preview, emphasis=1.0, corner=None) -> contr
         a = np.tan(corner * Ts / 2)
         weights.append(([1 + emphasis * a, emphasis * a - 1], [1 + a, a - 1]))
     for numerator, denominator in weights:
-        plant = control.ss(*_on_each(*tf2ss(numerator, denominator), m), Ts) * plant
+        on_each = (np.kron(np.eye(m), matrix) for matrix in tf2ss(numerator, denominator))
+        plant = control.ss(*on_each, Ts) * plant
     states = plant.nstates
     return control.ss(
         plant.A,
@@ -107,10 +108,6 @@ def generalised_plant(P, Q, effort, preview, emphasis=1.0, corner=None) -> contr
         np.vstack([plant.D, np.hstack([np.zeros((m, m)), effort * np.eye(m)])]),
         Ts,
     )
-
-
-def _on_each(A, B, C, D, m):
-    return [np.kron(np.eye(m), matrix) for matrix in (A, B, C, D)]
 
 
 def full_information(plant: control.StateSpace, m: int, level: float) -> control.StateSpace:

@@ -23,7 +23,7 @@ from rodlib.ilc.laboratory.region import radius_of
 from rodlib.ilc.laboratory.tables import few
 from rodlib.ilc.laboratory.tabulated import TabulatedResponse, tabulated
 from rodlib.ilc.laboratory.transient import NEIGHBOURS, SPAN, nearest, separated, windows_of
-from rodlib.ilc.loop import Loop
+from rodlib.ilc.loop import CurrentTrialLoop, Loop
 from rodlib.ilc.plants import Measured, probability, splined
 
 ROUNDED = 0.02  # of the amplitude: how far w may be from the excitation, as logs hold few digits
@@ -62,7 +62,7 @@ class MeasuredResponse(Measured):
         if self.anchored:
             radius, knots = np.append(0.0, radius), np.append(0.0, knots)
             both = np.insert(both, len(P), 0.0)
-            P_both = np.insert(P_both, len(P), self.loop.static_gain, axis=0)
+            P_both = np.insert(P_both, len(P), np.eye(P.shape[1]), axis=0)
         spline, bend = splined(both, P_both, np.minimum(omega, knots[-1]))
         beyond = omega > knots[-1] * (1 + 1e-9)
         anything = 2 * np.linalg.norm(P[-1], 2) + radius[-1]
@@ -70,8 +70,8 @@ class MeasuredResponse(Measured):
 
     @property
     def anchored(self) -> bool:
-        """Whether P(0) is known of the loop."""
-        return self.loop.static_gain is not None
+        """Whether P(0) = I is known of the loop: its observer integrates."""
+        return isinstance(self.loop, CurrentTrialLoop)
 
     def _scaled(self, scale):
         return replace(
@@ -170,21 +170,19 @@ def measured_response(
         raise ValueError("uncertainty must be None where log is a record, which tells its own")
     excitation, loop = excitation_of(log), loop_of(log)
     if excitation is None or of is not None:
-        estimated = estimated_response(log, of)
-        for finding in estimated.findings:
-            warnings.warn(finding, stacklevel=2)
-        return estimated
-    if loop is None:
+        measured = estimated_response(log, of)
+    elif loop is None:
         raise LogError("log names no loop in its metadata: it is not of shake; or say `of`")
-    w, y = _signals(log, excitation)
-    windows = windows_of(excitation.harmonics, excitation, loop)
-    measured = _estimate(w, y, windows, excitation, loop)
-    findings = findings_of(
-        log.get("u", log.v).values, y, actuators_of(log), windows, excitation, measured
-    )
-    for finding in findings:
+    else:
+        w, y = _signals(log, excitation)
+        windows = windows_of(excitation.harmonics, excitation, loop)
+        measured = _estimate(w, y, windows, excitation, loop)
+        made = windows, excitation, measured
+        findings = findings_of(log.get("u", log.v).values, y, actuators_of(log), *made)
+        measured = replace(measured, findings=findings)
+    for finding in measured.findings:
         warnings.warn(finding, stacklevel=2)
-    return replace(measured, findings=findings)
+    return measured
 
 
 def expected_radius(
