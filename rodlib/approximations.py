@@ -17,7 +17,7 @@ import numpy as np
 from scipy.linalg import eigh, solve_continuous_lyapunov
 
 from rodlib.ilc import arguments
-from rodlib.rod import Rod, midr
+from rodlib.rod import Rod, midr, named
 
 FINE = 12  # degree of the model that is truncated: its error is below 1e-7 up to 0.1 rad/s
 ROUNDING = 1e-7  # Hankel singular values below it, relative to the first, are rounding
@@ -161,7 +161,7 @@ def balanced_truncation(
         raise ValueError(f"states = {states} is too many: {told} can be told from rounding")
     scale = np.sqrt(hankel[:states])
     left, right = S @ U[:, :states] / scale, R @ Vh[:states].T / scale
-    return _named(rod, left.T @ fine.A @ right, left.T @ fine.B, fine.C @ right)
+    return named(rod, left.T @ fine.A @ right, left.T @ fine.B, fine.C @ right)
 
 
 def _of_points(rod, points, heat, distance):
@@ -176,11 +176,7 @@ def _model(rod, M, K, heat, shown):
     density = rod.sections / (rod.width * rod.height * rod.length)
     F = np.column_stack([density * heat, rod.kappa_2 * heat.sum(axis=1)])
     A = -np.linalg.solve(M, rod.conductivity * K + rod.kappa_2 * M) / rod.kappa_1
-    return _named(rod, A, np.linalg.solve(M, F) / rod.kappa_1, shown)
-
-
-def _named(rod, A, B, C):
-    return control.ss(A, B, C, 0, inputs=rod.inputs, outputs=rod.outputs, name="rod")
+    return named(rod, A, np.linalg.solve(M, F) / rod.kappa_1, shown)
 
 
 def _root(W):

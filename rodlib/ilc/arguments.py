@@ -15,11 +15,8 @@ import control
 import numpy as np
 
 LARGEST = 1e100  # the square of what lies beyond it, or below its inverse, may not be a number
-
 CIRCLE = 1 - 1e-12  # modulus from which on a pole is on the unit circle, up to rounding
-
 ROLES = ("output", "control", "source")  # coordinates that name the signals of a DataArray
-
 MOST = 10**9  # samples, trials, ...: what memory could hold at best
 
 

@@ -79,7 +79,7 @@ def probability(confidence) -> float:
     return arguments.number("confidence", confidence, "between 0 and 1", 0, 1)
 
 
-def splined(knots, P, at) -> tuple[np.ndarray, np.ndarray]:
+def interpolated(knots, P, at) -> tuple[np.ndarray, np.ndarray]:
     """A cubic spline through P, (n, m, m), and by how much it differs from straight lines."""
     spline, straight = (make_interp_spline(knots, P, k)(at) for k in (3, 1))
     return spline, np.linalg.norm(spline - straight, 2, axis=(1, 2))

@@ -97,17 +97,13 @@ def run_trials(
     rest = arguments.whole("rest", rest, 0, samples - 1)
     d = np.zeros((samples, len(loop.disturbances))) if disturbance is None else disturbance
     d = each_trial("disturbance", d, trials, samples, loop.disturbances)
-    noise = (
-        np.zeros(shape)
-        if noise is None
-        else arguments.in_columns("noise", noise, shape, loop.outputs)
-    )
+    noise = np.zeros(shape) if noise is None else noise
+    noise = arguments.in_columns("noise", noise, shape, loop.outputs)
     chi = np.zeros(nx)
     if initial_state is not None:
         chi[:n] = arguments.array("initial_state", initial_state, (n,))
-    first = (
-        np.zeros(shape[1:]) if v is None else arguments.in_columns("v", v, shape[1:], loop.outputs)
-    )
+    first = np.zeros(shape[1:]) if v is None else v
+    first = arguments.in_columns("v", first, shape[1:], loop.outputs)
     first[samples - rest :] = 0
 
     v, y, made, steps = np.zeros(shape), np.zeros(shape), [], _steps(step, trials)

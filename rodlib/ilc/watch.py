@@ -16,6 +16,7 @@ from scipy.special import fdtrc
 
 from rodlib.ilc.models import frequency_response, state_sequence
 from rodlib.ilc.problem import convergence_matrix, largest_singular_values
+from rodlib.ilc.units import by_unit
 
 SURE = 1e-4  # probability of a false report by noise, in a trial
 RISES = 3  # in a row, from which on the error may be said to grow
@@ -65,10 +66,6 @@ class Course:
             found = self.findings(k) | found
         return found
 
-    def _groups(self):
-        """Channels with the same unit, whose signals can stand in one sum."""
-        return [np.flatnonzero(np.array(self.units) == unit) for unit in dict.fromkeys(self.units)]
-
     def _named(self, channels):
         return "" if len(channels) == len(self.outputs) else f" of {self._list(channels)}"
 
@@ -83,7 +80,7 @@ class Course:
 
     def _grows(self, k):
         start = self._alike(k)
-        for channels in self._groups():
+        for channels in by_unit(self.units).values():
             x = size(self.e[start : k + 1, :, channels])
             least = ROUNDING * np.abs(self.reference[k][:, channels]).max()
             x = np.maximum(x, max(least, ROUNDING * x.max(), np.finfo(float).tiny))
@@ -144,7 +141,7 @@ class Course:
     def _walks(self, k):
         if k < self._alike(k) + STEPS:
             return None
-        for channels in self._groups():
+        for channels in by_unit(self.units).values():
             v, e = (s[k - STEPS : k + 1][:, :, channels] for s in (self.v, self.e))
             steps, x, length = np.diff(v, axis=0), size(e), size(v)
             s = size(steps)
@@ -234,7 +231,7 @@ class Course:
         start = max(self._alike(k), k - BACK)
         if self.P is None or self.sigma is None or k < start + 4:
             return None
-        for channels in self._groups():
+        for channels in by_unit(self.units).values():
             e = self.e[start : k + 1][:, :, channels]
             e = e / max(np.abs(e).max(), np.finfo(float).tiny)
             x, total = amplitudes(e), size(e)

@@ -100,14 +100,9 @@ def generalised_plant(P, Q, effort, preview, emphasis=1.0, corner=None) -> contr
     for numerator, denominator in weights:
         on_each = (np.kron(np.eye(m), matrix) for matrix in tf2ss(numerator, denominator))
         plant = control.ss(*on_each, Ts) * plant
-    states = plant.nstates
-    return control.ss(
-        plant.A,
-        plant.B,
-        np.vstack([plant.C, np.zeros((m, states))]),
-        np.vstack([plant.D, np.hstack([np.zeros((m, m)), effort * np.eye(m)])]),
-        Ts,
-    )
+    C = np.vstack([plant.C, np.zeros((m, plant.nstates))])
+    D = np.vstack([plant.D, np.hstack([np.zeros((m, m)), effort * np.eye(m)])])
+    return control.ss(plant.A, plant.B, C, D, Ts)
 
 
 def full_information(plant: control.StateSpace, m: int, level: float) -> control.StateSpace:

@@ -87,16 +87,9 @@ def tune(
     spread = qmc.Halton(len(box), scramble=False).random(evaluations // 2 + 1)[1:]
     first = spread[np.argmin([cost(x) for x in spread])]
     toward = np.where(first < 0.5, 0.15, -0.15)
-    minimize(
-        cost,
-        first,
-        method="Nelder-Mead",
-        bounds=[(0, 1)] * len(box),
-        options={
-            "maxfev": evaluations - len(spread),
-            "initial_simplex": np.vstack([first, first + np.diag(toward)]),
-        },
-    )
+    simplex = np.vstack([first, first + np.diag(toward)])
+    options = {"maxfev": evaluations - len(spread), "initial_simplex": simplex}
+    minimize(cost, first, method="Nelder-Mead", bounds=[(0, 1)] * len(box), options=options)
     if not tried:
         raise ValueError(f"design reaches a rate of M_max = {M_max} nowhere in box = {box}")
     return min(tried, key=lambda each: each.value)

@@ -189,14 +189,8 @@ def _operator(apply, adjoint, samples, m):
         return matmat
 
     forward, backward = on_columns(apply), on_columns(adjoint)
-    return sparse.LinearOperator(
-        (samples * m,) * 2,
-        matvec=forward,
-        rmatvec=backward,
-        matmat=forward,
-        rmatmat=backward,
-        dtype=float,
-    )
+    acts = {"matvec": forward, "rmatvec": backward, "matmat": forward, "rmatmat": backward}
+    return sparse.LinearOperator((samples * m,) * 2, **acts, dtype=float)
 
 
 def _fold(signal, before, after, ends):

@@ -24,7 +24,7 @@ from rodlib.ilc.laboratory.tables import few
 from rodlib.ilc.laboratory.tabulated import TabulatedResponse, tabulated
 from rodlib.ilc.laboratory.transient import NEIGHBOURS, SPAN, nearest, separated, windows_of
 from rodlib.ilc.loop import CurrentTrialLoop, Loop
-from rodlib.ilc.plants import Measured, probability, splined
+from rodlib.ilc.plants import Measured, interpolated, probability
 
 ROUNDED = 0.02  # of the amplitude: how far w may be from the excitation, as logs hold few digits
 
@@ -63,7 +63,7 @@ class MeasuredResponse(Measured):
             radius, knots = np.append(0.0, radius), np.append(0.0, knots)
             both = np.insert(both, len(P), 0.0)
             P_both = np.insert(P_both, len(P), np.eye(P.shape[1]), axis=0)
-        spline, bend = splined(both, P_both, np.minimum(omega, knots[-1]))
+        spline, bend = interpolated(both, P_both, np.minimum(omega, knots[-1]))
         beyond = omega > knots[-1] * (1 + 1e-9)
         anything = 2 * np.linalg.norm(P[-1], 2) + radius[-1]
         return spline, np.where(beyond, anything, np.interp(omega, knots, radius) + bend)

@@ -46,13 +46,9 @@ def mistake_in(model: control.StateSpace, u, known, y, reference, outputs, input
     beside = power(foretold)
     if beside.max() <= OTHER**2:
         return None
-    left, best = min(
-        (
-            (power(other).sum(), text)
-            for text, other in _others(answers, foretold, y, outputs, inputs)
-        ),
-        default=(np.inf, None),
-    )
+    others = _others(answers, foretold, y, outputs, inputs)
+    found = ((power(other).sum(), text) for text, other in others)
+    left, best = min(found, default=(np.inf, None))
     return best if left <= LEFT * beside.sum() else None
 
 

@@ -14,13 +14,7 @@ import xarray as xr
 from rodlib.ilc import arguments
 from rodlib.ilc.actuators import named_limits
 from rodlib.ilc.files import read_json, write_whole
-from rodlib.ilc.filters import (
-    LearningFilter,
-    LearningOperator,
-    ZeroPhaseButterworth,
-    check_Q,
-    zero_phase_butterworth,
-)
+from rodlib.ilc.filters import LearningFilter, LearningOperator, ZeroPhaseButterworth, check_Q
 from rodlib.ilc.laboratory.excitation import Excitation
 from rodlib.ilc.laboratory.log import LogError
 from rodlib.ilc.loop import ClosedLoop, CurrentTrialLoop, Loop, check_loop
@@ -136,7 +130,7 @@ def notes_of_law(Q: ZeroPhaseButterworth, L: LearningFilter | None) -> dict:
 
 
 def _filter_of(note: Mapping, Ts) -> ZeroPhaseButterworth:
-    return zero_phase_butterworth(note["order"], note["cutoff"], Ts, ends=note["ends"])
+    return ZeroPhaseButterworth(note["order"], note["cutoff"], Ts, note["ends"])
 
 
 def _learning_filter_of(note: Mapping | None, Ts) -> LearningFilter | None:

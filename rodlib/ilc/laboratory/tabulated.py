@@ -7,7 +7,7 @@ import numpy as np
 
 from rodlib.ilc import arguments
 from rodlib.ilc.loop import ClosedLoop
-from rodlib.ilc.plants import Measured, splined
+from rodlib.ilc.plants import Measured, interpolated
 
 
 @dataclass(frozen=True, repr=False)
@@ -33,7 +33,7 @@ class TabulatedResponse(Measured):
         """
         low, high = self.omega[[0, -1]]
         within, knots = np.log(np.clip(omega, low, high)), np.log(self.omega)
-        spline, radius = splined(knots, self.response, within)
+        spline, radius = interpolated(knots, self.response, within)
         radius += np.interp(within, knots, self.uncertainty)
         beyond = 2 * np.linalg.norm(spline, 2, axis=(1, 2))
         return spline, radius + np.where(self._outside(omega), beyond, 0)
