@@ -81,11 +81,7 @@ class Spread:
 
 
 def _share(name, value):
-    what = "from 0 to below 1 (0.2 is 20 %)"
-    value = arguments.number(name, value, what, high=1)
-    if value < 0:
-        raise ValueError(f"{name} = {value} must be {what}")
-    return value
+    return arguments.number(name, value, "from 0 to below 1 (0.2 is 20 %)", high=1, least=0)
 
 
 @dataclass(frozen=True)

@@ -38,6 +38,4 @@ def _in_range(name, value, least, most):
     if isinstance(least, int | np.integer):
         whole(name, value, int(least), int(most))
         return
-    what = f"a number from {least:g} to {most:g}"
-    if not least <= number(name, value, what) <= most:
-        raise ValueError(f"{name} = {value!r} must be {what}")
+    number(name, value, f"a number from {least:g} to {most:g}", least=least, most=most)

@@ -80,8 +80,8 @@ def generalised_plant(P, Q, effort, preview, emphasis=1.0, corner=None) -> contr
     arguments.one_period(P=Ts, Q=Q.Ts)
     effort = arguments.positive("effort", effort)
     preview = arguments.whole("preview", preview, 1)
-    emphasis = arguments.number("emphasis", emphasis, "one or more")
-    if emphasis < 1 or (emphasis > 1 and corner is None):
+    emphasis = arguments.number("emphasis", emphasis, "one or more", least=1)
+    if emphasis > 1 and corner is None:
         raise ValueError(f"emphasis = {emphasis} must be one, or more with a corner in rad/s")
     if corner is not None:
         corner = arguments.number("corner", corner, "in (0, Nyquist)", 0, np.pi / Ts)

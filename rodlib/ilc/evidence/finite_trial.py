@@ -88,11 +88,7 @@ def impulse_response(P: control.StateSpace, samples: int) -> np.ndarray:
 
 
 def trial_map(
-    P: control.StateSpace,
-    Q: ZeroPhaseButterworth,
-    L: LearningFilter,
-    samples: int,
-    rest: int = 0,
+    P: control.StateSpace, Q: ZeroPhaseButterworth, L: LearningFilter, samples: int, rest: int = 0
 ) -> sparse.LinearOperator:
     """T = Q_N (I - L_N P_N): what a trial of the ILC law (23) makes of v_k - v_inf.
 

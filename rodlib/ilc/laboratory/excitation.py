@@ -104,12 +104,7 @@ class Excitation:
 
 
 def multisine(
-    loop: Loop,
-    lowest: float,
-    highest: float,
-    amplitude,
-    hours: float,
-    lines: int = 40,
+    loop: Loop, lowest: float, highest: float, amplitude, hours: float, lines: int = 40
 ) -> Excitation:
     """An excitation for a loop: as many periods as fit into the time, lines all over the band.
 

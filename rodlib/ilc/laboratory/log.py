@@ -1,9 +1,4 @@
-"""The trial log, a plain-text table that data/README.md describes: loaded and saved, with checks.
-
-Metadata stand in lines that begin with ``#``, then comma-separated values, one row per trial and
-sample. pandas reads it with ``read_csv(path, comment="#")``, MATLAB with
-``readtable(path, "CommentStyle", "#")``.
-"""
+"""The trial log, a plain-text table: loaded and saved, with checks; see data/README.md."""
 
 import json
 import re

@@ -63,10 +63,8 @@ class TemperatureControlLab:
         self.rest = arguments.array("rest", rest, (2,))
         if self.rest.min() < 0 or self.rest.max() > 100:
             raise ValueError(f"rest = {rest!r} must be two numbers from 0 to 100 %")
-        self.Ts = arguments.number(
-            "Ts", Ts, "a sampling period up to a minute, in s", 0, LAST + 1e-9
-        )
-        self.wait = arguments.number("wait", wait, "a minute or more, in s", LAST - 1e-9)
+        self.Ts = arguments.number("Ts", Ts, "a sampling period up to a minute, in s", 0, most=LAST)
+        self.wait = arguments.number("wait", wait, "a minute or more, in s", least=LAST)
         seed = arguments.whole("seed", seed, 0)
         tclab = _package()
         self.lab = tclab.TCLab() if self.kit else tclab.TCLabModel(synced=False)
