@@ -70,10 +70,6 @@ def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
     reference : array_like, shape (time, m)
         Of the new task, of any length; where the trials had ended, nothing is kept.
 
-    Returns
-    -------
-    Transfer
-
     Warns
     -----
     UserWarning

@@ -168,13 +168,13 @@ class Course:
         """Twice in succession, as something new may have disturbed one trial."""
         if self.P is None or k < 2:
             return None
-        worst = np.flatnonzero(~np.isnan(self._lags(k)))
-        worst = worst[~np.isnan(self._lags(k - 1)[worst])] if worst.size else worst
+        lags = self._lags(k)
+        worst = np.flatnonzero(~np.isnan(lags + self._lags(k - 1)))
         if not worst.size:
             return None
         return (
             f"{self._list(worst)} of trials {self.first + k - 1} and {self.first + k} contradict "
-            f"the loop's model: of what v was to change in them, {self._lags(k)[worst].min():.0%} "
+            f"the loop's model: of what v was to change in them, {lags[worst].min():.0%} "
             "came, and the error does not fall. Look for a sensor or an actuator that is at its "
             "limit, exchanged or reversed; else measure P (shake)"
         )

@@ -42,12 +42,12 @@ def update_within(
 
     Parameters
     ----------
-    v, e : array_like, shape (time, m)
-        ILC signal and tracking error of the trial just done, as for :func:`rodlib.update`.
+    v, e, Q, L, rest, step :
+        As for :func:`rodlib.update`. What the loop asks for in the rest, where v is zero, is left
+        out of account.
     u : array_like, shape (time, m)
         Commands that the controller asked for in it: of a CurrentTrialLoop its controls, of a
         ClosedLoop w = reference + v.
-    Q, L : ZeroPhaseButterworth, LearningOperator
     loop : CurrentTrialLoop or ClosedLoop
         Of a ClosedLoop without P the commands are cut off instead.
     limits : dict
@@ -55,9 +55,6 @@ def update_within(
         be, the largest change per second.
     applied : array_like, shape (time, m), optional
         What the actuators made of u, and the observer was told. Default: u, cut off at the limits.
-    rest, step :
-        As for :func:`rodlib.update`. What the loop asks for in the rest, where v is zero, is left
-        out of account.
 
     Returns
     -------

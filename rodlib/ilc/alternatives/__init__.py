@@ -12,8 +12,7 @@ MODULES = {
     "norm_optimal": "NormOptimal",
     "preview": "full_information generalised_plant h_infinity",
     "proportional": "p_type pd_type",
-    "rehearsal": "Rehearsal lines",
-    "tuning": "Tuned tune",
+    "rehearsal": "Rehearsal Tuned lines tune",
     "two_sided": "TwoSidedFilter extent two_sided_taps",
 }
 __getattr__, __dir__, __all__ = lazily(__name__, MODULES)

@@ -98,10 +98,6 @@ def trial_noise(
         Likewise, for ``loop.disturbances``. Default zero.
     plant : control.StateSpace or control.TransferFunction, optional
         Another plant in the place of that of the design, as in :meth:`CurrentTrialLoop.around`.
-
-    Returns
-    -------
-    TrialNoise
     """
     arguments.instance("loop", loop, CurrentTrialLoop)
     omega, m = arguments.frequencies("omega", omega, loop.Ts), loop.plant.noutputs

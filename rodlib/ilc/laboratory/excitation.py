@@ -122,10 +122,6 @@ def multisine(
     lines : int
         Number of lines, spaced evenly on a logarithmic scale as far as harmonics can be; where
         they would fall on the same, there are fewer.
-
-    Returns
-    -------
-    Excitation
     """
     Ts, m = check_loop(loop).Ts, len(loop.outputs)
     nyquist = np.pi / Ts

@@ -257,10 +257,6 @@ def replay_of(trials: xr.Dataset, untold: Sequence[str] = ()) -> Replay:
     untold : sequence of str, optional
         Names of disturbances that the simulation shall not be told of.
 
-    Returns
-    -------
-    Replay
-
     Warns
     -----
     UserWarning

@@ -175,10 +175,6 @@ def fit_heat_balance(heaters, readings, Ts: float) -> HeatBalanceFit:
     Ts : float
         Sampling period, s.
 
-    Returns
-    -------
-    HeatBalanceFit
-
     Warns
     -----
     UserWarning
