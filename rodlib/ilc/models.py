@@ -17,19 +17,7 @@ from rodlib.ilc import arguments
 
 
 def frequency_response(system: control.StateSpace, omega) -> np.ndarray:
-    """Frequency response of a state-space model, frequency first.
-
-    Parameters
-    ----------
-    system : control.StateSpace
-        In continuous or discrete time.
-    omega : array_like, shape (n,)
-        Angular frequencies, rad/s.
-
-    Returns
-    -------
-    ndarray, shape (n, outputs, inputs), complex
-    """
+    """Response of a model at `omega` (rad/s), shape (n, outputs, inputs), complex."""
     arguments.state_space("system", system)
     omega = arguments.row("omega", omega)
     if system.dt is None or system.dt is True:

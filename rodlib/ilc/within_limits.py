@@ -1,9 +1,8 @@
 """The law (23) within what the actuators follow: v_{k+1} is projected onto what they can do.
 
-Section III has no limits. Here the ILC signal of the next trial is, of all v whose commands stay
-within the limits, the one whose outputs are nearest to those that the law asks for. A projection
-onto a convex set makes no two signals more distant, so that Lemma 1 still holds in the outputs.
-The program has the stages of the loop, one for each sample; PIQP solves it.
+Section III has no limits. A projection onto a convex set makes no two signals more distant, so that
+Lemma 1 still holds in the outputs. The program has the stages of the loop, one for each sample;
+PIQP solves it.
 """
 
 import numpy as np

@@ -97,9 +97,7 @@ class ControlledRig:
 
     def stop_at(self, stop, reference):
         """Set the limits of outputs and commands beyond which a trial stops."""
-        outputs, commands = self.loop.outputs, self.commands
-        own = [self.loop.units[name] for name in outputs]
-        self.stop = stop_limits(stop, reference, outputs, own, commands, self.limits)
+        self.stop = stop_limits(stop, reference, self.loop, self.limits)
 
     @property
     def recorded_signals(self) -> list[str]:

@@ -1,8 +1,6 @@
 """From a shaken loop to its frequency response P, with the region in which the truth lies.
 
-No model is fitted. Each line of the excitation is looked at with the lines around it that are not
-excited: these hold what remains of the transient, a smooth function of frequency, and noise. The
-transient is interpolated and taken off; what scatters about it is the noise, and so the accuracy.
+No model is fitted: the notes of :func:`measured_response` say what is done instead.
 """
 
 import reprlib
