@@ -12,7 +12,7 @@ v_{k+1} = Q (v_k + L e_k) with e_k = e_0 - P v_k - x_k gives for the random part
     p_{k+1} = M p_k - Q P L x_k,    M = Q (I - P L).
 
 p_k depends on earlier trials alone, and so is independent of x_k and t_k: spectral densities add.
-With c >= sigma_max(M) < 1, tr Phi <= tr(Q P L Phi_x (Q P L)^H) / (1 - c^2) at each frequency.
+If sigma_max(M) <= c < 1, that of p_k has a trace of at most tr(Q P L Phi_x (Q P L)^H) / (1 - c^2).
 Trials are taken to be without end, as in Lemma 1; with the start and the end of one,
 :mod:`~rodlib.ilc.evidence.noisy_trial`.
 """
