@@ -17,8 +17,11 @@ def checked(**parameters: tuple) -> dict:
     whole; for all else (value, default), which is only compared.
     """
     for name, (value, _, *ends) in parameters.items():
-        if ends:
-            _in_range(name, value, *ends)
+        if ends and isinstance(ends[0], int | np.integer):
+            whole(name, value, *map(int, ends))
+        elif ends:
+            least, most = ends
+            number(name, value, f"a number from {least:g} to {most:g}", least=least, most=most)
     other = {name: given for name, given in parameters.items() if given[0] != given[1]}
     if other:
         from IPython.display import Markdown, display  # here, since only notebooks have it loaded
@@ -32,10 +35,3 @@ def checked(**parameters: tuple) -> dict:
             )
         )
     return {name: value for name, (value, *_) in parameters.items()}
-
-
-def _in_range(name, value, least, most):
-    if isinstance(least, int | np.integer):
-        whole(name, value, int(least), int(most))
-        return
-    number(name, value, f"a number from {least:g} to {most:g}", least=least, most=most)

@@ -129,14 +129,12 @@ class Replay:
         v, found = self.trials.v.values, {}
         for k, number in enumerate(self.numbers):
             L = self._law_of_trial(number).law[1]
-            if number == 1:
-                expected = np.full_like(v[k], np.nan) if self.begun else np.zeros_like(v[k])
-            elif L is None and not self.begun and not self.earlier:
-                expected = np.zeros_like(v[k])
+            if not self.begun and (number == 1 or (L is None and not self.earlier)):
+                expected = 0.0
             elif k and self.numbers[k - 1] == number - 1:
                 expected = self._after(k - 1)
             else:
-                expected = np.full_like(v[k], np.nan)
+                expected = np.nan
             found[number] = np.abs(v[k] - expected).max(axis=0)
         return pd.DataFrame.from_dict(found, "index", columns=self.outputs).rename_axis("trial")
 
