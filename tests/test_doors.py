@@ -306,6 +306,7 @@ DOORS = [
     (laboratory.shake, {"rig": RIG, "loop": PAPER, "excitation": ALL}),
     (measured_response, {"log": SHAKEN}, {"log": THING, "of": THING | {"text": "y"}}),
     (measured_response, {"log": TABLE, "uncertainty": np.zeros(12)}),
+    (TABULATED.radius, {}),
     (TABULATED.on, {"omega": OMEGA}),
     (TABULATED.basis, {"omega": OMEGA}),
     (ESTIMATED.radius, {}),
