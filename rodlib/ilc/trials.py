@@ -9,13 +9,7 @@ from tqdm import tqdm
 
 from rodlib.ilc import arguments
 from rodlib.ilc.actuators import Actuators
-from rodlib.ilc.filters import (
-    LearningOperator,
-    ZeroPhaseButterworth,
-    check_learning,
-    check_Q,
-    update,
-)
+from rodlib.ilc.filters import LearningOperator, ZeroPhaseButterworth, check_learning, check_Q
 from rodlib.ilc.loop import ClosedLoop, Loop, check_loop, with_noise
 from rodlib.ilc.models import state_sequence
 from rodlib.ilc.watch import Course, rates_of
@@ -118,8 +112,6 @@ def run_trials(
     def following(k, v_k, e_k):
         if L is None:
             return v_k
-        if actuators is None:
-            return update(v_k, e_k, Q, L, rest, steps[k])
         return projected(v_k, e_k, commands(k), Q, L, loop, actuators, rest, steps[k])
 
     def commands(k):

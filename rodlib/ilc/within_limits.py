@@ -75,14 +75,18 @@ def update_within(
     return following.reshape(np.shape(single))
 
 
-def commands_of(loop: Loop, actuators: Actuators, w, u=None, applied=None):
-    """What was asked for, u or of a ClosedLoop w, and what was applied of it."""
+def commands_of(loop: Loop, actuators: Actuators | None, w, u=None, applied=None):
+    """What was asked for, u or of a ClosedLoop w, and what was applied of it, if it has limits."""
+    if actuators is None:
+        return None
     asked = w if isinstance(loop, ClosedLoop) else u
     return asked, actuators.follow(asked) if applied is None else applied
 
 
 def projected(v, e, commands, Q, L, loop, actuators, rest, step):
-    """As :func:`update_within`, of what was checked."""
+    """As :func:`update_within`, of what was checked; the law alone where there are no limits."""
+    if actuators is None:
+        return update(v, e, Q, L, rest, step)
     v, applied = realised(loop, v, *commands), commands[1]
     wanted = update(v, e, Q, L, rest, step)
     return _nearest(loop, actuators, v, applied, wanted, getattr(L, "weight", WEIGHT), rest)

@@ -4,7 +4,7 @@ import numpy as np
 import xarray as xr
 
 from rodlib.ilc import arguments
-from rodlib.ilc.filters import LearningFilter, LearningOperator, ZeroPhaseButterworth, update
+from rodlib.ilc.filters import LearningFilter, LearningOperator, ZeroPhaseButterworth
 from rodlib.ilc.laboratory.controlled_rig import ControlledRig
 from rodlib.ilc.laboratory.excitation import Excitation
 from rodlib.ilc.laboratory.notes import BEGUN, with_excitation, with_law
@@ -128,8 +128,6 @@ def record(
         if L is None or not done:
             return signals["v"][-1] if done else first
         r, v, y = reference[done - 1], signals["v"][-1], signals["y"][-1]
-        if not controlled.actuators:
-            return update(v, r - y, Q, L, rest, step)
         told = (signals[name][-1] for name in ("u", "applied") if name in signals)
         commands = commands_of(loop, controlled.actuators, r + v, *told)
         return projected(v, r - y, commands, Q, L, loop, controlled.actuators, rest, step)
