@@ -17,7 +17,7 @@ import numpy as np
 from scipy.linalg import eigh, solve_continuous_lyapunov
 
 from rodlib.ilc import arguments
-from rodlib.rod import Rod, midr
+from rodlib.rod import Rod, midr, named
 
 FINE = 12  # degree of the model that is truncated: its error is below 1e-7 up to 0.1 rad/s
 ROUNDING = 1e-7  # Hankel singular values below it, relative to the first, are rounding
@@ -57,19 +57,8 @@ def finite_volumes(rod: Rod, cells: int) -> control.StateSpace:
     """Average temperatures of equal cells, and the heat that flows between neighbours.
 
     The flow follows from the difference of two averages by Fourier's law (2). Between the middles
-    of two cells, sensors read the straight line, beyond the outer ones the average.
-
-    Parameters
-    ----------
-    rod : Rod
-    cells : int
-        Number of cells in each section, 1000 or fewer.
-
-    Returns
-    -------
-    control.StateSpace
-        As :func:`rodlib.midr`, with ``sections * cells`` states (K). The error falls with the
-        square of `cells`.
+    of two cells, sensors read the straight line, beyond the outer ones the average. Parameters and
+    result as for :func:`finite_differences`, with cells for intervals: ``sections * cells`` states.
     """
     arguments.instance("rod", rod, Rod)
     cells = arguments.whole("cells", cells, 1, 1000)
@@ -79,7 +68,7 @@ def finite_volumes(rod: Rod, cells: int) -> control.StateSpace:
 
 
 def finite_elements(rod: Rod, element, elements: int = 1) -> control.StateSpace:
-    """Galerkin's method with finite elements of scikit-fem.
+    """Galerkin's method with elements of scikit-fem, of the extra ``rodlib[approximations]``.
 
     Parameters
     ----------
@@ -95,10 +84,6 @@ def finite_elements(rod: Rod, element, elements: int = 1) -> control.StateSpace:
         As :func:`rodlib.midr`; the states are the coefficients of the elements' functions. With one
         element of degree M in each section, continuous and no more, the response is that of
         :func:`rodlib.midr`.
-
-    Notes
-    -----
-    Needs the package scikit-fem, which the extra ``rodlib[approximations]`` brings.
     """
     import skfem
     from skfem.models.poisson import laplace, mass, unit_load
@@ -124,19 +109,10 @@ def finite_elements(rod: Rod, element, elements: int = 1) -> control.StateSpace:
 
 
 def modal_series(rod: Rod, modes: int) -> control.StateSpace:
-    """The slowest modes cos(n pi z / l), n = 0, 1, ..., each of them exact.
+    """The slowest modes cos(n pi z / l), n = 0, 1, ..., each of them exact; 10,000 or fewer.
 
-    Parameters
-    ----------
-    rod : Rod
-    modes : int
-        Number of modes, 10,000 or fewer.
-
-    Returns
-    -------
-    control.StateSpace
-        As :func:`rodlib.midr`; the states are the amplitudes of the modes (K). The error falls as
-        slowly as the third power of `modes`, since the heat flow (4) jumps.
+    As :func:`rodlib.midr`; the states are the amplitudes of the modes (K). The error falls as
+    slowly as the third power of `modes`, since the heat flow (4) jumps.
     """
     arguments.instance("rod", rod, Rod)
     n = np.arange(arguments.whole("modes", modes, 1, 10_000))
@@ -185,7 +161,7 @@ def balanced_truncation(
         raise ValueError(f"states = {states} is too many: {told} can be told from rounding")
     scale = np.sqrt(hankel[:states])
     left, right = S @ U[:, :states] / scale, R @ Vh[:states].T / scale
-    return _named(rod, left.T @ fine.A @ right, left.T @ fine.B, fine.C @ right)
+    return named(rod, left.T @ fine.A @ right, left.T @ fine.B, fine.C @ right)
 
 
 def _of_points(rod, points, heat, distance):
@@ -200,11 +176,7 @@ def _model(rod, M, K, heat, shown):
     density = rod.sections / (rod.width * rod.height * rod.length)
     F = np.column_stack([density * heat, rod.kappa_2 * heat.sum(axis=1)])
     A = -np.linalg.solve(M, rod.conductivity * K + rod.kappa_2 * M) / rod.kappa_1
-    return _named(rod, A, np.linalg.solve(M, F) / rod.kappa_1, shown)
-
-
-def _named(rod, A, B, C):
-    return control.ss(A, B, C, 0, inputs=rod.inputs, outputs=rod.outputs, name="rod")
+    return named(rod, A, np.linalg.solve(M, F) / rod.kappa_1, shown)
 
 
 def _root(W):

@@ -81,11 +81,7 @@ class Spread:
 
 
 def _share(name, value):
-    what = "from 0 to below 1 (0.2 is 20 %)"
-    value = arguments.number(name, value, what, high=1)
-    if value < 0:
-        raise ValueError(f"{name} = {value} must be {what}")
-    return value
+    return arguments.number(name, value, "from 0 to below 1 (0.2 is 20 %)", high=1, least=0)
 
 
 @dataclass(frozen=True)
@@ -115,7 +111,7 @@ def draw(spread: Spread, number: int, root: int = 0, nominal: Rod | None = None)
         Number of the rod, and of the sequence to which it belongs, 0 or more. Another spread
         stretches the same rod's deviations.
     nominal : Rod, optional
-        The one that it was meant to be. Default: the paper's.
+        As for :meth:`Spread.specimen`.
     """
     arguments.instance("spread", spread, Spread)
     nominal = arguments.instance("nominal", Rod() if nominal is None else nominal, Rod)
@@ -248,20 +244,13 @@ def responses(loop: CurrentTrialLoop, specimens: Sequence[Specimen], omega) -> n
 def unstable_poles(loop: CurrentTrialLoop, specimens: Sequence[Specimen]) -> np.ndarray:
     """Number of poles outside the unit circle of the loop around each specimen.
 
-    Parameters
-    ----------
-    loop : CurrentTrialLoop
-        Of a rod.
-    specimens : sequence of Specimen
-
-    Notes
-    -----
-    As the rod has infinitely many poles, there is no matrix whose eigenvalues could tell. But
-    det(I + R D) is the characteristic polynomial of the loop around the specimen times that of the
-    plant of the design, over those of the loop as designed and of the specimen. These three have
-    their zeros inside the unit circle, and far outside the quotient is one. So, along the unit
-    circle, it winds around zero once clockwise for every unstable pole. Between two frequencies it
-    must turn by less than `STEP`; where it does not, more are taken.
+    Parameters as for :func:`responses`. As the rod has infinitely many poles, there is no matrix
+    whose eigenvalues could tell. But det(I + R D) is the characteristic polynomial of the loop
+    around the specimen times that of the plant of the design, over those of the loop as designed
+    and of the specimen. These three have their zeros inside the unit circle, and far outside the
+    quotient is one. So, along the unit circle, it winds around zero once clockwise for every
+    unstable pole. Between two frequencies it must turn by less than `STEP`; where it does not, more
+    are taken.
     """
     rods, grid = _held(loop, specimens), Grid.whole(loop)
     return np.array([grid.unstable_poles(rod) for rod in rods])

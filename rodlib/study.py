@@ -117,10 +117,8 @@ class Study:
         for i, rod in enumerate(rods):
             P = grid.P(rod)
             M = [convergence_matrix(P, q, each) for each in L]
-            sigma[i], radius[i] = (
-                [largest_singular_values(each) for each in M],
-                [*map(spectral_radii, M)],
-            )
+            sigma[i] = [largest_singular_values(each) for each in M]
+            radius[i] = [spectral_radii(each) for each in M]
         found["rate"] = sigma.max(axis=2)  # of Lemma 1
         found["rate_omega"] = self.omega[sigma.argmax(axis=2)]
         found["spectral_rate"] = radius.max(axis=2)
@@ -146,8 +144,7 @@ class Course:
     def __init__(self, loop, Q, filters, reference, trials):
         self.loop, self.trials, T = loop, trials, len(reference)
         order = max(L.order for L in filters)
-        poles = np.concatenate([np.roots(section[3:]) for section in Q.sections])
-        tail = int(np.log(ALIAS**3) / np.log(np.abs(poles).max()))  # of Q, as far as it may wrap
+        tail = int(np.log(ALIAS**3) / np.log(np.abs(Q.poles).max()))  # of Q, as far as it may wrap
         self.samples, self.N = T, next_fast_len(max(int(WRAP * T), T + order + tail), real=True)
         r = ALIAS ** (-1 / self.N)
         self.growth, self.decay = r ** np.arange(max(T, order)), r ** -np.arange(self.N)

@@ -241,8 +241,6 @@ DOORS = [
      {"step": REAL | {"0": [0.0], "2": [1, 2]}}),
     (evidence.noise_on_trial, {"loop": LOOP, "Q": Q, "L": L, "samples": 6, "noise": 1.0},
      {"noise": REAL | {"-1": -1.0}}),
-    (evidence.noise_bound, {"new": NOISE, "Q": Q, "M_max": 0.9, "L_max": 2.0},
-     {"M_max": REAL | {"1": 1, "-1": -1.0}, "L_max": REAL}),
     (evidence.worst_case, {"problem": PROBLEM, "L": L}),
     *((door, {"P": LOOP, "Q": Q, "L": L, "omega": OMEGA}, {"P": REAL})
       for door in (evidence.rate, evidence.rates, evidence.spectral_rate, evidence.mean_rate)),
@@ -308,6 +306,7 @@ DOORS = [
     (laboratory.shake, {"rig": RIG, "loop": PAPER, "excitation": ALL}),
     (measured_response, {"log": SHAKEN}, {"log": THING, "of": THING | {"text": "y"}}),
     (measured_response, {"log": TABLE, "uncertainty": np.zeros(12)}),
+    (TABULATED.radius, {}),
     (TABULATED.on, {"omega": OMEGA}),
     (TABULATED.basis, {"omega": OMEGA}),
     (ESTIMATED.radius, {}),

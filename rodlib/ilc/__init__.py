@@ -16,8 +16,8 @@ MODULES = {
     "trials": "rms run_trials",
     "transfer": "transfer",
     "estimates": "combinations estimated",
-    "evidence": """converged_noise mean_rate noise_bound noise_by_trial noise_on_trial rate
-        rate_within rates spectral_rate trial_noise violation_probability worst_case""",
+    "evidence": """converged_noise mean_rate noise_by_trial noise_on_trial rate rate_within
+        rates spectral_rate trial_noise violation_probability worst_case""",
     "synthesis": "InfeasibleError SolverError Synthesis largest_cutoff least_gain synthesise",
     "alternatives": """NormOptimal Rehearsal gradient h_infinity p_type pd_type stable_inversion
         tune zero_phase_inversion""",

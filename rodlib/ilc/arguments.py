@@ -15,19 +15,18 @@ import control
 import numpy as np
 
 LARGEST = 1e100  # the square of what lies beyond it, or below its inverse, may not be a number
-
 CIRCLE = 1 - 1e-12  # modulus from which on a pole is on the unit circle, up to rounding
-
 ROLES = ("output", "control", "source")  # coordinates that name the signals of a DataArray
-
 MOST = 10**9  # samples, trials, ...: what memory could hold at best
 
 
-def number(name: str, value, what: str, low=-np.inf, high=np.inf) -> float:
-    """A finite real number strictly between `low` and `high`; `what` says so in the message."""
+def number(
+    name: str, value, what: str, low=-np.inf, high=np.inf, *, least=-np.inf, most=np.inf
+) -> float:
+    """A finite number above `low` and below `high`, from `least` to `most`; `what` says so."""
     value = value.item() if isinstance(value, np.generic) else value  # 1e100 is no float32
     plain = isinstance(value, Real) and not isinstance(value, bool)
-    if not (plain and low < value < high):
+    if not (plain and low < value < high and least <= value <= most):
         raise ValueError(f"{name} = {reprlib.repr(value)} must be {what}")
     if value and not 1 / LARGEST <= abs(value) <= LARGEST:
         size = "large" if abs(value) > 1 else "small"
@@ -37,9 +36,7 @@ def number(name: str, value, what: str, low=-np.inf, high=np.inf) -> float:
 
 def not_negative(name: str, value, what: str = "a number, 0 or more") -> float:
     """A finite number, zero or above."""
-    if number(name, value, what) < 0:
-        raise ValueError(f"{name} = {reprlib.repr(value)} must be {what}")
-    return float(value)
+    return number(name, value, what, least=0)
 
 
 def positive(name: str, value, what: str = "a positive number") -> float:
@@ -54,9 +51,7 @@ def sampling_period(name: str, value) -> float:
 
 def share(name: str, value) -> float:
     """A number above zero, at most one."""
-    if positive(name, value, "in (0, 1]") > 1:
-        raise ValueError(f"{name} = {reprlib.repr(value)} must be in (0, 1]")
-    return float(value)
+    return number(name, value, "in (0, 1]", 0, most=1)
 
 
 def whole(name: str, value, low: int, high: int | None = None) -> int:

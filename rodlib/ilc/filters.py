@@ -92,11 +92,6 @@ class ZeroPhaseButterworth:
         """Samples after which the impulse response has decayed to rounding level."""
         return int(np.ceil(np.log(1e-18) / np.log(np.abs(self.poles).max())))
 
-    @cached_property
-    def _at_rest(self):
-        """The state of each section that a constant one leads to, shape (sections, 2)."""
-        return sosfilt_zi(self.sections)
-
     def frequency_response(self, omega) -> np.ndarray:
         """Squared magnitude of the Butterworth filter at `omega` (rad/s), real, shape (n,)."""
         omega = arguments.row("omega", omega)
@@ -108,7 +103,7 @@ class ZeroPhaseButterworth:
         signal = arguments.array("signal", signal, (..., "time", "channel"))
         sections, decay = self.sections, self.decay  # after which the line is as good as infinite
         once = _continued(signal, decay, decay, self.ends)
-        at_rest = self._at_rest.reshape(len(sections), *[1] * (signal.ndim - 2), 2, 1)
+        at_rest = sosfilt_zi(sections).reshape(len(sections), *[1] * (signal.ndim - 2), 2, 1)
         for _ in range(2):
             filtered, _ = sosfilt(sections, once, axis=-2, zi=at_rest * once[..., :1, :])
             once = np.flip(filtered, axis=-2)

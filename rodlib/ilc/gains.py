@@ -57,10 +57,6 @@ def current_trial_loop(
         Weights of the estimation errors of states and outputs in (27). Default:
         diag(B S_u^2 B', 2 S_u^2) and S_y^2; without `sizes`, diag(I, 2I) and I as in the paper.
 
-    Returns
-    -------
-    CurrentTrialLoop
-
     Notes
     -----
     The disturbance model (14) is integral action, A_d = C_d = I. The paper prints (28) and (29)

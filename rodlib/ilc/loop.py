@@ -79,16 +79,6 @@ class CurrentTrialLoop:
         return self.controls
 
     @property
-    def static_gain(self) -> np.ndarray:
-        """P at frequency zero: the observer integrates, so that it is I for any plant."""
-        return np.eye(len(self.outputs))
-
-    @property
-    def slowest(self) -> float:
-        """Largest modulus of the poles."""
-        return float(np.abs(self.closed.poles()).max())
-
-    @property
     def P(self) -> control.StateSpace:
         """The transfer function from w to y, P of (31), as C (zI - A + B K_s)^-1 B N.
 
@@ -244,16 +234,6 @@ class ClosedLoop:
     def commands(self) -> list[str]:
         """Names of what is sent to the rig: w."""
         return self.references
-
-    @property
-    def static_gain(self) -> None:
-        """P at frequency zero, of which nothing is known but what was measured."""
-        return None
-
-    @property
-    def slowest(self) -> float | None:
-        """Largest modulus of the poles of P, if it is known."""
-        return None if self.P is None else float(np.abs(self.P.poles()).max(initial=0))
 
     def model(self, plant=None) -> control.StateSpace:
         """P, or `plant` in its place, which is another model from w to y."""

@@ -17,19 +17,7 @@ from rodlib.ilc import arguments
 
 
 def frequency_response(system: control.StateSpace, omega) -> np.ndarray:
-    """Frequency response of a state-space model, frequency first.
-
-    Parameters
-    ----------
-    system : control.StateSpace
-        In continuous or discrete time.
-    omega : array_like, shape (n,)
-        Angular frequencies, rad/s.
-
-    Returns
-    -------
-    ndarray, shape (n, outputs, inputs), complex
-    """
+    """Response of a model at `omega` (rad/s), shape (n, outputs, inputs), complex."""
     arguments.state_space("system", system)
     omega = arguments.row("omega", omega)
     if system.dt is None or system.dt is True:
@@ -87,20 +75,10 @@ def state_sequence(A, forcing, initial) -> np.ndarray:
 
 
 def unreachable_modes(A, B) -> tuple[np.ndarray, np.ndarray]:
-    """Modes that no input can excite, by Hautus's test.
+    """Eigenvalues (r,) and left eigenvectors (n, r) of modes that no input can excite, by Hautus.
 
-    Parameters
-    ----------
-    A, B : array_like, shapes (n, n), (n, m)
-        Of a model in continuous or discrete time. For unobservable modes pass A', C'. A mode counts
-        as unreachable if the smallest singular value of [lambda I - A, B], with both blocks scaled
-        to norm one, is below 1e-9.
-
-    Returns
-    -------
-    eigenvalues : ndarray, shape (r,)
-    directions : ndarray, shape (n, r)
-        Left eigenvectors; their common null space contains all that can be reached.
+    A mode counts as one if the smallest singular value of [lambda I - A, B], both blocks scaled to
+    norm one, is below 1e-9. For unobservable modes pass A', C'.
     """
     A, B = np.asarray(A, dtype=float), np.asarray(B, dtype=float)
     scale_A, scale_B = (np.linalg.norm(X, 2) or 1.0 for X in (A, B))

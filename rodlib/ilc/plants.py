@@ -2,10 +2,10 @@
 
 import reprlib
 from collections.abc import Iterator
-from typing import Protocol, runtime_checkable
 
 import control
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
 from rodlib.ilc import arguments
 from rodlib.ilc.filters import ZeroPhaseButterworth
@@ -15,15 +15,74 @@ from rodlib.ilc.models import frequency_response, refuse_foreign
 MODELS = (Loop, control.LTI)  # what a plant may be, if not an array
 
 
-@runtime_checkable
-class Measured(Protocol):
-    """A response that was measured, with the radius in which the truth lies."""
+class Measured:
+    """A response as known at some frequencies, and the region in which the truth lies.
 
-    def on(self, omega, confidence, scale) -> tuple[np.ndarray, np.ndarray]:
-        """Response, (n, m, m), and radius, (n,), on omega, in units of `scale`, (m,) or None."""
+    A kind has `response` (n, m, m) at `omega` (n,), rad/s, the `loop` whose response it is, and
+    `findings`, which speak against it. It says what the doors here ask by ``_radius(confidence,
+    jointly)``, ``_on(omega, confidence)``, ``_basis(omega, confidence)`` and ``_scaled(scale)``.
+    """
 
-    def basis(self, omega, confidence) -> tuple[str, ...]:
-        """What was measured, and what is assumed beside it on these frequencies."""
+    findings = ()
+
+    def radius(self, confidence: float = 0.95, jointly: bool = False) -> np.ndarray:
+        """Radius of ||Delta||, the largest singular value, that covers the truth.
+
+        Parameters
+        ----------
+        confidence : float
+            Probability, between 0 and 1, that the truth lies within.
+        jointly : bool
+            Whether within all radii at once, rather than within each.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            At `omega`.
+        """
+        return self._radius(probability(confidence), arguments.flag("jointly", jointly))
+
+    def on(self, omega, confidence: float = 0.95, scale=None) -> tuple[np.ndarray, np.ndarray]:
+        """Response and radius on other frequencies, for the synthesis.
+
+        Parameters
+        ----------
+        omega : array_like, shape (n,)
+            Frequencies, rad/s.
+        confidence : float
+            Probability that the truth lies within the radius at all frequencies that are known.
+        scale : array_like, shape (m,), optional
+            Units of the channels, of both response and radius; see :func:`rodlib.ilc.synthesise`.
+
+        Returns
+        -------
+        response : ndarray, shape (n, m, m), complex
+        radius : ndarray, shape (n,)
+            What is assumed between and beyond the frequencies measured, :meth:`basis` says.
+        """
+        omega, own = np.abs(arguments.row("omega", omega)), self
+        if scale is not None:
+            own = self._scaled(arguments.array("scale", scale, (self.response.shape[1],)))
+        return own._on(omega, probability(confidence))
+
+    def basis(self, omega, confidence: float = 0.95) -> tuple[str, ...]:
+        """What is known, and what :meth:`on` assumes beside it on `omega`; the findings last."""
+        lines = self._basis(arguments.row("omega", omega), probability(confidence))
+        return (*lines, *self.findings)
+
+    def __repr__(self):
+        return "\n".join(self.basis(self.omega))
+
+
+def probability(confidence) -> float:
+    """A confidence, that of a region."""
+    return arguments.number("confidence", confidence, "between 0 and 1", 0, 1)
+
+
+def interpolated(knots, P, at) -> tuple[np.ndarray, np.ndarray]:
+    """A cubic spline through P, (n, m, m), and by how much it differs from straight lines."""
+    spline, straight = (make_interp_spline(knots, P, k)(at) for k in (3, 1))
+    return spline, np.linalg.norm(spline - straight, 2, axis=(1, 2))
 
 
 def period(P, Q):

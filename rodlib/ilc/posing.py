@@ -71,9 +71,9 @@ def pose(
         models = [_scaled(model, scale) for model in models]
     _refuse_singular(P, omega)
     band, L_max, chosen = _chosen(band, L_max, objective, q, Q, P, omega)
-    _check_band(band, Q, omega, objective)
+    in_band = _in_band(band, Q, omega, objective)
     doubts = () if isinstance(given, Measured) else _doubts(given, (P, *others), models, omega, Ts)
-    doubts += (*doubts_about_Q(Q, omega, _learned(band, omega, objective), Ts),)
+    doubts += (*doubts_about_Q(Q, omega, in_band, Ts),)
     noise = _weights(noise, omega, Ts, m, M_max, scale)
     beyond = _size_beyond(beyond, models, np.concatenate([P[None], others]), radius, omega[-1], Ts)
     return Problem(
@@ -103,11 +103,6 @@ def _doubts(P, responses, models, omega, Ts):
     known = zip(plants(P), responses, models, strict=True)
     found = [doubts_about_P(name, p, omega, Ts) for name, p, model in known if model is None]
     return tuple(text for texts in found for text in texts)
-
-
-def _learned(band, omega, objective):
-    """Which frequencies are in the band, if the objective has one."""
-    return (omega >= band[0]) & (omega <= band[1]) if objective == "sum" else None
 
 
 def _measured(P, omega, uncertainty, confidence, scale):
@@ -141,11 +136,11 @@ def _chosen(band, L_max, objective, butterworth, Q, P, omega):
     return (low, high), L_max, [f"chosen: {text}" for text in chosen]
 
 
-def _check_band(band, Q, omega, objective):
-    """The band must lie within omega if it is summed over, and hold something to learn."""
+def _in_band(band, Q, omega, objective):
+    """Which frequencies are summed over, if any; all within omega, and with something to learn."""
     low, high = band
-    in_band = (omega >= low) & (omega <= high)
-    if objective == "sum":
+    in_band = (omega >= low) & (omega <= high) if objective == "sum" else None
+    if in_band is not None:
         slack = 1e-9 * omega[-1]
         if not omega[0] - slack <= low < high <= omega[-1] + slack:
             raise ValueError(
@@ -154,12 +149,13 @@ def _check_band(band, Q, omega, objective):
             )
         if not in_band.any():
             raise ValueError(f"band = {band!r} contains none of the frequencies omega")
-    learned = np.abs(Q[in_band] if objective == "sum" else Q).max()
+    learned = np.abs(Q if in_band is None else Q[in_band]).max()
     if learned < 1e-6:  # of an error, which the certificate could not tell from nothing
         raise ValueError(
             f"Q has a gain of {learned:.3g} at most where the objective counts: it learns "
             "nothing. Is its cut-off in rad/s?"
         )
+    return in_band
 
 
 def _radius(uncertainty, n):

@@ -35,27 +35,16 @@ NEVER, NEW, BANDS = 1e3, 0.1, 25  # times the power that was there, share of it,
 class Transfer:
     """Where to begin with another reference. Signals have the shape (time, m).
 
-    Attributes
-    ----------
-    v : ndarray
-        ILC signal of the first trial, explained + kept.
-    explained, kept : ndarray
-        F r, and c, which answers a disturbance that repeats, whatever the reference.
-    F : ndarray, shape (m, m, 2 R + 1)
-        Impulse response, from R samples ahead to R back.
-    left_out : ndarray, shape (m,)
-        Share of v_k + e_k that is foretold where it was left out of the fit; 1 is all.
-    doubt : ndarray, shape (m,)
-        RMS by which v may be off, as the trials leave F open: what the fits without one block of
-        time differ by (jackknife), and the one by what differs between trials alone.
+    `doubt` is what the fits without one block of time differ by (jackknife), and the one by what
+    differs between trials alone.
     """
 
-    v: np.ndarray
-    explained: np.ndarray
-    kept: np.ndarray
-    F: np.ndarray
-    left_out: np.ndarray
-    doubt: np.ndarray
+    v: np.ndarray  # ILC signal of the first trial, explained + kept
+    explained: np.ndarray  # F r
+    kept: np.ndarray  # c, which answers a disturbance that repeats, whatever the reference
+    F: np.ndarray  # (m, m, 2 R + 1): impulse response, from R samples ahead to R back
+    left_out: np.ndarray  # (m,): share of v_k + e_k foretold where it was left out of the fit
+    doubt: np.ndarray  # (m,): RMS by which v may be off, as the trials leave F open
 
 
 def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
@@ -69,10 +58,6 @@ def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
         Where actuators cut off, with v as :func:`rodlib.ilc.within_limits.realised` has it.
     reference : array_like, shape (time, m)
         Of the new task, of any length; where the trials had ended, nothing is kept.
-
-    Returns
-    -------
-    Transfer
 
     Warns
     -----

@@ -9,13 +9,7 @@ from tqdm import tqdm
 
 from rodlib.ilc import arguments
 from rodlib.ilc.actuators import Actuators
-from rodlib.ilc.filters import (
-    LearningOperator,
-    ZeroPhaseButterworth,
-    check_learning,
-    check_Q,
-    update,
-)
+from rodlib.ilc.filters import LearningOperator, ZeroPhaseButterworth, check_learning, check_Q
 from rodlib.ilc.loop import ClosedLoop, Loop, check_loop, with_noise
 from rodlib.ilc.models import state_sequence
 from rodlib.ilc.watch import Course, rates_of
@@ -97,17 +91,13 @@ def run_trials(
     rest = arguments.whole("rest", rest, 0, samples - 1)
     d = np.zeros((samples, len(loop.disturbances))) if disturbance is None else disturbance
     d = each_trial("disturbance", d, trials, samples, loop.disturbances)
-    noise = (
-        np.zeros(shape)
-        if noise is None
-        else arguments.in_columns("noise", noise, shape, loop.outputs)
-    )
+    noise = np.zeros(shape) if noise is None else noise
+    noise = arguments.in_columns("noise", noise, shape, loop.outputs)
     chi = np.zeros(nx)
     if initial_state is not None:
         chi[:n] = arguments.array("initial_state", initial_state, (n,))
-    first = (
-        np.zeros(shape[1:]) if v is None else arguments.in_columns("v", v, shape[1:], loop.outputs)
-    )
+    first = np.zeros(shape[1:]) if v is None else v
+    first = arguments.in_columns("v", first, shape[1:], loop.outputs)
     first[samples - rest :] = 0
 
     v, y, made, steps = np.zeros(shape), np.zeros(shape), [], _steps(step, trials)
@@ -122,8 +112,6 @@ def run_trials(
     def following(k, v_k, e_k):
         if L is None:
             return v_k
-        if actuators is None:
-            return update(v_k, e_k, Q, L, rest, steps[k])
         return projected(v_k, e_k, commands(k), Q, L, loop, actuators, rest, steps[k])
 
     def commands(k):

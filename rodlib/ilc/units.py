@@ -1,5 +1,7 @@
 """Units are labels, shown and compared as they are; pint says which labels are units."""
 
+from collections.abc import Sequence
+
 from rodlib.ilc import arguments
 
 PLAIN = ("", "K", "degC", "W", "m", "mm", "N", "V", "A")  # which pint need not be asked about
@@ -36,6 +38,11 @@ def check(name: str, labels: dict[str, str]) -> None:
                 understood(signal, label)
             except ValueError as error:
                 raise ValueError(f"{name}: {error}") from None
+
+
+def by_unit(units: Sequence[str]) -> dict[str, list[int]]:
+    """Channels whose signals have the same unit, and so can stand in one sum or picture."""
+    return {unit: [i for i, other in enumerate(units) if other == unit] for unit in units}
 
 
 def seconds(label: str) -> float:

@@ -16,6 +16,7 @@ from scipy.special import fdtrc
 
 from rodlib.ilc.models import frequency_response, state_sequence
 from rodlib.ilc.problem import convergence_matrix, largest_singular_values
+from rodlib.ilc.units import by_unit
 
 SURE = 1e-4  # probability of a false report by noise, in a trial
 RISES = 3  # in a row, from which on the error may be said to grow
@@ -65,10 +66,6 @@ class Course:
             found = self.findings(k) | found
         return found
 
-    def _groups(self):
-        """Channels with the same unit, whose signals can stand in one sum."""
-        return [np.flatnonzero(np.array(self.units) == unit) for unit in dict.fromkeys(self.units)]
-
     def _named(self, channels):
         return "" if len(channels) == len(self.outputs) else f" of {self._list(channels)}"
 
@@ -83,7 +80,7 @@ class Course:
 
     def _grows(self, k):
         start = self._alike(k)
-        for channels in self._groups():
+        for channels in by_unit(self.units).values():
             x = size(self.e[start : k + 1, :, channels])
             least = ROUNDING * np.abs(self.reference[k][:, channels]).max()
             x = np.maximum(x, max(least, ROUNDING * x.max(), np.finfo(float).tiny))
@@ -144,7 +141,7 @@ class Course:
     def _walks(self, k):
         if k < self._alike(k) + STEPS:
             return None
-        for channels in self._groups():
+        for channels in by_unit(self.units).values():
             v, e = (s[k - STEPS : k + 1][:, :, channels] for s in (self.v, self.e))
             steps, x, length = np.diff(v, axis=0), size(e), size(v)
             s = size(steps)
@@ -171,13 +168,13 @@ class Course:
         """Twice in succession, as something new may have disturbed one trial."""
         if self.P is None or k < 2:
             return None
-        worst = np.flatnonzero(~np.isnan(self._lags(k)))
-        worst = worst[~np.isnan(self._lags(k - 1)[worst])] if worst.size else worst
+        lags = self._lags(k)
+        worst = np.flatnonzero(~np.isnan(lags + self._lags(k - 1)))
         if not worst.size:
             return None
         return (
             f"{self._list(worst)} of trials {self.first + k - 1} and {self.first + k} contradict "
-            f"the loop's model: of what v was to change in them, {self._lags(k)[worst].min():.0%} "
+            f"the loop's model: of what v was to change in them, {lags[worst].min():.0%} "
             "came, and the error does not fall. Look for a sensor or an actuator that is at its "
             "limit, exchanged or reversed; else measure P (shake)"
         )
@@ -221,24 +218,20 @@ class Course:
         signals = np.stack([self.e[k], foretold, self.e[k + 1]])[..., channels]
         before, *after = amplitudes(signals)
         edges = np.append(octaves(len(moved)), len(moved) // 2 + 1) * 2 * np.pi / len(moved)
-        promised = self._promised(edges)
+        within = np.geomspace(np.maximum(edges[:-1], self.sigma[0, 0]), edges[1:], 9)
+        promised = np.interp(within, *self.sigma).max(axis=0)
         white = np.linalg.norm(noise_of(self.e[k + 1][:, channels]))
         noise = white * np.sqrt(np.diff(edges) / edges[-1])
         before = np.maximum(before, np.finfo(float).tiny)
         shares = dict(zip(("foretold", "reached", "noise"), (*after, noise) / before, strict=True))
         return {"frequency": edges[1:] / self.P.dt, "before": before, "promised": promised} | shares
 
-    def _promised(self, edges):
-        """The largest sigma_max(M) in each octave of omega Ts."""
-        within = np.geomspace(np.maximum(edges[:-1], self.sigma[0, 0]), edges[1:], 9)
-        return np.interp(within, *self.sigma).max(axis=0)
-
     def _breaks_its_promise(self, k):
         """Falls less than promised, by more than noise, which is how the last trials differ."""
         start = max(self._alike(k), k - BACK)
         if self.P is None or self.sigma is None or k < start + 4:
             return None
-        for channels in self._groups():
+        for channels in by_unit(self.units).values():
             e = self.e[start : k + 1][:, :, channels]
             e = e / max(np.abs(e).max(), np.finfo(float).tiny)
             x, total = amplitudes(e), size(e)

@@ -1,9 +1,8 @@
 """The law (23) within what the actuators follow: v_{k+1} is projected onto what they can do.
 
-Section III has no limits. Here the ILC signal of the next trial is, of all v whose commands stay
-within the limits, the one whose outputs are nearest to those that the law asks for. A projection
-onto a convex set makes no two signals more distant, so that Lemma 1 still holds in the outputs.
-The program has the stages of the loop, one for each sample; PIQP solves it.
+Section III has no limits. A projection onto a convex set makes no two signals more distant, so that
+Lemma 1 still holds in the outputs. The program has the stages of the loop, one for each sample;
+PIQP solves it.
 """
 
 import numpy as np
@@ -42,12 +41,12 @@ def update_within(
 
     Parameters
     ----------
-    v, e : array_like, shape (time, m)
-        ILC signal and tracking error of the trial just done, as for :func:`rodlib.update`.
+    v, e, Q, L, rest, step :
+        As for :func:`rodlib.update`. What the loop asks for in the rest, where v is zero, is left
+        out of account.
     u : array_like, shape (time, m)
         Commands that the controller asked for in it: of a CurrentTrialLoop its controls, of a
         ClosedLoop w = reference + v.
-    Q, L : ZeroPhaseButterworth, LearningOperator
     loop : CurrentTrialLoop or ClosedLoop
         Of a ClosedLoop without P the commands are cut off instead.
     limits : dict
@@ -55,9 +54,6 @@ def update_within(
         be, the largest change per second.
     applied : array_like, shape (time, m), optional
         What the actuators made of u, and the observer was told. Default: u, cut off at the limits.
-    rest, step :
-        As for :func:`rodlib.update`. What the loop asks for in the rest, where v is zero, is left
-        out of account.
 
     Returns
     -------
@@ -79,14 +75,18 @@ def update_within(
     return following.reshape(np.shape(single))
 
 
-def commands_of(loop: Loop, actuators: Actuators, w, u=None, applied=None):
-    """What was asked for, u or of a ClosedLoop w, and what was applied of it."""
+def commands_of(loop: Loop, actuators: Actuators | None, w, u=None, applied=None):
+    """What was asked for, u or of a ClosedLoop w, and what was applied of it, if it has limits."""
+    if actuators is None:
+        return None
     asked = w if isinstance(loop, ClosedLoop) else u
     return asked, actuators.follow(asked) if applied is None else applied
 
 
 def projected(v, e, commands, Q, L, loop, actuators, rest, step):
-    """As :func:`update_within`, of what was checked."""
+    """As :func:`update_within`, of what was checked; the law alone where there are no limits."""
+    if actuators is None:
+        return update(v, e, Q, L, rest, step)
     v, applied = realised(loop, v, *commands), commands[1]
     wanted = update(v, e, Q, L, rest, step)
     return _nearest(loop, actuators, v, applied, wanted, getattr(L, "weight", WEIGHT), rest)

@@ -51,15 +51,9 @@ class SavedFigure:
 def save(figure: Figure, name: str, caption: str) -> SavedFigure:
     """Write a figure to build/figures, or to the folder of the run, as PNG and PDF, and close it.
 
-    The same bytes in every run. As the last expression of a cell, the outcome shows the figure.
-
-    Parameters
-    ----------
-    figure : matplotlib.figure.Figure
-    name : str
-        Without ending; begins with the paper's figure, as in "fig04-frequency-response".
-    caption : str
-        A sentence or two, plain text, that say what is to be seen; they stand for themselves.
+    The same bytes in every run. As the last expression of a cell, the outcome shows the figure. The
+    name begins with the paper's figure, as in "fig04-frequency-response"; the caption says what is
+    to be seen, in a sentence or two of plain text that stand for themselves.
     """
     target = folder(results("figures.save") / "figures")
     width = round(figure.get_figwidth() * figure.get_dpi())

@@ -64,15 +64,10 @@ def verdict(claim: Claim, computed: float) -> tuple[str, float]:
 
 
 class Ledger:
-    """The rows of one notebook, in which pandas then shows whole sentences.
+    """The rows of one notebook, by its name, in which pandas then shows whole sentences.
 
-    Parameters
-    ----------
-    notebook : str
-        Name of the notebook, without ending.
-    **parameters
-        The values of its parameters that the paper prints, by key. If one is not exactly the
-        paper's, no row gets a verdict.
+    If one of its parameters that the paper prints, by key, is not exactly the paper's, no row gets
+    a verdict.
     """
 
     def __init__(self, notebook: str, **parameters):
@@ -86,15 +81,10 @@ class Ledger:
         )
 
     def record(self, key: str, computed=None) -> None:
-        """Enter what was computed for the claim `key`, or for all entries of a matrix.
+        """Enter what was computed for the claim `key`, or for a printed matrix of that name.
 
-        Parameters
-        ----------
-        key : str
-            Key of a claim, or the name of a printed matrix.
-        computed : float or ndarray
-            For a matrix with the shape that :func:`rodlib.paper.published.matrix` gives it.
-            None for what cannot be checked.
+        A matrix has the shape that :func:`rodlib.paper.published.matrix` gives it; None stands for
+        what cannot be checked.
         """
         if key in published.MATRICES:
             self._record_matrix(key, np.asarray(computed))
@@ -136,13 +126,7 @@ class Ledger:
             self.record(key, value)
 
     def table(self, keys: Iterable[str] | None = None) -> pd.DataFrame:
-        """The rows recorded so far, as a table for the notebook.
-
-        Parameters
-        ----------
-        keys : iterable of str, optional
-            Beginnings of the keys to show; default all.
-        """
+        """The rows recorded so far whose keys begin so, by default all, as a table."""
         chosen = [key for key in published.claims() if key in self.rows]
         if keys is not None:
             chosen = [key for key in chosen if key.startswith(tuple(keys))]

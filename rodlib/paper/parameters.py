@@ -11,22 +11,17 @@ from rodlib.ilc.arguments import number, whole
 
 
 def checked(**parameters: tuple) -> dict:
-    """The values of parameters, by name, each in its range.
+    """The values of parameters, by name, each in its range, or a ValueError that names it.
 
-    Parameters
-    ----------
-    **parameters
-        For a number (value, default, least, most), both ends included, and a whole number if these
-        are whole; for all else (value, default), which is only compared.
-
-    Raises
-    ------
-    ValueError
-        If a value is out of its range: it names the parameter, the value and the range.
+    For a number (value, default, least, most), both ends included, and a whole number if these are
+    whole; for all else (value, default), which is only compared.
     """
     for name, (value, _, *ends) in parameters.items():
-        if ends:
-            _in_range(name, value, *ends)
+        if ends and isinstance(ends[0], int | np.integer):
+            whole(name, value, *map(int, ends))
+        elif ends:
+            least, most = ends
+            number(name, value, f"a number from {least:g} to {most:g}", least=least, most=most)
     other = {name: given for name, given in parameters.items() if given[0] != given[1]}
     if other:
         from IPython.display import Markdown, display  # here, since only notebooks have it loaded
@@ -40,12 +35,3 @@ def checked(**parameters: tuple) -> dict:
             )
         )
     return {name: value for name, (value, *_) in parameters.items()}
-
-
-def _in_range(name, value, least, most):
-    if isinstance(least, int | np.integer):
-        whole(name, value, int(least), int(most))
-        return
-    what = f"a number from {least:g} to {most:g}"
-    if not least <= number(name, value, what) <= most:
-        raise ValueError(f"{name} = {value!r} must be {what}")

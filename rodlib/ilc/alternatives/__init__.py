@@ -7,16 +7,12 @@ for one after the other, and :func:`tune` searches the tuning for which they are
 
 from rodlib.ilc import lazily
 
-__getattr__, __dir__, __all__ = lazily(
-    __name__,
-    {
-        "adjoint": "gradient",
-        "inversion": "stable_inversion zero_phase_inversion",
-        "norm_optimal": "NormOptimal",
-        "preview": "full_information generalised_plant h_infinity",
-        "proportional": "p_type pd_type",
-        "rehearsal": "Rehearsal lines",
-        "tuning": "Tuned tune",
-        "two_sided": "TwoSidedFilter extent two_sided_taps",
-    },
-)
+MODULES = {
+    "inversion": "gradient stable_inversion zero_phase_inversion",
+    "norm_optimal": "NormOptimal",
+    "preview": "full_information generalised_plant h_infinity",
+    "proportional": "p_type pd_type",
+    "rehearsal": "Rehearsal Tuned lines tune",
+    "two_sided": "TwoSidedFilter extent two_sided_taps",
+}
+__getattr__, __dir__, __all__ = lazily(__name__, MODULES)

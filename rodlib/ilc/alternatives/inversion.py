@@ -1,4 +1,4 @@
-"""Learning by the inverse of the plant, which a zero outside the unit circle makes two-sided."""
+"""Learning by the inverse of the plant, or by its adjoint: both act in two directions of time."""
 
 import control
 import numpy as np
@@ -77,6 +77,21 @@ def zero_phase_inversion(
         return L
 
     return TwoSidedFilter(response, m, Ts)
+
+
+def gradient(P: control.StateSpace, step: float) -> TwoSidedFilter:
+    """L = step P^*, the adjoint of P: the plant with its time reversed, step P_N^T on N samples.
+
+    v moves against the gradient of ||e||^2 / 2, which is -P^* e. Without Q the rate is
+    max |1 - step sigma^2| over the singular values sigma of P, so that `step` must be below
+    2 / max sigma^2, and what P hardly passes is hardly learned. K. Furuta and M. Yamakita, The
+    design of a learning control system for multivariable systems, IEEE International Symposium on
+    Intelligent Control (1987) 371-376. P as for :func:`stable_inversion`; the step is above zero.
+    """
+    step, (m, Ts) = arguments.positive("step", step), square(P)
+    return TwoSidedFilter(
+        lambda omega: step * frequency_response(P, omega).conj().swapaxes(1, 2), m, Ts
+    )
 
 
 def _low_pass(cutoff, Ts):

@@ -80,8 +80,8 @@ def generalised_plant(P, Q, effort, preview, emphasis=1.0, corner=None) -> contr
     arguments.one_period(P=Ts, Q=Q.Ts)
     effort = arguments.positive("effort", effort)
     preview = arguments.whole("preview", preview, 1)
-    emphasis = arguments.number("emphasis", emphasis, "one or more")
-    if emphasis < 1 or (emphasis > 1 and corner is None):
+    emphasis = arguments.number("emphasis", emphasis, "one or more", least=1)
+    if emphasis > 1 and corner is None:
         raise ValueError(f"emphasis = {emphasis} must be one, or more with a corner in rad/s")
     if corner is not None:
         corner = arguments.number("corner", corner, "in (0, Nyquist)", 0, np.pi / Ts)
@@ -98,19 +98,11 @@ def generalised_plant(P, Q, effort, preview, emphasis=1.0, corner=None) -> contr
         a = np.tan(corner * Ts / 2)
         weights.append(([1 + emphasis * a, emphasis * a - 1], [1 + a, a - 1]))
     for numerator, denominator in weights:
-        plant = control.ss(*_on_each(*tf2ss(numerator, denominator), m), Ts) * plant
-    states = plant.nstates
-    return control.ss(
-        plant.A,
-        plant.B,
-        np.vstack([plant.C, np.zeros((m, states))]),
-        np.vstack([plant.D, np.hstack([np.zeros((m, m)), effort * np.eye(m)])]),
-        Ts,
-    )
-
-
-def _on_each(A, B, C, D, m):
-    return [np.kron(np.eye(m), matrix) for matrix in (A, B, C, D)]
+        on_each = (np.kron(np.eye(m), matrix) for matrix in tf2ss(numerator, denominator))
+        plant = control.ss(*on_each, Ts) * plant
+    C = np.vstack([plant.C, np.zeros((m, plant.nstates))])
+    D = np.vstack([plant.D, np.hstack([np.zeros((m, m)), effort * np.eye(m)])])
+    return control.ss(plant.A, plant.B, C, D, Ts)
 
 
 def full_information(plant: control.StateSpace, m: int, level: float) -> control.StateSpace:

@@ -32,10 +32,6 @@ def pd_type(gain: float, slope: float, ahead: int, channels: int, Ts: float) -> 
     channels : int
     Ts : float
         Sampling period, s.
-
-    Returns
-    -------
-    LearningFilter
     """
     gain = arguments.positive("gain", gain)
     slope = arguments.number("slope", slope, "a finite number")

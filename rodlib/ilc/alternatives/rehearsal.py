@@ -1,9 +1,15 @@
-"""Trials on a plant that is known by its response: the same judge for every learning filter."""
+"""One judge for every learning filter, trials on a plant known by its response; and one search.
 
+Every design gets as many evaluations, and the same criterion.
+"""
+
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.fft import irfft, rfft
+from scipy.optimize import minimize
+from scipy.stats import qmc
 
 from rodlib.ilc import arguments
 from rodlib.ilc.evidence import rate
@@ -11,6 +17,7 @@ from rodlib.ilc.filters import LearningOperator, ZeroPhaseButterworth, check_lea
 from rodlib.ilc.trials import learn
 
 JUDGED = 500  # lines at which the rate is computed, spaced by their logarithms
+WORST = 1e9  # what a tuning costs that leads to no filter
 
 
 @dataclass(frozen=True)
@@ -75,3 +82,84 @@ def lines(samples: int, Ts: float) -> np.ndarray:
     """Frequencies (rad/s) of a trial that is followed by as many zeros, shape (samples + 1,)."""
     samples, Ts = arguments.whole("samples", samples, 1), arguments.sampling_period("Ts", Ts)
     return 2 * np.pi * np.fft.rfftfreq(2 * samples, Ts)
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """The best that was found of a design."""
+
+    parameters: dict[str, float]  # by name
+    filter: LearningOperator
+    value: float  # of the criterion
+
+
+def tune(
+    design: Callable,
+    box: dict[str, tuple[float, float]],
+    rehearsal: Rehearsal,
+    M_max: float = 0.9,
+    evaluations: int = 24,
+) -> Tuned:
+    """Search for the tuning of a design whose trials are best.
+
+    The criterion is the sum of RMS(e_k) over all trials but the first, rehearsed on the model of
+    the design, with a rate of at most `M_max`. It counts speed, what is left in the end, and what
+    noise and the ends of a trial do. Half of the evaluations are spread over the box (Halton's
+    sequence), by the logarithms of the parameters; the others follow Nelder and Mead from the best.
+
+    Parameters
+    ----------
+    design : callable
+        From the parameters, by name, to a filter, or to what has one as its ``filter``, as a
+        :class:`rodlib.Synthesis` does; a ValueError says that there is none.
+    box : dict
+        Lowest and highest value of each parameter, above zero; of whole numbers, whole numbers.
+    rehearsal : Rehearsal
+    M_max : float
+        In (0, 1).
+    evaluations : int
+        Number of filters tried, four or more.
+
+    Returns
+    -------
+    Tuned
+        If no tuning that was tried converges at that rate, a ValueError says so.
+    """
+    arguments.instance("design", design, Callable)
+    arguments.instance("rehearsal", rehearsal, Rehearsal)
+    M_max = arguments.number("M_max", M_max, "in (0, 1)", 0, 1)
+    evaluations = arguments.whole("evaluations", evaluations, 4)
+    arguments.instance("box", box, dict)
+    edges = [arguments.array(f"box[{name!r}]", ends, (2,)) for name, ends in box.items()]
+    for name, (low, high) in zip(box, edges, strict=True):
+        if not 0 < low < high:
+            raise ValueError(f"box[{name!r}] = {box[name]} must be 0 < lowest < highest")
+    edges, tried = np.log(edges), []
+
+    def cost(x):
+        values = np.exp(edges[:, 0] + x * (edges[:, 1] - edges[:, 0])).tolist()
+        parameters = {
+            name: round(value) if isinstance(box[name][0], int) else value
+            for name, value in zip(box, values, strict=True)
+        }
+        try:
+            found = design(**parameters)
+        except ValueError:
+            return WORST
+        L = getattr(found, "filter", found)
+        arguments.instance(f"design(**{parameters})", L, LearningOperator)
+        rate = rehearsal.rate(L)
+        if rate > M_max * (1 + 1e-6):
+            return WORST * rate / (1 + rate)  # towards a lower rate
+        tried.append(Tuned(parameters, L, float(rehearsal.rms(L)[1:].sum())))
+        return tried[-1].value
+
+    spread = qmc.Halton(len(box), scramble=False).random(evaluations // 2 + 1)[1:]
+    first = spread[np.argmin([cost(x) for x in spread])]
+    toward = np.where(first < 0.5, 0.15, -0.15)
+    simplex = np.vstack([first, first + np.diag(toward)])
+    options = {"maxfev": evaluations - len(spread), "initial_simplex": simplex}
+    minimize(cost, first, method="Nelder-Mead", bounds=[(0, 1)] * len(box), options=options)
+    if not tried:
+        raise ValueError(f"design reaches a rate of M_max = {M_max} nowhere in box = {box}")
+    return min(tried, key=lambda each: each.value)

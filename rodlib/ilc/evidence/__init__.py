@@ -7,17 +7,14 @@ solvers. :mod:`~rodlib.ilc.evidence.certificate` puts the answers together that 
 
 from rodlib.ilc import lazily
 
-__getattr__, __dir__, __all__ = lazily(
-    __name__,
-    {
-        "certificate": "Certificate",
-        "check": "Check",
-        "convergence": "Rate SpectralRate mean_rate rate rate_within rates spectral_rate",
-        "finite_trial": "trial_map trial_norm trial_operators",
-        "noise": """LearnedNoise Spectrum TrialNoise converged_noise noise_bound noise_by_trial
-            trial_noise""",
-        "noisy_trial": "noise_on_trial",
-        "robustness": "WorstCase worst_case",
-        "scenario": "support violation_probability",
-    },
-)
+MODULES = {
+    "certificate": "Certificate",
+    "check": "Check",
+    "convergence": "Rate SpectralRate mean_rate rate rate_within rates spectral_rate",
+    "finite_trial": "trial_map trial_norm trial_operators",
+    "noise": "LearnedNoise Spectrum TrialNoise converged_noise noise_by_trial trial_noise",
+    "noisy_trial": "noise_on_trial",
+    "robustness": "WorstCase worst_case",
+    "scenario": "support violation_probability",
+}
+__getattr__, __dir__, __all__ = lazily(__name__, MODULES)

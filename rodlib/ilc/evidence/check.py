@@ -36,13 +36,11 @@ class Check:
         if self.converges:
             how = "converges monotonically" if self.monotone else "converges, not monotonically"
         known = "at all frequencies" if self.proven else "on the grid, and between by splines"
-        return "\n".join(
-            [
-                f"{how}: sigma_max(M) is {self.gamma:.4f} at most, at {self.omega:.4g} rad/s "
-                f"({known}), |eigenvalue of M| {self.spectral_radius:.4f}",
-                *self.basis,
-            ]
+        rate = (
+            f"{how}: sigma_max(M) is {self.gamma:.4f} at most, at {self.omega:.4g} rad/s "
+            f"({known}), |eigenvalue of M| {self.spectral_radius:.4f}"
         )
+        return "\n".join([rate, *self.basis])
 
 
 def check(problem: Problem, L: LearningFilter) -> Check:

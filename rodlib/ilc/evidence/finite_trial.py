@@ -88,11 +88,7 @@ def impulse_response(P: control.StateSpace, samples: int) -> np.ndarray:
 
 
 def trial_map(
-    P: control.StateSpace,
-    Q: ZeroPhaseButterworth,
-    L: LearningFilter,
-    samples: int,
-    rest: int = 0,
+    P: control.StateSpace, Q: ZeroPhaseButterworth, L: LearningFilter, samples: int, rest: int = 0
 ) -> sparse.LinearOperator:
     """T = Q_N (I - L_N P_N): what a trial of the ILC law (23) makes of v_k - v_inf.
 
@@ -189,14 +185,8 @@ def _operator(apply, adjoint, samples, m):
         return matmat
 
     forward, backward = on_columns(apply), on_columns(adjoint)
-    return sparse.LinearOperator(
-        (samples * m,) * 2,
-        matvec=forward,
-        rmatvec=backward,
-        matmat=forward,
-        rmatmat=backward,
-        dtype=float,
-    )
+    acts = {"matvec": forward, "rmatvec": backward, "matmat": forward, "rmatmat": backward}
+    return sparse.LinearOperator((samples * m,) * 2, **acts, dtype=float)
 
 
 def _fold(signal, before, after, ends):

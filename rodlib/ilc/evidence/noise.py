@@ -12,6 +12,7 @@ v_{k+1} = Q (v_k + L e_k) with e_k = e_0 - P v_k - x_k gives for the random part
     p_{k+1} = M p_k - Q P L x_k,    M = Q (I - P L).
 
 p_k depends on earlier trials alone, and so is independent of x_k and t_k: spectral densities add.
+If sigma_max(M) <= c < 1, that of p_k has a trace of at most tr(Q P L Phi_x (Q P L)^H) / (1 - c^2).
 Trials are taken to be without end, as in Lemma 1; with the start and the end of one,
 :mod:`~rodlib.ilc.evidence.noisy_trial`.
 """
@@ -98,10 +99,6 @@ def trial_noise(
         Likewise, for ``loop.disturbances``. Default zero.
     plant : control.StateSpace or control.TransferFunction, optional
         Another plant in the place of that of the design, as in :meth:`CurrentTrialLoop.around`.
-
-    Returns
-    -------
-    TrialNoise
     """
     arguments.instance("loop", loop, CurrentTrialLoop)
     omega, m = arguments.frequencies("omega", omega, loop.Ts), loop.plant.noutputs
@@ -183,41 +180,6 @@ def noise_by_trial(new: TrialNoise, Q, L: LearningOperator, step) -> list[Learne
     return [_learned(new, each) for each in density]
 
 
-def noise_bound(new: TrialNoise, Q, M_max, L_max) -> float:
-    """Bound on the noise that learning adds, for every filter that keeps the bounds of (39).
-
-    At each frequency, tr Phi <= c^2 tr Phi + g^2 tr Phi_x with c >= sigma_max(M) and
-    g >= sigma_max(Q P L), so that tr Phi <= tr Phi_x g^2 / (1 - c^2). As M = Q I - Q P L, each of
-    the two is at most |Q| plus the other one, too; and Q P L is at most |Q| sigma_max(P) L_max.
-
-    Parameters
-    ----------
-    new, Q : as for :func:`converged_noise`
-    M_max, L_max : float or array_like, shape (n,)
-        Bounds on sigma_max(M), below one, and sigma_max(L), at all frequencies or at each.
-
-    Returns
-    -------
-    float
-        Not below `total` of what :func:`converged_noise` says is learned, nor, with falling steps
-        or without, below that of any trial.
-    """
-    q = np.abs(_q_response(new, Q))
-    limits = {"M_max": M_max, "L_max": L_max}
-    for name, value in limits.items():
-        value = arguments.array(name, value, (...,))
-        limits[name] = arguments.array(name, value, new.measured.omega.shape if value.ndim else ())
-        if limits[name].min() < 0:
-            raise ValueError(f"{name} reaches {limits[name].min():g}, but must not be negative")
-    if limits["M_max"].max() >= 1:
-        raise ValueError(f"M_max reaches {limits['M_max'].max():g}, but must be below one")
-    gain = q * largest_singular_values(new.P) * limits["L_max"]
-    rate = np.minimum(limits["M_max"], q + gain)
-    gain = np.minimum(gain, q + rate)
-    power = np.einsum("nii->n", new.measured.density).real * gain**2 / (1 - rate**2)
-    return replace(new.measured, density=power[:, None, None]).total
-
-
 def _density(name, value, omega, m):
     """A density of shape (n, m, m), from any of the forms of :func:`trial_noise`."""
     given = arguments.array(name, value, (...,), complex)
@@ -242,17 +204,13 @@ def _density(name, value, omega, m):
 
 def _learning(new, Q, L):
     """M and Q P L, for a step of one."""
-    q, m = _q_response(new, Q), new.P.shape[1]
+    arguments.instance("new", new, TrialNoise)
+    q, m = Q_on_grid(Q, new.measured.omega, noise=new.measured.Ts)[1], new.P.shape[1]
     check_learning(L, m)
     arguments.one_period(noise=new.measured.Ts, L=L.Ts)
     q = q[:, None, None]
     QPL = q * new.P @ L.frequency_response(new.measured.omega)
     return q * np.eye(m) - QPL, QPL  # (40)
-
-
-def _q_response(new, Q):
-    arguments.instance("new", new, TrialNoise)
-    return Q_on_grid(Q, new.measured.omega, noise=new.measured.Ts)[1]
 
 
 def _stepped(M, step):

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from rodlib.ilc import arguments, units
+from rodlib.ilc import arguments
 from rodlib.ilc.actuators import Actuators, named_limits
 from rodlib.ilc.laboratory.limits import commands_beyond, stop_limits
 from rodlib.ilc.laboratory.mistakes import mistake_in
@@ -62,8 +62,6 @@ class ControlledRig:
         self.rig, self.loop = rig, check_loop(loop)
         self.ours = isinstance(loop, CurrentTrialLoop)  # the controller, if it is not on the rig
         self.commands = loop.commands
-        for name in [*loop.controls, *loop.disturbances, *loop.outputs]:
-            units.understood(name, loop.units.get(name, ""))
         decimals = arguments.by_name("decimals", decimals, ["v", "u", "delta", "disturbance"])
         for name, value in decimals.items():
             arguments.whole(f"decimals[{name!r}]", value, 0, 300)
@@ -97,9 +95,7 @@ class ControlledRig:
 
     def stop_at(self, stop, reference):
         """Set the limits of outputs and commands beyond which a trial stops."""
-        outputs, commands = self.loop.outputs, self.commands
-        own = [self.loop.units[name] for name in outputs]
-        self.stop = stop_limits(stop, reference, outputs, own, commands, self.limits)
+        self.stop = stop_limits(stop, reference, self.loop, self.limits)
 
     @property
     def recorded_signals(self) -> list[str]:
@@ -197,33 +193,24 @@ class ControlledRig:
     def download(self, trial):
         """Let the rig run a whole trial by itself; its samples."""
         with_u, shape = bool(self.loop.controls), self.w.shape
-        try:
-            cut_off = self.actuators and not self.ours
+        cut_off = self.actuators and not self.ours
+        with _told(f"trial {trial}"):
             result = self.rig.run(self.actuators.follow(self.w) if cut_off else self.w.copy())
             y, *more = result if with_u and isinstance(result, tuple) else (result,)
             try:
                 downloaded = {"y": arguments.array("y", y, shape)}
                 if with_u:
-                    given = more[0] if more else None
-                    downloaded["u"] = _rounded(
-                        arguments.array("u", given, shape), self.decimals.get("u")
-                    )
+                    u = arguments.array("u", more[0] if more else None, shape)
+                    downloaded["u"] = _rounded(u, self.decimals.get("u"))
             except ValueError as error:
                 raise RigError(str(error)) from None
-        except RigError as error:
-            raise RigError(f"trial {trial}: {error}") from None
-        except Exception as error:
-            error.add_note(f"in trial {trial}")
-            raise
         samples = zip(*downloaded.values(), strict=True)
         self.samples = [dict(zip(downloaded, sample, strict=True)) for sample in samples]
         for p, sample in enumerate(self.samples):
-            try:
+            with _told(f"trial {trial}, sample {p + 1}"):
                 self.check(sample["y"], self.loop.outputs)
                 if self.ours:
                     self.check(sample["u"], self.commands)
-            except StoppedError as error:
-                raise StoppedError(f"trial {trial}, sample {p + 1}: {error}") from None
 
     def signals(self) -> dict[str, np.ndarray]:
         """What was sampled of the trial that runs, or ran last."""
@@ -245,7 +232,7 @@ class ControlledRig:
 
     def sample(self, w, flows, where) -> dict[str, np.ndarray]:
         """Let one sampling period pass: read, check, then apply what the controller makes of it."""
-        try:
+        with _told(where, ". Nothing was applied after it"):
             y, heard = self.readings()
             self.check(y, self.loop.outputs)
             if self.ours:
@@ -261,11 +248,6 @@ class ControlledRig:
             if self.ours and self.actuators:
                 found["applied"] = self.applied
             self.rig.apply(command)
-        except RigError as error:
-            raise type(error)(f"{where}: {error}. Nothing was applied after it") from None
-        except Exception as error:
-            error.add_note(f"in {where}")
-            raise
         known = heard | dict(zip(self.moved, flows, strict=True))
         disturbance = np.array([known[name] for name in self.recorded])
         return found | {"y": y, "disturbance": disturbance}
@@ -309,6 +291,18 @@ class ControlledRig:
                 self.rig.safe()
             elif not self.whole:
                 self.rig.apply(np.zeros(len(self.inputs)))
+
+
+@contextmanager
+def _told(where, more=""):
+    """Say in an error where it arose."""
+    try:
+        yield
+    except RigError as error:
+        raise type(error)(f"{where}: {error}{more}") from None
+    except Exception as error:
+        error.add_note(f"in {where}")
+        raise
 
 
 def _rounded(values, decimals):

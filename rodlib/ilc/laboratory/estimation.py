@@ -18,6 +18,7 @@ from rodlib.ilc.laboratory.impulse import impulse_of
 from rodlib.ilc.laboratory.log import LogError
 from rodlib.ilc.laboratory.notes import loop_of
 from rodlib.ilc.loop import ClosedLoop, Loop
+from rodlib.ilc.plants import Measured
 from rodlib.ilc.problem import largest_singular_values
 
 LINES = 200  # frequencies at which the region is found
@@ -33,11 +34,12 @@ LATE = 0.4  # of a response in the later half of the record, from which on it do
 TAIL = 10  # draws beyond which a quantile is extrapolated, as of a normal distribution
 
 
-@dataclass(frozen=True)
-class EstimatedResponse:
+@dataclass(frozen=True, repr=False)
+class EstimatedResponse(Measured):
     """The frequency response from an input to y as estimated, and responses that may be the truth.
 
-    Made by :func:`rodlib.measured_response`; it stands wherever a measured response does.
+    Where it is not known, the radius admits all that is not larger than the largest that is known;
+    above all that is known, than at the last frequency that is.
     """
 
     omega: np.ndarray  # rad/s, shape (n,)
@@ -50,7 +52,7 @@ class EstimatedResponse:
     alone: np.ndarray  # shape (n,): what lines by themselves would be off by, in the largest P
     findings: tuple[str, ...] = ()
 
-    @property
+    @cached_property
     def response(self) -> np.ndarray:
         """The estimate at `omega`, shape (n, m, m), complex."""
         return self._at(self.omega)
@@ -65,24 +67,7 @@ class EstimatedResponse:
         errors = self.errors.reshape(-1, *self.errors.shape[2:])
         return largest_singular_values(errors).reshape(len(self.errors), -1)
 
-    def radius(self, confidence: float = 0.95, jointly: bool = False) -> np.ndarray:
-        """Radius of ||Delta||, the largest singular value, that covers the truth.
-
-        Parameters
-        ----------
-        confidence : float
-            Probability, between 0 and 1, that the truth lies within.
-        jointly : bool
-            Whether within all radii at once, rather than within each.
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            At `omega`. Where the response is not known, it admits all that is not larger than the
-            largest that is known; above all that is known, than at the last frequency that is.
-        """
-        confidence = arguments.number("confidence", confidence, "between 0 and 1", 0, 1)
-        jointly = arguments.flag("jointly", jointly)
+    def _radius(self, confidence, jointly):
         norms = self._norms
         radius = np.sqrt(np.mean(norms**2, axis=0))
         worst = norms / radius
@@ -98,38 +83,17 @@ class EstimatedResponse:
         anything[last:] = (size + radius)[last]
         return np.where(self.known, radius, size + anything)
 
-    def on(self, omega, confidence: float = 0.95, scale=None) -> tuple[np.ndarray, np.ndarray]:
-        """Response and radius on other frequencies, for the synthesis.
-
-        Parameters
-        ----------
-        omega : array_like, shape (n,)
-            Frequencies, rad/s.
-        confidence : float
-            Probability that the truth lies within the radius at all frequencies that are known.
-        scale : array_like, shape (m,), optional
-            Units of the channels, of both response and radius; see :func:`rodlib.ilc.synthesise`.
-
-        Returns
-        -------
-        response : ndarray, shape (n, m, m), complex
-        radius : ndarray, shape (n,)
-            The larger one of the two neighbours in `self.omega`.
-        """
-        omega = np.abs(arguments.row("omega", omega))
-        if scale is not None:
-            scale = arguments.array("scale", scale, (len(self.loop.outputs),))
-            units = scale / scale[:, None]
-            own = replace(self, impulse=self.impulse * units, errors=self.errors * units)
-            return own.on(omega, confidence)
+    def _on(self, omega, confidence):
+        """With the larger radius of the two neighbours in `self.omega`."""
         radius = self.radius(confidence, jointly=True)
         after = np.searchsorted(self.omega, omega).clip(1, len(radius) - 1)
         return self._at(omega), np.maximum(radius[after - 1], radius[after])
 
-    def basis(self, omega, confidence: float = 0.95) -> tuple[str, ...]:
-        """What it was estimated from, and what is assumed beside it; the findings last."""
-        confidence = arguments.number("confidence", confidence, "between 0 and 1", 0, 1)
-        arguments.row("omega", omega)
+    def _scaled(self, scale):
+        units = scale / scale[:, None]
+        return replace(self, impulse=self.impulse * units, errors=self.errors * units)
+
+    def _basis(self, omega, confidence):
         lines = [
             f"P estimated from {self.record}; wherever it is known, the truth is within the radius "
             f"with confidence {confidence:g}",
@@ -145,12 +109,12 @@ class EstimatedResponse:
                 f"{np.mean(~self.known):.0%} of {LINES} frequencies: elsewhere the input had too "
                 "little power; assumed: P is not larger there"
             )
-        return (*lines, *self.findings)
+        return lines
 
     def __repr__(self):
         radius = self.radius()[self.known]
         within = f"within {radius.min():.2g} to {radius.max():.2g} (95 %, at each frequency)"
-        return "\n".join([*self.basis(self.omega), within])
+        return f"{super().__repr__()}\n{within}"
 
 
 def estimated_response(log: xr.Dataset, of: str | None = None) -> EstimatedResponse:

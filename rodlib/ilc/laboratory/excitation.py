@@ -104,12 +104,7 @@ class Excitation:
 
 
 def multisine(
-    loop: Loop,
-    lowest: float,
-    highest: float,
-    amplitude,
-    hours: float,
-    lines: int = 40,
+    loop: Loop, lowest: float, highest: float, amplitude, hours: float, lines: int = 40
 ) -> Excitation:
     """An excitation for a loop: as many periods as fit into the time, lines all over the band.
 
@@ -127,10 +122,6 @@ def multisine(
     lines : int
         Number of lines, spaced evenly on a logarithmic scale as far as harmonics can be; where
         they would fall on the same, there are fewer.
-
-    Returns
-    -------
-    Excitation
     """
     Ts, m = check_loop(loop).Ts, len(loop.outputs)
     nyquist = np.pi / Ts

@@ -4,7 +4,7 @@ import numpy as np
 import xarray as xr
 
 from rodlib.ilc import arguments
-from rodlib.ilc.filters import LearningFilter, LearningOperator, ZeroPhaseButterworth, update
+from rodlib.ilc.filters import LearningFilter, LearningOperator, ZeroPhaseButterworth
 from rodlib.ilc.laboratory.controlled_rig import ControlledRig
 from rodlib.ilc.laboratory.excitation import Excitation
 from rodlib.ilc.laboratory.notes import BEGUN, with_excitation, with_law
@@ -47,13 +47,12 @@ def record(
         Its names and units are those of the record.
     Q, L : ZeroPhaseButterworth, LearningOperator
         L None switches learning off. A log can name no other L than a LearningFilter.
-    reference : array_like, shape (time, m) or (trial, time, m)
-        Reference trajectory, of all trials or of each.
+    reference, trials, rest :
+        As for :func:`rodlib.run_trials`.
     disturbance : array_like, shape (time, d) or (trial, time, d), optional
         What to command to those of ``loop.disturbances`` that are inputs of the rig. What it
         measures of them is recorded instead of the values given here; of others nothing is known,
         and they must be zero. Further trials than those recorded are ignored. Default zero.
-    trials : int
     pause : int, optional
         Samples between two trials. Default: until the outputs are back and still, two trials at
         most; for a rig that has `begin`, none.
@@ -63,8 +62,6 @@ def record(
         next one follows; a last trial that is shorter than the first is dropped. If it has `trials`
         or more, none is run, and all of them are returned. Meanwhile no other process can record
         to it.
-    rest : int
-        Number of samples at the end of every trial in which v is held at zero.
     step : float
         Of :func:`rodlib.update`, in (0, 1], the same after every trial.
     decimals : dict, optional
@@ -120,10 +117,9 @@ def record(
     reference = each_trial("reference", reference, trials, "time", loop.outputs)
     samples = reference.shape[1]
     rest = arguments.whole("rest", rest, 0, samples - 1)
-    first = np.zeros(reference.shape[1:])
-    if v is not None:
-        first = arguments.in_columns("v", v, first.shape, loop.outputs)
-        first[samples - rest :] = 0
+    first = np.zeros(reference.shape[1:]) if v is None else v
+    first = arguments.in_columns("v", first, reference.shape[1:], loop.outputs)
+    first[samples - rest :] = 0
     step = arguments.share("step", step)
     commanded = controlled.commanded(disturbance, trials, samples)
 
@@ -132,8 +128,6 @@ def record(
         if L is None or not done:
             return signals["v"][-1] if done else first
         r, v, y = reference[done - 1], signals["v"][-1], signals["y"][-1]
-        if not controlled.actuators:
-            return update(v, r - y, Q, L, rest, step)
         told = (signals[name][-1] for name in ("u", "applied") if name in signals)
         commands = commands_of(loop, controlled.actuators, r + v, *told)
         return projected(v, r - y, commands, Q, L, loop, controlled.actuators, rest, step)

@@ -1,4 +1,4 @@
-"""Limits, a lower and a higher number each, and what lies beyond them."""
+"""Commands that actuators do not follow, and limits beyond which an experiment stops."""
 
 from collections.abc import Sequence
 
@@ -6,41 +6,35 @@ import numpy as np
 
 from rodlib.ilc import arguments
 from rodlib.ilc.actuators import named_limits
+from rodlib.ilc.units import by_unit
 
 FAR = 5.0  # times the largest reference that outputs may be beyond all references
 WIDE = 100.0  # times what an actuator follows, that commands may span: no loop that works does
 
 
-def beyond(values, limits: tuple[float, float]) -> np.ndarray:
-    """Which of the values are lower or higher."""
-    low, high = limits
-    return (values < low) | (values > high)
-
-
 def commands_beyond(u, controls: Sequence[str], limits: dict[str, tuple[float, ...]]) -> str:
     """What share of the commands u, shape (..., control), actuators do not follow; "" for none."""
-    shares = {
-        name: beyond(u[..., i], limits[name][:2]).mean()
-        for i, name in enumerate(controls)
-        if name in limits
-    }
+    shares = {}
+    for i, name in enumerate(controls):
+        if name in limits:
+            low, high, *_ = limits[name]
+            shares[name] = ((u[..., i] < low) | (u[..., i] > high)).mean()
     words = ", ".join(f"{name} in {share:.1%}" for name, share in shares.items() if share)
     return words and f"commands were beyond the limits of {words} of all samples"
 
 
-def stop_limits(stop, reference, outputs, units, commands, followed) -> dict:
+def stop_limits(stop, reference, loop, followed) -> dict:
     """Limits of outputs and commands beyond which an experiment stops, by name.
 
     `stop` overrides those that follow from the reference (..., time, output), all outputs of a unit
     together, and from what the actuators follow; None stands for no limit.
     """
-    size = np.abs(reference).reshape(-1, len(outputs)).max(axis=0)
-    limits = {}
-    for i, name in enumerate(outputs):
-        largest = max(size[j] for j, unit in enumerate(units) if unit == units[i])
-        if largest:
+    outputs, commands, limits = loop.outputs, loop.commands, {}
+    for channels in by_unit([loop.units[name] for name in outputs]).values():
+        largest = np.abs(reference[..., channels]).max()
+        for i in channels if largest else ():
             low, high = reference[..., i].min(), reference[..., i].max()
-            limits[name] = float(low - FAR * largest), float(high + FAR * largest)
+            limits[outputs[i]] = float(low - FAR * largest), float(high + FAR * largest)
     for name, (low, high, *_) in followed.items():
         middle, half = (low + high) / 2, (high - low) / 2
         if name in commands:

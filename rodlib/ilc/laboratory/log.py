@@ -1,9 +1,4 @@
-"""The trial log, a plain-text table that data/README.md describes: loaded and saved, with checks.
-
-Metadata stand in lines that begin with ``#``, then comma-separated values, one row per trial and
-sample. pandas reads it with ``read_csv(path, comment="#")``, MATLAB with
-``readtable(path, "CommentStyle", "#")``.
-"""
+"""The trial log, a plain-text table: loaded and saved, with checks; see data/README.md."""
 
 import json
 import re
@@ -114,7 +109,6 @@ def save_log(trials: xr.Dataset, path) -> None:
             values = values.reshape(len(columns["time"]), -1).T
             names = [f"{signal}_{name}" for name in trials[role].values]
             columns |= dict(zip(names, values, strict=True))
-    stated.limits_of(metadata, columns)  # or it could not be loaded
     for title, values in columns.items():
         if not np.isfinite(values).all():
             raise ValueError(f"trials have values that are not finite in {title!r}")
@@ -173,10 +167,9 @@ def _load(path, ended=False, resample=False):
         found = metadata.get("format")
         problems.append(f"metadata: format is {found!r}, but must be {FORMAT!r}: {hint}")
     refuse(path, problems)  # all further ones would follow from these
-    signals, titles, plausible = stated.columns_of(table)
+    signals, titles = stated.columns_of(table)
     refuse(path, problems)
-    own = stated.units_of(signals)
-    for name, unit in own.items():
+    for name, unit in stated.units_of(signals).items():
         try:
             units.understood(name, unit)
         except ValueError as error:
@@ -185,7 +178,6 @@ def _load(path, ended=False, resample=False):
     problems += stated.problems_of_titles(table.header, ["trial", "time", *titles])
     problems += table.problems_of(["trial", "time", *titles])
     problems += [] if table.columns.size else ["the table has no rows"]
-    problems += stated.implausible(table, plausible, own) if not problems else []
     refuse(path, problems)
     if ended:
         _drop_short_last_trial(table)

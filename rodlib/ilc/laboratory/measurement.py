@@ -1,8 +1,6 @@
 """From a shaken loop to its frequency response P, with the region in which the truth lies.
 
-No model is fitted. Each line of the excitation is looked at with the lines around it that are not
-excited: these hold what remains of the transient, a smooth function of frequency, and noise. The
-transient is interpolated and taken off; what scatters about it is the noise, and so the accuracy.
+No model is fitted: the notes of :func:`measured_response` say what is done instead.
 """
 
 import reprlib
@@ -12,7 +10,6 @@ from dataclasses import dataclass, replace
 import control
 import numpy as np
 import xarray as xr
-from scipy.interpolate import make_interp_spline
 
 from rodlib.ilc import arguments
 from rodlib.ilc.laboratory.estimation import EstimatedResponse, estimated_response
@@ -24,13 +21,14 @@ from rodlib.ilc.laboratory.region import radius_of
 from rodlib.ilc.laboratory.tables import few
 from rodlib.ilc.laboratory.tabulated import TabulatedResponse, tabulated
 from rodlib.ilc.laboratory.transient import NEIGHBOURS, SPAN, nearest, separated, windows_of
-from rodlib.ilc.loop import Loop
+from rodlib.ilc.loop import CurrentTrialLoop, Loop
+from rodlib.ilc.plants import Measured, interpolated, probability
 
 ROUNDED = 0.02  # of the amplitude: how far w may be from the excitation, as logs hold few digits
 
 
-@dataclass(frozen=True)
-class MeasuredResponse:
+@dataclass(frozen=True, repr=False)
+class MeasuredResponse(Measured):
     """The frequency response from w to y as measured, and how far off it may be.
 
     At each frequency its error is C^(1/2) G `spread`, where the entries of G, m by m, are
@@ -46,70 +44,34 @@ class MeasuredResponse:
     loop: Loop  # whose controller ran; if its observer integrates, P(0) = I
     findings: tuple[str, ...] = ()  # what speaks against the measurement, and what follows
 
-    def radius(self, confidence: float = 0.95, jointly: bool = False) -> np.ndarray:
-        """Radius of ||Delta||, the largest singular value, that covers the truth.
-
-        Parameters
-        ----------
-        confidence : float
-            Probability, between 0 and 1, that the truth lies within.
-        jointly : bool
-            Whether within all radii at once, rather than within each.
-
-        Returns
-        -------
-        ndarray, shape (n,)
-        """
+    def _radius(self, confidence, jointly):
         miss = _miss(confidence, jointly, len(self.omega))
         return radius_of(self.noise, self.spread, self.freedom, miss)
 
-    def on(self, omega, confidence: float = 0.95, scale=None) -> tuple[np.ndarray, np.ndarray]:
-        """Response and radius on other frequencies, for the synthesis.
+    def _on(self, omega, confidence):
+        """Splined, at negative frequencies as well, and I at zero if that is known of the loop.
 
-        Parameters
-        ----------
-        omega : array_like, shape (n,)
-            Frequencies, rad/s.
-        confidence : float
-            Probability that the truth lies within the radius at all measured frequencies.
-        scale : array_like, shape (m,), optional
-            Units of the channels, of both response and radius; see :func:`rodlib.ilc.synthesise`.
-
-        Returns
-        -------
-        response : ndarray, shape (n, m, m), complex
-            A cubic spline through what was measured, at negative frequencies as well, and I at
-            frequency zero, if that is known of the loop.
-        radius : ndarray, shape (n,)
-            That of the neighbours, interpolated linearly, and by how much the spline differs from
-            straight lines. Above the highest frequency the response is the one there, and the
-            radius contains all that is not larger. :meth:`basis` says what is assumed by that.
+        The radius is that of the neighbours, interpolated linearly, and by how much the spline
+        differs from straight lines. Above the highest frequency the response is the one there, and
+        the radius contains all that is not larger.
         """
-        omega = np.abs(arguments.row("omega", omega))
-        if scale is not None:
-            return self._in_units_of(scale).on(omega, confidence)
         radius, knots, P = self.radius(confidence, jointly=True), self.omega, self.response
         both, P_both = np.append(-knots[::-1], knots), np.append(P[::-1].conj(), P, axis=0)
         if self.anchored:
             radius, knots = np.append(0.0, radius), np.append(0.0, knots)
             both = np.insert(both, len(P), 0.0)
-            P_both = np.insert(P_both, len(P), self.loop.static_gain, axis=0)
-        spline, straight = (
-            make_interp_spline(both, P_both, k)(np.minimum(omega, knots[-1])) for k in (3, 1)
-        )
-        bend = np.linalg.norm(spline - straight, 2, axis=(1, 2))
+            P_both = np.insert(P_both, len(P), np.eye(P.shape[1]), axis=0)
+        spline, bend = interpolated(both, P_both, np.minimum(omega, knots[-1]))
         beyond = omega > knots[-1] * (1 + 1e-9)
         anything = 2 * np.linalg.norm(P[-1], 2) + radius[-1]
         return spline, np.where(beyond, anything, np.interp(omega, knots, radius) + bend)
 
     @property
     def anchored(self) -> bool:
-        """Whether P(0) is known of the loop."""
-        return self.loop.static_gain is not None
+        """Whether P(0) = I is known of the loop: its observer integrates."""
+        return isinstance(self.loop, CurrentTrialLoop)
 
-    def _in_units_of(self, scale):
-        """The same with its channels divided by scale."""
-        scale = arguments.array("scale", scale, (len(self.loop.outputs),))
+    def _scaled(self, scale):
         return replace(
             self,
             response=self.response * scale / scale[:, None],
@@ -117,11 +79,9 @@ class MeasuredResponse:
             spread=self.spread * scale,
         )
 
-    def basis(self, omega, confidence: float = 0.95) -> tuple[str, ...]:
-        """What was measured, and what :meth:`on` assumes beside it; the findings last."""
-        confidence = arguments.number("confidence", confidence, "between 0 and 1", 0, 1)
+    def _basis(self, omega, confidence):
         low, high = self.omega[[0, -1]]
-        beyond = np.count_nonzero(arguments.row("omega", omega) > high * (1 + 1e-9))
+        beyond = np.count_nonzero(omega > high * (1 + 1e-9))
         lines = [
             f"P measured at {len(self.omega)} frequencies from {low:.4g} to {high:.4g} rad/s; at "
             f"all of them the truth is within the radius with confidence {confidence:g}",
@@ -133,7 +93,7 @@ class MeasuredResponse:
                 f"assumed: above {high:.4g} rad/s, at {beyond} of the design frequencies, P is not "
                 "larger than there"
             )
-        return (*lines, *self.findings)
+        return lines
 
     def __repr__(self):
         radius = self.radius()
@@ -208,21 +168,19 @@ def measured_response(
         raise ValueError("uncertainty must be None where log is a record, which tells its own")
     excitation, loop = excitation_of(log), loop_of(log)
     if excitation is None or of is not None:
-        estimated = estimated_response(log, of)
-        for finding in estimated.findings:
-            warnings.warn(finding, stacklevel=2)
-        return estimated
-    if loop is None:
+        measured = estimated_response(log, of)
+    elif loop is None:
         raise LogError("log names no loop in its metadata: it is not of shake; or say `of`")
-    w, y = _signals(log, excitation)
-    windows = windows_of(excitation.harmonics, excitation, loop)
-    measured = _estimate(w, y, windows, excitation, loop)
-    findings = findings_of(
-        log.get("u", log.v).values, y, actuators_of(log), windows, excitation, measured
-    )
-    for finding in findings:
+    else:
+        w, y = _signals(log, excitation)
+        windows = windows_of(excitation.harmonics, excitation, loop)
+        measured = _estimate(w, y, windows, excitation, loop)
+        made = windows, excitation, measured
+        findings = findings_of(log.get("u", log.v).values, y, actuators_of(log), *made)
+        measured = replace(measured, findings=findings)
+    for finding in measured.findings:
         warnings.warn(finding, stacklevel=2)
-    return replace(measured, findings=findings)
+    return measured
 
 
 def expected_radius(
@@ -247,7 +205,8 @@ def expected_radius(
     """
     arguments.instance("excitation", excitation, Excitation)
     arguments.instance("rest", rest, xr.Dataset)
-    miss = _miss(confidence, jointly, len(excitation.harmonics))
+    jointly = arguments.flag("jointly", jointly)
+    miss = _miss(probability(confidence), jointly, len(excitation.harmonics))
     loop, m = loop_of(rest), excitation.channels
     if loop is None:
         raise LogError("rest names no loop in its metadata: it is not of record")
@@ -276,8 +235,6 @@ def expected_radius(
 
 def _miss(confidence, jointly, count):
     """Probability that the truth lies outside at one of `count` frequencies."""
-    confidence = arguments.number("confidence", confidence, "between 0 and 1", 0, 1)
-    jointly = arguments.flag("jointly", jointly)
     return 1 - (confidence ** (1 / count) if jointly else confidence)
 
 

@@ -19,15 +19,9 @@ MOVES = 0.1  # of the largest reference: a sensor that stands still although as 
 
 
 def mistake_in(model: control.StateSpace, u, known, y, reference, outputs, inputs) -> str | None:
-    """The mistake that explains a trial from rest, in words.
+    """The mistake that explains a trial from rest, of signals (time, channel), in words.
 
-    Parameters
-    ----------
-    model : control.StateSpace
-        Its inputs are the commands u, then what is known beside them.
-    u, known, y, reference : ndarray, shape (time, channel)
-    outputs, inputs : sequence of str
-        Names of y and u.
+    The inputs of the model are the commands u, then what is known beside them.
     """
     drifts = np.abs(model.poles()).max(initial=0) > arguments.CIRCLE  # with any disturbance
     if len(y) < 2 or drifts or not reference.any():
@@ -52,13 +46,9 @@ def mistake_in(model: control.StateSpace, u, known, y, reference, outputs, input
     beside = power(foretold)
     if beside.max() <= OTHER**2:
         return None
-    left, best = min(
-        (
-            (power(other).sum(), text)
-            for text, other in _others(answers, foretold, y, outputs, inputs)
-        ),
-        default=(np.inf, None),
-    )
+    others = _others(answers, foretold, y, outputs, inputs)
+    found = ((power(other).sum(), text) for text, other in others)
+    left, best = min(found, default=(np.inf, None))
     return best if left <= LEFT * beside.sum() else None
 
 

@@ -14,13 +14,7 @@ import xarray as xr
 from rodlib.ilc import arguments
 from rodlib.ilc.actuators import named_limits
 from rodlib.ilc.files import read_json, write_whole
-from rodlib.ilc.filters import (
-    LearningFilter,
-    LearningOperator,
-    ZeroPhaseButterworth,
-    check_Q,
-    zero_phase_butterworth,
-)
+from rodlib.ilc.filters import LearningFilter, LearningOperator, ZeroPhaseButterworth, check_Q
 from rodlib.ilc.laboratory.excitation import Excitation
 from rodlib.ilc.laboratory.log import LogError
 from rodlib.ilc.loop import ClosedLoop, CurrentTrialLoop, Loop, check_loop
@@ -136,7 +130,7 @@ def notes_of_law(Q: ZeroPhaseButterworth, L: LearningFilter | None) -> dict:
 
 
 def _filter_of(note: Mapping, Ts) -> ZeroPhaseButterworth:
-    return zero_phase_butterworth(note["order"], note["cutoff"], Ts, ends=note["ends"])
+    return ZeroPhaseButterworth(note["order"], note["cutoff"], Ts, note["ends"])
 
 
 def _learning_filter_of(note: Mapping | None, Ts) -> LearningFilter | None:
@@ -173,19 +167,7 @@ def earlier_laws_of(trials: xr.Dataset) -> list[tuple[int, xr.Dataset]]:
 def loop_of(trials: xr.Dataset) -> Loop | None:
     """The loop noted in the metadata of a log, to the last digit; None if it does not say.
 
-    Parameters
-    ----------
-    trials : xarray.Dataset
-        From :func:`rodlib.load_log` or :func:`rodlib.record`.
-
-    Returns
-    -------
-    CurrentTrialLoop or ClosedLoop, or None
-
-    Raises
-    ------
-    LogError
-        If the note is there but cannot be understood, or is that of other signals or units.
+    If the note cannot be understood, or is that of other signals or units, a LogError says so.
     """
 
     def read(note):
@@ -249,17 +231,7 @@ def save_law(path, Q: ZeroPhaseButterworth, L: LearningFilter, note: str = "") -
 
 
 def load_law(path) -> tuple[ZeroPhaseButterworth, LearningFilter]:
-    """Read Q and L, as in ``record(rig, loop, *load_law(path), reference)``.
-
-    Parameters
-    ----------
-    path : path-like
-        Written by :func:`save_law`.
-
-    Returns
-    -------
-    tuple of ZeroPhaseButterworth and LearningFilter
-    """
+    """Read Q and L of :func:`save_law`, as in ``record(rig, loop, *load_law(path), reference)``."""
     path = arguments.path("path", path)
     text = path.read_text(encoding="utf-8")
     if text.startswith("#"):

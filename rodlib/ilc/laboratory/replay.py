@@ -17,16 +17,8 @@ import xarray as xr
 from rodlib.ilc import arguments
 from rodlib.ilc.actuators import Actuators
 from rodlib.ilc.filters import LearningFilter, ZeroPhaseButterworth, update
+from rodlib.ilc.laboratory import notes
 from rodlib.ilc.laboratory.log import signals_of
-from rodlib.ilc.laboratory.notes import (
-    BEGUN,
-    actuators_of,
-    earlier_laws_of,
-    law_of,
-    loop_of,
-    rest_of,
-    step_of,
-)
 from rodlib.ilc.laboratory.start import Start
 from rodlib.ilc.loop import ClosedLoop, Loop
 from rodlib.ilc.models import state_sequence
@@ -81,13 +73,13 @@ class Replay:
     @cached_property
     def simulated(self) -> xr.Dataset | None:
         """The same experiment on the model: the law, each trial's reference, the disturbances."""
-        if self.loop is None or self.law is None or not self.from_the_first or self.loop.P is None:
+        if self.loop is None or self.law is None or self.loop.P is None:
+            return None
+        if self.earlier or not self.from_the_first:
             return None
         reference = self.trials.reference.values
         unknown = self.loop.disturbances if isinstance(self.loop, ClosedLoop) else self.untold
         told = self.disturbance * [name not in unknown for name in self.loop.disturbances]
-        if self.earlier:
-            return None
         made = {"trials": len(reference), "rest": self.rest, "step": self.step}
         made["limits"] = self.limits or None
         made["v"] = self.trials.v.values[0] if self.begun else None
@@ -137,14 +129,12 @@ class Replay:
         v, found = self.trials.v.values, {}
         for k, number in enumerate(self.numbers):
             L = self._law_of_trial(number).law[1]
-            if number == 1:
-                expected = np.full_like(v[k], np.nan) if self.begun else np.zeros_like(v[k])
-            elif L is None and not self.begun and not self.earlier:
-                expected = np.zeros_like(v[k])
+            if not self.begun and (number == 1 or (L is None and not self.earlier)):
+                expected = 0.0
             elif k and self.numbers[k - 1] == number - 1:
                 expected = self._after(k - 1)
             else:
-                expected = np.full_like(v[k], np.nan)
+                expected = np.nan
             found[number] = np.abs(v[k] - expected).max(axis=0)
         return pd.DataFrame.from_dict(found, "index", columns=self.outputs).rename_axis("trial")
 
@@ -241,7 +231,7 @@ class Replay:
     @property
     def begun(self) -> bool:
         """Whether v of the first trial was given."""
-        return BEGUN in self.trials.attrs
+        return notes.BEGUN in self.trials.attrs
 
     @property
     def from_the_first(self) -> bool:
@@ -265,10 +255,6 @@ def replay_of(trials: xr.Dataset, untold: Sequence[str] = ()) -> Replay:
     untold : sequence of str, optional
         Names of disturbances that the simulation shall not be told of.
 
-    Returns
-    -------
-    Replay
-
     Warns
     -----
     UserWarning
@@ -281,15 +267,16 @@ def replay_of(trials: xr.Dataset, untold: Sequence[str] = ()) -> Replay:
     listed = isinstance(untold, Sequence) and not isinstance(untold, str)
     if not (listed and all(isinstance(name, str) for name in untold)):
         raise ValueError(f"untold = {reprlib.repr(untold)} must be a list of names")
-    law, loop = law_of(trials), loop_of(trials)
+    law, loop = notes.law_of(trials), notes.loop_of(trials)
+    noted = notes.law_of, notes.rest_of, notes.step_of, notes.actuators_of
     earlier = tuple(
-        (until, Replay(log, loop, law_of(log), rest_of(log), step_of(log), actuators_of(log), ()))
-        for until, log in earlier_laws_of(trials)
+        (until, Replay(log, loop, *(of(log) for of in noted), ()))
+        for until, log in notes.earlier_laws_of(trials)
     )
-    limits = {} if law is None else actuators_of(trials)  # not those of an excitation
+    limits = {} if law is None else notes.actuators_of(trials)  # not those of an excitation
     if limits and (loop is None or not (isinstance(loop, ClosedLoop) or "u" in trials)):
         law, limits = None, {}  # without which it cannot be followed
-    made = law, rest_of(trials), step_of(trials), limits, tuple(untold), earlier
+    made = law, notes.rest_of(trials), notes.step_of(trials), limits, tuple(untold), earlier
     replay = Replay(trials, loop, *made)
     for finding in replay.findings:
         warnings.warn(finding, stacklevel=2)

@@ -1,7 +1,6 @@
 """What a replay shows, in words and as tables."""
 
 import json
-from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
@@ -12,6 +11,7 @@ from rodlib.ilc.files import write_pieces
 from rodlib.ilc.laboratory.replay import Replay
 from rodlib.ilc.laboratory.tables import few, quoted, rows
 from rodlib.ilc.trials import rms
+from rodlib.ilc.units import by_unit
 
 HEARD = 0.01  # of the error in the loudest octave: less is not worth a line
 AGREES = 1e-5  # of the largest v of an output: logs may hold few digits of it
@@ -110,11 +110,6 @@ def save_following(replay: Replay, path) -> None:
         f"{','.join(['time', *map(quoted, titles)])}\n"
     )
     write_pieces(path, [head.encode(), rows([replay.trials.time.values, *replay.following.T])])
-
-
-def by_unit(units: Sequence[str]) -> dict[str, list[int]]:
-    """Channels whose signals have the same unit, and so can stand in one sum or picture."""
-    return {unit: [i for i, other in enumerate(units) if other == unit] for unit in units}
 
 
 def with_unit(text: str, unit: str) -> str:

@@ -108,14 +108,14 @@ def _problems_of_clock(table, Ts):
     return []
 
 
-def about_clock(table: Table, Ts: float, unit: str = "s") -> str | None:
+def about_clock(table: Table, Ts: float) -> str | None:
     """What a clock that is good enough shows, if it is not as exact as a computed one."""
     steps, _ = _steps(table)
     if not steps.size or np.abs(steps - Ts).max() <= SLACK * Ts:
         return None
     low, middle, high = steps.min(), np.median(steps), steps.max()
     return (
-        f"steps from {low:.4g} to {high:.4g} {unit}, median {middle:.4g}, where Ts = {Ts:.6g}; no "
+        f"steps from {low:.4g} to {high:.4g} s, median {middle:.4g}, where Ts = {Ts:.6g}; no "
         "sample is lost"
     )
 

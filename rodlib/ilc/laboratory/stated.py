@@ -1,13 +1,9 @@
-"""What the metadata of a log state: signals, their units and limits, and the sampling period."""
+"""What the metadata of a log state: signals, their units, and the sampling period."""
 
 import difflib
 
-import numpy as np
-
 from rodlib.ilc import arguments, units
-from rodlib.ilc.actuators import named_limits
 from rodlib.ilc.files import read_json
-from rodlib.ilc.laboratory import limits
 from rodlib.ilc.laboratory.tables import NUMBER, few
 
 SIGNALS = {  # and what the channels of each are; u only if the commands are known
@@ -21,9 +17,10 @@ ROLES = {  # in the metadata
 
 
 def columns_of(table):
-    """Signals by role, what each column is of, limits by column; notes problems."""
+    """Signals by role, and what each column is of; notes problems."""
     try:
-        signals = _object("signals", table.metadata)
+        stated = read_json(table.metadata.get("signals", "{}"))
+        signals = arguments.instance("signals", stated, dict)
         m = len(arguments.instance("outputs", signals.get("outputs"), dict))
         for key in signals:
             arguments.instance(key, signals[key], dict)
@@ -35,11 +32,10 @@ def columns_of(table):
                 "measured stands there as 'measured', other inputs as 'disturbances'"
             )
         units_of(signals)
-        titles = titles_of(signals, table.header)
-        return signals, titles, limits_of(table.metadata, titles)
-    except (TypeError, ValueError) as error:
-        table.problems.append(f"metadata: signals or limits cannot be understood: {error}")
-        return {}, {}, {}
+        return signals, titles_of(signals, table.header)
+    except (ValueError, RecursionError) as error:
+        table.problems.append(f"metadata: signals must be a JSON object of names by role: {error}")
+        return {}, {}
 
 
 def titles_of(signals, header):
@@ -62,23 +58,6 @@ def units_of(signals):
             if found.setdefault(name, unit) != unit:
                 raise ValueError(f"{name!r} has two units, {found[name]!r} and {unit!r}")
     return found
-
-
-def limits_of(metadata, titles):
-    """The limits of plausibility that are stated, by column."""
-    stated = _object("limits", metadata)
-    unknown = [title for title in stated if title not in titles]
-    if unknown:
-        raise ValueError(f"limits are stated for {few(unknown)}, which are no columns")
-    return named_limits("limits", stated, list(titles))
-
-
-def _object(name, metadata):
-    """A JSON object of the metadata."""
-    try:
-        return arguments.instance(name, read_json(metadata.get(name, "{}")), dict)
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"{name} must be a JSON object: {error}") from None
 
 
 def period(metadata, problems):
@@ -105,19 +84,3 @@ def problems_of_titles(header, titles) -> list[str]:
             problems.append(f"unknown column {title!r}{hint}")
     missing = [title for title in titles if title not in header]
     return problems + ([f"missing columns {few(missing)}"] if missing else [])
-
-
-def implausible(table, plausible, own):
-    """What is not within the limits."""
-    problems = []
-    for title, (low, high) in plausible.items():
-        values, unit = table.column(title), own[title.partition("_")[2]]
-        rows = np.flatnonzero(limits.beyond(values, (low, high)))
-        if rows.size:
-            trial = table.column("trial")[rows[0]]
-            problems.append(
-                f"{title}: implausible value {values[rows[0]]:g} in trial {trial:g}, row "
-                f"{table.lines[rows[0]]}: not from {low:g} to {high:g} {unit}; "
-                f"wrong unit? ({rows.size} such values)"
-            )
-    return problems

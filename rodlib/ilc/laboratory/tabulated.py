@@ -4,18 +4,17 @@ from dataclasses import dataclass, replace
 
 import control
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 from rodlib.ilc import arguments
 from rodlib.ilc.loop import ClosedLoop
+from rodlib.ilc.plants import Measured, interpolated
 
 
-@dataclass(frozen=True)
-class TabulatedResponse:
+@dataclass(frozen=True, repr=False)
+class TabulatedResponse(Measured):
     """A table of a frequency response, with what is known of its accuracy.
 
-    Made by :func:`rodlib.measured_response`. The lines of a table that brings no radius count as
-    exact; between them nothing is.
+    The lines of a table that brings no radius count as exact; between them nothing is.
     """
 
     omega: np.ndarray  # rad/s, shape (n,)
@@ -23,46 +22,42 @@ class TabulatedResponse:
     uncertainty: np.ndarray  # (n,): the radius at each line, whatever the confidence
     loop: ClosedLoop | None  # names and sampling period, if the table says one
 
-    def on(self, omega, confidence: float = 0.95, scale=None) -> tuple[np.ndarray, np.ndarray]:
-        """Response and radius on other frequencies, as :meth:`MeasuredResponse.on` gives them.
+    def _radius(self, confidence, jointly):
+        return self.uncertainty
 
-        The response is a cubic spline over the logarithm of the frequency. The radius is that of
-        the neighbours, interpolated, and by how much the spline differs from straight lines; beyond
-        the ends of the table it contains all that is not larger than there.
+    def _on(self, omega, confidence):
+        """Splined over the logarithm of the frequency.
+
+        The radius is that of the neighbours, interpolated, and by how much the spline differs from
+        straight lines; beyond the ends of the table it contains all that is not larger than there.
         """
-        arguments.number("confidence", confidence, "between 0 and 1", 0, 1)
-        omega = np.abs(arguments.row("omega", omega))
-        if scale is not None:
-            scale = arguments.array("scale", scale, (self.response.shape[1],))
-            units = scale / scale[:, None]
-            widest = self.uncertainty * units.max()  # the norm of Delta is not more in these units
-            own = replace(self, response=self.response * units, uncertainty=widest)
-            return own.on(omega, confidence)
         low, high = self.omega[[0, -1]]
         within, knots = np.log(np.clip(omega, low, high)), np.log(self.omega)
-        spline, straight = (make_interp_spline(knots, self.response, k)(within) for k in (3, 1))
-        radius = np.linalg.norm(spline - straight, 2, axis=(1, 2))
+        spline, radius = interpolated(knots, self.response, within)
         radius += np.interp(within, knots, self.uncertainty)
-        outside = (omega < low * (1 - 1e-9)) | (omega > high * (1 + 1e-9))
-        return spline, radius + np.where(outside, 2 * np.linalg.norm(spline, 2, axis=(1, 2)), 0)
+        beyond = 2 * np.linalg.norm(spline, 2, axis=(1, 2))
+        return spline, radius + np.where(self._outside(omega), beyond, 0)
 
-    def basis(self, omega, confidence: float = 0.95) -> tuple[str, ...]:
-        """What the table holds, and what is assumed beside it."""
-        arguments.number("confidence", confidence, "between 0 and 1", 0, 1)
-        omega, (low, high) = arguments.row("omega", omega), self.omega[[0, -1]]
+    def _outside(self, omega):
+        low, high = self.omega[[0, -1]]
+        return (omega < low * (1 - 1e-9)) | (omega > high * (1 + 1e-9))
+
+    def _scaled(self, scale):
+        units = scale / scale[:, None]
+        widest = self.uncertainty * units.max()  # the norm of Delta is not more in these units
+        return replace(self, response=self.response * units, uncertainty=widest)
+
+    def _basis(self, omega, confidence):
+        low, high = self.omega[[0, -1]]
         known = "with its radius" if self.uncertainty.any() else "as exact as its lines"
         lines = [
             f"P from a table of {len(self.omega)} frequencies from {low:.4g} to {high:.4g} rad/s, "
             f"{known}",
             "assumed: between them P is not further from their spline than straight lines are",
         ]
-        outside = np.mean((omega < low * (1 - 1e-9)) | (omega > high * (1 + 1e-9)))
-        if outside:
+        if outside := np.mean(self._outside(omega)):
             lines.append(f"assumed: beyond, at {outside:.0%} of omega, P is not larger than there")
-        return tuple(lines)
-
-    def __repr__(self):
-        return "\n".join(self.basis(self.omega))
+        return lines
 
 
 def tabulated(table: control.FrequencyResponseData, uncertainty=None) -> TabulatedResponse:

@@ -63,10 +63,8 @@ class TemperatureControlLab:
         self.rest = arguments.array("rest", rest, (2,))
         if self.rest.min() < 0 or self.rest.max() > 100:
             raise ValueError(f"rest = {rest!r} must be two numbers from 0 to 100 %")
-        self.Ts = arguments.number(
-            "Ts", Ts, "a sampling period up to a minute, in s", 0, LAST + 1e-9
-        )
-        self.wait = arguments.number("wait", wait, "a minute or more, in s", LAST - 1e-9)
+        self.Ts = arguments.number("Ts", Ts, "a sampling period up to a minute, in s", 0, most=LAST)
+        self.wait = arguments.number("wait", wait, "a minute or more, in s", least=LAST)
         seed = arguments.whole("seed", seed, 0)
         tclab = _package()
         self.lab = tclab.TCLab() if self.kit else tclab.TCLabModel(synced=False)
@@ -126,15 +124,8 @@ def heat_balance(gain_1, gain_2, loss, exchange, lag, Ts) -> control.StateSpace:
 
     dH_i/dt = gain_i Q_i - loss H_i - exchange (H_i - H_j),    lag dT_i/dt = H_i - T_i
 
-    Parameters
-    ----------
-    gain_1, gain_2, loss, exchange, lag, Ts : float
-        In K/s per %, 1/s (to the air, and to the other heater) and s.
-
-    Returns
-    -------
-    control.StateSpace
-        From Q1, Q2 (%, held for a period) to T1, T2 (K), all counted from a state of rest.
+    From Q1, Q2 (%, held for Ts) to T1, T2 (K), all counted from a state of rest. The units of the
+    parameters are in `UNITS`.
     """
     I = np.eye(2)  # noqa: E741
     lost = (loss + exchange) * I - exchange * I[::-1]
@@ -183,10 +174,6 @@ def fit_heat_balance(heaters, readings, Ts: float) -> HeatBalanceFit:
         In %, above those at rest, held for Ts; in K or degC, from any zero. Begins at rest.
     Ts : float
         Sampling period, s.
-
-    Returns
-    -------
-    HeatBalanceFit
 
     Warns
     -----

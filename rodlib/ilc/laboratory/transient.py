@@ -44,7 +44,9 @@ class Window:
 
 def windows_of(harmonics, excitation, loop):
     """Of each harmonic the nearest lines that are none."""
-    pole = loop.slowest or 1 - 2 * np.pi / excitation.period  # if unknown, as slow as is shaken
+    model = loop.closed if isinstance(loop, CurrentTrialLoop) else loop.P
+    pole = 0 if model is None else np.abs(model.poles()).max(initial=0)
+    pole = pole or 1 - 2 * np.pi / excitation.period  # if unknown, as slow as is shaken
     evaluated, windows = excitation.evaluated, []
     for line in excitation.periods * np.array(harmonics):
         lines = np.arange(1, min(int(SPAN * line) + 1, (evaluated + 1) // 2))

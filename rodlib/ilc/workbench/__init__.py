@@ -8,22 +8,17 @@ From a plant and the knobs to a filter, its picture and the Python that makes it
 
 import os
 
-from rodlib.ilc import arguments
-from rodlib.ilc.workbench.outcome import Outcome, try_out
-from rodlib.ilc.workbench.picture import Picture
-from rodlib.ilc.workbench.plants import Family, Plant, plant_of_file
-from rodlib.ilc.workbench.settings import Settings
+from rodlib.ilc import arguments, lazily
+from rodlib.ilc.workbench.plants import Family, Plant
 
-__all__ = [
-    "Family",
-    "Outcome",
-    "Picture",
-    "Plant",
-    "Settings",
-    "plant_of_file",
-    "try_out",
-    "workbench",
-]
+MODULES = {
+    "outcome": "Outcome try_out",
+    "picture": "Picture",
+    "plants": "Family Plant plant_of_file",
+    "settings": "Settings",
+}
+__getattr__, __dir__, __all__ = lazily(__name__, MODULES)
+__all__ += ["workbench"]
 
 
 def workbench(

@@ -43,14 +43,7 @@ class Outcome:
 def try_out(settings: Settings) -> Outcome:
     """Design a filter, certify it and simulate ten trials; never raise because of the settings.
 
-    Parameters
-    ----------
-    settings : Settings
-
-    Returns
-    -------
-    Outcome
-        The same for the same settings, whatever was tried out before.
+    The same for the same settings, whatever was tried out before.
     """
     arguments.instance("settings", settings, Settings)
     try:

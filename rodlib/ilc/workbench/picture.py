@@ -59,16 +59,7 @@ class Picture:
     def show(self, outcome: Outcome, before: Outcome | None = None) -> "Picture":
         """Put in the lines of an outcome, and of one before it in gray; or why there is no filter.
 
-        Parameters
-        ----------
-        outcome : Outcome
-        before : Outcome, optional
-            With a filter. It is left out if that has other channels or another sampling period.
-
-        Returns
-        -------
-        Picture
-            Itself.
+        The one before is left out if it has other channels or another sampling period.
         """
         arguments.instance("outcome", outcome, Outcome)
         if before is not None:

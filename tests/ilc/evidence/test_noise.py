@@ -18,7 +18,6 @@ from rodlib import (
     current_trial_loop,
     midr,
     minimal_realisation,
-    noise_bound,
     noise_by_trial,
     paper_loop,
     run_trials,
@@ -238,7 +237,6 @@ def test_Q_may_be_samples_and_complex(m, seed):
     q = Q.frequency_response(new.measured.omega)
     found, same = (converged_noise(new, each, L).learned.density for each in (Q, q))
     np.testing.assert_array_equal(found, same)
-    assert noise_bound(new, q, 0.5, 2.0) == noise_bound(new, Q, 0.5, 2.0)
     turned = converged_noise(new, q * np.exp(1j * new.measured.omega), L).learned.density
     limit = 1e-9 * np.abs(found).max()
     np.testing.assert_allclose(turned, found, rtol=0, atol=limit)
@@ -250,48 +248,6 @@ def test_one_channel_has_a_closed_form(seed):
     M, QPL = responses(new, Q, L)
     expected = new.measured.density * (1 + np.abs(QPL) ** 2 / (1 - np.abs(M) ** 2))
     np.testing.assert_allclose(converged_noise(new, Q, L).measured.density, expected, rtol=1e-10)
-
-
-@given(sizes, seeds, st.lists(steps, min_size=1, max_size=30))
-def test_no_trial_is_above_the_bound_and_one_channel_may_attain_it(m, seed, step):
-    new, Q, L = random_case(m, seed)
-    rate = np.linalg.norm(responses(new, Q, L)[0], 2, axis=(1, 2))
-    gain = np.linalg.norm(L.frequency_response(new.measured.omega), 2, axis=(1, 2))
-    reached = [converged_noise(new, Q, L), converged_noise(new, Q, L, step[0])]
-    reached = max(each.learned.total for each in reached + noise_by_trial(new, Q, L, step))
-    sharp = noise_bound(new, Q, rate, gain)
-    assert reached <= sharp * (1 + 1e-12)
-    assert sharp <= noise_bound(new, Q, rate.max(), gain.max()) * (1 + 1e-12)
-    assert noise_bound(new, Q, rate.max(), 1e9) < np.inf  # a bound on M is one on Q P L
-
-
-def test_where_the_bound_is_sharp():
-    """One channel, M at its bound and Q P L as large as Q and M allow, or as P and L do."""
-    omega, Q = np.linspace(0.01, 3, 50), zero_phase_butterworth(1, 1.0)
-    L = LearningFilter([[[1.0]]], 1.0)
-    z = np.exp(1j * omega)[:, None, None]
-    ahead = known(omega, (1 + 0.8) / z, 1.0)  # P L = 1.8
-    rate = 0.8 * Q.frequency_response(omega)
-    for L_max in (1.0, 100.0):
-        expected = converged_noise(ahead, Q, L).learned.total
-        assert noise_bound(ahead, Q, rate, L_max) == pytest.approx(expected, rel=1e-12)
-    assert noise_bound(ahead, Q, rate, 0.5) < expected
-    # Where Q P L is at most 0.1, M is at most 0.2, whatever its bound.
-    plain = known(omega, np.ones((50, 1, 1)), 1.0)
-    found = noise_bound(plain, np.full(50, 0.1), 0.9, 1.0)
-    assert found == pytest.approx(0.1 / np.sqrt(1 - 0.2**2), rel=1e-12)
-
-
-@pytest.mark.parametrize("name", ["rod", "stage", "tanks"])
-def test_the_bound_holds_for_every_design_within_its_limits(name):
-    loop, Q, omega, filters = case(name)
-    new = trial_noise(loop, omega, noise=colour(omega, loop.Ts, 0.5), disturbance=0.1)
-    for L in filters:
-        learned = converged_noise(new, Q, L).learned.total
-        limits = [np.linalg.norm(x, 2, axis=(1, 2)) for x in
-                  (responses(new, Q, L)[0], L.frequency_response(omega))]  # fmt: skip
-        assert learned <= noise_bound(new, Q, *limits) * (1 + 1e-12)
-        assert learned <= noise_bound(new, Q, 0.95, 50.1)
 
 
 @given(sizes, seeds, steps)
@@ -433,10 +389,4 @@ def test_what_does_not_fit_is_refused():
     with pytest.raises(ValueError, match="L acts on 1 channels, but must act on 3"):
         converged_noise(new, Q, LearningFilter([[[1.0]]], 2.0))
     with pytest.raises(ValueError, match=r"noise\.Ts = 2.0 s, Q\.Ts = 1.0 s"):
-        noise_bound(new, zero_phase_butterworth(), 0.9, 50)
-    with pytest.raises(ValueError, match="M_max reaches 1, but must be below one"):
-        noise_bound(new, Q, 1.0, 50)
-    with pytest.raises(ValueError, match="L_max reaches -1, but must not be negative"):
-        noise_bound(new, Q, 0.9, -1.0)
-    with pytest.raises(ValueError, match=r"M_max has shape \(2,\), but must have shape \(500,\)"):
-        noise_bound(new, Q, [0.9, 0.9], 50)
+        converged_noise(new, zero_phase_butterworth(), L)

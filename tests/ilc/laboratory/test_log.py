@@ -97,11 +97,6 @@ def test_a_log_with_an_accident_is_read_or_refused_in_words(tmp_path_factory, st
         (GOOD.replace('"disturbances"', '"noises"'), "one control for each output"),
         (GOOD.replace("# signals: ", "# signals:" + "[" * 10000), "signals must be a JSON object"),
         (GOOD.replace('"rain": ""', '"depth": "m"'), "'depth' has two units"),
-        (GOOD.replace("# Ts", '# limits: {"y_depth": [0, 0.5]}\n# Ts'),
-         "y_depth: implausible value 0.75 in trial 1, row 6: not from 0 to 0.5 mm; wrong uni"),
-        (GOOD.replace("# Ts", '# limits: {"y": [0, 0.5]}\n# Ts'), "for ['y'], which are no col"),
-        (GOOD.replace("# Ts", '# limits: {"y_depth": [1, 0]}\n# Ts'), "a lower and a higher num"),
-        (GOOD.replace("# Ts", '# limits: {"y_depth": [-Infinity, 1]}\n# Ts'), "-Infinity is no n"),
         (HEAD + COLUMNS + "".join(ROWS[:-1]), "different lengths: 3 samples in trial 3; 4 samples "
          "in trial 1, 2"),
     ],
@@ -330,7 +325,6 @@ def test_attributes_come_back_as_a_line_of_text(tmp_path, good):
         (lambda t: t.assign_coords(output_unit=("channel", ["cubit/fortnite"])), "not understood"),
         (lambda t: t.assign_attrs(format="mine"), "attribute 'format' cannot be"),
         (lambda t: t.assign_attrs({"a: b": "mine"}), "attribute 'a: b' cannot be"),
-        (lambda t: t.assign_attrs(limits='{"depth": [0, 0.5]}'), "no columns"),
     ],
 )
 def test_what_would_not_be_read_alike_is_not_saved(tmp_path, good, changed, message):

@@ -1,6 +1,7 @@
 """Experiments that go wrong while somebody watches: what is said of them, and what is kept."""
 
 import warnings
+from types import SimpleNamespace
 
 import control
 import numpy as np
@@ -94,7 +95,9 @@ def test_what_was_learned_before_a_stop_is_kept(loop, Q, tmp_path):
 
 def test_limits_follow_from_the_reference_and_the_rig_unless_they_are_given(loop, Q):
     reference = np.array([[0.0, 1.0, 0.0], [2.0, -1.0, 0.0]])
-    given = reference, ["a", "b", "c"], ["K", "K", "m"], ["u", "x"], {"u": (0.0, 2.0)}
+    units = {"a": "K", "b": "K", "c": "m"}
+    loop_of_three = SimpleNamespace(outputs=["a", "b", "c"], commands=["u", "x"], units=units)
+    given = reference, loop_of_three, {"u": (0.0, 2.0)}
     assert stop_limits(None, *given) == {"a": (-10, 12), "b": (-11, 11), "u": (-99, 101)}
     own = stop_limits({"a": None, "c": (-1, 1), "u": (0, 1)}, *given)
     assert own == {"b": (-11, 11), "c": (-1, 1), "u": (0, 1)}

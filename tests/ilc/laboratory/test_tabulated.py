@@ -26,6 +26,7 @@ def test_the_truth_is_within_the_radius_between_the_lines():
     assert "as exact as its lines" in repr(found)
     wide = measured_response(table(), uncertainty=np.full(14, 0.01))
     np.testing.assert_allclose(wide.on(dense)[1], radius + 0.01)
+    np.testing.assert_array_equal(wide.radius(0.5, jointly=True), np.full(14, 0.01))
     assert "with its radius" in repr(wide) and "at 50% of omega" in wide.basis([7.0, 800.0])[-1]
 
 

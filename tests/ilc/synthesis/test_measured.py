@@ -13,6 +13,7 @@ from rodlib import (
     synthesise,
     zero_phase_butterworth,
 )
+from rodlib.ilc.plants import Measured
 from rodlib.ilc.posing import pose
 from rodlib.ilc.problem import convergence_matrix, largest_singular_values
 
@@ -20,7 +21,7 @@ CONFIDENCE = 0.9
 
 
 @dataclass(frozen=True)
-class Estimate:
+class Estimate(Measured):
     """A response, and a radius that is said to contain the truth."""
 
     P: np.ndarray
