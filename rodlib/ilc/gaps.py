@@ -22,8 +22,7 @@ def without_gaps(problem: Problem) -> Problem:
     # But for a delay, a filter of n samples is a polynomial of degree (n - 1) / 2 in exp(i angle).
     # Next to its largest value it falls no faster than the cosine of that degree (M. Riesz).
     known, near = problem.angles, np.pi / (4 * problem.order)
-    bounded = problem.L_max is not None and not problem.everywhere  # where L passes it, see there
-    coarse = bounded and _reach(known).max() > near
+    coarse = problem.L_max is not None and _reach(known).max() > near
     if not coarse and problem.beyond is None:
         return problem
     end = 0 if coarse else known[problem.asked][-1]
@@ -31,8 +30,9 @@ def without_gaps(problem: Problem) -> Problem:
     added = [np.linspace(a, b, 1 + int(np.ceil((b - a) / near)))[1:-1] for a, b in gaps]
     ends = np.array([0, np.pi])
     added.append(ends[(ends >= end) & (np.abs(ends - known[[0, -1]]) > ROUNDING)])
-    problem, _ = _with(problem, np.sort(np.concatenate(added)) / problem.Ts)
-    if coarse:
+    added = np.sort(np.concatenate(added)) / problem.Ts
+    problem = refined(problem, added) if problem.everywhere else _with(problem, added)[0]
+    if coarse and not problem.everywhere:  # which finds where L passes its bound all the same
         share = np.cos((problem.order - 1) / 2 * _reach(problem.angles))
         problem = replace(problem, share_L=share)
     return problem if problem.beyond is None else _bounded_beyond(problem, near)

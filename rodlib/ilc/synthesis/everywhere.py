@@ -21,7 +21,7 @@ from rodlib.ilc.filters import LearningFilter
 from rodlib.ilc.gaps import refined
 from rodlib.ilc.problem import Problem, Solution, largest_singular_values
 
-ROUNDS = 50
+ROUNDS, FURTHER = 50, 5000  # and further frequencies, at which to give up
 PASSED = 2e-8  # share of a bound that the proof of a peak may pass it by
 SAME = 1e-8  # relative distance of frequencies that are one
 NEAR = 0.99  # share of a bound from which on a crest is held with those that pass it
@@ -34,10 +34,9 @@ def settled(
     """The problem, with all frequencies that its bounds need, and what a solver makes of it."""
     solution = solver(problem, start)
     for _ in range(ROUNDS if problem.everywhere else 0):
-        omega = _passing(problem, solution, 1 + passed)
-        if not len(omega):
+        wider = _wider(problem, solution, 1 + passed)
+        if wider is None or len(wider.omega) - problem.asked.sum() > FURTHER:
             break
-        wider = refined(problem, omega, *_between(problem, solution, omega))
         found = solver(wider, carried(solution, problem.omega, wider.omega))
         iterations = solution.iterations + found.iterations
         solution = replace(found, method=solution.method, iterations=iterations)
@@ -45,28 +44,55 @@ def settled(
     return problem, solution
 
 
-def _passing(problem, solution, most):
-    """Frequencies where a solution passes its bounds: crests that samples show, or else peaks."""
-    L = LearningFilter(solution.coefficients, problem.Ts)
-    limit = most * (solution.largest if problem.objective == "peak" else problem.M_max)
-    limit_L = np.inf if problem.L_max is None else most * problem.L_max
-    limit_L *= solution.largest if problem.objective == "gain" else 1
+def _wider(problem, solution, most):
+    """The problem with frequencies at which a solution passes its bounds; None if there are none.
+
+    These are the crests that samples show or, where none of them does, the peaks that are proven,
+    of which some is only what rounding may add.
+    """
+    for places in (_crests_of, _peaks_of):
+        omega = _new(problem.omega, np.array(places(problem, solution, most)))
+        if not len(omega):
+            continue
+        wider = refined(problem, omega, *_between(problem, solution, omega))
+        if any((sigma > limit).any() for sigma, limit in _sizes(wider, solution, most)):
+            return wider
+    return None
+
+
+def _sizes(problem, solution, most):
+    """The largest singular values of M, of all plants, and of L, each with what it may be."""
+    limit, limit_L = problem.M_max, np.inf if problem.L_max is None else problem.L_max
+    if problem.objective == "peak":  # of which next to nothing may be rounding
+        limit = solution.largest + (most - 1) * (problem.unit(solution.largest) - solution.largest)
+    if problem.objective == "gain":
+        limit_L *= solution.largest
     response, plants = problem.response(solution), range(1 + len(problem.others))
-    sigma_M = np.array([largest_singular_values(problem.M(response, k)) for k in plants])
-    sizes = (sigma_M.max(axis=0), limit), (largest_singular_values(response), limit_L)
+    sigma_M = [largest_singular_values(problem.M(response, k)) for k in plants]
+    return (np.array(sigma_M), most * limit), (largest_singular_values(response), most * limit_L)
+
+
+def _crests_of(problem, solution, most):
+    """Where the crests of samples pass a bound, if any does; then others that nearly do, too."""
+    (sigma_M, limit), (sigma_L, limit_L) = _sizes(problem, solution, most)
+    known = problem.P.any(axis=(1, 2))  # elsewhere M stands as zero
 
     def crests(share):
-        return [at for size, most in sizes for at in _crests(problem.omega, size, share * most)]
+        of_M = _crests(problem.omega[known], sigma_M.max(axis=0)[known], share * limit)
+        return [*of_M, *_crests(problem.omega, sigma_L, share * limit_L)]
 
-    found = crests(1)
-    if found:
-        found = crests(NEAR)  # the next round could hold one and have another rise
-    else:
-        peaks = [*proven_peaks(problem, L), *estimated_peaks(problem, L, sigma_M.max(axis=1))]
-        found = [peak.omega for peak in peaks if peak.sigma > limit]
-        sigma, omega = peak_gain(learning_model(L))
-        found += [omega] if sigma > limit_L else []
-    return _new(problem.omega, np.array(found))
+    # the next round could hold one and have another rise
+    return crests(NEAR) if crests(1) else []
+
+
+def _peaks_of(problem, solution, most):
+    """Where a peak passes a bound, proven, or estimated between samples."""
+    (sigma_M, limit), (_, limit_L) = _sizes(problem, solution, most)
+    L = LearningFilter(solution.coefficients, problem.Ts)
+    peaks = [*proven_peaks(problem, L), *estimated_peaks(problem, L, sigma_M.max(axis=1))]
+    sigma, omega = peak_gain(learning_model(L))
+    passing = [peak.omega for peak in peaks if peak.sigma > limit]
+    return [*passing, omega] if sigma > limit_L else passing
 
 
 def _crests(omega, sigma, limit):
