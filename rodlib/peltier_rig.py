@@ -133,10 +133,20 @@ class PeltierRig(Bench):
         p, sections, m = parameters, rod.sections, len(rod.sensors)
         cells = sections * p.cells
         dz, n = rod.length / cells, cells + sections
-        self._cells, self._sinks = slice(cells), slice(cells, n)
-        self._top = rod.width * dz  # area of a cell's surface, m2
-        self._capacity = np.full(n + m, rod.kappa_1 * rod.width * rod.height * dz)  # J/K
-        self._capacity[self._sinks] = p.sink_capacity
+        self._sinks = slice(cells, n)
+        capacity = np.full(n + m, rod.kappa_1 * rod.width * rod.height * dz)  # J/K
+        capacity[self._sinks] = p.sink_capacity
+        # K/s of every state: for 1 W from the elements, for 1 K of the room, on 1 W/m2 of surface
+        elements, self._fan, surface = np.zeros((n + m, sections)), np.zeros(n + m), np.zeros(n + m)
+        elements[:cells] = np.kron(np.eye(sections), np.full((p.cells, 1), 1 / p.cells))
+        elements[self._sinks] = -np.eye(sections)
+        elements /= capacity[:, None]
+        self._peltier = p.element.seebeck * elements
+        self._joule = p.element.resistance / 2 * np.abs(elements)
+        self._fan[self._sinks] = p.fan / p.sink_capacity
+        surface[:cells] = rod.width * dz / capacity[:cells]
+        self._convection = p.convection * surface
+        self._radiation = p.emissivity * Stefan_Boltzmann * surface
 
         flows = np.zeros((n + m, n + m))  # W/K
         links = [
@@ -147,7 +157,7 @@ class PeltierRig(Bench):
         for i, j, g in links:
             flows[[i, j, i, j], [i, j, j, i]] += [-g, -g, g, g]
         flows[self._sinks, self._sinks] -= p.fan * np.eye(sections)
-        A = flows / self._capacity[:, None]
+        A = flows / capacity[:, None]
 
         middles = (np.arange(cells) + 0.5) * dz
         shown = np.zeros((m, n + m))
@@ -165,7 +175,7 @@ class PeltierRig(Bench):
         self._rest()
 
     def _rest(self):
-        self._state = np.zeros(len(self._capacity))  # cells, sinks, sensors, K above the room
+        self._state = np.zeros(len(self._fan))  # cells, sinks, sensors, K above the room
         self.currents = np.zeros(self.rod.sections)  # A
 
     @property
@@ -195,25 +205,22 @@ class PeltierRig(Bench):
         p = self.parameters
         sinks = p.temperature + (self._state[self._sinks] if p.sinks_measured else 0)
         wanted = p.known.current(asked, p.temperature, sinks)
-        self.currents = np.clip(wanted, -p.element.limit, p.element.limit)
-        slopes = self._slopes(self._state)
+        limit = p.element.limit
+        self.currents = np.minimum(np.maximum(wanted, -limit), limit)
+        room = p.temperature + self.ambient
+        pumped = self._peltier @ self.currents  # 1/s, by absolute temperatures
+        given = self._joule @ self.currents**2 + self._fan * self.ambient
+        given += self._radiation * room**4
+        slopes = self._slopes(self._state, pumped, given)
         ahead = self._decay @ self._state + self._first @ slopes
-        self._state = ahead + self._second @ (self._slopes(ahead) - slopes)
+        self._state = ahead + self._second @ (self._slopes(ahead, pumped, given) - slopes)
         self.time += self.Ts
 
-    def _slopes(self, state):
+    def _slopes(self, state, pumped, given):
         """What is not in the exponentials: K/s of every state."""
-        p, T = self.parameters, self.parameters.temperature
-        flows, theta = np.zeros(len(state)), state[self._cells]
-        above, hot = theta - self.ambient, T + theta
-        lost = p.convection * np.sqrt(np.sqrt(np.abs(above))) * above
-        lost += p.emissivity * Stefan_Boltzmann * (np.square(hot * hot) - (T + self.ambient) ** 4)
-        joule = p.element.resistance * self.currents**2 / 2
-        pumped = p.element.seebeck * self.currents
-        spread = pumped[:, None] * hot.reshape(-1, p.cells) + joule[:, None]
-        flows[self._cells] = spread.ravel() / p.cells - lost * self._top
-        flows[self._sinks] = joule - pumped * (T + state[self._sinks]) + p.fan * self.ambient
-        return flows / self._capacity
+        above, hot = state - self.ambient, state + self.parameters.temperature
+        lost = self._convection * np.sqrt(np.sqrt(np.abs(above))) * above
+        return given + pumped * hot - lost - self._radiation * np.square(hot * hot)
 
 
 class RestartingPeltierRig(Restarting, PeltierRig):

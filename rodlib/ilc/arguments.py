@@ -173,6 +173,8 @@ def array(name: str, value, shape: Sequence[int | str], dtype: type = float) -> 
     usual = type(value) is np.ndarray and value.dtype == dtype and value.shape == tuple(shape)
     if usual and value.size and np.abs(value).max() <= LARGEST:
         return value.copy()  # as in every sample of an experiment
+    if type(value) is float and not shape and abs(value) <= LARGEST:
+        return np.array(value, dtype)
     try:
         plain = np.asanyarray(value)
     except (TypeError, ValueError):

@@ -121,34 +121,36 @@ def _nearest(loop, actuators, v, applied, wanted, weight, rest):
     if actuators.can((applied + x @ K.T + change @ N.T)[:active]):
         return wanted
 
-    # Of the states x and the change of v in each sample: C gives outputs, S commands, V itself.
-    C, S, V = np.hstack([P.C, P.D]), np.hstack([K, N]), np.eye(m, P.nstates + m, P.nstates)
+    # Of the states x and the change of the commands in each sample: V is the change of v itself.
+    n = P.nstates
+    X, S = np.eye(n, n + m), np.eye(m, n + m, n)
+    V = np.linalg.solve(N, S - K @ X)
+    C, following = P.C @ X + P.D @ V, P.A @ X + P.B @ V
     one, earlier = sparse.eye_array(len(v)), sparse.eye_array(len(v), k=-1)
     square = C.T @ C + weight * V.T @ V
-    linear = -np.hstack([x, change]) @ square
-    moves = sparse.kron(one, np.eye(P.nstates, P.nstates + m))
-    moves = moves - sparse.kron(earlier, np.hstack([P.A, P.B]))
+    linear = -np.hstack([x, x @ K.T + change @ N.T]) @ square
+    moves = sparse.kron(one, X) - sparse.kron(earlier, following)
     still = sparse.kron(one, V).tocsr()[active * m :]
     F, equal = sparse.vstack([moves, still]), np.append(np.zeros(moves.shape[0]), -v[active:])
 
     # How far commands, and their steps, may go from those applied, before the rest.
     applied, step = applied[:active], actuators.step[None, :]
     margin, moved = np.minimum(actuators.rounding, step / 4), np.diff(applied, axis=0)
-    low = np.vstack([actuators.lowest + margin - applied, margin - step - moved]).ravel()
-    high = np.vstack([actuators.highest - margin - applied, step - margin - moved]).ravel()
-    commands, steps = (sparse.kron(of, S).tocsr()[: active * m] for of in (one, one - earlier))
-    kept = np.isfinite(low)  # as are those above
-    G = sparse.vstack([commands, steps[m:]], format="csr")[kept]
+    low, high = np.full((2, len(v), n + m), [[[-np.inf]], [[np.inf]]])
+    low[:active, n:] = actuators.lowest + margin - applied
+    high[:active, n:] = actuators.highest - margin - applied
+    kept = np.isfinite(np.tile(step, (active - 1, 1))).ravel()
+    G = sparse.kron(one - earlier, S).tocsr()[m : active * m][kept]
+    steps = ((sign * (step - margin) - moved).ravel()[kept] for sign in (-1, 1))
 
     solver = piqp.SparseSolver()
-    matrices = (sparse.csc_matrix(matrix) for matrix in (sparse.kron(one, square), F, G))
-    H, F, G = matrices
-    solver.setup(H, linear.ravel(), F, equal, G, low[kept], high[kept])
+    H, F, G = (sparse.csc_matrix(matrix) for matrix in (sparse.kron(one, square), F, G))
+    solver.setup(H, linear.ravel(), F, equal, G, *steps, low.ravel(), high.ravel())
     status = solver.solve()
     if status != piqp.PIQP_SOLVED:
         raise RuntimeError(
             f"the solver PIQP has found no v within the limits, {status}: are they very narrow, or "
             "the loop's signals of very different sizes?"
         )
-    z = solver.result.x.reshape(len(v), -1)[:, P.nstates :]
+    z = solver.result.x.reshape(len(v), -1) @ V.T
     return np.append((v + z)[:active], np.zeros((rest, m)), axis=0)

@@ -75,7 +75,7 @@ def reproduce(root: Path = ROOT) -> None:
     """Run all notebooks and publish the figures and the ledger; on an error, publish nothing."""
     texts = {path: path.read_text("utf-8") for path in sorted((root / "notebooks").glob("*.ipynb"))}
     cells = {path: len(json.loads(text)["cells"]) for path, text in texts.items()}
-    notebooks = sorted(cells, key=cells.get, reverse=True)  # so that the last to end are short
+    notebooks = sorted(cells, reverse=True)  # so that the last to end, the paper's, are short
     with folder_of_run("reproduce", root) as build:
         print(f"running {len(notebooks)} notebooks, {AT_A_TIME} at a time ...", flush=True)
         bar = tqdm(total=sum(cells.values()), unit="cell", leave=False, disable=None)

@@ -106,7 +106,7 @@ def test_a_terminal_shows_the_cells_that_are_left_and_a_file_only_lines(root):
     assert (root / "stdout").read_text().count("01-model ... done, ") == 1
 
 
-def test_the_notebooks_with_most_cells_go_first(root, monkeypatch):
+def test_the_paper_s_notebooks_which_are_short_go_last(root, monkeypatch):
     started = []
 
     def run(notebook, executed, bar):
@@ -117,10 +117,10 @@ def test_the_notebooks_with_most_cells_go_first(root, monkeypatch):
     monkeypatch.setattr(reproduce, "AT_A_TIME", 1)
     monkeypatch.setattr(reproduce, "run", run)
     monkeypatch.setattr(reproduce, "publish", lambda build, root: None)
-    for name, cells in (("02-some", 3), ("03-many", 5), ("04-few", 1)):
+    for name, cells in (("02-some", 3), ("16-few", 1), ("07-many", 5)):
         write(root / "notebooks" / f"{name}.ipynb", *["1"] * cells)
     reproduce.reproduce(root)
-    assert started == ["03-many", "02-some", "01-model", "04-few"]
+    assert started == ["16-few", "07-many", "02-some", "01-model"]
 
 
 @pytest.mark.parametrize(

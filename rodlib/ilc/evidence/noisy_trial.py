@@ -2,8 +2,8 @@
 
 In :mod:`~rodlib.ilc.evidence.noise` trials have no ends. In a real one v is missing before the
 start. A learning filter with a large gain has coefficients that all but cancel; of a sample of
-noise near the start it applies some and not the others, and these do not cancel. Here the law
-itself, :func:`rodlib.update`, tells what one trial makes of the one before, ends included:
+noise near the start it applies some and not the others, and these do not cancel. Here the filters
+themselves tell what the law (23) makes of a trial, ends included:
 
     v_{k+1} = M v_k - B x_k,    V = M V M^T + B X B^T,    X = cov x_k,
 
@@ -12,13 +12,12 @@ and what learning adds to the error has the covariance P V P^T.
 
 import numpy as np
 import xarray as xr
-from scipy.fft import dct, idct
-from scipy.signal import fftconvolve
+from scipy.fft import idct, irfft, next_fast_len, rfft
 
 from rodlib.ilc import arguments
 from rodlib.ilc.evidence.finite_trial import impulse_response
 from rodlib.ilc.evidence.noise import NEGLIGIBLE
-from rodlib.ilc.filters import LearningOperator, ZeroPhaseButterworth, check_learning, update
+from rodlib.ilc.filters import LearningOperator, ZeroPhaseButterworth, check_learning
 from rodlib.ilc.loop import CurrentTrialLoop, with_noise
 from rodlib.ilc.trials import check_law
 
@@ -111,33 +110,36 @@ def noise_on_trial(
 def _learned(P, X, law, trials):
     """Variance of P v, shape (time, m), on a trial as long as the impulse responses P and X."""
     length, m, _ = P.shape
-    Q, _, rest, _ = law
+    Q, L, rest, step = law
     active = length - rest  # samples of v
     gain = Q.frequency_response(np.arange(active) * np.pi / (active * Q.Ts))
     count = max(np.flatnonzero(gain > FAINT).max() + 1, min(active, ALL))
+    cosines = np.pad(idct(np.eye(count, active), norm="ortho", axis=1), [(0, 0), (0, rest)])
 
-    def after(v, e):
-        """What the law makes of them, in cosines: a column for each signal."""
-        at = range(0, len(v), SIDE_BY_SIDE)
-        parts = [update(*(z[i : i + SIDE_BY_SIDE] for z in (v, e)), *law)[:, :active] for i in at]
-        parts = [dct(part, norm="ortho", axis=1)[:, :count] for part in parts]
-        return np.concatenate(parts).reshape(len(v), -1).T
+    def of_impulses(apply, channels, outputs):
+        """`outputs` after a filter of impulses at all times in all channels, side by side."""
+        parts = []
+        for at in range(0, length * channels, SIDE_BY_SIDE):
+            one = np.eye(min(SIDE_BY_SIDE, length * channels - at), length * channels, at)
+            out = apply(one.reshape(len(one), length, -1))
+            reached = out.any(axis=(0, 2))  # by a short filter few samples
+            parts.append(np.tensordot(outputs[:, reached], out[:, reached], (1, 1)))
+        return np.concatenate(parts, axis=1)
 
-    cosines = np.zeros((count, 1, length, 1))
-    cosines[:, 0, :active, 0] = idct(np.eye(count, active), norm="ortho", axis=1)
-    v = (cosines * np.eye(m)[:, None]).reshape(-1, length, m)
-    y = fftconvolve(cosines, P.transpose(2, 0, 1)[None], axes=2)[:, :, :length]
-    y = y.reshape(-1, length, m)
-    V = np.zeros((count * m,) * 2)
-    for at in range(0, length, SIDE_BY_SIDE):  # noise at these samples
-        x = np.zeros((min(SIDE_BY_SIDE, length - at), m, length, m))
-        for k, each in enumerate(x):
-            each[:, at + k :] = np.moveaxis(X[: length - at - k], 2, 0)
-        added = after(np.zeros((x.shape[0] * m, length, m)), -x.reshape(-1, length, m))
+    of_v = step * of_impulses(Q.apply, 1, cosines)[..., 0]  # what the law makes, in cosines, of v
+    of_e = of_impulses(L.apply, m, of_v).reshape(count, length, m, m).transpose(0, 3, 2, 1)
+    of_e = of_e.reshape(count * m, m, length)  # and of e
+    fast = next_fast_len(2 * length, real=True)
+    P, X = (rfft(each.transpose(2, 1, 0), fast) for each in (P, X))  # from, to, frequency
+    y = irfft(rfft(cosines, fast)[:, None, None] * P, fast)[..., :length].reshape(count * m, -1)
+    V, backward = np.zeros((count * m,) * 2), rfft(of_e[..., ::-1], fast)
+    for noise in X:  # of a sensor, from the last sample, which reaches least, to the first
+        added = irfft(np.einsum("cjf,jf->cf", backward, noise), fast)[:, :length]
         V += added @ added.T
-    V = _accumulated(after(v, -y), V, trials)
-    y = y.reshape(len(V), -1)
-    return np.maximum(((V @ y) * y).sum(axis=0), 0).reshape(length, m)
+    of_e = of_e.reshape(count * m, -1)
+    of_v = of_v @ cosines.T + (1 - step) * np.eye(count)
+    V = _accumulated(np.kron(of_v, np.eye(m)) - of_e @ y.T, V, trials)
+    return np.maximum(((V @ y) * y).sum(axis=0), 0).reshape(m, length).T
 
 
 def _accumulated(M, added, trials):

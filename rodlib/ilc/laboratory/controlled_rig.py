@@ -39,8 +39,12 @@ class Controller:
 
     def step(self, y, w) -> np.ndarray:
         """The controls u(p) from the measured y(p) and w(p); advances the observer."""
-        loop, m = self.loop, len(self.delta)
-        y, w = arguments.array("y", y, (m,)), arguments.array("w", w, (m,))
+        shape = self.delta.shape
+        return self._advance(arguments.array("y", y, shape), arguments.array("w", w, shape))
+
+    def _advance(self, y, w) -> np.ndarray:
+        """As `step`, of what was checked."""
+        loop = self.loop
         u = _rounded(loop.N @ w - loop.Ks @ self._x_hat - self.delta, self.decimals)  # (18)
         surprise = loop.KL @ (y - loop.plant.C @ self._x_hat)
         n, forced = len(self._x_hat), self._B @ (self.follow(u) + self.delta)
@@ -61,7 +65,7 @@ class ControlledRig:
             raise ValueError(f"rig = {reprlib.repr(rig)} has no {', '.join(missing)}: see Rig")
         self.rig, self.loop = rig, check_loop(loop)
         self.ours = isinstance(loop, CurrentTrialLoop)  # the controller, if it is not on the rig
-        self.commands = loop.commands
+        self.outputs, self.commands = loop.outputs, loop.commands
         decimals = arguments.by_name("decimals", decimals, ["v", "u", "delta", "disturbance"])
         for name, value in decimals.items():
             arguments.whole(f"decimals[{name!r}]", value, 0, 300)
@@ -164,10 +168,10 @@ class ControlledRig:
             if clock:
                 off.append(clock() - start - p * self.loop.Ts)
             self.samples.append(self.sample(w, flows, f"trial {trial}, sample {p + 1}"))
-            error = r - self.samples[-1]["y"]
-            squares += float(error @ error)
-            bar.set_postfix_str(f"RMS {math.sqrt(squares / (p + 1)):.3g}", refresh=False)
-            bar.update()
+            if not bar.disable:
+                squares += float(np.sum((r - self.samples[-1]["y"]) ** 2))
+                bar.set_postfix_str(f"RMS {math.sqrt(squares / (p + 1)):.3g}", refresh=False)
+                bar.update()
         off = np.array(off)
         late = np.flatnonzero(np.abs(off) > LATE * self.loop.Ts)
         if late.size:
@@ -208,7 +212,7 @@ class ControlledRig:
         self.samples = [dict(zip(downloaded, sample, strict=True)) for sample in samples]
         for p, sample in enumerate(self.samples):
             with _told(f"trial {trial}, sample {p + 1}"):
-                self.check(sample["y"], self.loop.outputs)
+                self.check(sample["y"], self.outputs)
                 if self.ours:
                     self.check(sample["u"], self.commands)
 
@@ -228,16 +232,16 @@ class ControlledRig:
         followed = {name: self.limits[name] for name in names if name in self.limits}
         commands = Actuators.of("rig.limits", followed, self.loop).follow(commands)
         given = commands, known, signals["y"], w
-        return mistake_in(model, *given, self.loop.outputs, names)
+        return mistake_in(model, *given, self.outputs, names)
 
     def sample(self, w, flows, where) -> dict[str, np.ndarray]:
         """Let one sampling period pass: read, check, then apply what the controller makes of it."""
         with _told(where, ". Nothing was applied after it"):
             y, heard = self.readings()
-            self.check(y, self.loop.outputs)
+            self.check(y, self.outputs)
             if self.ours:
                 found = {"delta": _rounded(self.controller.delta, self.decimals.get("delta"))}
-                commands = found["u"] = self.controller.step(y, w)
+                commands = found["u"] = self.controller._advance(y, w)
             else:
                 u = np.array([heard.pop(name) for name in self.told])
                 found, commands = {"u": u} if self.told else {}, w
@@ -272,7 +276,7 @@ class ControlledRig:
         names = self.heard + self.told
         y, heard = self.rig.read(), self.rig.measured if names else {}
         try:
-            y = arguments.array("reading", y, (len(self.loop.outputs),))
+            y = arguments.array("reading", y, (len(self.outputs),))
             heard = {name: float(arguments.array(name, heard.get(name), ())) for name in names}
         except ValueError as error:
             raise RigError(str(error)) from None

@@ -27,14 +27,18 @@ VARIANCE = {"stage": [4.0], "tanks": [1.0, 4.0, 9.0]}
 
 
 def by_impulses(loop, Q, L, samples, variance, trials, **how):
-    """Variances of true and measured outputs in the last trial, from one impulse after another."""
+    """Variances of true and measured outputs in the last trial, from one impulse after another.
+
+    What one in the first trial leaves k trials later is what one k trials before the last leaves
+    in the last: the law is the same from each trial to the next.
+    """
     m, power = len(variance), np.zeros((2, samples, len(variance)))
     still = np.zeros((samples, m))
-    for place in np.ndindex(trials, samples, m):
+    for p, channel in np.ndindex(samples, m):
         noise = np.zeros((trials, samples, m))
-        noise[place] = np.sqrt(variance[place[-1]])
+        noise[0, p, channel] = np.sqrt(variance[channel])
         e = run_trials(loop, Q, L, still, None, trials, noise=noise, **how).e.values
-        power += np.stack([(e + noise)[-1], e[-1]]) ** 2
+        power += np.sum(np.stack([e + noise, e]) ** 2, axis=1)
     return power
 
 

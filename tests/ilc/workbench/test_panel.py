@@ -31,12 +31,12 @@ def stage():
 @pytest.fixture(scope="module")
 def panel(stage):
     """One for all tests, each of which begins with the stage."""
-    return Panel({ROD: rods(), "stage": stage}, log="data/rig/learning.csv")
+    return Panel({ROD: rods(), "stage": stage, "another": stage}, log="data/rig/learning.csv")
 
 
 @pytest.fixture
 def knobs(panel):
-    panel.choice.value = ROD
+    panel.choice.value = "another"  # whose design is a matter of a moment
     panel.choice.value = "stage"
     return panel.knobs
 
