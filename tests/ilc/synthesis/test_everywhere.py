@@ -182,6 +182,37 @@ def test_the_searches_hold_their_bounds_everywhere(loop, Q):
     assert found.cutoff == pytest.approx(by_grid.cutoff, rel=2e-3)  # each is found to 1e-3
 
 
+def pipe(samples):
+    """A lag behind a delay: with a longer filter nothing need be left of the error."""
+    chain = np.eye(samples, k=-1), np.eye(samples, 1), np.eye(1, samples, samples - 1)
+    return control.ss(*chain, 0, 1.0) * control.ss(0.9, 0.1, 1, 0, 1.0)
+
+
+def test_a_peak_that_is_rounding_has_no_crests():
+    Q, grid = zero_phase_butterworth(2, 0.3, 1.0), np.geomspace(1e-3, np.pi, 400)
+    design = synthesise(pipe(3), Q, grid, objective="peak", L_max=30.0, everywhere=True)
+    assert design.value < 1e-12
+    assert len(design.certificate.problem.omega) < 2 * len(grid)
+
+
+def test_a_resonance_that_no_sample_shows_is_held():
+    s = control.tf("s")
+    plant = control.sample_system(control.ss(0.01 / (s**2 + 0.002 * s + 0.01)), 1.0)
+    Q, grid = zero_phase_butterworth(2, 0.2, 1.0), np.geomspace(1e-3, np.pi, 40)
+    with pytest.raises(SolverError, match="not in omega"):
+        synthesise(plant, Q, grid, order=3, L_max=60.0)
+    design = synthesise(plant, Q, grid, order=3, L_max=60.0, everywhere=True)
+    M, L = judged(design, plant, Q, np.union1d(dense(design), np.linspace(0.09, 0.11, 5000)))
+    assert M <= 0.9 * PROVEN and L <= 60 * PROVEN
+
+
+def test_a_long_filter_is_held_on_few_frequencies():
+    """Between them L of thirty samples could be anything."""
+    Q, grid = zero_phase_butterworth(2, 0.3, 1.0), np.geomspace(1e-3, np.pi, 30)
+    design = synthesise(pipe(3), Q, grid, order=30, L_max=5.0, everywhere=True)
+    assert judged(design, pipe(3), Q, dense(design))[1] <= 5 * PROVEN
+
+
 def test_a_start_changes_nothing_but_the_time(loop, Q):
     grid = np.geomspace(1e-4, np.pi, 100)
     start = synthesise(loop, Q, grid, everywhere=True, **PAPER | {"L_max": 45.0})
