@@ -226,8 +226,8 @@ class Certificate:
             *self._on_the_grid(),
             *self._between_the_samples(),
             *["bounds asked for at every frequency, not on the grid only"] * problem.everywhere,
-            f"objective {self.value:.8g}, no {problem.structure} filter of order {problem.order}"
-            f"{compared} below {self.lower_bound:.8g}",
+            f"objective {self.value:.7g}, no {problem.structure} filter of order {problem.order}"
+            f"{compared} below {self.lower_bound:.7g}",
         ]
         if problem.objective == "sum" and 0 < problem.band[0] < problem.band[1]:
             lines.append(f"mean of sigma_max(M) over the band: {self.mean_M:.4f}")
