@@ -106,7 +106,8 @@ def synthesise(
     everywhere : bool
         Whether the bounds hold at every frequency, not on `omega` only: where models are known by
         proof, to a relative 3e-8; between samples by splines, and without the radius. The sum is
-        that over `omega`. It takes two to three times as long.
+        that over `omega`. It takes two to three times as long, for long filters on few
+        frequencies many times.
     solver : {"structured", "cvxpy"}
         The package's own solvers, or the problem as the paper states it, in CVXPY.
     start : Synthesis, optional
