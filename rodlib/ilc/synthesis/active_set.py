@@ -25,6 +25,7 @@ from rodlib.ilc.synthesis.program import Program
 
 NEAR = 0.97  # part of a limit from which on it is in the quadratic program
 FLAT = 1e-7  # least curvature of the quadratic program, relative to the mean
+HUGE = 1e100  # what no step and no multiplier is
 STATIONARY, WITHIN = 1e-8, 1e-10  # of its solution: what a solver must reach
 NOISE = 1e-11  # relative change of the objective that is rounding
 MOST_DAMPING = 1e4  # at which to give up
@@ -114,6 +115,8 @@ def quadratic_program(model, room, damping):
     H[K, K] = 1e-9 if model.f[K] else 1.0
     for solver in (_by_active_set, _by_interior_point):
         d, y = solver(H, model.f, model.A, room)
+        if not np.abs(np.append(d, y)).max() < HUGE:  # NaN, if it gave up
+            continue
         left = np.abs(H @ d + model.f + model.A.T @ y).max()
         if left < STATIONARY and (model.A @ d < room + WITHIN).all():
             return d, y
@@ -123,8 +126,8 @@ def quadratic_program(model, room, damping):
 def _by_active_set(H, f, A, room):
     """Quick; what it gives is not the solution where bounds of neighbours are nearly parallel."""
     below, kind = np.full(len(room), -1e30), np.zeros(len(room), dtype=np.int32)
-    d, _, _, result = daqp.solve(H, f, A, room, below, kind, primal_tol=1e-11, dual_tol=1e-12)
-    return d, np.maximum(result["lam"], 0)
+    d, _, flag, result = daqp.solve(H, f, A, room, below, kind, primal_tol=1e-11, dual_tol=1e-12)
+    return d if flag == 1 else np.full_like(d, np.nan), np.maximum(result["lam"], 0)
 
 
 def _by_interior_point(H, f, A, room):

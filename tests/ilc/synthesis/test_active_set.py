@@ -170,3 +170,18 @@ def test_a_full_filter_is_no_start_for_a_diagonal_one(loop, Q, omega):
     start = synthesise(loop, Q, omega, 1.0, structure="full")
     with pytest.raises(ValueError, match="start is a full filter"):
         synthesise(loop, Q, omega, 1.0, start=start)
+
+
+def test_where_the_quick_quadratic_solver_gives_up_another_finds_the_same(monkeypatch):
+    rng = np.random.default_rng(3)
+    half, A = rng.standard_normal((5, 5)), rng.standard_normal((8, 6))
+    model = active_set.Model(half @ half.T, np.append(rng.standard_normal(5), 1), A, None, [], 1.0)
+    room = rng.uniform(0.1, 1, 8)
+    quick = active_set.quadratic_program(model, room, 0.0)
+    nothing = np.full(6, np.nan), np.full(8, np.nan)
+    monkeypatch.setattr(active_set, "_by_active_set", lambda *_: nothing)
+    slow = active_set.quadratic_program(model, room, 0.0)
+    for one, other in zip(quick, slow, strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-7)
+    contradiction = replace(model, A=np.vstack([A[:1], -A[:1]]))
+    assert active_set.quadratic_program(contradiction, np.array([-1.0, -1.0]), 0.0) is None
