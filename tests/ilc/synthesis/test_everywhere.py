@@ -9,6 +9,7 @@ from plants import furnace, stage, tanks
 
 from rodlib import (
     InfeasibleError,
+    LearningFilter,
     SolverError,
     current_trial_loop,
     largest_cutoff,
@@ -16,8 +17,10 @@ from rodlib import (
     synthesise,
     zero_phase_butterworth,
 )
+from rodlib.ilc.posing import pose
 from rodlib.ilc.problem import largest_singular_values
 from rodlib.ilc.synthesis import everywhere
+from rodlib.ilc.synthesis.design import solve
 from rodlib.ilc.synthesis.everywhere import carried
 
 PROVEN = 1 + 3e-8  # what the bounds may be passed by
@@ -243,3 +246,11 @@ def test_if_rounds_run_out_the_filter_is_not_returned(loop, Q, monkeypatch):
     grid = np.geomspace(1e-4, np.pi, 100)
     with pytest.raises(SolverError, match=r"at some frequency, above the bounds"):
         synthesise(loop, Q, grid, everywhere=True, **PAPER)
+
+
+def test_the_least_gain_is_that_at_every_frequency(loop, Q):
+    problem = pose(loop, Q, np.geomspace(1e-4, np.pi, 40), L_max=100.0, everywhere=True)
+    problem = replace(problem, objective="gain", M_max=0.9)
+    _, found = everywhere.settled(problem, solve)
+    L = LearningFilter(found.coefficients, 1.0).frequency_response(np.linspace(0, np.pi, 20001))
+    assert largest_singular_values(L).max() <= 100 * found.largest * PROVEN
