@@ -20,6 +20,7 @@ MODULES = {
     "peltier_rig": "PeltierParameters PeltierRig RestartingPeltierRig",
     "specimens": "Specimen Spread draw responses unstable_poles",
     "study": "Study",
+    "boards": "TemperatureControlLab",
 }
 MODULES |= {f"ilc.{module}": names for module, names in ilc.MODULES.items()}
 

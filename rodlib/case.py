@@ -8,8 +8,8 @@ import control
 import numpy as np
 
 from rodlib.ilc import arguments
-from rodlib.ilc.gains import current_trial_loop
-from rodlib.ilc.loop import CurrentTrialLoop
+from rodlib.ilc.loop.closed import CurrentTrialLoop
+from rodlib.ilc.loop.design import current_trial_loop
 from rodlib.ilc.models import minimal_realisation
 from rodlib.rod import Rod, midr
 

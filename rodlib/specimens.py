@@ -13,7 +13,7 @@ import numpy as np
 
 from rodlib.held import HeldRod, delays
 from rodlib.ilc import arguments
-from rodlib.ilc.loop import CurrentTrialLoop, reply
+from rodlib.ilc.loop.closed import CurrentTrialLoop, reply
 from rodlib.ilc.models import frequency_response
 from rodlib.rod import Rod
 

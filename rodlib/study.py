@@ -27,9 +27,9 @@ from rodlib.held import HeldRod
 from rodlib.ilc import arguments, files
 from rodlib.ilc.evidence.convergence import spectral_radii
 from rodlib.ilc.filters import LearningFilter, ZeroPhaseButterworth
-from rodlib.ilc.loop import CurrentTrialLoop
-from rodlib.ilc.problem import convergence_matrix, largest_singular_values
-from rodlib.ilc.trials import check_law
+from rodlib.ilc.loop.closed import CurrentTrialLoop
+from rodlib.ilc.problem.problem import convergence_matrix, largest_singular_values
+from rodlib.ilc.trials.run import check_law
 from rodlib.rod import Rod
 from rodlib.specimens import MATERIAL, Grid, Spread, check_loop, draw
 

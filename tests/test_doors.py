@@ -23,9 +23,11 @@ from rodlib import (
     Spread,
     Study,
     approximations,
+    boards,
     current_trial_loop,
     draw,
     exact_response,
+    ilc,
     load_law,
     load_log,
     midr,
@@ -43,10 +45,9 @@ from rodlib import (
     zero_phase_butterworth,
 )
 from rodlib.case import assumed_disturbance, assumed_reference
-from rodlib.ilc import alternatives, evidence, laboratory, synthesis, workbench
-from rodlib.ilc.laboratory import measured_response, with_law
+from rodlib.ilc import measured_response, with_law, workbench
 from rodlib.ilc.models import frequency_response
-from rodlib.ilc.trials import rms
+from rodlib.ilc.trials.run import rms
 from rodlib.ilc.workbench import Outcome, Plant, Settings
 from rodlib.paper.knobs import plant_of_rod
 from rodlib.peltier_rig import (
@@ -68,18 +69,18 @@ RESPONSE = LOOP.frequency_response(OMEGA)
 ASKED = {"P": LOOP, "Q": Q, "omega": OMEGA, "Ts": 1.0, "order": 2, "band": (0.1, 1.0)}
 DESIGN = synthesise(**ASKED | {"P": [P, 0.99 * P]})
 PROBLEM, SOLUTION = DESIGN.problem, DESIGN.solution
-NOISE = evidence.trial_noise(LOOP, OMEGA, 1.0)
-GENERALISED = alternatives.generalised_plant(P, Q, 0.01, 2)
-REHEARSAL = alternatives.Rehearsal(np.ones((7, 1, 1)), Q, np.ones((2, 6, 1)))
-TWO_SIDED = alternatives.TwoSidedFilter(L.frequency_response, 1, 1.0)
-BEST = alternatives.NormOptimal(P, 1.0, 6)
+NOISE = ilc.trial_noise(LOOP, OMEGA, 1.0)
+GENERALISED = ilc.generalised_plant(P, Q, 0.01, 2)
+REHEARSAL = ilc.Rehearsal(np.ones((7, 1, 1)), Q, np.ones((2, 6, 1)))
+TWO_SIDED = ilc.TwoSidedFilter(L.frequency_response, 1, 1.0)
+BEST = ilc.NormOptimal(P, 1.0, 6)
 SPREAD = Spread(0.1, 0.1, 0.1, 0.1, 0.1, 0.001)
 SPECIMEN = draw(SPREAD, 0)
 COURSE = {"omega": np.array([0.001, 0.01, 1.0]), "reference": np.ones((20, 2)), "trials": 2}
 STUDY = Study(PAPER, Q, {"L": L2}, SPREAD, **COURSE)
 MULTISINE = {"Ts": 1.0, "period": 16, "periods": 3}
 MULTISINE |= {"harmonics": (1, 2, 3), "phases": (0.0, 1.0, 2.0), "amplitude": (1.0,)}
-ESTIMATED = laboratory.EstimatedResponse(
+ESTIMATED = ilc.EstimatedResponse(
     OMEGA,
     ONES[:5],
     np.tile(1e-3 * RESPONSE, (50, 1, 1, 1)),
@@ -89,14 +90,14 @@ ESTIMATED = laboratory.EstimatedResponse(
     1.0,
     1e-3 * (OMEGA > 0),
 )
-EXCITATION = laboratory.Excitation(**MULTISINE)
-ALL = laboratory.Excitation(1.0, 40, 4, (1, 2, 3, 5, 8), np.zeros(5), (1.0, 1.0))
+EXCITATION = ilc.Excitation(**MULTISINE)
+ALL = ilc.Excitation(1.0, 40, 4, (1, 2, 3, 5, 8), np.zeros(5), (1.0, 1.0))
 RIG = RestartingRig(parameters=RigParameters(modes=5))
-SHAKEN = laboratory.shake(RIG, PAPER, ALL)
+SHAKEN = ilc.shake(RIG, PAPER, ALL)
 LOG = with_law(run_trials(LOOP, Q, L, np.zeros((70, 1)), None, 2), Q, L, 0, LOOP)
 TABLE = control.frd(np.moveaxis(RESPONSE, 0, -1), OMEGA)
 TABULATED = measured_response(TABLE)
-MEASURED = laboratory.MeasuredResponse(OMEGA, RESPONSE, 1e-6 * ONES, ONES, np.full(12, 9), LOOP)
+MEASURED = ilc.MeasuredResponse(OMEGA, RESPONSE, 1e-6 * ONES, ONES, np.full(12, 9), LOOP)
 FOLDER = TemporaryDirectory()
 HERE = Path(FOLDER.name)
 save_law(HERE / "law", Q, L)
@@ -231,53 +232,53 @@ DOORS = [
       "start": THING | {"design": ...}}),
     (DESIGN.check, {"P": LOOP, "omega": OMEGA},
      {"P": REAL | {"nan model": NAN, "1e200": RESPONSE * 1e200}}),
-    (synthesis.least_gain, ASKED, {"P": REAL, "Q": REAL, "band": THING}),
-    (synthesis.largest_cutoff, ASKED, {"P": REAL, "band": THING}),
-    (evidence.trial_noise, {"loop": LOOP, "omega": OMEGA, "noise": 1.0, "disturbance": 1.0},
+    (ilc.least_gain, ASKED, {"P": REAL, "Q": REAL, "band": THING}),
+    (ilc.largest_cutoff, ASKED, {"P": REAL, "band": THING}),
+    (ilc.trial_noise, {"loop": LOOP, "omega": OMEGA, "noise": 1.0, "disturbance": 1.0},
      {"omega": REAL | NUMBER | {"falling": OMEGA[::-1]}, "noise": DENSITY,
       "disturbance": DENSITY}),
-    (evidence.converged_noise, {"new": NOISE, "Q": Q, "L": L}),
-    (evidence.noise_by_trial, {"new": NOISE, "Q": Q, "L": L, "step": [1, 0.5]},
+    (ilc.converged_noise, {"new": NOISE, "Q": Q, "L": L}),
+    (ilc.noise_by_trial, {"new": NOISE, "Q": Q, "L": L, "step": [1, 0.5]},
      {"step": REAL | {"0": [0.0], "2": [1, 2]}}),
-    (evidence.noise_on_trial, {"loop": LOOP, "Q": Q, "L": L, "samples": 6, "noise": 1.0},
+    (ilc.noise_on_trial, {"loop": LOOP, "Q": Q, "L": L, "samples": 6, "noise": 1.0},
      {"noise": REAL | {"-1": -1.0}}),
-    (evidence.worst_case, {"problem": PROBLEM, "L": L}),
+    (ilc.worst_case, {"problem": PROBLEM, "L": L}),
     *((door, {"P": LOOP, "Q": Q, "L": L, "omega": OMEGA}, {"P": REAL})
-      for door in (evidence.rate, evidence.rates, evidence.spectral_rate, evidence.mean_rate)),
-    (evidence.rate_within, {"P": LOOP, "Q": Q, "L": L, "omega": OMEGA}, {"P": REAL}),
-    (evidence.trial_operators, {"P": P, "Q": Q, "L": L, "samples": 6}, MODEL),
-    (evidence.trial_map, {"P": P, "Q": Q, "L": L, "samples": 6}, MODEL),
-    (evidence.trial_norm, {"P": P, "Q": Q, "L": L, "samples": 6}, MODEL),
-    (evidence.support, {"solution": SOLUTION}),
-    (evidence.violation_probability, {"design": DESIGN}),
-    (alternatives.p_type, {"gain": 1.0, "ahead": 1, "channels": 1, "Ts": 1.0}),
-    (alternatives.pd_type, {"gain": 1.0, "slope": 0.1, "ahead": 2, "channels": 1, "Ts": 1.0},
+      for door in (ilc.rate, ilc.rates, ilc.spectral_rate, ilc.mean_rate)),
+    (ilc.rate_within, {"P": LOOP, "Q": Q, "L": L, "omega": OMEGA}, {"P": REAL}),
+    (ilc.trial_operators, {"P": P, "Q": Q, "L": L, "samples": 6}, MODEL),
+    (ilc.trial_map, {"P": P, "Q": Q, "L": L, "samples": 6}, MODEL),
+    (ilc.trial_norm, {"P": P, "Q": Q, "L": L, "samples": 6}, MODEL),
+    (ilc.support, {"solution": SOLUTION}),
+    (ilc.violation_probability, {"design": DESIGN}),
+    (ilc.p_type, {"gain": 1.0, "ahead": 1, "channels": 1, "Ts": 1.0}),
+    (ilc.pd_type, {"gain": 1.0, "slope": 0.1, "ahead": 2, "channels": 1, "Ts": 1.0},
      {"slope": NUMBER | {"-1": ...}}),
-    (alternatives.gradient, {"P": P, "step": 0.1}, MODEL | {"step": NUMBER}),
-    (alternatives.stable_inversion, {"P": P}, MODEL),
-    (alternatives.zero_phase_inversion, {"P": P}, MODEL),
-    (alternatives.h_infinity, {"P": P, "Q": Q, "level": 0.95, "effort": 0.01, "preview": 2}, MODEL),
-    (alternatives.generalised_plant, {"P": P, "Q": Q, "effort": 0.01, "preview": 2}, MODEL),
-    (alternatives.full_information, {"plant": GENERALISED, "m": 1, "level": 0.95},
+    (ilc.gradient, {"P": P, "step": 0.1}, MODEL | {"step": NUMBER}),
+    (ilc.stable_inversion, {"P": P}, MODEL),
+    (ilc.zero_phase_inversion, {"P": P}, MODEL),
+    (ilc.h_infinity, {"P": P, "Q": Q, "level": 0.95, "effort": 0.01, "preview": 2}, MODEL),
+    (ilc.generalised_plant, {"P": P, "Q": Q, "effort": 0.01, "preview": 2}, MODEL),
+    (ilc.full_information, {"plant": GENERALISED, "m": 1, "level": 0.95},
      {"plant": MODELS}),
-    (alternatives.NormOptimal, {"P": P, "weight": 1.0, "samples": 6},
+    (ilc.NormOptimal, {"P": P, "weight": 1.0, "samples": 6},
      {"P": MODELS | {"transfer": ...}}),
     (BEST.frequency_response, {"omega": OMEGA}),
     (BEST.apply, {"signal": SIGNAL}),
-    (alternatives.TwoSidedFilter, {"response": L.frequency_response, "channels": 1, "Ts": 1.0},
+    (ilc.TwoSidedFilter, {"response": L.frequency_response, "channels": 1, "Ts": 1.0},
      {"response": {"class": ..., "function": ...} | THING}),
     (TWO_SIDED.frequency_response, {"omega": OMEGA}),
     (TWO_SIDED.apply, {"signal": SIGNAL}),
-    (alternatives.two_sided_taps, {"L": L}),
-    (alternatives.extent, {"L": L}),
-    (alternatives.lines, {"samples": 6, "Ts": 1.0}),
-    (alternatives.Rehearsal, {"P": np.ones((7, 1, 1)), "Q": Q, "alone": np.ones((2, 6, 1))},
+    (ilc.two_sided_taps, {"L": L}),
+    (ilc.extent, {"L": L}),
+    (ilc.lines, {"samples": 6, "Ts": 1.0}),
+    (ilc.Rehearsal, {"P": np.ones((7, 1, 1)), "Q": Q, "alone": np.ones((2, 6, 1))},
      {"P": COMPLEX}),
     (REHEARSAL.rate, {"L": L}),
     (REHEARSAL.errors, {"L": L}),
     (REHEARSAL.rms, {"L": L}),
-    (alternatives.tune,
-     {"design": lambda gain: alternatives.p_type(gain, 1, 1, 1.0), "box": {"gain": (0.1, 1.0)},
+    (ilc.tune,
+     {"design": lambda gain: ilc.p_type(gain, 1, 1, 1.0), "box": {"gain": (0.1, 1.0)},
       "rehearsal": REHEARSAL, "M_max": 0.999, "evaluations": 4},
      {"design": {"class": ..., "function": ...} | THING}),
     (Spread, {"gains": 0.1, "sensors": 0.001},
@@ -293,17 +294,17 @@ DOORS = [
      | COURSE),
     (STUDY.judge, {"start": 0, "stop": 1}, {"start": WHOLE}),
     (study.run, {"study": STUDY, "rods": 1, "folder": HERE / "study", "workers": 0}),
-    (laboratory.Controller, {"loop": LOOP}, {"decimals": WHOLE}),
-    (laboratory.Controller(LOOP).step, {"y": [0.0], "w": [0.0]}),
-    (laboratory.Excitation, MULTISINE, {"amplitude": REAL | {"number": 1.0, "2-D": [[1.0]]}}),
-    (laboratory.multisine,
+    (ilc.Controller, {"loop": LOOP}, {"decimals": WHOLE}),
+    (ilc.Controller(LOOP).step, {"y": [0.0], "w": [0.0]}),
+    (ilc.Excitation, MULTISINE, {"amplitude": REAL | {"number": 1.0, "2-D": [[1.0]]}}),
+    (ilc.multisine,
      {"loop": LOOP, "lowest": 0.3, "highest": 1.0, "amplitude": 1.0, "hours": 0.1, "lines": 3},
      {"amplitude": REAL | {"2-D": [[1.0]]}}),
-    (laboratory.record,
+    (ilc.record,
      {"rig": RIG, "loop": PAPER, "Q": Q, "L": L2, "reference": np.zeros((5, 2)),
       "disturbance": np.zeros((2, 5, 3)), "trials": 2, "pause": 1},
      {"L": MODELS | {"none": ...}, "another_law": THING | {"true": ...}, "limits": LIMITS}),
-    (laboratory.shake, {"rig": RIG, "loop": PAPER, "excitation": ALL}),
+    (ilc.shake, {"rig": RIG, "loop": PAPER, "excitation": ALL}),
     (measured_response, {"log": SHAKEN}, {"log": THING, "of": THING | {"text": "y"}}),
     (measured_response, {"log": TABLE, "uncertainty": np.zeros(12)}),
     (TABULATED.radius, {}),
@@ -312,7 +313,7 @@ DOORS = [
     (ESTIMATED.radius, {}),
     (ESTIMATED.on, {"omega": OMEGA}),
     (ESTIMATED.basis, {"omega": OMEGA}),
-    (laboratory.expected_radius, {"excitation": EXCITATION, "rest": LOG}, {"rest": THING}),
+    (ilc.expected_radius, {"excitation": EXCITATION, "rest": LOG}, {"rest": THING}),
     (MEASURED.radius, {}),
     (MEASURED.on, {"omega": OMEGA}),
     (MEASURED.basis, {"omega": OMEGA}),
@@ -329,9 +330,9 @@ DOORS = [
     (with_law, {"trials": LOG, "Q": Q, "L": L, "loop": LOOP},
      {"trials": THING | {"frame": ...}, "L": MODELS | {"none": ...}}),
     *((door, {"trials": LOG}, {"trials": THING | {"frame": ...}})
-      for door in (laboratory.law_of, laboratory.loop_of, laboratory.rest_of, laboratory.step_of)),
-    (laboratory.replay_of(LOG).reached, {"trial": 2}),
-    (laboratory.replay_of, {"trials": LOG},
+      for door in (ilc.law_of, ilc.loop_of, ilc.rest_of, ilc.step_of)),
+    (ilc.replay_of(LOG).reached, {"trial": 2}),
+    (ilc.replay_of, {"trials": LOG},
      {"trials": THING, "untold": {"numbers": [1, 2], "empty": ...}}),
     (RigParameters, {},
      dict.fromkeys(["noise", "quantum", "lag"], NUMBER)
@@ -349,7 +350,7 @@ DOORS = [
     *((door, {"rod": Rod(), "parameters": PeltierParameters(cells=2)})
       for door in (PeltierRig, RestartingPeltierRig)),
     (RIG.begin, {"trial": 1}),
-    (laboratory.TemperatureControlLab, {},
+    (boards.TemperatureControlLab, {},
      {"kit": THING | {"true": ...}, "rest": REAL, "wait": NUMBER}),
     (Plant, {"source": "", "response": LOOP, "reference": SIGNAL}),
     (ON_BENCH.size, {"omega": OMEGA}),
@@ -372,7 +373,7 @@ MADE |= {"EstimatedResponse", "TabulatedResponse"}
 MADE |= {"Outcome", "Picture", "Rate", "Replay", "RigError", "SolverError", "SpectralRate"}
 MADE |= {"Spectrum", "StoppedError", "Synthesis", "TrialNoise", "Tuned", "WorstCase"}
 INSIDE = {"Family", "LearningOperator", "Problem", "Rig", "TrialRig"}
-ROOMS = ("alternatives", "evidence", "laboratory", "synthesis", "workbench")
+ROOMS = ("ilc.workbench",)
 ROOMS = tuple(f"ilc.{room}" for room in ROOMS)
 
 
@@ -398,7 +399,7 @@ def name_of(door):
 
 @pytest.mark.parametrize("door", DOORS, ids=name_of)
 def test_every_door_is_open_to_what_belongs_there(door):
-    if door[0] is laboratory.TemperatureControlLab:
+    if door[0] is boards.TemperatureControlLab:
         pytest.importorskip("tclab")
     with warnings.catch_warnings(action="ignore"):  # of a measurement that is short
         door[0](**door[1])
@@ -418,7 +419,7 @@ def test_every_door_is_shut_to_what_does_not(door):
 
 def test_what_is_exported_is_a_door_or_said_to_be_none():
     known = {inspect.unwrap(getattr(door[0], "__func__", door[0])) for door in DOORS}
-    kit = laboratory.TemperatureControlLab
+    kit = boards.TemperatureControlLab
     known |= {kit.begin, kit.apply}  # which need its package: see its own tests
     for room in (rodlib, *(import_module(f"rodlib.{name}") for name in ROOMS)):
         for name in {*room.__all__} - {*INSIDE}:

@@ -27,7 +27,7 @@ from rodlib import (
 )
 from rodlib.case import assumed_reference
 from rodlib.ilc.files import alone
-from rodlib.ilc.trials import rms
+from rodlib.ilc.trials.run import rms
 from rodlib.paper import published
 
 SLOW = paper_loop(Ts=10.0)

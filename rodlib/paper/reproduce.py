@@ -93,8 +93,8 @@ def reproduce(root: Path = ROOT) -> None:
 
 def replay(log: str, root: Path = ROOT) -> None:
     """Print what a log shows; a report with pictures and the next trial's v go to build/replay."""
-    from rodlib.ilc.laboratory import load_log, replay_of  # here, because they take long to import
-    from rodlib.ilc.laboratory.report import save_following, summary
+    from rodlib.ilc import load_log, replay_of  # here, because they take long to import
+    from rodlib.ilc.report import save_following, summary
 
     checkout("make replay", root)
     path = Path(log)

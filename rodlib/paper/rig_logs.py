@@ -11,8 +11,8 @@ from dataclasses import asdict
 import numpy as np
 
 from rodlib.case import assumed_disturbance, assumed_reference, paper_loop
+from rodlib.ilc import record, save_log
 from rodlib.ilc.filters import LearningFilter, zero_phase_butterworth
-from rodlib.ilc.laboratory import record, save_log
 from rodlib.paper import published
 from rodlib.paper.repository import checkout
 from rodlib.peltier_rig import PeltierElement, PeltierParameters, PeltierRig

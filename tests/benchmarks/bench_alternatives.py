@@ -11,7 +11,7 @@ from bench_synthesis import measure
 
 from rodlib import paper_loop, synthesise, zero_phase_butterworth
 from rodlib.case import assumed_reference
-from rodlib.ilc.alternatives import (
+from rodlib.ilc import (
     NormOptimal,
     gradient,
     h_infinity,

@@ -9,10 +9,10 @@ import sys
 import numpy as np
 
 from rodlib import paper_loop
-from rodlib.ilc.laboratory import multisine
-from rodlib.ilc.laboratory.measurement import _estimate
-from rodlib.ilc.laboratory.region import radius_of
-from rodlib.ilc.laboratory.transient import windows_of
+from rodlib.ilc import multisine
+from rodlib.ilc.measurement.measurement import _estimate
+from rodlib.ilc.measurement.region import radius_of
+from rodlib.ilc.measurement.transient import windows_of
 from rodlib.rigs import RigParameters, VirtualRig
 
 MODES = 60

@@ -12,7 +12,7 @@ import pandas as pd
 from scipy.signal import lfilter
 
 from rodlib import read_table
-from rodlib.ilc.laboratory.temperature_control_lab import fit_heat_balance, heat_balance
+from rodlib.boards import fit_heat_balance, heat_balance
 from rodlib.ilc.models import state_sequence
 from rodlib.paper.repository import ROOT
 

@@ -11,7 +11,7 @@ import control
 import numpy as np
 
 from rodlib import ClosedLoop, current_trial_loop, measured_response, multisine, shake
-from rodlib.ilc.laboratory import Controller
+from rodlib.ilc import Controller
 from rodlib.ilc.models import frequency_response
 
 

@@ -1,6 +1,6 @@
 """Which solver for the quadratic program of a trial within limits? `make solvers` prints a table.
 
-The program is that of `rodlib.ilc.within_limits`, as it hands it to PIQP; the same matrices go to
+The program is that of `rodlib.ilc.law.limits`, as it hands it to PIQP; the same matrices go to
 PIQP with its solver for stages, to Clarabel and to OSQP. Time is the least of three runs, setup
 included; what is beyond a limit and the distance of v from PIQP's are in W and K for the rod.
 """

@@ -11,10 +11,10 @@ import numpy as np
 from scipy.signal import lfilter
 
 from rodlib import LearningFilter, update, zero_phase_butterworth
+from rodlib.ilc import LogError
 from rodlib.ilc.files import write_whole
-from rodlib.ilc.laboratory import LogError
-from rodlib.ilc.laboratory.estimation import estimated_response
-from rodlib.ilc.trials import dataset
+from rodlib.ilc.measurement.estimation import estimated_response
+from rodlib.ilc.trials.run import dataset
 from rodlib.paper.ledger import splice
 from rodlib.paper.repository import ROOT
 

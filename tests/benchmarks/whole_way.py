@@ -30,10 +30,10 @@ from rodlib import (
     synthesise,
     zero_phase_butterworth,
 )
+from rodlib.ilc import RigError, replay_of
 from rodlib.ilc.files import write_whole
-from rodlib.ilc.laboratory import RigError, replay_of
-from rodlib.ilc.laboratory.report import summary
-from rodlib.ilc.trials import rms
+from rodlib.ilc.report import summary
+from rodlib.ilc.trials.run import rms
 from rodlib.paper.ledger import splice
 from rodlib.paper.repository import ROOT
 

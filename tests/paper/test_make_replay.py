@@ -21,8 +21,8 @@ from rodlib import (
     save_log,
     zero_phase_butterworth,
 )
-from rodlib.ilc.laboratory import replay_of, with_law
-from rodlib.ilc.laboratory.report import summary
+from rodlib.ilc import replay_of, with_law
+from rodlib.ilc.report import summary
 from rodlib.paper import reproduce
 from rodlib.paper.repository import ROOT
 

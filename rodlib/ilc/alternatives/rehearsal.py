@@ -11,10 +11,9 @@ from scipy.fft import irfft, rfft
 from scipy.optimize import minimize
 from scipy.stats import qmc
 
-from rodlib.ilc import arguments
-from rodlib.ilc.evidence import rate
+from rodlib.ilc import arguments, rate
 from rodlib.ilc.filters import LearningOperator, ZeroPhaseButterworth, check_learning, update
-from rodlib.ilc.trials import learn
+from rodlib.ilc.trials.run import learn
 
 JUDGED = 500  # lines at which the rate is computed, spaced by their logarithms
 WORST = 1e9  # what a tuning costs that leads to no filter

@@ -21,7 +21,7 @@ from rodlib.ilc.evidence.peak import (
 )
 from rodlib.ilc.evidence.robustness import WorstCase, worst_case
 from rodlib.ilc.filters import LearningFilter
-from rodlib.ilc.problem import MOST_GAIN, Problem, Solution, largest_singular_values
+from rodlib.ilc.problem.problem import MOST_GAIN, Problem, Solution, largest_singular_values
 
 # Relative duality gap, and relative violation of a bound on the grid, that are accepted.
 GAP = 1e-6

@@ -7,7 +7,7 @@ import numpy as np
 from rodlib.ilc.evidence.peak import estimated_peaks, highest, peak_beyond, proven_peaks
 from rodlib.ilc.evidence.robustness import worst_case
 from rodlib.ilc.filters import LearningFilter
-from rodlib.ilc.problem import Problem, tied
+from rodlib.ilc.problem.problem import Problem, tied
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,9 @@ import numpy as np
 
 from rodlib.ilc import arguments
 from rodlib.ilc.filters import LearningOperator, check_learning
-from rodlib.ilc.plants import Q_on_grid, on_grid, plants
-from rodlib.ilc.problem import convergence_matrix, largest_singular_values, tied
-from rodlib.ilc.within_limits import WEIGHT
+from rodlib.ilc.law.limits import WEIGHT
+from rodlib.ilc.problem.problem import convergence_matrix, largest_singular_values, tied
+from rodlib.ilc.problem.responses import Q_on_grid, on_grid, plants
 
 TOGETHER = 5000  # matrices at once: what fits into the processor's cache
 

@@ -23,10 +23,10 @@ import numpy as np
 
 from rodlib.ilc import arguments
 from rodlib.ilc.filters import LearningOperator, check_learning
-from rodlib.ilc.loop import CurrentTrialLoop, with_noise
+from rodlib.ilc.loop.closed import CurrentTrialLoop, with_noise
 from rodlib.ilc.models import frequency_response
-from rodlib.ilc.plants import Q_on_grid
-from rodlib.ilc.problem import largest_singular_values, tied
+from rodlib.ilc.problem.problem import largest_singular_values, tied
+from rodlib.ilc.problem.responses import Q_on_grid
 
 HERMITIAN = 1e-9  # relative, by how much a spectral density may miss being one
 NEGLIGIBLE = 1e-17  # share of what is passed on that is no longer added up
@@ -54,7 +54,7 @@ class Spectrum:
 
     @property
     def total(self) -> float:
-        """Root of the sum of their squares, as in :func:`rodlib.ilc.trials.rms`."""
+        """Root of the sum of their squares, as in :func:`rodlib.ilc.rms`."""
         return float(np.linalg.norm(self.rms))
 
     def __add__(self, other: "Spectrum") -> "Spectrum":

@@ -18,8 +18,8 @@ from rodlib.ilc import arguments
 from rodlib.ilc.evidence.finite_trial import impulse_response
 from rodlib.ilc.evidence.noise import NEGLIGIBLE
 from rodlib.ilc.filters import LearningOperator, ZeroPhaseButterworth, check_learning
-from rodlib.ilc.loop import CurrentTrialLoop, with_noise
-from rodlib.ilc.trials import check_law
+from rodlib.ilc.loop.closed import CurrentTrialLoop, with_noise
+from rodlib.ilc.trials.run import check_law
 
 FAINT = 1e-3  # gain of Q below which v is taken to have no higher frequencies,
 ALL = 200  # in trials that are longer than this
@@ -60,7 +60,7 @@ def noise_on_trial(
     xarray.Dataset
         RMS over all that the noise could have been, at each time and in each channel: `true`, of
         the outputs themselves; `measured`, of e, the error that the controller sees; `learned`, in
-        both, of what learning has made of earlier trials. :func:`rodlib.ilc.trials.rms` of one of
+        both, of what learning has made of earlier trials. :func:`rodlib.ilc.rms` of one of
         them is that of the trial.
 
     Notes

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.optimize import elementwise
 
 from rodlib.ilc.evidence.robustness import affine
-from rodlib.ilc.problem import Cuts, Problem
+from rodlib.ilc.problem.problem import Cuts, Problem
 
 CLOSE = 1e-9  # accuracy of dual norms, relative to the largest
 FARTHEST = 40.0  # logarithm of how unequal two weights may be: the smaller is then below rounding

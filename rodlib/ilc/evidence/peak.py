@@ -55,7 +55,7 @@ from scipy.linalg import matrix_balance, schur
 from rodlib.ilc import arguments
 from rodlib.ilc.filters import LearningFilter, ZeroPhaseButterworth
 from rodlib.ilc.models import by_substitution
-from rodlib.ilc.problem import Problem, convergence_matrix, largest_singular_values, tied
+from rodlib.ilc.problem.problem import Problem, convergence_matrix, largest_singular_values, tied
 
 MOST_POINTS = 2_000_000  # frequencies at which to give up
 CHUNK = 2**21  # numbers held at a time while frequency responses are computed

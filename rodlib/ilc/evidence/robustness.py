@@ -11,7 +11,7 @@ from scipy.optimize import elementwise
 
 from rodlib.ilc import arguments
 from rodlib.ilc.filters import LearningFilter, check_learning
-from rodlib.ilc.problem import Problem, largest_singular_values, tied
+from rodlib.ilc.problem.problem import Problem, largest_singular_values, tied
 
 FARTHEST = 40.0  # logarithm of how unequal two shares may be: the smaller is then below rounding
 NEXT = 1e-12  # distance of neighbouring logarithms

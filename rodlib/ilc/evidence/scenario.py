@@ -16,7 +16,7 @@ from scipy.optimize import bisect
 from scipy.special import betainc, betaln, expit, log_expit
 
 from rodlib.ilc import arguments
-from rodlib.ilc.problem import Solution
+from rodlib.ilc.problem.problem import Solution
 
 NEEDED = 1e-9  # share of all multipliers from which on a plant counts as one that was needed
 FARTHEST = (-700.0, 36.0)  # logarithms of the odds of a violation, as far as doubles tell them

@@ -3,21 +3,8 @@
 M of (40) is affine in the coefficients of L. A bound on the largest singular value of either is a
 linear matrix inequality, one per frequency, and the problems are semidefinite programs.
 :mod:`~rodlib.ilc.synthesis.design` is the way through. Three modules solve the problems:
-:mod:`~rodlib.ilc.synthesis.interior_point`, which is fast and the default;
-:mod:`~rodlib.ilc.synthesis.active_set`, which adds digits to its solution, and is faster still from
+`interior_point`, which is fast and the default;
+`active_set`, which adds digits to its solution, and is faster still from
 that of a similar problem; and :mod:`~rodlib.ilc.synthesis.statement`, in CVXPY. None of them is
 trusted: what is returned has a certificate.
 """
-
-from rodlib.ilc.synthesis.design import synthesise
-from rodlib.ilc.synthesis.result import InfeasibleError, SolverError, Synthesis
-from rodlib.ilc.synthesis.search import largest_cutoff, least_gain
-
-__all__ = [
-    "InfeasibleError",
-    "SolverError",
-    "Synthesis",
-    "largest_cutoff",
-    "least_gain",
-    "synthesise",
-]

@@ -6,19 +6,19 @@ from dataclasses import replace
 import numpy as np
 
 from rodlib.ilc import arguments
-from rodlib.ilc.choices import CHOOSE
 from rodlib.ilc.evidence.certificate import GAP, VIOLATION, Certificate, certify, checked_trial
 from rodlib.ilc.evidence.finite_trial import switched_on
 from rodlib.ilc.evidence.optimality import lower_bound
-from rodlib.ilc.gaps import without_gaps
-from rodlib.ilc.posing import pose
-from rodlib.ilc.problem import Problem, Solution, largest_singular_values, tied
-from rodlib.ilc.synthesis import active_set, interior_point
+from rodlib.ilc.problem.defaults import CHOOSE
+from rodlib.ilc.problem.grid import without_gaps
+from rodlib.ilc.problem.pose import pose
+from rodlib.ilc.problem.problem import Problem, Solution, largest_singular_values, tied
 from rodlib.ilc.synthesis.everywhere import PASSED, carried, settled
-from rodlib.ilc.synthesis.program import Infeasible, formulate
 from rodlib.ilc.synthesis.result import InfeasibleError, SolverError, Synthesis
-from rodlib.ilc.synthesis.selection import first_cuts, violated
-from rodlib.ilc.synthesis.threads import on_one_thread
+from rodlib.ilc.synthesis.solver import active_set, interior_point
+from rodlib.ilc.synthesis.solver.program import Infeasible, formulate
+from rodlib.ilc.synthesis.solver.selection import first_cuts, violated
+from rodlib.ilc.synthesis.solver.threads import on_one_thread
 
 HOPELESS = 1 - 1e-6  # from here on a smallest M_max is one, and raising it no remedy
 GOOD = 1e-8  # relative duality gap up to which what the active bounds lead to is accepted

@@ -18,8 +18,8 @@ from rodlib.ilc.evidence.peak import (
     splined,
 )
 from rodlib.ilc.filters import LearningFilter
-from rodlib.ilc.gaps import refined
-from rodlib.ilc.problem import Problem, Solution, largest_singular_values
+from rodlib.ilc.problem.grid import refined
+from rodlib.ilc.problem.problem import Problem, Solution, largest_singular_values
 
 ROUNDS, FURTHER = 50, 5000  # and further frequencies, at which to give up
 PASSED = 2e-8  # share of a bound that the proof of a peak may pass it by

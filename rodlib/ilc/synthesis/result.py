@@ -7,9 +7,9 @@ import numpy as np
 from rodlib.ilc.evidence.certificate import Certificate
 from rodlib.ilc.evidence.check import Check, check
 from rodlib.ilc.filters import LearningFilter
-from rodlib.ilc.posing import pose
-from rodlib.ilc.problem import Problem, Solution
-from rodlib.ilc.synthesis.threads import on_one_thread
+from rodlib.ilc.problem.pose import pose
+from rodlib.ilc.problem.problem import Problem, Solution
+from rodlib.ilc.synthesis.solver.threads import on_one_thread
 
 
 class InfeasibleError(ValueError):

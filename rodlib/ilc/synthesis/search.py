@@ -10,13 +10,13 @@ from tqdm import tqdm
 from rodlib.ilc import arguments
 from rodlib.ilc.evidence.certificate import checked_trial
 from rodlib.ilc.filters import ZeroPhaseButterworth
-from rodlib.ilc.gaps import refined, without_gaps
-from rodlib.ilc.posing import pose
+from rodlib.ilc.problem.grid import refined, without_gaps
+from rodlib.ilc.problem.pose import pose
 from rodlib.ilc.synthesis.design import certified, insist, solve, warned
 from rodlib.ilc.synthesis.everywhere import carried, settled
-from rodlib.ilc.synthesis.program import Infeasible
 from rodlib.ilc.synthesis.result import SolverError, Synthesis
-from rodlib.ilc.synthesis.threads import on_one_thread
+from rodlib.ilc.synthesis.solver.program import Infeasible
+from rodlib.ilc.synthesis.solver.threads import on_one_thread
 
 SAME = (1e-9, 1e-6, 1e-4)  # relative distance up to which two peaks are the same
 CLOSE = 1e-3  # relative distance from the largest cut-off

@@ -8,9 +8,9 @@ import warnings
 import cvxpy as cp
 import numpy as np
 
-from rodlib.ilc.problem import Solution
-from rodlib.ilc.synthesis.bounds import root_of
-from rodlib.ilc.synthesis.program import Infeasible, Program
+from rodlib.ilc.problem.problem import Solution
+from rodlib.ilc.synthesis.solver.bounds import root_of
+from rodlib.ilc.synthesis.solver.program import Infeasible, Program
 
 
 def solve(program: Program) -> Solution:

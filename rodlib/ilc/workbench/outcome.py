@@ -10,10 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rodlib.ilc import arguments
-from rodlib.ilc.evidence import Certificate
-from rodlib.ilc.synthesis import InfeasibleError, SolverError, Synthesis, synthesise
-from rodlib.ilc.trials import rms, run_trials
+from rodlib.ilc import Certificate, InfeasibleError, SolverError, Synthesis, arguments, synthesise
+from rodlib.ilc.trials.run import rms, run_trials
 from rodlib.ilc.workbench.plants import TRIALS, Plant
 from rodlib.ilc.workbench.settings import Settings
 

@@ -9,8 +9,8 @@ from math import floor, log10
 import ipywidgets as widgets
 import numpy as np
 
-from rodlib.ilc.laboratory import load_law, save_law
-from rodlib.ilc.laboratory.notes import notes_of_law
+from rodlib.ilc import load_law, save_law
+from rodlib.ilc.logs.notes import notes_of_law
 from rodlib.ilc.workbench.outcome import Outcome, try_out
 from rodlib.ilc.workbench.picture import Picture
 from rodlib.ilc.workbench.plants import Family, Plant, plant_of_file

@@ -7,13 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rodlib.ilc import arguments
-from rodlib.ilc.laboratory import LogError, load_log, measured_response, read_table
-from rodlib.ilc.laboratory.notes import excitation_of, loop_of
-from rodlib.ilc.laboratory.replay import replay_of
-from rodlib.ilc.loop import Loop
-from rodlib.ilc.plants import Measured
-from rodlib.ilc.problem import Problem
+from rodlib.ilc import LogError, arguments, load_log, measured_response, read_table
+from rodlib.ilc.logs.notes import excitation_of, loop_of
+from rodlib.ilc.loop.closed import Loop
+from rodlib.ilc.problem.problem import Problem
+from rodlib.ilc.problem.responses import Measured
+from rodlib.ilc.replay import replay_of
 
 TRIALS = 10
 REST = 15  # samples, of a trial whose reference ends at rest

@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rodlib.ilc import arguments, choices
+from rodlib.ilc import arguments
 from rodlib.ilc.filters import ZeroPhaseButterworth, zero_phase_butterworth
-from rodlib.ilc.problem import Problem
+from rodlib.ilc.problem import defaults
+from rodlib.ilc.problem.problem import Problem
 from rodlib.ilc.workbench.plants import Plant
 
 FREQUENCIES = 200  # of the design; the paper has 1000
@@ -35,11 +36,11 @@ class Settings:
         cutoff = changes.get("cutoff", ZeroPhaseButterworth.cutoff / Ts)
         cutoff = float(f"{arguments.positive('cutoff', cutoff):.3g}")
         omega = _omega(Ts)
-        low, high = choices.band(cutoff, omega)
+        low, high = defaults.band(cutoff, omega)
         known = plant.response
         P = known.on(omega)[0] if plant.measured else known.frequency_response(omega)
         own = {
-            "L_max": choices.gain(cutoff, P, omega),
+            "L_max": defaults.gain(cutoff, P, omega),
             "cutoff": cutoff,
             "band": (_no_lower(low), float(f"{high:.3g}")),
             "order": plant.order,

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from plants import furnace, stage, tanks
 
 from rodlib import current_trial_loop, paper_loop, zero_phase_butterworth
-from rodlib.ilc.alternatives import (
+from rodlib.ilc import (
     NormOptimal,
     full_information,
     generalised_plant,

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rodlib import LearningFilter, converged_noise, run_trials, trial_noise, update
-from rodlib.ilc.alternatives import TwoSidedFilter, extent, two_sided_taps
+from rodlib.ilc import TwoSidedFilter, extent, two_sided_taps
 from rodlib.paper import published
 
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from rodlib import LearningFilter, SolverError, run_trials, synthesise, zero_phase_butterworth
 from rodlib.case import assumed_reference
-from rodlib.ilc.evidence import rate_within, trial_map, trial_norm, trial_operators
+from rodlib.ilc import rate_within, trial_map, trial_norm, trial_operators
 from rodlib.ilc.evidence.optimality import lower_bound
 from rodlib.ilc.evidence.peak import (
     _ceiling,
@@ -22,8 +22,8 @@ from rodlib.ilc.evidence.peak import (
     peak_gain,
 )
 from rodlib.ilc.models import frequency_response
-from rodlib.ilc.posing import pose
-from rodlib.ilc.problem import convergence_matrix, largest_singular_values
+from rodlib.ilc.problem.pose import pose
+from rodlib.ilc.problem.problem import convergence_matrix, largest_singular_values
 from rodlib.paper import published
 
 

@@ -8,8 +8,8 @@ import pytest
 
 from rodlib import synthesise, zero_phase_butterworth
 from rodlib.ilc.evidence.certificate import certify
-from rodlib.ilc.posing import pose
-from rodlib.ilc.problem import Solution
+from rodlib.ilc.problem.pose import pose
+from rodlib.ilc.problem.problem import Solution
 
 OMEGA = np.geomspace(1e-4, np.pi, 200)
 

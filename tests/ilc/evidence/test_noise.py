@@ -26,7 +26,7 @@ from rodlib import (
     update,
     zero_phase_butterworth,
 )
-from rodlib.ilc.evidence import Spectrum, TrialNoise
+from rodlib.ilc import Spectrum, TrialNoise
 from rodlib.paper import published
 
 BOTH = ("true", "measured")

@@ -17,10 +17,10 @@ from rodlib import (
     synthesise,
     zero_phase_butterworth,
 )
-from rodlib.ilc.evidence import converged_noise, trial_noise, trial_operators
+from rodlib.ilc import converged_noise, trial_noise, trial_operators
 from rodlib.ilc.evidence.finite_trial import impulse_response
-from rodlib.ilc.loop import with_noise
-from rodlib.ilc.trials import rms
+from rodlib.ilc.loop.closed import with_noise
+from rodlib.ilc.trials.run import rms
 from tests.ilc.evidence.test_noise import case
 
 VARIANCE = {"stage": [4.0], "tanks": [1.0, 4.0, 9.0]}

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rodlib.ilc.evidence.optimality import dual_norm, lower_bound
-from rodlib.ilc.posing import pose
-from rodlib.ilc.problem import Cuts
+from rodlib.ilc.problem.pose import pose
+from rodlib.ilc.problem.problem import Cuts
 
 sizes = st.integers(1, 3)
 seeds = st.integers(0, 999)

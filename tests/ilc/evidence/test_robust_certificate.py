@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from rodlib import LearningFilter, synthesise, zero_phase_butterworth
-from rodlib.ilc.evidence import worst_case
+from rodlib.ilc import worst_case
 from rodlib.ilc.evidence.peak import LOOKED_AT, error_model, peak_gain
 from rodlib.ilc.models import frequency_response
-from rodlib.ilc.problem import convergence_matrix
+from rodlib.ilc.problem.problem import convergence_matrix
 
 OMEGA = np.geomspace(1e-3, np.pi, 50)
 Q = zero_phase_butterworth(2, 0.3)

@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 from rodlib import LearningFilter
-from rodlib.ilc.alternatives import TwoSidedFilter
-from rodlib.ilc.evidence import worst_case
-from rodlib.ilc.posing import pose
+from rodlib.ilc import TwoSidedFilter, worst_case
+from rodlib.ilc.problem.pose import pose
 
 sizes = st.integers(1, 3)
 seeds = st.integers(0, 999)

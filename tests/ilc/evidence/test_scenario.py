@@ -11,10 +11,9 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 from scipy.stats import binom
 
-from rodlib.ilc.evidence import support, violation_probability
+from rodlib.ilc import support, synthesise, violation_probability
 from rodlib.ilc.evidence.scenario import scenario_bound
-from rodlib.ilc.problem import Cuts, Solution, largest_singular_values
-from rodlib.ilc.synthesis import synthesise
+from rodlib.ilc.problem.problem import Cuts, Solution, largest_singular_values
 
 
 @given(st.integers(1, 60), st.data(), st.sampled_from([1e-9, 1e-3, 0.5, 0.99]))

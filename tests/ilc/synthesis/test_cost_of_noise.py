@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from plants import half, stage, tanks
+from tests.ilc.synthesis.test_interior_point import random_plant
 
 from rodlib import (
     LearningFilter,
@@ -16,13 +17,12 @@ from rodlib import (
     synthesise,
     zero_phase_butterworth,
 )
-from rodlib.ilc.evidence import converged_noise, trial_noise, trial_operators
+from rodlib.ilc import converged_noise, trial_noise, trial_operators
 from rodlib.ilc.evidence.finite_trial import switched_on
 from rodlib.ilc.evidence.optimality import lower_bound
-from rodlib.ilc.posing import pose
-from rodlib.ilc.synthesis.program import formulate
-from rodlib.ilc.trials import rms
-from tests.ilc.synthesis.test_interior_point import random_plant
+from rodlib.ilc.problem.pose import pose
+from rodlib.ilc.synthesis.solver.program import formulate
+from rodlib.ilc.trials.run import rms
 
 CHOICES = {"order": 3, "M_max": 0.97, "L_max": 20.0, "band": (0.01, 0.3)}
 

@@ -17,8 +17,8 @@ from rodlib import (
     synthesise,
     zero_phase_butterworth,
 )
-from rodlib.ilc.posing import pose
-from rodlib.ilc.problem import largest_singular_values
+from rodlib.ilc.problem.pose import pose
+from rodlib.ilc.problem.problem import largest_singular_values
 from rodlib.ilc.synthesis import everywhere
 from rodlib.ilc.synthesis.design import solve
 from rodlib.ilc.synthesis.everywhere import carried

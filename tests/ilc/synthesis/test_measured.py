@@ -13,9 +13,9 @@ from rodlib import (
     synthesise,
     zero_phase_butterworth,
 )
-from rodlib.ilc.plants import Measured
-from rodlib.ilc.posing import pose
-from rodlib.ilc.problem import convergence_matrix, largest_singular_values
+from rodlib.ilc.problem.pose import pose
+from rodlib.ilc.problem.problem import convergence_matrix, largest_singular_values
+from rodlib.ilc.problem.responses import Measured
 
 CONFIDENCE = 0.9
 

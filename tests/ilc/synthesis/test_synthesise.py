@@ -17,11 +17,11 @@ from rodlib import (
     synthesise,
     zero_phase_butterworth,
 )
-from rodlib.ilc.evidence import trial_norm
+from rodlib.ilc import trial_norm
 from rodlib.ilc.evidence.certificate import VIOLATION
-from rodlib.ilc.problem import convergence_matrix, largest_singular_values
-from rodlib.ilc.synthesis import active_set, interior_point
+from rodlib.ilc.problem.problem import convergence_matrix, largest_singular_values
 from rodlib.ilc.synthesis.design import solve
+from rodlib.ilc.synthesis.solver import active_set, interior_point
 from rodlib.paper import published
 
 

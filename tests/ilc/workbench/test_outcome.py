@@ -19,9 +19,9 @@ from rodlib import (
     trial_noise,
     update,
 )
-from rodlib.ilc.laboratory import save_log
-from rodlib.ilc.laboratory.notes import with_excitation, with_law
-from rodlib.ilc.trials import dataset, run_trials, state_sequence
+from rodlib.ilc import save_log
+from rodlib.ilc.logs.notes import with_excitation, with_law
+from rodlib.ilc.trials.run import dataset, run_trials, state_sequence
 from rodlib.ilc.workbench import Plant, Settings, plant_of_file, try_out
 from rodlib.paper.knobs import plant_of_rod
 

@@ -11,7 +11,7 @@ import plants
 import pytest
 
 from rodlib import current_trial_loop, load_law, run_trials, save_law, save_log
-from rodlib.ilc.laboratory.notes import with_law
+from rodlib.ilc.logs.notes import with_law
 from rodlib.ilc.workbench import Picture, Plant, Settings, try_out, workbench
 
 pytest.importorskip("ipywidgets")

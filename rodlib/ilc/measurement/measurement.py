@@ -1,0 +1,263 @@
+"""From a shaken loop to its frequency response P, with the region in which the truth lies.
+
+No model is fitted: the notes of :func:`measured_response` say what is done instead.
+"""
+
+import reprlib
+import warnings
+from dataclasses import dataclass, replace
+
+import control
+import numpy as np
+import xarray as xr
+
+from rodlib.ilc import arguments
+from rodlib.ilc.logs.findings import findings_of
+from rodlib.ilc.logs.log import LogError
+from rodlib.ilc.logs.notes import actuators_of, excitation_of, loop_of
+from rodlib.ilc.logs.tables import few
+from rodlib.ilc.loop.closed import CurrentTrialLoop, Loop
+from rodlib.ilc.measurement.estimation import EstimatedResponse, estimated_response
+from rodlib.ilc.measurement.excitation import Excitation
+from rodlib.ilc.measurement.region import radius_of
+from rodlib.ilc.measurement.tabulated import TabulatedResponse, tabulated
+from rodlib.ilc.measurement.transient import NEIGHBOURS, SPAN, nearest, separated, windows_of
+from rodlib.ilc.problem.responses import Measured, interpolated, probability
+
+ROUNDED = 0.02  # of the amplitude: how far w may be from the excitation, as logs hold few digits
+
+
+@dataclass(frozen=True, repr=False)
+class MeasuredResponse(Measured):
+    """The frequency response from w to y as measured, and how far off it may be.
+
+    At each frequency its error is C^(1/2) G `spread`, where the entries of G, m by m, are
+    independent, complex and normal with variance one. `noise` estimates C with `freedom` complex
+    degrees of freedom.
+    """
+
+    omega: np.ndarray  # rad/s, shape (n,)
+    response: np.ndarray  # shape (n, m, m), complex
+    noise: np.ndarray  # covariance of the outputs' spectra, without transient, likewise
+    spread: np.ndarray  # inverse of the spectra of w, (experiment, input), likewise
+    freedom: np.ndarray  # shape (n,)
+    loop: Loop  # whose controller ran; if its observer integrates, P(0) = I
+    findings: tuple[str, ...] = ()  # what speaks against the measurement, and what follows
+
+    def _radius(self, confidence, jointly):
+        miss = _miss(confidence, jointly, len(self.omega))
+        return radius_of(self.noise, self.spread, self.freedom, miss)
+
+    def _on(self, omega, confidence):
+        """Splined, at negative frequencies as well, and I at zero if that is known of the loop.
+
+        The radius is that of the neighbours, interpolated linearly, and by how much the spline
+        differs from straight lines. Above the highest frequency the response is the one there, and
+        the radius contains all that is not larger.
+        """
+        radius, knots, P = self.radius(confidence, jointly=True), self.omega, self.response
+        both, P_both = np.append(-knots[::-1], knots), np.append(P[::-1].conj(), P, axis=0)
+        if self.anchored:
+            radius, knots = np.append(0.0, radius), np.append(0.0, knots)
+            both = np.insert(both, len(P), 0.0)
+            P_both = np.insert(P_both, len(P), np.eye(P.shape[1]), axis=0)
+        spline, bend = interpolated(both, P_both, np.minimum(omega, knots[-1]))
+        beyond = omega > knots[-1] * (1 + 1e-9)
+        anything = 2 * np.linalg.norm(P[-1], 2) + radius[-1]
+        return spline, np.where(beyond, anything, np.interp(omega, knots, radius) + bend)
+
+    @property
+    def anchored(self) -> bool:
+        """Whether P(0) = I is known of the loop: its observer integrates."""
+        return isinstance(self.loop, CurrentTrialLoop)
+
+    def _scaled(self, scale):
+        return replace(
+            self,
+            response=self.response * scale / scale[:, None],
+            noise=self.noise / scale / scale[:, None],
+            spread=self.spread * scale,
+        )
+
+    def _basis(self, omega, confidence):
+        low, high = self.omega[[0, -1]]
+        beyond = np.count_nonzero(omega > high * (1 + 1e-9))
+        lines = [
+            f"P measured at {len(self.omega)} frequencies from {low:.4g} to {high:.4g} rad/s; at "
+            f"all of them the truth is within the radius with confidence {confidence:g}",
+            "assumed: between them P is not further from their spline than straight lines are; "
+            + ("P(0) = I" if self.anchored else f"nor between {-low:.4g} and {low:.4g} rad/s"),
+        ]
+        if beyond:
+            lines.append(
+                f"assumed: above {high:.4g} rad/s, at {beyond} of the design frequencies, P is not "
+                "larger than there"
+            )
+        return lines
+
+    def __repr__(self):
+        radius = self.radius()
+        lines = [
+            f"P at {len(self.omega)} frequencies from {self.omega[0]:.3g} to "
+            f"{self.omega[-1]:.3g} rad/s{', and P(0) = I' if self.anchored else ''}",
+            f"within {radius.min():.2g} to {radius.max():.2g} (95 %, at each frequency)",
+        ]
+        return "\n".join([*lines, *self.findings])
+
+
+def measured_response(
+    log, of: str | None = None, uncertainty=None
+) -> MeasuredResponse | EstimatedResponse | TabulatedResponse:
+    """Make a measured response, with the region in which the truth lies, of what there is.
+
+    Parameters
+    ----------
+    log : xarray.Dataset or control.FrequencyResponseData
+        A record: of :func:`shake`; or any other in which the input moved, as trials under learning,
+        from :func:`record`, a reference that moves, or a step test, from :func:`load_log` or
+        :func:`read_table`. Or a table of a frequency response, which is splined between its lines.
+    of : {"w", "u"}, optional
+        Of a record that is not of :func:`shake`: whether P is from w = reference + v to y, in a
+        closed loop, or from the commands u, in an open one. Default: from w, if there is one.
+    uncertainty : array_like, shape (n,), optional
+        Of a table: the radius at its lines. Default: they are exact.
+
+    Returns
+    -------
+    MeasuredResponse, EstimatedResponse or TabulatedResponse
+        For :func:`synthesise`, the workbench and checks.
+
+    Raises
+    ------
+    LogError
+        If a record lacks an experiment, w is not the excitation, an input never moved, or an output
+        does not settle within a trial.
+
+    Warns
+    -----
+    UserWarning
+        Each of the findings: commands beyond the limits, a loop that is not linear, outputs that
+        drift, a lowest frequency that is too high for what is known at zero, lines too far apart.
+
+    Notes
+    -----
+    Records are estimated by :mod:`rodlib.ilc.measurement.impulse`, but for those of :func:`shake`:
+    there the spectrum of all periods is P W + T + V; between the harmonics W is zero and T, from
+    the state at the start and at the end, and the noise V are left. This is the local
+    polynomial method for periodic excitation (Pintelon, Schoukens, Vandersteen and Barbé,
+    Estimation of nonparametric noise and FRF models for multivariable linear systems, Mech. Syst.
+    Signal Process. 24, 2010), with a prescribed pole: T is a polynomial not in z but in
+    1 / (1 - p / z), where p is the slowest pole of the loop as designed. So a slow transient is
+    one, too, as with the local rational method (McKelvey and Guérin, Non-parametric frequency
+    response estimation using a local rational model, SYSID 2012), and the estimate stays linear in
+    the data. Noise is taken to be stationary, and to differ between neighbouring lines as white
+    noise of the sensors does behind the loop as designed: below its bandwidth the loop takes noise
+    away, a little above it adds some, within a few lines. What enters there with another shape is
+    told less well. With 99 % for all of 42 lines together, from 1.9e-3 rad/s on, the paper's loop
+    on a rod of other parameters covers 98.9 % of 2000 truths, and 98.8 % of 600 with noise that
+    lasts for 10 samples; but 97 % if it lasts for 100, and 96 % if the room warms by 1.8 K an
+    hour. What is no noise at all, such as the steps of a converter that nothing dithers, it does
+    not cover.
+    """
+    if isinstance(log, control.FrequencyResponseData):
+        if of is not None:
+            raise ValueError(f"of = {reprlib.repr(of)} is for a record, but log is a table")
+        return tabulated(log, uncertainty)
+    arguments.instance("log", log, xr.Dataset)
+    if uncertainty is not None:
+        raise ValueError("uncertainty must be None where log is a record, which tells its own")
+    excitation, loop = excitation_of(log), loop_of(log)
+    if excitation is None or of is not None:
+        measured = estimated_response(log, of)
+    elif loop is None:
+        raise LogError("log names no loop in its metadata: it is not of shake; or say `of`")
+    else:
+        w, y = _signals(log, excitation)
+        windows = windows_of(excitation.harmonics, excitation, loop)
+        measured = _estimate(w, y, windows, excitation, loop)
+        made = windows, excitation, measured
+        findings = findings_of(log.get("u", log.v).values, y, actuators_of(log), *made)
+        measured = replace(measured, findings=findings)
+    for finding in measured.findings:
+        warnings.warn(finding, stacklevel=2)
+    return measured
+
+
+def expected_radius(
+    excitation: Excitation, rest: xr.Dataset, confidence: float = 0.95, jointly: bool = False
+) -> np.ndarray:
+    """How accurate a measurement will be, from the noise of a rest.
+
+    Parameters
+    ----------
+    excitation : Excitation
+    rest : xarray.Dataset
+        From :func:`record` with the loop at rest: reference zero, no learning. At frequencies
+        below those that it is long enough for, the noise of the lowest that it shows is taken; that
+        is more than there is in a loop that integrates.
+    confidence, jointly
+        As in :meth:`MeasuredResponse.radius`.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        At the frequencies of the excitation.
+    """
+    arguments.instance("excitation", excitation, Excitation)
+    arguments.instance("rest", rest, xr.Dataset)
+    jointly = arguments.flag("jointly", jointly)
+    miss = _miss(probability(confidence), jointly, len(excitation.harmonics))
+    loop, m = loop_of(rest), excitation.channels
+    if loop is None:
+        raise LogError("rest names no loop in its metadata: it is not of record")
+    arguments.one_period(rest=loop.Ts, excitation=excitation.Ts)
+    y = arguments.array(
+        "rest.y", rest.y.transpose("trial", "time", "channel"), ("trial", "time", m)
+    )
+    samples = y.shape[1]
+    if samples < 4 * NEIGHBOURS:
+        raise ValueError(f"rest has {samples} samples, but must have {4 * NEIGHBOURS} or more")
+    Y = np.fft.rfft(y, axis=1)[:, 1:]
+    power = np.einsum("erj,erk->rjk", Y, Y.conj()) / (len(y) * samples)
+    windows = windows_of(excitation.harmonics, excitation, loop)
+    noise = []
+    for window, omega in zip(windows, excitation.omega, strict=True):
+        line = omega * excitation.Ts * samples / (2 * np.pi)
+        near = nearest(line, np.arange(1, len(power) + 1)[: max(4, int(SPAN * line))])
+        scale = np.sqrt(window.variance * excitation.evaluated)
+        noise.append(scale[:, None] * power[near - 1].mean(0) * scale)
+    lines = np.array(excitation.harmonics)
+    W = np.fft.fft(excitation.signals[:, -excitation.period :], axis=1)[:, lines]
+    spread = np.linalg.inv(np.moveaxis(W, 0, 2) * excitation.periods)
+    freedom = np.array([m * window.freedom for window in windows])
+    return radius_of(np.array(noise), spread, freedom, miss)
+
+
+def _miss(confidence, jointly, count):
+    """Probability that the truth lies outside at one of `count` frequencies."""
+    return 1 - (confidence ** (1 / count) if jointly else confidence)
+
+
+def _signals(log, excitation):
+    """w and y of the periods that are evaluated, shape (experiment, time, m), if all are there."""
+    m, shaken = excitation.channels, excitation.signals
+    if log.trial.values.tolist() != list(range(1, m + 1)):
+        raise LogError(
+            f"log has the experiments {few(log.trial.values.tolist())} of {m}: go on with shake "
+            "and the same path"
+        )
+    w = arguments.array("log.v", (log.reference + log.v).values, shaken.shape)
+    off = np.abs(w - shaken).max(axis=(0, 1)) / excitation.amplitude
+    for name, share in zip(log.output.values, off, strict=True):
+        if share > ROUNDED:
+            raise LogError(f"w of {name} is not its excitation: it is off by {share:.2g} of it")
+    y = arguments.array("log.y", log.y.values, shaken.shape)
+    return w[:, -excitation.evaluated :], y[:, -excitation.evaluated :]
+
+
+def _estimate(w, y, windows, excitation, loop):
+    """The response from the signals (experiment, time, channel), before it is judged."""
+    W = np.fft.rfft(w, axis=1)[:, [window.line for window in windows]]
+    spread = np.linalg.inv(np.moveaxis(W, 0, 2))  # (line, experiment, input)
+    net, noise, freedom = separated(y, windows)
+    return MeasuredResponse(excitation.omega, net @ spread, noise, spread, freedom, loop)

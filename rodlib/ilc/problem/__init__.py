@@ -1,0 +1,1 @@
+"""What is asked of the learning filter: one checked object, and how it is stated."""

@@ -1,0 +1,189 @@
+"""Plants and Q in whatever form they are known, on one grid of frequencies."""
+
+import reprlib
+from collections.abc import Iterator
+
+import control
+import numpy as np
+from scipy.interpolate import make_interp_spline
+
+from rodlib.ilc import arguments
+from rodlib.ilc.filters import ZeroPhaseButterworth
+from rodlib.ilc.loop.closed import Loop
+from rodlib.ilc.models import frequency_response, refuse_foreign
+
+MODELS = (Loop, control.LTI)  # what a plant may be, if not an array
+
+
+class Measured:
+    """A response as known at some frequencies, and the region in which the truth lies.
+
+    A kind has `response` (n, m, m) at `omega` (n,), rad/s, the `loop` whose response it is, and
+    `findings`, which speak against it. It says what the doors here ask by ``_radius(confidence,
+    jointly)``, ``_on(omega, confidence)``, ``_basis(omega, confidence)`` and ``_scaled(scale)``.
+    """
+
+    findings = ()
+
+    def radius(self, confidence: float = 0.95, jointly: bool = False) -> np.ndarray:
+        """Radius of ||Delta||, the largest singular value, that covers the truth.
+
+        Parameters
+        ----------
+        confidence : float
+            Probability, between 0 and 1, that the truth lies within.
+        jointly : bool
+            Whether within all radii at once, rather than within each.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            At `omega`.
+        """
+        return self._radius(probability(confidence), arguments.flag("jointly", jointly))
+
+    def on(self, omega, confidence: float = 0.95, scale=None) -> tuple[np.ndarray, np.ndarray]:
+        """Response and radius on other frequencies, for the synthesis.
+
+        Parameters
+        ----------
+        omega : array_like, shape (n,)
+            Frequencies, rad/s.
+        confidence : float
+            Probability that the truth lies within the radius at all frequencies that are known.
+        scale : array_like, shape (m,), optional
+            Units of the channels, of both response and radius; see :func:`rodlib.ilc.synthesise`.
+
+        Returns
+        -------
+        response : ndarray, shape (n, m, m), complex
+        radius : ndarray, shape (n,)
+            What is assumed between and beyond the frequencies measured, :meth:`basis` says.
+        """
+        omega, own = np.abs(arguments.row("omega", omega)), self
+        if scale is not None:
+            own = self._scaled(arguments.array("scale", scale, (self.response.shape[1],)))
+        return own._on(omega, probability(confidence))
+
+    def basis(self, omega, confidence: float = 0.95) -> tuple[str, ...]:
+        """What is known, and what :meth:`on` assumes beside it on `omega`; the findings last."""
+        lines = self._basis(arguments.row("omega", omega), probability(confidence))
+        return (*lines, *self.findings)
+
+    def __repr__(self):
+        return "\n".join(self.basis(self.omega))
+
+
+def probability(confidence) -> float:
+    """A confidence, that of a region."""
+    return arguments.number("confidence", confidence, "between 0 and 1", 0, 1)
+
+
+def interpolated(knots, P, at) -> tuple[np.ndarray, np.ndarray]:
+    """A cubic spline through P, (n, m, m), and by how much it differs from straight lines."""
+    spline, straight = (make_interp_spline(knots, P, k)(at) for k in (3, 1))
+    return spline, np.linalg.norm(spline - straight, 2, axis=(1, 2))
+
+
+def period(P, Q):
+    """The sampling period that Q, or else a plant, knows."""
+    several = isinstance(P, list | tuple)
+    for thing in (Q, *(P if several else [P])):
+        if isinstance(thing, ZeroPhaseButterworth | Loop):
+            return thing.Ts
+        if isinstance(thing, control.LTI) and thing.dt and thing.dt is not True:
+            return thing.dt
+    raise ValueError("Ts must be given, as neither P nor Q knows the sampling period")
+
+
+def plants(P):
+    """The plants by their names in messages, the nominal one first, from one plant or several."""
+    if isinstance(P, Iterator):
+        raise ValueError(f"P = {reprlib.repr(P)} can be read only once: pass a list of plants")
+    several = isinstance(P, np.ndarray) and P.ndim == 4
+    if isinstance(P, list | tuple):
+        measured = [isinstance(p, Measured) for p in P]
+        if any(measured):
+            raise ValueError(
+                f"P[{measured.index(True)}] is a measured response, whose radius would count for "
+                "all of the list: pass it alone, or P.on(omega, confidence) as arrays"
+            )
+        several = not P or any(isinstance(p, MODELS) or axes(p) == 3 for p in P)
+    if several and not len(P):
+        raise ValueError(f"P = {P!r} holds no plant: pass one or more, the nominal one first")
+    return {f"P[{k}]": plant for k, plant in enumerate(P)} if several else {"P": P}
+
+
+def axes(value):
+    """Number of axes of an array; rows of different lengths are found where they are read."""
+    try:
+        return np.ndim(value)
+    except (TypeError, ValueError):
+        return 0
+
+
+def on_grid(plants, omega, Ts):
+    """Each plant as a model, or None, and their frequency responses on omega, (p, n, m, m)."""
+    models, responses, shape = [], [], (len(omega), "m", "m")
+    for name, plant in plants.items():
+        model, response = _response(name, plant, omega, Ts)
+        responses.append(arguments.array(name, response, shape, complex))
+        models.append(model)
+        shape = responses[0].shape
+    return models, np.array(responses)
+
+
+def _response(name, P, omega, Ts):
+    """The plant as a model, or None, and its frequency response on omega, not yet checked."""
+    refuse_foreign(name, P)
+    if isinstance(P, Loop):
+        P = P.P
+    if isinstance(P, control.FrequencyResponseData):
+        return None, _of_frd(name, P, omega, Ts)
+    if not isinstance(P, control.TransferFunction | control.StateSpace):
+        return None, P
+    _check_period(name, P.dt, Ts)
+    model = None
+    if isinstance(P, control.StateSpace):
+        model = arguments.state_space(name, P)
+    elif P.ninputs == P.noutputs == 1:
+        model = control.ss(P)
+    arguments.stable(name, P.poles())
+    if model is not None:
+        return model, frequency_response(model, omega)
+    response = np.reshape(P(np.exp(1j * omega * Ts)), (*P.shape, len(omega)))
+    return None, np.moveaxis(response, -1, 0)
+
+
+def _check_period(name, dt, Ts):
+    if dt is True or dt != Ts:  # True, some period, equals 1 s
+        raise ValueError(f"{name}.dt = {dt!r} differs from Ts = {Ts!r}: sample the model at Ts")
+
+
+def _of_frd(name, P, omega, Ts):
+    """Samples of python-control's frequency response data, which must be those on omega."""
+    if P.dt and P.dt is not True:  # measured ones need not say it
+        _check_period(name, P.dt, Ts)
+    same = len(P.omega) == len(omega) and np.allclose(P.omega, omega, rtol=1e-9, atol=0)
+    if not same:
+        raise ValueError(
+            f"{name} is known at {len(P.omega)} frequencies from {P.omega[0]:.6g} to "
+            f"{P.omega[-1]:.6g} rad/s, which are not those of omega: pass omega = {name}.omega, or "
+            f"{name} = measured_response({name}), which is splined between them"
+        )
+    return np.moveaxis(P.frdata, -1, 0)
+
+
+def Q_on_grid(Q, omega, **known):
+    """The Q-filter as a model, or None, and its frequency response; `known`: a sampling period."""
+    model = Q if isinstance(Q, ZeroPhaseButterworth) else None
+    if model is not None:
+        arguments.one_period(**known, Q=Q.Ts)
+        Q = Q.frequency_response(omega)
+    elif isinstance(Q, control.LTI):
+        raise ValueError(
+            f"Q = {reprlib.repr(Q)} is a model, which runs in one direction only: pass "
+            "zero_phase_butterworth(order, cutoff, Ts), or the samples of |Q|^2 on omega"
+        )
+    Q = arguments.array("Q", Q, (len(omega),), complex)
+    return model, Q if Q.imag.any() else Q.real

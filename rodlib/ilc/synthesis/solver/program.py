@@ -1,0 +1,238 @@
+"""The problem in the form in which the solvers take it: bounds, and a basis for the filter.
+
+Given P_i (m x m) and Q_i (scalar) at the frequencies omega_i, find the real coefficients C_k of
+L(z) = sum_k C_k z^k that minimise the sum over a band, or the largest, of sigma_max(M_i), where
+M_i = Q_i (I - P_i L_i), subject to sigma_max(M_i) <= M_max and sigma_max(W L_i) <= 1 at all
+frequencies, where W is I / L_max. Each of these is a `bounds.Bound`,
+and so are the cuts, those for other plants and for a radius.
+
+The powers z, z^2, ... are replaced by a basis that is orthonormal with the weight that M and L give
+each frequency. It is computed in long doubles, see :func:`rodlib.ilc.filters.time_shifts`.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from rodlib.ilc.filters import time_shifts
+from rodlib.ilc.problem.problem import Cuts, Problem, Solution, largest_singular_values
+from rodlib.ilc.synthesis.solver.bounds import Bound, product
+
+GENEROUS = 3.0  # bound on what is minimised, in its unit: never active
+SMALLEST = 1e-10  # radius that counts as such, relative to the plant
+
+
+class Infeasible(RuntimeError):
+    """No filter meets the bounds; `nearest` has the smallest possible M_max, its `largest`."""
+
+    def __init__(self, M_max, nearest):
+        super().__init__(f"M_max = {M_max:.10g} is too small, {nearest.largest:.10g} is possible")
+        self.nearest = nearest
+
+
+@dataclass(frozen=True)
+class Program:
+    """What to minimise, and within which bounds."""
+
+    # M, then W L or, if L is diagonal, each of its entries; W L, then M, for the least gain; the
+    # cuts. M is left out where a cut implies it.
+    bounds: tuple
+    # (order, n) and (order, order): L = x basis for x of shape (entries, order), and the
+    # coefficients are the rows of x R^-T
+    basis: np.ndarray
+    R: np.ndarray
+    entries: int  # how many of L are not zero
+    free: np.ndarray  # columns at which the first bound has a variable t for its level
+    # whether t is the same for these, and for all bounds with the first limit: their largest is
+    # minimised, not a sum
+    shared: bool
+    limits: np.ndarray  # of the bounds; the first is that of t, too
+    M_max: float  # what the largest with the first limit must not exceed
+    H: np.ndarray | None = None  # x'H x / 2 is added to what is minimised
+
+    @cached_property
+    def products(self):
+        """phi_k^* phi_l and phi_k^* phi_l^*, real and imaginary parts in turn, (2 n, order^2)."""
+        conjugate = self.basis.conj()
+        both = (conjugate[:, None] * second for second in (self.basis, conjugate))
+        return [X.reshape(-1, X.shape[-1]).view(float).T for X in both]
+
+    def quadratic(self, x):
+        """x'H x / 2."""
+        return 0.0 if self.H is None else 0.5 * x.ravel() @ self.H @ x.ravel()
+
+    def slope(self, x):
+        """H x."""
+        return 0.0 if self.H is None else self.H @ x.ravel()
+
+    @property
+    def idle(self):
+        """The objective without learning."""
+        size = np.abs(self.bounds[0].F[0, 0, self.free])
+        return size.max() if self.shared else size.sum()
+
+    def minimax(self):
+        """The program of the smallest possible bound on M."""
+        size = max(np.abs(bound.F[0, 0]).max() for bound in self.bounds if bound.limit == 0)
+        limits = np.array([GENEROUS * size, self.limits[1]])
+        free = np.arange(self.bounds[0].shape[2])
+        return replace(self, free=free, shared=True, limits=limits, H=None)
+
+    def has_t(self, j):
+        """The columns of bound j whose level is a variable."""
+        if self.shared and self.bounds[j].limit == 0:
+            return np.arange(self.bounds[j].shape[2])
+        return self.free if j == 0 else np.array([], dtype=int)
+
+    def levels(self, t, limits):
+        """The level b of each bound, given t and the limits."""
+        b = [np.full(bound.shape[2], limits[bound.limit]) for bound in self.bounds]
+        for j, level in enumerate(b):
+            if len(columns := self.has_t(j)):
+                level[columns] = t
+        return b
+
+    def matrices(self, x):
+        """G of each bound, from the unknowns x, shape (entries, order)."""
+        L = x @ self.basis
+        return [bound.F + bound.response(L) for bound in self.bounds]
+
+    def unknowns(self, coefficients):
+        """The x of given coefficients, shape (m, m, order)."""
+        bound = self.bounds[0]
+        return (coefficients[bound.rows, bound.cols] @ self.R.T).astype(float)
+
+    def solution(self, x, multipliers, splits, method, iterations):
+        """Solution from the unknowns and, for each bound, the multipliers of G and the split."""
+        first, n = self.bounds[0], self.basis.shape[1]
+        m = first.T.shape[1]
+        C = np.zeros((m, m, x.shape[1]))
+        c = x.astype(self.R.dtype)  # back substitution, in the precision of R
+        for k in reversed(range(len(self.R))):
+            c[:, k] = (c[:, k] - c[:, k + 1 :] @ self.R[k, k + 1 :]) / self.R[k, k]
+        C[first.rows, first.cols] = c
+        U, V = np.zeros((2, n, m, m), dtype=complex)
+        cuts = []
+        for j, (bound, N) in enumerate(zip(self.bounds, multipliers, strict=True)):
+            if bound.plant is not None:
+                cuts.append((bound.plant, bound.at, N.T.swapaxes(1, 2), splits[j].T))
+            elif j == 0:
+                U[bound.at] = np.moveaxis(N, -1, 0)
+            elif len(N) == m:
+                V = np.moveaxis(product(bound.T, N), -1, 0)
+            else:
+                V[:, bound.entries[0], bound.entries[0]] = (bound.T * N)[0, 0]
+        G = self.matrices(x)
+        peaks = [
+            bound.value(*a).max()
+            for bound, *a in zip(self.bounds, G, splits, strict=True)
+            if bound.limit == 0
+        ]
+        cuts = Cuts(*map(np.concatenate, zip(*cuts, strict=True))) if cuts else None
+        return Solution(C, U, V, max(peaks), method, iterations, cuts)
+
+
+def orthonormalise(A):
+    """A = Q R by Gram and Schmidt, in the precision of A; NumPy's QR is for doubles only."""
+    Q, R = A.copy(), np.zeros((A.shape[1],) * 2, dtype=A.dtype)
+    for j in range(A.shape[1]):
+        for _ in range(3):  # one pass loses a digit for each of the condition number
+            share = Q[:, :j].T @ Q[:, j]
+            Q[:, j] -= Q[:, :j] @ share
+            R[:j, j] += share
+        R[j, j] = np.sqrt(Q[:, j] @ Q[:, j])
+        Q[:, j] /= R[j, j]
+    return Q, R
+
+
+def whitened_basis(P, Q, angles, order, W):
+    """Phi = R^-T [z; z^2; ...], orthonormal with the weight that M and W L give each frequency."""
+    weight = np.linalg.norm(Q[:, None, None] * P, axis=(1, 2)) / np.abs(Q).max()
+    weight = np.hypot(weight, largest_singular_values(W))
+    weight = np.maximum(weight, 1e-8 * weight.max())
+    z = weight * time_shifts(angles, order).T
+    Phi, R = orthonormalise(np.concatenate([z.real, z.imag], axis=1).T)
+    n = len(angles)
+    return ((Phi[:n] + 1j * Phi[n:]).T / weight).astype(complex, order="C"), R
+
+
+def bound_on_M(problem, plant, frequency, **kind):
+    """The bound on M, or that for the radius, for pairs of a plant, by number, and a frequency."""
+    m, Q = problem.channels, problem.Q[frequency]
+    P = problem.P[frequency]
+    other = plant > 0
+    P[other] = problem.others[plant[other] - 1, frequency[other]]
+    F, T = np.eye(m)[..., None] * Q, -Q * P.transpose(1, 2, 0)
+    if problem.radius is not None:
+        r = np.maximum(problem.radius, SMALLEST * np.abs(problem.P).max())[frequency]
+        below = np.abs(Q) * r * np.eye(m)[..., None]
+        F, T = np.concatenate([F, 0 * below]), np.concatenate([T, below])
+    F, T = (np.ascontiguousarray(X, dtype=complex) for X in (F, T))  # as long vectors
+    return Bound(F, T, at=frequency, plant=plant, **kind)
+
+
+def formulate(problem: Problem, plant=(), frequency=()) -> Program:
+    """State (39), (45) with (46), or the least gain, with cuts of these plants and frequencies."""
+    W, gain, everywhere = problem.weight, problem.objective == "gain", slice(None)
+    n, m, _ = problem.P.shape
+    full = problem.structure == "full"
+    rows, cols = np.indices((m, m)).reshape(2, -1) if full else 2 * (np.arange(m),)
+    entries = np.arange(len(rows))
+    on_M = {"entries": entries, "rows": rows, "cols": cols, "limit": int(gain)}
+    on_L = {"limit": int(not gain)}
+    every = np.arange(n)
+    nominal = replace(problem, radius=None)
+    # sigma_max(M) <= M_max, or, where it is in the sum (39) or the largest (45), a level
+    if problem.radius is None:
+        bounds = [replace(bound_on_M(nominal, 0 * every, every, **on_M), at=everywhere, plant=None)]
+    else:  # which implies the nominal one
+        bounds = [bound_on_M(problem, 0 * every, every, **on_M)]
+        if problem.objective == "sum":
+            some = np.flatnonzero(problem.in_band)
+            bounds.insert(0, replace(bound_on_M(nominal, 0 * some, some, **on_M), plant=None))
+    # sigma_max(L) <= L_max, (39), (46)
+    one = np.ones((1, 1, n), dtype=complex)
+    zero = np.zeros((m, m, 1)) * one
+    if full or gain:
+        L = [
+            Bound(
+                zero,
+                np.ascontiguousarray(np.moveaxis(W, 0, -1), complex),
+                entries,
+                rows,
+                cols,
+                everywhere,
+                **on_L,
+            )
+        ]
+    else:  # smaller ones, one for each entry
+        one_by_one = ((W[:, e, e] * one, entries[[e]], rows[:1], cols[:1]) for e in entries)
+        L = [Bound(0 * one, *a, everywhere, **on_L) for a in one_by_one]
+    bounds = [*L, *bounds] if gain else [bounds[0], *L, *bounds[1:]]
+    if len(plant):
+        bounds.append(bound_on_M(problem, np.asarray(plant), np.asarray(frequency), **on_M))
+    basis, R = whitened_basis(problem.P, problem.Q, problem.angles, problem.order, W)
+    bounds = tuple(bounds)
+    if gain:
+        limits = np.array([GENEROUS, problem.M_max])
+        return Program(bounds, basis, R, len(rows), every, True, limits, GENEROUS)
+    limits = np.array([problem.M_max, 1.0])
+    free = np.flatnonzero(problem.in_band[bounds[0].at])
+    program = Program(bounds, basis, R, len(rows), free, False, limits, problem.M_max)
+    if problem.objective == "peak":
+        program = program.minimax()  # (45)
+    if problem.noise is not None:  # at whose price the peak could be higher
+        program = replace(program, limits=limits, H=cost_of_noise(problem, basis, rows, cols))
+    return program
+
+
+def cost_of_noise(problem, basis, rows, cols):
+    """The H with x'H x / 2 the :meth:`rodlib.ilc.problem.Problem.cost_of_noise` of the filter."""
+    G = problem.passed
+    gram = G.conj().swapaxes(1, 2) @ G
+    same = cols[:, None] == cols
+    weight = gram[:, rows[:, None], rows] * same * problem.noise[:, cols][:, None]
+    half = np.einsum("nij,kn,ln->ikjl", weight, basis.conj(), basis, optimize=True).real
+    H = 2 * half.reshape(len(rows) * len(basis), -1)
+    return (H + H.T) / 2

@@ -1,0 +1,397 @@
+"""Measuring P: against loops that are known exactly, and a rig that shares nothing with them."""
+
+from dataclasses import replace
+
+import control
+import numpy as np
+import pytest
+from plants import furnace
+from scipy.signal import fftconvolve
+from scipy.stats import binom
+
+from rodlib import (
+    current_trial_loop,
+    load_log,
+    midr,
+    paper_loop,
+    record,
+    sampled_response,
+)
+from rodlib.ilc import (
+    LogError,
+    RigError,
+    expected_radius,
+    loop_of,
+    measured_response,
+    multisine,
+    shake,
+)
+from rodlib.ilc.logs.notes import excitation_of, with_excitation
+from rodlib.ilc.measurement.measurement import MeasuredResponse, _estimate
+from rodlib.ilc.measurement.region import radius_of
+from rodlib.ilc.measurement.transient import separated, windows_of
+from rodlib.ilc.trials.run import dataset, state_sequence
+from rodlib.rigs import MISMATCHED, RestartingRig, RigParameters
+
+SEEDS = 200
+CASES = {  # loop, lowest and highest frequency (rad/s), hours, noise
+    "rod": (paper_loop, 0.02, 0.5, 1.2, 0.02),
+    "furnace": (lambda: current_trial_loop(furnace(10)), 0.08, 1.5, 0.4, 0.01),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def quick(loop):
+    """An excitation of the paper's loop that does not take long."""
+    return multisine(loop, 5e-3, 0.5, 2.0, 2.3, lines=16)
+
+
+@pytest.fixture(scope="module")
+def short(loop):
+    """A shorter one, with a lowest frequency that is too high for what is known at zero."""
+    return multisine(loop, 0.02, 0.5, 2.0, 0.7, lines=12)
+
+
+def answer(loop, w, noise=None, plant=None):
+    """Outputs of all experiments, one after the other from rest, shape (experiment, time, m)."""
+    closed = loop.closed if plant is None else loop.around(plant)
+    m = loop.plant.noutputs
+    noise = np.zeros_like(w) if noise is None else noise
+    K = np.vstack([np.zeros((closed.nstates - len(loop.KL), m)), loop.KL])
+    w, n = w.reshape(-1, m), noise.reshape(-1, m)
+    states = state_sequence(closed.A, w @ closed.B[:, :m].T + n @ K.T, np.zeros(closed.nstates))
+    return (states @ closed.C.T + w @ closed.D[:, :m].T + n).reshape(noise.shape)
+
+
+def log_of(loop, excitation, y, v=None):
+    v = excitation.signals if v is None else v
+    run = dataset(
+        loop.Ts, loop.outputs, loop.controls, [], loop.units,
+        reference=0 * v, v=v, u=0 * v, y=y, delta=0 * v,
+    )  # fmt: skip
+    return with_excitation(run, excitation, loop)
+
+
+def noise_of(excitation, sigma, seed, count=1):
+    shape = (count, *excitation.signals.shape)
+    return sigma * np.random.default_rng(seed).standard_normal(shape)
+
+
+@pytest.fixture(scope="module", params=CASES)
+def seeds(request):
+    """A case measured with many seeds, and without noise."""
+    make, lowest, highest, hours, sigma = CASES[request.param]
+    loop = make()
+    excitation = multisine(loop, lowest, highest, 1.0, hours, lines=12)
+    w, last = excitation.signals, slice(-excitation.evaluated, None)
+    windows = windows_of(excitation.harmonics, excitation, loop)
+    settled = answer(loop, w)
+    noise = noise_of(excitation, sigma, 1, SEEDS)
+    noisy = settled + answer(loop, 0 * noise, noise)
+    measured = [
+        _estimate(w[:, last], y[:, last], windows, excitation, loop) for y in [settled, *noisy]
+    ]
+    return loop.frequency_response(excitation.omega), measured[0], measured[1:]
+
+
+def radii(measured, confidence, jointly=False):
+    """Of all seeds, (seed, frequency), in one go."""
+    stacked = {
+        name: np.concatenate([getattr(one, name) for one in measured])
+        for name in ("omega", "response", "noise", "spread", "freedom")
+    }
+    if jointly:
+        confidence = confidence ** (1 / len(measured[0].omega))
+    radius = MeasuredResponse(loop=measured[0].loop, **stacked).radius(confidence)
+    return radius.reshape(len(measured), -1)
+
+
+def test_the_region_covers_the_truth_as_often_as_it_says(seeds):
+    truth, _, measured = seeds
+    errors = np.array([np.linalg.norm(one.response - truth, 2, axis=(1, 2)) for one in measured])
+    covered = errors <= radii(measured, 0.95)
+    assert 0.94 <= covered.mean() <= 0.96
+    low, high = binom.interval(0.999, SEEDS, 0.95)
+    assert low <= covered.sum(axis=0).min() and covered.sum(axis=0).max() <= high
+    together = np.all(errors <= radii(measured, 0.9, jointly=True), axis=1).sum()
+    low, high = binom.interval(0.999, SEEDS, 0.9)
+    assert low <= together <= high
+
+
+@pytest.fixture(scope="module")
+def shaped(loop):
+    """Noise behind the loop around another rod, at lines below and above the loop's bandwidth."""
+    excitation = multisine(loop, 3.84e-3, 0.3, 5.0, 3.0, lines=60)
+    windows = windows_of(excitation.harmonics, excitation, loop)
+    plant = control.sample_system(midr(MISMATCHED, degree=6), loop.Ts, method="zoh")
+    pulses = np.zeros((2, 3000, 2))
+    pulses[[0, 1], 0, [0, 1]] = 1.0
+    after = np.array([answer(loop, 0 * one[None], one[None], plant)[0] for one in pulses])
+    noise = 0.02 * np.random.default_rng(5).standard_normal((SEEDS, 2, excitation.samples, 2))
+    heard = sum(
+        fftconvolve(noise[..., [i]], after[i][None, None], axes=2)[:, :, : excitation.samples]
+        for i in range(2)
+    )
+    W = np.fft.fft(excitation.signals[:, -excitation.evaluated :], axis=1)
+    spread = np.linalg.inv(np.moveaxis(W[:, [window.line for window in windows]], 0, 2))
+    found = [separated(y[:, -excitation.evaluated :], windows) for y in heard]
+    errors = np.array([net @ spread for net, _, _ in found])
+    return errors, np.array([noise for _, noise, _ in found]), found[0][2], spread
+
+
+def test_noise_that_the_loop_shapes_is_told_right_where_it_bends(shaped):
+    """Its density has a peak near the bandwidth: a mean over neighbours misses a sixth of it."""
+    errors, noise, freedom, spread = shaped
+    lines = slice(1, 8)
+    predicted = np.einsum("snii->n", noise).real * np.sum(np.abs(spread) ** 2, axis=(1, 2))
+    ratio = predicted[lines] / np.sum(np.abs(errors) ** 2, axis=(0, 2, 3))[lines]
+    assert np.all(np.abs(ratio - 1) < 0.12) and abs(ratio.mean() - 1) < 0.05
+    repeated = [np.tile(x, (SEEDS, *[1] * (x.ndim - 1))) for x in (spread, freedom)]
+    radius = radius_of(noise.reshape(-1, 2, 2), *repeated, 0.05).reshape(SEEDS, -1)
+    covered = np.linalg.norm(errors, 2, axis=(2, 3)) <= radius
+    assert covered[:, lines].mean() == pytest.approx(0.95, abs=0.015)
+    assert covered.mean() == pytest.approx(0.95, abs=0.007)
+
+
+def covariance(measured):
+    """Of the entries P11, P12, ... by what noise and spread mean, shape (n, m m, m m)."""
+    spread = measured.spread
+    each = np.einsum("nik,nej,nel->nijkl", measured.noise, spread, spread.conj())
+    return each.reshape(-1, spread[0].size, spread[0].size)
+
+
+def test_bias_is_below_the_noise_and_the_covariance_is_that_of_the_errors(seeds):
+    truth, without_noise, measured = seeds
+    errors = np.array([one.response - truth for one in measured]).reshape(SEEDS, len(truth), -1)
+    found = np.einsum("snj,snk->njk", errors, errors.conj()) / SEEDS
+    predicted = np.mean([covariance(one) for one in measured], axis=0)
+    deviation = np.sqrt(np.einsum("njj->nj", found).real)
+    bias = np.abs(without_noise.response - truth).reshape(deviation.shape)
+    assert np.all(bias < deviation / 4)
+    scale = deviation[:, :, None] * deviation[:, None]
+    assert np.abs((predicted - found) / scale).max() < 6 / np.sqrt(SEEDS)
+    scatter = np.einsum("njj->", predicted).real / np.einsum("njj->", found).real
+    assert scatter == pytest.approx(1, abs=0.1)
+
+
+@pytest.mark.parametrize(("m", "freedom"), [(1, 2), (2, 4), (2, 26), (3, 9)])
+@pytest.mark.parametrize("ratio", [1.0, 0.3, 0.05])
+def test_the_radius_holds_for_noise_in_all_directions_and_in_one(m, freedom, ratio):
+    rng = np.random.default_rng(m * freedom)
+    n = 400
+
+    def normal(*shape):
+        return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / np.sqrt(2)
+
+    root = np.diag(np.linspace(1, ratio, m))
+    V = root @ normal(n, m, freedom)
+    estimate = V @ V.conj().swapaxes(1, 2) / freedom
+    radius = radius_of(estimate, np.tile(np.eye(m), (n, 1, 1)), np.full(n, freedom), 0.05)
+    covered = np.sum(np.linalg.norm(root @ normal(n, m, m), 2, axis=(1, 2)) <= radius)
+    low, high = binom.ppf(5e-4, n, 0.93), binom.ppf(1 - 5e-4, n, 0.965)
+    assert low <= covered <= high
+
+
+def test_one_channel_has_the_quantile_of_an_f_distribution():
+    """With two degrees of freedom, P(F > x) = (1 + x / (2 nu) * 2)^(-nu)."""
+    one = np.ones((1, 1, 1))
+    for nu, miss in ((1, 0.05), (7, 0.01)):
+        square = nu * (miss ** (-1 / nu) - 1)
+        np.testing.assert_allclose(radius_of(4 * one, one, np.array([nu]), miss), 2 * square**0.5)
+
+
+def test_averaging_the_periods_fails_for_a_slow_plant_and_this_does_not(loop):
+    """From rest, without the lead: what the transient does to the average is not noise."""
+    excitation = multisine(loop, 6e-3, 0.3, 2.0, 2.6, lines=12)
+    w = excitation.signals
+    y = answer(loop, w, noise_of(excitation, 0.02, 3)[0])
+    first = slice(0, excitation.evaluated)
+    windows = windows_of(excitation.harmonics, excitation, loop)
+    measured = _estimate(w[:, first], y[:, first], windows, excitation, loop)
+    truth = loop.frequency_response(excitation.omega)
+    lines = [window.line for window in windows]
+    average = np.fft.rfft(y[:, first], axis=1)[:, lines].transpose(1, 2, 0) @ measured.spread
+    radius = measured.radius(0.95)
+    off = np.linalg.norm(average - truth, 2, axis=(1, 2)) / radius
+    own = np.linalg.norm(measured.response - truth, 2, axis=(1, 2)) / radius
+    assert off.max() > 5 and np.mean(off > 1) > 0.5
+    assert own.max() < 1.5
+
+
+def test_the_rig_is_measured_and_the_forecast_is_right(loop, Q, quick):
+    """Against the rod's own equation: neither rig nor truth knows the model of the design."""
+    parameters = RigParameters(lag=0.0)
+    quiet = record(RestartingRig(parameters=parameters), loop, Q, None, np.zeros((900, 2)), None, 1)
+    expected = expected_radius(quick, quiet)
+    measured = measured_response(shake(RestartingRig(parameters=parameters), loop, quick))
+    assert not measured.findings
+    G = sampled_response(MISMATCHED, measured.omega, 1.0)[:, :, [0, 2]]
+    truth = loop.frequency_response(measured.omega, G)
+    error = np.linalg.norm(measured.response - truth, 2, axis=(1, 2))
+    assert np.all(error < measured.radius(0.999, jointly=True))
+    model = np.linalg.norm(loop.frequency_response(measured.omega) - truth, 2, axis=(1, 2))
+    assert error.max() < 0.2 * model.max()
+    ratio = expected / measured.radius()
+    assert ratio.min() > 0.5 and ratio.max() < 2 and np.median(ratio) == pytest.approx(1, abs=0.25)
+
+
+class Failing(RestartingRig):
+    """Goes wrong in one sample, counted from 0."""
+
+    sample = 1500
+
+    def read(self):
+        self.sample -= 1
+        return [np.nan, 0.0] if self.sample == -1 else super().read()
+
+
+def test_shaking_is_logged_and_gone_on_with(loop, short, tmp_path):
+    path = tmp_path / "shaken.csv"
+    with pytest.raises(RigError, match=r"trial 2, sample .* not finite"):
+        shake(Failing(), loop, short, path=path)
+    assert load_log(path).sizes["trial"] == 1
+    with pytest.raises(LogError, match=r"experiments \[1\] of 2: go on with shake"):
+        measured_response(load_log(path))
+    other = replace(short, amplitude=(1.0, 1.0))
+    with pytest.raises(ValueError, match="another experiment, see its excitation"):
+        shake(RestartingRig(), loop, other, path=path)
+    shake(RestartingRig(), loop, short, path=path)
+    log, at_once = load_log(path), shake(RestartingRig(), loop, short)
+    assert excitation_of(log) == short and loop_of(log).plant.A.tolist() == loop.plant.A.tolist()
+    np.testing.assert_array_equal(log.v, short.signals)
+    np.testing.assert_array_equal(log.y, at_once.y)
+
+
+def test_an_actuator_at_its_limit_is_reported(loop, quick, short, tmp_path):
+    """By what it does to the outputs, where that shows, or by its limits, which the rig knows."""
+    strong = replace(quick, amplitude=(20.0, 20.0))
+    rig = RestartingRig(parameters=RigParameters(limit=40.0))
+    with pytest.warns(UserWarning, match=r"trial \d: .* beyond the limits of Q1 in .*%, Q3 in"):
+        log = shake(rig, loop, strong)
+    with pytest.warns(UserWarning) as told:
+        assert "smaller amplitude" in repr(measured_response(log))
+    assert any("the loop is not linear: y1" in str(one.message) for one in told)
+    rig, path = RestartingRig(parameters=RigParameters(limit=4.0)), tmp_path / "shaken.csv"
+    with pytest.warns(UserWarning, match="what the actuators cannot do"):
+        log = shake(rig, loop, short, path=path)
+    share = np.mean(np.abs(log.u.values) > 4, axis=(0, 1))
+    for known in (log, load_log(path)):
+        with pytest.warns(UserWarning) as told:
+            measured_response(known)
+        assert f"limits of Q1 in {share[0]:.1%}, Q3 in {share[1]:.1%} of all" in str(
+            told[0].message
+        )
+    with pytest.raises(LogError, match="actuators cannot be understood"):
+        measured_response(log.assign_attrs(actuators='{"Q1": [4, -4]}'))
+
+
+def test_a_drift_is_reported_with_what_it_does(loop, quick):
+    y = answer(loop, quick.signals, noise_of(quick, 0.02, 4)[0])
+    time = np.arange(quick.samples)[:, None]
+    with pytest.warns(UserWarning, match=r"y2 drifts by 3\.\d+ an hour: P is off by about") as told:
+        drifting = measured_response(log_of(loop, quick, y + [0.0, 1e-3] * time))
+    still = measured_response(log_of(loop, quick, y))
+    moved = np.linalg.norm(drifting.response - still.response, 2, axis=(1, 2)).max()
+    said = float(str(told[0].message).split("off by about ")[1].split()[0])
+    assert said == pytest.approx(moved, rel=0.3)
+    assert drifting.radius()[0] > max(2 * still.radius()[0], moved)
+
+
+def test_noise_alone_leads_to_no_finding(loop, quick):
+    noise = noise_of(quick, 0.02, 8, 20)
+    outputs = answer(loop, quick.signals) + answer(loop, 0 * noise, noise)
+    for y in outputs:
+        assert not measured_response(log_of(loop, quick, y)).findings
+
+
+def test_a_lowest_frequency_above_the_bandwidth_is_reported(loop):
+    high = multisine(loop, 0.05, 0.5, 2.0, 0.3, lines=8)
+    y = answer(loop, high.signals, noise_of(high, 0.02, 4)[0])
+    with pytest.warns(UserWarning, match=r"P differs from I by 1\.\d+ at the lowest"):
+        measured_response(log_of(loop, high, y))
+
+
+@pytest.mark.parametrize(("samples", "lines"), [(20, 40), (20, 200), (3, 40)])
+def test_lines_too_far_apart_for_a_delay_are_reported(samples, lines):
+    """The phase of a long delay turns by more than a radian between 40 lines, and not of 200."""
+    loop = current_trial_loop(furnace(samples, Ts=30.0), sizes={"outlet": 10.0, "valve": 5.0})
+    plan = multisine(loop, 5e-4, 0.08, 5.0, 35.0, lines=lines)
+    log = log_of(loop, plan, answer(loop, plan.signals, noise_of(plan, 1e-3, 3)[0]))
+    if (samples, lines) == (20, 40):
+        with pytest.warns(UserWarning, match=r"lines are too far apart near 0\.0\d+ rad/s.* more"):
+            measured = measured_response(log)
+        assert measured.findings[0] in measured.basis([0.01])
+    else:
+        measured = measured_response(log)
+    grid = np.geomspace(1e-4, 0.07, 500)
+    response, radius = measured.on(grid, 0.999)
+    off = np.linalg.norm(response - loop.frequency_response(grid), 2, axis=(1, 2))
+    assert (np.max(off / radius) > 2) == bool(measured.findings)  # the warning is about the truth
+
+
+def test_wrong_records_are_refused(loop, quick):
+    w = quick.signals
+    y = answer(loop, w, noise_of(quick, 0.02, 5)[0])
+    gap = y.copy()
+    gap[0, -100] = np.nan
+    broken = w.copy()
+    broken[1, -300:] = 0
+    missing = np.fft.rfft(w[:, -quick.period :], axis=1)
+    missing[:, quick.harmonics[3]] = 0
+    missing = np.fft.irfft(missing, quick.period, axis=1)
+    missing = missing[:, np.arange(-quick.samples, 0) % quick.period]
+    alike = w[[0, 0]]
+    for v, outputs, message in (
+        (w, gap, "log.y has 2 values that are not finite"),
+        (broken, y, "w of y1 is not its excitation"),
+        (missing, y, "w of y1 is not its excitation"),
+        (alike, y, "w of y2 is not its excitation"),
+        (w[:, 1:], y[:, 1:], r"log.v has shape \(2, .*, 2\), but must have shape"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            measured_response(log_of(loop, quick, outputs, v))
+    bare = log_of(loop, quick, y)
+    without = bare.assign_attrs()
+    del without.attrs["loop"]
+    with pytest.raises(LogError, match="it is not of shake"):
+        measured_response(without)
+    with pytest.raises(LogError, match="excitation cannot be understood"):
+        measured_response(bare.assign_attrs(excitation='{"period": 3}'))
+    with pytest.raises(ValueError, match="is for 1 channels, but the loop has 2"):
+        shake(RestartingRig(), loop, replace(quick, amplitude=(1.0,)))
+
+
+def test_between_the_lines(loop, quick):
+    y = answer(loop, quick.signals, noise_of(quick, 0.02, 6)[0])
+    measured = measured_response(log_of(loop, quick, y))
+    response, radius = measured.on(measured.omega, 0.9)
+    np.testing.assert_allclose(response, measured.response)
+    np.testing.assert_allclose(radius, measured.radius(0.9, jointly=True))
+    dense = np.geomspace(1e-4, np.pi, 300)
+    response, radius = measured.on(dense, 0.99)
+    off = np.linalg.norm(response - loop.frequency_response(dense), 2, axis=(1, 2))
+    assert np.all(off <= radius)
+    largest = np.linalg.norm(measured.response[-1], 2)
+    assert np.all(radius[dense > measured.omega[-1] * 1.001] > 2 * largest)
+    start, bound = measured.on([1e-9], 0.99)
+    np.testing.assert_allclose(start[0], np.eye(2), atol=1e-6)
+    assert bound[0] < 1e-6
+    for confidence in (0, 1, "high"):
+        with pytest.raises(ValueError, match=r"confidence = .* must be between 0 and 1"):
+            measured.radius(confidence)
+
+
+@pytest.mark.parametrize("scale", [(1.0, 1.0), (5.0, 5.0), (0.1, 30.0)])
+def test_in_units_of_a_scale_it_is_what_was_measured_in_these_units(loop, quick, scale):
+    y = answer(loop, quick.signals, noise_of(quick, 0.02, 6)[0])
+    measured = measured_response(log_of(loop, quick, y))
+    last, windows = slice(-quick.evaluated, None), windows_of(quick.harmonics, quick, loop)
+    w, y = quick.signals[:, last] / scale, y[:, last] / scale
+    other = _estimate(w, y, windows, quick, loop)
+    dense = np.geomspace(1e-3, 1.0, 50)
+    for ours, theirs in zip(measured.on(dense, 0.9, scale), other.on(dense, 0.9), strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-6, atol=1e-12)
+    lines = measured.basis(dense, 0.9)
+    assert f"from {measured.omega[0]:.4g} to {measured.omega[-1]:.4g} rad/s" in lines[0]
+    assert f"at {(dense > measured.omega[-1]).sum()} of the design frequencies" in lines[2]
+    assert len(measured.basis(measured.omega, 0.9)) == 2 + len(measured.findings)

@@ -1,0 +1,86 @@
+"""What nobody says is chosen by Q, Ts and P: for the rod what the paper says, whatever the unit."""
+
+from types import SimpleNamespace
+
+import control
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rodlib import synthesise, zero_phase_butterworth
+from rodlib.case import BAND, L_MAX
+from rodlib.ilc.problem import defaults
+from rodlib.ilc.problem.pose import pose
+
+
+def test_of_the_papers_loop_they_are_the_papers(loop, Q, omega):
+    chosen, paper = pose(loop, Q), pose(loop, Q, omega, band=BAND, L_max=L_MAX)
+    np.testing.assert_allclose(chosen.omega, omega, rtol=1e-12)
+    assert chosen.band == pytest.approx(BAND, rel=1e-12) and chosen.L_max == L_MAX
+    assert [text.split(" = ")[0] for text in chosen.basis] == ["chosen: band", "chosen: L_max"]
+    assert not paper.basis
+
+
+@given(factor=st.floats(1e-6, 1e6), unit=st.floats(1e-6, 1e6))
+def test_time_and_unit_may_be_others(factor, unit):
+    """A lag 0.1 / (z - 0.9), ten times faster: all frequencies move along, and the gain stays."""
+    slow, fast = (
+        pose(control.ss(0.9, size, 0.1, 0, Ts), zero_phase_butterworth(2, 0.1 / Ts, Ts))
+        for Ts, size in ((1.0, 1.0), (factor, unit))
+    )
+    np.testing.assert_allclose(fast.omega * factor, slow.omega, rtol=1e-9)
+    np.testing.assert_allclose(np.array(fast.band) * factor, slow.band, rtol=1e-9)
+    exact = abs(np.exp(0.1j) - 0.9) / 0.1 / unit  # 1 / |P| at the cut-off
+    assert exact <= fast.L_max * (1 + 1e-3) and fast.L_max < 2.001 * exact
+
+
+def test_of_several_channels_the_gain_inverts_the_weakest_direction():
+    P, omega = np.array([np.diag([4.0, 0.25])] * 3), np.array([0.1, 1.0, 3.0])
+    assert defaults.gain(1.0, P, omega) == 4.0  # exactly, in spite of rounding up
+    assert defaults.gain(1.0, 0.99 * P, omega) == 5.0
+    assert defaults.gain(1.0, P / 0.99, omega) == 4.0
+    assert defaults.gain(1.0, P * 1e5, omega) == 4e-5
+
+
+def test_the_cutoff_of_samples_is_where_half_is_left(Q):
+    omega = np.geomspace(1e-4, np.pi, 100)
+    samples = Q.frequency_response(omega)
+    assert defaults.cutoff(None, samples, omega) == pytest.approx(0.1, rel=0.01)
+    assert defaults.cutoff(None, np.ones(100), omega) == omega[-1]
+    assert defaults.cutoff(None, samples / 3, omega) == omega[-1]
+
+
+def test_a_band_is_within_the_samples_and_not_empty():
+    omega = np.array([0.0, 1.0, 2.0, 3.0])
+    assert defaults.band(100.0, omega) == (1.0, 3.0)
+    assert defaults.band(0.1, omega) == (1.0, 2.0)
+    assert defaults.band(12.5, omega) == (1.0, 2.5)
+    assert defaults.band(2.5, omega) == (1.0, 2.5)
+
+
+def test_samples_bring_their_frequencies_or_need_them(loop, Q):
+    grid = np.geomspace(1e-3, np.pi, 60)
+    P = loop.frequency_response(grid)
+    frd = control.frd(np.moveaxis(P, 0, -1), grid)
+    np.testing.assert_array_equal(pose(frd, Q).omega, grid)
+    with pytest.raises(ValueError, match="omega must be given: P is an array"):
+        pose(P, Q, Ts=1.0)
+    with pytest.raises(ValueError, match=r"omega must be given, as Q = .* is no filter"):
+        pose(loop, np.ones(60), Ts=1.0)
+
+
+def test_of_a_measured_response_the_grid_begins_where_it_is_known(Q):
+    omega = np.geomspace(1e-3, 3, 9)
+    measured = SimpleNamespace(on=None, omega=omega, known=omega > 0.01)
+    assert defaults.frequencies([measured], Q, 1.0)[0] == pytest.approx(omega[omega > 0.01][0])
+
+
+def test_a_stage_at_a_millisecond_learns_without_being_told_anything():
+    """With the rod's band the objective was 2e-12, and nobody said so."""
+    w, Ts = 2 * np.pi * 40, 1e-3
+    stage = control.sample_system(control.ss(control.tf(w**2, [1, 1.4 * w, w**2])), Ts)
+    Q = zero_phase_butterworth(2, 200.0, Ts)
+    design = synthesise(stage, Q)
+    assert design.certificate.mean_M < 0.1 and design.certificate.all_M < 0.901
+    assert "chosen: band = (0.2, 40) rad/s" in str(design.certificate)

@@ -1,0 +1,39 @@
+"""The synthesis runs on one thread of BLAS, whatever the user has."""
+
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
+
+from rodlib import largest_cutoff, least_gain, synthesise
+from rodlib.ilc.synthesis import design
+from rodlib.ilc.synthesis.solver.threads import on_one_thread
+
+
+def threads():
+    return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
+
+
+def test_while_it_runs_there_is_one_thread_and_afterwards_what_there_was():
+    np.ones((3, 3)) @ np.ones((3, 3))
+    with threadpool_limits(2, "blas"):
+        before = threads()
+        assert on_one_thread(threads)() == {1}
+        with pytest.raises(ZeroDivisionError):
+            on_one_thread(lambda: 1 / 0)()
+        assert threads() == before
+
+
+def test_the_digits_are_those_of_one_thread(loop, Q, omega, monkeypatch):
+    seen, solve = [], design.solve
+    monkeypatch.setattr(design, "solve", lambda *a: [solve(*a), seen.append(threads())][0])
+    found = []
+    for number in (1, 2):
+        with threadpool_limits(number, "blas"):
+            found.append(synthesise(loop, Q, omega).filter.coefficients)
+    np.testing.assert_array_equal(*found)
+    assert seen == [{1}, {1}]
+
+
+def test_the_searches_are_held_to_one_too():
+    for search in (synthesise, least_gain, largest_cutoff):
+        assert search.__wrapped__.__name__ == search.__name__
