@@ -21,10 +21,21 @@ def is_ready(root: Path) -> bool:
     """
     ready = root / ".venv" / "bin" / "ready"
     sources = [root / "environment.lock", root / "pyproject.toml"]
-    if not ready.exists() or ready.stat().st_mtime < max(path.stat().st_mtime for path in sources):
+    if not ready.exists() or ready.stat().st_mtime < max(
+        path.stat().st_mtime for path in sources
+    ):
         return False
-    question = "import os, rodlib; os.path.samefile(*rodlib.__path__, 'rodlib') or os._exit(1)"
-    call = [ready.with_name("python"), "-I", "-X", "utf8", "-c", question]  # -I: not by its folder
+    question = (
+        "import os, rodlib; os.path.samefile(*rodlib.__path__, 'rodlib') or os._exit(1)"
+    )
+    call = [
+        ready.with_name("python"),
+        "-I",
+        "-X",
+        "utf8",
+        "-c",
+        question,
+    ]  # -I: not by its folder
     try:
         return subprocess.run(call, cwd=root, stderr=subprocess.DEVNULL).returncode == 0
     except OSError:  # its Python has gone
@@ -40,7 +51,10 @@ def create(root: Path) -> None:
     """Create the environment anew, by uv, which the lock holds, or else by pip, which is slower."""
     python, lock = root / ".venv" / "bin" / "python", root / "environment.lock"
     (python.parent / "ready").unlink(missing_ok=True)
-    print("creating the environment from environment.lock (once, some minutes) ...", flush=True)
+    print(
+        "creating the environment from environment.lock (once, some minutes) ...",
+        flush=True,
+    )
     run([sys.executable, "-m", "venv", "--clear", root / ".venv"])
     first = root / ".venv" / "first.txt"
     first.write_text(entry("uv", lock.read_text(encoding="utf-8")), encoding="utf-8")
@@ -67,7 +81,9 @@ def main(root: Path = ROOT) -> None:
         return
     from rodlib.ilc.files import alone, folder
 
-    refusal = f"another make is creating the environment in {root}: wait until it has ended"
+    refusal = (
+        f"another make is creating the environment in {root}: wait until it has ended"
+    )
     try:
         with alone(folder(root / "build") / "environment.lock", refusal):
             if not is_ready(root):  # or it has been created in the meantime

@@ -19,7 +19,9 @@ from scipy.linalg import eigh, solve_continuous_lyapunov
 from rodlib.ilc import arguments
 from rodlib.rod import Rod, midr, named
 
-FINE = 12  # degree of the model that is truncated: its error is below 1e-7 up to 0.1 rad/s
+FINE = (
+    12  # degree of the model that is truncated: its error is below 1e-7 up to 0.1 rad/s
+)
 ROUNDING = 1e-7  # Hankel singular values below it, relative to the first, are rounding
 
 
@@ -90,7 +92,10 @@ def finite_elements(rod: Rod, element, elements: int = 1) -> control.StateSpace:
 
     arguments.instance("rod", rod, Rod)
     elements = arguments.whole("elements", elements, 1, 1000)
-    known = isinstance(element, skfem.Element) and element.refdom is skfem.MeshLine.elem.refdom
+    known = (
+        isinstance(element, skfem.Element)
+        and element.refdom is skfem.MeshLine.elem.refdom
+    )
     if not (known and element.nodal_dofs):
         raise ValueError(
             f"element = {element!r:.200} must be an element of scikit-fem for a line, with "
@@ -101,10 +106,16 @@ def finite_elements(rod: Rod, element, elements: int = 1) -> control.StateSpace:
     element, order = deepcopy(element), 2 * max(element.maxdeg, len(rod.sensors))
     basis = skfem.Basis(mesh, element, intorder=order)
     section = np.arange(mesh.nelements).reshape(rod.sections, elements)
-    heat = np.column_stack([unit_load.assemble(basis.with_elements(each)) for each in section])
+    heat = np.column_stack(
+        [unit_load.assemble(basis.with_elements(each)) for each in section]
+    )
     shown = basis.probes(np.array([rod.sensors])).toarray()
     return _model(
-        rod, mass.assemble(basis).toarray(), laplace.assemble(basis).toarray(), heat, shown
+        rod,
+        mass.assemble(basis).toarray(),
+        laplace.assemble(basis).toarray(),
+        heat,
+        shown,
     )
 
 
@@ -151,14 +162,18 @@ def balanced_truncation(
     names = rod.inputs if inputs is None else inputs
     known = isinstance(names, Sequence) and all(name in rod.inputs for name in names)
     if not (known and names):
-        raise ValueError(f"inputs = {reprlib.repr(inputs)} must list some of {rod.inputs}")
+        raise ValueError(
+            f"inputs = {reprlib.repr(inputs)} must list some of {rod.inputs}"
+        )
     counted = fine.B[:, [rod.inputs.index(name) for name in names]]
     R = _root(solve_continuous_lyapunov(fine.A, -counted @ counted.T))
     S = _root(solve_continuous_lyapunov(fine.A.T, -fine.C.T @ fine.C))
     U, hankel, Vh = np.linalg.svd(S.T @ R)
     told = int((hankel > ROUNDING * hankel[0]).sum())
     if states > told:
-        raise ValueError(f"states = {states} is too many: {told} can be told from rounding")
+        raise ValueError(
+            f"states = {states} is too many: {told} can be told from rounding"
+        )
     scale = np.sqrt(hankel[:states])
     left, right = S @ U[:, :states] / scale, R @ Vh[:states].T / scale
     return named(rod, left.T @ fine.A @ right, left.T @ fine.B, fine.C @ right)
@@ -167,7 +182,9 @@ def balanced_truncation(
 def _of_points(rod, points, heat, distance):
     """Points that conduct to their neighbours; sensors between them read the straight line."""
     step = np.diff(np.eye(len(points)), axis=0)
-    shown = np.column_stack([np.interp(rod.sensors, points, each) for each in np.eye(len(points))])
+    shown = np.column_stack(
+        [np.interp(rod.sensors, points, each) for each in np.eye(len(points))]
+    )
     return _model(rod, np.diag(heat.sum(axis=1)), step.T @ step / distance, heat, shown)
 
 

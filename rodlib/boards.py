@@ -21,7 +21,13 @@ from rodlib.ilc.models import state_sequence
 
 HEATERS, THERMOMETERS = ["Q1", "Q2"], ["T1", "T2"]
 LAST = 60.0  # s of the wait before the first trial, over which the readings at rest are averaged
-UNITS = {"gain_1": "K/s per %", "gain_2": "K/s per %", "loss": "1/s", "exchange": "1/s", "lag": "s"}
+UNITS = {
+    "gain_1": "K/s per %",
+    "gain_2": "K/s per %",
+    "loss": "1/s",
+    "exchange": "1/s",
+    "lag": "s",
+}
 PARTS = 6  # of a record, each left out once; with more, noise of a minute makes intervals short
 SURELY = {"ftol": 1e-12, "xtol": 1e-10}  # tolerances, so that the start does not show
 VAGUE = 0.5  # relative standard error, from which on a record does not tell a parameter
@@ -63,21 +69,28 @@ class TemperatureControlLab:
         self.rest = arguments.array("rest", rest, (2,))
         if self.rest.min() < 0 or self.rest.max() > 100:
             raise ValueError(f"rest = {rest!r} must be two numbers from 0 to 100 %")
-        self.Ts = arguments.number("Ts", Ts, "a sampling period up to a minute, in s", 0, most=LAST)
+        self.Ts = arguments.number(
+            "Ts", Ts, "a sampling period up to a minute, in s", 0, most=LAST
+        )
         self.wait = arguments.number("wait", wait, "a minute or more, in s", least=LAST)
         seed = arguments.whole("seed", seed, 0)
         tclab = _package()
         self.lab = tclab.TCLab() if self.kit else tclab.TCLabModel(synced=False)
         if not self.kit:
             random.seed(seed)
-            self.lab.update(0.0)  # its time begins when it is made, which is never the same
+            self.lab.update(
+                0.0
+            )  # its time begins when it is made, which is never the same
         self.zero = None  # the temperatures at rest, degC
         self._due = self.clock()
 
     @property
     def limits(self) -> dict[str, tuple[float, float]]:
         """Lowest and highest heaters, %, above those at rest."""
-        return {name: (-at, 100 - at) for name, at in zip(HEATERS, self.rest.tolist(), strict=True)}
+        return {
+            name: (-at, 100 - at)
+            for name, at in zip(HEATERS, self.rest.tolist(), strict=True)
+        }
 
     def clock(self) -> float:
         """Time, s; the emulator's stands still between two samples."""
@@ -96,7 +109,9 @@ class TemperatureControlLab:
     def read(self) -> np.ndarray:
         """Temperatures above those at rest, K, shape (2,)."""
         if self.zero is None:
-            raise RuntimeError("the temperatures at rest are not known: call begin first")
+            raise RuntimeError(
+                "the temperatures at rest are not known: call begin first"
+            )
         return self._temperatures() - self.zero
 
     def apply(self, heaters) -> None:
@@ -131,7 +146,9 @@ def heat_balance(gain_1, gain_2, loss, exchange, lag, Ts) -> control.StateSpace:
     lost = (loss + exchange) * I - exchange * I[::-1]
     A = np.block([[-lost, 0 * I], [I / lag, -I / lag]])
     B, C = np.vstack([np.diag([gain_1, gain_2]), 0 * I]), np.hstack([0 * I, I])
-    model = control.ss(A, B, C, 0, inputs=HEATERS, outputs=THERMOMETERS, name="heat balance")
+    model = control.ss(
+        A, B, C, 0, inputs=HEATERS, outputs=THERMOMETERS, name="heat balance"
+    )
     return control.sample_system(model, Ts, method="zoh")
 
 
@@ -139,7 +156,9 @@ def heat_balance(gain_1, gain_2, loss, exchange, lag, Ts) -> control.StateSpace:
 class HeatBalanceFit:
     """The parameters of :func:`heat_balance` that a record gives, and how well it tells them."""
 
-    values: np.ndarray  # in the order of heat_balance; NaN for what moves nothing in the record
+    values: (
+        np.ndarray
+    )  # in the order of heat_balance; NaN for what moves nothing in the record
     covariance: np.ndarray  # of their logarithms
     zero: np.ndarray  # readings at rest, as fitted, shape (2,)
     left: np.ndarray  # readings minus model, K, shape (samples, 2)
@@ -147,7 +166,11 @@ class HeatBalanceFit:
     @property
     def unknown(self) -> list[str]:
         """Parameters that the record does not tell."""
-        return [name for name, s in zip(UNITS, self._deviations, strict=True) if not s < VAGUE]
+        return [
+            name
+            for name, s in zip(UNITS, self._deviations, strict=True)
+            if not s < VAGUE
+        ]
 
     @property
     def _deviations(self):
@@ -155,8 +178,14 @@ class HeatBalanceFit:
 
     def table(self, confidence: float = 0.95) -> pd.DataFrame:
         """Each parameter with its interval and its unit."""
-        width = np.exp(np.minimum(t.ppf((1 + confidence) / 2, PARTS - 1) * self._deviations, 500))
-        columns = {"value": self.values, "from": self.values / width, "to": self.values * width}
+        width = np.exp(
+            np.minimum(t.ppf((1 + confidence) / 2, PARTS - 1) * self._deviations, 500)
+        )
+        columns = {
+            "value": self.values,
+            "from": self.values / width,
+            "to": self.values * width,
+        }
         return pd.DataFrame(columns | {"unit": UNITS.values()}, list(UNITS))
 
 
@@ -184,7 +213,9 @@ def fit_heat_balance(heaters, readings, Ts: float) -> HeatBalanceFit:
     readings = arguments.array("readings", readings, (len(heaters), 2))
     Ts, span = arguments.sampling_period("Ts", Ts), Ts * len(heaters)
     if len(heaters) < 5 * PARTS:
-        raise ValueError(f"heaters has {len(heaters)} samples; a fit needs {5 * PARTS} or more")
+        raise ValueError(
+            f"heaters has {len(heaters)} samples; a fit needs {5 * PARTS} or more"
+        )
 
     def modelled(parameters):
         model = heat_balance(*parameters, Ts)
@@ -194,19 +225,32 @@ def fit_heat_balance(heaters, readings, Ts: float) -> HeatBalanceFit:
     def left(z):
         return (readings - readings[0] - z[5:] - modelled(np.exp(z[:5]))).ravel()
 
-    swing = max(np.ptp(readings, axis=0).max() / max(np.ptp(heaters), 1e-9), 1e-9)  # K per %
+    swing = max(
+        np.ptp(readings, axis=0).max() / max(np.ptp(heaters), 1e-9), 1e-9
+    )  # K per %
     shortest, longest, around = Ts / 10, 10 * span, np.ptp(readings, axis=0) + 1
-    low = [*np.log([swing / longest] * 2 + [1 / longest, 0.01 / longest, shortest]), *-around]
+    low = [
+        *np.log([swing / longest] * 2 + [1 / longest, 0.01 / longest, shortest]),
+        *-around,
+    ]
     high = [*np.log([swing / Ts] * 2 + [1 / shortest, 1 / shortest, longest]), *around]
     fits = []
     for cooling, lag in product((span / 3, span / 30), repeat=2):
-        start = [*np.log([2 * swing / cooling] * 2 + [1 / cooling, 0.3 / cooling, lag]), 0, 0]
+        start = [
+            *np.log([2 * swing / cooling] * 2 + [1 / cooling, 0.3 / cooling, lag]),
+            0,
+            0,
+        ]
         start = np.clip(start, low, high)
-        fits.append(least_squares(left, start, bounds=(low, high), x_scale="jac", **SURELY))
+        fits.append(
+            least_squares(left, start, bounds=(low, high), x_scale="jac", **SURELY)
+        )
     best = min(fits, key=lambda fit: fit.cost)
     parts = np.array_split(np.arange(readings.size), PARTS)
     kept = [np.delete(np.arange(readings.size), part) for part in parts]
-    moved = np.array([np.linalg.lstsq(best.jac[k], best.fun[k], rcond=1e-9)[0] for k in kept])
+    moved = np.array(
+        [np.linalg.lstsq(best.jac[k], best.fun[k], rcond=1e-9)[0] for k in kept]
+    )
     covariance = (PARTS - 1) / PARTS * moved[:, :5].T @ moved[:, :5]
     values, zero = np.exp(best.x[:5]), readings[0] + best.x[5:]
     idle = np.abs(best.jac[:, :5]).max(axis=0) < 1e-9 * np.abs(best.jac).max()

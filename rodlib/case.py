@@ -17,7 +17,9 @@ BAND = (1e-4, 0.02)  # rad/s, of the sum in (39): Section IV-B
 L_MAX = 50.0  # W/K, bound on sigma_max(L) in (46)
 
 
-def paper_loop(rod: Rod | None = None, degree: int = 3, Ts: float = 1.0) -> CurrentTrialLoop:
+def paper_loop(
+    rod: Rod | None = None, degree: int = 3, Ts: float = 1.0
+) -> CurrentTrialLoop:
     """Build the paper's current-trial loop, Section IV.
 
     Parameters
@@ -37,7 +39,9 @@ def paper_loop(rod: Rod | None = None, degree: int = 3, Ts: float = 1.0) -> Curr
     rod = arguments.instance("rod", Rod() if rod is None else rod, Rod)
     # Beyond, states cannot be told apart; and the poles of the loop would come closer to the unit
     # circle than the square root of rounding, to which a Riccati solver finds them.
-    Ts = arguments.number("Ts", Ts, "a sampling period between 1e-5 and 1e4 s", 1e-5, 1e4)
+    Ts = arguments.number(
+        "Ts", Ts, "a sampling period between 1e-5 and 1e4 s", 1e-5, 1e4
+    )
     if (rod.sections, len(rod.sensors)) != (4, 2):
         raise ValueError(
             f"rod has {rod.sections} sections and {len(rod.sensors)} sensors, but the paper's loop "
@@ -46,9 +50,13 @@ def paper_loop(rod: Rod | None = None, degree: int = 3, Ts: float = 1.0) -> Curr
         )
     model = minimal_realisation(midr(rod, degree), ["Q1", "Q3"])
     model = model[:, ["Q1", "Q3", "theta_a", "Q2", "Q4"]]  # d in the order of (10)
-    units = {name: "W" if name.startswith("Q") else "K" for name in rod.inputs + rod.outputs}
+    units = {
+        name: "W" if name.startswith("Q") else "K" for name in rod.inputs + rod.outputs
+    }
     return current_trial_loop(
-        control.sample_system(model, Ts, method="zoh"), controls=["Q1", "Q3"], units=units
+        control.sample_system(model, Ts, method="zoh"),
+        controls=["Q1", "Q3"],
+        units=units,
     )
 
 
@@ -72,7 +80,9 @@ def assumed_reference(samples: int = 2500) -> np.ndarray:
     return np.stack([first, second], axis=1)
 
 
-def assumed_disturbance(samples: int = 2500, trials: int = 10, first: int = 5) -> np.ndarray:
+def assumed_disturbance(
+    samples: int = 2500, trials: int = 10, first: int = 5
+) -> np.ndarray:
     """Assumed disturbances of Fig. 7: heat flows Q2 and Q4, from trial `first` on.
 
     Ambient temperature (K, zero) and heat flows Q2 and Q4 (W), shape (trials, samples, 3).

@@ -71,7 +71,9 @@ def sampled_response(rod: Rod, omega, Ts: float) -> np.ndarray:
 
 def delays(step) -> np.ndarray:
     """1 / z, 1 / z^2, ... at z = 1 + `step`, shape (n, POWERS), for :class:`HeldRod`."""
-    return np.cumprod(np.broadcast_to(1 / (1 + step[:, None]), (len(step), POWERS)), axis=1)
+    return np.cumprod(
+        np.broadcast_to(1 / (1 + step[:, None]), (len(step), POWERS)), axis=1
+    )
 
 
 class HeldRod:
@@ -91,11 +93,18 @@ class HeldRod:
             )
         n = np.arange(int(np.ceil(modes)))
         slow = int(np.ceil(modes / np.sqrt(POWERS)))
-        rate = rod.kappa_2 + rod.conductivity * (n * np.pi / rod.length) ** 2  # -s_n kappa_1
+        rate = (
+            rod.kappa_2 + rod.conductivity * (n * np.pi / rod.length) ** 2
+        )  # -s_n kappa_1
         middles = (np.arange(rod.sections) + 0.5) / rod.sections
         shown = np.cos(np.outer(n * np.pi / rod.length, rod.sensors))
-        flows = np.cos(np.outer(n * np.pi, middles)) * np.sinc(n / 2 / rod.sections)[:, None]
-        flows *= (np.where(n, 2, 1) / (rod.width * rod.height * rod.length * rate))[:, None]
+        flows = (
+            np.cos(np.outer(n * np.pi, middles))
+            * np.sinc(n / 2 / rod.sections)[:, None]
+        )
+        flows *= (np.where(n, 2, 1) / (rod.width * rod.height * rod.length * rate))[
+            :, None
+        ]
         r = np.zeros((len(n), len(rod.sensors), rod.sections + 1))
         r[:, :, :-1] = shown[:, :, None] * flows[:, None]
         r[0, :, -1] = 1  # the air excites the uniform mode alone
@@ -108,7 +117,10 @@ class HeldRod:
         powers = np.exp(-np.outer(np.arange(POWERS + 1), rate[slow:] * decay))
         self.names = rod.inputs
         self.less_one, self.decay = less_one[:slow], rate[:slow] * decay
-        self.slow, self.fast = first[:slow], np.tensordot(powers[:-1], first[slow:], axes=1)
+        self.slow, self.fast = (
+            first[:slow],
+            np.tensordot(powers[:-1], first[slow:], axes=1),
+        )
         # What the slow modes leave of the sum of all r_n; small ones first, for fewer digits go.
         rest = exact_response(rod, 0.0)[0].real * gains - r[:slow][::-1].sum(axis=0)
         self.fast[0] = rest - np.tensordot(powers[1], r[slow:], axes=1)
@@ -125,7 +137,9 @@ class HeldRod:
         slow, fast = self._of(inputs)
         block = int(np.ceil(np.sqrt(samples)))
         steps = np.arange(block) * self.decay[:, None]
-        powers = np.exp(-block * steps)[:, :, None] * np.exp(-steps)[:, None]  # p^(block i + j)
+        powers = (
+            np.exp(-block * steps)[:, :, None] * np.exp(-steps)[:, None]
+        )  # p^(block i + j)
         g = np.zeros((*slow.shape[1:], block**2 + 1))
         g[:, :, 1:] = np.tensordot(slow, powers.reshape(len(slow), -1), axes=(0, 0))
         g[:, :, 1 : POWERS + 1] += np.moveaxis(fast, 0, -1)[:, :, : block**2]

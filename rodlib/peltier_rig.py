@@ -59,7 +59,9 @@ class PeltierElement:
         peltier, twice = self.seebeck * rod, 2 * self.resistance
         least = -(peltier**2) / twice if twice else -np.inf
         wanted = np.maximum(heat + self.conductance * (rod - sink), least)
-        return 2 * wanted / (peltier + np.sqrt(np.maximum(peltier**2 + twice * wanted, 0)))
+        return (
+            2 * wanted / (peltier + np.sqrt(np.maximum(peltier**2 + twice * wanted, 0)))
+        )
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,9 @@ class PeltierParameters:
 
     element: PeltierElement = PeltierElement()
     known: PeltierElement = PeltierElement()  # by which heat flows become currents
-    sinks_measured: bool = False  # whether that counts on their temperature, not the initial one
+    sinks_measured: bool = (
+        False  # whether that counts on their temperature, not the initial one
+    )
     sink_capacity: float = 400.0  # of one sink, J/K
     fan: float = 4.0  # from one sink to the room, W/K
     convection: float = 3.8  # from the rod, W/(m2 K^(5/4))
@@ -137,7 +141,11 @@ class PeltierRig(Bench):
         capacity = np.full(n + m, rod.kappa_1 * rod.width * rod.height * dz)  # J/K
         capacity[self._sinks] = p.sink_capacity
         # K/s of every state: for 1 W from the elements, for 1 K of the room, on 1 W/m2 of surface
-        elements, self._fan, surface = np.zeros((n + m, sections)), np.zeros(n + m), np.zeros(n + m)
+        elements, self._fan, surface = (
+            np.zeros((n + m, sections)),
+            np.zeros(n + m),
+            np.zeros(n + m),
+        )
         elements[:cells] = np.kron(np.eye(sections), np.full((p.cells, 1), 1 / p.cells))
         elements[self._sinks] = -np.eye(sections)
         elements /= capacity[:, None]
@@ -150,7 +158,8 @@ class PeltierRig(Bench):
 
         flows = np.zeros((n + m, n + m))  # W/K
         links = [
-            (i, i + 1, rod.conductivity * rod.width * rod.height / dz) for i in range(cells - 1)
+            (i, i + 1, rod.conductivity * rod.width * rod.height / dz)
+            for i in range(cells - 1)
         ]
         back = p.element.conductance / p.cells
         links += [(i, cells + i // p.cells, back) for i in range(cells)]
@@ -162,20 +171,26 @@ class PeltierRig(Bench):
         middles = (np.arange(cells) + 0.5) * dz
         shown = np.zeros((m, n + m))
         for i, place in enumerate(rod.sensors):
-            shown[i, :cells] = [np.interp(place, middles, unit) for unit in np.eye(cells)]
+            shown[i, :cells] = [
+                np.interp(place, middles, unit) for unit in np.eye(cells)
+            ]
         self._sensors = shown
         if p.lag:
             A[n:] = shown / p.lag
             A[n:, n:] = -np.eye(m) / p.lag
             self._sensors = np.eye(m, n + m, n)
         one, none = np.eye(n + m), np.zeros((n + m, n + m))
-        blocks = expm(self.Ts * np.block([[A, one, none], [none, none, one], [none] * 3]))
+        blocks = expm(
+            self.Ts * np.block([[A, one, none], [none, none, one], [none] * 3])
+        )
         self._decay, self._first, second = np.split(blocks[: n + m], 3, axis=1)
         self._second = second / self.Ts
         self._rest()
 
     def _rest(self):
-        self._state = np.zeros(len(self._fan))  # cells, sinks, sensors, K above the room
+        self._state = np.zeros(
+            len(self._fan)
+        )  # cells, sinks, sensors, K above the room
         self.currents = np.zeros(self.rod.sections)  # A
 
     @property
@@ -188,7 +203,9 @@ class PeltierRig(Bench):
         """The rod that this is for small currents, with sinks at the temperature of the room."""
         p, under = self.parameters, self.rod.width * self.rod.length / self.rod.sections
         radiation = 4 * p.emissivity * Stefan_Boltzmann * p.temperature**3
-        return replace(self.rod, heat_transfer=p.element.conductance / under + radiation)
+        return replace(
+            self.rod, heat_transfer=p.element.conductance / under + radiation
+        )
 
     @property
     def limits(self) -> dict[str, tuple[float, float]]:
@@ -213,7 +230,9 @@ class PeltierRig(Bench):
         given += self._radiation * room**4
         slopes = self._slopes(self._state, pumped, given)
         ahead = self._decay @ self._state + self._first @ slopes
-        self._state = ahead + self._second @ (self._slopes(ahead, pumped, given) - slopes)
+        self._state = ahead + self._second @ (
+            self._slopes(ahead, pumped, given) - slopes
+        )
         self.time += self.Ts
 
     def _slopes(self, state, pumped, given):

@@ -13,7 +13,9 @@ from rodlib.ilc import arguments
 from rodlib.rod import Rod
 
 # Material parameters off by several percent from those of the design model.
-MISMATCHED = Rod(density=8100.0, heat_capacity=440.0, heat_transfer=160.0, conductivity=51.0)
+MISMATCHED = Rod(
+    density=8100.0, heat_capacity=440.0, heat_transfer=160.0, conductivity=51.0
+)
 
 
 @dataclass(frozen=True)
@@ -31,8 +33,12 @@ class RigParameters:
         arguments.whole("modes", self.modes, 1)
         for name in ("noise", "quantum", "lag"):
             arguments.not_negative(name, getattr(self, name))
-        if not (isinstance(self.limit, float) and self.limit == np.inf):  # which is none
-            arguments.not_negative("limit", self.limit, "a heat flow in W, 0 or more, or np.inf")
+        if not (
+            isinstance(self.limit, float) and self.limit == np.inf
+        ):  # which is none
+            arguments.not_negative(
+                "limit", self.limit, "a heat flow in W, 0 or more, or np.inf"
+            )
         arguments.number("ambient_rate", self.ambient_rate, "a finite number")
 
 
@@ -42,7 +48,10 @@ class Bench:
     def __init__(self, rod: Rod, parameters, Ts: float, seed: int):
         arguments.instance("rod", rod, Rod)
         self.rod, self.parameters = rod, parameters
-        self.Ts, self.seed = arguments.sampling_period("Ts", Ts), arguments.whole("seed", seed, 0)
+        self.Ts, self.seed = (
+            arguments.sampling_period("Ts", Ts),
+            arguments.whole("seed", seed, 0),
+        )
         self.time = 0.0
         self._random = np.random.default_rng(self.seed)
 
@@ -69,7 +78,9 @@ class Bench:
         """Read the sensors: K above the initial ambient temperature, shape (m,)."""
         noisy = self._sensors @ self._state
         if self.parameters.noise:
-            noisy = noisy + self.parameters.noise * self._random.standard_normal(len(noisy))
+            noisy = noisy + self.parameters.noise * self._random.standard_normal(
+                len(noisy)
+            )
         quantum = self.parameters.quantum
         return (np.rint(noisy / quantum) * quantum).round(9) if quantum else noisy
 

@@ -38,7 +38,9 @@ class Spread:
     def __post_init__(self):
         for name in (*MATERIAL, "gains"):
             object.__setattr__(self, name, _share(name, getattr(self, name)))
-        sensors = arguments.not_negative("sensors", self.sensors, "a length in metres, 0 or more")
+        sensors = arguments.not_negative(
+            "sensors", self.sensors, "a length in metres, 0 or more"
+        )
         object.__setattr__(self, "sensors", sensors)
 
     @classmethod
@@ -59,29 +61,39 @@ class Spread:
         nominal : Rod, optional
             The one that it was meant to be. Default: the paper's.
         """
-        nominal = arguments.instance("nominal", Rod() if nominal is None else nominal, Rod)
+        nominal = arguments.instance(
+            "nominal", Rod() if nominal is None else nominal, Rod
+        )
         count = len(MATERIAL) + nominal.sections + len(nominal.sensors)
         off = arguments.array("deviations", deviations, (count,))
         if np.abs(off).max() > 1:
-            raise ValueError(f"deviations reach {np.abs(off).max():.6g} in size, but 1 is the most")
+            raise ValueError(
+                f"deviations reach {np.abs(off).max():.6g} in size, but 1 is the most"
+            )
         room = min(*nominal.sensors, nominal.length - max(nominal.sensors))
         if self.sensors > room:
             raise ValueError(
                 f"spread.sensors = {self.sensors} m would move a sensor of the nominal rod beyond "
                 f"its end: at most {room:.6g} m"
             )
-        material, gains, sensors = np.split(off, [len(MATERIAL), len(MATERIAL) + nominal.sections])
+        material, gains, sensors = np.split(
+            off, [len(MATERIAL), len(MATERIAL) + nominal.sections]
+        )
         changed = {
             name: getattr(nominal, name) * (1 + getattr(self, name) * by)
             for name, by in zip(MATERIAL, material, strict=True)
         }
-        places = np.clip(nominal.sensors + self.sensors * sensors, 0, nominal.length)  # of rounding
+        places = np.clip(
+            nominal.sensors + self.sensors * sensors, 0, nominal.length
+        )  # of rounding
         rod = replace(nominal, **changed, sensors=tuple(places))
         return Specimen(rod, tuple((1 + self.gains * gains).tolist()))
 
 
 def _share(name, value):
-    return arguments.number(name, value, "from 0 to below 1 (0.2 is 20 %)", high=1, least=0)
+    return arguments.number(
+        name, value, "from 0 to below 1 (0.2 is 20 %)", high=1, least=0
+    )
 
 
 @dataclass(frozen=True)
@@ -101,7 +113,9 @@ class Specimen:
         return HeldRod(self.rod, Ts, self.gains)
 
 
-def draw(spread: Spread, number: int, root: int = 0, nominal: Rod | None = None) -> Specimen:
+def draw(
+    spread: Spread, number: int, root: int = 0, nominal: Rod | None = None
+) -> Specimen:
     """Draw a rod by number.
 
     Parameters
@@ -134,7 +148,9 @@ class Grid:
     def __init__(self, loop: CurrentTrialLoop, omega, radius: float = 1.0):
         def response(model):  # z I - A = radius (exp(j omega Ts) I - A / radius)
             A, B = model.A / radius, model.B / radius
-            return _last(frequency_response(control.ss(A, B, model.C, model.D, model.dt), omega))
+            return _last(
+                frequency_response(control.ss(A, B, model.C, model.D, model.dt), omega)
+            )
 
         self.loop, self.omega = loop, omega
         self.step = np.expm1(np.log(radius) + 1j * omega * loop.Ts)
@@ -163,10 +179,15 @@ class Grid:
             turns = np.angle(F[1:] / F[:-1])
             wide = np.flatnonzero(np.abs(turns) > STEP)
             if not wide.size:
-                return round(-turns.sum() / np.pi)  # on the other half circle as much again
+                return round(
+                    -turns.sum() / np.pi
+                )  # on the other half circle as much again
             between = (omega[wide] + omega[wide + 1]) / 2
             values = Grid(self.loop, between)._return_difference(rod)
-            omega, F = np.insert(omega, wide + 1, between), np.insert(F, wide + 1, values)
+            omega, F = (
+                np.insert(omega, wide + 1, between),
+                np.insert(F, wide + 1, values),
+            )
         return 1  # on the unit circle, up to rounding
 
     def _return_difference(self, rod):
@@ -221,7 +242,9 @@ def _inverse(A):
     return np.array([[d, -b], [-c, a]]) / (a * d - b * c)
 
 
-def responses(loop: CurrentTrialLoop, specimens: Sequence[Specimen], omega) -> np.ndarray:
+def responses(
+    loop: CurrentTrialLoop, specimens: Sequence[Specimen], omega
+) -> np.ndarray:
     """P of (31) around each specimen: what ``synthesise([...])`` takes as plants.
 
     Parameters

@@ -68,7 +68,9 @@ class Study:
     spread: Spread  # how far off the rods are
     nominal: Rod = field(default_factory=Rod)  # what they were meant to be
     root: int = 0  # of the random numbers
-    omega: np.ndarray | None = None  # of the rate; default: 1000 from 1e-4 rad/s to Nyquist
+    omega: np.ndarray | None = (
+        None  # of the rate; default: 1000 from 1e-4 rad/s to Nyquist
+    )
     reference: np.ndarray | None = None  # (time, m); default: that of rodlib.case
     trials: int = 5
 
@@ -78,17 +80,31 @@ class Study:
         loop = self.loop
         check_loop(loop, self.nominal)
         if not arguments.instance("filters", self.filters, dict):
-            raise ValueError("filters = {} must hold at least one learning filter, by name")
+            raise ValueError(
+                "filters = {} must hold at least one learning filter, by name"
+            )
         for name, L in self.filters.items():
-            check_law(loop, self.Q, arguments.instance(f"filters[{name!r}]", L, LearningFilter))
+            check_law(
+                loop,
+                self.Q,
+                arguments.instance(f"filters[{name!r}]", L, LearningFilter),
+            )
         for name, each in {"Q": self.Q, **self.filters}.items():
             if each.ends != "zero":
-                raise ValueError(f"{name}.ends = {each.ends!r} must be 'zero' in a study")
-        omega = np.geomspace(1e-4, np.pi, 1000) / loop.Ts if self.omega is None else self.omega
+                raise ValueError(
+                    f"{name}.ends = {each.ends!r} must be 'zero' in a study"
+                )
+        omega = (
+            np.geomspace(1e-4, np.pi, 1000) / loop.Ts
+            if self.omega is None
+            else self.omega
+        )
         reference = assumed_reference() if self.reference is None else self.reference
         checked = {
             "omega": arguments.frequencies("omega", omega, loop.Ts),
-            "reference": arguments.array("reference", reference, ("time", len(loop.outputs))),
+            "reference": arguments.array(
+                "reference", reference, ("time", len(loop.outputs))
+            ),
             "trials": arguments.whole("trials", self.trials, 1),
         }
         for name, value in checked.items():
@@ -104,8 +120,13 @@ class Study:
         """Find out what is asked about some rods: the variables of :func:`run`, the rods first."""
         start = arguments.whole("start", start, 0)
         stop = arguments.whole("stop", stop, start + 1)
-        drawn = [draw(self.spread, i, self.root, self.nominal) for i in range(start, stop)]
-        found = {name: np.array([getattr(each.rod, name) for each in drawn]) for name in MATERIAL}
+        drawn = [
+            draw(self.spread, i, self.root, self.nominal) for i in range(start, stop)
+        ]
+        found = {
+            name: np.array([getattr(each.rod, name) for each in drawn])
+            for name in MATERIAL
+        }
         found["sensors"] = np.array([each.rod.sensors for each in drawn])
         found["gains"] = np.array([each.gains for each in drawn])
         rods = [each.held(self.loop.Ts) for each in drawn]
@@ -125,7 +146,9 @@ class Study:
         low, high = BAND
         band = (low <= self.omega) & (self.omega <= high)
         found["objective"] = sigma[:, :, band].sum(axis=2)
-        course = Course(self.loop, self.Q, [*self.filters.values()], self.reference, self.trials)
+        course = Course(
+            self.loop, self.Q, [*self.filters.values()], self.reference, self.trials
+        )
         groups = [rods[i : i + TOGETHER] for i in range(0, len(rods), TOGETHER)]
         found["rms"] = np.concatenate([course.rms(group) for group in groups])
         for name in ("rate", "rate_omega", "spectral_rate", "objective", "rms"):
@@ -144,8 +167,13 @@ class Course:
     def __init__(self, loop, Q, filters, reference, trials):
         self.loop, self.trials, T = loop, trials, len(reference)
         order = max(L.order for L in filters)
-        tail = int(np.log(ALIAS**3) / np.log(np.abs(Q.poles).max()))  # of Q, as far as it may wrap
-        self.samples, self.N = T, next_fast_len(max(int(WRAP * T), T + order + tail), real=True)
+        tail = int(
+            np.log(ALIAS**3) / np.log(np.abs(Q.poles).max())
+        )  # of Q, as far as it may wrap
+        self.samples, self.N = (
+            T,
+            next_fast_len(max(int(WRAP * T), T + order + tail), real=True),
+        )
         r = ALIAS ** (-1 / self.N)
         self.growth, self.decay = r ** np.arange(max(T, order)), r ** -np.arange(self.N)
         omega = rfftfreq(self.N, loop.Ts / (2 * np.pi))
@@ -158,12 +186,17 @@ class Course:
             c[f, :, :, : L.order] = L.coefficients
         self.L = np.einsum("fijk,kn->fijn", c[..., :order], self.ahead)
         # q samples before the trial, L sees c_(q + p) e(p).
-        self.first = np.lib.stride_tricks.sliding_window_view(c, order, axis=3)[:, :, :, :order]
+        self.first = np.lib.stride_tricks.sliding_window_view(c, order, axis=3)[
+            :, :, :, :order
+        ]
         self.w = self._transform(reference.T)
 
     def rms(self, rods: Sequence[HeldRod]) -> np.ndarray:
         """RMS(e_k) of every trial, shape (rods, filters, trials)."""
-        G = [self._transform(rod.impulse_response(self.N, self.loop.controls)) for rod in rods]
+        G = [
+            self._transform(rod.impulse_response(self.N, self.loop.controls))
+            for rod in rods
+        ]
         P = np.array([self.grid.closed(each) for each in G])
         V = np.zeros((len(rods), 1, *self.w.shape))  # one filter is like another as yet
         rms = np.empty((len(rods), len(self.L), self.trials))
@@ -172,9 +205,15 @@ class Course:
             e = irfft(self.w - Y, self.N)  # weighted by r^-p
             e[..., self.samples :] = 0
             plain = e[..., : len(self.growth)] * self.growth
-            rms[:, :, k] = np.sqrt(np.einsum("gfit,gfit->gf", plain, plain) / self.samples)
+            rms[:, :, k] = np.sqrt(
+                np.einsum("gfit,gfit->gf", plain, plain) / self.samples
+            )
             if k + 1 < self.trials:
-                V = V + np.einsum("fijn,gfjn->gfin", self.L, rfft(e)) - self._before(plain)
+                V = (
+                    V
+                    + np.einsum("fijn,gfjn->gfin", self.L, rfft(e))
+                    - self._before(plain)
+                )
                 v = irfft(self.Q * V, self.N)
                 v[..., self.samples :] = 0
                 V = rfft(v)  # (23)
@@ -182,7 +221,9 @@ class Course:
 
     def _before(self, e):
         """What L looks ahead to from before the trial, where it is not applied."""
-        first = np.einsum("fijqp,gfjp->gfiq", self.first, e[..., : self.first.shape[-1]])
+        first = np.einsum(
+            "fijqp,gfjp->gfiq", self.first, e[..., : self.first.shape[-1]]
+        )
         return (first @ self.ahead.view(float)).view(complex)
 
     def _transform(self, signal):
@@ -191,7 +232,9 @@ class Course:
 
 def _butterworth(Q, z):
     """The forward half of the Q-filter."""
-    return np.prod([np.polyval(s[:3], z) / np.polyval(s[3:], z) for s in Q.sections], axis=0)
+    return np.prod(
+        [np.polyval(s[:3], z) / np.polyval(s[3:], z) for s in Q.sections], axis=0
+    )
 
 
 def run(
@@ -232,11 +275,18 @@ def run(
     arguments.instance("study", study, Study)
     rods = arguments.whole("rods", rods, 1)
     workers = None if workers is None else arguments.whole("workers", workers, 0)
-    if not (scheduler is None or (isinstance(scheduler, str) and ADDRESS.fullmatch(scheduler))):
+    if not (
+        scheduler is None
+        or (isinstance(scheduler, str) and ADDRESS.fullmatch(scheduler))
+    ):
         raise ValueError(
             f"scheduler = {reprlib.repr(scheduler)} must be an address, such as 'tcp://host:8786'"
         )
-    kept = TemporaryDirectory() if folder is None else nullcontext(arguments.path("folder", folder))
+    kept = (
+        TemporaryDirectory()
+        if folder is None
+        else nullcontext(arguments.path("folder", folder))
+    )
     with kept as where:
         found = _in_batches(study, rods, files.folder(Path(where)), scheduler, workers)
     return _dataset(study, found)
@@ -245,12 +295,19 @@ def run(
 def _in_batches(study, rods, where, scheduler, workers):
     """Judge the batches that are not in the folder yet, and put together all that are."""
     parts = [(start, min(start + SIZE, rods)) for start in range(0, rods, SIZE)]
-    paths = {part: where / f"{study.name}-{part[0]:06}-{part[1]:06}.npz" for part in parts}
-    with files.alone(where / "lock", f"another process is at work in {where}: wait or stop it"):
+    paths = {
+        part: where / f"{study.name}-{part[0]:06}-{part[1]:06}.npz" for part in parts
+    }
+    with files.alone(
+        where / "lock", f"another process is at work in {where}: wait or stop it"
+    ):
         missing = [part for part in parts if not paths[part].exists()]
         judged = _judged(study, missing, scheduler, workers)
         for part, found in tqdm(judged, total=len(missing), disable=None):
-            with files.replacing(paths[part]) as temporary, open(temporary, "wb") as file:
+            with (
+                files.replacing(paths[part]) as temporary,
+                open(temporary, "wb") as file,
+            ):
                 np.savez(file, **found)
     kept = [dict(np.load(path)) for path in paths.values()]
     return {name: np.concatenate([found[name] for found in kept]) for name in kept[0]}
@@ -271,16 +328,24 @@ def _judged(study, parts, scheduler, workers):
         "dashboard_address": ":0",  # any free port: another cluster may be running
         "silence_logs": logging.CRITICAL,
     }
-    with dask.config.set(MEMORY), Client(scheduler, **({} if scheduler else cluster)) as client:
+    with (
+        dask.config.set(MEMORY),
+        Client(scheduler, **({} if scheduler else cluster)) as client,
+    ):
         name = study.name
-        judged = {client.submit(_judge, study, name, *part, pure=False): part for part in parts}
+        judged = {
+            client.submit(_judge, study, name, *part, pure=False): part
+            for part in parts
+        }
         for future in as_completed(judged):
             yield judged[future], future.result()
 
 
 def _judge(study, name, start, stop):
     if study.name != name:
-        raise RuntimeError("a worker has another rodlib than this process, or other parameters")
+        raise RuntimeError(
+            "a worker has another rodlib than this process, or other parameters"
+        )
     return study.judge(start, stop)
 
 
@@ -293,7 +358,12 @@ def _code():
 
 def _plain(value):
     if isinstance(value, control.StateSpace):
-        return [*control.ssdata(value), value.dt, value.input_labels, value.output_labels]
+        return [
+            *control.ssdata(value),
+            value.dt,
+            value.input_labels,
+            value.output_labels,
+        ]
     return value.tolist()
 
 
@@ -309,6 +379,14 @@ def _dataset(study, found):
         "channel": np.arange(1, len(study.loop.outputs) + 1),
         "element": study.nominal.inputs[:-1],
     }
-    spread = {f"spread_{field.name}": getattr(study.spread, field.name) for field in fields(Spread)}
-    attributes = {"root": study.root, "study": study.name, "Ts": study.loop.Ts, **spread}
+    spread = {
+        f"spread_{field.name}": getattr(study.spread, field.name)
+        for field in fields(Spread)
+    }
+    attributes = {
+        "root": study.root,
+        "study": study.name,
+        "Ts": study.loop.Ts,
+        **spread,
+    }
     return xr.Dataset(variables, coordinates, attributes)

@@ -13,7 +13,11 @@ from rodlib.paper.repository import ROOT
 matplotlib.use("agg")
 slow = [HealthCheck.too_slow]  # which a machine may be
 settings.register_profile(
-    "repeatable", derandomize=True, deadline=None, max_examples=10, suppress_health_check=slow
+    "repeatable",
+    derandomize=True,
+    deadline=None,
+    max_examples=10,
+    suppress_health_check=slow,
 )
 settings.load_profile("repeatable")
 
@@ -24,7 +28,9 @@ def pytest_addoption(parser):
         action="store_true",
         help="run as on a processor without long doubles: numpy.longdouble is numpy.float64",
     )
-    parser.addoption("--rounding", type=int, metavar="SEED", help="vary the rounding, by a seed")
+    parser.addoption(
+        "--rounding", type=int, metavar="SEED", help="vary the rounding, by a seed"
+    )
 
 
 def pytest_configure(config):

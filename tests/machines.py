@@ -25,7 +25,17 @@ LOGS = ROOT / "build" / "machines"
 KERNELS = ("Haswell", "Zen", "Prescott", "Nehalem", "SkylakeX")
 NO_LONG_DOUBLES = "no-long-doubles"
 ROUNDING = tuple(f"rounding-{seed}" for seed in range(1, 6))
-PYTEST = ("-m", "pytest", "-q", "-n", "2", "--dist", "loadfile", "-p", "no:cacheprovider")
+PYTEST = (
+    "-m",
+    "pytest",
+    "-q",
+    "-n",
+    "2",
+    "--dist",
+    "loadfile",
+    "-p",
+    "no:cacheprovider",
+)
 PRODUCT = "import numpy; x = numpy.ones((64, 64)); x @ x; numpy.linalg.svd(x)"
 SHORT = "import numpy\nnumpy.longdouble, numpy.clongdouble = numpy.float64, numpy.complex128\n"
 
@@ -48,7 +58,9 @@ def probe(kernel: str) -> tuple[str, str]:
 def copy_checkout(target: Path) -> None:
     """Copy what git tracks or would track, as it stands in the working tree."""
     listing = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
-    names = subprocess.run(listing, cwd=ROOT, check=True, capture_output=True, text=True).stdout
+    names = subprocess.run(
+        listing, cwd=ROOT, check=True, capture_output=True, text=True
+    ).stdout
     for name in filter(None, names.split("\0")):
         if (ROOT / name).exists():  # not one that is deleted and still tracked
             (target / name).parent.mkdir(parents=True, exist_ok=True)
@@ -61,7 +73,9 @@ def try_machine(name: str) -> list[str]:
         checkout, path = Path(folder) / "checkout", Path(folder) / "path"
         copy_checkout(checkout)
         path.mkdir()
-        environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(checkout), str(path)])}
+        environment = os.environ | {
+            "PYTHONPATH": os.pathsep.join([str(checkout), str(path)])
+        }
         if name in KERNELS:
             environment["OPENBLAS_CORETYPE"] = name
         elif name == NO_LONG_DOUBLES:
@@ -69,7 +83,9 @@ def try_machine(name: str) -> list[str]:
         else:
             seed = int(name.removeprefix("rounding-"))
             environment["PYTHONPATH"] = rounding.search_path(path, seed, str(checkout))
-        notebooks = sorted(f"notebooks/{path.name}" for path in checkout.glob("notebooks/*.ipynb"))
+        notebooks = sorted(
+            f"notebooks/{path.name}" for path in checkout.glob("notebooks/*.ipynb")
+        )
         results = {"RODLIB_RESULTS": str(checkout / "build" / "test")}
         parts = {
             "notebooks": [*PYTEST, "--nbval", "--nbval-current-env", *notebooks],
@@ -99,7 +115,8 @@ def main(names: list[str]) -> int:
     unknown = [
         name
         for name in names
-        if name not in (*KERNELS, NO_LONG_DOUBLES) and not re.fullmatch(r"rounding-\d+", name)
+        if name not in (*KERNELS, NO_LONG_DOUBLES)
+        and not re.fullmatch(r"rounding-\d+", name)
     ]
     if unknown:
         known = ", ".join((*KERNELS, NO_LONG_DOUBLES, *ROUNDING[:1]))

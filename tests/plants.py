@@ -26,7 +26,9 @@ def half(*choices):
     """Half of all combinations of choices, in which any two of different kinds still meet."""
     places = product(*(range(len(options)) for options in choices))
     return [
-        values for at, values in zip(places, product(*choices), strict=True) if sum(at) % 2 == 0
+        values
+        for at, values in zip(places, product(*choices), strict=True)
+        if sum(at) % 2 == 0
     ]
 
 
@@ -76,8 +78,12 @@ def modal_model(specimen, Ts, modes=250):
     middles = (np.arange(rod.sections) + 0.5) / rod.sections
     shown = np.cos(np.outer(rod.sensors, n * np.pi / rod.length))
     r = np.zeros((modes, rod.sections + 1))
-    r[:, :-1] = np.cos(np.outer(n * np.pi, middles)) * np.sinc(n / 2 / rod.sections)[:, None]
-    r[:, :-1] *= (np.where(n, 2, 1) / (rod.width * rod.height * rod.length * rate))[:, None]
+    r[:, :-1] = (
+        np.cos(np.outer(n * np.pi, middles)) * np.sinc(n / 2 / rod.sections)[:, None]
+    )
+    r[:, :-1] *= (np.where(n, 2, 1) / (rod.width * rod.height * rod.length * rate))[
+        :, None
+    ]
     r[0, -1] = 1
     gains = np.append(specimen.gains, 1)
     left = exact_response(rod, 0.0)[0].real - shown @ r

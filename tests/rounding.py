@@ -22,7 +22,9 @@ import numpy as np
 
 ULPS = 4  # at most, as far as the libraries of two processors were seen apart in one operation
 FEW = 26  # bits: a number that leaves half of its digits unused was not rounded
-SMALL = 2**16  # comparisons up to which the numbers of an operand are looked for in the result
+SMALL = (
+    2**16
+)  # comparisons up to which the numbers of an operand are looked for in the result
 UNROUNDED = {  # functions that arrange numbers, and do not calculate
     "block_diag", "circulant", "companion", "diagonal", "fftfreq", "fftshift", "hankel",
     "ifftshift", "matrix_transpose", "rfftfreq", "toeplitz", "tril", "triu",
@@ -35,7 +37,9 @@ def search_path(folder: Path, seed: int, path: str = "") -> str:
     folder.mkdir(parents=True, exist_ok=True)
     begin = f"import rounding\nrounding.vary({seed})\n"
     (folder / "sitecustomize.py").write_text(begin, encoding="utf-8")
-    return os.pathsep.join(filter(None, [str(folder), str(Path(__file__).parent), path]))
+    return os.pathsep.join(
+        filter(None, [str(folder), str(Path(__file__).parent), path])
+    )
 
 
 def vary(seed: int) -> None:
@@ -66,7 +70,9 @@ def _varied(function, name, seed):
     @functools.wraps(function)
     def varied(*operands, **named):
         result = function(*operands, **named)
-        if name == "einsum" and len(operands) == 2:  # one operand: a view that may be written to
+        if (
+            name == "einsum" and len(operands) == 2
+        ):  # one operand: a view that may be written to
             return result
         shapes = [getattr(operand, "shape", ()) for operand in operands]
         return move(result, zlib.crc32(f"{seed} {name} {shapes}".encode()), operands)
@@ -86,7 +92,9 @@ def move(result, key: int, operands=()):
     moved = np.array(result, order="C")
     parts = moved.reshape(-1).view(float)  # real and imaginary parts by themselves
     digits = parts.view(np.uint64) & np.uint64(2**52 - 1)
-    units = (_mix(digits ^ np.uint64(key)) % np.uint64(2 * ULPS + 1)).astype(float) - ULPS
+    units = (_mix(digits ^ np.uint64(key)) % np.uint64(2 * ULPS + 1)).astype(
+        float
+    ) - ULPS
     units[digits % np.uint64(2**FEW) == 0] = 0
     for operand in operands:  # times one, plus nothing
         if isinstance(operand, np.ndarray) and operand.dtype.char in "dD":
@@ -137,5 +145,7 @@ class _Products(ast.NodeTransformer):
         self.generic_visit(node)
         if not isinstance(node.op, ast.MatMult):
             return node
-        call = ast.Call(ast.Name("__product__", ast.Load()), [node.left, node.right], [])
+        call = ast.Call(
+            ast.Name("__product__", ast.Load()), [node.left, node.right], []
+        )
         return ast.copy_location(call, node)

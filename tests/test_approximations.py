@@ -25,7 +25,11 @@ BRASS = Rod(
     sensors=(0.15, 0.35, 0.55),
 )  # fmt: skip
 PAIR = Rod(sections=2, sensors=(0.0, 0.08, 0.16, 0.32))  # at both ends and on an edge
-P1, P2, HERMITE = skfem.ElementLineP1(), skfem.ElementLineP2(), skfem.ElementLineHermite()
+P1, P2, HERMITE = (
+    skfem.ElementLineP1(),
+    skfem.ElementLineP2(),
+    skfem.ElementLineHermite(),
+)
 OMEGA = np.geomspace(1e-4, 1e-1, 30)
 BUILD = {
     "finite differences": finite_differences,
@@ -67,7 +71,9 @@ def test_error_falls_with_the_order_known_from_theory(rod, method, order, slack)
 def test_modal_series_has_the_exact_poles_and_converges_with_the_third_power():
     for rod in (Rod(), BRASS, PAIR):
         model = modal_series(rod, 50)
-        exact = -(rod.kappa_2 + rod.conductivity * (np.arange(50) * np.pi / rod.length) ** 2)
+        exact = -(
+            rod.kappa_2 + rod.conductivity * (np.arange(50) * np.pi / rod.length) ** 2
+        )
         np.testing.assert_allclose(np.diag(model.A), exact / rod.kappa_1, rtol=1e-12)
     coarse, fine = (error(modal_series(Rod(), n), Rod()) for n in (64, 256))
     assert np.log(coarse / fine) / np.log(4) == pytest.approx(3, abs=0.1)
@@ -78,7 +84,9 @@ def test_any_rod_has_the_names_of_midr_and_follows_the_air(rod, sensors, count):
     rod = replace(rod, sensors=sensors)
     for method, build in BUILD.items():
         model = build(rod, count)
-        assert model.input_labels == rod.inputs and model.output_labels == rod.outputs, method
+        assert (
+            model.input_labels == rod.inputs and model.output_labels == rod.outputs
+        ), method
         assert model.poles().real.max() < 0, method
         at_rest = frequency_response(model, [0.0])[0]
         np.testing.assert_allclose(at_rest[:, -1], 1, rtol=1e-8, err_msg=method)
@@ -119,7 +127,9 @@ def test_differences_and_volumes_agree_where_a_sensor_reads_a_point_and_a_face()
             for build in (finite_differences, finite_volumes)
         )
         np.testing.assert_allclose(differences, volumes, rtol=0, atol=1e-12)
-    assert error(finite_differences(Rod(), 3), Rod()) > 1.4 * error(finite_volumes(Rod(), 3), Rod())
+    assert error(finite_differences(Rod(), 3), Rod()) > 1.4 * error(
+        finite_volumes(Rod(), 3), Rod()
+    )
 
 
 def hankel_singular_values(model):
@@ -135,7 +145,9 @@ def hankel_singular_values(model):
 @pytest.mark.parametrize(
     ("rod", "inputs"), [(Rod(), ["Q1", "Q3"]), (Rod(), None), (PAIR, ["theta_a", "Q2"])]
 )
-def test_truncation_errs_by_twice_the_hankel_singular_values_left_out_at_most(rod, inputs):
+def test_truncation_errs_by_twice_the_hankel_singular_values_left_out_at_most(
+    rod, inputs
+):
     counted = inputs or rod.inputs
     hankel = hankel_singular_values(midr(rod, 8)[:, counted])
     omega = np.append(0, np.geomspace(1e-5, 10, 200))
@@ -154,7 +166,9 @@ def test_truncation_is_better_the_more_states_it_keeps():
     exact = exact_response(Rod(), 1j * OMEGA)[:, :, columns]
     errors = [
         np.abs(
-            frequency_response(balanced_truncation(Rod(), n, ("Q1", "Q3")), OMEGA)[:, :, columns]
+            frequency_response(balanced_truncation(Rod(), n, ("Q1", "Q3")), OMEGA)[
+                :, :, columns
+            ]
             - exact
         ).max()
         for n in (2, 4, 8, 12)
@@ -175,7 +189,11 @@ def test_bad_counts_are_refused(build, count):
     ("element", "elements", "message"),
     [
         ("P1", 1, "element = 'P1' must be an element of scikit-fem for a line"),
-        (skfem.ElementLineP0(), 1, "element = .*ElementLineP0.*, with values at its ends"),
+        (
+            skfem.ElementLineP0(),
+            1,
+            "element = .*ElementLineP0.*, with values at its ends",
+        ),
         (skfem.ElementTriP1(), 1, "element = .*ElementTriP1.* for a line"),
         (P1, 0, "elements = 0 must be a whole number"),
     ],

@@ -32,17 +32,25 @@ def entry(group, x, time):
 def test_ratios_and_exponents_are_those_of_the_times(benchmarks, monkeypatch, tmp_path):
     import report
 
-    entries = [entry("diagonal, 250", "structured", 0.2), entry("diagonal, 250", "cvxpy", 3.0)]
+    entries = [
+        entry("diagonal, 250", "structured", 0.2),
+        entry("diagonal, 250", "cvxpy", 3.0),
+    ]
     entries += [entry("size", x, 0.01 * x**2) for x in (1, 2, 3, 4)]
     entries += [entry("order", x, 0.1 * x) for x in (5, 10, 20)]
-    entries += [entry("trials", "one_by_one", 2.2), entry("trials", "side_by_side", 0.2)]
+    entries += [
+        entry("trials", "one_by_one", 2.2),
+        entry("trials", "side_by_side", 0.2),
+    ]
     entries.append(entry("alternatives", "P-type", 0.004))
     cpu = {"brand_raw": "a processor", "count": 3}
     machine = {"cpu": cpu, "python_version": "3.12", "machine": ""}
     times, page = tmp_path / "times.json", tmp_path / "figures" / "performance.md"
     page.parent.mkdir()
     times.write_text(json.dumps({"benchmarks": entries, "machine_info": machine}))
-    page.write_text("before\n<!-- performance -->\nold\n<!-- end of performance -->\nafter\n")
+    page.write_text(
+        "before\n<!-- performance -->\nold\n<!-- end of performance -->\nafter\n"
+    )
     (tmp_path / "pyproject.toml").write_text('name = "rodlib"')  # a clone, by its looks
     monkeypatch.setenv("RODLIB_RESULTS", str(tmp_path / "results"))
     monkeypatch.setattr(report, "checkout", lambda name: tmp_path)
@@ -52,7 +60,9 @@ def test_ratios_and_exponents_are_those_of_the_times(benchmarks, monkeypatch, tm
     assert "| diagonal | 250 | CVXPY, batched | 3.00 | 15 | 30 |" in lines
     assert "| size | 1 | 4 | 0.01 to 0.16 | 2.0 | 0 to 2 |" in lines
     assert "| order | 5 | 20 | 0.50 to 2.00 | 1.0 | 5 to 20 |" in lines
-    assert "Trials of many rods side by side are 11 times as fast, rod by rod, as" in lines
+    assert (
+        "Trials of many rods side by side are 11 times as fast, rod by rod, as" in lines
+    )
     assert "Measured on: a processor, 3 cores, Python 3.12." in lines
     assert lines[0] == "before" and lines[-1] == "after" and "old" not in lines
     assert (tmp_path / "figures" / "performance.png").stat().st_size > 1000
@@ -63,7 +73,9 @@ def test_what_is_measured_travels_to_another_process(benchmarks, monkeypatch):
     import bench_synthesis
 
     sent = []
-    monkeypatch.setattr(bench_synthesis, "measure", lambda *a, **k: sent.append((a[3:], k)))
+    monkeypatch.setattr(
+        bench_synthesis, "measure", lambda *a, **k: sent.append((a[3:], k))
+    )
     for method in ("structured", "all", "cvxpy"):
         bench_synthesis.test_many_plants(None, method)
     bench_synthesis.test_growth_with_size(None, 2)
@@ -91,8 +103,16 @@ def test_three_other_settings_of_parameters_that_each_notebook_has(benchmarks):
     ("name", "frames", "sentence"),
     [
         ("ValueError", ["cell", "File /a/rodlib/ilc/arguments.py:31, in number"], True),
-        ("ValueError", ["cell", "\x1b[31m----> 5\x1b[0m     raise ValueError(message)"], True),
-        ("ValueError", ["cell", "----> 5 axes.plot(x, y)", "File matplotlib/axes.py:7"], False),
+        (
+            "ValueError",
+            ["cell", "\x1b[31m----> 5\x1b[0m     raise ValueError(message)"],
+            True,
+        ),
+        (
+            "ValueError",
+            ["cell", "----> 5 axes.plot(x, y)", "File matplotlib/axes.py:7"],
+            False,
+        ),
         ("KeyError", ["cell", "File /a/rodlib/ilc/arguments.py:31, in number"], False),
     ],
 )
@@ -118,11 +138,17 @@ def test_a_kind_of_plant_goes_the_whole_way(benchmarks, name):
     assert table.splitlines()[-1].startswith(f"| {name} | 1 | 1 | 0.0")
 
 
-def test_a_kind_that_does_not_learn_is_well_only_if_somebody_says_so(benchmarks, monkeypatch):
+def test_a_kind_that_does_not_learn_is_well_only_if_somebody_says_so(
+    benchmarks, monkeypatch
+):
     import whole_way
 
     row = whole_way.outcome("motor", -3.0, trials=4)  # so light that no loop holds it
-    assert row["end"] == "said so" and "on the rig" not in row and "unstable" in row["words"]
+    assert (
+        row["end"] == "said so"
+        and "on the rig" not in row
+        and "unstable" in row["words"]
+    )
     assert "| none |" in whole_way.table_of([row])
     assert whole_way.end_of(row | {"words": []}) == "silent"
     assert whole_way.end_of(row | {"words": ["?"]}) == "said what is not known"

@@ -28,7 +28,13 @@ tclab = pytest.importorskip("tclab")
 
 UNITS = {"T1": "K", "T2": "K", "Q1": "%", "Q2": "%"}
 SIZES = {"T1": 10.0, "T2": 8.0, "Q1": 30.0, "Q2": 40.0}
-TRUE = [200 / 5720, 100 / 5720, 1 / 20, 1 / 100, 140.0]  # of the emulator: TCLabModel.update
+TRUE = [
+    200 / 5720,
+    100 / 5720,
+    1 / 20,
+    1 / 100,
+    140.0,
+]  # of the emulator: TCLabModel.update
 Q = zero_phase_butterworth(Ts=2.0)
 
 
@@ -97,7 +103,9 @@ def test_every_trial_begins_at_rest(monkeypatch):
 
 def test_the_last_minute_of_the_wait_counts(monkeypatch):
     shown = []
-    monkeypatch.setattr(tclab.TCLabModel, "measurement", lambda self, T: shown.append(T) or T)
+    monkeypatch.setattr(
+        tclab.TCLabModel, "measurement", lambda self, T: shown.append(T) or T
+    )
     rig = TemperatureControlLab(wait=200.0)  # so short that the temperatures still rise
     rig.begin(1)
     read = np.reshape(shown, (100, 2))
@@ -107,7 +115,11 @@ def test_the_last_minute_of_the_wait_counts(monkeypatch):
 
 def test_heaters_are_cut_off_where_they_end():
     rig = TemperatureControlLab(rest=(30, 40))
-    for asked, applied in [([10, -10], (40, 30)), ([-31, 61], (0, 100)), ([71, -41], (100, 0))]:
+    for asked, applied in [
+        ([10, -10], (40, 30)),
+        ([-31, 61], (0, 100)),
+        ([71, -41], (100, 0)),
+    ]:
         rig.apply(asked)
         assert (rig.lab.Q1(), rig.lab.Q2()) == applied
     rig.safe()
@@ -128,7 +140,9 @@ def test_time_passes_with_apply_alone():
 
 def test_an_experiment_depends_on_the_seed_alone(loop, L):
     one, same, other = (
-        record(TemperatureControlLab(seed=seed), loop, Q, L, REFERENCE, trials=2, pause=0)
+        record(
+            TemperatureControlLab(seed=seed), loop, Q, L, REFERENCE, trials=2, pause=0
+        )
         for seed in (1, 1, 2)
     )
     assert one.identical(same) and not np.array_equal(one.y, other.y)
@@ -145,7 +159,13 @@ def test_trials_of_the_emulator_are_those_of_the_simulation(loop, L, monkeypatch
     assert (rig.lab.Q1(), rig.lab.Q2()) == (0, 0)
 
 
-ROUGH = [0.03, 0.02, 0.05, 0.0, 100.0]  # what a loop is designed on that is then measured
+ROUGH = [
+    0.03,
+    0.02,
+    0.05,
+    0.0,
+    100.0,
+]  # what a loop is designed on that is then measured
 
 
 def measure(amplitude, rest=(50.0, 50.0)):
@@ -175,7 +195,9 @@ def test_with_noise_the_region_covers_it(monkeypatch):
     measured, truth = measure([2.5, 1.5])
     assert not measured.findings
     radius = measured.radius(0.999, jointly=True)
-    assert np.all(np.linalg.norm(measured.response - truth, 2, axis=(1, 2)) < radius + 5e-3)
+    assert np.all(
+        np.linalg.norm(measured.response - truth, 2, axis=(1, 2)) < radius + 5e-3
+    )
     assert radius.max() < 0.1
 
 
@@ -188,7 +210,10 @@ def test_the_converter_shows_and_is_within_what_the_finding_says():
 
 
 def test_heaters_at_their_limits_are_told():
-    assert TemperatureControlLab(rest=(30, 40)).limits == {"Q1": (-30, 70), "Q2": (-40, 60)}
+    assert TemperatureControlLab(rest=(30, 40)).limits == {
+        "Q1": (-30, 70),
+        "Q2": (-40, 60),
+    }
     with pytest.warns(UserWarning) as told:
         measured, truth = measure([5.0, 5.0])
     assert [str(one.message).split(" in ")[0] for one in told[:3]] == [
@@ -220,7 +245,9 @@ def test_a_log_of_the_lab_has_what_a_replay_needs(loop, L, log):
         np.testing.assert_allclose(found.v.values[k + 1], following, rtol=0, atol=1e-12)
     noted = loop_of(found)
     model = control.forced_response(noted.plant, inputs=found.u.values[-1].T).outputs.T
-    assert np.abs(found.y.values[-1] - model).max() < 0.6  # resolution 0.32 K, noise 0.04 K
+    assert (
+        np.abs(found.y.values[-1] - model).max() < 0.6
+    )  # resolution 0.32 K, noise 0.04 K
     assert np.array_equal(noted.KL, loop.KL)
 
 
@@ -292,7 +319,10 @@ def test_without_tclab_the_extra_is_named(monkeypatch):
     ("changes", "message"),
     [
         ({"kit": "yes"}, "kit = 'yes' must be True or False"),
-        ({"rest": (30, 101)}, r"rest = \(30, 101\) must be two numbers from 0 to 100 %"),
+        (
+            {"rest": (30, 101)},
+            r"rest = \(30, 101\) must be two numbers from 0 to 100 %",
+        ),
         ({"rest": (-1, 40)}, r"rest = \(-1, 40\) must be"),
         ({"rest": 30}, r"rest has shape \(\)"),
         ({"Ts": 61.0}, "Ts = 61.0 must be a sampling period up to a minute"),
@@ -302,7 +332,9 @@ def test_without_tclab_the_extra_is_named(monkeypatch):
         ({"seed": -1}, "seed = -1 must be a whole number, 0 or more"),
     ],
 )
-def test_bad_arguments_are_refused_before_anything_is_connected(changes, message, monkeypatch):
+def test_bad_arguments_are_refused_before_anything_is_connected(
+    changes, message, monkeypatch
+):
     monkeypatch.setitem(sys.modules, "tclab", None)
     with pytest.raises(ValueError, match=message):
         TemperatureControlLab(**changes)

@@ -76,7 +76,11 @@ TWO_SIDED = ilc.TwoSidedFilter(L.frequency_response, 1, 1.0)
 BEST = ilc.NormOptimal(P, 1.0, 6)
 SPREAD = Spread(0.1, 0.1, 0.1, 0.1, 0.1, 0.001)
 SPECIMEN = draw(SPREAD, 0)
-COURSE = {"omega": np.array([0.001, 0.01, 1.0]), "reference": np.ones((20, 2)), "trials": 2}
+COURSE = {
+    "omega": np.array([0.001, 0.01, 1.0]),
+    "reference": np.ones((20, 2)),
+    "trials": 2,
+}
 STUDY = Study(PAPER, Q, {"L": L2}, SPREAD, **COURSE)
 MULTISINE = {"Ts": 1.0, "period": 16, "periods": 3}
 MULTISINE |= {"harmonics": (1, 2, 3), "phases": (0.0, 1.0, 2.0), "amplitude": (1.0,)}
@@ -97,7 +101,9 @@ SHAKEN = ilc.shake(RIG, PAPER, ALL)
 LOG = with_law(run_trials(LOOP, Q, L, np.zeros((70, 1)), None, 2), Q, L, 0, LOOP)
 TABLE = control.frd(np.moveaxis(RESPONSE, 0, -1), OMEGA)
 TABULATED = measured_response(TABLE)
-MEASURED = ilc.MeasuredResponse(OMEGA, RESPONSE, 1e-6 * ONES, ONES, np.full(12, 9), LOOP)
+MEASURED = ilc.MeasuredResponse(
+    OMEGA, RESPONSE, 1e-6 * ONES, ONES, np.full(12, 9), LOOP
+)
 FOLDER = TemporaryDirectory()
 HERE = Path(FOLDER.name)
 save_law(HERE / "law", Q, L)
@@ -106,14 +112,38 @@ ON_BENCH = Plant("", LOOP, SIGNAL, None, 2)
 NAN = control.ss(0.5, [[1.0, np.nan]], 1, 0, 1.0, inputs=["u", "d"])
 
 # What no argument may be, but for objects of its own class, and None where that is the default.
-OTHERS = {"rod": Rod(), "loop": LOOP, "Q": Q, "L": L, "problem": PROBLEM, "design": DESIGN}
+OTHERS = {
+    "rod": Rod(),
+    "loop": LOOP,
+    "Q": Q,
+    "L": L,
+    "problem": PROBLEM,
+    "design": DESIGN,
+}
 NOTHING = {"text": "1", "object": object(), "class": int, "function": len, "set": {1.0}}
-NOTHING |= {"bytes": b"1", "dictionary": {"a": 1}, "ragged": [[1.0], [1.0, 2.0]], "none": None}
+NOTHING |= {
+    "bytes": b"1",
+    "dictionary": {"a": 1},
+    "ragged": [[1.0], [1.0, 2.0]],
+    "none": None,
+}
 NOTHING |= {"strings": np.array([["1"]]), "objects": np.array([None, {}]), "empty": []}
-NOTHING |= {"nan": np.nan, "inf": np.inf, "NaNs": np.full((6, 1), np.nan), "huge": 10**400}
-NOTHING |= {"booleans": np.array([[True]]), "true": True, "times": np.array(["NaT"], "M8[s]")}
+NOTHING |= {
+    "nan": np.nan,
+    "inf": np.inf,
+    "NaNs": np.full((6, 1), np.nan),
+    "huge": 10**400,
+}
+NOTHING |= {
+    "booleans": np.array([[True]]),
+    "true": True,
+    "times": np.array(["NaT"], "M8[s]"),
+}
 NOTHING |= {"no rows": np.zeros((0, 1)), "four axes": np.ones((1, 2, 3, 4))}
-NOTHING |= {"masked": np.ma.masked_array(np.ones((6, 1)), np.eye(6, 1)), "frame": xr.Dataset()}
+NOTHING |= {
+    "masked": np.ma.masked_array(np.ones((6, 1)), np.eye(6, 1)),
+    "frame": xr.Dataset(),
+}
 NOTHING |= OTHERS
 
 # What further is wrong where something of a kind is meant; ... is not wrong there.
@@ -122,8 +152,16 @@ NUMBER = {"-1": -1.0, "complex": 1j, "1e300": 1e300, "list": [1.0], "array": np.
 SIGNED, FROM_ZERO = NUMBER | {"-1": ...}, {"-1": -1e-9} | NUMBER
 WHOLE = NUMBER | {"half": 1.5, "float": 1.0}
 REAL = {"complex": np.full((6, 1), 1j), "1e300": np.full((6, 1), 1e300)}
-MODELS = {"nan model": NAN, "number": 1.0, "transfer": control.tf(1, [1, 0.5], 1.0, inputs="F")}
-PLANTS = {"nan model": NAN, "continuous": control.ss(-1, 1, 1, 0), "names": MODELS["transfer"]}
+MODELS = {
+    "nan model": NAN,
+    "number": 1.0,
+    "transfer": control.tf(1, [1, 0.5], 1.0, inputs="F"),
+}
+PLANTS = {
+    "nan model": NAN,
+    "continuous": control.ss(-1, 1, 1, 0),
+    "names": MODELS["transfer"],
+}
 DENSITY = REAL | {"-1": -1.0, "lists": [[1.0]], "matrices": np.full((12, 2, 2), 1.0)}
 LIMITS = THING | {"none": ..., "names": {"fan": (0, 1)}}
 FLAG, TEXT = THING | {"true": ...}, THING | {"text": ...}
@@ -368,9 +406,24 @@ DOORS = [
 
 # Made by other doors, or without an argument; and inside: protocols, constants, and what solvers
 # call a thousand times with what was checked before.
-MADE = {"Certificate", "Check", "InfeasibleError", "LearnedNoise", "LogError", "MeasuredResponse"}
+MADE = {
+    "Certificate",
+    "Check",
+    "InfeasibleError",
+    "LearnedNoise",
+    "LogError",
+    "MeasuredResponse",
+}
 MADE |= {"EstimatedResponse", "TabulatedResponse"}
-MADE |= {"Outcome", "Picture", "Rate", "Replay", "RigError", "SolverError", "SpectralRate"}
+MADE |= {
+    "Outcome",
+    "Picture",
+    "Rate",
+    "Replay",
+    "RigError",
+    "SolverError",
+    "SpectralRate",
+}
 MADE |= {"Spectrum", "StoppedError", "Synthesis", "TrialNoise", "Tuned", "WorstCase"}
 INSIDE = {"Family", "LearningOperator", "Problem", "Rig", "TrialRig"}
 ROOMS = ("ilc.workbench",)
@@ -380,7 +433,9 @@ ROOMS = tuple(f"ilc.{room}" for room in ROOMS)
 def named(door):
     """The name of a door, and its arguments by name."""
     given = inspect.signature(door[0]).parameters
-    return door[0].__qualname__, {k: p for k, p in given.items() if p.kind is not p.VAR_KEYWORD}
+    return door[0].__qualname__, {
+        k: p for k, p in given.items() if p.kind is not p.VAR_KEYWORD
+    }
 
 
 def wrong(door, name):
@@ -410,7 +465,10 @@ def test_every_door_is_shut_to_what_does_not(door):
     """Only a ValueError that names the argument, and no warning, whatever is passed."""
     for name in named(door)[1]:
         for kind, value in wrong(door, name):
-            with warnings.catch_warnings(action="error"), pytest.raises(ValueError) as error:
+            with (
+                warnings.catch_warnings(action="error"),
+                pytest.raises(ValueError) as error,
+            ):
                 door[0](**door[1] | {name: value})
                 pytest.fail(f"{name}: {kind} may pass")
             assert re.search(rf"\b{name}\b", str(error.value)), (name, kind)
@@ -425,7 +483,11 @@ def test_what_is_exported_is_a_door_or_said_to_be_none():
         for name in {*room.__all__} - {*INSIDE}:
             thing = getattr(room, name)
             members = vars(thing).items() if isinstance(thing, type) else ()
-            methods = [getattr(m, "__func__", m) for key, m in members if not key.startswith("_")]
+            methods = [
+                getattr(m, "__func__", m)
+                for key, m in members
+                if not key.startswith("_")
+            ]
             doors = [m for m in methods if callable(m) and m.__code__.co_argcount > 1]
             doors += [] if name in MADE else [inspect.unwrap(thing)]
             assert {*doors} <= known, f"{room.__name__}.{name}"

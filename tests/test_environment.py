@@ -72,9 +72,13 @@ def test_nobody_else_creates_it_at_the_same_time(tmp_path):
 def test_the_lock_begins_with_what_installs_the_rest(tmp_path):
     lock = (ROOT / "environment.lock").read_text(encoding="utf-8")
     lines = environment.entry("uv", lock).splitlines()
-    assert lines[0].startswith("uv==") and any("--hash=sha256:" in line for line in lines)
+    assert lines[0].startswith("uv==") and any(
+        "--hash=sha256:" in line for line in lines
+    )
     assert all(line.startswith(" ") for line in lines[1:])
-    assert environment.entry("b", "a==1 \\\n    x\nb==2 \\\n    y\n") == "b==2 \\\n    y\n"
+    assert (
+        environment.entry("b", "a==1 \\\n    x\nb==2 \\\n    y\n") == "b==2 \\\n    y\n"
+    )
 
 
 @pytest.mark.parametrize("uv", [0, 1])
@@ -87,7 +91,9 @@ def test_where_uv_cannot_install_pip_does(tmp_path, monkeypatch, uv):
 
     def keep(command):
         commands.append([str(part) for part in command])
-        return subprocess.CompletedProcess(command, uv if commands[-1][0].endswith("uv") else 0)
+        return subprocess.CompletedProcess(
+            command, uv if commands[-1][0].endswith("uv") else 0
+        )
 
     monkeypatch.setattr(environment.subprocess, "run", keep)
     environment.create(tmp_path)

@@ -10,7 +10,9 @@ from rodlib import read_table
 from rodlib.boards import fit_heat_balance, heat_balance
 from rodlib.paper.repository import ROOT
 
-MOVES = np.repeat([[50.0, 0], [80, 40], [10, 40], [10, 90], [60, 0], [0, 0]], 50, axis=0)
+MOVES = np.repeat(
+    [[50.0, 0], [80, 40], [10, 40], [10, 90], [60, 0], [0, 0]], 50, axis=0
+)
 
 
 def simulated(parameters, moves=MOVES, Ts=2.0, zero=(21.0, 19.5)):
@@ -22,7 +24,13 @@ def simulated(parameters, moves=MOVES, Ts=2.0, zero=(21.0, 19.5)):
 @pytest.mark.parametrize(
     "true",
     [
-        [0.0033, 0.0018, 0.0051, 0.0018, 18.0],  # slow heaters, quick thermometers: a board
+        [
+            0.0033,
+            0.0018,
+            0.0051,
+            0.0018,
+            18.0,
+        ],  # slow heaters, quick thermometers: a board
         [0.035, 0.0175, 0.05, 0.01, 140.0],  # the reverse: the emulator
         [0.01, 0.002, 0.02, 0.0005, 40.0],
         [0.004, 0.02, 0.008, 0.02, 5.0],
@@ -35,7 +43,9 @@ def test_what_made_a_record_is_found_from_it(true):
     assert np.abs(fit.left).max() < 1e-3 and fit.unknown == []
 
 
-@pytest.mark.parametrize(("name", "most"), [("board-1s.csv", 0.67), ("board-3s.csv", 0.62)])
+@pytest.mark.parametrize(
+    ("name", "most"), [("board-1s.csv", 0.67), ("board-3s.csv", 0.62)]
+)
 def test_real_boards_are_not_fitted_in_the_wrong_minimum(name, most):
     """There one guess leaves 1.34 K of T2 on the first log, and 1.08 K of T1 on the second."""
     columns = {"time": 0, "inputs": {"Q1": 1, "Q2": 2}, "outputs": {"T1": 3, "T2": 4}}
@@ -43,7 +53,9 @@ def test_real_boards_are_not_fitted_in_the_wrong_minimum(name, most):
     fit = fit_heat_balance(log.u[0], log.y[0], log.Ts)
     assert np.sqrt(np.mean(fit.left**2)) < most
     assert np.allclose(fit.left.mean(axis=0), 0, atol=1e-3)  # as the zeros are fitted
-    assert fit.values[4] < 40 < 1 / fit.values[2]  # s: the thermometer is the quicker part
+    assert (
+        fit.values[4] < 40 < 1 / fit.values[2]
+    )  # s: the thermometer is the quicker part
     table = fit.table()
     assert np.all((table["from"] < table.value) & (table.value < table.to))
 
@@ -56,9 +68,12 @@ def test_a_heater_that_is_idle_has_no_gain():
         fit = fit_heat_balance(moves, readings, 2.0)
     assert told[0].filename == __file__ and fit.unknown == ["gain_2"]
     assert (
-        np.isnan(fit.values[1]) and fit.table().loc["gain_2", ["value", "from", "to"]].isna().all()
+        np.isnan(fit.values[1])
+        and fit.table().loc["gain_2", ["value", "from", "to"]].isna().all()
     )
-    np.testing.assert_allclose(fit.values[[0, 2, 3, 4]], [0.0033, 0.0051, 0.0018, 18], rtol=0.2)
+    np.testing.assert_allclose(
+        fit.values[[0, 2, 3, 4]], [0.0033, 0.0051, 0.0018, 18], rtol=0.2
+    )
 
 
 def test_intervals_hold_the_truth_and_are_as_wide_as_the_noise():
@@ -78,7 +93,12 @@ def test_intervals_hold_the_truth_and_are_as_wide_as_the_noise():
 
 
 def test_too_short_a_record_is_refused():
-    with pytest.raises(ValueError, match="heaters has 20 samples; a fit needs 30 or more"):
+    with pytest.raises(
+        ValueError, match="heaters has 20 samples; a fit needs 30 or more"
+    ):
         fit_heat_balance(MOVES[:20], np.ones((20, 2)), 2.0)
-    with warnings.catch_warnings(action="ignore"), pytest.raises(ValueError, match="readings has"):
+    with (
+        warnings.catch_warnings(action="ignore"),
+        pytest.raises(ValueError, match="readings has"),
+    ):
         fit_heat_balance(MOVES, np.ones((20, 2)), 2.0)

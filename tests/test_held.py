@@ -18,17 +18,24 @@ def aliased(rod, omega, Ts, most=3000):
     G = exact_response(rod, s.ravel()).reshape(*s.shape, len(rod.sensors), -1)
     section = rod.length / rod.sections
     above = np.clip(np.array(rod.sensors) // section, 0, rod.sections - 1)[:, None]
-    g = (above == range(rod.sections)) / (rod.width * rod.height * section * rod.kappa_1)
+    g = (above == range(rod.sections)) / (
+        rod.width * rod.height * section * rod.kappa_1
+    )
     g = np.hstack([g, np.full((len(g), 1), rod.kappa_2 / rod.kappa_1)])
     s, z = s[:, :, None, None], np.exp(1j * omega * Ts)[:, None, None]
-    return (1 - 1 / z) / Ts * ((G / s - g / s**2).sum(axis=1) + g * Ts**2 * z / (z - 1) ** 2)
+    return (
+        (1 - 1 / z)
+        / Ts
+        * ((G / s - g / s**2).sum(axis=1) + g * Ts**2 * z / (z - 1) ** 2)
+    )
 
 
 LARGE = Rod(length=1.3, conductivity=200.0, sections=6, sensors=(0.0, 0.3, 1.3))
 
 
 @pytest.mark.parametrize(
-    ("rod", "Ts"), [(Rod(), 0.003), (Rod(), 1.0), (Rod(), 30.0), (LARGE, 1.0), (LARGE, 0.01)]
+    ("rod", "Ts"),
+    [(Rod(), 0.003), (Rod(), 1.0), (Rod(), 30.0), (LARGE, 1.0), (LARGE, 0.01)],
 )
 def test_sampled_response_is_the_sum_over_the_aliases(rod, Ts):
     omega = np.array([1e-3, 0.03, 0.4, 1.0]) * np.pi / Ts
@@ -60,7 +67,11 @@ def test_a_sampler_is_not_seen_at_low_frequencies(rod, Ts):
 @pytest.mark.parametrize(
     ("omega", "Ts", "message"),
     [
-        ([-1e-3], 1.0, r"omega spans \[-0.001, -0.001\] rad/s, but must lie in \[0, 3.14159\]"),
+        (
+            [-1e-3],
+            1.0,
+            r"omega spans \[-0.001, -0.001\] rad/s, but must lie in \[0, 3.14159\]",
+        ),
         ([0.1, 3.2], 1.0, r"omega spans \[0.1, 3.2\] rad/s"),
         ([0.1], 0.0, "Ts = 0.0 must be a positive sampling period"),
         ([0.1], 1e-7, r"Ts = 1e-07 is too short for this rod: .* Take at least 3.8"),

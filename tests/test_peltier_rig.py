@@ -42,7 +42,9 @@ def test_the_element_has_the_data_sheet_of_a_common_one():
     coldest = np.flatnonzero(pumped(currents, cold) > 0)[0]
     assert hot - cold[coldest] == pytest.approx(66, rel=0.05)
     assert currents[coldest] == pytest.approx(6.4, rel=0.15)
-    voltage = element.seebeck * (hot - cold[coldest]) + element.resistance * currents[coldest]
+    voltage = (
+        element.seebeck * (hot - cold[coldest]) + element.resistance * currents[coldest]
+    )
     assert voltage == pytest.approx(14.4, rel=0.15)
 
 
@@ -51,14 +53,20 @@ def test_the_element_has_the_data_sheet_of_a_common_one():
     resistance=st.sampled_from([0.0, 1e-9, 0.5, 2.0, 8.0]),
     sink=st.floats(250, 330),
 )
-def test_the_current_is_the_least_that_gives_the_heat_or_the_best(heat, resistance, sink):
+def test_the_current_is_the_least_that_gives_the_heat_or_the_best(
+    heat, resistance, sink
+):
     element = PeltierElement(resistance=resistance)
     current = element.current(heat, ROOM, sink)
     peltier = element.seebeck * ROOM
-    assert resistance * current >= -peltier * (1 + 1e-12)  # beyond, more current cools less
+    assert resistance * current >= -peltier * (
+        1 + 1e-12
+    )  # beyond, more current cools less
     given_heat = element.heat(current, ROOM, sink)
     if resistance * current > -peltier * (1 - 1e-6):
-        assert given_heat == pytest.approx(heat, abs=1e-9 * (500 + abs(peltier * current)))
+        assert given_heat == pytest.approx(
+            heat, abs=1e-9 * (500 + abs(peltier * current))
+        )
     else:
         tried = element.heat(current * np.linspace(0.5, 1.5, 101), ROOM, sink)
         assert given_heat == pytest.approx(tried.min()) and given_heat >= heat - 1e-9
@@ -70,7 +78,9 @@ def test_the_convection_is_that_of_a_plate_in_air():
     size = rod.length * rod.width / (2 * (rod.length + rod.width))
     rayleigh = 9.81 / 300 * 10.0 * size**3 / (viscosity * diffusivity)
     expected = 0.54 * rayleigh**0.25 * conductivity / size
-    assert PeltierParameters().convection * 10.0**0.25 == pytest.approx(expected, rel=0.02)
+    assert PeltierParameters().convection * 10.0**0.25 == pytest.approx(
+        expected, rel=0.02
+    )
 
 
 def test_for_small_currents_it_is_the_linear_rig():
@@ -79,7 +89,9 @@ def test_for_small_currents_it_is_the_linear_rig():
     rig = PeltierRig(parameters=replace(SILENT, element=poor, fan=1e7, lag=0))
     ideal = RigParameters(noise=0, quantum=0, lag=0, limit=np.inf, ambient_rate=0)
     linear = VirtualRig(rig.linearised, ideal)
-    commands = 1e-4 * np.random.default_rng(0).standard_normal((40, 4)).repeat(25, axis=0)
+    commands = 1e-4 * np.random.default_rng(0).standard_normal((40, 4)).repeat(
+        25, axis=0
+    )
     small, expected = run_rig(rig, commands), run_rig(linear, commands)
     np.testing.assert_allclose(small, expected, atol=3e-3 * np.abs(expected).max())
 
@@ -107,7 +119,9 @@ def reference_solution(rod, p, currents, ambient_rate, Ts):
             power = e.seebeck * (mean - T) * current[s] + e.resistance * current[s] ** 2
             taken = e.heat(current[s], mean, T) - power
             rates[cells + s] = (-taken - p.fan * (T - room)) / p.sink_capacity
-        rates[cells + rod.sections :] = (np.interp(rod.sensors, middles, theta) - shown) / p.lag
+        rates[cells + rod.sections :] = (
+            np.interp(rod.sensors, middles, theta) - shown
+        ) / p.lag
         return rates
 
     x, readings = np.full(cells + rod.sections + len(rod.sensors), p.temperature), []
@@ -120,13 +134,20 @@ def reference_solution(rod, p, currents, ambient_rate, Ts):
 
 @pytest.mark.parametrize(
     ("rod", "Ts"),
-    [(MISMATCHED, 1.0), (Rod(sections=3, sensors=(0.0, 0.15, 0.32), conductivity=200.0), 2.0)],
+    [
+        (MISMATCHED, 1.0),
+        (Rod(sections=3, sensors=(0.0, 0.15, 0.32), conductivity=200.0), 2.0),
+    ],
 )
 def test_the_integration_is_that_of_scipy(rod, Ts):
     """Large steps of the current, which heat the sinks; a step is off by its third order."""
-    parameters = replace(SILENT, cells=4, fan=1.0, sink_capacity=60.0, ambient_rate=0.01)
+    parameters = replace(
+        SILENT, cells=4, fan=1.0, sink_capacity=60.0, ambient_rate=0.01
+    )
     rig = PeltierRig(rod, parameters, Ts)
-    commands = np.random.default_rng(1).uniform(-50, 90, (6, rod.sections)).repeat(10, axis=0)
+    commands = (
+        np.random.default_rng(1).uniform(-50, 90, (6, rod.sections)).repeat(10, axis=0)
+    )
     currents, readings = [], []
     for command in commands:
         readings.append(rig.read())
@@ -160,7 +181,9 @@ def test_a_current_stays_within_its_limit_and_within_what_cools():
         low, high = rig.limits["Q1"]
         for asked in ([low, high, 0.0, 0.0], [low - 100, high + 100, 0.0, 0.0]):
             rig.apply(asked)
-            np.testing.assert_allclose(rig.currents, [*ends, 0.0, 0.0], rtol=1e-7, atol=1e-12)
+            np.testing.assert_allclose(
+                rig.currents, [*ends, 0.0, 0.0], rtol=1e-7, atol=1e-12
+            )
 
 
 def test_who_believes_in_no_joule_heat_cools_too_much_and_heats_the_rod():
@@ -168,7 +191,10 @@ def test_who_believes_in_no_joule_heat_cools_too_much_and_heats_the_rod():
     element = PeltierElement(resistance=6.0, limit=20.0)
     asked = np.tile([-100.0, 0.0, -100.0, 0.0], (300, 1))
     ends = {}
-    for name, known in (("proportional", replace(element, resistance=0.0)), ("inverse", element)):
+    for name, known in (
+        ("proportional", replace(element, resistance=0.0)),
+        ("inverse", element),
+    ):
         rig = PeltierRig(parameters=replace(SILENT, element=element, known=known))
         ends[name] = run_rig(rig, asked)[-1].mean()
     assert ends["inverse"] < -5 and ends["proportional"] > 5
@@ -177,9 +203,13 @@ def test_who_believes_in_no_joule_heat_cools_too_much_and_heats_the_rod():
 def test_a_thermometer_on_the_sinks_brings_the_heat_that_was_asked_for():
     asked, flows = np.tile([-30.0, 0.0, -30.0, 0.0], (1500, 1)), {}
     for measured in (False, True):
-        rig = PeltierRig(parameters=replace(SILENT, convection=0.0, sinks_measured=measured))
+        rig = PeltierRig(
+            parameters=replace(SILENT, convection=0.0, sinks_measured=measured)
+        )
         run_rig(rig, asked)
-        flows[measured] = rig.parameters.element.heat(rig.currents, ROOM, ROOM + rig.sinks)[0]
+        flows[measured] = rig.parameters.element.heat(
+            rig.currents, ROOM, ROOM + rig.sinks
+        )[0]
         assert rig.sinks[0] > 3
     assert flows[True] == pytest.approx(-30, abs=0.05)
     assert flows[False] > -29

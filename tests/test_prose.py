@@ -64,7 +64,9 @@ def numbers(markdown):
         after = rf"(?:\s*(?:to|and|or|–|,)\s*{NUMBER})*{UNIT}"
         unit = (match := re.match(after, text[found.end() :])) and match["unit"]
         if unit or not found[0].isdigit() or int(found[0]) > 12:
-            scale = {"%": 100, "\\%": 100, "mK": 1000, "mW": 1000, "mm": 1000}.get(unit, 1)
+            scale = {"%": 100, "\\%": 100, "mK": 1000, "mW": 1000, "mm": 1000}.get(
+                unit, 1
+            )
             yield found[0], {1, scale}
 
 
@@ -81,7 +83,8 @@ def known_numbers(notebook, rows):
             tokens = tokenize.generate_tokens(io.StringIO(cell.source).readline)
             texts += [token.string for token in tokens if token.type == tokenize.NUMBER]
             texts += [
-                o.get("text") or o.get("data", {}).get("text/plain", "") for o in cell.outputs
+                o.get("text") or o.get("data", {}).get("text/plain", "")
+                for o in cell.outputs
             ]
     return {Decimal(found) for text in texts for found in re.findall(NUMBER, text)}
 
@@ -89,7 +92,9 @@ def known_numbers(notebook, rows):
 def not_found(notebook, rows, constants=()):
     texts = [cell.source for cell in notebook.cells if cell.cell_type == "markdown"]
     outputs = [o for cell in notebook.cells for o in cell.get("outputs", [])]
-    texts += [o.data["text/markdown"] for o in outputs if "text/markdown" in o.get("data", {})]
+    texts += [
+        o.data["text/markdown"] for o in outputs if "text/markdown" in o.get("data", {})
+    ]
     prose = "\n\n".join(texts)
     known = known_numbers(notebook, rows)
     return [
@@ -102,8 +107,12 @@ def not_found(notebook, rows, constants=()):
 
 @pytest.fixture(scope="module")
 def ledger():
-    rows = pd.read_csv(ROOT / "figures" / "ledger.csv", dtype=str, keep_default_na=False)
-    rows = rows[~rows.key.str.contains("[", regex=False)]  # entries of matrices: any digits at all
+    rows = pd.read_csv(
+        ROOT / "figures" / "ledger.csv", dtype=str, keep_default_na=False
+    )
+    rows = rows[
+        ~rows.key.str.contains("[", regex=False)
+    ]  # entries of matrices: any digits at all
     books = dict(list(rows.groupby("notebook")))
     return {path.stem: books.get(path.stem, rows[:0]) for path in NOTEBOOKS}
 
@@ -117,7 +126,9 @@ def test_every_number_in_prose_is_computed_or_chosen(path, ledger):
 def paragraphs():
     """Of the README and the list of deviations, without tables, code and what is generated."""
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    readme = re.sub(r"<!-- ledger -->.*<!-- end of ledger -->", "", readme, flags=re.DOTALL)
+    readme = re.sub(
+        r"<!-- ledger -->.*<!-- end of ledger -->", "", readme, flags=re.DOTALL
+    )
     for text in (readme, DEVIATIONS.read_text(encoding="utf-8")):
         for paragraph in re.split(r"\n\n+|\n(?=- )", text):
             if not paragraph.startswith(("```", "    ", "|")):
@@ -131,25 +142,38 @@ def test_every_number_of_the_readme_is_where_it_points(ledger):
         known = set()
         for path in NOTEBOOKS:
             if int(path.stem[:2]) in named:
-                known |= known_numbers(nbformat.read(path, as_version=4), ledger[path.stem])
+                known |= known_numbers(
+                    nbformat.read(path, as_version=4), ledger[path.stem]
+                )
         if "performance.md" in paragraph:
             text = (ROOT / "figures" / "performance.md").read_text(encoding="utf-8")
             known |= {Decimal(found) for found in re.findall(NUMBER, text)}
         for shown, factors in numbers(paragraph) if known else ():
-            assert any(is_rounding_of(shown, value, factors) for value in known), (shown, paragraph)
+            assert any(is_rounding_of(shown, value, factors) for value in known), (
+                shown,
+                paragraph,
+            )
             seen += 1
     assert seen > 30
 
 
-@pytest.mark.parametrize("wrong", ["271 s", "261.7 s", "$0.0339$ rad/s", "37.3 %", "13.1 K"])
+@pytest.mark.parametrize(
+    "wrong", ["271 s", "261.7 s", "$0.0339$ rad/s", "37.3 %", "13.1 K"]
+)
 def test_a_wrong_number_is_found(wrong, ledger):
     name = "02-feedback"
     notebook = nbformat.read(ROOT / "notebooks" / f"{name}.ipynb", as_version=4)
     notebook.cells.append(nbformat.v4.new_markdown_cell(f"It is {wrong} in all."))
-    assert not_found(notebook, ledger[name], CONSTANTS[name]) == re.findall(r"\d[\d.]*", wrong)
-    caption = nbformat.v4.new_output("display_data", {"text/markdown": f"*It is {wrong}.*"})
+    assert not_found(notebook, ledger[name], CONSTANTS[name]) == re.findall(
+        r"\d[\d.]*", wrong
+    )
+    caption = nbformat.v4.new_output(
+        "display_data", {"text/markdown": f"*It is {wrong}.*"}
+    )
     notebook.cells[-1] = nbformat.v4.new_code_cell(outputs=[caption])
-    assert not_found(notebook, ledger[name], CONSTANTS[name]) == re.findall(r"\d[\d.]*", wrong)
+    assert not_found(notebook, ledger[name], CONSTANTS[name]) == re.findall(
+        r"\d[\d.]*", wrong
+    )
 
 
 @given(st.integers(1, 999_999), st.integers(1, 5), st.sampled_from([0, 2]))
@@ -171,7 +195,10 @@ def test_a_number_must_agree_to_its_last_digit(units, digits, off):
     ("markdown", "shown"),
     [
         ("# 4 Ten trials\n\n1. By (39) and Figs. 8 and 11, see [17] in notebook 3", []),
-        ("in 10 trials of 2 channels, a $2\\times2$ matrix and $x_{13}^{25}$, $Q_{22}$", []),
+        (
+            "in 10 trials of 2 channels, a $2\\times2$ matrix and $x_{13}^{25}$, $Q_{22}$",
+            [],
+        ),
         ("it dips by 2 mK within 18 s", ["2", "18"]),
         ("from $10^{-4}$ to $2.5\\cdot10^{-3}$ rad/s", ["1e-4", "2.5e-3"]),
         ("by 88 to 94 %, or $0.05\\,I$, and `x = 77`", ["88", "94", "0.05"]),

@@ -36,15 +36,25 @@ def test_the_first_snippet_designs_a_filter_for_a_strangers_log(monkeypatch):
     design, P = namespace["design"], namespace["P"]
     assert not design.certificate.failures and design.filter.channels == 2
     assert 0.1 < design.certificate.grid_M < 0.9 and 0 < P.radius()[P.known].max() < 0.2
-    assert "chosen: L_max" in str(design) and "P estimated from one trial" in str(design)
+    assert "chosen: L_max" in str(design) and "P estimated from one trial" in str(
+        design
+    )
 
 
 def test_what_it_says_first_is_what_the_ledger_counts():
-    rows = pd.read_csv(ROOT / "figures" / "ledger.csv", dtype=str, keep_default_na=False)
+    rows = pd.read_csv(
+        ROOT / "figures" / "ledger.csv", dtype=str, keep_default_na=False
+    )
     rows = rows[(rows.kind == EVIDENCE) & rows.verdict.isin([REPRODUCED, DIFFERS])]
     coefficients = rows[rows.key.str.match(COEFFICIENT)]
     others = rows.drop(coefficients.index)
     agree = [(table.verdict == REPRODUCED).sum() for table in (others, coefficients)]
     said = " ".join(TEXT.split())
-    assert f"Of {len(others)} numbers and statements that can be computed, {agree[0]} " in said
-    assert f"the {len(coefficients)} coefficients of the learning filters {agree[1]} agree" in said
+    assert (
+        f"Of {len(others)} numbers and statements that can be computed, {agree[0]} "
+        in said
+    )
+    assert (
+        f"the {len(coefficients)} coefficients of the learning filters {agree[1]} agree"
+        in said
+    )

@@ -38,7 +38,10 @@ def test_what_has_been_published_is_the_same(run, capsys):
 
 def test_another_ledger_or_figure_is_not(run, capsys):
     build, root = run
-    for changed in (root / "figures" / "ledger.csv", build / "figures" / f"{FIGURE}.png"):
+    for changed in (
+        root / "figures" / "ledger.csv",
+        build / "figures" / f"{FIGURE}.png",
+    ):
         before = changed.read_bytes()
         changed.write_bytes(before[:-30])
         assert results.main(*run)

@@ -60,7 +60,9 @@ def test_at_rest_the_air_takes_what_the_elements_give():
     device = VirtualRig(rod, IDEAL)
     run_rig(device, np.tile([3.0, 0, 5.0, -1.0], (4000, 1)))
     mean = device._state[0]  # the others have none
-    assert rod.heat_transfer * rod.width * rod.length * mean == pytest.approx(7.0, rel=1e-5)
+    assert rod.heat_transfer * rod.width * rod.length * mean == pytest.approx(
+        7.0, rel=1e-5
+    )
 
 
 def test_lag_saturation_noise_and_quantisation():
@@ -84,7 +86,9 @@ def test_room_warms_up_and_the_rod_follows():
     device = VirtualRig(Rod(), replace(IDEAL, ambient_rate=1e-4))
     run_rig(device, np.zeros((5000, 4)))
     assert device.ambient == pytest.approx(0.5)
-    assert np.all(np.abs(device.read() - 0.5 + 262e-4) < 2e-3)  # behind by its time constant
+    assert np.all(
+        np.abs(device.read() - 0.5 + 262e-4) < 2e-3
+    )  # behind by its time constant
 
 
 def test_bad_commands_are_refused():

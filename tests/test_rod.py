@@ -26,7 +26,10 @@ def galerkin(rod, degree):
         stiffness = stiffness + np.einsum("n,ni,nj->ij", w, slopes, slopes)
         load[:, i] = w @ values / (section * rod.width * rod.height)
         load[:, -1] += rod.kappa_2 * (w @ values)
-    A = -np.linalg.solve(mass, rod.conductivity * stiffness + rod.kappa_2 * mass) / rod.kappa_1
+    A = (
+        -np.linalg.solve(mass, rod.conductivity * stiffness + rod.kappa_2 * mass)
+        / rod.kappa_1
+    )
     return A, np.linalg.solve(mass, load) / rod.kappa_1
 
 
@@ -41,17 +44,25 @@ def test_midr_is_galerkins_method_on_the_same_polynomials(degree):
 def test_slow_modes_are_those_of_the_analytic_rod():
     rod = Rod()
     n = np.arange(5)
-    exact = -(rod.kappa_2 + rod.conductivity * (n * np.pi / rod.length) ** 2) / rod.kappa_1
+    exact = (
+        -(rod.kappa_2 + rod.conductivity * (n * np.pi / rod.length) ** 2) / rod.kappa_1
+    )
     model = np.sort(midr(rod).poles().real)[::-1][:5]
-    np.testing.assert_allclose(model, exact, rtol=0, atol=5e-5)  # the four decimals shown
-    np.testing.assert_allclose(np.sort(midr(rod, 8).poles().real)[::-1][:5], exact, rtol=1e-9)
+    np.testing.assert_allclose(
+        model, exact, rtol=0, atol=5e-5
+    )  # the four decimals shown
+    np.testing.assert_allclose(
+        np.sort(midr(rod, 8).poles().real)[::-1][:5], exact, rtol=1e-9
+    )
 
 
 def test_rayleigh_ritz_poles_never_lie_right_of_the_exact_ones():
     rod = Rod()
     model = np.sort(midr(rod).poles().real)[::-1]
     n = np.arange(len(model))
-    exact = -(rod.kappa_2 + rod.conductivity * (n * np.pi / rod.length) ** 2) / rod.kappa_1
+    exact = (
+        -(rod.kappa_2 + rod.conductivity * (n * np.pi / rod.length) ** 2) / rod.kappa_1
+    )
     assert np.all(model <= exact * (1 - 1e-9))
 
 
@@ -81,16 +92,24 @@ def test_exact_response_solves_the_boundary_value_problem():
     """Second differences of theta(z) obey lambda theta'' = (kappa_1 s + kappa_2) theta - mu."""
     step = 1e-3
     middle = 0.123
-    rod = replace(Rod(), sensors=(middle - step, middle, middle + step, 0.0, step, 0.320))
+    rod = replace(
+        Rod(), sensors=(middle - step, middle, middle + step, 0.0, step, 0.320)
+    )
     s = 1j * 0.01
     theta = exact_response(rod, [s])[0]
     curvature = (theta[0] - 2 * theta[1] + theta[2]) / step**2
     source = np.zeros(5, dtype=complex)
     source[1] = 4 / (rod.width * rod.height * rod.length)
     source[4] = rod.kappa_2
-    residual = rod.conductivity * curvature - (rod.kappa_1 * s + rod.kappa_2) * theta[1] + source
+    residual = (
+        rod.conductivity * curvature
+        - (rod.kappa_1 * s + rod.kappa_2) * theta[1]
+        + source
+    )
     assert np.abs(residual).max() < 1e-4 * np.abs(source).max()
-    assert np.abs(theta[4] - theta[3]).max() < 1e-4 * np.abs(theta).max()  # insulated: no slope
+    assert (
+        np.abs(theta[4] - theta[3]).max() < 1e-4 * np.abs(theta).max()
+    )  # insulated: no slope
 
 
 def test_exact_response_neither_overflows_nor_misses_its_pole():
@@ -115,9 +134,13 @@ def test_exact_response_is_the_sum_over_the_modes(rod, sensors):
     wave = n * np.pi / rod.length
     rate = rod.kappa_2 + rod.conductivity * wave**2
     shapes = np.cos(np.outer(sensors, wave))
-    shares = 2 * np.diff(np.sin(np.outer(rod.edges, wave)), axis=0) / wave * rod.sections
+    shares = (
+        2 * np.diff(np.sin(np.outer(rod.edges, wave)), axis=0) / wave * rod.sections
+    )
     shares /= rod.width * rod.height * rod.length**2
-    uniform = 1 / (rod.width * rod.height * rod.length * (rod.kappa_1 * s + rod.kappa_2))
+    uniform = 1 / (
+        rod.width * rod.height * rod.length * (rod.kappa_1 * s + rod.kappa_2)
+    )
     modes = np.array([(shapes / (rod.kappa_1 * at + rate)) @ shares.T for at in s])
     exact = exact_response(rod, s)[:, :, :-1]
     np.testing.assert_allclose(
@@ -138,7 +161,9 @@ def test_a_rod_of_six_sections_and_three_sensors_has_the_model_of_its_response()
     model = minimal_realisation(midr(BRASS), controls)
     assert (model.nstates, model.input_labels[:3]) == (16, controls)
     kept = frequency_response(model[:, controls], omega)
-    np.testing.assert_allclose(kept, frequency_response(midr(BRASS)[:, controls], omega), rtol=1e-9)
+    np.testing.assert_allclose(
+        kept, frequency_response(midr(BRASS)[:, controls], omega), rtol=1e-9
+    )
 
 
 @given(MATERIALS, st.integers(1, 4), st.integers(0, 2**32 - 1))
@@ -146,10 +171,18 @@ def test_energy_is_conserved_for_any_rod_state_and_input(rod, degree, seed):
     model = midr(rod, degree)
     rng = np.random.default_rng(seed)
     x, u = rng.standard_normal(model.nstates), rng.standard_normal(model.ninputs)
-    volume = bernstein_basis(rod, degree).antiderivative()(rod.length) * rod.width * rod.height
+    volume = (
+        bernstein_basis(rod, degree).antiderivative()(rod.length)
+        * rod.width
+        * rod.height
+    )
     stored = rod.kappa_1 * volume @ (model.A @ x + model.B @ u)
     supplied = u[:-1].sum() + rod.kappa_2 * (volume.sum() * u[-1] - volume @ x)
-    scale = rod.kappa_1 * np.abs(volume) @ (np.abs(model.A) @ np.abs(x) + np.abs(model.B @ u))
+    scale = (
+        rod.kappa_1
+        * np.abs(volume)
+        @ (np.abs(model.A) @ np.abs(x) + np.abs(model.B @ u))
+    )
     assert abs(stored - supplied) < 1e-10 * scale
 
 
@@ -190,8 +223,13 @@ def test_bad_rods_are_refused(changes, message):
 
 def test_rods_at_the_limits_are_taken():
     rod = Rod(sections=1, sensors=[0, 0.32])
-    assert rod.sensors == (0.0, 0.32) and hash(rod) == hash(Rod(sections=1, sensors=(0, 0.32)))
-    assert Rod(density=0.95e12).density == 0.95e12 and Rod(density=1.05e-12).density == 1.05e-12
+    assert rod.sensors == (0.0, 0.32) and hash(rod) == hash(
+        Rod(sections=1, sensors=(0, 0.32))
+    )
+    assert (
+        Rod(density=0.95e12).density == 0.95e12
+        and Rod(density=1.05e-12).density == 1.05e-12
+    )
     assert len(Rod(sections=1000).edges) == 1001
     assert midr(rod, 1).nstates == 2 and midr(rod, np.int64(20)).nstates == 21
 
@@ -206,7 +244,9 @@ def test_bad_degrees_are_refused(degree):
 def test_determinant_of_the_papers_rod_is_that_of_the_proof(rod, real, imaginary):
     """From Q1 and Q3 to the paper's sensors, for any material; notebook 1 derives it."""
     rod = replace(rod, sections=4, sensors=(3 / 8 * rod.length, 7 / 8 * rod.length))
-    s = complex(real, imaginary) * rod.kappa_2 / rod.kappa_1  # of the order of the slowest pole
+    s = (
+        complex(real, imaginary) * rod.kappa_2 / rod.kappa_1
+    )  # of the order of the slowest pole
     gamma = np.sqrt((rod.kappa_1 * s + rod.kappa_2) / rod.conductivity)
     g = 4 / (rod.width * rod.height * rod.length * rod.conductivity * gamma**2)
     X = gamma * rod.length / 4
@@ -220,12 +260,17 @@ def test_the_rod_is_minimum_phase():
     """Along half disks the determinant winds as often as it has zeros in them; it has no poles."""
     angle = np.linspace(-np.pi / 2, np.pi / 2, 20001)
     for radius in (1.0, 3.0):
-        arc, diameter = radius * np.exp(1j * angle), np.linspace(radius, -radius, 20001) * 1j
+        arc, diameter = (
+            radius * np.exp(1j * angle),
+            np.linspace(radius, -radius, 20001) * 1j,
+        )
         boundary = np.concatenate([arc, diameter])
         exact = np.linalg.det(exact_response(Rod(), boundary)[:, :, [0, 2]])
         model = midr(Rod())[:, ["Q1", "Q3"]]
         sI = boundary[:, None, None] * np.eye(model.nstates)
-        cubic = np.linalg.det(model.C @ np.linalg.solve(sI - model.A, model.B.astype(complex)))
+        cubic = np.linalg.det(
+            model.C @ np.linalg.solve(sI - model.A, model.B.astype(complex))
+        )
         for values, zeros in ((exact, 0), (cubic, 2)):  # the cubic model has its two
             steps = np.angle(values[1:] / values[:-1])
             assert np.abs(steps).max() < 1

@@ -41,13 +41,19 @@ def radius(loop, model):
 
 def test_a_rod_is_drawn_by_its_number_alone():
     first = draw(ALL, 7)
-    assert first == draw(ALL, 7) and first != draw(ALL, 8) and first != draw(ALL, 7, root=1)
+    assert (
+        first == draw(ALL, 7)
+        and first != draw(ALL, 8)
+        and first != draw(ALL, 7, root=1)
+    )
     off = np.random.default_rng([7, 0]).uniform(-1, 1, 10)
     nominal = [getattr(Rod(), name) for name in MATERIAL]
     found = [getattr(first.rod, name) for name in MATERIAL]
     np.testing.assert_allclose(found, nominal * (1 + 0.3 * off[:4]), rtol=1e-14)
     np.testing.assert_allclose(first.gains, 1 + 0.3 * off[4:8], rtol=1e-14)
-    np.testing.assert_allclose(first.rod.sensors, [0.12, 0.28] + 0.012 * off[8:], rtol=1e-14)
+    np.testing.assert_allclose(
+        first.rod.sensors, [0.12, 0.28] + 0.012 * off[8:], rtol=1e-14
+    )
 
 
 def test_deviations_name_the_parameters_in_order():
@@ -84,12 +90,18 @@ def test_another_spread_stretches_the_same_deviations(number, one, other):
 def test_deviations_are_uniform_and_independent():
     drawn = [draw(ALL, number, root=3) for number in range(2000)]
     off = [[getattr(each.rod, name) for name in MATERIAL] for each in drawn]
-    off = np.hstack([off, [each.gains for each in drawn], [each.rod.sensors for each in drawn]])
-    middle = np.array([getattr(Rod(), name) for name in MATERIAL] + [1] * 4 + [0.12, 0.28])
+    off = np.hstack(
+        [off, [each.gains for each in drawn], [each.rod.sensors for each in drawn]]
+    )
+    middle = np.array(
+        [getattr(Rod(), name) for name in MATERIAL] + [1] * 4 + [0.12, 0.28]
+    )
     share = (off - middle) / ([*0.3 * middle[:8], 0.012, 0.012])
     assert np.abs(share).max() <= 1 + 1e-12
     assert np.abs(share.mean(axis=0)).max() < 4 / np.sqrt(3 * 2000)
-    np.testing.assert_allclose((share**2).mean(axis=0), 1 / 3, atol=4 * np.sqrt(4 / 45 / 2000))
+    np.testing.assert_allclose(
+        (share**2).mean(axis=0), 1 / 3, atol=4 * np.sqrt(4 / 45 / 2000)
+    )
     correlation = np.corrcoef(share.T) - np.eye(10)
     assert np.abs(correlation).max() < 4.5 / np.sqrt(2000)
 
@@ -107,7 +119,9 @@ def test_responses_are_those_of_the_loop_around_the_sampled_rod(number):
     G = sampled_response(specimen.rod, omega, 1.0)[:, :, [0, 2]]
     G *= np.array(specimen.gains)[[0, 2]]
     expected = loop.frequency_response(omega, G)
-    np.testing.assert_allclose(responses(loop, [specimen], omega)[0], expected, atol=1e-11)
+    np.testing.assert_allclose(
+        responses(loop, [specimen], omega)[0], expected, atol=1e-11
+    )
 
 
 def test_modal_model_of_these_tests_is_the_sampled_rod():
@@ -122,7 +136,15 @@ def test_unstable_poles_are_those_of_a_model_with_hundreds_of_modes(loop):
     specimens = [draw(Spread.of_all(0.9), number) for number in range(12)]
     specimens += [
         Specimen(Rod(), (gain, 1.0, other, 1.0))
-        for gain, other in ((3, 3), (8, 8), (30, 1), (1, 30), (30, 30), (-1, 1), (-1, -1))
+        for gain, other in (
+            (3, 3),
+            (8, 8),
+            (30, 1),
+            (1, 30),
+            (30, 30),
+            (-1, 1),
+            (-1, -1),
+        )
     ]
     moduli = [radius(loop, modal_model(each, 1.0, 200)) for each in specimens]
     expected = [(each > 1).sum() for each in moduli]
@@ -141,7 +163,9 @@ def test_the_edge_of_stability_is_found_to_a_millionth(loop):
     for _ in range(40):
         middle = (low + high) / 2
         low, high = (middle, high) if largest(middle) < 1 else (low, middle)
-    below, above = (Specimen(Rod(), (low * factor,) * 4) for factor in (1 - 1e-6, 1 + 1e-6))
+    below, above = (
+        Specimen(Rod(), (low * factor,) * 4) for factor in (1 - 1e-6, 1 + 1e-6)
+    )
     stable, unstable = unstable_poles(loop, [below, above])
     assert stable == 0 < unstable
 
@@ -158,10 +182,15 @@ def test_a_rod_with_other_sections_and_one_sensor():
     rod = Rod(sections=2, sensors=(0.1,))
     model = minimal_realisation(midr(rod), ["Q2"])
     loop = current_trial_loop(control.sample_system(model, 2.0, method="zoh"), ["Q2"])
-    specimen, omega = draw(Spread.of_all(0.2, rod), 0, nominal=rod), np.array([1e-3, 0.1])
+    specimen, omega = (
+        draw(Spread.of_all(0.2, rod), 0, nominal=rod),
+        np.array([1e-3, 0.1]),
+    )
     G = sampled_response(specimen.rod, omega, 2.0)[:, :, 1:2] * specimen.gains[1]
     expected = loop.frequency_response(omega, G)
-    np.testing.assert_allclose(responses(loop, [specimen], omega)[0], expected, atol=1e-12)
+    np.testing.assert_allclose(
+        responses(loop, [specimen], omega)[0], expected, atol=1e-12
+    )
     assert unstable_poles(loop, [specimen]) == [0]
 
 
@@ -173,21 +202,34 @@ def test_a_rod_with_other_sections_and_one_sensor():
         (lambda: Spread(sensors=-1e-3), r"sensors = -0.001 must be a length in metres"),
         (lambda: Spread(conductivity="much"), "conductivity = 'much' must be"),
         (lambda: Spread.of_all(1.0), "share = 1.0 must be"),
-        (lambda: draw(Spread(sensors=0.05), 0), r"spread.sensors = 0.05 m .* at most 0.04 m"),
+        (
+            lambda: draw(Spread(sensors=0.05), 0),
+            r"spread.sensors = 0.05 m .* at most 0.04 m",
+        ),
         (lambda: draw(Spread(), -1), "number = -1"),
         (lambda: draw(Spread(), 0, root=0.5), "root = 0.5"),
         (lambda: draw(0.2, 0), "spread = 0.2 must be a Spread"),
         (lambda: draw(Spread(), 0, nominal="paper"), "nominal = 'paper' must be a Rod"),
         (lambda: responses(paper_loop(), [Rod()], [0.1]), "must be a Specimen"),
-        (lambda: responses(paper_loop(), draw(ALL, 0), [0.1]), r"must be a list .* \[specimen\]"),
         (
-            lambda: responses(paper_loop(), [draw(ALL, 0, nominal=Rod(sections=3))], [0.1]),
+            lambda: responses(paper_loop(), draw(ALL, 0), [0.1]),
+            r"must be a list .* \[specimen\]",
+        ),
+        (
+            lambda: responses(
+                paper_loop(), [draw(ALL, 0, nominal=Rod(sections=3))], [0.1]
+            ),
             r"outputs \['y1', 'y2'\]; for a rod with others, pass it as nominal",
         ),
-        (lambda: responses(paper_loop(), [draw(ALL, 0)], ["a"]), "omega holds values of type"),
+        (
+            lambda: responses(paper_loop(), [draw(ALL, 0)], ["a"]),
+            "omega holds values of type",
+        ),
         (lambda: unstable_poles("loop", [draw(ALL, 0)]), "loop = 'loop' must be"),
         (
-            lambda: responses(current_trial_loop(stage(), ["F"]), [draw(ALL, 0)], [0.1]),
+            lambda: responses(
+                current_trial_loop(stage(), ["F"]), [draw(ALL, 0)], [0.1]
+            ),
             r"loop has the signals \['F', 'friction', 'x'\], but must be that of a rod",
         ),
     ],

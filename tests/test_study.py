@@ -33,10 +33,17 @@ from rodlib.paper import published
 SLOW = paper_loop(Ts=10.0)
 LOOP, Q, OMEGA = paper_loop(), zero_phase_butterworth(), np.geomspace(1e-4, np.pi, 60)
 FILTERS = {
-    kind: LearningFilter(published.matrix(f"L_{kind}"), 1.0) for kind in ("diagonal", "full")
+    kind: LearningFilter(published.matrix(f"L_{kind}"), 1.0)
+    for kind in ("diagonal", "full")
 }
 SMALL = Study(
-    LOOP, Q, FILTERS, Spread.of_all(0.3), omega=OMEGA, reference=assumed_reference(200), trials=3
+    LOOP,
+    Q,
+    FILTERS,
+    Spread.of_all(0.3),
+    omega=OMEGA,
+    reference=assumed_reference(200),
+    trials=3,
 )
 
 
@@ -52,17 +59,23 @@ def test_what_is_found_out_about_a_rod():
         P = LOOP.frequency_response(OMEGA, G * np.array(specimen.gains)[[0, 2]])
         for f, L in enumerate(FILTERS.values()):
             M = np.eye(2) - P @ L.frequency_response(OMEGA)
-            sigma = np.linalg.norm(Q.frequency_response(OMEGA)[:, None, None] * M, 2, axis=(1, 2))
+            sigma = np.linalg.norm(
+                Q.frequency_response(OMEGA)[:, None, None] * M, 2, axis=(1, 2)
+            )
             assert found["rate"][i, f] == pytest.approx(sigma.max(), rel=1e-9)
             assert found["rate_omega"][i, f] == OMEGA[sigma.argmax()]
-            eigenvalues = np.linalg.eigvals(Q.frequency_response(OMEGA)[:, None, None] * M)
+            eigenvalues = np.linalg.eigvals(
+                Q.frequency_response(OMEGA)[:, None, None] * M
+            )
             largest = np.abs(eigenvalues).max()
             assert found["spectral_rate"][i, f] == pytest.approx(largest, rel=1e-9)
             expected = sigma[OMEGA <= 0.02].sum()
             assert found["objective"][i, f] == pytest.approx(expected, rel=1e-9)
             plant = modal_model(specimen, 1.0, 150)
             trials = run_trials(LOOP, Q, L, SMALL.reference, None, 3, plant=plant)
-            np.testing.assert_allclose(found["rms"][i, f], rms(trials.e), rtol=0, atol=1e-9)
+            np.testing.assert_allclose(
+                found["rms"][i, f], rms(trials.e), rtol=0, atol=1e-9
+            )
 
 
 def test_a_loop_that_is_not_stable_has_no_rate():
@@ -72,7 +85,9 @@ def test_a_loop_that_is_not_stable_has_no_rate():
     lost = found["unstable_poles"] > 0
     assert lost.any() and not lost.all()
     for name in ("rate", "rate_omega", "spectral_rate", "objective", "rms"):
-        assert np.isnan(found[name][lost]).all() and np.isfinite(found[name][~lost]).all()
+        assert (
+            np.isnan(found[name][lost]).all() and np.isfinite(found[name][~lost]).all()
+        )
 
 
 def simulated(loop, Q, L, specimen, modes, reference, trials):
@@ -98,13 +113,19 @@ def test_the_papers_trials_are_those_of_run_trials():
     order=st.integers(1, 4),
     seed=st.integers(0, 2**32 - 1),
 )
-def test_any_trials_are_those_of_run_trials(samples, orders, trials, cutoff, order, seed):
+def test_any_trials_are_those_of_run_trials(
+    samples, orders, trials, cutoff, order, seed
+):
     rng = np.random.default_rng(seed)
     Q = zero_phase_butterworth(order, cutoff, SLOW.Ts)
-    filters = [LearningFilter(rng.standard_normal((2, 2, taps)), SLOW.Ts) for taps in orders]
+    filters = [
+        LearningFilter(rng.standard_normal((2, 2, taps)), SLOW.Ts) for taps in orders
+    ]
     reference = rng.standard_normal((samples, 2))
     specimen = draw(Spread.of_all(0.3), seed % 1000)
-    found = study.Course(SLOW, Q, filters, reference, trials).rms([specimen.held(SLOW.Ts)])[0]
+    found = study.Course(SLOW, Q, filters, reference, trials).rms(
+        [specimen.held(SLOW.Ts)]
+    )[0]
     for f, L in enumerate(filters):
         expected = simulated(SLOW, Q, L, specimen, 60, reference, trials)
         np.testing.assert_allclose(found[f], expected, rtol=1e-9)
@@ -173,11 +194,15 @@ def finished(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def scheduler():
-    with LocalCluster(2, threads_per_worker=1, dashboard_address=":0", silence_logs=50) as cluster:
+    with LocalCluster(
+        2, threads_per_worker=1, dashboard_address=":0", silence_logs=50
+    ) as cluster:
         yield cluster.scheduler_address
 
 
-def test_any_number_of_workers_finds_the_same_to_the_byte(finished, scheduler, tmp_path):
+def test_any_number_of_workers_finds_the_same_to_the_byte(
+    finished, scheduler, tmp_path
+):
     (data, folder), found = finished, {}
     found["one"] = study.run(SMALL, 7, folder=tmp_path / "one", workers=1)
     found["two"] = study.run(SMALL, 7, folder=tmp_path / "two", scheduler=scheduler)
@@ -187,9 +212,21 @@ def test_any_number_of_workers_finds_the_same_to_the_byte(finished, scheduler, t
     for name, values in SMALL.judge(0, 2).items():
         np.testing.assert_array_equal(data[name][:2], values)
 
-    assert dict(data.sizes) == {"rod": 7, "filter": 2, "trial": 3, "channel": 2, "element": 4}
-    assert [*data.filter.values] == ["diagonal", "full"] and [*data.trial.values] == [1, 2, 3]
-    assert data.rms.attrs["units"] == "K" and data.conductivity.attrs["units"] == "W/(m K)"
+    assert dict(data.sizes) == {
+        "rod": 7,
+        "filter": 2,
+        "trial": 3,
+        "channel": 2,
+        "element": 4,
+    }
+    assert [*data.filter.values] == ["diagonal", "full"] and [*data.trial.values] == [
+        1,
+        2,
+        3,
+    ]
+    assert (
+        data.rms.attrs["units"] == "K" and data.conductivity.attrs["units"] == "W/(m K)"
+    )
     assert all("units" in data[name].attrs for name in data)
     assert data.attrs["spread_sensors"] == 0.3 * 0.04 and data.attrs["root"] == 0
 
@@ -215,7 +252,9 @@ def interrupted(folder):
 
 
 def test_a_killed_run_goes_on_where_it_was(finished, tmp_path, gate):
-    run = multiprocessing.get_context("spawn").Process(target=interrupted, args=(tmp_path,))
+    run = multiprocessing.get_context("spawn").Process(
+        target=interrupted, args=(tmp_path,)
+    )
     run.start()
     while len(batches(tmp_path)) < 2:
         assert run.is_alive()
@@ -236,10 +275,16 @@ def test_a_killed_worker_changes_nothing(finished, scheduler, tmp_path):
     assert batches(tmp_path) == batches(finished[1])
 
 
-def test_an_error_of_the_work_is_raised_and_the_rest_is_kept(finished, scheduler, tmp_path):
+def test_an_error_of_the_work_is_raised_and_the_rest_is_kept(
+    finished, scheduler, tmp_path
+):
     with pytest.raises(ArithmeticError, match="four is too much"):
         study.run(watched(tmp_path, "fail"), 7, folder=tmp_path, scheduler=scheduler)
-    rest = {part: content for part, content in batches(finished[1]).items() if part[:6] != "000004"}
+    rest = {
+        part: content
+        for part, content in batches(finished[1]).items()
+        if part[:6] != "000004"
+    }
     assert batches(tmp_path) == rest and len(rest) == 3
 
 
@@ -286,7 +331,10 @@ def test_a_worker_with_another_rodlib_is_refused():
         ({"Q": zero_phase_butterworth(ends="hold")}, "Q.ends = 'hold' must be 'zero'"),
         ({"filters": {}}, "filters = {} must hold at least one"),
         ({"filters": [FILTERS["full"]]}, "must be a dict"),
-        ({"filters": {"none": None}}, r"filters\['none'\] = None must be a LearningFilter"),
+        (
+            {"filters": {"none": None}},
+            r"filters\['none'\] = None must be a LearningFilter",
+        ),
         ({"spread": 0.2}, "spread = 0.2 must be a Spread"),
         ({"root": -1}, "root = -1"),
         ({"omega": [0.1, 0.1]}, "omega, .* must be a row of increasing frequencies"),

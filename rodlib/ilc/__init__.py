@@ -51,7 +51,9 @@ MODULES = {
 def lazily(package: str, modules: dict[str, str]):
     """``__getattr__``, ``__dir__`` and ``__all__`` of a package: the names of its modules."""
     home = {
-        name: f"{package}.{module}" for module, names in modules.items() for name in names.split()
+        name: f"{package}.{module}"
+        for module, names in modules.items()
+        for name in names.split()
     }
 
     def get(name):

@@ -16,7 +16,11 @@ import numpy as np
 
 LARGEST = 1e100  # the square of what lies beyond it, or below its inverse, may not be a number
 CIRCLE = 1 - 1e-12  # modulus from which on a pole is on the unit circle, up to rounding
-ROLES = ("output", "control", "source")  # coordinates that name the signals of a DataArray
+ROLES = (
+    "output",
+    "control",
+    "source",
+)  # coordinates that name the signals of a DataArray
 MOST = 10**9  # samples, trials, ...: what memory could hold at best
 
 
@@ -24,13 +28,17 @@ def number(
     name: str, value, what: str, low=-np.inf, high=np.inf, *, least=-np.inf, most=np.inf
 ) -> float:
     """A finite number above `low` and below `high`, from `least` to `most`; `what` says so."""
-    value = value.item() if isinstance(value, np.generic) else value  # 1e100 is no float32
+    value = (
+        value.item() if isinstance(value, np.generic) else value
+    )  # 1e100 is no float32
     plain = isinstance(value, Real) and not isinstance(value, bool)
     if not (plain and low < value < high and least <= value <= most):
         raise ValueError(f"{name} = {reprlib.repr(value)} must be {what}")
     if value and not 1 / LARGEST <= abs(value) <= LARGEST:
         size = "large" if abs(value) > 1 else "small"
-        raise ValueError(f"{name} = {reprlib.repr(value)} is too {size}: choose another unit")
+        raise ValueError(
+            f"{name} = {reprlib.repr(value)} is too {size}: choose another unit"
+        )
     return float(value)
 
 
@@ -59,7 +67,9 @@ def whole(name: str, value, low: int, high: int | None = None) -> int:
     plain = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not plain or value < low or (high is not None and value > high):
         limits = f"{low} or more" if high is None else f"from {low} to {high}"
-        raise ValueError(f"{name} = {reprlib.repr(value)} must be a whole number, {limits}")
+        raise ValueError(
+            f"{name} = {reprlib.repr(value)} must be a whole number, {limits}"
+        )
     if value > MOST:
         raise ValueError(f"{name} = {reprlib.repr(value)} is too large: at most {MOST}")
     return int(value)
@@ -85,7 +95,9 @@ def instance(name: str, value, kind: type):
     if not isinstance(value, kind):
         holds = isinstance(getattr(value, "filter", None), kind)
         remedy = f", which is its attribute: pass {name}.filter" if holds else ""
-        raise ValueError(f"{name} = {reprlib.repr(value)} must be a {kind.__name__}{remedy}")
+        raise ValueError(
+            f"{name} = {reprlib.repr(value)} must be a {kind.__name__}{remedy}"
+        )
     return value
 
 
@@ -94,7 +106,9 @@ def by_name(name: str, value, names: Sequence[str]) -> dict:
     given = instance(name, {} if value is None else value, dict)
     unknown = [key for key in given if key not in names]
     if unknown:
-        raise ValueError(f"{name} is about {reprlib.repr(unknown)}, but must name some of {names}")
+        raise ValueError(
+            f"{name} is about {reprlib.repr(unknown)}, but must name some of {names}"
+        )
     return given
 
 
@@ -105,7 +119,9 @@ def names_of(signals) -> list[str] | None:
     else:
         role = next((r for r in ROLES if r in getattr(signals, "coords", ())), None)
         labels = [] if role is None else np.atleast_1d(signals[role]).tolist()
-    return labels if labels and all(isinstance(label, str) for label in labels) else None
+    return (
+        labels if labels and all(isinstance(label, str) for label in labels) else None
+    )
 
 
 def in_order(name: str, value, names: Sequence[str]):
@@ -152,7 +168,9 @@ def stable(name: str, poles) -> float:
     """The largest modulus of the poles of a system in discrete time, which must settle."""
     radius = np.abs(poles).max(initial=0)
     if radius > CIRCLE:
-        raise ValueError(f"{name} is unstable: it has a pole of modulus {radius:.6g}, 1 or more")
+        raise ValueError(
+            f"{name} is unstable: it has a pole of modulus {radius:.6g}, 1 or more"
+        )
     return radius
 
 
@@ -164,13 +182,19 @@ def one_period(**periods: float) -> None:
         raise ValueError(f"{words}: the sampling periods must be equal")
 
 
-def array(name: str, value, shape: Sequence[int | str], dtype: type = float) -> np.ndarray:
+def array(
+    name: str, value, shape: Sequence[int | str], dtype: type = float
+) -> np.ndarray:
     """A new array of finite numbers, of a shape such as ``("time", 2)`` or ``(..., "m", "m")``.
 
     A name stands for any size above zero, the same wherever it stands, and an Ellipsis in front
     for any number of axes. `dtype` is float or complex.
     """
-    usual = type(value) is np.ndarray and value.dtype == dtype and value.shape == tuple(shape)
+    usual = (
+        type(value) is np.ndarray
+        and value.dtype == dtype
+        and value.shape == tuple(shape)
+    )
     if usual and value.size and np.abs(value).max() <= LARGEST:
         return value.copy()  # as in every sample of an experiment
     if type(value) is float and not shape and abs(value) <= LARGEST:
@@ -182,35 +206,47 @@ def array(name: str, value, shape: Sequence[int | str], dtype: type = float) -> 
             f"{name} must be an array of numbers, but is none; has it rows of different lengths?"
         ) from None
     if plain.dtype.kind not in "iufc":
-        raise ValueError(f"{name} holds values of type {plain.dtype}, but must hold numbers")
+        raise ValueError(
+            f"{name} holds values of type {plain.dtype}, but must hold numbers"
+        )
     if _counts_a_flag(value):  # numpy takes True among numbers for one
         raise ValueError(f"{name} holds True or False, but must hold numbers")
     if plain.dtype.kind == "c" and dtype is float:
         raise ValueError(f"{name} is complex, but must be real")
     if np.ma.is_masked(plain):
         count = np.ma.count_masked(plain)
-        raise ValueError(f"{name} has {count} masked values: fill the gaps, or leave them out")
+        raise ValueError(
+            f"{name} has {count} masked values: fill the gaps, or leave them out"
+        )
     wanted = tuple(shape)
     sizes = plain.shape
     if wanted and wanted[0] is Ellipsis:
         wanted, sizes = wanted[1:], sizes[max(0, plain.ndim - len(shape) + 1) :]
     named = {}
     fits = len(sizes) == len(wanted) and all(
-        have > 0 and have == named.setdefault(want, have) if isinstance(want, str) else have == want
+        have > 0 and have == named.setdefault(want, have)
+        if isinstance(want, str)
+        else have == want
         for want, have in zip(wanted, sizes, strict=True)
     )
     if not fits:
         words = ", ".join("..." if size is Ellipsis else str(size) for size in shape)
         words += "," if len(shape) == 1 else ""
-        raise ValueError(f"{name} has shape {plain.shape}, but must have shape ({words})")
+        raise ValueError(
+            f"{name} has shape {plain.shape}, but must have shape ({words})"
+        )
     result = np.array(plain, dtype=dtype)
-    if np.abs(result).max(initial=0) <= LARGEST:  # what is not a number is not below it either
+    if (
+        np.abs(result).max(initial=0) <= LARGEST
+    ):  # what is not a number is not below it either
         return result
     bad = np.argwhere(~np.isfinite(result))
     if not len(bad):
         raise ValueError(f"{name} has values beyond {LARGEST:g}: choose another unit")
     where = tuple(int(i) for i in bad[0])
-    raise ValueError(f"{name} has {len(bad)} values that are not finite, the first at {where}")
+    raise ValueError(
+        f"{name} has {len(bad)} values that are not finite, the first at {where}"
+    )
 
 
 def _counts_a_flag(value):
@@ -229,7 +265,9 @@ def frequencies(name: str, value, Ts: float) -> np.ndarray:
     """Two or more increasing angular frequencies, rad/s, from zero up to the Nyquist frequency."""
     omega = array(name, value, ("frequency",))
     if len(omega) < 2 or not np.all(np.diff(omega) > 0):
-        raise ValueError(f"{name}, of shape {omega.shape}, must be a row of increasing frequencies")
+        raise ValueError(
+            f"{name}, of shape {omega.shape}, must be a row of increasing frequencies"
+        )
     nyquist = np.pi / Ts
     if omega[0] < 0 or omega[-1] > nyquist * (1 + 1e-9):
         raise ValueError(

@@ -39,7 +39,9 @@ def folder(path: Path) -> Path:
     except (FileExistsError, NotADirectoryError):
         ways = (path, *path.parents)
         file = next(way for way in ways if os.path.lexists(way) and not way.is_dir())
-        raise NotADirectoryError(f"{file} must be a folder: remove what is there") from None
+        raise NotADirectoryError(
+            f"{file} must be a folder: remove what is there"
+        ) from None
     return path
 
 
@@ -54,7 +56,9 @@ def alone(lock: Path, refusal: str, wait: bool = False) -> Iterator[None]:
             if fcntl:
                 fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
             else:
-                msvcrt.locking(file.fileno(), msvcrt.LK_LOCK if wait else msvcrt.LK_NBLCK, 1)
+                msvcrt.locking(
+                    file.fileno(), msvcrt.LK_LOCK if wait else msvcrt.LK_NBLCK, 1
+                )
         except OSError:
             raise RuntimeError(refusal) from None
         yield

@@ -75,7 +75,9 @@ class ZeroPhaseButterworth:
         analytic = np.append(1 / (1 + warped ** (2 * self.order)), 0)
         with np.errstate(all="ignore"), warnings.catch_warnings():
             warnings.simplefilter("ignore", BadCoefficients)
-            return np.allclose(self.frequency_response(omega), analytic, rtol=0, atol=1e-6)
+            return np.allclose(
+                self.frequency_response(omega), analytic, rtol=0, atol=1e-6
+            )
 
     @cached_property
     def sections(self) -> np.ndarray:
@@ -101,11 +103,18 @@ class ZeroPhaseButterworth:
     def apply(self, signal) -> np.ndarray:
         """Filter a signal of shape (..., time, channel), forward and backward in time."""
         signal = arguments.array("signal", signal, (..., "time", "channel"))
-        sections, decay = self.sections, self.decay  # after which the line is as good as infinite
+        sections, decay = (
+            self.sections,
+            self.decay,
+        )  # after which the line is as good as infinite
         once = _continued(signal, decay, decay, self.ends)
-        at_rest = sosfilt_zi(sections).reshape(len(sections), *[1] * (signal.ndim - 2), 2, 1)
+        at_rest = sosfilt_zi(sections).reshape(
+            len(sections), *[1] * (signal.ndim - 2), 2, 1
+        )
         for _ in range(2):
-            filtered, _ = sosfilt(sections, once, axis=-2, zi=at_rest * once[..., :1, :])
+            filtered, _ = sosfilt(
+                sections, once, axis=-2, zi=at_rest * once[..., :1, :]
+            )
             once = np.flip(filtered, axis=-2)
         return once[..., decay:-decay, :]
 
@@ -118,7 +127,9 @@ def _continued(signal, before, after, ends):
     return signal
 
 
-zero_phase_butterworth = ZeroPhaseButterworth  # as one says with scipy: butter(order, cutoff)
+zero_phase_butterworth = (
+    ZeroPhaseButterworth  # as one says with scipy: butter(order, cutoff)
+)
 
 
 @runtime_checkable
@@ -177,14 +188,18 @@ class LearningFilter:
     def frequency_response(self, omega) -> np.ndarray:
         """L(exp(j omega Ts)) at `omega` (rad/s), shape (n, m, m), complex."""
         shifts = time_shifts(self.Ts * arguments.row("omega", omega), self.order)
-        return np.einsum("nk,ijk->nij", shifts, self.coefficients).astype(complex)  # (44)
+        return np.einsum("nk,ijk->nij", shifts, self.coefficients).astype(
+            complex
+        )  # (44)
 
     def apply(self, signal) -> np.ndarray:
         """Filter a signal of shape (..., time, m)."""
         signal = arguments.array("signal", signal, (..., "time", self.channels))
         ahead = _continued(signal, 0, self.order, self.ends)
         windows = np.lib.stride_tricks.sliding_window_view(ahead, self.order, axis=-2)
-        return np.tensordot(windows[..., 1:, :, :], self.coefficients, axes=([-2, -1], [1, 2]))
+        return np.tensordot(
+            windows[..., 1:, :, :], self.coefficients, axes=([-2, -1], [1, 2])
+        )
 
 
 def time_shifts(angles, order) -> np.ndarray:
@@ -258,8 +273,13 @@ def update(
 def _both(v, e, channels):
     """v and e as arrays with the channels last, and whether they came without, as that of one."""
     called = [getattr(signal, "name", None) for signal in (v, e)]
-    if any(isinstance(own, str) and own == other for own, other in zip(called, "ev", strict=True)):
-        raise ValueError(f"v is called {called[0]!r} and e {called[1]!r}: they are exchanged")
+    if any(
+        isinstance(own, str) and own == other
+        for own, other in zip(called, "ev", strict=True)
+    ):
+        raise ValueError(
+            f"v is called {called[0]!r} and e {called[1]!r}: they are exchanged"
+        )
     names = arguments.names_of(v)
     if names is not None:
         e = arguments.in_order("e", e, names)

@@ -21,10 +21,14 @@ def frequency_response(system: control.StateSpace, omega) -> np.ndarray:
     arguments.state_space("system", system)
     omega = arguments.row("omega", omega)
     if system.dt is None or system.dt is True:
-        raise ValueError(f"system.dt = {system.dt} must be 0, or a sampling period in seconds")
+        raise ValueError(
+            f"system.dt = {system.dt} must be 0, or a sampling period in seconds"
+        )
     points = np.exp(1j * omega * system.dt) if system.dt else 1j * omega
     resolvent = np.repeat(-system.A[None].astype(complex), len(points), axis=0)
-    np.einsum("nii->ni", resolvent)[:] += points[:, None]  # on the diagonals alone, in place
+    np.einsum("nii->ni", resolvent)[:] += points[
+        :, None
+    ]  # on the diagonals alone, in place
     return system.C @ solve_off_poles(resolvent, system.B.astype(complex)) + system.D
 
 
@@ -84,7 +88,10 @@ def unreachable_modes(A, B) -> tuple[np.ndarray, np.ndarray]:
     scale_A, scale_B = (np.linalg.norm(X, 2) or 1.0 for X in (A, B))
     values, vectors = [], []
     for eigenvalue in np.linalg.eigvals(A):
-        if any(np.isclose(eigenvalue, seen, rtol=1e-6, atol=1e-9 * scale_A) for seen in values):
+        if any(
+            np.isclose(eigenvalue, seen, rtol=1e-6, atol=1e-9 * scale_A)
+            for seen in values
+        ):
             continue
         pencil = np.hstack([(eigenvalue * np.eye(len(A)) - A) / scale_A, B / scale_B])
         left, singular_values, _ = np.linalg.svd(pencil)
@@ -97,7 +104,9 @@ def unreachable_modes(A, B) -> tuple[np.ndarray, np.ndarray]:
 def reachable_basis(A, B) -> np.ndarray:
     """Orthonormal basis of the reachable subspace, shape (n, r)."""
     basis = np.eye(len(A))
-    while basis.size:  # a second pass only for unreachable chains of generalised eigenvectors
+    while (
+        basis.size
+    ):  # a second pass only for unreachable chains of generalised eigenvectors
         _, silent = unreachable_modes(basis.T @ A @ basis, basis.T @ B)
         if not silent.size:
             break
@@ -105,7 +114,9 @@ def reachable_basis(A, B) -> np.ndarray:
     return basis
 
 
-def minimal_realisation(plant: control.StateSpace, controls: Sequence[str]) -> control.StateSpace:
+def minimal_realisation(
+    plant: control.StateSpace, controls: Sequence[str]
+) -> control.StateSpace:
     """Restrict a plant to the states that its controls reach and its outputs show.
 
     The state is expressed in an orthonormal basis of the reachable subspace, then of the
@@ -129,14 +140,18 @@ def minimal_realisation(plant: control.StateSpace, controls: Sequence[str]) -> c
     T = reachable_basis(A, B[:, : len(controls)])
     T = T @ reachable_basis((T.T @ A @ T).T, (C @ T).T)
     if not T.size:
-        raise ValueError(f"controls = {controls!r} reach no state that the outputs show")
+        raise ValueError(
+            f"controls = {controls!r} reach no state that the outputs show"
+        )
     return control.ss(
         T.T @ A @ T, T.T @ B, C @ T, plant.D, plant.dt,
         inputs=plant.input_labels, outputs=plant.output_labels, name=plant.name,
     )  # fmt: skip
 
 
-def controls_first(plant: control.StateSpace, controls: Sequence[str]) -> control.StateSpace:
+def controls_first(
+    plant: control.StateSpace, controls: Sequence[str]
+) -> control.StateSpace:
     """The plant with its inputs in the order controls, disturbances."""
     names = plant.input_labels
     given = [str(name) for name in controls] if isinstance(controls, Sequence) else []
@@ -159,10 +174,14 @@ def refuse_foreign(name: str, value) -> None:
         kind, remedy = "path", "read the file, and pass what stands in it"
     elif isinstance(value, signal.lti | signal.dlti):
         remedy = f"of s = {name}.to_ss(), make control.ss(s.A, s.B, s.C, s.D, s.dt)"
-    elif isinstance(value, control.NonlinearIOSystem) and not isinstance(value, control.LTI):
+    elif isinstance(value, control.NonlinearIOSystem) and not isinstance(
+        value, control.LTI
+    ):
         remedy = f"linearise it, by control.linearize({name}, x, u)"
     if remedy:
-        raise ValueError(f"{name} = {reprlib.repr(value)} is a {kind}, and no model: {remedy}")
+        raise ValueError(
+            f"{name} = {reprlib.repr(value)} is a {kind}, and no model: {remedy}"
+        )
 
 
 def sampled_plant(
@@ -178,8 +197,12 @@ def sampled_plant(
         )
     names = [*plant.output_labels, *plant.input_labels]
     if len(set(names)) < plant.noutputs + plant.ninputs:
-        raise ValueError(f"{name} has the signals {names}: each needs a name of its own")
-    return _realised(plant, name) if isinstance(plant, control.TransferFunction) else plant
+        raise ValueError(
+            f"{name} has the signals {names}: each needs a name of its own"
+        )
+    return (
+        _realised(plant, name) if isinstance(plant, control.TransferFunction) else plant
+    )
 
 
 def _realised(plant, called):
@@ -196,7 +219,9 @@ def _realised(plant, called):
                 f"{called} has more zeros than poles from {plant.input_labels[j]} to "
                 f"{plant.output_labels[i]}: it would have to look ahead. Delay it"
             )
-        entries.append(control.ss(control.tf(plant.num[i][j], plant.den[i][j], plant.dt)))
+        entries.append(
+            control.ss(control.tf(plant.num[i][j], plant.den[i][j], plant.dt))
+        )
     rows = np.repeat(np.eye(shape[0]), shape[1], axis=0)
     columns = np.tile(np.eye(shape[1]), (shape[0], 1))
     A, B, C, D = (block_diag(*(getattr(entry, x) for entry in entries)) for x in "ABCD")

@@ -39,9 +39,13 @@ class Replay:
     law: tuple[ZeroPhaseButterworth, LearningFilter | None] | None
     rest: int  # samples at the end of every trial in which v was held at zero
     step: float  # of the law, from each trial to the next
-    limits: dict[str, tuple[float, ...]]  # of the commands, that v was learned within; or none
+    limits: dict[
+        str, tuple[float, ...]
+    ]  # of the commands, that v was learned within; or none
     untold: tuple[str, ...]  # disturbances that the simulation is not told of
-    earlier: tuple[tuple[int, "Replay"], ...] = ()  # by the laws before, up to which trial each
+    earlier: tuple[
+        tuple[int, "Replay"], ...
+    ] = ()  # by the laws before, up to which trial each
 
     @property
     def outputs(self) -> list[str]:
@@ -56,7 +60,9 @@ class Replay:
     @property
     def sources(self) -> list[str]:
         """Names of the disturbances that were recorded."""
-        return self.trials.source.values.tolist() if "source" in self.trials.coords else []
+        return (
+            self.trials.source.values.tolist() if "source" in self.trials.coords else []
+        )
 
     @cached_property
     def disturbance(self) -> np.ndarray | None:
@@ -78,8 +84,12 @@ class Replay:
         if self.earlier or not self.from_the_first:
             return None
         reference = self.trials.reference.values
-        unknown = self.loop.disturbances if isinstance(self.loop, ClosedLoop) else self.untold
-        told = self.disturbance * [name not in unknown for name in self.loop.disturbances]
+        unknown = (
+            self.loop.disturbances if isinstance(self.loop, ClosedLoop) else self.untold
+        )
+        told = self.disturbance * [
+            name not in unknown for name in self.loop.disturbances
+        ]
         made = {"trials": len(reference), "rest": self.rest, "step": self.step}
         made["limits"] = self.limits or None
         made["v"] = self.trials.v.values[0] if self.begun else None
@@ -98,17 +108,26 @@ class Replay:
         if not closed and "u" not in self.trials:
             return None
         model, signals = self.loop.P if closed else self.loop.plant, self._commands[1]
-        signals = signals if closed else np.concatenate([signals, self.disturbance], axis=2)
+        signals = (
+            signals if closed else np.concatenate([signals, self.disturbance], axis=2)
+        )
         zero = np.zeros(model.nstates)
-        states = np.stack([state_sequence(model.A, s @ model.B.T, zero) for s in signals])
+        states = np.stack(
+            [state_sequence(model.A, s @ model.B.T, zero) for s in signals]
+        )
         return states @ model.C.T + signals @ model.D.T
 
     @cached_property
     def _commands(self):
         """What was asked for, and what was applied of it, shape (trial, time, m)."""
-        trials, actuators = self.trials, Actuators.of("actuators", self.limits, self.loop)
+        trials, actuators = (
+            self.trials,
+            Actuators.of("actuators", self.limits, self.loop),
+        )
         told = (trials[name].values for name in ("u", "applied") if name in trials)
-        return commands_of(self.loop, actuators, (trials.reference + trials.v).values, *told)
+        return commands_of(
+            self.loop, actuators, (trials.reference + trials.v).values, *told
+        )
 
     @property
     def fit(self) -> pd.DataFrame | None:
@@ -118,8 +137,12 @@ class Replay:
         y = self.trials.y.values
         spread = np.linalg.norm(y - y.mean(axis=1, keepdims=True), axis=1)
         missed = np.linalg.norm(y - self.predicted, axis=1)
-        missed = np.divide(missed, spread, out=np.full_like(spread, np.nan), where=spread > 0)
-        return pd.DataFrame(1 - missed, pd.Index(self.numbers, name="trial"), self.outputs)
+        missed = np.divide(
+            missed, spread, out=np.full_like(spread, np.nan), where=spread > 0
+        )
+        return pd.DataFrame(
+            1 - missed, pd.Index(self.numbers, name="trial"), self.outputs
+        )
 
     @cached_property
     def departure(self) -> pd.DataFrame | None:
@@ -136,7 +159,9 @@ class Replay:
             else:
                 expected = np.nan
             found[number] = np.abs(v[k] - expected).max(axis=0)
-        return pd.DataFrame.from_dict(found, "index", columns=self.outputs).rename_axis("trial")
+        return pd.DataFrame.from_dict(found, "index", columns=self.outputs).rename_axis(
+            "trial"
+        )
 
     @cached_property
     def findings(self) -> tuple[str, ...]:
@@ -169,7 +194,9 @@ class Replay:
         v, e, reference = (self.trials[name].values for name in ("v", "e", "reference"))
         v = realised(self.loop, v, *self._commands) if self.limits else v
         units = self.trials.output_unit.values.tolist()
-        return Course(v, e, reference, self.outputs, units, self.numbers[0], P, *promised)
+        return Course(
+            v, e, reference, self.outputs, units, self.numbers[0], P, *promised
+        )
 
     def reached(self, trial: int = 2) -> pd.DataFrame | None:
         """The rate that a trial reached, by octaves, see :meth:`Course.reached`; for all outputs.
@@ -200,9 +227,13 @@ class Replay:
                 ("e with the wrong sign, y - reference", (v[k - 1], -e[k - 1])),
                 ("v and e exchanged", (e[k - 1], v[k - 1])),
             ):
-                left = np.abs(update(*given, *made.law, made.rest, made.step) - v[k]).max()
+                left = np.abs(
+                    update(*given, *made.law, made.rest, made.step) - v[k]
+                ).max()
                 if left <= EXPLAINS * off:
-                    return f"v of trial {self.numbers[k]} is what the law makes of {words}"
+                    return (
+                        f"v of trial {self.numbers[k]} is what the law makes of {words}"
+                    )
             return None
         return None
 
@@ -273,10 +304,19 @@ def replay_of(trials: xr.Dataset, untold: Sequence[str] = ()) -> Replay:
         (until, Replay(log, loop, *(of(log) for of in noted), ()))
         for until, log in notes.earlier_laws_of(trials)
     )
-    limits = {} if law is None else notes.actuators_of(trials)  # not those of an excitation
+    limits = (
+        {} if law is None else notes.actuators_of(trials)
+    )  # not those of an excitation
     if limits and (loop is None or not (isinstance(loop, ClosedLoop) or "u" in trials)):
         law, limits = None, {}  # without which it cannot be followed
-    made = law, notes.rest_of(trials), notes.step_of(trials), limits, tuple(untold), earlier
+    made = (
+        law,
+        notes.rest_of(trials),
+        notes.step_of(trials),
+        limits,
+        tuple(untold),
+        earlier,
+    )
     replay = Replay(trials, loop, *made)
     for finding in replay.findings:
         warnings.warn(finding, stacklevel=2)

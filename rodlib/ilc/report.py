@@ -53,7 +53,9 @@ def left_out(replay: Replay) -> list[str]:
     if replay.loop.P is None:
         reasons.append("simulation and prediction: the loop has no P")
     if not replay.from_the_first:
-        reasons.append(f"simulation: not all trials from 1 on are there, but {replay.numbers}")
+        reasons.append(
+            f"simulation: not all trials from 1 on are there, but {replay.numbers}"
+        )
     if replay.earlier:
         until = ", ".join(str(number) for number, _ in replay.earlier)
         reasons.append(f"simulation: another law held up to trial {until}")
@@ -91,7 +93,9 @@ def summary(replay: Replay) -> str:
             f"{rates.to_string(float_format='{:.2g}'.format)}"
         )
     lines += [
-        f"{key}: {trials.attrs[key]}" for key in ("clock", "resampled") if key in trials.attrs
+        f"{key}: {trials.attrs[key]}"
+        for key in ("clock", "resampled")
+        if key in trials.attrs
     ]
     lines += [f"WARNING: {finding}" for finding in replay.findings]
     return "\n".join([*lines, *(f"left out: {reason}" for reason in left_out(replay))])
@@ -101,7 +105,9 @@ def save_following(replay: Replay, path) -> None:
     """Write the next trial's v as a table, the time in s and a column for each output."""
     path = arguments.path("path", path)
     if replay.law is None:
-        raise ValueError("the log does not say which law made it: there is no next trial")
+        raise ValueError(
+            "the log does not say which law made it: there is no next trial"
+        )
     titles = [f"v_{name}" for name in replay.outputs]
     units = dict(zip(titles, replay.trials.output_unit.values.tolist(), strict=True))
     head = (
@@ -109,7 +115,9 @@ def save_following(replay: Replay, path) -> None:
         f"# units: {json.dumps({'time': 's'} | units, ensure_ascii=False)}\n"
         f"{','.join(['time', *map(quoted, titles)])}\n"
     )
-    write_pieces(path, [head.encode(), rows([replay.trials.time.values, *replay.following.T])])
+    write_pieces(
+        path, [head.encode(), rows([replay.trials.time.values, *replay.following.T])]
+    )
 
 
 def with_unit(text: str, unit: str) -> str:
@@ -121,6 +129,8 @@ def rms_by_trial(e: xr.DataArray) -> pd.DataFrame:
     """RMS(e_k), :func:`rodlib.ilc.rms`, by trial; a column for each unit of the outputs."""
     groups, columns = by_unit(e.output_unit.values.tolist()), {}
     for unit, channels in groups.items():
-        names = "" if len(groups) == 1 else f" of {', '.join(e.output.values[channels])}"
+        names = (
+            "" if len(groups) == 1 else f" of {', '.join(e.output.values[channels])}"
+        )
         columns[with_unit(f"RMS{names}", unit)] = rms(e.isel(channel=channels)).values
     return pd.DataFrame(columns, pd.Index(e.trial.values, name="trial"))

@@ -4,7 +4,17 @@ from collections.abc import Sequence
 
 from rodlib.ilc import arguments
 
-PLAIN = ("", "K", "degC", "W", "m", "mm", "N", "V", "A")  # which pint need not be asked about
+PLAIN = (
+    "",
+    "K",
+    "degC",
+    "W",
+    "m",
+    "mm",
+    "N",
+    "V",
+    "A",
+)  # which pint need not be asked about
 
 
 def understood(name: str, label):
@@ -42,7 +52,9 @@ def check(name: str, labels: dict[str, str]) -> None:
 
 def by_unit(units: Sequence[str]) -> dict[str, list[int]]:
     """Channels whose signals have the same unit, and so can stand in one sum or picture."""
-    return {unit: [i for i, other in enumerate(units) if other == unit] for unit in units}
+    return {
+        unit: [i for i, other in enumerate(units) if other == unit] for unit in units
+    }
 
 
 def seconds(label: str) -> float:

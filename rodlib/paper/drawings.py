@@ -18,16 +18,35 @@ def draw_rod(axes: Axes, rod: Rod) -> None:
     for i in range(rod.sections):
         middle = (i + 0.5) * section
         axes.add_patch(
-            Rectangle((i * section + 2, -9), section - 4, 8, facecolor="white", edgecolor="black")
+            Rectangle(
+                (i * section + 2, -9),
+                section - 4,
+                8,
+                facecolor="white",
+                edgecolor="black",
+            )
         )
-        axes.text(middle - 4, -5.2, f"Peltier {i + 1}", ha="right", va="center", fontsize=7)
+        axes.text(
+            middle - 4, -5.2, f"Peltier {i + 1}", ha="right", va="center", fontsize=7
+        )
         axes.annotate(
-            "", (middle, 3), (middle, -17), arrowprops={"arrowstyle": "-|>", "color": "tab:red"}
+            "",
+            (middle, 3),
+            (middle, -17),
+            arrowprops={"arrowstyle": "-|>", "color": "tab:red"},
         )
-        axes.text(middle + 3, -15, rf"$\dot Q_{{{i + 1}}}(t)$", color="tab:red", va="center")
+        axes.text(
+            middle + 3, -15, rf"$\dot Q_{{{i + 1}}}(t)$", color="tab:red", va="center"
+        )
     for i, z in enumerate(rod.sensors):
         axes.plot(z * 1e3, 12, "o", color="tab:blue", clip_on=False, zorder=3)
-        axes.text(z * 1e3 + 4, 16, rf"$y_{i + 1}$ at {z * 1e3:g} mm", color="tab:blue", va="center")
+        axes.text(
+            z * 1e3 + 4,
+            16,
+            rf"$y_{i + 1}$ at {z * 1e3:g} mm",
+            color="tab:blue",
+            va="center",
+        )
     axes.text(length * 0.02, 16, r"air, $\vartheta_a(t)$", va="center")
     for edge in rod.edges * 1e3:
         axes.plot([edge, edge], [-24, -21], color="black")
@@ -45,7 +64,9 @@ def draw_block_diagram(axes: Axes) -> None:
     axes.set_ylim(0, 8.2)
 
     def block(x, y, width, height, text, **style):
-        box = Rectangle((x, y), width, height, facecolor="white", edgecolor="black", **style)
+        box = Rectangle(
+            (x, y), width, height, facecolor="white", edgecolor="black", **style
+        )
         axes.add_patch(box)
         axes.text(x + width / 2, y + height / 2, text, ha="center", va="center")
 
@@ -62,7 +83,9 @@ def draw_block_diagram(axes: Axes) -> None:
             axes.text(x + dx, y + dy, sign, fontsize=8, ha="center", va="center")
 
     # the current-trial loop
-    axes.add_patch(Rectangle((4.35, 0.25), 9.35, 4.6, facecolor="0.94", edgecolor="none"))
+    axes.add_patch(
+        Rectangle((4.35, 0.25), 9.35, 4.6, facecolor="0.94", edgecolor="none")
+    )
     axes.text(4.5, 0.4, "current-trial loop, $P$", fontsize=8, color="0.35")
     block(4.8, 3.4, 1.0, 0.9, "$N$")
     sum_at(7.0, 3.85, (-0.38, -0.3, "$-$"), (0.32, -0.42, "$-$"))
@@ -75,7 +98,13 @@ def draw_block_diagram(axes: Axes) -> None:
     arrow((11.5, 3.85), (15.0, 3.85), label="$y$", offset=(2.9, 0.18))
     arrow((12.4, 3.85), (12.4, 1.8), (11.5, 1.8))
     arrow((8.7, 3.85), (8.7, 2.15), (9.3, 2.15))
-    arrow((9.3, 1.75), (7.1, 1.75), (7.1, 3.63), label=r"$\hat\delta$", offset=(-1.3, 0.12))
+    arrow(
+        (9.3, 1.75),
+        (7.1, 1.75),
+        (7.1, 3.63),
+        label=r"$\hat\delta$",
+        offset=(-1.3, 0.12),
+    )
     arrow((9.3, 1.35), (9.0, 1.35), (9.0, 1.15), (8.35, 1.15))
     axes.text(8.95, 0.75, r"$\hat x$")
     arrow((7.35, 1.15), (6.9, 1.15), (6.9, 3.63))

@@ -18,11 +18,17 @@ def plant_of_rod(rod: Rod) -> Plant:
     arguments.instance("rod", rod, Rod)
     changed = [f.name for f in fields(Rod) if getattr(rod, f.name) != f.default]
     given = ", ".join(f"{name}={getattr(rod, name)!r}" for name in changed)
-    source = f"rodlib.paper_loop(rodlib.Rod({given}))" if given else "rodlib.paper_loop()"
-    return Plant(source, paper_loop(rod), assumed_reference(), assumed_disturbance(), rest=REST)
+    source = (
+        f"rodlib.paper_loop(rodlib.Rod({given}))" if given else "rodlib.paper_loop()"
+    )
+    return Plant(
+        source, paper_loop(rod), assumed_reference(), assumed_disturbance(), rest=REST
+    )
 
 
 def rods() -> Family:
     """Rods of any size and material."""
-    parameters = {f.name: (f.default, UNITS[f.name]) for f in fields(Rod) if f.name in UNITS}
+    parameters = {
+        f.name: (f.default, UNITS[f.name]) for f in fields(Rod) if f.name in UNITS
+    }
     return Family(lambda **values: plant_of_rod(Rod(**values)), parameters)

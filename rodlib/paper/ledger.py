@@ -55,11 +55,18 @@ def verdict(claim: Claim, computed: float) -> tuple[str, float]:
         holds = abs(deviation) <= float(pair[2])
     elif pair := re.fullmatch(r"(<|<=|>|>=|==) (\S+)", claim.criterion):
         limit = float(pair[2])
-        compare = {"<": np.less, "<=": np.less_equal, ">": np.greater, ">=": np.greater_equal}
+        compare = {
+            "<": np.less,
+            "<=": np.less_equal,
+            ">": np.greater,
+            ">=": np.greater_equal,
+        }
         holds = bool(compare.get(pair[1], np.equal)(computed, limit))
         deviation = 0.0 if holds else computed - limit
     else:
-        raise ValueError(f"criterion {claim.criterion!r} of claim {claim.key!r} is not understood")
+        raise ValueError(
+            f"criterion {claim.criterion!r} of claim {claim.key!r} is not understood"
+        )
     return (REPRODUCED if holds else DIFFERS), float(deviation)
 
 
@@ -71,7 +78,9 @@ class Ledger:
     """
 
     def __init__(self, notebook: str, **parameters):
-        pd.set_option("display.max_colwidth", None, "display.max_rows", None, "display.width", 200)
+        pd.set_option(
+            "display.max_colwidth", None, "display.max_rows", None, "display.width", 200
+        )
         self.notebook = notebook
         self.rows = {}
         known = published.claims()
@@ -97,7 +106,11 @@ class Ledger:
             shown = _shown(claim, float(computed))
             if shown != BELOW_NOISE and outcome != IN_WORDS:
                 deviation = verdict(claim, float(shown))[1]
-        criterion = f"criterion: {claim.criterion}" if re.match("[<=>]", claim.criterion) else ""
+        criterion = (
+            f"criterion: {claim.criterion}"
+            if re.match("[<=>]", claim.criterion)
+            else ""
+        )
         self.rows[key] = {
             "key": key,
             "place": claim.place,
@@ -105,7 +118,9 @@ class Ledger:
             "printed": claim.printed,
             "computed": shown,
             "deviation": f"{deviation:.1e}" if abs(deviation) > NOISE else "",
-            "verdict": outcome if self.papers_parameters or outcome == UNCHECKED else OTHER,
+            "verdict": outcome
+            if self.papers_parameters or outcome == UNCHECKED
+            else OTHER,
             "kind": claim.kind,
             "note": "; ".join(filter(None, [criterion, claim.note])),
             "notebook": self.notebook,
@@ -114,7 +129,9 @@ class Ledger:
     def _record_matrix(self, name, computed):
         expected = published.matrix(name).shape
         if computed.shape != expected:
-            raise ValueError(f"{name} has shape {computed.shape}, but the paper's has {expected}")
+            raise ValueError(
+                f"{name} has shape {computed.shape}, but the paper's has {expected}"
+            )
         if name == "K_s":
             computed = computed.T
         if name == "L_diagonal":
@@ -131,7 +148,9 @@ class Ledger:
         if keys is not None:
             chosen = [key for key in chosen if key.startswith(tuple(keys))]
         rows = pd.DataFrame([self.rows[key] for key in chosen], columns=COLUMNS)
-        return rows.set_index("place")[["claim", "printed", "computed", "deviation", "verdict"]]
+        return rows.set_index("place")[
+            ["claim", "printed", "computed", "deviation", "verdict"]
+        ]
 
     def save(self) -> None:
         """Write the rows to build/ledger, or to the folder of the run, which joins them."""
@@ -161,14 +180,18 @@ def join(parts: Path) -> pd.DataFrame:
     twice = rows.key[rows.key.duplicated()].tolist()
     missing = [key for key in published.claims() if key not in set(rows.key)]
     if twice or missing:
-        raise ValueError(f"ledger: claims without evidence {missing}, claims with two rows {twice}")
+        raise ValueError(
+            f"ledger: claims without evidence {missing}, claims with two rows {twice}"
+        )
     return rows.set_index("key").loc[list(published.claims())].reset_index()[COLUMNS]
 
 
 def summary(rows: pd.DataFrame) -> str:
     """What the README says of the results: the counts, and the statements that differ."""
     statements = rows[(rows.verdict == DIFFERS) & ~rows.key.str.match(COEFFICIENT)]
-    return f"{_counts(rows)}\nBeside coefficients, these differ:\n\n{_reasons(statements)}"
+    return (
+        f"{_counts(rows)}\nBeside coefficients, these differ:\n\n{_reasons(statements)}"
+    )
 
 
 def _counts(rows):
@@ -182,7 +205,9 @@ def _counts(rows):
     counts = counts.reindex(columns=VERDICTS, fill_value=0)
     counts.loc["**all**"] = counts.sum()
     others = rows[rows.kind != EVIDENCE]
-    kinds = ", ".join(f"{n} {kind}" for kind, n in others.kind.value_counts(sort=False).items())
+    kinds = ", ".join(
+        f"{n} {kind}" for kind, n in others.kind.value_counts(sort=False).items()
+    )
     agree = (others.verdict == REPRODUCED).sum()
     return (
         f"{counts.rename_axis(None, axis=1).to_markdown()}\n\nNot counted, because they could "
@@ -204,8 +229,12 @@ def _reasons(rows):
         elif first.verdict == IN_WORDS:
             text = f"{first.claim}: printed “{first.printed}”; {first.computed}"
         else:
-            text = f"{first.claim}: printed “{first.printed}”, computed {first.computed}"
-        lines.append(f"- {first.place}: {text}" + (f" ({first.note})" if first.note else ""))
+            text = (
+                f"{first.claim}: printed “{first.printed}”, computed {first.computed}"
+            )
+        lines.append(
+            f"- {first.place}: {text}" + (f" ({first.note})" if first.note else "")
+        )
     return "\n".join(lines or ["- nothing"]) + "\n"
 
 
@@ -258,7 +287,9 @@ def publish(build: Path, root: Path) -> None:
     print(told(figures, texts))
 
 
-def changes(rows: pd.DataFrame, build: Path, root: Path) -> tuple[dict[str, str], dict[str, bytes]]:
+def changes(
+    rows: pd.DataFrame, build: Path, root: Path
+) -> tuple[dict[str, str], dict[str, bytes]]:
     """What a run has made of each figure, in a word, and the texts that are not what they were."""
     readme = (root / "README.md").read_text(encoding="utf-8")
     texts = {

@@ -21,10 +21,19 @@ def checked(**parameters: tuple) -> dict:
             whole(name, value, *map(int, ends))
         elif ends:
             least, most = ends
-            number(name, value, f"a number from {least:g} to {most:g}", least=least, most=most)
+            number(
+                name,
+                value,
+                f"a number from {least:g} to {most:g}",
+                least=least,
+                most=most,
+            )
     other = {name: given for name, given in parameters.items() if given[0] != given[1]}
     if other:
-        from IPython.display import Markdown, display  # here, since only notebooks have it loaded
+        from IPython.display import (
+            Markdown,
+            display,
+        )  # here, since only notebooks have it loaded
 
         words = ", ".join(f"`{name} = {given[0]!r}`" for name, given in other.items())
         texts = ", ".join(f"`{given[1]!r}`" for given in other.values())

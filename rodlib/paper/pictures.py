@@ -31,7 +31,9 @@ def compared(drawn: Path, before: Path) -> dict[str, str]:
 
 
 def _same(one, other):
-    return one.keys() == other.keys() and distance(one[".png"], other[".png"]) <= PRECISION
+    return (
+        one.keys() == other.keys() and distance(one[".png"], other[".png"]) <= PRECISION
+    )
 
 
 def _files_by_figure(folder: Path) -> dict[str, dict[str, Path]]:
@@ -45,7 +47,9 @@ def _files_by_figure(folder: Path) -> dict[str, dict[str, Path]]:
 def distance(one: Path, other: Path) -> float:
     """How far things have moved, in points, at most; inf if there is another difference."""
     try:
-        one, other = (matplotlib.image.imread(path) for path in (one, other))  # from 0 to 1
+        one, other = (
+            matplotlib.image.imread(path) for path in (one, other)
+        )  # from 0 to 1
     except (OSError, SyntaxError, ValueError):  # SyntaxError: pillow's
         return np.inf
     if one.shape != other.shape:

@@ -13,7 +13,9 @@ ROOT = Path(__file__).resolve().parents[2]
 def checkout(what: str, root: Path = ROOT) -> Path:
     """The repository that `what` is about to write to; site-packages, say, are none."""
     project = root / "pyproject.toml"
-    if not (project.is_file() and 'name = "rodlib"' in project.read_text(encoding="utf-8")):
+    if not (
+        project.is_file() and 'name = "rodlib"' in project.read_text(encoding="utf-8")
+    ):
         raise RuntimeError(
             f"{what} writes to a clone of the repository of rodlib, and {root} is none: "
             "clone it and work there"
@@ -31,7 +33,11 @@ def results(what: str) -> Path:
 def publishing(root: Path) -> Iterator[dict[str, bytes | None]]:
     """Replace several files of the repository, given by name; None removes one."""
     checkout("publishing", root)
-    with alone(folder(root / "build") / "publishing.lock", "another process publishes", wait=True):
+    with alone(
+        folder(root / "build") / "publishing.lock",
+        "another process publishes",
+        wait=True,
+    ):
         new = {}
         yield new
         # The README last: after a kill it is the old one, and the next run, or git, mends the rest.

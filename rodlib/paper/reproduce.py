@@ -32,12 +32,16 @@ def folder_of_run(command: str, root: Path) -> Iterator[Path]:
     refusal = f"make {command} is already running in {root}: wait until it has ended"
     with alone(build / f"{command}.lock", refusal):
         results = folder(build / command)
-        for path in results.iterdir():  # and not the folder, which may be a link or a mount point
+        for path in (
+            results.iterdir()
+        ):  # and not the folder, which may be a link or a mount point
             if path.is_dir() and not path.is_symlink():
                 shutil.rmtree(path)
             else:
                 path.unlink()
-        os.environ["RODLIB_RESULTS"] = str(results)  # see rodlib.paper.repository.results
+        os.environ["RODLIB_RESULTS"] = str(
+            results
+        )  # see rodlib.paper.repository.results
         yield results
 
 
@@ -73,15 +77,23 @@ def run(notebook: Path, executed: Path, bar: tqdm | None = None, **parameters) -
 
 def reproduce(root: Path = ROOT) -> None:
     """Run all notebooks and publish the figures and the ledger; on an error, publish nothing."""
-    texts = {path: path.read_text("utf-8") for path in sorted((root / "notebooks").glob("*.ipynb"))}
+    texts = {
+        path: path.read_text("utf-8")
+        for path in sorted((root / "notebooks").glob("*.ipynb"))
+    }
     cells = {path: len(json.loads(text)["cells"]) for path, text in texts.items()}
-    notebooks = sorted(cells, reverse=True)  # so that the last to end, the paper's, are short
+    notebooks = sorted(
+        cells, reverse=True
+    )  # so that the last to end, the paper's, are short
     with folder_of_run("reproduce", root) as build:
-        print(f"running {len(notebooks)} notebooks, {AT_A_TIME} at a time ...", flush=True)
+        print(
+            f"running {len(notebooks)} notebooks, {AT_A_TIME} at a time ...", flush=True
+        )
         bar = tqdm(total=sum(cells.values()), unit="cell", leave=False, disable=None)
         with bar, ThreadPoolExecutor(AT_A_TIME) as pool:
             running = {
-                pool.submit(run, path, build / path.name, bar): path.stem for path in notebooks
+                pool.submit(run, path, build / path.name, bar): path.stem
+                for path in notebooks
             }
             for done in as_completed(running):
                 if done.exception():
@@ -118,7 +130,9 @@ def replay(log: str, root: Path = ROOT) -> None:
 
 def main(root: Path = ROOT, log: str | None = None) -> None:
     """Reproduce, or replay a log, and leave with a message if that fails."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C ends at once; the kernels follow
+    signal.signal(
+        signal.SIGINT, signal.SIG_DFL
+    )  # Ctrl-C ends at once; the kernels follow
     try:
         if log is None:
             reproduce(root)

@@ -47,7 +47,9 @@ def main():
         print(f"recording {name} ...", flush=True)
         rig = PeltierRig(parameters=PARAMETERS, seed=seed)
         log = record(rig, L=L, **experiment())
-        log.attrs["origin"] = "synthetic: virtual rig with Peltier elements, no laboratory data"
+        log.attrs["origin"] = (
+            "synthetic: virtual rig with Peltier elements, no laboratory data"
+        )
         log.attrs["rig"] = json.dumps(
             asdict(rig.parameters) | {"seed": seed, "rod": asdict(rig.linearised)}
         )

@@ -27,7 +27,9 @@ DESIGNS = {
     "zero-phase inversion": lambda loop, Q: zero_phase_inversion(loop.P, 1.0, 0.1),
     "norm-optimal": lambda loop, Q: NormOptimal(loop.P, 1e-3, 2500),
     "H-infinity": lambda loop, Q: h_infinity(loop.P, Q, 0.5, 1e-3),
-    "(39)": lambda loop, Q: synthesise(loop, Q, np.geomspace(1e-4, np.pi, 1000), loop.Ts).filter,
+    "(39)": lambda loop, Q: (
+        synthesise(loop, Q, np.geomspace(1e-4, np.pi, 1000), loop.Ts).filter
+    ),
 }
 
 

@@ -31,7 +31,8 @@ SAMPLE = 20
 @cache
 def study():
     filters = {
-        kind: LearningFilter(published.matrix(f"L_{kind}"), 1.0) for kind in ("diagonal", "full")
+        kind: LearningFilter(published.matrix(f"L_{kind}"), 1.0)
+        for kind in ("diagonal", "full")
     }
     return Study(paper_loop(), zero_phase_butterworth(), filters, Spread.of_all(0.2))
 
@@ -52,7 +53,9 @@ def one_by_one(models):
     for model in models:
         plant = control.sample_system(model, 1.0, method="zoh")
         for L in study().filters.values():
-            run_trials(study().loop, study().Q, L, study().reference, trials=5, plant=plant)
+            run_trials(
+                study().loop, study().Q, L, study().reference, trials=5, plant=plant
+            )
 
 
 def side_by_side(rods):
@@ -70,7 +73,10 @@ def test_trials(benchmark, method):
     """Of each rod, five trials with each of two filters; times are for `SAMPLE` rods."""
     drawn = [draw(study().spread, number) for number in range(SAMPLE)]
     side_by_side(drawn[:4])  # what all rods share is not counted
-    models = [midr(each.rod) * control.ss([], [], [], np.diag([*each.gains, 1])) for each in drawn]
+    models = [
+        midr(each.rod) * control.ss([], [], [], np.diag([*each.gains, 1]))
+        for each in drawn
+    ]
     for model in models:
         model.set_inputs(drawn[0].rod.inputs)
         model.set_outputs(drawn[0].rod.outputs)

@@ -50,7 +50,11 @@ def naive_cvxpy(P, Q, omega, Ts, structure):
     n, m, _ = P.shape
     q = Q.frequency_response(omega)
     z = np.exp(1j * omega * Ts)[:, None] ** np.arange(1, 11)
-    basis = z @ np.linalg.inv(np.linalg.qr(np.vstack([z.real, z.imag]), mode="r")) * np.sqrt(n)
+    basis = (
+        z
+        @ np.linalg.inv(np.linalg.qr(np.vstack([z.real, z.imag]), mode="r"))
+        * np.sqrt(n)
+    )
     taps = [cp.Variable((m, m), diag=structure == "diagonal") for _ in range(10)]
     L = [sum(w * tap for w, tap in zip(row, taps, strict=True)) for row in basis]
     rates = [cp.sigma_max(q[i] * (np.eye(m) - P[i] @ L[i])) for i in range(n)]
@@ -100,7 +104,10 @@ def measure(benchmark, group, x, function, *arguments, rounds=3, **keywords):
     ("frequencies", "method"),
     [
         *((250, method) for method in ("naive", "cvxpy", "structured")),
-        *((1000, name) for name in ("cvxpy", "structured", "everywhere", "threads", "neighbour")),
+        *(
+            (1000, name)
+            for name in ("cvxpy", "structured", "everywhere", "threads", "neighbour")
+        ),
     ],
 )
 @pytest.mark.filterwarnings("ignore")
@@ -127,7 +134,9 @@ def test_against_cvxpy(benchmark, frequencies, method, structure):
 
 @pytest.mark.parametrize("frequencies", FREQUENCIES)
 def test_growth_with_frequencies(benchmark, frequencies):
-    measure(benchmark, "frequencies", frequencies, synthesise, *paper_problem(frequencies))
+    measure(
+        benchmark, "frequencies", frequencies, synthesise, *paper_problem(frequencies)
+    )
 
 
 @pytest.mark.parametrize("order", ORDERS)

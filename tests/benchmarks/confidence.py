@@ -23,7 +23,11 @@ IDEAL = {"noise": 0.0, "quantum": 0.0, "ambient_rate": 0.0}
 def shaken(loop, w, seeds, rng=None, restart=False, **parameters):
     """Outputs of many rigs for w (experiment, time, input), (rig, experiment, time, output)."""
     parameters = RigParameters(modes=MODES, **parameters)
-    rig, m, n = VirtualRig(parameters=parameters, Ts=loop.Ts), len(loop.controls), len(loop.Ks.T)
+    rig, m, n = (
+        VirtualRig(parameters=parameters, Ts=loop.Ts),
+        len(loop.controls),
+        len(loop.Ks.T),
+    )
     which = [rig.inputs.index(name) for name in loop.controls]
     held, lagging = rig._held[:, which], rig._lagging[:, which]
     A, B, C = loop.plant.A, loop.plant.B[:, :m], loop.plant.C
@@ -52,13 +56,17 @@ def response(loop, omega, samples=4000):
     pulses = np.zeros((2, samples, 2))
     pulses[[0, 1], 0, [0, 1]] = 1.0
     h = np.moveaxis(shaken(loop, pulses, 1, restart=True, **IDEAL)[0], 0, -1)
-    return np.tensordot(np.exp(-1j * loop.Ts * np.outer(omega, np.arange(samples))), h, 1)
+    return np.tensordot(
+        np.exp(-1j * loop.Ts * np.outer(omega, np.arange(samples))), h, 1
+    )
 
 
 def main(seeds):
     """Count, and print with one standard deviation."""
     loop, hours = paper_loop(), 6.0
-    excitation = multisine(loop, 3.3 * 4 * np.pi / (3600 * hours), 0.3, 5.0, hours, lines=60)
+    excitation = multisine(
+        loop, 3.3 * 4 * np.pi / (3600 * hours), 0.3, 5.0, hours, lines=60
+    )
     truth, windows = (
         response(loop, excitation.omega),
         windows_of(excitation.harmonics, excitation, loop),
@@ -68,10 +76,14 @@ def main(seeds):
     for batch in range(-(-seeds // SIDE_BY_SIDE)):
         rng = np.random.default_rng([SIDE_BY_SIDE * batch, 7])
         for y in shaken(loop, excitation.signals, SIDE_BY_SIDE, rng):
-            of = _estimate(excitation.signals[:, last], y[:, last], windows, excitation, loop)
+            of = _estimate(
+                excitation.signals[:, last], y[:, last], windows, excitation, loop
+            )
             off = np.linalg.norm(of.response - truth, 2, axis=(1, 2))
             for confidence, found in within.items():
-                radius = radius_of(of.noise, of.spread, of.freedom, 1 - confidence ** (1 / n))
+                radius = radius_of(
+                    of.noise, of.spread, of.freedom, 1 - confidence ** (1 / n)
+                )
                 found.append(np.all(off <= radius))
     for confidence, found in within.items():
         share = np.mean(found)

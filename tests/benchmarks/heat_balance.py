@@ -27,7 +27,9 @@ def held(log, lasts: float, seeds: int, size: float = 0.5) -> np.ndarray:
     pole, within = np.exp(-log.Ts / lasts) if lasts else 0.0, []
     for seed in range(seeds):
         white = np.random.default_rng(seed).standard_normal((len(u) + 500, 2))
-        noise = size * np.sqrt(1 - pole**2) * lfilter([1], [1, -pole], white, axis=0)[500:]
+        noise = (
+            size * np.sqrt(1 - pole**2) * lfilter([1], [1, -pole], white, axis=0)[500:]
+        )
         found = fit_heat_balance(u, 20 + answer + noise, log.Ts).table()
         within.append((found["from"].values < TRUE) & (found["to"].values > TRUE))
     return np.mean(within, axis=0)
@@ -39,7 +41,9 @@ def main(seeds: int) -> pd.DataFrame:
     rows = {}
     for name in ("board-1s.csv", "board-3s.csv"):
         log = read_table(ROOT / "data" / "tclab" / name, **NAMED)
-        rows |= {(name, f"{lasts:g} s"): held(log, lasts, seeds) for lasts in (0.0, 60.0)}
+        rows |= {
+            (name, f"{lasts:g} s"): held(log, lasts, seeds) for lasts in (0.0, 60.0)
+        }
     columns = ["gain_1", "gain_2", "loss", "exchange", "lag"]
     return pd.DataFrame(rows, columns).T.rename_axis(["heaters of", "noise lasts"])
 

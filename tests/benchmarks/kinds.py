@@ -35,7 +35,9 @@ class Plant:
 
         A = slopes(lambda x: self.step(x, np.zeros(m)), n)
         B = slopes(lambda u: self.step(np.zeros(n), u), m)
-        return control.ss(A, B, slopes(self.output, n), 0, Ts, inputs=inputs, outputs=outputs)
+        return control.ss(
+            A, B, slopes(self.output, n), 0, Ts, inputs=inputs, outputs=outputs
+        )
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,10 @@ class Driver:
 
     def start(self, trial):
         """At rest; the noise of a trial depends on its number alone."""
-        self.x, self.random = np.zeros(self.bench.states), np.random.default_rng([7, trial])
+        self.x, self.random = (
+            np.zeros(self.bench.states),
+            np.random.default_rng([7, trial]),
+        )
 
     def read(self):
         y = self.bench.output(self.x)
@@ -130,7 +135,9 @@ def flow(f, Ts, steps=1):
 def of_model(model, noise, limits=None):
     """A bench whose dynamics are those of a model in discrete time."""
     A, B, C = model.A, model.B, model.C
-    return Plant(len(A), lambda x, u: A @ x + B @ u, lambda x: C @ x, noise, limits or {})
+    return Plant(
+        len(A), lambda x, u: A @ x + B @ u, lambda x: C @ x, noise, limits or {}
+    )
 
 
 def tanks(off):
@@ -148,8 +155,12 @@ def tanks(off):
         return Plant(3, flow(flows, Ts), lambda x: x, 0.02, limits)
 
     model = plant(150.0, 12.0, 1.0).linear(Ts, pumps, levels)
-    loop = current_trial_loop(model, sizes=dict.fromkeys(levels, 5.0) | dict.fromkeys(pumps, 20.0))
-    bench = plant(150.0 * (1 + 0.1 * off), 12.0 * (1 - 0.15 * off), 1.0 * (1 + 0.15 * off))
+    loop = current_trial_loop(
+        model, sizes=dict.fromkeys(levels, 5.0) | dict.fromkeys(pumps, 20.0)
+    )
+    bench = plant(
+        150.0 * (1 + 0.1 * off), 12.0 * (1 - 0.15 * off), 1.0 * (1 + 0.15 * off)
+    )
     return Kind(loop, bench, bump(300, [5.0, 4.5, 4.8]), 0.1, homes=False)
 
 
@@ -167,7 +178,9 @@ def column(off):
 
     sizes = dict.fromkeys(names, 1.0) | {"reflux": 20.0, "boilup": 20.0}
     loop = current_trial_loop(plant(75.0, [1.0, 1.0]), sizes=sizes)
-    bench = of_model(plant(75.0 * (1 + 0.1 * off), [1 + 0.1 * off, 1 - 0.1 * off]), 0.005)
+    bench = of_model(
+        plant(75.0 * (1 + 0.1 * off), [1 + 0.1 * off, 1 - 0.1 * off]), 0.005
+    )
     return Kind(loop, bench, bump(400, [1.0, -0.5]), 0.1 / Ts, {"structure": "full"})
 
 
@@ -176,13 +189,17 @@ def piezo(off):
     Ts = 1e-4
 
     def plant(w, damping):
-        model = control.ss([[0, 1], [-(w**2), -2 * damping * w]], [[0], [w**2]], [[1, 0]], 0)
+        model = control.ss(
+            [[0, 1], [-(w**2), -2 * damping * w]], [[0], [w**2]], [[1, 0]], 0
+        )
         return control.sample_system(model, Ts)
 
     model = plant(2 * np.pi * 800, 0.02)
     model = control.ss(model, inputs=["V"], outputs=["um"])
     loop = current_trial_loop(model, sizes={"um": 1.0, "V": 1.0})
-    bench = of_model(plant(2 * np.pi * 800 * (1 - 0.05 * off), 0.02), 1e-3, {"V": (-10.0, 10.0)})
+    bench = of_model(
+        plant(2 * np.pi * 800 * (1 - 0.05 * off), 0.02), 1e-3, {"V": (-10.0, 10.0)}
+    )
     return Kind(loop, bench, bump(600, [2.0]), 2 * np.pi * 300, whole=True)
 
 
@@ -191,7 +208,10 @@ def furnace(off):
     Ts, samples = 1.0, 30
 
     def plant(gain, pole, delay):
-        numerator, denominator = [gain * (1 - pole)], np.append([1.0, -pole], np.zeros(delay))
+        numerator, denominator = (
+            [gain * (1 - pole)],
+            np.append([1.0, -pole], np.zeros(delay)),
+        )
         model = control.ss(control.tf(numerator, denominator, Ts))
         return control.ss(model, inputs=["valve"], outputs=["outlet"])
 
@@ -236,7 +256,10 @@ def zones(off):
             room, inside = x[:2], x[2:]
             into = 150.0 * (inside - room) + coupling * (room[::-1] - room)
             return np.concatenate(
-                [(u + into - 20.0 * room) / air, (-150.0 * (inside - room) - 60.0 * inside) / wall]
+                [
+                    (u + into - 20.0 * room) / air,
+                    (-150.0 * (inside - room) - 60.0 * inside) / wall,
+                ]
             )
 
         limits = dict.fromkeys(heaters, (-1000.0, 2000.0))  # about 1 kW
@@ -253,7 +276,9 @@ def levitation(off):
     """A ball under a magnet, held by a PD of its own, so that P(0) is not one."""
     Ts, g, gap, current = 1e-3, 9810.0, 10.0, 1.0  # s, mm/s2, mm, A
 
-    def plant(force):  # of the magnet; the current is trimmed so that the ball hangs at the gap
+    def plant(
+        force,
+    ):  # of the magnet; the current is trimmed so that the ball hangs at the gap
         def flows(x, u):  # mm, downwards, and mm/s; w moves the set point
             i = current / np.sqrt(force) + 0.25 * (x[0] - u[0]) + 0.004 * x[1]
             pull = force * (i / current * gap / max(gap + x[0], 1.0)) ** 2
@@ -275,7 +300,9 @@ def plc(off):
             e = w - T
             asked = 3.0 * e + integral
             u = np.clip(asked, -30.0, 70.0)
-            integral = integral + np.where(u == asked, 3.0 * Ts / 15.0 * e, 0.0)  # no windup
+            integral = integral + np.where(
+                u == asked, 3.0 * Ts / 15.0 * e, 0.0
+            )  # no windup
             heat = gain * (u + 0.2 * u[::-1])
             T = T + Ts / lag * (before - T)
             return np.concatenate([T, before + Ts / 3.0 * (heat - before), integral])
@@ -297,7 +324,9 @@ def table(off):
     def plant(w, resonance):
         s = control.tf("s")
         rigid = w**2 / (s**2 + 1.2 * w * s + w**2)
-        model = rigid * (0.97 + 0.03 * resonance**2 / (s**2 + 0.02 * resonance * s + resonance**2))
+        model = rigid * (
+            0.97 + 0.03 * resonance**2 / (s**2 + 0.02 * resonance * s + resonance**2)
+        )
         return control.sample_system(control.ss(model), Ts)
 
     w, resonance, random = 2 * np.pi * 30, 2 * np.pi * 160, np.random.default_rng(5)
@@ -341,11 +370,15 @@ def pendulum(off):
             turn = mass * 9.81 * length * np.sin(x[0]) + u[0] - 0.05 * x[1]
             return np.array([x[1], turn / inertia])
 
-        return Plant(2, flow(flows, Ts), lambda x: x[:1], 1e-3, {"torque": (-10.0, 10.0)})
+        return Plant(
+            2, flow(flows, Ts), lambda x: x[:1], 1e-3, {"torque": (-10.0, 10.0)}
+        )
 
     model = plant(1.0, 0.5).linear(Ts, ["torque"], ["angle"])
     loop = current_trial_loop(model, sizes={"angle": 0.5, "torque": 5.0})
-    return Kind(loop, plant(1 + 0.1 * off, 0.5 * (1 + 0.05 * off)), bump(300, [0.8]), 6.0)
+    return Kind(
+        loop, plant(1 + 0.1 * off, 0.5 * (1 + 0.05 * off)), bump(300, [0.8]), 6.0
+    )
 
 
 KINDS = {

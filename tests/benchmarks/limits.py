@@ -13,7 +13,13 @@ import osqp
 import piqp
 from scipy import sparse
 
-from rodlib import LearningFilter, paper_loop, run_trials, update_within, zero_phase_butterworth
+from rodlib import (
+    LearningFilter,
+    paper_loop,
+    run_trials,
+    update_within,
+    zero_phase_butterworth,
+)
 from rodlib.case import assumed_reference
 from rodlib.paper import published
 
@@ -58,7 +64,13 @@ def by_clarabel(H, c, F, b, G, low, high):
     settings.verbose = False
     A = sparse.csc_matrix(sparse.vstack([F, G, -G]))
     cones = [clarabel.ZeroConeT(len(b)), clarabel.NonnegativeConeT(2 * len(low))]
-    given = sparse.csc_matrix(sparse.triu(H)), c, A, np.concatenate([b, high, -low]), cones
+    given = (
+        sparse.csc_matrix(sparse.triu(H)),
+        c,
+        A,
+        np.concatenate([b, high, -low]),
+        cones,
+    )
     solution = clarabel.DefaultSolver(*given, settings).solve()
     return str(solution.status), np.array(solution.x)
 
@@ -87,7 +99,9 @@ def main():
     for case, more in (("limits of 20 W", ()), ("and 0.05 W/s", (0.05,))):
         trial(dict.fromkeys(["Q1", "Q3"], (-20.0, 20.0, *more)))
         program, reached = list(given), {}
-        print(f"{case}: {program[0].shape[0]} unknowns, {len(program[5])} rows with two limits")
+        print(
+            f"{case}: {program[0].shape[0]} unknowns, {len(program[5])} rows with two limits"
+        )
         for name, solve in SOLVERS.items():
             times = []
             for _ in range(3):
@@ -98,7 +112,9 @@ def main():
             rows = program[4] @ z
             beyond = np.maximum(program[5] - rows, rows - program[6]).max()
             apart = np.abs(reached[name] - reached["PIQP"]).max()
-            print(f"  {name:16}{min(times):7.2f} s  {beyond:9.1e}  {apart:9.1e}  {status}")
+            print(
+                f"  {name:16}{min(times):7.2f} s  {beyond:9.1e}  {apart:9.1e}  {status}"
+            )
 
 
 if __name__ == "__main__":

@@ -22,30 +22,72 @@ from rodlib.paper.repository import ROOT
 FEW = {"rods": 20, "simulated": 5, "sampled": 20, "plants": 20}
 SETTINGS = {
     "01": [{"degree": 1}, {"degree": 4, "Ts": 2.0}, {"degree": 2, "Ts": 0.5}],
-    "02": [{"degree": 4}, {"Ts": 0.5, "R_s": 0.5}, {"degree": 1, "Q_o": 20.0, "R_o": 10.0}],
+    "02": [
+        {"degree": 4},
+        {"Ts": 0.5, "R_s": 0.5},
+        {"degree": 1, "Q_o": 20.0, "R_o": 10.0},
+    ],
     "03": [
         {"M_max": 0.85},
         {"order": 5, "L_max": 100.0},
-        {"n_Q": 4, "cutoff": 0.08, "frequencies": 300, "samples": 1500, "band_high": 0.05},
+        {
+            "n_Q": 4,
+            "cutoff": 0.08,
+            "frequencies": 300,
+            "samples": 1500,
+            "band_high": 0.05,
+        },
     ],
-    "04": [{"trials": 7}, {"trials": 5, "samples": 1000}, {"first_disturbed": 9, "M_max": 0.85}],
+    "04": [
+        {"trials": 7},
+        {"trials": 5, "samples": 1000},
+        {"first_disturbed": 9, "M_max": 0.85},
+    ],
     "05": [{"untold": []}, {"untold": ["theta_a", "Q2"]}, {"seed": 5}],
-    "06": [{"samples": 1500, "rest": 30}, {"M_max": 0.85, "noise": 0.1}, {"rest": 0, "seed": 2}],
-    "07": [{"L_max": 5.0}, {"Ts": 2.0}, {"M_max": 0.85, "frequencies": 150, "trials": 2}],
+    "06": [
+        {"samples": 1500, "rest": 30},
+        {"M_max": 0.85, "noise": 0.1},
+        {"rest": 0, "seed": 2},
+    ],
+    "07": [
+        {"L_max": 5.0},
+        {"Ts": 2.0},
+        {"M_max": 0.85, "frequencies": 150, "trials": 2},
+    ],
     "08": [
         {"M_max": 0.85, "evaluations": 6, "seeds": 1},
         {"L_max": 20.0, "noise": 0.1, "evaluations": 6},
         {"rest": 0, "frequencies": 40, "searched": 2, "evaluations": 6},
     ],
-    "09": [FEW, FEW | {"spread": 0.3}, FEW | {"M_max": 0.85, "cutoff": 0.05, "frequencies": 80}],
-    "10": [{"trials": 1}, {"trials": 2, "hours": 3.0}, {"amplitude": 2.0, "frequencies": 150}],
+    "09": [
+        FEW,
+        FEW | {"spread": 0.3},
+        FEW | {"M_max": 0.85, "cutoff": 0.05, "frequencies": 80},
+    ],
+    "10": [
+        {"trials": 1},
+        {"trials": 2, "hours": 3.0},
+        {"amplitude": 2.0, "frequencies": 150},
+    ],
     "11": [{"trials": 2}, {"rest": 0, "seed": 2}, {"trials": 3, "rest": 40}],
     "12": [{"M_max": 0.85}, {"percent": 60.0}, {"L_max": 5.0}],
     "13": [{"trials": 3}, {"drawn": 20, "seed": 2}, {"cutoff": 0.08, "rest": 40}],
-    "14": [{"limit": 24.0, "trials": 4}, {"trials": 5, "rest": 0}, {"limit": 16.0, "trials": 4}],
+    "14": [
+        {"limit": 24.0, "trials": 4},
+        {"trials": 5, "rest": 0},
+        {"limit": 16.0, "trials": 4},
+    ],
     "15": [{"trials": 2, "cells": 48}, {"heat": 0.0}, {"M_max": 0.6, "L_max": 200.0}],
-    "16": [{"trials": 2}, {"trials": 3, "resistance": 0.5}, {"trials": 4, "stronger": 12.0}],
-    "17": [{"noise": 0.0, "trials": 3}, {"lag": 10.0, "noise": 0.1, "varying": 4}, {"trials": 5}],
+    "16": [
+        {"trials": 2},
+        {"trials": 3, "resistance": 0.5},
+        {"trials": 4, "stronger": 12.0},
+    ],
+    "17": [
+        {"noise": 0.0, "trials": 3},
+        {"lag": 10.0, "noise": 0.1, "varying": 4},
+        {"trials": 5},
+    ],
 }
 SENTENCES = {"ValueError", "InfeasibleError"}
 WAYS = ("to the end", "in a sentence", "in a traceback")

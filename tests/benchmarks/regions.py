@@ -25,7 +25,10 @@ def lag(rng):
     """Two lags, sometimes with a zero or a delay, and gain one: numerator and denominator."""
     poles = np.sort(np.exp(-1 / rng.uniform([1, 3], [3, 10])))
     zero = rng.choice([0.0, rng.uniform(-0.9, 0.9), 1.3], p=[0.5, 0.3, 0.2])
-    a, b = np.poly(poles), np.append(np.zeros(1 + rng.choice([0, 5], p=[0.7, 0.3])), [1, -zero])
+    a, b = (
+        np.poly(poles),
+        np.append(np.zeros(1 + rng.choice([0, 5], p=[0.7, 0.3])), [1, -zero]),
+    )
     return b * a.sum() / b.sum(), a
 
 
@@ -59,12 +62,16 @@ def answer(plant, u, rng, start=0.0):
 
 def walk(rng, N):
     """A drift that nobody knows: a line and a random walk."""
-    return rng.normal(0, 0.3) * np.linspace(0, 1, N) + 0.01 * np.cumsum(rng.standard_normal(N))
+    return rng.normal(0, 0.3) * np.linspace(0, 1, N) + 0.01 * np.cumsum(
+        rng.standard_normal(N)
+    )
 
 
 def single(u, y, of="u"):
     """A log of one trial."""
-    return several(np.atleast_2d(u)[None].swapaxes(1, 2), np.atleast_2d(y)[None].swapaxes(1, 2), of)
+    return several(
+        np.atleast_2d(u)[None].swapaxes(1, 2), np.atleast_2d(y)[None].swapaxes(1, 2), of
+    )
 
 
 def several(u, y, of="w"):
@@ -133,7 +140,9 @@ def faint(rng, N):
 
 KINDS = {
     "steps": open_loop,
-    "noise, coloured noise": lambda rng: open_loop(rng, excite=held_noise, noise=coloured),
+    "noise, coloured noise": lambda rng: open_loop(
+        rng, excite=held_noise, noise=coloured
+    ),
     "steps, drift": lambda rng: open_loop(rng, noise=drifting),
     "noise, drift": lambda rng: open_loop(rng, excite=held_noise, noise=drifting),
     "steps, quantised": lambda rng: open_loop(rng, noise=faint, quantum=0.1),
@@ -151,13 +160,18 @@ KINDS = {
 def response(plants, omega):
     """Of plants as numerators and denominators of 1/z, (n, m, m)."""
     z = np.exp(-1j * omega)
-    each = [[np.polyval(b[::-1], z) / np.polyval(a[::-1], z) for b, a in row] for row in plants]
+    each = [
+        [np.polyval(b[::-1], z) / np.polyval(a[::-1], z) for b, a in row]
+        for row in plants
+    ]
     return np.moveaxis(np.array(each), 2, 0)
 
 
 def main(records, kinds):
     """Count, a row for each kind; of all kinds the table goes to figures/performance.md."""
-    table = ["| record | records | each, 95 % | all, 90 % | all, 99 % | known | radius | refused |"]
+    table = [
+        "| record | records | each, 95 % | all, 90 % | all, 99 % | known | radius | refused |"
+    ]
     table += ["|---|---:|---:|---:|---:|---:|---:|---:|"]
     print(*table, sep="\n")
     for kind in kinds:
@@ -186,7 +200,9 @@ def main(records, kinds):
         print(table[-1], flush=True)
     page = ROOT / "figures" / "performance.md"
     if kinds == [*KINDS]:
-        write_whole(page, splice(page.read_text(encoding="utf-8"), "regions", "\n".join(table)))
+        write_whole(
+            page, splice(page.read_text(encoding="utf-8"), "regions", "\n".join(table))
+        )
 
 
 if __name__ == "__main__":

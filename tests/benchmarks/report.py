@@ -31,7 +31,11 @@ def main(path):
         report = json.load(file)
     groups = {}
     for entry in report["benchmarks"]:
-        row = (entry["extra_info"]["x"], entry["stats"]["min"], entry["extra_info"]["memory"])
+        row = (
+            entry["extra_info"]["x"],
+            entry["stats"]["min"],
+            entry["extra_info"]["memory"],
+        )
         groups.setdefault(entry["group"], []).append(row)
 
     lines = ["| problem (39) | frequencies | solver | time (s) | ratio | memory (MB) |"]
@@ -43,14 +47,19 @@ def main(path):
             cells = [*group.split(", "), LABELS[name], f"{time:.2f}"]
             cells += [f"{time / structured:.3g}", f"{memory:.0f}"]
             lines.append(f"| {' | '.join(cells)} |")
-    lines += ["", "| growing | from | to | time (s) | exponent of time, upper half | memory (MB) |"]
+    lines += [
+        "",
+        "| growing | from | to | time (s) | exponent of time, upper half | memory (MB) |",
+    ]
     lines += ["|---|---:|---:|---:|---:|---:|"]
     trials = dict(row[:2] for row in groups.pop("trials"))
     designs = dict(row[:2] for row in groups.pop("alternatives"))
     figure, axes = plt.subplots(1, len(groups), figsize=figures.WIDE, sharey=True)
     for column, (name, rows) in zip(axes, groups.items(), strict=True):
         x, time, memory = np.array(sorted(rows)).T
-        upper = slice(len(x) // 2, None)  # below, what does not grow with the problem counts
+        upper = slice(
+            len(x) // 2, None
+        )  # below, what does not grow with the problem counts
         slope, offset = np.polyfit(np.log(x[upper]), np.log(time[upper]), 1)
         lines.append(
             f"| {name} | {x[0]:g} | {x[-1]:g} | {time[0]:.2f} to {time[-1]:.2f} | {slope:.1f} | "
@@ -67,11 +76,20 @@ def main(path):
     machine, python = report["machine_info"], report["machine_info"]["python_version"]
     cpu = machine["cpu"].get("brand_raw", machine["machine"])
     ratio = trials["one_by_one"] / trials["side_by_side"]
-    lines += ["", f"Trials of many rods side by side are {ratio:.0f} times as fast, rod by rod, as"]
+    lines += [
+        "",
+        f"Trials of many rods side by side are {ratio:.0f} times as fast, rod by rod, as",
+    ]
     lines += ["a loop over `run_trials`."]
-    lines += ["", "A filter of another design, and its first use on a trial of 2500 samples:"]
+    lines += [
+        "",
+        "A filter of another design, and its first use on a trial of 2500 samples:",
+    ]
     lines += [", ".join(f"{name} {time:.3f} s" for name, time in designs.items()) + "."]
-    lines += ["", f"Measured on: {cpu}, {machine['cpu'].get('count', '?')} cores, Python {python}."]
+    lines += [
+        "",
+        f"Measured on: {cpu}, {machine['cpu'].get('count', '?')} cores, Python {python}.",
+    ]
     saved = figures.save(figure, "performance", CAPTION).path
     lines += ["", "![Time of the synthesis over its size](performance.png)"]
     text = "\n".join(lines) + "\n"

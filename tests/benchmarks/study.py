@@ -22,7 +22,8 @@ SPREADS = {"material": Spread(0.2, 0.2, 0.2, 0.2), "everything": Spread.of_all(0
 def study(spread: Spread) -> Study:
     """The paper's two printed filters around rods that are off."""
     filters = {
-        kind: LearningFilter(published.matrix(f"L_{kind}"), 1.0) for kind in ("diagonal", "full")
+        kind: LearningFilter(published.matrix(f"L_{kind}"), 1.0)
+        for kind in ("diagonal", "full")
     }
     return Study(paper_loop(), zero_phase_butterworth(), filters, spread)
 
@@ -41,9 +42,13 @@ def main(scheduler: str | None = None, rods: int = RODS):
             "largest rate": found.rate.max("rod"),
             f"median RMS of trial {last.trial.item()}, K": last.median("rod"),
         }
-        table = pd.DataFrame({name: column.to_series() for name, column in columns.items()})
+        table = pd.DataFrame(
+            {name: column.to_series() for name, column in columns.items()}
+        )
         table.insert(0, "stable, %", 100 * (found.unstable_poles == 0).mean().item())
-        print(f"{rods} rods, {name} off by up to 20 %: {folder / name}.nc\n{table.round(3)}\n")
+        print(
+            f"{rods} rods, {name} off by up to 20 %: {folder / name}.nc\n{table.round(3)}\n"
+        )
 
 
 if __name__ == "__main__":

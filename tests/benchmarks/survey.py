@@ -82,7 +82,9 @@ def plant_of(family, rng, order):
     if family == "lag":
         return lag(Ts * 10 ** rng.uniform(0, 2.5), Ts)
     if family == "two lags":
-        return lag(Ts * 10 ** rng.uniform(0, 2), Ts) * lag(Ts * 10 ** rng.uniform(0, 2), Ts)
+        return lag(Ts * 10 ** rng.uniform(0, 2), Ts) * lag(
+            Ts * 10 ** rng.uniform(0, 2), Ts
+        )
     if family == "motion stage":
         T = Ts * 10 ** rng.uniform(1, 2)
         stage = control.sample_system(control.ss(1 / (s * (T * s + 1))), Ts)
@@ -92,13 +94,19 @@ def plant_of(family, rng, order):
         return under_feedback(integrator, 10 ** rng.uniform(-3, -0.5) / Ts)
     if family in ("short delay", "long delay"):
         short = family == "short delay"
-        delay = rng.integers(0, order + 1) if short else rng.integers(order + 1, 2 * order + 10)
+        delay = (
+            rng.integers(0, order + 1)
+            if short
+            else rng.integers(order + 1, 2 * order + 10)
+        )
         chain = control.ss(np.eye(delay, k=-1), np.eye(delay, 1), np.eye(1, delay, k=delay - 1),
                            0, Ts) if delay else control.ss([], [], [], 1, Ts)  # fmt: skip
         return chain * lag(Ts * 10 ** rng.uniform(0, 2), Ts)
     if family == "resonance":
         w = 10 ** rng.uniform(-2, -0.3) / Ts
-        return control.sample_system(control.ss(w**2 / (s**2 + 0.02 * w * s + w**2)), Ts)
+        return control.sample_system(
+            control.ss(w**2 / (s**2 + 0.02 * w * s + w**2)), Ts
+        )
     if family == "non-minimum phase":
         T, b = Ts * 10 ** rng.uniform(0.5, 2), rng.uniform(0.1, 2)
         return control.sample_system(control.ss((1 - b * T * s) / (T * s + 1) ** 2), Ts)
@@ -107,12 +115,18 @@ def plant_of(family, rng, order):
         rates = 10 ** rng.uniform(-2.5, -1, m)
         A = -np.diag(rates) + np.diag(rates[:-1] * rng.uniform(0.1, 0.9, m - 1), -1)
         tanks = control.ss(A, np.diag(rates), np.eye(m), 0)
-        return control.sample_system(tanks, Ts) if Ts == 1 else control.sample_system(tanks, 1.0)
+        return (
+            control.sample_system(tanks, Ts)
+            if Ts == 1
+            else control.sample_system(tanks, 1.0)
+        )
     m, states = int(rng.integers(1, 5)), int(rng.integers(1, 9))
     A = rng.standard_normal((states, states))
     A *= rng.uniform(0.5, 0.98) / np.abs(np.linalg.eigvals(A)).max()
     B, C = rng.standard_normal((states, m)), rng.standard_normal((m, states))
-    D = rng.standard_normal((m, m)) * (states < m)  # or no output is independent of the others
+    D = rng.standard_normal((m, m)) * (
+        states < m
+    )  # or no output is independent of the others
     if family == "badly scaled":
         B = B * 10 ** rng.uniform(-4, 4, m)
         C = 10 ** rng.uniform(-4, 4) * C
@@ -129,7 +143,11 @@ def problem(number):
     Ts = plant.dt
     n = int(rng.choice([100, 200, 400, 1000, 2000], p=[0.3, 0.3, 0.25, 0.1, 0.05]))
     low = 10 ** rng.uniform(-4, -2)
-    omega = np.geomspace(low, np.pi, n) if rng.random() < 0.7 else np.linspace(low, np.pi, n)
+    omega = (
+        np.geomspace(low, np.pi, n)
+        if rng.random() < 0.7
+        else np.linspace(low, np.pi, n)
+    )
     cutoff = 10 ** rng.uniform(-1.5, -0.2)
     Q = zero_phase_butterworth(int(rng.integers(1, 4)), cutoff / Ts, Ts)
     P = frequency_response(plant, omega / Ts)
@@ -144,9 +162,19 @@ def problem(number):
         "structure": str(rng.choice(["diagonal", "full"])),
         "objective": str(rng.choice(["sum", "peak"], p=[0.7, 0.3])),
     }  # fmt: skip
-    plants, options["uncertainty"] = uncertain(P, np.random.default_rng([0, number, 1]), number)
+    plants, options["uncertainty"] = uncertain(
+        P, np.random.default_rng([0, number, 1]), number
+    )
     return Problem(
-        number, family, plants, Q.frequency_response(omega / Ts), omega / Ts, Ts, options, plant, Q
+        number,
+        family,
+        plants,
+        Q.frequency_response(omega / Ts),
+        omega / Ts,
+        Ts,
+        options,
+        plant,
+        Q,
     )
 
 
@@ -174,7 +202,11 @@ def outcome(number, confirm):
         warnings.simplefilter("always")
         try:
             design = synthesise(p.P, p.Q, p.omega, p.Ts, **p.options)
-            row |= {"end": "certified", "value": design.value, "gap": design.certificate.gap}
+            row |= {
+                "end": "certified",
+                "value": design.value,
+                "gap": design.certificate.gap,
+            }
         except InfeasibleError as error:
             row |= {"end": "infeasible", "smallest": error.smallest_M_max}
         except Exception as error:
@@ -182,7 +214,9 @@ def outcome(number, confirm):
     row["time"] = time.perf_counter() - start
     if row["end"] == "certified" and number % 2 == 0:
         row |= everywhere(p)
-    row["warnings"] = sorted({str(w.message) for w in raised if w.category is not UserWarning})
+    row["warnings"] = sorted(
+        {str(w.message) for w in raised if w.category is not UserWarning}
+    )
     if confirm and row["end"] == "infeasible":
         row["confirmed"] = confirmed(p, row["smallest"])
     return row
@@ -231,7 +265,11 @@ def main(chosen):
     with ProcessPoolExecutor() as pool:
         for row in tqdm(pool.map(surveyed, numbers), total=len(numbers)):
             rows.append(row)
-            if chosen or row["end"] == "failed" or row.get("confirmed", True) is not True:
+            if (
+                chosen
+                or row["end"] == "failed"
+                or row.get("confirmed", True) is not True
+            ):
                 tqdm.write(str(row))
     ends = Counter(row["end"] for row in rows)
     given = [row["confirmed"] for row in rows if "confirmed" in row]

@@ -39,7 +39,10 @@ from rodlib.paper.repository import ROOT
 
 OMEGA = np.geomspace(1e-3, np.pi, 300)  # omega Ts, where P is a model or was measured
 TRIALS, DIES = 10, 0.55  # trials, and after what share of them the first driver dies
-OFF = (1.0, 3.0)  # how far the rigs are off: by some ten percent, and by three times that
+OFF = (
+    1.0,
+    3.0,
+)  # how far the rigs are off: by some ten percent, and by three times that
 LEARNED, LOUD = 1 / 3, 2.0  # of the first RMS; or times the noise of the sensors
 WORSE = 3.0  # times the best RMS, or the noise: what got worse again has not learned
 WELL = {"learned", "said so"}
@@ -115,7 +118,10 @@ def in_short(text):
 def outcome(name, off=1.0, trials=TRIALS):
     """How one kind ends: a row of the table."""
     row = {"kind": name, "off": off, "said": []}
-    with warnings.catch_warnings(record=True) as raised, tempfile.TemporaryDirectory() as folder:
+    with (
+        warnings.catch_warnings(record=True) as raised,
+        tempfile.TemporaryDirectory() as folder,
+    ):
         warnings.simplefilter("always")
         try:
             go(row, KINDS[name](off), Path(folder) / "log.csv", trials)
@@ -133,7 +139,9 @@ def end_of(row):
     if "failure" in row or "?" in row["words"]:
         return row.get("failure", "said what is not known")
     x, noise = row.get("rms", np.array([np.inf])), row.get("noise", 0.0)
-    if x[-1] < max(LEARNED * x[0], LOUD * noise) and x[-1] < WORSE * max(x.min(), noise):
+    if x[-1] < max(LEARNED * x[0], LOUD * noise) and x[-1] < WORSE * max(
+        x.min(), noise
+    ):
         return "learned"
     return "said so" if row["words"] else "silent"
 

@@ -47,15 +47,25 @@ def test_latency(reader):
         reader.drag(name, share)
         if reader.read(name) == said:  # of few places, it was the same
             continue
-        reader.page.wait_for_function("before => window.times.length > before", arg=before)
+        reader.page.wait_for_function(
+            "before => window.times.length > before", arg=before
+        )
         reader.page.wait_for_timeout(100)
         waited += reader.times[before:]
         computed.append(spent(process) - start)
-        if not reader.python.strip():  # from one reason to the same there is no new picture
+        if (
+            not reader.python.strip()
+        ):  # from one reason to the same there is no new picture
             infeasible += 1
             reader.choose("plant", "a log or a table")
             reader.choose("plant", "the rod")
             structures = ["diagonal", "full"]
-    for name, values in (("wait", np.array(waited) / 1000), ("processor", np.array(computed))):
-        print(f"\n{name}: median {np.median(values):.2f} s, longest {values.max():.2f} s", end="")
+    for name, values in (
+        ("wait", np.array(waited) / 1000),
+        ("processor", np.array(computed)),
+    ):
+        print(
+            f"\n{name}: median {np.median(values):.2f} s, longest {values.max():.2f} s",
+            end="",
+        )
     print(f"\n{len(waited)} settings, {infeasible} infeasible")

@@ -37,13 +37,19 @@ def found_browser(own):
 @pytest.fixture(scope="session")
 def browser():
     """A Chromium without a window."""
-    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    sync_api = pytest.importorskip(
+        "playwright.sync_api", reason="playwright is not installed"
+    )
     with sync_api.sync_playwright() as playwright:
         path = found_browser(playwright.chromium.executable_path)
         if path is None:
-            pytest.skip("no browser: install chromium or Chrome, or name one in $CHROMIUM")
+            pytest.skip(
+                "no browser: install chromium or Chrome, or name one in $CHROMIUM"
+            )
         # Pages of this test only: the sandbox is not missed, and root could not have one.
-        browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
+        browser = playwright.chromium.launch(
+            executable_path=path, args=["--no-sandbox"]
+        )
         yield browser
         browser.close()
 
@@ -61,22 +67,34 @@ def lab(tmp_path_factory):
         port = free.getsockname()[1]
     token = secrets.token_hex(16)
     surroundings = {
-        name: value for name, value in os.environ.items() if not name.startswith(("JUPYTER", "JPY"))
+        name: value
+        for name, value in os.environ.items()
+        if not name.startswith(("JUPYTER", "JPY"))
     }
-    own = {name: str(home / name) for name in ("JUPYTER_CONFIG_DIR", "JUPYTER_DATA_DIR")}
+    own = {
+        name: str(home / name) for name in ("JUPYTER_CONFIG_DIR", "JUPYTER_DATA_DIR")
+    }
     own |= {
         "JUPYTERLAB_SETTINGS_DIR": str(home / "settings"),
         "JUPYTER_RUNTIME_DIR": str(home / "run"),
     }
     news = folder(home / "settings" / "@jupyterlab" / "apputils-extension")
     (news / "notification.jupyterlab-settings").write_text('{"fetchNews": "false"}')
-    own |= {"JUPYTERLAB_WORKSPACES_DIR": str(home / "workspaces"), "RODLIB_RESULTS": str(home)}
+    own |= {
+        "JUPYTERLAB_WORKSPACES_DIR": str(home / "workspaces"),
+        "RODLIB_RESULTS": str(home),
+    }
     own |= {
         "JUPYTER_PREFER_ENV_PATH": "1",
         "IPYTHONDIR": str(home / "ipython"),
         "JUPYTER_TOKEN": token,
     }
-    options = ["--no-browser", "--allow-root", f"--port={port}", "--ServerApp.port_retries=0"]
+    options = [
+        "--no-browser",
+        "--allow-root",
+        f"--port={port}",
+        "--ServerApp.port_retries=0",
+    ]
     with open(home / "log", "w") as log:
         server = subprocess.Popen(
             [sys.executable, "-m", "jupyterlab", *options, *options_of_make_lab()],
@@ -97,7 +115,12 @@ def lab(tmp_path_factory):
 
 def options_of_make_lab():
     """What the Makefile tells JupyterLab."""
-    lines = (ROOT / "Makefile").read_text(encoding="utf-8").replace("\\\n", " ").splitlines()
+    lines = (
+        (ROOT / "Makefile")
+        .read_text(encoding="utf-8")
+        .replace("\\\n", " ")
+        .splitlines()
+    )
     line = next(line for line in lines if "jupyter lab " in line)
     return line.split("jupyter lab ")[1].replace("$(LAB) ", "").split()
 

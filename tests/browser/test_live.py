@@ -57,7 +57,9 @@ def test_a_slider_is_followed_when_it_is_let_go(reader, paper):
     picture = reader.after(reader.page.mouse.up)
     moved = replace(paper, M_max=float(reader.read("M_max")))
     assert moved.M_max > 0.95
-    assert picture == drawn(moved, paper)  # in gray the one before: there was none on the way
+    assert picture == drawn(
+        moved, paper
+    )  # in gray the one before: there was none on the way
 
 
 def test_the_newest_setting_counts(reader, paper):
@@ -113,7 +115,10 @@ def test_infeasible_and_back_by_the_button(reader, first, shots):
     infeasible = replace(tight, M_max=0.5)
     assert try_out(infeasible).M_max == 0.869
     assert reader.picture == drawn(infeasible)
-    assert reader.python.strip() == "" and reader.page.get_by_text("save Q and L").is_disabled()
+    assert (
+        reader.python.strip() == ""
+        and reader.page.get_by_text("save Q and L").is_disabled()
+    )
     for width in (1280, 800):
         reader.show(width, 1500, shots / f"infeasible-{width}.png")
         assert reader.overflow == []

@@ -34,13 +34,17 @@ def test_a_whole_number_may_be_its_limits(value, low, high):
             assert type(arguments.whole("n", same, low, high)) is int
     else:
         limits = f"{low} or more" if high is None else f"from {low} to {high}"
-        with pytest.raises(ValueError, match=f"n = {value} must be a whole number, {limits}"):
+        with pytest.raises(
+            ValueError, match=f"n = {value} must be a whole number, {limits}"
+        ):
             arguments.whole("n", value, low, high)
 
 
 def test_a_whole_number_has_an_end():
     assert arguments.whole("n", 10**9, 1) == 10**9
-    with pytest.raises(ValueError, match="n = 1000000001 is too large: at most 1000000000"):
+    with pytest.raises(
+        ValueError, match="n = 1000000001 is too large: at most 1000000000"
+    ):
         arguments.whole("n", 10**9 + 1, 1)
 
 
@@ -78,13 +82,18 @@ def test_shapes(shape, sizes, fits):
         return
     with pytest.raises(ValueError) as error:
         arguments.array("x", value, shape)
-    for word in (f"x has shape {sizes}", *(str(size) for size in shape if size is not ...)):
+    for word in (
+        f"x has shape {sizes}",
+        *(str(size) for size in shape if size is not ...),
+    ):
         assert word in str(error.value)
 
 
 @pytest.mark.parametrize("value", [[True, 0.5], [[1, 2], (3, np.True_)], True])
 def test_true_is_no_number_of_an_array(value):
-    with pytest.raises(ValueError, match=r"x holds (True or False|values of type bool), but must"):
+    with pytest.raises(
+        ValueError, match=r"x holds (True or False|values of type bool), but must"
+    ):
         arguments.array("x", value, (...,))
 
 
@@ -104,7 +113,9 @@ def test_a_share_is_above_zero_and_at_most_one(value):
     if 1e-100 <= value <= 1:
         assert arguments.share("step", value) == value
     else:
-        with pytest.raises(ValueError, match=r"step = .* (must be in|is too (small|large))"):
+        with pytest.raises(
+            ValueError, match=r"step = .* (must be in|is too (small|large))"
+        ):
             arguments.share("step", value)
 
 
@@ -124,11 +135,15 @@ def test_frequencies_end_at_the_nyquist_frequency():
 def test_a_row_may_be_one_number():
     assert arguments.row("x", 2.0).tolist() == [2.0]
     assert arguments.row("x", [1, 2]).tolist() == [1.0, 2.0]
-    with pytest.raises(ValueError, match=r"x has shape \(1, 2\), but must have shape \(n,\)"):
+    with pytest.raises(
+        ValueError, match=r"x has shape \(1, 2\), but must have shape \(n,\)"
+    ):
         arguments.row("x", [[1, 2]])
 
 
 def test_periods_are_equal_up_to_rounding():
     arguments.one_period(loop=0.3, Q=0.1 * 3, L=0.3)
-    with pytest.raises(ValueError, match=r"loop.Ts = 1.0 s, Q.Ts = 1.000000001 s: the sampling"):
+    with pytest.raises(
+        ValueError, match=r"loop.Ts = 1.0 s, Q.Ts = 1.000000001 s: the sampling"
+    ):
         arguments.one_period(loop=1.0, Q=1.000000001)

@@ -37,7 +37,9 @@ def test_a_folder_may_be_a_link_but_not_a_file(tmp_path):
     (tmp_path / "astray").symlink_to(tmp_path / "nowhere")
     for name in ("file", "astray"):
         for path in (tmp_path / name, tmp_path / name / "below" / "deeper"):
-            with pytest.raises(NotADirectoryError, match=rf"{tmp_path / name} must be a folder"):
+            with pytest.raises(
+                NotADirectoryError, match=rf"{tmp_path / name} must be a folder"
+            ):
                 folder(path)
 
 
@@ -62,7 +64,9 @@ def test_only_regular_files_are_replaced(tmp_path, kind):
         os.mkfifo(path)
     else:
         path.symlink_to(os.devnull)
-    with pytest.raises(FileExistsError, match=f"{kind} is no regular file: choose another name"):
+    with pytest.raises(
+        FileExistsError, match=f"{kind} is no regular file: choose another name"
+    ):
         write_whole(path, "new")
     assert path.exists() and not path.is_file() and os.listdir(tmp_path) == [kind]
     write_whole(tmp_path / "file", "old")

@@ -67,7 +67,9 @@ def test_filters_act_on_every_trial_of_a_stack_alike(ends):
         zero_phase_butterworth(ends=ends),
         LearningFilter(rng.standard_normal((2, 2, 4)), 1.0, ends),
     ):
-        np.testing.assert_allclose(filter_.apply(trials)[1], filter_.apply(trials[1]), atol=1e-13)
+        np.testing.assert_allclose(
+            filter_.apply(trials)[1], filter_.apply(trials[1]), atol=1e-13
+        )
 
 
 @given(st.integers(1, 4), st.integers(1, 12), st.integers(0, 2**32 - 1))
@@ -90,7 +92,9 @@ def test_learning_filter_in_time_and_in_frequency():
     impulse[30, 1] = 1
     omega = np.linspace(0, np.pi / 0.5, 7)
     transform = np.exp(-0.5j * np.outer(omega, np.arange(60) - 30)) @ L.apply(impulse)
-    np.testing.assert_allclose(transform, L.frequency_response(omega)[:, :, 1], atol=1e-12)
+    np.testing.assert_allclose(
+        transform, L.frequency_response(omega)[:, :, 1], atol=1e-12
+    )
 
 
 def test_held_end_lets_a_constant_error_be_seen_whole():
@@ -114,7 +118,9 @@ def test_a_step_goes_a_share_of_the_way(step, rest, seed):
     Q, L = zero_phase_butterworth(), LearningFilter([[[1.0, -0.5]]], 1.0)
     whole, part = update(v, e, Q, L, rest), update(v, e, Q, L, rest, step)
     moving = slice(0, 20 - rest)
-    np.testing.assert_allclose(part[moving] - v[moving], step * (whole - v)[moving], atol=1e-12)
+    np.testing.assert_allclose(
+        part[moving] - v[moving], step * (whole - v)[moving], atol=1e-12
+    )
     assert not part[20 - rest :].any()
     np.testing.assert_array_equal(update(v, e, Q, L, rest, step=1), whole)
 
@@ -131,16 +137,22 @@ def test_the_signal_rests_at_the_end_and_nowhere_else(rest, seed):
 def test_a_trial_is_not_all_rest(Q):
     L, signal = LearningFilter(np.ones((1, 1, 3)), 1.0), np.ones((5, 1))
     assert update(signal, signal, Q, L, rest=4).any()
-    with pytest.raises(ValueError, match="rest = 5 must be a whole number, from 0 to 4"):
+    with pytest.raises(
+        ValueError, match="rest = 5 must be a whole number, from 0 to 4"
+    ):
         update(signal, signal, Q, L, rest=5)
 
 
 def test_a_filter_that_rounding_would_change_is_refused():
     for order, cutoff in ((100, 1e-3), (2, 1e-12), (1, 1e-12), (8, 1e-6)):
-        with pytest.raises(ValueError, match=f"cutoff = {cutoff} rad/s is too low for order"):
+        with pytest.raises(
+            ValueError, match=f"cutoff = {cutoff} rad/s is too low for order"
+        ):
             zero_phase_butterworth(order, cutoff)
     assert zero_phase_butterworth(2, 1e-3).frequency_response(0.0) == pytest.approx(1)
-    assert zero_phase_butterworth(100, 1.0).frequency_response(1.0) == pytest.approx(0.5)
+    assert zero_phase_butterworth(100, 1.0).frequency_response(1.0) == pytest.approx(
+        0.5
+    )
 
 
 def test_numbers_may_come_from_numpy():
@@ -185,11 +197,20 @@ def test_bad_signals_are_refused(Q):
         ValueError, match=r"e has 1 values that are not finite, the first at \(3, 1\)"
     ):
         update(np.zeros((5, 2)), gap, Q, L)
-    with pytest.raises(ValueError, match=r"e has shape \(6, 2\), but must have shape \(5, 2\)"):
+    with pytest.raises(
+        ValueError, match=r"e has shape \(6, 2\), but must have shape \(5, 2\)"
+    ):
         update(np.zeros((5, 2)), np.zeros((6, 2)), Q, L)
-    with pytest.raises(ValueError, match=r"signal has shape \(5, 3\).* \(..., time, 2\)"):
+    with pytest.raises(
+        ValueError, match=r"signal has shape \(5, 3\).* \(..., time, 2\)"
+    ):
         L.apply(np.zeros((5, 3)))
     with pytest.raises(ValueError, match=r"shape \(5,\)"):
         Q.apply(np.zeros(5))
     with pytest.raises(ValueError, match=r"Q\.Ts = 1\.0 s, L.Ts = 2.0 s"):
-        update(np.zeros((5, 2)), np.zeros((5, 2)), Q, LearningFilter(np.ones((2, 2, 3)), 2.0))
+        update(
+            np.zeros((5, 2)),
+            np.zeros((5, 2)),
+            Q,
+            LearningFilter(np.ones((2, 2, 3)), 2.0),
+        )

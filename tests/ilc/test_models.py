@@ -12,11 +12,15 @@ def test_three_modes_are_unreachable_and_two_of_them_unobservable():
     plant = midr(Rod())
     reach, _ = unreachable_modes(plant.A, plant.B[:, [0, 2]])
     observe, _ = unreachable_modes(plant.A.T, plant.C.T)
-    np.testing.assert_allclose(np.sort(reach.real), [-0.4501, -0.1612, -0.0297], atol=5e-5)
+    np.testing.assert_allclose(
+        np.sort(reach.real), [-0.4501, -0.1612, -0.0297], atol=5e-5
+    )
     np.testing.assert_allclose(np.sort(observe.real), [-0.4501, -0.0297], atol=5e-5)
 
 
-@pytest.mark.parametrize(("degree", "states"), [(1, 4), (2, 7), (3, 10), (5, 16), (8, 25)])
+@pytest.mark.parametrize(
+    ("degree", "states"), [(1, 4), (2, 7), (3, 10), (5, 16), (8, 25)]
+)
 def test_minimal_realisation_keeps_the_transfer_function(degree, states):
     plant, omega = midr(Rod(), degree), np.geomspace(1e-4, 1, 7)
     minimal = minimal_realisation(plant, ["Q1", "Q3"])
@@ -28,7 +32,9 @@ def test_minimal_realisation_keeps_the_transfer_function(degree, states):
     )
 
 
-@given(st.integers(1, 4), st.integers(0, 3), st.integers(0, 3), st.integers(0, 2**32 - 1))
+@given(
+    st.integers(1, 4), st.integers(0, 3), st.integers(0, 3), st.integers(0, 2**32 - 1)
+)
 def test_hidden_states_of_any_plant_are_removed(n, unreachable, unobservable, seed):
     rng = np.random.default_rng(seed)
     size = n + unreachable + unobservable
@@ -69,5 +75,7 @@ def test_a_system_has_no_response_at_its_pole_or_without_a_sampling_period():
     with pytest.raises(ValueError, match="omega has the frequency of a pole"):
         frequency_response(control.ss(0, 1, 1, 0), [1.0, 0.0])
     for dt in (None, True):
-        with pytest.raises(ValueError, match=f"system.dt = {dt} must be 0, or a sampling period"):
+        with pytest.raises(
+            ValueError, match=f"system.dt = {dt} must be 0, or a sampling period"
+        ):
             frequency_response(control.ss(0.5, 1, 1, 0, dt), [1.0])

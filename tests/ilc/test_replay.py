@@ -40,7 +40,9 @@ LOOPS = {
     "furnace": current_trial_loop(
         furnace(), sizes={"valve": 0.1}, units={"valve": "%", "outlet": "K"}
     ),
-    "feedthrough": current_trial_loop(random_plant(np.random.default_rng(3)), ["u1", "u2"]),
+    "feedthrough": current_trial_loop(
+        random_plant(np.random.default_rng(3)), ["u1", "u2"]
+    ),
 }
 
 
@@ -74,11 +76,15 @@ def law(loop, order=6):
     m = loop.plant.noutputs
     coefficients = np.zeros((m, m, order))
     coefficients[range(m), range(m), -1] = 0.5
-    return zero_phase_butterworth(2, 0.06 / loop.Ts, loop.Ts), LearningFilter(coefficients, loop.Ts)
+    return zero_phase_butterworth(2, 0.06 / loop.Ts, loop.Ts), LearningFilter(
+        coefficients, loop.Ts
+    )
 
 
 def bump(m, samples=150):
-    return np.outer(np.sin(np.pi * np.arange(samples) / samples) ** 2, 1.0 + np.arange(m))
+    return np.outer(
+        np.sin(np.pi * np.arange(samples) / samples) ** 2, 1.0 + np.arange(m)
+    )
 
 
 def recorded(name, tmp_path, trials=3, gain=1.0, **options):
@@ -111,7 +117,9 @@ def test_where_the_model_is_right_the_log_is_what_is_simulated_and_predicted(
     assert replay.loop.outputs == LOOPS[name].outputs
     if name != "furnace":  # which has no disturbance
         assert replay.sources == LOOPS[name].disturbances
-        blind = replay_of(replay.trials.drop_vars(["disturbance", "source", "source_unit"]))
+        blind = replay_of(
+            replay.trials.drop_vars(["disturbance", "source", "source_unit"])
+        )
         for other in (blind.simulated.y.values, blind.predicted):
             assert np.abs(other - y).max() > 1e-3 * size
 
@@ -125,11 +133,14 @@ def test_a_model_that_is_wrong_is_measured_by_its_fit(tmp_path):
     y = trials.y.values[1]
     for c, output in enumerate(loop.outputs):
         expected = 1 - np.sqrt(
-            np.sum((y[:, c] - y_hat[:, c]) ** 2) / np.sum((y[:, c] - y[:, c].mean()) ** 2)
+            np.sum((y[:, c] - y_hat[:, c]) ** 2)
+            / np.sum((y[:, c] - y[:, c].mean()) ** 2)
         )
         assert replay.fit.loc[2, output] == pytest.approx(expected)
         assert 0.5 < expected < 0.95
-    missed = np.abs(replay.trials.y - replay.simulated.y).max()  # feedback forgives some of it
+    missed = np.abs(
+        replay.trials.y - replay.simulated.y
+    ).max()  # feedback forgives some of it
     assert missed < np.abs(replay.trials.y - replay.predicted).max() / 2
 
 
@@ -170,11 +181,15 @@ def test_without_a_loop_only_what_needs_no_model_is_done(tmp_path):
     assert replay.disturbance is None
     assert about_the_law(replay) == "the recorded v is that of the law in every trial"
     last = trials.isel(trial=-1)
-    following = update(last.v.values, last.e.values, *law_of(trials), rest_of(trials), 0.4)
+    following = update(
+        last.v.values, last.e.values, *law_of(trials), rest_of(trials), 0.4
+    )
     np.testing.assert_array_equal(replay.following, following)
     assert not following[-15:].any() and following[-16].all()
     (reason,) = left_out(replay)
-    assert reason.startswith("simulation and prediction: the log does not say which loop made it")
+    assert reason.startswith(
+        "simulation and prediction: the log does not say which loop made it"
+    )
     assert f"left out: {reason}" in summary(replay)
 
 
@@ -182,10 +197,14 @@ def test_without_a_law_nothing_is_said_of_it(tmp_path):
     trials = recorded("stage", tmp_path)
     del trials.attrs["L"]
     replay = replay_of(trials)
-    assert replay.law is replay.departure is replay.following is replay.simulated is None
+    assert (
+        replay.law is replay.departure is replay.following is replay.simulated is None
+    )
     assert replay.predicted is not None
     assert "law: the log does not say which law made it" in summary(replay)
-    assert left_out(replay)[0].startswith("law check, next trial and simulation: the log does not")
+    assert left_out(replay)[0].startswith(
+        "law check, next trial and simulation: the log does not"
+    )
     with pytest.raises(ValueError, match="the log does not say which law made it"):
         save_following(replay, tmp_path / "next.csv")
     assert not (tmp_path / "next.csv").exists()
@@ -195,7 +214,9 @@ def test_the_simulation_of_the_tracked_log_is_told_of_what_it_shall_know():
     trials = load_log(ROOT / "data" / "rig" / "learning.csv").isel(trial=slice(5))
     full = replay_of(trials)
     told = replay_of(trials, untold=["theta_a"])
-    assert "disturbances ['theta_a']: the simulation is not told of them" in left_out(told)
+    assert "disturbances ['theta_a']: the simulation is not told of them" in left_out(
+        told
+    )
     Q, L = law_of(trials)
     for replay, rows in ((full, [0, 1, 2]), (told, [1, 2])):
         d = np.zeros((5, 2500, 3))
@@ -210,7 +231,9 @@ def test_other_disturbances_than_the_models_are_named(tmp_path):
     trials["source"] = ["draught"]
     replay = replay_of(trials)
     assert not replay.disturbance.any()
-    assert left_out(replay) == ["disturbances ['draught']: the model does not know them"]
+    assert left_out(replay) == [
+        "disturbances ['draught']: the model does not know them"
+    ]
 
 
 def test_trials_are_known_by_their_numbers(tmp_path):
@@ -218,20 +241,27 @@ def test_trials_are_known_by_their_numbers(tmp_path):
     shuffled = replay_of(trials.sel(trial=[3, 1, 2, 6, 5, 4]))
     assert shuffled.trials.identical(trials)
     some = replay_of(trials.sel(trial=[5, 2, 3]))
-    np.testing.assert_array_equal(some.following, replay_of(trials.sel(trial=[4, 5])).following)
+    np.testing.assert_array_equal(
+        some.following, replay_of(trials.sel(trial=[4, 5])).following
+    )
     assert some.departure.isna().to_numpy().ravel().tolist() == [True, False, True]
     assert about_the_law(some) == (
         "the recorded v is that of the law, as far as the trials before 2, 5 tell"
     )
     assert some.simulated is None and some.predicted is not None
-    assert left_out(some) == ["simulation: not all trials from 1 on are there, but [2, 3, 5]"]
+    assert left_out(some) == [
+        "simulation: not all trials from 1 on are there, but [2, 3, 5]"
+    ]
 
 
 def test_a_signal_without_learning_is_zero_by_the_law():
     loop = LOOPS["stage"]
     Q, _ = law(loop)
     run = with_law(run_trials(loop, Q, None, bump(1), None, 3), Q, None, 0, loop)
-    assert about_the_law(replay_of(run)) == "the recorded v is that of the law in every trial"
+    assert (
+        about_the_law(replay_of(run))
+        == "the recorded v is that of the law in every trial"
+    )
     np.testing.assert_array_equal(replay_of(run).following, np.zeros((150, 1)))
     run["v"][1, 5] = 1e-6
     assert about_the_law(replay_of(run)).startswith(
@@ -243,7 +273,9 @@ def test_a_plant_that_needs_feedback_is_not_predicted_without():
     plant = control.ss(1.2, 1.0, 1.0, 0, 0.1, inputs=["F"], outputs=["tilt"])
     loop = current_trial_loop(plant)
     Q, L = law(loop)
-    replay = replay_of(with_law(run_trials(loop, Q, L, bump(1), None, 2), Q, L, 0, loop))
+    replay = replay_of(
+        with_law(run_trials(loop, Q, L, bump(1), None, 2), Q, L, 0, loop)
+    )
     assert replay.predicted is replay.fit is None
     assert replay.simulated is not None
     assert left_out(replay) == ["prediction: without feedback the model is unstable"]
@@ -260,14 +292,22 @@ def test_what_does_not_belong_together_is_refused(tmp_path):
 
 def test_the_rate_that_was_reached_is_told_where_it_can_be():
     """On the model it is what the model foretells; a law, a loop and one reference are needed."""
-    loop, Q, L = paper_loop(), zero_phase_butterworth(), LearningFilter(np.eye(2)[..., None], 1.0)
+    loop, Q, L = (
+        paper_loop(),
+        zero_phase_butterworth(),
+        LearningFilter(np.eye(2)[..., None], 1.0),
+    )
     w = np.outer(np.sin(np.pi * np.arange(400) / 400) ** 2, [8.0, 10.0])
-    run = with_law(run_trials(loop, Q, L, w, None, 3, step=0.5), Q, L, 0, loop, step=0.5)
+    run = with_law(
+        run_trials(loop, Q, L, w, None, 3, step=0.5), Q, L, 0, loop, step=0.5
+    )
     replay = replay_of(run)
     for trial in (2, 3):
         table = replay.reached(trial)
         np.testing.assert_allclose(table.reached, table.foretold, rtol=1e-6)
-        ratio = np.linalg.norm(table.reached * table.before) / np.linalg.norm(table.before)
+        ratio = np.linalg.norm(table.reached * table.before) / np.linalg.norm(
+            table.before
+        )
         seen = np.sqrt((run.e[trial - 1] ** 2).sum() / (run.e[trial - 2] ** 2).sum())
         assert ratio == pytest.approx(float(seen)) and np.all(table.promised >= 0.5)
     assert replay.reached(1) is None and replay.reached(4) is None

@@ -7,7 +7,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from plants import stage, tanks
 
-from rodlib import LearningFilter, current_trial_loop, run_trials, zero_phase_butterworth
+from rodlib import (
+    LearningFilter,
+    current_trial_loop,
+    run_trials,
+    zero_phase_butterworth,
+)
 from rodlib.ilc import replay_of, with_law
 from rodlib.ilc.report import (
     about_the_law,
@@ -29,13 +34,17 @@ def run_on(loop, scale=1.0):
     m = loop.plant.noutputs
     Q = zero_phase_butterworth(2, 0.06 / loop.Ts, loop.Ts)
     L = LearningFilter(np.eye(m)[..., None] * [0, 0, 0, 0, 0, 0.5], loop.Ts)
-    reference = np.outer(np.sin(np.pi * np.arange(150) / 150) ** 2, scale + np.arange(m) * scale)
+    reference = np.outer(
+        np.sin(np.pi * np.arange(150) / 150) ** 2, scale + np.arange(m) * scale
+    )
     return with_law(run_trials(loop, Q, L, reference, None, 4), Q, L, 0, loop)
 
 
 @settings(max_examples=10)
 @given(st.integers(1, 4), st.integers(0, 2), st.floats(1e-3, 10), st.integers(-9, 9))
-def test_a_departure_from_the_law_is_found_whatever_the_unit(trial, channel, size, exponent):
+def test_a_departure_from_the_law_is_found_whatever_the_unit(
+    trial, channel, size, exponent
+):
     run = run_on(TANKS, 10.0**exponent)
     largest = np.abs(run.v.values[..., channel]).max()
     assert np.all(replay_of(run).departure <= 1e-12 * 10.0**exponent)
@@ -47,7 +56,9 @@ def test_a_departure_from_the_law_is_found_whatever_the_unit(trial, channel, siz
     assert amount == pytest.approx(size * largest, rel=0.06)
 
 
-@pytest.mark.parametrize("names", [["left", "middle", "right"], ['a, "b"', "# 2", "ϑ / K"]])
+@pytest.mark.parametrize(
+    "names", [["left", "middle", "right"], ['a, "b"', "# 2", "ϑ / K"]]
+)
 def test_what_to_apply_next_is_read_back_equal(names, tmp_path):
     trials = run_on(TANKS).assign_coords(output=("channel", names))
     del trials.attrs["loop"]  # of the plant's former names
@@ -71,7 +82,9 @@ def test_errors_are_summed_over_channels_of_one_unit_only():
     np.testing.assert_allclose(one["RMS (cm)"], np.sqrt((e.values**2).sum(2).mean(1)))
     mixed = rms_by_trial(e.assign_coords(output_unit=("channel", ["cm", "", "cm"])))
     assert mixed.columns.tolist() == ["RMS of left, right (cm)", "RMS of middle"]
-    np.testing.assert_allclose(mixed["RMS of middle"], np.sqrt((e.values[..., 1] ** 2).mean(1)))
+    np.testing.assert_allclose(
+        mixed["RMS of middle"], np.sqrt((e.values[..., 1] ** 2).mean(1))
+    )
     expected = np.sqrt((e.values[..., [0, 2]] ** 2).sum(2).mean(1))
     np.testing.assert_allclose(mixed.iloc[:, 0], expected)
     assert by_unit(["K", "bar", "K"]) == {"K": [0, 2], "bar": [1]}

@@ -8,9 +8,13 @@ def test_a_unit_is_what_pint_knows(text):
     understood("level", text)
 
 
-@pytest.mark.parametrize("text", ["m m (", "2 K", "K +", "import os", "((((", "ｓ", 60 * "a"])
+@pytest.mark.parametrize(
+    "text", ["m m (", "2 K", "K +", "import os", "((((", "ｓ", 60 * "a"]
+)
 def test_what_is_no_unit_is_refused_in_words(text):
-    with pytest.raises(ValueError, match="of level is not understood: write it as pint does"):
+    with pytest.raises(
+        ValueError, match="of level is not understood: write it as pint does"
+    ):
         understood("level", text)
 
 

@@ -32,7 +32,10 @@ def draw():
 
 
 def digests(folder):
-    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.iterdir()}
+    return {
+        path.name: hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in folder.iterdir()
+    }
 
 
 def test_saved_figures_are_the_same_bytes_every_time(folder):
@@ -43,7 +46,9 @@ def test_saved_figures_are_the_same_bytes_every_time(folder):
     assert digests(folder) == first
 
 
-def test_a_figure_is_laid_out_as_matplotlib_would_and_drawn_once_for_each_file(folder, monkeypatch):
+def test_a_figure_is_laid_out_as_matplotlib_would_and_drawn_once_for_each_file(
+    folder, monkeypatch
+):
     def curves():
         figure, axes = plt.subplots(2, 1, sharex=True)
         axes[0].loglog([1e-4, 3.0], [1.0, 1e-3], label="a curve")
@@ -75,7 +80,9 @@ def test_a_notebook_shows_the_saved_file_and_its_caption_and_draws_nothing_itsel
     saved = figures.save(figure, "fig02-test", "A rod.")
     assert not plt.fignum_exists(figure.number)
     shown = []
-    monkeypatch.setattr("IPython.display.display", lambda *a, **k: shown.append((*a, k)))
+    monkeypatch.setattr(
+        "IPython.display.display", lambda *a, **k: shown.append((*a, k))
+    )
     saved._ipython_display_()
     (picture, how), (caption, _) = shown
     assert b64decode(picture["image/png"]) == (folder / "fig02-test.png").read_bytes()
@@ -85,7 +92,9 @@ def test_a_notebook_shows_the_saved_file_and_its_caption_and_draws_nothing_itsel
     assert plt.imread(folder / "fig02-test.png").shape[:2] == (400, 1440)
 
 
-@pytest.mark.parametrize("rod", [Rod(), Rod(sections=6, length=1.0, sensors=(0.1, 0.5, 0.9))])
+@pytest.mark.parametrize(
+    "rod", [Rod(), Rod(sections=6, length=1.0, sensors=(0.1, 0.5, 0.9))]
+)
 def test_the_drawing_shows_what_the_rod_has(rod):
     figure, axes = plt.subplots()
     draw_rod(axes, rod)

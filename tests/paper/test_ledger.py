@@ -8,7 +8,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rodlib.paper import ledger, published
-from rodlib.paper.ledger import DIFFERS, IN_WORDS, OTHER, REPRODUCED, UNCHECKED, Ledger, verdict
+from rodlib.paper.ledger import (
+    DIFFERS,
+    IN_WORDS,
+    OTHER,
+    REPRODUCED,
+    UNCHECKED,
+    Ledger,
+    verdict,
+)
 from rodlib.paper.published import Claim
 
 
@@ -38,7 +46,9 @@ def test_half_a_unit_of_the_last_printed_digit_decides(inside, outside):
         ("0.58 +- 0.01", 0.6, DIFFERS, 0.02),
     ],
 )
-def test_statements_are_judged_by_their_criterion(criterion, computed, outcome, deviation):
+def test_statements_are_judged_by_their_criterion(
+    criterion, computed, outcome, deviation
+):
     assert verdict(claim("in words", criterion), computed) == (
         outcome,
         pytest.approx(deviation, nan_ok=True),
@@ -57,7 +67,12 @@ def test_a_sentence_of_ours_is_no_criterion(monkeypatch):
 
 def test_only_what_could_have_differed_is_counted():
     book = Ledger("test")
-    for key, value in (("length", 0.32), ("order", 11), ("unity", 0.0), ("zero_s_1", 0.10114)):
+    for key, value in (
+        ("length", 0.32),
+        ("order", 11),
+        ("unity", 0.0),
+        ("zero_s_1", 0.10114),
+    ):
         book.record(key, value)
     summary = ledger.summary(pd.DataFrame(book.rows.values()))
     assert "| **all**    |            1 |         0 |" in summary
@@ -72,7 +87,9 @@ def test_coefficients_of_a_flat_optimum_have_a_row_and_no_line_in_the_readme():
     rows = pd.DataFrame(book.rows.values())
     counts, rest = ledger.summary(rows).split("Beside coefficients")
     assert re.search(r"\| 03-ilc-synthesis +\| +0 \| +1 \|", counts)
-    assert re.search(r"\| coefficients of \(39\), a flat optimum +\| +0 \| +20 \|", counts)
+    assert re.search(
+        r"\| coefficients of \(39\), a flat optimum +\| +0 \| +20 \|", counts
+    )
     assert "computed 49" in rest and "coefficient of" not in rest
     assert "diagonal: 20 of 20 by at most 1.0e+00" in ledger.markdown(rows)
 
@@ -106,7 +123,10 @@ def test_as_many_digits_are_shown_as_are_printed_or_as_the_verdict_needs(
 ):
     book = Ledger("test")
     book.record(key, computed)
-    assert (book.rows[key]["computed"], book.rows[key]["deviation"]) == (shown, deviation)
+    assert (book.rows[key]["computed"], book.rows[key]["deviation"]) == (
+        shown,
+        deviation,
+    )
 
 
 @given(st.sampled_from(sorted(published.claims())), st.floats(allow_nan=False))
@@ -115,7 +135,9 @@ def test_the_verdict_follows_from_what_is_shown(key, computed):
     book = Ledger("test")
     book.record(key, computed)
     row = book.rows[key]
-    if row["verdict"] not in (UNCHECKED, IN_WORDS) and not row["computed"].startswith("below"):
+    if row["verdict"] not in (UNCHECKED, IN_WORDS) and not row["computed"].startswith(
+        "below"
+    ):
         assert verdict(entry, float(row["computed"]))[0] == row["verdict"]
 
 
@@ -146,7 +168,11 @@ def test_a_verdict_that_nobody_gave_counts_zero():
     book = Ledger("test")
     book.record("zero_s_1", 0.1011)
     table = ledger.summary(pd.DataFrame(book.rows.values())).split("\n\n")[0]
-    assert [cell.strip() for cell in table.splitlines()[-1].split("|")[2:5]] == ["1", "0", "0"]
+    assert [cell.strip() for cell in table.splitlines()[-1].split("|")[2:5]] == [
+        "1",
+        "0",
+        "0",
+    ]
 
 
 def test_a_wrong_gain_is_caught():
@@ -198,7 +224,9 @@ def test_unknown_claims_and_wrong_shapes_are_refused():
     book = Ledger("test")
     with pytest.raises(KeyError, match="no such claim"):
         book.record("no such claim", 1.0)
-    with pytest.raises(ValueError, match=r"N has shape \(3, 2\), but the paper's has \(2, 2\)"):
+    with pytest.raises(
+        ValueError, match=r"N has shape \(3, 2\), but the paper's has \(2, 2\)"
+    ):
         book.record("N", np.ones((3, 2)))
 
 
@@ -248,14 +276,18 @@ def test_publish_writes_ledger_figures_and_readme(run):
     assert list(rows.key) == list(published.claims())
     assert (rows.verdict == DIFFERS).sum() == 1
     readme = (run / "README.md").read_text()
-    assert readme.startswith("before\n<!-- ledger -->\n| ") and readme.endswith("-->\nafter\n")
+    assert readme.startswith("before\n<!-- ledger -->\n| ") and readme.endswith(
+        "-->\nafter\n"
+    )
     assert "1 of 4 by at most 1.0e+09" in readme
 
 
 def save(folder, name, moved, gray):
     folder.mkdir(exist_ok=True)
     (folder / f"{name}.pdf").write_text(f"{20 + moved} 30 m\n")
-    matplotlib.image.imsave(folder / f"{name}.png", np.full((2, 2, 3), gray, dtype=np.uint8))
+    matplotlib.image.imsave(
+        folder / f"{name}.png", np.full((2, 2, 3), gray, dtype=np.uint8)
+    )
 
 
 def test_what_is_the_same_stays_as_it_is_and_the_last_line_names_the_rest(run, capsys):
@@ -267,12 +299,18 @@ def test_what_is_the_same_stays_as_it_is_and_the_last_line_names_the_rest(run, c
 
     def state():
         paths = [*before.iterdir(), run / "README.md"]
-        return {path.name: (path.read_bytes(), path.stat().st_mtime_ns) for path in paths}
+        return {
+            path.name: (path.read_bytes(), path.stat().st_mtime_ns) for path in paths
+        }
 
     drawn, before = run / "build" / "figures", run / "figures"
     for name in ("fig01", "fig02", "fig03", "fig04"):
         save(before, name, 0.0, 100)
-    for name, moved, gray in (("fig01", 0.004, 101), ("fig02", 0.004, 120), ("fig03", 0.004, 100)):
+    for name, moved, gray in (
+        ("fig01", 0.004, 101),
+        ("fig02", 0.004, 120),
+        ("fig03", 0.004, 100),
+    ):
         (drawn / f"{name}.png").unlink(missing_ok=True)
         save(drawn, name, moved, gray)
     save(drawn, "extra05", 0.0, 100)
@@ -284,14 +322,18 @@ def test_what_is_the_same_stays_as_it_is_and_the_last_line_names_the_rest(run, c
     )
     second = state()
     same = {name for name in first if first[name] == second.get(name)}
-    assert same == {f"{name}.{end}" for name in ("fig01", "fig03") for end in ("pdf", "png")}
+    assert same == {
+        f"{name}.{end}" for name in ("fig01", "fig03") for end in ("pdf", "png")
+    }
     for name in ("extra05", "fig02"):
         for end in ("pdf", "png"):
             assert second[f"{name}.{end}"][0] == (drawn / f"{name}.{end}").read_bytes()
     assert told() == "all 4 figures, the ledger and the README are the same as before"
     assert state() == second
     (run / "figures" / "ledger.md").write_text("other")
-    assert told() == "4 of 4 figures are the same as before; different: figures/ledger.md"
+    assert (
+        told() == "4 of 4 figures are the same as before; different: figures/ledger.md"
+    )
 
 
 def test_an_incomplete_run_changes_nothing(run):

@@ -38,7 +38,9 @@ def run_of(loop, rest, trials=4):
     L = LearningFilter(coefficients, loop.Ts)
     reference = np.outer(np.sin(np.pi * np.arange(120) / 120) ** 2, 1.0 + np.arange(m))
     push = np.full((120, len(loop.disturbances)), 0.2)
-    return with_law(run_trials(loop, Q, L, reference, push, trials, rest=rest), Q, L, rest, loop)
+    return with_law(
+        run_trials(loop, Q, L, reference, push, trials, rest=rest), Q, L, rest, loop
+    )
 
 
 @pytest.fixture
@@ -52,7 +54,10 @@ def replay(root, log):
     call = "import pathlib, sys; from rodlib.paper.reproduce import main; "
     call += "main(pathlib.Path(sys.argv[1]), sys.argv[2])"
     return subprocess.run(
-        [sys.executable, "-c", call, root, log], capture_output=True, text=True, cwd=root
+        [sys.executable, "-c", call, root, log],
+        capture_output=True,
+        text=True,
+        cwd=root,
     )
 
 
@@ -77,7 +82,9 @@ def test_a_stage_is_replayed_with_its_own_loop(root):
     )
     assert "\nlaw: the recorded v is that of the law in every trial\n" in outcome.stdout
     assert "mean of all trials: x 100 %" in outcome.stdout
-    table = np.loadtxt(root / "build" / "replay" / "next-trial.csv", delimiter=",", skiprows=3)
+    table = np.loadtxt(
+        root / "build" / "replay" / "next-trial.csv", delimiter=",", skiprows=3
+    )
     np.testing.assert_array_equal(table[:, 1:], found.following)
     assert printed(root) == f"{summary(found)}\n" and "left out" not in printed(root)
     figures = (root / "build" / "replay" / "figures").glob("*.png")
@@ -87,9 +94,13 @@ def test_a_stage_is_replayed_with_its_own_loop(root):
 
 def test_the_report_stands_executed_and_shows_each_picture_once():
     """On the synthetic log, in the package; what it prints is held by nbval."""
-    code = [c for c in nbformat.read(reproduce.REPORT, 4).cells if c.cell_type == "code"]
+    code = [
+        c for c in nbformat.read(reproduce.REPORT, 4).cells if c.cell_type == "code"
+    ]
     assert [cell.execution_count for cell in code] == list(range(1, len(code) + 1))
-    shown = [o for cell in code for o in cell.outputs if "image/png" in o.get("data", {})]
+    shown = [
+        o for cell in code for o in cell.outputs if "image/png" in o.get("data", {})
+    ]
     assert len(shown) == 5 and all(o.metadata["image/png"]["alt"] for o in shown)
 
 
@@ -123,16 +134,27 @@ def test_tanks_in_units_of_their_own_are_replayed_without_a_loop(root, replay_he
     units = {"left": "cm", "middle": "mm", "right": "cm"}
     loop = current_trial_loop(tanks(), ["pump A", "pump B", "pump C"], units=units)
     run = run_of(loop, rest=10).isel(trial=[2, 3]).drop_vars("delta")
-    run = run.assign_coords(output=("channel", ["_left", r"$\frac{$", "right"]))  # no formula
+    run = run.assign_coords(
+        output=("channel", ["_left", r"$\frac{$", "right"])
+    )  # no formula
     del run.attrs["loop"]
     save_log(run, root / "tanks.csv")
     text = replay_here("tanks.csv")
     assert r"RMS of _left, right (cm)  RMS of $\frac{$ (mm)" in text
-    assert "law: the recorded v is that of the law, as far as the trials before 3 tell" in text
-    reason = "left out: simulation and prediction: the log does not say which loop made it"
+    assert (
+        "law: the recorded v is that of the law, as far as the trials before 3 tell"
+        in text
+    )
+    reason = (
+        "left out: simulation and prediction: the log does not say which loop made it"
+    )
     assert text.count(reason) >= 2  # of the command, and of the notebook
-    table = np.loadtxt(root / "build" / "replay" / "next-trial.csv", delimiter=",", skiprows=3)
-    assert table.shape == (120, 4) and not table[-10:, 1:].any() and table[-11, 1:].all()
+    table = np.loadtxt(
+        root / "build" / "replay" / "next-trial.csv", delimiter=",", skiprows=3
+    )
+    assert (
+        table.shape == (120, 4) and not table[-10:, 1:].any() and table[-11, 1:].all()
+    )
     assert not (root / "build" / "replay" / "figures" / "model-fit.png").exists()
 
 
@@ -146,7 +168,9 @@ def broken(log, how):
         log.write_text("a,b\n1,2\n")
         return "format is None, but must be 'rodlib trial log 2'"
     if how == "a gap":
-        log.write_text(text.replace("\n2,0,", "\n2,0,nan,", 1).replace("nan,1.", "nan,", 1))
+        log.write_text(
+            text.replace("\n2,0,", "\n2,0,nan,", 1).replace("nan,1.", "nan,", 1)
+        )
         return "problem(s)"
     if how == "a unit":
         log.write_text(text.replace('"mm"', '"furlongz"', 1))
@@ -157,7 +181,9 @@ def broken(log, how):
 
 @pytest.mark.parametrize("how", ["a folder", "not a log", "a gap", "a unit", "no loop"])
 def test_a_bad_log_is_refused_in_a_few_words_and_an_earlier_replay_stays(root, how):
-    loop = current_trial_loop(stage(), ["F"], units={"x": "mm", "F": "N", "friction": "N"})
+    loop = current_trial_loop(
+        stage(), ["F"], units={"x": "mm", "F": "N", "friction": "N"}
+    )
     log, earlier = root / "log.csv", root / "build" / "replay" / "next-trial.csv"
     save_log(run_of(loop, rest=0, trials=2), log)
     earlier.parent.mkdir(parents=True)
@@ -170,7 +196,9 @@ def test_a_bad_log_is_refused_in_a_few_words_and_an_earlier_replay_stays(root, h
     assert earlier.exists()
 
 
-@pytest.mark.parametrize("name", [ODD, "plain.csv", "~unknown/log.csv", "a\\b.csv", "-c"])
+@pytest.mark.parametrize(
+    "name", [ODD, "plain.csv", "~unknown/log.csv", "a\\b.csv", "-c"]
+)
 def test_make_hands_over_the_path_as_it_is(name, tmp_path):
     if not shutil.which("make"):
         pytest.skip("there is no make")
@@ -178,11 +206,22 @@ def test_make_hands_over_the_path_as_it_is(name, tmp_path):
     python.parent.mkdir()
     python.write_text('#!/bin/sh\nfor word; do printf "<%s>" "$word"; done\n')
     python.chmod(0o755)
-    call = ["make", "--no-print-directory", f"BIN={python.parent}", "PYTHON=true", "replay"]
-    outcome = subprocess.run([*call, f"LOG={name}"], cwd=ROOT, capture_output=True, text=True)
+    call = [
+        "make",
+        "--no-print-directory",
+        f"BIN={python.parent}",
+        "PYTHON=true",
+        "replay",
+    ]
+    outcome = subprocess.run(
+        [*call, f"LOG={name}"], cwd=ROOT, capture_output=True, text=True
+    )
     assert outcome.stdout == f"<-m><rodlib.paper.reproduce><{name}>"
     outcome = subprocess.run(call, cwd=ROOT, capture_output=True, text=True)
-    assert outcome.returncode == 2 and outcome.stdout == "name a log: make replay LOG=path\n"
+    assert (
+        outcome.returncode == 2
+        and outcome.stdout == "name a log: make replay LOG=path\n"
+    )
 
 
 def test_a_name_may_begin_with_the_sign_for_home(root, monkeypatch):
@@ -191,5 +230,7 @@ def test_a_name_may_begin_with_the_sign_for_home(root, monkeypatch):
     with pytest.raises(LogError, match=r"/~log\.csv: \d problem"):
         reproduce.replay("~log.csv", root)
     home = re.escape(os.path.expanduser("~/no such log.csv"))
-    with pytest.raises(FileNotFoundError, match=f"{home} is not there: make replay LOG=path"):
+    with pytest.raises(
+        FileNotFoundError, match=f"{home} is not there: make replay LOG=path"
+    ):
         reproduce.replay("~/no such log.csv", root)

@@ -14,21 +14,49 @@ NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 @pytest.mark.parametrize("M_max", [0.1, 0.9, 1])
 @pytest.mark.parametrize("trials", [2, 50])
 def test_values_in_their_range_come_back_as_they_are(M_max, trials):
-    given = {"M_max": (M_max, 0.9, 0.1, 1.0), "trials": (trials, 10, 2, 50), "log": ("", "")}
+    given = {
+        "M_max": (M_max, 0.9, 0.1, 1.0),
+        "trials": (trials, 10, 2, 50),
+        "log": ("", ""),
+    }
     assert checked(**given) == {"M_max": M_max, "trials": trials, "log": ""}
 
 
 @pytest.mark.parametrize(
     ("given", "sentence"),
     [
-        ({"M_max": (1.5, 0.9, 0.1, 1.0)}, "M_max = 1.5 must be a number from 0.1 to 1$"),
-        ({"M_max": (0.09, 0.9, 0.1, 1.0)}, "M_max = 0.09 must be a number from 0.1 to 1$"),
-        ({"M_max": ("0.9", 0.9, 0.1, 1.0)}, "M_max = '0.9' must be a number from 0.1 to 1$"),
-        ({"M_max": (float("nan"), 0.9, 0.1, 1.0)}, "M_max = nan must be a number from 0.1 to 1$"),
-        ({"trials": (1, 10, 2, 50)}, "trials = 1 must be a whole number, from 2 to 50$"),
-        ({"trials": (51, 10, 2, 50)}, "trials = 51 must be a whole number, from 2 to 50$"),
-        ({"trials": (7.5, 10, 2, 50)}, "trials = 7.5 must be a whole number, from 2 to 50$"),
-        ({"trials": (9, 10, 2, 50), "first": (12, 5, 1, 9)}, "first = 12 must be .* from 1 to 9$"),
+        (
+            {"M_max": (1.5, 0.9, 0.1, 1.0)},
+            "M_max = 1.5 must be a number from 0.1 to 1$",
+        ),
+        (
+            {"M_max": (0.09, 0.9, 0.1, 1.0)},
+            "M_max = 0.09 must be a number from 0.1 to 1$",
+        ),
+        (
+            {"M_max": ("0.9", 0.9, 0.1, 1.0)},
+            "M_max = '0.9' must be a number from 0.1 to 1$",
+        ),
+        (
+            {"M_max": (float("nan"), 0.9, 0.1, 1.0)},
+            "M_max = nan must be a number from 0.1 to 1$",
+        ),
+        (
+            {"trials": (1, 10, 2, 50)},
+            "trials = 1 must be a whole number, from 2 to 50$",
+        ),
+        (
+            {"trials": (51, 10, 2, 50)},
+            "trials = 51 must be a whole number, from 2 to 50$",
+        ),
+        (
+            {"trials": (7.5, 10, 2, 50)},
+            "trials = 7.5 must be a whole number, from 2 to 50$",
+        ),
+        (
+            {"trials": (9, 10, 2, 50), "first": (12, 5, 1, 9)},
+            "first = 12 must be .* from 1 to 9$",
+        ),
     ],
 )
 def test_what_is_out_of_range_is_refused_in_a_sentence(given, sentence):
@@ -59,7 +87,9 @@ def checks(source):
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_each_parameter_of_a_notebook_is_checked_in_the_cell_below(path):
     """By its own name and with the default that stands in the cell of the parameters."""
-    cells = [c for c in nbformat.read(path, as_version=4).cells if c.cell_type == "code"]
+    cells = [
+        c for c in nbformat.read(path, as_version=4).cells if c.cell_type == "code"
+    ]
     chosen = {s.target.id: s.value for s in ast.parse(cells[1].source).body}
     below = checks(cells[2].source)
     assert [*below] == [*chosen]

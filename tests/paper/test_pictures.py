@@ -8,7 +8,13 @@ from rodlib.paper.pictures import PIXELS_PER_INCH, PRECISION, compared, distance
 
 POINT = 1 / 140  # in data: the axes are 140 points high
 PIXEL = POINT * 72 / PIXELS_PER_INCH
-USUAL = {"raised": 0.0, "noise": 0.0, "label": "rate 0.905", "patch": "0.94", "alpha": 0.1}
+USUAL = {
+    "raised": 0.0,
+    "noise": 0.0,
+    "label": "rate 0.905",
+    "patch": "0.94",
+    "alpha": 0.1,
+}
 USUAL |= {
     "compression": 6,
     "markers": 5,
@@ -24,14 +30,27 @@ def draw(folder, **changes):
     """Save a figure of many kinds of things, among them a curve that Matplotlib simplifies."""
     how = USUAL | changes
     x = np.linspace(0, 2, 2000)
-    y = 0.6 + 0.2 * np.sin(5 * x) + 0.02 * np.random.default_rng(0).standard_normal(x.size)
-    y = y * (1 + how["noise"] * np.random.default_rng(1).uniform(-1, 1, x.size)) + how["raised"]
+    y = (
+        0.6
+        + 0.2 * np.sin(5 * x)
+        + 0.02 * np.random.default_rng(0).standard_normal(x.size)
+    )
+    y = (
+        y * (1 + how["noise"] * np.random.default_rng(1).uniform(-1, 1, x.size))
+        + how["raised"]
+    )
     figure = plt.figure(figsize=(how["width"] / 72, 200 / 72), layout="none")
     axes = figure.add_axes((how["left"], 0.15, 0.8, 0.7))
-    axes.imshow([[1.0, how["image"]], [2.0, 9.0]], extent=(1.2, 1.8, 0.1, 0.3), clim=(0, 10))
-    axes.add_patch(plt.Rectangle((0.1, 0.1), 0.5, 0.2, facecolor=how["patch"], edgecolor="none"))
+    axes.imshow(
+        [[1.0, how["image"]], [2.0, 9.0]], extent=(1.2, 1.8, 0.1, 0.3), clim=(0, 10)
+    )
+    axes.add_patch(
+        plt.Rectangle((0.1, 0.1), 0.5, 0.2, facecolor=how["patch"], edgecolor="none")
+    )
     axes.fill_between(x, 0.2, y / 2, alpha=how["alpha"])
-    axes.plot(x[how["left_out"] :], y[how["left_out"] :], how["dash"], label=how["label"])
+    axes.plot(
+        x[how["left_out"] :], y[how["left_out"] :], how["dash"], label=how["label"]
+    )
     axes.plot([0.2, 0.5, 0.9, 1.1, 1.7][: how["markers"]], [0.91] * how["markers"], "o")
     axes.set(aspect="auto", xlim=(0, 2), ylim=(0, 1), xlabel="time (s)")
     axes.legend(loc="lower left")
@@ -123,13 +142,23 @@ def test_a_file_that_cannot_be_read_is_as_far_as_can_be(before, tmp_path):
         assert distance(broken, whole) == np.inf
 
 
-def test_a_figure_is_both_its_files_and_figures_that_come_and_go_are_named(before, tmp_path):
+def test_a_figure_is_both_its_files_and_figures_that_come_and_go_are_named(
+    before, tmp_path
+):
     drawn, tracked = tmp_path / "drawn", tmp_path / "tracked"
     for folder in (drawn, tracked):
         shutil.copytree(before, folder)
-    for name, folder in (("extra02", drawn), ("fig03", tracked), ("performance", tracked)):
+    for name, folder in (
+        ("extra02", drawn),
+        ("fig03", tracked),
+        ("performance", tracked),
+    ):
         shutil.copy(before / "fig01.png", folder / f"{name}.png")
-    assert compared(drawn, tracked) == {"extra02": "new", "fig01": "the same", "fig03": "gone"}
+    assert compared(drawn, tracked) == {
+        "extra02": "new",
+        "fig01": "the same",
+        "fig03": "gone",
+    }
     shutil.copy(draw(tmp_path / "other", markers=4) / "fig01.png", drawn)
     assert compared(drawn, tracked)["fig01"] == "different"
     (drawn / "fig01.pdf").unlink()

@@ -12,10 +12,15 @@ from rodlib.paper.repository import ROOT, checkout, publishing, results
 
 def test_only_a_clone_is_written_to(tmp_path):
     assert checkout("a test") == ROOT
-    with pytest.raises(RuntimeError, match=rf"a test writes to a clone .* {tmp_path} is none"):
+    with pytest.raises(
+        RuntimeError, match=rf"a test writes to a clone .* {tmp_path} is none"
+    ):
         checkout("a test", tmp_path)
     (tmp_path / "pyproject.toml").write_text('[project]\nname = "another"\n')
-    with pytest.raises(RuntimeError, match="clone it and work there"), publishing(tmp_path):
+    with (
+        pytest.raises(RuntimeError, match="clone it and work there"),
+        publishing(tmp_path),
+    ):
         pytest.fail("must not come that far")
     assert [path.name for path in tmp_path.iterdir()] == ["pyproject.toml"]
 
@@ -59,7 +64,11 @@ with publishing(root) as new:
 
 
 def state(root):
-    files = [path for path in root.rglob("*") if path.is_file() and path.parent.name != "build"]
+    files = [
+        path
+        for path in root.rglob("*")
+        if path.is_file() and path.parent.name != "build"
+    ]
     return {
         path.relative_to(root).as_posix(): path.read_text()
         for path in files
@@ -76,28 +85,40 @@ def begun(root):
 
 
 @pytest.mark.parametrize("how", ["kill", "full"])
-def test_wherever_publishing_ends_no_file_is_half_and_the_next_run_mends_it(tmp_path, how):
+def test_wherever_publishing_ends_no_file_is_half_and_the_next_run_mends_it(
+    tmp_path, how
+):
     """At every single operation, from the first on, until one run gets through."""
     seen = []
     for step in range(1, 100):
         root = begun(tmp_path / str(step))
         call = [sys.executable, "-I", "-c", STOPPED, root, str(step), how]
         stopped = subprocess.run(call, capture_output=True, text=True)
-        left = {name: text for name, text in state(root).items() if not name.endswith(".part")}
+        left = {
+            name: text
+            for name, text in state(root).items()
+            if not name.endswith(".part")
+        }
         if stopped.returncode == 0:
             break
         assert stopped.returncode == (9 if how == "kill" else 1), stopped.stderr
         assert how == "kill" or "No space left" in stopped.stderr
         if how == "full":
             assert left == state(root), "an error leaves nothing beside the files"
-        assert all(left.get(name) in (OLD.get(name), NEW.get(name)) for name in OLD | NEW)
+        assert all(
+            left.get(name) in (OLD.get(name), NEW.get(name)) for name in OLD | NEW
+        )
         assert left["README.md"] == "old" or left == NEW, "the README is the last"
         seen.append(left)
-        again = subprocess.run([*call[:-2], "1000", how], capture_output=True, text=True)
+        again = subprocess.run(
+            [*call[:-2], "1000", how], capture_output=True, text=True
+        )
         assert again.returncode == 0 and state(root) == NEW, again.stderr
     assert state(root) == left == NEW
     assert seen[0] == OLD and len(seen) > 8
-    changed = [sum(left.get(name) == NEW.get(name) for name in OLD | NEW) for left in seen]
+    changed = [
+        sum(left.get(name) == NEW.get(name) for name in OLD | NEW) for left in seen
+    ]
     assert changed == sorted(changed) and {0, 1, 2, 3} <= {*changed}
 
 

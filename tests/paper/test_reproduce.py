@@ -25,7 +25,9 @@ def write(path, *cells):
 def root(tmp_path, monkeypatch):
     """A repository whose one notebook copies a complete ledger and a figure made beforehand."""
     (tmp_path / "pyproject.toml").write_text('name = "rodlib"\n')
-    (tmp_path / "README.md").write_text("<!-- ledger -->\nold\n<!-- end of ledger -->\n")
+    (tmp_path / "README.md").write_text(
+        "<!-- ledger -->\nold\n<!-- end of ledger -->\n"
+    )
     (tmp_path / "notebooks").mkdir()
     with monkeypatch.context() as patch:
         patch.setenv("RODLIB_RESULTS", str(tmp_path / "made"))
@@ -43,7 +45,9 @@ def root(tmp_path, monkeypatch):
     return tmp_path
 
 
-APART = multiprocessing.get_context("forkserver")  # which has imported once what all need
+APART = multiprocessing.get_context(
+    "forkserver"
+)  # which has imported once what all need
 APART.set_forkserver_preload(["rodlib.paper.reproduce", "papermill"])
 
 
@@ -93,7 +97,9 @@ def test_notebooks_run_in_their_folder_and_their_results_are_published(root):
         "figures",
         "ledger",
     ]
-    executed = nbformat.read(root / "build" / "reproduce" / "01-model.ipynb", as_version=4)
+    executed = nbformat.read(
+        root / "build" / "reproduce" / "01-model.ipynb", as_version=4
+    )
     assert [cell.execution_count for cell in executed.cells] == [1, 2]
     assert (root / "made" / "ledger").is_dir() and (root / "build" / "figures").is_dir()
 
@@ -183,7 +189,9 @@ def test_a_log_that_is_not_there_is_refused(root):
 def test_build_may_be_a_link_but_not_a_file(root):
     (root / "build").write_text("")
     outcome = run(root)
-    assert outcome.stderr == f"{root / 'build'} must be a folder: remove what is there\n"
+    assert (
+        outcome.stderr == f"{root / 'build'} must be a folder: remove what is there\n"
+    )
     (root / "build").unlink()
     (root / "elsewhere").mkdir()
     (root / "build").symlink_to(root / "elsewhere")
@@ -198,6 +206,8 @@ def test_outside_a_clone_nothing_is_touched(root):
     (root / "build" / "reproduce").mkdir(parents=True)
     outcome = run(root)
     assert outcome.returncode == 1
-    assert outcome.stderr.startswith("make reproduce writes to a clone of the repository")
+    assert outcome.stderr.startswith(
+        "make reproduce writes to a clone of the repository"
+    )
     assert os.listdir(root / "build") == ["reproduce"]
     assert not (root / "figures").exists()

@@ -66,10 +66,15 @@ def zero_phase_inversion(
     zeros = [outer_zeros(P[i, i]) for i in range(m)]
     for i, each in enumerate(zeros):
         if np.any(np.abs(each - 1) < 1e-9):
-            raise ValueError(f"P[{i}, {i}] has a zero at frequency zero, which no L undoes")
+            raise ValueError(
+                f"P[{i}, {i}] has a zero at frequency zero, which no L undoes"
+            )
 
     def response(omega):
-        z, L = np.exp(1j * omega * Ts)[:, None], np.zeros((len(omega), m, m), dtype=complex)
+        z, L = (
+            np.exp(1j * omega * Ts)[:, None],
+            np.zeros((len(omega), m, m), dtype=complex),
+        )
         entries = np.einsum("nii->ni", frequency_response(P, omega))
         for i in range(m):
             factor = np.prod(np.abs((z - zeros[i]) / (1 - zeros[i])) ** 2, axis=1)

@@ -61,7 +61,9 @@ class NormOptimal:
         """(P^H P + weight I)^-1 P^H, to which L tends far from the ends of a long trial."""
         P = frequency_response(self.P, omega)
         adjoint = P.conj().swapaxes(1, 2)
-        return np.linalg.solve(adjoint @ P + self.weight * np.eye(self.P.ninputs), adjoint)
+        return np.linalg.solve(
+            adjoint @ P + self.weight * np.eye(self.P.ninputs), adjoint
+        )
 
     @cached_property
     def _factors(self) -> SuperLU:
@@ -80,7 +82,9 @@ class NormOptimal:
         N = self.samples
         system = kron(eye_array(N), here) + kron(eye_array(N, k=-1), before)
         system = csc_array(system + kron(eye_array(N, k=1), before.T))
-        return splu(system, permc_spec="NATURAL")  # samples in turn: pivots stay near the diagonal
+        return splu(
+            system, permc_spec="NATURAL"
+        )  # samples in turn: pivots stay near the diagonal
 
     def apply(self, signal) -> np.ndarray:
         """The best change, shape (..., samples, m), for an error of shape (..., samples, p)."""

@@ -70,7 +70,9 @@ def h_infinity(
     return TwoSidedFilter(response, m, Ts)
 
 
-def generalised_plant(P, Q, effort, preview, emphasis=1.0, corner=None) -> control.StateSpace:
+def generalised_plant(
+    P, Q, effort, preview, emphasis=1.0, corner=None
+) -> control.StateSpace:
     """From e, `preview` samples early, and u = K e to [W Q (z^-preview e - P u); effort u].
 
     Parameters as for :func:`h_infinity`.
@@ -82,12 +84,16 @@ def generalised_plant(P, Q, effort, preview, emphasis=1.0, corner=None) -> contr
     preview = arguments.whole("preview", preview, 1)
     emphasis = arguments.number("emphasis", emphasis, "one or more", least=1)
     if emphasis > 1 and corner is None:
-        raise ValueError(f"emphasis = {emphasis} must be one, or more with a corner in rad/s")
+        raise ValueError(
+            f"emphasis = {emphasis} must be one, or more with a corner in rad/s"
+        )
     if corner is not None:
         corner = arguments.number("corner", corner, "in (0, Nyquist)", 0, np.pi / Ts)
     n, chain = P.nstates, m * preview
     plant = control.ss(
-        np.block([[np.eye(chain, k=-m), np.zeros((chain, n))], [np.zeros((n, chain)), P.A]]),
+        np.block(
+            [[np.eye(chain, k=-m), np.zeros((chain, n))], [np.zeros((n, chain)), P.A]]
+        ),
         np.block([[np.eye(chain, m), np.zeros((chain, m))], [np.zeros((n, m)), P.B]]),
         np.hstack([np.eye(m, chain, k=chain - m), -P.C]),
         np.hstack([np.zeros((m, m)), -P.D]),
@@ -98,14 +104,18 @@ def generalised_plant(P, Q, effort, preview, emphasis=1.0, corner=None) -> contr
         a = np.tan(corner * Ts / 2)
         weights.append(([1 + emphasis * a, emphasis * a - 1], [1 + a, a - 1]))
     for numerator, denominator in weights:
-        on_each = (np.kron(np.eye(m), matrix) for matrix in tf2ss(numerator, denominator))
+        on_each = (
+            np.kron(np.eye(m), matrix) for matrix in tf2ss(numerator, denominator)
+        )
         plant = control.ss(*on_each, Ts) * plant
     C = np.vstack([plant.C, np.zeros((m, plant.nstates))])
     D = np.vstack([plant.D, np.hstack([np.zeros((m, m)), effort * np.eye(m)])])
     return control.ss(plant.A, plant.B, C, D, Ts)
 
 
-def full_information(plant: control.StateSpace, m: int, level: float) -> control.StateSpace:
+def full_information(
+    plant: control.StateSpace, m: int, level: float
+) -> control.StateSpace:
     """K of u = K w that keeps what a plant makes of its disturbance below a level.
 
     Parameters
@@ -118,11 +128,15 @@ def full_information(plant: control.StateSpace, m: int, level: float) -> control
         ValueError says so.
     """
     arguments.state_space("plant", plant)
-    m, level = arguments.whole("m", m, 1, plant.ninputs - 1), arguments.positive("level", level)
+    m, level = (
+        arguments.whole("m", m, 1, plant.ninputs - 1),
+        arguments.positive("level", level),
+    )
     A, B, C, D = plant.A, plant.B, plant.C, plant.D
     R = D.T @ D - np.diag([level**2] * m + [0.0] * (plant.ninputs - m))
     refusal = (
-        f"level = {level:.6g} is not reached by any filter: raise it, or preview, or lower effort"
+        f"level = {level:.6g} is not reached by any filter: "
+        "raise it, or preview, or lower effort"
     )
     try:
         X = solve_discrete_are(A, B, C.T @ C, R, s=C.T @ D)

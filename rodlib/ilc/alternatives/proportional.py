@@ -16,7 +16,9 @@ def p_type(gain: float, ahead: int, channels: int, Ts: float) -> LearningFilter:
     return pd_type(gain, 0.0, arguments.whole("ahead", ahead, 1), channels, Ts)
 
 
-def pd_type(gain: float, slope: float, ahead: int, channels: int, Ts: float) -> LearningFilter:
+def pd_type(
+    gain: float, slope: float, ahead: int, channels: int, Ts: float
+) -> LearningFilter:
     """L(q) = (gain + slope (1 - 1/q) / Ts) q^ahead I, with the slope of the error as well.
 
     S. Arimoto, S. Kawamura and F. Miyazaki, as for :func:`p_type`.

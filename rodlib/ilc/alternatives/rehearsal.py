@@ -12,7 +12,12 @@ from scipy.optimize import minimize
 from scipy.stats import qmc
 
 from rodlib.ilc import arguments, rate
-from rodlib.ilc.filters import LearningOperator, ZeroPhaseButterworth, check_learning, update
+from rodlib.ilc.filters import (
+    LearningOperator,
+    ZeroPhaseButterworth,
+    check_learning,
+    update,
+)
 from rodlib.ilc.trials.run import learn
 
 JUDGED = 500  # lines at which the rate is computed, spaced by their logarithms
@@ -55,8 +60,12 @@ class Rehearsal:
     def rate(self, L: LearningOperator) -> float:
         """Of Lemma 1, the largest sigma_max(M), at `JUDGED` of the lines."""
         samples = self.alone.shape[1]
-        chosen = np.unique(np.append(0, np.geomspace(1, samples, JUDGED).round().astype(int)))
-        return float(rate(self.P[chosen], self.Q, L, lines(samples, self.Q.Ts)[chosen]).gamma)
+        chosen = np.unique(
+            np.append(0, np.geomspace(1, samples, JUDGED).round().astype(int))
+        )
+        return float(
+            rate(self.P[chosen], self.Q, L, lines(samples, self.Q.Ts)[chosen]).gamma
+        )
 
     def errors(self, L: LearningOperator) -> np.ndarray:
         """e_k, shape (trials, samples, m)."""
@@ -79,7 +88,10 @@ class Rehearsal:
 
 def lines(samples: int, Ts: float) -> np.ndarray:
     """Frequencies (rad/s) of a trial that is followed by as many zeros, shape (samples + 1,)."""
-    samples, Ts = arguments.whole("samples", samples, 1), arguments.sampling_period("Ts", Ts)
+    samples, Ts = (
+        arguments.whole("samples", samples, 1),
+        arguments.sampling_period("Ts", Ts),
+    )
     return 2 * np.pi * np.fft.rfftfreq(2 * samples, Ts)
 
 
@@ -129,10 +141,14 @@ def tune(
     M_max = arguments.number("M_max", M_max, "in (0, 1)", 0, 1)
     evaluations = arguments.whole("evaluations", evaluations, 4)
     arguments.instance("box", box, dict)
-    edges = [arguments.array(f"box[{name!r}]", ends, (2,)) for name, ends in box.items()]
+    edges = [
+        arguments.array(f"box[{name!r}]", ends, (2,)) for name, ends in box.items()
+    ]
     for name, (low, high) in zip(box, edges, strict=True):
         if not 0 < low < high:
-            raise ValueError(f"box[{name!r}] = {box[name]} must be 0 < lowest < highest")
+            raise ValueError(
+                f"box[{name!r}] = {box[name]} must be 0 < lowest < highest"
+            )
     edges, tried = np.log(edges), []
 
     def cost(x):
@@ -158,7 +174,11 @@ def tune(
     toward = np.where(first < 0.5, 0.15, -0.15)
     simplex = np.vstack([first, first + np.diag(toward)])
     options = {"maxfev": evaluations - len(spread), "initial_simplex": simplex}
-    minimize(cost, first, method="Nelder-Mead", bounds=[(0, 1)] * len(box), options=options)
+    minimize(
+        cost, first, method="Nelder-Mead", bounds=[(0, 1)] * len(box), options=options
+    )
     if not tried:
-        raise ValueError(f"design reaches a rate of M_max = {M_max} nowhere in box = {box}")
+        raise ValueError(
+            f"design reaches a rate of M_max = {M_max} nowhere in box = {box}"
+        )
     return min(tried, key=lambda each: each.value)

@@ -23,7 +23,9 @@ MOST = 0.999  # of its energy; half of the rest is left out at each end
 class TwoSidedFilter:
     """A learning filter for :func:`rodlib.update`, for signals that are zero outside the trial."""
 
-    response: Callable[[np.ndarray], np.ndarray]  # from omega (rad/s) to L, (n, channels, channels)
+    response: Callable[
+        [np.ndarray], np.ndarray
+    ]  # from omega (rad/s) to L, (n, channels, channels)
     channels: int
     Ts: float  # s
 
@@ -45,7 +47,10 @@ class TwoSidedFilter:
         """Filter a signal of shape (..., time, channels)."""
         signal = arguments.array("signal", signal, (..., "time", self.channels))
         first, taps = self._taps
-        samples, n = signal.shape[-2], next_fast_len(signal.shape[-2] + len(taps), real=True)
+        samples, n = (
+            signal.shape[-2],
+            next_fast_len(signal.shape[-2] + len(taps), real=True),
+        )
         spectrum = rfft(taps, n, axis=0) @ rfft(signal, n, axis=-2)[..., None]
         filtered = np.roll(irfft(spectrum[..., 0], n, axis=-2), first, axis=-2)
         return filtered[..., :samples, :]

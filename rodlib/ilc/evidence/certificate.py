@@ -21,14 +21,21 @@ from rodlib.ilc.evidence.peak import (
 )
 from rodlib.ilc.evidence.robustness import WorstCase, worst_case
 from rodlib.ilc.filters import LearningFilter
-from rodlib.ilc.problem.problem import MOST_GAIN, Problem, Solution, largest_singular_values
+from rodlib.ilc.problem.problem import (
+    MOST_GAIN,
+    Problem,
+    Solution,
+    largest_singular_values,
+)
 
 # Relative duality gap, and relative violation of a bound on the grid, that are accepted.
 GAP = 1e-6
 VIOLATION = 1e-9
 # Share of 1 - sigma_max(M) that splines may miss: a narrow resonance shows little on its flanks.
 COARSE = 0.25
-BETWEEN = 1e-7  # relative violation between the frequencies, where the bounds hold there, too
+BETWEEN = (
+    1e-7  # relative violation between the frequencies, where the bounds hold there, too
+)
 NAMED = 4  # of those that are tied as the worst, so many are named
 
 
@@ -39,11 +46,17 @@ class Certificate:
     problem: Problem
     value: float  # the objective reached
     lower_bound: float  # what no such filter within the bounds can go below
-    nominal: np.ndarray  # (n,): sigma_max(M) of the nominal plant at the design frequencies
-    worst: WorstCase  # of all plants, within the radius, at each of the design frequencies
+    nominal: (
+        np.ndarray
+    )  # (n,): sigma_max(M) of the nominal plant at the design frequencies
+    worst: (
+        WorstCase  # of all plants, within the radius, at each of the design frequencies
+    )
     peak: Peak  # over all frequencies, without the radius, which is not known between the samples
     exact: Peak | None  # of the plants that are models, if Q is one, too
-    estimated: int  # for so many of the others, the worst on the grid, there is an estimate
+    estimated: (
+        int  # for so many of the others, the worst on the grid, there is an estimate
+    )
     beyond: Peak | None  # above the last sample, of the size that is assumed there
     grid_L: float  # peak of sigma_max(L) on the design grid
     passed_L: float  # the largest share of its bound that sigma_max(L) has there
@@ -56,8 +69,12 @@ class Certificate:
     noise: float = 0.0  # what of the value is the cost of noise
     new: float = 0.0  # RMS, in units of `scale`, of what is new in the measured outputs of a trial
     learned: float = 0.0  # and of what learning has made of that in all trials before
-    within: float = np.nan  # rate where commands have limits, by :func:`rodlib.update_within`
-    basis: tuple[str, ...] = ()  # what P and its radius rest on, and where they are of no use
+    within: float = (
+        np.nan
+    )  # rate where commands have limits, by :func:`rodlib.update_within`
+    basis: tuple[
+        str, ...
+    ] = ()  # what P and its radius rest on, and where they are of no use
 
     @property
     def grid_M(self) -> float:
@@ -93,7 +110,11 @@ class Certificate:
     @property
     def failures(self) -> list[str]:
         """What speaks against the filter; empty if it holds."""
-        (gap, violation), M_max, L_max = self.tolerances, self.problem.M_max, self.problem.L_max
+        (gap, violation), M_max, L_max = (
+            self.tolerances,
+            self.problem.M_max,
+            self.problem.L_max,
+        )
         high_L = L_max is not None and self.grid_L > L_max * (1 + violation)
         where = f" at its worst ({self._where})" if self.problem.robust else ""
         tests = {
@@ -109,13 +130,16 @@ class Certificate:
             most = 1 + violation + BETWEEN
             high_M = self.exact is not None and self.exact.sigma > M_max * most
             high_L = L_max is not None and self.all_L > L_max * most
-            passed = f"sigma_max(M) is {self.all_M:.12g}, sigma_max(L) {self.all_L:.12g}"
+            passed = (
+                f"sigma_max(M) is {self.all_M:.12g}, sigma_max(L) {self.all_L:.12g}"
+            )
             tests[f"{passed} at some frequency, above the bounds"] = high_M or high_L
         if at := self.unseen:
-            reached = (
-                f"sigma_max(M){self._whose(at)} reaches {at.sigma:.9g} at {at.omega:.6g} rad/s"
-            )
-            tests[f"{reached}, not in omega: Lemma 1 does not hold; add frequencies there"] = True
+            where = f"{at.sigma:.9g} at {at.omega:.6g} rad/s"
+            reached = f"sigma_max(M){self._whose(at)} reaches {where}"
+            tests[
+                f"{reached}, not in omega: Lemma 1 does not hold; add frequencies there"
+            ] = True
         if self.beyond and not self.problem.findings:
             reached = f"{self._above}, may reach {self.beyond.sigma:.4g}: Lemma 1 does not hold"
             tests[reached] = self.beyond.sigma >= 1
@@ -214,18 +238,25 @@ class Certificate:
         return [
             f"sigma_max(M){without} from {low:.4g} to {high:.4g} rad/s, between the samples: "
             f"{self.all_M:.4f}, estimated{of if estimated <= len(self.problem.others) else ''}",
-            *([f"{self._above}: {self.beyond.sigma:.4f} at most"] if self.beyond else []),
+            *(
+                [f"{self._above}: {self.beyond.sigma:.4f} at most"]
+                if self.beyond
+                else []
+            ),
             f"sigma_max(M) unknown: {', '.join([*unknown, 'at resonances that no sample shows'])}",
         ]
 
     def __repr__(self):
         problem = self.problem
-        compared = "" if problem.L_max else f" with a gain of Q P L up to {MOST_GAIN:.0e}"
+        compared = (
+            "" if problem.L_max else f" with a gain of Q P L up to {MOST_GAIN:.0e}"
+        )
         lines = [
             *self._table(),
             *self._on_the_grid(),
             *self._between_the_samples(),
-            *["bounds asked for at every frequency, not on the grid only"] * problem.everywhere,
+            *["bounds asked for at every frequency, not on the grid only"]
+            * problem.everywhere,
             f"objective {self.value:.7g}, no {problem.structure} filter of order {problem.order}"
             f"{compared} below {self.lower_bound:.7g}",
         ]
@@ -242,9 +273,13 @@ class Certificate:
             ]
         if self.samples:
             rest = f", the last {self.rest} at rest" if self.rest else ""
-            lines.append(f"norm of one trial of {self.samples} samples{rest}: {self.trial:.4f}")
+            lines.append(
+                f"norm of one trial of {self.samples} samples{rest}: {self.trial:.4f}"
+            )
         promise = "no rate" if self.within >= 1 else f"a rate of {self.within:.4f}"
-        lines.append(f"where commands have limits, by update_within: {promise}, without ends")
+        lines.append(
+            f"where commands have limits, by update_within: {promise}, without ends"
+        )
         lines += [*self.basis, *(f"WARNING: {text}" for text in self.warnings)]
         return "\n".join([*lines, *(f"FAILS: {text}" for text in self.failures)])
 
@@ -264,7 +299,10 @@ def certify(
     noise = problem.cost_of_noise(response)
     new, learned = _rms_of_noise(problem, response)
     value = problem.value(sigma_M, worst.sigma) + noise
-    exact, estimated = proven_peaks(problem, L), estimated_peaks(problem, L, worst.peaks)
+    exact, estimated = (
+        proven_peaks(problem, L),
+        estimated_peaks(problem, L, worst.peaks),
+    )
     return Certificate(
         problem,
         value,
@@ -279,10 +317,14 @@ def certify(
         problem.passed_L(response),
         peak_gain(learning_model(L))[0],
         tolerances=tolerances,
-        trial=np.nan if samples is None else trial_norm(*problem.model, L, samples, rest=rest)[0],
+        trial=np.nan
+        if samples is None
+        else trial_norm(*problem.model, L, samples, rest=rest)[0],
         samples=samples,
         rest=rest,
-        findings=tuple(findings(problem, value - noise)),  # noise is no error that is left
+        findings=tuple(
+            findings(problem, value - noise)
+        ),  # noise is no error that is left
         noise=noise,
         new=new,
         learned=learned,
@@ -299,7 +341,9 @@ def _within(problem, solution):
     return float(rates_within(P, problem.Q[asked], L).max())
 
 
-def checked_trial(problem: Problem, samples: int | None, rest: int) -> tuple[int | None, int]:
+def checked_trial(
+    problem: Problem, samples: int | None, rest: int
+) -> tuple[int | None, int]:
     """Length of a trial and of the rest at its end; a ValueError if it has no norm."""
     if samples is not None:
         samples = arguments.whole("samples", samples, 2)

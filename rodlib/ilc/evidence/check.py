@@ -14,7 +14,9 @@ from rodlib.ilc.problem.problem import Problem, tied
 class Check:
     """What a learning filter does on a plant. Made by :meth:`rodlib.Synthesis.check`."""
 
-    gamma: float  # largest sigma_max(M), of all plants within the radius: Lemma 1's rate
+    gamma: (
+        float  # largest sigma_max(M), of all plants within the radius: Lemma 1's rate
+    )
     omega: float  # where it is, rad/s
     spectral_radius: float  # largest |eigenvalue of M| on the grid, Delta = 0
     proven: bool  # whether gamma holds at all frequencies, not on the grid and by splines only
@@ -34,8 +36,16 @@ class Check:
     def __repr__(self):
         how = "diverges" if self.spectral_radius >= 1 else "need not converge"
         if self.converges:
-            how = "converges monotonically" if self.monotone else "converges, not monotonically"
-        known = "at all frequencies" if self.proven else "on the grid, and between by splines"
+            how = (
+                "converges monotonically"
+                if self.monotone
+                else "converges, not monotonically"
+            )
+        known = (
+            "at all frequencies"
+            if self.proven
+            else "on the grid, and between by splines"
+        )
         rate = (
             f"{how}: sigma_max(M) is {self.gamma:.4f} at most, at {self.omega:.4g} rad/s "
             f"({known}), |eigenvalue of M| {self.spectral_radius:.4f}"
@@ -57,6 +67,10 @@ def check(problem: Problem, L: LearningFilter) -> Check:
             gamma, omega = peak.sigma, peak.omega
     within = problem.radius is not None
     doubt = within or (beyond is not None and beyond.sigma >= 1)
-    basis = (*problem.basis, *problem.assumed, *(f"WARNING: {text}" for text in problem.doubts))
+    basis = (
+        *problem.basis,
+        *problem.assumed,
+        *(f"WARNING: {text}" for text in problem.doubts),
+    )
     proven = estimated is None and not within
     return Check(float(gamma), float(omega), float(radius), proven, doubt, basis)

@@ -57,7 +57,11 @@ def rate_within(P, Q, L: LearningOperator, omega, weight: float = WEIGHT) -> Rat
 def rates_within(P, Q, L, weight=WEIGHT) -> np.ndarray:
     """The singular values of :func:`rate_within`, shape (n,), from frequency responses."""
     I = np.eye(P.shape[1])  # noqa: E741
-    root = np.linalg.cholesky(P.conj().swapaxes(1, 2) @ P + weight * I).conj().swapaxes(1, 2)
+    root = (
+        np.linalg.cholesky(P.conj().swapaxes(1, 2) @ P + weight * I)
+        .conj()
+        .swapaxes(1, 2)
+    )
     T = Q[:, None, None] * (I - L @ P)
     return largest_singular_values(root @ T @ np.linalg.inv(root))
 

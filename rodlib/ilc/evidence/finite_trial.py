@@ -88,7 +88,11 @@ def impulse_response(P: control.StateSpace, samples: int) -> np.ndarray:
 
 
 def trial_map(
-    P: control.StateSpace, Q: ZeroPhaseButterworth, L: LearningFilter, samples: int, rest: int = 0
+    P: control.StateSpace,
+    Q: ZeroPhaseButterworth,
+    L: LearningFilter,
+    samples: int,
+    rest: int = 0,
 ) -> sparse.LinearOperator:
     """T = Q_N (I - L_N P_N): what a trial of the ILC law (23) makes of v_k - v_inf.
 
@@ -140,14 +144,22 @@ def trial_norm(
     if size <= LANCZOS:
         before = np.linalg.svd(T @ np.eye(size))[2][0]
     else:
-        start = np.random.default_rng(0).standard_normal(size)  # the same result in every run
+        start = np.random.default_rng(0).standard_normal(
+            size
+        )  # the same result in every run
         try:
             _, vectors = sparse.eigsh(T.H @ T, k=1, v0=start, tol=1e-8, ncv=LANCZOS)
         except sparse.ArpackNoConvergence as error:
-            raise RuntimeError(f"the Lanczos iteration did not converge: {error}") from error
+            raise RuntimeError(
+                f"the Lanczos iteration did not converge: {error}"
+            ) from error
         before = vectors[:, 0]
     after = T.matvec(before)
-    return float(np.linalg.norm(after)), before.reshape(samples, -1), after.reshape(samples, -1)
+    return (
+        float(np.linalg.norm(after)),
+        before.reshape(samples, -1),
+        after.reshape(samples, -1),
+    )
 
 
 def switched_on(
@@ -185,7 +197,12 @@ def _operator(apply, adjoint, samples, m):
         return matmat
 
     forward, backward = on_columns(apply), on_columns(adjoint)
-    acts = {"matvec": forward, "rmatvec": backward, "matmat": forward, "rmatmat": backward}
+    acts = {
+        "matvec": forward,
+        "rmatvec": backward,
+        "matmat": forward,
+        "rmatmat": backward,
+    }
     return sparse.LinearOperator((samples * m,) * 2, **acts, dtype=float)
 
 

@@ -109,12 +109,18 @@ def trial_noise(
     if disturbance is not None:
         if not loop.disturbances:
             raise ValueError("disturbance must be None: the loop has none")
-        flows = _through(G, _density("disturbance", disturbance, omega, len(loop.disturbances)))
+        flows = _through(
+            G, _density("disturbance", disturbance, omega, len(loop.disturbances))
+        )
         true, measured = true + flows, measured + flows
-    return TrialNoise(P, Spectrum(omega, loop.Ts, measured), Spectrum(omega, loop.Ts, true))
+    return TrialNoise(
+        P, Spectrum(omega, loop.Ts, measured), Spectrum(omega, loop.Ts, true)
+    )
 
 
-def converged_noise(new: TrialNoise, Q, L: LearningOperator, step: float = 1.0) -> LearnedNoise:
+def converged_noise(
+    new: TrialNoise, Q, L: LearningOperator, step: float = 1.0
+) -> LearnedNoise:
     """What is random in the error when all that comes again is learned.
 
     Parameters
@@ -171,7 +177,10 @@ def noise_by_trial(new: TrialNoise, Q, L: LearningOperator, step) -> list[Learne
         One for each trial. With steps that tend to zero, and whose sum has no limit, what is
         learned of noise tends to zero, if all eigenvalues of M have a real part below one.
     """
-    steps = [arguments.share(f"step[{k}]", a) for k, a in enumerate(arguments.row("step", step))]
+    steps = [
+        arguments.share(f"step[{k}]", a)
+        for k, a in enumerate(arguments.row("step", step))
+    ]
     M, QPL = _learning(new, Q, L)
     added = _through(QPL, new.measured.density)
     density = [np.zeros_like(added)]

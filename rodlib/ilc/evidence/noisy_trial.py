@@ -82,7 +82,9 @@ def noise_on_trial(
     noise = arguments.array("noise", noise, (...,))
     noise = arguments.array("noise", noise, (m,) if noise.ndim else ()) * np.ones(m)
     if noise.min() < 0:
-        raise ValueError(f"noise reaches {noise.min():g}, but a variance is not negative")
+        raise ValueError(
+            f"noise reaches {noise.min():g}, but a variance is not negative"
+        )
     h = impulse_response(closed, samples)
     P, T = h[..., :m], h[..., -m:] * np.sqrt(noise)
     X = T.copy()  # of x: the noise itself, and what the loop makes of it
@@ -93,7 +95,9 @@ def noise_on_trial(
         length = min(int(np.ceil(length)), samples)
         learned = _learned(P[:length], X[:length], law, trials)
         middle = learned[length * 3 // 8 : length * 5 // 8 + 1]
-        if length == samples or np.all(np.ptp(middle, axis=0) <= STILL * middle.mean(axis=0)):
+        if length == samples or np.all(
+            np.ptp(middle, axis=0) <= STILL * middle.mean(axis=0)
+        ):
             break
         length *= 2
     first = length // 2
@@ -103,7 +107,11 @@ def noise_on_trial(
     time = ("time", loop.Ts * np.arange(samples), {"units": "s"})
     return xr.Dataset(
         {name: (("time", "channel"), np.sqrt(each)) for name, each in power.items()},
-        {"time": time, "channel": np.arange(1, m + 1), "output": ("channel", loop.outputs)},
+        {
+            "time": time,
+            "channel": np.arange(1, m + 1),
+            "output": ("channel", loop.outputs),
+        },
     )
 
 
@@ -114,26 +122,40 @@ def _learned(P, X, law, trials):
     active = length - rest  # samples of v
     gain = Q.frequency_response(np.arange(active) * np.pi / (active * Q.Ts))
     count = max(np.flatnonzero(gain > FAINT).max() + 1, min(active, ALL))
-    cosines = np.pad(idct(np.eye(count, active), norm="ortho", axis=1), [(0, 0), (0, rest)])
+    cosines = np.pad(
+        idct(np.eye(count, active), norm="ortho", axis=1), [(0, 0), (0, rest)]
+    )
 
     def of_impulses(apply, channels, outputs):
         """`outputs` after a filter of impulses at all times in all channels, side by side."""
         parts = []
         for at in range(0, length * channels, SIDE_BY_SIDE):
-            one = np.eye(min(SIDE_BY_SIDE, length * channels - at), length * channels, at)
+            one = np.eye(
+                min(SIDE_BY_SIDE, length * channels - at), length * channels, at
+            )
             out = apply(one.reshape(len(one), length, -1))
             reached = out.any(axis=(0, 2))  # by a short filter few samples
             parts.append(np.tensordot(outputs[:, reached], out[:, reached], (1, 1)))
         return np.concatenate(parts, axis=1)
 
-    of_v = step * of_impulses(Q.apply, 1, cosines)[..., 0]  # what the law makes, in cosines, of v
-    of_e = of_impulses(L.apply, m, of_v).reshape(count, length, m, m).transpose(0, 3, 2, 1)
+    of_v = (
+        step * of_impulses(Q.apply, 1, cosines)[..., 0]
+    )  # what the law makes, in cosines, of v
+    of_e = (
+        of_impulses(L.apply, m, of_v).reshape(count, length, m, m).transpose(0, 3, 2, 1)
+    )
     of_e = of_e.reshape(count * m, m, length)  # and of e
     fast = next_fast_len(2 * length, real=True)
-    P, X = (rfft(each.transpose(2, 1, 0), fast) for each in (P, X))  # from, to, frequency
-    y = irfft(rfft(cosines, fast)[:, None, None] * P, fast)[..., :length].reshape(count * m, -1)
+    P, X = (
+        rfft(each.transpose(2, 1, 0), fast) for each in (P, X)
+    )  # from, to, frequency
+    y = irfft(rfft(cosines, fast)[:, None, None] * P, fast)[..., :length].reshape(
+        count * m, -1
+    )
     V, backward = np.zeros((count * m,) * 2), rfft(of_e[..., ::-1], fast)
-    for noise in X:  # of a sensor, from the last sample, which reaches least, to the first
+    for (
+        noise
+    ) in X:  # of a sensor, from the last sample, which reaches least, to the first
         added = irfft(np.einsum("cjf,jf->cf", backward, noise), fast)[:, :length]
         V += added @ added.T
     of_e = of_e.reshape(count * m, -1)

@@ -38,23 +38,36 @@ def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None, L=None) -> flo
     P, Q, angles = problem.P, problem.Q, problem.angles
     n, m, _ = P.shape
     T, N, turns = [-Q[:, None, None] * P], [U], [angles]
-    if V is not None:  # in units of the bound, so that both parts have the size of the objective
+    if (
+        V is not None
+    ):  # in units of the bound, so that both parts have the size of the objective
         W = problem.weight
         T, N = [*T, W], [*N, np.linalg.solve(W, V)]
         turns.append(angles)
     F = np.empty((0, m, m))
     if cuts is not None:
         F, slope = affine(problem, cuts.plant, cuts.frequency)
-        felt = np.abs(slope).max(axis=2, keepdims=True) > 0  # a row of G that is not zero
+        felt = (
+            np.abs(slope).max(axis=2, keepdims=True) > 0
+        )  # a row of G that is not zero
         T, N = [*T, slope], [*N, cuts.N * felt]
         turns.append(angles[cuts.frequency])
     noisy = problem.noise is not None and L is not None
     if noisy:
         weight = np.sqrt(problem.noise)
         slope = problem.passed
-        T, N, turns = [*T, slope], [*N, 2 * weight[:, None] * (slope @ L)], [*turns, angles]
-    angles = np.concatenate([np.repeat(t, X.shape[1]) for t, X in zip(turns, T, strict=True)])
-    T, N = (np.concatenate([X.reshape(-1, m) for X in parts]).astype(complex) for parts in (T, N))
+        T, N, turns = (
+            [*T, slope],
+            [*N, 2 * weight[:, None] * (slope @ L)],
+            [*turns, angles],
+        )
+    angles = np.concatenate(
+        [np.repeat(t, X.shape[1]) for t, X in zip(turns, T, strict=True)]
+    )
+    T, N = (
+        np.concatenate([X.reshape(-1, m) for X in parts]).astype(complex)
+        for parts in (T, N)
+    )
     for rows, columns in _groups(problem, noisy):
         part = T[:, rows]
         if noisy:  # the last rows, in the weight of this column
@@ -81,7 +94,9 @@ def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None, L=None) -> flo
         low = min(max(bound, 0) / (2 * noise), 1 / total)
         high = max((bound - total * problem.M_max) / (2 * noise), 1 / total)
         over = (high * total - 1) * problem.M_max
-        return float(max(0, low * bound - low**2 * noise, high * bound - high**2 * noise - over))
+        return float(
+            max(0, low * bound - low**2 * noise, high * bound - high**2 * noise - over)
+        )
     excess = np.maximum(norms[:n] - problem.in_band, 0).sum() + others
     return max(0.0, float(bound - problem.M_max * excess - noise))
 
@@ -122,10 +137,14 @@ def dual_norm(N) -> np.ndarray:
         c, _ = _costs(N[i], t)
         with np.errstate(divide="ignore", invalid="ignore"):
             slope = np.nan_to_num(np.log(c[0]) - np.log(c[1])) * share[i]
-        return np.where(np.abs(t) < FARTHEST, slope, -np.sign(t))  # or the best is beyond an end
+        return np.where(
+            np.abs(t) < FARTHEST, slope, -np.sign(t)
+        )  # or the best is beyond an end
 
     ends, exact = np.full(count, FARTHEST), {"fatol": CLOSE}
-    t = elementwise.find_root(slope, (-ends, ends), args=(np.arange(count),), tolerances=exact).x
+    t = elementwise.find_root(
+        slope, (-ends, ends), args=(np.arange(count),), tolerances=exact
+    ).x
     c, trace = _costs(N, t)
     return size * np.sqrt(c.max(axis=0) * trace)
 
@@ -136,7 +155,9 @@ def _costs(N, t):
     w = np.stack([1 / (1 + np.exp(-t)), 1 / (1 + np.exp(t))], axis=1)
     weighted = (np.sqrt(w)[..., None, None] * N).reshape(count, 2 * m, m)
     floor = np.broadcast_to(FAINT * np.eye(m), (count, m, m))
-    _, s, B = np.linalg.svd(np.concatenate([weighted, floor], axis=1), full_matrices=False)
+    _, s, B = np.linalg.svd(
+        np.concatenate([weighted, floor], axis=1), full_matrices=False
+    )
     inner = N @ B.conj().swapaxes(1, 2)[:, None] / np.sqrt(s)[:, None, None]
     return (np.abs(inner) ** 2).sum(axis=(2, 3)).T, s.sum(axis=1)
 

@@ -55,7 +55,12 @@ from scipy.linalg import matrix_balance, schur
 from rodlib.ilc import arguments
 from rodlib.ilc.filters import LearningFilter, ZeroPhaseButterworth
 from rodlib.ilc.models import by_substitution
-from rodlib.ilc.problem.problem import Problem, convergence_matrix, largest_singular_values, tied
+from rodlib.ilc.problem.problem import (
+    Problem,
+    convergence_matrix,
+    largest_singular_values,
+    tied,
+)
 
 MOST_POINTS = 2_000_000  # frequencies at which to give up
 CHUNK = 2**21  # numbers held at a time while frequency responses are computed
@@ -65,7 +70,9 @@ LOOKED_AT = 20  # sampled plants, the worst of them, that splines are laid throu
 
 
 def peak_gain(
-    system: control.StateSpace, Q: ZeroPhaseButterworth | None = None, tolerance: float = 1e-8
+    system: control.StateSpace,
+    Q: ZeroPhaseButterworth | None = None,
+    tolerance: float = 1e-8,
 ) -> tuple[float, float]:
     """Peak over all frequencies of Q sigma_max, as an upper bound with a proof, and where it is."""
     # Q is not made a part of the system: the poles of a filter of high order with a low cut-off lie
@@ -99,13 +106,18 @@ def peak_gain(
         if not left.size:
             closest = poles[np.argsort(-np.abs(poles))][:CLOSEST]
             doubtful = {place, *np.abs(np.angle(closest))}
-            highest = max(_rounded_up(*matrices, at) * _filter_rounded_up(Q, at) for at in doubtful)
+            highest = max(
+                _rounded_up(*matrices, at) * _filter_rounded_up(Q, at)
+                for at in doubtful
+            )
             if highest == np.inf:
                 raise RuntimeError(
                     f"the peak gain, {peak * u * v:.6g} as computed, cannot be told: system has a "
                     f"pole of modulus {radius:.17g}, which rounding could make unstable"
                 )
-            return float((bound + max(highest - peak, 0)) * u * v), float(place / system.dt)
+            return float((bound + max(highest - peak, 0)) * u * v), float(
+                place / system.dt
+            )
         middle = (left[0] + right[0]) / 2
         points += middle.size
         if points > MOST_POINTS or np.any((middle == left[0]) | (middle == right[0])):
@@ -147,7 +159,9 @@ def _gain_function(A, B, C, D, Q):
         step = max(1, CHUNK // B.size)
         parts = [np.exp(1j * theta[i : i + step]) for i in range(0, len(theta), step)]
         gains = [largest_singular_values(by_substitution(T, B, C, D, z)) for z in parts]
-        return np.concatenate(gains) * (1 if Q is None else Q.frequency_response(theta / Q.Ts))
+        return np.concatenate(gains) * (
+            1 if Q is None else Q.frequency_response(theta / Q.Ts)
+        )
 
     return np.concatenate([np.diag(T), [] if Q is None else Q.poles]), sigma
 
@@ -172,7 +186,9 @@ def _filter_rounded_up(Q, theta):
     """Upper bound of Q at one angle whatever the rounding; one if there is none."""
     if Q is None:
         return 1.0
-    polynomials = Q.sections.reshape(-1, 2, 3)  # numerator and denominator of each section
+    polynomials = Q.sections.reshape(
+        -1, 2, 3
+    )  # numerator and denominator of each section
     value = np.abs(polynomials @ np.exp(-1j * theta * np.arange(3)))
     error = 10 * np.finfo(float).eps * np.abs(polynomials).sum(axis=-1)
     most, least = value[:, 0] + error[:, 0], value[:, 1] - error[:, 1]
@@ -184,10 +200,14 @@ def balanced(A, B, C):
     # The error of a Schur form is relative to the largest entry of A. If one state is counted in
     # units of 1e-8, the others lose eight digits.
     A, B, C = (np.array(X, dtype=float) for X in (A, B, C))
-    size = np.pad(np.abs(A), (0, 1))  # with one row and column for what goes in and comes out
+    size = np.pad(
+        np.abs(A), (0, 1)
+    )  # with one row and column for what goes in and comes out
     size[:-1, -1], size[-1, :-1] = np.abs(B).max(axis=1), np.abs(C).max(axis=0)
     np.fill_diagonal(size, 0)  # which no unit changes
-    with np.errstate(invalid="ignore"):  # SciPy makes whole numbers of them, which are not used
+    with np.errstate(
+        invalid="ignore"
+    ):  # SciPy makes whole numbers of them, which are not used
         _, (scale, _) = matrix_balance(size, permute=False, separate=True)
     scale = scale[:-1] / scale[-1]
     return A * scale / scale[:, None], B / scale[:, None], C * scale
@@ -198,10 +218,16 @@ def learning_model(L: LearningFilter) -> control.StateSpace:
     # y(p) = c_nL e(p) + ... + c_1 e(p - nL + 1), with m (n_L - 1) states e(p - 1), e(p - 2) ...
     # A delay has gain one at every frequency, so it changes no singular value.
     m, _, order = L.coefficients.shape
-    newest_first = np.concatenate([L.coefficients[:, :, k] for k in range(order - 1, -1, -1)], 1)
+    newest_first = np.concatenate(
+        [L.coefficients[:, :, k] for k in range(order - 1, -1, -1)], 1
+    )
     states = m * (order - 1)
     return control.ss(
-        np.eye(states, k=-m), np.eye(states, m), newest_first[:, m:], newest_first[:, :m], L.Ts
+        np.eye(states, k=-m),
+        np.eye(states, m),
+        newest_first[:, m:],
+        newest_first[:, :m],
+        L.Ts,
     )
 
 
@@ -212,12 +238,17 @@ def error_model(P: control.StateSpace, L: LearningFilter) -> control.StateSpace:
     # L in a unit that makes its taps of order one, and P in its inverse, so that the entries of A
     # below are, too; see :func:`balanced`.
     unit = 2.0 ** np.round(np.log2(np.abs(L.coefficients).max() or 1))
-    taps, chain = learning_model(LearningFilter(L.coefficients / unit, L.Ts)), m * L.order
+    taps, chain = (
+        learning_model(LearningFilter(L.coefficients / unit, L.Ts)),
+        m * L.order,
+    )
     P_C, P_D = unit * P.C, unit * P.D
     taps_C = np.hstack([taps.C, np.zeros((m, m))])
     delay_C = np.eye(m, chain, k=chain - m)
     return control.ss(
-        np.block([[np.eye(chain, k=-m), np.zeros((chain, P.nstates))], [P.B @ taps_C, P.A]]),
+        np.block(
+            [[np.eye(chain, k=-m), np.zeros((chain, P.nstates))], [P.B @ taps_C, P.A]]
+        ),
         np.vstack([np.eye(chain, m), P.B @ taps.D]),
         np.hstack([delay_C - P_D @ taps_C, -P_C]),
         -P_D @ taps.D,
@@ -232,7 +263,9 @@ class Peak:
     sigma: float  # an upper bound to 1e-8 if proven
     omega: float  # where it is, rad/s
     plant: int  # whose it is; of those that are tied, the first
-    missed: float = np.nan  # the most that splines miss of M at samples left out; NaN if proven
+    missed: float = (
+        np.nan
+    )  # the most that splines miss of M at samples left out; NaN if proven
 
 
 def proven_peaks(problem: Problem, L) -> list[Peak]:
@@ -278,10 +311,14 @@ def peaks_between(problem: Problem, L, numbers) -> list[Peak]:
         return []
     known, omega = problem.asked, problem.omega[problem.asked]
     steps = np.linspace(0, 1, DENSER, endpoint=False)
-    dense = np.append((omega[:-1, None] + np.diff(omega)[:, None] * steps).ravel(), omega[-1])
+    dense = np.append(
+        (omega[:-1, None] + np.diff(omega)[:, None] * steps).ravel(), omega[-1]
+    )
     responses = L.frequency_response(omega), dense, L.frequency_response(dense)
     Q = problem.Q[known]
-    return [_peak_between(k, problem.plant(k)[known], Q, omega, *responses) for k in numbers]
+    return [
+        _peak_between(k, problem.plant(k)[known], Q, omega, *responses) for k in numbers
+    ]
 
 
 def _peak_between(number, P, Q, omega, response, dense, dense_response):
@@ -303,7 +340,9 @@ def spline_scale(P, Q, omega, response):
             out = np.arange(first, len(omega) - 1, 2)
             rest = np.delete(np.arange(len(omega)), out)
             foretold = splined(P[rest], Q[rest], omega[rest], omega[out], scale)
-            miss = largest_singular_values(convergence_matrix(*foretold, response[out]) - M[out])
+            miss = largest_singular_values(
+                convergence_matrix(*foretold, response[out]) - M[out]
+            )
             missed[scale] = max(missed[scale], miss.max(initial=0))
     return min(missed.items(), key=lambda item: item[1])
 

@@ -22,11 +22,21 @@ class WorstCase:
     """The worst case of sigma_max(M) at each frequency. Made by :func:`worst_case`."""
 
     sigma: np.ndarray  # (n,): an upper bound for all plants k and all Delta
-    attained: np.ndarray  # (n,): what it is for the plant and the Delta below; `sigma`, but rounded
-    plant: np.ndarray  # (n,): number of the worst plant, 0 for the nominal one; of tied ones, first
-    Delta: np.ndarray | None  # (n, m, m): within the radius, in units of `scale`; None without one
-    peaks: np.ndarray  # (1 + others,): largest sigma_max(M) of each plant by itself, Delta = 0
-    tied: tuple[tuple[int, int], ...]  # plants and indices of frequencies of the worst of all
+    attained: (
+        np.ndarray
+    )  # (n,): what it is for the plant and the Delta below; `sigma`, but rounded
+    plant: (
+        np.ndarray
+    )  # (n,): number of the worst plant, 0 for the nominal one; of tied ones, first
+    Delta: (
+        np.ndarray | None
+    )  # (n, m, m): within the radius, in units of `scale`; None without one
+    peaks: (
+        np.ndarray
+    )  # (1 + others,): largest sigma_max(M) of each plant by itself, Delta = 0
+    tied: tuple[
+        tuple[int, int], ...
+    ]  # plants and indices of frequencies of the worst of all
 
 
 def worst_case(problem: Problem, L: LearningFilter) -> WorstCase:
@@ -64,7 +74,9 @@ def worst_case(problem: Problem, L: LearningFilter) -> WorstCase:
     t = _balance(stacked(problem, plant, at, response))[0]
     sigma = _bound(stacked(problem, plant, at, response), t)
     # Any t gives an upper bound: those plants that it leaves in doubt are looked at themselves.
-    each = (stacked(problem, np.full(len(at), k), at, response) for k in range(len(nominal)))
+    each = (
+        stacked(problem, np.full(len(at), k), at, response) for k in range(len(nominal))
+    )
     limits = np.array([_bound(G, t) for G in each])
     while np.any(limits > sigma):
         [at] = np.nonzero(limits.max(axis=0) > sigma)
@@ -76,7 +88,9 @@ def worst_case(problem: Problem, L: LearningFilter) -> WorstCase:
         plant[at[worse]], sigma[at[worse]] = number[worse], value[worse]
     Delta, attained = _worst_Delta(problem, plant, response)
     [at] = np.nonzero(tied(sigma))
-    each = [stacked(problem, np.full(len(at), k), at, response) for k in range(len(nominal))]
+    each = [
+        stacked(problem, np.full(len(at), k), at, response) for k in range(len(nominal))
+    ]
     of_all = np.array([_bound(G, _balance(G)[0]) for G in each])
     return WorstCase(sigma, attained, plant, Delta, peaks, _pairs(of_all, at))
 
@@ -120,14 +134,20 @@ def _balance(G):
     """The best t = log((1 - alpha) / alpha), and neighbours below and above it."""
 
     def imbalance(t, i):
-        first, second = np.linalg.norm(_images(G[i], _most_amplified(G[i], t)), axis=2).T
+        first, second = np.linalg.norm(
+            _images(G[i], _most_amplified(G[i], t)), axis=2
+        ).T
         with np.errstate(divide="ignore", invalid="ignore"):
             wanted = np.log(second) - np.log(first)
         return t - np.clip(np.nan_to_num(wanted), -FARTHEST, FARTHEST)
 
     ends = np.full(len(G), FARTHEST + 1)
-    with np.errstate(invalid="ignore"):  # a bracket at rounding level, which is then halved
-        root = elementwise.find_root(imbalance, (-ends, ends), args=(np.arange(len(G)),))
+    with np.errstate(
+        invalid="ignore"
+    ):  # a bracket at rounding level, which is then halved
+        root = elementwise.find_root(
+            imbalance, (-ends, ends), args=(np.arange(len(G)),)
+        )
     return root.x, *np.clip(root.bracket, root.x - NEXT, root.x + NEXT)
 
 

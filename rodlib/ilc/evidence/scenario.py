@@ -18,8 +18,13 @@ from scipy.special import betainc, betaln, expit, log_expit
 from rodlib.ilc import arguments
 from rodlib.ilc.problem.problem import Solution
 
-NEEDED = 1e-9  # share of all multipliers from which on a plant counts as one that was needed
-FARTHEST = (-700.0, 36.0)  # logarithms of the odds of a violation, as far as doubles tell them
+NEEDED = (
+    1e-9  # share of all multipliers from which on a plant counts as one that was needed
+)
+FARTHEST = (
+    -700.0,
+    36.0,
+)  # logarithms of the odds of a violation, as far as doubles tell them
 
 
 def scenario_bound(samples: int, support: int, beta: float = 1e-6) -> float:
@@ -35,7 +40,11 @@ def scenario_bound(samples: int, support: int, beta: float = 1e-6) -> float:
         with np.errstate(divide="ignore"):
             left = np.log(beta / (samples + 1)) + np.log(betainc(after, samples - support + 1,
                                                                  expit(odds)))  # fmt: skip
-        right = log_binomial + after * log_expit(odds) + (samples - support) * log_expit(-odds)
+        right = (
+            log_binomial
+            + after * log_expit(odds)
+            + (samples - support) * log_expit(-odds)
+        )
         return left - right
 
     return float(expit(bisect(excess, *FARTHEST, xtol=1e-13)))
@@ -74,7 +83,9 @@ def violation_probability(design, beta: float = 1e-6) -> float:
         Bound on the probability that sigma_max(M) of the new plant exceeds, at a design frequency,
         the largest that the certificate says.
     """
-    solution = arguments.instance("design.solution", getattr(design, "solution", None), Solution)
+    solution = arguments.instance(
+        "design.solution", getattr(design, "solution", None), Solution
+    )
     beta = arguments.number("beta", beta, "in (0, 1)", 0, 1)
     samples = len(design.problem.others)
     if not samples:

@@ -18,10 +18,18 @@ def named_limits(
     for key, given in arguments.by_name(name, limits, names).items():
         called = f"{name}[{key!r}]"
         with_rate = rated and np.shape(given) == (3,)
-        low, high, *rate = arguments.array(called, given, (3 if with_rate else 2,)).tolist()
+        low, high, *rate = arguments.array(
+            called, given, (3 if with_rate else 2,)
+        ).tolist()
         if not low < high:
-            raise ValueError(f"{called} = {given!r} must be a lower and a higher number")
-        found[key] = low, high, *(arguments.positive(f"{called}[2]", one) for one in rate)
+            raise ValueError(
+                f"{called} = {given!r} must be a lower and a higher number"
+            )
+        found[key] = (
+            low,
+            high,
+            *(arguments.positive(f"{called}[2]", one) for one in rate),
+        )
     return found
 
 
@@ -59,7 +67,10 @@ class Actuators:
         """What becomes of one command, after what was applied before it."""
         low, high = self.lowest, self.highest
         if before is not None:
-            low, high = np.maximum(low, before - self.step), np.minimum(high, before + self.step)
+            low, high = (
+                np.maximum(low, before - self.step),
+                np.minimum(high, before + self.step),
+            )
         return np.minimum(np.maximum(command, low), high)
 
     def follow(self, commands) -> np.ndarray:

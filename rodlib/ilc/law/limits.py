@@ -89,7 +89,9 @@ def projected(v, e, commands, Q, L, loop, actuators, rest, step):
         return update(v, e, Q, L, rest, step)
     v, applied = realised(loop, v, *commands), commands[1]
     wanted = update(v, e, Q, L, rest, step)
-    return _nearest(loop, actuators, v, applied, wanted, getattr(L, "weight", WEIGHT), rest)
+    return _nearest(
+        loop, actuators, v, applied, wanted, getattr(L, "weight", WEIGHT), rest
+    )
 
 
 def realised(loop: Loop, v, u, applied) -> np.ndarray:
@@ -104,7 +106,9 @@ def realised(loop: Loop, v, u, applied) -> np.ndarray:
     try:
         return v + cut @ np.linalg.inv(loop.N).T
     except np.linalg.LinAlgError:
-        raise ValueError("loop.N is singular: its commands do not tell what w would do") from None
+        raise ValueError(
+            "loop.N is singular: its commands do not tell what w would do"
+        ) from None
 
 
 def _nearest(loop, actuators, v, applied, wanted, weight, rest):
@@ -114,7 +118,9 @@ def _nearest(loop, actuators, v, applied, wanted, weight, rest):
         return np.append(v[: len(v) - rest], np.zeros((rest, v.shape[1])), axis=0)
     P, m = loop.P, len(loop.outputs)
     own = isinstance(loop, ClosedLoop)
-    K, N = (np.zeros((m, P.nstates)), np.eye(m)) if own else (-loop.Ks, loop.N)  # from w to u
+    K, N = (
+        (np.zeros((m, P.nstates)), np.eye(m)) if own else (-loop.Ks, loop.N)
+    )  # from w to u
     active = len(v) - rest
     change = wanted - v
     x = state_sequence(P.A, change @ P.B.T, np.zeros(P.nstates))
@@ -131,7 +137,10 @@ def _nearest(loop, actuators, v, applied, wanted, weight, rest):
     linear = -np.hstack([x, x @ K.T + change @ N.T]) @ square
     moves = sparse.kron(one, X) - sparse.kron(earlier, following)
     still = sparse.kron(one, V).tocsr()[active * m :]
-    F, equal = sparse.vstack([moves, still]), np.append(np.zeros(moves.shape[0]), -v[active:])
+    F, equal = (
+        sparse.vstack([moves, still]),
+        np.append(np.zeros(moves.shape[0]), -v[active:]),
+    )
 
     # How far commands, and their steps, may go from those applied, before the rest.
     applied, step = applied[:active], actuators.step[None, :]

@@ -13,7 +13,9 @@ from rodlib.ilc.rigs.limits import commands_beyond
 
 DRIFT = 3.0  # standard deviations without it, from which a drift is reported
 SURE = 1e-3  # probability of a false report
-FAIR = 1.2  # of a radius may be missed, as half of the lines are asked for more than all
+FAIR = (
+    1.2  # of a radius may be missed, as half of the lines are asked for more than all
+)
 BY_LINE = ("omega", "response", "noise", "spread", "freedom")  # of a measured response
 
 
@@ -106,9 +108,13 @@ def _sparse(measured):
     worst, report = 0.0, None
     for odd in (0, 1):
         kept = (number % 2 == odd) | (number == 0) | (number == n - 1)
-        half = replace(measured, **{name: getattr(measured, name)[kept] for name in BY_LINE})
+        half = replace(
+            measured, **{name: getattr(measured, name)[kept] for name in BY_LINE}
+        )
         foretold, radius = half.on(measured.omega, 1 - SURE)
-        radius = maximum_filter1d(radius, 5)  # which by itself is small where P hardly bends
+        radius = maximum_filter1d(
+            radius, 5
+        )  # which by itself is small where P hardly bends
         off = np.linalg.norm(foretold - measured.response, 2, axis=(1, 2))
         excess = off - FAIR * (radius + own)
         k = excess.argmax()

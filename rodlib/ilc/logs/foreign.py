@@ -97,14 +97,25 @@ def read_table(
     wanted = {title: asked for title, asked in wanted.items() if asked[1] is not None}
     for word, column in wanted.values():
         if not isinstance(column, str | int) or isinstance(column, bool):
-            raise ValueError(f"{word} = {reprlib.repr(column)} must be a title or a number")
+            raise ValueError(
+                f"{word} = {reprlib.repr(column)} must be a title or a number"
+            )
     if Ts is not None:
         Ts = arguments.sampling_period("Ts", Ts)
     elif time is None:
-        raise ValueError("Ts = None must be a sampling period in seconds where no time is given")
-    names = [name for word, (_, role) in COLUMNS.items() if role for name in given[word] or ()]
+        raise ValueError(
+            "Ts = None must be a sampling period in seconds where no time is given"
+        )
+    names = [
+        name
+        for word, (_, role) in COLUMNS.items()
+        if role
+        for name in given[word] or ()
+    ]
     if len(set(names)) < len(names):
-        raise ValueError("outputs, inputs, disturbances and measured must have different names")
+        raise ValueError(
+            "outputs, inputs, disturbances and measured must have different names"
+        )
     labels = arguments.by_name("units", units, [*names, "time"])
     check("units", labels)
     resample = arguments.flag("resample", resample)
@@ -116,13 +127,18 @@ def read_table(
 
     table, labels = _read(source, content, wanted, labels, resample)
     if time is None:
-        starts, rows = sampling.starts_of(table.column("trial")), np.arange(len(table.lines))
+        starts, rows = (
+            sampling.starts_of(table.column("trial")),
+            np.arange(len(table.lines)),
+        )
         passed = Ts * (rows - starts[np.searchsorted(starts, rows, "right") - 1])
         table.add("time", passed)
     for name in outputs if reference and not v else ():
         table.add(f"v_{name}", np.zeros(len(table.lines)))
     if Ts is None and (Ts := sampling.period_of(table)) is None:
-        raise LogError(f"{source}: time: the clock stands still, or there is one row: state Ts")
+        raise LogError(
+            f"{source}: time: the clock stands still, or there is one row: state Ts"
+        )
     signals = {}
     for word, (start, role) in COLUMNS.items():
         for name in (given[word] or ()) if role else ():
@@ -156,7 +172,9 @@ def _wanted(given):
         )
     for word in ("reference", "v"):
         if given[word] is not None and {*given[word]} != {*outputs}:
-            raise ValueError(f"{word} is of {[*given[word]]}, but outputs are {[*outputs]}")
+            raise ValueError(
+                f"{word} is of {[*given[word]]}, but outputs are {[*outputs]}"
+            )
     if given["v"] is not None and given["reference"] is None:
         raise ValueError("v is given, but no reference, to which it was added")
     return wanted
@@ -191,7 +209,8 @@ def _read(source, content, wanted, labels, resample):
     table.header, table.columns = [*places], table.columns[:, whole]
     table.lines = np.array(table.lines)[whole]
     units = {
-        title: labels.get(title.partition("_")[2], laid.unit(places[title])) for title in places
+        title: labels.get(title.partition("_")[2], laid.unit(places[title]))
+        for title in places
     }
     if "trial" not in places:
         table.add("trial", np.ones(len(table.lines)))
@@ -199,7 +218,9 @@ def _read(source, content, wanted, labels, resample):
         table.column("trial")[:] += 1
     if "time" in places and not laid.dated[places["time"]]:
         try:
-            table.column("time")[:] *= seconds(labels.get("time") or units["time"] or "s")
+            table.column("time")[:] *= seconds(
+                labels.get("time") or units["time"] or "s"
+            )
         except ValueError as error:
             raise LogError(f"{source}: time = {wanted['time'][1]!r}: {error}") from None
     return table, units

@@ -15,7 +15,9 @@ from rodlib.ilc.units import is_known
 DELIMITERS = ("\t", ";", "|", ",", " ")
 MARKS = "#%/!"  # with which comments begin
 LOOKED_AT = 200  # rows, to see how a table is laid out
-TIME = re.compile(r"(\d{4}-\d\d-\d\d([T ]|$))?(\d+:\d\d(:\d\d(\.\d*)?)?(Z|[+-]\d\d:?\d\d)?)?")
+TIME = re.compile(
+    r"(\d{4}-\d\d-\d\d([T ]|$))?(\d+:\d\d(:\d\d(\.\d*)?)?(Z|[+-]\d\d:?\d\d)?)?"
+)
 DAY = 86400.0  # s
 UNIT = re.compile(r"(.*\S)\s*[(\[]([^()\[\]]*)[)\]]")  # "Heater 1 (%)", "Time [s]"
 
@@ -25,7 +27,9 @@ def text_of(content: bytes) -> str:
     if content.startswith((BOM_UTF16_LE, BOM_UTF16_BE)):
         encoding = "utf-16"
     elif b"\0" in content:
-        raise ValueError("is no text: let pandas read it, and pass what it gives as path")
+        raise ValueError(
+            "is no text: let pandas read it, and pass what it gives as path"
+        )
     else:
         encoding = "utf-8-sig"
     try:
@@ -53,7 +57,9 @@ class Layout:
                 return column
             raise ValueError(f"must be from 0 to {width - 1}, as the rows have {width}")
         if self.titles is None:
-            raise ValueError(f"is no column: no line of {width} titles is there; number them")
+            raise ValueError(
+                f"is no column: no line of {width} titles is there; number them"
+            )
         for titles in (self.titles, [_parts(title)[0] for title in self.titles]):
             if titles.count(column) == 1:
                 return titles.index(column)
@@ -73,7 +79,9 @@ class Layout:
 
     def body(self, lines, clock) -> str:
         """The rows without comments, and with seconds where dates or times stand in `clock`."""
-        body = ["" if text.lstrip()[:1] in MARKS else text for text in lines[self.first :]]
+        body = [
+            "" if text.lstrip()[:1] in MARKS else text for text in lines[self.first :]
+        ]
         if self.delimiter == " ":
             body = [" ".join(text.split()) for text in body]
         if clock is None or not self.dated[clock]:
@@ -84,7 +92,9 @@ class Layout:
         for (k, row), t in zip(rows.items(), passed, strict=True):
             if np.isfinite(t):
                 row[clock] = repr(t).replace(".", self.decimal)
-                marked = [f'"{entry}"' if self.delimiter in entry else entry for entry in row]
+                marked = [
+                    f'"{entry}"' if self.delimiter in entry else entry for entry in row
+                ]
                 body[k] = self.delimiter.join(marked)
         return "\n".join(body)
 
@@ -115,23 +125,36 @@ def _split(text, delimiter):
 
 def _counts(entry, decimal):
     """Whether an entry is a number or a time."""
-    return bool(np.isfinite(number(entry, decimal)) or (entry and TIME.fullmatch(entry)))
+    return bool(
+        np.isfinite(number(entry, decimal)) or (entry and TIME.fullmatch(entry))
+    )
 
 
 def layout_of(lines: list[str]) -> Layout:
     """The layout in which most of what the first rows hold are numbers."""
-    rows = [k for k, text in enumerate(lines) if text.strip() and text.lstrip()[0] not in MARKS]
+    rows = [
+        k
+        for k, text in enumerate(lines)
+        if text.strip() and text.lstrip()[0] not in MARKS
+    ]
     some, best, found = rows[:LOOKED_AT], (0.0, False), None
     for delimiter in DELIMITERS:
-        split = [_split(lines[k], delimiter) for k in some[len(some) // 2 :]]  # below the titles
+        split = [
+            _split(lines[k], delimiter) for k in some[len(some) // 2 :]
+        ]  # below the titles
         width = Counter(map(len, split)).most_common(1)[0][0] if split else 0
         alike = [row for row in split if len(row) == width]
         for decimal in (".", ",")[: 1 + (delimiter != ",")]:
-            numbers = np.array([[_counts(entry, decimal) for entry in row] for row in alike])
+            numbers = np.array(
+                [[_counts(entry, decimal) for entry in row] for row in alike]
+            )
             filled = sum(entry != "" for row in alike for entry in row)
             share = numbers.sum() * len(alike) / max(filled * len(split), 1)
             if share and (share, width > 1) > best:
-                best, found = (share, width > 1), (delimiter, decimal, numbers.mean(0) >= 0.5)
+                best, found = (
+                    (share, width > 1),
+                    (delimiter, decimal, numbers.mean(0) >= 0.5),
+                )
     if found is None:
         raise ValueError("no rows of numbers are found")
     delimiter, decimal, numeric = found
@@ -139,12 +162,18 @@ def layout_of(lines: list[str]) -> Layout:
 
     def row(k):
         found = _split(lines[k].lstrip().lstrip(MARKS), delimiter)
-        if len(found) == width - 1:  # a delimiter at the end of rows, or a row has a name
+        if (
+            len(found) == width - 1
+        ):  # a delimiter at the end of rows, or a row has a name
             return ["", *found] if numeric[-1] else [*found, ""]
         return found
 
     def holds(k):
-        found = [_counts(entry, decimal) for entry, n in zip(row(k), numeric, strict=False) if n]
+        found = [
+            _counts(entry, decimal)
+            for entry, n in zip(row(k), numeric, strict=False)
+            if n
+        ]
         return len(row(k)) == width and any(found) and all(found)
 
     first = next((k for k in rows if holds(k)), rows[0])

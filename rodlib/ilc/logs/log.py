@@ -69,7 +69,9 @@ def _missing_between(numbers: Sequence[int]) -> str | None:
     gaps = [range(a + 1, b) for a, b in pairwise(numbers)]
     if not any(gaps) or any(b <= a for a, b in pairwise(numbers)):
         return None
-    which = ", ".join(f"{g[0]} to {g[-1]}" if len(g) > 1 else f"{g[0]}" for g in few(gaps) if g)
+    which = ", ".join(
+        f"{g[0]} to {g[-1]}" if len(g) > 1 else f"{g[0]}" for g in few(gaps) if g
+    )
     return (
         f"trial {which} is missing between others: whether the trials follow from each other by "
         "the law, and converge, cannot be told across a gap"
@@ -114,13 +116,21 @@ def save_log(trials: xr.Dataset, path) -> None:
             raise ValueError(f"trials have values that are not finite in {title!r}")
     lines = [f"# {key}: {value}\n" for key, value in metadata.items()]
     header = ",".join(tables.quoted(title) for title in columns)
-    write_pieces(path, ["".join([*lines, header, "\n"]).encode(), tables.rows([*columns.values()])])
+    write_pieces(
+        path,
+        ["".join([*lines, header, "\n"]).encode(), tables.rows([*columns.values()])],
+    )
 
 
 def signals_of(trials: xr.Dataset, *needed: str) -> dict[str, dict[str, str]]:
     """Names and units of the signals, by role, as the metadata say it, if all are there."""
     roles = dict.fromkeys(role for signal, role in SIGNALS.items() if signal in trials)
-    needed += ("y", "trial", "time", *(role + end for role in roles for end in ("", "_unit")))
+    needed += (
+        "y",
+        "trial",
+        "time",
+        *(role + end for role in roles for end in ("", "_unit")),
+    )
     together = next(group for group in OPTIONAL if "v" in group)
     needed += together if any(name in trials for name in together) else ()
     missing = [name for name in dict.fromkeys(needed) if name not in trials.variables]
@@ -128,11 +138,18 @@ def signals_of(trials: xr.Dataset, *needed: str) -> dict[str, dict[str, str]]:
         raise ValueError(f"trials lack {missing}: see rodlib.ilc.trials.run.dataset")
     signals = {}
     for role in roles:
-        names, own = trials[role].values.tolist(), trials[f"{role}_unit"].values.tolist()
+        names, own = (
+            trials[role].values.tolist(),
+            trials[f"{role}_unit"].values.tolist(),
+        )
         signals[ROLES[role]] = dict(zip(names, own, strict=True))
-        plain = all(isinstance(name, str) and name.isprintable() and name for name in names)
+        plain = all(
+            isinstance(name, str) and name.isprintable() and name for name in names
+        )
         if not plain or len(set(names)) < len(names):
-            raise ValueError(f"{role} = {few(names)} must be different names, all printable")
+            raise ValueError(
+                f"{role} = {few(names)} must be different names, all printable"
+            )
     for name, unit in stated.units_of(signals).items():
         units.understood(name, unit)
     _check_errors(trials)
@@ -149,7 +166,10 @@ def _check_errors(trials):
         due = reference - y
         if abs(e - due).max() <= near:
             return
-        for likely, other in (("it has the wrong sign", -e), ("it is exchanged with v", v)):
+        for likely, other in (
+            ("it has the wrong sign", -e),
+            ("it is exchanged with v", v),
+        ):
             if abs(other - due).max() <= near:
                 raise ValueError(f"trials.e is not reference - y: likely {likely}")
 
@@ -163,9 +183,15 @@ def _load(path, ended=False, resample=False):
         raise LogError(f"{path}: cannot be read as text: {error}") from None
     problems, metadata = table.problems, table.metadata
     if metadata.get("format") != FORMAT:
-        hint = "rodlib.load_law reads laws" if content.lstrip().startswith(b"{") else FOREIGN
+        hint = (
+            "rodlib.load_law reads laws"
+            if content.lstrip().startswith(b"{")
+            else FOREIGN
+        )
         found = metadata.get("format")
-        problems.append(f"metadata: format is {found!r}, but must be {FORMAT!r}: {hint}")
+        problems.append(
+            f"metadata: format is {found!r}, but must be {FORMAT!r}: {hint}"
+        )
     refuse(path, problems)  # all further ones would follow from these
     signals, titles = stated.columns_of(table)
     refuse(path, problems)
@@ -194,7 +220,9 @@ def content_of(path) -> bytes:
         raise LogError(f"{path}: cannot be read: {error}") from None
 
 
-def trials_of(source, table, signals, Ts, notes, resample=False, anywhere=False) -> xr.Dataset:
+def trials_of(
+    source, table, signals, Ts, notes, resample=False, anywhere=False
+) -> xr.Dataset:
     """The trials in a table with the columns of a log, and the time in s."""
     titles, notes = stated.titles_of(signals, table.header), dict(notes)
     if resample:
@@ -207,7 +235,9 @@ def trials_of(source, table, signals, Ts, notes, resample=False, anywhere=False)
         notes["clock"] = clock
     read = {}
     for title, signal in titles.items():
-        read.setdefault(signal, []).append(table.column(title).reshape(len(numbers), -1))
+        read.setdefault(signal, []).append(
+            table.column(title).reshape(len(numbers), -1)
+        )
     read = {signal: np.stack(each, 2) for signal, each in read.items()}
     *names, sensors = ([*signals.get(key, {})] for key in ROLES.values())
     trials = dataset(Ts, *names, stated.units_of(signals), sensors, **read)
@@ -236,13 +266,17 @@ def _notes(attributes):
             continue
         plain = isinstance(key, str) and re.fullmatch(r"[^\s:#]([^:]*[^\s:])?", key)
         if not (plain and key.isprintable()) or key in OWN:
-            raise ValueError(f"attribute {key!r} cannot be a line of the log: rename it")
+            raise ValueError(
+                f"attribute {key!r} cannot be a line of the log: rename it"
+            )
         value = _as_text(value) if isinstance(value, date | np.datetime64) else value
         line = isinstance(value, str) and value.isprintable() and value == value.strip()
         try:
             notes[key] = value if line else json.dumps(value, default=_as_text)
         except (TypeError, ValueError) as error:
-            raise ValueError(f"attribute {key!r} cannot be a line of the log: {error}") from None
+            raise ValueError(
+                f"attribute {key!r} cannot be a line of the log: {error}"
+            ) from None
     return notes
 
 
@@ -254,16 +288,22 @@ def _as_text(value):
         return value.isoformat()
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
-    raise TypeError(f"{reprlib.repr(value)} is neither text, a number, a time nor a list of them")
+    raise TypeError(
+        f"{reprlib.repr(value)} is neither text, a number, a time nor a list of them"
+    )
 
 
 def _counters(trials, Ts):
     """The columns trial and time."""
-    numbers = [arguments.whole("trials.trial", k, 1, 2**31) for k in trials.trial.values]
+    numbers = [
+        arguments.whole("trials.trial", k, 1, 2**31) for k in trials.trial.values
+    ]
     if not numbers or not trials.sizes["time"]:
         raise ValueError("trials have no samples")
     if len(set(numbers)) < len(numbers):
-        raise ValueError(f"trials.trial = {few(numbers)} must be numbers, none of them twice")
+        raise ValueError(
+            f"trials.trial = {few(numbers)} must be numbers, none of them twice"
+        )
     time = np.asarray(trials.time.values, dtype=float)
     if sampling.off(time, Ts).any():
         raise ValueError(f"trials.time must be 0, Ts, 2 Ts, ... with Ts = {Ts} s")

@@ -13,7 +13,12 @@ import xarray as xr
 
 from rodlib.ilc import arguments
 from rodlib.ilc.files import read_json, write_whole
-from rodlib.ilc.filters import LearningFilter, LearningOperator, ZeroPhaseButterworth, check_Q
+from rodlib.ilc.filters import (
+    LearningFilter,
+    LearningOperator,
+    ZeroPhaseButterworth,
+    check_Q,
+)
 from rodlib.ilc.law.actuators import named_limits
 from rodlib.ilc.logs.log import LogError
 from rodlib.ilc.loop.closed import ClosedLoop, CurrentTrialLoop, Loop, check_loop
@@ -22,8 +27,16 @@ from rodlib.ilc.measurement.excitation import Excitation
 FORMAT = "rodlib law 1"  # of the file
 LAW = ("Q", "L", "rest", "step", "actuators")  # the keys of the notes of a law
 MADE_BY = (*LAW, "excitation", "loop")  # and of all
-EARLIER, BEGUN = "earlier laws", "begun"  # laws that held before; whether v of trial 1 was given
-MISUNDERSTOOD = (KeyError, TypeError, ValueError, RecursionError)  # what a note may lead to
+EARLIER, BEGUN = (
+    "earlier laws",
+    "begun",
+)  # laws that held before; whether v of trial 1 was given
+MISUNDERSTOOD = (
+    KeyError,
+    TypeError,
+    ValueError,
+    RecursionError,
+)  # what a note may lead to
 
 
 def with_law(
@@ -45,7 +58,9 @@ def with_law(
         arguments.instance("L", L, LearningOperator)
     named = L is None or isinstance(L, LearningFilter)
     law = notes_of_law(Q, L if named else None)
-    notes = {name: json.dumps(note) for name, note in law.items() if named or name != "L"}
+    notes = {
+        name: json.dumps(note) for name, note in law.items() if named or name != "L"
+    }
     if rest := arguments.whole("rest", rest, 0):
         notes["rest"] = json.dumps(rest)
     if (step := arguments.share("step", step)) != 1:
@@ -106,7 +121,9 @@ def excitation_of(trials: xr.Dataset) -> Excitation | None:
     return _noted(trials, "excitation", read)
 
 
-def law_of(trials: xr.Dataset) -> tuple[ZeroPhaseButterworth, LearningFilter | None] | None:
+def law_of(
+    trials: xr.Dataset,
+) -> tuple[ZeroPhaseButterworth, LearningFilter | None] | None:
     """The filters Q and L noted in the metadata of a log; None if it does not say."""
 
     def read(note):
@@ -134,14 +151,18 @@ def _filter_of(note: Mapping, Ts) -> ZeroPhaseButterworth:
 
 
 def _learning_filter_of(note: Mapping | None, Ts) -> LearningFilter | None:
-    return None if note is None else LearningFilter(note["coefficients"], Ts, note["ends"])
+    return (
+        None if note is None else LearningFilter(note["coefficients"], Ts, note["ends"])
+    )
 
 
 def rest_of(trials: xr.Dataset) -> int:
     """Samples at the end of a trial in which v was held at zero, as noted in the metadata."""
     arguments.instance("trials", trials, xr.Dataset)
     longest = trials.sizes.get("time", 1) - 1
-    return _noted(trials, "rest", lambda note: arguments.whole("rest", note, 0, longest), 0)
+    return _noted(
+        trials, "rest", lambda note: arguments.whole("rest", note, 0, longest), 0
+    )
 
 
 def step_of(trials: xr.Dataset) -> float:
@@ -158,7 +179,9 @@ def earlier_laws_of(trials: xr.Dataset) -> list[tuple[int, xr.Dataset]]:
             until = arguments.whole("trials", law["trials"], 1)
             notes = {key: json.dumps(law[key]) for key in LAW if key in law}
             kept = {key: n for key, n in trials.attrs.items() if key not in LAW}
-            laws.append((until, trials.assign_attrs().drop_attrs().assign_attrs(kept | notes)))
+            laws.append(
+                (until, trials.assign_attrs().drop_attrs().assign_attrs(kept | notes))
+            )
         return laws
 
     return _noted(trials, EARLIER, read, [])
@@ -171,7 +194,9 @@ def loop_of(trials: xr.Dataset) -> Loop | None:
     """
 
     def read(note):
-        kind, key = (CurrentTrialLoop, "plant") if "plant" in note else (ClosedLoop, "P")
+        kind, key = (
+            (CurrentTrialLoop, "plant") if "plant" in note else (ClosedLoop, "P")
+        )
         loop = kind(**note | {key: _model_of(key, note[key])})
         arguments.one_period(log=trials.attrs["Ts"], loop=loop.Ts)
         return loop
@@ -179,7 +204,11 @@ def loop_of(trials: xr.Dataset) -> Loop | None:
     loop = _noted(trials, "loop", read)
     if loop is None:
         return None
-    for role, names in (("output", loop.outputs), ("control", loop.controls), ("source", ())):
+    for role, names in (
+        ("output", loop.outputs),
+        ("control", loop.controls),
+        ("source", ()),
+    ):
         own = trials[role].values.tolist() if role in trials.coords else []
         if role != "source" and names != own:
             raise LogError(f"metadata: loop has the {role}s {names}, but the log {own}")
@@ -187,7 +216,9 @@ def loop_of(trials: xr.Dataset) -> Loop | None:
         for name, unit in zip(own, units, strict=True):
             wanted = loop.units.get(name, "")
             if wanted and unit and wanted != unit:  # an empty one is not known
-                raise LogError(f"metadata: loop has {name} in {wanted!r}, but the log in {unit!r}")
+                raise LogError(
+                    f"metadata: loop has {name} in {wanted!r}, but the log in {unit!r}"
+                )
     return loop
 
 
@@ -196,7 +227,9 @@ def _note_of(loop):
     for key, part in parts.items():
         if isinstance(part, control.StateSpace):
             names = {"inputs": part.input_labels, "outputs": part.output_labels}
-            parts[key] = {name: getattr(part, name) for name in "ABCD"} | {"dt": part.dt} | names
+            parts[key] = (
+                {name: getattr(part, name) for name in "ABCD"} | {"dt": part.dt} | names
+            )
     return json.dumps(parts, ensure_ascii=False, default=np.ndarray.tolist)
 
 
@@ -204,7 +237,9 @@ def _model_of(key, note):
     """A model that :func:`_note_of` noted."""
     if note is None:
         return None
-    A, B, C, D = (arguments.array(f"{key}.{name}", note[name], (...,)) for name in "ABCD")
+    A, B, C, D = (
+        arguments.array(f"{key}.{name}", note[name], (...,)) for name in "ABCD"
+    )
     names = {"inputs": note["inputs"], "outputs": note["outputs"]}
     return control.ss(A, B, C, D, note["dt"], **names)
 
@@ -244,6 +279,10 @@ def load_law(path) -> tuple[ZeroPhaseButterworth, LearningFilter]:
         if content["format"] != FORMAT:
             raise ValueError(f"format {content['format']!r} is not {FORMAT!r}")
         L = _learning_filter_of(content["L"], content["Ts"])
-        return _filter_of(content["Q"], content["Ts"]), arguments.instance("L", L, LearningFilter)
+        return _filter_of(content["Q"], content["Ts"]), arguments.instance(
+            "L", L, LearningFilter
+        )
     except MISUNDERSTOOD as error:
-        raise ValueError(f"path = {str(path)!r} is no law of save_law: {error!r}") from None
+        raise ValueError(
+            f"path = {str(path)!r} is no law of save_law: {error!r}"
+        ) from None

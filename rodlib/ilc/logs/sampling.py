@@ -35,9 +35,14 @@ def period_of(table: Table) -> float | None:
     steps = steps[steps > 0]
     if not steps.size:
         return None
-    mean = steps.sum() / max(np.round(steps / np.median(steps)).sum(), 1)  # over rows that are lost
+    mean = steps.sum() / max(
+        np.round(steps / np.median(steps)).sum(), 1
+    )  # over rows that are lost
     rounded = (float(f"{mean:.{digits}e}") for digits in range(12))
-    low, high = max(steps.min(), (1 - ROUND) * mean), min(steps.max(), (1 + ROUND) * mean)
+    low, high = (
+        max(steps.min(), (1 - ROUND) * mean),
+        min(steps.max(), (1 + ROUND) * mean),
+    )
     return next((Ts for Ts in rounded if low <= Ts <= high), mean)
 
 
@@ -48,15 +53,21 @@ def _steps(table):
         return table.column("time")[rows] - table.column("time")[rows - 1], rows
 
 
-def check_trials(table: Table, Ts: float, anywhere: bool = False) -> tuple[np.ndarray, list[str]]:
+def check_trials(
+    table: Table, Ts: float, anywhere: bool = False
+) -> tuple[np.ndarray, list[str]]:
     """Numbers of the trials, and problems; Ts in the table's unit, `anywhere` their first times."""
     problems, time = [], table.column("time")
     starts = starts_of(table.column("trial"))
     numbers, lengths = table.column("trial")[starts], np.diff([*starts, len(time)])
-    odd = np.flatnonzero((numbers < 1) | (numbers != np.round(numbers)) | (numbers > 2**31))
+    odd = np.flatnonzero(
+        (numbers < 1) | (numbers != np.round(numbers)) | (numbers > 2**31)
+    )
     if odd.size:
         row = table.lines[starts[odd[0]]]
-        problems.append(f"trial: {numbers[odd[0]]:g} in row {row} is no whole number, 1 or more")
+        problems.append(
+            f"trial: {numbers[odd[0]]:g} in row {row} is no whole number, 1 or more"
+        )
     known, first = np.unique(numbers, return_index=True)
     if len(known) < len(numbers):
         again = np.setdiff1d(np.arange(len(numbers)), first)[0]
@@ -94,12 +105,18 @@ def _problems_of_clock(table, Ts):
                 f"{where} is at {at:.9g}, not later than the row before: rows in another order or "
                 "twice, a clock set back, or another trial, which needs a number of its own"
             ]
-        lost = f"{steps[p] / Ts - 1:.0f} lost" if steps[p] > 1.5 * Ts else "irregular sampling"
+        lost = (
+            f"{steps[p] / Ts - 1:.0f} lost"
+            if steps[p] > 1.5 * Ts
+            else "irregular sampling"
+        )
         return [
             f"{where} is {steps[p]:.6g} after the row before, where Ts = {Ts:.6g}: {lost}{count}; "
             "resample=True interpolates"
         ]
-    ends = SHARE * (table.columns.shape[1] - steps.size)  # of so many trials, which clocks miss
+    ends = SHARE * (
+        table.columns.shape[1] - steps.size
+    )  # of so many trials, which clocks miss
     if steps.size and abs(steps.mean() - Ts) > (DRIFT + ends / steps.size) * Ts:
         return [
             f"time: the mean step is {steps.mean():.6g}, but Ts = {Ts:.6g}: state that as Ts, or "
@@ -130,7 +147,9 @@ def resample(table: Table, Ts: float, between: Sequence[str]) -> str | None:
     steps = _steps(table)[0]
     if np.any(steps <= 0) or np.abs(steps - Ts).max(initial=0) <= SLACK * Ts:
         return None
-    trials = [slice(a, b) for a, b in zip(starts, [*starts[1:], len(time)], strict=True)]
+    trials = [
+        slice(a, b) for a, b in zip(starts, [*starts[1:], len(time)], strict=True)
+    ]
     counts = [int(min(np.ptp(time[own]) / Ts + SHARE, 1e9)) + 1 for own in trials]
     count = min(counts)  # of the trials, where one is a sample longer
     if max(counts) > count + 1 or sum(counts) * MOST > len(time):
@@ -142,9 +161,13 @@ def resample(table: Table, Ts: float, between: Sequence[str]) -> str | None:
         last = np.searchsorted(time[own], grid + Ts / 2, "right") - 1 + own.start
         new = table.columns[:, last]
         for title in between:
-            new[table.header.index(title)] = np.interp(grid, time[own], table.column(title)[own])
+            new[table.header.index(title)] = np.interp(
+                grid, time[own], table.column(title)[own]
+            )
         new[table.header.index("time")] = grid
-        filled += count - len(set(np.round((time[own] - begin) / Ts)) & set(range(count)))
+        filled += count - len(
+            set(np.round((time[own] - begin) / Ts)) & set(range(count))
+        )
         columns.append(new)
         lines += [table.lines[row] for row in last]
     table.columns, table.lines = np.concatenate(columns, axis=1), lines

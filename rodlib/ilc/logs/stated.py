@@ -10,7 +10,11 @@ SIGNALS = {  # and what the channels of each are; u only if the commands are kno
     "reference": "output", "v": "output", "u": "control", "y": "output", "applied": "control",
     "delta": "control", "disturbance": "source", "measured": "sensor",
 }  # fmt: skip
-OPTIONAL = (("reference", "v"), ("applied",), ("delta",))  # which a log has together, or not at all
+OPTIONAL = (
+    ("reference", "v"),
+    ("applied",),
+    ("delta",),
+)  # which a log has together, or not at all
 ROLES = {  # in the metadata
     "output": "outputs", "control": "controls", "source": "disturbances", "sensor": "measured",
 }  # fmt: skip
@@ -34,14 +38,18 @@ def columns_of(table):
         units_of(signals)
         return signals, titles_of(signals, table.header)
     except (ValueError, RecursionError) as error:
-        table.problems.append(f"metadata: signals must be a JSON object of names by role: {error}")
+        table.problems.append(
+            f"metadata: signals must be a JSON object of names by role: {error}"
+        )
         return {}, {}
 
 
 def titles_of(signals, header):
     """The columns that a log of these signals has beside trial and time, and the signal of each."""
     there = {title.partition("_")[0] for title in header}
-    absent = {signal for group in OPTIONAL if there.isdisjoint(group) for signal in group}
+    absent = {
+        signal for group in OPTIONAL if there.isdisjoint(group) for signal in group
+    }
     return {
         f"{signal}_{name}": signal
         for signal, role in SIGNALS.items()
@@ -56,7 +64,9 @@ def units_of(signals):
     for own in signals.values():
         for name, unit in own.items():
             if found.setdefault(name, unit) != unit:
-                raise ValueError(f"{name!r} has two units, {found[name]!r} and {unit!r}")
+                raise ValueError(
+                    f"{name!r} has two units, {found[name]!r} and {unit!r}"
+                )
     return found
 
 
@@ -70,7 +80,9 @@ def period(metadata, problems):
         return arguments.sampling_period("Ts", float(number) * tick), tick
     except ValueError:
         stated = metadata.get("Ts")
-        problems.append(f"metadata: Ts is {stated!r}, but must be a period such as '1.0 s'")
+        problems.append(
+            f"metadata: Ts is {stated!r}, but must be a period such as '1.0 s'"
+        )
         return None, None
 
 

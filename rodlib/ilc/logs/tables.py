@@ -12,7 +12,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?\s*", re.ASCII | re.IGNORECASE)
+NUMBER = re.compile(
+    r"\s*[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?\s*", re.ASCII | re.IGNORECASE
+)
 METADATA = re.compile(r"#\s*([^:]*[^:\s])\s*:\s*(.*?)\s*")
 SEPARATORS = {";": "semicolons", "\t": "tabs"}
 MISSING = ("", "nan", "na", "n/a", "null", "none", "-")
@@ -32,10 +34,16 @@ class Table:
     metadata: dict[str, str] = field(default_factory=dict)
     header: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)  # of metadata and header
-    columns: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))  # NaN for what is none
+    columns: np.ndarray = field(
+        default_factory=lambda: np.empty((0, 0))
+    )  # NaN for what is none
     lines: Sequence[int] = ()  # of the file, from 1, where each row stands
-    faults: dict[str | None, list] = field(default_factory=dict)  # by title; what, and how often
-    places: Sequence[int] | None = None  # of the columns in a row; None: a row has no others
+    faults: dict[str | None, list] = field(
+        default_factory=dict
+    )  # by title; what, and how often
+    places: Sequence[int] | None = (
+        None  # of the columns in a row; None: a row has no others
+    )
     width: int = 0  # of a row that has others
     delimiter: str = ","
     decimal: str = "."
@@ -47,7 +55,10 @@ class Table:
 
     def add(self, title: str, values) -> None:
         """Put a further column behind the others."""
-        self.header, self.columns = [*self.header, title], np.vstack([self.columns, values])
+        self.header, self.columns = (
+            [*self.header, title],
+            np.vstack([self.columns, values]),
+        )
 
     def problems_of(self, titles) -> list[str]:
         """The faults in some columns, and rows of another length."""
@@ -75,7 +86,9 @@ def read(content: bytes) -> Table:
         if match := METADATA.fullmatch(text):
             key, value = match.groups()
             if key in table.metadata:
-                table.problems.append(f"metadata: {key!r} is given twice, again in line {line}")
+                table.problems.append(
+                    f"metadata: {key!r} is given twice, again in line {line}"
+                )
             table.metadata.setdefault(key, value)
         elif text.strip() and not text.startswith("#"):
             table.header = entries(text)
@@ -108,7 +121,9 @@ def _problems_of_header(header):
     if header[-1] == "":
         return ["the line with the names of the columns ends with a comma: remove it"]
     again = dict.fromkeys(title for title in header if header.count(title) > 1)
-    return [f"column {title!r} stands there {header.count(title)} times" for title in again]
+    return [
+        f"column {title!r} stands there {header.count(title)} times" for title in again
+    ]
 
 
 def read_rows(table: Table, content, first: int) -> None:
@@ -120,10 +135,14 @@ def read_rows(table: Table, content, first: int) -> None:
     if np.isfinite(table.columns).all():
         return
     rows, lines = [], []
-    for line, text in enumerate(bytes(content).decode(errors="replace").split("\n"), first):
+    for line, text in enumerate(
+        bytes(content).decode(errors="replace").split("\n"), first
+    ):
         text = text.rstrip("\r")
         if (match := METADATA.fullmatch(text)) and match[1] in table.metadata:
-            table.fault(None, f"metadata: {match[1]!r} is given twice, again in line {line}")
+            table.fault(
+                None, f"metadata: {match[1]!r} is given twice, again in line {line}"
+            )
         elif text.strip() and not text.startswith("#"):
             rows.append(_row(table, text, line))
             lines.append(line)
@@ -163,9 +182,13 @@ def _row(table, text, line):
         if not table.gaps:
             table.fault(None, what)
         return values
-    for index, (title, place) in enumerate(zip(table.header, table.places, strict=True)):
+    for index, (title, place) in enumerate(
+        zip(table.header, table.places, strict=True)
+    ):
         entry, values[index] = found[place], number(found[place], table.decimal)
-        if not np.isfinite(values[index]) and not (table.gaps and entry.lower() in MISSING):
+        if not np.isfinite(values[index]) and not (
+            table.gaps and entry.lower() in MISSING
+        ):
             what = f"is {entry[:40]!r}, not a finite number" if entry else "is missing"
             table.fault(title, f"{title}: entry {what}, in row {line}")
     return values
@@ -182,6 +205,11 @@ def rows(columns: Sequence[np.ndarray]) -> bytes:
     from pyarrow import csv as arrow
 
     names = [str(index) for index in range(len(columns))]
-    sink, options = pyarrow.BufferOutputStream(), arrow.WriteOptions(include_header=False)
-    arrow.write_csv(pyarrow.table([pyarrow.array(c) for c in columns], names), sink, options)
+    sink, options = (
+        pyarrow.BufferOutputStream(),
+        arrow.WriteOptions(include_header=False),
+    )
+    arrow.write_csv(
+        pyarrow.table([pyarrow.array(c) for c in columns], names), sink, options
+    )
     return sink.getvalue().to_pybytes()

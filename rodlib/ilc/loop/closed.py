@@ -42,7 +42,9 @@ class CurrentTrialLoop:
         plant = sampled_plant(self.plant)
         n, m = plant.nstates, plant.noutputs
         for name, shape in {"Ks": (m, n), "KL": (n + m, m), "N": (m, m)}.items():
-            object.__setattr__(self, name, arguments.array(name, getattr(self, name), shape))
+            object.__setattr__(
+                self, name, arguments.array(name, getattr(self, name), shape)
+            )
         signals = [*plant.input_labels, *plant.output_labels]
         given = arguments.by_name("units", self.units, signals)
         units.check("units", {name: given.get(name) for name in signals})
@@ -98,7 +100,9 @@ class CurrentTrialLoop:
         """
         return _close(self, self.plant)
 
-    def around(self, plant: control.StateSpace | control.TransferFunction) -> control.StateSpace:
+    def around(
+        self, plant: control.StateSpace | control.TransferFunction
+    ) -> control.StateSpace:
         """The loop (19) of the same controller around another plant, if it is stable.
 
         As `closed`, but the first states are those of `plant`, a model of any order. Its signals
@@ -108,15 +112,27 @@ class CurrentTrialLoop:
         plant = sampled_plant(plant)
         arguments.one_period(loop=self.Ts, plant=plant.dt)
         signals = [*plant.input_labels, *plant.output_labels]
-        missing = [name for name in [*self.controls, *self.outputs] if name not in signals]
+        missing = [
+            name for name in [*self.controls, *self.outputs] if name not in signals
+        ]
         if missing:
-            raise ValueError(f"plant has the signals {signals}, but lacks {missing} of the loop")
+            raise ValueError(
+                f"plant has the signals {signals}, but lacks {missing} of the loop"
+            )
         names = self.plant.input_labels
-        picked = np.array([[theirs == ours for ours in names] for theirs in plant.input_labels])
+        picked = np.array(
+            [[theirs == ours for ours in names] for theirs in plant.input_labels]
+        )
         rows = [plant.output_labels.index(name) for name in self.outputs]
         closed = _close(
             self,
-            control.ss(plant.A, plant.B @ picked, plant.C[rows], plant.D[rows] @ picked, plant.dt),
+            control.ss(
+                plant.A,
+                plant.B @ picked,
+                plant.C[rows],
+                plant.D[rows] @ picked,
+                plant.dt,
+            ),
         )
         poles = closed.poles()
         worst = poles[np.abs(poles).argmax()]
@@ -159,11 +175,16 @@ class CurrentTrialLoop:
         points = np.exp(1j * omega * self.Ts)[:, None, None]
         left = np.block(
             [
-                [points * np.eye(len(A)) - A, np.broadcast_to(-self.KL, (len(G), *self.KL.shape))],
+                [
+                    points * np.eye(len(A)) - A,
+                    np.broadcast_to(-self.KL, (len(G), *self.KL.shape)),
+                ],
                 [G @ K, np.broadcast_to(np.eye(m), G.shape)],
             ]
         )
-        right = np.concatenate([np.broadcast_to(B, (len(G), *B.shape)), G @ self.N], axis=1)
+        right = np.concatenate(
+            [np.broadcast_to(B, (len(G), *B.shape)), G @ self.N], axis=1
+        )
         return solve_off_poles(left, right)[:, len(A) :]
 
 
@@ -210,17 +231,25 @@ class ClosedLoop:
         if Ts is None or outputs is None:
             raise ValueError("P = None: then Ts and outputs must be given")
         Ts = arguments.sampling_period("Ts", Ts)
-        names = {"outputs": outputs, "controls": self.controls, "disturbances": self.disturbances}
+        names = {
+            "outputs": outputs,
+            "controls": self.controls,
+            "disturbances": self.disturbances,
+        }
         names = {role: _different(role, given) for role, given in names.items()}
         m = len(names["outputs"])
         if not m or (P is not None and P.noutputs != m):
             raise ValueError(f"outputs = {outputs!r} must name the outputs of P")
         if len(names["controls"]) not in (0, m):
-            raise ValueError(f"controls = {self.controls!r} must be one for each output, or none")
+            raise ValueError(
+                f"controls = {self.controls!r} must be one for each output, or none"
+            )
         if P is not None:
             arguments.one_period(Ts=Ts, P=P.dt)
         signals = [name for given in names.values() for name in given]
-        own = dict.fromkeys(signals, "") | arguments.by_name("units", self.units, signals)
+        own = dict.fromkeys(signals, "") | arguments.by_name(
+            "units", self.units, signals
+        )
         units.check("units", own)
         for name, value in ({"P": P, "Ts": Ts, "units": own} | names).items():
             object.__setattr__(self, name, value)
@@ -238,11 +267,15 @@ class ClosedLoop:
     def model(self, plant=None) -> control.StateSpace:
         """P, or `plant` in its place, which is another model from w to y."""
         if plant is None and self.P is None:
-            raise ValueError("loop has no P: it can be run and shaken, but not simulated")
+            raise ValueError(
+                "loop has no P: it can be run and shaken, but not simulated"
+            )
         P = self.P if plant is None else _known(plant, "plant")
         arguments.one_period(loop=self.Ts, plant=P.dt)
         if P.noutputs != len(self.outputs):
-            raise ValueError(f"plant has {P.noutputs} outputs, but the loop {len(self.outputs)}")
+            raise ValueError(
+                f"plant has {P.noutputs} outputs, but the loop {len(self.outputs)}"
+            )
         return P
 
     def frequency_response(self, omega, plant=None) -> np.ndarray:
@@ -256,7 +289,9 @@ Loop = CurrentTrialLoop | ClosedLoop
 def check_loop(loop) -> Loop:
     """Any loop."""
     if not isinstance(loop, Loop):
-        raise ValueError(f"loop = {reprlib.repr(loop)} must be a CurrentTrialLoop or a ClosedLoop")
+        raise ValueError(
+            f"loop = {reprlib.repr(loop)} must be a CurrentTrialLoop or a ClosedLoop"
+        )
     return loop
 
 
@@ -273,7 +308,11 @@ def _known(P, name="P"):
 def _different(role, names):
     """A list of names."""
     listed = isinstance(names, Sequence) and not isinstance(names, str | bytes)
-    if not listed or not all(isinstance(n, str) for n in names) or len({*names}) < len(names):
+    if (
+        not listed
+        or not all(isinstance(n, str) for n in names)
+        or len({*names}) < len(names)
+    ):
         raise ValueError(f"{role} = {reprlib.repr(names)} must be different names")
     return list(names)
 
@@ -283,7 +322,9 @@ def _controller(loop):
     plant, m = loop.plant, loop.plant.noutputs
     B = plant.B[:, :m]
     C = np.hstack([plant.C, np.zeros((m, m))])
-    A = block_diag(plant.A - B @ loop.Ks, np.eye(m)) - loop.KL @ C  # (16) with u of (18)
+    A = (
+        block_diag(plant.A - B @ loop.Ks, np.eye(m)) - loop.KL @ C
+    )  # (16) with u of (18)
     return A, np.vstack([B @ loop.N, np.zeros((m, m))]), np.hstack([loop.Ks, np.eye(m)])
 
 

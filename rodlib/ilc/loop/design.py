@@ -9,7 +9,13 @@ from collections.abc import Sequence
 
 import control
 import numpy as np
-from scipy.linalg import LinAlgWarning, block_diag, matrix_balance, schur, solve_discrete_are
+from scipy.linalg import (
+    LinAlgWarning,
+    block_diag,
+    matrix_balance,
+    schur,
+    solve_discrete_are,
+)
 
 from rodlib.ilc import arguments
 from rodlib.ilc.loop.closed import CurrentTrialLoop
@@ -105,14 +111,20 @@ def _weights(plant, sizes, Qs, Rs, Qo, Ro):
     n, m = plant.nstates, plant.noutputs
     names = [*plant.output_labels, *plant.input_labels[:m]]
     large = dict.fromkeys(names, 1.0) | arguments.by_name("sizes", sizes, names)
-    large = [arguments.positive(f"sizes[{name!r}]", size) for name, size in large.items()]
+    large = [
+        arguments.positive(f"sizes[{name!r}]", size) for name, size in large.items()
+    ]
     Sy, Su = np.diag(large[:m]), np.diag(large[m:])
     B, C = plant.B[:, :m], plant.C
     spread = np.eye(n) if sizes is None else B @ Su**2 @ B.T
     return (
         _weight("Qs", C.T @ np.linalg.inv(Sy**2) @ C if Qs is None else Qs, n),  # (24)
-        _weight("Rs", 0.05 * np.linalg.inv(Su**2) if Rs is None else Rs, m, definite=True),
-        _weight("Qo", block_diag(spread, 2 * Su**2) if Qo is None else Qo, n + m),  # (27)
+        _weight(
+            "Rs", 0.05 * np.linalg.inv(Su**2) if Rs is None else Rs, m, definite=True
+        ),
+        _weight(
+            "Qo", block_diag(spread, 2 * Su**2) if Qo is None else Qo, n + m
+        ),  # (27)
         _weight("Ro", Sy**2 if Ro is None else Ro, m, definite=True),
     )
 
@@ -142,8 +154,12 @@ def _weight(name, value, size, definite=False):
     skew = np.abs(value - value.T).max() > 1e-6 * largest
     if skew or smallest < -1e-12 * largest or (definite and smallest <= 0):
         kind = "positive definite" if definite else "positive semidefinite"
-        raise ValueError(f"{name} must be symmetric and {kind}, but is {value.tolist()}")
-    return (value + value.T) / 2  # symmetric to the last digit, as the Riccati equation wants it
+        raise ValueError(
+            f"{name} must be symmetric and {kind}, but is {value.tolist()}"
+        )
+    return (
+        value + value.T
+    ) / 2  # symmetric to the last digit, as the Riccati equation wants it
 
 
 def _with_disturbance(A, B, C):
@@ -174,7 +190,10 @@ def _riccati(A, B, Q, R, weights):
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("error", LinAlgWarning)
             return solve_discrete_are(A, B, Q, R)
-    except (ValueError, LinAlgWarning):  # LinAlgError is a ValueError, and not the only one
+    except (
+        ValueError,
+        LinAlgWarning,
+    ):  # LinAlgError is a ValueError, and not the only one
         raise ValueError(
             f"{weights} leave the Riccati equation of this plant without a solution: {UNFIT}"
         ) from None
@@ -198,7 +217,9 @@ def _require_held(A, B, C):
             raise ValueError(
                 f"plant has a mode at z = {unstable[0]:.6g} that {what}: no gain holds it"
             )
-    if _unstable(Aa.T, Ca.T).size:  # (A - I) x + B d = 0 and C x = 0 for a d that is not zero
+    if _unstable(
+        Aa.T, Ca.T
+    ).size:  # (A - I) x + B d = 0 and C x = 0 for a d that is not zero
         raise ValueError(
             "plant has a zero at z = 1: some constant input leaves no trace in the outputs, so no "
             "loop holds them at a reference. Take as outputs what they are the differences of, or "

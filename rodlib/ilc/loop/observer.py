@@ -56,13 +56,20 @@ def estimated(
             "one, current_trial_loop(model[measured, :], controls)"
         )
     if missing := [name for name in ("reference", "v", "y") if name not in trials]:
-        raise ValueError(f"trials have no {missing}: pass what run_trials or record returns")
+        raise ValueError(
+            f"trials have no {missing}: pass what run_trials or record returns"
+        )
     trials = trials.transpose("trial", "time", ...)
     size = trials.sizes["trial"], trials.sizes["time"]
     signals = {"w": trials.reference + trials.v, "y": trials.y}
-    w, y = (each_trial(f"trials.{k}", x, *size, loop.outputs) for k, x in signals.items())
+    w, y = (
+        each_trial(f"trials.{k}", x, *size, loop.outputs) for k, x in signals.items()
+    )
     # c is x-hat and delta; (16) with u of (18): c(p+1) = A c(p) + B w(p) + K_L y(p)
-    A, B = loop.closed.A[n:, n:], np.hstack([loop.closed.B[n:, : len(loop.outputs)], loop.KL])
+    A, B = (
+        loop.closed.A[n:, n:],
+        np.hstack([loop.closed.B[n:, : len(loop.outputs)], loop.KL]),
+    )
     forcing = np.concatenate([w, y], axis=2) @ B.T
     c = np.stack([state_sequence(A, each, np.zeros(len(A))) for each in forcing])
     if {"delta", "u"} <= {*trials}:
@@ -74,8 +81,14 @@ def estimated(
                 f"delta is off by up to {off.max():.3g}, and estimates are wrong until it settles",
                 stacklevel=2,
             )
-    coordinates = {"trial": trials.trial, "time": trials.time, "estimate": model.output_labels}
-    return xr.DataArray(c[..., :n] @ model.C.T, coordinates, ("trial", "time", "estimate"))
+    coordinates = {
+        "trial": trials.trial,
+        "time": trials.time,
+        "estimate": model.output_labels,
+    }
+    return xr.DataArray(
+        c[..., :n] @ model.C.T, coordinates, ("trial", "time", "estimate")
+    )
 
 
 def combinations(P: control.StateSpace, weights=None) -> tuple[np.ndarray, ClosedLoop]:
@@ -109,7 +122,9 @@ def combinations(P: control.StateSpace, weights=None) -> tuple[np.ndarray, Close
             f"P has {p} outputs for {m} inputs, which they do not tell apart: leave inputs out, or "
             f"drive all by {p} patterns"
         )
-    weights = np.ones(p) if weights is None else arguments.array("weights", weights, (p,))
+    weights = (
+        np.ones(p) if weights is None else arguments.array("weights", weights, (p,))
+    )
     if weights.min() < 0:
         raise ValueError(f"weights reach {weights.min():.6g}, but must be 0 or more")
     G = np.sqrt(weights)[:, None] * P(1.0).real.reshape(p, m)

@@ -26,10 +26,16 @@ FEWEST = 20  # samples of a trial
 STILL = 1e-3  # of the range of an input: trials that differ by less do not differ
 LEARNED = 0.5  # of the largest P, and of its size before the data: what is further off is not known
 SURE = 1e-6  # probability by which noise alone may make trials start apart
-BEYOND = 3.0  # standard deviations, from which on neighbouring lines contradict an estimate
-SEEN = 0.25  # of the largest P, that neighbouring lines by themselves are off by at most
+BEYOND = (
+    3.0  # standard deviations, from which on neighbouring lines contradict an estimate
+)
+SEEN = (
+    0.25  # of the largest P, that neighbouring lines by themselves are off by at most
+)
 EACH = 8  # lines of all trials together, for each input, that are neighbours
-LONGEST = 0.6  # of a record, in which a response falls by e a priori, if it is to settle
+LONGEST = (
+    0.6  # of a record, in which a response falls by e a priori, if it is to settle
+)
 LATE = 0.4  # of a response in the later half of the record, from which on it does not settle
 TAIL = 10  # draws beyond which a quantile is extrapolated, as of a normal distribution
 
@@ -43,13 +49,19 @@ class EstimatedResponse(Measured):
     """
 
     omega: np.ndarray  # rad/s, shape (n,)
-    impulse: np.ndarray  # shape (lags, m, m): the response over time, of which `errors` are off
+    impulse: (
+        np.ndarray
+    )  # shape (lags, m, m): the response over time, of which `errors` are off
     errors: np.ndarray  # shape (draw, n, m, m), complex
-    known: np.ndarray  # shape (n,), bool: whether the data tell more than what was assumed
+    known: (
+        np.ndarray
+    )  # shape (n,), bool: whether the data tell more than what was assumed
     loop: Loop  # from whose w to y it is; a ClosedLoop without P, if the record names none
     record: str  # what it was estimated from, in words
     lasting: float  # s, in which all but a smooth part of the response falls by e
-    alone: np.ndarray  # shape (n,): what lines by themselves would be off by, in the largest P
+    alone: (
+        np.ndarray
+    )  # shape (n,): what lines by themselves would be off by, in the largest P
     findings: tuple[str, ...] = ()
 
     @cached_property
@@ -59,7 +71,9 @@ class EstimatedResponse(Measured):
 
     def _at(self, omega):
         lags = np.arange(len(self.impulse))
-        return np.tensordot(np.exp(-1j * self.loop.Ts * np.outer(omega, lags)), self.impulse, 1)
+        return np.tensordot(
+            np.exp(-1j * self.loop.Ts * np.outer(omega, lags)), self.impulse, 1
+        )
 
     @cached_property
     def _norms(self):
@@ -113,7 +127,9 @@ class EstimatedResponse(Measured):
 
     def __repr__(self):
         radius = self.radius()[self.known]
-        within = f"within {radius.min():.2g} to {radius.max():.2g} (95 %, at each frequency)"
+        within = (
+            f"within {radius.min():.2g} to {radius.max():.2g} (95 %, at each frequency)"
+        )
         return f"{super().__repr__()}\n{within}"
 
 
@@ -139,7 +155,9 @@ def estimated_response(log: xr.Dataset, of: str | None = None) -> EstimatedRespo
     omega = np.geomspace(np.pi / (2 * u.shape[1] * Ts), np.pi / Ts, LINES)
     F = np.exp(-1j * Ts * np.outer(np.arange(lags), omega))
     drawn, prior = (
-        np.stack([getattr(one, name) @ F[: one.drawn.shape[2]] for one in found], axis=1)
+        np.stack(
+            [getattr(one, name) @ F[: one.drawn.shape[2]] for one in found], axis=1
+        )
         for name in ("drawn", "prior")
     )  # (draw, output, input, n)
     impulse = np.stack([one.drawn.mean(axis=0) for one in found], axis=0)
@@ -151,7 +169,9 @@ def estimated_response(log: xr.Dataset, of: str | None = None) -> EstimatedRespo
     )  # (input, n)
     known = (after < LEARNED * np.minimum(before.max(axis=0), size.max())).all(axis=0)
     g = np.moveaxis(impulse, 2, 0)[: u.shape[1]]
-    left = y - np.einsum("ktoi->kto", fftconvolve(u[:, :, None], g[None], axes=1)[:, : u.shape[1]])
+    left = y - np.einsum(
+        "ktoi->kto", fftconvolve(u[:, :, None], g[None], axes=1)[:, : u.shape[1]]
+    )
     off = np.sqrt((after**2).sum(axis=0) * len(outputs))
     alone, agrees = _seen(u / u.std((0, 1)), left / y.std((0, 1)), omega * Ts, off)
     alone /= size.max()
@@ -181,10 +201,14 @@ def _seen(u, left, angles, off):
     time, channel). Such a mean assumes nothing of an impulse response: what the estimate knows
     better, it knows from its prior; where what is left follows the inputs, the prior was wrong.
     """
-    U, E = (np.fft.rfft(np.diff(x, axis=1), axis=1) for x in (u, left))  # steps do not leak so
+    U, E = (
+        np.fft.rfft(np.diff(x, axis=1), axis=1) for x in (u, left)
+    )  # steps do not leak so
     K, F, m = U.shape
     line = angles * (u.shape[1] - 1) / (2 * np.pi)
-    few = min(-(-EACH * m // K), F - 2)  # lines, so that a narrow resonance is not averaged away
+    few = min(
+        -(-EACH * m // K), F - 2
+    )  # lines, so that a narrow resonance is not averaged away
     first = np.clip(np.rint(line - few / 2).astype(int), 1, F - 1 - few)
     last = first + few
 
@@ -211,7 +235,9 @@ def _started_apart(left, outputs):
     names = ", ".join(name for name, one in zip(outputs, apart, strict=True) if one)
     start = f"the trials start from different states ({names}), and the radius assumes that they "
     return (
-        (f"{start}start alike: bring the plant back before each, or wait longer",) if names else ()
+        (f"{start}start alike: bring the plant back before each, or wait longer",)
+        if names
+        else ()
     )
 
 
@@ -219,7 +245,9 @@ def _moved(of, u, y, names, outputs):
     """Trials that are independent, and what they are, in words; an input must have moved."""
     K, N, _ = u.shape
     if N < FEWEST:
-        raise LogError(f"log has {N} samples in a trial, but must have {FEWEST} or more")
+        raise LogError(
+            f"log has {N} samples in a trial, but must have {FEWEST} or more"
+        )
     span = np.ptp(u, axis=(0, 1))
     still = [name for name, x in zip(names, span, strict=True) if not x]
     if still:
@@ -227,7 +255,9 @@ def _moved(of, u, y, names, outputs):
             f"log.{of} of {', '.join(still)} never moved: what follows from it is not known. "
             "Record it while it moves, by a step or by noise"
         )
-    flat = [name for name, x in zip(outputs, np.ptp(y, axis=(0, 1)), strict=True) if not x]
+    flat = [
+        name for name, x in zip(outputs, np.ptp(y, axis=(0, 1)), strict=True) if not x
+    ]
     if flat:
         raise LogError(f"log.y of {', '.join(flat)} never moved: is it connected?")
     size = f"{K} trials" if K > 1 else "one trial"
@@ -239,12 +269,17 @@ def _moved(of, u, y, names, outputs):
         words += ", by what the trials differ; assumed: they start alike"
         return np.tensordot(H, u, 1), np.tensordot(H, y, 1), words
     mean = u.mean(axis=0, keepdims=True), y.mean(axis=0, keepdims=True)
-    return *mean, f"{words}, in the mean of trials that are alike; assumed: no disturbance repeats"
+    return (
+        *mean,
+        f"{words}, in the mean of trials that are alike; assumed: no disturbance repeats",
+    )
 
 
 def _check_settled(impulse, lasting, outputs, n):
     """Refuse responses (output, input, lag) that do not end within n samples."""
-    share = (impulse[..., n // 2 : n].sum(axis=2) / impulse[..., :n].sum(axis=2)).max(axis=1)
+    share = (impulse[..., n // 2 : n].sum(axis=2) / impulse[..., :n].sum(axis=2)).max(
+        axis=1
+    )
     for name, late, fall in zip(outputs, share, lasting, strict=True):
         if late > LATE or fall > LONGEST * n:
             raise LogError(

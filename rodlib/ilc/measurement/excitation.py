@@ -34,7 +34,9 @@ class Excitation:
     periods: int  # of each experiment that are evaluated
     harmonics: tuple[int, ...]  # of the period, increasing
     phases: tuple[float, ...]  # of the harmonics, rad
-    amplitude: tuple[float, ...]  # largest |w| of each input, in the units of the outputs
+    amplitude: tuple[
+        float, ...
+    ]  # largest |w| of each input, in the units of the outputs
 
     def __post_init__(self):
         arguments.sampling_period("Ts", self.Ts)
@@ -43,7 +45,9 @@ class Excitation:
         arguments.array("harmonics", self.harmonics, ("line",))
         highest = 0
         for harmonic in self.harmonics:
-            highest = arguments.whole("harmonics", harmonic, highest + 1, (period - 1) // 2)
+            highest = arguments.whole(
+                "harmonics", harmonic, highest + 1, (period - 1) // 2
+            )
         phases = arguments.array("phases", self.phases, (len(self.harmonics),))
         amplitude = arguments.array("amplitude", self.amplitude, ("input",))
         if amplitude.min() <= 0:
@@ -125,8 +129,12 @@ def multisine(
     """
     Ts, m = check_loop(loop).Ts, len(loop.outputs)
     nyquist = np.pi / Ts
-    lowest = arguments.number("lowest", lowest, "between 0 and pi / Ts / 4", 0, nyquist / 4)
-    highest = arguments.number("highest", highest, "between lowest and pi / Ts", lowest, nyquist)
+    lowest = arguments.number(
+        "lowest", lowest, "between 0 and pi / Ts / 4", 0, nyquist / 4
+    )
+    highest = arguments.number(
+        "highest", highest, "between lowest and pi / Ts", lowest, nyquist
+    )
     amplitude = arguments.array("amplitude", amplitude, (...,))
     if amplitude.shape not in ((), (m,)):
         raise ValueError(
@@ -153,7 +161,9 @@ def multisine(
     top = min(int(highest * Ts * period / (2 * np.pi)), (period - 1) // 2)
     harmonics = np.unique(np.round(np.geomspace(1, top, lines)).astype(int)).tolist()
     phases = _phases_of_low_peaks(harmonics, m)
-    return Excitation(Ts, period, periods, harmonics, phases.tolist(), amplitude.tolist())
+    return Excitation(
+        Ts, period, periods, harmonics, phases.tolist(), amplitude.tolist()
+    )
 
 
 def _lead(period):

@@ -53,7 +53,9 @@ class _Data:
     block: np.ndarray  # (p,): which one each unknown is in
     kind: np.ndarray  # (p,): FAST, SLOW or DRIFT
     lag: np.ndarray  # (p,): at which time of its response each unknown is
-    apart: np.ndarray  # (p - 1,): samples to the next unknown; infinite between two blocks
+    apart: (
+        np.ndarray
+    )  # (p - 1,): samples to the next unknown; infinite between two blocks
     samples: int  # of a trial
     basis: tuple[np.ndarray, ...]  # (n, k): from the unknowns of each block to samples
 
@@ -82,7 +84,9 @@ def impulse_of(u, y, seed: int = 0) -> Impulse:
             free[i + 1] = rho * free[i] + np.sqrt(1 - rho**2) * free[i + 1]
         before.append(_responses(prior.d[:, None] * free, data, m))
     units = size / sizes[:, None]
-    return Impulse(units * np.concatenate(drawn), units * np.concatenate(before), np.exp(eta[0]))
+    return Impulse(
+        units * np.concatenate(drawn), units * np.concatenate(before), np.exp(eta[0])
+    )
 
 
 def _responses(theta, data, m):
@@ -158,7 +162,11 @@ def _normal(u, y, white, n):
     own = whitened(np.concatenate([np.empty((0, N)), *own]))
     total, first = ends[-1], ends[2 * m - 1]
     R, b, seen = np.zeros((total, total)), np.zeros(total), np.zeros((K, 2, total))
-    R[first:, first:], b[first:], seen[:, :, first:] = own @ own.T, own @ e[0], Z @ own.T
+    R[first:, first:], b[first:], seen[:, :, first:] = (
+        own @ own.T,
+        own @ e[0],
+        Z @ own.T,
+    )
     for j in range(m):
         W = np.hstack([B[:n] for B in basis[:2]])
         at = slice(places[2 * j].start, places[2 * j + 1].stop)
@@ -202,12 +210,18 @@ class _Prior:
         relative = data.apart / alike[data.kind[1:]]
         self.rho = rho = np.exp(-relative)
         left = -np.expm1(-2 * relative)  # 1 - rho^2
-        self.next, self.own = -rho / left, np.append(1, 1 / left) + np.append(rho**2 / left, 0)
+        self.next, self.own = (
+            -rho / left,
+            np.append(1, 1 / left) + np.append(rho**2 / left, 0),
+        )
         self.logdet = np.log(left).sum()
         # Derivatives: of log d, and of T and logdet over the logarithm of `alike`.
         self.passed = passed
         slope = rho * np.where(rho > 0, relative, 0)
-        self.d_next, self.d_own = -(1 + rho**2) / left**2 * slope, 2 * rho / left**2 * slope
+        self.d_next, self.d_own = (
+            -(1 + rho**2) / left**2 * slope,
+            2 * rho / left**2 * slope,
+        )
         self.d_logdet = -2 * rho / left * slope
 
 
@@ -227,10 +241,14 @@ def _factor(A):
     most = A.diagonal().max()
     for more in (0.0, 1e-14, 1e-13, 1e-12, 1e-11, 1e-10):
         try:
-            return cholesky(A + more * most * np.eye(len(A)) if more else A, check_finite=False)
+            return cholesky(
+                A + more * most * np.eye(len(A)) if more else A, check_finite=False
+            )
         except LinAlgError:
             continue
-    raise LogError("log cannot be told apart from rounding: is it without any noise, or constant?")
+    raise LogError(
+        "log cannot be told apart from rounding: is it without any noise, or constant?"
+    )
 
 
 def surprise(eta, data, centre):
@@ -247,7 +265,11 @@ def surprise(eta, data, centre):
     scale = 1 - prior.own * own
     scale[1:] -= prior.next * link
     scale[:-1] -= prior.next * link
-    rough = prior.d_own * (own[1:] + own[:-1]) / 2 + prior.d_next * link + prior.d_logdet / 2
+    rough = (
+        prior.d_own * (own[1:] + own[:-1]) / 2
+        + prior.d_next * link
+        + prior.d_logdet / 2
+    )
     fast, slow, drift = np.bincount(data.kind[1:], rough, 3)
     passed = np.bincount(data.kind, scale * prior.passed, 3)
     each = np.bincount(data.block, scale) / 2
@@ -265,7 +287,13 @@ def _fitted(u, y):
     n, blocks = min(N, MOST // m), 2 * m + 3 * (K == 1)
     centre = np.array([np.log(10), 1, 1, np.log(N / 2), *[np.log(10)] * blocks])
     centre[4 + np.arange(1, blocks, 2)[: m + (K == 1)]] = 0
-    bounds = [(-1, np.log(5 * N)), (-6, 6), (-3, 4), (0, np.log(20 * N)), *[(-40, 40)] * blocks]
+    bounds = [
+        (-1, np.log(5 * N)),
+        (-6, 6),
+        (-3, 4),
+        (0, np.log(20 * N)),
+        *[(-40, 40)] * blocks,
+    ]
     white, eta = np.ones(1), centre
     for left in reversed(range(ROUNDS)):
         data = _normal(u, y, white, n)
@@ -280,7 +308,10 @@ def _fitted(u, y):
             break
         white = new
     step = 1e-3 * np.eye(len(eta))
-    H = [surprise(eta + e, data, centre)[1] - surprise(eta - e, data, centre)[1] for e in step]
+    H = [
+        surprise(eta + e, data, centre)[1] - surprise(eta - e, data, centre)[1]
+        for e in step
+    ]
     return data, eta, (np.array(H) + np.transpose(H)) / 4e-3
 
 
@@ -300,7 +331,9 @@ def _residual(u, y, data, eta):
 def _whitener(noise):
     """Coefficients of the filter that makes noise (trial, time) white, by Schwarz's criterion."""
     p = min(COLOURS, noise.shape[1] // 20)
-    lagged = np.stack([noise[:, p - i : noise.shape[1] - i].ravel() for i in range(p + 1)], 1)
+    lagged = np.stack(
+        [noise[:, p - i : noise.shape[1] - i].ravel() for i in range(p + 1)], 1
+    )
     found = []
     for order in range(p + 1):
         a = np.linalg.lstsq(lagged[:, 1 : order + 1], -lagged[:, 0])[0]

@@ -21,7 +21,13 @@ from rodlib.ilc.measurement.estimation import EstimatedResponse, estimated_respo
 from rodlib.ilc.measurement.excitation import Excitation
 from rodlib.ilc.measurement.region import radius_of
 from rodlib.ilc.measurement.tabulated import TabulatedResponse, tabulated
-from rodlib.ilc.measurement.transient import NEIGHBOURS, SPAN, nearest, separated, windows_of
+from rodlib.ilc.measurement.transient import (
+    NEIGHBOURS,
+    SPAN,
+    nearest,
+    separated,
+    windows_of,
+)
 from rodlib.ilc.problem.responses import Measured, interpolated, probability
 
 ROUNDED = 0.02  # of the amplitude: how far w may be from the excitation, as logs hold few digits
@@ -42,7 +48,9 @@ class MeasuredResponse(Measured):
     spread: np.ndarray  # inverse of the spectra of w, (experiment, input), likewise
     freedom: np.ndarray  # shape (n,)
     loop: Loop  # whose controller ran; if its observer integrates, P(0) = I
-    findings: tuple[str, ...] = ()  # what speaks against the measurement, and what follows
+    findings: tuple[
+        str, ...
+    ] = ()  # what speaks against the measurement, and what follows
 
     def _radius(self, confidence, jointly):
         miss = _miss(confidence, jointly, len(self.omega))
@@ -55,8 +63,15 @@ class MeasuredResponse(Measured):
         differs from straight lines. Above the highest frequency the response is the one there, and
         the radius contains all that is not larger.
         """
-        radius, knots, P = self.radius(confidence, jointly=True), self.omega, self.response
-        both, P_both = np.append(-knots[::-1], knots), np.append(P[::-1].conj(), P, axis=0)
+        radius, knots, P = (
+            self.radius(confidence, jointly=True),
+            self.omega,
+            self.response,
+        )
+        both, P_both = (
+            np.append(-knots[::-1], knots),
+            np.append(P[::-1].conj(), P, axis=0),
+        )
         if self.anchored:
             radius, knots = np.append(0.0, radius), np.append(0.0, knots)
             both = np.insert(both, len(P), 0.0)
@@ -64,7 +79,9 @@ class MeasuredResponse(Measured):
         spline, bend = interpolated(both, P_both, np.minimum(omega, knots[-1]))
         beyond = omega > knots[-1] * (1 + 1e-9)
         anything = 2 * np.linalg.norm(P[-1], 2) + radius[-1]
-        return spline, np.where(beyond, anything, np.interp(omega, knots, radius) + bend)
+        return spline, np.where(
+            beyond, anything, np.interp(omega, knots, radius) + bend
+        )
 
     @property
     def anchored(self) -> bool:
@@ -86,7 +103,11 @@ class MeasuredResponse(Measured):
             f"P measured at {len(self.omega)} frequencies from {low:.4g} to {high:.4g} rad/s; at "
             f"all of them the truth is within the radius with confidence {confidence:g}",
             "assumed: between them P is not further from their spline than straight lines are; "
-            + ("P(0) = I" if self.anchored else f"nor between {-low:.4g} and {low:.4g} rad/s"),
+            + (
+                "P(0) = I"
+                if self.anchored
+                else f"nor between {-low:.4g} and {low:.4g} rad/s"
+            ),
         ]
         if beyond:
             lines.append(
@@ -161,16 +182,22 @@ def measured_response(
     """
     if isinstance(log, control.FrequencyResponseData):
         if of is not None:
-            raise ValueError(f"of = {reprlib.repr(of)} is for a record, but log is a table")
+            raise ValueError(
+                f"of = {reprlib.repr(of)} is for a record, but log is a table"
+            )
         return tabulated(log, uncertainty)
     arguments.instance("log", log, xr.Dataset)
     if uncertainty is not None:
-        raise ValueError("uncertainty must be None where log is a record, which tells its own")
+        raise ValueError(
+            "uncertainty must be None where log is a record, which tells its own"
+        )
     excitation, loop = excitation_of(log), loop_of(log)
     if excitation is None or of is not None:
         measured = estimated_response(log, of)
     elif loop is None:
-        raise LogError("log names no loop in its metadata: it is not of shake; or say `of`")
+        raise LogError(
+            "log names no loop in its metadata: it is not of shake; or say `of`"
+        )
     else:
         w, y = _signals(log, excitation)
         windows = windows_of(excitation.harmonics, excitation, loop)
@@ -184,7 +211,10 @@ def measured_response(
 
 
 def expected_radius(
-    excitation: Excitation, rest: xr.Dataset, confidence: float = 0.95, jointly: bool = False
+    excitation: Excitation,
+    rest: xr.Dataset,
+    confidence: float = 0.95,
+    jointly: bool = False,
 ) -> np.ndarray:
     """How accurate a measurement will be, from the noise of a rest.
 
@@ -216,7 +246,9 @@ def expected_radius(
     )
     samples = y.shape[1]
     if samples < 4 * NEIGHBOURS:
-        raise ValueError(f"rest has {samples} samples, but must have {4 * NEIGHBOURS} or more")
+        raise ValueError(
+            f"rest has {samples} samples, but must have {4 * NEIGHBOURS} or more"
+        )
     Y = np.fft.rfft(y, axis=1)[:, 1:]
     power = np.einsum("erj,erk->rjk", Y, Y.conj()) / (len(y) * samples)
     windows = windows_of(excitation.harmonics, excitation, loop)
@@ -250,7 +282,9 @@ def _signals(log, excitation):
     off = np.abs(w - shaken).max(axis=(0, 1)) / excitation.amplitude
     for name, share in zip(log.output.values, off, strict=True):
         if share > ROUNDED:
-            raise LogError(f"w of {name} is not its excitation: it is off by {share:.2g} of it")
+            raise LogError(
+                f"w of {name} is not its excitation: it is off by {share:.2g} of it"
+            )
     y = arguments.array("log.y", log.y.values, shaken.shape)
     return w[:, -excitation.evaluated :], y[:, -excitation.evaluated :]
 
@@ -260,4 +294,6 @@ def _estimate(w, y, windows, excitation, loop):
     W = np.fft.rfft(w, axis=1)[:, [window.line for window in windows]]
     spread = np.linalg.inv(np.moveaxis(W, 0, 2))  # (line, experiment, input)
     net, noise, freedom = separated(y, windows)
-    return MeasuredResponse(excitation.omega, net @ spread, noise, spread, freedom, loop)
+    return MeasuredResponse(
+        excitation.omega, net @ spread, noise, spread, freedom, loop
+    )

@@ -34,7 +34,9 @@ def _shrunk(noise, freedom):
     values, vectors = np.linalg.eigh(noise)
     values = np.maximum(values, 0)
     square, squares = values.sum(axis=1) ** 2, (values**2).sum(axis=1)
-    directions = (square - squares / freedom) / np.maximum(squares - square / freedom, TINY)
+    directions = (square - squares / freedom) / np.maximum(
+        squares - square / freedom, TINY
+    )
     directions = np.clip(directions, 1, m)
     apart = (square / directions - square / m) / np.maximum(squares - square / m, TINY)
     mean = values.mean(axis=1, keepdims=True)
@@ -56,7 +58,12 @@ def radius_of(noise, spread, freedom, miss):
         return fdtrc(2 * m**2, 2 * freedom[k][..., None], ratio).mean(-1) - miss
 
     quantile = np.log(fdtri(2 * m**2, 2 * freedom, 1 - miss))
-    bracket = np.log(gain.min(1)) + quantile - 1e-6, np.log(gain.max(1)) + quantile + 1e-6
-    with np.errstate(invalid="ignore"):  # a bracket at rounding level, which is then halved
+    bracket = (
+        np.log(gain.min(1)) + quantile - 1e-6,
+        np.log(gain.max(1)) + quantile + 1e-6,
+    )
+    with np.errstate(
+        invalid="ignore"
+    ):  # a bracket at rounding level, which is then halved
         found = elementwise.find_root(excess, bracket, args=(np.arange(len(noise)),))
     return np.exp(found.x / 2)

@@ -44,7 +44,9 @@ class TabulatedResponse(Measured):
 
     def _scaled(self, scale):
         units = scale / scale[:, None]
-        widest = self.uncertainty * units.max()  # the norm of Delta is not more in these units
+        widest = (
+            self.uncertainty * units.max()
+        )  # the norm of Delta is not more in these units
         return replace(self, response=self.response * units, uncertainty=widest)
 
     def _basis(self, omega, confidence):
@@ -56,21 +58,29 @@ class TabulatedResponse(Measured):
             "assumed: between them P is not further from their spline than straight lines are",
         ]
         if outside := np.mean(self._outside(omega)):
-            lines.append(f"assumed: beyond, at {outside:.0%} of omega, P is not larger than there")
+            lines.append(
+                f"assumed: beyond, at {outside:.0%} of omega, P is not larger than there"
+            )
         return lines
 
 
-def tabulated(table: control.FrequencyResponseData, uncertainty=None) -> TabulatedResponse:
+def tabulated(
+    table: control.FrequencyResponseData, uncertainty=None
+) -> TabulatedResponse:
     """From python-control's frequency response data."""
     omega = arguments.array("log.omega", table.omega, ("frequency",))
     if len(omega) < 4 or omega[0] <= 0 or np.any(np.diff(omega) <= 0):
-        raise ValueError(f"log.omega = {omega} must be four positive increasing ones, or more")
+        raise ValueError(
+            f"log.omega = {omega} must be four positive increasing ones, or more"
+        )
     shape = len(omega), "m", "m"
     P = arguments.array("log.frdata", np.moveaxis(table.frdata, -1, 0), shape, complex)
     radius = 0.0 * omega if uncertainty is None else uncertainty
     radius = arguments.array("uncertainty", radius, (len(omega),))
     if radius.min() < 0:
-        raise ValueError(f"uncertainty reaches {radius.min():.6g}, but must not be negative")
+        raise ValueError(
+            f"uncertainty reaches {radius.min():.6g}, but must not be negative"
+        )
     timed = table.dt and table.dt is not True
     loop = ClosedLoop(None, table.dt, table.output_labels) if timed else None
     return TabulatedResponse(omega, P, radius, loop)

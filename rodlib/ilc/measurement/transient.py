@@ -22,7 +22,9 @@ class Window:
     neighbours: np.ndarray
     weights: np.ndarray  # of the neighbours, for the transient at the line
     residual: np.ndarray  # projection: what the polynomial leaves of the neighbours
-    power: np.ndarray  # of the noise at the neighbours, relative to the line, (neighbour, output)
+    power: (
+        np.ndarray
+    )  # of the noise at the neighbours, relative to the line, (neighbour, output)
 
     @property
     def left(self) -> np.ndarray:
@@ -33,7 +35,9 @@ class Window:
     def freedom(self) -> float:
         """Complex degrees of freedom of the noise, for each experiment."""
         # Satterthwaite's; neighbours minus coefficients where all of them have the same noise.
-        squares = np.einsum("qj,qr,rj->j", self.power, np.abs(self.residual) ** 2, self.power)
+        squares = np.einsum(
+            "qj,qr,rj->j", self.power, np.abs(self.residual) ** 2, self.power
+        )
         return float(np.min(self.left**2 / squares))
 
     @property

@@ -15,7 +15,9 @@ from rodlib.ilc.loop.closed import Loop
 CHOOSE = "auto"  # in the place of L_max, of which None says that there is none
 FREQUENCIES = 1000
 DECADES = 3  # from the lowest frequency up to the cut-off of Q
-SHARE = 1 / 5  # of the cut-off, where the band ends: Q passes 99.8 % there, if its order is two
+SHARE = (
+    1 / 5
+)  # of the cut-off, where the band ends: Q passes 99.8 % there, if its order is two
 
 
 def frequencies(P, Q, Ts) -> np.ndarray:
@@ -23,19 +25,25 @@ def frequencies(P, Q, Ts) -> np.ndarray:
 
     `P` is a list of plants; of a measured one the grid begins where it is known.
     """
-    known = [plant.omega for plant in P if isinstance(plant, control.FrequencyResponseData)]
+    known = [
+        plant.omega for plant in P if isinstance(plant, control.FrequencyResponseData)
+    ]
     if known:
         return known[0]
     sampled = [plant for plant in P if not isinstance(plant, Loop | control.LTI)]
     if any(not hasattr(plant, "on") for plant in sampled):
-        raise ValueError("omega must be given: P is an array, which does not know its frequencies")
+        raise ValueError(
+            "omega must be given: P is an array, which does not know its frequencies"
+        )
     if not isinstance(Q, ZeroPhaseButterworth):
         raise ValueError(
             f"omega must be given, as Q = {reprlib.repr(Q)} is no filter, from whose cut-off a "
             "grid could be chosen"
         )
     lowest = [Q.cutoff / 10**DECADES]
-    lowest += [plant.omega[getattr(plant, "known", plant.omega > 0)][0] for plant in sampled]
+    lowest += [
+        plant.omega[getattr(plant, "known", plant.omega > 0)][0] for plant in sampled
+    ]
     return np.geomspace(max(lowest), np.pi / Ts, FREQUENCIES)
 
 

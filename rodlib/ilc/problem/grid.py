@@ -13,7 +13,16 @@ import numpy as np
 from rodlib.ilc.models import frequency_response
 from rodlib.ilc.problem.problem import ROUNDING, Problem
 
-VALUES = ("P", "Q", "omega", "others", "radius", "noise", "switched", "asked")  # by frequency
+VALUES = (
+    "P",
+    "Q",
+    "omega",
+    "others",
+    "radius",
+    "noise",
+    "switched",
+    "asked",
+)  # by frequency
 LEAST = 1e-6  # gain of P L that is always let be, so that what is left of M_max may be nothing
 
 
@@ -26,13 +35,19 @@ def without_gaps(problem: Problem) -> Problem:
     if not coarse and problem.beyond is None:
         return problem
     end = 0 if coarse else known[problem.asked][-1]
-    gaps = [(a, b) for a, b in pairwise([0, *known, np.pi]) if a >= end and b - a > ROUNDING]
+    gaps = [
+        (a, b) for a, b in pairwise([0, *known, np.pi]) if a >= end and b - a > ROUNDING
+    ]
     added = [np.linspace(a, b, 1 + int(np.ceil((b - a) / near)))[1:-1] for a, b in gaps]
     ends = np.array([0, np.pi])
     added.append(ends[(ends >= end) & (np.abs(ends - known[[0, -1]]) > ROUNDING)])
     added = np.sort(np.concatenate(added)) / problem.Ts
-    problem = refined(problem, added) if problem.everywhere else _with(problem, added)[0]
-    if coarse and not problem.everywhere:  # which finds where L passes its bound all the same
+    problem = (
+        refined(problem, added) if problem.everywhere else _with(problem, added)[0]
+    )
+    if (
+        coarse and not problem.everywhere
+    ):  # which finds where L passes its bound all the same
         share = np.cos((problem.order - 1) / 2 * _reach(problem.angles))
         problem = replace(problem, share_L=share)
     return problem if problem.beyond is None else _bounded_beyond(problem, near)
@@ -47,10 +62,14 @@ def refined(problem: Problem, omega, P=None, Q=0) -> Problem:
     """
     omega, models = np.sort(omega), {}
     if problem.butterworth is not None:
-        models = {k: model for k, model in enumerate(problem.models) if model is not None}
+        models = {
+            k: model for k, model in enumerate(problem.models) if model is not None
+        }
     known = {k: frequency_response(model, omega) for k, model in models.items()}
     if P is None:
-        P = np.array([next(iter(known.values()), 0 * problem.P[:1])] * len(problem.models))
+        P = np.array(
+            [next(iter(known.values()), 0 * problem.P[:1])] * len(problem.models)
+        )
     if known:
         Q = problem.butterworth.frequency_response(omega)
     for k, response in known.items():
@@ -86,7 +105,9 @@ def _bounded_beyond(problem, near):
     unknown = np.arange(len(problem.omega)) >= np.flatnonzero(problem.asked)[-1]
     omega = problem.omega[unknown]
     Q, (last, *_) = problem.Q_beyond(omega), omega
-    below = np.maximum.accumulate(np.append(Q[0], Q[:-1]))  # M must keep its bound in between
+    below = np.maximum.accumulate(
+        np.append(Q[0], Q[:-1])
+    )  # M must keep its bound in between
     with np.errstate(divide="ignore"):  # |Q (I - P L)| <= |Q| (1 + size sigma_max(L))
         room = np.maximum(problem.M_max / np.maximum(below, 1e-300) - 1, LEAST)
         limit = np.cos((problem.order - 1) / 4 * near) * room / problem.beyond

@@ -47,7 +47,9 @@ def _phase_where_it_falls(P, omega):
         sign, size = np.linalg.slogdet(P)
         slope = np.diff(size) / np.diff(np.log(np.maximum(omega, omega[1] / 2)))
     steps = np.angle(sign[1:] / sign[:-1])
-    known = np.logical_and.accumulate(np.abs(steps) < np.pi / 2)  # or it has no one phase
+    known = np.logical_and.accumulate(
+        np.abs(steps) < np.pi / 2
+    )  # or it has no one phase
     start = np.angle(sign[0] ** 2) / 2  # from the nearer half of the real axis
     if abs(start) > TURNED:  # it has begun to turn below: nothing is known
         return 0.0

@@ -10,7 +10,14 @@ from rodlib.ilc.filters import ZeroPhaseButterworth
 from rodlib.ilc.problem import defaults
 from rodlib.ilc.problem.plausible import doubts_about_P, doubts_about_Q
 from rodlib.ilc.problem.problem import ROUNDING, Problem, largest_singular_values
-from rodlib.ilc.problem.responses import Measured, Q_on_grid, axes, on_grid, period, plants
+from rodlib.ilc.problem.responses import (
+    Measured,
+    Q_on_grid,
+    axes,
+    on_grid,
+    period,
+    plants,
+)
 
 CONFIDENCE = 0.99  # in a measured response, if not said otherwise
 
@@ -73,10 +80,16 @@ def pose(
     _refuse_singular(P, omega)
     band, L_max, chosen = _chosen(band, L_max, objective, q, Q, P, omega)
     in_band = _in_band(band, Q, omega, objective)
-    doubts = () if isinstance(given, Measured) else _doubts(given, (P, *others), models, omega, Ts)
+    doubts = (
+        ()
+        if isinstance(given, Measured)
+        else _doubts(given, (P, *others), models, omega, Ts)
+    )
     doubts += (*doubts_about_Q(Q, omega, in_band, Ts),)
     noise = _weights(noise, omega, Ts, m, M_max, scale)
-    beyond = _size_beyond(beyond, models, np.concatenate([P[None], others]), radius, omega[-1], Ts)
+    beyond = _size_beyond(
+        beyond, models, np.concatenate([P[None], others]), radius, omega[-1], Ts
+    )
     return Problem(
         P, Q, omega, Ts, scale, others, tuple(models), q,
         np.ones(n, dtype=bool), np.full(n, np.inf), np.ones(n), band, L_max,
@@ -88,9 +101,13 @@ def pose(
 def _refuse_exchanged(Q, omega):
     """Refuse Q and omega in each other's place."""
     if isinstance(omega, ZeroPhaseButterworth | control.LTI):
-        raise ValueError(f"omega = {reprlib.repr(omega)} is a filter: likely exchanged with Q")
+        raise ValueError(
+            f"omega = {reprlib.repr(omega)} is a filter: likely exchanged with Q"
+        )
     if _rises(Q) and axes(omega) == 1 and not _rises(omega):
-        raise ValueError("omega does not increase, but Q does: likely they are exchanged")
+        raise ValueError(
+            "omega does not increase, but Q does: likely they are exchanged"
+        )
 
 
 def _rises(samples):
@@ -102,7 +119,9 @@ def _rises(samples):
 def _doubts(P, responses, models, omega, Ts):
     """What speaks against those of the plants that are known as samples."""
     known = zip(plants(P), responses, models, strict=True)
-    found = [doubts_about_P(name, p, omega, Ts) for name, p, model in known if model is None]
+    found = [
+        doubts_about_P(name, p, omega, Ts) for name, p, model in known if model is None
+    ]
     return tuple(text for texts in found for text in texts)
 
 
@@ -126,7 +145,9 @@ def _chosen(band, L_max, objective, butterworth, Q, P, omega):
     if band is None:
         band = defaults.band(cutoff, omega)
         if objective == "sum":
-            chosen.append(f"band = ({band[0]:.4g}, {band[1]:.4g}) rad/s, by Q's cut-off")
+            chosen.append(
+                f"band = ({band[0]:.4g}, {band[1]:.4g}) rad/s, by Q's cut-off"
+            )
     if isinstance(L_max, str) and L_max == defaults.CHOOSE:
         L_max = defaults.gain(cutoff, P, omega)
         chosen.append(f"L_max = {L_max:g}, a gain that inverts P at Q's cut-off")
@@ -199,7 +220,9 @@ def _size_beyond(beyond, models, plants, radius, last, Ts):
 def _scale(scale, m):
     scale = arguments.array("scale", scale, (m,))
     if scale.min() <= 0:
-        raise ValueError(f"scale = {scale.tolist()} must be positive, one number per channel")
+        raise ValueError(
+            f"scale = {scale.tolist()} must be positive, one number per channel"
+        )
     return scale
 
 
@@ -219,7 +242,9 @@ def _weights(noise, omega, Ts, m, M_max, scale):
     shape = (n, m) if axes(noise) == 2 else (n,)
     noise = arguments.array("noise", noise, shape).reshape(n, -1)
     if noise.min() < 0:
-        raise ValueError(f"noise reaches {noise.min():.6g}, but a spectral density is not negative")
+        raise ValueError(
+            f"noise reaches {noise.min():.6g}, but a spectral density is not negative"
+        )
     edges = np.concatenate([[0.0], (omega[1:] + omega[:-1]) / 2, [np.pi / Ts]])
     width = np.diff(edges)[:, None] * Ts / np.pi
     weights = width * noise / scale**2 / (1 - M_max**2) * np.ones(m)
@@ -234,8 +259,14 @@ def _refuse_singular(P, omega):
         return
     first = singular[0]
     size = np.abs(P[first])
-    dead = [f"output {k} answers to none" for k in np.flatnonzero(size.max(1) <= smallest[first])]
-    dead += [f"no output answers to w {k}" for k in np.flatnonzero(size.max(0) <= smallest[first])]
+    dead = [
+        f"output {k} answers to none"
+        for k in np.flatnonzero(size.max(1) <= smallest[first])
+    ]
+    dead += [
+        f"no output answers to w {k}"
+        for k in np.flatnonzero(size.max(0) <= smallest[first])
+    ]
     raise ValueError(
         f"P is singular at omega = {omega[first]:.6g} rad/s (smallest singular value "
         f"{singular_values[first, -1]:.3g}): P^-1 in (40) does not exist there"

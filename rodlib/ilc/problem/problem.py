@@ -24,30 +24,54 @@ TIED = 1e-6  # relative distance at which rounding, or the accuracy of a solver,
 class Problem:
     """The problem of a learning filter. Made by :func:`rodlib.ilc.problem.pose`."""
 
-    P: np.ndarray  # (n, m, m), complex: frequency response of the plant, the current-trial loop
+    P: (
+        np.ndarray
+    )  # (n, m, m), complex: frequency response of the plant, the current-trial loop
     Q: np.ndarray  # (n,): of the Q-filter
     omega: np.ndarray  # (n,): design frequencies, rad/s
     Ts: float  # sampling period, s
     scale: np.ndarray  # (m,): what counts as equally large in each channel
-    others: np.ndarray  # (p, n, m, m): plants 1 to p, for which the bounds hold as for P, plant 0
-    models: tuple[control.StateSpace | None, ...]  # all plants, as far as they are models
+    others: (
+        np.ndarray
+    )  # (p, n, m, m): plants 1 to p, for which the bounds hold as for P, plant 0
+    models: tuple[
+        control.StateSpace | None, ...
+    ]  # all plants, as far as they are models
     butterworth: ZeroPhaseButterworth | None  # Q, if it is a model
-    asked: np.ndarray  # (n,), bool: False where only L is bounded; P and Q stand as zero there
-    limit_L: np.ndarray  # (n,): bound on sigma_max(L) beside L_max, see `weight`; infinite if none
-    share_L: np.ndarray  # (n,): of L_max that L may have at a sample, so that it keeps it between
+    asked: (
+        np.ndarray
+    )  # (n,), bool: False where only L is bounded; P and Q stand as zero there
+    limit_L: (
+        np.ndarray
+    )  # (n,): bound on sigma_max(L) beside L_max, see `weight`; infinite if none
+    share_L: (
+        np.ndarray
+    )  # (n,): of L_max that L may have at a sample, so that it keeps it between
     band: tuple[float, float]  # over which "sum" sums, rad/s
     L_max: float | None  # bound on sigma_max(L)
     order: int = 10  # number of samples that the learning filter looks ahead
     M_max: float = 0.9  # bound on sigma_max(M)
     structure: str = "diagonal"  # or "full"
-    objective: str = "sum"  # or "peak"; or "gain": the least sigma_max(L), in units of L_max
-    radius: np.ndarray | None = None  # (n,): the bounds hold for all P + Delta, ||Delta|| <= radius
+    objective: str = (
+        "sum"  # or "peak"; or "gain": the least sigma_max(L), in units of L_max
+    )
+    radius: np.ndarray | None = (
+        None  # (n,): the bounds hold for all P + Delta, ||Delta|| <= radius
+    )
     noise: np.ndarray | None = None  # (n, m): weights of what learning from noise costs
-    basis: tuple[str, ...] = ()  # what nobody gave; what a measured P and its radius rest on
-    switched: np.ndarray | None = None  # (n, m, m): in the place of Q P, if noise begins at a start
-    beyond: float | None = None  # sigma_max(P) is at most that above the last sample; None if known
+    basis: tuple[
+        str, ...
+    ] = ()  # what nobody gave; what a measured P and its radius rest on
+    switched: np.ndarray | None = (
+        None  # (n, m, m): in the place of Q P, if noise begins at a start
+    )
+    beyond: float | None = (
+        None  # sigma_max(P) is at most that above the last sample; None if known
+    )
     findings: tuple[str, ...] = ()  # what the statement itself leaves in doubt
-    everywhere: bool = False  # whether the bounds shall hold between the frequencies omega, too
+    everywhere: bool = (
+        False  # whether the bounds shall hold between the frequencies omega, too
+    )
     doubts: tuple[str, ...] = ()  # what samples of P and Q show to be likely mistakes
 
     @property
@@ -125,7 +149,9 @@ class Problem:
     @property
     def passed(self) -> np.ndarray:
         """What of L and the noise is passed on to the next trial, shape (n, m, m): Q P."""
-        return self.Q[:, None, None] * self.P if self.switched is None else self.switched
+        return (
+            self.Q[:, None, None] * self.P if self.switched is None else self.switched
+        )
 
     def M(self, L, number: int = 0) -> np.ndarray:
         """M of a plant, from the frequency response of L."""
@@ -148,7 +174,9 @@ class Problem:
         gains = np.linalg.norm(self.Q[:, None, None] * self.P, axis=1).max(axis=0)
         most = np.diag(gains / np.abs(self.Q).max() / MOST_GAIN)
         return np.where(
-            np.isfinite(self.limit_L)[:, None, None], identity / self.limit_L[:, None, None], most
+            np.isfinite(self.limit_L)[:, None, None],
+            identity / self.limit_L[:, None, None],
+            most,
         )
 
     def passed_L(self, L) -> float:
@@ -156,7 +184,9 @@ class Problem:
 
         That bound is one.
         """
-        bounded = np.full(len(self.omega), self.L_max is not None) | np.isfinite(self.limit_L)
+        bounded = np.full(len(self.omega), self.L_max is not None) | np.isfinite(
+            self.limit_L
+        )
         return float(largest_singular_values((self.weight @ L)[bounded]).max(initial=0))
 
     def Q_beyond(self, omega) -> np.ndarray:
@@ -171,7 +201,11 @@ class Problem:
         if self.beyond is None:
             return ()
         last, Q = self.omega[self.asked][-1], self.Q[self.asked][-1]
-        as_there = "" if self.butterworth else f", and |Q| {np.abs(Q):.4g}, as at the last sample"
+        as_there = (
+            ""
+            if self.butterworth
+            else f", and |Q| {np.abs(Q):.4g}, as at the last sample"
+        )
         return (
             f"assumed: above {last:.4g} rad/s, where P is not known, sigma_max(P) is "
             f"{self.beyond:.4g} at most, at any phase{as_there}",
@@ -184,7 +218,9 @@ class Problem:
 
     def response(self, solution: "Solution") -> np.ndarray:
         """Frequency response of a solution's filter, shape (n, m, m), in units of `scale`."""
-        return LearningFilter(solution.coefficients, self.Ts).frequency_response(self.omega)
+        return LearningFilter(solution.coefficients, self.Ts).frequency_response(
+            self.omega
+        )
 
 
 @dataclass(frozen=True)
@@ -194,14 +230,18 @@ class Cuts:
     plant: np.ndarray  # (c,): number of the plant of each bound
     frequency: np.ndarray  # (c,): index of its frequency
     N: np.ndarray  # (c, rows of G, m), complex: multipliers of G
-    split: np.ndarray  # (c, 1), or (c, 0) without r: share of the bound left to the rows below M
+    split: (
+        np.ndarray
+    )  # (c, 1), or (c, 0) without r: share of the bound left to the rows below M
 
 
 @dataclass(frozen=True)
 class Solution:
     """A learning filter, and the multipliers from which its optimality can be proven."""
 
-    coefficients: np.ndarray  # (m, m, order): of L(z) = sum_k C_k z^k, in units of `scale`
+    coefficients: (
+        np.ndarray
+    )  # (m, m, order): of L(z) = sum_k C_k z^k, in units of `scale`
     U: np.ndarray  # (n, m, m), complex: multipliers of the nominal M
     V: np.ndarray  # (n, m, m), complex: multipliers of L
     largest: float  # sigma_max(M); of W L, for the least gain
@@ -233,8 +273,12 @@ def largest_singular_values(G):
             sigma = np.sqrt(total)
         else:
             coupling = np.abs((G[:, 0] * G[:, 1].conj()).sum(axis=1))
-            sigma = np.sqrt(total / 2 + np.hypot((power[:, 0] - power[:, 1]) / 2, coupling))
+            sigma = np.sqrt(
+                total / 2 + np.hypot((power[:, 0] - power[:, 1]) / 2, coupling)
+            )
     if not (total.min(initial=1) > 1e-280 and total.max(initial=1) < 1e280):
-        extreme = ~((total > 1e-280) & (total < 1e280))  # the squares may have left the doubles
+        extreme = ~(
+            (total > 1e-280) & (total < 1e280)
+        )  # the squares may have left the doubles
         sigma[extreme] = np.linalg.norm(G[extreme], 2, axis=(1, 2))
     return sigma

@@ -42,7 +42,9 @@ class Measured:
         """
         return self._radius(probability(confidence), arguments.flag("jointly", jointly))
 
-    def on(self, omega, confidence: float = 0.95, scale=None) -> tuple[np.ndarray, np.ndarray]:
+    def on(
+        self, omega, confidence: float = 0.95, scale=None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Response and radius on other frequencies, for the synthesis.
 
         Parameters
@@ -62,7 +64,9 @@ class Measured:
         """
         omega, own = np.abs(arguments.row("omega", omega)), self
         if scale is not None:
-            own = self._scaled(arguments.array("scale", scale, (self.response.shape[1],)))
+            own = self._scaled(
+                arguments.array("scale", scale, (self.response.shape[1],))
+            )
         return own._on(omega, probability(confidence))
 
     def basis(self, omega, confidence: float = 0.95) -> tuple[str, ...]:
@@ -99,7 +103,9 @@ def period(P, Q):
 def plants(P):
     """The plants by their names in messages, the nominal one first, from one plant or several."""
     if isinstance(P, Iterator):
-        raise ValueError(f"P = {reprlib.repr(P)} can be read only once: pass a list of plants")
+        raise ValueError(
+            f"P = {reprlib.repr(P)} can be read only once: pass a list of plants"
+        )
     several = isinstance(P, np.ndarray) and P.ndim == 4
     if isinstance(P, list | tuple):
         measured = [isinstance(p, Measured) for p in P]
@@ -110,7 +116,9 @@ def plants(P):
             )
         several = not P or any(isinstance(p, MODELS) or axes(p) == 3 for p in P)
     if several and not len(P):
-        raise ValueError(f"P = {P!r} holds no plant: pass one or more, the nominal one first")
+        raise ValueError(
+            f"P = {P!r} holds no plant: pass one or more, the nominal one first"
+        )
     return {f"P[{k}]": plant for k, plant in enumerate(P)} if several else {"P": P}
 
 
@@ -157,7 +165,9 @@ def _response(name, P, omega, Ts):
 
 def _check_period(name, dt, Ts):
     if dt is True or dt != Ts:  # True, some period, equals 1 s
-        raise ValueError(f"{name}.dt = {dt!r} differs from Ts = {Ts!r}: sample the model at Ts")
+        raise ValueError(
+            f"{name}.dt = {dt!r} differs from Ts = {Ts!r}: sample the model at Ts"
+        )
 
 
 def _of_frd(name, P, omega, Ts):

@@ -35,17 +35,23 @@ class Controller:
         self.loop, self.decimals = loop, decimals
         self._B = loop.plant.B[:, :m]
         self._x_hat, self.delta = np.zeros(n), np.zeros(m)
-        self.follow = np.asarray  # what the actuators make of u, which the observer is told
+        self.follow = (
+            np.asarray
+        )  # what the actuators make of u, which the observer is told
 
     def step(self, y, w) -> np.ndarray:
         """The controls u(p) from the measured y(p) and w(p); advances the observer."""
         shape = self.delta.shape
-        return self._advance(arguments.array("y", y, shape), arguments.array("w", w, shape))
+        return self._advance(
+            arguments.array("y", y, shape), arguments.array("w", w, shape)
+        )
 
     def _advance(self, y, w) -> np.ndarray:
         """As `step`, of what was checked."""
         loop = self.loop
-        u = _rounded(loop.N @ w - loop.Ks @ self._x_hat - self.delta, self.decimals)  # (18)
+        u = _rounded(
+            loop.N @ w - loop.Ks @ self._x_hat - self.delta, self.decimals
+        )  # (18)
         surprise = loop.KL @ (y - loop.plant.C @ self._x_hat)
         n, forced = len(self._x_hat), self._B @ (self.follow(u) + self.delta)
         self._x_hat = loop.plant.A @ self._x_hat + forced + surprise[:n]  # (16)
@@ -59,14 +65,22 @@ class ControlledRig:
     def __init__(self, rig, loop, decimals, limits=None):
         if isinstance(rig, type):
             raise ValueError(f"rig = {rig!r} is a class: make one")
-        missing = [name for name in ("read", "apply") if not callable(getattr(rig, name, None))]
+        missing = [
+            name for name in ("read", "apply") if not callable(getattr(rig, name, None))
+        ]
         self.whole = bool(missing) and callable(getattr(rig, "run", None))
         if missing and not self.whole:
-            raise ValueError(f"rig = {reprlib.repr(rig)} has no {', '.join(missing)}: see Rig")
+            raise ValueError(
+                f"rig = {reprlib.repr(rig)} has no {', '.join(missing)}: see Rig"
+            )
         self.rig, self.loop = rig, check_loop(loop)
-        self.ours = isinstance(loop, CurrentTrialLoop)  # the controller, if it is not on the rig
+        self.ours = isinstance(
+            loop, CurrentTrialLoop
+        )  # the controller, if it is not on the rig
         self.outputs, self.commands = loop.outputs, loop.commands
-        decimals = arguments.by_name("decimals", decimals, ["v", "u", "delta", "disturbance"])
+        decimals = arguments.by_name(
+            "decimals", decimals, ["v", "u", "delta", "disturbance"]
+        )
         for name, value in decimals.items():
             arguments.whole(f"decimals[{name!r}]", value, 0, 300)
         self.decimals = decimals
@@ -74,24 +88,36 @@ class ControlledRig:
         missing = [name for name in self.commands if name not in self.inputs]
         if missing:
             what = "controls" if self.ours else "references"
-            raise ValueError(f"rig.inputs = {self.inputs} must name the {what} {missing}")
+            raise ValueError(
+                f"rig.inputs = {self.inputs} must name the {what} {missing}"
+            )
         given = getattr(rig, "limits", None)
         self.limits = named_limits("rig.limits", given, self.inputs, rated=True)
         if isinstance(limits, str) and limits == "rig":
             limits = {n: own for n, own in self.limits.items() if n in self.commands}
-        self.kept = named_limits("limits", limits, self.commands, rated=True)  # by what is applied
+        self.kept = named_limits(
+            "limits", limits, self.commands, rated=True
+        )  # by what is applied
         self.actuators = Actuators.of("limits", self.kept, loop) if self.kept else None
         self.applied = None  # the last commands
         heard = {} if self.whole else getattr(rig, "measured", {})
-        self.told = [] if self.ours or self.whole else loop.controls  # u, by who commands it
+        self.told = (
+            [] if self.ours or self.whole else loop.controls
+        )  # u, by who commands it
         missing = [name for name in self.told if name not in heard]
         if missing:
-            raise ValueError(f"rig.measured must have the controls {missing} of the loop")
+            raise ValueError(
+                f"rig.measured must have the controls {missing} of the loop"
+            )
         moved = [] if self.whole else loop.disturbances
         self.moved = [name for name in moved if name in self.inputs]
-        self.heard = [n for n in loop.disturbances if n in heard and n not in self.moved]
+        self.heard = [
+            n for n in loop.disturbances if n in heard and n not in self.moved
+        ]
         self.recorded = [n for n in loop.disturbances if n in self.moved + self.heard]
-        self.positions = [self.inputs.index(name) for name in self.commands + self.moved]
+        self.positions = [
+            self.inputs.index(name) for name in self.commands + self.moved
+        ]
         self.Ts = arguments.sampling_period("rig.Ts", getattr(rig, "Ts", loop.Ts))
         self.controller = None
         self.stop = {}  # limits of outputs and commands, by name
@@ -114,16 +140,22 @@ class ControlledRig:
         names = self.loop.disturbances
         if disturbance is None:
             return np.zeros((trials, samples, len(self.moved)))
-        d = arguments.in_columns("disturbance", disturbance, (..., samples, len(names)), names)
+        d = arguments.in_columns(
+            "disturbance", disturbance, (..., samples, len(names)), names
+        )
         d = d if d.ndim != 2 else np.broadcast_to(d, (trials, *d.shape))
         d = arguments.array("disturbance", d, ("trial", samples, len(names)))
         if len(d) < trials:
             raise ValueError(
                 f"disturbance has {len(d)} trials, but trials = {trials} are asked for"
             )
-        unknown = [n for i, n in enumerate(names) if n not in self.recorded and d[..., i].any()]
+        unknown = [
+            n for i, n in enumerate(names) if n not in self.recorded and d[..., i].any()
+        ]
         if unknown:
-            raise ValueError(f"disturbance is not zero for {unknown}, which are no rig.inputs")
+            raise ValueError(
+                f"disturbance is not zero for {unknown}, which are no rig.inputs"
+            )
         return d[:trials][..., [names.index(name) for name in self.moved]]
 
     def begin(self, trial):
@@ -140,7 +172,9 @@ class ControlledRig:
         """Hold the start of the reference before a trial, if samples is None until all is back."""
         held, y, wait = np.zeros(len(self.moved)), [], samples is None
         for p in range(start.longest if wait else samples):
-            y.append(self.sample(w, held, f"pause before trial {trial}, sample {p + 1}")["y"])
+            y.append(
+                self.sample(w, held, f"pause before trial {trial}, sample {p + 1}")["y"]
+            )
             bar.update(0 if wait else 1)
             if wait and p % max(1, start.window // 10) == 0 and start.back(y, w):
                 return
@@ -164,13 +198,17 @@ class ControlledRig:
             return {"v": v} | self.followed(trial)
         clock = getattr(self.rig, "clock", None)
         start = clock() if clock else 0.0
-        for p, (r, w, flows) in enumerate(zip(reference, self.w, commanded, strict=True)):
+        for p, (r, w, flows) in enumerate(
+            zip(reference, self.w, commanded, strict=True)
+        ):
             if clock:
                 off.append(clock() - start - p * self.loop.Ts)
             self.samples.append(self.sample(w, flows, f"trial {trial}, sample {p + 1}"))
             if not bar.disable:
                 squares += float(np.sum((r - self.samples[-1]["y"]) ** 2))
-                bar.set_postfix_str(f"RMS {math.sqrt(squares / (p + 1)):.3g}", refresh=False)
+                bar.set_postfix_str(
+                    f"RMS {math.sqrt(squares / (p + 1)):.3g}", refresh=False
+                )
                 bar.update()
         off = np.array(off)
         late = np.flatnonzero(np.abs(off) > LATE * self.loop.Ts)
@@ -199,7 +237,9 @@ class ControlledRig:
         with_u, shape = bool(self.loop.controls), self.w.shape
         cut_off = self.actuators and not self.ours
         with _told(f"trial {trial}"):
-            result = self.rig.run(self.actuators.follow(self.w) if cut_off else self.w.copy())
+            result = self.rig.run(
+                self.actuators.follow(self.w) if cut_off else self.w.copy()
+            )
             y, *more = result if with_u and isinstance(result, tuple) else (result,)
             try:
                 downloaded = {"y": arguments.array("y", y, shape)}
@@ -209,7 +249,9 @@ class ControlledRig:
             except ValueError as error:
                 raise RigError(str(error)) from None
         samples = zip(*downloaded.values(), strict=True)
-        self.samples = [dict(zip(downloaded, sample, strict=True)) for sample in samples]
+        self.samples = [
+            dict(zip(downloaded, sample, strict=True)) for sample in samples
+        ]
         for p, sample in enumerate(self.samples):
             with _told(f"trial {trial}, sample {p + 1}"):
                 self.check(sample["y"], self.outputs)
@@ -218,7 +260,9 @@ class ControlledRig:
 
     def signals(self) -> dict[str, np.ndarray]:
         """What was sampled of the trial that runs, or ran last."""
-        return {name: np.array([s[name] for s in self.samples]) for name in self.samples[0]}
+        return {
+            name: np.array([s[name] for s in self.samples]) for name in self.samples[0]
+        }
 
     def mistake(self) -> str | None:
         """What the samples of a first trial, from rest, say of the wiring."""
@@ -240,7 +284,9 @@ class ControlledRig:
             y, heard = self.readings()
             self.check(y, self.outputs)
             if self.ours:
-                found = {"delta": _rounded(self.controller.delta, self.decimals.get("delta"))}
+                found = {
+                    "delta": _rounded(self.controller.delta, self.decimals.get("delta"))
+                }
                 commands = found["u"] = self.controller._advance(y, w)
             else:
                 u = np.array([heard.pop(name) for name in self.told])
@@ -277,7 +323,10 @@ class ControlledRig:
         y, heard = self.rig.read(), self.rig.measured if names else {}
         try:
             y = arguments.array("reading", y, (len(self.outputs),))
-            heard = {name: float(arguments.array(name, heard.get(name), ())) for name in names}
+            heard = {
+                name: float(arguments.array(name, heard.get(name), ()))
+                for name in names
+            }
         except ValueError as error:
             raise RigError(str(error)) from None
         for name, value in heard.items():

@@ -107,12 +107,18 @@ def record(
     controlled = ControlledRig(rig, loop, decimals, limits)
     check_law(loop, Q, L, rig=controlled.Ts)
     if path is not None and L is not None:
-        arguments.instance("L", L, LearningFilter)  # or the log could not say what made it
+        arguments.instance(
+            "L", L, LearningFilter
+        )  # or the log could not say what made it
     trials = arguments.whole("trials", trials, 1)
     pause = None if pause is None else arguments.whole("pause", pause, 0)
     if pause and controlled.whole:
-        raise ValueError(f"pause = {pause}, but rig.run begins where every trial begins: leave it")
-    pause = 0 if pause is None and (controlled.whole or hasattr(rig, "begin")) else pause
+        raise ValueError(
+            f"pause = {pause}, but rig.run begins where every trial begins: leave it"
+        )
+    pause = (
+        0 if pause is None and (controlled.whole or hasattr(rig, "begin")) else pause
+    )
     another_law = arguments.flag("another_law", another_law)
     reference = each_trial("reference", reference, trials, "time", loop.outputs)
     samples = reference.shape[1]
@@ -130,12 +136,21 @@ def record(
         r, v, y = reference[done - 1], signals["v"][-1], signals["y"][-1]
         told = (signals[name][-1] for name in ("u", "applied") if name in signals)
         commands = commands_of(loop, controlled.actuators, r + v, *told)
-        return projected(v, r - y, commands, Q, L, loop, controlled.actuators, rest, step)
+        return projected(
+            v, r - y, commands, Q, L, loop, controlled.actuators, rest, step
+        )
 
     notes = with_law(xr.Dataset(), Q, L, rest, loop, step, controlled.kept).attrs
     notes |= {} if v is None else {BEGUN: "v of trial 1 was given"}
     controlled.stop_at(stop, reference)
-    made = controlled, reference, commanded, following, notes, None if L is None else (Q, L)
+    made = (
+        controlled,
+        reference,
+        commanded,
+        following,
+        notes,
+        None if L is None else (Q, L),
+    )
     return Experiment(*made, another_law=another_law).run(pause, path)
 
 
@@ -175,9 +190,13 @@ def shake(
     shaken = excitation.signals
     m = len(loop.outputs)
     if excitation.channels != m:
-        raise ValueError(f"excitation is for {excitation.channels} channels, but the loop has {m}")
+        raise ValueError(
+            f"excitation is for {excitation.channels} channels, but the loop has {m}"
+        )
     commanded = controlled.commanded(None, *shaken.shape[:2])
-    followed = {n: controlled.limits[n] for n in loop.controls if n in controlled.limits}
+    followed = {
+        n: controlled.limits[n] for n in loop.controls if n in controlled.limits
+    }
 
     notes = with_excitation(xr.Dataset(), excitation, loop, followed).attrs
 

@@ -12,14 +12,18 @@ FAR = 5.0  # times the largest reference that outputs may be beyond all referenc
 WIDE = 100.0  # times what an actuator follows, that commands may span: no loop that works does
 
 
-def commands_beyond(u, controls: Sequence[str], limits: dict[str, tuple[float, ...]]) -> str:
+def commands_beyond(
+    u, controls: Sequence[str], limits: dict[str, tuple[float, ...]]
+) -> str:
     """What share of the commands u, shape (..., control), actuators do not follow; "" for none."""
     shares = {}
     for i, name in enumerate(controls):
         if name in limits:
             low, high, *_ = limits[name]
             shares[name] = ((u[..., i] < low) | (u[..., i] > high)).mean()
-    words = ", ".join(f"{name} in {share:.1%}" for name, share in shares.items() if share)
+    words = ", ".join(
+        f"{name} in {share:.1%}" for name, share in shares.items() if share
+    )
     return words and f"commands were beyond the limits of {words} of all samples"
 
 
@@ -41,5 +45,9 @@ def stop_limits(stop, reference, loop, followed) -> dict:
             limits[name] = middle - WIDE * half, middle + WIDE * half
     names = [*outputs, *commands]
     asked = arguments.by_name("stop", stop, names)
-    own = named_limits("stop", {n: pair for n, pair in asked.items() if pair is not None}, names)
-    return {n: pair for n, pair in (limits | own).items() if asked.get(n, pair) is not None}
+    own = named_limits(
+        "stop", {n: pair for n, pair in asked.items() if pair is not None}, names
+    )
+    return {
+        n: pair for n, pair in (limits | own).items() if asked.get(n, pair) is not None
+    }

@@ -18,15 +18,21 @@ LEFT = 0.02  # of the power of the difference, that a mistake may leave unexplai
 MOVES = 0.1  # of the largest reference: a sensor that stands still although as much was foretold
 
 
-def mistake_in(model: control.StateSpace, u, known, y, reference, outputs, inputs) -> str | None:
+def mistake_in(
+    model: control.StateSpace, u, known, y, reference, outputs, inputs
+) -> str | None:
     """The mistake that explains a trial from rest, of signals (time, channel), in words.
 
     The inputs of the model are the commands u, then what is known beside them.
     """
-    drifts = np.abs(model.poles()).max(initial=0) > arguments.CIRCLE  # with any disturbance
+    drifts = (
+        np.abs(model.poles()).max(initial=0) > arguments.CIRCLE
+    )  # with any disturbance
     if len(y) < 2 or drifts or not reference.any():
         return None
-    largest = max(np.abs(each).max() for each in (u, y, known.ravel(), reference) if each.size)
+    largest = max(
+        np.abs(each).max() for each in (u, y, known.ravel(), reference) if each.size
+    )
     u, known, y, reference = (each / largest for each in (u, known, y, reference))
     answers, foretold = _answers(model, u, known)
     stuck = [
@@ -36,7 +42,9 @@ def mistake_in(model: control.StateSpace, u, known, y, reference, outputs, input
     ]
     if stuck:
         return f"{', '.join(stuck)} never moves, although the commands would move it: a dead sensor"
-    size = np.sqrt(np.maximum.reduce([np.mean(each**2, axis=0) for each in (y, foretold)]))
+    size = np.sqrt(
+        np.maximum.reduce([np.mean(each**2, axis=0) for each in (y, foretold)])
+    )
     size = np.maximum(size, np.sqrt(np.mean(reference**2, axis=0)))
     size = np.where(size > 0, size, 1.0)
 
@@ -87,4 +95,7 @@ def _others(answers, foretold, y, outputs, inputs) -> Iterator[tuple[str, np.nda
             )
         other = foretold.copy()
         other[:, i] += np.mean(y[:, i] - own)
-        yield f"{name} is off by the same amount all the time: counted from another zero", other
+        yield (
+            f"{name} is off by the same amount all the time: counted from another zero",
+            other,
+        )

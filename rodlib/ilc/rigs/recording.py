@@ -29,10 +29,16 @@ class Experiment:
 
     rig: ControlledRig
     reference: np.ndarray  # shape (trial, time, output)
-    commanded: np.ndarray  # of the disturbances that are inputs, shape (trial, time, them)
-    following: Callable[[dict[str, list]], np.ndarray]  # v after the trials whose signals are given
+    commanded: (
+        np.ndarray
+    )  # of the disturbances that are inputs, shape (trial, time, them)
+    following: Callable[
+        [dict[str, list]], np.ndarray
+    ]  # v after the trials whose signals are given
     notes: dict[str, str]  # of what makes the trials
-    law: tuple[ZeroPhaseButterworth, LearningOperator] | None = None  # that shall converge
+    law: tuple[ZeroPhaseButterworth, LearningOperator] | None = (
+        None  # that shall converge
+    )
     alike: bool = True  # whether all trials shall start from the same state
     another_law: bool = False  # whether trials of another law may be gone on with
 
@@ -53,7 +59,9 @@ class Experiment:
         if path is not None and path.exists():
             found = load_ended(path)
             self.check(found, path)
-            if "applied" in signals and "applied" not in found:  # of a law that knew no limits
+            if (
+                "applied" in signals and "applied" not in found
+            ):  # of a law that knew no limits
                 found["applied"] = found.u
             signals = {name: list(found[name].values) for name in signals}
             notes = self.gone_on_with(found)
@@ -61,7 +69,9 @@ class Experiment:
         done, trials, said = len(signals["y"]), len(self.commanded), set()
         if done > trials:
             more = f"path = '{path}' has {done} trials, more than trials = {trials}"
-            warnings.warn(f"{more}: none is run, and all of them are returned", stacklevel=4)
+            warnings.warn(
+                f"{more}: none is run, and all of them are returned", stacklevel=4
+            )
         if done >= trials:
             return found
         lasting = pause or 0
@@ -76,7 +86,9 @@ class Experiment:
                     if k:
                         start = self.start(signals)
                         self.rig.pause(k + 1, pause, self.reference[k, 0], start, bar)
-                    trial = self.rig.run(k + 1, self.reference[k], v, self.commanded[k], bar)
+                    trial = self.rig.run(
+                        k + 1, self.reference[k], v, self.commanded[k], bar
+                    )
                 except StoppedError as error:
                     raise self.stopped(error, signals, notes, path) from None
                 for name, values in signals.items():
@@ -92,19 +104,30 @@ class Experiment:
     def findings(self, signals) -> dict[str, str]:
         """What the last trial says, with those before it."""
         k, found = len(signals["y"]) - 1, {}
-        alike = self.alike and np.array_equal(self.reference[k, 0], self.reference[0, 0])
+        alike = self.alike and np.array_equal(
+            self.reference[k, 0], self.reference[0, 0]
+        )
         if alike and k and (missed := self.start(signals).missed(signals["y"][-1])):
             found["start"] = missed
         if not k and (mistake := self.rig.mistake()):
             found["mistake"] = f"it looks as if {mistake}"
         loop, (v, y) = self.rig.loop, (np.stack(signals[name]) for name in ("v", "y"))
-        units, reference = [loop.units[name] for name in loop.outputs], self.reference[: k + 1]
+        units, reference = (
+            [loop.units[name] for name in loop.outputs],
+            self.reference[: k + 1],
+        )
         if self.rig.actuators:
-            told = (np.stack(signals[name]) for name in ("u", "applied") if name in signals)
+            told = (
+                np.stack(signals[name]) for name in ("u", "applied") if name in signals
+            )
             commands = commands_of(loop, self.rig.actuators, reference + v, *told)
             v = realised(loop, v, *commands)
-            if cut_off := commands_beyond(commands[0][-1], loop.commands, self.rig.kept):
-                found["limits"] = f"{cut_off}, where they were cut off; v is learned within"
+            if cut_off := commands_beyond(
+                commands[0][-1], loop.commands, self.rig.kept
+            ):
+                found["limits"] = (
+                    f"{cut_off}, where they were cut off; v is learned within"
+                )
         if self.law is None:
             return found
         given = v, reference - y, reference, loop.outputs, units
@@ -133,7 +156,10 @@ class Experiment:
 
     def trials(self, signals, notes) -> xr.Dataset:
         """The signals of all trials, put together."""
-        loop, signals = self.rig.loop, {name: np.stack(each) for name, each in signals.items()}
+        loop, signals = (
+            self.rig.loop,
+            {name: np.stack(each) for name, each in signals.items()},
+        )
         signals["reference"] = self.reference[: len(signals["y"])]
         names = loop.outputs, loop.controls, self.rig.recorded
         trials = dataset(loop.Ts, *names, loop.units, **signals)
@@ -169,5 +195,7 @@ class Experiment:
         if held != {key: self.notes[key] for key in LAW if key in self.notes}:
             earlier = json.loads(notes.get(EARLIER, "[]"))
             law = {key: json.loads(note) for key, note in held.items()}
-            notes[EARLIER] = json.dumps([*earlier, {"trials": found.sizes["trial"]} | law])
+            notes[EARLIER] = json.dumps(
+                [*earlier, {"trials": found.sizes["trial"]} | law]
+            )
         return notes

@@ -27,7 +27,9 @@ class Start:
     def of(cls, y, reference, outputs, units) -> "Start":
         """That of the first trial, from its outputs and its reference, shape (time, output)."""
         size = np.abs(reference).max(axis=0)
-        shared = [max(size[j] for j, unit in enumerate(units) if unit == own) for own in units]
+        shared = [
+            max(size[j] for j, unit in enumerate(units) if unit == own) for own in units
+        ]
         noise = SURE * np.sqrt(2) * noise_of(y)  # both starts have it
         return cls(y[0], NEAR * np.array(shared) + noise, len(y), outputs, units)
 
@@ -47,8 +49,12 @@ class Start:
         if len(y) < self.window:
             return False
         half = len(y) // 2
-        still = np.abs(y[:half].mean(axis=0) - y[-half:].mean(axis=0)) <= self.tolerance / 2
-        off = np.minimum(*(np.abs(y.mean(axis=0) - level) for level in (self.level, held)))
+        still = (
+            np.abs(y[:half].mean(axis=0) - y[-half:].mean(axis=0)) <= self.tolerance / 2
+        )
+        off = np.minimum(
+            *(np.abs(y.mean(axis=0) - level) for level in (self.level, held))
+        )
         return bool(np.all(still & (off <= self.tolerance / 2)))
 
     def missed(self, y) -> str | None:
@@ -57,7 +63,10 @@ class Start:
         far = np.flatnonzero(off > self.tolerance)
         if not far.size:
             return None
-        each = (f"{off[i]:.3g} {self.units[i]}".rstrip() + f" in {self.outputs[i]}" for i in far)
+        each = (
+            f"{off[i]:.3g} {self.units[i]}".rstrip() + f" in {self.outputs[i]}"
+            for i in far
+        )
         return (
             f"it starts {', '.join(each)} from where the first trial did: what is learned holds "
             "for one start. Wait for longer, by pause, or bring the rig back, by its begin"

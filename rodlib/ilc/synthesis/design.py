@@ -6,7 +6,13 @@ from dataclasses import replace
 import numpy as np
 
 from rodlib.ilc import arguments
-from rodlib.ilc.evidence.certificate import GAP, VIOLATION, Certificate, certify, checked_trial
+from rodlib.ilc.evidence.certificate import (
+    GAP,
+    VIOLATION,
+    Certificate,
+    certify,
+    checked_trial,
+)
 from rodlib.ilc.evidence.finite_trial import switched_on
 from rodlib.ilc.evidence.optimality import lower_bound
 from rodlib.ilc.problem.defaults import CHOOSE
@@ -21,7 +27,9 @@ from rodlib.ilc.synthesis.solver.selection import first_cuts, violated
 from rodlib.ilc.synthesis.solver.threads import on_one_thread
 
 HOPELESS = 1 - 1e-6  # from here on a smallest M_max is one, and raising it no remedy
-GOOD = 1e-8  # relative duality gap up to which what the active bounds lead to is accepted
+GOOD = (
+    1e-8  # relative duality gap up to which what the active bounds lead to is accepted
+)
 CVXPY_TOLERANCES = (1e-5, 1e-6)  # Clarabel ends "almost solved" on these problems
 
 
@@ -148,7 +156,9 @@ def synthesise(
         everywhere=everywhere,
     )  # fmt: skip
     return warned(
-        certified(problem, solver=solver, start=start, samples=samples, rest=rest, check=check)
+        certified(
+            problem, solver=solver, start=start, samples=samples, rest=rest, check=check
+        )
     )
 
 
@@ -161,12 +171,20 @@ def insist(solution: Solution, certificate: Certificate):
 def warned(design: Synthesis) -> Synthesis:
     """A design for whoever called the caller, with a warning for each doubt of its certificate."""
     for text in design.certificate.warnings:
-        warnings.warn(text, stacklevel=4)  # warned, the door, its one thread, whoever called
+        warnings.warn(
+            text, stacklevel=4
+        )  # warned, the door, its one thread, whoever called
     return design
 
 
 def certified(
-    problem: Problem, *, solver="structured", start=None, samples=None, rest=0, check=True
+    problem: Problem,
+    *,
+    solver="structured",
+    start=None,
+    samples=None,
+    rest=0,
+    check=True,
 ) -> Synthesis:
     """Solve a problem, and certify the filter; arguments and errors of :func:`synthesise`."""
     arguments.choice("solver", solver, ["structured", "cvxpy"])
@@ -194,7 +212,9 @@ def certified(
         insist(solution, certificate)
     L = problem.response(solution)[problem.asked]
     sigmas = certificate.nominal[problem.asked], largest_singular_values(L)
-    return Synthesis(problem.filter(solution.coefficients), asked, certificate, *sigmas, solution)
+    return Synthesis(
+        problem.filter(solution.coefficients), asked, certificate, *sigmas, solution
+    )
 
 
 def solve(problem: Problem, start: Solution | None = None) -> Solution:
@@ -206,11 +226,15 @@ def _solve_program(problem, program, start):
     """From a start if that leads somewhere, or from nothing."""
     if start is not None:
         # Crests lie close together: good enough is GAP, and what needs damping is not worth it.
-        good, most = (GAP / 2, 0.1) if problem.everywhere else (GOOD, active_set.MOST_DAMPING)
+        good, most = (
+            (GAP / 2, 0.1) if problem.everywhere else (GOOD, active_set.MOST_DAMPING)
+        )
         found = active_set.resolve(program, start, steps=12, most=most)
         if found is not None and _is_good(problem, found, good):
             return found
-    solution = interior_point.solve(program, lambda found: _is_good(problem, found, GAP / 2))
+    solution = interior_point.solve(
+        program, lambda found: _is_good(problem, found, GAP / 2)
+    )
     # More digits, where a few steps lead to them; of a sum, only such as are full or nearly so.
     most = 1e-3 if problem.objective == "sum" else active_set.MOST_DAMPING
     found = active_set.resolve(program, solution, steps=3, most=most)
@@ -221,9 +245,13 @@ def _solve_program(problem, program, start):
 
 
 def _solve_with_cvxpy(problem, start):
-    from rodlib.ilc.synthesis import statement  # here, because CVXPY takes long to import
+    from rodlib.ilc.synthesis import (
+        statement,
+    )  # here, because CVXPY takes long to import
 
-    return _with_cuts(problem, None, lambda problem, program, start: statement.solve(program))
+    return _with_cuts(
+        problem, None, lambda problem, program, start: statement.solve(program)
+    )
 
 
 def _with_cuts(problem, start, solver):
@@ -232,7 +260,11 @@ def _with_cuts(problem, start, solver):
     while True:
         start = solver(problem, formulate(problem, plant, frequency), start)
         limit = start.largest if problem.objective == "peak" else problem.M_max
-        more = violated(problem, start, limit, plant, frequency) if problem.robust else ([], [])
+        more = (
+            violated(problem, start, limit, plant, frequency)
+            if problem.robust
+            else ([], [])
+        )
         if not len(more[0]):
             return start
         plant, frequency = np.append(plant, more[0]), np.append(frequency, more[1])
@@ -264,9 +296,16 @@ def _explained(problem, nearest):
         of_cuts = np.linalg.norm(nearest.cuts.N, axis=(1, 2))
         if of_cuts.max() > size.max():
             most = tied(of_cuts).argmax()
-            plant, frequency = int(nearest.cuts.plant[most]), nearest.cuts.frequency[most]
+            plant, frequency = (
+                int(nearest.cuts.plant[most]),
+                nearest.cuts.frequency[most],
+            )
     omega = float(posed.omega[frequency])
-    where = f"plant {plant} at {omega:.4g} rad/s" if problem.robust else f"{omega:.4g} rad/s"
+    where = (
+        f"plant {plant} at {omega:.4g} rad/s"
+        if problem.robust
+        else f"{omega:.4g} rad/s"
+    )
     message = f"{_advice(problem, nearest.largest)} (most in the way: {where})"
     if on_grid:
         message += ". At the frequencies omega alone, without `everywhere`, the bounds can be met"
@@ -290,9 +329,13 @@ def _advice(problem, smallest):
     remedy = f"the smallest feasible M_max is {_rounded_up(smallest)}"
     raised = "raise M_max" if smallest < HOPELESS else "no M_max below 1 will do, so"
     if L_max is not None:
-        unbounded = replace(problem, L_max=None, M_max=np.inf, objective="peak", noise=None)
+        unbounded = replace(
+            problem, L_max=None, M_max=np.inf, objective="peak", noise=None
+        )
         without = _with_cuts(
-            unbounded, None, lambda _, program, start: interior_point.solve(program, enough=M_max)
+            unbounded,
+            None,
+            lambda _, program, start: interior_point.solve(program, enough=M_max),
         ).largest
         if without <= M_max:
             return (
@@ -300,7 +343,9 @@ def _advice(problem, smallest):
                 f"{remedy}: {raised}{' or' if smallest < HOPELESS else ''} raise L_max"
             )
         remedy += f" with L_max = {L_max}, and {without:.6g} without a bound on L"
-    longer = "a longer filter" + ("" if problem.structure == "full" else ", or a full one")
+    longer = "a longer filter" + (
+        "" if problem.structure == "full" else ", or a full one"
+    )
     return (
         f"infeasible: M_max = {M_max} is too tight for a {problem.structure} filter of order = "
         f"{problem.order}; {remedy}: {raised}{',' if smallest < HOPELESS else ''} take {longer}, "
@@ -325,4 +370,6 @@ def _check_start(start, problem):
         )
     off_diagonal = start.solution.coefficients[~np.eye(m, dtype=bool)]
     if problem.structure == "diagonal" and np.any(off_diagonal):
-        raise ValueError("start is a full filter, but structure = 'diagonal': leave start out")
+        raise ValueError(
+            "start is a full filter, but structure = 'diagonal': leave start out"
+        )

@@ -25,7 +25,10 @@ ROUNDS, FURTHER = 50, 5000  # and further frequencies, at which to give up
 PASSED = 2e-8  # share of a bound that the proof of a peak may pass it by
 SAME = 1e-8  # relative distance of frequencies that are one
 NEAR = 0.99  # share of a bound from which on a crest is held with those that pass it
-PARTS = (0.05, 0.5)  # of the way from a crest to the next frequencies: what is held, too
+PARTS = (
+    0.05,
+    0.5,
+)  # of the way from a crest to the next frequencies: what is held, too
 
 
 def settled(
@@ -64,12 +67,17 @@ def _sizes(problem, solution, most):
     """The largest singular values of M, of all plants, and of L, each with what it may be."""
     limit, limit_L = problem.M_max, np.inf if problem.L_max is None else problem.L_max
     if problem.objective == "peak":  # of which next to nothing may be rounding
-        limit = solution.largest + (most - 1) * (problem.unit(solution.largest) - solution.largest)
+        limit = solution.largest + (most - 1) * (
+            problem.unit(solution.largest) - solution.largest
+        )
     if problem.objective == "gain":
         limit_L *= solution.largest
     response, plants = problem.response(solution), range(1 + len(problem.others))
     sigma_M = [largest_singular_values(problem.M(response, k)) for k in plants]
-    return (np.array(sigma_M), most * limit), (largest_singular_values(response), most * limit_L)
+    return (np.array(sigma_M), most * limit), (
+        largest_singular_values(response),
+        most * limit_L,
+    )
 
 
 def _crests_of(problem, solution, most):
@@ -89,7 +97,10 @@ def _peaks_of(problem, solution, most):
     """Where a peak passes a bound, proven, or estimated between samples."""
     (sigma_M, limit), (_, limit_L) = _sizes(problem, solution, most)
     L = LearningFilter(solution.coefficients, problem.Ts)
-    peaks = [*proven_peaks(problem, L), *estimated_peaks(problem, L, sigma_M.max(axis=1))]
+    peaks = [
+        *proven_peaks(problem, L),
+        *estimated_peaks(problem, L, sigma_M.max(axis=1)),
+    ]
     sigma, omega = peak_gain(learning_model(L))
     passing = [peak.omega for peak in peaks if peak.sigma > limit]
     return [*passing, omega] if sigma > limit_L else passing
@@ -112,7 +123,9 @@ def _new(known, omega):
     """Those of some frequencies that are not known, and between them and the next that are."""
     # A filter that is held at its crests moves them: next time they are between these.
     after = np.searchsorted(known, omega).clip(1, len(known) - 1)
-    sides = [omega + part * (known[after - k] - omega) for k in (0, 1) for part in PARTS]
+    sides = [
+        omega + part * (known[after - k] - omega) for k in (0, 1) for part in PARTS
+    ]
     omega = np.sort([omega, *sides], axis=None)
     near = np.abs(known - omega[:, None]).min(axis=1, initial=np.inf)
     return omega[np.minimum(near, np.diff(omega, prepend=-np.inf)) > SAME * omega]

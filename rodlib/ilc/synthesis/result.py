@@ -38,7 +38,9 @@ class Synthesis:
 
     filter: LearningFilter
     problem: Problem  # what was asked of it
-    certificate: Certificate  # of optimality and bounds, by code independent of the solver
+    certificate: (
+        Certificate  # of optimality and bounds, by code independent of the solver
+    )
     sigma_M: np.ndarray  # (n,): largest singular values of M at the design frequencies
     sigma_L: np.ndarray  # and of L
     solution: Solution  # what the solver said, on which nothing relies
@@ -53,7 +55,9 @@ class Synthesis:
         """The design frequencies, rad/s."""
         return self.problem.omega[self.problem.asked]
 
-    def check(self, P, omega=None, *, uncertainty=None, confidence=None, beyond=None) -> Check:
+    def check(
+        self, P, omega=None, *, uncertainty=None, confidence=None, beyond=None
+    ) -> Check:
         """What the filter does on another plant: the rate, and does it converge?
 
         Parameters
@@ -77,7 +81,9 @@ class Synthesis:
         Q = own.butterworth
         if Q is None:
             Q = own.Q[own.asked]
-            if np.shape(omega) != Q.shape or not np.allclose(omega, self.omega, rtol=1e-9, atol=0):
+            if np.shape(omega) != Q.shape or not np.allclose(
+                omega, self.omega, rtol=1e-9, atol=0
+            ):
                 raise ValueError(
                     "omega must be the design frequencies, at which alone the samples of Q are "
                     "known: synthesise with Q as a filter, or ask rate(P, Q, L, omega)"
@@ -86,10 +92,14 @@ class Synthesis:
         known |= {"order": 1, "L_max": None, "objective": "peak"}
         problem = pose(P, Q, omega, own.Ts, **known)
         if problem.channels != channels:
-            raise ValueError(f"P has {problem.channels} channels, but the filter has {channels}")
+            raise ValueError(
+                f"P has {problem.channels} channels, but the filter has {channels}"
+            )
         if np.any(own.scale != 1):
             problem = pose(P, Q, omega, own.Ts, **known, scale=own.scale)
-        return on_one_thread(check)(problem, LearningFilter(self.solution.coefficients, own.Ts))
+        return on_one_thread(check)(
+            problem, LearningFilter(self.solution.coefficients, own.Ts)
+        )
 
     def __repr__(self):
         return f"{self.solution.method}, {self.solution.iterations} iterations\n{self.certificate}"

@@ -100,7 +100,9 @@ def largest_cutoff(
             design = certified(posed(Q), **how | {"check": False})
             if design.certificate.unseen is None:
                 break
-            further.append(design.certificate.unseen.omega)  # M passed one where omega is coarse
+            further.append(
+                design.certificate.unseen.omega
+            )  # M passed one where omega is coarse
     if how.get("check", True):
         insist(design.solution, design.certificate)
     return Q, warned(design)

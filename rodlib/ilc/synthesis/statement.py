@@ -18,7 +18,10 @@ def solve(program: Program) -> Solution:
     x = cp.Variable(program.entries * len(program.basis))
     t = cp.Variable(1 if program.shared else len(program.free))
 
-    subject_to, splits = [], []  # sigma_max(F + T L) <= level: of M in (39), (45), of L in (46)
+    subject_to, splits = (
+        [],
+        [],
+    )  # sigma_max(F + T L) <= level: of M in (39), (45), of L in (46)
     for j, bound in enumerate(program.bounds):
         p, q, n = bound.shape
         shape = (n, p, q)
@@ -41,18 +44,25 @@ def solve(program: Program) -> Solution:
     problem = cp.Problem(cp.Minimize(cost), subject_to + meets)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # "may be inaccurate": the caller checks the result
+            warnings.simplefilter(
+                "ignore"
+            )  # "may be inaccurate": the caller checks the result
             problem.solve(
                 solver=cp.CLARABEL, canon_backend=cp.SCIPY_CANON_BACKEND,
                 chordal_decomposition_enable=False,
             )  # fmt: skip
     except cp.SolverError as error:
         raise RuntimeError(f"Clarabel failed: {error}") from None
-    failed = x.value is None or problem.status in (cp.INFEASIBLE, cp.INFEASIBLE_INACCURATE)
+    failed = x.value is None or problem.status in (
+        cp.INFEASIBLE,
+        cp.INFEASIBLE_INACCURATE,
+    )
     if failed and not program.shared:
         solve(program.minimax())  # which raises, if it is the bounds
     if failed:
-        raise RuntimeError(f"Clarabel ended with status {problem.status!r} and returned no filter")
+        raise RuntimeError(
+            f"Clarabel ended with status {problem.status!r} and returned no filter"
+        )
     method = f"CVXPY with Clarabel ({problem.status})"
     coefficients = x.value.reshape(program.entries, -1)
     multipliers = [
@@ -85,7 +95,9 @@ def sigma_max_at_most(parts, b, bound=None, d=None):
 
     Lambda = diagonal(b, p)
     if d is not None:
-        rows = cp.reshape(b, (n, 1), order="C") @ bound.of_b[None] + d @ bound.of_d[None]
+        rows = (
+            cp.reshape(b, (n, 1), order="C") @ bound.of_b[None] + d @ bound.of_d[None]
+        )
         Lambda = diagonal(rows, p)
     above, below = np.zeros((n, p, p)), np.zeros((n, q, q))
     real_t, imag_t = (cp.swapaxes(part, 1, 2) for part in parts)
@@ -106,6 +118,8 @@ def multiplier(constraint, bound):
         return -(real + 1j * imag)[None, None]
     p = len(bound.F)
     above, below = np.split(Z[:, : 2 * p, 2 * p :], 2, axis=1)
-    (real, minus_imag), (imag, again) = (np.split(half, 2, axis=2) for half in (above, below))
+    (real, minus_imag), (imag, again) = (
+        np.split(half, 2, axis=2) for half in (above, below)
+    )
     N = -2 * (real + again + 1j * (imag - minus_imag))
     return np.moveaxis(N, 0, -1)

@@ -30,10 +30,14 @@ WALKS = 0.3  # of the error, that these steps make together: a slow law does not
 MATTERS = 0.2  # of the error: how far the outputs must be foretold to move, to be asked whether
 FOLLOWS = 0.5  # of what was foretold: less is none of the model, whatever its accuracy
 STANDARD = 3.0  # standard deviations of that share
-LEARNED = 5.0  # times the noise of one trial, that learning may make of it: see `_loudest`
+LEARNED = (
+    5.0  # times the noise of one trial, that learning may make of it: see `_loudest`
+)
 ROUNDING = 1e-9  # of the largest signal
 GRID = 200  # frequencies at which the rate of the model is asked for
-BREAKS = 0.05  # of the error: by how much more must be left in an octave than was promised
+BREAKS = (
+    0.05  # of the error: by how much more must be left in an octave than was promised
+)
 BACK = 6  # trials in which a rate is compared with the noise of the later ones
 
 
@@ -47,7 +51,9 @@ class Course:
     outputs: Sequence[str]
     units: Sequence[str]
     first: int = 1  # number of the first trial
-    P: control.StateSpace | None = None  # what the outputs shall follow v by; None: not known
+    P: control.StateSpace | None = (
+        None  # what the outputs shall follow v by; None: not known
+    )
     rate: float | None = None  # max sigma(M) of the model with this law, if known
     turned: float | None = None  # and with -L
     sigma: np.ndarray | None = None  # omega Ts and sigma_max(M) there, as two rows
@@ -55,7 +61,11 @@ class Course:
     def findings(self, k: int = -1) -> dict[str, str]:
         """What the trial with the index k says, with those before it, by kind."""
         k = range(len(self.v))[k]
-        found = {"error": self._grows(k), "v": self._walks(k), "model": self._contradicts(k)}
+        found = {
+            "error": self._grows(k),
+            "v": self._walks(k),
+            "model": self._contradicts(k),
+        }
         found["rate"] = self._breaks_its_promise(k)
         return {kind: text for kind, text in found.items() if text}
 
@@ -67,7 +77,9 @@ class Course:
         return found
 
     def _named(self, channels):
-        return "" if len(channels) == len(self.outputs) else f" of {self._list(channels)}"
+        return (
+            "" if len(channels) == len(self.outputs) else f" of {self._list(channels)}"
+        )
 
     def _list(self, channels):
         return ", ".join(self.outputs[i] for i in channels)
@@ -147,7 +159,9 @@ class Course:
             s = size(steps)
             if not s.min() > ROUNDING * length.max() or not np.all(np.diff(length) > 0):
                 continue
-            cosines = (steps[1:] * steps[:-1]).sum(axis=2).mean(axis=1) / (s[1:] * s[:-1])
+            cosines = (steps[1:] * steps[:-1]).sum(axis=2).mean(axis=1) / (
+                s[1:] * s[:-1]
+            )
             walked = size((v[-1] - v[0])[None])[0]
             if (
                 cosines.min() >= ALIGNED
@@ -214,17 +228,27 @@ class Course:
         in time differ; `before` is the RMS of the error of trial k.
         """
         moved = np.diff((self.reference + self.v)[k : k + 2], axis=0)[0]
-        foretold = self.e[k] + self.reference[k + 1] - self.reference[k] - self._answer(moved)
+        foretold = (
+            self.e[k] + self.reference[k + 1] - self.reference[k] - self._answer(moved)
+        )
         signals = np.stack([self.e[k], foretold, self.e[k + 1]])[..., channels]
         before, *after = amplitudes(signals)
-        edges = np.append(octaves(len(moved)), len(moved) // 2 + 1) * 2 * np.pi / len(moved)
+        edges = (
+            np.append(octaves(len(moved)), len(moved) // 2 + 1) * 2 * np.pi / len(moved)
+        )
         within = np.geomspace(np.maximum(edges[:-1], self.sigma[0, 0]), edges[1:], 9)
         promised = np.interp(within, *self.sigma).max(axis=0)
         white = np.linalg.norm(noise_of(self.e[k + 1][:, channels]))
         noise = white * np.sqrt(np.diff(edges) / edges[-1])
         before = np.maximum(before, np.finfo(float).tiny)
-        shares = dict(zip(("foretold", "reached", "noise"), (*after, noise) / before, strict=True))
-        return {"frequency": edges[1:] / self.P.dt, "before": before, "promised": promised} | shares
+        shares = dict(
+            zip(("foretold", "reached", "noise"), (*after, noise) / before, strict=True)
+        )
+        return {
+            "frequency": edges[1:] / self.P.dt,
+            "before": before,
+            "promised": promised,
+        } | shares
 
     def _breaks_its_promise(self, k):
         """Falls less than promised, by more than noise, which is how the last trials differ."""
@@ -235,7 +259,9 @@ class Course:
             e = self.e[start : k + 1][:, :, channels]
             e = e / max(np.abs(e).max(), np.finfo(float).tiny)
             x, total = amplitudes(e), size(e)
-            changed = np.diff(e, axis=0).swapaxes(1, 2)[..., None]  # each channel by itself
+            changed = np.diff(e, axis=0).swapaxes(1, 2)[
+                ..., None
+            ]  # each channel by itself
             power = power_of(changed) / 2  # if it was noise, that of one trial
             noise = by_octave(power.sum(axis=1))
             squares = by_octave((power[-1] ** 2).sum(axis=0)) + ROUNDING**4
@@ -247,15 +273,21 @@ class Course:
                 excess = x[i + 1] - np.maximum(of["promised"], of["foretold"]) * x[i]
                 later = noise[i + 2 :][-3:]
                 ratio = np.maximum(excess, 0) ** 2 / (later.mean(axis=0) + ROUNDING**2)
-                chance = fdtrc(freedom, freedom * (len(later) + 1) / 2, ratio) * len(ratio)
-                broken = (chance < SURE) & (excess > BREAKS * total[i]) & (x[i + 1] < x[i])
+                chance = fdtrc(freedom, freedom * (len(later) + 1) / 2, ratio) * len(
+                    ratio
+                )
+                broken = (
+                    (chance < SURE) & (excess > BREAKS * total[i]) & (x[i + 1] < x[i])
+                )
                 if broken.any():
                     return self._slowly(start + i, np.argmax(broken * excess), channels)
         return None
 
     def _slowly(self, k, octave, channels):
         """What is said of a rate that is not the one promised."""
-        of = {name: values[octave] for name, values in self.reached(k, channels).items()}
+        of = {
+            name: values[octave] for name, values in self.reached(k, channels).items()
+        }
         return (
             f"the rate is not the promised one: up to {of['frequency']:.2g} rad/s, trial "
             f"{self.first + k + 1} has {of['reached']:.2f} of the error{self._named(channels)} of "
@@ -291,7 +323,9 @@ def by_octave(lines) -> np.ndarray:
 
 def size(signals) -> np.ndarray:
     """The RMS of each of the signals (trial, time, channel), summed over the channels."""
-    largest = np.abs(signals).max(initial=np.finfo(float).tiny)  # whose square may be no number
+    largest = np.abs(signals).max(
+        initial=np.finfo(float).tiny
+    )  # whose square may be no number
     return largest * np.sqrt(np.sum((signals / largest) ** 2, axis=2).mean(axis=1))
 
 
@@ -300,7 +334,9 @@ def noise_of(signals) -> np.ndarray:
     if len(signals) < 3:
         return np.zeros(signals.shape[1])
     largest = max(np.abs(signals).max(), np.finfo(float).tiny)
-    return largest * np.sqrt(np.mean(np.diff(signals / largest, 2, axis=0) ** 2, axis=0) / 6)
+    return largest * np.sqrt(
+        np.mean(np.diff(signals / largest, 2, axis=0) ** 2, axis=0) / 6
+    )
 
 
 def freedom_of(signal) -> float:
@@ -327,6 +363,7 @@ def rates_of(P: control.StateSpace, Q, L) -> tuple[float, float, np.ndarray]:
     responses = frequency_response(P, grid / Q.Ts), Q.frequency_response(grid / Q.Ts)
     L = L.frequency_response(grid / Q.Ts)
     M, turned = (
-        largest_singular_values(convergence_matrix(*responses, response)) for response in (L, -L)
+        largest_singular_values(convergence_matrix(*responses, response))
+        for response in (L, -L)
     )
     return float(M.max()), float(turned.max()), np.stack([grid, M])

@@ -8,7 +8,12 @@ import xarray as xr
 from tqdm import tqdm
 
 from rodlib.ilc import arguments
-from rodlib.ilc.filters import LearningOperator, ZeroPhaseButterworth, check_learning, check_Q
+from rodlib.ilc.filters import (
+    LearningOperator,
+    ZeroPhaseButterworth,
+    check_learning,
+    check_Q,
+)
 from rodlib.ilc.law.actuators import Actuators
 from rodlib.ilc.law.limits import commands_of, projected, realised
 from rodlib.ilc.loop.closed import ClosedLoop, Loop, check_loop, with_noise
@@ -89,7 +94,11 @@ def run_trials(
     r = each_trial("reference", reference, trials, "time", loop.outputs)
     shape = trials, samples, _ = r.shape
     rest = arguments.whole("rest", rest, 0, samples - 1)
-    d = np.zeros((samples, len(loop.disturbances))) if disturbance is None else disturbance
+    d = (
+        np.zeros((samples, len(loop.disturbances)))
+        if disturbance is None
+        else disturbance
+    )
     d = each_trial("disturbance", d, trials, samples, loop.disturbances)
     noise = np.zeros(shape) if noise is None else noise
     noise = arguments.in_columns("noise", noise, shape, loop.outputs)
@@ -115,14 +124,18 @@ def run_trials(
         return projected(v_k, e_k, commands(k), Q, L, loop, actuators, rest, steps[k])
 
     def commands(k):
-        return commands_of(loop, actuators, r[k] + v[k], made[k].get("u"), made[k].get("applied"))
+        return commands_of(
+            loop, actuators, r[k] + v[k], made[k].get("u"), made[k].get("applied")
+        )
 
     errors = learn(run, first, following, trials)
     if L is not None:
         P, names = loop.P, loop.outputs
         units, rates = [loop.units[name] for name in names], rates_of(P, Q, L)
         if actuators is not None:
-            learned = np.stack([realised(loop, v[k], *commands(k)) for k in range(trials)])
+            learned = np.stack(
+                [realised(loop, v[k], *commands(k)) for k in range(trials)]
+            )
         given = v if actuators is None else learned, errors, r, names, units, 1
         course = Course(*given, None if plant is None else P, *rates)
         for finding in course.all_findings().values():
@@ -141,7 +154,9 @@ def _simulation(loop, plant, actuators):
 
         def answer(w, d, noise, x):
             if d.any():
-                raise ValueError("disturbance is not zero, but loop.P says nothing of disturbances")
+                raise ValueError(
+                    "disturbance is not zero, but loop.P says nothing of disturbances"
+                )
             w = w if actuators is None else actuators.follow(w)
             return state_sequence(P.A, w @ P.B.T, x) @ P.C.T + w @ P.D.T, {}
 
@@ -193,7 +208,9 @@ def each_trial(name, signal, trials, samples, names):
     """A signal of all trials, or of each, with the trial as the first axis."""
     signal = arguments.in_columns(name, signal, (...,), names)
     shape = (samples, len(names))
-    signal = arguments.array(name, signal, shape if signal.ndim < 3 else (trials, *shape))
+    signal = arguments.array(
+        name, signal, shape if signal.ndim < 3 else (trials, *shape)
+    )
     return np.broadcast_to(signal, (trials, *signal.shape[-2:]))
 
 
@@ -246,12 +263,18 @@ def dataset(
         own = [units.get(name, "") for name in names]
         coordinates[kind] = (dimension, list(names))
         coordinates[f"{kind}_unit"] = (dimension, own)
-        each = ", ".join(f"{name}: {unit}" for name, unit in zip(names, own, strict=True))
+        each = ", ".join(
+            f"{name}: {unit}" for name, unit in zip(names, own, strict=True)
+        )
         # where units differ, "name: unit" for one after the other
         attributes = {"units": own[0] if len(set(own)) == 1 else each}
         for name in members:
             if name in signals:
-                variables[name] = (("trial", "time", dimension), signals[name], attributes)
+                variables[name] = (
+                    ("trial", "time", dimension),
+                    signals[name],
+                    attributes,
+                )
     return xr.Dataset(variables, coordinates, {"Ts": float(Ts)})
 
 
@@ -263,6 +286,8 @@ def rms(e: xr.DataArray) -> xr.DataArray:
     """
     arguments.instance("e", e, xr.DataArray)
     if not {"time", "channel"} <= set(e.dims):
-        raise ValueError(f"e has dimensions {e.dims}, but must have 'time' and 'channel'")
+        raise ValueError(
+            f"e has dimensions {e.dims}, but must have 'time' and 'channel'"
+        )
     arguments.array("e", e.values, (...,))
     return np.sqrt((e**2).sum("channel").mean("time"))

@@ -22,13 +22,22 @@ from rodlib.ilc import arguments
 
 GROWTH = 1.5  # from one lag of F to the next
 DECAY = 2.0  # a priori, entries of F fall as 1 / |lag|^DECAY
-WEIGHTS = 10.0 ** np.arange(-10, 1)  # of this prior, to choose from, times the mean square
+WEIGHTS = 10.0 ** np.arange(
+    -10, 1
+)  # of this prior, to choose from, times the mean square
 ROUNDING = 1e-14  # of the power
-STATIC, FREE = 1e6, 2.0  # times the weight, for F(0) = 0, as if P(0) = I; what else must gain
+STATIC, FREE = (
+    1e6,
+    2.0,
+)  # times the weight, for F(0) = 0, as if P(0) = I; what else must gain
 BLOCKS = 5  # of time, each left out in turn
 RATIOS = 10.0 ** -np.arange(0, 7)  # of variances, to choose from
 EXPLAINED, DOUBTFUL = 0.9, 0.2  # when to warn: share of v + e, of v
-NEVER, NEW, BANDS = 1e3, 0.1, 25  # times the power that was there, share of it, of frequency
+NEVER, NEW, BANDS = (
+    1e3,
+    0.1,
+    25,
+)  # times the power that was there, share of it, of frequency
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,9 +50,13 @@ class Transfer:
 
     v: np.ndarray  # ILC signal of the first trial, explained + kept
     explained: np.ndarray  # F r
-    kept: np.ndarray  # c, which answers a disturbance that repeats, whatever the reference
+    kept: (
+        np.ndarray
+    )  # c, which answers a disturbance that repeats, whatever the reference
     F: np.ndarray  # (m, m, 2 R + 1): impulse response, from R samples ahead to R back
-    left_out: np.ndarray  # (m,): share of v_k + e_k foretold where it was left out of the fit
+    left_out: (
+        np.ndarray
+    )  # (m,): share of v_k + e_k foretold where it was left out of the fit
     doubt: np.ndarray  # (m,): RMS by which v may be off, as the trials leave F open
 
 
@@ -82,7 +95,10 @@ def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
     size = np.sqrt(np.mean(y**2, axis=(0, 1)))
     size[size == 0] = 1.0
     basis = _basis(max(1, N // 2))
-    told = [np.hstack([_taps(y_k / size, basis), t]) for y_k, t in zip(y, old + v - y, strict=True)]
+    told = [
+        np.hstack([_taps(y_k / size, basis), t])
+        for y_k, t in zip(y, old + v - y, strict=True)
+    ]
     mean = sum(told) / K
     about = K * _products(mean)
     within = sum(_products(signals) for signals in told) - about
@@ -90,9 +106,16 @@ def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
     p = m * basis.shape[1]
     X, before = _taps(new / size, basis), np.zeros((len(new), p + m))
     before[:N] = mean[: len(new)]
-    rows, kept, left_out, doubt = np.zeros((m, p)), np.zeros_like(new), np.zeros(m), np.zeros(m)
+    rows, kept, left_out, doubt = (
+        np.zeros((m, p)),
+        np.zeros_like(new),
+        np.zeros(m),
+        np.zeros(m),
+    )
     for i in range(m):
-        apart, *_ = _fit(within, about, p, i, m, K, [0.0])  # by what differs between trials alone
+        apart, *_ = _fit(
+            within, about, p, i, m, K, [0.0]
+        )  # by what differs between trials alone
         rows[i], others, ratio, left_out[i] = _fit(
             within, about, p, i, m, K, RATIOS[: 1 if K == 1 else None]
         )
@@ -112,20 +135,34 @@ def _signals(trials):
     """v, y and reference of all trials, shape (trial, time, m), the outputs' names, and Ts."""
     tasks = [trials] if isinstance(trials, xr.Dataset) else trials
     if not (isinstance(tasks, list | tuple) and tasks):
-        raise ValueError(f"trials = {reprlib.repr(trials)} must be a Dataset of trials, or a list")
-    found, axes, first = {"v": [], "y": [], "reference": []}, ("trial", "time", "channel"), None
+        raise ValueError(
+            f"trials = {reprlib.repr(trials)} must be a Dataset of trials, or a list"
+        )
+    found, axes, first = (
+        {"v": [], "y": [], "reference": []},
+        ("trial", "time", "channel"),
+        None,
+    )
     for each in tasks:
         each = arguments.instance("trials", each, xr.Dataset)
         each = each if "trial" in each.dims else each.expand_dims("trial")
         if not all(name in each and {*each[name].dims} == {*axes} for name in found):
-            raise ValueError(f"trials lack one of {[*found]}, or its axes: see run_trials")
+            raise ValueError(
+                f"trials lack one of {[*found]}, or its axes: see run_trials"
+            )
         Ts = arguments.sampling_period("trials.attrs['Ts']", each.attrs.get("Ts"))
-        first = first or (Ts, each.sizes, arguments.names_of(each.y) or [*each.channel.values])
+        first = first or (
+            Ts,
+            each.sizes,
+            arguments.names_of(each.y) or [*each.channel.values],
+        )
         arguments.one_period(trials=first[0], another=Ts)
         shape = ("trial", first[1]["time"], first[1]["channel"])
         for name, signals in found.items():
             signal = each[name].transpose(*axes)
-            signals.append(arguments.in_columns(f"trials.{name}", signal, shape, first[2]))
+            signals.append(
+                arguments.in_columns(f"trials.{name}", signal, shape, first[2])
+            )
     return *(np.concatenate(signals) for signals in found.values()), first[2], first[0]
 
 
@@ -157,7 +194,10 @@ def _products(signals):
 
 def _fit(within, about, p, i, m, K, ratios):
     """Row i of F; those without each block; s_w^2 / (s_w^2 + K s_c^2); share that is foretold."""
-    power, moved = (within + about)[:, p + i, p + i].sum(), np.trace(about.sum(axis=0)[:p, :p]) / p
+    power, moved = (
+        (within + about)[:, p + i, p + i].sum(),
+        np.trace(about.sum(axis=0)[:p, :p]) / p,
+    )
     if not power > 0:
         return np.zeros(p), np.zeros((BLOCKS, p)), 1.0, 1.0
     best = (np.inf,)
@@ -165,7 +205,11 @@ def _fit(within, about, p, i, m, K, ratios):
         prior = np.full((m, p // m), ROUNDING * moved or 1.0)
         fit = _ridge(within + ratio * about, p, i, weight, prior, static)
         off, ours = (_missed(S, fit[1], i) + ROUNDING * power for S in (within, about))
-        likely = (K - 1) * np.log(off) + np.log(ours) + (K * np.log(FREE) if static == 1 else 0)
+        likely = (
+            (K - 1) * np.log(off)
+            + np.log(ours)
+            + (K * np.log(FREE) if static == 1 else 0)
+        )
         if likely < best[0]:
             best = likely, *fit, off, ours
     _, row, others, off, ours = best
@@ -180,7 +224,9 @@ def _ridge(S, p, i, weight, prior, static):
     sums = np.concatenate([total[None], total - S])
     prior += weight * np.trace(total[:p, :p]) / p
     prior[:, prior.shape[1] // 2] *= static
-    rows = np.linalg.solve(sums[:, :p, :p] + np.diag(prior.ravel()), sums[:, :p, [p + i]])[..., 0]
+    rows = np.linalg.solve(
+        sums[:, :p, :p] + np.diag(prior.ravel()), sums[:, :p, [p + i]]
+    )[..., 0]
     return rows[0], rows[1:]
 
 

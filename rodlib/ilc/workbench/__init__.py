@@ -22,7 +22,9 @@ __all__ += ["workbench"]
 
 
 def workbench(
-    plants: dict[str, Plant | Family] | None = None, log: str = "", live: bool | None = None
+    plants: dict[str, Plant | Family] | None = None,
+    log: str = "",
+    live: bool | None = None,
 ):
     """Show the workbench below the cell, where there is somebody to use it.
 
@@ -51,7 +53,9 @@ def workbench(
         live = "JPY_SESSION_NAME" in os.environ
     if not arguments.flag("live", live):
         return None
-    from IPython.display import display  # here, because these two come with the extra "notebooks"
+    from IPython.display import (
+        display,
+    )  # here, because these two come with the extra "notebooks"
 
     from rodlib.ilc.workbench.panel import Panel
 

@@ -10,7 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rodlib.ilc import Certificate, InfeasibleError, SolverError, Synthesis, arguments, synthesise
+from rodlib.ilc import (
+    Certificate,
+    InfeasibleError,
+    SolverError,
+    Synthesis,
+    arguments,
+    synthesise,
+)
 from rodlib.ilc.trials.run import rms, run_trials
 from rodlib.ilc.workbench.plants import TRIALS, Plant
 from rodlib.ilc.workbench.settings import Settings
@@ -22,9 +29,13 @@ class Outcome:
 
     settings: Settings | None  # None if there is not even a plant
     design: Synthesis | None = None
-    rms: tuple[float, ...] = ()  # of the error by trial, all channels together, if simulated
+    rms: tuple[
+        float, ...
+    ] = ()  # of the error by trial, all channels together, if simulated
     message: str = ""  # why there is no filter, and what would help
-    M_max: float | None = None  # from which on there is one, if that is all that it takes
+    M_max: float | None = (
+        None  # from which on there is one, if that is all that it takes
+    )
     findings: tuple[str, ...] = ()  # what speaks against the trials
 
     @property
@@ -48,22 +59,30 @@ def try_out(settings: Settings) -> Outcome:
         plant = arguments.instance("plant", settings.plant, Plant)
         Q = settings.Q
         with warnings.catch_warnings(action="ignore"):  # they are in the line
-            design = synthesise(plant.response, Q, settings.omega, settings.Ts, **settings.problem)
+            design = synthesise(
+                plant.response, Q, settings.omega, settings.Ts, **settings.problem
+            )
     except InfeasibleError as error:
-        return Outcome(settings, message=str(error), M_max=_remedy(error.smallest_M_max))
+        return Outcome(
+            settings, message=str(error), M_max=_remedy(error.smallest_M_max)
+        )
     except (ValueError, SolverError) as error:
         return Outcome(settings, message=str(error))
     if plant.loop.P is None:
         return Outcome(settings, design)
     samples, m = plant.reference.shape
-    noise = settings.noise * np.random.default_rng(0).standard_normal((TRIALS, samples, m))
+    noise = settings.noise * np.random.default_rng(0).standard_normal(
+        (TRIALS, samples, m)
+    )
     with warnings.catch_warnings(record=True, action="always") as told:
         trials = run_trials(
             plant.loop, Q, design.filter, plant.reference, plant.disturbance, TRIALS,
             noise=noise, rest=plant.rest,
         )  # fmt: skip
     found = tuple(str(warning.message) for warning in told)
-    return Outcome(settings, design, tuple(rms(trials.e).values.tolist()), findings=found)
+    return Outcome(
+        settings, design, tuple(rms(trials.e).values.tolist()), findings=found
+    )
 
 
 def _remedy(smallest):
@@ -82,7 +101,9 @@ def certificate_line(certificate: Certificate) -> str:
         rate = f"σ(M) ≤ {certificate.all_M:.4f} between the samples, estimated"
     gain = f"σ(L) ≤ {certificate.all_L:.4g} at all frequencies"
     mean = f"mean σ(M) over the band {certificate.mean_M:.4f}"
-    optimal = f"objective {certificate.value:.4g}, none below {certificate.lower_bound:.4g}"
+    optimal = (
+        f"objective {certificate.value:.4g}, none below {certificate.lower_bound:.4g}"
+    )
     learned = f"noise learned {certificate.learned / (certificate.new or 1):.3f} times what is new"
     optimal = [optimal, *([learned] if certificate.noise else [])]
     warned = [f"warning: {text}" for text in certificate.warnings]

@@ -31,12 +31,20 @@ class Panel:
         self.outcome, self.before, self.designs = Outcome(None), None, 0
         self._plant, self._due, self._quiet = None, None, False
         self.choice, self.file, self.columns, self.knobs = _knobs([*plants, FILE], log)
-        families = {name: plant for name, plant in plants.items() if isinstance(plant, Family)}
-        self.parameters = {name: _parameters(family) for name, family in families.items()}
+        families = {
+            name: plant for name, plant in plants.items() if isinstance(plant, Family)
+        }
+        self.parameters = {
+            name: _parameters(family) for name, family in families.items()
+        }
         self.image = widgets.Image(format="png", layout={"width": "100%"})
-        self.line, self.python = (widgets.HTML(layout={"width": "98%"}) for _ in range(2))
+        self.line, self.python = (
+            widgets.HTML(layout={"width": "98%"}) for _ in range(2)
+        )
         self.remedy = widgets.Button(button_style="primary", layout={"width": "200px"})
-        self.target = widgets.Text("law.json", description="file", layout={"width": "300px"})
+        self.target = widgets.Text(
+            "law.json", description="file", layout={"width": "300px"}
+        )
         self.save = widgets.Button(description="save Q and L", layout={"width": "auto"})
         self.saved = widgets.HTML()
         self.widget = self._laid_out()
@@ -44,7 +52,9 @@ class Panel:
         self.save.on_click(self._save)
         for knob in (self.choice, self.file, self.columns):
             knob.observe(self._begin, "value")
-        for knob in [knob for knobs in self.parameters.values() for knob in knobs.values()]:
+        for knob in [
+            knob for knobs in self.parameters.values() for knob in knobs.values()
+        ]:
             knob.observe(self._another, "value")
         for knob in self.knobs.values():
             knob.observe(self._changed, "value")
@@ -85,7 +95,9 @@ class Panel:
     def plant(self) -> Plant:
         """The plant that is chosen, made anew only after its own widgets have said another one."""
         if self._plant is None:
-            with warnings.catch_warnings(action="ignore"):  # they are in a measurement's findings
+            with warnings.catch_warnings(
+                action="ignore"
+            ):  # they are in a measurement's findings
                 self._plant = self._made(self.choice.value)
         return self._plant
 
@@ -191,7 +203,9 @@ class Panel:
         try:
             save_law(path, *law, settings.python)
             if notes_of_law(*load_law(path)) != notes_of_law(*law):
-                raise ValueError(f"{path} holds another law than was written to it: try again")
+                raise ValueError(
+                    f"{path} holds another law than was written to it: try again"
+                )
             self.saved.value = f"saved: {escape(os.path.abspath(path))}"
         except (ValueError, OSError) as error:
             self.saved.value = f"not saved: {escape(str(error))}"
@@ -202,7 +216,10 @@ def _parameters(family):
     look = {"layout": {"width": "95%"}, "style": {"description_width": "170px"}}
     return {
         name: widgets.FloatText(
-            value, description=f"{name} ({unit})" if unit else name, continuous_update=False, **look
+            value,
+            description=f"{name} ({unit})" if unit else name,
+            continuous_update=False,
+            **look,
         )
         for name, (value, unit) in family.parameters.items()
     }
@@ -214,7 +231,10 @@ def _knobs(plants, log):
     lazy = common | {"continuous_update": False}
     choice = widgets.Dropdown(options=plants, description="plant", **common)
     file = widgets.Text(
-        log, description="path of the file", placeholder="from shake, record or others", **lazy
+        log,
+        description="path of the file",
+        placeholder="from shake, record or others",
+        **lazy,
     )
     columns = widgets.Text(
         description="its columns",

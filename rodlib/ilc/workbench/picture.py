@@ -43,12 +43,17 @@ class Picture:
         self.axes = self.figure.subplots(2, 2)
         (rate, trials), (gain, lags) = self.axes
         self.figure.subplots_adjust(0.07, 0.09, 0.985, 0.89, wspace=0.2, hspace=0.45)
-        rate.set(title=r"rate $\bar\sigma(M)$: what a trial leaves of the error", ylim=(0, 1.05))
+        rate.set(
+            title=r"rate $\bar\sigma(M)$: what a trial leaves of the error",
+            ylim=(0, 1.05),
+        )
         gain.set(title=r"gain $\bar\sigma(L)$ of the learning filter")
         lags.set(title="coefficients of $L$", xlabel="samples ahead")
         for axes in (rate, gain):
             axes.set(xscale="log", xlabel="frequency (rad/s)")
-        trials.set(xlabel="trial", xticks=np.arange(1, 11), xlim=(0.7, 10.3), yscale="log")
+        trials.set(
+            xlabel="trial", xticks=np.arange(1, 11), xlim=(0.7, 10.3), yscale="log"
+        )
         self._words = self.figure.text(0.07, 0.96, "")
         self._message = self.figure.text(
             0.5, 0.5, "", ha="center", va="center", fontsize=12, linespacing=1.5,
@@ -91,7 +96,9 @@ class Picture:
         design, look = outcome.design, BEFORE if before else {"color": "black"}
         rate.plot(design.omega, design.sigma_M, **look)
         gain.plot(design.omega, design.sigma_L, **look)
-        trials.plot(np.arange(1, len(outcome.rms) + 1), outcome.rms, "o-", markersize=4, **look)
+        trials.plot(
+            np.arange(1, len(outcome.rms) + 1), outcome.rms, "o-", markersize=4, **look
+        )
         ahead = np.arange(1, design.filter.order + 1)
         for entry, own in zip(entries(outcome).values(), cycle(ENTRIES), strict=False):
             lags.plot(ahead, entry, marker=".", **(look if before else own))
@@ -107,7 +114,9 @@ class Picture:
         designs = [outcome.design for outcome in outcomes]
         for axes in (rate, gain):
             axes.set_xlim(designs[0].omega[[0, -1]])
-        gain.set_ylim(0, _round_up(max(max(d.sigma_L.max(), d.problem.L_max) for d in designs)))
+        gain.set_ylim(
+            0, _round_up(max(max(d.sigma_L.max(), d.problem.L_max) for d in designs))
+        )
         values = np.concatenate([outcome.rms or [1.0] for outcome in outcomes])
         low, high = np.log10([max(values.min(), 1e-15), max(values.max(), 1e-15)])
         trials.set_ylim(10 ** np.floor(low), 10 ** (np.floor(high) + 1))
@@ -118,13 +127,17 @@ class Picture:
         trials.set_title(simulated if outcomes[0].rms else none, parse_math=False)
         coefficients = np.concatenate([d.filter.coefficients.ravel() for d in designs])
         least, most = coefficients.min(), coefficients.max()
-        lags.set_ylim(-_round_up(-least) if least < 0 else 0, _round_up(most) if most > 0 else 0)
+        lags.set_ylim(
+            -_round_up(-least) if least < 0 else 0, _round_up(most) if most > 0 else 0
+        )
         # Not halves: with ten coefficients a marker would fall between two pixels, and rounding
         # would say into which of them.
         lags.set_xlim(0.4, max(d.filter.order for d in designs) + 0.6)
         lags.xaxis.get_major_locator().set_params(integer=True)
         names = [*entries(outcomes[0])]
-        handles = [Line2D([], [], **look) for look in islice(cycle(ENTRIES), len(names))]
+        handles = [
+            Line2D([], [], **look) for look in islice(cycle(ENTRIES), len(names))
+        ]
         lags.legend(
             handles, names, loc="lower right", bbox_to_anchor=(1.02, 0.97), ncols=5, fontsize=8,
             borderpad=0.2, handlelength=0.9, handletextpad=0.4, columnspacing=0.8,
@@ -135,7 +148,10 @@ class Picture:
     def png(self) -> bytes:
         """The picture as a PNG file; the same bytes for the same outcomes."""
         self.figure.canvas.draw()
-        buffer, opaque = BytesIO(), np.asarray(self.figure.canvas.buffer_rgba())[..., :3]
+        buffer, opaque = (
+            BytesIO(),
+            np.asarray(self.figure.canvas.buffer_rgba())[..., :3],
+        )
         Image.fromarray(opaque).save(buffer, "png", compress_level=1)
         return buffer.getvalue()
 

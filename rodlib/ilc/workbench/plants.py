@@ -22,12 +22,22 @@ REST = 15  # samples, of a trial whose reference ends at rest
 class Plant:
     """What filters are designed for, and what ten trials with them follow."""
 
-    source: str  # the Python expression that makes `response`, with rodlib and np at hand
+    source: (
+        str  # the Python expression that makes `response`, with rodlib and np at hand
+    )
     response: Loop | Measured  # what the synthesis is given
-    reference: np.ndarray | None = None  # shape (time, m); default: all to one, back, and a rest
-    disturbance: np.ndarray | None = None  # shape (10, time, d), as loop.disturbances; default zero
-    order: int = Problem.order  # samples to look ahead at first; more than the plant's delay
-    rest: int | None = None  # samples at the end in which v is zero; default none, but with the
+    reference: np.ndarray | None = (
+        None  # shape (time, m); default: all to one, back, and a rest
+    )
+    disturbance: np.ndarray | None = (
+        None  # shape (10, time, d), as loop.disturbances; default zero
+    )
+    order: int = (
+        Problem.order
+    )  # samples to look ahead at first; more than the plant's delay
+    rest: int | None = (
+        None  # samples at the end in which v is zero; default none, but with the
+    )
     # default reference
 
     def __post_init__(self):
@@ -38,7 +48,9 @@ class Plant:
                 "current_trial_loop makes, or a measured response"
             )
         if self.loop is None:
-            raise ValueError("response is a table without a period: control.frd(P, omega, Ts)")
+            raise ValueError(
+                "response is a table without a period: control.frd(P, omega, Ts)"
+            )
         if not self.measured and self.loop.P is None:
             raise ValueError(
                 "response has no P, for which filters are designed: measure it, by shake"
@@ -52,7 +64,9 @@ class Plant:
             reference = np.repeat(there_and_back[:, None], m, axis=1)
         reference = arguments.array("reference", reference, ("time", m))
         object.__setattr__(self, "reference", reference)
-        object.__setattr__(self, "rest", arguments.whole("rest", rest, 0, len(reference) - 1))
+        object.__setattr__(
+            self, "rest", arguments.whole("rest", rest, 0, len(reference) - 1)
+        )
         if self.disturbance is not None:
             shape = (TRIALS, len(reference), len(self.loop.disturbances))
             disturbance = arguments.array("disturbance", self.disturbance, shape)
@@ -86,7 +100,9 @@ class Family:
     """Plants that differ in a few numbers, each of which gets a knob."""
 
     make: Callable[..., Plant]  # of the parameters, by keyword
-    parameters: dict[str, tuple[float, str]]  # by name: what each is at first, and its unit
+    parameters: dict[
+        str, tuple[float, str]
+    ]  # by name: what each is at first, and its unit
 
 
 def plant_of_file(path, columns: str = "") -> Plant:
@@ -100,8 +116,13 @@ def plant_of_file(path, columns: str = "") -> Plant:
         source = f"rodlib.read_table({path!r}, {columns.strip()})"
         try:
             log = read_table(path, **_keywords(columns))
-        except (TypeError, SyntaxError) as error:  # of keywords that it has not, or is not given
-            raise ValueError(f"columns = {columns!r} cannot be understood: {error}") from None
+        except (
+            TypeError,
+            SyntaxError,
+        ) as error:  # of keywords that it has not, or is not given
+            raise ValueError(
+                f"columns = {columns!r} cannot be understood: {error}"
+            ) from None
     else:
         log, source = load_log(path), f"rodlib.load_log({path!r})"
     try:
@@ -119,9 +140,15 @@ def plant_of_file(path, columns: str = "") -> Plant:
 def _keywords(text):
     """What a call is told by keyword; nothing is called."""
     call = ast.parse(f"read_table({text.strip()})", mode="eval").body
-    if not isinstance(call, ast.Call) or call.args or any(k.arg is None for k in call.keywords):
+    if (
+        not isinstance(call, ast.Call)
+        or call.args
+        or any(k.arg is None for k in call.keywords)
+    ):
         raise SyntaxError('write time="...", outputs={"...": "..."}')
     try:
-        return {keyword.arg: ast.literal_eval(keyword.value) for keyword in call.keywords}
+        return {
+            keyword.arg: ast.literal_eval(keyword.value) for keyword in call.keywords
+        }
     except ValueError:
         raise SyntaxError("each must be a text, a number or a dict of them") from None

@@ -35,8 +35,14 @@ def plot(shown: Synthesis | xr.Dataset):
         raise ValueError(
             f"shown = {reprlib.repr(shown)} must be a Synthesis or a Dataset of trials"
         )
-    with plt.rc_context({"axes.grid": True, "grid.color": "0.9", "legend.frameon": False}):
-        figure = _of_design(plt, shown) if isinstance(shown, Synthesis) else _of_trials(plt, shown)
+    with plt.rc_context(
+        {"axes.grid": True, "grid.color": "0.9", "legend.frameon": False}
+    ):
+        figure = (
+            _of_design(plt, shown)
+            if isinstance(shown, Synthesis)
+            else _of_trials(plt, shown)
+        )
     if "inline" in matplotlib.get_backend():
         plt.close(figure)  # or a notebook would show it twice
     return figure
@@ -44,7 +50,9 @@ def plot(shown: Synthesis | xr.Dataset):
 
 def _axes(plt, count):
     size = (WIDTH, HEIGHT * count)
-    figure, axes = plt.subplots(count, 1, figsize=size, squeeze=False, layout="constrained")
+    figure, axes = plt.subplots(
+        count, 1, figsize=size, squeeze=False, layout="constrained"
+    )
     return figure, axes[:, 0]
 
 
@@ -70,7 +78,9 @@ def _of_design(plt, design):
 
 
 def _of_trials(plt, trials):
-    signals_of(trials, "reference", "v")  # which checks that it has all that trials have
+    signals_of(
+        trials, "reference", "v"
+    )  # which checks that it has all that trials have
     errors, rows = rms_by_trial(trials.e), [*_rows(trials)]
     figure, axes = _axes(plt, len(errors.columns) + len(rows))
     for ax, (label, values) in zip(axes, errors.items(), strict=False):

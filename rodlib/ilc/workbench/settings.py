@@ -26,8 +26,12 @@ class Settings:
     Q_order: int = ZeroPhaseButterworth.order
     structure: str = Problem.structure  # "diagonal" or "full"
     uncertainty: float = 0.0  # radius of what is not known of P, in percent of ||P||
-    noise: float = 0.0  # standard deviation in each output, white, in its unit; new in every trial
-    noise_weight: float = 0.0  # of what learning makes of it, in the design: see `problem`
+    noise: float = (
+        0.0  # standard deviation in each output, white, in its unit; new in every trial
+    )
+    noise_weight: float = (
+        0.0  # of what learning makes of it, in the design: see `problem`
+    )
 
     @classmethod
     def of(cls, plant: Plant, **changes) -> "Settings":
@@ -77,7 +81,9 @@ class Settings:
             "band": tuple(arguments.array("band", self.band, (2,)).tolist()),
             "structure": self.structure,
         }
-        percent = arguments.not_negative("uncertainty", self.uncertainty, "zero or more (%)")
+        percent = arguments.not_negative(
+            "uncertainty", self.uncertainty, "zero or more (%)"
+        )
         if percent:
             if self.plant.measured:
                 raise ValueError(
@@ -85,10 +91,14 @@ class Settings:
                     "a radius of its own"
                 )
             asked["uncertainty"] = percent / 100 * self.plant.size(self.omega)
-        elif not self.plant.measured:  # within a radius nothing is known between the frequencies
+        elif (
+            not self.plant.measured
+        ):  # within a radius nothing is known between the frequencies
             asked["everywhere"] = True
         arguments.not_negative("noise", self.noise, "zero or more")
-        weight = arguments.not_negative("noise_weight", self.noise_weight, "zero or more")
+        weight = arguments.not_negative(
+            "noise_weight", self.noise_weight, "zero or more"
+        )
         if weight:
             asked["noise"] = np.full(FREQUENCIES, weight * self._idle)
         return asked
@@ -98,7 +108,9 @@ class Settings:
         """The objective of (39) without learning, to three digits."""
         low, high = self.band
         in_band = (self.omega >= low) & (self.omega <= high)
-        return float(f"{np.abs(self.Q.frequency_response(self.omega[in_band])).sum():.3g}")
+        return float(
+            f"{np.abs(self.Q.frequency_response(self.omega[in_band])).sum():.3g}"
+        )
 
     @property
     def python(self) -> str:
@@ -109,7 +121,8 @@ class Settings:
             "noise": f"np.full({FREQUENCIES}, {self.noise_weight!r} * {self._idle!r})",
         }
         asked = ", ".join(
-            f"{name}={in_words.get(name, repr(value))}" for name, value in self.problem.items()
+            f"{name}={in_words.get(name, repr(value))}"
+            for name, value in self.problem.items()
         )
         return (
             "import numpy as np\n"

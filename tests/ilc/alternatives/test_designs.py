@@ -69,12 +69,16 @@ def test_p_type_and_pd_type_add_the_error_and_its_slope():
     e = np.stack([np.sin(time), time**2], axis=1)
     np.testing.assert_allclose(p_type(0.5, 3, 2, 0.1).apply(e)[:-3], 0.5 * e[3:])
     slope = (e[4:] - e[3:-1]) / 0.1
-    np.testing.assert_allclose(pd_type(0.5, 2.0, 4, 2, 0.1).apply(e)[:-4], 0.5 * e[4:] + 2 * slope)
+    np.testing.assert_allclose(
+        pd_type(0.5, 2.0, 4, 2, 0.1).apply(e)[:-4], 0.5 * e[4:] + 2 * slope
+    )
 
 
 def test_gradient_is_the_adjoint_of_a_trial():
     P = random_stable(0)
-    np.testing.assert_allclose(as_matrix(gradient(P, 0.3), 40), 0.3 * lifted(P, 40).T, atol=1e-9)
+    np.testing.assert_allclose(
+        as_matrix(gradient(P, 0.3), 40), 0.3 * lifted(P, 40).T, atol=1e-9
+    )
 
 
 def test_rate_of_the_gradient_without_Q(P):
@@ -89,8 +93,12 @@ def test_rate_of_the_gradient_without_Q(P):
 
 def test_stable_inversion_is_the_inverse(P):
     omega = grid(P.dt)
-    PL = frequency_response(P, omega) @ stable_inversion(P, 0.7).frequency_response(omega)
-    np.testing.assert_allclose(PL, 0.7 * np.broadcast_to(np.eye(P.noutputs), PL.shape), atol=1e-9)
+    PL = frequency_response(P, omega) @ stable_inversion(P, 0.7).frequency_response(
+        omega
+    )
+    np.testing.assert_allclose(
+        PL, 0.7 * np.broadcast_to(np.eye(P.noutputs), PL.shape), atol=1e-9
+    )
 
 
 @given(st.integers(0, 99))
@@ -117,7 +125,9 @@ def test_a_cut_off_takes_the_inverse_back(P):
     for design in (stable_inversion, zero_phase_inversion):
         whole = design(P).frequency_response(omega)
         part = design(P, cutoff=0.2 / P.dt).frequency_response(omega)
-        np.testing.assert_allclose(part, F.frequency_response(omega)[:, None, None] * whole)
+        np.testing.assert_allclose(
+            part, F.frequency_response(omega)[:, None, None] * whole
+        )
 
 
 def test_zero_phase_inversion_has_zero_phase_and_unit_gain_at_zero(P):
@@ -157,7 +167,9 @@ def test_norm_optimal_solves_the_lifted_problem(weight):
 def test_norm_optimal_without_a_weight_inverts_and_with_a_large_one_follows_the_gradient():
     P = control.ss(control.tf([1, 0.5], [1, -0.5], 1.0))
     G = lifted(P, 40)
-    np.testing.assert_allclose(as_matrix(NormOptimal(P, 1e-10, 40), 40) @ G, np.eye(40), atol=1e-7)
+    np.testing.assert_allclose(
+        as_matrix(NormOptimal(P, 1e-10, 40), 40) @ G, np.eye(40), atol=1e-7
+    )
     heavy = 1e8 * as_matrix(NormOptimal(P, 1e8, 40), 40)
     np.testing.assert_allclose(heavy, G.T, atol=1e-5)
 
@@ -178,7 +190,10 @@ def test_norm_optimal_tends_to_its_response_far_from_the_ends(P):
 def test_h_infinity_keeps_its_level_and_has_the_states_of_the_generalised_plant(P):
     Q = zero_phase_butterworth(2, 0.1 / P.dt, P.dt)
     omega, m = np.append(0, grid(P.dt, 300)), P.noutputs
-    q, response = Q.frequency_response(omega)[:, None, None], frequency_response(P, omega)
+    q, response = (
+        Q.frequency_response(omega)[:, None, None],
+        frequency_response(P, omega),
+    )
     for emphasis, corner in [(1.0, None), (5.0, 0.02 / P.dt)]:
         L = h_infinity(P, Q, 2.0, 0.01, 6, emphasis, corner).frequency_response(omega)
         W = np.ones(len(omega))
@@ -187,7 +202,9 @@ def test_h_infinity_keeps_its_level_and_has_the_states_of_the_generalised_plant(
             s = (z - 1) / (z + 1) / a
             W = np.abs((s + emphasis) / (s + 1))
             assert W[0] == pytest.approx(emphasis)
-        stacked = np.concatenate([W[:, None, None] * q * (np.eye(m) - response @ L), 0.01 * L], 1)
+        stacked = np.concatenate(
+            [W[:, None, None] * q * (np.eye(m) - response @ L), 0.01 * L], 1
+        )
         assert np.linalg.norm(stacked, 2, axis=(1, 2)).max() < 2.0
         plant = generalised_plant(P, Q, 0.01, 6, emphasis, corner)
         assert full_information(plant, m, 2.0).nstates == plant.nstates
@@ -226,7 +243,9 @@ def test_the_least_level_is_that_of_hinfsyn(seed):
     X = np.linalg.inv(plant.A + I)
     B, C, D = np.sqrt(2) * X @ plant.B, np.sqrt(2) * C @ X, D - C @ X @ plant.B
     _, reached, least, _ = control.hinfsyn(control.ss(X @ (plant.A - I), B, C, D), m, m)
-    sigma = np.linalg.norm(frequency_response(reached, np.geomspace(1e-4, 1e4, 2000)), 2, (1, 2))
+    sigma = np.linalg.norm(
+        frequency_response(reached, np.geomspace(1e-4, 1e4, 2000)), 2, (1, 2)
+    )
     assert sigma.max() == pytest.approx(least, rel=1e-4)
     full_information(plant, m, 1.01 * least)
     with pytest.raises(ValueError, match="is not reached"):

@@ -25,7 +25,9 @@ from rodlib.paper import published
 def rehearsal(loop, Q, samples, trials=4, noise=0.0, rest=0):
     """On the model of the design, and the reference and noise for a simulation."""
     m = loop.plant.noutputs
-    reference = np.outer(np.sin(np.pi * np.arange(samples) / samples) ** 4, np.arange(1, m + 1))
+    reference = np.outer(
+        np.sin(np.pi * np.arange(samples) / samples) ** 4, np.arange(1, m + 1)
+    )
     white = noise * np.random.default_rng(0).standard_normal((trials, samples, m))
     alone = run_trials(loop, Q, None, reference, trials=trials, noise=white).e.values
     P = loop.frequency_response(lines(samples, loop.Ts))
@@ -33,8 +35,16 @@ def rehearsal(loop, Q, samples, trials=4, noise=0.0, rest=0):
 
 
 PLANTS = {
-    "stage": lambda: (current_trial_loop(stage(), ["F"], {"x": 5.0, "F": 20.0}), 300.0, 600),
-    "tanks": lambda: (current_trial_loop(tanks(), ["pump A", "pump B", "pump C"]), 0.3, 900),
+    "stage": lambda: (
+        current_trial_loop(stage(), ["F"], {"x": 5.0, "F": 20.0}),
+        300.0,
+        600,
+    ),
+    "tanks": lambda: (
+        current_trial_loop(tanks(), ["pump A", "pump B", "pump C"]),
+        0.3,
+        900,
+    ),
     "furnace": lambda: (current_trial_loop(furnace()), 0.1, 600),
     "rod": lambda: (paper_loop(), 0.1, 2500),
 }
@@ -60,15 +70,21 @@ def test_on_the_rod_itself_they_are_those_of_a_fine_model(loop, Q):
     simulated = run_trials(*law, plant=fine).e.values
     alone = run_trials(loop, Q, None, reference, disturbance, 3, plant=fine).e.values
     omega = lines(len(reference), 1.0)
-    P = loop.frequency_response(omega, sampled_response(Rod(), omega, 1.0)[:, :, [0, 2]])
+    P = loop.frequency_response(
+        omega, sampled_response(Rod(), omega, 1.0)[:, :, [0, 2]]
+    )
     np.testing.assert_allclose(Rehearsal(P, Q, alone).errors(L), simulated, atol=1e-4)
 
 
 def test_rate_is_that_of_the_certificate(loop, Q, omega):
     rehearsed, _, _ = rehearsal(loop, Q, 2500, 2)
     design = synthesise(loop, Q, omega, 1.0)
-    assert rehearsed.rate(design.filter) == pytest.approx(design.certificate.grid_M, abs=2e-3)
-    assert rehearsed.rate(stable_inversion(loop.P, 0.25)) == pytest.approx(0.75, abs=1e-9)
+    assert rehearsed.rate(design.filter) == pytest.approx(
+        design.certificate.grid_M, abs=2e-3
+    )
+    assert rehearsed.rate(stable_inversion(loop.P, 0.25)) == pytest.approx(
+        0.75, abs=1e-9
+    )
 
 
 def test_tune_finds_a_tuning_that_is_known():
@@ -103,7 +119,9 @@ def test_tune_counts_its_evaluations_and_keeps_the_bound():
     assert len(asked) == 20 and all(isinstance(ahead, int) for _, ahead in asked)
     assert (found.parameters["share"], found.parameters["ahead"]) in asked
     assert rehearsed.rate(found.filter) <= 0.95 * (1 + 1e-6)
-    assert all(0.1 <= share <= 3.0 + 1e-12 and 1 <= ahead <= 80 for share, ahead in asked)
+    assert all(
+        0.1 <= share <= 3.0 + 1e-12 and 1 <= ahead <= 80 for share, ahead in asked
+    )
 
 
 def test_a_synthesis_can_be_tuned(loop, Q):
@@ -119,12 +137,20 @@ def test_a_synthesis_can_be_tuned(loop, Q):
 
 def test_arguments_of_rehearsal_and_search_are_checked(loop, Q):
     rehearsed, _, _ = rehearsal(loop, Q, 300, 2)
-    with pytest.raises(ValueError, match=r"P has shape \(300, 2, 2\), but must have shape"):
+    with pytest.raises(
+        ValueError, match=r"P has shape \(300, 2, 2\), but must have shape"
+    ):
         Rehearsal(rehearsed.P[1:], Q, rehearsed.alone)
     with pytest.raises(ValueError, match="L acts on 1 channels, but must act on 2"):
         rehearsed.errors(LearningFilter([[[1.0]]], 1.0))
     for box in ({"step": (0.0, 1.0)}, {"step": (2.0, 1.0)}):
-        with pytest.raises(ValueError, match=r"box\['step'\] = .* must be 0 < lowest < highest"):
+        with pytest.raises(
+            ValueError, match=r"box\['step'\] = .* must be 0 < lowest < highest"
+        ):
             tune(lambda step: gradient(loop.P, step), box, rehearsed)
-    with pytest.raises(ValueError, match=r"reaches a rate of M_max = 0.5 nowhere in box"):
-        tune(lambda step: gradient(loop.P, step), {"step": (0.1, 1.0)}, rehearsed, 0.5, 6)
+    with pytest.raises(
+        ValueError, match=r"reaches a rate of M_max = 0.5 nowhere in box"
+    ):
+        tune(
+            lambda step: gradient(loop.P, step), {"step": (0.1, 1.0)}, rehearsed, 0.5, 6
+        )

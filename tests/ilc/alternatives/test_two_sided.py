@@ -22,7 +22,10 @@ def finite(seed, m, Ts, first=-3, count=7):
 
 
 @given(
-    st.integers(0, 99), st.integers(1, 3), st.sampled_from([1e-3, 1.0, 40.0]), st.integers(1, 30)
+    st.integers(0, 99),
+    st.integers(1, 3),
+    st.sampled_from([1e-3, 1.0, 40.0]),
+    st.integers(1, 30),
 )
 def test_it_is_the_two_sided_convolution_cut_to_the_trial(seed, m, Ts, samples):
     L, lags, taps = finite(seed, m, Ts)
@@ -40,7 +43,9 @@ def test_a_filter_that_looks_ahead_does_in_the_law_what_a_learning_filter_does(l
     known = LearningFilter(coefficients, 1.0)
     same = TwoSidedFilter(known.frequency_response, 2, 1.0)
     e = np.random.default_rng(1).standard_normal((80, 2))
-    np.testing.assert_allclose(update(e, e, Q, same), update(e, e, Q, known), atol=1e-11)
+    np.testing.assert_allclose(
+        update(e, e, Q, same), update(e, e, Q, known), atol=1e-11
+    )
     trials = [run_trials(loop, Q, L, e, trials=3).y for L in (known, same)]
     np.testing.assert_allclose(*trials, atol=1e-9)
     printed = LearningFilter(published.matrix("L_full"), 1.0)
@@ -55,7 +60,9 @@ def test_a_filter_that_looks_ahead_does_in_the_law_what_a_learning_filter_does(l
 @pytest.mark.parametrize("pole", [0.5, -0.9, 0.99, 1.05])
 def test_a_pole_outside_the_circle_acts_backward_in_time(pole):
     """1 / (1 - p / z): p^k for k >= 0 inside, -p^k for k < 0 outside."""
-    L = TwoSidedFilter(lambda w: 1 / (1 - pole * np.exp(-1j * w))[:, None, None], 1, 1.0)
+    L = TwoSidedFilter(
+        lambda w: 1 / (1 - pole * np.exp(-1j * w))[:, None, None], 1, 1.0
+    )
     lags, taps = two_sided_taps(L)
     forward = abs(pole) < 1
     acts = (lags >= 0) == forward
@@ -71,7 +78,9 @@ def test_extent_leaves_out_half_of_the_rest_at_each_end():
 
 
 def test_what_cannot_be_applied_is_refused():
-    standing = TwoSidedFilter(lambda w: 1 / (1.0000001 - np.exp(-1j * w))[:, None, None], 1, 1.0)
+    standing = TwoSidedFilter(
+        lambda w: 1 / (1.0000001 - np.exp(-1j * w))[:, None, None], 1, 1.0
+    )
     with pytest.raises(ValueError, match="does not decay within 262144 samples"):
         standing.apply(np.ones((5, 1)))
     L, _, _ = finite(0, 2, 1.0)

@@ -8,7 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rodlib import LearningFilter, SolverError, run_trials, synthesise, zero_phase_butterworth
+from rodlib import (
+    LearningFilter,
+    SolverError,
+    run_trials,
+    synthesise,
+    zero_phase_butterworth,
+)
 from rodlib.case import assumed_reference
 from rodlib.ilc import rate_within, trial_map, trial_norm, trial_operators
 from rodlib.ilc.evidence.optimality import lower_bound
@@ -31,11 +37,20 @@ def random_system(rng, n, m, scale=1.0):
     A = rng.standard_normal((n, n))
     A *= rng.uniform(0.3, 0.99) / np.abs(np.linalg.eigvals(A)).max()
     return control.ss(
-        A, rng.standard_normal((n, m)) * scale, rng.standard_normal((m, n)), np.eye(m) * scale, 1.0
+        A,
+        rng.standard_normal((n, m)) * scale,
+        rng.standard_normal((m, n)),
+        np.eye(m) * scale,
+        1.0,
     )
 
 
-@given(st.integers(1, 8), st.integers(1, 3), st.sampled_from([1e-6, 1.0, 1e6]), st.integers(0, 999))
+@given(
+    st.integers(1, 8),
+    st.integers(1, 3),
+    st.sampled_from([1e-6, 1.0, 1e6]),
+    st.integers(0, 999),
+)
 def test_peak_gain_is_above_and_close_to_brute_force(n, m, scale, seed):
     system = random_system(np.random.default_rng(seed), n, m, scale)
     gain, place = peak_gain(system)
@@ -52,23 +67,29 @@ def test_peak_gain_of_known_systems():
     resonance = control.ss([[1.8, -0.81 * 1.2], [1, 0]], [[1], [0]], [[1, 0]], 0, 1.0)
     gain, place = peak_gain(resonance)
     w = np.linspace(place - 1e-3, place + 1e-3, 200001)
-    brute = np.abs(np.exp(2j * w) / (np.exp(2j * w) - 1.8 * np.exp(1j * w) + 0.972)).max()
+    brute = np.abs(
+        np.exp(2j * w) / (np.exp(2j * w) - 1.8 * np.exp(1j * w) + 0.972)
+    ).max()
     assert gain == pytest.approx(brute, rel=1e-8)
-    assert peak_gain(control.ss([], [], [], [[3.0, 0], [0, 4]], 1.0))[0] == pytest.approx(
-        4, rel=1e-14
-    )
+    assert peak_gain(control.ss([], [], [], [[3.0, 0], [0, 4]], 1.0))[
+        0
+    ] == pytest.approx(4, rel=1e-14)
 
 
 @pytest.mark.parametrize("distance", [1e-2, 1e-4, 1e-8, 1e-10])
 def test_peak_gain_of_a_pole_next_to_the_circle_is_not_too_low(distance):
     for a in (1 - distance, distance - 1):
-        gain, _ = peak_gain(control.ss(a, 1, 1, 0, 1.0))  # 1 / (z - a): peak 1 / (1 - |a|)
+        gain, _ = peak_gain(
+            control.ss(a, 1, 1, 0, 1.0)
+        )  # 1 / (z - a): peak 1 / (1 - |a|)
         ratio = Fraction(gain) * (1 - abs(Fraction(a)))
         assert 1 <= ratio <= 1 + 1.01e-8 + 1e-14 / distance
 
 
 @given(
-    st.sampled_from([1, 2, 3]), st.sampled_from([1e-2, 1e-4, 1e-8, 1e-10]), st.floats(0.02, 3.12)
+    st.sampled_from([1, 2, 3]),
+    st.sampled_from([1e-2, 1e-4, 1e-8, 1e-10]),
+    st.floats(0.02, 3.12),
 )
 def test_peak_gain_of_resonances_in_series_is_not_too_low(copies, distance, angle):
     """1 / |z^2 + b z + c|^2 peaks at 1 / ((1 - c)^2 (1 - b^2 / 4c)): exact in fractions."""
@@ -79,8 +100,13 @@ def test_peak_gain_of_resonances_in_series_is_not_too_low(copies, distance, angl
         system = one * system
     try:
         gain, _ = peak_gain(system)
-    except (ValueError, RuntimeError) as error:  # rounding splits a multiple pole further apart
-        assert copies > 1 and distance**copies < 1e-11 and "pole of modulus" in str(error)
+    except (
+        ValueError,
+        RuntimeError,
+    ) as error:  # rounding splits a multiple pole further apart
+        assert (
+            copies > 1 and distance**copies < 1e-11 and "pole of modulus" in str(error)
+        )
         return
     b, c = Fraction(b), Fraction(c)
     inverse = ((1 - c) ** 2 * (1 - b**2 / (4 * c))) ** copies
@@ -102,7 +128,8 @@ def modulus_squared(polynomial, t):
 def exact_gain_squared(system, half_tangents):
     """|G|^2 at z = (1 + jt)^2 / (1 + t^2) for fractions t, by Faddeev and LeVerrier's algorithm."""
     A, B, C, D = (
-        np.vectorize(Fraction, otypes=[object])(X) for X in (system.A, system.B, system.C, system.D)
+        np.vectorize(Fraction, otypes=[object])(X)
+        for X in (system.A, system.B, system.C, system.D)
     )
     n = len(A)
     identity = np.vectorize(Fraction, otypes=[object])(np.eye(n, dtype=int))
@@ -112,7 +139,10 @@ def exact_gain_squared(system, half_tangents):
         numerator.append((C @ X @ B)[0, 0] + D[0, 0] * denominator[-1])
         X = A @ X + denominator[-1] * identity
 
-    return [modulus_squared(numerator, t) / modulus_squared(denominator, t) for t in half_tangents]
+    return [
+        modulus_squared(numerator, t) / modulus_squared(denominator, t)
+        for t in half_tangents
+    ]
 
 
 @given(st.integers(1, 5), st.sampled_from([1e-1, 1e-4, 1e-8]), st.integers(0, 999))
@@ -120,7 +150,9 @@ def test_peak_gain_is_above_the_exact_gain_of_random_systems(n, distance, seed):
     rng = np.random.default_rng(seed)
     A = rng.standard_normal((n, n))
     A *= (1 - distance) / np.abs(np.linalg.eigvals(A)).max()
-    system = control.ss(A, rng.standard_normal((n, 1)), rng.standard_normal((1, n)), 1, 1.0)
+    system = control.ss(
+        A, rng.standard_normal((n, 1)), rng.standard_normal((1, n)), 1, 1.0
+    )
     gain, place = peak_gain(system)
     poles = np.linalg.eigvals(A)
     near = np.append(place, np.abs(np.angle(poles)))
@@ -132,16 +164,22 @@ def test_peak_gain_is_above_the_exact_gain_of_random_systems(n, distance, seed):
 @given(st.integers(1, 5), st.sampled_from([0.5, 1e-3]), st.integers(0, 999))
 def test_the_phase_is_that_of_the_all_pass(n, distance, seed):
     rng = np.random.default_rng(seed)
-    poles = (1 - distance * rng.uniform(size=n)) * np.exp(1j * rng.uniform(-np.pi, np.pi, n))
+    poles = (1 - distance * rng.uniform(size=n)) * np.exp(
+        1j * rng.uniform(-np.pi, np.pi, n)
+    )
     theta = np.sort(rng.uniform(0, np.pi, 9))
     z = np.exp(1j * theta)[:, None]
     all_pass = ((z - poles) / (1 - poles.conj() * z)).prod(axis=1)
     phase = _phase(poles, theta)
-    np.testing.assert_allclose(np.exp(1j * (phase - phase[0])), all_pass / all_pass[0], atol=1e-9)
+    np.testing.assert_allclose(
+        np.exp(1j * (phase - phase[0])), all_pass / all_pass[0], atol=1e-9
+    )
     assert np.all(np.diff(phase) > 0)
 
 
-@given(st.floats(-0.4, 1.9), st.floats(0.01, 1.57), st.sampled_from([1e-200, 1.0, 1e200]))
+@given(
+    st.floats(-0.4, 1.9), st.floats(0.01, 1.57), st.sampled_from([1e-200, 1.0, 1e200])
+)
 def test_the_ceiling_is_the_crest_of_the_sinusoid_through_two_values(place, h, crest):
     a, b = crest * np.cos(place), crest * np.cos(h - place)
     if min(a, b) > 0:
@@ -153,7 +191,9 @@ def test_the_ceiling_is_the_crest_of_the_sinusoid_through_two_values(place, h, c
 @pytest.mark.parametrize("distance", [1e-3, 1e-6])
 def test_the_bound_of_rounding_is_above_what_the_last_digit_of_A_does(distance):
     angle = 0.7
-    A = (1 - distance) * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    A = (1 - distance) * np.array(
+        [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    )
     B, C, D = np.array([[1.0], [0.5]]), np.array([[1.0, -2.0]]), np.array([[0.3]])
     bound = _rounded_up(A, B, C, D, angle)
     z, eps = np.clongdouble(np.exp(1j * angle)), np.longdouble(np.finfo(float).eps)
@@ -161,30 +201,44 @@ def test_the_bound_of_rounding_is_above_what_the_last_digit_of_A_does(distance):
     for signs in np.ndindex(2, 2, 2, 2):
         (a, b), (c, d) = A * (1 + eps * (2 * np.reshape(signs, (2, 2)) - 1))
         adjugate = np.array([[z - d, b], [c, z - a]])
-        gains.append(abs((C @ adjugate @ B)[0, 0] / ((z - a) * (z - d) - b * c) + D[0, 0]))
+        gains.append(
+            abs((C @ adjugate @ B)[0, 0] / ((z - a) * (z - d) - b * c) + D[0, 0])
+        )
     assert max(gains) <= bound <= max(gains) * (1 + 1e-13 / distance)
 
 
 @given(st.integers(1, 6), st.integers(1, 3), st.integers(0, 999))
-def test_balancing_changes_units_of_states_only_and_leaves_none_out_of_scale(n, m, seed):
+def test_balancing_changes_units_of_states_only_and_leaves_none_out_of_scale(
+    n, m, seed
+):
     rng = np.random.default_rng(seed)
     sizes = 10.0 ** rng.uniform(-8, 8, (3, n, n))
-    A, B, C = sizes[0], sizes[1][:, :1] * 10.0 ** rng.uniform(-8, 0, (n, m)), sizes[2][:m]
+    A, B, C = (
+        sizes[0],
+        sizes[1][:, :1] * 10.0 ** rng.uniform(-8, 0, (n, m)),
+        sizes[2][:m],
+    )
     scaled, inputs, outputs = balanced(A, B, C)
-    for k in range(3):  # scaled by powers of two, the same sums are the same to the last bit
+    for k in range(
+        3
+    ):  # scaled by powers of two, the same sums are the same to the last bit
         moved = outputs @ np.linalg.matrix_power(scaled, k) @ inputs
         np.testing.assert_array_equal(moved, C @ np.linalg.matrix_power(A, k) @ B)
     for i in range(n):
         rest = np.arange(n) != i
         row = np.linalg.norm([*scaled[i, rest], np.abs(inputs[i]).max()])
         column = np.linalg.norm([*scaled[rest, i], np.abs(outputs[:, i]).max()])
-        assert 3 / 7 <= row / column <= 7 / 3  # another power gains less than LAPACK's 5 %
+        assert (
+            3 / 7 <= row / column <= 7 / 3
+        )  # another power gains less than LAPACK's 5 %
 
 
 @pytest.mark.parametrize("gain", [1e-300, 1e-170, 1e-150, 1.0, 1e150, 1e170, 1e300])
 def test_gains_whose_squares_leave_the_doubles_are_found(gain):
     for m in (1, 2, 3):
-        lag = control.ss(0.5 * np.eye(m), gain * np.eye(m), np.eye(m), np.zeros((m, m)), 1.0)
+        lag = control.ss(
+            0.5 * np.eye(m), gain * np.eye(m), np.eye(m), np.zeros((m, m)), 1.0
+        )
         assert peak_gain(lag)[0] == pytest.approx(2 * gain, rel=2e-8, abs=0)
 
 
@@ -196,7 +250,10 @@ def test_an_unstable_system_has_no_peak():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"P": control.ss(0.2, 0.8, 1, 0, True)}, "P.dt = True must be a sampling period"),
+        (
+            {"P": control.ss(0.2, 0.8, 1, 0, True)},
+            "P.dt = True must be a sampling period",
+        ),
         ({"P": control.tf([1], [1, -0.5], 1.0)}, "P = .* must be a StateSpace"),
         ({"P": control.ss([], [], [], np.eye(2), 1.0)}, "P is 2 by 2, but L is 1 by 1"),
         ({"Q": np.ones(50)}, "Q = .* must be a ZeroPhaseButterworth"),
@@ -205,7 +262,11 @@ def test_an_unstable_system_has_no_peak():
 )
 def test_what_is_no_model_or_no_filter_is_refused(changes, message):
     L = LearningFilter(np.ones((1, 1, 3)), 1.0)
-    given = {"P": control.ss(0.5, 1, 1, 0, 1.0), "Q": zero_phase_butterworth(), "L": L} | changes
+    given = {
+        "P": control.ss(0.5, 1, 1, 0, 1.0),
+        "Q": zero_phase_butterworth(),
+        "L": L,
+    } | changes
     with pytest.raises(ValueError, match=message):
         trial_norm(**given, samples=9)
 
@@ -216,9 +277,15 @@ def test_whole_numbers_are_numbers():
     assert peak_gain(whole)[0] == pytest.approx(1, rel=1e-8)
     Q, numbers = zero_phase_butterworth(), {"order": 2, "band": (0.1, 1)}
     for P in (whole, np.ones((9, 1, 1), dtype=int)):
-        floats = P.astype(float) if isinstance(P, np.ndarray) else control.ss(0.0, 1.0, 1, 0, 1.0)
+        floats = (
+            P.astype(float)
+            if isinstance(P, np.ndarray)
+            else control.ss(0.0, 1.0, 1, 0, 1.0)
+        )
         one, other = (synthesise(p, Q, omega, 1.0, **numbers) for p in (P, floats))
-        np.testing.assert_array_equal(one.filter.coefficients, other.filter.coefficients)
+        np.testing.assert_array_equal(
+            one.filter.coefficients, other.filter.coefficients
+        )
 
 
 @pytest.mark.parametrize("name", ["L_diagonal", "L_full"])
@@ -257,17 +324,25 @@ def test_the_peak_with_a_filter_of_high_order_and_low_cutoff(loop, order, cutoff
     analytic = 1 / (1 + (np.tan(dense / 2) / np.tan(cutoff / 2)) ** (2 * order))
     peaks = [
         largest_singular_values(
-            convergence_matrix(loop.frequency_response(dense), q, L.frequency_response(dense))
+            convergence_matrix(
+                loop.frequency_response(dense), q, L.frequency_response(dense)
+            )
         ).max()
         for q in (Q.frequency_response(dense), analytic)
     ]
     assert 1 - 1e-11 <= gain / peaks[0] <= 1 + 1.1e-8 + 1e-12 / cutoff**2  # rounding
-    assert gain == pytest.approx(peaks[1], rel=2e-6)  # the coefficients of Q are rounded
+    assert gain == pytest.approx(
+        peaks[1], rel=2e-6
+    )  # the coefficients of Q are rounded
 
 
 @pytest.mark.parametrize("tolerance", [0.1, 1.0])
-@pytest.mark.parametrize(("order", "cutoff"), [(1, 0.01), (2, 1e-3), (2, 1.0), (5, 0.02), (8, 0.3)])
-def test_however_coarse_the_bound_with_a_filter_is_not_too_low(order, cutoff, tolerance):
+@pytest.mark.parametrize(
+    ("order", "cutoff"), [(1, 0.01), (2, 1e-3), (2, 1.0), (5, 0.02), (8, 0.3)]
+)
+def test_however_coarse_the_bound_with_a_filter_is_not_too_low(
+    order, cutoff, tolerance
+):
     """The poles of Q narrow the peak that a differentiator has with it."""
     Q = zero_phase_butterworth(order, cutoff)
     gain, _ = peak_gain(control.ss(0, 1, -1, 1, 1.0), Q, tolerance)  # 1 - 1 / z
@@ -288,10 +363,15 @@ def test_the_peak_with_a_filter_is_above_exact_values(order, cutoff, pole, seed)
     system = control.ss(pole, 1, 1, 0.3, 1.0)
     gain, place = peak_gain(system, Q, 1e-11)
     rng = np.random.default_rng(seed)
-    tangents = [Fraction(t) for t in np.tan(np.append(place, rng.uniform(0, 3.1, 20)) / 2)]
+    tangents = [
+        Fraction(t) for t in np.tan(np.append(place, rng.uniform(0, 3.1, 20)) / 2)
+    ]
     exact = exact_gain_squared(system, tangents)
     for section in Q.sections:
-        H = [modulus_squared(section[:3], t) / modulus_squared(section[3:], t) for t in tangents]
+        H = [
+            modulus_squared(section[:3], t) / modulus_squared(section[3:], t)
+            for t in tangents
+        ]
         exact = [value * each**2 for value, each in zip(exact, H, strict=True)]
     assert max(exact) <= Fraction(gain) ** 2
 
@@ -320,14 +400,22 @@ def test_lower_bound_holds_for_any_multipliers(structure, objective, L_max):
     design = synthesise(P, Q, omega, 1.0, **arguments)
     assert 0 <= design.certificate.gap + 1e-12 < 1e-8
     for _ in range(20):
-        U, V = rng.standard_normal((2, 40, 2, 2)) + 1j * rng.standard_normal((2, 40, 2, 2))
+        U, V = rng.standard_normal((2, 40, 2, 2)) + 1j * rng.standard_normal(
+            (2, 40, 2, 2)
+        )
         V = None if L_max is None else V
         bound = lower_bound(design.problem, U, V)
         assert bound <= design.value * (1 + 1e-9)
 
 
-@given(st.sampled_from([1, 10, 40]), st.sampled_from(["diagonal", "full"]), st.integers(0, 999))
-def test_lower_bound_ignores_what_a_filter_could_do_to_the_multipliers(order, structure, seed):
+@given(
+    st.sampled_from([1, 10, 40]),
+    st.sampled_from(["diagonal", "full"]),
+    st.integers(0, 999),
+)
+def test_lower_bound_ignores_what_a_filter_could_do_to_the_multipliers(
+    order, structure, seed
+):
     """T L for any L is projected out of U. These L have a given gain, and huge coefficients."""
     rng = np.random.default_rng(seed)
     angles = np.geomspace(1e-4, np.pi, 250)
@@ -342,7 +430,9 @@ def test_lower_bound_ignores_what_a_filter_could_do_to_the_multipliers(order, st
     for i, j in np.ndindex(2, 2):
         if structure == "full" or i == j:
             L[:, i, j] = z
-            for _ in range((order - 1) // 2):  # a pair of zeros on the circle: real coefficients
+            for _ in range(
+                (order - 1) // 2
+            ):  # a pair of zeros on the circle: real coefficients
                 zero = np.exp(1j * 10 ** rng.uniform(-3, 0))
                 L[:, i, j] *= (z - zero) * (z - zero.conj())
     change = -Q[:, None, None] * (P @ L)
@@ -364,7 +454,10 @@ def test_operators_are_what_the_trials_apply_and_their_adjoints(loop, ends):
     np.testing.assert_allclose((Q_N @ x.ravel()).reshape(-1, 2), Q.apply(x), atol=1e-12)
     np.testing.assert_allclose((L_N @ x.ravel()).reshape(-1, 2), L.apply(x), atol=1e-11)
     for operator in (P_N, Q_N, L_N):
-        matrix, adjoint = operator @ np.eye(2 * samples), operator.H @ np.eye(2 * samples)
+        matrix, adjoint = (
+            operator @ np.eye(2 * samples),
+            operator.H @ np.eye(2 * samples),
+        )
         np.testing.assert_allclose(adjoint, matrix.T, atol=1e-11)
 
 
@@ -452,9 +545,16 @@ def test_a_certificate_prints_and_fails_as_it_should(loop, Q, omega):
         and "no diagonal filter of order 10 below" in text
         and "FAILS" not in text
     )
-    bad = synthesise(loop, Q, omega[::5], 1.0, band=(1e-4, 0.01), M_max=0.95).certificate
-    tighter, peak = replace(bad.problem, M_max=0.9), replace(bad.peak, sigma=1.01, omega=0.25)
-    wrong = replace(bad, problem=tighter, peak=peak, exact=peak, lower_bound=bad.value / 2)
+    bad = synthesise(
+        loop, Q, omega[::5], 1.0, band=(1e-4, 0.01), M_max=0.95
+    ).certificate
+    tighter, peak = (
+        replace(bad.problem, M_max=0.9),
+        replace(bad.peak, sigma=1.01, omega=0.25),
+    )
+    wrong = replace(
+        bad, problem=tighter, peak=peak, exact=peak, lower_bound=bad.value / 2
+    )
     assert len(wrong.failures) == 3 and str(wrong).count("FAILS") == 3
     assert "sigma_max(M) reaches 1.01 at 0.25 rad/s, not in omega" in str(wrong)
     peak = replace(peak, sigma=1.2, omega=0.3)
@@ -469,10 +569,14 @@ def test_a_certificate_says_what_limits_leave_of_the_claim(loop, Q, omega):
     """In the plant's own units, in which commands are projected, whatever the scale."""
     grid = omega[::10]
     for scale in (None, [1.0, 2.0]):
-        design = synthesise(loop, Q, grid, 1.0, band=(1e-4, 0.01), scale=scale, M_max=0.97)
+        design = synthesise(
+            loop, Q, grid, 1.0, band=(1e-4, 0.01), scale=scale, M_max=0.97
+        )
         own = rate_within(loop, Q, design.filter, grid).gamma
         assert design.certificate.within == pytest.approx(own, rel=1e-9)
-        assert f"limits, by update_within: a rate of {own:.4f}, without ends" in str(design)
+        assert f"limits, by update_within: a rate of {own:.4f}, without ends" in str(
+            design
+        )
     assert "update_within: no rate" in str(replace(design.certificate, within=1.0))
 
 
@@ -481,12 +585,18 @@ def test_a_certificate_fails_from_the_tolerance_on(loop, Q, omega):
     good = synthesise(loop, Q, omega[::5], 1.0, band=(1e-4, 0.01)).certificate
 
     def failing(sigma_M=None, all_M=0.9, **changes):
-        worst = replace(good.worst, sigma=np.array([sigma_M])) if sigma_M else good.worst
+        worst = (
+            replace(good.worst, sigma=np.array([sigma_M])) if sigma_M else good.worst
+        )
         peak = replace(good.peak, sigma=all_M)
-        return len(replace(good, worst=worst, peak=peak, exact=peak, **changes).failures)
+        return len(
+            replace(good, worst=worst, peak=peak, exact=peak, **changes).failures
+        )
 
     def estimated(all_M, missed):
-        return replace(good, peak=replace(good.peak, sigma=all_M, missed=missed), estimated=1)
+        return replace(
+            good, peak=replace(good.peak, sigma=all_M, missed=missed), estimated=1
+        )
 
     value, idle = good.value, good.problem.idle
     assert value > 1e-3 * idle
@@ -501,7 +611,9 @@ def test_a_certificate_fails_from_the_tolerance_on(loop, Q, omega):
         assert len(estimated(0.8, missed).warnings) == warned
     assert len(estimated(1.0, 0.0).warnings) == 1
     perfect = replace(good, value=1e-9 * idle, lower_bound=0.0)
-    assert perfect.gap == pytest.approx(1e-6)  # relative to a thousandth of the objective, idle
+    assert perfect.gap == pytest.approx(
+        1e-6
+    )  # relative to a thousandth of the objective, idle
 
 
 def with_resonance(angle, distance, height):
@@ -517,11 +629,15 @@ def peak_around(plant, design, Q, angle):
     omega = angle * (1 + np.linspace(-0.3, 0.3, 60001))
     L = design.filter.frequency_response(omega)
     P = plant(np.exp(1j * omega))[:, None, None]
-    return largest_singular_values(convergence_matrix(P, Q.frequency_response(omega), L)).max()
+    return largest_singular_values(
+        convergence_matrix(P, Q.frequency_response(omega), L)
+    ).max()
 
 
 @pytest.mark.parametrize(
-    ("distance", "shown"), [(1e-5, False), (1e-3, True)], ids=["hidden", "on its flanks"]
+    ("distance", "shown"),
+    [(1e-5, False), (1e-3, True)],
+    ids=["hidden", "on its flanks"],
 )
 def test_a_resonance_between_measured_samples(Q, distance, shown):
     omega = np.geomspace(1e-3, np.pi, 60)
@@ -532,14 +648,20 @@ def test_a_resonance_between_measured_samples(Q, distance, shown):
         design = synthesise(P, Q, omega, 1.0, order=3, band=(1e-3, 0.02))
     certificate, text = design.certificate, str(design.certificate)
     assert certificate.all_M < 1 < peak_around(plant, design, Q, angle)
-    assert bool(certificate.warnings) == shown == ("WARNING: the samples are too coarse" in text)
+    assert (
+        bool(certificate.warnings)
+        == shown
+        == ("WARNING: the samples are too coarse" in text)
+    )
     assert "not known" in text and "at resonances that no sample shows" in text
 
 
 def test_what_lies_below_the_first_measured_frequency(Q):
     omega = np.geomspace(1e-2, np.pi, 100)
     slow = control.tf([-2e-4], [1, -(1 - 1e-4)], 1.0)
-    plant = control.tf([0.1], [1, -0.9], 1.0) + slow  # its gain is 1, but -1 below 1e-4 rad/s
+    plant = (
+        control.tf([0.1], [1, -0.9], 1.0) + slow
+    )  # its gain is 1, but -1 below 1e-4 rad/s
     P = plant(np.exp(1j * omega))[:, None, None]
     design = synthesise(P, Q, omega, 1.0, band=(1e-2, 0.02))
     certificate, text = design.certificate, str(design.certificate)
@@ -554,12 +676,16 @@ def test_what_lies_below_the_first_measured_frequency(Q):
 
 
 @pytest.mark.filterwarnings("ignore:the samples are too coarse")
-@pytest.mark.parametrize("grid", [np.geomspace(1e-3, np.pi, 60), np.linspace(0.01, np.pi, 300)])
+@pytest.mark.parametrize(
+    "grid", [np.geomspace(1e-3, np.pi, 60), np.linspace(0.01, np.pi, 300)]
+)
 def test_the_estimate_between_samples_misses_less_than_it_says(loop, Q, grid):
     P = loop.frequency_response(grid)
     design = synthesise(P, Q, grid, 1.0, band=(grid[0], 0.03), M_max=0.99)
     dense = np.geomspace(grid[0], np.pi, 20001)
     L = design.filter.frequency_response(dense)
-    M = convergence_matrix(loop.frequency_response(dense), Q.frequency_response(dense), L)
+    M = convergence_matrix(
+        loop.frequency_response(dense), Q.frequency_response(dense), L
+    )
     peak = largest_singular_values(M).max()
     assert abs(design.certificate.all_M - peak) < design.certificate.peak.missed

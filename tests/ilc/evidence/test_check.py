@@ -63,7 +63,9 @@ def test_with_two_channels_trials_may_converge_and_not_monotonically():
     P = np.moveaxis(response, -1, 0)
     L = design.filter
     assert found.gamma >= rate(P, Q, L, OMEGA).gamma > 1
-    assert found.spectral_radius == pytest.approx(spectral_rate(P, Q, L, OMEGA).radius, rel=1e-6)
+    assert found.spectral_radius == pytest.approx(
+        spectral_rate(P, Q, L, OMEGA).radius, rel=1e-6
+    )
     assert not found.monotone and found.converges
     assert str(found).startswith("converges, not monotonically")
     radius = np.full(250, 1e-3)
@@ -83,7 +85,10 @@ def test_a_loop_brings_its_P_and_tables_their_own_grid(loop):
     assert found.gamma >= rate(loop.frequency_response(own), Q, L, own).gamma
     assert "assumed: above 2 rad/s, where P is not known" in str(found)
     response = loop.frequency_response(own)
-    noise, spread = 1e-6 * np.tile(np.eye(2), (70, 1, 1)), np.tile(np.eye(2), (70, 1, 1))
+    noise, spread = (
+        1e-6 * np.tile(np.eye(2), (70, 1, 1)),
+        np.tile(np.eye(2), (70, 1, 1)),
+    )
     measured = MeasuredResponse(own, response, noise, spread, np.full(70, 9), loop)
     unsure = design.check(measured)
     assert unsure.gamma > found.gamma and not unsure.proven
@@ -100,7 +105,9 @@ def test_in_other_units_the_rate_is_the_same():
     assert found.gamma == pytest.approx(design.certificate.all_M, rel=1e-4)
     with pytest.raises(ValueError, match="P has 1 channels, but the filter has 3"):
         design.check(control.ss(0.5, 0.5, 1, 0, 2.0))
-    with pytest.raises(ValueError, match=r"P.dt = 1.0 differs from Ts = 2.0: sample the model"):
+    with pytest.raises(
+        ValueError, match=r"P.dt = 1.0 differs from Ts = 2.0: sample the model"
+    ):
         design.check(control.sample_system(control.ss(-1.0, 1, 1, 0), 1.0))
 
 
@@ -110,12 +117,16 @@ def test_above_a_table_the_assumed_size_counts(design):
     high = design.check(samples(lag(), own), own, beyond=20.0)
     assert low.gamma < 1 < high.gamma and high.omega >= own[-1]
     assert low.converges and not high.converges
-    assert str(high).startswith("need not converge") and "sigma_max(P) is 20 at most" in str(high)
+    assert str(high).startswith(
+        "need not converge"
+    ) and "sigma_max(P) is 20 at most" in str(high)
 
 
 def test_samples_of_Q_are_known_at_the_design_frequencies_only():
     q = Q.frequency_response(OMEGA)
     design = synthesise(lag(), q, OMEGA, 1.0, order=5, L_max=5.0, band=(1e-3, 0.1))
-    assert design.check(lag()).gamma == pytest.approx(design.certificate.all_M, rel=1e-6)
+    assert design.check(lag()).gamma == pytest.approx(
+        design.certificate.all_M, rel=1e-6
+    )
     with pytest.raises(ValueError, match="omega must be the design frequencies"):
         design.check(lag(), OMEGA[::2])

@@ -29,13 +29,18 @@ def by_the_book(P, q, L):
     return np.linalg.svd(M, compute_uv=False)[:, 0]
 
 
-def test_the_printed_filter_converges_at_the_rate_that_it_is_designed_for(loop, Q, omega, printed):
+def test_the_printed_filter_converges_at_the_rate_that_it_is_designed_for(
+    loop, Q, omega, printed
+):
     P, q = loop.frequency_response(omega), Q.frequency_response(omega)
     expected = by_the_book(P, q, printed.frequency_response(omega))
     for plant in (loop, loop.P, P):
         np.testing.assert_allclose(rates(plant, Q, printed, omega), expected, rtol=1e-9)
     gamma, where = rate(loop, q, printed, omega)
-    assert gamma == pytest.approx(expected.max(), rel=1e-9) and gamma.ndim == where.ndim == 0
+    assert (
+        gamma == pytest.approx(expected.max(), rel=1e-9)
+        and gamma.ndim == where.ndim == 0
+    )
     assert where == omega[np.flatnonzero(expected > gamma * (1 - 1e-6))[0]]
 
 
@@ -47,7 +52,9 @@ def test_of_several_plants_each_has_a_rate(loop, Q, omega, printed):
         assert several.gamma[k] == pytest.approx(alone.gamma, rel=1e-9)
         assert several.omega[k] == alone.omega
     stacked = rates(np.stack([P, 1.2 * P]), Q, printed, omega)
-    assert stacked.shape == (2, 1000) and rate([P], Q, printed, omega).gamma.shape == (1,)
+    assert stacked.shape == (2, 1000) and rate([P], Q, printed, omega).gamma.shape == (
+        1,
+    )
 
 
 def test_any_plant_and_any_learning_operator_have_one():
@@ -82,7 +89,9 @@ def test_the_mean_over_the_band_does_not_depend_on_the_grid(loop, Q, printed):
     assert design.certificate.mean_M == pytest.approx(mean, abs=1e-3)
     assert f"over the band: {design.certificate.mean_M:.4f}" in repr(design)
     for wrong in [(0, 0.02), (0.02, 1e-4), (1e-5, 0.02)]:
-        with pytest.raises(ValueError, match=r"band = .* must be two increasing frequencies"):
+        with pytest.raises(
+            ValueError, match=r"band = .* must be two increasing frequencies"
+        ):
             mean_rate(loop, Q, printed, fine, wrong)
 
 
@@ -97,7 +106,9 @@ def test_the_spectral_rate_is_that_of_numpys_eigenvalues(m):
     radius, where = spectral_rate(P, q, L, omega)
     np.testing.assert_allclose(radius, expected.max(axis=1), rtol=1e-9)
     assert where.tolist() == omega[expected.argmax(axis=1)].tolist()
-    assert spectral_rate(P[1], q, L, omega).radius == pytest.approx(radius[1], rel=1e-12)
+    assert spectral_rate(P[1], q, L, omega).radius == pytest.approx(
+        radius[1], rel=1e-12
+    )
     gamma = rate(P, q, L, omega).gamma
     assert np.all(radius <= gamma * (1 + 1e-12))
     assert (m == 1) == np.allclose(radius, gamma, rtol=1e-9)

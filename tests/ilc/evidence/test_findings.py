@@ -16,15 +16,21 @@ OMEGA = np.geomspace(1e-4, np.pi, 200)
 
 def behind_delay(steps):
     """The lag 0.1 / (z - 0.9) behind a delay, which answers after steps + 1 samples."""
-    chain = control.ss(np.eye(steps, k=-1), np.eye(steps, 1), np.eye(1, steps, k=steps - 1), 0, 1.0)
+    chain = control.ss(
+        np.eye(steps, k=-1), np.eye(steps, 1), np.eye(1, steps, k=steps - 1), 0, 1.0
+    )
     return chain * control.ss(0.9, 0.1, 1, 0, 1.0)
 
 
-@pytest.mark.parametrize(("order", "warned"), [(10, True), (30, True), (31, False), (35, False)])
+@pytest.mark.parametrize(
+    ("order", "warned"), [(10, True), (30, True), (31, False), (35, False)]
+)
 def test_a_filter_shorter_than_the_delay_is_named(order, warned):
     Q = zero_phase_butterworth(2, 0.05)
     with pytest.warns(match="it never sees what it does") if warned else nullcontext():
-        design = synthesise(behind_delay(30), Q, OMEGA, 1.0, order=order, L_max=30.0, M_max=0.999)
+        design = synthesise(
+            behind_delay(30), Q, OMEGA, 1.0, order=order, L_max=30.0, M_max=0.999
+        )
     text = f"and the filter looks ahead by only {order}: it never sees what it does"
     assert any(text in warning for warning in design.certificate.warnings) == warned
     assert ("WARNING: P answers after" in str(design)) == warned
@@ -47,7 +53,9 @@ def test_a_gain_keeps_its_bound_above_the_design_frequencies(highest):
     Q = zero_phase_butterworth(2, 0.3)
     design = synthesise(lag, Q, omega, 1.0, band=(0.001, 0.2), L_max=5.0)
     L = design.filter.frequency_response(np.linspace(0, np.pi, 20000))
-    assert 4.9 < np.abs(L).max() <= 5 * (1 + 1e-4)  # in use, and kept, but for between two samples
+    assert (
+        4.9 < np.abs(L).max() <= 5 * (1 + 1e-4)
+    )  # in use, and kept, but for between two samples
     np.testing.assert_array_equal(design.omega, omega)
     assert design.sigma_M.shape == design.sigma_L.shape == (300,)
 
@@ -55,18 +63,30 @@ def test_a_gain_keeps_its_bound_above_the_design_frequencies(highest):
 def test_learning_that_does_nothing_is_named():
     P = behind_delay(1)
     problem = pose(P, zero_phase_butterworth(2, 0.05), OMEGA, 1.0)
-    nothing = Solution(np.zeros((1, 1, 10)), np.zeros((200, 1, 1)), np.zeros((200, 1, 1)), 1, "", 0)
-    assert certify(problem, nothing).warnings == ["the filter leaves 100% of the error in the band"]
+    nothing = Solution(
+        np.zeros((1, 1, 10)), np.zeros((200, 1, 1)), np.zeros((200, 1, 1)), 1, "", 0
+    )
+    assert certify(problem, nothing).warnings == [
+        "the filter leaves 100% of the error in the band"
+    ]
 
 
 def test_what_noise_costs_is_no_error_that_is_left():
     """Under a weight at which the cost is more than the whole error without learning."""
     problem = pose(
-        behind_delay(1), zero_phase_butterworth(2, 0.05), OMEGA, 1.0, noise=np.full(200, 1e5)
+        behind_delay(1),
+        zero_phase_butterworth(2, 0.05),
+        OMEGA,
+        1.0,
+        noise=np.full(200, 1e5),
     )
     coefficients = np.zeros((1, 1, 10))
     coefficients[0, 0, 0] = 0.9
-    solution = Solution(coefficients, np.zeros((200, 1, 1)), np.zeros((200, 1, 1)), 1, "", 0)
+    solution = Solution(
+        coefficients, np.zeros((200, 1, 1)), np.zeros((200, 1, 1)), 1, "", 0
+    )
     certificate = certify(problem, solution)
-    assert certificate.value > problem.idle > 4 * (certificate.value - certificate.noise)
+    assert (
+        certificate.value > problem.idle > 4 * (certificate.value - certificate.noise)
+    )
     assert not any("the filter leaves" in warning for warning in certificate.warnings)

@@ -56,12 +56,15 @@ def simulate(loop, Q, L, n, d, trials=200, step=1.0):
     m, samples = n.shape[-1], n.shape[-2]
     zero, pulse = np.zeros((m, samples, m)), np.zeros((m, samples, m))
     pulse[range(m), 0, range(m)] = 1
-    response = stepped(loop, pulse, zero, np.zeros((m, samples, d.shape[-1])))  # P: (in, time, out)
+    response = stepped(
+        loop, pulse, zero, np.zeros((m, samples, d.shape[-1]))
+    )  # P: (in, time, out)
     new = stepped(loop, np.zeros_like(n), n, d)
     v, errors = np.zeros(n.shape[1:]), []
     for k in range(trials):
         Pv = [
-            fftconvolve(v[..., i, None], response[None, i], axes=1)[:, :samples] for i in range(m)
+            fftconvolve(v[..., i, None], response[None, i], axes=1)[:, :samples]
+            for i in range(m)
         ]
         y = sum(Pv) + (new[k] if k < len(n) else 0)
         measured = y + (n[k] if k < len(n) else 0)
@@ -86,13 +89,22 @@ def colour(omega, Ts, pole):
 @cache
 def rod():
     """The paper's loop and grid, and filters: printed, full, hardly learning, robust."""
-    loop, Q, omega = paper_loop(), zero_phase_butterworth(), np.geomspace(1e-4, np.pi, 1000)
+    loop, Q, omega = (
+        paper_loop(),
+        zero_phase_butterworth(),
+        np.geomspace(1e-4, np.pi, 1000),
+    )
     full = synthesise(loop, Q, omega, 1.0, structure="full").filter
     slow = synthesise(
         loop, Q, omega, 1.0, uncertainty=np.full(1000, 0.005), M_max=0.95, L_max=10
     ).filter
     tiny = LearningFilter(0.03 * full.coefficients, 1.0)
-    return loop, Q, omega, [LearningFilter(published.matrix("L_diagonal"), 1.0), full, tiny, slow]
+    return (
+        loop,
+        Q,
+        omega,
+        [LearningFilter(published.matrix("L_diagonal"), 1.0), full, tiny, slow],
+    )
 
 
 @cache
@@ -141,14 +153,17 @@ def test_a_single_impulse_through_200_trials_tells_the_rms(name, source):
     for L in filters:
         white = name != "rod"
         count = 1 + m * white
-        signals = {key: np.zeros((1, count, samples, size)) for key, size in sizes.items()}
+        signals = {
+            key: np.zeros((1, count, samples, size)) for key, size in sizes.items()
+        }
         signals[source][0, 0, at:] = np.outer(tail, shares)
         signals[source][0, range(1, count), at, range(count - 1)] = 1
         errors = simulate(loop, Q, L, signals["noise"], signals["disturbance"])
         power = (errors**2).sum(axis=(1, 3))  # (true and measured, impulse, channel)
-        for density, expected in [(mixed, power[:, 0]), (1.0, power[:, 1:].sum(axis=1))][
-            : 1 + white
-        ]:
+        for density, expected in [
+            (mixed, power[:, 0]),
+            (1.0, power[:, 1:].sum(axis=1)),
+        ][: 1 + white]:
             found = converged_noise(trial_noise(loop, omega, **{source: density}), Q, L)
             np.testing.assert_allclose(
                 [found.true.rms, found.measured.rms], np.sqrt(expected), rtol=1e-3
@@ -171,7 +186,9 @@ def test_200_trials_with_noise_and_a_disturbance_drawn_at_random(name, side_by_s
         density = {key: colour(omega, loop.Ts, value) for key, value in coming.items()}
         density["disturbance"] *= 16
         expected = converged_noise(trial_noise(loop, omega, **density), Q, L)
-        np.testing.assert_allclose(found, [expected.true.rms, expected.measured.rms], rtol=0.02)
+        np.testing.assert_allclose(
+            found, [expected.true.rms, expected.measured.rms], rtol=0.02
+        )
 
 
 def test_the_simulation_here_is_that_of_run_trials(loop, Q):
@@ -180,7 +197,9 @@ def test_the_simulation_here_is_that_of_run_trials(loop, Q):
     n, d = rng.standard_normal((6, 1, 60, 2)), rng.standard_normal((6, 1, 60, 3))
     step = 1 / np.arange(1, 7)
     true, measured = simulate(loop, Q, L, n, d, 6, step)[:, :, 0]
-    run = run_trials(loop, Q, L, np.zeros((60, 2)), d[:, 0], 6, noise=n[:, 0], step=step[:-1])
+    run = run_trials(
+        loop, Q, L, np.zeros((60, 2)), d[:, 0], 6, noise=n[:, 0], step=step[:-1]
+    )
     np.testing.assert_allclose(run.e, measured, atol=1e-9)
     np.testing.assert_allclose(run.e + n[:, 0], true, atol=1e-9)
 
@@ -200,13 +219,19 @@ def random_case(m, seed, n=6):
 def responses(new, Q, L):
     """M and Q P L by the book."""
     omega = new.measured.omega
-    q, PL = Q.frequency_response(omega)[:, None, None], new.P @ L.frequency_response(omega)
+    q, PL = (
+        Q.frequency_response(omega)[:, None, None],
+        new.P @ L.frequency_response(omega),
+    )
     return q * (np.eye(PL.shape[1]) - PL), q * PL
 
 
 def known(omega, P, measured, true=0.0):
     """What is new in every trial, from numbers or arrays; of the period one."""
-    of = [np.broadcast_to(density * np.ones((1, 1)), P.shape) for density in (measured, true)]
+    of = [
+        np.broadcast_to(density * np.ones((1, 1)), P.shape)
+        for density in (measured, true)
+    ]
     return TrialNoise(P, *(Spectrum(omega, 1.0, density) for density in of))
 
 
@@ -224,10 +249,14 @@ def test_what_is_learned_solves_the_lyapunov_equation(m, seed, step):
         added = QPL @ new.measured.density[i] @ QPL.conj().T
         expected = solve_discrete_lyapunov(M, added)
         limit = 1e-9 * np.abs(expected).max()
-        np.testing.assert_allclose(found.learned.density[i], expected, rtol=0, atol=limit)
+        np.testing.assert_allclose(
+            found.learned.density[i], expected, rtol=0, atol=limit
+        )
         total = expected + new.true.density[i], expected + new.measured.density[i]
         np.testing.assert_allclose(found.true.density[i], total[0], rtol=0, atol=1e-8)
-        np.testing.assert_allclose(found.measured.density[i], total[1], rtol=0, atol=1e-8)
+        np.testing.assert_allclose(
+            found.measured.density[i], total[1], rtol=0, atol=1e-8
+        )
 
 
 @given(sizes, seeds)
@@ -237,7 +266,9 @@ def test_Q_may_be_samples_and_complex(m, seed):
     q = Q.frequency_response(new.measured.omega)
     found, same = (converged_noise(new, each, L).learned.density for each in (Q, q))
     np.testing.assert_array_equal(found, same)
-    turned = converged_noise(new, q * np.exp(1j * new.measured.omega), L).learned.density
+    turned = converged_noise(
+        new, q * np.exp(1j * new.measured.omega), L
+    ).learned.density
     limit = 1e-9 * np.abs(found).max()
     np.testing.assert_allclose(turned, found, rtol=0, atol=limit)
 
@@ -247,7 +278,9 @@ def test_one_channel_has_a_closed_form(seed):
     new, Q, L = random_case(1, seed)
     M, QPL = responses(new, Q, L)
     expected = new.measured.density * (1 + np.abs(QPL) ** 2 / (1 - np.abs(M) ** 2))
-    np.testing.assert_allclose(converged_noise(new, Q, L).measured.density, expected, rtol=1e-10)
+    np.testing.assert_allclose(
+        converged_noise(new, Q, L).measured.density, expected, rtol=1e-10
+    )
 
 
 @given(sizes, seeds, steps)
@@ -286,7 +319,9 @@ def test_with_falling_steps_the_error_tends_to_that_without_learning(name):
     learned = [falling[k].learned.total for k in (9, 99, 999)]
     assert learned[0] < constant.learned.total
     assert learned[1] < learned[0] / 2 and learned[2] < learned[1] / 2
-    assert falling[-1].true.total < new.true.total + 0.1 * (constant.true.total - new.true.total)
+    assert falling[-1].true.total < new.true.total + 0.1 * (
+        constant.true.total - new.true.total
+    )
 
 
 def test_falling_steps_simulated():
@@ -299,7 +334,10 @@ def test_falling_steps_simulated():
     errors = simulate(loop, Q, L, n, np.zeros_like(n), 12, step)
     found = np.sqrt((errors**2).sum(axis=(2, 3, 4)))  # (true and measured, trial)
     trials = noise_by_trial(trial_noise(loop, omega, 1.0), Q, L, step[:-1])
-    expected = [[each.true.total for each in trials], [each.measured.total for each in trials]]
+    expected = [
+        [each.true.total for each in trials],
+        [each.measured.total for each in trials],
+    ]
     np.testing.assert_allclose(found, expected, rtol=1e-3)
 
 
@@ -344,7 +382,9 @@ def test_around_another_plant(loop):
     noise[0, 0, 1] = 1
     run = run_trials(loop, Q, None, noise[0] * 0, None, 1, noise=noise, plant=other)
     new = trial_noise(loop, omega, [0.0, 1.0], plant=other)
-    np.testing.assert_allclose(new.measured.rms, np.sqrt((run.e**2).sum("time"))[0], rtol=1e-3)
+    np.testing.assert_allclose(
+        new.measured.rms, np.sqrt((run.e**2).sum("time"))[0], rtol=1e-3
+    )
     true = np.sqrt(((run.e + noise) ** 2).sum("time"))[0]
     np.testing.assert_allclose(new.true.rms, true, rtol=1e-3)
     np.testing.assert_allclose(new.P, loop.frequency_response(omega, other), atol=1e-9)
@@ -356,9 +396,15 @@ def test_around_another_plant(loop):
     [
         (-1.0, "noise is no spectral density"),
         ([1.0, -1.0, 0.0], "noise is no spectral density"),
-        (np.ones(2), r"noise has shape \(2,\), but must be a variance, shape \(\) or \(3,\)"),
+        (
+            np.ones(2),
+            r"noise has shape \(2,\), but must be a variance, shape \(\) or \(3,\)",
+        ),
         (np.ones((4, 3)), r"noise has shape \(4, 3\)"),
-        (np.full((500, 3, 3), np.triu(np.ones((3, 3)))), "noise is no spectral density"),
+        (
+            np.full((500, 3, 3), np.triu(np.ones((3, 3)))),
+            "noise is no spectral density",
+        ),
         (np.full((500, 3, 3), 1 - np.eye(3)), "noise is no spectral density"),
         (1j, "noise is no spectral density"),
         (np.nan, "noise has 1 values that are not finite"),
@@ -378,7 +424,9 @@ def test_what_does_not_fit_is_refused():
         trial_noise(without, omega, 1.0, 1.0)
     with pytest.raises(ValueError, match=r"omega, of shape .* increasing"):
         trial_noise(loop, omega[::-1], 1.0)
-    with pytest.raises(ValueError, match=r"L does not converge: M has an eigenvalue of modulus"):
+    with pytest.raises(
+        ValueError, match=r"L does not converge: M has an eigenvalue of modulus"
+    ):
         converged_noise(new, Q, LearningFilter(-0.01 * L.coefficients, L.Ts))
     with pytest.raises(ValueError, match=r"step = 1.5 must be in \(0, 1\]"):
         converged_noise(new, Q, L, 1.5)

@@ -42,10 +42,14 @@ def by_impulses(loop, Q, L, samples, variance, trials, **how):
     return power
 
 
-@pytest.mark.filterwarnings("ignore:the error grows")  # an impulse, in one trial of them
+@pytest.mark.filterwarnings(
+    "ignore:the error grows"
+)  # an impulse, in one trial of them
 @pytest.mark.parametrize("name", ["stage", "tanks"])
 @pytest.mark.parametrize(
-    "how", [{"trials": 1}, {"trials": 4}, {"trials": 3, "rest": 7, "step": 0.6}], ids=str
+    "how",
+    [{"trials": 1}, {"trials": 4}, {"trials": 3, "rest": 7, "step": 0.6}],
+    ids=str,
 )
 @pytest.mark.parametrize("ends", ["zero", "hold"])
 def test_each_impulse_of_noise_run_through_the_trials(name, how, ends):
@@ -58,7 +62,10 @@ def test_each_impulse_of_noise_run_through_the_trials(name, how, ends):
     np.testing.assert_allclose(found.true**2, expected[0], rtol=1e-9, atol=limit)
     np.testing.assert_allclose(found.measured**2, expected[1], rtol=1e-9)
     assert rms(found.true) == pytest.approx(np.sqrt(expected[0].sum() / 30), rel=1e-9)
-    learned = found.true**2 - noise_on_trial(loop, Q, L, 30, VARIANCE[name], trials=1).true ** 2
+    learned = (
+        found.true**2
+        - noise_on_trial(loop, Q, L, 30, VARIANCE[name], trials=1).true ** 2
+    )
     np.testing.assert_allclose(found.learned**2, learned, atol=1e-12 * expected.max())
 
 
@@ -110,7 +117,9 @@ def test_cut_short_in_the_middle_it_is_that_of_the_whole_trial():
     np.testing.assert_allclose(flat, endless.learned.rms, rtol=5e-3)
 
 
-@pytest.mark.parametrize(("L_max", "start", "whole"), [(50, 6.2, 6.7), (400, 23.9, 9.1)])
+@pytest.mark.parametrize(
+    ("L_max", "start", "whole"), [(50, 6.2, 6.7), (400, 23.9, 9.1)]
+)
 def test_the_paper_s_loop_by_seeds(L_max, start, whole):
     """What the rod does in 25 trials after the fifteenth, within four standard errors (1 to 4 %).
 
@@ -123,8 +132,15 @@ def test_the_paper_s_loop_by_seeds(L_max, start, whole):
     noise = 0.02 * np.random.default_rng(3).standard_normal((40, 2500, 2))
     run = run_trials(loop, Q, L, np.zeros((2500, 2)), None, 40, noise=noise)
     y = (run.e + noise)[15:]
-    for part, expected in [(slice(None), whole), (slice(100), start), (slice(2400, None), None)]:
-        seen, said = rms(y.isel(time=part)) ** 2, float(rms(found.true.isel(time=part)) ** 2)
+    for part, expected in [
+        (slice(None), whole),
+        (slice(100), start),
+        (slice(2400, None), None),
+    ]:
+        seen, said = (
+            rms(y.isel(time=part)) ** 2,
+            float(rms(found.true.isel(time=part)) ** 2),
+        )
         # a converged trial remembers about as many trials as the slowest rate tells, ten
         error = float(seen.std() / np.sqrt(len(seen) / 4))
         assert abs(float(seen.mean()) - said) < 4 * error
@@ -136,12 +152,20 @@ def test_the_paper_s_loop_by_seeds(L_max, start, whole):
 
 def test_what_does_not_fit_is_refused():
     loop, Q, _, [L] = case("stage")
-    with pytest.raises(ValueError, match="noise reaches -1, but a variance is not negative"):
+    with pytest.raises(
+        ValueError, match="noise reaches -1, but a variance is not negative"
+    ):
         noise_on_trial(loop, Q, L, 30, -1.0)
-    with pytest.raises(ValueError, match=r"noise has shape \(2,\), but must have shape \(1,\)"):
+    with pytest.raises(
+        ValueError, match=r"noise has shape \(2,\), but must have shape \(1,\)"
+    ):
         noise_on_trial(loop, Q, L, 30, [1.0, 1.0])
-    with pytest.raises(ValueError, match="L does not converge on a trial with two ends"):
+    with pytest.raises(
+        ValueError, match="L does not converge on a trial with two ends"
+    ):
         noise_on_trial(loop, Q, LearningFilter(-L.coefficients, L.Ts), 300, 1.0)
     loop = current_trial_loop(tanks(), ["pump A", "pump B", "pump C"])
     with pytest.raises(ValueError, match="L acts on 1 channels, but must act on 3"):
-        noise_on_trial(loop, replace(Q, cutoff=0.3, Ts=2.0), replace(L, Ts=2.0), 30, 1.0)
+        noise_on_trial(
+            loop, replace(Q, cutoff=0.3, Ts=2.0), replace(L, Ts=2.0), 30, 1.0
+        )

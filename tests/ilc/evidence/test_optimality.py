@@ -44,7 +44,10 @@ def optimum(m, others, radius, M_max, objective, structure):
     problem = random_problem(m, others, radius, M_max, objective, structure)
     n = len(problem.omega)
     full = structure == "full"
-    C = [cp.Variable((m, m)) if full else cp.diag(cp.Variable(m)) for _ in range(problem.order)]
+    C = [
+        cp.Variable((m, m)) if full else cp.diag(cp.Variable(m))
+        for _ in range(problem.order)
+    ]
     subject_to, value = [], 0
     peak = cp.Variable()
     equations, plant, frequency = {"U": [], "V": [], "N": []}, [], []
@@ -84,8 +87,12 @@ def optimum(m, others, radius, M_max, objective, structure):
     objective = peak if objective == "peak" else value
     program, tiny = cp.Problem(cp.Minimize(objective), subject_to), 1e-11
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # "may be inaccurate": the test is on what follows from it
-        program.solve(solver=cp.CLARABEL, tol_gap_abs=tiny, tol_gap_rel=tiny, tol_feas=tiny)
+        warnings.simplefilter(
+            "ignore"
+        )  # "may be inaccurate": the test is on what follows from it
+        program.solve(
+            solver=cp.CLARABEL, tol_gap_abs=tiny, tol_gap_rel=tiny, tol_feas=tiny
+        )
     U, V, N = (-np.array([e.dual_value for e in equations[kind]]) for kind in "UVN")
     cuts = Cuts(np.array(plant), np.array(frequency), N, np.empty((len(N), 0)))
     return problem, program.value, U, V, cuts
@@ -119,7 +126,9 @@ def test_no_multipliers_however_wrong_give_a_bound_above_the_optimum(case):
 
     for share in [1e-3, 0.03, 1, 100] * 3:
         N = wrong(cuts.N, share)
-        bound = lower_bound(problem, wrong(U, share), wrong(V, share), replace(cuts, N=N))
+        bound = lower_bound(
+            problem, wrong(U, share), wrong(V, share), replace(cuts, N=N)
+        )
         assert bound < value * (1 + 1e-7)
     assert lower_bound(problem, U, V) < value / 2  # what the cuts contribute is needed
 
@@ -136,7 +145,9 @@ def test_multipliers_of_what_is_no_part_of_the_bound_do_not_count(m, seed):
     bound = lower_bound(problem, U, V, cuts)
     N = N.copy()
     N[:, m:] += 7
-    assert lower_bound(problem, U, V, replace(cuts, N=N)) == pytest.approx(bound, rel=1e-6)
+    assert lower_bound(problem, U, V, replace(cuts, N=N)) == pytest.approx(
+        bound, rel=1e-6
+    )
     assert np.isfinite(bound)
 
 
@@ -144,7 +155,9 @@ def test_multipliers_of_what_is_no_part_of_the_bound_do_not_count(m, seed):
 def test_the_dual_norm_is_above_the_product_with_whatever_is_bounded(m, parts, seed):
     """G is made from shares d and a contraction; the best for the best shares attains the norm."""
     rng = np.random.default_rng(seed)
-    N = rng.standard_normal((9, parts, m, m)) + 1j * rng.standard_normal((9, parts, m, m))
+    N = rng.standard_normal((9, parts, m, m)) + 1j * rng.standard_normal(
+        (9, parts, m, m)
+    )
     N[0] = 0
     N[1, 0] = 0
     N[2, ..., 1:] = 0  # of rank one
@@ -153,7 +166,9 @@ def test_the_dual_norm_is_above_the_product_with_whatever_is_bounded(m, parts, s
     most = np.zeros(9)
     for d in np.linspace(0, 1, 401):
         weighted = np.sqrt([d, 1 - d][:parts] if parts > 1 else [1])[:, None, None] * N
-        most = np.maximum(most, np.linalg.svd(weighted.reshape(9, -1, m))[1].sum(axis=1))
+        most = np.maximum(
+            most, np.linalg.svd(weighted.reshape(9, -1, m))[1].sum(axis=1)
+        )
     assert norm[0] == 0 and np.all(most <= norm * (1 + 1e-12))
     np.testing.assert_allclose(most, norm, rtol=1e-4)
     np.testing.assert_allclose(dual_norm(1e-6j * rows), 1e-6 * norm, rtol=1e-8)

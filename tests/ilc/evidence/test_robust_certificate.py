@@ -20,7 +20,11 @@ ASKED = {"order": 4, "M_max": 0.6, "L_max": 5.0, "band": (1e-3, 0.1)}
 def lag(gain=1.0, pole=0.9):
     """Two lags with coupling."""
     return control.ss(
-        [[pole, 0.05], [0.02, pole - 0.1]], gain * np.diag([0.1, 0.2]), np.eye(2), 0, 1.0
+        [[pole, 0.05], [0.02, pole - 0.1]],
+        gain * np.diag([0.1, 0.2]),
+        np.eye(2),
+        0,
+        1.0,
     )
 
 
@@ -40,7 +44,10 @@ def test_models_have_a_proof_each_and_the_worst_is_named():
     text = str(certificate)
     assert f"worst of 3 plants on the design grid: plant {worst} at " in text
     assert f"  of the nominal plant    {design.sigma_M.max():.8f}\n" in text
-    problem, peak = replace(certificate.problem, M_max=0.1), replace(certificate.peak, sigma=1.1)
+    problem, peak = (
+        replace(certificate.problem, M_max=0.1),
+        replace(certificate.peak, sigma=1.1),
+    )
     broken = replace(certificate, problem=problem, peak=peak, exact=peak)
     assert f"FAILS: sigma_max(M) at its worst (plant {worst} at " in str(broken)
     assert f"FAILS: sigma_max(M) of plant {worst} reaches 1.1 at " in str(broken)
@@ -61,7 +68,9 @@ def test_with_a_radius_nothing_is_said_of_it_between_the_samples(as_models):
     assert certificate.all_M < 0.6 and "over all frequencies       not known" in text
     assert "between the samples the radius is not known" in text
     assert ("over all frequencies without the radius: 0." in text) == as_models
-    assert ("without the radius from 0.001 to 3.142 rad/s, between" in text) == (not as_models)
+    assert ("without the radius from 0.001 to 3.142 rad/s, between" in text) == (
+        not as_models
+    )
     assert "worst within the radius on the design grid: at " in text
     broken = str(replace(certificate, problem=replace(certificate.problem, M_max=0.1)))
     assert "FAILS: sigma_max(M) at its worst (at " in broken
@@ -78,9 +87,14 @@ def test_of_many_sampled_plants_those_worst_on_the_grid_are_looked_at_in_between
         worst, Q.frequency_response(dense), design.filter.frequency_response(dense)
     )
     peak = np.linalg.norm(M, 2, axis=(1, 2)).max()
-    assert certificate.all_M == pytest.approx(peak, rel=1e-5) and certificate.peak.plant > 0
+    assert (
+        certificate.all_M == pytest.approx(peak, rel=1e-5)
+        and certificate.peak.plant > 0
+    )
     assert certificate.estimated == LOOKED_AT and not certificate.proven
-    assert f"estimated for the {LOOKED_AT} sampled plants that are worst" in str(certificate)
+    assert f"estimated for the {LOOKED_AT} sampled plants that are worst" in str(
+        certificate
+    )
     two = synthesise([plants[0], MODELS[1]], Q, OMEGA, 1.0, **ASKED).certificate
     assert not two.proven and two.estimated == 1 and two.exact.plant == 1
     assert "estimated for the 1 sampled plants that are worst" in str(two)
@@ -107,7 +121,12 @@ def test_those_that_are_tied_are_all_named_whatever_the_rounding(unit, radius):
     """The third plant is the second but for rounding."""
     plants = [frequency_response(P, OMEGA) for P in (MODELS[0], MODELS[1], MODELS[1])]
     plants[2] *= 1 + unit
-    asked = ASKED | {"objective": "peak", "M_max": 0.99, "L_max": None, "uncertainty": radius}
+    asked = ASKED | {
+        "objective": "peak",
+        "M_max": 0.99,
+        "L_max": None,
+        "uncertainty": radius,
+    }
     design = synthesise(plants, Q, OMEGA, 1.0, **asked)
     L = design.filter.frequency_response(OMEGA)
     q = Q.frequency_response(OMEGA)
@@ -116,10 +135,14 @@ def test_those_that_are_tied_are_all_named_whatever_the_rounding(unit, radius):
     worst = tuple((k, OMEGA[at]) for k, at in design.certificate.worst.tied)
     if radius is None:
         frequency, plant = np.nonzero(gains.T / gains.max() > 1 - 1e-7)
-        assert worst == tuple(zip(plant.tolist(), OMEGA[frequency].tolist(), strict=True))
+        assert worst == tuple(
+            zip(plant.tolist(), OMEGA[frequency].tolist(), strict=True)
+        )
     for _, omega in worst:
         assert ((1, omega) in worst) == ((2, omega) in worst)
-    assert (1 in dict(worst)) and worst == tuple(sorted(worst, key=lambda pair: pair[::-1]))
+    assert (1 in dict(worst)) and worst == tuple(
+        sorted(worst, key=lambda pair: pair[::-1])
+    )
     where = ", ".join(f"plant {k} at {omega:.4g}" for k, omega in worst[:4]) + " rad/s"
     where += f" and {len(worst) - 4} more" if len(worst) > 4 else ""
     assert f" on the design grid: {where}\n" in str(design.certificate)

@@ -30,7 +30,13 @@ def random_case(m, seed, n=5, others=0):
     radius = rng.uniform(0, 1, n)
     radius[1] = 0
     problem = pose(
-        list(P), Q, np.linspace(0.1, 3, n), 1.0, order=3, band=(0.1, 3), uncertainty=radius
+        list(P),
+        Q,
+        np.linspace(0.1, 3, n),
+        1.0,
+        order=3,
+        band=(0.1, 3),
+        uncertainty=radius,
     )
     return problem, LearningFilter(rng.standard_normal((m, m, 3)), 1.0)
 
@@ -80,7 +86,9 @@ def test_a_search_by_an_optimiser_ends_at_the_worst_case_and_not_above(m):
         Delta = problem.radius[i] * (A + 1j * B) / np.linalg.norm(A + 1j * B, 2)
         return -sigma_max(problem, L, i, 0, Delta)
 
-    ends = [minimize(negative, rng.standard_normal(2 * m * m), tol=1e-7) for _ in range(2)]
+    ends = [
+        minimize(negative, rng.standard_normal(2 * m * m), tol=1e-7) for _ in range(2)
+    ]
     found = -min(end.fun for end in ends)
     assert worst.sigma[i] * (1 - 1e-6) < found <= worst.sigma[i] * (1 + 1e-12)
 
@@ -95,7 +103,9 @@ def test_for_one_channel_it_is_M_plus_rho_L(seed):
 
 
 @given(sizes, st.integers(0, 4), seeds)
-def test_a_radius_that_grows_makes_it_worse_and_none_is_that_of_the_plants(m, others, seed):
+def test_a_radius_that_grows_makes_it_worse_and_none_is_that_of_the_plants(
+    m, others, seed
+):
     problem, L = random_case(m, seed, others=others)
     plants = worst_case(replace(problem, radius=None), L)
     assert plants.Delta is None
@@ -112,11 +122,17 @@ def test_a_radius_that_grows_makes_it_worse_and_none_is_that_of_the_plants(m, ot
 
 def test_the_worst_of_many_plants_has_its_number():
     problem, L = random_case(2, 3, n=20, others=20)
-    for radius in (None, problem.radius, 20 * problem.radius):  # the last turns the order
+    for radius in (
+        None,
+        problem.radius,
+        20 * problem.radius,
+    ):  # the last turns the order
         posed = replace(problem, radius=radius)
         worst = worst_case(posed, L)
         alone = [
-            worst_case(replace(posed, P=problem.plant(k), others=problem.others[:0]), L).sigma
+            worst_case(
+                replace(posed, P=problem.plant(k), others=problem.others[:0]), L
+            ).sigma
             for k in range(21)
         ]
         np.testing.assert_allclose(worst.sigma, np.max(alone, axis=0), rtol=1e-12)
@@ -135,9 +151,13 @@ def test_a_Delta_is_found_where_two_directions_are_amplified_equally():
     M, L = np.diag([1.0, 0.2]), np.tile(np.diag([0.3, 0.9]), (4, 1, 1))
     P = np.tile((np.eye(2) - M) @ np.linalg.inv(L[0]), (4, 1, 1)).astype(complex)
     radius = np.array([0.5, 0.9, 1.0, 1.1])
-    worst = worst_case(replace(problem, P=P, Q=np.ones(4), radius=radius), given_as(L, problem))
+    worst = worst_case(
+        replace(problem, P=P, Q=np.ones(4), radius=radius), given_as(L, problem)
+    )
     np.testing.assert_allclose(worst.attained, worst.sigma, rtol=1e-12)
     x = np.linspace(0, np.pi / 2, 100_001)
     x = np.stack([np.cos(x), np.sin(x)])
-    sums = np.linalg.norm(M @ x, axis=0) + np.outer(radius, np.linalg.norm(L[0] @ x, axis=0))
+    sums = np.linalg.norm(M @ x, axis=0) + np.outer(
+        radius, np.linalg.norm(L[0] @ x, axis=0)
+    )
     np.testing.assert_allclose(worst.sigma, sums.max(axis=1), rtol=1e-8)

@@ -40,7 +40,9 @@ def test_bounds_with_a_closed_form():
 @pytest.mark.parametrize("k", [1, 5, 15])
 def test_to_wait_and_judge_costs_little_against_knowing_the_support_before(samples, k):
     """With at most k plants of support the violation has the tail of a binomial distribution."""
-    known = brentq(lambda epsilon: binom.cdf(k - 1, samples, epsilon) - 1e-6, 1e-9, 1 - 1e-9)
+    known = brentq(
+        lambda epsilon: binom.cdf(k - 1, samples, epsilon) - 1e-6, 1e-9, 1 - 1e-9
+    )
     assert known < scenario_bound(samples, k) < min(1, 2.2 * known)
 
 
@@ -90,21 +92,34 @@ def test_fresh_plants_break_a_design_no_more_often_than_said(m):
     Q = 1 / (1 + omega**4)
 
     def lags(count, rng):
-        pole, gain = rng.uniform([[0.1], [0.7]], [[0.4], [1.3]], (2, count))[..., None, None, None]
+        pole, gain = rng.uniform([[0.1], [0.7]], [[0.4], [1.3]], (2, count))[
+            ..., None, None, None
+        ]
         coupling = np.eye(m) + 0.1 * rng.standard_normal((count, 1, m, m))
         return (1 - pole) * gain / (z - pole) * coupling
 
     rng = np.random.default_rng(m)
-    fresh, nominal, rates, bounds = lags(10_000, rng), 0.75 * np.eye(m) / (z - 0.25), [], []
+    fresh, nominal, rates, bounds = (
+        lags(10_000, rng),
+        0.75 * np.eye(m) / (z - 0.25),
+        [],
+        [],
+    )
     for _ in range(5):
         plants = [nominal, *lags(60, rng)]
         design = synthesise(plants, Q, omega, 1.0, order=2, objective="peak", L_max=5.0,
                             band=(0.05, 1.0))  # fmt: skip
         L = design.filter.frequency_response(omega)
         M = Q[:, None, None] * (np.eye(m) - fresh @ L)
-        peaks = largest_singular_values(M.reshape(-1, m, m)).reshape(len(fresh), -1).max(axis=1)
+        peaks = (
+            largest_singular_values(M.reshape(-1, m, m))
+            .reshape(len(fresh), -1)
+            .max(axis=1)
+        )
         rates.append(np.mean(peaks > design.certificate.grid_M))
         bounds.append(violation_probability(design, 1e-3))
-        assert 1 <= len(support(design.solution)) < 2 * m * m + 2  # one more than coefficients
+        assert (
+            1 <= len(support(design.solution)) < 2 * m * m + 2
+        )  # one more than coefficients
     assert np.all(np.array(rates) < bounds)
     assert max(rates) > 0.01  # the design is not merely cautious

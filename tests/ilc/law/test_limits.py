@@ -56,7 +56,11 @@ CASES = {
 }  # fmt: skip
 CASES["stage, rates"] = (*CASES["stage"][:4], {"F": (-9.0, 9.0, 400.0)})
 ON_W = ClosedLoop(CASES["tanks"][0].P)
-CASES["not our controller"] = (ON_W, *CASES["tanks"][1:4], {"w1": (0.0, 2.5), "w3": (-0.5, 4.2)})
+CASES["not our controller"] = (
+    ON_W,
+    *CASES["tanks"][1:4],
+    {"w1": (0.0, 2.5), "w3": (-0.5, 4.2)},
+)
 EACH = pytest.mark.parametrize("case", CASES)
 
 
@@ -100,19 +104,28 @@ def test_it_is_the_nearest_of_all_that_can_be_followed(case, rest):
     samples, m = v.shape
     P, S = lifted(loop.P, samples), lifted(to_commands(loop), samples)
     z = cp.Variable(samples * m)
-    commands = cp.reshape(applied.ravel() + S @ (z - v_done.ravel()), (samples, m), order="C")
+    commands = cp.reshape(
+        applied.ravel() + S @ (z - v_done.ravel()), (samples, m), order="C"
+    )
     off, kept, end = z - wanted.ravel(), [], samples - rest
     for j in range(m):
         if np.isfinite(own.lowest[j]):
-            kept += [commands[:end, j] >= own.lowest[j], commands[:end, j] <= own.highest[j]]
+            kept += [
+                commands[:end, j] >= own.lowest[j],
+                commands[:end, j] <= own.highest[j],
+            ]
         if np.isfinite(own.step[j]):
             kept += [cp.abs(cp.diff(commands[:end, j])) <= own.step[j]]
     kept += [z[end * m :] == 0] if rest else []
-    problem = cp.Problem(cp.Minimize(cp.sum_squares(P @ off) + WEIGHT * cp.sum_squares(off)), kept)
+    problem = cp.Problem(
+        cp.Minimize(cp.sum_squares(P @ off) + WEIGHT * cp.sum_squares(off)), kept
+    )
     problem.solve(cp.CLARABEL, tol_gap_abs=1e-11, tol_gap_rel=1e-11, tol_feas=1e-10)
     gone = (found - wanted).ravel()
     cost = np.sum((P @ gone) ** 2) + WEIGHT * gone @ gone
-    assert cost == pytest.approx(problem.value, rel=1e-4)  # it stays inside by a millionth
+    assert cost == pytest.approx(
+        problem.value, rel=1e-4
+    )  # it stays inside by a millionth
     assert np.abs(found.ravel() - z.value).max() < 2e-3 * np.abs(found).max()
     will = (applied.ravel() + S @ (found - v_done).ravel()).reshape(samples, m)
     assert own.can(will[:end]) and not np.any(found[end:])
@@ -124,7 +137,8 @@ def test_where_nothing_is_cut_off_it_is_the_law(case):
     wide = {name: (-1e3, 1e3) for name in limits}
     v, e, u, _ = trial(case)
     np.testing.assert_array_equal(
-        update_within(v, e, u, Q, L, loop, wide, rest=3, step=0.7), update(v, e, Q, L, 3, 0.7)
+        update_within(v, e, u, Q, L, loop, wide, rest=3, step=0.7),
+        update(v, e, Q, L, 3, 0.7),
     )
     plain = run_trials(loop, Q, L, reference, trials=3)
     same = run_trials(loop, Q, L, reference, trials=3, limits=wide)
@@ -162,9 +176,15 @@ def test_an_observer_that_is_told_estimates_no_disturbance_where_there_is_none(c
     own = Actuators.of("limits", limits, loop)
     assert not own.can(run.u.values[0]) and own.can(run.applied.values)
     assert np.abs(run.delta).max() < 1e-8 * np.abs(run.u).max()
-    for k in (1, 2, 3):  # the model is exact, so the next trials keep what was asked of them
+    for k in (
+        1,
+        2,
+        3,
+    ):  # the model is exact, so the next trials keep what was asked of them
         assert own.can(run.u.values[k])
-        np.testing.assert_allclose(run.applied[k], run.u[k], atol=1e-7 * np.abs(run.u).max())
+        np.testing.assert_allclose(
+            run.applied[k], run.u[k], atol=1e-7 * np.abs(run.u).max()
+        )
 
 
 @given(st.integers(0, 10**6), st.floats(0.01, 10))
@@ -174,7 +194,9 @@ def test_no_two_signals_get_more_distant(seed, size):
     loop, Q, _, _, limits = CASES["tanks"]
     samples, random = 60, np.random.default_rng(seed)
     P = loop.P
-    still = LearningFilter(np.zeros((3, 3, 1)), loop.Ts)  # so that Q v is what is asked for
+    still = LearningFilter(
+        np.zeros((3, 3, 1)), loop.Ts
+    )  # so that Q v is what is asked for
     pair = size * np.cumsum(random.standard_normal((2, samples, 3)), axis=1)
     zero, at_rest = np.zeros((samples, 3)), np.zeros((samples, 3))
     wanted, kept = [], []
@@ -194,10 +216,13 @@ def test_the_rate_in_the_metric_is_a_generalised_eigenvalue():
         loop, Q, L, _, _ = CASES[case]
         omega = np.geomspace(1e-3, 1, 40) * np.pi / loop.Ts
         P, one = loop.frequency_response(omega), np.eye(len(loop.outputs))
-        T = Q.frequency_response(omega)[:, None, None] * (one - L.frequency_response(omega) @ P)
+        T = Q.frequency_response(omega)[:, None, None] * (
+            one - L.frequency_response(omega) @ P
+        )
         W = P.conj().swapaxes(1, 2) @ P + WEIGHT * one
         values = [
-            eigh(t.conj().T @ w @ t, w, eigvals_only=True)[-1] for t, w in zip(T, W, strict=True)
+            eigh(t.conj().T @ w @ t, w, eigvals_only=True)[-1]
+            for t, w in zip(T, W, strict=True)
         ]
         found = rate_within(loop, Q, L, omega)
         assert found.gamma == pytest.approx(np.sqrt(max(values)), rel=1e-9)
@@ -223,21 +248,29 @@ def test_norm_optimal_learning_falls_to_what_no_v_within_the_limits_can_beat(cas
     """The best by scipy, in the commands: there the limits are a box, the matrix is the plant's."""
     loop, _, _, reference, limits = CASES[case]
     samples = len(reference)
-    L, Q = NormOptimal(loop.P, 1e-3, samples), zero_phase_butterworth(1, 3.1415 / loop.Ts, loop.Ts)
+    L, Q = (
+        NormOptimal(loop.P, 1e-3, samples),
+        zero_phase_butterworth(1, 3.1415 / loop.Ts, loop.Ts),
+    )
     run = run_trials(loop, Q, L, reference, trials=8, limits=limits)
     own = Actuators.of("limits", limits, loop)
     G = lifted(loop.plant[:, loop.controls], samples)
     box = [np.tile(bound, samples) for bound in (own.lowest, own.highest)]
     best = 2 * lsq_linear(G, reference.ravel(), box, tol=1e-12).cost
     reached = (run.e.values**2).sum(axis=(1, 2))
-    assert np.all(np.diff(reached[1:]) < 1e-6 * reached[0])  # the first was cut off as it came
+    assert np.all(
+        np.diff(reached[1:]) < 1e-6 * reached[0]
+    )  # the first was cut off as it came
     assert best * (1 - 1e-9) <= reached[-1] < best + 2e-4 * reached[0]
 
 
 def test_what_the_rest_asks_for_does_not_bind_what_is_before_it():
     """Where v is zero, it cannot: here the reference itself needs more than there is."""
     loop, Q, L, _, _ = CASES["furnace"]
-    reference, limits = np.full((80, 1), 4.0), {"valve": (0.0, 0.6)}  # it needs 1, to the end
+    reference, limits = (
+        np.full((80, 1), 4.0),
+        {"valve": (0.0, 0.6)},
+    )  # it needs 1, to the end
     run = run_trials(loop, Q, L, reference, trials=3, limits=limits, rest=30)
     assert not run.v.values[:, -30:].any()
     assert run.u.values[1:, :50].max() <= 0.6 + 1e-6 < run.u.values[1:, 50:].min()

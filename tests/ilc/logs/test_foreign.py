@@ -33,7 +33,17 @@ ASKED = {
     "outputs": {"T1": "Temperature 1", "T2": "Temperature 2 (degC)"},
 }
 WHOLE = st.sampled_from
-SPOILT = ("late", "lost", "swapped", "twice", "text", "missing", "short", "long", "wrong column")
+SPOILT = (
+    "late",
+    "lost",
+    "swapped",
+    "twice",
+    "text",
+    "missing",
+    "short",
+    "long",
+    "wrong column",
+)
 
 
 @dataclass
@@ -67,7 +77,11 @@ class Written:
             k = np.insert(k, self.row, k[self.row])
         if self.spoilt == "swapped":
             k[[self.row, self.row + 1]] = k[[self.row + 1, self.row]]
-        self.time, self.u, self.y = self.Ts * k, 10.0 * (np.round(k) % 8 < 4), 30 - 0.25 * k
+        self.time, self.u, self.y = (
+            self.Ts * k,
+            10.0 * (np.round(k) % 8 < 4),
+            30 - 0.25 * k,
+        )
 
     def number(self, value):
         text = f"{value:{self.form}}".replace(".", self.decimal)
@@ -77,7 +91,11 @@ class Written:
         if self.clock in ("s", "ms"):
             return self.number(t if self.clock == "s" else 1000 * t)
         at = pd.Timestamp("2024-02-28T23:59:50") + pd.Timedelta(t, "s")
-        return at.isoformat() if self.clock == "date" else f"{at - pd.Timestamp('2024-02-28')}"[7:]
+        return (
+            at.isoformat()
+            if self.clock == "date"
+            else f"{at - pd.Timestamp('2024-02-28')}"[7:]
+        )
 
     def text(self):
         rows = [
@@ -86,14 +104,29 @@ class Written:
         ]
         if self.spoilt in ("text", "missing"):
             rows[self.row][2] = {"text": "off", "missing": ""}[self.spoilt]
-        unit = "" if self.titles == "plain" else f" [{'ms' if self.clock == 'ms' else 's'}]"
-        titles = [f"t{unit}", "valve", "level" + (" (°C)" if unit else ""), "state", "seven"]
-        titles = [title.replace(" ", "_" if self.delimiter == " " else " ") for title in titles]
+        unit = (
+            ""
+            if self.titles == "plain"
+            else f" [{'ms' if self.clock == 'ms' else 's'}]"
+        )
+        titles = [
+            f"t{unit}",
+            "valve",
+            "level" + (" (°C)" if unit else ""),
+            "state",
+            "seven",
+        ]
+        titles = [
+            title.replace(" ", "_" if self.delimiter == " " else " ")
+            for title in titles
+        ]
         if self.delimiter == " ":
             titles = [title.replace("_[", "[").replace("_(", "(") for title in titles]
         lines = [self.delimiter.join(row[k] for k in self.order) for row in rows]
         if self.spoilt == "short":
-            lines[self.row] = self.delimiter.join(lines[self.row].split(self.delimiter)[:2])
+            lines[self.row] = self.delimiter.join(
+                lines[self.row].split(self.delimiter)[:2]
+            )
         if self.spoilt == "long":
             lines[self.row] += f"{self.delimiter}1"
         head = [f"Logger {k}: made by hand" for k in range(self.above)]
@@ -108,7 +141,9 @@ class Written:
         named = [self.order.index(k) for k in range(3)] if self.titles == "none" else []
         t, u, y = named or ("t", "valve", "level")
         if self.titles == "plain" or named:
-            more |= {"units": {"time": "ms" if self.clock == "ms" else "s", "h": "degC"}}
+            more |= {
+                "units": {"time": "ms" if self.clock == "ms" else "s", "h": "degC"}
+            }
         if self.spoilt == "wrong column":
             t, y = y, t
         return read_table(path, time=t, inputs={"q": u}, outputs={"h": y}, **more)
@@ -148,9 +183,13 @@ def is_right(log, table):
 
 @settings(max_examples=120)
 @given(written(["", "jitter"]))
-def test_however_a_table_is_laid_out_it_is_read_as_it_was_written(tmp_path_factory, table):
+def test_however_a_table_is_laid_out_it_is_read_as_it_was_written(
+    tmp_path_factory, table
+):
     with warnings.catch_warnings(action="error"):
-        Ts = {"Ts": table.Ts} if table.spoilt else {}  # which a clock that is off tells roughly
+        Ts = (
+            {"Ts": table.Ts} if table.spoilt else {}
+        )  # which a clock that is off tells roughly
         log = table.read(tmp_path_factory.mktemp("tables"), **Ts)
     is_right(log, table)
     assert ("clock" in log.attrs) == (table.spoilt == "jitter")
@@ -164,7 +203,11 @@ def test_what_is_wrong_is_told_by_file_row_and_column(tmp_path_factory, table):
     said = str(error.value)
     assert "table.txt: " in said and len(said) < 400
     assert "1 problem" in said or "is none of time" in said
-    row = table.first + table.row + {"lost": 0, "twice": 1, "swapped": 1}.get(table.spoilt, 0)
+    row = (
+        table.first
+        + table.row
+        + {"lost": 0, "twice": 1, "swapped": 1}.get(table.spoilt, 0)
+    )
     if table.spoilt == "wrong column":
         assert "row" in said or "time = 'level': unit '°C' is none of time" in said
         return
@@ -180,7 +223,9 @@ def test_what_is_wrong_is_told_by_file_row_and_column(tmp_path_factory, table):
 @given(written(["late", "lost", "jitter", "missing", "short"]))
 def test_what_is_not_on_time_is_interpolated_on_request(tmp_path_factory, table):
     """The level falls along a line, which is what it is between samples, too."""
-    with pytest.warns(UserWarning, match=r"table.txt: \d+ rows were resampled to \d+ samples"):
+    with pytest.warns(
+        UserWarning, match=r"table.txt: \d+ rows were resampled to \d+ samples"
+    ):
         log = table.read(tmp_path_factory.mktemp("tables"), Ts=table.Ts, resample=True)
     k = np.arange(log.sizes["time"])
     np.testing.assert_allclose(log.y.values[0, :, 0], 30 - 0.25 * k, atol=0.012)
@@ -197,12 +242,18 @@ def test_the_log_of_a_real_board_is_what_pandas_reads(tmp_path):
     log, table = board(), pd.read_csv(BOARD, skipinitialspace=True).to_numpy()
     np.testing.assert_array_equal(log.u[0], table[:, 1:3])
     np.testing.assert_array_equal(log.y[0], table[:, 3:5])
-    assert log.output_unit.values.tolist() == ["degC"] * 2 and log.control_unit[0] == "%"
-    assert log.attrs["clock"].startswith("steps from 0.9903 to 1.021 s, median 1.001, where Ts = 1")
+    assert (
+        log.output_unit.values.tolist() == ["degC"] * 2 and log.control_unit[0] == "%"
+    )
+    assert log.attrs["clock"].startswith(
+        "steps from 0.9903 to 1.021 s, median 1.001, where Ts = 1"
+    )
     assert board(Ts=None).attrs["Ts"] == 1.0
     save_log(log, tmp_path / "log.csv")
     assert load_log(tmp_path / "log.csv").identical(log)
-    with pytest.raises(LogError, match=r"format is None.*: rodlib.read_table reads other tables"):
+    with pytest.raises(
+        LogError, match=r"format is None.*: rodlib.read_table reads other tables"
+    ):
         load_log(BOARD)
 
 
@@ -223,12 +274,16 @@ def test_one_actuator_and_two_sensors_are_a_log(tmp_path):
 
 def test_a_table_is_replayed_with_the_law_that_it_is_told():
     log = board(reference={"T2": 6, "T1": 5})
-    np.testing.assert_array_equal(log.reference[0], pd.read_csv(BOARD).to_numpy()[:, 5:])
+    np.testing.assert_array_equal(
+        log.reference[0], pd.read_csv(BOARD).to_numpy()[:, 5:]
+    )
     assert replay_of(log).following is None
     Q = zero_phase_butterworth(2, 0.1, 1.0)
     L = p_type(0.5, 3, 2, 1.0)
     following = replay_of(with_law(log, Q, L)).following
-    np.testing.assert_allclose(following, update(log.v.values[0], log.e.values[0], Q, L))
+    np.testing.assert_allclose(
+        following, update(log.v.values[0], log.e.values[0], Q, L)
+    )
     with pytest.raises(ValueError, match=r"trials lack \['reference', 'v'\]"):
         replay_of(board())
 
@@ -238,7 +293,9 @@ def test_trials_in_a_table_of_others_replay_as_if_they_were_ours(tmp_path, name)
     """A stage in mm, tanks with three channels, a long delay, and a controller that is not ours."""
     if name == "another's":
         loop, ahead = (
-            ClosedLoop(control.ss(0.8, 0.2, 1, 0, 0.1, inputs=["w"], outputs=["level"])),
+            ClosedLoop(
+                control.ss(0.8, 0.2, 1, 0, 0.1, inputs=["w"], outputs=["level"])
+            ),
             1,
         )
     else:
@@ -252,7 +309,9 @@ def test_trials_in_a_table_of_others_replay_as_if_they_were_ours(tmp_path, name)
     Q, L = zero_phase_butterworth(2, 0.3 / Ts, Ts), p_type(0.01, ahead, m, Ts)
     reference = np.sin(np.linspace(0, 3, 80))[:, None] * np.arange(1, m + 1)
     ran = run_trials(loop, Q, L, reference, None, 3)
-    signals = {"ref": ran.reference, "ff": ran.v, "y": ran.y} | ({"u": ran.u} if "u" in ran else {})
+    signals = {"ref": ran.reference, "ff": ran.v, "y": ran.y} | (
+        {"u": ran.u} if "u" in ran else {}
+    )
     table = pd.DataFrame({"run": np.repeat([0, 1, 2], 80)})
     table["clock [min]"] = Ts / 60 * (np.arange(240) + 0.03 * np.sin(np.arange(240)))
     for word, signal in signals.items():
@@ -273,7 +332,9 @@ def test_trials_in_a_table_of_others_replay_as_if_they_were_ours(tmp_path, name)
     assert replay.fit.min(axis=None) > 1 - 1e-6
 
 
-def test_trials_stand_one_after_the_other_with_a_clock_of_their_own_or_one_for_all(tmp_path):
+def test_trials_stand_one_after_the_other_with_a_clock_of_their_own_or_one_for_all(
+    tmp_path,
+):
     day = 1.7e9  # s, since 1970
     runs = [(k, day * (k > 0) + t, 10 * k + t) for k in (0, 1, 4) for t in range(4)]
     frame = pd.DataFrame(runs, columns=["run", "at", "x"])
@@ -345,11 +406,15 @@ def test_what_usual_programs_write_is_read(tmp_path, text, more):
 
 def test_a_unit_that_nobody_knows_is_left_out():
     frame = pd.DataFrame({"t (s)": range(4), "x (bogus)": 1.0})
-    with pytest.warns(UserWarning, match="unit 'bogus' of x is not understood: it is left out"):
+    with pytest.warns(
+        UserWarning, match="unit 'bogus' of x is not understood: it is left out"
+    ):
         log = read_table(frame, time="t", outputs={"x": "x"})
     assert log.output_unit.item() == ""
     frame = pd.DataFrame({"x": [1.0], "x ": [2.0]}).rename(columns=str.strip)
-    with pytest.raises(LogError, match="'x' is the title of several columns: give its number"):
+    with pytest.raises(
+        LogError, match="'x' is the title of several columns: give its number"
+    ):
         read_table(frame, Ts=1.0, outputs={"x": "x"})
 
 
@@ -359,13 +424,25 @@ def test_a_unit_that_nobody_knows_is_left_out():
         (b"", "no rows of numbers are found"),
         (b"t,x\n", "no rows of numbers are found"),
         (b"\x89PNG\r\n\x1a\n\0", "is no text: let pandas read it"),
-        (b"t,x\n0,1\n1,2\n1,3\n", "row 4 of trial 1 is at 1, not later than the row before"),
+        (
+            b"t,x\n0,1\n1,2\n1,3\n",
+            "row 4 of trial 1 is at 1, not later than the row before",
+        ),
         (b"t,x\n0,1\n0,2\n", "the clock stands still, or there is one row: state Ts"),
         (b"t,x\n0,1\n1,inf\n", "x: entry is 'inf', not a finite number, in row 3"),
         (b"t,x\n0,1\n1,1e400\n", "x: entry is '1e400', not a finite number, in row 3"),
-        (b"t;x\n0;1,5\n1;1.234,5\n", "x: entry is '1.234,5', not a finite number, in row 3"),
-        (b"t;x\n0;1,5\n1;1,5\n2;1,5\n3;1,5\n4;2.5\n", "x: entry is '2.5', not a finite number"),
-        (b"t,x\n29.02.2024,1\n01.03.2024,1\n", "t: entry is '29.02.2024', not a finite number"),
+        (
+            b"t;x\n0;1,5\n1;1.234,5\n",
+            "x: entry is '1.234,5', not a finite number, in row 3",
+        ),
+        (
+            b"t;x\n0;1,5\n1;1,5\n2;1,5\n3;1,5\n4;2.5\n",
+            "x: entry is '2.5', not a finite number",
+        ),
+        (
+            b"t,x\n29.02.2024,1\n01.03.2024,1\n",
+            "t: entry is '29.02.2024', not a finite number",
+        ),
     ],
 )
 def test_what_is_no_table_of_signals_is_told(tmp_path, content, message):

@@ -18,15 +18,29 @@ from rodlib.paper.repository import ROOT
 SIGNALS = """{"outputs": {"depth": "mm"}, "controls": {"valve, left": "l/min"},
 "disturbances": {"rain": ""}}""".replace("\n", " ")
 HEAD = f"# format: rodlib trial log 2\n# Ts: 1.0 s\n# signals: {SIGNALS}\n"
-COLUMNS = 'trial,time,reference_depth,v_depth,"u_valve, left",y_depth,disturbance_rain\n'
+COLUMNS = (
+    'trial,time,reference_depth,v_depth,"u_valve, left",y_depth,disturbance_rain\n'
+)
 ROWS = [f"{k},{p},1.0,0.5,{p}.25,0.75,2.0\n" for k in (1, 2, 3) for p in range(4)]
 GOOD = HEAD + COLUMNS + "".join(ROWS)
 
 
 NAMES = st.text(min_size=1, max_size=8).filter(str.isprintable) | st.sampled_from(
-    ["v1", "time", "delta", "reference_y1", "2nd, left", 'the "hot" end', "#1", " ", "ϑ"]
+    [
+        "v1",
+        "time",
+        "delta",
+        "reference_y1",
+        "2nd, left",
+        'the "hot" end',
+        "#1",
+        " ",
+        "ϑ",
+    ]
 )
-ALIKE = st.sampled_from(["K", "mK", "degC", "°C", "mm", "µm", "N", "l/min", "%", "1/s**2", ""])
+ALIKE = st.sampled_from(
+    ["K", "mK", "degC", "°C", "mm", "µm", "N", "l/min", "%", "1/s**2", ""]
+)
 FLOATS = st.floats(allow_nan=False, allow_infinity=False) | st.sampled_from(
     [-0.0, 5e-324, -5e-324, 1e300, -1e300, 1e-300, 2.2250738585072011e-308, 0.1 + 0.2]
 )
@@ -61,7 +75,9 @@ def test_a_period_in_minutes_is_that_of_the_column_time(tmp_path):
 @settings(max_examples=100)
 @given(st.integers(0, len(GOOD) - 1), st.text(max_size=3), st.integers(0, 3))
 @example(GOOD.index("1.0 s"), "1e400 ", 4)
-def test_a_log_with_an_accident_is_read_or_refused_in_words(tmp_path_factory, start, text, length):
+def test_a_log_with_an_accident_is_read_or_refused_in_words(
+    tmp_path_factory, start, text, length
+):
     """Nothing but a LogError of a few lines; what is read has finite values of one shape."""
     broken = GOOD[:start] + text + GOOD[start + length :]
     path = write(tmp_path_factory.mktemp("logs"), broken, errors="replace")
@@ -137,10 +153,16 @@ def test_a_real_clock_is_read_and_what_it_shows_is_said(tmp_path, good):
     assert trials.identical(good.assign_attrs(clock=said))
     save_log(trials, tmp_path / "again.csv")
     assert load_log(tmp_path / "again.csv").identical(trials)
-    lost = GOOD.replace("".join(ROWS[5:6]), "").replace(ROWS[1], "").replace(ROWS[9], "")
-    with pytest.raises(LogError, match=r"row 6 of trial 1 is 2 after .* 1 lost .3 such steps"):
+    lost = (
+        GOOD.replace("".join(ROWS[5:6]), "").replace(ROWS[1], "").replace(ROWS[9], "")
+    )
+    with pytest.raises(
+        LogError, match=r"row 6 of trial 1 is 2 after .* 1 lost .3 such steps"
+    ):
         load_log(write(tmp_path, lost))
-    with pytest.warns(UserWarning, match="9 rows were resampled to 12 samples; near 3 of them"):
+    with pytest.warns(
+        UserWarning, match="9 rows were resampled to 12 samples; near 3 of them"
+    ):
         trials = load_log(tmp_path / "log.csv", resample=True)
     np.testing.assert_array_equal(trials.y, good.y)
     np.testing.assert_array_equal(trials.u[0, :, 0], [0.25, 0.25, 2.25, 3.25])
@@ -151,12 +173,16 @@ def test_a_record_of_commands_and_outputs_needs_no_reference(tmp_path, good):
     bare = text.drop(columns=["reference_depth", "v_depth"]).to_csv(index=False)
     trials = load_log(write(tmp_path, HEAD + bare))
     assert {*trials.data_vars} == {"u", "y", "disturbance"}
-    save_log(good.drop_vars(["reference", "v"]), tmp_path / "again.csv")  # e says nothing alone
+    save_log(
+        good.drop_vars(["reference", "v"]), tmp_path / "again.csv"
+    )  # e says nothing alone
     assert load_log(tmp_path / "again.csv").identical(trials)
     save_log(trials, tmp_path / "again.csv")
     assert load_log(tmp_path / "again.csv").identical(trials)
     with pytest.raises(LogError, match=r"missing columns \['v_depth'\]"):
-        load_log(write(tmp_path, HEAD + text.drop(columns="v_depth").to_csv(index=False)))
+        load_log(
+            write(tmp_path, HEAD + text.drop(columns="v_depth").to_csv(index=False))
+        )
 
 
 def test_all_problems_are_reported_at_once_but_no_more_than_can_be_read(tmp_path):
@@ -169,7 +195,10 @@ def test_all_problems_are_reported_at_once_but_no_more_than_can_be_read(tmp_path
     many = [f"{k},7,1,0.5,1,1,2\n" for k in range(1, 200)]
     with pytest.raises(LogError, match="199 problem") as error:
         load_log(write(tmp_path, HEAD + COLUMNS + "".join(many)))
-    assert str(error.value).endswith("\n- and 181 more") and str(error.value).count("\n") == 19
+    assert (
+        str(error.value).endswith("\n- and 181 more")
+        and str(error.value).count("\n") == 19
+    )
 
 
 def test_missing_and_binary_files(tmp_path):
@@ -222,12 +251,22 @@ def test_example_in_the_data_readme_is_a_log(tmp_path):
 
 @st.composite
 def any_trials(draw):
-    m, trials, samples = draw(st.integers(1, 3)), draw(st.integers(1, 3)), draw(st.integers(1, 4))
+    m, trials, samples = (
+        draw(st.integers(1, 3)),
+        draw(st.integers(1, 3)),
+        draw(st.integers(1, 4)),
+    )
     names = draw(st.lists(NAMES, min_size=2 * m, max_size=2 * m + 2, unique=True))
     units = {name: draw(ALIKE) for name in names}
     signals = {
         name: draw(arrays.arrays(float, (trials, samples, m), elements=FLOATS))
-        for name in ("reference", "v", "u", "y", *(["delta"] if draw(st.booleans()) else []))
+        for name in (
+            "reference",
+            "v",
+            "u",
+            "y",
+            *(["delta"] if draw(st.booleans()) else []),
+        )
     }
     sources = names[2 * m :]
     if sources:
@@ -236,12 +275,18 @@ def any_trials(draw):
     Ts = draw(st.floats(1e-9, 1e9))
     with np.errstate(over="ignore"):
         run = dataset(Ts, names[:m], names[m : 2 * m], sources, units, **signals)
-    numbers = draw(st.lists(st.integers(1, 10**6), min_size=trials, max_size=trials, unique=True))
+    numbers = draw(
+        st.lists(st.integers(1, 10**6), min_size=trials, max_size=trials, unique=True)
+    )
     text = st.text().filter(lambda note: note.isprintable() and note == note.strip())
-    return run.assign_coords(trial=numbers).assign_attrs(origin=draw(text), note="a: b # c")
+    return run.assign_coords(trial=numbers).assign_attrs(
+        origin=draw(text), note="a: b # c"
+    )
 
 
-@pytest.mark.filterwarnings("ignore:.* missing between others")  # of numbers that are random
+@pytest.mark.filterwarnings(
+    "ignore:.* missing between others"
+)  # of numbers that are random
 @given(any_trials())
 def test_whatever_is_saved_is_loaded_bit_for_bit(tmp_path_factory, saved):
     path = tmp_path_factory.mktemp("logs") / "log.csv"
@@ -256,7 +301,10 @@ def test_whatever_is_saved_is_loaded_bit_for_bit(tmp_path_factory, saved):
     save_log(loaded, again)
     assert again.read_bytes() == path.read_bytes()
     titles = pd.read_csv(path, comment="#", nrows=0).columns
-    assert list(titles[:2]) == ["trial", "time"] and f"y_{saved.output.values[0]}" in titles
+    assert (
+        list(titles[:2]) == ["trial", "time"]
+        and f"y_{saved.output.values[0]}" in titles
+    )
 
 
 def test_pandas_reads_a_name_that_looks_like_a_comment(tmp_path, good):
@@ -271,7 +319,9 @@ def test_an_interrupted_save_leaves_the_old_log(tmp_path, good, monkeypatch):
     path = tmp_path / "log.csv"
     save_log(good, path)
     before = path.read_bytes()
-    monkeypatch.setattr(os, "replace", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    monkeypatch.setattr(
+        os, "replace", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt)
+    )
     with pytest.raises(KeyboardInterrupt):
         save_log(good.assign(y=2 * good.y), path)
     assert path.read_bytes() == before
@@ -296,7 +346,12 @@ def test_each_trial_keeps_its_own_reference(tmp_path, good):
 
 
 def test_attributes_come_back_as_a_line_of_text(tmp_path, good):
-    notes = {"seed": 3, "list": [1, 2.5], "lines": "one\ntwo", "when": np.datetime64("2024-02-29")}
+    notes = {
+        "seed": 3,
+        "list": [1, 2.5],
+        "lines": "one\ntwo",
+        "when": np.datetime64("2024-02-29"),
+    }
     save_log(good.assign_attrs(notes), tmp_path / "log.csv")
     assert {k: v for k, v in load_log(tmp_path / "log.csv").attrs.items() if k != "Ts"} == {
         "seed": "3", "list": "[1, 2.5]", "lines": r'"one\ntwo"', "when": "2024-02-29"
@@ -317,12 +372,21 @@ def test_attributes_come_back_as_a_line_of_text(tmp_path, good):
         (lambda t: t.isel(time=slice(0, None, 2)), "time must be 0, Ts, 2 Ts"),
         (lambda t: t.isel(time=slice(0, 0)), "trials have no samples"),
         (lambda t: t.assign_coords(trial=[1, 2, 2]), "none of them twice"),
-        (lambda t: t.assign_coords(trial=[0, 1, 2]), "trials.trial = .*0.* must be a whole number"),
+        (
+            lambda t: t.assign_coords(trial=[0, 1, 2]),
+            "trials.trial = .*0.* must be a whole number",
+        ),
         (lambda t: t.assign_coords(output=("channel", ["a\nb"])), "printable"),
         (lambda t: t.assign_coords(output=("channel", [""])), "printable"),
         (lambda t: t.assign_coords(output=("channel", ["\ud800"])), "printable"),
-        (lambda t: t.assign_coords(control=("channel", ["depth"])), "'depth' has two units"),
-        (lambda t: t.assign_coords(output_unit=("channel", ["cubit/fortnite"])), "not understood"),
+        (
+            lambda t: t.assign_coords(control=("channel", ["depth"])),
+            "'depth' has two units",
+        ),
+        (
+            lambda t: t.assign_coords(output_unit=("channel", ["cubit/fortnite"])),
+            "not understood",
+        ),
         (lambda t: t.assign_attrs(format="mine"), "attribute 'format' cannot be"),
         (lambda t: t.assign_attrs({"a: b": "mine"}), "attribute 'a: b' cannot be"),
     ],

@@ -48,7 +48,9 @@ def test_a_law_that_is_none_is_refused(loop, Q, L):
 
 def test_a_law_for_other_channels_is_refused(loop, Q):
     run = run_trials(loop, Q, None, np.zeros((5, 2)), None, 1)
-    with pytest.raises(LogError, match=r"shape \(3, 3, 4\), but must have shape \(2, 2, order\)"):
+    with pytest.raises(
+        LogError, match=r"shape \(3, 3, 4\), but must have shape \(2, 2, order\)"
+    ):
         law_of(with_law(run, Q, LearningFilter(np.ones((3, 3, 4)), 1.0)))
 
 
@@ -91,8 +93,12 @@ def assert_alike(one, two):
 
 
 def test_the_loop_is_rebuilt_to_the_last_digit(loop, tmp_path):
-    plant = control.ss(0.7, 1 / 3, 1, 0, 0.1, inputs=['the "valve"'], outputs=["level, ϑ"])
-    named = control.ss(0.7, 1 / 3, 1, 0, 0.1, inputs=["B"], outputs=["A"])  # as its matrices
+    plant = control.ss(
+        0.7, 1 / 3, 1, 0, 0.1, inputs=['the "valve"'], outputs=["level, ϑ"]
+    )
+    named = control.ss(
+        0.7, 1 / 3, 1, 0, 0.1, inputs=["B"], outputs=["A"]
+    )  # as its matrices
     for made in (loop, current_trial_loop(plant), current_trial_loop(named)):
         Q = zero_phase_butterworth(Ts=made.Ts)
         reference = np.ones((9, made.plant.noutputs))
@@ -103,7 +109,9 @@ def test_the_loop_is_rebuilt_to_the_last_digit(loop, tmp_path):
         assert run_trials(rebuilt, Q, None, reference, None, 1).identical(run)
 
 
-@pytest.mark.parametrize("note", ["{}", "3", "null", "", '{"plant": {"A": 1}}', '{"colour": 1}'])
+@pytest.mark.parametrize(
+    "note", ["{}", "3", "null", "", '{"plant": {"A": 1}}', '{"colour": 1}']
+)
 def test_a_loop_that_is_none_is_refused(loop, Q, note):
     run = run_trials(loop, Q, None, np.ones((9, 2)), None, 1)
     assert loop_of(run) is None
@@ -127,16 +135,22 @@ def test_a_loop_that_is_none_is_refused(loop, Q, note):
     ],
 )
 def test_a_loop_with_a_part_that_is_none_is_refused(loop, Q, changes, message):
-    run = with_law(run_trials(loop, Q, None, np.ones((9, 2)), None, 1), Q, None, 0, loop)
+    run = with_law(
+        run_trials(loop, Q, None, np.ones((9, 2)), None, 1), Q, None, 0, loop
+    )
     note = json.loads(run.attrs["loop"])
     for name, value in changes.items():
         (note if name in note else note["plant"])[name] = value
-    with pytest.raises(LogError, match=f"metadata: loop cannot be understood: .*{message}"):
+    with pytest.raises(
+        LogError, match=f"metadata: loop cannot be understood: .*{message}"
+    ):
         loop_of(run.assign_attrs(loop=json.dumps(note)))
 
 
 def test_the_loop_of_other_signals_is_refused(loop, Q):
-    run = with_law(run_trials(loop, Q, None, np.ones((9, 2)), None, 1), Q, None, 0, loop)
+    run = with_law(
+        run_trials(loop, Q, None, np.ones((9, 2)), None, 1), Q, None, 0, loop
+    )
     with pytest.raises(
         LogError, match=r"loop has the outputs \['y1', 'y2'\], but the log \['a', 'b'"
     ):
@@ -147,13 +161,22 @@ def test_the_loop_of_other_signals_is_refused(loop, Q):
 
 def test_the_loop_in_other_units_is_refused():
     units = {"depth": "mm", "valve": "l/min", "rain": "l/s"}
-    plant = control.ss(0.9, [[0.1, 0.2]], 1, 0, 1.0, inputs=["valve", "rain"], outputs=["depth"])
-    Q, made = zero_phase_butterworth(), current_trial_loop(plant, ["valve"], units=units)
-    run = with_law(run_trials(made, Q, None, np.ones((9, 1)), None, 1), Q, None, 0, made)
+    plant = control.ss(
+        0.9, [[0.1, 0.2]], 1, 0, 1.0, inputs=["valve", "rain"], outputs=["depth"]
+    )
+    Q, made = (
+        zero_phase_butterworth(),
+        current_trial_loop(plant, ["valve"], units=units),
+    )
+    run = with_law(
+        run_trials(made, Q, None, np.ones((9, 1)), None, 1), Q, None, 0, made
+    )
     for role, unit in {"output": "m", "control": "m**3/s", "source": "l/h"}.items():
         dimension = "source" if role == "source" else "channel"
         other = run.assign_coords({f"{role}_unit": (dimension, [unit])})
-        with pytest.raises(LogError, match=f"loop has .* but the log in '{re.escape(unit)}'"):
+        with pytest.raises(
+            LogError, match=f"loop has .* but the log in '{re.escape(unit)}'"
+        ):
             loop_of(other)
     unknown = run.assign_coords(output_unit=("channel", [""]))
     assert_alike(loop_of(unknown), made)
@@ -165,7 +188,13 @@ COEFFICIENTS = arrays(float, (2, 2, 3), elements=st.floats(-1e9, 1e9))
 
 
 @settings(max_examples=5)
-@given(COEFFICIENTS, st.integers(1, 4), st.floats(0.1, 0.9), st.floats(1e-4, 1e4), st.text())
+@given(
+    COEFFICIENTS,
+    st.integers(1, 4),
+    st.floats(0.1, 0.9),
+    st.floats(1e-4, 1e4),
+    st.text(),
+)
 def test_filters_come_back_to_the_last_digit(
     tmp_path_factory, coefficients, order, share, Ts, note
 ):
@@ -193,7 +222,10 @@ def law(Q):
         ({"Q": {"order": 2}}, "KeyError"),
         ({"L": None}, "L = None must be a LearningFilter"),
         ({"L": {"coefficients": [1.0], "ends": "zero"}}, "coefficients has shape"),
-        ({"L": {"coefficients": [[[True, 0.5]]], "ends": "zero"}}, "holds True or False"),
+        (
+            {"L": {"coefficients": [[[True, 0.5]]], "ends": "zero"}},
+            "holds True or False",
+        ),
         ({"Ts": float("nan")}, "NaN is no number"),
     ],
 )
@@ -201,7 +233,9 @@ def test_a_file_that_is_no_law_is_refused(tmp_path, law, changes, message):
     path = tmp_path / "law.json"
     save_law(path, *law)
     path.write_text(json.dumps(json.loads(path.read_text()) | changes))
-    with pytest.raises(ValueError, match=r"law.json' is no law of save_law: .*") as error:
+    with pytest.raises(
+        ValueError, match=r"law.json' is no law of save_law: .*"
+    ) as error:
         load_law(path)
     assert message in str(error.value)
 

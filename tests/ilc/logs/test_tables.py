@@ -22,7 +22,10 @@ def replaced(row, text):
         (HEAD + "".join(ROWS), [4, 5, 6]),
         ((HEAD + "".join(ROWS)).replace("\n", "\r\n"), [4, 5, 6]),
         ("\N{BOM}" + HEAD + "".join(ROWS).removesuffix("\n"), [4, 5, 6]),
-        (HEAD.replace(",depth", ", depth") + "".join(ROWS).replace("0.5", " +.5e0 "), [4, 5, 6]),
+        (
+            HEAD.replace(",depth", ", depth") + "".join(ROWS).replace("0.5", " +.5e0 "),
+            [4, 5, 6],
+        ),
         (replaced(1, '# a comment: none\n\n \n"1",1.5,"3"\n') + "\n", [4, 8, 9]),
     ],
 )
@@ -55,7 +58,9 @@ def test_rows_are_read_and_known_by_their_line(text, lines):
 def test_what_is_no_number_is_told_by_its_row(text, message):
     table = tables.read(text.encode())
     assert table.problems_of(table.header) == [message]
-    assert table.problems_of(["trial"]) == ([] if message.startswith("depth") else [message])
+    assert table.problems_of(["trial"]) == (
+        [] if message.startswith("depth") else [message]
+    )
     assert np.isfinite(table.column("trial")).sum() >= 2
 
 
@@ -75,9 +80,14 @@ def test_a_header_that_is_none_is_told(header, message):
     assert message in problem
 
 
-@given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1), st.text(min_size=1))
+@given(
+    st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1),
+    st.text(min_size=1),
+)
 def test_numbers_and_titles_are_read_as_they_were_written(numbers, title):
     title = title.replace("\r", "").replace("\n", "").strip() or "#"
     assert next(csv.reader(StringIO(tables.quoted(title)))) == [title]
-    table = tables.read(b"x,z\n" + tables.rows([np.array(numbers), np.arange(len(numbers))]))
+    table = tables.read(
+        b"x,z\n" + tables.rows([np.array(numbers), np.arange(len(numbers))])
+    )
     assert table.column("x").tobytes() == np.array(numbers).tobytes()

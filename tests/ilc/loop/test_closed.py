@@ -22,7 +22,10 @@ def simulated(loop, plant, w, d):
         y[p] = plant.C @ x + plant.D @ inputs
         innovation = y[p] - C @ x_hat
         x = plant.A @ x + plant.B @ inputs
-        x_hat, delta = A @ x_hat + B @ (u + delta) + KL1 @ innovation, delta + KL2 @ innovation
+        x_hat, delta = (
+            A @ x_hat + B @ (u + delta) + KL1 @ innovation,
+            delta + KL2 @ innovation,
+        )
     return y
 
 
@@ -41,7 +44,10 @@ def mixed(plant, rng):
     C = np.vstack([np.ones((1, plant.nstates)), plant.C[::-1]])
     D = np.zeros((len(C), B.shape[1]))
     D[1:, 1:] = plant.D[::-1, ::-1]
-    inputs, outputs = ["draught", *plant.input_labels[::-1]], ["spare", *plant.output_labels[::-1]]
+    inputs, outputs = (
+        ["draught", *plant.input_labels[::-1]],
+        ["spare", *plant.output_labels[::-1]],
+    )
     return control.ss(plant.A, B, C, D, plant.dt, inputs=inputs, outputs=outputs)
 
 
@@ -68,11 +74,15 @@ def test_the_controller_around_another_plant(seed):
     w, d = rng.standard_normal((40, 2)), rng.standard_normal((40, 1))
     expected = simulated(loop, other, w, d)
     response = control.forced_response(closed, inputs=np.hstack([w, d]).T).outputs.T
-    np.testing.assert_allclose(response, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
+    np.testing.assert_allclose(
+        response, expected, rtol=0, atol=1e-9 * np.abs(expected).max()
+    )
     grid = np.append(0.0, np.geomspace(1e-3, np.pi, 20))
     samples = frequency_response(other[:, ["u1", "u2"]], grid)
     from_model = loop.frequency_response(grid, plant=other)
-    np.testing.assert_allclose(from_model, frequency_response(closed[:, :2], grid), atol=1e-12)
+    np.testing.assert_allclose(
+        from_model, frequency_response(closed[:, :2], grid), atol=1e-12
+    )
     np.testing.assert_allclose(
         loop.frequency_response(grid, plant=samples),
         from_model,
@@ -88,7 +98,10 @@ def test_around_the_plant_of_the_design_the_observer_drops_out(Ts):
     samples = frequency_response(loop.plant[:, loop.controls], grid)
     for plant in (loop.plant, samples):
         np.testing.assert_allclose(
-            loop.frequency_response(grid, plant), loop.frequency_response(grid), rtol=0, atol=1e-12
+            loop.frequency_response(grid, plant),
+            loop.frequency_response(grid),
+            rtol=0,
+            atol=1e-12,
         )
 
 
@@ -109,28 +122,44 @@ def test_the_papers_controller_around_the_rod_itself(loop):
 
 
 def test_P_does_not_depend_on_the_observer(loop, omega):
-    other = current_trial_loop(loop.plant, loop.controls, Qo=100 * np.eye(12), Ro=3 * np.eye(2))
+    other = current_trial_loop(
+        loop.plant, loop.controls, Qo=100 * np.eye(12), Ro=3 * np.eye(2)
+    )
     assert np.abs(other.KL - loop.KL).max() > 0.1
-    for same in (loop, other):  # all 22 states of (19), against (31) without the observer
+    for same in (
+        loop,
+        other,
+    ):  # all 22 states of (19), against (31) without the observer
         from_w = frequency_response(same.closed[:, ["w1", "w2"]], omega)
         np.testing.assert_allclose(from_w, loop.frequency_response(omega), atol=1e-9)
 
 
 def test_P_agrees_with_python_controls_frequency_response(loop, omega):
     theirs = loop.P.frequency_response(omega).complex
-    np.testing.assert_allclose(loop.frequency_response(omega), np.moveaxis(theirs, 2, 0), atol=1e-9)
+    np.testing.assert_allclose(
+        loop.frequency_response(omega), np.moveaxis(theirs, 2, 0), atol=1e-9
+    )
 
 
 @pytest.mark.parametrize(
     ("plant", "message"),
     [
-        (midr(Rod()), "plant.dt = 0 must be a sampling period in seconds: sample the plant first"),
+        (
+            midr(Rod()),
+            "plant.dt = 0 must be a sampling period in seconds: sample the plant first",
+        ),
         (
             control.sample_system(midr(Rod()), 2.0),
             "loop.Ts = 1.0 s, plant.Ts = 2.0 s: the sampling",
         ),
-        (tanks(1.0), r"plant has the signals .* but lacks \['Q1', 'Q3', 'y1', 'y2'\] of the loop"),
-        (np.ones((3, 2, 1)), r"plant has shape \(3, 2, 1\), but must have shape \(3, 2, 2\)"),
+        (
+            tanks(1.0),
+            r"plant has the signals .* but lacks \['Q1', 'Q3', 'y1', 'y2'\] of the loop",
+        ),
+        (
+            np.ones((3, 2, 1)),
+            r"plant has shape \(3, 2, 1\), but must have shape \(3, 2, 2\)",
+        ),
         (np.full((3, 2, 2), np.nan), "plant has 12 values that are not finite"),
         (
             control.sample_system(midr(Rod(sensors=(0.28, 0.12))), 1.0),

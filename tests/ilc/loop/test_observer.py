@@ -40,7 +40,9 @@ def all_states(plant, controls=None):
     C = np.vstack([plant.C, np.eye(plant.nstates)])
     names = [*plant.output_labels, *(f"x{i}" for i in range(plant.nstates))]
     D = np.vstack([plant.D, np.zeros((plant.nstates, plant.ninputs))])
-    model = control.ss(plant.A, plant.B, C, D, plant.dt, inputs=plant.input_labels, outputs=names)
+    model = control.ss(
+        plant.A, plant.B, C, D, plant.dt, inputs=plant.input_labels, outputs=names
+    )
     return current_trial_loop(model[: plant.noutputs, :], controls), model
 
 
@@ -75,10 +77,16 @@ def test_estimates_are_those_of_the_observer_written_out(name, rod_case):
     for k in range(2):
         x, n = np.zeros(loop.plant.nstates), loop.plant.nstates
         for p in range(60):
-            np.testing.assert_allclose(z_hat.values[k, p], model.C @ x, atol=1e-7, rtol=1e-6)
+            np.testing.assert_allclose(
+                z_hat.values[k, p], model.C @ x, atol=1e-7, rtol=1e-6
+            )
             trial = run.isel(trial=k, time=p)
             surprise = trial.y.values - loop.plant.C @ x
-            x = loop.plant.A @ x + B @ (trial.u.values + trial.delta.values) + K[:n] @ surprise
+            x = (
+                loop.plant.A @ x
+                + B @ (trial.u.values + trial.delta.values)
+                + K[:n] @ surprise
+            )
 
 
 def test_without_disturbance_estimates_are_right_and_with_one_elsewhere_wrong(rod_case):
@@ -96,7 +104,9 @@ def test_without_disturbance_estimates_are_right_and_with_one_elsewhere_wrong(ro
             np.testing.assert_allclose(off, 0, atol=1e-8)
         else:  # at rest at the sensors it is right, but not at the end of the rod
             assert off[2] > 1
-            assert np.abs(z - estimated(run, loop, model).values[0])[-1, :2].max() < 0.05
+            assert (
+                np.abs(z - estimated(run, loop, model).values[0])[-1, :2].max() < 0.05
+            )
 
 
 def test_a_log_gives_the_same_estimates_and_tells_of_an_observer_that_was_not_at_rest(
@@ -106,10 +116,14 @@ def test_a_log_gives_the_same_estimates_and_tells_of_an_observer_that_was_not_at
     rig = RestartingRig(Rod(), RigParameters(modes=20, noise=0.0, quantum=0.0))
     r = np.tile(np.linspace(0, 2, 200)[:, None], 2)
     with warnings.catch_warnings(action="ignore"):
-        log = record(rig, loop, zero_phase_butterworth(), None, r, trials=2, decimals={})
+        log = record(
+            rig, loop, zero_phase_butterworth(), None, r, trials=2, decimals={}
+        )
     save_log(log, tmp_path / "log")
     z_hat = estimated(log, loop, model)
-    np.testing.assert_allclose(estimated(load_log(tmp_path / "log"), loop, model), z_hat, atol=1e-3)
+    np.testing.assert_allclose(
+        estimated(load_log(tmp_path / "log"), loop, model), z_hat, atol=1e-3
+    )
     controller, seen = Controller(loop), []
     for y, w in zip(log.y.values[1], (log.reference + log.v).values[1], strict=True):
         seen.append(model.C @ controller._x_hat)
@@ -138,11 +152,15 @@ def tall(seed, p, m, n=5):
     rng = np.random.default_rng(seed)
     A = rng.standard_normal((n, n))
     A *= 0.9 / np.abs(np.linalg.eigvals(A)).max()
-    return control.ss(A, rng.standard_normal((n, m)), rng.standard_normal((p, n)), 0, 0.5), rng
+    return control.ss(
+        A, rng.standard_normal((n, m)), rng.standard_normal((p, n)), 0, 0.5
+    ), rng
 
 
 @given(st.integers(0, 10**6), st.integers(1, 3), st.integers(0, 3), st.booleans())
-def test_combinations_are_those_of_weighted_least_squares_at_rest(seed, m, more, weighted):
+def test_combinations_are_those_of_weighted_least_squares_at_rest(
+    seed, m, more, weighted
+):
     P, rng = tall(seed, m + more, m)
     W = rng.uniform(0.2, 5, m + more) if weighted else None
     G, r = P.dcgain().reshape(m + more, m), rng.standard_normal(m + more)
@@ -154,9 +172,14 @@ def test_combinations_are_those_of_weighted_least_squares_at_rest(seed, m, more,
     best = np.linalg.lstsq(root[:, None] * G, root * r, rcond=None)[0]
     np.testing.assert_allclose(w, best, rtol=1e-6, atol=1e-8)
     omega = np.linspace(0, 6, 7)
-    np.testing.assert_allclose(loop.frequency_response(omega[:1])[0], np.eye(m), atol=1e-9)
     np.testing.assert_allclose(
-        loop.frequency_response(omega), T @ frequency_response(P, omega), rtol=1e-9, atol=1e-12
+        loop.frequency_response(omega[:1])[0], np.eye(m), atol=1e-9
+    )
+    np.testing.assert_allclose(
+        loop.frequency_response(omega),
+        T @ frequency_response(P, omega),
+        rtol=1e-9,
+        atol=1e-12,
     )
 
 
@@ -185,7 +208,9 @@ def test_the_best_input_for_more_outputs_than_inputs_is_that_of_a_dense_solution
     P, rng = tall(3, 4, 2)
     samples, e = 25, rng.standard_normal((25, 4))
     units = np.eye(samples * 2).reshape(-1, samples, 2)
-    G = np.array([control.forced_response(P, inputs=u.T).outputs.T.ravel() for u in units]).T
+    G = np.array(
+        [control.forced_response(P, inputs=u.T).outputs.T.ravel() for u in units]
+    ).T
     weight = 1e-3
     right = np.linalg.solve(G.T @ G + weight * np.eye(2 * samples), G.T @ e.ravel())
     u = NormOptimal(P, weight, samples).apply(e)

@@ -41,7 +41,10 @@ def test_the_truth_is_within_the_region(kind):
     for seed in range(6):
         log, plants = KINDS[kind](np.random.default_rng([seed, 99]))
         found = measured_response(log)
-        held.append(off(found, response(plants, found.omega)) <= found.radius(0.99, jointly=True))
+        held.append(
+            off(found, response(plants, found.omega))
+            <= found.radius(0.99, jointly=True)
+        )
     assert np.sum(np.all(held, axis=1)) >= 5
 
 
@@ -62,7 +65,9 @@ LOOPS = {
     "stage": lambda: current_trial_loop(stage(), ["F"], {"x": 1.0, "F": 3.0}),
     "tanks": lambda: current_trial_loop(tanks(), ["pump A", "pump B", "pump C"]),
     "furnace": lambda: current_trial_loop(furnace(30)),
-    "not ours": lambda: ClosedLoop(control.tf([0.2, 0.1], [1, -1.2, 0.5], 0.1, outputs=["y"])),
+    "not ours": lambda: ClosedLoop(
+        control.tf([0.2, 0.1], [1, -1.2, 0.5], 0.1, outputs=["y"])
+    ),
 }
 
 
@@ -77,7 +82,10 @@ def test_trials_under_learning_tell_P(name, tmp_path):
     assert isinstance(found, EstimatedResponse) and found.loop.outputs == loop.outputs
     within = off(found, truth) <= found.radius(0.99, jointly=True)
     assert within.all() and found.known.mean() > 0.5
-    assert np.median(found.radius()[found.known]) < 0.2 * np.linalg.norm(truth, 2, (1, 2)).max()
+    assert (
+        np.median(found.radius()[found.known])
+        < 0.2 * np.linalg.norm(truth, 2, (1, 2)).max()
+    )
 
 
 def test_a_filter_is_designed_for_it_and_keeps_its_promise():
@@ -90,7 +98,9 @@ def test_a_filter_is_designed_for_it_and_keeps_its_promise():
     omega, Q = np.geomspace(1e-2, np.pi, 80), zero_phase_butterworth(2, 0.1)
     design = synthesise(found, Q, omega, M_max=0.9, L_max=20.0, band=(0.01, 0.1))
     assert design.check(plant).gamma <= 0.9
-    assert any("assumed: the plant is linear" in line for line in design.certificate.basis)
+    assert any(
+        "assumed: the plant is linear" in line for line in design.certificate.basis
+    )
     assert try_out(Settings.of(Plant("", found))).line
 
 
@@ -123,8 +133,12 @@ def test_what_had_no_power_is_said_not_to_be_known():
 def test_trials_that_are_alike_count_by_their_mean_and_it_says_so():
     rng, plant = np.random.default_rng(0), control.tf([0.3], [1, -0.7], 1.0)
     u = np.repeat(rng.standard_normal(50), 4)
-    y = control.forced_response(plant, U=u).outputs + 0.1 * rng.standard_normal((5, 200))
-    found = measured_response(several(np.tile(u[None, :, None], (5, 1, 1)), y[..., None]))
+    y = control.forced_response(plant, U=u).outputs + 0.1 * rng.standard_normal(
+        (5, 200)
+    )
+    found = measured_response(
+        several(np.tile(u[None, :, None], (5, 1, 1)), y[..., None])
+    )
     assert "assumed: no disturbance repeats" in repr(found)
     truth = frequency_response(control.ss(plant), found.omega)
     assert np.all(off(found, truth) <= found.radius(0.99, jointly=True))
@@ -134,7 +148,10 @@ def test_trials_that_start_apart_are_told_of():
     """The region assumes that they do not; that ordinary ones are no news, other tests hold."""
     rng, plant = np.random.default_rng(0), control.ss(control.tf([0.1], [1, -0.9], 1.0))
     u = rng.standard_normal((6, 200))
-    y = [control.forced_response(plant, U=row, X0=3 * k).outputs for k, row in enumerate(u)]
+    y = [
+        control.forced_response(plant, U=row, X0=3 * k).outputs
+        for k, row in enumerate(u)
+    ]
     y = np.array(y) + 0.01 * rng.standard_normal((6, 200))
     with pytest.warns(UserWarning, match=r"start from different states \(y0\)"):
         measured_response(several(u[..., None], y[..., None]))
@@ -145,7 +162,9 @@ def test_what_lines_tell_by_themselves():
     rng, angles = np.random.default_rng(0), np.linspace(0.3, 3, 40)
     u, noise = rng.standard_normal((2, 100, 200, 1))
     alone, agrees = _seen(u, 0.1 * noise, angles, np.full(40, 1e-3))
-    np.testing.assert_allclose(alone, 0.01, rtol=0.5)  # a hundred trials, a line of each
+    np.testing.assert_allclose(
+        alone, 0.01, rtol=0.5
+    )  # a hundred trials, a line of each
     assert agrees.all()
     echo = 0.3 * np.roll(u, 2, axis=1)  # what an estimate has missed
     assert not _seen(u, 0.1 * noise + echo, angles, np.full(40, 1e-3))[1].any()
@@ -158,7 +177,11 @@ def test_a_resonance_that_was_hardly_excited_does_not_count_as_known():
     pole = np.exp(2.5 * (-0.02 + 1j))
     ring, slow = np.poly([pole, pole.conj()]).real, ([0, 1 - lag], [1, -lag])
     low = lfilter(*butter(4, 0.25), rng.standard_normal((20, N)), axis=1)
-    y = lfilter(*slow, low) + lfilter([0, 0.05], ring, low) + 0.03 * rng.standard_normal((20, N))
+    y = (
+        lfilter(*slow, low)
+        + lfilter([0, 0.05], ring, low)
+        + 0.03 * rng.standard_normal((20, N))
+    )
     found = estimated_response(several(low[..., None], y[..., None]))
     assert not found.known[np.abs(found.omega - 2.5) < 0.2].any() and found.known.any()
 
@@ -186,8 +209,16 @@ def test_what_tells_nothing_is_refused_in_words():
     for log, of, message in (
         (single(u * [[1], [0]], u), None, "log.u of u1 never moved"),
         (single(u, u * [[0], [1]]), None, "log.y of y0 never moved: is it connected"),
-        (single(u[:, :9], u[:, :9]), None, "log has 9 samples in a trial, but must have 20"),
-        (single(u[:1], np.cumsum(u[:1], axis=1) + noise[:1]), None, "y0 does not settle within"),
+        (
+            single(u[:, :9], u[:, :9]),
+            None,
+            "log has 9 samples in a trial, but must have 20",
+        ),
+        (
+            single(u[:1], np.cumsum(u[:1], axis=1) + noise[:1]),
+            None,
+            "y0 does not settle within",
+        ),
         (single(u[[0, 0]], u + noise), None, "P at no frequency.*moved alike"),
         (whole, "w", "log has no reference, and so no w"),
         (whole.drop_vars("u"), None, "log has no commands u"),
@@ -195,6 +226,8 @@ def test_what_tells_nothing_is_refused_in_words():
     ):
         with pytest.raises(ValueError, match=message):
             measured_response(log, of)
-    with pytest.raises(ValueError, match="uncertainty must be None where log is a record"):
+    with pytest.raises(
+        ValueError, match="uncertainty must be None where log is a record"
+    ):
         measured_response(whole, uncertainty=[0.1])
     assert issubclass(LogError, ValueError)

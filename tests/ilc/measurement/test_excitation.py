@@ -17,14 +17,18 @@ from rodlib.ilc import Excitation
     amplitude=st.floats(0.1, 10),
     lines=st.integers(2, 40),
 )
-def test_any_excitation_keeps_what_it_promises(lowest, decades, periods, amplitude, lines):
+def test_any_excitation_keeps_what_it_promises(
+    lowest, decades, periods, amplitude, lines
+):
     loop = paper_loop()
     hours = 2 * periods * 2 * np.pi / lowest / 3600 * 1.01
     excitation = multisine(loop, lowest, lowest * 10**decades, amplitude, hours, lines)
     w = excitation.signals
     assert w.shape == (2, excitation.samples, 2) and excitation.hours <= hours
     assert np.abs(w).max() == pytest.approx(amplitude)
-    np.testing.assert_allclose(w[:, excitation.period :], w[:, : -excitation.period], atol=1e-9)
+    np.testing.assert_allclose(
+        w[:, excitation.period :], w[:, : -excitation.period], atol=1e-9
+    )
     W = np.fft.rfft(w[:, -excitation.period :], axis=1).transpose(1, 2, 0)
     excited = np.flatnonzero(np.abs(W).max(axis=(1, 2)) > 1e-9 * np.abs(W).max())
     np.testing.assert_allclose(
@@ -39,7 +43,10 @@ def test_peaks_are_low(loop):
     excitation = multisine(loop, 2e-3, 0.3, 2.0, 6)
     rng = np.random.default_rng(0)
     n = len(excitation.harmonics)
-    others = [replace(excitation, phases=rng.uniform(0, 2 * np.pi, n)).crest for _ in range(50)]
+    others = [
+        replace(excitation, phases=rng.uniform(0, 2 * np.pi, n)).crest
+        for _ in range(50)
+    ]
     assert excitation.crest < 0.85 * min(others) and excitation.crest < 2
     assert "5.67 h" in repr(excitation) and "31 lines" in repr(excitation)
 
@@ -50,19 +57,34 @@ def test_peaks_are_low(loop):
         ({"lowest": 0}, "lowest = 0 must be between"),
         ({"highest": 4.0}, "highest = 4.0 must be between"),
         ({"amplitude": [1.0, -1.0]}, "amplitude = .* positive"),
-        ({"hours": 0.1}, r"hours = 0\.1 is too short for 3 periods .*: 0\.567[0-9]* h are needed"),
+        (
+            {"hours": 0.1},
+            r"hours = 0\.1 is too short for 3 periods .*: 0\.567[0-9]* h are needed",
+        ),
         ({"lines": 1}, "lines = 1 must be a whole number"),
         ({"loop": None}, "loop = None must be a CurrentTrialLoop"),
     ],
 )
 def test_excitation_that_cannot_be_is_refused(loop, change, message):
-    choice = {"loop": loop, "lowest": 0.02, "highest": 0.5, "amplitude": 1.0, "hours": 1.0}
+    choice = {
+        "loop": loop,
+        "lowest": 0.02,
+        "highest": 0.5,
+        "amplitude": 1.0,
+        "hours": 1.0,
+    }
     with pytest.raises(ValueError, match=message):
         multisine(**choice | change)
 
 
 def test_an_excitation_is_checked_when_it_is_made():
-    good = {"Ts": 1.0, "period": 100, "periods": 4, "harmonics": [1, 3], "phases": [0, 1.0]}
+    good = {
+        "Ts": 1.0,
+        "period": 100,
+        "periods": 4,
+        "harmonics": [1, 3],
+        "phases": [0, 1.0],
+    }
     assert Excitation(**good, amplitude=[2.0]).channels == 1
     for change, message in (
         ({"harmonics": [3, 1]}, "harmonics = 1 must be a whole number, from 4 to 49"),

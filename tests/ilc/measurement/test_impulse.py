@@ -27,11 +27,17 @@ def dense(u, y, data, n):
     p, rows = len(WHITE) - 1, []
     for k in range(K):
         columns = [
-            toeplitz(u[k, :, j], np.zeros(n)) @ B[:n] for j in range(m) for B in data.basis[:2]
+            toeplitz(u[k, :, j], np.zeros(n)) @ B[:n]
+            for j in range(m)
+            for B in data.basis[:2]
         ]
         if K == 1:
-            columns += [np.pad(B, ((0, N - len(B)), (0, 0))) for B in data.basis[2 * m :]]
-        white = [lfilter(WHITE, 1, x, axis=0)[p:] for x in (np.hstack(columns), y[k], line)]
+            columns += [
+                np.pad(B, ((0, N - len(B)), (0, 0))) for B in data.basis[2 * m :]
+            ]
+        white = [
+            lfilter(WHITE, 1, x, axis=0)[p:] for x in (np.hstack(columns), y[k], line)
+        ]
         off = np.eye(N - p) - white[2] @ np.linalg.pinv(white[2])
         rows.append((off @ white[0], off @ white[1]))
     return tuple(np.concatenate(each) for each in zip(*rows, strict=True))
@@ -49,18 +55,26 @@ def test_the_likelihood_is_that_of_the_normal_distribution(trials, n):
     fast = np.exp(1.5)
     slow = 1 / (1 / (fast * (1 + np.exp(0.3))) + 1 / 45)
     decay = np.select([data.kind == FAST, data.kind == SLOW], [fast, slow], np.inf)
-    alike = np.select([data.kind == FAST, data.kind == SLOW], [fast / (1 + np.exp(-0.7)), slow])
+    alike = np.select(
+        [data.kind == FAST, data.kind == SLOW], [fast / (1 + np.exp(-0.7)), slow]
+    )
     alike = np.where(data.kind == DRIFT, np.exp(2.0), alike)
     size = np.exp(eta[4:] / 2)
     for k in data.slow:  # of the gain of the fast part, times its own
         size[k] *= size[k - 1] * fast / slow
     d = size[data.block] * np.exp(-data.lag / decay)
     same = data.block[:, None] == data.block
-    prior = np.exp(-np.abs(data.lag[:, None] - data.lag) / alike) * np.outer(d, d) * same
+    prior = (
+        np.exp(-np.abs(data.lag[:, None] - data.lag) / alike) * np.outer(d, d) * same
+    )
     S = np.eye(len(X)) + X @ prior @ X.T
     value, gradient = surprise(eta, data, eta)
-    by_hand = (data.count * np.log(e @ np.linalg.solve(S, e)) + np.linalg.slogdet(S)[1]) / 2
-    assert value == pytest.approx(by_hand, abs=1e-4)  # A is made definite by 1e-10 of itself
+    by_hand = (
+        data.count * np.log(e @ np.linalg.solve(S, e)) + np.linalg.slogdet(S)[1]
+    ) / 2
+    assert value == pytest.approx(
+        by_hand, abs=1e-4
+    )  # A is made definite by 1e-10 of itself
     steps = approx_fprime(eta, lambda x: surprise(x, data, eta)[0], 1e-6)
     np.testing.assert_allclose(gradient, steps, rtol=1e-3, atol=2e-2)
 
@@ -70,10 +84,16 @@ def test_of_much_data_it_is_the_response_and_in_other_units_the_same():
     found = impulse_of(u, y).drawn.mean(axis=0)
     np.testing.assert_allclose(found[:, :30], g, atol=2e-3)
     other = impulse_of(u * [1e3, 1.0], y * 1e-2).drawn.mean(axis=0)
-    np.testing.assert_allclose(other, found * 1e-2 / [[1e3], [1.0]], rtol=1e-4, atol=1e-9)
+    np.testing.assert_allclose(
+        other, found * 1e-2 / [[1e3], [1.0]], rtol=1e-4, atol=1e-9
+    )
 
 
 def test_coloured_noise_is_told_by_its_filter():
-    noise = lfilter([1], [1, -0.9, 0.2], np.random.default_rng(0).standard_normal((5, 2000)))
+    noise = lfilter(
+        [1], [1, -0.9, 0.2], np.random.default_rng(0).standard_normal((5, 2000))
+    )
     np.testing.assert_allclose(impulse._whitener(noise), [1, -0.9, 0.2], atol=0.03)
-    assert len(impulse._whitener(np.random.default_rng(1).standard_normal((5, 400)))) == 1
+    assert (
+        len(impulse._whitener(np.random.default_rng(1).standard_normal((5, 400)))) == 1
+    )

@@ -59,7 +59,9 @@ def answer(loop, w, noise=None, plant=None):
     noise = np.zeros_like(w) if noise is None else noise
     K = np.vstack([np.zeros((closed.nstates - len(loop.KL), m)), loop.KL])
     w, n = w.reshape(-1, m), noise.reshape(-1, m)
-    states = state_sequence(closed.A, w @ closed.B[:, :m].T + n @ K.T, np.zeros(closed.nstates))
+    states = state_sequence(
+        closed.A, w @ closed.B[:, :m].T + n @ K.T, np.zeros(closed.nstates)
+    )
     return (states @ closed.C.T + w @ closed.D[:, :m].T + n).reshape(noise.shape)
 
 
@@ -89,7 +91,8 @@ def seeds(request):
     noise = noise_of(excitation, sigma, 1, SEEDS)
     noisy = settled + answer(loop, 0 * noise, noise)
     measured = [
-        _estimate(w[:, last], y[:, last], windows, excitation, loop) for y in [settled, *noisy]
+        _estimate(w[:, last], y[:, last], windows, excitation, loop)
+        for y in [settled, *noisy]
     ]
     return loop.frequency_response(excitation.omega), measured[0], measured[1:]
 
@@ -108,7 +111,9 @@ def radii(measured, confidence, jointly=False):
 
 def test_the_region_covers_the_truth_as_often_as_it_says(seeds):
     truth, _, measured = seeds
-    errors = np.array([np.linalg.norm(one.response - truth, 2, axis=(1, 2)) for one in measured])
+    errors = np.array(
+        [np.linalg.norm(one.response - truth, 2, axis=(1, 2)) for one in measured]
+    )
     covered = errors <= radii(measured, 0.95)
     assert 0.94 <= covered.mean() <= 0.96
     low, high = binom.interval(0.999, SEEDS, 0.95)
@@ -126,10 +131,16 @@ def shaped(loop):
     plant = control.sample_system(midr(MISMATCHED, degree=6), loop.Ts, method="zoh")
     pulses = np.zeros((2, 3000, 2))
     pulses[[0, 1], 0, [0, 1]] = 1.0
-    after = np.array([answer(loop, 0 * one[None], one[None], plant)[0] for one in pulses])
-    noise = 0.02 * np.random.default_rng(5).standard_normal((SEEDS, 2, excitation.samples, 2))
+    after = np.array(
+        [answer(loop, 0 * one[None], one[None], plant)[0] for one in pulses]
+    )
+    noise = 0.02 * np.random.default_rng(5).standard_normal(
+        (SEEDS, 2, excitation.samples, 2)
+    )
     heard = sum(
-        fftconvolve(noise[..., [i]], after[i][None, None], axes=2)[:, :, : excitation.samples]
+        fftconvolve(noise[..., [i]], after[i][None, None], axes=2)[
+            :, :, : excitation.samples
+        ]
         for i in range(2)
     )
     W = np.fft.fft(excitation.signals[:, -excitation.evaluated :], axis=1)
@@ -143,7 +154,9 @@ def test_noise_that_the_loop_shapes_is_told_right_where_it_bends(shaped):
     """Its density has a peak near the bandwidth: a mean over neighbours misses a sixth of it."""
     errors, noise, freedom, spread = shaped
     lines = slice(1, 8)
-    predicted = np.einsum("snii->n", noise).real * np.sum(np.abs(spread) ** 2, axis=(1, 2))
+    predicted = np.einsum("snii->n", noise).real * np.sum(
+        np.abs(spread) ** 2, axis=(1, 2)
+    )
     ratio = predicted[lines] / np.sum(np.abs(errors) ** 2, axis=(0, 2, 3))[lines]
     assert np.all(np.abs(ratio - 1) < 0.12) and abs(ratio.mean() - 1) < 0.05
     repeated = [np.tile(x, (SEEDS, *[1] * (x.ndim - 1))) for x in (spread, freedom)]
@@ -162,7 +175,9 @@ def covariance(measured):
 
 def test_bias_is_below_the_noise_and_the_covariance_is_that_of_the_errors(seeds):
     truth, without_noise, measured = seeds
-    errors = np.array([one.response - truth for one in measured]).reshape(SEEDS, len(truth), -1)
+    errors = np.array([one.response - truth for one in measured]).reshape(
+        SEEDS, len(truth), -1
+    )
     found = np.einsum("snj,snk->njk", errors, errors.conj()) / SEEDS
     predicted = np.mean([covariance(one) for one in measured], axis=0)
     deviation = np.sqrt(np.einsum("njj->nj", found).real)
@@ -181,12 +196,16 @@ def test_the_radius_holds_for_noise_in_all_directions_and_in_one(m, freedom, rat
     n = 400
 
     def normal(*shape):
-        return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / np.sqrt(2)
+        return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / np.sqrt(
+            2
+        )
 
     root = np.diag(np.linspace(1, ratio, m))
     V = root @ normal(n, m, freedom)
     estimate = V @ V.conj().swapaxes(1, 2) / freedom
-    radius = radius_of(estimate, np.tile(np.eye(m), (n, 1, 1)), np.full(n, freedom), 0.05)
+    radius = radius_of(
+        estimate, np.tile(np.eye(m), (n, 1, 1)), np.full(n, freedom), 0.05
+    )
     covered = np.sum(np.linalg.norm(root @ normal(n, m, m), 2, axis=(1, 2)) <= radius)
     low, high = binom.ppf(5e-4, n, 0.93), binom.ppf(1 - 5e-4, n, 0.965)
     assert low <= covered <= high
@@ -197,7 +216,9 @@ def test_one_channel_has_the_quantile_of_an_f_distribution():
     one = np.ones((1, 1, 1))
     for nu, miss in ((1, 0.05), (7, 0.01)):
         square = nu * (miss ** (-1 / nu) - 1)
-        np.testing.assert_allclose(radius_of(4 * one, one, np.array([nu]), miss), 2 * square**0.5)
+        np.testing.assert_allclose(
+            radius_of(4 * one, one, np.array([nu]), miss), 2 * square**0.5
+        )
 
 
 def test_averaging_the_periods_fails_for_a_slow_plant_and_this_does_not(loop):
@@ -210,7 +231,9 @@ def test_averaging_the_periods_fails_for_a_slow_plant_and_this_does_not(loop):
     measured = _estimate(w[:, first], y[:, first], windows, excitation, loop)
     truth = loop.frequency_response(excitation.omega)
     lines = [window.line for window in windows]
-    average = np.fft.rfft(y[:, first], axis=1)[:, lines].transpose(1, 2, 0) @ measured.spread
+    average = (
+        np.fft.rfft(y[:, first], axis=1)[:, lines].transpose(1, 2, 0) @ measured.spread
+    )
     radius = measured.radius(0.95)
     off = np.linalg.norm(average - truth, 2, axis=(1, 2)) / radius
     own = np.linalg.norm(measured.response - truth, 2, axis=(1, 2)) / radius
@@ -221,18 +244,28 @@ def test_averaging_the_periods_fails_for_a_slow_plant_and_this_does_not(loop):
 def test_the_rig_is_measured_and_the_forecast_is_right(loop, Q, quick):
     """Against the rod's own equation: neither rig nor truth knows the model of the design."""
     parameters = RigParameters(lag=0.0)
-    quiet = record(RestartingRig(parameters=parameters), loop, Q, None, np.zeros((900, 2)), None, 1)
+    quiet = record(
+        RestartingRig(parameters=parameters), loop, Q, None, np.zeros((900, 2)), None, 1
+    )
     expected = expected_radius(quick, quiet)
-    measured = measured_response(shake(RestartingRig(parameters=parameters), loop, quick))
+    measured = measured_response(
+        shake(RestartingRig(parameters=parameters), loop, quick)
+    )
     assert not measured.findings
     G = sampled_response(MISMATCHED, measured.omega, 1.0)[:, :, [0, 2]]
     truth = loop.frequency_response(measured.omega, G)
     error = np.linalg.norm(measured.response - truth, 2, axis=(1, 2))
     assert np.all(error < measured.radius(0.999, jointly=True))
-    model = np.linalg.norm(loop.frequency_response(measured.omega) - truth, 2, axis=(1, 2))
+    model = np.linalg.norm(
+        loop.frequency_response(measured.omega) - truth, 2, axis=(1, 2)
+    )
     assert error.max() < 0.2 * model.max()
     ratio = expected / measured.radius()
-    assert ratio.min() > 0.5 and ratio.max() < 2 and np.median(ratio) == pytest.approx(1, abs=0.25)
+    assert (
+        ratio.min() > 0.5
+        and ratio.max() < 2
+        and np.median(ratio) == pytest.approx(1, abs=0.25)
+    )
 
 
 class Failing(RestartingRig):
@@ -257,7 +290,10 @@ def test_shaking_is_logged_and_gone_on_with(loop, short, tmp_path):
         shake(RestartingRig(), loop, other, path=path)
     shake(RestartingRig(), loop, short, path=path)
     log, at_once = load_log(path), shake(RestartingRig(), loop, short)
-    assert excitation_of(log) == short and loop_of(log).plant.A.tolist() == loop.plant.A.tolist()
+    assert (
+        excitation_of(log) == short
+        and loop_of(log).plant.A.tolist() == loop.plant.A.tolist()
+    )
     np.testing.assert_array_equal(log.v, short.signals)
     np.testing.assert_array_equal(log.y, at_once.y)
 
@@ -266,12 +302,17 @@ def test_an_actuator_at_its_limit_is_reported(loop, quick, short, tmp_path):
     """By what it does to the outputs, where that shows, or by its limits, which the rig knows."""
     strong = replace(quick, amplitude=(20.0, 20.0))
     rig = RestartingRig(parameters=RigParameters(limit=40.0))
-    with pytest.warns(UserWarning, match=r"trial \d: .* beyond the limits of Q1 in .*%, Q3 in"):
+    with pytest.warns(
+        UserWarning, match=r"trial \d: .* beyond the limits of Q1 in .*%, Q3 in"
+    ):
         log = shake(rig, loop, strong)
     with pytest.warns(UserWarning) as told:
         assert "smaller amplitude" in repr(measured_response(log))
     assert any("the loop is not linear: y1" in str(one.message) for one in told)
-    rig, path = RestartingRig(parameters=RigParameters(limit=4.0)), tmp_path / "shaken.csv"
+    rig, path = (
+        RestartingRig(parameters=RigParameters(limit=4.0)),
+        tmp_path / "shaken.csv",
+    )
     with pytest.warns(UserWarning, match="what the actuators cannot do"):
         log = shake(rig, loop, short, path=path)
     share = np.mean(np.abs(log.u.values) > 4, axis=(0, 1))
@@ -288,7 +329,9 @@ def test_an_actuator_at_its_limit_is_reported(loop, quick, short, tmp_path):
 def test_a_drift_is_reported_with_what_it_does(loop, quick):
     y = answer(loop, quick.signals, noise_of(quick, 0.02, 4)[0])
     time = np.arange(quick.samples)[:, None]
-    with pytest.warns(UserWarning, match=r"y2 drifts by 3\.\d+ an hour: P is off by about") as told:
+    with pytest.warns(
+        UserWarning, match=r"y2 drifts by 3\.\d+ an hour: P is off by about"
+    ) as told:
         drifting = measured_response(log_of(loop, quick, y + [0.0, 1e-3] * time))
     still = measured_response(log_of(loop, quick, y))
     moved = np.linalg.norm(drifting.response - still.response, 2, axis=(1, 2)).max()
@@ -314,11 +357,15 @@ def test_a_lowest_frequency_above_the_bandwidth_is_reported(loop):
 @pytest.mark.parametrize(("samples", "lines"), [(20, 40), (20, 200), (3, 40)])
 def test_lines_too_far_apart_for_a_delay_are_reported(samples, lines):
     """The phase of a long delay turns by more than a radian between 40 lines, and not of 200."""
-    loop = current_trial_loop(furnace(samples, Ts=30.0), sizes={"outlet": 10.0, "valve": 5.0})
+    loop = current_trial_loop(
+        furnace(samples, Ts=30.0), sizes={"outlet": 10.0, "valve": 5.0}
+    )
     plan = multisine(loop, 5e-4, 0.08, 5.0, 35.0, lines=lines)
     log = log_of(loop, plan, answer(loop, plan.signals, noise_of(plan, 1e-3, 3)[0]))
     if (samples, lines) == (20, 40):
-        with pytest.warns(UserWarning, match=r"lines are too far apart near 0\.0\d+ rad/s.* more"):
+        with pytest.warns(
+            UserWarning, match=r"lines are too far apart near 0\.0\d+ rad/s.* more"
+        ):
             measured = measured_response(log)
         assert measured.findings[0] in measured.basis([0.01])
     else:
@@ -326,7 +373,9 @@ def test_lines_too_far_apart_for_a_delay_are_reported(samples, lines):
     grid = np.geomspace(1e-4, 0.07, 500)
     response, radius = measured.on(grid, 0.999)
     off = np.linalg.norm(response - loop.frequency_response(grid), 2, axis=(1, 2))
-    assert (np.max(off / radius) > 2) == bool(measured.findings)  # the warning is about the truth
+    assert (np.max(off / radius) > 2) == bool(
+        measured.findings
+    )  # the warning is about the truth
 
 
 def test_wrong_records_are_refused(loop, quick):
@@ -377,7 +426,9 @@ def test_between_the_lines(loop, quick):
     np.testing.assert_allclose(start[0], np.eye(2), atol=1e-6)
     assert bound[0] < 1e-6
     for confidence in (0, 1, "high"):
-        with pytest.raises(ValueError, match=r"confidence = .* must be between 0 and 1"):
+        with pytest.raises(
+            ValueError, match=r"confidence = .* must be between 0 and 1"
+        ):
             measured.radius(confidence)
 
 
@@ -385,13 +436,20 @@ def test_between_the_lines(loop, quick):
 def test_in_units_of_a_scale_it_is_what_was_measured_in_these_units(loop, quick, scale):
     y = answer(loop, quick.signals, noise_of(quick, 0.02, 6)[0])
     measured = measured_response(log_of(loop, quick, y))
-    last, windows = slice(-quick.evaluated, None), windows_of(quick.harmonics, quick, loop)
+    last, windows = (
+        slice(-quick.evaluated, None),
+        windows_of(quick.harmonics, quick, loop),
+    )
     w, y = quick.signals[:, last] / scale, y[:, last] / scale
     other = _estimate(w, y, windows, quick, loop)
     dense = np.geomspace(1e-3, 1.0, 50)
-    for ours, theirs in zip(measured.on(dense, 0.9, scale), other.on(dense, 0.9), strict=True):
+    for ours, theirs in zip(
+        measured.on(dense, 0.9, scale), other.on(dense, 0.9), strict=True
+    ):
         np.testing.assert_allclose(ours, theirs, rtol=1e-6, atol=1e-12)
     lines = measured.basis(dense, 0.9)
     assert f"from {measured.omega[0]:.4g} to {measured.omega[-1]:.4g} rad/s" in lines[0]
-    assert f"at {(dense > measured.omega[-1]).sum()} of the design frequencies" in lines[2]
+    assert (
+        f"at {(dense > measured.omega[-1]).sum()} of the design frequencies" in lines[2]
+    )
     assert len(measured.basis(measured.omega, 0.9)) == 2 + len(measured.findings)

@@ -27,7 +27,10 @@ def test_the_truth_is_within_the_radius_between_the_lines():
     wide = measured_response(table(), uncertainty=np.full(14, 0.01))
     np.testing.assert_allclose(wide.on(dense)[1], radius + 0.01)
     np.testing.assert_array_equal(wide.radius(0.5, jointly=True), np.full(14, 0.01))
-    assert "with its radius" in repr(wide) and "at 50% of omega" in wide.basis([7.0, 800.0])[-1]
+    assert (
+        "with its radius" in repr(wide)
+        and "at 50% of omega" in wide.basis([7.0, 800.0])[-1]
+    )
 
 
 def test_twelve_points_are_enough_for_a_dense_grid():

@@ -18,7 +18,10 @@ def test_of_the_papers_loop_they_are_the_papers(loop, Q, omega):
     chosen, paper = pose(loop, Q), pose(loop, Q, omega, band=BAND, L_max=L_MAX)
     np.testing.assert_allclose(chosen.omega, omega, rtol=1e-12)
     assert chosen.band == pytest.approx(BAND, rel=1e-12) and chosen.L_max == L_MAX
-    assert [text.split(" = ")[0] for text in chosen.basis] == ["chosen: band", "chosen: L_max"]
+    assert [text.split(" = ")[0] for text in chosen.basis] == [
+        "chosen: band",
+        "chosen: L_max",
+    ]
     assert not paper.basis
 
 
@@ -66,14 +69,18 @@ def test_samples_bring_their_frequencies_or_need_them(loop, Q):
     np.testing.assert_array_equal(pose(frd, Q).omega, grid)
     with pytest.raises(ValueError, match="omega must be given: P is an array"):
         pose(P, Q, Ts=1.0)
-    with pytest.raises(ValueError, match=r"omega must be given, as Q = .* is no filter"):
+    with pytest.raises(
+        ValueError, match=r"omega must be given, as Q = .* is no filter"
+    ):
         pose(loop, np.ones(60), Ts=1.0)
 
 
 def test_of_a_measured_response_the_grid_begins_where_it_is_known(Q):
     omega = np.geomspace(1e-3, 3, 9)
     measured = SimpleNamespace(on=None, omega=omega, known=omega > 0.01)
-    assert defaults.frequencies([measured], Q, 1.0)[0] == pytest.approx(omega[omega > 0.01][0])
+    assert defaults.frequencies([measured], Q, 1.0)[0] == pytest.approx(
+        omega[omega > 0.01][0]
+    )
 
 
 def test_a_stage_at_a_millisecond_learns_without_being_told_anything():

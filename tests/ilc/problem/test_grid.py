@@ -35,10 +35,17 @@ DOUBTS = [f"ignore:{text}" for text in DOUBTS]
 def table(seed, m, n, last):
     """A coupled plant, stable, as a function of the angle, and coarse samples of it up to last."""
     rng = np.random.default_rng(seed)
-    poles, gains = rng.uniform(0.3, 0.9, (m, m)), np.eye(m) + 0.2 * rng.standard_normal((m, m))
+    poles, gains = (
+        rng.uniform(0.3, 0.9, (m, m)),
+        np.eye(m) + 0.2 * rng.standard_normal((m, m)),
+    )
 
     def P(angles):
-        return gains * (1 - poles) / (np.exp(1j * np.asarray(angles))[:, None, None] - poles)
+        return (
+            gains
+            * (1 - poles)
+            / (np.exp(1j * np.asarray(angles))[:, None, None] - poles)
+        )
 
     return P, np.geomspace(last / 100, last, n)
 
@@ -50,17 +57,23 @@ def test_on_the_grids_of_the_paper_nothing_is_added(loop, Q, n, as_model):
     problem = pose(loop if as_model else loop.frequency_response(omega), Q, omega, 1.0)
     assert without_gaps(problem) is problem
     assert problem.asked.all() and problem.beyond is None
-    np.testing.assert_array_equal(problem.weight, np.broadcast_to(np.eye(2) / 50, (n, 2, 2)))
+    np.testing.assert_array_equal(
+        problem.weight, np.broadcast_to(np.eye(2) / 50, (n, 2, 2))
+    )
 
 
 @given(st.integers(1, 3), st.integers(1, 25), st.integers(3, 40), st.integers(0, 999))
-def test_no_filter_that_keeps_the_bound_at_the_samples_passes_it_between(m, order, n, seed):
+def test_no_filter_that_keeps_the_bound_at_the_samples_passes_it_between(
+    m, order, n, seed
+):
     """Riesz' inequality, tried with filters of which some are nearly as bad as it admits."""
     rng = np.random.default_rng(seed)
     omega = np.sort(rng.uniform(1e-3, np.pi, max(n, order)))
     P = np.tile(np.eye(m), (len(omega), 1, 1))
     choices = {"order": order, "L_max": 7.0, "objective": "peak"}
-    problem = without_gaps(pose(P, zero_phase_butterworth(2, 0.5), omega, 1.0, **choices))
+    problem = without_gaps(
+        pose(P, zero_phase_butterworth(2, 0.5), omega, 1.0, **choices)
+    )
     problem = replace(problem, limit_L=np.full(len(problem.omega), np.inf))
     peak = np.cos(np.outer(np.arange(order), [rng.uniform(0, np.pi)]))[:, 0]
     for taps in (rng.standard_normal((m, m, order)), peak * np.eye(m)[..., None]):
@@ -74,12 +87,20 @@ def test_no_filter_that_keeps_the_bound_at_the_samples_passes_it_between(m, orde
 @pytest.mark.filterwarnings(*DOUBTS)
 @settings(max_examples=15)
 @given(
-    st.sampled_from([1, 2]), st.sampled_from([8, 12, 20]), st.floats(0.6, 2.8), st.integers(0, 999)
+    st.sampled_from([1, 2]),
+    st.sampled_from([8, 12, 20]),
+    st.floats(0.6, 2.8),
+    st.integers(0, 999),
 )
 def test_above_a_table_L_and_M_keep_their_bounds(m, n, last, seed):
     P, omega = table(seed, m, n, last)
     Q = zero_phase_butterworth(2, 0.6 * last)
-    choices = {"order": 6, "L_max": 4.0, "band": (omega[0], last / 4), "structure": "full"}
+    choices = {
+        "order": 6,
+        "L_max": 4.0,
+        "band": (omega[0], last / 4),
+        "structure": "full",
+    }
     design = synthesise(P(omega), Q, omega, 1.0, M_max=0.95, **choices)
     L = design.filter.frequency_response(DENSE)
     assert largest_singular_values(L).max() <= 4 * (1 + 1e-9)
@@ -91,7 +112,9 @@ def test_above_a_table_L_and_M_keep_their_bounds(m, n, last, seed):
         shape = (above.sum(), m, m)
         other = rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
         other *= size / largest_singular_values(other)[:, None, None]
-        M = Q.frequency_response(DENSE[above])[:, None, None] * (np.eye(m) - other @ L[above])
+        M = Q.frequency_response(DENSE[above])[:, None, None] * (
+            np.eye(m) - other @ L[above]
+        )
         sigma_M.append(largest_singular_values(M).max())
     assert max(sigma_M) <= design.certificate.beyond.sigma * (1 + 1e-3)
     assert design.certificate.beyond.sigma <= 0.95 * (1 + 1e-9)
@@ -104,7 +127,9 @@ def test_the_worst_of_the_assumed_size_is_what_the_certificate_says(loop):
     beyond = design.certificate.beyond
     U, sigma, Vh = np.linalg.svd(design.filter.frequency_response([beyond.omega])[0])
     worst = -np.linalg.norm(P(omega)[-1], 2) * Vh.conj().T @ U.conj().T
-    M = Q.frequency_response([beyond.omega])[0] * (np.eye(2) - worst @ U @ np.diag(sigma) @ Vh)
+    M = Q.frequency_response([beyond.omega])[0] * (
+        np.eye(2) - worst @ U @ np.diag(sigma) @ Vh
+    )
     assert np.linalg.norm(M, 2) == pytest.approx(beyond.sigma, rel=1e-9)
     text = str(design)
     said = f"sigma_max(M) above 1.2 rad/s, with the size of P assumed there: {beyond.sigma:.4f} at"
@@ -118,24 +143,37 @@ def test_the_worst_of_the_assumed_size_is_what_the_certificate_says(loop):
 
 def test_the_user_may_say_how_large_P_is_above_the_table():
     P, omega = table(5, 1, 30, 1.0)
-    Q, choices = zero_phase_butterworth(2, 0.9), {"order": 6, "L_max": 20.0, "band": (0.02, 0.3)}
+    Q, choices = (
+        zero_phase_butterworth(2, 0.9),
+        {"order": 6, "L_max": 20.0, "band": (0.02, 0.3)},
+    )
     small, as_there, large = (
-        synthesise(P(omega), Q, omega, 1.0, beyond=size, **choices) for size in (0.0, None, 2.0)
+        synthesise(P(omega), Q, omega, 1.0, beyond=size, **choices)
+        for size in (0.0, None, 2.0)
     )
     assert small.value < as_there.value < large.value  # more is to be kept
     assert "sigma_max(P) is 2 at most" in str(large)
     for design in (small, as_there, large):
-        assert design.certificate.failures == [] and design.certificate.beyond.sigma <= 0.9
-    for wrong in ({"omega": np.append(omega, np.pi)}, {"P": control.ss(0.5, 0.5, 1, 0, 1.0)}):
+        assert (
+            design.certificate.failures == [] and design.certificate.beyond.sigma <= 0.9
+        )
+    for wrong in (
+        {"omega": np.append(omega, np.pi)},
+        {"P": control.ss(0.5, 0.5, 1, 0, 1.0)},
+    ):
         grid = wrong.get("omega", omega)
-        with pytest.raises(ValueError, match="beyond = 2 is for plants known as samples"):
+        with pytest.raises(
+            ValueError, match="beyond = 2 is for plants known as samples"
+        ):
             synthesise(wrong.get("P", P(grid)), Q, grid, 1.0, beyond=2.0, **choices)
 
 
 def test_where_Q_passes_more_than_M_may_be_above_the_table_it_is_said():
     P, omega = table(5, 1, 60, 0.5)
     Q = zero_phase_butterworth(2, 2.0)
-    with pytest.warns(match=r"Q is 0.99\d* above 0.5 rad/s, where P is not known: no filter"):
+    with pytest.warns(
+        match=r"Q is 0.99\d* above 0.5 rad/s, where P is not known: no filter"
+    ):
         design = synthesise(P(omega), Q, omega, 1.0, order=3, band=(0.02, 0.3))
     assert design.certificate.failures == []
     widest, design = largest_cutoff(P(omega), Q, omega, 1.0, order=3, band=(0.02, 0.3))
@@ -145,14 +183,21 @@ def test_where_Q_passes_more_than_M_may_be_above_the_table_it_is_said():
 
 def test_if_there_is_next_to_no_room_above_the_table_that_is_what_is_said():
     P, omega = table(5, 1, 60, 1.0)
-    Q, choices = zero_phase_butterworth(2, 1.594), {"order": 3, "M_max": 0.93, "band": (0.02, 0.3)}
+    Q, choices = (
+        zero_phase_butterworth(2, 1.594),
+        {"order": 3, "M_max": 0.93, "band": (0.02, 0.3)},
+    )
     last = Q.frequency_response([1.0])[0]
     assert 0.92 < last < 0.93
-    with pytest.raises(InfeasibleError, match=r"It is assumed: above 1 rad/s, where P is not kn"):
+    with pytest.raises(
+        InfeasibleError, match=r"It is assumed: above 1 rad/s, where P is not kn"
+    ):
         synthesise(P(omega), Q, omega, 1.0, **choices)
     design = synthesise(P(omega), Q, omega, 1.0, beyond=1e-3, **choices)
     assert design.certificate.failures == []
-    samples = synthesise(P(omega), Q.frequency_response(omega), omega, 1.0, beyond=1e-3, **choices)
+    samples = synthesise(
+        P(omega), Q.frequency_response(omega), omega, 1.0, beyond=1e-3, **choices
+    )
     assert f"and |Q| {last:.4g}, as at the last sample" in str(samples)
 
 
@@ -163,19 +208,28 @@ def test_a_table_of_a_stage_that_ends_at_a_third_of_the_Nyquist_frequency():
     def P(s):
         return w**2 / (s**2 + w * s + w**2) * np.exp(-s * 1.5 * Ts)
 
-    stage, angles = control.frd(P(2j * np.pi * f), 2 * np.pi * f), np.linspace(0, np.pi, 20001)
+    stage, angles = (
+        control.frd(P(2j * np.pi * f), 2 * np.pi * f),
+        np.linspace(0, np.pi, 20001),
+    )
     dense = angles / Ts
     for cutoff, order in ((60, 10), (100, 10), (60, 20)):
         Q = zero_phase_butterworth(2, 2 * np.pi * cutoff, Ts)
         band = (2 * np.pi, 2 * np.pi * 50)
-        design = synthesise(stage, Q, stage.omega, Ts, L_max=10.0, order=order, band=band)
+        design = synthesise(
+            stage, Q, stage.omega, Ts, L_max=10.0, order=order, band=band
+        )
         L = design.filter.frequency_response(dense)
         assert np.abs(L).max() <= 10 and design.certificate.failures == []
         M = Q.frequency_response(dense) * (1 - P(1j * dense) * L[:, 0, 0])
-        assert np.abs(M).max() < 0.3  # on the stage itself, which nobody knew above the table
+        assert (
+            np.abs(M).max() < 0.3
+        )  # on the stage itself, which nobody knew above the table
 
 
-@pytest.mark.parametrize(("as_array", "L_max"), [(False, 500.0), (True, 500.0), (True, None)])
+@pytest.mark.parametrize(
+    ("as_array", "L_max"), [(False, 500.0), (True, 500.0), (True, None)]
+)
 @pytest.mark.filterwarnings(*DOUBTS)
 def test_a_cutoff_is_not_larger_than_what_the_models_converge_with(as_array, L_max):
     """Beside samples, nobody looked at the model between them, where M was up to 1.888."""
@@ -183,14 +237,21 @@ def test_a_cutoff_is_not_larger_than_what_the_models_converge_with(as_array, L_m
     sampled = loop.frequency_response(omega)
     P = [loop, sampled] if as_array else loop
     choices = {"structure": "full", "L_max": L_max, "band": (1e-4, 0.02), "order": 8}
-    on_grid, _ = largest_cutoff(sampled, zero_phase_butterworth(), omega, 1.0, **choices)
+    on_grid, _ = largest_cutoff(
+        sampled, zero_phase_butterworth(), omega, 1.0, **choices
+    )
     with pytest.raises(SolverError, match=r"sigma_max\(M\).* reaches .* not in omega"):
         synthesise(P, on_grid, omega, 1.0, **choices)
     Q, design = largest_cutoff(P, zero_phase_butterworth(), omega, 1.0, **choices)
     assert design.certificate.failures == [] and Q.cutoff < on_grid.cutoff * (1 + 1e-3)
     assert peak_gain(error_model(loop.P, design.filter), Q)[0] < 1
-    np.testing.assert_array_equal(design.omega, omega)  # what is added is not the user's
-    assert design.certificate.exact.plant == 0 and bool(design.certificate.estimated) == as_array
+    np.testing.assert_array_equal(
+        design.omega, omega
+    )  # what is added is not the user's
+    assert (
+        design.certificate.exact.plant == 0
+        and bool(design.certificate.estimated) == as_array
+    )
 
 
 def test_what_is_added_for_a_model_asks_nothing_of_samples(loop, Q):
@@ -205,7 +266,9 @@ def test_what_is_added_for_a_model_asks_nothing_of_samples(loop, Q):
     for k in range(3):
         np.testing.assert_allclose(more.plant(k)[new], at, rtol=1e-12)
         np.testing.assert_array_equal(more.plant(k)[more.asked], problem.plant(k))
-    np.testing.assert_allclose(more.Q[new], Q.frequency_response([0.2, 0.5]), rtol=1e-12)
+    np.testing.assert_allclose(
+        more.Q[new], Q.frequency_response([0.2, 0.5]), rtol=1e-12
+    )
     assert not more.radius[new].any() and more.in_band.sum() == problem.in_band.sum()
     wide = without_gaps(more)
     np.testing.assert_array_equal(wide.omega[wide.asked], omega)

@@ -49,13 +49,20 @@ def flexible_plants():
 
 @pytest.mark.parametrize("angles", ANGLES.values(), ids=ANGLES)
 def test_of_a_causal_plant_there_is_no_doubt(angles):
-    plants = [*closed_loops(), *random_plants(), *flexible_plants(), control.ss(furnace())]
+    plants = [
+        *closed_loops(),
+        *random_plants(),
+        *flexible_plants(),
+        control.ss(furnace()),
+    ]
     for P in plants:
         omega = angles / P.dt
         assert not [*doubts_about_P("P", frequency_response(P, omega), omega, P.dt)]
 
 
-@pytest.mark.parametrize("grid", ["all", "few"])  # on which the phase turns by less than pi / 2
+@pytest.mark.parametrize(
+    "grid", ["all", "few"]
+)  # on which the phase turns by less than pi / 2
 def test_a_conjugated_or_real_response_of_a_loop_is_told(grid):
     for P in closed_loops():
         omega = ANGLES[grid] / P.dt

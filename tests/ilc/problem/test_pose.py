@@ -5,7 +5,12 @@ import numpy as np
 import pytest
 from plants import furnace
 
-from rodlib import LearningFilter, current_trial_loop, synthesise, zero_phase_butterworth
+from rodlib import (
+    LearningFilter,
+    current_trial_loop,
+    synthesise,
+    zero_phase_butterworth,
+)
 from rodlib.ilc.models import frequency_response
 from rodlib.ilc.problem.pose import pose
 from rodlib.ilc.problem.problem import largest_singular_values
@@ -29,7 +34,9 @@ def test_samples_frd_and_models_are_the_same_problem():
     samples = frequency_response(model, OMEGA)
     frd = control.frd(np.moveaxis(samples, 0, -1), OMEGA)
     for P in (model, frd):
-        np.testing.assert_allclose(pose(P, Q, OMEGA, 1.0, band=BAND).P, samples, rtol=1e-12)
+        np.testing.assert_allclose(
+            pose(P, Q, OMEGA, 1.0, band=BAND).P, samples, rtol=1e-12
+        )
     assert pose(model, Q, OMEGA, 1.0, band=BAND).model is not None
     assert pose(frd, Q, OMEGA, 1.0, band=BAND).model is None
 
@@ -40,7 +47,9 @@ def test_transfer_functions_are_models_if_they_have_one_channel():
     z = np.exp(1j * OMEGA)
     np.testing.assert_allclose(posed.P[:, 0, 0], 0.1 / (z - 0.9), rtol=1e-12)
     assert posed.model is not None
-    two = control.tf([[[0.1], [0.02]], [[0.01], [0.2]]], [[[1, -0.9]] * 2, [[1, -0.8]] * 2], 1.0)
+    two = control.tf(
+        [[[0.1], [0.02]], [[0.01], [0.2]]], [[[1, -0.9]] * 2, [[1, -0.8]] * 2], 1.0
+    )
     posed = pose(two, Q, OMEGA, 1.0, band=BAND)
     np.testing.assert_allclose(posed.P[:, 0, 1], 0.02 / (z - 0.9), rtol=1e-12)
     np.testing.assert_allclose(posed.P[:, 1, 0], 0.01 / (z - 0.8), rtol=1e-12)
@@ -74,7 +83,9 @@ def test_several_plants_may_be_known_in_several_ways(several):
 @pytest.mark.parametrize("structure", ["diagonal", "full"])
 @pytest.mark.parametrize("as_model", [False, True])
 @pytest.mark.parametrize("pascal", [2.0**17, 1e5])
-def test_units_do_not_matter_if_scale_says_what_is_equally_large(structure, as_model, pascal):
+def test_units_do_not_matter_if_scale_says_what_is_equally_large(
+    structure, as_model, pascal
+):
     """In kelvin and bar, or in kelvin and pascal: the same filter, and the same certificate.
 
     Where a power of two lies between the units nothing is rounded, and every digit is the same.
@@ -93,14 +104,22 @@ def test_units_do_not_matter_if_scale_says_what_is_equally_large(structure, as_m
     if pascal == 2.0**17:
         np.testing.assert_array_equal(back, one.filter.coefficients)
     M = one.problem.M(LearningFilter(back, 1.0).frequency_response(OMEGA))
-    assert one.problem.value(largest_singular_values(M)) == pytest.approx(one.value, rel=1e-6)
+    assert one.problem.value(largest_singular_values(M)) == pytest.approx(
+        one.value, rel=1e-6
+    )
     for name in ("value", "lower_bound", "all_M", "all_L", "grid_L"):
         a, b = (getattr(design.certificate, name) for design in designs)
         assert a == pytest.approx(b, rel=1e-6)
-    unscaled = synthesise(coupled(), Q, OMEGA, 1.0, L_max=3.0, band=BAND, structure=structure)
-    assert unscaled.value == pytest.approx(one.value, rel=1e-9)  # twice as large for both
+    unscaled = synthesise(
+        coupled(), Q, OMEGA, 1.0, L_max=3.0, band=BAND, structure=structure
+    )
+    assert unscaled.value == pytest.approx(
+        one.value, rel=1e-9
+    )  # twice as large for both
     if as_model:
-        assert unscaled.certificate.all_M == pytest.approx(one.certificate.all_M, rel=1e-9)
+        assert unscaled.certificate.all_M == pytest.approx(
+            one.certificate.all_M, rel=1e-9
+        )
 
 
 def test_scale_weighs_the_channels():
@@ -110,7 +129,9 @@ def test_scale_weighs_the_channels():
     weighed = synthesise(coupled(), Q, OMEGA, 1.0, scale=[1.0, 10.0], **kind)
     S, L = np.diag([1.0, 10.0]), weighed.filter.frequency_response(OMEGA)
     scaled = np.linalg.inv(S) @ L @ S
-    np.testing.assert_allclose(np.linalg.norm(scaled, 2, axis=(1, 2)), weighed.sigma_L, rtol=1e-9)
+    np.testing.assert_allclose(
+        np.linalg.norm(scaled, 2, axis=(1, 2)), weighed.sigma_L, rtol=1e-9
+    )
     assert np.abs(plain.filter.coefficients - weighed.filter.coefficients).max() > 1e-3
 
 
@@ -124,19 +145,52 @@ def test_scale_weighs_the_channels():
             {"P": control.frd(np.ones((2, 2, 3)), [0.1, 0.2, 0.3])},
             "P is known at 3 frequencies from 0.1 to 0.3 rad/s, .* pass omega = P.omega",
         ),
-        ({"P": control.tf([0.1], [1, -1.1], 1.0)}, "P is unstable: it has a pole of modulus 1.1"),
-        ({"P": control.tf([0.1], [1, 0.9])}, r"P.dt = 0 differs from Ts = 1.0: sample the model"),
+        (
+            {"P": control.tf([0.1], [1, -1.1], 1.0)},
+            "P is unstable: it has a pole of modulus 1.1",
+        ),
+        (
+            {"P": control.tf([0.1], [1, 0.9])},
+            r"P.dt = 0 differs from Ts = 1.0: sample the model",
+        ),
         ({"Ts": 0.5}, r"P.dt = 1.0 differs from Ts = 0.5"),
-        ({"P": SAMPLES, "Q": np.ones(60), "Ts": None}, "Ts must be given, as neither P nor Q"),
-        ({"P": control.ss(0.2, 0.8, 1, 0, True)}, "P.dt = True differs from Ts = 1.0: sample the"),
-        ({"P": control.frd(control.ss(0.5, 1, 1, 0, 0.5), OMEGA)}, r"P.dt = 0.5 differs from Ts"),
-        ({"P": []}, r"P = \[\] holds no plant: pass one or more, the nominal one first"),
+        (
+            {"P": SAMPLES, "Q": np.ones(60), "Ts": None},
+            "Ts must be given, as neither P nor Q",
+        ),
+        (
+            {"P": control.ss(0.2, 0.8, 1, 0, True)},
+            "P.dt = True differs from Ts = 1.0: sample the",
+        ),
+        (
+            {"P": control.frd(control.ss(0.5, 1, 1, 0, 0.5), OMEGA)},
+            r"P.dt = 0.5 differs from Ts",
+        ),
+        (
+            {"P": []},
+            r"P = \[\] holds no plant: pass one or more, the nominal one first",
+        ),
         ({"P": np.ones((0, 60, 2, 2))}, "P = .* holds no plant"),
-        ({"P": (p for p in [SAMPLES])}, "P = <generator .* only once: pass a list of plants"),
-        ({"P": [SAMPLES, None]}, r"P\[1\] holds values of type object, but must hold numbers"),
-        ({"P": [coupled(), 0.5]}, r"P\[1\] has shape \(\), but must have shape \(60, 2, 2\)"),
-        ({"P": [coupled(), SAMPLES[:, :1, :1]]}, r"P\[1\] has shape \(60, 1, 1\), .* \(60, 2, 2\)"),
-        ({"P": [SAMPLES, control.ss(0.5, 1, 1, 0, 2.0)]}, r"P\[1\].dt = 2.0 differs from Ts = 1.0"),
+        (
+            {"P": (p for p in [SAMPLES])},
+            "P = <generator .* only once: pass a list of plants",
+        ),
+        (
+            {"P": [SAMPLES, None]},
+            r"P\[1\] holds values of type object, but must hold numbers",
+        ),
+        (
+            {"P": [coupled(), 0.5]},
+            r"P\[1\] has shape \(\), but must have shape \(60, 2, 2\)",
+        ),
+        (
+            {"P": [coupled(), SAMPLES[:, :1, :1]]},
+            r"P\[1\] has shape \(60, 1, 1\), .* \(60, 2, 2\)",
+        ),
+        (
+            {"P": [SAMPLES, control.ss(0.5, 1, 1, 0, 2.0)]},
+            r"P\[1\].dt = 2.0 differs from Ts = 1.0",
+        ),
         (
             {"P": [SAMPLES, control.frd(coupled(), OMEGA[:9])]},
             r"P\[1\] is known at 9 frequencies .* not those of omega",
@@ -145,12 +199,18 @@ def test_scale_weighs_the_channels():
             {"uncertainty": 0.1},
             r"uncertainty = 0.1 must .* \(60,\), .* np.full\(60, r\) is a radius",
         ),
-        ({"uncertainty": np.ones((60, 2, 2))}, r"uncertainty has shape \(60, 2, 2\), but must"),
+        (
+            {"uncertainty": np.ones((60, 2, 2))},
+            r"uncertainty has shape \(60, 2, 2\), but must",
+        ),
     ],
 )
 def test_what_does_not_fit_is_refused(changes, message):
     with pytest.raises(ValueError, match=message):
-        pose(**{"P": coupled(), "Q": Q, "omega": OMEGA, "Ts": 1.0, "band": BAND} | changes)
+        pose(
+            **{"P": coupled(), "Q": Q, "omega": OMEGA, "Ts": 1.0, "band": BAND}
+            | changes
+        )
 
 
 @pytest.mark.parametrize(
@@ -163,5 +223,7 @@ def test_what_does_not_fit_is_refused(changes, message):
 def test_a_dead_channel_is_named(dead, message):
     P = SAMPLES.copy()
     P[dead] = 0
-    with pytest.raises(ValueError, match=f"P is singular at omega = 0.001 rad/s .* {message}"):
+    with pytest.raises(
+        ValueError, match=f"P is singular at omega = 0.001 rad/s .* {message}"
+    ):
         pose(P, Q, OMEGA, 1.0)

@@ -34,5 +34,7 @@ def test_without_a_bound_each_input_may_have_a_gain_of_ten_millions(m, unit, see
     for k in range(m):
         L = np.zeros((m, m))
         L[k, 0] = 1 / W[0, k, k]  # as large as sigma_max(W L) <= 1 admits
-        gains = np.linalg.svd(Q[:, None, None] * P @ L / Q.max(), compute_uv=False)[:, 0]
+        gains = np.linalg.svd(Q[:, None, None] * P @ L / Q.max(), compute_uv=False)[
+            :, 0
+        ]
         assert gains.max() == pytest.approx(1e7)

@@ -124,7 +124,14 @@ def test_any_plant_is_run_by_the_names_of_its_signals():
     run = run_trials(loop, Q, L, reference, rain, 3)
     for name in run.data_vars:
         np.testing.assert_allclose(log[name], run[name], atol=1e-9)
-    for name in ("output", "control", "source", "output_unit", "control_unit", "source_unit"):
+    for name in (
+        "output",
+        "control",
+        "source",
+        "output_unit",
+        "control_unit",
+        "source_unit",
+    ):
         assert list(log[name].values) == list(run[name].values)
     assert not np.any(np.array(device.applied)[:, 0])
 
@@ -138,12 +145,20 @@ def test_only_known_disturbances_are_recorded(loop, Q):
     log = record(driver, loop, Q, None, np.zeros((5, 2)), None, 1)
     assert "disturbance" not in log and "source" not in log.coords
     driver.measured = {"theta_a": 0.5, "lights": 1.0}
-    log = record(driver, loop, Q, None, np.zeros((5, 2)), np.ones((5, 3)) * [1, 0, 0], 1)
+    log = record(
+        driver, loop, Q, None, np.zeros((5, 2)), np.ones((5, 3)) * [1, 0, 0], 1
+    )
     assert list(log.source.values) == ["theta_a"] and np.all(log.disturbance == 0.5)
 
 
 def test_a_step_holds_on_the_rig_too_and_when_it_goes_on(loop, Q, L, tmp_path):
-    made = {"loop": loop, "Q": Q, "L": L, "reference": assumed_reference(60) * 0.02, "pause": 5}
+    made = {
+        "loop": loop,
+        "Q": Q,
+        "L": L,
+        "reference": assumed_reference(60) * 0.02,
+        "pause": 5,
+    }
     made |= {"step": 0.3, "path": tmp_path / "log.csv"}
     record(VirtualRig(), trials=2, **made)
     log = record(VirtualRig(), trials=4, **made)
@@ -154,13 +169,17 @@ def test_a_step_holds_on_the_rig_too_and_when_it_goes_on(loop, Q, L, tmp_path):
         record(VirtualRig(), trials=5, **made | {"step": 1.0})
 
 
-def test_another_learning_operator_learns_on_the_rig_but_no_log_could_name_it(loop, Q, tmp_path):
+def test_another_learning_operator_learns_on_the_rig_but_no_log_could_name_it(
+    loop, Q, tmp_path
+):
     reference, L = assumed_reference(1200), NormOptimal(loop.P, 0.01, 1200)
     run = record(VirtualRig(Rod(), IDEAL), loop, Q, L, reference, trials=2, pause=300)
     assert rms(run.e)[1] < 0.1 * rms(run.e)[0]
     assert "L" not in run.attrs
     with pytest.raises(ValueError, match=r"L = .* must be a LearningFilter"):
-        record(VirtualRig(Rod(), IDEAL), loop, Q, L, reference, path=tmp_path / "log.csv")
+        record(
+            VirtualRig(Rod(), IDEAL), loop, Q, L, reference, path=tmp_path / "log.csv"
+        )
 
 
 def test_v_rests_on_the_rig_too_and_the_log_says_so(loop, Q, L):
@@ -180,10 +199,16 @@ def test_the_controller_runs_on_for_ten_minutes_between_two_trials(loop, Q):
     assert device.time == 3 * 7 + 2 * 600 + 1  # the last one with all at zero
 
 
-@pytest.mark.parametrize(("name", "seed", "trials"), [("learning", 1, 2), ("no-learning", 2, 1)])
+@pytest.mark.parametrize(
+    ("name", "seed", "trials"), [("learning", 1, 2), ("no-learning", 2, 1)]
+)
 def test_the_first_trials_of_a_tracked_log_are_recorded_again_alike(name, seed, trials):
     tracked = load_log(ROOT / "data" / "rig" / f"{name}.csv").isel(trial=slice(trials))
-    L = LearningFilter(published.matrix("L_diagonal"), 1.0) if name == "learning" else None
+    L = (
+        LearningFilter(published.matrix("L_diagonal"), 1.0)
+        if name == "learning"
+        else None
+    )
     rig = PeltierRig(parameters=PARAMETERS, seed=seed)
     log = record(rig, L=L, **experiment() | {"trials": trials})
     for role in tracked.data_vars:
@@ -197,31 +222,49 @@ def test_what_is_learned_is_rounded_as_in_the_tracked_log():
     L = LearningFilter(published.matrix("L_diagonal"), 1.0)
     for k in range(9):
         v = update(tracked.v.values[k], tracked.e.values[k], made["Q"], L)
-        np.testing.assert_array_equal(np.round(v, made["decimals"]["v"]), tracked.v[k + 1])
+        np.testing.assert_array_equal(
+            np.round(v, made["decimals"]["v"]), tracked.v[k + 1]
+        )
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
         ({"rig": VirtualRig(Ts=2.0)}, r"rig.Ts = 2.0 s"),
-        ({"Q": zero_phase_butterworth(Ts=2.0)}, r"loop.Ts = 1.0 s, Q.Ts = 2.0 s, rig.Ts = 1.0 s"),
-        ({"L": LearningFilter(np.ones((2, 2, 1)), 0.5)}, r"rig.Ts = 1.0 s, L.Ts = 0.5 s"),
+        (
+            {"Q": zero_phase_butterworth(Ts=2.0)},
+            r"loop.Ts = 1.0 s, Q.Ts = 2.0 s, rig.Ts = 1.0 s",
+        ),
+        (
+            {"L": LearningFilter(np.ones((2, 2, 1)), 0.5)},
+            r"rig.Ts = 1.0 s, L.Ts = 0.5 s",
+        ),
         ({"rig": "the red one"}, "rig = 'the red one' has no read, apply"),
         ({"rig": VirtualRig}, "rig = .* is a class: make one"),
         ({"trials": 3}, "disturbance has 2 trials, but trials = 3"),
-        ({"disturbance": np.zeros((2, 9, 3))}, r"disturbance has shape \(2, 9, 3\).*10, 3"),
+        (
+            {"disturbance": np.zeros((2, 9, 3))},
+            r"disturbance has shape \(2, 9, 3\).*10, 3",
+        ),
         ({"pause": -1}, "pause = -1"),
         ({"rest": 10}, "rest = 10 must be a whole number, from 0 to 9"),
         ({"decimals": {"y": 3}}, r"decimals is about \['y'\]"),
         ({"decimals": {"u": 0.5}}, "decimals.*u.* = 0.5 must be a whole number"),
-        ({"loop": current_trial_loop(control.ss(0.5, 1, 1, 0, 1.0))}, r"must name .*'u\[0\]'"),
+        (
+            {"loop": current_trial_loop(control.ss(0.5, 1, 1, 0, 1.0))},
+            r"must name .*'u\[0\]'",
+        ),
         ({"path": 3}, "path = 3 must be the path of a file"),
         ({"path": "nowhere/log.csv"}, "path = .*nowhere.log.csv.* must be in a folder"),
     ],
 )
 def test_an_experiment_that_cannot_work_is_not_begun(loop, Q, changes, message):
     made = {"rig": VirtualRig(), "loop": loop, "Q": Q, "L": None}
-    made |= {"reference": np.zeros((10, 2)), "disturbance": np.zeros((2, 10, 3)), "trials": 2}
+    made |= {
+        "reference": np.zeros((10, 2)),
+        "disturbance": np.zeros((2, 10, 3)),
+        "trials": 2,
+    }
     with pytest.raises(ValueError, match=message):
         record(**made | changes)
     assert made["rig"].time == 0
@@ -229,24 +272,32 @@ def test_an_experiment_that_cannot_work_is_not_begun(loop, Q, changes, message):
 
 def test_disturbances_that_the_rig_cannot_make_are_refused(loop, Q):
     driver = SimpleNamespace(read=lambda: [0, 0], apply=lambda flows: None)
-    with pytest.raises(ValueError, match=r"disturbance is not zero for \['Q4'\], which are no"):
+    with pytest.raises(
+        ValueError, match=r"disturbance is not zero for \['Q4'\], which are no"
+    ):
         record(driver, loop, Q, None, np.zeros((5, 2)), np.ones((5, 3)) * [0, 0, 1], 1)
 
 
 def test_a_unit_that_nobody_knows_is_refused_before_the_experiment(loop, Q):
     device = VirtualRig()
-    with pytest.raises(ValueError, match="unit 'furlong/fortnite' of y2 is not understood"):
+    with pytest.raises(
+        ValueError, match="unit 'furlong/fortnite' of y2 is not understood"
+    ):
         strange = replace(loop, units=loop.units | {"y2": "furlong/fortnite"})
         record(device, strange, Q, None, np.zeros((5, 2)), None, 1)
     assert device.time == 0
 
 
-@pytest.mark.parametrize("bad", [[np.nan, 0.0], [0.0, np.inf], [0.0], [[0, 0]], None, ["1", "2"]])
+@pytest.mark.parametrize(
+    "bad", [[np.nan, 0.0], [0.0, np.inf], [0.0], [[0, 0]], None, ["1", "2"]]
+)
 def test_what_is_no_reading_never_reaches_the_actuators(loop, Q, L, tmp_path, bad):
     """The trial ends, the rig is made safe, the trials before it stay."""
     device = Failing(20 + 3 + 12, lambda: bad)
     made = (loop, Q, L, assumed_reference(20), None, 3, 3)
-    with pytest.raises(RigError, match=r"trial 2, sample 13: reading .*Nothing was applied after"):
+    with pytest.raises(
+        RigError, match=r"trial 2, sample 13: reading .*Nothing was applied after"
+    ):
         record(device, *made, path=tmp_path / "log.csv")
     assert len(device.commands) == 20 + 3 + 12 + 1
     assert np.isfinite(device.commands).all() and not device.commands[-1].any()
@@ -278,9 +329,14 @@ def test_the_rig_is_made_safe_on_every_way_out(loop, Q, error):
 
 def test_a_fault_in_apply_says_where_and_makes_the_rig_safe():
     loop, device = current_trial_loop(PLANT, PLANT.input_labels[:2]), Itself()
-    device.inputs = ("pump, left", "heater")  # so that the plant's third input is missing
+    device.inputs = (
+        "pump, left",
+        "heater",
+    )  # so that the plant's third input is missing
     with pytest.raises(KeyError) as caught:
-        record(device, loop, zero_phase_butterworth(Ts=0.5), None, np.ones((4, 2)), None, 1)
+        record(
+            device, loop, zero_phase_butterworth(Ts=0.5), None, np.ones((4, 2)), None, 1
+        )
     assert caught.value.__notes__ == ["in trial 1, sample 1"]
     assert device.ends == 1
 
@@ -290,7 +346,9 @@ def test_samples_that_are_not_on_time_are_reported(loop, Q):
         def clock(self):
             return self.time + (1.5 if 7 <= self.time < 9 else 0.05)
 
-    with pytest.warns(UserWarning, match="trial 1: 2 samples were not on time, .* 8, by 1.45 s"):
+    with pytest.warns(
+        UserWarning, match="trial 1: 2 samples were not on time, .* 8, by 1.45 s"
+    ):
         record(Late(), loop, Q, None, np.zeros((20, 2)), None, 1)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -301,7 +359,9 @@ def test_commands_that_the_rig_cuts_off_are_reported(loop, Q):
     """By the names of its inputs, which may be others and in another order than the controls."""
 
     def driver(**more):
-        read = np.random.default_rng(0).standard_normal(10**4).reshape(-1, 2).tolist().pop
+        read = (
+            np.random.default_rng(0).standard_normal(10**4).reshape(-1, 2).tolist().pop
+        )
         return SimpleNamespace(read=read, apply=len, inputs=["Q3", "fan", "Q1"], **more)
 
     reference = np.zeros((20, 2))
@@ -334,7 +394,11 @@ def test_progress_is_shown_on_a_terminal_only(loop, Q, capfd, monkeypatch):
 
 # Resuming
 
-SHORT = {"reference": np.round(assumed_reference(25) * 0.02, 6), "trials": 3, "pause": 2}
+SHORT = {
+    "reference": np.round(assumed_reference(25) * 0.02, 6),
+    "trials": 3,
+    "pause": 2,
+}
 KILLED = """
 import os, signal, sys
 import pyarrow.csv, scipy.signal
@@ -398,14 +462,20 @@ class Homed:
 
     def read(self):
         self.left = None if self.left is None else self.left - 1
-        return np.full(self.plant.noutputs, np.nan) if self.left == 0 else self.plant.C @ self.x
+        return (
+            np.full(self.plant.noutputs, np.nan)
+            if self.left == 0
+            else self.plant.C @ self.x
+        )
 
     def apply(self, commands):
         self.x = self.plant.A @ self.x + self.plant.B @ commands
 
 
 @pytest.mark.parametrize(
-    "plant", [stage()[:, ["F"]], tanks()[:, ["pump A", "pump B", "pump C"]]], ids=["stage", "tanks"]
+    "plant",
+    [stage()[:, ["F"]], tanks()[:, ["pump A", "pump B", "pump C"]]],
+    ids=["stage", "tanks"],
 )
 def test_an_experiment_without_disturbances_goes_on_after_a_fault(plant, tmp_path):
     loop = current_trial_loop(plant)
@@ -437,8 +507,12 @@ def test_an_experiment_that_has_ended_leaves_rig_and_log_alone(loop, Q, L, tmp_p
     log = record(device, loop, Q, L, **SHORT, path=path)
     content, time = path.read_bytes(), device.time
     assert record(device, loop, Q, L, **SHORT, path=path).identical(log)
-    with pytest.warns(UserWarning, match="has 3 trials, more than trials = 2: none is run, and al"):
-        assert record(device, loop, Q, L, **SHORT | {"trials": 2}, path=path).identical(log)
+    with pytest.warns(
+        UserWarning, match="has 3 trials, more than trials = 2: none is run, and al"
+    ):
+        assert record(device, loop, Q, L, **SHORT | {"trials": 2}, path=path).identical(
+            log
+        )
     assert path.read_bytes() == content and device.time == time
     assert load_log(path).identical(log)
     more = record(device, loop, Q, L, **SHORT | {"trials": 4}, path=path)
@@ -450,7 +524,9 @@ def test_notes_that_were_added_to_the_log_stay(loop, Q, tmp_path):
     record(VirtualRig(), loop, Q, None, **SHORT | {"trials": 1}, path=path)
     save_log(load_log(path).assign_attrs(operator="Ada"), path)
     record(VirtualRig(), loop, Q, None, **SHORT | {"trials": 2}, path=path)
-    assert load_log(path).attrs["operator"] == "Ada" and load_log(path).sizes["trial"] == 2
+    assert (
+        load_log(path).attrs["operator"] == "Ada" and load_log(path).sizes["trial"] == 2
+    )
 
 
 @pytest.mark.parametrize(
@@ -468,13 +544,17 @@ def test_notes_that_were_added_to_the_log_stay(loop, Q, tmp_path):
         ({"loop": paper_loop(degree=4)}, "loop"),
     ],
 )
-def test_another_experiment_does_not_go_on_with_the_log(loop, Q, L, tmp_path, changes, differing):
+def test_another_experiment_does_not_go_on_with_the_log(
+    loop, Q, L, tmp_path, changes, differing
+):
     path = tmp_path / "log.csv"
     made = {"rig": VirtualRig(), "loop": loop, "Q": Q, "L": L} | SHORT
     record(**made | {"trials": 2}, path=path)
     path.write_bytes(path.read_bytes()[:-7])
     content, time = path.read_bytes(), made["rig"].time
-    with pytest.raises(ValueError, match=f"holds another experiment, see its {differing}:"):
+    with pytest.raises(
+        ValueError, match=f"holds another experiment, see its {differing}:"
+    ):
         record(**made | changes, path=path)
     assert path.read_bytes() == content and made["rig"].time == time
 
@@ -484,7 +564,10 @@ def test_a_log_that_record_did_not_write_is_not_gone_on_with(loop, Q, L, tmp_pat
     record(VirtualRig(), loop, Q, L, **SHORT, path=path)
     lines = path.read_text().splitlines(keepends=True)
     unnamed = "".join(line for line in lines if not line.startswith("# loop"))
-    for text, message in ((unnamed, "another experiment, see its loop"), ("", "format is None")):
+    for text, message in (
+        (unnamed, "another experiment, see its loop"),
+        ("", "format is None"),
+    ):
         path.write_text(text)
         with pytest.raises(ValueError, match=message):
             record(VirtualRig(), loop, Q, L, **SHORT, path=path)

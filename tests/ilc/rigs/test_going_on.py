@@ -20,14 +20,25 @@ from rodlib.ilc import with_law
 from rodlib.ilc.replay import replay_of
 from rodlib.ilc.report import about_the_law, left_out, summary
 
-LOOP, Q = current_trial_loop(PLANT, PLANT.input_labels[:2]), zero_phase_butterworth(2, 0.5, 0.5)
+LOOP, Q = (
+    current_trial_loop(PLANT, PLANT.input_labels[:2]),
+    zero_phase_butterworth(2, 0.5, 0.5),
+)
 L = LearningFilter(0.4 * np.eye(2)[..., None], 0.5)
 R = bump(80, [2.0, 1.0])
 
 
 def test_the_first_trial_begins_with_what_was_learned_elsewhere(tmp_path):
     v, path = 0.1 * R + 1e-9 / 3, tmp_path / "log.csv"
-    made = {"loop": LOOP, "Q": Q, "L": L, "reference": R, "v": v, "rest": 4, "path": path}
+    made = {
+        "loop": LOOP,
+        "Q": Q,
+        "L": L,
+        "reference": R,
+        "v": v,
+        "rest": 4,
+        "path": path,
+    }
     made["decimals"] = {"v": 6}
     log = record(Model(PLANT), trials=2, **made)
     run = run_trials(LOOP, Q, L, R, trials=2, v=v, rest=4)
@@ -38,7 +49,10 @@ def test_the_first_trial_begins_with_what_was_learned_elsewhere(tmp_path):
     with pytest.raises(ValueError, match="another experiment, see its v of trial 1"):
         record(Model(PLANT), trials=4, **made | {"v": 2 * v})
     replay = replay_of(load_log(path))
-    assert replay.departure.loc[1].isna().all() and replay.departure.loc[2:].to_numpy().max() < 1e-6
+    assert (
+        replay.departure.loc[1].isna().all()
+        and replay.departure.loc[2:].to_numpy().max() < 1e-6
+    )
     np.testing.assert_allclose(replay.simulated.y, more.y, atol=1e-5)
     assert "as far as the trials before 1 tell" in about_the_law(replay)
     kept = record(Model(PLANT), LOOP, Q, None, R, trials=2, v=v)
@@ -53,7 +67,9 @@ def test_each_trial_follows_a_reference_of_its_own(tmp_path):
     for name in ("reference", "v", "y", "e"):
         np.testing.assert_allclose(log[name], run[name], atol=1e-9)
     np.testing.assert_allclose(replay_of(load_log(path)).simulated.y, run.y, atol=1e-9)
-    with pytest.raises(ValueError, match=r"reference has shape \(3, 80, 2\), but must have .*\(4,"):
+    with pytest.raises(
+        ValueError, match=r"reference has shape \(3, 80, 2\), but must have .*\(4,"
+    ):
         record(Model(PLANT), LOOP, Q, L, references, trials=4)
     with pytest.raises(ValueError, match="another experiment, see its reference"):
         record(Model(PLANT), LOOP, Q, L, references[::-1], trials=3, path=path)
@@ -64,7 +80,9 @@ def test_another_law_goes_on_if_that_is_meant(tmp_path):
     path, half = tmp_path / "log.csv", LearningFilter(0.5 * L.coefficients, 0.5)
     made = {"loop": LOOP, "reference": R, "path": path}
     record(Model(PLANT), Q=Q, L=L, trials=2, rest=3, **made)
-    with pytest.raises(ValueError, match=r"see its L, rest, step: .*, or say another_law=True"):
+    with pytest.raises(
+        ValueError, match=r"see its L, rest, step: .*, or say another_law=True"
+    ):
         record(Model(PLANT), Q=Q, L=half, trials=4, step=0.5, **made)
     another = {"another_law": True}
     record(Model(PLANT), Q=Q, L=half, trials=4, step=0.5, **made, **another)
@@ -96,7 +114,9 @@ def test_a_replay_says_what_record_would_have_said():
     y = run.y.copy()
     y[2:, 0] += 1.0
     moved = with_law(run.assign(y=y), Q, None, 0, LOOP)
-    with pytest.warns(UserWarning, match="trial 3: it starts 1 in depth, 1 in heat from where"):
+    with pytest.warns(
+        UserWarning, match="trial 3: it starts 1 in depth, 1 in heat from where"
+    ):
         replay_of(moved)
     with warnings.catch_warnings(action="error"):
         assert replay_of(log.isel(trial=[0, 2, 5])).findings == ()

@@ -10,7 +10,14 @@ from hypothesis import strategies as st
 from plants import tanks
 from test_stopping import Model, bump
 
-from rodlib import Rod, current_trial_loop, midr, paper_loop, record, zero_phase_butterworth
+from rodlib import (
+    Rod,
+    current_trial_loop,
+    midr,
+    paper_loop,
+    record,
+    zero_phase_butterworth,
+)
 from rodlib.ilc import StoppedError
 from rodlib.ilc.rigs.mistakes import mistake_in
 from rodlib.ilc.trials.run import run_trials
@@ -59,7 +66,10 @@ MISTAKES = {
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_a_mistake_is_named_after_the_first_trial_or_when_it_is_stopped(mistake):
     loop, Q = current_trial_loop(tanks(), PUMPS), zero_phase_butterworth(Ts=2.0)
-    device, reference = Miswired(tanks(), **MISTAKES[mistake]), bump(400, [10.0, 5.0, 8.0])
+    device, reference = (
+        Miswired(tanks(), **MISTAKES[mistake]),
+        bump(400, [10.0, 5.0, 8.0]),
+    )
     with pytest.warns() as told:
         try:
             record(device, loop, Q, None, reference, trials=1)
@@ -72,15 +82,22 @@ def test_millivolts_for_volts_are_stopped_before_they_are_understood():
     """With a thousandfold gain the loop runs away within samples, which is too soon to tell why."""
     loop, Q = current_trial_loop(tanks(), PUMPS), zero_phase_butterworth(Ts=2.0)
     device = Miswired(tanks(), seen=one(2, lambda y: 1000.0 * y))
-    with pytest.raises(StoppedError, match=r"trial 1, sample \d: right = .* If units, signs"):
+    with pytest.raises(
+        StoppedError, match=r"trial 1, sample \d: right = .* If units, signs"
+    ):
         record(device, loop, Q, None, bump(400, [10.0, 5.0, 8.0]), trials=1)
 
 
 @pytest.fixture(scope="module")
 def rods():
     """The paper's loop, and other rods that its controller holds."""
-    made = [Rod(conductivity=c, density=d) for c, d in ((45, 7500), (55, 8100), (60.0, 8500))]
-    return paper_loop(), [control.sample_system(midr(rod), 1.0, method="zoh") for rod in made]
+    made = [
+        Rod(conductivity=c, density=d)
+        for c, d in ((45, 7500), (55, 8100), (60.0, 8500))
+    ]
+    return paper_loop(), [
+        control.sample_system(midr(rod), 1.0, method="zoh") for rod in made
+    ]
 
 
 @settings(max_examples=100)  # 1 of 1,500 with other seeds, when it was written
@@ -90,11 +107,18 @@ def test_ordinary_first_trials_are_no_mistakes(rods, seed):
     rng, (loop, others) = np.random.default_rng(seed), rods
     samples = rng.integers(50, 900)
     level = rng.standard_normal(2) * 10.0 ** rng.uniform(-1, 1)
-    reference = bump(samples, level) if rng.integers(2) else np.tile(level, (samples, 1))
+    reference = (
+        bump(samples, level) if rng.integers(2) else np.tile(level, (samples, 1))
+    )
     push = rng.standard_normal(3) * 10.0 ** rng.uniform(-2, 1)
     push = bump(samples, push) if rng.integers(2) else np.tile(push, (samples, 1))
     noise = 10.0 ** rng.uniform(-4, -0.5) * rng.standard_normal((1, samples, 2))
     plant = others[rng.integers(3)] if rng.integers(2) else None
     run = run_trials(loop, Q_PAPER, None, reference, push, 1, plant=plant, noise=noise)
-    told = loop.plant[:, loop.controls], run.u.values[0], np.zeros((samples, 0)), run.y.values[0]
+    told = (
+        loop.plant[:, loop.controls],
+        run.u.values[0],
+        np.zeros((samples, 0)),
+        run.y.values[0],
+    )
     assert mistake_in(*told, reference, loop.outputs, loop.controls) is None

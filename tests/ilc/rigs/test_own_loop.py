@@ -37,7 +37,10 @@ P = control.ss(
 )  # fmt: skip
 Q, REFERENCE = zero_phase_butterworth(2, 3.0, 0.1), bump(150, [2.0, -1.0])
 L = LearningFilter(0.1 * np.eye(2)[..., None], 0.1)
-KNOWN, NAMED = ClosedLoop(P), ClosedLoop(Ts=0.1, outputs=["x", "y"], units={"x": "mm", "y": "mm"})
+KNOWN, NAMED = (
+    ClosedLoop(P),
+    ClosedLoop(Ts=0.1, outputs=["x", "y"], units={"x": "mm", "y": "mm"}),
+)
 
 
 class Machine:
@@ -78,12 +81,18 @@ def test_a_loop_that_is_known_by_p_is_simulated():
         y = control.forced_response(P, inputs=(REFERENCE + v).T).outputs.T
         np.testing.assert_allclose(run.y[k], y, atol=1e-12)
         v = update(v, REFERENCE - y, Q, L)
-    x, noise = np.array([1.0, -1.0]), np.random.default_rng(0).standard_normal((1, 150, 2))
+    x, noise = (
+        np.array([1.0, -1.0]),
+        np.random.default_rng(0).standard_normal((1, 150, 2)),
+    )
     begun = run_trials(KNOWN, Q, L, REFERENCE, None, 1, initial_state=x, noise=noise)
     np.testing.assert_allclose(begun.y[0, 0], P.C @ x + noise[0, 0])
     other = run_trials(KNOWN, Q, L, REFERENCE, trials=1, plant=2 * P)
     np.testing.assert_allclose(other.y[0], 2 * run.y[0])
-    for wrong, message in ((NAMED, "loop has no P"), (ClosedLoop(P, disturbances=["d"]), "says n")):
+    for wrong, message in (
+        (NAMED, "loop has no P"),
+        (ClosedLoop(P, disturbances=["d"]), "says n"),
+    ):
         with pytest.raises(ValueError, match=message):
             run_trials(wrong, Q, L, REFERENCE, np.ones((150, len(wrong.disturbances))))
 
@@ -115,27 +124,50 @@ def test_a_log_of_such_a_loop_is_replayed(tmp_path):
     assert replay.fit.values.min() > 0.999999 and not replay.departure.values.any()
     assert "fit of the model" in summary(replay)
     silent = replay_of(record(Sampled(), NAMED, Q, L, REFERENCE, trials=2))
-    assert silent.simulated is None and silent.fit is None and not silent.departure.values.any()
+    assert (
+        silent.simulated is None
+        and silent.fit is None
+        and not silent.departure.values.any()
+    )
     assert "simulation and prediction: the loop has no P" in summary(silent)
 
 
 def test_its_commands_are_recorded_if_the_rig_tells_them(tmp_path):
     controls = ["motor x", "motor y"]
     loop = ClosedLoop(Ts=0.1, outputs=["x", "y"], controls=controls)
-    log = record(Sampled(), loop, Q, L, REFERENCE, trials=2, decimals={"u": 2}, path=tmp_path / "l")
-    np.testing.assert_allclose(log.u[1, 1:, 0], 3 * (REFERENCE + log.v[1])[:-1, 0], atol=0.00501)
-    assert load_log(tmp_path / "l").identical(log) and list(log.control.values) == controls
-    with pytest.raises(ValueError, match=r"rig.measured must have the controls \['motor x'"):
+    log = record(
+        Sampled(),
+        loop,
+        Q,
+        L,
+        REFERENCE,
+        trials=2,
+        decimals={"u": 2},
+        path=tmp_path / "l",
+    )
+    np.testing.assert_allclose(
+        log.u[1, 1:, 0], 3 * (REFERENCE + log.v[1])[:-1, 0], atol=0.00501
+    )
+    assert (
+        load_log(tmp_path / "l").identical(log) and list(log.control.values) == controls
+    )
+    with pytest.raises(
+        ValueError, match=r"rig.measured must have the controls \['motor x'"
+    ):
         record(SimpleNamespace(read=len, apply=len), loop, Q, L, REFERENCE)
     whole = SimpleNamespace(run=lambda w: (w, 2 * w))
     downloaded = record(whole, loop, Q, L, REFERENCE, trials=2)
-    np.testing.assert_array_equal(downloaded.u[1], 2 * (REFERENCE + downloaded.v.values[1]))
+    np.testing.assert_array_equal(
+        downloaded.u[1], 2 * (REFERENCE + downloaded.v.values[1])
+    )
     whole.run = lambda w: w
     with pytest.raises(RigError, match="trial 1: u holds values of type object"):
         record(whole, loop, Q, L, REFERENCE)
 
 
-@pytest.mark.parametrize("bad", [np.full((150, 2), np.nan), np.zeros((149, 2)), None, "y"])
+@pytest.mark.parametrize(
+    "bad", [np.full((150, 2), np.nan), np.zeros((149, 2)), None, "y"]
+)
 def test_what_is_downloaded_is_checked(bad, tmp_path):
     rig, path = Whole(), tmp_path / "log.csv"
     good = rig.run
@@ -144,7 +176,9 @@ def test_what_is_downloaded_is_checked(bad, tmp_path):
         record(rig, NAMED, Q, L, REFERENCE, trials=3, path=path)
     assert load_log(path).sizes["trial"] == 1 and rig.ends == 1
     far = SimpleNamespace(run=lambda w: 100 * w)
-    with pytest.raises(StoppedError, match=r"trial 1, sample \d+: x = .* limits of stop"):
+    with pytest.raises(
+        StoppedError, match=r"trial 1, sample \d+: x = .* limits of stop"
+    ):
         record(far, NAMED, Q, L, REFERENCE)
     with pytest.raises(ValueError, match=r"pause = 3, but rig\.run begins"):
         record(Whole(), NAMED, Q, L, REFERENCE, pause=3)

@@ -81,7 +81,9 @@ def quietly(*given, **more):
 def test_the_rig_runs_as_the_simulation_does(case):
     """Sample by sample with the Controller, and from the matrices of the loop."""
     rig, given = experiment(case)
-    with pytest.warns(UserWarning, match="trial 1: commands were beyond the limits") as told:
+    with pytest.warns(
+        UserWarning, match="trial 1: commands were beyond the limits"
+    ) as told:
         log = record(rig, **given)
     assert len(told) == 1 and "v is learned within" in str(told[0].message)
     assert told[0].filename == __file__
@@ -90,7 +92,10 @@ def test_the_rig_runs_as_the_simulation_does(case):
         size = np.abs(run["u" if name == "delta" else name]).max()
         np.testing.assert_allclose(log[name], run[name], atol=2e-5 * size)
     np.testing.assert_array_equal(rig.sent, log.applied[-1])
-    assert np.abs(log.applied - log.u)[0].max() > 0.1 and rms(log.e)[-1] < 0.9 * rms(log.e)[0]
+    assert (
+        np.abs(log.applied - log.u)[0].max() > 0.1
+        and rms(log.e)[-1] < 0.9 * rms(log.e)[0]
+    )
     without = quietly(rig_that_cuts_off(rig), **given, limits=None)
     assert "applied" not in without and np.abs(without.u).max() > np.abs(log.u).max()
 
@@ -119,7 +124,9 @@ def test_a_log_keeps_asked_and_applied_is_gone_on_with_and_replays(case, tmp_pat
     np.testing.assert_allclose(replay.simulated.y, loaded.y, atol=1e-4)
     assert replay.fit.to_numpy().min() > 1 - 1e-6  # from what was applied
     v, e, u = (loaded[name].values[-1] for name in ("v", "e", "u"))
-    following = update_within(v, e, u, given["Q"], given["L"], given["loop"], rig.limits)
+    following = update_within(
+        v, e, u, given["Q"], given["L"], given["loop"], rig.limits
+    )
     np.testing.assert_array_equal(replay.following, following)
 
     other = tmp_path / "other.csv"
@@ -133,11 +140,15 @@ def test_limits_are_part_of_the_law_that_a_log_names(tmp_path):
     quietly(rig_that_cuts_off(rig), **given | {"trials": 2}, limits=None, path=path)
     assert "applied" not in load_log(path) and "actuators" not in load_log(path).attrs
     rig, _ = experiment("tanks")
-    with pytest.raises(ValueError, match=r"see its actuators: .* or say another_law=True"):
+    with pytest.raises(
+        ValueError, match=r"see its actuators: .* or say another_law=True"
+    ):
         record(rig, **given, path=path)
     quietly(rig, **given, path=path, another_law=True)
     log = load_log(path)
-    np.testing.assert_array_equal(log.applied[:2], log.u[:2])  # as far as the log could know
+    np.testing.assert_array_equal(
+        log.applied[:2], log.u[:2]
+    )  # as far as the log could know
     assert np.abs(log.applied - log.u)[2:].max() >= 0
     with warnings.catch_warnings(action="ignore"):
         assert "that of the law in every trial" in summary(replay_of(log))
@@ -155,7 +166,9 @@ def test_a_loop_that_is_not_ours_is_sent_what_it_can_follow(device, tmp_path):
     name = "apply" if device is Sampled else "run"
     own = getattr(rig, name)
     setattr(rig, name, lambda given: (w.append(np.array(given)), own(given))[1])
-    log = quietly(rig, KNOWN, OWN_Q, OWN_L, REFERENCE, trials=4, path=tmp_path / "log.csv")
+    log = quietly(
+        rig, KNOWN, OWN_Q, OWN_L, REFERENCE, trials=4, path=tmp_path / "log.csv"
+    )
     sent = np.concatenate([np.atleast_2d(one) for one in w])
     assert sent[:, 0].max() == 1.5 and (log.reference + log.v)[0].max() > 1.9
     run = run_trials(KNOWN, OWN_Q, OWN_L, REFERENCE, trials=4, limits=rig.limits)
@@ -170,14 +183,22 @@ def test_cold_heaters_of_the_lab_which_we_did_not_make():
     sizes = {"T1": 10.0, "T2": 8.0, "Q1": 30.0, "Q2": 40.0}
     model = heat_balance(0.035, 0.0175, 0.05, 0.01, 140.0, 2.0)
     loop = current_trial_loop(model, ["Q1", "Q2"], sizes=sizes)
-    Q, L = zero_phase_butterworth(2, 0.1, 2.0), LearningFilter(np.eye(2)[..., None], 2.0)
+    Q, L = (
+        zero_phase_butterworth(2, 0.1, 2.0),
+        LearningFilter(np.eye(2)[..., None], 2.0),
+    )
     reference = bump(300, [10.0, 8.0])
     runs = {
         limits: quietly(TemperatureControlLab(rest=(0.0, 0.0)), loop, Q, L, reference,
                         trials=5, limits=limits, rest=15)
         for limits in ("rig", None)
     }  # fmt: skip
-    grown = {k: np.abs(run.v).max(["time", "channel"]).values for k, run in runs.items()}
-    assert grown[None][4] > 1.5 * grown[None][2] and grown["rig"][4] < 1.2 * grown["rig"][2]
+    grown = {
+        k: np.abs(run.v).max(["time", "channel"]).values for k, run in runs.items()
+    }
+    assert (
+        grown[None][4] > 1.5 * grown[None][2]
+        and grown["rig"][4] < 1.2 * grown["rig"][2]
+    )
     assert runs["rig"].u[1:].min() > -60 and runs[None].u[4].min() < -200
     assert rms(runs["rig"].e)[-1] < rms(runs[None].e)[-1]

@@ -33,7 +33,9 @@ def warm_end(samples):
 
 
 def test_trials_that_follow_at_once_start_elsewhere_and_it_is_said(loop, Q, L):
-    with pytest.warns(UserWarning, match=r"after trial 2: it starts [\d.]+ K in y1, .* K in y2"):
+    with pytest.warns(
+        UserWarning, match=r"after trial 2: it starts [\d.]+ K in y1, .* K in y2"
+    ):
         log = record(VirtualRig(), loop, Q, L, warm_end(600), trials=3, pause=0)
     assert np.abs(log.y[1, 0] - log.y[0, 0]).max() > 1
 
@@ -65,7 +67,10 @@ def test_after_a_fault_the_rig_is_waited_for_too(loop, Q, L, tmp_path):
 
 def test_a_rig_that_does_not_come_back_is_not_waited_for_forever():
     """A leak that the controller does not know holds it: two trials, then it is said."""
-    loop, Q = current_trial_loop(PLANT, PLANT.input_labels[:2]), zero_phase_butterworth(Ts=0.5)
+    loop, Q = (
+        current_trial_loop(PLANT, PLANT.input_labels[:2]),
+        zero_phase_butterworth(Ts=0.5),
+    )
 
     class Leaking(Itself):
         def apply(self, commands):
@@ -73,7 +78,9 @@ def test_a_rig_that_does_not_come_back_is_not_waited_for_forever():
             self.x += 0.5 * np.sin(len(self.applied) / 3)
 
     device = Leaking()
-    with pytest.warns(UserWarning, match="before trial 2 .* not back and still after 80 samples"):
+    with pytest.warns(
+        UserWarning, match="before trial 2 .* not back and still after 80 samples"
+    ):
         warnings.filterwarnings("ignore", "after trial 2: it starts")
         record(device, loop, Q, None, bump(40, [1.0, 1.0]), trials=2)
     assert len(device.applied) == 2 * 40 + 80
@@ -83,17 +90,24 @@ def test_a_rig_that_does_not_come_back_is_not_waited_for_forever():
 @given(st.integers(0, 2**32 - 1))
 def test_noise_is_no_other_start(seed):
     rng = np.random.default_rng(seed)
-    reference, noise = bump(rng.integers(50, 400), [3.0, -1.0]), 10.0 ** rng.uniform(-4, 1, 2)
+    reference, noise = (
+        bump(rng.integers(50, 400), [3.0, -1.0]),
+        10.0 ** rng.uniform(-4, 1, 2),
+    )
     y, other = reference + noise * rng.standard_normal((2, *reference.shape))
     start = Start.of(y, reference, ["a", "b"], ["K", "K"])
-    assert start.missed(other) is None and start.back(np.resize(other[:1], y.shape), reference[0])
+    assert start.missed(other) is None and start.back(
+        np.resize(other[:1], y.shape), reference[0]
+    )
     assert "in b from where" in start.missed(other + np.array([0, 0.1 + 30 * noise[1]]))
     assert not start.back(y[:3], reference[0])
 
 
 def test_noise_is_told_from_what_moves():
     rng = np.random.default_rng(0)
-    y = np.outer(np.arange(5000), [1.0, 0.0]) + [0.3, 2.0] * rng.standard_normal((5000, 2))
+    y = np.outer(np.arange(5000), [1.0, 0.0]) + [0.3, 2.0] * rng.standard_normal(
+        (5000, 2)
+    )
     np.testing.assert_allclose(noise_of(y), [0.3, 2.0], rtol=0.05)
     assert not noise_of(y[:2]).any()
 
@@ -121,7 +135,9 @@ def test_two_processes_do_not_record_to_one_log(loop, Q, L, tmp_path):
         first, stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=ROOT
     ) as process:
         assert process.stdout.readline() == b"began\n"
-        with pytest.raises(RuntimeError, match=r"path = '.*log\.csv' is recorded to by another"):
+        with pytest.raises(
+            RuntimeError, match=r"path = '.*log\.csv' is recorded to by another"
+        ):
             record(device, loop, Q, L, **SHORT, path=path)
         process.kill()
     assert device.time == 0 and not path.exists()

@@ -66,17 +66,28 @@ def test_what_is_cut_off_is_told_and_what_is_not_is_not(case):
     assert f"limits of {name} in {over.mean():.1%} of all" in doubted.findings[0]
     truth = loop.frequency_response(excitation.omega)
     off = [
-        np.linalg.norm(one.response - truth, 2, axis=(1, 2)).max() for one in (measured, doubted)
+        np.linalg.norm(one.response - truth, 2, axis=(1, 2)).max()
+        for one in (measured, doubted)
     ]
     assert off[1] > 10 * off[0]
 
 
-@given(st.lists(st.integers(-5, 5), min_size=1, max_size=30), st.integers(-5, 4), st.integers(1, 5))
+@given(
+    st.lists(st.integers(-5, 5), min_size=1, max_size=30),
+    st.integers(-5, 4),
+    st.integers(1, 5),
+)
 def test_the_share_is_that_of_the_samples_beyond_either_end(commands, low, width):
     u = np.array(commands, dtype=float)[:, None] * [1, 0]
-    expected = sum(not low <= value <= low + width for value in commands) / len(commands)
+    expected = sum(not low <= value <= low + width for value in commands) / len(
+        commands
+    )
     said = commands_beyond(u, ["fan", "belt"], {"fan": (low, low + width)})
-    assert (f" of fan in {expected:.1%} of all samples" in said) == bool(said) == bool(expected)
+    assert (
+        (f" of fan in {expected:.1%} of all samples" in said)
+        == bool(said)
+        == bool(expected)
+    )
     assert commands_beyond(u, ["fan", "belt"], {}) == ""
 
 
@@ -84,7 +95,10 @@ def test_the_share_is_that_of_the_samples_beyond_either_end(commands, low, width
     ("limits", "message"),
     [
         ({"belt": (0, 1)}, r"limits is about \['belt'\]"),
-        ({"fan": (1, 1)}, r"limits\['fan'\] = \(1, 1\) must be a lower and a higher number"),
+        (
+            {"fan": (1, 1)},
+            r"limits\['fan'\] = \(1, 1\) must be a lower and a higher number",
+        ),
         ({"fan": (0, 1, 2)}, r"limits\['fan'\] has shape \(3,\)"),
         ({"fan": (0, np.inf)}, r"limits\['fan'\] has 1 values that are not finite"),
         ("fan", "limits = 'fan' must be a dict"),

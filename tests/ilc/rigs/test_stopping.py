@@ -46,10 +46,14 @@ class Model(Itself):
         self.x[:] = 0
 
     def read(self):
-        return super().read() + self.noise * self.random.standard_normal(self.plant.noutputs)
+        return super().read() + self.noise * self.random.standard_normal(
+            self.plant.noutputs
+        )
 
     def apply(self, commands):
-        super().apply(np.clip(self.signs * np.asarray(commands), -self.limit, self.limit))
+        super().apply(
+            np.clip(self.signs * np.asarray(commands), -self.limit, self.limit)
+        )
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +64,9 @@ def small():
 def test_an_actuator_of_the_wrong_sign_does_not_run_away(small):
     """Without limits it did, to 1e50, and not a word."""
     device, reference = Model(PLANT, signs=[-1.0, 1.0, 1.0]), bump(200, [5.0, 3.0])
-    with pytest.raises(StoppedError, match=r"trial 1, sample \d+: depth = .* limits of stop") as at:
+    with pytest.raises(
+        StoppedError, match=r"trial 1, sample \d+: depth = .* limits of stop"
+    ) as at:
         record(device, small, Q_SHORT, None, reference, trials=2)
     assert np.abs(device.applied).max() < 1e3 and device.ends == 1
     assert at.value.trials is None and "0 trial(s) are kept" in str(at.value)
@@ -74,7 +80,9 @@ def test_what_was_learned_before_a_stop_is_kept(loop, Q, tmp_path):
 
     class Knocked(RestartingRig):
         def read(self):
-            return super().read() + (100.0 if self.time == 7 and self.trial == 3 else 0.0)
+            return super().read() + (
+                100.0 if self.time == 7 and self.trial == 3 else 0.0
+            )
 
         def begin(self, trial):
             self.trial = trial
@@ -96,12 +104,21 @@ def test_what_was_learned_before_a_stop_is_kept(loop, Q, tmp_path):
 def test_limits_follow_from_the_reference_and_the_rig_unless_they_are_given(loop, Q):
     reference = np.array([[0.0, 1.0, 0.0], [2.0, -1.0, 0.0]])
     units = {"a": "K", "b": "K", "c": "m"}
-    loop_of_three = SimpleNamespace(outputs=["a", "b", "c"], commands=["u", "x"], units=units)
+    loop_of_three = SimpleNamespace(
+        outputs=["a", "b", "c"], commands=["u", "x"], units=units
+    )
     given = reference, loop_of_three, {"u": (0.0, 2.0)}
-    assert stop_limits(None, *given) == {"a": (-10, 12), "b": (-11, 11), "u": (-99, 101)}
+    assert stop_limits(None, *given) == {
+        "a": (-10, 12),
+        "b": (-11, 11),
+        "u": (-99, 101),
+    }
     own = stop_limits({"a": None, "c": (-1, 1), "u": (0, 1)}, *given)
     assert own == {"b": (-11, 11), "c": (-1, 1), "u": (0, 1)}
-    for wrong, message in (({"z": (0, 1)}, "stop is about"), ({"y1": (1, 0)}, "stop.*lower and a")):
+    for wrong, message in (
+        ({"z": (0, 1)}, "stop is about"),
+        ({"y1": (1, 0)}, "stop.*lower and a"),
+    ):
         with pytest.raises(ValueError, match=message):
             record(VirtualRig(), loop, Q, None, np.ones((9, 2)), stop=wrong)
 
@@ -119,7 +136,9 @@ def test_a_furnace_that_is_a_tenth_off_is_told_of_while_there_is_time():
     delayed = np.append([1.0, -0.95], np.zeros(33))
     plant = control.ss(control.tf([0.22], delayed, 1.0))
     device = Model(control.ss(plant, inputs=["valve"], outputs=["outlet"]), noise=0.02)
-    with pytest.warns(UserWarning, match="after trial [678]: the error grows.*Measure P") as told:
+    with pytest.warns(
+        UserWarning, match="after trial [678]: the error grows.*Measure P"
+    ) as told:
         log = record(device, loop, Q, L, bump(600, [10.0]), trials=10)
     assert told[0].filename == __file__ and rms(log.e).values[-1] > 1
     assert len([one for one in told if "the error grows" in str(one.message)]) == 1

@@ -29,7 +29,10 @@ CHOICES = {"order": 3, "M_max": 0.97, "L_max": 20.0, "band": (0.01, 0.3)}
 
 def density(m, n, seed=0):
     """Of coloured noise, another for each output."""
-    return np.random.default_rng(seed).uniform(0.5, 2, (n, m)) * np.linspace(2, 1, n)[:, None]
+    return (
+        np.random.default_rng(seed).uniform(0.5, 2, (n, m))
+        * np.linspace(2, 1, n)[:, None]
+    )
 
 
 @given(st.integers(1, 4), st.sampled_from(["diagonal", "full"]), st.integers(0, 99))
@@ -104,7 +107,11 @@ def test_the_variance_of_the_error_grows_by_no_more_than_the_cost(build, control
 def test_no_multipliers_prove_too_much(objective):
     """The bound holds whatever they are, and wherever the cost is linearised."""
     P, Q, omega = random_plant(2, 2, 15)
-    choices = CHOICES | {"objective": objective, "structure": "full", "noise": density(2, 15)}
+    choices = CHOICES | {
+        "objective": objective,
+        "structure": "full",
+        "noise": density(2, 15),
+    }
     design = synthesise(P, Q, omega, 1.0, **choices)
     problem, solution = design.certificate.problem, design.solution
     L = problem.response(solution)
@@ -144,7 +151,13 @@ def test_in_other_units_the_filter_is_worth_the_same():
     noise = density(2, 40)
     here = synthesise(P, Q, omega, 1.0, **CHOICES, noise=noise)
     there = synthesise(
-        P * units[:, None] / units, Q, omega, 1.0, **CHOICES, scale=units, noise=noise * units**2
+        P * units[:, None] / units,
+        Q,
+        omega,
+        1.0,
+        **CHOICES,
+        scale=units,
+        noise=noise * units**2,
     )
     assert there.value == here.value
 
@@ -174,7 +187,9 @@ def loop_of(build, controls):
     return loop, zero_phase_butterworth(2, 0.1 / loop.Ts, loop.Ts), omega
 
 
-@pytest.mark.parametrize(("samples", "rest", "ends"), [(60, 0, "zero"), (90, 20, "hold")])
+@pytest.mark.parametrize(
+    ("samples", "rest", "ends"), [(60, 0, "zero"), (90, 20, "hold")]
+)
 @pytest.mark.parametrize(
     ("build", "controls", "structure"),
     [(stage, ["F"], "full"), (tanks, ["pump A", "pump B", "pump C"], "diagonal")],
@@ -199,7 +214,9 @@ def test_on_a_trial_the_cost_is_what_one_trial_makes_of_noise(
     v[(samples - rest) * m :] = 0
     energy = ((P_N @ v) ** 2).sum(axis=0).reshape(-1, m).sum(axis=0) @ variance
     expected = energy / samples / (1 - 0.9**2)
-    assert design.certificate.noise == pytest.approx(expected, rel=1e-2)  # by 300 frequencies
+    assert design.certificate.noise == pytest.approx(
+        expected, rel=1e-2
+    )  # by 300 frequencies
     assert design.certificate.gap < 1e-6
     program = formulate(design.problem)
     x = program.unknowns(design.solution.coefficients)
@@ -241,7 +258,8 @@ def test_with_the_start_in_the_objective_a_loud_filter_is_not_chosen(loop, Q):
         "start": synthesise(loop, Q, omega, L_max=None, noise=noise, samples=2500),
     }
     found = {
-        name: 1e3 * float(rms(noise_on_trial(loop, Q, design.filter, 2500, 0.02**2).true))
+        name: 1e3
+        * float(rms(noise_on_trial(loop, Q, design.filter, 2500, 0.02**2).true))
         for name, design in designs.items()
     }
     assert found["start"] < 0.8 * found["endless"]

@@ -41,11 +41,17 @@ def dense(design, Ts=1.0):
     problem = design.certificate.problem
     added = problem.omega[~problem.asked, None]
     about = (added * (1 + np.linspace(-0.01, 0.01, 41))).ravel()
-    grids = np.linspace(0, np.pi, 5001) / Ts, np.geomspace(1e-4, np.pi, 5001) / Ts, about
+    grids = (
+        np.linspace(0, np.pi, 5001) / Ts,
+        np.geomspace(1e-4, np.pi, 5001) / Ts,
+        about,
+    )
     return np.unique(np.concatenate(grids).clip(0, np.pi / Ts))
 
 
-@pytest.mark.parametrize(("structure", "value"), [("diagonal", 104.8675), ("full", 69.9620)])
+@pytest.mark.parametrize(
+    ("structure", "value"), [("diagonal", 104.8675), ("full", 69.9620)]
+)
 def test_the_papers_bounds_hold_at_every_frequency(loop, Q, omega, structure, value):
     on_grid = synthesise(loop, Q, omega, structure=structure, **PAPER)
     design = synthesise(loop, Q, omega, structure=structure, everywhere=True, **PAPER)
@@ -58,16 +64,23 @@ def test_the_papers_bounds_hold_at_every_frequency(loop, Q, omega, structure, va
     assert on_grid.value < certificate.lower_bound <= design.value
     assert certificate.gap < 1e-7 and certificate.failures == []
     assert "bounds asked for at every frequency" in str(design)
-    np.testing.assert_array_equal(design.omega, omega)  # what is added is not the user's
+    np.testing.assert_array_equal(
+        design.omega, omega
+    )  # what is added is not the user's
     assert design.sigma_M.shape == omega.shape
 
 
-def test_what_passes_a_bound_between_the_frequencies_does_not_hold_everywhere(loop, Q, omega):
+def test_what_passes_a_bound_between_the_frequencies_does_not_hold_everywhere(
+    loop, Q, omega
+):
     certificate = synthesise(loop, Q, omega, **PAPER).certificate
     assert certificate.failures == []
     asked = replace(certificate, problem=replace(certificate.problem, everywhere=True))
     [failure] = asked.failures
-    assert failure.startswith("sigma_max(M) is 0.9000002") and "above the bounds" in failure
+    assert (
+        failure.startswith("sigma_max(M) is 0.9000002")
+        and "above the bounds" in failure
+    )
 
 
 @pytest.mark.parametrize("structure", ["diagonal", "full"])
@@ -76,7 +89,8 @@ def test_a_hundred_frequencies_are_as_good_as_a_thousand(loop, Q, omega, structu
     few = np.geomspace(1e-4, np.pi, 100)
     few = synthesise(loop, Q, few, structure=structure, everywhere=True, **PAPER)
     M = Q.frequency_response(omega)[:, None, None] * (
-        np.eye(2) - loop.frequency_response(omega) @ few.filter.frequency_response(omega)
+        np.eye(2)
+        - loop.frequency_response(omega) @ few.filter.frequency_response(omega)
     )
     value = largest_singular_values(M)[omega <= 0.02].sum()
     # of filters that keep the bounds it is the best for another sum, of a tenth of the terms
@@ -91,13 +105,25 @@ def test_the_least_peak_is_that_of_every_grid(loop, Q, n):
 
 
 def other_plants():
-    motion = current_trial_loop(stage(), ["F"], sizes={"x": 1.0, "F": 10.0})  # mm, one channel
+    motion = current_trial_loop(
+        stage(), ["F"], sizes={"x": 1.0, "F": 10.0}
+    )  # mm, one channel
     levels = current_trial_loop(tanks(), ["pump A", "pump B", "pump C"])
     pipe = current_trial_loop(furnace(20))  # a delay of 20 samples
     return {
         "stage": (motion, 100.0, 1e-3, {"L_max": 10.0, "band": (1.0, 60.0)}),
-        "tanks": (levels, 0.05, 2.0, {"L_max": 5.0, "band": (1e-3, 0.02), "structure": "full"}),
-        "furnace": (pipe, 0.05, 1.0, {"L_max": 1.05, "band": (1e-3, 0.02), "order": 25}),
+        "tanks": (
+            levels,
+            0.05,
+            2.0,
+            {"L_max": 5.0, "band": (1e-3, 0.02), "structure": "full"},
+        ),
+        "furnace": (
+            pipe,
+            0.05,
+            1.0,
+            {"L_max": 1.05, "band": (1e-3, 0.02), "order": 25},
+        ),
     }
 
 
@@ -116,7 +142,9 @@ def test_other_plants(name, as_samples):
     assert choices["L_max"] * PROVEN >= L and certificate.failures == []
     assert certificate.lower_bound <= design.value * (1 + 1e-12)
     assert certificate.all_M <= 0.9 * PROVEN and certificate.proven is not as_samples
-    assert M <= 0.9 * PROVEN or as_samples  # a spline is the judge, and the certificate says so
+    assert (
+        M <= 0.9 * PROVEN or as_samples
+    )  # a spline is the judge, and the certificate says so
     assert ("between the samples: " in str(design)) is as_samples
 
 
@@ -138,7 +166,9 @@ def test_the_bounds_of_several_models_hold_everywhere(loop, Q):
         M, L = judged(design, plant, Q, dense(design))
         assert M <= 0.93 * PROVEN and L <= 50 * PROVEN
     radius = np.full(60, 0.005)
-    within = synthesise(loop, Q, grid, everywhere=True, uncertainty=radius, M_max=0.93, **PAPER)
+    within = synthesise(
+        loop, Q, grid, everywhere=True, uncertainty=radius, M_max=0.93, **PAPER
+    )
     assert within.certificate.failures == []
     assert judged(within, loop, Q, dense(within))[0] <= 0.93 * PROVEN
 
@@ -147,11 +177,17 @@ def test_what_only_the_grid_admits_is_infeasible_everywhere(loop, Q):
     """On 40 frequencies 0.8222 can be met, at all of them 0.8247."""
     grid, M_max = np.geomspace(1e-4, np.pi, 40), 0.8235
     synthesise(loop, Q, grid, M_max=M_max, **PAPER)
-    with pytest.raises(InfeasibleError, match="At the frequencies omega alone") as error:
+    with pytest.raises(
+        InfeasibleError, match="At the frequencies omega alone"
+    ) as error:
         synthesise(loop, Q, grid, M_max=M_max, everywhere=True, **PAPER)
     assert error.value.smallest_M_max == pytest.approx(0.8246947, abs=1e-6)
-    M_max = float(f"{error.value.smallest_M_max:.4f}") + 1e-4  # who follows the advice gets one
-    assert synthesise(loop, Q, grid, M_max=M_max, everywhere=True, **PAPER).certificate.proven
+    M_max = (
+        float(f"{error.value.smallest_M_max:.4f}") + 1e-4
+    )  # who follows the advice gets one
+    assert synthesise(
+        loop, Q, grid, M_max=M_max, everywhere=True, **PAPER
+    ).certificate.proven
     with pytest.raises(InfeasibleError) as error:  # not even on the grid
         synthesise(loop, Q, grid, M_max=0.8, everywhere=True, **PAPER)
     assert error.value.smallest_M_max == pytest.approx(0.8246947, abs=1e-6)
@@ -163,7 +199,8 @@ def test_cvxpy_states_the_same_problem(Q):
     grid, Q = np.geomspace(1e-4, np.pi, 30) / Ts, zero_phase_butterworth(2, 100.0, Ts)
     choices |= {"everywhere": True, "order": 6}
     ours, theirs = (
-        synthesise(loop, Q, grid, solver=solver, **choices) for solver in ("structured", "cvxpy")
+        synthesise(loop, Q, grid, solver=solver, **choices)
+        for solver in ("structured", "cvxpy")
     )
     assert theirs.value == pytest.approx(ours.value, rel=1e-5)
     assert theirs.certificate.all_L == pytest.approx(10, rel=3e-6)
@@ -182,7 +219,9 @@ def test_the_searches_hold_their_bounds_everywhere(loop, Q):
     M, L = judged(design, loop, found, dense(design))
     assert M <= 0.9 * PROVEN and L <= 50 * PROVEN
     by_grid, _ = largest_cutoff(loop, Q, fine, L_max=50.0, **few)
-    assert found.cutoff == pytest.approx(by_grid.cutoff, rel=2e-3)  # each is found to 1e-3
+    assert found.cutoff == pytest.approx(
+        by_grid.cutoff, rel=2e-3
+    )  # each is found to 1e-3
 
 
 def pipe(samples):
@@ -205,7 +244,9 @@ def test_a_resonance_that_no_sample_shows_is_held():
     with pytest.raises(SolverError, match="not in omega"):
         synthesise(plant, Q, grid, order=3, L_max=60.0)
     design = synthesise(plant, Q, grid, order=3, L_max=60.0, everywhere=True)
-    M, L = judged(design, plant, Q, np.union1d(dense(design), np.linspace(0.09, 0.11, 5000)))
+    M, L = judged(
+        design, plant, Q, np.union1d(dense(design), np.linspace(0.09, 0.11, 5000))
+    )
     assert M <= 0.9 * PROVEN and L <= 60 * PROVEN
 
 
@@ -235,7 +276,9 @@ def test_a_solution_is_carried_by_its_frequencies(loop, Q):
     back = carried(there, wider, problem.omega)
     for name in ("U", "V"):
         np.testing.assert_array_equal(getattr(back, name), getattr(solution, name))
-    np.testing.assert_array_equal(wider[there.cuts.frequency], problem.omega[back.cuts.frequency])
+    np.testing.assert_array_equal(
+        wider[there.cuts.frequency], problem.omega[back.cuts.frequency]
+    )
     np.testing.assert_array_equal(back.cuts.frequency, solution.cuts.frequency)
     fewer = carried(solution, problem.omega, grid)
     assert len(fewer.U) == 60 and len(fewer.cuts.N) <= len(solution.cuts.N)
@@ -252,5 +295,7 @@ def test_the_least_gain_is_that_at_every_frequency(loop, Q):
     problem = pose(loop, Q, np.geomspace(1e-4, np.pi, 40), L_max=100.0, everywhere=True)
     problem = replace(problem, objective="gain", M_max=0.9)
     _, found = everywhere.settled(problem, solve)
-    L = LearningFilter(found.coefficients, 1.0).frequency_response(np.linspace(0, np.pi, 20001))
+    L = LearningFilter(found.coefficients, 1.0).frequency_response(
+        np.linspace(0, np.pi, 20001)
+    )
     assert largest_singular_values(L).max() <= 100 * found.largest * PROVEN

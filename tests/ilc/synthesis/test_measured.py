@@ -31,16 +31,23 @@ class Estimate(Measured):
     def on(self, omega, confidence, scale=None):
         assert confidence == self.confidence
         S = np.ones(self.P.shape[1]) if scale is None else np.asarray(scale)
-        return self.P * S / S[:, None], np.full(len(omega), self.radius * S.max() / S.min())
+        return self.P * S / S[:, None], np.full(
+            len(omega), self.radius * S.max() / S.min()
+        )
 
     def basis(self, omega, confidence):
-        return (f"read off at {len(omega)} frequencies, with confidence {confidence:g}",)
+        return (
+            f"read off at {len(omega)} frequencies, with confidence {confidence:g}",
+        )
 
 
 LOOPS = {  # and units of the channels
     "rod": (paper_loop, None),
     "stage": (lambda: current_trial_loop(stage(), ["F"]), [2.0]),
-    "tanks": (lambda: current_trial_loop(tanks(), ["pump A", "pump B", "pump C"]), [1, 2, 3]),
+    "tanks": (
+        lambda: current_trial_loop(tanks(), ["pump A", "pump B", "pump C"]),
+        [1, 2, 3],
+    ),
     "furnace": (lambda: current_trial_loop(furnace(10)), None),
 }
 
@@ -52,7 +59,9 @@ def test_the_bound_holds_for_the_truth_if_it_is_within_the_radius(name):
     omega = np.geomspace(1e-3, np.pi, 120) / loop.Ts
     P, m = loop.frequency_response(omega), loop.plant.noutputs
     rng = np.random.default_rng(3)
-    error = rng.standard_normal((len(omega), m, m)) + 1j * rng.standard_normal((len(omega), m, m))
+    error = rng.standard_normal((len(omega), m, m)) + 1j * rng.standard_normal(
+        (len(omega), m, m)
+    )
     error *= 0.004 / np.linalg.norm(error, 2, axis=(1, 2))[:, None, None]
     Q = zero_phase_butterworth(2, 0.03 / loop.Ts, loop.Ts)
     choices = dict(band=(omega[0], 0.02 / loop.Ts), scale=scale)
@@ -64,7 +73,9 @@ def test_the_bound_holds_for_the_truth_if_it_is_within_the_radius(name):
     M = convergence_matrix(P, Q.frequency_response(omega), L) * units
     assert largest_singular_values(M).max() <= 0.9 * (1 + 1e-9)
     response, radius = measured.on(omega, CONFIDENCE, scale)
-    two_steps = synthesise(response / units, Q, omega, loop.Ts, uncertainty=radius, **choices)
+    two_steps = synthesise(
+        response / units, Q, omega, loop.Ts, uncertainty=radius, **choices
+    )
     np.testing.assert_array_equal(design.problem.radius, radius)  # in units of scale
     assert design.value == pytest.approx(two_steps.value, rel=1e-9)
     assert "read off at 120 frequencies, with confidence 0.9" in str(design)
@@ -86,12 +97,17 @@ def test_where_nothing_can_be_learned_is_named():
     for factor in (0.5, 2.0):
         many = pose([P, factor * P], Q, omega, 1.0, uncertainty=np.full(100, 0.01))
         np.testing.assert_array_equal(many.unusable, min(factor, 1) * smallest <= 0.01)
-    with pytest.raises(InfeasibleError, match="P is not known well enough at") as caught:
+    with pytest.raises(
+        InfeasibleError, match="P is not known well enough at"
+    ) as caught:
         synthesise(Estimate(P, 0.5), Q, omega, 1.0, confidence=CONFIDENCE)
     here = (smallest <= 0.5) & (np.abs(Q.frequency_response(omega)) > 0.9)
     assert f"{here.sum()} frequencies from {omega[here][0]:.4g}" in str(caught.value)
     # a singular plant is within the radius: no filter makes M smaller than Q for it
-    assert caught.value.smallest_M_max >= np.abs(Q.frequency_response(omega))[here].max() - 1e-9
+    assert (
+        caught.value.smallest_M_max
+        >= np.abs(Q.frequency_response(omega))[here].max() - 1e-9
+    )
 
 
 def test_what_contradicts_a_measurement_is_refused():
@@ -100,7 +116,9 @@ def test_what_contradicts_a_measurement_is_refused():
     Q = zero_phase_butterworth(2, 0.1, 1.0)
     measured = Estimate(loop.frequency_response(omega), 0.01, 0.99)
     assert pose(measured, Q, omega, 1.0).basis  # 0.99 by default
-    with pytest.raises(ValueError, match="uncertainty must be None if P is a measured response"):
+    with pytest.raises(
+        ValueError, match="uncertainty must be None if P is a measured response"
+    ):
         synthesise(measured, Q, omega, 1.0, uncertainty=np.full(100, 0.1))
     with pytest.raises(ValueError, match=r"confidence = .* is for a measured response"):
         synthesise(loop, Q, omega, 1.0, confidence=0.9)

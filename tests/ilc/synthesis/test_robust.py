@@ -69,9 +69,13 @@ def test_a_selection_of_the_bounds_is_as_good_as_all_of_them(objective):
         limit = solution.largest if objective == "peak" else problem.M_max
         assert not len(violated(problem, solution, limit * (1 + 1e-9), none, none)[0])
     values = [
-        problem.value(largest_singular_values(problem.M(response)), solution.largest * np.ones(1))
+        problem.value(
+            largest_singular_values(problem.M(response)), solution.largest * np.ones(1)
+        )
         for solution in (reference, found)
-        for response in [LearningFilter(solution.coefficients, 1.0).frequency_response(omega)]
+        for response in [
+            LearningFilter(solution.coefficients, 1.0).frequency_response(omega)
+        ]
     ]
     assert values[1] == pytest.approx(values[0], rel=1e-7)
     assert found.cuts is None or len(found.cuts.plant) < 4 * len(omega)
@@ -91,7 +95,10 @@ def test_no_radius_is_the_nominal_design_and_a_larger_one_costs_more(m):
         except InfeasibleError as error:  # the peak is above M_max
             return error.smallest_M_max
 
-    nominal, values = least_peak(), [least_peak(share * size) for share in (0, 0.1, 0.2)]
+    nominal, values = (
+        least_peak(),
+        [least_peak(share * size) for share in (0, 0.1, 0.2)],
+    )
     assert values[0] == nominal < values[1] < values[2]
 
 
@@ -109,7 +116,8 @@ def test_for_one_channel_the_bound_is_the_closed_form():
 
 @pytest.mark.filterwarnings("ignore:the samples are too coarse")
 @pytest.mark.parametrize(
-    "earlier", ["other bounds", "fewer plants and no radius", "more plants and another radius"]
+    "earlier",
+    ["other bounds", "fewer plants and no radius", "more plants and another radius"],
 )
 def test_from_an_earlier_design_the_result_is_the_same(earlier):
     P, Q, omega, choices = question(2, "plants and radius", 7, n=12)
@@ -172,5 +180,7 @@ def test_in_other_units_the_filter_is_the_same():
     there = synthesise([p * factor for p in P], Q, omega, 1.0, scale=units, **choices)
     assert there.value == pytest.approx(here.value, rel=1e-6)
     np.testing.assert_allclose(
-        there.filter.coefficients / factor[..., None], here.filter.coefficients, atol=1e-3
+        there.filter.coefficients / factor[..., None],
+        here.filter.coefficients,
+        atol=1e-3,
     )

@@ -29,7 +29,9 @@ def test_its_multipliers_prove_its_optimum(structure, objective, L_max):
     problem = posed(P, Q, omega, structure, objective, L_max)
     found = solve(formulate(problem))
     z = np.exp(1j * np.outer(omega, np.arange(1, 5)))
-    M = Q[:, None, None] * (np.eye(2) - P @ np.einsum("ijk,nk->nij", found.coefficients, z))
+    M = Q[:, None, None] * (
+        np.eye(2) - P @ np.einsum("ijk,nk->nij", found.coefficients, z)
+    )
     sigma = np.linalg.norm(M, 2, axis=(1, 2))
     value = sigma[omega < 1].sum() if objective == "sum" else sigma.max()
     bound = lower_bound(problem, found.U, found.V)

@@ -44,7 +44,10 @@ def judged(L, P, Q, omega):
 
 def test_paper_design_meets_its_bounds_and_both_are_active(diagonal, loop, Q, omega):
     sigma_M, sigma_L = judged(
-        diagonal.filter, loop.frequency_response(omega), Q.frequency_response(omega), omega
+        diagonal.filter,
+        loop.frequency_response(omega),
+        Q.frequency_response(omega),
+        omega,
     )
     assert sigma_M.max() == pytest.approx(0.9, rel=1e-6)
     assert sigma_L.max() == pytest.approx(50, rel=1e-6)
@@ -64,7 +67,10 @@ def test_the_certificate_names_the_peaks_over_all_frequencies(full, loop, Q):
 
 def test_no_design_is_worse_than_the_printed_one(diagonal, full, loop, Q, omega):
     P, Q = loop.frequency_response(omega), Q.frequency_response(omega)
-    for design, name, value in ((diagonal, "L_diagonal", 104.865787), (full, "L_full", 69.961958)):
+    for design, name, value in (
+        (diagonal, "L_diagonal", 104.865787),
+        (full, "L_full", 69.961958),
+    ):
         printed = LearningFilter(published.matrix(name), 1.0)
         M = convergence_matrix(P, Q, printed.frequency_response(omega))
         objective = largest_singular_values(M)[omega <= 0.02].sum()
@@ -79,8 +85,12 @@ def test_printed_filters_on_our_plant(loop, Q, omega):
         ("L_diagonal", 0.8999993, 50.00004),
         ("L_full", 0.8830, 50.00007),
     ):
-        sigma_M, sigma_L = judged(LearningFilter(published.matrix(name), 1.0), P, Q, omega)
-        assert sigma_M.max() == pytest.approx(rate, abs=5e-5 if rate == 0.8830 else 5e-8)
+        sigma_M, sigma_L = judged(
+            LearningFilter(published.matrix(name), 1.0), P, Q, omega
+        )
+        assert sigma_M.max() == pytest.approx(
+            rate, abs=5e-5 if rate == 0.8830 else 5e-8
+        )
         assert sigma_L.max() == pytest.approx(gain, abs=5e-6)
 
 
@@ -91,11 +101,15 @@ def test_the_minimum_is_a_minimum(diagonal, loop, Q, omega):
     better = 0
     for _ in range(200):
         step = np.zeros((2, 2, 10))
-        step[[0, 1], [0, 1]] = rng.standard_normal((2, 10)) * 10.0 ** rng.uniform(-4, -1)
+        step[[0, 1], [0, 1]] = rng.standard_normal((2, 10)) * 10.0 ** rng.uniform(
+            -4, -1
+        )
         trial = LearningFilter(diagonal.filter.coefficients + step, 1.0)
         sigma_M, sigma_L = judged(trial, P, response, omega)
         feasible = sigma_M.max() <= 0.9 and sigma_L.max() <= 50
-        better += feasible and sigma_M[omega <= 0.02].sum() < diagonal.value * (1 - 1e-6)
+        better += feasible and sigma_M[omega <= 0.02].sum() < diagonal.value * (
+            1 - 1e-6
+        )
     assert better == 0
 
 
@@ -147,17 +161,27 @@ def test_random_plants_against_cvxpys_own_atoms(shape, L_max, objective):
     P = P + 0.1 * rng.standard_normal((m, m)) / (z - 0.3)[:, None, None]
     Q = 1 / (1 + omega**4)
     band = (0.05, 1.0)
-    arguments = {"order": order, "L_max": L_max, "structure": structure, "objective": objective}
+    arguments = {
+        "order": order,
+        "L_max": L_max,
+        "structure": structure,
+        "objective": objective,
+    }
     design = synthesise(P, Q, omega, 1.0, band=band, **arguments)
 
     taps = [cp.Variable((m, m), diag=structure == "diagonal") for _ in range(order)]
     L = [sum(z_i**k * tap for k, tap in enumerate(taps, 1)) for z_i in z]
-    rates = [cp.sigma_max(q * (np.eye(m) - p @ l_i)) for q, p, l_i in zip(Q, P, L, strict=True)]
+    rates = [
+        cp.sigma_max(q * (np.eye(m) - p @ l_i))
+        for q, p, l_i in zip(Q, P, L, strict=True)
+    ]
     bounds = [rate <= 0.9 for rate in rates]
     bounds += [cp.sigma_max(l_i) <= L_max for l_i in L] if L_max else []
     inside = (omega >= band[0]) & (omega <= band[1])
     chosen = [rate for rate, member in zip(rates, inside, strict=True) if member]
-    value = cp.sum(cp.hstack(chosen)) if objective == "sum" else cp.max(cp.hstack(rates))
+    value = (
+        cp.sum(cp.hstack(chosen)) if objective == "sum" else cp.max(cp.hstack(rates))
+    )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Clarabel's "may be inaccurate"
         reference = cp.Problem(cp.Minimize(value), bounds).solve(solver=cp.CLARABEL)
@@ -173,7 +197,9 @@ def test_a_plant_that_one_step_inverts_is_inverted(m, seed):
     arguments = {"order": 2, "L_max": None, "band": (0.1, 3), "structure": "full"}
     design = synthesise(P, np.ones(12), omega, 1.0, **arguments)
     assert design.value < 1e-5
-    np.testing.assert_allclose(design.filter.coefficients[:, :, 0], np.linalg.inv(G), atol=1e-4)
+    np.testing.assert_allclose(
+        design.filter.coefficients[:, :, 0], np.linalg.inv(G), atol=1e-4
+    )
 
 
 @pytest.mark.filterwarnings("ignore:Q is 1 above 3.115 rad/s, where P is not known")
@@ -189,7 +215,9 @@ def test_least_gain_of_a_channel_that_could_be_learned_at_once(structure):
     P = np.zeros((n, 2, 2), dtype=complex)
     P[:, 0, 0], P[:, 1, 1] = (1 - 2 / z) / z**11, 0.1 / z
     arguments = {"order": 12, "band": (0.1, 1), "structure": structure}
-    any_gain = synthesise(P, np.ones(n), omega, 1.0, objective="peak", L_max=None, **arguments)
+    any_gain = synthesise(
+        P, np.ones(n), omega, 1.0, objective="peak", L_max=None, **arguments
+    )
     design = least_gain(P, np.ones(n), omega, 1.0, **arguments)
     assert any_gain.value == pytest.approx(0.5, rel=1e-7)
     assert any_gain.sigma_L.max() > 5.5
@@ -201,7 +229,9 @@ def test_least_gain_of_a_channel_that_could_be_learned_at_once(structure):
 
 def test_with_less_than_the_least_gain_the_peak_is_higher(loop, Q, omega):
     """As the dual bound of the certificate shows, which no filter of that gain goes below."""
-    grid = np.geomspace(1e-4, np.pi, 250)  # not coarse: what is bounded is the gain on the grid
+    grid = np.geomspace(
+        1e-4, np.pi, 250
+    )  # not coarse: what is bounded is the gain on the grid
     arguments = {"order": 10, "band": (grid[0], 0.02), "objective": "peak"}
     without = {"order": 10, "band": arguments["band"], "samples": 60, "rest": 15}
     design = least_gain(loop, Q, grid, 1.0, **without)
@@ -211,7 +241,10 @@ def test_with_less_than_the_least_gain_the_peak_is_higher(loop, Q, omega):
     gain = design.sigma_L.max()
     # The ninth digit of the peak decides the fourth of the gain; more than that is rounding.
     unit, room = free.sigma_L.max(), free.value * (1 + 2e-9)
-    roomier = solve(replace(free.problem, objective="gain", L_max=unit, M_max=room)).largest * unit
+    roomier = (
+        solve(replace(free.problem, objective="gain", L_max=unit, M_max=room)).largest
+        * unit
+    )
     assert roomier < gain <= design.problem.L_max * (1 + VIOLATION)
     assert design.problem.L_max < roomier * (1 + 1e-3)
     assert gain < free.sigma_L.max() / 100
@@ -228,7 +261,9 @@ def test_infeasible_bounds_name_the_culprit_and_the_smallest_M_max(loop, Q, omeg
     ) as error:
         synthesise(loop, Q, grid, 1.0, M_max=0.6, **arguments)
     assert f"smallest feasible M_max is {peak:.4g}"[:-1] in str(error.value)
-    with pytest.raises(InfeasibleError, match=r"M_max = 0\.1 is too tight for a diagonal filter"):
+    with pytest.raises(
+        InfeasibleError, match=r"M_max = 0\.1 is too tight for a diagonal filter"
+    ):
         synthesise(loop, Q, grid, 1.0, M_max=0.1, **arguments)
     nearly = synthesise(loop, Q, grid, 1.0, M_max=peak * 1.001, **arguments)
     assert nearly.sigma_M.max() <= peak * 1.001 * (1 + 1e-6)
@@ -237,11 +272,23 @@ def test_infeasible_bounds_name_the_culprit_and_the_smallest_M_max(loop, Q, omeg
 @pytest.mark.parametrize(
     ("changes", "remedy"),
     [
-        ({"M_max": 0.6, "L_max": 1e-9}, "M_max is 1: no M_max below 1 will do, so raise L_max"),
-        ({"order": 11}, "will do, so take a longer filter, or a full one, lower the cut-off of Q"),
-        ({"order": 11, "structure": "full"}, "so take a longer filter, lower the cut-off of Q"),
+        (
+            {"M_max": 0.6, "L_max": 1e-9},
+            "M_max is 1: no M_max below 1 will do, so raise L_max",
+        ),
+        (
+            {"order": 11},
+            "will do, so take a longer filter, or a full one, lower the cut-off of Q",
+        ),
+        (
+            {"order": 11, "structure": "full"},
+            "so take a longer filter, lower the cut-off of Q",
+        ),
         ({"M_max": 0.6, "L_max": 0.2}, "M_max is 0.79.*: raise M_max or raise L_max"),
-        ({"L_max": None}, r"M_max is 0.5(00001)?: raise M_max, take a longer filter"),  # rounded up
+        (
+            {"L_max": None},
+            r"M_max is 0.5(00001)?: raise M_max, take a longer filter",
+        ),  # rounded up
     ],
 )
 def test_what_cannot_help_is_not_advised(changes, remedy):
@@ -274,10 +321,19 @@ MODELS = {"P": control.ss(0.5, 1, 1, 0, 1.0), "Q": zero_phase_butterworth()}
         ({"P": np.ones(50)}, r"P has shape \(50,\)"),
         ({"P": singular_P()}, "P is singular at omega = 0.471429"),
         ({"P": singular_P() * np.nan}, "P has 200 values that are not finite"),
-        ({"P": control.ss(1.1, 1, 1, 0, 1.0)}, "P is unstable: it has a pole of modulus 1.1"),
-        ({"P": np.tile(np.eye(2) * 1e-200, (50, 1, 1))}, "P is singular at omega = 0.05 .*1e-200"),
+        (
+            {"P": control.ss(1.1, 1, 1, 0, 1.0)},
+            "P is unstable: it has a pole of modulus 1.1",
+        ),
+        (
+            {"P": np.tile(np.eye(2) * 1e-200, (50, 1, 1))},
+            "P is singular at omega = 0.05 .*1e-200",
+        ),
         ({"P": np.tile(np.eye(2) * 1e200, (50, 1, 1))}, r"P has values beyond 1e\+100"),
-        ({"P": control.ss([[0.5]], [[np.nan]], 1, 0, 1.0)}, r"P.B has 1 values that are not fin"),
+        (
+            {"P": control.ss([[0.5]], [[np.nan]], 1, 0, 1.0)},
+            r"P.B has 1 values that are not fin",
+        ),
         ({"P": control.ss(0.5, 1, 1, 0, 2.0)}, r"P\.dt = 2.0 differs from Ts = 1.0"),
         ({"Q": np.ones(3)}, r"Q has shape \(3,\)"),
         ({"Q": np.zeros(50)}, "Q has a gain of 0 at most .* it learns nothing"),
@@ -308,24 +364,42 @@ MODELS = {"P": control.ss(0.5, 1, 1, 0, 1.0), "Q": zero_phase_butterworth()}
         ({"band": (0.051, 0.052)}, "contains none"),
         ({"structure": "triangular"}, "structure = 'triangular'"),
         ({"objective": "mean"}, "objective = 'mean'"),
-        ({"samples": 100}, "samples = 100 asks for the norm of a trial, .* P and Q as models"),
+        (
+            {"samples": 100},
+            "samples = 100 asks for the norm of a trial, .* P and Q as models",
+        ),
         ({"solver": "simplex"}, "solver = 'simplex'"),
         (MODELS | {"samples": True}, "samples = True must be a whole number"),
-        (MODELS | {"samples": 9, "rest": 9}, "rest = 9 must be a whole number, from 0 to 8"),
+        (
+            MODELS | {"samples": 9, "rest": 9},
+            "rest = 9 must be a whole number, from 0 to 8",
+        ),
         (MODELS | {"samples": 0}, "samples = 0 must be a whole number, 2 or more"),
     ],
 )
 def test_bad_arguments_are_refused_before_any_work(changes, message):
     P = np.tile(np.eye(2), (50, 1, 1))
-    arguments = {"P": P, "Q": np.ones(50), "omega": GRID, "Ts": 1.0, "band": (0.05, 1)} | changes
+    arguments = {
+        "P": P,
+        "Q": np.ones(50),
+        "omega": GRID,
+        "Ts": 1.0,
+        "band": (0.05, 1),
+    } | changes
     with pytest.raises(ValueError, match=message):
         synthesise(**arguments)
 
 
-def test_numbers_may_come_from_numpy_and_the_rest_reaches_the_certificate(loop, Q, omega):
+def test_numbers_may_come_from_numpy_and_the_rest_reaches_the_certificate(
+    loop, Q, omega
+):
     grid = omega[::10]
     of_numpy = {"order": np.int64(10), "M_max": np.float32(0.95), "L_max": np.int32(50)}
-    of_numpy |= {"band": np.array([grid[0], 0.02]), "samples": np.int64(60), "rest": np.int8(15)}
+    of_numpy |= {
+        "band": np.array([grid[0], 0.02]),
+        "samples": np.int64(60),
+        "rest": np.int8(15),
+    }
     design = synthesise(loop, Q, grid, np.int64(1), **of_numpy)
     norm = trial_norm(loop.P, Q, design.filter, 60, rest=15)[0]
     assert design.certificate.trial == pytest.approx(norm, rel=1e-9)
@@ -335,7 +409,10 @@ def test_numbers_may_come_from_numpy_and_the_rest_reaches_the_certificate(loop, 
 
 @pytest.mark.parametrize("m", [1, 2])
 def test_what_is_not_learned_at_one_frequency_is_learned_at_others(m):
-    P, Q = (0.5 / (np.exp(1j * GRID) - 0.5))[:, None, None] * np.eye(m), 1 / (1 + GRID**4)
+    P, Q = (
+        (0.5 / (np.exp(1j * GRID) - 0.5))[:, None, None] * np.eye(m),
+        1 / (1 + GRID**4),
+    )
     Q[3] = 0
     design = synthesise(P, Q, GRID, 1.0, order=3, band=(0.05, 1), structure="full")
     assert design.sigma_M[3] == 0 and design.certificate.gap < 1e-8
@@ -347,7 +424,8 @@ def test_the_unit_of_the_output_does_not_matter(loop, Q, omega, unit):
     grid = omega[::10]
     P, q = loop.frequency_response(grid), Q.frequency_response(grid)
     plain, scaled = (
-        synthesise(u * P, q, grid, 1.0, L_max=50 / u, band=(grid[0], 0.02)) for u in (1, unit)
+        synthesise(u * P, q, grid, 1.0, L_max=50 / u, band=(grid[0], 0.02))
+        for u in (1, unit)
     )
     assert scaled.value == pytest.approx(plain.value, rel=1e-7)
     assert scaled.sigma_L.max() * unit == pytest.approx(plain.sigma_L.max(), rel=1e-6)

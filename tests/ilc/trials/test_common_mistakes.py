@@ -70,7 +70,10 @@ def relearned(e):
 
 
 def refused(words, call):
-    with warnings.catch_warnings(action="error"), pytest.raises(ValueError, match=words):
+    with (
+        warnings.catch_warnings(action="error"),
+        pytest.raises(ValueError, match=words),
+    ):
         call()
 
 
@@ -85,7 +88,9 @@ REFUSED = {
     ),
     "columns of other signals": (
         r"reference holds the signals \['T1', 'T2'\], but must hold \['y1', 'y2'\]: rename them",
-        lambda: run_trials(PAPER, Q, L2, pd.DataFrame(TWO, columns=["T1", "T2"]), None, 2),
+        lambda: run_trials(
+            PAPER, Q, L2, pd.DataFrame(TWO, columns=["T1", "T2"]), None, 2
+        ),
     ),
     "no unit": (
         "units: unit 'bananas' of oven is not understood: write it as pint does",
@@ -135,7 +140,10 @@ REFUSED = {
         "P = 'rod.csv' is a path, and no model: read the file",
         lambda: designed(P="rod.csv"),
     ),
-    "a path as P": ("P = .* is a path, and no model", lambda: designed(P=Path("rod.csv"))),
+    "a path as P": (
+        "P = .* is a path, and no model",
+        lambda: designed(P=Path("rod.csv")),
+    ),
     "a table of five rows": (
         "order = 10 is more than the 5 frequencies of omega tell: take order = 5 or less, or more",
         lambda: designed(P=sampled(OMEGA[::16]), omega=OMEGA[::16]),
@@ -196,7 +204,9 @@ SUSPECTED = {
     ),
     "L with the wrong sign": (
         r"sigma_max\(M\) reaches 2, but with -L only .* likely L has the wrong sign",
-        lambda: run_trials(LOOP, Q, LearningFilter(-L.coefficients, 1.0), MOVE, None, 10),
+        lambda: run_trials(
+            LOOP, Q, LearningFilter(-L.coefficients, 1.0), MOVE, None, 10
+        ),
     ),
     "e with the wrong sign": (
         "v of trial 2 is what the law makes of e with the wrong sign, y - reference",
@@ -216,12 +226,16 @@ def test_a_warning_names_the_likely_cause(words, call):
         call()
     with pytest.warns(UserWarning, match=words):
         for each in said:
-            warnings.warn_explicit(each.message, each.category, each.filename, each.lineno)
+            warnings.warn_explicit(
+                each.message, each.category, each.filename, each.lineno
+            )
     assert {each.filename for each in said} == {__file__}
 
 
 def test_what_is_infeasible_by_a_mistake_says_so():
-    with pytest.raises(ValueError, match=r"infeasible: .* But where P falls .* conjugated"):
+    with pytest.raises(
+        ValueError, match=r"infeasible: .* But where P falls .* conjugated"
+    ):
         designed(P=PAPER.frequency_response(OMEGA).conj(), L_max=50.0)
 
 
@@ -269,11 +283,15 @@ def test_one_channel_needs_no_axis():
         run_trials(LOOP, Q, L, column, None, 2, v=column)
     )
     v = update(MOVE, 0.5 * MOVE, Q, L)
-    assert v.shape == MOVE.shape and np.array_equal(v[:, None], update(column, 0.5 * column, Q, L))
+    assert v.shape == MOVE.shape and np.array_equal(
+        v[:, None], update(column, 0.5 * column, Q, L)
+    )
     made = record(Plain(), LOOP, Q, L, MOVE, trials=2, v=MOVE)
     assert made.identical(record(Plain(), LOOP, Q, L, column, trials=2, v=column))
     assert Controller(LOOP).step([0.0], [1.0]).shape == (1,)
-    refused(r"reference has shape \(60,\)", lambda: run_trials(PAPER, Q, L2, MOVE, None, 2))
+    refused(
+        r"reference has shape \(60,\)", lambda: run_trials(PAPER, Q, L2, MOVE, None, 2)
+    )
     refused(r"v has shape \(60,\)", lambda: update(MOVE, MOVE, Q, L2))
 
 
@@ -282,7 +300,10 @@ def test_one_channel_needs_no_axis():
     [
         (lambda log: log.assign(e=-log.e), "likely it has the wrong sign"),
         (lambda log: log.assign(e=log.v, v=log.e), "likely it is exchanged with v"),
-        (lambda log: log.assign_attrs(who=object()), "attribute 'who' cannot be a line of the log"),
+        (
+            lambda log: log.assign_attrs(who=object()),
+            "attribute 'who' cannot be a line of the log",
+        ),
     ],
 )
 def test_a_log_that_contradicts_itself_is_refused(tmp_path, changed, words):
@@ -297,19 +318,26 @@ def test_times_are_noted_as_they_are(tmp_path):
     read = load_log(tmp_path / "log.csv").attrs
     assert datetime.datetime.fromisoformat(read["when"]) == when
     assert read["day"] == read["numpy"] == "2024-02-29"
-    assert json.loads(read["all"]) == [when.isoformat()] and json.loads(read["array"]) == [1.5]
+    assert json.loads(read["all"]) == [when.isoformat()] and json.loads(
+        read["array"]
+    ) == [1.5]
 
 
 def test_a_log_and_a_law_are_told_apart(tmp_path):
     save_log(LOG, tmp_path / "log.csv")
     save_law(tmp_path / "law.json", Q, L)
-    refused(r"is no law but a table: .*law_of\(load_log\(", lambda: load_law(tmp_path / "log.csv"))
+    refused(
+        r"is no law but a table: .*law_of\(load_log\(",
+        lambda: load_law(tmp_path / "log.csv"),
+    )
     refused("load_law reads laws", lambda: load_log(tmp_path / "law.json"))
 
 
 def test_a_log_with_a_gap_is_loaded_with_a_warning(tmp_path):
     save_log(LOG.sel(trial=[1, 3]), tmp_path / "log.csv")
-    with pytest.warns(UserWarning, match=r"log.csv': trial 2 is missing between others"):
+    with pytest.warns(
+        UserWarning, match=r"log.csv': trial 2 is missing between others"
+    ):
         assert load_log(tmp_path / "log.csv").trial.values.tolist() == [1, 3]
     save_log(LOG.sel(trial=[3, 4]), tmp_path / "log.csv")
     load_log(tmp_path / "log.csv")  # which goes on where another ends

@@ -56,10 +56,15 @@ def laws():
     level = current_trial_loop(tanks(), PUMPS)
     pipe = current_trial_loop(furnace(20), None, {"valve": 0.1})
     level_Q = zero_phase_butterworth(2, 0.02, 2.0)
-    designed = synthesise(level, level_Q, GRID / 2, 2.0, order=10, band=(1e-4, 0.007)).filter
+    designed = synthesise(
+        level, level_Q, GRID / 2, 2.0, order=10, band=(1e-4, 0.007)
+    ).filter
     made = [
         (level, level_Q, L, [10.0, 5.0, 8.0], [None])
-        for L in (designed, *(LearningFilter(g * np.eye(3)[..., None], 2.0) for g in (0.02, 0.3)))
+        for L in (
+            designed,
+            *(LearningFilter(g * np.eye(3)[..., None], 2.0) for g in (0.02, 0.3)),
+        )
     ]
     for cutoff in (0.05, 0.2):
         Q = zero_phase_butterworth(2, cutoff, 1.0)
@@ -80,13 +85,20 @@ def test_ordinary_trials_are_no_news(laws, seed):
     white = rng.standard_normal((trials, samples + 200, m))
     noise = lfilter([1 - pole], [1, -pole], white, axis=1)[:, 200:]
     noise *= 10 ** rng.uniform(-4, -0.3) * max(amplitude)
-    push = rng.standard_normal((rng.choice([1, trials]), 1, d)) * bump(samples, np.ones(d))
+    push = rng.standard_normal((rng.choice([1, trials]), 1, d)) * bump(
+        samples, np.ones(d)
+    )
     push = np.broadcast_to(10 ** rng.uniform(-2, 0.5) * push, (trials, samples, d))
-    made = {"plant": plants[rng.integers(len(plants))], "step": rng.choice([1.0, 0.5, 0.2])}
+    made = {
+        "plant": plants[rng.integers(len(plants))],
+        "step": rng.choice([1.0, 0.5, 0.2]),
+    }
     with warnings.catch_warnings(action="error"):
         if made["plant"] is not None:  # there it is no false report
             warnings.filterwarnings("ignore", "the rate is not the promised one")
-        run_trials(loop, Q, L, bump(samples, amplitude), push, trials, noise=noise, **made)
+        run_trials(
+            loop, Q, L, bump(samples, amplitude), push, trials, noise=noise, **made
+        )
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.02, 0.1])
@@ -100,7 +112,9 @@ def test_a_furnace_that_is_a_tenth_off_diverges_and_it_is_said(noise):
         run = run_trials(*made, 16, plant=plant, noise=noise)
     assert told[0].filename == __file__
     assert rms(run.e).values[-1] > 20 * rms(run.e).values.min()
-    with pytest.warns(UserWarning, match="the error grows"):  # before it is as large as at first
+    with pytest.warns(
+        UserWarning, match="the error grows"
+    ):  # before it is as large as at first
         early = run_trials(*made, 8, plant=plant, noise=noise[:8])
     assert rms(early.e).values[6] < 1.2 * rms(early.e).values[0]
     with warnings.catch_warnings(action="error"):
@@ -109,7 +123,10 @@ def test_a_furnace_that_is_a_tenth_off_diverges_and_it_is_said(noise):
 
 def test_a_law_of_the_wrong_sign_is_said_to_be_none_of_the_models():
     loop = current_trial_loop(tanks(), PUMPS)
-    Q, L = zero_phase_butterworth(2, 0.02, 2.0), LearningFilter(-np.eye(3)[..., None], 2.0)
+    Q, L = (
+        zero_phase_butterworth(2, 0.02, 2.0),
+        LearningFilter(-np.eye(3)[..., None], 2.0),
+    )
     with pytest.warns(UserWarning, match=r"own model sigma_max\(M\) reaches (2|1.99)"):
         run_trials(loop, Q, L, bump(300, [10.0, 5.0, 8.0]), trials=6)
 
@@ -141,7 +158,13 @@ def saturating(loop, limit, w, rng):
 @pytest.mark.parametrize("share", [0.7, 0.4])
 def test_pumps_at_their_limit_are_not_taken_for_converged(share, known, laws):
     loop, Q, L, amplitude, _ = laws[0]
-    rng, reference, v, e, told = np.random.default_rng(0), bump(400, amplitude), [], [], {}
+    rng, reference, v, e, told = (
+        np.random.default_rng(0),
+        bump(400, amplitude),
+        [],
+        [],
+        {},
+    )
     limit = share * saturating(loop, np.inf, reference, rng)[1]
     v.append(np.zeros_like(reference))
     for _ in range(14):
@@ -153,7 +176,11 @@ def test_pumps_at_their_limit_are_not_taken_for_converged(share, known, laws):
     flat = [np.sqrt(np.sum(error**2)) for error in e[3:]]
     assert max(flat) < 1.2 * min(flat) and not {"error"} & {*told}
     assert np.abs(v[-1]).max() > 3 * np.abs(v[2]).max()
-    assert "contradict the loop's model" in told["model"] if known else "v grows" in told["v"]
+    assert (
+        "contradict the loop's model" in told["model"]
+        if known
+        else "v grows" in told["v"]
+    )
 
 
 def test_what_noise_alone_makes_is_as_rare_as_is_said():
@@ -171,7 +198,9 @@ def test_what_noise_alone_makes_is_as_rare_as_is_said():
 def test_independent_values_are_counted():
     rng = np.random.default_rng(1)
     assert 200 < freedom_of(rng.standard_normal((800, 1))) < 800
-    assert freedom_of(np.sin(2 * np.pi * np.arange(800) / 80)[:, None]) == pytest.approx(2)
+    assert freedom_of(
+        np.sin(2 * np.pi * np.arange(800) / 80)[:, None]
+    ) == pytest.approx(2)
     assert freedom_of(np.zeros((9, 2))) == 2
 
 
@@ -184,7 +213,9 @@ def test_the_models_rate_is_that_of_the_evidence(laws):
 def test_another_reference_is_another_error(laws):
     """Begun gently, with references that grow: nothing that the trials could be blamed for."""
     loop, Q, L, amplitude, _ = laws[2]
-    growing = np.array([bump(200, a * np.array(amplitude)) for a in (0.1, 0.3, 1.0, 3.0, 9.0)])
+    growing = np.array(
+        [bump(200, a * np.array(amplitude)) for a in (0.1, 0.3, 1.0, 3.0, 9.0)]
+    )
     with warnings.catch_warnings(action="error"):
         run_trials(loop, Q, L, growing, trials=5)
 
@@ -199,7 +230,9 @@ def test_what_learning_makes_of_noise_is_no_divergence(laws):
         paper, loud = paper_loop(), LearningFilter(published.matrix("L_diagonal"), 1.0)
         white = 0.02 * np.random.default_rng(0).standard_normal((10, 2500, 2))
         zero = np.zeros((2500, 2))
-        run = run_trials(paper, zero_phase_butterworth(), loud, zero, None, 10, noise=white)
+        run = run_trials(
+            paper, zero_phase_butterworth(), loud, zero, None, 10, noise=white
+        )
     assert rms(run.e).values[-1] > rms(run.e).values[0]
 
 
@@ -208,14 +241,19 @@ def test_octaves_share_all_that_there_is(samples):
     signals = np.random.default_rng(samples).standard_normal((3, samples, 2))
     shared = amplitudes(1e200 * signals)
     assert shared.shape == (3, len(octaves(samples)))
-    np.testing.assert_allclose(np.linalg.norm(1e-200 * shared, axis=1), size(signals), rtol=1e-12)
+    np.testing.assert_allclose(
+        np.linalg.norm(1e-200 * shared, axis=1), size(signals), rtol=1e-12
+    )
     wave = np.cos(2 * np.pi * np.arange(samples) / samples)[None, :, None]
     assert amplitudes(wave).argmax() == 0 and not amplitudes(0 * wave).any()
 
 
 def test_the_rate_that_was_reached_is_that_of_the_true_plant_and_foretold_that_of_the_model():
     """Far from the ends e_2 = (M + 1 - Q) e_1, frequency by frequency, as for endless trials."""
-    loop, plant = current_trial_loop(furnace(5), None, {"valve": 0.1}), another_furnace(0.5, 8)
+    loop, plant = (
+        current_trial_loop(furnace(5), None, {"valve": 0.1}),
+        another_furnace(0.5, 8),
+    )
     Q = zero_phase_butterworth(2, 0.3, 1.0)
     L = synthesise(loop, Q, GRID, 1.0, order=15, band=(1e-4, 0.1)).filter
     samples = 4096
@@ -225,20 +263,37 @@ def test_the_rate_that_was_reached_is_that_of_the_true_plant_and_foretold_that_o
     with warnings.catch_warnings(action="ignore"):
         run = run_trials(loop, Q, L, reference, trials=2, plant=plant)
     promised = rates_of(loop.P, Q, L)
-    given = run.v.values, run.e.values, run.reference.values, ["outlet"], ["K"], 1, loop.P
+    given = (
+        run.v.values,
+        run.e.values,
+        run.reference.values,
+        ["outlet"],
+        ["K"],
+        1,
+        loop.P,
+    )
     of = Course(*given, *promised).reached(0)
     omega = 2 * np.pi * np.arange(1, samples // 2 + 1) / samples
     power = np.abs(np.fft.rfft(run.e.values[0, :, 0]))[1:] ** 2
     q, ell = Q.frequency_response(omega), L.frequency_response(omega)[:, 0, 0]
     for name, of_plant in (("foretold", None), ("reached", plant)):
         M = q * (1 - loop.frequency_response(omega, of_plant)[:, 0, 0] * ell)
-        for b, (low, high) in enumerate(zip([0, *of["frequency"]], of["frequency"], strict=False)):
+        for b, (low, high) in enumerate(
+            zip([0, *of["frequency"]], of["frequency"], strict=False)
+        ):
             at = (omega > low * (1 - 1e-9)) & (omega < high * (1 - 1e-9))
             if of["before"][b] > 1e-3 * of["before"].max():
-                weighed = np.sqrt(np.sum(np.abs(M + 1 - q)[at] ** 2 * power[at]) / power[at].sum())
-                assert of[name][b] == pytest.approx(weighed, rel=0.02, abs=1e-3), (name, b)
+                weighed = np.sqrt(
+                    np.sum(np.abs(M + 1 - q)[at] ** 2 * power[at]) / power[at].sum()
+                )
+                assert of[name][b] == pytest.approx(weighed, rel=0.02, abs=1e-3), (
+                    name,
+                    b,
+                )
             if of_plant is None:
-                assert of["promised"][b] == pytest.approx(np.abs(M)[at].max(), rel=0.05, abs=1e-3)
+                assert of["promised"][b] == pytest.approx(
+                    np.abs(M)[at].max(), rel=0.05, abs=1e-3
+                )
     assert of["reached"][0] > 3 * of["promised"][0]
 
 
@@ -248,7 +303,13 @@ def test_a_rate_that_was_promised_and_not_reached_is_named(laws, noise):
     loop, Q, L, amplitude, _ = laws[0]
     weak = tanks()
     weak = control.ss(
-        weak.A, 0.5 * weak.B, weak.C, 0, 2.0, inputs=weak.input_labels, outputs=loop.outputs
+        weak.A,
+        0.5 * weak.B,
+        weak.C,
+        0,
+        2.0,
+        inputs=weak.input_labels,
+        outputs=loop.outputs,
     )
     noise = noise * np.random.default_rng(3).standard_normal((9, 600, 3))
     made = loop, Q, L, bump(600, amplitude), None, 9
@@ -259,6 +320,8 @@ def test_a_rate_that_was_promised_and_not_reached_is_named(laws, noise):
     assert len(told) == 1 and rms(run.e).values[-1] < 0.1 * rms(run.e).values[0]
     with warnings.catch_warnings(action="error"):
         run_trials(*made, plant=tanks(), noise=noise)
-        noise[1] += bump(600, [2.0, 1.0, 0.0])  # news in one trial, which is as large at last
+        noise[1] += bump(
+            600, [2.0, 1.0, 0.0]
+        )  # news in one trial, which is as large at last
         noise[5] -= bump(600, [1.0, 2.0, 1.0])
         run_trials(*made, plant=tanks(), noise=noise)

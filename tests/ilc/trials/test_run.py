@@ -34,7 +34,11 @@ def L():
 @given(st.integers(1, 6), st.integers(1, 70), st.integers(0, 2**32 - 1))
 def test_state_sequence_is_the_recursion(n, samples, seed):
     rng = np.random.default_rng(seed)
-    A, forcing, x = rng.uniform(-0.5, 0.5, (n, n)), rng.standard_normal((samples, n)), np.ones(n)
+    A, forcing, x = (
+        rng.uniform(-0.5, 0.5, (n, n)),
+        rng.standard_normal((samples, n)),
+        np.ones(n),
+    )
     states = state_sequence(A, forcing, x)
     for p in range(samples):
         np.testing.assert_allclose(states[p], x, atol=1e-10)
@@ -43,7 +47,10 @@ def test_state_sequence_is_the_recursion(n, samples, seed):
 
 def test_one_trial_agrees_with_python_controls_forced_response(loop, Q, L):
     rng = np.random.default_rng(0)
-    reference, disturbance = rng.standard_normal((300, 2)), rng.standard_normal((300, 3))
+    reference, disturbance = (
+        rng.standard_normal((300, 2)),
+        rng.standard_normal((300, 3)),
+    )
     run = run_trials(loop, Q, L, reference, disturbance, 1)
     inputs = np.hstack([reference, disturbance]).T
     response = control.forced_response(loop.closed, inputs=inputs)
@@ -83,15 +90,23 @@ def test_a_sinusoid_is_learned_at_the_rate_of_its_frequency(loop, Q, L):
     phasors = steps.transpose(0, 2, 1) @ np.exp(-1j * omega * np.arange(2000))
     grid = np.array([omega])
     M = convergence_matrix(
-        loop.frequency_response(grid), Q.frequency_response(grid), L.frequency_response(grid)
+        loop.frequency_response(grid),
+        Q.frequency_response(grid),
+        L.frequency_response(grid),
     )
-    np.testing.assert_allclose(phasors[1], M[0] @ phasors[0], atol=1e-3 * abs(phasors[0]).max())
-    np.testing.assert_allclose(phasors[2], M[0] @ phasors[1], atol=1e-3 * abs(phasors[1]).max())
+    np.testing.assert_allclose(
+        phasors[1], M[0] @ phasors[0], atol=1e-3 * abs(phasors[0]).max()
+    )
+    np.testing.assert_allclose(
+        phasors[2], M[0] @ phasors[1], atol=1e-3 * abs(phasors[1]).max()
+    )
 
 
 def test_errors_converge_at_least_as_fast_as_lemma_1_says(loop, Q, L, omega):
     M = convergence_matrix(
-        loop.frequency_response(omega), Q.frequency_response(omega), L.frequency_response(omega)
+        loop.frequency_response(omega),
+        Q.frequency_response(omega),
+        L.frequency_response(omega),
     )
     gamma = largest_singular_values(M).max()
     run = run_trials(loop, Q, L, assumed_reference(), None, 80)
@@ -108,12 +123,18 @@ def test_each_trial_may_have_its_own_reference(loop, Q, L):
     for k in range(1, 3):
         v = update(run.v.values[k - 1], run.e.values[k - 1], Q, L)
         np.testing.assert_allclose(run.v[k], v)
-    for k, w in enumerate(references + run.v.values):  # what the loop follows in this trial
+    for k, w in enumerate(
+        references + run.v.values
+    ):  # what the loop follows in this trial
         alone = run_trials(loop, Q, None, w, None, 1, noise=noise[[k]])
         np.testing.assert_allclose(run.y[k], alone.y[0], atol=1e-12)
     same = run_trials(loop, Q, L, np.broadcast_to(references[0], (3, 60, 2)), None, 3)
-    np.testing.assert_array_equal(same.y, run_trials(loop, Q, L, references[0], None, 3).y)
-    with pytest.raises(ValueError, match=r"shape \(3, 60, 2\), but must have shape \(4, time"):
+    np.testing.assert_array_equal(
+        same.y, run_trials(loop, Q, L, references[0], None, 3).y
+    )
+    with pytest.raises(
+        ValueError, match=r"shape \(3, 60, 2\), but must have shape \(4, time"
+    ):
         run_trials(loop, Q, L, references, None, 4)
 
 
@@ -124,12 +145,17 @@ def test_each_trial_may_have_its_own_step(loop, Q, L):
         v = update(run.v.values[k], run.e.values[k], Q, L, step=step)
         np.testing.assert_allclose(run.v[k + 1], v, atol=1e-12)
     same = run_trials(loop, Q, L, r, None, 4, step=0.5)
-    np.testing.assert_array_equal(same.v, run_trials(loop, Q, L, r, None, 4, step=[0.5] * 3).v)
     np.testing.assert_array_equal(
-        run_trials(loop, Q, L, r, None, 2).v, run_trials(loop, Q, L, r, None, 2, step=[1]).v
+        same.v, run_trials(loop, Q, L, r, None, 4, step=[0.5] * 3).v
+    )
+    np.testing.assert_array_equal(
+        run_trials(loop, Q, L, r, None, 2).v,
+        run_trials(loop, Q, L, r, None, 2, step=[1]).v,
     )
     run_trials(loop, Q, L, r, None, 1, step=[])
-    with pytest.raises(ValueError, match=r"step has shape \(3,\), but must have shape \(4,\)"):
+    with pytest.raises(
+        ValueError, match=r"step has shape \(3,\), but must have shape \(4,\)"
+    ):
         run_trials(loop, Q, L, r, None, 5, step=steps)
     with pytest.raises(ValueError, match=r"step\[1\] = .*2.0.* must be in \(0, 1\]"):
         run_trials(loop, Q, L, r, None, 3, step=[1, 2])
@@ -142,9 +168,13 @@ def test_the_first_trial_may_begin_with_a_signal(loop, Q, L):
     for name in ("v", "y", "u"):
         later = run_trials(loop, Q, L, r, None, 2, v=run.v.values[2], rest=rest)
         np.testing.assert_array_equal(later[name], run[name][2:])
-    kept = run_trials(loop, Q, None, r, None, 2, v=np.ones((200, 2)), rest=rest).v.values
+    kept = run_trials(
+        loop, Q, None, r, None, 2, v=np.ones((200, 2)), rest=rest
+    ).v.values
     assert (kept[:, :-rest] == 1).all() and not kept[:, -rest:].any()
-    with pytest.raises(ValueError, match=r"v has shape \(4, 200, 2\), but must have shape"):
+    with pytest.raises(
+        ValueError, match=r"v has shape \(4, 200, 2\), but must have shape"
+    ):
         run_trials(loop, Q, L, r, v=run.v.values)
 
 
@@ -160,7 +190,9 @@ def test_without_learning_all_trials_are_alike(loop, Q):
 def test_rms_is_the_papers_definition():
     e = np.random.default_rng(2).standard_normal((1, 50, 2))
     expected = np.sqrt(sum(e[0, p] @ e[0, p] for p in range(50)) / 50)
-    assert rms(xr.DataArray(e, dims=("trial", "time", "channel"))).item() == pytest.approx(expected)
+    assert rms(
+        xr.DataArray(e, dims=("trial", "time", "channel"))
+    ).item() == pytest.approx(expected)
 
 
 def test_the_sensors_noise_reaches_error_and_observer(loop, Q, L):
@@ -184,23 +216,33 @@ def test_v_rests_and_converges_as_the_finite_trials_map_says(loop, Q, L, rest):
     """v_{k+1} - v_k follows T of the certificate, which knows nothing of trials."""
     rng = np.random.default_rng(4)
     run = run_trials(loop, Q, L, rng.standard_normal((120, 2)), None, 5, rest=rest)
-    assert not run.v.values[:, 120 - rest :].any() and run.v.values[1:, : 120 - rest].any()
+    assert (
+        not run.v.values[:, 120 - rest :].any() and run.v.values[1:, : 120 - rest].any()
+    )
     steps = np.diff(run.v.values.reshape(5, -1), axis=0)
     T = trial_map(loop.P, Q, L, 120, rest)
     for before, after in pairwise(steps):
-        np.testing.assert_allclose(T.matvec(before), after, atol=1e-9 * np.abs(steps).max())
+        np.testing.assert_allclose(
+            T.matvec(before), after, atol=1e-9 * np.abs(steps).max()
+        )
 
 
 def test_filters_of_another_loop_are_refused(loop, Q, L):
     other = zero_phase_butterworth(Ts=2.0)
-    with pytest.raises(ValueError, match=r"loop.Ts = 1.0 s, Q.Ts = 2.0 s, L.Ts = 1.0 s"):
+    with pytest.raises(
+        ValueError, match=r"loop.Ts = 1.0 s, Q.Ts = 2.0 s, L.Ts = 1.0 s"
+    ):
         run_trials(loop, other, L, np.zeros((5, 2)))
-    with pytest.raises(ValueError, match=r"loop.Ts = 1.0 s, Q.Ts = 1.0 s, L.Ts = 2.0 s"):
+    with pytest.raises(
+        ValueError, match=r"loop.Ts = 1.0 s, Q.Ts = 1.0 s, L.Ts = 2.0 s"
+    ):
         run_trials(loop, Q, LearningFilter(L.coefficients, 2.0), np.zeros((5, 2)))
     with pytest.raises(ValueError, match=r"loop.Ts = 1.0 s, Q.Ts = 2.0 s"):
         run_trials(loop, other, None, np.zeros((5, 2)))
     with pytest.raises(ValueError, match="L acts on 1 channels, but must act on 2"):
-        run_trials(loop, Q, LearningFilter(L.coefficients[:1, :1], 1.0), np.zeros((5, 2)))
+        run_trials(
+            loop, Q, LearningFilter(L.coefficients[:1, :1], 1.0), np.zeros((5, 2))
+        )
 
 
 def test_units_and_names_are_in_the_dataset(loop, Q, L):
@@ -223,14 +265,23 @@ def test_a_dataset_takes_any_names_and_units():
     units = {"p": "bar", "T": "K", "valve": "%", "heater": "%", "load": "kg/s"}
     signals = {"reference": 3 * y, "y": y, "v": y, "u": y}
     run = dataset(0.1, ["p", "T"], ["valve", "heater"], ["load"], units, **signals)
-    assert run.e.units == "p: bar, T: K" and run.u.units == "%" and run.e.values.max() == 2
+    assert (
+        run.e.units == "p: bar, T: K" and run.u.units == "%" and run.e.values.max() == 2
+    )
     assert "delta" not in run and "source" not in run.coords
     np.testing.assert_allclose(run.time, [0.0, 0.1, 0.2, 0.3, 0.4])
-    assert list(run.output_unit.values) == ["bar", "K"] and run.output.dims == ("channel",)
-    assert list(run.control_unit.values) == ["%", "%"] and list(run.channel.values) == [1, 2]
+    assert list(run.output_unit.values) == ["bar", "K"] and run.output.dims == (
+        "channel",
+    )
+    assert list(run.control_unit.values) == ["%", "%"] and list(run.channel.values) == [
+        1,
+        2,
+    ]
     silent = dataset(0.1, ["p", "T"], ["a", "b"], [], {}, **signals)
     assert silent.y.units == "" and list(silent.control_unit.values) == ["", ""]
-    load = dataset(0.1, ["p", "T"], ["a", "b"], ["load"], units, disturbance=y[:, :, :1], **signals)
+    load = dataset(
+        0.1, ["p", "T"], ["a", "b"], ["load"], units, disturbance=y[:, :, :1], **signals
+    )
     assert load.disturbance.units == "kg/s" and list(load.source.values) == ["load"]
 
 
@@ -283,12 +334,18 @@ def test_another_plant_is_simulated_with_its_own_state_and_disturbances():
     """Tanks whose pipes leak as foreseen, in another order; the model has no such input."""
     without_leak = tanks()[:, PUMPS]
     loop = current_trial_loop(tanks(), PUMPS)
-    Q, L = zero_phase_butterworth(2, 0.02, 2.0), LearningFilter(0.3 * np.eye(3)[:, :, None], 2.0)
+    Q, L = (
+        zero_phase_butterworth(2, 0.02, 2.0),
+        LearningFilter(0.3 * np.eye(3)[:, :, None], 2.0),
+    )
     rng = np.random.default_rng(8)
     reference, leak = rng.standard_normal((50, 3)), rng.standard_normal((50, 1))
     x = np.array([1.0, -2.0, 0.5])
     own = run_trials(loop, Q, L, reference, leak, 3, initial_state=x)
-    for plant in (tanks(), tanks()[["right", "left", "middle"], ["leak", *PUMPS[::-1]]]):
+    for plant in (
+        tanks(),
+        tanks()[["right", "left", "middle"], ["leak", *PUMPS[::-1]]],
+    ):
         again = run_trials(loop, Q, L, reference, leak, 3, plant=plant, initial_state=x)
         xr.testing.assert_allclose(again, own, rtol=1e-9, atol=1e-12)
     dry = run_trials(loop, Q, L, reference, leak, 3, plant=without_leak)
@@ -310,14 +367,22 @@ def test_the_controller_learns_on_a_plant_of_another_order(loop, Q, L):
     v = np.zeros((300, 2))
     for k in range(2):
         inputs = np.hstack([reference + v, disturbance[k]]).T
-        y = control.forced_response(loop.around(rod), inputs=inputs, initial_state=start).outputs.T
+        y = control.forced_response(
+            loop.around(rod), inputs=inputs, initial_state=start
+        ).outputs.T
         np.testing.assert_allclose(run.y[k], y, rtol=0, atol=1e-9)
         flows = np.hstack([run.u[k], disturbance[k]])
         names = [*loop.controls, *loop.disturbances]
-        alone = control.forced_response(rod[:, names], inputs=flows.T, initial_state=x).outputs.T
-        np.testing.assert_allclose(y, alone, rtol=0, atol=1e-8)  # u is what the plant was given
+        alone = control.forced_response(
+            rod[:, names], inputs=flows.T, initial_state=x
+        ).outputs.T
+        np.testing.assert_allclose(
+            y, alone, rtol=0, atol=1e-8
+        )  # u is what the plant was given
         v = Q.apply(v + L.apply(reference - y))
-    assert np.abs(run.y - run_trials(loop, Q, L, reference, disturbance, 2).y).max() > 0.1
+    assert (
+        np.abs(run.y - run_trials(loop, Q, L, reference, disturbance, 2).y).max() > 0.1
+    )
 
 
 def test_feedthrough_of_a_disturbance_is_in_the_output():
@@ -339,7 +404,9 @@ def test_feedthrough_of_a_disturbance_is_in_the_output():
 
 def test_a_plant_that_the_controller_does_not_hold_is_refused(loop, Q, L):
     crossed = control.sample_system(midr(Rod(sensors=(0.28, 0.12))), 1.0, method="zoh")
-    with pytest.raises(ValueError, match="plant makes the loop unstable: a pole at z = "):
+    with pytest.raises(
+        ValueError, match="plant makes the loop unstable: a pole at z = "
+    ):
         run_trials(loop, Q, L, np.zeros((20, 2)), plant=crossed)
 
 
@@ -357,8 +424,14 @@ def test_held_ends_learn_a_trial_that_does_not_end_at_zero(loop, L):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"reference": np.zeros((50, 3))}, r"reference has shape \(50, 3\).*\(time, 2\)"),
-        ({"disturbance": np.zeros((50, 2))}, r"disturbance has shape \(50, 2\).*\(50, 3\)"),
+        (
+            {"reference": np.zeros((50, 3))},
+            r"reference has shape \(50, 3\).*\(time, 2\)",
+        ),
+        (
+            {"disturbance": np.zeros((50, 2))},
+            r"disturbance has shape \(50, 2\).*\(50, 3\)",
+        ),
         ({"disturbance": np.zeros((3, 50, 3))}, r"disturbance has shape \(3, 50, 3\)"),
         ({"rest": 50}, "rest = 50 must be a whole number, from 0 to 49"),
         ({"noise": np.zeros((2, 50, 3))}, "noise has shape"),

@@ -86,7 +86,9 @@ def test_of_a_plant_whose_inverse_is_short_f_is_that_inverse(gain, trials, seed)
 
 
 @pytest.mark.parametrize("repeats", [0.0, 1.0])
-def test_one_task_tells_a_disturbance_that_repeats_from_what_answers_the_reference(repeats):
+def test_one_task_tells_a_disturbance_that_repeats_from_what_answers_the_reference(
+    repeats,
+):
     P = coupled()[0]
     answered = repeats * steps(200, (0.3, 0.1, 0.2, 0.7), (0.2, 0.3, 0.1, -0.9))
     loop = ClosedLoop(P)
@@ -126,15 +128,27 @@ def tanks_case(noise):
                        inputs=plant.input_labels, outputs=plant.output_labels)  # fmt: skip
     old = [(0.05, 0.3, 0.3, 5.0), (0.1, 0.4, 0.2, 3.0), (0.2, 0.3, 0.4, -4.0)]
     new = [(0.1, 0.2, 0.3, 3.0), (0.3, 0.2, 0.15, 4.0), (0.1, 0.3, 0.2, 2.0)]
-    return loop, plant, zero_phase_butterworth(2, 0.15, 2.0), 400, (old, new), 1e-2, noise
+    return (
+        loop,
+        plant,
+        zero_phase_butterworth(2, 0.15, 2.0),
+        400,
+        (old, new),
+        1e-2,
+        noise,
+    )
 
 
 def furnace_case(noise):
     def pipe(samples):
         model = control.ss(furnace(samples))
-        return control.ss(*control.ssdata(model), 1.0, inputs=["valve"], outputs=["outlet"])
+        return control.ss(
+            *control.ssdata(model), 1.0, inputs=["valve"], outputs=["outlet"]
+        )
 
-    loop = current_trial_loop(pipe(30), ["valve"], {"outlet": 4.0, "valve": 1.0}, Ro=[[1600.0]])
+    loop = current_trial_loop(
+        pipe(30), ["valve"], {"outlet": 4.0, "valve": 1.0}, Ro=[[1600.0]]
+    )
     move = [(0.05, 0.3, 0.3, 5.0)], [(0.15, 0.2, 0.15, 4.0)]
     return loop, pipe(32), zero_phase_butterworth(2, 0.05, 1.0), 800, move, 1e-2, noise
 
@@ -151,7 +165,9 @@ def test_on_other_plants_the_first_trial_is_as_if_it_had_been_learned(case, nois
         shape = (trials, *reference.shape)
         noisy = noise * np.abs(reference).max() * rng.standard_normal(shape)
         with warnings.catch_warnings(action="ignore"):
-            return run_trials(loop, Q, L, reference, None, trials, plant=plant, noise=noisy, v=v)
+            return run_trials(
+                loop, Q, L, reference, None, trials, plant=plant, noise=noisy, v=v
+            )
 
     done, reference = run(steps(samples, *old), 6), steps(samples, *new)
     found = quiet(done, reference)
@@ -173,7 +189,9 @@ def rod():
 
     def run(reference, disturbance=None, trials=1, v=None):
         with warnings.catch_warnings(action="ignore"):
-            return run_trials(loop, Q, L, reference, disturbance, trials, plant=plant, v=v)
+            return run_trials(
+                loop, Q, L, reference, disturbance, trials, plant=plant, v=v
+            )
 
     return run
 
@@ -182,12 +200,17 @@ def test_on_a_rod_that_is_off_outputs_may_be_swapped(rod):
     """With and without heat flows that repeat, from one task; the old v is worse than none."""
     reference = assumed_reference()
     swapped = reference[:, ::-1]
-    for disturbance, kept in ((None, 0.05), (assumed_disturbance(trials=1, first=1)[0], 1.2)):
+    for disturbance, kept in (
+        (None, 0.05),
+        (assumed_disturbance(trials=1, first=1)[0], 1.2),
+    ):
         done = rod(reference, disturbance, 6)
         found = quiet(done, swapped)
         first = rms(rod(swapped, disturbance, v=found.v).e).item()
         assert first < 0.03 * rms(rod(swapped, disturbance).e).item()
-        assert first < 0.05 * rms(rod(swapped, disturbance, v=done.v.values[-1]).e).item()
+        assert (
+            first < 0.05 * rms(rod(swapped, disturbance, v=done.v.values[-1]).e).item()
+        )
         assert np.sqrt(np.mean(found.kept**2)) < kept
 
 
@@ -224,7 +247,9 @@ def test_doubt_is_of_the_size_of_what_is_off():
     best = run_quietly(loop, *law, wanted, None, 30, plant=plant).v.values[-1]
     for seed in range(4):
         noise = 0.02 * np.random.default_rng(seed).standard_normal((4, samples, 3))
-        done = run_quietly(loop, *law, steps(samples, *old), None, 4, plant=plant, noise=noise)
+        done = run_quietly(
+            loop, *law, steps(samples, *old), None, 4, plant=plant, noise=noise
+        )
         found = quiet(done, wanted)
         off = Q.apply(found.v - best)[:-20]
         ratios.append(np.sqrt(np.mean(off**2, axis=0)) / found.doubt)
@@ -266,7 +291,10 @@ def test_transfer_from_trial_to_trial_learns_a_varying_task():
     P, done, errors = coupled()[0], [], []
     rng = np.random.default_rng(3)
     for k in range(5):
-        r = steps(200, *(rng.uniform([0.05, 0.1, 0.1, 1], [0.2, 0.3, 0.3, 3]) for _ in range(2)))
+        r = steps(
+            200,
+            *(rng.uniform([0.05, 0.1, 0.1, 1], [0.2, 0.3, 0.3, 3]) for _ in range(2)),
+        )
         v = quiet(done, r).v if k else None
         done.append(run_trials(ClosedLoop(P), Q, None, r, trials=1, v=v))
         errors.append(rms(done[-1].e).item())
@@ -278,8 +306,13 @@ def test_it_takes_logs_tables_one_channel_and_references_of_any_length(tmp_path)
     done = trials_of(loop)
     save_log(done, tmp_path / "log.csv")
     found = quiet(done, NEW)
-    np.testing.assert_allclose(quiet(load_log(tmp_path / "log.csv"), NEW).v, found.v, atol=1e-9)
-    both = [done.isel(trial=[0, 1]), done.isel(trial=[2, 3, 4], channel=[1, 0])]  # by names
+    np.testing.assert_allclose(
+        quiet(load_log(tmp_path / "log.csv"), NEW).v, found.v, atol=1e-9
+    )
+    both = [
+        done.isel(trial=[0, 1]),
+        done.isel(trial=[2, 3, 4], channel=[1, 0]),
+    ]  # by names
     np.testing.assert_allclose(quiet(both, NEW).v, found.v, atol=1e-9)
     named = xr.DataArray(NEW[:, ::-1], dims=("time", "channel"),
                          coords={"output": ("channel", loop.outputs[::-1])})  # fmt: skip
@@ -310,7 +343,10 @@ def test_units_do_not_matter():
 def test_trials_that_actuators_cut_off_count_by_what_was_realised():
     loop = current_trial_loop(coupled()[0], ["u[0]", "u[1]"])
     law = Q, NormOptimal(loop.P, 1e-2, 200), OLD, None, 4
-    free, most = quiet(run_trials(loop, *law), NEW), {name: (-1.0, 1.0) for name in loop.controls}
+    free, most = (
+        quiet(run_trials(loop, *law), NEW),
+        {name: (-1.0, 1.0) for name in loop.controls},
+    )
     with warnings.catch_warnings(action="ignore"):
         cut = run_trials(loop, *law, limits=most)
     assert np.abs(cut.u).max() > 1.2

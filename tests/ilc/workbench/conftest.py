@@ -5,7 +5,9 @@ import pytest
 from rodlib.ilc.workbench import settings
 
 
-@pytest.fixture(scope="module", autouse=True)  # "package" would last until the session ends
+@pytest.fixture(
+    scope="module", autouse=True
+)  # "package" would last until the session ends
 def few_frequencies():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(settings, "FREQUENCIES", 60)

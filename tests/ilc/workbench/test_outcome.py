@@ -70,9 +70,13 @@ def stage():
 
 
 def test_the_lines_make_the_same_filter(settings):
-    settings = replace(settings, structure="full", uncertainty=1.0, noise_weight=0.5, M_max=0.95)
+    settings = replace(
+        settings, structure="full", uncertainty=1.0, noise_weight=0.5, M_max=0.95
+    )
     found, by_hand = try_out(settings), run(settings.python)["design"]
-    np.testing.assert_array_equal(found.design.filter.coefficients, by_hand.filter.coefficients)
+    np.testing.assert_array_equal(
+        found.design.filter.coefficients, by_hand.filter.coefficients
+    )
     assert settings.python.count("\n") == 6  # two imports, three lines
     size = np.linalg.svd(by_hand.problem.P, compute_uv=False)[:, 0]
     np.testing.assert_allclose(by_hand.problem.radius, 0.01 * size, rtol=1e-12)
@@ -82,7 +86,9 @@ def test_the_line_says_what_singular_values_say(outcome, settings):
     omega = np.linspace(1e-6, np.pi / settings.Ts, 4000)
     P = settings.plant.loop.frequency_response(omega)
     L = outcome.design.filter.frequency_response(omega)
-    M = settings.Q.frequency_response(omega)[:, None, None] * (np.eye(P.shape[1]) - P @ L)
+    M = settings.Q.frequency_response(omega)[:, None, None] * (
+        np.eye(P.shape[1]) - P @ L
+    )
     rate, gain, mean, objective = outcome.line.split("; ")[:4]
     peaks = [np.linalg.svd(X, compute_uv=False).max() for X in (M, L)]
     assert peaks[0] <= float(rate.split()[2]) + 1e-4
@@ -90,7 +96,9 @@ def test_the_line_says_what_singular_values_say(outcome, settings):
     assert peaks[1] == pytest.approx(float(gain.split()[2]), rel=2e-3)
     reached = mean_rate(P, settings.Q, outcome.design.filter, omega, settings.band)
     assert float(mean.split()[-1]) == pytest.approx(reached, rel=5e-2, abs=1e-3)
-    assert float(objective.split()[1][:-1]) == pytest.approx(outcome.design.value, rel=1e-3)
+    assert float(objective.split()[1][:-1]) == pytest.approx(
+        outcome.design.value, rel=1e-3
+    )
 
 
 def test_the_trials_are_those_of_the_law(outcome, settings):
@@ -101,7 +109,9 @@ def test_the_trials_are_those_of_the_law(outcome, settings):
         w = np.hstack([r + v, np.zeros((len(r), len(loop.disturbances)))])
         e = r - np.atleast_2d(control.forced_response(loop.closed, U=w.T).outputs).T
         found.append(np.sqrt(np.mean(np.sum(e**2, axis=1))))
-        v = update(v, e, settings.Q, outcome.design.filter, rest=15)  # where nothing moves
+        v = update(
+            v, e, settings.Q, outcome.design.filter, rest=15
+        )  # where nothing moves
     assert len(outcome.rms) == 10
     np.testing.assert_allclose(outcome.rms[:3], found, rtol=1e-6, atol=1e-9)
     assert found[2] < 0.2 * found[0]
@@ -111,7 +121,10 @@ def test_the_same_setting_gives_the_same_filter_whatever_was_before(rod):
     first = try_out(rod)
     try_out(replace(rod, L_max=30.0))
     again = try_out(replace(rod, M_max=0.9))
-    assert again.design.filter.coefficients.tobytes() == first.design.filter.coefficients.tobytes()
+    assert (
+        again.design.filter.coefficients.tobytes()
+        == first.design.filter.coefficients.tobytes()
+    )
     assert again.rms == first.rms
 
 
@@ -122,7 +135,9 @@ def test_the_remedy_is_the_least_that_helps(rod, changes):
     settings = replace(rod, **changes)
     outcome = try_out(settings)
     assert outcome.design is None and outcome.rms == ()
-    assert outcome.line == outcome.message and "smallest feasible M_max" in outcome.message
+    assert (
+        outcome.line == outcome.message and "smallest feasible M_max" in outcome.message
+    )
     assert try_out(replace(settings, M_max=outcome.M_max)).design is not None
     assert try_out(replace(settings, M_max=outcome.M_max - 0.0021)).design is None
 
@@ -136,7 +151,10 @@ def test_where_no_rate_below_one_will_do_there_is_no_remedy(rod):
     ("changes", "words"),
     [
         ({"cutoff": 9.0}, "cutoff = 9.0 must be in (0, 3.14159) rad/s"),
-        ({"band": (0.1, 0.01)}, "band = (0.1, 0.01) must be two increasing frequencies"),
+        (
+            {"band": (0.1, 0.01)},
+            "band = (0.1, 0.01) must be two increasing frequencies",
+        ),
         ({"noise": np.nan}, "noise = nan must be zero or more"),
         ({"noise_weight": -1.0}, "noise_weight = -1.0 must be zero or more"),
     ],
@@ -155,7 +173,14 @@ ANYTHING = st.one_of(st.floats(), st.floats(1e-3, 1e3), st.floats(0, 1))
         {},
         optional={
             name: ANYTHING
-            for name in ("M_max", "L_max", "cutoff", "uncertainty", "noise", "noise_weight")
+            for name in (
+                "M_max",
+                "L_max",
+                "cutoff",
+                "uncertainty",
+                "noise",
+                "noise_weight",
+            )
         }
         | {"order": st.integers(-1, 12), "Q_order": st.integers(-1, 5)},
     )
@@ -164,10 +189,14 @@ def test_nothing_that_a_knob_may_say_breaks_it(stage, changes):
     outcome = try_out(replace(stage, **changes))
     assert (outcome.design is None) == bool(outcome.message)
     if outcome.design is not None:
-        assert not outcome.design.certificate.failures and np.isfinite(outcome.rms).all()
+        assert (
+            not outcome.design.certificate.failures and np.isfinite(outcome.rms).all()
+        )
 
 
-def test_the_weight_of_noise_buys_less_noise_at_the_price_of_the_rate(outcome, settings):
+def test_the_weight_of_noise_buys_less_noise_at_the_price_of_the_rate(
+    outcome, settings
+):
     """On each plant, over the range of its slider, by the spectra and not by what it minimises."""
     new = trial_noise(settings.plant.loop, settings.omega, 1.0)
     learned, means = [], []
@@ -189,10 +218,19 @@ def test_noise_is_the_floor_that_no_trial_falls_below(stage):
 def test_the_papers_choices_are_carried_over():
     """With another sampling period, all frequencies move with it, and the rule for the gain."""
     rod = Settings.of(plant_of_rod(Rod()))
-    assert (rod.M_max, rod.L_max, rod.cutoff, rod.band) == (0.9, 50.0, 0.1, (1e-4, 0.02))
+    assert (rod.M_max, rod.L_max, rod.cutoff, rod.band) == (
+        0.9,
+        50.0,
+        0.1,
+        (1e-4, 0.02),
+    )
     assert (rod.order, rod.Q_order, rod.structure) == (10, 2, "diagonal")
     stage = Settings.of(plant_named("stage"))
-    assert (stage.cutoff, stage.band, stage.omega[-1]) == (100.0, (0.1, 20.0), np.pi * 1000)
+    assert (stage.cutoff, stage.band, stage.omega[-1]) == (
+        100.0,
+        (0.1, 20.0),
+        np.pi * 1000,
+    )
     P = stage.plant.loop.frequency_response([100.0])
     assert 1 <= stage.L_max * abs(P[0, 0, 0]) < 2
 
@@ -200,8 +238,12 @@ def test_the_papers_choices_are_carried_over():
 @pytest.mark.parametrize("Ts", [0.003, 1.0, 30.0])
 def test_the_band_begins_with_the_design_frequencies(Ts):
     """Three digits of 1e-4 / Ts may lie below it."""
-    settings = Settings.of(Plant("lag", current_trial_loop(control.ss(0.9, 0.1, 1, 0, Ts))))
-    assert settings.omega[0] * (1 - 1e-12) <= settings.band[0] < 1.01 * settings.omega[0]
+    settings = Settings.of(
+        Plant("lag", current_trial_loop(control.ss(0.9, 0.1, 1, 0, Ts)))
+    )
+    assert (
+        settings.omega[0] * (1 - 1e-12) <= settings.band[0] < 1.01 * settings.omega[0]
+    )
     assert settings.band[0] == float(f"{settings.band[0]:.3g}")
 
 
@@ -226,15 +268,22 @@ def test_a_log_brings_its_loop_its_reference_and_its_disturbances(tmp_path):
     np.testing.assert_array_equal(plant.reference, r)
     assert plant.disturbance.shape == (10, 40, 1)
     np.testing.assert_array_equal(plant.disturbance[9], leak)
-    found, by_hand = try_out(Settings.of(plant)), run(Settings.of(plant).python)["design"]
-    np.testing.assert_array_equal(found.design.filter.coefficients, by_hand.filter.coefficients)
+    found, by_hand = (
+        try_out(Settings.of(plant)),
+        run(Settings.of(plant).python)["design"],
+    )
+    np.testing.assert_array_equal(
+        found.design.filter.coefficients, by_hand.filter.coefficients
+    )
 
 
 def test_a_measured_response_brings_its_radius(tmp_path):
     loop = current_trial_loop(plants.stage(), ["F"], {"x": 1.0, "F": 3.0})
     excitation = multisine(loop, 20.0, 1500.0, 1.0, 0.002, lines=20)
     closed, w = loop.closed, excitation.signals
-    states = state_sequence(closed.A, w[0] @ closed.B[:, :1].T, np.zeros(closed.nstates))
+    states = state_sequence(
+        closed.A, w[0] @ closed.B[:, :1].T, np.zeros(closed.nstates)
+    )
     y = (states @ closed.C.T)[None]
     y += 1e-4 * np.random.default_rng(0).standard_normal(y.shape)
     run_of = dataset(
@@ -247,11 +296,15 @@ def test_a_measured_response_brings_its_radius(tmp_path):
     settings = Settings.of(plant)
     outcome = try_out(settings)
     assert "within the radius" in outcome.line
-    doubted = replace(plant, response=replace(plant.response, findings=("outputs drift",)))
+    doubted = replace(
+        plant, response=replace(plant.response, findings=("outputs drift",))
+    )
     assert "the measurement: outputs drift" in try_out(Settings.of(doubted)).line
     by_hand = run(settings.python)
     assert repr(by_hand["P"]) == repr(
-        measured_response(run_of.assign_attrs(with_excitation(run_of, excitation, loop).attrs))
+        measured_response(
+            run_of.assign_attrs(with_excitation(run_of, excitation, loop).attrs)
+        )
     )
     np.testing.assert_array_equal(
         outcome.design.filter.coefficients, by_hand["design"].filter.coefficients

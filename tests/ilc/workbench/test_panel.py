@@ -31,7 +31,9 @@ def stage():
 @pytest.fixture(scope="module")
 def panel(stage):
     """One for all tests, each of which begins with the stage."""
-    return Panel({ROD: rods(), "stage": stage, "another": stage}, log="data/rig/learning.csv")
+    return Panel(
+        {ROD: rods(), "stage": stage, "another": stage}, log="data/rig/learning.csv"
+    )
 
 
 @pytest.fixture
@@ -58,7 +60,9 @@ def test_knobs_make_settings_and_settings_the_picture(panel, knobs, stage):
 def test_who_sees_a_new_picture_reads_what_belongs_to_it(panel, knobs):
     """Widgets change one after the other, also in a browser: the picture is the last."""
     read = []
-    panel.image.observe(lambda change: read.append((panel.python.value, panel.line.value)), "value")
+    panel.image.observe(
+        lambda change: read.append((panel.python.value, panel.line.value)), "value"
+    )
     for M_max in (0.95, 0.001, 0.93):
         knobs["M_max"].value = M_max
         assert read[-1] == (panel.python.value, panel.line.value)
@@ -89,7 +93,9 @@ def test_a_field_that_makes_no_sense_says_so(panel, knobs):
     panel.file.value = "nowhere.csv"
     assert panel.settings is None and "nowhere.csv" in panel.outcome.message
     panel.file.value = ""
-    assert panel.settings is None and "must be the path of a file" in panel.outcome.message
+    assert (
+        panel.settings is None and "must be the path of a file" in panel.outcome.message
+    )
 
 
 def test_a_table_of_others_comes_in_by_the_same_field(panel, tmp_path):
@@ -106,7 +112,9 @@ def test_a_table_of_others_comes_in_by_the_same_field(panel, tmp_path):
         ('tine="Time", outputs={"T1": 3}', "unexpected keyword argument 'tine'"),
     ):
         panel.columns.value = columns
-        assert panel.settings is None and re.search(message, panel.outcome.message), columns
+        assert panel.settings is None and re.search(message, panel.outcome.message), (
+            columns
+        )
     panel.columns.value = ""
 
 
@@ -158,7 +166,9 @@ def test_what_is_shown_is_saved(panel, knobs, tmp_path):
     panel.save.click()
     Q, L = load_law(tmp_path / "law.json")
     assert panel.settings.Q == Q and "law.json" in panel.saved.value
-    np.testing.assert_array_equal(L.coefficients, panel.outcome.design.filter.coefficients)
+    np.testing.assert_array_equal(
+        L.coefficients, panel.outcome.design.filter.coefficients
+    )
     panel.target.value = ""
     panel.save.click()
     assert panel.saved.value.startswith("not saved: ")

@@ -29,7 +29,9 @@ def tanks():
 
 @pytest.fixture(scope="module")
 def message():
-    return Outcome(None, message="there is no filter, and this is why: " + 30 * "much to say ")
+    return Outcome(
+        None, message="there is no filter, and this is why: " + 30 * "much to say "
+    )
 
 
 def test_names_from_outside_are_no_formulas(tanks):
@@ -41,7 +43,9 @@ def test_names_from_outside_are_no_formulas(tanks):
     loop = replace(plant.loop)
     object.__setattr__(loop, "units", units)  # which would be refused
     plant = replace(plant, response=loop)
-    picture = Picture().show(replace(tanks, settings=replace(tanks.settings, plant=plant)))
+    picture = Picture().show(
+        replace(tanks, settings=replace(tanks.settings, plant=plant))
+    )
     assert picture.png()
     assert r"$\frac{$" in picture.axes[0, 1].get_title(loc="left")
 
@@ -71,20 +75,28 @@ def test_the_lines_are_the_designs(paper, full):
 def test_the_bytes_do_not_depend_on_what_was_drawn_before(paper, full, tanks, message):
     fresh = {
         name: Picture().show(*outcomes).png()
-        for name, outcomes in {"full": (full, paper), "tanks": (tanks,), "why": (message,)}.items()
+        for name, outcomes in {
+            "full": (full, paper),
+            "tanks": (tanks,),
+            "why": (message,),
+        }.items()
     }
     assert len(set(fresh.values())) == 3
     used = Picture().show(paper)
     used.png()
     assert used.show(full, paper).png() == fresh["full"]
     assert used.show(message, paper).png() == fresh["why"]
-    assert used.show(tanks, full).png() == fresh["tanks"]  # of another plant: not in gray
+    assert (
+        used.show(tanks, full).png() == fresh["tanks"]
+    )  # of another plant: not in gray
     assert used.show(full, paper).png() == fresh["full"]
 
 
 @pytest.mark.parametrize("name", ["full", "tanks", "message"])
 def test_everything_fits(name, request):
-    picture = Picture().show(request.getfixturevalue(name), request.getfixturevalue("paper"))
+    picture = Picture().show(
+        request.getfixturevalue(name), request.getfixturevalue("paper")
+    )
     figure = picture.figure
     figure.draw_without_rendering()
     inside = figure.bbox.padded(1)
@@ -94,12 +106,22 @@ def test_everything_fits(name, request):
             boxes += [axes.title, axes._left_title, axes.xaxis.label, axes.get_legend()]
             for axis in (axes.xaxis, axes.yaxis):
                 low, high = axis.get_view_interval()
-                boxes += [t.label1 for t in axis.get_major_ticks() if low <= t.get_loc() <= high]
+                boxes += [
+                    t.label1
+                    for t in axis.get_major_ticks()
+                    if low <= t.get_loc() <= high
+                ]
             low, high = axes.get_ylim()
             for line in axes.lines:
                 assert np.all((line.get_ydata() >= low) & (line.get_ydata() <= high))
-    boxes = [box.get_window_extent() for box in [*boxes, *figure.texts] if box is not None]
-    boxes = [box for box in boxes if box.width * box.height > 0 and np.isfinite(box.bounds).all()]
+    boxes = [
+        box.get_window_extent() for box in [*boxes, *figure.texts] if box is not None
+    ]
+    boxes = [
+        box
+        for box in boxes
+        if box.width * box.height > 0 and np.isfinite(box.bounds).all()
+    ]
     for k, box in enumerate(boxes):
         assert inside.contains(box.x0, box.y0) and inside.contains(box.x1, box.y1)
         for other in boxes[:k]:

@@ -35,16 +35,28 @@ def test_a_design_is_drawn_with_its_bounds_and_its_band(loop, Q):
         figure.axes, (design.sigma_M, design.sigma_L), (0.9, 50), strict=True
     ):
         drawn, limit = ax.lines
-        assert np.array_equal(drawn.get_xydata(), np.stack([design.omega, sigma], axis=1))
-        assert [*limit.get_ydata()] == [bound, bound] and f"= {bound:g}" in limit.get_label()
+        assert np.array_equal(
+            drawn.get_xydata(), np.stack([design.omega, sigma], axis=1)
+        )
+        assert [*limit.get_ydata()] == [
+            bound,
+            bound,
+        ] and f"= {bound:g}" in limit.get_label()
         assert ax.get_xlabel() == "frequency (rad/s)" and ax.get_xscale() == "log"
         (band,) = ax.patches
-        assert np.allclose([band.get_x(), band.get_x() + band.get_width()], (1e-4, 0.02))
+        assert np.allclose(
+            [band.get_x(), band.get_x() + band.get_width()], (1e-4, 0.02)
+        )
 
 
 def test_what_is_not_bounded_has_no_bound(loop, Q):
-    peak = synthesise(loop, Q, np.geomspace(1e-4, np.pi, 100), objective="peak", L_max=None)
-    assert [(len(ax.lines), len(ax.patches)) for ax in plot(peak).axes] == [(1, 0), (1, 0)]
+    peak = synthesise(
+        loop, Q, np.geomspace(1e-4, np.pi, 100), objective="peak", L_max=None
+    )
+    assert [(len(ax.lines), len(ax.patches)) for ax in plot(peak).axes] == [
+        (1, 0),
+        (1, 0),
+    ]
 
 
 def test_trials_are_drawn_with_their_units(trials):
@@ -83,7 +95,9 @@ def test_the_style_of_others_is_left_alone_and_a_stranger_refused(trials):
     before = plt.rcParams.copy()
     plot(trials)
     assert plt.rcParams == before
-    with pytest.raises(ValueError, match=r"shown = .* must be a Synthesis or a Dataset of trials"):
+    with pytest.raises(
+        ValueError, match=r"shown = .* must be a Synthesis or a Dataset of trials"
+    ):
         plot(3)
     with pytest.raises(ValueError, match="trials lack"):
         plot(xr.Dataset())

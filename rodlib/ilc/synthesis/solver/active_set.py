@@ -38,7 +38,9 @@ class Iterate:
     def __init__(self, program, x, splits=None):
         self.x, self.G, self.splits, self.sigma = x, program.matrices(x), [], []
         # what is looked into: more than the largest M, or the limit on it, leave aside
-        level = NEAR * (self._largest_M(program) if program.shared else program.limits[0])
+        level = NEAR * (
+            self._largest_M(program) if program.shared else program.limits[0]
+        )
         for j, (bound, G) in enumerate(zip(program.bounds, self.G, strict=True)):
             split = bound.first_split(G) if splits is None else splits[j]
             split, sigma = bound.tighten(G, split, level)
@@ -49,16 +51,25 @@ class Iterate:
             self.objective = max(s.max() for bound, s in minimised if bound.limit == 0)
         else:
             self.objective = self.sigma[0][program.free].sum()
-        limits = (self.objective if program.shared else program.limits[0], program.limits[1])
+        limits = (
+            self.objective if program.shared else program.limits[0],
+            program.limits[1],
+        )
         self.objective += program.quadratic(x)
         self.limits = [limits[bound.limit] for bound in program.bounds]
-        relative = [s.max() / b - 1 for s, b in zip(self.sigma, self.limits, strict=True)]
+        relative = [
+            s.max() / b - 1 for s, b in zip(self.sigma, self.limits, strict=True)
+        ]
         self.excess = np.maximum(relative, 0)
 
     def _largest_M(self, program):
         """The largest of the first limit, without a radius."""
         parts = zip(program.bounds, self.G, strict=True)
-        square = (np.moveaxis(G[: G.shape[1]], -1, 0) for bound, G in parts if bound.limit == 0)
+        square = (
+            np.moveaxis(G[: G.shape[1]], -1, 0)
+            for bound, G in parts
+            if bound.limit == 0
+        )
         return max(largest_singular_values(M).max() for M in square)
 
 
@@ -79,12 +90,16 @@ def model_at(program, p, multipliers):
     K, unit = p.x.size, max(p.objective, 1e-6 * program.idle)
     H, f = np.zeros((K, K)), np.append(np.zeros(K), 1 / unit if program.shared else 0.0)
     A, room, near = [], [], []
-    for j, (bound, y, limit) in enumerate(zip(program.bounds, multipliers, p.limits, strict=True)):
+    for j, (bound, y, limit) in enumerate(
+        zip(program.bounds, multipliers, p.limits, strict=True)
+    ):
         close = (p.sigma[j] > NEAR * limit) | (y > 0)
         weight = y + in_sum(program) if j == 0 else y
         at = np.flatnonzero(close | (weight > 0))
         e = bound.expand(p.G[j], p.splits[j], at, program.basis, program.entries)
-        rows = (e.curvature * np.sqrt(weight[e.at] / unit)[:, None, None]).reshape(-1, K)
+        rows = (e.curvature * np.sqrt(weight[e.at] / unit)[:, None, None]).reshape(
+            -1, K
+        )
         H += rows.T @ rows
         if j == 0:
             f[:K] = in_sum(program)[e.at] @ e.gradient / unit
@@ -126,7 +141,9 @@ def quadratic_program(model, room, damping):
 def _by_active_set(H, f, A, room):
     """Quick; what it gives is not the solution where bounds of neighbours are nearly parallel."""
     below, kind = np.full(len(room), -1e30), np.zeros(len(room), dtype=np.int32)
-    d, _, flag, result = daqp.solve(H, f, A, room, below, kind, primal_tol=1e-11, dual_tol=1e-12)
+    d, _, flag, result = daqp.solve(
+        H, f, A, room, below, kind, primal_tol=1e-11, dual_tol=1e-12
+    )
     return d if flag == 1 else np.full_like(d, np.nan), np.maximum(result["lam"], 0)
 
 
@@ -154,10 +171,16 @@ def improve(program, p, model, penalty, damping, most=MOST_DAMPING):
             d, y = found
             dx = d[:-1]
             if attempt == "first":
-                penalty = np.maximum(penalty, [1.5 * z.sum() for z in np.split(y, splits)])
-                expected = part * penalty @ p.excess - model.f @ d - dx @ model.H @ dx / 2
+                penalty = np.maximum(
+                    penalty, [1.5 * z.sum() for z in np.split(y, splits)]
+                )
+                expected = (
+                    part * penalty @ p.excess - model.f @ d - dx @ model.H @ dx / 2
+                )
             new = Iterate(program, p.x + dx.reshape(p.x.shape), p.splits)
-            gain = (p.objective - new.objective) / model.unit + penalty @ (p.excess - new.excess)
+            gain = (p.objective - new.objective) / model.unit + penalty @ (
+                p.excess - new.excess
+            )
             if gain + NOISE > 0.1 * (expected + NOISE):
                 if part == 1 and gain + NOISE > 0.75 * (expected + NOISE):
                     damping = 0.1 * damping if damping > 1e-4 else 0.0
@@ -173,7 +196,10 @@ def resolve(
     program: Program, start: Solution, steps: int, most: float = MOST_DAMPING
 ) -> Solution | None:
     """Solve a program from the solution of a similar one, if few steps and little damping do."""
-    p, y = Iterate(program, program.unknowns(start.coefficients)), first_multipliers(program, start)
+    p, y = (
+        Iterate(program, program.unknowns(start.coefficients)),
+        first_multipliers(program, start),
+    )
     penalty, damping = np.zeros(len(y)), 0.0
     for iteration in range(1, steps + 1):
         model = model_at(program, p, y)
@@ -205,7 +231,9 @@ def first_multipliers(program, start):
             W = np.moveaxis(bound.T, -1, 0)
             known = W.any(axis=(1, 2))  # where P stands as zero nothing of M is bounded
             y = np.zeros(len(W))
-            y[known] = np.linalg.norm(np.linalg.solve(W[known], V[known]), "nuc", axis=(1, 2))
+            y[known] = np.linalg.norm(
+                np.linalg.solve(W[known], V[known]), "nuc", axis=(1, 2)
+            )
         multipliers.append(np.where(y > 1e-6 * y.max(initial=0), y, 0))
     return multipliers
 

@@ -44,12 +44,16 @@ class Bound:
 
     F: np.ndarray  # with p = q for the plain one, p = 2 q for that with a radius
     T: np.ndarray
-    entries: np.ndarray  # of the filter, that stand at `rows`, `cols` of L; the others are zero
+    entries: (
+        np.ndarray
+    )  # of the filter, that stand at `rows`, `cols` of L; the others are zero
     rows: np.ndarray
     cols: np.ndarray
     at: np.ndarray | slice  # frequency of each column
     limit: int = 0  # of the program's: that of what is minimised (0), or the other (1)
-    plant: np.ndarray | None = None  # number for each column; None for the nominal M and for L
+    plant: np.ndarray | None = (
+        None  # number for each column; None for the nominal M and for L
+    )
 
     @property
     def shape(self):
@@ -75,11 +79,15 @@ class Bound:
         """The bound at some of its columns only."""
         frequency = np.arange(self.shape[2]) if isinstance(self.at, slice) else self.at
         some = {"F": self.F[..., at], "T": self.T[..., at], "at": frequency[at]}
-        return replace(self, **some, plant=None if self.plant is None else self.plant[at])
+        return replace(
+            self, **some, plant=None if self.plant is None else self.plant[at]
+        )
 
     def diagonal(self, b, d):
         """Lambda, shape (p, c); (1, c) if plain, where it is b I."""
-        return self.of_b[:, None] * b + self.of_d[:, None] * d if self.splits else b[None]
+        return (
+            self.of_b[:, None] * b + self.of_d[:, None] * d if self.splits else b[None]
+        )
 
     def response(self, L):
         """T L, given all entries of the filter, shape (entries, n)."""
@@ -171,7 +179,9 @@ class Bound:
             return np.concatenate([of_L.imag, of_L.real, of_split.imag], axis=1)
 
         first = form(0, 0)
-        size = np.maximum(s[:, 0], 1e-12)  # where Q is zero, M and all its derivatives are
+        size = np.maximum(
+            s[:, 0], 1e-12
+        )  # where Q is zero, M and all its derivatives are
         rows = [imag(first) / np.sqrt(size)[:, None]]
         for j in range(1, p):
             alpha = form(j, 0)
@@ -190,14 +200,18 @@ class Bound:
             H[:, -1, -1] = 0.75 * (weight * share**2).sum(axis=1)
             row = U[:, :, :1].conj() * T[:, :, self.rows] * V[:, None, self.cols, 0]
             cross = -0.5 * (share[:, :, None] * row).sum(axis=1)
-            H[:, -1, :-1] = H[:, :-1, -1] = np.concatenate([cross.real, -cross.imag], axis=1)
+            H[:, -1, :-1] = H[:, :-1, -1] = np.concatenate(
+                [cross.real, -cross.imag], axis=1
+            )
         N = U[:, :, :1] * Vh[:, :1] / root.T[:, :, None]
         return s[:, 0], np.moveaxis(N, 0, -1), real(first), R, H
 
     def tighten(self, G, split, level):
         """The split of the smallest value, and that value, wherever it is above the level."""
         value, split = self.value(G, split), split.copy()
-        active = np.flatnonzero(value > level) if self.splits else np.array([], dtype=int)
+        active = (
+            np.flatnonzero(value > level) if self.splits else np.array([], dtype=int)
+        )
         for _ in range(30):
             if not active.size:
                 break
@@ -211,7 +225,10 @@ class Bound:
                 new = split[:, active] + d
                 there = some.value(G[..., active], new)
                 better = there < value[active]
-                split[:, active[better]], value[active[better]] = new[:, better], there[better]
+                split[:, active[better]], value[active[better]] = (
+                    new[:, better],
+                    there[better],
+                )
                 d = np.where(better, 0, d / 4)
                 if better.all():
                     break
@@ -240,7 +257,9 @@ class Bound:
             return whole.reshape(*a.shape[:2], count * len(basis))
 
         gradient = in_unknowns(g.reshape(len(at), 1, 2, e))[:, 0]
-        return Expansion(at, value, gradient, in_unknowns(R.reshape(len(at), R.shape[1], 2, e)), N)
+        return Expansion(
+            at, value, gradient, in_unknowns(R.reshape(len(at), R.shape[1], 2, e)), N
+        )
 
 
 def product(A, B):

@@ -55,14 +55,21 @@ class Slack:
         first = np.concatenate([np.zeros((p, p, n), dtype=complex), adjoint(D)])
         first[range(p), range(p)] += dl
         first = first * (1 / np.sqrt(self.diagonal))
-        return product(C, np.concatenate([first, product(self.change(dl, d, D), self.F)], axis=1))
+        return product(
+            C, np.concatenate([first, product(self.change(dl, d, D), self.F)], axis=1)
+        )
 
     def along(self, dl, d, D):
         """S + a dS, positive definite where these are, as coefficients of a polynomial in a."""
         p, q, n = D.shape
-        if len(self.diagonal) == 1:  # (b + a d)^2 I - (G + a D)^H (G + a D), which is smaller
+        if (
+            len(self.diagonal) == 1
+        ):  # (b + a d)^2 I - (G + a D)^H (G + a D), which is smaller
             diagonal = np.diag_indices(q)
-            A1, A2 = -2 * hermitian(product(adjoint(self.G), D)), -product(adjoint(D), D)
+            A1, A2 = (
+                -2 * hermitian(product(adjoint(self.G), D)),
+                -product(adjoint(D), D),
+            )
             A1[diagonal] += 2 * self.b * d
             A2[diagonal] += d**2
             return [self.A * self.b, A1, A2]

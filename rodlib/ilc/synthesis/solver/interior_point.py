@@ -106,7 +106,11 @@ def complementarity(program, p):
 
 def dual_value(program, p):
     """The dual objective, a lower bound on the primal one if Y and eta are stationary."""
-    nothing = {"t": 0 * p.t, "d": [0 * d for d in p.d], "G": [bound.F for bound in program.bounds]}
+    nothing = {
+        "t": 0 * p.t,
+        "d": [0 * d for d in p.d],
+        "G": [bound.F for bound in program.bounds],
+    }
     linear = complementarity(program, replace(p, limits=program.limits, **nothing))
     return -linear - program.quadratic(p.x)
 
@@ -115,7 +119,9 @@ def begin(program, x):
     """A point at x with Y S = mu I, and with a bound moved out if x violates it."""
     G = program.matrices(x)
     splits = [bound.first_split(A) for bound, A in zip(program.bounds, G, strict=True)]
-    values = [bound.value(*a) for bound, *a in zip(program.bounds, G, splits, strict=True)]
+    values = [
+        bound.value(*a) for bound, *a in zip(program.bounds, G, splits, strict=True)
+    ]
     peaks = np.zeros(2)
     for bound, value in zip(program.bounds, values, strict=True):
         peaks[bound.limit] = max(peaks[bound.limit], value.max())
@@ -209,7 +215,9 @@ def follow(program, p, enough=0.0, is_good=None):
     n, m = program.basis.shape[1], p.G[0].shape[1]
     best, smallest, gaps, way = None, np.inf, [], 0
     steps = range(100)
-    for iteration in tqdm(steps, "interior point", leave=False, delay=PATIENCE, disable=None):
+    for iteration in tqdm(
+        steps, "interior point", leave=False, delay=PATIENCE, disable=None
+    ):
         objective, dual = p.t.sum() + program.quadratic(p.x), dual_value(program, p)
         total = complementarity(program, p)
         gap = max(total, abs(objective - dual))
@@ -227,7 +235,11 @@ def follow(program, p, enough=0.0, is_good=None):
         slacks = [Slack(G, diagonal, b) for diagonal, b, G in p.S(program)]
         while (d := step(program, p, slacks, total, WAYS[way])) is None:
             # rounding ends the quick way: is more of a slower one needed?
-            if best is p and is_good is not None and is_good(_solution(program, p, iteration)):
+            if (
+                best is p
+                and is_good is not None
+                and is_good(_solution(program, p, iteration))
+            ):
                 return best, iteration
             way += 1
         primal, dual = step_lengths(program, p, d, slacks, 0.02)
@@ -243,7 +255,8 @@ def follow(program, p, enough=0.0, is_good=None):
 
 def solve(
     program: Program,
-    is_good: Callable[[Solution], bool] | None = None,  # asked where more digits are expensive
+    is_good: Callable[[Solution], bool]
+    | None = None,  # asked where more digits are expensive
     enough: float = 0.0,  # below this objective a filter need not be optimal
 ) -> Solution:
     """Solve a program from nothing; Infeasible if M_max cannot be met."""

@@ -99,10 +99,14 @@ def normal_matrix(program, slacks, Y, local):
         which, columns = number[bound.entries[j], bound.entries[k]], bound.shape[2]
         size = max(32, CACHED // len(which))  # of a block that stays in the cache
         for some in (slice(i, i + size) for i in range(0, columns, size)):
-            x11, y11, x21, y21, x22, y22 = (Z[..., some] for Z in (X11, Y11, X21, Y21, X22, Y22))
+            x11, y11, x21, y21, x22, y22 = (
+                Z[..., some] for Z in (X11, Y11, X21, Y21, X22, Y22)
+            )
             a = y11[r, rs] * x22[cs, c] + x11[r, rs] * y22[cs, c]
             b = y21[c, rs] * x21[cs, r] + x21[c, rs] * y21[cs, r]
-            for g, follow in zip(part.g[..., some], part.follow[..., some], strict=True):
+            for g, follow in zip(
+                part.g[..., some], part.follow[..., some], strict=True
+            ):
                 a -= 0.5 * g[j].conj() * follow[k]
                 b -= 0.5 * g[j] * follow[k]
             for form, value in ((A, a), (B, b)):
@@ -111,7 +115,10 @@ def normal_matrix(program, slacks, Y, local):
                 else:
                     np.add.at(form, (which[:, None], bound.at[some]), value)
     # Re(A phi_k phi_l^*) + Re(B phi_k phi_l), summed over the frequencies
-    sums = sum(form.view(float) @ part for form, part in zip((A, B), program.products, strict=True))
+    sums = sum(
+        form.view(float) @ part
+        for form, part in zip((A, B), program.products, strict=True)
+    )
     H = np.empty((E, order, E, order))
     j, k = pairs.T
     H[k, :, j] = sums.reshape(-1, order, order)
@@ -127,7 +134,10 @@ def square_root(program, slacks, Y, barrier):
     # triangular factor eliminates d and a t of its own; a shared t is eliminated at last.
     basis, E = program.basis, program.entries
     parts = np.stack([basis.real, basis.imag])
-    whole, tall = [], []  # bounds at all frequencies come together; the others as they are
+    whole, tall = (
+        [],
+        [],
+    )  # bounds at all frequencies come together; the others as they are
     for j, (bound, a, Yc) in enumerate(zip(program.bounds, slacks, Y, strict=True)):
         p, q, c = bound.shape
         Ch, _ = cholesky(Yc, 0.01 * EPS * trace(Yc))
@@ -136,19 +146,27 @@ def square_root(program, slacks, Y, barrier):
         zero, one = np.zeros((p, q, c), dtype=complex), np.ones(c)
         if k:
             columns[:, :, 0] = a.root(Ch, bound.of_d[:, None] * one, 0 * one, zero)
-        columns[:, :, k, has_t] = a.root(Ch, bound.of_b[:, None] * one, one, zero)[..., has_t]
+        columns[:, :, k, has_t] = a.root(Ch, bound.of_b[:, None] * one, one, zero)[
+            ..., has_t
+        ]
         for i, (row, col) in enumerate(zip(bound.rows, bound.cols, strict=True)):
             for part, unit in enumerate((1, 1j)):
                 D = zero.copy()
                 D[:, col] = unit * bound.T[:, row]
-                columns[:, :, k + 1 + 2 * i + part] = a.root(Ch, 0 * a.diagonal, 0 * one, D)
+                columns[:, :, k + 1 + 2 * i + part] = a.root(
+                    Ch, 0 * a.diagonal, 0 * one, D
+                )
         columns = np.moveaxis(columns.reshape((p + q) ** 2, -1, c), -1, 0)
         extra = np.zeros((c, 1, columns.shape[2]))
-        if not program.shared:  # where there is no t, something that its elimination leaves alone
+        if (
+            not program.shared
+        ):  # where there is no t, something that its elimination leaves alone
             extra[:, 0, k] = 1
             if len(has_t):
                 extra[has_t, 0, k] = np.sqrt(barrier)
-        small = np.linalg.qr(np.concatenate([columns.real, columns.imag, extra], 1), mode="r")
+        small = np.linalg.qr(
+            np.concatenate([columns.real, columns.imag, extra], 1), mode="r"
+        )
         gone = k + (not program.shared)
         small = small[:, gone:, gone:]
         shared, small = small[:, :, : 1 - gone + k], small[:, :, 1 - gone + k :]
@@ -163,7 +181,9 @@ def square_root(program, slacks, Y, barrier):
     expanded = []
     for rows, at in tall:
         of_L = np.einsum(
-            "crep,pkc->crek", rows[:, :, 1:].reshape(len(rows), -1, E, 2), parts[..., at]
+            "crep,pkc->crek",
+            rows[:, :, 1:].reshape(len(rows), -1, E, 2),
+            parts[..., at],
         )
         of_L = of_L.reshape(-1, E * len(basis))
         expanded.append(np.hstack([rows[:, :, :1].reshape(-1, 1), of_L]))
@@ -191,7 +211,9 @@ def factorise(program, slacks, Y, barrier, root=False):
     xt = tt = None
     if program.shared:
         tt = sum(part.tt for part in local if part.shared) + barrier[0]
-        xt = onto_x([part.xt if part.shared else 0 * part.bound.T[0, 0] for part in local])
+        xt = onto_x(
+            [part.xt if part.shared else 0 * part.bound.T[0, 0] for part in local]
+        )
     if root:
         R = square_root(program, slacks, Y, barrier)
         if program.H is not None:
@@ -212,7 +234,9 @@ def factorise(program, slacks, Y, barrier, root=False):
     def solve(rx, Y, eta):
         residuals = [part.residual(A, eta) for part, A in zip(local, Y, strict=True)]
         follow = zip(local, residuals, strict=True)
-        rx = rx - onto_x([(part.follow * r[:, None]).sum(axis=0) for part, (r, _) in follow])
+        rx = rx - onto_x(
+            [(part.follow * r[:, None]).sum(axis=0) for part, (r, _) in follow]
+        )
         if program.shared:
             rt = sum(r for _, r in residuals) - eta[0] - 1
             rx = rx - xt * (rt / tt)

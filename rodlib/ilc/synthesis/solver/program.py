@@ -27,7 +27,9 @@ class Infeasible(RuntimeError):
     """No filter meets the bounds; `nearest` has the smallest possible M_max, its `largest`."""
 
     def __init__(self, M_max, nearest):
-        super().__init__(f"M_max = {M_max:.10g} is too small, {nearest.largest:.10g} is possible")
+        super().__init__(
+            f"M_max = {M_max:.10g} is too small, {nearest.largest:.10g} is possible"
+        )
         self.nearest = nearest
 
 
@@ -74,7 +76,9 @@ class Program:
 
     def minimax(self):
         """The program of the smallest possible bound on M."""
-        size = max(np.abs(bound.F[0, 0]).max() for bound in self.bounds if bound.limit == 0)
+        size = max(
+            np.abs(bound.F[0, 0]).max() for bound in self.bounds if bound.limit == 0
+        )
         limits = np.array([GENEROUS * size, self.limits[1]])
         free = np.arange(self.bounds[0].shape[2])
         return replace(self, free=free, shared=True, limits=limits, H=None)
@@ -185,12 +189,18 @@ def formulate(problem: Problem, plant=(), frequency=()) -> Program:
     nominal = replace(problem, radius=None)
     # sigma_max(M) <= M_max, or, where it is in the sum (39) or the largest (45), a level
     if problem.radius is None:
-        bounds = [replace(bound_on_M(nominal, 0 * every, every, **on_M), at=everywhere, plant=None)]
+        bounds = [
+            replace(
+                bound_on_M(nominal, 0 * every, every, **on_M), at=everywhere, plant=None
+            )
+        ]
     else:  # which implies the nominal one
         bounds = [bound_on_M(problem, 0 * every, every, **on_M)]
         if problem.objective == "sum":
             some = np.flatnonzero(problem.in_band)
-            bounds.insert(0, replace(bound_on_M(nominal, 0 * some, some, **on_M), plant=None))
+            bounds.insert(
+                0, replace(bound_on_M(nominal, 0 * some, some, **on_M), plant=None)
+            )
     # sigma_max(L) <= L_max, (39), (46)
     one = np.ones((1, 1, n), dtype=complex)
     zero = np.zeros((m, m, 1)) * one
@@ -207,11 +217,15 @@ def formulate(problem: Problem, plant=(), frequency=()) -> Program:
             )
         ]
     else:  # smaller ones, one for each entry
-        one_by_one = ((W[:, e, e] * one, entries[[e]], rows[:1], cols[:1]) for e in entries)
+        one_by_one = (
+            (W[:, e, e] * one, entries[[e]], rows[:1], cols[:1]) for e in entries
+        )
         L = [Bound(0 * one, *a, everywhere, **on_L) for a in one_by_one]
     bounds = [*L, *bounds] if gain else [bounds[0], *L, *bounds[1:]]
     if len(plant):
-        bounds.append(bound_on_M(problem, np.asarray(plant), np.asarray(frequency), **on_M))
+        bounds.append(
+            bound_on_M(problem, np.asarray(plant), np.asarray(frequency), **on_M)
+        )
     basis, R = whitened_basis(problem.P, problem.Q, problem.angles, problem.order, W)
     bounds = tuple(bounds)
     if gain:
@@ -223,7 +237,9 @@ def formulate(problem: Problem, plant=(), frequency=()) -> Program:
     if problem.objective == "peak":
         program = program.minimax()  # (45)
     if problem.noise is not None:  # at whose price the peak could be higher
-        program = replace(program, limits=limits, H=cost_of_noise(problem, basis, rows, cols))
+        program = replace(
+            program, limits=limits, H=cost_of_noise(problem, basis, rows, cols)
+        )
     return program
 
 

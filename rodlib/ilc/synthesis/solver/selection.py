@@ -48,5 +48,7 @@ def first_cuts(problem, start):
     if start is None or start.cuts is None:
         return none, none
     plant, frequency = start.cuts.plant, start.cuts.frequency
-    known = (plant > 0) & (plant <= len(problem.others))  # the nominal one is in every program
+    known = (plant > 0) & (
+        plant <= len(problem.others)
+    )  # the nominal one is in every program
     return plant[known], frequency[known]

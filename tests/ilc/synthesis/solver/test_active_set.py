@@ -55,14 +55,18 @@ def test_the_smallest_peak_is_found_from_a_similar_one_too(loop, Q, omega, struc
     assert warm.value == pytest.approx(cold.value, rel=1e-8)
 
 
-@pytest.mark.parametrize("changes", [{"M_max": 0.85}, {"L_max": 100.0}, {"L_max": 20.0}], ids=str)
+@pytest.mark.parametrize(
+    "changes", [{"M_max": 0.85}, {"L_max": 100.0}, {"L_max": 20.0}], ids=str
+)
 def test_after_a_large_change_the_result_is_the_same(before, loop, Q, omega, changes):
     structure, start = before
     cold = synthesise(loop, Q, omega, 1.0, structure=structure, **changes)
     warm = synthesise(loop, Q, omega, 1.0, structure=structure, start=start, **changes)
     assert warm.value == pytest.approx(cold.value, rel=1e-8)
     np.testing.assert_allclose(
-        warm.filter.coefficients, cold.filter.coefficients, atol=1e-3 * np.abs(cold.sigma_L).max()
+        warm.filter.coefficients,
+        cold.filter.coefficients,
+        atol=1e-3 * np.abs(cold.sigma_L).max(),
     )
 
 
@@ -88,14 +92,21 @@ def test_what_is_infeasible_is_said_to_be(before, loop, Q, omega):
 def test_random_plants(m, order, structure, objective, gain, change, seed):
     """A start never changes the result, whatever the plant, its unit and the change."""
     P, Q, omega = random_plant(seed, m, gain=gain)
-    arguments = {"order": order, "band": (0.01, 0.3), "structure": structure, "M_max": 0.97}
+    arguments = {
+        "order": order,
+        "band": (0.01, 0.3),
+        "structure": structure,
+        "M_max": 0.97,
+    }
     arguments |= {"objective": objective}
     try:
         start = synthesise(P, Q, omega, 1.0, L_max=10.0 / gain, **arguments)
         cold = synthesise(P, Q, omega, 1.0, L_max=change * 10.0 / gain, **arguments)
     except InfeasibleError:
         return
-    warm = synthesise(P, Q, omega, 1.0, L_max=change * 10.0 / gain, start=start, **arguments)
+    warm = synthesise(
+        P, Q, omega, 1.0, L_max=change * 10.0 / gain, start=start, **arguments
+    )
     assert warm.value == pytest.approx(cold.value, rel=1e-8, abs=1e-9)
     assert warm.certificate.failures == []
 
@@ -118,7 +129,9 @@ def test_a_corrected_step_meets_curved_bounds_to_second_order(seed, monkeypatch)
         p = Iterate(problem, problem.unknowns(start.coefficients))
         model = model_at(problem, p, first_multipliers(problem, start))
         monkeypatch.setattr(active_set, "Iterate", recorded)
-        improve(problem, p, model, np.full(2, 1e9), 0.0)  # a penalty that refuses the first
+        improve(
+            problem, p, model, np.full(2, 1e9), 0.0
+        )  # a penalty that refuses the first
         return [p.sigma[1].max() / p.limits[1] - 1 for p in tried[:2]]
 
     (first, corrected), (first_of_half, _) = passed(0.02), passed(0.01)
@@ -138,7 +151,9 @@ def test_where_the_method_does_not_converge_it_says_so(loop, Q, omega):
     """From L = 0, where all singular values coincide."""
     P = loop.frequency_response(omega)
     start = synthesise(loop, Q, omega, 1.0)
-    zero = type(start.solution)(0 * start.filter.coefficients, 0 * P, 0 * P, 1.0, "none", 0)
+    zero = type(start.solution)(
+        0 * start.filter.coefficients, 0 * P, 0 * P, 1.0, "none", 0
+    )
     assert resolve(formulate(start.problem), zero, 12) is None
 
 
@@ -162,7 +177,10 @@ def test_what_the_method_returns_is_judged_more_strictly(loop, Q, omega, monkeyp
     ("changes", "message"),
     [
         ({"order": 9}, r"coefficients of shape \(2, 2, 10\).*must have \(2, 2, 9\)"),
-        ({"omega": slice(None, None, 2)}, "on 1000 frequencies, but must have .* on 500"),
+        (
+            {"omega": slice(None, None, 2)},
+            "on 1000 frequencies, but must have .* on 500",
+        ),
     ],
 )
 def test_a_start_that_does_not_fit_is_refused(loop, Q, omega, changes, message):
@@ -181,7 +199,9 @@ def test_a_full_filter_is_no_start_for_a_diagonal_one(loop, Q, omega):
 def test_where_the_quick_quadratic_solver_gives_up_another_finds_the_same(monkeypatch):
     rng = np.random.default_rng(3)
     half, A = rng.standard_normal((5, 5)), rng.standard_normal((8, 6))
-    model = active_set.Model(half @ half.T, np.append(rng.standard_normal(5), 1), A, None, [], 1.0)
+    model = active_set.Model(
+        half @ half.T, np.append(rng.standard_normal(5), 1), A, None, [], 1.0
+    )
     room = rng.uniform(0.1, 1, 8)
     quick = active_set.quadratic_program(model, room, 0.0)
     nothing = np.full(6, np.nan), np.full(8, np.nan)
@@ -190,4 +210,6 @@ def test_where_the_quick_quadratic_solver_gives_up_another_finds_the_same(monkey
     for one, other in zip(quick, slow, strict=True):
         np.testing.assert_allclose(one, other, atol=1e-7)
     contradiction = replace(model, A=np.vstack([A[:1], -A[:1]]))
-    assert active_set.quadratic_program(contradiction, np.array([-1.0, -1.0]), 0.0) is None
+    assert (
+        active_set.quadratic_program(contradiction, np.array([-1.0, -1.0]), 0.0) is None
+    )

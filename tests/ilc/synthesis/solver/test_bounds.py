@@ -64,7 +64,9 @@ def test_value_and_derivatives_against_differences(kind, m, seed):
         np.testing.assert_allclose(value, norm(G), rtol=1e-12)
     np.testing.assert_allclose(e.value, value[at], rtol=1e-12)
     size = np.abs(first).max(initial=0)
-    np.testing.assert_allclose(e.gradient @ d.ravel(), first, rtol=1e-5, atol=1e-6 * (1 + size))
+    np.testing.assert_allclose(
+        e.gradient @ d.ravel(), first, rtol=1e-5, atol=1e-6 * (1 + size)
+    )
     curvature = ((e.curvature @ d.ravel()) ** 2).sum(axis=1)
     size = np.abs(curvature).max(initial=0)
     np.testing.assert_allclose(curvature, second, rtol=1e-3, atol=1e-3 * (1 + size))
@@ -83,11 +85,17 @@ def test_for_a_radius_the_value_is_the_worst_case(m, seed):
         return np.linalg.norm(X @ v, axis=-2, keepdims=True)
 
     if m == 1:
-        np.testing.assert_allclose(value, np.abs(M + 0 * H)[:, 0, 0] + np.abs(H)[:, 0, 0])
+        np.testing.assert_allclose(
+            value, np.abs(M + 0 * H)[:, 0, 0] + np.abs(H)[:, 0, 0]
+        )
         return
     parts = [(X, X.conj().swapaxes(1, 2) @ X) for X in (M, H)]
-    v = np.array([1, 1j]) @ np.random.default_rng(seed).standard_normal((5, len(M), m, 2, 1))
-    for _ in range(1000):  # the gradient of a convex function points to where it is larger
+    v = np.array([1, 1j]) @ np.random.default_rng(seed).standard_normal(
+        (5, len(M), m, 2, 1)
+    )
+    for _ in range(
+        1000
+    ):  # the gradient of a convex function points to where it is larger
         v = sum(XX @ v / size(X, v) for X, XX in parts)
         v /= np.linalg.norm(v, axis=-2, keepdims=True)
     best = (size(M, v) + size(H, v))[..., 0, 0].max(axis=0)
@@ -137,5 +145,7 @@ def test_gradient_is_the_adjoint_of_response_and_linear_its_matrix(kind, m, seed
 def test_products_of_many_small_matrices(q, seed):
     rng = np.random.default_rng(seed)
     A, B = rng.standard_normal((2, q, q, 11)) + 1j * rng.standard_normal((2, q, q, 11))
-    np.testing.assert_allclose(product(A, B), np.einsum("ijn,jkn->ikn", A, B), atol=1e-12)
+    np.testing.assert_allclose(
+        product(A, B), np.einsum("ijn,jkn->ikn", A, B), atol=1e-12
+    )
     np.testing.assert_allclose(adjoint(A)[:, :, 3], A[:, :, 3].conj().T)

@@ -27,7 +27,9 @@ def random_plant(seed, m, n=30, gain=1.0):
 
 
 @pytest.mark.parametrize("objective", ["sum", "peak"])
-@pytest.mark.parametrize(("m", "structure"), [(1, "full"), (2, "full"), (3, "diagonal")])
+@pytest.mark.parametrize(
+    ("m", "structure"), [(1, "full"), (2, "full"), (3, "diagonal")]
+)
 def test_structured_and_cvxpy_find_the_same_optimum(m, structure, objective):
     P, Q, omega = random_plant(m, m, n=25)
     arguments = {"order": 3, "L_max": 20.0, "band": (0.01, 0.3), "M_max": 0.97}
@@ -41,9 +43,15 @@ def test_structured_and_cvxpy_find_the_same_optimum(m, structure, objective):
 
 @pytest.mark.parametrize("objective", ["sum", "peak"])
 @pytest.mark.parametrize("structure", ["diagonal", "full"])
-def test_structured_and_cvxpy_agree_on_the_papers_problems(loop, Q, omega, structure, objective):
+def test_structured_and_cvxpy_agree_on_the_papers_problems(
+    loop, Q, omega, structure, objective
+):
     grid = omega[::8]
-    arguments = {"band": (grid[0], 0.02), "structure": structure, "objective": objective}
+    arguments = {
+        "band": (grid[0], 0.02),
+        "structure": structure,
+        "objective": objective,
+    }
     ours = synthesise(loop, Q, grid, 1.0, **arguments)
     theirs = synthesise(loop, Q, grid, 1.0, solver="cvxpy", check=False, **arguments)
     assert ours.certificate.gap < 1e-8
@@ -70,34 +78,56 @@ def test_every_filter_is_certified_or_refused_with_a_reason(
     """Any size, order and scaling: a gap of 1e-8, and no bound passed by more than 1e-9."""
     P, Q, omega = random_plant(seed, m, gain=gain)
     L_max = 10.0 / gain
-    arguments = {"order": order, "band": (0.01, 0.3), "structure": structure, "L_max": L_max}
+    arguments = {
+        "order": order,
+        "band": (0.01, 0.3),
+        "structure": structure,
+        "L_max": L_max,
+    }
     try:
-        design = synthesise(P, Q, omega, 1.0, objective=objective, M_max=0.9, **arguments)
+        design = synthesise(
+            P, Q, omega, 1.0, objective=objective, M_max=0.9, **arguments
+        )
     except InfeasibleError:
-        peak = synthesise(P, Q, omega, 1.0, objective="peak", M_max=0.999999, **arguments)
+        peak = synthesise(
+            P, Q, omega, 1.0, objective="peak", M_max=0.999999, **arguments
+        )
         assert peak.value > 0.9
         return
     certificate = design.certificate
     assert certificate.gap < 1e-8
     assert certificate.grid_M <= 0.9 * (1 + 1e-9)
     assert certificate.grid_L <= L_max * (1 + 1e-9)
-    scaled = synthesise(P / gain, Q, omega, 1.0, objective=objective, **arguments | {"L_max": 10.0})
+    scaled = synthesise(
+        P / gain, Q, omega, 1.0, objective=objective, **arguments | {"L_max": 10.0}
+    )
     assert design.value == pytest.approx(scaled.value, rel=1e-7, abs=1e-9)
 
 
 @pytest.mark.filterwarnings("ignore:the filter leaves")
 @pytest.mark.parametrize("order", [1, 40])
 @pytest.mark.parametrize("structure", ["diagonal", "full"])
-def test_shortest_and_longest_filters_on_the_papers_plant(loop, Q, omega, order, structure):
+def test_shortest_and_longest_filters_on_the_papers_plant(
+    loop, Q, omega, order, structure
+):
     grid = np.append(omega[:880:4], omega[880:])  # nowhere coarse, even for the longest
-    arguments = {"band": (grid[0], 0.01), "structure": structure, "order": order, "M_max": 0.99995}
+    arguments = {
+        "band": (grid[0], 0.01),
+        "structure": structure,
+        "order": order,
+        "M_max": 0.99995,
+    }
     design = synthesise(loop, Q, grid, 1.0, check=False, **arguments)
     assert design.certificate.gap < 1e-7 and design.certificate.grid_M < 1
     shorter = synthesise(loop, Q, grid, 1.0, **arguments | {"order": 1})
-    assert design.value <= shorter.value * (1 + 1e-8)  # a longer filter can do all of a shorter
+    assert design.value <= shorter.value * (
+        1 + 1e-8
+    )  # a longer filter can do all of a shorter
 
 
-@given(st.floats(0.3, 0.95), st.floats(0.5, 2.5), st.floats(1.0, 3.0), st.integers(1, 5))
+@given(
+    st.floats(0.3, 0.95), st.floats(0.5, 2.5), st.floats(1.0, 3.0), st.integers(1, 5)
+)
 @settings(max_examples=4)
 def test_what_the_refusal_advises_is_feasible(pole, cutoff, L_max, order):
     """Rounded to nearest, every other number that it names would be refused again."""
@@ -135,7 +165,10 @@ def test_without_a_bound_filters_compete_up_to_a_gain_that_doubles_can_hold(
     P, U = loop.frequency_response(omega), np.diag([1.0, unit])
     design = synthesise(P @ U, Q, omega, 1.0, L_max=None, objective=objective)
     response = Q.frequency_response(omega)[:, None, None] * P @ U
-    gain = np.linalg.norm(response, axis=1).max(axis=0)[:, None, None] * design.filter.coefficients
+    gain = (
+        np.linalg.norm(response, axis=1).max(axis=0)[:, None, None]
+        * design.filter.coefficients
+    )
     assert np.abs(gain).max() < 1e7
     assert design.certificate.failures == []
     if objective == "peak":
@@ -157,7 +190,9 @@ def test_the_gap_may_widen_before_it_closes(order):
     keywords = {"order": order, "band": (1e-4, 0.1)}
     design = synthesise(*arguments, L_max=50.0, **keywords)
     if order == 20:
-        reference = synthesise(*arguments, L_max=50.0, solver="cvxpy", check=False, **keywords)
+        reference = synthesise(
+            *arguments, L_max=50.0, solver="cvxpy", check=False, **keywords
+        )
         assert reference.certificate.lower_bound <= design.value <= reference.value
     start = synthesise(*arguments, L_max=45.0, **keywords)
     again = synthesise(*arguments, L_max=50.0, start=start, **keywords)
@@ -171,7 +206,9 @@ def test_the_gap_may_widen_before_it_closes(order):
 def test_a_perfect_filter_is_certified(T, order, gain):
     """Where the optimum is next to zero, the gap counts by the objective without learning."""
     P, Q, omega = lag(T, 0.05, n=100)
-    design = synthesise(P * gain, Q, omega, 1.0, order=order, L_max=5 * T / gain, band=(1e-4, 0.01))
+    design = synthesise(
+        P * gain, Q, omega, 1.0, order=order, L_max=5 * T / gain, band=(1e-4, 0.01)
+    )
     certificate = design.certificate
     assert design.value < 1e-3 * design.problem.idle
     assert design.value - certificate.lower_bound <= 1e-9 * design.problem.idle
@@ -190,7 +227,9 @@ def programs(m, structure, objective, kind):
         radius = np.full(30, 0.05)
     numbers |= {"structure": structure, "objective": objective, "uncertainty": radius}
     problem = pose(plants, Q, omega, 1.0, **numbers)
-    return formulate(problem, *(([1, 2, 1], [3, 3, 7]) if kind != "plain" else ((), ())))
+    return formulate(
+        problem, *(([1, 2, 1], [3, 3, 7]) if kind != "plain" else ((), ()))
+    )
 
 
 def dense(program, p):
@@ -200,12 +239,16 @@ def dense(program, p):
         G = np.moveaxis(G, -1, 0)
         Lambda = np.zeros((n, *[len(bound.F)] * 2))
         np.einsum("nii->ni", Lambda)[:] = diagonal.T
-        yield np.block([[Lambda, G], [G.conj().swapaxes(1, 2), b[:, None, None] * np.eye(m)]])
+        yield np.block(
+            [[Lambda, G], [G.conj().swapaxes(1, 2), b[:, None, None] * np.eye(m)]]
+        )
 
 
 KIND = pytest.mark.parametrize("kind", KINDS)
 OBJECTIVE = pytest.mark.parametrize("objective", ["sum", "peak"])
-SIZE = pytest.mark.parametrize(("m", "structure"), [(1, "full"), (2, "diagonal"), (3, "full")])
+SIZE = pytest.mark.parametrize(
+    ("m", "structure"), [(1, "full"), (2, "diagonal"), (3, "full")]
+)
 
 
 @KIND
@@ -218,7 +261,8 @@ def test_the_gap_is_the_complementarity_where_the_multipliers_are_stationary(
     p = interior_point.begin(program, np.zeros((program.entries, 3)))
     slacks = [Slack(G, diagonal, b) for diagonal, b, G in p.S(program)]
     total = sum(
-        np.einsum("nij,jin->", S, Y).real for S, Y in zip(dense(program, p), p.Y, strict=True)
+        np.einsum("nij,jin->", S, Y).real
+        for S, Y in zip(dense(program, p), p.Y, strict=True)
     )
     total += ((p.limits[0] - p.t) * p.eta).sum()
     found = interior_point.complementarity(program, p)
@@ -235,12 +279,16 @@ def test_the_gap_is_the_complementarity_where_the_multipliers_are_stationary(
         if of_b.size:
             weights = weights + (of_b.sum(keepdims=True) if program.shared else of_b)
         if bound.splits:
-            np.testing.assert_allclose(bound.of_d @ diagonal[: len(bound.F)], 0, atol=1e-9 * size)
+            np.testing.assert_allclose(
+                bound.of_d @ diagonal[: len(bound.F)], 0, atol=1e-9 * size
+            )
     np.testing.assert_allclose(weights - q.eta, 1, atol=1e-9)
     for G, moved in zip(program.matrices(q.x), q.G, strict=True):
         np.testing.assert_allclose(moved, G, atol=1e-9)
     gap = q.t.sum() - interior_point.dual_value(program, q)
-    assert gap == pytest.approx(interior_point.complementarity(program, q), abs=1e-9 * total)
+    assert gap == pytest.approx(
+        interior_point.complementarity(program, q), abs=1e-9 * total
+    )
 
 
 @KIND
@@ -259,14 +307,18 @@ def test_both_ways_of_solving_the_newton_system_agree(m, structure, objective, k
             ]
             for name in ("x", "t", "eta"):
                 one, other = (getattr(d, name) for d in directions)
-                np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-9 * np.abs(one).max())
+                np.testing.assert_allclose(
+                    one, other, rtol=1e-6, atol=1e-9 * np.abs(one).max()
+                )
             d = interior_point.step(program, p, slacks, total, (root, 10))
             primal, dual = interior_point.step_lengths(program, p, d, slacks, 0.1)
             p = p.moved(d, 0.9 * primal, 0.9 * dual)
 
 
 def test_two_solves_give_the_same_bits(loop, Q, omega):
-    first, second = (synthesise(loop, Q, omega[::5], 1.0, band=(1e-4, 0.01)) for _ in range(2))
+    first, second = (
+        synthesise(loop, Q, omega[::5], 1.0, band=(1e-4, 0.01)) for _ in range(2)
+    )
     np.testing.assert_array_equal(first.filter.coefficients, second.filter.coefficients)
 
 
@@ -284,7 +336,9 @@ def test_a_spoiled_factor_of_the_newton_system_costs_no_accuracy(monkeypatch):
     program = formulate(problem)
     p = interior_point.begin(program, np.full((program.entries, 4), 0.1))
     slacks = [Slack(G, diagonal, b) for diagonal, b, G in p.S(program)]
-    total = 1e-9 * interior_point.complementarity(program, p)  # so that ten digits are asked for
+    total = 1e-9 * interior_point.complementarity(
+        program, p
+    )  # so that ten digits are asked for
     steps, predictor = [], None
     for factorised in (exact, spoiled):
         monkeypatch.setattr(newton, "_factorised", factorised)

@@ -5,7 +5,11 @@ from hypothesis import strategies as st
 
 from rodlib import LearningFilter
 from rodlib.ilc.problem.pose import pose
-from rodlib.ilc.synthesis.solver.program import formulate, orthonormalise, whitened_basis
+from rodlib.ilc.synthesis.solver.program import (
+    formulate,
+    orthonormalise,
+    whitened_basis,
+)
 
 
 def plant(m, n=20, seed=0):
@@ -16,9 +20,13 @@ def plant(m, n=20, seed=0):
     return P, 1 / (1 + omega**4), omega
 
 
-def posed(P, Q, omega, structure, objective="sum", L_max=5.0, M_max=0.9, uncertainty=None):
+def posed(
+    P, Q, omega, structure, objective="sum", L_max=5.0, M_max=0.9, uncertainty=None
+):
     kind = {"structure": structure, "objective": objective, "uncertainty": uncertainty}
-    return pose(P, Q, omega, 1.0, order=4, M_max=M_max, L_max=L_max, band=(1e-3, 1), **kind)
+    return pose(
+        P, Q, omega, 1.0, order=4, M_max=M_max, L_max=L_max, band=(1e-3, 1), **kind
+    )
 
 
 @given(st.integers(1, 4), st.sampled_from(["diagonal", "full"]), st.integers(0, 99))
@@ -53,9 +61,13 @@ def test_the_basis_is_orthonormal_and_spans_the_powers_of_z(L_max):
     basis, R = whitened_basis(P, Q, omega, 4, np.broadcast_to(W, (len(omega), 2, 2)))
     z = np.exp(1j * omega) ** np.arange(1, 5)[:, None]
     np.testing.assert_allclose(R.T.astype(float) @ basis, z, atol=1e-12)
-    weight = np.hypot(np.linalg.norm(Q[:, None, None] * P, axis=(1, 2)) / Q.max(), W.max())
+    weight = np.hypot(
+        np.linalg.norm(Q[:, None, None] * P, axis=(1, 2)) / Q.max(), W.max()
+    )
     weighted = weight * basis
-    np.testing.assert_allclose((weighted @ weighted.conj().T).real, np.eye(4), atol=1e-12)
+    np.testing.assert_allclose(
+        (weighted @ weighted.conj().T).real, np.eye(4), atol=1e-12
+    )
 
 
 def test_orthonormalisation_keeps_more_digits_than_doubles():

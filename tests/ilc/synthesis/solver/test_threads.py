@@ -10,7 +10,9 @@ from rodlib.ilc.synthesis.solver.threads import on_one_thread
 
 
 def threads():
-    return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
+    return {
+        pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"
+    }
 
 
 def test_while_it_runs_there_is_one_thread_and_afterwards_what_there_was():
@@ -25,7 +27,9 @@ def test_while_it_runs_there_is_one_thread_and_afterwards_what_there_was():
 
 def test_the_digits_are_those_of_one_thread(loop, Q, omega, monkeypatch):
     seen, solve = [], design.solve
-    monkeypatch.setattr(design, "solve", lambda *a: [solve(*a), seen.append(threads())][0])
+    monkeypatch.setattr(
+        design, "solve", lambda *a: [solve(*a), seen.append(threads())][0]
+    )
     found = []
     for number in (1, 2):
         with threadpool_limits(number, "blas"):
