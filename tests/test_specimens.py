@@ -21,7 +21,7 @@ from rodlib import (
     unstable_poles,
 )
 from rodlib.ilc.models import frequency_response
-from rodlib.specimens import MATERIAL, Grid
+from rodlib.specimens import MATERIAL, Points
 
 ALL = Spread.of_all(0.3)
 
