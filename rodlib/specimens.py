@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import control
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
+from scipy.fft import irfft, next_fast_len, rfftfreq
 
 from rodlib.held import HeldRod
 from rodlib.ilc import arguments
@@ -19,7 +19,7 @@ from rodlib.ilc.models import frequency_response
 from rodlib.rod import Rod
 
 MATERIAL = ("density", "heat_capacity", "heat_transfer", "conductivity")
-ALIAS = 1e-9  # of what a transform of an impulse response wraps around
+ALIAS = 1e-11  # of what a transform of an impulse response wraps around
 STEP = 1.0  # rad, by which the return difference may turn between two frequencies
 
 
@@ -150,19 +150,17 @@ def impulse_responses(
 ) -> np.ndarray:
     """The first samples of P's impulse response, shape (specimens, count, m, m).
 
-    On a circle abs(z) = r > 1 the z-transform of g_k is the Fourier transform of g_k r^-k. What
-    wraps around after N samples comes back as r^-N = `ALIAS`, and has decayed by then.
+    On a circle abs(z) = r > 1, P(z) is the Fourier transform of p_k r^-k. Of N samples, what comes
+    after the last one wraps around to the first one; by then it has fallen to `ALIAS` = r^-N of
+    itself, even if P decays slowly.
     """
     rods = _held(loop, specimens)
     N = next_fast_len(2 * count + 100, real=True)
     radius = ALIAS ** (-1 / N)
-    weights = radius ** -np.arange(N)[:, None, None]
     points = Points(loop, rfftfreq(N, loop.Ts / (2 * np.pi)), radius)
-    P = np.empty((len(rods), count, *points.G_0.shape[1:]))
-    for i, rod in enumerate(rods):
-        G = rfft(weights * rod.impulse_response(N, loop.controls), axis=0)
-        P[i] = irfft(points.P(G), N, axis=0)[:count] / weights[:count]
-    return P
+    P = np.array([points.P(points.response(rod)) for rod in rods])
+    growth = radius ** np.arange(count)
+    return irfft(P, N, axis=1)[:, :count] * growth[:, None, None]
 
 
 def unstable_poles(loop: CurrentTrialLoop, specimens: Sequence[Specimen]) -> np.ndarray:
