@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rodlib.ilc import arguments
-from rodlib.ilc.evidence.convergence import log_mean, rates_within
+from rodlib.ilc.evidence.convergence import from_responses, log_mean
 from rodlib.ilc.evidence.findings import findings, useless
 from rodlib.ilc.evidence.finite_trial import trial_norm
 from rodlib.ilc.evidence.noise import accumulated
@@ -88,7 +88,7 @@ class Certificate:
 
     @property
     def mean_M(self) -> float:
-        """Mean of sigma_max(M) of the nominal plant over the band, as :func:`mean_rate`."""
+        """Mean of sigma_max(M) of the nominal plant over the band, see :meth:`Convergence.mean`."""
         asked, omega = self.problem.asked, self.problem.omega
         return float(log_mean(self.nominal[asked], omega[asked], self.problem.band))
 
@@ -338,7 +338,7 @@ def _within(problem, solution):
     asked, scale = problem.asked, problem.scale
     P = problem.P[asked] * scale[:, None] / scale
     L = problem.filter(solution.coefficients).frequency_response(problem.omega[asked])
-    return float(rates_within(P, problem.Q[asked], L).max())
+    return float(from_responses(problem.omega[asked], P, problem.Q[asked], L).within())
 
 
 def checked_trial(
