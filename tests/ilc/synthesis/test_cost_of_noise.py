@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from plants import half, stage, tanks
-from tests.ilc.synthesis.test_interior_point import random_plant
 
 from rodlib import (
     LearningFilter,
@@ -23,6 +22,7 @@ from rodlib.ilc.evidence.optimality import lower_bound
 from rodlib.ilc.problem.pose import pose
 from rodlib.ilc.synthesis.solver.program import formulate
 from rodlib.ilc.trials.run import rms
+from tests.ilc.synthesis.solver.test_interior_point import random_plant
 
 CHOICES = {"order": 3, "M_max": 0.97, "L_max": 20.0, "band": (0.01, 0.3)}
 

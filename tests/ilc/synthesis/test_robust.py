@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from plants import half
-from tests.ilc.synthesis.test_interior_point import random_plant
 
 from rodlib import InfeasibleError, LearningFilter, synthesise
 from rodlib.ilc.problem.pose import pose
@@ -12,6 +11,7 @@ from rodlib.ilc.synthesis.design import solve
 from rodlib.ilc.synthesis.solver import interior_point
 from rodlib.ilc.synthesis.solver.program import formulate
 from rodlib.ilc.synthesis.solver.selection import violated
+from tests.ilc.synthesis.solver.test_interior_point import random_plant
 
 KINDS = ("radius", "plants", "plants and radius")
 CHOICES = {"order": 3, "L_max": 8.0, "band": (0.01, 0.3)}

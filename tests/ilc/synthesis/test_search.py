@@ -5,7 +5,6 @@ import cvxpy as cp
 import numpy as np
 import pytest
 from plants import furnace
-from tests.ilc.synthesis.test_interior_point import random_plant
 
 from rodlib import (
     InfeasibleError,
@@ -17,6 +16,7 @@ from rodlib import (
     zero_phase_butterworth,
 )
 from rodlib.ilc.synthesis import search
+from tests.ilc.synthesis.solver.test_interior_point import random_plant
 
 CHOICES = {"order": 3, "L_max": 8.0, "band": (0.01, 0.03), "M_max": 0.6}
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tests.ilc.synthesis.test_interior_point import random_plant
 
 from rodlib import InfeasibleError, synthesise
 from rodlib.ilc.problem.pose import pose
@@ -20,6 +19,7 @@ from rodlib.ilc.synthesis.solver.active_set import (
     resolve,
 )
 from rodlib.ilc.synthesis.solver.program import formulate
+from tests.ilc.synthesis.solver.test_interior_point import random_plant
 
 CHANGES = [
     *({"M_max": value} for value in (0.97, 0.899, 0.88)),
