@@ -68,7 +68,6 @@ class Problem:
     everywhere: bool = (
         False  # whether the bounds shall hold between the frequencies omega, too
     )
-    doubts: tuple[str, ...] = ()  # what samples of P and Q show to be likely mistakes
 
     @property
     def model(self) -> tuple[control.StateSpace, ZeroPhaseButterworth] | None:

@@ -306,8 +306,6 @@ def _explained(problem, nearest):
         )
     if np.isfinite(problem.limit_L).any():
         message += f". It is {problem.assumed[0]}: measure further, or say otherwise by `beyond`"
-    if problem.doubts:
-        message += f". But {'; '.join(problem.doubts)}"
     return InfeasibleError(message, nearest.largest, plant, omega)
 
 
