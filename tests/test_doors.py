@@ -395,7 +395,7 @@ DOORS = [
     (workbench.plant_of_file, {"path": HERE / "log"}),
     (Settings.of, {"plant": ON_BENCH}, {"plant": THING}),
     (tried, vars(Settings.of(ON_BENCH)),
-     {"L_max": NUMBER | {"none": ...}, "noise": NUMBER, "noise_weight": NUMBER,
+     {"L_max": NUMBER | {"none": ...}, "noise": NUMBER,
       "uncertainty": NUMBER, "band": THING}),
     (rodlib.plot, {"shown": LOG}, {"shown": THING | {"design": ..., "frame": ...}}),
     (workbench.try_out, {"settings": Settings.of(ON_BENCH)}),
