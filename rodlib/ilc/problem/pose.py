@@ -36,7 +36,6 @@ def pose(
     objective=Problem.objective,
     scale=None,
     uncertainty=None,
-    noise=None,
     confidence=None,
     beyond=None,
     everywhere=False,
@@ -81,14 +80,13 @@ def pose(
     _refuse_singular(P, omega)
     band, L_max, chosen = _chosen(band, L_max, objective, q, Q, P, omega)
     _check_band(band, Q, omega, objective)
-    noise = _weights(noise, omega, Ts, m, M_max, scale)
     beyond = _size_beyond(
         beyond, models, np.concatenate([P[None], others]), radius, omega[-1], Ts
     )
     return Problem(
         P, Q, omega, Ts, scale, others, tuple(models), q,
         np.ones(n, dtype=bool), np.full(n, np.inf), np.ones(n), band, L_max,
-        order, M_max, structure, objective, radius, noise, (*chosen, *basis), beyond=beyond,
+        order, M_max, structure, objective, radius, (*chosen, *basis), beyond=beyond,
         everywhere=arguments.flag("everywhere", everywhere),
     )  # fmt: skip
 
@@ -229,23 +227,6 @@ def _scaled(model, scale):
         return None
     S, R = np.diag(scale), np.diag(1 / scale)
     return control.ss(model.A, model.B @ S, R @ model.C, R @ model.D @ S, model.dt)
-
-
-def _weights(noise, omega, Ts, m, M_max, scale):
-    """Weights of |Q P L|^2 that make its sum a mean over all frequencies, for each input of L."""
-    if noise is None:
-        return None
-    n = len(omega)
-    shape = (n, m) if axes(noise) == 2 else (n,)
-    noise = arguments.array("noise", noise, shape).reshape(n, -1)
-    if noise.min() < 0:
-        raise ValueError(
-            f"noise reaches {noise.min():.6g}, but a spectral density is not negative"
-        )
-    edges = np.concatenate([[0.0], (omega[1:] + omega[:-1]) / 2, [np.pi / Ts]])
-    width = np.diff(edges)[:, None] * Ts / np.pi
-    weights = width * noise / scale**2 / (1 - M_max**2) * np.ones(m)
-    return weights if weights.any() else None
 
 
 def _refuse_singular(P, omega):
