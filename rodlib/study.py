@@ -11,7 +11,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 from rodlib.case import assumed_reference
 from rodlib.ilc import arguments
-from rodlib.ilc.evidence.convergence import rate, spectral_rate
+from rodlib.ilc.evidence.convergence import convergence
 from rodlib.ilc.filters import LearningFilter, ZeroPhaseButterworth
 from rodlib.ilc.loop.closed import CurrentTrialLoop
 from rodlib.ilc.trials.run import check_law
@@ -113,8 +113,7 @@ class Study:
         specimens = [draw(self.spread, k, self.root, self.nominal) for k in numbers]
         unstable = unstable_poles(loop, specimens)
         P = responses(loop, specimens, self.omega)
-        rates = [rate(P, self.Q, L, self.omega) for L in filters]
-        radii = [spectral_rate(P, self.Q, L, self.omega)[0] for L in filters]
+        results = [convergence(P, self.Q, L, self.omega) for L in filters]
         impulses = impulse_responses(loop, specimens, len(self.reference))
         stable = unstable == 0
         rms = np.full((len(filters), len(specimens), self.trials), np.nan)
@@ -126,9 +125,8 @@ class Study:
         variables["sensors"] = ("rod", "channel"), [s.rod.sensors for s in specimens]
         variables["gains"] = ("rod", "element"), [s.gains for s in specimens]
         variables["unstable_poles"] = "rod", unstable
-        gamma, at = np.swapaxes(rates, 0, 1)
-        results = {"gamma": gamma, "at": at, "spectral_radius": np.array(radii)}
-        for name, values in results.items():
+        for name in ("gamma", "at", "spectral_radius"):
+            values = np.array([getattr(result, name) for result in results])
             variables[name] = ("filter", "rod"), np.where(stable, values, np.nan)
         variables["rms"] = ("filter", "rod", "trial"), rms
         coordinates = {

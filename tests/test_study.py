@@ -74,6 +74,7 @@ def test_results_are_those_of_other_ways(data, number):
         np.testing.assert_allclose(law.rms, expected, rtol=0, atol=1e-9)
 
 
+@pytest.mark.filterwarnings("ignore:v ", "ignore:the error")  # what is drawn
 @given(
     samples=st.integers(1, 70),
     orders=st.lists(st.integers(1, 12), min_size=1, max_size=2),
@@ -108,7 +109,8 @@ def test_an_unstable_loop_has_no_rate():
 
 def test_workers_find_the_same_to_the_byte(data, monkeypatch):
     monkeypatch.setattr(study, "SIZE", 2)
-    with Client(n_workers=2, threads_per_worker=1, dashboard_address=":0") as client:
+    workers = {"n_workers": 2, "threads_per_worker": 1, "processes": False}
+    with Client(**workers, dashboard_address=":0") as client:
         found = SMALL.run(5, client)
     assert found.identical(SMALL.run(5))
     assert found.isel(rod=slice(2)).identical(data)

@@ -44,7 +44,7 @@ def main(scheduler: str | None = None, rods: int = RODS):
             data = study(spread).run(rods, client)
             data.to_netcdf(folder / f"{name}.nc", engine="scipy")
             print(f"{rods} rods, {name} off by up to 20 %: {folder / name}.nc")
-            print(f"{summary(data).round(3)}\n")
+            print(f"{summary(data).round(3).to_string()}\n")
 
 
 def summary(data) -> pd.DataFrame:
