@@ -38,7 +38,7 @@ def rate(P, Q, L: LearningOperator, omega) -> Rate:
 
 
 def rate_within(P, Q, L: LearningOperator, omega, weight: float = WEIGHT) -> Rate:
-    """The rate of :func:`rodlib.update_within`, in whose metric limits make nothing more distant.
+    """The rate of a law with limits, in whose metric limits make nothing more distant.
 
     The largest sigma_max(W^(1/2) Q (I - L P) W^(-1/2)) with W = P^H P + weight I: by so much the
     root of ||P d||^2 + weight ||d||^2, d the distance of v from where it ends, shrinks from trial

@@ -11,6 +11,7 @@ from plants import tanks
 from test_stopping import Model, bump
 
 from rodlib import (
+    Law,
     Rod,
     current_trial_loop,
     midr,
@@ -72,7 +73,7 @@ def test_a_mistake_is_named_after_the_first_trial_or_when_it_is_stopped(mistake)
     )
     with pytest.warns() as told:
         try:
-            record(device, loop, Q, None, reference, trials=1)
+            record(device, loop, Law(Q, None), reference, trials=1)
         except StoppedError as error:
             warnings.warn(str(error), stacklevel=1)
     assert mistake in " ".join(str(each.message) for each in told)
@@ -85,7 +86,7 @@ def test_millivolts_for_volts_are_stopped_before_they_are_understood():
     with pytest.raises(
         StoppedError, match=r"trial 1, sample \d: right = .* If units, signs"
     ):
-        record(device, loop, Q, None, bump(400, [10.0, 5.0, 8.0]), trials=1)
+        record(device, loop, Law(Q, None), bump(400, [10.0, 5.0, 8.0]), trials=1)
 
 
 @pytest.fixture(scope="module")
@@ -114,7 +115,9 @@ def test_ordinary_first_trials_are_no_mistakes(rods, seed):
     push = bump(samples, push) if rng.integers(2) else np.tile(push, (samples, 1))
     noise = 10.0 ** rng.uniform(-4, -0.5) * rng.standard_normal((1, samples, 2))
     plant = others[rng.integers(3)] if rng.integers(2) else None
-    run = run_trials(loop, Q_PAPER, None, reference, push, 1, plant=plant, noise=noise)
+    run = run_trials(
+        loop, Law(Q_PAPER, None), reference, push, 1, plant=plant, noise=noise
+    )
     told = (
         loop.plant[:, loop.controls],
         run.u.values[0],
