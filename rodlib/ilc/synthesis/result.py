@@ -48,7 +48,7 @@ class Synthesis:
 
     @property
     def value(self) -> float:
-        """The objective, with the cost of noise, if that was asked for."""
+        """The objective."""
         return self.certificate.value
 
     @property
