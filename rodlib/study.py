@@ -13,8 +13,8 @@ from rodlib.case import assumed_reference
 from rodlib.ilc import arguments
 from rodlib.ilc.evidence.convergence import convergence
 from rodlib.ilc.filters import LearningFilter, ZeroPhaseButterworth
+from rodlib.ilc.law.law import Law
 from rodlib.ilc.loop.closed import CurrentTrialLoop
-from rodlib.ilc.trials.run import check_law
 from rodlib.rod import Rod
 from rodlib.specimens import (
     MATERIAL,
@@ -63,7 +63,7 @@ class Study:
             )
         for name, L in self.filters.items():
             arguments.instance(f"filters[{name!r}]", L, LearningFilter)
-            check_law(loop, self.Q, L)
+            Law(self.Q, L, loop=loop)  # which checks that they fit together
         omega, reference = self.omega, self.reference
         if omega is None:
             omega = np.geomspace(1e-4, np.pi, 1000) / loop.Ts

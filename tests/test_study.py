@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from plants import modal_model, stage
 
 from rodlib import (
+    Law,
     LearningFilter,
     Rod,
     Spread,
@@ -43,7 +44,8 @@ SMALL = Study(
 
 def simulated(loop, Q, L, specimen, modes, reference, trials):
     plant = modal_model(specimen, loop.Ts, modes)
-    return rms(run_trials(loop, Q, L, reference, trials=trials, plant=plant).e).values
+    law = Law(Q, L)
+    return rms(run_trials(loop, law, reference, trials=trials, plant=plant).e).values
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ import pytest
 import study
 from bench_synthesis import measure
 
-from rodlib import draw, midr, run_trials
+from rodlib import Law, draw, midr, run_trials
 
 RODS = (100, 300, 1000)
 SAMPLE = 20
@@ -32,7 +32,7 @@ def one_by_one(models):
     for model in models:
         plant = control.sample_system(model, 1.0, method="zoh")
         for L in of.filters.values():
-            run_trials(of.loop, of.Q, L, of.reference, trials=5, plant=plant)
+            run_trials(of.loop, Law(of.Q, L), of.reference, trials=5, plant=plant)
 
 
 @pytest.mark.parametrize("rods", RODS)
