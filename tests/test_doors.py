@@ -17,7 +17,6 @@ import xarray as xr
 
 import rodlib
 from rodlib import (
-    CurrentTrialLoop,
     Law,
     LearningFilter,
     Rod,
@@ -43,7 +42,9 @@ from rodlib import (
     zero_phase_butterworth,
 )
 from rodlib.case import assumed_disturbance, assumed_reference
-from rodlib.ilc import measured_response, with_law, workbench
+from rodlib.ilc import measured_response, workbench
+from rodlib.ilc.law.io import with_law
+from rodlib.ilc.loop.closed import CurrentTrialLoop
 from rodlib.ilc.models import frequency_response
 from rodlib.ilc.trials.run import rms
 from rodlib.ilc.workbench import Outcome, Plant, Settings

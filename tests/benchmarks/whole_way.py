@@ -30,9 +30,10 @@ from rodlib import (
     synthesise,
     zero_phase_butterworth,
 )
-from rodlib.ilc import RigError, replay_of
+from rodlib.ilc import replay_of
 from rodlib.ilc.files import write_whole
 from rodlib.ilc.report import summary
+from rodlib.ilc.rigs.protocol import RigError
 from rodlib.ilc.trials.run import rms
 from rodlib.paper.ledger import splice
 from rodlib.paper.repository import ROOT

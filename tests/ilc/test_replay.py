@@ -8,7 +8,6 @@ from plants import furnace, random_plant, stage, tanks
 from rodlib import (
     Law,
     LearningFilter,
-    LogError,
     current_trial_loop,
     load_log,
     paper_loop,
@@ -17,7 +16,10 @@ from rodlib import (
     save_log,
     zero_phase_butterworth,
 )
-from rodlib.ilc import law_of, loop_of, replay_of, with_law
+from rodlib.ilc import law_of, replay_of
+from rodlib.ilc.law.io import with_law
+from rodlib.ilc.logs.log import LogError
+from rodlib.ilc.logs.notes import loop_of
 from rodlib.ilc.report import (
     about_the_law,
     left_out,

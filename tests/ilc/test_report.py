@@ -14,7 +14,8 @@ from rodlib import (
     run_trials,
     zero_phase_butterworth,
 )
-from rodlib.ilc import replay_of, with_law
+from rodlib.ilc import replay_of
+from rodlib.ilc.law.io import with_law
 from rodlib.ilc.report import (
     about_the_law,
     by_unit,

@@ -15,14 +15,15 @@ from plants import stage, tanks
 from rodlib import (
     Law,
     LearningFilter,
-    LogError,
     current_trial_loop,
     load_log,
     run_trials,
     save_log,
     zero_phase_butterworth,
 )
-from rodlib.ilc import replay_of, with_law
+from rodlib.ilc import replay_of
+from rodlib.ilc.law.io import with_law
+from rodlib.ilc.logs.log import LogError
 from rodlib.ilc.report import summary
 from rodlib.paper import reproduce
 from rodlib.paper.repository import ROOT

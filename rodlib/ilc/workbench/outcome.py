@@ -10,14 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rodlib.ilc import (
-    Certificate,
-    InfeasibleError,
-    SolverError,
-    Synthesis,
-    arguments,
-    synthesise,
-)
+from rodlib.ilc import InfeasibleError, arguments, synthesise
+from rodlib.ilc.evidence.certificate import Certificate
+from rodlib.ilc.synthesis.result import SolverError, Synthesis
 from rodlib.ilc.trials.run import rms, run_trials
 from rodlib.ilc.workbench.plants import TRIALS, Plant
 from rodlib.ilc.workbench.settings import Settings

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rodlib.ilc import LogError, arguments, load_log, measured_response, read_table
+from rodlib.ilc import arguments, load_log, measured_response, read_table
+from rodlib.ilc.logs.log import LogError
 from rodlib.ilc.logs.notes import excitation_of, loop_of
 from rodlib.ilc.loop.closed import Loop
 from rodlib.ilc.problem.problem import Problem

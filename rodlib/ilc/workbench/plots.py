@@ -5,9 +5,9 @@ from collections.abc import Iterator
 
 import xarray as xr
 
-from rodlib.ilc import Synthesis
 from rodlib.ilc.logs.log import signals_of
 from rodlib.ilc.report import by_unit, rms_by_trial, with_unit
+from rodlib.ilc.synthesis.result import Synthesis
 
 WIDTH, HEIGHT = 7.2, 2.3  # inches, of one axes
 

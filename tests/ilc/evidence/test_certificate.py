@@ -8,14 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rodlib import (
-    Law,
-    LearningFilter,
-    SolverError,
-    run_trials,
-    synthesise,
-    zero_phase_butterworth,
-)
+from rodlib import Law, LearningFilter, run_trials, synthesise, zero_phase_butterworth
 from rodlib.case import assumed_reference
 from rodlib.ilc import convergence, trial_map, trial_norm, trial_operators
 from rodlib.ilc.evidence.optimality import lower_bound
@@ -31,6 +24,7 @@ from rodlib.ilc.evidence.peak import (
 from rodlib.ilc.models import frequency_response
 from rodlib.ilc.problem.pose import pose
 from rodlib.ilc.problem.problem import convergence_matrix, largest_singular_values
+from rodlib.ilc.synthesis.result import SolverError
 from rodlib.paper import published
 
 

@@ -12,8 +12,8 @@ from rodlib import (
     synthesise,
     zero_phase_butterworth,
 )
-from rodlib.ilc import MeasuredResponse
 from rodlib.ilc.evidence.peak import error_model, peak_gain
+from rodlib.ilc.measurement.measurement import MeasuredResponse
 
 Q = zero_phase_butterworth(2, 0.3)
 OMEGA = np.geomspace(1e-3, np.pi, 250)

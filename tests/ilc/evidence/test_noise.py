@@ -26,7 +26,7 @@ from rodlib import (
     trial_noise,
     zero_phase_butterworth,
 )
-from rodlib.ilc import Spectrum, TrialNoise
+from rodlib.ilc.evidence.noise import Spectrum, TrialNoise
 from rodlib.paper import published
 
 BOTH = ("true", "measured")

@@ -12,13 +12,13 @@ from rodlib import (
     LearningFilter,
     current_trial_loop,
     noise_on_trial,
-    p_type,
     paper_loop,
     run_trials,
     synthesise,
     zero_phase_butterworth,
 )
 from rodlib.ilc import converged_noise, trial_noise, trial_operators
+from rodlib.ilc.alternatives import p_type
 from rodlib.ilc.evidence.finite_trial import impulse_response
 from rodlib.ilc.loop.closed import with_noise
 from rodlib.ilc.trials.run import rms

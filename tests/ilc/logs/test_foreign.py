@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from rodlib import (
     ClosedLoop,
     Law,
-    LogError,
     current_trial_loop,
     load_log,
     read_table,
@@ -23,7 +22,10 @@ from rodlib import (
     save_log,
     zero_phase_butterworth,
 )
-from rodlib.ilc import p_type, replay_of, with_law
+from rodlib.ilc import replay_of
+from rodlib.ilc.alternatives import p_type
+from rodlib.ilc.law.io import with_law
+from rodlib.ilc.logs.log import LogError
 from rodlib.ilc.report import about_the_law
 from rodlib.paper.repository import ROOT
 

@@ -10,8 +10,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from rodlib import Law, LogError, load_log, run_trials, save_log
+from rodlib import Law, load_log, run_trials, save_log
 from rodlib.ilc.logs import log
+from rodlib.ilc.logs.log import LogError
 from rodlib.ilc.trials.run import dataset
 from rodlib.paper.repository import ROOT
 

@@ -22,8 +22,12 @@ from rodlib import (
     synthesise,
     zero_phase_butterworth,
 )
-from rodlib.ilc import EstimatedResponse, LogError
-from rodlib.ilc.measurement.estimation import _seen, estimated_response
+from rodlib.ilc.logs.log import LogError
+from rodlib.ilc.measurement.estimation import (
+    EstimatedResponse,
+    _seen,
+    estimated_response,
+)
 from rodlib.ilc.models import frequency_response
 from rodlib.ilc.workbench import Plant, Settings, try_out
 

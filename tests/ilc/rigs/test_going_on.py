@@ -16,7 +16,7 @@ from rodlib import (
     run_trials,
     zero_phase_butterworth,
 )
-from rodlib.ilc import with_law
+from rodlib.ilc.law.io import with_law
 from rodlib.ilc.replay import replay_of
 from rodlib.ilc.report import about_the_law, summary
 

@@ -14,7 +14,6 @@ from rodlib import (
     LearningFilter,
     current_trial_loop,
     load_log,
-    loop_of,
     measured_response,
     multisine,
     record,
@@ -24,9 +23,10 @@ from rodlib import (
     synthesise,
     zero_phase_butterworth,
 )
-from rodlib.ilc import RigError, StoppedError
+from rodlib.ilc.logs.notes import loop_of
 from rodlib.ilc.replay import replay_of
 from rodlib.ilc.report import summary
+from rodlib.ilc.rigs.protocol import RigError, StoppedError
 from rodlib.ilc.trials.run import rms
 from rodlib.ilc.workbench import Picture, Plant, Settings, plant_of_file, try_out
 

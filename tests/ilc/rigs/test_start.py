@@ -19,7 +19,7 @@ from rodlib import (
     zero_phase_butterworth,
 )
 from rodlib.case import assumed_reference
-from rodlib.ilc import RigError
+from rodlib.ilc.rigs.protocol import RigError
 from rodlib.ilc.rigs.start import Start
 from rodlib.ilc.trials.diagnosis import noise_of
 from rodlib.ilc.trials.run import rms

@@ -6,7 +6,8 @@ import pytest
 import xarray as xr
 from matplotlib.colors import same_color
 
-from rodlib import Law, plot, run_trials, synthesise
+from rodlib import Law, run_trials, synthesise
+from rodlib.ilc.workbench.plots import plot
 
 
 @pytest.fixture(scope="module")
