@@ -105,8 +105,8 @@ def reproduce(root: Path = ROOT) -> None:
 
 def replay(log: str, root: Path = ROOT) -> None:
     """Print what a log shows; a report with pictures and the next trial's v go to build/replay."""
-    from rodlib.ilc import load_log, replay_of  # here, because they take long to import
-    from rodlib.ilc.report import save_following, summary
+    from rodlib.ilc import load_log  # here, because they take long to import
+    from rodlib.ilc import replay as replay_of
 
     checkout("make replay", root)
     path = Path(log)
@@ -119,9 +119,9 @@ def replay(log: str, root: Path = ROOT) -> None:
     replayed = replay_of(load_log(path))
     with folder_of_run("replay", root) as build:
         report, table = build / REPORT.name, build / "next-trial.csv"
-        print(summary(replayed))
+        print(replayed)
         if replayed.law is not None:
-            save_following(replayed, table)
+            replayed.save_following(table)
             print(f"v of trial {replayed.numbers[-1] + 1}: {table.relative_to(root)}")
         print(f"pictures and explanations: {report.relative_to(root)} ...", flush=True)
         shutil.copy(REPORT, report)

@@ -27,7 +27,7 @@ from rodlib.ilc.models import state_sequence
 from rodlib.ilc.rigs.recording import BEGUN
 from rodlib.ilc.trials.diagnosis import diagnose, error_by_octave, histories
 from rodlib.ilc.trials.run import rms, run_trials
-from rodlib.ilc.units import by_unit
+from rodlib.ilc.units import by_unit, with_unit
 
 DIGITS = 1e-5  # of the largest v of an output: logs may hold few digits of it
 RELEVANT = 0.01  # of the error in the largest octave: less is not shown
@@ -315,8 +315,7 @@ def rms_by_trial(e: xr.DataArray) -> pd.DataFrame:
     groups, columns = by_unit(e.output_unit.values.tolist()), {}
     for unit, channels in groups.items():
         names = f" of {', '.join(e.output.values[channels])}" if len(groups) > 1 else ""
-        title = f"RMS{names} ({unit})" if unit else f"RMS{names}"
-        columns[title] = rms(e.isel(channel=channels)).values
+        columns[with_unit(f"RMS{names}", unit)] = rms(e.isel(channel=channels)).values
     return pd.DataFrame(columns, pd.Index(e.trial.values, name="trial"))
 
 

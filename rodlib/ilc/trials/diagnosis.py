@@ -12,7 +12,7 @@ from math import factorial
 
 import numpy as np
 import xarray as xr
-from scipy.special import fdtrc
+from scipy.special import fdtrc, stdtr
 
 from rodlib.ilc.evidence.convergence import Convergence, convergence
 from rodlib.ilc.law.law import Law
@@ -33,7 +33,6 @@ STEPS = 3  # of v, from which on it may be said to keep growing
 STRAIGHT, STEADY = 0.95, 0.9  # its distance relative to its path, last step to first
 RELEVANT = 0.2  # smallest change of v or y, relative to the error
 FOLLOWED = 0.5  # share of a predicted change of y; with less, the model does not hold
-DEVIATIONS = 3.0  # standard errors of that share
 EXCESS = (
     0.05  # smallest error beyond the predicted one, in an octave, relative to the error
 )
@@ -69,7 +68,9 @@ class History:
         return np.maximum.accumulate(first)
 
 
-def diagnose(trials: xr.Dataset, law: Law, first: int = 2) -> dict[str, str]:
+def diagnose(
+    trials: xr.Dataset, law: Law, first: int = 2, exact: bool = False
+) -> dict[str, str]:
     """What the signals of trials say against the convergence of the law that made them.
 
     Parameters
@@ -80,6 +81,8 @@ def diagnose(trials: xr.Dataset, law: Law, first: int = 2) -> dict[str, str]:
         If it is bound to a loop with a model P, predictions are checked, too.
     first : int
         The first trial to be judged, counted from 1.
+    exact : bool
+        Whether the trials were simulated on the model itself: then it is not checked.
 
     Returns
     -------
@@ -89,10 +92,11 @@ def diagnose(trials: xr.Dataset, law: Law, first: int = 2) -> dict[str, str]:
     warnings = {}
     if law.L is None:
         return warnings
+    checks = CHECKS if exact else CHECKS | MODEL_CHECKS
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # of 1e200
         for history in histories(trials, law):
             for k in range(max(1, first - 1), len(history.e)):
-                for kind, check in CHECKS.items():
+                for kind, check in checks.items():
                     text = None if kind in warnings else check(history, k)
                     if text:
                         warnings[kind] = text
@@ -254,9 +258,10 @@ def model_contradicted(history: History, k: int) -> str | None:
 
 
 def _ignores_v(history, k, i):
-    """Whether output i made less of its predicted change than noise explains, without success.
+    """t test of the share of its predicted change that output i made, if its error did not fall.
 
-    The share is the regression coefficient of the change on its prediction.
+    The share is the regression coefficient of the change on its prediction. Null hypothesis: it is
+    FOLLOWED or more. Of two trials, both are rejected by chance with the square of the probability.
     """
     error, before = history.e[k, :, i], history.e[k - 1, :, i]
     shift = history.reference[k, :, i] - history.reference[k - 1, :, i]
@@ -267,10 +272,10 @@ def _ignores_v(history, k, i):
     residual = change - share * predicted
     freedom = degrees_of_freedom(spectrum(residual[:, None])).item()
     standard_error = np.linalg.norm(residual) / size / np.sqrt(freedom)
-    too_small = share + DEVIATIONS * standard_error < FOLLOWED
+    p = stdtr(freedom, (share - FOLLOWED) / standard_error)
     left = np.linalg.norm(error)
     falls = left <= STAGNATION * np.linalg.norm(before)
-    return too_small and not falls and size > RELEVANT * left
+    return p < np.sqrt(SIGNIFICANCE) and not falls and size > RELEVANT * left
 
 
 def converges_slowly(history: History, k: int) -> str | None:
@@ -312,12 +317,8 @@ def converges_slowly(history: History, k: int) -> str | None:
     )
 
 
-CHECKS = {
-    "error": error_grows,
-    "v": v_grows,
-    "model": model_contradicted,
-    "rate": converges_slowly,
-}
+CHECKS = {"error": error_grows, "v": v_grows}
+MODEL_CHECKS = {"model": model_contradicted, "rate": converges_slowly}
 
 
 def error_by_octave(history: History, k: int) -> dict[str, np.ndarray]:
@@ -366,7 +367,7 @@ def degrees_of_freedom(power, edges=(0,)) -> np.ndarray:
     total, squares = (
         np.add.reduceat(values.sum(axis=1), edges) for values in (power, power**2)
     )
-    return np.maximum(2, np.nan_to_num(2 * total**2 / squares))
+    return np.maximum(2, 2 * total**2 / np.maximum(squares, np.finfo(float).tiny))
 
 
 def rms(signals) -> np.ndarray:

@@ -274,6 +274,7 @@ def test_the_error_by_octave_is_the_predicted_one_on_the_model():
         assert ratio == pytest.approx(np.linalg.norm(after) / np.linalg.norm(before))
         assert np.all(table.bound >= 0.5)
     assert replay(run).error_by_octave(1) is replay(run).error_by_octave(4) is None
+    run = run.copy(deep=True)
     run["reference"][2] *= 2
     with warnings.catch_warnings(action="ignore"):
         assert replay(run).error_by_octave(3) is None

@@ -170,7 +170,7 @@ def test_pumps_at_their_limit_are_noticed(share, with_model, tank_law):
         assert "contradict the loop's model" in texts["model"]
     else:
         assert "keeps growing" in texts["v"] and "model" not in texts
-    assert diagnose(trials.isel(trial=slice(3)), law) == {}
+    assert diagnose(trials.isel(trial=slice(2)), law) == {}
     assert diagnose(trials, law, first=15) == {}
 
 
