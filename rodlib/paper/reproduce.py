@@ -93,14 +93,13 @@ def reproduce(root: Path = ROOT) -> None:
 
 def replay(log: str, root: Path = ROOT) -> None:
     """Print what a log shows; a report with pictures and the next trial's v go to build/replay."""
-    from rodlib.ilc import load_log  # here, because they take long to import
-    from rodlib.ilc import replay as replay_of
+    from rodlib import ilc  # here, because it takes long to import
 
     checkout("make replay", root)
     path = Path(os.path.expanduser(log)).absolute()
     if not path.is_file():
         raise FileNotFoundError(f"{path} is not a file: make replay LOG=path")
-    replayed = replay_of(load_log(path))
+    replayed = ilc.replay(ilc.load_log(path))
     with folder_of_run("replay", root) as build:
         report, table = build / REPORT.name, build / "next-trial.csv"
         print(replayed)

@@ -18,7 +18,7 @@ from rodlib.ilc.rigs.limits import commands_beyond
 from rodlib.ilc.rigs.protocol import StoppedError
 from rodlib.ilc.rigs.start import Start
 from rodlib.ilc.trials.diagnosis import diagnose
-from rodlib.ilc.trials.run import dataset
+from rodlib.ilc.trials.run import commands_of, dataset
 
 BEGUN = "begun"  # the note that says that v of trial 1 was given
 NOTED = (*KEYS, "excitation", "loop")  # the notes of what makes the trials
