@@ -18,9 +18,8 @@ MODULES = {
     "synthesis.result": "InfeasibleError",
     "synthesis.search": "least_gain",
     "evidence.convergence": "convergence rate",
-    "evidence.finite_trial": "trial_map trial_norm trial_operators",
-    "evidence.noise": "converged_noise noise_by_trial trial_noise",
-    "evidence.noisy_trial": "noise_on_trial",
+    "evidence.finite": "trial_map trial_norm trial_operators",
+    "evidence.noise": "converged_noise noise_on_trial trial_noise",
     "evidence.robustness": "worst_case",
     "evidence.scenario": "support violation_probability",
     "alternatives.norm_optimal": "NormOptimal",
@@ -30,9 +29,9 @@ MODULES = {
     "rigs.experiments": "record shake",
     "logs.foreign": "read_table",
     "logs.log": "load_log save_log",
+    "logs.replay": "replay",
     "measurement.excitation": "multisine",
     "measurement.measurement": "expected_radius measured_response",
-    "replay": "replay_of",
 }
 
 
@@ -58,5 +57,5 @@ def lazily(package: str, modules: dict[str, str], rooms: Sequence[str] = ()):
     return get, lambda: sorted([*vars(import_module(package)), *names]), names
 
 
-ROOMS = ("alternatives", "report", "workbench")
+ROOMS = ("alternatives", "workbench")
 __getattr__, __dir__, __all__ = lazily(__name__, MODULES, ROOMS)
