@@ -19,7 +19,7 @@ from rodlib.ilc.filters import LearningFilter, ZeroPhaseButterworth, update
 from rodlib.ilc.law.actuators import Actuators
 from rodlib.ilc.law.limits import commands_of, projected, realised
 from rodlib.ilc.logs import notes
-from rodlib.ilc.logs.log import signals_of
+from rodlib.ilc.logs.format import signals_of
 from rodlib.ilc.loop.closed import ClosedLoop, Loop
 from rodlib.ilc.models import state_sequence
 from rodlib.ilc.rigs.start import Start

@@ -8,7 +8,7 @@ import xarray as xr
 
 from rodlib.ilc import arguments
 from rodlib.ilc.files import write_pieces
-from rodlib.ilc.logs.tables import few, quoted, rows
+from rodlib.ilc.logs.format import few, text_of
 from rodlib.ilc.replay import Replay
 from rodlib.ilc.trials.run import rms
 from rodlib.ilc.units import by_unit
@@ -113,11 +113,10 @@ def save_following(replay: Replay, path) -> None:
     head = (
         f"# ILC signal v of trial {replay.numbers[-1] + 1}, to be added to the reference\n"
         f"# units: {json.dumps({'time': 's'} | units, ensure_ascii=False)}\n"
-        f"{','.join(['time', *map(quoted, titles)])}\n"
     )
-    write_pieces(
-        path, [head.encode(), rows([replay.trials.time.values, *replay.following.T])]
-    )
+    columns = {"time": replay.trials.time.values}
+    columns |= dict(zip(titles, replay.following.T, strict=True))
+    write_pieces(path, [head.encode(), text_of(columns)])
 
 
 def with_unit(text: str, unit: str) -> str:

@@ -20,7 +20,7 @@ from rodlib.ilc.filters import (
     check_Q,
 )
 from rodlib.ilc.law.actuators import named_limits
-from rodlib.ilc.logs.log import LogError
+from rodlib.ilc.logs.format import LogError
 from rodlib.ilc.loop.closed import ClosedLoop, CurrentTrialLoop, Loop, check_loop
 from rodlib.ilc.measurement.excitation import Excitation
 

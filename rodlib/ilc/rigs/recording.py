@@ -13,8 +13,9 @@ from rodlib.ilc import arguments
 from rodlib.ilc.files import alone
 from rodlib.ilc.filters import LearningOperator, ZeroPhaseButterworth
 from rodlib.ilc.law.limits import commands_of, realised
-from rodlib.ilc.logs.log import load_ended, save_log
+from rodlib.ilc.logs.format import save_log
 from rodlib.ilc.logs.notes import BEGUN, EARLIER, LAW, MADE_BY
+from rodlib.ilc.logs.reader import load_log
 from rodlib.ilc.rigs.controlled import ControlledRig
 from rodlib.ilc.rigs.limits import commands_beyond
 from rodlib.ilc.rigs.protocol import StoppedError
@@ -57,7 +58,7 @@ class Experiment:
         """As `run`, with the path of a log that nobody else writes, or None."""
         signals, notes = {name: [] for name in self.rig.recorded_signals}, {}
         if path is not None and path.exists():
-            found = load_ended(path)
+            found = load_log(path)
             self.check(found, path)
             if (
                 "applied" in signals and "applied" not in found

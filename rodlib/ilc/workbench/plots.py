@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import xarray as xr
 
 from rodlib.ilc import Synthesis
-from rodlib.ilc.logs.log import signals_of
+from rodlib.ilc.logs.format import signals_of
 from rodlib.ilc.report import by_unit, rms_by_trial, with_unit
 
 WIDTH, HEIGHT = 7.2, 2.3  # inches, of one axes
