@@ -92,3 +92,14 @@ def modal_model(specimen, Ts, modes=250):
     B = np.vstack([(1 - p)[:, None] * r, left]) * gains
     C = np.hstack([shown, np.eye(m)])
     return control.ss(A, B, C, 0, Ts, inputs=rod.inputs, outputs=rod.outputs)
+
+
+def random_response(seed, m, n=30, gain=1.0):
+    """A stable plant with coupling, and a low-pass Q, on n frequencies up to Nyquist."""
+    rng = np.random.default_rng(seed)
+    omega = np.geomspace(1e-2, np.pi, n)
+    z = np.exp(1j * omega)[:, None, None]
+    poles = rng.uniform(0.3, 0.95, (m, m))
+    P = np.eye(m) + 0.2 * rng.standard_normal((m, m))
+    P = gain * P * (1 - poles) / (z - poles)
+    return P, 1 / (1 + (omega / 0.5) ** 4), omega

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from rodlib import (
+    boards,
     current_trial_loop,
     load_log,
     measured_response,
@@ -17,12 +18,7 @@ from rodlib import (
     zero_phase_butterworth,
 )
 from rodlib.boards import TemperatureControlLab, heat_balance
-from rodlib.ilc import (
-    RigError,
-    law_of,
-    loop_of,
-    temperature_control_lab,
-)
+from rodlib.ilc import RigError, law_of, loop_of
 
 tclab = pytest.importorskip("tclab")
 
@@ -291,7 +287,7 @@ class Clock:
 def test_the_kit_is_waited_for_and_a_delay_is_caught_up(monkeypatch):
     clock = Clock()
     monkeypatch.setattr(tclab, "TCLab", Kit)
-    monkeypatch.setattr(temperature_control_lab, "time", clock)
+    monkeypatch.setattr(boards, "time", clock)
     rig = TemperatureControlLab(kit=True)
     clock.now += 100  # of no concern before it begins
     rig.begin(1)

@@ -282,8 +282,7 @@ DOORS = [
      {"noise": REAL | {"-1": -1.0}}),
     (ilc.worst_case, {"problem": PROBLEM, "L": L}),
     *((door, {"P": LOOP, "Q": Q, "L": L, "omega": OMEGA}, {"P": REAL})
-      for door in (ilc.rate, ilc.rates, ilc.spectral_rate, ilc.mean_rate)),
-    (ilc.rate_within, {"P": LOOP, "Q": Q, "L": L, "omega": OMEGA}, {"P": REAL}),
+      for door in (ilc.rate, ilc.convergence)),
     (ilc.trial_operators, {"P": P, "Q": Q, "L": L, "samples": 6}, MODEL),
     (ilc.trial_map, {"P": P, "Q": Q, "L": L, "samples": 6}, MODEL),
     (ilc.trial_norm, {"P": P, "Q": Q, "L": L, "samples": 6}, MODEL),
@@ -396,7 +395,7 @@ DOORS = [
     (workbench.plant_of_file, {"path": HERE / "log"}),
     (Settings.of, {"plant": ON_BENCH}, {"plant": THING}),
     (tried, vars(Settings.of(ON_BENCH)),
-     {"L_max": NUMBER | {"none": ...}, "noise": NUMBER, "noise_weight": NUMBER,
+     {"L_max": NUMBER | {"none": ...}, "noise": NUMBER,
       "uncertainty": NUMBER, "band": THING}),
     (rodlib.plot, {"shown": LOG}, {"shown": THING | {"design": ..., "frame": ...}}),
     (workbench.try_out, {"settings": Settings.of(ON_BENCH)}),
@@ -418,11 +417,10 @@ MADE |= {"EstimatedResponse", "TabulatedResponse"}
 MADE |= {
     "Outcome",
     "Picture",
-    "Rate",
+    "Convergence",
     "Replay",
     "RigError",
     "SolverError",
-    "SpectralRate",
 }
 MADE |= {"Spectrum", "StoppedError", "Synthesis", "TrialNoise", "Tuned", "WorstCase"}
 INSIDE = {"Family", "LearningOperator", "Problem", "Rig", "TrialRig"}

@@ -19,7 +19,7 @@ MODULES = {
     "synthesis.search": "largest_cutoff least_gain",
     "evidence.certificate": "Certificate",
     "evidence.check": "Check",
-    "evidence.convergence": "Rate SpectralRate mean_rate rate rate_within rates spectral_rate",
+    "evidence.convergence": "Convergence convergence rate",
     "evidence.finite_trial": "trial_map trial_norm trial_operators",
     "evidence.noise": "LearnedNoise Spectrum TrialNoise converged_noise noise_by_trial trial_noise",
     "evidence.noisy_trial": "noise_on_trial",

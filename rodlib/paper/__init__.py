@@ -1,1 +1,20 @@
-"""What the compendium itself needs: printed numbers, ledger, figures, make reproduce, pages."""
+"""What the compendium itself needs: printed numbers, ledger, figures, make reproduce, pages.
+
+What a notebook needs of it comes from here; a name is imported when it is first used.
+"""
+
+from rodlib.ilc import lazily
+
+MODULES = {
+    "drawings": "draw_block_diagram draw_rod",
+    "figures": """ACCENT BLACK BLACK_DASHED GRAY GRAY_DASHED SHADES TALL WIDE plain
+        save""",
+    "knobs": "plant_of_rod rods",
+    "ledger": "Ledger",
+    "parameters": "checked",
+    "repository": "ROOT",
+    "rig_logs": "PARAMETERS experiment",
+}
+
+__getattr__, __dir__, __all__ = lazily(__name__, MODULES)
+__all__ += ["published"]

@@ -17,7 +17,6 @@ SLIDERS = [
     "order of L",
     "uncertainty (%)",
     "noise (K)",
-    "weight of noise",
 ]
 
 

@@ -5,10 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from rodlib.ilc import arguments
-from rodlib.ilc.evidence.convergence import log_mean, rates_within
+from rodlib.ilc.evidence.convergence import from_responses, log_mean
 from rodlib.ilc.evidence.findings import findings, useless
 from rodlib.ilc.evidence.finite_trial import trial_norm
-from rodlib.ilc.evidence.noise import accumulated
 from rodlib.ilc.evidence.optimality import lower_bound
 from rodlib.ilc.evidence.peak import (
     Peak,
@@ -66,9 +65,6 @@ class Certificate:
     samples: int | None = None  # length of that trial
     rest: int = 0  # of it, in which v is held at zero
     findings: tuple[str, ...] = ()  # why the problem itself may be badly chosen
-    noise: float = 0.0  # what of the value is the cost of noise
-    new: float = 0.0  # RMS, in units of `scale`, of what is new in the measured outputs of a trial
-    learned: float = 0.0  # and of what learning has made of that in all trials before
     within: float = (
         np.nan
     )  # rate where commands have limits, by :func:`rodlib.update_within`
@@ -88,7 +84,7 @@ class Certificate:
 
     @property
     def mean_M(self) -> float:
-        """Mean of sigma_max(M) of the nominal plant over the band, as :func:`mean_rate`."""
+        """Mean of sigma_max(M) of the nominal plant over the band, see :meth:`Convergence.mean`."""
         asked, omega = self.problem.asked, self.problem.omega
         return float(log_mean(self.nominal[asked], omega[asked], self.problem.band))
 
@@ -262,15 +258,6 @@ class Certificate:
         ]
         if problem.objective == "sum" and 0 < problem.band[0] < problem.band[1]:
             lines.append(f"mean of sigma_max(M) over the band: {self.mean_M:.4f}")
-        if self.noise:
-            start = problem.switched is not None
-            lines += [
-                f"of which the cost of noise{f', on a trial of {self.samples} samples' * start}: "
-                f"{self.noise:.4g}",
-                f"RMS of the measured error, converged, from noise{', without ends' * start}: "
-                f"{np.hypot(self.new, self.learned):.4g}; {self.new:.4g} are new in each trial, "
-                f"{self.learned:.4g} are learned",
-            ]
         if self.samples:
             rest = f", the last {self.rest} at rest" if self.rest else ""
             lines.append(
@@ -296,9 +283,7 @@ def certify(
     response = L.frequency_response(problem.omega)
     sigma_M = largest_singular_values(problem.M(response))
     worst = worst_case(problem, L)
-    noise = problem.cost_of_noise(response)
-    new, learned = _rms_of_noise(problem, response)
-    value = problem.value(sigma_M, worst.sigma) + noise
+    value = problem.value(sigma_M, worst.sigma)
     exact, estimated = (
         proven_peaks(problem, L),
         estimated_peaks(problem, L, worst.peaks),
@@ -306,7 +291,7 @@ def certify(
     return Certificate(
         problem,
         value,
-        lower_bound(problem, solution.U, solution.V, solution.cuts, response),
+        lower_bound(problem, solution.U, solution.V, solution.cuts),
         sigma_M,
         worst,
         highest([*exact, *estimated]),
@@ -322,12 +307,7 @@ def certify(
         else trial_norm(*problem.model, L, samples, rest=rest)[0],
         samples=samples,
         rest=rest,
-        findings=tuple(
-            findings(problem, value - noise)
-        ),  # noise is no error that is left
-        noise=noise,
-        new=new,
-        learned=learned,
+        findings=tuple(findings(problem, value)),
         within=_within(problem, solution),
         basis=(*problem.basis, *problem.assumed, *useless(problem)),
     )
@@ -338,7 +318,7 @@ def _within(problem, solution):
     asked, scale = problem.asked, problem.scale
     P = problem.P[asked] * scale[:, None] / scale
     L = problem.filter(solution.coefficients).frequency_response(problem.omega[asked])
-    return float(rates_within(P, problem.Q[asked], L).max())
+    return float(from_responses(problem.omega[asked], P, problem.Q[asked], L).within())
 
 
 def checked_trial(
@@ -352,16 +332,3 @@ def checked_trial(
                 f"samples = {samples} asks for the norm of a trial, which needs P and Q as models"
             )
     return samples, arguments.whole("rest", rest, 0, (samples or 1) - 1)
-
-
-def _rms_of_noise(problem, L):
-    """RMS of what is new in a trial, and of what is learned of it, converged."""
-    if problem.noise is None:
-        return 0.0, 0.0
-    share = problem.noise * (1 - problem.M_max**2)  # of each frequency in the variance
-    M = problem.M(L)
-    if np.abs(np.linalg.eigvals(M)).max() >= 1:
-        return np.sqrt(share.sum()), np.inf
-    QPL = problem.Q[:, None, None] * problem.P @ L
-    learned = accumulated(M, QPL * share[:, None] @ QPL.conj().swapaxes(1, 2))
-    return np.sqrt(share.sum()), np.sqrt(np.einsum("nii->", learned).real)

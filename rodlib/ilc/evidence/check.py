@@ -67,10 +67,6 @@ def check(problem: Problem, L: LearningFilter) -> Check:
             gamma, omega = peak.sigma, peak.omega
     within = problem.radius is not None
     doubt = within or (beyond is not None and beyond.sigma >= 1)
-    basis = (
-        *problem.basis,
-        *problem.assumed,
-        *(f"WARNING: {text}" for text in problem.doubts),
-    )
+    basis = (*problem.basis, *problem.assumed)
     proven = estimated is None and not within
     return Check(float(gamma), float(omega), float(radius), proven, doubt, basis)

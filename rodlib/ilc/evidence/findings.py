@@ -13,7 +13,6 @@ IDLE = 0.9  # share of the error in the band from which on learning counts as id
 
 def findings(problem: Problem, value: float) -> Iterator[str]:
     """Why little may be learned: a delay, a slow loop, or something unknown."""
-    yield from problem.doubts
     yield from problem.findings
     delay = _delay(problem.model[0], problem.order) if problem.model else 0
     if delay > problem.order:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import control
 import numpy as np
 import scipy.sparse.linalg as sparse
-from scipy.fft import fft, ifft, irfft, next_fast_len, rfft
+from scipy.fft import irfft, next_fast_len, rfft
 from scipy.sparse import diags_array, eye_array
 
 from rodlib.ilc import arguments
@@ -160,32 +160,6 @@ def trial_norm(
         before.reshape(samples, -1),
         after.reshape(samples, -1),
     )
-
-
-def switched_on(
-    P: control.StateSpace, Q: ZeroPhaseButterworth, omega, samples: int, rest: int = 0
-) -> np.ndarray:
-    """What Q and P leave of a sinusoid that is switched on when the trial starts: Q P, and more.
-
-    Returns
-    -------
-    ndarray, shape (n, m, m)
-        R(omega), triangular, such that the mean over the trial of |P_N Q_N u|^2 is |R a|^2 for
-        u(p) = a exp(j omega p Ts), p = 0 ... samples - 1. For long trials R tends to Q P, but for
-        a unitary factor. If u is a random signal, stationary within the trial, of density Phi, then
-        the mean of |P_N Q_N u|^2 is that of tr(R Phi R^H) over all frequencies. What L looks ahead
-        to is such a signal: of a trial's start it notices nothing, but v begins there.
-    """
-    m, length = P.noutputs, next_fast_len(2 * samples)
-    spectrum = fft(impulse_response(P, samples), length, axis=0)
-    R = np.empty((len(omega), m, m), dtype=complex)
-    for at in range(0, len(omega), SIDE_BY_SIDE):
-        angles = P.dt * np.outer(omega[at : at + SIDE_BY_SIDE], np.arange(samples))
-        v = Q.apply(np.stack([np.cos(angles), np.sin(angles)], axis=-1)) @ [1, 1j]
-        v[:, samples - rest :] = 0
-        y = ifft(fft(v, length)[..., None, None] * spectrum, axis=1)[:, :samples]
-        R[at : at + SIDE_BY_SIDE] = np.linalg.qr(y.reshape(len(v), -1, m), mode="r")
-    return R / np.sqrt(samples)
 
 
 def _operator(apply, adjoint, samples, m):

@@ -14,7 +14,7 @@ FARTHEST = 40.0  # logarithm of how unequal two weights may be: the smaller is t
 FAINT = 1e-9  # least eigenvalue of X, relative
 
 
-def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None, L=None) -> float:
+def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None) -> float:
     """Lower bound on the optimum of (39) or (45), from multipliers and linear algebra alone.
 
     For all filters that meet the bounds, and all U_i, V_i, N_c with sum_i Re tr(U_i^H dM_i) +
@@ -27,13 +27,10 @@ def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None, L=None) -> flo
     with nuclear norms |.|, W of :attr:`rodlib.ilc.problem.Problem.weight`, the matrices G = F + T L
     of :class:`rodlib.ilc.problem.Cuts`, and nu of :func:`dual_norm`, dual to their bound b. Where
     |U_i| exceeds the weight of sigma_max(M_i) in the objective, the excess is bounded with M_max,
-    and so are the b_c. For the peak, they are no larger than the objective itself. The cost of
-    noise is the square sum |G|^2 of weighted entries G of Q P L, and |G|^2 >= Re tr(N^H G) - |N|^2
-    / 4 for every N: one more such term, which N = 2 G at the filter L makes as large as it can be.
+    and so are the b_c. For the peak, they are no larger than the objective itself.
     The multipliers are first projected on those that fulfil the condition, so the bound holds, up
     to rounding, whatever was passed. A coefficient of L_jk acts on column k of M, L and G only, so
-    the columns are projected one by one. What is None is not used: V, the bound on L; cuts; L, the
-    cost of noise.
+    the columns are projected one by one. What is None is not used: V, the bound on L; cuts.
     """
     P, Q, angles = problem.P, problem.Q, problem.angles
     n, m, _ = P.shape
@@ -52,15 +49,6 @@ def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None, L=None) -> flo
         )  # a row of G that is not zero
         T, N = [*T, slope], [*N, cuts.N * felt]
         turns.append(angles[cuts.frequency])
-    noisy = problem.noise is not None and L is not None
-    if noisy:
-        weight = np.sqrt(problem.noise)
-        slope = problem.passed
-        T, N, turns = (
-            [*T, slope],
-            [*N, 2 * weight[:, None] * (slope @ L)],
-            [*turns, angles],
-        )
     angles = np.concatenate(
         [np.repeat(t, X.shape[1]) for t, X in zip(turns, T, strict=True)]
     )
@@ -68,18 +56,12 @@ def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None, L=None) -> flo
         np.concatenate([X.reshape(-1, m) for X in parts]).astype(complex)
         for parts in (T, N)
     )
-    for rows, columns in _groups(problem, noisy):
-        part = T[:, rows]
-        if noisy:  # the last rows, in the weight of this column
-            part[-n * m :] *= np.repeat(weight[:, columns[0]], m)[:, None]
-        changes = _changes(part, angles, problem.order)
+    for rows, columns in _groups(problem):
+        changes = _changes(T[:, rows], angles, problem.order)
         part = _rows(N[:, columns])
         for _ in range(2):
             part -= (part @ changes.T) @ changes
         N[:, columns] = part.view(complex).T
-    noise = 0.0
-    if noisy:
-        N, noise = N[: -n * m], (np.abs(N[-n * m :]) ** 2).sum() / 4
     plain = 2 * n if V is not None else n
     N, beyond = N[: plain * m].reshape(-1, m, m), N[plain * m :].reshape(F.shape)
     norms = np.linalg.svd(N, compute_uv=False).sum(axis=1)
@@ -88,25 +70,17 @@ def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None, L=None) -> flo
     others = dual_norm(beyond).sum()
     if problem.objective == "peak":
         total = norms[:n].sum() + others
-        if not noise:
-            return max(0.0, float(bound / total))  # as it could not be less
-        # s times the multipliers: for s total > 1 the excess is bounded with M_max, as it is below
-        low = min(max(bound, 0) / (2 * noise), 1 / total)
-        high = max((bound - total * problem.M_max) / (2 * noise), 1 / total)
-        over = (high * total - 1) * problem.M_max
-        return float(
-            max(0, low * bound - low**2 * noise, high * bound - high**2 * noise - over)
-        )
+        return max(0.0, float(bound / total))  # as it could not be less
     excess = np.maximum(norms[:n] - problem.in_band, 0).sum() + others
-    return max(0.0, float(bound - problem.M_max * excess - noise))
+    return max(0.0, float(bound - problem.M_max * excess))
 
 
-def _groups(problem, noisy):
+def _groups(problem):
     """Rows and columns of L whose coefficients change the same rows of T L in the same way."""
     every = list(range(problem.channels))
     if problem.structure == "diagonal":
         return [([k], [k]) for k in every]
-    return [(every, [k]) for k in every] if noisy else [(every, every)]
+    return [(every, every)]
 
 
 def dual_norm(N) -> np.ndarray:

@@ -19,8 +19,6 @@ VALUES = (
     "omega",
     "others",
     "radius",
-    "noise",
-    "switched",
     "asked",
 )  # by frequency
 LEAST = 1e-6  # gain of P L that is always let be, so that what is left of M_max may be nothing

@@ -8,9 +8,9 @@ import numpy as np
 from rodlib.ilc import arguments
 from rodlib.ilc.filters import ZeroPhaseButterworth
 from rodlib.ilc.problem import defaults
-from rodlib.ilc.problem.plausible import doubts_about_P, doubts_about_Q
 from rodlib.ilc.problem.problem import ROUNDING, Problem, largest_singular_values
 from rodlib.ilc.problem.responses import (
+    IMAGINARY,
     Measured,
     Q_on_grid,
     axes,
@@ -36,7 +36,6 @@ def pose(
     objective=Problem.objective,
     scale=None,
     uncertainty=None,
-    noise=None,
     confidence=None,
     beyond=None,
     everywhere=False,
@@ -47,7 +46,7 @@ def pose(
     if omega is None:
         omega = defaults.frequencies([*plants(P).values()], Q, Ts)
     omega = arguments.frequencies("omega", omega, Ts)
-    basis, given = (), P
+    basis = ()
     if isinstance(P, Measured):
         P, uncertainty, basis = _measured(P, omega, uncertainty, confidence, scale)
     elif confidence is not None:
@@ -56,6 +55,7 @@ def pose(
             "one: pass the radius as uncertainty"
         )
     models, responses = on_grid(plants(P), omega, Ts)
+    _refuse_hertz(responses, omega, Ts)
     P, others = responses[0], responses[1:]
     n, m, _ = P.shape
     q, Q = Q_on_grid(Q, omega, P=Ts)
@@ -79,22 +79,15 @@ def pose(
         models = [_scaled(model, scale) for model in models]
     _refuse_singular(P, omega)
     band, L_max, chosen = _chosen(band, L_max, objective, q, Q, P, omega)
-    in_band = _in_band(band, Q, omega, objective)
-    doubts = (
-        ()
-        if isinstance(given, Measured)
-        else _doubts(given, (P, *others), models, omega, Ts)
-    )
-    doubts += (*doubts_about_Q(Q, omega, in_band, Ts),)
-    noise = _weights(noise, omega, Ts, m, M_max, scale)
+    _check_band(band, Q, omega, objective)
     beyond = _size_beyond(
         beyond, models, np.concatenate([P[None], others]), radius, omega[-1], Ts
     )
     return Problem(
         P, Q, omega, Ts, scale, others, tuple(models), q,
         np.ones(n, dtype=bool), np.full(n, np.inf), np.ones(n), band, L_max,
-        order, M_max, structure, objective, radius, noise, (*chosen, *basis), beyond=beyond,
-        everywhere=arguments.flag("everywhere", everywhere), doubts=doubts,
+        order, M_max, structure, objective, radius, (*chosen, *basis), beyond=beyond,
+        everywhere=arguments.flag("everywhere", everywhere),
     )  # fmt: skip
 
 
@@ -116,13 +109,16 @@ def _rises(samples):
     return row.dtype.kind in "iuf" and len(row) > 1 and bool(np.all(np.diff(row) > 0))
 
 
-def _doubts(P, responses, models, omega, Ts):
-    """What speaks against those of the plants that are known as samples."""
-    known = zip(plants(P), responses, models, strict=True)
-    found = [
-        doubts_about_P(name, p, omega, Ts) for name, p, model in known if model is None
-    ]
-    return tuple(text for texts in found for text in texts)
+def _refuse_hertz(responses, omega, Ts):
+    """Refuse frequencies in Hz: up to 1 / (2 Ts), where P is real, as z is -1 there."""
+    imaginary = np.abs(responses.imag).max(axis=(2, 3))
+    rounding = IMAGINARY * np.abs(responses).max()
+    real_at_last_only = (imaginary[:, -1] <= rounding) & (imaginary.max(1) > rounding)
+    if abs(omega[-1] * Ts - 0.5) < IMAGINARY and real_at_last_only.any():
+        raise ValueError(
+            f"omega ends at {omega[-1]:.6g} = 1 / (2 Ts), and P is real there, as at the "
+            "Nyquist frequency: omega is in Hz, multiply it by 2 pi"
+        )
 
 
 def _measured(P, omega, uncertainty, confidence, scale):
@@ -158,8 +154,8 @@ def _chosen(band, L_max, objective, butterworth, Q, P, omega):
     return (low, high), L_max, [f"chosen: {text}" for text in chosen]
 
 
-def _in_band(band, Q, omega, objective):
-    """Which frequencies are summed over, if any; all within omega, and with something to learn."""
+def _check_band(band, Q, omega, objective):
+    """Check that the band lies within omega, and that Q leaves something to learn there."""
     low, high = band
     in_band = (omega >= low) & (omega <= high) if objective == "sum" else None
     if in_band is not None:
@@ -177,7 +173,6 @@ def _in_band(band, Q, omega, objective):
             f"Q has a gain of {learned:.3g} at most where the objective counts: it learns "
             "nothing. Is its cut-off in rad/s?"
         )
-    return in_band
 
 
 def _radius(uncertainty, n):
@@ -232,23 +227,6 @@ def _scaled(model, scale):
         return None
     S, R = np.diag(scale), np.diag(1 / scale)
     return control.ss(model.A, model.B @ S, R @ model.C, R @ model.D @ S, model.dt)
-
-
-def _weights(noise, omega, Ts, m, M_max, scale):
-    """Weights of |Q P L|^2 that make its sum a mean over all frequencies, for each input of L."""
-    if noise is None:
-        return None
-    n = len(omega)
-    shape = (n, m) if axes(noise) == 2 else (n,)
-    noise = arguments.array("noise", noise, shape).reshape(n, -1)
-    if noise.min() < 0:
-        raise ValueError(
-            f"noise reaches {noise.min():.6g}, but a spectral density is not negative"
-        )
-    edges = np.concatenate([[0.0], (omega[1:] + omega[:-1]) / 2, [np.pi / Ts]])
-    width = np.diff(edges)[:, None] * Ts / np.pi
-    weights = width * noise / scale**2 / (1 - M_max**2) * np.ones(m)
-    return weights if weights.any() else None
 
 
 def _refuse_singular(P, omega):

@@ -58,13 +58,9 @@ class Problem:
     radius: np.ndarray | None = (
         None  # (n,): the bounds hold for all P + Delta, ||Delta|| <= radius
     )
-    noise: np.ndarray | None = None  # (n, m): weights of what learning from noise costs
     basis: tuple[
         str, ...
     ] = ()  # what nobody gave; what a measured P and its radius rest on
-    switched: np.ndarray | None = (
-        None  # (n, m, m): in the place of Q P, if noise begins at a start
-    )
     beyond: float | None = (
         None  # sigma_max(P) is at most that above the last sample; None if known
     )
@@ -72,7 +68,6 @@ class Problem:
     everywhere: bool = (
         False  # whether the bounds shall hold between the frequencies omega, too
     )
-    doubts: tuple[str, ...] = ()  # what samples of P and Q show to be likely mistakes
 
     @property
     def model(self) -> tuple[control.StateSpace, ZeroPhaseButterworth] | None:
@@ -132,26 +127,6 @@ class Problem:
         if self.objective == "sum":
             return float(sigma_M[self.in_band].sum())  # (39)
         return float((sigma_M if worst is None else worst).max())  # (45)
-
-    def cost_of_noise(self, L) -> float:
-        """What is added to the objective: a bound on what noise adds to the error's variance.
-
-        For a spectral density Phi that is the mean over all frequencies of
-        tr(Q P L Phi (Q P L)^H) / (1 - M_max^2), see :mod:`rodlib.ilc.evidence.noise`: quadratic in
-        the learning filter, and convex. For a trial that has a start, `switched` stands for Q P,
-        see :func:`rodlib.ilc.evidence.finite_trial.switched_on`; what one trial passes on is then
-        exact, and the sum over all trials, 1 / (1 - M_max^2), no longer a bound.
-        """
-        if self.noise is None:
-            return 0.0
-        return float((np.abs(self.passed @ L) ** 2 * self.noise[:, None]).sum())
-
-    @property
-    def passed(self) -> np.ndarray:
-        """What of L and the noise is passed on to the next trial, shape (n, m, m): Q P."""
-        return (
-            self.Q[:, None, None] * self.P if self.switched is None else self.switched
-        )
 
     def M(self, L, number: int = 0) -> np.ndarray:
         """M of a plant, from the frequency response of L."""

@@ -13,6 +13,7 @@ from rodlib.ilc.loop.closed import Loop
 from rodlib.ilc.models import frequency_response, refuse_foreign
 
 MODELS = (Loop, control.LTI)  # what a plant may be, if not an array
+IMAGINARY = 1e-6  # relative imaginary part below which a response counts as real
 
 
 class Measured:
@@ -196,4 +197,9 @@ def Q_on_grid(Q, omega, **known):
             "zero_phase_butterworth(order, cutoff, Ts), or the samples of |Q|^2 on omega"
         )
     Q = arguments.array("Q", Q, (len(omega),), complex)
-    return model, Q if Q.imag.any() else Q.real
+    if np.abs(Q.imag).max() > IMAGINARY * np.abs(Q).max():
+        raise ValueError(
+            f"Q turns the phase by up to {np.abs(np.angle(Q)).max():.2g} rad, as a filter does "
+            "that runs in one direction only: pass |Q|^2 of it, or zero_phase_butterworth"
+        )
+    return model, Q.real

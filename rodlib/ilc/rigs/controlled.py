@@ -11,7 +11,6 @@ from rodlib.ilc import arguments
 from rodlib.ilc.law.actuators import Actuators, named_limits
 from rodlib.ilc.loop.closed import CurrentTrialLoop, check_loop
 from rodlib.ilc.rigs.limits import commands_beyond, stop_limits
-from rodlib.ilc.rigs.mistakes import mistake_in
 from rodlib.ilc.rigs.protocol import RigError, StoppedError
 
 LATE = 0.1  # sampling periods that a sample may be off the clock
@@ -263,20 +262,6 @@ class ControlledRig:
         return {
             name: np.array([s[name] for s in self.samples]) for name in self.samples[0]
         }
-
-    def mistake(self) -> str | None:
-        """What the samples of a first trial, from rest, say of the wiring."""
-        if not self.samples or (self.loop.P is None):
-            return None
-        signals, names, w = self.signals(), self.commands, self.w[: len(self.samples)]
-        model, commands, known = self.loop.P, w, np.zeros((len(w), 0))
-        if self.ours:
-            known = signals.get("disturbance", known)
-            model, commands = self.loop.plant[:, [*names, *self.recorded]], signals["u"]
-        followed = {name: self.limits[name] for name in names if name in self.limits}
-        commands = Actuators.of("rig.limits", followed, self.loop).follow(commands)
-        given = commands, known, signals["y"], w
-        return mistake_in(model, *given, self.outputs, names)
 
     def sample(self, w, flows, where) -> dict[str, np.ndarray]:
         """Let one sampling period pass: read, check, then apply what the controller makes of it."""

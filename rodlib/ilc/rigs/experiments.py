@@ -101,8 +101,8 @@ def record(
     UserWarning
         After a trial in which samples were not on time, if the rig has a clock, or commands beyond
         what it follows, if it has limits, once if v is learned within them; that started elsewhere
-        than the first; after the first, if a mistake in the wiring explains it; once, if the trials
-        show that they do not converge, see :mod:`rodlib.ilc.trials.diagnosis`.
+        than the first; once, if the trials show that they do not converge, see
+        :mod:`rodlib.ilc.trials.diagnosis`.
     """
     controlled = ControlledRig(rig, loop, decimals, limits)
     check_law(loop, Q, L, rig=controlled.Ts)

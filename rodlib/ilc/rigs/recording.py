@@ -110,8 +110,6 @@ class Experiment:
         )
         if alike and k and (missed := self.start(signals).missed(signals["y"][-1])):
             found["start"] = missed
-        if not k and (mistake := self.rig.mistake()):
-            found["mistake"] = f"it looks as if {mistake}"
         loop, (v, y) = self.rig.loop, (np.stack(signals[name]) for name in ("v", "y"))
         units, reference = (
             [loop.units[name] for name in loop.outputs],
@@ -145,10 +143,8 @@ class Experiment:
         """The error, with what is kept and how to go on."""
         kept, where = len(signals["y"]), "the attribute trials of this error"
         where = where if path is None else f"'{path}'"
-        mistake = None if kept else self.rig.mistake()
-        seen = f"{error}. It looks as if {mistake}" if mistake else f"{error}"
         more = StoppedError(
-            f"{seen}. The rig is left safe; {kept} trial(s) are kept in {where}. If units, signs "
+            f"{error}. The rig is left safe; {kept} trial(s) are kept in {where}. If units, signs "
             "and wires are right, go on with less learning, by another_law=True and a smaller step "
             "or a lower cut-off; or with wider limits, by stop"
         )

@@ -13,7 +13,6 @@ from rodlib.ilc.evidence.certificate import (
     certify,
     checked_trial,
 )
-from rodlib.ilc.evidence.finite_trial import switched_on
 from rodlib.ilc.evidence.optimality import lower_bound
 from rodlib.ilc.problem.defaults import CHOOSE
 from rodlib.ilc.problem.grid import without_gaps
@@ -48,7 +47,6 @@ def synthesise(
     objective=Problem.objective,
     scale=None,
     uncertainty=None,
-    noise=None,
     confidence=None,
     beyond=None,
     everywhere=False,
@@ -98,12 +96,6 @@ def synthesise(
     uncertainty : array_like, shape (n,), optional
         Radius at each frequency: the bounds hold for each P + Delta with ||Delta|| <= radius, of
         the channels in units of `scale`, by a condition that is exact.
-    noise : array_like, shape (n,) or (n, m), optional
-        Spectral density of what is new in the measured outputs in every trial; white noise has its
-        variance. What it adds at most to the variance of the converged error is then added to the
-        objective, :meth:`rodlib.ilc.Problem.cost_of_noise`, in units of `scale`; multiply the
-        density to make more of that, or less. With `samples`, what noise does at the start of a
-        trial counts, too; without, a filter of large gain may look quiet and not be so.
     confidence : float, optional
         Of a measured response: probability that the truth lies within its radius at all frequencies
         that were measured. Default 0.99.
@@ -123,8 +115,7 @@ def synthesise(
         and size. It makes the synthesis faster, not different.
     samples : int, optional
         Length of a trial. The certificate then says what one trial does to the ILC signal, by
-        :func:`rodlib.ilc.evidence.trial_norm`, and the cost of noise is that of such a trial; P
-        and Q must be models.
+        :func:`rodlib.ilc.evidence.trial_norm`; P and Q must be models.
     rest : int
         Number of samples at the end of that trial in which v is held at zero.
     check : bool
@@ -152,7 +143,7 @@ def synthesise(
     problem = pose(
         P, Q, omega, Ts, order=order, M_max=M_max, L_max=L_max, band=band, structure=structure,
         objective=objective, scale=scale, uncertainty=uncertainty,
-        noise=noise, confidence=confidence, beyond=beyond,
+        confidence=confidence, beyond=beyond,
         everywhere=everywhere,
     )  # fmt: skip
     return warned(
@@ -190,9 +181,6 @@ def certified(
     arguments.choice("solver", solver, ["structured", "cvxpy"])
     arguments.flag("check", check)
     samples, rest = checked_trial(problem, samples, rest)
-    if samples is not None and problem.noise is not None:
-        switched = switched_on(*problem.model, problem.omega, samples, rest)
-        problem = replace(problem, switched=switched)
     asked, problem = problem, without_gaps(problem)
     if start is not None:
         _check_start(start, problem)
@@ -275,11 +263,11 @@ def _is_good(problem, solution, gap):
     L = problem.response(solution)
     sigma_M = largest_singular_values(problem.M(L))
     worst = max(sigma_M.max(), solution.largest if problem.robust else 0)
-    value = problem.value(sigma_M, np.array([worst])) + problem.cost_of_noise(L)
+    value = problem.value(sigma_M, np.array([worst]))
     return (
         worst <= problem.M_max * (1 + VIOLATION)
         and problem.passed_L(L) <= 1 + VIOLATION
-        and value - lower_bound(problem, solution.U, solution.V, solution.cuts, L)
+        and value - lower_bound(problem, solution.U, solution.V, solution.cuts)
         < gap * problem.unit(value)
     )
 
@@ -288,7 +276,7 @@ def _explained(problem, nearest):
     """The error that says which bound is too tight, where, and what would be feasible."""
     posed, on_grid = problem, len(nearest.U) > len(problem.omega)
     if len(problem.others) or problem.everywhere:  # not all of them had a say so far
-        posed = replace(problem, M_max=np.inf, objective="peak", noise=None)
+        posed = replace(problem, M_max=np.inf, objective="peak")
         posed, nearest = settled(posed, solve, None if on_grid else nearest)
     size = np.linalg.norm(nearest.U, axis=(1, 2))
     plant, frequency = 0, tied(size).argmax()
@@ -318,8 +306,6 @@ def _explained(problem, nearest):
         )
     if np.isfinite(problem.limit_L).any():
         message += f". It is {problem.assumed[0]}: measure further, or say otherwise by `beyond`"
-    if problem.doubts:
-        message += f". But {'; '.join(problem.doubts)}"
     return InfeasibleError(message, nearest.largest, plant, omega)
 
 
@@ -329,9 +315,7 @@ def _advice(problem, smallest):
     remedy = f"the smallest feasible M_max is {_rounded_up(smallest)}"
     raised = "raise M_max" if smallest < HOPELESS else "no M_max below 1 will do, so"
     if L_max is not None:
-        unbounded = replace(
-            problem, L_max=None, M_max=np.inf, objective="peak", noise=None
-        )
+        unbounded = replace(problem, L_max=None, M_max=np.inf, objective="peak")
         without = _with_cuts(
             unbounded,
             None,

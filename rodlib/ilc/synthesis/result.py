@@ -47,7 +47,7 @@ class Synthesis:
 
     @property
     def value(self) -> float:
-        """The objective, with the cost of noise, if that was asked for."""
+        """The objective."""
         return self.certificate.value
 
     @property

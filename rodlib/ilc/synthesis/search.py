@@ -118,7 +118,7 @@ def _widest(Q, posed, stated, bar, step):
     def excess(logarithm):
         """The smallest possible M_max with this cut-off, relative to the one that is asked for."""
         problem = without_gaps(posed(with_cutoff(logarithm), objective="peak"))
-        problem = replace(problem, M_max=np.inf, noise=None)
+        problem = replace(problem, M_max=np.inf)
         start = carried(last[1], last[0].omega, problem.omega) if last else None
         last[:] = settled(problem, solve, start)
         bar.update()

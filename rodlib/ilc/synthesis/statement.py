@@ -9,7 +9,6 @@ import cvxpy as cp
 import numpy as np
 
 from rodlib.ilc.problem.problem import Solution
-from rodlib.ilc.synthesis.solver.bounds import root_of
 from rodlib.ilc.synthesis.solver.program import Infeasible, Program
 
 
@@ -39,8 +38,6 @@ def solve(program: Program) -> Solution:
         splits.append(d)
     meets = [] if program.shared else [t <= program.M_max]
     cost = cp.sum(t)  # over the band in (39), the largest in (45)
-    if program.H is not None:
-        cost += cp.sum_squares(root_of(program.H) @ x) / 2
     problem = cp.Problem(cp.Minimize(cost), subject_to + meets)
     try:
         with warnings.catch_warnings():

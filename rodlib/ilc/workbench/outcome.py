@@ -104,7 +104,5 @@ def certificate_line(certificate: Certificate) -> str:
     optimal = (
         f"objective {certificate.value:.4g}, none below {certificate.lower_bound:.4g}"
     )
-    learned = f"noise learned {certificate.learned / (certificate.new or 1):.3f} times what is new"
-    optimal = [optimal, *([learned] if certificate.noise else [])]
     warned = [f"warning: {text}" for text in certificate.warnings]
-    return "; ".join([rate, gain, mean, *optimal, *warned])
+    return "; ".join([rate, gain, mean, optimal, *warned])

@@ -144,13 +144,13 @@ class Panel:
         knobs["noise"].description = f"noise ({plant.unit})" if plant.unit else "noise"
         knobs["uncertainty"].disabled = plant.measured
         knobs["low"].value, knobs["high"].value = settings.band
-        for name in ("M_max", "Q_order", "structure", "uncertainty", "noise_weight"):
+        for name in ("M_max", "Q_order", "structure", "uncertainty"):
             knobs[name].value = getattr(settings, name)
 
     def _said(self):
         """What the knobs say, rounded to what they show."""
         say = {name: knob.value for name, knob in self.knobs.items()}
-        for name in ("L_max", "cutoff", "noise", "noise_weight", "uncertainty"):
+        for name in ("L_max", "cutoff", "noise", "uncertainty"):
             say[name] = float(f"{say[name]:.3g}")
         say["M_max"] = round(say["M_max"], 3)
         return Settings(self.plant, band=(say.pop("low"), say.pop("high")), **say)
@@ -259,9 +259,6 @@ def _knobs(plants, log):
             min=0, max=20, step=0.5, readout_format=".1f", description="uncertainty (%)", **lazy
         ),
         "noise": widgets.FloatSlider(description="noise", **three),
-        "noise_weight": widgets.FloatSlider(
-            min=0, max=10, step=0.1, readout_format=".1f", description="weight of noise", **lazy
-        ),
     }  # fmt: skip
 
 

@@ -29,9 +29,6 @@ class Settings:
     noise: float = (
         0.0  # standard deviation in each output, white, in its unit; new in every trial
     )
-    noise_weight: float = (
-        0.0  # of what learning makes of it, in the design: see `problem`
-    )
 
     @classmethod
     def of(cls, plant: Plant, **changes) -> "Settings":
@@ -69,11 +66,7 @@ class Settings:
 
     @property
     def problem(self) -> dict:
-        """What else the synthesis is told, by keyword.
-
-        With a `noise_weight` of 1, a filter that makes as much of the noise as one sensor adds, by
-        its variance, costs as much for that as no learning does: so it is one knob for all plants.
-        """
+        """Further arguments of the synthesis, by keyword."""
         asked = {
             "order": self.order,
             "M_max": self.M_max,
@@ -96,21 +89,7 @@ class Settings:
         ):  # within a radius nothing is known between the frequencies
             asked["everywhere"] = True
         arguments.not_negative("noise", self.noise, "zero or more")
-        weight = arguments.not_negative(
-            "noise_weight", self.noise_weight, "zero or more"
-        )
-        if weight:
-            asked["noise"] = np.full(FREQUENCIES, weight * self._idle)
         return asked
-
-    @property
-    def _idle(self):
-        """The objective of (39) without learning, to three digits."""
-        low, high = self.band
-        in_band = (self.omega >= low) & (self.omega <= high)
-        return float(
-            f"{np.abs(self.Q.frequency_response(self.omega[in_band])).sum():.3g}"
-        )
 
     @property
     def python(self) -> str:
@@ -118,7 +97,6 @@ class Settings:
         size = "np.linalg.norm(P.frequency_response(omega), 2, axis=(1, 2))"
         in_words = {
             "uncertainty": f"{self.uncertainty / 100!r} * {size}",
-            "noise": f"np.full({FREQUENCIES}, {self.noise_weight!r} * {self._idle!r})",
         }
         asked = ", ".join(
             f"{name}={in_words.get(name, repr(value))}"

@@ -16,7 +16,7 @@ from rodlib import (
     zero_phase_butterworth,
 )
 from rodlib.case import assumed_reference
-from rodlib.ilc import rate_within, trial_map, trial_norm, trial_operators
+from rodlib.ilc import convergence, trial_map, trial_norm, trial_operators
 from rodlib.ilc.evidence.optimality import lower_bound
 from rodlib.ilc.evidence.peak import (
     _ceiling,
@@ -572,7 +572,7 @@ def test_a_certificate_says_what_limits_leave_of_the_claim(loop, Q, omega):
         design = synthesise(
             loop, Q, grid, 1.0, band=(1e-4, 0.01), scale=scale, M_max=0.97
         )
-        own = rate_within(loop, Q, design.filter, grid).gamma
+        own = convergence(loop, Q, design.filter, grid).within()
         assert design.certificate.within == pytest.approx(own, rel=1e-9)
         assert f"limits, by update_within: a rate of {own:.4f}, without ends" in str(
             design

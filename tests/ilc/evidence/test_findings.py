@@ -69,24 +69,3 @@ def test_learning_that_does_nothing_is_named():
     assert certify(problem, nothing).warnings == [
         "the filter leaves 100% of the error in the band"
     ]
-
-
-def test_what_noise_costs_is_no_error_that_is_left():
-    """Under a weight at which the cost is more than the whole error without learning."""
-    problem = pose(
-        behind_delay(1),
-        zero_phase_butterworth(2, 0.05),
-        OMEGA,
-        1.0,
-        noise=np.full(200, 1e5),
-    )
-    coefficients = np.zeros((1, 1, 10))
-    coefficients[0, 0, 0] = 0.9
-    solution = Solution(
-        coefficients, np.zeros((200, 1, 1)), np.zeros((200, 1, 1)), 1, "", 0
-    )
-    certificate = certify(problem, solution)
-    assert (
-        certificate.value > problem.idle > 4 * (certificate.value - certificate.noise)
-    )
-    assert not any("the filter leaves" in warning for warning in certificate.warnings)

@@ -260,17 +260,11 @@ def test_what_is_learned_solves_the_lyapunov_equation(m, seed, step):
 
 
 @given(sizes, seeds)
-def test_Q_may_be_samples_and_complex(m, seed):
-    """A phase of Q turns M and Q P L alike, and so changes no spectrum."""
+def test_Q_may_be_samples(m, seed):
     new, Q, L = random_case(m, seed)
     q = Q.frequency_response(new.measured.omega)
     found, same = (converged_noise(new, each, L).learned.density for each in (Q, q))
     np.testing.assert_array_equal(found, same)
-    turned = converged_noise(
-        new, q * np.exp(1j * new.measured.omega), L
-    ).learned.density
-    limit = 1e-9 * np.abs(found).max()
-    np.testing.assert_allclose(turned, found, rtol=0, atol=limit)
 
 
 @given(seeds)

@@ -28,7 +28,7 @@ def random_problem(m, others, radius, M_max, objective, structure, seed=0):
     P = [0.5 / (z - 0.5) * K * (1 + 0.2 * rng.standard_normal()) for K in gains]
     size = 0.1 * omega * rng.uniform(0.5, 1, n)
     size[1] = 0
-    Q = 1 / (1 + (omega / 1.5) ** 4) * np.exp(0.1j * omega)
+    Q = 1 / (1 + (omega / 1.5) ** 4)
     return pose(
         P, Q, omega, 1.0, order=3, M_max=M_max, L_max=1.5, band=(0.1, 1.0), objective=objective,
         structure=structure, uncertainty=size if radius else None,

@@ -15,9 +15,9 @@ from rodlib import (
     ClosedLoop,
     LearningFilter,
     NormOptimal,
+    convergence,
     current_trial_loop,
     rate,
-    rate_within,
     run_trials,
     synthesise,
     update,
@@ -224,14 +224,11 @@ def test_the_rate_in_the_metric_is_a_generalised_eigenvalue():
             eigh(t.conj().T @ w @ t, w, eigvals_only=True)[-1]
             for t, w in zip(T, W, strict=True)
         ]
-        found = rate_within(loop, Q, L, omega)
-        assert found.gamma == pytest.approx(np.sqrt(max(values)), rel=1e-9)
-        assert found.omega == omega[np.argmax(values)]
-    assert rate_within(loop, Q, L, omega, 1e-10).gamma == pytest.approx(
-        rate(loop, Q, L, omega).gamma, rel=1e-5
-    )
-    with pytest.raises(ValueError, match="P must be one plant"):
-        rate_within([P, P], Q, L, omega)
+        result = convergence(loop, Q, L, omega)
+        assert result.within() == pytest.approx(np.sqrt(max(values)), rel=1e-9)
+        assert result.within(1e-10) == pytest.approx(result.gamma, rel=1e-5)
+        several = convergence([P, 2 * P], Q, L, omega).within()
+        assert several[0] == pytest.approx(result.within(), rel=1e-9) != several[1]
 
 
 def test_the_outputs_converge_at_the_rate_of_lemma_1_and_the_law_alone_does_not():

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from plants import half
-from tests.ilc.synthesis.test_interior_point import random_plant
+from plants import half, random_response
 
 from rodlib import InfeasibleError, LearningFilter, synthesise
 from rodlib.ilc.problem.pose import pose
@@ -19,7 +18,7 @@ CHOICES = {"order": 3, "L_max": 8.0, "band": (0.01, 0.3)}
 
 def question(m, kind, seed, n=15):
     """Plants, Q, frequencies and choices for which the bounds on more than one plant matter."""
-    P, Q, omega = random_plant(seed, m, n)
+    P, Q, omega = random_response(seed, m, n)
     rng = np.random.default_rng(seed)
     choices = dict(CHOICES)
     size = np.linalg.norm(P, 2, axis=(1, 2))
@@ -84,7 +83,7 @@ def test_a_selection_of_the_bounds_is_as_good_as_all_of_them(objective):
 @pytest.mark.filterwarnings("ignore:the samples are too coarse")
 @pytest.mark.parametrize("m", [1, 2])
 def test_no_radius_is_the_nominal_design_and_a_larger_one_costs_more(m):
-    P, Q, omega = random_plant(7, m, 12)
+    P, Q, omega = random_response(7, m, 12)
     size = np.linalg.norm(P, 2, axis=(1, 2))
 
     def least_peak(uncertainty=None):
@@ -104,7 +103,7 @@ def test_no_radius_is_the_nominal_design_and_a_larger_one_costs_more(m):
 
 def test_for_one_channel_the_bound_is_the_closed_form():
     """|M| + |Q| r |L| <= M_max."""
-    P, Q, omega = random_plant(3, 1)
+    P, Q, omega = random_response(3, 1)
     r = 0.25 * np.abs(P[:, 0, 0])
     choices = CHOICES | {"objective": "peak"}
     norm = synthesise(P, Q, omega, 1.0, uncertainty=r, **choices)
@@ -136,7 +135,7 @@ def test_from_an_earlier_design_the_result_is_the_same(earlier):
 
 def test_what_stands_in_the_way_is_named():
     """A plant of the wrong sign cannot be learned together with the nominal one."""
-    P, Q, omega = random_plant(1, 2)
+    P, Q, omega = random_response(1, 2)
     with pytest.raises(InfeasibleError, match="most in the way: plant 2 at") as error:
         synthesise([P, 1.1 * P, -P], Q, omega, 1.0, **CHOICES)
     assert error.value.plant == 2 and error.value.omega in omega
@@ -154,7 +153,7 @@ def test_what_stands_in_the_way_is_named():
     ],
 )
 def test_wrong_plants_and_radii_are_refused_by_name(P, uncertainty, message):
-    nominal, Q, omega = random_plant(1, 2)
+    nominal, Q, omega = random_response(1, 2)
     broken = nominal.copy()
     broken[3, 0, 0] = np.nan
     plants = {"list": [nominal], "other size": [nominal, nominal[:, :1, :1]]}
@@ -165,7 +164,7 @@ def test_wrong_plants_and_radii_are_refused_by_name(P, uncertainty, message):
 
 
 def test_a_list_of_one_plant_is_that_plant():
-    P, Q, omega = random_plant(1, 2)
+    P, Q, omega = random_response(1, 2)
     one, listed = (synthesise(p, Q, omega, 1.0, **CHOICES) for p in (P, [P]))
     np.testing.assert_array_equal(one.filter.coefficients, listed.filter.coefficients)
 

@@ -4,8 +4,7 @@ import control
 import cvxpy as cp
 import numpy as np
 import pytest
-from plants import furnace
-from tests.ilc.synthesis.test_interior_point import random_plant
+from plants import furnace, random_response
 
 from rodlib import (
     InfeasibleError,
@@ -24,7 +23,7 @@ CHOICES = {"order": 3, "L_max": 8.0, "band": (0.01, 0.03), "M_max": 0.6}
 @pytest.mark.filterwarnings("ignore:the samples are too coarse")
 @pytest.mark.parametrize(("start", "share"), [(0.05, None), (3.0, 0.2)])
 def test_a_larger_cutoff_is_infeasible_and_it_is_not(start, share):
-    P, _, omega = random_plant(2, 2)
+    P, _, omega = random_response(2, 2)
     P[:, 0] *= np.exp(-4j * omega)[
         :, None
     ]  # a delay that the filter does not see across
@@ -42,7 +41,7 @@ def test_a_larger_cutoff_is_infeasible_and_it_is_not(start, share):
 
 def test_where_all_may_pass_it_does():
     """A delay of one sample is learned at once, whatever Q passes."""
-    _, _, omega = random_plant(1, 1)
+    _, _, omega = random_response(1, 1)
     delay = np.exp(-1j * omega)[:, None, None]
     Q, design = largest_cutoff(
         delay, zero_phase_butterworth(2, 0.1), omega, 1.0, **CHOICES
@@ -53,7 +52,7 @@ def test_where_all_may_pass_it_does():
 
 def test_where_nothing_may_pass_it_says_what_is_too_tight():
     """Neither sign of P can be learned, and even with the lowest cut-off Q passes a half."""
-    P, _, omega = random_plant(1, 2)
+    P, _, omega = random_response(1, 2)
     with pytest.raises(InfeasibleError, match="most in the way") as error:
         largest_cutoff(
             [P, -P],
@@ -66,7 +65,7 @@ def test_where_nothing_may_pass_it_says_what_is_too_tight():
 
 
 def test_Q_must_have_a_cutoff():
-    P, Q, omega = random_plant(1, 2)
+    P, Q, omega = random_response(1, 2)
     with pytest.raises(ValueError, match="Q"):
         largest_cutoff(P, Q, omega, 1.0)
 

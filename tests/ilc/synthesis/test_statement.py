@@ -3,11 +3,11 @@
 import cvxpy as cp
 import numpy as np
 import pytest
-from tests.ilc.synthesis.test_program import plant, posed
 
 from rodlib.ilc.evidence.optimality import lower_bound
 from rodlib.ilc.synthesis.solver.program import Infeasible, formulate
 from rodlib.ilc.synthesis.statement import sigma_max_at_most, solve
+from tests.ilc.synthesis.solver.test_program import plant, posed
 
 
 @pytest.mark.parametrize("m", [1, 2, 3])

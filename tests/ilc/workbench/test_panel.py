@@ -48,10 +48,9 @@ def test_knobs_make_settings_and_settings_the_picture(panel, knobs, stage):
     assert panel.settings == paper
     knobs["L_max"].value = 2.000001  # as sliders have it
     knobs["uncertainty"].value = 5.0
-    knobs["noise_weight"].value = 2.0
-    wanted = replace(paper, L_max=2.0, uncertainty=5.0, noise_weight=2.0)
+    wanted = replace(paper, L_max=2.0, uncertainty=5.0)
     assert panel.settings == wanted
-    before = try_out(replace(paper, L_max=2.0, uncertainty=5.0))
+    before = try_out(replace(paper, L_max=2.0))
     assert panel.image.value == Picture().show(try_out(wanted), before).png()
     assert panel.outcome.line in panel.line.value.replace("&gt;", ">")
     assert knobs["noise"].description == "noise (mm)"

@@ -55,7 +55,6 @@ class Iterate:
             self.objective if program.shared else program.limits[0],
             program.limits[1],
         )
-        self.objective += program.quadratic(x)
         self.limits = [limits[bound.limit] for bound in program.bounds]
         relative = [
             s.max() / b - 1 for s, b in zip(self.sigma, self.limits, strict=True)
@@ -103,9 +102,6 @@ def model_at(program, p, multipliers):
         H += rows.T @ rows
         if j == 0:
             f[:K] = in_sum(program)[e.at] @ e.gradient / unit
-            if program.H is not None:
-                H += program.H / unit
-                f[:K] += program.slope(p.x) / unit
         close = close[e.at]
         dt = -1.0 if bound.limit == 0 and program.shared else 0.0
         A.append(np.insert(e.gradient[close], K, dt, axis=1) / limit)

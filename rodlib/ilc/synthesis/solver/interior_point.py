@@ -112,7 +112,7 @@ def dual_value(program, p):
         "G": [bound.F for bound in program.bounds],
     }
     linear = complementarity(program, replace(p, limits=program.limits, **nothing))
-    return -linear - program.quadratic(p.x)
+    return -linear
 
 
 def begin(program, x):
@@ -151,7 +151,7 @@ def newton(program, p, slacks, total, way=WAYS[0]):
     def residual(d):
         """The multipliers after a step d, and by how much they are not stationary."""
         Y = [A + D for A, D in zip(p.Y, d.Y, strict=True)]
-        return Y, stationarity(program, Y) - program.slope(p.x + d.x)
+        return Y, stationarity(program, Y)
 
     def correction(Y, rx, eta):
         """What makes multipliers stationary: changes of x, t, the splits, and of Y with them."""
@@ -183,7 +183,7 @@ def newton(program, p, slacks, total, way=WAYS[0]):
             if np.linalg.norm(left) * np.linalg.norm(p.x) <= STATIONARY * total:
                 return d
             c = correction(Y, left, p.eta + d.eta)
-            effect = program.slope(c.x) - stationarity(program, c.Y)
+            effect = -stationarity(program, c.Y)
             for before, known in done:
                 share = known @ effect / (known @ known)
                 c, effect = c.moved(before, -share, -share), effect - share * known
@@ -218,7 +218,7 @@ def follow(program, p, enough=0.0, is_good=None):
     for iteration in tqdm(
         steps, "interior point", leave=False, delay=PATIENCE, disable=None
     ):
-        objective, dual = p.t.sum() + program.quadratic(p.x), dual_value(program, p)
+        objective, dual = p.t.sum(), dual_value(program, p)
         total = complementarity(program, p)
         gap = max(total, abs(objective - dual))
         if (p.limits == program.limits).all():

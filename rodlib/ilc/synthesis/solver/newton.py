@@ -10,7 +10,7 @@ one.
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from rodlib.ilc.synthesis.solver.bounds import adjoint, product, root_of
+from rodlib.ilc.synthesis.solver.bounds import adjoint, product
 from rodlib.ilc.synthesis.solver.inequalities import EPS, cholesky, trace
 
 CACHED = 2**15  # numbers in a block of columns
@@ -216,8 +216,6 @@ def factorise(program, slacks, Y, barrier, root=False):
         )
     if root:
         R = square_root(program, slacks, Y, barrier)
-        if program.H is not None:
-            R = np.linalg.qr(np.vstack([R, root_of(program.H)]), mode="r")
         scale = 1 / np.linalg.norm(R, axis=0)
         # a shift of 1e-30 in the squares
         R = np.linalg.qr(np.vstack([R * scale, 1e-15 * np.eye(len(R))]), mode="r")
@@ -226,8 +224,6 @@ def factorise(program, slacks, Y, barrier, root=False):
         H = normal_matrix(program, slacks, Y, local)
         if program.shared:
             H -= np.outer(xt, xt / tt)
-        if program.H is not None:
-            H += program.H
         scale = 1 / np.sqrt(np.maximum(np.diag(H), EPS * np.diag(H).max()))
         factor = _factorised(scale[:, None] * H * scale)
 

@@ -51,7 +51,6 @@ class Program:
     shared: bool
     limits: np.ndarray  # of the bounds; the first is that of t, too
     M_max: float  # what the largest with the first limit must not exceed
-    H: np.ndarray | None = None  # x'H x / 2 is added to what is minimised
 
     @cached_property
     def products(self):
@@ -59,14 +58,6 @@ class Program:
         conjugate = self.basis.conj()
         both = (conjugate[:, None] * second for second in (self.basis, conjugate))
         return [X.reshape(-1, X.shape[-1]).view(float).T for X in both]
-
-    def quadratic(self, x):
-        """x'H x / 2."""
-        return 0.0 if self.H is None else 0.5 * x.ravel() @ self.H @ x.ravel()
-
-    def slope(self, x):
-        """H x."""
-        return 0.0 if self.H is None else self.H @ x.ravel()
 
     @property
     def idle(self):
@@ -81,7 +72,7 @@ class Program:
         )
         limits = np.array([GENEROUS * size, self.limits[1]])
         free = np.arange(self.bounds[0].shape[2])
-        return replace(self, free=free, shared=True, limits=limits, H=None)
+        return replace(self, free=free, shared=True, limits=limits)
 
     def has_t(self, j):
         """The columns of bound j whose level is a variable."""
@@ -234,21 +225,4 @@ def formulate(problem: Problem, plant=(), frequency=()) -> Program:
     limits = np.array([problem.M_max, 1.0])
     free = np.flatnonzero(problem.in_band[bounds[0].at])
     program = Program(bounds, basis, R, len(rows), free, False, limits, problem.M_max)
-    if problem.objective == "peak":
-        program = program.minimax()  # (45)
-    if problem.noise is not None:  # at whose price the peak could be higher
-        program = replace(
-            program, limits=limits, H=cost_of_noise(problem, basis, rows, cols)
-        )
-    return program
-
-
-def cost_of_noise(problem, basis, rows, cols):
-    """The H with x'H x / 2 the :meth:`rodlib.ilc.problem.Problem.cost_of_noise` of the filter."""
-    G = problem.passed
-    gram = G.conj().swapaxes(1, 2) @ G
-    same = cols[:, None] == cols
-    weight = gram[:, rows[:, None], rows] * same * problem.noise[:, cols][:, None]
-    half = np.einsum("nij,kn,ln->ikjl", weight, basis.conj(), basis, optimize=True).real
-    H = 2 * half.reshape(len(rows) * len(basis), -1)
-    return (H + H.T) / 2
+    return program.minimax() if problem.objective == "peak" else program  # (45)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tests.ilc.synthesis.test_interior_point import random_plant
+from plants import random_response
 
 from rodlib import InfeasibleError, synthesise
 from rodlib.ilc.problem.pose import pose
@@ -89,9 +89,9 @@ def test_what_is_infeasible_is_said_to_be(before, loop, Q, omega):
     st.sampled_from([0.8, 1.02, 2.0]),
     st.integers(0, 999),
 )
-def test_random_plants(m, order, structure, objective, gain, change, seed):
+def test_random_responses(m, order, structure, objective, gain, change, seed):
     """A start never changes the result, whatever the plant, its unit and the change."""
-    P, Q, omega = random_plant(seed, m, gain=gain)
+    P, Q, omega = random_response(seed, m, gain=gain)
     arguments = {
         "order": order,
         "band": (0.01, 0.3),
@@ -114,7 +114,7 @@ def test_random_plants(m, order, structure, objective, gain, change, seed):
 @pytest.mark.parametrize("seed", [0, 1, 4, 7])
 def test_a_corrected_step_meets_curved_bounds_to_second_order(seed, monkeypatch):
     """Relaxed by h, they are passed by some h^2 with the first step, by next to nothing then."""
-    P, Q, omega = random_plant(seed, 2)
+    P, Q, omega = random_response(seed, 2)
     arguments = {"order": 3, "M_max": 0.97, "structure": "full", "band": (0.01, 0.3)}
     start = solve(pose(P, Q, omega, 1.0, L_max=10.0, **arguments))
 

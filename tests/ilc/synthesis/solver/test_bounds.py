@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tests.ilc.synthesis.test_program import plant, posed
 
 from rodlib.ilc.synthesis.solver.bounds import adjoint, product
 from rodlib.ilc.synthesis.solver.program import formulate
+from tests.ilc.synthesis.solver.test_program import plant, posed
 
 KINDS = ("M, diagonal", "W L, full", "entry of W L", "radius, full", "radius, diagonal")
 
