@@ -50,12 +50,6 @@ def check_trials(table: pd.DataFrame, Ts: float) -> None:
             f"trial: {again['trial'].iloc[0]:g} goes on in row {again.index[0]}: the rows of a "
             "trial must stand together"
         )
-    lengths = trial.value_counts(sort=False)
-    if lengths.nunique() > 1:
-        raise LogError(
-            f"trials must be equally long, but trial {lengths.idxmin():g} has {lengths.min()} "
-            f"samples and trial {lengths.idxmax():g} has {lengths.max()}"
-        )
     late = starts[starts["time"].abs() > JITTER * Ts]
     if len(late):
         raise LogError(
@@ -75,6 +69,12 @@ def check_trials(table: pd.DataFrame, Ts: float) -> None:
             f"time: row {wrong.index[0]} is {wrong.iloc[0]:.6g} s after the row before, where Ts "
             f"= {Ts:.6g} s ({len(wrong)} such steps): rows are lost or late; resample=True "
             "interpolates"
+        )
+    lengths = trial.value_counts(sort=False)
+    if lengths.nunique() > 1:
+        raise LogError(
+            f"trials must be equally long, but trial {lengths.idxmin():g} has {lengths.min()} "
+            f"samples and trial {lengths.idxmax():g} has {lengths.max()}"
         )
     slack = DRIFT + JITTER * len(starts) / max(
         len(steps), 1

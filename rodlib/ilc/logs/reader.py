@@ -127,7 +127,10 @@ def entries_of(
 
 def numbers(column: pd.Series) -> pd.Series:
     """The numbers in a column, NaN where there is none."""
-    return pd.to_numeric(column, errors="coerce").astype(float)
+    try:
+        return column.astype(float)
+    except (TypeError, ValueError):
+        return pd.to_numeric(column, errors="coerce").astype(float)
 
 
 def numbers_of(entries: pd.DataFrame, gaps: bool = False) -> pd.DataFrame:

@@ -44,7 +44,7 @@ DELIMITERS = ("\t", ";", "|", ",", " ")
 SAMPLE = 200  # rows that show how a table is laid out
 DAY = 86400.0  # s
 DATE = re.compile(r"\d{4}-\d\d-\d\d")
-TIME = re.compile(rf"{DATE.pattern}|\d+:\d\d")  # with which dates and clock times begin
+TIME = re.compile(rf"{DATE.pattern}([T ][\d:.Z+-]*)?|\d+:[\d:.]+")
 WITH_UNIT = re.compile(r"(.*\S)\s*[(\[]([^()\[\]]*)[)\]]")  # "Heater (%)", "Time [s]"
 
 
@@ -147,22 +147,24 @@ def read_table(
         if source == "path":
             entries = path.rename(columns=str)
         else:
-            columns = [column for _, column in wanted.values()]
-            entries = _entries(lines_of(source), columns, resample)
+            asked = {str(column) for _, column in wanted.values()}
+            entries = _entries(lines_of(source), asked, resample)
         places = [_place(entries.columns, *asked) for asked in wanted.values()]
         if len({*places}) < len(places):
             raise LogError(f"each name needs a column of its own: {wanted}")
         labels = {
-            title.partition("_")[2] or title: _name_and_unit(entries.columns[place])[1]
+            title: _name_and_unit(entries.columns[place])[1]
             for title, place in zip(wanted, places, strict=True)
         }
         entries = entries.iloc[:, places].set_axis([*wanted], axis=1)
         signals = {
-            role: {name: units.get(name, labels[name]) for name in named[word]}
+            role: {
+                name: units.get(name, labels[f"{SIGNALS[word]}_{name}"])
+                for name in named[word]
+            }
             for word, role in ROLES.items()
             if named[word]
         }
-
         if time is not None:
             unit = units.get("time", labels["time"]) or "s"
             entries["time"] = _in_seconds(entries["time"], unit)
@@ -186,10 +188,6 @@ def _wanted(named):
             named[word] = columns = {}
         for name, column in arguments.instance(word, columns, dict).items():
             arguments.instance(f"a name in {word}", name, str)
-            if not isinstance(column, str | int):
-                raise ValueError(
-                    f"{word}[{name!r}] = {reprlib.repr(column)} must be a title or a number"
-                )
             wanted[f"{SIGNALS[word]}_{name}"] = f"{word}[{name!r}]", column
     outputs, inputs = named["outputs"], named["inputs"]
     if not outputs or (inputs and len(inputs) != len(outputs)):
@@ -225,7 +223,7 @@ def _in_seconds(column, unit):
     if text.str.match(DATE).any():
         moments = pd.to_datetime(text, format="ISO8601", errors="coerce", utc=True)
         times = (moments - moments.min()).dt.total_seconds()
-    elif text.str.match(TIME).any():
+    elif text.str.fullmatch(TIME).any():
         times = pd.to_timedelta(text, errors="coerce").dt.total_seconds()
         times += DAY * (times.diff() < -DAY / 2).cumsum()  # past midnight
     else:
@@ -246,7 +244,7 @@ def _add_trial_and_time(table, Ts):
         table["time"] = Ts * trials.cumcount()
 
 
-def _entries(lines, columns, gaps):
+def _entries(lines, asked, gaps):
     """The entries of a text by the titles of their columns, with decimal points."""
     content = [line for line in lines if line.strip() and line.lstrip()[0] not in MARKS]
     sample = content[len(content) // 2 :][:SAMPLE] or [""]  # below the titles
@@ -269,7 +267,7 @@ def _entries(lines, columns, gaps):
         counts = _are_numbers(row, decimal)
         if counts[numeric].all():
             break
-        named = len({*columns} & {*row, *(_name_and_unit(title)[0] for title in row)})
+        named = len(asked & {*row, *(_name_and_unit(title)[0] for title in row)})
         if named or not counts.any():
             above[first] = named, row
     titles = [f"column {place}" for place in range(width)]
@@ -288,7 +286,9 @@ def _entries(lines, columns, gaps):
 
 
 def _with_point(entry):
-    return entry.translate(str.maketrans(",.", ".,"))
+    """An entry with a decimal comma as one with a point; times have points."""
+    is_time = TIME.fullmatch(entry)
+    return entry if is_time else entry.translate(str.maketrans(",.", ".,"))
 
 
 def _split(line, delimiter):
@@ -309,7 +309,7 @@ def _are_numbers(entries, decimal):
     """Which entries are a number or a time."""
     entries = pd.Series(entries, dtype=object)
     points = entries.map(_with_point) if decimal == "," else entries
-    return (numbers(points).notna() | entries.str.match(TIME)).to_numpy(bool)
+    return (numbers(points).notna() | entries.str.fullmatch(TIME)).to_numpy(bool)
 
 
 def _quality(lines, delimiter, decimal):

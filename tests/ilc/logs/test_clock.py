@@ -41,7 +41,11 @@ def test_each_step_of_a_clock_may_be_off_by_a_tenth(second, message):
 
 @pytest.mark.parametrize(
     ("numbers", "message"),
-    [((3, 1, 3), "3 goes on in row 13"), ((1, 2, 0), "0 in row 13"), ((1, 2.5, 3), "2.5")],
+    [
+        ((3, 1, 3), "3 goes on in row 13"),
+        ((1, 2, 0), "0 in row 13"),
+        ((1, 2.5, 3), "2.5"),
+    ],
 )
 def test_trials_have_numbers_of_their_own(numbers, message):
     with pytest.raises(LogError, match=message):
@@ -78,7 +82,7 @@ def test_a_clock_shows_the_sampling_period(times, Ts):
 
 def test_resampled_rows_are_interpolated_or_held():
     clock = [0, 2.5, 4, 10, 12]
-    table, notes = resampled(table_of([clock, GOOD + [8.0, 10.0, 12.0]]), 2.0, ["x"])
+    table, notes = resampled(table_of([clock, [*GOOD, 8.0, 10.0, 12.0]]), 2.0, ["x"])
     assert notes["resampled"].startswith("12 rows were resampled to 14 samples")
     squares = np.interp(np.arange(0, 14, 2), clock, np.square(clock))
     np.testing.assert_allclose(table["x"][:7], squares)

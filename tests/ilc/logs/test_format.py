@@ -4,15 +4,26 @@ import os
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from rodlib import load_log, save_log
 from rodlib.ilc.trials.run import dataset
 
-ODD_NAMES = ["time", "delta", "reference_y1", "2nd, left", 'the "hot" end', "#1", " ", "ϑ"]
-NAMES = st.text(min_size=1, max_size=8).filter(str.isprintable) | st.sampled_from(ODD_NAMES)
+ODD_NAMES = [
+    "time",
+    "delta",
+    "reference_y1",
+    "2nd, left",
+    'the "hot" end',
+    "#1",
+    " ",
+    "ϑ",
+]
+NAMES = st.text(min_size=1, max_size=8).filter(str.isprintable) | st.sampled_from(
+    ODD_NAMES
+)
 FLOATS = st.floats(allow_nan=False, allow_infinity=False) | st.sampled_from(
     [-0.0, 5e-324, -1e300, 2.2250738585072011e-308, 0.1 + 0.2]
 )
@@ -31,7 +42,10 @@ def trials():
 def any_trials(draw):
     m, count, samples = (draw(st.integers(1, 3)) for _ in range(3))
     names = draw(st.lists(NAMES, min_size=2 * m, max_size=2 * m + 2, unique=True))
-    units = {name: draw(st.sampled_from(["K", "°C", "l/min", "my own", ""])) for name in names}
+    units = {
+        name: draw(st.sampled_from(["K", "°C", "l/min", "my own", ""]))
+        for name in names
+    }
 
     def signal(channels):
         return draw(arrays.arrays(float, (count, samples, channels), elements=FLOATS))
@@ -43,12 +57,20 @@ def any_trials(draw):
         signals["disturbance"] = signal(len(sources))
     with np.errstate(over="ignore"):
         run = dataset(
-            draw(st.floats(1e-9, 1e9)), names[:m], names[m : 2 * m], sources, units, **signals
+            draw(st.floats(1e-9, 1e9)),
+            names[:m],
+            names[m : 2 * m],
+            sources,
+            units,
+            **signals,
         )
-    numbers = st.lists(st.integers(1, 10**6), min_size=count, max_size=count, unique=True)
+    numbers = st.lists(
+        st.integers(1, 10**6), min_size=count, max_size=count, unique=True
+    )
     return run.assign_coords(trial=draw(numbers)).assign_attrs(note="a: b # c")
 
 
+@settings(max_examples=50)
 @given(any_trials())
 def test_whatever_is_saved_is_loaded_bit_for_bit(tmp_path_factory, saved):
     path = tmp_path_factory.mktemp("logs") / "log.csv"
@@ -86,7 +108,9 @@ def test_an_interrupted_save_leaves_the_old_log(tmp_path, trials, monkeypatch):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_the_order_of_dimensions_does_not_matter_and_that_of_trials_stays(tmp_path, trials):
+def test_the_order_of_dimensions_does_not_matter_and_that_of_trials_stays(
+    tmp_path, trials
+):
     some = trials.sel(trial=[3, 1])
     save_log(some.transpose("channel", "source", "time", "trial"), tmp_path / "log.csv")
     assert load_log(tmp_path / "log.csv").identical(some)

