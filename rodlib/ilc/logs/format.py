@@ -152,7 +152,7 @@ def _free_metadata(attributes):
                 f"attribute {key!r} cannot be a line of the log: rename it"
             )
         if isinstance(value, date | np.datetime64):
-            value = str(value)
+            value = _plain(value)
         line = isinstance(value, str) and value.isprintable() and value == value.strip()
         try:
             metadata[key] = value if line else json.dumps(value, default=_plain)
@@ -162,8 +162,10 @@ def _free_metadata(attributes):
 
 
 def _plain(value):
-    """Times as text, arrays as lists."""
-    return str(value) if isinstance(value, date) else np.ndarray.tolist(value)
+    """Times as in ISO 8601, arrays as lists."""
+    if isinstance(value, np.datetime64):
+        return str(value)
+    return value.isoformat() if isinstance(value, date) else np.asarray(value).tolist()
 
 
 def _trial_and_time(trials, Ts):

@@ -127,7 +127,7 @@ def test_attributes_come_back_as_a_line_of_text(tmp_path, trials):
         "seed": "3",
         "list": "[1.0, 2.5]",
         "lines": r'"one\ntwo"',
-        "when": f'["{when}"]',
+        "when": f'["{when.isoformat()}"]',
         "day": "2024-02-29",
     }
 
