@@ -173,7 +173,7 @@ def broken(log, how):
         log.write_text(
             text.replace("\n2,0,", "\n2,0,nan,", 1).replace("nan,1.", "nan,", 1)
         )
-        return "in row"
+        return "row "
     log.write_text(text.replace("# loop: {", "# loop: {{", 1))
     return "metadata: loop cannot be understood"
 

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from datetime import date
 
 import numpy as np
-import pandas as pd
 import xarray as xr
 
 from rodlib.ilc import arguments
@@ -134,10 +133,15 @@ def text_of(columns: Mapping[str, np.ndarray]) -> bytes:
     import pyarrow  # here, because it takes long to import
     from pyarrow import csv
 
-    titles = pd.DataFrame(columns=[*columns]).to_csv(index=False, lineterminator="\n")
+    titles = ",".join(_quoted(title) for title in columns) + "\n"
     rows = pyarrow.BufferOutputStream()
     csv.write_csv(pyarrow.table(columns), rows, csv.WriteOptions(include_header=False))
     return titles.encode() + rows.getvalue().to_pybytes()
+
+
+def _quoted(title):
+    """A title as csv has it; with # as well, which pandas takes for the start of a comment."""
+    return '"' + title.replace('"', '""') + '"' if re.search('[,"#]', title) else title
 
 
 def _free_metadata(attributes):

@@ -87,9 +87,10 @@ def test_whatever_is_saved_is_loaded_bit_for_bit(tmp_path_factory, saved):
 
 
 def test_pandas_alone_reads_a_log(tmp_path, trials):
-    save_log(trials, tmp_path / "log.csv")
+    named = trials.assign_coords(control=("channel", ['the "first", #1']))
+    save_log(named, tmp_path / "log.csv")
     table = pd.read_csv(tmp_path / "log.csv", comment="#")
-    np.testing.assert_array_equal(table["u_valve, left"], trials.u.values.ravel())
+    np.testing.assert_array_equal(table['u_the "first", #1'], trials.u.values.ravel())
     assert table["trial"].tolist() == np.repeat([1, 2, 3], 4).tolist()
 
 

@@ -290,7 +290,7 @@ def test_a_log_and_a_law_are_told_apart(tmp_path):
     save_log(LOG, tmp_path / "log.csv")
     save_law(tmp_path / "law.json", Law(Q, L))
     refused(
-        r"is no law but a table: .*law_of\(load_log\(",
+        "is a table",
         lambda: load_law(tmp_path / "log.csv"),
     )
     refused("rodlib.load_law", lambda: load_log(tmp_path / "law.json"))
