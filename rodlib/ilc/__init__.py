@@ -40,12 +40,12 @@ MODULES = {
     "logs.table": "read_table",
     "logs.format": "LogError save_log",
     "logs.reader": "load_log",
+    "logs.replay": "replay",
     "logs.notes": "loop_of",
     "measurement.excitation": "Excitation multisine",
     "measurement.estimation": "EstimatedResponse",
     "measurement.measurement": "MeasuredResponse expected_radius measured_response",
     "measurement.tabulated": "TabulatedResponse",
-    "replay": "Replay replay_of",
     "workbench.plots": "plot",
 }
 
