@@ -266,7 +266,6 @@ DOORS = [
       "Q": REAL | {"zero": np.zeros(12)},
       "L_max": NUMBER | {"none": ...},
       "band": THING | {"1e300": (0.1, 1e300), "one": 0.1},
-      "noise": DENSITY,
       "start": THING | {"design": ...}}),
     (DESIGN.check, {"P": LOOP, "omega": OMEGA},
      {"P": REAL | {"nan model": NAN, "1e200": RESPONSE * 1e200}}),

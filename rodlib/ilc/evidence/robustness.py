@@ -64,7 +64,7 @@ def worst_case(problem: Problem, L: LearningFilter) -> WorstCase:
     check_learning(L, problem.channels)
     arguments.one_period(problem=problem.Ts, L=L.Ts)
     response = L.frequency_response(problem.omega)
-    each = (problem.M(response, k) for k in range(1 + len(problem.others)))
+    each = (problem.M(response, k) for k in range(len(problem.plants)))
     nominal = np.array([largest_singular_values(M) for M in each])
     plant, peaks = tied(nominal).argmax(axis=0), nominal.max(axis=1)
     at = np.arange(len(problem.omega))
@@ -103,9 +103,8 @@ def _pairs(values, at):
 
 def affine(problem: Problem, plant, at) -> tuple[np.ndarray, np.ndarray]:
     """F and T of G = F + T L in :class:`rodlib.ilc.problem.Cuts`, for plants and frequencies."""
-    m, other = problem.channels, plant > 0
-    P, Q = problem.P[at], problem.Q[at, None, None]
-    P[other] = problem.others[plant[other] - 1, at[other]]
+    m = problem.channels
+    P, Q = problem.plants[plant, at], problem.Q[at, None, None]
     T = -Q * P
     if problem.radius is not None:
         below = np.abs(Q) * problem.radius[at].reshape(-1, 1, 1) * np.eye(m)

@@ -80,7 +80,7 @@ def refused(words, call):
 REFUSED = {
     "omega in Hz": (
         "omega ends at 0.5 .* omega is in Hz",
-        lambda: designed(P=sampled(FFT), omega=FFT / (2 * np.pi), beyond=0.0),
+        lambda: designed(P=sampled(FFT), omega=FFT / (2 * np.pi)),
     ),
     "a causal Q": (
         "Q turns the phase .* runs in one direction only",
