@@ -100,7 +100,8 @@ def test_what_is_saved_is_what_is_shown(reader, tmp_path):
     reader.page.get_by_text("save Q and L").click()
     reader.page.get_by_text("saved: ").wait_for()
     namespace = run(reader.python)
-    Q, L = load_law(tmp_path / "law.json")
+    law = load_law(tmp_path / "law.json")
+    Q, L = law.Q, law.L
     assert namespace["Q"] == Q
     assert np.array_equal(L.coefficients, namespace["design"].filter.coefficients)
     reader.type("file", str(tmp_path / "nowhere" / "law.json"))

@@ -67,7 +67,7 @@ class Certificate:
     findings: tuple[str, ...] = ()  # why the problem itself may be badly chosen
     within: float = (
         np.nan
-    )  # rate where commands have limits, by :func:`rodlib.update_within`
+    )  # rate where commands have limits, by a :class:`rodlib.Law` with limits
     basis: tuple[
         str, ...
     ] = ()  # what P and its radius rest on, and where they are of no use
@@ -267,9 +267,7 @@ class Certificate:
                 f"norm of one trial of {self.samples} samples{rest}: {self.trial:.4f}"
             )
         promise = "no rate" if self.within >= 1 else f"a rate of {self.within:.4f}"
-        lines.append(
-            f"where commands have limits, by update_within: {promise}, without ends"
-        )
+        lines.append(f"where commands have limits: {promise}, without ends")
         lines += [*self.basis, *(f"WARNING: {text}" for text in self.warnings)]
         return "\n".join([*lines, *(f"FAILS: {text}" for text in self.failures)])
 

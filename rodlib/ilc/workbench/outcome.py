@@ -75,10 +75,10 @@ def try_out(settings: Settings) -> Outcome:
         (TRIALS, samples, m)
     )
     with warnings.catch_warnings(record=True, action="always") as told:
+        law = design.law(plant.rest)
         trials = run_trials(
-            plant.loop, Q, design.filter, plant.reference, plant.disturbance, TRIALS,
-            noise=noise, rest=plant.rest,
-        )  # fmt: skip
+            plant.loop, law, plant.reference, plant.disturbance, TRIALS, noise=noise
+        )
     found = tuple(str(warning.message) for warning in told)
     return Outcome(
         settings, design, tuple(rms(trials.e).values.tolist()), findings=found

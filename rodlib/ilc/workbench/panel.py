@@ -10,7 +10,7 @@ import ipywidgets as widgets
 import numpy as np
 
 from rodlib.ilc import load_law, save_law
-from rodlib.ilc.logs.notes import notes_of_law
+from rodlib.ilc.law.io import law_notes
 from rodlib.ilc.workbench.outcome import Outcome, try_out
 from rodlib.ilc.workbench.picture import Picture
 from rodlib.ilc.workbench.plants import Family, Plant, plant_of_file
@@ -199,10 +199,10 @@ class Panel:
     def _save(self, button):
         """Save the filters that are shown, read them again, and say where they are, or why not."""
         settings, path = self.settings, self.target.value
-        law = settings.Q, self.outcome.design.filter
+        law = self.outcome.design.law(settings.plant.rest)
         try:
-            save_law(path, *law, settings.python)
-            if notes_of_law(*load_law(path)) != notes_of_law(*law):
+            save_law(path, law, settings.python)
+            if law_notes(load_law(path)) != law_notes(law):
                 raise ValueError(
                     f"{path} holds another law than was written to it: try again"
                 )

@@ -12,6 +12,7 @@ from scipy.signal import butter, lfilter
 
 from rodlib import (
     ClosedLoop,
+    Law,
     LearningFilter,
     current_trial_loop,
     load_log,
@@ -58,7 +59,7 @@ def learned(loop, trials=4, samples=300, noise=1e-3, repeats=0.0, seed=0):
     offset = repeats * np.cumsum(rng.standard_normal((samples, m)), axis=0)
     noise = noise * rng.standard_normal((trials, samples, m)) + offset
     with warnings.catch_warnings(action="ignore"):  # not all of them converge
-        return run_trials(loop, Q, L, r, None, trials, noise=noise)
+        return run_trials(loop, Law(Q, L), r, None, trials, noise=noise)
 
 
 LOOPS = {

@@ -10,15 +10,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rodlib import (
+    Law,
     Rod,
     convergence,
     current_trial_loop,
     measured_response,
     multisine,
-    update,
 )
 from rodlib.ilc import save_log
-from rodlib.ilc.logs.notes import with_excitation, with_law
+from rodlib.ilc.law.io import with_law
+from rodlib.ilc.logs.notes import with_excitation
 from rodlib.ilc.trials.run import dataset, run_trials, state_sequence
 from rodlib.ilc.workbench import Plant, Settings, plant_of_file, try_out
 from rodlib.paper.knobs import plant_of_rod
@@ -106,8 +107,8 @@ def test_the_trials_are_those_of_the_law(outcome, settings):
         w = np.hstack([r + v, np.zeros((len(r), len(loop.disturbances)))])
         e = r - np.atleast_2d(control.forced_response(loop.closed, U=w.T).outputs).T
         found.append(np.sqrt(np.mean(np.sum(e**2, axis=1))))
-        v = update(
-            v, e, settings.Q, outcome.design.filter, rest=15
+        v = Law(settings.Q, outcome.design.filter, rest=15).next(
+            v, e
         )  # where nothing moves
     assert len(outcome.rms) == 10
     np.testing.assert_allclose(outcome.rms[:3], found, rtol=1e-6, atol=1e-9)
@@ -242,8 +243,8 @@ def test_a_log_brings_its_loop_its_reference_and_its_disturbances(tmp_path):
     settings = Settings.of(Plant("", loop, order=6))
     rng = np.random.default_rng(0)
     r, leak = rng.standard_normal((40, 3)), rng.standard_normal((40, 1))
-    trials = run_trials(loop, settings.Q, None, r, leak, 2)
-    save_log(with_law(trials, settings.Q, None, loop=loop), tmp_path / "tanks.csv")
+    trials = run_trials(loop, Law(settings.Q, None), r, leak, 2)
+    save_log(with_law(trials, Law(settings.Q, None, loop=loop)), tmp_path / "tanks.csv")
     plant = plant_of_file(tmp_path / "tanks.csv")
     np.testing.assert_array_equal(plant.reference, r)
     assert plant.disturbance.shape == (10, 40, 1)
@@ -299,7 +300,7 @@ def test_a_measured_response_brings_its_radius(tmp_path):
 
 def test_a_log_that_says_nothing_of_its_loop_is_refused(tmp_path):
     loop = current_trial_loop(plants.stage(), ["F"])
-    save_log(run_trials(loop, Settings.of(Plant("", loop)).Q, None, np.zeros((9, 1)), None, 1),
+    save_log(run_trials(loop, Law(Settings.of(Plant("", loop)).Q, None), np.zeros((9, 1)), None, 1),
              tmp_path / "bare.csv")  # fmt: skip
     with pytest.raises(ValueError, match=r"bare.csv: "):
         plant_of_file(tmp_path / "bare.csv")

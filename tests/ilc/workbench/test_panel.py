@@ -10,8 +10,8 @@ import numpy as np
 import plants
 import pytest
 
-from rodlib import current_trial_loop, load_law, run_trials, save_law, save_log
-from rodlib.ilc.logs.notes import with_law
+from rodlib import Law, current_trial_loop, load_law, run_trials, save_law, save_log
+from rodlib.ilc.law.io import with_law
 from rodlib.ilc.workbench import Picture, Plant, Settings, try_out, workbench
 
 pytest.importorskip("ipywidgets")
@@ -163,10 +163,10 @@ def test_to_and_fro_is_no_change(panel, knobs):
 def test_what_is_shown_is_saved(panel, knobs, tmp_path):
     panel.target.value = str(tmp_path / "law.json")
     panel.save.click()
-    Q, L = load_law(tmp_path / "law.json")
-    assert panel.settings.Q == Q and "law.json" in panel.saved.value
+    law = load_law(tmp_path / "law.json")
+    assert panel.settings.Q == law.Q and "law.json" in panel.saved.value
     np.testing.assert_array_equal(
-        L.coefficients, panel.outcome.design.filter.coefficients
+        law.L.coefficients, panel.outcome.design.filter.coefficients
     )
     panel.target.value = ""
     panel.save.click()
@@ -179,8 +179,9 @@ def test_what_is_shown_is_saved(panel, knobs, tmp_path):
 
 
 def test_what_is_said_to_be_saved_is_read_again(panel, knobs, tmp_path, monkeypatch):
-    def save_another(path, Q, L, note):
-        save_law(path, Q, replace(L, coefficients=L.coefficients * (1 + 1e-15)), note)
+    def save_another(path, law, note):
+        L = replace(law.L, coefficients=law.L.coefficients * (1 + 1e-15))
+        save_law(path, replace(law, L=L), note)
 
     monkeypatch.setattr("rodlib.ilc.workbench.panel.save_law", save_another)
     panel.target.value = str(tmp_path / "law.json")
@@ -194,8 +195,8 @@ def test_a_log_that_cannot_be_used_says_which_and_why(panel, tmp_path, stage):
     """Its name is no formula."""
     path = tmp_path / r"$\frac{$.csv"
     Q = Settings.of(stage).Q
-    run = run_trials(stage.loop, Q, None, np.zeros((9, 1)), None, 1)
-    save_log(with_law(run, Q, None, loop=stage.loop), path)
+    run = run_trials(stage.loop, Law(Q, None), np.zeros((9, 1)), None, 1)
+    save_log(with_law(run, Law(Q, None, loop=stage.loop)), path)
     panel.choice.value = ROD
     panel.file.value = str(path)
     panel.choice.value = FILE

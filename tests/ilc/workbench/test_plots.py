@@ -6,7 +6,7 @@ import pytest
 import xarray as xr
 from matplotlib.colors import same_color
 
-from rodlib import plot, run_trials, synthesise
+from rodlib import Law, plot, run_trials, synthesise
 
 
 @pytest.fixture(scope="module")
@@ -15,7 +15,7 @@ def trials():
 
     move = np.sin(np.linspace(0, np.pi, 60))[:, None] ** 2 * [1, 2]
     L = LearningFilter(0.3 * np.eye(2)[:, :, None], 1.0)
-    return run_trials(paper_loop(), zero_phase_butterworth(), L, move, None, 3)
+    return run_trials(paper_loop(), Law(zero_phase_butterworth(), L), move, None, 3)
 
 
 @pytest.fixture(autouse=True)
