@@ -185,7 +185,8 @@ NAMED = {
             Rs scale sensors signal tolerances uncertainty v w y z"""),
         (MODELS, "L loop Q"),
         (PLANTS, "plant"),
-        (THING | {"numbers": [1, 2], "twice": ["u", "u"], "none": None}, "controls inputs untold"),
+        (THING | {"numbers": [1, 2], "twice": ["u", "u"], "none": None}, "controls inputs"),
+        (THING | {"numbers": [1, 2]}, "unmeasured"),
         (THING | {"other": "mirror"}, "ends objective solver structure"),
         (THING | {"text": ...}, "note source"),
         (THING | {"true": ...}, "check everywhere jointly live resample"),
@@ -362,9 +363,9 @@ DOORS = [
     (with_law, {"trials": LOG, "law": LAW}, {"trials": THING | {"frame": ...}}),
     *((door, {"trials": LOG}, {"trials": THING | {"frame": ...}})
       for door in (ilc.law_of, ilc.loop_of)),
-    (ilc.replay_of(LOG).reached, {"trial": 2}),
-    (ilc.replay_of, {"trials": LOG},
-     {"trials": THING, "untold": {"numbers": [1, 2], "empty": ...}}),
+    (ilc.replay(LOG).error_by_octave, {"trial": 2}),
+    (ilc.replay, {"trials": LOG},
+     {"trials": THING, "unmeasured": {"numbers": [1, 2], "empty": ...}}),
     (RigParameters, {},
      dict.fromkeys(["noise", "quantum", "lag"], NUMBER)
      | {"limit": NUMBER | {"inf": ...}, "ambient_rate": NUMBER | {"-1": ...}}),

@@ -93,19 +93,18 @@ def reproduce(root: Path = ROOT) -> None:
 
 def replay(log: str, root: Path = ROOT) -> None:
     """Print what a log shows; a report with pictures and the next trial's v go to build/replay."""
-    from rodlib.ilc import load_log, replay_of  # here, because they take long to import
-    from rodlib.ilc.report import save_following, summary
+    from rodlib import ilc  # here, because it takes long to import
 
     checkout("make replay", root)
     path = Path(os.path.expanduser(log)).absolute()
     if not path.is_file():
         raise FileNotFoundError(f"{path} is not a file: make replay LOG=path")
-    replayed = replay_of(load_log(path))
+    replayed = ilc.replay(ilc.load_log(path))
     with folder_of_run("replay", root) as build:
         report, table = build / REPORT.name, build / "next-trial.csv"
-        print(summary(replayed))
+        print(replayed)
         if replayed.law is not None:
-            save_following(replayed, table)
+            replayed.save_following(table)
             print(f"v of trial {replayed.numbers[-1] + 1}: {table.relative_to(root)}")
         print(f"pictures and explanations: {report.relative_to(root)} ...", flush=True)
         shutil.copy(REPORT, report)
