@@ -7,7 +7,7 @@ import numpy as np
 from rodlib.ilc import arguments
 from rodlib.ilc.evidence.convergence import from_responses, log_mean
 from rodlib.ilc.evidence.findings import findings, useless
-from rodlib.ilc.evidence.finite_trial import trial_norm
+from rodlib.ilc.evidence.finite import trial_norm
 from rodlib.ilc.evidence.optimality import lower_bound
 from rodlib.ilc.evidence.peak import (
     Peak,
