@@ -39,12 +39,12 @@ MODULES = {
     "rigs.protocol": "Rig RigError StoppedError TrialRig",
     "logs.foreign": "read_table",
     "logs.log": "LogError load_log save_log",
+    "logs.replay": "replay",
     "logs.notes": "loop_of",
     "measurement.excitation": "Excitation multisine",
     "measurement.estimation": "EstimatedResponse",
     "measurement.measurement": "MeasuredResponse expected_radius measured_response",
     "measurement.tabulated": "TabulatedResponse",
-    "replay": "Replay replay_of",
     "workbench.plots": "plot",
 }
 

@@ -12,13 +12,12 @@ from rodlib.ilc import arguments
 from rodlib.ilc.files import alone
 from rodlib.ilc.law.io import KEYS
 from rodlib.ilc.law.law import Law
-from rodlib.ilc.law.limits import realised
 from rodlib.ilc.logs.log import load_ended, save_log
 from rodlib.ilc.rigs.controlled import ControlledRig
 from rodlib.ilc.rigs.limits import commands_beyond
 from rodlib.ilc.rigs.protocol import StoppedError
 from rodlib.ilc.rigs.start import Start
-from rodlib.ilc.trials.diagnosis import Course, rates_of
+from rodlib.ilc.trials.diagnosis import diagnose
 from rodlib.ilc.trials.run import commands_of, dataset
 
 BEGUN = "begun"  # the note that says that v of trial 1 was given
@@ -79,13 +78,14 @@ class Experiment:
                     trials.append(self.run_trial(k, trials, pause, bar))
                 except StoppedError as error:
                     raise self.stopped(error, trials, notes, path) from None
+                data = self.dataset(trials, notes)
                 if path is not None:
-                    save_log(self.dataset(trials, notes), path)
-                for kind, text in self.warnings(trials).items():
+                    save_log(data, path)
+                for kind, text in self.warnings(data, trials).items():
                     if kind not in shown:
                         warnings.warn(f"after trial {k + 1}: {text}", stacklevel=4)
                     shown.add(kind)
-        return self.dataset(trials, notes)
+        return data
 
     def run_trial(self, k, trials, pause, bar) -> Trial:
         """Run trial k, counted from 0, after those before it."""
@@ -95,35 +95,22 @@ class Experiment:
             self.rig.pause(k + 1, pause, reference[0], self.start(trials), bar)
         return self.rig.run(k + 1, reference, v, self.commanded[k], bar)
 
-    def warnings(self, trials: list[Trial]) -> dict[str, str]:
+    def warnings(self, data: xr.Dataset, trials: list[Trial]) -> dict[str, str]:
         """What the last trial shows, with those before it, by kinds."""
-        texts, last, loop = {}, len(trials) - 1, self.rig.loop
-        reference = self.reference[: last + 1]
-        alike = self.alike and np.array_equal(reference[last, 0], reference[0, 0])
-        if alike and last:
+        texts, last, reference = {}, len(trials) - 1, self.reference
+        if self.alike and last and np.array_equal(reference[last, 0], reference[0, 0]):
             missed = self.start(trials).missed(trials[last]["y"])
             if missed:
                 texts["start"] = missed
         if self.law is None:
             return texts
-        signals = _stacked(trials)
-        v, actuators = signals["v"], self.law.actuators
-        if actuators is not None:
-            commands = commands_of(loop, reference + v, signals)
-            u = commands["u"]
-            v = realised(loop, v, u, commands.get("applied", actuators.follow(u)))
-            beyond = commands_beyond(u[last], loop.commands, self.law.limits)
+        if self.law.limits:
+            loop, trial = self.rig.loop, trials[last]
+            u = commands_of(loop, reference[last] + trial["v"], trial)["u"]
+            beyond = commands_beyond(u, loop.commands, self.law.limits)
             if beyond:
                 texts["limits"] = f"{beyond}: they were cut off; v is learned within"
-        if self.law.L is None:
-            return texts
-        rates = (None, None)
-        if loop.P is not None:
-            rates = rates_of(loop.P, self.law.Q, self.law.L)
-        units = [loop.units[name] for name in loop.outputs]
-        e = reference - signals["y"]
-        course = Course(v, e, reference, loop.outputs, units, 1, loop.P, *rates)
-        return texts | course.findings()
+        return texts | diagnose(data, self.law, first=last + 1)
 
     def start(self, trials) -> Start:
         """Where the first trial started."""

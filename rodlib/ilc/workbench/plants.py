@@ -9,10 +9,10 @@ import numpy as np
 
 from rodlib.ilc import LogError, arguments, load_log, measured_response, read_table
 from rodlib.ilc.logs.notes import excitation_of, loop_of
+from rodlib.ilc.logs.replay import replay
 from rodlib.ilc.loop.closed import Loop
 from rodlib.ilc.problem.problem import Problem
 from rodlib.ilc.problem.responses import Measured
-from rodlib.ilc.replay import replay_of
 
 TRIALS = 10
 REST = 15  # samples, of a trial whose reference ends at rest
@@ -128,11 +128,17 @@ def plant_of_file(path, columns: str = "") -> Plant:
     try:
         if excitation_of(log) is not None or loop_of(log) is None:
             return Plant(f"rodlib.measured_response({source})", measured_response(log))
-        replay = replay_of(log)
-        again = np.repeat(replay.disturbance[-1:], TRIALS, axis=0)
-        reference = replay.trials.reference.values[-1]
+        replayed = replay(log)
+        again = np.repeat(replayed.disturbance[-1:], TRIALS, axis=0)
+        reference = replayed.trials.reference.values[-1]
         source = f"rodlib.loop_of({source})"
-        return Plant(source, replay.loop, reference, again, rest=replay.rest)
+        return Plant(
+            source,
+            replayed.loop,
+            reference,
+            again,
+            rest=replayed.law.rest if replayed.law else 0,
+        )
     except ValueError as error:
         raise LogError(f"{path}: {error}") from None
 

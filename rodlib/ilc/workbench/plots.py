@@ -7,7 +7,8 @@ import xarray as xr
 
 from rodlib.ilc import Synthesis
 from rodlib.ilc.logs.log import signals_of
-from rodlib.ilc.report import by_unit, rms_by_trial, with_unit
+from rodlib.ilc.logs.replay import rms_by_trial
+from rodlib.ilc.units import by_unit, with_unit
 
 WIDTH, HEIGHT = 7.2, 2.3  # inches, of one axes
 
