@@ -27,9 +27,10 @@ MODULES = {
     "trials.transfer": "transfer",
     "rigs.controlled": "Controller",
     "rigs.experiments": "record shake",
-    "logs.foreign": "read_table",
-    "logs.log": "load_log save_log",
+    "logs.format": "save_log",
+    "logs.reader": "load_log",
     "logs.replay": "replay",
+    "logs.table": "read_table",
     "measurement.excitation": "multisine",
     "measurement.measurement": "expected_radius measured_response",
 }
