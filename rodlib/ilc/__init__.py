@@ -44,7 +44,11 @@ MODULES = {
     "measurement.measurement": "MeasuredResponse expected_radius measured_response",
     "measurement.tabulated": "TabulatedResponse",
     "replay": "Replay replay_of",
-    "workbench.plots": "plot",
+    "workbench": "open_workbench",
+    "workbench.outcome": "try_out",
+    "workbench.picture": "plot",
+    "workbench.plant": "Plant",
+    "workbench.settings": "Settings",
 }
 
 

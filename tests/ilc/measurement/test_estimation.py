@@ -24,7 +24,7 @@ from rodlib import (
 from rodlib.ilc import EstimatedResponse, LogError
 from rodlib.ilc.measurement.estimation import _seen, estimated_response
 from rodlib.ilc.models import frequency_response
-from rodlib.ilc.workbench import Plant, Settings, try_out
+from rodlib import Plant, Settings, try_out
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 from regions import KINDS, response, several, single
