@@ -27,9 +27,9 @@ from rodlib.held import HeldRod
 from rodlib.ilc import arguments, files
 from rodlib.ilc.evidence.convergence import spectral_radii
 from rodlib.ilc.filters import LearningFilter, ZeroPhaseButterworth
+from rodlib.ilc.law.law import Law
 from rodlib.ilc.loop.closed import CurrentTrialLoop
 from rodlib.ilc.problem.problem import convergence_matrix, largest_singular_values
-from rodlib.ilc.trials.run import check_law
 from rodlib.rod import Rod
 from rodlib.specimens import MATERIAL, Grid, Spread, check_loop, draw
 
@@ -84,11 +84,8 @@ class Study:
                 "filters = {} must hold at least one learning filter, by name"
             )
         for name, L in self.filters.items():
-            check_law(
-                loop,
-                self.Q,
-                arguments.instance(f"filters[{name!r}]", L, LearningFilter),
-            )
+            arguments.instance(f"filters[{name!r}]", L, LearningFilter)
+            Law(self.Q, L, loop=loop)  # which checks that they fit together
         for name, each in {"Q": self.Q, **self.filters}.items():
             if each.ends != "zero":
                 raise ValueError(
@@ -162,7 +159,7 @@ class Course:
     # On a circle |z| = r > 1 the z-transform of a signal that is weighted by r^-p is a Fourier
     # transform, and the loop is a product, if it is stable. What wraps around after N samples comes
     # back as r^-N: nothing to speak of. Both filters are products, too, since beyond the ends of a
-    # trial signals are zero; to filter in time, as `update` does, would take two thirds longer.
+    # trial signals are zero; to filter in time, as the law does, would take two thirds longer.
 
     def __init__(self, loop, Q, filters, reference, trials):
         self.loop, self.trials, T = loop, trials, len(reference)

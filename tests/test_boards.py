@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from rodlib import (
+    Law,
     boards,
     current_trial_loop,
     load_log,
@@ -14,7 +15,6 @@ from rodlib import (
     run_trials,
     shake,
     synthesise,
-    update,
     zero_phase_butterworth,
 )
 from rodlib.boards import TemperatureControlLab, heat_balance
@@ -137,7 +137,12 @@ def test_time_passes_with_apply_alone():
 def test_an_experiment_depends_on_the_seed_alone(loop, L):
     one, same, other = (
         record(
-            TemperatureControlLab(seed=seed), loop, Q, L, REFERENCE, trials=2, pause=0
+            TemperatureControlLab(seed=seed),
+            loop,
+            Law(Q, L),
+            REFERENCE,
+            trials=2,
+            pause=0,
         )
         for seed in (1, 1, 2)
     )
@@ -148,8 +153,8 @@ def test_trials_of_the_emulator_are_those_of_the_simulation(loop, L, monkeypatch
     undisturbed(monkeypatch)
     rig = TemperatureControlLab(wait=3000.0)
     rig.lab.maxstep = 0.05
-    recorded = record(rig, loop, Q, L, REFERENCE, trials=4, pause=0)
-    simulated = run_trials(loop, Q, L, REFERENCE, trials=4)
+    recorded = record(rig, loop, Law(Q, L), REFERENCE, trials=4, pause=0)
+    simulated = run_trials(loop, Law(Q, L), REFERENCE, trials=4)
     assert np.abs(recorded.y - simulated.y).max() < 1e-3
     assert np.abs(simulated.e[0]).max() > 1 > 10 * np.abs(recorded.e[3]).max()
     assert (rig.lab.Q1(), rig.lab.Q2()) == (0, 0)
@@ -225,7 +230,15 @@ def test_heaters_at_their_limits_are_told():
 def log(loop, L, tmp_path_factory):
     """A short log of the emulator, as notebook 11 records it."""
     path = tmp_path_factory.mktemp("log") / "lab.csv"
-    record(TemperatureControlLab(), loop, Q, L, REFERENCE, trials=3, pause=0, path=path)
+    record(
+        TemperatureControlLab(),
+        loop,
+        Law(Q, L),
+        REFERENCE,
+        trials=3,
+        pause=0,
+        path=path,
+    )
     return path
 
 
@@ -237,7 +250,7 @@ def test_a_log_of_the_lab_has_what_a_replay_needs(loop, L, log):
     noted_Q, noted_L = law_of(found)
     assert noted_Q == Q and np.array_equal(noted_L.coefficients, L.coefficients)
     for k in range(2):
-        following = update(found.v.values[k], found.e.values[k], noted_Q, noted_L)
+        following = Law(noted_Q, noted_L).next(found.v.values[k], found.e.values[k])
         np.testing.assert_allclose(found.v.values[k + 1], following, rtol=0, atol=1e-12)
     noted = loop_of(found)
     model = control.forced_response(noted.plant, inputs=found.u.values[-1].T).outputs.T
@@ -252,7 +265,7 @@ def test_a_broken_thermometer_turns_the_heaters_off(loop, L, monkeypatch):
     rig.begin(1)
     monkeypatch.setattr(type(rig.lab), "T2", property(lambda self: float("nan")))
     with pytest.raises(RigError, match="trial 1, sample 1: reading has 1 values"):
-        record(rig, loop, Q, L, REFERENCE, trials=1)
+        record(rig, loop, Law(Q, L), REFERENCE, trials=1)
     assert (rig.lab.Q1(), rig.lab.Q2()) == (0, 0)
 
 

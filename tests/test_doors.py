@@ -17,6 +17,7 @@ import xarray as xr
 import rodlib
 from rodlib import (
     CurrentTrialLoop,
+    Law,
     LearningFilter,
     Rod,
     Spread,
@@ -39,8 +40,6 @@ from rodlib import (
     specimens,
     study,
     synthesise,
-    update,
-    update_within,
     zero_phase_butterworth,
 )
 from rodlib.case import assumed_disturbance, assumed_reference
@@ -98,7 +97,8 @@ EXCITATION = ilc.Excitation(**MULTISINE)
 ALL = ilc.Excitation(1.0, 40, 4, (1, 2, 3, 5, 8), np.zeros(5), (1.0, 1.0))
 RIG = RestartingRig(parameters=RigParameters(modes=5))
 SHAKEN = ilc.shake(RIG, PAPER, ALL)
-LOG = with_law(run_trials(LOOP, Q, L, np.zeros((70, 1)), None, 2), Q, L, 0, LOOP)
+LAW = Law(Q, L, loop=LOOP)
+LOG = with_law(run_trials(LOOP, LAW, np.zeros((70, 1)), None, 2), LAW)
 TABLE = control.frd(np.moveaxis(RESPONSE, 0, -1), OMEGA)
 TABULATED = measured_response(TABLE)
 MEASURED = ilc.MeasuredResponse(
@@ -106,7 +106,7 @@ MEASURED = ilc.MeasuredResponse(
 )
 FOLDER = TemporaryDirectory()
 HERE = Path(FOLDER.name)
-save_law(HERE / "law", Q, L)
+save_law(HERE / "law", Law(Q, L))
 save_log(LOG, HERE / "log")
 ON_BENCH = Plant("", LOOP, SIGNAL, None, 2)
 NAN = control.ss(0.5, [[1.0, np.nan]], 1, 0, 1.0, inputs=["u", "d"])
@@ -247,12 +247,11 @@ DOORS = [
     (LearningFilter, {"coefficients": L.coefficients, "Ts": 1.0}),
     (L.frequency_response, {"omega": OMEGA}),
     (L.apply, {"signal": SIGNAL}),
-    (update, {"v": SIGNAL, "e": SIGNAL, "Q": Q, "L": L}),
-    (update_within, {"v": SIGNAL, "e": SIGNAL, "u": SIGNAL, "Q": Q, "L": L, "loop": LOOP,
-                     "limits": {"u": (-1.0, 1.0)}},
-     {"limits": LIMITS | {"turned": {"u": (1, 0)}}}),
-    (run_trials, {"loop": LOOP, "Q": Q, "L": L, "reference": SIGNAL, "trials": 2},
-     {"L": MODELS | {"none": ...}, "step": REAL | {"0": 0.0, "2": 2.0}}),
+    (Law, {"Q": Q, "L": L, "loop": LOOP, "limits": {"u": (-1.0, 1.0)}},
+     {"L": MODELS | {"none": ...}, "gain": NUMBER | {"0": 0.0, "2": 2.0},
+      "limits": LIMITS | {"turned": {"u": (1, 0)}}}),
+    (LAW.next, {"v": SIGNAL, "e": SIGNAL, "u": SIGNAL}),
+    (run_trials, {"loop": LOOP, "law": Law(Q, L), "reference": SIGNAL, "trials": 2}),
     (rodlib.transfer, {"trials": LOG, "reference": np.zeros((70, 1))}, {"trials": THING}),
     (rodlib.estimated, {"trials": LOG, "loop": LOOP, "model": PLANT},
      {"trials": THING, "model": MODELS}),
@@ -282,8 +281,7 @@ DOORS = [
      {"noise": REAL | {"-1": -1.0}}),
     (ilc.worst_case, {"problem": PROBLEM, "L": L}),
     *((door, {"P": LOOP, "Q": Q, "L": L, "omega": OMEGA}, {"P": REAL})
-      for door in (ilc.rate, ilc.rates, ilc.spectral_rate, ilc.mean_rate)),
-    (ilc.rate_within, {"P": LOOP, "Q": Q, "L": L, "omega": OMEGA}, {"P": REAL}),
+      for door in (ilc.rate, ilc.convergence)),
     (ilc.trial_operators, {"P": P, "Q": Q, "L": L, "samples": 6}, MODEL),
     (ilc.trial_map, {"P": P, "Q": Q, "L": L, "samples": 6}, MODEL),
     (ilc.trial_norm, {"P": P, "Q": Q, "L": L, "samples": 6}, MODEL),
@@ -339,9 +337,8 @@ DOORS = [
      {"loop": LOOP, "lowest": 0.3, "highest": 1.0, "amplitude": 1.0, "hours": 0.1, "lines": 3},
      {"amplitude": REAL | {"2-D": [[1.0]]}}),
     (ilc.record,
-     {"rig": RIG, "loop": PAPER, "Q": Q, "L": L2, "reference": np.zeros((5, 2)),
-      "disturbance": np.zeros((2, 5, 3)), "trials": 2, "pause": 1},
-     {"L": MODELS | {"none": ...}, "another_law": THING | {"true": ...}, "limits": LIMITS}),
+     {"rig": RIG, "loop": PAPER, "law": Law(Q, L2), "reference": np.zeros((5, 2)),
+      "disturbance": np.zeros((2, 5, 3)), "trials": 2, "pause": 1}),
     (ilc.shake, {"rig": RIG, "loop": PAPER, "excitation": ALL}),
     (measured_response, {"log": SHAKEN}, {"log": THING, "of": THING | {"text": "y"}}),
     (measured_response, {"log": TABLE, "uncertainty": np.zeros(12)}),
@@ -355,7 +352,7 @@ DOORS = [
     (MEASURED.radius, {}),
     (MEASURED.on, {"omega": OMEGA}),
     (MEASURED.basis, {"omega": OMEGA}),
-    (save_law, {"path": HERE / "law", "Q": Q, "L": L, "note": "1"}),
+    (save_law, {"path": HERE / "law", "law": Law(Q, L), "note": "1"}),
     (load_law, {"path": HERE / "law"}),
     (save_log, {"trials": LOG, "path": HERE / "log"}, {"trials": THING}),
     (load_log, {"path": HERE / "log"}),
@@ -365,10 +362,9 @@ DOORS = [
      dict.fromkeys(["outputs", "inputs", "reference", "v", "disturbances", "measured", "units"],
                    THING | {"other": {"y": 1.5}})
      | dict.fromkeys(["time", "trial"], THING | {"number": 1.5, "beyond": 99})),
-    (with_law, {"trials": LOG, "Q": Q, "L": L, "loop": LOOP},
-     {"trials": THING | {"frame": ...}, "L": MODELS | {"none": ...}}),
+    (with_law, {"trials": LOG, "law": LAW}, {"trials": THING | {"frame": ...}}),
     *((door, {"trials": LOG}, {"trials": THING | {"frame": ...}})
-      for door in (ilc.law_of, ilc.loop_of, ilc.rest_of, ilc.step_of)),
+      for door in (ilc.law_of, ilc.loop_of)),
     (ilc.replay_of(LOG).reached, {"trial": 2}),
     (ilc.replay_of, {"trials": LOG},
      {"trials": THING, "untold": {"numbers": [1, 2], "empty": ...}}),
@@ -415,11 +411,10 @@ MADE = {
 }
 MADE |= {"EstimatedResponse", "TabulatedResponse"}
 MADE |= {
-    "Rate",
+    "Convergence",
     "Replay",
     "RigError",
     "SolverError",
-    "SpectralRate",
 }
 MADE |= {"Spectrum", "StoppedError", "Synthesis", "TrialNoise", "Tuned", "WorstCase"}
 INSIDE = {"LearningOperator", "Problem", "Rig", "TrialRig"}

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.optimize import minimize_scalar
 
-from rodlib import Rod, record
+from rodlib import Law, Rod, record
 from rodlib.peltier_rig import (
     PeltierElement,
     PeltierParameters,
@@ -218,10 +218,10 @@ def test_a_thermometer_on_the_sinks_brings_the_heat_that_was_asked_for():
 def test_every_trial_depends_on_seed_and_number_alone(loop, Q):
     rig, later = RestartingPeltierRig(seed=3), RestartingPeltierRig(seed=3)
     reference = np.full((20, 2), 1.0)
-    log = record(rig, loop, Q, None, reference, trials=3)
+    log = record(rig, loop, Law(Q, None), reference, trials=3)
     later.begin(3)
     later.time = 5.0
-    again = record(later, loop, Q, None, reference, trials=1)
+    again = record(later, loop, Law(Q, None), reference, trials=1)
     assert np.any(log.y[0] != log.y[1])
     np.testing.assert_allclose(log.y[0], log.y[1], atol=0.3)  # noise only
     np.testing.assert_array_equal(log.y[0], again.y[0])

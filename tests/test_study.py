@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from plants import modal_model, stage
 
 from rodlib import (
+    Law,
     LearningFilter,
     Rod,
     Spread,
@@ -72,7 +73,7 @@ def test_what_is_found_out_about_a_rod():
             expected = sigma[OMEGA <= 0.02].sum()
             assert found["objective"][i, f] == pytest.approx(expected, rel=1e-9)
             plant = modal_model(specimen, 1.0, 150)
-            trials = run_trials(LOOP, Q, L, SMALL.reference, None, 3, plant=plant)
+            trials = run_trials(LOOP, Law(Q, L), SMALL.reference, None, 3, plant=plant)
             np.testing.assert_allclose(
                 found["rms"][i, f], rms(trials.e), rtol=0, atol=1e-9
             )
@@ -92,7 +93,9 @@ def test_a_loop_that_is_not_stable_has_no_rate():
 
 def simulated(loop, Q, L, specimen, modes, reference, trials):
     plant = modal_model(specimen, loop.Ts, modes)
-    return rms(run_trials(loop, Q, L, reference, trials=trials, plant=plant).e).values
+    return rms(
+        run_trials(loop, Law(Q, L), reference, trials=trials, plant=plant).e
+    ).values
 
 
 def test_the_papers_trials_are_those_of_run_trials():

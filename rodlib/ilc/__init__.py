@@ -7,19 +7,20 @@ from importlib import import_module
 
 MODULES = {
     "models": "minimal_realisation",
-    "filters": """LearningFilter LearningOperator ZeroPhaseButterworth update
+    "filters": """LearningFilter LearningOperator ZeroPhaseButterworth
         zero_phase_butterworth""",
     "loop.closed": "ClosedLoop CurrentTrialLoop",
     "loop.design": "current_trial_loop",
     "loop.observer": "combinations estimated",
-    "law.limits": "update_within",
+    "law.io": "law_of load_law save_law with_law",
+    "law.law": "Law",
     "problem.problem": "Problem",
     "synthesis.design": "synthesise",
     "synthesis.result": "InfeasibleError SolverError Synthesis",
     "synthesis.search": "largest_cutoff least_gain",
     "evidence.certificate": "Certificate",
     "evidence.check": "Check",
-    "evidence.convergence": "Rate SpectralRate mean_rate rate rate_within rates spectral_rate",
+    "evidence.convergence": "Convergence convergence rate",
     "evidence.finite_trial": "trial_map trial_norm trial_operators",
     "evidence.noise": "LearnedNoise Spectrum TrialNoise converged_noise noise_by_trial trial_noise",
     "evidence.noisy_trial": "noise_on_trial",
@@ -38,7 +39,7 @@ MODULES = {
     "rigs.protocol": "Rig RigError StoppedError TrialRig",
     "logs.foreign": "read_table",
     "logs.log": "LogError load_log save_log",
-    "logs.notes": "law_of load_law loop_of rest_of save_law step_of with_law",
+    "logs.notes": "loop_of",
     "measurement.excitation": "Excitation multisine",
     "measurement.estimation": "EstimatedResponse",
     "measurement.measurement": "MeasuredResponse expected_radius measured_response",

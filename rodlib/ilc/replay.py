@@ -15,16 +15,17 @@ import pandas as pd
 import xarray as xr
 
 from rodlib.ilc import arguments
-from rodlib.ilc.filters import LearningFilter, ZeroPhaseButterworth, update
-from rodlib.ilc.law.actuators import Actuators
-from rodlib.ilc.law.limits import commands_of, projected, realised
-from rodlib.ilc.logs import notes
+from rodlib.ilc.law.io import law_of
+from rodlib.ilc.law.law import Law
+from rodlib.ilc.law.limits import realised
 from rodlib.ilc.logs.log import signals_of
+from rodlib.ilc.logs.notes import loop_of
 from rodlib.ilc.loop.closed import ClosedLoop, Loop
 from rodlib.ilc.models import state_sequence
+from rodlib.ilc.rigs.recording import BEGUN
 from rodlib.ilc.rigs.start import Start
 from rodlib.ilc.trials.diagnosis import Course, rates_of
-from rodlib.ilc.trials.run import run_trials
+from rodlib.ilc.trials.run import commands_of, run_trials
 
 DEPARTS = 1e-3  # of the largest v, that it is off where another law may have made it
 EXPLAINS = 0.01  # of that, which a mistake may leave
@@ -36,16 +37,13 @@ class Replay:
 
     trials: xr.Dataset  # in the order of their numbers
     loop: Loop | None
-    law: tuple[ZeroPhaseButterworth, LearningFilter | None] | None
-    rest: int  # samples at the end of every trial in which v was held at zero
-    step: float  # of the law, from each trial to the next
-    limits: dict[
-        str, tuple[float, ...]
-    ]  # of the commands, that v was learned within; or none
+    law: Law | None
     untold: tuple[str, ...]  # disturbances that the simulation is not told of
-    earlier: tuple[
-        tuple[int, "Replay"], ...
-    ] = ()  # by the laws before, up to which trial each
+
+    @property
+    def rest(self) -> int:
+        """Samples at the end of every trial in which v was held at zero."""
+        return 0 if self.law is None else self.law.rest
 
     @property
     def outputs(self) -> list[str]:
@@ -81,7 +79,7 @@ class Replay:
         """The same experiment on the model: the law, each trial's reference, the disturbances."""
         if self.loop is None or self.law is None or self.loop.P is None:
             return None
-        if self.earlier or not self.from_the_first:
+        if not self.from_the_first:
             return None
         reference = self.trials.reference.values
         unknown = (
@@ -90,11 +88,9 @@ class Replay:
         told = self.disturbance * [
             name not in unknown for name in self.loop.disturbances
         ]
-        made = {"trials": len(reference), "rest": self.rest, "step": self.step}
-        made["limits"] = self.limits or None
-        made["v"] = self.trials.v.values[0] if self.begun else None
+        v = self.trials.v.values[0] if self.begun else None
         with warnings.catch_warnings(action="ignore"):  # the log's own findings say it
-            return run_trials(self.loop, *self.law, reference, told, **made)
+            return run_trials(self.loop, self.law, reference, told, len(reference), v=v)
 
     @cached_property
     def predicted(self) -> np.ndarray | None:
@@ -107,7 +103,10 @@ class Replay:
         closed = isinstance(self.loop, ClosedLoop)
         if not closed and "u" not in self.trials:
             return None
-        model, signals = self.loop.P if closed else self.loop.plant, self._commands[1]
+        model, signals = (
+            self.loop.P if closed else self.loop.plant,
+            self._commands["applied"],
+        )
         signals = (
             signals if closed else np.concatenate([signals, self.disturbance], axis=2)
         )
@@ -119,15 +118,13 @@ class Replay:
 
     @cached_property
     def _commands(self):
-        """What was asked for, and what was applied of it, shape (trial, time, m)."""
-        trials, actuators = (
-            self.trials,
-            Actuators.of("actuators", self.limits, self.loop),
-        )
-        told = (trials[name].values for name in ("u", "applied") if name in trials)
-        return commands_of(
-            self.loop, actuators, (trials.reference + trials.v).values, *told
-        )
+        """What was asked for, u, and what was applied of it, shape (trial, time, m)."""
+        w = (self.trials.reference + self.trials.v).values
+        signals = {name: x.values for name, x in self.trials.items()}
+        commands = commands_of(self.loop, w, signals)
+        actuators = self.law and self.law.actuators
+        applied = actuators.follow(commands["u"]) if actuators else commands["u"]
+        return {"applied": applied} | commands
 
     @property
     def fit(self) -> pd.DataFrame | None:
@@ -151,8 +148,7 @@ class Replay:
             return None
         v, found = self.trials.v.values, {}
         for k, number in enumerate(self.numbers):
-            L = self._law_of_trial(number).law[1]
-            if not self.begun and (number == 1 or (L is None and not self.earlier)):
+            if not self.begun and (number == 1 or self.law.L is None):
                 expected = 0.0
             elif k and self.numbers[k - 1] == number - 1:
                 expected = self._after(k - 1)
@@ -187,12 +183,12 @@ class Replay:
     @cached_property
     def _course(self):
         """The trials with what the law and the loop promise of them."""
-        if self.law is None or self.law[1] is None:
+        if self.law is None or self.law.L is None:
             return None
         P = None if self.loop is None else self.loop.P
-        promised = (None, None) if P is None else rates_of(P, *self.law)
+        promised = (None, None) if P is None else rates_of(P, self.law.Q, self.law.L)
         v, e, reference = (self.trials[name].values for name in ("v", "e", "reference"))
-        v = realised(self.loop, v, *self._commands) if self.limits else v
+        v = realised(self.loop, v, **self._commands) if self.law.limits else v
         units = self.trials.output_unit.values.tolist()
         return Course(
             v, e, reference, self.outputs, units, self.numbers[0], P, *promised
@@ -207,30 +203,28 @@ class Replay:
         course, k = self._course, arguments.whole("trial", trial, 1) - self.numbers[0]
         if course is None or course.P is None or not 0 < k < len(self.numbers):
             return None
-        changed = self.earlier or not np.array_equal(*course.reference[k - 1 : k + 1])
+        changed = not np.array_equal(*course.reference[k - 1 : k + 1])
         if changed or len({*course.units}) > 1 or np.any(np.diff(self.numbers) != 1):
             return None
         table = pd.DataFrame(course.reached(k - 1)).set_index("frequency")
-        return table.assign(promised=1 - self.step * (1 - table.promised))
+        return table.assign(promised=1 - self.law.gain * (1 - table.promised))
 
     def _slip(self):
         """What made v, if not the law but the law with a usual mistake, as elsewhere programmed."""
-        if self.departure is None:
+        law = self.law
+        if self.departure is None or law.L is None or law.limits:
             return None
         v, e = (self.trials[name].values for name in ("v", "e"))
         for k in range(1, len(v)):
-            made = self._law_of_trial(self.numbers[k])
             off = np.abs(self._after(k - 1) - v[k]).max()
-            if made.law[1] is None or made.limits or off <= DEPARTS * np.abs(v).max():
+            if off <= DEPARTS * np.abs(v).max():
                 continue
-            for words, given in (
-                ("e with the wrong sign, y - reference", (v[k - 1], -e[k - 1])),
-                ("v and e exchanged", (e[k - 1], v[k - 1])),
-            ):
-                left = np.abs(
-                    update(*given, *made.law, made.rest, made.step) - v[k]
-                ).max()
-                if left <= EXPLAINS * off:
+            slips = {
+                "e with the wrong sign, y - reference": law.next(v[k - 1], -e[k - 1]),
+                "v and e exchanged": law.next(e[k - 1], v[k - 1]),
+            }
+            for words, slip in slips.items():
+                if np.abs(slip - v[k]).max() <= EXPLAINS * off:
                     return (
                         f"v of trial {self.numbers[k]} is what the law makes of {words}"
                     )
@@ -245,24 +239,15 @@ class Replay:
     def _after(self, k):
         """The v that follows the trial `k` of the log by the law."""
         trial = self.trials.isel(trial=k)
-        made = self._law_of_trial(int(trial.trial) + 1)
-        if made.law[1] is None:
-            return trial.v.values
-        given, more = (trial.v.values, trial.e.values), (made.rest, made.step)
-        if not made.limits:
-            return update(*given, *made.law, *more)
-        commands = [each[k] for each in made._commands]
-        actuators = Actuators.of("actuators", made.limits, self.loop)
-        return projected(*given, commands, *made.law, self.loop, actuators, *more)
-
-    def _law_of_trial(self, number):
-        """The replay with the law that made v of a trial."""
-        return next((made for until, made in self.earlier if number <= until), self)
+        commands = {}
+        if self.law.limits:
+            commands = {name: signal[k] for name, signal in self._commands.items()}
+        return self.law.next(trial.v.values, trial.e.values, **commands)
 
     @property
     def begun(self) -> bool:
         """Whether v of the first trial was given."""
-        return notes.BEGUN in self.trials.attrs
+        return BEGUN in self.trials.attrs
 
     @property
     def from_the_first(self) -> bool:
@@ -298,26 +283,11 @@ def replay_of(trials: xr.Dataset, untold: Sequence[str] = ()) -> Replay:
     listed = isinstance(untold, Sequence) and not isinstance(untold, str)
     if not (listed and all(isinstance(name, str) for name in untold)):
         raise ValueError(f"untold = {reprlib.repr(untold)} must be a list of names")
-    law, loop = notes.law_of(trials), notes.loop_of(trials)
-    noted = notes.law_of, notes.rest_of, notes.step_of, notes.actuators_of
-    earlier = tuple(
-        (until, Replay(log, loop, *(of(log) for of in noted), ()))
-        for until, log in notes.earlier_laws_of(trials)
-    )
-    limits = (
-        {} if law is None else notes.actuators_of(trials)
-    )  # not those of an excitation
-    if limits and (loop is None or not (isinstance(loop, ClosedLoop) or "u" in trials)):
-        law, limits = None, {}  # without which it cannot be followed
-    made = (
-        law,
-        notes.rest_of(trials),
-        notes.step_of(trials),
-        limits,
-        tuple(untold),
-        earlier,
-    )
-    replay = Replay(trials, loop, *made)
+    law, loop = law_of(trials), loop_of(trials)
+    controlled = isinstance(loop, ClosedLoop) or "u" in trials
+    if law is not None and law.limits and (loop is None or not controlled):
+        law = None  # whose projection cannot be computed
+    replay = Replay(trials, loop, law, tuple(untold))
     for finding in replay.findings:
         warnings.warn(finding, stacklevel=2)
     return replay

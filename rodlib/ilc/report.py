@@ -56,9 +56,6 @@ def left_out(replay: Replay) -> list[str]:
         reasons.append(
             f"simulation: not all trials from 1 on are there, but {replay.numbers}"
         )
-    if replay.earlier:
-        until = ", ".join(str(number) for number, _ in replay.earlier)
-        reasons.append(f"simulation: another law held up to trial {until}")
     if replay.diverges:
         reasons.append("prediction: without feedback the model is unstable")
     unknown = [name for name in replay.sources if name not in replay.loop.disturbances]

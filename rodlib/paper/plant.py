@@ -4,7 +4,7 @@ from dataclasses import fields
 
 from rodlib.case import assumed_disturbance, assumed_reference, paper_loop
 from rodlib.ilc import arguments
-from rodlib.ilc.workbench.plant import REST, Plant
+from rodlib.ilc.workbench.plant import Plant
 from rodlib.rod import Rod
 
 
@@ -22,5 +22,4 @@ def plant_of_rod(rod: Rod) -> Plant:
         paper_loop(rod),
         reference=assumed_reference(),
         disturbance=assumed_disturbance(),
-        rest=REST,
     )

@@ -11,7 +11,7 @@ from dataclasses import asdict
 import numpy as np
 
 from rodlib.case import assumed_disturbance, assumed_reference, paper_loop
-from rodlib.ilc import record, save_log
+from rodlib.ilc import Law, record, save_log
 from rodlib.ilc.filters import LearningFilter, zero_phase_butterworth
 from rodlib.paper import published
 from rodlib.paper.repository import checkout
@@ -23,15 +23,13 @@ DECIMALS = {"v": 6, "u": 4, "delta": 4, "disturbance": 4}
 
 
 def experiment() -> dict:
-    """The experiment of both logs, without rig and learning filter, as `record` takes it."""
+    """The experiment of both logs, without rig and law, as `record` takes it."""
     return {
         "loop": paper_loop(),
-        "Q": zero_phase_butterworth(),
         "reference": np.round(assumed_reference(), 6),
         "disturbance": np.round(assumed_disturbance(), 6),
         "decimals": DECIMALS,
         "pause": 600,  # assumed, as all of this
-        "limits": None,  # the paper's law knows none; what is asked for stays within the rig's
     }
 
 
@@ -46,7 +44,9 @@ def main():
     for name, L, seed in (("learning", printed, 1), ("no-learning", None, 2)):
         print(f"recording {name} ...", flush=True)
         rig = PeltierRig(parameters=PARAMETERS, seed=seed)
-        log = record(rig, L=L, **experiment())
+        # The paper's law has no limits; what is asked for stays within the rig's.
+        law = Law(zero_phase_butterworth(), L, limits={})
+        log = record(rig, law=law, **experiment())
         log.attrs["origin"] = (
             "synthetic: virtual rig with Peltier elements, no laboratory data"
         )

@@ -12,6 +12,7 @@ import pytest
 from bench_synthesis import measure
 
 from rodlib import (
+    Law,
     LearningFilter,
     Spread,
     Study,
@@ -54,7 +55,11 @@ def one_by_one(models):
         plant = control.sample_system(model, 1.0, method="zoh")
         for L in study().filters.values():
             run_trials(
-                study().loop, study().Q, L, study().reference, trials=5, plant=plant
+                study().loop,
+                Law(study().Q, L),
+                study().reference,
+                trials=5,
+                plant=plant,
             )
 
 

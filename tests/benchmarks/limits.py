@@ -13,13 +13,7 @@ import osqp
 import piqp
 from scipy import sparse
 
-from rodlib import (
-    LearningFilter,
-    paper_loop,
-    run_trials,
-    update_within,
-    zero_phase_butterworth,
-)
+from rodlib import Law, LearningFilter, paper_loop, run_trials, zero_phase_butterworth
 from rodlib.case import assumed_reference
 from rodlib.paper import published
 
@@ -38,11 +32,11 @@ def trial(limits):
     """The second trial of the rod: the program between the first and it."""
     loop, Q = paper_loop(), zero_phase_butterworth()
     L = LearningFilter(published.matrix("L_diagonal"), 1.0)
-    run = run_trials(loop, Q, None, assumed_reference(), trials=1, limits=limits)
+    run = run_trials(loop, Law(Q, None, limits=limits), assumed_reference(), trials=1)
     original, piqp.SparseSolver = piqp.SparseSolver, Spy
     try:
         v, e, u = (run[name].values[0] for name in ("v", "e", "u"))
-        update_within(v, e, u, Q, L, loop, limits)
+        Law(Q, L, limits=limits, loop=loop).next(v, e, u)
     finally:
         piqp.SparseSolver = original
 

@@ -10,7 +10,7 @@ import warnings
 import numpy as np
 from scipy.signal import lfilter
 
-from rodlib import LearningFilter, update, zero_phase_butterworth
+from rodlib import Law, LearningFilter, zero_phase_butterworth
 from rodlib.ilc import LogError
 from rodlib.ilc.files import write_whole
 from rodlib.ilc.measurement.estimation import estimated_response
@@ -96,7 +96,7 @@ def learned(rng, trials=8, N=100, start=0.0):
         w.append(r[:, None] + v)
         y.append((answer(plant, w[-1][:, 0], rng, start) + disturbance)[:, None])
         y[-1] = y[-1] + NOISE * rng.standard_normal((N, 1))
-        v = update(v, r[:, None] - y[-1], Q, L)
+        v = Law(Q, L).next(v, r[:, None] - y[-1])
     return several(np.array(w), np.array(y)), [[plant]]
 
 

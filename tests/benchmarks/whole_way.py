@@ -83,13 +83,13 @@ def go(row, kind, path, trials):
     reference = kind.reference
     row |= {"channels": len(kind.loop.outputs), "Ts": kind.loop.Ts}
     row["noise"] = float(np.linalg.norm(kind.bench.noise * np.ones(row["channels"])))
-    Q, design = law_of(kind)
+    _, design = law_of(kind)
     row |= {"promised": design.certificate.all_M, "design": f"{design}"}
     try:
         row["on the rig"] = rate_on_the_rig(kind, design)
     except ValueError as error:  # no loop that is stable
         row["said"].append(f"{error}")
-    law = kind.loop, Q, design.filter, reference
+    law = kind.loop, design.law(), reference
 
     def recorded(dies=np.inf, path=path):
         return record(driver(kind, dies), *law, trials=trials, path=path)

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import butter, filtfilt
 
-from rodlib import LearningFilter, update, zero_phase_butterworth
+from rodlib import LearningFilter, zero_phase_butterworth
 
 
 def as_matrix(apply, samples, channels=1):
@@ -103,46 +103,6 @@ def test_held_end_lets_a_constant_error_be_seen_whole():
     assert LearningFilter(np.ones((1, 1, 5)), 1.0).apply(np.ones((8, 1)))[-1, 0] == 0
 
 
-def test_update_is_the_ilc_law(Q):
-    rng = np.random.default_rng(4)
-    v, e = rng.standard_normal((2, 100, 2))
-    L = LearningFilter(rng.standard_normal((2, 2, 10)), 1.0)
-    matrix_Q, matrix_L = as_matrix(Q.apply, 100, 2), as_matrix(L.apply, 100, 2)
-    expected = matrix_Q @ (v.ravel() + matrix_L @ e.ravel())
-    np.testing.assert_allclose(update(v, e, Q, L).ravel(), expected, atol=1e-11)
-
-
-@given(st.floats(0.001, 1), st.integers(0, 3), st.integers(0, 2**32 - 1))
-def test_a_step_goes_a_share_of_the_way(step, rest, seed):
-    v, e = np.random.default_rng(seed).standard_normal((2, 20, 1))
-    Q, L = zero_phase_butterworth(), LearningFilter([[[1.0, -0.5]]], 1.0)
-    whole, part = update(v, e, Q, L, rest), update(v, e, Q, L, rest, step)
-    moving = slice(0, 20 - rest)
-    np.testing.assert_allclose(
-        part[moving] - v[moving], step * (whole - v)[moving], atol=1e-12
-    )
-    assert not part[20 - rest :].any()
-    np.testing.assert_array_equal(update(v, e, Q, L, rest, step=1), whole)
-
-
-@given(st.integers(0, 19), st.integers(0, 2**32 - 1))
-def test_the_signal_rests_at_the_end_and_nowhere_else(rest, seed):
-    v, e = np.random.default_rng(seed).standard_normal((2, 3, 20, 1))
-    Q, L = zero_phase_butterworth(), LearningFilter([[[1.0, -0.5]]], 1.0)
-    rested, free = update(v, e, Q, L, rest), update(v, e, Q, L)
-    assert not rested[:, 20 - rest :].any()
-    np.testing.assert_array_equal(rested[:, : 20 - rest], free[:, : 20 - rest])
-
-
-def test_a_trial_is_not_all_rest(Q):
-    L, signal = LearningFilter(np.ones((1, 1, 3)), 1.0), np.ones((5, 1))
-    assert update(signal, signal, Q, L, rest=4).any()
-    with pytest.raises(
-        ValueError, match="rest = 5 must be a whole number, from 0 to 4"
-    ):
-        update(signal, signal, Q, L, rest=5)
-
-
 def test_a_filter_that_rounding_would_change_is_refused():
     for order, cutoff in ((100, 1e-3), (2, 1e-12), (1, 1e-12), (8, 1e-6)):
         with pytest.raises(
@@ -191,26 +151,9 @@ def test_bad_learning_filters_are_refused(shape):
 
 def test_bad_signals_are_refused(Q):
     L = LearningFilter(np.ones((2, 2, 3)), 1.0)
-    gap = np.zeros((5, 2))
-    gap[3, 1] = np.nan
-    with pytest.raises(
-        ValueError, match=r"e has 1 values that are not finite, the first at \(3, 1\)"
-    ):
-        update(np.zeros((5, 2)), gap, Q, L)
-    with pytest.raises(
-        ValueError, match=r"e has shape \(6, 2\), but must have shape \(5, 2\)"
-    ):
-        update(np.zeros((5, 2)), np.zeros((6, 2)), Q, L)
     with pytest.raises(
         ValueError, match=r"signal has shape \(5, 3\).* \(..., time, 2\)"
     ):
         L.apply(np.zeros((5, 3)))
     with pytest.raises(ValueError, match=r"shape \(5,\)"):
         Q.apply(np.zeros(5))
-    with pytest.raises(ValueError, match=r"Q\.Ts = 1\.0 s, L.Ts = 2.0 s"):
-        update(
-            np.zeros((5, 2)),
-            np.zeros((5, 2)),
-            Q,
-            LearningFilter(np.ones((2, 2, 3)), 2.0),
-        )

@@ -6,6 +6,7 @@ import pytest
 from plants import furnace, random_plant, stage, tanks
 
 from rodlib import (
+    Law,
     LearningFilter,
     LogError,
     current_trial_loop,
@@ -14,10 +15,9 @@ from rodlib import (
     record,
     run_trials,
     save_log,
-    update,
     zero_phase_butterworth,
 )
-from rodlib.ilc import law_of, loop_of, replay_of, rest_of, with_law
+from rodlib.ilc import law_of, loop_of, replay_of, with_law
 from rodlib.ilc.report import (
     about_the_law,
     left_out,
@@ -72,13 +72,12 @@ class Itself:
         self.sample += 1
 
 
-def law(loop, order=6):
+def law(loop, order=6, rest=0, gain=1.0):
     m = loop.plant.noutputs
     coefficients = np.zeros((m, m, order))
     coefficients[range(m), range(m), -1] = 0.5
-    return zero_phase_butterworth(2, 0.06 / loop.Ts, loop.Ts), LearningFilter(
-        coefficients, loop.Ts
-    )
+    Q = zero_phase_butterworth(2, 0.06 / loop.Ts, loop.Ts)
+    return Law(Q, LearningFilter(coefficients, loop.Ts), rest, gain)
 
 
 def bump(m, samples=150):
@@ -87,14 +86,14 @@ def bump(m, samples=150):
     )
 
 
-def recorded(name, tmp_path, trials=3, gain=1.0, **options):
+def recorded(name, tmp_path, trials=3, gain=1.0, rest=0, step=1.0):
     """A log made on one of the plants, from the disk."""
     loop = LOOPS[name]
     path = tmp_path / "log.csv"
     reference = bump(loop.plant.noutputs)
     record(
-        Itself(loop, gain), loop, *law(loop), reference,
-        trials=trials, pause=0, path=path, **options,
+        Itself(loop, gain), loop, law(loop, rest=rest, gain=step), reference,
+        trials=trials, pause=0, path=path,
     )  # fmt: skip
     return load_log(path)
 
@@ -152,13 +151,13 @@ def test_an_output_that_never_moves_has_no_fit(tmp_path):
 
 def test_each_trial_has_its_own_reference(tmp_path):
     loop = LOOPS["stage"]
-    Q, L = law(loop)
+    Q, L = law(loop).Q, law(loop).L
     references = bump(1) * np.array([1.0, -2.0, 0.5])[:, None, None]
     push = np.random.default_rng(1).standard_normal((3, 150, 1))
     v, outputs = np.zeros((3, 150, 1)), np.zeros((3, 150, 1))
     for k in range(3):
         if k:
-            v[k] = update(v[k - 1], references[k - 1] - outputs[k - 1], Q, L)
+            v[k] = Law(Q, L).next(v[k - 1], references[k - 1] - outputs[k - 1])
         inputs = np.hstack([references[k] + v[k], push[k]])
         outputs[k] = control.forced_response(loop.closed, inputs=inputs.T).outputs.T
     u = np.zeros_like(v)
@@ -166,7 +165,7 @@ def test_each_trial_has_its_own_reference(tmp_path):
         loop.Ts, loop.outputs, loop.controls, loop.disturbances, loop.units,
         reference=references, v=v, u=u, y=outputs, disturbance=push,
     )  # fmt: skip
-    save_log(with_law(made, Q, L, 0, loop), tmp_path / "log.csv")
+    save_log(with_law(made, Law(Q, L, loop=loop)), tmp_path / "log.csv")
     replay = replay_of(load_log(tmp_path / "log.csv"))
     np.testing.assert_allclose(replay.simulated.y.values, outputs, atol=1e-9)
     np.testing.assert_array_equal(replay.simulated.reference.values, references)
@@ -181,9 +180,8 @@ def test_without_a_loop_only_what_needs_no_model_is_done(tmp_path):
     assert replay.disturbance is None
     assert about_the_law(replay) == "the recorded v is that of the law in every trial"
     last = trials.isel(trial=-1)
-    following = update(
-        last.v.values, last.e.values, *law_of(trials), rest_of(trials), 0.4
-    )
+    assert (law_of(trials).rest, law_of(trials).gain) == (15, 0.4)
+    following = law_of(trials).next(last.v.values, last.e.values)
     np.testing.assert_array_equal(replay.following, following)
     assert not following[-15:].any() and following[-16].all()
     (reason,) = left_out(replay)
@@ -217,11 +215,12 @@ def test_the_simulation_of_the_tracked_log_is_told_of_what_it_shall_know():
     assert "disturbances ['theta_a']: the simulation is not told of them" in left_out(
         told
     )
-    Q, L = law_of(trials)
     for replay, rows in ((full, [0, 1, 2]), (told, [1, 2])):
         d = np.zeros((5, 2500, 3))
         d[..., rows] = trials.disturbance.values[..., rows]
-        expected = run_trials(loop_of(trials), Q, L, trials.reference.values[0], d, 5)
+        expected = run_trials(
+            loop_of(trials), law_of(trials), trials.reference.values[0], d, 5
+        )
         np.testing.assert_array_equal(replay.simulated.y, expected.y)
     assert rms_by_trial(told.simulated.e).iloc[4, 0] == pytest.approx(1.04, abs=0.005)
 
@@ -256,8 +255,10 @@ def test_trials_are_known_by_their_numbers(tmp_path):
 
 def test_a_signal_without_learning_is_zero_by_the_law():
     loop = LOOPS["stage"]
-    Q, _ = law(loop)
-    run = with_law(run_trials(loop, Q, None, bump(1), None, 3), Q, None, 0, loop)
+    Q = law(loop).Q
+    run = with_law(
+        run_trials(loop, Law(Q, None), bump(1), None, 3), Law(Q, None, loop=loop)
+    )
     assert (
         about_the_law(replay_of(run))
         == "the recorded v is that of the law in every trial"
@@ -272,9 +273,9 @@ def test_a_signal_without_learning_is_zero_by_the_law():
 def test_a_plant_that_needs_feedback_is_not_predicted_without():
     plant = control.ss(1.2, 1.0, 1.0, 0, 0.1, inputs=["F"], outputs=["tilt"])
     loop = current_trial_loop(plant)
-    Q, L = law(loop)
+    Q, L = law(loop).Q, law(loop).L
     replay = replay_of(
-        with_law(run_trials(loop, Q, L, bump(1), None, 2), Q, L, 0, loop)
+        with_law(run_trials(loop, Law(Q, L), bump(1), None, 2), Law(Q, L, loop=loop))
     )
     assert replay.predicted is replay.fit is None
     assert replay.simulated is not None
@@ -299,7 +300,8 @@ def test_the_rate_that_was_reached_is_told_where_it_can_be():
     )
     w = np.outer(np.sin(np.pi * np.arange(400) / 400) ** 2, [8.0, 10.0])
     run = with_law(
-        run_trials(loop, Q, L, w, None, 3, step=0.5), Q, L, 0, loop, step=0.5
+        run_trials(loop, Law(Q, L, gain=0.5), w, None, 3),
+        Law(Q, L, gain=0.5, loop=loop),
     )
     replay = replay_of(run)
     for trial in (2, 3):

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from plants import stage, tanks
 
 from rodlib import (
+    Law,
     LearningFilter,
     current_trial_loop,
     run_trials,
@@ -37,7 +38,9 @@ def run_on(loop, scale=1.0):
     reference = np.outer(
         np.sin(np.pi * np.arange(150) / 150) ** 2, scale + np.arange(m) * scale
     )
-    return with_law(run_trials(loop, Q, L, reference, None, 4), Q, L, 0, loop)
+    return with_law(
+        run_trials(loop, Law(Q, L), reference, None, 4), Law(Q, L, loop=loop)
+    )
 
 
 @settings(max_examples=10)

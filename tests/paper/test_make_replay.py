@@ -13,6 +13,7 @@ import pytest
 from plants import stage, tanks
 
 from rodlib import (
+    Law,
     LearningFilter,
     LogError,
     current_trial_loop,
@@ -39,7 +40,8 @@ def run_of(loop, rest, trials=4):
     reference = np.outer(np.sin(np.pi * np.arange(120) / 120) ** 2, 1.0 + np.arange(m))
     push = np.full((120, len(loop.disturbances)), 0.2)
     return with_law(
-        run_trials(loop, Q, L, reference, push, trials, rest=rest), Q, L, rest, loop
+        run_trials(loop, Law(Q, L, rest=rest), reference, push, trials),
+        Law(Q, L, rest=rest, loop=loop),
     )
 
 

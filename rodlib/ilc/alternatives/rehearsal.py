@@ -16,8 +16,8 @@ from rodlib.ilc.filters import (
     LearningOperator,
     ZeroPhaseButterworth,
     check_learning,
-    update,
 )
+from rodlib.ilc.law.law import Law
 from rodlib.ilc.trials.run import learn
 
 JUDGED = 500  # lines at which the rate is computed, spaced by their logarithms
@@ -40,7 +40,7 @@ class Rehearsal:
     alone : ndarray, shape (trials, samples, m)
         Error of each trial without learning, with all noise and disturbances.
     rest : int
-        Of :func:`rodlib.update`.
+        Of :class:`rodlib.Law`.
     """
 
     P: np.ndarray
@@ -70,16 +70,15 @@ class Rehearsal:
     def errors(self, L: LearningOperator) -> np.ndarray:
         """e_k, shape (trials, samples, m)."""
         trials, samples, m = self.alone.shape
+        law = Law(self.Q, L, self.rest)
         check_learning(L, m)
 
-        def run(k, v):
+        def trial(k, v):
             Pv = self.P @ rfft(v, 2 * samples, axis=0)[..., None]
-            return self.alone[k] - irfft(Pv[..., 0], 2 * samples, axis=0)[:samples]
+            y = irfft(Pv[..., 0], 2 * samples, axis=0)[:samples]
+            return {"e": self.alone[k] - y}
 
-        def following(k, v, e):
-            return update(v, e, self.Q, L, self.rest)
-
-        return learn(run, np.zeros_like(self.alone[0]), following, trials)
+        return learn(trial, law, law.first(samples), trials)
 
     def rms(self, L: LearningOperator) -> np.ndarray:
         """RMS(e_k) of Section IV, shape (trials,)."""

@@ -21,7 +21,7 @@ MOST = 0.999  # of its energy; half of the rest is left out at each end
 
 @dataclass(frozen=True)
 class TwoSidedFilter:
-    """A learning filter for :func:`rodlib.update`, for signals that are zero outside the trial."""
+    """A learning filter for a :class:`rodlib.Law`, for signals that are zero outside the trial."""
 
     response: Callable[
         [np.ndarray], np.ndarray

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rodlib.ilc import arguments
-from rodlib.ilc.evidence.convergence import log_mean, rates_within
+from rodlib.ilc.evidence.convergence import from_responses, log_mean
 from rodlib.ilc.evidence.findings import findings, useless
 from rodlib.ilc.evidence.finite_trial import trial_norm
 from rodlib.ilc.evidence.optimality import lower_bound
@@ -67,7 +67,7 @@ class Certificate:
     findings: tuple[str, ...] = ()  # why the problem itself may be badly chosen
     within: float = (
         np.nan
-    )  # rate where commands have limits, by :func:`rodlib.update_within`
+    )  # rate where commands have limits, by a :class:`rodlib.Law` with limits
     basis: tuple[
         str, ...
     ] = ()  # what P and its radius rest on, and where they are of no use
@@ -84,7 +84,7 @@ class Certificate:
 
     @property
     def mean_M(self) -> float:
-        """Mean of sigma_max(M) of the nominal plant over the band, as :func:`mean_rate`."""
+        """Mean of sigma_max(M) of the nominal plant over the band, see :meth:`Convergence.mean`."""
         asked, omega = self.problem.asked, self.problem.omega
         return float(log_mean(self.nominal[asked], omega[asked], self.problem.band))
 
@@ -264,9 +264,7 @@ class Certificate:
                 f"norm of one trial of {self.samples} samples{rest}: {self.trial:.4f}"
             )
         promise = "no rate" if self.within >= 1 else f"a rate of {self.within:.4f}"
-        lines.append(
-            f"where commands have limits, by update_within: {promise}, without ends"
-        )
+        lines.append(f"where commands have limits: {promise}, without ends")
         lines += [*self.basis, *(f"WARNING: {text}" for text in self.warnings)]
         return "\n".join([*lines, *(f"FAILS: {text}" for text in self.failures)])
 
@@ -318,7 +316,7 @@ def _within(problem, solution):
     asked, scale = problem.asked, problem.scale
     P = problem.P[asked] * scale[:, None] / scale
     L = problem.filter(solution.coefficients).frequency_response(problem.omega[asked])
-    return float(rates_within(P, problem.Q[asked], L).max())
+    return float(from_responses(problem.omega[asked], P, problem.Q[asked], L).within())
 
 
 def checked_trial(

@@ -5,6 +5,7 @@ every trial by that factor at least. The largest spectral radius of M is never l
 error *converges*, though it may grow before. Both are about trials without ends.
 """
 
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -25,95 +26,57 @@ class Rate(NamedTuple):
     omega: float
 
 
-def rate(P, Q, L: LearningOperator, omega) -> Rate:
-    """The rate of convergence: the gamma of Lemma 1, max sigma_max(M), and where it is.
+@dataclass(frozen=True, eq=False)
+class Convergence:
+    """How the trials converge, by M = Q (I - P L). Made by :func:`convergence`.
 
-    By so much the norm of the error shrinks, at least, from trial to trial. Parameters as for
-    :func:`rates`. Of frequencies that are tied, it is the lowest; for several plants, both are
-    arrays.
+    For p plants `sigma` has the shape (p, n), and each other result the shape (p,).
     """
-    sigma = rates(P, Q, L, omega)
-    where = np.asarray(omega)[tied(sigma.T).argmax(axis=0)]
-    return Rate(sigma.max(axis=-1), where)
+
+    omega: np.ndarray  # (n,), rad/s
+    sigma: np.ndarray  # (n,): sigma_max(M), by which the error shrinks there at least
+    gamma: float  # Lemma 1: the largest of them
+    at: float  # the frequency of gamma, rad/s; the lowest of those that are tied
+    spectral_radius: float  # largest |eigenvalue of M|
+    responses: tuple[np.ndarray, np.ndarray, np.ndarray] = field(repr=False)  # P, Q, L
+
+    def mean(self, band=None) -> float:
+        """Mean of sigma_max(M) over the logarithm of frequency, in a band (low, high) in rad/s.
+
+        The sum in (39) on a logarithmic grid, divided by the number of its terms: designs on
+        different grids can be compared. By trapezia, with corners at `omega` and the ends of the
+        band; default: from the first to the last frequency.
+        """
+        omega = self.omega
+        band = omega[[0, -1]] if band is None else arguments.array("band", band, (2,))
+        low, high = band
+        if not omega[0] <= low < high <= omega[-1] or low <= 0:
+            raise ValueError(
+                f"band = {band.tolist()} must be two increasing frequencies above zero, within "
+                f"omega, which goes from {omega[0]:.6g} to {omega[-1]:.6g} rad/s"
+            )
+        return np.apply_along_axis(log_mean, -1, self.sigma, omega, band)[()]
+
+    def within(self, weight: float = WEIGHT) -> float:
+        """The rate where commands have limits, in the metric of the projection onto them.
+
+        The largest sigma_max(W^(1/2) Q (I - L P) W^(-1/2)) with W = P^H P + weight I: by that
+        factor the root of ||P d||^2 + weight ||d||^2, with d the distance of v from its limit,
+        shrinks from trial to trial, at least. For small weights it tends to gamma. For trials
+        without ends, and limits that are met as the model says.
+        """
+        weight = arguments.positive("weight", weight)
+        P, Q, L = self.responses
+        identity = np.eye(P.shape[-1])
+        W = P.conj().swapaxes(-1, -2) @ P + weight * identity
+        root = np.linalg.cholesky(W).conj().swapaxes(-1, -2)
+        change = Q[:, None, None] * (identity - L @ P)
+        scaled = root @ change @ np.linalg.inv(root)
+        return np.linalg.norm(scaled, 2, axis=(-2, -1)).max(axis=-1)
 
 
-def rate_within(P, Q, L: LearningOperator, omega, weight: float = WEIGHT) -> Rate:
-    """The rate of :func:`rodlib.update_within`, in whose metric limits make nothing more distant.
-
-    The largest sigma_max(W^(1/2) Q (I - L P) W^(-1/2)) with W = P^H P + weight I: by so much the
-    root of ||P d||^2 + weight ||d||^2, d the distance of v from where it ends, shrinks from trial
-    to trial, at least. For small weights, the gamma of :func:`rate`. Of one plant, for endless
-    trials, and limits that are met as the model says.
-    """
-    weight = arguments.positive("weight", weight)
-    if np.ndim(rate(P, Q, L, omega).gamma):  # which checks them
-        raise ValueError("P must be one plant: take each in turn")
-    omega = np.asarray(omega)
-    (response,), q = on_grid(plants(P), omega, L.Ts)[1], Q_on_grid(Q, omega, L=L.Ts)[1]
-    sigma = rates_within(response, q, L.frequency_response(omega), weight)
-    return Rate(sigma.max(), omega[tied(sigma).argmax()])
-
-
-def rates_within(P, Q, L, weight=WEIGHT) -> np.ndarray:
-    """The singular values of :func:`rate_within`, shape (n,), from frequency responses."""
-    I = np.eye(P.shape[1])  # noqa: E741
-    root = (
-        np.linalg.cholesky(P.conj().swapaxes(1, 2) @ P + weight * I)
-        .conj()
-        .swapaxes(1, 2)
-    )
-    T = Q[:, None, None] * (I - L @ P)
-    return largest_singular_values(root @ T @ np.linalg.inv(root))
-
-
-class SpectralRate(NamedTuple):
-    """The largest spectral radius of M, and the frequency (rad/s) where it is."""
-
-    radius: float
-    omega: float
-
-
-def spectral_rate(P, Q, L: LearningOperator, omega) -> SpectralRate:
-    """Whether the trials converge at all: the largest spectral radius of M, and where it is.
-
-    Below one the error converges, in the end by that factor from trial to trial; where
-    sigma_max(M) is above one, it may grow before. For one channel it is the gamma of Lemma 1.
-    Parameters, and what is told of ties and several plants, as for :func:`rate`.
-    """
-    radius = _at_each(P, Q, L, omega, spectral_radii)
-    where = np.asarray(omega)[tied(radius.T).argmax(axis=0)]
-    return SpectralRate(radius.max(axis=-1), where)
-
-
-def mean_rate(P, Q, L: LearningOperator, omega, band=None):
-    """The mean of sigma_max(M) over the logarithm of frequency, in the band.
-
-    What the sum in (39) is on a logarithmic grid, but for the number of its terms: designs on
-    different grids can be compared. By trapezia, whose corners are `omega` and the ends of the
-    band (low, high), in rad/s, by default the first and the last of `omega`. Other parameters as
-    for :func:`rates`; a float, or for several plants an array of shape (p,).
-    """
-    sigma, omega = rates(P, Q, L, omega), np.asarray(omega)
-    band = omega[[0, -1]] if band is None else arguments.array("band", band, (2,))
-    low, high = band
-    if not omega[0] <= low < high <= omega[-1] or low <= 0:
-        raise ValueError(
-            f"band = {band.tolist()} must be two increasing frequencies above zero, within omega, "
-            f"which goes from {omega[0]:.6g} to {omega[-1]:.6g} rad/s"
-        )
-    return np.apply_along_axis(log_mean, -1, sigma, omega, band)[()]
-
-
-def log_mean(sigma, omega, band) -> float:
-    """Mean over the logarithm of frequency, in the band, of what is known at `omega`."""
-    within = omega[(omega > band[0]) & (omega < band[1])]
-    place = np.log(np.concatenate([band[:1], within, band[1:]]))
-    values = np.interp(place, np.log(np.maximum(omega, band[0] / 2)), sigma)
-    return np.trapezoid(values, place) / (place[-1] - place[0])
-
-
-def rates(P, Q, L: LearningOperator, omega) -> np.ndarray:
-    """sigma_max(M) at each frequency, by which the error there shrinks at least.
+def convergence(P, Q, L: LearningOperator, omega) -> Convergence:
+    """How fast the error converges from trial to trial: M = Q (I - P L) on a grid.
 
     Parameters
     ----------
@@ -127,25 +90,53 @@ def rates(P, Q, L: LearningOperator, omega) -> np.ndarray:
 
     Returns
     -------
-    ndarray, shape (n,); or (p, n) for several plants
+    Convergence
+        `gamma` below one: the error converges monotonically (Lemma 1). `spectral_radius` below
+        one: it converges, but may grow before. Of one channel, the two are equal.
     """
-    return _at_each(P, Q, L, omega, largest_singular_values)
-
-
-def _at_each(P, Q, L, omega, size):
-    """A size of M at each frequency, for one plant or for several."""
     arguments.instance("L", L, LearningOperator)
     omega = arguments.frequencies("omega", omega, L.Ts)
-    given = plants(P)
-    _, responses = on_grid(given, omega, L.Ts)
-    _, q = Q_on_grid(Q, omega, L=L.Ts)
-    check_learning(L, responses[0].shape[1])
-    response, together = L.frequency_response(omega), max(1, TOGETHER // len(omega))
-    found = []
-    for k in range(0, len(responses), together):
-        M = convergence_matrix(responses[k : k + together], q, response)
-        found.append(size(M.reshape(-1, *M.shape[2:])).reshape(M.shape[:2]))
-    return found[0][0] if "P" in given else np.concatenate(found)
+    known = plants(P)
+    _, responses = on_grid(known, omega, L.Ts)
+    _, Q = Q_on_grid(Q, omega, L=L.Ts)
+    check_learning(L, responses.shape[-1])
+    P = responses[0] if "P" in known else responses
+    return from_responses(omega, P, Q, L.frequency_response(omega))
+
+
+def rate(P, Q, L: LearningOperator, omega) -> Rate:
+    """The convergence rate: the gamma of Lemma 1, max sigma_max(M), and where it is.
+
+    By that factor the norm of the error shrinks, at least, from trial to trial. Parameters as for
+    :func:`convergence`; for several plants, both are arrays.
+    """
+    result = convergence(P, Q, L, omega)
+    return Rate(result.gamma, result.at)
+
+
+def from_responses(omega, P, Q, L) -> Convergence:
+    """As :func:`convergence`, of frequency responses P (n, m, m) or (p, n, m, m), Q and L."""
+    n, m = P.shape[-3:-1]
+    every = P.reshape(-1, n, m, m)
+    sigma, radius = np.empty((2, len(every), n))
+    together = max(1, TOGETHER // n)
+    for k in range(0, len(every), together):
+        part = slice(k, k + together)
+        M = convergence_matrix(every[part], Q, L).reshape(-1, m, m)
+        sigma[part] = largest_singular_values(M).reshape(-1, n)
+        radius[part] = spectral_radii(M).reshape(-1, n)
+    sigma, radius = sigma.reshape(P.shape[:-2]), radius.reshape(P.shape[:-2])
+    at = np.asarray(omega)[tied(sigma.T).argmax(axis=0)]
+    largest = sigma.max(axis=-1), at, radius.max(axis=-1)
+    return Convergence(omega, sigma, *largest, responses=(P, Q, L))
+
+
+def log_mean(sigma, omega, band) -> float:
+    """Mean over the logarithm of frequency, in the band, of what is known at `omega`."""
+    within = omega[(omega > band[0]) & (omega < band[1])]
+    place = np.log(np.concatenate([band[:1], within, band[1:]]))
+    values = np.interp(place, np.log(np.maximum(omega, band[0] / 2)), sigma)
+    return np.trapezoid(values, place) / (place[-1] - place[0])
 
 
 def spectral_radii(M) -> np.ndarray:

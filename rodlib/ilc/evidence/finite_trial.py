@@ -28,7 +28,7 @@ def trial_operators(
     P : control.StateSpace
         In discrete time, m inputs (w), m outputs (y); acts from rest.
     Q, L : ZeroPhaseButterworth, LearningFilter
-        Act as in :func:`rodlib.update`, with their own `ends`.
+        Act as in :class:`rodlib.Law`, with their own `ends`.
     samples : int
         Length of the trial.
 

@@ -130,7 +130,7 @@ def converged_noise(
         The filter, or its frequency response on ``new.measured.omega``.
     L : LearningOperator
     step : float
-        Of :func:`rodlib.update`, the same after every trial.
+        The `gain` of :class:`rodlib.Law`, the same after every trial.
 
     Returns
     -------
@@ -169,7 +169,7 @@ def noise_by_trial(new: TrialNoise, Q, L: LearningOperator, step) -> list[Learne
     ----------
     new, Q, L : as for :func:`converged_noise`
     step : array_like, shape (trials - 1,)
-        Of :func:`rodlib.update`, from each trial to the next.
+        The `gain` of :class:`rodlib.Law`, from each trial to the next.
 
     Returns
     -------

@@ -17,9 +17,9 @@ from scipy.fft import idct, irfft, next_fast_len, rfft
 from rodlib.ilc import arguments
 from rodlib.ilc.evidence.finite_trial import impulse_response
 from rodlib.ilc.evidence.noise import NEGLIGIBLE
-from rodlib.ilc.filters import LearningOperator, ZeroPhaseButterworth, check_learning
+from rodlib.ilc.filters import LearningOperator, ZeroPhaseButterworth
+from rodlib.ilc.law.law import Law
 from rodlib.ilc.loop.closed import CurrentTrialLoop, with_noise
-from rodlib.ilc.trials.run import check_law
 
 FAINT = 1e-3  # gain of Q below which v is taken to have no higher frequencies,
 ALL = 200  # in trials that are longer than this
@@ -44,8 +44,11 @@ def noise_on_trial(
 
     Parameters
     ----------
-    loop, Q, L, plant, rest, step :
-        As for :func:`rodlib.run_trials`; the filters act with their own `ends`.
+    loop, plant :
+        As for :func:`rodlib.run_trials`.
+    Q, L, rest, step :
+        As for :class:`rodlib.Law`, step for the learning gain; the filters act with their own
+        `ends`.
     samples : int
         Length of a trial.
     noise : float or array_like, shape (m,)
@@ -72,13 +75,11 @@ def noise_on_trial(
     a ten-thousandth. Next to an end it may be half a percent in a sample, if the loop is fast or
     the filters hold their ends. A trial of up to 200 samples is exact to rounding.
     """
-    check_law(loop, Q, L)
+    law = Law(Q, L, rest, step, loop=loop)
     closed, m = with_noise(loop, plant), loop.plant.noutputs
-    check_learning(L, m)
     samples = arguments.whole("samples", samples, 1)
     trials = None if trials is None else arguments.whole("trials", trials, 1)
-    rest = arguments.whole("rest", rest, 0, samples - 1)
-    step = arguments.share("step", step)
+    rest = arguments.whole("rest", law.rest, 0, samples - 1)
     noise = arguments.array("noise", noise, (...,))
     noise = arguments.array("noise", noise, (m,) if noise.ndim else ()) * np.ones(m)
     if noise.min() < 0:
@@ -89,7 +90,7 @@ def noise_on_trial(
     P, T = h[..., :m], h[..., -m:] * np.sqrt(noise)
     X = T.copy()  # of x: the noise itself, and what the loop makes of it
     X[0] += np.diag(np.sqrt(noise))
-    law, slowest = (Q, L, rest, step), np.abs([*closed.poles(), *Q.poles]).max()
+    law, slowest = (Q, L, rest, law.gain), np.abs([*closed.poles(), *Q.poles]).max()
     length = 2 * rest + 2 * np.log(STILL) / np.log(min(slowest, arguments.CIRCLE))
     while True:
         length = min(int(np.ceil(length)), samples)

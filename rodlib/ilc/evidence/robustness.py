@@ -1,7 +1,7 @@
-"""How slowly may it converge? The worst case of M over all plants that were not ruled out.
+"""How slowly may it converge? The worst case of M over all plants considered possible.
 
 For each frequency: the largest sigma_max(Q (I - (P_k + Delta) L)) over the plants P_k and all Delta
-within the radius, an upper bound that holds, and a Delta that shows how sharp it is.
+within the radius, an upper bound with a proof, and a Delta that shows how sharp it is.
 """
 
 from dataclasses import dataclass
@@ -11,32 +11,28 @@ from scipy.optimize import elementwise
 
 from rodlib.ilc import arguments
 from rodlib.ilc.filters import LearningFilter, check_learning
-from rodlib.ilc.problem.problem import Problem, largest_singular_values, tied
+from rodlib.ilc.problem.problem import (
+    TIED,
+    Problem,
+    convergence_matrix,
+    largest_singular_values,
+    tied,
+)
 
 FARTHEST = 40.0  # logarithm of how unequal two shares may be: the smaller is then below rounding
 NEXT = 1e-12  # distance of neighbouring logarithms
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class WorstCase:
     """The worst case of sigma_max(M) at each frequency. Made by :func:`worst_case`."""
 
     sigma: np.ndarray  # (n,): an upper bound for all plants k and all Delta
-    attained: (
-        np.ndarray
-    )  # (n,): what it is for the plant and the Delta below; `sigma`, but rounded
-    plant: (
-        np.ndarray
-    )  # (n,): number of the worst plant, 0 for the nominal one; of tied ones, first
-    Delta: (
-        np.ndarray | None
-    )  # (n, m, m): within the radius, in units of `scale`; None without one
-    peaks: (
-        np.ndarray
-    )  # (1 + others,): largest sigma_max(M) of each plant by itself, Delta = 0
-    tied: tuple[
-        tuple[int, int], ...
-    ]  # plants and indices of frequencies of the worst of all
+    attained: np.ndarray  # (n,): by the plant and the Delta below; `sigma`, but rounded
+    plant: np.ndarray  # (n,): number of the worst plant, 0 for the nominal one
+    Delta: np.ndarray | None  # (n, m, m): in units of `scale`; None without a radius
+    peaks: np.ndarray  # (1 + others,): largest sigma_max(M) of each plant, Delta = 0
+    tied: tuple[tuple[int, int], ...]  # plants and indices of frequencies of the peak
 
 
 def worst_case(problem: Problem, L: LearningFilter) -> WorstCase:
@@ -64,41 +60,43 @@ def worst_case(problem: Problem, L: LearningFilter) -> WorstCase:
     check_learning(L, problem.channels)
     arguments.one_period(problem=problem.Ts, L=L.Ts)
     response = L.frequency_response(problem.omega)
-    each = (problem.M(response, k) for k in range(1 + len(problem.others)))
-    nominal = np.array([largest_singular_values(M) for M in each])
+    count = 1 + len(problem.others)
+    nominal = np.array(
+        [largest_singular_values(problem.M(response, k)) for k in range(count)]
+    )
     plant, peaks = tied(nominal).argmax(axis=0), nominal.max(axis=1)
-    at = np.arange(len(problem.omega))
     if problem.radius is None:
         sigma = nominal.max(axis=0)
-        return WorstCase(sigma, sigma, plant, None, peaks, _pairs(nominal, at))
-    t = _balance(stacked(problem, plant, at, response))[0]
-    sigma = _bound(stacked(problem, plant, at, response), t)
-    # Any t gives an upper bound: those plants that it leaves in doubt are looked at themselves.
-    each = (
-        stacked(problem, np.full(len(at), k), at, response) for k in range(len(nominal))
+        return WorstCase(sigma, sigma, plant, None, peaks, _tied_pairs(nominal))
+
+    every = np.arange(len(problem.omega))
+    G = _stacked(problem, plant, every, response)
+    t = _balance(G)[0]
+    first = _bound(G, t)
+    # Any t gives an upper bound. Where that of a plant is below the first guess, so is the plant.
+    bounds = np.empty(nominal.shape)
+    for k in range(count):
+        bounds[k] = _bound(
+            _stacked(problem, np.full_like(every, k), every, response), t
+        )
+    possible, at = np.nonzero(bounds >= first * (1 - TIED))
+    G = _stacked(problem, possible, at, response)
+    worst = np.zeros(nominal.shape)
+    worst[possible, at] = _bound(G, _balance(G)[0])
+    plant = worst.argmax(axis=0)
+    Delta = _worst_Delta(problem, plant, response)
+    P = np.concatenate([problem.P[None], problem.others])[plant, every]
+    M = convergence_matrix(P + Delta, problem.Q, response)
+    attained = largest_singular_values(M)
+    return WorstCase(
+        worst.max(axis=0), attained, plant, Delta, peaks, _tied_pairs(worst)
     )
-    limits = np.array([_bound(G, t) for G in each])
-    while np.any(limits > sigma):
-        [at] = np.nonzero(limits.max(axis=0) > sigma)
-        number = limits[:, at].argmax(axis=0)
-        limits[number, at] = 0
-        G = stacked(problem, number, at, response)
-        value = _bound(G, _balance(G)[0])
-        worse = value > sigma[at]
-        plant[at[worse]], sigma[at[worse]] = number[worse], value[worse]
-    Delta, attained = _worst_Delta(problem, plant, response)
-    [at] = np.nonzero(tied(sigma))
-    each = [
-        stacked(problem, np.full(len(at), k), at, response) for k in range(len(nominal))
-    ]
-    of_all = np.array([_bound(G, _balance(G)[0]) for G in each])
-    return WorstCase(sigma, attained, plant, Delta, peaks, _pairs(of_all, at))
 
 
-def _pairs(values, at):
-    """Plant and frequency of all that are tied as the worst, of values of plants at frequencies."""
-    frequency, plant = np.nonzero(tied(values.ravel()).reshape(values.shape).T)
-    return tuple(zip(plant.tolist(), at[frequency].tolist(), strict=True))
+def _tied_pairs(sigma):
+    """Plant and index of frequency of all that are tied as the worst, by frequency."""
+    frequency, plant = np.nonzero(tied(sigma.ravel()).reshape(sigma.shape).T)
+    return tuple(zip(plant.tolist(), frequency.tolist(), strict=True))
 
 
 def affine(problem: Problem, plant, at) -> tuple[np.ndarray, np.ndarray]:
@@ -108,21 +106,26 @@ def affine(problem: Problem, plant, at) -> tuple[np.ndarray, np.ndarray]:
     P[other] = problem.others[plant[other] - 1, at[other]]
     T = -Q * P
     if problem.radius is not None:
-        below = np.abs(Q) * problem.radius[at].reshape(-1, 1, 1) * np.eye(m)
-        T = np.concatenate([T, below], axis=1)
-    return Q * np.eye(T.shape[1], m), T
+        rho = np.abs(Q) * problem.radius[at, None, None]
+        T = np.concatenate([T, rho * np.eye(m)], axis=1)
+    F = Q * np.eye(T.shape[1], m)
+    return F, T
 
 
-def stacked(problem, plant, at, response):
-    """G, shape (c, rows, m), from the frequency response of L at all frequencies."""
+def _stacked(problem, plant, at, response):
+    """[M; rho L] of plants at frequencies, shape (c, 2 m, m), from L at all frequencies."""
     F, T = affine(problem, plant, at)
     return F + T @ response[at]
 
 
 def _weighted(G, t):
     """[M / sqrt(alpha); rho L / sqrt(1 - alpha)] for alpha = 1 / (1 + exp(t))."""
-    shares = np.stack([1 / (1 + np.exp(t)), 1 / (1 + np.exp(-t))], axis=1)
-    return G / np.sqrt(np.repeat(shares, G.shape[2], axis=1))[..., None]
+    alpha = 1 / (1 + np.exp(t))
+    rest = 1 / (1 + np.exp(-t))
+    M, rho_L = np.split(G, 2, axis=1)
+    M = M / np.sqrt(alpha)[:, None, None]
+    rho_L = rho_L / np.sqrt(rest)[:, None, None]
+    return np.concatenate([M, rho_L], axis=1)
 
 
 def _bound(G, t):
@@ -134,20 +137,15 @@ def _balance(G):
     """The best t = log((1 - alpha) / alpha), and neighbours below and above it."""
 
     def imbalance(t, i):
-        first, second = np.linalg.norm(
-            _images(G[i], _most_amplified(G[i], t)), axis=2
-        ).T
+        Mx, rho_Lx = _images(G[i], _most_amplified(G[i], t))
         with np.errstate(divide="ignore", invalid="ignore"):
-            wanted = np.log(second) - np.log(first)
-        return t - np.clip(np.nan_to_num(wanted), -FARTHEST, FARTHEST)
+            best = np.log(_norm(rho_Lx)) - np.log(_norm(Mx))
+        return t - np.clip(np.nan_to_num(best), -FARTHEST, FARTHEST)
 
     ends = np.full(len(G), FARTHEST + 1)
-    with np.errstate(
-        invalid="ignore"
-    ):  # a bracket at rounding level, which is then halved
-        root = elementwise.find_root(
-            imbalance, (-ends, ends), args=(np.arange(len(G)),)
-        )
+    cases = (np.arange(len(G)),)
+    with np.errstate(invalid="ignore"):  # a bracket at rounding level is halved
+        root = elementwise.find_root(imbalance, (-ends, ends), args=cases)
     return root.x, *np.clip(root.bracket, root.x - NEXT, root.x + NEXT)
 
 
@@ -157,36 +155,51 @@ def _most_amplified(G, t):
 
 
 def _images(G, x):
-    """M x and rho L x, shape (c, 2, m)."""
-    return (G @ x[..., None]).reshape(len(G), 2, -1)
+    """M x and rho L x, shape (c, m) each."""
+    return np.split((G @ x[..., None])[..., 0], 2, axis=1)
 
 
 def _balanced_vector(G):
     """The unit x with the largest |M x| + |rho L x|."""
-    # Where two are amplified equally at the best alpha, one with too large an M x and one with too
-    # large an L x, it is the sum of both for which alpha is the best, too.
+    # At the best alpha exp(t) |M x|^2 = exp(-t) |rho L x|^2. Where two directions are amplified
+    # equally, x with too large an M x and y with too large a rho L y, a combination
+    # cos(a) x + sin(a) y meets this: the difference of both sides is a sinusoid in 2 a.
     t, low, high = _balance(G)
-    x, y = _most_amplified(G, low), _most_amplified(G, high)
+    x, y = _most_amplified(G, high), _most_amplified(G, low)
     y = y * _phase((y.conj() * x).sum(axis=1))[:, None]
-    sign = np.stack([np.exp(t), -np.exp(-t)], axis=1)
-    X, Y = _images(G, x), _images(G, y)
-    a, b, c = ((sign * (u.conj() * v).real.sum(axis=2)).sum(axis=1) for u, v in
-               ((X, X), (X, Y), (Y, Y)))  # fmt: skip
-    root = np.sqrt(np.maximum(b**2 - a * c, 0))
-    p, q = np.where(b > 0, [b + root, -a], [c, root - b])  # a p^2 + 2 b p q + c q^2 = 0
-    p, q = np.where(np.maximum(p, q) > 0, [p, q], [[1.0], [0.0]])
-    return _unit(np.maximum(p, 0)[:, None] * x + np.maximum(q, 0)[:, None] * y)
+
+    def difference(x, y):
+        Mx, Lx = _images(G, x)
+        My, Ly = _images(G, y)
+        return np.exp(t) * _inner(Mx, My) - np.exp(-t) * _inner(Lx, Ly)
+
+    first, last = difference(x, x), difference(y, y)
+    cosine, sine = (first - last) / 2, difference(x, y)
+    size, mean = np.hypot(cosine, sine), (first + last) / 2
+    ratio = np.divide(-mean, size, out=np.zeros_like(t), where=size > 0)
+    angle = np.arctan2(sine, cosine) + np.arccos(np.clip(ratio, -1, 1))
+    a = np.clip(angle, 0, np.pi)[:, None] / 2
+    return _unit(np.cos(a) * x + np.sin(a) * y)
 
 
 def _worst_Delta(problem, plant, response):
-    """A Delta within the radius at each frequency, and the sigma_max(M) that it leads to."""
-    G = stacked(problem, plant, np.arange(len(plant)), response)
-    M, Q = G[:, : problem.channels], problem.Q[:, None, None]
-    against = -_phase(Q).conj()  # so that -Q Delta L x points as M x does
-    x = _balanced_vector(G)[..., None]
-    u, v = (_unit((X @ x)[..., 0])[..., None] for X in (M, response))
-    Delta = problem.radius.reshape(-1, 1, 1) * against * u * v.conj().swapaxes(1, 2)
-    return Delta, largest_singular_values(M - Q * Delta @ response)
+    """A Delta within the radius at each frequency that leads to the worst case of M."""
+    G = _stacked(problem, plant, np.arange(len(plant)), response)
+    x = _balanced_vector(G)
+    u = _unit(_images(G, x)[0])
+    v = _unit((response @ x[..., None])[..., 0])
+    # so that -Q Delta L x points as M x does
+    size = -np.sign(problem.Q) * problem.radius
+    return size[:, None, None] * u[:, :, None] * v[:, None, :].conj()
+
+
+def _inner(x, y):
+    """Re x^H y of each row."""
+    return (x.conj() * y).real.sum(axis=1)
+
+
+def _norm(x):
+    return np.linalg.norm(x, axis=1)
 
 
 def _phase(z):
@@ -197,5 +210,5 @@ def _phase(z):
 
 def _unit(x):
     """x / |x| for each row; the first axis where that is 0 / 0."""
-    size = np.linalg.norm(x, axis=1, keepdims=True)
+    size = _norm(x)[:, None]
     return np.where(size > 0, x / np.where(size > 0, size, 1), np.eye(1, x.shape[1]))

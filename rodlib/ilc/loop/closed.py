@@ -7,7 +7,7 @@ another plant. How the gains are designed is in :mod:`rodlib.ilc.loop.design`.
 
 import reprlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 
 import control
@@ -284,6 +284,21 @@ class ClosedLoop:
 
 
 Loop = CurrentTrialLoop | ClosedLoop
+
+
+def same_loop(one: Loop, other: Loop) -> bool:
+    """Whether two loops are equal: controller, model, names and units."""
+
+    def equal(a, b):
+        if isinstance(a, control.StateSpace) and isinstance(b, control.StateSpace):
+            parts = ("A", "B", "C", "D", "dt", "input_labels", "output_labels")
+            return all(equal(getattr(a, part), getattr(b, part)) for part in parts)
+        return np.array_equal(a, b)
+
+    names = [part.name for part in fields(one)]
+    return type(one) is type(other) and all(
+        equal(getattr(one, name), getattr(other, name)) for name in names
+    )
 
 
 def check_loop(loop) -> Loop:

@@ -12,9 +12,10 @@ import numpy as np
 import xarray as xr
 
 from rodlib.ilc import arguments
+from rodlib.ilc.law.io import limits_of
 from rodlib.ilc.logs.findings import findings_of
 from rodlib.ilc.logs.log import LogError
-from rodlib.ilc.logs.notes import actuators_of, excitation_of, loop_of
+from rodlib.ilc.logs.notes import excitation_of, loop_of
 from rodlib.ilc.logs.tables import few
 from rodlib.ilc.loop.closed import CurrentTrialLoop, Loop
 from rodlib.ilc.measurement.estimation import EstimatedResponse, estimated_response
@@ -203,7 +204,7 @@ def measured_response(
         windows = windows_of(excitation.harmonics, excitation, loop)
         measured = _estimate(w, y, windows, excitation, loop)
         made = windows, excitation, measured
-        findings = findings_of(log.get("u", log.v).values, y, actuators_of(log), *made)
+        findings = findings_of(log.get("u", log.v).values, y, limits_of(log), *made)
         measured = replace(measured, findings=findings)
     for finding in measured.findings:
         warnings.warn(finding, stacklevel=2)

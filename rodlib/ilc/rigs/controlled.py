@@ -8,7 +8,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from rodlib.ilc import arguments
-from rodlib.ilc.law.actuators import Actuators, named_limits
+from rodlib.ilc.law.limits import named_limits
 from rodlib.ilc.loop.closed import CurrentTrialLoop, check_loop
 from rodlib.ilc.rigs.limits import commands_beyond, stop_limits
 from rodlib.ilc.rigs.protocol import RigError, StoppedError
@@ -61,7 +61,7 @@ class Controller:
 class ControlledRig:
     """A rig with the controller on it: signals by name, no reading used before it is checked."""
 
-    def __init__(self, rig, loop, decimals, limits=None):
+    def __init__(self, rig, loop, decimals):
         if isinstance(rig, type):
             raise ValueError(f"rig = {rig!r} is a class: make one")
         missing = [
@@ -91,13 +91,8 @@ class ControlledRig:
                 f"rig.inputs = {self.inputs} must name the {what} {missing}"
             )
         given = getattr(rig, "limits", None)
-        self.limits = named_limits("rig.limits", given, self.inputs, rated=True)
-        if isinstance(limits, str) and limits == "rig":
-            limits = {n: own for n, own in self.limits.items() if n in self.commands}
-        self.kept = named_limits(
-            "limits", limits, self.commands, rated=True
-        )  # by what is applied
-        self.actuators = Actuators.of("limits", self.kept, loop) if self.kept else None
+        self.limits = named_limits("rig.limits", given, self.inputs, slew=True)
+        self.actuators = None  # of a law with limits
         self.applied = None  # the last commands
         heard = {} if self.whole else getattr(rig, "measured", {})
         self.told = (

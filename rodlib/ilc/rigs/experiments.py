@@ -1,38 +1,37 @@
 """Running an experiment on a rig, trial by trial: learning by the ILC law, or shaking the loop."""
 
+from dataclasses import replace
+
 import numpy as np
 import xarray as xr
 
 from rodlib.ilc import arguments
-from rodlib.ilc.filters import LearningFilter, LearningOperator, ZeroPhaseButterworth
-from rodlib.ilc.law.limits import commands_of, projected
-from rodlib.ilc.logs.notes import BEGUN, with_excitation, with_law
+from rodlib.ilc.filters import LearningFilter
+from rodlib.ilc.law.io import with_law
+from rodlib.ilc.law.law import Law
+from rodlib.ilc.logs.notes import with_excitation
 from rodlib.ilc.loop.closed import Loop
 from rodlib.ilc.measurement.excitation import Excitation
 from rodlib.ilc.rigs.controlled import ControlledRig
 from rodlib.ilc.rigs.protocol import Rig, TrialRig
-from rodlib.ilc.rigs.recording import Experiment
-from rodlib.ilc.trials.run import check_law, each_trial
+from rodlib.ilc.rigs.recording import BEGUN, Experiment
+from rodlib.ilc.signals import check_match
+from rodlib.ilc.trials.run import commands_of, each_trial
 
 
 def record(
     rig: Rig | TrialRig,
     loop: Loop,
-    Q: ZeroPhaseButterworth,
-    L: LearningOperator | None,
+    law: Law,
     reference,
     disturbance=None,
     trials: int = 10,
-    pause: int | None = None,
     *,
     path=None,
-    rest: int = 0,
-    step: float = 1.0,
+    v=None,
+    pause: int | None = None,
     decimals: dict[str, int] | None = None,
     stop: dict[str, tuple[float, float] | None] | None = None,
-    v=None,
-    limits: dict[str, tuple[float, ...]] | str | None = "rig",
-    another_law: bool = False,
 ) -> xr.Dataset:
     """Run an experiment of several trials on a rig and record it.
 
@@ -45,40 +44,34 @@ def record(
     rig : Rig or TrialRig
     loop : CurrentTrialLoop or ClosedLoop
         Its names and units are those of the record.
-    Q, L : ZeroPhaseButterworth, LearningOperator
-        L None switches learning off. A log can name no other L than a LearningFilter.
-    reference, trials, rest :
+    law : Law
+        Without limits (None) it takes those of the rig; ``limits={}`` leaves them out: then the rig
+        cuts off what it must, which is warned of, and the law (23) does not know. Commands are cut
+        off at the limits of the law, and the observer is informed of that. A log can name no other
+        L than a LearningFilter.
+    reference, trials :
         As for :func:`rodlib.run_trials`.
     disturbance : array_like, shape (time, d) or (trial, time, d), optional
         What to command to those of ``loop.disturbances`` that are inputs of the rig. What it
         measures of them is recorded instead of the values given here; of others nothing is known,
         and they must be zero. Further trials than those recorded are ignored. Default zero.
-    pause : int, optional
-        Samples between two trials. Default: until the outputs are back and still, two trials at
-        most; for a rig that has `begin`, none.
     path : path-like, optional
         Of a log, which is written anew when a trial ends, so that a fault costs one trial at most;
         without it, all. If the log is there, its trials must be of the same experiment, and the
         next one follows; a last trial that is shorter than the first is dropped. If it has `trials`
         or more, none is run, and all of them are returned. Meanwhile no other process can record
         to it.
-    step : float
-        Of :func:`rodlib.update`, in (0, 1], the same after every trial.
+    v : array_like, shape (time, m), optional
+        ILC signal of the first trial. Default zero. With L None, that of all trials.
+    pause : int, optional
+        Samples between two trials. Default: until the outputs are back and still, two trials at
+        most; for a rig that has `begin`, none.
     decimals : dict, optional
         Of v, u (rounded before they act), delta and measured disturbances. Default: all digits.
     stop : dict, optional
         Lowest and highest of outputs and commands, by name, beyond which the experiment stops; None
         stands for no limit. Default: outputs may be beyond all references by five times the largest
         in the same unit, if it is not zero; commands may span a hundred times the rig's limits.
-    v : array_like, shape (time, m), optional
-        ILC signal of the first trial. Default zero. With L None, that of all trials.
-    limits : dict, optional
-        Of the commands, as for :func:`rodlib.update_within`: they are cut off there, the observer
-        is told, and v is learned within. Default: those of the rig. None leaves them out: then the
-        rig cuts off what it must, which is warned of, and the law (23) does not know.
-    another_law : bool
-        Whether a log that is there may be gone on with by another Q, L, rest, step or limits. The
-        earlier ones, and for how many trials they held, stay in its metadata.
 
     Returns
     -------
@@ -104,54 +97,43 @@ def record(
         than the first; once, if the trials show that they do not converge, see
         :mod:`rodlib.ilc.trials.diagnosis`.
     """
-    controlled = ControlledRig(rig, loop, decimals, limits)
-    check_law(loop, Q, L, rig=controlled.Ts)
-    if path is not None and L is not None:
-        arguments.instance(
-            "L", L, LearningFilter
-        )  # or the log could not say what made it
+    controlled = ControlledRig(rig, loop, decimals)
+    law = arguments.instance("law", law, Law).bound_to(loop)
+    check_match(law=law, rig=controlled)
+    if law.limits is None:
+        limits = {
+            n: controlled.limits[n] for n in loop.commands if n in controlled.limits
+        }
+        law = replace(law, limits=limits)
+    controlled.actuators = law.actuators
+    if path is not None and law.L is not None:
+        arguments.instance("L", law.L, LearningFilter)  # or the log could not note it
     trials = arguments.whole("trials", trials, 1)
     pause = None if pause is None else arguments.whole("pause", pause, 0)
     if pause and controlled.whole:
         raise ValueError(
             f"pause = {pause}, but rig.run begins where every trial begins: leave it"
         )
-    pause = (
-        0 if pause is None and (controlled.whole or hasattr(rig, "begin")) else pause
-    )
-    another_law = arguments.flag("another_law", another_law)
+    if pause is None and (controlled.whole or hasattr(rig, "begin")):
+        pause = 0
     reference = each_trial("reference", reference, trials, "time", loop.outputs)
     samples = reference.shape[1]
-    rest = arguments.whole("rest", rest, 0, samples - 1)
-    first = np.zeros(reference.shape[1:]) if v is None else v
-    first = arguments.in_columns("v", first, reference.shape[1:], loop.outputs)
-    first[samples - rest :] = 0
-    step = arguments.share("step", step)
+    first = law.first(samples, v)
     commanded = controlled.commanded(disturbance, trials, samples)
 
     def following(signals):
-        done = len(signals["y"])
-        if L is None or not done:
-            return signals["v"][-1] if done else first
-        r, v, y = reference[done - 1], signals["v"][-1], signals["y"][-1]
-        told = (signals[name][-1] for name in ("u", "applied") if name in signals)
-        commands = commands_of(loop, controlled.actuators, r + v, *told)
-        return projected(
-            v, r - y, commands, Q, L, loop, controlled.actuators, rest, step
-        )
+        if not signals["y"]:
+            return first
+        last = {name: values[-1] for name, values in signals.items()}
+        r = reference[len(signals["y"]) - 1]
+        commands = commands_of(loop, r + last["v"], last)
+        return law.next(last["v"], r - last["y"], **commands)
 
-    notes = with_law(xr.Dataset(), Q, L, rest, loop, step, controlled.kept).attrs
+    notes = with_law(xr.Dataset(), law).attrs
     notes |= {} if v is None else {BEGUN: "v of trial 1 was given"}
     controlled.stop_at(stop, reference)
-    made = (
-        controlled,
-        reference,
-        commanded,
-        following,
-        notes,
-        None if L is None else (Q, L),
-    )
-    return Experiment(*made, another_law=another_law).run(pause, path)
+    experiment = Experiment(controlled, reference, commanded, following, notes, law)
+    return experiment.run(pause, path)
 
 
 def shake(
@@ -186,13 +168,8 @@ def shake(
     """
     controlled = ControlledRig(rig, loop, decimals)
     arguments.instance("excitation", excitation, Excitation)
-    arguments.one_period(loop=loop.Ts, rig=controlled.Ts, excitation=excitation.Ts)
+    check_match(loop=loop, rig=controlled, excitation=excitation)
     shaken = excitation.signals
-    m = len(loop.outputs)
-    if excitation.channels != m:
-        raise ValueError(
-            f"excitation is for {excitation.channels} channels, but the loop has {m}"
-        )
     commanded = controlled.commanded(None, *shaken.shape[:2])
     followed = {
         n: controlled.limits[n] for n in loop.controls if n in controlled.limits
@@ -205,5 +182,7 @@ def shake(
 
     controlled.stop_at(stop, shaken)
     reference = np.zeros(shaken.shape)
-    made = controlled, reference, commanded, following, notes
-    return Experiment(*made, alike=False).run(0, path)
+    experiment = Experiment(
+        controlled, reference, commanded, following, notes, alike=False
+    )
+    return experiment.run(0, path)

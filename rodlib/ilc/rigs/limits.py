@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from rodlib.ilc import arguments
-from rodlib.ilc.law.actuators import named_limits
+from rodlib.ilc.law.limits import named_limits
 from rodlib.ilc.units import by_unit
 
 FAR = 5.0  # times the largest reference that outputs may be beyond all references

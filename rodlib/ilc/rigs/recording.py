@@ -1,6 +1,5 @@
 """Trials on a rig, one after the other: each is watched, and kept when it ends."""
 
-import json
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,16 +10,19 @@ from tqdm import tqdm
 
 from rodlib.ilc import arguments
 from rodlib.ilc.files import alone
-from rodlib.ilc.filters import LearningOperator, ZeroPhaseButterworth
-from rodlib.ilc.law.limits import commands_of, realised
+from rodlib.ilc.law.io import KEYS
+from rodlib.ilc.law.law import Law
+from rodlib.ilc.law.limits import realised
 from rodlib.ilc.logs.log import load_ended, save_log
-from rodlib.ilc.logs.notes import BEGUN, EARLIER, LAW, MADE_BY
 from rodlib.ilc.rigs.controlled import ControlledRig
 from rodlib.ilc.rigs.limits import commands_beyond
 from rodlib.ilc.rigs.protocol import StoppedError
 from rodlib.ilc.rigs.start import Start
 from rodlib.ilc.trials.diagnosis import Course, rates_of
-from rodlib.ilc.trials.run import dataset
+from rodlib.ilc.trials.run import commands_of, dataset
+
+BEGUN = "begun"  # the note that says that v of trial 1 was given
+NOTED = (*KEYS, "excitation", "loop")  # the notes of what makes the trials
 
 
 @dataclass(frozen=True)
@@ -29,18 +31,13 @@ class Experiment:
 
     rig: ControlledRig
     reference: np.ndarray  # shape (trial, time, output)
-    commanded: (
-        np.ndarray
-    )  # of the disturbances that are inputs, shape (trial, time, them)
+    commanded: np.ndarray  # of the disturbances that are inputs
     following: Callable[
         [dict[str, list]], np.ndarray
     ]  # v after the trials whose signals are given
     notes: dict[str, str]  # of what makes the trials
-    law: tuple[ZeroPhaseButterworth, LearningOperator] | None = (
-        None  # that shall converge
-    )
-    alike: bool = True  # whether all trials shall start from the same state
-    another_law: bool = False  # whether trials of another law may be gone on with
+    law: Law | None = None
+    alike: bool = True  # whether all trials start from the same state
 
     def run(self, pause, path) -> xr.Dataset:
         """Run the trials that are not in the log at `path` yet; all trials."""
@@ -59,12 +56,8 @@ class Experiment:
         if path is not None and path.exists():
             found = load_ended(path)
             self.check(found, path)
-            if (
-                "applied" in signals and "applied" not in found
-            ):  # of a law that knew no limits
-                found["applied"] = found.u
             signals = {name: list(found[name].values) for name in signals}
-            notes = self.gone_on_with(found)
+            notes = {key: n for key, n in found.attrs.items() if key not in NOTED}
 
         done, trials, said = len(signals["y"]), len(self.commanded), set()
         if done > trials:
@@ -115,21 +108,22 @@ class Experiment:
             self.reference[: k + 1],
         )
         if self.rig.actuators:
-            told = (
-                np.stack(signals[name]) for name in ("u", "applied") if name in signals
+            stacked = {name: np.stack(values) for name, values in signals.items()}
+            commands = commands_of(loop, reference + v, stacked)
+            u = commands["u"]
+            v = realised(
+                loop, v, u, commands.get("applied", self.law.actuators.follow(u))
             )
-            commands = commands_of(loop, self.rig.actuators, reference + v, *told)
-            v = realised(loop, v, *commands)
-            if cut_off := commands_beyond(
-                commands[0][-1], loop.commands, self.rig.kept
-            ):
+            if cut_off := commands_beyond(u[-1], loop.commands, self.law.limits):
                 found["limits"] = (
                     f"{cut_off}, where they were cut off; v is learned within"
                 )
-        if self.law is None:
+        if self.law is None or self.law.L is None:
             return found
         given = v, reference - y, reference, loop.outputs, units
-        rates = (None, None) if loop.P is None else rates_of(loop.P, *self.law)
+        rates = (
+            (None, None) if loop.P is None else rates_of(loop.P, self.law.Q, self.law.L)
+        )
         return found | Course(*given, 1, loop.P, *rates).findings()
 
     def start(self, signals) -> Start:
@@ -144,8 +138,8 @@ class Experiment:
         where = where if path is None else f"'{path}'"
         more = StoppedError(
             f"{error}. The rig is left safe; {kept} trial(s) are kept in {where}. If units, signs "
-            "and wires are right, go on with less learning, by another_law=True and a smaller step "
-            "or a lower cut-off; or with wider limits, by stop"
+            "and wires are right, learn less, by a smaller gain or a lower cut-off, in another "
+            "log; or go on with wider limits, by stop"
         )
         more.trials = self.trials(signals, notes) if kept else None
         return more
@@ -166,9 +160,7 @@ class Experiment:
         pairs = zip(found.reference.values, self.reference, strict=False)
         own = [np.array_equal(one, other) for one, other in pairs]
         differing = [] if all(own) else ["reference"]
-        free = LAW if self.another_law else ()
-        noted = [key for key in MADE_BY if found.attrs.get(key) != self.notes.get(key)]
-        differing += [key for key in noted if key not in free]
+        differing += [k for k in NOTED if found.attrs.get(k) != self.notes.get(k)]
         first = self.rig.rounded_v(self.following({"y": [], "v": []}))
         if BEGUN in self.notes and not np.array_equal(found.v[0], first):
             differing.append("v of trial 1")
@@ -181,17 +173,4 @@ class Experiment:
             raise ValueError(
                 f"path = '{path}' holds another experiment, see its {', '.join(differing)}: give "
                 "another path, or go on with the same"
-                + (", or say another_law=True" if {*differing} <= {*LAW} else "")
             )
-
-    def gone_on_with(self, found) -> dict:
-        """The notes of a log, with the law that held so far among the earlier ones if it ends."""
-        held = {key: found.attrs[key] for key in LAW if key in found.attrs}
-        notes = {key: note for key, note in found.attrs.items() if key not in MADE_BY}
-        if held != {key: self.notes[key] for key in LAW if key in self.notes}:
-            earlier = json.loads(notes.get(EARLIER, "[]"))
-            law = {key: json.loads(note) for key, note in held.items()}
-            notes[EARLIER] = json.dumps(
-                [*earlier, {"trials": found.sizes["trial"]} | law]
-            )
-        return notes

@@ -7,6 +7,7 @@ import numpy as np
 from rodlib.ilc.evidence.certificate import Certificate
 from rodlib.ilc.evidence.check import Check, check
 from rodlib.ilc.filters import LearningFilter
+from rodlib.ilc.law.law import Law
 from rodlib.ilc.problem.pose import pose
 from rodlib.ilc.problem.problem import Problem, Solution
 from rodlib.ilc.synthesis.solver.threads import on_one_thread
@@ -54,6 +55,15 @@ class Synthesis:
     def omega(self) -> np.ndarray:
         """The design frequencies, rad/s."""
         return self.problem.omega[self.problem.asked]
+
+    def law(self, rest: int = 0, gain: float = 1.0, limits=None) -> Law:
+        """The law (23) with Q and L of the design; for the others see :class:`rodlib.Law`."""
+        Q = self.problem.butterworth
+        if Q is None:
+            raise ValueError(
+                "Q = samples cannot be applied to a trial: synthesise with Q as a filter"
+            )
+        return Law(Q, self.filter, rest, gain, limits)
 
     def check(
         self, P, omega=None, *, uncertainty=None, confidence=None, beyond=None

@@ -1,30 +1,23 @@
 """Trials under the ILC law: one trial of the closed loop, and a sequence of them. Section IV."""
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import xarray as xr
 from tqdm import tqdm
 
 from rodlib.ilc import arguments
-from rodlib.ilc.filters import (
-    LearningOperator,
-    ZeroPhaseButterworth,
-    check_learning,
-    check_Q,
-)
-from rodlib.ilc.law.actuators import Actuators
-from rodlib.ilc.law.limits import commands_of, projected, realised
-from rodlib.ilc.loop.closed import ClosedLoop, Loop, check_loop, with_noise
+from rodlib.ilc.law.law import Law
+from rodlib.ilc.law.limits import realised
+from rodlib.ilc.loop.closed import ClosedLoop, Loop, with_noise
 from rodlib.ilc.models import state_sequence
 from rodlib.ilc.trials.diagnosis import Course, rates_of
 
 
 def run_trials(
     loop: Loop,
-    Q: ZeroPhaseButterworth,
-    L: LearningOperator | None,
+    law: Law,
     reference,
     disturbance=None,
     trials: int = 10,
@@ -32,23 +25,21 @@ def run_trials(
     plant=None,
     noise=None,
     initial_state=None,
-    rest: int = 0,
-    step=1.0,
     v=None,
-    limits: dict[str, tuple[float, ...]] | None = None,
+    reset: bool = True,
 ) -> xr.Dataset:
     """Simulate trials of the loop (19) under the ILC law (22), (23).
 
-    All signals are in the units of the loop's plant. What says whose its channels are, as the
-    columns of a DataFrame or a coordinate of a DataArray do, is matched by that. Of one channel,
-    signals may have the shape (time,).
+    All signals are in the units of the loop's plant. Labelled signals, by the columns of a
+    DataFrame or a coordinate of a DataArray, are matched by name. Of one channel, signals may have
+    the shape (time,).
 
     Parameters
     ----------
     loop : CurrentTrialLoop or ClosedLoop
         With m outputs and d disturbances. Of a ClosedLoop only P is simulated, no disturbance.
-    Q, L : ZeroPhaseButterworth, LearningOperator
-        L None switches learning off: v stays what it is.
+    law : Law
+        With limits, commands are cut off at them, and the observer is informed of that.
     reference : array_like, shape (time, m) or (trial, time, m)
         Reference trajectory, of all trials or of each.
     disturbance : array_like, shape (time, d) or (trial, time, d), optional
@@ -61,17 +52,13 @@ def run_trials(
         Added to what the sensors report: both observer and learning see it; of a ClosedLoop,
         learning only.
     initial_state : array_like, shape (n,), optional
-        State of the plant that is simulated at the start of every trial, unknown to the observer,
+        State at the start of every trial of the plant that is simulated, unknown to the observer,
         or of P. Default zero.
-    rest : int
-        Number of samples at the end of every trial in which v is held at zero.
-    step : float or array_like, shape (trials - 1,)
-        Of :func:`rodlib.update`, in (0, 1], or one from each trial to the next.
     v : array_like, shape (time, m), optional
         ILC signal of the first trial. Default zero.
-    limits : dict, optional
-        Of the actuators, as for :func:`rodlib.update_within`, by which v then follows from trial to
-        trial. Commands are cut off at them, and the observer is told. Default: there are none.
+    reset : bool
+        Whether every trial starts from the initial state. If not, each starts from the state of
+        plant and observer in which the last one ended.
 
     Returns
     -------
@@ -87,150 +74,154 @@ def run_trials(
     UserWarning
         If the trials show that they do not converge, see :mod:`rodlib.ilc.trials.diagnosis`.
     """
-    check_law(loop, Q, L)
-    actuators = None if limits is None else Actuators.of("limits", limits, loop)
-    simulate, n, nx = _simulation(loop, plant, actuators)
+    law = arguments.instance("law", law, Law).bound_to(loop)
+    reset = arguments.flag("reset", reset)
     trials = arguments.whole("trials", trials, 1)
+    make_trial, plant_states, states = _simulator(loop, plant, law.actuators)
     r = each_trial("reference", reference, trials, "time", loop.outputs)
     shape = trials, samples, _ = r.shape
-    rest = arguments.whole("rest", rest, 0, samples - 1)
-    d = (
-        np.zeros((samples, len(loop.disturbances)))
-        if disturbance is None
-        else disturbance
-    )
+    first = law.first(samples, v)
+    d = disturbance
+    if d is None:
+        d = np.zeros((samples, len(loop.disturbances)))
     d = each_trial("disturbance", d, trials, samples, loop.disturbances)
     noise = np.zeros(shape) if noise is None else noise
     noise = arguments.in_columns("noise", noise, shape, loop.outputs)
-    chi = np.zeros(nx)
+    initial = np.zeros(states)
     if initial_state is not None:
-        chi[:n] = arguments.array("initial_state", initial_state, (n,))
-    first = np.zeros(shape[1:]) if v is None else v
-    first = arguments.in_columns("v", first, shape[1:], loop.outputs)
-    first[samples - rest :] = 0
+        state = arguments.array("initial_state", initial_state, (plant_states,))
+        initial[:plant_states] = state
 
-    v, y, made, steps = np.zeros(shape), np.zeros(shape), [], _steps(step, trials)
+    results, state = [], initial
 
-    def run(k, v_k):
-        v[k] = v_k
+    def trial(k, v_k):
+        nonlocal state
         w = r[k] + v_k  # (22)
-        y[k], more = simulate(w, d[k], noise[k], chi)
-        made.append(more)
-        return r[k] - y[k] - noise[k]
+        signals, end = make_trial(w, d[k], noise[k], initial if reset else state)
+        state = end
+        results.append({"v": v_k} | signals)
+        e = r[k] - signals["y"] - noise[k]
+        return {"e": e} | commands_of(loop, w, signals)
 
-    def following(k, v_k, e_k):
-        if L is None:
-            return v_k
-        return projected(v_k, e_k, commands(k), Q, L, loop, actuators, rest, steps[k])
-
-    def commands(k):
-        return commands_of(
-            loop, actuators, r[k] + v[k], made[k].get("u"), made[k].get("applied")
-        )
-
-    errors = learn(run, first, following, trials)
-    if L is not None:
-        P, names = loop.P, loop.outputs
-        units, rates = [loop.units[name] for name in names], rates_of(P, Q, L)
-        if actuators is not None:
-            learned = np.stack(
-                [realised(loop, v[k], *commands(k)) for k in range(trials)]
-            )
-        given = v if actuators is None else learned, errors, r, names, units, 1
-        course = Course(*given, None if plant is None else P, *rates)
-        for finding in course.all_findings().values():
-            warnings.warn(finding, stacklevel=2)
-    more = {name: np.array([trial[name] for trial in made]) for name in made[0]}
+    errors = learn(trial, law, first, trials)
+    signals = {name: np.stack([s[name] for s in results]) for name in results[0]}
+    if law.L is not None:
+        _warn_of(loop, law, r, errors, signals, plant)
+    signals["y"] = signals["y"] + noise
     return dataset(
-        loop.Ts, loop.outputs, loop.controls if more else [], loop.disturbances, loop.units,
-        reference=r, v=v, y=y + noise, disturbance=d, **more,
-    )  # fmt: skip
+        loop.Ts,
+        loop.outputs,
+        loop.controls if "u" in signals else [],
+        loop.disturbances,
+        loop.units,
+        reference=r,
+        disturbance=d,
+        **signals,
+    )
 
 
-def _simulation(loop, plant, actuators):
-    """What makes a trial of w, d and noise, and the numbers of the plant's and of all states."""
+def learn(trial: Callable, law: Law, v, trials: int) -> np.ndarray:
+    """Errors of trials under the law (23), shape (trial, time, m); v is the first signal.
+
+    trial(k, v) runs trial k, and returns what :meth:`Law.next` needs beside v, by name.
+    """
+    errors = []
+    for k in tqdm(range(trials), "trials", delay=3, disable=None):
+        signals = trial(k, v)
+        errors.append(signals["e"])
+        if k < trials - 1:
+            v = law.next(v, **signals)
+    return np.array(errors)
+
+
+def commands_of(loop: Loop, w, signals: dict) -> dict:
+    """What was asked of the actuators, u or of a ClosedLoop w, and applied, for the law."""
     if isinstance(loop, ClosedLoop):
-        P = loop.model(plant)
+        return {"u": w}
+    return {name: signals[name] for name in ("u", "applied") if name in signals}
 
-        def answer(w, d, noise, x):
-            if d.any():
-                raise ValueError(
-                    "disturbance is not zero, but loop.P says nothing of disturbances"
-                )
-            w = w if actuators is None else actuators.follow(w)
-            return state_sequence(P.A, w @ P.B.T, x) @ P.C.T + w @ P.D.T, {}
 
-        return answer, P.nstates, P.nstates
+def _warn_of(loop, law, r, errors, signals, plant):
+    """Warn of trials that do not converge."""
+    v = signals["v"]
+    if law.actuators is not None:
+        commands = commands_of(loop, r + v, signals)
+        applied = commands.get("applied", law.actuators.follow(commands["u"]))
+        v = realised(loop, v, commands["u"], applied)
+    units = [loop.units[name] for name in loop.outputs]
+    rates = rates_of(loop.P, law.Q, law.L)
+    P = None if plant is None else loop.P
+    course = Course(v, errors, r, loop.outputs, units, 1, P, *rates)
+    for finding in course.all_findings().values():
+        warnings.warn(finding, stacklevel=3)
 
+
+def _simulator(loop, plant, actuators):
+    """A function that simulates a trial, and the numbers of the plant's and of all states.
+
+    From w, d, noise and the initial state it makes the trial's signals, y without noise among them,
+    and the state after the last sample.
+    """
+    if isinstance(loop, ClosedLoop):
+        return _simulator_of_P(loop.model(plant), actuators)
     closed, m = with_noise(loop, plant), len(loop.outputs)
     n = closed.nstates - len(loop.KL)
+    A, C = closed.A, closed.C
     B, E, K = np.split(closed.B, [m, -m], axis=1)
     D, F, _ = np.split(closed.D, [m, -m], axis=1)
 
-    def asked(w, states):
-        return w @ loop.N.T - states[..., n:-m] @ loop.Ks.T - states[..., -m:]  # (18)
+    def controls(w, states):
+        x_hat, delta = states[..., n:-m], states[..., -m:]
+        return w @ loop.N.T - x_hat @ loop.Ks.T - delta  # (18)
 
-    def simulate(w, d, noise, chi):
+    def within_limits(w, others, state):
+        """The w with which the loop asks for what is applied, and what it asks for with w."""
+        w_applied, u, before = w.copy(), np.empty_like(w), None
+        for p in range(len(w)):
+            u[p] = controls(w[p], state)
+            before = actuators.next(u[p], before)
+            w_applied[p] = realised(loop, w[p], u[p], before)
+            state = A @ state + B @ w_applied[p] + others[p]
+        return w_applied, u
+
+    def make_trial(w, d, noise, initial):
         others = d @ E.T + noise @ K.T
-        states = state_sequence(closed.A, w @ B.T + others, chi)  # (19)
-        u, more = asked(w, states), {}
+        states = state_sequence(A, w @ B.T + others, initial)  # (19)
+        u = controls(w, states)
+        signals = {}
         if actuators is not None:
             if not actuators.can(u):
-                w, u = cut_off(w, others, chi)
-                states = state_sequence(closed.A, w @ B.T + others, chi)
-            more["applied"] = actuators.follow(u)
-        more |= {"u": u, "delta": states[:, -m:]}
-        return states @ closed.C.T + w @ D.T + d @ F.T, more
+                w, u = within_limits(w, others, initial)
+                states = state_sequence(A, w @ B.T + others, initial)
+            signals["applied"] = actuators.follow(u)
+        signals |= {"u": u, "delta": states[:, -m:]}
+        signals["y"] = states @ C.T + w @ D.T + d @ F.T
+        return signals, A @ states[-1] + B @ w[-1] + others[-1]
 
-    def cut_off(w, others, chi):
-        """The w with which the loop asks for what the actuators follow, and what it asked for."""
-        done, u, before = w.copy(), np.empty_like(w), None
-        for p in range(len(w)):
-            u[p] = asked(w[p], chi)
-            before = actuators.next(u[p], before)
-            done[p] = realised(loop, w[p], u[p], before)
-            chi = closed.A @ chi + B @ done[p] + others[p]
-        return done, u
-
-    return simulate, n, closed.nstates
+    return make_trial, n, closed.nstates
 
 
-def learn(run, v, following, trials) -> np.ndarray:
-    """Errors of all trials; run(k, v) makes that of trial k, following(k, v, e) the next v."""
-    errors = [run(0, v)]
-    for k in tqdm(range(1, trials), "trials", delay=3, disable=None):
-        v = following(k - 1, v, errors[-1])
-        errors.append(run(k, v))
-    return np.array(errors)
+def _simulator_of_P(P, actuators):
+    def make_trial(w, d, noise, initial):
+        if d.any():
+            raise ValueError(
+                "disturbance is not zero, but loop.P has no input for disturbances"
+            )
+        w = w if actuators is None else actuators.follow(w)
+        x = state_sequence(P.A, w @ P.B.T, initial)
+        return {"y": x @ P.C.T + w @ P.D.T}, P.A @ x[-1] + P.B @ w[-1]
+
+    return make_trial, P.nstates, P.nstates
 
 
 def each_trial(name, signal, trials, samples, names):
     """A signal of all trials, or of each, with the trial as the first axis."""
     signal = arguments.in_columns(name, signal, (...,), names)
     shape = (samples, len(names))
-    signal = arguments.array(
-        name, signal, shape if signal.ndim < 3 else (trials, *shape)
-    )
+    if signal.ndim > 2:
+        shape = (trials, *shape)
+    signal = arguments.array(name, signal, shape)
     return np.broadcast_to(signal, (trials, *signal.shape[-2:]))
-
-
-def _steps(step, trials):
-    """The steps from each trial to the next, from one for all or one for each."""
-    given = arguments.array("step", step, (...,))
-    if given.ndim == 0:
-        return np.full(trials - 1, arguments.share("step", step))
-    steps = arguments.array("step", given, (trials - 1,))
-    return np.array([arguments.share(f"step[{k}]", a) for k, a in enumerate(steps)])
-
-
-def check_law(loop, Q, L, **periods: float) -> None:
-    """Check that a loop, the filters of the law and further sampling periods fit together."""
-    check_loop(loop)
-    check_Q(Q)
-    if L is not None:
-        check_learning(L, len(loop.outputs))
-        periods["L"] = L.Ts
-    arguments.one_period(loop=loop.Ts, Q=Q.Ts, **periods)
 
 
 def dataset(

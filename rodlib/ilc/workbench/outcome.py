@@ -6,13 +6,13 @@ coefficients would differ in the third digit with the settings that came before.
 
 import math
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rodlib.ilc import (
-    Certificate,
     InfeasibleError,
+    Law,
     SolverError,
     Synthesis,
     arguments,
@@ -35,15 +35,20 @@ class Outcome:
     warnings: tuple[str, ...] = ()  # of the trials
 
     @property
-    def line(self) -> str:
-        """The certificate in a line, with the warnings; or the message."""
+    def law(self) -> Law:
+        """The law of the trials."""
+        return self.design.law(rest=self.settings.plant.rest)
+
+    @property
+    def text(self) -> str:
+        """The certificate, with what speaks against measurement and trials; or the message."""
         if self.design is None:
             return self.message
         measurement = getattr(self.settings.plant.response, "findings", ())
-        parts = [certificate_line(self.design.certificate)]
-        parts += [f"the measurement: {text}" for text in measurement]
-        parts += [f"the trials: {text}" for text in self.warnings]
-        return "; ".join(parts)
+        lines = [str(self.design.certificate)]
+        lines += [f"WARNING: the measurement: {text}" for text in measurement]
+        lines += [f"WARNING: the trials: {text}" for text in self.warnings]
+        return "\n".join(lines)
 
 
 def try_out(settings: Settings) -> Outcome:
@@ -56,7 +61,7 @@ def try_out(settings: Settings) -> Outcome:
     try:
         plant = arguments.instance("plant", settings.plant, Plant)
         noise_std = arguments.not_negative("noise", settings.noise, "zero or more")
-        with warnings.catch_warnings(action="ignore"):  # they are in the line
+        with warnings.catch_warnings(action="ignore"):  # the certificate has them
             design = synthesise(
                 plant.response,
                 settings.Q,
@@ -69,18 +74,22 @@ def try_out(settings: Settings) -> Outcome:
         return Outcome(settings, message=str(error), M_max=M_max if M_max < 1 else None)
     except (ValueError, SolverError) as error:
         return Outcome(settings, message=str(error))
+    outcome = Outcome(settings, design)
     if plant.loop.P is None:
-        return Outcome(settings, design)
+        return outcome
     shape = TRIALS, *plant.reference.shape
     noise = noise_std * np.random.default_rng(0).standard_normal(shape)
     with warnings.catch_warnings(record=True, action="always") as record:
         trials = run_trials(
-            plant.loop, settings.Q, design.filter, plant.reference, plant.disturbance,
-            TRIALS, noise=noise, rest=plant.rest,
-        )  # fmt: skip
-    return Outcome(
-        settings,
-        design,
+            plant.loop,
+            outcome.law,
+            plant.reference,
+            plant.disturbance,
+            TRIALS,
+            noise=noise,
+        )
+    return replace(
+        outcome,
         rms=tuple(rms(trials.e).values.tolist()),
         warnings=tuple(str(warning.message) for warning in record),
     )
@@ -89,21 +98,3 @@ def try_out(settings: Settings) -> Outcome:
 def _rounded_up(smallest):
     """The next M_max of three digits that leaves the solver some room."""
     return math.ceil(1000 * smallest + 0.05) / 1000
-
-
-def certificate_line(certificate: Certificate) -> str:
-    """The certificate of a filter in a line."""
-    if certificate.problem.radius is not None:
-        rate = f"{certificate.grid_M:.4f} within the radius, at the design frequencies"
-    elif certificate.proven:
-        rate = f"{certificate.all_M:.4f} at all frequencies"
-    else:
-        rate = f"{certificate.all_M:.4f} between the samples, estimated"
-    parts = [
-        f"σ(M) ≤ {rate}",
-        f"σ(L) ≤ {certificate.all_L:.4g} at all frequencies",
-        f"mean σ(M) over the band {certificate.mean_M:.4f}",
-        f"objective {certificate.value:.4g}, none below {certificate.lower_bound:.4g}",
-    ]
-    parts += [f"warning: {text}" for text in certificate.warnings]
-    return "; ".join(parts)

@@ -25,32 +25,25 @@ RIGHT = {
     "align_items": "flex-start",
     "padding": "0 0 0 12px",
 }
-KNOB = {"layout": {"width": "99%"}, "style": {"description_width": "120px"}}
-SELECTED = "user-select: all; white-space: pre-wrap; line-height: 1.3"  # by one click
+LOOK = {"layout": {"width": "99%"}, "style": {"description_width": "120px"}}
 
 
 class Panel:
     """Knobs to the left, the picture to the right, or below where there is no room beside them.
 
-    Its `widget` shows `outcome`, in gray the last filter `before` that; `designs` counts them.
+    Its `widget` shows `outcome`, and in gray the last filter `before` that.
     """
 
     def __init__(self, plants: dict[str, Plant], log: str = ""):
-        self.plants, self.picture, self.designs = plants, Picture(), 0
+        self.plants, self.picture = plants, Picture()
         self.outcome, self.before = Outcome(None), None
         self.plant, self.knobs, self._update = None, {}, None
         self.choice = _choice("plant", [*plants, LOG])
-        self.file = widgets.Text(
-            log,
-            description="path of the log",
-            placeholder="from shake or record",
-            continuous_update=False,
-            **KNOB,
-        )
+        self.file = _knob(widgets.Text, "path of the log", log)
         self.knob_box = widgets.VBox()
         self.image = widgets.Image(format="png", layout={"width": "100%"})
         self.remedy = widgets.Button(button_style="primary", layout={"width": "200px"})
-        self.line = widgets.HTML(layout={"width": "98%"})
+        self.certificate = widgets.HTML(layout={"width": "98%"})
         self.python = widgets.HTML(layout={"width": "98%"})
         self.target = widgets.Text(
             "law.json", description="file", layout={"width": "300px"}
@@ -69,7 +62,7 @@ class Panel:
         saving = widgets.Box(
             [self.target, self.save, self.saved], layout={"flex_flow": "row wrap"}
         )
-        right = [self.image, self.remedy, self.line, self.python, saving]
+        right = [self.image, self.remedy, self.certificate, self.python, saving]
         return widgets.Box(
             [left, widgets.VBox(right, layout=RIGHT)], layout={"flex_flow": "row wrap"}
         )
@@ -81,15 +74,10 @@ class Panel:
 
     def _choose(self, change=None):
         """Another plant: begin with the paper's choices, carried over to it."""
-        log = self.choice.value == LOG
-        self.file.layout.display = "" if log else "none"
+        self.file.layout.display = "" if self.choice.value == LOG else "none"
         try:
             with warnings.catch_warnings(action="ignore"):  # they are in the line
-                self.plant = (
-                    plant_of_file(os.path.expanduser(self.file.value.strip()))
-                    if log
-                    else self.plants[self.choice.value]
-                )
+                self.plant = self._plant()
             self.knobs = knobs_of(Settings.of(self.plant))
         except (ValueError, OSError) as error:
             self.plant, self.knobs = None, {}
@@ -99,6 +87,11 @@ class Panel:
         for knob in self.knobs.values():
             knob.observe(self._turn, "value")
         self.update()
+
+    def _plant(self):
+        if self.choice.value == LOG:
+            return plant_of_file(os.path.expanduser(self.file.value.strip()))
+        return self.plants[self.choice.value]
 
     def _turn(self, change):
         """A knob was turned: update soon, unless another turn follows."""
@@ -119,7 +112,6 @@ class Panel:
         band = values.pop("low"), values.pop("high")
         settings = Settings(self.plant, band=band, **values)
         if settings != self.settings:
-            self.designs += 1
             self._show(try_out(settings))
 
     def _show(self, outcome):
@@ -131,13 +123,12 @@ class Panel:
         if remedy:
             self.remedy.description = f"set M_max to {outcome.M_max:.3f}"
         self.save.disabled, self.saved.value = not feasible, ""
-        line = f"<b>Certificate:</b> {escape(outcome.line)}" if feasible else ""
-        code = escape(outcome.settings.python) if feasible else ""
-        self.line.value = line
-        self.python.value = (
-            f'<pre class="workbench-python" style="{SELECTED}">{code}</pre>'
+        self.certificate.value = _as_html(
+            "certificate", outcome.text if feasible else ""
         )
-        # Last: who sees the new picture reads the lines that belong to it.
+        python = outcome.settings.python if feasible else ""
+        self.python.value = _as_html("python", python, "user-select: all")
+        # Last: the lines beside a new picture are those that belong to it.
         self.image.value = self.picture.show(outcome, self.before).png()
 
     def _apply_remedy(self, button):
@@ -145,91 +136,70 @@ class Panel:
 
     def _save(self, button):
         """Save the law of the outcome, and say where it is, or why it is not."""
-        path, settings = self.target.value, self.settings
+        path = self.target.value
         try:
-            save_law(path, settings.Q, self.outcome.design.filter, settings.python)
+            save_law(path, self.outcome.law, self.settings.python)
             self.saved.value = f"saved: {escape(os.path.abspath(path))}"
         except (ValueError, OSError) as error:
             self.saved.value = f"not saved: {escape(str(error))}"
 
 
+def _as_html(name, text, style=""):
+    """A text as it stands; with `user-select: all` one click marks all."""
+    style = f"white-space: pre-wrap; line-height: 1.3; {style}"
+    return f'<pre class="workbench-{name}" style="{style}">{escape(text)}</pre>'
+
+
 def knobs_of(settings: Settings) -> dict[str, widgets.DOMWidget]:
     """The knobs by name, at the settings and with ranges for their plant."""
-    plant = settings.plant
-    low, high = settings.band
-    largest = float(f"{np.abs(plant.reference).max():.1g}")
+    plant, (low, high) = settings.plant, settings.band
+    orders, largest = max(20, 2 * settings.order), np.abs(plant.reference).max()
     noise = f"noise ({plant.unit})" if plant.unit else "noise"
     return {
-        "M_max": _slider("M_max", settings.M_max, (0.05, 0.999, 0.001), ".3f"),
-        "L_max": _decades("L_max", settings.L_max),
-        "cutoff": _decades("cut-off (rad/s)", settings.cutoff),
+        "M_max": _slider("M_max", settings.M_max, 0.05, 0.999, 0.001),
+        "L_max": _log_slider("L_max", settings.L_max),
+        "cutoff": _log_slider("cut-off (rad/s)", settings.cutoff),
         "Q_order": _counter("order of Q", settings.Q_order, 6),
-        "order": _counter("order of L", settings.order, max(20, 2 * settings.order)),
-        "structure": _choice(
-            "structure", ["diagonal", "full"], value=settings.structure
-        ),
+        "order": _counter("order of L", settings.order, orders),
+        "structure": _choice("structure", ["diagonal", "full"]),
         "low": _field("band from (rad/s)", low),
         "high": _field("band to (rad/s)", high),
         "uncertainty": _slider(
-            "uncertainty (%)",
-            settings.uncertainty,
-            (0, 20, 0.5),
-            ".1f",
-            disabled=plant.measured,
+            "uncertainty (%)", settings.uncertainty, 0, 20, 0.5, plant.measured
         ),
-        "noise": _slider(noise, settings.noise, (0, largest, largest / 100), ".3g"),
+        "noise": _slider(noise, settings.noise, 0, largest, largest / 100),
     }
 
 
-def _slider(name, value, scale, digits, **more):
-    low, high, step = scale
-    return widgets.FloatSlider(
-        value=value,
-        min=low,
-        max=high,
-        step=step,
-        readout_format=digits,
-        description=name,
-        continuous_update=False,
-        **KNOB,
-        **more,
-    )
+def _slider(name, value, low, high, step, disabled=False):
+    options = {"min": low, "max": high, "step": step, "disabled": disabled}
+    return _knob(widgets.FloatSlider, name, value, readout_format=".3g", **options)
 
 
-def _decades(name, value):
-    """A slider from a tenth of the value's decade to a hundred times."""
-    decade = floor(log10(value))
-    return widgets.FloatLogSlider(
-        value=value,
-        min=decade - 1,
-        max=decade + 2,
-        step=0.02,
-        readout_format=".3g",
-        description=name,
-        continuous_update=False,
-        **KNOB,
-    )
+def _log_slider(name, value):
+    """From a tenth of the value's decade to a hundred times."""
+    low = floor(log10(value)) - 1
+    options = {"min": low, "max": low + 3, "step": 0.02, "readout_format": ".3g"}
+    return _knob(widgets.FloatLogSlider, name, value, **options)
 
 
 def _counter(name, value, high):
-    return widgets.IntSlider(
-        value=value,
-        min=1,
-        max=high,
-        description=name,
-        continuous_update=False,
-        **KNOB,
-    )
+    return _knob(widgets.IntSlider, name, value, min=1, max=high)
 
 
 def _field(name, value):
-    return widgets.FloatText(
-        value=value, description=name, continuous_update=False, **KNOB
+    return _knob(widgets.FloatText, name, value)
+
+
+def _choice(name, options):
+    return widgets.Dropdown(options=options, description=name, **LOOK)
+
+
+def _knob(kind, name, value, **options):
+    """A widget that changes when the slider is let go, or the number confirmed."""
+    return kind(
+        value=value, description=name, continuous_update=False, **LOOK, **options
     )
-
-
-def _choice(name, options, **more):
-    return widgets.Dropdown(options=options, description=name, **KNOB, **more)
 
 
 def _value(knob):

@@ -13,7 +13,7 @@ from rodlib.ilc.problem.responses import Measured
 from rodlib.ilc.replay import replay_of
 
 TRIALS = 10
-REST = 15  # samples, of a trial whose reference ends at rest
+REST = 15  # samples
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,9 +32,8 @@ class Plant:
         In the order of ``loop.disturbances``. Default: zero.
     order : int
         Order of the learning filter to begin with; more than the plant's delay in samples.
-    rest : int, optional
-        Samples at the end of a trial in which v is zero. Default: 15 with the default reference,
-        else 0.
+    rest : int
+        Samples at the end of a trial in which v is zero.
     """
 
     source: str
@@ -42,7 +41,7 @@ class Plant:
     reference: np.ndarray | None = None
     disturbance: np.ndarray | None = None
     order: int = Problem.order
-    rest: int | None = None
+    rest: int = REST
 
     def __post_init__(self):
         arguments.instance("source", self.source, str)
@@ -60,13 +59,11 @@ class Plant:
                 "response has no P, for which filters are designed: measure it, by shake"
             )
         arguments.whole("order", self.order, 1)
-        m, reference, rest = len(self.loop.outputs), self.reference, self.rest
-        if rest is None:
-            rest = REST if reference is None else 0
+        m, reference = len(self.loop.outputs), self.reference
         if reference is None:
             reference = np.repeat(_there_and_back()[:, None], m, axis=1)
         reference = arguments.array("reference", reference, ("time", m))
-        rest = arguments.whole("rest", rest, 0, len(reference) - 1)
+        rest = arguments.whole("rest", self.rest, 0, len(reference) - 1)
         disturbance = self.disturbance
         if disturbance is not None:
             shape = TRIALS, len(reference), len(self.loop.disturbances)

@@ -41,7 +41,7 @@ class Settings:
             plant,
             L_max=L_max,
             cutoff=cutoff,
-            band=(_digits_above(low), float(f"{high:.3g}")),
+            band=(low, float(f"{high:.3g}")),
             order=plant.order,
         )
         return cls(**vars(settings) | changes)
@@ -106,15 +106,10 @@ class Settings:
             f"P, omega = {self.plant.source}, {grid} / {Ts}\n"
             f"Q = rodlib.zero_phase_butterworth({Q})\n"
             f"design = rodlib.synthesise(P, Q, omega, {Ts}, {words})\n"
+            f"law = design.law(rest={self.plant.rest})\n"
         )
 
 
 def _omega(Ts):
     """The design frequencies, rad/s."""
     return np.geomspace(1e-4, np.pi, FREQUENCIES) / Ts
-
-
-def _digits_above(omega):
-    """Three digits, and not below: the band must begin with the first design frequency."""
-    rounded = float(f"{omega:.3g}")
-    return rounded if rounded >= omega else float(f"{1.005 * omega:.3g}")

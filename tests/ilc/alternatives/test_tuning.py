@@ -6,6 +6,7 @@ import pytest
 from plants import furnace, stage, tanks
 
 from rodlib import (
+    Law,
     LearningFilter,
     Rod,
     current_trial_loop,
@@ -29,7 +30,9 @@ def rehearsal(loop, Q, samples, trials=4, noise=0.0, rest=0):
         np.sin(np.pi * np.arange(samples) / samples) ** 4, np.arange(1, m + 1)
     )
     white = noise * np.random.default_rng(0).standard_normal((trials, samples, m))
-    alone = run_trials(loop, Q, None, reference, trials=trials, noise=white).e.values
+    alone = run_trials(
+        loop, Law(Q, None), reference, trials=trials, noise=white
+    ).e.values
     P = loop.frequency_response(lines(samples, loop.Ts))
     return Rehearsal(P, Q, alone, rest), reference, white
 
@@ -56,7 +59,7 @@ def test_rehearsed_trials_are_the_simulated_ones(name):
     Q = zero_phase_butterworth(2, cutoff, loop.Ts)
     rehearsed, reference, white = rehearsal(loop, Q, samples, noise=0.01, rest=5)
     for L in (gradient(loop.P, 0.9), NormOptimal(loop.P, 0.01, samples)):
-        run = run_trials(loop, Q, L, reference, trials=4, noise=white, rest=5)
+        run = run_trials(loop, Law(Q, L, rest=5), reference, trials=4, noise=white)
         np.testing.assert_allclose(rehearsed.errors(L), run.e.values, atol=1e-6)
         np.testing.assert_allclose(rehearsed.rms(L), rms(run.e).values, atol=1e-6)
 
@@ -66,9 +69,11 @@ def test_on_the_rod_itself_they_are_those_of_a_fine_model(loop, Q):
     reference, disturbance = assumed_reference(), assumed_disturbance(trials=3, first=2)
     L = LearningFilter(published.matrix("L_full"), 1.0)
     fine = control.sample_system(midr(Rod(), 8), 1.0, "zoh")
-    law = (loop, Q, L, reference, disturbance, 3)
+    law = (loop, Law(Q, L), reference, disturbance, 3)
     simulated = run_trials(*law, plant=fine).e.values
-    alone = run_trials(loop, Q, None, reference, disturbance, 3, plant=fine).e.values
+    alone = run_trials(
+        loop, Law(Q, None), reference, disturbance, 3, plant=fine
+    ).e.values
     omega = lines(len(reference), 1.0)
     P = loop.frequency_response(
         omega, sampled_response(Rod(), omega, 1.0)[:, :, [0, 2]]

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rodlib import LearningFilter, converged_noise, run_trials, trial_noise, update
+from rodlib import Law, LearningFilter, converged_noise, run_trials, trial_noise
 from rodlib.ilc import TwoSidedFilter, extent, two_sided_taps
 from rodlib.paper import published
 
@@ -44,9 +44,9 @@ def test_a_filter_that_looks_ahead_does_in_the_law_what_a_learning_filter_does(l
     same = TwoSidedFilter(known.frequency_response, 2, 1.0)
     e = np.random.default_rng(1).standard_normal((80, 2))
     np.testing.assert_allclose(
-        update(e, e, Q, same), update(e, e, Q, known), atol=1e-11
+        Law(Q, same).next(e, e), Law(Q, known).next(e, e), atol=1e-11
     )
-    trials = [run_trials(loop, Q, L, e, trials=3).y for L in (known, same)]
+    trials = [run_trials(loop, Law(Q, L), e, trials=3).y for L in (known, same)]
     np.testing.assert_allclose(*trials, atol=1e-9)
     printed = LearningFilter(published.matrix("L_full"), 1.0)
     new = trial_noise(loop, np.geomspace(1e-3, 3, 40), 1.0)

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rodlib import (
+    Law,
     LearningFilter,
     SolverError,
     run_trials,
@@ -16,7 +17,7 @@ from rodlib import (
     zero_phase_butterworth,
 )
 from rodlib.case import assumed_reference
-from rodlib.ilc import rate_within, trial_map, trial_norm, trial_operators
+from rodlib.ilc import convergence, trial_map, trial_norm, trial_operators
 from rodlib.ilc.evidence.optimality import lower_bound
 from rodlib.ilc.evidence.peak import (
     _ceiling,
@@ -492,7 +493,7 @@ def test_the_shortest_trials_have_a_norm(m, samples):
 def test_trials_move_by_the_trial_map(loop, Q):
     """v_{k+1} - v_k obeys T as simulated by run_trials."""
     L = LearningFilter(published.matrix("L_diagonal"), 1.0)
-    run = run_trials(loop, Q, L, assumed_reference(300), None, 4)
+    run = run_trials(loop, Law(Q, L), assumed_reference(300), None, 4)
     steps = np.diff(run.v.values, axis=0).reshape(3, -1)
     T = trial_map(loop.P, Q, L, 300)
     np.testing.assert_allclose(T @ steps[0], steps[1], atol=1e-9)
@@ -572,12 +573,10 @@ def test_a_certificate_says_what_limits_leave_of_the_claim(loop, Q, omega):
         design = synthesise(
             loop, Q, grid, 1.0, band=(1e-4, 0.01), scale=scale, M_max=0.97
         )
-        own = rate_within(loop, Q, design.filter, grid).gamma
+        own = convergence(loop, Q, design.filter, grid).within()
         assert design.certificate.within == pytest.approx(own, rel=1e-9)
-        assert f"limits, by update_within: a rate of {own:.4f}, without ends" in str(
-            design
-        )
-    assert "update_within: no rate" in str(replace(design.certificate, within=1.0))
+        assert f"limits: a rate of {own:.4f}, without ends" in str(design)
+    assert "have limits: no rate" in str(replace(design.certificate, within=1.0))
 
 
 def test_a_certificate_fails_from_the_tolerance_on(loop, Q, omega):

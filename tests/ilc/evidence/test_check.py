@@ -6,9 +6,9 @@ import pytest
 from plants import tanks
 
 from rodlib import (
+    convergence,
     current_trial_loop,
     rate,
-    spectral_rate,
     synthesise,
     zero_phase_butterworth,
 )
@@ -64,7 +64,7 @@ def test_with_two_channels_trials_may_converge_and_not_monotonically():
     L = design.filter
     assert found.gamma >= rate(P, Q, L, OMEGA).gamma > 1
     assert found.spectral_radius == pytest.approx(
-        spectral_rate(P, Q, L, OMEGA).radius, rel=1e-6
+        convergence(P, Q, L, OMEGA).spectral_radius, rel=1e-6
     )
     assert not found.monotone and found.converges
     assert str(found).startswith("converges, not monotonically")

@@ -12,6 +12,7 @@ from scipy.linalg import solve_discrete_lyapunov
 from scipy.signal import fftconvolve, lfilter, welch
 
 from rodlib import (
+    Law,
     LearningFilter,
     Rod,
     converged_noise,
@@ -23,7 +24,6 @@ from rodlib import (
     run_trials,
     synthesise,
     trial_noise,
-    update,
     zero_phase_butterworth,
 )
 from rodlib.ilc import Spectrum, TrialNoise
@@ -70,7 +70,7 @@ def simulate(loop, Q, L, n, d, trials=200, step=1.0):
         measured = y + (n[k] if k < len(n) else 0)
         errors.append((-y, -measured))
         a = np.broadcast_to(step, trials)[k]
-        v = update(v, -measured, Q, L, step=a)
+        v = Law(Q, L, gain=a).next(v, -measured)
     return np.moveaxis(np.array(errors), 1, 0)
 
 
@@ -198,7 +198,7 @@ def test_the_simulation_here_is_that_of_run_trials(loop, Q):
     step = 1 / np.arange(1, 7)
     true, measured = simulate(loop, Q, L, n, d, 6, step)[:, :, 0]
     run = run_trials(
-        loop, Q, L, np.zeros((60, 2)), d[:, 0], 6, noise=n[:, 0], step=step[:-1]
+        loop, Law(Q, L, gain=step[:-1]), np.zeros((60, 2)), d[:, 0], 6, noise=n[:, 0]
     )
     np.testing.assert_allclose(run.e, measured, atol=1e-9)
     np.testing.assert_allclose(run.e + n[:, 0], true, atol=1e-9)
@@ -374,7 +374,9 @@ def test_around_another_plant(loop):
     other = control.sample_system(other, 1.0, "zoh")
     noise = np.zeros((1, 3000, 2))
     noise[0, 0, 1] = 1
-    run = run_trials(loop, Q, None, noise[0] * 0, None, 1, noise=noise, plant=other)
+    run = run_trials(
+        loop, Law(Q, None), noise[0] * 0, None, 1, noise=noise, plant=other
+    )
     new = trial_noise(loop, omega, [0.0, 1.0], plant=other)
     np.testing.assert_allclose(
         new.measured.rms, np.sqrt((run.e**2).sum("time"))[0], rtol=1e-3

@@ -8,6 +8,7 @@ import pytest
 from plants import tanks
 
 from rodlib import (
+    Law,
     LearningFilter,
     current_trial_loop,
     noise_on_trial,
@@ -26,18 +27,19 @@ from tests.ilc.evidence.test_noise import case
 VARIANCE = {"stage": [4.0], "tanks": [1.0, 4.0, 9.0]}
 
 
-def by_impulses(loop, Q, L, samples, variance, trials, **how):
+def by_impulses(loop, Q, L, samples, variance, trials, rest=0, step=1.0, plant=None):
     """Variances of true and measured outputs in the last trial, from one impulse after another.
 
     What one in the first trial leaves k trials later is what one k trials before the last leaves
     in the last: the law is the same from each trial to the next.
     """
     m, power = len(variance), np.zeros((2, samples, len(variance)))
-    still = np.zeros((samples, m))
+    still, law = np.zeros((samples, m)), Law(Q, L, rest, step)
     for p, channel in np.ndindex(samples, m):
         noise = np.zeros((trials, samples, m))
         noise[0, p, channel] = np.sqrt(variance[channel])
-        e = run_trials(loop, Q, L, still, None, trials, noise=noise, **how).e.values
+        run = run_trials(loop, law, still, None, trials, plant=plant, noise=noise)
+        e = run.e.values
         power += np.sum(np.stack([e + noise, e]) ** 2, axis=1)
     return power
 
@@ -130,7 +132,7 @@ def test_the_paper_s_loop_by_seeds(L_max, start, whole):
     L = synthesise(loop, Q, omega, L_max=L_max).filter
     found = noise_on_trial(loop, Q, L, 2500, 0.02**2)
     noise = 0.02 * np.random.default_rng(3).standard_normal((40, 2500, 2))
-    run = run_trials(loop, Q, L, np.zeros((2500, 2)), None, 40, noise=noise)
+    run = run_trials(loop, Law(Q, L), np.zeros((2500, 2)), None, 40, noise=noise)
     y = (run.e + noise)[15:]
     for part, expected in [
         (slice(None), whole),

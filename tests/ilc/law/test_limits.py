@@ -13,20 +13,18 @@ from scipy.optimize import lsq_linear
 
 from rodlib import (
     ClosedLoop,
+    Law,
     LearningFilter,
     NormOptimal,
+    convergence,
     current_trial_loop,
     rate,
-    rate_within,
     run_trials,
     synthesise,
-    update,
-    update_within,
     zero_phase_butterworth,
 )
 from rodlib.ilc.evidence.finite_trial import impulse_response
-from rodlib.ilc.law.actuators import Actuators
-from rodlib.ilc.law.limits import WEIGHT, realised
+from rodlib.ilc.law.limits import WEIGHT, Actuators, realised
 
 
 def bump(samples, heights):
@@ -82,12 +80,12 @@ def to_commands(loop):
     return control.ss(P.A, P.B, -loop.Ks, loop.N, loop.Ts)
 
 
-def trial(case, **more):
+def trial(case):
     """A trial that was cut off, and the limits as arrays."""
     loop, Q, L, reference, limits = CASES[case]
-    run = run_trials(loop, Q, L, reference, trials=1, limits=limits, **more)
+    run = run_trials(loop, Law(Q, L, limits=limits), reference, trials=1)
     u = (run.reference + run.v if isinstance(loop, ClosedLoop) else run.u).values[0]
-    return run.v.values[0], run.e.values[0], u, Actuators.of("limits", limits, loop)
+    return run.v.values[0], run.e.values[0], u, Actuators.of(limits, loop)
 
 
 @EACH
@@ -98,9 +96,9 @@ def test_it_is_the_nearest_of_all_that_can_be_followed(case, rest):
     v, e, u, own = trial(case)
     applied = own.follow(u)
     assert np.abs(applied - u).max() > 0.01 * np.abs(u).max()
-    found = update_within(v, e, u, Q, L, loop, limits, rest=rest)
+    found = Law(Q, L, rest=rest, limits=limits, loop=loop).next(v, e, u)
     v_done = realised(loop, v, u, applied)
-    wanted = update(v_done, e, Q, L, rest)
+    wanted = Law(Q, L, rest=rest).next(v_done, e)
     samples, m = v.shape
     P, S = lifted(loop.P, samples), lifted(to_commands(loop), samples)
     z = cp.Variable(samples * m)
@@ -137,11 +135,11 @@ def test_where_nothing_is_cut_off_it_is_the_law(case):
     wide = {name: (-1e3, 1e3) for name in limits}
     v, e, u, _ = trial(case)
     np.testing.assert_array_equal(
-        update_within(v, e, u, Q, L, loop, wide, rest=3, step=0.7),
-        update(v, e, Q, L, 3, 0.7),
+        Law(Q, L, rest=3, gain=0.7, limits=wide, loop=loop).next(v, e, u),
+        Law(Q, L, rest=3, gain=0.7).next(v, e),
     )
-    plain = run_trials(loop, Q, L, reference, trials=3)
-    same = run_trials(loop, Q, L, reference, trials=3, limits=wide)
+    plain = run_trials(loop, Law(Q, L), reference, trials=3)
+    same = run_trials(loop, Law(Q, L, limits=wide), reference, trials=3)
     assert same.drop_vars("applied", errors="ignore").identical(plain)
     assert "applied" not in same or same.applied.equals(same.u)
 
@@ -157,10 +155,10 @@ def test_a_trial_cut_off_is_one_of_the_v_that_was_realised(case):
     disturbance = 0.1 * random.standard_normal((len(reference), len(loop.disturbances)))
     noise = 0.01 * random.standard_normal((1, *reference.shape))
     given = {"disturbance": disturbance, "plant": other, "noise": noise, "trials": 1}
-    cut = run_trials(loop, Q, None, reference, **given, limits=limits)
+    cut = run_trials(loop, Law(Q, None, limits=limits), reference, **given)
     assert np.abs(cut.applied - cut.u).max() > 0
     v = realised(loop, cut.v[0], cut.u[0].values, cut.applied[0].values)
-    free = run_trials(loop, Q, None, reference, **given, v=v)
+    free = run_trials(loop, Law(Q, None), reference, **given, v=v)
     size = np.abs(cut.u.values).max()
     np.testing.assert_allclose(free.y, cut.y, atol=1e-9 * np.abs(cut.y).max())
     np.testing.assert_allclose(free.u, cut.applied, atol=1e-9 * size)
@@ -170,10 +168,10 @@ def test_a_trial_cut_off_is_one_of_the_v_that_was_realised(case):
 @EACH
 def test_an_observer_that_is_told_estimates_no_disturbance_where_there_is_none(case):
     loop, Q, L, reference, limits = CASES[case]
-    run = run_trials(loop, Q, L, reference, trials=4, limits=limits)
+    run = run_trials(loop, Law(Q, L, limits=limits), reference, trials=4)
     if "u" not in run:
         return
-    own = Actuators.of("limits", limits, loop)
+    own = Actuators.of(limits, loop)
     assert not own.can(run.u.values[0]) and own.can(run.applied.values)
     assert np.abs(run.delta).max() < 1e-8 * np.abs(run.u).max()
     for k in (
@@ -203,7 +201,7 @@ def test_no_two_signals_get_more_distant(seed, size):
     for v in pair:
         u = (lifted(to_commands(loop), samples) @ v.ravel()).reshape(at_rest.shape)
         wanted.append(Q.apply(v))
-        kept.append(update_within(v, zero, u, Q, still, loop, limits, applied=u))
+        kept.append(Law(Q, still, limits=limits, loop=loop).next(v, zero, u, u))
 
     def norm(off):
         return np.sum((lifted(P, samples) @ off.ravel()) ** 2) + WEIGHT * np.sum(off**2)
@@ -224,21 +222,18 @@ def test_the_rate_in_the_metric_is_a_generalised_eigenvalue():
             eigh(t.conj().T @ w @ t, w, eigvals_only=True)[-1]
             for t, w in zip(T, W, strict=True)
         ]
-        found = rate_within(loop, Q, L, omega)
-        assert found.gamma == pytest.approx(np.sqrt(max(values)), rel=1e-9)
-        assert found.omega == omega[np.argmax(values)]
-    assert rate_within(loop, Q, L, omega, 1e-10).gamma == pytest.approx(
-        rate(loop, Q, L, omega).gamma, rel=1e-5
-    )
-    with pytest.raises(ValueError, match="P must be one plant"):
-        rate_within([P, P], Q, L, omega)
+        result = convergence(loop, Q, L, omega)
+        assert result.within() == pytest.approx(np.sqrt(max(values)), rel=1e-9)
+        assert result.within(1e-10) == pytest.approx(result.gamma, rel=1e-5)
+        several = convergence([P, 2 * P], Q, L, omega).within()
+        assert several[0] == pytest.approx(result.within(), rel=1e-9) != several[1]
 
 
 def test_the_outputs_converge_at_the_rate_of_lemma_1_and_the_law_alone_does_not():
     loop, Q, L, _, limits = CASES["tanks"]
     reference = bump(300, [3.0, 2.0, 4.0])  # at rest for long before and after
     gamma = rate(loop, Q, L, np.geomspace(1e-3, 1, 400) * np.pi / loop.Ts).gamma
-    run = run_trials(loop, Q, L, reference, trials=15, limits=limits)
+    run = run_trials(loop, Law(Q, L, limits=limits), reference, trials=15)
     moved = np.sqrt((run.y.diff("trial") ** 2).sum(["time", "channel"])).values[1:]
     assert np.all(moved[1:8] < gamma * moved[:7]) and moved[7] > 1e-6
 
@@ -252,8 +247,8 @@ def test_norm_optimal_learning_falls_to_what_no_v_within_the_limits_can_beat(cas
         NormOptimal(loop.P, 1e-3, samples),
         zero_phase_butterworth(1, 3.1415 / loop.Ts, loop.Ts),
     )
-    run = run_trials(loop, Q, L, reference, trials=8, limits=limits)
-    own = Actuators.of("limits", limits, loop)
+    run = run_trials(loop, Law(Q, L, limits=limits), reference, trials=8)
+    own = Actuators.of(limits, loop)
     G = lifted(loop.plant[:, loop.controls], samples)
     box = [np.tile(bound, samples) for bound in (own.lowest, own.highest)]
     best = 2 * lsq_linear(G, reference.ravel(), box, tol=1e-12).cost
@@ -271,7 +266,7 @@ def test_what_the_rest_asks_for_does_not_bind_what_is_before_it():
         np.full((80, 1), 4.0),
         {"valve": (0.0, 0.6)},
     )  # it needs 1, to the end
-    run = run_trials(loop, Q, L, reference, trials=3, limits=limits, rest=30)
+    run = run_trials(loop, Law(Q, L, rest=30, limits=limits), reference, trials=3)
     assert not run.v.values[:, -30:].any()
     assert run.u.values[1:, :50].max() <= 0.6 + 1e-6 < run.u.values[1:, 50:].min()
     np.testing.assert_allclose(run.applied, np.clip(run.u, 0.0, 0.6), atol=1e-6)
@@ -281,10 +276,10 @@ def test_without_a_model_commands_are_cut_off():
     _, Q, L, reference, limits = CASES["not our controller"]
     named = ClosedLoop(Ts=ON_W.Ts, outputs=ON_W.outputs)
     e, zero = 0.2 * reference, np.zeros_like(reference)
-    v = update_within(zero, e, reference, Q, L, named, limits, rest=4)
+    v = Law(Q, L, rest=4, limits=limits, loop=named).next(zero, e, reference)
     low, high = [0, -np.inf, -0.5], [2.5, np.inf, 4.2]
     first = np.clip(reference, low, high) - reference  # what trial 1 had for v
-    w = np.clip(reference + update(first, e, Q, L, 4), low, high)
+    w = np.clip(reference + Law(Q, L, rest=4).next(first, e), low, high)
     np.testing.assert_allclose(v[:-4], (w - reference)[:-4], atol=1e-12)
     assert not v[-4:].any()
 
@@ -292,18 +287,64 @@ def test_without_a_model_commands_are_cut_off():
 def test_signals_are_matched_by_name_and_one_channel_needs_no_second_axis():
     loop, Q, L, _, limits = CASES["tanks"]
     v, e, u, own = trial("tanks")
-    expected = update_within(v, e, u, Q, L, loop, limits)
+    expected = Law(Q, L, limits=limits, loop=loop).next(v, e, u)
     tables = [pd.DataFrame(s, columns=n)[n[::-1]] for s, n in
               ((v, loop.outputs), (e, loop.outputs), (u, loop.controls),
                (own.follow(u), loop.controls))]  # fmt: skip
-    given = update_within(*tables[:3], Q, L, loop, limits, applied=tables[3])
-    np.testing.assert_array_equal(given, expected)
+    law = Law(Q, L, limits=limits, loop=loop)
+    v_table, e_table, u_table, applied = tables
+    labelled = law.next(v_table, e_table, u_table, applied)
+    np.testing.assert_array_equal(labelled, expected)
     loop, Q, L, _, limits = CASES["furnace"]
     v, e, u, _ = trial("furnace")
-    row = update_within(v[:, 0], e[:, 0], u[:, 0], Q, L, loop, limits)
-    np.testing.assert_array_equal(row, update_within(v, e, u, Q, L, loop, limits)[:, 0])
+    row = Law(Q, L, limits=limits, loop=loop).next(v[:, 0], e[:, 0], u[:, 0])
+    np.testing.assert_array_equal(
+        row, Law(Q, L, limits=limits, loop=loop).next(v, e, u)[:, 0]
+    )
     assert row.shape == (len(v),)
     with pytest.raises(ValueError, match="u has shape"):
-        update_within(v, e, u[1:], Q, L, loop, limits)
-    with pytest.raises(ValueError, match=r"limits is about \['fan'\]"):
-        update_within(v, e, u, Q, L, loop, {"fan": (0, 1)})
+        Law(Q, L, limits=limits, loop=loop).next(v, e, u[1:])
+
+
+LOOP, Q = CASES["tanks"][:2]
+COMMANDS = st.lists(
+    st.lists(st.floats(-9, 9), min_size=3, max_size=3), min_size=1, max_size=20
+)
+
+
+def test_actuators_are_those_of_the_commands_of_the_loop():
+    own = Law(Q, None, limits={"pump C": (0, 5), "pump A": (-1, 1, 0.5)}, loop=LOOP)
+    np.testing.assert_array_equal(own.actuators.lowest, [-1, -np.inf, 0])
+    np.testing.assert_array_equal(own.actuators.highest, [1, np.inf, 5])
+    # 0.5 a second, two seconds each
+    np.testing.assert_array_equal(own.actuators.step, [1, np.inf, np.inf])
+    closed = Law(Q, None, limits={"w2": (0, 5)}, loop=ON_W)
+    np.testing.assert_array_equal(closed.actuators.highest, [np.inf, 5, np.inf])
+    for limits in ({"pump A": (0, 1, 0)}, {"leak": (0, 1)}, {"pump A": 3}):
+        with pytest.raises(ValueError, match="limits"):
+            Law(Q, None, limits=limits, loop=LOOP)
+
+
+@given(COMMANDS, st.floats(-3, 3), st.floats(0.1, 4), st.floats(0.01, 2))
+def test_what_is_applied_is_within_and_the_nearest_at_each_step(
+    commands, low, width, rate
+):
+    commands = np.array(commands)
+    own = Actuators.of({"pump A": (low, low + width, rate), "pump B": (-1, 1)}, LOOP)
+    applied = own.follow(commands)
+    first, step = applied[:, 0], rate * LOOP.Ts
+    assert first.min() >= low and first.max() <= low + width
+    assert np.abs(np.diff(first)).max(initial=0) <= step * (1 + 1e-12)
+    before = np.append(np.inf, first[:-1])
+    for value, last, asked in zip(first, before, commands[:, 0], strict=True):
+        inside = np.linspace(low, low + width, 201)  # of all that it could have been
+        inside = inside[np.abs(inside - last) <= step] if np.isfinite(last) else inside
+        assert abs(value - asked) <= np.abs(inside - asked).min(initial=np.inf) + 1e-12
+    np.testing.assert_array_equal(applied[:, 1], np.clip(commands[:, 1], -1, 1))
+    np.testing.assert_array_equal(applied[:, 2], commands[:, 2])
+    assert own.can(applied) and own.can(commands) == np.allclose(
+        applied, commands, 0, 1e-6 * width
+    )
+    np.testing.assert_array_equal(
+        own.follow(np.stack([commands, applied])), [applied, applied]
+    )

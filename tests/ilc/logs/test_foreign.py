@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from rodlib import (
     ClosedLoop,
+    Law,
     LogError,
     current_trial_loop,
     load_log,
@@ -23,7 +24,6 @@ from rodlib import (
     zero_phase_butterworth,
 )
 from rodlib.ilc import p_type, replay_of, with_law
-from rodlib.ilc.filters import update
 from rodlib.ilc.report import about_the_law
 from rodlib.paper.repository import ROOT
 
@@ -280,9 +280,9 @@ def test_a_table_is_replayed_with_the_law_that_it_is_told():
     assert replay_of(log).following is None
     Q = zero_phase_butterworth(2, 0.1, 1.0)
     L = p_type(0.5, 3, 2, 1.0)
-    following = replay_of(with_law(log, Q, L)).following
+    following = replay_of(with_law(log, Law(Q, L))).following
     np.testing.assert_allclose(
-        following, update(log.v.values[0], log.e.values[0], Q, L)
+        following, Law(Q, L).next(log.v.values[0], log.e.values[0])
     )
     with pytest.raises(ValueError, match=r"trials lack \['reference', 'v'\]"):
         replay_of(board())
@@ -308,7 +308,7 @@ def test_trials_in_a_table_of_others_replay_as_if_they_were_ours(tmp_path, name)
     m, Ts = len(loop.outputs), loop.Ts
     Q, L = zero_phase_butterworth(2, 0.3 / Ts, Ts), p_type(0.01, ahead, m, Ts)
     reference = np.sin(np.linspace(0, 3, 80))[:, None] * np.arange(1, m + 1)
-    ran = run_trials(loop, Q, L, reference, None, 3)
+    ran = run_trials(loop, Law(Q, L), reference, None, 3)
     signals = {"ref": ran.reference, "ff": ran.v, "y": ran.y} | (
         {"u": ran.u} if "u" in ran else {}
     )
@@ -326,7 +326,7 @@ def test_trials_in_a_table_of_others_replay_as_if_they_were_ours(tmp_path, name)
         outputs=named("y", loop.outputs), reference=named("ref", loop.outputs),
         v=named("ff", loop.outputs), inputs=named("u", loop.controls) if "u" in ran else None,
     )  # fmt: skip
-    replay = replay_of(with_law(log, Q, L, loop=loop))
+    replay = replay_of(with_law(log, Law(Q, L, loop=loop)))
     assert about_the_law(replay) == "the recorded v is that of the law in every trial"
     np.testing.assert_allclose(replay.simulated.y, ran.y, atol=1e-12)
     assert replay.fit.min(axis=None) > 1 - 1e-6

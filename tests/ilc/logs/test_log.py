@@ -10,7 +10,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from rodlib import LogError, load_log, run_trials, save_log
+from rodlib import Law, LogError, load_log, run_trials, save_log
 from rodlib.ilc.logs import log
 from rodlib.ilc.trials.run import dataset
 from rodlib.paper.repository import ROOT
@@ -398,6 +398,6 @@ def test_what_would_not_be_read_alike_is_not_saved(tmp_path, good, changed, mess
 
 
 def test_a_simulated_run_is_saved_and_loaded(tmp_path, loop, Q):
-    run = run_trials(loop, Q, None, np.ones((30, 2)), None, 2)
+    run = run_trials(loop, Law(Q, None), np.ones((30, 2)), None, 2)
     save_log(run, tmp_path / "log.csv")
     assert load_log(tmp_path / "log.csv").identical(run)

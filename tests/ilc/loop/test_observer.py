@@ -12,6 +12,7 @@ from scipy.optimize import minimize
 
 from rodlib import (
     ClosedLoop,
+    Law,
     NormOptimal,
     Rod,
     combinations,
@@ -24,7 +25,6 @@ from rodlib import (
     run_trials,
     save_log,
     synthesise,
-    update,
     zero_phase_butterworth,
 )
 from rodlib.ilc import Controller
@@ -69,7 +69,7 @@ def test_estimates_are_those_of_the_observer_written_out(name, rod_case):
     d = rng.standard_normal((60, len(loop.disturbances)))
     noise = 0.1 * rng.standard_normal(shape)
     r, v = rng.standard_normal(shape), rng.standard_normal(shape[1:])
-    run = run_trials(loop, Q, None, r, d, 2, noise=noise, v=v)
+    run = run_trials(loop, Law(Q, None), r, d, 2, noise=noise, v=v)
     z_hat = estimated(run, loop, model)
     assert z_hat.dims == ("trial", "time", "estimate")
     assert z_hat.estimate.values.tolist() == model.output_labels
@@ -96,7 +96,7 @@ def test_without_disturbance_estimates_are_right_and_with_one_elsewhere_wrong(ro
     for size in (0.0, 3.0):
         d = np.zeros((800, 3))
         d[:, loop.disturbances.index("Q2")] = size
-        run = run_trials(loop, Q, None, r, d, 1)
+        run = run_trials(loop, Law(Q, None), r, d, 1)
         inputs = np.hstack([run.u.values[0], d]).T
         z = control.forced_response(model[:, names], inputs=inputs).outputs.T
         off = np.abs(z - estimated(run, loop, model).values[0]).max(axis=0)
@@ -117,7 +117,7 @@ def test_a_log_gives_the_same_estimates_and_tells_of_an_observer_that_was_not_at
     r = np.tile(np.linspace(0, 2, 200)[:, None], 2)
     with warnings.catch_warnings(action="ignore"):
         log = record(
-            rig, loop, zero_phase_butterworth(), None, r, trials=2, decimals={}
+            rig, loop, Law(zero_phase_butterworth(), None), r, trials=2, decimals={}
         )
     save_log(log, tmp_path / "log")
     z_hat = estimated(log, loop, model)
@@ -136,7 +136,9 @@ def test_a_log_gives_the_same_estimates_and_tells_of_an_observer_that_was_not_at
 
 def test_estimates_refuse_what_is_not_of_the_loop(rod_case):
     loop, model = rod_case
-    run = run_trials(loop, zero_phase_butterworth(), None, np.zeros((9, 2)), trials=1)
+    run = run_trials(
+        loop, Law(zero_phase_butterworth(), None), np.zeros((9, 2)), trials=1
+    )
     other = control.sample_system(midr(Rod(sensors=(0.12, 0.28)), 3), 1.0)
     for arguments, message in (
         ((run, loop, other), "model has 13 states, which are not those of loop.plant"),
@@ -241,7 +243,7 @@ def test_learning_on_combinations_comes_to_what_no_constant_input_betters():
     design = synthesise(loop, Q, structure="full")
     assert design.sigma_M.max() <= 0.9 + 1e-9 and loop.references == ["a", "b"]
     r = np.minimum(np.arange(400)[:, None] / 100, 1) * [1.0, -0.5, 2.0]
-    run = run_trials(loop, Q, design.filter, r @ T.T, trials=8)
+    run = run_trials(loop, Law(Q, design.filter), r @ T.T, trials=8)
     w = (run.reference + run.v).values[-1]
     z = control.forced_response(P, inputs=w.T).outputs.T[200]
     root = np.sqrt([1.0, 2.0, 1.0])
@@ -259,12 +261,12 @@ def test_learning_on_estimates_brings_the_profile_near_the_least_possible(rod_ca
     left = []
 
     def trial(k, v):
-        run = run_trials(loop, Q, None, r @ T.T + v, trials=1)
+        run = run_trials(loop, Law(Q, None), r @ T.T + v, trials=1)
         left.append(r - estimated(run, loop, model).values[0, :, 2:])
         return left[-1] @ T.T
 
     def following(k, v, e):
-        return update(v, e, Q, design.filter)
+        return Law(Q, design.filter).next(v, e)
 
     learn(trial, np.zeros((900, 2)), following, 5)
     heated = model[model.output_labels[2:], loop.controls]

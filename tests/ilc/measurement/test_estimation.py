@@ -12,19 +12,22 @@ from scipy.signal import butter, lfilter
 
 from rodlib import (
     ClosedLoop,
+    Law,
     LearningFilter,
+    Plant,
+    Settings,
     current_trial_loop,
     load_log,
     measured_response,
     run_trials,
     save_log,
     synthesise,
+    try_out,
     zero_phase_butterworth,
 )
 from rodlib.ilc import EstimatedResponse, LogError
 from rodlib.ilc.measurement.estimation import _seen, estimated_response
 from rodlib.ilc.models import frequency_response
-from rodlib import Plant, Settings, try_out
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 from regions import KINDS, response, several, single
@@ -58,7 +61,7 @@ def learned(loop, trials=4, samples=300, noise=1e-3, repeats=0.0, seed=0):
     offset = repeats * np.cumsum(rng.standard_normal((samples, m)), axis=0)
     noise = noise * rng.standard_normal((trials, samples, m)) + offset
     with warnings.catch_warnings(action="ignore"):  # not all of them converge
-        return run_trials(loop, Q, L, r, None, trials, noise=noise)
+        return run_trials(loop, Law(Q, L), r, None, trials, noise=noise)
 
 
 LOOPS = {
@@ -101,7 +104,7 @@ def test_a_filter_is_designed_for_it_and_keeps_its_promise():
     assert any(
         "assumed: the plant is linear" in line for line in design.certificate.basis
     )
-    assert try_out(Settings.of(Plant("", found))).line
+    assert try_out(Settings.of(Plant("", found))).text
 
 
 def test_in_units_of_a_scale():

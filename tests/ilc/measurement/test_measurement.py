@@ -10,6 +10,7 @@ from scipy.signal import fftconvolve
 from scipy.stats import binom
 
 from rodlib import (
+    Law,
     current_trial_loop,
     load_log,
     midr,
@@ -245,7 +246,12 @@ def test_the_rig_is_measured_and_the_forecast_is_right(loop, Q, quick):
     """Against the rod's own equation: neither rig nor truth knows the model of the design."""
     parameters = RigParameters(lag=0.0)
     quiet = record(
-        RestartingRig(parameters=parameters), loop, Q, None, np.zeros((900, 2)), None, 1
+        RestartingRig(parameters=parameters),
+        loop,
+        Law(Q, None),
+        np.zeros((900, 2)),
+        None,
+        1,
     )
     expected = expected_radius(quick, quiet)
     measured = measured_response(

@@ -12,6 +12,7 @@ import pytest
 from plants import stage, tanks
 
 from rodlib import (
+    Law,
     LearningFilter,
     NormOptimal,
     Rod,
@@ -21,11 +22,10 @@ from rodlib import (
     record,
     run_trials,
     save_log,
-    update,
     zero_phase_butterworth,
 )
 from rodlib.case import assumed_disturbance, assumed_reference
-from rodlib.ilc import Controller, RigError, loop_of, rest_of
+from rodlib.ilc import Controller, RigError, law_of, loop_of
 from rodlib.ilc.trials.run import rms
 from rodlib.paper import published
 from rodlib.paper.repository import ROOT
@@ -92,7 +92,7 @@ def raising(error):
 def test_controller_on_the_design_model_gives_the_simulated_trial(loop, Q):
     """Sample by sample as on hardware, and all at once: the same trial."""
     reference = assumed_reference(300) * 5
-    run = run_trials(loop, Q, None, reference, None, 1)
+    run = run_trials(loop, Law(Q, None), reference, None, 1)
     for decimals, atol in ((None, 1e-10), (4, 2e-4)):
         x, controller = np.zeros(10), Controller(loop, decimals)
         outputs = []
@@ -104,8 +104,8 @@ def test_controller_on_the_design_model_gives_the_simulated_trial(loop, Q):
 
 def test_ideal_rig_with_nominal_rod_agrees_with_the_simulation(loop, Q, L):
     reference, disturbance = assumed_reference(1200), assumed_disturbance(1200, 3, 2)
-    log = record(VirtualRig(Rod(), IDEAL), loop, Q, L, reference, disturbance, 3)
-    run = run_trials(loop, Q, L, reference, disturbance, 3)
+    log = record(VirtualRig(Rod(), IDEAL), loop, Law(Q, L), reference, disturbance, 3)
+    run = run_trials(loop, Law(Q, L), reference, disturbance, 3)
     np.testing.assert_allclose(log.y, run.y, atol=0.02 * np.abs(reference).max())
     np.testing.assert_allclose(rms(log.e), rms(run.e), rtol=0.1)
 
@@ -119,9 +119,9 @@ def test_any_plant_is_run_by_the_names_of_its_signals():
     reference, rain = rng.standard_normal((40, 2)), rng.standard_normal((3, 40, 1))
     device = Itself()
     device.begin = lambda trial: device.x.fill(0)
-    log = record(device, loop, Q, L, reference, rain, 3, pause=0)
+    log = record(device, loop, Law(Q, L), reference, rain, 3, pause=0)
     assert log.attrs["Ts"] == 0.5 and device.ends == 1
-    run = run_trials(loop, Q, L, reference, rain, 3)
+    run = run_trials(loop, Law(Q, L), reference, rain, 3)
     for name in run.data_vars:
         np.testing.assert_allclose(log[name], run[name], atol=1e-9)
     for name in (
@@ -138,15 +138,15 @@ def test_any_plant_is_run_by_the_names_of_its_signals():
 
 def test_only_known_disturbances_are_recorded(loop, Q):
     device = VirtualRig()
-    log = record(device, loop, Q, None, np.zeros((5, 2)), None, 1)
+    log = record(device, loop, Law(Q, None), np.zeros((5, 2)), None, 1)
     assert list(log.source.values) == ["theta_a", "Q2", "Q4"]
     driver = SimpleNamespace(read=device.read, inputs=["Q3", "Q1"])
     driver.apply = lambda flows: device.apply([flows[1], 0, flows[0], 0])
-    log = record(driver, loop, Q, None, np.zeros((5, 2)), None, 1)
+    log = record(driver, loop, Law(Q, None), np.zeros((5, 2)), None, 1)
     assert "disturbance" not in log and "source" not in log.coords
     driver.measured = {"theta_a": 0.5, "lights": 1.0}
     log = record(
-        driver, loop, Q, None, np.zeros((5, 2)), np.ones((5, 3)) * [1, 0, 0], 1
+        driver, loop, Law(Q, None), np.zeros((5, 2)), np.ones((5, 3)) * [1, 0, 0], 1
     )
     assert list(log.source.values) == ["theta_a"] and np.all(log.disturbance == 0.5)
 
@@ -154,48 +154,53 @@ def test_only_known_disturbances_are_recorded(loop, Q):
 def test_a_step_holds_on_the_rig_too_and_when_it_goes_on(loop, Q, L, tmp_path):
     made = {
         "loop": loop,
-        "Q": Q,
-        "L": L,
+        "law": Law(Q, L, gain=0.3),
         "reference": assumed_reference(60) * 0.02,
         "pause": 5,
+        "path": tmp_path / "log.csv",
     }
-    made |= {"step": 0.3, "path": tmp_path / "log.csv"}
     record(VirtualRig(), trials=2, **made)
     log = record(VirtualRig(), trials=4, **made)
     for k in range(3):
-        law = update(log.v.values[k], log.e.values[k], Q, L, step=0.3)
+        law = Law(Q, L, gain=0.3).next(log.v.values[k], log.e.values[k])
         np.testing.assert_array_equal(log.v[k + 1], law)
     with pytest.raises(ValueError, match="another experiment, see its step"):
-        record(VirtualRig(), trials=5, **made | {"step": 1.0})
+        record(VirtualRig(), trials=5, **made | {"law": Law(Q, L)})
 
 
 def test_another_learning_operator_learns_on_the_rig_but_no_log_could_name_it(
     loop, Q, tmp_path
 ):
     reference, L = assumed_reference(1200), NormOptimal(loop.P, 0.01, 1200)
-    run = record(VirtualRig(Rod(), IDEAL), loop, Q, L, reference, trials=2, pause=300)
+    run = record(
+        VirtualRig(Rod(), IDEAL), loop, Law(Q, L), reference, trials=2, pause=300
+    )
     assert rms(run.e)[1] < 0.1 * rms(run.e)[0]
     assert "L" not in run.attrs
     with pytest.raises(ValueError, match=r"L = .* must be a LearningFilter"):
         record(
-            VirtualRig(Rod(), IDEAL), loop, Q, L, reference, path=tmp_path / "log.csv"
+            VirtualRig(Rod(), IDEAL),
+            loop,
+            Law(Q, L),
+            reference,
+            path=tmp_path / "log.csv",
         )
 
 
 def test_v_rests_on_the_rig_too_and_the_log_says_so(loop, Q, L):
     reference = assumed_reference(60) * 0.02
-    log = record(VirtualRig(), loop, Q, L, reference, None, 3, pause=5, rest=15)
+    log = record(VirtualRig(), loop, Law(Q, L, rest=15), reference, None, 3, pause=5)
     assert not log.v.values[:, -15:].any() and log.v.values[1:, -16].any()
-    assert rest_of(log) == 15
+    assert law_of(log).rest == 15
     assert loop_of(log).Ts == 1.0
     for k in range(2):
-        law = update(log.v.values[k], log.e.values[k], Q, L, 15)
+        law = Law(Q, L, rest=15).next(log.v.values[k], log.e.values[k])
         np.testing.assert_array_equal(log.v[k + 1], law)
 
 
 def test_the_controller_runs_on_for_ten_minutes_between_two_trials(loop, Q):
     device = VirtualRig()
-    record(device, loop, Q, None, np.zeros((7, 2)), None, 3, pause=600)
+    record(device, loop, Law(Q, None), np.zeros((7, 2)), None, 3, pause=600)
     assert device.time == 3 * 7 + 2 * 600 + 1  # the last one with all at zero
 
 
@@ -210,7 +215,8 @@ def test_the_first_trials_of_a_tracked_log_are_recorded_again_alike(name, seed, 
         else None
     )
     rig = PeltierRig(parameters=PARAMETERS, seed=seed)
-    log = record(rig, L=L, **experiment() | {"trials": trials})
+    law = Law(zero_phase_butterworth(), L, limits={})
+    log = record(rig, law=law, **experiment() | {"trials": trials})
     for role in tracked.data_vars:
         np.testing.assert_array_equal(log[role], tracked[role])
 
@@ -221,7 +227,9 @@ def test_what_is_learned_is_rounded_as_in_the_tracked_log():
     made = experiment()
     L = LearningFilter(published.matrix("L_diagonal"), 1.0)
     for k in range(9):
-        v = update(tracked.v.values[k], tracked.e.values[k], made["Q"], L)
+        v = Law(zero_phase_butterworth(), L).next(
+            tracked.v.values[k], tracked.e.values[k]
+        )
         np.testing.assert_array_equal(
             np.round(v, made["decimals"]["v"]), tracked.v[k + 1]
         )
@@ -230,15 +238,8 @@ def test_what_is_learned_is_rounded_as_in_the_tracked_log():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"rig": VirtualRig(Ts=2.0)}, r"rig.Ts = 2.0 s"),
-        (
-            {"Q": zero_phase_butterworth(Ts=2.0)},
-            r"loop.Ts = 1.0 s, Q.Ts = 2.0 s, rig.Ts = 1.0 s",
-        ),
-        (
-            {"L": LearningFilter(np.ones((2, 2, 1)), 0.5)},
-            r"rig.Ts = 1.0 s, L.Ts = 0.5 s",
-        ),
+        ({"rig": VirtualRig(Ts=2.0)}, "rig.Ts = 2.0"),
+        ({"law": Law(zero_phase_butterworth(Ts=2.0), None)}, "Ts"),
         ({"rig": "the red one"}, "rig = 'the red one' has no read, apply"),
         ({"rig": VirtualRig}, "rig = .* is a class: make one"),
         ({"trials": 3}, "disturbance has 2 trials, but trials = 3"),
@@ -247,7 +248,7 @@ def test_what_is_learned_is_rounded_as_in_the_tracked_log():
             r"disturbance has shape \(2, 9, 3\).*10, 3",
         ),
         ({"pause": -1}, "pause = -1"),
-        ({"rest": 10}, "rest = 10 must be a whole number, from 0 to 9"),
+        ({"law": Law(zero_phase_butterworth(), None, 10)}, "rest = 10"),
         ({"decimals": {"y": 3}}, r"decimals is about \['y'\]"),
         ({"decimals": {"u": 0.5}}, "decimals.*u.* = 0.5 must be a whole number"),
         (
@@ -259,7 +260,7 @@ def test_what_is_learned_is_rounded_as_in_the_tracked_log():
     ],
 )
 def test_an_experiment_that_cannot_work_is_not_begun(loop, Q, changes, message):
-    made = {"rig": VirtualRig(), "loop": loop, "Q": Q, "L": None}
+    made = {"rig": VirtualRig(), "loop": loop, "law": Law(Q, None)}
     made |= {
         "reference": np.zeros((10, 2)),
         "disturbance": np.zeros((2, 10, 3)),
@@ -275,7 +276,9 @@ def test_disturbances_that_the_rig_cannot_make_are_refused(loop, Q):
     with pytest.raises(
         ValueError, match=r"disturbance is not zero for \['Q4'\], which are no"
     ):
-        record(driver, loop, Q, None, np.zeros((5, 2)), np.ones((5, 3)) * [0, 0, 1], 1)
+        record(
+            driver, loop, Law(Q, None), np.zeros((5, 2)), np.ones((5, 3)) * [0, 0, 1], 1
+        )
 
 
 def test_a_unit_that_nobody_knows_is_refused_before_the_experiment(loop, Q):
@@ -284,7 +287,7 @@ def test_a_unit_that_nobody_knows_is_refused_before_the_experiment(loop, Q):
         ValueError, match="unit 'furlong/fortnite' of y2 is not understood"
     ):
         strange = replace(loop, units=loop.units | {"y2": "furlong/fortnite"})
-        record(device, strange, Q, None, np.zeros((5, 2)), None, 1)
+        record(device, strange, Law(Q, None), np.zeros((5, 2)), None, 1)
     assert device.time == 0
 
 
@@ -294,16 +297,16 @@ def test_a_unit_that_nobody_knows_is_refused_before_the_experiment(loop, Q):
 def test_what_is_no_reading_never_reaches_the_actuators(loop, Q, L, tmp_path, bad):
     """The trial ends, the rig is made safe, the trials before it stay."""
     device = Failing(20 + 3 + 12, lambda: bad)
-    made = (loop, Q, L, assumed_reference(20), None, 3, 3)
+    made = (loop, Law(Q, L), assumed_reference(20), None, 3)
     with pytest.raises(
         RigError, match=r"trial 2, sample 13: reading .*Nothing was applied after"
     ):
-        record(device, *made, path=tmp_path / "log.csv")
+        record(device, *made, pause=3, path=tmp_path / "log.csv")
     assert len(device.commands) == 20 + 3 + 12 + 1
     assert np.isfinite(device.commands).all() and not device.commands[-1].any()
     assert load_log(tmp_path / "log.csv").sizes["trial"] == 1
     with pytest.raises(RigError, match="pause before trial 2, sample 3"):
-        record(Failing(20 + 2, lambda: bad), *made)
+        record(Failing(20 + 2, lambda: bad), *made, pause=3)
 
 
 def test_a_thermometer_in_the_room_that_fails_ends_the_trial(loop, Q):
@@ -311,19 +314,19 @@ def test_a_thermometer_in_the_room_that_fails_ends_the_trial(loop, Q):
         ambient = np.nan
 
     with pytest.raises(RigError, match="trial 1, sample 1: theta_a has 1 values"):
-        record(Unplugged(), loop, Q, None, np.zeros((5, 2)), None, 1)
+        record(Unplugged(), loop, Law(Q, None), np.zeros((5, 2)), None, 1)
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit, OSError("unplugged")])
 def test_the_rig_is_made_safe_on_every_way_out(loop, Q, error):
     device = Failing(7, lambda: raising(error))
     with pytest.raises(error if isinstance(error, type) else type(error)) as caught:
-        record(device, loop, Q, None, np.ones((20, 2)), None, 2)
+        record(device, loop, Law(Q, None), np.ones((20, 2)), None, 2)
     assert len(device.commands) == 8 and not device.commands[-1].any()
     if isinstance(error, OSError):
         assert caught.value.__notes__ == ["in trial 1, sample 8"]
     device = Failing(99, lambda: None)
-    record(device, loop, Q, None, np.ones((20, 2)), None, 1)
+    record(device, loop, Law(Q, None), np.ones((20, 2)), None, 1)
     assert len(device.commands) == 21 and not device.commands[-1].any()
 
 
@@ -335,7 +338,12 @@ def test_a_fault_in_apply_says_where_and_makes_the_rig_safe():
     )  # so that the plant's third input is missing
     with pytest.raises(KeyError) as caught:
         record(
-            device, loop, zero_phase_butterworth(Ts=0.5), None, np.ones((4, 2)), None, 1
+            device,
+            loop,
+            Law(zero_phase_butterworth(Ts=0.5), None),
+            np.ones((4, 2)),
+            None,
+            1,
         )
     assert caught.value.__notes__ == ["in trial 1, sample 1"]
     assert device.ends == 1
@@ -349,10 +357,10 @@ def test_samples_that_are_not_on_time_are_reported(loop, Q):
     with pytest.warns(
         UserWarning, match="trial 1: 2 samples were not on time, .* 8, by 1.45 s"
     ):
-        record(Late(), loop, Q, None, np.zeros((20, 2)), None, 1)
+        record(Late(), loop, Law(Q, None), np.zeros((20, 2)), None, 1)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        record(VirtualRig(), loop, Q, None, np.zeros((20, 2)), None, 2, pause=3)
+        record(VirtualRig(), loop, Law(Q, None), np.zeros((20, 2)), None, 2, pause=3)
 
 
 def test_commands_that_the_rig_cuts_off_are_reported(loop, Q):
@@ -367,8 +375,9 @@ def test_commands_that_the_rig_cuts_off_are_reported(loop, Q):
     reference = np.zeros((20, 2))
     reference[5:10, 0] = 10.0  # 47 and 16 W by N alone
     with pytest.warns(UserWarning) as told:
-        log = record(driver(limits={"Q1": (-60, 40), "fan": (0, 1)}), loop, Q, None, reference,
-                     trials=2, pause=0, limits=None)  # fmt: skip
+        device = driver(limits={"Q1": (-60, 40), "fan": (0, 1)})
+        law = Law(Q, None, limits={})
+        log = record(device, loop, law, reference, trials=2, pause=0)
     share = np.mean(log.u.values[..., 0] > 40, axis=1)
     assert share.min() > 0
     assert [str(one.message).split(" of all")[0] for one in told] == [
@@ -377,17 +386,19 @@ def test_commands_that_the_rig_cuts_off_are_reported(loop, Q):
     ]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        record(driver(), loop, Q, None, reference, trials=1)
-        record(driver(limits={"Q1": (-60, 1e3)}), loop, Q, None, reference, trials=1)
+        record(driver(), loop, Law(Q, None), reference, trials=1)
+        record(
+            driver(limits={"Q1": (-60, 1e3)}), loop, Law(Q, None), reference, trials=1
+        )
     with pytest.raises(ValueError, match=r"rig\.limits is about .*'Q2'"):
-        record(driver(limits={"Q2": (0, 1)}), loop, Q, None, reference)
+        record(driver(limits={"Q2": (0, 1)}), loop, Law(Q, None), reference)
 
 
 def test_progress_is_shown_on_a_terminal_only(loop, Q, capfd, monkeypatch):
-    record(VirtualRig(), loop, Q, None, np.ones((20, 2)), None, 2, pause=3)
+    record(VirtualRig(), loop, Law(Q, None), np.ones((20, 2)), None, 2, pause=3)
     assert capfd.readouterr() == ("", "")
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
-    record(VirtualRig(), loop, Q, None, np.ones((20, 2)), None, 2, pause=3)
+    record(VirtualRig(), loop, Law(Q, None), np.ones((20, 2)), None, 2, pause=3)
     shown = capfd.readouterr().err
     assert "trial 2 of 2" in shown and "43/43" in shown and "RMS 1.4" in shown
 
@@ -402,7 +413,7 @@ SHORT = {
 KILLED = """
 import os, signal, sys
 import pyarrow.csv, scipy.signal
-from rodlib import LearningFilter, paper_loop, record, zero_phase_butterworth
+from rodlib import Law, LearningFilter, paper_loop, record, zero_phase_butterworth
 from rodlib.paper import published
 from rodlib.ilc import units
 from rodlib.rigs import RestartingRig, RigParameters
@@ -425,7 +436,7 @@ for samples in map(int, sys.argv[2:]):
         Killed.left = samples
         path = os.path.join(sys.argv[1], f"{samples}.csv")
         rig = Killed(parameters=RigParameters(modes=10))
-        record(rig, loop, Q, L, reference, None, 3, 2, path=path)
+        record(rig, loop, Law(Q, L), reference, None, 3, pause=2, path=path)
     print(os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]))
 """
 
@@ -434,7 +445,7 @@ for samples in map(int, sys.argv[2:]):
 def test_a_killed_experiment_goes_on_as_if_nothing_had_been(loop, Q, L, tmp_path):
     """What is on disk are the trials that had ended; the rest comes out the same, bit for bit."""
     rig = RestartingRig(parameters=RigParameters(modes=10))
-    whole = record(rig, loop, Q, L, **SHORT, path=tmp_path / "whole.csv")
+    whole = record(rig, loop, Law(Q, L), **SHORT, path=tmp_path / "whole.csv")
     kills = [3, 26, 52, 78]  # samples; a trial has 25, the pause before it 2
     outcome = subprocess.run(
         [sys.executable, "-c", KILLED, tmp_path, *map(str, kills)],
@@ -447,7 +458,7 @@ def test_a_killed_experiment_goes_on_as_if_nothing_had_been(loop, Q, L, tmp_path
         assert path.exists() == (ended > 0)
         if ended:
             assert load_log(path).identical(whole.isel(trial=slice(ended)))
-        assert record(rig, loop, Q, L, **SHORT, path=path).identical(whole)
+        assert record(rig, loop, Law(Q, L), **SHORT, path=path).identical(whole)
         assert path.read_bytes() == (tmp_path / "whole.csv").read_bytes()
 
 
@@ -482,48 +493,50 @@ def test_an_experiment_without_disturbances_goes_on_after_a_fault(plant, tmp_pat
     m, path = plant.noutputs, tmp_path / "log.csv"
     L = LearningFilter(0.1 * np.eye(m)[..., None], loop.Ts)
     task = {"reference": np.outer(np.hanning(40), np.ones(m)), "trials": 3, "pause": 0}
-    law = loop, zero_phase_butterworth(2, 0.1 / loop.Ts, loop.Ts), L
+    law = Law(zero_phase_butterworth(2, 0.1 / loop.Ts, loop.Ts), L)
     with pytest.raises(RigError, match="trial 2, sample 10"):
-        record(Homed(plant, fails=50), *law, **task, path=path)
+        record(Homed(plant, fails=50), loop, law, **task, path=path)
     assert load_log(path).sizes["trial"] == 1
-    at_once = record(Homed(plant), *law, **task)
-    assert record(Homed(plant), *law, **task, path=path).identical(at_once)
+    at_once = record(Homed(plant), loop, law, **task)
+    assert record(Homed(plant), loop, law, **task, path=path).identical(at_once)
     assert load_log(path).identical(at_once)
 
 
 def test_what_is_left_of_a_trial_is_dropped(loop, Q, L, tmp_path):
     path = tmp_path / "log.csv"
-    whole = record(RestartingRig(), loop, Q, L, **SHORT, path=path)
+    whole = record(RestartingRig(), loop, Law(Q, L), **SHORT, path=path)
     content = path.read_bytes()
     third = content.index(b"\n3,") + 1
     for end in (third, (third + len(content)) // 2, len(content) - 1):
         path.write_bytes(content[:end])
-        assert record(RestartingRig(), loop, Q, L, **SHORT, path=path).identical(whole)
+        assert record(RestartingRig(), loop, Law(Q, L), **SHORT, path=path).identical(
+            whole
+        )
         assert path.read_bytes() == content
 
 
 def test_an_experiment_that_has_ended_leaves_rig_and_log_alone(loop, Q, L, tmp_path):
     path, device = tmp_path / "log.csv", VirtualRig()
-    log = record(device, loop, Q, L, **SHORT, path=path)
+    log = record(device, loop, Law(Q, L), **SHORT, path=path)
     content, time = path.read_bytes(), device.time
-    assert record(device, loop, Q, L, **SHORT, path=path).identical(log)
+    assert record(device, loop, Law(Q, L), **SHORT, path=path).identical(log)
     with pytest.warns(
         UserWarning, match="has 3 trials, more than trials = 2: none is run, and al"
     ):
-        assert record(device, loop, Q, L, **SHORT | {"trials": 2}, path=path).identical(
-            log
-        )
+        assert record(
+            device, loop, Law(Q, L), **SHORT | {"trials": 2}, path=path
+        ).identical(log)
     assert path.read_bytes() == content and device.time == time
     assert load_log(path).identical(log)
-    more = record(device, loop, Q, L, **SHORT | {"trials": 4}, path=path)
+    more = record(device, loop, Law(Q, L), **SHORT | {"trials": 4}, path=path)
     assert more.isel(trial=slice(3)).identical(log) and load_log(path).identical(more)
 
 
 def test_notes_that_were_added_to_the_log_stay(loop, Q, tmp_path):
     path = tmp_path / "log.csv"
-    record(VirtualRig(), loop, Q, None, **SHORT | {"trials": 1}, path=path)
+    record(VirtualRig(), loop, Law(Q, None), **SHORT | {"trials": 1}, path=path)
     save_log(load_log(path).assign_attrs(operator="Ada"), path)
-    record(VirtualRig(), loop, Q, None, **SHORT | {"trials": 2}, path=path)
+    record(VirtualRig(), loop, Law(Q, None), **SHORT | {"trials": 2}, path=path)
     assert (
         load_log(path).attrs["operator"] == "Ada" and load_log(path).sizes["trial"] == 2
     )
@@ -538,9 +551,9 @@ def test_notes_that_were_added_to_the_log_stay(loop, Q, tmp_path):
         ({"L": None}, "L"),
         ({"Q": zero_phase_butterworth(cutoff=0.2)}, "Q"),
         ({"rest": 3}, "rest"),
-        ({"step": 0.5}, "step"),
+        ({"gain": 0.5}, "step"),
         ({"rig": SimpleNamespace(read=len, apply=len)}, "actuators, disturbances"),
-        ({"limits": None}, "actuators"),
+        ({"limits": {}}, "actuators"),
         ({"loop": paper_loop(degree=4)}, "loop"),
     ],
 )
@@ -548,8 +561,14 @@ def test_another_experiment_does_not_go_on_with_the_log(
     loop, Q, L, tmp_path, changes, differing
 ):
     path = tmp_path / "log.csv"
-    made = {"rig": VirtualRig(), "loop": loop, "Q": Q, "L": L} | SHORT
+    made = {"rig": VirtualRig(), "loop": loop, "law": Law(Q, L)} | SHORT
     record(**made | {"trials": 2}, path=path)
+    parts = {name: changes[name] for name in vars(made["law"]) if name in changes}
+    changes = {
+        name: c for name, c in changes.items() if name not in parts or name == "loop"
+    }
+    parts.pop("loop", None)
+    made["law"] = replace(made["law"], **parts)
     path.write_bytes(path.read_bytes()[:-7])
     content, time = path.read_bytes(), made["rig"].time
     with pytest.raises(
@@ -561,7 +580,7 @@ def test_another_experiment_does_not_go_on_with_the_log(
 
 def test_a_log_that_record_did_not_write_is_not_gone_on_with(loop, Q, L, tmp_path):
     path = tmp_path / "log.csv"
-    record(VirtualRig(), loop, Q, L, **SHORT, path=path)
+    record(VirtualRig(), loop, Law(Q, L), **SHORT, path=path)
     lines = path.read_text().splitlines(keepends=True)
     unnamed = "".join(line for line in lines if not line.startswith("# loop"))
     for text, message in (
@@ -570,5 +589,5 @@ def test_a_log_that_record_did_not_write_is_not_gone_on_with(loop, Q, L, tmp_pat
     ):
         path.write_text(text)
         with pytest.raises(ValueError, match=message):
-            record(VirtualRig(), loop, Q, L, **SHORT, path=path)
+            record(VirtualRig(), loop, Law(Q, L), **SHORT, path=path)
         assert path.read_text() == text

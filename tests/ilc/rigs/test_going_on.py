@@ -8,17 +8,17 @@ from test_experiment import PLANT
 from test_stopping import Model, bump
 
 from rodlib import (
+    Law,
     LearningFilter,
     current_trial_loop,
     load_log,
     record,
     run_trials,
-    update,
     zero_phase_butterworth,
 )
 from rodlib.ilc import with_law
 from rodlib.ilc.replay import replay_of
-from rodlib.ilc.report import about_the_law, left_out, summary
+from rodlib.ilc.report import about_the_law, summary
 
 LOOP, Q = (
     current_trial_loop(PLANT, PLANT.input_labels[:2]),
@@ -32,16 +32,14 @@ def test_the_first_trial_begins_with_what_was_learned_elsewhere(tmp_path):
     v, path = 0.1 * R + 1e-9 / 3, tmp_path / "log.csv"
     made = {
         "loop": LOOP,
-        "Q": Q,
-        "L": L,
+        "law": Law(Q, L, rest=4),
         "reference": R,
         "v": v,
-        "rest": 4,
         "path": path,
     }
     made["decimals"] = {"v": 6}
     log = record(Model(PLANT), trials=2, **made)
-    run = run_trials(LOOP, Q, L, R, trials=2, v=v, rest=4)
+    run = run_trials(LOOP, Law(Q, L, rest=4), R, trials=2, v=v)
     np.testing.assert_allclose(log.y, run.y, atol=1e-5)
     assert not log.v[0, -4:].any() and log.v[0, 40].any()
     more = record(Model(PLANT), trials=3, **made)
@@ -55,65 +53,38 @@ def test_the_first_trial_begins_with_what_was_learned_elsewhere(tmp_path):
     )
     np.testing.assert_allclose(replay.simulated.y, more.y, atol=1e-5)
     assert "as far as the trials before 1 tell" in about_the_law(replay)
-    kept = record(Model(PLANT), LOOP, Q, None, R, trials=2, v=v)
+    kept = record(Model(PLANT), LOOP, Law(Q, None), R, trials=2, v=v)
     np.testing.assert_array_equal(kept.v, [v, v])
 
 
 def test_each_trial_follows_a_reference_of_its_own(tmp_path):
     references, path = np.array([R, 2 * R, -R]), tmp_path / "log.csv"
-    run = run_trials(LOOP, Q, L, references, trials=3)
-    record(Model(PLANT), LOOP, Q, L, references[:2], trials=2, path=path)
-    log = record(Model(PLANT), LOOP, Q, L, references, trials=3, path=path)
+    run = run_trials(LOOP, Law(Q, L), references, trials=3)
+    record(Model(PLANT), LOOP, Law(Q, L), references[:2], trials=2, path=path)
+    log = record(Model(PLANT), LOOP, Law(Q, L), references, trials=3, path=path)
     for name in ("reference", "v", "y", "e"):
         np.testing.assert_allclose(log[name], run[name], atol=1e-9)
     np.testing.assert_allclose(replay_of(load_log(path)).simulated.y, run.y, atol=1e-9)
     with pytest.raises(
         ValueError, match=r"reference has shape \(3, 80, 2\), but must have .*\(4,"
     ):
-        record(Model(PLANT), LOOP, Q, L, references, trials=4)
+        record(Model(PLANT), LOOP, Law(Q, L), references, trials=4)
     with pytest.raises(ValueError, match="another experiment, see its reference"):
-        record(Model(PLANT), LOOP, Q, L, references[::-1], trials=3, path=path)
-
-
-def test_another_law_goes_on_if_that_is_meant(tmp_path):
-    """Twice; the log says which law made which trial, and the replay knows."""
-    path, half = tmp_path / "log.csv", LearningFilter(0.5 * L.coefficients, 0.5)
-    made = {"loop": LOOP, "reference": R, "path": path}
-    record(Model(PLANT), Q=Q, L=L, trials=2, rest=3, **made)
-    with pytest.raises(
-        ValueError, match=r"see its L, rest, step: .*, or say another_law=True"
-    ):
-        record(Model(PLANT), Q=Q, L=half, trials=4, step=0.5, **made)
-    another = {"another_law": True}
-    record(Model(PLANT), Q=Q, L=half, trials=4, step=0.5, **made, **another)
-    record(Model(PLANT), Q=Q, L=half, trials=5, step=0.5, **made)
-    log = record(Model(PLANT), Q=Q, L=None, trials=7, **made, **another)
-    laws = [(L, 3, 1.0), (half, 0, 0.5), (half, 0, 0.5), (half, 0, 0.5)]
-    for k, (by, rest, step) in enumerate(laws):
-        v = update(log.v.values[k], log.e.values[k], Q, by, rest, step)
-        np.testing.assert_array_equal(log.v[k + 1], v)
-    np.testing.assert_array_equal(log.v[5:], [log.v[4], log.v[4]])
-    replay = replay_of(load_log(path))
-    assert replay.departure.to_numpy().max() == 0 and replay.simulated is None
-    assert "simulation: another law held up to trial 2, 5" in left_out(replay)
-    assert about_the_law(replay) == "the recorded v is that of the law in every trial"
-    with pytest.raises(ValueError, match="another experiment, see its loop"):
-        other = current_trial_loop(PLANT, PLANT.input_labels[:2], {"heater": 3.0})
-        record(Model(PLANT), **made | {"loop": other}, Q=Q, L=half, trials=8, **another)
+        record(Model(PLANT), LOOP, Law(Q, L), references[::-1], trials=3, path=path)
 
 
 def test_a_replay_says_what_record_would_have_said():
     wrong = LearningFilter(-L.coefficients * 2, 0.5)
     with warnings.catch_warnings(action="ignore"):
-        run = run_trials(LOOP, Q, wrong, R, trials=6)
-    log = with_law(run, Q, wrong, 0, LOOP)
+        run = run_trials(LOOP, Law(Q, wrong), R, trials=6)
+    log = with_law(run, Law(Q, wrong, loop=LOOP))
     with pytest.warns(UserWarning, match="the error grows") as told:
         replay = replay_of(log)
     assert told[0].filename == __file__ and len(told) == 1
     assert "WARNING: the error grows" in summary(replay) and len(replay.findings) == 1
     y = run.y.copy()
     y[2:, 0] += 1.0
-    moved = with_law(run.assign(y=y), Q, None, 0, LOOP)
+    moved = with_law(run.assign(y=y), Law(Q, None, loop=LOOP))
     with pytest.warns(
         UserWarning, match="trial 3: it starts 1 in depth, 1 in heat from where"
     ):

@@ -10,25 +10,28 @@ from test_stopping import bump
 
 from rodlib import (
     ClosedLoop,
+    Law,
     LearningFilter,
+    Plant,
+    Settings,
     current_trial_loop,
     load_log,
     loop_of,
     measured_response,
     multisine,
+    plot,
     record,
     run_trials,
     save_log,
     shake,
     synthesise,
-    update,
+    try_out,
     zero_phase_butterworth,
 )
 from rodlib.ilc import RigError, StoppedError
 from rodlib.ilc.replay import replay_of
 from rodlib.ilc.report import summary
 from rodlib.ilc.trials.run import rms
-from rodlib import Plant, Settings, plot, try_out
 from rodlib.ilc.workbench.plant import plant_of_file
 
 # Two PIDs of a coupled plant; P(0) is not I, as with proportional action alone.
@@ -75,35 +78,39 @@ class Whole(Machine):
 
 
 def test_a_loop_that_is_known_by_p_is_simulated():
-    run = run_trials(KNOWN, Q, L, REFERENCE, trials=5)
+    run = run_trials(KNOWN, Law(Q, L), REFERENCE, trials=5)
     assert "u" not in run and "delta" not in run and run.attrs["Ts"] == 0.1
     v = np.zeros_like(REFERENCE)
     for k in range(5):
         y = control.forced_response(P, inputs=(REFERENCE + v).T).outputs.T
         np.testing.assert_allclose(run.y[k], y, atol=1e-12)
-        v = update(v, REFERENCE - y, Q, L)
+        v = Law(Q, L).next(v, REFERENCE - y)
     x, noise = (
         np.array([1.0, -1.0]),
         np.random.default_rng(0).standard_normal((1, 150, 2)),
     )
-    begun = run_trials(KNOWN, Q, L, REFERENCE, None, 1, initial_state=x, noise=noise)
+    begun = run_trials(
+        KNOWN, Law(Q, L), REFERENCE, None, 1, initial_state=x, noise=noise
+    )
     np.testing.assert_allclose(begun.y[0, 0], P.C @ x + noise[0, 0])
-    other = run_trials(KNOWN, Q, L, REFERENCE, trials=1, plant=2 * P)
+    other = run_trials(KNOWN, Law(Q, L), REFERENCE, trials=1, plant=2 * P)
     np.testing.assert_allclose(other.y[0], 2 * run.y[0])
     for wrong, message in (
         (NAMED, "loop has no P"),
-        (ClosedLoop(P, disturbances=["d"]), "says n"),
+        (ClosedLoop(P, disturbances=["d"]), "disturbance is not zero"),
     ):
         with pytest.raises(ValueError, match=message):
-            run_trials(wrong, Q, L, REFERENCE, np.ones((150, len(wrong.disturbances))))
+            run_trials(
+                wrong, Law(Q, L), REFERENCE, np.ones((150, len(wrong.disturbances)))
+            )
 
 
 @pytest.mark.parametrize("loop", [KNOWN, NAMED], ids=["P", "names"])
 @pytest.mark.parametrize("device", [Sampled, Whole])
 def test_any_such_loop_learns_on_its_rig_as_in_the_simulation(loop, device, tmp_path):
     path, rig = tmp_path / "log.csv", device()
-    log = record(rig, loop, Q, L, REFERENCE, trials=3, path=path)
-    run = run_trials(KNOWN, Q, L, REFERENCE, trials=3)
+    log = record(rig, loop, Law(Q, L), REFERENCE, trials=3, path=path)
+    run = run_trials(KNOWN, Law(Q, L), REFERENCE, trials=3)
     for name in ("v", "y", "e"):
         np.testing.assert_allclose(log[name], run[name], atol=1e-12)
     assert rig.ends == 1 and "u" not in log and "control" not in log.coords
@@ -112,19 +119,19 @@ def test_any_such_loop_learns_on_its_rig_as_in_the_simulation(loop, device, tmp_
     again = loop_of(loaded)
     assert (again.Ts, again.outputs, again.units) == (loop.Ts, loop.outputs, loop.units)
     assert (again.P is None) == (loop.P is None)
-    more = record(device(), loop, Q, L, REFERENCE, trials=4, path=path)
+    more = record(device(), loop, Law(Q, L), REFERENCE, trials=4, path=path)
     assert more.isel(trial=slice(3)).identical(log)
     with pytest.raises(ValueError, match="another experiment, see its loop"):
-        record(device(), ClosedLoop(0.9 * P), Q, L, REFERENCE, trials=5, path=path)
+        record(device(), ClosedLoop(0.9 * P), Law(Q, L), REFERENCE, trials=5, path=path)
 
 
 def test_a_log_of_such_a_loop_is_replayed(tmp_path):
-    log = record(Sampled(), KNOWN, Q, L, REFERENCE, trials=3)
+    log = record(Sampled(), KNOWN, Law(Q, L), REFERENCE, trials=3)
     replay = replay_of(log)
     np.testing.assert_allclose(replay.simulated.y, log.y, atol=1e-12)
     assert replay.fit.values.min() > 0.999999 and not replay.departure.values.any()
     assert "fit of the model" in summary(replay)
-    silent = replay_of(record(Sampled(), NAMED, Q, L, REFERENCE, trials=2))
+    silent = replay_of(record(Sampled(), NAMED, Law(Q, L), REFERENCE, trials=2))
     assert (
         silent.simulated is None
         and silent.fit is None
@@ -139,8 +146,7 @@ def test_its_commands_are_recorded_if_the_rig_tells_them(tmp_path):
     log = record(
         Sampled(),
         loop,
-        Q,
-        L,
+        Law(Q, L),
         REFERENCE,
         trials=2,
         decimals={"u": 2},
@@ -155,15 +161,15 @@ def test_its_commands_are_recorded_if_the_rig_tells_them(tmp_path):
     with pytest.raises(
         ValueError, match=r"rig.measured must have the controls \['motor x'"
     ):
-        record(SimpleNamespace(read=len, apply=len), loop, Q, L, REFERENCE)
+        record(SimpleNamespace(read=len, apply=len), loop, Law(Q, L), REFERENCE)
     whole = SimpleNamespace(run=lambda w: (w, 2 * w))
-    downloaded = record(whole, loop, Q, L, REFERENCE, trials=2)
+    downloaded = record(whole, loop, Law(Q, L), REFERENCE, trials=2)
     np.testing.assert_array_equal(
         downloaded.u[1], 2 * (REFERENCE + downloaded.v.values[1])
     )
     whole.run = lambda w: w
     with pytest.raises(RigError, match="trial 1: u holds values of type object"):
-        record(whole, loop, Q, L, REFERENCE)
+        record(whole, loop, Law(Q, L), REFERENCE)
 
 
 @pytest.mark.parametrize(
@@ -174,18 +180,18 @@ def test_what_is_downloaded_is_checked(bad, tmp_path):
     good = rig.run
     rig.run = lambda w: good(w) if not path.exists() else bad
     with pytest.raises(RigError, match="trial 2: y "):
-        record(rig, NAMED, Q, L, REFERENCE, trials=3, path=path)
+        record(rig, NAMED, Law(Q, L), REFERENCE, trials=3, path=path)
     assert load_log(path).sizes["trial"] == 1 and rig.ends == 1
     far = SimpleNamespace(run=lambda w: 100 * w)
     with pytest.raises(
         StoppedError, match=r"trial 1, sample \d+: x = .* limits of stop"
     ):
-        record(far, NAMED, Q, L, REFERENCE)
+        record(far, NAMED, Law(Q, L), REFERENCE)
     with pytest.raises(ValueError, match=r"pause = 3, but rig\.run begins"):
-        record(Whole(), NAMED, Q, L, REFERENCE, pause=3)
+        record(Whole(), NAMED, Law(Q, L), REFERENCE, pause=3)
     broken = SimpleNamespace(run=lambda w: 1 / 0)
     with pytest.raises(ZeroDivisionError) as caught:
-        record(broken, NAMED, Q, L, REFERENCE)
+        record(broken, NAMED, Law(Q, L), REFERENCE)
     assert caught.value.__notes__ == ["in trial 1"]
 
 
@@ -195,12 +201,12 @@ def test_a_target_may_run_our_controller_by_itself():
     loop, Q = current_trial_loop(plant), zero_phase_butterworth(2, 1000.0, 1e-4)
 
     def run(w):
-        made = run_trials(loop, Q, None, w, trials=1)
+        made = run_trials(loop, Law(Q, None), w, trials=1)
         return made.y.values[0], made.u.values[0]
 
     L = LearningFilter([[[0.5]]], 1e-4)
-    log = record(SimpleNamespace(run=run), loop, Q, L, bump(200, [1.0]), trials=3)
-    same = run_trials(loop, Q, L, bump(200, [1.0]), trials=3)
+    log = record(SimpleNamespace(run=run), loop, Law(Q, L), bump(200, [1.0]), trials=3)
+    same = run_trials(loop, Law(Q, L), bump(200, [1.0]), trials=3)
     for name in ("y", "u", "v"):
         np.testing.assert_allclose(log[name], same[name], atol=1e-12)
     assert "delta" not in log
@@ -213,7 +219,7 @@ def test_what_it_cannot_follow_is_warned_of_whoever_runs_the_trial(device):
     with pytest.warns(
         UserWarning, match="trial 1: commands were beyond the limits of set x"
     ) as seen:
-        record(rig, KNOWN, Q, None, REFERENCE, trials=1, limits=None)
+        record(rig, KNOWN, Law(Q, None, limits={}), REFERENCE, trials=1)
     assert seen[0].filename == __file__
 
 
@@ -237,9 +243,11 @@ def test_it_is_shaken_and_nothing_is_assumed_of_it_at_frequency_zero(loop, devic
 def test_filters_are_designed_for_it_and_the_workbench_takes_it(tmp_path):
     grid = np.geomspace(1e-3, 31, 200)
     design = synthesise(KNOWN, Q, grid, order=5, band=(0.01, 1.0))
-    run = run_trials(KNOWN, Q, design.filter, REFERENCE, trials=5)
+    run = run_trials(KNOWN, Law(Q, design.filter), REFERENCE, trials=5)
     assert rms(run.e).values[-1] < 0.05 * rms(run.e).values[0]
-    save_log(record(Sampled(), KNOWN, Q, L, REFERENCE, trials=2), tmp_path / "log.csv")
+    save_log(
+        record(Sampled(), KNOWN, Law(Q, L), REFERENCE, trials=2), tmp_path / "log.csv"
+    )
     for plant in (Plant("loop", KNOWN), plant_of_file(tmp_path / "log.csv")):
         outcome = try_out(Settings.of(plant))
         assert outcome.design is not None and outcome.rms[-1] < 0.2 * outcome.rms[0]

@@ -1,6 +1,7 @@
 """Experiments within the limits of a rig: what is sent, told, recorded, gone on with, replayed."""
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,13 +12,13 @@ from test_own_loop import Q as OWN_Q
 from test_stopping import bump
 
 from rodlib import (
+    Law,
     LearningFilter,
     current_trial_loop,
     load_log,
     record,
     run_trials,
     save_log,
-    update_within,
     zero_phase_butterworth,
 )
 from rodlib.boards import TemperatureControlLab, heat_balance
@@ -68,7 +69,7 @@ def experiment(case, trials=4):
     Q = zero_phase_butterworth(2, cutoff, loop.Ts)
     L = LearningFilter(0.5 * np.eye(len(heights))[..., None], loop.Ts)
     return Limited(loop, limits), dict(
-        loop=loop, Q=Q, L=L, reference=bump(80, heights), trials=trials
+        loop=loop, law=Law(Q, L), reference=bump(80, heights), trials=trials
     )
 
 
@@ -87,7 +88,7 @@ def test_the_rig_runs_as_the_simulation_does(case):
         log = record(rig, **given)
     assert len(told) == 1 and "v is learned within" in str(told[0].message)
     assert told[0].filename == __file__
-    run = run_trials(**given, limits=rig.limits)
+    run = run_trials(**given | {"law": replace(given["law"], limits=rig.limits)})
     for name in ("v", "u", "applied", "y", "delta"):
         size = np.abs(run["u" if name == "delta" else name]).max()
         np.testing.assert_allclose(log[name], run[name], atol=2e-5 * size)
@@ -96,8 +97,13 @@ def test_the_rig_runs_as_the_simulation_does(case):
         np.abs(log.applied - log.u)[0].max() > 0.1
         and rms(log.e)[-1] < 0.9 * rms(log.e)[0]
     )
-    without = quietly(rig_that_cuts_off(rig), **given, limits=None)
+    without = quietly(rig_that_cuts_off(rig), **free(given))
     assert "applied" not in without and np.abs(without.u).max() > np.abs(log.u).max()
+
+
+def free(given):
+    """The same without limits."""
+    return given | {"law": replace(given["law"], limits={})}
 
 
 def rig_that_cuts_off(rig):
@@ -124,9 +130,8 @@ def test_a_log_keeps_asked_and_applied_is_gone_on_with_and_replays(case, tmp_pat
     np.testing.assert_allclose(replay.simulated.y, loaded.y, atol=1e-4)
     assert replay.fit.to_numpy().min() > 1 - 1e-6  # from what was applied
     v, e, u = (loaded[name].values[-1] for name in ("v", "e", "u"))
-    following = update_within(
-        v, e, u, given["Q"], given["L"], given["loop"], rig.limits
-    )
+    law = replace(given["law"], limits=rig.limits, loop=given["loop"])
+    following = law.next(v, e, u)
     np.testing.assert_array_equal(replay.following, following)
 
     other = tmp_path / "other.csv"
@@ -137,25 +142,11 @@ def test_a_log_keeps_asked_and_applied_is_gone_on_with_and_replays(case, tmp_pat
 def test_limits_are_part_of_the_law_that_a_log_names(tmp_path):
     rig, given = experiment("tanks")
     path = tmp_path / "log.csv"
-    quietly(rig_that_cuts_off(rig), **given | {"trials": 2}, limits=None, path=path)
+    quietly(rig_that_cuts_off(rig), **free(given) | {"trials": 2}, path=path)
     assert "applied" not in load_log(path) and "actuators" not in load_log(path).attrs
     rig, _ = experiment("tanks")
-    with pytest.raises(
-        ValueError, match=r"see its actuators: .* or say another_law=True"
-    ):
+    with pytest.raises(ValueError, match="see its actuators"):
         record(rig, **given, path=path)
-    quietly(rig, **given, path=path, another_law=True)
-    log = load_log(path)
-    np.testing.assert_array_equal(
-        log.applied[:2], log.u[:2]
-    )  # as far as the log could know
-    assert np.abs(log.applied - log.u)[2:].max() >= 0
-    with warnings.catch_warnings(action="ignore"):
-        assert "that of the law in every trial" in summary(replay_of(log))
-    del log.attrs["loop"]
-    with warnings.catch_warnings(action="ignore"):
-        alone = replay_of(log)
-    assert alone.law is None and "and the loop beside actuators" in left_out(alone)[0]
 
 
 @pytest.mark.parametrize("device", [Sampled, Whole])
@@ -167,11 +158,11 @@ def test_a_loop_that_is_not_ours_is_sent_what_it_can_follow(device, tmp_path):
     own = getattr(rig, name)
     setattr(rig, name, lambda given: (w.append(np.array(given)), own(given))[1])
     log = quietly(
-        rig, KNOWN, OWN_Q, OWN_L, REFERENCE, trials=4, path=tmp_path / "log.csv"
+        rig, KNOWN, Law(OWN_Q, OWN_L), REFERENCE, trials=4, path=tmp_path / "log.csv"
     )
     sent = np.concatenate([np.atleast_2d(one) for one in w])
     assert sent[:, 0].max() == 1.5 and (log.reference + log.v)[0].max() > 1.9
-    run = run_trials(KNOWN, OWN_Q, OWN_L, REFERENCE, trials=4, limits=rig.limits)
+    run = run_trials(KNOWN, Law(OWN_Q, OWN_L, limits=rig.limits), REFERENCE, trials=4)
     np.testing.assert_allclose(log.y, run.y, atol=1e-6)
     replay = replay_of(load_log(tmp_path / "log.csv"))
     assert "that of the law in every trial" in summary(replay)
@@ -189,9 +180,9 @@ def test_cold_heaters_of_the_lab_which_we_did_not_make():
     )
     reference = bump(300, [10.0, 8.0])
     runs = {
-        limits: quietly(TemperatureControlLab(rest=(0.0, 0.0)), loop, Q, L, reference,
-                        trials=5, limits=limits, rest=15)
-        for limits in ("rig", None)
+        name: quietly(TemperatureControlLab(rest=(0.0, 0.0)), loop, Law(Q, L, 15, limits=limits),
+                      reference, trials=5)
+        for name, limits in {"rig": None, None: {}}.items()
     }  # fmt: skip
     grown = {
         k: np.abs(run.v).max(["time", "channel"]).values for k, run in runs.items()

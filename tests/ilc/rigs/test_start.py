@@ -11,7 +11,13 @@ from hypothesis import strategies as st
 from test_experiment import PLANT, SHORT, Failing, Itself
 from test_stopping import bump
 
-from rodlib import LearningFilter, current_trial_loop, record, zero_phase_butterworth
+from rodlib import (
+    Law,
+    LearningFilter,
+    current_trial_loop,
+    record,
+    zero_phase_butterworth,
+)
 from rodlib.case import assumed_reference
 from rodlib.ilc import RigError
 from rodlib.ilc.rigs.start import Start
@@ -36,7 +42,7 @@ def test_trials_that_follow_at_once_start_elsewhere_and_it_is_said(loop, Q, L):
     with pytest.warns(
         UserWarning, match=r"after trial 2: it starts [\d.]+ K in y1, .* K in y2"
     ):
-        log = record(VirtualRig(), loop, Q, L, warm_end(600), trials=3, pause=0)
+        log = record(VirtualRig(), loop, Law(Q, L), warm_end(600), trials=3, pause=0)
     assert np.abs(log.y[1, 0] - log.y[0, 0]).max() > 1
 
 
@@ -44,18 +50,20 @@ def test_the_rig_is_waited_for_as_long_as_it_takes(loop, Q, L):
     """And no longer; with the count of samples that one forgot to change, it starts warm."""
     device, reference = VirtualRig(), warm_end(600)
     with warnings.catch_warnings(action="error"):
-        log = record(device, loop, Q, L, reference, trials=4, rest=100)
+        log = record(device, loop, Law(Q, L, rest=100), reference, trials=4)
     pauses = (device.time - 4 * 600) / 3
     assert 60 < pauses < 1200
     assert np.abs(log.y[1:, 0] - log.y[0, 0]).max() < 0.3
     with pytest.warns(UserWarning, match="starts"):
-        warm = record(VirtualRig(), loop, Q, L, reference, trials=4, rest=100, pause=10)
+        warm = record(
+            VirtualRig(), loop, Law(Q, L, rest=100), reference, trials=4, pause=10
+        )
     assert rms(warm.e).values[-1] > 1.5 * rms(log.e).values[-1]
 
 
 def test_after_a_fault_the_rig_is_waited_for_too(loop, Q, L, tmp_path):
     """It was left warm, in the middle of a trial."""
-    made = {"loop": loop, "Q": Q, "L": L, "reference": warm_end(300), "trials": 2}
+    made = {"loop": loop, "law": Law(Q, L), "reference": warm_end(300), "trials": 2}
     device = Failing(300, lambda: [np.nan, np.nan])
     made["path"] = tmp_path / "log.csv"
     with pytest.raises(RigError, match="pause before trial 2, sample 1"):
@@ -82,7 +90,7 @@ def test_a_rig_that_does_not_come_back_is_not_waited_for_forever():
         UserWarning, match="before trial 2 .* not back and still after 80 samples"
     ):
         warnings.filterwarnings("ignore", "after trial 2: it starts")
-        record(device, loop, Q, None, bump(40, [1.0, 1.0]), trials=2)
+        record(device, loop, Law(Q, None), bump(40, [1.0, 1.0]), trials=2)
     assert len(device.applied) == 2 * 40 + 80
 
 
@@ -114,7 +122,7 @@ def test_noise_is_told_from_what_moves():
 
 WAITING = """
 import sys
-from rodlib import paper_loop, record, zero_phase_butterworth
+from rodlib import Law, paper_loop, record, zero_phase_butterworth
 from rodlib.rigs import RestartingRig
 import numpy as np
 
@@ -123,7 +131,8 @@ class Waiting(RestartingRig):
         print("began", flush=True)
         sys.stdin.read()
 
-record(Waiting(), paper_loop(), zero_phase_butterworth(), None, np.ones((9, 2)), path=sys.argv[1])
+law = Law(zero_phase_butterworth(), None)
+record(Waiting(), paper_loop(), law, np.ones((9, 2)), path=sys.argv[1])
 """
 
 
@@ -138,15 +147,15 @@ def test_two_processes_do_not_record_to_one_log(loop, Q, L, tmp_path):
         with pytest.raises(
             RuntimeError, match=r"path = '.*log\.csv' is recorded to by another"
         ):
-            record(device, loop, Q, L, **SHORT, path=path)
+            record(device, loop, Law(Q, L), **SHORT, path=path)
         process.kill()
     assert device.time == 0 and not path.exists()
-    record(device, loop, Q, L, **SHORT, path=path)
+    record(device, loop, Law(Q, L), **SHORT, path=path)
     assert path.exists()
 
 
 def test_the_papers_experiment_comes_back_in_its_ten_minutes(loop, Q, L):
     """What is waited for is at most what the paper waits for."""
     device, quiet = VirtualRig(), RigParameters(ambient_rate=0.0)
-    record(device, loop, Q, L, assumed_reference(), trials=2)
+    record(device, loop, Law(Q, L), assumed_reference(), trials=2)
     assert device.time - 5000 <= 601 and quiet.noise > 0

@@ -10,6 +10,7 @@ from plants import furnace, tanks
 from test_experiment import PLANT, SHORT, Itself
 
 from rodlib import (
+    Law,
     LearningFilter,
     current_trial_loop,
     load_log,
@@ -67,7 +68,7 @@ def test_an_actuator_of_the_wrong_sign_does_not_run_away(small):
     with pytest.raises(
         StoppedError, match=r"trial 1, sample \d+: depth = .* limits of stop"
     ) as at:
-        record(device, small, Q_SHORT, None, reference, trials=2)
+        record(device, small, Law(Q_SHORT, None), reference, trials=2)
     assert np.abs(device.applied).max() < 1e3 and device.ends == 1
     assert at.value.trials is None and "0 trial(s) are kept" in str(at.value)
     assert isinstance(at.value, RigError)
@@ -76,7 +77,7 @@ def test_an_actuator_of_the_wrong_sign_does_not_run_away(small):
 def test_what_was_learned_before_a_stop_is_kept(loop, Q, tmp_path):
     """With a path in the log, in any case with the error; and the same call goes on."""
     L, path = LearningFilter(np.eye(2)[..., None], 1.0), tmp_path / "log.csv"
-    whole = record(RestartingRig(), loop, Q, L, **SHORT)
+    whole = record(RestartingRig(), loop, Law(Q, L), **SHORT)
 
     class Knocked(RestartingRig):
         def read(self):
@@ -91,14 +92,14 @@ def test_what_was_learned_before_a_stop_is_kept(loop, Q, tmp_path):
     with pytest.raises(
         StoppedError, match=r"trial 3, sample 6: y1 = .*2 trial.s. are kept in"
     ) as at:
-        record(Knocked(), loop, Q, L, **SHORT, path=path)
-    assert "another_law=True" in str(at.value) and str(path) in str(at.value)
+        record(Knocked(), loop, Law(Q, L), **SHORT, path=path)
+    assert "stop" in str(at.value) and str(path) in str(at.value)
     assert load_log(path).identical(at.value.trials)
     assert at.value.trials.identical(whole.isel(trial=slice(2)))
-    assert record(RestartingRig(), loop, Q, L, **SHORT, path=path).identical(whole)
+    assert record(RestartingRig(), loop, Law(Q, L), **SHORT, path=path).identical(whole)
     told = {"stop": {"y1": (-200.0, 200.0), "y2": None, "Q1": (-60.0, 60.0)}}
     with pytest.raises(StoppedError, match="trial 3, sample 7: Q1 = "):
-        record(Knocked(), loop, Q, L, **SHORT, **told)
+        record(Knocked(), loop, Law(Q, L), **SHORT, **told)
 
 
 def test_limits_follow_from_the_reference_and_the_rig_unless_they_are_given(loop, Q):
@@ -120,7 +121,7 @@ def test_limits_follow_from_the_reference_and_the_rig_unless_they_are_given(loop
         ({"y1": (1, 0)}, "stop.*lower and a"),
     ):
         with pytest.raises(ValueError, match=message):
-            record(VirtualRig(), loop, Q, None, np.ones((9, 2)), stop=wrong)
+            record(VirtualRig(), loop, Law(Q, None), np.ones((9, 2)), stop=wrong)
 
 
 def test_a_loop_that_is_shaken_is_stopped_too(small):
@@ -139,7 +140,7 @@ def test_a_furnace_that_is_a_tenth_off_is_told_of_while_there_is_time():
     with pytest.warns(
         UserWarning, match="after trial [678]: the error grows.*Measure P"
     ) as told:
-        log = record(device, loop, Q, L, bump(600, [10.0]), trials=10)
+        log = record(device, loop, Law(Q, L), bump(600, [10.0]), trials=10)
     assert told[0].filename == __file__ and rms(log.e).values[-1] > 1
     assert len([one for one in told if "the error grows" in str(one.message)]) == 1
 
@@ -149,6 +150,8 @@ def test_pumps_at_their_limit_are_told_of_by_a_rig_that_knows_no_limits():
     grid, reference = np.geomspace(1e-4, np.pi, 200) / 2, bump(400, [10.0, 5.0, 8.0])
     L = synthesise(loop, Q, grid, 2.0, order=10, band=(1e-4, 0.007)).filter
     with warnings.catch_warnings(action="error"):
-        record(Model(tanks(), noise=0.02), loop, Q, L, reference, trials=4)
+        record(Model(tanks(), noise=0.02), loop, Law(Q, L), reference, trials=4)
     with pytest.warns(UserWarning, match="after trial 4: .*at its limit"):
-        record(Model(tanks(), limit=50.0, noise=0.02), loop, Q, L, reference, trials=4)
+        record(
+            Model(tanks(), limit=50.0, noise=0.02), loop, Law(Q, L), reference, trials=4
+        )

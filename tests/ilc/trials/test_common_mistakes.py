@@ -17,6 +17,7 @@ from scipy import signal
 
 from rodlib import (
     ClosedLoop,
+    Law,
     LearningFilter,
     current_trial_loop,
     load_law,
@@ -28,7 +29,6 @@ from rodlib import (
     save_law,
     save_log,
     synthesise,
-    update,
     zero_phase_butterworth,
 )
 from rodlib.ilc import Controller, replay_of, with_law
@@ -46,8 +46,8 @@ L = DESIGN.filter
 MOVE = 2 * np.sin(np.linspace(0, np.pi, 60)) ** 2
 TWO = np.stack([MOVE, 3 * MOVE], axis=1)
 L2 = LearningFilter(0.3 * np.eye(2)[:, :, None], 1.0)
-LOG = with_law(run_trials(LOOP, Q, L, MOVE, None, 4), Q, L, 0, LOOP)
-BOTH = run_trials(PAPER, Q, L2, TWO, None, 2)
+LOG = with_law(run_trials(LOOP, Law(Q, L), MOVE, None, 4), Law(Q, L, loop=LOOP))
+BOTH = run_trials(PAPER, Law(Q, L2), TWO, None, 2)
 
 
 def designed(P=LOOP, Q=Q, omega=OMEGA, **more):
@@ -62,7 +62,7 @@ def relearned(e):
     """The log of a law that was programmed elsewhere; e(log) is what it takes for v and e."""
     log = LOG.copy(deep=True)
     for k in range(1, 4):
-        v = update(*e(log.isel(trial=k - 1)), Q, L)
+        v = Law(Q, L).next(*e(log.isel(trial=k - 1)))
         log.v[k] = v
         w = (log.reference[k] + v).values
         log.y[k] = control.forced_response(LOOP.P, inputs=w.T, squeeze=False).outputs.T
@@ -92,12 +92,12 @@ REFUSED = {
     ),
     "v and e exchanged": (
         "v is called 'e' and e 'v': they are exchanged",
-        lambda: update(LOG.e[0], LOG.v[0], Q, L),
+        lambda: Law(Q, L).next(LOG.e[0], LOG.v[0]),
     ),
     "columns of other signals": (
         r"reference holds the signals \['T1', 'T2'\], but must hold \['y1', 'y2'\]: rename them",
         lambda: run_trials(
-            PAPER, Q, L2, pd.DataFrame(TWO, columns=["T1", "T2"]), None, 2
+            PAPER, Law(Q, L2), pd.DataFrame(TWO, columns=["T1", "T2"]), None, 2
         ),
     ),
     "no unit": (
@@ -134,7 +134,7 @@ REFUSED = {
     ),
     "a model as Q of trials": (
         r"Q = .* must be a ZeroPhaseButterworth, .* zero_phase_butterworth\(order, cutoff, Ts\)",
-        lambda: run_trials(LOOP, control.tf([0.1], [1, -0.9], 1.0), L, MOVE),
+        lambda: run_trials(LOOP, Law(control.tf([0.1], [1, -0.9], 1.0), L), MOVE),
     ),
     "Q and omega exchanged": (
         "omega = .* is a filter: likely exchanged with Q",
@@ -162,7 +162,7 @@ REFUSED = {
     ),
     "a design for its filter": (
         "L = .* must be a LearningOperator, which is its attribute: pass L.filter",
-        lambda: run_trials(LOOP, Q, DESIGN, MOVE),
+        lambda: run_trials(LOOP, Law(Q, DESIGN), MOVE),
     ),
     "a cut-off beyond the Nyquist frequency": (
         r"cutoff = 0.5 must be in \(0, 0.314159\) rad/s.* normalised, as scipy's, times that",
@@ -188,7 +188,7 @@ SUSPECTED = {
     "L with the wrong sign": (
         r"sigma_max\(M\) reaches 2, but with -L only .* likely L has the wrong sign",
         lambda: run_trials(
-            LOOP, Q, LearningFilter(-L.coefficients, 1.0), MOVE, None, 10
+            LOOP, Law(Q, LearningFilter(-L.coefficients, 1.0)), MOVE, None, 10
         ),
     ),
     "e with the wrong sign": (
@@ -217,19 +217,21 @@ def test_a_warning_names_the_likely_cause(words, call):
 
 def test_names_of_columns_count():
     frame = pd.DataFrame(TWO[:, ::-1], columns=["y2", "y1"])
-    assert run_trials(PAPER, Q, L2, frame, None, 2).identical(BOTH)
+    assert run_trials(PAPER, Law(Q, L2), frame, None, 2).identical(BOTH)
     turned = BOTH.reference.isel(channel=[1, 0])
-    assert run_trials(PAPER, Q, L2, turned, None, 2).identical(BOTH)
+    assert run_trials(PAPER, Law(Q, L2), turned, None, 2).identical(BOTH)
     d = {name: np.full(60, float(i)) for i, name in enumerate(PAPER.disturbances)}
-    plain = run_trials(PAPER, Q, L2, TWO, np.stack([*d.values()], axis=1), 2)
+    plain = run_trials(PAPER, Law(Q, L2), TWO, np.stack([*d.values()], axis=1), 2)
     d = pd.DataFrame(d)[PAPER.disturbances[::-1]]
-    assert run_trials(PAPER, Q, L2, TWO, d, 2, v=0 * frame).identical(plain)
+    assert run_trials(PAPER, Law(Q, L2), TWO, d, 2, v=0 * frame).identical(plain)
     v, e = BOTH.v[1], BOTH.e[1]
-    assert np.array_equal(update(v, e.isel(channel=[1, 0]), Q, L2), update(v, e, Q, L2))
+    assert np.array_equal(
+        Law(Q, L2).next(v, e.isel(channel=[1, 0])), Law(Q, L2).next(v, e)
+    )
 
 
 def test_numbers_of_columns_do_not():
-    assert run_trials(PAPER, Q, L2, pd.DataFrame(TWO), None, 2).identical(BOTH)
+    assert run_trials(PAPER, Law(Q, L2), pd.DataFrame(TWO), None, 2).identical(BOTH)
 
 
 class Plain:
@@ -250,20 +252,21 @@ class Plain:
 
 def test_one_channel_needs_no_axis():
     column = MOVE[:, None]
-    assert run_trials(LOOP, Q, L, MOVE, None, 2, v=MOVE).identical(
-        run_trials(LOOP, Q, L, column, None, 2, v=column)
+    assert run_trials(LOOP, Law(Q, L), MOVE, None, 2, v=MOVE).identical(
+        run_trials(LOOP, Law(Q, L), column, None, 2, v=column)
     )
-    v = update(MOVE, 0.5 * MOVE, Q, L)
+    v = Law(Q, L).next(MOVE, 0.5 * MOVE)
     assert v.shape == MOVE.shape and np.array_equal(
-        v[:, None], update(column, 0.5 * column, Q, L)
+        v[:, None], Law(Q, L).next(column, 0.5 * column)
     )
-    made = record(Plain(), LOOP, Q, L, MOVE, trials=2, v=MOVE)
-    assert made.identical(record(Plain(), LOOP, Q, L, column, trials=2, v=column))
+    made = record(Plain(), LOOP, Law(Q, L), MOVE, trials=2, v=MOVE)
+    assert made.identical(record(Plain(), LOOP, Law(Q, L), column, trials=2, v=column))
     assert Controller(LOOP).step([0.0], [1.0]).shape == (1,)
     refused(
-        r"reference has shape \(60,\)", lambda: run_trials(PAPER, Q, L2, MOVE, None, 2)
+        r"reference has shape \(60,\)",
+        lambda: run_trials(PAPER, Law(Q, L2), MOVE, None, 2),
     )
-    refused(r"v has shape \(60,\)", lambda: update(MOVE, MOVE, Q, L2))
+    refused(r"v has shape \(60,\)", lambda: Law(Q, L2).next(MOVE, MOVE))
 
 
 @pytest.mark.parametrize(
@@ -296,7 +299,7 @@ def test_times_are_noted_as_they_are(tmp_path):
 
 def test_a_log_and_a_law_are_told_apart(tmp_path):
     save_log(LOG, tmp_path / "log.csv")
-    save_law(tmp_path / "law.json", Q, L)
+    save_law(tmp_path / "law.json", Law(Q, L))
     refused(
         r"is no law but a table: .*law_of\(load_log\(",
         lambda: load_law(tmp_path / "log.csv"),

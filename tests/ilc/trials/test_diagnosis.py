@@ -12,13 +12,13 @@ from scipy.signal import lfilter
 from scipy.stats import f as f_distribution
 
 from rodlib import (
+    Law,
     LearningFilter,
     current_trial_loop,
     paper_loop,
     rate,
     run_trials,
     synthesise,
-    update,
     zero_phase_butterworth,
 )
 from rodlib.ilc import Controller
@@ -91,13 +91,19 @@ def test_ordinary_trials_are_no_news(laws, seed):
     push = np.broadcast_to(10 ** rng.uniform(-2, 0.5) * push, (trials, samples, d))
     made = {
         "plant": plants[rng.integers(len(plants))],
-        "step": rng.choice([1.0, 0.5, 0.2]),
     }
+    gain = rng.choice([1.0, 0.5, 0.2])
     with warnings.catch_warnings(action="error"):
         if made["plant"] is not None:  # there it is no false report
             warnings.filterwarnings("ignore", "the rate is not the promised one")
         run_trials(
-            loop, Q, L, bump(samples, amplitude), push, trials, noise=noise, **made
+            loop,
+            Law(Q, L, gain=gain),
+            bump(samples, amplitude),
+            push,
+            trials,
+            noise=noise,
+            **made,
         )
 
 
@@ -107,7 +113,7 @@ def test_a_furnace_that_is_a_tenth_off_diverges_and_it_is_said(noise):
     Q, plant = zero_phase_butterworth(2, 0.4, 1.0), another_furnace(1.1, 33)
     L = synthesise(loop, Q, GRID, 1.0, order=40, band=(1e-4, 0.1)).filter
     noise = noise * np.random.default_rng(0).standard_normal((16, 600, 1))
-    made = loop, Q, L, bump(600, [10.0]), None
+    made = loop, Law(Q, L), bump(600, [10.0]), None
     with pytest.warns(UserWarning, match="error grows.*sigma_max.*Measure P") as told:
         run = run_trials(*made, 16, plant=plant, noise=noise)
     assert told[0].filename == __file__
@@ -128,7 +134,7 @@ def test_a_law_of_the_wrong_sign_is_said_to_be_none_of_the_models():
         LearningFilter(-np.eye(3)[..., None], 2.0),
     )
     with pytest.warns(UserWarning, match=r"own model sigma_max\(M\) reaches (2|1.99)"):
-        run_trials(loop, Q, L, bump(300, [10.0, 5.0, 8.0]), trials=6)
+        run_trials(loop, Law(Q, L), bump(300, [10.0, 5.0, 8.0]), trials=6)
 
 
 def test_growth_at_an_end_of_the_trial_is_told_from_that_of_another_plant():
@@ -139,7 +145,7 @@ def test_growth_at_an_end_of_the_trial_is_told_from_that_of_another_plant():
     assert rate(loop, Q, L, GRID).gamma < 1
     noise = 0.01 * np.random.default_rng(0).standard_normal((10, 1000, 1))
     with pytest.warns(UserWarning, match="first tenth of the trial"):
-        run_trials(loop, Q, L, bump(1000, [1.0]), None, 10, noise=noise)
+        run_trials(loop, Law(Q, L), bump(1000, [1.0]), None, 10, noise=noise)
 
 
 def saturating(loop, limit, w, rng):
@@ -172,7 +178,7 @@ def test_pumps_at_their_limit_are_not_taken_for_converged(share, known, laws):
         P, course = loop.P if known else None, (np.array(v), np.array(e))
         given = *course, np.array([reference] * len(v)), loop.outputs, ["cm"] * 3
         told |= Course(*given, P=P).findings()
-        v.append(update(v[-1], e[-1], Q, L))
+        v.append(Law(Q, L).next(v[-1], e[-1]))
     flat = [np.sqrt(np.sum(error**2)) for error in e[3:]]
     assert max(flat) < 1.2 * min(flat) and not {"error"} & {*told}
     assert np.abs(v[-1]).max() > 3 * np.abs(v[2]).max()
@@ -217,7 +223,7 @@ def test_another_reference_is_another_error(laws):
         [bump(200, a * np.array(amplitude)) for a in (0.1, 0.3, 1.0, 3.0, 9.0)]
     )
     with warnings.catch_warnings(action="error"):
-        run_trials(loop, Q, L, growing, trials=5)
+        run_trials(loop, Law(Q, L), growing, trials=5)
 
 
 def test_what_learning_makes_of_noise_is_no_divergence(laws):
@@ -225,13 +231,13 @@ def test_what_learning_makes_of_noise_is_no_divergence(laws):
     loop, Q, L, *_ = laws[3]
     noise = np.random.default_rng(0).standard_normal((12, 900, 1))
     with warnings.catch_warnings(action="error"):
-        run = run_trials(loop, Q, L, np.zeros((900, 1)), None, 12, noise=noise)
+        run = run_trials(loop, Law(Q, L), np.zeros((900, 1)), None, 12, noise=noise)
         assert rms(run.e).values[-1] > rms(run.e).values[0]
         paper, loud = paper_loop(), LearningFilter(published.matrix("L_diagonal"), 1.0)
         white = 0.02 * np.random.default_rng(0).standard_normal((10, 2500, 2))
         zero = np.zeros((2500, 2))
         run = run_trials(
-            paper, zero_phase_butterworth(), loud, zero, None, 10, noise=white
+            paper, Law(zero_phase_butterworth(), loud), zero, None, 10, noise=white
         )
     assert rms(run.e).values[-1] > rms(run.e).values[0]
 
@@ -261,7 +267,7 @@ def test_the_rate_that_was_reached_is_that_of_the_true_plant_and_foretold_that_o
     reference[1500:2000] = bump(500, [10.0])
     reference[2200:2260] = bump(60, [5.0])
     with warnings.catch_warnings(action="ignore"):
-        run = run_trials(loop, Q, L, reference, trials=2, plant=plant)
+        run = run_trials(loop, Law(Q, L), reference, trials=2, plant=plant)
     promised = rates_of(loop.P, Q, L)
     given = (
         run.v.values,
@@ -312,7 +318,7 @@ def test_a_rate_that_was_promised_and_not_reached_is_named(laws, noise):
         outputs=loop.outputs,
     )
     noise = noise * np.random.default_rng(3).standard_normal((9, 600, 3))
-    made = loop, Q, L, bump(600, amplitude), None, 9
+    made = loop, Law(Q, L), bump(600, amplitude), None, 9
     with pytest.warns(
         UserWarning, match=r"rate is not the promised one: up to 0\.0.*trial 2"
     ) as told:

@@ -1,6 +1,7 @@
 """The first trial of another task, against plants whose inverse is known, and on many others."""
 
 import warnings
+from dataclasses import replace
 
 import control
 import numpy as np
@@ -12,6 +13,7 @@ from plants import furnace, stage, tanks
 
 from rodlib import (
     ClosedLoop,
+    Law,
     NormOptimal,
     current_trial_loop,
     load_log,
@@ -64,9 +66,9 @@ def run_quietly(*arguments, **more):
 
 
 def trials_of(loop, weight=1e-2, trials=5, reference=OLD, **more):
-    law = Q, NormOptimal(loop.P, weight, len(reference))
+    law = Law(Q, NormOptimal(loop.P, weight, len(reference)))
     with warnings.catch_warnings(action="ignore"):
-        return run_trials(loop, *law, reference, trials=trials, **more)
+        return run_trials(loop, law, reference, trials=trials, **more)
 
 
 @given(st.floats(0.5, 2.0), st.integers(2, 4), st.integers(0, 2**32 - 1))
@@ -80,7 +82,7 @@ def test_of_a_plant_whose_inverse_is_short_f_is_that_inverse(gain, trials, seed)
     expected = np.zeros_like(found.F)
     expected[..., R - 1], expected[..., R] = inverse, -inverse @ A - np.eye(2)
     np.testing.assert_allclose(found.F, expected, atol=1e-4 * np.abs(expected).max())
-    left = run_trials(ClosedLoop(P), Q, None, NEW, trials=1, v=found.v)
+    left = run_trials(ClosedLoop(P), Law(Q, None), NEW, trials=1, v=found.v)
     assert rms(left.e).item() < 1e-3 * np.abs(NEW).max()
     assert found.left_out.min() > 1 - 1e-6
 
@@ -94,7 +96,7 @@ def test_one_task_tells_a_disturbance_that_repeats_from_what_answers_the_referen
     loop = ClosedLoop(P)
     v, made = np.zeros((200, 2)), []  # w = r + v - what the disturbance takes away
     for _ in range(6):
-        one = run_trials(loop, Q, None, OLD - answered, trials=1, v=v)
+        one = run_trials(loop, Law(Q, None), OLD - answered, trials=1, v=v)
         made.append(one.assign(reference=one.reference + answered, e=one.e + answered))
         v = Q.apply(v + NormOptimal(P, 1e-2, 200).apply(made[-1].e[0].values))
     found = quiet(made, NEW)
@@ -166,7 +168,7 @@ def test_on_other_plants_the_first_trial_is_as_if_it_had_been_learned(case, nois
         noisy = noise * np.abs(reference).max() * rng.standard_normal(shape)
         with warnings.catch_warnings(action="ignore"):
             return run_trials(
-                loop, Q, L, reference, None, trials, plant=plant, noise=noisy, v=v
+                loop, Law(Q, L), reference, None, trials, plant=plant, noise=noisy, v=v
             )
 
     done, reference = run(steps(samples, *old), 6), steps(samples, *new)
@@ -190,7 +192,7 @@ def rod():
     def run(reference, disturbance=None, trials=1, v=None):
         with warnings.catch_warnings(action="ignore"):
             return run_trials(
-                loop, Q, L, reference, disturbance, trials, plant=plant, v=v
+                loop, Law(Q, L), reference, disturbance, trials, plant=plant, v=v
             )
 
     return run
@@ -296,7 +298,7 @@ def test_transfer_from_trial_to_trial_learns_a_varying_task():
             *(rng.uniform([0.05, 0.1, 0.1, 1], [0.2, 0.3, 0.3, 3]) for _ in range(2)),
         )
         v = quiet(done, r).v if k else None
-        done.append(run_trials(ClosedLoop(P), Q, None, r, trials=1, v=v))
+        done.append(run_trials(ClosedLoop(P), Law(Q, None), r, trials=1, v=v))
         errors.append(rms(done[-1].e).item())
     assert max(errors[2:]) < 0.01 * errors[0]
 
@@ -331,7 +333,9 @@ def test_units_do_not_matter():
     other = control.ss(P.A, P.B @ np.linalg.inv(scale), scale @ P.C, 0, 1.0)
     v = np.random.default_rng(0).standard_normal((200, 2))
     runs = [
-        run_trials(ClosedLoop(plant), Q, None, OLD @ factor, trials=1, v=v @ factor)
+        run_trials(
+            ClosedLoop(plant), Law(Q, None), OLD @ factor, trials=1, v=v @ factor
+        )
         for plant, factor in ((P, np.eye(2)), (other, scale))
     ]
     here, there = quiet(runs[0], NEW), quiet(runs[1], NEW @ scale)
@@ -342,13 +346,13 @@ def test_units_do_not_matter():
 
 def test_trials_that_actuators_cut_off_count_by_what_was_realised():
     loop = current_trial_loop(coupled()[0], ["u[0]", "u[1]"])
-    law = Q, NormOptimal(loop.P, 1e-2, 200), OLD, None, 4
+    law = Law(Q, NormOptimal(loop.P, 1e-2, 200))
     free, most = (
-        quiet(run_trials(loop, *law), NEW),
+        quiet(run_trials(loop, law, OLD, trials=4), NEW),
         {name: (-1.0, 1.0) for name in loop.controls},
     )
     with warnings.catch_warnings(action="ignore"):
-        cut = run_trials(loop, *law, limits=most)
+        cut = run_trials(loop, replace(law, limits=most), OLD, trials=4)
     assert np.abs(cut.u).max() > 1.2
     signals = zip(cut.v.values, cut.u.values, cut.applied.values, strict=True)
     v = np.array([realised(loop, *trial) for trial in signals])
@@ -358,7 +362,9 @@ def test_trials_that_actuators_cut_off_count_by_what_was_realised():
 
 
 def test_nothing_moved():
-    still = run_trials(ClosedLoop(coupled()[0]), Q, None, np.zeros((20, 2)), trials=2)
+    still = run_trials(
+        ClosedLoop(coupled()[0]), Law(Q, None), np.zeros((20, 2)), trials=2
+    )
     found = quiet(still, np.ones((20, 2)))
     assert not found.v.any() and not found.F.any()
 

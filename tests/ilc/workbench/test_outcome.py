@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rodlib import (
+    Law,
     Rod,
     Settings,
     current_trial_loop,
@@ -18,9 +19,9 @@ from rodlib import (
     run_trials,
     save_log,
     try_out,
-    update,
 )
-from rodlib.ilc.logs.notes import with_excitation, with_law
+from rodlib.ilc import with_law
+from rodlib.ilc.logs.notes import with_excitation
 from rodlib.ilc.trials.run import dataset, state_sequence
 from rodlib.ilc.workbench.plant import Plant, plant_of_file
 from rodlib.paper import plant_of_rod
@@ -74,6 +75,7 @@ def check_lines(outcome):
     namespace = run(outcome.settings.python)
     by_hand = namespace["design"].filter.coefficients
     np.testing.assert_array_equal(outcome.design.filter.coefficients, by_hand)
+    assert namespace["law"].rest == outcome.settings.plant.rest
     return namespace
 
 
@@ -94,17 +96,16 @@ def sigma_of(outcome, omega):
     return [np.linalg.svd(matrices, compute_uv=False)[:, 0] for matrices in (M, L)]
 
 
-def test_the_line_agrees_with_singular_values(outcome, settings):
+def test_the_certificate_agrees_with_singular_values(outcome, settings):
     sigma_M, sigma_L = sigma_of(outcome, np.linspace(1e-6, np.pi / settings.Ts, 4000))
-    rate, gain, mean, objective = outcome.line.split("; ")[:4]
-    assert sigma_M.max() <= float(rate.split()[2]) + 1e-4
-    peak = outcome.design.certificate.all_M
-    assert sigma_M.max() == pytest.approx(peak, rel=2e-3)
-    assert sigma_L.max() == pytest.approx(float(gain.split()[2]), rel=2e-3)
-    in_band = sigma_of(outcome, np.geomspace(*settings.band, 2000))[0].mean()
-    assert float(mean.split()[-1]) == pytest.approx(in_band, rel=5e-2, abs=1e-3)
-    value = float(objective.split()[1][:-1])
-    assert value == pytest.approx(outcome.design.value, rel=1e-3)
+    in_band = sigma_of(outcome, np.geomspace(*settings.band, 2000))[0]
+    certificate = outcome.design.certificate
+    assert sigma_M.max() == pytest.approx(certificate.all_M, rel=2e-3)
+    assert sigma_L.max() == pytest.approx(certificate.all_L, rel=2e-3)
+    assert certificate.mean_M == pytest.approx(in_band.mean(), rel=5e-2, abs=1e-3)
+    assert (
+        f"mean of sigma_max(M) over the band: {certificate.mean_M:.4f}" in outcome.text
+    )
 
 
 def test_the_trials_are_those_of_the_law(outcome, settings):
@@ -115,7 +116,7 @@ def test_the_trials_are_those_of_the_law(outcome, settings):
         w = np.hstack([r + v, np.zeros((len(r), len(loop.disturbances)))])
         e = r - np.atleast_2d(control.forced_response(loop.closed, U=w.T).outputs).T
         errors.append(np.sqrt(np.mean(np.sum(e**2, axis=1))))
-        v = update(v, e, settings.Q, outcome.design.filter, rest=15)
+        v = Law(settings.Q, outcome.design.filter, rest=15).next(v, e)
     assert len(outcome.rms) == 10
     np.testing.assert_allclose(outcome.rms[:3], errors, rtol=1e-6, atol=1e-9)
     assert errors[2] < 0.2 * errors[0]
@@ -136,7 +137,7 @@ def test_the_remedy_is_the_smallest_that_helps(rod, changes):
     settings = replace(rod, **changes)
     outcome = try_out(settings)
     assert outcome.design is None and outcome.rms == ()
-    assert outcome.line == outcome.message and "M_max" in outcome.message
+    assert outcome.text == outcome.message and "M_max" in outcome.message
     assert try_out(replace(settings, M_max=outcome.M_max)).design is not None
     assert try_out(replace(settings, M_max=outcome.M_max - 0.0021)).design is None
 
@@ -188,23 +189,13 @@ def test_the_papers_choices_are_carried_over(rod):
     assert 1 <= stage.L_max * abs(P[0, 0, 0]) < 2
 
 
-@pytest.mark.parametrize("Ts", [0.003, 1.0, 30.0])
-def test_the_band_begins_with_the_design_frequencies(Ts):
-    """Three digits of 1e-4 / Ts may lie below it."""
-    loop = current_trial_loop(control.ss(0.9, 0.1, 1, 0, Ts))
-    settings = Settings.of(Plant("lag", loop))
-    first = settings.omega[0]
-    assert first * (1 - 1e-12) <= settings.band[0] < 1.01 * first
-    assert settings.band[0] == float(f"{settings.band[0]:.3g}")
-
-
 @pytest.mark.parametrize(
     ("name", "task"),
     [
-        ("reference", {"reference": np.zeros((10, 2))}),
+        ("reference", {"reference": np.zeros((20, 2))}),
         (
             "disturbance",
-            {"reference": np.zeros((9, 1)), "disturbance": np.ones((9, 1))},
+            {"reference": np.zeros((20, 1)), "disturbance": np.ones((9, 1))},
         ),
         ("rest", {"reference": np.zeros((10, 1)), "rest": 10}),
     ],
@@ -216,10 +207,11 @@ def test_the_task_must_fit_the_plant(stage, name, task):
 
 def test_a_log_brings_its_loop_and_its_task(tmp_path):
     loop = current_trial_loop(plants.tanks(), ["pump A", "pump B", "pump C"])
-    Q, rng = Settings.of(Plant("", loop, order=6)).Q, np.random.default_rng(0)
+    law = Law(Settings.of(Plant("", loop, order=6)).Q, None)
+    rng = np.random.default_rng(0)
     r, leak = rng.standard_normal((40, 3)), rng.standard_normal((40, 1))
-    trials = run_trials(loop, Q, None, r, leak, 2)
-    save_log(with_law(trials, Q, None, loop=loop), tmp_path / "tanks.csv")
+    trials = run_trials(loop, law, r, leak, 2)
+    save_log(with_law(trials, law.bound_to(loop)), tmp_path / "tanks.csv")
     plant = plant_of_file(tmp_path / "tanks.csv")
     np.testing.assert_array_equal(plant.reference, r)
     np.testing.assert_array_equal(plant.disturbance, np.repeat(leak[None], 10, axis=0))
@@ -243,10 +235,10 @@ def test_a_measured_response_has_its_own_uncertainty(tmp_path):
     assert plant.measured and plant.loop.outputs == ["x"]
     settings = Settings.of(plant)
     outcome = try_out(settings)
-    assert "within the radius" in outcome.line
+    assert "within the radius" in outcome.text
     assert repr(check_lines(outcome)["P"]) == repr(measured_response(trials))
     drift = replace(plant, response=replace(plant.response, findings=("drift",)))
-    assert "the measurement: drift" in try_out(Settings.of(drift)).line
+    assert "the measurement: drift" in try_out(Settings.of(drift)).text
     truth = replace(outcome, settings=Settings.of(Plant("", loop)))
     assert sigma_of(truth, settings.omega)[0].max() <= 0.9
     refused = try_out(replace(settings, uncertainty=5.0))
@@ -254,7 +246,9 @@ def test_a_measured_response_has_its_own_uncertainty(tmp_path):
 
 
 def test_a_log_without_its_loop_is_refused(tmp_path, stage):
-    trials = run_trials(stage.plant.loop, stage.Q, None, np.zeros((9, 1)), None, 1)
+    trials = run_trials(
+        stage.plant.loop, Law(stage.Q, None), np.zeros((9, 1)), trials=1
+    )
     save_log(trials, tmp_path / "bare.csv")
     with pytest.raises(ValueError, match=r"bare.csv: "):
         plant_of_file(tmp_path / "bare.csv")

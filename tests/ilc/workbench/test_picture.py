@@ -47,8 +47,7 @@ def message():
 @pytest.fixture(scope="module")
 def trials(paper):
     move = np.sin(np.linspace(0, np.pi, 60))[:, None] ** 2 * [1, 2]
-    loop, L = paper.settings.plant.loop, paper.design.filter
-    return run_trials(loop, paper.settings.Q, L, move, trials=3)
+    return run_trials(paper.settings.plant.loop, paper.design.law(), move, trials=3)
 
 
 @pytest.fixture(autouse=True)

@@ -1,0 +1,132 @@
+"""The law as JSON: in the metadata of a log, and in a file of its own."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+
+import xarray as xr
+
+from rodlib.ilc import arguments
+from rodlib.ilc.files import read_json, write_whole
+from rodlib.ilc.filters import LearningFilter, ZeroPhaseButterworth
+from rodlib.ilc.law.law import Law
+from rodlib.ilc.law.limits import named_limits
+from rodlib.ilc.logs.notes import MISUNDERSTOOD, loop_note, loop_of, read_note, reading
+from rodlib.ilc.signals import Signals, check_match
+
+FORMAT = "rodlib law 1"  # of the file
+KEYS = ("Q", "L", "rest", "step", "actuators")  # step: the learning gain
+
+
+def law_notes(law: Law) -> dict:
+    """A law as what JSON can hold, to the last digit; without L where that has no coefficients."""
+    Q, L = law.Q, law.L
+    notes = {"Q": {"order": Q.order, "cutoff": Q.cutoff, "ends": Q.ends}, "L": None}
+    if isinstance(L, LearningFilter):
+        notes["L"] = {"coefficients": L.coefficients.tolist(), "ends": L.ends}
+    elif L is not None:
+        del notes["L"]
+    if law.rest:
+        notes["rest"] = law.rest
+    if law.gain != 1:
+        notes["step"] = law.gain
+    if law.limits:
+        notes["actuators"] = law.limits
+    return notes
+
+
+def _law_from(notes: Mapping, Ts: float) -> Law:
+    """The law that :func:`law_notes` noted."""
+    Q, L = notes["Q"], notes["L"]
+    if L is not None:
+        L = LearningFilter(L["coefficients"], Ts, L["ends"])
+    return Law(
+        ZeroPhaseButterworth(Q["order"], Q["cutoff"], Ts, Q["ends"]),
+        L,
+        rest=notes.get("rest", 0),
+        gain=notes.get("step", 1.0),
+        limits=notes.get("actuators", {}),
+    )
+
+
+def with_law(trials: xr.Dataset, law: Law) -> xr.Dataset:
+    """Note in the metadata which law (23) made the trials, and around which loop."""
+    arguments.instance("trials", trials, xr.Dataset)
+    notes = law_notes(arguments.instance("law", law, Law))
+    texts = {key: json.dumps(n, ensure_ascii=False) for key, n in notes.items()}
+    if law.loop is not None:
+        texts["loop"] = loop_note(law.loop)
+    return trials.assign_attrs(texts)
+
+
+def law_of(trials: xr.Dataset) -> Law | None:
+    """The law noted in the metadata of a log, bound to the loop if that is noted, too.
+
+    None if Q or L are not noted; a LogError if the notes cannot be understood, or are those of
+    other signals.
+    """
+
+    arguments.instance("trials", trials, xr.Dataset)
+    noted = [key for key in KEYS if key in trials.attrs]
+    if "Q" not in noted or "L" not in noted:
+        return None
+    loop = loop_of(trials)
+    with reading("law"):
+        notes = {key: read_json(trials.attrs[key]) for key in noted}
+        law = _law_from(notes, trials.attrs["Ts"])
+        check_match(log=Signals.of_log(trials), law=law)
+        arguments.whole("rest", law.rest, 0, trials.sizes["time"] - 1)
+        return law if loop is None else law.bound_to(loop)
+
+
+def limits_of(trials: xr.Dataset) -> dict[str, tuple[float, ...]]:
+    """What each actuator follows, by the name of its command, as noted in the metadata."""
+
+    def read(note):
+        return named_limits("actuators", note, None, slew=True)
+
+    return read_note(trials, "actuators", read) or {}
+
+
+def save_law(path, law: Law, note: str = "") -> None:
+    """Write a law to a file, to the last digit; it is replaced as a whole or not at all.
+
+    Parameters
+    ----------
+    path : path-like
+        JSON: ``format``, ``Ts`` (s), ``Q`` (order, cutoff in rad/s, ends), ``L`` (coefficients of
+        shape (m, m, order), ends), if they are not the defaults ``rest``, ``step`` (the learning
+        gain) and ``actuators`` (the limits), and ``note``.
+    law : Law
+        L must be a LearningFilter. The loop is not written.
+    note : str
+        What made it, for those who read the file.
+    """
+    path = arguments.path("path", path)
+    arguments.instance("L", arguments.instance("law", law, Law).L, LearningFilter)
+    arguments.instance("note", note, str)
+    content = {"format": FORMAT, "Ts": law.Ts, **law_notes(law), "note": note}
+    write_whole(path, json.dumps(content, ensure_ascii=False, indent=1) + "\n")
+
+
+def load_law(path) -> Law:
+    """Read a law of :func:`save_law`, as in ``record(rig, loop, load_law(path), reference)``."""
+    path = arguments.path("path", path)
+    text = path.read_text(encoding="utf-8")
+    if text.startswith("#"):
+        raise ValueError(
+            f"path = {str(path)!r} is a table, not a law: of a trial log, its law is "
+            "rodlib.law_of(load_log(path))"
+        )
+    try:
+        content = read_json(text)
+        if content["format"] != FORMAT:
+            raise ValueError(f"format {content['format']!r} is not {FORMAT!r}")
+        law = _law_from(content, content["Ts"])
+        arguments.instance("L", law.L, LearningFilter)
+    except MISUNDERSTOOD as error:
+        raise ValueError(
+            f"path = {str(path)!r} is not a law of save_law: {error!r}"
+        ) from None
+    # {} stands for no limits; a file without any leaves them to the rig
+    return law if law.limits else replace(law, limits=None)

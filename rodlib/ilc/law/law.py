@@ -1,0 +1,178 @@
+"""The ILC law (23): from a trial's signal and error to the next trial's signal."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from rodlib.ilc import arguments
+from rodlib.ilc.filters import LearningOperator, ZeroPhaseButterworth, check_Q
+from rodlib.ilc.law.limits import WEIGHT, Actuators, named_limits, nearest, realised
+from rodlib.ilc.loop.closed import Loop, check_loop, same_loop
+from rodlib.ilc.signals import check_match
+
+
+@dataclass(frozen=True, eq=False)
+class Law:
+    """The ILC law (23), v_{k+1} = Q (v_k + L e_k); whatever it is made of is checked here.
+
+    With a learning gain a below one, v goes only that share of the way there,
+    v_{k+1} = (1 - a) v_k + a Q (v_k + L e_k): slower, but noise in e is averaged.
+
+    Attributes
+    ----------
+    Q : ZeroPhaseButterworth
+    L : LearningOperator or None
+        None switches learning off: v stays what it is.
+    rest : int
+        Number of samples at the end of every trial in which v is held at zero. The filters look
+        beyond the end, so what they make of the last samples may grow from trial to trial.
+    gain : float
+        Learning gain a, in (0, 1].
+    limits : dict, optional
+        Lowest and highest command, and third, if need be, the slew rate per second, by the names of
+        the loop's commands, in their units: v is then projected onto what can be applied. {} stands
+        for none; None, too, but :func:`rodlib.record` takes those of the rig.
+    loop : CurrentTrialLoop or ClosedLoop, optional
+        The loop that the law is for. :func:`rodlib.run_trials` and :func:`rodlib.record` bind a law
+        without one to theirs, and refuse a law for another.
+    """
+
+    Q: ZeroPhaseButterworth
+    L: LearningOperator | None
+    rest: int = 0
+    gain: float = 1.0
+    limits: dict[str, tuple[float, ...]] | None = None
+    loop: Loop | None = None
+
+    def __post_init__(self):
+        check_Q(self.Q)
+        parties = {"Q": self.Q}
+        if self.L is not None:
+            parties["L"] = arguments.instance("L", self.L, LearningOperator)
+        if self.loop is not None:
+            parties["loop"] = check_loop(self.loop)
+        check_match(**parties)
+        values = {
+            "rest": arguments.whole("rest", self.rest, 0),
+            "gain": arguments.share("gain", self.gain),
+        }
+        if self.limits is not None:
+            commands = None if self.loop is None else self.loop.commands
+            values["limits"] = named_limits("limits", self.limits, commands, slew=True)
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def Ts(self) -> float:
+        """Sampling period, s."""
+        return self.Q.Ts
+
+    @property
+    def outputs(self) -> list[str] | None:
+        """Names of the channels, of a law that is bound to a loop."""
+        return None if self.loop is None else self.loop.outputs
+
+    @property
+    def channels(self) -> int | None:
+        """Number of channels; None if neither L nor a loop says it."""
+        if self.L is not None:
+            return self.L.channels
+        return None if self.loop is None else len(self.loop.outputs)
+
+    @cached_property
+    def actuators(self) -> Actuators | None:
+        """What the limits make of commands; None without limits."""
+        if not self.limits:
+            return None
+        if self.loop is None:
+            raise ValueError("limits need the law's loop: law.bound_to(loop)")
+        return Actuators.of(self.limits, self.loop)
+
+    def bound_to(self, loop: Loop) -> "Law":
+        """This law for a loop; a ValueError if it is for another."""
+        if self.loop is None:
+            return replace(self, loop=check_loop(loop))
+        if not same_loop(self.loop, check_loop(loop)):
+            raise ValueError(
+                "law is bound to another loop: pass law.loop, or "
+                "dataclasses.replace(law, loop=None)"
+            )
+        return self
+
+    def first(self, samples: int, v=None) -> np.ndarray:
+        """The signal of the first trial, shape (samples, m): `v`, or zero; zero in the rest."""
+        rest = arguments.whole("rest", self.rest, 0, samples - 1)
+        shape = samples, self.channels
+        v = np.zeros(shape) if v is None else v
+        names = self.outputs or arguments.names_of(v) or [""] * self.channels
+        v = arguments.in_columns("v", v, shape, names)
+        v[samples - rest :] = 0
+        return v
+
+    def next(self, v, e, u=None, applied=None) -> np.ndarray:
+        """The signal of the next trial, v_{k+1} of (23).
+
+        With limits, of all v whose commands stay within them, the nearest to the v* of the law
+        without: it minimises ||P (v - v*)||^2 + weight ||v - v*||^2, by the model of the loop, from
+        the commands that were applied. The weight is 0.01, or that of an L which has one: with that
+        of :class:`rodlib.NormOptimal` and a Q near one this is constrained norm-optimal learning,
+        whose predicted error cannot rise. What the loop asks for in the rest, where v is zero, is
+        left out of account. Of a ClosedLoop without P the commands are cut off instead.
+
+        Parameters
+        ----------
+        v, e : array_like, shape (time, m), or (time,) of one channel
+            ILC signal and tracking error, reference - y, of the trial just done, both in the unit
+            of the output. Labelled signals (columns, or coordinates) are matched by name.
+        u : array_like, shape (time, m), optional
+            Needed with limits: commands that the controller asked for in it; of a CurrentTrialLoop
+            its controls, of a ClosedLoop w = reference + v.
+        applied : array_like, shape (time, m), optional
+            What the actuators made of u, and the observer was informed of. Default: u, cut off at
+            the limits.
+
+        Returns
+        -------
+        ndarray, of the shape of v
+
+        Raises
+        ------
+        ValueError
+            If signals do not fit the law, or limits lack a loop or u.
+        RuntimeError
+            If the solver fails.
+        """
+        names = self.outputs or arguments.names_of(v)
+        if names is not None:
+            v = arguments.in_order("v", v, names)
+            e = arguments.in_order("e", e, names)
+        v = arguments.array("v", v, (...,))
+        if self.L is None:
+            return v
+        shape, m = v.shape, self.channels
+        if v.ndim == m == 1:
+            v = v[:, None]
+            e = arguments.array("e", e, (len(v),))[:, None]
+        v = arguments.array("v", v, (..., "time", m))
+        e = arguments.array("e", e, v.shape)
+        arguments.whole("rest", self.rest, 0, v.shape[-2] - 1)
+        if self.actuators is None:
+            return self._without_limits(v, e).reshape(shape)
+        if u is None:
+            raise ValueError("u = None: with limits, the trial's commands are needed")
+        u = arguments.in_columns("u", u, v.shape, self.loop.commands)
+        applied = self.actuators.follow(u) if applied is None else applied
+        applied = arguments.in_columns("applied", applied, v.shape, self.loop.commands)
+        v = realised(self.loop, v, u, applied)
+        target, weight = self._without_limits(v, e), getattr(self.L, "weight", WEIGHT)
+        following = nearest(
+            self.loop, self.actuators, v, applied, target, weight, self.rest
+        )
+        return following.reshape(shape)
+
+    def _without_limits(self, v, e):
+        a = self.gain
+        v = (1 - a) * v + a * self.Q.apply(v + self.L.apply(e))  # (23)
+        v[..., v.shape[-2] - self.rest :, :] = 0
+        return v
