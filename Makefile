@@ -85,7 +85,9 @@ study: $(BIN)/ready  ## 10,000 rods that are off: make study [SCHEDULER=address]
 	@$(BIN)/python tests/benchmarks/study.py $(SCHEDULER)
 
 pages: $(BIN)/ready  ## the notebooks, the ledger and the reference as HTML, in build/pages
-	@$(BIN)/python -m rodlib.paper.pages
+	@rm -rf build/pages
+	@$(BIN)/sphinx-build -q -c docs -d build/doctrees . build/pages
+	@echo "open build/pages/index.html"
 
 bench: $(BIN)/ready  ## time the synthesis and the study; rewrite figures/performance.*
 	@mkdir -p build

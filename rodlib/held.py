@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from rodlib.ilc import arguments
-from rodlib.rod import Rod, exact_response
+from rodlib.rod import Rod, exact_response, modes
 
-POWERS = 64  # of 1 / z; the square of a whole number
+POWERS = 64  # of 1 / z, for the fast modes; the square of a whole number
 
 
 def sampled_response(rod: Rod, omega, Ts: float) -> np.ndarray:
@@ -65,15 +65,7 @@ def sampled_response(rod: Rod, omega, Ts: float) -> np.ndarray:
             f"omega spans [{omega.min():.6g}, {omega.max():.6g}] rad/s, but must lie in "
             f"[0, {np.pi / Ts:.6g}] rad/s, up to the Nyquist frequency of Ts = {Ts} s"
         )
-    step = np.expm1(1j * omega * Ts)
-    return HeldRod(rod, Ts).response(step, delays(step), rod.inputs)
-
-
-def delays(step) -> np.ndarray:
-    """1 / z, 1 / z^2, ... at z = 1 + `step`, shape (n, POWERS), for :class:`HeldRod`."""
-    return np.cumprod(
-        np.broadcast_to(1 / (1 + step[:, None]), (len(step), POWERS)), axis=1
-    )
+    return HeldRod(rod, Ts).response(np.expm1(1j * omega * Ts), rod.inputs)
 
 
 class HeldRod:
@@ -83,68 +75,54 @@ class HeldRod:
     """
 
     def __init__(self, rod: Rod, Ts: float, gains: Sequence[float] | None = None):
-        decay = Ts / rod.kappa_1
-        x = 40 - np.log(-np.expm1(-rod.kappa_2 * decay))
-        modes = rod.length / np.pi * np.sqrt(x / (rod.conductivity * decay))
-        if modes > 1e5:
-            raise ValueError(
-                f"Ts = {Ts} is too short for this rod: {modes:.3g} modes count, and 100,000 are "
-                f"the limit. Take at least {Ts * (modes / 1e5) ** 2:.3g} s"
-            )
-        n = np.arange(int(np.ceil(modes)))
-        slow = int(np.ceil(modes / np.sqrt(POWERS)))
-        rate = (
-            rod.kappa_2 + rod.conductivity * (n * np.pi / rod.length) ** 2
-        )  # -s_n kappa_1
-        middles = (np.arange(rod.sections) + 0.5) / rod.sections
-        shown = np.cos(np.outer(n * np.pi / rod.length, rod.sensors))
-        flows = (
-            np.cos(np.outer(n * np.pi, middles))
-            * np.sinc(n / 2 / rod.sections)[:, None]
-        )
-        flows *= (np.where(n, 2, 1) / (rod.width * rod.height * rod.length * rate))[
-            :, None
-        ]
-        r = np.zeros((len(n), len(rod.sensors), rod.sections + 1))
-        r[:, :, :-1] = shown[:, :, None] * flows[:, None]
+        total, slow = _mode_counts(rod, Ts)
+        losses, means, values = modes(rod, np.arange(total))
+        decay = losses * Ts / rod.kappa_1  # -s_n Ts
+        r = np.zeros((total, len(rod.sensors), rod.sections + 1))
+        norm = np.full(total, rod.width * rod.height * rod.length / 2)
+        norm[0] *= 2  # integral of the square of the mode
+        flows = means / (norm * losses)[:, None]
+        r[:, :, :-1] = values[:, :, None] * flows[:, None]
         r[0, :, -1] = 1  # the air excites the uniform mode alone
-
         gains = np.append(np.ones(rod.sections) if gains is None else gains, 1)
         r *= gains
 
-        less_one = np.expm1(-rate * decay)  # p_n - 1
-        first = -less_one[:, None, None] * r  # g_1 of each mode
-        powers = np.exp(-np.outer(np.arange(POWERS + 1), rate[slow:] * decay))
-        self.names = rod.inputs
-        self.less_one, self.decay = less_one[:slow], rate[:slow] * decay
-        self.slow, self.fast = (
-            first[:slow],
-            np.tensordot(powers[:-1], first[slow:], axes=1),
-        )
-        # What the slow modes leave of the sum of all r_n; small ones first, for fewer digits go.
-        rest = exact_response(rod, 0.0)[0].real * gains - r[:slow][::-1].sum(axis=0)
+        first = -np.expm1(-decay)[:, None, None] * r  # g_1 of each mode
+        powers = np.exp(-np.outer(np.arange(POWERS), decay[slow:]))
+        self.inputs = rod.inputs
+        self.decay = decay[:slow]
+        self.slow = first[:slow]
+        self.fast = np.tensordot(powers, first[slow:], axes=1)
+        # Sum of r_n over the fast modes; small terms first, which loses fewer digits.
+        static = exact_response(rod, 0.0)[0].real * gains
+        rest = static - r[:slow][::-1].sum(axis=0)
         self.fast[0] = rest - np.tensordot(powers[1], r[slow:], axes=1)
 
-    def response(self, step, delays, inputs: Sequence[str]) -> np.ndarray:
-        """G(z) at z = 1 + step for some inputs, shape (n, outputs, inputs); `delays` of `step`."""
-        slow, fast = self._of(inputs)
-        response = (1 / (step[:, None] - self.less_one)) @ slow.reshape(len(slow), -1)
-        response += delays @ fast.reshape(len(fast), -1)
-        return response.reshape(len(step), *slow.shape[1:])
+    def response(self, step, inputs: Sequence[str]) -> np.ndarray:
+        """G(z) at z = 1 + step from some inputs, shape (n, outputs, inputs)."""
+        columns = [self.inputs.index(name) for name in inputs]
+        step = step[:, None]
+        powers = np.broadcast_to(1 / (1 + step), (len(step), POWERS)).cumprod(axis=1)
+        poles = np.expm1(-self.decay)  # p_n - 1
+        response = np.tensordot(1 / (step - poles), self.slow[:, :, columns], axes=1)
+        return response + np.tensordot(powers, self.fast[:, :, columns], axes=1)
 
-    def impulse_response(self, samples: int, inputs: Sequence[str]) -> np.ndarray:
-        """g_0 = 0, g_1, ... of G(z) = g_1 / z + g_2 / z^2 + ..., (outputs, inputs, samples)."""
-        slow, fast = self._of(inputs)
-        block = int(np.ceil(np.sqrt(samples)))
-        steps = np.arange(block) * self.decay[:, None]
-        powers = (
-            np.exp(-block * steps)[:, :, None] * np.exp(-steps)[:, None]
-        )  # p^(block i + j)
-        g = np.zeros((*slow.shape[1:], block**2 + 1))
-        g[:, :, 1:] = np.tensordot(slow, powers.reshape(len(slow), -1), axes=(0, 0))
-        g[:, :, 1 : POWERS + 1] += np.moveaxis(fast, 0, -1)[:, :, : block**2]
-        return g[:, :, :samples]
+    def impulse_response(self, count: int, inputs: Sequence[str]) -> np.ndarray:
+        """g_0 = 0, g_1, ... of G(z) = g_1 / z + g_2 / z^2 + ..., (count, outputs, inputs)."""
+        columns = [self.inputs.index(name) for name in inputs]
+        powers = np.exp(-np.outer(np.arange(count - 1), self.decay))
+        g = np.tensordot(powers, self.slow[:, :, columns], axes=1)
+        g[:POWERS] += self.fast[: len(g), :, columns]
+        return np.concatenate([np.zeros((1, *g.shape[1:])), g])
 
-    def _of(self, inputs):
-        wanted = [self.names.index(name) for name in inputs]
-        return self.slow[:, :, wanted], self.fast[:, :, wanted]
+
+def _mode_counts(rod, Ts):
+    """How many modes count, N in the notes above, and how many of them are slow."""
+    x = 40 - np.log(-np.expm1(-rod.kappa_2 * Ts / rod.kappa_1))
+    N = rod.length / np.pi * np.sqrt(x * rod.kappa_1 / (rod.conductivity * Ts))
+    if N > 1e5:
+        raise ValueError(
+            f"Ts = {Ts} is too short for this rod: {N:.3g} modes count, and 100,000 are "
+            f"the limit. Take at least {Ts * (N / 1e5) ** 2:.3g} s"
+        )
+    return int(np.ceil(N)), int(np.ceil(N / np.sqrt(POWERS)))

@@ -151,6 +151,18 @@ def midr(rod: Rod, degree: int = 3) -> control.StateSpace:
     return named(rod, A, B, theta(np.array(rod.sensors)))  # (9)
 
 
+def modes(rod: Rod, n) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Modes cos(n pi z / l) of (1)-(4), with -kappa_1 s_n = kappa_2 + lambda (n pi / l)^2.
+
+    That number for each n, W/(m3 K); the mode's mean over each section; its value at each sensor.
+    """
+    waves = np.pi / rod.length * n[:, None]
+    losses = rod.kappa_2 + rod.conductivity * waves[:, 0] ** 2
+    middles = (np.arange(rod.sections) + 0.5) * rod.length / rod.sections
+    means = np.cos(waves * middles) * np.sinc(n[:, None] / 2 / rod.sections)
+    return losses, means, np.cos(waves * rod.sensors)
+
+
 def named(rod: Rod, A, B, C) -> control.StateSpace:
     """A model with the signals of a rod."""
     return control.ss(A, B, C, 0, inputs=rod.inputs, outputs=rod.outputs, name="rod")

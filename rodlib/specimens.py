@@ -1,7 +1,7 @@
-"""Rods as they may be: drawn at random, and one controller around each of them.
+"""Rods that are not quite the nominal one, and the paper's loop around them.
 
-A specimen is the partial differential equation itself behind a zero-order hold, with parameters and
-gains that are off. The controller stays as it was designed on the nominal model.
+Material parameters, positions of sensors and gains of Peltier elements of a specimen are off. The
+controller stays as it was designed on the nominal model.
 """
 
 import reprlib
@@ -10,90 +10,17 @@ from dataclasses import dataclass, replace
 
 import control
 import numpy as np
+from scipy.fft import irfft, next_fast_len, rfftfreq
 
-from rodlib.held import HeldRod, delays
+from rodlib.held import HeldRod
 from rodlib.ilc import arguments
 from rodlib.ilc.loop.closed import CurrentTrialLoop, reply
 from rodlib.ilc.models import frequency_response
 from rodlib.rod import Rod
 
 MATERIAL = ("density", "heat_capacity", "heat_transfer", "conductivity")
+ALIAS = 1e-11  # of what a transform of an impulse response wraps around
 STEP = 1.0  # rad, by which the return difference may turn between two frequencies
-
-
-@dataclass(frozen=True)
-class Spread:
-    """How far off a rod may be: each parameter by itself, uniformly from -spread to +spread.
-
-    Relative, 0.2 for 20 %, but for the sensors.
-    """
-
-    density: float = 0.0
-    heat_capacity: float = 0.0
-    heat_transfer: float = 0.0
-    conductivity: float = 0.0
-    gains: float = 0.0  # heat flow of each Peltier element for the one commanded
-    sensors: float = 0.0  # position of each sensor, m
-
-    def __post_init__(self):
-        for name in (*MATERIAL, "gains"):
-            object.__setattr__(self, name, _share(name, getattr(self, name)))
-        sensors = arguments.not_negative(
-            "sensors", self.sensors, "a length in metres, 0 or more"
-        )
-        object.__setattr__(self, "sensors", sensors)
-
-    @classmethod
-    def of_all(cls, share: float, rod: Rod | None = None) -> "Spread":
-        """Everything off by the same share; the sensors by that of half a section of `rod`."""
-        rod = arguments.instance("rod", Rod() if rod is None else rod, Rod)
-        share = _share("share", share)
-        return cls(*[share] * 5, sensors=share * rod.length / rod.sections / 2)
-
-    def specimen(self, deviations, nominal: Rod | None = None) -> "Specimen":
-        """The rod that is off by these shares of the spread.
-
-        Parameters
-        ----------
-        deviations : array_like, shape (4 + sections + sensors,)
-            From -1 to 1: of the four material parameters in the order above, of the gain of each
-            Peltier element, of the position of each sensor.
-        nominal : Rod, optional
-            The one that it was meant to be. Default: the paper's.
-        """
-        nominal = arguments.instance(
-            "nominal", Rod() if nominal is None else nominal, Rod
-        )
-        count = len(MATERIAL) + nominal.sections + len(nominal.sensors)
-        off = arguments.array("deviations", deviations, (count,))
-        if np.abs(off).max() > 1:
-            raise ValueError(
-                f"deviations reach {np.abs(off).max():.6g} in size, but 1 is the most"
-            )
-        room = min(*nominal.sensors, nominal.length - max(nominal.sensors))
-        if self.sensors > room:
-            raise ValueError(
-                f"spread.sensors = {self.sensors} m would move a sensor of the nominal rod beyond "
-                f"its end: at most {room:.6g} m"
-            )
-        material, gains, sensors = np.split(
-            off, [len(MATERIAL), len(MATERIAL) + nominal.sections]
-        )
-        changed = {
-            name: getattr(nominal, name) * (1 + getattr(self, name) * by)
-            for name, by in zip(MATERIAL, material, strict=True)
-        }
-        places = np.clip(
-            nominal.sensors + self.sensors * sensors, 0, nominal.length
-        )  # of rounding
-        rod = replace(nominal, **changed, sensors=tuple(places))
-        return Specimen(rod, tuple((1 + self.gains * gains).tolist()))
-
-
-def _share(name, value):
-    return arguments.number(
-        name, value, "from 0 to below 1 (0.2 is 20 %)", high=1, least=0
-    )
 
 
 @dataclass(frozen=True)
@@ -113,6 +40,67 @@ class Specimen:
         return HeldRod(self.rod, Ts, self.gains)
 
 
+@dataclass(frozen=True)
+class Spread:
+    """How far off a rod may be: each parameter by itself, uniformly from -spread to +spread.
+
+    Relative, 0.2 for 20 %, except for the sensors.
+    """
+
+    density: float = 0.0
+    heat_capacity: float = 0.0
+    heat_transfer: float = 0.0
+    conductivity: float = 0.0
+    gains: float = 0.0  # heat flow of each Peltier element for the one commanded
+    sensors: float = 0.0  # position of each sensor, m
+
+    def __post_init__(self):
+        for name in (*MATERIAL, "gains"):
+            _check_share(name, getattr(self, name))
+        arguments.not_negative("sensors", self.sensors, "a length in metres, 0 or more")
+
+    @classmethod
+    def of_all(cls, share: float, rod: Rod | None = None) -> "Spread":
+        """Everything off by the same share; the sensors by that of half a section of `rod`."""
+        rod = arguments.instance("rod", Rod() if rod is None else rod, Rod)
+        _check_share("share", share)
+        sensors = share * rod.length / rod.sections / 2
+        return cls(share, share, share, share, share, sensors)
+
+    def specimen(self, deviations, nominal: Rod | None = None) -> Specimen:
+        """The rod that is off by these shares of the spread.
+
+        Parameters
+        ----------
+        deviations : array_like, shape (4 + sections + sensors,)
+            From -1 to 1: of the four material parameters in the order above, of the gain of each
+            Peltier element, of the position of each sensor.
+        nominal : Rod, optional
+            Default: the paper's.
+        """
+        nominal = _nominal(nominal)
+        deviations = arguments.array("deviations", deviations, (_count(nominal),))
+        if np.abs(deviations).max() > 1:
+            raise ValueError(
+                f"deviations reach {np.abs(deviations).max():.6g} in size, but 1 is the most"
+            )
+        places = np.array(nominal.sensors)
+        room = min(places.min(), nominal.length - places.max())
+        if self.sensors > room:
+            raise ValueError(
+                f"spread.sensors = {self.sensors} m would move a sensor of the nominal rod beyond "
+                f"its end: at most {room:.6g} m"
+            )
+        material, gains, sensors = np.split(deviations, [4, 4 + nominal.sections])
+        parameters = {
+            name: getattr(nominal, name) * (1 + getattr(self, name) * deviation)
+            for name, deviation in zip(MATERIAL, material, strict=True)
+        }
+        places = np.clip(places + self.sensors * sensors, 0, nominal.length)
+        rod = replace(nominal, **parameters, sensors=tuple(places))
+        return Specimen(rod, tuple((1 + self.gains * gains).tolist()))
+
+
 def draw(
     spread: Spread, number: int, root: int = 0, nominal: Rod | None = None
 ) -> Specimen:
@@ -128,118 +116,10 @@ def draw(
         As for :meth:`Spread.specimen`.
     """
     arguments.instance("spread", spread, Spread)
-    nominal = arguments.instance("nominal", Rod() if nominal is None else nominal, Rod)
+    nominal = _nominal(nominal)
     seed = [arguments.whole("number", number, 0), arguments.whole("root", root, 0)]
-    count = len(MATERIAL) + nominal.sections + len(nominal.sensors)
-    return spread.specimen(np.random.default_rng(seed).uniform(-1, 1, count), nominal)
-
-
-class Grid:
-    """The loop as designed, at points in the z-plane, ready for other plants in its place.
-
-    With G_0 for the plant of the design, G for the other one and D = G - G_0, the observer sees
-    D u more than it expects, and the loop answers u = U w - R D u, so that y = G (I + R D)^-1 U w.
-
-    U and R belong to the loop as designed: stable, and finite at z = 1 too, where the controller
-    itself is not. The points are z = radius exp(j omega Ts), none of them inside the unit circle.
-    Arrays have the points last, as numpy is then fastest.
-    """
-
-    def __init__(self, loop: CurrentTrialLoop, omega, radius: float = 1.0):
-        def response(model):  # z I - A = radius (exp(j omega Ts) I - A / radius)
-            A, B = model.A / radius, model.B / radius
-            return _last(
-                frequency_response(control.ss(A, B, model.C, model.D, model.dt), omega)
-            )
-
-        self.loop, self.omega = loop, omega
-        self.step = np.expm1(np.log(radius) + 1j * omega * loop.Ts)
-        self.delays = delays(self.step)
-        self.G_0 = response(loop.plant[:, : loop.plant.noutputs])
-        self.U, minus_R = np.split(response(reply(loop)), 2, axis=1)
-        self.R = -minus_R
-
-    @classmethod
-    def whole(cls, loop: CurrentTrialLoop) -> "Grid":
-        """On the unit circle, from zero to the Nyquist frequency."""
-        return cls(loop, np.append(0, np.geomspace(1e-5, 1, 300) * np.pi / loop.Ts))
-
-    def closed(self, G):
-        """From w to y, shape (m, m, n)."""
-        return _times(_times(G, _inverse(self._loaded(G))), self.U)
-
-    def P(self, rod: HeldRod) -> np.ndarray:
-        """From w to y around a rod, shape (n, m, m)."""
-        return np.moveaxis(self.closed(self._plant(rod)), -1, 0)
-
-    def unstable_poles(self, rod: HeldRod) -> int:
-        """Number of poles outside the unit circle; the frequencies go from zero to Nyquist."""
-        omega, F = self.omega, self._return_difference(rod)
-        for _ in range(40):
-            turns = np.angle(F[1:] / F[:-1])
-            wide = np.flatnonzero(np.abs(turns) > STEP)
-            if not wide.size:
-                return round(
-                    -turns.sum() / np.pi
-                )  # on the other half circle as much again
-            between = (omega[wide] + omega[wide + 1]) / 2
-            values = Grid(self.loop, between)._return_difference(rod)
-            omega, F = (
-                np.insert(omega, wide + 1, between),
-                np.insert(F, wide + 1, values),
-            )
-        return 1  # on the unit circle, up to rounding
-
-    def _return_difference(self, rod):
-        return np.linalg.det(np.moveaxis(self._loaded(self._plant(rod)), -1, 0))
-
-    def _plant(self, rod):
-        return _last(rod.response(self.step, self.delays, self.loop.controls))
-
-    def _loaded(self, G):
-        """I + R D, whose determinant is the return difference."""
-        loaded = _times(self.R, G - self.G_0)
-        loaded[range(len(G)), range(len(G))] += 1
-        return loaded
-
-
-def check_loop(loop: CurrentTrialLoop, rod: Rod) -> None:
-    """Check that a loop is that of a rod: its signals are, by name."""
-    arguments.instance("loop", loop, CurrentTrialLoop)
-    strangers = {*loop.controls, *loop.disturbances} - {*rod.inputs}
-    if strangers or loop.outputs != rod.outputs:
-        raise ValueError(
-            f"loop has the signals {[*loop.plant.input_labels, *loop.outputs]}, but must be that "
-            f"of a rod, with inputs among {rod.inputs} and the outputs {rod.outputs}; for a rod "
-            "with others, pass it as nominal where rods are drawn"
-        )
-
-
-def _held(loop, specimens):
-    arguments.instance("loop", loop, CurrentTrialLoop)
-    if not (isinstance(specimens, list | tuple) and specimens):
-        raise ValueError(
-            f"specimens = {reprlib.repr(specimens)} must be a list of them: [specimen]"
-        )
-    for k, each in enumerate(specimens):
-        arguments.instance(f"specimens[{k}]", each, Specimen)
-        check_loop(loop, each.rod)
-    return [each.held(loop.Ts) for each in specimens]
-
-
-def _last(response):
-    return np.ascontiguousarray(np.moveaxis(response, 0, -1))
-
-
-def _times(A, B):
-    return np.einsum("ijn,jkn->ikn", A, B)
-
-
-def _inverse(A):
-    if len(A) != 2:
-        return _last(np.linalg.inv(np.moveaxis(A, -1, 0)))
-    (a, b), (c, d) = A  # in closed form ten times faster
-    return np.array([[d, -b], [-c, a]]) / (a * d - b * c)
+    deviations = np.random.default_rng(seed).uniform(-1, 1, _count(nominal))
+    return spread.specimen(deviations, nominal)
 
 
 def responses(
@@ -258,22 +138,134 @@ def responses(
     Returns
     -------
     ndarray, shape (specimens, n, m, m), complex
-        A response tells nothing if the loop is not stable: see :func:`unstable_poles`.
+        Meaningful where the loop around the specimen is stable: see :func:`unstable_poles`.
     """
-    rods, grid = _held(loop, specimens), Grid(loop, arguments.row("omega", omega))
-    return np.array([grid.P(rod) for rod in rods])
+    rods = _held(loop, specimens)
+    points = Points(loop, arguments.row("omega", omega))
+    return np.array([points.P(points.response(rod)) for rod in rods])
+
+
+def impulse_responses(
+    loop: CurrentTrialLoop, specimens: Sequence[Specimen], count: int
+) -> np.ndarray:
+    """The first samples of P's impulse response, shape (specimens, count, m, m).
+
+    On a circle abs(z) = r > 1, P(z) is the Fourier transform of p_k r^-k. Of N samples, what comes
+    after the last one wraps around to the first one; by then it has fallen to `ALIAS` = r^-N of
+    itself, even if P decays slowly.
+    """
+    rods = _held(loop, specimens)
+    N = next_fast_len(2 * count + 100, real=True)
+    radius = ALIAS ** (-1 / N)
+    points = Points(loop, rfftfreq(N, loop.Ts / (2 * np.pi)), radius)
+    P = np.array([points.P(points.response(rod)) for rod in rods])
+    growth = radius ** np.arange(count)
+    return irfft(P, N, axis=1)[:, :count] * growth[:, None, None]
 
 
 def unstable_poles(loop: CurrentTrialLoop, specimens: Sequence[Specimen]) -> np.ndarray:
     """Number of poles outside the unit circle of the loop around each specimen.
 
-    Parameters as for :func:`responses`. As the rod has infinitely many poles, there is no matrix
-    whose eigenvalues could tell. But det(I + R D) is the characteristic polynomial of the loop
-    around the specimen times that of the plant of the design, over those of the loop as designed
-    and of the specimen. These three have their zeros inside the unit circle, and far outside the
-    quotient is one. So, along the unit circle, it winds around zero once clockwise for every
-    unstable pole. Between two frequencies it must turn by less than `STEP`; where it does not, more
-    are taken.
+    Parameters as for :func:`responses`. The rod has infinitely many poles, so that there is no
+    matrix whose eigenvalues would be those of the loop. But det(I + R D) of :class:`Points` is the
+    characteristic polynomial of the loop around the specimen times that of the plant of the design,
+    over those of the loop as designed and of the specimen. These three have their zeros inside the
+    unit circle, and far outside the quotient is one. So, along the unit circle, it winds around
+    zero once clockwise for every unstable pole. Between two frequencies it must turn by less than
+    `STEP`; where it turns by more, the interval is halved.
     """
-    rods, grid = _held(loop, specimens), Grid.whole(loop)
-    return np.array([grid.unstable_poles(rod) for rod in rods])
+    rods = _held(loop, specimens)
+    omega = np.append(0, np.geomspace(1e-5, 1, 300) * np.pi / loop.Ts)
+    points = Points(loop, omega)
+    return np.array([_winding_number(points, rod) for rod in rods])
+
+
+class Points:
+    """The loop as designed, at points in the z-plane, ready for other plants in its place.
+
+    With G_0 for the plant of the design, G for the other one and D = G - G_0, the observer sees
+    D u more than it expects, and the loop answers u = U w - R D u, so that y = G (I + R D)^-1 U w.
+
+    U and R belong to the loop as designed: stable, and finite at z = 1 too, where the controller
+    itself is not. The points are z = radius exp(j omega Ts), none of them inside the unit circle.
+    """
+
+    def __init__(self, loop: CurrentTrialLoop, omega, radius: float = 1.0):
+        def response(model):  # z I - A = radius (exp(j omega Ts) I - A / radius)
+            A, B = model.A / radius, model.B / radius
+            return frequency_response(
+                control.ss(A, B, model.C, model.D, model.dt), omega
+            )
+
+        m = loop.plant.noutputs
+        self.loop, self.omega = loop, omega
+        self.step = np.expm1(np.log(radius) + 1j * omega * loop.Ts)  # z - 1
+        self.G_0 = response(loop.plant[:, :m])
+        replies = response(reply(loop))
+        self.U, self.R = replies[:, :, :m], -replies[:, :, m:]
+
+    def response(self, rod: HeldRod) -> np.ndarray:
+        """G of a rod from the controls of the loop, shape (n, m, m)."""
+        return rod.response(self.step, self.loop.controls)
+
+    def P(self, G) -> np.ndarray:
+        """From w to y around another plant G, shape (n, m, m)."""
+        return G @ np.linalg.solve(self._loaded(G), self.U)
+
+    def return_difference(self, G) -> np.ndarray:
+        """det(I + R D), shape (n,)."""
+        return np.linalg.det(self._loaded(G))
+
+    def _loaded(self, G):
+        return np.eye(G.shape[1]) + self.R @ (G - self.G_0)
+
+
+def _winding_number(points, rod):
+    loop, omega = points.loop, points.omega
+    values = points.return_difference(points.response(rod))
+    for _ in range(40):
+        turns = np.angle(values[1:] / values[:-1])
+        wide = np.flatnonzero(np.abs(turns) > STEP)
+        if not wide.size:  # the other half of the circle turns by as much again
+            return round(-turns.sum() / np.pi)
+        between = Points(loop, (omega[wide] + omega[wide + 1]) / 2)
+        more = between.return_difference(between.response(rod))
+        omega = np.insert(omega, wide + 1, between.omega)
+        values = np.insert(values, wide + 1, more)
+    return 1  # on the unit circle, up to rounding
+
+
+def check_loop(loop: CurrentTrialLoop, rod: Rod) -> None:
+    """Check that a loop is that of a rod: its signals are, by name."""
+    arguments.instance("loop", loop, CurrentTrialLoop)
+    strangers = {*loop.controls, *loop.disturbances} - {*rod.inputs}
+    if strangers or loop.outputs != rod.outputs:
+        raise ValueError(
+            f"loop has the signals {[*loop.plant.input_labels, *loop.outputs]}, but must be that "
+            f"of a rod, with inputs among {rod.inputs} and the outputs {rod.outputs}; for a rod "
+            "with others, pass it as nominal where rods are drawn"
+        )
+
+
+def _held(loop, specimens):
+    if not (isinstance(specimens, list | tuple) and specimens):
+        raise ValueError(
+            f"specimens = {reprlib.repr(specimens)} must be a list of them: [specimen]"
+        )
+    for k, specimen in enumerate(specimens):
+        arguments.instance(f"specimens[{k}]", specimen, Specimen)
+        check_loop(loop, specimen.rod)
+    return [specimen.held(loop.Ts) for specimen in specimens]
+
+
+def _nominal(rod):
+    return arguments.instance("nominal", Rod() if rod is None else rod, Rod)
+
+
+def _count(rod):
+    """Number of parameters that may be off."""
+    return len(MATERIAL) + rod.sections + len(rod.sensors)
+
+
+def _check_share(name, value):
+    arguments.number(name, value, "from 0 to below 1 (0.2 is 20 %)", high=1, least=0)

@@ -57,6 +57,11 @@ def by_unit(units: Sequence[str]) -> dict[str, list[int]]:
     }
 
 
+def with_unit(text: str, unit: str) -> str:
+    """A label with its unit behind it, if there is one."""
+    return f"{text} ({unit})" if unit else text
+
+
 def seconds(label: str) -> float:
     """How long a unit of time is; a ValueError if it is none."""
     unit = understood("time", label)

@@ -6,7 +6,6 @@ What a notebook needs of it comes from here; a name is imported when it is first
 from rodlib.ilc import lazily
 
 MODULES = {
-    "drawings": "draw_block_diagram draw_rod",
     "figures": """ACCENT BLACK BLACK_DASHED GRAY GRAY_DASHED SHADES TALL WIDE plain
         save""",
     "ledger": "Ledger",

@@ -22,14 +22,8 @@ GRAY = {"color": "0.55"}
 BLACK_DASHED = BLACK | {"linestyle": "--"}
 GRAY_DASHED = GRAY | {"linestyle": "--"}
 ACCENT = {"color": "tab:red"}  # for what the paper does not show
-SHADES = (
-    "black",
-    "0.55",
-    "tab:red",
-    "tab:blue",
-    "tab:green",
-    "tab:orange",
-)  # of channels
+# of channels
+SHADES = ("black", "0.55", "tab:red", "tab:blue", "tab:green", "tab:orange")
 
 
 @dataclass(frozen=True)
@@ -44,10 +38,7 @@ class SavedFigure:
         return f"figures/{self.path.name}"
 
     def _ipython_display_(self):
-        from IPython.display import (
-            Markdown,
-            display,
-        )  # here, since only notebooks have it loaded
+        from IPython.display import Markdown, display  # only a notebook has it
 
         picture = b64encode(self.path.read_bytes()).decode()
         display(
@@ -68,14 +59,10 @@ def save(figure: Figure, name: str, caption: str) -> SavedFigure:
     target = folder(results("figures.save") / "figures")
     width = round(figure.get_figwidth() * figure.get_dpi())
     with _laid_out(figure):
-        for ending, metadata in (
-            ("png", {"Software": None}),
-            ("pdf", {"CreationDate": None}),
-        ):
+        for ending, stamp in (("png", "Software"), ("pdf", "CreationDate")):
+            kind = {"format": ending, "metadata": {stamp: None}}
             with replacing(target / f"{name}.{ending}") as temporary:
-                figure.savefig(
-                    temporary, dpi=PIXELS_PER_INCH, format=ending, metadata=metadata
-                )
+                figure.savefig(temporary, dpi=PIXELS_PER_INCH, **kind)
     plt.close(figure)  # or the notebook would draw it once more
     return SavedFigure(target / f"{name}.png", width, caption)
 
@@ -92,8 +79,7 @@ def _laid_out(figure):
     if figure.get_layout_engine():
         figure.set_dpi(PIXELS_PER_INCH)  # a text is not as wide with another
         figure.get_layout_engine().execute(figure)
-    with mpl.rc_context(
-        {"figure.constrained_layout.use": False}
-    ):  # or savefig brings it back
+    # or savefig brings the engine back
+    with mpl.rc_context({"figure.constrained_layout.use": False}):
         figure.set_layout_engine(None)
         yield

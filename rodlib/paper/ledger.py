@@ -14,17 +14,17 @@ further. Between processors those of (39), non-diagonal, move by up to 3e-8; the
 closest to where its fourth decimal would change is 1.4e-7 away.
 """
 
-import re
 from collections.abc import Iterable
+from operator import eq, ge, gt, le, lt
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from rodlib.ilc.files import folder, write_whole
+from rodlib.ilc.files import folder, replace_all, write_whole
 from rodlib.paper import pictures, published
 from rodlib.paper.published import Claim
-from rodlib.paper.repository import publishing, results
+from rodlib.paper.repository import checkout, results
 
 REPRODUCED, DIFFERS = "reproduced", "differs"
 IN_WORDS, UNCHECKED = "in words", "cannot be checked"
@@ -37,6 +37,7 @@ NOISE = 1e-9  # what is smaller is rounding, and not the same on two machines
 BELOW_NOISE = f"below {NOISE:g}"
 SIGNIFICANT = 5  # digits of a number that tests a statement in words
 COEFFICIENT = r"L_(?:diagonal|full)\["  # how the key of one of (39) begins
+COMPARE = {"<": lt, "<=": le, ">": gt, ">=": ge, "==": eq}
 COLUMNS = [
     "key", "place", "claim", "printed", "computed", "deviation", "verdict", "kind", "note",
     "notebook",
@@ -49,25 +50,24 @@ def verdict(claim: Claim, computed: float) -> tuple[str, float]:
         return IN_WORDS, 0.0
     if not claim.criterion:
         deviation = computed - published.number(claim.printed)
-        holds = abs(deviation) <= published.half_unit(claim.printed) * (1 + 1e-9)
-    elif pair := re.fullmatch(r"(\S+) \+- (\S+)", claim.criterion):
-        deviation = computed - float(pair[1])
-        holds = abs(deviation) <= float(pair[2])
-    elif pair := re.fullmatch(r"(<|<=|>|>=|==) (\S+)", claim.criterion):
-        limit = float(pair[2])
-        compare = {
-            "<": np.less,
-            "<=": np.less_equal,
-            ">": np.greater,
-            ">=": np.greater_equal,
-        }
-        holds = bool(compare.get(pair[1], np.equal)(computed, limit))
-        deviation = 0.0 if holds else computed - limit
-    else:
-        raise ValueError(
-            f"criterion {claim.criterion!r} of claim {claim.key!r} is not understood"
-        )
-    return (REPRODUCED if holds else DIFFERS), float(deviation)
+        tolerance = published.half_unit(claim.printed) * (1 + 1e-9)
+        return _outcome(abs(deviation) <= tolerance), float(deviation)
+    first, _, second = claim.criterion.partition(" ")
+    if first in COMPARE:
+        limit = float(second)
+        holds = COMPARE[first](computed, limit)
+        return _outcome(holds), 0.0 if holds else float(computed - limit)
+    if second.startswith("+- "):
+        deviation = computed - float(first)
+        holds = abs(deviation) <= float(second.removeprefix("+- "))
+        return _outcome(holds), float(deviation)
+    raise ValueError(
+        f"criterion {claim.criterion!r} of claim {claim.key!r} is not understood"
+    )
+
+
+def _outcome(holds):
+    return REPRODUCED if holds else DIFFERS
 
 
 class Ledger:
@@ -106,11 +106,9 @@ class Ledger:
             shown = _shown(claim, float(computed))
             if shown != BELOW_NOISE and outcome != IN_WORDS:
                 deviation = verdict(claim, float(shown))[1]
-        criterion = (
-            f"criterion: {claim.criterion}"
-            if re.match("[<=>]", claim.criterion)
-            else ""
-        )
+        compares = claim.criterion.startswith(tuple(COMPARE))
+        notes = [f"criterion: {claim.criterion}" if compares else "", claim.note]
+        judged = self.papers_parameters or outcome == UNCHECKED
         self.rows[key] = {
             "key": key,
             "place": claim.place,
@@ -118,11 +116,9 @@ class Ledger:
             "printed": claim.printed,
             "computed": shown,
             "deviation": f"{deviation:.1e}" if abs(deviation) > NOISE else "",
-            "verdict": outcome
-            if self.papers_parameters or outcome == UNCHECKED
-            else OTHER,
+            "verdict": outcome if judged else OTHER,
             "kind": claim.kind,
-            "note": "; ".join(filter(None, [criterion, claim.note])),
+            "note": "; ".join(filter(None, notes)),
             "notebook": self.notebook,
         }
 
@@ -275,16 +271,20 @@ def splice(text: str, name: str, content: str) -> str:
 
 def publish(build: Path, root: Path) -> None:
     """Put what a complete run has changed into figures/ and the README, and print what that is."""
+    checkout("publishing", root)
     rows = join(build / "ledger")
-    with publishing(root) as new:
-        figures, texts = changes(rows, build, root)
-        for name in (name for name in figures if figures[name] != pictures.SAME):
-            before, drawn = ((at / "figures").glob(f"{name}.*") for at in (root, build))
-            new.update({f"figures/{path.name}": None for path in before})
-            new.update({f"figures/{path.name}": path.read_bytes() for path in drawn})
-        new.update(texts)
+    figures, texts = changes(rows, build, root)
+    new = {}
+    for name, change in figures.items():
+        if change != pictures.SAME:
+            for path in (root / "figures").glob(f"{name}.*"):
+                new[path] = None
+            for path in (build / "figures").glob(f"{name}.*"):
+                new[root / "figures" / path.name] = path.read_bytes()
+    # The README last: after a kill it is the old one, and the next run, or git, mends the rest.
+    replace_all(new | {root / name: text for name, text in texts.items()})
     print(f"ledger: {rows.verdict.value_counts().to_dict()}")
-    print(told(figures, texts))
+    print(report(figures, texts))
 
 
 def changes(
@@ -293,23 +293,26 @@ def changes(
     """What a run has made of each figure, in a word, and the texts that are not what they were."""
     readme = (root / "README.md").read_text(encoding="utf-8")
     texts = {
-        "figures/ledger.csv": rows.to_csv(index=False, lineterminator="\n").encode(),
-        "figures/ledger.md": markdown(rows).encode(),
-        "README.md": splice(readme, "ledger", summary(rows)).encode(),
+        "figures/ledger.csv": rows.to_csv(index=False, lineterminator="\n"),
+        "figures/ledger.md": markdown(rows),
+        "README.md": splice(readme, "ledger", summary(rows)),
     }
-    old = {name: (root / name).read_bytes() for name in texts if (root / name).exists()}
-    changed = {name: text for name, text in texts.items() if text != old.get(name)}
+    changed = {}
+    for name, text in texts.items():
+        path = root / name
+        if not path.exists() or path.read_bytes() != text.encode():
+            changed[name] = text.encode()
     return pictures.compared(build / "figures", root / "figures"), changed
 
 
-def told(figures: dict[str, str], changed: Iterable[str]) -> str:
+def report(figures: dict[str, str], texts: Iterable[str]) -> str:
     """How many figures are the same, and what has become of the others and of texts."""
     same = list(figures.values()).count(pictures.SAME)
-    if same == len(figures) and not changed:
+    if same == len(figures) and not texts:
         return f"all {same} figures, the ledger and the README are the same as before"
     line = f"{same} of {len(figures)} figures are the same as before"
-    rest = figures | dict.fromkeys(changed, pictures.DIFFERENT)
+    every = figures | dict.fromkeys(texts, pictures.DIFFERENT)
     for kind in (pictures.DIFFERENT, pictures.NEW, pictures.GONE):
-        names = ", ".join(name for name in rest if rest[name] == kind)
+        names = ", ".join(name for name, change in every.items() if change == kind)
         line += f"; {kind}: {names}" if names else ""
     return line

@@ -17,29 +17,25 @@ def checked(**parameters: tuple) -> dict:
     whole; for all else (value, default), which is only compared.
     """
     for name, (value, _, *ends) in parameters.items():
-        if ends and isinstance(ends[0], int | np.integer):
-            whole(name, value, *map(int, ends))
-        elif ends:
-            least, most = ends
-            number(
-                name,
-                value,
-                f"a number from {least:g} to {most:g}",
-                least=least,
-                most=most,
-            )
-    other = {name: given for name, given in parameters.items() if given[0] != given[1]}
-    if other:
-        from IPython.display import (
-            Markdown,
-            display,
-        )  # here, since only notebooks have it loaded
+        if not ends:
+            continue
+        least, most = ends
+        if isinstance(least, int | np.integer):
+            whole(name, value, least, most)
+        else:
+            span = f"a number from {least:g} to {most:g}"
+            number(name, value, span, least=least, most=most)
+    others = [
+        name for name, (value, default, *_) in parameters.items() if value != default
+    ]
+    if others:
+        from IPython.display import Markdown, display  # only a notebook has it
 
-        words = ", ".join(f"`{name} = {given[0]!r}`" for name, given in other.items())
-        texts = ", ".join(f"`{given[1]!r}`" for given in other.values())
+        choices = ", ".join(f"`{name} = {parameters[name][0]!r}`" for name in others)
+        defaults = ", ".join(f"`{parameters[name][1]!r}`" for name in others)
         display(
             Markdown(
-                f"**{words}; the text was written for {texts}.** What it says of numbers, and "
+                f"**{choices}; the text was written for {defaults}.** What it says of numbers, and "
                 "concludes from them, holds for these only; the cells compute anew."
             )
         )

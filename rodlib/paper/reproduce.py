@@ -31,17 +31,10 @@ def folder_of_run(command: str, root: Path) -> Iterator[Path]:
     build = folder(checkout(f"make {command}", root) / "build")
     refusal = f"make {command} is already running in {root}: wait until it has ended"
     with alone(build / f"{command}.lock", refusal):
-        results = folder(build / command)
-        for path in (
-            results.iterdir()
-        ):  # and not the folder, which may be a link or a mount point
-            if path.is_dir() and not path.is_symlink():
-                shutil.rmtree(path)
-            else:
-                path.unlink()
-        os.environ["RODLIB_RESULTS"] = str(
-            results
-        )  # see rodlib.paper.repository.results
+        results = build / command
+        shutil.rmtree(results, ignore_errors=True)
+        # see rodlib.paper.repository.results
+        os.environ["RODLIB_RESULTS"] = str(folder(results))
         yield results
 
 
@@ -77,19 +70,14 @@ def run(notebook: Path, executed: Path, bar: tqdm | None = None, **parameters) -
 
 def reproduce(root: Path = ROOT) -> None:
     """Run all notebooks and publish the figures and the ledger; on an error, publish nothing."""
-    texts = {
-        path: path.read_text("utf-8")
-        for path in sorted((root / "notebooks").glob("*.ipynb"))
-    }
-    cells = {path: len(json.loads(text)["cells"]) for path, text in texts.items()}
-    notebooks = sorted(
-        cells, reverse=True
-    )  # so that the last to end, the paper's, are short
+    # From the last to the first, so that the last to end, the paper's, are short.
+    notebooks = sorted((root / "notebooks").glob("*.ipynb"), reverse=True)
+    cells = sum(len(json.loads(path.read_text("utf-8"))["cells"]) for path in notebooks)
     with folder_of_run("reproduce", root) as build:
         print(
             f"running {len(notebooks)} notebooks, {AT_A_TIME} at a time ...", flush=True
         )
-        bar = tqdm(total=sum(cells.values()), unit="cell", leave=False, disable=None)
+        bar = tqdm(total=cells, unit="cell", leave=False, disable=None)
         with bar, ThreadPoolExecutor(AT_A_TIME) as pool:
             running = {
                 pool.submit(run, path, build / path.name, bar): path.stem
@@ -105,23 +93,18 @@ def reproduce(root: Path = ROOT) -> None:
 
 def replay(log: str, root: Path = ROOT) -> None:
     """Print what a log shows; a report with pictures and the next trial's v go to build/replay."""
-    from rodlib.ilc import load_log, replay_of  # here, because they take long to import
-    from rodlib.ilc.report import save_following, summary
+    from rodlib import ilc  # here, because it takes long to import
 
     checkout("make replay", root)
-    path = Path(log)
-    if not path.exists():  # or else a name may well begin with ~
-        path = Path(os.path.expanduser(log))
-    path = path.absolute()
+    path = Path(os.path.expanduser(log)).absolute()
     if not path.is_file():
-        what = "is a folder, not a log" if path.is_dir() else "is not there"
-        raise FileNotFoundError(f"{path} {what}: make replay LOG=path")
-    replayed = replay_of(load_log(path))
+        raise FileNotFoundError(f"{path} is not a file: make replay LOG=path")
+    replayed = ilc.replay(ilc.load_log(path))
     with folder_of_run("replay", root) as build:
         report, table = build / REPORT.name, build / "next-trial.csv"
-        print(summary(replayed))
+        print(replayed)
         if replayed.law is not None:
-            save_following(replayed, table)
+            replayed.save_following(table)
             print(f"v of trial {replayed.numbers[-1] + 1}: {table.relative_to(root)}")
         print(f"pictures and explanations: {report.relative_to(root)} ...", flush=True)
         shutil.copy(REPORT, report)
@@ -130,9 +113,8 @@ def replay(log: str, root: Path = ROOT) -> None:
 
 def main(root: Path = ROOT, log: str | None = None) -> None:
     """Reproduce, or replay a log, and leave with a message if that fails."""
-    signal.signal(
-        signal.SIGINT, signal.SIG_DFL
-    )  # Ctrl-C ends at once; the kernels follow
+    # Ctrl-C ends at once; the kernels follow
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
     try:
         if log is None:
             reproduce(root)

@@ -3,89 +3,55 @@
 `make bench` runs these, too.
 """
 
-import tempfile
 from functools import cache
 
 import control
 import numpy as np
 import pytest
+import study
 from bench_synthesis import measure
 
-from rodlib import (
-    Law,
-    LearningFilter,
-    Spread,
-    Study,
-    draw,
-    midr,
-    paper_loop,
-    run_trials,
-    zero_phase_butterworth,
-)
-from rodlib.paper import published
-from rodlib.study import Course, run
+from rodlib import Law, draw, midr, run_trials
 
-RODS = (100, 1000, 10000)
+RODS = (100, 300, 1000)
 SAMPLE = 20
 
 
 @cache
-def study():
-    filters = {
-        kind: LearningFilter(published.matrix(f"L_{kind}"), 1.0)
-        for kind in ("diagonal", "full")
-    }
-    return Study(paper_loop(), zero_phase_butterworth(), filters, Spread.of_all(0.2))
+def of_paper():
+    return study.study(study.SPREADS["everything"])
 
 
-@cache
-def course():
-    of = study()
-    return Course(of.loop, of.Q, [*of.filters.values()], of.reference, of.trials)
-
-
-def run_afresh(rods):
-    with tempfile.TemporaryDirectory() as folder:
-        run(study(), rods, folder=folder)
+def judged(rods):
+    of_paper().run(rods)
 
 
 def one_by_one(models):
     """Trials around models of the rods with as many states as the paper's."""
+    of = of_paper()
     for model in models:
         plant = control.sample_system(model, 1.0, method="zoh")
-        for L in study().filters.values():
-            run_trials(
-                study().loop,
-                Law(study().Q, L),
-                study().reference,
-                trials=5,
-                plant=plant,
-            )
-
-
-def side_by_side(rods):
-    for start in range(0, len(rods), 4):
-        course().rms([rod.held(1.0) for rod in rods[start : start + 4]])
+        for L in of.filters.values():
+            run_trials(of.loop, Law(of.Q, L), of.reference, trials=5, plant=plant)
 
 
 @pytest.mark.parametrize("rods", RODS)
 def test_growth_with_rods(benchmark, rods):
-    measure(benchmark, "rods", rods, run_afresh, rods, rounds=1)
+    measure(benchmark, "rods", rods, judged, rods, rounds=1)
 
 
-@pytest.mark.parametrize("method", [one_by_one, side_by_side])
+@pytest.mark.parametrize("method", [one_by_one, judged])
 def test_trials(benchmark, method):
     """Of each rod, five trials with each of two filters; times are for `SAMPLE` rods."""
-    drawn = [draw(study().spread, number) for number in range(SAMPLE)]
-    side_by_side(drawn[:4])  # what all rods share is not counted
-    models = [
-        midr(each.rod) * control.ss([], [], [], np.diag([*each.gains, 1]))
-        for each in drawn
-    ]
-    for model in models:
-        model.set_inputs(drawn[0].rod.inputs)
-        model.set_outputs(drawn[0].rod.outputs)
-    argument = models if method is one_by_one else drawn
+    specimens = [draw(of_paper().spread, number) for number in range(SAMPLE)]
+    models = []
+    for specimen in specimens:
+        gains = control.ss([], [], [], np.diag([*specimen.gains, 1]))
+        model = midr(specimen.rod) * gains
+        model.set_inputs(specimen.rod.inputs)
+        model.set_outputs(specimen.rod.outputs)
+        models.append(model)
+    argument = models if method is one_by_one else SAMPLE
     benchmark.group = "trials"
     benchmark.extra_info.update(x=method.__name__, memory=0, rods=SAMPLE)
-    benchmark.pedantic(method, (argument,), rounds=5)
+    benchmark.pedantic(method, (argument,), rounds=3)

@@ -43,7 +43,7 @@ SETTINGS = {
         {"trials": 5, "samples": 1000},
         {"first_disturbed": 9, "M_max": 0.85},
     ],
-    "05": [{"untold": []}, {"untold": ["theta_a", "Q2"]}, {"seed": 5}],
+    "05": [{"unmeasured": []}, {"unmeasured": ["theta_a", "Q2"]}, {"seed": 5}],
     "06": [
         {"samples": 1500, "rest": 30},
         {"M_max": 0.85, "noise": 0.1},

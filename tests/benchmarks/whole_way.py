@@ -30,9 +30,8 @@ from rodlib import (
     synthesise,
     zero_phase_butterworth,
 )
-from rodlib.ilc import RigError, replay_of
+from rodlib.ilc import RigError, replay
 from rodlib.ilc.files import write_whole
-from rodlib.ilc.report import summary
 from rodlib.ilc.trials.run import rms
 from rodlib.paper.ledger import splice
 from rodlib.paper.repository import ROOT
@@ -100,9 +99,9 @@ def go(row, kind, path, trials):
         row["kept"] = load_log(path).sizes["trial"]
     log = recorded()
     row["rms"] = rms(log.e).values
-    replay = replay_of(load_log(path))
-    row["summary"] = summary(replay)
-    if not replay.departure.values.max() <= 1e-9 * np.abs(log.v.values).max():
+    replayed = replay(load_log(path))
+    row["summary"] = repr(replayed)
+    if not replayed.departure.values.max() <= 1e-9 * np.abs(log.v.values).max():
         row["failure"] = "the log departs from its law"
     if kind.homes and not np.array_equal(recorded(path=None).y, log.y):
         row["failure"] = "gone on with, it is another experiment"

@@ -22,8 +22,8 @@ from rodlib import (
     save_log,
     zero_phase_butterworth,
 )
-from rodlib.ilc import replay_of, with_law
-from rodlib.ilc.report import summary
+from rodlib.ilc import replay as replay_of
+from rodlib.ilc import with_law
 from rodlib.paper import reproduce
 from rodlib.paper.repository import ROOT
 
@@ -80,7 +80,7 @@ def test_a_stage_is_replayed_with_its_own_loop(root):
     assert outcome.returncode == 0, outcome.stderr
     found = replay_of(load_log(root / ODD))
     assert outcome.stdout.startswith(
-        f"{summary(found)}\nv of trial 5: build/replay/next-trial.csv\n"
+        f"{found}\nv of trial 5: build/replay/next-trial.csv\n"
     )
     assert "\nlaw: the recorded v is that of the law in every trial\n" in outcome.stdout
     assert "mean of all trials: x 100 %" in outcome.stdout
@@ -88,7 +88,7 @@ def test_a_stage_is_replayed_with_its_own_loop(root):
         root / "build" / "replay" / "next-trial.csv", delimiter=",", skiprows=3
     )
     np.testing.assert_array_equal(table[:, 1:], found.following)
-    assert printed(root) == f"{summary(found)}\n" and "left out" not in printed(root)
+    assert printed(root) == f"{found}\n" and "left out" not in printed(root)
     figures = (root / "build" / "replay" / "figures").glob("*.png")
     names = ["convergence", "model-fit", "next-trial", "signals", "start-of-a-trial"]
     assert sorted(path.stem for path in figures) == names

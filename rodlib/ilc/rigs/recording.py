@@ -12,13 +12,12 @@ from rodlib.ilc import arguments
 from rodlib.ilc.files import alone
 from rodlib.ilc.law.io import KEYS
 from rodlib.ilc.law.law import Law
-from rodlib.ilc.law.limits import realised
 from rodlib.ilc.logs.log import load_ended, save_log
 from rodlib.ilc.rigs.controlled import ControlledRig
 from rodlib.ilc.rigs.limits import commands_beyond
 from rodlib.ilc.rigs.protocol import StoppedError
 from rodlib.ilc.rigs.start import Start
-from rodlib.ilc.trials.diagnosis import Course, rates_of
+from rodlib.ilc.trials.diagnosis import diagnose
 from rodlib.ilc.trials.run import commands_of, dataset
 
 BEGUN = "begun"  # the note that says that v of trial 1 was given
@@ -88,43 +87,31 @@ class Experiment:
                     values.append(trial[name])
                 if path is not None:
                     save_log(self.trials(signals, notes), path)
-                for kind, finding in self.findings(signals).items():
+                for kind, finding in self.warnings(self.trials(signals, notes)).items():
                     if kind not in said:
                         warnings.warn(f"after trial {k + 1}: {finding}", stacklevel=4)
                     said.add(kind)
         return self.trials(signals, notes)
 
-    def findings(self, signals) -> dict[str, str]:
-        """What the last trial says, with those before it."""
-        k, found = len(signals["y"]) - 1, {}
-        alike = self.alike and np.array_equal(
-            self.reference[k, 0], self.reference[0, 0]
-        )
-        if alike and k and (missed := self.start(signals).missed(signals["y"][-1])):
-            found["start"] = missed
-        loop, (v, y) = self.rig.loop, (np.stack(signals[name]) for name in ("v", "y"))
-        units, reference = (
-            [loop.units[name] for name in loop.outputs],
-            self.reference[: k + 1],
-        )
+    def warnings(self, trials) -> dict[str, str]:
+        """What the last of the trials says, with those before it."""
+        k, texts = trials.sizes["trial"] - 1, {}
+        r = self.reference
+        if self.alike and k and np.array_equal(r[k, 0], r[0, 0]):
+            y = trials.y.values
+            if missed := self.start({"y": y}).missed(y[k]):
+                texts["start"] = missed
+        if self.law is None:
+            return texts
         if self.rig.actuators:
-            stacked = {name: np.stack(values) for name, values in signals.items()}
-            commands = commands_of(loop, reference + v, stacked)
-            u = commands["u"]
-            v = realised(
-                loop, v, u, commands.get("applied", self.law.actuators.follow(u))
-            )
-            if cut_off := commands_beyond(u[-1], loop.commands, self.law.limits):
-                found["limits"] = (
+            loop, last = self.rig.loop, trials.isel(trial=k)
+            u = commands_of(loop, last.reference + last.v, last)["u"].values
+            cut_off = commands_beyond(u, loop.commands, self.law.limits)
+            if cut_off:
+                texts["limits"] = (
                     f"{cut_off}, where they were cut off; v is learned within"
                 )
-        if self.law is None or self.law.L is None:
-            return found
-        given = v, reference - y, reference, loop.outputs, units
-        rates = (
-            (None, None) if loop.P is None else rates_of(loop.P, self.law.Q, self.law.L)
-        )
-        return found | Course(*given, 1, loop.P, *rates).findings()
+        return texts | diagnose(trials, self.law, first=k + 1)
 
     def start(self, signals) -> Start:
         """Where the first trial started."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rodlib.ilc.trials.diagnosis import noise_of
+from rodlib.ilc.trials.diagnosis import noise_std
 
 NEAR = 0.02  # of the largest reference in the same unit, that a start may be off
 SURE = 5.0  # standard deviations of the noise, likewise
@@ -30,7 +30,7 @@ class Start:
         shared = [
             max(size[j] for j, unit in enumerate(units) if unit == own) for own in units
         ]
-        noise = SURE * np.sqrt(2) * noise_of(y)  # both starts have it
+        noise = SURE * np.sqrt(2) * noise_std(y)  # both starts have it
         return cls(y[0], NEAR * np.array(shared) + noise, len(y), outputs, units)
 
     @property

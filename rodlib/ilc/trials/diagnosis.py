@@ -1,300 +1,352 @@
-"""Whether trials converge, told from their signals: what speaks against it is a finding, in words.
+"""Do trials converge as predicted? Warnings that their signals give, after each trial.
 
-Four things are watched: the error, which shall not grow; v, which shall not grow while the error
-stays; the outputs, which shall follow v as the loop's model says; and the rate at each frequency,
-which shall be no more than was promised. What noise does is told from the trials themselves: in a
-converged experiment their errors are independent and alike.
+Four checks, each against noise: the error must not grow; v must not keep growing while the error
+stagnates; the outputs must follow v as the loop's model predicts; the convergence rate must be the
+predicted one. How large noise is follows from the trials themselves: in a converged experiment
+their errors are independent and of equal variance.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from math import factorial
 
-import control
 import numpy as np
-from scipy.special import fdtrc
+import xarray as xr
+from scipy.special import fdtrc, stdtr
 
-from rodlib.ilc.models import frequency_response, state_sequence
-from rodlib.ilc.problem.problem import convergence_matrix, largest_singular_values
+from rodlib.ilc.evidence.convergence import Convergence, convergence
+from rodlib.ilc.law.law import Law
+from rodlib.ilc.law.limits import realised
+from rodlib.ilc.loop.closed import ClosedLoop
+from rodlib.ilc.models import state_sequence
 from rodlib.ilc.units import by_unit
 
-SURE = 1e-4  # probability of a false report by noise, in a trial
-RISES = 3  # in a row, from which on the error may be said to grow
-GROWTH = 1.5  # of the RMS over these rises; less is not worth a warning
-LEAP = 3.0  # times the largest RMS before: growth in one trial
-STEPS = 3  # of v, from which on it may be said to walk
-ALIGNED = 0.9  # cosine between two steps in the same direction; noise makes it negative
-HOLDS = 0.9  # of the first of these that the last one has
-STAYS = 0.97  # of the error before that is left
-WALKS = 0.3  # of the error, that these steps make together: a slow law does not
-MATTERS = 0.2  # of the error: how far the outputs must be foretold to move, to be asked whether
-FOLLOWS = 0.5  # of what was foretold: less is none of the model, whatever its accuracy
-STANDARD = 3.0  # standard deviations of that share
-LEARNED = (
-    5.0  # times the noise of one trial, that learning may make of it: see `_loudest`
+SIGNIFICANCE = 1e-4  # probability of a false warning by noise, in a test
+GROWTH = 1.5  # ratio of RMS errors that is worth a warning
+RISES, JUMP = (
+    3,
+    3.0,
+)  # in succession; or in one trial, relative to the largest RMS before
+AMPLIFICATION = 5.0  # largest effect of learning on the noise of a trial
+STAGNATION = 0.97  # ratio of RMS errors from which on the error counts as not falling
+STEPS = 3  # of v, from which on it may be said to keep growing
+STRAIGHT, STEADY = 0.95, 0.9  # its distance relative to its path, last step to first
+RELEVANT = 0.2  # smallest change of v or y, relative to the error
+FOLLOWED = 0.5  # share of a predicted change of y; with less, the model does not hold
+EXCESS = (
+    0.05  # smallest error beyond the predicted one, in an octave, relative to the error
 )
-ROUNDING = 1e-9  # of the largest signal
-GRID = 200  # frequencies at which the rate of the model is asked for
-BREAKS = (
-    0.05  # of the error: by how much more must be left in an octave than was promised
-)
-BACK = 6  # trials in which a rate is compared with the noise of the later ones
+ROUNDING = 1e-9  # relative to the largest signal
+GRID = np.geomspace(1e-4, 1, 200) * np.pi  # omega Ts of the predicted rate
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
-    """The trials so far, in order: v, e, reference and outputs' names and units."""
+class History:
+    """Trials in order, with outputs of one unit; signals have the shape (trial, time, channel)."""
 
-    v: np.ndarray  # shape (trial, time, channel)
+    numbers: np.ndarray  # of the trials
+    outputs: str  # their names, in words; empty if these are all
+    names: list[str]
+    v: np.ndarray
     e: np.ndarray
     reference: np.ndarray
-    outputs: Sequence[str]
-    units: Sequence[str]
-    first: int = 1  # number of the first trial
-    P: control.StateSpace | None = (
-        None  # what the outputs shall follow v by; None: not known
+    predicted: np.ndarray | None  # errors, see `predicted_errors`
+    convergence: Convergence | None
+    gain: float
+    Ts: float
+
+    @cached_property
+    def rms(self) -> np.ndarray:
+        """RMS of the error of each trial, summed over the channels."""
+        return rms(self.e)
+
+    @cached_property
+    def since(self) -> np.ndarray:
+        """Index of the first of the trials in succession that have each trial's reference."""
+        changes = np.any(np.diff(self.reference, axis=0) != 0, axis=(1, 2))
+        first = np.arange(len(self.e)) * np.append(True, changes)
+        return np.maximum.accumulate(first)
+
+
+def diagnose(
+    trials: xr.Dataset, law: Law, first: int = 2, exact: bool = False
+) -> dict[str, str]:
+    """What the signals of trials say against the convergence of the law that made them.
+
+    Parameters
+    ----------
+    trials : xarray.Dataset
+        Successive trials, as from :func:`rodlib.run_trials`.
+    law : Law
+        If it is bound to a loop with a model P, predictions are checked, too.
+    first : int
+        The first trial to be judged, counted from 1.
+    exact : bool
+        Whether the trials were simulated on the model itself: then it is not checked.
+
+    Returns
+    -------
+    dict
+        The first warning of each kind: "error", "v", "model", "rate".
+    """
+    warnings = {}
+    if law.L is None:
+        return warnings
+    checks = CHECKS if exact else CHECKS | MODEL_CHECKS
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # of 1e200
+        for history in histories(trials, law):
+            for k in range(max(1, first - 1), len(history.e)):
+                for kind, check in checks.items():
+                    text = None if kind in warnings else check(history, k)
+                    if text:
+                        warnings[kind] = text
+    return warnings
+
+
+def histories(trials: xr.Dataset, law: Law) -> list[History]:
+    """The trials, split by the units of their outputs."""
+    e, reference, v = trials.e.values, trials.reference.values, applied_v(trials, law)
+    names, units = trials.output.values, by_unit(trials.output_unit.values.tolist())
+    P = None if law.loop is None else law.loop.P
+    predicted, rate = None, None
+    if P is not None:
+        predicted = predicted_errors(v, e, reference, P)
+        rate = convergence(P, law.Q, law.L, GRID / law.Ts)
+    return [
+        History(
+            numbers=trials.trial.values,
+            outputs=f" of {', '.join(names[channels])}" if len(units) > 1 else "",
+            names=names[channels].tolist(),
+            v=v[..., channels],
+            e=e[..., channels],
+            reference=reference[..., channels],
+            predicted=None if P is None else predicted[..., channels],
+            convergence=rate,
+            gain=law.gain,
+            Ts=law.Ts,
+        )
+        for channels in units.values()
+    ]
+
+
+def applied_v(trials: xr.Dataset, law: Law) -> np.ndarray:
+    """The v of trials; with limits, that for which the loop asks for what was applied."""
+    v = trials.v.values
+    if not law.limits:
+        return v
+    u = (
+        trials.reference.values + v
+        if isinstance(law.loop, ClosedLoop)
+        else trials.u.values
     )
-    rate: float | None = None  # max sigma(M) of the model with this law, if known
-    turned: float | None = None  # and with -L
-    sigma: np.ndarray | None = None  # omega Ts and sigma_max(M) there, as two rows
+    applied = trials.applied.values if "applied" in trials else law.actuators.follow(u)
+    return realised(law.loop, v, u, applied)
 
-    def findings(self, k: int = -1) -> dict[str, str]:
-        """What the trial with the index k says, with those before it, by kind."""
-        k = range(len(self.v))[k]
-        found = {
-            "error": self._grows(k),
-            "v": self._walks(k),
-            "model": self._contradicts(k),
-        }
-        found["rate"] = self._breaks_its_promise(k)
-        return {kind: text for kind, text in found.items() if text}
 
-    def all_findings(self) -> dict[str, str]:
-        """The first finding of each kind."""
-        found = {}
-        for k in range(1, len(self.v)):
-            found = self.findings(k) | found
-        return found
+def predicted_errors(v, e, reference, P) -> np.ndarray:
+    """What e would be by the trial before and the model, e_k + r_{k+1} - r_k - P (w_{k+1} - w_k).
 
-    def _named(self, channels):
-        return (
-            "" if len(channels) == len(self.outputs) else f" of {self._list(channels)}"
-        )
+    Nothing is predicted of the first trial, which is NaN.
+    """
+    predicted = np.full_like(e, np.nan)
+    for k, change in enumerate(np.diff(reference + v, axis=0), 1):
+        states = state_sequence(P.A, change @ P.B.T, np.zeros(P.nstates))
+        moved = states @ P.C.T + change @ P.D.T
+        predicted[k] = e[k - 1] + reference[k] - reference[k - 1] - moved
+    return predicted
 
-    def _list(self, channels):
-        return ", ".join(self.outputs[i] for i in channels)
 
-    def _alike(self, k):
-        """The first of the trials up to k that have its reference."""
-        while k and np.array_equal(self.reference[k - 1], self.reference[k]):
-            k -= 1
-        return k
+def error_grows(history: History, k: int) -> str | None:
+    """Null hypothesis: errors of the trials with this reference are noise of one variance.
 
-    def _grows(self, k):
-        start = self._alike(k)
-        for channels in by_unit(self.units).values():
-            x = size(self.e[start : k + 1, :, channels])
-            least = ROUNDING * np.abs(self.reference[k][:, channels]).max()
-            x = np.maximum(x, max(least, ROUNDING * x.max(), np.finfo(float).tiny))
-            since = len(x) - 1
-            while since and x[since - 1] < x[since]:
-                since -= 1
-            rises = len(x) - 1 - since
-            loud = self._loudest() * np.linalg.norm(noise_of(self.e[0][:, channels]))
-            if not rises or x[-1] < max(GROWTH * x[since], loud):
-                continue
-            freedom = freedom_of(self.e[k][:, channels] - self.e[k - 1][:, channels])
-            grown, leap = x[-1] / x[since], x[-1] / x[:-1].max()
-            slowly = rises >= RISES and by_noise(grown, freedom, rises) < SURE
-            if slowly or (leap >= LEAP and by_noise(leap, freedom) < SURE):
-                number = self.first + start + since
-                return (
-                    f"the error{self._named(channels)} grows, by more than noise explains: its RMS "
-                    f"was {x[since]:.3g} in trial {number} and is {x[-1]:.3g} in trial "
-                    f"{self.first + k}. {self._why(self.e[k][:, channels])}"
-                )
+    It is tested where the error rose several times in succession, or to a multiple at once.
+    """
+    start = history.since[k]
+    size = history.rms[start : k + 1]
+    size = np.maximum(size, ROUNDING * max(np.abs(history.reference[k]).max(), *size))
+    lowest = np.flatnonzero(np.append(True, size[1:] <= size[:-1]))[-1]
+    rises = len(size) - 1 - lowest
+    noise = AMPLIFICATION * np.linalg.norm(noise_std(history.e[0]))
+    if not rises or size[-1] < max(GROWTH * size[lowest], noise):
         return None
+    freedom = degrees_of_freedom(spectrum(history.e[k] - history.e[k - 1])).item()
+    growth, jump = size[-1] / size[lowest], size[-1] / size[:-1].max()
+    in_succession = rises >= RISES and chance(growth, freedom, rises + 1) < SIGNIFICANCE
+    at_once = jump >= JUMP and chance(jump, freedom, 2) < SIGNIFICANCE
+    if not (in_succession or at_once):
+        return None
+    return (
+        f"the error{history.outputs} grows, by more than noise explains: its RMS was "
+        f"{size[lowest]:.3g} in trial {history.numbers[start + lowest]} and is "
+        f"{size[-1]:.3g} in trial {history.numbers[k]}. {_cause(history, k)}"
+    )
 
-    def _loudest(self):
-        """What learning makes of the noise of a trial, at most, if it converges.
 
-        That is sqrt(1 + |Q P L|^2 / (1 - |M|^2)), where Q P L = Q - M is below 1 + |M|.
-        """
-        known = self.rate is not None and self.rate < 1
-        return min(np.sqrt(2 / (1 - self.rate)), 2 * LEARNED) if known else LEARNED
+def chance(ratio: float, freedom: float, trials: int) -> float:
+    """Probability that so many errors of equal variance are in increasing order, and rise so far.
 
-    def _why(self, e):
-        """Where it grows, and what the model says of growth."""
-        remedy = "learn less, by a lower cut-off or a smaller step"
-        if self.turned is not None and self.turned < 1 <= self.rate:
+    Two mean squares with so many degrees of freedom have an F-distributed ratio; the largest and
+    the smallest are one of n (n - 1) ordered pairs (Bonferroni). Whatever their sizes are, n errors
+    are in increasing order with probability 1 / n!.
+    """
+    pairs = trials * (trials - 1)
+    exceeds = pairs * fdtrc(freedom, freedom, min(ratio, 1e100) ** 2)
+    return min(1.0, exceeds) / factorial(min(trials, 100))
+
+
+def _cause(history, k):
+    """Where the error grows, and what the model predicts."""
+    power = np.sum(history.e[k] ** 2, axis=1)
+    tenth = max(1, len(power) // 10)
+    for part, name in ((power[:tenth], "first"), (power[-tenth:], "last")):
+        if part.sum() > power.sum() / 2:
             return (
-                f"By the loop's own model sigma_max(M) reaches {self.rate:.3g}, but with -L only "
-                f"{self.turned:.3g}: likely L has the wrong sign, as for e = y - reference"
+                f"Most of it is in the {name} tenth of the trial, where the filters need "
+                "signals beyond its ends: let reference or v rest there, or choose other "
+                "ends of Q and L"
             )
-        power, tenth = np.sum((e / np.abs(e).max()) ** 2, axis=1), max(1, len(e) // 10)
-        for part, where, cure in (
-            (power[:tenth], "first", "let the reference rest at first"),
-            (power[-tenth:], "last", "let v rest there"),
-        ):
-            if part.sum() > power.sum() / 2:
-                return (
-                    f"Most of it is in the {where} tenth of the trial, where the filters reach "
-                    f"beyond what was recorded: {cure}, or choose other ends of Q and L"
-                )
-        if self.rate is None:
-            return f"If nothing new disturbs the trials, the law diverges: {remedy}"
-        if self.rate >= 1:
-            return f"By the loop's own model sigma_max(M) reaches {self.rate:.3g}: {remedy}"
-        return (
-            f"By the loop's model it would not, as sigma_max(M) <= {self.rate:.3g}: if nothing new "
-            f"disturbs the trials, the plant is another. Measure P (shake), or {remedy}"
-        )
+    remedy = "learn less, by a lower cut-off of Q or a smaller learning gain"
+    if history.convergence is None:
+        return f"Unless there was a new disturbance, the law diverges: {remedy}"
+    gamma = history.convergence.gamma
+    if gamma >= 1:
+        return f"By the loop's model, too, sigma_max(M) reaches {gamma:.3g}: {remedy}"
+    return (
+        f"By the loop's model sigma_max(M) <= {gamma:.3g}: unless there was a new disturbance, "
+        f"the plant differs from the model. Measure P (shake), or {remedy}"
+    )
 
-    def _walks(self, k):
-        if k < self._alike(k) + STEPS:
-            return None
-        for channels in by_unit(self.units).values():
-            v, e = (s[k - STEPS : k + 1][:, :, channels] for s in (self.v, self.e))
-            steps, x, length = np.diff(v, axis=0), size(e), size(v)
-            s = size(steps)
-            if not s.min() > ROUNDING * length.max() or not np.all(np.diff(length) > 0):
-                continue
-            cosines = (steps[1:] * steps[:-1]).sum(axis=2).mean(axis=1) / (
-                s[1:] * s[:-1]
-            )
-            walked = size((v[-1] - v[0])[None])[0]
-            if (
-                cosines.min() >= ALIGNED
-                and s[-1] >= HOLDS * s[0]
-                and STAYS <= x[-1] / x[0] < GROWTH
-                and walked >= WALKS * x[-1]
-            ):
-                return (
-                    f"v{self._named(channels)} grows while the error does not fall: by "
-                    f"{s[-1]:.3g} a trial, always in the same direction, and the RMS of the error "
-                    f"is {x[0]:.3g} in trial {self.first + k - STEPS} and {x[-1]:.3g} in trial "
-                    f"{self.first + k}. An actuator at its limit, perhaps: what the plant cannot "
-                    "follow is no error to learn from"
-                )
+
+def v_grows(history: History, k: int) -> str | None:
+    """v keeps growing, straight on and as fast as before, while the error stagnates."""
+    start = k - STEPS
+    if start < history.since[k]:
         return None
-
-    def _contradicts(self, k):
-        """Twice in succession, as something new may have disturbed one trial."""
-        if self.P is None or k < 2:
-            return None
-        lags = self._lags(k)
-        worst = np.flatnonzero(~np.isnan(lags + self._lags(k - 1)))
-        if not worst.size:
-            return None
-        return (
-            f"{self._list(worst)} of trials {self.first + k - 1} and {self.first + k} contradict "
-            f"the loop's model: of what v was to change in them, {lags[worst].min():.0%} "
-            "came, and the error does not fall. Look for a sensor or an actuator that is at its "
-            "limit, exchanged or reversed; else measure P (shake)"
-        )
-
-    def _lags(self, k):
-        """The share in which each output followed the change of w; NaN if it did, or may have."""
-        w = self.reference[[k - 1, k]] + self.v[[k - 1, k]]
-        change = w[1] - w[0]
-        shares = np.full(change.shape[1], np.nan)
-        x = np.sqrt(np.mean(self.e[[k - 1, k]] ** 2, axis=1))
-        if not np.any(x[1] > STAYS * x[0]):
-            return shares
-        foretold = self._answer(change)
-        y = self.reference[[k - 1, k]] - self.e[[k - 1, k]]
-        moved = y[1] - y[0]
-        for i in np.flatnonzero(x[1] > STAYS * x[0]):
-            length = np.sqrt(np.mean(foretold[:, i] ** 2))
-            if length <= max(MATTERS * x[1, i], ROUNDING * np.abs(y).max()):
-                continue
-            share = np.mean(moved[:, i] * foretold[:, i]) / length**2
-            rest = moved[:, [i]] - share * foretold[:, [i]]
-            deviation = size(rest[None])[0] / length / np.sqrt(freedom_of(rest))
-            if share + STANDARD * deviation < FOLLOWS:
-                shares[i] = share
-        return shares
-
-    def _answer(self, change):
-        """What a change of w does to the outputs, by the model."""
-        states = state_sequence(self.P.A, change @ self.P.B.T, np.zeros(self.P.nstates))
-        return states @ self.P.C.T + change @ self.P.D.T
-
-    def reached(self, k: int, channels=slice(None)) -> dict[str, np.ndarray]:
-        """By octaves, up to `frequency` (rad/s): what trial k + 1 has of the error of trial k.
-
-        `promised` is sigma_max(M), for endless trials; `foretold` is what the model makes of the v
-        that was recorded, ends included; `noise` the share of white noise, as large as neighbours
-        in time differ; `before` is the RMS of the error of trial k.
-        """
-        moved = np.diff((self.reference + self.v)[k : k + 2], axis=0)[0]
-        foretold = (
-            self.e[k] + self.reference[k + 1] - self.reference[k] - self._answer(moved)
-        )
-        signals = np.stack([self.e[k], foretold, self.e[k + 1]])[..., channels]
-        before, *after = amplitudes(signals)
-        edges = (
-            np.append(octaves(len(moved)), len(moved) // 2 + 1) * 2 * np.pi / len(moved)
-        )
-        within = np.geomspace(np.maximum(edges[:-1], self.sigma[0, 0]), edges[1:], 9)
-        promised = np.interp(within, *self.sigma).max(axis=0)
-        white = np.linalg.norm(noise_of(self.e[k + 1][:, channels]))
-        noise = white * np.sqrt(np.diff(edges) / edges[-1])
-        before = np.maximum(before, np.finfo(float).tiny)
-        shares = dict(
-            zip(("foretold", "reached", "noise"), (*after, noise) / before, strict=True)
-        )
-        return {
-            "frequency": edges[1:] / self.P.dt,
-            "before": before,
-            "promised": promised,
-        } | shares
-
-    def _breaks_its_promise(self, k):
-        """Falls less than promised, by more than noise, which is how the last trials differ."""
-        start = max(self._alike(k), k - BACK)
-        if self.P is None or self.sigma is None or k < start + 4:
-            return None
-        for channels in by_unit(self.units).values():
-            e = self.e[start : k + 1][:, :, channels]
-            e = e / max(np.abs(e).max(), np.finfo(float).tiny)
-            x, total = amplitudes(e), size(e)
-            changed = np.diff(e, axis=0).swapaxes(1, 2)[
-                ..., None
-            ]  # each channel by itself
-            power = power_of(changed) / 2  # if it was noise, that of one trial
-            noise = by_octave(power.sum(axis=1))
-            squares = by_octave((power[-1] ** 2).sum(axis=0)) + ROUNDING**4
-            freedom = np.maximum(2, 2 * noise[-1] ** 2 / squares)
-            for i in range(k - start - 3):
-                if not np.any(x[i + 1] > BREAKS * total[i]):
-                    continue
-                of = self.reached(start + i, channels)
-                excess = x[i + 1] - np.maximum(of["promised"], of["foretold"]) * x[i]
-                later = noise[i + 2 :][-3:]
-                ratio = np.maximum(excess, 0) ** 2 / (later.mean(axis=0) + ROUNDING**2)
-                chance = fdtrc(freedom, freedom * (len(later) + 1) / 2, ratio) * len(
-                    ratio
-                )
-                broken = (
-                    (chance < SURE) & (excess > BREAKS * total[i]) & (x[i + 1] < x[i])
-                )
-                if broken.any():
-                    return self._slowly(start + i, np.argmax(broken * excess), channels)
+    v, error = history.v[start : k + 1], history.rms[start : k + 1]
+    steps = rms(np.diff(v, axis=0))
+    (distance,) = rms(v[-1:] - v[:1])
+    straight = distance >= STRAIGHT * steps.sum()
+    steady = steps[-1] >= STEADY * steps[0] > ROUNDING * rms(v).max()
+    stagnates = STAGNATION <= error[-1] / error[0] < GROWTH
+    if not (straight and steady and stagnates and distance >= RELEVANT * error[-1]):
         return None
+    return (
+        f"v{history.outputs} keeps growing while the error stagnates: by {steps[-1]:.3g} a "
+        f"trial, in one direction, and the RMS of the error is {error[0]:.3g} in trial "
+        f"{history.numbers[start]} and {error[-1]:.3g} in trial {history.numbers[k]}. Is an "
+        "actuator at its limit? Pass the limits to the law"
+    )
 
-    def _slowly(self, k, octave, channels):
-        """What is said of a rate that is not the one promised."""
-        of = {
-            name: values[octave] for name, values in self.reached(k, channels).items()
-        }
-        return (
-            f"the rate is not the promised one: up to {of['frequency']:.2g} rad/s, trial "
-            f"{self.first + k + 1} has {of['reached']:.2f} of the error{self._named(channels)} of "
-            f"the one before; the loop's model foretells {of['foretold']:.2f}, sigma_max(M) is "
-            f"{of['promised']:.2f} at most, and noise is less. If nothing new disturbed it, the "
-            "plant is another: measure P (shake), or expect what was reached"
-        )
+
+def model_contradicted(history: History, k: int) -> str | None:
+    """Outputs do not follow v, in two successive trials: one may have a new disturbance."""
+    if history.predicted is None or k < 2:
+        return None
+    names = [
+        name
+        for i, name in enumerate(history.names)
+        if _ignores_v(history, k - 1, i) and _ignores_v(history, k, i)
+    ]
+    if not names:
+        return None
+    return (
+        f"{', '.join(names)} of trials {history.numbers[k - 1]} and {history.numbers[k]} "
+        "contradict the loop's model: not half of the change that it predicts came, and the "
+        "error does not fall. Is a sensor or an actuator at its limit, exchanged or reversed? "
+        "Else measure P (shake)"
+    )
+
+
+def _ignores_v(history, k, i):
+    """t test of the share of its predicted change that output i made, if its error did not fall.
+
+    The share is the regression coefficient of the change on its prediction. Null hypothesis: it is
+    FOLLOWED or more. Of two trials, both are rejected by chance with the square of the probability.
+    """
+    error, before = history.e[k, :, i], history.e[k - 1, :, i]
+    shift = history.reference[k, :, i] - history.reference[k - 1, :, i]
+    change = shift - error + before
+    predicted = shift - history.predicted[k, :, i] + before
+    size = np.linalg.norm(predicted)
+    share = change @ predicted / size**2
+    residual = change - share * predicted
+    freedom = degrees_of_freedom(spectrum(residual[:, None])).item()
+    standard_error = np.linalg.norm(residual) / size / np.sqrt(freedom)
+    p = stdtr(freedom, (share - FOLLOWED) / standard_error)
+    left = np.linalg.norm(error)
+    falls = left <= STAGNATION * np.linalg.norm(before)
+    return p < np.sqrt(SIGNIFICANCE) and not falls and size > RELEVANT * left
+
+
+def converges_slowly(history: History, k: int) -> str | None:
+    """F test, octave by octave, of the first two trials with this reference.
+
+    Null hypothesis: the error of the second one is at most the predicted one, plus noise with the
+    variance of the last three trials about their mean. The numerator is the squared excess over
+    the prediction, with the n degrees of freedom of a trial in this octave; the denominator is
+    that variance, with 2 n. Bonferroni corrects for the number of octaves.
+    """
+    i = history.since[k]
+    if history.predicted is None or k < i + 4:
+        return None
+    table = error_by_octave(history, i + 1)
+    bound = np.maximum(table["bound"], table["predicted"])
+    excess = table["before"] * np.maximum(table["measured"] - bound, 0)
+
+    last = history.e[k - 2 : k + 1]
+    power = spectrum(last - last.mean(axis=0)).sum(axis=0) / 2
+    edges = octaves(len(history.e[k]))
+    variance = np.add.reduceat(power.sum(axis=1), edges)
+    variance += (ROUNDING * np.abs(last).max()) ** 2
+    freedom = degrees_of_freedom(power, edges)
+    p = len(edges) * fdtrc(freedom, 2 * freedom, excess**2 / variance)
+
+    falls, relevant = table["measured"] < 1, excess > EXCESS * history.rms[i]
+    slow = falls & relevant & (p < SIGNIFICANCE)
+    if not slow.any():
+        return None
+    worst = np.argmax(slow * excess)
+    row = {name: column[worst] for name, column in table.items()}
+    return (
+        f"the convergence rate is not the predicted one: up to {row['frequency']:.2g} rad/s, "
+        f"trial {history.numbers[i + 1]} has {row['measured']:.2f} of the error"
+        f"{history.outputs} of the one before; the loop's model predicts "
+        f"{row['predicted']:.2f}, sigma_max(M) is {row['bound']:.2f} at most, and noise is "
+        "less. Unless there was a new disturbance, the plant differs from the model: measure P "
+        "(shake), or expect this rate"
+    )
+
+
+CHECKS = {"error": error_grows, "v": v_grows}
+MODEL_CHECKS = {"model": model_contradicted, "rate": converges_slowly}
+
+
+def error_by_octave(history: History, k: int) -> dict[str, np.ndarray]:
+    """The error of trial k relative to that of the one before, by octaves up to `frequency`, rad/s.
+
+    `before` is the RMS of the error of the trial before. Relative to it, `bound` is sigma_max(M),
+    for trials without ends; `predicted` follows from the model and the v that was recorded, ends
+    included; `measured` is the error of trial k, and `noise` its share of white noise, as large as
+    differences between neighbours in time are.
+    """
+    samples, convergence = len(history.e[k]), history.convergence
+    first = octaves(samples)
+    edges = np.append(first, samples // 2 + 1) * 2 * np.pi / (samples * history.Ts)
+    inside = np.geomspace(np.maximum(edges[:-1], convergence.omega[0]), edges[1:], 9)
+    sigma = np.interp(inside, convergence.omega, convergence.sigma).max(axis=0)
+    signals = np.stack([history.e[k - 1], history.predicted[k], history.e[k]])
+    power = np.add.reduceat(spectrum(signals).sum(axis=-1), first, axis=-1)
+    before, predicted, measured = np.sqrt(power)
+    before = np.maximum(before, np.finfo(float).tiny)
+    white = np.linalg.norm(noise_std(history.e[k]))
+    return {
+        "frequency": edges[1:],
+        "before": before,
+        "bound": 1 - history.gain * (1 - sigma),
+        "predicted": predicted / before,
+        "measured": measured / before,
+        "noise": white * np.sqrt(np.diff(edges) / edges[-1]) / before,
+    }
 
 
 def octaves(samples: int) -> np.ndarray:
@@ -302,68 +354,29 @@ def octaves(samples: int) -> np.ndarray:
     return np.append(0, 2 ** np.arange(1, (samples // 2).bit_length()))
 
 
-def power_of(signals) -> np.ndarray:
-    """Mean square of signals (..., time, channel) at each harmonic, summed over the channels."""
+def spectrum(signals) -> np.ndarray:
+    """Mean square of signals (..., time, channel) at each harmonic, (..., harmonic, channel)."""
     samples = signals.shape[-2]
-    power = np.sum(np.abs(np.fft.rfft(signals, axis=-2) / samples) ** 2, axis=-1)
-    power[..., 1 : (samples + 1) // 2] *= 2
+    power = np.abs(np.fft.rfft(signals, axis=-2) / samples) ** 2
+    power[..., 1 : (samples + 1) // 2, :] *= 2
     return power
 
 
-def amplitudes(signals) -> np.ndarray:
-    """RMS of signals (..., time, channel) in each octave, summed over the channels."""
-    largest = max(np.abs(signals).max(), np.finfo(float).tiny)
-    return largest * np.sqrt(by_octave(power_of(signals / largest)))
+def degrees_of_freedom(power, edges=(0,)) -> np.ndarray:
+    """Degrees of freedom of a mean square, by its spectrum (harmonic, channel), in each octave."""
+    total, squares = (
+        np.add.reduceat(values.sum(axis=1), edges) for values in (power, power**2)
+    )
+    return np.maximum(2, 2 * total**2 / np.maximum(squares, np.finfo(float).tiny))
 
 
-def by_octave(lines) -> np.ndarray:
-    """Sums of what stands at the harmonics, octave by octave."""
-    return np.add.reduceat(lines, octaves(2 * lines.shape[-1] - 2), axis=-1)
+def rms(signals) -> np.ndarray:
+    """RMS of each of the signals (trial, time, channel), summed over the channels."""
+    return np.sqrt(np.sum(signals**2, axis=2).mean(axis=1))
 
 
-def size(signals) -> np.ndarray:
-    """The RMS of each of the signals (trial, time, channel), summed over the channels."""
-    largest = np.abs(signals).max(
-        initial=np.finfo(float).tiny
-    )  # whose square may be no number
-    return largest * np.sqrt(np.sum((signals / largest) ** 2, axis=2).mean(axis=1))
-
-
-def noise_of(signals) -> np.ndarray:
+def noise_std(signals) -> np.ndarray:
     """Standard deviation of white noise in signals (time, channel), from neighbours in time."""
     if len(signals) < 3:
         return np.zeros(signals.shape[1])
-    largest = max(np.abs(signals).max(), np.finfo(float).tiny)
-    return largest * np.sqrt(
-        np.mean(np.diff(signals / largest, 2, axis=0) ** 2, axis=0) / 6
-    )
-
-
-def freedom_of(signal) -> float:
-    """How many independent values a signal (time, channel) is worth, from its spectrum."""
-    power = np.abs(np.fft.rfft(signal / max(np.abs(signal).max(), 1e-300), axis=0)) ** 2
-    return 2.0 if not power.any() else max(2.0, 2 * power.sum() ** 2 / np.sum(power**2))
-
-
-def by_noise(ratio, freedom, rises=None) -> float:
-    """Probability that of independent, alike errors the last is `ratio` times the first.
-
-    Two mean squares of so many degrees of freedom have a ratio that is F-distributed. With `rises`,
-    so many of them in a row besides: of all orders of the errors, that is one.
-    """
-    exceeds = fdtrc(freedom, freedom, min(ratio, 1e100) ** 2)
-    if rises is None:
-        return exceeds
-    return min(1.0, rises * (rises + 1) * exceeds) / factorial(min(rises + 1, 100))
-
-
-def rates_of(P: control.StateSpace, Q, L) -> tuple[float, float, np.ndarray]:
-    """max sigma(M) of a model with a law, and with -L; and where: omega Ts, sigma(M). Lemma 1."""
-    grid = np.geomspace(1e-4, 1, GRID) * np.pi
-    responses = frequency_response(P, grid / Q.Ts), Q.frequency_response(grid / Q.Ts)
-    L = L.frequency_response(grid / Q.Ts)
-    M, turned = (
-        largest_singular_values(convergence_matrix(*responses, response))
-        for response in (L, -L)
-    )
-    return float(M.max()), float(turned.max()), np.stack([grid, M])
+    return np.sqrt(np.mean(np.diff(signals, 2, axis=0) ** 2, axis=0) / 6)

@@ -12,7 +12,7 @@ from rodlib.ilc.law.law import Law
 from rodlib.ilc.law.limits import realised
 from rodlib.ilc.loop.closed import ClosedLoop, Loop, with_noise
 from rodlib.ilc.models import state_sequence
-from rodlib.ilc.trials.diagnosis import Course, rates_of
+from rodlib.ilc.trials.diagnosis import diagnose
 
 
 def run_trials(
@@ -103,12 +103,10 @@ def run_trials(
         e = r[k] - signals["y"] - noise[k]
         return {"e": e} | commands_of(loop, w, signals)
 
-    errors = learn(trial, law, first, trials)
+    learn(trial, law, first, trials)
     signals = {name: np.stack([s[name] for s in results]) for name in results[0]}
-    if law.L is not None:
-        _warn_of(loop, law, r, errors, signals, plant)
     signals["y"] = signals["y"] + noise
-    return dataset(
+    result = dataset(
         loop.Ts,
         loop.outputs,
         loop.controls if "u" in signals else [],
@@ -118,6 +116,9 @@ def run_trials(
         disturbance=d,
         **signals,
     )
+    for text in diagnose(result, law, exact=plant is None).values():
+        warnings.warn(text, stacklevel=2)
+    return result
 
 
 def learn(trial: Callable, law: Law, v, trials: int) -> np.ndarray:
@@ -139,21 +140,6 @@ def commands_of(loop: Loop, w, signals: dict) -> dict:
     if isinstance(loop, ClosedLoop):
         return {"u": w}
     return {name: signals[name] for name in ("u", "applied") if name in signals}
-
-
-def _warn_of(loop, law, r, errors, signals, plant):
-    """Warn of trials that do not converge."""
-    v = signals["v"]
-    if law.actuators is not None:
-        commands = commands_of(loop, r + v, signals)
-        applied = commands.get("applied", law.actuators.follow(commands["u"]))
-        v = realised(loop, v, commands["u"], applied)
-    units = [loop.units[name] for name in loop.outputs]
-    rates = rates_of(loop.P, law.Q, law.L)
-    P = None if plant is None else loop.P
-    course = Course(v, errors, r, loop.outputs, units, 1, P, *rates)
-    for finding in course.all_findings().values():
-        warnings.warn(finding, stacklevel=3)
 
 
 def _simulator(loop, plant, actuators):

@@ -159,11 +159,15 @@ def knobs_of(settings: Settings) -> dict[str, widgets.DOMWidget]:
         "M_max": _slider("M_max", settings.M_max, 0.05, 0.999, 0.001),
         "L_max": _log_slider("L_max", settings.L_max),
         "cutoff": _log_slider("cut-off (rad/s)", settings.cutoff),
-        "Q_order": _counter("order of Q", settings.Q_order, 6),
-        "order": _counter("order of L", settings.order, orders),
+        "Q_order": _knob(
+            widgets.IntSlider, "order of Q", settings.Q_order, min=1, max=6
+        ),
+        "order": _knob(
+            widgets.IntSlider, "order of L", settings.order, min=1, max=orders
+        ),
         "structure": _choice("structure", ["diagonal", "full"]),
-        "low": _field("band from (rad/s)", low),
-        "high": _field("band to (rad/s)", high),
+        "low": _knob(widgets.FloatText, "band from (rad/s)", low),
+        "high": _knob(widgets.FloatText, "band to (rad/s)", high),
         "uncertainty": _slider(
             "uncertainty (%)", settings.uncertainty, 0, 20, 0.5, plant.measured
         ),
@@ -181,14 +185,6 @@ def _log_slider(name, value):
     low = floor(log10(value)) - 1
     options = {"min": low, "max": low + 3, "step": 0.02, "readout_format": ".3g"}
     return _knob(widgets.FloatLogSlider, name, value, **options)
-
-
-def _counter(name, value, high):
-    return _knob(widgets.IntSlider, name, value, min=1, max=high)
-
-
-def _field(name, value):
-    return _knob(widgets.FloatText, name, value)
 
 
 def _choice(name, options):

@@ -17,12 +17,14 @@ from matplotlib.figure import Figure
 
 from rodlib.ilc import Synthesis, arguments
 from rodlib.ilc.logs.log import signals_of
-from rodlib.ilc.report import by_unit, rms_by_trial, with_unit
+from rodlib.ilc.logs.replay import rms_by_trial
+from rodlib.ilc.units import by_unit, with_unit
 from rodlib.ilc.workbench.outcome import Outcome
 
 SIZE = (7.6, 5.2)  # inches, of a design
 WIDTH, HEIGHT = 7.2, 2.3  # inches, of one axes of trials
 STYLE = {
+    "axes.autolimit_mode": "round_numbers",
     "axes.grid": True,
     "axes.titlelocation": "left",
     "axes.titlesize": 9,
@@ -39,7 +41,6 @@ SHADES = ("black", "tab:red", "tab:blue", "tab:green", "tab:orange")
 ENTRIES = [  # of a filter
     {"color": shade, "linestyle": style} for style, shade in product(("-", ":"), SHADES)
 ]
-ROUND = np.array([1, 1.5, 2, 3, 5, 7, 10])
 
 
 def plot(
@@ -65,13 +66,12 @@ def plot(
     """
     import matplotlib.pyplot as plt  # here, because it takes long to import
 
-    kinds = Synthesis | Outcome | xr.Dataset
-    if not isinstance(item, kinds):
+    designs = Synthesis | Outcome
+    if not isinstance(item, designs | xr.Dataset):
         raise ValueError(
-            f"item = {reprlib.repr(item)} must be a Synthesis, an Outcome or a Dataset "
-            "of trials"
+            f"item = {reprlib.repr(item)} must be a Synthesis, an Outcome or trials"
         )
-    if before is not None and not isinstance(before, Synthesis | Outcome):
+    if not isinstance(before, designs | None):
         raise ValueError(
             f"before = {reprlib.repr(before)} must be a Synthesis or an Outcome"
         )
@@ -136,35 +136,29 @@ class Picture:
             axes.set_visible(outcome.design is not None)
             for line in [*axes.lines]:
                 line.remove()
-        self.key.set_text("")
-        self.message.set_text("")
+        key = message = ""
         if outcome.design is None:
-            self.message.set_text(textwrap.fill(outcome.message, 80))
-            return self
-        outcomes = [outcome]
-        key = (
-            "black: this filter    red: its bounds    dotted: its mean rate in the band"
-        )
-        if before is not None and _comparable(before, outcome):
-            outcomes.append(before)
-            self._draw(before, BEFORE)
-            key += "    gray: the filter before"
-        self._draw(outcome, DESIGN)
-        self._draw_bounds(outcome.design.problem)
-        self._set_limits(outcomes)
-        self._set_labels(outcome)
+            message = textwrap.fill(outcome.message, 80)
+        else:
+            key = "black: this filter    red: its bounds    dotted: its mean rate in the band"
+            if before is not None and _comparable(before, outcome):
+                key += "    gray: the filter before"
+                self._draw(before, BEFORE)
+            self._draw(outcome, DESIGN)
+            self._frame(outcome)
         self.key.set_text(key)
+        self.message.set_text(message)
         return self
 
     def _draw(self, outcome, look):
         """The lines of an outcome; the entries of a filter have a look each, unless in gray."""
         (rate, trials), (gain, lags) = self.axes
-        design = outcome.design
+        design, problem = outcome.design, outcome.design.problem
         rate.plot(design.omega, design.sigma_M, **look)
         gain.plot(design.omega, design.sigma_L, **look)
-        if design.problem.objective == "sum":
+        if problem.objective == "sum":
             mean = [design.certificate.mean_M] * 2
-            rate.plot(design.problem.band, mean, **look | {"linestyle": ":"})
+            rate.plot(problem.band, mean, **look | {"linestyle": ":"})
         numbers = np.arange(1, len(outcome.rms) + 1)
         trials.plot(numbers, outcome.rms, "o-", markersize=4, **look)
         ahead = np.arange(1, design.filter.order + 1)
@@ -172,41 +166,30 @@ class Picture:
         for (name, values), look in zip(entries(design).items(), looks, strict=False):
             lags.plot(ahead, values, marker=".", label=name, **look)
 
-    def _draw_bounds(self, problem):
-        (rate, _), (gain, _) = self.axes
+    def _frame(self, outcome):
+        """Bounds, limits and labels of an outcome, around the lines that are drawn."""
+        (rate, trials), (gain, lags) = self.axes
+        design, problem = outcome.design, outcome.design.problem
         if problem.objective == "sum":
             rate.axhline(problem.M_max, **BOUND)
         if problem.L_max is not None:
             gain.axhline(problem.L_max, **BOUND)
-
-    def _set_limits(self, outcomes):
-        """Limits that hold the lines of all outcomes."""
-        (rate, trials), (gain, lags) = self.axes
-        designs = [outcome.design for outcome in outcomes]
+        for axes in (trials, gain, lags):
+            axes.relim()
+            axes.autoscale(axis="y")
+        gain.set_ylim(bottom=0)
+        low, high = np.log10(trials.get_ylim())
+        trials.set_ylim(10 ** np.floor(low), 10 ** np.ceil(high))
         for axes in (rate, gain):
-            axes.set_xlim(designs[0].omega[[0, -1]])
-        gains = [line.get_ydata() for line in gain.lines]
-        gain.set_ylim(0, _round_up(np.max(np.concatenate(gains))))
-        values = np.concatenate([outcome.rms or [1.0] for outcome in outcomes])
-        low, high = np.log10(np.maximum([values.min(), values.max()], 1e-15))
-        trials.set_ylim(10 ** np.floor(low), 10 ** (np.floor(high) + 1))
-        coefficients = np.concatenate([d.filter.coefficients.ravel() for d in designs])
-        lags.set_ylim(-_round_up(-coefficients.min()), _round_up(coefficients.max()))
+            axes.set_xlim(design.omega[[0, -1]])
         # Not halves: with ten coefficients a marker would fall between two pixels, and rounding
         # would decide into which of them.
-        lags.set_xlim(0.4, max(design.filter.order for design in designs) + 0.6)
-
-    def _set_labels(self, outcome):
-        """The legend of the coefficients, and what the trials are."""
-        (_, trials), (_, lags) = self.axes
-        title = "not simulated"
-        if outcome.rms:
-            unit = outcome.settings.plant.unit
-            title = f"{with_unit('RMS of the error', unit)}, simulated"
-        trials.set_title(title, parse_math=False)
-        count = len(entries(outcome.design))
+        lags.set_xlim(0.4, max(len(line.get_xdata()) for line in lags.lines) + 0.6)
+        unit = outcome.settings.plant.unit if outcome.rms else ""
+        title = f"{with_unit('RMS of the error', unit)}, simulated"
+        trials.set_title(title if outcome.rms else "not simulated", parse_math=False)
         lags.legend(
-            handles=lags.lines[-count:],
+            handles=lags.lines[-len(entries(design)) :],
             loc="lower right",
             bbox_to_anchor=(1.02, 0.97),
             ncols=5,
@@ -246,56 +229,40 @@ def _comparable(before, outcome):
     return len(channels) == 1 and len({L.Ts for L in filters}) == 1
 
 
-def _round_up(value):
-    """The next round number that leaves some room above; 0 if the value is not positive."""
-    if value <= 0:
-        return 0.0
-    decade = 10 ** np.floor(np.log10(1.05 * value))
-    enough = 1.05 * value / decade <= ROUND * (1 + 1e-9)
-    return float(ROUND[enough][0] * decade)
-
-
 def _of_trials(plt, trials):
     """The RMS of the errors by trial, and the signals of the last trial, by unit."""
     signals_of(trials, "reference", "v")  # which checks that trials are complete
-    errors, panels = rms_by_trial(trials.e), _signals_by_unit(trials)
-    count = len(errors.columns) + len(panels)
+    errors, signals = rms_by_trial(trials.e), _signals_by_unit(trials)
+    count = len(errors.columns) + len(signals)
     size = WIDTH, HEIGHT * count
     figure, axes = plt.subplots(
         count, figsize=size, squeeze=False, layout="constrained"
     )
-    axes = iter(axes.flat)
-    for label, values in errors.items():
-        ax = next(axes)
+    upper, lower = np.split(axes[:, 0], [len(errors.columns)])
+    for ax, (label, values) in zip(upper, errors.items(), strict=True):
         ax.semilogy(errors.index, values, "o-")
-        ax.set(xlabel="trial", ylabel=_plain(label))
+        ax.set(xlabel="trial", ylabel=label)
         ax.xaxis.get_major_locator().set_params(integer=True)
-    for label, lines in panels.items():
-        ax = next(axes)
+    for ax, (label, lines) in zip(lower, signals.items(), strict=True):
         for name, values, style in lines:
-            ax.plot(trials.time, values, style, label=_plain(name))
-        ax.set(xlabel="time (s)", ylabel=_plain(label))
+            ax.plot(trials.time, values, style, label=name)
+        ax.set(xlabel="time (s)", ylabel=label)
         ax.legend(ncols=2)
     return figure
 
 
 def _signals_by_unit(trials) -> dict[str, list]:
     """Name, values and style of the lines of the last trial, by the label of their axes."""
-    panels, last = {}, trials.isel(trial=-1).transpose("time", ...)
+    signals, last = {}, trials.isel(trial=-1).transpose("time", ...)
     for signal, role in (("y", "output"), ("v", "output"), ("u", "control")):
         if signal not in trials:
             continue
         for unit, channels in by_unit(trials[f"{role}_unit"].values.tolist()).items():
-            label = with_unit(f"{signal} in trial {int(last.trial)}", unit)
-            lines = panels.setdefault(label, [])
+            lines = []
             for i in channels:
                 name = f"{signal}: {trials[role].values[i]}"
                 lines.append((name, last[signal].values[:, i], f"C{i}"))
                 if signal == "y":
                     lines.append(("reference", last.reference.values[:, i], f"C{i}--"))
-    return panels
-
-
-def _plain(text):
-    """A name of a signal may contain a dollar, which must not begin a formula."""
-    return text.replace("$", r"\$")
+            signals[with_unit(f"{signal} in trial {int(last.trial)}", unit)] = lines
+    return signals

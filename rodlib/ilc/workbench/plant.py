@@ -7,10 +7,10 @@ import numpy as np
 
 from rodlib.ilc import LogError, arguments, load_log, measured_response
 from rodlib.ilc.logs.notes import excitation_of, loop_of
+from rodlib.ilc.logs.replay import replay
 from rodlib.ilc.loop.closed import Loop
 from rodlib.ilc.problem.problem import Problem
 from rodlib.ilc.problem.responses import Measured
-from rodlib.ilc.replay import replay_of
 
 TRIALS = 10
 REST = 15  # samples
@@ -102,13 +102,13 @@ def plant_of_file(path) -> Plant:
     try:
         if excitation_of(log) is not None or loop_of(log) is None:
             return Plant(f"rodlib.measured_response({source})", measured_response(log))
-        replay = replay_of(log)
+        task = replay(log)
         return Plant(
             f"rodlib.loop_of({source})",
-            replay.loop,
-            reference=replay.trials.reference.values[-1],
-            disturbance=np.repeat(replay.disturbance[-1:], TRIALS, axis=0),
-            rest=replay.rest,
+            task.loop,
+            reference=task.trials.reference.values[-1],
+            disturbance=np.repeat(task.disturbance[-1:], TRIALS, axis=0),
+            rest=0 if task.law is None else task.law.rest,
         )
     except ValueError as error:
         raise LogError(f"{path}: {error}") from None

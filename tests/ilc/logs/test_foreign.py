@@ -23,8 +23,7 @@ from rodlib import (
     save_log,
     zero_phase_butterworth,
 )
-from rodlib.ilc import p_type, replay_of, with_law
-from rodlib.ilc.report import about_the_law
+from rodlib.ilc import p_type, replay, with_law
 from rodlib.paper.repository import ROOT
 
 BOARD = ROOT / "data" / "tclab" / "board-1s.csv"
@@ -277,15 +276,15 @@ def test_a_table_is_replayed_with_the_law_that_it_is_told():
     np.testing.assert_array_equal(
         log.reference[0], pd.read_csv(BOARD).to_numpy()[:, 5:]
     )
-    assert replay_of(log).following is None
+    assert replay(log).following is None
     Q = zero_phase_butterworth(2, 0.1, 1.0)
     L = p_type(0.5, 3, 2, 1.0)
-    following = replay_of(with_law(log, Law(Q, L))).following
+    following = replay(with_law(log, Law(Q, L))).following
     np.testing.assert_allclose(
         following, Law(Q, L).next(log.v.values[0], log.e.values[0])
     )
     with pytest.raises(ValueError, match=r"trials lack \['reference', 'v'\]"):
-        replay_of(board())
+        replay(board())
 
 
 @pytest.mark.parametrize("name", ["stage", "tanks", "furnace", "another's"])
@@ -326,10 +325,10 @@ def test_trials_in_a_table_of_others_replay_as_if_they_were_ours(tmp_path, name)
         outputs=named("y", loop.outputs), reference=named("ref", loop.outputs),
         v=named("ff", loop.outputs), inputs=named("u", loop.controls) if "u" in ran else None,
     )  # fmt: skip
-    replay = replay_of(with_law(log, Law(Q, L, loop=loop)))
-    assert about_the_law(replay) == "the recorded v is that of the law in every trial"
-    np.testing.assert_allclose(replay.simulated.y, ran.y, atol=1e-12)
-    assert replay.fit.min(axis=None) > 1 - 1e-6
+    replayed = replay(with_law(log, Law(Q, L, loop=loop)))
+    assert replayed.agreement == "the recorded v is that of the law in every trial"
+    np.testing.assert_allclose(replayed.simulated.y, ran.y, atol=1e-12)
+    assert replayed.fit.min(axis=None) > 1 - 1e-6
 
 
 def test_trials_stand_one_after_the_other_with_a_clock_of_their_own_or_one_for_all(

@@ -1,7 +1,5 @@
 """Experiments that begin with a signal, follow several references, go on by another law."""
 
-import warnings
-
 import numpy as np
 import pytest
 from test_experiment import PLANT
@@ -16,9 +14,7 @@ from rodlib import (
     run_trials,
     zero_phase_butterworth,
 )
-from rodlib.ilc import with_law
-from rodlib.ilc.replay import replay_of
-from rodlib.ilc.report import about_the_law, summary
+from rodlib.ilc.logs.replay import replay
 
 LOOP, Q = (
     current_trial_loop(PLANT, PLANT.input_labels[:2]),
@@ -46,13 +42,13 @@ def test_the_first_trial_begins_with_what_was_learned_elsewhere(tmp_path):
     assert more.isel(trial=slice(2)).identical(log)
     with pytest.raises(ValueError, match="another experiment, see its v of trial 1"):
         record(Model(PLANT), trials=4, **made | {"v": 2 * v})
-    replay = replay_of(load_log(path))
+    replayed = replay(load_log(path))
     assert (
-        replay.departure.loc[1].isna().all()
-        and replay.departure.loc[2:].to_numpy().max() < 1e-6
+        replayed.departure.loc[1].isna().all()
+        and replayed.departure.loc[2:].to_numpy().max() < 1e-6
     )
-    np.testing.assert_allclose(replay.simulated.y, more.y, atol=1e-5)
-    assert "as far as the trials before 1 tell" in about_the_law(replay)
+    np.testing.assert_allclose(replayed.simulated.y, more.y, atol=1e-5)
+    assert "but in 1, without a trial before" in replayed.agreement
     kept = record(Model(PLANT), LOOP, Law(Q, None), R, trials=2, v=v)
     np.testing.assert_array_equal(kept.v, [v, v])
 
@@ -64,30 +60,10 @@ def test_each_trial_follows_a_reference_of_its_own(tmp_path):
     log = record(Model(PLANT), LOOP, Law(Q, L), references, trials=3, path=path)
     for name in ("reference", "v", "y", "e"):
         np.testing.assert_allclose(log[name], run[name], atol=1e-9)
-    np.testing.assert_allclose(replay_of(load_log(path)).simulated.y, run.y, atol=1e-9)
+    np.testing.assert_allclose(replay(load_log(path)).simulated.y, run.y, atol=1e-9)
     with pytest.raises(
         ValueError, match=r"reference has shape \(3, 80, 2\), but must have .*\(4,"
     ):
         record(Model(PLANT), LOOP, Law(Q, L), references, trials=4)
     with pytest.raises(ValueError, match="another experiment, see its reference"):
         record(Model(PLANT), LOOP, Law(Q, L), references[::-1], trials=3, path=path)
-
-
-def test_a_replay_says_what_record_would_have_said():
-    wrong = LearningFilter(-L.coefficients * 2, 0.5)
-    with warnings.catch_warnings(action="ignore"):
-        run = run_trials(LOOP, Law(Q, wrong), R, trials=6)
-    log = with_law(run, Law(Q, wrong, loop=LOOP))
-    with pytest.warns(UserWarning, match="the error grows") as told:
-        replay = replay_of(log)
-    assert told[0].filename == __file__ and len(told) == 1
-    assert "WARNING: the error grows" in summary(replay) and len(replay.findings) == 1
-    y = run.y.copy()
-    y[2:, 0] += 1.0
-    moved = with_law(run.assign(y=y), Law(Q, None, loop=LOOP))
-    with pytest.warns(
-        UserWarning, match="trial 3: it starts 1 in depth, 1 in heat from where"
-    ):
-        replay_of(moved)
-    with warnings.catch_warnings(action="error"):
-        assert replay_of(log.isel(trial=[0, 2, 5])).findings == ()

@@ -29,8 +29,7 @@ from rodlib import (
     zero_phase_butterworth,
 )
 from rodlib.ilc import RigError, StoppedError
-from rodlib.ilc.replay import replay_of
-from rodlib.ilc.report import summary
+from rodlib.ilc.logs.replay import replay
 from rodlib.ilc.trials.run import rms
 from rodlib.ilc.workbench.plant import plant_of_file
 
@@ -127,17 +126,17 @@ def test_any_such_loop_learns_on_its_rig_as_in_the_simulation(loop, device, tmp_
 
 def test_a_log_of_such_a_loop_is_replayed(tmp_path):
     log = record(Sampled(), KNOWN, Law(Q, L), REFERENCE, trials=3)
-    replay = replay_of(log)
-    np.testing.assert_allclose(replay.simulated.y, log.y, atol=1e-12)
-    assert replay.fit.values.min() > 0.999999 and not replay.departure.values.any()
-    assert "fit of the model" in summary(replay)
-    silent = replay_of(record(Sampled(), NAMED, Law(Q, L), REFERENCE, trials=2))
+    replayed = replay(log)
+    np.testing.assert_allclose(replayed.simulated.y, log.y, atol=1e-12)
+    assert replayed.fit.values.min() > 0.999999 and not replayed.departure.values.any()
+    assert "fit of the model" in repr(replayed)
+    silent = replay(record(Sampled(), NAMED, Law(Q, L), REFERENCE, trials=2))
     assert (
         silent.simulated is None
         and silent.fit is None
         and not silent.departure.values.any()
     )
-    assert "simulation and prediction: the loop has no P" in summary(silent)
+    assert "simulation and prediction: the loop has no P" in repr(silent)
 
 
 def test_its_commands_are_recorded_if_the_rig_tells_them(tmp_path):

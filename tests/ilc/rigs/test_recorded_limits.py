@@ -22,8 +22,7 @@ from rodlib import (
     zero_phase_butterworth,
 )
 from rodlib.boards import TemperatureControlLab, heat_balance
-from rodlib.ilc.replay import replay_of
-from rodlib.ilc.report import left_out, summary
+from rodlib.ilc.logs.replay import replay
 from rodlib.ilc.trials.run import rms
 
 PUMPS = ["pump A", "pump B", "pump C"]
@@ -124,19 +123,19 @@ def test_a_log_keeps_asked_and_applied_is_gone_on_with_and_replays(case, tmp_pat
     for name in ("u", "applied", "v", "y"):
         np.testing.assert_array_equal(loaded[name], whole[name])
         np.testing.assert_array_equal(loaded[name], log[name])
-    replay = replay_of(loaded)
-    assert "the recorded v is that of the law in every trial" in summary(replay)
-    assert not replay.findings and not left_out(replay)
-    np.testing.assert_allclose(replay.simulated.y, loaded.y, atol=1e-4)
-    assert replay.fit.to_numpy().min() > 1 - 1e-6  # from what was applied
+    replayed = replay(loaded)
+    assert "the recorded v is that of the law in every trial" in repr(replayed)
+    assert not replayed.warnings and not replayed.omissions
+    np.testing.assert_allclose(replayed.simulated.y, loaded.y, atol=1e-4)
+    assert replayed.fit.to_numpy().min() > 1 - 1e-6  # from what was applied
     v, e, u = (loaded[name].values[-1] for name in ("v", "e", "u"))
     law = replace(given["law"], limits=rig.limits, loop=given["loop"])
     following = law.next(v, e, u)
-    np.testing.assert_array_equal(replay.following, following)
+    np.testing.assert_array_equal(replayed.following, following)
 
     other = tmp_path / "other.csv"
     save_log(loaded.assign(v=loaded.v * 1.01), other)
-    assert "v departs from the law from trial 2" in summary(replay_of(load_log(other)))
+    assert "v departs from the law from trial 2" in replay(load_log(other)).agreement
 
 
 def test_limits_are_part_of_the_law_that_a_log_names(tmp_path):
@@ -164,9 +163,9 @@ def test_a_loop_that_is_not_ours_is_sent_what_it_can_follow(device, tmp_path):
     assert sent[:, 0].max() == 1.5 and (log.reference + log.v)[0].max() > 1.9
     run = run_trials(KNOWN, Law(OWN_Q, OWN_L, limits=rig.limits), REFERENCE, trials=4)
     np.testing.assert_allclose(log.y, run.y, atol=1e-6)
-    replay = replay_of(load_log(tmp_path / "log.csv"))
-    assert "that of the law in every trial" in summary(replay)
-    assert replay.fit.to_numpy().min() > 1 - 1e-6
+    replayed = replay(load_log(tmp_path / "log.csv"))
+    assert "that of the law in every trial" in repr(replayed)
+    assert replayed.fit.to_numpy().min() > 1 - 1e-6
 
 
 def test_cold_heaters_of_the_lab_which_we_did_not_make():

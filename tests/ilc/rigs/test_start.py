@@ -21,7 +21,7 @@ from rodlib import (
 from rodlib.case import assumed_reference
 from rodlib.ilc import RigError
 from rodlib.ilc.rigs.start import Start
-from rodlib.ilc.trials.diagnosis import noise_of
+from rodlib.ilc.trials.diagnosis import noise_std
 from rodlib.ilc.trials.run import rms
 from rodlib.paper import published
 from rodlib.paper.repository import ROOT
@@ -116,8 +116,8 @@ def test_noise_is_told_from_what_moves():
     y = np.outer(np.arange(5000), [1.0, 0.0]) + [0.3, 2.0] * rng.standard_normal(
         (5000, 2)
     )
-    np.testing.assert_allclose(noise_of(y), [0.3, 2.0], rtol=0.05)
-    assert not noise_of(y[:2]).any()
+    np.testing.assert_allclose(noise_std(y), [0.3, 2.0], rtol=0.05)
+    assert not noise_std(y[:2]).any()
 
 
 WAITING = """

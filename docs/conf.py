@@ -1,0 +1,56 @@
+"""How ``make pages`` makes a site of notebooks, texts and docstrings, with Sphinx and MyST-NB."""
+
+import json
+
+project = html_title = "The heated rod"
+
+extensions = [
+    "myst_nb",
+    "sphinx_external_toc",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.mathjax",
+    "sphinx.ext.napoleon",
+    "sphinx-mathjax-offline",
+]
+external_toc_path = "docs/toc.yml"
+include_patterns = [
+    "README.md",
+    "CONTRIBUTING.md",
+    "data/README.md",
+    "docs/*.md",
+    "figures/*.md",
+    "notebooks/*.ipynb",
+]
+
+myst_enable_extensions = ["amsmath", "dollarmath"]
+myst_heading_anchors = 3
+nb_execution_mode = "off"  # notebooks are shown as committed
+nb_code_prompt_show = "Show the code"
+autodoc_default_options = {"members": True, "imported-members": True}
+autodoc_member_order = "bysource"
+default_role = "code"  # of what stands in single backticks
+suppress_warnings = ["ref.python"]  # two classes with a field of one name
+html_theme = "sphinx_book_theme"
+html_copy_source = False
+
+
+def fold(app, docname, source):
+    """Fold what JupyterLab folds: MyST-NB knows it by a tag."""
+    if docname.startswith("notebooks/"):
+        notebook = json.loads(source[0])
+        for cell in notebook["cells"]:
+            if cell["metadata"].get("jupyter", {}).get("source_hidden"):
+                cell["metadata"]["tags"] = ["hide-input"]
+        source[0] = json.dumps(notebook)
+
+
+def escape_bars(app, what, name, thing, options, lines):
+    """|x| in a docstring is an absolute value, in reStructuredText a substitution."""
+    lines[:] = [line.replace("|", r"\|") for line in lines]
+
+
+def setup(app):
+    """Draw formulas as SVG, since some browsers load no fonts for a page that is a file."""
+    app.config.mathjax_path = "mathjax/tex-svg.js"
+    app.connect("source-read", fold)
+    app.connect("autodoc-process-docstring", escape_bars)
