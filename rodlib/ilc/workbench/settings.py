@@ -36,10 +36,11 @@ class Settings:
         cutoff = float(f"{arguments.positive('cutoff', cutoff):.3g}")
         omega = _omega(Ts)
         low, high = defaults.band(cutoff, omega)
-        L_max = defaults.gain(cutoff, plant.frequency_response(omega), omega)
+        P = plant.frequency_response(omega)
+        smallest = np.linalg.svd(P, compute_uv=False)[:, -1]
         settings = cls(
             plant,
-            L_max=L_max,
+            L_max=defaults.gain(cutoff, smallest, omega),
             cutoff=cutoff,
             band=(low, float(f"{high:.3g}")),
             order=plant.order,
