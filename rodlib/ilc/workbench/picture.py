@@ -16,7 +16,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from rodlib.ilc import Synthesis, arguments
-from rodlib.ilc.logs.log import signals_of
+from rodlib.ilc.logs.format import signals_of
 from rodlib.ilc.logs.replay import rms_by_trial
 from rodlib.ilc.units import by_unit, with_unit
 from rodlib.ilc.workbench.outcome import Outcome

@@ -96,18 +96,20 @@ def test_fields_out_of_range_are_answered_by_a_message(panel):
     assert panel.outcome.design is not None
 
 
-def test_changes_that_follow_at_once_are_one(panel):
+def test_changes_that_follow_at_once_are_one(panel, monkeypatch):
+    monkeypatch.setattr("rodlib.ilc.workbench.panel.PAUSE", 0.2)
+
     async def turn():
         start, first = panel.knobs["M_max"].value, panel.outcome
         for gain in (3.5, 3.0, 2.5, 2.2):
             panel.knobs["L_max"].value = gain
             await asyncio.sleep(0)
         assert panel.outcome is first
-        await asyncio.sleep(0.1)
+        await asyncio.sleep(0.4)
         assert panel.before is first and panel.settings.L_max == 2.2
         for rate in (0.5, start):  # to and fro
             panel.knobs["M_max"].value = rate
-        await asyncio.sleep(0.1)
+        await asyncio.sleep(0.4)
         assert panel.before is first
 
     asyncio.run(turn())
