@@ -282,9 +282,7 @@ def converges_slowly(history: History, k: int) -> str | None:
     """F test, octave by octave, of the first two trials with this reference.
 
     Null hypothesis: the error of the second one is at most the predicted one, plus noise with the
-    variance of the last three trials about their mean. The numerator is the squared excess over
-    the prediction, with the n degrees of freedom of a trial in this octave; the denominator is
-    that variance, with 2 n. Bonferroni corrects for the number of octaves.
+    variance of the last three trials about their mean.
     """
     i = history.since[k]
     if history.P is None or k < i + 4:
@@ -299,7 +297,7 @@ def converges_slowly(history: History, k: int) -> str | None:
     variance = np.add.reduceat(power.sum(axis=1), edges)
     variance += (ROUNDING * np.abs(last).max()) ** 2
     freedom = degrees_of_freedom(power, edges)
-    p = len(edges) * fdtrc(freedom, 2 * freedom, excess**2 / variance)
+    p = chance_of_excess(excess, variance, freedom)
 
     falls, relevant = table["measured"] < 1, excess > EXCESS * history.rms[i]
     slow = falls & relevant & (p < SIGNIFICANCE)
@@ -315,6 +313,15 @@ def converges_slowly(history: History, k: int) -> str | None:
         "less. Unless there was a new disturbance, the plant differs from the model: measure P "
         "(shake), or expect this rate"
     )
+
+
+def chance_of_excess(excess, variance, freedom) -> np.ndarray:
+    """Probability that noise exceeds the prediction so far, in each octave, in any of them.
+
+    The square of the excess has the n degrees of freedom of one trial in this octave; the variance
+    of three trials about their mean has 2 n. Bonferroni corrects for the number of octaves.
+    """
+    return len(excess) * fdtrc(freedom, 2 * freedom, excess**2 / variance)
 
 
 CHECKS = {"error": error_grows, "v": v_grows}

@@ -25,6 +25,7 @@ from rodlib import (
 from rodlib.ilc import Controller
 from rodlib.ilc.trials.diagnosis import (
     chance,
+    chance_of_excess,
     degrees_of_freedom,
     diagnose,
     error_by_octave,
@@ -182,6 +183,16 @@ def test_the_probability_of_growth_by_chance_is_that_of_counting():
         assert 0.3 * chance(ratio, 6, 4) < seen < 1.1 * chance(ratio, 6, 4)
     assert chance(2.0, 6, 2) == pytest.approx(f_distribution.sf(4.0, 6, 6))
     assert chance(1e200, 6, 2) < 1e-100
+
+
+def test_the_probability_of_an_excess_is_that_of_counting():
+    x, n = white(0, 40000, 4, 6), np.array([6])
+    F = (x[:, 0] ** 2).mean(axis=1) / x[:, 1:].var(axis=1, ddof=1).mean(axis=1)
+    for f in (2.0, 4.0):
+        p = chance_of_excess(np.sqrt([f]), 1.0, n)
+        assert np.mean(f < F) == pytest.approx(p.item(), rel=0.1)
+        two = chance_of_excess(np.sqrt([f, f]), 1.0, n)  # octaves
+        np.testing.assert_allclose(two, 2 * p)
 
 
 def test_degrees_of_freedom_count_independent_values():
