@@ -196,6 +196,7 @@ NAMED = {
     for name in names.split()
 }  # fmt: skip
 MODEL = {"P": MODELS}
+PASSES = {"P": MODELS | {"transfer": ...}}
 COMPLEX = {"1e300": REAL["1e300"]}
 
 
@@ -265,26 +266,23 @@ DOORS = [
       "Q": REAL | {"zero": np.zeros(12)},
       "L_max": NUMBER | {"none": ...},
       "band": THING | {"1e300": (0.1, 1e300), "one": 0.1},
-      "noise": DENSITY,
       "start": THING | {"design": ...}}),
     (DESIGN.check, {"P": LOOP, "omega": OMEGA},
      {"P": REAL | {"nan model": NAN, "1e200": RESPONSE * 1e200}}),
     (ilc.least_gain, ASKED, {"P": REAL, "Q": REAL, "band": THING}),
     (ilc.largest_cutoff, ASKED, {"P": REAL, "band": THING}),
-    (ilc.trial_noise, {"loop": LOOP, "omega": OMEGA, "noise": 1.0, "disturbance": 1.0},
-     {"omega": REAL | NUMBER | {"falling": OMEGA[::-1]}, "noise": DENSITY,
-      "disturbance": DENSITY}),
-    (ilc.converged_noise, {"new": NOISE, "Q": Q, "L": L}),
-    (ilc.noise_by_trial, {"new": NOISE, "Q": Q, "L": L, "step": [1, 0.5]},
-     {"step": REAL | {"0": [0.0], "2": [1, 2]}}),
-    (ilc.noise_on_trial, {"loop": LOOP, "Q": Q, "L": L, "samples": 6, "noise": 1.0},
-     {"noise": REAL | {"-1": -1.0}}),
+    (ilc.trial_noise, {"loop": LOOP, "omega": OMEGA, "noise_psd": 1.0, "disturbance_psd": 1.0},
+     {"omega": REAL | NUMBER | {"falling": OMEGA[::-1]}, "noise_psd": DENSITY,
+      "disturbance_psd": DENSITY}),
+    (ilc.converged_noise, {"new": NOISE, "law": LAW}),
+    (ilc.noise_on_trial, {"loop": LOOP, "law": LAW, "samples": 6, "noise_variance": 1.0},
+     {"noise_variance": REAL | {"-1": -1.0}}),
     (ilc.worst_case, {"problem": PROBLEM, "L": L}),
     *((door, {"P": LOOP, "Q": Q, "L": L, "omega": OMEGA}, {"P": REAL})
       for door in (ilc.rate, ilc.convergence)),
-    (ilc.trial_operators, {"P": P, "Q": Q, "L": L, "samples": 6}, MODEL),
-    (ilc.trial_map, {"P": P, "Q": Q, "L": L, "samples": 6}, MODEL),
-    (ilc.trial_norm, {"P": P, "Q": Q, "L": L, "samples": 6}, MODEL),
+    (ilc.trial_operators, {"P": P, "Q": Q, "L": L, "samples": 6}, PASSES),
+    (ilc.trial_map, {"P": P, "Q": Q, "L": L, "samples": 6}, PASSES),
+    (ilc.trial_norm, {"P": P, "Q": Q, "L": L, "samples": 6}, PASSES),
     (ilc.support, {"solution": SOLUTION}),
     (ilc.violation_probability, {"design": DESIGN}),
     (ilc.p_type, {"gain": 1.0, "ahead": 1, "channels": 1, "Ts": 1.0}),
@@ -405,7 +403,6 @@ MADE = {
     "Certificate",
     "Check",
     "InfeasibleError",
-    "LearnedNoise",
     "LogError",
     "MeasuredResponse",
 }

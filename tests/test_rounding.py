@@ -20,16 +20,12 @@ RESULTS = st.sampled_from([*ELEMENTS]).flatmap(
 
 
 @given(RESULTS, st.integers(0, 9))
-def test_each_number_moves_by_a_few_units_in_the_last_place_and_some_do(result, key):
+def test_each_number_moves_by_a_few_units_in_the_last_place(result, key):
     moved = rounding.move(result, key)
-    assert moved.dtype == result.dtype
     np.testing.assert_array_equal(moved, rounding.move(result.copy(), key))
+    few = (rounding.ULPS + 1) * 2**-52
     for before, after in ((result.real, moved.real), (result.imag, moved.imag)):
-        np.testing.assert_allclose(
-            after, before, rtol=(rounding.ULPS + 1) * 2**-52, atol=1e-320
-        )
-        few = before == np.float32(np.clip(before, -1e9, 1e9))
-        np.testing.assert_array_equal(after[few], before[few])
+        np.testing.assert_allclose(after, before, rtol=few, atol=1e-320)
 
 
 def test_pairs_and_symmetric_matrices_remain_such_and_a_seed_makes_a_difference():
@@ -39,15 +35,8 @@ def test_pairs_and_symmetric_matrices_remain_such_and_a_seed_makes_a_difference(
     np.testing.assert_array_equal(moved.conj(), rounding.move(result.conj(), 1))
     np.testing.assert_array_equal(-8 * moved.T, rounding.move(-8 * result.T, 1))
     assert np.mean(moved != rounding.move(result, 2)) > 0.8
-    taken = rounding.move(
-        result[:5], 1, [result[:1]]
-    )  # the first row stands in an operand
-    np.testing.assert_array_equal(taken[0], result[0])
-    np.testing.assert_array_equal(taken[1:], moved[1:5])
-    pair = np.linalg.eig(np.array([[1.0, 2.0], [-2.0, 1.0]]))
-    values, vectors = rounding.move(pair, 3)
-    assert type(rounding.move(pair, 3)) is type(pair) and values[0] == values[1].conj()
-    np.testing.assert_array_equal(vectors[:, 0], vectors[:, 1].conj())
+    part, first_row = result[:5], result[:1]  # in an operand, and thus exact
+    np.testing.assert_array_equal(rounding.move(part, 1, [first_row])[:1], first_row)
     assert rounding.move("text", 1) == "text" and rounding.move(7, 1) == 7
 
 
@@ -61,24 +50,20 @@ def test_products_in_rodlib_are_replaced_and_nothing_else():
 def test_a_process_varies_by_the_seed_and_another_does_not():
     """The paper's N, from a realisation and a Riccati equation, moves in its last digits."""
     show = "from rodlib import paper_loop; print(repr(paper_loop().N.tolist()))"
-    calls = [
-        f"import rounding; rounding.vary({seed}); {show}" for seed in (1, 1, 2)
-    ] + [show]
-    running = [
-        subprocess.Popen(
-            [sys.executable, "-c", call],
+    vary = "import rounding; rounding.vary({}); "
+    results = []
+    for begin in (vary.format(1), vary.format(1), vary.format(2), ""):
+        run = subprocess.run(
+            [sys.executable, "-c", begin + show],
             cwd=Path(__file__).parent,
-            env=os.environ
-            | {"PYTHONPATH": str(ROOT)},  # of this process, rounding may be varied
-            stdout=subprocess.PIPE,
+            # of this process, rounding may be varied
+            env=os.environ | {"PYTHONPATH": str(ROOT)},
+            capture_output=True,
+            check=True,
         )
-        for call in calls
-    ]
-    found = [
-        np.array(ast.literal_eval(process.communicate()[0].decode()))
-        for process in running
-    ]
-    np.testing.assert_array_equal(found[0], found[1])
-    for one, other in ((0, 2), (0, 3), (2, 3)):
-        assert np.any(found[one] != found[other])
-        np.testing.assert_allclose(found[one], found[other], rtol=1e-9)
+        results.append(np.array(ast.literal_eval(run.stdout.decode())))
+    one, again, other, unvaried = results
+    np.testing.assert_array_equal(one, again)
+    for result in (other, unvaried):
+        assert np.any(one != result)
+        np.testing.assert_allclose(one, result, rtol=1e-9)

@@ -205,6 +205,15 @@ def sampled_plant(
     )
 
 
+def impulse_response(model: control.StateSpace, samples: int) -> np.ndarray:
+    """Markov parameters D, C B, C A B, ... of a model, shape (samples, outputs, inputs)."""
+    h = np.empty((samples, model.noutputs, model.ninputs))
+    h[0], X = model.D, model.B
+    for p in range(1, samples):
+        h[p], X = model.C @ X, model.A @ X
+    return h
+
+
 def _realised(plant, called):
     """Realise each entry of a transfer function, then keep the states that all of them need."""
     shape = (plant.noutputs, plant.ninputs)

@@ -6,9 +6,10 @@ import sys
 import matplotlib.pyplot as plt
 import numpy as np
 
+from rodlib.ilc.files import replace_all
 from rodlib.paper import figures
 from rodlib.paper.ledger import splice
-from rodlib.paper.repository import checkout, publishing
+from rodlib.paper.repository import checkout
 
 LABELS = {
     "neighbour": "structured, from the optimum for L_max = 45",
@@ -93,13 +94,14 @@ def main(path):
         f"Measured on: {cpu}, {machine['cpu'].get('count', '?')} cores, Python {python}.",
     ]
     saved = figures.save(figure, "performance", CAPTION).path
+    pdf = saved.with_suffix(".pdf")
     lines += ["", "![Time of the synthesis over its size](performance.png)"]
     text = "\n".join(lines) + "\n"
-    with publishing(root) as new:
-        for picture in (saved, saved.with_suffix(".pdf")):
-            new[f"figures/{picture.name}"] = picture.read_bytes()
-        page = (root / "figures" / "performance.md").read_text(encoding="utf-8")
-        new["figures/performance.md"] = splice(page, "performance", text).encode()
+    target = root / "figures"
+    page = (target / "performance.md").read_text(encoding="utf-8")
+    new = {target / path.name: path.read_bytes() for path in (saved, pdf)}
+    new[target / "performance.md"] = splice(page, "performance", text).encode()
+    replace_all(new)
     print(text)
 
 

@@ -32,6 +32,8 @@ from rodlib import (
 )
 from rodlib.ilc.files import write_whole
 from rodlib.ilc.models import frequency_response
+from rodlib.ilc.problem.pose import pose
+from rodlib.ilc.synthesis.design import certified
 from rodlib.paper.ledger import splice
 from rodlib.paper.repository import ROOT
 
@@ -230,7 +232,7 @@ def everywhere(p):
             start = time.process_time()
             try:
                 options = p.options | {"everywhere": flag}
-                synthesise(p.model, p.filter, p.omega, **options, check=flag)
+                certified(pose(p.model, p.filter, p.omega, **options), check=flag)
                 end = "certified"
             except InfeasibleError:
                 end = "infeasible"
@@ -242,11 +244,12 @@ def everywhere(p):
 
 def confirmed(p, claimed):
     """Whether CVXPY finds the same smallest M_max, to 1e-4 of it."""
-    options = p.options | {"objective": "peak", "M_max": 1 - 1e-9, "solver": "cvxpy"}
+    options = p.options | {"objective": "peak", "M_max": 1 - 1e-9}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            found = synthesise(p.P, p.Q, p.omega, p.Ts, check=False, **options).value
+            problem = pose(p.P, p.Q, p.omega, p.Ts, **options)
+            found = certified(problem, solver="cvxpy", check=False).value
         except InfeasibleError as error:
             found = error.smallest_M_max
         except SolverError as error:

@@ -7,7 +7,7 @@ import numpy as np
 from rodlib.ilc import arguments
 from rodlib.ilc.evidence.convergence import from_responses, log_mean
 from rodlib.ilc.evidence.findings import findings, useless
-from rodlib.ilc.evidence.finite_trial import trial_norm
+from rodlib.ilc.evidence.finite import trial_norm
 from rodlib.ilc.evidence.optimality import lower_bound
 from rodlib.ilc.evidence.peak import (
     Peak,
@@ -85,8 +85,11 @@ class Certificate:
     @property
     def mean_M(self) -> float:
         """Mean of sigma_max(M) of the nominal plant over the band, see :meth:`Convergence.mean`."""
-        asked, omega = self.problem.asked, self.problem.omega
-        return float(log_mean(self.nominal[asked], omega[asked], self.problem.band))
+        problem = self.problem
+        design = np.isin(problem.omega, problem.design.omega)
+        return float(
+            log_mean(self.nominal[design], problem.omega[design], problem.band)
+        )
 
     @property
     def proven(self) -> bool:
@@ -165,7 +168,7 @@ class Certificate:
 
     @property
     def _several(self):
-        return len(self.problem.others) > 0
+        return len(self.problem.plants) > 1
 
     def _whose(self, peak):
         """Of which plant a peak is, for the messages."""
@@ -184,7 +187,7 @@ class Certificate:
     @property
     def _above(self):
         """Where M is bounded by what is assumed, for the messages."""
-        last = self.problem.omega[self.problem.asked][-1]
+        last = self.problem.design.omega[-1]
         return f"sigma_max(M) above {last:.4g} rad/s, with the size of P assumed there"
 
     def _table(self):
@@ -208,7 +211,7 @@ class Certificate:
         if not self.problem.robust:
             return []
         radius = self.problem.radius is not None
-        of = f" of {1 + len(self.problem.others)} plants" if self._several else ""
+        of = f" of {len(self.problem.plants)} plants" if self._several else ""
         within = " within the radius" if radius else ""
         lines = [f"worst{of}{within} on the design grid: {self._where}"]
         if radius:
@@ -225,7 +228,7 @@ class Certificate:
         if self.proven:
             line = f"sigma_max(M) over all frequencies{without}: {self.all_M:.8f}"
             return [line] if without else []
-        low, high = self.problem.omega[self.problem.asked][[0, -1]]
+        low, high = self.problem.design.omega[[0, -1]]
         estimated = self.estimated
         of = f" for the {estimated} sampled plants that are worst on the grid"
         unknown = [f"below {low:.4g} rad/s"] if low > 0 else []
@@ -233,7 +236,7 @@ class Certificate:
             unknown.append(f"above {high:.4g} rad/s")
         return [
             f"sigma_max(M){without} from {low:.4g} to {high:.4g} rad/s, between the samples: "
-            f"{self.all_M:.4f}, estimated{of if estimated <= len(self.problem.others) else ''}",
+            f"{self.all_M:.4f}, estimated{of if estimated < len(self.problem.plants) else ''}",
             *(
                 [f"{self._above}: {self.beyond.sigma:.4f} at most"]
                 if self.beyond
@@ -278,7 +281,7 @@ def certify(
 ) -> Certificate:
     """Find out what is true of a filter; nothing of the solution is trusted."""
     L = LearningFilter(solution.coefficients, problem.Ts)  # in units of scale, as P is
-    response = L.frequency_response(problem.omega)
+    response = L.frequency_response(problem.omega_L)
     sigma_M = largest_singular_values(problem.M(response))
     worst = worst_case(problem, L)
     value = problem.value(sigma_M, worst.sigma)
@@ -313,10 +316,10 @@ def certify(
 
 def _within(problem, solution):
     """Rate where commands have limits: of the nominal plant, on the grid, in the plant's units."""
-    asked, scale = problem.asked, problem.scale
-    P = problem.P[asked] * scale[:, None] / scale
-    L = problem.filter(solution.coefficients).frequency_response(problem.omega[asked])
-    return float(from_responses(problem.omega[asked], P, problem.Q[asked], L).within())
+    design, scale = problem.design, problem.scale
+    P = design.P * scale[:, None] / scale
+    L = problem.filter(solution.coefficients).frequency_response(design.omega)
+    return float(from_responses(design.omega, P, design.Q, L).within())
 
 
 def checked_trial(

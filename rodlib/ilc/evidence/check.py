@@ -57,7 +57,7 @@ def check(problem: Problem, L: LearningFilter) -> Check:
     """What a filter, in units of `scale`, does on the plants of a problem."""
     worst = worst_case(problem, L)
     response = L.frequency_response(problem.omega)
-    each = [problem.M(response, k) for k in range(1 + len(problem.others))]
+    each = [problem.M(response, k) for k in range(len(problem.plants))]
     radius = np.abs(np.linalg.eigvals(each)).max()
     estimated = highest(estimated_peaks(problem, L, worst.peaks))
     beyond = peak_beyond(problem, L)

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from rodlib.ilc.evidence.finite_trial import impulse_response
+from rodlib.ilc.models import impulse_response
 from rodlib.ilc.problem.problem import TIED, Problem
 
 SLOW = 0.05  # gain of the loop, within the band, below which it counts as slow: a share of its best

@@ -1,8 +1,8 @@
-"""What is left of the error if something is new in every trial: noise, and random disturbances.
+"""What noise and random disturbances, new in every trial, leave of the error.
 
-What comes again in every trial is learned. What is new in trial k, learning takes for an error
-that will come again, and passes it on to all later trials. With n_k in the measured outputs and d_k
-as a disturbance, the loop without learning deviates by
+A disturbance that repeats is learned. What is new in trial k, learning takes for an error that
+will come again, and passes it on to all later trials. With n_k in the measured outputs and d_k as
+a disturbance, the loop without learning deviates by
 
     t_k = T n_k + G d_k (the true outputs),    x_k = n_k + t_k (the measured ones, which e shows),
 
@@ -13,26 +13,42 @@ v_{k+1} = Q (v_k + L e_k) with e_k = e_0 - P v_k - x_k gives for the random part
 
 p_k depends on earlier trials alone, and so is independent of x_k and t_k: spectral densities add.
 If sigma_max(M) <= c < 1, that of p_k has a trace of at most tr(Q P L Phi_x (Q P L)^H) / (1 - c^2).
-Trials are taken to be without end, as in Lemma 1; with the start and the end of one,
-:mod:`~rodlib.ilc.evidence.noisy_trial`.
+A learning gain a takes the place of M by (1 - a) I + a M, and of Q P L by a Q P L.
+
+This is for trials without ends, as Lemma 1 is: :func:`trial_noise`, :func:`converged_noise`. In a
+real trial v is missing before the start. A learning filter with a large gain has coefficients that
+all but cancel; of a sample of noise near the start it applies some and not the others, and these
+do not cancel. :func:`noise_on_trial` computes what the law (23) makes of a trial, ends included:
+
+    v_{k+1} = M v_k - B x_k,    V = M V M^T + B X B^T,    X = cov x_k,
+
+and what learning adds to the error has the covariance P V P^T.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
+import xarray as xr
+from scipy.fft import idct, irfft, next_fast_len, rfft
 
 from rodlib.ilc import arguments
-from rodlib.ilc.filters import LearningOperator, check_learning
+from rodlib.ilc.evidence.convergence import convergence
+from rodlib.ilc.filters import LearningOperator
+from rodlib.ilc.law.law import Law
 from rodlib.ilc.loop.closed import CurrentTrialLoop, with_noise
-from rodlib.ilc.models import frequency_response
-from rodlib.ilc.problem.problem import largest_singular_values, tied
-from rodlib.ilc.problem.responses import Q_on_grid
+from rodlib.ilc.models import frequency_response, impulse_response
+from rodlib.ilc.problem.problem import convergence_matrix
 
 HERMITIAN = 1e-9  # relative, by how much a spectral density may miss being one
 NEGLIGIBLE = 1e-17  # share of what is passed on that is no longer added up
+FAINT = 1e-3  # gain of Q below which v is taken to have no higher frequencies,
+ALL = 200  # in trials that are longer than this
+STILL = 1e-2  # relative, by how much a variance may still change in the middle of a short trial
+SIDE_BY_SIDE = 50  # signals that the law takes at a time
+DOUBLINGS = 50  # of the number of trials, until what is left of the first is negligible
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Spectrum:
     """Spectral density of m random signals.
 
@@ -58,32 +74,24 @@ class Spectrum:
         return float(np.linalg.norm(self.rms))
 
     def __add__(self, other: "Spectrum") -> "Spectrum":
-        """That of the sum with independent signals, known at the same frequencies."""
+        """That of the sum with independent signals, at the same frequencies."""
         return replace(self, density=self.density + other.density)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class TrialNoise:
-    """What is new in every trial, without learning. Made by :func:`trial_noise`."""
+    """What is random in a trial. Made by :func:`trial_noise` and :func:`converged_noise`."""
 
     P: np.ndarray  # (n, m, m): frequency response of the loop from w to y, (31)
-    measured: Spectrum  # of x, how the measured outputs, and so e, deviate from trial to trial
-    true: Spectrum  # of t, how the outputs themselves do
-
-
-@dataclass(frozen=True)
-class LearnedNoise:
-    """What is random in a trial with learning. Made by :func:`converged_noise`."""
-
-    measured: Spectrum  # of e, the error that the controller sees
+    measured: Spectrum  # of the error that the controller sees
     true: Spectrum  # of the error of the outputs themselves
-    learned: Spectrum  # in both, of p: what learning has made of earlier trials
+    learned: Spectrum  # in both: what learning has made of earlier trials
 
 
 def trial_noise(
-    loop: CurrentTrialLoop, omega, noise=0.0, disturbance=None, *, plant=None
+    loop: CurrentTrialLoop, omega, noise_psd=0.0, disturbance_psd=None, *, plant=None
 ) -> TrialNoise:
-    """What the loop makes of noise and disturbances that are new in every trial.
+    """What the loop makes of noise and disturbances that are new in every trial, L = 0.
 
     Parameters
     ----------
@@ -91,146 +99,263 @@ def trial_noise(
         With m outputs and d disturbances.
     omega : array_like, shape (n,)
         Increasing angular frequencies, rad/s, up to the Nyquist frequency.
-    noise : float or array_like
+    noise_psd : float or array_like
         Spectral density of what the sensors add to y, see :class:`Spectrum`. White noise: the
         variance, of all outputs or of each, shape (m,). Coloured noise: shape (n,) for all
         outputs, (n, m) for each, (n, m, m) where they depend on each other.
-    disturbance : float or array_like, optional
+    disturbance_psd : float or array_like, optional
         Likewise, for ``loop.disturbances``. Default zero.
     plant : control.StateSpace or control.TransferFunction, optional
         Another plant in the place of that of the design, as in :meth:`CurrentTrialLoop.around`.
     """
     arguments.instance("loop", loop, CurrentTrialLoop)
-    omega, m = arguments.frequencies("omega", omega, loop.Ts), loop.plant.noutputs
-    sensors = _density("noise", noise, omega, m)
+    omega, m = arguments.frequencies("omega", omega, loop.Ts), len(loop.outputs)
+    sensors = _density("noise_psd", noise_psd, omega, m)
     response = frequency_response(with_noise(loop, plant), omega)
     P, G, T = np.split(response, [m, -m], axis=2)
     true, measured = _through(T, sensors), _through(np.eye(m) + T, sensors)
-    if disturbance is not None:
-        if not loop.disturbances:
-            raise ValueError("disturbance must be None: the loop has none")
-        flows = _through(
-            G, _density("disturbance", disturbance, omega, len(loop.disturbances))
+    if disturbance_psd is not None:
+        sources = len(loop.disturbances)
+        if not sources:
+            raise ValueError(
+                "disturbance_psd must be None: the loop has no disturbance"
+            )
+        added = _through(
+            G, _density("disturbance_psd", disturbance_psd, omega, sources)
         )
-        true, measured = true + flows, measured + flows
-    return TrialNoise(
-        P, Spectrum(omega, loop.Ts, measured), Spectrum(omega, loop.Ts, true)
-    )
+        true, measured = true + added, measured + added
+    spectra = [Spectrum(omega, loop.Ts, x) for x in (measured, true, 0 * true)]
+    return TrialNoise(P, *spectra)
 
 
-def converged_noise(
-    new: TrialNoise, Q, L: LearningOperator, step: float = 1.0
-) -> LearnedNoise:
-    """What is random in the error when all that comes again is learned.
+def converged_noise(new: TrialNoise, law: Law) -> TrialNoise:
+    """What is random in the error when all that repeats is learned.
 
     Parameters
     ----------
     new : TrialNoise
-    Q : ZeroPhaseButterworth or array_like, shape (n,)
-        The filter, or its frequency response on ``new.measured.omega``.
-    L : LearningOperator
-    step : float
-        The `gain` of :class:`rodlib.Law`, the same after every trial.
+        Without learning, by :func:`trial_noise`.
+    law : Law
+        The rest at the end of a trial and limits are left out of account.
 
     Returns
     -------
-    LearnedNoise
+    TrialNoise
         Its `learned` is the solution Phi of Phi = M Phi M^H + (Q P L) Phi_x (Q P L)^H, at each
-        frequency; for one channel Phi_x |Q P L|^2 / (1 - |M|^2). A step a takes the place of M by
-        (1 - a) I + a M, and of Q P L by a Q P L. If the trials do not converge at some frequency,
-        a ValueError says so.
+        frequency; for one channel Phi_x |Q P L|^2 / (1 - |M|^2).
+
+    Raises
+    ------
+    ValueError
+        If the trials do not converge at some frequency.
     """
-    step = arguments.share("step", step)
-    M, QPL = _learning(new, Q, L)
-    M, added = _stepped(M, step), step**2 * _through(QPL, new.measured.density)
-    rate = np.abs(np.linalg.eigvals(M)).max(axis=1)
-    if rate.max() >= 1:
+    arguments.instance("new", new, TrialNoise)
+    arguments.instance("law", law, Law)
+    x = new.measured
+    arguments.one_period(noise=x.Ts, law=law.Ts)
+    P, Q, L = convergence(new.P, law.Q, law.L, x.omega).responses
+    QPL = law.gain * (Q[:, None, None] * P @ L)
+    M = convergence_matrix(P, Q, L)
+    M = (1 - law.gain) * np.eye(M.shape[1]) + law.gain * M
+    radius = np.abs(np.linalg.eigvals(M)).max(axis=1)
+    if radius.max() >= 1:
         raise ValueError(
-            f"L does not converge: M has an eigenvalue of modulus {rate.max():.6g} at "
-            f"{new.measured.omega[tied(rate).argmax()]:.6g} rad/s"
+            f"law does not converge: M has an eigenvalue of modulus {radius.max():.6g} at "
+            f"{x.omega[radius.argmax()]:.6g} rad/s"
         )
-    return _learned(new, accumulated(M, added))
+    learned = replace(x, density=_accumulated(M, _through(QPL, x.density)))
+    return TrialNoise(new.P, x + learned, new.true + learned, learned)
 
 
-def accumulated(M, added) -> np.ndarray:
+def _accumulated(M, added):
     """Phi = M Phi M^H + `added`, the sum of M^k `added` M^k^H over all k, by Smith's method."""
     size = 1.0
     while size > NEGLIGIBLE:  # the number of terms doubles
         added = added + _through(M, added)
         M = M @ M
-        size = largest_singular_values(M).max() ** 2
+        size = np.linalg.norm(M, axis=(1, 2)).max() ** 2
     return added
-
-
-def noise_by_trial(new: TrialNoise, Q, L: LearningOperator, step) -> list[LearnedNoise]:
-    """What is random in the error of each trial, from the first on, where v = 0.
-
-    Parameters
-    ----------
-    new, Q, L : as for :func:`converged_noise`
-    step : array_like, shape (trials - 1,)
-        The `gain` of :class:`rodlib.Law`, from each trial to the next.
-
-    Returns
-    -------
-    list of LearnedNoise
-        One for each trial. With steps that tend to zero, and whose sum has no limit, what is
-        learned of noise tends to zero, if all eigenvalues of M have a real part below one.
-    """
-    steps = [
-        arguments.share(f"step[{k}]", a)
-        for k, a in enumerate(arguments.row("step", step))
-    ]
-    M, QPL = _learning(new, Q, L)
-    added = _through(QPL, new.measured.density)
-    density = [np.zeros_like(added)]
-    for a in steps:
-        density.append(_through(_stepped(M, a), density[-1]) + a**2 * added)
-    return [_learned(new, each) for each in density]
 
 
 def _density(name, value, omega, m):
     """A density of shape (n, m, m), from any of the forms of :func:`trial_noise`."""
-    given = arguments.array(name, value, (...,), complex)
+    density = arguments.array(name, value, (...,), complex)
     n = len(omega)
-    if given.shape not in [(), (m,), (n,), (n, m), (n, m, m)]:
+    if density.shape not in [(), (m,), (n,), (n, m), (n, m, m)]:
         raise ValueError(
-            f"{name} has shape {given.shape}, but must be a variance, shape () or ({m},), or a "
+            f"{name} has shape {density.shape}, but must be a variance, shape () or ({m},), or a "
             f"density at the {n} frequencies, shape ({n},), ({n}, {m}) or ({n}, {m}, {m})"
         )
-    if given.ndim < 3:
-        each = given[:, None] if given.shape == (n,) != (m,) else given
-        given = np.broadcast_to(each, (n, m))[..., None] * np.eye(m)
-    size = np.abs(given).max()
-    apart = np.abs(given - given.conj().swapaxes(1, 2)).max()
-    if apart > HERMITIAN * size or np.linalg.eigvalsh(given).min() < -HERMITIAN * size:
+    if density.ndim < 3:
+        if density.shape == (n,) != (m,):
+            density = density[:, None]
+        density = np.broadcast_to(density, (n, m))[..., None] * np.eye(m)
+    limit = HERMITIAN * np.abs(density).max()
+    asymmetry = np.abs(density - density.conj().swapaxes(1, 2)).max()
+    if asymmetry > limit or np.linalg.eigvalsh(density).min() < -limit:
         raise ValueError(
             f"{name} is no spectral density: at each frequency it must be real and not negative, "
             "or a Hermitian matrix without negative eigenvalues"
         )
-    return given
-
-
-def _learning(new, Q, L):
-    """M and Q P L, for a step of one."""
-    arguments.instance("new", new, TrialNoise)
-    q, m = Q_on_grid(Q, new.measured.omega, noise=new.measured.Ts)[1], new.P.shape[1]
-    check_learning(L, m)
-    arguments.one_period(noise=new.measured.Ts, L=L.Ts)
-    q = q[:, None, None]
-    QPL = q * new.P @ L.frequency_response(new.measured.omega)
-    return q * np.eye(m) - QPL, QPL  # (40)
-
-
-def _stepped(M, step):
-    return (1 - step) * np.eye(M.shape[1]) + step * M
-
-
-def _learned(new, density):
-    learned = replace(new.measured, density=density)
-    return LearnedNoise(new.measured + learned, new.true + learned, learned)
+    return density
 
 
 def _through(H, density):
     """Spectral density of a signal behind H."""
     return H @ density @ H.conj().swapaxes(1, 2)
+
+
+def noise_on_trial(
+    loop: CurrentTrialLoop,
+    law: Law,
+    samples: int,
+    noise_variance,
+    *,
+    trials: int | None = None,
+    plant=None,
+) -> xr.Dataset:
+    """What white noise that is new in every trial does to a trial that has two ends.
+
+    Parameters
+    ----------
+    loop, plant :
+        As for :func:`rodlib.run_trials`.
+    law : Law
+        The filters act with their own `ends`; limits are left out of account.
+    samples : int
+        Length of a trial.
+    noise_variance : float or array_like, shape (m,)
+        Of what the sensors add to y in each sample, of all outputs or of each. Coloured noise is
+        for :func:`rodlib.trial_noise`, far from the ends.
+    trials : int, optional
+        The number of the trial that is asked about; 1 is the first, where v = 0. Default: after so
+        many that nothing changes any more. If that never happens, a ValueError says so.
+
+    Returns
+    -------
+    xarray.Dataset
+        RMS over all that the noise could have been, at each time and in each channel: `true`, of
+        the outputs themselves; `measured`, of e, the error that the controller sees; `learned`, in
+        both, of what learning has made of earlier trials. :func:`rodlib.ilc.rms` of one of
+        them is that of the trial.
+
+    Notes
+    -----
+    Long trials are cut short in the middle: the first half of a short trial is the start of the
+    long one, the second half its end, and the variance in the middle stands still, to a hundredth
+    over a quarter of the short trial, or it is made twice as long. There v is written in cosines,
+    up to where Q falls below a thousandth. Both change the RMS of the paper's trial by less than
+    a ten-thousandth. Next to an end it may be half a percent in a sample, if the loop is fast or
+    the filters hold their ends. A trial of up to 200 samples is exact to rounding.
+    """
+    arguments.instance("loop", loop, CurrentTrialLoop)
+    law, m = arguments.instance("law", law, Law).bound_to(loop), len(loop.outputs)
+    arguments.instance("law.L", law.L, LearningOperator)
+    samples = arguments.whole("samples", samples, 1)
+    trials = None if trials is None else arguments.whole("trials", trials, 1)
+    rest = arguments.whole("law.rest", law.rest, 0, samples - 1)
+    variance = arguments.array("noise_variance", noise_variance, (...,))
+    shape = (m,) if variance.ndim else ()
+    variance = arguments.array("noise_variance", variance, shape) * np.ones(m)
+    if variance.min() < 0:
+        raise ValueError(
+            f"noise_variance = {variance.min():g}, but a variance is not negative"
+        )
+
+    closed = with_noise(loop, plant)
+    h, noise = impulse_response(closed, samples), np.diag(np.sqrt(variance))
+    P, T = h[..., :m], h[..., -m:] @ noise
+    X = T.copy()  # of x: the noise itself, and what the loop makes of it
+    X[0] += noise
+    slowest = np.abs([*closed.poles(), *law.Q.poles]).max()
+    length = 2 * rest + 2 * np.log(STILL) / np.log(min(slowest, arguments.CIRCLE))
+    while True:
+        length = min(int(np.ceil(length)), samples)
+        learned = _learned(P[:length], X[:length], law, trials)
+        middle = learned[length * 3 // 8 : length * 5 // 8 + 1]
+        change = np.ptp(middle, axis=0) / STILL
+        if length == samples or np.all(change <= middle.mean(axis=0)):
+            break
+        length *= 2
+    half, absent = length // 2, samples - length
+    learned = np.insert(learned, [half] * absent, learned[half], axis=0)
+    power = {name: (Y**2).sum(axis=2).cumsum(axis=0) + learned
+             for name, Y in (("true", T), ("measured", X))}  # fmt: skip
+    power["learned"] = learned
+    coordinates = {
+        "time": ("time", loop.Ts * np.arange(samples), {"units": "s"}),
+        "channel": np.arange(1, m + 1),
+        "output": ("channel", loop.outputs),
+    }
+    signals = {name: (("time", "channel"), np.sqrt(x)) for name, x in power.items()}
+    return xr.Dataset(signals, coordinates)
+
+
+def _learned(P, X, law, trials):
+    """Variance of P v, shape (time, m), on a trial as long as the impulse responses P and X."""
+    length, m, _ = P.shape
+    cosines = _cosines(law.Q, length - law.rest, law.rest)
+    count = len(cosines)
+    size = count * m  # numbers of v: `count` in each channel
+
+    # What the law makes of v and of e, in cosines of the next v.
+    of_v = law.gain * _of_impulses(law.Q.apply, 1, cosines)[..., 0]
+    of_e = _of_impulses(law.L.apply, m, of_v).reshape(count, length, m, m)
+    of_e = of_e.transpose(0, 3, 2, 1).reshape(size, m, length)
+    fast = next_fast_len(2 * length, real=True)
+    P, X = (rfft(h.transpose(2, 1, 0), fast) for h in (P, X))  # (from, to, frequency)
+    y = irfft(rfft(cosines, fast)[:, None, None] * P, fast)[..., :length]
+    y = y.reshape(size, -1)  # of each cosine in each channel of v
+
+    V, backward = np.zeros((size, size)), rfft(of_e[..., ::-1], fast)
+    for sensor in X:  # noise of the last sample, which reaches least, to the first
+        added = irfft(np.einsum("cjf,jf->cf", backward, sensor), fast)[:, :length]
+        V += added @ added.T
+    of_v = of_v @ cosines.T + (1 - law.gain) * np.eye(count)
+    M = np.kron(of_v, np.eye(m)) - of_e.reshape(size, -1) @ y.T
+    V = _in_trial(M, V, trials)
+    return np.maximum(((V @ y) * y).sum(axis=0), 0).reshape(m, length).T
+
+
+def _cosines(Q, active, rest):
+    """Orthonormal rows that span what v can be: cosines that Q passes, zero in the rest."""
+    gain = Q.frequency_response(np.arange(active) * np.pi / (active * Q.Ts))
+    count = max(np.flatnonzero(gain > FAINT).max() + 1, min(active, ALL))
+    cosines = idct(np.eye(count, active), norm="ortho", axis=1)
+    return np.pad(cosines, [(0, 0), (0, rest)])
+
+
+def _of_impulses(apply, channels, outputs):
+    """`outputs` after a filter of impulses at all times in all channels, side by side."""
+    length = outputs.shape[1]
+    size, parts = length * channels, []
+    for at in range(0, size, SIDE_BY_SIDE):
+        impulses = np.eye(min(SIDE_BY_SIDE, size - at), size, at)
+        filtered = apply(impulses.reshape(len(impulses), length, channels))
+        reached = filtered.any(axis=(0, 2))  # by a short filter few samples
+        few = filtered[:, reached]
+        parts.append(np.tensordot(outputs[:, reached], few, (1, 1)))
+    return np.concatenate(parts, axis=1)
+
+
+def _in_trial(M, added, trials):
+    """The sum of M^k `added` M^k^T over all k, or in trial number `trials`, by doubling."""
+    if trials is not None:
+        total, power = np.zeros_like(added), np.eye(len(M))
+        for bit in f"{trials - 1:b}":
+            total, power = total + power @ total @ power.T, power @ power
+            if bit == "1":
+                total, power = added + M @ total @ M.T, M @ power
+        return total
+    for _ in range(DOUBLINGS):
+        added = added + M @ added @ M.T
+        M = M @ M
+        size = np.linalg.norm(M) ** 2
+        if size < NEGLIGIBLE:
+            return added
+        if size > 1 / NEGLIGIBLE:
+            break
+    raise ValueError(
+        "law does not converge on a trial with two ends: what noise does grows from trial to "
+        "trial. Ask about one of them, trials = 10, or hold v at rest at the end"
+    )

@@ -32,15 +32,15 @@ def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None) -> float:
     to rounding, whatever was passed. A coefficient of L_jk acts on column k of M, L and G only, so
     the columns are projected one by one. What is None is not used: V, the bound on L; cuts.
     """
-    P, Q, angles = problem.P, problem.Q, problem.angles
+    P, Q, angles = problem.P, problem.Q, problem.omega * problem.Ts
     n, m, _ = P.shape
-    T, N, turns = [-Q[:, None, None] * P], [U], [angles]
+    T, N, turns = [-Q[:, None, None] * P], [U[:n]], [angles]
     if (
         V is not None
     ):  # in units of the bound, so that both parts have the size of the objective
         W = problem.weight
         T, N = [*T, W], [*N, np.linalg.solve(W, V)]
-        turns.append(angles)
+        turns.append(problem.omega_L * problem.Ts)
     F = np.empty((0, m, m))
     if cuts is not None:
         F, slope = affine(problem, cuts.plant, cuts.frequency)
@@ -62,7 +62,7 @@ def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None) -> float:
         for _ in range(2):
             part -= (part @ changes.T) @ changes
         N[:, columns] = part.view(complex).T
-    plain = 2 * n if V is not None else n
+    plain = n + (0 if V is None else len(V))
     N, beyond = N[: plain * m].reshape(-1, m, m), N[plain * m :].reshape(F.shape)
     norms = np.linalg.svd(N, compute_uv=False).sum(axis=1)
     bound = (np.trace(N[:n].conj(), axis1=1, axis2=2) * Q).real.sum() - norms[n:].sum()

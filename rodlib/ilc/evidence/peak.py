@@ -287,7 +287,7 @@ def peak_beyond(problem: Problem, L) -> Peak | None:
     """The highest above the last sample of P, of any phase and assumed size; None if P is known."""
     if problem.beyond is None:
         return None
-    first, nyquist = problem.omega[problem.asked][-1], np.pi / problem.Ts
+    first, nyquist = problem.design.omega[-1], np.pi / problem.Ts
     omega = np.linspace(first, nyquist, 1 + 64 * L.order)
     sigma_L = largest_singular_values(L.frequency_response(omega))
     sigma_M = problem.Q_beyond(omega) * (1 + problem.beyond * sigma_L)
@@ -309,15 +309,15 @@ def peaks_between(problem: Problem, L, numbers) -> list[Peak]:
     """Peaks of sigma_max(M) of some plants, estimated between samples."""
     if not len(numbers):
         return []
-    known, omega = problem.asked, problem.omega[problem.asked]
+    design = problem.design
+    omega = design.omega
     steps = np.linspace(0, 1, DENSER, endpoint=False)
     dense = np.append(
         (omega[:-1, None] + np.diff(omega)[:, None] * steps).ravel(), omega[-1]
     )
     responses = L.frequency_response(omega), dense, L.frequency_response(dense)
-    Q = problem.Q[known]
     return [
-        _peak_between(k, problem.plant(k)[known], Q, omega, *responses) for k in numbers
+        _peak_between(k, design.plants[k], design.Q, omega, *responses) for k in numbers
     ]
 
 

@@ -60,7 +60,7 @@ def worst_case(problem: Problem, L: LearningFilter) -> WorstCase:
     check_learning(L, problem.channels)
     arguments.one_period(problem=problem.Ts, L=L.Ts)
     response = L.frequency_response(problem.omega)
-    count = 1 + len(problem.others)
+    count = len(problem.plants)
     nominal = np.array(
         [largest_singular_values(problem.M(response, k)) for k in range(count)]
     )
@@ -85,7 +85,7 @@ def worst_case(problem: Problem, L: LearningFilter) -> WorstCase:
     worst[possible, at] = _bound(G, _balance(G)[0])
     plant = worst.argmax(axis=0)
     Delta = _worst_Delta(problem, plant, response)
-    P = np.concatenate([problem.P[None], problem.others])[plant, every]
+    P = problem.plants[plant, every]
     M = convergence_matrix(P + Delta, problem.Q, response)
     attained = largest_singular_values(M)
     return WorstCase(
@@ -101,9 +101,8 @@ def _tied_pairs(sigma):
 
 def affine(problem: Problem, plant, at) -> tuple[np.ndarray, np.ndarray]:
     """F and T of G = F + T L in :class:`rodlib.ilc.problem.Cuts`, for plants and frequencies."""
-    m, other = problem.channels, plant > 0
-    P, Q = problem.P[at], problem.Q[at, None, None]
-    P[other] = problem.others[plant[other] - 1, at[other]]
+    m = problem.channels
+    P, Q = problem.plants[plant, at], problem.Q[at, None, None]
     T = -Q * P
     if problem.radius is not None:
         rho = np.abs(Q) * problem.radius[at, None, None]

@@ -87,7 +87,7 @@ def violation_probability(design, beta: float = 1e-6) -> float:
         "design.solution", getattr(design, "solution", None), Solution
     )
     beta = arguments.number("beta", beta, "in (0, 1)", 0, 1)
-    samples = len(design.problem.others)
+    samples = len(design.problem.plants) - 1
     if not samples:
         raise ValueError(
             "design is for one plant alone: pass synthesise a list, the nominal plant and samples"

@@ -15,9 +15,7 @@ from rodlib.ilc.loop.closed import Loop
 CHOOSE = "auto"  # in the place of L_max, of which None says that there is none
 FREQUENCIES = 1000
 DECADES = 3  # from the lowest frequency up to the cut-off of Q
-SHARE = (
-    1 / 5
-)  # of the cut-off, where the band ends: Q passes 99.8 % there, if its order is two
+SHARE = 1 / 5  # of the cut-off, where the band ends: a Q of order two passes 99.8 %
 
 
 def frequencies(P, Q, Ts) -> np.ndarray:
@@ -66,9 +64,11 @@ def band(cutoff, omega) -> tuple[float, float]:
     return low, float(min(max(end, higher[0]), omega[-1]))
 
 
-def gain(cutoff, P, omega) -> float:
-    """The gain that inverts P, (n, m, m), at the cut-off, rounded up to one digit."""
-    least = np.linalg.svd(P, compute_uv=False)[:, -1]
-    exact = 1 / np.interp(cutoff, omega, least)
+def gain(cutoff, smallest, omega) -> float:
+    """The gain that inverts P at the cut-off, rounded up to one digit.
+
+    `smallest`, (n,): the smallest singular value of P at omega.
+    """
+    exact = 1 / np.interp(cutoff, omega, smallest)
     digit = 10.0 ** np.floor(np.log10(exact))
     return float(f"{np.ceil(exact / digit * (1 - 1e-9)) * digit:.0e}")

@@ -1,8 +1,8 @@
-"""Frequencies that the grid of a problem leaves out: what holds there all the same.
+"""Bounds at further frequencies, where the design frequencies alone would not do.
 
-The learning filter is known at all frequencies, and keeps its bound at all of them, also where the
-grid is coarse. Where the samples of a plant end below the Nyquist frequency, nothing is known of
-the plant; a bound of its size, whatever its phase, bounds M.
+The learning filter is known at all frequencies, and keeps its bound between those of a coarse grid.
+Where the samples of a plant end below the Nyquist frequency, only a bound on its size is assumed,
+at any phase; that bounds M.
 """
 
 from dataclasses import replace
@@ -13,108 +13,129 @@ import numpy as np
 from rodlib.ilc.models import frequency_response
 from rodlib.ilc.problem.problem import ROUNDING, Problem
 
-VALUES = (
-    "P",
-    "Q",
-    "omega",
-    "others",
-    "radius",
-    "asked",
-)  # by frequency
-LEAST = 1e-6  # gain of P L that is always let be, so that what is left of M_max may be nothing
+LEAST = 1e-6  # gain of P L that is always allowed, however little M_max leaves for it
 
 
 def without_gaps(problem: Problem) -> Problem:
     """The problem with L bounded at further frequencies, where omega is coarse or ends too soon."""
     # But for a delay, a filter of n samples is a polynomial of degree (n - 1) / 2 in exp(i angle).
     # Next to its largest value it falls no faster than the cosine of that degree (M. Riesz).
-    known, near = problem.angles, np.pi / (4 * problem.order)
-    coarse = problem.L_max is not None and _reach(known).max() > near
+    angles, near = problem.omega * problem.Ts, np.pi / (4 * problem.order)
+    coarse = problem.L_max is not None and _reach(angles).max() > near
     if not coarse and problem.beyond is None:
         return problem
-    end = 0 if coarse else known[problem.asked][-1]
-    gaps = [
-        (a, b) for a, b in pairwise([0, *known, np.pi]) if a >= end and b - a > ROUNDING
-    ]
-    added = [np.linspace(a, b, 1 + int(np.ceil((b - a) / near)))[1:-1] for a, b in gaps]
-    ends = np.array([0, np.pi])
-    added.append(ends[(ends >= end) & (np.abs(ends - known[[0, -1]]) > ROUNDING)])
-    added = np.sort(np.concatenate(added)) / problem.Ts
-    problem = (
-        refined(problem, added) if problem.everywhere else _with(problem, added)[0]
-    )
-    if (
-        coarse and not problem.everywhere
-    ):  # which finds where L passes its bound all the same
-        share = np.cos((problem.order - 1) / 2 * _reach(problem.angles))
-        problem = replace(problem, share_L=share)
+    added = _in_gaps(angles, 0 if coarse else angles[-1], near) / problem.Ts
+    if problem.everywhere:  # then L is held at its crests, too
+        problem = refined(problem, added)
+    else:
+        problem = _with_L_bounded(problem, added)
+        if coarse:
+            reach = _reach(problem.omega_L * problem.Ts)
+            share = np.cos((problem.order - 1) / 2 * reach)
+            problem = replace(problem, share_L=share)
     return problem if problem.beyond is None else _bounded_beyond(problem, near)
 
 
-def refined(problem: Problem, omega, P=None, Q=0) -> Problem:
-    """The problem with its bounds at further frequencies, too.
+def refined(problem: Problem, omega, plants=None, Q=None) -> Problem:
+    """The problem with bounds on M and L at further frequencies, which are not in the sum.
 
-    There M is that of the plants that are models. What is known as samples only, or within a
-    radius, is not known there: `P`, of all plants, and `Q` stand for it, in the order of the
-    frequencies, or else a model; or nothing, so that L alone is bounded.
+    There M is that of the plants that are models; a plant known as samples needs its responses
+    `plants`, (p, k, m, m), and `Q`, (k,), or a model stands for it. Without models and responses L
+    alone is bounded.
     """
-    omega, models = np.sort(omega), {}
+    if not len(omega):
+        return problem
+    omega = np.sort(omega)
     if problem.butterworth is not None:
-        models = {
-            k: model for k, model in enumerate(problem.models) if model is not None
-        }
-    known = {k: frequency_response(model, omega) for k, model in models.items()}
-    if P is None:
-        P = np.array(
-            [next(iter(known.values()), 0 * problem.P[:1])] * len(problem.models)
-        )
-    if known:
+        responses = [
+            None if model is None else frequency_response(model, omega)
+            for model in problem.models
+        ]
         Q = problem.butterworth.frequency_response(omega)
-    for k, response in known.items():
-        P[k] = response
-    problem, new = _with(problem, omega)
-    problem.P[new], problem.others[:, new], problem.Q[new] = P[0], P[1:], Q
-    return problem
+    else:
+        responses = [None for _ in problem.models]
+    known = [response for response in responses if response is not None]
+    if plants is None and not known:
+        return _with_L_bounded(problem, omega)
+    plants = np.stack(
+        [
+            response
+            if response is not None
+            else known[0]
+            if plants is None
+            else plants[k]
+            for k, response in enumerate(responses)
+        ]
+    )
+    n = len(problem.omega)
+    order = np.argsort(np.append(problem.omega, omega), kind="stable")
+    radius = problem.radius
+    if radius is not None:  # it is not known between the samples
+        radius = np.append(radius, 0 * omega)[order]
+    return replace(
+        problem,
+        omega=np.append(problem.omega, omega)[order],
+        plants=np.concatenate([problem.plants, plants], axis=1)[:, order],
+        Q=np.append(problem.Q, Q)[order],
+        radius=radius,
+        share_L=_inserted(problem.share_L, n, 1 + 0 * omega, order),
+        limit_L=_inserted(problem.limit_L, n, np.inf + 0 * omega, order),
+        stated=problem.design,
+    )
+
+
+def _inserted(values, n, added, order):
+    """Values at omega_L, with those at added frequencies of omega, in its new order."""
+    return np.append(np.append(values[:n], added)[order], values[n:])
+
+
+def _with_L_bounded(problem, omega):
+    """The problem with L alone bounded at further frequencies."""
+    return replace(
+        problem,
+        further=np.append(problem.further, omega),
+        share_L=np.append(problem.share_L, np.ones(len(omega))),
+        limit_L=np.append(problem.limit_L, np.full(len(omega), np.inf)),
+    )
+
+
+def _in_gaps(angles, start, near):
+    """Angles from `start` to pi, no farther than `near` apart together with those that are known.
+
+    The ends of the unit circle's upper half are among them.
+    """
+    added = []
+    for a, b in pairwise([0, *angles, np.pi]):
+        if a >= start and b - a > ROUNDING:
+            added.append(np.linspace(a, b, 1 + int(np.ceil((b - a) / near)))[1:-1])
+    if start == 0 and angles[0] > ROUNDING:
+        added.append([0.0])
+    if np.pi - angles[-1] > ROUNDING:
+        added.append([np.pi])
+    return np.sort(np.concatenate([np.empty(0), *added]))
 
 
 def _reach(angles):
-    """The farthest from each sample that another angle can be and have no nearer sample."""
-    between = np.diff(angles) / 2
-    return np.maximum([angles[0], *between], [*between, np.pi - angles[-1]])
-
-
-def _with(problem, omega):
-    """The problem with further frequencies, where all stands as zero, and which those are."""
-    order = np.argsort(np.append(problem.omega, omega), kind="stable")
-    new, wide = order >= len(problem.omega), {}
-    unbounded = {"limit_L": np.inf, "share_L": 1}
-    for name in (*VALUES, *unbounded):
-        values, axis = getattr(problem, name), int(name == "others")
-        if values is not None:
-            shape = (*values.shape[:axis], len(new), *values.shape[axis + 1 :])
-            wide[name] = np.full(shape, unbounded.get(name, 0), dtype=values.dtype)
-            wide[name][(slice(None),) * axis + (~new,)] = values
-    wide["omega"][new] = omega
-    return replace(problem, **wide), new
+    """The farthest from each angle that another can be and have no nearer one."""
+    order = np.argsort(angles)
+    between = np.diff(angles[order]) / 2
+    reach = np.empty(len(angles))
+    reach[order] = np.maximum(
+        [angles[order[0]], *between], [*between, np.pi - angles[order[-1]]]
+    )
+    return reach
 
 
 def _bounded_beyond(problem, near):
     """The problem with L bounded above the last sample so that M is, whatever the phase of P."""
-    unknown = np.arange(len(problem.omega)) >= np.flatnonzero(problem.asked)[-1]
-    omega = problem.omega[unknown]
-    Q, (last, *_) = problem.Q_beyond(omega), omega
-    below = np.maximum.accumulate(
-        np.append(Q[0], Q[:-1])
-    )  # M must keep its bound in between
-    with np.errstate(divide="ignore"):  # |Q (I - P L)| <= |Q| (1 + size sigma_max(L))
-        room = np.maximum(problem.M_max / np.maximum(below, 1e-300) - 1, LEAST)
-        limit = np.cos((problem.order - 1) / 4 * near) * room / problem.beyond
+    [beyond] = np.nonzero(problem.omega_L >= problem.design.omega[-1])
+    beyond = beyond[np.argsort(problem.omega_L[beyond])]
+    Q = problem.Q_beyond(problem.omega_L[beyond])
+    # M must keep its bound in between, too
+    Q = np.maximum.accumulate(np.append(Q[0], Q[:-1]))
+    room = np.maximum(problem.M_max / np.maximum(Q, 1e-300) - 1, LEAST)
     limits = problem.limit_L.copy()
-    limits[unknown] = np.where(below < problem.M_max, limit, np.inf)
-    findings = ()
-    if Q.max() >= problem.M_max:
-        findings = (
-            f"Q is {Q.max():.4g} above {last:.4g} rad/s, where P is not known: no filter bounds M "
-            f"by {problem.M_max:g} there; lower the cut-off of Q, or measure further",
-        )
-    return replace(problem, limit_L=limits, findings=findings)
+    with np.errstate(divide="ignore"):  # |Q (I - P L)| <= |Q| (1 + size sigma_max(L))
+        limit = np.cos((problem.order - 1) / 4 * near) * room / problem.beyond
+    limits[beyond] = np.where(problem.M_max > Q, limit, np.inf)
+    return replace(problem, limit_L=limits)

@@ -1,6 +1,7 @@
 """Stating a problem, each argument checked."""
 
 import reprlib
+from dataclasses import replace
 
 import control
 import numpy as np
@@ -8,7 +9,12 @@ import numpy as np
 from rodlib.ilc import arguments
 from rodlib.ilc.filters import ZeroPhaseButterworth
 from rodlib.ilc.problem import defaults
-from rodlib.ilc.problem.problem import ROUNDING, Problem, largest_singular_values
+from rodlib.ilc.problem.problem import (
+    ROUNDING,
+    Choices,
+    Problem,
+    largest_singular_values,
+)
 from rodlib.ilc.problem.responses import (
     IMAGINARY,
     Measured,
@@ -19,7 +25,7 @@ from rodlib.ilc.problem.responses import (
     plants,
 )
 
-CONFIDENCE = 0.99  # in a measured response, if not said otherwise
+CONFIDENCE = 0.99  # in a measured response
 
 
 def pose(
@@ -28,67 +34,88 @@ def pose(
     omega=None,
     Ts=None,
     *,
-    order=Problem.order,
-    M_max=Problem.M_max,
     L_max=defaults.CHOOSE,
     band=None,
-    structure=Problem.structure,
-    objective=Problem.objective,
     scale=None,
     uncertainty=None,
-    confidence=None,
-    beyond=None,
-    everywhere=False,
+    **choices,
 ) -> Problem:
-    """State the problem (39), or (45) with (46), and check it; see :func:`rodlib.synthesise`."""
+    """State the problem (39), or (45) with (46), and check it; see :func:`rodlib.synthesise`.
+
+    `choices` are those of :class:`Choices`.
+    """
     _refuse_exchanged(Q, omega)
     Ts = arguments.sampling_period("Ts", period(P, Q) if Ts is None else Ts)
     if omega is None:
         omega = defaults.frequencies([*plants(P).values()], Q, Ts)
     omega = arguments.frequencies("omega", omega, Ts)
+    n = len(omega)
+    choices = _checked(Choices(**choices), n)
     basis = ()
     if isinstance(P, Measured):
-        P, uncertainty, basis = _measured(P, omega, uncertainty, confidence, scale)
-    elif confidence is not None:
-        raise ValueError(
-            f"confidence = {reprlib.repr(confidence)} is for a measured response, but P is not "
-            "one: pass the radius as uncertainty"
-        )
+        P, uncertainty, basis = _measured(P, omega, uncertainty, scale)
     models, responses = on_grid(plants(P), omega, Ts)
     _refuse_hertz(responses, omega, Ts)
-    P, others = responses[0], responses[1:]
-    n, m, _ = P.shape
-    q, Q = Q_on_grid(Q, omega, P=Ts)
-    order = arguments.whole("order", order, 1)
-    if order > n:
-        raise ValueError(
-            f"order = {order} is more than the {n} frequencies of omega tell: take order = {n} or "
-            "less, or more frequencies"
-        )
-    what = "in (0, 1), or the trials do not converge"
-    M_max = arguments.number("M_max", M_max, what, 0, 1)
-    arguments.choice("structure", structure, ["diagonal", "full"])
-    arguments.choice("objective", objective, ["sum", "peak"])
+    butterworth, Q = Q_on_grid(Q, omega, P=Ts)
     radius = _radius(uncertainty, n)
+    m = responses.shape[-1]
     if scale is None:
         scale = np.ones(m)
     else:
         scale = _scale(scale, m)
-        units = scale / scale[:, None]
-        P, others = P * units, others * units
+        responses = responses * (scale / scale[:, None])
         models = [_scaled(model, scale) for model in models]
-    _refuse_singular(P, omega)
-    band, L_max, chosen = _chosen(band, L_max, objective, q, Q, P, omega)
-    _check_band(band, Q, omega, objective)
-    beyond = _size_beyond(
-        beyond, models, np.concatenate([P[None], others]), radius, omega[-1], Ts
-    )
+    singular_values = np.linalg.svd(responses[0], compute_uv=False)
+    _refuse_singular(responses[0], singular_values, omega)
+    cutoff = defaults.cutoff(butterworth, Q, omega)
+    by_default = []
+    if band is None:
+        band = defaults.band(cutoff, omega)
+        if choices.objective == "sum":
+            low, high = band
+            by_default.append(f"band = ({low:.4g}, {high:.4g}) rad/s, by Q's cut-off")
+    if isinstance(L_max, str) and L_max == defaults.CHOOSE:
+        L_max = defaults.gain(cutoff, singular_values[:, -1], omega)
+        by_default.append(f"L_max = {L_max:g}, a gain that inverts P at Q's cut-off")
+    elif L_max is not None:
+        what = f"a positive number, None for no bound, or {defaults.CHOOSE!r}"
+        L_max = arguments.positive("L_max", L_max, what)
+    band = tuple(arguments.array("band", band, (2,)).tolist())
+    _check_band(band, Q, omega, choices.objective)
     return Problem(
-        P, Q, omega, Ts, scale, others, tuple(models), q,
-        np.ones(n, dtype=bool), np.full(n, np.inf), np.ones(n), band, L_max,
-        order, M_max, structure, objective, radius, (*chosen, *basis), beyond=beyond,
-        everywhere=arguments.flag("everywhere", everywhere),
-    )  # fmt: skip
+        **vars(choices),
+        plants=responses,
+        Q=Q,
+        omega=omega,
+        Ts=Ts,
+        scale=scale,
+        models=tuple(models),
+        butterworth=butterworth,
+        band=band,
+        L_max=L_max,
+        further=np.empty(0),
+        share_L=np.ones(n),
+        limit_L=np.full(n, np.inf),
+        radius=radius,
+        beyond=_size_beyond(models, responses, radius, omega[-1], Ts),
+        basis=(*[f"chosen: {text}" for text in by_default], *basis),
+    )
+
+
+def _checked(choices, n):
+    """The choices, checked for n frequencies."""
+    order = arguments.whole("order", choices.order, 1)
+    if order > n:
+        raise ValueError(
+            f"order = {order} is more than the {n} frequencies of omega determine: take "
+            f"order = {n} or less, or more frequencies"
+        )
+    what = "in (0, 1), or the trials do not converge"
+    M_max = arguments.number("M_max", choices.M_max, what, 0, 1)
+    arguments.choice("structure", choices.structure, ["diagonal", "full"])
+    arguments.choice("objective", choices.objective, ["sum", "peak"])
+    everywhere = arguments.flag("everywhere", choices.everywhere)
+    return replace(choices, order=order, M_max=M_max, everywhere=everywhere)
 
 
 def _refuse_exchanged(Q, omega):
@@ -121,57 +148,38 @@ def _refuse_hertz(responses, omega, Ts):
         )
 
 
-def _measured(P, omega, uncertainty, confidence, scale):
+def _measured(P, omega, uncertainty, scale):
     """Response and radius of a measurement, and what they rest on."""
     if uncertainty is not None:
         raise ValueError(
             "uncertainty must be None if P is a measured response, which has a radius of its own: "
             "for a larger one, pass both of P.on(omega, confidence) as arrays"
         )
-    confidence = CONFIDENCE if confidence is None else confidence
-    response, radius = P.on(omega, confidence, None)
-    if scale is not None:
-        radius = P.on(omega, confidence, _scale(scale, response.shape[1]))[1]
-    return response, radius, P.basis(omega, confidence)
-
-
-def _chosen(band, L_max, objective, butterworth, Q, P, omega):
-    """Band and bound on the gain, those that nobody gave by `defaults`, in words."""
-    chosen, cutoff = [], defaults.cutoff(butterworth, Q, omega)
-    if band is None:
-        band = defaults.band(cutoff, omega)
-        if objective == "sum":
-            chosen.append(
-                f"band = ({band[0]:.4g}, {band[1]:.4g}) rad/s, by Q's cut-off"
-            )
-    if isinstance(L_max, str) and L_max == defaults.CHOOSE:
-        L_max = defaults.gain(cutoff, P, omega)
-        chosen.append(f"L_max = {L_max:g}, a gain that inverts P at Q's cut-off")
-    elif L_max is not None:
-        what = f"a positive number, None for no bound, or {defaults.CHOOSE!r}"
-        L_max = arguments.positive("L_max", L_max, what)
-    low, high = arguments.array("band", band, (2,)).tolist()
-    return (low, high), L_max, [f"chosen: {text}" for text in chosen]
+    response, radius = P.on(omega, CONFIDENCE)
+    if scale is not None:  # the response is scaled with those of other plants
+        scale = _scale(scale, response.shape[1])
+        radius = P.on(omega, CONFIDENCE, scale)[1]
+    return response, radius, P.basis(omega, CONFIDENCE)
 
 
 def _check_band(band, Q, omega, objective):
     """Check that the band lies within omega, and that Q leaves something to learn there."""
-    low, high = band
-    in_band = (omega >= low) & (omega <= high) if objective == "sum" else None
-    if in_band is not None:
+    if objective == "sum":
+        low, high = band
         slack = 1e-9 * omega[-1]
         if not omega[0] - slack <= low < high <= omega[-1] + slack:
             raise ValueError(
                 f"band = {band!r} must be two increasing frequencies within omega, "
                 f"[{omega[0]:.6g}, {omega[-1]:.6g}] rad/s"
             )
-        if not in_band.any():
+        Q = Q[(omega >= low) & (omega <= high)]
+        if not Q.size:
             raise ValueError(f"band = {band!r} contains none of the frequencies omega")
-    learned = np.abs(Q if in_band is None else Q[in_band]).max()
-    if learned < 1e-6:  # of an error, which the certificate could not tell from nothing
+    largest = np.abs(Q).max()
+    if largest < 1e-6:  # the certificate could not distinguish the objective from L = 0
         raise ValueError(
-            f"Q has a gain of {learned:.3g} at most where the objective counts: it learns "
-            "nothing. Is its cut-off in rad/s?"
+            f"Q has a gain of {largest:.3g} at most where the objective counts, so that nothing "
+            "is learned: its cut-off must be in rad/s"
         )
 
 
@@ -194,26 +202,19 @@ def _radius(uncertainty, n):
     return radius if radius.any() else None
 
 
-def _size_beyond(beyond, models, plants, radius, last, Ts):
+def _size_beyond(models, responses, radius, last, Ts):
     """The largest sigma_max(P) above the last frequency; None if P is known up to Nyquist."""
-    if beyond is not None:
-        beyond = arguments.not_negative("beyond", beyond)
-    sampled = np.array([model is None for model in models])
-    if not sampled.any() or last * Ts >= np.pi - ROUNDING:
-        if beyond is not None:
-            raise ValueError(
-                f"beyond = {beyond:.6g} is for plants known as samples up to less than the Nyquist "
-                f"frequency, {np.pi / Ts:.6g} rad/s: leave it out"
-            )
+    sampled = [model is None for model in models]
+    if not any(sampled) or last * Ts >= np.pi - ROUNDING:
         return None
-    if beyond is not None:
-        return beyond
-    size = largest_singular_values(plants[sampled, -1]).max()
+    size = largest_singular_values(responses[sampled, -1]).max()
     return float(size if radius is None else size + radius[-1])
 
 
 def _scale(scale, m):
-    scale = arguments.array("scale", scale, (m,))
+    scale = arguments.row("scale", scale)
+    if len(scale) != m:
+        raise ValueError(f"scale has {len(scale)} numbers, but P has {m} channels")
     if scale.min() <= 0:
         raise ValueError(
             f"scale = {scale.tolist()} must be positive, one number per channel"
@@ -229,24 +230,20 @@ def _scaled(model, scale):
     return control.ss(model.A, model.B @ S, R @ model.C, R @ model.D @ S, model.dt)
 
 
-def _refuse_singular(P, omega):
-    singular_values = np.linalg.svd(P, compute_uv=False)
+def _refuse_singular(P, singular_values, omega):
     smallest = np.maximum(1e-12 * singular_values[:, 0], 1 / arguments.LARGEST)
     singular = np.flatnonzero(singular_values[:, -1] <= smallest)
     if not singular.size:
         return
     first = singular[0]
-    size = np.abs(P[first])
-    dead = [
-        f"output {k} answers to none"
-        for k in np.flatnonzero(size.max(1) <= smallest[first])
-    ]
-    dead += [
-        f"no output answers to w {k}"
-        for k in np.flatnonzero(size.max(0) <= smallest[first])
-    ]
+    zero = np.abs(P[first]) <= smallest[first]
+    cause = ""
+    if zero.all(axis=1).any():
+        cause = f"; output {zero.all(axis=1).argmax()} does not respond to any input"
+    elif zero.all(axis=0).any():
+        cause = f"; w {zero.all(axis=0).argmax()} has no effect on any output"
     raise ValueError(
         f"P is singular at omega = {omega[first]:.6g} rad/s (smallest singular value "
-        f"{singular_values[first, -1]:.3g}): P^-1 in (40) does not exist there"
-        f"{''.join(f'; {text}, counted from 0' for text in dead[:1])}"
+        f"{singular_values[first, -1]:.3g}): P^-1 in (40) does not exist there{cause}"
+        f"{', counted from 0' if cause else ''}"
     )

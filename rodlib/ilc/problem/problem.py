@@ -20,54 +20,64 @@ ROUNDING = 1e-9  # of an angle; what is nearer to pi is at the Nyquist frequency
 TIED = 1e-6  # relative distance at which rounding, or the accuracy of a solver, decides an order
 
 
-@dataclass(frozen=True)
-class Problem:
-    """The problem of a learning filter. Made by :func:`rodlib.ilc.problem.pose`."""
+@dataclass(frozen=True, kw_only=True)
+class Choices:
+    """What is chosen of a learning filter, whatever the plant."""
 
-    P: (
-        np.ndarray
-    )  # (n, m, m), complex: frequency response of the plant, the current-trial loop
-    Q: np.ndarray  # (n,): of the Q-filter
-    omega: np.ndarray  # (n,): design frequencies, rad/s
-    Ts: float  # sampling period, s
-    scale: np.ndarray  # (m,): what counts as equally large in each channel
-    others: (
-        np.ndarray
-    )  # (p, n, m, m): plants 1 to p, for which the bounds hold as for P, plant 0
-    models: tuple[
-        control.StateSpace | None, ...
-    ]  # all plants, as far as they are models
-    butterworth: ZeroPhaseButterworth | None  # Q, if it is a model
-    asked: (
-        np.ndarray
-    )  # (n,), bool: False where only L is bounded; P and Q stand as zero there
-    limit_L: (
-        np.ndarray
-    )  # (n,): bound on sigma_max(L) beside L_max, see `weight`; infinite if none
-    share_L: (
-        np.ndarray
-    )  # (n,): of L_max that L may have at a sample, so that it keeps it between
-    band: tuple[float, float]  # over which "sum" sums, rad/s
-    L_max: float | None  # bound on sigma_max(L)
     order: int = 10  # number of samples that the learning filter looks ahead
     M_max: float = 0.9  # bound on sigma_max(M)
     structure: str = "diagonal"  # or "full"
-    objective: str = (
-        "sum"  # or "peak"; or "gain": the least sigma_max(L), in units of L_max
-    )
+    # "sum", (39); "peak", (45); "gain": the least sigma_max(L), in units of L_max
+    objective: str = "sum"
+    everywhere: bool = False  # whether the bounds hold between the frequencies, too
+
+
+@dataclass(frozen=True, kw_only=True)
+class Problem(Choices):
+    """The problem of a learning filter. Made by :func:`rodlib.ilc.problem.pose`.
+
+    M is bounded at `omega`. L is bounded there and at further frequencies, where a grid is coarse
+    or ends below the Nyquist frequency: at :attr:`omega_L`, which begins with `omega`.
+    """
+
+    # (p, n, m, m), complex: frequency responses of the plants for which the bounds hold, in units
+    # of `scale`; the first is the nominal one
+    plants: np.ndarray
+    Q: np.ndarray  # (n,): of the Q-filter
+    omega: np.ndarray  # (n,): frequencies at which M is bounded, rad/s
+    Ts: float  # sampling period, s
+    scale: np.ndarray  # (m,): what counts as equally large in each channel
+    models: tuple[control.StateSpace | None, ...]  # of the plants; None of samples
+    butterworth: ZeroPhaseButterworth | None  # Q, if it is a model
+    band: tuple[float, float]  # over which "sum" sums, rad/s
+    L_max: float | None  # bound on sigma_max(L)
+    further: np.ndarray  # (k,): frequencies at which L alone is bounded, rad/s
+    # (n + k,) at omega_L: the share of L_max that keeps L within L_max between them; a bound on
+    # sigma_max(L) that keeps M within M_max where P is unknown, or infinite
+    share_L: np.ndarray
+    limit_L: np.ndarray
     radius: np.ndarray | None = (
-        None  # (n,): the bounds hold for all P + Delta, ||Delta|| <= radius
+        None  # (n,): bounds hold for P + Delta, ||Delta|| <= radius
+    )
+    beyond: float | None = (
+        None  # largest sigma_max(P) above the last sample; None if P is known
     )
     basis: tuple[
         str, ...
-    ] = ()  # what nobody gave; what a measured P and its radius rest on
-    beyond: float | None = (
-        None  # sigma_max(P) is at most that above the last sample; None if known
+    ] = ()  # default choices; what a measured P and its radius rest on
+    stated: "Problem | None" = (
+        None  # without frequencies that were added; None if none were
     )
-    findings: tuple[str, ...] = ()  # what the statement itself leaves in doubt
-    everywhere: bool = (
-        False  # whether the bounds shall hold between the frequencies omega, too
-    )
+
+    @property
+    def design(self) -> "Problem":
+        """The problem as stated: at the design frequencies."""
+        return self.stated or self
+
+    @property
+    def P(self) -> np.ndarray:
+        """Frequency response of the nominal plant, shape (n, m, m)."""
+        return self.plants[0]
 
     @property
     def model(self) -> tuple[control.StateSpace, ZeroPhaseButterworth] | None:
@@ -78,17 +88,19 @@ class Problem:
     @property
     def channels(self) -> int:
         """Number m of channels."""
-        return self.P.shape[1]
+        return self.plants.shape[-1]
 
     @property
-    def angles(self) -> np.ndarray:
-        """omega Ts."""
-        return self.omega * self.Ts
+    def omega_L(self) -> np.ndarray:
+        """Frequencies at which L is bounded, shape (n + k,): `omega`, then `further`."""
+        return np.append(self.omega, self.further)
 
     @property
     def in_band(self) -> np.ndarray:
-        """Which of the frequencies that were asked for lie in the band, shape (n,)."""
-        return self.asked & (self.omega >= self.band[0]) & (self.omega <= self.band[1])
+        """Which of `omega` are in the sum: the design frequencies in the band, shape (n,)."""
+        low, high = self.band
+        inside = (self.omega >= low) & (self.omega <= high)
+        return inside & np.isin(self.omega, self.design.omega)
 
     @property
     def idle(self) -> float:
@@ -96,28 +108,22 @@ class Problem:
         return self.value(np.abs(self.Q))
 
     def unit(self, value) -> float:
-        """What a gap is relative to: the objective, or a thousandth of that without learning."""
-        return max(value, 1e-3 * self.idle)  # a billionth of that is as good as nothing
+        """Scale of relative gaps: the objective, at least a thousandth of that for L = 0."""
+        return max(value, 1e-3 * self.idle)
 
     @property
     def robust(self) -> bool:
-        """Whether the bounds hold for more plants than P."""
-        return self.radius is not None or len(self.others) > 0
+        """Whether the bounds hold for more plants than the nominal one."""
+        return self.radius is not None or len(self.plants) > 1
 
     @property
     def unusable(self) -> np.ndarray:
         """Whether the radius admits a singular plant, at each frequency, shape (n,)."""
-        # Of such a plant, in some direction, no learning filter sees anything: the largest singular
-        # value of M is |Q| or more for one of those within the radius.
+        # In some direction no learning filter acts on such a plant: sigma_max(M) >= |Q|.
         if self.radius is None:
             return np.zeros(len(self.omega), dtype=bool)
-        plants = np.concatenate([self.P[None], self.others])
-        smallest = np.linalg.svd(plants, compute_uv=False)[..., -1].min(axis=0)
-        return self.asked & (self.radius >= smallest)
-
-    def plant(self, number: int) -> np.ndarray:
-        """Frequency response of a plant; 0 is the nominal one, P."""
-        return self.P if number == 0 else self.others[number - 1]
+        smallest = np.linalg.svd(self.plants, compute_uv=False)[..., -1].min(axis=0)
+        return self.radius >= smallest
 
     def value(self, sigma_M, worst=None) -> float:
         """The objective, from the largest singular value of M at each frequency.
@@ -129,61 +135,62 @@ class Problem:
         return float((sigma_M if worst is None else worst).max())  # (45)
 
     def M(self, L, number: int = 0) -> np.ndarray:
-        """M of a plant, from the frequency response of L."""
-        return convergence_matrix(self.plant(number), self.Q, L)
+        """M of a plant at `omega`, from the response of L there, or at `omega_L`."""
+        return convergence_matrix(self.plants[number], self.Q, L[: len(self.omega)])
 
     @property
     def weight(self) -> np.ndarray:
-        """W, shape (n, m, m), such that sigma_max(W L) <= 1 is the bound on the learning filter.
+        """W, shape (n + k, m, m), such that sigma_max(W L) <= 1 is the bound on L at omega_L.
 
-        That is I / L_max, (46); less than L_max counts where a coarse grid would let L pass it
-        between two samples, and where P is not known. Without a bound, filters are still compared
-        only up to where their coefficients, held in doubles, determine M to about 1e-9: up to a
-        gain of 1e7 of Q P L, counted for each input by itself. What larger ones could gain on
-        paper, no computer can apply.
+        That is I / L_max, (46), or less than L_max, see `share_L` and `limit_L`. Without a bound,
+        coefficients in doubles determine M to about 1e-9 only up to a gain of 1e7 of Q P L,
+        counted for each input by itself: that is then the bound.
         """
-        identity = np.eye(self.channels)
+        limit = self.limit_L
         if self.L_max is not None:
-            limit = np.minimum(self.L_max * self.share_L, self.limit_L)
-            return identity / limit[:, None, None]  # (46)
+            limit = np.minimum(self.L_max * self.share_L, limit)
         gains = np.linalg.norm(self.Q[:, None, None] * self.P, axis=1).max(axis=0)
-        most = np.diag(gains / np.abs(self.Q).max() / MOST_GAIN)
+        representable = np.diag(gains / np.abs(self.Q).max() / MOST_GAIN)
+        limit = limit[:, None, None]
         return np.where(
-            np.isfinite(self.limit_L)[:, None, None],
-            identity / self.limit_L[:, None, None],
-            most,
+            np.isfinite(limit), np.eye(self.channels) / limit, representable
         )
 
     def passed_L(self, L) -> float:
-        """The largest sigma_max(W L) of a frequency response of L, where a bound on it was asked.
-
-        That bound is one.
-        """
-        bounded = np.full(len(self.omega), self.L_max is not None) | np.isfinite(
-            self.limit_L
-        )
+        """The largest sigma_max(W L) of a response of L at omega_L, where L has a bound."""
+        bounded = np.isfinite(self.limit_L) | (self.L_max is not None)
         return float(largest_singular_values((self.weight @ L)[bounded]).max(initial=0))
 
     def Q_beyond(self, omega) -> np.ndarray:
         """|Q| at frequencies from the last sample on; of samples, the last."""
         if self.butterworth is not None:
             return np.abs(self.butterworth.frequency_response(omega))
-        return np.full(len(omega), np.abs(self.Q[self.asked][-1]))
+        return np.full(len(omega), np.abs(self.design.Q[-1]))
 
     @property
     def assumed(self) -> tuple[str, ...]:
         """What is assumed of P and Q above the last sample, in words."""
         if self.beyond is None:
             return ()
-        last, Q = self.omega[self.asked][-1], self.Q[self.asked][-1]
-        as_there = (
-            ""
-            if self.butterworth
-            else f", and |Q| {np.abs(Q):.4g}, as at the last sample"
-        )
+        last, Q = self.design.omega[-1], np.abs(self.design.Q[-1])
+        of_Q = "" if self.butterworth else f", and |Q| {Q:.4g}, as at the last sample"
         return (
             f"assumed: above {last:.4g} rad/s, where P is not known, sigma_max(P) is "
-            f"{self.beyond:.4g} at most, at any phase{as_there}",
+            f"{self.beyond:.4g} at most, at any phase{of_Q}",
+        )
+
+    @property
+    def findings(self) -> tuple[str, ...]:
+        """Why the bounds cannot hold where P is not known."""
+        if self.beyond is None:
+            return ()
+        last = self.design.omega[-1]
+        [Q] = self.Q_beyond([last])
+        if self.M_max > Q:
+            return ()
+        return (
+            f"Q is {Q:.4g} above {last:.4g} rad/s, where P is not known: no filter bounds M "
+            f"by {self.M_max:g} there; lower the cut-off of Q, or measure further",
         )
 
     def filter(self, coefficients) -> LearningFilter:
@@ -192,10 +199,9 @@ class Problem:
         return LearningFilter(coefficients * units, self.Ts)
 
     def response(self, solution: "Solution") -> np.ndarray:
-        """Frequency response of a solution's filter, shape (n, m, m), in units of `scale`."""
-        return LearningFilter(solution.coefficients, self.Ts).frequency_response(
-            self.omega
-        )
+        """Response of a solution's filter at omega_L, (n + k, m, m), in units of `scale`."""
+        L = LearningFilter(solution.coefficients, self.Ts)
+        return L.frequency_response(self.omega_L)
 
 
 @dataclass(frozen=True)
@@ -205,20 +211,19 @@ class Cuts:
     plant: np.ndarray  # (c,): number of the plant of each bound
     frequency: np.ndarray  # (c,): index of its frequency
     N: np.ndarray  # (c, rows of G, m), complex: multipliers of G
-    split: (
-        np.ndarray
-    )  # (c, 1), or (c, 0) without r: share of the bound left to the rows below M
+    # (c, 1), or (c, 0) without r: share of the bound left to the rows below M
+    split: np.ndarray
 
 
 @dataclass(frozen=True)
 class Solution:
     """A learning filter, and the multipliers from which its optimality can be proven."""
 
-    coefficients: (
-        np.ndarray
-    )  # (m, m, order): of L(z) = sum_k C_k z^k, in units of `scale`
-    U: np.ndarray  # (n, m, m), complex: multipliers of the nominal M
-    V: np.ndarray  # (n, m, m), complex: multipliers of L
+    # (m, m, order): of L(z) = sum_k C_k z^k, in units of `scale`
+    coefficients: np.ndarray
+    # (n + k, m, m), complex: multipliers of the nominal M and of L, at omega_L
+    U: np.ndarray
+    V: np.ndarray
     largest: float  # sigma_max(M); of W L, for the least gain
     method: str
     iterations: int

@@ -47,14 +47,10 @@ def synthesise(
     objective=Problem.objective,
     scale=None,
     uncertainty=None,
-    confidence=None,
-    beyond=None,
     everywhere=False,
-    solver="structured",
     start=None,
     samples=None,
     rest=0,
-    check=True,
 ) -> Synthesis:
     """Design the learning filter by convex optimisation, (39) or (45) with (46).
 
@@ -64,7 +60,10 @@ def synthesise(
         Frequency response of the closed loop on `omega`, for any m, also as python-control's
         frequency response data; or a discrete-time model of it, state space or transfer function.
         Of a list the first is the nominal plant, whose convergence is made fast; the bounds hold
-        for all of them. A :class:`rodlib.MeasuredResponse` brings its radius along.
+        for all of them. A :class:`rodlib.MeasuredResponse` brings its radius along, in which the
+        truth lies with a probability of 0.99; for another, pass both of ``P.on(omega, confidence)``
+        as P and `uncertainty`. Above the last frequency of samples, sigma_max(P) is assumed to be
+        what it is there, at any phase.
     Q : array_like, shape (n,), or ZeroPhaseButterworth
         Frequency response of the Q-filter on `omega`, or the filter.
     omega : array_like, shape (n,), optional
@@ -96,20 +95,11 @@ def synthesise(
     uncertainty : array_like, shape (n,), optional
         Radius at each frequency: the bounds hold for each P + Delta with ||Delta|| <= radius, of
         the channels in units of `scale`, by a condition that is exact.
-    confidence : float, optional
-        Of a measured response: probability that the truth lies within its radius at all frequencies
-        that were measured. Default 0.99.
-    beyond : float, optional
-        The largest sigma_max(P), in units of `scale`, above the last frequency of a plant that is
-        known as samples, if that is below the Nyquist frequency: with it M is bounded there.
-        Default: as at the last frequency. L keeps its bound up to the Nyquist frequency anyway.
     everywhere : bool
         Whether the bounds hold at every frequency, not on `omega` only: where models are known by
         proof, to a relative 3e-8; between samples by splines, and without the radius. The sum is
         that over `omega`. It takes two to three times as long, for long filters on few
         frequencies many times.
-    solver : {"structured", "cvxpy"}
-        The package's own solvers, or the problem as the paper states it, in CVXPY.
     start : Synthesis, optional
         A design for other bounds, another band or a similar plant to start from, of the same order
         and size. It makes the synthesis faster, not different.
@@ -118,8 +108,6 @@ def synthesise(
         :func:`rodlib.ilc.evidence.trial_norm`; P and Q must be models.
     rest : int
         Number of samples at the end of that trial in which v is held at zero.
-    check : bool
-        Whether a filter whose certificate fails raises.
 
     Returns
     -------
@@ -141,16 +129,21 @@ def synthesise(
         If the solver fails, or the certificate of its result does.
     """
     problem = pose(
-        P, Q, omega, Ts, order=order, M_max=M_max, L_max=L_max, band=band, structure=structure,
-        objective=objective, scale=scale, uncertainty=uncertainty,
-        confidence=confidence, beyond=beyond,
+        P,
+        Q,
+        omega,
+        Ts,
+        order=order,
+        M_max=M_max,
+        L_max=L_max,
+        band=band,
+        structure=structure,
+        objective=objective,
+        scale=scale,
+        uncertainty=uncertainty,
         everywhere=everywhere,
-    )  # fmt: skip
-    return warned(
-        certified(
-            problem, solver=solver, start=start, samples=samples, rest=rest, check=check
-        )
     )
+    return warned(certified(problem, start=start, samples=samples, rest=rest))
 
 
 def insist(solution: Solution, certificate: Certificate):
@@ -181,12 +174,12 @@ def certified(
     arguments.choice("solver", solver, ["structured", "cvxpy"])
     arguments.flag("check", check)
     samples, rest = checked_trial(problem, samples, rest)
-    asked, problem = problem, without_gaps(problem)
+    stated, problem = problem.design, without_gaps(problem)
     if start is not None:
-        _check_start(start, problem)
-        start, omega = start.solution, start.certificate.problem.omega
-        if len(omega) > len(problem.omega):  # by what fills the gaps of the grid
-            start = carried(start, omega, problem.omega)
+        _check_start(start, stated)
+        before, start = start.certificate.problem, start.solution
+        if len(before.omega_L) > len(problem.omega_L):
+            start = carried(start, before, problem)
     by_solver = _solve_with_cvxpy if solver == "cvxpy" else solve
     tolerances = CVXPY_TOLERANCES if solver == "cvxpy" else (GAP, VIOLATION)
     try:
@@ -198,10 +191,14 @@ def certified(
     certificate = certify(problem, solution, tolerances, samples, rest)
     if check:
         insist(solution, certificate)
-    L = problem.response(solution)[problem.asked]
-    sigmas = certificate.nominal[problem.asked], largest_singular_values(L)
+    L = stated.response(solution)
     return Synthesis(
-        problem.filter(solution.coefficients), asked, certificate, *sigmas, solution
+        problem.filter(solution.coefficients),
+        stated,
+        certificate,
+        largest_singular_values(stated.M(L)),
+        largest_singular_values(L),
+        solution,
     )
 
 
@@ -274,8 +271,10 @@ def _is_good(problem, solution, gap):
 
 def _explained(problem, nearest):
     """The error that says which bound is too tight, where, and what would be feasible."""
-    posed, on_grid = problem, len(nearest.U) > len(problem.omega)
-    if len(problem.others) or problem.everywhere:  # not all of them had a say so far
+    posed, on_grid = problem, len(nearest.V) > len(problem.omega_L)
+    if (
+        len(problem.plants) > 1 or problem.everywhere
+    ):  # not all of them had a say so far
         posed = replace(problem, M_max=np.inf, objective="peak")
         posed, nearest = settled(posed, solve, None if on_grid else nearest)
     size = np.linalg.norm(nearest.U, axis=(1, 2))
@@ -301,11 +300,12 @@ def _explained(problem, nearest):
     if lost.size:
         message += (
             f". P is not known well enough at {len(lost)} frequencies from {lost[0]:.4g} to "
-            f"{lost[-1]:.4g} rad/s, where the radius admits singular plants: measure longer there, "
+            f"{lost[-1]:.4g} rad/s, where the radius contains singular plants: measure longer "
+            "there, "
             "or lower the cut-off of Q"
         )
     if np.isfinite(problem.limit_L).any():
-        message += f". It is {problem.assumed[0]}: measure further, or say otherwise by `beyond`"
+        message += f". It is {problem.assumed[0]}: measure further"
     return InfeasibleError(message, nearest.largest, plant, omega)
 
 
@@ -345,11 +345,11 @@ def _rounded_up(M_max):
 
 def _check_start(start, problem):
     arguments.instance("start", start, Synthesis)
-    n, m = problem.asked.sum(), problem.channels
-    expected, found = (m, m, problem.order), start.solution.coefficients.shape
-    if found != expected or len(start.omega) != n:
+    n, m = len(problem.omega), problem.channels
+    expected, shape = (m, m, problem.order), start.solution.coefficients.shape
+    if shape != expected or len(start.omega) != n:
         raise ValueError(
-            f"start is a design with coefficients of shape {found} on {len(start.omega)} "
+            f"start is a design with coefficients of shape {shape} on {len(start.omega)} "
             f"frequencies, but must have {expected} on {n}: leave start out"
         )
     off_diagonal = start.solution.coefficients[~np.eye(m, dtype=bool)]

@@ -19,16 +19,20 @@ from rodlib.ilc.evidence.peak import (
 )
 from rodlib.ilc.filters import LearningFilter
 from rodlib.ilc.problem.grid import refined
-from rodlib.ilc.problem.problem import Problem, Solution, largest_singular_values
+from rodlib.ilc.problem.problem import (
+    Cuts,
+    Problem,
+    Solution,
+    largest_singular_values,
+)
 
 ROUNDS, FURTHER = 50, 5000  # and further frequencies, at which to give up
 PASSED = 2e-8  # share of a bound that the proof of a peak may pass it by
 SAME = 1e-8  # relative distance of frequencies that are one
 NEAR = 0.99  # share of a bound from which on a crest is held with those that pass it
-PARTS = (
-    0.05,
-    0.5,
-)  # of the way from a crest to the next frequencies: what is held, too
+# Of the way from a crest to the next frequencies: a filter that is held at its crests moves them,
+# so that next time they are between these.
+PARTS = (0.05, 0.5)
 
 
 def settled(
@@ -36,125 +40,143 @@ def settled(
 ) -> tuple[Problem, Solution]:
     """The problem, with all frequencies that its bounds need, and what a solver makes of it."""
     solution = solver(problem, start)
-    for _ in range(ROUNDS if problem.everywhere else 0):
+    if not problem.everywhere:
+        return problem, solution
+    for _ in range(ROUNDS):
         wider = _wider(problem, solution, 1 + passed)
-        if wider is None or len(wider.omega) - problem.asked.sum() > FURTHER:
+        if wider is None:
             break
-        found = solver(wider, carried(solution, problem.omega, wider.omega))
-        iterations = solution.iterations + found.iterations
-        solution = replace(found, method=solution.method, iterations=iterations)
+        if len(wider.omega_L) - len(wider.design.omega) > FURTHER:
+            break
+        again = solver(wider, carried(solution, problem, wider))
+        iterations = solution.iterations + again.iterations
+        solution = replace(again, method=solution.method, iterations=iterations)
         problem = wider
     return problem, solution
 
 
-def _wider(problem, solution, most):
+def _wider(problem, solution, allowance):
     """The problem with frequencies at which a solution passes its bounds; None if there are none.
 
     These are the crests that samples show or, where none of them does, the peaks that are proven,
     of which some is only what rounding may add.
     """
     for places in (_crests_of, _peaks_of):
-        omega = _new(problem.omega, np.array(places(problem, solution, most)))
+        omega = np.array(places(problem, solution, allowance))
+        omega = _new(np.sort(problem.omega_L), omega)
         if not len(omega):
             continue
-        wider = refined(problem, omega, *_between(problem, solution, omega))
-        if any((sigma > limit).any() for sigma, limit in _sizes(wider, solution, most)):
+        wider = _refined(problem, solution, omega)
+        limit_M, limit_L = _limits(wider, solution, allowance)
+        sigma_M, sigma_L = _sigmas(wider, solution)
+        if sigma_M.max() > limit_M or sigma_L.max() > limit_L:
             return wider
     return None
 
 
-def _sizes(problem, solution, most):
-    """The largest singular values of M, of all plants, and of L, each with what it may be."""
-    limit, limit_L = problem.M_max, np.inf if problem.L_max is None else problem.L_max
-    if problem.objective == "peak":  # of which next to nothing may be rounding
-        limit = solution.largest + (most - 1) * (
-            problem.unit(solution.largest) - solution.largest
-        )
+def _limits(problem, solution, allowance):
+    """What sigma_max of M and of L must not exceed, with an allowance for rounding."""
+    limit_M = problem.M_max * allowance
+    limit_L = np.inf if problem.L_max is None else problem.L_max * allowance
+    if problem.objective == "peak":  # less, where that is nearly zero
+        value = solution.largest
+        limit_M = allowance * (value + (allowance - 1) * (problem.unit(value) - value))
     if problem.objective == "gain":
         limit_L *= solution.largest
-    response, plants = problem.response(solution), range(1 + len(problem.others))
-    sigma_M = [largest_singular_values(problem.M(response, k)) for k in plants]
-    return (np.array(sigma_M), most * limit), (
-        largest_singular_values(response),
-        most * limit_L,
-    )
+    return limit_M, limit_L
 
 
-def _crests_of(problem, solution, most):
+def _sigmas(problem, solution):
+    """The largest singular values of M of each plant at omega, (p, n), and of L at omega_L."""
+    L = problem.response(solution)
+    sigma_M = [
+        largest_singular_values(problem.M(L, k)) for k in range(len(problem.plants))
+    ]
+    return np.array(sigma_M), largest_singular_values(L)
+
+
+def _crests_of(problem, solution, allowance):
     """Where the crests of samples pass a bound, if any does; then others that nearly do, too."""
-    (sigma_M, limit), (sigma_L, limit_L) = _sizes(problem, solution, most)
-    known = problem.P.any(axis=(1, 2))  # elsewhere M stands as zero
+    limit_M, limit_L = _limits(problem, solution, allowance)
+    sigma_M, sigma_L = _sigmas(problem, solution)
+    omega_L, order = problem.omega_L, np.argsort(problem.omega_L)
 
     def crests(share):
-        of_M = _crests(problem.omega[known], sigma_M.max(axis=0)[known], share * limit)
-        return [*of_M, *_crests(problem.omega, sigma_L, share * limit_L)]
+        of_M = _crests(problem.omega, sigma_M.max(axis=0), share * limit_M)
+        of_L = _crests(omega_L[order], sigma_L[order], share * limit_L)
+        return [*of_M, *of_L]
 
     # the next round could hold one and have another rise
     return crests(NEAR) if crests(1) else []
 
 
-def _peaks_of(problem, solution, most):
+def _peaks_of(problem, solution, allowance):
     """Where a peak passes a bound, proven, or estimated between samples."""
-    (sigma_M, limit), (_, limit_L) = _sizes(problem, solution, most)
+    limit_M, limit_L = _limits(problem, solution, allowance)
+    sigma_M, _ = _sigmas(problem, solution)
     L = LearningFilter(solution.coefficients, problem.Ts)
-    peaks = [
-        *proven_peaks(problem, L),
-        *estimated_peaks(problem, L, sigma_M.max(axis=1)),
-    ]
-    sigma, omega = peak_gain(learning_model(L))
-    passing = [peak.omega for peak in peaks if peak.sigma > limit]
-    return [*passing, omega] if sigma > limit_L else passing
+    peaks = proven_peaks(problem, L)
+    peaks += estimated_peaks(problem, L, sigma_M.max(axis=1))
+    passing = [peak.omega for peak in peaks if peak.sigma > limit_M]
+    sigma_L, omega = peak_gain(learning_model(L))
+    return [*passing, omega] if sigma_L > limit_L else passing
 
 
 def _crests(omega, sigma, limit):
     """Where the parabola through three samples, of which the middle one is highest, passes it."""
-    (a, b, c), (x, y, z) = (
-        [values[i : len(values) - 2 + i] for i in range(3)] for values in (omega, sigma)
-    )
+    a, b, c = omega[:-2], omega[1:-1], omega[2:]
+    x, y, z = sigma[:-2], sigma[1:-1], sigma[2:]
     with np.errstate(divide="ignore", invalid="ignore"):
         left, right = (y - x) / (b - a), (z - y) / (c - b)
         curvature = (left - right) / (c - a)
         slope = (left * (c - b) + right * (b - a)) / (c - a)
-        top, place = y + slope**2 / (4 * curvature), b + slope / (2 * curvature)
-    return [*place[(y >= np.maximum(x, z)) & (curvature > 0) & (top > limit)]]
+        top = y + slope**2 / (4 * curvature)
+        place = b + slope / (2 * curvature)
+    crest = (y >= np.maximum(x, z)) & (curvature > 0) & (top > limit)
+    return place[crest].tolist()
 
 
 def _new(known, omega):
-    """Those of some frequencies that are not known, and between them and the next that are."""
-    # A filter that is held at its crests moves them: next time they are between these.
+    """Those of some frequencies, and between them and the next, that are not known."""
     after = np.searchsorted(known, omega).clip(1, len(known) - 1)
-    sides = [
-        omega + part * (known[after - k] - omega) for k in (0, 1) for part in PARTS
-    ]
-    omega = np.sort([omega, *sides], axis=None)
+    around = [omega]
+    for neighbour in (known[after], known[after - 1]):
+        around += [omega + part * (neighbour - omega) for part in PARTS]
+    omega = np.sort(around, axis=None)
     near = np.abs(known - omega[:, None]).min(axis=1, initial=np.inf)
     return omega[np.minimum(near, np.diff(omega, prepend=-np.inf)) > SAME * omega]
 
 
-def _between(problem, solution, omega):
-    """P of all plants and Q by splines, zero where none are; nothing if all are models."""
+def _refined(problem, solution, omega):
+    """The problem at further frequencies: samples by splines, and beyond them L alone."""
     if problem.butterworth is not None and None not in problem.models:
-        return ()
-    asked, n = problem.asked, len(omega)
-    P = np.array([problem.plant(k)[asked] for k in range(len(problem.models))])
-    Q, known = problem.Q[asked], problem.omega[asked]
-    scale, _ = spline_scale(P[0], Q, known, problem.response(solution)[asked])
-    inside = (omega >= known[0]) & (omega <= known[-1])
-    all_P, all_Q = np.zeros((len(P), n, *P.shape[2:]), complex), np.zeros(n, Q.dtype)
-    between, all_Q[inside] = splined(P.swapaxes(0, 1), Q, known, omega[inside], scale)
-    all_P[:, inside] = between.swapaxes(0, 1)
-    return all_P, all_Q
+        return refined(problem, omega)
+    design = problem.design
+    L = design.response(solution)[: len(design.omega)]
+    scale, _ = spline_scale(design.P, design.Q, design.omega, L)
+    inside = (omega >= design.omega[0]) & (omega <= design.omega[-1])
+    plants = design.plants.swapaxes(0, 1)
+    between, Q = splined(plants, design.Q, design.omega, omega[inside], scale)
+    wider = refined(problem, omega[inside], between.swapaxes(0, 1), Q)
+    return refined(wider, omega[~inside])
 
 
-def carried(solution: Solution, omega, wider) -> Solution:
-    """A solution for frequencies `omega` as a start for others, where multipliers are zero."""
-    known = np.isin(omega, wider)
-    at = np.searchsorted(wider, omega)
-    U, V = np.zeros((2, len(wider), *solution.U.shape[1:]), dtype=complex)
+def carried(solution: Solution, problem: Problem, wider: Problem) -> Solution:
+    """A solution of a problem as a start for another grid, where new multipliers are zero."""
+    order = np.argsort(wider.omega_L)
+    grid = wider.omega_L[order]
+    at = np.searchsorted(grid, problem.omega_L).clip(max=len(grid) - 1)
+    known = grid[at] == problem.omega_L
+    at = order[at]
+    U, V = np.zeros((2, len(grid), *solution.U.shape[1:]), dtype=complex)
     U[at[known]], V[at[known]] = solution.U[known], solution.V[known]
     cuts = solution.cuts
     if cuts is not None:
         some = known[cuts.frequency]
-        parts = {name: getattr(cuts, name)[some] for name in ("plant", "N", "split")}
-        cuts = replace(cuts, frequency=at[cuts.frequency[some]], **parts)
+        cuts = Cuts(
+            plant=cuts.plant[some],
+            frequency=at[cuts.frequency[some]],
+            N=cuts.N[some],
+            split=cuts.split[some],
+        )
     return replace(solution, U=U, V=V, cuts=cuts)

@@ -38,13 +38,11 @@ class Synthesis:
     """A learning filter and what was checked about it, from singular values."""
 
     filter: LearningFilter
-    problem: Problem  # what was asked of it
-    certificate: (
-        Certificate  # of optimality and bounds, by code independent of the solver
-    )
+    problem: Problem  # as stated
+    certificate: Certificate  # of optimality and bounds, independent of the solver
     sigma_M: np.ndarray  # (n,): largest singular values of M at the design frequencies
     sigma_L: np.ndarray  # and of L
-    solution: Solution  # what the solver said, on which nothing relies
+    solution: Solution  # of the solver, on which nothing relies
 
     @property
     def value(self) -> float:
@@ -54,7 +52,7 @@ class Synthesis:
     @property
     def omega(self) -> np.ndarray:
         """The design frequencies, rad/s."""
-        return self.problem.omega[self.problem.asked]
+        return self.problem.omega
 
     def law(self, rest: int = 0, gain: float = 1.0, limits=None) -> Law:
         """The law (23) with Q and L of the design; for the others see :class:`rodlib.Law`."""
@@ -65,9 +63,7 @@ class Synthesis:
             )
         return Law(Q, self.filter, rest, gain, limits)
 
-    def check(
-        self, P, omega=None, *, uncertainty=None, confidence=None, beyond=None
-    ) -> Check:
+    def check(self, P, omega=None, *, uncertainty=None) -> Check:
         """What the filter does on another plant: the rate, and does it converge?
 
         Parameters
@@ -76,7 +72,7 @@ class Synthesis:
             One plant or several, with the channels and the sampling period of the design.
         omega : array_like, shape (n,), optional
             Frequencies, rad/s. Default: those of P, if it has some, else those of the design.
-        uncertainty, confidence, beyond
+        uncertainty
             As for :func:`synthesise`.
 
         Returns
@@ -85,31 +81,35 @@ class Synthesis:
             Print it. `gamma` is the rate of Lemma 1, `spectral_radius` below one says that the
             trials converge all the same. For another Q than that of the design: :func:`rate`.
         """
-        own, channels = self.problem, self.problem.channels
+        design = self.problem
         if omega is None:
             omega = getattr(P, "omega", self.omega)
-        Q = own.butterworth
-        if Q is None:
-            Q = own.Q[own.asked]
-            if np.shape(omega) != Q.shape or not np.allclose(
-                omega, self.omega, rtol=1e-9, atol=0
-            ):
-                raise ValueError(
-                    "omega must be the design frequencies, at which alone the samples of Q are "
-                    "known: synthesise with Q as a filter, or ask rate(P, Q, L, omega)"
-                )
-        known = {"uncertainty": uncertainty, "confidence": confidence, "beyond": beyond}
-        known |= {"order": 1, "L_max": None, "objective": "peak"}
-        problem = pose(P, Q, omega, own.Ts, **known)
-        if problem.channels != channels:
+        Q = design.Q if design.butterworth is None else design.butterworth
+        if design.butterworth is None and not (
+            np.shape(omega) == Q.shape
+            and np.allclose(omega, self.omega, rtol=1e-9, atol=0)
+        ):
             raise ValueError(
-                f"P has {problem.channels} channels, but the filter has {channels}"
+                "omega must be the design frequencies, at which alone the samples of Q are "
+                "known: synthesise with Q as a filter, or ask rate(P, Q, L, omega)"
             )
-        if np.any(own.scale != 1):
-            problem = pose(P, Q, omega, own.Ts, **known, scale=own.scale)
-        return on_one_thread(check)(
-            problem, LearningFilter(self.solution.coefficients, own.Ts)
+        problem = pose(
+            P,
+            Q,
+            omega,
+            design.Ts,
+            order=1,
+            L_max=None,
+            objective="peak",
+            uncertainty=uncertainty,
+            scale=design.scale if np.any(design.scale != 1) else None,
         )
+        if problem.channels != design.channels:
+            raise ValueError(
+                f"P has {problem.channels} channels, but the filter has {design.channels}"
+            )
+        L = LearningFilter(self.solution.coefficients, design.Ts)
+        return on_one_thread(check)(problem, L)
 
     def __repr__(self):
         return f"{self.solution.method}, {self.solution.iterations} iterations\n{self.certificate}"

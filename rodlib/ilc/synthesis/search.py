@@ -1,7 +1,6 @@
 """Designs that search for more than a filter: the least gain, the largest cut-off of Q."""
 
 from dataclasses import replace
-from inspect import signature
 
 import numpy as np
 from scipy.optimize import brentq
@@ -35,10 +34,10 @@ def least_gain(P, Q, omega=None, Ts=None, **choices) -> Synthesis:
     Parameters and errors as for :func:`synthesise`, apart from `objective`, `L_max` and `start`.
     The result is that of (45) with (46), where `problem.L_max` is that gain.
     """
-    asked, how = _parted(choices)
-    problem = pose(P, Q, omega, Ts, objective="peak", L_max=None, **asked)
-    checked_trial(problem, how.get("samples"), how.get("rest", 0))
-    free = certified(problem, **how | {"samples": None, "rest": 0})
+    trial = _trial(choices)
+    problem = pose(P, Q, omega, Ts, objective="peak", L_max=None, **choices)
+    checked_trial(problem, **trial)
+    free = certified(problem)
     unit = free.sigma_L.max()  # a gain that is enough
     question = without_gaps(replace(problem, objective="gain", L_max=unit))
     for same in SAME:
@@ -55,7 +54,7 @@ def least_gain(P, Q, omega=None, Ts=None, **choices) -> Synthesis:
             "the least gain was not found: filters that keep the least peak are too much alike; "
             "take a shorter filter, or synthesise with an L_max"
         )
-    return warned(certified(replace(problem, L_max=L_max), **how))
+    return warned(certified(replace(problem, L_max=L_max), **trial))
 
 
 @on_one_thread
@@ -85,26 +84,24 @@ def largest_cutoff(
         too high.
     """
     arguments.instance("Q", Q, ZeroPhaseButterworth)
-    asked, how = _parted(choices)
-    arguments.flag("check", how.get("check", True))
-    further, stated = [], pose(P, Q, omega, Ts, **asked)
-    asked |= {"band": stated.band, "L_max": stated.L_max}  # whatever Q will be
+    trial, start = _trial(choices), choices.pop("start", None)
+    stated = pose(P, Q, omega, Ts, **choices)
+    choices |= {"band": stated.band, "L_max": stated.L_max}  # whatever Q will be
+    further = np.empty(0)
 
     def posed(Q, **changes):
-        problem = pose(P, Q, stated.omega, Ts, **asked | changes)
-        return refined(problem, further) if further else problem
+        problem = pose(P, Q, stated.omega, Ts, **choices | changes)
+        return refined(problem, further)
 
     with tqdm(desc="largest cut-off", unit=" solved", leave=False, disable=None) as bar:
         for _ in range(ROUNDS):
-            Q = _widest(Q, posed, stated, bar, step=0.1 if further else 1.0)
-            design = certified(posed(Q), **how | {"check": False})
+            Q = _widest(Q, posed, stated, bar, step=0.1 if len(further) else 1.0)
+            design = certified(posed(Q), start=start, check=False, **trial)
             if design.certificate.unseen is None:
                 break
-            further.append(
-                design.certificate.unseen.omega
-            )  # M passed one where omega is coarse
-    if how.get("check", True):
-        insist(design.solution, design.certificate)
+            # M passed one where omega is coarse
+            further = np.append(further, design.certificate.unseen.omega)
+    insist(design.solution, design.certificate)
     return Q, warned(design)
 
 
@@ -119,7 +116,7 @@ def _widest(Q, posed, stated, bar, step):
         """The smallest possible M_max with this cut-off, relative to the one that is asked for."""
         problem = without_gaps(posed(with_cutoff(logarithm), objective="peak"))
         problem = replace(problem, M_max=np.inf)
-        start = carried(last[1], last[0].omega, problem.omega) if last else None
+        start = carried(last[1], last[0], problem) if last else None
         last[:] = settled(problem, solve, start)
         bar.update()
         largest = last[1].largest
@@ -141,8 +138,6 @@ def _widest(Q, posed, stated, bar, step):
     return with_cutoff(brentq(excess, low, high, xtol=CLOSE / 2) - CLOSE / 2)
 
 
-def _parted(choices):
-    """The choices for :func:`pose`, and those for :func:`certified`."""
-    known = signature(pose).parameters
-    asked = {name: choices[name] for name in choices if name in known}
-    return asked, {name: choices[name] for name in choices if name not in asked}
+def _trial(choices):
+    """Take what is for the certificate of a finite trial out of the choices."""
+    return {"samples": choices.pop("samples", None), "rest": choices.pop("rest", 0)}

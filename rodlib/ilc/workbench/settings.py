@@ -40,8 +40,9 @@ class Settings:
         low, high = defaults.band(cutoff, omega)
         known = plant.response
         P = known.on(omega)[0] if plant.measured else known.frequency_response(omega)
+        smallest = np.linalg.svd(P, compute_uv=False)[:, -1]
         own = {
-            "L_max": defaults.gain(cutoff, P, omega),
+            "L_max": defaults.gain(cutoff, smallest, omega),
             "cutoff": cutoff,
             "band": (_no_lower(low), float(f"{high:.3g}")),
             "order": plant.order,

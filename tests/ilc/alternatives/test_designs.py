@@ -20,8 +20,7 @@ from rodlib.ilc import (
     zero_phase_inversion,
 )
 from rodlib.ilc.alternatives.inversion import outer_zeros
-from rodlib.ilc.evidence.finite_trial import impulse_response
-from rodlib.ilc.models import frequency_response
+from rodlib.ilc.models import frequency_response, impulse_response
 
 LOOPS = {
     "rod": paper_loop,

@@ -51,7 +51,7 @@ def test_a_filter_that_looks_ahead_does_in_the_law_what_a_learning_filter_does(l
     printed = LearningFilter(published.matrix("L_full"), 1.0)
     new = trial_noise(loop, np.geomspace(1e-3, 3, 40), 1.0)
     learned = [
-        converged_noise(new, Q, L).learned.total
+        converged_noise(new, Law(Q, L)).learned.total
         for L in (printed, TwoSidedFilter(printed.frequency_response, 2, 1.0))
     ]
     assert learned[0] == pytest.approx(learned[1], rel=1e-12)

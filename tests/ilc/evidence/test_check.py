@@ -1,5 +1,7 @@
 """What a filter does on another plant: the rate, and whether it converges."""
 
+from dataclasses import replace
+
 import control
 import numpy as np
 import pytest
@@ -13,7 +15,9 @@ from rodlib import (
     zero_phase_butterworth,
 )
 from rodlib.ilc import MeasuredResponse
+from rodlib.ilc.evidence.check import check
 from rodlib.ilc.evidence.peak import error_model, peak_gain
+from rodlib.ilc.problem.pose import pose
 
 Q = zero_phase_butterworth(2, 0.3)
 OMEGA = np.geomspace(1e-3, np.pi, 250)
@@ -92,7 +96,8 @@ def test_a_loop_brings_its_P_and_tables_their_own_grid(loop):
     measured = MeasuredResponse(own, response, noise, spread, np.full(70, 9), loop)
     unsure = design.check(measured)
     assert unsure.gamma > found.gamma and not unsure.proven
-    sure = design.check(measured, confidence=0.5)
+    response, radius = measured.on(own, 0.5)
+    sure = design.check(response, own, uncertainty=radius)
     assert found.gamma < sure.gamma < unsure.gamma
 
 
@@ -103,7 +108,7 @@ def test_in_other_units_the_rate_is_the_same():
     design = synthesise(loop, Q, omega, scale=scale, L_max=20.0, band=(1e-4, 0.002))
     found = design.check([loop, loop.frequency_response(omega)])
     assert found.gamma == pytest.approx(design.certificate.all_M, rel=1e-4)
-    with pytest.raises(ValueError, match="P has 1 channels, but the filter has 3"):
+    with pytest.raises(ValueError, match="scale has 3 numbers, but P has 1 channels"):
         design.check(control.ss(0.5, 0.5, 1, 0, 2.0))
     with pytest.raises(
         ValueError, match=r"P.dt = 1.0 differs from Ts = 2.0: sample the model"
@@ -114,7 +119,8 @@ def test_in_other_units_the_rate_is_the_same():
 def test_above_a_table_the_assumed_size_counts(design):
     own = np.geomspace(1e-3, 0.4, 60)
     low = design.check(samples(lag(), own), own)
-    high = design.check(samples(lag(), own), own, beyond=20.0)
+    problem = pose(samples(lag(), own), Q, own, order=1, L_max=None, objective="peak")
+    high = check(replace(problem, beyond=20.0), design.filter)
     assert low.gamma < 1 < high.gamma and high.omega >= own[-1]
     assert low.converges and not high.converges
     assert str(high).startswith(

@@ -63,9 +63,9 @@ def optimum(m, others, radius, M_max, objective, structure):
         return block >> 0
 
     for i in range(n):
-        q, z = problem.Q[i], np.exp(1j * problem.angles[i])
+        q, z = problem.Q[i], np.exp(1j * problem.omega[i] * problem.Ts)
         L = sum(c * z ** (k + 1) for k, c in enumerate(C))
-        M = [q * (np.eye(m) - problem.plant(k)[i] @ L) for k in range(1 + others)]
+        M = [q * (np.eye(m) - problem.plants[k][i] @ L) for k in range(1 + others)]
         subject_to.append(at_most(named("V", L), problem.L_max))
         bound = peak if objective == "peak" else M_max
         t = cp.Variable()

@@ -44,7 +44,7 @@ def random_case(m, seed, n=5, others=0):
 def sigma_max(problem, L, i, k=0, Delta=0):
     """At one frequency, by the book."""
     response = L.frequency_response(problem.omega)[i]
-    P = problem.plant(k)[i] + Delta
+    P = problem.plants[k][i] + Delta
     return np.linalg.norm(problem.Q[i] * (np.eye(len(P)) - P @ response), 2)
 
 
@@ -130,9 +130,7 @@ def test_the_worst_of_many_plants_has_its_number():
         posed = replace(problem, radius=radius)
         worst = worst_case(posed, L)
         alone = [
-            worst_case(
-                replace(posed, P=problem.plant(k), others=problem.others[:0]), L
-            ).sigma
+            worst_case(replace(posed, plants=problem.plants[[k]]), L).sigma
             for k in range(21)
         ]
         np.testing.assert_allclose(worst.sigma, np.max(alone, axis=0), rtol=1e-12)

@@ -23,8 +23,8 @@ from rodlib import (
     synthesise,
     zero_phase_butterworth,
 )
-from rodlib.ilc.evidence.finite_trial import impulse_response
 from rodlib.ilc.law.limits import WEIGHT, Actuators, realised
+from rodlib.ilc.models import impulse_response
 
 
 def bump(samples, heights):

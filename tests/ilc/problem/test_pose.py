@@ -72,12 +72,12 @@ def test_several_plants_may_be_known_in_several_ways(several):
     frd = control.frd(np.moveaxis(SAMPLES, 0, -1), OMEGA)
     given = several([coupled(), SAMPLES, frd, SAMPLES.tolist(), [*SAMPLES]])
     posed = pose(given, Q, OMEGA, 1.0, band=BAND, uncertainty=[0.1] * 60)
-    assert posed.others.shape == (4, 60, 2, 2) and posed.models[1:] == (None,) * 4
-    for other in posed.others:
-        np.testing.assert_allclose(other, posed.P, rtol=1e-12)
+    assert posed.plants.shape == (5, 60, 2, 2) and posed.models[1:] == (None,) * 4
+    for plant in posed.plants:
+        np.testing.assert_allclose(plant, SAMPLES, rtol=1e-12)
     np.testing.assert_array_equal(posed.radius, np.full(60, 0.1))
     in_one = pose(np.stack([SAMPLES] * 3), Q, OMEGA, 1.0, band=BAND)
-    assert in_one.others.shape == (2, 60, 2, 2)
+    assert in_one.plants.shape == (3, 60, 2, 2)
 
 
 @pytest.mark.parametrize("structure", ["diagonal", "full"])
@@ -138,7 +138,7 @@ def test_scale_weighs_the_channels():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"scale": [1.0]}, r"scale has shape \(1,\), but must have shape \(2,\)"),
+        ({"scale": [1.0]}, "scale has 1 numbers, but P has 2 channels"),
         ({"scale": [1.0, 0.0]}, r"scale = \[1.0, 0.0\] must be positive"),
         ({"scale": [1.0, np.nan]}, "scale has 1 values that are not finite"),
         (
@@ -216,8 +216,8 @@ def test_what_does_not_fit_is_refused(changes, message):
 @pytest.mark.parametrize(
     ("dead", "message"),
     [
-        (np.s_[:, 1, :], "output 1 answers to none"),
-        (np.s_[:, :, 0], "no output answers to w 0"),
+        (np.s_[:, 1, :], "output 1 does not respond"),
+        (np.s_[:, :, 0], "w 0 has no effect"),
     ],
 )
 def test_a_dead_channel_is_named(dead, message):

@@ -240,7 +240,7 @@ def test_what_is_learned_is_rounded_as_in_the_tracked_log():
     [
         ({"rig": VirtualRig(Ts=2.0)}, "rig.Ts = 2.0"),
         ({"law": Law(zero_phase_butterworth(Ts=2.0), None)}, "Ts"),
-        ({"rig": "the red one"}, "rig = 'the red one' has no read, apply"),
+        ({"rig": "the red one"}, "rig = 'the red one'"),
         ({"rig": VirtualRig}, "rig = .* is a class: make one"),
         ({"trials": 3}, "disturbance has 2 trials, but trials = 3"),
         (

@@ -17,10 +17,11 @@ from rodlib import (
     synthesise,
     zero_phase_butterworth,
 )
+from rodlib.ilc.problem.grid import refined
 from rodlib.ilc.problem.pose import pose
 from rodlib.ilc.problem.problem import largest_singular_values
 from rodlib.ilc.synthesis import everywhere
-from rodlib.ilc.synthesis.design import solve
+from rodlib.ilc.synthesis.design import certified, solve
 from rodlib.ilc.synthesis.everywhere import carried
 
 PROVEN = 1 + 3e-8  # what the bounds may be passed by
@@ -39,7 +40,7 @@ def judged(design, P, Q, omega):
 def dense(design, Ts=1.0):
     """Evenly, by decades, and closely about the frequencies that were added."""
     problem = design.certificate.problem
-    added = problem.omega[~problem.asked, None]
+    added = np.setdiff1d(problem.omega_L, problem.design.omega)[:, None]
     about = (added * (1 + np.linspace(-0.01, 0.01, 41))).ravel()
     grids = (
         np.linspace(0, np.pi, 5001) / Ts,
@@ -199,7 +200,7 @@ def test_cvxpy_states_the_same_problem(Q):
     grid, Q = np.geomspace(1e-4, np.pi, 30) / Ts, zero_phase_butterworth(2, 100.0, Ts)
     choices |= {"everywhere": True, "order": 6}
     ours, theirs = (
-        synthesise(loop, Q, grid, solver=solver, **choices)
+        certified(pose(loop, Q, grid, **choices), solver=solver)
         for solver in ("structured", "cvxpy")
     )
     assert theirs.value == pytest.approx(ours.value, rel=1e-5)
@@ -271,16 +272,16 @@ def test_a_solution_is_carried_by_its_frequencies(loop, Q):
     plants = [loop, 1.1 * loop.P]
     design = synthesise(plants, Q, grid, M_max=0.93, everywhere=True, **PAPER)
     problem, solution = design.certificate.problem, design.solution
-    wider = np.sort(np.append(problem.omega, [0.3, 0.4]))
-    there = carried(solution, problem.omega, wider)
-    back = carried(there, wider, problem.omega)
+    wider = refined(problem, [0.3, 0.4])
+    there = carried(solution, problem, wider)
+    back = carried(there, wider, problem)
     for name in ("U", "V"):
         np.testing.assert_array_equal(getattr(back, name), getattr(solution, name))
     np.testing.assert_array_equal(
-        wider[there.cuts.frequency], problem.omega[back.cuts.frequency]
+        wider.omega[there.cuts.frequency], problem.omega[back.cuts.frequency]
     )
     np.testing.assert_array_equal(back.cuts.frequency, solution.cuts.frequency)
-    fewer = carried(solution, problem.omega, grid)
+    fewer = carried(solution, problem, problem.design)
     assert len(fewer.U) == 60 and len(fewer.cuts.N) <= len(solution.cuts.N)
 
 

@@ -17,7 +17,7 @@ from rodlib.ilc.problem.pose import pose
 from rodlib.ilc.problem.problem import convergence_matrix, largest_singular_values
 from rodlib.ilc.problem.responses import Measured
 
-CONFIDENCE = 0.9
+CONFIDENCE = 0.99
 
 
 @dataclass(frozen=True)
@@ -26,10 +26,9 @@ class Estimate(Measured):
 
     P: np.ndarray
     radius: float
-    confidence: float = CONFIDENCE
 
     def on(self, omega, confidence, scale=None):
-        assert confidence == self.confidence
+        assert confidence == CONFIDENCE
         S = np.ones(self.P.shape[1]) if scale is None else np.asarray(scale)
         return self.P * S / S[:, None], np.full(
             len(omega), self.radius * S.max() / S.min()
@@ -66,7 +65,7 @@ def test_the_bound_holds_for_the_truth_if_it_is_within_the_radius(name):
     Q = zero_phase_butterworth(2, 0.03 / loop.Ts, loop.Ts)
     choices = dict(band=(omega[0], 0.02 / loop.Ts), scale=scale)
     measured = Estimate(P + error, 0.004)
-    design = synthesise(measured, Q, omega, loop.Ts, confidence=CONFIDENCE, **choices)
+    design = synthesise(measured, Q, omega, loop.Ts, **choices)
     S = np.ones(m) if scale is None else np.asarray(scale)
     units = S / S[:, None]
     L = design.filter.frequency_response(omega)
@@ -78,7 +77,7 @@ def test_the_bound_holds_for_the_truth_if_it_is_within_the_radius(name):
     )
     np.testing.assert_array_equal(design.problem.radius, radius)  # in units of scale
     assert design.value == pytest.approx(two_steps.value, rel=1e-9)
-    assert "read off at 120 frequencies, with confidence 0.9" in str(design)
+    assert "read off at 120 frequencies, with confidence 0.99" in str(design)
     assert "read off" not in str(two_steps)
 
 
@@ -89,7 +88,7 @@ def test_where_nothing_can_be_learned_is_named():
     P = loop.frequency_response(omega)
     smallest = np.linalg.svd(P, compute_uv=False)[:, -1]
     measured = Estimate(P, 0.01)
-    design = synthesise(measured, Q, omega, 1.0, confidence=CONFIDENCE)
+    design = synthesise(measured, Q, omega, 1.0)
     lost = omega[smallest <= 0.01]
     assert 0 < len(lost) < 100
     place = f"at {len(lost)} frequencies from {lost[0]:.4g} to {lost[-1]:.4g} rad/s"
@@ -100,7 +99,7 @@ def test_where_nothing_can_be_learned_is_named():
     with pytest.raises(
         InfeasibleError, match="P is not known well enough at"
     ) as caught:
-        synthesise(Estimate(P, 0.5), Q, omega, 1.0, confidence=CONFIDENCE)
+        synthesise(Estimate(P, 0.5), Q, omega, 1.0)
     here = (smallest <= 0.5) & (np.abs(Q.frequency_response(omega)) > 0.9)
     assert f"{here.sum()} frequencies from {omega[here][0]:.4g}" in str(caught.value)
     # a singular plant is within the radius: no filter makes M smaller than Q for it
@@ -114,13 +113,11 @@ def test_what_contradicts_a_measurement_is_refused():
     loop = paper_loop()
     omega = np.geomspace(1e-4, np.pi, 100)
     Q = zero_phase_butterworth(2, 0.1, 1.0)
-    measured = Estimate(loop.frequency_response(omega), 0.01, 0.99)
+    measured = Estimate(loop.frequency_response(omega), 0.01)
     assert pose(measured, Q, omega, 1.0).basis  # 0.99 by default
     with pytest.raises(
         ValueError, match="uncertainty must be None if P is a measured response"
     ):
         synthesise(measured, Q, omega, 1.0, uncertainty=np.full(100, 0.1))
-    with pytest.raises(ValueError, match=r"confidence = .* is for a measured response"):
-        synthesise(loop, Q, omega, 1.0, confidence=0.9)
     with pytest.raises(ValueError, match=r"P.0. is a measured response, whose radius"):
         synthesise([measured, loop], Q, omega, 1.0)

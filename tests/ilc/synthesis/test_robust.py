@@ -7,7 +7,7 @@ from plants import half, random_response
 from rodlib import InfeasibleError, LearningFilter, synthesise
 from rodlib.ilc.problem.pose import pose
 from rodlib.ilc.problem.problem import convergence_matrix, largest_singular_values
-from rodlib.ilc.synthesis.design import solve
+from rodlib.ilc.synthesis.design import certified, solve
 from rodlib.ilc.synthesis.solver import interior_point
 from rodlib.ilc.synthesis.solver.program import formulate
 from rodlib.ilc.synthesis.solver.selection import violated
@@ -45,7 +45,7 @@ def test_structured_and_cvxpy_find_the_same_optimum(shape, objective, kind):
         except InfeasibleError as error:
             choices["M_max"] = 1.01 * error.smallest_M_max
     ours = synthesise(P, Q, omega, 1.0, **choices)
-    theirs = synthesise(P, Q, omega, 1.0, solver="cvxpy", **choices)
+    theirs = certified(pose(P, Q, omega, 1.0, **choices), solver="cvxpy")
     assert ours.value == pytest.approx(theirs.value, rel=1e-5)
     assert ours.certificate.gap < 1e-6 and theirs.certificate.gap < 1e-5
     nominal = synthesise(P[0] if kind.startswith("plants") else P, Q, omega, 1.0,

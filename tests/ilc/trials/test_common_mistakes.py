@@ -62,7 +62,7 @@ REFUSED = {  # what the error names, and a call
     "omega, P in seconds": ("omega spans", lambda: design(omega=1e3 * OMEGA)),
     "omega in Hz": (
         "omega ends at 0.5 .* in Hz",
-        lambda: design(response(FFT), omega=FFT / (2 * np.pi), beyond=0.0),
+        lambda: design(response(FFT), omega=FFT / (2 * np.pi)),
     ),
     "Q and omega exchanged": (
         "omega = .* exchanged with Q",

@@ -218,18 +218,15 @@ def first_multipliers(program, start):
     for j, bound in enumerate(program.bounds):
         if bound.plant is not None:
             y = of_cuts(bound, start)
-        elif j == 0:
-            U = start.U[bound.at]
-            y = np.maximum(np.linalg.norm(U, "nuc", axis=(1, 2)) - in_sum(program), 0)
         else:
-            whole = len(bound.T) == start.V.shape[1]
-            V = start.V if whole else start.V[:, bound.entries, bound.entries, None]
-            W = np.moveaxis(bound.T, -1, 0)
-            known = W.any(axis=(1, 2))  # where P stands as zero nothing of M is bounded
-            y = np.zeros(len(W))
-            y[known] = np.linalg.norm(
-                np.linalg.solve(W[known], V[known]), "nuc", axis=(1, 2)
-            )
+            N = start.U[bound.at]
+            if bound.gain:
+                whole = len(bound.T) == start.V.shape[1]
+                V = start.V if whole else start.V[:, bound.entries, bound.entries, None]
+                N = np.linalg.solve(np.moveaxis(bound.T, -1, 0), V)
+            y = np.linalg.norm(N, "nuc", axis=(1, 2))
+        if j == 0:
+            y = np.maximum(y - in_sum(program), 0)
         multipliers.append(np.where(y > 1e-6 * y.max(initial=0), y, 0))
     return multipliers
 

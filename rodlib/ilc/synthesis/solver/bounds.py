@@ -49,11 +49,13 @@ class Bound:
     )  # of the filter, that stand at `rows`, `cols` of L; the others are zero
     rows: np.ndarray
     cols: np.ndarray
-    at: np.ndarray | slice  # frequency of each column
+    at: (
+        np.ndarray | slice
+    )  # frequency of each column; a slice begins with the first one
     limit: int = 0  # of the program's: that of what is minimised (0), or the other (1)
-    plant: np.ndarray | None = (
-        None  # number for each column; None for the nominal M and for L
-    )
+    # number of the plant of each column; None for the nominal M and for L
+    plant: np.ndarray | None = None
+    gain: bool = False  # whether it is that on L
 
     @property
     def shape(self):
@@ -103,7 +105,7 @@ class Bound:
     def spread(self, g, out):
         """Add numbers for each of the bound's entries and columns to those of the filter."""
         if isinstance(self.at, slice):
-            out[self.entries] += g
+            out[self.entries, self.at] += g
         else:  # a frequency may occur more than once
             np.add.at(out, (self.entries[:, None], self.at), g)
 

@@ -98,7 +98,8 @@ def normal_matrix(program, slacks, Y, local):
         r, c, rs, cs = bound.rows[j], bound.cols[j], bound.rows[k], bound.cols[k]
         which, columns = number[bound.entries[j], bound.entries[k]], bound.shape[2]
         size = max(32, CACHED // len(which))  # of a block that stays in the cache
-        for some in (slice(i, i + size) for i in range(0, columns, size)):
+        for i in range(0, columns, size):
+            some = slice(i, min(i + size, columns))
             x11, y11, x21, y21, x22, y22 = (
                 Z[..., some] for Z in (X11, Y11, X21, Y21, X22, Y22)
             )
@@ -176,7 +177,9 @@ def square_root(program, slacks, Y, barrier):
         rows[:, :, at.ravel()] = small
         (whole if isinstance(bound.at, slice) else tall).append((rows, bound.at))
     if whole:
-        rows = np.concatenate([rows for rows, _ in whole], axis=1)
+        n = basis.shape[1]
+        rows = [np.pad(rows, [(0, n - len(rows)), (0, 0), (0, 0)]) for rows, _ in whole]
+        rows = np.concatenate(rows, axis=1)
         tall.append((np.linalg.qr(rows, mode="r"), slice(None)))
     expanded = []
     for rows, at in tall:

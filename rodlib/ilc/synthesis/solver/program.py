@@ -100,24 +100,25 @@ class Program:
 
     def solution(self, x, multipliers, splits, method, iterations):
         """Solution from the unknowns and, for each bound, the multipliers of G and the split."""
-        first, n = self.bounds[0], self.basis.shape[1]
+        first = self.bounds[0]
         m = first.T.shape[1]
         C = np.zeros((m, m, x.shape[1]))
         c = x.astype(self.R.dtype)  # back substitution, in the precision of R
         for k in reversed(range(len(self.R))):
             c[:, k] = (c[:, k] - c[:, k + 1 :] @ self.R[k, k + 1 :]) / self.R[k, k]
         C[first.rows, first.cols] = c
-        U, V = np.zeros((2, n, m, m), dtype=complex)
+        U, V = np.zeros((2, self.basis.shape[1], m, m), dtype=complex)
         cuts = []
         for j, (bound, N) in enumerate(zip(self.bounds, multipliers, strict=True)):
             if bound.plant is not None:
                 cuts.append((bound.plant, bound.at, N.T.swapaxes(1, 2), splits[j].T))
-            elif j == 0:
+            elif not bound.gain:
                 U[bound.at] = np.moveaxis(N, -1, 0)
             elif len(N) == m:
                 V = np.moveaxis(product(bound.T, N), -1, 0)
             else:
-                V[:, bound.entries[0], bound.entries[0]] = (bound.T * N)[0, 0]
+                [entry] = bound.entries
+                V[:, entry, entry] = (bound.T * N)[0, 0]
         G = self.matrices(x)
         peaks = [
             bound.value(*a).max()
@@ -141,88 +142,107 @@ def orthonormalise(A):
     return Q, R
 
 
-def whitened_basis(P, Q, angles, order, W):
+def whitened_basis(problem):
     """Phi = R^-T [z; z^2; ...], orthonormal with the weight that M and W L give each frequency."""
-    weight = np.linalg.norm(Q[:, None, None] * P, axis=(1, 2)) / np.abs(Q).max()
-    weight = np.hypot(weight, largest_singular_values(W))
+    n, Q = len(problem.omega), np.abs(problem.Q)
+    weight = np.zeros(len(problem.omega_L))
+    weight[:n] = Q * np.linalg.norm(problem.P, axis=(1, 2)) / Q.max()
+    weight = np.hypot(weight, largest_singular_values(problem.weight))
     weight = np.maximum(weight, 1e-8 * weight.max())
-    z = weight * time_shifts(angles, order).T
+    z = weight * time_shifts(problem.omega_L * problem.Ts, problem.order).T
     Phi, R = orthonormalise(np.concatenate([z.real, z.imag], axis=1).T)
-    n = len(angles)
-    return ((Phi[:n] + 1j * Phi[n:]).T / weight).astype(complex, order="C"), R
+    real, imag = np.split(Phi, 2)
+    return ((real + 1j * imag).T / weight).astype(complex, order="C"), R
 
 
-def bound_on_M(problem, plant, frequency, **kind):
+def entries_of(channels, structure):
+    """Rows and columns of the entries of L that are not zero."""
+    if structure == "full":
+        return np.indices((channels, channels)).reshape(2, -1)
+    return np.arange(channels), np.arange(channels)
+
+
+def bound_on_M(problem, plant, frequency, rows, cols, limit=0):
     """The bound on M, or that for the radius, for pairs of a plant, by number, and a frequency."""
     m, Q = problem.channels, problem.Q[frequency]
-    P = problem.P[frequency]
-    other = plant > 0
-    P[other] = problem.others[plant[other] - 1, frequency[other]]
+    P = problem.plants[plant, frequency]
     F, T = np.eye(m)[..., None] * Q, -Q * P.transpose(1, 2, 0)
     if problem.radius is not None:
         r = np.maximum(problem.radius, SMALLEST * np.abs(problem.P).max())[frequency]
         below = np.abs(Q) * r * np.eye(m)[..., None]
         F, T = np.concatenate([F, 0 * below]), np.concatenate([T, below])
     F, T = (np.ascontiguousarray(X, dtype=complex) for X in (F, T))  # as long vectors
-    return Bound(F, T, at=frequency, plant=plant, **kind)
+    entries = np.arange(len(rows))
+    return Bound(F, T, entries, rows, cols, frequency, limit=limit, plant=plant)
+
+
+def bounds_on_L(problem, rows, cols, limit, whole):
+    """The bound sigma_max(W L) <= 1 at omega_L, of L as a whole or of each of its entries."""
+    W = np.ascontiguousarray(np.moveaxis(problem.weight, 0, -1), complex)
+    at = slice(0, W.shape[-1])
+    if whole:
+        entries = np.arange(len(rows))
+        return [Bound(0 * W, W, entries, rows, cols, at, limit=limit, gain=True)]
+    first = np.zeros(1, dtype=int)
+    return [
+        Bound(
+            np.zeros((1, 1, W.shape[-1]), dtype=complex),
+            W[entry, entry][None, None],
+            np.array([entry]),
+            first,
+            first,
+            at,
+            limit=limit,
+            gain=True,
+        )
+        for entry in range(len(rows))
+    ]
 
 
 def formulate(problem: Problem, plant=(), frequency=()) -> Program:
     """State (39), (45) with (46), or the least gain, with cuts of these plants and frequencies."""
-    W, gain, everywhere = problem.weight, problem.objective == "gain", slice(None)
+    gain = problem.objective == "gain"
     n, m, _ = problem.P.shape
-    full = problem.structure == "full"
-    rows, cols = np.indices((m, m)).reshape(2, -1) if full else 2 * (np.arange(m),)
-    entries = np.arange(len(rows))
-    on_M = {"entries": entries, "rows": rows, "cols": cols, "limit": int(gain)}
-    on_L = {"limit": int(not gain)}
-    every = np.arange(n)
+    rows, cols = entries_of(m, problem.structure)
+    on_M = {"rows": rows, "cols": cols, "limit": int(gain)}
     nominal = replace(problem, radius=None)
     # sigma_max(M) <= M_max, or, where it is in the sum (39) or the largest (45), a level
+    every, some = np.arange(n), np.flatnonzero(problem.in_band)
+    first = bound_on_M(problem, 0 * every, every, **on_M)
     if problem.radius is None:
-        bounds = [
-            replace(
-                bound_on_M(nominal, 0 * every, every, **on_M), at=everywhere, plant=None
-            )
-        ]
-    else:  # which implies the nominal one
-        bounds = [bound_on_M(problem, 0 * every, every, **on_M)]
-        if problem.objective == "sum":
-            some = np.flatnonzero(problem.in_band)
-            bounds.insert(
-                0, replace(bound_on_M(nominal, 0 * some, some, **on_M), plant=None)
-            )
+        bounds = [replace(first, at=slice(0, n), plant=None)]
+    elif problem.objective == "sum":  # that for the radius implies the nominal one
+        of_sum = bound_on_M(nominal, 0 * some, some, **on_M)
+        bounds = [replace(of_sum, plant=None), first]
+    else:
+        bounds = [first]
     # sigma_max(L) <= L_max, (39), (46)
-    one = np.ones((1, 1, n), dtype=complex)
-    zero = np.zeros((m, m, 1)) * one
-    if full or gain:
-        L = [
-            Bound(
-                zero,
-                np.ascontiguousarray(np.moveaxis(W, 0, -1), complex),
-                entries,
-                rows,
-                cols,
-                everywhere,
-                **on_L,
-            )
-        ]
-    else:  # smaller ones, one for each entry
-        one_by_one = (
-            (W[:, e, e] * one, entries[[e]], rows[:1], cols[:1]) for e in entries
-        )
-        L = [Bound(0 * one, *a, everywhere, **on_L) for a in one_by_one]
-    bounds = [*L, *bounds] if gain else [bounds[0], *L, *bounds[1:]]
+    whole = gain or problem.structure == "full"
+    of_L = bounds_on_L(problem, rows, cols, int(not gain), whole)
+    bounds = [*of_L, *bounds] if gain else [bounds[0], *of_L, *bounds[1:]]
     if len(plant):
-        bounds.append(
-            bound_on_M(problem, np.asarray(plant), np.asarray(frequency), **on_M)
-        )
-    basis, R = whitened_basis(problem.P, problem.Q, problem.angles, problem.order, W)
-    bounds = tuple(bounds)
+        plant, frequency = np.asarray(plant), np.asarray(frequency)
+        bounds.append(bound_on_M(problem, plant, frequency, **on_M))
+    basis, R = whitened_basis(problem)
     if gain:
-        limits = np.array([GENEROUS, problem.M_max])
-        return Program(bounds, basis, R, len(rows), every, True, limits, GENEROUS)
-    limits = np.array([problem.M_max, 1.0])
-    free = np.flatnonzero(problem.in_band[bounds[0].at])
-    program = Program(bounds, basis, R, len(rows), free, False, limits, problem.M_max)
+        return Program(
+            bounds=tuple(bounds),
+            basis=basis,
+            R=R,
+            entries=len(rows),
+            free=np.arange(bounds[0].shape[2]),
+            shared=True,
+            limits=np.array([GENEROUS, problem.M_max]),
+            M_max=GENEROUS,
+        )
+    program = Program(
+        bounds=tuple(bounds),
+        basis=basis,
+        R=R,
+        entries=len(rows),
+        free=np.flatnonzero(problem.in_band[bounds[0].at]),
+        shared=False,
+        limits=np.array([problem.M_max, 1.0]),
+        M_max=problem.M_max,
+    )
     return program.minimax() if problem.objective == "peak" else program  # (45)

@@ -8,7 +8,7 @@ optimal for a part of the bounds and meets all of them is optimal for all.
 import numpy as np
 
 from rodlib.ilc.problem.problem import largest_singular_values
-from rodlib.ilc.synthesis.solver.program import bound_on_M
+from rodlib.ilc.synthesis.solver.program import bound_on_M, entries_of
 
 PASSED = 1e-10  # relative violation that is rounding
 
@@ -18,7 +18,7 @@ def violated(problem, solution, limit, plant, frequency):
     L = problem.response(solution)
     n = len(problem.omega)
     highest, which = np.full(n, limit * (1 + PASSED)), np.full(n, -1)
-    for k in range(1, len(problem.others) + 1):
+    for k in range(1, len(problem.plants)):
         new = np.ones(n, dtype=bool)
         new[frequency[plant == k]] = False
         value = _worst_case(problem, L, k, highest)
@@ -32,12 +32,9 @@ def _worst_case(problem, L, k, level):
     """Of M for a plant, exact where it exceeds the level."""
     if problem.radius is None:
         return largest_singular_values(problem.M(L, k))
-    n, m, _ = L.shape
-    rows, cols = np.indices((m, m)).reshape(2, -1)
-    every = np.arange(n)
-    bound = bound_on_M(
-        problem, np.full(n, k), every, entries=np.arange(m * m), rows=rows, cols=cols
-    )
+    every = np.arange(len(problem.omega))
+    rows, cols = entries_of(problem.channels, "full")
+    bound = bound_on_M(problem, np.full_like(every, k), every, rows, cols)
     G = bound.matrices(L[:, rows, cols].T)
     return bound.tighten(G, bound.first_split(G), level)[1]
 
@@ -48,7 +45,6 @@ def first_cuts(problem, start):
     if start is None or start.cuts is None:
         return none, none
     plant, frequency = start.cuts.plant, start.cuts.frequency
-    known = (plant > 0) & (
-        plant <= len(problem.others)
-    )  # the nominal one is in every program
+    # the nominal one is in every program
+    known = (plant > 0) & (plant < len(problem.plants))
     return plant[known], frequency[known]

@@ -57,12 +57,13 @@ def test_matrices_are_those_of_the_filter(m, structure, seed):
 @pytest.mark.parametrize("L_max", [5.0, None])
 def test_the_basis_is_orthonormal_and_spans_the_powers_of_z(L_max):
     P, Q, omega = plant(2)
-    W = np.diag([0.2, 0.1]) if L_max else np.eye(2) * 1e-7
-    basis, R = whitened_basis(P, Q, omega, 4, np.broadcast_to(W, (len(omega), 2, 2)))
+    problem = posed(P, Q, omega, "full", L_max=L_max)
+    basis, R = whitened_basis(problem)
     z = np.exp(1j * omega) ** np.arange(1, 5)[:, None]
     np.testing.assert_allclose(R.T.astype(float) @ basis, z, atol=1e-12)
     weight = np.hypot(
-        np.linalg.norm(Q[:, None, None] * P, axis=(1, 2)) / Q.max(), W.max()
+        np.linalg.norm(Q[:, None, None] * P, axis=(1, 2)) / Q.max(),
+        problem.weight.max(),
     )
     weighted = weight * basis
     np.testing.assert_allclose(

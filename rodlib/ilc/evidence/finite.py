@@ -13,9 +13,9 @@ from scipy.sparse import diags_array, eye_array
 
 from rodlib.ilc import arguments
 from rodlib.ilc.filters import ENDS, LearningFilter, ZeroPhaseButterworth
+from rodlib.ilc.models import impulse_response, sampled_plant
 
 LANCZOS = 60  # vectors that the Lanczos iteration keeps
-SIDE_BY_SIDE = 50  # signals that are filtered at a time
 
 
 def trial_operators(
@@ -39,13 +39,11 @@ def trial_operators(
         matrix. Q_N and L_N are block Toeplitz if `ends` is "zero"; where an end is held, what the
         matrix would do to the samples beyond it is added to its first or last block column.
     """
-    arguments.state_space("P", P)
+    P = sampled_plant(P, "P")
     arguments.instance("Q", Q, ZeroPhaseButterworth)
-    m = len(arguments.instance("L", L, LearningFilter).coefficients)
+    m = arguments.instance("L", L, LearningFilter).channels
     if (P.noutputs, P.ninputs) != (m, m):
         raise ValueError(f"P is {P.noutputs} by {P.ninputs}, but L is {m} by {m}")
-    if not (P.isdtime(strict=True) and P.dt is not True):
-        raise ValueError(f"P.dt = {P.dt!r} must be a sampling period in seconds")
     arguments.one_period(P=P.dt, L=L.Ts, Q=Q.Ts)
     samples = arguments.whole("samples", samples, 1)
 
@@ -78,15 +76,6 @@ def trial_operators(
     return tuple(_operator(apply, adjoint, samples, m) for apply, adjoint in pairs)
 
 
-def impulse_response(P: control.StateSpace, samples: int) -> np.ndarray:
-    """Markov parameters D, C B, C A B, ... of P, shape (samples, outputs, inputs)."""
-    h = np.empty((samples, P.noutputs, P.ninputs))
-    h[0], X = P.D, P.B
-    for p in range(1, samples):
-        h[p], X = P.C @ X, P.A @ X
-    return h
-
-
 def trial_map(
     P: control.StateSpace,
     Q: ZeroPhaseButterworth,
@@ -106,7 +95,7 @@ def trial_map(
     """
     P_N, Q_N, L_N = trial_operators(P, Q, L, samples)
     rest = arguments.whole("rest", rest, 0, samples - 1)
-    active = np.repeat(np.arange(samples) < samples - rest, len(L.coefficients))
+    active = np.repeat(np.arange(samples) < samples - rest, L.channels)
     active = sparse.aslinearoperator(diags_array(active.astype(float)))
     T = Q_N @ (sparse.aslinearoperator(eye_array(P_N.shape[0])) - L_N @ P_N)
     return active @ T @ active if rest else T
@@ -144,9 +133,7 @@ def trial_norm(
     if size <= LANCZOS:
         before = np.linalg.svd(T @ np.eye(size))[2][0]
     else:
-        start = np.random.default_rng(0).standard_normal(
-            size
-        )  # the same result in every run
+        start = np.random.default_rng(0).standard_normal(size)  # the same in every run
         try:
             _, vectors = sparse.eigsh(T.H @ T, k=1, v0=start, tol=1e-8, ncv=LANCZOS)
         except sparse.ArpackNoConvergence as error:
@@ -155,14 +142,13 @@ def trial_norm(
             ) from error
         before = vectors[:, 0]
     after = T.matvec(before)
-    return (
-        float(np.linalg.norm(after)),
-        before.reshape(samples, -1),
-        after.reshape(samples, -1),
-    )
+    norm = float(np.linalg.norm(after))
+    return norm, before.reshape(samples, -1), after.reshape(samples, -1)
 
 
 def _operator(apply, adjoint, samples, m):
+    """A linear operator on raveled signals, one or several side by side."""
+
     def on_columns(function):
         def matmat(X):
             signals = np.moveaxis(np.reshape(X, (samples, m, -1)), -1, 0)
@@ -170,14 +156,15 @@ def _operator(apply, adjoint, samples, m):
 
         return matmat
 
-    forward, backward = on_columns(apply), on_columns(adjoint)
-    acts = {
-        "matvec": forward,
-        "rmatvec": backward,
-        "matmat": forward,
-        "rmatmat": backward,
-    }
-    return sparse.LinearOperator((samples * m,) * 2, **acts, dtype=float)
+    size, forward, backward = samples * m, on_columns(apply), on_columns(adjoint)
+    return sparse.LinearOperator(
+        (size, size),
+        matvec=forward,
+        rmatvec=backward,
+        matmat=forward,
+        rmatmat=backward,
+        dtype=float,
+    )
 
 
 def _fold(signal, before, after, ends):
