@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import xarray as xr
 
 from rodlib.ilc import Synthesis
-from rodlib.ilc.logs.log import signals_of
+from rodlib.ilc.logs.format import signals_of
 from rodlib.ilc.logs.replay import rms_by_trial
 from rodlib.ilc.units import by_unit, with_unit
 

@@ -104,7 +104,7 @@ def test_a_table_of_others_comes_in_by_the_same_field(panel, tmp_path):
     for columns, message in (
         ("", "rodlib.read_table reads other tables"),
         ('time="Time"', "columns = .* missing 1 required .*'outputs'"),
-        ('time="Time", outputs={"T1": "Tempratur 1"}', "did you mean 'Temperature 1'"),
+        ('time="Time", outputs={"T1": "Tempratur 1"}', "the titles are"),
         ('time="Time", outputs={"T1": "Temperature 1"', "cannot be understood"),
         ("outputs=open('law.json')", "each must be a text, a number or a dict"),
         ('"Time", outputs={"T1": 3}', "write time="),
