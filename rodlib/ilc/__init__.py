@@ -19,7 +19,6 @@ MODULES = {
     "synthesis.result": "InfeasibleError SolverError Synthesis",
     "synthesis.search": "largest_cutoff least_gain",
     "evidence.certificate": "Certificate",
-    "evidence.check": "Check",
     "evidence.convergence": "Convergence convergence rate",
     "evidence.finite": "trial_map trial_norm trial_operators",
     "evidence.noise": "Spectrum TrialNoise converged_noise noise_on_trial trial_noise",

@@ -102,7 +102,8 @@ def test_a_filter_is_designed_for_it_and_keeps_its_promise():
     design = synthesise(found, Q, omega, M_max=0.9, L_max=20.0, band=(0.01, 0.1))
     assert design.check(plant).gamma <= 0.9
     assert any(
-        "assumed: the plant is linear" in line for line in design.certificate.basis
+        "assumed: the plant is linear" in line
+        for line in design.certificate.assumptions
     )
     assert try_out(Settings.of(Plant("", found))).text
 
