@@ -33,6 +33,10 @@ MODULES = {
     "logs.table": "read_table",
     "measurement.excitation": "multisine",
     "measurement.measurement": "expected_radius measured_response",
+    "workbench": "open_workbench",
+    "workbench.outcome": "try_out",
+    "workbench.picture": "plot",
+    "workbench.settings": "Settings",
 }
 
 
@@ -58,5 +62,5 @@ def lazily(package: str, modules: dict[str, str], rooms: Sequence[str] = ()):
     return get, lambda: sorted([*vars(import_module(package)), *names]), names
 
 
-ROOMS = ("alternatives", "workbench")
+ROOMS = ("alternatives",)
 __getattr__, __dir__, __all__ = lazily(__name__, MODULES, ROOMS)

@@ -19,7 +19,7 @@ from rodlib import (
     sampled_response,
 )
 from rodlib.ilc import expected_radius, measured_response, multisine, shake
-from rodlib.ilc.logs.log import LogError
+from rodlib.ilc.logs.format import LogError
 from rodlib.ilc.logs.notes import excitation_of, loop_of, with_excitation
 from rodlib.ilc.measurement.measurement import MeasuredResponse, _estimate
 from rodlib.ilc.measurement.region import radius_of

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from rodlib import measured_response, synthesise, zero_phase_butterworth
-from rodlib.ilc.workbench import Plant
+from rodlib.ilc.workbench.plant import Plant
 
 LINES = np.geomspace(5.0, 600.0, 14)
 
