@@ -12,7 +12,8 @@ from rodlib.ilc import arguments
 from rodlib.ilc.files import alone
 from rodlib.ilc.law.io import KEYS
 from rodlib.ilc.law.law import Law
-from rodlib.ilc.logs.log import load_ended, save_log
+from rodlib.ilc.logs.format import save_log
+from rodlib.ilc.logs.reader import load_log
 from rodlib.ilc.rigs.controlled import ControlledRig
 from rodlib.ilc.rigs.limits import commands_beyond
 from rodlib.ilc.rigs.protocol import StoppedError
@@ -53,7 +54,7 @@ class Experiment:
         """As `run`, with the path of a log that this process alone writes, or None."""
         trials, notes, count = [], {}, len(self.reference)
         if path is not None and path.exists():
-            log = load_ended(path)
+            log = load_log(path)
             self.check(log, path)
             notes = {key: n for key, n in log.attrs.items() if key not in NOTED}
             names = [name for name in SIGNALS if name in log]

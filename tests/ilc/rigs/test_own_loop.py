@@ -12,18 +12,25 @@ from rodlib import (
     ClosedLoop,
     Law,
     LearningFilter,
+    Plant,
+    Settings,
     current_trial_loop,
     load_log,
     loop_of,
     measured_response,
     multisine,
+    plot,
     record,
     run_trials,
     shake,
+    synthesise,
+    try_out,
     zero_phase_butterworth,
 )
 from rodlib.ilc import RigError, StoppedError
 from rodlib.ilc.logs.replay import replay
+from rodlib.ilc.trials.run import rms
+from rodlib.ilc.workbench.plant import plant_of_file
 
 # Two PIDs of a coupled plant; P(0) is not I, as with proportional action alone.
 P = control.ss(
@@ -229,3 +236,39 @@ def test_it_is_shaken_and_nothing_is_assumed_of_it_at_frequency_zero(loop, devic
     off = np.linalg.norm(response - KNOWN.frequency_response(omega), 2, axis=(1, 2))
     assert np.all(off <= radius) and radius[:4].max() < 0.1
     assert "P(0)" not in "".join(measured.basis(omega)) + repr(measured)
+
+
+def test_filters_are_designed_for_it_and_the_workbench_takes_it(tmp_path):
+    grid = np.geomspace(1e-3, 31, 200)
+    design = synthesise(KNOWN, Q, grid, order=5, band=(0.01, 1.0))
+    run = run_trials(KNOWN, Law(Q, design.filter), REFERENCE, trials=5)
+    assert rms(run.e).values[-1] < 0.05 * rms(run.e).values[0]
+    save_log(
+        record(Sampled(), KNOWN, Law(Q, L), REFERENCE, trials=2), tmp_path / "log.csv"
+    )
+    for plant in (Plant("loop", KNOWN), plant_of_file(tmp_path / "log.csv")):
+        outcome = try_out(Settings.of(plant))
+        assert outcome.design is not None and outcome.rms[-1] < 0.2 * outcome.rms[0]
+    with pytest.raises(ValueError, match="response has no P"):
+        Plant("loop", NAMED)
+    shaken = shake(Whole(0.001), NAMED, multisine(NAMED, 0.3, 20.0, 1.0, 0.2, 12))
+    save_log(shaken, tmp_path / "shaken.csv")
+    outcome = try_out(Settings.of(plant_of_file(tmp_path / "shaken.csv")))
+    assert outcome.design is not None and outcome.rms == ()
+    plot(outcome)
+
+
+def test_what_is_no_loop_is_refused():
+    for given, message in (
+        ({}, "then Ts and outputs must be given"),
+        ({"P": P, "Ts": 0.2}, "sampling periods must be equal"),
+        ({"P": control.ss(2.0, 1, 1, 0, 1.0)}, "P is unstable"),
+        ({"P": control.ss(-1.0, 1, 1, 0)}, "P.dt = 0 must be a sampling period"),
+        ({"P": P[0, :]}, "P has 2 inputs and 1 outputs"),
+        ({"P": P, "outputs": ["a"]}, "outputs = "),
+        ({"P": P, "controls": ["a"]}, "controls = "),
+        ({"P": P, "outputs": ["a", "a"]}, "outputs = "),
+        ({"P": P, "units": {"z": "mm"}}, "units is about"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            ClosedLoop(**given)
