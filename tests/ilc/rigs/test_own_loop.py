@@ -22,6 +22,7 @@ from rodlib import (
     plot,
     record,
     run_trials,
+    save_log,
     shake,
     synthesise,
     try_out,
