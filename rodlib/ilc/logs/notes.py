@@ -14,7 +14,7 @@ import xarray as xr
 
 from rodlib.ilc import arguments
 from rodlib.ilc.files import read_json
-from rodlib.ilc.logs.log import LogError
+from rodlib.ilc.logs.format import LogError
 from rodlib.ilc.loop.closed import ClosedLoop, CurrentTrialLoop, Loop
 from rodlib.ilc.measurement.excitation import Excitation
 from rodlib.ilc.signals import Signals, check_match

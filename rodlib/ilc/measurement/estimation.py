@@ -14,7 +14,7 @@ from scipy.signal import fftconvolve
 from scipy.special import fdtrc
 
 from rodlib.ilc import arguments
-from rodlib.ilc.logs.log import LogError
+from rodlib.ilc.logs.format import LogError
 from rodlib.ilc.logs.notes import loop_of
 from rodlib.ilc.loop.closed import ClosedLoop, Loop
 from rodlib.ilc.measurement.impulse import impulse_of

@@ -14,9 +14,8 @@ import xarray as xr
 from rodlib.ilc import arguments
 from rodlib.ilc.law.io import limits_of
 from rodlib.ilc.logs.findings import findings_of
-from rodlib.ilc.logs.log import LogError
+from rodlib.ilc.logs.format import LogError, few
 from rodlib.ilc.logs.notes import excitation_of, loop_of
-from rodlib.ilc.logs.tables import few
 from rodlib.ilc.loop.closed import CurrentTrialLoop, Loop
 from rodlib.ilc.measurement.estimation import EstimatedResponse, estimated_response
 from rodlib.ilc.measurement.excitation import Excitation

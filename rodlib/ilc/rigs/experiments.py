@@ -12,7 +12,8 @@ from rodlib.ilc.law.law import Law
 from rodlib.ilc.logs.notes import with_excitation
 from rodlib.ilc.loop.closed import Loop
 from rodlib.ilc.measurement.excitation import Excitation
-from rodlib.ilc.rigs.controlled import ControlledRig
+from rodlib.ilc.rigs.controlled import controlled
+from rodlib.ilc.rigs.limits import stop_limits
 from rodlib.ilc.rigs.protocol import Rig, TrialRig
 from rodlib.ilc.rigs.recording import BEGUN, Experiment
 from rodlib.ilc.signals import check_match
@@ -97,42 +98,43 @@ def record(
         than the first; once, if the trials show that they do not converge, see
         :mod:`rodlib.ilc.trials.diagnosis`.
     """
-    controlled = ControlledRig(rig, loop, decimals)
+    controlled_rig = controlled(rig, loop, decimals)
     law = arguments.instance("law", law, Law).bound_to(loop)
-    check_match(law=law, rig=controlled)
+    check_match(law=law, rig=controlled_rig)
     if law.limits is None:
         limits = {
-            n: controlled.limits[n] for n in loop.commands if n in controlled.limits
+            n: controlled_rig.limits[n]
+            for n in loop.commands
+            if n in controlled_rig.limits
         }
         law = replace(law, limits=limits)
-    controlled.actuators = law.actuators
+    controlled_rig.actuators = law.actuators
     if path is not None and law.L is not None:
         arguments.instance("L", law.L, LearningFilter)  # or the log could not note it
     trials = arguments.whole("trials", trials, 1)
     pause = None if pause is None else arguments.whole("pause", pause, 0)
-    if pause and controlled.whole:
+    if pause and not controlled_rig.waits:
         raise ValueError(
             f"pause = {pause}, but rig.run begins where every trial begins: leave it"
         )
-    if pause is None and (controlled.whole or hasattr(rig, "begin")):
+    if hasattr(rig, "begin") and pause is None:
         pause = 0
     reference = each_trial("reference", reference, trials, "time", loop.outputs)
     samples = reference.shape[1]
     first = law.first(samples, v)
-    commanded = controlled.commanded(disturbance, trials, samples)
+    commanded = controlled_rig.commanded(disturbance, trials, samples)
 
-    def following(signals):
-        if not signals["y"]:
+    def following(trials):
+        if not trials:
             return first
-        last = {name: values[-1] for name, values in signals.items()}
-        r = reference[len(signals["y"]) - 1]
+        last, r = trials[-1], reference[len(trials) - 1]
         commands = commands_of(loop, r + last["v"], last)
         return law.next(last["v"], r - last["y"], **commands)
 
     notes = with_law(xr.Dataset(), law).attrs
     notes |= {} if v is None else {BEGUN: "v of trial 1 was given"}
-    controlled.stop_at(stop, reference)
-    experiment = Experiment(controlled, reference, commanded, following, notes, law)
+    controlled_rig.stop = stop_limits(stop, reference, loop, controlled_rig.limits)
+    experiment = Experiment(controlled_rig, reference, commanded, following, notes, law)
     return experiment.run(pause, path)
 
 
@@ -166,23 +168,23 @@ def shake(
         As from :func:`record`, with the excitation and the limits of the rig noted in the metadata.
         For :func:`measured_response`.
     """
-    controlled = ControlledRig(rig, loop, decimals)
+    controlled_rig = controlled(rig, loop, decimals)
     arguments.instance("excitation", excitation, Excitation)
-    check_match(loop=loop, rig=controlled, excitation=excitation)
+    check_match(loop=loop, rig=controlled_rig, excitation=excitation)
     shaken = excitation.signals
-    commanded = controlled.commanded(None, *shaken.shape[:2])
+    commanded = controlled_rig.commanded(None, *shaken.shape[:2])
     followed = {
-        n: controlled.limits[n] for n in loop.controls if n in controlled.limits
+        n: controlled_rig.limits[n] for n in loop.controls if n in controlled_rig.limits
     }
 
     notes = with_excitation(xr.Dataset(), excitation, loop, followed).attrs
 
-    def following(signals):
-        return shaken[len(signals["y"])]
+    def following(trials):
+        return shaken[len(trials)]
 
-    controlled.stop_at(stop, shaken)
+    controlled_rig.stop = stop_limits(stop, shaken, loop, controlled_rig.limits)
     reference = np.zeros(shaken.shape)
     experiment = Experiment(
-        controlled, reference, commanded, following, notes, alike=False
+        controlled_rig, reference, commanded, following, notes, alike=False
     )
     return experiment.run(0, path)

@@ -12,7 +12,8 @@ from rodlib.ilc import arguments
 from rodlib.ilc.files import alone
 from rodlib.ilc.law.io import KEYS
 from rodlib.ilc.law.law import Law
-from rodlib.ilc.logs.log import load_ended, save_log
+from rodlib.ilc.logs.format import save_log
+from rodlib.ilc.logs.reader import load_log
 from rodlib.ilc.rigs.controlled import ControlledRig
 from rodlib.ilc.rigs.limits import commands_beyond
 from rodlib.ilc.rigs.protocol import StoppedError
@@ -22,6 +23,8 @@ from rodlib.ilc.trials.run import commands_of, dataset
 
 BEGUN = "begun"  # the note that says that v of trial 1 was given
 NOTED = (*KEYS, "excitation", "loop")  # the notes of what makes the trials
+SIGNALS = ("v", "u", "y", "applied", "delta", "disturbance")  # that a trial may have
+Trial = dict[str, np.ndarray]  # its signals, shape (time, channel)
 
 
 @dataclass(frozen=True)
@@ -31,14 +34,12 @@ class Experiment:
     rig: ControlledRig
     reference: np.ndarray  # shape (trial, time, output)
     commanded: np.ndarray  # of the disturbances that are inputs
-    following: Callable[
-        [dict[str, list]], np.ndarray
-    ]  # v after the trials whose signals are given
+    following: Callable[[list[Trial]], np.ndarray]  # v after these trials
     notes: dict[str, str]  # of what makes the trials
     law: Law | None = None
     alike: bool = True  # whether all trials start from the same state
 
-    def run(self, pause, path) -> xr.Dataset:
+    def run(self, pause: int | None, path) -> xr.Dataset:
         """Run the trials that are not in the log at `path` yet; all trials."""
         if path is None:
             return self.run_trials(pause, None)
@@ -50,114 +51,115 @@ class Experiment:
             return self.run_trials(pause, path)
 
     def run_trials(self, pause, path) -> xr.Dataset:
-        """As `run`, with the path of a log that nobody else writes, or None."""
-        signals, notes = {name: [] for name in self.rig.recorded_signals}, {}
+        """As `run`, with the path of a log that this process alone writes, or None."""
+        trials, notes, count = [], {}, len(self.reference)
         if path is not None and path.exists():
-            found = load_ended(path)
-            self.check(found, path)
-            signals = {name: list(found[name].values) for name in signals}
-            notes = {key: n for key, n in found.attrs.items() if key not in NOTED}
+            log = load_log(path)
+            self.check(log, path)
+            notes = {key: n for key, n in log.attrs.items() if key not in NOTED}
+            names = [name for name in SIGNALS if name in log]
+            for k in range(log.sizes["trial"]):
+                trials.append({name: log[name].values[k] for name in names})
+            if len(trials) > count:
+                warnings.warn(
+                    f"path = '{path}' has {len(trials)} trials, more than trials = {count}: none "
+                    "is run, and all of them are returned",
+                    stacklevel=4,
+                )
+            if len(trials) >= count:
+                return log
 
-        done, trials, said = len(signals["y"]), len(self.commanded), set()
-        if done > trials:
-            more = f"path = '{path}' has {done} trials, more than trials = {trials}"
-            warnings.warn(
-                f"{more}: none is run, and all of them are returned", stacklevel=4
-            )
-        if done >= trials:
-            return found
-        lasting = pause or 0
-        samples = (trials - done) * (self.reference.shape[1] + lasting)
-        samples -= 0 if done else lasting
-        with self.rig.in_the_end_safe(), tqdm(total=samples, disable=None) as bar:
-            for k in range(done, trials):
-                v = self.following(signals)
-                bar.set_description(f"trial {k + 1} of {trials}")
+        first, shown = len(trials), set()
+        samples = (count - first) * self.reference.shape[1]
+        samples += (pause or 0) * (count - max(first, 1))
+        with self.rig.safe_in_the_end(), tqdm(total=samples, disable=None) as bar:
+            for k in range(first, count):
+                bar.set_description(f"trial {k + 1} of {count}")
                 try:
-                    self.rig.begin(k + 1)
-                    if k:
-                        start = self.start(signals)
-                        self.rig.pause(k + 1, pause, self.reference[k, 0], start, bar)
-                    trial = self.rig.run(
-                        k + 1, self.reference[k], v, self.commanded[k], bar
-                    )
+                    trials.append(self.run_trial(k, trials, pause, bar))
                 except StoppedError as error:
-                    raise self.stopped(error, signals, notes, path) from None
-                for name, values in signals.items():
-                    values.append(trial[name])
+                    raise self.stopped(error, trials, notes, path) from None
+                data = self.dataset(trials, notes)
                 if path is not None:
-                    save_log(self.trials(signals, notes), path)
-                for kind, finding in self.warnings(self.trials(signals, notes)).items():
-                    if kind not in said:
-                        warnings.warn(f"after trial {k + 1}: {finding}", stacklevel=4)
-                    said.add(kind)
-        return self.trials(signals, notes)
+                    save_log(data, path)
+                for kind, text in self.warnings(data, trials).items():
+                    if kind not in shown:
+                        warnings.warn(f"after trial {k + 1}: {text}", stacklevel=4)
+                    shown.add(kind)
+        return data
 
-    def warnings(self, trials) -> dict[str, str]:
-        """What the last of the trials says, with those before it."""
-        k, texts = trials.sizes["trial"] - 1, {}
-        r = self.reference
-        if self.alike and k and np.array_equal(r[k, 0], r[0, 0]):
-            y = trials.y.values
-            if missed := self.start({"y": y}).missed(y[k]):
+    def run_trial(self, k, trials, pause, bar) -> Trial:
+        """Run trial k, counted from 0, after those before it."""
+        v, reference = self.following(trials), self.reference[k]
+        self.rig.begin(k + 1)
+        if k and self.rig.waits:
+            self.rig.pause(k + 1, pause, reference[0], self.start(trials), bar)
+        return self.rig.run(k + 1, reference, v, self.commanded[k], bar)
+
+    def warnings(self, data: xr.Dataset, trials: list[Trial]) -> dict[str, str]:
+        """What the last trial shows, with those before it, by kinds."""
+        texts, last, reference = {}, len(trials) - 1, self.reference
+        if self.alike and last and np.array_equal(reference[last, 0], reference[0, 0]):
+            missed = self.start(trials).missed(trials[last]["y"])
+            if missed:
                 texts["start"] = missed
         if self.law is None:
             return texts
-        if self.rig.actuators:
-            loop, last = self.rig.loop, trials.isel(trial=k)
-            u = commands_of(loop, last.reference + last.v, last)["u"].values
-            cut_off = commands_beyond(u, loop.commands, self.law.limits)
-            if cut_off:
-                texts["limits"] = (
-                    f"{cut_off}, where they were cut off; v is learned within"
-                )
-        return texts | diagnose(trials, self.law, first=k + 1)
+        if self.law.limits:
+            loop, trial = self.rig.loop, trials[last]
+            u = commands_of(loop, reference[last] + trial["v"], trial)["u"]
+            beyond = commands_beyond(u, loop.commands, self.law.limits)
+            if beyond:
+                texts["limits"] = f"{beyond}: they were cut off; v is learned within"
+        return texts | diagnose(data, self.law, first=last + 1)
 
-    def start(self, signals) -> Start:
+    def start(self, trials) -> Start:
         """Where the first trial started."""
         loop = self.rig.loop
         units = [loop.units[name] for name in loop.outputs]
-        return Start.of(signals["y"][0], self.reference[0], loop.outputs, units)
+        return Start.of(trials[0]["y"], self.reference[0], loop.outputs, units)
 
-    def stopped(self, error, signals, notes, path) -> StoppedError:
-        """The error, with what is kept and how to go on."""
-        kept, where = len(signals["y"]), "the attribute trials of this error"
-        where = where if path is None else f"'{path}'"
-        more = StoppedError(
-            f"{error}. The rig is left safe; {kept} trial(s) are kept in {where}. If units, signs "
-            "and wires are right, learn less, by a smaller gain or a lower cut-off, in another "
-            "log; or go on with wider limits, by stop"
+    def stopped(self, error, trials, notes, path) -> StoppedError:
+        """The error, with the trials before it and how to go on."""
+        where = "the attribute trials of this error" if path is None else f"'{path}'"
+        stopped = StoppedError(
+            f"{error}. The rig is left safe; {len(trials)} trial(s) are kept in {where}. If units, "
+            "signs and wires are right, learn less, by a smaller gain or a lower cut-off, in "
+            "another log; or go on with wider limits, by stop"
         )
-        more.trials = self.trials(signals, notes) if kept else None
-        return more
+        stopped.trials = self.dataset(trials, notes) if trials else None
+        return stopped
 
-    def trials(self, signals, notes) -> xr.Dataset:
+    def dataset(self, trials, notes) -> xr.Dataset:
         """The signals of all trials, put together."""
-        loop, signals = (
-            self.rig.loop,
-            {name: np.stack(each) for name, each in signals.items()},
-        )
-        signals["reference"] = self.reference[: len(signals["y"])]
-        names = loop.outputs, loop.controls, self.rig.recorded
-        trials = dataset(loop.Ts, *names, loop.units, **signals)
-        return trials.assign_attrs(notes | trials.attrs | self.notes)
+        loop = self.rig.loop
+        data = dataset(
+            loop.Ts, loop.outputs, loop.controls, self.rig.recorded, loop.units,
+            reference=self.reference[: len(trials)], **_stacked(trials),
+        )  # fmt: skip
+        return data.assign_attrs(notes | data.attrs | self.notes)
 
-    def check(self, found, path) -> None:
-        """Refuse the trials of another experiment."""
-        pairs = zip(found.reference.values, self.reference, strict=False)
-        own = [np.array_equal(one, other) for one, other in pairs]
-        differing = [] if all(own) else ["reference"]
-        differing += [k for k in NOTED if found.attrs.get(k) != self.notes.get(k)]
-        first = self.rig.rounded_v(self.following({"y": [], "v": []}))
-        if BEGUN in self.notes and not np.array_equal(found.v[0], first):
-            differing.append("v of trial 1")
-        sources = found.source.values.tolist() if "source" in found.coords else []
-        if sources != self.rig.recorded:
-            differing.append("disturbances")
-        if found.trial.values.tolist() != list(range(1, found.sizes["trial"] + 1)):
-            differing.append("numbers of the trials")
+    def check(self, log, path) -> None:
+        """Refuse to go on with the trials of another experiment."""
+        sources = log.source.values.tolist() if "source" in log.coords else []
+        numbers = log.trial.values.tolist()
+        both = min(len(numbers), len(self.reference))
+        same = {
+            "reference": np.array_equal(log.reference[:both], self.reference[:both]),
+            **{key: log.attrs.get(key) == self.notes.get(key) for key in NOTED},
+            "disturbances": sources == [*self.rig.recorded],
+            "numbers of the trials": numbers == [*range(1, len(numbers) + 1)],
+        }
+        if BEGUN in self.notes:
+            first = self.rig.rounded("v", self.following([]))
+            same["v of trial 1"] = np.array_equal(log.v[0], first)
+        differing = [what for what, is_same in same.items() if not is_same]
         if differing:
             raise ValueError(
                 f"path = '{path}' holds another experiment, see its {', '.join(differing)}: give "
                 "another path, or go on with the same"
             )
+
+
+def _stacked(trials):
+    return {name: np.stack([t[name] for t in trials]) for name in trials[0]}

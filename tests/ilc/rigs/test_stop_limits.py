@@ -50,7 +50,7 @@ def test_what_is_cut_off_is_told_and_what_is_not_is_not(case):
         warnings.simplefilter("error")
         wide = shake(Clipped(loop, 1.01 * largest), loop, excitation)
     np.testing.assert_array_equal(wide.u, free.u)
-    with pytest.warns(UserWarning, match="what the actuators cannot do") as told:
+    with pytest.warns(UserWarning, match="commands were beyond") as told:
         tight = shake(Clipped(loop, 0.7 * largest), loop, excitation)
     over = np.abs(tight.u.values[..., 0]) > 0.7 * largest
     name = loop.controls[0]

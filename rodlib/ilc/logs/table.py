@@ -1,0 +1,320 @@
+"""Tables that other programs wrote, read by the titles of their columns."""
+
+import csv
+import re
+import reprlib
+import warnings
+from collections.abc import Mapping
+from statistics import mode
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from rodlib.ilc import arguments
+from rodlib.ilc.logs import clock
+from rodlib.ilc.logs.format import LogError, few
+from rodlib.ilc.logs.reader import (
+    MARKS,
+    about,
+    check_titles,
+    entries_of,
+    lines_of,
+    numbers,
+    numbers_of,
+    trials_of,
+)
+from rodlib.ilc.units import seconds
+
+SIGNALS = {  # of a log, by argument
+    "outputs": "y",
+    "inputs": "u",
+    "reference": "reference",
+    "v": "v",
+    "disturbances": "disturbance",
+    "measured": "measured",
+}
+ROLES = {  # in a log, of the names in these arguments
+    "outputs": "outputs",
+    "inputs": "controls",
+    "disturbances": "disturbances",
+    "measured": "measured",
+}
+DELIMITERS = ("\t", ";", "|", ",", " ")
+SAMPLE = 200  # rows that show how a table is laid out
+DAY = 86400.0  # s
+DATE = re.compile(r"\d{4}-\d\d-\d\d")
+TIME = re.compile(rf"{DATE.pattern}([T ][\d:.Z+-]*)?|\d+:[\d:.]+")
+WITH_UNIT = re.compile(r"(.*\S)\s*[(\[]([^()\[\]]*)[)\]]")  # "Heater (%)", "Time [s]"
+
+
+def read_table(
+    path,
+    *,
+    outputs: Mapping[str, str | int],
+    inputs: Mapping[str, str | int] | None = None,
+    time: str | int | None = None,
+    Ts: float | None = None,
+    reference: Mapping[str, str | int] | None = None,
+    v: Mapping[str, str | int] | None = None,
+    disturbances: Mapping[str, str | int] | None = None,
+    measured: Mapping[str, str | int] | None = None,
+    trial: str | int | None = None,
+    units: Mapping[str, str] | None = None,
+    resample: bool = False,
+) -> xr.Dataset:
+    """Read a table that another program wrote, as a log.
+
+    The text is delimited by tabs, semicolons, bars, commas or blanks; numbers have a point or a
+    comma. Above the rows may stand a line of titles, with units in brackets or in the line below,
+    and above it anything else. A column is named by its title, with or without the unit, or by its
+    number from 0 on.
+
+    Parameters
+    ----------
+    path : path-like or pandas.DataFrame
+        The file, or what pandas has read of a file that is not text.
+    outputs : dict
+        The column of each controlled output, by the name that the output gets.
+    inputs : dict, optional
+        The column of the actuator that controls each output, in their order. Default: not known.
+    time : str or int, optional
+        Column of the clock: numbers in the unit of its title or of `units`, by default s, or dates
+        and times as in ISO 8601. Without it, rows are `Ts` apart.
+    Ts : float, optional
+        Sampling period, s. Default: the mean step of the clock, rounded as far as steps scatter.
+    reference : dict, optional
+        Column of what each output is to follow. Default: not known.
+    v : dict, optional
+        Column of the ILC signal that was added to the reference. Default: zero.
+    disturbances, measured : dict, optional
+        Columns of other inputs of the plant, and of what else was measured.
+    trial : str or int, optional
+        Column of the number of the trial, from 0 or 1 on. Default: all rows are one trial.
+    units : dict, optional
+        Units by name, or of ``"time"``, where titles do not have them. They are labels: only that
+        of time is converted.
+    resample : bool
+        Interpolate what is not on time: outputs linearly, inputs are held. Rows without a finite
+        number in each column count as lost; at most half of the samples are filled in.
+
+    Returns
+    -------
+    xarray.Dataset
+        As :func:`load_log` gives it, for :func:`save_log`, :func:`measured_response` and replays;
+        ``reference``, ``v`` and ``e`` only if there is a reference.
+
+    Raises
+    ------
+    LogError
+        The first thing that is wrong with the table, with its row and column.
+
+    Warns
+    -----
+    UserWarning
+        If the table was resampled.
+
+    Notes
+    -----
+    Clocks jitter. Each step may differ from `Ts` by a tenth of it, and their mean by a hundredth:
+    the samples then count as `Ts` apart, and the attribute ``clock`` says how it ran.
+    """
+    named = {
+        "outputs": outputs,
+        "inputs": inputs,
+        "reference": reference,
+        "v": v,
+        "disturbances": disturbances,
+        "measured": measured,
+    }
+    wanted = {"time": ("time", time), "trial": ("trial", trial)} | _wanted(named)
+    wanted = {title: asked for title, asked in wanted.items() if asked[1] is not None}
+    names = [name for word in ROLES for name in named[word]]
+    if len({*names}) < len(names):
+        raise ValueError(f"{[*ROLES]} must have different names, but are {names}")
+    units = arguments.by_name("units", units, [*names, "time"])
+    resample = arguments.flag("resample", resample)
+    if Ts is not None:
+        Ts = arguments.sampling_period("Ts", Ts)
+    elif time is None:
+        raise ValueError("Ts = None must be a sampling period in s: there is no time")
+    if isinstance(path, pd.DataFrame):
+        source, notes = "path", {}
+    else:
+        source = arguments.path("path", path)
+        notes = {"origin": f"read from {source.name}"}
+    with about(source):
+        if source == "path":
+            entries = path.rename(columns=str)
+        else:
+            asked = {str(column) for _, column in wanted.values()}
+            entries = _entries(lines_of(source), asked, resample)
+        places = [_place(entries.columns, *asked) for asked in wanted.values()]
+        if len({*places}) < len(places):
+            raise LogError(f"each name needs a column of its own: {wanted}")
+        labels = {
+            title: _name_and_unit(entries.columns[place])[1]
+            for title, place in zip(wanted, places, strict=True)
+        }
+        entries = entries.iloc[:, places].set_axis([*wanted], axis=1)
+        signals = {
+            role: {
+                name: units.get(name, labels[f"{SIGNALS[word]}_{name}"])
+                for name in named[word]
+            }
+            for word, role in ROLES.items()
+            if named[word]
+        }
+        if time is not None:
+            unit = units.get("time", labels["time"]) or "s"
+            entries["time"] = _in_seconds(entries["time"], unit)
+        table = numbers_of(entries, resample)
+        _add_trial_and_time(table, Ts)
+        if reference and not v:
+            table[[f"v_{name}" for name in outputs]] = 0.0
+        check_titles([*table], signals)
+        Ts = Ts or clock.period_of(table)
+        trials = trials_of(table, signals, Ts, notes, resample)
+    if "resampled" in trials.attrs:
+        warnings.warn(f"{source}: {trials.attrs['resampled']}", stacklevel=2)
+    return trials
+
+
+def _wanted(named):
+    """For each title of a log, the argument that asks for its column, and the column."""
+    wanted = {}
+    for word, columns in named.items():
+        if columns is None and word != "outputs":
+            named[word] = columns = {}
+        for name, column in arguments.instance(word, columns, dict).items():
+            arguments.instance(f"a name in {word}", name, str)
+            wanted[f"{SIGNALS[word]}_{name}"] = f"{word}[{name!r}]", column
+    outputs, inputs = named["outputs"], named["inputs"]
+    if not outputs or (inputs and len(inputs) != len(outputs)):
+        raise ValueError(
+            f"outputs = {reprlib.repr(outputs)} and inputs = {reprlib.repr(inputs)} must be as "
+            "many, one or more: name as outputs what the inputs control, one each; other signals "
+            "in measured, other inputs in disturbances"
+        )
+    return wanted
+
+
+def _place(titles, word, column):
+    """The number of a column that is asked for by its title or number."""
+    if isinstance(column, int) and 0 <= column < len(titles):
+        return column
+    for written in ([*titles], [_name_and_unit(title)[0] for title in titles]):
+        if written.count(column) == 1:
+            return written.index(column)
+    raise LogError(
+        f"{word} = {column!r} must be the title of one column, or a number from 0 to "
+        f"{len(titles) - 1}; the titles are {few([*titles])}"
+    )
+
+
+def _name_and_unit(title):
+    match = WITH_UNIT.fullmatch(title)
+    return match.groups() if match else (title, "")
+
+
+def _in_seconds(column, unit):
+    """A clock in s: numbers, or dates or times of a day from the first; what is neither stays."""
+    text = column.astype(str).str.strip()
+    if text.str.match(DATE).any():
+        moments = pd.to_datetime(text, format="ISO8601", errors="coerce", utc=True)
+        times = (moments - moments.min()).dt.total_seconds()
+    elif text.str.fullmatch(TIME).any():
+        times = pd.to_timedelta(text, errors="coerce").dt.total_seconds()
+        times += DAY * (times.diff() < -DAY / 2).cumsum()  # past midnight
+    else:
+        times = seconds(unit) * numbers(column)
+    return times.astype(object).where(times.notna(), column)
+
+
+def _add_trial_and_time(table, Ts):
+    """Trials from 1 on, each with a time of its own."""
+    if "trial" not in table:
+        table["trial"] = 1.0
+    elif table["trial"].min() == 0:
+        table["trial"] += 1
+    trials = table.groupby("trial")
+    if "time" in table:
+        table["time"] -= trials["time"].transform("first")
+    else:
+        table["time"] = Ts * trials.cumcount()
+
+
+def _entries(lines, asked, gaps):
+    """The entries of a text by the titles of their columns, with decimal points."""
+    content = [line for line in lines if line.strip() and line.lstrip()[0] not in MARKS]
+    sample = content[len(content) // 2 :][:SAMPLE] or [""]  # below the titles
+    layouts = [
+        (mark, decimal) for mark in DELIMITERS for decimal in ".," if mark != decimal
+    ]
+    delimiter, decimal = max(layouts, key=lambda layout: _quality(sample, *layout))
+    rows, width = _rows(sample, delimiter)
+    numeric = np.mean([_are_numbers(row, decimal) for row in rows], axis=0) >= 0.5
+    if not numeric.any():
+        raise LogError("there are no rows of numbers")
+
+    above = {}  # by line, what may be titles
+    for first, line in enumerate(lines):
+        row = _split(line.lstrip().lstrip(MARKS), delimiter)
+        if len(row) == width - 1:  # rows end with a delimiter, or have names
+            row = ["", *row] if numeric[-1] else [*row, ""]
+        if len(row) != width or not any(row):
+            continue
+        counts = _are_numbers(row, decimal)
+        if counts[numeric].all():
+            break
+        named = len(asked & {*row, *(_name_and_unit(title)[0] for title in row)})
+        if named or not counts.any():
+            above[first] = named, row
+    titles = [f"column {place}" for place in range(width)]
+    if above:
+        line = max(above, key=lambda line: (above[line][0], line))
+        titles, first = above[line][1], line + 1
+        if first in above:
+            units = above[first][1]
+            titles = [f"{a} ({b})" for a, b in zip(titles, units, strict=True)]
+            first += 1
+    body = lines[first:]
+    if delimiter == " ":
+        body = [" ".join(line.split()) for line in body]
+    entries = entries_of(body, first, width, delimiter, gaps).set_axis(titles, axis=1)
+    return entries.map(_with_point) if decimal == "," else entries
+
+
+def _with_point(entry):
+    """An entry with a decimal comma as one with a point; times have points."""
+    is_time = TIME.fullmatch(entry)
+    return entry if is_time else entry.translate(str.maketrans(",.", ".,"))
+
+
+def _split(line, delimiter):
+    """The entries of a line; a row of blanks is one delimiter."""
+    line = " ".join(line.split()) if delimiter == " " else line
+    row = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
+    return [entry.strip() for entry in row]
+
+
+def _rows(lines, delimiter):
+    """The entries of the lines that have the usual number of them, and this number."""
+    rows = [_split(line, delimiter) for line in lines]
+    width = mode(map(len, rows))
+    return [row for row in rows if len(row) == width], width
+
+
+def _are_numbers(entries, decimal):
+    """Which entries are a number or a time."""
+    entries = pd.Series(entries, dtype=object)
+    points = entries.map(_with_point) if decimal == "," else entries
+    return (numbers(points).notna() | entries.str.fullmatch(TIME)).to_numpy(bool)
+
+
+def _quality(lines, delimiter, decimal):
+    """The share of lines that are alike, times that of numbers in them; then several columns."""
+    rows, width = _rows(lines, delimiter)
+    filled = [entry for row in rows for entry in row if entry]
+    share = np.mean(_are_numbers(filled, decimal)) if filled else 0.0
+    return len(rows) / len(lines) * share, width > 1

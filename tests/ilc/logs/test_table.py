@@ -1,0 +1,275 @@
+"""Tables of others: what they say is read, and what is wrong is named by row and column."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rodlib import LogError, load_log, read_table, save_log
+from rodlib.ilc.trials.run import dataset
+from rodlib.paper import ROOT
+
+BOARD = ROOT / "data" / "tclab" / "board-1s.csv"
+OUTPUTS = {"T1": "Temperature 1", "T2": "Temperature 2 (degC)"}
+INPUTS = {"Q1": "Heater 1 (%)", "Q2": "Heater 2"}
+SAMPLES = np.arange(30)
+LEVEL = 30 - 0.25 * SAMPLES
+VALVE = 10.0 * (SAMPLES % 8 < 4)
+
+
+@st.composite
+def layouts(draw):
+    """A text as a logger may write it, and the arguments that read it."""
+    delimiter = draw(st.sampled_from([",", ";", "\t", "|", " "]))
+    decimal = draw(st.sampled_from(".," if delimiter != "," else "."))
+    clock = draw(st.sampled_from(["s", "ms", "date", "day"]))
+    titles = draw(
+        st.sampled_from(["with units", "units below", "plain", "none", "comment"])
+    )
+    Ts = draw(st.sampled_from([0.02, 1.0, 60.0]))
+    order = draw(st.permutations(range(4)))
+    mark = '"' if draw(st.booleans()) and delimiter != " " else ""
+    start = pd.Timestamp("2024-02-28T23:59:50")
+
+    def text(value):
+        return f"{mark}{value:.6f}{mark}".replace(".", decimal)
+
+    def moment(t):
+        if clock in ("s", "ms"):
+            return text(t if clock == "s" else 1000 * t)
+        at = start + pd.Timedelta(t, "s")
+        return at.isoformat() if clock == "date" else at.strftime("%H:%M:%S.%f")
+
+    def line(entries):
+        return delimiter.join(entries[k] for k in order)
+
+    unit = "ms" if clock == "ms" else "s"
+    names, units = ["t", "valve", "level", "state"], [unit, "%", "°C", "word"]
+    both = [f"{name}[{unit}]" for name, unit in zip(names, units, strict=True)]
+    head = {
+        "with units": [line(both)],
+        "comment": [f"# {line(both)}"],
+        "units below": [line(names), line(units)],
+        "plain": [line(names)],
+        "none": [],
+    }[titles]
+    rows = zip(Ts * SAMPLES, VALVE, LEVEL, strict=True)
+    rows = [line([moment(t), text(u), text(y), "ok"]) for t, u, y in rows]
+    above = [f"Logger {k}: made by hand" for k in range(draw(st.integers(0, 3)))]
+    newline = draw(st.sampled_from(["\n", "\r\n", "\r"]))
+    encoding = draw(st.sampled_from(["utf-8", "utf-8-sig", "utf-16", "latin-1"]))
+    content = newline.join([*above, *head, *rows, "", ""]).encode(encoding)
+    columns = [order.index(k) for k in range(3)] if titles == "none" else names[:3]
+    labels = {} if both[0] in head[0:1] else {"time": unit, "h": "°C"}
+    return content, columns, labels, Ts
+
+
+@settings(max_examples=60)
+@given(layouts())
+def test_a_table_is_read_however_it_is_laid_out(tmp_path_factory, layout):
+    content, (t, u, y), units, Ts = layout
+    path = tmp_path_factory.mktemp("tables") / "table.txt"
+    path.write_bytes(content)
+    log = read_table(path, time=t, inputs={"q": u}, outputs={"h": y}, units=units)
+    assert log.attrs["Ts"] == pytest.approx(Ts, rel=1e-9)
+    np.testing.assert_allclose(log.time, Ts * SAMPLES, rtol=1e-9)
+    np.testing.assert_allclose(log.y[0, :, 0], LEVEL, rtol=1e-12)
+    np.testing.assert_array_equal(log.u[0, :, 0], VALVE)
+    assert log.output_unit.item() == "°C" and "clock" not in log.attrs
+
+
+S = [[0.01 * k, np.sin(k), k % 3] for k in range(20)]
+ROWS = ["\t".join(f"{x:.6f}" for x in row) for row in S]
+NAMED = {"time": "t", "outputs": {"y": "y"}, "inputs": {"u": "u 1"}}
+
+
+@pytest.mark.parametrize(
+    ("text", "more"),
+    [
+        ("LabVIEW Measurement\nSeparator\tTab\n***End_of_Header***\n\nChannels\t2\n"
+         "t\ty\tu 1\tComment\n" + "\t\n".join(ROWS) + "\t\n", {}),
+        ("t;y;u 1\ns;bar;%\n" + "\n".join(ROWS).replace("\t", ";").replace(".", ","), {}),
+        ('"t" "y" "u 1"\n'
+         + "\n".join(f'"{k}" {row}' for k, row in enumerate(ROWS)).replace("\t", " "), {}),
+        ("Model,MSO,\nSample,0.01,\n,,\nt,y,u 1\n" + "\n".join(ROWS).replace("\t", ","), {}),
+        ("\n".join(ROWS), {"time": 0, "outputs": {"y": 1}, "inputs": {"u": 2}}),
+        ("% t, y, u 1\n" + "\n".join(ROWS).replace("\t", " ,  ") + "\n% the end", {}),
+        ("t,1,2\n" + "\n".join(ROWS).replace("\t", ","),
+         {"outputs": {"y": "1"}, "inputs": {"u": "2"}}),
+    ],
+)  # fmt: skip
+def test_what_usual_programs_write_is_read(tmp_path, text, more):
+    """LabVIEW, a logger with a line of units, R, an oscilloscope, numpy, Octave, a spreadsheet."""
+    (tmp_path / "table.txt").write_text(text)
+    log = read_table(tmp_path / "table.txt", **NAMED | more)
+    np.testing.assert_allclose(np.c_[log.time, log.y[0], log.u[0]], S, atol=1e-6)
+    assert log.output_unit.item() == ("bar" if "bar" in text else "")
+
+
+def rows_of(steps=1.0):
+    """The lines of a table with a clock whose steps are given."""
+    time = np.cumsum(np.broadcast_to(steps, 30)) - 1
+    return ["t (s),level"] + [f"{t:.2f},{y}" for t, y in zip(time, LEVEL, strict=True)]
+
+
+def damaged(row, *lines):
+    """Row 2 is the first one below the titles."""
+    rows = rows_of()
+    return [*rows[: row - 1], *lines, *rows[row:]]
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        (damaged(12), "row 12 is 2 s after the row before, where Ts = 1 s"),
+        (damaged(12, "10.30,27.5"), "row 12 is 1.3 s after"),
+        (damaged(12, "10.00,27.5", "10.00,27.5"), "row 13 is not later"),
+        (damaged(12, "10.00,off"), "y_h: entry 'off' in row 12"),
+        (damaged(12, "10.00,"), "y_h: entry '' in row 12"),
+        (damaged(12, "10.00,inf"), "y_h: entry 'inf' in row 12"),
+        (damaged(12, "10.00"), "row 12 has 1 entries, but must have 2"),
+        (damaged(12, "10.00,27,5"), "row 12 has 3 entries, but must have 2"),
+        (rows_of(1.02), r"the mean step is 1.02 s, but Ts = 1 s"),
+        (["t (K),level", *rows_of()[1:]], "unit of time = 'K'"),
+        (["t;level", "0;1,5", "1;1.234,5"], "y_h: entry '1,234.5' in row 3"),
+        (["t;level", *4 * ["0;1,5"], "2;2.5"], "y_h: entry '2,5' in row 6"),
+        (
+            ["t,level", "29.02.2024,1", "01.03.2024,1"],
+            "time: entry '29.02.2024' in row 2",
+        ),
+        (["t,level"], "no rows of numbers"),
+        ([""], "no rows of numbers"),
+        (["\0"], "is not text"),
+    ],
+)
+def test_what_is_wrong_is_named_by_file_row_and_column(tmp_path, lines, message):
+    (tmp_path / "table.csv").write_text("\n".join(lines))
+    with pytest.raises(LogError, match=f"table.csv: .*{message}"):
+        read_table(tmp_path / "table.csv", time="t", outputs={"h": "level"}, Ts=1.0)
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        damaged(12),
+        damaged(12, "10.30,27.425"),
+        damaged(12, "10.00,"),
+        damaged(12, "10.00"),
+        rows_of(1 + 0.04 * (-1.0) ** SAMPLES),
+    ],
+)
+def test_what_is_not_on_time_is_interpolated_on_request(tmp_path, lines):
+    """The level falls along a line."""
+    (tmp_path / "table.csv").write_text("\n".join(lines))
+    columns = {"time": "t", "outputs": {"h": "level"}, "Ts": 1.0}
+    with pytest.warns(UserWarning, match=r"table.csv: \d+ rows were resampled to \d+"):
+        log = read_table(tmp_path / "table.csv", **columns, resample=True)
+    assert log.sizes["time"] >= 29
+    np.testing.assert_allclose(log.y[0, :, 0], LEVEL[: log.sizes["time"]], atol=0.012)
+
+
+def board(**more):
+    return read_table(
+        BOARD, **{"time": "Time", "outputs": OUTPUTS, "inputs": INPUTS} | more
+    )
+
+
+def test_the_log_of_a_real_board_is_what_pandas_reads(tmp_path):
+    log, table = board(), pd.read_csv(BOARD, skipinitialspace=True).to_numpy()
+    np.testing.assert_array_equal(log.u[0], table[:, 1:3])
+    np.testing.assert_array_equal(log.y[0], table[:, 3:5])
+    assert log.attrs["Ts"] == 1.0 and log.output_unit.values.tolist() == ["degC"] * 2
+    assert log.attrs["clock"].startswith("steps from 0.9903 to 1.021 s, median 1.001")
+    save_log(log, tmp_path / "log.csv")
+    assert load_log(tmp_path / "log.csv").identical(log)
+    with pytest.raises(LogError, match=r"format is None.*read_table"):
+        load_log(BOARD)
+
+
+def test_one_actuator_and_two_sensors_are_a_log():
+    """What is controlled is chosen by name; the rest stays."""
+    one = {"inputs": {"Q1": "Heater 1"}, "outputs": {"T1": "Temperature 1"}}
+    log = board(**one, measured={"T2": 4}, disturbances={"Q2": 2}, reference={"T1": 5})
+    both = board()
+    np.testing.assert_array_equal(log.measured[..., 0], both.y[..., 1])
+    np.testing.assert_array_equal(log.disturbance[..., 0], both.u[..., 1])
+    np.testing.assert_array_equal(log.e, log.reference - log.y)
+    assert not log.v.any() and log.sensor.values.tolist() == ["T2"]
+
+
+def test_trials_in_a_table_of_others_are_those_that_were_run(tmp_path):
+    """With a clock in minutes that jitters, and decimal commas."""
+    rng, Ts = np.random.default_rng(0), 0.1
+    names = ["reference", "v", "u", "y"]
+    signals = {name: rng.normal(size=(3, 80, 2)) for name in names}
+    run = dataset(Ts, ["a", "b"], ["p", "q"], [], {}, **signals)
+    table = pd.DataFrame({"run": np.repeat([0, 1, 2], 80)})
+    table["clock [min]"] = Ts / 60 * (np.arange(240) + 0.03 * np.sin(np.arange(240)))
+    for name, signal in signals.items():
+        table[[f"{name} 0", f"{name} 1"]] = signal.reshape(240, 2)
+    table.to_csv(tmp_path / "rig.txt", sep=";", decimal=",", index=False)
+    asked = {
+        word: {"ab"[k]: f"{name} {k}" for k in range(2)}
+        for word, name in {"outputs": "y", "reference": "reference", "v": "v"}.items()
+    }
+    inputs = {"p": "u 0", "q": "u 1"}
+    log = read_table(
+        tmp_path / "rig.txt", time="clock", trial="run", Ts=Ts, inputs=inputs, **asked
+    )
+    assert log.drop_attrs().equals(run.drop_attrs())
+
+
+def test_a_data_frame_is_read_as_it_is():
+    """Here with a clock of its own in each trial; another clock may go on, be dates or miss."""
+    runs = [(k, 1.7e9 * k + t, 10.0 * k + t) for k in (0, 1, 4) for t in range(4)]
+    frame = pd.DataFrame(runs, columns=["run", "at", "x"])
+    columns = {"time": "at", "trial": "run", "outputs": {"x": "x"}}
+    log = read_table(frame, **columns)
+    assert log.trial.values.tolist() == [1, 2, 5] and log.attrs == {"Ts": 1.0}
+    np.testing.assert_array_equal(log.y[..., 0], frame.x.to_numpy().reshape(3, 4))
+    dated = frame.assign(at=pd.to_datetime(frame["at"], unit="s"))
+    assert read_table(dated, **columns).identical(log)
+    assert read_table(frame, **columns, resample=True).identical(log)  # nothing to do
+    without = read_table(frame, Ts=0.5, trial=0, outputs={"x": 2})
+    np.testing.assert_array_equal(without.time, [0, 0.5, 1, 1.5])
+    with pytest.raises(LogError, match=r"row 4 is 1.7e\+09 s after"):
+        read_table(frame.assign(run=1), **columns, Ts=1.0)
+    with pytest.raises(LogError, match="trial 5 has 3 samples and trial 1 has 4"):
+        read_table(frame[:-1], **columns)
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        ({"time": "Tine"}, r"time = 'Tine' must .* the titles are \['Time \(sec\)'"),
+        ({"time": 7}, "time = 7 must be .* from 0 to 6"),
+        ({"time": 1.5}, "time = 1.5"),
+        ({"reference": {"T1": 5, "T2": 5}}, "a column of its own"),
+        (
+            {"reference": {"T1": 5}},
+            r"missing are \['reference_T2', 'v_T2'\]|reference_T2",
+        ),
+        ({"v": {"T1": 5, "T2": 6}}, "missing are .*'reference_T1'"),
+        ({"inputs": {"Q1": 1}}, "outputs = .*inputs = .* must be as many"),
+        ({"outputs": {}}, "outputs = {}"),
+        ({"outputs": None}, "outputs = None"),
+        ({"measured": {"T1": 5}}, "must have different names"),
+        ({"measured": {"T3": 2.5}}, r"measured\['T3'\] = 2.5"),
+        ({"measured": {3: 2}}, "a name in measured = 3"),
+        ({"time": None, "Ts": None}, "Ts = None"),
+        ({"units": {"T3": "degC"}}, "units is about .*'T3'"),
+        ({"Ts": 1e-9, "resample": True}, "row 3 is 1.00128 s after the row before"),
+    ],
+)
+def test_what_a_table_does_not_have_is_named(more, message):
+    with pytest.raises(ValueError, match=message):
+        board(**more)
+
+
+def test_a_title_that_several_columns_have_does_not_tell_which():
+    frame = pd.DataFrame([[1.0, 2.0]], columns=["x", "x"])
+    with pytest.raises(
+        LogError, match=r"outputs\['x'\] = 'x' must be the title of one column"
+    ):
+        read_table(frame, Ts=1.0, outputs={"x": "x"})
