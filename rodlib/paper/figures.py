@@ -10,8 +10,8 @@ import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
 from rodlib.ilc.files import folder, replacing
-from rodlib.paper.pictures import PIXELS_PER_INCH
-from rodlib.paper.repository import results
+from rodlib.paper.pictures import PIXELS_PER_INCH, same
+from rodlib.paper.repository import ROOT, results
 
 WIDE = (7.2, 3.2)  # inches, one row of axes
 TALL = (7.2, 5.0)  # inches, two rows of axes
@@ -52,19 +52,27 @@ class SavedFigure:
 def save(figure: Figure, name: str, caption: str) -> SavedFigure:
     """Write a figure to build/figures, or to the folder of the run, as PNG and PDF, and close it.
 
-    The same bytes in every run. As the last expression of a cell, the outcome shows the figure. The
-    name begins with the paper's figure, as in "fig04-frequency-response"; the caption says what is
-    to be seen, in a sentence or two of plain text that stand for themselves.
+    The same bytes in every run; the PDF only where the PNG is not the same as in figures/, because
+    it takes as long as all else. As the last expression of a cell, the outcome shows the figure.
+    The name begins with the paper's figure, as in "fig04-frequency-response"; the caption says what
+    is to be seen, in a sentence or two of plain text that stand for themselves.
     """
     target = folder(results("figures.save") / "figures")
     width = round(figure.get_figwidth() * figure.get_dpi())
+    picture = target / f"{name}.png"
     with _laid_out(figure):
-        for ending, stamp in (("png", "Software"), ("pdf", "CreationDate")):
-            kind = {"format": ending, "metadata": {stamp: None}}
-            with replacing(target / f"{name}.{ending}") as temporary:
-                figure.savefig(temporary, dpi=PIXELS_PER_INCH, **kind)
+        _write(figure, picture, "Software")
+        if not same(picture, ROOT / "figures" / picture.name):
+            _write(figure, picture.with_suffix(".pdf"), "CreationDate")
     plt.close(figure)  # or the notebook would draw it once more
-    return SavedFigure(target / f"{name}.png", width, caption)
+    return SavedFigure(picture, width, caption)
+
+
+def _write(figure, path, stamp):
+    """Write a file in the format that its name says, without the entry that differs each time."""
+    kind = {"format": path.suffix[1:], "metadata": {stamp: None}}
+    with replacing(path) as temporary:
+        figure.savefig(temporary, dpi=PIXELS_PER_INCH, **kind)
 
 
 def plain(name: str) -> str:

@@ -74,7 +74,7 @@ def test_on_a_telephone_without_a_network_all_is_there(browser, pages, scheme):
     page.on("pageerror", lambda error: errors.append(str(error)))
     page.on("request", lambda request: requests.append(request.url))
     sources = {f"notebooks/{path.stem}": path for path in NOTEBOOKS}
-    texts = ["README", "CONTRIBUTING", "figures/ledger", "docs/reference"]
+    texts = ["README", "CONTRIBUTING", "figures/ledger"]
     for name in [*texts, *sources]:
         page.goto((pages / f"{name}.html").as_uri())
         page.evaluate("() => window.MathJax && MathJax.startup.promise")

@@ -1,3 +1,4 @@
+import shutil
 from base64 import b64decode
 from io import BytesIO
 
@@ -5,7 +6,7 @@ import matplotlib.pyplot as plt
 import pytest
 from matplotlib.figure import Figure
 
-from rodlib.paper import save
+from rodlib.paper import figures, save
 
 
 @pytest.fixture(autouse=True)
@@ -35,6 +36,17 @@ def test_saved_figures_are_the_same_bytes_every_time(folder):
         content.append({path.name: path.read_bytes() for path in folder.iterdir()})
     assert sorted(content[0]) == ["fig02-test.pdf", "fig02-test.png"]
     assert content[0] == content[1]
+
+
+def test_a_figure_that_is_the_same_as_the_tracked_one_needs_no_pdf(folder, monkeypatch):
+    monkeypatch.setattr(figures, "ROOT", folder.parent / "tracked")
+    picture = save(curves(), "fig02-test", "A curve.").path
+    shutil.copytree(folder, folder.parent / "tracked" / "figures")
+    picture.with_suffix(".pdf").unlink()
+    save(curves(), "fig02-test", "A curve.")
+    assert not picture.with_suffix(".pdf").exists()
+    save(plt.subplots()[0], "fig02-test", "Empty axes.")
+    assert picture.with_suffix(".pdf").exists()
 
 
 def test_a_figure_is_laid_out_as_matplotlib_does_and_drawn_once_for_each_file(
