@@ -19,7 +19,6 @@ MODULES = {
     "synthesis.result": "InfeasibleError SolverError Synthesis",
     "synthesis.search": "largest_cutoff least_gain",
     "evidence.certificate": "Certificate",
-    "evidence.check": "Check",
     "evidence.convergence": "Convergence convergence rate",
     "evidence.finite": "trial_map trial_norm trial_operators",
     "evidence.noise": "Spectrum TrialNoise converged_noise noise_on_trial trial_noise",
@@ -45,7 +44,11 @@ MODULES = {
     "measurement.estimation": "EstimatedResponse",
     "measurement.measurement": "MeasuredResponse expected_radius measured_response",
     "measurement.tabulated": "TabulatedResponse",
-    "workbench.plots": "plot",
+    "workbench": "open_workbench",
+    "workbench.outcome": "try_out",
+    "workbench.picture": "plot",
+    "workbench.plant": "Plant",
+    "workbench.settings": "Settings",
 }
 
 

@@ -5,7 +5,7 @@ every trial by that factor at least. The largest spectral radius of M is never l
 error *converges*, though it may grow before. Both are about trials without ends.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -30,7 +30,8 @@ class Rate(NamedTuple):
 class Convergence:
     """How the trials converge, by M = Q (I - P L). Made by :func:`convergence`.
 
-    For p plants `sigma` has the shape (p, n), and each other result the shape (p,).
+    For p plants `sigma` has the shape (p, n), and each other result the shape (p,). That of
+    :meth:`rodlib.Synthesis.check` is for the worst of all plants, between the frequencies, too.
     """
 
     omega: np.ndarray  # (n,), rad/s
@@ -38,7 +39,22 @@ class Convergence:
     gamma: float  # Lemma 1: the largest of them
     at: float  # the frequency of gamma, rad/s; the lowest of those that are tied
     spectral_radius: float  # largest |eigenvalue of M|
-    responses: tuple[np.ndarray, np.ndarray, np.ndarray] = field(repr=False)  # P, Q, L
+    responses: tuple[np.ndarray, np.ndarray, np.ndarray]  # P, Q, L
+    proven: bool = False  # whether gamma holds at all frequencies
+    uncertain: bool = False  # whether P may be another, for which the trials diverge
+    assumptions: tuple[str, ...] = ()  # what P and its radius rest on
+
+    @property
+    def monotone(self) -> bool:
+        """Whether every trial brings the error nearer to its limit (Lemma 1)."""
+        return bool(np.max(self.gamma) < 1)
+
+    @property
+    def converges(self) -> bool:
+        """Whether the trials surely converge, if not each of them comes nearer."""
+        return self.monotone or (
+            not self.uncertain and bool(np.max(self.spectral_radius) < 1)
+        )
 
     def mean(self, band=None) -> float:
         """Mean of sigma_max(M) over the logarithm of frequency, in a band (low, high) in rad/s.
@@ -73,6 +89,22 @@ class Convergence:
         change = Q[:, None, None] * (identity - L @ P)
         scaled = root @ change @ np.linalg.inv(root)
         return np.linalg.norm(scaled, 2, axis=(-2, -1)).max(axis=-1)
+
+    def __repr__(self):
+        gamma, radius = np.max(self.gamma), np.max(self.spectral_radius)
+        at = np.ravel(self.at)[np.argmax(self.gamma)]
+        if self.monotone:
+            how = "converges monotonically"
+        elif self.converges:
+            how = "converges, not monotonically"
+        else:
+            how = "diverges" if radius >= 1 else "need not converge"
+        where = "at all frequencies" if self.proven else "not proven between samples"
+        line = (
+            f"{how}: sigma_max(M) is {gamma:.4f} at most, at {at:.4g} rad/s ({where}), "
+            f"|eigenvalue of M| {radius:.4f}"
+        )
+        return "\n".join([line, *self.assumptions])
 
 
 def convergence(P, Q, L: LearningOperator, omega) -> Convergence:

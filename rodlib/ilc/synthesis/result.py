@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rodlib.ilc.evidence.certificate import Certificate
-from rodlib.ilc.evidence.check import Check, check
+from rodlib.ilc.evidence.check import check
+from rodlib.ilc.evidence.convergence import Convergence
 from rodlib.ilc.filters import LearningFilter
 from rodlib.ilc.law.law import Law
 from rodlib.ilc.problem.pose import pose
@@ -63,7 +64,7 @@ class Synthesis:
             )
         return Law(Q, self.filter, rest, gain, limits)
 
-    def check(self, P, omega=None, *, uncertainty=None) -> Check:
+    def check(self, P, omega=None, *, uncertainty=None) -> Convergence:
         """What the filter does on another plant: the rate, and does it converge?
 
         Parameters
@@ -77,9 +78,10 @@ class Synthesis:
 
         Returns
         -------
-        Check
-            Print it. `gamma` is the rate of Lemma 1, `spectral_radius` below one says that the
-            trials converge all the same. For another Q than that of the design: :func:`rate`.
+        Convergence
+            Print it. `gamma` is the rate of Lemma 1, the worst of all plants; `spectral_radius`
+            below one says that the trials converge all the same. For another Q than that of the
+            design: :func:`rate`.
         """
         design = self.problem
         if omega is None:

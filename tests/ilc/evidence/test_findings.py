@@ -33,7 +33,7 @@ def test_a_filter_shorter_than_the_delay_is_named(order, warned):
         )
     text = f"and the filter looks ahead by only {order}: it never sees what it does"
     assert any(text in warning for warning in design.certificate.warnings) == warned
-    assert ("WARNING: P answers after" in str(design)) == warned
+    assert ("WARNING: P responds after" in str(design)) == warned
 
 
 def test_a_loop_slower_than_the_band_is_named(loop, Q, omega):

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rodlib import synthesise
 from rodlib.ilc.evidence.optimality import dual_norm, lower_bound
 from rodlib.ilc.problem.pose import pose
 from rodlib.ilc.problem.problem import Cuts
@@ -180,3 +181,59 @@ def test_the_dual_norm_of_one_channel_is_that_of_the_larger_part(parts, seed):
     N = np.random.default_rng(seed).standard_normal((5, parts, 1)) * (1 + 2j)
     expected = np.abs(N).reshape(5, -1).max(axis=1)
     np.testing.assert_allclose(dual_norm(N), expected, rtol=1e-8)
+
+
+@pytest.mark.parametrize("objective", ["sum", "peak"])
+@pytest.mark.parametrize("structure", ["diagonal", "full"])
+@pytest.mark.parametrize("L_max", [4.0, None])
+def test_lower_bound_holds_for_any_multipliers(structure, objective, L_max):
+    """Weak duality: no multipliers, however wrong, give a bound above a feasible value."""
+    rng = np.random.default_rng(1)
+    omega = np.linspace(0.05, np.pi, 40)
+    z = np.exp(1j * omega)
+    P = 0.5 / (z - 0.5)[:, None, None] * np.eye(2) + 0.1 * rng.standard_normal((2, 2))
+    Q = 1 / (1 + omega**4)
+    arguments = {"order": 3, "L_max": L_max, "band": (0.05, 1), "objective": objective}
+    arguments["structure"] = structure
+    design = synthesise(P, Q, omega, 1.0, **arguments)
+    assert 0 <= design.certificate.gap + 1e-12 < 1e-8
+    for _ in range(20):
+        U, V = rng.standard_normal((2, 40, 2, 2)) + 1j * rng.standard_normal(
+            (2, 40, 2, 2)
+        )
+        V = None if L_max is None else V
+        bound = lower_bound(design.problem, U, V)
+        assert bound <= design.value * (1 + 1e-9)
+
+
+@given(
+    st.sampled_from([1, 10, 40]),
+    st.sampled_from(["diagonal", "full"]),
+    st.integers(0, 999),
+)
+def test_lower_bound_ignores_what_a_filter_could_do_to_the_multipliers(
+    order, structure, seed
+):
+    """T L for any L is projected out of U. These L have a given gain, and huge coefficients."""
+    rng = np.random.default_rng(seed)
+    angles = np.geomspace(1e-4, np.pi, 250)
+    z = np.exp(1j * angles)
+    P = np.eye(2) * (0.1 / (z - 0.9))[:, None, None] + 0.2 * rng.standard_normal((2, 2))
+    Q = 1 / (1 + (angles / 0.1) ** 4)
+    problem = pose(P, Q, angles, 1.0, order=order, L_max=None, structure=structure)
+    U = rng.standard_normal((250, 2, 2)) + 1j * rng.standard_normal((250, 2, 2))
+    bound = lower_bound(problem, U, None)
+
+    L = np.zeros((250, 2, 2), dtype=complex)
+    for i, j in np.ndindex(2, 2):
+        if structure == "full" or i == j:
+            L[:, i, j] = z
+            for _ in range(
+                (order - 1) // 2
+            ):  # a pair of zeros on the circle: real coefficients
+                zero = np.exp(1j * 10 ** rng.uniform(-3, 0))
+                L[:, i, j] *= (z - zero) * (z - zero.conj())
+    change = -Q[:, None, None] * (P @ L)
+    change *= np.linalg.norm(U) / np.linalg.norm(change)
+    moved = lower_bound(problem, U + change, None)
+    assert moved == pytest.approx(bound, rel=1e-11, abs=1e-11 * np.linalg.norm(U))
