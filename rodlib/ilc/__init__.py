@@ -44,7 +44,11 @@ MODULES = {
     "measurement.estimation": "EstimatedResponse",
     "measurement.measurement": "MeasuredResponse expected_radius measured_response",
     "measurement.tabulated": "TabulatedResponse",
-    "workbench.plots": "plot",
+    "workbench": "open_workbench",
+    "workbench.outcome": "try_out",
+    "workbench.picture": "plot",
+    "workbench.plant": "Plant",
+    "workbench.settings": "Settings",
 }
 
 

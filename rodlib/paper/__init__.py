@@ -8,9 +8,9 @@ from rodlib.ilc import lazily
 MODULES = {
     "figures": """ACCENT BLACK BLACK_DASHED GRAY GRAY_DASHED SHADES TALL WIDE plain
         save""",
-    "knobs": "plant_of_rod rods",
     "ledger": "Ledger",
     "parameters": "checked",
+    "plant": "plant_of_rod",
     "repository": "ROOT",
     "rig_logs": "PARAMETERS experiment",
 }

@@ -126,9 +126,9 @@ class Reader:
         return self.page.evaluate(CLIPPED)
 
     @property
-    def line(self):
-        """The line below the picture."""
-        return self.page.locator(".widget-html", has_text="Certificate:").inner_text()
+    def certificate(self):
+        """The text below the picture."""
+        return self.page.locator(".workbench-certificate").inner_text()
 
     @property
     def times(self):

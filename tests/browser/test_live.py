@@ -1,7 +1,6 @@
 """The workbench in JupyterLab in a browser, against designs that are made here.
 
-One reader, one workbench: each test begins where the one before has left the knobs, and says which
-they are.
+One reader, one workbench: each test begins where the one before has left the knobs.
 """
 
 from dataclasses import replace
@@ -9,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rodlib import Rod, load_law
-from rodlib.ilc.workbench import Picture, Settings, try_out
-from rodlib.paper.knobs import plant_of_rod
+from rodlib import Rod, Settings, load_law, try_out
+from rodlib.ilc.workbench.picture import Picture
+from rodlib.paper import plant_of_rod
 
 TEN_KEYS = """handle => { for (let k = 0; k < 10; k++)
     handle.dispatchEvent(new KeyboardEvent('keydown', {key: 'ArrowLeft', bubbles: true})); }"""
@@ -37,14 +36,14 @@ def run(lines):
 @pytest.fixture
 def first(reader, paper):
     """The paper's choice, whatever was before."""
-    reader.choose("plant", "a log or a table")
+    reader.choose("plant", "a log")
     reader.choose("plant", "the rod")
     return paper
 
 
 def test_it_begins_with_the_papers_choice(reader, paper, shots):
     assert reader.picture == drawn(paper)
-    assert reader.line.startswith("Certificate: σ(M) ≤ 0.9000 at all frequencies")
+    assert "mean of sigma_max(M) over the band: 0.2046" in reader.certificate
     for width in (1280, 800):
         reader.show(width, 1500, shots / f"start-{width}.png")
         assert reader.overflow == []
@@ -139,22 +138,17 @@ def test_nonsense_in_a_field_does_no_harm(reader, paper):
     reader.after(reader.type, "band from (rad/s)", "5")
     assert reader.python.strip() == ""
     reader.after(reader.type, "band from (rad/s)", "1e-4")
-    reader.page.get_by_text("parameters of the rod", exact=True).click()
-    reader.after(reader.type, "density (kg/m³)", "-1")
-    assert reader.python.strip() == ""
-    reader.after(reader.type, "density (kg/m³)", "7000")
-    assert "Rod(density=7000.0)" in reader.python
     assert run(reader.python)["design"].problem.L_max == 1000
 
 
 def test_a_log_is_a_plant(reader, shots):
-    reader.choose("plant", "a log or a table")
+    reader.choose("plant", "a log")
     found = run(reader.python)["design"]
     assert not found.certificate.failures
-    reader.after(reader.type, "path of the file", "no/such/file.csv")
+    reader.after(reader.type, "path of the log", "no/such/file.csv")
     assert reader.python.strip() == ""
     reader.choose("plant", "the rod")
-    assert "Rod(density=7000.0)" in reader.python
+    assert "rodlib.paper_loop()" in reader.python
 
 
 def test_the_page_never_complained(reader):

@@ -25,7 +25,12 @@ from rodlib.ilc.logs.notes import loop_of
 from rodlib.ilc.loop.closed import ClosedLoop, Loop
 from rodlib.ilc.models import state_sequence
 from rodlib.ilc.rigs.recording import BEGUN
-from rodlib.ilc.trials.diagnosis import diagnose, error_by_octave, histories
+from rodlib.ilc.trials.diagnosis import (
+    commands,
+    diagnose,
+    error_by_octave,
+    histories,
+)
 from rodlib.ilc.trials.run import rms, run_trials
 from rodlib.ilc.units import by_unit, with_unit
 
@@ -134,14 +139,8 @@ class Replay:
 
     @cached_property
     def commands(self) -> dict[str, np.ndarray]:
-        """What was asked of the actuators, and what was applied, shape (trial, time, m)."""
-        trials = self.trials
-        w = (trials.reference + trials.v).values
-        u = w if isinstance(self.loop, ClosedLoop) else trials.u.values
-        if "applied" in trials:
-            return {"u": u, "applied": trials.applied.values}
-        actuators = self.law and self.law.actuators
-        return {"u": u, "applied": actuators.follow(u) if actuators else u}
+        """What was asked of the actuators, u, and what was applied, shape (trial, time, m)."""
+        return commands(self.trials, self.loop, self.law and self.law.actuators)
 
     @property
     def fit(self) -> pd.DataFrame | None:
@@ -181,10 +180,10 @@ class Replay:
     def _v_after(self, k):
         """The v that follows trial `k` of the log by the law."""
         trial = self.trials.isel(trial=k)
-        commands = {}
+        asked = {}
         if self.law.limits:
-            commands = {name: signal[k] for name, signal in self.commands.items()}
-        return self.law.next(trial.v.values, trial.e.values, **commands)
+            asked = {name: signal[k] for name, signal in self.commands.items()}
+        return self.law.next(trial.v.values, trial.e.values, **asked)
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
@@ -207,7 +206,7 @@ class Replay:
         if self.law is None or self.law.L is None:
             return None
         history, *others = histories(self.trials, self.law)
-        if others or history.predicted is None or history.since[k] == k:
+        if others or history.P is None or history.since[k] == k:
             return None
         return pd.DataFrame(error_by_octave(history, k)).set_index("frequency")
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from math import factorial
 
+import control
 import numpy as np
 import xarray as xr
 from scipy.special import fdtrc, stdtr
@@ -17,7 +18,7 @@ from scipy.special import fdtrc, stdtr
 from rodlib.ilc.evidence.convergence import Convergence, convergence
 from rodlib.ilc.law.law import Law
 from rodlib.ilc.law.limits import realised
-from rodlib.ilc.loop.closed import ClosedLoop
+from rodlib.ilc.loop.closed import ClosedLoop, Loop
 from rodlib.ilc.models import state_sequence
 from rodlib.ilc.units import by_unit
 
@@ -42,18 +43,14 @@ GRID = np.geomspace(1e-4, 1, 200) * np.pi  # omega Ts of the predicted rate
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """Trials in order, with outputs of one unit; signals have the shape (trial, time, channel)."""
+    """Trials in order, of the outputs in one unit; signals are (trial, time, channel)."""
 
-    numbers: np.ndarray  # of the trials
-    outputs: str  # their names, in words; empty if these are all
-    names: list[str]
-    v: np.ndarray
+    trials: xr.Dataset
+    law: Law
+    channels: list[int]
     e: np.ndarray
     reference: np.ndarray
-    predicted: np.ndarray | None  # errors, see `predicted_errors`
-    convergence: Convergence | None
-    gain: float
-    Ts: float
+    w: np.ndarray  # reference + v of all outputs, as far as it was applied
 
     @cached_property
     def rms(self) -> np.ndarray:
@@ -66,6 +63,38 @@ class History:
         changes = np.any(np.diff(self.reference, axis=0) != 0, axis=(1, 2))
         first = np.arange(len(self.e)) * np.append(True, changes)
         return np.maximum.accumulate(first)
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the outputs."""
+        return self.trials.output.values[self.channels].tolist()
+
+    @property
+    def of_outputs(self) -> str:
+        """These names in words; empty if they are all."""
+        others = len(self.names) < self.trials.sizes["channel"]
+        return f" of {', '.join(self.names)}" if others else ""
+
+    @property
+    def P(self) -> control.StateSpace | None:
+        """Model of the law's loop."""
+        return None if self.law.loop is None else self.law.loop.P
+
+    @cached_property
+    def convergence(self) -> Convergence:
+        """The rate that the model predicts."""
+        return convergence(self.P, self.law.Q, self.law.L, GRID / self.law.Ts)
+
+    def predicted(self, k: int) -> np.ndarray:
+        """Error of trial k by the model: e_{k-1} + r_k - r_{k-1} - P (w_k - w_{k-1})."""
+        P, change = self.P, self.w[k] - self.w[k - 1]
+        states = state_sequence(P.A, change @ P.B.T, np.zeros(P.nstates))
+        moved = (states @ P.C.T + change @ P.D.T)[:, self.channels]
+        return self.e[k - 1] + self.reference[k] - self.reference[k - 1] - moved
+
+    def number(self, k: int) -> int:
+        """Number of trial k."""
+        return int(self.trials.trial[k])
 
 
 def diagnose(
@@ -105,55 +134,25 @@ def diagnose(
 
 def histories(trials: xr.Dataset, law: Law) -> list[History]:
     """The trials, split by the units of their outputs."""
-    e, reference, v = trials.e.values, trials.reference.values, applied_v(trials, law)
-    names, units = trials.output.values, by_unit(trials.output_unit.values.tolist())
-    P = None if law.loop is None else law.loop.P
-    predicted, rate = None, None
-    if P is not None:
-        predicted = predicted_errors(v, e, reference, P)
-        rate = convergence(P, law.Q, law.L, GRID / law.Ts)
+    e, reference = trials.e.values, trials.reference.values
+    w = reference + trials.v.values
+    if law.limits:  # then that for which the loop asks for what was applied
+        w = realised(law.loop, w, **commands(trials, law.loop, law.actuators))
     return [
-        History(
-            numbers=trials.trial.values,
-            outputs=f" of {', '.join(names[channels])}" if len(units) > 1 else "",
-            names=names[channels].tolist(),
-            v=v[..., channels],
-            e=e[..., channels],
-            reference=reference[..., channels],
-            predicted=None if P is None else predicted[..., channels],
-            convergence=rate,
-            gain=law.gain,
-            Ts=law.Ts,
-        )
-        for channels in units.values()
+        History(trials, law, channels, e[..., channels], reference[..., channels], w)
+        for channels in by_unit(trials.output_unit.values.tolist()).values()
     ]
 
 
-def applied_v(trials: xr.Dataset, law: Law) -> np.ndarray:
-    """The v of trials; with limits, that for which the loop asks for what was applied."""
-    v = trials.v.values
-    if not law.limits:
-        return v
-    u = (
-        trials.reference.values + v
-        if isinstance(law.loop, ClosedLoop)
-        else trials.u.values
-    )
-    applied = trials.applied.values if "applied" in trials else law.actuators.follow(u)
-    return realised(law.loop, v, u, applied)
-
-
-def predicted_errors(v, e, reference, P) -> np.ndarray:
-    """What e would be by the trial before and the model, e_k + r_{k+1} - r_k - P (w_{k+1} - w_k).
-
-    Nothing is predicted of the first trial, which is NaN.
-    """
-    predicted = np.full_like(e, np.nan)
-    for k, change in enumerate(np.diff(reference + v, axis=0), 1):
-        states = state_sequence(P.A, change @ P.B.T, np.zeros(P.nstates))
-        moved = states @ P.C.T + change @ P.D.T
-        predicted[k] = e[k - 1] + reference[k] - reference[k - 1] - moved
-    return predicted
+def commands(trials: xr.Dataset, loop: Loop, actuators=None) -> dict[str, np.ndarray]:
+    """What was asked of the actuators, u, and what was applied, shape (trial, time, m)."""
+    closed = isinstance(loop, ClosedLoop)
+    u = (trials.reference + trials.v if closed else trials.u).values
+    applied = actuators.follow(u) if actuators else u
+    return {
+        "u": u,
+        "applied": trials.applied.values if "applied" in trials else applied,
+    }
 
 
 def error_grows(history: History, k: int) -> str | None:
@@ -176,9 +175,9 @@ def error_grows(history: History, k: int) -> str | None:
     if not (in_succession or at_once):
         return None
     return (
-        f"the error{history.outputs} grows, by more than noise explains: its RMS was "
-        f"{size[lowest]:.3g} in trial {history.numbers[start + lowest]} and is "
-        f"{size[-1]:.3g} in trial {history.numbers[k]}. {_cause(history, k)}"
+        f"the error{history.of_outputs} grows, by more than noise explains: its RMS was "
+        f"{size[lowest]:.3g} in trial {history.number(start + lowest)} and is "
+        f"{size[-1]:.3g} in trial {history.number(k)}. {_cause(history, k)}"
     )
 
 
@@ -206,7 +205,7 @@ def _cause(history, k):
                 "ends of Q and L"
             )
     remedy = "learn less, by a lower cut-off of Q or a smaller learning gain"
-    if history.convergence is None:
+    if history.P is None:
         return f"Unless there was a new disturbance, the law diverges: {remedy}"
     gamma = history.convergence.gamma
     if gamma >= 1:
@@ -222,7 +221,8 @@ def v_grows(history: History, k: int) -> str | None:
     start = k - STEPS
     if start < history.since[k]:
         return None
-    v, error = history.v[start : k + 1], history.rms[start : k + 1]
+    error = history.rms[start : k + 1]
+    v = (history.w[..., history.channels] - history.reference)[start : k + 1]
     steps = rms(np.diff(v, axis=0))
     (distance,) = rms(v[-1:] - v[:1])
     straight = distance >= STRAIGHT * steps.sum()
@@ -231,16 +231,16 @@ def v_grows(history: History, k: int) -> str | None:
     if not (straight and steady and stagnates and distance >= RELEVANT * error[-1]):
         return None
     return (
-        f"v{history.outputs} keeps growing while the error stagnates: by {steps[-1]:.3g} a "
+        f"v{history.of_outputs} keeps growing while the error stagnates: by {steps[-1]:.3g} a "
         f"trial, in one direction, and the RMS of the error is {error[0]:.3g} in trial "
-        f"{history.numbers[start]} and {error[-1]:.3g} in trial {history.numbers[k]}. Is an "
+        f"{history.number(start)} and {error[-1]:.3g} in trial {history.number(k)}. Is an "
         "actuator at its limit? Pass the limits to the law"
     )
 
 
 def model_contradicted(history: History, k: int) -> str | None:
     """Outputs do not follow v, in two successive trials: one may have a new disturbance."""
-    if history.predicted is None or k < 2:
+    if history.P is None or k < 2:
         return None
     names = [
         name
@@ -250,7 +250,7 @@ def model_contradicted(history: History, k: int) -> str | None:
     if not names:
         return None
     return (
-        f"{', '.join(names)} of trials {history.numbers[k - 1]} and {history.numbers[k]} "
+        f"{', '.join(names)} of trials {history.number(k - 1)} and {history.number(k)} "
         "contradict the loop's model: not half of the change that it predicts came, and the "
         "error does not fall. Is a sensor or an actuator at its limit, exchanged or reversed? "
         "Else measure P (shake)"
@@ -266,7 +266,7 @@ def _ignores_v(history, k, i):
     error, before = history.e[k, :, i], history.e[k - 1, :, i]
     shift = history.reference[k, :, i] - history.reference[k - 1, :, i]
     change = shift - error + before
-    predicted = shift - history.predicted[k, :, i] + before
+    predicted = shift - history.predicted(k)[:, i] + before
     size = np.linalg.norm(predicted)
     share = change @ predicted / size**2
     residual = change - share * predicted
@@ -282,12 +282,10 @@ def converges_slowly(history: History, k: int) -> str | None:
     """F test, octave by octave, of the first two trials with this reference.
 
     Null hypothesis: the error of the second one is at most the predicted one, plus noise with the
-    variance of the last three trials about their mean. The numerator is the squared excess over
-    the prediction, with the n degrees of freedom of a trial in this octave; the denominator is
-    that variance, with 2 n. Bonferroni corrects for the number of octaves.
+    variance of the last three trials about their mean.
     """
     i = history.since[k]
-    if history.predicted is None or k < i + 4:
+    if history.P is None or k < i + 4:
         return None
     table = error_by_octave(history, i + 1)
     bound = np.maximum(table["bound"], table["predicted"])
@@ -299,7 +297,7 @@ def converges_slowly(history: History, k: int) -> str | None:
     variance = np.add.reduceat(power.sum(axis=1), edges)
     variance += (ROUNDING * np.abs(last).max()) ** 2
     freedom = degrees_of_freedom(power, edges)
-    p = len(edges) * fdtrc(freedom, 2 * freedom, excess**2 / variance)
+    p = chance_of_excess(excess, variance, freedom)
 
     falls, relevant = table["measured"] < 1, excess > EXCESS * history.rms[i]
     slow = falls & relevant & (p < SIGNIFICANCE)
@@ -309,12 +307,21 @@ def converges_slowly(history: History, k: int) -> str | None:
     row = {name: column[worst] for name, column in table.items()}
     return (
         f"the convergence rate is not the predicted one: up to {row['frequency']:.2g} rad/s, "
-        f"trial {history.numbers[i + 1]} has {row['measured']:.2f} of the error"
-        f"{history.outputs} of the one before; the loop's model predicts "
+        f"trial {history.number(i + 1)} has {row['measured']:.2f} of the error"
+        f"{history.of_outputs} of the one before; the loop's model predicts "
         f"{row['predicted']:.2f}, sigma_max(M) is {row['bound']:.2f} at most, and noise is "
         "less. Unless there was a new disturbance, the plant differs from the model: measure P "
         "(shake), or expect this rate"
     )
+
+
+def chance_of_excess(excess, variance, freedom) -> np.ndarray:
+    """Probability that noise exceeds the prediction so far, in each octave, in any of them.
+
+    The square of the excess has the n degrees of freedom of one trial in this octave; the variance
+    of three trials about their mean has 2 n. Bonferroni corrects for the number of octaves.
+    """
+    return len(excess) * fdtrc(freedom, 2 * freedom, excess**2 / variance)
 
 
 CHECKS = {"error": error_grows, "v": v_grows}
@@ -331,10 +338,10 @@ def error_by_octave(history: History, k: int) -> dict[str, np.ndarray]:
     """
     samples, convergence = len(history.e[k]), history.convergence
     first = octaves(samples)
-    edges = np.append(first, samples // 2 + 1) * 2 * np.pi / (samples * history.Ts)
+    edges = np.append(first, samples // 2 + 1) * 2 * np.pi / (samples * history.law.Ts)
     inside = np.geomspace(np.maximum(edges[:-1], convergence.omega[0]), edges[1:], 9)
     sigma = np.interp(inside, convergence.omega, convergence.sigma).max(axis=0)
-    signals = np.stack([history.e[k - 1], history.predicted[k], history.e[k]])
+    signals = np.stack([history.e[k - 1], history.predicted(k), history.e[k]])
     power = np.add.reduceat(spectrum(signals).sum(axis=-1), first, axis=-1)
     before, predicted, measured = np.sqrt(power)
     before = np.maximum(before, np.finfo(float).tiny)
@@ -342,7 +349,7 @@ def error_by_octave(history: History, k: int) -> dict[str, np.ndarray]:
     return {
         "frequency": edges[1:],
         "before": before,
-        "bound": 1 - history.gain * (1 - sigma),
+        "bound": 1 - history.law.gain * (1 - sigma),
         "predicted": predicted / before,
         "measured": measured / before,
         "noise": white * np.sqrt(np.diff(edges) / edges[-1]) / before,

@@ -1,108 +1,100 @@
-"""From settings to what they give: a filter with its certificate, or the reason why there is none.
+"""From settings to their outcome: a filter with its certificate, or why there is none.
 
-Every design is solved from nothing. To start from the last one would take half the time, but the
-optimum is flat: coefficients would differ in the third digit with the way by which one came.
+Every design is solved from zero. A warm start would take half the time, but the optimum is flat:
+coefficients would differ in the third digit with the settings that came before.
 """
 
 import math
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rodlib.ilc import (
-    Certificate,
     InfeasibleError,
+    Law,
     SolverError,
     Synthesis,
     arguments,
     synthesise,
 )
 from rodlib.ilc.trials.run import rms, run_trials
-from rodlib.ilc.workbench.plants import TRIALS, Plant
+from rodlib.ilc.workbench.plant import TRIALS, Plant
 from rodlib.ilc.workbench.settings import Settings
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What the settings give: a design, or a message that says why there is none."""
+    """What settings lead to: a design and its trials, or a message."""
 
     settings: Settings | None  # None if there is not even a plant
     design: Synthesis | None = None
-    rms: tuple[
-        float, ...
-    ] = ()  # of the error by trial, all channels together, if simulated
-    message: str = ""  # why there is no filter, and what would help
-    M_max: float | None = (
-        None  # from which on there is one, if that is all that it takes
-    )
-    findings: tuple[str, ...] = ()  # what speaks against the trials
+    rms: tuple[float, ...] = ()  # of the error by trial, all outputs, if simulated
+    message: str = ""  # why there is no filter, and the remedy
+    M_max: float | None = None  # the smallest feasible, if that is the remedy
+    warnings: tuple[str, ...] = ()  # of the trials
 
     @property
-    def line(self) -> str:
-        """The certificate in a line, and what was found of a measurement and of the trials."""
+    def law(self) -> Law:
+        """The law of the trials."""
+        return self.design.law(rest=self.settings.plant.rest)
+
+    @property
+    def text(self) -> str:
+        """The certificate, with what speaks against measurement and trials; or the message."""
         if self.design is None:
             return self.message
-        findings = getattr(self.settings.plant.response, "findings", ())
-        found = (f"the measurement: {text}" for text in findings)
-        watched = (f"the trials: {text}" for text in self.findings)
-        return "; ".join([certificate_line(self.design.certificate), *found, *watched])
+        measurement = getattr(self.settings.plant.response, "findings", ())
+        lines = [str(self.design.certificate)]
+        lines += [f"WARNING: the measurement: {text}" for text in measurement]
+        lines += [f"WARNING: the trials: {text}" for text in self.warnings]
+        return "\n".join(lines)
 
 
 def try_out(settings: Settings) -> Outcome:
-    """Design a filter, certify it and simulate ten trials; never raise because of the settings.
+    """Design a filter, certify it and simulate ten trials.
 
-    The same for the same settings, whatever was tried out before.
+    The outcome does not depend on what was tried out before. Settings that lead to no filter are
+    not an error: the outcome's message says why.
     """
     arguments.instance("settings", settings, Settings)
     try:
         plant = arguments.instance("plant", settings.plant, Plant)
-        Q = settings.Q
-        with warnings.catch_warnings(action="ignore"):  # they are in the line
+        noise_std = arguments.not_negative("noise", settings.noise, "zero or more")
+        with warnings.catch_warnings(action="ignore"):  # the certificate has them
             design = synthesise(
-                plant.response, Q, settings.omega, settings.Ts, **settings.problem
+                plant.response,
+                settings.Q,
+                settings.omega,
+                settings.Ts,
+                **settings.problem,
             )
     except InfeasibleError as error:
-        return Outcome(
-            settings, message=str(error), M_max=_remedy(error.smallest_M_max)
-        )
+        M_max = _rounded_up(error.smallest_M_max)
+        return Outcome(settings, message=str(error), M_max=M_max if M_max < 1 else None)
     except (ValueError, SolverError) as error:
         return Outcome(settings, message=str(error))
+    outcome = Outcome(settings, design)
     if plant.loop.P is None:
-        return Outcome(settings, design)
-    samples, m = plant.reference.shape
-    noise = settings.noise * np.random.default_rng(0).standard_normal(
-        (TRIALS, samples, m)
-    )
-    with warnings.catch_warnings(record=True, action="always") as told:
-        law = design.law(plant.rest)
+        return outcome
+    shape = TRIALS, *plant.reference.shape
+    noise = noise_std * np.random.default_rng(0).standard_normal(shape)
+    with warnings.catch_warnings(record=True, action="always") as record:
         trials = run_trials(
-            plant.loop, law, plant.reference, plant.disturbance, TRIALS, noise=noise
+            plant.loop,
+            outcome.law,
+            plant.reference,
+            plant.disturbance,
+            TRIALS,
+            noise=noise,
         )
-    found = tuple(str(warning.message) for warning in told)
-    return Outcome(
-        settings, design, tuple(rms(trials.e).values.tolist()), findings=found
+    return replace(
+        outcome,
+        rms=tuple(rms(trials.e).values.tolist()),
+        warnings=tuple(str(warning.message) for warning in record),
     )
 
 
-def _remedy(smallest):
-    """The next M_max of three digits that leaves the solver some room; None if there is none."""
-    M_max = math.ceil(1000 * smallest + 0.05) / 1000
-    return M_max if M_max < 1 else None
-
-
-def certificate_line(certificate: Certificate) -> str:
-    """What is known about a filter, in a line."""
-    if certificate.problem.radius is not None:
-        rate = f"σ(M) ≤ {certificate.grid_M:.4f} within the radius, at the design frequencies"
-    elif certificate.proven:
-        rate = f"σ(M) ≤ {certificate.all_M:.4f} at all frequencies"
-    else:
-        rate = f"σ(M) ≤ {certificate.all_M:.4f} between the samples, estimated"
-    gain = f"σ(L) ≤ {certificate.all_L:.4g} at all frequencies"
-    mean = f"mean σ(M) over the band {certificate.mean_M:.4f}"
-    optimal = (
-        f"objective {certificate.value:.4g}, none below {certificate.lower_bound:.4g}"
-    )
-    warned = [f"warning: {text}" for text in certificate.warnings]
-    return "; ".join([rate, gain, mean, optimal, *warned])
+def _rounded_up(smallest):
+    """The next M_max of three digits that leaves the solver some room."""
+    return math.ceil(1000 * smallest + 0.05) / 1000

@@ -1,179 +1,268 @@
-"""The picture of an outcome: the singular values with their bounds, the filter, ten trials.
+"""The picture of a design, or of trials.
 
-A layout that is found anew takes as long as the design. Here it is fixed, and limits are round
-numbers.
+The picture of a design is drawn anew at each turn of a knob. To find a layout would take as long as
+the design, so it is fixed, and limits are round numbers.
 """
 
+import reprlib
 import textwrap
 from io import BytesIO
-from itertools import cycle, islice, product
+from itertools import cycle, product
 
 import matplotlib as mpl
 import numpy as np
+import xarray as xr
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from PIL import Image
 
-from rodlib.ilc import arguments
+from rodlib.ilc import Synthesis, arguments
+from rodlib.ilc.logs.format import signals_of
+from rodlib.ilc.logs.replay import rms_by_trial
+from rodlib.ilc.units import by_unit, with_unit
 from rodlib.ilc.workbench.outcome import Outcome
 
-SIZE = (7.6, 5.2)  # inches, of 100 pixels each
+SIZE = (7.6, 5.2)  # inches, of a design
+WIDTH, HEIGHT = 7.2, 2.3  # inches, of one axes of trials
 STYLE = {
-    "font.size": 9, "axes.titlesize": 9, "axes.titlelocation": "left", "axes.grid": True,
+    "axes.autolimit_mode": "round_numbers",
+    "axes.grid": True,
+    "axes.titlelocation": "left",
+    "axes.titlesize": 9,
     "axes.titley": 1.0,  # fixed: to look for what may be in its way takes long
-    "grid.color": "0.9", "legend.frameon": False, "lines.linewidth": 1.3,
-}  # fmt: skip
+    "font.size": 9,
+    "grid.color": "0.9",
+    "legend.frameon": False,
+    "lines.linewidth": 1.3,
+}
+DESIGN = {"color": "black"}
 BEFORE = {"color": "0.75", "linewidth": 2.4}
 BOUND = {"color": "tab:red", "linewidth": 1, "linestyle": "--"}
-ROUND = np.array([1, 1.5, 2, 3, 5, 7, 10])
 SHADES = ("black", "tab:red", "tab:blue", "tab:green", "tab:orange")
-ENTRIES = [  # how those of a filter look; gray is for the filter before
+ENTRIES = [  # of a filter
     {"color": shade, "linestyle": style} for style, shade in product(("-", ":"), SHADES)
 ]
 
 
+def plot(
+    item: Synthesis | Outcome | xr.Dataset, before: Synthesis | Outcome | None = None
+):
+    """Draw a design, or trials, as one would first look at them.
+
+    Parameters
+    ----------
+    item : Synthesis, Outcome or xarray.Dataset
+        From :func:`rodlib.synthesise` or :func:`rodlib.try_out`: sigma_max(M) and sigma_max(L) over
+        frequency, with their bounds and the mean in the band; the coefficients; and RMS(e_k) of an
+        outcome's trials. From :func:`rodlib.run_trials`, :func:`rodlib.record` or
+        :func:`rodlib.load_log`: RMS(e_k) by trial and the signals of the last trial, outputs with
+        their reference; signals with different units stand in different axes.
+    before : Synthesis or Outcome, optional
+        A design to compare with, in gray.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        To change, or to keep by its ``savefig``.
+    """
+    import matplotlib.pyplot as plt  # here, because it takes long to import
+
+    designs = Synthesis | Outcome
+    if not isinstance(item, designs | xr.Dataset):
+        raise ValueError(
+            f"item = {reprlib.repr(item)} must be a Synthesis, an Outcome or trials"
+        )
+    if not isinstance(before, designs | None):
+        raise ValueError(
+            f"before = {reprlib.repr(before)} must be a Synthesis or an Outcome"
+        )
+    with mpl.rc_context(STYLE):
+        if isinstance(item, xr.Dataset):
+            figure = _of_trials(plt, item)
+        else:
+            figure = plt.figure(figsize=SIZE, dpi=100, layout="none")
+            Picture(figure).show(_outcome(item), before and _outcome(before))
+    if "inline" in mpl.get_backend():
+        plt.close(figure)  # or a notebook would show it twice
+    return figure
+
+
+def _outcome(item):
+    return item if isinstance(item, Outcome) else Outcome(None, item)
+
+
 class Picture:
-    """Four axes whose lines are replaced from outcome to outcome: its `figure` is Matplotlib's."""
+    """Four axes in a figure, whose lines are replaced from outcome to outcome."""
 
     @mpl.rc_context(STYLE)
-    def __init__(self):
-        self.figure = Figure(SIZE, dpi=100, layout="none")
-        FigureCanvasAgg(self.figure)
-        self.axes = self.figure.subplots(2, 2)
+    def __init__(self, figure: Figure | None = None):
+        if figure is None:  # without a window
+            figure = Figure(SIZE, dpi=100, layout="none")
+            FigureCanvasAgg(figure)
+        self.figure, self.axes = figure, figure.subplots(2, 2)
         (rate, trials), (gain, lags) = self.axes
-        self.figure.subplots_adjust(0.07, 0.09, 0.985, 0.89, wspace=0.2, hspace=0.45)
+        figure.subplots_adjust(0.07, 0.09, 0.985, 0.89, wspace=0.2, hspace=0.45)
         rate.set(
             title=r"rate $\bar\sigma(M)$: what a trial leaves of the error",
             ylim=(0, 1.05),
         )
         gain.set(title=r"gain $\bar\sigma(L)$ of the learning filter")
-        lags.set(title="coefficients of $L$", xlabel="samples ahead")
         for axes in (rate, gain):
             axes.set(xscale="log", xlabel="frequency (rad/s)")
         trials.set(
             xlabel="trial", xticks=np.arange(1, 11), xlim=(0.7, 10.3), yscale="log"
         )
-        self._words = self.figure.text(0.07, 0.96, "")
-        self._message = self.figure.text(
-            0.5, 0.5, "", ha="center", va="center", fontsize=12, linespacing=1.5,
+        lags.set(title="coefficients of $L$", xlabel="samples ahead")
+        lags.xaxis.get_major_locator().set_params(integer=True)
+        self.key = figure.text(0.07, 0.96, "")
+        self.message = figure.text(
+            0.5,
+            0.5,
+            "",
+            ha="center",
+            va="center",
+            fontsize=12,
+            linespacing=1.5,
             parse_math=False,  # it may name a file
-        )  # fmt: skip
+        )
 
     @mpl.rc_context(STYLE)
     def show(self, outcome: Outcome, before: Outcome | None = None) -> "Picture":
-        """Put in the lines of an outcome, and of one before it in gray; or why there is no filter.
+        """Draw an outcome, and in gray a design before; or the message, if there is no design.
 
         The one before is left out if it has other channels or another sampling period.
         """
         arguments.instance("outcome", outcome, Outcome)
-        if before is not None:
-            arguments.instance("before", before, Outcome)
         for axes in self.axes.flat:
             axes.set_visible(outcome.design is not None)
             for line in [*axes.lines]:
                 line.remove()
-        self._message.set_text("")
-        self._words.set_text("")
+        key = message = ""
         if outcome.design is None:
-            self._message.set_text(textwrap.fill(outcome.message, 80))
-            return self
-        shown = [outcome]
-        if before is not None and _alike(before, outcome):
-            shown.append(before)
-            self._draw(before, before=True)
-        self._draw(outcome)
-        self._fit(shown)
-        gray = "    gray: the filter before" if len(shown) > 1 else ""
-        self._words.set_text(
-            f"black: this filter    red: its bounds    dotted: its mean rate in the band{gray}"
-        )
+            message = textwrap.fill(outcome.message, 80)
+        else:
+            key = "black: this filter    red: its bounds    dotted: its mean rate in the band"
+            if before is not None and _comparable(before, outcome):
+                key += "    gray: the filter before"
+                self._draw(before, BEFORE)
+            self._draw(outcome, DESIGN)
+            self._frame(outcome)
+        self.key.set_text(key)
+        self.message.set_text(message)
         return self
 
-    def _draw(self, outcome, before=False):
-        """The lines of an outcome."""
+    def _draw(self, outcome, look):
+        """The lines of an outcome; the entries of a filter have a look each, unless in gray."""
         (rate, trials), (gain, lags) = self.axes
-        design, look = outcome.design, BEFORE if before else {"color": "black"}
+        design, problem = outcome.design, outcome.design.problem
         rate.plot(design.omega, design.sigma_M, **look)
         gain.plot(design.omega, design.sigma_L, **look)
-        trials.plot(
-            np.arange(1, len(outcome.rms) + 1), outcome.rms, "o-", markersize=4, **look
-        )
+        if problem.objective == "sum":
+            mean = [design.certificate.mean_M] * 2
+            rate.plot(problem.band, mean, **look | {"linestyle": ":"})
+        numbers = np.arange(1, len(outcome.rms) + 1)
+        trials.plot(numbers, outcome.rms, "o-", markersize=4, **look)
         ahead = np.arange(1, design.filter.order + 1)
-        for entry, own in zip(entries(outcome).values(), cycle(ENTRIES), strict=False):
-            lags.plot(ahead, entry, marker=".", **(look if before else own))
-        mean = design.certificate.mean_M
-        rate.plot(design.problem.band, [mean, mean], **look | {"linestyle": ":"})
-        if not before:
-            rate.axhline(design.problem.M_max, **BOUND)
-            gain.axhline(design.problem.L_max, **BOUND)
+        looks = cycle(ENTRIES if look is DESIGN else [look])
+        for (name, values), look in zip(entries(design).items(), looks, strict=False):
+            lags.plot(ahead, values, marker=".", label=name, **look)
 
-    def _fit(self, outcomes):
-        """Limits that hold all outcomes, and labels of the first."""
+    def _frame(self, outcome):
+        """Bounds, limits and labels of an outcome, around the lines that are drawn."""
         (rate, trials), (gain, lags) = self.axes
-        designs = [outcome.design for outcome in outcomes]
+        design, problem = outcome.design, outcome.design.problem
+        if problem.objective == "sum":
+            rate.axhline(problem.M_max, **BOUND)
+        if problem.L_max is not None:
+            gain.axhline(problem.L_max, **BOUND)
+        for axes in (trials, gain, lags):
+            axes.relim()
+            axes.autoscale(axis="y")
+        gain.set_ylim(bottom=0)
+        low, high = np.log10(trials.get_ylim())
+        trials.set_ylim(10 ** np.floor(low), 10 ** np.ceil(high))
         for axes in (rate, gain):
-            axes.set_xlim(designs[0].omega[[0, -1]])
-        gain.set_ylim(
-            0, _round_up(max(max(d.sigma_L.max(), d.problem.L_max) for d in designs))
-        )
-        values = np.concatenate([outcome.rms or [1.0] for outcome in outcomes])
-        low, high = np.log10([max(values.min(), 1e-15), max(values.max(), 1e-15)])
-        trials.set_ylim(10 ** np.floor(low), 10 ** (np.floor(high) + 1))
-        unit = outcomes[0].settings.plant.unit
-        unit = f" ({unit})" if unit else ""
-        simulated = f"RMS of the error{unit}, simulated"
-        none = "not simulated: the loop has no P"
-        trials.set_title(simulated if outcomes[0].rms else none, parse_math=False)
-        coefficients = np.concatenate([d.filter.coefficients.ravel() for d in designs])
-        least, most = coefficients.min(), coefficients.max()
-        lags.set_ylim(
-            -_round_up(-least) if least < 0 else 0, _round_up(most) if most > 0 else 0
-        )
+            axes.set_xlim(design.omega[[0, -1]])
         # Not halves: with ten coefficients a marker would fall between two pixels, and rounding
-        # would say into which of them.
-        lags.set_xlim(0.4, max(d.filter.order for d in designs) + 0.6)
-        lags.xaxis.get_major_locator().set_params(integer=True)
-        names = [*entries(outcomes[0])]
-        handles = [
-            Line2D([], [], **look) for look in islice(cycle(ENTRIES), len(names))
-        ]
+        # would decide into which of them.
+        lags.set_xlim(0.4, max(len(line.get_xdata()) for line in lags.lines) + 0.6)
+        unit = outcome.settings.plant.unit if outcome.rms else ""
+        title = f"{with_unit('RMS of the error', unit)}, simulated"
+        trials.set_title(title if outcome.rms else "not simulated", parse_math=False)
         lags.legend(
-            handles, names, loc="lower right", bbox_to_anchor=(1.02, 0.97), ncols=5, fontsize=8,
-            borderpad=0.2, handlelength=0.9, handletextpad=0.4, columnspacing=0.8,
+            handles=lags.lines[-len(entries(design)) :],
+            loc="lower right",
+            bbox_to_anchor=(1.02, 0.97),
+            ncols=5,
+            fontsize=8,
+            borderpad=0.2,
+            handlelength=0.9,
+            markerscale=0,
+            handletextpad=0.4,
+            columnspacing=0.8,
             labelspacing=0.2,
-        )  # fmt: skip
+        )
 
     @mpl.rc_context(STYLE)
     def png(self) -> bytes:
         """The picture as a PNG file; the same bytes for the same outcomes."""
-        self.figure.canvas.draw()
-        buffer, opaque = (
-            BytesIO(),
-            np.asarray(self.figure.canvas.buffer_rgba())[..., :3],
-        )
-        Image.fromarray(opaque).save(buffer, "png", compress_level=1)
+        buffer = BytesIO()
+        self.figure.canvas.print_png(buffer, pil_kwargs={"compress_level": 1})
         return buffer.getvalue()
 
 
-def entries(outcome: Outcome) -> dict[str, np.ndarray]:
-    """Coefficients of the learning filter by entry, without those that the structure leaves out."""
-    coefficients = outcome.design.filter.coefficients
+def entries(design: Synthesis) -> dict[str, np.ndarray]:
+    """Coefficients by entry of the filter: its diagonal, then the others if it is full."""
+    coefficients = design.filter.coefficients
     m = len(coefficients)
     places = [(i, i) for i in range(m)]
-    if outcome.settings.structure == "full":
+    if design.problem.structure == "full":
         places += [(i, j) for i in range(m) for j in range(m) if i != j]
     return {f"$L_{{{i + 1}{j + 1}}}$": coefficients[i, j] for i, j in places}
 
 
-def _alike(before, outcome):
-    """Whether two filters can stand in the same axes."""
-    sizes = [len(each.design.filter.coefficients) for each in (before, outcome)]
-    return sizes[0] == sizes[1] and before.settings.Ts == outcome.settings.Ts
+def _comparable(before, outcome):
+    """Whether two designs can stand in the same axes."""
+    if before.design is None:
+        return False
+    filters = before.design.filter, outcome.design.filter
+    channels = {len(L.coefficients) for L in filters}
+    return len(channels) == 1 and len({L.Ts for L in filters}) == 1
 
 
-def _round_up(value):
-    """The next round number that leaves some room above a positive one."""
-    decade = 10 ** np.floor(np.log10(1.05 * value))
-    enough = 1.05 * value / decade <= ROUND * (1 + 1e-9)
-    return float(ROUND[enough][0] * decade)
+def _of_trials(plt, trials):
+    """The RMS of the errors by trial, and the signals of the last trial, by unit."""
+    signals_of(trials, "reference", "v")  # which checks that trials are complete
+    errors, signals = rms_by_trial(trials.e), _signals_by_unit(trials)
+    count = len(errors.columns) + len(signals)
+    size = WIDTH, HEIGHT * count
+    figure, axes = plt.subplots(
+        count, figsize=size, squeeze=False, layout="constrained"
+    )
+    upper, lower = np.split(axes[:, 0], [len(errors.columns)])
+    for ax, (label, values) in zip(upper, errors.items(), strict=True):
+        ax.semilogy(errors.index, values, "o-")
+        ax.set(xlabel="trial", ylabel=label)
+        ax.xaxis.get_major_locator().set_params(integer=True)
+    for ax, (label, lines) in zip(lower, signals.items(), strict=True):
+        for name, values, style in lines:
+            ax.plot(trials.time, values, style, label=name)
+        ax.set(xlabel="time (s)", ylabel=label)
+        ax.legend(ncols=2)
+    return figure
+
+
+def _signals_by_unit(trials) -> dict[str, list]:
+    """Name, values and style of the lines of the last trial, by the label of their axes."""
+    signals, last = {}, trials.isel(trial=-1).transpose("time", ...)
+    for signal, role in (("y", "output"), ("v", "output"), ("u", "control")):
+        if signal not in trials:
+            continue
+        for unit, channels in by_unit(trials[f"{role}_unit"].values.tolist()).items():
+            lines = []
+            for i in channels:
+                name = f"{signal}: {trials[role].values[i]}"
+                lines.append((name, last[signal].values[:, i], f"C{i}"))
+                if signal == "y":
+                    lines.append(("reference", last.reference.values[:, i], f"C{i}--"))
+            signals[with_unit(f"{signal} in trial {int(last.trial)}", unit)] = lines
+    return signals

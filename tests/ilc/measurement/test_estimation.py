@@ -14,18 +14,20 @@ from rodlib import (
     ClosedLoop,
     Law,
     LearningFilter,
+    Plant,
+    Settings,
     current_trial_loop,
     load_log,
     measured_response,
     run_trials,
     save_log,
     synthesise,
+    try_out,
     zero_phase_butterworth,
 )
 from rodlib.ilc import EstimatedResponse, LogError
 from rodlib.ilc.measurement.estimation import _seen, estimated_response
 from rodlib.ilc.models import frequency_response
-from rodlib.ilc.workbench import Plant, Settings, try_out
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 from regions import KINDS, response, several, single
@@ -103,7 +105,7 @@ def test_a_filter_is_designed_for_it_and_keeps_its_promise():
         "assumed: the plant is linear" in line
         for line in design.certificate.assumptions
     )
-    assert try_out(Settings.of(Plant("", found))).line
+    assert try_out(Settings.of(Plant("", found))).text
 
 
 def test_in_units_of_a_scale():

@@ -4,8 +4,7 @@ import control
 import numpy as np
 import pytest
 
-from rodlib import measured_response, synthesise, zero_phase_butterworth
-from rodlib.ilc.workbench import Plant
+from rodlib import Plant, measured_response, synthesise, zero_phase_butterworth
 
 LINES = np.geomspace(5.0, 600.0, 14)
 

@@ -12,22 +12,26 @@ from rodlib import (
     ClosedLoop,
     Law,
     LearningFilter,
+    Plant,
+    Settings,
     current_trial_loop,
     load_log,
     loop_of,
     measured_response,
     multisine,
+    plot,
     record,
     run_trials,
     save_log,
     shake,
     synthesise,
+    try_out,
     zero_phase_butterworth,
 )
 from rodlib.ilc import RigError, StoppedError
 from rodlib.ilc.logs.replay import replay
 from rodlib.ilc.trials.run import rms
-from rodlib.ilc.workbench import Picture, Plant, Settings, plant_of_file, try_out
+from rodlib.ilc.workbench.plant import plant_of_file
 
 # Two PIDs of a coupled plant; P(0) is not I, as with proportional action alone.
 P = control.ss(
@@ -252,7 +256,7 @@ def test_filters_are_designed_for_it_and_the_workbench_takes_it(tmp_path):
     save_log(shaken, tmp_path / "shaken.csv")
     outcome = try_out(Settings.of(plant_of_file(tmp_path / "shaken.csv")))
     assert outcome.design is not None and outcome.rms == ()
-    Picture().show(outcome).png()
+    plot(outcome)
 
 
 def test_what_is_no_loop_is_refused():

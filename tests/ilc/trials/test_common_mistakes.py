@@ -78,9 +78,12 @@ REFUSED = {  # what the error names, and a call
     "a model as Q": ("Q = .* one direction", lambda: design(Q=CAUSAL_MODEL)),
     "a model as Q of a law": ("Q = ", lambda: Law(CAUSAL_MODEL, LAW.L)),
     "a path as P": ("P = 'rod.csv' is a path", lambda: design("rod.csv")),
-    "scipy's model as P": ("P = .*to_ss", lambda: design(SCIPY_MODEL)),
+    "scipy's model as P": ("(?s)P = .*to_ss", lambda: design(SCIPY_MODEL)),
     "scipy's model as a plant": ("plant = ", lambda: current_trial_loop(SCIPY_MODEL)),
-    "a nonlinear plant": ("plant = .*linearize", lambda: current_trial_loop(NONLINEAR)),
+    "a nonlinear plant": (
+        "(?s)plant = .*linearize",
+        lambda: current_trial_loop(NONLINEAR),
+    ),
     "a zero at one": ("plant .* z = 1", lambda: current_trial_loop(NO_DC_GAIN)),
     "few frequencies": (
         "order = 10 .* 5 frequencies",

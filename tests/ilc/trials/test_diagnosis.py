@@ -25,6 +25,7 @@ from rodlib import (
 from rodlib.ilc import Controller
 from rodlib.ilc.trials.diagnosis import (
     chance,
+    chance_of_excess,
     degrees_of_freedom,
     diagnose,
     error_by_octave,
@@ -184,15 +185,21 @@ def test_the_probability_of_growth_by_chance_is_that_of_counting():
     assert chance(1e200, 6, 2) < 1e-100
 
 
+def test_the_probability_of_an_excess_is_that_of_counting():
+    x, n = white(0, 40000, 4, 6), np.array([6])
+    F = (x[:, 0] ** 2).mean(axis=1) / x[:, 1:].var(axis=1, ddof=1).mean(axis=1)
+    for f in (2.0, 4.0):
+        p = chance_of_excess(np.sqrt([f]), 1.0, n)
+        assert np.mean(f < F) == pytest.approx(p.item(), rel=0.1)
+        two = chance_of_excess(np.sqrt([f, f]), 1.0, n)  # octaves
+        np.testing.assert_allclose(two, 2 * np.append(p, p))
+
+
 def test_degrees_of_freedom_count_independent_values():
     wave = np.sin(2 * np.pi * np.arange(800) / 80)[:, None]
     cases = (white(1, 800, 1), 200, 800), (wave, 2, 2.001), (0 * wave, 2, 2)
     for signal, low, high in cases:
         assert low <= degrees_of_freedom(spectrum(signal)).item() <= high
-    edges = octaves(800)
-    harmonics = np.diff(np.append(edges, 401))
-    counted = degrees_of_freedom(spectrum(white(2, 800, 20)), edges)
-    assert np.all(counted < 40 * harmonics) and np.all(counted > 10 * harmonics)
 
 
 @pytest.mark.parametrize("samples", [2, 3, 4, 5, 64, 65, 1023])

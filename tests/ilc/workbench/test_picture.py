@@ -1,14 +1,26 @@
-"""The picture: its lines are the design's, whatever was drawn before, and everything fits."""
+"""The pictures: their lines are the design's or the trials', with units, and everything fits."""
 
 from dataclasses import replace
 
+import matplotlib.pyplot as plt
 import numpy as np
 import plants
 import pytest
+import xarray as xr
 
-from rodlib import Rod, current_trial_loop
-from rodlib.ilc.workbench import Outcome, Picture, Plant, Settings, try_out
-from rodlib.paper.knobs import plant_of_rod
+from rodlib import (
+    Rod,
+    Settings,
+    current_trial_loop,
+    plot,
+    run_trials,
+    synthesise,
+    try_out,
+)
+from rodlib.ilc.workbench.outcome import Outcome
+from rodlib.ilc.workbench.picture import Picture
+from rodlib.ilc.workbench.plant import Plant
+from rodlib.paper import plant_of_rod
 
 
 @pytest.fixture(scope="module")
@@ -29,99 +41,84 @@ def tanks():
 
 @pytest.fixture(scope="module")
 def message():
-    return Outcome(
-        None, message="there is no filter, and this is why: " + 30 * "much to say "
-    )
+    return Outcome(None, message=r"no file '$\frac{$.csv': " + 30 * "much to say ")
 
 
-def test_names_from_outside_are_no_formulas(tanks):
-    name = r"no such file: '$\frac{$.csv'"
-    picture = Picture().show(Outcome(None, message=name))
-    assert picture.png() and picture._message.get_text() == name
-    plant = tanks.settings.plant
-    units = dict.fromkeys(plant.loop.units, r"$\frac{$")
-    loop = replace(plant.loop)
-    object.__setattr__(loop, "units", units)  # which would be refused
-    plant = replace(plant, response=loop)
-    picture = Picture().show(
-        replace(tanks, settings=replace(tanks.settings, plant=plant))
-    )
-    assert picture.png()
-    assert r"$\frac{$" in picture.axes[0, 1].get_title(loc="left")
+@pytest.fixture(scope="module")
+def trials(paper):
+    move = np.sin(np.linspace(0, np.pi, 60))[:, None] ** 2 * [1, 2]
+    return run_trials(paper.settings.plant.loop, paper.design.law(), move, trials=3)
+
+
+@pytest.fixture(autouse=True)
+def closed():
+    yield
+    plt.close("all")
 
 
 def test_the_lines_are_the_designs(paper, full):
-    (rate, trials), (gain, lags) = Picture().show(full, paper).axes
+    rate, trials, gain, lags = plot(full, before=paper).axes
     P = paper.settings.plant.loop.frequency_response(paper.settings.omega)
     q = paper.settings.Q.frequency_response(paper.settings.omega)[:, None, None]
     for number, outcome in enumerate((paper, full)):  # the one before is below
         L = outcome.design.filter.frequency_response(outcome.settings.omega)
         mean = 2 * [outcome.design.certificate.mean_M]
         assert list(rate.lines[2 * number + 1].get_ydata()) == mean
-        for axes, matrices in ((rate, q * (np.eye(2) - P @ L)), (gain, L)):
+        M = q * (np.eye(2) - P @ L)
+        for line, matrices in ((rate.lines[2 * number], M), (gain.lines[number], L)):
             sigma = np.linalg.svd(matrices, compute_uv=False)[:, 0]
-            line = axes.lines[2 * number if axes is rate else number]
             np.testing.assert_allclose(line.get_ydata(), sigma, rtol=1e-9, atol=1e-12)
             np.testing.assert_array_equal(line.get_xdata(), outcome.settings.omega)
         assert tuple(trials.lines[number].get_ydata()) == outcome.rms
     assert [rate.lines[4].get_ydata()[0], gain.lines[2].get_ydata()[0]] == [0.9, 100.0]
-    shown = [line.get_ydata() for line in lags.lines]
-    c, before = full.design.filter.coefficients, paper.design.filter.coefficients
-    expected = [before[0, 0], before[1, 1], c[0, 0], c[1, 1], c[0, 1], c[1, 0]]
-    np.testing.assert_array_equal(shown, expected)
-    assert [line.get_color() for line in lags.lines[:2]] == ["0.75", "0.75"]
+    c, old = full.design.filter.coefficients, paper.design.filter.coefficients
+    expected = [old[0, 0], old[1, 1], c[0, 0], c[1, 1], c[0, 1], c[1, 0]]
+    np.testing.assert_array_equal([line.get_ydata() for line in lags.lines], expected)
+    assert [line.get_color() for line in lags.lines[:3]] == ["0.75", "0.75", "black"]
+    names = [text.get_text() for text in lags.get_legend().get_texts()]
+    assert names == ["$L_{11}$", "$L_{22}$", "$L_{12}$", "$L_{21}$"]
+
+
+def test_a_design_without_bounds_or_trials_is_drawn_without_them(loop, Q):
+    omega = np.geomspace(1e-4, np.pi, 100)
+    peak = synthesise(loop, Q, omega, objective="peak", L_max=None)
+    rate, trials, gain, lags = plot(peak).axes
+    assert [len(axes.lines) for axes in (rate, gain, lags)] == [1, 1, 2]
+    assert trials.get_title(loc="left") == "not simulated"
 
 
 def test_the_bytes_do_not_depend_on_what_was_drawn_before(paper, full, tanks, message):
-    fresh = {
-        name: Picture().show(*outcomes).png()
-        for name, outcomes in {
-            "full": (full, paper),
-            "tanks": (tanks,),
-            "why": (message,),
-        }.items()
-    }
-    assert len(set(fresh.values())) == 3
-    used = Picture().show(paper)
-    used.png()
-    assert used.show(full, paper).png() == fresh["full"]
-    assert used.show(message, paper).png() == fresh["why"]
-    assert (
-        used.show(tanks, full).png() == fresh["tanks"]
-    )  # of another plant: not in gray
-    assert used.show(full, paper).png() == fresh["full"]
+    first = Picture().show(full, paper).png()
+    with plt.rc_context({"figure.constrained_layout.use": True}):  # a notebook's style
+        used = Picture().show(tanks)
+        used.png()
+    assert used.show(message, paper).png() == Picture().show(message).png()
+    # designs for plants with other channels are not compared
+    assert used.show(tanks, full).png() == Picture().show(tanks).png()
+    assert used.show(full, paper).png() == first
 
 
 @pytest.mark.parametrize("name", ["full", "tanks", "message"])
-def test_everything_fits(name, request):
-    picture = Picture().show(
-        request.getfixturevalue(name), request.getfixturevalue("paper")
-    )
+def test_everything_fits(name, paper, request):
+    picture = Picture().show(request.getfixturevalue(name), paper)
     figure = picture.figure
     figure.draw_without_rendering()
     inside = figure.bbox.padded(1)
-    boxes = []
+    artists = [*figure.texts]
     for axes in picture.axes.flat:
-        if axes.get_visible():
-            boxes += [axes.title, axes._left_title, axes.xaxis.label, axes.get_legend()]
-            for axis in (axes.xaxis, axes.yaxis):
-                low, high = axis.get_view_interval()
-                boxes += [
-                    t.label1
-                    for t in axis.get_major_ticks()
-                    if low <= t.get_loc() <= high
-                ]
-            low, high = axes.get_ylim()
-            for line in axes.lines:
-                assert np.all((line.get_ydata() >= low) & (line.get_ydata() <= high))
-    boxes = [
-        box.get_window_extent() for box in [*boxes, *figure.texts] if box is not None
-    ]
-    boxes = [
-        box
-        for box in boxes
-        if box.width * box.height > 0 and np.isfinite(box.bounds).all()
-    ]
+        if not axes.get_visible():
+            continue
+        artists += [axes._left_title, axes.xaxis.label]
+        artists += [axes.get_legend()] if axes.get_legend() else []
+        for axis in (axes.xaxis, axes.yaxis):
+            low, high = axis.get_view_interval()
+            ticks = axis.get_major_ticks()
+            artists += [t.label1 for t in ticks if low <= t.get_loc() <= high]
+        low, high = axes.get_ylim()
+        for line in axes.lines:
+            assert low <= min(line.get_ydata()) and max(line.get_ydata()) <= high
+    boxes = [artist.get_window_extent() for artist in artists]
+    boxes = [box for box in boxes if box.width * box.height > 0]
     for k, box in enumerate(boxes):
         assert inside.contains(box.x0, box.y0) and inside.contains(box.x1, box.y1)
         for other in boxes[:k]:
@@ -133,5 +130,41 @@ def test_everything_fits(name, request):
 def test_a_message_stands_where_the_curves_were(paper, message):
     picture = Picture().show(message, paper)
     assert not any(axes.get_visible() or axes.lines for axes in picture.axes.flat)
-    (said,) = [text.get_text() for text in picture.figure.texts if text.get_text()]
-    assert said.split() == message.message.split()
+    (text,) = [text.get_text() for text in picture.figure.texts if text.get_text()]
+    assert text.split() == message.message.split()
+
+
+def test_trials_are_drawn_with_their_units(trials):
+    rms, y, v, u = plot(trials).axes
+    assert [ax.get_ylabel() for ax in (rms, y, v, u)] == [
+        "RMS (K)", "y in trial 3 (K)", "v in trial 3 (K)", "u in trial 3 (W)"
+    ]  # fmt: skip
+    assert [ax.get_xlabel() for ax in (rms, y)] == ["trial", "time (s)"]
+    power = (trials.e**2).sum("channel").mean("time")
+    np.testing.assert_allclose(rms.lines[0].get_ydata(), np.sqrt(power))
+    output, reference = y.lines[:2]
+    np.testing.assert_array_equal(output.get_ydata(), trials.y[-1, :, 0])
+    np.testing.assert_array_equal(reference.get_ydata(), trials.reference[-1, :, 0])
+    assert output.get_color() == reference.get_color()
+    assert u.lines[0].get_label() == "u: Q1"
+    np.testing.assert_array_equal(u.lines[0].get_ydata(), trials.u[-1, :, 0])
+
+
+def test_signals_with_other_units_stand_in_other_axes(trials):
+    mixed = trials.drop_vars("u").assign_coords(output_unit=("channel", ["K", "mm"]))
+    labels = [ax.get_ylabel() for ax in plot(mixed).axes]
+    assert labels[:2] == ["RMS of y1 (K)", "RMS of y2 (mm)"]
+    assert labels[2:4] == ["y in trial 3 (K)", "y in trial 3 (mm)"] and len(labels) == 6
+
+
+def test_the_style_stays_and_other_items_are_refused(trials, paper):
+    before = plt.rcParams.copy()
+    plot(trials)
+    plot(paper)
+    assert plt.rcParams == before
+    with pytest.raises(ValueError, match="item = 3"):
+        plot(3)
+    with pytest.raises(ValueError, match="before = 3"):
+        plot(paper, before=3)
+    with pytest.raises(ValueError, match="trials lack"):
+        plot(xr.Dataset())

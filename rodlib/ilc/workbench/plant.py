@@ -1,0 +1,119 @@
+"""A plant on the workbench: what filters are designed for, and what trials with them follow."""
+
+import reprlib
+from dataclasses import dataclass
+
+import numpy as np
+
+from rodlib.ilc import LogError, arguments, load_log, measured_response
+from rodlib.ilc.logs.notes import excitation_of, loop_of
+from rodlib.ilc.logs.replay import replay
+from rodlib.ilc.loop.closed import Loop
+from rodlib.ilc.problem.problem import Problem
+from rodlib.ilc.problem.responses import Measured
+
+TRIALS = 10
+REST = 15  # samples
+
+
+@dataclass(frozen=True, eq=False)
+class Plant:
+    """A loop or a measured response on the workbench, with the task of the ten trials.
+
+    Attributes
+    ----------
+    source : str
+        The Python expression that makes `response`, with `rodlib` and `np` at hand.
+    response : CurrentTrialLoop, ClosedLoop, MeasuredResponse or another measured response
+        What filters are designed for.
+    reference : array_like, shape (time, m), optional
+        Default: all outputs go to one and back, and rest.
+    disturbance : array_like, shape (10, time, d), optional
+        In the order of ``loop.disturbances``. Default: zero.
+    order : int
+        Order of the learning filter to begin with; more than the plant's delay in samples.
+    rest : int
+        Samples at the end of a trial in which v is zero.
+    """
+
+    source: str
+    response: Loop | Measured
+    reference: np.ndarray | None = None
+    disturbance: np.ndarray | None = None
+    order: int = Problem.order
+    rest: int = REST
+
+    def __post_init__(self):
+        arguments.instance("source", self.source, str)
+        if not isinstance(self.response, Loop | Measured):
+            raise ValueError(
+                f"response = {reprlib.repr(self.response)} must be a loop, such as "
+                "current_trial_loop makes, or a measured response"
+            )
+        if self.loop is None:
+            raise ValueError(
+                "response is a table without a period: control.frd(P, omega, Ts)"
+            )
+        if not self.measured and self.loop.P is None:
+            raise ValueError(
+                "response has no P, for which filters are designed: measure it, by shake"
+            )
+        arguments.whole("order", self.order, 1)
+        m, reference = len(self.loop.outputs), self.reference
+        if reference is None:
+            reference = np.repeat(_there_and_back()[:, None], m, axis=1)
+        reference = arguments.array("reference", reference, ("time", m))
+        rest = arguments.whole("rest", self.rest, 0, len(reference) - 1)
+        disturbance = self.disturbance
+        if disturbance is not None:
+            shape = TRIALS, len(reference), len(self.loop.disturbances)
+            disturbance = arguments.array("disturbance", disturbance, shape)
+        object.__setattr__(self, "reference", reference)
+        object.__setattr__(self, "disturbance", disturbance)
+        object.__setattr__(self, "rest", rest)
+
+    @property
+    def measured(self) -> bool:
+        """Whether the response was measured; it then has its own uncertainty."""
+        return isinstance(self.response, Measured)
+
+    @property
+    def loop(self) -> Loop:
+        """The loop; trials are simulated if it has a model P."""
+        return self.response.loop if self.measured else self.response
+
+    @property
+    def unit(self) -> str:
+        """The unit of the outputs, if they have one in common."""
+        units = {self.loop.units[name] for name in self.loop.outputs}
+        return units.pop() if len(units) == 1 else ""
+
+    def frequency_response(self, omega) -> np.ndarray:
+        """The nominal response at `omega` (rad/s), shape (n, m, m)."""
+        if self.measured:
+            return self.response.on(omega)[0]
+        return self.response.frequency_response(omega)
+
+
+def plant_of_file(path) -> Plant:
+    """A recorded loop, with the task of its last trial; or what an excitation measured."""
+    path = str(arguments.path("path", path))
+    log, source = load_log(path), f"rodlib.load_log({path!r})"
+    try:
+        if excitation_of(log) is not None or loop_of(log) is None:
+            return Plant(f"rodlib.measured_response({source})", measured_response(log))
+        task = replay(log)
+        return Plant(
+            f"rodlib.loop_of({source})",
+            task.loop,
+            reference=task.trials.reference.values[-1],
+            disturbance=np.repeat(task.disturbance[-1:], TRIALS, axis=0),
+            rest=0 if task.law is None else task.law.rest,
+        )
+    except ValueError as error:
+        raise LogError(f"{path}: {error}") from None
+
+
+def _there_and_back():
+    """From zero to one and back within 950 samples, and 50 at rest."""
+    return np.sin(np.pi * np.minimum(np.arange(1000) / 950, 1)) ** 2
