@@ -245,12 +245,12 @@ def test_doubt_is_of_the_size_of_what_is_off():
     """Of three tanks in one noisy task; it has what a disturbance might add, and is the larger."""
     loop, plant, Q, samples, (old, new), weight, _ = tanks_case(0.0)
     ratios, wanted = [], steps(samples, *new)
-    law = Q, NormOptimal(loop.P, weight, samples)
-    best = run_quietly(loop, *law, wanted, None, 30, plant=plant).v.values[-1]
+    law = Law(Q, NormOptimal(loop.P, weight, samples))
+    best = run_quietly(loop, law, wanted, None, 30, plant=plant).v.values[-1]
     for seed in range(4):
         noise = 0.02 * np.random.default_rng(seed).standard_normal((4, samples, 3))
         done = run_quietly(
-            loop, *law, steps(samples, *old), None, 4, plant=plant, noise=noise
+            loop, law, steps(samples, *old), None, 4, plant=plant, noise=noise
         )
         found = quiet(done, wanted)
         off = Q.apply(found.v - best)[:-20]
