@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 from rodlib import LearningFilter
-from rodlib.ilc import TwoSidedFilter, worst_case
+from rodlib.ilc import worst_case
+from rodlib.ilc.alternatives import TwoSidedFilter
 from rodlib.ilc.problem.pose import pose
 
 sizes = st.integers(1, 3)
