@@ -1,9 +1,12 @@
-"""Data that are not a log: that they are what data/README.md says."""
+"""Tracked data: that they are what data/README.md says, and are read as ever."""
+
+from hashlib import sha256
 
 import numpy as np
 import plants
+import pytest
 
-from rodlib import current_trial_loop
+from rodlib import current_trial_loop, load_log, read_table
 from rodlib.ilc.models import frequency_response
 from rodlib.paper.repository import ROOT
 
@@ -39,3 +42,31 @@ def table():
 
 def test_the_stages_response_is_that_of_the_loop_in_the_readme():
     assert TABLE.read_text(encoding="utf-8") == table()
+
+
+def digest(log):
+    """Of the bits of y and u."""
+    return sha256(log.y.values.tobytes() + log.u.values.tobytes()).hexdigest()[:16]
+
+
+@pytest.mark.parametrize(
+    ("name", "bits"),
+    [("learning", "ee9c4aa582e466d9"), ("no-learning", "e3741c83237aab02")],
+)
+def test_the_logs_of_the_virtual_rig_are_read_bit_for_bit(name, bits):
+    log = load_log(ROOT / "data" / "rig" / f"{name}.csv")
+    assert digest(log) == bits
+    assert log.attrs["origin"].startswith("synthetic")
+
+
+@pytest.mark.parametrize(
+    ("Ts", "bits"), [(1, "18c6133dac4af475"), (3, "58f7c18481567ccd")]
+)
+def test_the_tables_of_the_boards_are_read_bit_for_bit(Ts, bits):
+    inputs, outputs = (
+        {f"{name}{k}": f"{word} {k}" for k in (1, 2)}
+        for name, word in (("Q", "Heater"), ("T", "Temperature"))
+    )
+    path = ROOT / "data" / "tclab" / f"board-{Ts}s.csv"
+    log = read_table(path, time="Time", inputs=inputs, outputs=outputs)
+    assert log.attrs["Ts"] == Ts and digest(log) == bits

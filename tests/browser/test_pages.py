@@ -81,7 +81,8 @@ def test_on_a_telephone_without_a_network_all_is_there(browser, pages, scheme):
         seen = page.evaluate(SEEN)
         assert (seen["width"], seen["nonsense"], seen["lost"]) == (400, 0, 0), name
         if name in sources:
-            assert seen["formulas"] == len(formulas(sources[name])), name
+            # outputs may show some, too
+            assert seen["formulas"] >= len(formulas(sources[name])), name
             assert seen["folded"] == folded(sources[name]), name
     elsewhere = [url for url in requests if not url.startswith(("file:", "data:"))]
     assert errors == elsewhere == []

@@ -215,6 +215,18 @@ class Cuts:
     split: np.ndarray
 
 
+def joined(cuts: list[Cuts]) -> Cuts | None:
+    """Several cuts as one; None without any."""
+    if not cuts:
+        return None
+    return Cuts(
+        plant=np.concatenate([cut.plant for cut in cuts]),
+        frequency=np.concatenate([cut.frequency for cut in cuts]),
+        N=np.concatenate([cut.N for cut in cuts]),
+        split=np.concatenate([cut.split for cut in cuts]),
+    )
+
+
 @dataclass(frozen=True)
 class Solution:
     """A learning filter, and the multipliers from which its optimality can be proven."""

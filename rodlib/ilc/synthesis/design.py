@@ -17,7 +17,12 @@ from rodlib.ilc.evidence.optimality import lower_bound
 from rodlib.ilc.problem.defaults import CHOOSE
 from rodlib.ilc.problem.grid import without_gaps
 from rodlib.ilc.problem.pose import pose
-from rodlib.ilc.problem.problem import Problem, Solution, largest_singular_values, tied
+from rodlib.ilc.problem.problem import (
+    Problem,
+    Solution,
+    largest_singular_values,
+    tied,
+)
 from rodlib.ilc.synthesis.everywhere import PASSED, carried, settled
 from rodlib.ilc.synthesis.result import InfeasibleError, SolverError, Synthesis
 from rodlib.ilc.synthesis.solver import active_set, interior_point
@@ -25,6 +30,7 @@ from rodlib.ilc.synthesis.solver.program import Infeasible, formulate
 from rodlib.ilc.synthesis.solver.selection import first_cuts, violated
 from rodlib.ilc.synthesis.solver.threads import on_one_thread
 
+EQUAL = 1e-3  # relative distance of multipliers that are the same for the solver
 HOPELESS = 1 - 1e-6  # from here on a smallest M_max is one, and raising it no remedy
 GOOD = (
     1e-8  # relative duality gap up to which what the active bounds lead to is accepted
@@ -281,7 +287,7 @@ def _explained(problem, nearest):
     plant, frequency = 0, tied(size).argmax()
     if nearest.cuts is not None:
         of_cuts = np.linalg.norm(nearest.cuts.N, axis=(1, 2))
-        if of_cuts.max() > size.max():
+        if of_cuts.max() >= size.max() * (1 - EQUAL):
             most = tied(of_cuts).argmax()
             plant, frequency = (
                 int(nearest.cuts.plant[most]),

@@ -245,3 +245,26 @@ def test_peaks_of_the_printed_filter_over_all_frequencies(loop, Q):
     gain, _ = peak_gain(learning_model(L))
     assert brute_L <= gain * (1 + 1e-13) and gain == pytest.approx(brute_L, rel=1e-7)
     assert gain > 50.03  # the paper's grid does not see this
+
+
+@pytest.mark.parametrize("cutoff", [0.02, 0.5])
+@pytest.mark.parametrize("order", [2, 6])
+def test_the_peak_with_a_filter_of_high_order_and_low_cutoff(loop, order, cutoff):
+    """Its poles are all but one, twice over; the analytic Q does not care."""
+    L = LearningFilter(published.matrix("L_full"), 1.0)
+    Q = zero_phase_butterworth(order, cutoff)
+    gain, place = peak_gain(error_model(loop.P, L), Q)
+    dense = np.append(np.geomspace(1e-5, 3, 20001), place)
+    analytic = 1 / (1 + (np.tan(dense / 2) / np.tan(cutoff / 2)) ** (2 * order))
+    peaks = [
+        largest_singular_values(
+            convergence_matrix(
+                loop.frequency_response(dense), q, L.frequency_response(dense)
+            )
+        ).max()
+        for q in (Q.frequency_response(dense), analytic)
+    ]
+    assert 1 - 1e-11 <= gain / peaks[0] <= 1 + 1.1e-8 + 1e-12 / cutoff**2  # rounding
+    assert gain == pytest.approx(
+        peaks[1], rel=2e-6
+    )  # the coefficients of Q are rounded

@@ -18,19 +18,13 @@ from rodlib import (
     record,
     sampled_response,
 )
-from rodlib.ilc import (
-    LogError,
-    RigError,
-    expected_radius,
-    loop_of,
-    measured_response,
-    multisine,
-    shake,
-)
-from rodlib.ilc.logs.notes import excitation_of, with_excitation
+from rodlib.ilc import expected_radius, measured_response, multisine, shake
+from rodlib.ilc.logs.format import LogError
+from rodlib.ilc.logs.notes import excitation_of, loop_of, with_excitation
 from rodlib.ilc.measurement.measurement import MeasuredResponse, _estimate
 from rodlib.ilc.measurement.region import radius_of
 from rodlib.ilc.measurement.transient import separated, windows_of
+from rodlib.ilc.rigs.protocol import RigError
 from rodlib.ilc.trials.run import dataset, state_sequence
 from rodlib.rigs import MISMATCHED, RestartingRig, RigParameters
 

@@ -9,7 +9,6 @@ from types import SimpleNamespace
 import control
 import numpy as np
 import pytest
-from plants import stage, tanks
 
 from rodlib import (
     Law,
@@ -25,7 +24,9 @@ from rodlib import (
     zero_phase_butterworth,
 )
 from rodlib.case import assumed_disturbance, assumed_reference
-from rodlib.ilc import Controller, RigError, law_of, loop_of
+from rodlib.ilc import Controller, law_of
+from rodlib.ilc.logs.notes import loop_of
+from rodlib.ilc.rigs.protocol import RigError
 from rodlib.ilc.trials.run import rms
 from rodlib.paper import published
 from rodlib.paper.repository import ROOT
@@ -151,23 +152,6 @@ def test_only_known_disturbances_are_recorded(loop, Q):
     assert list(log.source.values) == ["theta_a"] and np.all(log.disturbance == 0.5)
 
 
-def test_a_step_holds_on_the_rig_too_and_when_it_goes_on(loop, Q, L, tmp_path):
-    made = {
-        "loop": loop,
-        "law": Law(Q, L, gain=0.3),
-        "reference": assumed_reference(60) * 0.02,
-        "pause": 5,
-        "path": tmp_path / "log.csv",
-    }
-    record(VirtualRig(), trials=2, **made)
-    log = record(VirtualRig(), trials=4, **made)
-    for k in range(3):
-        law = Law(Q, L, gain=0.3).next(log.v.values[k], log.e.values[k])
-        np.testing.assert_array_equal(log.v[k + 1], law)
-    with pytest.raises(ValueError, match="another experiment, see its step"):
-        record(VirtualRig(), trials=5, **made | {"law": Law(Q, L)})
-
-
 def test_another_learning_operator_learns_on_the_rig_but_no_log_could_name_it(
     loop, Q, tmp_path
 ):
@@ -189,13 +173,14 @@ def test_another_learning_operator_learns_on_the_rig_but_no_log_could_name_it(
 
 def test_v_rests_on_the_rig_too_and_the_log_says_so(loop, Q, L):
     reference = assumed_reference(60) * 0.02
-    log = record(VirtualRig(), loop, Law(Q, L, rest=15), reference, None, 3, pause=5)
+    law = Law(Q, L, rest=15, gain=0.3)
+    log = record(VirtualRig(), loop, law, reference, None, 3, pause=5)
     assert not log.v.values[:, -15:].any() and log.v.values[1:, -16].any()
-    assert law_of(log).rest == 15
+    assert (law_of(log).rest, law_of(log).gain) == (15, 0.3)
     assert loop_of(log).Ts == 1.0
     for k in range(2):
-        law = Law(Q, L, rest=15).next(log.v.values[k], log.e.values[k])
-        np.testing.assert_array_equal(log.v[k + 1], law)
+        following = law.next(log.v.values[k], log.e.values[k])
+        np.testing.assert_array_equal(log.v[k + 1], following)
 
 
 def test_the_controller_runs_on_for_ten_minutes_between_two_trials(loop, Q):
@@ -219,20 +204,6 @@ def test_the_first_trials_of_a_tracked_log_are_recorded_again_alike(name, seed, 
     log = record(rig, law=law, **experiment() | {"trials": trials})
     for role in tracked.data_vars:
         np.testing.assert_array_equal(log[role], tracked[role])
-
-
-def test_what_is_learned_is_rounded_as_in_the_tracked_log():
-    """The second trial's v follows from the first, which the log has."""
-    tracked = load_log(ROOT / "data" / "rig" / "learning.csv")
-    made = experiment()
-    L = LearningFilter(published.matrix("L_diagonal"), 1.0)
-    for k in range(9):
-        v = Law(zero_phase_butterworth(), L).next(
-            tracked.v.values[k], tracked.e.values[k]
-        )
-        np.testing.assert_array_equal(
-            np.round(v, made["decimals"]["v"]), tracked.v[k + 1]
-        )
 
 
 @pytest.mark.parametrize(
@@ -318,25 +289,6 @@ def test_the_rig_is_made_safe_on_every_way_out(loop, Q, error):
     device = Failing(99, lambda: None)
     record(device, loop, Law(Q, None), np.ones((20, 2)), None, 1)
     assert len(device.commands) == 21 and not device.commands[-1].any()
-
-
-def test_a_fault_in_apply_says_where_and_makes_the_rig_safe():
-    loop, device = current_trial_loop(PLANT, PLANT.input_labels[:2]), Itself()
-    device.inputs = (
-        "pump, left",
-        "heater",
-    )  # so that the plant's third input is missing
-    with pytest.raises(KeyError) as caught:
-        record(
-            device,
-            loop,
-            Law(zero_phase_butterworth(Ts=0.5), None),
-            np.ones((4, 2)),
-            None,
-            1,
-        )
-    assert caught.value.__notes__ == ["in trial 1, sample 1"]
-    assert device.ends == 1
 
 
 def test_samples_that_are_not_on_time_are_reported(loop, Q):
@@ -450,46 +402,6 @@ def test_a_killed_experiment_goes_on_as_if_nothing_had_been(loop, Q, L, tmp_path
         assert path.read_bytes() == (tmp_path / "whole.csv").read_bytes()
 
 
-class Homed:
-    """A plant as a rig, without noise, that begins every trial at rest, until it fails."""
-
-    def __init__(self, plant, fails=None):
-        self.plant, self.left = plant, fails
-
-    def begin(self, trial):
-        self.x = np.zeros(self.plant.nstates)
-
-    def read(self):
-        self.left = None if self.left is None else self.left - 1
-        return (
-            np.full(self.plant.noutputs, np.nan)
-            if self.left == 0
-            else self.plant.C @ self.x
-        )
-
-    def apply(self, commands):
-        self.x = self.plant.A @ self.x + self.plant.B @ commands
-
-
-@pytest.mark.parametrize(
-    "plant",
-    [stage()[:, ["F"]], tanks()[:, ["pump A", "pump B", "pump C"]]],
-    ids=["stage", "tanks"],
-)
-def test_an_experiment_without_disturbances_goes_on_after_a_fault(plant, tmp_path):
-    loop = current_trial_loop(plant)
-    m, path = plant.noutputs, tmp_path / "log.csv"
-    L = LearningFilter(0.1 * np.eye(m)[..., None], loop.Ts)
-    task = {"reference": np.outer(np.hanning(40), np.ones(m)), "trials": 3, "pause": 0}
-    law = Law(zero_phase_butterworth(2, 0.1 / loop.Ts, loop.Ts), L)
-    with pytest.raises(RigError, match="trial 2, sample 10"):
-        record(Homed(plant, fails=50), loop, law, **task, path=path)
-    assert load_log(path).sizes["trial"] == 1
-    at_once = record(Homed(plant), loop, law, **task)
-    assert record(Homed(plant), loop, law, **task, path=path).identical(at_once)
-    assert load_log(path).identical(at_once)
-
-
 def test_an_experiment_that_has_ended_leaves_rig_and_log_alone(loop, Q, L, tmp_path):
     path, device = tmp_path / "log.csv", VirtualRig()
     log = record(device, loop, Law(Q, L), **SHORT, path=path)
@@ -521,11 +433,7 @@ def test_notes_that_were_added_to_the_log_stay(loop, Q, tmp_path):
     ("changes", "differing"),
     [
         ({"reference": SHORT["reference"] + 1}, "reference"),
-        ({"reference": SHORT["reference"][:20]}, "reference"),
-        ({"reference": np.tile(SHORT["reference"], (2, 1))}, "reference"),
         ({"L": None}, "L"),
-        ({"Q": zero_phase_butterworth(cutoff=0.2)}, "Q"),
-        ({"rest": 3}, "rest"),
         ({"gain": 0.5}, "step"),
         ({"rig": SimpleNamespace(read=len, apply=len)}, "actuators, disturbances"),
         ({"limits": {}}, "actuators"),

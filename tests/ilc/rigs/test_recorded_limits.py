@@ -21,7 +21,6 @@ from rodlib import (
     save_log,
     zero_phase_butterworth,
 )
-from rodlib.boards import TemperatureControlLab, heat_balance
 from rodlib.ilc.logs.replay import replay
 from rodlib.ilc.trials.run import rms
 
@@ -166,29 +165,3 @@ def test_a_loop_that_is_not_ours_is_sent_what_it_can_follow(device, tmp_path):
     replayed = replay(load_log(tmp_path / "log.csv"))
     assert "that of the law in every trial" in repr(replayed)
     assert replayed.fit.to_numpy().min() > 1 - 1e-6
-
-
-def test_cold_heaters_of_the_lab_which_we_did_not_make():
-    """Its emulator cuts off by itself; from cold, the law alone asks for ever more."""
-    sizes = {"T1": 10.0, "T2": 8.0, "Q1": 30.0, "Q2": 40.0}
-    model = heat_balance(0.035, 0.0175, 0.05, 0.01, 140.0, 2.0)
-    loop = current_trial_loop(model, ["Q1", "Q2"], sizes=sizes)
-    Q, L = (
-        zero_phase_butterworth(2, 0.1, 2.0),
-        LearningFilter(np.eye(2)[..., None], 2.0),
-    )
-    reference = bump(300, [10.0, 8.0])
-    runs = {
-        name: quietly(TemperatureControlLab(rest=(0.0, 0.0)), loop, Law(Q, L, 15, limits=limits),
-                      reference, trials=5)
-        for name, limits in {"rig": None, None: {}}.items()
-    }  # fmt: skip
-    grown = {
-        k: np.abs(run.v).max(["time", "channel"]).values for k, run in runs.items()
-    }
-    assert (
-        grown[None][4] > 1.5 * grown[None][2]
-        and grown["rig"][4] < 1.2 * grown["rig"][2]
-    )
-    assert runs["rig"].u[1:].min() > -60 and runs[None].u[4].min() < -200
-    assert rms(runs["rig"].e)[-1] < rms(runs[None].e)[-1]

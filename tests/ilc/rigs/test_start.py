@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_experiment import PLANT, SHORT, Failing, Itself
+from test_experiment import PLANT, SHORT, Itself
 from test_stopping import bump
 
 from rodlib import (
@@ -18,14 +18,11 @@ from rodlib import (
     record,
     zero_phase_butterworth,
 )
-from rodlib.case import assumed_reference
-from rodlib.ilc import RigError
 from rodlib.ilc.rigs.start import Start
-from rodlib.ilc.trials.diagnosis import noise_std
 from rodlib.ilc.trials.run import rms
 from rodlib.paper import published
 from rodlib.paper.repository import ROOT
-from rodlib.rigs import RigParameters, VirtualRig
+from rodlib.rigs import VirtualRig
 
 
 @pytest.fixture(scope="module")
@@ -61,18 +58,6 @@ def test_the_rig_is_waited_for_as_long_as_it_takes(loop, Q, L):
     assert rms(warm.e).values[-1] > 1.5 * rms(log.e).values[-1]
 
 
-def test_after_a_fault_the_rig_is_waited_for_too(loop, Q, L, tmp_path):
-    """It was left warm, in the middle of a trial."""
-    made = {"loop": loop, "law": Law(Q, L), "reference": warm_end(300), "trials": 2}
-    device = Failing(300, lambda: [np.nan, np.nan])
-    made["path"] = tmp_path / "log.csv"
-    with pytest.raises(RigError, match="pause before trial 2, sample 1"):
-        record(device, **made)
-    with warnings.catch_warnings(action="error"):
-        record(device, **made)
-    assert device.time > 2 * 300 + 30
-
-
 def test_a_rig_that_does_not_come_back_is_not_waited_for_forever():
     """A leak that the controller does not know holds it: two trials, then it is said."""
     loop, Q = (
@@ -94,7 +79,7 @@ def test_a_rig_that_does_not_come_back_is_not_waited_for_forever():
     assert len(device.applied) == 2 * 40 + 80
 
 
-@settings(max_examples=200)
+@settings(max_examples=50)
 @given(st.integers(0, 2**32 - 1))
 def test_noise_is_no_other_start(seed):
     rng = np.random.default_rng(seed)
@@ -109,15 +94,6 @@ def test_noise_is_no_other_start(seed):
     )
     assert "in b from where" in start.missed(other + np.array([0, 0.1 + 30 * noise[1]]))
     assert not start.back(y[:3], reference[0])
-
-
-def test_noise_is_told_from_what_moves():
-    rng = np.random.default_rng(0)
-    y = np.outer(np.arange(5000), [1.0, 0.0]) + [0.3, 2.0] * rng.standard_normal(
-        (5000, 2)
-    )
-    np.testing.assert_allclose(noise_std(y), [0.3, 2.0], rtol=0.05)
-    assert not noise_std(y[:2]).any()
 
 
 WAITING = """
@@ -152,10 +128,3 @@ def test_two_processes_do_not_record_to_one_log(loop, Q, L, tmp_path):
     assert device.time == 0 and not path.exists()
     record(device, loop, Law(Q, L), **SHORT, path=path)
     assert path.exists()
-
-
-def test_the_papers_experiment_comes_back_in_its_ten_minutes(loop, Q, L):
-    """What is waited for is at most what the paper waits for."""
-    device, quiet = VirtualRig(), RigParameters(ambient_rate=0.0)
-    record(device, loop, Law(Q, L), assumed_reference(), trials=2)
-    assert device.time - 5000 <= 601 and quiet.noise > 0

@@ -10,7 +10,7 @@ from plants import furnace, stage, tanks
 
 from rodlib import current_trial_loop, measured_response, multisine, shake
 from rodlib.ilc.models import sampled_plant
-from rodlib.ilc.rigs.limits import commands_beyond, named_limits
+from rodlib.ilc.rigs.limits import commands_beyond
 
 CASES = {  # loop, lowest and highest frequency (rad/s), amplitude, hours
     "stage": (lambda: current_trial_loop(stage(), ["F"], sizes={"x": 1.0, "F": 3.0}),
@@ -89,23 +89,3 @@ def test_the_share_is_that_of_the_samples_beyond_either_end(commands, low, width
         == bool(expected)
     )
     assert commands_beyond(u, ["fan", "belt"], {}) == ""
-
-
-@pytest.mark.parametrize(
-    ("limits", "message"),
-    [
-        ({"belt": (0, 1)}, r"limits is about \['belt'\]"),
-        (
-            {"fan": (1, 1)},
-            r"limits\['fan'\] = \(1, 1\) must be a lower and a higher number",
-        ),
-        ({"fan": (0, 1, 2)}, r"limits\['fan'\] has shape \(3,\)"),
-        ({"fan": (0, np.inf)}, r"limits\['fan'\] has 1 values that are not finite"),
-        ("fan", "limits = 'fan' must be a dict"),
-    ],
-)
-def test_limits_that_are_none_are_refused(limits, message):
-    with pytest.raises(ValueError, match=message):
-        named_limits("limits", limits, ["fan"])
-    assert named_limits("limits", None, ["fan"]) == {}
-    assert named_limits("limits", {"fan": (0, 12)}, ["fan"]) == {"fan": (0.0, 12.0)}

@@ -142,33 +142,6 @@ def test_what_stands_in_the_way_is_named():
     assert error.value.smallest_M_max >= Q.max() * (1 - 1e-6)
 
 
-@pytest.mark.parametrize(
-    ("P", "uncertainty", "message"),
-    [
-        ("list", -0.1, "uncertainty reaches -0.1, but a radius cannot be negative"),
-        ("list", np.nan, "uncertainty"),
-        ("other size", 0.1, r"P\[1\].*shape"),
-        ("nan", 0.1, r"P\[2\]"),
-        ("list", "wrong length", "uncertainty"),
-    ],
-)
-def test_wrong_plants_and_radii_are_refused_by_name(P, uncertainty, message):
-    nominal, Q, omega = random_response(1, 2)
-    broken = nominal.copy()
-    broken[3, 0, 0] = np.nan
-    plants = {"list": [nominal], "other size": [nominal, nominal[:, :1, :1]]}
-    plants["nan"] = [nominal, nominal, broken]
-    radius = np.ones(7) if uncertainty == "wrong length" else np.full(30, uncertainty)
-    with pytest.raises(ValueError, match=message):
-        synthesise(plants[P], Q, omega, 1.0, uncertainty=radius, **CHOICES)
-
-
-def test_a_list_of_one_plant_is_that_plant():
-    P, Q, omega = random_response(1, 2)
-    one, listed = (synthesise(p, Q, omega, 1.0, **CHOICES) for p in (P, [P]))
-    np.testing.assert_array_equal(one.filter.coefficients, listed.filter.coefficients)
-
-
 def test_in_other_units_the_filter_is_the_same():
     """Kelvin and bar against kelvin and pascal, for two plants; a radius is in units of scale."""
     P, Q, omega, choices = question(2, "plants", 4)

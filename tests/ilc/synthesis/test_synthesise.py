@@ -12,7 +12,6 @@ from plants import half
 from rodlib import (
     InfeasibleError,
     LearningFilter,
-    SolverError,
     least_gain,
     synthesise,
     zero_phase_butterworth,
@@ -22,6 +21,7 @@ from rodlib.ilc.evidence.certificate import VIOLATION
 from rodlib.ilc.problem.pose import pose
 from rodlib.ilc.problem.problem import convergence_matrix, largest_singular_values
 from rodlib.ilc.synthesis.design import certified, solve
+from rodlib.ilc.synthesis.result import SolverError
 from rodlib.ilc.synthesis.solver import active_set, interior_point
 from rodlib.paper import published
 
@@ -315,80 +315,44 @@ GRID = np.linspace(0.05, 3, 50)
 MODELS = {"P": control.ss(0.5, 1, 1, 0, 1.0), "Q": zero_phase_butterworth()}
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"P": np.ones((50, 2, 3))}, r"P has shape \(50, 2, 3\)"),
-        ({"P": np.ones((49, 2, 2))}, r"P has shape \(49, 2, 2\)"),
-        ({"P": np.ones(50)}, r"P has shape \(50,\)"),
-        ({"P": singular_P()}, "P is singular at omega = 0.471429"),
-        ({"P": singular_P() * np.nan}, "P has 200 values that are not finite"),
-        (
-            {"P": control.ss(1.1, 1, 1, 0, 1.0)},
-            "P is unstable: it has a pole of modulus 1.1",
-        ),
-        (
-            {"P": np.tile(np.eye(2) * 1e-200, (50, 1, 1))},
-            "P is singular at omega = 0.05 .*1e-200",
-        ),
-        ({"P": np.tile(np.eye(2) * 1e200, (50, 1, 1))}, r"P has values beyond 1e\+100"),
-        (
-            {"P": control.ss([[0.5]], [[np.nan]], 1, 0, 1.0)},
-            r"P.B has 1 values that are not fin",
-        ),
-        ({"P": control.ss(0.5, 1, 1, 0, 2.0)}, r"P\.dt = 2.0 differs from Ts = 1.0"),
-        ({"Q": np.ones(3)}, r"Q has shape \(3,\)"),
-        ({"Q": np.zeros(50)}, "Q has a gain of 0 at most .* it learns nothing"),
-        ({"Q": (GRID > 2).astype(float)}, "Q has a gain of 0 at most"),
-        ({"Q": np.zeros(50), "objective": "peak"}, "Q has a gain of 0 at most"),
-        ({"Q": np.ones(50, dtype=bool)}, "Q holds values of type bool"),
-        ({"Q": zero_phase_butterworth(Ts=0.5)}, r"P.Ts = 1.0 s, Q.Ts = 0.5 s"),
-        ({"omega": GRID[:1]}, r"omega, of shape \(1,\)"),
-        ({"omega": np.append(GRID[:49], GRID[48])}, "increasing"),
-        ({"omega": GRID[::-1]}, "increasing"),
-        ({"omega": GRID * 2}, r"omega spans \[0.1, 6\].*Nyquist"),
-        ({"omega": GRID - 1}, "omega spans"),
-        ({"Ts": 0.0}, "Ts = 0.0"),
-        ({"order": 0}, "order = 0"),
-        ({"order": 51}, "order = 51"),
-        ({"M_max": 1.0}, "M_max = 1.0"),
-        ({"M_max": "0.9"}, "M_max = '0.9'"),
-        ({"L_max": -1.0}, "L_max = -1.0"),
-        ({"L_max": 1e300}, r"L_max = 1e\+300 is too large: choose another unit"),
-        ({"L_max": 1e-300}, "L_max = 1e-300 is too small: choose another unit"),
-        ({"M_max": 0.0}, "M_max = 0.0"),
-        ({"check": 1}, "check = 1 must be True or False"),
-        ({"rest": 1}, "rest = 1 must be a whole number, from 0 to 0"),
-        ({"band": (1e-4, 0.5)}, r"band = \(0.0001, 0.5\)"),
-        ({"band": (0.5, 0.1)}, r"band = \(0.5, 0.1\)"),
-        ({"band": "wide"}, "band holds values of type <U4"),
-        ({"band": (0.2, 0.2)}, "band = .* must be two increasing"),
-        ({"band": (0.051, 0.052)}, "contains none"),
-        ({"structure": "triangular"}, "structure = 'triangular'"),
-        ({"objective": "mean"}, "objective = 'mean'"),
-        (
-            {"samples": 100},
-            "samples = 100 asks for the norm of a trial, .* P and Q as models",
-        ),
-        (MODELS | {"samples": True}, "samples = True must be a whole number"),
-        (
-            MODELS | {"samples": 9, "rest": 9},
-            "rest = 9 must be a whole number, from 0 to 8",
-        ),
-        (MODELS | {"samples": 0}, "samples = 0 must be a whole number, 2 or more"),
-    ],
-)
+REFUSED = [  # arguments, and how the message begins
+    ({"P": np.ones((50, 2, 3))}, "P has shape"),
+    ({"P": np.ones((49, 2, 2))}, "P has shape"),
+    ({"P": singular_P()}, "P is singular at omega = 0.471429"),
+    ({"P": np.tile(np.eye(2) * 1e-200, (50, 1, 1))}, "P is singular at omega = 0.05"),
+    ({"P": control.ss(1.1, 1, 1, 0, 1.0)}, "P is unstable"),
+    ({"P": control.ss([[0.5]], [[np.nan]], 1, 0, 1.0)}, "P.B has 1 values"),
+    ({"Q": np.ones(3)}, "Q has shape"),
+    ({"Q": np.zeros(50), "objective": "peak"}, "Q has a gain of 0 at most"),
+    ({"Q": (GRID > 2).astype(float)}, "Q has a gain of 0 at most"),
+    ({"Q": zero_phase_butterworth(Ts=0.5)}, "P.Ts = 1.0 s, Q.Ts = 0.5 s"),
+    ({"omega": GRID[::-1]}, "omega, of shape"),
+    ({"omega": GRID * 2}, "omega spans"),
+    ({"Ts": 0.0}, "Ts = 0.0"),
+    ({"order": 0}, "order = 0"),
+    ({"order": 51}, "order = 51"),
+    ({"M_max": 1.0}, "M_max = 1.0"),
+    ({"M_max": 0.0}, "M_max = 0.0"),
+    ({"L_max": -1.0}, "L_max = -1.0"),
+    ({"everywhere": 1}, "everywhere = 1"),
+    ({"rest": 1}, "rest = 1"),
+    ({"band": (1e-4, 0.5)}, "band = .* within omega"),
+    ({"band": (0.2, 0.2)}, "band = .* two increasing"),
+    ({"band": (0.051, 0.052)}, "band = .* contains none"),
+    ({"structure": "triangular"}, "structure = 'triangular'"),
+    ({"objective": "mean"}, "objective = 'mean'"),
+    ({"samples": 100}, "samples = 100 .* P and Q as models"),
+    (MODELS | {"samples": 0}, "samples = 0"),
+    (MODELS | {"samples": 9, "rest": 9}, "rest = 9"),
+]
+
+
+@pytest.mark.parametrize(("changes", "message"), REFUSED)
 def test_bad_arguments_are_refused_before_any_work(changes, message):
     P = np.tile(np.eye(2), (50, 1, 1))
-    arguments = {
-        "P": P,
-        "Q": np.ones(50),
-        "omega": GRID,
-        "Ts": 1.0,
-        "band": (0.05, 1),
-    } | changes
-    with pytest.raises(ValueError, match=message):
-        synthesise(**arguments)
+    plain = {"P": P, "Q": np.ones(50), "omega": GRID, "Ts": 1.0, "band": (0.05, 1)}
+    with pytest.raises(ValueError, match=f"^{message}"):
+        synthesise(**plain | changes)
 
 
 def test_numbers_may_come_from_numpy_and_the_rest_reaches_the_certificate(

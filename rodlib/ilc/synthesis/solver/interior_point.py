@@ -68,8 +68,10 @@ class Point:
         """What S = [[Lambda, G], [G^H, b I]] of each bound consists of: Lambda, b and G."""
         b = program.levels(self.t, self.limits)
         return [
-            (bound.diagonal(*a), a[0], G)
-            for bound, *a, G in zip(program.bounds, b, self.d, self.G, strict=True)
+            (bound.diagonal(level, d), level, G)
+            for bound, level, d, G in zip(
+                program.bounds, b, self.d, self.G, strict=True
+            )
         ]
 
 
@@ -120,7 +122,8 @@ def begin(program, x):
     G = program.matrices(x)
     splits = [bound.first_split(A) for bound, A in zip(program.bounds, G, strict=True)]
     values = [
-        bound.value(*a) for bound, *a in zip(program.bounds, G, splits, strict=True)
+        bound.value(A, split)
+        for bound, A, split in zip(program.bounds, G, splits, strict=True)
     ]
     peaks = np.zeros(2)
     for bound, value in zip(program.bounds, values, strict=True):

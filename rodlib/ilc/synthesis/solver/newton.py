@@ -128,71 +128,73 @@ def normal_matrix(program, slacks, Y, local):
 
 
 def square_root(program, slacks, Y, barrier):
-    """Triangular R with R'R the matrix of the Newton system, without forming that matrix."""
-    # It has the square root of its condition number. <dS_j, Y dS_k X> is the scalar product of
-    # C^H dS_j R and C^H dS_k R, where Y = C C^H and X = R R^H. For d, t, and real and imaginary
-    # parts of the entries of L these are the columns of one small matrix per inequality. Its
-    # triangular factor eliminates d and a t of its own; a shared t is eliminated at last.
+    """Triangular R with R'R the matrix of the Newton system, without forming that matrix.
+
+    It has the square root of its condition number. <dS_j, Y dS_k X> is the scalar product of
+    C^H dS_j R and C^H dS_k R, where Y = C C^H and X = R R^H.
+    """
     basis, E = program.basis, program.entries
     parts = np.stack([basis.real, basis.imag])
-    whole, tall = (
-        [],
-        [],
-    )  # bounds at all frequencies come together; the others as they are
-    for j, (bound, a, Yc) in enumerate(zip(program.bounds, slacks, Y, strict=True)):
-        p, q, c = bound.shape
-        Ch, _ = cholesky(Yc, 0.01 * EPS * trace(Yc))
-        has_t, k, e = program.has_t(j), bound.splits, len(bound.entries)
-        columns = np.zeros((p + q, p + q, k + 1 + 2 * e, c), dtype=complex)
-        zero, one = np.zeros((p, q, c), dtype=complex), np.ones(c)
-        if k:
-            columns[:, :, 0] = a.root(Ch, bound.of_d[:, None] * one, 0 * one, zero)
-        columns[:, :, k, has_t] = a.root(Ch, bound.of_b[:, None] * one, one, zero)[
-            ..., has_t
-        ]
-        for i, (row, col) in enumerate(zip(bound.rows, bound.cols, strict=True)):
-            for part, unit in enumerate((1, 1j)):
-                D = zero.copy()
-                D[:, col] = unit * bound.T[:, row]
-                columns[:, :, k + 1 + 2 * i + part] = a.root(
-                    Ch, 0 * a.diagonal, 0 * one, D
-                )
-        columns = np.moveaxis(columns.reshape((p + q) ** 2, -1, c), -1, 0)
-        extra = np.zeros((c, 1, columns.shape[2]))
-        if (
-            not program.shared
-        ):  # where there is no t, something that its elimination leaves alone
-            extra[:, 0, k] = 1
-            if len(has_t):
-                extra[has_t, 0, k] = np.sqrt(barrier)
-        small = np.linalg.qr(
-            np.concatenate([columns.real, columns.imag, extra], 1), mode="r"
-        )
-        gone = k + (not program.shared)
-        small = small[:, gone:, gone:]
-        shared, small = small[:, :, : 1 - gone + k], small[:, :, 1 - gone + k :]
-        rows = np.zeros((c, small.shape[1], 1 + 2 * E))
-        rows[:, :, : shared.shape[2]] = shared
-        at = 1 + 2 * bound.entries[:, None] + [0, 1]
-        rows[:, :, at.ravel()] = small
-        (whole if isinstance(bound.at, slice) else tall).append((rows, bound.at))
-    if whole:
-        n = basis.shape[1]
-        rows = [np.pad(rows, [(0, n - len(rows)), (0, 0), (0, 0)]) for rows, _ in whole]
-        rows = np.concatenate(rows, axis=1)
-        tall.append((np.linalg.qr(rows, mode="r"), slice(None)))
-    expanded = []
-    for rows, at in tall:
-        of_L = np.einsum(
-            "crep,pkc->crek",
-            rows[:, :, 1:].reshape(len(rows), -1, E, 2),
-            parts[..., at],
-        )
-        of_L = of_L.reshape(-1, E * len(basis))
-        expanded.append(np.hstack([rows[:, :, :1].reshape(-1, 1), of_L]))
+    blocks, everywhere = [], []
+    for j, bound in enumerate(program.bounds):
+        rows = _eliminated_rows(program, j, slacks[j], Y[j], barrier)
+        if isinstance(bound.at, slice):
+            missing = basis.shape[1] - len(rows)
+            everywhere.append(np.pad(rows, [(0, missing), (0, 0), (0, 0)]))
+        else:
+            blocks.append((rows, parts[..., bound.at]))
+    if everywhere:  # one triangle for each frequency, instead of one for each bound
+        rows = np.linalg.qr(np.concatenate(everywhere, axis=1), mode="r")
+        blocks.append((rows, parts))
+    matrices = []
+    for rows, parts_at in blocks:
+        of_t, of_L = rows[:, :, :1], rows[:, :, 1:].reshape(*rows.shape[:2], E, 2)
+        of_x = np.einsum("crep,pkc->crek", of_L, parts_at)
+        columns = [of_t.reshape(-1, 1), of_x.reshape(-1, E * len(basis))]
+        matrices.append(np.hstack(columns))
     last = np.zeros((1, 1 + E * len(basis)))
     last[0, 0] = np.sqrt(barrier[0]) if program.shared else 1
-    return np.linalg.qr(np.vstack([*expanded, last]), mode="r")[1:, 1:]
+    # a shared t is eliminated last
+    return np.linalg.qr(np.vstack([*matrices, last]), mode="r")[1:, 1:]
+
+
+def _eliminated_rows(program, j, slack, Y, barrier):
+    """Rows of the square root of one bound at each of its frequencies, (c, rows, 1 + 2 entries).
+
+    Columns are a shared t, then real and imaginary part of each entry of L. The triangular factor
+    of one small matrix per inequality eliminates d, and a t of its own.
+    """
+    bound = program.bounds[j]
+    p, q, c = bound.shape
+    has_t, one = program.has_t(j), np.ones(c)
+    zero = np.zeros((p, q, c), dtype=complex)
+    Ch, _ = cholesky(Y, 0.01 * EPS * trace(Y))
+    of_t = slack.root(Ch, bound.of_b[:, None] * one, one, zero)
+    of_t[..., np.setdiff1d(np.arange(c), has_t)] = 0
+    columns = [of_t]
+    if bound.splits:
+        of_d = slack.root(Ch, bound.of_d[:, None] * one, 0 * one, zero)
+        columns = [of_d, of_t]
+    t = len(columns) - 1
+    for row, col in zip(bound.rows, bound.cols, strict=True):
+        for unit in (1, 1j):
+            D = zero.copy()
+            D[:, col] = unit * bound.T[:, row]
+            columns.append(slack.root(Ch, 0 * slack.diagonal, 0 * one, D))
+    columns = np.stack(columns, axis=-1)
+    columns = np.moveaxis(columns, 2, 0).reshape(c, (p + q) ** 2, -1)
+    own = np.zeros((c, 1, columns.shape[2]))
+    if not program.shared:
+        own[:, 0, t] = 1  # where there is no t, its elimination changes nothing
+        if len(has_t):
+            own[has_t, 0, t] = np.sqrt(barrier)
+    R = np.linalg.qr(np.concatenate([columns.real, columns.imag, own], 1), mode="r")
+    first = t if program.shared else t + 1
+    R = R[:, first:, first:]
+    of_L = (1 + 2 * bound.entries[:, None] + [0, 1]).ravel()
+    rows = np.zeros((c, R.shape[1], 1 + 2 * program.entries))
+    rows[:, :, np.append(0, of_L) if program.shared else of_L] = R
+    return rows
 
 
 def factorise(program, slacks, Y, barrier, root=False):

@@ -16,7 +16,13 @@ from functools import cached_property
 import numpy as np
 
 from rodlib.ilc.filters import time_shifts
-from rodlib.ilc.problem.problem import Cuts, Problem, Solution, largest_singular_values
+from rodlib.ilc.problem.problem import (
+    Cuts,
+    Problem,
+    Solution,
+    joined,
+    largest_singular_values,
+)
 from rodlib.ilc.synthesis.solver.bounds import Bound, product
 
 GENEROUS = 3.0  # bound on what is minimised, in its unit: never active
@@ -111,7 +117,8 @@ class Program:
         cuts = []
         for j, (bound, N) in enumerate(zip(self.bounds, multipliers, strict=True)):
             if bound.plant is not None:
-                cuts.append((bound.plant, bound.at, N.T.swapaxes(1, 2), splits[j].T))
+                N = N.T.swapaxes(1, 2)
+                cuts.append(Cuts(bound.plant, bound.at, N, splits[j].T))
             elif not bound.gain:
                 U[bound.at] = np.moveaxis(N, -1, 0)
             elif len(N) == m:
@@ -119,14 +126,14 @@ class Program:
             else:
                 [entry] = bound.entries
                 V[:, entry, entry] = (bound.T * N)[0, 0]
-        G = self.matrices(x)
-        peaks = [
-            bound.value(*a).max()
-            for bound, *a in zip(self.bounds, G, splits, strict=True)
+        largest = max(
+            bound.value(G, split).max()
+            for bound, G, split in zip(
+                self.bounds, self.matrices(x), splits, strict=True
+            )
             if bound.limit == 0
-        ]
-        cuts = Cuts(*map(np.concatenate, zip(*cuts, strict=True))) if cuts else None
-        return Solution(C, U, V, max(peaks), method, iterations, cuts)
+        )
+        return Solution(C, U, V, largest, method, iterations, joined(cuts))
 
 
 def orthonormalise(A):
