@@ -17,9 +17,9 @@ from rodlib import (
     paper_loop,
     responses,
     sampled_response,
-    unstable_poles,
 )
 from rodlib.ilc.models import frequency_response
+from rodlib.specimens import unstable_poles
 
 ALL = Spread.of_all(0.3)
 

@@ -17,7 +17,8 @@ from rodlib import (
     zero_phase_butterworth,
 )
 from rodlib.case import assumed_disturbance, assumed_reference
-from rodlib.ilc import NormOptimal, Rehearsal, gradient, lines, stable_inversion, tune
+from rodlib.ilc import NormOptimal
+from rodlib.ilc.alternatives import Rehearsal, gradient, lines, stable_inversion, tune
 from rodlib.ilc.trials.run import rms
 from rodlib.paper import published
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rodlib import Law, LearningFilter, converged_noise, run_trials, trial_noise
-from rodlib.ilc import TwoSidedFilter, extent, two_sided_taps
+from rodlib.ilc.alternatives import TwoSidedFilter, extent, two_sided_taps
 from rodlib.paper import published
 
 

@@ -11,8 +11,6 @@ from hypothesis import strategies as st
 from rodlib import (
     InfeasibleError,
     LearningFilter,
-    SolverError,
-    largest_cutoff,
     paper_loop,
     synthesise,
     zero_phase_butterworth,
@@ -21,6 +19,8 @@ from rodlib.ilc.evidence.peak import error_model, learning_model, peak_gain
 from rodlib.ilc.problem.grid import refined, without_gaps
 from rodlib.ilc.problem.pose import pose
 from rodlib.ilc.problem.problem import largest_singular_values
+from rodlib.ilc.synthesis.result import SolverError
+from rodlib.ilc.synthesis.search import largest_cutoff
 
 DENSE = np.linspace(0, np.pi, 4001)
 DOUBTS = (

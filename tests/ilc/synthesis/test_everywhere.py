@@ -11,9 +11,7 @@ from plants import furnace, stage, tanks
 from rodlib import (
     InfeasibleError,
     LearningFilter,
-    SolverError,
     current_trial_loop,
-    largest_cutoff,
     least_gain,
     synthesise,
     zero_phase_butterworth,
@@ -24,6 +22,8 @@ from rodlib.ilc.problem.problem import largest_singular_values
 from rodlib.ilc.synthesis import everywhere
 from rodlib.ilc.synthesis.design import certified, solve
 from rodlib.ilc.synthesis.everywhere import carried
+from rodlib.ilc.synthesis.result import SolverError
+from rodlib.ilc.synthesis.search import largest_cutoff
 
 PROVEN = 1 + 3e-8  # what the bounds may be passed by
 PAPER = {"L_max": 50.0, "band": (1e-4, 0.02)}
