@@ -249,10 +249,10 @@ def test_a_log_of_the_lab_has_what_a_replay_needs(loop, L, log):
     assert found.output.values.tolist() == ["T1", "T2"]
     assert found.control_unit.values.tolist() == ["%", "%"]
     assert "disturbance" not in found
-    noted_Q, noted_L = law_of(found)
-    assert noted_Q == Q and np.array_equal(noted_L.coefficients, L.coefficients)
+    law = law_of(found)
+    assert law.Q == Q and np.array_equal(law.L.coefficients, L.coefficients)
     for k in range(2):
-        following = Law(noted_Q, noted_L).next(found.v.values[k], found.e.values[k])
+        following = Law(law.Q, law.L).next(found.v.values[k], found.e.values[k])
         np.testing.assert_allclose(found.v.values[k + 1], following, rtol=0, atol=1e-12)
     noted = loop_of(found)
     model = control.forced_response(noted.plant, inputs=found.u.values[-1].T).outputs.T

@@ -17,8 +17,8 @@ def test_the_logs_are_recorded_in_data_rig(monkeypatch):
     saved, made = [], []
     log = load_log(ROOT / "data/rig/no-learning.csv")
 
-    def record(rig, L, **_):
-        made.append((rig.seed, rig.parameters == rig_logs.PARAMETERS, L is None))
+    def record(rig, law, **_):
+        made.append((rig.seed, rig.parameters == rig_logs.PARAMETERS, law.L is None))
         return log
 
     monkeypatch.setattr(rig_logs, "record", record)

@@ -11,7 +11,6 @@ from rodlib import (
     Rod,
     current_trial_loop,
     midr,
-    paper_loop,
     run_trials,
     sampled_response,
     synthesise,
@@ -50,7 +49,6 @@ PLANTS = {
         900,
     ),
     "furnace": lambda: (current_trial_loop(furnace()), 0.1, 600),
-    "rod": lambda: (paper_loop(), 0.1, 2500),
 }
 
 
