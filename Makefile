@@ -37,8 +37,8 @@ test: $(BIN)/ready lint  ## lint, unit tests, the committed notebooks against a 
 		$(filter-out notebooks/0%,$(NOTEBOOKS)) $(NOTEBOOKS)  # those that take long, first
 	$(BIN)/python tests/results.py build/test
 	RODLIB_RESULTS="$(CURDIR)/build/test/replay" \
-		$(BIN)/pytest -q --nbval --nbval-current-env rodlib/paper/replay.ipynb
-	$(BIN)/pytest -q -rs -n 2 --dist loadfile -p no:nbval $(wildcard tests/test_*.py) \
+		$(BIN)/pytest -q -rs -n 2 --dist loadfile --nbval --nbval-current-env \
+		rodlib/paper/replay.ipynb $(wildcard tests/test_*.py) \
 		tests/ilc tests/paper tests/browser  # not tests, which would swallow the last
 
 lint: $(BIN)/ready  ## ruff on modules, tests and notebooks

@@ -11,17 +11,15 @@ from rodlib import ilc
 __version__ = "0.1.0"  # as in pyproject.toml
 
 MODULES = {
-    "rod": "Rod exact_response midr",
-    "approximations": """balanced_truncation finite_differences finite_elements finite_volumes
-        modal_series""",
+    "rod": "Rod bernstein_basis exact_response midr",
     "held": "sampled_response",
-    "case": "paper_loop",
-    "rigs": "RestartingRig RigParameters VirtualRig",
+    "case": "assumed_disturbance assumed_reference paper_loop",
+    "rigs": "MISMATCHED RestartingRig RigParameters VirtualRig",
     "peltier_rig": "PeltierParameters PeltierRig RestartingPeltierRig",
-    "specimens": "Specimen Spread draw responses unstable_poles",
+    "specimens": "Specimen Spread draw responses",
     "study": "Study",
-    "boards": "TemperatureControlLab",
+    "boards": "TemperatureControlLab fit_heat_balance heat_balance",
 }
 MODULES |= {f"ilc.{module}": names for module, names in ilc.MODULES.items()}
 
-__getattr__, __dir__, __all__ = ilc.lazily(__name__, MODULES)
+__getattr__, __dir__, __all__ = ilc.lazily(__name__, MODULES, ["approximations"])

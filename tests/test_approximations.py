@@ -7,14 +7,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from plants import MATERIALS
 
-from rodlib import (
-    Rod,
+from rodlib import Rod, exact_response, midr
+from rodlib.approximations import (
     balanced_truncation,
-    exact_response,
     finite_differences,
     finite_elements,
     finite_volumes,
-    midr,
     modal_series,
 )
 from rodlib.ilc.models import frequency_response

@@ -18,7 +18,9 @@ from rodlib import (
     zero_phase_butterworth,
 )
 from rodlib.boards import TemperatureControlLab, heat_balance
-from rodlib.ilc import RigError, law_of, loop_of
+from rodlib.ilc import law_of
+from rodlib.ilc.logs.notes import loop_of
+from rodlib.ilc.rigs.protocol import RigError
 
 tclab = pytest.importorskip("tclab")
 

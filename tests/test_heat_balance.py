@@ -62,11 +62,11 @@ def test_a_heater_that_is_idle_has_no_gain():
 
 
 def test_intervals_hold_the_truth_and_are_as_wide_as_the_noise():
-    """Two of 40 may be without: of Bin(40, 0.05) more than six are as rare as 1 in 300."""
+    """1.5 of 30 may be without: of Bin(30, 0.05) more than five are as rare as 1 in 300."""
     outside, widths = 0, []
-    for seed in range(8):
+    for seed in range(6):
         noise = np.random.default_rng(seed).standard_normal((len(MOVES), 2))
-        sizes = [0.1 * noise, 0.4 * noise] if seed < 2 else [0.4 * noise]
+        sizes = [0.4 * noise] if seed else [0.1 * noise, 0.4 * noise]
         for size in sizes:
             fit = fit_heat_balance(MOVES / 1000, simulated(BOARD) + size, 2.0)
             widths.append(np.log(fit.table().to / fit.table()["from"]))
@@ -74,7 +74,7 @@ def test_intervals_hold_the_truth_and_are_as_wide_as_the_noise():
         table = fit.table()
         true = BOARD * scale
         outside += np.sum((true < table["from"]) | (true > table.to))
-    assert outside <= 6
+    assert outside <= 5
     np.testing.assert_allclose(widths[1] / widths[0], 4, rtol=0.1)
 
 

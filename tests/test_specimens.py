@@ -17,8 +17,8 @@ from rodlib import (
     paper_loop,
     responses,
     sampled_response,
-    unstable_poles,
 )
+from rodlib.specimens import unstable_poles
 
 ALL = Spread.of_all(0.3)
 

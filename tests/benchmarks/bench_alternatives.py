@@ -11,8 +11,8 @@ from bench_synthesis import measure
 
 from rodlib import paper_loop, synthesise, zero_phase_butterworth
 from rodlib.case import assumed_reference
-from rodlib.ilc import (
-    NormOptimal,
+from rodlib.ilc import NormOptimal
+from rodlib.ilc.alternatives import (
     gradient,
     h_infinity,
     p_type,

@@ -23,17 +23,13 @@ import control
 import numpy as np
 from tqdm import tqdm
 
-from rodlib import (
-    InfeasibleError,
-    SolverError,
-    ZeroPhaseButterworth,
-    synthesise,
-    zero_phase_butterworth,
-)
+from rodlib import InfeasibleError, synthesise, zero_phase_butterworth
 from rodlib.ilc.files import write_whole
+from rodlib.ilc.filters import ZeroPhaseButterworth
 from rodlib.ilc.models import frequency_response
 from rodlib.ilc.problem.pose import pose
 from rodlib.ilc.synthesis.design import certified
+from rodlib.ilc.synthesis.result import SolverError
 from rodlib.paper.ledger import splice
 from rodlib.paper.repository import ROOT
 

@@ -30,8 +30,9 @@ from rodlib import (
     synthesise,
     zero_phase_butterworth,
 )
-from rodlib.ilc import RigError, replay
+from rodlib.ilc import replay
 from rodlib.ilc.files import write_whole
+from rodlib.ilc.rigs.protocol import RigError
 from rodlib.ilc.trials.run import rms
 from rodlib.paper.ledger import splice
 from rodlib.paper.repository import ROOT

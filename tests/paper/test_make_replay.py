@@ -15,7 +15,6 @@ from plants import stage, tanks
 from rodlib import (
     Law,
     LearningFilter,
-    LogError,
     current_trial_loop,
     load_log,
     run_trials,
@@ -23,7 +22,8 @@ from rodlib import (
     zero_phase_butterworth,
 )
 from rodlib.ilc import replay as replay_of
-from rodlib.ilc import with_law
+from rodlib.ilc.law.io import with_law
+from rodlib.ilc.logs.format import LogError
 from rodlib.paper import reproduce
 from rodlib.paper.repository import ROOT
 

@@ -4,8 +4,9 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
-from rodlib import load_log, loop_of, paper_loop
+from rodlib import load_log, paper_loop
 from rodlib.case import assumed_disturbance, assumed_reference
+from rodlib.ilc.logs.notes import loop_of
 from rodlib.paper import rig_logs
 from rodlib.paper.repository import ROOT
 from rodlib.peltier_rig import PeltierRig
@@ -16,8 +17,8 @@ def test_the_logs_are_recorded_in_data_rig(monkeypatch):
     saved, made = [], []
     log = load_log(ROOT / "data/rig/no-learning.csv")
 
-    def record(rig, L, **_):
-        made.append((rig.seed, rig.parameters == rig_logs.PARAMETERS, L is None))
+    def record(rig, law, **_):
+        made.append((rig.seed, rig.parameters == rig_logs.PARAMETERS, law.L is None))
         return log
 
     monkeypatch.setattr(rig_logs, "record", record)

@@ -4,3 +4,16 @@ What a design returns is a :class:`rodlib.ilc.filters.LearningOperator`, as a
 :class:`rodlib.LearningFilter` is: it goes where L goes. A :class:`Rehearsal` runs the same trials
 for one after the other, and :func:`tune` searches the tuning for which they are best.
 """
+
+from rodlib.ilc import lazily
+
+MODULES = {
+    "inversion": "gradient stable_inversion zero_phase_inversion",
+    "norm_optimal": "NormOptimal",
+    "preview": "full_information generalised_plant h_infinity",
+    "proportional": "p_type pd_type",
+    "rehearsal": "Rehearsal Tuned lines tune",
+    "two_sided": "TwoSidedFilter extent two_sided_taps",
+}
+
+__getattr__, __dir__, __all__ = lazily(__name__, MODULES)

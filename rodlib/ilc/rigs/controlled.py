@@ -66,6 +66,8 @@ class ControlledRig:
 
     def __init__(self, rig, loop: Loop, decimals):
         self.rig, self.loop = rig, loop
+        # looked up once, not in every sample
+        self.outputs, self.commands = loop.outputs, loop.commands
         names = ["v", "u", "delta", "disturbance"]
         self.decimals = arguments.by_name("decimals", decimals, names)
         for name, value in self.decimals.items():
@@ -132,7 +134,9 @@ class ControlledRig:
 
     def check_stop(self, names, values) -> None:
         """Stop at what is beyond the limits of `stop`."""
-        for name, value in zip(names, values, strict=True):
+        if not self.stop:
+            return
+        for name, value in zip(names, values.tolist(), strict=True):
             low, high = self.stop.get(name, (-math.inf, math.inf))
             if not low <= value <= high:
                 what = f"{name} = {value:.6g} is not from {low:.6g} to {high:.6g}"
@@ -167,7 +171,7 @@ class SampledRig(ControlledRig):
         self.recorded = [n for n in names if n in self.disturbed or n in measured]
         self.measured = [n for n in self.recorded if n not in self.disturbed]
         commands = loop.commands + self.disturbed
-        self.positions = [self.inputs.index(name) for name in commands]
+        self.positions = np.array([self.inputs.index(name) for name in commands])
         self.applied = None  # the last commands
 
     def begin(self, trial):
@@ -220,7 +224,7 @@ class SampledRig(ControlledRig):
         """Let one sampling period pass: read, check, then apply what the controller makes of it."""
         with _located(where, ". Nothing was applied after it"):
             y, measured = self.read()
-            self.check_stop(self.loop.outputs, y)
+            self.check_stop(self.outputs, y)
             signals = self.control(y, w, measured)
             inputs = np.zeros(len(self.inputs))
             inputs[self.positions] = np.concatenate([self.applied, flows])
@@ -233,7 +237,7 @@ class SampledRig(ControlledRig):
 
     def control(self, y, w, measured) -> dict[str, np.ndarray]:
         """Set `applied`, the commands of this sample; the signals that this makes."""
-        self.check_stop(self.loop.commands, w)
+        self.check_stop(self.commands, w)
         self.applied = self.limited(w)
         u = [self.rounded("u", measured[name]) for name in self.reported]
         return {"u": np.array(u)} if u else {}
@@ -249,7 +253,7 @@ class SampledRig(ControlledRig):
         names = self.measured + self.reported
         y, measured = self.rig.read(), self.rig.measured if names else {}
         try:
-            y = arguments.array("reading", y, (len(self.loop.outputs),))
+            y = arguments.array("reading", y, (len(self.outputs),))
             values = {
                 name: float(arguments.array(name, measured.get(name), ()))
                 for name in names
@@ -275,7 +279,7 @@ class ControllerOnRig(SampledRig):
         controller = self.controller
         signals = {"delta": self.rounded("delta", controller.delta)}
         u = signals["u"] = controller.command(w)
-        self.check_stop(self.loop.commands, u)
+        self.check_stop(self.commands, u)
         self.applied = self.limited(u)
         controller.observe(y, self.applied)
         if self.actuators is not None:

@@ -10,14 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rodlib.ilc import (
-    InfeasibleError,
-    Law,
-    SolverError,
-    Synthesis,
-    arguments,
-    synthesise,
-)
+from rodlib.ilc import InfeasibleError, Law, arguments, synthesise
+from rodlib.ilc.synthesis.result import SolverError, Synthesis
 from rodlib.ilc.trials.run import rms, run_trials
 from rodlib.ilc.workbench.plant import TRIALS, Plant
 from rodlib.ilc.workbench.settings import Settings

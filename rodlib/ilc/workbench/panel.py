@@ -16,7 +16,7 @@ from rodlib.ilc.workbench.plant import Plant, plant_of_file
 from rodlib.ilc.workbench.settings import Settings
 
 LOG = "a log"
-PAUSE = 0.01  # s; changes that follow each other faster are one
+PAUSE = 0.01  # s, in which further turns are awaited
 LEFT = {"flex": "1 1 320px", "min_width": "300px", "max_width": "400px"}
 RIGHT = {
     "flex": "2 1 440px",
@@ -37,7 +37,7 @@ class Panel:
     def __init__(self, plants: dict[str, Plant], log: str = ""):
         self.plants, self.picture = plants, Picture()
         self.outcome, self.before = Outcome(None), None
-        self.plant, self.knobs, self._update = None, {}, None
+        self.plant, self.knobs = None, {}
         self.choice = _choice("plant", [*plants, LOG])
         self.file = _knob(widgets.Text, "path of the log", log)
         self.knob_box = widgets.VBox()
@@ -94,15 +94,13 @@ class Panel:
         return self.plants[self.choice.value]
 
     def _turn(self, change):
-        """A knob was turned: update soon, unless another turn follows."""
-        if self._update is not None:
-            self._update.cancel()
+        """A knob was turned: update soon, with those that are turned until then."""
         try:
             loop = asyncio.get_running_loop()
         except RuntimeError:  # outside a notebook
             self.update()
         else:
-            self._update = loop.call_later(PAUSE, self.update)
+            loop.call_later(PAUSE, self.update)
 
     def update(self) -> None:
         """Show the outcome of the knobs' settings, unless it is shown."""

@@ -15,9 +15,10 @@ import xarray as xr
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from rodlib.ilc import Synthesis, arguments
+from rodlib.ilc import arguments
 from rodlib.ilc.logs.format import signals_of
 from rodlib.ilc.logs.replay import rms_by_trial
+from rodlib.ilc.synthesis.result import Synthesis
 from rodlib.ilc.units import by_unit, with_unit
 from rodlib.ilc.workbench.outcome import Outcome
 

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rodlib.ilc import LogError, arguments, load_log, measured_response
+from rodlib.ilc import arguments, load_log, measured_response
+from rodlib.ilc.logs.format import LogError
 from rodlib.ilc.logs.notes import excitation_of, loop_of
 from rodlib.ilc.logs.replay import replay
 from rodlib.ilc.loop.closed import Loop

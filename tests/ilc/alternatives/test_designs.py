@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from plants import furnace, stage, tanks
 
 from rodlib import current_trial_loop, paper_loop, zero_phase_butterworth
-from rodlib.ilc import (
-    NormOptimal,
+from rodlib.ilc import NormOptimal
+from rodlib.ilc.alternatives import (
     full_information,
     generalised_plant,
     gradient,

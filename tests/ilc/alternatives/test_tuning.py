@@ -11,14 +11,14 @@ from rodlib import (
     Rod,
     current_trial_loop,
     midr,
-    paper_loop,
     run_trials,
     sampled_response,
     synthesise,
     zero_phase_butterworth,
 )
 from rodlib.case import assumed_disturbance, assumed_reference
-from rodlib.ilc import NormOptimal, Rehearsal, gradient, lines, stable_inversion, tune
+from rodlib.ilc import NormOptimal
+from rodlib.ilc.alternatives import Rehearsal, gradient, lines, stable_inversion, tune
 from rodlib.ilc.trials.run import rms
 from rodlib.paper import published
 
@@ -49,7 +49,6 @@ PLANTS = {
         900,
     ),
     "furnace": lambda: (current_trial_loop(furnace()), 0.1, 600),
-    "rod": lambda: (paper_loop(), 0.1, 2500),
 }
 
 

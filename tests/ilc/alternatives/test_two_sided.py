@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rodlib import Law, LearningFilter, run_trials
-from rodlib.ilc import TwoSidedFilter, extent, two_sided_taps
+from rodlib.ilc.alternatives import TwoSidedFilter, extent, two_sided_taps
 
 
 def finite(seed, m, Ts, first=-3, count=7):

@@ -7,8 +7,9 @@ import control
 import numpy as np
 import pytest
 
-from rodlib import SolverError, synthesise
+from rodlib import synthesise
 from rodlib.ilc.problem.problem import convergence_matrix, largest_singular_values
+from rodlib.ilc.synthesis.result import SolverError
 
 
 def test_a_certificate_prints_and_fails_as_it_should(loop, Q, omega):

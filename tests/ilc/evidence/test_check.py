@@ -14,9 +14,9 @@ from rodlib import (
     synthesise,
     zero_phase_butterworth,
 )
-from rodlib.ilc import MeasuredResponse
 from rodlib.ilc.evidence.check import check
 from rodlib.ilc.evidence.peak import error_model, peak_gain
+from rodlib.ilc.measurement.measurement import MeasuredResponse
 from rodlib.ilc.problem.pose import pose
 
 Q = zero_phase_butterworth(2, 0.3)

@@ -13,7 +13,7 @@ from rodlib import (
     synthesise,
     zero_phase_butterworth,
 )
-from rodlib.ilc import p_type
+from rodlib.ilc.alternatives import p_type
 from rodlib.paper import published
 
 

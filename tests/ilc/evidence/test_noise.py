@@ -18,14 +18,15 @@ from rodlib import (
     converged_noise,
     current_trial_loop,
     noise_on_trial,
-    p_type,
     paper_loop,
     run_trials,
     synthesise,
     trial_noise,
     zero_phase_butterworth,
 )
-from rodlib.ilc import Spectrum, TrialNoise, trial_operators
+from rodlib.ilc import trial_operators
+from rodlib.ilc.alternatives import p_type
+from rodlib.ilc.evidence.noise import Spectrum, TrialNoise
 from rodlib.ilc.loop.closed import with_noise
 from rodlib.ilc.models import impulse_response
 from rodlib.ilc.trials.run import rms

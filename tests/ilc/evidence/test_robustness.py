@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 from rodlib import LearningFilter
-from rodlib.ilc import TwoSidedFilter, worst_case
+from rodlib.ilc import worst_case
+from rodlib.ilc.alternatives import TwoSidedFilter
 from rodlib.ilc.problem.pose import pose
 
 sizes = st.integers(1, 3)
@@ -150,7 +151,8 @@ def test_a_Delta_is_found_where_two_directions_are_amplified_equally():
     P = np.tile((np.eye(2) - M) @ np.linalg.inv(L[0]), (4, 1, 1)).astype(complex)
     radius = np.array([0.5, 0.9, 1.0, 1.1])
     worst = worst_case(
-        replace(problem, P=P, Q=np.ones(4), radius=radius), given_as(L, problem)
+        replace(problem, plants=P[None], Q=np.ones(4), radius=radius),
+        given_as(L, problem),
     )
     np.testing.assert_allclose(worst.attained, worst.sigma, rtol=1e-12)
     x = np.linspace(0, np.pi / 2, 100_001)

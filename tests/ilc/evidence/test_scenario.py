@@ -54,7 +54,7 @@ def test_the_bound_grows_with_the_support_and_falls_with_the_samples():
 
 def design(others, cuts):
     """What a synthesis has of its problem and solution, for so many other plants."""
-    problem = SimpleNamespace(others=np.empty((others, 1, 1, 1)))
+    problem = SimpleNamespace(plants=np.empty((1 + others, 1, 1, 1)))
     return SimpleNamespace(
         problem=problem, solution=Solution(np.empty(0), None, None, 0, "", 0, cuts)
     )

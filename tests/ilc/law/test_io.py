@@ -11,7 +11,6 @@ from hypothesis.extra.numpy import arrays
 from rodlib import (
     Law,
     LearningFilter,
-    LogError,
     NormOptimal,
     law_of,
     load_law,
@@ -19,9 +18,10 @@ from rodlib import (
     run_trials,
     save_law,
     save_log,
-    with_law,
     zero_phase_butterworth,
 )
+from rodlib.ilc.law.io import with_law
+from rodlib.ilc.logs.format import LogError
 
 L = LearningFilter(np.random.default_rng(0).standard_normal((2, 2, 3)), 1.0, "hold")
 

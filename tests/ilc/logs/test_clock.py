@@ -2,8 +2,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from rodlib import LogError
 from rodlib.ilc.logs.clock import check_trials, jitter, period_of, resampled
+from rodlib.ilc.logs.format import LogError
 
 GOOD = [0.0, 2.0, 4.0, 6.0]
 

@@ -10,15 +10,15 @@ import pytest
 
 from rodlib import (
     Law,
-    LogError,
     current_trial_loop,
     load_log,
-    loop_of,
     run_trials,
     save_log,
-    with_law,
     zero_phase_butterworth,
 )
+from rodlib.ilc.law.io import with_law
+from rodlib.ilc.logs.format import LogError
+from rodlib.ilc.logs.notes import loop_of
 
 
 def assert_alike(one, two):

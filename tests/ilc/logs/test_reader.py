@@ -6,7 +6,8 @@ import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rodlib import LogError, load_log, save_log
+from rodlib import load_log, save_log
+from rodlib.ilc.logs.format import LogError
 from rodlib.paper import ROOT
 
 SIGNALS = (

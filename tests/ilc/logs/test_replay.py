@@ -12,7 +12,6 @@ from plants import furnace, random_plant, stage, tanks
 from rodlib import (
     Law,
     LearningFilter,
-    LogError,
     current_trial_loop,
     load_log,
     paper_loop,
@@ -21,7 +20,10 @@ from rodlib import (
     run_trials,
     zero_phase_butterworth,
 )
-from rodlib.ilc import law_of, loop_of, with_law
+from rodlib.ilc import law_of
+from rodlib.ilc.law.io import with_law
+from rodlib.ilc.logs.format import LogError
+from rodlib.ilc.logs.notes import loop_of
 from rodlib.ilc.logs.replay import rms_by_trial
 from rodlib.paper import ROOT
 

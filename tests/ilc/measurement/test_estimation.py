@@ -14,7 +14,6 @@ from rodlib import (
     ClosedLoop,
     Law,
     LearningFilter,
-    Plant,
     Settings,
     current_trial_loop,
     load_log,
@@ -25,9 +24,14 @@ from rodlib import (
     try_out,
     zero_phase_butterworth,
 )
-from rodlib.ilc import EstimatedResponse, LogError
-from rodlib.ilc.measurement.estimation import _seen, estimated_response
+from rodlib.ilc.logs.format import LogError
+from rodlib.ilc.measurement.estimation import (
+    EstimatedResponse,
+    _seen,
+    estimated_response,
+)
 from rodlib.ilc.models import frequency_response
+from rodlib.ilc.workbench.plant import Plant
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 from regions import KINDS, response, several, single

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rodlib import multisine, paper_loop
-from rodlib.ilc import Excitation
+from rodlib.ilc.measurement.excitation import Excitation
 
 
 @settings(max_examples=10)

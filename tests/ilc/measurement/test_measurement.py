@@ -6,31 +6,30 @@ import control
 import numpy as np
 import pytest
 from plants import furnace
-from scipy.signal import fftconvolve
+from scipy.signal import fftconvolve, lfilter
 from scipy.stats import binom
 
 from rodlib import (
+    ClosedLoop,
     Law,
     current_trial_loop,
     load_log,
     midr,
     paper_loop,
     record,
+    run_trials,
     sampled_response,
+    zero_phase_butterworth,
 )
-from rodlib.ilc import (
-    LogError,
-    RigError,
-    expected_radius,
-    loop_of,
-    measured_response,
-    multisine,
-    shake,
-)
-from rodlib.ilc.logs.notes import excitation_of, with_excitation
+from rodlib.ilc import expected_radius, measured_response, multisine, shake
+from rodlib.ilc.law.io import with_law
+from rodlib.ilc.logs.format import LogError
+from rodlib.ilc.logs.notes import excitation_of, loop_of, with_excitation
+from rodlib.ilc.measurement.excitation import Excitation
 from rodlib.ilc.measurement.measurement import MeasuredResponse, _estimate
 from rodlib.ilc.measurement.region import radius_of
 from rodlib.ilc.measurement.transient import separated, windows_of
+from rodlib.ilc.rigs.protocol import RigError
 from rodlib.ilc.trials.run import dataset, state_sequence
 from rodlib.rigs import MISMATCHED, RestartingRig, RigParameters
 
@@ -383,7 +382,7 @@ def test_wrong_records_are_refused(loop, quick):
         measured_response(without)
     with pytest.raises(LogError, match="excitation"):
         measured_response(bare.assign_attrs(excitation='{"period": 3}'))
-    with pytest.raises(ValueError, match="1 channels"):
+    with pytest.raises(ValueError, match="channels = 1"):
         shake(RestartingRig(), loop, replace(quick, amplitude=(1.0,)))
 
 
@@ -421,3 +420,21 @@ def test_in_units_of_a_scale_it_is_what_was_measured_in_these_units(loop, quick)
         np.testing.assert_allclose(ours, theirs, rtol=1e-6, atol=1e-12)
     beyond = (dense > measured.omega[-1]).sum()
     assert f"at {beyond} of the design frequencies" in measured.basis(dense, 0.9)[2]
+
+
+def test_the_forecast_does_not_depend_on_the_unit_of_time():
+    """Same samples, four times as fast: the same radius at every line."""
+    white = np.random.default_rng(1).standard_normal((400, 1))
+    noise = lfilter([1], [1, -0.95], white, axis=0)[None]
+    radii = []
+    for Ts in (1.0, 0.25):
+        P = control.ss(0.5, 0.5, 1, 0, Ts, inputs=["w"], outputs=["y"])
+        loop = ClosedLoop(P)
+        law = Law(zero_phase_butterworth(2, 0.1 / Ts, Ts), None).bound_to(loop)
+        rest = with_law(
+            run_trials(loop, law, np.zeros((400, 1)), trials=1, noise=noise), law
+        )
+        lines = Excitation(Ts, 100, 3, (1, 3, 9, 27), np.zeros(4), (1.0,))
+        radii.append(expected_radius(lines, rest))
+    assert radii[0].max() > 1.5 * radii[0].min()
+    np.testing.assert_allclose(radii[1], radii[0], rtol=1e-9)

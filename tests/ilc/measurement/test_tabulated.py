@@ -4,7 +4,8 @@ import control
 import numpy as np
 import pytest
 
-from rodlib import Plant, measured_response, synthesise, zero_phase_butterworth
+from rodlib import measured_response, synthesise, zero_phase_butterworth
+from rodlib.ilc.workbench.plant import Plant
 
 LINES = np.geomspace(5.0, 600.0, 14)
 

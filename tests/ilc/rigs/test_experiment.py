@@ -24,7 +24,9 @@ from rodlib import (
     zero_phase_butterworth,
 )
 from rodlib.case import assumed_disturbance, assumed_reference
-from rodlib.ilc import Controller, RigError, law_of, loop_of
+from rodlib.ilc import Controller, law_of
+from rodlib.ilc.logs.notes import loop_of
+from rodlib.ilc.rigs.protocol import RigError
 from rodlib.ilc.trials.run import rms
 from rodlib.paper import published
 from rodlib.paper.repository import ROOT

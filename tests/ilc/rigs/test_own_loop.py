@@ -12,11 +12,9 @@ from rodlib import (
     ClosedLoop,
     Law,
     LearningFilter,
-    Plant,
     Settings,
     current_trial_loop,
     load_log,
-    loop_of,
     measured_response,
     multisine,
     plot,
@@ -28,10 +26,11 @@ from rodlib import (
     try_out,
     zero_phase_butterworth,
 )
-from rodlib.ilc import RigError, StoppedError
+from rodlib.ilc.logs.notes import loop_of
 from rodlib.ilc.logs.replay import replay
+from rodlib.ilc.rigs.protocol import RigError, StoppedError
 from rodlib.ilc.trials.run import rms
-from rodlib.ilc.workbench.plant import plant_of_file
+from rodlib.ilc.workbench.plant import Plant, plant_of_file
 
 # Two PIDs of a coupled plant; P(0) is not I, as with proportional action alone.
 P = control.ss(

@@ -20,8 +20,8 @@ from rodlib import (
     synthesise,
     zero_phase_butterworth,
 )
-from rodlib.ilc import RigError, StoppedError
 from rodlib.ilc.rigs.limits import stop_limits
+from rodlib.ilc.rigs.protocol import RigError, StoppedError
 from rodlib.ilc.trials.run import rms
 from rodlib.rigs import RestartingRig, VirtualRig
 

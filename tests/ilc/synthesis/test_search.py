@@ -8,14 +8,14 @@ from plants import furnace, random_response
 
 from rodlib import (
     InfeasibleError,
-    SolverError,
     current_trial_loop,
-    largest_cutoff,
     least_gain,
     synthesise,
     zero_phase_butterworth,
 )
 from rodlib.ilc.synthesis import search
+from rodlib.ilc.synthesis.result import SolverError
+from rodlib.ilc.synthesis.search import largest_cutoff
 
 CHOICES = {"order": 3, "L_max": 8.0, "band": (0.01, 0.03), "M_max": 0.6}
 

@@ -12,7 +12,6 @@ from plants import half
 from rodlib import (
     InfeasibleError,
     LearningFilter,
-    SolverError,
     least_gain,
     synthesise,
     zero_phase_butterworth,
@@ -22,6 +21,7 @@ from rodlib.ilc.evidence.certificate import VIOLATION
 from rodlib.ilc.problem.pose import pose
 from rodlib.ilc.problem.problem import convergence_matrix, largest_singular_values
 from rodlib.ilc.synthesis.design import certified, solve
+from rodlib.ilc.synthesis.result import SolverError
 from rodlib.ilc.synthesis.solver import active_set, interior_point
 from rodlib.paper import published
 

@@ -25,7 +25,7 @@ from rodlib import (
     synthesise,
     zero_phase_butterworth,
 )
-from rodlib.ilc import with_law
+from rodlib.ilc.law.io import with_law
 
 LAG = control.ss(0.9, 0.1, 1, 0, 1.0, inputs=["heater"], outputs=["oven"])
 LOOP, PAPER = current_trial_loop(LAG), paper_loop()

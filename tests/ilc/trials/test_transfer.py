@@ -26,8 +26,8 @@ from rodlib import (
 )
 from rodlib.case import assumed_disturbance, assumed_reference
 from rodlib.ilc.law.limits import realised
-from rodlib.ilc.trials import transfer as module
 from rodlib.ilc.trials.run import rms
+from rodlib.ilc.trials.transfer import _basis, _taps
 from rodlib.rigs import MISMATCHED
 
 Q = zero_phase_butterworth(2, 1.0, 1.0)
@@ -67,8 +67,7 @@ def run_quietly(*arguments, **more):
 
 def trials_of(loop, weight=1e-2, trials=5, reference=OLD, **more):
     law = Law(Q, NormOptimal(loop.P, weight, len(reference)))
-    with warnings.catch_warnings(action="ignore"):
-        return run_trials(loop, law, reference, trials=trials, **more)
+    return run_quietly(loop, law, reference, trials=trials, **more)
 
 
 @given(st.floats(0.5, 2.0), st.integers(2, 4), st.integers(0, 2**32 - 1))
@@ -84,13 +83,11 @@ def test_of_a_plant_whose_inverse_is_short_f_is_that_inverse(gain, trials, seed)
     np.testing.assert_allclose(found.F, expected, atol=1e-4 * np.abs(expected).max())
     left = run_trials(ClosedLoop(P), Law(Q, None), NEW, trials=1, v=found.v)
     assert rms(left.e).item() < 1e-3 * np.abs(NEW).max()
-    assert found.left_out.min() > 1 - 1e-6
+    assert found.predicted.min() > 1 - 1e-6
 
 
 @pytest.mark.parametrize("repeats", [0.0, 1.0])
-def test_one_task_tells_a_disturbance_that_repeats_from_what_answers_the_reference(
-    repeats,
-):
+def test_one_task_distinguishes_a_repeating_disturbance_from_the_reference(repeats):
     P = coupled()[0]
     answered = repeats * steps(200, (0.3, 0.1, 0.2, 0.7), (0.2, 0.3, 0.1, -0.9))
     loop = ClosedLoop(P)
@@ -100,14 +97,14 @@ def test_one_task_tells_a_disturbance_that_repeats_from_what_answers_the_referen
         made.append(one.assign(reference=one.reference + answered, e=one.e + answered))
         v = Q.apply(v + NormOptimal(P, 1e-2, 200).apply(made[-1].e[0].values))
     found = quiet(made, NEW)
-    np.testing.assert_allclose(found.kept, answered, atol=0.05)
+    np.testing.assert_allclose(found.compensation, answered, atol=0.05)
     y = control.forced_response(P, inputs=(NEW + found.v - answered).T).outputs.T
     assert np.abs(NEW - y).max() < 0.1
-    np.testing.assert_allclose(found.v, found.explained + found.kept)
-    alone = quiet(made[-1], NEW)  # one trial does not tell
-    assert not alone.kept.any()
-    assert alone.doubt.min() > 0.5 * np.sqrt(np.mean(NEW**2))
-    with pytest.warns(UserWarning, match="or a disturbance that repeats"):
+    np.testing.assert_allclose(found.v, found.feedforward + found.compensation)
+    alone = quiet(made[-1], NEW)
+    assert not alone.compensation.any()
+    assert alone.uncertainty.min() > 0.5 * np.sqrt(np.mean(NEW**2))
+    with pytest.warns(UserWarning, match="distinguish"):
         transfer(made[-1].isel(trial=0), -OLD)
 
 
@@ -166,10 +163,9 @@ def test_on_other_plants_the_first_trial_is_as_if_it_had_been_learned(case, nois
     def run(reference, trials=1, L=L, v=None):
         shape = (trials, *reference.shape)
         noisy = noise * np.abs(reference).max() * rng.standard_normal(shape)
-        with warnings.catch_warnings(action="ignore"):
-            return run_trials(
-                loop, Law(Q, L), reference, None, trials, plant=plant, noise=noisy, v=v
-            )
+        return run_quietly(
+            loop, Law(Q, L), reference, trials=trials, plant=plant, noise=noisy, v=v
+        )
 
     done, reference = run(steps(samples, *old), 6), steps(samples, *new)
     found = quiet(done, reference)
@@ -179,7 +175,7 @@ def test_on_other_plants_the_first_trial_is_as_if_it_had_been_learned(case, nois
     white = noise * np.abs(reference).max() * np.sqrt(len(old))
     assert first < 0.05 * min(unlearned, old_v) + 6 * white
     assert first < again + 0.04 * unlearned + 6 * white
-    assert found.left_out.min() > 0.97
+    assert found.predicted.min() > 0.97
 
 
 @pytest.fixture(scope="module")
@@ -190,10 +186,9 @@ def rod():
     Q, L = zero_phase_butterworth(), NormOptimal(loop.P, 1e-2, 2500)
 
     def run(reference, disturbance=None, trials=1, v=None):
-        with warnings.catch_warnings(action="ignore"):
-            return run_trials(
-                loop, Law(Q, L), reference, disturbance, trials, plant=plant, v=v
-            )
+        return run_quietly(
+            loop, Law(Q, L), reference, disturbance, trials, plant=plant, v=v
+        )
 
     return run
 
@@ -213,7 +208,7 @@ def test_on_a_rod_that_is_off_outputs_may_be_swapped(rod):
         assert (
             first < 0.05 * rms(rod(swapped, disturbance, v=done.v.values[-1]).e).item()
         )
-        assert np.sqrt(np.mean(found.kept**2)) < kept
+        assert np.sqrt(np.mean(found.compensation**2)) < kept
 
 
 def test_a_disturbance_that_came_in_between_is_reported(rod):
@@ -224,7 +219,7 @@ def test_a_disturbance_that_came_in_between_is_reported(rod):
         transfer(done, assumed_reference()[:, ::-1])
     assert any("another disturbance came" in str(each.message) for each in said)
     since = done.isel(trial=slice(3, None))
-    assert quiet(since, assumed_reference()).left_out.min() > 0.9
+    assert quiet(since, assumed_reference()).predicted.min() > 0.9
     after = quiet(since, assumed_reference()[:, ::-1]).v
     left = rms(rod(assumed_reference()[:, ::-1], came[-1], v=after).e).item()
     assert left < 0.1 * rms(rod(assumed_reference()[:, ::-1], came[-1]).e).item()
@@ -241,27 +236,26 @@ def test_what_the_old_references_never_had_is_reported():
     assert not any(r"y[0]" in str(each.message) for each in found)
 
 
-def test_doubt_is_of_the_size_of_what_is_off():
-    """Of three tanks in one noisy task; it has what a disturbance might add, and is the larger."""
+def test_the_uncertainty_is_of_the_size_of_the_error():
+    """Of three tanks in one noisy task; with what a disturbance might add, and so larger."""
     loop, plant, Q, samples, (old, new), weight, _ = tanks_case(0.0)
     ratios, wanted = [], steps(samples, *new)
-    law = Q, NormOptimal(loop.P, weight, samples)
-    best = run_quietly(loop, *law, wanted, None, 30, plant=plant).v.values[-1]
+    law = Law(Q, NormOptimal(loop.P, weight, samples))
+    best = run_quietly(loop, law, wanted, trials=30, plant=plant).v.values[-1]
     for seed in range(4):
         noise = 0.02 * np.random.default_rng(seed).standard_normal((4, samples, 3))
-        done = run_quietly(
-            loop, *law, steps(samples, *old), None, 4, plant=plant, noise=noise
-        )
+        reference = steps(samples, *old)
+        done = run_quietly(loop, law, reference, trials=4, plant=plant, noise=noise)
         found = quiet(done, wanted)
         off = Q.apply(found.v - best)[:-20]
-        ratios.append(np.sqrt(np.mean(off**2, axis=0)) / found.doubt)
+        ratios.append(np.sqrt(np.mean(off**2, axis=0)) / found.uncertainty)
     assert 0.1 < np.median(ratios) < 2
 
 
 def test_a_varying_task_is_learned_without_a_condition_on_the_plant():
     """The bound of recursive least squares on (I + F_k) e_k, for any references; F in the class."""
     P, A, B = coupled()
-    basis, weight, rng = module._basis(3), 1e-2, np.random.default_rng(0)
+    basis, weight, rng = _basis(3), 1e-2, np.random.default_rng(0)
     taps = basis.shape[1]
     inverse = np.linalg.inv(B)
     F = np.zeros((2, 2, 7))
@@ -269,23 +263,23 @@ def test_a_varying_task_is_learned_without_a_condition_on_the_plant():
     true = F @ np.linalg.pinv(basis).T
     np.testing.assert_allclose(true @ basis.T, F, atol=1e-9)
     information, row, moment = weight * np.eye(2 * taps), np.zeros((2, 2 * taps)), 0.0
-    left, errors = [], []
+    misses, errors = [], []
     for _ in range(12):
         heights = rng.uniform(-3, 3, 2)
         up, down, start = rng.uniform(0.1, 0.3, (3, 2))
         r = steps(150, *np.column_stack([start, up, down, heights]))
-        v = module._taps(r, basis) @ row.T
+        v = _taps(r, basis) @ row.T
         y = control.forced_response(P, inputs=(r + v).T).outputs.T
-        X, e = module._taps(y, basis), r - y
+        X, e = _taps(y, basis), r - y
         ahead = (v + e) - X @ row.T
-        np.testing.assert_allclose(ahead, e + module._taps(e, basis) @ row.T, atol=1e-9)
+        np.testing.assert_allclose(ahead, e + _taps(e, basis) @ row.T, atol=1e-9)
         known = np.linalg.inv(np.eye(150) + X @ np.linalg.solve(information, X.T))
-        left.append(np.einsum("pi,pq,qi", ahead, known, ahead))
+        misses.append(np.einsum("pi,pq,qi", ahead, known, ahead))
         information = information + X.T @ X
         moment = moment + X.T @ (v + e)
         row = np.linalg.solve(information, moment).T
         errors.append(float(np.sqrt(np.mean(e**2))))
-    assert sum(left) <= weight * np.sum(true**2) * (1 + 1e-6)
+    assert sum(misses) <= weight * np.sum(true**2) * (1 + 1e-6)
     assert max(errors[-3:]) < 0.05 * errors[0]
 
 
@@ -320,8 +314,13 @@ def test_it_takes_logs_tables_one_channel_and_references_of_any_length(tmp_path)
                          coords={"output": ("channel", loop.outputs[::-1])})  # fmt: skip
     np.testing.assert_allclose(quiet(done, named).v, found.v)
     longer = quiet(done, np.vstack([NEW, np.zeros((50, 2))]))
-    np.testing.assert_allclose(longer.explained[:100], found.explained[:100], atol=1e-3)
-    assert not longer.kept[200:].any() and quiet(done, NEW[:90]).v.shape == (90, 2)
+    np.testing.assert_allclose(
+        longer.feedforward[:100], found.feedforward[:100], atol=1e-3
+    )
+    assert not longer.compensation[200:].any() and quiet(done, NEW[:90]).v.shape == (
+        90,
+        2,
+    )
     single = ClosedLoop(control.ss(0.5, 0.5, 1, 0, 1.0))
     flat = quiet(trials_of(single, reference=OLD[:, 0]), NEW[:, 1])
     assert flat.v.shape == (200, 1)
@@ -344,7 +343,7 @@ def test_units_do_not_matter():
     np.testing.assert_allclose(there.F, F, rtol=1e-4, atol=1e-6 * np.abs(F).max())
 
 
-def test_trials_that_actuators_cut_off_count_by_what_was_realised():
+def test_trials_that_actuators_cut_off_count_by_the_realised_v():
     loop = current_trial_loop(coupled()[0], ["u[0]", "u[1]"])
     law = Law(Q, NormOptimal(loop.P, 1e-2, 200))
     free, most = (
@@ -373,7 +372,7 @@ def test_what_does_not_belong_together_is_refused():
     done = trials_of(ClosedLoop(coupled()[0]), trials=2)
     other = done.assign_attrs(Ts=0.5)
     for trials, words in (
-        ([done, other], "sampling periods"),
+        ([done, other], "Ts"),
         ([done, done.isel(time=slice(100))], "trials.v has shape"),
         (done.drop_vars("y"), "trials lack"),
         ([], "must be a Dataset"),

@@ -20,7 +20,7 @@ from rodlib import (
     save_log,
     try_out,
 )
-from rodlib.ilc import with_law
+from rodlib.ilc.law.io import with_law
 from rodlib.ilc.logs.notes import with_excitation
 from rodlib.ilc.trials.run import dataset, state_sequence
 from rodlib.ilc.workbench.plant import Plant, plant_of_file

@@ -14,8 +14,7 @@ on long vectors: for m = 2 several times faster than a call of LAPACK for each.
 
 [1] S. Boyd, L. El Ghaoui, E. Feron, V. Balakrishnan, Linear Matrix Inequalities in System and
     Control Theory, 1994, 2.6.3.
-[2] From the perturbation of the eigenvalues of [[0, G], [G^H, 0]]: T. Kato, Perturbation Theory
-    for Linear Operators, 1966, II.2.
+[2] T. Kato, Perturbation Theory for Linear Operators, 1966, II.2.
 """
 
 from dataclasses import dataclass, replace
@@ -102,13 +101,6 @@ class Bound:
         """The g with Re tr(W T L) = Re sum g L, shape (entries of the bound, c)."""
         return product(W, self.T)[self.cols, self.rows]
 
-    def spread(self, g, out):
-        """Add numbers for each of the bound's entries and columns to those of the filter."""
-        if isinstance(self.at, slice):
-            out[self.entries, self.at] += g
-        else:  # a frequency may occur more than once
-            np.add.at(out, (self.entries[:, None], self.at), g)
-
     def matrices(self, L):
         """G, given all entries of the filter."""
         return self.F + self.response(L)
@@ -146,67 +138,54 @@ class Bound:
         return A
 
     def _second_order(self, G, split):
-        """sigma of Lambda^(-1/2) G to second order in L and the split, in real numbers.
+        """The value to second order in L and the split, in real numbers.
 
-        sigma = Re u^H G v has the first derivatives Re u^H dG v. With the other singular vectors
-        and alpha_j = u_j^H dG v, beta_j = u^H dG v_j, the second derivatives are [2]
+        It is the largest b with K w = b B w, where K = [[0, G], [G^H, 0]] and B = diag(Lambda, I)
+        for b = 1 are linear in the unknowns. With the other solutions b_j, w_j, scaled such that
+        w_j^H B w_j = 1, the first derivative is w^H c, c = (dK - b dB) w, and the second one [2]
 
-            (Im u^H dG v)^2 / sigma + sum_j |alpha_j + beta_j^*|^2 / (2 (sigma - sigma_j))
-                                    + sum_j |alpha_j - beta_j^*|^2 / (2 (sigma + sigma_j)).
+            sum_j 2 |w_j^H c|^2 / (b - b_j) - 2 (w^H dB w) (w^H c).
 
-        Returns sigma, its derivative with respect to G, the gradient, and the second derivatives as
+        Returns b, its derivative with respect to G, the gradient, and the second derivatives as
         the sum of R'R and H. Unknowns are the real parts of the bound's entries of L, then the
         imaginary ones, then the split.
         """
-        (p, q, c), k = G.shape, self.splits
-        root = np.sqrt(self.diagonal(np.ones(c), split)) if k else np.ones((1, c))
-        U, s, Vh = np.linalg.svd(np.moveaxis(G / root[:, None], -1, 0))
-        V = Vh.conj().swapaxes(1, 2)
-        T = np.moveaxis(self.T / root[:, None], -1, 0)
-        left = U.conj().swapaxes(1, 2) @ T
-        share = self.of_d / root.T**2 if k else np.zeros((c, p))
+        (p, q, c), e = G.shape, len(self.entries)
+        K = np.zeros((c, p + q, p + q), dtype=complex)
+        K[:, :p, p:] = np.moveaxis(G, -1, 0)
+        K[:, p:, :p] = np.moveaxis(adjoint(G), -1, 0)
+        root = np.ones((c, p + q))
+        if self.splits:
+            root[:, :p] = np.sqrt(self.diagonal(np.ones(c), split)).T
+        values, W = np.linalg.eigh(K / root[:, :, None] / root[:, None])
+        W = W / root[:, :, None]
+        value, u, v = values[:, -1], W[:, :p, -1], W[:, p:, -1]
 
-        def form(i, j):
-            """u_i^H dG v_j, where G is the scaled one: linear in entries of L and split."""
-            of_L = left[:, i, self.rows] * V[:, self.cols, j]
-            rotated = U[:, :, i].conj() * U[:, :, j] * s[:, j, None]
-            return of_L, -0.5 * (rotated * share).sum(axis=1, keepdims=True)[:, :k]
+        change = np.zeros((c, p + q, 2 * e + self.splits), dtype=complex)
+        T = np.moveaxis(self.T, -1, 0)[:, :, self.rows]
+        of_G = T * v[:, None, self.cols]
+        of_adjoint = (T.conj() * u[:, :, None]).sum(axis=1)
+        real, imag = np.arange(e), np.arange(e, 2 * e)
+        change[:, :p, real], change[:, :p, imag] = of_G, 1j * of_G
+        change[:, p + self.cols, real] = of_adjoint
+        change[:, p + self.cols, imag] = -1j * of_adjoint
+        if self.splits:
+            change[:, :p, -1] = -value[:, None] * self.of_d * u
+        forms = W.conj().swapaxes(1, 2) @ change
 
-        def real(form):
-            of_L, of_split = form
-            return np.concatenate([of_L.real, -of_L.imag, of_split.real], axis=1)
-
-        def imag(form):
-            of_L, of_split = form
-            return np.concatenate([of_L.imag, of_L.real, of_split.imag], axis=1)
-
-        first = form(0, 0)
-        size = np.maximum(
-            s[:, 0], 1e-12
-        )  # where Q is zero, M and all its derivatives are
-        rows = [imag(first) / np.sqrt(size)[:, None]]
-        for j in range(1, p):
-            alpha = form(j, 0)
-            beta = form(0, j) if j < q else None
-            other = s[:, j] if j < q else 0.0
-            apart = np.maximum(s[:, 0] - other, 1e-9 * size)
-            for sign, distance in ((1, apart), (-1, size + other)):
-                re, im = real(alpha), imag(alpha)
-                if beta is not None:
-                    re, im = re + sign * real(beta), im - sign * imag(beta)
-                rows += [x / np.sqrt(2 * distance)[:, None] for x in (re, im)]
-        R, H = np.stack(rows, axis=1), 0.0
-        if k:
-            H = np.zeros((c, R.shape[2], R.shape[2]))
-            weight = np.abs(U[:, :, 0]) ** 2 * s[:, :1]
-            H[:, -1, -1] = 0.75 * (weight * share**2).sum(axis=1)
-            row = U[:, :, :1].conj() * T[:, :, self.rows] * V[:, None, self.cols, 0]
-            cross = -0.5 * (share[:, :, None] * row).sum(axis=1)
-            H[:, -1, :-1] = H[:, :-1, -1] = np.concatenate(
-                [cross.real, -cross.imag], axis=1
-            )
-        N = U[:, :, :1] * Vh[:, :1] / root.T[:, :, None]
-        return s[:, 0], np.moveaxis(N, 0, -1), real(first), R, H
+        gradient = forms[:, -1].real
+        # where Q is zero, M and all its derivatives are
+        apart = np.maximum(value, 1e-12)[:, None] * 1e-9
+        apart = np.maximum(value[:, None] - values[:, :-1], apart)
+        rows = forms[:, :-1] * np.sqrt(2 / apart)[:, :, None]
+        R, H = np.concatenate([rows.real, rows.imag], axis=1), 0.0
+        if self.splits:
+            H = np.zeros((c, 2 * e + 1, 2 * e + 1))
+            of_B = (self.of_d * np.abs(u) ** 2).sum(axis=1, keepdims=True) * gradient
+            H[:, -1] -= of_B
+            H[:, :, -1] -= of_B
+        N = 2 * u[:, :, None] * v[:, None].conj()
+        return value, np.moveaxis(N, 0, -1), gradient, R, H
 
     def tighten(self, G, split, level):
         """The split of the smallest value, and that value, wherever it is above the level."""
@@ -272,6 +251,14 @@ def product(A, B):
     for j in range(1, len(B)):
         C += A[:, j, None] * B[j]
     return C
+
+
+def add_columns(total, rows, at, values):
+    """Add values to the rows and to the columns `at` of an array."""
+    if isinstance(at, slice):
+        total[rows, at] += values
+    else:  # a column may occur more than once
+        np.add.at(total, (rows[:, None], at), values)
 
 
 def root_of(H):

@@ -28,6 +28,7 @@ import numpy as np
 from tqdm import tqdm
 
 from rodlib.ilc.problem.problem import Solution
+from rodlib.ilc.synthesis.solver.bounds import add_columns
 from rodlib.ilc.synthesis.solver.inequalities import Slack, longest_step, trace
 from rodlib.ilc.synthesis.solver.newton import factorise
 from rodlib.ilc.synthesis.solver.program import Infeasible, Program
@@ -91,7 +92,7 @@ def stationarity(program, Y):
     g = np.zeros((program.entries, program.basis.shape[1]), dtype=complex)
     for bound, A in zip(program.bounds, Y, strict=True):
         p = len(bound.F)
-        bound.spread(bound.gradient(2 * A[p:, :p]), g)
+        add_columns(g, bound.entries, bound.at, bound.gradient(2 * A[p:, :p]))
     return (g @ program.basis.T).real.ravel()
 
 

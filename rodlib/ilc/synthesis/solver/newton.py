@@ -1,127 +1,125 @@
 """The Newton system of the interior-point method, with all but the coefficients eliminated.
 
-The unknowns of `interior_point` are the coefficients x, and t and d,
-which stand in Lambda and b of single inequalities. For directions dS_a, dS_b in which S can change,
-the matrix of the system is <dS_a, Y dS_b X>. What belongs to a single inequality is eliminated
-first; in terms of the entries of L at each frequency that leaves a Hermitian form and a symmetric
-one.
+The unknowns of `interior_point` are the coefficients x, and t and d, which stand in Lambda and b of
+single inequalities. For directions dS_a, dS_b in which S can change, the matrix of the system is
+<dS_a, Y dS_b X>. What belongs to a single inequality is eliminated first; in terms of the entries
+of L at each frequency that leaves a Hermitian form and a symmetric one.
 """
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from rodlib.ilc.synthesis.solver.bounds import adjoint, product
+from rodlib.ilc.synthesis.solver.bounds import add_columns, adjoint, product
 from rodlib.ilc.synthesis.solver.inequalities import EPS, cholesky, trace
-
-CACHED = 2**15  # numbers in a block of columns
 
 
 class Local:
-    """One bound: its second derivatives in d, t and L, and d or a t of its own eliminated."""
+    """One bound: its second derivatives in d, t and L, and what is eliminated at each column.
+
+    That is d, a t of its own, or nothing; `inner` is its direction in the diagonal of S, or None.
+    """
 
     def __init__(self, program, j, slack, Y, barrier):
-        bound = program.bounds[j]
+        self.bound = bound = program.bounds[j]
+        self.columns = program.has_t(j)
         p, q, c = bound.shape
-        self.bound, self.has_t, k = bound, program.has_t(j), bound.splits
-        self.shared = program.shared and len(self.has_t) > 0
-        self.own_t = not program.shared and len(self.has_t) > 0
-        directions = np.zeros((k + 1, p + q))
-        directions[:k, :p] = bound.of_d
-        directions[k, :p], directions[k, p:] = bound.of_b, 1
-        if not len(self.has_t):
-            directions = directions[:k]
-        half = np.tensordot(directions, (Y * slack.X.conj()).real, 1)
-        Z = np.tensordot(directions, half, (1, 1))
-        g = np.zeros((len(directions), len(bound.entries), c), dtype=complex)
-        for z, a in enumerate(directions[..., None]):
+        has_t = len(self.columns) > 0
+        self.shared = program.shared and has_t
+        self.own_t = has_t and not program.shared
+        self.of_t = np.append(bound.of_b, np.ones(q))
+        self.inner = self.of_t if self.own_t else None
+        if bound.splits:
+            self.inner = np.append(bound.of_d, np.zeros(q))
+        overlap = (Y * slack.X.conj()).real
+
+        def second(a, b):
+            """Second derivatives along two directions in the diagonal, (c,)."""
+            return np.tensordot(np.outer(a, b), overlap)
+
+        def mixed(a):
+            """Those along a direction in the diagonal and each entry of L, (entries, c)."""
+            a = a[:, None]
             W = product(slack.X[p:] * a, Y[:, :p]) + product(Y[p:] * a, slack.X[:, :p])
-            g[z] = bound.gradient(W)
-        if self.own_t:
-            here = np.zeros(c)
-            here[self.has_t] = 1
-            g[k], Z[k], Z[:, k] = g[k] * here, Z[k] * here, Z[:, k] * here
-            Z[k, k] += 1 - here  # where there is no t, nothing
-            Z[k, k, self.has_t] += barrier
-        inner = slice(0, k + self.own_t)
-        self.inverse, self.g = 1 / Z[inner, inner], g[inner]  # of one number or none
+            return bound.gradient(W)
+
+        self.inverse, self.g = np.zeros(c), np.zeros((len(bound.entries), c))
+        if self.inner is not None:
+            Z, self.g = second(self.inner, self.inner), mixed(self.inner)
+            here = np.arange(c) if bound.splits else self.columns
+            self.inverse[here] = 1 / (Z[here] + (barrier if self.own_t else 0))
         # how what is eliminated follows the entries of L, and a t that several bounds share
-        self.follow = np.einsum("xyc,yec->xec", self.inverse, self.g)
+        self.follow, self.shift = self.inverse * self.g, 0 * self.inverse
         if self.shared:
-            self.shift = np.einsum("xyc,yc->xc", self.inverse, Z[inner, k])
-            self.tt = (Z[k, k] - (Z[k, inner] * self.shift).sum(axis=0)).sum()
-            self.xt = g[k] - (self.shift[:, None] * self.g).sum(axis=0)
+            self.tt, self.xt = second(self.of_t, self.of_t).sum(), mixed(self.of_t)
+            if self.inner is not None:
+                cross = second(self.inner, self.of_t)
+                self.shift = self.inverse * cross
+                self.tt -= cross @ self.shift
+                self.xt = self.xt - self.shift * self.g
 
     def residual(self, Y, eta):
         """By how much Y is not stationary with respect to what is eliminated, and a shared t."""
-        bound, p = self.bound, len(self.bound.F)
         diagonal = np.einsum("iin->in", Y).real
-        of_d = np.tile(bound.of_d, (bound.splits, 1)) @ diagonal[:p]
-        if not len(self.has_t):
-            return of_d, 0.0
-        of_t = bound.of_b @ diagonal[:p] + diagonal[p:].sum(axis=0)
+        of_inner = np.zeros(len(self.inverse))
+        if self.inner is not None:
+            of_inner = self.inner @ diagonal
         if self.own_t:
-            rest = np.zeros((1, Y.shape[-1]))
-            rest[0, self.has_t] = of_t[self.has_t] - eta - 1
-            return np.concatenate([of_d, rest]), 0.0
-        return of_d, of_t.sum() - (self.shift * of_d).sum()
+            of_inner[self.columns] -= eta + 1
+        of_t = (self.of_t @ diagonal).sum() if self.shared else 0.0
+        return of_inner, of_t - self.shift @ of_inner
 
     def step(self, residual, dL, dt):
         """Change of d, and of the bound's own t, that follows."""
         dL = dL[self.bound.entries][:, self.bound.at]
-        dz = np.einsum("xyc,yc->xc", self.inverse, residual)
-        dz = dz - (self.follow * dL).real.sum(axis=1)
-        if self.shared:
+        dz = self.inverse * residual - (self.follow * dL).real.sum(axis=0)
+        if self.own_t:
+            dt = dz[self.columns]
+        elif self.shared:
             dz = dz - self.shift * dt
-        k = self.bound.splits
-        return dz[:k], dz[k][self.has_t] if self.own_t else dt
+        return dz[None][: self.bound.splits], dt
+
+
+def forms(part, slack, Y):
+    """Forms A, Hermitian, and B, symmetric, in pairs of entries of L, (pairs, c).
+
+    In terms of D, the off-diagonal block of dS, <dS, Y dS' X> is the real part of
+
+        tr(D^H (Y11 D' X22 + X11 D' Y22)) + tr(D (Y21 D' X21 + X21 D' Y21)).
+    """
+    bound, T = part.bound, part.bound.T
+    p = len(bound.F)
+    X22, Y22 = slack.X[p:, p:], Y[p:, p:]
+    X21, Y21 = (product(S[p:, :p], T) for S in (slack.X, Y))
+    X11, Y11 = (product(adjoint(T), product(S[:p, :p], T)) for S in (slack.X, Y))
+    j, k = np.triu_indices(len(bound.entries))
+    row, row_k, col, col_k = bound.rows[j], bound.rows[k], bound.cols[j], bound.cols[k]
+    A = Y11[row, row_k] * X22[col_k, col] + X11[row, row_k] * Y22[col_k, col]
+    B = Y21[col, row_k] * X21[col_k, row] + X21[col, row_k] * Y21[col_k, row]
+    if part.inner is not None:
+        A -= 0.5 * part.g[j].conj() * part.follow[k]
+        B -= 0.5 * part.g[j] * part.follow[k]
+    return A, B
 
 
 def normal_matrix(program, slacks, Y, local):
     """sum <dS_j, Y dS_k X> for all pairs of coefficients, with d and own t eliminated."""
-    # In terms of D, the off-diagonal block of dS, this is the real part of
-    # tr(D^H (Y11 D' X22 + X11 D' Y22)) + tr(D (Y21 D' X21 + X21 D' Y21)), that is, a Hermitian form
-    # A and a symmetric form B in the entries of L at each frequency.
-    basis, E = program.basis, program.entries
-    order, n = basis.shape
-    pairs = np.array([(j, k) for j in range(E) for k in range(j, E)])
+    order, n = program.basis.shape
+    E = program.entries
+    j, k = np.triu_indices(E)
     number = np.zeros((E, E), dtype=int)
-    number[pairs[:, 0], pairs[:, 1]] = np.arange(len(pairs))
-    A, B = np.zeros((2, len(pairs), n), dtype=complex)
+    number[j, k] = np.arange(len(j))
+    totals = np.zeros((2, len(j), n), dtype=complex)
     for part, slack, Yc in zip(local, slacks, Y, strict=True):
-        bound, T, p = part.bound, part.bound.T, len(part.bound.F)
-        (X11, Y11), (X21, Y21), (X22, Y22) = (
-            [product(adjoint(T), product(S[:p, :p], T)) for S in (slack.X, Yc)],
-            [product(S[p:, :p], T) for S in (slack.X, Yc)],
-            [S[p:, p:] for S in (slack.X, Yc)],
-        )
-        j, k = np.triu_indices(len(bound.entries))
-        r, c, rs, cs = bound.rows[j], bound.cols[j], bound.rows[k], bound.cols[k]
-        which, columns = number[bound.entries[j], bound.entries[k]], bound.shape[2]
-        size = max(32, CACHED // len(which))  # of a block that stays in the cache
-        for i in range(0, columns, size):
-            some = slice(i, min(i + size, columns))
-            x11, y11, x21, y21, x22, y22 = (
-                Z[..., some] for Z in (X11, Y11, X21, Y21, X22, Y22)
-            )
-            a = y11[r, rs] * x22[cs, c] + x11[r, rs] * y22[cs, c]
-            b = y21[c, rs] * x21[cs, r] + x21[c, rs] * y21[cs, r]
-            for g, follow in zip(
-                part.g[..., some], part.follow[..., some], strict=True
-            ):
-                a -= 0.5 * g[j].conj() * follow[k]
-                b -= 0.5 * g[j] * follow[k]
-            for form, value in ((A, a), (B, b)):
-                if isinstance(bound.at, slice):
-                    form[which, some] += value
-                else:
-                    np.add.at(form, (which[:, None], bound.at[some]), value)
+        entries = part.bound.entries
+        pairs = number[np.ix_(entries, entries)][np.triu_indices(len(entries))]
+        for total, form in zip(totals, forms(part, slack, Yc), strict=True):
+            add_columns(total, pairs, part.bound.at, form)
     # Re(A phi_k phi_l^*) + Re(B phi_k phi_l), summed over the frequencies
     sums = sum(
-        form.view(float) @ part
-        for form, part in zip((A, B), program.products, strict=True)
+        total.view(float) @ products
+        for total, products in zip(totals, program.products, strict=True)
     )
     H = np.empty((E, order, E, order))
-    j, k = pairs.T
     H[k, :, j] = sums.reshape(-1, order, order)
     H[j, :, k] = H[k, :, j].transpose(0, 2, 1)
     return H.reshape(E * order, -1)
@@ -210,15 +208,13 @@ def factorise(program, slacks, Y, barrier, root=False):
         """Numbers for the entries and columns of each bound, as a vector for the coefficients."""
         total = np.zeros((E, basis.shape[1]), dtype=complex)
         for part, g in zip(local, numbers, strict=True):
-            part.bound.spread(g, total)
+            add_columns(total, part.bound.entries, part.bound.at, g)
         return (total @ basis.T).real.ravel()
 
     xt = tt = None
     if program.shared:
         tt = sum(part.tt for part in local if part.shared) + barrier[0]
-        xt = onto_x(
-            [part.xt if part.shared else 0 * part.bound.T[0, 0] for part in local]
-        )
+        xt = onto_x(part.xt if part.shared else 0 * part.g for part in local)
     if root:
         R = square_root(program, slacks, Y, barrier)
         scale = 1 / np.linalg.norm(R, axis=0)
@@ -234,9 +230,8 @@ def factorise(program, slacks, Y, barrier, root=False):
 
     def solve(rx, Y, eta):
         residuals = [part.residual(A, eta) for part, A in zip(local, Y, strict=True)]
-        follow = zip(local, residuals, strict=True)
         rx = rx - onto_x(
-            [(part.follow * r[:, None]).sum(axis=0) for part, (r, _) in follow]
+            part.follow * r for part, (r, _) in zip(local, residuals, strict=True)
         )
         if program.shared:
             rt = sum(r for _, r in residuals) - eta[0] - 1

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from rodlib import largest_cutoff, least_gain, synthesise
+from rodlib import least_gain, synthesise
 from rodlib.ilc.synthesis import design
+from rodlib.ilc.synthesis.search import largest_cutoff
 from rodlib.ilc.synthesis.solver.threads import on_one_thread
 
 
