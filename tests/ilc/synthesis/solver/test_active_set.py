@@ -78,7 +78,6 @@ def test_what_is_infeasible_is_said_to_be(before, loop, Q, omega):
 
 @pytest.mark.filterwarnings("ignore:the filter leaves")
 @pytest.mark.filterwarnings("ignore:the samples are too coarse")
-@pytest.mark.filterwarnings("ignore:.*the loop passes only")
 @settings(max_examples=6)
 @given(
     st.integers(1, 3),
