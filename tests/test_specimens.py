@@ -18,7 +18,6 @@ from rodlib import (
     responses,
     sampled_response,
 )
-from rodlib.ilc.models import frequency_response
 from rodlib.specimens import unstable_poles
 
 ALL = Spread.of_all(0.3)
@@ -75,17 +74,10 @@ def test_responses_are_those_of_the_loop_around_the_sampled_rod(number):
     np.testing.assert_allclose(found, expected, atol=1e-11)
 
 
-def test_modal_model_of_these_tests_is_the_sampled_rod():
-    omega = np.array([0.0, 1e-3, 0.1, 3.0])
-    model = modal_model(Specimen(Rod(), (1.0,) * 4), 1.0)
-    expected = sampled_response(Rod(), omega, 1.0)
-    np.testing.assert_allclose(frequency_response(model, omega), expected, atol=1e-13)
-
-
 def test_unstable_poles_are_those_of_a_model_with_hundreds_of_modes(loop):
     """Among rods so far off, and with elements so strong, that many a loop is unstable."""
-    pairs = [(3, 3), (8, 8), (30, 1), (1, 30), (30, 30), (-1, 1), (-1, -1)]
-    specimens = [draw(Spread.of_all(0.9), number) for number in range(8)]
+    pairs = [(3, 3), (30, 1), (30, 30), (-1, 1), (-1, -1)]
+    specimens = [draw(Spread.of_all(0.9), number) for number in range(3)]
     specimens += [Specimen(Rod(), (first, 1.0, third, 1.0)) for first, third in pairs]
     models = [modal_model(specimen, 1.0, 200) for specimen in specimens]
     moduli = [pole_moduli(loop, model) for model in models]
@@ -121,31 +113,25 @@ def test_a_rod_with_other_sections_and_one_sensor():
     assert unstable_poles(loop, [specimen]) == [0]
 
 
-def of_paper(specimens, omega=(0.1,)):
-    return responses(paper_loop(), specimens, omega)
-
-
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: Spread(density=1.0), "density"),
-        (lambda: Spread(gains=-0.1), "gains"),
-        (lambda: Spread(sensors=-1e-3), "sensors"),
-        (lambda: Spread.of_all(1.0), "share"),
-        (lambda: ALL.specimen(np.zeros(9)), "deviations"),
-        (lambda: ALL.specimen([-1.5, *[0] * 9]), "deviations reach 1.5"),
-        (lambda: draw(Spread(sensors=0.05), 0), "sensors = 0.05 .* at most 0.04"),
-        (lambda: draw(Spread(), -1), "number"),
-        (lambda: draw(Spread(), 0, root=0.5), "root"),
-        (lambda: draw(0.2, 0), "spread"),
-        (lambda: draw(Spread(), 0, nominal="paper"), "nominal"),
-        (lambda: of_paper([Rod()]), "specimens"),
-        (lambda: of_paper(draw(ALL, 0)), "specimens"),
-        (lambda: of_paper([draw(ALL, 0, nominal=Rod(sections=3))]), "loop .* nominal"),
-        (lambda: of_paper([draw(ALL, 0)], ["a"]), "omega"),
-        (lambda: unstable_poles("loop", [draw(ALL, 0)]), "loop"),
+        (lambda loop: Spread(density=1.0), "density"),
+        (lambda loop: Spread(gains=-0.1), "gains"),
+        (lambda loop: Spread.of_all(1.0), "share"),
+        (lambda loop: ALL.specimen(np.zeros(9)), "deviations"),
+        (lambda loop: ALL.specimen([-1.5, *[0] * 9]), "deviations reach 1.5"),
+        (lambda loop: draw(Spread(sensors=0.05), 0), "sensors = 0.05 .* 0.04"),
+        (lambda loop: draw(Spread(), -1), "number"),
+        (lambda loop: responses(loop, [Rod()], [0.1]), "specimens"),
+        (
+            lambda loop: responses(
+                loop, [draw(ALL, 0, nominal=Rod(sections=3))], [0.1]
+            ),
+            "loop .* nominal",
+        ),
     ],
 )
-def test_wrong_specimens_are_refused(call, message):
+def test_wrong_specimens_are_refused(loop, call, message):
     with pytest.raises(ValueError, match=message):
-        call()
+        call(loop)

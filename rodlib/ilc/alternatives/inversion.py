@@ -35,11 +35,11 @@ def stable_inversion(
         Of a model with a zero on the unit circle, a ValueError says so when it is applied.
     """
     gain, (m, Ts) = arguments.share("gain", gain), square(P)
-    passed = _low_pass(cutoff, Ts)
+    low_pass = _low_pass(cutoff, Ts)
 
     def response(omega):
-        share = gain * passed(omega)
-        return share[:, None, None] * np.linalg.inv(frequency_response(P, omega))
+        F = low_pass(omega)[:, None, None]
+        return gain * F * np.linalg.inv(frequency_response(P, omega))
 
     return TwoSidedFilter(response, m, Ts)
 
@@ -62,23 +62,21 @@ def zero_phase_inversion(
     a ValueError says that there is none.
     """
     gain, (m, Ts) = arguments.share("gain", gain), square(P)
-    passed = _low_pass(cutoff, Ts)
+    low_pass = _low_pass(cutoff, Ts)
     zeros = [outer_zeros(P[i, i]) for i in range(m)]
-    for i, each in enumerate(zeros):
-        if np.any(np.abs(each - 1) < 1e-9):
+    for i in range(m):
+        if np.any(np.abs(zeros[i] - 1) < 1e-9):
             raise ValueError(
-                f"P[{i}, {i}] has a zero at frequency zero, which no L undoes"
+                f"P[{i}, {i}] has a zero at frequency zero: no L undoes it"
             )
 
     def response(omega):
-        z, L = (
-            np.exp(1j * omega * Ts)[:, None],
-            np.zeros((len(omega), m, m), dtype=complex),
-        )
-        entries = np.einsum("nii->ni", frequency_response(P, omega))
+        z = np.exp(1j * omega * Ts)[:, None]
+        P_response, F = frequency_response(P, omega), low_pass(omega)
+        L = np.zeros(P_response.shape, complex)
         for i in range(m):
             factor = np.prod(np.abs((z - zeros[i]) / (1 - zeros[i])) ** 2, axis=1)
-            L[:, i, i] = gain * passed(omega) * factor / entries[:, i]
+            L[:, i, i] = gain * F * factor / P_response[:, i, i]
         return L
 
     return TwoSidedFilter(response, m, Ts)
@@ -94,9 +92,11 @@ def gradient(P: control.StateSpace, step: float) -> TwoSidedFilter:
     Intelligent Control (1987) 371-376. P as for :func:`stable_inversion`; the step is above zero.
     """
     step, (m, Ts) = arguments.positive("step", step), square(P)
-    return TwoSidedFilter(
-        lambda omega: step * frequency_response(P, omega).conj().swapaxes(1, 2), m, Ts
-    )
+
+    def response(omega):
+        return step * frequency_response(P, omega).conj().swapaxes(1, 2)
+
+    return TwoSidedFilter(response, m, Ts)
 
 
 def _low_pass(cutoff, Ts):

@@ -61,9 +61,8 @@ class NormOptimal:
         """(P^H P + weight I)^-1 P^H, to which L tends far from the ends of a long trial."""
         P = frequency_response(self.P, omega)
         adjoint = P.conj().swapaxes(1, 2)
-        return np.linalg.solve(
-            adjoint @ P + self.weight * np.eye(self.P.ninputs), adjoint
-        )
+        weight = self.weight * np.eye(self.P.ninputs)
+        return np.linalg.solve(adjoint @ P + weight, adjoint)
 
     @cached_property
     def _factors(self) -> SuperLU:
@@ -82,15 +81,16 @@ class NormOptimal:
         N = self.samples
         system = kron(eye_array(N), here) + kron(eye_array(N, k=-1), before)
         system = csc_array(system + kron(eye_array(N, k=1), before.T))
-        return splu(
-            system, permc_spec="NATURAL"
-        )  # samples in turn: pivots stay near the diagonal
+        # samples in turn: pivots stay near the diagonal
+        return splu(system, permc_spec="NATURAL")
 
     def apply(self, signal) -> np.ndarray:
         """The best change, shape (..., samples, m), for an error of shape (..., samples, p)."""
         signal = arguments.array("signal", signal, (..., self.samples, self.channels))
         n, m = self.P.B.shape
         right = np.zeros((*signal.shape[:-1], 2 * n + m))
-        right[..., :n], right[..., n : n + m] = signal @ self.P.C, signal @ self.P.D
-        solved = self._factors.solve(right.reshape(-1, self.samples * (2 * n + m)).T).T
-        return solved.reshape(right.shape)[..., n : n + m]
+        right[..., :n] = signal @ self.P.C
+        right[..., n : n + m] = signal @ self.P.D
+        columns = right.reshape(-1, self.samples * (2 * n + m)).T
+        solution = self._factors.solve(columns).T.reshape(right.shape)
+        return solution[..., n : n + m]

@@ -2,7 +2,7 @@
 
 import control
 import numpy as np
-from scipy.linalg import LinAlgError, schur, solve_discrete_are
+from scipy.linalg import LinAlgError, block_diag, schur, solve_discrete_are
 from scipy.signal import tf2ss
 
 from rodlib.ilc import arguments
@@ -89,25 +89,18 @@ def generalised_plant(
         )
     if corner is not None:
         corner = arguments.number("corner", corner, "in (0, Nyquist)", 0, np.pi / Ts)
-    n, chain = P.nstates, m * preview
-    plant = control.ss(
-        np.block(
-            [[np.eye(chain, k=-m), np.zeros((chain, n))], [np.zeros((n, chain)), P.A]]
-        ),
-        np.block([[np.eye(chain, m), np.zeros((chain, m))], [np.zeros((n, m)), P.B]]),
-        np.hstack([np.eye(m, chain, k=chain - m), -P.C]),
-        np.hstack([np.zeros((m, m)), -P.D]),
-        Ts,
-    )
+    delay_A, delay_B = np.eye(m * preview, k=-m), np.eye(m * preview, m)
+    delay_C = np.eye(m, m * preview, k=m * (preview - 1))
+    A, B = block_diag(delay_A, P.A), block_diag(delay_B, P.B)
+    D = np.hstack([np.zeros((m, m)), -P.D])
+    plant = control.ss(A, B, np.hstack([delay_C, -P.C]), D, Ts)
     weights = [(s[:3], s[3:]) for s in [*Q.sections, *Q.sections]]
     if emphasis > 1:
         a = np.tan(corner * Ts / 2)
         weights.append(([1 + emphasis * a, emphasis * a - 1], [1 + a, a - 1]))
     for numerator, denominator in weights:
-        on_each = (
-            np.kron(np.eye(m), matrix) for matrix in tf2ss(numerator, denominator)
-        )
-        plant = control.ss(*on_each, Ts) * plant
+        A, B, C, D = (np.kron(np.eye(m), X) for X in tf2ss(numerator, denominator))
+        plant = control.ss(A, B, C, D, Ts) * plant
     C = np.vstack([plant.C, np.zeros((m, plant.nstates))])
     D = np.vstack([plant.D, np.hstack([np.zeros((m, m)), effort * np.eye(m)])])
     return control.ss(plant.A, plant.B, C, D, Ts)
@@ -128,10 +121,8 @@ def full_information(
         ValueError says so.
     """
     arguments.state_space("plant", plant)
-    m, level = (
-        arguments.whole("m", m, 1, plant.ninputs - 1),
-        arguments.positive("level", level),
-    )
+    m = arguments.whole("m", m, 1, plant.ninputs - 1)
+    level = arguments.positive("level", level)
     A, B, C, D = plant.A, plant.B, plant.C, plant.D
     R = D.T @ D - np.diag([level**2] * m + [0.0] * (plant.ninputs - m))
     refusal = (
@@ -143,13 +134,16 @@ def full_information(
     except (LinAlgError, ValueError):
         raise ValueError(refusal) from None
     R, S = R + B.T @ X @ B, B.T @ X @ A + D.T @ C
-    R_u = R[m:, m:]
-    F, G = np.linalg.solve(R_u, S[m:]), np.linalg.solve(R_u, R[m:, :m])
-    K = control.ss(A - B[:, m:] @ F, B[:, :m] - B[:, m:] @ G, -F, -G, plant.dt)
-    against = R[:m, :m] - R[:m, m:] @ G
-    saddle = np.linalg.eigvalsh(R_u).min() > 0 > np.linalg.eigvalsh(against).max()
-    worth = np.linalg.eigvalsh(X)  # of a state: no negative energy
+    R_w, R_wu, R_uw, R_u = R[:m, :m], R[:m, m:], R[m:, :m], R[m:, m:]
+    F, G = np.linalg.solve(R_u, S[m:]), np.linalg.solve(R_u, R_uw)
+    B_w, B_u = B[:, :m], B[:, m:]
+    K = control.ss(A - B_u @ F, B_w - B_u @ G, -F, -G, plant.dt)
+    schur_complement = R_w - R_wu @ G
+    u_minimises = np.linalg.eigvalsh(R_u).min() > 0
+    w_maximises = np.linalg.eigvalsh(schur_complement).max() < 0
     stable = np.abs(np.linalg.eigvals(K.A)).max() < 1
-    if not (saddle and stable and worth[0] > -ROUNDING * worth[-1]):
+    energy = np.linalg.eigvalsh(X)  # of a state: not negative
+    positive = energy[0] > -ROUNDING * energy[-1]
+    if not (u_minimises and w_maximises and stable and positive):
         raise ValueError(refusal)
     return K

@@ -43,5 +43,5 @@ def pd_type(
     coefficients[-1] = gain + slope / Ts
     if slope:
         coefficients[-2] = -slope / Ts
-    each = np.eye(arguments.whole("channels", channels, 1))
-    return LearningFilter(each[..., None] * coefficients, Ts)
+    identity = np.eye(arguments.whole("channels", channels, 1))
+    return LearningFilter(identity[..., None] * coefficients, Ts)

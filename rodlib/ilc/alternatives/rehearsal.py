@@ -53,19 +53,17 @@ class Rehearsal:
         alone = arguments.array("alone", self.alone, ("trial", "time", "m"))
         _, samples, m = alone.shape
         P = arguments.array("P", self.P, (samples + 1, m, m), complex)
-        rest = arguments.whole("rest", self.rest, 0, samples - 1)
-        for name, value in {"alone": alone, "P": P, "rest": rest}.items():
-            object.__setattr__(self, name, value)
+        arguments.whole("rest", self.rest, 0, samples - 1)
+        object.__setattr__(self, "alone", alone)
+        object.__setattr__(self, "P", P)
 
     def rate(self, L: LearningOperator) -> float:
         """Of Lemma 1, the largest sigma_max(M), at `JUDGED` of the lines."""
         samples = self.alone.shape[1]
-        chosen = np.unique(
-            np.append(0, np.geomspace(1, samples, JUDGED).round().astype(int))
-        )
-        return float(
-            rate(self.P[chosen], self.Q, L, lines(samples, self.Q.Ts)[chosen]).gamma
-        )
+        spaced = np.geomspace(1, samples, JUDGED).round().astype(int)
+        at = np.unique(np.append(0, spaced))
+        omega = lines(samples, self.Q.Ts)[at]
+        return float(rate(self.P[at], self.Q, L, omega).gamma)
 
     def errors(self, L: LearningOperator) -> np.ndarray:
         """e_k, shape (trials, samples, m)."""
@@ -74,9 +72,9 @@ class Rehearsal:
         check_learning(L, m)
 
         def trial(k, v):
-            Pv = self.P @ rfft(v, 2 * samples, axis=0)[..., None]
-            y = irfft(Pv[..., 0], 2 * samples, axis=0)[:samples]
-            return {"e": self.alone[k] - y}
+            spectrum = rfft(v, 2 * samples, axis=0)
+            Pv = irfft(np.einsum("nij,nj->ni", self.P, spectrum), axis=0)
+            return {"e": self.alone[k] - Pv[:samples]}
 
         return learn(trial, law, law.first(samples), trials)
 
@@ -87,10 +85,8 @@ class Rehearsal:
 
 def lines(samples: int, Ts: float) -> np.ndarray:
     """Frequencies (rad/s) of a trial that is followed by as many zeros, shape (samples + 1,)."""
-    samples, Ts = (
-        arguments.whole("samples", samples, 1),
-        arguments.sampling_period("Ts", Ts),
-    )
+    samples = arguments.whole("samples", samples, 1)
+    Ts = arguments.sampling_period("Ts", Ts)
     return 2 * np.pi * np.fft.rfftfreq(2 * samples, Ts)
 
 
@@ -110,7 +106,7 @@ def tune(
     M_max: float = 0.9,
     evaluations: int = 24,
 ) -> Tuned:
-    """Search for the tuning of a design whose trials are best.
+    """Search for the parameters of a design with which the trials are best.
 
     The criterion is the sum of RMS(e_k) over all trials but the first, rehearsed on the model of
     the design, with a rate of at most `M_max`. It counts speed, what is left in the end, and what
@@ -140,44 +136,41 @@ def tune(
     M_max = arguments.number("M_max", M_max, "in (0, 1)", 0, 1)
     evaluations = arguments.whole("evaluations", evaluations, 4)
     arguments.instance("box", box, dict)
-    edges = [
-        arguments.array(f"box[{name!r}]", ends, (2,)) for name, ends in box.items()
-    ]
-    for name, (low, high) in zip(box, edges, strict=True):
+    for name, ends in box.items():
+        low, high = arguments.array(f"box[{name!r}]", ends, (2,))
         if not 0 < low < high:
-            raise ValueError(
-                f"box[{name!r}] = {box[name]} must be 0 < lowest < highest"
-            )
-    edges, tried = np.log(edges), []
+            raise ValueError(f"box[{name!r}] = {ends} must be 0 < lowest < highest")
+    low, high = np.log(list(box.values())).T
+    candidates = []
 
     def cost(x):
-        values = np.exp(edges[:, 0] + x * (edges[:, 1] - edges[:, 0])).tolist()
-        parameters = {
-            name: round(value) if isinstance(box[name][0], int) else value
-            for name, value in zip(box, values, strict=True)
-        }
+        values = np.exp(low + x * (high - low)).tolist()
+        parameters = dict(zip(box, values, strict=True))
+        for name, (least, _) in box.items():
+            if isinstance(least, int):
+                parameters[name] = round(parameters[name])
         try:
-            found = design(**parameters)
+            result = design(**parameters)
         except ValueError:
             return WORST
-        L = getattr(found, "filter", found)
+        L = getattr(result, "filter", result)
         arguments.instance(f"design(**{parameters})", L, LearningOperator)
         rate = rehearsal.rate(L)
         if rate > M_max * (1 + 1e-6):
             return WORST * rate / (1 + rate)  # towards a lower rate
-        tried.append(Tuned(parameters, L, float(rehearsal.rms(L)[1:].sum())))
-        return tried[-1].value
+        value = float(rehearsal.rms(L)[1:].sum())
+        candidates.append(Tuned(parameters, L, value))
+        return value
 
     spread = qmc.Halton(len(box), scramble=False).random(evaluations // 2 + 1)[1:]
     first = spread[np.argmin([cost(x) for x in spread])]
     toward = np.where(first < 0.5, 0.15, -0.15)
     simplex = np.vstack([first, first + np.diag(toward)])
     options = {"maxfev": evaluations - len(spread), "initial_simplex": simplex}
-    minimize(
-        cost, first, method="Nelder-Mead", bounds=[(0, 1)] * len(box), options=options
-    )
-    if not tried:
+    bounds = [(0, 1)] * len(box)
+    minimize(cost, first, method="Nelder-Mead", bounds=bounds, options=options)
+    if not candidates:
         raise ValueError(
             f"design reaches a rate of M_max = {M_max} nowhere in box = {box}"
         )
-    return min(tried, key=lambda each: each.value)
+    return min(candidates, key=lambda tuned: tuned.value)

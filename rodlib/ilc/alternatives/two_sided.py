@@ -23,9 +23,7 @@ MOST = 0.999  # of its energy; half of the rest is left out at each end
 class TwoSidedFilter:
     """A learning filter for a :class:`rodlib.Law`, for signals that are zero outside the trial."""
 
-    response: Callable[
-        [np.ndarray], np.ndarray
-    ]  # from omega (rad/s) to L, (n, channels, channels)
+    response: Callable  # from omega (rad/s), (n,), to L, (n, channels, channels)
     channels: int
     Ts: float  # s
 
@@ -40,20 +38,17 @@ class TwoSidedFilter:
 
     @cached_property
     def _taps(self):
-        lags, taps = two_sided_taps(self)
-        return lags[0], taps
+        return two_sided_taps(self)
 
     def apply(self, signal) -> np.ndarray:
         """Filter a signal of shape (..., time, channels)."""
         signal = arguments.array("signal", signal, (..., "time", self.channels))
-        first, taps = self._taps
-        samples, n = (
-            signal.shape[-2],
-            next_fast_len(signal.shape[-2] + len(taps), real=True),
-        )
+        lags, taps = self._taps
+        samples = signal.shape[-2]
+        n = next_fast_len(samples + len(taps), real=True)
         spectrum = rfft(taps, n, axis=0) @ rfft(signal, n, axis=-2)[..., None]
-        filtered = np.roll(irfft(spectrum[..., 0], n, axis=-2), first, axis=-2)
-        return filtered[..., :samples, :]
+        filtered = irfft(spectrum[..., 0], n, axis=-2)
+        return np.roll(filtered, lags[0], axis=-2)[..., :samples, :]
 
 
 def two_sided_taps(L: LearningOperator) -> tuple[np.ndarray, np.ndarray]:
@@ -77,9 +72,11 @@ def two_sided_taps(L: LearningOperator) -> tuple[np.ndarray, np.ndarray]:
         omega = rfftfreq(n, L.Ts / (2 * np.pi))
         taps = np.fft.fftshift(irfft(L.frequency_response(omega), n, axis=0), axes=0)
         size = np.abs(taps).max(axis=(1, 2))
-        kept = slice(n // 4, -n // 4)
-        if max(size[: n // 4].max(), size[-n // 4 :].max()) <= NEGLIGIBLE * size.max():
-            return np.arange(-n // 2, n // 2)[kept], taps[kept]
+        quarter = n // 4
+        ends = max(size[:quarter].max(), size[-quarter:].max())
+        if ends <= NEGLIGIBLE * size.max():
+            lags = np.arange(-n // 2, n // 2)
+            return lags[quarter:-quarter], taps[quarter:-quarter]
         n *= 2
     raise ValueError(
         f"L has an impulse response that does not decay within {LONGEST // 4} samples: a pole, "

@@ -20,10 +20,8 @@ from rodlib.ilc.evidence.peak import (
 )
 from rodlib.ilc.evidence.robustness import WorstCase, worst_case
 from rodlib.ilc.filters import LearningFilter
-from rodlib.ilc.models import impulse_response
 from rodlib.ilc.problem.problem import (
     MOST_GAIN,
-    TIED,
     Problem,
     Solution,
     largest_singular_values,
@@ -36,7 +34,6 @@ BETWEEN = 1e-7  # and of one between the frequencies, where the bounds hold ther
 # Share of 1 - sigma_max(M) that splines may miss: a narrow resonance shows little on its flanks.
 COARSE = 0.25
 NAMED = 4  # of those that are tied as the worst, so many are named
-SLOW = 0.05  # gain of the loop in the band below which it counts as slow: a share of its best
 IDLE = 0.9  # share of the error in the band from which on learning counts as idle
 
 
@@ -144,7 +141,11 @@ class Certificate:
     @property
     def warnings(self) -> list[str]:
         """What speaks against the problem, and against what is said between the samples."""
-        texts = [*self.problem.findings, *_little_learned(self.problem, self.value)]
+        problem = self.problem
+        texts = list(problem.findings)
+        if problem.objective == "sum" and self.value > IDLE * problem.idle:
+            share = self.value / problem.idle
+            texts.append(f"the filter leaves {share:.0%} of the error in the band")
         margin, missed = 1 - self.all_M, self.peak.missed
         if not self.proven and margin <= 0:
             texts.append(
@@ -165,11 +166,11 @@ class Certificate:
 
     def _where(self):
         """The plants and frequencies of the peak on the grid."""
-        several, omega = len(self.problem.plants) > 1, self.problem.omega
-        places = [
-            f"plant {number} at {omega[k]:.4g}" if several else f"at {omega[k]:.4g}"
-            for number, k in self.worst.tied
-        ]
+        omega = self.problem.omega
+        places = []
+        for plant, k in self.worst.tied:
+            of = f"plant {plant} " if len(self.problem.plants) > 1 else ""
+            places.append(f"{of}at {omega[k]:.4g}")
         text = f"{', '.join(places[:NAMED])} rad/s"
         if len(places) > NAMED:
             text += f" and {len(places) - NAMED} more"
@@ -195,8 +196,9 @@ class Certificate:
         """Bounds and peaks of M and L."""
         problem = self.problem
         L_max = "none" if problem.L_max is None else f"{problem.L_max:g}"
-        known = self.proven and problem.radius is None
-        all_M = f"{self.all_M:.8f}" if known else "not known"
+        all_M = "not known"
+        if self.proven and problem.radius is None:
+            all_M = f"{self.all_M:.8f}"
         rows = [
             ("", "sigma_max(M)", "sigma_max(L)"),
             ("bound", f"{problem.M_max:g}", L_max),
@@ -262,35 +264,6 @@ class Certificate:
             yield f"mean of sigma_max(M) over the band: {self.mean_M:.4f}"
 
 
-def _little_learned(problem: Problem, value: float) -> Iterator[str]:
-    """Why little may be learned: a delay or a slow loop."""
-    delay = _delay(problem.models[0], problem.order) if problem.model else 0
-    if delay > problem.order:
-        yield (
-            f"P responds after {delay} samples or more, and the filter looks ahead by only "
-            f"{problem.order}: it never sees what it does; take a longer filter"
-        )
-    if problem.objective == "peak":
-        return
-    passed = np.linalg.svd(problem.P[problem.in_band], compute_uv=False)[:, -1]
-    weakest = (passed <= passed.min() * (1 + TIED)).argmax()
-    if passed[weakest] < SLOW * passed.max():  # whatever the units are
-        yield (
-            f"at {problem.omega[problem.in_band][weakest]:.4g} rad/s, within the band, the loop "
-            f"passes only {passed[weakest]:.2g} of w in some direction, and learning must make up "
-            "for it; take a faster loop or a lower band"
-        )
-    if value > IDLE * problem.idle:
-        yield f"the filter leaves {value / problem.idle:.0%} of the error in the band"
-
-
-def _delay(P, order):
-    """Samples after which P first responds to any input, counted up to one more than the order."""
-    size = np.abs(impulse_response(P, order + 2)).max(axis=(1, 2))
-    scale = np.abs(P.C).max() * np.abs(P.B).max() + np.abs(P.D).max(initial=0)
-    return int(np.argmax(np.append(size > 1e-12 * scale, True)))
-
-
 def _unusable(problem: Problem) -> Iterator[str]:
     """Where P is not known well enough for any learning."""
     omega = problem.omega[problem.unusable]
@@ -314,10 +287,8 @@ def certify(
     response = L.frequency_response(problem.omega_L)
     nominal = largest_singular_values(problem.M(response))
     worst = worst_case(problem, L)
-    exact, estimated = (
-        proven_peaks(problem, L),
-        estimated_peaks(problem, L, worst.peaks),
-    )
+    exact = proven_peaks(problem, L)
+    estimated = estimated_peaks(problem, L, worst.peaks)
     trial = np.nan
     if samples is not None:
         trial = trial_norm(*problem.model, L, samples, rest=rest)[0]

@@ -5,6 +5,7 @@ It follows from the solver's multipliers, whatever their quality, by linear alge
 
 import numpy as np
 from scipy.optimize import elementwise
+from scipy.special import expit
 
 from rodlib.ilc.evidence.robustness import affine
 from rodlib.ilc.problem.problem import Cuts, Problem
@@ -32,55 +33,58 @@ def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None) -> float:
     to rounding, whatever was passed. A coefficient of L_jk acts on column k of M, L and G only, so
     the columns are projected one by one. What is None is not used: V, the bound on L; cuts.
     """
-    P, Q, angles = problem.P, problem.Q, problem.omega * problem.Ts
-    n, m, _ = P.shape
-    T, N, turns = [-Q[:, None, None] * P], [U[:n]], [angles]
+    n = len(problem.omega)
+    Q, angles = problem.Q, problem.omega * problem.Ts
+    parts = [(-Q[:, None, None] * problem.P, U[:n], angles)]
     if (
         V is not None
-    ):  # in units of the bound, so that both parts have the size of the objective
+    ):  # in units of the bound, so that all have the size of the objective
         W = problem.weight
-        T, N = [*T, W], [*N, np.linalg.solve(W, V)]
-        turns.append(problem.omega_L * problem.Ts)
-    F = np.empty((0, m, m))
+        parts.append((W, np.linalg.solve(W, V), problem.omega_L * problem.Ts))
     if cuts is not None:
-        F, slope = affine(problem, cuts.plant, cuts.frequency)
-        felt = (
-            np.abs(slope).max(axis=2, keepdims=True) > 0
-        )  # a row of G that is not zero
-        T, N = [*T, slope], [*N, cuts.N * felt]
-        turns.append(angles[cuts.frequency])
-    angles = np.concatenate(
-        [np.repeat(t, X.shape[1]) for t, X in zip(turns, T, strict=True)]
-    )
-    T, N = (
-        np.concatenate([X.reshape(-1, m) for X in parts]).astype(complex)
-        for parts in (T, N)
-    )
-    for rows, columns in _groups(problem):
-        changes = _changes(T[:, rows], angles, problem.order)
-        part = _rows(N[:, columns])
-        for _ in range(2):
-            part -= (part @ changes.T) @ changes
-        N[:, columns] = part.view(complex).T
-    plain = n + (0 if V is None else len(V))
-    N, beyond = N[: plain * m].reshape(-1, m, m), N[plain * m :].reshape(F.shape)
-    norms = np.linalg.svd(N, compute_uv=False).sum(axis=1)
-    bound = (np.trace(N[:n].conj(), axis1=1, axis2=2) * Q).real.sum() - norms[n:].sum()
-    bound += (beyond.conj() * F).real.sum()
-    others = dual_norm(beyond).sum()
+        F, T = affine(problem, cuts.plant, cuts.frequency)
+        nonzero = np.abs(T).max(axis=2, keepdims=True) > 0
+        parts.append((T, cuts.N * nonzero, angles[cuts.frequency]))
+    U, *others = _projected(problem, parts)
+
+    bound = (np.trace(U.conj(), axis1=1, axis2=2) * Q).real.sum()
+    norms, dual = _nuclear_norms(U), 0.0
+    if V is not None:
+        bound -= _nuclear_norms(others[0]).sum()
+    if cuts is not None:
+        N = others[-1]
+        bound += (N.conj() * F).real.sum()
+        dual = dual_norm(N).sum()
     if problem.objective == "peak":
-        total = norms[:n].sum() + others
-        return max(0.0, float(bound / total))  # as it could not be less
-    excess = np.maximum(norms[:n] - problem.in_band, 0).sum() + others
-    return max(0.0, float(bound - problem.M_max * excess))
+        bound /= norms.sum() + dual
+    else:
+        excess = np.maximum(norms - problem.in_band, 0).sum() + dual
+        bound -= problem.M_max * excess
+    return max(0.0, float(bound))  # the objective is never negative
 
 
-def _groups(problem):
-    """Rows and columns of L whose coefficients change the same rows of T L in the same way."""
-    every = list(range(problem.channels))
-    if problem.structure == "diagonal":
-        return [([k], [k]) for k in every]
-    return [(every, every)]
+def _projected(problem, parts):
+    """Multipliers N of parts (T, N, angles), projected on those that no change of L changes."""
+    m = problem.channels
+    T = np.concatenate([T.reshape(-1, m) for T, _, _ in parts]).astype(complex)
+    N = np.concatenate([N.reshape(-1, m) for _, N, _ in parts]).astype(complex)
+    angles = np.concatenate([np.repeat(at, T.shape[1]) for T, _, at in parts])
+    channels = range(m)
+    # What the coefficients of a column of L can change: all of its rows, or the diagonal one.
+    columns = [[k] for k in channels] if problem.structure == "diagonal" else [channels]
+    for column in columns:
+        changes = _changes(T[:, column], angles, problem.order)
+        rows = _rows(N[:, column])
+        for _ in range(2):  # once leaves what rounding has put back
+            rows -= (rows @ changes.T) @ changes
+        N[:, column] = rows.view(complex).T
+    ends = np.cumsum([T.shape[0] * T.shape[1] for T, _, _ in parts])
+    pieces = zip(np.split(N, ends[:-1]), parts, strict=True)
+    return [piece.reshape(T.shape) for piece, (T, _, _) in pieces]
+
+
+def _nuclear_norms(N):
+    return np.linalg.svd(N, compute_uv=False).sum(axis=1)
 
 
 def dual_norm(N) -> np.ndarray:
@@ -101,39 +105,36 @@ def dual_norm(N) -> np.ndarray:
     """
     count, rows, m = N.shape
     if rows == m:
-        return np.linalg.svd(N, compute_uv=False).sum(axis=1)
+        return _nuclear_norms(N)
     size = np.linalg.norm(N, axis=(1, 2))
     N = (N / np.where(size > 0, size, 1)[:, None, None]).reshape(count, 2, m, m)
-
-    share = size / (size.max(initial=0) or 1)  # little ones need less accuracy
+    share = size / (size.max(initial=0) or 1)  # small ones need less accuracy
 
     def slope(t, i):
         c, _ = _costs(N[i], t)
         with np.errstate(divide="ignore", invalid="ignore"):
             slope = np.nan_to_num(np.log(c[0]) - np.log(c[1])) * share[i]
-        return np.where(
-            np.abs(t) < FARTHEST, slope, -np.sign(t)
-        )  # or the best is beyond an end
+        inside = np.abs(t) < FARTHEST
+        return np.where(inside, slope, -np.sign(t))  # or the best is beyond an end
 
-    ends, exact = np.full(count, FARTHEST), {"fatol": CLOSE}
-    t = elementwise.find_root(
-        slope, (-ends, ends), args=(np.arange(count),), tolerances=exact
-    ).x
-    c, trace = _costs(N, t)
+    ends, accuracy = np.full(count, FARTHEST), {"fatol": CLOSE}
+    cases = (np.arange(count),)
+    root = elementwise.find_root(slope, (-ends, ends), args=cases, tolerances=accuracy)
+    c, trace = _costs(N, root.x)
     return size * np.sqrt(c.max(axis=0) * trace)
 
 
 def _costs(N, t):
     """c_1 and c_2, and the trace of X, for w_1 = 1 / (1 + exp(-t))."""
     count, _, m, _ = N.shape
-    w = np.stack([1 / (1 + np.exp(-t)), 1 / (1 + np.exp(t))], axis=1)
-    weighted = (np.sqrt(w)[..., None, None] * N).reshape(count, 2 * m, m)
-    floor = np.broadcast_to(FAINT * np.eye(m), (count, m, m))
-    _, s, B = np.linalg.svd(
-        np.concatenate([weighted, floor], axis=1), full_matrices=False
-    )
-    inner = N @ B.conj().swapaxes(1, 2)[:, None] / np.sqrt(s)[:, None, None]
-    return (np.abs(inner) ** 2).sum(axis=(2, 3)).T, s.sum(axis=1)
+    root_w = np.sqrt(expit(np.stack([t, -t], axis=1)))
+    floor = np.broadcast_to(FAINT * np.eye(m), (count, 1, m, m))
+    stacked = np.concatenate([root_w[..., None, None] * N, floor], axis=1)
+    # X is B^H diag(s) B
+    _, s, B = np.linalg.svd(stacked.reshape(count, 3 * m, m), full_matrices=False)
+    root_of_inverse = B.conj().swapaxes(1, 2) / np.sqrt(s)[:, None]
+    c = (np.abs(N @ root_of_inverse[:, None]) ** 2).sum(axis=(2, 3))
+    return c.T, s.sum(axis=1)
 
 
 def _changes(T, angles, order):
@@ -143,13 +144,13 @@ def _changes(T, angles, order):
     # spans the same space and needs no more than doubles.
     rows = _rows(T * np.exp(1j * angles)[:, None])
     step = np.expm1(1j * angles)
-    done = np.empty((0, rows.shape[1]))
+    basis = np.empty((0, rows.shape[1]))
     for _ in range(order):
-        for _ in range(2):  # once leaves what rounding has put back
-            rows = np.linalg.qr((rows - (rows @ done.T) @ done).T)[0].T
-        done = np.vstack([done, rows])
+        for _ in range(2):
+            rows = np.linalg.qr((rows - (rows @ basis.T) @ basis).T)[0].T
+        basis = np.vstack([basis, rows])
         rows = (np.ascontiguousarray(rows).view(complex) * step).view(float)
-    return done
+    return basis
 
 
 def _rows(X):

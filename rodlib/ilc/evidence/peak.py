@@ -83,54 +83,56 @@ def peak_gain(
     if system.nstates == 0:  # and Q is one at zero
         return float(np.linalg.norm(system.D, 2)), 0.0
     # in units in which inputs and outputs are of order one
-    v, u = (
-        2.0 ** np.round(np.log2(max(np.abs(X).max(), np.abs(system.D).max()) or 1))
+    D = system.D
+    input_unit, output_unit = (
+        2.0 ** np.round(np.log2(max(np.abs(X).max(), np.abs(D).max()) or 1))
         for X in (system.B, system.C)
     )
-    matrices = *balanced(system.A, system.B / v, system.C / u), system.D / v / u
-    poles, sigma = _gain_function(*matrices, Q)
+    unit = input_unit * output_unit
+    A, B, C = balanced(system.A, system.B / input_unit, system.C / output_unit)
+    matrices = A, B, C, D / unit
+    poles, gain = _gain_function(*matrices, Q)
     radius = arguments.stable("system", poles)
 
-    theta = np.linspace(0, np.pi, 4 * len(poles) + 1)
-    value, phase = sigma(theta), _phase(poles, theta)
-    best = value.argmax()
-    peak, place = value[best], theta[best]
-    left, right = (np.stack([x[s] for x in (theta, value, phase)])
-                   for s in (slice(None, -1), slice(1, None)))  # fmt: skip
-    bound, points = peak, theta.size
+    def nodes(theta):
+        return np.stack([theta, gain(theta), _phase(poles, theta)])
+
+    points = nodes(np.linspace(0, np.pi, 4 * len(poles) + 1))
+    place, peak, _ = points[:, points[1].argmax()]
+    left, right = points[:, :-1], points[:, 1:]
+    bound, count = peak, points.shape[1]
     while True:
         ceiling = _ceiling(left[1], right[1], right[2] - left[2])
-        keep = ceiling > peak * (1 + tolerance)
-        bound = max(bound, ceiling[~keep].max(initial=0))
-        left, right = left[:, keep], right[:, keep]
-        if not left.size:
-            closest = poles[np.argsort(-np.abs(poles))][:CLOSEST]
-            doubtful = {place, *np.abs(np.angle(closest))}
-            highest = max(
-                _rounded_up(*matrices, at) * _filter_rounded_up(Q, at)
-                for at in doubtful
-            )
-            if highest == np.inf:
-                raise RuntimeError(
-                    f"the peak gain, {peak * u * v:.6g} as computed, cannot be told: system has a "
-                    f"pole of modulus {radius:.17g}, which rounding could make unstable"
-                )
-            return float((bound + max(highest - peak, 0)) * u * v), float(
-                place / system.dt
-            )
+        high = ceiling > peak * (1 + tolerance)
+        bound = max(bound, ceiling[~high].max(initial=0))
+        if not high.any():
+            break
+        left, right = left[:, high], right[:, high]
         middle = (left[0] + right[0]) / 2
-        points += middle.size
-        if points > MOST_POINTS or np.any((middle == left[0]) | (middle == right[0])):
+        count += middle.size
+        if count > MOST_POINTS or np.any((middle == left[0]) | (middle == right[0])):
             raise RuntimeError(
-                f"the peak gain is between {peak * u * v:.12g} and "
-                f"{max(bound, ceiling.max()) * u * v:.12g}; "
+                f"the peak gain is between {peak * unit:.12g} and {ceiling.max() * unit:.12g}; "
                 f"to close in further takes more than {MOST_POINTS} frequencies"
             )
-        middle = np.stack([middle, sigma(middle), _phase(poles, middle)])
-        best = middle[1].argmax()
-        if middle[1, best] > peak:
-            peak, place = middle[1, best], middle[0, best]
+        middle = nodes(middle)
+        best = middle[:, middle[1].argmax()]
+        if best[1] > peak:
+            place, peak, _ = best
         left, right = np.hstack([left, middle]), np.hstack([middle, right])
+
+    closest = poles[np.argsort(-np.abs(poles))][:CLOSEST]
+    angles = {place, *np.abs(np.angle(closest))}
+    highest = max(
+        _rounded_up(*matrices, theta) * _filter_rounded_up(Q, theta) for theta in angles
+    )
+    if highest == np.inf:
+        raise RuntimeError(
+            f"the peak gain, {peak * unit:.6g} as computed, is not proven: system has a pole of "
+            f"modulus {radius:.17g}, which rounding could make unstable"
+        )
+    bound += max(highest - peak, 0)
+    return float(bound * unit), float(place / system.dt)
 
 
 def _ceiling(a, b, h):
@@ -154,16 +156,16 @@ def _gain_function(A, B, C, D, Q):
     """Poles of a system and of Q, and a function for Q sigma_max at an array of angles omega Ts."""
     T, Z = schur(A, output="complex")
     B, C = Z.conj().T @ B, C @ Z
+    poles = np.diag(T) if Q is None else np.append(np.diag(T), Q.poles)
+    at_once = max(1, CHUNK // B.size)
 
-    def sigma(theta):
-        step = max(1, CHUNK // B.size)
-        parts = [np.exp(1j * theta[i : i + step]) for i in range(0, len(theta), step)]
-        gains = [largest_singular_values(by_substitution(T, B, C, D, z)) for z in parts]
-        return np.concatenate(gains) * (
-            1 if Q is None else Q.frequency_response(theta / Q.Ts)
-        )
+    def gain(theta):
+        chunks = np.split(theta, range(at_once, len(theta), at_once))
+        responses = (by_substitution(T, B, C, D, np.exp(1j * x)) for x in chunks)
+        sigma = np.concatenate([largest_singular_values(G) for G in responses])
+        return sigma if Q is None else sigma * Q.frequency_response(theta / Q.Ts)
 
-    return np.concatenate([np.diag(T), [] if Q is None else Q.poles]), sigma
+    return poles, gain
 
 
 def _rounded_up(A, B, C, D, theta):
@@ -171,27 +173,26 @@ def _rounded_up(A, B, C, D, theta):
     unit, z = (len(A) + 2) * np.finfo(float).eps, np.exp(1j * theta)
     identity = np.eye(len(A))
     R = np.linalg.inv(z * identity - A)
-    a, b, c, r = (np.abs(X) for X in (A, B, C, R))
-    residual = np.abs(identity - (z * R - A @ R)) + unit * (identity + r + a @ r)
-    size = np.linalg.norm(residual)
+    CR = C @ R
+    a, b, c, d, r, cr = (np.abs(X) for X in (A, B, C, D, R, CR))
+    S = np.abs(identity - (z * R - A @ R)) + unit * (identity + r + a @ r)
+    size = np.linalg.norm(S)
     if not size < 1:
         return np.inf
-    left = C @ R
-    error = np.abs(left) @ residual @ b + unit * (c @ r @ b + np.abs(D))
-    further = np.abs(left).sum() * size**2 / (1 - size) * b.sum()
-    return np.linalg.norm(left @ B + D, 2) + np.linalg.norm(error, 2) + further
+    first = cr @ S @ b + unit * (c @ r @ b + d)
+    further = cr.sum() * size**2 / (1 - size) * b.sum()
+    return np.linalg.norm(CR @ B + D, 2) + np.linalg.norm(first, 2) + further
 
 
 def _filter_rounded_up(Q, theta):
     """Upper bound of Q at one angle whatever the rounding; one if there is none."""
     if Q is None:
         return 1.0
-    polynomials = Q.sections.reshape(
-        -1, 2, 3
-    )  # numerator and denominator of each section
+    # numerator and denominator of each section
+    polynomials = Q.sections.reshape(-1, 2, 3)
     value = np.abs(polynomials @ np.exp(-1j * theta * np.arange(3)))
     error = 10 * np.finfo(float).eps * np.abs(polynomials).sum(axis=-1)
-    most, least = value[:, 0] + error[:, 0], value[:, 1] - error[:, 1]
+    most, least = (value + error)[:, 0], (value - error)[:, 1]
     return np.prod(most / least) ** 2 if least.min() > 0 else np.inf
 
 
@@ -200,14 +201,11 @@ def balanced(A, B, C):
     # The error of a Schur form is relative to the largest entry of A. If one state is counted in
     # units of 1e-8, the others lose eight digits.
     A, B, C = (np.array(X, dtype=float) for X in (A, B, C))
-    size = np.pad(
-        np.abs(A), (0, 1)
-    )  # with one row and column for what goes in and comes out
+    # with one row and column for inputs and outputs
+    size = np.pad(np.abs(A), (0, 1))
     size[:-1, -1], size[-1, :-1] = np.abs(B).max(axis=1), np.abs(C).max(axis=0)
     np.fill_diagonal(size, 0)  # which no unit changes
-    with np.errstate(
-        invalid="ignore"
-    ):  # SciPy makes whole numbers of them, which are not used
+    with np.errstate(invalid="ignore"):  # of whole numbers that are not used
         _, (scale, _) = matrix_balance(size, permute=False, separate=True)
     scale = scale[:-1] / scale[-1]
     return A * scale / scale[:, None], B / scale[:, None], C * scale
@@ -217,43 +215,27 @@ def learning_model(L: LearningFilter) -> control.StateSpace:
     """Causal model of z^-n_L L(z), whose singular values are those of L of (44)."""
     # y(p) = c_nL e(p) + ... + c_1 e(p - nL + 1), with m (n_L - 1) states e(p - 1), e(p - 2) ...
     # A delay has gain one at every frequency, so it changes no singular value.
-    m, _, order = L.coefficients.shape
-    newest_first = np.concatenate(
-        [L.coefficients[:, :, k] for k in range(order - 1, -1, -1)], 1
-    )
-    states = m * (order - 1)
-    return control.ss(
-        np.eye(states, k=-m),
-        np.eye(states, m),
-        newest_first[:, m:],
-        newest_first[:, :m],
-        L.Ts,
-    )
+    m, states = L.channels, L.channels * (L.order - 1)
+    newest_first = np.hstack(np.moveaxis(L.coefficients, 2, 0)[::-1])
+    A, B = np.eye(states, k=-m), np.eye(states, m)
+    return control.ss(A, B, newest_first[:, m:], newest_first[:, :m], L.Ts)
 
 
 def error_model(P: control.StateSpace, L: LearningFilter) -> control.StateSpace:
     """Causal model of z^-n_L (I - P L): |Q| times its singular values are those of M of (40)."""
-    m = len(L.coefficients)
-    # The taps of z^-n_L L and the delay of the direct path share a chain, e(p - 1) ... e(p - n_L).
+    m, n, chain = L.channels, P.nstates, L.channels * L.order
+    # The taps of z^-n_L L and the delay of the direct path share a chain, e(p-1) ... e(p-n_L).
     # L in a unit that makes its taps of order one, and P in its inverse, so that the entries of A
     # below are, too; see :func:`balanced`.
     unit = 2.0 ** np.round(np.log2(np.abs(L.coefficients).max() or 1))
-    taps, chain = (
-        learning_model(LearningFilter(L.coefficients / unit, L.Ts)),
-        m * L.order,
-    )
+    taps = learning_model(LearningFilter(L.coefficients / unit, L.Ts))
     P_C, P_D = unit * P.C, unit * P.D
     taps_C = np.hstack([taps.C, np.zeros((m, m))])
     delay_C = np.eye(m, chain, k=chain - m)
-    return control.ss(
-        np.block(
-            [[np.eye(chain, k=-m), np.zeros((chain, P.nstates))], [P.B @ taps_C, P.A]]
-        ),
-        np.vstack([np.eye(chain, m), P.B @ taps.D]),
-        np.hstack([delay_C - P_D @ taps_C, -P_C]),
-        -P_D @ taps.D,
-        L.Ts,
-    )
+    A = np.block([[np.eye(chain, k=-m), np.zeros((chain, n))], [P.B @ taps_C, P.A]])
+    B = np.vstack([np.eye(chain, m), P.B @ taps.D])
+    C = np.hstack([delay_C - P_D @ taps_C, -P_C])
+    return control.ss(A, B, C, -P_D @ taps.D, L.Ts)
 
 
 @dataclass(frozen=True)
@@ -263,24 +245,38 @@ class Peak:
     sigma: float  # an upper bound to 1e-8 if proven
     omega: float  # where it is, rad/s
     plant: int  # whose it is; of those that are tied, the first
-    missed: float = (
-        np.nan
-    )  # the most that splines miss of M at samples left out; NaN if proven
+    # the largest error of splines of M in cross-validation; NaN if proven
+    missed: float = np.nan
 
 
 def proven_peaks(problem: Problem, L) -> list[Peak]:
     """Of the plants that are models, proven; none if Q is not one."""
-    Q, models = problem.butterworth, enumerate(problem.models)
-    known = [(k, model) for k, model in models if model is not None and Q is not None]
-    return [Peak(*peak_gain(error_model(model, L), Q), k) for k, model in known]
+    Q = problem.butterworth
+    if Q is None:
+        return []
+    models = [(k, model) for k, model in enumerate(problem.models) if model is not None]
+    return [Peak(*peak_gain(error_model(model, L), Q), k) for k, model in models]
 
 
 def estimated_peaks(problem: Problem, L, peaks) -> list[Peak]:
-    """Of the others, estimated for those whose `peaks` on the grid are highest."""
-    exact = problem.butterworth is not None
+    """Of the others, between samples, for those whose `peaks` on the grid are highest."""
     order = np.argsort(-peaks, kind="stable")
-    sampled = [k for k in order if not exact or problem.models[k] is None]
-    return peaks_between(problem, L, sampled[:LOOKED_AT])
+    if problem.butterworth is not None:
+        order = [k for k in order if problem.models[k] is None]
+    design = problem.design
+    omega, Q = design.omega, design.Q
+    steps = np.linspace(0, 1, DENSER, endpoint=False)
+    between = omega[:-1, None] + np.diff(omega)[:, None] * steps
+    dense = np.append(between, omega[-1])
+    on_grid, on_dense = L.frequency_response(omega), L.frequency_response(dense)
+    estimates = []
+    for k in order[:LOOKED_AT]:
+        P = design.plants[k]
+        scale, missed = spline_scale(P, Q, omega, on_grid)
+        M = convergence_matrix(*splined(P, Q, omega, dense, scale), on_dense)
+        sigma = largest_singular_values(M)
+        estimates.append(Peak(sigma.max(), dense[sigma.argmax()], k, missed))
+    return estimates
 
 
 def peak_beyond(problem: Problem, L) -> Peak | None:
@@ -305,46 +301,22 @@ def highest(peaks: list[Peak]) -> Peak | None:
     return replace(at, sigma=max(peak.sigma for peak in peaks), missed=missed)
 
 
-def peaks_between(problem: Problem, L, numbers) -> list[Peak]:
-    """Peaks of sigma_max(M) of some plants, estimated between samples."""
-    if not len(numbers):
-        return []
-    design = problem.design
-    omega = design.omega
-    steps = np.linspace(0, 1, DENSER, endpoint=False)
-    dense = np.append(
-        (omega[:-1, None] + np.diff(omega)[:, None] * steps).ravel(), omega[-1]
-    )
-    responses = L.frequency_response(omega), dense, L.frequency_response(dense)
-    return [
-        _peak_between(k, design.plants[k], design.Q, omega, *responses) for k in numbers
-    ]
-
-
-def _peak_between(number, P, Q, omega, response, dense, dense_response):
-    scale, missed = spline_scale(P, Q, omega, response)
-    P, Q = splined(P, Q, omega, dense, scale)
-    sigma = largest_singular_values(convergence_matrix(P, Q, dense_response))
-    return Peak(sigma.max(), dense[sigma.argmax()], number, missed)
-
-
 def spline_scale(P, Q, omega, response):
-    """The scale over which splines foretell samples that are left out best; what they miss of M."""
+    """The scale of omega in which splines predict M best, and their error in cross-validation."""
     # Measured grids are linear or logarithmic, plants smooth over one or the other. So the splines
-    # run over omega or log omega; with fewer than four samples they miss an infinite amount.
+    # run over omega or log omega; with fewer than four samples the error is infinite.
     M = convergence_matrix(P, Q, response)
-    missed = {}
+    errors = {}
     for scale in (np.asarray, np.log) if omega[0] > 0 else (np.asarray,):
-        missed[scale] = 0.0 if len(omega) > 3 else np.inf
+        errors[scale] = 0.0 if len(omega) > 3 else np.inf
         for first in (1, 2):  # every other sample between the two at the ends
             out = np.arange(first, len(omega) - 1, 2)
-            rest = np.delete(np.arange(len(omega)), out)
-            foretold = splined(P[rest], Q[rest], omega[rest], omega[out], scale)
-            miss = largest_singular_values(
-                convergence_matrix(*foretold, response[out]) - M[out]
-            )
-            missed[scale] = max(missed[scale], miss.max(initial=0))
-    return min(missed.items(), key=lambda item: item[1])
+            samples = (np.delete(X, out, axis=0) for X in (P, Q, omega))
+            predicted = splined(*samples, omega[out], scale)
+            error = convergence_matrix(*predicted, response[out]) - M[out]
+            largest = largest_singular_values(error).max(initial=0)
+            errors[scale] = max(errors[scale], largest)
+    return min(errors.items(), key=lambda item: item[1])
 
 
 def splined(P, Q, omega, places, scale):

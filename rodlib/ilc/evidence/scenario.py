@@ -1,4 +1,4 @@
-"""What do the plants that were tried say about one that was not? The scenario bound.
+"""What do sampled plants say about a new one? The scenario bound.
 
 If a design depends on k of N independent samples, what holds for them is violated by a new one with
 a probability of at most epsilon(k) = 1 - t(k), which is itself false with a probability of at most
@@ -18,13 +18,8 @@ from scipy.special import betainc, betaln, expit, log_expit
 from rodlib.ilc import arguments
 from rodlib.ilc.problem.problem import Solution
 
-NEEDED = (
-    1e-9  # share of all multipliers from which on a plant counts as one that was needed
-)
-FARTHEST = (
-    -700.0,
-    36.0,
-)  # logarithms of the odds of a violation, as far as doubles tell them
+NEEDED = 1e-9  # share of all multipliers from which on a plant is one of support
+LOG_ODDS = (-700.0, 36.0)  # of a violation, as far as doubles resolve them
 
 
 def scenario_bound(samples: int, support: int, beta: float = 1e-6) -> float:
@@ -33,21 +28,17 @@ def scenario_bound(samples: int, support: int, beta: float = 1e-6) -> float:
         return 1.0
     # The sum is the distribution function of the negative binomial distribution, an incomplete beta
     # function, so that N may be a million.
-    after = support + 1
-    log_binomial = -betaln(after, samples - support + 1) - np.log(samples + 1)
+    after, others = support + 1, samples - support
+    log_binomial = -betaln(after, others + 1) - np.log(samples + 1)
 
-    def excess(odds):  # of the logarithm of the left-hand side, times epsilon^(k+1)
+    def excess(log_odds):  # of the logarithm of the left-hand side, times epsilon^(k+1)
         with np.errstate(divide="ignore"):
-            left = np.log(beta / (samples + 1)) + np.log(betainc(after, samples - support + 1,
-                                                                 expit(odds)))  # fmt: skip
-        right = (
-            log_binomial
-            + after * log_expit(odds)
-            + (samples - support) * log_expit(-odds)
-        )
-        return left - right
+            log_sum = np.log(betainc(after, others + 1, expit(log_odds)))
+        left = np.log(beta / (samples + 1)) + log_sum
+        in_support, not_in_it = log_expit(log_odds), log_expit(-log_odds)
+        return left - log_binomial - after * in_support - others * not_in_it
 
-    return float(expit(bisect(excess, *FARTHEST, xtol=1e-13)))
+    return float(expit(bisect(excess, *LOG_ODDS, xtol=1e-13)))
 
 
 def support(solution: Solution) -> np.ndarray:
@@ -67,13 +58,13 @@ def support(solution: Solution) -> np.ndarray:
 
 
 def violation_probability(design, beta: float = 1e-6) -> float:
-    """How likely is it that a new plant breaks the bounds that a design keeps for all it was given?
+    """How likely does a new plant break the bounds that a design keeps for its plants?
 
     Parameters
     ----------
     design : Synthesis
         For several plants, of which all but the first are independent samples of the distribution
-        of the new one; that is not for this function to know.
+        of the new one, which is not checked.
     beta : float
         In (0, 1): the probability, over the samples, that the answer is false.
 
@@ -83,9 +74,8 @@ def violation_probability(design, beta: float = 1e-6) -> float:
         Bound on the probability that sigma_max(M) of the new plant exceeds, at a design frequency,
         the largest that the certificate says.
     """
-    solution = arguments.instance(
-        "design.solution", getattr(design, "solution", None), Solution
-    )
+    solution = getattr(design, "solution", None)
+    arguments.instance("design.solution", solution, Solution)
     beta = arguments.number("beta", beta, "in (0, 1)", 0, 1)
     samples = len(design.problem.plants) - 1
     if not samples:

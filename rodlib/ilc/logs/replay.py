@@ -1,7 +1,7 @@
 """A log, run again through its law and its loop: does the recorded v follow from the law?
 
-The law and the loop are those that the log itself names. Where it names none, what would need
-them is left out, with the reason.
+The law and the loop are those in the metadata of the log. Without them, what needs them is left
+out, with the reason.
 """
 
 import csv
@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+import control
 import numpy as np
 import pandas as pd
 import xarray as xr
@@ -77,6 +78,18 @@ class Replay:
         """Whether all trials from 1 on are there."""
         return self.successive and self.numbers[0] == 1
 
+    @property
+    def model(self) -> control.StateSpace | None:
+        """Model of what the commands drive: the plant; of a ClosedLoop P, whose input is w."""
+        if self.loop is None:
+            return None
+        return self.loop.P if isinstance(self.loop, ClosedLoop) else self.loop.plant
+
+    @property
+    def unstable(self) -> bool:
+        """Whether the model without feedback is unstable; an integrator counts as stable."""
+        return np.abs(self.model.poles()).max(initial=0) > 1 + 1e-9
+
     @cached_property
     def disturbance(self) -> np.ndarray | None:
         """What was recorded of the loop's disturbances, shape (trial, time, d); zero of others."""
@@ -92,50 +105,36 @@ class Replay:
     @cached_property
     def simulated(self) -> xr.Dataset | None:
         """The same experiment on the model: the law, the references and the disturbances."""
-        if self.law is None or self.loop is None or self.loop.P is None:
+        if self.law is None or self.model is None or not self.complete:
             return None
-        if not self.complete:
-            return None
-        names, reference = self.loop.disturbances, self.trials.reference.values
-        measured = [name not in self.unmeasured for name in names]
-        if isinstance(self.loop, ClosedLoop):  # whose P is that of w alone
-            measured = [False] * len(names)
-        with warnings.catch_warnings(action="ignore"):  # those of the log are given
+        measured = [name not in self.unmeasured for name in self.loop.disturbances]
+        if isinstance(self.loop, ClosedLoop):  # P has no input for disturbances
+            measured = [False] * len(measured)
+        with warnings.catch_warnings(action="ignore"):  # the log's own count
             return run_trials(
                 self.loop,
                 self.law,
-                reference,
+                self.trials.reference.values,
                 self.disturbance * measured,
-                trials=len(reference),
+                trials=len(self.numbers),
                 v=self.trials.v.values[0] if BEGUN in self.trials.attrs else None,
             )
 
     @cached_property
     def predicted(self) -> np.ndarray | None:
-        """Outputs of the plant's model, from rest, under the recorded inputs, without feedback.
-
-        Of a ClosedLoop, whose model is that of the loop, the input is w.
-        """
-        if self.loop is None or self.loop.P is None or self.unstable:
+        """Outputs of the model, from rest, under the recorded inputs, without feedback."""
+        model = self.model
+        if model is None or self.unstable:
             return None
         if isinstance(self.loop, ClosedLoop):
-            model, inputs = self.loop.P, self.commands["applied"]
+            inputs = self.commands["applied"]
         elif "u" in self.trials:
-            model = self.loop.plant
             inputs = np.append(self.commands["applied"], self.disturbance, axis=2)
         else:
             return None
-        x = [
-            state_sequence(model.A, i @ model.B.T, np.zeros(model.nstates))
-            for i in inputs
-        ]
-        return np.stack(x) @ model.C.T + inputs @ model.D.T
-
-    @property
-    def unstable(self) -> bool:
-        """Whether the model without feedback is unstable; an integrator counts as stable."""
-        model = self.loop.P if isinstance(self.loop, ClosedLoop) else self.loop.plant
-        return np.abs(model.poles()).max(initial=0) > 1 + 1e-9
+        rest = np.zeros(model.nstates)
+        x = np.stack([state_sequence(model.A, i @ model.B.T, rest) for i in inputs])
+        return x @ model.C.T + inputs @ model.D.T
 
     @cached_property
     def commands(self) -> dict[str, np.ndarray]:
@@ -148,29 +147,28 @@ class Replay:
         if self.predicted is None:
             return None
         y = self.trials.y.values
-        spread = np.linalg.norm(y - y.mean(axis=1, keepdims=True), axis=1)
+        size = np.linalg.norm(y - y.mean(axis=1, keepdims=True), axis=1)
         error = np.linalg.norm(y - self.predicted, axis=1)
-        error = np.divide(error, spread, np.full_like(spread, np.nan), where=spread > 0)
-        return pd.DataFrame(
-            1 - error, pd.Index(self.numbers, name="trial"), self.outputs
-        )
+        error = np.divide(error, size, np.full_like(size, np.nan), where=size > 0)
+        return self._by_trial(1 - error)
 
     @cached_property
     def departure(self) -> pd.DataFrame | None:
         """Largest distance of v from that of the law; NaN where the trial before is missing."""
         if self.law is None:
             return None
-        v, first = self.trials.v.values, BEGUN not in self.trials.attrs
+        v, zero_at_first = self.trials.v.values, BEGUN not in self.trials.attrs
         expected = np.full_like(v, np.nan)
         for k, number in enumerate(self.numbers):
-            if first and (number == 1 or self.law.L is None):
+            if zero_at_first and (number == 1 or self.law.L is None):
                 expected[k] = 0
             elif k and self.numbers[k - 1] == number - 1:
                 expected[k] = self._v_after(k - 1)
-        distance = np.abs(v - expected).max(axis=1)
-        return pd.DataFrame(
-            distance, pd.Index(self.numbers, name="trial"), self.outputs
-        )
+        return self._by_trial(np.abs(v - expected).max(axis=1))
+
+    def _by_trial(self, values):
+        """A table of values (trial, output)."""
+        return pd.DataFrame(values, pd.Index(self.numbers, name="trial"), self.outputs)
 
     @property
     def following(self) -> np.ndarray | None:
@@ -224,8 +222,8 @@ class Replay:
         """Whether the recorded v is that of the law, in words."""
         if self.law is None:
             return "the log does not name its law"
-        departure = self.departure
-        different = departure > DIGITS * np.abs(self.trials.v.values).max(axis=(0, 1))
+        departure, v = self.departure, self.trials.v.values
+        different = departure > DIGITS * np.abs(v).max(axis=(0, 1))
         if different.to_numpy().any():
             number, name = different.stack().idxmax()
             unit = self.trials.output_unit.values[self.outputs.index(name)]
@@ -234,10 +232,12 @@ class Replay:
                 f"v departs from the law from trial {number} on, by {amount} in {name}"
             )
         unknown = departure.index[departure.isna().all(axis=1)]
-        if len(unknown):
-            which = ", ".join(map(str, unknown))
-            return f"the recorded v is that of the law, but in {which}, without a trial before"
-        return "the recorded v is that of the law in every trial"
+        if unknown.empty:
+            return "the recorded v is that of the law in every trial"
+        which = ", ".join(map(str, unknown))
+        return (
+            f"the recorded v is that of the law, but in {which}, without a trial before"
+        )
 
     @property
     def omissions(self) -> list[str]:

@@ -121,50 +121,53 @@ def read_table(
     """
     named = {
         "outputs": outputs,
-        "inputs": inputs,
-        "reference": reference,
-        "v": v,
-        "disturbances": disturbances,
-        "measured": measured,
+        "inputs": inputs or {},
+        "reference": reference or {},
+        "v": v or {},
+        "disturbances": disturbances or {},
+        "measured": measured or {},
     }
-    wanted = {"time": ("time", time), "trial": ("trial", trial)} | _wanted(named)
-    wanted = {title: asked for title, asked in wanted.items() if asked[1] is not None}
-    names = [name for word in ROLES for name in named[word]]
+    columns = _columns(named)
+    if time is not None:
+        columns["time"] = "time", time
+    elif Ts is None:
+        raise ValueError("Ts = None must be a sampling period in s: there is no time")
+    if trial is not None:
+        columns["trial"] = "trial", trial
+    names = [name for argument in ROLES for name in named[argument]]
     if len({*names}) < len(names):
         raise ValueError(f"{[*ROLES]} must have different names, but are {names}")
     units = arguments.by_name("units", units, [*names, "time"])
     resample = arguments.flag("resample", resample)
     if Ts is not None:
         Ts = arguments.sampling_period("Ts", Ts)
-    elif time is None:
-        raise ValueError("Ts = None must be a sampling period in s: there is no time")
-    if isinstance(path, pd.DataFrame):
-        source, notes = "path", {}
-    else:
+    source, notes = "path", {}
+    if not isinstance(path, pd.DataFrame):
         source = arguments.path("path", path)
         notes = {"origin": f"read from {source.name}"}
     with about(source):
         if source == "path":
             entries = path.rename(columns=str)
         else:
-            asked = {str(column) for _, column in wanted.values()}
-            entries = _entries(lines_of(source), asked, resample)
-        places = [_place(entries.columns, *asked) for asked in wanted.values()]
-        if len({*places}) < len(places):
-            raise LogError(f"each name needs a column of its own: {wanted}")
+            wanted = {str(column) for _, column in columns.values()}
+            entries = _entries(lines_of(source), wanted, resample)
+        places = {
+            title: _place(entries.columns, *asked) for title, asked in columns.items()
+        }
+        if len({*places.values()}) < len(places):
+            raise LogError(f"each name needs a column of its own: {columns}")
         labels = {
-            title: _name_and_unit(entries.columns[place])[1]
-            for title, place in zip(wanted, places, strict=True)
+            title: _unit(entries.columns[place]) for title, place in places.items()
         }
-        entries = entries.iloc[:, places].set_axis([*wanted], axis=1)
-        signals = {
-            role: {
-                name: units.get(name, labels[f"{SIGNALS[word]}_{name}"])
-                for name in named[word]
-            }
-            for word, role in ROLES.items()
-            if named[word]
-        }
+        entries = entries.iloc[:, [*places.values()]].set_axis([*places], axis=1)
+        signals = {}
+        for argument, role in ROLES.items():
+            signal = SIGNALS[argument]
+            if named[argument]:
+                signals[role] = {
+                    name: units.get(name, labels[f"{signal}_{name}"])
+                    for name in named[argument]
+                }
         if time is not None:
             unit = units.get("time", labels["time"]) or "s"
             entries["time"] = _in_seconds(entries["time"], unit)
@@ -180,15 +183,15 @@ def read_table(
     return trials
 
 
-def _wanted(named):
+def _columns(named):
     """For each title of a log, the argument that asks for its column, and the column."""
-    wanted = {}
-    for word, columns in named.items():
-        if columns is None and word != "outputs":
-            named[word] = columns = {}
-        for name, column in arguments.instance(word, columns, dict).items():
-            arguments.instance(f"a name in {word}", name, str)
-            wanted[f"{SIGNALS[word]}_{name}"] = f"{word}[{name!r}]", column
+    columns = {}
+    for argument, signals in named.items():
+        arguments.instance(argument, signals, dict)
+        for name, column in signals.items():
+            arguments.instance(f"a name in {argument}", name, str)
+            word = f"{argument}[{name!r}]"
+            columns[f"{SIGNALS[argument]}_{name}"] = word, column
     outputs, inputs = named["outputs"], named["inputs"]
     if not outputs or (inputs and len(inputs) != len(outputs)):
         raise ValueError(
@@ -196,14 +199,14 @@ def _wanted(named):
             "many, one or more: name as outputs what the inputs control, one each; other signals "
             "in measured, other inputs in disturbances"
         )
-    return wanted
+    return columns
 
 
 def _place(titles, word, column):
-    """The number of a column that is asked for by its title or number."""
+    """The number of a column that an argument asks for by its title or number."""
     if isinstance(column, int) and 0 <= column < len(titles):
         return column
-    for written in ([*titles], [_name_and_unit(title)[0] for title in titles]):
+    for written in ([*titles], [*map(_without_unit, titles)]):
         if written.count(column) == 1:
             return written.index(column)
     raise LogError(
@@ -212,9 +215,14 @@ def _place(titles, word, column):
     )
 
 
-def _name_and_unit(title):
+def _without_unit(title):
     match = WITH_UNIT.fullmatch(title)
-    return match.groups() if match else (title, "")
+    return match[1] if match else title
+
+
+def _unit(title):
+    match = WITH_UNIT.fullmatch(title)
+    return match[2] if match else ""
 
 
 def _in_seconds(column, unit):
@@ -248,41 +256,40 @@ def _entries(lines, asked, gaps):
     """The entries of a text by the titles of their columns, with decimal points."""
     content = [line for line in lines if line.strip() and line.lstrip()[0] not in MARKS]
     sample = content[len(content) // 2 :][:SAMPLE] or [""]  # below the titles
-    layouts = [
-        (mark, decimal) for mark in DELIMITERS for decimal in ".," if mark != decimal
-    ]
-    delimiter, decimal = max(layouts, key=lambda layout: _quality(sample, *layout))
-    rows, width = _rows(sample, delimiter)
-    numeric = np.mean([_are_numbers(row, decimal) for row in rows], axis=0) >= 0.5
+    layouts = [(mark, point) for mark in DELIMITERS for point in ".," if mark != point]
+    delimiter, point = max(layouts, key=lambda layout: _quality(sample, *layout))
+    rows = _rows(sample, delimiter)
+    numeric = np.mean([_are_numbers(row, point) for row in rows], axis=0) >= 0.5
     if not numeric.any():
         raise LogError("there are no rows of numbers")
 
-    above = {}  # by line, what may be titles
+    width = len(numeric)
+    candidates = {}  # for titles, by line
     for first, line in enumerate(lines):
         row = _split(line.lstrip().lstrip(MARKS), delimiter)
         if len(row) == width - 1:  # rows end with a delimiter, or have names
             row = ["", *row] if numeric[-1] else [*row, ""]
         if len(row) != width or not any(row):
             continue
-        counts = _are_numbers(row, decimal)
-        if counts[numeric].all():
+        are_numbers = _are_numbers(row, point)
+        if are_numbers[numeric].all():
             break
-        named = len(asked & {*row, *(_name_and_unit(title)[0] for title in row)})
-        if named or not counts.any():
-            above[first] = named, row
+        matches = len(asked & {*row, *map(_without_unit, row)})
+        if matches or not are_numbers.any():
+            candidates[first] = matches, row
     titles = [f"column {place}" for place in range(width)]
-    if above:
-        line = max(above, key=lambda line: (above[line][0], line))
-        titles, first = above[line][1], line + 1
-        if first in above:
-            units = above[first][1]
+    if candidates:
+        line = max(candidates, key=lambda line: (candidates[line][0], line))
+        titles, first = candidates[line][1], line + 1
+        if first in candidates:
+            units = candidates[first][1]
             titles = [f"{a} ({b})" for a, b in zip(titles, units, strict=True)]
             first += 1
     body = lines[first:]
     if delimiter == " ":
         body = [" ".join(line.split()) for line in body]
     entries = entries_of(body, first, width, delimiter, gaps).set_axis(titles, axis=1)
-    return entries.map(_with_point) if decimal == "," else entries
+    return entries.map(_with_point) if point == "," else entries
 
 
 def _with_point(entry):
@@ -299,22 +306,22 @@ def _split(line, delimiter):
 
 
 def _rows(lines, delimiter):
-    """The entries of the lines that have the usual number of them, and this number."""
+    """The entries of the lines that have the usual number of them."""
     rows = [_split(line, delimiter) for line in lines]
     width = mode(map(len, rows))
-    return [row for row in rows if len(row) == width], width
+    return [row for row in rows if len(row) == width]
 
 
-def _are_numbers(entries, decimal):
+def _are_numbers(entries, point):
     """Which entries are a number or a time."""
     entries = pd.Series(entries, dtype=object)
-    points = entries.map(_with_point) if decimal == "," else entries
-    return (numbers(points).notna() | entries.str.fullmatch(TIME)).to_numpy(bool)
+    values = numbers(entries.map(_with_point) if point == "," else entries)
+    return (values.notna() | entries.str.fullmatch(TIME)).to_numpy(bool)
 
 
-def _quality(lines, delimiter, decimal):
+def _quality(lines, delimiter, point):
     """The share of lines that are alike, times that of numbers in them; then several columns."""
-    rows, width = _rows(lines, delimiter)
-    filled = [entry for row in rows for entry in row if entry]
-    share = np.mean(_are_numbers(filled, decimal)) if filled else 0.0
-    return len(rows) / len(lines) * share, width > 1
+    rows = _rows(lines, delimiter)
+    entries = [entry for row in rows for entry in row if entry]
+    share = np.mean(_are_numbers(entries, point)) if entries else 0.0
+    return len(rows) / len(lines) * share, len(rows[0]) > 1

@@ -13,12 +13,12 @@ import xarray as xr
 
 from rodlib.ilc import arguments
 from rodlib.ilc.law.io import limits_of
-from rodlib.ilc.logs.findings import findings_of
 from rodlib.ilc.logs.format import LogError, few
 from rodlib.ilc.logs.notes import excitation_of, loop_of
 from rodlib.ilc.loop.closed import CurrentTrialLoop, Loop
 from rodlib.ilc.measurement.estimation import EstimatedResponse, estimated_response
 from rodlib.ilc.measurement.excitation import Excitation
+from rodlib.ilc.measurement.plausibility import warnings_of
 from rodlib.ilc.measurement.region import radius_of
 from rodlib.ilc.measurement.tabulated import TabulatedResponse, tabulated
 from rodlib.ilc.measurement.transient import (
@@ -202,9 +202,9 @@ def measured_response(
         w, y = _signals(log, excitation)
         windows = windows_of(excitation.harmonics, excitation, loop)
         measured = _estimate(w, y, windows, excitation, loop)
-        made = windows, excitation, measured
-        findings = findings_of(log.get("u", log.v).values, y, limits_of(log), *made)
-        measured = replace(measured, findings=findings)
+        u, limits = log.get("u", log.v).values, limits_of(log)
+        texts = warnings_of(u, y, limits, windows, excitation, measured)
+        measured = replace(measured, findings=texts)
     for finding in measured.findings:
         warnings.warn(finding, stacklevel=2)
     return measured

@@ -125,8 +125,8 @@ def synthesise(
     Warns
     -----
     UserWarning
-        For each of the certificate's `warnings`: samples too coarse for splines, a delay beyond the
-        filter's reach, a Q that no filter can make up for where P is not known.
+        For each of the certificate's `warnings`: samples too coarse for splines, a filter that
+        leaves nearly all of the error, a Q that no filter can make up for where P is not known.
 
     Raises
     ------

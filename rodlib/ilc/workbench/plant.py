@@ -105,7 +105,7 @@ def plant_of_file(path) -> Plant:
             return Plant(f"rodlib.measured_response({source})", measured_response(log))
         task = replay(log)
         return Plant(
-            f"rodlib.loop_of({source})",
+            f"rodlib.replay({source}).loop",
             task.loop,
             reference=task.trials.reference.values[-1],
             disturbance=np.repeat(task.disturbance[-1:], TRIALS, axis=0),

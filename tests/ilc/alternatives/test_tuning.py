@@ -128,33 +128,18 @@ def test_tune_counts_its_evaluations_and_keeps_the_bound():
     )
 
 
-def test_a_synthesis_can_be_tuned(loop, Q):
-    rehearsed, _, _ = rehearsal(loop, Q, 2500, 3)
-    grid = np.geomspace(1e-4, np.pi, 80)
-    found = tune(
-        lambda L_max: synthesise(loop, Q, grid, 1.0, L_max=L_max), {"L_max": (5.0, 500.0)},
-        rehearsed, evaluations=6,
-    )  # fmt: skip
-    assert isinstance(found.filter, LearningFilter)
-    assert found.parameters["L_max"] > 50
-
-
 def test_arguments_of_rehearsal_and_search_are_checked(loop, Q):
     rehearsed, _, _ = rehearsal(loop, Q, 300, 2)
-    with pytest.raises(
-        ValueError, match=r"P has shape \(300, 2, 2\), but must have shape"
-    ):
+    with pytest.raises(ValueError, match="P has shape"):
         Rehearsal(rehearsed.P[1:], Q, rehearsed.alone)
-    with pytest.raises(ValueError, match="L acts on 1 channels, but must act on 2"):
+    with pytest.raises(ValueError, match="L acts on 1 channels"):
         rehearsed.errors(LearningFilter([[[1.0]]], 1.0))
-    for box in ({"step": (0.0, 1.0)}, {"step": (2.0, 1.0)}):
-        with pytest.raises(
-            ValueError, match=r"box\['step'\] = .* must be 0 < lowest < highest"
-        ):
-            tune(lambda step: gradient(loop.P, step), box, rehearsed)
-    with pytest.raises(
-        ValueError, match=r"reaches a rate of M_max = 0.5 nowhere in box"
-    ):
-        tune(
-            lambda step: gradient(loop.P, step), {"step": (0.1, 1.0)}, rehearsed, 0.5, 6
-        )
+
+    def design(step):
+        return gradient(loop.P, step)
+
+    for bounds in ((0.0, 1.0), (2.0, 1.0)):
+        with pytest.raises(ValueError, match=r"box\['step'\]"):
+            tune(design, {"step": bounds}, rehearsed)
+    with pytest.raises(ValueError, match=r"M_max = 0\.5 nowhere"):
+        tune(design, {"step": (0.1, 1.0)}, rehearsed, 0.5, 6)

@@ -63,14 +63,6 @@ def test_labelled_signals_are_matched_by_name():
         law.next(v, e_table.rename(columns={names[0]: "another"}))
 
 
-def test_one_channel_needs_no_second_axis():
-    v, e = np.random.default_rng(7).standard_normal((2, 30))
-    column = Law(Q, ONE).next(v[:, None], e[:, None])
-    np.testing.assert_array_equal(Law(Q, ONE).next(v, e), column[:, 0])
-    with pytest.raises(ValueError, match="v has shape"):
-        Law(Q, TWO).next(v, e)
-
-
 def test_the_first_signal_is_zero_or_given_and_rests():
     law = Law(Q, TWO, rest=3)
     assert not law.first(10).any() and law.first(10).shape == (10, 2)

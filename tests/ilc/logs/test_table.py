@@ -66,7 +66,7 @@ def layouts(draw):
     return content, columns, labels, Ts
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(layouts())
 def test_a_table_is_read_however_it_is_laid_out(tmp_path_factory, layout):
     content, (t, u, y), units, Ts = layout
@@ -124,13 +124,10 @@ def damaged(row, *lines):
     ("lines", "message"),
     [
         (damaged(12), "row 12 is 2 s after the row before, where Ts = 1 s"),
-        (damaged(12, "10.30,27.5"), "row 12 is 1.3 s after"),
         (damaged(12, "10.00,27.5", "10.00,27.5"), "row 13 is not later"),
         (damaged(12, "10.00,off"), "y_h: entry 'off' in row 12"),
-        (damaged(12, "10.00,"), "y_h: entry '' in row 12"),
         (damaged(12, "10.00,inf"), "y_h: entry 'inf' in row 12"),
         (damaged(12, "10.00"), "row 12 has 1 entries, but must have 2"),
-        (damaged(12, "10.00,27,5"), "row 12 has 3 entries, but must have 2"),
         (rows_of(1.02), r"the mean step is 1.02 s, but Ts = 1 s"),
         (["t (K),level", *rows_of()[1:]], "unit of time = 'K'"),
         (["t;level", "0;1,5", "1;1.234,5"], "y_h: entry '1,234.5' in row 3"),
@@ -140,7 +137,6 @@ def damaged(row, *lines):
             "time: entry '29.02.2024' in row 2",
         ),
         (["t,level"], "no rows of numbers"),
-        ([""], "no rows of numbers"),
         (["\0"], "is not text"),
     ],
 )
@@ -253,7 +249,6 @@ def test_a_data_frame_is_read_as_it_is():
         ),
         ({"v": {"T1": 5, "T2": 6}}, "missing are .*'reference_T1'"),
         ({"inputs": {"Q1": 1}}, "outputs = .*inputs = .* must be as many"),
-        ({"outputs": {}}, "outputs = {}"),
         ({"outputs": None}, "outputs = None"),
         ({"measured": {"T1": 5}}, "must have different names"),
         ({"measured": {"T3": 2.5}}, r"measured\['T3'\] = 2.5"),

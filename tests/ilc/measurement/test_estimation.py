@@ -112,16 +112,6 @@ def test_a_filter_is_designed_for_it_and_keeps_its_promise():
     assert try_out(Settings.of(Plant("", found))).text
 
 
-def test_in_units_of_a_scale():
-    log, _ = KINDS["learning"](np.random.default_rng(0))
-    found = measured_response(log)
-    omega = np.geomspace(0.1, 3, 7)
-    response, radius = found.on(omega, 0.9)
-    scaled = found.on(omega, 0.9, [7.0])
-    np.testing.assert_allclose(scaled[0], response)
-    np.testing.assert_allclose(scaled[1], radius)
-
-
 def test_what_had_no_power_is_said_not_to_be_known():
     """An input that moves slowly says nothing of high frequencies, where noise is."""
     rng, N = np.random.default_rng(0), 300
@@ -136,20 +126,6 @@ def test_what_had_no_power_is_said_not_to_be_known():
     assert "too little power" in repr(found)
     truth = frequency_response(control.ss(plant), found.omega)
     assert np.all(off(found, truth) <= found.radius(0.99))
-
-
-def test_trials_that_are_alike_count_by_their_mean_and_it_says_so():
-    rng, plant = np.random.default_rng(0), control.tf([0.3], [1, -0.7], 1.0)
-    u = np.repeat(rng.standard_normal(50), 4)
-    y = control.forced_response(plant, U=u).outputs + 0.1 * rng.standard_normal(
-        (5, 200)
-    )
-    found = measured_response(
-        several(np.tile(u[None, :, None], (5, 1, 1)), y[..., None])
-    )
-    assert "assumed: no disturbance repeats" in repr(found)
-    truth = frequency_response(control.ss(plant), found.omega)
-    assert np.all(off(found, truth) <= found.radius(0.99, jointly=True))
 
 
 def test_trials_that_start_apart_are_told_of():
@@ -214,28 +190,18 @@ def test_what_tells_nothing_is_refused_in_words():
     rng, N = np.random.default_rng(0), 120
     u, noise = rng.standard_normal((2, N)), 0.01 * rng.standard_normal((2, N))
     whole = single(u, u + noise)
+    integral = np.cumsum(u[:1], axis=1) + noise[:1]
     for log, of, message in (
-        (single(u * [[1], [0]], u), None, "log.u of u1 never moved"),
-        (single(u, u * [[0], [1]]), None, "log.y of y0 never moved: is it connected"),
-        (
-            single(u[:, :9], u[:, :9]),
-            None,
-            "log has 9 samples in a trial, but must have 20",
-        ),
-        (
-            single(u[:1], np.cumsum(u[:1], axis=1) + noise[:1]),
-            None,
-            "y0 does not settle within",
-        ),
-        (single(u[[0, 0]], u + noise), None, "P at no frequency.*moved alike"),
-        (whole, "w", "log has no reference, and so no w"),
-        (whole.drop_vars("u"), None, "log has no commands u"),
-        (whole, "y", "of = 'y' must be 'u' or 'w'"),
+        (single(u * [[1], [0]], u), None, "u1 never moved"),
+        (single(u, u * [[0], [1]]), None, "y0 never moved"),
+        (single(u[:, :9], u[:, :9]), None, "9 samples"),
+        (single(u[:1], integral), None, "y0 does not settle"),
+        (single(u[[0, 0]], u + noise), None, "moved alike"),
+        (whole, "w", "reference"),
+        (whole.drop_vars("u"), None, "commands u"),
+        (whole, "y", "of = 'y'"),
     ):
         with pytest.raises(ValueError, match=message):
             measured_response(log, of)
-    with pytest.raises(
-        ValueError, match="uncertainty must be None where log is a record"
-    ):
+    with pytest.raises(ValueError, match="uncertainty"):
         measured_response(whole, uncertainty=[0.1])
-    assert issubclass(LogError, ValueError)

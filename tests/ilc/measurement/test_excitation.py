@@ -48,50 +48,33 @@ def test_peaks_are_low(loop):
         for _ in range(50)
     ]
     assert excitation.crest < 0.85 * min(others) and excitation.crest < 2
-    assert "5.67 h" in repr(excitation) and "31 lines" in repr(excitation)
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"lowest": 0}, "lowest = 0 must be between"),
-        ({"highest": 4.0}, "highest = 4.0 must be between"),
-        ({"amplitude": [1.0, -1.0]}, "amplitude = .* positive"),
-        (
-            {"hours": 0.1},
-            r"hours = 0\.1 is too short for 3 periods .*: 0\.567[0-9]* h are needed",
-        ),
-        ({"lines": 1}, "lines = 1 must be a whole number"),
-        ({"loop": None}, "loop = None must be a CurrentTrialLoop"),
+        ({"lowest": 0}, "lowest"),
+        ({"highest": 4.0}, "highest"),
+        ({"amplitude": [1.0, -1.0]}, "amplitude"),
+        ({"hours": 0.1}, r"hours = 0\.1 .*: 0\.567[0-9]* h"),
+        ({"lines": 1}, "lines"),
     ],
 )
 def test_excitation_that_cannot_be_is_refused(loop, change, message):
-    choice = {
-        "loop": loop,
-        "lowest": 0.02,
-        "highest": 0.5,
-        "amplitude": 1.0,
-        "hours": 1.0,
-    }
+    choice = {"lowest": 0.02, "highest": 0.5, "amplitude": 1.0, "hours": 1.0}
     with pytest.raises(ValueError, match=message):
-        multisine(**choice | change)
+        multisine(loop, **choice | change)
 
 
 def test_an_excitation_is_checked_when_it_is_made():
-    good = {
-        "Ts": 1.0,
-        "period": 100,
-        "periods": 4,
-        "harmonics": [1, 3],
-        "phases": [0, 1.0],
-    }
-    assert Excitation(**good, amplitude=[2.0]).channels == 1
-    for change, message in (
-        ({"harmonics": [3, 1]}, "harmonics = 1 must be a whole number, from 4 to 49"),
-        ({"harmonics": [1, 50]}, "harmonics = 50 must be a whole number"),
-        ({"phases": [0.0]}, "phases has shape"),
-        ({"periods": 2}, "periods = 2"),
-        ({"amplitude": [0.0]}, "amplitude = .* must be positive"),
+    good = Excitation(1.0, 100, 4, harmonics=[1, 3], phases=[0, 1.0], amplitude=[2.0])
+    assert good.channels == 1
+    for name, value in (
+        ("harmonics", [3, 1]),
+        ("harmonics", [1, 50]),
+        ("phases", [0.0]),
+        ("periods", 2),
+        ("amplitude", [0.0]),
     ):
-        with pytest.raises(ValueError, match=message):
-            Excitation(**{"amplitude": [2.0], **good, **change})
+        with pytest.raises(ValueError, match=name):
+            replace(good, **{name: value})

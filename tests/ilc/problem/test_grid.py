@@ -25,7 +25,6 @@ DENSE = np.linspace(0, np.pi, 4001)
 DOUBTS = (
     "the samples are too coarse",
     "the filter leaves",
-    ".*the loop passes only",
     ".*may reach",
 )
 DOUBTS = [f"ignore:{text}" for text in DOUBTS]

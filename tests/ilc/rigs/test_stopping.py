@@ -1,12 +1,11 @@
 """Experiments that go wrong while somebody watches: what is said of them, and what is kept."""
 
-import warnings
 from types import SimpleNamespace
 
 import control
 import numpy as np
 import pytest
-from plants import furnace, tanks
+from plants import furnace
 from test_experiment import PLANT, SHORT, Itself
 
 from rodlib import (
@@ -25,7 +24,6 @@ from rodlib.ilc.rigs.protocol import RigError, StoppedError
 from rodlib.ilc.trials.run import rms
 from rodlib.rigs import RestartingRig, VirtualRig
 
-PUMPS = ["pump A", "pump B", "pump C"]
 Q_SHORT = zero_phase_butterworth(Ts=0.5)
 
 
@@ -143,15 +141,3 @@ def test_a_furnace_that_is_a_tenth_off_is_told_of_while_there_is_time():
         log = record(device, loop, Law(Q, L), bump(600, [10.0]), trials=10)
     assert told[0].filename == __file__ and rms(log.e).values[-1] > 1
     assert len([one for one in told if "the error grows" in str(one.message)]) == 1
-
-
-def test_pumps_at_their_limit_are_told_of_by_a_rig_that_knows_no_limits():
-    loop, Q = current_trial_loop(tanks(), PUMPS), zero_phase_butterworth(2, 0.02, 2.0)
-    grid, reference = np.geomspace(1e-4, np.pi, 200) / 2, bump(400, [10.0, 5.0, 8.0])
-    L = synthesise(loop, Q, grid, 2.0, order=10, band=(1e-4, 0.007)).filter
-    with warnings.catch_warnings(action="error"):
-        record(Model(tanks(), noise=0.02), loop, Law(Q, L), reference, trials=4)
-    with pytest.warns(UserWarning, match="after trial 4: .*at its limit"):
-        record(
-            Model(tanks(), limit=50.0, noise=0.02), loop, Law(Q, L), reference, trials=4
-        )

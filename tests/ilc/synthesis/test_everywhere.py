@@ -126,7 +126,6 @@ def other_plants():
     }
 
 
-@pytest.mark.filterwarnings("ignore:.*the loop passes only")
 @pytest.mark.filterwarnings("ignore:the filter leaves")
 @pytest.mark.parametrize("name", ["stage", "tanks", "furnace"])
 @pytest.mark.parametrize("as_samples", [False, True])

@@ -325,7 +325,6 @@ def test_what_is_not_learned_at_one_frequency_is_learned_at_others(m):
     assert design.sigma_M[3] == 0 and design.certificate.gap < 1e-8
 
 
-@pytest.mark.filterwarnings("ignore:.*the loop passes only")
 @pytest.mark.parametrize("unit", [1e-90, 1e-12, 1e12, 1e90])
 def test_the_unit_of_the_output_does_not_matter(loop, Q, omega, unit):
     grid = omega[::10]

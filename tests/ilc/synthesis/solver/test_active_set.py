@@ -47,7 +47,6 @@ def test_a_changed_bound_or_band_takes_a_few_steps(before, loop, Q, omega, chang
 
 @pytest.mark.filterwarnings("ignore:the filter leaves")
 @pytest.mark.filterwarnings("ignore:the samples are too coarse")
-@pytest.mark.filterwarnings("ignore:.*the loop passes only")
 @settings(max_examples=6)
 @given(
     st.integers(1, 3),

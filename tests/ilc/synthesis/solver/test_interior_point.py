@@ -55,7 +55,6 @@ def test_structured_and_cvxpy_agree_on_the_papers_problems(
 
 @pytest.mark.filterwarnings("ignore:the filter leaves")
 @pytest.mark.filterwarnings("ignore:the samples are too coarse")
-@pytest.mark.filterwarnings("ignore:.*the loop passes only")
 @settings(max_examples=8)
 @given(
     st.integers(1, 3),
@@ -148,7 +147,6 @@ def test_nearly_infeasible_problems_are_solved(loop, Q, omega, margin):
     assert 0 <= float(named) - peak < 1e-6  # in six digits, rounded up
 
 
-@pytest.mark.filterwarnings("ignore:.*the loop passes only")
 @pytest.mark.parametrize("objective", ["sum", "peak"])
 @pytest.mark.parametrize("unit", [1.0, 1e-3])
 def test_without_a_bound_filters_compete_up_to_a_gain_that_doubles_can_hold(
@@ -191,7 +189,6 @@ def test_the_gap_may_widen_before_it_closes(order):
     assert again.value == pytest.approx(design.value, rel=1e-6)
 
 
-@pytest.mark.filterwarnings("ignore:.*the loop passes only")
 @pytest.mark.parametrize("T", [3.0, 30.0, 300.0])
 @pytest.mark.parametrize("order", [10, 40])
 @pytest.mark.parametrize("gain", [1e-6, 1e6])
