@@ -17,8 +17,8 @@ from rodlib import paper_loop, synthesise, zero_phase_butterworth
 from rodlib.ilc.problem.pose import pose
 from rodlib.ilc.synthesis import statement
 from rodlib.ilc.synthesis.design import certified
+from rodlib.ilc.synthesis.formulate import formulate
 from rodlib.ilc.synthesis.solver import interior_point
-from rodlib.ilc.synthesis.solver.program import formulate
 from rodlib.specimens import Spread, draw, responses
 
 FREQUENCIES = (250, 500, 1000, 2000, 4000, 8000, 16000)

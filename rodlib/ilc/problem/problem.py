@@ -258,19 +258,14 @@ def largest_singular_values(G):
         return np.linalg.norm(G, 2, axis=(1, 2))
     # Below three by three the Hermitian eigenvalue problem has a closed form, ten times faster.
     G = G if G.shape[1] <= G.shape[2] else np.swapaxes(G, 1, 2)
-    with np.errstate(over="ignore", under="ignore", invalid="ignore"):
-        power = (G.real**2 + G.imag**2).sum(axis=2)
-        total = power.sum(axis=1)
-        if G.shape[1] == 1:
-            sigma = np.sqrt(total)
-        else:
-            coupling = np.abs((G[:, 0] * G[:, 1].conj()).sum(axis=1))
-            sigma = np.sqrt(
-                total / 2 + np.hypot((power[:, 0] - power[:, 1]) / 2, coupling)
-            )
-    if not (total.min(initial=1) > 1e-280 and total.max(initial=1) < 1e280):
-        extreme = ~(
-            (total > 1e-280) & (total < 1e280)
-        )  # the squares may have left the doubles
-        sigma[extreme] = np.linalg.norm(G[extreme], 2, axis=(1, 2))
-    return sigma
+    # A power of two as unit: no square leaves the doubles, and nothing is rounded.
+    _, exponent = np.frexp(np.abs(G).max(axis=(1, 2)))
+    unit = np.ldexp(1.0, exponent.clip(-1000, 1000))
+    G = G * (1 / unit)[:, None, None]
+    power = (G.real**2 + G.imag**2).sum(axis=2)
+    total = power.sum(axis=1)
+    if G.shape[1] == 1:
+        return unit * np.sqrt(total)
+    coupling = np.abs((G[:, 0] * G[:, 1].conj()).sum(axis=1))
+    apart = np.hypot((power[:, 0] - power[:, 1]) / 2, coupling)
+    return unit * np.sqrt(total / 2 + apart)

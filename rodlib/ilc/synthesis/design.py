@@ -23,11 +23,12 @@ from rodlib.ilc.problem.problem import (
     largest_singular_values,
     tied,
 )
+from rodlib.ilc.synthesis.cuts import first_cuts, violated
 from rodlib.ilc.synthesis.everywhere import PASSED, carried, settled
+from rodlib.ilc.synthesis.formulate import formulate
 from rodlib.ilc.synthesis.result import InfeasibleError, SolverError, Synthesis
 from rodlib.ilc.synthesis.solver import active_set, interior_point
-from rodlib.ilc.synthesis.solver.program import Infeasible, formulate
-from rodlib.ilc.synthesis.solver.selection import first_cuts, violated
+from rodlib.ilc.synthesis.solver.program import Infeasible
 from rodlib.ilc.synthesis.solver.threads import on_one_thread
 
 EQUAL = 1e-3  # relative distance of multipliers that are the same for the solver

@@ -16,12 +16,10 @@ from rodlib import (
     synthesise,
     zero_phase_butterworth,
 )
-from rodlib.ilc.problem.grid import refined
 from rodlib.ilc.problem.pose import pose
 from rodlib.ilc.problem.problem import largest_singular_values
 from rodlib.ilc.synthesis import everywhere
 from rodlib.ilc.synthesis.design import certified, solve
-from rodlib.ilc.synthesis.everywhere import carried
 from rodlib.ilc.synthesis.result import SolverError
 from rodlib.ilc.synthesis.search import largest_cutoff
 
@@ -96,20 +94,6 @@ def test_what_passes_a_bound_between_the_frequencies_does_not_hold_everywhere(pa
         failure.startswith("sigma_max(M) is 0.9000002")
         and "above the bounds" in failure
     )
-
-
-@pytest.mark.parametrize("structure", ["diagonal", "full"])
-def test_a_hundred_frequencies_are_as_good_as_a_thousand(
-    loop, Q, omega, papers, structure
-):
-    many, few = papers(1000, structure), papers(100, structure)
-    M = Q.frequency_response(omega)[:, None, None] * (
-        np.eye(2)
-        - loop.frequency_response(omega) @ few.filter.frequency_response(omega)
-    )
-    value = largest_singular_values(M)[omega <= 0.02].sum()
-    # of filters that keep the bounds it is the best for another sum, of a tenth of the terms
-    assert many.certificate.lower_bound < value < many.value * (1 + 3e-5)
 
 
 @pytest.mark.parametrize("n", [40, 60])
@@ -278,24 +262,6 @@ def test_a_start_changes_nothing_but_the_time(loop, Q, papers):
         from_it = synthesise(loop, Q, grid, everywhere=flag, start=start, **PAPER)
         anew = papers(100, "diagonal", flag)
         assert from_it.value == pytest.approx(anew.value, rel=2e-7)
-
-
-def test_a_solution_is_carried_by_its_frequencies(loop, Q):
-    grid = np.geomspace(1e-4, np.pi, 60)
-    plants = [loop, 1.1 * loop.P]
-    design = synthesise(plants, Q, grid, M_max=0.93, everywhere=True, **PAPER)
-    problem, solution = design.certificate.problem, design.solution
-    wider = refined(problem, [0.3, 0.4])
-    there = carried(solution, problem, wider)
-    back = carried(there, wider, problem)
-    for name in ("U", "V"):
-        np.testing.assert_array_equal(getattr(back, name), getattr(solution, name))
-    np.testing.assert_array_equal(
-        wider.omega[there.cuts.frequency], problem.omega[back.cuts.frequency]
-    )
-    np.testing.assert_array_equal(back.cuts.frequency, solution.cuts.frequency)
-    fewer = carried(solution, problem, problem.design)
-    assert len(fewer.U) == 60 and len(fewer.cuts.N) <= len(solution.cuts.N)
 
 
 def test_if_rounds_run_out_the_filter_is_not_returned(loop, Q, monkeypatch):

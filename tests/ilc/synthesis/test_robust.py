@@ -7,10 +7,10 @@ from plants import half, random_response
 from rodlib import InfeasibleError, LearningFilter, synthesise
 from rodlib.ilc.problem.pose import pose
 from rodlib.ilc.problem.problem import convergence_matrix, largest_singular_values
+from rodlib.ilc.synthesis.cuts import violated
 from rodlib.ilc.synthesis.design import certified, solve
+from rodlib.ilc.synthesis.formulate import formulate
 from rodlib.ilc.synthesis.solver import interior_point
-from rodlib.ilc.synthesis.solver.program import formulate
-from rodlib.ilc.synthesis.solver.selection import violated
 
 KINDS = ("radius", "plants", "plants and radius")
 CHOICES = {"order": 3, "L_max": 8.0, "band": (0.01, 0.3)}

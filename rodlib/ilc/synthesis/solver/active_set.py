@@ -20,7 +20,7 @@ import daqp
 import numpy as np
 import piqp
 
-from rodlib.ilc.problem.problem import Solution, largest_singular_values
+from rodlib.ilc.problem.problem import Solution
 from rodlib.ilc.synthesis.solver.program import Program
 
 NEAR = 0.97  # part of a limit from which on it is in the quadratic program
@@ -37,13 +37,9 @@ class Iterate:
 
     def __init__(self, program, x, splits=None):
         self.x, self.G, self.splits, self.sigma = x, program.matrices(x), [], []
-        # what is looked into: more than the largest M, or the limit on it, leave aside
-        level = NEAR * (
-            self._largest_M(program) if program.shared else program.limits[0]
-        )
         for j, (bound, G) in enumerate(zip(program.bounds, self.G, strict=True)):
             split = bound.first_split(G) if splits is None else splits[j]
-            split, sigma = bound.tighten(G, split, level)
+            split, sigma = bound.tighten(G, split)
             self.splits.append(split)
             self.sigma.append(sigma)
         if program.shared:
@@ -60,16 +56,6 @@ class Iterate:
             s.max() / b - 1 for s, b in zip(self.sigma, self.limits, strict=True)
         ]
         self.excess = np.maximum(relative, 0)
-
-    def _largest_M(self, program):
-        """The largest of the first limit, without a radius."""
-        parts = zip(program.bounds, self.G, strict=True)
-        square = (
-            np.moveaxis(G[: G.shape[1]], -1, 0)
-            for bound, G in parts
-            if bound.limit == 0
-        )
-        return max(largest_singular_values(M).max() for M in square)
 
 
 @dataclass(frozen=True)

@@ -187,7 +187,7 @@ class Bound:
         N = 2 * u[:, :, None] * v[:, None].conj()
         return value, np.moveaxis(N, 0, -1), gradient, R, H
 
-    def tighten(self, G, split, level):
+    def tighten(self, G, split, level=0.0):
         """The split of the smallest value, and that value, wherever it is above the level."""
         value, split = self.value(G, split), split.copy()
         active = (

@@ -11,6 +11,7 @@ from plants import random_response
 from rodlib import InfeasibleError, synthesise
 from rodlib.ilc.problem.pose import pose
 from rodlib.ilc.synthesis.design import solve
+from rodlib.ilc.synthesis.formulate import formulate
 from rodlib.ilc.synthesis.solver import active_set
 from rodlib.ilc.synthesis.solver.active_set import (
     Iterate,
@@ -19,12 +20,11 @@ from rodlib.ilc.synthesis.solver.active_set import (
     model_at,
     resolve,
 )
-from rodlib.ilc.synthesis.solver.program import formulate
 
 CHANGES = [
-    *({"M_max": value} for value in (0.97, 0.899, 0.88)),
-    *({"L_max": value} for value in (40.0, 55.0)),
-    *({"band": (1e-4, value)} for value in (0.01, 0.05)),
+    *({"M_max": value} for value in (0.97, 0.88)),
+    {"L_max": 40.0},
+    {"band": (1e-4, 0.05)},
 ]
 
 
@@ -43,37 +43,6 @@ def test_a_changed_bound_or_band_takes_a_few_steps(before, loop, Q, omega, chang
     # A step costs about half of an iteration of the interior-point method.
     assert warm.solution.method == "active set"
     assert warm.solution.iterations <= 0.6 * cold.solution.iterations
-
-
-@pytest.mark.parametrize("structure", ["diagonal", "full"])
-def test_the_smallest_peak_is_found_from_a_similar_one_too(loop, Q, omega, structure):
-    arguments = {"structure": structure, "objective": "peak"}
-    start = synthesise(loop, Q, omega, 1.0, L_max=51.0, **arguments)
-    cold = synthesise(loop, Q, omega, 1.0, **arguments)
-    warm = synthesise(loop, Q, omega, 1.0, start=start, **arguments)
-    # Which method gets there is no property of the design: rounding has decided it otherwise.
-    assert warm.value == pytest.approx(cold.value, rel=1e-8)
-
-
-@pytest.mark.parametrize(
-    "changes", [{"M_max": 0.85}, {"L_max": 100.0}, {"L_max": 20.0}], ids=str
-)
-def test_after_a_large_change_the_result_is_the_same(before, loop, Q, omega, changes):
-    structure, start = before
-    cold = synthesise(loop, Q, omega, 1.0, structure=structure, **changes)
-    warm = synthesise(loop, Q, omega, 1.0, structure=structure, start=start, **changes)
-    assert warm.value == pytest.approx(cold.value, rel=1e-8)
-    np.testing.assert_allclose(
-        warm.filter.coefficients,
-        cold.filter.coefficients,
-        atol=1e-3 * np.abs(cold.sigma_L).max(),
-    )
-
-
-def test_what_is_infeasible_is_said_to_be(before, loop, Q, omega):
-    structure, start = before
-    with pytest.raises(InfeasibleError, match=r"smallest feasible M_max is 0\.8"):
-        synthesise(loop, Q, omega, 1.0, structure=structure, start=start, M_max=0.8)
 
 
 @pytest.mark.filterwarnings("ignore:the filter leaves")

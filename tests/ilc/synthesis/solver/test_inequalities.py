@@ -8,7 +8,6 @@ from rodlib.ilc.synthesis.solver.inequalities import (
     Slack,
     cholesky,
     longest_step,
-    positive_definite,
 )
 
 
@@ -63,18 +62,3 @@ def test_what_a_slack_says_is_what_dense_matrices_say(q, more, seed):
         np.linalg.eigvalsh(S + a * dS).min() for a in (limit, limit * (1 + 2e-6))
     )
     assert inside > 0 and (limit == 1.0 or outside < 1e-9 * b.max())
-
-
-@given(st.integers(1, 4), st.integers(0, 999))
-def test_factors_of_small_matrices(q, seed):
-    rng = np.random.default_rng(seed)
-    C = rng.standard_normal((7, q, q)) + 1j * rng.standard_normal((7, q, q))
-    A = C @ C.conj().swapaxes(1, 2) + 0.1 * np.eye(q)
-    RH, inverse = (np.moveaxis(X, -1, 0) for X in cholesky(np.moveaxis(A, 0, -1), 0.0))
-    np.testing.assert_allclose(RH.conj().swapaxes(1, 2) @ RH, A, atol=1e-10)
-    np.testing.assert_allclose(
-        inverse @ RH.conj().swapaxes(1, 2), np.tile(np.eye(q), (7, 1, 1)), atol=1e-8
-    )
-    shifted = A - rng.uniform(0, 2, 7)[:, None, None] * np.eye(q)
-    positive = positive_definite(np.moveaxis(shifted, 0, -1).copy())
-    np.testing.assert_array_equal(positive, np.linalg.eigvalsh(shifted)[:, 0] > 0)

@@ -10,11 +10,12 @@ from hypothesis import strategies as st
 from plants import random_response
 
 from rodlib import InfeasibleError, synthesise, zero_phase_butterworth
+from rodlib.ilc.evidence.certificate import GAP
 from rodlib.ilc.problem.pose import pose
 from rodlib.ilc.synthesis.design import certified
+from rodlib.ilc.synthesis.formulate import formulate
 from rodlib.ilc.synthesis.solver import interior_point, newton
 from rodlib.ilc.synthesis.solver.inequalities import Slack
-from rodlib.ilc.synthesis.solver.program import formulate
 
 
 @pytest.mark.parametrize("objective", ["sum", "peak"])
@@ -46,7 +47,7 @@ def test_structured_and_cvxpy_agree_on_the_papers_problems(
     ours = synthesise(loop, Q, grid, 1.0, **arguments)
     problem = pose(loop, Q, grid, 1.0, **arguments)
     theirs = certified(problem, solver="cvxpy", check=False)
-    assert ours.certificate.gap < 1e-7
+    assert ours.certificate.gap < GAP
     # Clarabel ends "almost solved"; its multipliers prove how good it and we are at least.
     assert theirs.certificate.lower_bound <= ours.value * (1 + 1e-9)
     assert abs(theirs.value / ours.value - 1) <= theirs.certificate.gap < 1e-4
@@ -301,13 +302,6 @@ def test_both_ways_of_solving_the_newton_system_agree(m, structure, objective, k
             d = interior_point.step(program, p, slacks, total, (root, 10))
             primal, dual = interior_point.step_lengths(program, p, d, slacks, 0.1)
             p = p.moved(d, 0.9 * primal, 0.9 * dual)
-
-
-def test_two_solves_give_the_same_bits(loop, Q, omega):
-    first, second = (
-        synthesise(loop, Q, omega[::5], 1.0, band=(1e-4, 0.01)) for _ in range(2)
-    )
-    np.testing.assert_array_equal(first.filter.coefficients, second.filter.coefficients)
 
 
 def test_a_spoiled_factor_of_the_newton_system_costs_no_accuracy(monkeypatch):

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from rodlib import LearningFilter
 from rodlib.ilc.problem.pose import pose
-from rodlib.ilc.synthesis.solver.program import (
+from rodlib.ilc.synthesis.formulate import (
     formulate,
     orthonormalise,
     whitened_basis,
@@ -78,15 +78,3 @@ def test_orthonormalisation_keeps_more_digits_than_doubles():
     assert np.abs(Q.T @ Q - np.eye(8)).max() < 1e-15
     assert np.abs(Q @ R - A).max() < 1e-15
     assert np.linalg.cond(A.astype(float)) > 1e14
-
-
-def test_the_problem_of_the_peak_has_one_variable_and_no_bound_on_it():
-    P, Q, omega = plant(2)
-    problem = formulate(posed(P, Q, omega, "diagonal", "peak"))
-    assert problem.shared and len(problem.free) == 20 and problem.M_max == 0.9
-    assert problem.limits[0] > 1 and problem.idle == pytest.approx(Q.max())
-    louder = formulate(posed(P, 10 * Q, omega, "diagonal", "peak"))
-    assert louder.limits[0] > louder.idle == pytest.approx(10 * Q.max())
-    whole = formulate(posed(P, Q, omega, "diagonal"))
-    assert whole.idle == pytest.approx(Q[omega < 1].sum())
-    assert set(whole.levels(7.0, whole.limits)[0]) == {7.0, 0.9}

@@ -8,7 +8,7 @@ optimal for a part of the bounds and meets all of them is optimal for all.
 import numpy as np
 
 from rodlib.ilc.problem.problem import largest_singular_values
-from rodlib.ilc.synthesis.solver.program import bound_on_M, entries_of
+from rodlib.ilc.synthesis.formulate import bound_on_M, entries_of
 
 PASSED = 1e-10  # relative violation that is rounding
 
