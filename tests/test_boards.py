@@ -19,7 +19,7 @@ from rodlib import (
 )
 from rodlib.boards import TemperatureControlLab, heat_balance
 from rodlib.ilc import law_of
-from rodlib.ilc.logs.notes import loop_of
+from rodlib.ilc.loop.notes import loop_of
 from rodlib.ilc.rigs.protocol import RigError
 
 tclab = pytest.importorskip("tclab")

@@ -149,6 +149,16 @@ def in_columns(name, signal, shape, names):
     return array(name, signal, shape)
 
 
+def each_trial(name, signal, trials, samples, names):
+    """A signal of all trials, or of each, with the trial as the first axis."""
+    signal = in_columns(name, signal, (...,), names)
+    shape = (samples, len(names))
+    if signal.ndim > 2:
+        shape = (trials, *shape)
+    signal = array(name, signal, shape)
+    return np.broadcast_to(signal, (trials, *signal.shape[-2:]))
+
+
 def path(name: str, value) -> Path:
     """The path of a file."""
     if not isinstance(value, str | PathLike) or not str(value):

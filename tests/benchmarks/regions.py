@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 
 from rodlib import Law, LearningFilter, zero_phase_butterworth
 from rodlib.ilc.files import write_whole
-from rodlib.ilc.logs.format import LogError
+from rodlib.ilc.loop.notes import LogError
 from rodlib.ilc.measurement.estimation import estimated_response
 from rodlib.ilc.trials.run import dataset
 from rodlib.paper.ledger import splice

@@ -23,7 +23,7 @@ from rodlib import (
 )
 from rodlib.ilc import replay as replay_of
 from rodlib.ilc.law.io import with_law
-from rodlib.ilc.logs.format import LogError
+from rodlib.ilc.loop.notes import LogError
 from rodlib.paper import reproduce
 from rodlib.paper.repository import ROOT
 

@@ -6,7 +6,7 @@ import pytest
 
 from rodlib import load_log, paper_loop
 from rodlib.case import assumed_disturbance, assumed_reference
-from rodlib.ilc.logs.notes import loop_of
+from rodlib.ilc.loop.notes import loop_of
 from rodlib.paper import rig_logs
 from rodlib.paper.repository import ROOT
 from rodlib.peltier_rig import PeltierRig

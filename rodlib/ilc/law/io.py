@@ -11,11 +11,12 @@ from rodlib.ilc.files import read_json, write_whole
 from rodlib.ilc.filters import LearningFilter, ZeroPhaseButterworth
 from rodlib.ilc.law.law import Law
 from rodlib.ilc.law.limits import named_limits
-from rodlib.ilc.logs.notes import MISUNDERSTOOD, loop_note, loop_of, read_note, reading
+from rodlib.ilc.loop.notes import MISUNDERSTOOD, loop_note, loop_of, read_note, reading
 from rodlib.ilc.signals import Signals, check_match
 
 FORMAT = "rodlib law 1"  # of the file
 KEYS = ("Q", "L", "rest", "step", "actuators")  # step: the learning gain
+BEGUN = "begun"  # the note that says that v of trial 1 was given
 
 
 def law_notes(law: Law) -> dict:

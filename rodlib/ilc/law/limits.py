@@ -89,6 +89,21 @@ class Actuators:
         return applied
 
 
+def commands_beyond(
+    u, controls: Sequence[str], limits: dict[str, tuple[float, ...]]
+) -> str:
+    """What share of the commands u, shape (..., control), actuators do not follow; "" for none."""
+    shares = {}
+    for i, name in enumerate(controls):
+        if name in limits:
+            low, high, *_ = limits[name]
+            shares[name] = ((u[..., i] < low) | (u[..., i] > high)).mean()
+    words = ", ".join(
+        f"{name} in {share:.1%}" for name, share in shares.items() if share
+    )
+    return words and f"commands were beyond the limits of {words} of all samples"
+
+
 def realised(loop: Loop, v, u, applied) -> np.ndarray:
     """The v with which the loop would have asked for what was applied, instead of u.
 

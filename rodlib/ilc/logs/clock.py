@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from rodlib.ilc.logs.format import LogError
+from rodlib.ilc.loop.notes import LogError
 
 EXACT = 1e-3  # of Ts: jitter that is not worth a note
 JITTER = 0.1  # of Ts: by which a step of the clock may differ

@@ -33,10 +33,6 @@ OPTIONAL = (("reference", "v"), ("applied",), ("delta",))  # a log has all of a 
 LISTED = 18  # names in a message
 
 
-class LogError(ValueError):
-    """A log or a table that cannot be used; the message says where, and what to do."""
-
-
 def few(words: Sequence[str]) -> list[str]:
     """The first of them, and how many more there are."""
     more = [f"and {len(words) - LISTED} more"] if len(words) > LISTED else []

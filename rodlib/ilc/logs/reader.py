@@ -14,15 +14,8 @@ import xarray as xr
 from rodlib.ilc import arguments
 from rodlib.ilc.files import read_json
 from rodlib.ilc.logs import clock
-from rodlib.ilc.logs.format import (
-    FORMAT,
-    KEYS,
-    ROLES,
-    LogError,
-    few,
-    titles_of,
-    units_of,
-)
+from rodlib.ilc.logs.format import FORMAT, KEYS, ROLES, few, titles_of, units_of
+from rodlib.ilc.loop.notes import LogError
 from rodlib.ilc.trials.run import dataset
 from rodlib.ilc.units import seconds
 

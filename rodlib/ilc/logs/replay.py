@@ -19,13 +19,12 @@ import xarray as xr
 
 from rodlib.ilc import arguments
 from rodlib.ilc.files import write_whole
-from rodlib.ilc.law.io import law_of
+from rodlib.ilc.law.io import BEGUN, law_of
 from rodlib.ilc.law.law import Law
 from rodlib.ilc.logs.format import signals_of
-from rodlib.ilc.logs.notes import loop_of
 from rodlib.ilc.loop.closed import ClosedLoop, Loop
+from rodlib.ilc.loop.notes import loop_of
 from rodlib.ilc.models import state_sequence
-from rodlib.ilc.rigs.recording import BEGUN
 from rodlib.ilc.trials.diagnosis import (
     commands,
     diagnose,

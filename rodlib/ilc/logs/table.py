@@ -13,7 +13,7 @@ import xarray as xr
 
 from rodlib.ilc import arguments
 from rodlib.ilc.logs import clock
-from rodlib.ilc.logs.format import LogError, few
+from rodlib.ilc.logs.format import few
 from rodlib.ilc.logs.reader import (
     MARKS,
     about,
@@ -24,6 +24,7 @@ from rodlib.ilc.logs.reader import (
     numbers_of,
     trials_of,
 )
+from rodlib.ilc.loop.notes import LogError
 from rodlib.ilc.units import seconds
 
 SIGNALS = {  # of a log, by argument

@@ -14,7 +14,6 @@ import xarray as xr
 from rodlib.ilc import arguments
 from rodlib.ilc.loop.closed import ClosedLoop, CurrentTrialLoop
 from rodlib.ilc.models import sampled_plant, state_sequence
-from rodlib.ilc.trials.run import each_trial
 
 CONDITION = 1e6  # of the response at rest, beyond which errors of the model take over
 DEPARTS = 1e-3  # of the largest u, that a recorded delta may be off
@@ -63,7 +62,8 @@ def estimated(
     size = trials.sizes["trial"], trials.sizes["time"]
     signals = {"w": trials.reference + trials.v, "y": trials.y}
     w, y = (
-        each_trial(f"trials.{k}", x, *size, loop.outputs) for k, x in signals.items()
+        arguments.each_trial(f"trials.{k}", x, *size, loop.outputs)
+        for k, x in signals.items()
     )
     # c is x-hat and delta; (16) with u of (18): c(p+1) = A c(p) + B w(p) + K_L y(p)
     A, B = (

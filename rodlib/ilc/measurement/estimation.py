@@ -14,9 +14,8 @@ from scipy.signal import fftconvolve
 from scipy.special import fdtrc
 
 from rodlib.ilc import arguments
-from rodlib.ilc.logs.format import LogError
-from rodlib.ilc.logs.notes import loop_of
 from rodlib.ilc.loop.closed import ClosedLoop, Loop
+from rodlib.ilc.loop.notes import LogError, loop_of
 from rodlib.ilc.measurement.impulse import impulse_of
 from rodlib.ilc.problem.problem import largest_singular_values
 from rodlib.ilc.problem.responses import Measured

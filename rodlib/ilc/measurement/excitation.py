@@ -1,14 +1,18 @@
 """What the loop is shaken with: periodic multisines, on few lines and with low peaks."""
 
+import json
 import warnings
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 
 import numpy as np
+import xarray as xr
 from scipy.fft import next_fast_len
 
 from rodlib.ilc import arguments
 from rodlib.ilc.loop.closed import Loop, check_loop
+from rodlib.ilc.loop.notes import loop_note, read_note
+from rodlib.ilc.signals import Signals, check_match
 
 LEAD = 0.25  # periods before those that are evaluated, in which most of the transient decays
 LONGEST = 720.0  # hours: a month, in which no rig stays as it is
@@ -196,3 +200,27 @@ def _phases_of_low_peaks(harmonics, m):
         clipped = np.fft.fft(np.clip(waves[k % m], -limit, limit))[harmonics]
         phases = np.angle(clipped / turns[k % m])
     return best
+
+
+def with_excitation(
+    trials: xr.Dataset,
+    excitation: Excitation,
+    loop: Loop,
+    limits: dict[str, tuple[float, ...]] | None = None,
+) -> xr.Dataset:
+    """Note which excitation made the trials, of which loop, and what its actuators follow."""
+    notes = {"excitation": json.dumps(asdict(excitation)), "loop": loop_note(loop)}
+    if limits:
+        notes["actuators"] = json.dumps(limits, ensure_ascii=False)
+    return trials.assign_attrs(notes)
+
+
+def excitation_of(trials: xr.Dataset) -> Excitation | None:
+    """The excitation noted in the metadata of a log; None if it does not say."""
+
+    def read(note):
+        excitation = Excitation(**note)
+        check_match(log=Signals(trials.attrs["Ts"]), excitation=excitation)
+        return excitation
+
+    return read_note(trials, "excitation", read)

@@ -19,7 +19,7 @@ from scipy.optimize import minimize
 from scipy.signal import fftconvolve, lfilter
 from scipy.special import expit
 
-from rodlib.ilc.logs.format import LogError
+from rodlib.ilc.loop.notes import LogError
 
 MOST = 4000  # lags of all inputs together
 CLOSE = 96  # the fast part is looked at lag by lag up to here, further on in steps of lag / CLOSE

@@ -13,11 +13,11 @@ import xarray as xr
 
 from rodlib.ilc import arguments
 from rodlib.ilc.law.io import limits_of
-from rodlib.ilc.logs.format import LogError, few
-from rodlib.ilc.logs.notes import excitation_of, loop_of
+from rodlib.ilc.logs.format import few
 from rodlib.ilc.loop.closed import CurrentTrialLoop, Loop
+from rodlib.ilc.loop.notes import LogError, loop_of
 from rodlib.ilc.measurement.estimation import EstimatedResponse, estimated_response
-from rodlib.ilc.measurement.excitation import Excitation
+from rodlib.ilc.measurement.excitation import Excitation, excitation_of
 from rodlib.ilc.measurement.plausibility import warnings_of
 from rodlib.ilc.measurement.region import radius_of
 from rodlib.ilc.measurement.tabulated import TabulatedResponse, tabulated

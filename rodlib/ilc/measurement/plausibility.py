@@ -7,9 +7,9 @@ from scipy.ndimage import maximum_filter1d
 from scipy.special import fdtrc
 from scipy.stats import chi2
 
+from rodlib.ilc.law.limits import commands_beyond
 from rodlib.ilc.measurement.region import TINY
 from rodlib.ilc.measurement.transient import separated, windows_of
-from rodlib.ilc.rigs.limits import commands_beyond
 
 DRIFT = 3.0  # standard deviations without drift, from which one is reported
 SIGNIFICANCE = 1e-3  # probability of a false report

@@ -8,9 +8,8 @@ from contextlib import contextmanager
 import numpy as np
 
 from rodlib.ilc import arguments
-from rodlib.ilc.law.limits import named_limits
+from rodlib.ilc.law.limits import commands_beyond, named_limits
 from rodlib.ilc.loop.closed import CurrentTrialLoop, Loop, check_loop
-from rodlib.ilc.rigs.limits import commands_beyond
 from rodlib.ilc.rigs.protocol import RigError, StoppedError
 
 LATE = 0.1  # sampling periods that a sample may be off the clock

@@ -7,17 +7,16 @@ import xarray as xr
 
 from rodlib.ilc import arguments
 from rodlib.ilc.filters import LearningFilter
-from rodlib.ilc.law.io import with_law
+from rodlib.ilc.law.io import BEGUN, with_law
 from rodlib.ilc.law.law import Law
-from rodlib.ilc.logs.notes import with_excitation
 from rodlib.ilc.loop.closed import Loop
-from rodlib.ilc.measurement.excitation import Excitation
+from rodlib.ilc.measurement.excitation import Excitation, with_excitation
 from rodlib.ilc.rigs.controlled import controlled
 from rodlib.ilc.rigs.limits import stop_limits
 from rodlib.ilc.rigs.protocol import Rig, TrialRig
-from rodlib.ilc.rigs.recording import BEGUN, Experiment
+from rodlib.ilc.rigs.recording import Experiment
 from rodlib.ilc.signals import check_match
-from rodlib.ilc.trials.run import commands_of, each_trial
+from rodlib.ilc.trials.run import commands_of
 
 
 def record(
@@ -119,7 +118,9 @@ def record(
         )
     if hasattr(rig, "begin") and pause is None:
         pause = 0
-    reference = each_trial("reference", reference, trials, "time", loop.outputs)
+    reference = arguments.each_trial(
+        "reference", reference, trials, "time", loop.outputs
+    )
     samples = reference.shape[1]
     first = law.first(samples, v)
     commanded = controlled_rig.commanded(disturbance, trials, samples)

@@ -1,7 +1,5 @@
 """Commands that actuators do not follow, and limits beyond which an experiment stops."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from rodlib.ilc import arguments
@@ -10,21 +8,6 @@ from rodlib.ilc.units import by_unit
 
 FAR = 5.0  # times the largest reference that outputs may be beyond all references
 WIDE = 100.0  # times what an actuator follows, that commands may span: no loop that works does
-
-
-def commands_beyond(
-    u, controls: Sequence[str], limits: dict[str, tuple[float, ...]]
-) -> str:
-    """What share of the commands u, shape (..., control), actuators do not follow; "" for none."""
-    shares = {}
-    for i, name in enumerate(controls):
-        if name in limits:
-            low, high, *_ = limits[name]
-            shares[name] = ((u[..., i] < low) | (u[..., i] > high)).mean()
-    words = ", ".join(
-        f"{name} in {share:.1%}" for name, share in shares.items() if share
-    )
-    return words and f"commands were beyond the limits of {words} of all samples"
 
 
 def stop_limits(stop, reference, loop, followed) -> dict:

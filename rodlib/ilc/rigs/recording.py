@@ -10,18 +10,17 @@ from tqdm import tqdm
 
 from rodlib.ilc import arguments
 from rodlib.ilc.files import alone
-from rodlib.ilc.law.io import KEYS
+from rodlib.ilc.law.io import BEGUN, KEYS
 from rodlib.ilc.law.law import Law
+from rodlib.ilc.law.limits import commands_beyond
 from rodlib.ilc.logs.format import save_log
 from rodlib.ilc.logs.reader import load_log
 from rodlib.ilc.rigs.controlled import ControlledRig
-from rodlib.ilc.rigs.limits import commands_beyond
 from rodlib.ilc.rigs.protocol import StoppedError
 from rodlib.ilc.rigs.start import Start
 from rodlib.ilc.trials.diagnosis import diagnose
 from rodlib.ilc.trials.run import commands_of, dataset
 
-BEGUN = "begun"  # the note that says that v of trial 1 was given
 NOTED = (*KEYS, "excitation", "loop")  # the notes of what makes the trials
 SIGNALS = ("v", "u", "y", "applied", "delta", "disturbance")  # that a trial may have
 Trial = dict[str, np.ndarray]  # its signals, shape (time, channel)

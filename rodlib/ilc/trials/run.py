@@ -78,13 +78,13 @@ def run_trials(
     reset = arguments.flag("reset", reset)
     trials = arguments.whole("trials", trials, 1)
     make_trial, plant_states, states = _simulator(loop, plant, law.actuators)
-    r = each_trial("reference", reference, trials, "time", loop.outputs)
+    r = arguments.each_trial("reference", reference, trials, "time", loop.outputs)
     shape = trials, samples, _ = r.shape
     first = law.first(samples, v)
     d = disturbance
     if d is None:
         d = np.zeros((samples, len(loop.disturbances)))
-    d = each_trial("disturbance", d, trials, samples, loop.disturbances)
+    d = arguments.each_trial("disturbance", d, trials, samples, loop.disturbances)
     noise = np.zeros(shape) if noise is None else noise
     noise = arguments.in_columns("noise", noise, shape, loop.outputs)
     initial = np.zeros(states)
@@ -198,16 +198,6 @@ def _simulator_of_P(P, actuators):
         return {"y": x @ P.C.T + w @ P.D.T}, P.A @ x[-1] + P.B @ w[-1]
 
     return make_trial, P.nstates, P.nstates
-
-
-def each_trial(name, signal, trials, samples, names):
-    """A signal of all trials, or of each, with the trial as the first axis."""
-    signal = arguments.in_columns(name, signal, (...,), names)
-    shape = (samples, len(names))
-    if signal.ndim > 2:
-        shape = (trials, *shape)
-    signal = arguments.array(name, signal, shape)
-    return np.broadcast_to(signal, (trials, *signal.shape[-2:]))
 
 
 def dataset(

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from rodlib.ilc import arguments, load_log, measured_response
-from rodlib.ilc.logs.format import LogError
-from rodlib.ilc.logs.notes import excitation_of, loop_of
 from rodlib.ilc.logs.replay import replay
 from rodlib.ilc.loop.closed import Loop
+from rodlib.ilc.loop.notes import LogError, loop_of
+from rodlib.ilc.measurement.excitation import excitation_of
 from rodlib.ilc.problem.problem import Problem
 from rodlib.ilc.problem.responses import Measured
 

@@ -21,7 +21,7 @@ from rodlib import (
     zero_phase_butterworth,
 )
 from rodlib.ilc.law.io import with_law
-from rodlib.ilc.logs.format import LogError
+from rodlib.ilc.loop.notes import LogError
 
 L = LearningFilter(np.random.default_rng(0).standard_normal((2, 2, 3)), 1.0, "hold")
 

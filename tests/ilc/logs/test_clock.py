@@ -3,7 +3,7 @@ import pandas as pd
 import pytest
 
 from rodlib.ilc.logs.clock import check_trials, jitter, period_of, resampled
-from rodlib.ilc.logs.format import LogError
+from rodlib.ilc.loop.notes import LogError
 
 GOOD = [0.0, 2.0, 4.0, 6.0]
 

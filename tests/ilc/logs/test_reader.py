@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rodlib import load_log, save_log
-from rodlib.ilc.logs.format import LogError
+from rodlib.ilc.loop.notes import LogError
 from rodlib.paper import ROOT
 
 SIGNALS = (

@@ -22,9 +22,8 @@ from rodlib import (
 )
 from rodlib.ilc import law_of
 from rodlib.ilc.law.io import with_law
-from rodlib.ilc.logs.format import LogError
-from rodlib.ilc.logs.notes import loop_of
 from rodlib.ilc.logs.replay import rms_by_trial
+from rodlib.ilc.loop.notes import LogError, loop_of
 from rodlib.paper import ROOT
 
 PUMPS = ["pump A", "pump B", "pump C"]

@@ -24,7 +24,7 @@ from rodlib import (
     try_out,
     zero_phase_butterworth,
 )
-from rodlib.ilc.logs.format import LogError
+from rodlib.ilc.loop.notes import LogError
 from rodlib.ilc.measurement.estimation import (
     EstimatedResponse,
     _seen,

@@ -23,9 +23,8 @@ from rodlib import (
 )
 from rodlib.ilc import expected_radius, measured_response, multisine, shake
 from rodlib.ilc.law.io import with_law
-from rodlib.ilc.logs.format import LogError
-from rodlib.ilc.logs.notes import excitation_of, loop_of, with_excitation
-from rodlib.ilc.measurement.excitation import Excitation
+from rodlib.ilc.loop.notes import LogError, loop_of
+from rodlib.ilc.measurement.excitation import Excitation, excitation_of, with_excitation
 from rodlib.ilc.measurement.measurement import MeasuredResponse, _estimate
 from rodlib.ilc.measurement.region import radius_of
 from rodlib.ilc.measurement.transient import separated, windows_of

@@ -25,7 +25,7 @@ from rodlib import (
 )
 from rodlib.case import assumed_disturbance, assumed_reference
 from rodlib.ilc import Controller, law_of
-from rodlib.ilc.logs.notes import loop_of
+from rodlib.ilc.loop.notes import loop_of
 from rodlib.ilc.rigs.protocol import RigError
 from rodlib.ilc.trials.run import rms
 from rodlib.paper import published

@@ -26,8 +26,8 @@ from rodlib import (
     try_out,
     zero_phase_butterworth,
 )
-from rodlib.ilc.logs.notes import loop_of
 from rodlib.ilc.logs.replay import replay
+from rodlib.ilc.loop.notes import loop_of
 from rodlib.ilc.rigs.protocol import RigError, StoppedError
 from rodlib.ilc.trials.run import rms
 from rodlib.ilc.workbench.plant import Plant, plant_of_file

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from plants import furnace, stage, tanks
 
 from rodlib import current_trial_loop, measured_response, multisine, shake
+from rodlib.ilc.law.limits import commands_beyond
 from rodlib.ilc.models import sampled_plant
-from rodlib.ilc.rigs.limits import commands_beyond
 
 CASES = {  # loop, lowest and highest frequency (rad/s), amplitude, hours
     "stage": (lambda: current_trial_loop(stage(), ["F"], sizes={"x": 1.0, "F": 3.0}),

@@ -21,7 +21,7 @@ from rodlib import (
     try_out,
 )
 from rodlib.ilc.law.io import with_law
-from rodlib.ilc.logs.notes import with_excitation
+from rodlib.ilc.measurement.excitation import with_excitation
 from rodlib.ilc.trials.run import dataset, state_sequence
 from rodlib.ilc.workbench.plant import Plant, plant_of_file
 from rodlib.paper import plant_of_rod

@@ -1,12 +1,13 @@
-"""What made the trials, as JSON in the metadata of a log: the excitation, and the loop.
+"""Notes in the metadata of a log, as JSON: how they are read, and the loop.
 
-The law is noted by :mod:`rodlib.ilc.law.io`.
+The law is noted by :mod:`rodlib.ilc.law.io`, an excitation by
+:mod:`rodlib.ilc.measurement.excitation`.
 """
 
 import json
 from collections.abc import Callable
 from contextlib import contextmanager
-from dataclasses import asdict, fields
+from dataclasses import fields
 
 import control
 import numpy as np
@@ -14,9 +15,7 @@ import xarray as xr
 
 from rodlib.ilc import arguments
 from rodlib.ilc.files import read_json
-from rodlib.ilc.logs.format import LogError
 from rodlib.ilc.loop.closed import ClosedLoop, CurrentTrialLoop, Loop
-from rodlib.ilc.measurement.excitation import Excitation
 from rodlib.ilc.signals import Signals, check_match
 
 MISUNDERSTOOD = (
@@ -25,6 +24,10 @@ MISUNDERSTOOD = (
     ValueError,
     RecursionError,
 )  # what a note may lead to
+
+
+class LogError(ValueError):
+    """A log or a table that cannot be used; the message says where, and what to do."""
 
 
 @contextmanager
@@ -43,30 +46,6 @@ def read_note(trials: xr.Dataset, key: str, read: Callable):
         return None
     with reading(key):
         return read(read_json(trials.attrs[key]))
-
-
-def with_excitation(
-    trials: xr.Dataset,
-    excitation: Excitation,
-    loop: Loop,
-    limits: dict[str, tuple[float, ...]] | None = None,
-) -> xr.Dataset:
-    """Note which excitation made the trials, of which loop, and what its actuators follow."""
-    notes = {"excitation": json.dumps(asdict(excitation)), "loop": loop_note(loop)}
-    if limits:
-        notes["actuators"] = json.dumps(limits, ensure_ascii=False)
-    return trials.assign_attrs(notes)
-
-
-def excitation_of(trials: xr.Dataset) -> Excitation | None:
-    """The excitation noted in the metadata of a log; None if it does not say."""
-
-    def read(note):
-        excitation = Excitation(**note)
-        check_match(log=Signals(trials.attrs["Ts"]), excitation=excitation)
-        return excitation
-
-    return read_note(trials, "excitation", read)
 
 
 def loop_of(trials: xr.Dataset) -> Loop | None:

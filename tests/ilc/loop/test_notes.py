@@ -17,8 +17,7 @@ from rodlib import (
     zero_phase_butterworth,
 )
 from rodlib.ilc.law.io import with_law
-from rodlib.ilc.logs.format import LogError
-from rodlib.ilc.logs.notes import loop_of
+from rodlib.ilc.loop.notes import LogError, loop_of
 
 
 def assert_alike(one, two):
