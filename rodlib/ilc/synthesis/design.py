@@ -340,7 +340,8 @@ def _advice(problem, smallest):
     return (
         f"infeasible: M_max = {M_max} is too tight for a {problem.structure} filter of order = "
         f"{problem.order}; {remedy}: {raised}{',' if smallest < HOPELESS else ''} take {longer}, "
-        "lower the cut-off of Q (largest_cutoff finds how far), or design a faster loop"
+        "lower the cut-off of Q (largest_cutoff in synthesis.search finds how far), "
+        "or design a faster loop"
     )
 
 
