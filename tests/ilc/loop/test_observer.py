@@ -29,7 +29,6 @@ from rodlib import (
 )
 from rodlib.ilc import Controller
 from rodlib.ilc.models import frequency_response
-from rodlib.ilc.trials.run import learn
 from rodlib.rigs import RestartingRig, RigParameters
 
 PLACES = tuple(np.linspace(0.01, 0.31, 9))
@@ -258,17 +257,12 @@ def test_learning_on_estimates_brings_the_profile_near_the_least_possible(rod_ca
     Q, rise = zero_phase_butterworth(), np.arange(900)[:, None] / 900
     r = (10 * np.sin(np.pi * rise) ** 2) * np.linspace(1, 0.5, len(PLACES))
     design = synthesise(combined, Q, np.geomspace(1e-4, np.pi, 100))
-    left = []
-
-    def trial(k, v):
+    left, v = [], np.zeros((900, 2))
+    law = Law(Q, design.filter)
+    for _ in range(5):
         run = run_trials(loop, Law(Q, None), r @ T.T + v, trials=1)
         left.append(r - estimated(run, loop, model).values[0, :, 2:])
-        return left[-1] @ T.T
-
-    def following(k, v, e):
-        return Law(Q, design.filter).next(v, e)
-
-    learn(trial, np.zeros((900, 2)), following, 5)
+        v = law.next(v, left[-1] @ T.T)
     heated = model[model.output_labels[2:], loop.controls]
     u = NormOptimal(heated, 1e-6, 900).apply(r)
     least = np.linalg.norm(r - control.forced_response(heated, inputs=u.T).outputs.T)
