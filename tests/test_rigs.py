@@ -18,17 +18,20 @@ def run_rig(device, commands):
 
 
 @pytest.mark.parametrize("omega", [0.002, 0.1])
-def test_sinusoids_pass_as_in_the_exact_response(omega):
-    """Held inputs: the exact response times that of the hold, once the start has died away."""
+@pytest.mark.parametrize("lag", [0.0, 4.0])
+def test_sinusoids_pass_as_in_the_exact_response(omega, lag):
+    """The exact response times those of hold and lag, once the start has died away."""
     periods = round(2 * np.pi / omega)
     omega = 2 * np.pi / periods
     time = np.arange(3000 + 3 * periods)
     commands = np.sin(omega * time)[:, None] * np.eye(4)[0]
-    readings = run_rig(VirtualRig(Rod(), IDEAL), commands)[-3 * periods :]
+    device = VirtualRig(Rod(), replace(IDEAL, lag=lag))
+    readings = run_rig(device, commands)[-3 * periods :]
     phase = np.exp(-1j * omega * time[-3 * periods :])
     measured = 2j * (phase @ readings) / len(phase)
     hold = (1 - np.exp(-1j * omega)) / (1j * omega)
     expected = exact_response(Rod(), [1j * omega])[0][:, 0] * hold
+    expected = expected / (1 + 1j * omega * lag)
     np.testing.assert_allclose(measured, expected, atol=2e-3 * np.abs(expected).max())
 
 
