@@ -150,7 +150,7 @@ def test_P_agrees_with_python_controls_frequency_response(loop, omega):
         ),
         (
             control.sample_system(midr(Rod()), 2.0),
-            "loop.Ts = 1.0 s, plant.Ts = 2.0 s: the sampling",
+            "loop.Ts = 1.0, plant.Ts = 2.0",
         ),
         (
             tanks(1.0),
