@@ -107,7 +107,7 @@ def test_the_papers_controller_around_the_rod_itself(loop):
 SWAPPED = midr(Rod(sensors=(0.28, 0.12)))
 REFUSALS = [  # a plant, and what the error names
     (midr(Rod()), "plant.dt = 0"),
-    (control.sample_system(midr(Rod()), 2.0), "plant.Ts = 2.0 s"),
+    (control.sample_system(midr(Rod()), 2.0), "plant.Ts = 2.0"),
     (tanks(1.0), r"lacks \['Q1', 'Q3', 'y1', 'y2'\]"),
     (np.ones((3, 2, 1)), "plant has shape"),
     (control.sample_system(SWAPPED, 1.0), "plant makes the loop unstable"),

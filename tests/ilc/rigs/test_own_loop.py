@@ -261,7 +261,7 @@ def test_filters_are_designed_for_it_and_the_workbench_takes_it(tmp_path):
 def test_what_is_no_loop_is_refused():
     for given, message in (
         ({}, "then Ts and outputs must be given"),
-        ({"P": P, "Ts": 0.2}, "sampling periods must be equal"),
+        ({"P": P, "Ts": 0.2}, r"P.Ts = 0.1, loop.Ts = 0.2"),
         ({"P": control.ss(2.0, 1, 1, 0, 1.0)}, "P is unstable"),
         ({"P": control.ss(-1.0, 1, 1, 0)}, "P.dt = 0 must be a sampling period"),
         ({"P": P[0, :]}, "P has 2 inputs and 1 outputs"),
