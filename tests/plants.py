@@ -23,6 +23,10 @@ MATERIALS = st.builds(
 )
 
 
+PUMPS = ["pump A", "pump B", "pump C"]
+LEVELS = ["left", "middle", "right"]
+
+
 def half(*choices):
     """Half of all combinations of choices, in which any two of different kinds still meet."""
     places = product(*(range(len(options)) for options in choices))
@@ -48,8 +52,7 @@ def tanks(Ts=2.0):
     exchange = np.array([[-1.0, 1.0, 0.0], [1.0, -2.0, 1.0], [0.0, 1.0, -1.0]])
     A = (pipe * exchange - np.diag([0.0, 0.0, outlet])) / area
     B = np.array([[0.0, 1.0, 0, 0], [-1.0, 0, 1.0, 0], [0.0, 0, 0, 1.0]]) / area
-    pumps, levels = ["pump A", "pump B", "pump C"], ["left", "middle", "right"]
-    model = control.ss(A, B, np.eye(3), 0, inputs=["leak", *pumps], outputs=levels)
+    model = control.ss(A, B, np.eye(3), 0, inputs=["leak", *PUMPS], outputs=LEVELS)
     return control.sample_system(model, Ts, method="zoh")
 
 
