@@ -132,10 +132,10 @@ def test_labelled_columns_are_matched_by_name():
 
 def test_one_channel_needs_no_axis():
     column, runs = MOVE[:, None], []
-    for signal in (MOVE, column):
-        runs.append(run_trials(LOOP, LAW, signal, None, 2, v=signal))
+    for move in (MOVE, column):
+        runs.append(run_trials(LOOP, LAW, move, None, 2, v=move))
         rig = RestartingModel(LAG)
-        runs.append(record(rig, LOOP, LAW, signal, trials=2, v=signal))
+        runs.append(record(rig, LOOP, LAW, move, trials=2, v=move))
     assert runs[0].identical(runs[2]) and runs[1].identical(runs[3])
     following = LAW.next(MOVE, 0.5 * MOVE)
     np.testing.assert_array_equal(following[:, None], LAW.next(column, 0.5 * column))
