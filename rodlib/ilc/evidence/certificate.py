@@ -44,7 +44,9 @@ class Certificate:
     problem: Problem
     value: float  # the objective reached
     lower_bound: float  # what no such filter within the bounds can go below
-    nominal: np.ndarray  # (n,): sigma_max(M) of the nominal plant at the frequencies
+    mean_M: (
+        float  # of the nominal plant, see :meth:`Convergence.mean`; NaN without a band
+    )
     worst: WorstCase  # of all plants, within the radius, at each of the frequencies
     peak: Peak  # over all frequencies, without the radius, unknown between the samples
     exact: Peak | None  # of the plants that are models, if Q is one, too
@@ -69,14 +71,6 @@ class Certificate:
         return self.peak.sigma
 
     @property
-    def mean_M(self) -> float:
-        """Mean of sigma_max(M) of the nominal plant over the band, see :meth:`Convergence.mean`."""
-        problem = self.problem
-        design = np.isin(problem.omega, problem.design.omega)
-        omega = problem.omega[design]
-        return float(log_mean(self.nominal[design], omega, problem.band))
-
-    @property
     def proven(self) -> bool:
         """False if P or Q are samples: between them `all_M` is read off splines."""
         return not self.estimated
@@ -94,8 +88,7 @@ class Certificate:
     @property
     def assumptions(self) -> tuple[str, ...]:
         """What P and its radius rest on, and where they are of no use."""
-        problem = self.problem
-        return (*problem.basis, *problem.assumed, *_unusable(problem))
+        return (*self.problem.basis, *self.problem.assumed, *_unusable(self.problem))
 
     @property
     def failures(self) -> list[str]:
@@ -260,7 +253,7 @@ class Certificate:
             f"objective {self.value:.7g}, no {problem.structure} filter of order {problem.order}"
             f"{gain} below {self.lower_bound:.7g}"
         )
-        if problem.objective == "sum" and 0 < problem.band[0] < problem.band[1]:
+        if problem.objective == "sum" and np.isfinite(self.mean_M):
             yield f"mean of sigma_max(M) over the band: {self.mean_M:.4f}"
 
 
@@ -287,6 +280,10 @@ def certify(
     response = L.frequency_response(problem.omega_L)
     nominal = largest_singular_values(problem.M(response))
     worst = worst_case(problem, L)
+    mean_M, (low, high) = np.nan, problem.band
+    if 0 < low < high:
+        design = np.isin(problem.omega, problem.design.omega)
+        mean_M = log_mean(nominal[design], problem.omega[design], problem.band)
     exact = proven_peaks(problem, L)
     estimated = estimated_peaks(problem, L, worst.peaks)
     trial = np.nan
@@ -296,7 +293,7 @@ def certify(
         problem=problem,
         value=problem.value(nominal, worst.sigma),
         lower_bound=lower_bound(problem, solution.U, solution.V, solution.cuts),
-        nominal=nominal,
+        mean_M=float(mean_M),
         worst=worst,
         peak=highest([*exact, *estimated]),
         exact=highest(exact),
