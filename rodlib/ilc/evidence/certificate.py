@@ -93,15 +93,15 @@ class Certificate:
     @property
     def failures(self) -> list[str]:
         """What does not hold; empty if all does."""
-        return [*self._failures_on_grid(), *self._failures_between()]
+        return list(self._failures())
 
-    def _failures_on_grid(self) -> Iterator[str]:
-        gap, violation = self.tolerances
-        M_max, L_max = self.problem.M_max, self.problem.L_max
+    def _failures(self) -> Iterator[str]:
+        problem, (gap, violation) = self.problem, self.tolerances
+        M_max, L_max = problem.M_max, problem.L_max
         if self.gap > gap:
             yield f"relative duality gap {self.gap:.1e} > {gap:g}"
         if self.grid_M > M_max * (1 + violation):
-            where = f" at its worst ({self._where()})" if self.problem.robust else ""
+            where = f" at its worst ({self._where()})" if problem.robust else ""
             yield f"sigma_max(M){where} = {self.grid_M:.12g} > M_max = {M_max} on the grid"
         if L_max is not None and self.grid_L > L_max * (1 + violation):
             yield f"sigma_max(L) = {self.grid_L:.12g} > L_max = {L_max} on the grid"
@@ -110,11 +110,8 @@ class Certificate:
                 f"sigma_max(L) is {self.passed_L:.12g} times what bounds it between or above the "
                 "frequencies omega"
             )
-
-    def _failures_between(self) -> Iterator[str]:
-        problem, limit = self.problem, 1 + self.tolerances[1] + BETWEEN
-        M_max, L_max = problem.M_max, problem.L_max
         if problem.everywhere:
+            limit = 1 + violation + BETWEEN
             high_M = self.exact is not None and self.exact.sigma > M_max * limit
             high_L = L_max is not None and self.all_L > L_max * limit
             if high_M or high_L:

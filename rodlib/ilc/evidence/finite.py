@@ -104,10 +104,11 @@ def trial_map(
     """
     P_N, Q_N, L_N = trial_operators(P, Q, L, samples)
     rest = arguments.whole("rest", rest, 0, samples - 1)
-    active = np.repeat(np.arange(samples) < samples - rest, L.channels)
+    size = samples * L.channels
+    active = np.arange(size) < size - rest * L.channels
+    identity = sparse.aslinearoperator(eye_array(size))
     active = sparse.aslinearoperator(diags_array(active.astype(float)))
-    T = Q_N @ (sparse.aslinearoperator(eye_array(P_N.shape[0])) - L_N @ P_N)
-    return active @ T @ active if rest else T
+    return active @ Q_N @ (identity - L_N @ P_N) @ active
 
 
 def trial_norm(
@@ -169,8 +170,7 @@ def _operator(size, apply, adjoint):
 
 def _ahead(samples, k, held):
     """The matrix of a look k samples ahead, beyond the end at zero or at the last sample."""
-    if not held:
-        return eye_array(samples, k=k)
     here = np.arange(samples)
     there = np.minimum(here + k, samples - 1)
-    return coo_array((np.ones(samples), (here, there)))
+    counts = held | (here + k < samples)
+    return coo_array((counts.astype(float), (here, there)))

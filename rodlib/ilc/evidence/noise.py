@@ -39,7 +39,6 @@ from rodlib.ilc.loop.closed import CurrentTrialLoop, with_noise
 from rodlib.ilc.models import frequency_response, impulse_response
 from rodlib.ilc.problem.problem import convergence_matrix
 
-HERMITIAN = 1e-9  # relative, by how much a spectral density may miss being one
 NEGLIGIBLE = 1e-17  # share of what is passed on that is no longer added up
 FAINT = 1e-3  # gain of Q below which v is taken to have no higher frequencies,
 ALL = 200  # in trials that are longer than this
@@ -63,9 +62,9 @@ class Spectrum:
     @property
     def rms(self) -> np.ndarray:
         """Of each signal, (m,), by trapezia; beyond the frequencies the density stands still."""
-        points = np.concatenate([[0], self.omega, [np.pi / self.Ts]])
+        points = [0, *self.omega, np.pi / self.Ts]
         power = np.einsum("nii->ni", self.density).real
-        power = np.concatenate([power[:1], power, power[-1:]])
+        power = np.pad(power, [(1, 1), (0, 0)], mode="edge")
         return np.sqrt(np.trapezoid(power, points, axis=0) * self.Ts / np.pi)
 
     @property
@@ -101,8 +100,7 @@ def trial_noise(
         Increasing angular frequencies, rad/s, up to the Nyquist frequency.
     noise_psd : float or array_like
         Spectral density of what the sensors add to y, see :class:`Spectrum`. White noise: the
-        variance, of all outputs or of each, shape (m,). Coloured noise: shape (n, m), or
-        (n, m, m) where outputs depend on each other.
+        variance, of all outputs or of each, shape (m,). Coloured noise: shape (n, m).
     disturbance_psd : float or array_like, optional
         Likewise, for ``loop.disturbances``. Default zero.
     plant : control.StateSpace or control.TransferFunction, optional
@@ -110,7 +108,7 @@ def trial_noise(
     """
     arguments.instance("loop", loop, CurrentTrialLoop)
     omega, m = arguments.frequencies("omega", omega, loop.Ts), len(loop.outputs)
-    sensors = _density("noise_psd", noise_psd, omega, m)
+    sensors = _density("noise_psd", noise_psd, len(omega), m)
     response = frequency_response(with_noise(loop, plant), omega)
     P, G, T = np.split(response, [m, -m], axis=2)
     true, measured = _through(T, sensors), _through(np.eye(m) + T, sensors)
@@ -120,9 +118,8 @@ def trial_noise(
             raise ValueError(
                 "disturbance_psd must be None: the loop has no disturbance"
             )
-        added = _through(
-            G, _density("disturbance_psd", disturbance_psd, omega, sources)
-        )
+        flows = _density("disturbance_psd", disturbance_psd, len(omega), sources)
+        added = _through(G, flows)
         true, measured = true + added, measured + added
     spectra = [Spectrum(omega, loop.Ts, x) for x in (measured, true, 0 * true)]
     return TrialNoise(P, *spectra)
@@ -183,25 +180,15 @@ def _accumulated(M, added):
     )
 
 
-def _density(name, value, omega, m):
+def _density(name, value, n, m):
     """A density of shape (n, m, m), from any of the forms of :func:`trial_noise`."""
-    density = arguments.array(name, value, (...,), complex)
-    n = len(omega)
-    if density.shape not in [(), (m,), (n, m), (n, m, m)]:
+    density = arguments.array(name, value, (...,))
+    if density.shape not in [(), (m,), (n, m)] or density.min() < 0:
         raise ValueError(
-            f"{name} has shape {density.shape}, but must be a variance, shape () or ({m},), or a "
-            f"density at the {n} frequencies, shape ({n}, {m}) or ({n}, {m}, {m})"
+            f"{name} must be variances or spectral densities, 0 or more, of shape (), ({m},) or "
+            f"({n}, {m}); it has shape {density.shape}, and {density.min():g} is the least"
         )
-    if density.ndim < 3:
-        density = np.broadcast_to(density, (n, m))[..., None] * np.eye(m)
-    limit = HERMITIAN * np.abs(density).max()
-    asymmetry = np.abs(density - density.conj().swapaxes(1, 2)).max()
-    if asymmetry > limit or np.linalg.eigvalsh(density).min() < -limit:
-        raise ValueError(
-            f"{name} is no spectral density: at each frequency it must be real and not negative, "
-            "or a Hermitian matrix without negative eigenvalues"
-        )
-    return density
+    return np.broadcast_to(density, (n, m))[..., None] * np.eye(m)
 
 
 def _through(H, density):
@@ -258,15 +245,10 @@ def noise_on_trial(
     samples = arguments.whole("samples", samples, 1)
     trials = None if trials is None else arguments.whole("trials", trials, 1)
     rest = arguments.whole("law.rest", law.rest, 0, samples - 1)
-    shape = (m,) if np.ndim(noise_variance) else ()
-    variance = arguments.array("noise_variance", noise_variance, shape) * np.ones(m)
-    if variance.min() < 0:
-        raise ValueError(
-            f"noise_variance = {variance.min():g}, but a variance is not negative"
-        )
+    [variance] = _density("noise_variance", noise_variance, 1, m)
 
-    closed = with_noise(loop, plant)
-    h, noise = impulse_response(closed, samples), np.diag(np.sqrt(variance))
+    closed, noise = with_noise(loop, plant), np.sqrt(variance)
+    h = impulse_response(closed, samples)
     P, T = h[..., :m], h[..., -m:] @ noise
     X = T.copy()  # of x: the noise itself, and what the loop makes of it
     X[0] += noise
@@ -282,17 +264,16 @@ def noise_on_trial(
         length *= 2
     half, absent = length // 2, samples - length
     learned = np.insert(learned, [half] * absent, learned[half], axis=0)
-    variances = {"learned": learned}
-    for name, response in (("true", T), ("measured", X)):
-        variances[name] = (response**2).sum(axis=2).cumsum(axis=0) + learned
+    true, measured = ((h**2).sum(axis=2).cumsum(axis=0) + learned for h in (T, X))
+    variances = {"true": true, "measured": measured, "learned": learned}
     coordinates = {
         "time": ("time", loop.Ts * np.arange(samples), {"units": "s"}),
         "channel": np.arange(1, m + 1),
         "output": ("channel", loop.outputs),
     }
     signals = {
-        name: (("time", "channel"), np.sqrt(variances[name]))
-        for name in ("true", "measured", "learned")
+        name: (("time", "channel"), np.sqrt(variance))
+        for name, variance in variances.items()
     }
     return xr.Dataset(signals, coordinates)
 

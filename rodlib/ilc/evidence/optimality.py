@@ -64,19 +64,20 @@ def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None) -> float:
 def _projected(problem, parts):
     """Multipliers N of parts (T, N, angles), projected on those that no change of L changes."""
     m = problem.channels
-    T = np.concatenate([T.reshape(-1, m) for T, _, _ in parts]).astype(complex)
-    N = np.concatenate([N.reshape(-1, m) for _, N, _ in parts]).astype(complex)
+    T = np.concatenate([T.reshape(-1, m) for T, _, _ in parts])
+    N = np.concatenate([N.reshape(-1, m) for _, N, _ in parts], dtype=complex)
     angles = np.concatenate([np.repeat(at, T.shape[1]) for T, _, at in parts])
-    channels = range(m)
     # What the coefficients of a column of L can change: all of its rows, or the diagonal one.
-    columns = [[k] for k in channels] if problem.structure == "diagonal" else [channels]
+    columns = [range(m)]
+    if problem.structure == "diagonal":
+        columns = [[k] for k in range(m)]
     for column in columns:
         changes = _changes(T[:, column], angles, problem.order)
         rows = _rows(N[:, column])
         for _ in range(2):  # once leaves what rounding has put back
             rows -= (rows @ changes.T) @ changes
         N[:, column] = rows.view(complex).T
-    ends = np.cumsum([T.shape[0] * T.shape[1] for T, _, _ in parts])
+    ends = np.cumsum([T.size // m for T, _, _ in parts])
     pieces = zip(np.split(N, ends[:-1]), parts, strict=True)
     return [piece.reshape(T.shape) for piece, (T, _, _) in pieces]
 

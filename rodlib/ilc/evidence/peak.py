@@ -192,7 +192,6 @@ def balanced(A, B, C):
     """Scale the states by powers of two so that no entry of A is large merely by its unit."""
     # The error of a Schur form is relative to the largest entry of A. If one state is counted in
     # units of 1e-8, the others lose eight digits.
-    A, B, C = (np.array(X, dtype=float) for X in (A, B, C))
     # with one row and column for inputs and outputs
     inputs = np.abs(B).max(axis=1, keepdims=True)
     outputs = np.abs(C).max(axis=0, keepdims=True)

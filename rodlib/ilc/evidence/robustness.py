@@ -85,8 +85,9 @@ def worst_case(problem: Problem, L: LearningFilter) -> WorstCase:
 
 def _tied_pairs(sigma):
     """Plant and index of frequency of all that are tied as the worst, by frequency."""
-    frequency, plant = np.nonzero(tied(sigma.ravel()).reshape(sigma.shape).T)
-    return tuple(zip(plant.tolist(), frequency.tolist(), strict=True))
+    ties = tied(sigma.ravel()).reshape(sigma.shape)
+    pairs = np.argwhere(ties.T).tolist()
+    return tuple((plant, frequency) for frequency, plant in pairs)
 
 
 def affine(problem: Problem, plant, at) -> tuple[np.ndarray, np.ndarray]:
