@@ -139,11 +139,3 @@ def test_a_row_may_be_one_number():
         ValueError, match=r"x has shape \(1, 2\), but must have shape \(n,\)"
     ):
         arguments.row("x", [[1, 2]])
-
-
-def test_periods_are_equal_up_to_rounding():
-    arguments.one_period(loop=0.3, Q=0.1 * 3, L=0.3)
-    with pytest.raises(
-        ValueError, match=r"loop.Ts = 1.0 s, Q.Ts = 1.000000001 s: the sampling"
-    ):
-        arguments.one_period(loop=1.0, Q=1.000000001)

@@ -128,7 +128,7 @@ def convergence(P, Q, L: LearningOperator, omega) -> Convergence:
     omega = arguments.frequencies("omega", omega, L.Ts)
     known = plants(P)
     _, responses = on_grid(known, omega, L.Ts)
-    _, Q = Q_on_grid(Q, omega, L=L.Ts)
+    _, Q = Q_on_grid(Q, omega, L=L)
     check_learning(L, responses.shape[-1])
     P = responses[0] if "P" in known else responses
     return from_responses(omega, P, Q, L.frequency_response(omega))

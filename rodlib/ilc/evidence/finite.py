@@ -14,6 +14,7 @@ from scipy.sparse import coo_array, diags_array, eye_array, kron
 from rodlib.ilc import arguments
 from rodlib.ilc.filters import ENDS, LearningFilter, ZeroPhaseButterworth
 from rodlib.ilc.models import impulse_response, sampled_plant
+from rodlib.ilc.signals import check_match
 
 LANCZOS = 60  # vectors that the Lanczos iteration keeps
 
@@ -44,7 +45,7 @@ def trial_operators(
     m = arguments.instance("L", L, LearningFilter).channels
     if (P.noutputs, P.ninputs) != (m, m):
         raise ValueError(f"P is {P.noutputs} by {P.ninputs}, but L is {m} by {m}")
-    arguments.one_period(P=P.dt, L=L.Ts, Q=Q.Ts)
+    check_match(P=P, L=L, Q=Q)
     samples = arguments.whole("samples", samples, 1)
 
     size = samples * m

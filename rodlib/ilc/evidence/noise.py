@@ -38,6 +38,7 @@ from rodlib.ilc.law.law import Law
 from rodlib.ilc.loop.closed import CurrentTrialLoop, with_noise
 from rodlib.ilc.models import frequency_response, impulse_response
 from rodlib.ilc.problem.problem import convergence_matrix
+from rodlib.ilc.signals import check_match
 
 NEGLIGIBLE = 1e-17  # share of what is passed on that is no longer added up
 FAINT = 1e-3  # gain of Q below which v is taken to have no higher frequencies,
@@ -149,7 +150,7 @@ def converged_noise(new: TrialNoise, law: Law) -> TrialNoise:
     arguments.instance("new", new, TrialNoise)
     arguments.instance("law", law, Law)
     x = new.measured
-    arguments.one_period(noise=x.Ts, law=law.Ts)
+    check_match(noise=x, law=law)
     P, Q, L = convergence(new.P, law.Q, law.L, x.omega).responses
     QPL = law.gain * (Q[:, None, None] * P @ L)
     M = convergence_matrix(P, Q, L)

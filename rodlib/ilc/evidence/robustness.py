@@ -18,6 +18,7 @@ from rodlib.ilc.problem.problem import (
     largest_singular_values,
     tied,
 )
+from rodlib.ilc.signals import check_match
 
 FARTHEST = 40.0  # logarithm of how unequal two shares may be: the smaller is then below rounding
 NEXT = 1e-12  # distance of neighbouring logarithms
@@ -56,7 +57,7 @@ def worst_case(problem: Problem, L: LearningFilter) -> WorstCase:
     """
     arguments.instance("problem", problem, Problem)
     check_learning(L, problem.channels)
-    arguments.one_period(problem=problem.Ts, L=L.Ts)
+    check_match(problem=problem, L=L)
     response = L.frequency_response(problem.omega)
     plants, every = range(len(problem.plants)), np.arange(len(problem.omega))
     M = [problem.M(response, k) for k in plants]

@@ -24,6 +24,7 @@ from rodlib.ilc.problem.responses import (
     period,
     plants,
 )
+from rodlib.ilc.signals import Signals
 
 CONFIDENCE = 0.99  # in a measured response
 
@@ -56,7 +57,7 @@ def pose(
         P, uncertainty, basis = _measured(P, omega, uncertainty, scale)
     models, responses = on_grid(plants(P), omega, Ts)
     _refuse_hertz(responses, omega, Ts)
-    butterworth, Q = Q_on_grid(Q, omega, P=Ts)
+    butterworth, Q = Q_on_grid(Q, omega, P=Signals(Ts))
     radius = _radius(uncertainty, n)
     m = responses.shape[-1]
     if scale is None:

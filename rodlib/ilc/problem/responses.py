@@ -11,6 +11,7 @@ from rodlib.ilc import arguments
 from rodlib.ilc.filters import ZeroPhaseButterworth
 from rodlib.ilc.loop.closed import Loop
 from rodlib.ilc.models import frequency_response, refuse_foreign
+from rodlib.ilc.signals import check_match
 
 MODELS = (Loop, control.LTI)  # what a plant may be, if not an array
 IMAGINARY = 1e-6  # relative imaginary part below which a response counts as real
@@ -186,10 +187,10 @@ def _of_frd(name, P, omega, Ts):
 
 
 def Q_on_grid(Q, omega, **known):
-    """The Q-filter as a model, or None, and its frequency response; `known`: a sampling period."""
+    """The Q-filter as a model, or None, and its response on omega; `known`: whose period it has."""
     model = Q if isinstance(Q, ZeroPhaseButterworth) else None
     if model is not None:
-        arguments.one_period(**known, Q=Q.Ts)
+        check_match(**known, Q=Q)
         Q = Q.frequency_response(omega)
     elif isinstance(Q, control.LTI):
         raise ValueError(
