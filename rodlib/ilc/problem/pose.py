@@ -49,7 +49,7 @@ def pose(
     Ts = arguments.sampling_period("Ts", period(P, Q) if Ts is None else Ts)
     if omega is None:
         omega = defaults.frequencies([*plants(P).values()], Q, Ts)
-    omega = arguments.frequencies("omega", omega, Ts)
+    omega = arguments.increasing_frequencies("omega", omega, Ts)
     n = len(omega)
     choices = _checked(Choices(**choices), n)
     basis = ()
