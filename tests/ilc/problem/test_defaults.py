@@ -58,5 +58,5 @@ def test_samples_bring_their_frequencies_or_need_them(loop, Q):
     assert pose(measured_response(frd), Q, Ts=1.0).omega[0] == pytest.approx(1e-3)
     with pytest.raises(ValueError, match="omega must be given: P is an array"):
         pose(P, Q, Ts=1.0)
-    with pytest.raises(ValueError, match="omega must be given, as Q = .* is no filter"):
+    with pytest.raises(ValueError, match="omega must be given, as Q"):
         pose(loop, np.ones(60), Ts=1.0)
