@@ -1,4 +1,4 @@
-"""Plants that are not the rod, a model of a rod, and how to choose among many cases."""
+"""Plants that are not the rod, as models, loops and rigs, and what tests ask of them."""
 
 from itertools import product
 
@@ -6,7 +6,8 @@ import control
 import numpy as np
 from hypothesis import strategies as st
 
-from rodlib import Rod, exact_response
+from rodlib import Rod, current_trial_loop, exact_response
+from rodlib.ilc.models import impulse_response
 
 MATERIALS = st.builds(
     Rod,
@@ -20,6 +21,10 @@ MATERIALS = st.builds(
     sections=st.integers(1, 6),
     sensors=st.just((0.03, 0.05)),
 )
+
+
+PUMPS = ["pump A", "pump B", "pump C"]
+LEVELS = ["left", "middle", "right"]
 
 
 def half(*choices):
@@ -47,8 +52,7 @@ def tanks(Ts=2.0):
     exchange = np.array([[-1.0, 1.0, 0.0], [1.0, -2.0, 1.0], [0.0, 1.0, -1.0]])
     A = (pipe * exchange - np.diag([0.0, 0.0, outlet])) / area
     B = np.array([[0.0, 1.0, 0, 0], [-1.0, 0, 1.0, 0], [0.0, 0, 0, 1.0]]) / area
-    pumps, levels = ["pump A", "pump B", "pump C"], ["left", "middle", "right"]
-    model = control.ss(A, B, np.eye(3), 0, inputs=["leak", *pumps], outputs=levels)
+    model = control.ss(A, B, np.eye(3), 0, inputs=["leak", *PUMPS], outputs=LEVELS)
     return control.sample_system(model, Ts, method="zoh")
 
 
@@ -103,3 +107,69 @@ def random_response(seed, m, n=30, gain=1.0):
     P = np.eye(m) + 0.2 * rng.standard_normal((m, m))
     P = gain * P * (1 - poles) / (z - poles)
     return P, 1 / (1 + (omega / 0.5) ** 4), omega
+
+
+PUMPS = ["pump A", "pump B", "pump C"]
+LOOPS = {  # with one output, three, and a delay
+    "stage": lambda: current_trial_loop(stage(), ["F"], sizes={"x": 1.0, "F": 3.0}),
+    "tanks": lambda: current_trial_loop(tanks(), PUMPS),
+    "furnace": lambda: current_trial_loop(furnace(12)),
+}
+
+
+def boiler():
+    """A pump and a heater, coupled, and rain."""
+    A, B = [[0.9, 0.05], [0.0, 0.8]], [[0.1, 0.0, 0.02], [0.0, 0.3, 0.0]]
+    names = {"inputs": ["pump, left", "heater", "rain"], "outputs": ["depth", "heat"]}
+    return control.ss(A, B, np.eye(2), 0, 0.5, **names)
+
+
+def axes():
+    """Two axes under PIDs of their own, from w to y; P(0) is not I."""
+    A, B, C = [[0.8, 0.1], [0.0, 0.7]], np.diag([0.5, 0.9]), [[1.0, 0.2], [0.1, 1.0]]
+    return control.ss(A, B, C, 0, 0.1, inputs=["set x", "set y"], outputs=["x", "y"])
+
+
+def bump(samples, amplitude):
+    """From rest to an amplitude and back, shape (time, channel)."""
+    return np.outer(np.sin(np.pi * np.arange(samples) / samples) ** 2, amplitude)
+
+
+def lifted(model, samples):
+    """The matrix of a whole trial, from the impulse response of a model."""
+    h, (p, m) = impulse_response(model, samples), (model.noutputs, model.ninputs)
+    matrix = np.zeros((samples, p, samples, m))
+    for k in range(samples):
+        matrix[k:, :, k] = h[: samples - k]
+    return matrix.reshape(samples * p, samples * m)
+
+
+class ModelRig:
+    """A sampled model as a rig, noisy, with actuators reversed or at a limit."""
+
+    def __init__(self, model, inputs=None, *, signs=1.0, limit=np.inf, noise=0.0):
+        self.model, self.inputs = model, inputs or model.input_labels
+        self.signs, self.limit, self.noise = signs, limit, noise
+        self.random, self.x = np.random.default_rng(0), np.zeros(model.nstates)
+        self.sent, self.ends = [], 0
+
+    def read(self):
+        noise = self.noise * self.random.standard_normal(self.model.noutputs)
+        return self.model.C @ self.x + noise
+
+    def apply(self, commands):
+        self.sent.append(np.array(commands))
+        effect = np.clip(self.signs * self.sent[-1], -self.limit, self.limit)
+        effect = dict(zip(self.inputs, effect, strict=True))
+        u = np.array([effect.get(name, 0.0) for name in self.model.input_labels])
+        self.x = self.model.A @ self.x + self.model.B @ u
+
+    def safe(self):
+        self.ends += 1
+
+
+class RestartingModel(ModelRig):
+    """The same, every trial from rest."""
+
+    def begin(self, trial):
+        self.x = np.zeros(self.model.nstates)

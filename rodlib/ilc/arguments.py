@@ -6,7 +6,6 @@ ValueError that names the argument, its value and what it must be.
 
 import reprlib
 from collections.abc import Sequence
-from math import isclose
 from numbers import Real
 from os import PathLike
 from pathlib import Path
@@ -182,14 +181,6 @@ def stable(name: str, poles) -> float:
             f"{name} is unstable: it has a pole of modulus {radius:.6g}, 1 or more"
         )
     return radius
-
-
-def one_period(**periods: float) -> None:
-    """Sampling periods (s) that must be one and the same; each keyword says whose it is."""
-    first = next(iter(periods.values()))
-    if not all(isclose(period, first, rel_tol=1e-12) for period in periods.values()):
-        words = ", ".join(f"{name}.Ts = {period} s" for name, period in periods.items())
-        raise ValueError(f"{words}: the sampling periods must be equal")
 
 
 def array(

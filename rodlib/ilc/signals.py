@@ -28,12 +28,12 @@ class Signals:
 def check_match(**parties) -> None:
     """Refuse parties that differ in sampling period, channels, their order, or units.
 
-    Each keyword is what an error calls the party: a loop, a law, a filter, a rig, :class:`Signals`,
-    ... Of its attributes Ts, channels, outputs, controls and units those are compared that two
-    parties have. An empty unit is not known, and fits all others.
+    Each keyword is what an error calls the party: a loop, a law, a filter, a rig, a model,
+    :class:`Signals`, ... Of its attributes Ts, channels, outputs, controls and units those are
+    compared that two parties have. An empty unit is not known, and fits all others.
     """
     properties = {
-        "Ts": lambda party: getattr(party, "Ts", None),
+        "Ts": lambda party: getattr(party, "Ts", getattr(party, "dt", None)),
         "channels": _channels,
         "outputs": lambda party: getattr(party, "outputs", None),
         "controls": lambda party: getattr(party, "controls", None),

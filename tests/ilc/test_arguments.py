@@ -83,7 +83,6 @@ def test_what_is_at_a_limit_passes():
     top = np.pi / 0.5
     assert arguments.frequencies("omega", [0, top], 0.5).tolist() == [0, top]
     assert arguments.row("x", 2.0).tolist() == [2.0]
-    arguments.one_period(loop=0.3, Q=0.1 * 3, L=0.3)
 
 
 REFUSED = [  # a call, and how the error begins
@@ -97,7 +96,6 @@ REFUSED = [  # a call, and how the error begins
     (lambda: arguments.frequencies("w", [1.0], 0.5), "w, of shape"),
     (lambda: arguments.frequencies("w", [1, 1], 0.5), "w, of shape"),
     (lambda: arguments.row("x", [[1, 2]]), r"x has shape \(1, 2\)"),
-    (lambda: arguments.one_period(P=1.0, Q=1 + 1e-9), "P.Ts = 1.0 s, Q.Ts = 1.0000"),
     (lambda: arguments.array("x", [True, 0.5], (...,)), "x holds True or False"),
     (lambda: arguments.array("x", [[1, 2], (3, np.True_)], (...,)), "x holds True"),
     (lambda: arguments.array("x", True, (...,)), "x holds values of type bool"),

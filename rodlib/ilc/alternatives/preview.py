@@ -10,6 +10,7 @@ from rodlib.ilc.alternatives.inversion import square
 from rodlib.ilc.alternatives.two_sided import TwoSidedFilter
 from rodlib.ilc.filters import ZeroPhaseButterworth
 from rodlib.ilc.models import by_substitution
+from rodlib.ilc.signals import check_match
 
 ROUNDING = 1e-9  # relative, of the solution of the Riccati equation
 
@@ -79,7 +80,7 @@ def generalised_plant(
     """
     m, Ts = square(P)
     arguments.instance("Q", Q, ZeroPhaseButterworth)
-    arguments.one_period(P=Ts, Q=Q.Ts)
+    check_match(P=P, Q=Q)
     effort = arguments.positive("effort", effort)
     preview = arguments.whole("preview", preview, 1)
     emphasis = arguments.number("emphasis", emphasis, "one or more", least=1)

@@ -15,39 +15,30 @@ from rodlib.ilc.loop.notes import MISUNDERSTOOD, loop_note, loop_of, read_note, 
 from rodlib.ilc.signals import Signals, check_match
 
 FORMAT = "rodlib law 1"  # of the file
-KEYS = ("Q", "L", "rest", "step", "actuators")  # step: the learning gain
+DEFAULTS = {"rest": 0, "step": 1.0, "actuators": {}}  # step: the learning gain
+KEYS = ("Q", "L", *DEFAULTS)
 BEGUN = "begun"  # the note that says that v of trial 1 was given
 
 
 def law_notes(law: Law) -> dict:
     """A law as what JSON can hold, to the last digit; without L where that has no coefficients."""
     Q, L = law.Q, law.L
-    notes = {"Q": {"order": Q.order, "cutoff": Q.cutoff, "ends": Q.ends}, "L": None}
-    if isinstance(L, LearningFilter):
+    notes = {"Q": {"order": Q.order, "cutoff": Q.cutoff, "ends": Q.ends}}
+    if L is None:
+        notes["L"] = None
+    elif isinstance(L, LearningFilter):
         notes["L"] = {"coefficients": L.coefficients.tolist(), "ends": L.ends}
-    elif L is not None:
-        del notes["L"]
-    if law.rest:
-        notes["rest"] = law.rest
-    if law.gain != 1:
-        notes["step"] = law.gain
-    if law.limits:
-        notes["actuators"] = law.limits
-    return notes
+    others = {"rest": law.rest, "step": law.gain, "actuators": law.limits or {}}
+    changed = {key: others[key] for key in others if others[key] != DEFAULTS[key]}
+    return notes | changed
 
 
 def _law_from(notes: Mapping, Ts: float) -> Law:
     """The law that :func:`law_notes` noted."""
-    Q, L = notes["Q"], notes["L"]
-    if L is not None:
-        L = LearningFilter(L["coefficients"], Ts, L["ends"])
-    return Law(
-        ZeroPhaseButterworth(Q["order"], Q["cutoff"], Ts, Q["ends"]),
-        L,
-        rest=notes.get("rest", 0),
-        gain=notes.get("step", 1.0),
-        limits=notes.get("actuators", {}),
-    )
+    Q, L, notes = notes["Q"], notes["L"], DEFAULTS | notes
+    Q = ZeroPhaseButterworth(Q["order"], Q["cutoff"], Ts, Q["ends"])
+    L = L if L is None else LearningFilter(L["coefficients"], Ts, L["ends"])
+    return Law(Q, L, notes["rest"], notes["step"], notes["actuators"])
 
 
 def with_law(trials: xr.Dataset, law: Law) -> xr.Dataset:

@@ -53,15 +53,12 @@ class Law:
         if self.loop is not None:
             parties["loop"] = check_loop(self.loop)
         check_match(**parties)
-        values = {
-            "rest": arguments.whole("rest", self.rest, 0),
-            "gain": arguments.share("gain", self.gain),
-        }
+        object.__setattr__(self, "rest", arguments.whole("rest", self.rest, 0))
+        object.__setattr__(self, "gain", arguments.share("gain", self.gain))
         if self.limits is not None:
             commands = None if self.loop is None else self.loop.commands
-            values["limits"] = named_limits("limits", self.limits, commands, slew=True)
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
+            limits = named_limits("limits", self.limits, commands, slew=True)
+            object.__setattr__(self, "limits", limits)
 
     @property
     def Ts(self) -> float:
@@ -143,19 +140,14 @@ class Law:
         RuntimeError
             If the solver fails.
         """
-        names = self.outputs or arguments.names_of(v)
-        if names is not None:
-            v = arguments.in_order("v", v, names)
-            e = arguments.in_order("e", e, names)
-        v = arguments.array("v", v, (...,))
         if self.L is None:
-            return v
-        shape, m = v.shape, self.channels
-        if v.ndim == m == 1:
-            v = v[:, None]
-            e = arguments.array("e", e, (len(v),))[:, None]
-        v = arguments.array("v", v, (..., "time", m))
-        e = arguments.array("e", e, v.shape)
+            v = v if self.loop is None else arguments.in_order("v", v, self.outputs)
+            return arguments.array("v", v, (...,))
+        shape, m = np.shape(v), self.channels
+        names = self.outputs or arguments.names_of(v) or arguments.names_of(e)
+        names = names or [""] * m
+        v = arguments.in_columns("v", v, (..., "time", m), names)
+        e = arguments.in_columns("e", e, v.shape, names)
         arguments.whole("rest", self.rest, 0, v.shape[-2] - 1)
         if self.actuators is None:
             return self._without_limits(v, e).reshape(shape)
@@ -166,10 +158,8 @@ class Law:
         applied = arguments.in_columns("applied", applied, v.shape, self.loop.commands)
         v = realised(self.loop, v, u, applied)
         target, weight = self._without_limits(v, e), getattr(self.L, "weight", WEIGHT)
-        following = nearest(
-            self.loop, self.actuators, v, applied, target, weight, self.rest
-        )
-        return following.reshape(shape)
+        trial = self.loop, self.actuators, v, applied
+        return nearest(*trial, target, weight, self.rest).reshape(shape)
 
     def _without_limits(self, v, e):
         a = self.gain

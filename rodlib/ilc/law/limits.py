@@ -55,10 +55,11 @@ class Actuators:
     @classmethod
     def of(cls, limits: dict[str, tuple[float, ...]], loop: Loop) -> "Actuators":
         """Those of a loop, from limits by the names of its commands, which were checked."""
-        free = (-np.inf, np.inf, np.inf)
-        rows = [limits.get(name, free) for name in loop.commands]
-        rows = [(*row, *free[len(row) :]) for row in rows]
-        low, high, slew = np.array(rows).T
+        rows = np.tile([-np.inf, np.inf, np.inf], (len(loop.commands), 1))
+        for row, name in zip(rows, loop.commands, strict=True):
+            values = limits.get(name, ())
+            row[: len(values)] = values
+        low, high, slew = rows.T
         return cls(low, high, slew * loop.Ts)
 
     @property
@@ -93,14 +94,13 @@ def commands_beyond(
     u, controls: Sequence[str], limits: dict[str, tuple[float, ...]]
 ) -> str:
     """What share of the commands u, shape (..., control), actuators do not follow; "" for none."""
-    shares = {}
+    words = []
     for i, name in enumerate(controls):
-        if name in limits:
-            low, high, *_ = limits[name]
-            shares[name] = ((u[..., i] < low) | (u[..., i] > high)).mean()
-    words = ", ".join(
-        f"{name} in {share:.1%}" for name, share in shares.items() if share
-    )
+        low, high, *_ = limits.get(name, (-np.inf, np.inf))
+        share = np.mean((u[..., i] < low) | (u[..., i] > high))
+        if share:
+            words.append(f"{name} in {share:.1%}")
+    words = ", ".join(words)
     return words and f"commands were beyond the limits of {words} of all samples"
 
 
@@ -160,21 +160,22 @@ def nearest(
     # How far commands, and their steps, may go from those applied, before the rest.
     applied, step = applied[:active], actuators.step[None, :]
     margin = np.minimum(actuators.rounding, step / 4)
-    low = np.full((len(v), n + m), -np.inf)
     high = np.full((len(v), n + m), np.inf)
+    low = -high
     low[:active, n:] = actuators.lowest + margin - applied
     high[:active, n:] = actuators.highest - margin - applied
-    limited = np.isfinite(np.tile(step, (active - 1, 1))).ravel()
-    steps = sparse.kron(now - before, S).tocsr()[m : active * m][limited]
     moved = np.diff(applied, axis=0)
-    step_low = (margin - step - moved).ravel()[limited]
-    step_high = (step - margin - moved).ravel()[limited]
+    step_low = (margin - step - moved).ravel()
+    step_high = (step - margin - moved).ravel()
+    limited = np.isfinite(step_high)
+    steps = sparse.kron(now - before, S).tocsr()[m : active * m][limited]
 
     solver = piqp.SparseSolver()
     solver.setup(
         sparse.csc_matrix(sparse.kron(now, square)), linear.ravel(),
         sparse.csc_matrix(equalities), right,
-        sparse.csc_matrix(steps), step_low, step_high, low.ravel(), high.ravel(),
+        sparse.csc_matrix(steps), step_low[limited], step_high[limited],
+        low.ravel(), high.ravel(),
     )  # fmt: skip
     status = solver.solve()
     if status != piqp.PIQP_SOLVED:
@@ -182,7 +183,6 @@ def nearest(
             f"the solver PIQP has found no v within the limits, {status}: are they very narrow, or "
             "the loop's signals of very different sizes?"
         )
-    z = solver.result.x.reshape(len(v), -1) @ V.T
-    applicable = v + z
+    applicable = v + solver.result.x.reshape(len(v), -1) @ V.T
     applicable[active:] = 0
     return applicable

@@ -16,6 +16,7 @@ from scipy.linalg import block_diag
 
 from rodlib.ilc import arguments, units
 from rodlib.ilc.models import frequency_response, sampled_plant, solve_off_poles
+from rodlib.ilc.signals import Signals, check_match
 
 
 @dataclass(frozen=True)
@@ -110,7 +111,7 @@ class CurrentTrialLoop:
         lacks has no effect. Others than the loop's are left out. Feedthrough is allowed.
         """
         plant = sampled_plant(plant)
-        arguments.one_period(loop=self.Ts, plant=plant.dt)
+        check_match(loop=self, plant=plant)
         signals = [*plant.input_labels, *plant.output_labels]
         missing = [
             name for name in [*self.controls, *self.outputs] if name not in signals
@@ -245,7 +246,7 @@ class ClosedLoop:
                 f"controls = {self.controls!r} must be one for each output, or none"
             )
         if P is not None:
-            arguments.one_period(Ts=Ts, P=P.dt)
+            check_match(P=P, loop=Signals(Ts))
         signals = [name for given in names.values() for name in given]
         own = dict.fromkeys(signals, "") | arguments.by_name(
             "units", self.units, signals
@@ -271,7 +272,7 @@ class ClosedLoop:
                 "loop has no P: it can be run and shaken, but not simulated"
             )
         P = self.P if plant is None else _known(plant, "plant")
-        arguments.one_period(loop=self.Ts, plant=P.dt)
+        check_match(loop=self, plant=P)
         if P.noutputs != len(self.outputs):
             raise ValueError(
                 f"plant has {P.noutputs} outputs, but the loop {len(self.outputs)}"

@@ -29,6 +29,7 @@ from rodlib.ilc.measurement.transient import (
     windows_of,
 )
 from rodlib.ilc.problem.responses import Measured, interpolated, probability
+from rodlib.ilc.signals import check_match
 
 ROUNDED = 0.02  # of the amplitude: how far w may be from the excitation, as logs hold few digits
 
@@ -240,7 +241,7 @@ def expected_radius(
     loop, m = loop_of(rest), excitation.channels
     if loop is None:
         raise LogError("rest names no loop in its metadata: it is not of record")
-    arguments.one_period(rest=loop.Ts, excitation=excitation.Ts)
+    check_match(rest=loop, excitation=excitation)
     y = arguments.array(
         "rest.y", rest.y.transpose("trial", "time", "channel"), ("trial", "time", m)
     )

@@ -12,6 +12,7 @@ from rodlib.ilc.filters import ZeroPhaseButterworth
 from rodlib.ilc.loop.closed import Loop
 from rodlib.ilc.models import frequency_response, refuse_foreign
 from rodlib.ilc.problem.problem import Samples
+from rodlib.ilc.signals import Signals, check_match
 
 CONFIDENCE = 0.99  # in a measured response
 FREQUENCIES = 1000  # of a grid that is chosen
@@ -115,7 +116,7 @@ def on_one_grid(P, Q, omega=None, Ts=None, uncertainty=None, scale=None) -> Samp
         if scale is not None:  # the response is scaled with those of other plants
             uncertainty = P.on(omega, CONFIDENCE, scale)[1]
     models, responses = on_grid(named, omega, Ts)
-    butterworth, Q = Q_on_grid(Q, omega, P=Ts)
+    butterworth, Q = Q_on_grid(Q, omega, P=Signals(Ts))
     if scale is None:
         scale = np.ones(responses.shape[-1])
     else:
@@ -268,10 +269,10 @@ def _of_frd(name, P, omega, Ts):
 
 
 def Q_on_grid(Q, omega, **known):
-    """The Q-filter as a model, or None, and its frequency response; `known`: a sampling period."""
+    """The Q-filter as a model, or None, and its response on omega; `known`: whose period it has."""
     model = Q if isinstance(Q, ZeroPhaseButterworth) else None
     if model is not None:
-        arguments.one_period(**known, Q=Q.Ts)
+        check_match(**known, Q=Q)
         Q = Q.frequency_response(omega)
     elif isinstance(Q, control.LTI):
         raise ValueError(

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from rodlib.ilc import arguments
-from rodlib.ilc.law.limits import commands_beyond, named_limits
+from rodlib.ilc.law.limits import named_limits
 from rodlib.ilc.loop.closed import CurrentTrialLoop, Loop, check_loop
 from rodlib.ilc.rigs.protocol import RigError, StoppedError
 
@@ -67,26 +67,25 @@ class ControlledRig:
         self.rig, self.loop = rig, loop
         # looked up once, not in every sample
         self.outputs, self.commands = loop.outputs, loop.commands
+        self.ours = isinstance(
+            loop, CurrentTrialLoop
+        )  # the controller: it sends u, not w
         names = ["v", "u", "delta", "disturbance"]
         self.decimals = arguments.by_name("decimals", decimals, names)
         for name, value in self.decimals.items():
             arguments.whole(f"decimals[{name!r}]", value, 0, 300)
-        self.inputs = list(getattr(rig, "inputs", loop.commands))
-        missing = [name for name in loop.commands if name not in self.inputs]
+        self.inputs = list(getattr(rig, "inputs", self.commands))
+        missing = [name for name in self.commands if name not in self.inputs]
         if missing:
             raise ValueError(
                 f"rig.inputs = {self.inputs} must name the commands {missing}"
             )
         limits = getattr(rig, "limits", None)
-        self.limits = named_limits("rig.limits", limits, self.inputs, slew=True)
+        limits = named_limits("rig.limits", limits, self.inputs, slew=True)
+        self.limits = {name: limits[name] for name in self.commands if name in limits}
         self.Ts = arguments.sampling_period("rig.Ts", getattr(rig, "Ts", loop.Ts))
         self.actuators = None  # of a law with limits
         self.stop = {}  # limits of outputs and commands, by name
-
-    @property
-    def ours(self) -> bool:
-        """Whether the loop's controller is ours, so that its commands are u, and not w."""
-        return isinstance(self.loop, CurrentTrialLoop)
 
     def rounded(self, name, values) -> np.ndarray:
         """A signal with as many digits as are recorded."""
@@ -95,41 +94,24 @@ class ControlledRig:
     def commanded(self, disturbance, trials, samples) -> np.ndarray:
         """The commands to the disturbances that are inputs, shape (trial, time, them)."""
         names = self.loop.disturbances
-        if disturbance is None:
-            return np.zeros((trials, samples, len(self.disturbed)))
-        shape = (..., samples, len(names))
-        d = arguments.in_columns("disturbance", disturbance, shape, names)
-        if d.ndim == 2:
-            d = np.broadcast_to(d, (trials, *d.shape))
-        d = arguments.array("disturbance", d, ("trial", *shape[1:]))
-        if len(d) < trials:
-            raise ValueError(f"disturbance has {len(d)} trials, but trials = {trials}")
+        d = np.zeros((samples, len(names))) if disturbance is None else disturbance
+        d = arguments.each_trial("disturbance", d, trials, samples, names)
         nonzero = [name for i, name in enumerate(names) if d[..., i].any()]
         unknown = [name for name in nonzero if name not in self.recorded]
         if unknown:
             raise ValueError(
                 f"disturbance is not zero for {unknown}, which are not rig.inputs"
             )
-        return d[:trials][..., [names.index(name) for name in self.disturbed]]
+        return d[..., [names.index(name) for name in self.disturbed]]
 
     def begin(self, trial) -> None:
         """Bring the rig to where trials begin, if it can."""
         if hasattr(self.rig, "begin"):
             self.rig.begin(trial)
+            self.reset()
 
-    def run(self, trial, reference, v, commanded, bar) -> dict[str, np.ndarray]:
-        """Run one trial; its signals, shape (time, channel)."""
-        v = self.rounded("v", v)
-        signals = self.run_trial(trial, reference, reference + v, commanded, bar)
-        commands = signals["u"] if self.ours else reference + v
-        if self.actuators is None:
-            beyond = commands_beyond(commands, self.loop.commands, self.limits)
-            if beyond:
-                warnings.warn(
-                    f"trial {trial}: {beyond}; what the rig cuts off, the law does not know",
-                    stacklevel=6,
-                )
-        return {"v": v} | signals
+    def reset(self) -> None:
+        """Forget what was before."""
 
     def check_stop(self, names, values) -> None:
         """Stop at what is beyond the limits of `stop`."""
@@ -169,53 +151,44 @@ class SampledRig(ControlledRig):
         self.disturbed = [name for name in names if name in self.inputs]
         self.recorded = [n for n in names if n in self.disturbed or n in measured]
         self.measured = [n for n in self.recorded if n not in self.disturbed]
-        commands = loop.commands + self.disturbed
+        commands = self.commands + self.disturbed
         self.positions = np.array([self.inputs.index(name) for name in commands])
+        self.reset()
+
+    def reset(self):
         self.applied = None  # the last commands
 
-    def begin(self, trial):
-        super().begin(trial)
-        if hasattr(self.rig, "begin"):
-            self.applied = None
-
-    def pause(self, trial, samples, w, start, bar) -> None:
+    def pause(self, trial, samples, w, start) -> None:
         """Hold w before a trial for so many samples; None: until all is back and still."""
-        wait = samples is None
         flows, y = np.zeros(len(self.disturbed)), []
-        for p in range(start.longest if wait else samples):
+        for p in range(start.longest if samples is None else samples):
             where = f"pause before trial {trial}, sample {p + 1}"
             y.append(self.sample(w, flows, where)["y"])
-            bar.update(0 if wait else 1)
-            if wait and p % max(1, start.window // 10) == 0 and start.back(y, w):
+            asked = samples is None and p % max(1, start.window // 10) == 0
+            if asked and start.back(y, w):
                 return
-        if wait:
+        if samples is None:
             warnings.warn(
                 f"before trial {trial} the outputs were not back and still after {len(y)} samples",
                 stacklevel=6,
             )
 
-    def run_trial(self, trial, reference, w, commanded, bar) -> dict[str, np.ndarray]:
-        """Run the samples of a trial."""
+    def run(self, trial, w, commanded, bar) -> dict[str, np.ndarray]:
+        """Run one trial; its signals but v, shape (time, channel)."""
         clock = getattr(self.rig, "clock", None)
         start = clock() if clock else 0.0
-        samples, lateness, squares = [], [], 0.0
+        samples, late = [], []
         for p in range(len(w)):
             if clock:
-                lateness.append(clock() - start - p * self.Ts)
+                late.append(abs(clock() - start - p * self.Ts))
             where = f"trial {trial}, sample {p + 1}"
             samples.append(self.sample(w[p], commanded[p], where))
-            if not bar.disable:
-                squares += float(np.sum((reference[p] - samples[p]["y"]) ** 2))
-                rms = math.sqrt(squares / (p + 1))
-                bar.set_postfix_str(f"RMS {rms:.3g}", refresh=False)
-                bar.update()
-        late = np.abs(lateness) > LATE * self.Ts
-        if late.any():
-            worst = np.abs(lateness).argmax()
+            bar.update()
+        count = np.sum(np.array(late) > LATE * self.Ts)
+        if count:
             warnings.warn(
-                f"trial {trial}: {late.sum()} samples were not on time, the worst, sample "
-                f"{worst + 1}, by {lateness[worst]:.3g} s",
-                stacklevel=7,
+                f"trial {trial}: {count} samples were not on time, by up to {max(late):.3g} s",
+                stacklevel=6,
             )
         return {name: np.array([s[name] for s in samples]) for name in samples[0]}
 
@@ -229,36 +202,34 @@ class SampledRig(ControlledRig):
             inputs[self.positions] = np.concatenate([self.applied, flows])
             self.rig.apply(inputs)
         measured |= dict(zip(self.disturbed, flows, strict=True))
-        disturbance = [measured[name] for name in self.recorded]
         if self.recorded:
+            disturbance = [measured[name] for name in self.recorded]
             signals["disturbance"] = np.array(disturbance)
         return signals | {"y": y}
 
     def control(self, y, w, measured) -> dict[str, np.ndarray]:
         """Set `applied`, the commands of this sample; the signals that this makes."""
-        self.check_stop(self.commands, w)
-        self.applied = self.limited(w)
+        self.send(w)
         u = [self.rounded("u", measured[name]) for name in self.reported]
         return {"u": np.array(u)} if u else {}
 
-    def limited(self, commands) -> np.ndarray:
-        """What the limits of the law leave of the commands of a sample."""
-        if self.actuators is None:
-            return commands
-        return self.actuators.next(commands, self.applied)
+    def send(self, commands) -> None:
+        """Set `applied`: the commands of a sample, cut off at the limits of the law."""
+        self.check_stop(self.commands, commands)
+        if self.actuators is not None:
+            commands = self.actuators.next(commands, self.applied)
+        self.applied = commands
 
     def read(self) -> tuple[np.ndarray, dict[str, float]]:
         """The outputs, and what else is measured; nothing is used before it is checked."""
         names = self.measured + self.reported
         y, measured = self.rig.read(), self.rig.measured if names else {}
-        try:
+        with _readings():
             y = arguments.array("reading", y, (len(self.outputs),))
             values = {
                 name: float(arguments.array(name, measured.get(name), ()))
                 for name in names
             }
-        except ValueError as error:
-            raise RigError(str(error)) from None
         for name in self.measured:
             values[name] = self.rounded("disturbance", values[name])
         return y, values
@@ -267,19 +238,15 @@ class SampledRig(ControlledRig):
 class ControllerOnRig(SampledRig):
     """A rig of two methods, with our controller."""
 
-    controller = None
-
-    def begin(self, trial):
-        super().begin(trial)
-        if self.controller is None or hasattr(self.rig, "begin"):
-            self.controller = Controller(self.loop, self.decimals.get("u"))
+    def reset(self):
+        super().reset()
+        self.controller = Controller(self.loop, self.decimals.get("u"))
 
     def control(self, y, w, measured):
         controller = self.controller
         signals = {"delta": self.rounded("delta", controller.delta)}
-        u = signals["u"] = controller.command(w)
-        self.check_stop(self.commands, u)
-        self.applied = self.limited(u)
+        signals["u"] = controller.command(w)
+        self.send(signals["u"])
         controller.observe(y, self.applied)
         if self.actuators is not None:
             signals["applied"] = self.applied
@@ -291,28 +258,25 @@ class WholeTrialRig(ControlledRig):
 
     waits = False
 
-    def run_trial(self, trial, reference, w, commanded, bar) -> dict[str, np.ndarray]:
+    def run(self, trial, w, commanded, bar) -> dict[str, np.ndarray]:
         """Upload w, let the trial run, download and check it."""
-        loop, signals = self.loop, {}
-        cut_off = self.actuators is not None and not self.ours
+        names, actuators, signals = self.loop.controls, self.actuators, {}
+        cut_off = actuators is not None and not self.ours
         with _located(f"trial {trial}"):
-            result = self.rig.run(self.actuators.follow(w) if cut_off else w.copy())
-            pair = loop.controls and isinstance(result, tuple) and len(result) == 2
+            result = self.rig.run(actuators.follow(w) if cut_off else w.copy())
+            pair = names and isinstance(result, tuple) and len(result) == 2
             y, u = result if pair else (result, None)
-            try:
+            with _readings():
                 signals["y"] = arguments.array("y", y, w.shape)
-                if loop.controls:
-                    u = arguments.array("u", u, w.shape)
-                    signals["u"] = self.rounded("u", u)
-            except ValueError as error:
-                raise RigError(str(error)) from None
+                if names:
+                    signals["u"] = self.rounded("u", arguments.array("u", u, w.shape))
         for p in range(len(w)):
             with _located(f"trial {trial}, sample {p + 1}"):
-                self.check_stop(loop.outputs, signals["y"][p])
+                self.check_stop(self.outputs, signals["y"][p])
                 if self.ours:
-                    self.check_stop(loop.commands, signals["u"][p])
-        if self.actuators is not None and self.ours:
-            signals["applied"] = self.actuators.follow(signals["u"])
+                    self.check_stop(self.commands, signals["u"][p])
+        if actuators is not None and self.ours:
+            signals["applied"] = actuators.follow(signals["u"])
         bar.update(len(w))
         return signals
 
@@ -334,6 +298,15 @@ def controlled(rig, loop: Loop, decimals) -> ControlledRig:
             f"rig = {reprlib.repr(rig)} has no methods read and apply: see Rig"
         )
     return kind(rig, loop, decimals)
+
+
+@contextmanager
+def _readings():
+    """Make a RigError of what is no reading."""
+    try:
+        yield
+    except ValueError as error:
+        raise RigError(str(error)) from None
 
 
 @contextmanager

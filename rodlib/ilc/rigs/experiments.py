@@ -54,7 +54,7 @@ def record(
     disturbance : array_like, shape (time, d) or (trial, time, d), optional
         What to command to those of ``loop.disturbances`` that are inputs of the rig. What it
         measures of them is recorded instead of the values given here; of others nothing is known,
-        and they must be zero. Further trials than those recorded are ignored. Default zero.
+        and they must be zero. Default zero.
     path : path-like, optional
         Of a log, which is written anew when a trial ends, so that a fault costs one trial at most;
         without it, all. If the log is there, its trials must be of the same experiment, and the
@@ -101,26 +101,19 @@ def record(
     law = arguments.instance("law", law, Law).bound_to(loop)
     check_match(law=law, rig=controlled_rig)
     if law.limits is None:
-        limits = {
-            n: controlled_rig.limits[n]
-            for n in loop.commands
-            if n in controlled_rig.limits
-        }
-        law = replace(law, limits=limits)
+        law = replace(law, limits=controlled_rig.limits)
     controlled_rig.actuators = law.actuators
     if path is not None and law.L is not None:
         arguments.instance("L", law.L, LearningFilter)  # or the log could not note it
     trials = arguments.whole("trials", trials, 1)
-    pause = None if pause is None else arguments.whole("pause", pause, 0)
-    if pause and not controlled_rig.waits:
+    if pause is None:
+        pause = 0 if hasattr(rig, "begin") else None
+    elif arguments.whole("pause", pause, 0) and not controlled_rig.waits:
         raise ValueError(
             f"pause = {pause}, but rig.run begins where every trial begins: leave it"
         )
-    if hasattr(rig, "begin") and pause is None:
-        pause = 0
-    reference = arguments.each_trial(
-        "reference", reference, trials, "time", loop.outputs
-    )
+    outputs = loop.outputs
+    reference = arguments.each_trial("reference", reference, trials, "time", outputs)
     samples = reference.shape[1]
     first = law.first(samples, v)
     commanded = controlled_rig.commanded(disturbance, trials, samples)
@@ -133,7 +126,8 @@ def record(
         return law.next(last["v"], r - last["y"], **commands)
 
     notes = with_law(xr.Dataset(), law).attrs
-    notes |= {} if v is None else {BEGUN: "v of trial 1 was given"}
+    if v is not None:
+        notes[BEGUN] = "v of trial 1 was given"
     controlled_rig.stop = stop_limits(stop, reference, loop, controlled_rig.limits)
     experiment = Experiment(controlled_rig, reference, commanded, following, notes, law)
     return experiment.run(pause, path)
@@ -174,11 +168,8 @@ def shake(
     check_match(loop=loop, rig=controlled_rig, excitation=excitation)
     shaken = excitation.signals
     commanded = controlled_rig.commanded(None, *shaken.shape[:2])
-    followed = {
-        n: controlled_rig.limits[n] for n in loop.controls if n in controlled_rig.limits
-    }
-
-    notes = with_excitation(xr.Dataset(), excitation, loop, followed).attrs
+    limits = controlled_rig.limits if controlled_rig.ours else None  # of controls
+    notes = with_excitation(xr.Dataset(), excitation, loop, limits).attrs
 
     def following(trials):
         return shaken[len(trials)]

@@ -59,18 +59,11 @@ class Experiment:
             names = [name for name in SIGNALS if name in log]
             for k in range(log.sizes["trial"]):
                 trials.append({name: log[name].values[k] for name in names})
-            if len(trials) > count:
-                warnings.warn(
-                    f"path = '{path}' has {len(trials)} trials, more than trials = {count}: none "
-                    "is run, and all of them are returned",
-                    stacklevel=4,
-                )
             if len(trials) >= count:
                 return log
 
         first, shown = len(trials), set()
         samples = (count - first) * self.reference.shape[1]
-        samples += (pause or 0) * (count - max(first, 1))
         with self.rig.safe_in_the_end(), tqdm(total=samples, disable=None) as bar:
             for k in range(first, count):
                 bar.set_description(f"trial {k + 1} of {count}")
@@ -83,34 +76,45 @@ class Experiment:
                     save_log(data, path)
                 for kind, text in self.warnings(data, trials).items():
                     if kind not in shown:
-                        warnings.warn(f"after trial {k + 1}: {text}", stacklevel=4)
+                        warnings.warn(text, stacklevel=4)
                     shown.add(kind)
         return data
 
     def run_trial(self, k, trials, pause, bar) -> Trial:
         """Run trial k, counted from 0, after those before it."""
-        v, reference = self.following(trials), self.reference[k]
+        v, reference = self.rig.rounded("v", self.following(trials)), self.reference[k]
         self.rig.begin(k + 1)
         if k and self.rig.waits:
-            self.rig.pause(k + 1, pause, reference[0], self.start(trials), bar)
-        return self.rig.run(k + 1, reference, v, self.commanded[k], bar)
+            self.rig.pause(k + 1, pause, reference[0], self.start(trials))
+        signals = self.rig.run(k + 1, reference + v, self.commanded[k], bar)
+        return {"v": v} | signals
 
     def warnings(self, data: xr.Dataset, trials: list[Trial]) -> dict[str, str]:
-        """What the last trial shows, with those before it, by kinds."""
-        texts, last, reference = {}, len(trials) - 1, self.reference
-        if self.alike and last and np.array_equal(reference[last, 0], reference[0, 0]):
-            missed = self.start(trials).missed(trials[last]["y"])
-            if missed:
-                texts["start"] = missed
-        if self.law is None:
-            return texts
-        if self.law.limits:
-            loop, trial = self.rig.loop, trials[last]
-            u = commands_of(loop, reference[last] + trial["v"], trial)["u"]
-            beyond = commands_beyond(u, loop.commands, self.law.limits)
-            if beyond:
-                texts["limits"] = f"{beyond}: they were cut off; v is learned within"
-        return texts | diagnose(data, self.law, first=last + 1)
+        """What the last trial shows, with those before it, by kinds; each is warned of once."""
+        texts, rig, trial, number = {}, self.rig, trials[-1], len(trials)
+        reference, cut_off = self.reference[number - 1], rig.actuators is not None
+        u = commands_of(rig.loop, reference + trial["v"], trial)["u"]
+        limits = self.law.limits if cut_off else rig.limits
+        beyond = commands_beyond(u, rig.commands, limits)
+        if beyond and cut_off:
+            texts["limits"] = f"{beyond}: they were cut off; v is learned within"
+        if (
+            self.alike
+            and number > 1
+            and np.array_equal(reference[0], self.reference[0, 0])
+        ):
+            texts["start"] = self.start(trials).missed(trial["y"])
+        if self.law is not None:
+            texts |= diagnose(data, self.law, first=number)
+        texts = {
+            kind: f"after trial {number}: {text}"
+            for kind, text in texts.items()
+            if text
+        }
+        if beyond and not cut_off:  # of every trial
+            text = f"{beyond}; what the rig cuts off, the law does not know"
+            texts[f"trial {number}"] = f"trial {number}: {text}"
+        return texts
 
     def start(self, trials) -> Start:
         """Where the first trial started."""

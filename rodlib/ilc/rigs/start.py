@@ -5,7 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rodlib.ilc.rigs.limits import largest_by_unit
 from rodlib.ilc.trials.diagnosis import noise_std
+from rodlib.ilc.units import with_unit
 
 NEAR = 0.02  # of the largest reference in the same unit, that a start may be off
 SURE = 5.0  # standard deviations of the noise, likewise
@@ -20,18 +22,14 @@ class Start:
     level: np.ndarray  # of the outputs
     tolerance: np.ndarray
     samples: int  # of a trial
-    outputs: Sequence[str]
-    units: Sequence[str]
+    labels: Sequence[str]  # of the outputs, with their units
 
     @classmethod
     def of(cls, y, reference, outputs, units) -> "Start":
         """That of the first trial, from its outputs and its reference, shape (time, output)."""
-        size = np.abs(reference).max(axis=0)
-        shared = [
-            max(size[j] for j, unit in enumerate(units) if unit == own) for own in units
-        ]
         noise = SURE * np.sqrt(2) * noise_std(y)  # both starts have it
-        return cls(y[0], NEAR * np.array(shared) + noise, len(y), outputs, units)
+        tolerance = NEAR * largest_by_unit(reference, units) + noise
+        return cls(y[0], tolerance, len(y), [*map(with_unit, outputs, units)])
 
     @property
     def window(self) -> int:
@@ -49,25 +47,20 @@ class Start:
         if len(y) < self.window:
             return False
         half = len(y) // 2
-        still = (
-            np.abs(y[:half].mean(axis=0) - y[-half:].mean(axis=0)) <= self.tolerance / 2
-        )
-        off = np.minimum(
-            *(np.abs(y.mean(axis=0) - level) for level in (self.level, held))
-        )
-        return bool(np.all(still & (off <= self.tolerance / 2)))
+        drift = np.abs(y[:half].mean(axis=0) - y[-half:].mean(axis=0))
+        off = np.abs(y.mean(axis=0) - [self.level, held]).min(axis=0)
+        return bool(np.all(np.maximum(drift, off) <= self.tolerance / 2))
 
     def missed(self, y) -> str | None:
         """How far the outputs (time, output) of another trial start from there, in words."""
         off = np.abs(y[0] - self.level)
-        far = np.flatnonzero(off > self.tolerance)
-        if not far.size:
+        if np.all(off <= self.tolerance):
             return None
-        each = (
-            f"{off[i]:.3g} {self.units[i]}".rstrip() + f" in {self.outputs[i]}"
-            for i in far
+        far = zip(self.labels, off, off > self.tolerance, strict=True)
+        words = ", ".join(
+            f"{size:.3g} in {label}" for label, size, is_far in far if is_far
         )
         return (
-            f"it starts {', '.join(each)} from where the first trial did: what is learned holds "
-            "for one start. Wait for longer, by pause, or bring the rig back, by its begin"
+            f"it starts {words} from where the first trial did: what is learned holds for one "
+            "start. Wait for longer, by pause, or bring the rig back, by its begin"
         )

@@ -81,41 +81,30 @@ def run_trials(
     r = arguments.each_trial("reference", reference, trials, "time", loop.outputs)
     shape = trials, samples, _ = r.shape
     first = law.first(samples, v)
-    d = disturbance
-    if d is None:
-        d = np.zeros((samples, len(loop.disturbances)))
-    d = arguments.each_trial("disturbance", d, trials, samples, loop.disturbances)
+    names = loop.disturbances
+    d = np.zeros((samples, len(names))) if disturbance is None else disturbance
+    d = arguments.each_trial("disturbance", d, trials, samples, names)
     noise = np.zeros(shape) if noise is None else noise
     noise = arguments.in_columns("noise", noise, shape, loop.outputs)
-    initial = np.zeros(states)
+    state = initial = np.zeros(states)
     if initial_state is not None:
-        state = arguments.array("initial_state", initial_state, (plant_states,))
-        initial[:plant_states] = state
-
-    results, state = [], initial
+        x = arguments.array("initial_state", initial_state, (plant_states,))
+        initial[:plant_states] = x
+    results = []
 
     def trial(k, v_k):
         nonlocal state
         w = r[k] + v_k  # (22)
-        signals, end = make_trial(w, d[k], noise[k], initial if reset else state)
-        state = end
+        signals, state = make_trial(w, d[k], noise[k], initial if reset else state)
         results.append({"v": v_k} | signals)
         e = r[k] - signals["y"] - noise[k]
         return {"e": e} | commands_of(loop, w, signals)
 
     learn(trial, law, first, trials)
     signals = {name: np.stack([s[name] for s in results]) for name in results[0]}
-    signals["y"] = signals["y"] + noise
-    result = dataset(
-        loop.Ts,
-        loop.outputs,
-        loop.controls if "u" in signals else [],
-        loop.disturbances,
-        loop.units,
-        reference=r,
-        disturbance=d,
-        **signals,
-    )
+    signals |= {"y": signals["y"] + noise, "reference": r, "disturbance": d}
+    controls = loop.controls if "u" in signals else []
+    result = dataset(loop.Ts, loop.outputs, controls, names, loop.units, **signals)
     for text in diagnose(result, law, exact=plant is None).values():
         warnings.warn(text, stacklevel=2)
     return result
@@ -227,21 +216,16 @@ def dataset(
     ):
         if not len(names) or signals.keys().isdisjoint(members):
             continue
-        own = [units.get(name, "") for name in names]
+        labels = [units.get(name, "") for name in names]
         coordinates[kind] = (dimension, list(names))
-        coordinates[f"{kind}_unit"] = (dimension, own)
-        each = ", ".join(
-            f"{name}: {unit}" for name, unit in zip(names, own, strict=True)
-        )
-        # where units differ, "name: unit" for one after the other
-        attributes = {"units": own[0] if len(set(own)) == 1 else each}
+        coordinates[f"{kind}_unit"] = (dimension, labels)
+        unit = labels[0]
+        if len(set(labels)) > 1:  # "name: unit" for one after the other
+            unit = ", ".join(map("{}: {}".format, names, labels))
+        axes = ("trial", "time", dimension)
         for name in members:
             if name in signals:
-                variables[name] = (
-                    ("trial", "time", dimension),
-                    signals[name],
-                    attributes,
-                )
+                variables[name] = (axes, signals[name], {"units": unit})
     return xr.Dataset(variables, coordinates, {"Ts": float(Ts)})
 
 

@@ -8,7 +8,6 @@ what v would have to be if y_k were the reference. F is the plant's; c compensat
 disturbance; any reference r needs v = F r + c. No model of P enters.
 """
 
-import reprlib
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -96,7 +95,9 @@ def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
         for output, target in zip(y, targets, strict=True)
     ]
     mean = sum(columns) / K
-    regression = _Regression.of(columns, mean, m)
+    of_mean = K * _products(mean)
+    within = sum(_products(trial) for trial in columns) - of_mean
+    regression = _Regression(within, of_mean, K, m)
 
     X = _taps(reference / size, basis)
     p = X.shape[1]
@@ -104,7 +105,7 @@ def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
     past[:N] = mean[: len(reference)]
     X_past = past[:, :p]
     rows, compensation = np.zeros((m, p)), np.zeros_like(reference)
-    predicted, uncertainty = np.zeros(m), np.zeros(m)
+    predicted, uncertainty = np.zeros((2, m))
     for i in range(m):
         fit = regression.fit(i, RATIOS if K > 1 else RATIOS[:1])
         differences = regression.fit(i, [0.0])  # between trials, alone
@@ -117,32 +118,21 @@ def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
         distance = other_v - X @ fit.row - compensation[:, i]
         uncertainty[i] = np.sqrt(np.mean(jackknife + distance**2))
 
-    feedforward = X @ rows.T
-    result = Transfer(
-        v=feedforward + compensation,
-        feedforward=feedforward,
-        compensation=compensation,
-        F=(rows.reshape(m, m, -1) / size[:, None]) @ basis.T,
-        predicted=predicted,
-        uncertainty=uncertainty,
-    )
+    feedforward, v = X @ rows.T, X @ rows.T + compensation
+    F = (rows.reshape(m, m, -1) / size[:, None]) @ basis.T
+    result = Transfer(v, feedforward, compensation, F, predicted, uncertainty)
     for i, name in enumerate(outputs):
-        share, low = _unseen(reference[:, i], references[:, :, i], Ts)
-        for message in _warnings(result, i, name, share, low):
+        unseen = _unseen(reference[:, i], references[:, :, i], Ts)
+        for message in _warnings(result, i, name, *unseen):
             warnings.warn(message, stacklevel=2)
     return result
 
 
 def _signals(trials):
     """v, y and reference of all trials, shape (trial, time, m), the outputs' names, and Ts."""
-    tasks = [trials] if isinstance(trials, xr.Dataset) else trials
-    if not (isinstance(tasks, list | tuple) and tasks):
-        raise ValueError(
-            f"trials = {reprlib.repr(trials)} must be a Dataset of trials, or a list"
-        )
-    signals = {"v": [], "y": [], "reference": []}
-    outputs = shape = Ts = None
-    for task in tasks:
+    tasks = trials if isinstance(trials, list | tuple) and trials else [trials]
+    signals, periods = {"v": [], "y": [], "reference": []}, {}
+    for i, task in enumerate(tasks):
         task = arguments.instance("trials", task, xr.Dataset)
         task = task if "trial" in task.dims else task.expand_dims("trial")
         if not all(name in task and {*task[name].dims} == {*AXES} for name in signals):
@@ -150,15 +140,16 @@ def _signals(trials):
                 f"trials lack one of {[*signals]}, or its axes: see run_trials"
             )
         period = arguments.sampling_period("trials.attrs['Ts']", task.attrs.get("Ts"))
-        if Ts is None:
+        periods[f"trials[{i}]"] = Signals(period)
+        if not i:
             outputs = arguments.names_of(task.y) or [*task.channel.values]
-            shape, Ts = ("trial", task.sizes["time"], task.sizes["channel"]), period
-        check_match(trials=Signals(Ts), another=Signals(period))
+            shape = "trial", task.sizes["time"], task.sizes["channel"]
         for name, arrays in signals.items():
             array = task[name].transpose(*AXES)
             arrays.append(arguments.in_columns(f"trials.{name}", array, shape, outputs))
+    check_match(**periods)
     v, y, references = (np.concatenate(arrays) for arrays in signals.values())
-    return v, y, references, outputs, Ts
+    return v, y, references, outputs, period
 
 
 def _basis(reach):
@@ -198,12 +189,6 @@ class _Regression:
     mean: np.ndarray  # K times those of the mean
     K: int
     m: int
-
-    @classmethod
-    def of(cls, columns, mean, m):
-        products = len(columns) * _products(mean)
-        total = sum(_products(trial) for trial in columns)
-        return cls(total - products, products, len(columns), m)
 
     def fit(self, i, ratios) -> _Fit:
         """The most likely row i of F: its weight, its F(0), and the ratio of the variances."""
@@ -261,15 +246,14 @@ def _unseen(reference, earlier, Ts):
     any.
     """
     count = 2 * max(len(reference), earlier.shape[1])
-    edges = np.geomspace(1, count // 2, BANDS).round().astype(int)
-    edges = np.unique(edges)
+    edges = np.unique(np.geomspace(1, count // 2, BANDS).round().astype(int))
 
     def power(signal):
         lines = np.abs(np.fft.rfft(np.diff(signal), count)) ** 2
-        return np.add.reduceat(lines, edges)
+        return np.add.reduceat(lines, edges, axis=-1)
 
     bands = power(reference)
-    unseen = bands > UNSEEN * np.max([power(signal) for signal in earlier], axis=0)
+    unseen = bands > UNSEEN * power(earlier).max(axis=0)
     share = bands[unseen].sum() / (bands.sum() or 1.0)
     lowest = edges[unseen].min(initial=count)
     return share, 2 * np.pi / (count * Ts) * lowest

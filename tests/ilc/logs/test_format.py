@@ -1,5 +1,4 @@
 import datetime
-import os
 
 import numpy as np
 import pandas as pd
@@ -42,10 +41,7 @@ def trials():
 def any_trials(draw):
     m, count, samples = (draw(st.integers(1, 3)) for _ in range(3))
     names = draw(st.lists(NAMES, min_size=2 * m, max_size=2 * m + 2, unique=True))
-    units = {
-        name: draw(st.sampled_from(["K", "°C", "l/min", "my own", ""]))
-        for name in names
-    }
+    units = {name: draw(st.sampled_from(["°C", "my own", ""])) for name in names}
 
     def signal(channels):
         return draw(arrays.arrays(float, (count, samples, channels), elements=FLOATS))
@@ -53,24 +49,18 @@ def any_trials(draw):
     signals = {name: signal(m) for name in ("reference", "v", "u", "y")}
     if draw(st.booleans()):
         signals["delta"] = signal(m)
-    if sources := names[2 * m :]:
+    outputs, controls, sources = names[:m], names[m : 2 * m], names[2 * m :]
+    if sources:
         signals["disturbance"] = signal(len(sources))
     with np.errstate(over="ignore"):
-        run = dataset(
-            draw(st.floats(1e-9, 1e9)),
-            names[:m],
-            names[m : 2 * m],
-            sources,
-            units,
-            **signals,
-        )
-    numbers = st.lists(
-        st.integers(1, 10**6), min_size=count, max_size=count, unique=True
-    )
+        Ts = draw(st.floats(1e-9, 1e9))
+        run = dataset(Ts, outputs, controls, sources, units, **signals)
+    numbers = st.integers(1, 10**6)
+    numbers = st.lists(numbers, min_size=count, max_size=count, unique=True)
     return run.assign_coords(trial=draw(numbers)).assign_attrs(note="a: b # c")
 
 
-@settings(max_examples=20)
+@settings(max_examples=10)
 @given(any_trials())
 def test_whatever_is_saved_is_loaded_bit_for_bit(tmp_path_factory, saved):
     path = tmp_path_factory.mktemp("logs") / "log.csv"
@@ -91,22 +81,6 @@ def test_pandas_alone_reads_a_log(tmp_path, trials):
     save_log(named, tmp_path / "log.csv")
     table = pd.read_csv(tmp_path / "log.csv", comment="#")
     np.testing.assert_array_equal(table['u_the "first", #1'], trials.u.values.ravel())
-    assert table["trial"].tolist() == np.repeat([1, 2, 3], 4).tolist()
-
-
-def test_an_interrupted_save_leaves_the_old_log(tmp_path, trials, monkeypatch):
-    path = tmp_path / "log.csv"
-    save_log(trials, path)
-    before = path.read_bytes()
-
-    def interrupt(*_):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(os, "replace", interrupt)
-    with pytest.raises(KeyboardInterrupt):
-        save_log(trials.assign(y=2 * trials.y), path)
-    assert path.read_bytes() == before
-    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_the_order_of_dimensions_does_not_matter_and_that_of_trials_stays(

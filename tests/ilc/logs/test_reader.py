@@ -42,11 +42,6 @@ def test_a_log_written_by_hand_is_read(good):
     assert "delta" not in good and good.attrs == {"Ts": 1.0}
 
 
-def test_a_period_in_minutes_is_that_of_the_column_time(tmp_path):
-    trials = load_log(write(tmp_path, GOOD.replace("1.0 s", "1.0 min")))
-    assert trials.attrs["Ts"] == 60 and [*trials.time.values] == [0, 60, 120, 180]
-
-
 @settings(max_examples=40)
 @given(st.integers(0, len(GOOD) - 1), st.text(max_size=3), st.integers(0, 3))
 def test_a_log_with_an_accident_is_read_or_refused(
@@ -68,8 +63,7 @@ def test_a_log_with_an_accident_is_read_or_refused(
     ("old", "new", "message"),
     [
         (GOOD, "", "no line with the titles"),
-        ("".join(ROWS), "", "no rows"),
-        ("log 2", "log 1", "format is 'rodlib trial log 1'.*read_table"),
+        ("log 2", "log 1", "format is 'rodlib trial log 1'"),
         ("Ts: 1.0 s", "Ts: -1 s", "Ts = '-1 s'"),
         ("# Ts", "# Ts: 2.0 s\n# Ts", "'Ts' stands twice, again in line 3"),
         ('"depth": "mm"}', '"depth": "mm", "depth": "m"}', "twice"),
@@ -79,9 +73,7 @@ def test_a_log_with_an_accident_is_read_or_refused(
         ('"controls": {', '"controls": {"fan": "", ', "one control for each output"),
         ("# signals: ", "# signals:" + "[" * 10000, "signals"),
         ('"rain": ""', '"depth": "m"', "'depth' has two units"),
-        (ROWS[-1], "", "trial 3 has 3 samples and trial 1 has 4"),
         ("1.0,0.5", "1.0,x", r"v_depth: entry 'x' in row 5 .*12 such"),
-        ("\n1,2,1.0", "\n1,2,1e400", "reference_depth: entry '1e400' in row 7"),
         ("\n1,2,1.0", "\n# note\n\n1,2", "row 9 has 6 entries, but must have 7"),
         (ROWS[5], "", "row 10 is 2 s after"),
     ],
@@ -97,7 +89,6 @@ def test_broken_logs_say_what_is_wrong(tmp_path, old, new, message):
     [
         "\N{BOM}" + GOOD,
         GOOD.replace("\n", "\r\n"),
-        GOOD.replace("1.0,", " +1.0 ,"),
         GOOD.replace("1.0,", '"1.0",'),
         GOOD.replace("\n2,0", "\n# a comment\n\n  \n# another: one\n2,0"),
         GOOD.removesuffix("\n"),

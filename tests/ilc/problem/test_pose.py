@@ -129,7 +129,7 @@ REFUSED = [  # arguments, and how the message begins
     ({"Q": np.ones(3)}, "Q has shape"),
     ({"Q": np.zeros(60), "objective": "peak"}, "Q has a gain of 0 at most"),
     ({"Q": (OMEGA > 2).astype(float)}, "Q has a gain of 0 at most"),
-    ({"Q": zero_phase_butterworth(Ts=0.5)}, "P.Ts = 1.0 s, Q.Ts = 0.5 s"),
+    ({"Q": zero_phase_butterworth(Ts=0.5)}, "P.Ts = 1.0, Q.Ts = 0.5"),
     ({"omega": OMEGA[::-1]}, "omega, of shape"),
     ({"omega": OMEGA * 2}, "omega spans"),
     ({"order": 61}, "order = 61"),

@@ -1,167 +1,143 @@
-"""Experiments within the limits of a rig: what is sent, told, recorded, gone on with, replayed."""
+"""Experiments within the limits of a rig: what is sent, said, recorded, gone on with, replayed."""
 
 import warnings
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from plants import furnace, stage, tanks
-from test_own_loop import KNOWN, REFERENCE, Sampled, Whole
-from test_own_loop import L as OWN_L
-from test_own_loop import Q as OWN_Q
-from test_stopping import bump
+from hypothesis import given
+from hypothesis import strategies as st
+from plants import LOOPS, PUMPS, RestartingModel, axes, bump
 
 from rodlib import (
+    ClosedLoop,
     Law,
     LearningFilter,
-    current_trial_loop,
     load_log,
+    measured_response,
+    multisine,
     record,
     run_trials,
     save_log,
+    shake,
     zero_phase_butterworth,
 )
+from rodlib.ilc.law.limits import commands_beyond
 from rodlib.ilc.logs.replay import replay
+from rodlib.ilc.models import sampled_plant
 from rodlib.ilc.trials.run import rms
 
-PUMPS = ["pump A", "pump B", "pump C"]
-CASES = {
-    "stage": (current_trial_loop(stage(), ["F"], sizes={"x": 1.0, "F": 3.0}), 300.0, [2.0],
-              {"F": (-6.0, 4.0)}),
-    "stage, rates": (current_trial_loop(stage(), ["F"], sizes={"x": 1.0, "F": 3.0}), 300.0, [2.0],
-                     {"F": (-6.0, 4.0, 500.0)}),
-    "tanks": (current_trial_loop(tanks(), PUMPS), 0.4, [3.0, 2.0, 4.0],
-              dict.fromkeys(PUMPS, (-10.0, 25.0))),
-    "furnace": (current_trial_loop(furnace(12)), 0.5, [4.0], {"valve": (-0.05, 1.0)}),
-}  # fmt: skip
-EACH = pytest.mark.parametrize("case", CASES)
+CASES = {  # loop, cut-off, heights, limits
+    "stage, rates": (LOOPS["stage"](), 300.0, [2.0], {"F": (-6.0, 4.0, 500.0)}),
+    "tanks": (
+        LOOPS["tanks"](),
+        0.4,
+        [3.0, 2.0, 4.0],
+        dict.fromkeys(PUMPS, (-10.0, 25.0)),
+    ),
+    "axes": (ClosedLoop(axes()), 3.0, [2.0, -1.0], {"set x": (-1.0, 1.5)}),
+}
 
 
-class Limited:
-    """The plant of a loop behind actuators; refuses what these cannot do."""
-
-    def __init__(self, loop, limits):
-        self.loop, self.limits = loop, limits
-        self.begin(0)
-
-    def begin(self, trial):
-        self.x, self.sent = np.zeros(self.loop.plant.nstates), []
-
-    def read(self):
-        return self.loop.plant.C @ self.x
-
-    def apply(self, u):
-        for value, name in zip(u, self.loop.controls, strict=True):
-            low, high, *_ = self.limits[name]
-            assert low <= value <= high
-        plant = self.loop.plant
-        self.x = plant.A @ self.x + plant.B[:, : len(u)] @ u
-        self.sent.append(u)
-
-    def safe(self):
-        pass
-
-
-def experiment(case, trials=4):
+def experiment(case):
+    """A rig that says what it follows, its loop, a law without limits, and a reference."""
     loop, cutoff, heights, limits = CASES[case]
     Q = zero_phase_butterworth(2, cutoff, loop.Ts)
-    L = LearningFilter(0.5 * np.eye(len(heights))[..., None], loop.Ts)
-    return Limited(loop, limits), dict(
-        loop=loop, law=Law(Q, L), reference=bump(80, heights), trials=trials
+    L = LearningFilter(0.3 * np.eye(len(heights))[..., None], loop.Ts)
+    rig = RestartingModel(
+        loop.P if isinstance(loop, ClosedLoop) else loop.plant, loop.commands
     )
+    rig.limits = limits
+    return rig, loop, Law(Q, L), bump(80, heights)
 
 
-def quietly(*given, **more):
+def quietly(call, *arguments, **options):
     with warnings.catch_warnings(action="ignore"):
-        return record(*given, **more)
+        return call(*arguments, **options)
 
 
-@EACH
-def test_the_rig_runs_as_the_simulation_does(case):
+@pytest.mark.parametrize("case", CASES)
+def test_within_limits_rig_simulation_log_and_replay_agree(case, tmp_path):
     """Sample by sample with the Controller, and from the matrices of the loop."""
-    rig, given = experiment(case)
-    with pytest.warns(
-        UserWarning, match="trial 1: commands were beyond the limits"
-    ) as told:
-        log = record(rig, **given)
-    assert len(told) == 1 and "v is learned within" in str(told[0].message)
-    assert told[0].filename == __file__
-    run = run_trials(**given | {"law": replace(given["law"], limits=rig.limits)})
-    for name in ("v", "u", "applied", "y", "delta"):
-        size = np.abs(run["u" if name == "delta" else name]).max()
+    rig, loop, law, reference = experiment(case)
+    path, limited = tmp_path / "log.csv", replace(law, limits=rig.limits)
+    with pytest.warns(UserWarning, match="after trial 1: .* learned within") as seen:
+        record(rig, loop, law, reference, trials=2, path=path)
+    assert len(seen) == 1 and seen[0].filename == __file__
+    log = quietly(record, rig, loop, law, reference, trials=4, path=path)
+    run = run_trials(loop, limited, reference, trials=4)
+    for name in log.data_vars:
+        size = np.abs(run["u" if name == "delta" else name]).max() + 1e-9
         np.testing.assert_allclose(log[name], run[name], atol=2e-5 * size)
-    np.testing.assert_array_equal(rig.sent, log.applied[-1])
-    assert (
-        np.abs(log.applied - log.u)[0].max() > 0.1
-        and rms(log.e)[-1] < 0.9 * rms(log.e)[0]
-    )
-    without = quietly(rig_that_cuts_off(rig), **free(given))
-    assert "applied" not in without and np.abs(without.u).max() > np.abs(log.u).max()
+    commands = log.u if "u" in log else log.reference + log.v
+    sent, own = np.array(rig.sent)[-80:], limited.bound_to(loop).actuators
+    assert own.can(sent) and not own.can(commands.values[0])
+    if "u" in log:
+        np.testing.assert_array_equal(sent, log.applied[-1])
+    assert rms(log.e)[-1] < rms(log.e)[0]
 
-
-def free(given):
-    """The same without limits."""
-    return given | {"law": replace(given["law"], limits={})}
-
-
-def rig_that_cuts_off(rig):
-    """By itself, as actuators do."""
-    apply = rig.apply
-    low, high = np.array([rig.limits[name][:2] for name in rig.loop.controls]).T
-    rig.apply = lambda u: apply(np.clip(u, low, high))
-    return rig
-
-
-@EACH
-def test_a_log_keeps_asked_and_applied_is_gone_on_with_and_replays(case, tmp_path):
-    rig, given = experiment(case)
-    whole = quietly(rig, **given)
-    quietly(rig, **given | {"trials": 2}, path=tmp_path / "log.csv")
-    log = quietly(rig, **given, path=tmp_path / "log.csv")
-    loaded = load_log(tmp_path / "log.csv")
-    for name in ("u", "applied", "v", "y"):
-        np.testing.assert_array_equal(loaded[name], whole[name])
-        np.testing.assert_array_equal(loaded[name], log[name])
-    replayed = replay(loaded)
+    log = load_log(path)
+    replayed = replay(log)
     assert "the recorded v is that of the law in every trial" in repr(replayed)
     assert not replayed.warnings and not replayed.omissions
-    np.testing.assert_allclose(replayed.simulated.y, loaded.y, atol=1e-4)
+    np.testing.assert_allclose(replayed.simulated.y, log.y, atol=1e-4)
     assert replayed.fit.to_numpy().min() > 1 - 1e-6  # from what was applied
-    v, e, u = (loaded[name].values[-1] for name in ("v", "e", "u"))
-    law = replace(given["law"], limits=rig.limits, loop=given["loop"])
-    following = law.next(v, e, u)
-    np.testing.assert_array_equal(replayed.following, following)
-
-    other = tmp_path / "other.csv"
-    save_log(loaded.assign(v=loaded.v * 1.01), other)
-    assert "v departs from the law from trial 2" in replay(load_log(other)).agreement
+    save_log(log.assign(v=log.v * 1.01), path)
+    assert "v departs from the law" in quietly(replay, load_log(path)).agreement
 
 
-def test_limits_are_part_of_the_law_that_a_log_names(tmp_path):
-    rig, given = experiment("tanks")
+def test_without_limits_of_the_law_the_rig_cuts_off_and_it_is_said_of_each_trial(
+    tmp_path,
+):
+    rig, loop, law, reference = experiment("tanks")
+    free, rig.limit = replace(law, limits={}), 2.0
+    rig.limits = dict.fromkeys(PUMPS, (-2.0, 2.0))
     path = tmp_path / "log.csv"
-    quietly(rig_that_cuts_off(rig), **free(given) | {"trials": 2}, path=path)
-    assert "applied" not in load_log(path) and "actuators" not in load_log(path).attrs
-    rig, _ = experiment("tanks")
+    with pytest.warns(UserWarning, match="beyond the limits of pump A") as seen:
+        log = record(rig, loop, free, reference, trials=2, path=path)
+    for k in (1, 2):
+        shares = np.mean(np.abs(log.u.values[k - 1]) > 2.0, axis=0)
+        words = ", ".join(map("{} in {:.1%}".format, PUMPS, shares))
+        message = (
+            f"trial {k}: commands were beyond the limits of {words} of all samples"
+        )
+        assert sum(str(warning.message).startswith(message) for warning in seen) == 1
+    assert "applied" not in log and "actuators" not in load_log(path).attrs
     with pytest.raises(ValueError, match="see its actuators"):
-        record(rig, **given, path=path)
+        record(rig, loop, law, reference, path=path)
+    rig.limits = {"fan": (0, 1)}
+    with pytest.raises(ValueError, match=r"rig\.limits is about"):
+        record(rig, loop, law, reference)
 
 
-@pytest.mark.parametrize("device", [Sampled, Whole])
-def test_a_loop_that_is_not_ours_is_sent_what_it_can_follow(device, tmp_path):
-    rig = device()
-    rig.limits = {"set x": (-1.0, 1.5)}
-    w = []
-    name = "apply" if device is Sampled else "run"
-    own = getattr(rig, name)
-    setattr(rig, name, lambda given: (w.append(np.array(given)), own(given))[1])
-    log = quietly(
-        rig, KNOWN, Law(OWN_Q, OWN_L), REFERENCE, trials=4, path=tmp_path / "log.csv"
+@pytest.mark.parametrize("name", LOOPS)
+def test_a_measurement_within_limits_is_good_and_beyond_them_is_warned_of(name):
+    loop = LOOPS[name]()
+    excitation = multisine(
+        loop, 0.1 / loop.Ts, 1.0 / loop.Ts, 1.0, 0.4 * loop.Ts, lines=8
     )
-    sent = np.concatenate([np.atleast_2d(one) for one in w])
-    assert sent[:, 0].max() == 1.5 and (log.reference + log.v)[0].max() > 1.9
-    run = run_trials(KNOWN, Law(OWN_Q, OWN_L, limits=rig.limits), REFERENCE, trials=4)
-    np.testing.assert_allclose(log.y, run.y, atol=1e-6)
-    replayed = replay(load_log(tmp_path / "log.csv"))
-    assert "that of the law in every trial" in repr(replayed)
-    assert replayed.fit.to_numpy().min() > 1 - 1e-6
+    rig = RestartingModel(sampled_plant(loop.plant), loop.controls)
+    largest = np.abs(shake(rig, loop, excitation).u.values).max()
+    truth, off = loop.frequency_response(excitation.omega), []
+    for share in (1.01, 0.7):
+        rig.limit = share * largest
+        rig.limits = dict.fromkeys(loop.controls, (-rig.limit, rig.limit))
+        with warnings.catch_warnings(action="error" if share > 1 else "ignore"):
+            log = shake(rig, loop, excitation)
+        measured = quietly(measured_response, log)
+        said = any("beyond the limits" in warning for warning in measured.findings)
+        assert said == (share < 1)
+        off.append(np.linalg.norm(measured.response - truth, 2, axis=(1, 2)).max())
+    assert off[1] > 10 * off[0]
+
+
+@given(st.lists(st.integers(-5, 5), min_size=1), st.integers(-5, 4), st.integers(1, 5))
+def test_the_share_is_that_of_the_samples_beyond_either_end(commands, low, width):
+    u = np.array(commands, dtype=float)[:, None] * [1, 0]
+    share = np.mean([not low <= value <= low + width for value in commands])
+    words = commands_beyond(u, ["fan", "belt"], {"fan": (low, low + width)})
+    assert (
+        (f" of fan in {share:.1%} of all samples" in words)
+        == bool(words)
+        == bool(share)
+    )

@@ -5,8 +5,7 @@ from types import SimpleNamespace
 import control
 import numpy as np
 import pytest
-from plants import furnace
-from test_experiment import PLANT, SHORT, Itself
+from plants import RestartingModel, boiler, bump, furnace
 
 from rodlib import (
     Law,
@@ -20,124 +19,74 @@ from rodlib import (
     zero_phase_butterworth,
 )
 from rodlib.ilc.rigs.limits import stop_limits
-from rodlib.ilc.rigs.protocol import RigError, StoppedError
+from rodlib.ilc.rigs.protocol import StoppedError
 from rodlib.ilc.trials.run import rms
-from rodlib.rigs import RestartingRig, VirtualRig
+from rodlib.rigs import RestartingRig
 
-Q_SHORT = zero_phase_butterworth(Ts=0.5)
-
-
-def bump(samples, amplitude):
-    """From rest to an amplitude and back."""
-    return np.outer(np.sin(np.pi * np.arange(samples) / samples) ** 2, amplitude)
+BOILER = current_trial_loop(boiler(), boiler().input_labels[:2])
 
 
-class Model(Itself):
-    """A plant as a rig that begins at rest, with noise, and as one's mistakes make it."""
+def test_an_actuator_of_the_wrong_sign_does_not_run_away():
+    """Without limits it did, to 1e50, and not a word."""
+    device = RestartingModel(boiler(), signs=[-1.0, 1.0, 1.0])
+    law = Law(zero_phase_butterworth(Ts=0.5), None)
+    with pytest.raises(StoppedError, match=r"trial 1, sample \d+: depth = ") as stop:
+        record(device, BOILER, law, bump(200, [5.0, 3.0]), trials=2)
+    assert np.abs(device.sent).max() < 1e3 and device.ends == 1
+    assert stop.value.trials is None
+    excitation = multisine(BOILER, 0.1, 3.0, 1.0, 0.2, 5)
+    with pytest.raises(StoppedError, match=r"heat = .* is not from -6 to 6"):
+        shake(RestartingModel(boiler(), signs=[1.0, -1.0, 1.0]), BOILER, excitation)
 
-    def __init__(self, plant, *, signs=1.0, limit=np.inf, noise=0.0):
-        super().__init__(plant)
-        self.inputs = plant.input_labels
-        self.signs, self.limit, self.noise = signs, limit, noise
-        self.random = np.random.default_rng(0)
 
-    def begin(self, trial):
-        self.x[:] = 0
+class Knocked(RestartingRig):
+    """Somebody knocks in the third trial."""
 
     def read(self):
-        return super().read() + self.noise * self.random.standard_normal(
-            self.plant.noutputs
-        )
+        knock = 100.0 if self.time == 7 and self.trial == 3 else 0.0
+        return super().read() + knock
 
-    def apply(self, commands):
-        super().apply(
-            np.clip(self.signs * np.asarray(commands), -self.limit, self.limit)
-        )
-
-
-@pytest.fixture(scope="module")
-def small():
-    return current_trial_loop(PLANT, PLANT.input_labels[:2])
-
-
-def test_an_actuator_of_the_wrong_sign_does_not_run_away(small):
-    """Without limits it did, to 1e50, and not a word."""
-    device, reference = Model(PLANT, signs=[-1.0, 1.0, 1.0]), bump(200, [5.0, 3.0])
-    with pytest.raises(
-        StoppedError, match=r"trial 1, sample \d+: depth = .* limits of stop"
-    ) as at:
-        record(device, small, Law(Q_SHORT, None), reference, trials=2)
-    assert np.abs(device.applied).max() < 1e3 and device.ends == 1
-    assert at.value.trials is None and "0 trial(s) are kept" in str(at.value)
-    assert isinstance(at.value, RigError)
+    def begin(self, trial):
+        self.trial = trial
+        super().begin(trial)
 
 
 def test_what_was_learned_before_a_stop_is_kept(loop, Q, tmp_path):
     """With a path in the log, in any case with the error; and the same call goes on."""
-    L, path = LearningFilter(np.eye(2)[..., None], 1.0), tmp_path / "log.csv"
-    whole = record(RestartingRig(), loop, Law(Q, L), **SHORT)
-
-    class Knocked(RestartingRig):
-        def read(self):
-            return super().read() + (
-                100.0 if self.time == 7 and self.trial == 3 else 0.0
-            )
-
-        def begin(self, trial):
-            self.trial = trial
-            super().begin(trial)
-
-    with pytest.raises(
-        StoppedError, match=r"trial 3, sample 6: y1 = .*2 trial.s. are kept in"
-    ) as at:
-        record(Knocked(), loop, Law(Q, L), **SHORT, path=path)
-    assert "stop" in str(at.value) and str(path) in str(at.value)
-    assert load_log(path).identical(at.value.trials)
-    assert at.value.trials.identical(whole.isel(trial=slice(2)))
-    assert record(RestartingRig(), loop, Law(Q, L), **SHORT, path=path).identical(whole)
-    told = {"stop": {"y1": (-200.0, 200.0), "y2": None, "Q1": (-60.0, 60.0)}}
-    with pytest.raises(StoppedError, match="trial 3, sample 7: Q1 = "):
-        record(Knocked(), loop, Law(Q, L), **SHORT, **told)
+    law, path = Law(Q, LearningFilter(np.eye(2)[..., None], 1.0)), tmp_path / "log.csv"
+    trials = loop, law, bump(25, [0.5, 0.2]), None, 3
+    whole = record(RestartingRig(), *trials)
+    with pytest.raises(StoppedError, match=r"trial 3, sample 8: y1 = ") as stop:
+        record(Knocked(), *trials, path=path)
+    assert str(path) in str(stop.value)
+    assert load_log(path).identical(stop.value.trials)
+    assert stop.value.trials.identical(whole.isel(trial=slice(2)))
+    assert record(RestartingRig(), *trials, path=path).identical(whole)
+    wider = {"y1": (-200.0, 200.0), "y2": None, "Q1": (-60.0, 60.0)}
+    with pytest.raises(StoppedError, match="trial 3, sample 9: Q1 = "):
+        record(Knocked(), *trials, stop=wider)
 
 
-def test_limits_follow_from_the_reference_and_the_rig_unless_they_are_given(loop, Q):
+def test_limits_follow_from_the_reference_and_the_rig_unless_they_are_given():
     reference = np.array([[0.0, 1.0, 0.0], [2.0, -1.0, 0.0]])
     units = {"a": "K", "b": "K", "c": "m"}
-    loop_of_three = SimpleNamespace(
-        outputs=["a", "b", "c"], commands=["u", "x"], units=units
-    )
-    given = reference, loop_of_three, {"u": (0.0, 2.0)}
-    assert stop_limits(None, *given) == {
-        "a": (-10, 12),
-        "b": (-11, 11),
-        "u": (-99, 101),
-    }
-    own = stop_limits({"a": None, "c": (-1, 1), "u": (0, 1)}, *given)
+    loop = SimpleNamespace(outputs=["a", "b", "c"], commands=["u", "x"], units=units)
+    asked = reference, loop, {"u": (0.0, 2.0)}
+    expected = {"a": (-10, 12), "b": (-11, 11), "u": (-99, 101)}
+    assert stop_limits(None, *asked) == expected
+    own = stop_limits({"a": None, "c": (-1, 1), "u": (0, 1)}, *asked)
     assert own == {"b": (-11, 11), "c": (-1, 1), "u": (0, 1)}
-    for wrong, message in (
-        ({"z": (0, 1)}, "stop is about"),
-        ({"y1": (1, 0)}, "stop.*lower and a"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            record(VirtualRig(), loop, Law(Q, None), np.ones((9, 2)), stop=wrong)
 
 
-def test_a_loop_that_is_shaken_is_stopped_too(small):
-    excitation = multisine(small, 0.1, 3.0, 1.0, 0.2, 5)
-    with pytest.raises(StoppedError, match=r"heat = .* is not from -6 to 6"):
-        shake(Model(PLANT, signs=[1.0, -1.0, 1.0]), small, excitation)
-
-
-def test_a_furnace_that_is_a_tenth_off_is_told_of_while_there_is_time():
+def test_a_furnace_that_is_a_tenth_off_is_warned_of_once_while_there_is_time():
     loop = current_trial_loop(furnace(30), None, {"valve": 0.1})
     Q, grid = zero_phase_butterworth(2, 0.4, 1.0), np.geomspace(1e-4, np.pi, 200)
-    L = synthesise(loop, Q, grid, 1.0, order=40, band=(1e-4, 0.1)).filter
+    law = synthesise(loop, Q, grid, 1.0, order=40, band=(1e-4, 0.1)).law()
     delayed = np.append([1.0, -0.95], np.zeros(33))
     plant = control.ss(control.tf([0.22], delayed, 1.0))
-    device = Model(control.ss(plant, inputs=["valve"], outputs=["outlet"]), noise=0.02)
-    with pytest.warns(
-        UserWarning, match="after trial [678]: the error grows.*Measure P"
-    ) as told:
-        log = record(device, loop, Law(Q, L), bump(600, [10.0]), trials=10)
-    assert told[0].filename == __file__ and rms(log.e).values[-1] > 1
-    assert len([one for one in told if "the error grows" in str(one.message)]) == 1
+    device = RestartingModel(control.ss(plant, inputs=["valve"]), noise=0.02)
+    message = "after trial [678]: the error grows.*Measure P"
+    with pytest.warns(UserWarning, match=message) as seen:
+        log = record(device, loop, law, bump(600, [10.0]), trials=10)
+    assert seen[0].filename == __file__ and rms(log.e).values[-1] > 1
+    assert sum("the error grows" in str(warning.message) for warning in seen) == 1

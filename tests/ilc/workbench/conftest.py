@@ -1,8 +1,17 @@
 """What is tested of the workbench does not depend on how many frequencies there are: take few."""
 
+import plants
 import pytest
 
+from rodlib import current_trial_loop
 from rodlib.ilc.workbench import settings
+from rodlib.ilc.workbench.plant import Plant
+
+
+@pytest.fixture(scope="session")
+def stage():
+    sizes, units = {"x": 1.0, "F": 3.0}, {"x": "mm"}
+    return Plant("", current_trial_loop(plants.stage(), ["F"], sizes, units))
 
 
 @pytest.fixture(

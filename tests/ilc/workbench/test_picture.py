@@ -4,14 +4,12 @@ from dataclasses import replace
 
 import matplotlib.pyplot as plt
 import numpy as np
-import plants
 import pytest
 import xarray as xr
 
 from rodlib import (
     Rod,
     Settings,
-    current_trial_loop,
     plot,
     run_trials,
     synthesise,
@@ -19,7 +17,6 @@ from rodlib import (
 )
 from rodlib.ilc.workbench.outcome import Outcome
 from rodlib.ilc.workbench.picture import Picture
-from rodlib.ilc.workbench.plant import Plant
 from rodlib.paper import plant_of_rod
 
 
@@ -34,9 +31,8 @@ def full(paper):
 
 
 @pytest.fixture(scope="module")
-def tanks():
-    loop = current_trial_loop(plants.tanks(), ["pump A", "pump B", "pump C"])
-    return try_out(Settings.of(Plant("", loop), structure="full"))
+def other(stage):
+    return try_out(Settings.of(stage))
 
 
 @pytest.fixture(scope="module")
@@ -87,18 +83,18 @@ def test_a_design_without_bounds_or_trials_is_drawn_without_them(loop, Q):
     assert trials.get_title(loc="left") == "not simulated"
 
 
-def test_the_bytes_do_not_depend_on_what_was_drawn_before(paper, full, tanks, message):
+def test_the_bytes_do_not_depend_on_what_was_drawn_before(paper, full, other, message):
     first = Picture().show(full, paper).png()
     with plt.rc_context({"figure.constrained_layout.use": True}):  # a notebook's style
-        used = Picture().show(tanks)
+        used = Picture().show(other)
         used.png()
     assert used.show(message, paper).png() == Picture().show(message).png()
     # designs for plants with other channels are not compared
-    assert used.show(tanks, full).png() == Picture().show(tanks).png()
+    assert used.show(other, full).png() == Picture().show(other).png()
     assert used.show(full, paper).png() == first
 
 
-@pytest.mark.parametrize("name", ["full", "tanks", "message"])
+@pytest.mark.parametrize("name", ["full", "other", "message"])
 def test_everything_fits(name, paper, request):
     picture = Picture().show(request.getfixturevalue(name), paper)
     figure = picture.figure
@@ -162,9 +158,10 @@ def test_the_style_stays_and_other_items_are_refused(trials, paper):
     plot(trials)
     plot(paper)
     assert plt.rcParams == before
-    with pytest.raises(ValueError, match="item = 3"):
-        plot(3)
-    with pytest.raises(ValueError, match="before = 3"):
-        plot(paper, before=3)
-    with pytest.raises(ValueError, match="trials lack"):
-        plot(xr.Dataset())
+    for wrong, message in (
+        ((3,), "item = 3"),
+        ((paper, 3), "before = 3"),
+        ((xr.Dataset(),), "trials lack"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            plot(*wrong)

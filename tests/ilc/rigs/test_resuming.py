@@ -1,0 +1,158 @@
+"""A log is gone on with, by the same experiment only, from a first signal and for references."""
+
+import subprocess
+import sys
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from plants import RestartingModel, boiler, bump
+
+from rodlib import (
+    Law,
+    LearningFilter,
+    current_trial_loop,
+    load_log,
+    paper_loop,
+    record,
+    run_trials,
+    save_log,
+    zero_phase_butterworth,
+)
+from rodlib.ilc.logs.replay import replay
+from rodlib.paper.repository import ROOT
+from rodlib.rigs import RestartingRig, RigParameters, VirtualRig
+
+LAW = Law(zero_phase_butterworth(), LearningFilter(0.4 * np.eye(2)[..., None], 1.0))
+SHORT = {"reference": bump(25, [0.5, 0.2]), "trials": 3, "pause": 2}
+BOILER = current_trial_loop(boiler(), boiler().input_labels[:2])
+BOILER_LAW = Law(zero_phase_butterworth(2, 0.5, 0.5), replace(LAW.L, Ts=0.5), rest=4)
+R = bump(80, [2.0, 1.0])
+
+
+class Interrupted(RestartingRig):
+    """Somebody stops it after so many samples; noise depends on the trial alone."""
+
+    def __init__(self, samples=np.inf):
+        super().__init__(parameters=RigParameters(modes=10))
+        self.samples = samples
+
+    def read(self):
+        self.samples -= 1
+        if self.samples < 0:
+            raise KeyboardInterrupt
+        return super().read()
+
+
+def test_an_interrupted_experiment_goes_on_as_if_nothing_had_been(loop, tmp_path):
+    """What is on disk are the trials that had ended; the rest comes out the same, bit for bit."""
+    whole = record(Interrupted(), loop, LAW, **SHORT, path=tmp_path / "whole.csv")
+    for samples in (3, 26, 52, 78):  # a trial has 25, the pause before it 2
+        path, ended = tmp_path / f"{samples}.csv", (samples + 2) // 27
+        with pytest.raises(KeyboardInterrupt):
+            record(Interrupted(samples), loop, LAW, **SHORT, path=path)
+        assert path.exists() == (ended > 0)
+        if ended:
+            log = load_log(path)
+            assert log.identical(whole.isel(trial=slice(ended)))
+            save_log(log.assign_attrs(operator="Ada"), path)
+        finished = record(Interrupted(), loop, LAW, **SHORT, path=path)
+        assert finished.attrs.pop("operator", "Ada") == "Ada"
+        assert finished.identical(whole)
+
+
+def test_an_experiment_that_has_ended_leaves_rig_and_log_alone(loop, tmp_path):
+    path, device = tmp_path / "log.csv", VirtualRig()
+    log = record(device, loop, LAW, **SHORT, path=path)
+    content, time = path.read_bytes(), device.time
+    for trials in (3, 2):
+        fewer = SHORT | {"trials": trials}
+        assert record(device, loop, LAW, **fewer, path=path).identical(log)
+    assert path.read_bytes() == content and device.time == time
+    assert load_log(path).identical(log)
+    more = record(device, loop, LAW, **SHORT | {"trials": 4}, path=path)
+    assert more.isel(trial=slice(3)).identical(log) and load_log(path).identical(more)
+
+
+@pytest.mark.parametrize(
+    ("changes", "differing"),
+    [
+        ({"reference": SHORT["reference"] + 1}, "reference"),
+        ({"law": replace(LAW, L=None)}, "L"),
+        ({"law": replace(LAW, gain=0.5)}, "step"),
+        ({"law": replace(LAW, limits={})}, "actuators"),
+        ({"rig": SimpleNamespace(read=len, apply=len)}, "actuators, disturbances"),
+        ({"loop": paper_loop(degree=4)}, "loop"),
+        ({"v": SHORT["reference"]}, "v of trial 1"),
+    ],
+)
+def test_another_experiment_does_not_go_on_with_the_log(
+    loop, tmp_path, changes, differing
+):
+    path, rig = tmp_path / "log.csv", VirtualRig()
+    valid = {"rig": rig, "loop": loop, "law": LAW, "path": path} | SHORT
+    record(**valid | {"trials": 1})
+    content, time = path.read_bytes(), rig.time
+    with pytest.raises(ValueError, match=f"another experiment, see its {differing}:"):
+        record(**valid | changes)
+    assert path.read_bytes() == content and rig.time == time
+
+
+WAITING = """
+import sys
+from rodlib import Law, paper_loop, record, zero_phase_butterworth
+from rodlib.rigs import RestartingRig
+import numpy as np
+
+class Waiting(RestartingRig):
+    def begin(self, trial):
+        print("began", flush=True)
+        sys.stdin.read()
+
+law = Law(zero_phase_butterworth(), None)
+record(Waiting(), paper_loop(), law, np.ones((9, 2)), path=sys.argv[1])
+"""
+
+
+def test_two_processes_do_not_record_to_one_log(loop, tmp_path):
+    """The second is refused before anything is applied; not so after the first was killed."""
+    path, device = tmp_path / "log.csv", VirtualRig()
+    first, pipe = [sys.executable, "-c", WAITING, path], subprocess.PIPE
+    with subprocess.Popen(first, stdin=pipe, stdout=pipe, cwd=ROOT) as process:
+        assert process.stdout.readline() == b"began\n"
+        with pytest.raises(RuntimeError, match=r"path = .*recorded to by another"):
+            record(device, loop, LAW, **SHORT, path=path)
+        process.kill()
+    assert device.time == 0 and not path.exists()
+    record(device, loop, LAW, **SHORT | {"trials": 1}, path=path)
+    assert path.exists()
+
+
+def test_the_first_trial_begins_with_what_was_learned_elsewhere(tmp_path):
+    v, path = 0.1 * R + 1e-9 / 3, tmp_path / "log.csv"
+    begun = {"loop": BOILER, "law": BOILER_LAW, "reference": R, "v": v, "path": path}
+    begun["decimals"] = {"v": 6}
+    log = record(RestartingModel(boiler()), trials=2, **begun)
+    run = run_trials(BOILER, BOILER_LAW, R, trials=2, v=v)
+    np.testing.assert_allclose(log.y, run.y, atol=1e-5)
+    more = record(RestartingModel(boiler()), trials=3, **begun)
+    assert more.isel(trial=slice(2)).identical(log)
+    replayed = replay(load_log(path))
+    assert replayed.departure.loc[1].isna().all()
+    assert replayed.departure.loc[2:].to_numpy().max() < 1e-6
+    np.testing.assert_allclose(replayed.simulated.y, more.y, atol=1e-5)
+    unlearned = Law(BOILER_LAW.Q, None)
+    kept = record(RestartingModel(boiler()), BOILER, unlearned, R, trials=2, v=v)
+    np.testing.assert_array_equal(kept.v, [v, v])
+
+
+def test_each_trial_follows_a_reference_of_its_own(tmp_path):
+    references, path = np.array([R, 2 * R, -R]), tmp_path / "log.csv"
+    run = run_trials(BOILER, BOILER_LAW, references, trials=3)
+    trials = RestartingModel(boiler()), BOILER, BOILER_LAW
+    record(*trials, references[:2], trials=2, path=path)
+    log = record(*trials, references, trials=3, path=path)
+    for name in ("reference", "v", "y", "e"):
+        np.testing.assert_allclose(log[name], run[name], atol=1e-9)
+    np.testing.assert_allclose(replay(load_log(path)).simulated.y, run.y, atol=1e-9)

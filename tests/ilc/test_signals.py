@@ -1,0 +1,33 @@
+"""Whether parties fit together: one function refuses what does not."""
+
+import control
+import pytest
+
+from rodlib import LearningFilter, zero_phase_butterworth
+from rodlib.ilc.signals import Signals, check_match
+
+MODEL = control.ss(0.5, 1, 1, 0, 0.3)
+
+
+def test_periods_of_models_filters_and_signals_are_equal_up_to_rounding():
+    Q = zero_phase_butterworth(Ts=0.1 * 3)
+    check_match(P=MODEL, Q=Q, L=LearningFilter([[[1.0]]], 0.3), log=Signals())
+    with pytest.raises(ValueError, match=r"P.Ts = 0.3, Q.Ts = 0.3000000003"):
+        check_match(P=MODEL, Q=zero_phase_butterworth(Ts=0.3000000003))
+
+
+@pytest.mark.parametrize(
+    ("other", "words"),
+    [
+        (Signals(outputs=["b", "a"]), "log.outputs"),
+        (Signals(outputs=["a"]), "log.channels = 1"),
+        (Signals(controls=["u"]), "log.controls"),
+        (Signals(units={"b": "K", "a": "m"}), "loop has a in 'mm', but log in 'm'"),
+    ],
+)
+def test_channels_their_order_and_units_must_match(other, words):
+    units = {"a": "mm", "b": ""}
+    loop = Signals(1.0, ["a", "b"], ["u", "w"], units)
+    check_match(loop=loop, log=Signals(units={"b": "K"}), law=Signals(1.0))
+    with pytest.raises(ValueError, match=words):
+        check_match(loop=loop, log=other)
