@@ -81,7 +81,7 @@ def test_what_is_at_a_limit_passes():
     assert arguments.flag("x", np.True_) is True
     assert arguments.choice("x", "a", ["a", "b"]) == "a"
     top = np.pi / 0.5
-    assert arguments.frequencies("omega", [0, top], 0.5).tolist() == [0, top]
+    assert arguments.increasing_frequencies("omega", [0, top], 0.5).tolist() == [0, top]
     assert arguments.row("x", 2.0).tolist() == [2.0]
 
 
@@ -91,10 +91,10 @@ REFUSED = [  # a call, and how the error begins
     (lambda: arguments.choice("x", "c", ["a"]), "x = 'c' must be 'a'"),
     (lambda: arguments.share("step", 0), r"step = 0 must be in \(0, 1\]"),
     (lambda: arguments.share("step", 1.01), r"step = 1.01 must be in \(0, 1\]"),
-    (lambda: arguments.frequencies("w", [0, 6.29], 0.5), "w spans"),
-    (lambda: arguments.frequencies("w", [-0.1, 1], 0.5), "w spans"),
-    (lambda: arguments.frequencies("w", [1.0], 0.5), "w, of shape"),
-    (lambda: arguments.frequencies("w", [1, 1], 0.5), "w, of shape"),
+    (lambda: arguments.increasing_frequencies("w", [0, 6.29], 0.5), "w spans"),
+    (lambda: arguments.increasing_frequencies("w", [-0.1, 1], 0.5), "w spans"),
+    (lambda: arguments.increasing_frequencies("w", [1.0], 0.5), "w, of shape"),
+    (lambda: arguments.increasing_frequencies("w", [1, 1], 0.5), "w, of shape"),
     (lambda: arguments.row("x", [[1, 2]]), r"x has shape \(1, 2\)"),
     (lambda: arguments.array("x", [True, 0.5], (...,)), "x holds True or False"),
     (lambda: arguments.array("x", [[1, 2], (3, np.True_)], (...,)), "x holds True"),

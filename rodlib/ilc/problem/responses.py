@@ -103,7 +103,7 @@ def on_one_grid(P, Q, omega=None, Ts=None, uncertainty=None, scale=None) -> Samp
     if Ts is None:
         Ts = _period(Q, *named.values())
     Ts = arguments.sampling_period("Ts", Ts)
-    omega = arguments.frequencies("omega", omega, Ts)
+    omega = arguments.increasing_frequencies("omega", omega, Ts)
     basis = ()
     if isinstance(P, Measured):
         if uncertainty is not None:
