@@ -78,7 +78,7 @@ survey: $(BIN)/ready  ## solve 550 problems for ordinary plants; count how it en
 regions: $(BIN)/ready  ## how often the truth is in an estimate's region, 13 kinds of records (an hour)
 	@$(BIN)/python tests/benchmarks/regions.py
 
-plants: $(BIN)/ready  ## eleven kinds of plants the whole way, from a model to a log (a minute)
+plants: $(BIN)/ready  ## ten kinds of plants the whole way, from a model to a log (a minute)
 	@$(BIN)/python tests/benchmarks/whole_way.py
 
 study: $(BIN)/ready  ## 10,000 rods that are off: make study [SCHEDULER=address]; results in build/study
@@ -89,7 +89,7 @@ pages: $(BIN)/ready  ## the notebooks, the ledger and the reference as HTML, in 
 	@$(BIN)/sphinx-build -q -c docs -d build/doctrees . build/pages
 	@echo "open build/pages/index.html"
 
-bench: $(BIN)/ready  ## time the synthesis and the study; rewrite figures/performance.*
+bench: $(BIN)/ready  ## time the synthesis and a study; rewrite figures/performance.*
 	@mkdir -p build
 	$(BIN)/pytest -q tests/benchmarks/bench_*.py --benchmark-json=build/benchmark.json \
 		--benchmark-columns=median,min,max,rounds

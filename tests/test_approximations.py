@@ -116,9 +116,6 @@ def test_differences_and_volumes_agree_where_a_sensor_reads_a_point_and_a_face()
             for build in (finite_differences, finite_volumes)
         )
         np.testing.assert_allclose(differences, volumes, rtol=0, atol=1e-12)
-    assert error(finite_differences(Rod(), 3), Rod()) > 1.4 * error(
-        finite_volumes(Rod(), 3), Rod()
-    )
 
 
 def hankel_singular_values(model):
@@ -146,27 +143,3 @@ def test_truncation_errs_by_twice_the_hankel_singular_values_left_out_at_most(
         left = (frequency_response(model, omega) - exact)[:, :, columns]
         errors = np.linalg.norm(left, 2, axis=(1, 2))
         assert hankel[states] * 0.1 < errors.max() <= 2 * hankel[states:].sum() * 1.01
-
-
-@pytest.mark.parametrize("build", [finite_differences, finite_volumes, modal_series])
-@pytest.mark.parametrize("count", [0, 10_001])
-def test_bad_counts_are_refused(build, count):
-    with pytest.raises(ValueError, match=f"= {count} "):
-        build(Rod(), count)
-
-
-@pytest.mark.parametrize("element", ["P1", skfem.ElementLineP0(), skfem.ElementTriP1()])
-def test_bad_elements_are_refused(element):
-    with pytest.raises(ValueError, match="element = "):
-        finite_elements(Rod(), element, 1)
-    with pytest.raises(ValueError, match="elements = 0"):
-        finite_elements(Rod(), P1, 0)
-
-
-@pytest.mark.parametrize("states", [0, 49])
-def test_bad_truncations_are_refused(states):
-    with pytest.raises(ValueError, match=f"states = {states}"):
-        balanced_truncation(Rod(), states)
-    for inputs in ([], ["Q5"], "Q1"):
-        with pytest.raises(ValueError, match="inputs = "):
-            balanced_truncation(Rod(), 4, inputs)

@@ -75,31 +75,90 @@ WRONG = {
     for name in names.split()
 }
 
-# Each door with what belongs there; what does not, if its name does not say so.
+# Each door with what belongs there; and what does not, if its name does not say it all.
 FOR_TRIALS = {"P": P, "Q": Q, "L": L, "samples": 6}
 ON_GRID = {"P": LOOP, "Q": Q, "L": L, "omega": OMEGA}
 DOORS = [
-    (Rod, {"conductivity": 55.0, "sensors": (0.1,)}),
-    (rodlib.midr, {"rod": Rod(), "degree": 1}),
+    (
+        Rod,
+        {"conductivity": 55.0, "density": 7800.0, "sections": 4, "sensors": (0.1,)},
+        {"density": [*POSITIVE, 1e12], "sections": [*WHOLE, 0, 1001]}
+        | {"sensors": [*ARRAY, (0.1, 0.5), ()]},
+    ),
+    (rodlib.midr, {"rod": Rod(), "degree": 1}, {"degree": [*WHOLE, 0, 21]}),
     (rodlib.exact_response, {"rod": Rod(), "s": [1j]}),
-    (rodlib.sampled_response, {"rod": Rod(), "omega": OMEGA, "Ts": 1.0}),
-    (approximations.balanced_truncation, {"rod": Rod(), "states": 2, "inputs": ["Q1"]}),
-    (approximations.finite_differences, {"rod": Rod(), "intervals": 2}),
+    (
+        rodlib.sampled_response,
+        {"rod": Rod(), "omega": OMEGA, "Ts": 1.0},
+        {"omega": [*ARRAY, [-1e-3], [3.2]], "Ts": [*POSITIVE, 0.0, 1e-7]},
+    ),
+    (
+        approximations.balanced_truncation,
+        {"rod": Rod(), "states": 2, "inputs": ["Q1"]},
+        {"states": [*WHOLE, 0, 49], "inputs": [[], ["Q5"], "Q1"]},
+    ),
+    (
+        approximations.finite_differences,
+        {"rod": Rod(), "intervals": 2},
+        {"intervals": [*WHOLE, 0, 1001]},
+    ),
     (
         approximations.finite_elements,
         {"rod": Rod(), "element": skfem.ElementLineP1(), "elements": 1},
+        {"element": ["P1", skfem.ElementLineP0(), skfem.ElementTriP1()]},
     ),
-    (approximations.finite_volumes, {"rod": Rod(), "cells": 2}),
-    (approximations.modal_series, {"rod": Rod(), "modes": 4}),
-    (rodlib.paper_loop, {"rod": Rod(), "degree": 1, "Ts": 1.0}),
-    (rodlib.assumed_reference, {"samples": 5}),
-    (rodlib.assumed_disturbance, {"samples": 5, "trials": 2, "first": 1}),
-    (rodlib.Spread.of_all, {"share": 0.1, "rod": Rod()}),
+    (
+        approximations.finite_volumes,
+        {"rod": Rod(), "cells": 2},
+        {"cells": [*WHOLE, 0, 1001]},
+    ),
+    (
+        approximations.modal_series,
+        {"rod": Rod(), "modes": 4},
+        {"modes": [*WHOLE, 0, 10_001]},
+    ),
+    (
+        rodlib.paper_loop,
+        {"rod": Rod(), "degree": 1, "Ts": 1.0},
+        {"rod": [1.5, Rod(sections=3), Rod(sensors=(0.1,))]}
+        | {"Ts": [*POSITIVE, 1e-5, 1e4, np.inf]},
+    ),
+    (rodlib.assumed_reference, {"samples": 5}, {"samples": [*WHOLE, 0]}),
+    (
+        rodlib.assumed_disturbance,
+        {"samples": 5, "trials": 2, "first": 1},
+        {name: [*WHOLE, 0] for name in ("samples", "trials", "first")},
+    ),
+    (
+        rodlib.Spread,
+        {"density": 0.1, "gains": 0.1, "sensors": 0.1},
+        {"density": [1.0], "gains": [-0.1], "sensors": [-0.1]},
+    ),
+    (rodlib.Spread.of_all, {"share": 0.1, "rod": Rod()}, {"share": [-0.1, 1.0]}),
+    (
+        SPREAD.specimen,
+        {"deviations": np.zeros(10), "nominal": Rod()},
+        {"deviations": [np.zeros(9), [-1.5, *[0] * 9]]},
+    ),
     (rodlib.Specimen, {"rod": Rod(), "gains": np.ones(4)}),
-    (rodlib.draw, {"spread": SPREAD, "number": 1, "root": 1, "nominal": Rod()}),
-    (rodlib.responses, {"loop": PAPER, "specimens": [SPECIMEN], "omega": OMEGA}),
-    (rodlib.Study, {"loop": PAPER, "Q": Q, "filters": {"L": L2}, "spread": SPREAD}),
-    (STUDY.run, {"rods": 1}),
+    (
+        rodlib.draw,
+        {"spread": SPREAD, "number": 1, "root": 1, "nominal": Rod()},
+        {"spread": [1.5, rodlib.Spread(sensors=0.05)]},
+    ),
+    (
+        rodlib.responses,
+        {"loop": PAPER, "specimens": [SPECIMEN], "omega": OMEGA},
+        {"specimens": [1.5, [], [Rod()]], "loop": [1.5, LOOP]},
+    ),
+    (
+        rodlib.Study,
+        STUDY.__dict__,
+        {"loop": [1.5, LOOP], "Q": [1.5, rodlib.zero_phase_butterworth(Ts=2.0)]}
+        | {"filters": [1.5, {}], "omega": [[0.1, 4.0]], "reference": [np.ones((5, 3))]}
+        | {"trials": [0]},
+    ),
+    (STUDY.run, {"rods": 1}, {"rods": [*WHOLE, 0]}),
     (rodlib.RigParameters, {"modes": 5, "lag": 4.0}),
     (rodlib.VirtualRig, {"rod": Rod(), "Ts": 1.0, "seed": 1}),
     (rodlib.RestartingRig, {"rod": Rod(), "parameters": rodlib.RigParameters()}),
@@ -110,6 +169,7 @@ DOORS = [
     (
         rodlib.fit_heat_balance,
         {"heaters": np.eye(40, 2), "readings": np.eye(40, 2, -3), "Ts": 1.0},
+        {"readings": [*ARRAY, np.ones((20, 2))]},
     ),
     (rodlib.frequency_response, {"system": PLANT, "omega": OMEGA}),
     (rodlib.minimal_realisation, {"plant": PLANT, "controls": ["u"]}),
@@ -195,16 +255,16 @@ DOORS = [
     (rodlib.law_of, {"trials": RECORD}, {"trials": THING}),
 ]
 # Tested with their own files, or not called by themselves.
-TESTED = """InfeasibleError MISMATCHED Settings Spread TemperatureControlLab alternatives
+TESTED = """InfeasibleError MISMATCHED Settings TemperatureControlLab alternatives
     approximations bernstein_basis expected_radius heat_balance open_workbench plot
     state_sequence try_out unreachable_modes"""
 ELSEWHERE = {*TESTED.split()}
 
 
 def wrong(door):
-    own = door[2] if len(door) > 2 else {}
+    values = WRONG | door[2] if len(door) > 2 else WRONG
     for name in door[1]:
-        for value in (WRONG | own).get(name, THING):
+        for value in values.get(name, THING):
             yield name, value
 
 

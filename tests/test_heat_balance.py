@@ -76,9 +76,3 @@ def test_intervals_hold_the_truth_and_are_as_wide_as_the_noise():
         outside += np.sum((true < table["from"]) | (true > table.to))
     assert outside <= 5
     np.testing.assert_allclose(widths[1] / widths[0], 4, rtol=0.1)
-
-
-def test_too_short_a_record_is_refused():
-    for heaters, name in ((MOVES[:20], "heaters"), (MOVES, "readings")):
-        with pytest.raises(ValueError, match=name):
-            fit_heat_balance(heaters, np.ones((20, 2)), 2.0)

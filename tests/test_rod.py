@@ -31,11 +31,8 @@ def galerkin(rod, degree):
         stiffness = stiffness + np.einsum("n,ni,nj->ij", w, slopes, slopes)
         load[:, i] = w @ values / (section * rod.width * rod.height)
         load[:, -1] += rod.kappa_2 * (w @ values)
-    A = (
-        -np.linalg.solve(mass, rod.conductivity * stiffness + rod.kappa_2 * mass)
-        / rod.kappa_1
-    )
-    return A, np.linalg.solve(mass, load) / rod.kappa_1
+    A = np.linalg.solve(mass, -rod.conductivity * stiffness - rod.kappa_2 * mass)
+    return A / rod.kappa_1, np.linalg.solve(mass, load) / rod.kappa_1
 
 
 @pytest.mark.parametrize("degree", [1, 5])
@@ -48,13 +45,10 @@ def test_midr_is_galerkins_method_on_the_same_polynomials(degree):
 
 def test_slow_modes_are_those_of_the_analytic_rod():
     rod = Rod()
-    n = np.arange(5)
-    exact = (
-        -(rod.kappa_2 + rod.conductivity * (n * np.pi / rod.length) ** 2) / rod.kappa_1
-    )
+    waves = np.arange(5) * np.pi / rod.length
+    exact = -(rod.kappa_2 + rod.conductivity * waves**2) / rod.kappa_1
     model, fine = (np.sort(midr(rod, n).poles().real)[:-6:-1] for n in (3, 8))
-    four_decimals = 5e-5
-    np.testing.assert_allclose(model, exact, rtol=0, atol=four_decimals)
+    np.testing.assert_allclose(model, exact, rtol=0, atol=5e-5)  # four decimals
     np.testing.assert_allclose(fine, exact, rtol=1e-9)
     assert np.all(model <= exact * (1 - 1e-9))  # Rayleigh and Ritz: never to the right
 
@@ -78,28 +72,6 @@ def test_error_of_the_cubic_model_is_what_was_found_independently(omega, printed
     model = frequency_response(midr(Rod()), [omega])[0][:, columns]
     error = np.linalg.norm(model - exact, 2) / np.linalg.norm(exact, 2)
     assert error == pytest.approx(printed, rel=0.1)
-
-
-def test_exact_response_solves_the_boundary_value_problem():
-    """Second differences of theta(z) obey lambda theta'' = (kappa_1 s + kappa_2) theta - mu."""
-    step = 1e-3
-    middle = 0.123
-    rod = Rod(sensors=(middle - step, middle, middle + step, 0.0, step))
-    s = 1j * 0.01
-    theta = exact_response(rod, [s])[0]
-    curvature = (theta[0] - 2 * theta[1] + theta[2]) / step**2
-    source = np.zeros(5, dtype=complex)
-    source[1] = 4 / (rod.width * rod.height * rod.length)
-    source[4] = rod.kappa_2
-    residual = (
-        rod.conductivity * curvature
-        - (rod.kappa_1 * s + rod.kappa_2) * theta[1]
-        + source
-    )
-    assert np.abs(residual).max() < 1e-4 * np.abs(source).max()
-    assert (
-        np.abs(theta[4] - theta[3]).max() < 1e-4 * np.abs(theta).max()
-    )  # insulated: no slope
 
 
 def test_exact_response_neither_overflows_nor_misses_its_pole():
@@ -159,30 +131,6 @@ def test_any_rod_is_stable_and_follows_the_air(rod, degree):
     at_rest = frequency_response(model, [0.0])[0]
     np.testing.assert_allclose(at_rest[:, -1], 1, rtol=1e-8)
     np.testing.assert_allclose(exact_response(rod, [0.0])[0].real[:, -1], 1, rtol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("length", -1.0),
-        ("conductivity", float("nan")),
-        ("density", "steel"),
-        ("density", 1e12),
-        ("sections", 0),
-        ("sections", 1001),
-        ("sensors", (0.1, 0.5)),
-        ("sensors", ()),
-    ],
-)
-def test_bad_rods_are_refused(name, value):
-    with pytest.raises(ValueError, match=name):
-        Rod(**{name: value})
-
-
-@pytest.mark.parametrize("degree", [0, 21, 2.5])
-def test_bad_degrees_are_refused(degree):
-    with pytest.raises(ValueError, match="degree = "):
-        midr(Rod(), degree)
 
 
 @given(MATERIALS, st.floats(-0.02, 1), st.floats(0.001, 1))

@@ -111,27 +111,3 @@ def test_a_rod_with_other_sections_and_one_sensor():
     found = responses(loop, [specimen], omega)[0]
     np.testing.assert_allclose(found, expected, atol=1e-12)
     assert unstable_poles(loop, [specimen]) == [0]
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda loop: Spread(density=1.0), "density"),
-        (lambda loop: Spread(gains=-0.1), "gains"),
-        (lambda loop: Spread.of_all(1.0), "share"),
-        (lambda loop: ALL.specimen(np.zeros(9)), "deviations"),
-        (lambda loop: ALL.specimen([-1.5, *[0] * 9]), "deviations reach 1.5"),
-        (lambda loop: draw(Spread(sensors=0.05), 0), "sensors = 0.05 .* 0.04"),
-        (lambda loop: draw(Spread(), -1), "number"),
-        (lambda loop: responses(loop, [Rod()], [0.1]), "specimens"),
-        (
-            lambda loop: responses(
-                loop, [draw(ALL, 0, nominal=Rod(sections=3))], [0.1]
-            ),
-            "loop .* nominal",
-        ),
-    ],
-)
-def test_wrong_specimens_are_refused(loop, call, message):
-    with pytest.raises(ValueError, match=message):
-        call(loop)

@@ -5,7 +5,7 @@ import pytest
 from distributed import Client
 from hypothesis import given
 from hypothesis import strategies as st
-from plants import modal_model, stage
+from plants import modal_model
 
 from rodlib import (
     Law,
@@ -13,7 +13,6 @@ from rodlib import (
     Rod,
     Spread,
     Study,
-    current_trial_loop,
     draw,
     paper_loop,
     run_trials,
@@ -124,22 +123,3 @@ def test_the_dataset_says_what_it_is(data):
     assert [*data.filter.values] == [*FILTERS] and [*data.trial.values] == [1, 2, 3]
     assert data.rms.attrs["units"] == "K" and data.gamma.attrs["units"] == "1"
     assert data.attrs["spread_sensors"] == 0.3 * 0.04 and data.attrs["root"] == 0
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("loop", current_trial_loop(stage(Ts=1.0), ["F"])),
-        ("Q", zero_phase_butterworth(Ts=2.0)),
-        ("filters", {}),
-        ("spread", 0.2),
-        ("omega", [0.1, 4.0]),
-        ("trials", 0),
-        ("reference", np.zeros((5, 3))),
-    ],
-)
-def test_wrong_parameters_are_refused(name, value):
-    with pytest.raises(ValueError, match=name):
-        replace(SMALL, **{name: value})
-    with pytest.raises(ValueError, match="rods"):
-        SMALL.run(0)

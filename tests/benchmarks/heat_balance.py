@@ -12,7 +12,7 @@ import pandas as pd
 from scipy.signal import lfilter
 
 from rodlib import read_table
-from rodlib.boards import fit_heat_balance, heat_balance
+from rodlib.boards import UNITS, fit_heat_balance, heat_balance
 from rodlib.ilc.models import state_sequence
 from rodlib.paper.repository import ROOT
 
@@ -27,11 +27,9 @@ def held(log, lasts: float, seeds: int, size: float = 0.5) -> np.ndarray:
     pole, within = np.exp(-log.Ts / lasts) if lasts else 0.0, []
     for seed in range(seeds):
         white = np.random.default_rng(seed).standard_normal((len(u) + 500, 2))
-        noise = (
-            size * np.sqrt(1 - pole**2) * lfilter([1], [1, -pole], white, axis=0)[500:]
-        )
-        found = fit_heat_balance(u, 20 + answer + noise, log.Ts).table()
-        within.append((found["from"].values < TRUE) & (found["to"].values > TRUE))
+        noise = lfilter([size * np.sqrt(1 - pole**2)], [1, -pole], white, axis=0)
+        fit = fit_heat_balance(u, 20 + answer + noise[500:], log.Ts).table()
+        within.append((fit["from"].values < TRUE) & (fit.to.values > TRUE))
     return np.mean(within, axis=0)
 
 
@@ -41,11 +39,9 @@ def main(seeds: int) -> pd.DataFrame:
     rows = {}
     for name in ("board-1s.csv", "board-3s.csv"):
         log = read_table(ROOT / "data" / "tclab" / name, **NAMED)
-        rows |= {
-            (name, f"{lasts:g} s"): held(log, lasts, seeds) for lasts in (0.0, 60.0)
-        }
-    columns = ["gain_1", "gain_2", "loss", "exchange", "lag"]
-    return pd.DataFrame(rows, columns).T.rename_axis(["heaters of", "noise lasts"])
+        for lasts in (0.0, 60.0):
+            rows[name, f"{lasts:g} s"] = held(log, lasts, seeds)
+    return pd.DataFrame(rows, UNITS).T.rename_axis(["heaters of", "noise lasts"])
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Eleven kinds of plants: what the toolbox is given of each, and what stands on the bench.
+"""Ten kinds of plants: what the toolbox is given of each, and what stands on the bench.
 
 A rig is another plant than the model: parameters are off, by `off` times some ten percent; sensors
 have noise, actuators have limits, and what is not linear is simulated so. whole_way.py uses them.
@@ -60,7 +60,7 @@ class DeadError(Exception):
 
 
 class Driver:
-    """The bench, sample by sample; it dies after so many samples, if it is told to."""
+    """The bench, sample by sample; it dies after so many samples."""
 
     def __init__(self, kind, dies=np.inf):
         self.bench, self.left = kind.bench, dies
@@ -132,19 +132,26 @@ def flow(f, Ts, steps=1):
     return step
 
 
-def of_model(model, noise, limits=None):
-    """A bench whose dynamics are those of a model in discrete time."""
+def of_model(model, Ts, noise, limits=None):
+    """A bench whose dynamics are those of a linear model."""
+    model = control.ss(model)
+    model = model if model.dt else control.sample_system(model, Ts)
     A, B, C = model.A, model.B, model.C
-    return Plant(
-        len(A), lambda x, u: A @ x + B @ u, lambda x: C @ x, noise, limits or {}
-    )
+    step, output = lambda x, u: A @ x + B @ u, lambda x: C @ x
+    return Plant(len(A), step, output, noise, limits or {})
+
+
+def our_loop(plant, Ts, commands, outputs, **weights):
+    """The loop that a user closes around the linear model of a plant, from sizes of its signals."""
+    model = plant.linear(Ts, [*commands], [*outputs])
+    return current_trial_loop(model, sizes=commands | outputs, **weights)
 
 
 def tanks(off):
     """Three tanks in a row, a pump each that gives 52 ml/s at most; outlets as Torricelli says."""
-    Ts, pumps, levels = 2.0, ["pump A", "pump B", "pump C"], ["left", "middle", "right"]
+    Ts, pumps = 2.0, ["pump A", "pump B", "pump C"]
 
-    def plant(area, pipe, outlet):
+    def plant(area=150.0, pipe=12.0, outlet=1.0):
         between = pipe * np.array([[-1.0, 1, 0], [1, -2, 1], [0, 1, -1]])
 
         def flows(x, u):  # about a level of 20 cm
@@ -154,71 +161,51 @@ def tanks(off):
         limits = dict.fromkeys(pumps, (-15.0, 12.0))
         return Plant(3, flow(flows, Ts), lambda x: x, 0.02, limits)
 
-    model = plant(150.0, 12.0, 1.0).linear(Ts, pumps, levels)
-    loop = current_trial_loop(
-        model, sizes=dict.fromkeys(levels, 5.0) | dict.fromkeys(pumps, 20.0)
-    )
-    bench = plant(
-        150.0 * (1 + 0.1 * off), 12.0 * (1 - 0.15 * off), 1.0 * (1 + 0.15 * off)
-    )
+    levels = dict.fromkeys(["left", "middle", "right"], 5.0)
+    loop = our_loop(plant(), Ts, dict.fromkeys(pumps, 20.0), levels)
+    bench = plant(150 * (1 + 0.1 * off), 12 * (1 - 0.15 * off), 1 + 0.15 * off)
     return Kind(loop, bench, bump(300, [5.0, 4.5, 4.8]), 0.1, homes=False)
 
 
 def column(off):
     """Skogestad's distillation column: it answers to one direction a hundred times as much."""
-    Ts, names = 60.0, ["top", "bottom"]
-    gains = np.array([[0.878, -0.864], [1.082, -1.096]])
+    Ts, gains = 60.0, np.array([[0.878, -0.864], [1.082, -1.096]])
 
-    def plant(minutes, actuators):
-        T = 60.0 * minutes
-        return control.sample_system(
-            control.ss(-np.eye(2) / T, gains @ np.diag(actuators) / T, np.eye(2), 0,
-                       inputs=["reflux", "boilup"], outputs=names), Ts,
-        )  # fmt: skip
+    def plant(error):
+        T = 75 * 60 * (1 + 0.1 * error)
+        B = gains @ np.diag([1 + 0.1 * error, 1 - 0.1 * error]) / T
+        return of_model(control.ss(-np.eye(2) / T, B, np.eye(2), 0), Ts, 0.005)
 
-    sizes = dict.fromkeys(names, 1.0) | {"reflux": 20.0, "boilup": 20.0}
-    loop = current_trial_loop(plant(75.0, [1.0, 1.0]), sizes=sizes)
-    bench = of_model(
-        plant(75.0 * (1 + 0.1 * off), [1 + 0.1 * off, 1 - 0.1 * off]), 0.005
-    )
-    return Kind(loop, bench, bump(400, [1.0, -0.5]), 0.1 / Ts, {"structure": "full"})
+    actuators = {"reflux": 20.0, "boilup": 20.0}
+    loop = our_loop(plant(0), Ts, actuators, {"top": 1.0, "bottom": 1.0})
+    reference = bump(400, [1.0, -0.5])
+    return Kind(loop, plant(off), reference, 0.1 / Ts, {"structure": "full"})
 
 
 def piezo(off):
     """A piezo at 10 kHz, a resonance at 800 Hz, damping 0.02; the target runs our controller."""
     Ts = 1e-4
 
-    def plant(w, damping):
-        model = control.ss(
-            [[0, 1], [-(w**2), -2 * damping * w]], [[0], [w**2]], [[1, 0]], 0
-        )
-        return control.sample_system(model, Ts)
+    def plant(w):
+        model = control.ss([[0, 1], [-(w**2), -0.04 * w]], [[0], [w**2]], [[1, 0]], 0)
+        return of_model(model, Ts, 1e-3, {"V": (-10.0, 10.0)})
 
-    model = plant(2 * np.pi * 800, 0.02)
-    model = control.ss(model, inputs=["V"], outputs=["um"])
-    loop = current_trial_loop(model, sizes={"um": 1.0, "V": 1.0})
-    bench = of_model(
-        plant(2 * np.pi * 800 * (1 - 0.05 * off), 0.02), 1e-3, {"V": (-10.0, 10.0)}
-    )
+    w = 2 * np.pi * 800
+    loop = our_loop(plant(w), Ts, {"V": 1.0}, {"um": 1.0})
+    bench = plant(w * (1 - 0.05 * off))
     return Kind(loop, bench, bump(600, [2.0]), 2 * np.pi * 300, whole=True)
 
 
 def furnace(off):
     """A valve, a lag, and a pipe of 30 samples to the thermometer."""
-    Ts, samples = 1.0, 30
 
-    def plant(gain, pole, delay):
-        numerator, denominator = (
-            [gain * (1 - pole)],
-            np.append([1.0, -pole], np.zeros(delay)),
-        )
-        model = control.ss(control.tf(numerator, denominator, Ts))
-        return control.ss(model, inputs=["valve"], outputs=["outlet"])
+    def plant(gain=4.0, delay=30):
+        denominator = [1.0, -0.95, *np.zeros(delay)]
+        return of_model(control.tf([0.05 * gain], denominator, 1.0), 1.0, 0.01)
 
     # By the default weights the loop bears one sample of delay more: the error says "a larger Ro".
-    sizes = {"outlet": 4.0, "valve": 1.0}
-    loop = current_trial_loop(plant(4.0, 0.95, samples), sizes=sizes, Ro=[[1600.0]])
-    bench = of_model(plant(4.0 * (1 + 0.1 * off), 0.95, samples + round(2 * off)), 0.01)
+    loop = our_loop(plant(), 1.0, {"valve": 1.0}, {"outlet": 4.0}, Ro=[[1600.0]])
+    bench = plant(4 * (1 + 0.1 * off), 30 + round(2 * off))
     return Kind(loop, bench, bump(500, [5.0]), 0.05, {"order": 60}, homes=False)
 
 
@@ -226,18 +213,17 @@ def motor(off):
     """A motor with inertia, known from an ARX fit to a noisy step test."""
     Ts, random = 0.01, np.random.default_rng(3)
 
-    def plant(inertia, friction):
+    def plant(inertia=2e-4, friction=1e-4):
         def flows(x, u):  # speed, current; R = 1 ohm, L = 5 mH, k = 0.05
-            return np.array([(0.05 * x[1] - friction * x[0]) / inertia,
-                             (u[0] - x[1] - 0.05 * x[0]) / 0.005])  # fmt: skip
+            torque, voltage = 0.05 * x[1] - friction * x[0], u[0] - x[1] - 0.05 * x[0]
+            return np.array([torque / inertia, voltage / 0.005])
 
         return Plant(2, flow(flows, Ts, 4), lambda x: x[:1], 0.05, {"V": (-24.0, 24.0)})
 
-    own = plant(2e-4, 1e-4)
     x, u, y = np.zeros(2), np.repeat(random.choice([-6.0, 6.0], 100), 10), []
-    for volts in u:
+    for voltage in u:
         y.append(x[0] + 0.05 * random.standard_normal())
-        x = own.step(x, np.array([volts]))
+        x = plant().step(x, [voltage])
     y = np.array(y)
     past = np.column_stack([y[1:-1], y[:-2], u[1:-1], u[:-2]])
     a1, a2, b1, b2 = np.linalg.lstsq(past, y[2:], rcond=None)[0]
@@ -247,47 +233,20 @@ def motor(off):
     return Kind(loop, bench, bump(200, [150.0]), 40.0)
 
 
-def zones(off):
-    """Two rooms with heavy walls, a heater of 3 kW each, a sample a minute."""
-    Ts, heaters, rooms = 60.0, ["heater A", "heater B"], ["room A", "room B"]
-
-    def plant(air, wall, coupling):
-        def flows(x, u):  # rooms, walls; K, W
-            room, inside = x[:2], x[2:]
-            into = 150.0 * (inside - room) + coupling * (room[::-1] - room)
-            return np.concatenate(
-                [
-                    (u + into - 20.0 * room) / air,
-                    (-150.0 * (inside - room) - 60.0 * inside) / wall,
-                ]
-            )
-
-        limits = dict.fromkeys(heaters, (-1000.0, 2000.0))  # about 1 kW
-        return Plant(4, flow(flows, Ts), lambda x: x[:2], 0.02, limits)
-
-    model = plant(2e5, 5e6, 40.0).linear(Ts, heaters, rooms)
-    sizes = dict.fromkeys(rooms, 3.0) | dict.fromkeys(heaters, 1000.0)
-    loop = current_trial_loop(model, sizes=sizes)
-    bench = plant(2e5 * (1 + 0.2 * off), 5e6 * (1 + 0.2 * off), 40.0 * (1 + 0.3 * off))
-    return Kind(loop, bench, bump(480, [3.0, 2.0]), 0.1 / Ts)
-
-
 def levitation(off):
     """A ball under a magnet, held by a PD of its own, so that P(0) is not one."""
-    Ts, g, gap, current = 1e-3, 9810.0, 10.0, 1.0  # s, mm/s2, mm, A
+    Ts, g, gap = 1e-3, 9810.0, 10.0  # s, mm/s2, mm
 
-    def plant(
-        force,
-    ):  # of the magnet; the current is trimmed so that the ball hangs at the gap
+    def plant(force):  # of the magnet; at its trim the current holds the ball
         def flows(x, u):  # mm, downwards, and mm/s; w moves the set point
-            i = current / np.sqrt(force) + 0.25 * (x[0] - u[0]) + 0.004 * x[1]
-            pull = force * (i / current * gap / max(gap + x[0], 1.0)) ** 2
+            current = 1 / np.sqrt(force) + 0.25 * (x[0] - u[0]) + 0.004 * x[1]
+            pull = force * (current * gap / max(gap + x[0], 1.0)) ** 2
             return np.array([x[1], g * (1 - pull)])
 
         return Plant(2, flow(flows, Ts, 2), lambda x: x[:1], 2e-3, {"w1": (-5.0, 5.0)})
 
-    P = plant(1.0).linear(Ts, ["w1"], ["gap"])
-    return Kind(ClosedLoop(P), plant(1 + 0.15 * off), bump(400, [2.0]), 60.0)
+    loop = ClosedLoop(plant(1.0).linear(Ts, ["w1"], ["gap"]))
+    return Kind(loop, plant(1 + 0.15 * off), bump(400, [2.0]), 60.0)
 
 
 def plc(off):
@@ -295,14 +254,11 @@ def plc(off):
     Ts, ovens = 0.5, ["oven A", "oven B"]
 
     def plant(gain, lag):
-        def step(x, w):  # two lags, an integrator for each
+        def step(x, w):  # two lags, an integrator for each, which does not wind up
             T, before, integral = x[:2], x[2:4], x[4:]
-            e = w - T
-            asked = 3.0 * e + integral
-            u = np.clip(asked, -30.0, 70.0)
-            integral = integral + np.where(
-                u == asked, 3.0 * Ts / 15.0 * e, 0.0
-            )  # no windup
+            wanted = 3.0 * (w - T) + integral
+            u = np.clip(wanted, -30.0, 70.0)
+            integral = integral + (u == wanted) * 3.0 * Ts / 15.0 * (w - T)
             heat = gain * (u + 0.2 * u[::-1])
             T = T + Ts / lag * (before - T)
             return np.concatenate([T, before + Ts / 3.0 * (heat - before), integral])
@@ -310,80 +266,69 @@ def plc(off):
         return Plant(6, step, lambda x: x[:2], 0.02)
 
     loop = ClosedLoop(Ts=Ts, outputs=ovens, units=dict.fromkeys(ovens, "K"))
-    then = Kind(loop, plant(1.0, 20.0), np.zeros((1, 2)), 0.2, whole=True)
+    shaken = Kind(loop, plant(1.0, 20.0), np.zeros((1, 2)), 0.2, whole=True)
     excitation = multisine(loop, 0.02, 1.5, 2.0, 2.0)
-    P = measured_response(shake(driver(then), loop, excitation))
-    now = plant(1.0 - 0.1 * off, 20.0 * (1 + 0.1 * off))
-    return Kind(loop, now, bump(300, [10.0, 6.0]), 0.2, P=P, whole=True)
+    P = measured_response(shake(driver(shaken), loop, excitation))
+    bench = plant(1.0 - 0.1 * off, 20.0 * (1 + 0.1 * off))
+    return Kind(loop, bench, bump(300, [10.0, 6.0]), 0.2, P=P, whole=True)
 
 
 def table(off):
     """A stage under its own controller, measured up to 100 of 500 Hz; above is a resonance."""
-    Ts = 1e-3
+    Ts, w, s = 1e-3, 2 * np.pi * 30, control.tf("s")
 
     def plant(w, resonance):
-        s = control.tf("s")
-        rigid = w**2 / (s**2 + 1.2 * w * s + w**2)
-        model = rigid * (
-            0.97 + 0.03 * resonance**2 / (s**2 + 0.02 * resonance * s + resonance**2)
-        )
+        flexible = resonance**2 / (s**2 + 0.02 * resonance * s + resonance**2)
+        model = w**2 / (s**2 + 1.2 * w * s + w**2) * (0.97 + 0.03 * flexible)
         return control.sample_system(control.ss(model), Ts)
 
-    w, resonance, random = 2 * np.pi * 30, 2 * np.pi * 160, np.random.default_rng(5)
+    resonance, random = 2 * np.pi * 160, np.random.default_rng(5)
     omega = 2 * np.pi * np.geomspace(0.5, 100, 150)
     P = frequency_response(plant(w, resonance), omega)[:, 0, 0]
     P = P + 0.003 * (random.standard_normal((2, 150)).T @ [1, 1j])
-    bench = of_model(plant(w * (1 - 0.1 * off), resonance * (1 - 0.05 * off)), 2e-3)
-    loop = ClosedLoop(Ts=Ts, outputs=["x"])
-    return Kind(loop, bench, bump(400, [5.0]), 2 * np.pi * 30, P=control.frd(P, omega))
+    model = plant(w * (1 - 0.1 * off), resonance * (1 - 0.05 * off))
+    loop, P = ClosedLoop(Ts=Ts, outputs=["x"]), control.frd(P, omega)
+    return Kind(loop, of_model(model, Ts, 2e-3), bump(400, [5.0]), w, P=P)
 
 
 def gantry(off):
     """Two axes with dry friction, which their models do not have."""
-    Ts, forces, axes = 1e-3, ["F x", "F y"], ["x", "y"]
+    Ts, forces, mass = 1e-3, ["F x", "F y"], np.array([8.0, 3.0])
+    limits = dict.fromkeys(forces, (-80.0, 80.0))
 
-    def plant(mass, dry, limit=80.0):
+    def plant(error, dry):
         def flows(x, u):  # mm, mm/s, N
-            friction = dry * np.tanh(x[2:] / 1.0) + np.array([20.0, 10.0]) * x[2:] / 1e3
-            return np.concatenate([x[2:], 1e3 * (u - friction) / mass])
+            friction = dry * np.tanh(x[2:]) + np.array([20.0, 10.0]) * x[2:] / 1e3
+            force = (u - friction) / (mass * (1 + 0.1 * error))
+            return np.concatenate([x[2:], 1e3 * force])
 
-        limits = dict.fromkeys(forces, (-limit, limit))
         return Plant(4, flow(flows, Ts, 2), lambda x: x[:2], 1e-3, limits)
 
-    mass = np.array([8.0, 3.0])
-    loop = current_trial_loop(
-        plant(mass, 0.0).linear(Ts, forces, axes),
-        sizes=dict.fromkeys(axes, 1.0) | dict.fromkeys(forces, 40.0),
-    )
-    bench = plant(mass * (1 + 0.1 * off), np.array([4.0, 2.0]) * off)
-    sliding = plant(mass * (1 + 0.1 * off), 0.0)
+    sizes = dict.fromkeys(forces, 40.0), {"x": 1.0, "y": 1.0}
+    loop = our_loop(plant(0, 0.0), Ts, *sizes)
+    bench, sliding = plant(off, np.array([4.0, 2.0]) * off), plant(off, 0.0)
     return Kind(loop, bench, bump(500, [20.0, 10.0]), 60.0, linear=sliding)
 
 
 def pendulum(off):
-    """An inverted pendulum that shall lean by 0.8 rad and come back."""
-    Ts = 0.01
+    """An inverted pendulum that has to lean by 0.8 rad and come back."""
+    Ts, limits = 0.01, {"torque": (-10.0, 10.0)}
 
-    def plant(mass, length):
+    def plant(mass=1.0, length=0.5):
         def flows(x, u):
-            inertia = mass * length**2
-            turn = mass * 9.81 * length * np.sin(x[0]) + u[0] - 0.05 * x[1]
-            return np.array([x[1], turn / inertia])
+            torque = mass * 9.81 * length * np.sin(x[0]) + u[0] - 0.05 * x[1]
+            return np.array([x[1], torque / (mass * length**2)])
 
-        return Plant(
-            2, flow(flows, Ts), lambda x: x[:1], 1e-3, {"torque": (-10.0, 10.0)}
-        )
+        return Plant(2, flow(flows, Ts), lambda x: x[:1], 1e-3, limits)
 
-    model = plant(1.0, 0.5).linear(Ts, ["torque"], ["angle"])
-    loop = current_trial_loop(model, sizes={"angle": 0.5, "torque": 5.0})
-    return Kind(
-        loop, plant(1 + 0.1 * off, 0.5 * (1 + 0.05 * off)), bump(300, [0.8]), 6.0
-    )
+    loop = our_loop(plant(), Ts, {"torque": 5.0}, {"angle": 0.5})
+    bench = plant(1 + 0.1 * off, 0.5 * (1 + 0.05 * off))
+    return Kind(loop, bench, bump(300, [0.8]), 6.0)
 
 
 KINDS = {
-    f.__name__: f
-    for f in (
-        tanks, column, piezo, furnace, motor, zones, levitation, plc, table, gantry, pendulum,
+    kind.__name__: kind
+    for kind in (
+        tanks, column, piezo, furnace, motor, levitation, plc, table, gantry, pendulum,
     )
 }  # fmt: skip

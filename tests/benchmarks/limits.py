@@ -1,114 +1,75 @@
 """Which solver for the quadratic program of a trial within limits? `make solvers` prints a table.
 
-The program is that of `rodlib.ilc.law.limits`, as it hands it to PIQP; the same matrices go to
-PIQP with its solver for stages, to Clarabel and to OSQP. Time is the least of three runs, setup
-included; what is beyond a limit and the distance of v from PIQP's are in W and K for the rod.
+The program is that of `rodlib.ilc.law.limits`, as it hands it to PIQP; CVXPY hands the same
+matrices to PIQP with either of its factorisations, to Clarabel and to OSQP. Time is the solver's
+own; what is beyond a limit and the distance from the first solver's commands are in W.
 """
 
-import time
+from unittest.mock import patch
 
-import clarabel
+import cvxpy as cp
 import numpy as np
-import osqp
 import piqp
-from scipy import sparse
+from runner import table
 
 from rodlib import Law, LearningFilter, paper_loop, run_trials, zero_phase_butterworth
 from rodlib.case import assumed_reference
 from rodlib.paper import published
 
-given = []  # what was handed to PIQP
+PIQP = {"solver": "PIQP", "compute_timings": True}
+SOLVERS = {
+    "PIQP": PIQP,
+    "PIQP, by stages": PIQP | {"kkt_solver": piqp.KKTSolver.sparse_multistage},
+    "Clarabel": {"solver": "CLARABEL"},
+    "OSQP, to 1e-6": {"solver": "OSQP", "eps_abs": 1e-6, "eps_rel": 1e-6},
+}
+TITLES = ["solver", "time (s)", "beyond (W)", "distance (W)"]
 
 
-class Spy(piqp.SparseSolver):
-    """PIQP, and what it is asked."""
-
-    def setup(self, *arguments):
-        given[:] = arguments
-        super().setup(*arguments)
+class Setup(Exception):
+    """What PIQP is asked to set up."""
 
 
-def trial(limits):
-    """The second trial of the rod: the program between the first and it."""
+def program(limits):
+    """The program between the first and the second trial of the rod, as PIQP gets it."""
+
+    class Solver:
+        def setup(self, *matrices):
+            raise Setup(*matrices)
+
     loop, Q = paper_loop(), zero_phase_butterworth()
     L = LearningFilter(published.matrix("L_diagonal"), 1.0)
     run = run_trials(loop, Law(Q, None, limits=limits), assumed_reference(), trials=1)
-    original, piqp.SparseSolver = piqp.SparseSolver, Spy
-    try:
-        v, e, u = (run[name].values[0] for name in ("v", "e", "u"))
-        Law(Q, L, limits=limits, loop=loop).next(v, e, u)
-    finally:
-        piqp.SparseSolver = original
+    v, e, u = (run[name].values[0] for name in ("v", "e", "u"))
+    with patch.object(piqp, "SparseSolver", Solver):
+        try:
+            Law(Q, L, limits=limits, loop=loop).next(v, e, u)
+        except Setup as setup:
+            return setup.args
 
 
-def by_piqp(backend):
-    """With a factorisation of the whole matrix, or of one stage after the other."""
-
-    def solve(*program):
-        solver = piqp.SparseSolver()
-        solver.settings.kkt_solver = backend
-        solver.setup(*program)
-        return str(solver.solve()), solver.result.x
-
-    return solve
-
-
-def by_clarabel(H, c, F, b, G, low, high):
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    A = sparse.csc_matrix(sparse.vstack([F, G, -G]))
-    cones = [clarabel.ZeroConeT(len(b)), clarabel.NonnegativeConeT(2 * len(low))]
-    given = (
-        sparse.csc_matrix(sparse.triu(H)),
-        c,
-        A,
-        np.concatenate([b, high, -low]),
-        cones,
-    )
-    solution = clarabel.DefaultSolver(*given, settings).solve()
-    return str(solution.status), np.array(solution.x)
-
-
-def by_osqp(H, c, F, b, G, low, high):
-    solver = osqp.OSQP()
-    A = sparse.csc_matrix(sparse.vstack([F, G]))
-    bounds = np.concatenate([b, low]), np.concatenate([b, high])
-    accuracy = {"eps_abs": 1e-6, "eps_rel": 1e-6, "max_iter": 20000}
-    H = sparse.csc_matrix(sparse.triu(H))
-    solver.setup(H, c, A, *bounds, verbose=False, **accuracy)
-    result = solver.solve()
-    return result.info.status, result.x
-
-
-SOLVERS = {
-    "PIQP": by_piqp(piqp.KKTSolver.sparse_ldlt),
-    "PIQP, by stages": by_piqp(piqp.KKTSolver.sparse_multistage),
-    "Clarabel": by_clarabel,
-    "OSQP, to 1e-6": by_osqp,
-}
+def rows(limits):
+    """A row of the table for each solver."""
+    H, c, F, b, G, G_low, G_high, low, high = program(limits)
+    z = cp.Variable(len(c), bounds=[low, high])
+    cost = cp.quad_form(z, H, assume_PSD=True) / 2 + c @ z
+    rules = [F @ z == b, *([G @ z >= G_low, G @ z <= G_high] if len(G_low) else [])]
+    problem, commands = cp.Problem(cp.Minimize(cost), rules), {}
+    for name, options in SOLVERS.items():
+        problem.solve(**options)
+        seconds = problem.solver_stats.solve_time
+        commands[name] = z.value.reshape(2500, -1)[:, -2:]
+        beyond = np.maximum(low - z.value, z.value - high).max()
+        beyond = max(beyond, *(np.max(rule.violation()) for rule in rules))
+        distance = np.abs(commands[name] - commands["PIQP"]).max()
+        yield [name, f"{seconds:.2f}", f"{beyond:.1e}", f"{distance:.1e}"]
 
 
 def main():
-    """Print the table."""
-    for case, more in (("limits of 20 W", ()), ("and 0.05 W/s", (0.05,))):
-        trial(dict.fromkeys(["Q1", "Q3"], (-20.0, 20.0, *more)))
-        program, reached = list(given), {}
-        print(
-            f"{case}: {program[0].shape[0]} unknowns, {len(program[5])} rows with two limits"
-        )
-        for name, solve in SOLVERS.items():
-            times = []
-            for _ in range(3):
-                start = time.perf_counter()
-                status, z = solve(*program)
-                times.append(time.perf_counter() - start)
-            reached[name] = z.reshape(2500, -1)[:, -2:]
-            rows = program[4] @ z
-            beyond = np.maximum(program[5] - rows, rows - program[6]).max()
-            apart = np.abs(reached[name] - reached["PIQP"]).max()
-            print(
-                f"  {name:16}{min(times):7.2f} s  {beyond:9.1e}  {apart:9.1e}  {status}"
-            )
+    """Print the tables."""
+    for title, slew in (("limits of 20 W", ()), ("and of 0.05 W/s", (0.05,))):
+        limits = dict.fromkeys(["Q1", "Q3"], (-20.0, 20.0, *slew))
+        print(title, table(TITLES, [*rows(limits)]), sep="\n", end="\n\n")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Do the notebooks take other parameters? Each is run with three other settings.
+"""Do the notebooks take other parameters? Each is run with two other settings.
 
 `python tests/benchmarks/parameters.py [03 04 ...]` says of each run how it ends: to the end, in a
 sentence (a parameter is out of its range, or no filter meets the bounds), or in a traceback, which
@@ -12,82 +12,34 @@ import tempfile
 from collections import Counter
 from pathlib import Path
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 import papermill
-
-from rodlib.paper.repository import ROOT
+from runner import ROOT
 
 FEW = {"rods": 20, "simulated": 5, "sampled": 20, "plants": 20}
 SETTINGS = {
-    "01": [{"degree": 1}, {"degree": 4, "Ts": 2.0}, {"degree": 2, "Ts": 0.5}],
-    "02": [
-        {"degree": 4},
-        {"Ts": 0.5, "R_s": 0.5},
-        {"degree": 1, "Q_o": 20.0, "R_o": 10.0},
-    ],
+    "01": [{"degree": 4, "Ts": 2.0}, {"degree": 2, "Ts": 0.5}],
+    "02": [{"Ts": 0.5, "R_s": 0.5}, {"degree": 1, "Q_o": 20.0, "R_o": 10.0}],
     "03": [
-        {"M_max": 0.85},
-        {"order": 5, "L_max": 100.0},
-        {
-            "n_Q": 4,
-            "cutoff": 0.08,
-            "frequencies": 300,
-            "samples": 1500,
-            "band_high": 0.05,
-        },
+        {"M_max": 0.85, "order": 5, "L_max": 100.0},
+        {"n_Q": 4, "cutoff": 0.08, "frequencies": 300, "samples": 1500},
     ],
-    "04": [
-        {"trials": 7},
-        {"trials": 5, "samples": 1000},
-        {"first_disturbed": 9, "M_max": 0.85},
-    ],
-    "05": [{"unmeasured": []}, {"unmeasured": ["theta_a", "Q2"]}, {"seed": 5}],
-    "06": [
-        {"samples": 1500, "rest": 30},
-        {"M_max": 0.85, "noise": 0.1},
-        {"rest": 0, "seed": 2},
-    ],
-    "07": [
-        {"L_max": 5.0},
-        {"Ts": 2.0},
-        {"M_max": 0.85, "frequencies": 150, "trials": 2},
-    ],
+    "04": [{"trials": 5, "samples": 1000}, {"first_disturbed": 9, "M_max": 0.85}],
+    "05": [{"unmeasured": []}, {"unmeasured": ["theta_a", "Q2"], "seed": 5}],
+    "06": [{"samples": 1500, "rest": 30}, {"M_max": 0.85, "noise": 0.1, "rest": 0}],
+    "07": [{"L_max": 5.0, "Ts": 2.0}, {"M_max": 0.85, "frequencies": 150}],
     "08": [
-        {"M_max": 0.85, "evaluations": 6, "seeds": 1},
-        {"L_max": 20.0, "noise": 0.1, "evaluations": 6},
+        {"L_max": 20.0, "noise": 0.1, "evaluations": 6, "seeds": 1},
         {"rest": 0, "frequencies": 40, "searched": 2, "evaluations": 6},
     ],
-    "09": [
-        FEW,
-        FEW | {"spread": 0.3},
-        FEW | {"M_max": 0.85, "cutoff": 0.05, "frequencies": 80},
-    ],
-    "10": [
-        {"trials": 1},
-        {"trials": 2, "hours": 3.0},
-        {"amplitude": 2.0, "frequencies": 150},
-    ],
-    "11": [{"trials": 2}, {"rest": 0, "seed": 2}, {"trials": 3, "rest": 40}],
-    "12": [{"M_max": 0.85}, {"percent": 60.0}, {"L_max": 5.0}],
-    "13": [{"trials": 3}, {"drawn": 20, "seed": 2}, {"cutoff": 0.08, "rest": 40}],
-    "14": [
-        {"limit": 24.0, "trials": 4},
-        {"trials": 5, "rest": 0},
-        {"limit": 16.0, "trials": 4},
-    ],
-    "15": [{"trials": 2, "cells": 48}, {"heat": 0.0}, {"M_max": 0.6, "L_max": 200.0}],
-    "16": [
-        {"trials": 2},
-        {"trials": 3, "resistance": 0.5},
-        {"trials": 4, "stronger": 12.0},
-    ],
-    "17": [
-        {"noise": 0.0, "trials": 3},
-        {"lag": 10.0, "noise": 0.1, "varying": 4},
-        {"trials": 5},
-    ],
+    "09": [FEW | {"spread": 0.3}, FEW | {"M_max": 0.85, "cutoff": 0.05}],
+    "10": [{"trials": 2, "hours": 3.0}, {"amplitude": 2.0, "frequencies": 150}],
+    "11": [{"rest": 0, "seed": 2}, {"trials": 3, "rest": 40}],
+    "12": [{"M_max": 0.85, "percent": 60.0}, {"L_max": 5.0}],
+    "13": [{"drawn": 20, "seed": 2}, {"cutoff": 0.08, "rest": 40}],
+    "14": [{"limit": 24.0, "trials": 4}, {"trials": 5, "rest": 0}],
+    "15": [{"trials": 2, "cells": 48}, {"M_max": 0.6, "L_max": 200.0, "heat": 0.0}],
+    "16": [{"trials": 3, "resistance": 0.5}, {"trials": 4, "stronger": 12.0}],
+    "17": [{"noise": 0.0, "trials": 3}, {"lag": 10.0, "noise": 0.1, "varying": 4}],
 }
 SENTENCES = {"ValueError", "InfeasibleError"}
 WAYS = ("to the end", "in a sentence", "in a traceback")
@@ -115,14 +67,12 @@ def is_a_sentence(error: papermill.PapermillExecutionError) -> bool:
     return error.ename in SENTENCES and bool(ours)
 
 
-def main(wanted: list[str]) -> Counter:
-    """Run all settings of the notebooks whose numbers are given, or of all."""
+def main(numbers: list[str]) -> Counter:
+    """Run all settings of the notebooks with these numbers, or of all."""
     counts = Counter()
-    for number, settings in SETTINGS.items():
-        if wanted and number not in wanted:
-            continue
+    for number in numbers or SETTINGS:
         (path,) = (ROOT / "notebooks").glob(f"{number}-*.ipynb")
-        for parameters in settings:
+        for parameters in SETTINGS[number]:
             ends, said = run(path, parameters)
             counts[ends] += 1
             words = ", ".join(f"{name} = {value}" for name, value in parameters.items())

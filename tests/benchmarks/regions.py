@@ -6,17 +6,15 @@ Some two minutes a kind for 500 records on one core, five of two channels.
 
 import sys
 import warnings
+from functools import partial
 
 import numpy as np
-from scipy.signal import lfilter
+from runner import publish, run, table
+from scipy.signal import freqz, lfilter
 
-from rodlib import Law, LearningFilter, zero_phase_butterworth
-from rodlib.ilc.files import write_whole
+from rodlib import Law, LearningFilter, measured_response, zero_phase_butterworth
 from rodlib.ilc.loop.notes import LogError
-from rodlib.ilc.measurement.estimation import estimated_response
 from rodlib.ilc.trials.run import dataset
-from rodlib.paper.ledger import splice
-from rodlib.paper.repository import ROOT
 
 NOISE = 0.03  # relative to the gain of a plant, where a kind does not say otherwise
 
@@ -25,10 +23,8 @@ def lag(rng):
     """Two lags, sometimes with a zero or a delay, and gain one: numerator and denominator."""
     poles = np.sort(np.exp(-1 / rng.uniform([1, 3], [3, 10])))
     zero = rng.choice([0.0, rng.uniform(-0.9, 0.9), 1.3], p=[0.5, 0.3, 0.2])
-    a, b = (
-        np.poly(poles),
-        np.append(np.zeros(1 + rng.choice([0, 5], p=[0.7, 0.3])), [1, -zero]),
-    )
+    delay = 1 + rng.choice([0, 5], p=[0.7, 0.3])
+    a, b = np.poly(poles), np.append(np.zeros(delay), [1, -zero])
     return b * a.sum() / b.sum(), a
 
 
@@ -60,26 +56,32 @@ def answer(plant, u, rng, start=0.0):
     return lfilter(b, a, u, zi=state)[0]
 
 
-def walk(rng, N):
-    """A drift that nobody knows: a line and a random walk."""
-    return rng.normal(0, 0.3) * np.linspace(0, 1, N) + 0.01 * np.cumsum(
-        rng.standard_normal(N)
-    )
+def white(rng, N, size=NOISE):
+    return size * rng.standard_normal(N)
 
 
-def single(u, y, of="u"):
-    """A log of one trial."""
-    return several(
-        np.atleast_2d(u)[None].swapaxes(1, 2), np.atleast_2d(y)[None].swapaxes(1, 2), of
-    )
+def coloured(rng, N, size=0.02):
+    return lfilter([1], [1, -0.9], white(rng, N, size))
+
+
+def drifting(rng, N):
+    """Noise, and a drift that nobody knows: a line and a random walk."""
+    noise, slope = white(rng, N, NOISE / 2), rng.normal(0, 0.3)
+    return noise + slope * np.linspace(0, 1, N) + np.cumsum(white(rng, N, 0.01))
 
 
 def several(u, y, of="w"):
-    """A log of trials (trial, time, channel)."""
-    names = [f"y{i}" for i in range(y.shape[2])], [f"u{i}" for i in range(y.shape[2])]
-    signals = {"reference": u, "v": 0 * u} | ({"u": u} if of == "u" else {})
-    log = dataset(1.0, names[0], names[1] if of == "u" else [], [], {}, y=y, **signals)
-    return log.drop_vars(["reference", "v", "e"]) if of == "u" else log
+    """A log of trials (trial, time, channel), of a loop or of a plant by itself (of="u")."""
+    outputs, inputs = ([f"{name}{i}" for i in range(y.shape[2])] for name in "yu")
+    if of == "w":
+        return dataset(1.0, outputs, [], [], {}, y=y, reference=u, v=0 * u)
+    log = dataset(1.0, outputs, inputs, [], {}, y=y, reference=u, v=0 * u, u=u)
+    return log.drop_vars(["reference", "v", "e"])
+
+
+def single(u, y, of="u"):
+    """A log of one trial, signals (time,) or (channel, time)."""
+    return several(*(np.atleast_2d(signal).T[None] for signal in (u, y)), of)
 
 
 def learned(rng, trials=8, N=100, start=0.0):
@@ -88,32 +90,30 @@ def learned(rng, trials=8, N=100, start=0.0):
     impulse = answer(plant, np.eye(1, N)[0], rng)
     c = np.zeros((1, 1, 12))
     c[0, 0] = 0.5 * impulse[:12] / np.sum(np.abs(impulse)) / np.abs(impulse).max()
-    L, Q = LearningFilter(c, 1.0), zero_phase_butterworth(2, 1.0, 1.0)
+    law = Law(zero_phase_butterworth(2, 1.0, 1.0), LearningFilter(c, 1.0))
     r = 3 * np.sin(np.pi * np.minimum(np.arange(N) / (0.8 * N), 1)) ** 2
-    disturbance = 0.3 * lfilter([1], [1, -0.9], rng.standard_normal(N))
-    v, w, y = np.zeros((N, 1)), [], []
-    for _ in range(trials):
-        w.append(r[:, None] + v)
-        y.append((answer(plant, w[-1][:, 0], rng, start) + disturbance)[:, None])
-        y[-1] = y[-1] + NOISE * rng.standard_normal((N, 1))
-        v = Law(Q, L).next(v, r[:, None] - y[-1])
-    return several(np.array(w), np.array(y)), [[plant]]
+    disturbance, v = coloured(rng, N, 0.3), np.zeros((N, 1))
+    w, y = np.zeros((2, trials, N))
+    for k in range(trials):
+        w[k] = r + v[:, 0]
+        y[k] = answer(plant, w[k], rng, start) + disturbance + white(rng, N)
+        v = law.next(v, (r - y[k])[:, None])
+    return several(w[..., None], y[..., None]), [[plant]]
 
 
-def open_loop(rng, make=lag, excite=steps, N=100, noise=None, start=0.0, quantum=0.0):
+def open_loop(rng, make=lag, excite=steps, N=100, noise=white, start=0.0, quantum=0):
     """A test of the plant by itself."""
     plant, u = make(rng), excite(rng, N)
-    y = answer(plant, u, rng, start)
-    y = y + (NOISE * rng.standard_normal(N) if noise is None else noise(rng, N))
+    y = answer(plant, u, rng, start) + noise(rng, N)
     return single(u, np.rint(y / quantum) * quantum if quantum else y), [[plant]]
 
 
 def reference(rng, N=100):
     """One trial of a closed loop, whose reference moves, with a disturbance."""
     plant, w = lag(rng), np.cumsum(steps(rng, N) - 0.2) / 20
-    disturbance = 0.05 * lfilter([1], [1, -0.9], rng.standard_normal(N))
-    y = answer(plant, w, rng) + disturbance + NOISE * rng.standard_normal(N)
-    return several(w[None, :, None], y[None, :, None]), [[plant]]
+    disturbance = coloured(rng, N, 0.05)
+    y = answer(plant, w, rng) + disturbance + white(rng, N)
+    return single(w, y, "w"), [[plant]]
 
 
 def two(rng, N=100):
@@ -123,86 +123,77 @@ def two(rng, N=100):
     u = np.array([steps(rng, N), np.roll(steps(rng, N)[::-1], N // 6)])
     u[1] -= u[1, 0]
     y = [sum(answer(p, x, rng) for p, x in zip(row, u, strict=True)) for row in plants]
-    return single(u, np.array(y) + NOISE * rng.standard_normal((2, N))), plants
+    return single(u, np.array(y) + white(rng, (2, N))), plants
 
 
-def coloured(rng, N):
-    return 0.02 * lfilter([1], [1, -0.9], rng.standard_normal(N))
-
-
-def drifting(rng, N):
-    return NOISE / 2 * rng.standard_normal(N) + walk(rng, N)
-
-
-def faint(rng, N):
-    return 0.01 * rng.standard_normal(N)
-
-
+noisy = partial(open_loop, excite=held_noise)
 KINDS = {
     "steps": open_loop,
-    "noise, coloured noise": lambda rng: open_loop(
-        rng, excite=held_noise, noise=coloured
+    "noise, coloured noise": partial(noisy, noise=coloured),
+    "steps, drift": partial(open_loop, noise=drifting),
+    "noise, drift": partial(noisy, noise=drifting),
+    "steps, quantised": partial(
+        open_loop, noise=partial(white, size=0.01), quantum=0.1
     ),
-    "steps, drift": lambda rng: open_loop(rng, noise=drifting),
-    "noise, drift": lambda rng: open_loop(rng, excite=held_noise, noise=drifting),
-    "steps, quantised": lambda rng: open_loop(rng, noise=faint, quantum=0.1),
-    "steps, wrong start": lambda rng: open_loop(rng, start=1.0),
-    "steps, short": lambda rng: open_loop(rng, N=40),
-    "resonance, noise": lambda rng: open_loop(rng, make=resonance, excite=held_noise),
+    "steps, wrong start": partial(open_loop, start=1.0),
+    "steps, short": partial(open_loop, N=40),
+    "resonance, noise": partial(noisy, make=resonance),
     "a reference moves": reference,
     "two channels": two,
     "learning": learned,
-    "learning, 2 trials": lambda rng: learned(rng, trials=2),
-    "learning, starts differ": lambda rng: learned(rng, start=0.3),
+    "learning, 2 trials": partial(learned, trials=2),
+    "learning, starts differ": partial(learned, start=0.3),
 }
 
 
 def response(plants, omega):
     """Of plants as numerators and denominators of 1/z, (n, m, m)."""
-    z = np.exp(-1j * omega)
-    each = [
-        [np.polyval(b[::-1], z) / np.polyval(a[::-1], z) for b, a in row]
-        for row in plants
-    ]
-    return np.moveaxis(np.array(each), 2, 0)
+    rows = [[freqz(b, a, omega)[1] for b, a in row] for row in plants]
+    return np.moveaxis(np.array(rows), 2, 0)
+
+
+def counted(kind, records):
+    """The row of the table for a kind of record."""
+    at_each, jointly, excited, radii, refused = [], [], [], [], 0
+    for seed in range(records):
+        log, plants = KINDS[kind](np.random.default_rng([seed, len(kind)]))
+        try:
+            with warnings.catch_warnings(action="ignore"):
+                P = measured_response(log)
+        except LogError:
+            refused += 1
+            continue
+        truth = response(plants, P.omega)
+        off = np.linalg.norm(P.response - truth, 2, axis=(1, 2))
+        radius, largest = P.radius(0.95), np.linalg.norm(truth, 2, axis=(1, 2)).max()
+        at_each.append(np.mean((off <= radius)[P.known]))
+        regions = [P.radius(confidence, jointly=True) for confidence in (0.9, 0.99)]
+        jointly.append([np.all(off <= region) for region in regions])
+        excited.append(P.known.mean())
+        radii.append(np.median(radius[P.known]) / largest)
+    shares = [f"{share:.1%}" for share in (np.mean(at_each), *np.mean(jointly, axis=0))]
+    size = f"{np.median(radii):.2g}"
+    return [kind, f"{records}", *shares, f"{np.mean(excited):.0%}", size, f"{refused}"]
+
+
+TITLES = [
+    "record",
+    "records",
+    "each, 95 %",
+    "all, 90 %",
+    "all, 99 %",
+    "known",
+    "radius",
+]
 
 
 def main(records, kinds):
     """Count, a row for each kind; of all kinds the table goes to figures/performance.md."""
-    table = [
-        "| record | records | each, 95 % | all, 90 % | all, 99 % | known | radius | refused |"
-    ]
-    table += ["|---|---:|---:|---:|---:|---:|---:|---:|"]
-    print(*table, sep="\n")
-    for kind in kinds:
-        each, every, known, size, refused = [], {0.9: [], 0.99: []}, [], [], 0
-        for seed in range(records):
-            log, plants = KINDS[kind](np.random.default_rng([seed, len(kind)]))
-            try:
-                with warnings.catch_warnings(action="ignore"):
-                    found = estimated_response(log)
-            except LogError:
-                refused += 1
-                continue
-            truth = response(plants, found.omega)
-            off = np.linalg.norm(found.response - truth, 2, axis=(1, 2))
-            each.append(np.mean((off <= found.radius(0.95))[found.known]))
-            for confidence, held in every.items():
-                held.append(np.all(off <= found.radius(confidence, jointly=True)))
-            known.append(found.known.mean())
-            largest = np.linalg.norm(truth, 2, axis=(1, 2)).max()
-            size.append(np.median(found.radius(0.95)[found.known]) / largest)
-        table.append(
-            f"| {kind} | {records} | {np.mean(each):.1%} | {np.mean(every[0.9]):.1%} | "
-            f"{np.mean(every[0.99]):.1%} | {np.mean(known):.0%} | {np.median(size):.2g} | "
-            f"{refused} |"
-        )
-        print(table[-1], flush=True)
-    page = ROOT / "figures" / "performance.md"
+    rows = list(run(partial(counted, records=records), kinds))
+    text = table([*TITLES, "refused"], rows)
+    print(text)
     if kinds == [*KINDS]:
-        write_whole(
-            page, splice(page.read_text(encoding="utf-8"), "regions", "\n".join(table))
-        )
+        publish("regions", text)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Does it work the whole way? Eleven kinds of plants, from a model or a table to a log.
+"""Does it work the whole way? Ten kinds of plants, from a model or a table to a log.
 
 `make plants` runs it and writes its table to figures/performance.md; `whole_way.py furnace 5` shows
 one kind with a rig that is further off, and all that is said. The way is the same for all: a
@@ -8,19 +8,15 @@ a warning or an error that is known says why not. A failure is what does neither
 that nobody meant for a user, a log that does not go on or replay.
 """
 
-import os
 import sys
 import tempfile
 import warnings
 from collections import Counter
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 from kinds import KINDS, DeadError, driver
+from runner import publish, run, table
 
 from rodlib import (
     ClosedLoop,
@@ -31,40 +27,24 @@ from rodlib import (
     zero_phase_butterworth,
 )
 from rodlib.ilc import replay
-from rodlib.ilc.files import write_whole
 from rodlib.ilc.rigs.protocol import RigError
 from rodlib.ilc.trials.run import rms
-from rodlib.paper.ledger import splice
-from rodlib.paper.repository import ROOT
 
-OMEGA = np.geomspace(1e-3, np.pi, 300)  # omega Ts, where P is a model or was measured
 TRIALS, DIES = 10, 0.55  # trials, and after what share of them the first driver dies
-OFF = (
-    1.0,
-    3.0,
-)  # how far the rigs are off: by some ten percent, and by three times that
+# how far the rigs are off: by some ten percent, and by three times that
+OFF = (1.0, 3.0)
 LEARNED, LOUD = 1 / 3, 2.0  # of the first RMS; or times the noise of the sensors
 WORSE = 3.0  # times the best RMS, or the noise: what got worse again has not learned
 WELL = {"learned", "said so"}
 SAYS = {  # what a warning or an error says, in a word or two
-    "beyond the limits": "limits", "more than noise": "error grows", "grows while": "v grows",
-    "contradict": "not the model", "it starts": "start", "not back": "start",
-    "looks as if": "wiring",
-    "of the error in the band": "learns little",
-    "too coarse": "coarse", "may reach": "coarse",
-    "not linear": "not linear",
+    "beyond the limits": "limits", "more than noise": "error grows",
+    "keeps growing": "v grows", "differs from the model": "not the model",
+    "it starts": "start", "not back": "start", "of the error in the band": "learns little",
+    "too coarse": "coarse", "may reach": "coarse", "not linear": "not linear",
     "drifts": "drift", "too far apart": "sparse", "differs from I": "no anchor",
     "nothing can be learned": "not known", "limits of stop": "stopped",
-    "infeasible": "infeasible", "P is singular": "singular",
-    "makes the loop unstable": "unstable", "P is unstable": "unstable",
+    "infeasible": "infeasible", "P is singular": "singular", "loop unstable": "unstable",
 }  # fmt: skip
-
-
-def law_of(kind):
-    """Q and the design, with what the toolbox chooses by itself."""
-    known = kind.loop if kind.P is None else kind.P
-    Q = zero_phase_butterworth(2, kind.cutoff, kind.loop.Ts)
-    return Q, synthesise(known, Q, **{"order": 20} | kind.options)
 
 
 def rate_on_the_rig(kind, design):
@@ -79,20 +59,23 @@ def rate_on_the_rig(kind, design):
 
 
 def go(row, kind, path, trials):
-    """The whole way of one kind; what is found on it goes into the row as it is found."""
-    reference = kind.reference
-    row |= {"channels": len(kind.loop.outputs), "Ts": kind.loop.Ts}
-    row["noise"] = float(np.linalg.norm(kind.bench.noise * np.ones(row["channels"])))
-    _, design = law_of(kind)
+    """The whole way of one kind; each result goes into the row at once."""
+    loop, reference, channels = kind.loop, kind.reference, len(kind.loop.outputs)
+    row |= {"channels": channels, "Ts": loop.Ts}
+    row["noise"] = kind.bench.noise * np.sqrt(channels)
+    Q = zero_phase_butterworth(2, kind.cutoff, loop.Ts)
+    plant = loop if kind.P is None else kind.P
+    design = synthesise(plant, Q, **{"order": 20} | kind.options)
     row |= {"promised": design.certificate.all_M, "design": f"{design}"}
     try:
         row["on the rig"] = rate_on_the_rig(kind, design)
     except ValueError as error:  # no loop that is stable
         row["said"].append(f"{error}")
-    law = kind.loop, design.law(), reference
+    law = design.law()
 
     def recorded(dies=np.inf, path=path):
-        return record(driver(kind, dies), *law, trials=trials, path=path)
+        rig = driver(kind, dies)
+        return record(rig, loop, law, reference, trials=trials, path=path)
 
     try:
         recorded(DIES * trials * len(reference))
@@ -139,9 +122,8 @@ def end_of(row):
     if "failure" in row or "?" in row["words"]:
         return row.get("failure", "said what is not known")
     x, noise = row.get("rms", np.array([np.inf])), row.get("noise", 0.0)
-    if x[-1] < max(LEARNED * x[0], LOUD * noise) and x[-1] < WORSE * max(
-        x.min(), noise
-    ):
+    learned = x[-1] < max(LEARNED * x[0], LOUD * noise)
+    if learned and x[-1] < WORSE * max(x.min(), noise):
         return "learned"
     return "said so" if row["words"] else "silent"
 
@@ -150,16 +132,14 @@ def table_of(rows):
     """The rows as a table in Markdown."""
     titles = ["kind", "off", "channels", "Ts (s)", "rate promised", "on the rig", "RMS of trial 1",
               "of the last", "noise", "said", "end"]  # fmt: skip
-    lines = [f"| {' | '.join(titles)} |", f"|---|{8 * '---:|'}---|---|"]
+    lines = []
     for row in rows:
-        x = row.get("rms", [np.nan])
-        numbers = [row[key] for key in ("off", "channels", "Ts")] + [row["promised"]]
-        numbers += [row.get("on the rig", np.nan), x[0], x[-1], row["noise"]]
+        rig, x = row.get("on the rig", np.nan), row.get("rms", [np.nan])
+        numbers = [row["off"], row["channels"], row["Ts"], row["promised"], rig]
+        numbers += [x[0], x[-1], row["noise"]]
         cells = [f"{value:.3g}" if np.isfinite(value) else "none" for value in numbers]
-        lines.append(
-            f"| {' | '.join([row['kind'], *cells, ', '.join(row['words']), row['end']])} |"
-        )
-    return "\n".join(lines) + "\n"
+        lines.append([row["kind"], *cells, ", ".join(row["words"]), row["end"]])
+    return table(titles, lines)
 
 
 def main(chosen):
@@ -169,15 +149,12 @@ def main(chosen):
         parts = [row.get(key, "") for key in ("design", "summary")]
         print(*parts, *row["said"], f"{row}", sep="\n\n")
         return row["end"] not in WELL
-    names, offs = zip(*((name, off) for off in OFF for name in KINDS), strict=True)
-    with ProcessPoolExecutor() as pool:
-        rows = list(pool.map(outcome, names, offs))
+    rows = list(run(outcome, [*KINDS] * 2, np.repeat(OFF, len(KINDS))))
     ends = Counter(row["end"] for row in rows)
     counts = ", ".join(f"{count} {end}" for end, count in ends.most_common())
-    text = f"{table_of(rows)}\n{len(rows)} ways: {counts}.\n"
+    text = f"{table_of(rows)}\n\n{len(rows)} ways: {counts}.\n"
     print(text)
-    page = ROOT / "figures" / "performance.md"
-    write_whole(page, splice(page.read_text(encoding="utf-8"), "plants", text))
+    publish("plants", text)
     return bool({*ends} - WELL)
 
 

@@ -18,10 +18,10 @@ from rodlib.ilc.logs.reader import (
     MARKS,
     about,
     check_titles,
-    entries_of,
     lines_of,
     numbers,
     numbers_of,
+    rows_of,
     trials_of,
 )
 from rodlib.ilc.loop.notes import LogError
@@ -161,14 +161,14 @@ def read_table(
             title: _unit(entries.columns[place]) for title, place in places.items()
         }
         entries = entries.iloc[:, [*places.values()]].set_axis([*places], axis=1)
-        signals = {}
-        for argument, role in ROLES.items():
-            signal = SIGNALS[argument]
-            if named[argument]:
-                signals[role] = {
-                    name: units.get(name, labels[f"{signal}_{name}"])
-                    for name in named[argument]
-                }
+        signals = {
+            role: {
+                name: units.get(name, labels[f"{SIGNALS[argument]}_{name}"])
+                for name in named[argument]
+            }
+            for argument, role in ROLES.items()
+            if named[argument]
+        }
         if time is not None:
             unit = units.get("time", labels["time"]) or "s"
             entries["time"] = _in_seconds(entries["time"], unit)
@@ -289,7 +289,7 @@ def _entries(lines, asked, gaps):
     body = lines[first:]
     if delimiter == " ":
         body = [" ".join(line.split()) for line in body]
-    entries = entries_of(body, first, width, delimiter, gaps).set_axis(titles, axis=1)
+    entries = rows_of(body, first, width, delimiter, gaps).set_axis(titles, axis=1)
     return entries.map(_with_point) if point == "," else entries
 
 

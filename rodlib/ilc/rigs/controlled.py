@@ -9,7 +9,7 @@ import numpy as np
 
 from rodlib.ilc import arguments
 from rodlib.ilc.law.limits import named_limits
-from rodlib.ilc.loop.closed import CurrentTrialLoop, Loop, check_loop
+from rodlib.ilc.loop.closed import CurrentTrialLoop, Loop
 from rodlib.ilc.rigs.protocol import RigError, StoppedError
 
 LATE = 0.1  # sampling periods that a sample may be off the clock
@@ -289,7 +289,7 @@ def controlled(rig, loop: Loop, decimals) -> ControlledRig:
     """A rig with the controller of its loop, of one of the three kinds."""
     if isinstance(rig, type):
         raise ValueError(f"rig = {rig!r} is a class: make one")
-    check_loop(loop)
+    arguments.instance("loop", loop, Loop)
     methods = {
         name for name in ("read", "apply", "run") if callable(getattr(rig, name, None))
     }

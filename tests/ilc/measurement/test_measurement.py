@@ -24,8 +24,7 @@ from rodlib import (
 )
 from rodlib.ilc import expected_radius, measured_response, multisine, shake
 from rodlib.ilc.law.io import with_law
-from rodlib.ilc.loop.closed import same_loop
-from rodlib.ilc.loop.notes import LogError, loop_of
+from rodlib.ilc.loop.notes import LogError, loop_note, loop_of
 from rodlib.ilc.measurement.excitation import Excitation, excitation_of, with_excitation
 from rodlib.ilc.measurement.measurement import _estimate
 from rodlib.ilc.measurement.region import radius_of
@@ -231,7 +230,7 @@ def test_shaking_is_logged_and_gone_on_with(loop, short, tmp_path):
         shake(RestartingRig(), loop, replace(short, amplitude=(1.0, 1.0)), path=path)
     shake(RestartingRig(), loop, short, path=path)
     log = load_log(path)
-    assert excitation_of(log) == short and same_loop(loop_of(log), loop)
+    assert excitation_of(log) == short and loop_note(loop_of(log)) == loop_note(loop)
     np.testing.assert_array_equal(log.v, short.signals)
     np.testing.assert_array_equal(log.y, shake(RestartingRig(), loop, short).y)
 
