@@ -152,11 +152,7 @@ def _free_metadata(attributes):
             )
         line = isinstance(value, str) and value.isprintable() and value == value.strip()
         try:
-            metadata[key] = (
-                value
-                if line
-                else json.dumps(value, default=lambda x: np.asarray(x).tolist())
-            )
+            text = value if line else json.dumps(value, default=_as_list)
         except (TypeError, ValueError) as error:
             raise ValueError(f"attribute {key!r} cannot be JSON: {error}") from None
         metadata[key] = text
