@@ -41,6 +41,7 @@ def test_a_law_is_noted_and_read_to_the_last_digit(loop, Q, trials, tmp_path):
     assert plain.attrs.keys() == {"Ts", "Q", "L"}  # defaults are not written
     assert law_of(plain).L is None and law_of(plain).loop is None
     assert law_of(trials) is None
+    assert law_of(with_law(trials, Law(Q, L, rest=29))).rest == 29  # of 30
     operator = NormOptimal(loop.P, 1.0, 30)  # has no coefficients to write
     assert law_of(with_law(trials, Law(Q, operator))) is None
 

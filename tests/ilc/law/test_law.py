@@ -67,6 +67,7 @@ def test_the_first_signal_is_zero_or_given_and_rests():
     assert not law.first(10).any() and law.first(10).shape == (10, 2)
     first = law.first(10, np.ones((10, 2)))
     assert first[:7].all() and not first[7:].any()
+    assert law.first(4, np.ones((4, 2)))[0].all()  # all but one rest
 
 
 def test_a_law_is_bound_to_one_loop():
