@@ -224,22 +224,20 @@ class PeltierRig(Bench):
         wanted = p.known.current(asked, p.temperature, sinks)
         limit = p.element.limit
         self.currents = np.minimum(np.maximum(wanted, -limit), limit)
-        room = p.temperature + self.ambient
         pumped = self._peltier @ self.currents  # 1/s, by absolute temperatures
-        given = self._joule @ self.currents**2 + self._fan * self.ambient
-        given += self._radiation * room**4
-        slopes = self._slopes(self._state, pumped, given)
+        constant = self._joule @ np.square(self.currents) + self._fan * self.ambient
+        constant += self._radiation * (p.temperature + self.ambient) ** 4
+        slopes = constant + self._slopes(self._state, pumped)
         ahead = self._decay @ self._state + self._first @ slopes
-        self._state = ahead + self._second @ (
-            self._slopes(ahead, pumped, given) - slopes
-        )
+        change = constant + self._slopes(ahead, pumped) - slopes
+        self._state = ahead + self._second @ change
         self.time += self.Ts
 
-    def _slopes(self, state, pumped, given):
-        """What is not in the exponentials: K/s of every state."""
+    def _slopes(self, state, pumped):
+        """What changes with the state and is not in the exponentials: K/s of every state."""
         above, hot = state - self.ambient, state + self.parameters.temperature
         lost = self._convection * np.sqrt(np.sqrt(np.abs(above))) * above
-        return given + pumped * hot - lost - self._radiation * np.square(hot * hot)
+        return pumped * hot - lost - self._radiation * np.square(hot * hot)
 
 
 class RestartingPeltierRig(Restarting, PeltierRig):

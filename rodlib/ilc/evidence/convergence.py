@@ -125,7 +125,7 @@ def convergence(P, Q, L: LearningOperator, omega) -> Convergence:
         one: it converges, but may grow before. Of one channel, the two are equal.
     """
     arguments.instance("L", L, LearningOperator)
-    omega = arguments.frequencies("omega", omega, L.Ts)
+    omega = arguments.increasing_frequencies("omega", omega, L.Ts)
     known = plants(P)
     _, responses = on_grid(known, omega, L.Ts)
     _, Q = Q_on_grid(Q, omega, L=L)

@@ -108,7 +108,8 @@ def trial_noise(
         Another plant in the place of that of the design, as in :meth:`CurrentTrialLoop.around`.
     """
     arguments.instance("loop", loop, CurrentTrialLoop)
-    omega, m = arguments.frequencies("omega", omega, loop.Ts), len(loop.outputs)
+    omega = arguments.increasing_frequencies("omega", omega, loop.Ts)
+    m = len(loop.outputs)
     sensors = _density("noise_psd", noise_psd, len(omega), m)
     response = frequency_response(with_noise(loop, plant), omega)
     P, G, T = np.split(response, [m, -m], axis=2)

@@ -12,7 +12,7 @@ from rodlib.ilc.problem.problem import Cuts, Problem
 
 CLOSE = 1e-9  # accuracy of dual norms, relative to the largest
 FARTHEST = 40.0  # logarithm of how unequal two weights may be: the smaller is then below rounding
-FAINT = 1e-9  # least eigenvalue of X, relative
+FAINT = 1e-12  # least eigenvalue of X, relative
 
 
 def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None) -> float:
