@@ -207,8 +207,8 @@ def test_cut_short_in_the_middle_it_is_that_of_the_whole_trial(on_stage, monkeyp
 
 def test_in_the_middle_it_is_that_of_trials_without_ends(on_stage, on_tanks):
     for loop, law, omega in (on_stage, on_tanks):
-        noise = noise_on_trial(loop, law, 600, 0.25)
+        noise = noise_on_trial(loop, law, 900, 0.25)
         endless = converged_noise(trial_noise(loop, omega, 0.25), law)
         for name in ("true", "learned"):
             expected = getattr(endless, name).rms
-            np.testing.assert_allclose(noise[name][300], expected, rtol=5e-3)
+            np.testing.assert_allclose(noise[name][450], expected, rtol=5e-3)

@@ -107,6 +107,11 @@ def test_the_bound_from_the_multipliers_of_cvxpy_is_its_optimum_and_others_are_b
     bound = lower_bound(problem, U, V, cuts)
     assert value * (1 - 1e-5) < bound < value * (1 + 1e-7)
     assert lower_bound(problem, U, V) < value / 2  # what the cuts contribute is needed
+    if problem.radius is not None:  # where it is zero, G has no rows below M
+        N = cuts.N.copy()
+        N[cuts.frequency == 1, problem.channels :] += 7
+        other = lower_bound(problem, U, V, replace(cuts, N=N))
+        assert other == pytest.approx(bound, rel=1e-6)
     rng = np.random.default_rng(0)
 
     def wrong(X, share):
