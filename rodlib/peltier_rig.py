@@ -209,23 +209,23 @@ class PeltierRig(Bench):
         heat = arguments.array("heat_flows", heat_flows, self.currents.shape)
         p = self.parameters
         sinks = p.temperature + (self._state[self._sinks] if p.sinks_measured else 0)
-        current, limit = p.known.current(heat, p.temperature, sinks), p.element.limit
-        self.currents = np.minimum(np.maximum(current, -limit), limit)
-        room = p.temperature + self.ambient
+        wanted = p.known.current(heat, p.temperature, sinks)
+        limit = p.element.limit
+        self.currents = np.minimum(np.maximum(wanted, -limit), limit)
         pumped = self._peltier @ self.currents  # 1/s, by absolute temperatures
-        constant = self._joule @ self.currents**2 + self._fan * self.ambient
-        constant += self._radiation * room**4
-        slopes = self._slopes(self._state, pumped, constant)
+        constant = self._joule @ np.square(self.currents) + self._fan * self.ambient
+        constant += self._radiation * (p.temperature + self.ambient) ** 4
+        slopes = constant + self._slopes(self._state, pumped)
         ahead = self._decay @ self._state + self._first @ slopes
-        change = self._slopes(ahead, pumped, constant) - slopes
+        change = constant + self._slopes(ahead, pumped) - slopes
         self._state = ahead + self._second @ change
         self.time += self.Ts
 
-    def _slopes(self, state, pumped, constant):
-        """What is not in the exponentials: K/s of every state."""
+    def _slopes(self, state, pumped):
+        """What changes with the state and is not in the exponentials: K/s of every state."""
         above, hot = state - self.ambient, state + self.parameters.temperature
         lost = self._convection * np.sqrt(np.sqrt(np.abs(above))) * above
-        return constant + pumped * hot - lost - self._radiation * np.square(hot * hot)
+        return pumped * hot - lost - self._radiation * np.square(hot * hot)
 
 
 class RestartingPeltierRig(Restarting, PeltierRig):

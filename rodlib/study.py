@@ -70,7 +70,7 @@ class Study:
             omega = np.geomspace(1e-4, np.pi, 1000) / loop.Ts
         if reference is None:
             reference = assumed_reference()
-        omega = arguments.frequencies("omega", omega, loop.Ts)
+        omega = arguments.increasing_frequencies("omega", omega, loop.Ts)
         shape = ("time", len(loop.outputs))
         reference = arguments.array("reference", reference, shape)
         object.__setattr__(self, "omega", omega)

@@ -109,7 +109,6 @@ def random_response(seed, m, n=30, gain=1.0):
     return P, 1 / (1 + (omega / 0.5) ** 4), omega
 
 
-PUMPS = ["pump A", "pump B", "pump C"]
 LOOPS = {  # with one output, three, and a delay
     "stage": lambda: current_trial_loop(stage(), ["F"], sizes={"x": 1.0, "F": 3.0}),
     "tanks": lambda: current_trial_loop(tanks(), PUMPS),

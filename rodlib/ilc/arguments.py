@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from numbers import Real
 from os import PathLike
 from pathlib import Path
+from typing import get_args
 
 import control
 import numpy as np
@@ -89,15 +90,24 @@ def choice(name: str, value, options: Sequence[str]) -> str:
     return value
 
 
-def instance(name: str, value, kind: type):
-    """An object of the given class."""
+def instance(name: str, value, kind):
+    """An object of the given class, or of one of a union."""
     if not isinstance(value, kind):
         holds = isinstance(getattr(value, "filter", None), kind)
         remedy = f", which is its attribute: pass {name}.filter" if holds else ""
-        raise ValueError(
-            f"{name} = {reprlib.repr(value)} must be a {kind.__name__}{remedy}"
-        )
+        words = " or ".join(each.__name__ for each in get_args(kind) or [kind])
+        raise ValueError(f"{name} = {reprlib.repr(value)} must be a {words}{remedy}")
     return value
+
+
+def different(name: str, value) -> list[str]:
+    """A list of names, each once."""
+    listed = isinstance(value, Sequence) and not isinstance(value, str | bytes)
+    if not (listed and all(isinstance(n, str) for n in value)) or len({*value}) < len(
+        value
+    ):
+        raise ValueError(f"{name} = {reprlib.repr(value)} must be different names")
+    return list(value)
 
 
 def by_name(name: str, value, names: Sequence[str]) -> dict:
@@ -189,7 +199,7 @@ def array(
     """A new array of finite numbers, of a shape such as ``("time", 2)`` or ``(..., "m", "m")``.
 
     A name stands for any size above zero, the same wherever it stands, and an Ellipsis in front
-    for any number of axes. `dtype` is float or complex.
+    for any number of axes. `dtype` is float or complex. True among numbers counts as 1.
     """
     usual = (
         type(value) is np.ndarray
@@ -198,8 +208,6 @@ def array(
     )
     if usual and value.size and np.abs(value).max() <= LARGEST:
         return value.copy()  # as in every sample of an experiment
-    if type(value) is float and not shape and abs(value) <= LARGEST:
-        return np.array(value, dtype)
     try:
         plain = np.asanyarray(value)
     except (TypeError, ValueError):
@@ -210,8 +218,6 @@ def array(
         raise ValueError(
             f"{name} holds values of type {plain.dtype}, but must hold numbers"
         )
-    if _counts_a_flag(value):  # numpy takes True among numbers for one
-        raise ValueError(f"{name} holds True or False, but must hold numbers")
     if plain.dtype.kind == "c" and dtype is float:
         raise ValueError(f"{name} is complex, but must be real")
     if np.ma.is_masked(plain):
@@ -250,19 +256,12 @@ def array(
     )
 
 
-def _counts_a_flag(value):
-    """Whether there is a bool somewhere in a list."""
-    if isinstance(value, list | tuple):
-        return any(map(_counts_a_flag, value))
-    return isinstance(value, bool | np.bool_)
-
-
 def row(name: str, value, dtype: type = float) -> np.ndarray:
     """One or more numbers in a row; a number by itself is a row of one."""
     return array(name, np.atleast_1d(array(name, value, (...,), dtype)), ("n",), dtype)
 
 
-def frequencies(name: str, value, Ts: float) -> np.ndarray:
+def increasing_frequencies(name: str, value, Ts: float) -> np.ndarray:
     """Two or more increasing angular frequencies, rad/s, from zero up to the Nyquist frequency."""
     omega = array(name, value, ("frequency",))
     if len(omega) < 2 or not np.all(np.diff(omega) > 0):

@@ -154,12 +154,12 @@ def controls_first(
 ) -> control.StateSpace:
     """The plant with its inputs in the order controls, disturbances."""
     names = plant.input_labels
-    given = [str(name) for name in controls] if isinstance(controls, Sequence) else []
-    if not given or sorted(given) != sorted(set(given) & set(names)):
+    ordered = arguments.different("controls", controls)
+    if not ordered or not {*ordered} <= {*names}:
         raise ValueError(
             f"controls = {reprlib.repr(controls)} must list different inputs of the plant, {names}"
         )
-    ordered = given + [name for name in names if name not in given]
+    ordered = ordered + [name for name in names if name not in ordered]
     columns = [names.index(name) for name in ordered]
     return control.ss(
         plant.A, plant.B[:, columns], plant.C, plant.D[:, columns], plant.dt,

@@ -18,10 +18,12 @@ SECONDS = {
 }
 
 
-def check(name: str, labels: Mapping[str, str]) -> None:
-    """Check the units of signals, a dict by their names; `name` is that of the dict."""
-    for signal, label in labels.items():
-        arguments.instance(f"{name}[{signal!r}]", label, str)
+def labels(value: Mapping[str, str] | None, signals: Sequence[str]) -> dict[str, str]:
+    """The unit of each of the signals, from a dict of some of them; "" if it is not known."""
+    units = dict.fromkeys(signals, "") | arguments.by_name("units", value, signals)
+    for signal, label in units.items():
+        arguments.instance(f"units[{signal!r}]", label, str)
+    return units
 
 
 def by_unit(units: Sequence[str]) -> dict[str, list[int]]:

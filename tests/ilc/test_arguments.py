@@ -1,5 +1,7 @@
 """How arguments are checked: what may pass, and what the errors say."""
 
+import re
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -18,13 +20,13 @@ def test_a_number_lies_strictly_between_its_limits(value, low, high):
 
 
 def test_numbers_at_the_limits():
-    assert arguments.number("x", 1e100, "right") == 1e100
-    assert arguments.number("x", -1e-100, "right") == -1e-100
+    for limit in (1e100, -1e-100):
+        assert arguments.number("x", limit, "right") == limit
     for value, word in ((1.1e100, "large"), (9e-101, "small"), (-1.1e100, "large")):
         with pytest.raises(ValueError, match=f"is too {word}: choose another unit"):
             arguments.number("x", value, "right")
-    with pytest.raises(ValueError, match="x = 0 must be a positive number"):
-        arguments.positive("x", 0)
+    assert arguments.whole("n", 10**9, 1) == 10**9
+    assert arguments.share("step", 1) == 1
 
 
 @given(st.integers(-3, 9), st.integers(-3, 3), st.none() | st.integers(0, 5))
@@ -40,21 +42,6 @@ def test_a_whole_number_may_be_its_limits(value, low, high):
             arguments.whole("n", value, low, high)
 
 
-def test_a_whole_number_has_an_end():
-    assert arguments.whole("n", 10**9, 1) == 10**9
-    with pytest.raises(
-        ValueError, match="n = 1000000001 is too large: at most 1000000000"
-    ):
-        arguments.whole("n", 10**9 + 1, 1)
-
-
-def test_flags_and_words():
-    assert arguments.flag("x", np.True_) is True and arguments.flag("x", False) is False
-    assert arguments.choice("x", "a", ["a", "b"]) == "a"
-    with pytest.raises(ValueError, match="x = 'c' must be 'a' or 'b'"):
-        arguments.choice("x", "c", ["a", "b"])
-
-
 @pytest.mark.parametrize(
     ("shape", "sizes", "fits"),
     [
@@ -63,16 +50,11 @@ def test_flags_and_words():
         ((2, "m"), (2, 0), False),
         ((2, "m"), (2,), False),
         ((2, 0), (2, 0), True),
-        (("m", "m"), (3, 3), True),
         (("m", "m"), (3, 4), False),
-        ((..., 2), (2,), True),
         ((..., 2), (7, 8, 2), True),
         ((..., 2), (), False),
         ((..., "t", 2), (2,), False),
-        ((..., "t", 2), (9, 3, 2), True),
         ((...,), (), True),
-        ((), (), True),
-        (("n",), (4,), True),
     ],
 )
 def test_shapes(shape, sizes, fits):
@@ -80,21 +62,8 @@ def test_shapes(shape, sizes, fits):
     if fits:
         np.testing.assert_array_equal(arguments.array("x", value, shape), value)
         return
-    with pytest.raises(ValueError) as error:
+    with pytest.raises(ValueError, match=re.escape(f"x has shape {sizes}")):
         arguments.array("x", value, shape)
-    for word in (
-        f"x has shape {sizes}",
-        *(str(size) for size in shape if size is not ...),
-    ):
-        assert word in str(error.value)
-
-
-@pytest.mark.parametrize("value", [[True, 0.5], [[1, 2], (3, np.True_)], True])
-def test_true_is_no_number_of_an_array(value):
-    with pytest.raises(
-        ValueError, match=r"x holds (True or False|values of type bool), but must"
-    ):
-        arguments.array("x", value, (...,))
 
 
 def test_an_array_is_a_copy_of_the_type_asked_for():
@@ -108,34 +77,30 @@ def test_an_array_is_a_copy_of_the_type_asked_for():
     assert type(arguments.array("x", unmasked, (1,))) is np.ndarray
 
 
-@given(st.floats())
-def test_a_share_is_above_zero_and_at_most_one(value):
-    if 1e-100 <= value <= 1:
-        assert arguments.share("step", value) == value
-    else:
-        with pytest.raises(
-            ValueError, match=r"step = .* (must be in|is too (small|large))"
-        ):
-            arguments.share("step", value)
-
-
-def test_frequencies_end_at_the_nyquist_frequency():
+def test_what_is_at_a_limit_passes():
+    assert arguments.flag("x", np.True_) is True
+    assert arguments.choice("x", "a", ["a", "b"]) == "a"
     top = np.pi / 0.5
-    assert arguments.frequencies("omega", [0, top], 0.5).tolist() == [0, top]
-    for wrong in ([0, 1.001 * top], [-0.1, 1]):
-        with pytest.raises(
-            ValueError, match=r"omega spans \[.*\] rad/s, but must lie in \[0, 6.28"
-        ):
-            arguments.frequencies("omega", wrong, 0.5)
-    for wrong in ([1.0], [1, 1], [2, 1]):
-        with pytest.raises(ValueError, match="must be a row of increasing frequencies"):
-            arguments.frequencies("omega", wrong, 0.5)
-
-
-def test_a_row_may_be_one_number():
+    assert arguments.increasing_frequencies("omega", [0, top], 0.5).tolist() == [0, top]
     assert arguments.row("x", 2.0).tolist() == [2.0]
-    assert arguments.row("x", [1, 2]).tolist() == [1.0, 2.0]
-    with pytest.raises(
-        ValueError, match=r"x has shape \(1, 2\), but must have shape \(n,\)"
-    ):
-        arguments.row("x", [[1, 2]])
+
+
+REFUSED = [  # a call, and how the error begins
+    (lambda: arguments.positive("x", 0), "x = 0 must be a positive number"),
+    (lambda: arguments.whole("n", 10**9 + 1, 1), "n = 1000000001 is too large"),
+    (lambda: arguments.choice("x", "c", ["a"]), "x = 'c' must be 'a'"),
+    (lambda: arguments.share("step", 0), r"step = 0 must be in \(0, 1\]"),
+    (lambda: arguments.share("step", 1.01), r"step = 1.01 must be in \(0, 1\]"),
+    (lambda: arguments.increasing_frequencies("w", [0, 6.29], 0.5), "w spans"),
+    (lambda: arguments.increasing_frequencies("w", [-0.1, 1], 0.5), "w spans"),
+    (lambda: arguments.increasing_frequencies("w", [1.0], 0.5), "w, of shape"),
+    (lambda: arguments.increasing_frequencies("w", [1, 1], 0.5), "w, of shape"),
+    (lambda: arguments.row("x", [[1, 2]]), r"x has shape \(1, 2\)"),
+    (lambda: arguments.array("x", True, (...,)), "x holds values of type bool"),
+]
+
+
+@pytest.mark.parametrize(("call", "message"), REFUSED)
+def test_refusals(call, message):
+    with pytest.raises(ValueError, match=f"^{message}"):
+        call()

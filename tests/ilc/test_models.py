@@ -18,9 +18,7 @@ def test_three_modes_are_unreachable_and_two_of_them_unobservable():
     np.testing.assert_allclose(np.sort(observe.real), [-0.4501, -0.0297], atol=5e-5)
 
 
-@pytest.mark.parametrize(
-    ("degree", "states"), [(1, 4), (2, 7), (3, 10), (5, 16), (8, 25)]
-)
+@pytest.mark.parametrize(("degree", "states"), [(1, 4), (3, 10), (8, 25)])
 def test_minimal_realisation_keeps_the_transfer_function(degree, states):
     plant, omega = midr(Rod(), degree), np.geomspace(1e-4, 1, 7)
     minimal = minimal_realisation(plant, ["Q1", "Q3"])
@@ -58,24 +56,19 @@ def test_unreachable_jordan_chain_is_removed():
     assert minimal_realisation(plant, ["u"]).nstates == 1
 
 
-def test_unknown_control_is_refused():
-    with pytest.raises(ValueError, match=r"controls = \['Q1', 'Q9'\] must list"):
-        minimal_realisation(midr(Rod()), ["Q1", "Q9"])
-    with pytest.raises(ValueError, match=r"controls = \['Q1', 'Q1'\] must list"):
-        minimal_realisation(midr(Rod()), ["Q1", "Q1"])
+RESTING = control.ss(-1, [[0.0, 1.0]], 1, 0, inputs=["u", "d"])
+REFUSED = [  # a call, and how the error begins
+    (lambda: minimal_realisation(midr(Rod()), ["Q1", "Q9"]), "controls = "),
+    (lambda: minimal_realisation(midr(Rod()), ["Q1", "Q1"]), "controls = "),
+    (lambda: minimal_realisation(midr(Rod()), []), "controls = "),
+    (lambda: minimal_realisation(RESTING, ["u"]), "controls = .* reach no state"),
+    (lambda: frequency_response(control.ss(0, 1, 1, 0), [1, 0]), "omega has the freq"),
+    (lambda: frequency_response(control.ss(0.5, 1, 1, 0, None), [1]), "system.dt = No"),
+    (lambda: frequency_response(control.ss(0.5, 1, 1, 0, True), [1]), "system.dt = Tr"),
+]
 
 
-def test_controls_that_reach_nothing_are_refused():
-    plant = control.ss(-1, [[0.0, 1.0]], 1, 0, inputs=["u", "d"])
-    with pytest.raises(ValueError, match=r"controls = \['u'\] reach no state"):
-        minimal_realisation(plant, ["u"])
-
-
-def test_a_system_has_no_response_at_its_pole_or_without_a_sampling_period():
-    with pytest.raises(ValueError, match="omega has the frequency of a pole"):
-        frequency_response(control.ss(0, 1, 1, 0), [1.0, 0.0])
-    for dt in (None, True):
-        with pytest.raises(
-            ValueError, match=f"system.dt = {dt} must be 0, or a sampling period"
-        ):
-            frequency_response(control.ss(0.5, 1, 1, 0, dt), [1.0])
+@pytest.mark.parametrize(("call", "message"), REFUSED)
+def test_refusals(call, message):
+    with pytest.raises(ValueError, match=f"^{message}"):
+        call()

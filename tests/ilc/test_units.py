@@ -1,6 +1,6 @@
 import pytest
 
-from rodlib.ilc.units import check, seconds
+from rodlib.ilc.units import labels, seconds
 
 
 def test_a_unit_of_time_is_known_in_seconds():
@@ -11,6 +11,8 @@ def test_a_unit_of_time_is_known_in_seconds():
 
 
 def test_a_unit_is_any_text():
-    check("units", {"level": "fathoms", "flow": ""})
-    with pytest.raises(ValueError, match=r"units\['level'\] = 3"):
-        check("units", {"level": 3})
+    units = labels({"level": "fathoms"}, ["level", "flow"])
+    assert units == {"level": "fathoms", "flow": ""}
+    for wrong in ({"level": 3}, {"depth": "m"}):
+        with pytest.raises(ValueError, match="units"):
+            labels(wrong, ["level"])

@@ -44,7 +44,9 @@ class Certificate:
     problem: Problem
     value: float  # the objective reached
     lower_bound: float  # what no such filter within the bounds can go below
-    nominal: np.ndarray  # (n,): sigma_max(M) of the nominal plant at the frequencies
+    mean_M: (
+        float  # of the nominal plant, see :meth:`Convergence.mean`; NaN without a band
+    )
     worst: WorstCase  # of all plants, within the radius, at each of the frequencies
     peak: Peak  # over all frequencies, without the radius, unknown between the samples
     exact: Peak | None  # of the plants that are models, if Q is one, too
@@ -69,14 +71,6 @@ class Certificate:
         return self.peak.sigma
 
     @property
-    def mean_M(self) -> float:
-        """Mean of sigma_max(M) of the nominal plant over the band, see :meth:`Convergence.mean`."""
-        problem = self.problem
-        design = np.isin(problem.omega, problem.design.omega)
-        omega = problem.omega[design]
-        return float(log_mean(self.nominal[design], omega, problem.band))
-
-    @property
     def proven(self) -> bool:
         """False if P or Q are samples: between them `all_M` is read off splines."""
         return not self.estimated
@@ -94,21 +88,20 @@ class Certificate:
     @property
     def assumptions(self) -> tuple[str, ...]:
         """What P and its radius rest on, and where they are of no use."""
-        problem = self.problem
-        return (*problem.basis, *problem.assumed, *_unusable(problem))
+        return (*self.problem.basis, *self.problem.assumed, *_unusable(self.problem))
 
     @property
     def failures(self) -> list[str]:
         """What does not hold; empty if all does."""
-        return [*self._failures_on_grid(), *self._failures_between()]
+        return list(self._failures())
 
-    def _failures_on_grid(self) -> Iterator[str]:
-        gap, violation = self.tolerances
-        M_max, L_max = self.problem.M_max, self.problem.L_max
+    def _failures(self) -> Iterator[str]:
+        problem, (gap, violation) = self.problem, self.tolerances
+        M_max, L_max = problem.M_max, problem.L_max
         if self.gap > gap:
             yield f"relative duality gap {self.gap:.1e} > {gap:g}"
         if self.grid_M > M_max * (1 + violation):
-            where = f" at its worst ({self._where()})" if self.problem.robust else ""
+            where = f" at its worst ({self._where()})" if problem.robust else ""
             yield f"sigma_max(M){where} = {self.grid_M:.12g} > M_max = {M_max} on the grid"
         if L_max is not None and self.grid_L > L_max * (1 + violation):
             yield f"sigma_max(L) = {self.grid_L:.12g} > L_max = {L_max} on the grid"
@@ -117,11 +110,8 @@ class Certificate:
                 f"sigma_max(L) is {self.passed_L:.12g} times what bounds it between or above the "
                 "frequencies omega"
             )
-
-    def _failures_between(self) -> Iterator[str]:
-        problem, limit = self.problem, 1 + self.tolerances[1] + BETWEEN
-        M_max, L_max = problem.M_max, problem.L_max
         if problem.everywhere:
+            limit = 1 + violation + BETWEEN
             high_M = self.exact is not None and self.exact.sigma > M_max * limit
             high_L = L_max is not None and self.all_L > L_max * limit
             if high_M or high_L:
@@ -260,7 +250,7 @@ class Certificate:
             f"objective {self.value:.7g}, no {problem.structure} filter of order {problem.order}"
             f"{gain} below {self.lower_bound:.7g}"
         )
-        if problem.objective == "sum" and 0 < problem.band[0] < problem.band[1]:
+        if problem.objective == "sum" and np.isfinite(self.mean_M):
             yield f"mean of sigma_max(M) over the band: {self.mean_M:.4f}"
 
 
@@ -287,6 +277,10 @@ def certify(
     response = L.frequency_response(problem.omega_L)
     nominal = largest_singular_values(problem.M(response))
     worst = worst_case(problem, L)
+    mean_M, (low, high) = np.nan, problem.band
+    if 0 < low < high:
+        design = np.isin(problem.omega, problem.design.omega)
+        mean_M = log_mean(nominal[design], problem.omega[design], problem.band)
     exact = proven_peaks(problem, L)
     estimated = estimated_peaks(problem, L, worst.peaks)
     trial = np.nan
@@ -296,7 +290,7 @@ def certify(
         problem=problem,
         value=problem.value(nominal, worst.sigma),
         lower_bound=lower_bound(problem, solution.U, solution.V, solution.cuts),
-        nominal=nominal,
+        mean_M=float(mean_M),
         worst=worst,
         peak=highest([*exact, *estimated]),
         exact=highest(exact),

@@ -1,5 +1,7 @@
 """What a filter does on another plant than that of its design: does it converge, and how fast?"""
 
+from dataclasses import replace
+
 from rodlib.ilc.evidence.convergence import Convergence, from_responses
 from rodlib.ilc.evidence.peak import estimated_peaks, highest, peak_beyond, proven_peaks
 from rodlib.ilc.evidence.robustness import worst_case
@@ -10,23 +12,22 @@ from rodlib.ilc.problem.problem import Problem, tied
 def check(problem: Problem, L: LearningFilter) -> Convergence:
     """How the trials converge with a filter, in units of `scale`, on the plants of a problem."""
     worst = worst_case(problem, L)
-    response = L.frequency_response(problem.omega)
-    on_grid = from_responses(problem.omega, problem.plants, problem.Q, response)
     gamma, at = worst.sigma.max(), problem.omega[tied(worst.sigma).argmax()]
+    proven = proven_peaks(problem, L)
     estimated = estimated_peaks(problem, L, worst.peaks)
     beyond = peak_beyond(problem, L)
-    for peak in (highest(proven_peaks(problem, L)), highest(estimated), beyond):
+    for peak in (highest(proven), highest(estimated), beyond):
         if peak is not None and peak.sigma > gamma * (1 + 1e-8):
             gamma, at = peak.sigma, peak.omega
-    unknown = beyond is not None and beyond.sigma >= 1
-    return Convergence(
-        problem.omega,
-        worst.sigma,
-        float(gamma),
-        float(at),
-        float(on_grid.spectral_radius.max()),
-        responses=on_grid.responses,
+    response = L.frequency_response(problem.omega)
+    on_grid = from_responses(problem.omega, problem.plants, problem.Q, response)
+    return replace(
+        on_grid,
+        sigma=worst.sigma,
+        gamma=float(gamma),
+        at=float(at),
+        spectral_radius=float(on_grid.spectral_radius.max()),
         proven=not estimated and problem.radius is None,
-        uncertain=problem.radius is not None or unknown,
+        uncertain=problem.radius is not None or bool(beyond and beyond.sigma >= 1),
         assumptions=(*problem.basis, *problem.assumed),
     )

@@ -16,8 +16,6 @@ from rodlib.ilc.law.limits import WEIGHT
 from rodlib.ilc.problem.problem import convergence_matrix, largest_singular_values, tied
 from rodlib.ilc.problem.responses import Q_on_grid, on_grid, plants
 
-TOGETHER = 5000  # matrices at once: what fits into the processor's cache
-
 
 class Rate(NamedTuple):
     """Lemma 1's gamma, the largest sigma_max(M), and the frequency (rad/s) where it is."""
@@ -84,10 +82,10 @@ class Convergence:
         weight = arguments.positive("weight", weight)
         P, Q, L = self.responses
         identity = np.eye(P.shape[-1])
-        W = P.conj().swapaxes(-1, -2) @ P + weight * identity
-        root = np.linalg.cholesky(W).conj().swapaxes(-1, -2)
+        effort = np.broadcast_to(np.sqrt(weight) * identity, P.shape)
+        S = np.concatenate([P, effort], axis=-2)  # S^H S = W
         change = Q[:, None, None] * (identity - L @ P)
-        scaled = root @ change @ np.linalg.inv(root)
+        scaled = S @ change @ np.linalg.pinv(S)
         return np.linalg.norm(scaled, 2, axis=(-2, -1)).max(axis=-1)
 
     def __repr__(self):
@@ -127,7 +125,7 @@ def convergence(P, Q, L: LearningOperator, omega) -> Convergence:
         one: it converges, but may grow before. Of one channel, the two are equal.
     """
     arguments.instance("L", L, LearningOperator)
-    omega = arguments.frequencies("omega", omega, L.Ts)
+    omega = arguments.increasing_frequencies("omega", omega, L.Ts)
     known = plants(P)
     _, responses = on_grid(known, omega, L.Ts)
     _, Q = Q_on_grid(Q, omega, L=L)
@@ -148,26 +146,28 @@ def rate(P, Q, L: LearningOperator, omega) -> Rate:
 
 def from_responses(omega, P, Q, L) -> Convergence:
     """As :func:`convergence`, of frequency responses P (n, m, m) or (p, n, m, m), Q and L."""
-    n, m = P.shape[-3:-1]
-    every = P.reshape(-1, n, m, m)
-    sigma, radius = np.empty((2, len(every), n))
-    together = max(1, TOGETHER // n)
-    for k in range(0, len(every), together):
-        part = slice(k, k + together)
-        M = convergence_matrix(every[part], Q, L).reshape(-1, m, m)
-        sigma[part] = largest_singular_values(M).reshape(-1, n)
-        radius[part] = spectral_radii(M).reshape(-1, n)
-    sigma, radius = sigma.reshape(P.shape[:-2]), radius.reshape(P.shape[:-2])
-    at = np.asarray(omega)[tied(sigma.T).argmax(axis=0)]
-    largest = sigma.max(axis=-1), at, radius.max(axis=-1)
-    return Convergence(omega, sigma, *largest, responses=(P, Q, L))
+    sigma, radius = [], []
+    for plant in P.reshape(-1, *P.shape[-3:]):
+        M = convergence_matrix(plant, Q, L)
+        sigma.append(largest_singular_values(M))
+        radius.append(spectral_radii(M))
+    sigma, radius = np.reshape([sigma, radius], (2, *P.shape[:-2]))
+    return Convergence(
+        omega,
+        sigma,
+        gamma=sigma.max(axis=-1),
+        at=np.asarray(omega)[tied(sigma.T).argmax(axis=0)],
+        spectral_radius=radius.max(axis=-1),
+        responses=(P, Q, L),
+    )
 
 
 def log_mean(sigma, omega, band) -> float:
     """Mean over the logarithm of frequency, in the band, of what is known at `omega`."""
-    within = omega[(omega > band[0]) & (omega < band[1])]
-    place = np.log(np.concatenate([band[:1], within, band[1:]]))
-    values = np.interp(place, np.log(np.maximum(omega, band[0] / 2)), sigma)
+    low, high = band
+    within = omega[(omega > low) & (omega < high)]
+    place = np.log([low, *within, high])
+    values = np.interp(place, np.log(np.maximum(omega, low / 2)), sigma)
     return np.trapezoid(values, place) / (place[-1] - place[0])
 
 

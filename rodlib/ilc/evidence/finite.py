@@ -9,7 +9,7 @@ import control
 import numpy as np
 import scipy.sparse.linalg as sparse
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.sparse import diags_array, eye_array
+from scipy.sparse import coo_array, diags_array, eye_array, kron
 
 from rodlib.ilc import arguments
 from rodlib.ilc.filters import ENDS, LearningFilter, ZeroPhaseButterworth
@@ -48,33 +48,42 @@ def trial_operators(
     check_match(P=P, L=L, Q=Q)
     samples = arguments.whole("samples", samples, 1)
 
+    size = samples * m
     length = next_fast_len(2 * samples, real=True)
     spectrum = rfft(impulse_response(P, samples), length, axis=0)
 
-    def P_apply(signal, spectrum=spectrum):
-        product = spectrum @ rfft(signal, length, axis=-2)[..., None]
-        return irfft(product[..., 0], length, axis=-2)[..., :samples, :]
+    def convolved(spectrum, X):
+        signal = rfft(X.reshape(samples, m, -1), length, axis=0)
+        return irfft(spectrum @ signal, length, axis=0)[:samples].reshape(X.shape)
 
-    def P_adjoint(signal):  # the adjoint of a convolution runs backward in time
-        transposed = np.swapaxes(spectrum, -1, -2)
-        return np.flip(P_apply(np.flip(signal, axis=-2), transposed), axis=-2)
+    P_N = _operator(
+        size,
+        lambda X: convolved(spectrum, X),
+        lambda X: convolved(spectrum.conj().swapaxes(1, 2), X),
+    )
 
-    reach, two_sided = Q.decay, replace(Q, ends="zero")
+    reach, without_ends = Q.decay, replace(Q, ends="zero")
+    first, last = ENDS[Q.ends]
 
-    def Q_adjoint(signal):
-        if Q.ends == "zero":  # a symmetric Toeplitz matrix
-            return Q.apply(signal)
-        padding = [(0, 0)] * (signal.ndim - 2) + [(reach, reach), (0, 0)]
-        return _fold(two_sided.apply(np.pad(signal, padding)), reach, reach, Q.ends)
+    def Q_apply(X):
+        return Q.apply(X.reshape(samples, -1)).reshape(X.shape)
 
-    def L_adjoint(signal):
-        out = np.zeros((*signal.shape[:-2], samples + L.order, m))
-        for k in range(1, L.order + 1):
-            out[..., k : k + samples, :] += signal @ L.coefficients[:, :, k - 1]
-        return _fold(out, 0, L.order, L.ends)
+    def Q_adjoint(X):
+        signal = np.pad(X.reshape(samples, -1), [(reach, reach), (0, 0)])
+        signal = without_ends.apply(signal)  # a symmetric matrix
+        inside = signal[reach:-reach].copy()
+        # What lies beyond an end that is held comes from the sample there.
+        if first == "edge":
+            inside[0] += signal[:reach].sum(axis=0)
+        if last == "edge":
+            inside[-1] += signal[-reach:].sum(axis=0)
+        return inside.reshape(X.shape)
 
-    pairs = [(P_apply, P_adjoint), (Q.apply, Q_adjoint), (L.apply, L_adjoint)]
-    return tuple(_operator(apply, adjoint, samples, m) for apply, adjoint in pairs)
+    taps = enumerate(np.moveaxis(L.coefficients, 2, 0), 1)
+    held = ENDS[L.ends][1] == "edge"
+    L_N = sum(kron(_ahead(samples, k, held), C) for k, C in taps)
+    Q_N = _operator(size, Q_apply, Q_adjoint)
+    return P_N, Q_N, sparse.aslinearoperator(L_N)
 
 
 def trial_map(
@@ -96,10 +105,11 @@ def trial_map(
     """
     P_N, Q_N, L_N = trial_operators(P, Q, L, samples)
     rest = arguments.whole("rest", rest, 0, samples - 1)
-    active = np.repeat(np.arange(samples) < samples - rest, L.channels)
+    size = samples * L.channels
+    active = np.arange(size) < size - rest * L.channels
+    identity = sparse.aslinearoperator(eye_array(size))
     active = sparse.aslinearoperator(diags_array(active.astype(float)))
-    T = Q_N @ (sparse.aslinearoperator(eye_array(P_N.shape[0])) - L_N @ P_N)
-    return active @ T @ active if rest else T
+    return active @ Q_N @ (identity - L_N @ P_N) @ active
 
 
 def trial_norm(
@@ -147,34 +157,21 @@ def trial_norm(
     return norm, before.reshape(samples, -1), after.reshape(samples, -1)
 
 
-def _operator(apply, adjoint, samples, m):
+def _operator(size, apply, adjoint):
     """A linear operator on raveled signals, one or several side by side."""
-
-    def on_columns(function):
-        def matmat(X):
-            signals = np.moveaxis(np.reshape(X, (samples, m, -1)), -1, 0)
-            return np.moveaxis(function(signals), 0, -1).reshape(samples * m, -1)
-
-        return matmat
-
-    size, forward, backward = samples * m, on_columns(apply), on_columns(adjoint)
     return sparse.LinearOperator(
         (size, size),
-        matvec=forward,
-        rmatvec=backward,
-        matmat=forward,
-        rmatmat=backward,
+        matvec=apply,
+        rmatvec=adjoint,
+        matmat=apply,
+        rmatmat=adjoint,
         dtype=float,
     )
 
 
-def _fold(signal, before, after, ends):
-    """Adjoint of holding ends: what lies beyond one that is held is added to the sample there."""
-    samples = signal.shape[-2] - before - after
-    out = signal[..., before : before + samples, :].copy()
-    first, last = (mode == "edge" for mode in ENDS[ends])
-    if first:
-        out[..., 0, :] += signal[..., :before, :].sum(axis=-2)
-    if last:
-        out[..., -1, :] += signal[..., before + samples :, :].sum(axis=-2)
-    return out
+def _ahead(samples, k, held):
+    """The matrix of a look k samples ahead, beyond the end at zero or at the last sample."""
+    here = np.arange(samples)
+    there = np.minimum(here + k, samples - 1)
+    counts = held | (here + k < samples)
+    return coo_array((counts.astype(float), (here, there)))

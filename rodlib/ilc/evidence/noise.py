@@ -40,13 +40,12 @@ from rodlib.ilc.models import frequency_response, impulse_response
 from rodlib.ilc.problem.problem import convergence_matrix
 from rodlib.ilc.signals import check_match
 
-HERMITIAN = 1e-9  # relative, by how much a spectral density may miss being one
 NEGLIGIBLE = 1e-17  # share of what is passed on that is no longer added up
 FAINT = 1e-3  # gain of Q below which v is taken to have no higher frequencies,
 ALL = 200  # in trials that are longer than this
 STILL = 1e-2  # relative, by how much a variance may still change in the middle of a short trial
 SIDE_BY_SIDE = 50  # signals that the law takes at a time
-DOUBLINGS = 50  # of the number of trials, until what is left of the first is negligible
+DOUBLINGS = 50  # of the number of trials, until what remains of the first is negligible
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,9 +63,9 @@ class Spectrum:
     @property
     def rms(self) -> np.ndarray:
         """Of each signal, (m,), by trapezia; beyond the frequencies the density stands still."""
-        points = np.concatenate([[0], self.omega, [np.pi / self.Ts]])
+        points = [0, *self.omega, np.pi / self.Ts]
         power = np.einsum("nii->ni", self.density).real
-        power = np.concatenate([power[:1], power, power[-1:]])
+        power = np.pad(power, [(1, 1), (0, 0)], mode="edge")
         return np.sqrt(np.trapezoid(power, points, axis=0) * self.Ts / np.pi)
 
     @property
@@ -102,16 +101,16 @@ def trial_noise(
         Increasing angular frequencies, rad/s, up to the Nyquist frequency.
     noise_psd : float or array_like
         Spectral density of what the sensors add to y, see :class:`Spectrum`. White noise: the
-        variance, of all outputs or of each, shape (m,). Coloured noise: shape (n,) for all
-        outputs, (n, m) for each, (n, m, m) where they depend on each other.
+        variance, of all outputs or of each, shape (m,). Coloured noise: shape (n, m).
     disturbance_psd : float or array_like, optional
         Likewise, for ``loop.disturbances``. Default zero.
     plant : control.StateSpace or control.TransferFunction, optional
         Another plant in the place of that of the design, as in :meth:`CurrentTrialLoop.around`.
     """
     arguments.instance("loop", loop, CurrentTrialLoop)
-    omega, m = arguments.frequencies("omega", omega, loop.Ts), len(loop.outputs)
-    sensors = _density("noise_psd", noise_psd, omega, m)
+    omega = arguments.increasing_frequencies("omega", omega, loop.Ts)
+    m = len(loop.outputs)
+    sensors = _density("noise_psd", noise_psd, len(omega), m)
     response = frequency_response(with_noise(loop, plant), omega)
     P, G, T = np.split(response, [m, -m], axis=2)
     true, measured = _through(T, sensors), _through(np.eye(m) + T, sensors)
@@ -121,9 +120,8 @@ def trial_noise(
             raise ValueError(
                 "disturbance_psd must be None: the loop has no disturbance"
             )
-        added = _through(
-            G, _density("disturbance_psd", disturbance_psd, omega, sources)
-        )
+        flows = _density("disturbance_psd", disturbance_psd, len(omega), sources)
+        added = _through(G, flows)
         true, measured = true + added, measured + added
     spectra = [Spectrum(omega, loop.Ts, x) for x in (measured, true, 0 * true)]
     return TrialNoise(P, *spectra)
@@ -170,40 +168,34 @@ def converged_noise(new: TrialNoise, law: Law) -> TrialNoise:
 
 def _accumulated(M, added):
     """Phi = M Phi M^H + `added`, the sum of M^k `added` M^k^H over all k, by Smith's method."""
-    size = 1.0
-    while size > NEGLIGIBLE:  # the number of terms doubles
+    for _ in range(DOUBLINGS):
         added = added + _through(M, added)
         M = M @ M
-        size = np.linalg.norm(M, axis=(1, 2)).max() ** 2
-    return added
+        size = np.linalg.norm(M, axis=(-2, -1)).max() ** 2
+        if size < NEGLIGIBLE:
+            return added
+        if size > 1 / NEGLIGIBLE:
+            break
+    raise ValueError(
+        "law does not converge on a trial with two ends: what noise does grows from trial to "
+        "trial. Ask about one of them, trials = 10, or hold v at rest at the end"
+    )
 
 
-def _density(name, value, omega, m):
+def _density(name, value, n, m):
     """A density of shape (n, m, m), from any of the forms of :func:`trial_noise`."""
-    density = arguments.array(name, value, (...,), complex)
-    n = len(omega)
-    if density.shape not in [(), (m,), (n,), (n, m), (n, m, m)]:
+    density = arguments.array(name, value, (...,))
+    if density.shape not in [(), (m,), (n, m)] or density.min() < 0:
         raise ValueError(
-            f"{name} has shape {density.shape}, but must be a variance, shape () or ({m},), or a "
-            f"density at the {n} frequencies, shape ({n},), ({n}, {m}) or ({n}, {m}, {m})"
+            f"{name} must be variances or spectral densities, 0 or more, of shape (), ({m},) or "
+            f"({n}, {m}); it has shape {density.shape}, and {density.min():g} is the least"
         )
-    if density.ndim < 3:
-        if density.shape == (n,) != (m,):
-            density = density[:, None]
-        density = np.broadcast_to(density, (n, m))[..., None] * np.eye(m)
-    limit = HERMITIAN * np.abs(density).max()
-    asymmetry = np.abs(density - density.conj().swapaxes(1, 2)).max()
-    if asymmetry > limit or np.linalg.eigvalsh(density).min() < -limit:
-        raise ValueError(
-            f"{name} is no spectral density: at each frequency it must be real and not negative, "
-            "or a Hermitian matrix without negative eigenvalues"
-        )
-    return density
+    return np.broadcast_to(density, (n, m))[..., None] * np.eye(m)
 
 
 def _through(H, density):
     """Spectral density of a signal behind H."""
-    return H @ density @ H.conj().swapaxes(1, 2)
+    return H @ density @ H.conj().swapaxes(-2, -1)
 
 
 def noise_on_trial(
@@ -255,16 +247,10 @@ def noise_on_trial(
     samples = arguments.whole("samples", samples, 1)
     trials = None if trials is None else arguments.whole("trials", trials, 1)
     rest = arguments.whole("law.rest", law.rest, 0, samples - 1)
-    variance = arguments.array("noise_variance", noise_variance, (...,))
-    shape = (m,) if variance.ndim else ()
-    variance = arguments.array("noise_variance", variance, shape) * np.ones(m)
-    if variance.min() < 0:
-        raise ValueError(
-            f"noise_variance = {variance.min():g}, but a variance is not negative"
-        )
+    [variance] = _density("noise_variance", noise_variance, 1, m)
 
-    closed = with_noise(loop, plant)
-    h, noise = impulse_response(closed, samples), np.diag(np.sqrt(variance))
+    closed, noise = with_noise(loop, plant), np.sqrt(variance)
+    h = impulse_response(closed, samples)
     P, T = h[..., :m], h[..., -m:] @ noise
     X = T.copy()  # of x: the noise itself, and what the loop makes of it
     X[0] += noise
@@ -280,15 +266,17 @@ def noise_on_trial(
         length *= 2
     half, absent = length // 2, samples - length
     learned = np.insert(learned, [half] * absent, learned[half], axis=0)
-    power = {name: (Y**2).sum(axis=2).cumsum(axis=0) + learned
-             for name, Y in (("true", T), ("measured", X))}  # fmt: skip
-    power["learned"] = learned
+    true, measured = ((h**2).sum(axis=2).cumsum(axis=0) + learned for h in (T, X))
+    variances = {"true": true, "measured": measured, "learned": learned}
     coordinates = {
         "time": ("time", loop.Ts * np.arange(samples), {"units": "s"}),
         "channel": np.arange(1, m + 1),
         "output": ("channel", loop.outputs),
     }
-    signals = {name: (("time", "channel"), np.sqrt(x)) for name, x in power.items()}
+    signals = {
+        name: (("time", "channel"), np.sqrt(variance))
+        for name, variance in variances.items()
+    }
     return xr.Dataset(signals, coordinates)
 
 
@@ -314,7 +302,12 @@ def _learned(P, X, law, trials):
         V += added @ added.T
     of_v = of_v @ cosines.T + (1 - law.gain) * np.eye(count)
     M = np.kron(of_v, np.eye(m)) - of_e.reshape(size, -1) @ y.T
-    V = _in_trial(M, V, trials)
+    if trials is None:
+        V = _accumulated(M, V)
+    else:
+        added, V = V, np.zeros_like(V)
+        for _ in range(trials - 1):
+            V = _through(M, V) + added
     return np.maximum(((V @ y) * y).sum(axis=0), 0).reshape(m, length).T
 
 
@@ -333,30 +326,5 @@ def _of_impulses(apply, channels, outputs):
     for at in range(0, size, SIDE_BY_SIDE):
         impulses = np.eye(min(SIDE_BY_SIDE, size - at), size, at)
         filtered = apply(impulses.reshape(len(impulses), length, channels))
-        reached = filtered.any(axis=(0, 2))  # by a short filter few samples
-        few = filtered[:, reached]
-        parts.append(np.tensordot(outputs[:, reached], few, (1, 1)))
+        parts.append(np.tensordot(outputs, filtered, (1, 1)))
     return np.concatenate(parts, axis=1)
-
-
-def _in_trial(M, added, trials):
-    """The sum of M^k `added` M^k^T over all k, or in trial number `trials`, by doubling."""
-    if trials is not None:
-        total, power = np.zeros_like(added), np.eye(len(M))
-        for bit in f"{trials - 1:b}":
-            total, power = total + power @ total @ power.T, power @ power
-            if bit == "1":
-                total, power = added + M @ total @ M.T, M @ power
-        return total
-    for _ in range(DOUBLINGS):
-        added = added + M @ added @ M.T
-        M = M @ M
-        size = np.linalg.norm(M) ** 2
-        if size < NEGLIGIBLE:
-            return added
-        if size > 1 / NEGLIGIBLE:
-            break
-    raise ValueError(
-        "law does not converge on a trial with two ends: what noise does grows from trial to "
-        "trial. Ask about one of them, trials = 10, or hold v at rest at the end"
-    )

@@ -12,7 +12,7 @@ from rodlib.ilc.problem.problem import Cuts, Problem
 
 CLOSE = 1e-9  # accuracy of dual norms, relative to the largest
 FARTHEST = 40.0  # logarithm of how unequal two weights may be: the smaller is then below rounding
-FAINT = 1e-9  # least eigenvalue of X, relative
+FAINT = 1e-12  # least eigenvalue of X, relative
 
 
 def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None) -> float:
@@ -36,9 +36,7 @@ def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None) -> float:
     n = len(problem.omega)
     Q, angles = problem.Q, problem.omega * problem.Ts
     parts = [(-Q[:, None, None] * problem.P, U[:n], angles)]
-    if (
-        V is not None
-    ):  # in units of the bound, so that all have the size of the objective
+    if V is not None:  # in units of the bound: the size of the objective
         W = problem.weight
         parts.append((W, np.linalg.solve(W, V), problem.omega_L * problem.Ts))
     if cuts is not None:
@@ -66,19 +64,20 @@ def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None) -> float:
 def _projected(problem, parts):
     """Multipliers N of parts (T, N, angles), projected on those that no change of L changes."""
     m = problem.channels
-    T = np.concatenate([T.reshape(-1, m) for T, _, _ in parts]).astype(complex)
-    N = np.concatenate([N.reshape(-1, m) for _, N, _ in parts]).astype(complex)
+    T = np.concatenate([T.reshape(-1, m) for T, _, _ in parts])
+    N = np.concatenate([N.reshape(-1, m) for _, N, _ in parts], dtype=complex)
     angles = np.concatenate([np.repeat(at, T.shape[1]) for T, _, at in parts])
-    channels = range(m)
     # What the coefficients of a column of L can change: all of its rows, or the diagonal one.
-    columns = [[k] for k in channels] if problem.structure == "diagonal" else [channels]
+    columns = [range(m)]
+    if problem.structure == "diagonal":
+        columns = [[k] for k in range(m)]
     for column in columns:
         changes = _changes(T[:, column], angles, problem.order)
         rows = _rows(N[:, column])
         for _ in range(2):  # once leaves what rounding has put back
             rows -= (rows @ changes.T) @ changes
         N[:, column] = rows.view(complex).T
-    ends = np.cumsum([T.shape[0] * T.shape[1] for T, _, _ in parts])
+    ends = np.cumsum([T.size // m for T, _, _ in parts])
     pieces = zip(np.split(N, ends[:-1]), parts, strict=True)
     return [piece.reshape(T.shape) for piece, (T, _, _) in pieces]
 
@@ -126,14 +125,13 @@ def dual_norm(N) -> np.ndarray:
 
 def _costs(N, t):
     """c_1 and c_2, and the trace of X, for w_1 = 1 / (1 + exp(-t))."""
-    count, _, m, _ = N.shape
-    root_w = np.sqrt(expit(np.stack([t, -t], axis=1)))
-    floor = np.broadcast_to(FAINT * np.eye(m), (count, 1, m, m))
-    stacked = np.concatenate([root_w[..., None, None] * N, floor], axis=1)
-    # X is B^H diag(s) B
-    _, s, B = np.linalg.svd(stacked.reshape(count, 3 * m, m), full_matrices=False)
-    root_of_inverse = B.conj().swapaxes(1, 2) / np.sqrt(s)[:, None]
-    c = (np.abs(N @ root_of_inverse[:, None]) ** 2).sum(axis=(2, 3))
+    weights = expit(np.stack([t, -t]).T)
+    floor = np.zeros_like(N[:, :1]) + FAINT * np.eye(N.shape[-1])
+    parts = [np.sqrt(weights)[..., None, None] * N, floor]
+    stacked = np.concatenate(parts, axis=1).reshape(len(N), -1, N.shape[-1])
+    _, s, B = np.linalg.svd(stacked, full_matrices=False)  # X is B^H diag(s) B
+    in_basis = N @ B.conj().swapaxes(1, 2)[:, None]
+    c = (np.abs(in_basis) ** 2 / s[:, None, None]).sum(axis=(2, 3))
     return c.T, s.sum(axis=1)
 
 

@@ -56,10 +56,10 @@ from rodlib.ilc import arguments
 from rodlib.ilc.filters import LearningFilter, ZeroPhaseButterworth
 from rodlib.ilc.models import by_substitution
 from rodlib.ilc.problem.problem import (
+    TIED,
     Problem,
     convergence_matrix,
     largest_singular_values,
-    tied,
 )
 
 MOST_POINTS = 2_000_000  # frequencies at which to give up
@@ -82,15 +82,7 @@ def peak_gain(
     # range, as of an all-pass filter.
     if system.nstates == 0:  # and Q is one at zero
         return float(np.linalg.norm(system.D, 2)), 0.0
-    # in units in which inputs and outputs are of order one
-    D = system.D
-    input_unit, output_unit = (
-        2.0 ** np.round(np.log2(max(np.abs(X).max(), np.abs(D).max()) or 1))
-        for X in (system.B, system.C)
-    )
-    unit = input_unit * output_unit
-    A, B, C = balanced(system.A, system.B / input_unit, system.C / output_unit)
-    matrices = A, B, C, D / unit
+    matrices = *balanced(system.A, system.B, system.C), system.D
     poles, gain = _gain_function(*matrices, Q)
     radius = arguments.stable("system", poles)
 
@@ -112,8 +104,8 @@ def peak_gain(
         count += middle.size
         if count > MOST_POINTS or np.any((middle == left[0]) | (middle == right[0])):
             raise RuntimeError(
-                f"the peak gain is between {peak * unit:.12g} and {ceiling.max() * unit:.12g}; "
-                f"to close in further takes more than {MOST_POINTS} frequencies"
+                f"the peak gain is between {peak:.12g} and {ceiling.max():.12g}; to close in "
+                f"further takes more than {MOST_POINTS} frequencies"
             )
         middle = nodes(middle)
         best = middle[:, middle[1].argmax()]
@@ -128,11 +120,11 @@ def peak_gain(
     )
     if highest == np.inf:
         raise RuntimeError(
-            f"the peak gain, {peak * unit:.6g} as computed, is not proven: system has a pole of "
+            f"the peak gain, {peak:.6g} as computed, is not proven: system has a pole of "
             f"modulus {radius:.17g}, which rounding could make unstable"
         )
     bound += max(highest - peak, 0)
-    return float(bound * unit), float(place / system.dt)
+    return float(bound), float(place / system.dt)
 
 
 def _ceiling(a, b, h):
@@ -200,10 +192,10 @@ def balanced(A, B, C):
     """Scale the states by powers of two so that no entry of A is large merely by its unit."""
     # The error of a Schur form is relative to the largest entry of A. If one state is counted in
     # units of 1e-8, the others lose eight digits.
-    A, B, C = (np.array(X, dtype=float) for X in (A, B, C))
     # with one row and column for inputs and outputs
-    size = np.pad(np.abs(A), (0, 1))
-    size[:-1, -1], size[-1, :-1] = np.abs(B).max(axis=1), np.abs(C).max(axis=0)
+    inputs = np.abs(B).max(axis=1, keepdims=True)
+    outputs = np.abs(C).max(axis=0, keepdims=True)
+    size = np.block([[np.abs(A), inputs], [outputs, 0]])
     np.fill_diagonal(size, 0)  # which no unit changes
     with np.errstate(invalid="ignore"):  # of whole numbers that are not used
         _, (scale, _) = matrix_balance(size, permute=False, separate=True)
@@ -225,17 +217,13 @@ def error_model(P: control.StateSpace, L: LearningFilter) -> control.StateSpace:
     """Causal model of z^-n_L (I - P L): |Q| times its singular values are those of M of (40)."""
     m, n, chain = L.channels, P.nstates, L.channels * L.order
     # The taps of z^-n_L L and the delay of the direct path share a chain, e(p-1) ... e(p-n_L).
-    # L in a unit that makes its taps of order one, and P in its inverse, so that the entries of A
-    # below are, too; see :func:`balanced`.
-    unit = 2.0 ** np.round(np.log2(np.abs(L.coefficients).max() or 1))
-    taps = learning_model(LearningFilter(L.coefficients / unit, L.Ts))
-    P_C, P_D = unit * P.C, unit * P.D
+    taps = learning_model(L)
     taps_C = np.hstack([taps.C, np.zeros((m, m))])
-    delay_C = np.eye(m, chain, k=chain - m)
-    A = np.block([[np.eye(chain, k=-m), np.zeros((chain, n))], [P.B @ taps_C, P.A]])
+    shift, delay_C = np.eye(chain, k=-m), np.eye(m, chain, k=chain - m)
+    A = np.block([[shift, np.zeros((chain, n))], [P.B @ taps_C, P.A]])
     B = np.vstack([np.eye(chain, m), P.B @ taps.D])
-    C = np.hstack([delay_C - P_D @ taps_C, -P_C])
-    return control.ss(A, B, C, -P_D @ taps.D, L.Ts)
+    C = np.hstack([delay_C - P.D @ taps_C, -P.C])
+    return control.ss(A, B, C, -P.D @ taps.D, L.Ts)
 
 
 @dataclass(frozen=True)
@@ -260,17 +248,16 @@ def proven_peaks(problem: Problem, L) -> list[Peak]:
 
 def estimated_peaks(problem: Problem, L, peaks) -> list[Peak]:
     """Of the others, between samples, for those whose `peaks` on the grid are highest."""
-    order = np.argsort(-peaks, kind="stable")
+    design, plants = problem.design, np.argsort(-peaks, kind="stable")
     if problem.butterworth is not None:
-        order = [k for k in order if problem.models[k] is None]
-    design = problem.design
+        plants = [k for k in plants if problem.models[k] is None]
     omega, Q = design.omega, design.Q
     steps = np.linspace(0, 1, DENSER, endpoint=False)
-    between = omega[:-1, None] + np.diff(omega)[:, None] * steps
+    between = omega[:-1, None] + np.outer(np.diff(omega), steps)
     dense = np.append(between, omega[-1])
     on_grid, on_dense = L.frequency_response(omega), L.frequency_response(dense)
     estimates = []
-    for k in order[:LOOKED_AT]:
+    for k in plants[:LOOKED_AT]:
         P = design.plants[k]
         scale, missed = spline_scale(P, Q, omega, on_grid)
         M = convergence_matrix(*splined(P, Q, omega, dense, scale), on_dense)
@@ -295,10 +282,11 @@ def highest(peaks: list[Peak]) -> Peak | None:
     """The highest of some peaks, if any, and the most that splines miss for any of them."""
     if not peaks:
         return None
-    peaks = sorted(peaks, key=lambda peak: peak.plant)
-    at = peaks[tied(np.array([peak.sigma for peak in peaks])).argmax()]
+    sigma = max(peak.sigma for peak in peaks)
     missed = np.fmax.reduce([peak.missed for peak in peaks])
-    return replace(at, sigma=max(peak.sigma for peak in peaks), missed=missed)
+    level = [peak for peak in peaks if peak.sigma >= sigma * (1 - TIED)]
+    first = min(level, key=lambda peak: peak.plant)
+    return replace(first, sigma=sigma, missed=missed)
 
 
 def spline_scale(P, Q, omega, response):
@@ -306,16 +294,18 @@ def spline_scale(P, Q, omega, response):
     # Measured grids are linear or logarithmic, plants smooth over one or the other. So the splines
     # run over omega or log omega; with fewer than four samples the error is infinite.
     M = convergence_matrix(P, Q, response)
+    scales = (np.asarray, np.log) if omega[0] > 0 else (np.asarray,)
     errors = {}
-    for scale in (np.asarray, np.log) if omega[0] > 0 else (np.asarray,):
+    for scale in scales:
         errors[scale] = 0.0 if len(omega) > 3 else np.inf
         for first in (1, 2):  # every other sample between the two at the ends
             out = np.arange(first, len(omega) - 1, 2)
-            samples = (np.delete(X, out, axis=0) for X in (P, Q, omega))
-            predicted = splined(*samples, omega[out], scale)
-            error = convergence_matrix(*predicted, response[out]) - M[out]
-            largest = largest_singular_values(error).max(initial=0)
-            errors[scale] = max(errors[scale], largest)
+            samples = [np.delete(X, out, axis=0) for X in (P, Q, omega)]
+            predicted = convergence_matrix(
+                *splined(*samples, omega[out], scale), response[out]
+            )
+            sigma = largest_singular_values(predicted - M[out])
+            errors[scale] = max(errors[scale], *sigma)
     return min(errors.items(), key=lambda item: item[1])
 
 

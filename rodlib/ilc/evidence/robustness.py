@@ -1,7 +1,8 @@
 """How slowly may it converge? The worst case of M over all plants considered possible.
 
 For each frequency: the largest sigma_max(Q (I - (P_k + Delta) L)) over the plants P_k and all Delta
-within the radius, an upper bound with a proof, and a Delta that shows how sharp it is.
+within the radius, an upper bound with a proof, and what one Delta reaches, which shows how sharp it
+is.
 """
 
 from dataclasses import dataclass
@@ -14,7 +15,6 @@ from rodlib.ilc.filters import LearningFilter, check_learning
 from rodlib.ilc.problem.problem import (
     TIED,
     Problem,
-    convergence_matrix,
     largest_singular_values,
     tied,
 )
@@ -28,10 +28,8 @@ NEXT = 1e-12  # distance of neighbouring logarithms
 class WorstCase:
     """The worst case of sigma_max(M) at each frequency. Made by :func:`worst_case`."""
 
-    sigma: np.ndarray  # (n,): an upper bound for all plants k and all Delta
-    attained: np.ndarray  # (n,): by the plant and the Delta below; `sigma`, but rounded
-    plant: np.ndarray  # (n,): number of the worst plant, 0 for the nominal one
-    Delta: np.ndarray | None  # (n, m, m): in units of `scale`; None without a radius
+    sigma: np.ndarray  # (n,): an upper bound for all plants and all Delta
+    attained: np.ndarray  # (n,): by one of them; `sigma`, but rounded
     peaks: np.ndarray  # (1 + others,): largest sigma_max(M) of each plant, Delta = 0
     tied: tuple[tuple[int, int], ...]  # plants and indices of frequencies of the peak
 
@@ -52,52 +50,45 @@ def worst_case(problem: Problem, L: LearningFilter) -> WorstCase:
         max over unit x of |M x| + rho |L x|
             = min over alpha in (0, 1) of sigma_max([M / sqrt(alpha); rho L / sqrt(1 - alpha)]).
 
+    A Delta of rank one, which turns rho L x against M x, reaches what stands on the left for an x.
     For each alpha the right-hand side is an upper bound, by Cauchy and Schwarz; it is convex in
-    alpha, and at the least of them an x exists that attains it, because the pairs (|M x|^2,
-    |L x|^2) fill a convex set (Toeplitz and Hausdorff). Delta of rank one turns rho L x against
-    M x.
+    alpha, and at the least of them an x exists that attains it, because the pairs
+    (|M x|^2, |L x|^2) fill a convex set (Toeplitz and Hausdorff).
     """
     arguments.instance("problem", problem, Problem)
     check_learning(L, problem.channels)
     check_match(problem=problem, L=L)
     response = L.frequency_response(problem.omega)
-    count = len(problem.plants)
-    nominal = np.array(
-        [largest_singular_values(problem.M(response, k)) for k in range(count)]
-    )
-    plant, peaks = tied(nominal).argmax(axis=0), nominal.max(axis=1)
+    plants, every = range(len(problem.plants)), np.arange(len(problem.omega))
+    M = [problem.M(response, k) for k in plants]
+    nominal = np.array([largest_singular_values(M_k) for M_k in M])
+    peaks = nominal.max(axis=1)
     if problem.radius is None:
         sigma = nominal.max(axis=0)
-        return WorstCase(sigma, sigma, plant, None, peaks, _tied_pairs(nominal))
+        return WorstCase(sigma, sigma, peaks, _tied_pairs(nominal))
 
-    every = np.arange(len(problem.omega))
-    G = _stacked(problem, plant, every, response)
-    t = _balance(G)[0]
-    first = _bound(G, t)
-    # Any t gives an upper bound. Where that of a plant is below the first guess, so is the plant.
-    bounds = np.empty(nominal.shape)
-    for k in range(count):
-        bounds[k] = _bound(
-            _stacked(problem, np.full_like(every, k), every, response), t
-        )
-    possible, at = np.nonzero(bounds >= first * (1 - TIED))
-    G = _stacked(problem, possible, at, response)
-    worst = np.zeros(nominal.shape)
-    worst[possible, at] = _bound(G, _balance(G)[0])
-    plant = worst.argmax(axis=0)
-    Delta = _worst_Delta(problem, plant, response)
-    P = problem.plants[plant, every]
-    M = convergence_matrix(P + Delta, problem.Q, response)
-    attained = largest_singular_values(M)
-    return WorstCase(
-        worst.max(axis=0), attained, plant, Delta, peaks, _tied_pairs(worst)
-    )
+    stacked = []
+    for k in plants:
+        F, T = affine(problem, k, every)
+        stacked.append(F + T @ response)  # [M; rho L]
+    G = np.array(stacked)
+    # The best t of one plant gives upper bounds for the others. Where such a bound is below that
+    # of the one, so is the plant.
+    first = G[tied(nominal).argmax(axis=0), every]
+    t = _best(first)
+    bounds = np.array([_bound(G_k, t) for G_k in G])
+    possible = bounds >= _bound(first, t) * (1 - TIED)
+    sigma = np.zeros(nominal.shape)
+    sigma[possible] = _bound(G[possible], _best(G[possible]))
+    attained = _attained(G[sigma.argmax(axis=0), every])
+    return WorstCase(sigma.max(axis=0), attained, peaks, _tied_pairs(sigma))
 
 
 def _tied_pairs(sigma):
     """Plant and index of frequency of all that are tied as the worst, by frequency."""
-    frequency, plant = np.nonzero(tied(sigma.ravel()).reshape(sigma.shape).T)
-    return tuple(zip(plant.tolist(), frequency.tolist(), strict=True))
+    ties = tied(sigma.ravel()).reshape(sigma.shape)
+    pairs = np.argwhere(ties.T).tolist()
+    return tuple((plant, frequency) for frequency, plant in pairs)
 
 
 def affine(problem: Problem, plant, at) -> tuple[np.ndarray, np.ndarray]:
@@ -112,41 +103,16 @@ def affine(problem: Problem, plant, at) -> tuple[np.ndarray, np.ndarray]:
     return F, T
 
 
-def _stacked(problem, plant, at, response):
-    """[M; rho L] of plants at frequencies, shape (c, 2 m, m), from L at all frequencies."""
-    F, T = affine(problem, plant, at)
-    return F + T @ response[at]
-
-
 def _weighted(G, t):
     """[M / sqrt(alpha); rho L / sqrt(1 - alpha)] for alpha = 1 / (1 + exp(t))."""
-    alpha = 1 / (1 + np.exp(t))
-    rest = 1 / (1 + np.exp(-t))
-    M, rho_L = np.split(G, 2, axis=1)
-    M = M / np.sqrt(alpha)[:, None, None]
-    rho_L = rho_L / np.sqrt(rest)[:, None, None]
-    return np.concatenate([M, rho_L], axis=1)
+    alpha = 1 / (1 + np.exp([t, -t]))  # of both parts
+    root = np.repeat(np.sqrt(alpha), G.shape[2], axis=0).T
+    return G / root[:, :, None]
 
 
 def _bound(G, t):
     """Its largest singular value."""
     return largest_singular_values(_weighted(G, t))
-
-
-def _balance(G):
-    """The best t = log((1 - alpha) / alpha), and neighbours below and above it."""
-
-    def imbalance(t, i):
-        Mx, rho_Lx = _images(G[i], _most_amplified(G[i], t))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            best = np.log(_norm(rho_Lx)) - np.log(_norm(Mx))
-        return t - np.clip(np.nan_to_num(best), -FARTHEST, FARTHEST)
-
-    ends = np.full(len(G), FARTHEST + 1)
-    cases = (np.arange(len(G)),)
-    with np.errstate(invalid="ignore"):  # a bracket at rounding level is halved
-        root = elementwise.find_root(imbalance, (-ends, ends), args=cases)
-    return root.x, *np.clip(root.bracket, root.x - NEXT, root.x + NEXT)
 
 
 def _most_amplified(G, t):
@@ -155,60 +121,43 @@ def _most_amplified(G, t):
 
 
 def _images(G, x):
-    """M x and rho L x, shape (c, m) each."""
-    return np.split((G @ x[..., None])[..., 0], 2, axis=1)
+    """M x and rho L x, shape (c, 2, m)."""
+    return (G @ x[..., None]).reshape(len(G), 2, -1)
 
 
-def _balanced_vector(G):
-    """The unit x with the largest |M x| + |rho L x|."""
+def _best(G):
+    """The t = log((1 - alpha) / alpha) of the least bound."""
+
+    def imbalance(t, i):
+        x = _most_amplified(G[i], t)
+        Mx, rho_Lx = np.linalg.norm(_images(G[i], x), axis=2).T
+        balanced = np.nan_to_num(np.log(rho_Lx) - np.log(Mx))
+        return t - np.clip(balanced, -FARTHEST, FARTHEST)
+
+    ends = np.full(len(G), FARTHEST + 1)
+    numbers = np.arange(len(G))
+    # log(0), and a bracket at rounding level, which is halved
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return elementwise.find_root(imbalance, (-ends, ends), args=(numbers,)).x
+
+
+def _attained(G):
+    """The largest |M x| + |rho L x| of a unit x."""
     # At the best alpha exp(t) |M x|^2 = exp(-t) |rho L x|^2. Where two directions are amplified
     # equally, x with too large an M x and y with too large a rho L y, a combination
-    # cos(a) x + sin(a) y meets this: the difference of both sides is a sinusoid in 2 a.
-    t, low, high = _balance(G)
-    x, y = _most_amplified(G, high), _most_amplified(G, low)
-    y = y * _phase((y.conj() * x).sum(axis=1))[:, None]
+    # cos(a) x + sin(a) y meets this: tan(a) is the root of a quadratic equation.
+    t = _best(G)
+    x, y = _most_amplified(G, t + NEXT), _most_amplified(G, t - NEXT)
+    coupling = (y.conj() * x).sum(axis=1)
+    y = y * np.exp(1j * np.angle(coupling))[:, None]
 
     def difference(x, y):
-        Mx, Lx = _images(G, x)
-        My, Ly = _images(G, y)
-        return np.exp(t) * _inner(Mx, My) - np.exp(-t) * _inner(Lx, Ly)
+        product = (_images(G, x).conj() * _images(G, y)).real.sum(axis=2)
+        return np.exp(t) * product[:, 0] - np.exp(-t) * product[:, 1]
 
-    first, last = difference(x, x), difference(y, y)
-    cosine, sine = (first - last) / 2, difference(x, y)
-    size, mean = np.hypot(cosine, sine), (first + last) / 2
-    ratio = np.divide(-mean, size, out=np.zeros_like(t), where=size > 0)
-    angle = np.arctan2(sine, cosine) + np.arccos(np.clip(ratio, -1, 1))
-    a = np.clip(angle, 0, np.pi)[:, None] / 2
-    return _unit(np.cos(a) * x + np.sin(a) * y)
-
-
-def _worst_Delta(problem, plant, response):
-    """A Delta within the radius at each frequency that leads to the worst case of M."""
-    G = _stacked(problem, plant, np.arange(len(plant)), response)
-    x = _balanced_vector(G)
-    u = _unit(_images(G, x)[0])
-    v = _unit((response @ x[..., None])[..., 0])
-    # so that -Q Delta L x points as M x does
-    size = -np.sign(problem.Q) * problem.radius
-    return size[:, None, None] * u[:, :, None] * v[:, None, :].conj()
-
-
-def _inner(x, y):
-    """Re x^H y of each row."""
-    return (x.conj() * y).real.sum(axis=1)
-
-
-def _norm(x):
-    return np.linalg.norm(x, axis=1)
-
-
-def _phase(z):
-    """z / |z|; one where that is 0 / 0."""
-    size = np.abs(z)
-    return np.where(size > 0, z / np.where(size > 0, size, 1), 1)
-
-
-def _unit(x):
-    """x / |x| for each row; the first axis where that is 0 / 0."""
-    size = _norm(x)[:, None]
-    return np.where(size > 0, x / np.where(size > 0, size, 1), np.eye(1, x.shape[1]))
+    first, cross, last = difference(x, x), difference(x, y), difference(y, y)
+    root = np.sqrt(np.maximum(cross**2 - first * last, 0))
+    a = np.arctan2(np.maximum(first, 0), np.maximum(root - cross, 0))[:, None]
+    z = np.cos(a) * x + np.sin(a) * y
+    size = np.linalg.norm(_images(G, z), axis=2).sum(axis=1)
+    return size / np.linalg.norm(z, axis=1)

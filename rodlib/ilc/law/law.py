@@ -8,7 +8,8 @@ import numpy as np
 from rodlib.ilc import arguments
 from rodlib.ilc.filters import LearningOperator, ZeroPhaseButterworth, check_Q
 from rodlib.ilc.law.limits import WEIGHT, Actuators, named_limits, nearest, realised
-from rodlib.ilc.loop.closed import Loop, check_loop, same_loop
+from rodlib.ilc.loop.closed import Loop
+from rodlib.ilc.loop.notes import loop_note
 from rodlib.ilc.signals import check_match
 
 
@@ -51,7 +52,7 @@ class Law:
         if self.L is not None:
             parties["L"] = arguments.instance("L", self.L, LearningOperator)
         if self.loop is not None:
-            parties["loop"] = check_loop(self.loop)
+            parties["loop"] = arguments.instance("loop", self.loop, Loop)
         check_match(**parties)
         object.__setattr__(self, "rest", arguments.whole("rest", self.rest, 0))
         object.__setattr__(self, "gain", arguments.share("gain", self.gain))
@@ -88,9 +89,10 @@ class Law:
 
     def bound_to(self, loop: Loop) -> "Law":
         """This law for a loop; a ValueError if it is for another."""
+        arguments.instance("loop", loop, Loop)
         if self.loop is None:
-            return replace(self, loop=check_loop(loop))
-        if not same_loop(self.loop, check_loop(loop)):
+            return replace(self, loop=loop)
+        if loop_note(self.loop) != loop_note(loop):
             raise ValueError(
                 "law is bound to another loop: pass law.loop, or "
                 "dataclasses.replace(law, loop=None)"

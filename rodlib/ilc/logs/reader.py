@@ -60,7 +60,7 @@ def load_log(path, resample: bool = False) -> xr.Dataset:
         Ts, second = _period(metadata.get("Ts", ""))
         signals = _signals(metadata.get("signals", "{}"))
         check_titles(header, signals)
-        entries = entries_of(lines[first:], first, len(header))
+        entries = rows_of(lines[first:], first, len(header))
         table = numbers_of(entries.set_axis(header, axis=1))
         table["time"] *= second
         notes = {key: value for key, value in metadata.items() if key not in KEYS}
@@ -93,7 +93,7 @@ def lines_of(path: Path) -> list[str]:
     return re.split(r"\r\n?|\n", text)
 
 
-def entries_of(
+def rows_of(
     lines: Sequence[str],
     above: int,
     width: int,

@@ -6,7 +6,6 @@ out, with the reason.
 
 import csv
 import json
-import reprlib
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -106,15 +105,16 @@ class Replay:
         """The same experiment on the model: the law, the references and the disturbances."""
         if self.law is None or self.model is None or not self.complete:
             return None
-        measured = [name not in self.unmeasured for name in self.loop.disturbances]
-        if isinstance(self.loop, ClosedLoop):  # P has no input for disturbances
-            measured = [False] * len(measured)
+        disturbance = None  # P of a ClosedLoop has no input for it
+        if not isinstance(self.loop, ClosedLoop):
+            ignored = [name in self.unmeasured for name in self.loop.disturbances]
+            disturbance = np.where(ignored, 0.0, self.disturbance)
         with warnings.catch_warnings(action="ignore"):  # the log's own count
             return run_trials(
                 self.loop,
                 self.law,
                 self.trials.reference.values,
-                self.disturbance * measured,
+                disturbance,
                 trials=len(self.numbers),
                 v=self.trials.v.values[0] if BEGUN in self.trials.attrs else None,
             )
@@ -146,10 +146,9 @@ class Replay:
         if self.predicted is None:
             return None
         y = self.trials.y.values
-        size = np.linalg.norm(y - y.mean(axis=1, keepdims=True), axis=1)
         error = np.linalg.norm(y - self.predicted, axis=1)
-        error = np.divide(error, size, np.full_like(size, np.nan), where=size > 0)
-        return self._by_trial(1 - error)
+        size = np.linalg.norm(y - y.mean(axis=1, keepdims=True), axis=1)
+        return self._by_trial(1 - error / np.where(size > 0, size, np.nan))
 
     @cached_property
     def departure(self) -> pd.DataFrame | None:
@@ -176,11 +175,10 @@ class Replay:
 
     def _v_after(self, k):
         """The v that follows trial `k` of the log by the law."""
-        trial = self.trials.isel(trial=k)
-        asked = {}
-        if self.law.limits:
-            asked = {name: signal[k] for name, signal in self.commands.items()}
-        return self.law.next(trial.v.values, trial.e.values, **asked)
+        trial, law = self.trials.isel(trial=k), self.law
+        commands = self.commands if law.limits else {}
+        commands = {name: signal[k] for name, signal in commands.items()}
+        return law.next(trial.v.values, trial.e.values, **commands)
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
@@ -248,10 +246,10 @@ class Replay:
                 "need Q and L, and with limits the loop"
             )
         if self.loop is None:
-            return [
-                *reasons,
-                "simulation and prediction: the log does not name its loop; its metadata need loop",
-            ]
+            reasons.append(
+                "simulation and prediction: the log does not name its loop; its metadata need loop"
+            )
+            return reasons
         if self.loop.P is None:
             reasons.append("simulation and prediction: the loop has no P")
         elif self.unstable:
@@ -339,16 +337,12 @@ def replay(trials: xr.Dataset, unmeasured: Sequence[str] = ()) -> Replay:
     arguments.instance("trials", trials, xr.Dataset)
     signals_of(trials, "reference", "v")  # which checks that it has all that a log has
     trials = trials.sortby("trial").transpose("trial", "time", ...)
-    listed = isinstance(unmeasured, Sequence) and not isinstance(unmeasured, str)
-    if not (listed and all(isinstance(name, str) for name in unmeasured)):
-        raise ValueError(
-            f"unmeasured = {reprlib.repr(unmeasured)} must be a list of names"
-        )
+    unmeasured = tuple(arguments.different("unmeasured", unmeasured))
     law, loop = law_of(trials), loop_of(trials)
     controlled = isinstance(loop, ClosedLoop) or "u" in trials
     if law is not None and law.limits and (loop is None or not controlled):
         law = None  # whose projection cannot be computed
-    result = Replay(trials, loop, law, tuple(unmeasured))
+    result = Replay(trials, loop, law, unmeasured)
     for text in result.warnings:
         warnings.warn(text, stacklevel=2)
     return result

@@ -5,9 +5,8 @@ disturbance, and a state feedback. What a model gets wrong is seen with the same
 another plant. How the gains are designed is in :mod:`rodlib.ilc.loop.design`.
 """
 
-import reprlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import control
@@ -46,9 +45,8 @@ class CurrentTrialLoop:
             object.__setattr__(
                 self, name, arguments.array(name, getattr(self, name), shape)
             )
-        signals = [*plant.input_labels, *plant.output_labels]
-        given = arguments.by_name("units", self.units, signals)
-        units.check("units", {name: given.get(name) for name in signals})
+        signals = [*plant.output_labels, *plant.input_labels]
+        object.__setattr__(self, "units", units.labels(self.units, signals))
         object.__setattr__(self, "plant", plant)
 
     @property
@@ -90,7 +88,7 @@ class CurrentTrialLoop:
         B = self.plant.B[:, : self.plant.noutputs]
         return control.ss(
             self.plant.A - B @ self.Ks, B @ self.N, self.plant.C, 0, self.Ts,
-            inputs=_learned(self), outputs=self.outputs,
+            inputs=self.references, outputs=self.outputs,
         )  # fmt: skip
 
     @cached_property
@@ -113,28 +111,16 @@ class CurrentTrialLoop:
         plant = sampled_plant(plant)
         check_match(loop=self, plant=plant)
         signals = [*plant.input_labels, *plant.output_labels]
-        missing = [
-            name for name in [*self.controls, *self.outputs] if name not in signals
-        ]
+        missing = [n for n in [*self.controls, *self.outputs] if n not in signals]
         if missing:
             raise ValueError(
                 f"plant has the signals {signals}, but lacks {missing} of the loop"
             )
-        names = self.plant.input_labels
-        picked = np.array(
-            [[theirs == ours for ours in names] for theirs in plant.input_labels]
-        )
+        ours = self.plant.input_labels
+        picked = np.array([[a == b for b in ours] for a in plant.input_labels])
         rows = [plant.output_labels.index(name) for name in self.outputs]
-        closed = _close(
-            self,
-            control.ss(
-                plant.A,
-                plant.B @ picked,
-                plant.C[rows],
-                plant.D[rows] @ picked,
-                plant.dt,
-            ),
-        )
+        B, D = plant.B @ picked, plant.D[rows] @ picked
+        closed = _close(self, control.ss(plant.A, B, plant.C[rows], D, plant.dt))
         poles = closed.poles()
         worst = poles[np.abs(poles).argmax()]
         if abs(worst) > arguments.CIRCLE:
@@ -174,18 +160,11 @@ class CurrentTrialLoop:
         A, B, K = _controller(self)
         # The controller's states and y at once, since its integrators have no response at z = 1.
         points = np.exp(1j * omega * self.Ts)[:, None, None]
-        left = np.block(
-            [
-                [
-                    points * np.eye(len(A)) - A,
-                    np.broadcast_to(-self.KL, (len(G), *self.KL.shape)),
-                ],
-                [G @ K, np.broadcast_to(np.eye(m), G.shape)],
-            ]
-        )
-        right = np.concatenate(
-            [np.broadcast_to(B, (len(G), *B.shape)), G @ self.N], axis=1
-        )
+        KL = np.broadcast_to(self.KL, (len(G), *self.KL.shape))
+        one = np.broadcast_to(np.eye(m), G.shape)
+        left = np.block([[points * np.eye(len(A)) - A, -KL], [G @ K, one]])
+        B = np.broadcast_to(B, (len(G), *B.shape))
+        right = np.concatenate([B, G @ self.N], axis=1)
         return solve_off_poles(left, right)[:, len(A) :]
 
 
@@ -226,33 +205,33 @@ class ClosedLoop:
     def __post_init__(self):
         P, Ts, outputs = self.P, self.Ts, self.outputs
         if P is not None:
-            P = _known(P)
+            P = _stable_model("P", P)
             outputs = P.output_labels if outputs is None else outputs
             Ts = P.dt if Ts is None else Ts
         if Ts is None or outputs is None:
             raise ValueError("P = None: then Ts and outputs must be given")
         Ts = arguments.sampling_period("Ts", Ts)
-        names = {
-            "outputs": outputs,
-            "controls": self.controls,
-            "disturbances": self.disturbances,
-        }
-        names = {role: _different(role, given) for role, given in names.items()}
-        m = len(names["outputs"])
-        if not m or (P is not None and P.noutputs != m):
+        outputs = arguments.different("outputs", outputs)
+        controls = arguments.different("controls", self.controls)
+        disturbances = arguments.different("disturbances", self.disturbances)
+        if not outputs or (P is not None and P.noutputs != len(outputs)):
             raise ValueError(f"outputs = {outputs!r} must name the outputs of P")
-        if len(names["controls"]) not in (0, m):
+        if controls and len(controls) != len(outputs):
             raise ValueError(
-                f"controls = {self.controls!r} must be one for each output, or none"
+                f"controls = {controls!r} must be one for each output, or none"
             )
         if P is not None:
             check_match(P=P, loop=Signals(Ts))
-        signals = [name for given in names.values() for name in given]
-        own = dict.fromkeys(signals, "") | arguments.by_name(
-            "units", self.units, signals
-        )
-        units.check("units", own)
-        for name, value in ({"P": P, "Ts": Ts, "units": own} | names).items():
+        signals = [*outputs, *controls, *disturbances]
+        checked = {
+            "P": P,
+            "Ts": Ts,
+            "outputs": outputs,
+            "controls": controls,
+            "disturbances": disturbances,
+            "units": units.labels(self.units, signals),
+        }
+        for name, value in checked.items():
             object.__setattr__(self, name, value)
 
     @property
@@ -271,7 +250,7 @@ class ClosedLoop:
             raise ValueError(
                 "loop has no P: it can be run and shaken, but not simulated"
             )
-        P = self.P if plant is None else _known(plant, "plant")
+        P = self.P if plant is None else _stable_model("plant", plant)
         check_match(loop=self, plant=P)
         if P.noutputs != len(self.outputs):
             raise ValueError(
@@ -287,31 +266,7 @@ class ClosedLoop:
 Loop = CurrentTrialLoop | ClosedLoop
 
 
-def same_loop(one: Loop, other: Loop) -> bool:
-    """Whether two loops are equal: controller, model, names and units."""
-
-    def equal(a, b):
-        if isinstance(a, control.StateSpace) and isinstance(b, control.StateSpace):
-            parts = ("A", "B", "C", "D", "dt", "input_labels", "output_labels")
-            return all(equal(getattr(a, part), getattr(b, part)) for part in parts)
-        return np.array_equal(a, b)
-
-    names = [part.name for part in fields(one)]
-    return type(one) is type(other) and all(
-        equal(getattr(one, name), getattr(other, name)) for name in names
-    )
-
-
-def check_loop(loop) -> Loop:
-    """Any loop."""
-    if not isinstance(loop, Loop):
-        raise ValueError(
-            f"loop = {reprlib.repr(loop)} must be a CurrentTrialLoop or a ClosedLoop"
-        )
-    return loop
-
-
-def _known(P, name="P"):
+def _stable_model(name, P):
     """A stable model from w to y."""
     P = sampled_plant(P, name)
     arguments.stable(name, P.poles())
@@ -319,18 +274,6 @@ def _known(P, name="P"):
         what = f"{name} has {P.ninputs} inputs and {P.noutputs} outputs: w is as y"
         raise ValueError(f"{what}; of more outputs, learn on combinations({name})")
     return P
-
-
-def _different(role, names):
-    """A list of names."""
-    listed = isinstance(names, Sequence) and not isinstance(names, str | bytes)
-    if (
-        not listed
-        or not all(isinstance(n, str) for n in names)
-        or len({*names}) < len(names)
-    ):
-        raise ValueError(f"{role} = {reprlib.repr(names)} must be different names")
-    return list(names)
 
 
 def _controller(loop):
@@ -355,7 +298,7 @@ def _close(loop, plant):
         np.hstack([plant.C, -Du @ K]),
         np.hstack([Du @ loop.N, F]),
         loop.Ts,
-        inputs=_learned(loop) + loop.disturbances,
+        inputs=loop.references + loop.disturbances,
         outputs=loop.outputs,
         name="current-trial loop",
     )

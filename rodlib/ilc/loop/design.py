@@ -70,8 +70,6 @@ def current_trial_loop(
     """
     plant = _checked(plant, controls)
     m = plant.noutputs
-    names = [*plant.output_labels, *plant.input_labels]
-    units = dict.fromkeys(names, "") | arguments.by_name("units", units, names)
     weights = _weights(plant, sizes, Qs, Rs, Qo, Ro)
     A, B, C = plant.A, plant.B[:, :m], plant.C
     even = _even_coordinates(A, B, C)
@@ -84,17 +82,12 @@ def _checked(plant, controls):
     """The plant (12) as a model with its controls first, if that is what it is."""
     plant = sampled_plant(plant)
     m, names = plant.noutputs, plant.input_labels
-    if controls is None and len(names) > m:
+    controls = names if controls is None else controls
+    plant = controls_first(plant, controls)
+    if len(controls) != m:
         raise ValueError(
-            f"plant has {len(names)} inputs for {m} outputs: name the controls among {names}, such "
-            f"as controls={names[:m]}; the others are disturbances"
-        )
-    plant = controls_first(plant, names if controls is None else controls)
-    count = len(names if controls is None else controls)
-    if count != m:
-        raise ValueError(
-            f"controls = {plant.input_labels[:count]} are {count} inputs, but each of the {m} "
-            f"outputs {plant.output_labels} needs a control of its own"
+            f"controls = {[*controls]} are {len(controls)} inputs for {m} outputs: name one for "
+            f"each of {plant.output_labels} among {names}; the others are disturbances"
         )
     if not plant.nstates:
         raise ValueError("plant has no states: (12) needs at least one")

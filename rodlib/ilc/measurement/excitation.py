@@ -10,7 +10,7 @@ import xarray as xr
 from scipy.fft import next_fast_len
 
 from rodlib.ilc import arguments
-from rodlib.ilc.loop.closed import Loop, check_loop
+from rodlib.ilc.loop.closed import Loop
 from rodlib.ilc.loop.notes import loop_note, read_note
 from rodlib.ilc.signals import Signals, check_match
 
@@ -131,7 +131,7 @@ def multisine(
         Number of lines, spaced evenly on a logarithmic scale as far as harmonics can be; where
         they would fall on the same, there are fewer.
     """
-    Ts, m = check_loop(loop).Ts, len(loop.outputs)
+    Ts, m = arguments.instance("loop", loop, Loop).Ts, len(loop.outputs)
     nyquist = np.pi / Ts
     lowest = arguments.number(
         "lowest", lowest, "between 0 and pi / Ts / 4", 0, nyquist / 4

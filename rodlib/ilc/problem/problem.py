@@ -33,22 +33,31 @@ class Choices:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Problem(Choices):
+class Samples:
+    """P and Q on one grid; P in units of `scale`."""
+
+    # (p, n, m, m), complex: frequency responses of the plants for which the bounds hold; the first
+    # is the nominal one
+    plants: np.ndarray
+    models: tuple[control.StateSpace | None, ...]  # of the plants; None of samples
+    Q: np.ndarray  # (n,): of the Q-filter
+    butterworth: ZeroPhaseButterworth | None  # Q, if it is a model
+    omega: np.ndarray  # (n,): frequencies at which M is bounded, rad/s
+    Ts: float  # sampling period, s
+    scale: np.ndarray  # (m,): what counts as equally large in each channel
+    # (n,): bounds hold for P + Delta, ||Delta|| <= radius; None for P alone
+    radius: np.ndarray | None
+    basis: tuple[str, ...]  # what a measured P and its radius rest on; default choices
+
+
+@dataclass(frozen=True, kw_only=True)
+class Problem(Samples, Choices):
     """The problem of a learning filter. Made by :func:`rodlib.ilc.problem.pose`.
 
     M is bounded at `omega`. L is bounded there and at further frequencies, where a grid is coarse
     or ends below the Nyquist frequency: at :attr:`omega_L`, which begins with `omega`.
     """
 
-    # (p, n, m, m), complex: frequency responses of the plants for which the bounds hold, in units
-    # of `scale`; the first is the nominal one
-    plants: np.ndarray
-    Q: np.ndarray  # (n,): of the Q-filter
-    omega: np.ndarray  # (n,): frequencies at which M is bounded, rad/s
-    Ts: float  # sampling period, s
-    scale: np.ndarray  # (m,): what counts as equally large in each channel
-    models: tuple[control.StateSpace | None, ...]  # of the plants; None of samples
-    butterworth: ZeroPhaseButterworth | None  # Q, if it is a model
     band: tuple[float, float]  # over which "sum" sums, rad/s
     L_max: float | None  # bound on sigma_max(L)
     further: np.ndarray  # (k,): frequencies at which L alone is bounded, rad/s
@@ -56,18 +65,11 @@ class Problem(Choices):
     # sigma_max(L) that keeps M within M_max where P is unknown, or infinite
     share_L: np.ndarray
     limit_L: np.ndarray
-    radius: np.ndarray | None = (
-        None  # (n,): bounds hold for P + Delta, ||Delta|| <= radius
-    )
-    beyond: float | None = (
-        None  # largest sigma_max(P) above the last sample; None if P is known
-    )
-    basis: tuple[
-        str, ...
-    ] = ()  # default choices; what a measured P and its radius rest on
-    stated: "Problem | None" = (
-        None  # without frequencies that were added; None if none were
-    )
+    beyond: (
+        float | None
+    )  # largest sigma_max(P) above the last sample; None if P is known
+    # without frequencies that were added; None if none were
+    stated: "Problem | None" = None
 
     @property
     def design(self) -> "Problem":

@@ -11,8 +11,12 @@ from rodlib.ilc import arguments
 from rodlib.ilc.filters import ZeroPhaseButterworth
 from rodlib.ilc.loop.closed import Loop
 from rodlib.ilc.models import frequency_response, refuse_foreign
-from rodlib.ilc.signals import check_match
+from rodlib.ilc.problem.problem import Samples
+from rodlib.ilc.signals import Signals, check_match
 
+CONFIDENCE = 0.99  # in a measured response
+FREQUENCIES = 1000  # of a grid that is chosen
+DECADES = 3  # of it below the cut-off of Q
 MODELS = (Loop, control.LTI)  # what a plant may be, if not an array
 IMAGINARY = 1e-6  # relative imaginary part below which a response counts as real
 
@@ -91,15 +95,93 @@ def interpolated(knots, P, at) -> tuple[np.ndarray, np.ndarray]:
     return spline, np.linalg.norm(spline - straight, 2, axis=(1, 2))
 
 
-def period(P, Q):
+def on_one_grid(P, Q, omega=None, Ts=None, uncertainty=None, scale=None) -> Samples:
+    """P and Q, in any form, on one grid, and P in units of `scale`; arguments of `pose`."""
+    named = plants(P)
+    if omega is None:
+        omega = _frequencies(named.values(), Q)
+    if Ts is None:
+        Ts = _period(Q, *named.values())
+    Ts = arguments.sampling_period("Ts", Ts)
+    omega = arguments.increasing_frequencies("omega", omega, Ts)
+    basis = ()
+    if isinstance(P, Measured):
+        if uncertainty is not None:
+            raise ValueError(
+                "uncertainty must be None if P is a measured response, which has a radius of its "
+                "own: for a larger one, pass both of P.on(omega, confidence) as arrays"
+            )
+        named["P"], uncertainty = P.on(omega, CONFIDENCE)
+        basis = P.basis(omega, CONFIDENCE)
+        if scale is not None:  # the response is scaled with those of other plants
+            uncertainty = P.on(omega, CONFIDENCE, scale)[1]
+    models, responses = on_grid(named, omega, Ts)
+    butterworth, Q = Q_on_grid(Q, omega, P=Signals(Ts))
+    if scale is None:
+        scale = np.ones(responses.shape[-1])
+    else:
+        scale = arguments.array("scale", scale, responses.shape[-1:])
+        if scale.min() <= 0:
+            raise ValueError(f"scale = {scale.tolist()} must be positive numbers")
+        responses = responses * (scale / scale[:, None])
+        models = [model and _scaled(model, scale) for model in models]
+    if uncertainty is not None:
+        uncertainty = arguments.array("uncertainty", uncertainty, omega.shape)
+        if uncertainty.min() < 0:
+            raise ValueError(
+                f"uncertainty reaches {uncertainty.min():.6g}, but a radius cannot be negative"
+            )
+    return Samples(
+        plants=responses,
+        models=tuple(models),
+        Q=Q,
+        butterworth=butterworth,
+        omega=omega,
+        Ts=Ts,
+        scale=scale,
+        radius=uncertainty if np.any(uncertainty) else None,
+        basis=basis,
+    )
+
+
+def _scaled(model, scale):
+    S, R = np.diag(scale), np.diag(1 / scale)
+    return control.ss(model.A, model.B @ S, R @ model.C, R @ model.D @ S, model.dt)
+
+
+def _period(*systems):
     """The sampling period that Q, or else a plant, knows."""
-    several = isinstance(P, list | tuple)
-    for thing in (Q, *(P if several else [P])):
-        if isinstance(thing, ZeroPhaseButterworth | Loop):
-            return thing.Ts
-        if isinstance(thing, control.LTI) and thing.dt and thing.dt is not True:
-            return thing.dt
+    for system in systems:
+        if isinstance(system, ZeroPhaseButterworth | Loop):
+            return system.Ts
+        if isinstance(system, control.LTI) and system.dt and system.dt is not True:
+            return system.dt
     raise ValueError("Ts must be given, as neither P nor Q knows the sampling period")
+
+
+def _frequencies(P, Q) -> np.ndarray:
+    """Design frequencies, rad/s: of samples their own, of models a logarithmic grid up to Nyquist.
+
+    Of a measured plant the grid begins where it is known.
+    """
+    sampled = [plant for plant in P if not isinstance(plant, Loop | control.LTI)]
+    for plant in P:
+        if isinstance(plant, control.FrequencyResponseData):
+            return plant.omega
+    if not all(isinstance(plant, Measured) for plant in sampled):
+        raise ValueError(
+            "omega must be given: P is an array, which does not know its frequencies"
+        )
+    if not isinstance(Q, ZeroPhaseButterworth):
+        raise ValueError(
+            f"omega must be given, as Q = {reprlib.repr(Q)} is no filter, from whose cut-off a "
+            "grid could be chosen"
+        )
+    lowest = [Q.cutoff / 10**DECADES]
+    for plant in sampled:
+        known = getattr(plant, "known", plant.omega > 0)
+        lowest.append(plant.omega[known][0])
+    return np.geomspace(max(lowest), np.pi / Q.Ts, FREQUENCIES)
 
 
 def plants(P):

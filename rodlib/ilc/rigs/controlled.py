@@ -9,10 +9,11 @@ import numpy as np
 
 from rodlib.ilc import arguments
 from rodlib.ilc.law.limits import named_limits
-from rodlib.ilc.loop.closed import CurrentTrialLoop, Loop, check_loop
+from rodlib.ilc.loop.closed import CurrentTrialLoop, Loop
 from rodlib.ilc.rigs.protocol import RigError, StoppedError
 
 LATE = 0.1  # sampling periods that a sample may be off the clock
+NOT_APPLIED = ". Nothing was applied after it"
 
 
 class Controller:
@@ -29,31 +30,38 @@ class Controller:
         arguments.instance("loop", loop, CurrentTrialLoop)
         if decimals is not None:
             arguments.whole("decimals", decimals, 0, 300)
-        m = loop.plant.noutputs
         self.loop, self.decimals = loop, decimals
-        self._B = loop.plant.B[:, :m]
-        self._x_hat, self.delta = np.zeros(loop.plant.nstates), np.zeros(m)
+        A, B, C = loop.plant.A, loop.plant.B, loop.plant.C
+        m, n = C.shape
+        # (16), (18) for the state (x-hat, delta), each as one product
+        extended = np.block([[A, B[:, :m]], [np.zeros((m, n)), np.eye(m)]])
+        self._A = extended - np.pad(loop.KL @ C, [(0, 0), (0, m)])
+        self._B = np.hstack([np.pad(B[:, :m], [(0, m), (0, 0)]), loop.KL])
+        self._K = np.hstack([loop.Ks, np.eye(m)])
+        self._state, self._m = np.zeros(n + m), m
+
+    @property
+    def delta(self) -> np.ndarray:
+        """The estimate of the input disturbance."""
+        return self._state[-self._m :]
 
     def step(self, y, w) -> np.ndarray:
         """The controls u(p) from the measured y(p) and w(p); advances the observer."""
-        shape = self.delta.shape
-        y, w = arguments.array("y", y, shape), arguments.array("w", w, shape)
+        y = arguments.array("y", y, (self._m,))
+        w = arguments.array("w", w, (self._m,))
         u = self.command(w)
         self.observe(y, u)
         return u
 
     def command(self, w) -> np.ndarray:
         """The controls u(p), from w(p) and what is estimated."""
-        u = self.loop.N @ w - self.loop.Ks @ self._x_hat - self.delta  # (18)
+        u = self.loop.N @ w - self._K @ self._state  # (18)
         return _rounded(u, self.decimals)
 
     def observe(self, y, applied) -> None:
         """Advance the observer by the measured y(p) and the controls that were applied."""
-        A, C, n = self.loop.plant.A, self.loop.plant.C, len(self._x_hat)
-        correction = self.loop.KL @ (y - C @ self._x_hat)
-        forcing = self._B @ (applied + self.delta)
-        self._x_hat = A @ self._x_hat + forcing + correction[:n]  # (16)
-        self.delta = self.delta + correction[n:]
+        inputs = np.concatenate([applied, y])
+        self._state = self._A @ self._state + self._B @ inputs  # (16)
 
 
 class ControlledRig:
@@ -161,12 +169,13 @@ class SampledRig(ControlledRig):
     def pause(self, trial, samples, w, start) -> None:
         """Hold w before a trial for so many samples; None: until all is back and still."""
         flows, y = np.zeros(len(self.disturbed)), []
-        for p in range(start.longest if samples is None else samples):
-            where = f"pause before trial {trial}, sample {p + 1}"
-            y.append(self.sample(w, flows, where)["y"])
-            asked = samples is None and p % max(1, start.window // 10) == 0
-            if asked and start.back(y, w):
-                return
+        where = f"pause before trial {trial}"
+        with _located(where, lambda: len(y) + 1, NOT_APPLIED):
+            for p in range(start.longest if samples is None else samples):
+                y.append(self.sample(w, flows)["y"])
+                asked = samples is None and p % max(1, start.window // 10) == 0
+                if asked and start.back(y, w):
+                    return
         if samples is None:
             warnings.warn(
                 f"before trial {trial} the outputs were not back and still after {len(y)} samples",
@@ -178,12 +187,12 @@ class SampledRig(ControlledRig):
         clock = getattr(self.rig, "clock", None)
         start = clock() if clock else 0.0
         samples, late = [], []
-        for p in range(len(w)):
-            if clock:
-                late.append(abs(clock() - start - p * self.Ts))
-            where = f"trial {trial}, sample {p + 1}"
-            samples.append(self.sample(w[p], commanded[p], where))
-            bar.update()
+        with _located(f"trial {trial}", lambda: len(samples) + 1, NOT_APPLIED):
+            for p in range(len(w)):
+                if clock:
+                    late.append(abs(clock() - start - p * self.Ts))
+                samples.append(self.sample(w[p], commanded[p]))
+                bar.update()
         count = np.sum(np.array(late) > LATE * self.Ts)
         if count:
             warnings.warn(
@@ -192,15 +201,14 @@ class SampledRig(ControlledRig):
             )
         return {name: np.array([s[name] for s in samples]) for name in samples[0]}
 
-    def sample(self, w, flows, where) -> dict[str, np.ndarray]:
+    def sample(self, w, flows) -> dict[str, np.ndarray]:
         """Let one sampling period pass: read, check, then apply what the controller makes of it."""
-        with _located(where, ". Nothing was applied after it"):
-            y, measured = self.read()
-            self.check_stop(self.outputs, y)
-            signals = self.control(y, w, measured)
-            inputs = np.zeros(len(self.inputs))
-            inputs[self.positions] = np.concatenate([self.applied, flows])
-            self.rig.apply(inputs)
+        y, measured = self.read()
+        self.check_stop(self.outputs, y)
+        signals = self.control(y, w, measured)
+        inputs = np.zeros(len(self.inputs))
+        inputs[self.positions] = np.concatenate([self.applied, flows])
+        self.rig.apply(inputs)
         measured |= dict(zip(self.disturbed, flows, strict=True))
         if self.recorded:
             disturbance = [measured[name] for name in self.recorded]
@@ -224,12 +232,8 @@ class SampledRig(ControlledRig):
         """The outputs, and what else is measured; nothing is used before it is checked."""
         names = self.measured + self.reported
         y, measured = self.rig.read(), self.rig.measured if names else {}
-        with _readings():
-            y = arguments.array("reading", y, (len(self.outputs),))
-            values = {
-                name: float(arguments.array(name, measured.get(name), ()))
-                for name in names
-            }
+        y = _reading("reading", y, (len(self.outputs),))
+        values = {name: float(_reading(name, measured.get(name), ())) for name in names}
         for name in self.measured:
             values[name] = self.rounded("disturbance", values[name])
         return y, values
@@ -266,12 +270,12 @@ class WholeTrialRig(ControlledRig):
             result = self.rig.run(actuators.follow(w) if cut_off else w.copy())
             pair = names and isinstance(result, tuple) and len(result) == 2
             y, u = result if pair else (result, None)
-            with _readings():
-                signals["y"] = arguments.array("y", y, w.shape)
-                if names:
-                    signals["u"] = self.rounded("u", arguments.array("u", u, w.shape))
-        for p in range(len(w)):
-            with _located(f"trial {trial}, sample {p + 1}"):
+            signals["y"] = _reading("y", y, w.shape)
+            if names:
+                signals["u"] = self.rounded("u", _reading("u", u, w.shape))
+        p = 0
+        with _located(f"trial {trial}", lambda: p + 1):
+            for p in range(len(w)):
                 self.check_stop(self.outputs, signals["y"][p])
                 if self.ours:
                     self.check_stop(self.commands, signals["u"][p])
@@ -285,7 +289,7 @@ def controlled(rig, loop: Loop, decimals) -> ControlledRig:
     """A rig with the controller of its loop, of one of the three kinds."""
     if isinstance(rig, type):
         raise ValueError(f"rig = {rig!r} is a class: make one")
-    check_loop(loop)
+    arguments.instance("loop", loop, Loop)
     methods = {
         name for name in ("read", "apply", "run") if callable(getattr(rig, name, None))
     }
@@ -300,25 +304,26 @@ def controlled(rig, loop: Loop, decimals) -> ControlledRig:
     return kind(rig, loop, decimals)
 
 
-@contextmanager
-def _readings():
-    """Make a RigError of what is no reading."""
+def _reading(name, values, shape):
+    """A reading as an array; a RigError if it is none."""
     try:
-        yield
+        return arguments.array(name, values, shape)
     except ValueError as error:
         raise RigError(str(error)) from None
 
 
 @contextmanager
-def _located(where, more=""):
-    """Say in an error where it arose."""
+def _located(where, sample=None, more=""):
+    """Say in an error where it arose; `sample` gives the number of the sample."""
     try:
         yield
-    except RigError as error:
-        raise type(error)(f"{where}: {error}{more}") from None
     except Exception as error:
-        error.add_note(f"in {where}")
-        raise
+        if sample is not None:
+            where = f"{where}, sample {sample()}"
+        if not isinstance(error, RigError):
+            error.add_note(f"in {where}")
+            raise
+        raise type(error)(f"{where}: {error}{more}") from None
 
 
 def _rounded(values, decimals):

@@ -1,29 +1,24 @@
-"""The picture of a design, or of trials.
+"""The picture of a design.
 
-The picture of a design is drawn anew at each turn of a knob. To find a layout would take as long as
-the design, so it is fixed, and limits are round numbers.
+It is drawn anew at each turn of a knob. To find a layout would take as long as the design, so it is
+fixed, and limits are round numbers.
 """
 
-import reprlib
 import textwrap
 from io import BytesIO
 from itertools import cycle, product
 
 import matplotlib as mpl
 import numpy as np
-import xarray as xr
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from rodlib.ilc import arguments
-from rodlib.ilc.logs.format import signals_of
-from rodlib.ilc.logs.replay import rms_by_trial
 from rodlib.ilc.synthesis.result import Synthesis
-from rodlib.ilc.units import by_unit, with_unit
+from rodlib.ilc.units import with_unit
 from rodlib.ilc.workbench.outcome import Outcome
 
-SIZE = (7.6, 5.2)  # inches, of a design
-WIDTH, HEIGHT = 7.2, 2.3  # inches, of one axes of trials
+SIZE = (7.6, 5.2)  # inches
 STYLE = {
     "axes.autolimit_mode": "round_numbers",
     "axes.grid": True,
@@ -44,19 +39,15 @@ ENTRIES = [  # of a filter
 ]
 
 
-def plot(
-    item: Synthesis | Outcome | xr.Dataset, before: Synthesis | Outcome | None = None
-):
-    """Draw a design, or trials, as one would first look at them.
+def plot(design: Synthesis | Outcome, before: Synthesis | Outcome | None = None):
+    """Draw a design as one would first look at it.
 
     Parameters
     ----------
-    item : Synthesis, Outcome or xarray.Dataset
+    design : Synthesis or Outcome
         From :func:`rodlib.synthesise` or :func:`rodlib.try_out`: sigma_max(M) and sigma_max(L) over
         frequency, with their bounds and the mean in the band; the coefficients; and RMS(e_k) of an
-        outcome's trials. From :func:`rodlib.run_trials`, :func:`rodlib.record` or
-        :func:`rodlib.load_log`: RMS(e_k) by trial and the signals of the last trial, outputs with
-        their reference; signals with different units stand in different axes.
+        outcome's trials.
     before : Synthesis or Outcome, optional
         A design to compare with, in gray.
 
@@ -67,27 +58,18 @@ def plot(
     """
     import matplotlib.pyplot as plt  # here, because it takes long to import
 
-    designs = Synthesis | Outcome
-    if not isinstance(item, designs | xr.Dataset):
-        raise ValueError(
-            f"item = {reprlib.repr(item)} must be a Synthesis, an Outcome or trials"
-        )
-    if not isinstance(before, designs | None):
-        raise ValueError(
-            f"before = {reprlib.repr(before)} must be a Synthesis or an Outcome"
-        )
     with mpl.rc_context(STYLE):
-        if isinstance(item, xr.Dataset):
-            figure = _of_trials(plt, item)
-        else:
-            figure = plt.figure(figsize=SIZE, dpi=100, layout="none")
-            Picture(figure).show(_outcome(item), before and _outcome(before))
+        figure = plt.figure(figsize=SIZE, dpi=100, layout="none")
+    Picture(figure).show(
+        _outcome("design", design), before and _outcome("before", before)
+    )
     if "inline" in mpl.get_backend():
         plt.close(figure)  # or a notebook would show it twice
     return figure
 
 
-def _outcome(item):
+def _outcome(name, item):
+    arguments.instance(name, item, Synthesis | Outcome)
     return item if isinstance(item, Outcome) else Outcome(None, item)
 
 
@@ -228,42 +210,3 @@ def _comparable(before, outcome):
     filters = before.design.filter, outcome.design.filter
     channels = {len(L.coefficients) for L in filters}
     return len(channels) == 1 and len({L.Ts for L in filters}) == 1
-
-
-def _of_trials(plt, trials):
-    """The RMS of the errors by trial, and the signals of the last trial, by unit."""
-    signals_of(trials, "reference", "v")  # which checks that trials are complete
-    errors, signals = rms_by_trial(trials.e), _signals_by_unit(trials)
-    count = len(errors.columns) + len(signals)
-    size = WIDTH, HEIGHT * count
-    figure, axes = plt.subplots(
-        count, figsize=size, squeeze=False, layout="constrained"
-    )
-    upper, lower = np.split(axes[:, 0], [len(errors.columns)])
-    for ax, (label, values) in zip(upper, errors.items(), strict=True):
-        ax.semilogy(errors.index, values, "o-")
-        ax.set(xlabel="trial", ylabel=label)
-        ax.xaxis.get_major_locator().set_params(integer=True)
-    for ax, (label, lines) in zip(lower, signals.items(), strict=True):
-        for name, values, style in lines:
-            ax.plot(trials.time, values, style, label=name)
-        ax.set(xlabel="time (s)", ylabel=label)
-        ax.legend(ncols=2)
-    return figure
-
-
-def _signals_by_unit(trials) -> dict[str, list]:
-    """Name, values and style of the lines of the last trial, by the label of their axes."""
-    signals, last = {}, trials.isel(trial=-1).transpose("time", ...)
-    for signal, role in (("y", "output"), ("v", "output"), ("u", "control")):
-        if signal not in trials:
-            continue
-        for unit, channels in by_unit(trials[f"{role}_unit"].values.tolist()).items():
-            lines = []
-            for i in channels:
-                name = f"{signal}: {trials[role].values[i]}"
-                lines.append((name, last[signal].values[:, i], f"C{i}"))
-                if signal == "y":
-                    lines.append(("reference", last.reference.values[:, i], f"C{i}--"))
-            signals[with_unit(f"{signal} in trial {int(last.trial)}", unit)] = lines
-    return signals

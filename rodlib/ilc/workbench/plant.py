@@ -1,6 +1,5 @@
 """A plant on the workbench: what filters are designed for, and what trials with them follow."""
 
-import reprlib
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,11 +45,7 @@ class Plant:
 
     def __post_init__(self):
         arguments.instance("source", self.source, str)
-        if not isinstance(self.response, Loop | Measured):
-            raise ValueError(
-                f"response = {reprlib.repr(self.response)} must be a loop, such as "
-                "current_trial_loop makes, or a measured response"
-            )
+        arguments.instance("response", self.response, Loop | Measured)
         if self.loop is None:
             raise ValueError(
                 "response is a table without a period: control.frd(P, omega, Ts)"

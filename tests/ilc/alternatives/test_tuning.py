@@ -3,13 +3,12 @@
 import control
 import numpy as np
 import pytest
-from plants import furnace, stage, tanks
+from plants import LOOPS, bump
 
 from rodlib import (
     Law,
     LearningFilter,
     Rod,
-    current_trial_loop,
     midr,
     run_trials,
     sampled_response,
@@ -18,7 +17,14 @@ from rodlib import (
 )
 from rodlib.case import assumed_disturbance, assumed_reference
 from rodlib.ilc import NormOptimal
-from rodlib.ilc.alternatives import Rehearsal, gradient, lines, stable_inversion, tune
+from rodlib.ilc.alternatives import (
+    Rehearsal,
+    gradient,
+    lines,
+    p_type,
+    stable_inversion,
+    tune,
+)
 from rodlib.ilc.trials.run import rms
 from rodlib.paper import published
 
@@ -26,38 +32,17 @@ from rodlib.paper import published
 def rehearsal(loop, Q, samples, trials=4, noise=0.0, rest=0):
     """On the model of the design, and the reference and noise for a simulation."""
     m = loop.plant.noutputs
-    reference = np.outer(
-        np.sin(np.pi * np.arange(samples) / samples) ** 4, np.arange(1, m + 1)
-    )
+    reference = bump(samples, np.arange(1, m + 1))
     white = noise * np.random.default_rng(0).standard_normal((trials, samples, m))
-    alone = run_trials(
-        loop, Law(Q, None), reference, trials=trials, noise=white
-    ).e.values
+    alone = run_trials(loop, Law(Q, None), reference, trials=trials, noise=white)
     P = loop.frequency_response(lines(samples, loop.Ts))
-    return Rehearsal(P, Q, alone, rest), reference, white
+    return Rehearsal(P, Q, alone.e.values, rest), reference, white
 
 
-PLANTS = {
-    "stage": lambda: (
-        current_trial_loop(stage(), ["F"], {"x": 5.0, "F": 20.0}),
-        300.0,
-        600,
-    ),
-    "tanks": lambda: (
-        current_trial_loop(tanks(), ["pump A", "pump B", "pump C"]),
-        0.3,
-        900,
-    ),
-    "furnace": lambda: (current_trial_loop(furnace()), 0.1, 600),
-}
-
-
-@pytest.mark.parametrize("name", PLANTS)
-def test_rehearsed_trials_are_the_simulated_ones(name):
-    loop, cutoff, samples = PLANTS[name]()
-    Q = zero_phase_butterworth(2, cutoff, loop.Ts)
-    rehearsed, reference, white = rehearsal(loop, Q, samples, noise=0.01, rest=5)
-    for L in (gradient(loop.P, 0.9), NormOptimal(loop.P, 0.01, samples)):
+def test_rehearsed_trials_are_the_simulated_ones():
+    loop, Q = LOOPS["tanks"](), zero_phase_butterworth(2, 0.3, 2.0)
+    rehearsed, reference, white = rehearsal(loop, Q, 900, noise=0.01, rest=5)
+    for L in (gradient(loop.P, 0.9), NormOptimal(loop.P, 0.01, 900)):
         run = run_trials(loop, Law(Q, L, rest=5), reference, trials=4, noise=white)
         np.testing.assert_allclose(rehearsed.errors(L), run.e.values, atol=1e-6)
         np.testing.assert_allclose(rehearsed.rms(L), rms(run.e).values, atol=1e-6)
@@ -93,39 +78,33 @@ def test_rate_is_that_of_the_certificate(loop, Q, omega):
 
 def test_tune_finds_a_tuning_that_is_known():
     """Of stable inversion, without noise, the best gain is one."""
-    loop, cutoff, samples = PLANTS["stage"]()
-    Q = zero_phase_butterworth(2, cutoff, loop.Ts)
-    rehearsed, _, _ = rehearsal(loop, Q, samples)
-    found = tune(
-        lambda gain: stable_inversion(loop.P, gain, 3000.0), {"gain": (0.2, 1.0)}, rehearsed,
-        evaluations=30,
-    )  # fmt: skip
-    assert found.parameters["gain"] == pytest.approx(1, abs=0.02)
-    assert found.value == rehearsed.rms(found.filter)[1:].sum()
+    loop, Q = LOOPS["stage"](), zero_phase_butterworth(2, 300.0, 1e-3)
+    rehearsed, _, _ = rehearsal(loop, Q, 600)
+
+    def design(gain):
+        return stable_inversion(loop.P, gain, 3000.0)
+
+    tuned = tune(design, {"gain": (0.2, 1.0)}, rehearsed, evaluations=30)
+    assert tuned.parameters["gain"] == pytest.approx(1, abs=0.02)
+    assert tuned.value == rehearsed.rms(tuned.filter)[1:].sum()
 
 
 def test_tune_counts_its_evaluations_and_keeps_the_bound():
     """As many filters as were granted, whole numbers whole, and the chosen one converges."""
-    loop, cutoff, samples = PLANTS["furnace"]()
-    Q = zero_phase_butterworth(2, cutoff, loop.Ts)
-    rehearsed, _, _ = rehearsal(loop, Q, samples, 2)
-    asked = []
+    loop, Q, calls = LOOPS["furnace"](), zero_phase_butterworth(2, 0.1), []
+    rehearsed, _, _ = rehearsal(loop, Q, 600, 2)
 
-    def design(share, ahead):
-        asked.append((share, ahead))
+    def design(gain, ahead):
+        calls.append((gain, ahead))
         if ahead > 60:
             raise ValueError("none")
-        coefficients = np.zeros((1, 1, ahead))
-        coefficients[0, 0, -1] = share
-        return LearningFilter(coefficients, 1.0)
+        return p_type(gain, ahead, 1, 1.0)
 
-    found = tune(design, {"share": (0.1, 3.0), "ahead": (1, 80)}, rehearsed, 0.95, 20)
-    assert len(asked) == 20 and all(isinstance(ahead, int) for _, ahead in asked)
-    assert (found.parameters["share"], found.parameters["ahead"]) in asked
-    assert rehearsed.rate(found.filter) <= 0.95 * (1 + 1e-6)
-    assert all(
-        0.1 <= share <= 3.0 + 1e-12 and 1 <= ahead <= 80 for share, ahead in asked
-    )
+    tuned = tune(design, {"gain": (0.1, 3.0), "ahead": (1, 80)}, rehearsed, 0.95, 20)
+    assert len(calls) == 20 and all(isinstance(ahead, int) for _, ahead in calls)
+    assert (tuned.parameters["gain"], tuned.parameters["ahead"]) in calls
+    assert rehearsed.rate(tuned.filter) <= 0.95 * (1 + 1e-6)
+    assert all(0.1 <= gain <= 3.0 + 1e-12 and 1 <= n <= 80 for gain, n in calls)
 
 
 def test_arguments_of_rehearsal_and_search_are_checked(loop, Q):

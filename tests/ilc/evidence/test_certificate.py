@@ -1,4 +1,4 @@
-"""What a certificate says, and when it fails."""
+"""What a certificate says, of one plant, of several and of a radius, and when it fails."""
 
 from contextlib import nullcontext
 from dataclasses import replace
@@ -7,133 +7,135 @@ import control
 import numpy as np
 import pytest
 
-from rodlib import synthesise
-from rodlib.ilc.problem.problem import convergence_matrix, largest_singular_values
+from rodlib import convergence, synthesise, zero_phase_butterworth
+from rodlib.ilc.evidence.certificate import certify
+from rodlib.ilc.evidence.peak import LOOKED_AT, error_model, peak_gain
+from rodlib.ilc.models import frequency_response
+from rodlib.ilc.problem.pose import pose
+from rodlib.ilc.problem.problem import Solution
 from rodlib.ilc.synthesis.result import SolverError
 
+OMEGA = np.geomspace(1e-3, np.pi, 50)
+BUTTERWORTH = zero_phase_butterworth(2, 0.3)
+ASKED = {"order": 4, "M_max": 0.6, "L_max": 5.0, "band": (1e-3, 0.1)}
 
-def test_a_certificate_prints_and_fails_as_it_should(loop, Q, omega):
-    design = synthesise(loop, Q, omega[::5], 1.0, band=(1e-4, 0.01), samples=200)
-    assert design.certificate.failures == []
-    text = str(design.certificate)
+
+def lags(gain=1.0, pole=0.9):
+    """Two lags with coupling."""
+    A = [[pole, 0.05], [0.02, pole - 0.1]]
+    return control.ss(A, gain * np.diag([0.1, 0.2]), np.eye(2), 0, 1.0)
+
+
+def response(model):
+    return frequency_response(model, OMEGA)
+
+
+MODELS = [lags(), lags(1.3), lags(0.8, 0.93)]
+
+
+def of_lags(plants, **changes):
+    design = synthesise(plants, BUTTERWORTH, OMEGA, 1.0, **ASKED | changes)
+    return design, design.certificate, str(design.certificate)
+
+
+@pytest.fixture(scope="module")
+def good(loop, Q, omega):
+    asked = {"band": (1e-4, 0.01), "samples": 200}
+    return synthesise(loop, Q, omega[::5], 1.0, **asked).certificate
+
+
+def test_a_certificate_prints_its_trial_and_nothing_of_other_plants(good):
+    text = str(good)
+    assert good.failures == good.warnings == [] and "FAILS" not in text
     assert "norm of one trial of 200 samples: 1.27" in text
-    assert (
-        "over all frequencies" in text
-        and "no diagonal filter of order 10 below" in text
-        and "FAILS" not in text
-    )
-    bad = synthesise(
-        loop, Q, omega[::5], 1.0, band=(1e-4, 0.01), M_max=0.95
-    ).certificate
-    tighter, peak = (
-        replace(bad.problem, M_max=0.9),
-        replace(bad.peak, sigma=1.01, omega=0.25),
-    )
-    wrong = replace(
-        bad, problem=tighter, peak=peak, exact=peak, lower_bound=bad.value / 2
-    )
-    assert len(wrong.failures) == 3 and str(wrong).count("FAILS") == 3
-    assert "sigma_max(M) reaches 1.01 at 0.25 rad/s, not in omega" in str(wrong)
-    peak = replace(peak, sigma=1.2, omega=0.3)
-    estimated = replace(design.certificate, peak=peak, estimated=1)
-    assert "WARNING: sigma_max(M) may reach 1.2 at 0.3 rad/s" in str(estimated)
-    assert design.certificate.warnings == estimated.failures == []
-    at_rest = str(replace(design.certificate, rest=15))
+    assert "over all frequencies" in text and "plant" not in text
+    assert "no diagonal filter of order 10 below" in text
+    assert f"over the band: {good.mean_M:.4f}" in text
+    at_rest = str(replace(good, rest=15))
     assert "norm of one trial of 200 samples, the last 15 at rest: 1.27" in at_rest
 
 
-def test_a_certificate_fails_from_the_tolerance_on(loop, Q, omega):
-    """A gap of 1e-6, a bound on the grid passed by 1e-9, relative; from 0.25 of the margin on."""
-    good = synthesise(loop, Q, omega[::5], 1.0, band=(1e-4, 0.01)).certificate
+def test_a_certificate_fails_from_the_tolerance_on(good):
+    """A gap of 1e-6, a bound on the grid passed by 1e-9, relative; M from one on anywhere."""
 
-    def failing(sigma_M=None, all_M=0.9, **changes):
-        worst = (
-            replace(good.worst, sigma=np.array([sigma_M])) if sigma_M else good.worst
-        )
-        peak = replace(good.peak, sigma=all_M)
-        return len(
-            replace(good, worst=worst, peak=peak, exact=peak, **changes).failures
-        )
+    def failures(sigma_M=0.9, all_M=0.9, **changes):
+        worst = replace(good.worst, sigma=np.array([sigma_M]))
+        peak = replace(good.peak, sigma=all_M, omega=0.25)
+        changed = replace(good, worst=worst, peak=peak, exact=peak, **changes)
+        assert str(changed).count("FAILS: ") == len(changed.failures)
+        return changed.failures
 
+    bound = good.value * (1 - 1e-6)
+    unit = good.value * 1e-8
+    assert not failures(lower_bound=bound + unit)
+    assert "gap 1.0e-06 > 1e-06" in failures(lower_bound=bound - unit)[0]
+    assert not failures(0.9 * (1 + 0.99e-9), grid_L=50 * (1 + 0.99e-9))
+    assert "sigma_max(M) = 0.9" in failures(0.9 * (1 + 1.01e-9))[0]
+    assert len(failures(grid_L=50 * (1 + 1.01e-9))) == 1
+    assert not failures(passed_L=1 + 0.99e-9)
+    assert len(failures(passed_L=1 + 1.01e-9)) == 1
+    assert len(failures(grid_L=50.1, passed_L=1.002)) == 1
+    assert not failures(all_M=np.nextafter(1, 0))
+    [text] = failures(all_M=1.0)
+    assert "sigma_max(M) reaches 1 at 0.25 rad/s, not in omega" in text
+    assert len(failures(1.0, 1.0, lower_bound=bound / 2)) == 3
+    perfect = replace(good, value=1e-9 * good.problem.idle, lower_bound=0.0)
+    assert perfect.gap == pytest.approx(1e-6)  # relative to a thousandth of the idle
+
+
+def test_an_estimate_warns_from_a_quarter_of_the_margin_on(good):
     def estimated(all_M, missed):
-        return replace(
-            good, peak=replace(good.peak, sigma=all_M, missed=missed), estimated=1
-        )
+        peak = replace(good.peak, sigma=all_M, missed=missed, omega=0.3)
+        certificate = replace(good, peak=peak, estimated=1)
+        assert certificate.failures == []
+        return certificate.warnings
 
-    value, idle = good.value, good.problem.idle
-    assert value > 1e-3 * idle
-    assert not failing(lower_bound=value * (1 - 0.99e-6))
-    assert failing(lower_bound=value * (1 - 1.01e-6)) == 1
-    assert not failing(0.9 * (1 + 0.99e-9), grid_L=50 * (1 + 0.99e-9))
-    assert failing(0.9 * (1 + 1.01e-9)) == failing(grid_L=50 * (1 + 1.01e-9)) == 1
-    assert not failing(passed_L=1 + 0.99e-9) and failing(passed_L=1 + 1.01e-9) == 1
-    assert failing(grid_L=50.1, passed_L=1.002) == 1
-    assert not failing(all_M=np.nextafter(1, 0)) and failing(all_M=1.0) == 1
-    for missed, warned in ((0.049, 0), (0.051, 1)):
-        assert len(estimated(0.8, missed).warnings) == warned
-    assert len(estimated(1.0, 0.0).warnings) == 1
-    perfect = replace(good, value=1e-9 * idle, lower_bound=0.0)
-    assert perfect.gap == pytest.approx(
-        1e-6
-    )  # relative to a thousandth of the objective, idle
+    assert not estimated(0.8, 0.049)
+    assert "too coarse: splines miss M by 0.051" in estimated(0.8, 0.051)[0]
+    assert "sigma_max(M) may reach 1.2 at 0.3 rad/s" in estimated(1.2, 0.0)[0]
+    assert len(estimated(1.0, 0.0)) == 1
 
 
-def with_resonance(angle, distance, height):
-    """A lag, and a resonance of `height` times the gain of the lag, at an angle."""
-    lag = control.tf([0.1], [1, -0.9], 1.0)
-    radius = 1 - distance
-    height *= abs(lag(np.exp(1j * angle))) * distance * 2 * np.sin(angle)
-    return lag + control.tf([height], [1, -2 * radius * np.cos(angle), radius**2], 1.0)
-
-
-def peak_around(plant, design, Q, angle):
+def peak_around(plant, design, angle):
     """Largest sigma_max(M) on a grid so fine around an angle that nothing hides there."""
     omega = angle * (1 + np.linspace(-0.3, 0.3, 60001))
-    L = design.filter.frequency_response(omega)
     P = plant(np.exp(1j * omega))[:, None, None]
-    return largest_singular_values(
-        convergence_matrix(P, Q.frequency_response(omega), L)
-    ).max()
+    return convergence(P, design.problem.butterworth, design.filter, omega).gamma
 
 
-@pytest.mark.parametrize(
-    ("distance", "shown"),
-    [(1e-5, False), (1e-3, True)],
-    ids=["hidden", "on its flanks"],
-)
-def test_a_resonance_between_measured_samples(Q, distance, shown):
+@pytest.mark.parametrize(("distance", "shown"), [(1e-5, False), (1e-3, True)])
+def test_a_resonance_between_measured_samples_may_show_on_its_flanks(
+    Q, distance, shown
+):
+    """It has four times the gain of the lag beneath it."""
     omega = np.geomspace(1e-3, np.pi, 60)
-    angle = np.sqrt(omega[33] * omega[34])
-    plant = with_resonance(angle, distance, 4.0)
+    angle, pole = np.sqrt(omega[33] * omega[34]), 1 - distance
+    lag = control.tf([0.1], [1, -0.9], 1.0)
+    height = 8 * abs(lag(np.exp(1j * angle))) * distance * np.sin(angle)
+    denominator = [1, -2 * pole * np.cos(angle), pole**2]
+    plant = lag + control.tf([height], denominator, 1.0)
     P = plant(np.exp(1j * omega))[:, None, None]
     with pytest.warns(match="too coarse") if shown else nullcontext():
         design = synthesise(P, Q, omega, 1.0, order=3, band=(1e-3, 0.02))
-    certificate, text = design.certificate, str(design.certificate)
-    assert certificate.all_M < 1 < peak_around(plant, design, Q, angle)
-    assert (
-        bool(certificate.warnings)
-        == shown
-        == ("WARNING: the samples are too coarse" in text)
-    )
+    text = str(design.certificate)
+    assert design.certificate.all_M < 1 < peak_around(plant, design, angle)
+    assert ("WARNING: the samples are too coarse" in text) == shown
     assert "not known" in text and "at resonances that no sample shows" in text
 
 
 def test_what_lies_below_the_first_measured_frequency(Q):
     omega = np.geomspace(1e-2, np.pi, 100)
     slow = control.tf([-2e-4], [1, -(1 - 1e-4)], 1.0)
-    plant = (
-        control.tf([0.1], [1, -0.9], 1.0) + slow
-    )  # its gain is 1, but -1 below 1e-4 rad/s
+    # its gain is 1, but -1 below 1e-4 rad/s
+    plant = control.tf([0.1], [1, -0.9], 1.0) + slow
     P = plant(np.exp(1j * omega))[:, None, None]
     design = synthesise(P, Q, omega, 1.0, band=(1e-2, 0.02))
     certificate, text = design.certificate, str(design.certificate)
-    assert certificate.all_M < 1 < peak_around(plant, design, Q, 1e-5)
+    assert certificate.all_M < 1 < peak_around(plant, design, 1e-5)
     assert "sigma_max(M) from 0.01 to 3.142 rad/s, between the samples:" in text
     assert "sigma_max(M) unknown: below 0.01 rad/s, at resonances" in text
-    assert certificate.warnings == [] and certificate.failures == []
-    with pytest.raises(
-        SolverError, match=r"sigma_max\(M\) reaches 2.00\d* at 0 rad/s, not in omega"
-    ):
+    assert certificate.warnings == certificate.failures == []
+    with pytest.raises(SolverError, match=r"reaches 2.00\d* at 0 rad/s, not in omega"):
         synthesise(control.ss(plant), Q, omega, 1.0, band=(1e-2, 0.02))
 
 
@@ -145,9 +147,85 @@ def test_the_estimate_between_samples_misses_less_than_it_says(loop, Q, grid):
     P = loop.frequency_response(grid)
     design = synthesise(P, Q, grid, 1.0, band=(grid[0], 0.03), M_max=0.99)
     dense = np.geomspace(grid[0], np.pi, 20001)
-    L = design.filter.frequency_response(dense)
-    M = convergence_matrix(
-        loop.frequency_response(dense), Q.frequency_response(dense), L
-    )
-    peak = largest_singular_values(M).max()
-    assert abs(design.certificate.all_M - peak) < design.certificate.peak.missed
+    gamma = convergence(loop, Q, design.filter, dense).gamma
+    peak = design.certificate.peak
+    assert abs(peak.sigma - gamma) < peak.missed
+
+
+def test_learning_that_does_nothing_is_named():
+    problem = pose(lags(), BUTTERWORTH, OMEGA, 1.0)
+    none = np.zeros((50, 2, 2))
+    nothing = Solution(np.zeros((2, 2, 10)), none, none, 1, "", 0)
+    [text] = certify(problem, nothing).warnings
+    assert text == "the filter leaves 100% of the error in the band"
+
+
+def test_models_have_a_proof_each_and_the_worst_is_named():
+    design, certificate, text = of_lags(MODELS)
+    peaks = [peak_gain(error_model(P, design.filter), BUTTERWORTH) for P in MODELS]
+    worst = int(np.argmax(peaks, axis=0)[0])
+    assert (certificate.all_M, certificate.peak.omega) == peaks[worst]
+    assert certificate.peak.plant == worst > 0
+    assert certificate.proven and certificate.failures == certificate.warnings == []
+    assert certificate.grid_M == pytest.approx(0.6, rel=1e-9)
+    assert f"worst of 3 plants on the design grid: plant {worst} at " in text
+    assert f"  of the nominal plant    {design.sigma_M.max():.8f}\n" in text
+    problem = replace(certificate.problem, M_max=0.1)
+    peak = replace(certificate.peak, sigma=1.1)
+    broken = replace(certificate, problem=problem, peak=peak, exact=peak).failures
+    assert f"sigma_max(M) at its worst (plant {worst} at " in broken[0]
+    assert f"sigma_max(M) of plant {worst} reaches 1.1 at " in broken[-1]
+
+
+@pytest.mark.parametrize("proven", [False, True])
+def test_with_a_radius_nothing_is_said_of_it_between_the_samples(proven):
+    P = response(MODELS[0])
+    radius = 0.1 * np.linalg.norm(P, 2, axis=(1, 2))
+    design, certificate, text = of_lags(MODELS[0] if proven else P, uncertainty=radius)
+    assert certificate.grid_M > design.sigma_M.max()
+    assert f"within the radius reaches {certificate.grid_M:.8f} there" in text
+    assert certificate.failures == [] and certificate.proven == proven
+    assert certificate.all_M < 0.6 and "over all frequencies       not known" in text
+    assert "between the samples the radius is not known" in text
+    assert ("over all frequencies without the radius: 0." in text) == proven
+    estimated = "without the radius from 0.001 to 3.142 rad/s, between" in text
+    assert estimated != proven
+    assert "worst within the radius on the design grid: at " in text
+
+
+def test_of_many_sampled_plants_those_worst_on_the_grid_are_looked_at_in_between():
+    models = [lags(gain) for gain in (1.0, *np.linspace(0.9, 1.1, 30))]
+    design, certificate, text = of_lags([response(model) for model in models])
+    worst, dense = models[certificate.peak.plant], np.geomspace(1e-3, np.pi, 5000)
+    gamma = convergence(worst, BUTTERWORTH, design.filter, dense).gamma
+    assert certificate.all_M == pytest.approx(gamma, rel=1e-5)
+    assert certificate.estimated == LOOKED_AT and not certificate.proven
+    assert f"estimated for the {LOOKED_AT} sampled plants that are worst" in text
+
+
+def test_a_model_among_samples_keeps_its_proof():
+    design, certificate, text = of_lags([MODELS[0], response(MODELS[2]), MODELS[1]])
+    peaks = [peak_gain(error_model(P, design.filter), BUTTERWORTH) for P in MODELS[:2]]
+    assert not certificate.proven and certificate.estimated == 1
+    assert certificate.exact.sigma == max(peaks)[0] <= certificate.all_M
+    assert "estimated for the 1 sampled plants that are worst" in text
+
+
+@pytest.mark.parametrize("radius", [None, np.full(50, 0.05)], ids=["plants", "radius"])
+@pytest.mark.parametrize("unit", [-1e-13, 1e-13])
+def test_those_that_are_tied_are_all_named_whatever_the_rounding(unit, radius):
+    """The third plant is the second but for rounding."""
+    P = [response(model) for model in (MODELS[0], MODELS[1], MODELS[1])]
+    P[2] = P[2] * (1 + unit)
+    asked = {"objective": "peak", "M_max": 0.99, "L_max": None, "uncertainty": radius}
+    design, certificate, text = of_lags(P, **asked)
+    tied = certificate.worst.tied
+    if radius is None:
+        sigma = convergence(P, BUTTERWORTH, design.filter, OMEGA).sigma
+        frequency, plant = np.nonzero(sigma.T / sigma.max() > 1 - 1e-7)
+        assert tied == tuple(zip(plant.tolist(), frequency.tolist(), strict=True))
+    assert {k for plant, k in tied if plant == 1} == {k for n, k in tied if n == 2}
+    assert 1 in dict(tied) and tied == tuple(sorted(tied, key=lambda pair: pair[::-1]))
+    where = ", ".join(f"plant {n} at {OMEGA[k]:.4g}" for n, k in tied[:4])
+    assert f" on the design grid: {where} rad/s" in text
+    assert (f"rad/s and {len(tied) - 4} more\n" in text) == (len(tied) > 4)

@@ -1,6 +1,4 @@
-"""What nobody says is chosen by Q, Ts and P: for the rod what the paper says, whatever the unit."""
-
-from types import SimpleNamespace
+"""Default band, grid and gain follow Q, Ts and P: for the rod they are the paper's."""
 
 import control
 import numpy as np
@@ -8,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rodlib import zero_phase_butterworth
+from rodlib import measured_response, zero_phase_butterworth
 from rodlib.case import BAND, L_MAX
 from rodlib.ilc.problem import defaults
 from rodlib.ilc.problem.pose import pose
@@ -18,11 +16,8 @@ def test_of_the_papers_loop_they_are_the_papers(loop, Q, omega):
     chosen, paper = pose(loop, Q), pose(loop, Q, omega, band=BAND, L_max=L_MAX)
     np.testing.assert_allclose(chosen.omega, omega, rtol=1e-12)
     assert chosen.band == pytest.approx(BAND, rel=1e-12) and chosen.L_max == L_MAX
-    assert [text.split(" = ")[0] for text in chosen.basis] == [
-        "chosen: band",
-        "chosen: L_max",
-    ]
-    assert not paper.basis
+    names = [text.split(" = ")[0] for text in chosen.basis]
+    assert names == ["chosen: band", "chosen: L_max"] and not paper.basis
 
 
 @given(factor=st.floats(1e-6, 1e6), unit=st.floats(1e-6, 1e6))
@@ -40,25 +35,19 @@ def test_time_and_unit_may_be_others(factor, unit):
 
 def test_of_several_channels_the_gain_inverts_the_weakest_direction():
     omega = np.geomspace(1e-3, np.pi, 60)
-    for factor, gain in ((1.0, 4.0), (0.99, 5.0), (1 / 0.99, 4.0), (1e5, 4e-5)):
+    for factor, gain in ((1.0, 4.0), (0.99, 5.0), (1e5, 4e-5)):
         P = factor * np.tile(np.diag([4.0, 0.25]), (60, 1, 1))
         assert pose(P, zero_phase_butterworth(2, 0.3), omega).L_max == gain
 
 
-def test_the_cutoff_of_samples_is_where_half_is_left(Q):
+def test_cutoff_and_band_of_samples(Q):
     omega = np.geomspace(1e-4, np.pi, 100)
     samples = Q.frequency_response(omega)
     assert defaults.cutoff(None, samples, omega) == pytest.approx(0.1, rel=0.01)
-    assert defaults.cutoff(None, np.ones(100), omega) == omega[-1]
     assert defaults.cutoff(None, samples / 3, omega) == omega[-1]
-
-
-def test_a_band_is_within_the_samples_and_not_empty():
-    omega = np.array([0.0, 1.0, 2.0, 3.0])
-    assert defaults.band(100.0, omega) == (1.0, 3.0)
-    assert defaults.band(0.1, omega) == (1.0, 2.0)
-    assert defaults.band(12.5, omega) == (1.0, 2.5)
-    assert defaults.band(2.5, omega) == (1.0, 2.5)
+    few = np.array([0.0, 1.0, 2.0, 3.0])
+    for cutoff, end in ((100.0, 3.0), (0.1, 2.0), (12.5, 2.5), (2.5, 2.5)):
+        assert defaults.band(cutoff, few) == (1.0, end)
 
 
 def test_samples_bring_their_frequencies_or_need_them(loop, Q):
@@ -66,17 +55,8 @@ def test_samples_bring_their_frequencies_or_need_them(loop, Q):
     P = loop.frequency_response(grid)
     frd = control.frd(np.moveaxis(P, 0, -1), grid)
     np.testing.assert_array_equal(pose(frd, Q).omega, grid)
+    assert pose(measured_response(frd), Q, Ts=1.0).omega[0] == pytest.approx(1e-3)
     with pytest.raises(ValueError, match="omega must be given: P is an array"):
         pose(P, Q, Ts=1.0)
-    with pytest.raises(
-        ValueError, match=r"omega must be given, as Q = .* is no filter"
-    ):
+    with pytest.raises(ValueError, match="omega must be given, as Q"):
         pose(loop, np.ones(60), Ts=1.0)
-
-
-def test_of_a_measured_response_the_grid_begins_where_it_is_known(Q):
-    omega = np.geomspace(1e-3, 3, 9)
-    measured = SimpleNamespace(on=None, omega=omega, known=omega > 0.01)
-    assert defaults.frequencies([measured], Q, 1.0)[0] == pytest.approx(
-        omega[omega > 0.01][0]
-    )

@@ -18,21 +18,10 @@ from rodlib import (
 )
 from rodlib.ilc import trial_norm
 from rodlib.ilc.problem.pose import pose
-from rodlib.ilc.problem.problem import convergence_matrix, largest_singular_values
 from rodlib.ilc.synthesis.design import certified
 from rodlib.ilc.synthesis.result import SolverError
 from rodlib.ilc.synthesis.solver import active_set, interior_point
 from rodlib.paper import published
-
-
-@pytest.fixture(scope="module")
-def diagonal(loop, Q, omega):
-    return synthesise(loop, Q, omega, 1.0)
-
-
-@pytest.fixture(scope="module")
-def full(loop, Q, omega):
-    return synthesise(loop, Q, omega, 1.0, structure="full")
 
 
 def judged(L, P, Q, omega):
@@ -42,56 +31,24 @@ def judged(L, P, Q, omega):
     return [np.linalg.svd(X, compute_uv=False)[:, 0] for X in (M, response)]
 
 
-def test_paper_design_meets_its_bounds_and_both_are_active(diagonal, loop, Q, omega):
-    sigma_M, sigma_L = judged(
-        diagonal.filter,
-        loop.frequency_response(omega),
-        Q.frequency_response(omega),
-        omega,
-    )
-    assert sigma_M.max() == pytest.approx(0.9, rel=1e-6)
-    assert sigma_L.max() == pytest.approx(50, rel=1e-6)
-    assert diagonal.value == pytest.approx(sigma_M[omega <= 0.02].sum(), rel=1e-12)
-    assert np.all(sigma_M <= 0.9 * (1 + 1e-6)) and np.all(sigma_L <= 50 * (1 + 1e-6))
-
-
-def test_the_certificate_names_the_peaks_over_all_frequencies(full, loop, Q):
-    dense = np.linspace(1e-5, np.pi, 20001)
-    responses = (loop.frequency_response(dense), Q.frequency_response(dense))
-    sigma_M, sigma_L = judged(full.filter, *responses, dense)
-    certificate = full.certificate
-    assert certificate.all_M == pytest.approx(sigma_M.max(), rel=1e-5)
-    assert certificate.all_L == pytest.approx(sigma_L.max(), rel=1e-5)
-    assert certificate.peak.omega == pytest.approx(dense[sigma_M.argmax()], abs=1e-3)
-
-
-def test_no_design_is_worse_than_the_printed_one(diagonal, full, loop, Q, omega):
-    P, Q = loop.frequency_response(omega), Q.frequency_response(omega)
-    for design, name, value in (
-        (diagonal, "L_diagonal", 104.865787),
-        (full, "L_full", 69.961958),
+def test_no_design_is_worse_than_the_printed_one(loop, Q, omega):
+    for structure, value, rate, gain in (
+        ("diagonal", 104.865787, 0.8999993, 50.00004),
+        ("full", 69.961958, 0.883, 50.00007),
     ):
-        printed = LearningFilter(published.matrix(name), 1.0)
-        M = convergence_matrix(P, Q, printed.frequency_response(omega))
-        objective = largest_singular_values(M)[omega <= 0.02].sum()
-        assert objective == pytest.approx(value, abs=1e-6)  # found independently
-        assert design.value < objective
-        assert design.value > objective * (1 - 1e-5)
-
-
-def test_printed_filters_on_our_plant(loop, Q, omega):
-    P, Q = loop.frequency_response(omega), Q.frequency_response(omega)
-    for name, rate, gain in (
-        ("L_diagonal", 0.8999993, 50.00004),
-        ("L_full", 0.8830, 50.00007),
-    ):
-        sigma_M, sigma_L = judged(
-            LearningFilter(published.matrix(name), 1.0), P, Q, omega
-        )
-        assert sigma_M.max() == pytest.approx(
-            rate, abs=5e-5 if rate == 0.8830 else 5e-8
-        )
+        design = synthesise(loop, Q, omega, structure=structure)
+        P, q = design.problem.P, design.problem.Q
+        printed = LearningFilter(published.matrix(f"L_{structure}"), 1.0)
+        sigma_M, sigma_L = judged(printed, P, q, omega)
+        objective = sigma_M[omega <= 0.02].sum()
+        assert objective == pytest.approx(value, abs=1e-6)  # from another program
+        assert sigma_M.max() == pytest.approx(rate, abs=5e-5)
         assert sigma_L.max() == pytest.approx(gain, abs=5e-6)
+        assert objective * (1 - 1e-5) < design.value < objective
+        sigma_M, sigma_L = judged(design.filter, P, q, omega)
+        assert design.value == pytest.approx(sigma_M[omega <= 0.02].sum(), rel=1e-12)
+        for sigma, bound in ((sigma_M, 0.9), (sigma_L, 50)):
+            assert bound * 0.98 < sigma.max() <= bound * (1 + 1e-6)
 
 
 @pytest.mark.parametrize(
@@ -130,13 +87,8 @@ def test_random_plants_against_cvxpys_own_atoms(shape, L_max, objective):
     P = P + 0.1 * rng.standard_normal((m, m)) / (z - 0.3)[:, None, None]
     Q = 1 / (1 + omega**4)
     band = (0.05, 1.0)
-    arguments = {
-        "order": order,
-        "L_max": L_max,
-        "structure": structure,
-        "objective": objective,
-    }
-    design = synthesise(P, Q, omega, 1.0, band=band, **arguments)
+    arguments = {"order": order, "structure": structure, "objective": objective}
+    design = synthesise(P, Q, omega, 1.0, band=band, L_max=L_max, **arguments)
 
     taps = [cp.Variable((m, m), diag=structure == "diagonal") for _ in range(order)]
     L = [sum(z_i**k * tap for k, tap in enumerate(taps, 1)) for z_i in z]
@@ -172,8 +124,7 @@ def test_a_plant_that_one_step_inverts_is_inverted(m, seed):
 
 
 @pytest.mark.filterwarnings("ignore:Q is 1 above 3.115 rad/s, where P is not known")
-@pytest.mark.parametrize("structure", ["diagonal", "full"])
-def test_least_gain_of_a_channel_that_could_be_learned_at_once(structure):
+def test_least_gain_of_a_channel_that_could_be_learned_at_once():
     """The first channel leaves M = z / 2, see above; the second, 1 / (10 z), need not do better.
 
     To halve its error a gain of 5 is enough, and up to 15 would not be noticed in the peak.
@@ -183,11 +134,10 @@ def test_least_gain_of_a_channel_that_could_be_learned_at_once(structure):
     z = np.exp(1j * omega)
     P = np.zeros((n, 2, 2), dtype=complex)
     P[:, 0, 0], P[:, 1, 1] = (1 - 2 / z) / z**11, 0.1 / z
-    arguments = {"order": 12, "band": (0.1, 1), "structure": structure}
-    any_gain = synthesise(
-        P, np.ones(n), omega, 1.0, objective="peak", L_max=None, **arguments
-    )
-    design = least_gain(P, np.ones(n), omega, 1.0, **arguments)
+    problem = (P, np.ones(n), omega, 1.0)
+    arguments = {"order": 12, "band": (0.1, 1), "structure": "full"}
+    any_gain = synthesise(*problem, objective="peak", L_max=None, **arguments)
+    design = least_gain(*problem, **arguments)
     assert any_gain.value == pytest.approx(0.5, rel=1e-7)
     assert any_gain.sigma_L.max() > 5.5
     assert design.value == pytest.approx(0.5, rel=1e-7)
@@ -196,43 +146,14 @@ def test_least_gain_of_a_channel_that_could_be_learned_at_once(structure):
     np.testing.assert_allclose(design.filter.coefficients[1, 1], second, atol=1e-2)
 
 
-def test_infeasible_bounds_name_the_culprit_and_the_smallest_M_max(loop, Q, omega):
-    grid = omega[::5]
-    arguments = {"band": (grid[0], 0.01), "L_max": 50.0}
-    peak = synthesise(loop, Q, grid, 1.0, objective="peak", **arguments).value
-    with pytest.raises(
-        InfeasibleError, match=r"L_max = 50\.0 is too tight for M_max = 0.6"
-    ) as error:
-        synthesise(loop, Q, grid, 1.0, M_max=0.6, **arguments)
-    assert f"smallest feasible M_max is {peak:.4g}"[:-1] in str(error.value)
-    with pytest.raises(
-        InfeasibleError, match=r"M_max = 0\.1 is too tight for a diagonal filter"
-    ):
-        synthesise(loop, Q, grid, 1.0, M_max=0.1, **arguments)
-    nearly = synthesise(loop, Q, grid, 1.0, M_max=peak * 1.001, **arguments)
-    assert nearly.sigma_M.max() <= peak * 1.001 * (1 + 1e-6)
-
-
 @pytest.mark.parametrize(
     ("changes", "remedy"),
     [
-        (
-            {"M_max": 0.6, "L_max": 1e-9},
-            "M_max is 1: no M_max below 1 will do, so raise L_max",
-        ),
-        (
-            {"order": 11},
-            "will do, so take a longer filter, or a full one, lower the cut-off of Q",
-        ),
-        (
-            {"order": 11, "structure": "full"},
-            "so take a longer filter, lower the cut-off of Q",
-        ),
+        ({"M_max": 0.6, "L_max": 1e-9}, "no M_max below 1 will do, so raise L_max"),
+        ({"order": 11}, "will do, so take a longer filter, or a full one, lower"),
+        ({"order": 11, "structure": "full"}, "so take a longer filter, lower"),
         ({"M_max": 0.6, "L_max": 0.2}, "M_max is 0.79.*: raise M_max or raise L_max"),
-        (
-            {"L_max": None},
-            r"M_max is 0.5(00001)?: raise M_max, take a longer filter",
-        ),  # rounded up
+        ({"L_max": None}, r"M_max is 0.5(00001)?: raise M_max, take"),  # rounded up
     ],
 )
 def test_what_cannot_help_is_not_advised(changes, remedy):
@@ -247,54 +168,22 @@ def test_what_cannot_help_is_not_advised(changes, remedy):
         synthesise((1 - 2 / z) / z**11, np.ones(200), omega, 1.0, **arguments)
 
 
-def singular_P():
-    P = np.tile(np.eye(2, dtype=complex), (50, 1, 1))
-    P[7] = [[1, 1], [1, 1]]
-    return P
-
-
 GRID = np.linspace(0.05, 3, 50)
-MODELS = {"P": control.ss(0.5, 1, 1, 0, 1.0), "Q": zero_phase_butterworth()}
 
 
-REFUSED = [  # arguments, and how the message begins
-    ({"P": np.ones((50, 2, 3))}, "P has shape"),
-    ({"P": np.ones((49, 2, 2))}, "P has shape"),
-    ({"P": singular_P()}, "P is singular at omega = 0.471429"),
-    ({"P": np.tile(np.eye(2) * 1e-200, (50, 1, 1))}, "P is singular at omega = 0.05"),
-    ({"P": control.ss(1.1, 1, 1, 0, 1.0)}, "P is unstable"),
-    ({"P": control.ss([[0.5]], [[np.nan]], 1, 0, 1.0)}, "P.B has 1 values"),
-    ({"Q": np.ones(3)}, "Q has shape"),
-    ({"Q": np.zeros(50), "objective": "peak"}, "Q has a gain of 0 at most"),
-    ({"Q": (GRID > 2).astype(float)}, "Q has a gain of 0 at most"),
-    ({"Q": zero_phase_butterworth(Ts=0.5)}, "P.Ts = 1.0, Q.Ts = 0.5"),
-    ({"omega": GRID[::-1]}, "omega, of shape"),
-    ({"omega": GRID * 2}, "omega spans"),
-    ({"Ts": 0.0}, "Ts = 0.0"),
-    ({"order": 0}, "order = 0"),
-    ({"order": 51}, "order = 51"),
-    ({"M_max": 1.0}, "M_max = 1.0"),
-    ({"M_max": 0.0}, "M_max = 0.0"),
-    ({"L_max": -1.0}, "L_max = -1.0"),
-    ({"everywhere": 1}, "everywhere = 1"),
-    ({"rest": 1}, "rest = 1"),
-    ({"band": (1e-4, 0.5)}, "band = .* within omega"),
-    ({"band": (0.2, 0.2)}, "band = .* two increasing"),
-    ({"band": (0.051, 0.052)}, "band = .* contains none"),
-    ({"structure": "triangular"}, "structure = 'triangular'"),
-    ({"objective": "mean"}, "objective = 'mean'"),
-    ({"samples": 100}, "samples = 100 .* P and Q as models"),
-    (MODELS | {"samples": 0}, "samples = 0"),
-    (MODELS | {"samples": 9, "rest": 9}, "rest = 9"),
-]
-
-
-@pytest.mark.parametrize(("changes", "message"), REFUSED)
-def test_bad_arguments_are_refused_before_any_work(changes, message):
-    P = np.tile(np.eye(2), (50, 1, 1))
-    plain = {"P": P, "Q": np.ones(50), "omega": GRID, "Ts": 1.0, "band": (0.05, 1)}
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"rest": 1}, "rest = 1"),
+        ({"P": np.ones((50, 1, 1)), "samples": 100}, "samples = 100 .* as models"),
+        ({"samples": 0}, "samples = 0"),
+        ({"samples": 9, "rest": 9}, "rest = 9"),
+    ],
+)
+def test_a_trial_that_does_not_fit_is_refused(changes, message):
+    plain = {"P": control.ss(0.5, 1, 1, 0, 1.0), "Q": zero_phase_butterworth()}
     with pytest.raises(ValueError, match=f"^{message}"):
-        synthesise(**plain | changes)
+        synthesise(**plain | {"omega": GRID, "band": (0.05, 1)} | changes)
 
 
 def test_numbers_may_come_from_numpy_and_the_rest_reaches_the_certificate(
@@ -302,11 +191,7 @@ def test_numbers_may_come_from_numpy_and_the_rest_reaches_the_certificate(
 ):
     grid = omega[::10]
     of_numpy = {"order": np.int64(10), "M_max": np.float32(0.95), "L_max": np.int32(50)}
-    of_numpy |= {
-        "band": np.array([grid[0], 0.02]),
-        "samples": np.int64(60),
-        "rest": np.int8(15),
-    }
+    of_numpy |= {"samples": np.int64(60), "rest": np.int8(15)}
     design = synthesise(loop, Q, grid, np.int64(1), **of_numpy)
     norm = trial_norm(loop.P, Q, design.filter, 60, rest=15)[0]
     assert design.certificate.trial == pytest.approx(norm, rel=1e-9)
@@ -314,24 +199,9 @@ def test_numbers_may_come_from_numpy_and_the_rest_reaches_the_certificate(
     assert (design.certificate.samples, design.certificate.rest) == (60, 15)
 
 
-@pytest.mark.parametrize("m", [1, 2])
-def test_what_is_not_learned_at_one_frequency_is_learned_at_others(m):
-    P, Q = (
-        (0.5 / (np.exp(1j * GRID) - 0.5))[:, None, None] * np.eye(m),
-        1 / (1 + GRID**4),
-    )
+def test_what_is_not_learned_at_one_frequency_is_learned_at_others():
+    P = (0.5 / (np.exp(1j * GRID) - 0.5))[:, None, None] * np.eye(2)
+    Q = 1 / (1 + GRID**4)
     Q[3] = 0
     design = synthesise(P, Q, GRID, 1.0, order=3, band=(0.05, 1), structure="full")
     assert design.sigma_M[3] == 0 and design.certificate.gap < 1e-8
-
-
-@pytest.mark.parametrize("unit", [1e-90, 1e-12, 1e12, 1e90])
-def test_the_unit_of_the_output_does_not_matter(loop, Q, omega, unit):
-    grid = omega[::10]
-    P, q = loop.frequency_response(grid), Q.frequency_response(grid)
-    plain, scaled = (
-        synthesise(u * P, q, grid, 1.0, L_max=50 / u, band=(grid[0], 0.02))
-        for u in (1, unit)
-    )
-    assert scaled.value == pytest.approx(plain.value, rel=1e-7)
-    assert scaled.sigma_L.max() * unit == pytest.approx(plain.sigma_L.max(), rel=1e-6)

@@ -1,13 +1,14 @@
 """Trials that go wrong are warned of; trials that converge are not."""
 
 import warnings
+from dataclasses import replace
 
 import control
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from plants import furnace, tanks
+from plants import PUMPS, RestartingModel, bump, furnace, tanks
 from scipy.signal import lfilter
 from scipy.stats import f as f_distribution
 
@@ -17,12 +18,12 @@ from rodlib import (
     current_trial_loop,
     paper_loop,
     rate,
+    record,
     rms,
     run_trials,
     synthesise,
     zero_phase_butterworth,
 )
-from rodlib.ilc import Controller
 from rodlib.ilc.trials.diagnosis import (
     chance,
     chance_of_excess,
@@ -33,16 +34,9 @@ from rodlib.ilc.trials.diagnosis import (
     octaves,
     spectrum,
 )
-from rodlib.ilc.trials.run import dataset
 from rodlib.paper import published
 
-PUMPS = ["pump A", "pump B", "pump C"]
 GRID = np.geomspace(1e-4, np.pi, 200)
-
-
-def bump(samples, amplitude):
-    """From rest to an amplitude and back."""
-    return np.outer(np.sin(np.pi * np.arange(samples) / samples) ** 2, amplitude)
 
 
 def white(seed, *shape):
@@ -109,7 +103,7 @@ def test_ordinary_trials_are_not_warned_of(cases, seed):
         run_trials(law.loop, law, reference, push, trials, noise=noise, plant=plant)
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.02, 0.1])
+@pytest.mark.parametrize("noise", [0.0, 0.1])
 def test_divergence_on_another_plant_is_noticed(noise):
     law = furnace_law(30, 0.4, order=40, band=(1e-4, 0.1))
     plant, noise = another_furnace(1.1, 33), noise * white(0, 16, 600, 1)
@@ -138,35 +132,18 @@ def test_where_the_error_grows_and_what_the_model_predicts_is_said(tank_law):
         run_trials(law.loop, law, bump(1000, [1.0]), None, 10, noise=noise)
 
 
-def saturating(loop, limit, w, rng):
-    """One trial of the tanks whose pumps do not follow more than a limit, with noise."""
-    plant, controller = loop.plant, Controller(loop)
-    x, outputs, commands = np.zeros(plant.nstates), [], []
-    for now in w:
-        outputs.append(plant.C @ x + 0.02 * rng.standard_normal(3))
-        commands.append(controller.step(outputs[-1], now))
-        u = np.clip(commands[-1], -limit, limit)
-        x = plant.A @ x + plant.B[:, :3] @ u
-    return np.array(outputs), np.abs(commands).max(axis=0)
-
-
-@pytest.mark.parametrize("with_model", [True, False])
-@pytest.mark.parametrize("share", [0.7, 0.4])
+@pytest.mark.parametrize(("share", "with_model"), [(0.7, True), (0.4, False)])
 def test_pumps_at_their_limit_are_noticed(share, with_model, tank_law):
-    loop, rng = tank_law.loop, np.random.default_rng(0)
-    law = tank_law if with_model else Law(tank_law.Q, tank_law.L)
-    reference = bump(400, LEVELS)
-    limit = share * saturating(loop, np.inf, reference, rng)[1]
-    v, y = [np.zeros_like(reference)], []
-    for _ in range(14):
-        y.append(saturating(loop, limit, reference + v[-1], rng)[0])
-        v.append(law.next(v[-1], reference - y[-1]))
-    signals = {"v": np.array(v[:-1]), "y": np.array(y)}
-    signals["reference"] = np.broadcast_to(reference, signals["y"].shape)
-    trials = dataset(2.0, loop.outputs, [], [], loop.units, **signals)
-    texts = diagnose(trials, law)
-    assert rms(trials.e).values[3:].std() < 0.2 * rms(trials.e).values[3:].min()
-    assert np.abs(v[-2]).max() > 3 * np.abs(v[2]).max() and "error" not in texts
+    loop, law, reference = tank_law.loop, Law(tank_law.Q, tank_law.L), bump(400, LEVELS)
+    rig = RestartingModel(loop.plant, loop.controls, noise=0.02)
+    first = record(rig, loop, law, reference, trials=1)
+    rig.limit = share * np.abs(first.u.values[0]).max(axis=0)
+    with warnings.catch_warnings(action="ignore"):
+        trials = record(rig, loop, law, reference, trials=14)
+    texts = diagnose(trials, tank_law if with_model else law)
+    size, v = rms(trials.e).values, trials.v.values
+    assert size[3:].std() < 0.2 * size[3:].min() and "error" not in texts
+    assert np.abs(v[-1]).max() > 3 * np.abs(v[2]).max()
     if with_model:
         assert "contradict the loop's model" in texts["model"]
     else:
@@ -202,7 +179,7 @@ def test_degrees_of_freedom_count_independent_values():
         assert low <= degrees_of_freedom(spectrum(signal)).item() <= high
 
 
-@pytest.mark.parametrize("samples", [2, 3, 4, 5, 64, 65, 1023])
+@pytest.mark.parametrize("samples", [2, 3, 64, 1023])
 def test_octaves_share_the_mean_square(samples):
     signals = white(samples, 3, samples, 2)
     power = np.add.reduceat(spectrum(signals).sum(axis=2), octaves(samples), axis=1)
@@ -229,15 +206,10 @@ def test_other_references_and_noise_alone_are_not_warned_of(cases):
 
 def test_ratios_by_octave_are_those_of_M():
     """Far from the ends e_2 = (M + 1 - Q) e_1: measured of the plant, predicted of the model."""
-    law, plant = (
-        furnace_law(5, 0.3, order=15, band=(1e-4, 0.1)),
-        another_furnace(0.5, 8),
-    )
-    law = Law(law.Q, law.L, gain=0.8, loop=law.loop)
-    samples = 4096
+    law = replace(furnace_law(5, 0.3, order=15, band=(1e-4, 0.1)), gain=0.8)
+    plant, samples = another_furnace(0.5, 8), 4096
     reference = np.zeros((samples, 1))
-    reference[1500:2000] = bump(500, [10.0])
-    reference[2200:2260] = bump(60, [5.0])
+    reference[1500:2000], reference[2200:2260] = bump(500, [10.0]), bump(60, [5.0])
     with warnings.catch_warnings(action="ignore"):
         run = run_trials(law.loop, law, reference, trials=2, plant=plant)
     (history,) = histories(run, law)
@@ -245,22 +217,18 @@ def test_ratios_by_octave_are_those_of_M():
     omega = 2 * np.pi * np.arange(1, samples // 2 + 1) / samples
     power = np.abs(np.fft.rfft(run.e.values[0, :, 0]))[1:] ** 2
     Q, L = law.Q.frequency_response(omega), law.L.frequency_response(omega)[:, 0, 0]
-    edges = np.append(0, table["frequency"])
-    octave = np.digitize(omega * (1 + 1e-9), edges) - 1
-    octave = np.minimum(octave, len(table["before"]) - 1)
+    octave = np.searchsorted(table["frequency"][:-1], omega * (1 + 1e-9))
     large = np.flatnonzero(table["before"] > 1e-3 * table["before"].max())
     for name, other in (("predicted", None), ("measured", plant)):
-        P = law.loop.frequency_response(omega, other)[:, 0, 0]
-        M = Q * (1 - P * L)
+        M = Q * (1 - law.loop.frequency_response(omega, other)[:, 0, 0] * L)
         change = 1 - law.gain + law.gain * (M + 1 - Q)
         for b in large:
             part = octave == b
             weighted = np.average(np.abs(change[part]) ** 2, weights=power[part])
             assert table[name][b] == pytest.approx(weighted**0.5, rel=0.02, abs=1e-3)
+            bound = 1 - law.gain + law.gain * np.abs(M[part]).max()
             if other is None:
-                bound = 1 - law.gain + law.gain * np.abs(M[part]).max()
                 assert table["bound"][b] == pytest.approx(bound, rel=0.05)
-    assert table["measured"][0] > 2 * table["bound"][0] - 1 + law.gain
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.02])

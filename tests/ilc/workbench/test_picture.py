@@ -1,17 +1,15 @@
-"""The pictures: their lines are the design's or the trials', with units, and everything fits."""
+"""The picture: its lines are the design's, and everything fits."""
 
 from dataclasses import replace
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-import xarray as xr
 
 from rodlib import (
     Rod,
     Settings,
     plot,
-    run_trials,
     synthesise,
     try_out,
 )
@@ -38,12 +36,6 @@ def other(stage):
 @pytest.fixture(scope="module")
 def message():
     return Outcome(None, message=r"no file '$\frac{$.csv': " + 30 * "much to say ")
-
-
-@pytest.fixture(scope="module")
-def trials(paper):
-    move = np.sin(np.linspace(0, np.pi, 60))[:, None] ** 2 * [1, 2]
-    return run_trials(paper.settings.plant.loop, paper.design.law(), move, trials=3)
 
 
 @pytest.fixture(autouse=True)
@@ -130,38 +122,10 @@ def test_a_message_stands_where_the_curves_were(paper, message):
     assert text.split() == message.message.split()
 
 
-def test_trials_are_drawn_with_their_units(trials):
-    rms, y, v, u = plot(trials).axes
-    assert [ax.get_ylabel() for ax in (rms, y, v, u)] == [
-        "RMS (K)", "y in trial 3 (K)", "v in trial 3 (K)", "u in trial 3 (W)"
-    ]  # fmt: skip
-    assert [ax.get_xlabel() for ax in (rms, y)] == ["trial", "time (s)"]
-    power = (trials.e**2).sum("channel").mean("time")
-    np.testing.assert_allclose(rms.lines[0].get_ydata(), np.sqrt(power))
-    output, reference = y.lines[:2]
-    np.testing.assert_array_equal(output.get_ydata(), trials.y[-1, :, 0])
-    np.testing.assert_array_equal(reference.get_ydata(), trials.reference[-1, :, 0])
-    assert output.get_color() == reference.get_color()
-    assert u.lines[0].get_label() == "u: Q1"
-    np.testing.assert_array_equal(u.lines[0].get_ydata(), trials.u[-1, :, 0])
-
-
-def test_signals_with_other_units_stand_in_other_axes(trials):
-    mixed = trials.drop_vars("u").assign_coords(output_unit=("channel", ["K", "mm"]))
-    labels = [ax.get_ylabel() for ax in plot(mixed).axes]
-    assert labels[:2] == ["RMS of y1 (K)", "RMS of y2 (mm)"]
-    assert labels[2:4] == ["y in trial 3 (K)", "y in trial 3 (mm)"] and len(labels) == 6
-
-
-def test_the_style_stays_and_other_items_are_refused(trials, paper):
+def test_the_style_stays_and_other_items_are_refused(paper):
     before = plt.rcParams.copy()
-    plot(trials)
-    plot(paper)
+    plot(paper.design)
     assert plt.rcParams == before
-    for wrong, message in (
-        ((3,), "item = 3"),
-        ((paper, 3), "before = 3"),
-        ((xr.Dataset(),), "trials lack"),
-    ):
+    for wrong, message in (((3,), "design = 3"), ((paper, 3), "before = 3")):
         with pytest.raises(ValueError, match=message):
             plot(*wrong)

@@ -20,7 +20,7 @@ import daqp
 import numpy as np
 import piqp
 
-from rodlib.ilc.problem.problem import Solution
+from rodlib.ilc.problem.problem import Solution, largest_singular_values
 from rodlib.ilc.synthesis.solver.program import Program
 
 NEAR = 0.97  # part of a limit from which on it is in the quadratic program
@@ -37,9 +37,15 @@ class Iterate:
 
     def __init__(self, program, x, splits=None):
         self.x, self.G, self.splits, self.sigma = x, program.matrices(x), [], []
+        level = program.limits[0]
+        if program.shared:  # at least the largest M without the radius
+            minimised = zip(program.bounds, self.G, strict=True)
+            M = [G[: bound.shape[1]] for bound, G in minimised if bound.limit == 0]
+            M = np.moveaxis(np.concatenate(M, axis=-1), -1, 0)
+            level = largest_singular_values(M).max()
         for j, (bound, G) in enumerate(zip(program.bounds, self.G, strict=True)):
             split = bound.first_split(G) if splits is None else splits[j]
-            split, sigma = bound.tighten(G, split)
+            split, sigma = bound.tighten(G, split, NEAR * level)
             self.splits.append(split)
             self.sigma.append(sigma)
         if program.shared:

@@ -23,6 +23,7 @@ import numpy as np
 
 from rodlib.ilc.problem.problem import largest_singular_values
 
+EVEN = 1e-14  # relative distance of two values that rounding may have exchanged
 INSIDE = 0.05  # share of b that a first split leaves to M, and to H, at least
 
 
@@ -205,7 +206,7 @@ class Bound:
             for _ in range(6):
                 new = split[:, active] + d
                 there = some.value(G[..., active], new)
-                better = there < value[active]
+                better = there <= value[active] * (1 + EVEN)
                 split[:, active[better]], value[active[better]] = (
                     new[:, better],
                     there[better],

@@ -4,11 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from plants import random_response
 
-from rodlib import InfeasibleError, synthesise
+from rodlib import synthesise
 from rodlib.ilc.problem.pose import pose
 from rodlib.ilc.synthesis.design import solve
 from rodlib.ilc.synthesis.formulate import formulate
@@ -21,65 +19,28 @@ from rodlib.ilc.synthesis.solver.active_set import (
     resolve,
 )
 
-CHANGES = [
-    *({"M_max": value} for value in (0.97, 0.88)),
-    {"L_max": 40.0},
-    {"band": (1e-4, 0.05)},
-]
+
+@pytest.fixture(scope="module")
+def start(loop, Q, omega):
+    """The paper's diagonal filter."""
+    return synthesise(loop, Q, omega)
 
 
-@pytest.fixture(scope="module", params=["diagonal", "full"])
-def before(request, loop, Q, omega):
-    return request.param, synthesise(loop, Q, omega, 1.0, structure=request.param)
+@pytest.mark.parametrize("structure", ["diagonal", "full"])
+def test_a_changed_bound_or_band_takes_a_few_steps(loop, Q, omega, structure):
+    start = synthesise(loop, Q, omega, structure=structure)
+    for changes in ({"M_max": 0.88}, {"L_max": 40.0}, {"band": (1e-4, 0.05)}):
+        changes["structure"] = structure
+        cold = synthesise(loop, Q, omega, **changes)
+        warm = synthesise(loop, Q, omega, start=start, **changes)
+        assert warm.value == pytest.approx(cold.value, rel=1e-9)
+        assert warm.certificate.gap < 1e-8
+        # A step costs about half of an iteration of the interior-point method.
+        assert warm.solution.method == "active set"
+        assert warm.solution.iterations <= 0.6 * cold.solution.iterations
 
 
-@pytest.mark.parametrize("changes", CHANGES, ids=str)
-def test_a_changed_bound_or_band_takes_a_few_steps(before, loop, Q, omega, changes):
-    structure, start = before
-    cold = synthesise(loop, Q, omega, 1.0, structure=structure, **changes)
-    warm = synthesise(loop, Q, omega, 1.0, structure=structure, start=start, **changes)
-    assert warm.value == pytest.approx(cold.value, rel=1e-9)
-    assert warm.certificate.gap < 1e-8
-    # A step costs about half of an iteration of the interior-point method.
-    assert warm.solution.method == "active set"
-    assert warm.solution.iterations <= 0.6 * cold.solution.iterations
-
-
-@pytest.mark.filterwarnings("ignore:the filter leaves")
-@pytest.mark.filterwarnings("ignore:the samples are too coarse")
-@settings(max_examples=6)
-@given(
-    st.integers(1, 3),
-    st.sampled_from([1, 3, 8]),
-    st.sampled_from(["diagonal", "full"]),
-    st.sampled_from(["sum", "peak"]),
-    st.sampled_from([1e-6, 1.0, 1e6]),
-    st.sampled_from([0.8, 1.02, 2.0]),
-    st.integers(0, 999),
-)
-def test_random_responses(m, order, structure, objective, gain, change, seed):
-    """A start never changes the result, whatever the plant, its unit and the change."""
-    P, Q, omega = random_response(seed, m, gain=gain)
-    arguments = {
-        "order": order,
-        "band": (0.01, 0.3),
-        "structure": structure,
-        "M_max": 0.97,
-    }
-    arguments |= {"objective": objective}
-    try:
-        start = synthesise(P, Q, omega, 1.0, L_max=10.0 / gain, **arguments)
-        cold = synthesise(P, Q, omega, 1.0, L_max=change * 10.0 / gain, **arguments)
-    except InfeasibleError:
-        return
-    warm = synthesise(
-        P, Q, omega, 1.0, L_max=change * 10.0 / gain, start=start, **arguments
-    )
-    assert warm.value == pytest.approx(cold.value, rel=1e-8, abs=1e-9)
-    assert warm.certificate.failures == []
-
-
-@pytest.mark.parametrize("seed", [0, 1, 4, 7])
+@pytest.mark.parametrize("seed", [0, 7])
 def test_a_corrected_step_meets_curved_bounds_to_second_order(seed, monkeypatch):
     """Relaxed by h, they are passed by some h^2 with the first step, by next to nothing then."""
     P, Q, omega = random_response(seed, 2)
@@ -107,61 +68,40 @@ def test_a_corrected_step_meets_curved_bounds_to_second_order(seed, monkeypatch)
     assert abs(corrected) < 0.1 * first  # of third order, h times as much
 
 
-def test_at_an_optimum_one_step_is_enough(loop, Q, omega):
-    design = synthesise(loop, Q, omega, 1.0)
-    start = design.solution
-    found = resolve(formulate(design.problem), start, 1)
-    assert found.iterations == 1 and found.method == "active set"
-    np.testing.assert_allclose(found.coefficients, start.coefficients, atol=1e-5)
+def test_at_an_optimum_one_step_is_enough_and_from_zero_none_is(start):
+    """At L = 0 all singular values coincide."""
+    program, optimum = formulate(start.problem), start.solution
+    step = resolve(program, optimum, 1)
+    assert step.iterations == 1 and step.method == "active set"
+    np.testing.assert_allclose(step.coefficients, optimum.coefficients, atol=1e-5)
+    zero = {name: 0 * getattr(optimum, name) for name in ("coefficients", "U", "V")}
+    assert resolve(program, replace(optimum, **zero), 12) is None
 
 
-def test_where_the_method_does_not_converge_it_says_so(loop, Q, omega):
-    """From L = 0, where all singular values coincide."""
-    P = loop.frequency_response(omega)
-    start = synthesise(loop, Q, omega, 1.0)
-    zero = type(start.solution)(
-        0 * start.filter.coefficients, 0 * P, 0 * P, 1.0, "none", 0
-    )
-    assert resolve(formulate(start.problem), zero, 12) is None
-
-
-def test_what_the_method_returns_is_judged_more_strictly(loop, Q, omega, monkeypatch):
+def test_what_the_method_returns_is_judged_more_strictly(
+    loop, Q, omega, start, monkeypatch
+):
     """With multipliers a little off, its result is discarded for that of the cold solve."""
-    start = synthesise(loop, Q, omega, 1.0)
-    calls = []
 
     def careless(*arguments, **more):
-        found = resolve(*arguments, **more)
-        calls.append(found)
-        return replace(found, U=found.U * (1 - 1e-7), V=found.V * (1 - 1e-7))
+        solution = resolve(*arguments, **more)
+        U, V = (1 - 1e-7) * solution.U, (1 - 1e-7) * solution.V
+        return replace(solution, U=U, V=V)
 
     monkeypatch.setattr(active_set, "resolve", careless)
-    design = synthesise(loop, Q, omega, 1.0, start=start, L_max=49.0)
-    assert len(calls) == 2 and None not in calls
+    design = synthesise(loop, Q, omega, start=start, L_max=49.0)
     assert design.solution.method == "interior point" and design.certificate.gap < 1e-8
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"order": 9}, r"coefficients of shape \(2, 2, 10\).*must have \(2, 2, 9\)"),
-        (
-            {"omega": slice(None, None, 2)},
-            "on 1000 frequencies, but must have .* on 500",
-        ),
-    ],
-)
-def test_a_start_that_does_not_fit_is_refused(loop, Q, omega, changes, message):
-    start = synthesise(loop, Q, omega, 1.0)
-    grid = omega[changes.pop("omega", slice(None))]
-    with pytest.raises(ValueError, match=message):
-        synthesise(loop, Q, grid, 1.0, start=start, **changes)
-
-
-def test_a_full_filter_is_no_start_for_a_diagonal_one(loop, Q, omega):
-    start = synthesise(loop, Q, omega, 1.0, structure="full")
-    with pytest.raises(ValueError, match="start is a full filter"):
-        synthesise(loop, Q, omega, 1.0, start=start)
+def test_a_start_that_does_not_fit_is_refused(loop, Q, omega, start):
+    full = synthesise(loop, Q, omega[::2], structure="full")
+    for grid, changes, message in (
+        (omega, {"order": 9}, r"shape \(2, 2, 10\).* must have \(2, 2, 9\)"),
+        (omega[::2], {}, "on 1000 frequencies, but must have .* on 500"),
+        (omega[::2], {"start": full}, "start is a full filter"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            synthesise(loop, Q, grid, **{"start": start} | changes)
 
 
 def test_where_the_quick_quadratic_solver_gives_up_another_finds_the_same(monkeypatch):

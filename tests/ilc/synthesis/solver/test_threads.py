@@ -27,18 +27,18 @@ def test_while_it_runs_there_is_one_thread_and_afterwards_what_there_was():
 
 
 def test_the_digits_are_those_of_one_thread(loop, Q, omega, monkeypatch):
-    seen, solve = [], design.solve
-    monkeypatch.setattr(
-        design, "solve", lambda *a: [solve(*a), seen.append(threads())][0]
-    )
-    found = []
+    during, solve = [], design.solve
+
+    def solve_and_look(*arguments):
+        during.append(threads())
+        return solve(*arguments)
+
+    monkeypatch.setattr(design, "solve", solve_and_look)
+    coefficients = []
     for number in (1, 2):
         with threadpool_limits(number, "blas"):
-            found.append(synthesise(loop, Q, omega).filter.coefficients)
-    np.testing.assert_array_equal(*found)
-    assert seen == [{1}, {1}]
-
-
-def test_the_searches_are_held_to_one_too():
-    for search in (synthesise, least_gain, largest_cutoff):
+            coefficients.append(synthesise(loop, Q, omega).filter.coefficients)
+    np.testing.assert_array_equal(*coefficients)
+    assert during == [{1}, {1}]
+    for search in (least_gain, largest_cutoff):
         assert search.__wrapped__.__name__ == search.__name__
