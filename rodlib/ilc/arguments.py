@@ -208,8 +208,6 @@ def array(
     )
     if usual and value.size and np.abs(value).max() <= LARGEST:
         return value.copy()  # as in every sample of an experiment
-    if type(value) is float and not shape and abs(value) <= LARGEST:
-        return np.array(value, dtype)
     try:
         plain = np.asanyarray(value)
     except (TypeError, ValueError):

@@ -3,7 +3,6 @@
 import json
 import re
 from collections.abc import Mapping, Sequence
-from datetime import date
 
 import numpy as np
 import xarray as xr
@@ -46,8 +45,8 @@ def save_log(trials: xr.Dataset, path) -> None:
     ----------
     trials : xarray.Dataset
         From :func:`rodlib.run_trials`, :func:`rodlib.record` or :func:`load_log`. `e` is not
-        written: it is reference - y. Attributes become metadata: a line of text as it is, a time
-        as in ISO 8601, all else as JSON.
+        written: it is reference - y. Attributes become metadata: a line of text as it is, all else
+        as JSON.
     path : path-like
 
     Raises
@@ -151,21 +150,17 @@ def _free_metadata(attributes):
             raise ValueError(
                 f"attribute {key!r} cannot be a line of the log: rename it"
             )
-        if isinstance(value, date | np.datetime64):
-            value = _plain(value)
         line = isinstance(value, str) and value.isprintable() and value == value.strip()
         try:
-            metadata[key] = value if line else json.dumps(value, default=_plain)
+            text = value if line else json.dumps(value, default=_as_list)
         except (TypeError, ValueError) as error:
             raise ValueError(f"attribute {key!r} cannot be JSON: {error}") from None
+        metadata[key] = text
     return metadata
 
 
-def _plain(value):
-    """Times as in ISO 8601, arrays as lists."""
-    if isinstance(value, np.datetime64):
-        return str(value)
-    return value.isoformat() if isinstance(value, date) else np.asarray(value).tolist()
+def _as_list(value):
+    return np.asarray(value).tolist()
 
 
 def _trial_and_time(trials, Ts):

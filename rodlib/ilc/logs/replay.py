@@ -105,15 +105,16 @@ class Replay:
         """The same experiment on the model: the law, the references and the disturbances."""
         if self.law is None or self.model is None or not self.complete:
             return None
-        measured = [name not in self.unmeasured for name in self.loop.disturbances]
-        if isinstance(self.loop, ClosedLoop):  # P has no input for disturbances
-            measured = [False] * len(measured)
+        disturbance = None  # P of a ClosedLoop has no input for it
+        if not isinstance(self.loop, ClosedLoop):
+            ignored = [name in self.unmeasured for name in self.loop.disturbances]
+            disturbance = np.where(ignored, 0.0, self.disturbance)
         with warnings.catch_warnings(action="ignore"):  # the log's own count
             return run_trials(
                 self.loop,
                 self.law,
                 self.trials.reference.values,
-                self.disturbance * measured,
+                disturbance,
                 trials=len(self.numbers),
                 v=self.trials.v.values[0] if BEGUN in self.trials.attrs else None,
             )
@@ -145,10 +146,9 @@ class Replay:
         if self.predicted is None:
             return None
         y = self.trials.y.values
-        size = np.linalg.norm(y - y.mean(axis=1, keepdims=True), axis=1)
         error = np.linalg.norm(y - self.predicted, axis=1)
-        error = np.divide(error, size, np.full_like(size, np.nan), where=size > 0)
-        return self._by_trial(1 - error)
+        size = np.linalg.norm(y - y.mean(axis=1, keepdims=True), axis=1)
+        return self._by_trial(1 - error / np.where(size > 0, size, np.nan))
 
     @cached_property
     def departure(self) -> pd.DataFrame | None:

@@ -158,7 +158,8 @@ def read_table(
         if len({*places.values()}) < len(places):
             raise LogError(f"each name needs a column of its own: {columns}")
         labels = {
-            title: _unit(entries.columns[place]) for title, place in places.items()
+            title: _name_and_unit(entries.columns[place])[1]
+            for title, place in places.items()
         }
         entries = entries.iloc[:, [*places.values()]].set_axis([*places], axis=1)
         signals = {
@@ -207,7 +208,7 @@ def _place(titles, word, column):
     """The number of a column that an argument asks for by its title or number."""
     if isinstance(column, int) and 0 <= column < len(titles):
         return column
-    for written in ([*titles], [*map(_without_unit, titles)]):
+    for written in ([*titles], [_name_and_unit(title)[0] for title in titles]):
         if written.count(column) == 1:
             return written.index(column)
     raise LogError(
@@ -216,14 +217,9 @@ def _place(titles, word, column):
     )
 
 
-def _without_unit(title):
+def _name_and_unit(title):
     match = WITH_UNIT.fullmatch(title)
-    return match[1] if match else title
-
-
-def _unit(title):
-    match = WITH_UNIT.fullmatch(title)
-    return match[2] if match else ""
+    return match.groups() if match else (title, "")
 
 
 def _in_seconds(column, unit):
@@ -275,7 +271,7 @@ def _entries(lines, asked, gaps):
         are_numbers = _are_numbers(row, point)
         if are_numbers[numeric].all():
             break
-        matches = len(asked & {*row, *map(_without_unit, row)})
+        matches = len(asked & {*row, *(_name_and_unit(title)[0] for title in row)})
         if matches or not are_numbers.any():
             candidates[first] = matches, row
     titles = [f"column {place}" for place in range(width)]

@@ -88,7 +88,7 @@ class CurrentTrialLoop:
         B = self.plant.B[:, : self.plant.noutputs]
         return control.ss(
             self.plant.A - B @ self.Ks, B @ self.N, self.plant.C, 0, self.Ts,
-            inputs=_learned(self), outputs=self.outputs,
+            inputs=self.references, outputs=self.outputs,
         )  # fmt: skip
 
     @cached_property
@@ -298,7 +298,7 @@ def _close(loop, plant):
         np.hstack([plant.C, -Du @ K]),
         np.hstack([Du @ loop.N, F]),
         loop.Ts,
-        inputs=_learned(loop) + loop.disturbances,
+        inputs=loop.references + loop.disturbances,
         outputs=loop.outputs,
         name="current-trial loop",
     )

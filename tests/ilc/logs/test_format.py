@@ -1,5 +1,3 @@
-import datetime
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -92,36 +90,25 @@ def test_the_order_of_dimensions_does_not_matter_and_that_of_trials_stays(
 
 
 def test_attributes_come_back_as_a_line_of_text(tmp_path, trials):
-    when = datetime.datetime(2024, 2, 29, 12, 30)
-    notes = {"seed": 3, "list": np.array([1, 2.5]), "lines": "one\ntwo", "when": [when]}
-    notes["day"] = np.datetime64("2024-02-29")
+    notes = {"seed": 3, "list": np.array([1, 2.5]), "lines": "one\ntwo", "note": "a: b"}
     save_log(trials.assign_attrs(notes), tmp_path / "log.csv")
     attributes = load_log(tmp_path / "log.csv").attrs
     assert attributes.pop("Ts") == 1.0
-    assert attributes == {
-        "seed": "3",
-        "list": "[1.0, 2.5]",
-        "lines": r'"one\ntwo"',
-        "when": f'["{when.isoformat()}"]',
-        "day": "2024-02-29",
-    }
+    lines = {"seed": "3", "list": "[1.0, 2.5]", "lines": r'"one\ntwo"', "note": "a: b"}
+    assert attributes == lines
 
 
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        (lambda t: None, "trials = None"),
         (lambda t: t.drop_vars("v"), r"lack \['v'\]"),
-        (lambda t: t.drop_vars("output"), r"lack \['output'\]"),
         (lambda t: t.assign(y=t.y.where(t.time < 2)), "not finite in 'y_depth'"),
         (lambda t: t.assign_attrs(Ts=0), "Ts.* = 0 must be"),
         (lambda t: t.isel(time=slice(1, None)), "time must be 0, Ts, 2 Ts"),
         (lambda t: t.assign_coords(trial=[1, 2, 2]), "trials.trial"),
         (lambda t: t.assign_coords(output=("channel", ["a\nb"])), "printable"),
         (lambda t: t.assign_coords(control=("channel", ["depth"])), "two units"),
-        (lambda t: t.assign_coords(output_unit=("channel", [1])), "unit of depth"),
         (lambda t: t.assign_attrs(format="mine"), "attribute 'format'"),
-        (lambda t: t.assign_attrs({"a: b": "mine"}), "attribute 'a: b'"),
         (lambda t: t.assign_attrs(who=object()), "attribute 'who'"),
     ],
 )

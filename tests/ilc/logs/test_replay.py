@@ -7,7 +7,7 @@ import control
 import numpy as np
 import pandas as pd
 import pytest
-from plants import LEVELS, PUMPS, random_plant, stage, tanks
+from plants import LEVELS, PUMPS, bump, random_plant, stage, tanks
 
 from rodlib import (
     Law,
@@ -46,7 +46,7 @@ def trials_of(loop, law=None, trials=3, plant=None):
     loop = LOOPS.get(loop, loop) if isinstance(loop, str) else loop
     law, time = law or law_for(loop), np.arange(150)
     m, d = len(loop.outputs), len(loop.disturbances)
-    r = np.outer(np.sin(np.pi * time / 150) ** 2, 1.0 + np.arange(m))
+    r = bump(150, 1.0 + np.arange(m))
     waves = np.multiply.outer(1.0 + np.arange(trials), np.sin(0.05 * time)) + 1
     waves = np.repeat(waves[..., None], d, axis=2)
     with warnings.catch_warnings(action="ignore"):  # not all of them converge
@@ -95,8 +95,8 @@ def test_without_a_loop_the_law_is_checked_and_without_a_law_the_model():
     trials = trials_of("tanks", law_for(LOOPS["tanks"], rest=15, gain=0.4))
     law = {key: value for key, value in trials.attrs.items() if key != "loop"}
     replayed = replay(trials.drop_attrs().assign_attrs(law))
-    for name in ("loop", "simulated", "predicted", "fit", "disturbance"):
-        assert getattr(replayed, name) is None
+    missing = (replayed.loop, replayed.simulated, replayed.predicted, replayed.fit)
+    assert missing == (None,) * 4 and replayed.disturbance is None
     assert replayed.agreement.endswith("in every trial")
     last, whole = trials.isel(trial=-1), law_for(LOOPS["tanks"], rest=15, gain=0.4)
     following = whole.next(last.v.values, last.e.values)
@@ -105,8 +105,8 @@ def test_without_a_loop_the_law_is_checked_and_without_a_law_the_model():
     assert "loop" in reason and f"left out: {reason}" in repr(replayed)
     del trials.attrs["L"]
     replayed = replay(trials)
-    for name in ("law", "departure", "following", "simulated"):
-        assert getattr(replayed, name) is None
+    missing = replayed.departure, replayed.following, replayed.simulated
+    assert missing == (None,) * 3
     assert replayed.fit is not None and replayed.warnings == ()
     assert "the log does not name its law" in repr(replayed)
     with pytest.raises(ValueError, match="does not name its law"):
@@ -182,8 +182,7 @@ def test_what_is_not_a_log_is_refused():
 def test_the_error_by_octave_is_the_predicted_one_on_the_model(loop):
     L = LearningFilter(np.eye(2)[..., None], 1.0)
     law = Law(zero_phase_butterworth(), L, gain=0.5, loop=loop)
-    r = np.outer(np.sin(np.pi * np.arange(400) / 400) ** 2, [4, 8])
-    run = with_law(run_trials(loop, law, r, None, 3), law)
+    run = with_law(run_trials(loop, law, bump(400, [4, 8]), None, 3), law)
     for trial in (2, 3):
         table = replay(run).error_by_octave(trial)
         np.testing.assert_allclose(table.measured, table.predicted, rtol=1e-6)

@@ -43,7 +43,7 @@ def dense(u, y, data, n):
     return tuple(np.concatenate(each) for each in zip(*rows, strict=True))
 
 
-@pytest.mark.parametrize(("trials", "n"), [(1, 20), (1, 90), (4, 20)])
+@pytest.mark.parametrize(("trials", "n"), [(1, 90), (4, 20)])
 def test_the_likelihood_is_that_of_the_normal_distribution(trials, n):
     u, y, _ = record(trials)
     data = impulse._normal(u, y, WHITE, n)
@@ -89,11 +89,8 @@ def test_of_much_data_it_is_the_response_and_in_other_units_the_same():
     )
 
 
-def test_coloured_noise_is_told_by_its_filter():
-    noise = lfilter(
-        [1], [1, -0.9, 0.2], np.random.default_rng(0).standard_normal((5, 2000))
-    )
+def test_the_filter_of_coloured_noise_is_estimated():
+    white = np.random.default_rng(0).standard_normal((5, 2000))
+    noise = lfilter([1], [1, -0.9, 0.2], white)
     np.testing.assert_allclose(impulse._whitener(noise), [1, -0.9, 0.2], atol=0.03)
-    assert (
-        len(impulse._whitener(np.random.default_rng(1).standard_normal((5, 400)))) == 1
-    )
+    assert len(impulse._whitener(white[:, :400])) == 1

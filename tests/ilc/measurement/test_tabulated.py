@@ -51,9 +51,12 @@ def test_units_and_what_is_no_table():
     assert Plant("", measured_response(table(1e-3))).loop.Ts == 1e-3
     with pytest.raises(ValueError, match="a table without a period"):
         Plant("", measured_response(table()))
-    wrong = ({"uncertainty": np.full(14, -1.0)}, {"uncertainty": [0.1]}, {"of": "u"})
-    for choice in wrong:
-        with pytest.raises(ValueError, match=next(iter(choice))):
-            measured_response(table(), **choice)
+    for name, value in (
+        ("uncertainty", np.full(14, -1.0)),
+        ("uncertainty", [0.1]),
+        ("of", "u"),
+    ):
+        with pytest.raises(ValueError, match=name):
+            measured_response(table(), **{name: value})
     with pytest.raises(ValueError, match="four positive increasing"):
         measured_response(control.frd([1, 0.5], [1, 2]))
