@@ -136,10 +136,10 @@ class Experiment:
     def dataset(self, trials, notes) -> xr.Dataset:
         """The signals of all trials, put together."""
         loop = self.rig.loop
-        data = dataset(
-            loop.Ts, loop.outputs, loop.controls, self.rig.recorded, loop.units,
-            reference=self.reference[: len(trials)], **_stacked(trials),
-        )  # fmt: skip
+        signals = {name: np.stack([t[name] for t in trials]) for name in trials[0]}
+        signals["reference"] = self.reference[: len(trials)]
+        channels = loop.outputs, loop.controls, self.rig.recorded
+        data = dataset(loop.Ts, *channels, loop.units, **signals)
         return data.assign_attrs(notes | data.attrs | self.notes)
 
     def check(self, log, path) -> None:
@@ -162,7 +162,3 @@ class Experiment:
                 f"path = '{path}' holds another experiment, see its {', '.join(differing)}: give "
                 "another path, or go on with the same"
             )
-
-
-def _stacked(trials):
-    return {name: np.stack([t[name] for t in trials]) for name in trials[0]}

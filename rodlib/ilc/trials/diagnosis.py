@@ -24,19 +24,15 @@ from rodlib.ilc.units import by_unit
 
 SIGNIFICANCE = 1e-4  # probability of a false warning by noise, in a test
 GROWTH = 1.5  # ratio of RMS errors that is worth a warning
-RISES, JUMP = (
-    3,
-    3.0,
-)  # in succession; or in one trial, relative to the largest RMS before
+RISES = 3  # in succession,
+JUMP = 3.0  # or in one trial, relative to the largest RMS before
 AMPLIFICATION = 5.0  # largest effect of learning on the noise of a trial
 STAGNATION = 0.97  # ratio of RMS errors from which on the error counts as not falling
 STEPS = 3  # of v, from which on it may be said to keep growing
 STRAIGHT, STEADY = 0.95, 0.9  # its distance relative to its path, last step to first
 RELEVANT = 0.2  # smallest change of v or y, relative to the error
 FOLLOWED = 0.5  # share of a predicted change of y; with less, the model does not hold
-EXCESS = (
-    0.05  # smallest error beyond the predicted one, in an octave, relative to the error
-)
+EXCESS = 0.05  # smallest error beyond the predicted one, of an octave, relative to it
 ROUNDING = 1e-9  # relative to the largest signal
 GRID = np.geomspace(1e-4, 1, 200) * np.pi  # omega Ts of the predicted rate
 
@@ -273,9 +269,9 @@ def _ignores_v(history, k, i):
     freedom = degrees_of_freedom(spectrum(residual[:, None])).item()
     standard_error = np.linalg.norm(residual) / size / np.sqrt(freedom)
     p = stdtr(freedom, (share - FOLLOWED) / standard_error)
-    left = np.linalg.norm(error)
-    falls = left <= STAGNATION * np.linalg.norm(before)
-    return p < np.sqrt(SIGNIFICANCE) and not falls and size > RELEVANT * left
+    rest = np.linalg.norm(error)
+    falls = rest <= STAGNATION * np.linalg.norm(before)
+    return p < np.sqrt(SIGNIFICANCE) and not falls and size > RELEVANT * rest
 
 
 def converges_slowly(history: History, k: int) -> str | None:

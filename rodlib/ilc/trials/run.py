@@ -103,8 +103,8 @@ def run_trials(
     learn(trial, law, first, trials)
     signals = {name: np.stack([s[name] for s in results]) for name in results[0]}
     signals |= {"y": signals["y"] + noise, "reference": r, "disturbance": d}
-    controls = loop.controls if "u" in signals else []
-    result = dataset(loop.Ts, loop.outputs, controls, names, loop.units, **signals)
+    channels = loop.outputs, loop.controls, names
+    result = dataset(loop.Ts, *channels, loop.units, **signals)
     for text in diagnose(result, law, exact=plant is None).values():
         warnings.warn(text, stacklevel=2)
     return result

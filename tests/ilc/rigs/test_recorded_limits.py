@@ -70,8 +70,8 @@ def test_within_limits_rig_simulation_log_and_replay_agree(case, tmp_path):
         size = np.abs(run["u" if name == "delta" else name]).max() + 1e-9
         np.testing.assert_allclose(log[name], run[name], atol=2e-5 * size)
     commands = log.u if "u" in log else log.reference + log.v
-    sent, own = np.array(rig.sent)[-80:], limited.bound_to(loop).actuators
-    assert own.can(sent) and not own.can(commands.values[0])
+    sent, actuators = np.array(rig.sent)[-80:], limited.bound_to(loop).actuators
+    assert actuators.can(sent) and not actuators.can(commands.values[0])
     if "u" in log:
         np.testing.assert_array_equal(sent, log.applied[-1])
     assert rms(log.e)[-1] < rms(log.e)[0]
@@ -125,8 +125,8 @@ def test_a_measurement_within_limits_is_good_and_beyond_them_is_warned_of(name):
         with warnings.catch_warnings(action="error" if share > 1 else "ignore"):
             log = shake(rig, loop, excitation)
         measured = quietly(measured_response, log)
-        said = any("beyond the limits" in warning for warning in measured.findings)
-        assert said == (share < 1)
+        warned = any("beyond the limits" in warning for warning in measured.findings)
+        assert warned == (share < 1)
         off.append(np.linalg.norm(measured.response - truth, 2, axis=(1, 2)).max())
     assert off[1] > 10 * off[0]
 

@@ -131,20 +131,20 @@ def test_two_processes_do_not_record_to_one_log(loop, tmp_path):
 
 def test_the_first_trial_begins_with_what_was_learned_elsewhere(tmp_path):
     v, path = 0.1 * R + 1e-9 / 3, tmp_path / "log.csv"
-    begun = {"loop": BOILER, "law": BOILER_LAW, "reference": R, "v": v, "path": path}
-    begun["decimals"] = {"v": 6}
-    log = record(RestartingModel(boiler()), trials=2, **begun)
+    trials = {"loop": BOILER, "law": BOILER_LAW, "reference": R, "v": v, "path": path}
+    trials["decimals"] = {"v": 6}
+    log = record(RestartingModel(boiler()), trials=2, **trials)
     run = run_trials(BOILER, BOILER_LAW, R, trials=2, v=v)
     np.testing.assert_allclose(log.y, run.y, atol=1e-5)
-    more = record(RestartingModel(boiler()), trials=3, **begun)
+    more = record(RestartingModel(boiler()), trials=3, **trials)
     assert more.isel(trial=slice(2)).identical(log)
     replayed = replay(load_log(path))
     assert replayed.departure.loc[1].isna().all()
     assert replayed.departure.loc[2:].to_numpy().max() < 1e-6
     np.testing.assert_allclose(replayed.simulated.y, more.y, atol=1e-5)
     unlearned = Law(BOILER_LAW.Q, None)
-    kept = record(RestartingModel(boiler()), BOILER, unlearned, R, trials=2, v=v)
-    np.testing.assert_array_equal(kept.v, [v, v])
+    log = record(RestartingModel(boiler()), BOILER, unlearned, R, trials=2, v=v)
+    np.testing.assert_array_equal(log.v, [v, v])
 
 
 def test_each_trial_follows_a_reference_of_its_own(tmp_path):

@@ -74,8 +74,8 @@ def test_limits_follow_from_the_reference_and_the_rig_unless_they_are_given():
     asked = reference, loop, {"u": (0.0, 2.0)}
     expected = {"a": (-10, 12), "b": (-11, 11), "u": (-99, 101)}
     assert stop_limits(None, *asked) == expected
-    own = stop_limits({"a": None, "c": (-1, 1), "u": (0, 1)}, *asked)
-    assert own == {"b": (-11, 11), "c": (-1, 1), "u": (0, 1)}
+    limits = stop_limits({"a": None, "c": (-1, 1), "u": (0, 1)}, *asked)
+    assert limits == {"b": (-11, 11), "c": (-1, 1), "u": (0, 1)}
 
 
 def test_a_furnace_that_is_a_tenth_off_is_warned_of_once_while_there_is_time():

@@ -92,8 +92,8 @@ def test_the_first_trial_may_begin_with_a_signal(loop, Q):
     for name in ("v", "y", "u"):
         np.testing.assert_array_equal(later[name], run[name][2:])
     unlearned = run_trials(loop, Law(Q, None, rest=5), r, None, 2, v=np.ones((200, 2)))
-    kept = unlearned.v.values
-    assert (kept[:, :-5] == 1).all() and not kept[:, -5:].any()
+    v = unlearned.v.values
+    assert (v[:, :-5] == 1).all() and not v[:, -5:].any()
 
 
 def test_rms_is_the_papers_definition():

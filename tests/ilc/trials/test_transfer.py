@@ -73,15 +73,15 @@ def test_of_a_plant_whose_inverse_is_short_f_is_that_inverse(gain, trials, seed)
     P, A, B = coupled(gain)
     v = np.random.default_rng(seed).standard_normal((200, 2))
     v[-30:] = 0  # or it matters what would come after the trial
-    found = quiet(trials_of(ClosedLoop(P), 1.0, trials, v=v), NEW)
+    result = quiet(trials_of(ClosedLoop(P), 1.0, trials, v=v), NEW)
     inverse = np.linalg.inv(B)  # P^-1 = B^-1 (q - A)
-    R = found.F.shape[2] // 2
-    expected = np.zeros_like(found.F)
+    R = result.F.shape[2] // 2
+    expected = np.zeros_like(result.F)
     expected[..., R - 1], expected[..., R] = inverse, -inverse @ A - np.eye(2)
-    np.testing.assert_allclose(found.F, expected, atol=1e-4 * np.abs(expected).max())
-    left = run_trials(ClosedLoop(P), Law(Q, None), NEW, trials=1, v=found.v)
-    assert rms(left.e).item() < 1e-3 * np.abs(NEW).max()
-    assert found.predicted.min() > 1 - 1e-6
+    np.testing.assert_allclose(result.F, expected, atol=1e-4 * np.abs(expected).max())
+    run = run_trials(ClosedLoop(P), Law(Q, None), NEW, trials=1, v=result.v)
+    assert rms(run.e).item() < 1e-3 * np.abs(NEW).max()
+    assert result.predicted.min() > 1 - 1e-6
 
 
 @pytest.mark.parametrize("repeats", [0.0, 1.0])
@@ -89,21 +89,23 @@ def test_one_task_distinguishes_a_repeating_disturbance_from_the_reference(repea
     P = coupled()[0]
     answered = repeats * steps(200, (0.3, 0.1, 0.2, 0.7), (0.2, 0.3, 0.1, -0.9))
     loop = ClosedLoop(P)
-    v, made = np.zeros((200, 2)), []  # w = r + v - what the disturbance takes away
+    v, trials = np.zeros((200, 2)), []  # w = r + v - what the disturbance takes away
     for _ in range(6):
         one = run_trials(loop, Law(Q, None), OLD - answered, trials=1, v=v)
-        made.append(one.assign(reference=one.reference + answered, e=one.e + answered))
-        v = Q.apply(v + NormOptimal(P, 1e-2, 200).apply(made[-1].e[0].values))
-    found = quiet(made, NEW)
-    np.testing.assert_allclose(found.compensation, answered, atol=0.05)
-    y = control.forced_response(P, inputs=(NEW + found.v - answered).T).outputs.T
+        trials.append(
+            one.assign(reference=one.reference + answered, e=one.e + answered)
+        )
+        v = Q.apply(v + NormOptimal(P, 1e-2, 200).apply(trials[-1].e[0].values))
+    result = quiet(trials, NEW)
+    np.testing.assert_allclose(result.compensation, answered, atol=0.05)
+    y = control.forced_response(P, inputs=(NEW + result.v - answered).T).outputs.T
     assert np.abs(NEW - y).max() < 0.1
-    np.testing.assert_allclose(found.v, found.feedforward + found.compensation)
-    alone = quiet(made[-1], NEW)
+    np.testing.assert_allclose(result.v, result.feedforward + result.compensation)
+    alone = quiet(trials[-1], NEW)
     assert not alone.compensation.any()
     assert alone.uncertainty.min() > 0.5 * np.sqrt(np.mean(NEW**2))
     with pytest.warns(UserWarning, match="distinguish"):
-        transfer(made[-1].isel(trial=0), -OLD)
+        transfer(trials[-1].isel(trial=0), -OLD)
 
 
 def tanks_case():
@@ -155,32 +157,32 @@ def test_on_a_rod_that_is_off_outputs_may_be_swapped(rod):
     """With and without heat flows that repeat, from one task; the old v is worse than none."""
     reference = assumed_reference()
     swapped = reference[:, ::-1]
-    for disturbance, kept in (
+    for disturbance, most in (
         (None, 0.05),
         (assumed_disturbance(trials=1, first=1)[0], 1.2),
     ):
         done = rod(reference, disturbance, 6)
-        found = quiet(done, swapped)
-        first = rms(rod(swapped, disturbance, v=found.v).e).item()
+        result = quiet(done, swapped)
+        first = rms(rod(swapped, disturbance, v=result.v).e).item()
         assert first < 0.03 * rms(rod(swapped, disturbance).e).item()
         assert (
             first < 0.05 * rms(rod(swapped, disturbance, v=done.v.values[-1]).e).item()
         )
-        assert np.sqrt(np.mean(found.compensation**2)) < kept
+        assert np.sqrt(np.mean(result.compensation**2)) < most
 
 
 def test_a_disturbance_that_came_in_between_is_reported(rod):
     came = assumed_disturbance(trials=8, first=4)
     done = rod(assumed_reference(), came, 8)
-    with warnings.catch_warnings(record=True) as said:
+    with warnings.catch_warnings(record=True) as seen:
         warnings.simplefilter("always")
         transfer(done, assumed_reference()[:, ::-1])
-    assert any("another disturbance came" in str(each.message) for each in said)
+    assert any("another disturbance came" in str(warning.message) for warning in seen)
     since = done.isel(trial=slice(3, None))
     assert quiet(since, assumed_reference()).predicted.min() > 0.9
     after = quiet(since, assumed_reference()[:, ::-1]).v
-    left = rms(rod(assumed_reference()[:, ::-1], came[-1], v=after).e).item()
-    assert left < 0.1 * rms(rod(assumed_reference()[:, ::-1], came[-1]).e).item()
+    error = rms(rod(assumed_reference()[:, ::-1], came[-1], v=after).e).item()
+    assert error < 0.1 * rms(rod(assumed_reference()[:, ::-1], came[-1]).e).item()
 
 
 def test_what_the_old_references_never_had_is_reported():
@@ -189,9 +191,9 @@ def test_what_the_old_references_never_had_is_reported():
         transfer(done, -2 * OLD[:, ::-1])
     fast = NEW.copy()
     fast[:, 1] += 0.5 * np.sin(2.0 * np.arange(200)) * np.hanning(200)
-    with pytest.warns(UserWarning, match=r"power of its slope in y\[1\]") as found:
+    with pytest.warns(UserWarning, match=r"power of its slope in y\[1\]") as seen:
         transfer(done, fast)
-    assert not any(r"y[0]" in str(each.message) for each in found)
+    assert not any(r"y[0]" in str(warning.message) for warning in seen)
 
 
 def test_the_uncertainty_is_of_the_size_of_the_error():
