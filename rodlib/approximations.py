@@ -18,10 +18,10 @@ from scipy.linalg import eigh, solve_continuous_lyapunov
 
 from rodlib.ilc import arguments
 from rodlib.rod import Rod, midr, named
+from rodlib.rod import modes as modes_of
 
-FINE = (
-    12  # degree of the model that is truncated: its error is below 1e-7 up to 0.1 rad/s
-)
+# degree of the model that is truncated: its error is below 1e-7 up to 0.1 rad/s
+FINE = 12
 ROUNDING = 1e-7  # Hankel singular values below it, relative to the first, are rounding
 
 
@@ -92,11 +92,8 @@ def finite_elements(rod: Rod, element, elements: int = 1) -> control.StateSpace:
 
     arguments.instance("rod", rod, Rod)
     elements = arguments.whole("elements", elements, 1, 1000)
-    known = (
-        isinstance(element, skfem.Element)
-        and element.refdom is skfem.MeshLine.elem.refdom
-    )
-    if not (known and element.nodal_dofs):
+    line = skfem.MeshLine.elem.refdom
+    if getattr(element, "refdom", None) is not line or not element.nodal_dofs:
         raise ValueError(
             f"element = {element!r:.200} must be an element of scikit-fem for a line, with "
             "values at its ends"
@@ -106,17 +103,10 @@ def finite_elements(rod: Rod, element, elements: int = 1) -> control.StateSpace:
     element, order = deepcopy(element), 2 * max(element.maxdeg, len(rod.sensors))
     basis = skfem.Basis(mesh, element, intorder=order)
     section = np.arange(mesh.nelements).reshape(rod.sections, elements)
-    heat = np.column_stack(
-        [unit_load.assemble(basis.with_elements(each)) for each in section]
-    )
-    shown = basis.probes(np.array([rod.sensors])).toarray()
-    return _model(
-        rod,
-        mass.assemble(basis).toarray(),
-        laplace.assemble(basis).toarray(),
-        heat,
-        shown,
-    )
+    loads = [unit_load.assemble(basis.with_elements(part)) for part in section]
+    M, K = (form.assemble(basis).toarray() for form in (mass, laplace))
+    sensors = basis.probes(np.array([rod.sensors])).toarray()
+    return _model(rod, M, K, np.column_stack(loads), sensors)
 
 
 def modal_series(rod: Rod, modes: int) -> control.StateSpace:
@@ -127,12 +117,11 @@ def modal_series(rod: Rod, modes: int) -> control.StateSpace:
     """
     arguments.instance("rod", rod, Rod)
     n = np.arange(arguments.whole("modes", modes, 1, 10_000))
-    middles = (np.arange(rod.sections) + 0.5) / rod.sections
-    heat = np.cos(np.outer(n * np.pi, middles)) * np.sinc(n / 2 / rod.sections)[:, None]
-    heat *= rod.length / rod.sections  # integral of the mode over each section
+    _, means, values = modes_of(rod, n)
+    heat = means * rod.length / rod.sections  # integral of the mode over each section
     M = np.diag(np.where(n, 0.5, 1) * rod.length)  # integral of the square of the mode
     waves = n * np.pi / rod.length
-    return _model(rod, M, M * waves**2, heat, np.cos(np.outer(rod.sensors, waves)))
+    return _model(rod, M, M * waves**2, heat, values.T)
 
 
 def balanced_truncation(
@@ -147,7 +136,7 @@ def balanced_truncation(
     ----------
     rod : Rod
     states : int
-        How many to keep, as far as they can be told from rounding.
+        How many to keep; their Hankel singular values must exceed rounding.
     inputs : sequence of str, optional
         Those that count; the model has the others as well. Default: all, as large as one watt and
         one kelvin.
@@ -160,8 +149,7 @@ def balanced_truncation(
     fine = midr(rod, FINE)
     states = arguments.whole("states", states, 1, fine.nstates)
     names = rod.inputs if inputs is None else inputs
-    known = isinstance(names, Sequence) and all(name in rod.inputs for name in names)
-    if not (known and names):
+    if not isinstance(names, list | tuple) or not names or {*names} - {*rod.inputs}:
         raise ValueError(
             f"inputs = {reprlib.repr(inputs)} must list some of {rod.inputs}"
         )
@@ -169,10 +157,10 @@ def balanced_truncation(
     R = _root(solve_continuous_lyapunov(fine.A, -counted @ counted.T))
     S = _root(solve_continuous_lyapunov(fine.A.T, -fine.C.T @ fine.C))
     U, hankel, Vh = np.linalg.svd(S.T @ R)
-    told = int((hankel > ROUNDING * hankel[0]).sum())
-    if states > told:
+    rank = (hankel > ROUNDING * hankel[0]).sum()
+    if states > rank:
         raise ValueError(
-            f"states = {states} is too many: {told} can be told from rounding"
+            f"states = {states} is too many: only {rank} are more than rounding"
         )
     scale = np.sqrt(hankel[:states])
     left, right = S @ U[:, :states] / scale, R @ Vh[:states].T / scale
@@ -182,18 +170,17 @@ def balanced_truncation(
 def _of_points(rod, points, heat, distance):
     """Points that conduct to their neighbours; sensors between them read the straight line."""
     step = np.diff(np.eye(len(points)), axis=0)
-    shown = np.column_stack(
-        [np.interp(rod.sensors, points, each) for each in np.eye(len(points))]
-    )
-    return _model(rod, np.diag(heat.sum(axis=1)), step.T @ step / distance, heat, shown)
+    hats = [np.interp(rod.sensors, points, hat) for hat in np.eye(len(points))]
+    M, K = np.diag(heat.sum(axis=1)), step.T @ step / distance
+    return _model(rod, M, K, heat, np.column_stack(hats))
 
 
-def _model(rod, M, K, heat, shown):
+def _model(rod, M, K, heat, C):
     """The equations above: `heat` is what F is without the density of the flow, (4)."""
     density = rod.sections / (rod.width * rod.height * rod.length)
     F = np.column_stack([density * heat, rod.kappa_2 * heat.sum(axis=1)])
     A = -np.linalg.solve(M, rod.conductivity * K + rod.kappa_2 * M) / rod.kappa_1
-    return named(rod, A, np.linalg.solve(M, F) / rod.kappa_1, shown)
+    return named(rod, A, np.linalg.solve(M, F) / rod.kappa_1, C)
 
 
 def _root(W):

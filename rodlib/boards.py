@@ -30,7 +30,9 @@ UNITS = {
 }
 PARTS = 6  # of a record, each left out once; with more, noise of a minute makes intervals short
 SURELY = {"ftol": 1e-12, "xtol": 1e-10}  # tolerances, so that the start does not show
-VAGUE = 0.5  # relative standard error, from which on a record does not tell a parameter
+VAGUE = (
+    0.5  # relative standard error, from which on a parameter counts as not determined
+)
 
 
 class TemperatureControlLab:
@@ -78,19 +80,16 @@ class TemperatureControlLab:
         self.lab = tclab.TCLab() if self.kit else tclab.TCLabModel(synced=False)
         if not self.kit:
             random.seed(seed)
-            self.lab.update(
-                0.0
-            )  # its time begins when it is made, which is never the same
+            # its time begins when it is made, which is never the same
+            self.lab.update(0.0)
         self.zero = None  # the temperatures at rest, degC
         self._due = self.clock()
 
     @property
     def limits(self) -> dict[str, tuple[float, float]]:
         """Lowest and highest heaters, %, above those at rest."""
-        return {
-            name: (-at, 100 - at)
-            for name, at in zip(HEATERS, self.rest.tolist(), strict=True)
-        }
+        first, second = self.rest.tolist()
+        return {"Q1": (-first, 100 - first), "Q2": (-second, 100 - second)}
 
     def clock(self) -> float:
         """Time, s; the emulator's stands still between two samples."""
@@ -109,9 +108,7 @@ class TemperatureControlLab:
     def read(self) -> np.ndarray:
         """Temperatures above those at rest, K, shape (2,)."""
         if self.zero is None:
-            raise RuntimeError(
-                "the temperatures at rest are not known: call begin first"
-            )
+            raise RuntimeError("the temperatures at rest are unknown: call begin first")
         return self._temperatures() - self.zero
 
     def apply(self, heaters) -> None:
@@ -154,39 +151,31 @@ def heat_balance(gain_1, gain_2, loss, exchange, lag, Ts) -> control.StateSpace:
 
 @dataclass(frozen=True, eq=False)
 class HeatBalanceFit:
-    """The parameters of :func:`heat_balance` that a record gives, and how well it tells them."""
+    """The parameters of :func:`heat_balance` from a record, and how well it determines them."""
 
-    values: (
-        np.ndarray
-    )  # in the order of heat_balance; NaN for what moves nothing in the record
+    # in the order of heat_balance; NaN for what moves nothing in the record
+    values: np.ndarray
     covariance: np.ndarray  # of their logarithms
     zero: np.ndarray  # readings at rest, as fitted, shape (2,)
     left: np.ndarray  # readings minus model, K, shape (samples, 2)
 
     @property
     def unknown(self) -> list[str]:
-        """Parameters that the record does not tell."""
-        return [
-            name
-            for name, s in zip(UNITS, self._deviations, strict=True)
-            if not s < VAGUE
-        ]
+        """Parameters that the record does not determine."""
+        return [*np.array([*UNITS])[~(self.standard_errors < VAGUE)].tolist()]
 
     @property
-    def _deviations(self):
+    def standard_errors(self) -> np.ndarray:
+        """Relative standard errors of the parameters."""
         return np.sqrt(np.diag(self.covariance))
 
     def table(self, confidence: float = 0.95) -> pd.DataFrame:
         """Each parameter with its interval and its unit."""
-        width = np.exp(
-            np.minimum(t.ppf((1 + confidence) / 2, PARTS - 1) * self._deviations, 500)
-        )
-        columns = {
-            "value": self.values,
-            "from": self.values / width,
-            "to": self.values * width,
-        }
-        return pd.DataFrame(columns | {"unit": UNITS.values()}, list(UNITS))
+        quantile = t.ppf((1 + confidence) / 2, PARTS - 1)
+        width = np.exp(np.minimum(quantile * self.standard_errors, 500))
+        columns = {"value": self.values, "from": self.values / width}
+        columns |= {"to": self.values * width, "unit": UNITS.values()}
+        return pd.DataFrame(columns, list(UNITS))
 
 
 def fit_heat_balance(heaters, readings, Ts: float) -> HeatBalanceFit:
@@ -207,7 +196,7 @@ def fit_heat_balance(heaters, readings, Ts: float) -> HeatBalanceFit:
     Warns
     -----
     UserWarning
-        If the record does not tell a parameter: a heater that never moves, one step alone.
+        If the record does not determine a parameter: a heater that never moves, one step alone.
     """
     heaters = arguments.array("heaters", heaters, ("samples", 2))
     readings = arguments.array("readings", readings, (len(heaters), 2))
@@ -222,35 +211,29 @@ def fit_heat_balance(heaters, readings, Ts: float) -> HeatBalanceFit:
         states = state_sequence(model.A, heaters @ model.B.T, np.zeros(model.nstates))
         return states @ model.C.T
 
-    def left(z):
+    def residual(z):
         return (readings - readings[0] - z[5:] - modelled(np.exp(z[:5]))).ravel()
 
-    swing = max(
-        np.ptp(readings, axis=0).max() / max(np.ptp(heaters), 1e-9), 1e-9
-    )  # K per %
-    shortest, longest, around = Ts / 10, 10 * span, np.ptp(readings, axis=0) + 1
-    low = [
-        *np.log([swing / longest] * 2 + [1 / longest, 0.01 / longest, shortest]),
-        *-around,
-    ]
-    high = [*np.log([swing / Ts] * 2 + [1 / shortest, 1 / shortest, longest]), *around]
+    def point(gain, loss, exchange, lag, zero):
+        return np.append(np.log([gain, gain, loss, exchange, lag]), zero * around)
+
+    around = np.ptp(readings, axis=0) + 1
+    swing = np.ptp(readings, axis=0).max() / max(np.ptp(heaters), 1e-9)  # K per %
+    swing, shortest, longest = max(swing, 1e-9), Ts / 10, 10 * span
+    low = point(swing / longest, 1 / longest, 0.01 / longest, shortest, -1)
+    high = point(swing / Ts, 1 / shortest, 1 / shortest, longest, 1)
+    options = {"bounds": (low, high), "x_scale": "jac"} | SURELY
     fits = []
     for cooling, lag in product((span / 3, span / 30), repeat=2):
-        start = [
-            *np.log([2 * swing / cooling] * 2 + [1 / cooling, 0.3 / cooling, lag]),
-            0,
-            0,
-        ]
-        start = np.clip(start, low, high)
-        fits.append(
-            least_squares(left, start, bounds=(low, high), x_scale="jac", **SURELY)
-        )
+        start = point(2 * swing / cooling, 1 / cooling, 0.3 / cooling, lag, 0)
+        fits.append(least_squares(residual, np.clip(start, low, high), **options))
     best = min(fits, key=lambda fit: fit.cost)
     parts = np.array_split(np.arange(readings.size), PARTS)
-    kept = [np.delete(np.arange(readings.size), part) for part in parts]
-    moved = np.array(
-        [np.linalg.lstsq(best.jac[k], best.fun[k], rcond=1e-9)[0] for k in kept]
-    )
+    moved = []
+    for part in parts:
+        jacobian, rest = np.delete(best.jac, part, 0), np.delete(best.fun, part)
+        moved.append(np.linalg.lstsq(jacobian, rest, rcond=1e-9)[0])
+    moved = np.array(moved)
     covariance = (PARTS - 1) / PARTS * moved[:, :5].T @ moved[:, :5]
     values, zero = np.exp(best.x[:5]), readings[0] + best.x[5:]
     idle = np.abs(best.jac[:, :5]).max(axis=0) < 1e-9 * np.abs(best.jac).max()
@@ -258,8 +241,8 @@ def fit_heat_balance(heaters, readings, Ts: float) -> HeatBalanceFit:
     fit = HeatBalanceFit(values, covariance, zero, best.fun.reshape(-1, 2))
     if fit.unknown:
         warnings.warn(
-            f"the record does not tell {', '.join(fit.unknown)}: left out a sixth of it, they "
-            f"would be others by more than half. Move each heater, independently, up and down",
+            f"the record does not tell {', '.join(fit.unknown)}: without a sixth of it, they "
+            f"would change by more than half. Move each heater, independently, up and down",
             stacklevel=2,
         )
     return fit

@@ -13,18 +13,17 @@ from rodlib.ilc.loop.design import current_trial_loop
 from rodlib.ilc.models import minimal_realisation
 from rodlib.rod import Rod, midr
 
+PAPER = Rod()
 BAND = (1e-4, 0.02)  # rad/s, of the sum in (39): Section IV-B
 L_MAX = 50.0  # W/K, bound on sigma_max(L) in (46)
 
 
-def paper_loop(
-    rod: Rod | None = None, degree: int = 3, Ts: float = 1.0
-) -> CurrentTrialLoop:
+def paper_loop(rod: Rod = PAPER, degree: int = 3, Ts: float = 1.0) -> CurrentTrialLoop:
     """Build the paper's current-trial loop, Section IV.
 
     Parameters
     ----------
-    rod : Rod, optional
+    rod : Rod
         Default: the paper's rig.
     degree : int, default 3
         Degree M of the polynomials in :func:`rodlib.midr`.
@@ -36,12 +35,11 @@ def paper_loop(
     CurrentTrialLoop
         Controls Q1 and Q3 (W), disturbances theta_a (K), Q2 and Q4 (W); outputs y1 and y2 (K).
     """
-    rod = arguments.instance("rod", Rod() if rod is None else rod, Rod)
-    # Beyond, states cannot be told apart; and the poles of the loop would come closer to the unit
-    # circle than the square root of rounding, to which a Riccati solver finds them.
-    Ts = arguments.number(
-        "Ts", Ts, "a sampling period between 1e-5 and 1e4 s", 1e-5, 1e4
-    )
+    arguments.instance("rod", rod, Rod)
+    # Beyond, states cannot be distinguished; and the poles of the loop would come closer to the
+    # unit circle than the square root of rounding, to which a Riccati solver finds them.
+    what = "a sampling period between 1e-5 and 1e4 s"
+    Ts = arguments.number("Ts", Ts, what, 1e-5, 1e4)
     if (rod.sections, len(rod.sensors)) != (4, 2):
         raise ValueError(
             f"rod has {rod.sections} sections and {len(rod.sensors)} sensors, but the paper's loop "
@@ -50,14 +48,10 @@ def paper_loop(
         )
     model = minimal_realisation(midr(rod, degree), ["Q1", "Q3"])
     model = model[:, ["Q1", "Q3", "theta_a", "Q2", "Q4"]]  # d in the order of (10)
-    units = {
-        name: "W" if name.startswith("Q") else "K" for name in rod.inputs + rod.outputs
-    }
-    return current_trial_loop(
-        control.sample_system(model, Ts, method="zoh"),
-        controls=["Q1", "Q3"],
-        units=units,
-    )
+    units = dict.fromkeys(rod.inputs[:-1], "W")
+    units |= dict.fromkeys(["theta_a", *rod.outputs], "K")
+    plant = control.sample_system(model, Ts, method="zoh")
+    return current_trial_loop(plant, controls=["Q1", "Q3"], units=units)
 
 
 def assumed_reference(samples: int = 2500) -> np.ndarray:

@@ -59,9 +59,8 @@ class PeltierElement:
         peltier, twice = self.seebeck * rod, 2 * self.resistance
         least = -(peltier**2) / twice if twice else -np.inf
         wanted = np.maximum(heat + self.conductance * (rod - sink), least)
-        return (
-            2 * wanted / (peltier + np.sqrt(np.maximum(peltier**2 + twice * wanted, 0)))
-        )
+        root = np.sqrt(np.maximum(peltier**2 + twice * wanted, 0))
+        return 2 * wanted / (peltier + root)
 
 
 @dataclass(frozen=True)
@@ -75,9 +74,8 @@ class PeltierParameters:
 
     element: PeltierElement = PeltierElement()
     known: PeltierElement = PeltierElement()  # by which heat flows become currents
-    sinks_measured: bool = (
-        False  # whether that counts on their temperature, not the initial one
-    )
+    # whether that counts on the sinks' temperature, not the initial one
+    sinks_measured: bool = False
     sink_capacity: float = 400.0  # of one sink, J/K
     fan: float = 4.0  # from one sink to the room, W/K
     convection: float = 3.8  # from the rod, W/(m2 K^(5/4))
@@ -141,11 +139,8 @@ class PeltierRig(Bench):
         capacity = np.full(n + m, rod.kappa_1 * rod.width * rod.height * dz)  # J/K
         capacity[self._sinks] = p.sink_capacity
         # K/s of every state: for 1 W from the elements, for 1 K of the room, on 1 W/m2 of surface
-        elements, self._fan, surface = (
-            np.zeros((n + m, sections)),
-            np.zeros(n + m),
-            np.zeros(n + m),
-        )
+        elements = np.zeros((n + m, sections))
+        self._fan, surface = np.zeros((2, n + m))
         elements[:cells] = np.kron(np.eye(sections), np.full((p.cells, 1), 1 / p.cells))
         elements[self._sinks] = -np.eye(sections)
         elements /= capacity[:, None]
@@ -157,40 +152,33 @@ class PeltierRig(Bench):
         self._radiation = p.emissivity * Stefan_Boltzmann * surface
 
         flows = np.zeros((n + m, n + m))  # W/K
-        links = [
-            (i, i + 1, rod.conductivity * rod.width * rod.height / dz)
-            for i in range(cells - 1)
-        ]
-        back = p.element.conductance / p.cells
-        links += [(i, cells + i // p.cells, back) for i in range(cells)]
-        for i, j, g in links:
-            flows[[i, j, i, j], [i, j, j, i]] += [-g, -g, g, g]
+        along = np.diff(np.eye(cells, n), axis=0)  # from one cell to the next
+        through = np.eye(cells, n)  # from a sink to the cells above it
+        through[:, self._sinks] = -np.kron(np.eye(sections), np.ones((p.cells, 1)))
+        conductance = rod.conductivity * rod.width * rod.height / dz
+        flows[:n, :n] = -conductance * along.T @ along
+        flows[:n, :n] -= p.element.conductance / p.cells * through.T @ through
         flows[self._sinks, self._sinks] -= p.fan * np.eye(sections)
         A = flows / capacity[:, None]
 
         middles = (np.arange(cells) + 0.5) * dz
-        shown = np.zeros((m, n + m))
-        for i, place in enumerate(rod.sensors):
-            shown[i, :cells] = [
-                np.interp(place, middles, unit) for unit in np.eye(cells)
-            ]
-        self._sensors = shown
+        self._sensors = np.zeros((m, n + m))
+        hats = [np.interp(rod.sensors, middles, hat) for hat in np.eye(cells)]
+        self._sensors[:, :cells] = np.transpose(hats)
         if p.lag:
-            A[n:] = shown / p.lag
+            A[n:] = self._sensors / p.lag
             A[n:, n:] = -np.eye(m) / p.lag
             self._sensors = np.eye(m, n + m, n)
-        one, none = np.eye(n + m), np.zeros((n + m, n + m))
-        blocks = expm(
-            self.Ts * np.block([[A, one, none], [none, none, one], [none] * 3])
-        )
+        one, zero = np.eye(n + m), np.zeros((n + m, n + m))
+        system = np.block([[A, one, zero], [zero, zero, one], [zero] * 3])
+        blocks = expm(self.Ts * system)
         self._decay, self._first, second = np.split(blocks[: n + m], 3, axis=1)
         self._second = second / self.Ts
         self._rest()
 
     def _rest(self):
-        self._state = np.zeros(
-            len(self._fan)
-        )  # cells, sinks, sensors, K above the room
+        # cells, sinks, sensors, K above the room
+        self._state = np.zeros(len(self._fan))
         self.currents = np.zeros(self.rod.sections)  # A
 
     @property
@@ -218,10 +206,10 @@ class PeltierRig(Bench):
 
     def apply(self, heat_flows) -> None:
         """Ask for heat flows (W), shape (sections,), and let one sampling period pass."""
-        asked = arguments.array("heat_flows", heat_flows, self.currents.shape)
+        heat = arguments.array("heat_flows", heat_flows, self.currents.shape)
         p = self.parameters
         sinks = p.temperature + (self._state[self._sinks] if p.sinks_measured else 0)
-        wanted = p.known.current(asked, p.temperature, sinks)
+        wanted = p.known.current(heat, p.temperature, sinks)
         limit = p.element.limit
         self.currents = np.minimum(np.maximum(wanted, -limit), limit)
         pumped = self._peltier @ self.currents  # 1/s, by absolute temperatures

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rodlib.ilc import arguments
-from rodlib.rod import Rod
+from rodlib.rod import Rod, modes
 
 # Material parameters off by several percent from those of the design model.
 MISMATCHED = Rod(
@@ -33,12 +33,9 @@ class RigParameters:
         arguments.whole("modes", self.modes, 1)
         for name in ("noise", "quantum", "lag"):
             arguments.not_negative(name, getattr(self, name))
-        if not (
-            isinstance(self.limit, float) and self.limit == np.inf
-        ):  # which is none
-            arguments.not_negative(
-                "limit", self.limit, "a heat flow in W, 0 or more, or np.inf"
-            )
+        if np.any(self.limit != np.inf):  # which is none
+            what = "a heat flow in W, 0 or more, or np.inf"
+            arguments.not_negative("limit", self.limit, what)
         arguments.number("ambient_rate", self.ambient_rate, "a finite number")
 
 
@@ -48,10 +45,8 @@ class Bench:
     def __init__(self, rod: Rod, parameters, Ts: float, seed: int):
         arguments.instance("rod", rod, Rod)
         self.rod, self.parameters = rod, parameters
-        self.Ts, self.seed = (
-            arguments.sampling_period("Ts", Ts),
-            arguments.whole("seed", seed, 0),
-        )
+        self.Ts = arguments.sampling_period("Ts", Ts)
+        self.seed = arguments.whole("seed", seed, 0)
         self.time = 0.0
         self._random = np.random.default_rng(self.seed)
 
@@ -76,13 +71,11 @@ class Bench:
 
     def read(self) -> np.ndarray:
         """Read the sensors: K above the initial ambient temperature, shape (m,)."""
-        noisy = self._sensors @ self._state
+        theta, quantum = self._sensors @ self._state, self.parameters.quantum
         if self.parameters.noise:
-            noisy = noisy + self.parameters.noise * self._random.standard_normal(
-                len(noisy)
-            )
-        quantum = self.parameters.quantum
-        return (np.rint(noisy / quantum) * quantum).round(9) if quantum else noisy
+            noise = self._random.standard_normal(len(theta))
+            theta = theta + self.parameters.noise * noise
+        return (np.rint(theta / quantum) * quantum).round(9) if quantum else theta
 
 
 class Restarting:
@@ -128,14 +121,10 @@ class VirtualRig(Bench):
     ):
         arguments.instance("parameters", parameters, RigParameters)
         super().__init__(rod, parameters, Ts, seed)
-        n = np.arange(parameters.modes)
-        wave = n * np.pi / rod.length
-        s = -(rod.kappa_2 + rod.conductivity * wave**2) / rod.kappa_1
-        # Mean of cos(wave z) over each section; mode n > 0 has half the norm of mode 0.
-        edges = np.sin(np.outer(wave[1:], rod.edges)) / wave[1:, None]
-        shares = np.diff(edges, axis=1) / (rod.length / rod.sections)
-        shares = np.vstack([np.ones(rod.sections), 2 * shares])
-        input_gain = shares / (rod.kappa_1 * rod.width * rod.height * rod.length)
+        losses, means, values = modes(rod, np.arange(parameters.modes))
+        s = -losses / rod.kappa_1
+        means[1:] *= 2  # mode n > 0 has half the norm of mode 0
+        input_gain = means / (rod.kappa_1 * rod.width * rod.height * rod.length)
 
         self._decay = np.exp(s * Ts)
         self._held = (np.expm1(s * Ts) / s)[:, None] * input_gain
@@ -145,7 +134,7 @@ class VirtualRig(Bench):
         lagging = (self._lag - self._decay) / np.where(near, 1, difference)
         self._lagging = np.where(near, Ts * self._decay, lagging)[:, None] * input_gain
         self._air = -np.expm1(s[0] * Ts)
-        self._sensors = np.cos(np.outer(rod.sensors, wave))
+        self._sensors = values.T
         self._rest()
 
     def _rest(self):

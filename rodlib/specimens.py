@@ -18,6 +18,7 @@ from rodlib.ilc.loop.closed import CurrentTrialLoop, reply
 from rodlib.ilc.models import frequency_response
 from rodlib.rod import Rod
 
+PAPER = Rod()
 MATERIAL = ("density", "heat_capacity", "heat_transfer", "conductivity")
 ALIAS = 1e-11  # of what a transform of an impulse response wraps around
 STEP = 1.0  # rad, by which the return difference may turn between two frequencies
@@ -60,14 +61,14 @@ class Spread:
         arguments.not_negative("sensors", self.sensors, "a length in metres, 0 or more")
 
     @classmethod
-    def of_all(cls, share: float, rod: Rod | None = None) -> "Spread":
+    def of_all(cls, share: float, rod: Rod = PAPER) -> "Spread":
         """Everything off by the same share; the sensors by that of half a section of `rod`."""
-        rod = arguments.instance("rod", Rod() if rod is None else rod, Rod)
+        arguments.instance("rod", rod, Rod)
         _check_share("share", share)
         sensors = share * rod.length / rod.sections / 2
         return cls(share, share, share, share, share, sensors)
 
-    def specimen(self, deviations, nominal: Rod | None = None) -> Specimen:
+    def specimen(self, deviations, nominal: Rod = PAPER) -> Specimen:
         """The rod that is off by these shares of the spread.
 
         Parameters
@@ -75,14 +76,15 @@ class Spread:
         deviations : array_like, shape (4 + sections + sensors,)
             From -1 to 1: of the four material parameters in the order above, of the gain of each
             Peltier element, of the position of each sensor.
-        nominal : Rod, optional
+        nominal : Rod
             Default: the paper's.
         """
-        nominal = _nominal(nominal)
+        arguments.instance("nominal", nominal, Rod)
         deviations = arguments.array("deviations", deviations, (_count(nominal),))
-        if np.abs(deviations).max() > 1:
+        largest = np.abs(deviations).max()
+        if largest > 1:
             raise ValueError(
-                f"deviations reach {np.abs(deviations).max():.6g} in size, but 1 is the most"
+                f"deviations reach {largest:.6g} in size, but 1 is the most"
             )
         places = np.array(nominal.sensors)
         room = min(places.min(), nominal.length - places.max())
@@ -101,9 +103,7 @@ class Spread:
         return Specimen(rod, tuple((1 + self.gains * gains).tolist()))
 
 
-def draw(
-    spread: Spread, number: int, root: int = 0, nominal: Rod | None = None
-) -> Specimen:
+def draw(spread: Spread, number: int, root: int = 0, nominal: Rod = PAPER) -> Specimen:
     """Draw a rod by number.
 
     Parameters
@@ -112,11 +112,11 @@ def draw(
     number, root : int
         Number of the rod, and of the sequence to which it belongs, 0 or more. Another spread
         stretches the same rod's deviations.
-    nominal : Rod, optional
+    nominal : Rod
         As for :meth:`Spread.specimen`.
     """
     arguments.instance("spread", spread, Spread)
-    nominal = _nominal(nominal)
+    arguments.instance("nominal", nominal, Rod)
     seed = [arguments.whole("number", number, 0), arguments.whole("root", root, 0)]
     deviations = np.random.default_rng(seed).uniform(-1, 1, _count(nominal))
     return spread.specimen(deviations, nominal)
@@ -192,10 +192,8 @@ class Points:
 
     def __init__(self, loop: CurrentTrialLoop, omega, radius: float = 1.0):
         def response(model):  # z I - A = radius (exp(j omega Ts) I - A / radius)
-            A, B = model.A / radius, model.B / radius
-            return frequency_response(
-                control.ss(A, B, model.C, model.D, model.dt), omega
-            )
+            A, B, C, D = model.A / radius, model.B / radius, model.C, model.D
+            return frequency_response(control.ss(A, B, C, D, model.dt), omega)
 
         m = loop.plant.noutputs
         self.loop, self.omega = loop, omega
@@ -256,10 +254,6 @@ def _held(loop, specimens):
         arguments.instance(f"specimens[{k}]", specimen, Specimen)
         check_loop(loop, specimen.rod)
     return [specimen.held(loop.Ts) for specimen in specimens]
-
-
-def _nominal(rod):
-    return arguments.instance("nominal", Rod() if rod is None else rod, Rod)
 
 
 def _count(rod):

@@ -3,7 +3,7 @@
 Rods are judged in batches, each by itself, so that any number of workers finds the same.
 """
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 
 import numpy as np
 import xarray as xr
@@ -18,6 +18,7 @@ from rodlib.ilc.loop.closed import CurrentTrialLoop
 from rodlib.rod import Rod
 from rodlib.specimens import (
     MATERIAL,
+    PAPER,
     Spread,
     check_loop,
     draw,
@@ -46,7 +47,7 @@ class Study:
     Q: ZeroPhaseButterworth
     filters: dict[str, LearningFilter]  # by name
     spread: Spread  # how far off the rods are
-    nominal: Rod = field(default_factory=Rod)  # what they were meant to be
+    nominal: Rod = PAPER  # what they were meant to be
     root: int = 0  # of the random numbers
     omega: np.ndarray | None = None  # default: 1000 from 1e-4 rad/s to Nyquist
     reference: np.ndarray | None = None  # (time, m); default: that of rodlib.case
@@ -101,10 +102,9 @@ class Study:
             batches = [self._judge(batch) for batch in numbers]
         else:
             batches = client.gather(client.map(self._judge, numbers))
-        spread = {
-            f"spread_{name}": share for name, share in asdict(self.spread).items()
-        }
-        attributes = {"root": self.root, "Ts": self.loop.Ts} | spread
+        attributes = {"root": self.root, "Ts": self.loop.Ts}
+        for name, share in asdict(self.spread).items():
+            attributes[f"spread_{name}"] = share
         return xr.concat(batches, "rod").assign_attrs(attributes)
 
     def _judge(self, numbers):
@@ -119,7 +119,7 @@ class Study:
         rms = np.full((len(filters), len(specimens), self.trials), np.nan)
         rms[:, stable] = [self._rms(impulses[stable], L) for L in filters]
         variables = {
-            name: ("rod", [getattr(each.rod, name) for each in specimens])
+            name: ("rod", [getattr(s.rod, name) for s in specimens])
             for name in MATERIAL
         }
         variables["sensors"] = ("rod", "channel"), [s.rod.sensors for s in specimens]

@@ -25,7 +25,7 @@ LOGS = ROOT / "build" / "machines"
 KERNELS = ("Haswell", "Zen", "Prescott", "Nehalem", "SkylakeX")
 NO_LONG_DOUBLES = "no-long-doubles"
 ROUNDING = tuple(f"rounding-{seed}" for seed in range(1, 6))
-PYTEST = (
+PYTEST = [
     "-m",
     "pytest",
     "-q",
@@ -35,7 +35,7 @@ PYTEST = (
     "loadfile",
     "-p",
     "no:cacheprovider",
-)
+]
 PRODUCT = "import numpy; x = numpy.ones((64, 64)); x @ x; numpy.linalg.svd(x)"
 SHORT = "import numpy\nnumpy.longdouble, numpy.clongdouble = numpy.float64, numpy.complex128\n"
 
@@ -73,9 +73,8 @@ def try_machine(name: str) -> list[str]:
         checkout, path = Path(folder) / "checkout", Path(folder) / "path"
         copy_checkout(checkout)
         path.mkdir()
-        environment = os.environ | {
-            "PYTHONPATH": os.pathsep.join([str(checkout), str(path)])
-        }
+        folders = os.pathsep.join([str(checkout), str(path)])
+        environment = os.environ | {"PYTHONPATH": folders}
         if name in KERNELS:
             environment["OPENBLAS_CORETYPE"] = name
         elif name == NO_LONG_DOUBLES:
@@ -83,14 +82,13 @@ def try_machine(name: str) -> list[str]:
         else:
             seed = int(name.removeprefix("rounding-"))
             environment["PYTHONPATH"] = rounding.search_path(path, seed, str(checkout))
-        notebooks = sorted(
-            f"notebooks/{path.name}" for path in checkout.glob("notebooks/*.ipynb")
-        )
+        names = sorted(path.name for path in checkout.glob("notebooks/*.ipynb"))
+        notebooks = [f"notebooks/{name}" for name in names]
         results = {"RODLIB_RESULTS": str(checkout / "build" / "test")}
         parts = {
             "notebooks": [*PYTEST, "--nbval", "--nbval-current-env", *notebooks],
             "results": ["tests/results.py", *results.values()],
-            "tests": [*PYTEST],
+            "tests": PYTEST,
         }
         failed = []
         for part, command in parts.items():
@@ -112,15 +110,10 @@ def main(names: list[str]) -> int:
     """Try the machines named, or all, and print a table; the number of those that failed."""
     LOGS.mkdir(parents=True, exist_ok=True)
     tried, failures = {}, 0
-    unknown = [
-        name
-        for name in names
-        if name not in (*KERNELS, NO_LONG_DOUBLES)
-        and not re.fullmatch(r"rounding-\d+", name)
-    ]
-    if unknown:
-        known = ", ".join((*KERNELS, NO_LONG_DOUBLES, *ROUNDING[:1]))
-        sys.exit(f"{', '.join(unknown)}: not known; there are {known} and other seeds")
+    known = "|".join([*KERNELS, NO_LONG_DOUBLES, r"rounding-\d+"])
+    for name in names:
+        if not re.fullmatch(known, name):
+            sys.exit(f"{name} is not one of {known}")
     for name in names or [*KERNELS, NO_LONG_DOUBLES, *ROUNDING]:
         core, reason = probe(name) if name in KERNELS else (name, "")
         if not reason and core in tried:  # OpenBLAS has one code for several families

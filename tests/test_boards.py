@@ -57,16 +57,6 @@ def test_the_emulator_is_a_heat_balance(monkeypatch):
     assert differences[1] == pytest.approx(differences[0] / 2, rel=0.05)
 
 
-def test_what_the_heaters_give_the_air_takes():
-    model = heat_balance(0.03, 0.02, 0.05, 0.01, 100.0, 2.0)
-    for u in ([10.0, 0.0], [3.0, 7.0]):
-        at_rest = model.dcgain() @ u
-        assert 0.05 * at_rest.sum() == pytest.approx(np.dot([0.03, 0.02], u), rel=1e-9)
-    assert model.input_labels == ["Q1", "Q2"] and model.output_labels == ["T1", "T2"]
-    lag = heat_balance(1.0, 1.0, 10.0, 0.0, 100.0, 2.0)  # its heaters are fast
-    assert lag.poles().real.max() == pytest.approx(np.exp(-2 / 100))
-
-
 def test_every_trial_begins_at_rest(monkeypatch):
     undisturbed(monkeypatch)
     rig = TemperatureControlLab(wait=3000.0)

@@ -199,7 +199,7 @@ def main(chosen):
         return print(rows.to_string())
     wrong = (ends == "failed") | (rows.confirmed == False)  # noqa: E712
     print(rows[wrong].to_string())
-    counts, confirmed = ends.value_counts(), rows.confirmed.dropna()
+    counts, confirmed = ends.value_counts(), rows.confirmed.dropna().astype(bool)
     wide, ratio = rows.everywhere.dropna(), rows.ratio.dropna()
     certain, infeasible = ((wide == end).sum() for end in ("certified", "infeasible"))
     text = f"""{len(rows)} problems: {counts["certified"]} end with a certified filter, \

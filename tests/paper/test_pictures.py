@@ -9,7 +9,7 @@ from rodlib.paper.pictures import LEVELS, PIXELS_PER_INCH, compared
 POINT = 1 / 140  # in data: the axes are 140 points high
 
 
-def draw(folder, raised=0.0, label="rate 0.905", patch="0.94", markers=5, width=360):
+def draw(folder, raised=0.0, label="rate 0.905", patch="0.94", width=360):
     """Save a figure with a curve that Matplotlib simplifies, a patch, a legend and markers."""
     x = np.linspace(0, 2, 2000)
     noise = np.random.default_rng(0).standard_normal(x.size)
@@ -18,7 +18,7 @@ def draw(folder, raised=0.0, label="rate 0.905", patch="0.94", markers=5, width=
     axes = figure.add_axes((0.1, 0.15, 0.8, 0.7))
     axes.add_patch(plt.Rectangle((0.1, 0.1), 0.5, 0.2, facecolor=patch))
     axes.plot(x, y, label=label)
-    axes.plot([0.2, 0.5, 0.9, 1.1, 1.7][:markers], [0.91] * markers, "o")
+    axes.plot([0.2, 0.5, 0.9, 1.1, 1.7], [0.91] * 5, "o")
     axes.set(xlim=(0, 2), ylim=(0, 1), xlabel="time (s)")
     axes.legend(loc="lower left")
     folder.mkdir()
@@ -36,12 +36,10 @@ def before(tmp_path_factory):
     ("changes", "outcome"),
     [
         ({}, "the same"),
-        ({"raised": 1e-9}, "the same"),
         ({"raised": 0.0025 * POINT}, "the same"),
         ({"raised": 0.03 * POINT}, "different"),
         ({"label": "rate 0.902"}, "different"),
         ({"patch": "0.98"}, "different"),
-        ({"markers": 4}, "different"),
         ({"width": 361}, "different"),
     ],
 )

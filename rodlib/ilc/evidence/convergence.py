@@ -82,10 +82,10 @@ class Convergence:
         weight = arguments.positive("weight", weight)
         P, Q, L = self.responses
         identity = np.eye(P.shape[-1])
-        W = P.conj().swapaxes(-1, -2) @ P + weight * identity
-        root = np.linalg.cholesky(W).conj().swapaxes(-1, -2)
+        effort = np.broadcast_to(np.sqrt(weight) * identity, P.shape)
+        S = np.concatenate([P, effort], axis=-2)  # S^H S = W
         change = Q[:, None, None] * (identity - L @ P)
-        scaled = root @ change @ np.linalg.inv(root)
+        scaled = S @ change @ np.linalg.pinv(S)
         return np.linalg.norm(scaled, 2, axis=(-2, -1)).max(axis=-1)
 
     def __repr__(self):

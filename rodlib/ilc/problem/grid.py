@@ -46,27 +46,19 @@ def refined(problem: Problem, omega, plants=None, Q=None) -> Problem:
     if not len(omega):
         return problem
     omega = np.sort(omega)
+    known = {}
     if problem.butterworth is not None:
-        responses = [
-            None if model is None else frequency_response(model, omega)
-            for model in problem.models
-        ]
         Q = problem.butterworth.frequency_response(omega)
-    else:
-        responses = [None for _ in problem.models]
-    known = [response for response in responses if response is not None]
-    if plants is None and not known:
-        return _with_L_bounded(problem, omega)
-    plants = np.stack(
-        [
-            response
-            if response is not None
-            else known[0]
-            if plants is None
-            else plants[k]
-            for k, response in enumerate(responses)
-        ]
-    )
+        for k, model in enumerate(problem.models):
+            if model is not None:
+                known[k] = frequency_response(model, omega)
+    if plants is None:
+        if not known:
+            return _with_L_bounded(problem, omega)
+        plants = [next(iter(known.values()))] * len(problem.plants)
+    plants = np.array(plants)
+    for k, response in known.items():
+        plants[k] = response
     n = len(problem.omega)
     order = np.argsort(np.append(problem.omega, omega), kind="stable")
     radius = problem.radius

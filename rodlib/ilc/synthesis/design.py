@@ -109,7 +109,7 @@ def synthesise(
         frequencies many times.
     start : Synthesis, optional
         A design for other bounds, another band or a similar plant to start from, of the same order
-        and size. It makes the synthesis faster, not different.
+        and size, best on the same `omega`. It makes the synthesis faster, not different.
     samples : int, optional
         Length of a trial. The certificate then says what one trial does to the ILC signal, by
         :func:`rodlib.ilc.evidence.trial_norm`; P and Q must be models.
@@ -183,10 +183,14 @@ def certified(
     samples, rest = checked_trial(problem, samples, rest)
     stated, problem = problem.design, without_gaps(problem)
     if start is not None:
-        _check_start(start, stated)
-        before, start = start.certificate.problem, start.solution
-        if len(before.omega_L) > len(problem.omega_L):
-            start = carried(start, before, problem)
+        arguments.instance("start", start, Synthesis)
+        m, shape = stated.channels, start.solution.coefficients.shape
+        if shape != (m, m, stated.order):
+            raise ValueError(
+                f"start is a design with coefficients of shape {shape}, but must have "
+                f"{(m, m, stated.order)}: leave start out"
+            )
+        start = carried(start.solution, start.certificate.problem, problem)
     by_solver = _solve_with_cvxpy if solver == "cvxpy" else solve
     tolerances = CVXPY_TOLERANCES if solver == "cvxpy" else (GAP, VIOLATION)
     try:
@@ -349,19 +353,3 @@ def _rounded_up(M_max):
     """In six digits, and not less than it is, or who follows the advice is refused again."""
     unit = 10.0 ** (np.floor(np.log10(M_max)) - 5)
     return f"{np.ceil(M_max / unit) * unit:.6g}"
-
-
-def _check_start(start, problem):
-    arguments.instance("start", start, Synthesis)
-    n, m = len(problem.omega), problem.channels
-    expected, shape = (m, m, problem.order), start.solution.coefficients.shape
-    if shape != expected or len(start.omega) != n:
-        raise ValueError(
-            f"start is a design with coefficients of shape {shape} on {len(start.omega)} "
-            f"frequencies, but must have {expected} on {n}: leave start out"
-        )
-    off_diagonal = start.solution.coefficients[~np.eye(m, dtype=bool)]
-    if problem.structure == "diagonal" and np.any(off_diagonal):
-        raise ValueError(
-            "start is a full filter, but structure = 'diagonal': leave start out"
-        )

@@ -226,6 +226,6 @@ def test_those_that_are_tied_are_all_named_whatever_the_rounding(unit, radius):
         assert tied == tuple(zip(plant.tolist(), frequency.tolist(), strict=True))
     assert {k for plant, k in tied if plant == 1} == {k for n, k in tied if n == 2}
     assert 1 in dict(tied) and tied == tuple(sorted(tied, key=lambda pair: pair[::-1]))
-    where = ", ".join(f"plant {n} at {OMEGA[k]:.4g}" for n, k in tied[:4]) + " rad/s"
-    where += f" and {len(tied) - 4} more" if len(tied) > 4 else ""
-    assert f" on the design grid: {where}\n" in text
+    where = ", ".join(f"plant {n} at {OMEGA[k]:.4g}" for n, k in tied[:4])
+    assert f" on the design grid: {where} rad/s" in text
+    assert (f"rad/s and {len(tied) - 4} more\n" in text) == (len(tied) > 4)

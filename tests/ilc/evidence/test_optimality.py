@@ -7,10 +7,9 @@ from functools import cache
 import cvxpy as cp
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
-from rodlib import synthesise
 from rodlib.ilc.evidence.optimality import dual_norm, lower_bound
 from rodlib.ilc.problem.pose import pose
 from rodlib.ilc.problem.problem import Cuts
@@ -108,6 +107,11 @@ def test_the_bound_from_the_multipliers_of_cvxpy_is_its_optimum_and_others_are_b
     bound = lower_bound(problem, U, V, cuts)
     assert value * (1 - 1e-5) < bound < value * (1 + 1e-7)
     assert lower_bound(problem, U, V) < value / 2  # what the cuts contribute is needed
+    if problem.radius is not None:  # where it is zero, G has no rows below M
+        N = cuts.N.copy()
+        N[cuts.frequency == 1, problem.channels :] += 7
+        other = lower_bound(problem, U, V, replace(cuts, N=N))
+        assert other == pytest.approx(bound, rel=1e-6)
     rng = np.random.default_rng(0)
 
     def wrong(X, share):
@@ -117,22 +121,6 @@ def test_the_bound_from_the_multipliers_of_cvxpy_is_its_optimum_and_others_are_b
         N = replace(cuts, N=wrong(cuts.N, share))
         bound = lower_bound(problem, wrong(U, share), wrong(V, share), N)
         assert bound < value * (1 + 1e-7)
-
-
-@settings(max_examples=5)
-@given(sizes, seeds)
-def test_multipliers_of_what_is_no_part_of_the_bound_do_not_count(m, seed):
-    """Where the radius is zero, G has no rows below M."""
-    rng = np.random.default_rng(seed)
-    problem = random_problem(m, 1, True, 0.9, "sum", "full")
-    U, V = rng.standard_normal((2, 6, m, m))
-    N = complex_normal(rng, 2, 2 * m, m)
-    cuts = Cuts(np.array([0, 1]), np.array([1, 1]), N, np.empty((2, 0)))
-    bound = lower_bound(problem, U, V, cuts)
-    moved = N.copy()
-    moved[:, m:] += 7
-    other = lower_bound(problem, U, V, replace(cuts, N=moved))
-    assert np.isfinite(bound) and other == pytest.approx(bound, rel=1e-6)
 
 
 @given(sizes, st.integers(1, 2), seeds)
@@ -155,26 +143,6 @@ def test_the_dual_norm_is_above_the_product_with_whatever_is_bounded(m, parts, s
     np.testing.assert_allclose(dual_norm(1e-6j * rows), 1e-6 * norm, rtol=1e-8)
     if m == 1:  # of |M| + |rho L| <= 1
         np.testing.assert_allclose(norm, np.abs(rows[..., 0]).max(axis=1), rtol=1e-8)
-
-
-@pytest.mark.parametrize(
-    ("structure", "objective", "L_max"),
-    [("diagonal", "sum", None), ("full", "sum", 4.0), ("full", "peak", None)],
-)
-def test_lower_bound_holds_for_any_multipliers(structure, objective, L_max):
-    """Weak duality: no multipliers, however wrong, give a bound above a feasible value."""
-    rng = np.random.default_rng(1)
-    omega = np.linspace(0.05, np.pi, 40)
-    P = 0.5 / (np.exp(1j * omega) - 0.5)[:, None, None] * np.eye(2)
-    P = P + 0.1 * rng.standard_normal((2, 2))
-    asked = {"structure": structure, "objective": objective, "L_max": L_max}
-    Q = 1 / (1 + omega**4)
-    design = synthesise(P, Q, omega, 1.0, order=3, band=(0.05, 1), **asked)
-    assert 0 <= design.certificate.gap + 1e-12 < 1e-8
-    for _ in range(20):
-        U, V = complex_normal(rng, 2, 40, 2, 2)
-        bound = lower_bound(design.problem, U, None if L_max is None else V)
-        assert bound <= design.value * (1 + 1e-9)
 
 
 @given(st.sampled_from([1, 10, 40]), st.sampled_from(["diagonal", "full"]), seeds)

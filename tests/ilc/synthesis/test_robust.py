@@ -84,19 +84,6 @@ def test_after_new_cuts_of_a_radius_a_few_steps_are_enough(loop, Q):
 
 
 @pytest.mark.filterwarnings("ignore:the samples are too coarse")
-def test_no_radius_is_the_nominal_design_and_a_larger_one_costs_more():
-    P, Q, omega = random_response(7, 1, 12)
-    size = np.linalg.norm(P, 2, axis=(1, 2))
-    choices = CHOICES | {"objective": "peak", "M_max": 0.99}
-    nominal = synthesise(P, Q, omega, 1.0, **choices).value
-    zero, small, large = (
-        synthesise(P, Q, omega, 1.0, uncertainty=share * size, **choices).value
-        for share in (0, 0.1, 0.2)
-    )
-    assert zero == nominal < small < large
-
-
-@pytest.mark.filterwarnings("ignore:the samples are too coarse")
 def test_from_an_earlier_design_the_result_is_the_same():
     P, Q, omega, choices = question(2, "plants and radius", 7, n=12)
     choices["objective"] = "peak"
