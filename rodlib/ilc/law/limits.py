@@ -17,6 +17,7 @@ from rodlib.ilc.loop.closed import ClosedLoop, Loop
 from rodlib.ilc.models import state_sequence
 
 ROUNDING = 1e-6  # of the width of the limits: no more than a solver rounds
+REGULAR = 1e-8  # of PIQP's systems: with its own 1e-10 rounding may keep it from an end
 WEIGHT = 1e-2  # of ||v||^2 beside ||P v||^2, for what the outputs hardly show
 
 
@@ -171,6 +172,7 @@ def nearest(
     steps = sparse.kron(now - before, S).tocsr()[m : active * m][limited]
 
     solver = piqp.SparseSolver()
+    solver.settings.reg_lower_limit = REGULAR
     solver.setup(
         sparse.csc_matrix(sparse.kron(now, square)), linear.ravel(),
         sparse.csc_matrix(equalities), right,
