@@ -255,11 +255,11 @@ class Certificate:
             f"{gain} below {self.lower_bound:.7g}"
         )
         if self.predicted:
-            rms = ", ".join(f"{value:.3g}" for value in self.predicted.values())
-            trials = ", ".join(map(str, self.predicted))
+            trials = [f"{rms:.3g} in trial {k}" for k, rms in self.predicted.items()]
+            nominal = " of the nominal plant" if problem.robust else ""
             yield (
-                f"predicted RMS of the error: {rms} in trials {trials}, for this reference, "
-                "without noise and ends"
+                f"predicted RMS of the error{nominal}: {', '.join(trials)}, for this "
+                "reference, without noise and ends"
             )
         elif problem.objective == "sum" and np.isfinite(self.mean_M):
             yield f"mean of sigma_max(M) over the band: {self.mean_M:.4f}"

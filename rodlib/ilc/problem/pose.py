@@ -12,7 +12,7 @@ from rodlib.ilc.problem.problem import (
     Problem,
     largest_singular_values,
 )
-from rodlib.ilc.problem.reference import first_error, outputs_of
+from rodlib.ilc.problem.reference import first_error, outermost, outputs_of
 from rodlib.ilc.problem.responses import IMAGINARY, on_one_grid, plants
 
 
@@ -40,7 +40,7 @@ def pose(
     singular_values = np.linalg.svd(nominal, compute_uv=False)
     _refuse_singular(nominal, singular_values, omega)
     cutoff = defaults.cutoff(samples.butterworth, samples.Q, omega)
-    by_default, power = [], None
+    by_default, power, assumed = [], None, ()
     if band is None and reference is None:
         band = defaults.band(cutoff, omega)
         if choices.objective == "sum":
@@ -59,8 +59,10 @@ def pose(
         _refuse_other_weights(band, choices.objective)
         outputs = outputs_of(next(iter(plants(P).values())))
         power, weights = first_error(samples, reference, outputs)
+        assumed = outermost(power, omega)
     _refuse_idle(samples.Q if choices.objective == "peak" else samples.Q[weights > 0])
-    basis = (*[f"chosen: {text}" for text in by_default], *samples.basis)
+    chosen = [f"chosen: {text}" for text in by_default]
+    basis = (*chosen, *assumed, *samples.basis)
     return Problem(
         **vars(choices),
         **vars(replace(samples, basis=basis)),
