@@ -18,6 +18,7 @@ from rodlib.ilc.evidence.peak import (
     peak_gain,
     proven_peaks,
 )
+from rodlib.ilc.evidence.prediction import predicted_rms
 from rodlib.ilc.evidence.robustness import WorstCase, worst_case
 from rodlib.ilc.filters import LearningFilter
 from rodlib.ilc.problem.problem import (
@@ -49,6 +50,8 @@ class Certificate:
     mean_M: (
         float  # of the nominal plant, see :meth:`Convergence.mean`; NaN without a band
     )
+    # RMS of the error in some trials, for the reference of the design; None without one
+    predicted: dict[int, float] | None
     worst: WorstCase  # of all plants, within the radius, at each of the frequencies
     peak: Peak  # over all frequencies, without the radius, unknown between the samples
     exact: Peak | None  # of the plants that are models, if Q is one, too
@@ -144,7 +147,8 @@ class Certificate:
         texts = list(problem.findings)
         if problem.objective == "sum" and self.value > IDLE * problem.idle:
             share = self.value / problem.idle
-            texts.append(f"the filter leaves {share:.0%} of the error in the band")
+            where = "in the band" if problem.band else "for this reference"
+            texts.append(f"the filter leaves {share:.0%} of the error {where}")
         margin, missed = 1 - self.all_M, self.peak.missed
         if not self.proven and margin <= 0:
             texts.append(
@@ -227,8 +231,15 @@ class Certificate:
         return f"{known} between the samples, from {low:.4g} to {high:.4g} rad/s"
 
     def _mean(self) -> Iterator[str]:
-        """The mean rate, where there is a band."""
-        if self.problem.objective == "sum" and np.isfinite(self.mean_M):
+        """The RMS predicted for a reference, or the mean rate in a band, if there is one."""
+        if self.predicted:
+            rms = ", ".join(f"{value:.3g}" for value in self.predicted.values())
+            trials = ", ".join(map(str, self.predicted))
+            yield (
+                f"predicted RMS of the error: {rms} in trials {trials}, for this reference, "
+                "without noise and ends"
+            )
+        elif self.problem.objective == "sum" and np.isfinite(self.mean_M):
             nominal = " of the nominal plant" if self.problem.robust else ""
             low, high = self.problem.band
             band = f"from {low:.4g} to {high:.4g} rad/s"
@@ -339,7 +350,10 @@ def certify(
     response = L.frequency_response(problem.omega_L)
     nominal = largest_singular_values(problem.M(response))
     worst = worst_case(problem, L)
-    mean_M, (low, high) = np.nan, problem.band
+    mean_M, predicted = np.nan, None
+    if problem.band is None:
+        predicted = predicted_rms(problem, L)
+    low, high = problem.band or (0, 0)
     if 0 < low < high:
         design = np.isin(problem.omega, problem.design.omega)
         mean_M = log_mean(nominal[design], problem.omega[design], problem.band)
@@ -353,6 +367,7 @@ def certify(
         value=problem.value(nominal, worst.sigma),
         lower_bound=lower_bound(problem, solution.U, solution.V, solution.cuts),
         mean_M=float(mean_M),
+        predicted=predicted,
         worst=worst,
         peak=highest([*exact, *estimated]),
         exact=highest(exact),
