@@ -33,9 +33,9 @@ from rodlib.ilc.problem.problem import (
 GAP = 1e-6
 VIOLATION = 1e-9
 BETWEEN = 1e-7  # and of one between the frequencies, where the bounds hold there, too
-# Share of 1 - sigma_max(M) that splines may miss: a narrow resonance shows little on its flanks.
+# Share of 1 - sigma_max(M) that splines may miss, as a narrow resonance shows little on its flanks,
+# and by which M may pass a bound between the frequencies.
 COARSE = 0.25
-EXCEEDED = 1e-3  # share of M_max by which M may pass it between the frequencies
 NAMED = 4  # of those that are tied as the worst, so many are named
 IDLE = 0.9  # share of the error in the band from which on learning counts as idle
 
@@ -162,7 +162,7 @@ class Certificate:
                 f"and 1 - sigma_max(M) is {margin:.2g}; measure at more frequencies"
             )
         bound = max(problem.M_max, self.grid_M)
-        if self.proven and self.all_M > bound * (1 + EXCEEDED):
+        if self.proven and self.all_M > bound + COARSE * (1 - bound):
             texts.append(
                 f"sigma_max(M){self._whose(self.peak)} reaches {self.all_M:.4g} at "
                 f"{self.peak.omega:.4g} rad/s, between the frequencies omega, where M_max = "

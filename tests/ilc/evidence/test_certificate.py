@@ -101,9 +101,9 @@ def test_a_bound_that_holds_on_the_grid_only_warns(good):
     text = str(record[0].message)
     assert f"reaches {gamma:.4g} at" in text and "M_max = 0.9 bounds it" in text
     assert text.endswith("everywhere=True, or an L_max")
-    peak = replace(good.peak, sigma=0.9 * 1.00099)
+    peak = replace(good.peak, sigma=0.9249)
     assert replace(good, peak=peak).warnings == []
-    peak = replace(good.peak, sigma=0.9 * 1.00101)
+    peak = replace(good.peak, sigma=0.9251)
     assert replace(good, peak=peak).warnings[0].endswith("or a smaller L_max")
 
 
