@@ -116,4 +116,4 @@ class Synthesis:
         return on_one_thread(check)(problem, L)
 
     def __repr__(self):
-        return f"{self.solution.method}, {self.solution.iterations} iterations\n{self.certificate}"
+        return repr(self.certificate)
