@@ -14,6 +14,7 @@ import control
 import numpy as np
 
 from rodlib.ilc.filters import LearningFilter, ZeroPhaseButterworth
+from rodlib.ilc.signals import Signals
 
 MOST_GAIN = 1e7  # of Q P L, from which on the rounding of coefficients shows
 ROUNDING = 1e-9  # of an angle; what is nearer to pi is at the Nyquist frequency
@@ -48,6 +49,7 @@ class Samples:
     # (n,): bounds hold for P + Delta, ||Delta|| <= radius; None for P alone
     radius: np.ndarray | None
     basis: tuple[str, ...]  # what a measured P and its radius rest on; default choices
+    labels: Signals  # of the nominal plant
 
 
 @dataclass(frozen=True, kw_only=True)
