@@ -50,6 +50,7 @@ def synthesise(
     M_max=Problem.M_max,
     L_max=CHOOSE,
     band=None,
+    reference=None,
     structure=Problem.structure,
     objective=Problem.objective,
     scale=None,
@@ -92,6 +93,11 @@ def synthesise(
         Lowest and highest frequency of the sum in (39), rad/s. A peak has none. Default: from the
         lowest of `omega` to a fifth of Q's cut-off, or to the cut-off. The certificate says what
         was chosen.
+    reference : array_like, shape (time, m), optional
+        In the place of the band: the reference of a trial, in the outputs' units, labelled ones
+        matched by name. The sum is then weighted by the spectrum of the first trial's error,
+        |(I - P) r| of the channels divided by `scale`, and the certificate predicts the RMS of the
+        error of this reference.
     structure : {"diagonal", "full"}
     objective : {"sum", "peak"}
         "sum" is (39), for the nominal plant; "peak" is (45), with (46) unless `L_max` is None: the
@@ -144,6 +150,7 @@ def synthesise(
         M_max=M_max,
         L_max=L_max,
         band=band,
+        reference=reference,
         structure=structure,
         objective=objective,
         scale=scale,
