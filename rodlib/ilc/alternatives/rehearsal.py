@@ -117,7 +117,7 @@ def tune(
     ----------
     design : callable
         From the parameters, by name, to a filter, or to what has one as its ``filter``, as a
-        :class:`rodlib.Synthesis` does; a ValueError says that there is none.
+        :class:`.Synthesis` does; a ValueError says that there is none.
     box : dict
         Lowest and highest value of each parameter, above zero; of whole numbers, whole numbers.
     rehearsal : Rehearsal

@@ -77,7 +77,7 @@ class Certificate:
 
     @property
     def gap(self) -> float:
-        """Distance of value and lower bound, relative to :meth:`rodlib.ilc.Problem.unit`."""
+        """Distance of value and lower bound, relative to :meth:`.Problem.unit`."""
         return (self.value - self.lower_bound) / self.problem.unit(self.value)
 
     @property

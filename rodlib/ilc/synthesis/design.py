@@ -67,7 +67,7 @@ def synthesise(
         Frequency response of the closed loop on `omega`, for any m, also as python-control's
         frequency response data; or a discrete-time model of it, state space or transfer function.
         Of a list the first is the nominal plant, whose convergence is made fast; the bounds hold
-        for all of them. A :class:`rodlib.MeasuredResponse` brings its radius along, in which the
+        for all of them. What :func:`rodlib.measured_response` returns has its radius, in which the
         truth lies with a probability of 0.99; for another, pass both of ``P.on(omega, confidence)``
         as P and `uncertainty`. Above the last frequency of samples, sigma_max(P) is assumed to be
         what it is there, at any phase.
@@ -87,7 +87,7 @@ def synthesise(
         Bound on sigma_max(L), unit of w per unit of y. Default: the gain that inverts P at Q's
         cut-off, 1 / sigma_min(P), rounded up to one digit. It holds between the frequencies of a
         coarse grid, and up to the Nyquist frequency, too. None leaves it out: filters then compete
-        up to the gain that coefficients in doubles can hold, :attr:`rodlib.ilc.Problem.weight`.
+        up to the gain that coefficients in doubles can hold, :attr:`.Problem.weight`.
     band : (float, float)
         Lowest and highest frequency of the sum in (39), rad/s. A peak has none. Default: from the
         lowest of `omega` to a fifth of Q's cut-off, or to the cut-off. The certificate says what
@@ -112,7 +112,7 @@ def synthesise(
         and size, best on the same `omega`. It makes the synthesis faster, not different.
     samples : int, optional
         Length of a trial. The certificate then says what one trial does to the ILC signal, by
-        :func:`rodlib.ilc.evidence.trial_norm`; P and Q must be models.
+        :func:`rodlib.trial_norm`; P and Q must be models.
     rest : int
         Number of samples at the end of that trial in which v is held at zero.
 
