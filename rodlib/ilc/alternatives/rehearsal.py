@@ -54,8 +54,7 @@ class Rehearsal:
         _, samples, m = alone.shape
         P = arguments.array("P", self.P, (samples + 1, m, m), complex)
         arguments.whole("rest", self.rest, 0, samples - 1)
-        object.__setattr__(self, "alone", alone)
-        object.__setattr__(self, "P", P)
+        vars(self).update(alone=alone, P=P)
 
     def rate(self, L: LearningOperator) -> float:
         """Of Lemma 1, the largest sigma_max(M), at `JUDGED` of the lines."""

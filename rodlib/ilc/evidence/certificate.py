@@ -44,9 +44,8 @@ class Certificate:
     problem: Problem
     value: float  # the objective reached
     lower_bound: float  # what no such filter within the bounds can go below
-    mean_M: (
-        float  # of the nominal plant, see :meth:`Convergence.mean`; NaN without a band
-    )
+    # of the nominal plant, see :meth:`Convergence.mean`; NaN without a band
+    mean_M: float
     worst: WorstCase  # of all plants, within the radius, at each of the frequencies
     peak: Peak  # over all frequencies, without the radius, unknown between the samples
     exact: Peak | None  # of the plants that are models, if Q is one, too

@@ -65,9 +65,8 @@ class Problem(Samples, Choices):
     # sigma_max(L) that keeps M within M_max where P is unknown, or infinite
     share_L: np.ndarray
     limit_L: np.ndarray
-    beyond: (
-        float | None
-    )  # largest sigma_max(P) above the last sample; None if P is known
+    # largest sigma_max(P) above the last sample; None if P is known
+    beyond: float | None
     # without frequencies that were added; None if none were
     stated: "Problem | None" = None
 

@@ -33,9 +33,8 @@ from rodlib.ilc.synthesis.solver.threads import on_one_thread
 
 EQUAL = 1e-3  # relative distance of multipliers that are the same for the solver
 HOPELESS = 1 - 1e-6  # from here on a smallest M_max is one, and raising it no remedy
-GOOD = (
-    1e-8  # relative duality gap up to which what the active bounds lead to is accepted
-)
+# relative duality gap up to which what the active bounds lead to is accepted
+GOOD = 1e-8
 CVXPY_TOLERANCES = (1e-5, 1e-6)  # Clarabel ends "almost solved" on these problems
 
 
@@ -162,9 +161,8 @@ def insist(solution: Solution, certificate: Certificate):
 def warned(design: Synthesis) -> Synthesis:
     """A design for whoever called the caller, with a warning for each doubt of its certificate."""
     for text in design.certificate.warnings:
-        warnings.warn(
-            text, stacklevel=4
-        )  # warned, the door, its one thread, whoever called
+        # warned, the door, its one thread, whoever called
+        warnings.warn(text, stacklevel=4)
     return design
 
 
@@ -241,9 +239,8 @@ def _solve_program(problem, program, start):
 
 
 def _solve_with_cvxpy(problem, start):
-    from rodlib.ilc.synthesis import (
-        statement,
-    )  # here, because CVXPY takes long to import
+    # here, because CVXPY takes long to import
+    from rodlib.ilc.synthesis import statement
 
     return _with_cuts(
         problem, None, lambda problem, program, start: statement.solve(program)
@@ -283,9 +280,8 @@ def _is_good(problem, solution, gap):
 def _explained(problem, nearest):
     """The error that says which bound is too tight, where, and what would be feasible."""
     posed, on_grid = problem, len(nearest.V) > len(problem.omega_L)
-    if (
-        len(problem.plants) > 1 or problem.everywhere
-    ):  # not all of them had a say so far
+    # not all of them had a say so far
+    if len(problem.plants) > 1 or problem.everywhere:
         posed = replace(problem, M_max=np.inf, objective="peak")
         posed, nearest = settled(posed, solve, None if on_grid else nearest)
     size = np.linalg.norm(nearest.U, axis=(1, 2))
