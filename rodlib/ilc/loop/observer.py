@@ -5,6 +5,8 @@ and trials can learn on that: J. Wallén, M. Norrlöf and S. Gunnarsson, A frame
 observer-based ILC, Asian Journal of Control 13 (2011) 3-14. m inputs reach m combinations of it.
 """
 
+import warnings
+
 import control
 import numpy as np
 import xarray as xr
@@ -14,6 +16,7 @@ from rodlib.ilc.loop.closed import ClosedLoop, CurrentTrialLoop
 from rodlib.ilc.models import sampled_plant, state_sequence
 
 CONDITION = 1e6  # of the response at rest, beyond which errors of the model take over
+DEPARTS = 1e-3  # of the largest u, that a recorded delta may be off
 
 
 def estimated(
@@ -36,9 +39,12 @@ def estimated(
     Returns
     -------
     xarray.DataArray
-        z-hat, with the dimensions trial, time and estimate, which has the names of z. If the
-        observer was not at rest when a trial began, it is wrong until it would have settled.
+        z-hat, with the dimensions trial, time and estimate, which has the names of z.
 
+    Warns
+    -----
+    UserWarning
+        If the recorded delta shows that the observer was not at rest when a trial began.
     """
     arguments.instance("trials", trials, xr.Dataset)
     arguments.instance("loop", loop, CurrentTrialLoop)
@@ -66,6 +72,15 @@ def estimated(
     )
     forcing = np.concatenate([w, y], axis=2) @ B.T
     c = np.stack([state_sequence(A, each, np.zeros(len(A))) for each in forcing])
+    if {"delta", "u"} <= {*trials}:
+        off = np.abs(c[..., n:] - trials.delta.values).max(axis=(1, 2))
+        late = np.flatnonzero(off > DEPARTS * np.abs(trials.u.values).max())
+        if late.size:
+            warnings.warn(
+                f"in trial {trials.trial.values[late[0]]} the observer was not at rest at first: "
+                f"delta is off by up to {off.max():.3g}, and estimates are wrong until it settles",
+                stacklevel=2,
+            )
     coordinates = {
         "trial": trials.trial,
         "time": trials.time,

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import brentq
+from tqdm import tqdm
 
 from rodlib.ilc import arguments
 from rodlib.ilc.evidence.certificate import checked_trial
@@ -92,18 +93,19 @@ def largest_cutoff(
         problem = pose(P, Q, stated.omega, Ts, **choices | changes)
         return refined(problem, further)
 
-    for _ in range(ROUNDS):
-        Q = _widest(Q, posed, stated, step=0.1 if len(further) else 1.0)
-        design = certified(posed(Q), start=start, check=False, **trial)
-        if design.certificate.unseen is None:
-            break
-        # M passed one where omega is coarse
-        further = np.append(further, design.certificate.unseen.omega)
+    with tqdm(desc="largest cut-off", unit=" solved", leave=False, disable=None) as bar:
+        for _ in range(ROUNDS):
+            Q = _widest(Q, posed, stated, bar, step=0.1 if len(further) else 1.0)
+            design = certified(posed(Q), start=start, check=False, **trial)
+            if design.certificate.unseen is None:
+                break
+            # M passed one where omega is coarse
+            further = np.append(further, design.certificate.unseen.omega)
     insist(design.solution, design.certificate)
     return Q, warned(design)
 
 
-def _widest(Q, posed, stated, step):
+def _widest(Q, posed, stated, bar, step):
     """Q with the largest cut-off for which the bounds can be met; `step`: of its logarithm."""
     last = []  # the problem that was solved last, and its solution
 
@@ -116,6 +118,7 @@ def _widest(Q, posed, stated, step):
         problem = replace(problem, M_max=np.inf)
         start = carried(last[1], last[0], problem) if last else None
         last[:] = settled(problem, solve, start)
+        bar.update()
         largest = last[1].largest
         if problem.beyond is not None:  # where P is not known, M may be |Q| at least
             largest = max(largest, *problem.Q_beyond(stated.omega[-1:]))

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import xarray as xr
+from tqdm import tqdm
 
 from rodlib.ilc import arguments
 from rodlib.ilc.law.law import Law
@@ -115,7 +116,7 @@ def learn(trial: Callable, law: Law, v, trials: int) -> np.ndarray:
     trial(k, v) runs trial k, and returns what :meth:`Law.next` needs beside v, by name.
     """
     errors = []
-    for k in range(trials):
+    for k in tqdm(range(trials), "trials", delay=3, disable=None):
         signals = trial(k, v)
         errors.append(signals["e"])
         if k < trials - 1:

@@ -71,6 +71,9 @@ def test_estimates_are_those_of_the_observer_written_out(case, tmp_path):
     save_log(run, tmp_path / "log")
     again = estimated(load_log(tmp_path / "log"), loop, model)
     np.testing.assert_allclose(again, z_hat, atol=1e-9)
+    run["delta"][1] += 0.1 * np.abs(run.u).max()
+    with pytest.warns(UserWarning, match="in trial 2 the observer was not at rest"):
+        estimated(run, loop, model)
 
 
 def test_estimates_refuse_what_is_not_of_the_loop():
