@@ -54,12 +54,12 @@ class Law:
         if self.loop is not None:
             parties["loop"] = arguments.instance("loop", self.loop, Loop)
         check_match(**parties)
-        object.__setattr__(self, "rest", arguments.whole("rest", self.rest, 0))
-        object.__setattr__(self, "gain", arguments.share("gain", self.gain))
+        rest = arguments.whole("rest", self.rest, 0)
+        vars(self).update(rest=rest, gain=arguments.share("gain", self.gain))
         if self.limits is not None:
             commands = None if self.loop is None else self.loop.commands
             limits = named_limits("limits", self.limits, commands, slew=True)
-            object.__setattr__(self, "limits", limits)
+            vars(self)["limits"] = limits
 
     @property
     def Ts(self) -> float:

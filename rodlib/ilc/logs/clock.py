@@ -76,9 +76,8 @@ def check_trials(table: pd.DataFrame, Ts: float) -> None:
             f"trials must be equally long, but trial {lengths.idxmin():g} has {lengths.min()} "
             f"samples and trial {lengths.idxmax():g} has {lengths.max()}"
         )
-    slack = DRIFT + JITTER * len(starts) / max(
-        len(steps), 1
-    )  # jitter at the ends of trials
+    # jitter at the ends of trials
+    slack = DRIFT + JITTER * len(starts) / max(len(steps), 1)
     if abs(steps.mean() - Ts) > slack * Ts:
         raise LogError(
             f"time: the mean step is {steps.mean():.6g} s, but Ts = {Ts:.6g} s: state that as Ts, "
