@@ -152,6 +152,17 @@ def in_columns(name, signal, shape, names):
     return array(name, signal, shape)
 
 
+def labelled_as(value, signal, names):
+    """An array, a column for each of `names`, with the shape, labels and order of `value`."""
+    own = names_of(value)
+    if own is None:
+        return signal.reshape(np.shape(value))
+    signal = signal[..., [names.index(label) for label in own]]
+    if hasattr(value, "columns"):
+        return type(value)(signal, value.index, value.columns)
+    return value.copy(data=signal.reshape(value.shape))
+
+
 def each_trial(name, signal, trials, samples, names):
     """A signal of all trials, or of each, with the trial as the first axis."""
     signal = in_columns(name, signal, (...,), names)

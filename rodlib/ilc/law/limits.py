@@ -69,9 +69,10 @@ class Actuators:
         width = self.highest - self.lowest
         return ROUNDING * np.where(np.isfinite(width), width, 1.0)
 
-    def can(self, commands) -> bool:
-        """Whether commands, shape (time, m), are applied as they are."""
-        return bool(np.all(np.abs(self.follow(commands) - commands) <= self.rounding))
+    def can(self, commands, share: float = ROUNDING) -> bool:
+        """Whether commands (..., time, m) are applied as they are, to a share of the width."""
+        change = np.abs(self.follow(commands) - commands)
+        return bool(np.all(change <= share / ROUNDING * self.rounding))
 
     def next(self, command, before=None) -> np.ndarray:
         """What is applied of one command, after what was applied before it."""
