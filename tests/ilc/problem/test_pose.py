@@ -120,7 +120,7 @@ REFUSED = [  # arguments, and how the message begins
     ({"P": [SAMPLES, None]}, r"P\[1\] holds values of type object"),
     ({"P": [COUPLED, SAMPLES[:, :1, :1]]}, r"P\[1\] has shape"),
     ({"P": [SAMPLES, LAG]}, r"P\[1\].dt = 2.0 differs from Ts"),
-    ({"P": np.ones((60, 2, 3))}, "P has shape"),
+    ({"P": np.ones((60, 2, 3))}, "P has 3 inputs and 2 outputs"),
     ({"P": singular(np.s_[7, 0])}, "P is singular at omega = "),
     ({"P": SAMPLES * 1e-200}, "P is singular at omega = 0.001"),
     ({"P": control.ss(1.1, 1, 1, 0, 1.0)}, "P is unstable"),
