@@ -20,7 +20,7 @@ export LC_ALL := C.UTF-8
 export PYTHONWARNINGS := ignore::DeprecationWarning
 .DELETE_ON_ERROR:
 .PHONY: $(BIN)/ready help reproduce test lint data replay machines mutants lowest survey regions \
-	plants solvers watch \
+	plants peers solvers watch \
 	study pages bench lab notebooks lock clean
 
 help:  ## list the targets
@@ -83,6 +83,9 @@ plants: $(BIN)/ready  ## ten kinds of plants the whole way, from a model to a lo
 
 watch: $(BIN)/ready  ## count false alarms over 1,000 experiments that converge, and detections (minutes)
 	@$(BIN)/python tests/benchmarks/watch.py
+
+peers: $(BIN)/ready  ## our default against PD, least squares and norm-optimal, on plants that are off (a minute)
+	@$(BIN)/python tests/benchmarks/peers.py
 
 study: $(BIN)/ready  ## 10,000 rods that are off: make study [SCHEDULER=address]; results in build/study
 	@$(BIN)/python tests/benchmarks/study.py $(SCHEDULER)
