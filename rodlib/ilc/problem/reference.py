@@ -9,7 +9,6 @@ from rodlib.ilc import arguments
 from rodlib.ilc.problem.problem import Samples
 
 FINER = 16  # than the signal's own are the lines of the spectrum that is integrated
-FAINT = 1e-12  # share of the power of a signal that is rounding
 
 
 def first_error(samples: Samples, reference) -> tuple[np.ndarray, np.ndarray]:
@@ -41,6 +40,5 @@ def first_error(samples: Samples, reference) -> tuple[np.ndarray, np.ndarray]:
             "reference leaves no error in the first trial, so that nothing is to be learned: pass "
             "a reference that is not zero, or a band"
         )
-    amplitude = np.sqrt(share.clip(0) * np.diff(edges))
-    weights = np.where(share > FAINT * share.sum(), amplitude, 0)
+    weights = np.sqrt(share.clip(0) * np.diff(edges))
     return power, weights / weights.sum()
