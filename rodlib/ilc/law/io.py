@@ -104,6 +104,10 @@ def save_law(path, law: Law, note: str = "") -> None:
 def load_law(path) -> Law:
     """Read a law of :func:`save_law`, as in ``record(rig, loop, load_law(path), reference)``."""
     path = arguments.path("path", path)
+    if not path.is_file():
+        raise ValueError(
+            f"path = {str(path)!r} must be a file of save_law, but is none"
+        )
     text = path.read_text(encoding="utf-8")
     if text.startswith("#"):
         raise ValueError(

@@ -159,7 +159,8 @@ def measured_response(
     -----
     UserWarning
         Each of the findings: commands beyond the limits, a loop that is not linear, outputs that
-        drift, a lowest frequency that is too high for what is known at zero, lines too far apart.
+        drift, a lowest frequency that is too high for what is known at zero, lines too far apart;
+        a table without a radius that scatters from line to line.
 
     Notes
     -----
@@ -186,7 +187,7 @@ def measured_response(
             raise ValueError(
                 f"of = {reprlib.repr(of)} is for a record, but log is a table"
             )
-        return tabulated(log, uncertainty)
+        return _warned(tabulated(log, uncertainty))
     arguments.instance("log", log, xr.Dataset)
     if uncertainty is not None:
         raise ValueError(
@@ -206,8 +207,13 @@ def measured_response(
         u, limits = log.get("u", log.v).values, limits_of(log)
         texts = warnings_of(u, y, limits, windows, excitation, measured)
         measured = replace(measured, findings=texts)
+    return _warned(measured)
+
+
+def _warned(measured):
+    """A response for whoever called the caller, with a warning for each of its findings."""
     for finding in measured.findings:
-        warnings.warn(finding, stacklevel=2)
+        warnings.warn(finding, stacklevel=3)
     return measured
 
 
