@@ -48,9 +48,8 @@ class Certificate:
     problem: Problem
     value: float  # the objective reached
     lower_bound: float  # what no such filter within the bounds can go below
-    mean_M: (
-        float  # of the nominal plant, see :meth:`Convergence.mean`; NaN without a band
-    )
+    # of the nominal plant, see :meth:`Convergence.mean`; NaN without a band
+    mean_M: float
     # RMS of the error in some trials, for the reference of the design; None without one
     predicted: dict[int, float] | None
     worst: WorstCase  # of all plants, within the radius, at each of the frequencies
@@ -89,7 +88,7 @@ class Certificate:
 
     @property
     def gap(self) -> float:
-        """Distance of value and lower bound, relative to :meth:`rodlib.ilc.Problem.unit`."""
+        """Distance of value and lower bound, relative to :meth:`.Problem.unit`."""
         return (self.value - self.lower_bound) / self.problem.unit(self.value)
 
     @property
@@ -236,15 +235,14 @@ class Certificate:
 
     def _mean(self) -> Iterator[str]:
         """The RMS predicted for a reference, or the mean rate in a band, if there is one."""
+        nominal = " of the nominal plant" if self.problem.robust else ""
         if self.predicted:
-            rms = ", ".join(f"{value:.3g}" for value in self.predicted.values())
-            trials = ", ".join(map(str, self.predicted))
+            trials = [f"{rms:.3g} in trial {k}" for k, rms in self.predicted.items()]
             yield (
-                f"predicted RMS of the error: {rms} in trials {trials}, for this reference, "
-                "without noise and ends"
+                f"predicted RMS of the error{nominal}: {', '.join(trials)}, for this "
+                "reference, without noise and ends"
             )
         elif self.problem.objective == "sum" and np.isfinite(self.mean_M):
-            nominal = " of the nominal plant" if self.problem.robust else ""
             low, high = self.problem.band
             band = f"from {low:.4g} to {high:.4g} rad/s"
             yield f"mean of sigma_max(M){nominal} over the band: {self.mean_M:.4f}, {band}"

@@ -6,9 +6,11 @@ No model is fitted: the notes of :func:`measured_response` say what is done inst
 import reprlib
 import warnings
 from dataclasses import dataclass, replace
+from os import PathLike
 
 import control
 import numpy as np
+import pandas as pd
 import xarray as xr
 
 from rodlib.ilc import arguments
@@ -49,9 +51,8 @@ class MeasuredResponse(Measured):
     spread: np.ndarray  # inverse of the spectra of w, (experiment, input), likewise
     freedom: np.ndarray  # shape (n,)
     loop: Loop  # whose controller ran; if its observer integrates, P(0) = I
-    findings: tuple[
-        str, ...
-    ] = ()  # what speaks against the measurement, and what follows
+    # what speaks against the measurement, and what follows
+    findings: tuple[str, ...] = ()
 
     def _radius(self, confidence, jointly):
         miss = _miss(confidence, jointly, len(self.omega))
@@ -188,6 +189,11 @@ def measured_response(
                 f"of = {reprlib.repr(of)} is for a record, but log is a table"
             )
         return _warned(tabulated(log, uncertainty))
+    if isinstance(log, pd.DataFrame | str | PathLike):
+        raise ValueError(
+            f"log = {reprlib.repr(log)} must be read first: by load_log(path), or of other tables "
+            "by read_table(log, time=..., inputs={...}, outputs={...})"
+        )
     arguments.instance("log", log, xr.Dataset)
     if uncertainty is not None:
         raise ValueError(

@@ -12,7 +12,7 @@ from rodlib.ilc.problem.problem import (
     Problem,
     largest_singular_values,
 )
-from rodlib.ilc.problem.reference import first_error, outputs_of
+from rodlib.ilc.problem.reference import first_error, outermost, outputs_of
 from rodlib.ilc.problem.responses import on_one_grid, plants
 
 
@@ -37,9 +37,9 @@ def pose(
     nominal, omega, n = samples.plants[0], samples.omega, len(samples.omega)
     choices = _checked(Choices(**choices), n)
     singular_values = np.linalg.svd(nominal, compute_uv=False)
-    _refuse_singular(nominal, singular_values, omega)
+    _refuse_singular(singular_values, omega)
     cutoff = defaults.cutoff(samples.butterworth, samples.Q, omega)
-    by_default, power = [], None
+    by_default, power, assumed = [], None, ()
     if band is None and reference is None:
         band = defaults.band(cutoff, omega)
         if choices.objective == "sum":
@@ -58,8 +58,10 @@ def pose(
         _refuse_other_weights(band, choices.objective)
         outputs = outputs_of(next(iter(plants(P).values())))
         power, weights = first_error(samples, reference, outputs)
+        assumed = outermost(power, omega)
     _refuse_idle(samples.Q if choices.objective == "peak" else samples.Q[weights > 0])
-    basis = (*[f"chosen: {text}" for text in by_default], *samples.basis)
+    chosen = [f"chosen: {text}" for text in by_default]
+    basis = (*chosen, *assumed, *samples.basis)
     return Problem(
         **vars(choices),
         **vars(replace(samples, basis=basis)),
@@ -138,20 +140,14 @@ def _size_beyond(samples):
     return float(size if samples.radius is None else size + samples.radius[-1])
 
 
-def _refuse_singular(P, singular_values, omega):
+def _refuse_singular(singular_values, omega):
     smallest = np.maximum(1e-12 * singular_values[:, 0], 1 / arguments.LARGEST)
     singular = np.flatnonzero(singular_values[:, -1] <= smallest)
     if not singular.size:
         return
     first = singular[0]
-    zero = np.abs(P[first]) <= smallest[first]
-    cause = ""
-    if zero.all(axis=1).any():
-        cause = f"; output {zero.all(axis=1).argmax()} does not respond to any input"
-    elif zero.all(axis=0).any():
-        cause = f"; w {zero.all(axis=0).argmax()} has no effect on any output"
     raise ValueError(
         f"P is singular at omega = {omega[first]:.6g} rad/s (smallest singular value "
-        f"{singular_values[first, -1]:.3g}): P^-1 in (40) does not exist there{cause}"
-        f"{', counted from 0' if cause else ''}"
+        f"{singular_values[first, -1]:.3g}): P^-1 in (40) does not exist there; does each output "
+        "respond to an input, and each w move an output?"
     )

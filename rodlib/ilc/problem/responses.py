@@ -1,7 +1,6 @@
 """Plants and Q in whatever form they are known, on one grid of frequencies."""
 
 import reprlib
-from collections.abc import Iterator
 
 import control
 import numpy as np
@@ -10,7 +9,7 @@ from scipy.interpolate import make_interp_spline
 from rodlib.ilc import arguments
 from rodlib.ilc.filters import ZeroPhaseButterworth
 from rodlib.ilc.loop.closed import Loop
-from rodlib.ilc.models import frequency_response, refuse_foreign
+from rodlib.ilc.models import frequency_response
 from rodlib.ilc.problem.problem import Samples
 from rodlib.ilc.signals import Signals, check_match
 
@@ -18,6 +17,9 @@ CONFIDENCE = 0.99  # in a measured response
 FREQUENCIES = 1000  # of a grid that is chosen
 DECADES = 3  # of it below the cut-off of Q
 MODELS = (Loop, control.LTI)  # what a plant may be, if not an array
+RIPPLE = (
+    1.2  # of a low-pass filter without taper, applied twice; no sensible |Q| is larger
+)
 IMAGINARY = 1e-6  # relative imaginary part below which a response counts as real
 
 
@@ -98,6 +100,7 @@ def interpolated(knots, P, at) -> tuple[np.ndarray, np.ndarray]:
 def on_one_grid(P, Q, omega=None, Ts=None, uncertainty=None, scale=None) -> Samples:
     """P and Q, in any form, on one grid, and P in units of `scale`; arguments of `pose`."""
     named = plants(P)
+    nominal, *_ = named.values()
     if omega is None:
         omega = _frequencies(named.values(), Q)
     if Ts is None:
@@ -144,6 +147,7 @@ def on_one_grid(P, Q, omega=None, Ts=None, uncertainty=None, scale=None) -> Samp
         scale=scale,
         radius=uncertainty if np.any(uncertainty) else None,
         basis=basis,
+        labels=Signals.of_plant(nominal),
     )
 
 
@@ -201,22 +205,12 @@ def _frequencies(P, Q) -> np.ndarray:
 
 def plants(P):
     """The plants by their names in messages, the nominal one first, from one plant or several."""
-    if isinstance(P, Iterator):
-        raise ValueError(
-            f"P = {reprlib.repr(P)} can be read only once: pass a list of plants"
-        )
     several = isinstance(P, np.ndarray) and P.ndim == 4
     if isinstance(P, list | tuple):
-        measured = [isinstance(p, Measured) for p in P]
-        if any(measured):
-            raise ValueError(
-                f"P[{measured.index(True)}] is a measured response, whose radius would count for "
-                "all of the list: pass it alone, or P.on(omega, confidence) as arrays"
-            )
         several = not P or any(isinstance(p, MODELS) or axes(p) == 3 for p in P)
     if several and not len(P):
         raise ValueError(
-            f"P = {P!r} holds no plant: pass one or more, the nominal one first"
+            f"P = {reprlib.repr(P)} holds no plant: pass one or more, the nominal one first"
         )
     return {f"P[{k}]": plant for k, plant in enumerate(P)} if several else {"P": P}
 
@@ -234,15 +228,18 @@ def on_grid(plants, omega, Ts):
     models, responses, shape = [], [], (len(omega), "m", "m")
     for name, plant in plants.items():
         model, response = _response(name, plant, omega, Ts)
+        if axes(response) == 3 and len(response) == len(omega):
+            _, outputs, inputs = np.shape(response)
+            arguments.square(name, inputs, outputs)
         responses.append(arguments.array(name, response, shape, complex))
         models.append(model)
         shape = responses[0].shape
+    check_match(**{name: Signals.of_plant(plant) for name, plant in plants.items()})
     return models, np.array(responses)
 
 
 def _response(name, P, omega, Ts):
     """The plant as a model, or None, and its frequency response on omega, not yet checked."""
-    refuse_foreign(name, P)
     if isinstance(P, Loop):
         P = P.P
     if isinstance(P, control.FrequencyResponseData):
@@ -295,6 +292,11 @@ def Q_on_grid(Q, omega, **known):
             "zero_phase_butterworth(order, cutoff, Ts), or the samples of |Q|^2 on omega"
         )
     Q = arguments.array("Q", Q, (len(omega),), complex)
+    if (largest := np.abs(Q).max()) > RIPPLE:
+        raise ValueError(
+            f"Q has a gain of {largest:.4g} at {omega[np.abs(Q).argmax()]:.4g} rad/s: pass a "
+            "low-pass filter whose gain is one at most, or v overshoots what cancels the error"
+        )
     if np.abs(Q.imag).max() > IMAGINARY * np.abs(Q).max():
         raise ValueError(
             f"Q turns the phase by up to {np.abs(np.angle(Q)).max():.2g} rad, as a filter does "

@@ -6,16 +6,19 @@ import control
 import numpy as np
 import pandas as pd
 import pytest
-from plants import LOOPS, RestartingModel
+from plants import LOOPS, RestartingModel, axes, bump, furnace
 from scipy import signal
 
 from rodlib import (
+    ClosedLoop,
     Controller,
     Law,
     LearningFilter,
     current_trial_loop,
+    estimated,
     load_law,
     load_log,
+    measured_response,
     multisine,
     paper_loop,
     record,
@@ -23,6 +26,7 @@ from rodlib import (
     save_law,
     save_log,
     synthesise,
+    transfer,
     zero_phase_butterworth,
 )
 from rodlib.ilc.law.io import with_law
@@ -47,6 +51,13 @@ CAUSAL_MODEL = control.tf([0.1], [1, -0.9], 1.0)
 SCIPY_MODEL = signal.dlti([[0.9]], [[0.1]], [[1]], [[0]], dt=1.0)
 NONLINEAR = control.nlsys(None, lambda t, x, u, p: u, dt=1.0)
 NO_DC_GAIN = control.tf([1, -1], [1, -1.2, 0.35], 1.0)
+AXES, TURNED = ClosedLoop(axes(), units={"x": "m"}), axes()[["y", "x"], :]
+Q_OF_AXES = zero_phase_butterworth(2, 1.0, 0.1)
+OF_AXES = synthesise(AXES, Q_OF_AXES, order=3, L_max=None, structure="full")
+FURNACE = furnace()
+MOVES = bump(60, [1.0, 2.0])
+IN_MM = ClosedLoop(axes(), units={"x": "mm"})
+WEAKER = current_trial_loop(LAG, Rs=[[1.0]])
 
 
 def design(P=LOOP, Q=Q, omega=OMEGA, **more):
@@ -73,19 +84,16 @@ REFUSED = {  # what the error names, and a call
         lambda: design(Q=CAUSAL),
     ),
     "a model as Q": ("Q = .* one direction", lambda: design(Q=CAUSAL_MODEL)),
-    "a path as P": ("P = 'rod.csv' is a path", lambda: design("rod.csv")),
-    "scipy's model as P": ("(?s)P = .*to_ss", lambda: design(SCIPY_MODEL)),
+    "a path as P": ("P holds values of type", lambda: design("rod.csv")),
+    "scipy's model as P": ("P holds values of type", lambda: design(SCIPY_MODEL)),
     "scipy's model as a plant": ("plant = ", lambda: current_trial_loop(SCIPY_MODEL)),
-    "a nonlinear plant": (
-        "(?s)plant = .*linearize",
-        lambda: current_trial_loop(NONLINEAR),
-    ),
+    "a nonlinear plant": ("(?s)plant = ", lambda: current_trial_loop(NONLINEAR)),
     "a zero at one": ("plant .* z = 1", lambda: current_trial_loop(NO_DC_GAIN)),
     "few frequencies": (
         "order = 10 .* 5 frequencies",
         lambda: design(response(OMEGA[::16]), omega=OMEGA[::16]),
     ),
-    "a design for its filter": ("L = .* pass L.filter", lambda: Law(Q, DESIGN)),
+    "a design for its filter": ("L = ", lambda: Law(Q, DESIGN)),
     "columns of other signals": (
         r"reference .*T1.*y1",
         lambda: run_trials(PAPER, LAW_OF_TWO, OTHER_NAMES, None, 2),
@@ -94,10 +102,94 @@ REFUSED = {  # what the error names, and a call
         r"reference has shape \(60,\)",
         lambda: run_trials(PAPER, LAW_OF_TWO, MOVE, None, 2),
     ),
-    "amplitudes": ("amplitude = ", lambda: multisine(PAPER, 0.01, 1.0, [1, 1, 1], 1.2)),
+    "amplitudes": (
+        "amplitude has shape",
+        lambda: multisine(PAPER, 0.01, 1.0, [1, 1, 1], 1.2),
+    ),
     "too few hours": (
         "hours = 1.2 is too short .* lowest = 0.0142",
         lambda: multisine(TANKS, 0.01, 1.0, [1, 1, 1], 1.2),
+    ),
+    "outputs in another order, to check": (
+        r"design.output_labels = \['x', 'y'\], P.output_labels = \['y', 'x'\]",
+        lambda: OF_AXES.check(TURNED),
+    ),
+    "inputs in another order, to check": (
+        "P.input_labels",
+        lambda: OF_AXES.check(axes()[:, ["set y", "set x"]]),
+    ),
+    "outputs in another order, of several": (
+        r"P\[1\].output_labels = \['y', 'x'\]",
+        lambda: synthesise([axes(), TURNED], Q_OF_AXES),
+    ),
+    "outputs in another order, to simulate": (
+        "plant.output_labels",
+        lambda: run_trials(AXES, OF_AXES.law(), MOVES, plant=TURNED),
+    ),
+    "names in another order": (
+        "P.output_labels",
+        lambda: ClosedLoop(axes(), outputs=["y", "x"]),
+    ),
+    "another unit, to check": ("x in 'm', but P in 'mm'", lambda: OF_AXES.check(IN_MM)),
+    "a time that contradicts Ts": (
+        "trials.time has steps from 0.5 to 0.5 s, but .* is 1 s",
+        lambda: transfer(LOG.assign_coords(time=0.5 * LOG.time), MOVE),
+    ),
+    "every other sample": (
+        "trials.time has steps from 2 to 2 s",
+        lambda: transfer(LOG.isel(time=slice(None, None, 2)), MOVE),
+    ),
+    "a log of another loop": (
+        "loop is not that of trials",
+        lambda: estimated(LOG, WEAKER, LAG),
+    ),
+    "python-control's order of axes": (
+        r"P has shape \(2, 2, 80\), .* np.moveaxis\(P, -1, 0\)",
+        lambda: synthesise(np.ones((2, 2, 80)), Q, OMEGA),
+    ),
+    "time as the last axis": (
+        r"reference has shape \(2, 60\), .* np.moveaxis",
+        lambda: run_trials(AXES, OF_AXES.law(), MOVES.T),
+    ),
+    "more outputs than inputs, a model": (
+        "P has 1 inputs and 2 outputs.* combinations",
+        lambda: synthesise(axes()[:, 0], Q_OF_AXES),
+    ),
+    "more outputs than inputs, samples": (
+        r"P\[1\] has 2 inputs and 3 outputs.* combinations",
+        lambda: synthesise([np.ones((80, 2, 2)), np.ones((80, 3, 2))], Q, OMEGA),
+    ),
+    "more outputs than inputs, a table": (
+        "log has 2 inputs and 3 outputs.* combinations",
+        lambda: measured_response(control.frd(np.ones((3, 2, 80)), OMEGA)),
+    ),
+    "more outputs than inputs, a loop": (
+        "2 outputs.* combinations",
+        lambda: current_trial_loop(axes()[:, 0]),
+    ),
+    "a gain above one as Q": (
+        "Q has a gain of 3 at ",
+        lambda: design(Q=3 * Q.frequency_response(OMEGA)),
+    ),
+    "a DataFrame as a log": (
+        "log = .*(?s:.*) read_table",
+        lambda: measured_response(OTHER_NAMES),
+    ),
+    "a path as a log": (
+        "log = 'log.csv' .*load_log",
+        lambda: measured_response("log.csv"),
+    ),
+    "many frequencies": (
+        r"^log.omega = \[0.0, .{,80}\.\.\.\] must be",
+        lambda: measured_response(control.frd(np.ones(200), np.arange(200.0))),
+    ),
+    "a weight of many states": (
+        r"^Qs must be symmetric .{,300}$",
+        lambda: current_trial_loop(FURNACE, Qs=-np.eye(31)),
+    ),
+    "outputs in mm for m": (
+        "(?s)infeasible.*units, signs and the order",
+        lambda: synthesise([LAG, 1000 * LAG], Q, OMEGA, order=3, L_max=None),
     ),
     "a cut-off beyond Nyquist": (
         r"cutoff = 0.5 .*0.314159",
@@ -143,7 +235,7 @@ def test_a_log_and_a_law_are_distinguished(tmp_path):
     log, law = tmp_path / "log.csv", tmp_path / "law.json"
     save_log(LOG, log)
     save_law(law, LAW)
-    with pytest.raises(ValueError, match="law_of"):
+    with pytest.raises(ValueError, match="is not a law"):
         load_law(log)
     with pytest.raises(ValueError, match="load_law"):
         load_log(law)
