@@ -24,9 +24,9 @@ TIED = 1e-6  # relative distance at which rounding, or the accuracy of a solver,
 class Choices:
     """What is chosen of a learning filter, whatever the plant."""
 
-    order: int = 10  # number of samples that the learning filter looks ahead
+    order: int  # number of samples that the learning filter looks ahead
     M_max: float = 0.9  # bound on sigma_max(M)
-    structure: str = "diagonal"  # or "full"
+    structure: str = "full"  # or "diagonal"
     # "sum", (39); "peak", (45); "gain": the least sigma_max(L), in units of L_max
     objective: str = "sum"
     everywhere: bool = False  # whether the bounds hold between the frequencies, too

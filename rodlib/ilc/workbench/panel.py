@@ -73,7 +73,7 @@ class Panel:
         return self.outcome.settings
 
     def _choose(self, change=None):
-        """Another plant: begin with the paper's choices, carried over to it."""
+        """Another plant: begin with its choices."""
         self.file.layout.display = "" if self.choice.value == LOG else "none"
         try:
             with warnings.catch_warnings(action="ignore"):  # they are in the line

@@ -7,7 +7,7 @@ import control
 import numpy as np
 import pytest
 
-from rodlib import convergence, synthesise, zero_phase_butterworth
+from rodlib import convergence, paper_choices, synthesise, zero_phase_butterworth
 from rodlib.ilc.evidence.certificate import certify
 from rodlib.ilc.evidence.peak import LOOKED_AT, error_model, peak_gain
 from rodlib.ilc.models import frequency_response
@@ -18,6 +18,7 @@ from rodlib.ilc.synthesis.result import SolverError
 OMEGA = np.geomspace(1e-3, np.pi, 50)
 BUTTERWORTH = zero_phase_butterworth(2, 0.3)
 ASKED = {"order": 4, "M_max": 0.6, "L_max": 5.0, "band": (1e-3, 0.1)}
+ASKED["structure"] = "diagonal"
 
 
 def lags(gain=1.0, pole=0.9):
@@ -40,7 +41,7 @@ def of_lags(plants, **changes):
 
 @pytest.fixture(scope="module")
 def good(loop, Q, omega):
-    asked = {"band": (1e-4, 0.01), "samples": 200}
+    asked = paper_choices(band=(1e-4, 0.01), samples=200)
     return synthesise(loop, Q, omega[::5], 1.0, **asked).certificate
 
 
@@ -129,14 +130,15 @@ def test_what_lies_below_the_first_measured_frequency(Q):
     # its gain is 1, but -1 below 1e-4 rad/s
     plant = control.tf([0.1], [1, -0.9], 1.0) + slow
     P = plant(np.exp(1j * omega))[:, None, None]
-    design = synthesise(P, Q, omega, 1.0, band=(1e-2, 0.02))
+    asked = {"order": 10, "band": (1e-2, 0.02)}
+    design = synthesise(P, Q, omega, 1.0, **asked)
     certificate, text = design.certificate, str(design.certificate)
     assert certificate.all_M < 1 < peak_around(plant, design, 1e-5)
     assert "sigma_max(M) from 0.01 to 3.142 rad/s, between the samples:" in text
     assert "sigma_max(M) unknown: below 0.01 rad/s, at resonances" in text
     assert certificate.warnings == certificate.failures == []
     with pytest.raises(SolverError, match=r"reaches 2.00\d* at 0 rad/s, not in omega"):
-        synthesise(control.ss(plant), Q, omega, 1.0, band=(1e-2, 0.02))
+        synthesise(control.ss(plant), Q, omega, 1.0, **asked)
 
 
 @pytest.mark.filterwarnings("ignore:the samples are too coarse")
@@ -145,7 +147,8 @@ def test_what_lies_below_the_first_measured_frequency(Q):
 )
 def test_the_estimate_between_samples_misses_less_than_it_says(loop, Q, grid):
     P = loop.frequency_response(grid)
-    design = synthesise(P, Q, grid, 1.0, band=(grid[0], 0.03), M_max=0.99)
+    asked = paper_choices(band=(grid[0], 0.03), M_max=0.99)
+    design = synthesise(P, Q, grid, 1.0, **asked)
     dense = np.geomspace(grid[0], np.pi, 20001)
     gamma = convergence(loop, Q, design.filter, dense).gamma
     peak = design.certificate.peak
@@ -153,7 +156,7 @@ def test_the_estimate_between_samples_misses_less_than_it_says(loop, Q, grid):
 
 
 def test_learning_that_does_nothing_is_named():
-    problem = pose(lags(), BUTTERWORTH, OMEGA, 1.0)
+    problem = pose(lags(), BUTTERWORTH, OMEGA, 1.0, order=10)
     none = np.zeros((50, 2, 2))
     nothing = Solution(np.zeros((2, 2, 10)), none, none, 1, "", 0)
     [text] = certify(problem, nothing).warnings

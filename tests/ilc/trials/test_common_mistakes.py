@@ -34,7 +34,7 @@ Q = zero_phase_butterworth()
 OMEGA = np.geomspace(1e-3, np.pi, 80)
 FFT = 2 * np.pi * np.fft.rfftfreq(200)  # rad/s
 CAUSAL = signal.freqz(*signal.butter(2, 0.1 / np.pi), worN=OMEGA)[1]
-BAND = {"band": (0.001, 0.02), "L_max": None}
+BAND = {"band": (0.001, 0.02), "L_max": None, "order": 10}
 DESIGN = synthesise(LOOP, Q, OMEGA, **BAND)
 LAW = Law(Q, DESIGN.filter)
 MOVE = 2 * np.sin(np.linspace(0, np.pi, 60)) ** 2
