@@ -193,6 +193,7 @@ DOORS = [
     ),
     (rodlib.rms, {"e": xr.DataArray(SIGNAL, dims=("time", "channel"))}),
     (rodlib.synthesise, ASKED),
+    (rodlib.synthesise, ASKED | {"band": None, "reference": SIGNAL + 1}, {"band": []}),
     (rodlib.least_gain, {key: ASKED[key] for key in ("P", "Q", "omega", "order")}),
     (DESIGN.check, {"P": LOOP, "omega": OMEGA}),
     (rodlib.rate, ON_GRID),

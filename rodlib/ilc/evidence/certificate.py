@@ -18,10 +18,12 @@ from rodlib.ilc.evidence.peak import (
     peak_gain,
     proven_peaks,
 )
+from rodlib.ilc.evidence.prediction import predicted_rms
 from rodlib.ilc.evidence.robustness import WorstCase, worst_case
 from rodlib.ilc.filters import LearningFilter
 from rodlib.ilc.problem.problem import (
     MOST_GAIN,
+    TIED,
     Problem,
     Solution,
     largest_singular_values,
@@ -31,7 +33,8 @@ from rodlib.ilc.problem.problem import (
 GAP = 1e-6
 VIOLATION = 1e-9
 BETWEEN = 1e-7  # and of one between the frequencies, where the bounds hold there, too
-# Share of 1 - sigma_max(M) that splines may miss: a narrow resonance shows little on its flanks.
+# Share of 1 - sigma_max(M) that splines may miss, as a narrow resonance shows little on its flanks,
+# and by which M may pass a bound between the frequencies.
 COARSE = 0.25
 NAMED = 4  # of those that are tied as the worst, so many are named
 IDLE = 0.9  # share of the error in the band from which on learning counts as idle
@@ -47,6 +50,8 @@ class Certificate:
     mean_M: (
         float  # of the nominal plant, see :meth:`Convergence.mean`; NaN without a band
     )
+    # RMS of the error in some trials, for the reference of the design; None without one
+    predicted: dict[int, float] | None
     worst: WorstCase  # of all plants, within the radius, at each of the frequencies
     peak: Peak  # over all frequencies, without the radius, unknown between the samples
     exact: Peak | None  # of the plants that are models, if Q is one, too
@@ -74,6 +79,12 @@ class Certificate:
     def proven(self) -> bool:
         """False if P or Q are samples: between them `all_M` is read off splines."""
         return not self.estimated
+
+    @property
+    def rate(self) -> float:
+        """The largest sigma_max(M) that is proven, estimated or assumed, whatever the place."""
+        beyond = self.beyond.sigma if self.beyond else 0.0
+        return float(max(self.grid_M, self.all_M, beyond))
 
     @property
     def gap(self) -> float:
@@ -122,7 +133,8 @@ class Certificate:
         if peak := self.unseen:
             yield (
                 f"sigma_max(M){self._whose(peak)} reaches {peak.sigma:.9g} at {peak.omega:.6g} "
-                "rad/s, not in omega: Lemma 1 does not hold; add frequencies there"
+                "rad/s, not in omega: Lemma 1 does not hold; add frequencies there, or "
+                "synthesise with everywhere=True"
             )
         if self.beyond and self.beyond.sigma >= 1 and not problem.findings:
             size = f"{self.beyond.sigma:.4g}"
@@ -135,7 +147,8 @@ class Certificate:
         texts = list(problem.findings)
         if problem.objective == "sum" and self.value > IDLE * problem.idle:
             share = self.value / problem.idle
-            texts.append(f"the filter leaves {share:.0%} of the error in the band")
+            where = "in the band" if problem.band else "for this reference"
+            texts.append(f"the filter leaves {share:.0%} of the error {where}")
         margin, missed = 1 - self.all_M, self.peak.missed
         if not self.proven and margin <= 0:
             texts.append(
@@ -147,6 +160,14 @@ class Certificate:
             texts.append(
                 f"the samples are too coarse: splines miss M by {missed:.2g} in cross-validation, "
                 f"and 1 - sigma_max(M) is {margin:.2g}; measure at more frequencies"
+            )
+        bound = max(problem.M_max, self.grid_M)
+        if self.proven and self.all_M > bound + COARSE * (1 - bound):
+            texts.append(
+                f"sigma_max(M){self._whose(self.peak)} reaches {self.all_M:.4g} at "
+                f"{self.peak.omega:.4g} rad/s, between the frequencies omega, where M_max = "
+                f"{problem.M_max:g} bounds it: synthesise with everywhere=True, or "
+                f"{'an' if problem.L_max is None else 'a smaller'} L_max"
             )
         return texts
 
@@ -172,15 +193,68 @@ class Certificate:
         return f"sigma_max(M) above {last:.4g} rad/s, with the size of P assumed there"
 
     def __repr__(self):
+        lines = [f"rate{self._worst_of()}: {self.rate:.4f}, {self._coverage()}"]
+        lines += [*self._mean(), self._reached(), *self._remarks()]
+        return "\n".join(lines)
+
+    @property
+    def details(self) -> str:
+        """All that is known, for print: the table of M and L, the worst plants, the optimum."""
         lines = [*self._table(), *self._of_worst(), *self._between(), *self._of_value()]
+        return "\n".join([*lines, *self._mean(), *self._remarks()])
+
+    def _remarks(self) -> Iterator[str]:
+        """Of a finite trial, and what the certificate rests on and what speaks against it."""
         if self.samples:
             rest = f", the last {self.rest} at rest" if self.rest else ""
             trial = f"one trial of {self.samples} samples{rest}"
-            lines.append(f"norm of {trial}: {self.trial:.4f}")
-        lines += self.assumptions
-        lines += [f"WARNING: {text}" for text in self.warnings]
-        lines += [f"FAILS: {text}" for text in self.failures]
-        return "\n".join(lines)
+            yield f"norm of {trial}: {self.trial:.4f}"
+        yield from self.assumptions
+        yield from (f"WARNING: {text}" for text in self.warnings)
+        yield from (f"FAILS: {text}" for text in self.failures)
+
+    def _worst_of(self):
+        """For which plants the rate is the worst."""
+        count, radius = len(self.problem.plants), self.problem.radius is not None
+        of = f", worst of {count} plants" if count > 1 else ", worst" if radius else ""
+        return f"{of} within the radius" if radius else of
+
+    def _coverage(self):
+        """At which frequencies the rate is known, and how well."""
+        known = "proven" if self.proven else "estimated"
+        if self.problem.radius is not None:
+            where = "proven at the design frequencies"
+            return f"{where}, without the radius {known} in between"
+        if self.proven:
+            return "proven for all frequencies"
+        low, high = self.problem.design.omega[[0, -1]]
+        return f"{known} between the samples, from {low:.4g} to {high:.4g} rad/s"
+
+    def _mean(self) -> Iterator[str]:
+        """The RMS predicted for a reference, or the mean rate in a band, if there is one."""
+        nominal = " of the nominal plant" if self.problem.robust else ""
+        if self.predicted:
+            trials = [f"{rms:.3g} in trial {k}" for k, rms in self.predicted.items()]
+            yield (
+                f"predicted RMS of the error{nominal}: {', '.join(trials)}, for this "
+                "reference, without noise and ends"
+            )
+        elif self.problem.objective == "sum" and np.isfinite(self.mean_M):
+            low, high = self.problem.band
+            band = f"from {low:.4g} to {high:.4g} rad/s"
+            yield f"mean of sigma_max(M){nominal} over the band: {self.mean_M:.4f}, {band}"
+
+    def _reached(self):
+        """Which bounds limit the optimum; without them, no other than the filter's size."""
+        problem, bounds = self.problem, []
+        if problem.objective == "sum" and self.grid_M > problem.M_max * (1 - TIED):
+            bounds.append(f"M_max = {problem.M_max:g}")
+        if problem.L_max is not None and self.passed_L > 1 - TIED:
+            bounds.append(f"L_max = {problem.L_max:g}")
+        size = f"order = {problem.order}"
+        if problem.structure == "diagonal" and problem.channels > 1:
+            size += ", diagonal"
+        return f"limited by {', '.join([*bounds, size])}"
 
     def _table(self) -> Iterator[str]:
         """Bounds and peaks of M and L."""
@@ -250,8 +324,6 @@ class Certificate:
             f"objective {self.value:.7g}, no {problem.structure} filter of order {problem.order}"
             f"{gain} below {self.lower_bound:.7g}"
         )
-        if problem.objective == "sum" and np.isfinite(self.mean_M):
-            yield f"mean of sigma_max(M) over the band: {self.mean_M:.4f}"
 
 
 def _unusable(problem: Problem) -> Iterator[str]:
@@ -277,7 +349,10 @@ def certify(
     response = L.frequency_response(problem.omega_L)
     nominal = largest_singular_values(problem.M(response))
     worst = worst_case(problem, L)
-    mean_M, (low, high) = np.nan, problem.band
+    mean_M, predicted = np.nan, None
+    if problem.band is None:
+        predicted = predicted_rms(problem, L)
+    low, high = problem.band or (0, 0)
     if 0 < low < high:
         design = np.isin(problem.omega, problem.design.omega)
         mean_M = log_mean(nominal[design], problem.omega[design], problem.band)
@@ -291,6 +366,7 @@ def certify(
         value=problem.value(nominal, worst.sigma),
         lower_bound=lower_bound(problem, solution.U, solution.V, solution.cuts),
         mean_M=float(mean_M),
+        predicted=predicted,
         worst=worst,
         peak=highest([*exact, *estimated]),
         exact=highest(exact),

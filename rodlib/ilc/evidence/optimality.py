@@ -56,7 +56,7 @@ def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None) -> float:
     if problem.objective == "peak":
         bound /= norms.sum() + dual
     else:
-        excess = np.maximum(norms - problem.in_band, 0).sum() + dual
+        excess = np.maximum(norms - problem.weights, 0).sum() + dual
         bound -= problem.M_max * excess
     return max(0.0, float(bound))  # the objective is never negative
 

@@ -109,7 +109,7 @@ class CurrentTrialLoop:
         lacks has no effect. Others than the loop's are left out. Feedthrough is allowed.
         """
         plant = sampled_plant(plant)
-        check_match(loop=self, plant=plant)
+        check_match(loop=self, plant=Signals(plant.dt))
         signals = [*plant.input_labels, *plant.output_labels]
         missing = [n for n in [*self.controls, *self.outputs] if n not in signals]
         if missing:
@@ -221,7 +221,7 @@ class ClosedLoop:
                 f"controls = {controls!r} must be one for each output, or none"
             )
         if P is not None:
-            check_match(P=P, loop=Signals(Ts))
+            check_match(P=P, loop=Signals(Ts, outputs))
         signals = [*outputs, *controls, *disturbances]
         checked = {
             "P": P,

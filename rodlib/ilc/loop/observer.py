@@ -13,7 +13,9 @@ import xarray as xr
 
 from rodlib.ilc import arguments
 from rodlib.ilc.loop.closed import ClosedLoop, CurrentTrialLoop
+from rodlib.ilc.loop.notes import loop_note, loop_of
 from rodlib.ilc.models import sampled_plant, state_sequence
+from rodlib.ilc.signals import Signals, check_match
 
 CONDITION = 1e6  # of the response at rest, beyond which errors of the model take over
 DEPARTS = 1e-3  # of the largest u, that a recorded delta may be off
@@ -25,13 +27,14 @@ def estimated(
     """What the observer (16) of a loop knew of outputs z in trials that were simulated or recorded.
 
     It puts down what `model` does not explain to the controls. A disturbance that enters elsewhere
-    makes z-hat wrong, even where y-hat = y; how wrong, a simulation with it tells.
+    makes z-hat wrong, even where y-hat = y; a simulation with it shows how wrong.
 
     Parameters
     ----------
     trials : xarray.Dataset
         With reference, v and y, from :func:`rodlib.run_trials`, record or load_log.
     loop : CurrentTrialLoop
+        Of the trials; if they note theirs, it must be the same.
     model : control.StateSpace
         The loop's plant, state by state, with the outputs z: `loop` is made of the rows that are
         measured, ``current_trial_loop(model[measured, :], controls)``.
@@ -44,7 +47,8 @@ def estimated(
     Warns
     -----
     UserWarning
-        If the recorded delta shows that the observer was not at rest when a trial began.
+        If the recorded delta shows that the observer was not at rest when a trial began, or that
+        the trials are of another loop.
     """
     arguments.instance("trials", trials, xr.Dataset)
     arguments.instance("loop", loop, CurrentTrialLoop)
@@ -57,6 +61,12 @@ def estimated(
     if missing := [name for name in ("reference", "v", "y") if name not in trials]:
         raise ValueError(
             f"trials have no {missing}: pass what run_trials or record returns"
+        )
+    check_match(trials=Signals.of_log(trials), loop=loop)
+    noted = loop_of(trials)
+    if noted is not None and loop_note(noted) != loop_note(loop):
+        raise ValueError(
+            "loop is not that of trials, which they note: pass law_of(trials).loop"
         )
     trials = trials.transpose("trial", "time", ...)
     size = trials.sizes["trial"], trials.sizes["time"]
@@ -78,7 +88,8 @@ def estimated(
         if late.size:
             warnings.warn(
                 f"in trial {trials.trial.values[late[0]]} the observer was not at rest at first: "
-                f"delta is off by up to {off.max():.3g}, and estimates are wrong until it settles",
+                f"delta is off by up to {off.max():.3g}, and estimates are wrong until it settles; "
+                "or the trials are of another loop",
                 stacklevel=2,
             )
     coordinates = {

@@ -19,6 +19,7 @@ from rodlib.ilc.loop.notes import LogError, loop_of
 from rodlib.ilc.measurement.impulse import impulse_of
 from rodlib.ilc.problem.problem import largest_singular_values
 from rodlib.ilc.problem.responses import Measured
+from rodlib.ilc.signals import period_of
 
 LINES = 200  # frequencies at which the region is found
 FEWEST = 20  # samples of a trial
@@ -147,7 +148,7 @@ def estimated_response(log: xr.Dataset, of: str | None = None) -> EstimatedRespo
     outputs = [str(n) for n in log.output.values]
     u = arguments.array(f"log.{of}", u, ("trial", "time", "channel"))
     y = arguments.array("log.y", y, u.shape)
-    Ts = arguments.sampling_period("log.Ts", log.attrs.get("Ts"))
+    Ts = period_of(log)
     u, y, record = _moved(of, u, y, names, outputs)
     found = [impulse_of(u, y[:, :, i]) for i in range(len(outputs))]
     lags = max(one.drawn.shape[2] for one in found)

@@ -69,6 +69,7 @@ def refined(problem: Problem, omega, plants=None, Q=None) -> Problem:
         omega=np.append(problem.omega, omega)[order],
         plants=np.concatenate([problem.plants, plants], axis=1)[:, order],
         Q=np.append(problem.Q, Q)[order],
+        weights=np.append(problem.weights, 0 * omega)[order],
         radius=radius,
         share_L=_inserted(problem.share_L, n, 1 + 0 * omega, order),
         limit_L=_inserted(problem.limit_L, n, np.inf + 0 * omega, order),

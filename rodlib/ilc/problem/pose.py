@@ -12,7 +12,8 @@ from rodlib.ilc.problem.problem import (
     Problem,
     largest_singular_values,
 )
-from rodlib.ilc.problem.responses import IMAGINARY, on_one_grid
+from rodlib.ilc.problem.reference import first_error, outermost, outputs_of
+from rodlib.ilc.problem.responses import IMAGINARY, on_one_grid, plants
 
 
 def pose(
@@ -24,6 +25,7 @@ def pose(
     order=None,
     L_max=defaults.CHOOSE,
     band=None,
+    reference=None,
     scale=None,
     uncertainty=None,
     **choices,
@@ -38,7 +40,7 @@ def pose(
     singular_values = np.linalg.svd(nominal, compute_uv=False)
     _refuse_singular(nominal, singular_values, omega)
     cutoff = defaults.cutoff(samples.butterworth, samples.Q, omega)
-    by_default = []
+    by_default, power, assumed = [], None, ()
     if order is None:
         delay = defaults.delay(nominal, omega, samples.Ts, cutoff)
         order = defaults.order(cutoff, delay, samples.Ts, n)
@@ -46,7 +48,7 @@ def pose(
             f"order = {order}, by Q's cut-off and a delay of {delay} samples in P"
         )
     choices = _checked(Choices(order=order, **choices), n)
-    if band is None:
+    if band is None and reference is None:
         band = defaults.band(cutoff, omega)
         if choices.objective == "sum":
             low, high = band
@@ -62,13 +64,23 @@ def pose(
     elif L_max is not None:
         what = f"a positive number, None for no bound, or {defaults.CHOOSE!r}"
         L_max = arguments.positive("L_max", L_max, what)
-    band = tuple(arguments.array("band", band, (2,)).tolist())
-    _check_band(band, samples.Q, omega, choices.objective)
-    basis = (*[f"chosen: {text}" for text in by_default], *samples.basis)
+    if reference is None:
+        band = tuple(arguments.array("band", band, (2,)).tolist())
+        weights = _in_band(band, omega, choices.objective)
+    else:
+        _refuse_other_weights(band, choices.objective)
+        outputs = outputs_of(next(iter(plants(P).values())))
+        power, weights = first_error(samples, reference, outputs)
+        assumed = outermost(power, omega)
+    _refuse_idle(samples.Q if choices.objective == "peak" else samples.Q[weights > 0])
+    chosen = [f"chosen: {text}" for text in by_default]
+    basis = (*chosen, *assumed, *samples.basis)
     return Problem(
         **vars(choices),
         **vars(replace(samples, basis=basis)),
         band=band,
+        first_error=power,
+        weights=weights,
         L_max=L_max,
         further=np.empty(0),
         share_L=np.ones(n),
@@ -106,19 +118,37 @@ def _refuse_hertz(samples):
         )
 
 
-def _check_band(band, Q, omega, objective):
-    """Check that the band lies within omega, and that Q leaves something to learn there."""
+def _refuse_other_weights(band, objective):
+    """Refuse what a reference cannot be combined with: it weights the sum, instead of a band."""
+    if band is not None:
+        raise ValueError(
+            f"reference and band = {band!r} both weight the sum (39): pass one of them"
+        )
+    if objective != "sum":
+        raise ValueError(
+            f"reference weights the sum (39), but objective = {objective!r} has none: leave the "
+            "reference out, or take objective = 'sum'"
+        )
+
+
+def _in_band(band, omega, objective):
+    """Ones in the band, which must lie within omega if there is a sum."""
+    low, high = band
+    inside = (omega >= low) & (omega <= high)
     if objective == "sum":
-        low, high = band
         slack = 1e-9 * omega[-1]
         if not omega[0] - slack <= low < high <= omega[-1] + slack:
             raise ValueError(
                 f"band = {band!r} must be two increasing frequencies within omega, "
                 f"[{omega[0]:.6g}, {omega[-1]:.6g}] rad/s"
             )
-        Q = Q[(omega >= low) & (omega <= high)]
-        if not Q.size:
+        if not inside.any():
             raise ValueError(f"band = {band!r} contains none of the frequencies omega")
+    return inside.astype(float)
+
+
+def _refuse_idle(Q):
+    """Refuse a Q that leaves nothing to learn where the objective counts."""
     largest = np.abs(Q).max()
     if largest < 1e-6:  # the certificate could not distinguish the objective from L = 0
         raise ValueError(

@@ -14,6 +14,7 @@ import control
 import numpy as np
 
 from rodlib.ilc.filters import LearningFilter, ZeroPhaseButterworth
+from rodlib.ilc.signals import Signals
 
 MOST_GAIN = 1e7  # of Q P L, from which on the rounding of coefficients shows
 ROUNDING = 1e-9  # of an angle; what is nearer to pi is at the Nyquist frequency
@@ -48,6 +49,7 @@ class Samples:
     # (n,): bounds hold for P + Delta, ||Delta|| <= radius; None for P alone
     radius: np.ndarray | None
     basis: tuple[str, ...]  # what a measured P and its radius rest on; default choices
+    labels: Signals  # of the nominal plant
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +60,11 @@ class Problem(Samples, Choices):
     or ends below the Nyquist frequency: at :attr:`omega_L`, which begins with `omega`.
     """
 
-    band: tuple[float, float]  # over which "sum" sums, rad/s
+    # over which "sum" sums, rad/s; None if a reference weights it: then there is the power of the
+    # first trial's error at the design frequencies, (n, m, m), see `reference`
+    band: tuple[float, float] | None
+    first_error: np.ndarray | None
+    weights: np.ndarray  # (n,): of sigma_max(M) in the sum; ones in the band
     L_max: float | None  # bound on sigma_max(L)
     further: np.ndarray  # (k,): frequencies at which L alone is bounded, rad/s
     # (n + k,) at omega_L: the share of L_max that keeps L within L_max between them; a bound on
@@ -98,13 +104,6 @@ class Problem(Samples, Choices):
         return np.append(self.omega, self.further)
 
     @property
-    def in_band(self) -> np.ndarray:
-        """Which of `omega` are in the sum: the design frequencies in the band, shape (n,)."""
-        low, high = self.band
-        inside = (self.omega >= low) & (self.omega <= high)
-        return inside & np.isin(self.omega, self.design.omega)
-
-    @property
     def idle(self) -> float:
         """The objective without learning, L = 0."""
         return self.value(np.abs(self.Q))
@@ -133,7 +132,7 @@ class Problem(Samples, Choices):
         `worst`, for the peak: the largest over all plants; by default that of the nominal one.
         """
         if self.objective == "sum":
-            return float(sigma_M[self.in_band].sum())  # (39)
+            return float((self.weights * sigma_M)[self.weights > 0].sum())  # (39)
         return float((sigma_M if worst is None else worst).max())  # (45)
 
     def M(self, L, number: int = 0) -> np.ndarray:

@@ -98,6 +98,7 @@ def interpolated(knots, P, at) -> tuple[np.ndarray, np.ndarray]:
 def on_one_grid(P, Q, omega=None, Ts=None, uncertainty=None, scale=None) -> Samples:
     """P and Q, in any form, on one grid, and P in units of `scale`; arguments of `pose`."""
     named = plants(P)
+    nominal, *_ = named.values()
     if omega is None:
         omega = _frequencies(named.values(), Q)
     if Ts is None:
@@ -141,6 +142,7 @@ def on_one_grid(P, Q, omega=None, Ts=None, uncertainty=None, scale=None) -> Samp
         scale=scale,
         radius=uncertainty if np.any(uncertainty) else None,
         basis=basis,
+        labels=Signals.of_plant(nominal),
     )
 
 
@@ -222,6 +224,7 @@ def on_grid(plants, omega, Ts):
         responses.append(arguments.array(name, response, shape, complex))
         models.append(model)
         shape = responses[0].shape
+    check_match(**{name: Signals.of_plant(plant) for name, plant in plants.items()})
     return models, np.array(responses)
 
 

@@ -50,6 +50,7 @@ def synthesise(
     M_max=Problem.M_max,
     L_max=CHOOSE,
     band=None,
+    reference=None,
     structure=Problem.structure,
     objective=Problem.objective,
     scale=None,
@@ -97,6 +98,11 @@ def synthesise(
     band : (float, float), optional
         Lowest and highest frequency of the sum in (39), rad/s. A peak has none. Default: from the
         lowest of `omega` to Q's cut-off.
+    reference : array_like, shape (time, m), optional
+        In the place of the band: the reference of a trial, in the outputs' units, labelled ones
+        matched by name. The sum is then weighted by the spectrum of the first trial's error,
+        |(I - P) r| of the channels divided by `scale`, and the certificate predicts the RMS of the
+        error of this reference.
     structure : {"full", "diagonal"}
         Whether each error acts on all channels, or on its own only.
     objective : {"sum", "peak"}
@@ -150,6 +156,7 @@ def synthesise(
         M_max=M_max,
         L_max=L_max,
         band=band,
+        reference=reference,
         structure=structure,
         objective=objective,
         scale=scale,

@@ -1,7 +1,7 @@
 """From a problem to the program that the solvers take: bounds, and a basis for the filter.
 
 Given P_i (m x m) and Q_i (scalar) at the frequencies omega_i, find the real coefficients C_k of
-L(z) = sum_k C_k z^k that minimise the sum over a band, or the largest, of sigma_max(M_i), where
+L(z) = sum_k C_k z^k that minimise a weighted sum, or the largest, of sigma_max(M_i), where
 M_i = Q_i (I - P_i L_i), subject to sigma_max(M_i) <= M_max and sigma_max(W L_i) <= 1 at all
 frequencies, where W is I / L_max. Each of these is a `solver.bounds.Bound`, and so are the cuts,
 those for other plants and for a radius.
@@ -92,7 +92,7 @@ def formulate(problem: Problem, plant=(), frequency=()) -> Program:
     on_M = {"rows": rows, "cols": cols, "limit": int(gain)}
     nominal = replace(problem, radius=None)
     # sigma_max(M) <= M_max, or, where it is in the sum (39) or the largest (45), a level
-    every, some = np.arange(n), np.flatnonzero(problem.in_band)
+    every, some = np.arange(n), np.flatnonzero(problem.weights)
     first = bound_on_M(problem, 0 * every, every, **on_M)
     if problem.radius is None:
         bounds = [replace(first, at=slice(0, n), plant=None)]
@@ -109,12 +109,17 @@ def formulate(problem: Problem, plant=(), frequency=()) -> Program:
         plant, frequency = np.asarray(plant), np.asarray(frequency)
         bounds.append(bound_on_M(problem, plant, frequency, **on_M))
     basis, R = whitened_basis(problem)
+    free, cost = np.arange(n_L), np.ones(1)
+    if not gain:
+        weights = problem.weights[bounds[0].at]
+        free, cost = np.flatnonzero(weights), weights[weights > 0]
     program = Program(
         bounds=tuple(bounds),
         basis=basis,
         R=R,
         entries=len(rows),
-        free=np.arange(n_L) if gain else np.flatnonzero(problem.in_band[bounds[0].at]),
+        free=free,
+        cost=cost,
         shared=gain,
         limits=np.array([GENEROUS, problem.M_max] if gain else [problem.M_max, 1.0]),
         M_max=GENEROUS if gain else problem.M_max,

@@ -11,6 +11,7 @@ from rodlib.ilc.filters import LearningFilter
 from rodlib.ilc.law.law import Law
 from rodlib.ilc.problem.pose import pose
 from rodlib.ilc.problem.problem import Problem, Solution
+from rodlib.ilc.signals import check_match
 from rodlib.ilc.synthesis.solver.threads import on_one_thread
 
 
@@ -110,8 +111,9 @@ class Synthesis:
             raise ValueError(
                 f"P has {problem.channels} channels, but the filter has {design.channels}"
             )
+        check_match(design=design.labels, P=problem.labels)
         L = LearningFilter(self.solution.coefficients, design.Ts)
         return on_one_thread(check)(problem, L)
 
     def __repr__(self):
-        return f"{self.solution.method}, {self.solution.iterations} iterations\n{self.certificate}"
+        return repr(self.certificate)

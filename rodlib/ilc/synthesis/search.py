@@ -115,7 +115,8 @@ def _widest(Q, posed, stated, bar, step):
 
     def excess(logarithm):
         """The smallest possible M_max with this cut-off, relative to the one that is asked for."""
-        problem = without_gaps(posed(with_cutoff(logarithm), objective="peak"))
+        least = posed(with_cutoff(logarithm), objective="peak", reference=None)
+        problem = without_gaps(least)
         problem = replace(problem, M_max=np.inf)
         start = carried(last[1], last[0], problem) if last else None
         last[:] = settled(problem, solve, start)

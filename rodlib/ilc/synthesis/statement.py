@@ -37,7 +37,7 @@ def solve(program: Program) -> Solution:
         subject_to.append(sigma_max_at_most(G, b, bound, d))
         splits.append(d)
     meets = [] if program.shared else [t <= program.M_max]
-    cost = cp.sum(t)  # over the band in (39), the largest in (45)
+    cost = program.cost @ t  # the sum in (39), the largest in (45)
     problem = cp.Problem(cp.Minimize(cost), subject_to + meets)
     try:
         with warnings.catch_warnings():

@@ -19,7 +19,7 @@ import xarray as xr
 from scipy.signal import oaconvolve
 
 from rodlib.ilc import arguments
-from rodlib.ilc.signals import Signals, check_match
+from rodlib.ilc.signals import Signals, check_match, period_of
 
 GROWTH = 1.5  # from one lag of F to the next
 DECAY = 2.0  # a priori, entries of F fall as 1 / |lag|^DECAY
@@ -139,7 +139,7 @@ def _signals(trials):
             raise ValueError(
                 f"trials lack one of {[*signals]}, or its axes: see run_trials"
             )
-        period = arguments.sampling_period("trials.attrs['Ts']", task.attrs.get("Ts"))
+        period = period_of(task)
         periods[f"trials[{i}]"] = Signals(period)
         if not i:
             outputs = arguments.names_of(task.y) or [*task.channel.values]

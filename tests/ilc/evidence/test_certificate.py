@@ -6,8 +6,15 @@ from dataclasses import replace
 import control
 import numpy as np
 import pytest
+from plants import tanks
 
-from rodlib import convergence, paper_choices, synthesise, zero_phase_butterworth
+from rodlib import (
+    convergence,
+    current_trial_loop,
+    paper_choices,
+    synthesise,
+    zero_phase_butterworth,
+)
 from rodlib.ilc.evidence.certificate import certify
 from rodlib.ilc.evidence.peak import LOOKED_AT, error_model, peak_gain
 from rodlib.ilc.models import frequency_response
@@ -36,7 +43,7 @@ MODELS = [lags(), lags(1.3), lags(0.8, 0.93)]
 
 def of_lags(plants, **changes):
     design = synthesise(plants, BUTTERWORTH, OMEGA, 1.0, **ASKED | changes)
-    return design, design.certificate, str(design.certificate)
+    return design, design.certificate, design.certificate.details
 
 
 @pytest.fixture(scope="module")
@@ -46,14 +53,60 @@ def good(loop, Q, omega):
 
 
 def test_a_certificate_prints_its_trial_and_nothing_of_other_plants(good):
-    text = str(good)
+    text = good.details
     assert good.failures == good.warnings == [] and "FAILS" not in text
     assert "norm of one trial of 200 samples: 1.27" in text
     assert "over all frequencies" in text and "plant" not in text
     assert "no diagonal filter of order 10 below" in text
     assert f"over the band: {good.mean_M:.4f}" in text
-    at_rest = str(replace(good, rest=15))
+    at_rest = replace(good, rest=15).details
     assert "norm of one trial of 200 samples, the last 15 at rest: 1.27" in at_rest
+
+
+def test_the_short_form_says_the_rate_for_which_plants_and_what_limits_it(good):
+    rate, mean, limits, trial, *chosen = str(good).splitlines()
+    assert rate == f"rate: {good.all_M:.4f}, proven for all frequencies"
+    assert mean.startswith(
+        f"mean of sigma_max(M) over the band: {good.mean_M:.4f}, from"
+    )
+    assert limits == "limited by M_max = 0.9, L_max = 50, order = 10, diagonal"
+    assert trial.startswith("norm of one trial") and chosen == [*good.assumptions]
+    omega = np.geomspace(1e-2, 2.0, 50)
+    P = np.stack([frequency_response(model, omega) for model in MODELS])
+    of_P = {"Ts": 1.0, "order": 4, "L_max": 5.0, "band": (1e-2, 0.1)}
+    loose = synthesise(P, BUTTERWORTH, omega, structure="full", M_max=0.99, **of_P)
+    rate, mean, limits, *_ = str(loose.certificate).splitlines()
+    # above the last sample, M is larger than on the grid, by what is assumed
+    high = BUTTERWORTH.frequency_response([2.0])[0]
+    assert high < loose.certificate.rate == loose.check(P, omega).gamma
+    assert f"rate, worst of 3 plants: {loose.certificate.rate:.4f}, estimated" in rate
+    assert "between the samples, from 0.01 to 2 rad/s" in rate
+    assert "of the nominal plant over the band" in mean
+    assert limits in ("limited by order = 4", "limited by L_max = 5, order = 4")
+    sure = synthesise(MODELS[0], BUTTERWORTH, OMEGA, uncertainty=0.01 + 0 * OMEGA)
+    expected = f"rate, worst within the radius: {sure.certificate.rate:.4f}, proven at "
+    assert str(sure).startswith(f"{expected}the design frequencies, without the radius")
+    looser = replace(sure.problem, M_max=0.999, L_max=1e4)
+    free = replace(sure.certificate, problem=looser, passed_L=0.01)
+    assert "\nlimited by order = 10, diagonal\n" in str(free)
+
+
+def test_a_bound_that_holds_on_the_grid_only_warns(good):
+    """Of tanks without a bound on L, on a grid of 60 frequencies."""
+    loop = current_trial_loop(tanks(), ["pump A", "pump B", "pump C"])
+    Q, omega = zero_phase_butterworth(2, 0.3, 2.0), np.geomspace(1e-3, np.pi / 2, 60)
+    with pytest.warns(match="between the frequencies omega") as record:
+        design = synthesise(loop, Q, omega, L_max=None)
+    dense = np.linspace(0, np.pi / 2, 20001)
+    gamma = convergence(loop, Q, design.filter, dense).gamma
+    assert design.certificate.all_M == pytest.approx(gamma, rel=1e-5)
+    text = str(record[0].message)
+    assert f"reaches {gamma:.4g} at" in text and "M_max = 0.9 bounds it" in text
+    assert text.endswith("everywhere=True, or an L_max")
+    peak = replace(good.peak, sigma=0.9249)
+    assert replace(good, peak=peak).warnings == []
+    peak = replace(good.peak, sigma=0.9251)
+    assert replace(good, peak=peak).warnings[0].endswith("or a smaller L_max")
 
 
 def test_a_certificate_fails_from_the_tolerance_on(good):
@@ -118,7 +171,7 @@ def test_a_resonance_between_measured_samples_may_show_on_its_flanks(
     P = plant(np.exp(1j * omega))[:, None, None]
     with pytest.warns(match="too coarse") if shown else nullcontext():
         design = synthesise(P, Q, omega, 1.0, order=3, band=(1e-3, 0.02))
-    text = str(design.certificate)
+    text = design.certificate.details
     assert design.certificate.all_M < 1 < peak_around(plant, design, angle)
     assert ("WARNING: the samples are too coarse" in text) == shown
     assert "not known" in text and "at resonances that no sample shows" in text
@@ -132,7 +185,7 @@ def test_what_lies_below_the_first_measured_frequency(Q):
     P = plant(np.exp(1j * omega))[:, None, None]
     asked = {"order": 10, "band": (1e-2, 0.02)}
     design = synthesise(P, Q, omega, 1.0, **asked)
-    certificate, text = design.certificate, str(design.certificate)
+    certificate, text = design.certificate, design.certificate.details
     assert certificate.all_M < 1 < peak_around(plant, design, 1e-5)
     assert "sigma_max(M) from 0.01 to 3.142 rad/s, between the samples:" in text
     assert "sigma_max(M) unknown: below 0.01 rad/s, at resonances" in text

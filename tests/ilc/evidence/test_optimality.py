@@ -33,9 +33,12 @@ def random_problem(m, others, radius, M_max, objective, structure, seed=0):
     size = 0.1 * omega * rng.uniform(0.5, 1, n)
     size[1] = 0
     Q = 1 / (1 + (omega / 1.5) ** 4)
+    counted = {"band": (0.1, 1.0), "objective": objective}
+    if objective == "weighted sum":
+        counted = {"reference": np.cumsum(rng.standard_normal((20, m)), axis=0)}
     return pose(
-        P, Q, omega, 1.0, order=3, M_max=M_max, L_max=1.5, band=(0.1, 1.0), objective=objective,
-        structure=structure, uncertainty=size if radius else None,
+        P, Q, omega, 1.0, order=3, M_max=M_max, L_max=1.5, structure=structure,
+        uncertainty=size if radius else None, **counted,
     )  # fmt: skip
 
 
@@ -70,7 +73,7 @@ def optimum(m, others, radius, M_max, objective, structure):
         subject_to.append(at_most(named("U", M[0]), t * np.eye(m), t))
         if not radius:
             subject_to.append(t <= bound)
-        value += t if problem.in_band[i] else 0
+        value += problem.weights[i] * t
         for k in range(not radius, 1 + others):
             plant.append(k), frequency.append(i)
             G, shares = M[k], [bound] * m
@@ -95,7 +98,8 @@ def optimum(m, others, radius, M_max, objective, structure):
 CASES = [
     (2, 2, False, 0.45, "sum", "full"), (2, 2, False, 0.45, "peak", "diagonal"),
     (1, 0, True, 0.29, "peak", "full"), (2, 1, True, 0.424, "sum", "diagonal"),
-    (2, 1, True, 0.424, "peak", "full"),
+    (2, 1, True, 0.424, "peak", "full"), (2, 2, False, 0.45, "weighted sum", "full"),
+    (2, 1, True, 0.424, "weighted sum", "diagonal"),
 ]  # fmt: skip
 
 

@@ -63,7 +63,7 @@ def test_the_loop_of_other_signals_or_units_is_refused():
     run = trials_of(LOOP)
     for other, message in (
         (run.assign_coords(output=("channel", ["a"])), "log.outputs"),
-        (run.assign_attrs(Ts=2.0), "log.Ts = 2.0"),
+        (run.assign_attrs(Ts=2.0), "is 2 s"),
         (run.assign_coords(output_unit=("channel", ["m"])), "but log in"),
         (run.assign_coords(control_unit=("channel", ["m**3/s"])), "m..3/s"),
         (run.assign_coords(source_unit=("source", ["l/h"])), "l/h"),

@@ -83,7 +83,8 @@ def test_estimates_refuse_what_is_not_of_the_loop():
         ((run, loop, loop.P), "model has"),
         ((run.drop_vars("y"), loop, model), "trials have no"),
         ((run, ClosedLoop(loop.P), model), "loop = "),
-        ((run.isel(channel=[0]), loop, model), "trials.w holds"),
+        ((run.isel(channel=[0]), loop, model), "trials.channels = 1"),
+        ((run.assign_attrs(Ts=2.0), loop, model), "is 2 s"),
     ):
         with pytest.raises(ValueError, match=message):
             estimated(*wrong)

@@ -2,6 +2,7 @@
 
 import control
 import numpy as np
+import pandas as pd
 import pytest
 from plants import furnace
 
@@ -24,6 +25,8 @@ COUPLED = control.ss(A, [[0.1, 0.02], [0.01, 0.2]], np.eye(2), 0, 1.0)
 SAMPLES = frequency_response(COUPLED, OMEGA)
 FRD = control.frd(np.moveaxis(SAMPLES, 0, -1), OMEGA)
 LAG = control.ss(0.5, 1, 1, 0, 2.0)
+OF_TASK = {"band": None, "reference": np.ones((9, 2))}
+LABELLED = pd.DataFrame(np.ones((9, 2)), columns=["a", "b"])
 FEW = control.frd(np.ones((2, 2, 3)), [0.1, 0.2, 0.3])
 
 
@@ -139,6 +142,15 @@ REFUSED = [  # arguments, and how the message begins
     ({"band": (0.2, 0.2)}, "band = .* two increasing"),
     ({"band": (0.051, 0.052)}, "band = .* contains none"),
     ({"objective": "mean"}, "objective = 'mean'"),
+    ({"reference": np.ones((9, 2))}, "reference and band = .* pass one of them"),
+    (
+        OF_TASK | {"objective": "peak"},
+        "reference weights .* objective = 'peak' has none",
+    ),
+    (OF_TASK | {"reference": np.zeros((9, 2))}, "reference leaves no error"),
+    (OF_TASK | {"reference": np.ones((2, 9))}, "reference has shape"),
+    (OF_TASK | {"reference": LABELLED}, r"reference holds the signals \['a', 'b'\]"),
+    (OF_TASK | {"Q": (OMEGA > 9) * 1e-9}, "Q has a gain of 0 at most"),
 ]
 
 

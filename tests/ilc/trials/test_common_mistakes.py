@@ -6,14 +6,16 @@ import control
 import numpy as np
 import pandas as pd
 import pytest
-from plants import LOOPS, RestartingModel
+from plants import LOOPS, RestartingModel, axes, bump
 from scipy import signal
 
 from rodlib import (
+    ClosedLoop,
     Controller,
     Law,
     LearningFilter,
     current_trial_loop,
+    estimated,
     load_law,
     load_log,
     multisine,
@@ -23,6 +25,7 @@ from rodlib import (
     save_law,
     save_log,
     synthesise,
+    transfer,
     zero_phase_butterworth,
 )
 from rodlib.ilc.law.io import with_law
@@ -47,6 +50,12 @@ CAUSAL_MODEL = control.tf([0.1], [1, -0.9], 1.0)
 SCIPY_MODEL = signal.dlti([[0.9]], [[0.1]], [[1]], [[0]], dt=1.0)
 NONLINEAR = control.nlsys(None, lambda t, x, u, p: u, dt=1.0)
 NO_DC_GAIN = control.tf([1, -1], [1, -1.2, 0.35], 1.0)
+AXES, TURNED = ClosedLoop(axes(), units={"x": "m"}), axes()[["y", "x"], :]
+Q_OF_AXES = zero_phase_butterworth(2, 1.0, 0.1)
+OF_AXES = synthesise(AXES, Q_OF_AXES, order=3, L_max=None, structure="full")
+MOVES = bump(60, [1.0, 2.0])
+IN_MM = ClosedLoop(axes(), units={"x": "mm"})
+WEAKER = current_trial_loop(LAG, Rs=[[1.0]])
 
 
 def design(P=LOOP, Q=Q, omega=OMEGA, **more):
@@ -98,6 +107,39 @@ REFUSED = {  # what the error names, and a call
     "too few hours": (
         "hours = 1.2 is too short .* lowest = 0.0142",
         lambda: multisine(TANKS, 0.01, 1.0, [1, 1, 1], 1.2),
+    ),
+    "outputs in another order, to check": (
+        r"design.output_labels = \['x', 'y'\], P.output_labels = \['y', 'x'\]",
+        lambda: OF_AXES.check(TURNED),
+    ),
+    "inputs in another order, to check": (
+        "P.input_labels",
+        lambda: OF_AXES.check(axes()[:, ["set y", "set x"]]),
+    ),
+    "outputs in another order, of several": (
+        r"P\[1\].output_labels = \['y', 'x'\]",
+        lambda: synthesise([axes(), TURNED], Q_OF_AXES),
+    ),
+    "outputs in another order, to simulate": (
+        "plant.output_labels",
+        lambda: run_trials(AXES, OF_AXES.law(), MOVES, plant=TURNED),
+    ),
+    "names in another order": (
+        "P.output_labels",
+        lambda: ClosedLoop(axes(), outputs=["y", "x"]),
+    ),
+    "another unit, to check": ("x in 'm', but P in 'mm'", lambda: OF_AXES.check(IN_MM)),
+    "a time that contradicts Ts": (
+        "trials.time has steps from 0.5 to 0.5 s, but .* is 1 s",
+        lambda: transfer(LOG.assign_coords(time=0.5 * LOG.time), MOVE),
+    ),
+    "every other sample": (
+        "trials.time has steps from 2 to 2 s",
+        lambda: transfer(LOG.isel(time=slice(None, None, 2)), MOVE),
+    ),
+    "a log of another loop": (
+        "loop is not that of trials",
+        lambda: estimated(LOG, WEAKER, LAG),
     ),
     "a cut-off beyond Nyquist": (
         r"cutoff = 0.5 .*0.314159",

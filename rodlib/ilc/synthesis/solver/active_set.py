@@ -52,7 +52,7 @@ class Iterate:
             minimised = zip(program.bounds, self.sigma, strict=True)
             self.objective = max(s.max() for bound, s in minimised if bound.limit == 0)
         else:
-            self.objective = self.sigma[0][program.free].sum()
+            self.objective = (program.cost * self.sigma[0][program.free]).sum()
         limits = (
             self.objective if program.shared else program.limits[0],
             program.limits[1],
@@ -103,10 +103,10 @@ def model_at(program, p, multipliers):
 
 
 def in_sum(program):
-    """One in the columns of the first bound that are in the sum, zero elsewhere."""
+    """The cost in the columns of the first bound that are in the sum, zero elsewhere."""
     weight = np.zeros(program.bounds[0].shape[2])
     if not program.shared:
-        weight[program.free] = 1
+        weight[program.free] = program.cost
     return weight
 
 

@@ -137,7 +137,7 @@ def begin(program, x):
     p = Point(x, t, limits, d, G, [], t)
     X = [Slack(G, diagonal, b).X for diagonal, b, G in p.S(program)]
     size = sum(trace(A)[program.has_t(j)].sum() for j, A in enumerate(X))
-    mu = 5 * len(t) / size
+    mu = 5 * program.cost.sum() / size
     return replace(p, Y=[mu * A for A in X], eta=mu / (limits[0] - t))
 
 
@@ -222,7 +222,7 @@ def follow(program, p, enough=0.0, is_good=None):
     for iteration in tqdm(
         steps, "interior point", leave=False, delay=PATIENCE, disable=None
     ):
-        objective, dual = p.t.sum(), dual_value(program, p)
+        objective, dual = (program.cost * p.t).sum(), dual_value(program, p)
         total = complementarity(program, p)
         gap = max(total, abs(objective - dual))
         if (p.limits == program.limits).all():
@@ -234,7 +234,7 @@ def follow(program, p, enough=0.0, is_good=None):
                 break
         else:  # by more than the first term, no filter that meets the bounds has a larger |x|
             x_max = np.sqrt(5 * n * m) * np.linalg.norm(stationarity(program, p.Y))
-            if iteration > 40 or dual - x_max > len(p.t) * program.limits[0]:
+            if iteration > 40 or dual - x_max > program.cost.sum() * program.limits[0]:
                 break
         slacks = [Slack(G, diagonal, b) for diagonal, b, G in p.S(program)]
         while (d := step(program, p, slacks, total, WAYS[way])) is None:

@@ -26,7 +26,7 @@ class Local:
         has_t = len(self.columns) > 0
         self.shared = program.shared and has_t
         self.own_t = has_t and not program.shared
-        self.of_t = np.append(bound.of_b, np.ones(q))
+        self.cost, self.of_t = program.cost, np.append(bound.of_b, np.ones(q))
         self.inner = self.of_t if self.own_t else None
         if bound.splits:
             self.inner = np.append(bound.of_d, np.zeros(q))
@@ -64,7 +64,7 @@ class Local:
         if self.inner is not None:
             of_inner = self.inner @ diagonal
         if self.own_t:
-            of_inner[self.columns] -= eta + 1
+            of_inner[self.columns] -= eta + self.cost
         of_t = (self.of_t @ diagonal).sum() if self.shared else 0.0
         return of_inner, of_t - self.shift @ of_inner
 
@@ -234,7 +234,7 @@ def factorise(program, slacks, Y, barrier, root=False):
             part.follow * r for part, (r, _) in zip(local, residuals, strict=True)
         )
         if program.shared:
-            rt = sum(r for _, r in residuals) - eta[0] - 1
+            rt = sum(r for _, r in residuals) - eta[0] - program.cost[0]
             rx = rx - xt * (rt / tt)
         dx = scale * cho_solve(factor, scale * rx)
         dt = np.array([(rt - dx @ xt) / tt]) if program.shared else None

@@ -1,7 +1,8 @@
 """What the solvers solve: bounds on largest singular values, of which some are minimised.
 
 The unknowns x are real, the coefficients of L in a basis. Each bound holds for G = F + T L at its
-columns; the sum of the levels of the first one, or the largest level of several, is minimised.
+columns; the weighted sum of the levels of the first one, or the largest level of several, is
+minimised.
 """
 
 from dataclasses import dataclass, replace
@@ -38,6 +39,7 @@ class Program:
     R: np.ndarray
     entries: int  # how many of L are not zero
     free: np.ndarray  # columns at which the first bound has a variable t for its level
+    cost: np.ndarray  # of each t in what is minimised; one, if it is shared
     # whether t is the same for these, and for all bounds with the first limit: their largest is
     # minimised, not a sum
     shared: bool
@@ -55,7 +57,7 @@ class Program:
     def idle(self):
         """The objective without learning."""
         size = np.abs(self.bounds[0].F[0, 0, self.free])
-        return size.max() if self.shared else size.sum()
+        return size.max() if self.shared else (self.cost * size).sum()
 
     def minimax(self):
         """The program of the smallest possible bound on M."""
@@ -63,8 +65,8 @@ class Program:
             np.abs(bound.F[0, 0]).max() for bound in self.bounds if bound.limit == 0
         )
         limits = np.array([GENEROUS * size, self.limits[1]])
-        free = np.arange(self.bounds[0].shape[2])
-        return replace(self, free=free, shared=True, limits=limits)
+        free, cost = np.arange(self.bounds[0].shape[2]), np.ones(1)
+        return replace(self, free=free, cost=cost, shared=True, limits=limits)
 
     def has_t(self, j):
         """The columns of bound j whose level is a variable."""
