@@ -83,7 +83,8 @@ def test_the_short_form_says_the_rate_for_which_plants_and_what_limits_it(good):
     assert "between the samples, from 0.01 to 2 rad/s" in rate
     assert "of the nominal plant over the band" in mean
     assert limits in ("limited by order = 4", "limited by L_max = 5, order = 4")
-    sure = synthesise(MODELS[0], BUTTERWORTH, OMEGA, uncertainty=0.01 + 0 * OMEGA)
+    asked = {"order": 10, "structure": "diagonal", "uncertainty": 0.01 + 0 * OMEGA}
+    sure = synthesise(MODELS[0], BUTTERWORTH, OMEGA, **asked)
     expected = f"rate, worst within the radius: {sure.certificate.rate:.4f}, proven at "
     assert str(sure).startswith(f"{expected}the design frequencies, without the radius")
     looser = replace(sure.problem, M_max=0.999, L_max=1e4)
@@ -96,7 +97,9 @@ def test_a_bound_that_holds_on_the_grid_only_warns(good):
     loop = current_trial_loop(tanks(), ["pump A", "pump B", "pump C"])
     Q, omega = zero_phase_butterworth(2, 0.3, 2.0), np.geomspace(1e-3, np.pi / 2, 60)
     with pytest.warns(match="between the frequencies omega") as record:
-        design = synthesise(loop, Q, omega, L_max=None)
+        design = synthesise(
+            loop, Q, omega, **paper_choices(L_max=None, band=(1e-3, 0.06))
+        )
     dense = np.linspace(0, np.pi / 2, 20001)
     gamma = convergence(loop, Q, design.filter, dense).gamma
     assert design.certificate.all_M == pytest.approx(gamma, rel=1e-5)
