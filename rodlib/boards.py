@@ -30,9 +30,8 @@ UNITS = {
 }
 PARTS = 6  # of a record, each left out once; with more, noise of a minute makes intervals short
 SURELY = {"ftol": 1e-12, "xtol": 1e-10}  # tolerances, so that the start does not show
-VAGUE = (
-    0.5  # relative standard error, from which on a parameter counts as not determined
-)
+# relative standard error, from which on a parameter counts as not determined
+VAGUE = 0.5
 
 
 class TemperatureControlLab:
@@ -76,7 +75,8 @@ class TemperatureControlLab:
         )
         self.wait = arguments.number("wait", wait, "a minute or more, in s", least=LAST)
         seed = arguments.whole("seed", seed, 0)
-        tclab = _package()
+        import tclab  # an extra, which only this driver needs
+
         self.lab = tclab.TCLab() if self.kit else tclab.TCLabModel(synced=False)
         if not self.kit:
             random.seed(seed)
@@ -246,14 +246,3 @@ def fit_heat_balance(heaters, readings, Ts: float) -> HeatBalanceFit:
             stacklevel=2,
         )
     return fit
-
-
-def _package():
-    """The package tclab, which only this driver needs."""
-    try:
-        import tclab
-    except ImportError:
-        raise ImportError(
-            "TemperatureControlLab needs the package tclab: pip install 'rodlib[tclab]'"
-        ) from None
-    return tclab

@@ -1,7 +1,7 @@
 """The virtual rig that stands in for the laboratory.
 
 It knows neither the design model nor what runs an experiment, but has material parameters of its
-own. Whoever has a real rod replaces that one object, see :class:`rodlib.Rig`. This
+own. Whoever has a real rod replaces that one object, see :class:`.protocol.Rig`. This
 one is linear; :mod:`rodlib.peltier_rig` is not, and recorded the logs in data/rig.
 """
 

@@ -42,7 +42,7 @@ class Rod:
             raise ValueError(
                 f"sensors = {sensors} must be positions from 0 to length = {self.length} m"
             )
-        object.__setattr__(self, "sensors", sensors)
+        vars(self)["sensors"] = sensors
 
     @property
     def kappa_1(self) -> float:

@@ -73,8 +73,7 @@ class Study:
         omega = arguments.increasing_frequencies("omega", omega, loop.Ts)
         shape = ("time", len(loop.outputs))
         reference = arguments.array("reference", reference, shape)
-        object.__setattr__(self, "omega", omega)
-        object.__setattr__(self, "reference", reference)
+        vars(self).update(omega=omega, reference=reference)
         arguments.whole("trials", self.trials, 1)
 
     def run(self, rods: int, client=None) -> xr.Dataset:

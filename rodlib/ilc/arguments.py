@@ -16,11 +16,8 @@ import numpy as np
 
 LARGEST = 1e100  # the square of what lies beyond it, or below its inverse, may not be a number
 CIRCLE = 1 - 1e-12  # modulus from which on a pole is on the unit circle, up to rounding
-ROLES = (
-    "output",
-    "control",
-    "source",
-)  # coordinates that name the signals of a DataArray
+# coordinates that name the signals of a DataArray
+ROLES = ("output", "control", "source")
 MOST = 10**9  # samples, trials, ...: what memory could hold at best
 
 
@@ -28,9 +25,8 @@ def number(
     name: str, value, what: str, low=-np.inf, high=np.inf, *, least=-np.inf, most=np.inf
 ) -> float:
     """A finite number above `low` and below `high`, from `least` to `most`; `what` says so."""
-    value = (
-        value.item() if isinstance(value, np.generic) else value
-    )  # 1e100 is no float32
+    if isinstance(value, np.generic):  # 1e100 is no float32
+        value = value.item()
     plain = isinstance(value, Real) and not isinstance(value, bool)
     if not (plain and low < value < high and least <= value <= most):
         raise ValueError(f"{name} = {reprlib.repr(value)} must be {what}")
@@ -93,10 +89,8 @@ def choice(name: str, value, options: Sequence[str]) -> str:
 def instance(name: str, value, kind):
     """An object of the given class, or of one of a union."""
     if not isinstance(value, kind):
-        holds = isinstance(getattr(value, "filter", None), kind)
-        remedy = f", which is its attribute: pass {name}.filter" if holds else ""
         words = " or ".join(each.__name__ for each in get_args(kind) or [kind])
-        raise ValueError(f"{name} = {reprlib.repr(value)} must be a {words}{remedy}")
+        raise ValueError(f"{name} = {reprlib.repr(value)} must be a {words}")
     return value
 
 
@@ -156,6 +150,17 @@ def in_columns(name, signal, shape, names):
     if signal.ndim == len(names) == 1:
         signal = signal[:, None]
     return array(name, signal, shape)
+
+
+def labelled_as(value, signal, names):
+    """An array, a column for each of `names`, with the shape, labels and order of `value`."""
+    own = names_of(value)
+    if own is None:
+        return signal.reshape(np.shape(value))
+    signal = signal[..., [names.index(label) for label in own]]
+    if hasattr(value, "columns"):
+        return type(value)(signal, value.index, value.columns)
+    return value.copy(data=signal.reshape(value.shape))
 
 
 def each_trial(name, signal, trials, samples, names):
@@ -243,9 +248,8 @@ def array(
             f"{name} has shape {plain.shape}, but must have shape ({words})"
         )
     result = np.array(plain, dtype=dtype)
-    if (
-        np.abs(result).max(initial=0) <= LARGEST
-    ):  # what is not a number is not below it either
+    # what is not a number is not below it either
+    if np.abs(result).max(initial=0) <= LARGEST:
         return result
     bad = np.argwhere(~np.isfinite(result))
     if not len(bad):

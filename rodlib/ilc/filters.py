@@ -58,8 +58,7 @@ class ZeroPhaseButterworth:
         what += "; one that is normalised, as scipy's, times that"
         cutoff = arguments.number("cutoff", self.cutoff, what, 0, np.pi / Ts)
         order = arguments.whole("order", self.order, 1, 100)
-        for name, value in (("order", order), ("cutoff", cutoff), ("Ts", Ts)):
-            object.__setattr__(self, name, value)
+        vars(self).update(order=order, cutoff=cutoff, Ts=Ts)
         if not self._realised():
             raise ValueError(
                 f"cutoff = {cutoff!r} rad/s is too low for order = {order} at Ts = {Ts} s: "
@@ -103,10 +102,8 @@ class ZeroPhaseButterworth:
     def apply(self, signal) -> np.ndarray:
         """Filter a signal of shape (..., time, channel), forward and backward in time."""
         signal = arguments.array("signal", signal, (..., "time", "channel"))
-        sections, decay = (
-            self.sections,
-            self.decay,
-        )  # after which the line is as good as infinite
+        # after `decay` samples the line is as good as infinite
+        sections, decay = self.sections, self.decay
         once = _continued(signal, decay, decay, self.ends)
         at_rest = sosfilt_zi(sections).reshape(
             len(sections), *[1] * (signal.ndim - 2), 2, 1
@@ -127,9 +124,8 @@ def _continued(signal, before, after, ends):
     return signal
 
 
-zero_phase_butterworth = (
-    ZeroPhaseButterworth  # as one says with scipy: butter(order, cutoff)
-)
+# as one says with scipy: butter(order, cutoff)
+zero_phase_butterworth = ZeroPhaseButterworth
 
 
 @runtime_checkable
@@ -170,10 +166,10 @@ class LearningFilter:
 
     def __post_init__(self):
         c = arguments.array("coefficients", self.coefficients, ("m", "m", "order"))
-        object.__setattr__(self, "Ts", arguments.sampling_period("Ts", self.Ts))
+        Ts = arguments.sampling_period("Ts", self.Ts)
         arguments.choice("ends", self.ends, list(ENDS))
         c.flags.writeable = False
-        object.__setattr__(self, "coefficients", c)
+        vars(self).update(coefficients=c, Ts=Ts)
 
     @property
     def channels(self) -> int:

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from rodlib.ilc import arguments
 
 SECONDS = {
+    "ns": 1e-9,
     "us": 1e-6,
     "ms": 1e-3,
     "s": 1.0,

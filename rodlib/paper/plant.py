@@ -1,7 +1,5 @@
 """The rod on the workbench."""
 
-from dataclasses import fields
-
 from rodlib.case import (
     assumed_disturbance,
     assumed_reference,
@@ -16,12 +14,7 @@ from rodlib.rod import Rod
 def plant_of_rod(rod: Rod) -> Plant:
     """The paper's loop around a rod, its choices, the assumed reference and disturbances."""
     arguments.instance("rod", rod, Rod)
-    changes = [
-        f"{field.name}={getattr(rod, field.name)!r}"
-        for field in fields(Rod)
-        if getattr(rod, field.name) != field.default
-    ]
-    source = f"rodlib.Rod({', '.join(changes)})" if changes else ""
+    source = "" if rod == Rod() else f"rodlib.{rod}"
     return Plant(
         f"rodlib.paper_loop({source})",
         paper_loop(rod),

@@ -94,9 +94,8 @@ def claims() -> dict[str, Claim]:
                     entry = f"[{row[0]},{label}]"
                     name = {"key": claim.key + entry, "claim": claim.claim + entry}
                     disturbance = claim.key == "K_L" and row[0] in ("11", "12")
-                    kind = (
-                        "evidence" if disturbance else claim.kind
-                    )  # no state coordinates
+                    # no state coordinates
+                    kind = "evidence" if disturbance else claim.kind
                     expanded.append(replace(claim, **name, printed=printed, kind=kind))
         elif claim.key == "invariants":
             expanded.extend(_invariants(claim.place))

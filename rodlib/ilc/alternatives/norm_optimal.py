@@ -42,10 +42,11 @@ class NormOptimal:
     samples: int
 
     def __post_init__(self):
-        object.__setattr__(self, "P", sampled_plant(self.P, "P"))
-        arguments.stable("P", self.P.poles())
-        object.__setattr__(self, "weight", arguments.positive("weight", self.weight))
-        object.__setattr__(self, "samples", arguments.whole("samples", self.samples, 1))
+        P = sampled_plant(self.P, "P")
+        arguments.stable("P", P.poles())
+        weight = arguments.positive("weight", self.weight)
+        samples = arguments.whole("samples", self.samples, 1)
+        vars(self).update(P=P, weight=weight, samples=samples)
 
     @property
     def Ts(self) -> float:

@@ -54,8 +54,7 @@ class Rehearsal:
         _, samples, m = alone.shape
         P = arguments.array("P", self.P, (samples + 1, m, m), complex)
         arguments.whole("rest", self.rest, 0, samples - 1)
-        object.__setattr__(self, "alone", alone)
-        object.__setattr__(self, "P", P)
+        vars(self).update(alone=alone, P=P)
 
     def rate(self, L: LearningOperator) -> float:
         """Of Lemma 1, the largest sigma_max(M), at `JUDGED` of the lines."""
@@ -117,7 +116,7 @@ def tune(
     ----------
     design : callable
         From the parameters, by name, to a filter, or to what has one as its ``filter``, as a
-        :class:`rodlib.Synthesis` does; a ValueError says that there is none.
+        :class:`.Synthesis` does; a ValueError says that there is none.
     box : dict
         Lowest and highest value of each parameter, above zero; of whole numbers, whole numbers.
     rehearsal : Rehearsal

@@ -47,9 +47,8 @@ class Certificate:
     problem: Problem
     value: float  # the objective reached
     lower_bound: float  # what no such filter within the bounds can go below
-    mean_M: (
-        float  # of the nominal plant, see :meth:`Convergence.mean`; NaN without a band
-    )
+    # of the nominal plant, see :meth:`Convergence.mean`; NaN without a band
+    mean_M: float
     # RMS of the error in some trials, for the reference of the design; None without one
     predicted: dict[int, float] | None
     worst: WorstCase  # of all plants, within the radius, at each of the frequencies
@@ -88,7 +87,7 @@ class Certificate:
 
     @property
     def gap(self) -> float:
-        """Distance of value and lower bound, relative to :meth:`rodlib.ilc.Problem.unit`."""
+        """Distance of value and lower bound, relative to :meth:`.Problem.unit`."""
         return (self.value - self.lower_bound) / self.problem.unit(self.value)
 
     @property

@@ -29,7 +29,7 @@ class Convergence:
     """How the trials converge, by M = Q (I - P L). Made by :func:`convergence`.
 
     For p plants `sigma` has the shape (p, n), and each other result the shape (p,). That of
-    :meth:`rodlib.Synthesis.check` is for the worst of all plants, between the frequencies, too.
+    :meth:`.Synthesis.check` is for the worst of all plants, between the frequencies, too.
     """
 
     omega: np.ndarray  # (n,), rad/s

@@ -25,8 +25,8 @@ def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None) -> float:
             = sum_i Re tr(U_i^H M_i) + Re tr(V_i^H L_i) + sum_c Re tr(N_c^H G_c)
             <= sum_i |U_i| sigma_max(M_i) + sum_i |W^-1 V_i| + sum_c nu(N_c) b_c
 
-    with nuclear norms |.|, W of :attr:`rodlib.ilc.problem.Problem.weight`, the matrices G = F + T L
-    of :class:`rodlib.ilc.problem.Cuts`, and nu of :func:`dual_norm`, dual to their bound b. Where
+    with nuclear norms |.|, W of :attr:`.Problem.weight`, the matrices G = F + T L
+    of :class:`.Cuts`, and nu of :func:`dual_norm`, dual to their bound b. Where
     |U_i| exceeds the weight of sigma_max(M_i) in the objective, the excess is bounded with M_max,
     and so are the b_c. For the peak, they are no larger than the objective itself.
     The multipliers are first projected on those that fulfil the condition, so the bound holds, up

@@ -92,7 +92,7 @@ def _tied_pairs(sigma):
 
 
 def affine(problem: Problem, plant, at) -> tuple[np.ndarray, np.ndarray]:
-    """F and T of G = F + T L in :class:`rodlib.ilc.problem.Cuts`, for plants and frequencies."""
+    """F and T of G = F + T L in :class:`.Cuts`, for plants and frequencies."""
     m = problem.channels
     P, Q = problem.plants[plant, at], problem.Q[at, None, None]
     T = -Q * P

@@ -1,5 +1,6 @@
 """The ILC law (23): from a trial's signal and error to the next trial's signal."""
 
+import reprlib
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -8,9 +9,11 @@ import numpy as np
 from rodlib.ilc import arguments
 from rodlib.ilc.filters import LearningOperator, ZeroPhaseButterworth, check_Q
 from rodlib.ilc.law.limits import WEIGHT, Actuators, named_limits, nearest, realised
-from rodlib.ilc.loop.closed import Loop
+from rodlib.ilc.loop.closed import ClosedLoop, Loop
 from rodlib.ilc.loop.notes import loop_note
 from rodlib.ilc.signals import check_match
+
+RECORDED = 1e-3  # of the width of limits: digits that a log may lack
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,12 +57,12 @@ class Law:
         if self.loop is not None:
             parties["loop"] = arguments.instance("loop", self.loop, Loop)
         check_match(**parties)
-        object.__setattr__(self, "rest", arguments.whole("rest", self.rest, 0))
-        object.__setattr__(self, "gain", arguments.share("gain", self.gain))
+        rest = arguments.whole("rest", self.rest, 0)
+        vars(self).update(rest=rest, gain=arguments.share("gain", self.gain))
         if self.limits is not None:
             commands = None if self.loop is None else self.loop.commands
             limits = named_limits("limits", self.limits, commands, slew=True)
-            object.__setattr__(self, "limits", limits)
+            vars(self)["limits"] = limits
 
     @property
     def Ts(self) -> float:
@@ -104,8 +107,7 @@ class Law:
         rest = arguments.whole("rest", self.rest, 0, samples - 1)
         shape = samples, self.channels
         v = np.zeros(shape) if v is None else v
-        names = self.outputs or arguments.names_of(v) or [""] * self.channels
-        v = arguments.in_columns("v", v, shape, names)
+        v = arguments.in_columns("v", v, shape, self._names(v=v))
         v[samples - rest :] = 0
         return v
 
@@ -123,45 +125,83 @@ class Law:
         ----------
         v, e : array_like, shape (time, m), or (time,) of one channel
             ILC signal and tracking error, reference - y, of the trial just done, both in the unit
-            of the output. Labelled signals (columns, or coordinates) are matched by name.
+            of the output. Labelled signals (columns, or coordinates) are matched by name, for
+            which a law of several channels must be bound to a loop.
         u : array_like, shape (time, m), optional
             Needed with limits: commands that the controller asked for in it; of a CurrentTrialLoop
             its controls, of a ClosedLoop w = reference + v.
         applied : array_like, shape (time, m), optional
             What the actuators made of u, and the observer was informed of. Default: u, cut off at
-            the limits.
+            the limits. Needed of a ClosedLoop whose reference is zero.
 
         Returns
         -------
-        ndarray, of the shape of v
+        ndarray, DataFrame or DataArray, with the shape, labels and order of v
 
         Raises
         ------
         ValueError
-            If signals do not fit the law, or limits lack a loop or u.
+            If signals do not fit the law, or limits lack a loop or u; if u is v instead of w, or
+            `applied` is beyond the limits.
         RuntimeError
             If the solver fails.
         """
+        labelled, names = v, self._names(v=v, e=e)
         if self.L is None:
-            v = v if self.loop is None else arguments.in_order("v", v, self.outputs)
-            return arguments.array("v", v, (...,))
-        shape, m = np.shape(v), self.channels
-        names = self.outputs or arguments.names_of(v) or arguments.names_of(e)
-        names = names or [""] * m
-        v = arguments.in_columns("v", v, (..., "time", m), names)
+            if self.loop is not None:
+                arguments.in_order("v", v, names)
+            kept = arguments.array("v", v, (...,))
+            return arguments.labelled_as(v, kept, arguments.names_of(v))
+        v = arguments.in_columns("v", v, (..., "time", self.channels), names)
         e = arguments.in_columns("e", e, v.shape, names)
         arguments.whole("rest", self.rest, 0, v.shape[-2] - 1)
         if self.actuators is None:
-            return self._without_limits(v, e).reshape(shape)
+            result = self._without_limits(v, e)
+        else:
+            v, applied = self._applied(v, u, applied)
+            target = self._without_limits(v, e)
+            weight = getattr(self.L, "weight", WEIGHT)
+            trial = self.loop, self.actuators, v, applied
+            result = nearest(*trial, target, weight, self.rest)
+        return arguments.labelled_as(labelled, result, names)
+
+    def _names(self, **signals):
+        """Names of the channels; of a law without a loop, labels cannot be matched with L."""
+        if self.outputs or self.channels is None:
+            return self.outputs
+        for name, signal in signals.items():
+            labels = arguments.names_of(signal)
+            if labels and self.channels == 1:
+                return labels
+            if labels:
+                raise ValueError(
+                    f"{name} holds the signals {reprlib.repr(labels)}, of which a law without a "
+                    "loop does not know the order: bind it, law.bound_to(loop), or pass an array"
+                )
+        return [""] * self.channels
+
+    def _applied(self, v, u, applied):
+        """v as far as it was applied, and the commands that were; from those asked for."""
         if u is None:
             raise ValueError("u = None: with limits, the trial's commands are needed")
-        u = arguments.in_columns("u", u, v.shape, self.loop.commands)
-        applied = self.actuators.follow(u) if applied is None else applied
-        applied = arguments.in_columns("applied", applied, v.shape, self.loop.commands)
-        v = realised(self.loop, v, u, applied)
-        target, weight = self._without_limits(v, e), getattr(self.L, "weight", WEIGHT)
-        trial = self.loop, self.actuators, v, applied
-        return nearest(*trial, target, weight, self.rest).reshape(shape)
+        limits, commands = self.actuators, self.loop.commands
+        u = arguments.in_columns("u", u, v.shape, commands)
+        if applied is not None:
+            applied = arguments.in_columns("applied", applied, v.shape, commands)
+            if not limits.can(applied, RECORDED):
+                raise ValueError(
+                    f"applied reaches from {applied.min(axis=0)} to {applied.max(axis=0)} in "
+                    f"{commands}, or moves faster, beyond limits = {self.limits}: pass what "
+                    "the actuators made of u"
+                )
+        elif isinstance(self.loop, ClosedLoop) and v.any() and np.array_equal(u, v):
+            raise ValueError(
+                "u is equal to v, but of a ClosedLoop it is w = reference + v; if the reference "
+                "is zero, pass applied, too"
+            )
+        else:
+            applied = limits.follow(u)
+        return realised(self.loop, v, u, applied), applied
 
     def _without_limits(self, v, e):
         a = self.gain

@@ -69,9 +69,10 @@ class Actuators:
         width = self.highest - self.lowest
         return ROUNDING * np.where(np.isfinite(width), width, 1.0)
 
-    def can(self, commands) -> bool:
-        """Whether commands, shape (time, m), are applied as they are."""
-        return bool(np.all(np.abs(self.follow(commands) - commands) <= self.rounding))
+    def can(self, commands, share: float = ROUNDING) -> bool:
+        """Whether commands (..., time, m) are applied as they are, to a share of the width."""
+        change = np.abs(self.follow(commands) - commands)
+        return bool(np.all(change <= share / ROUNDING * self.rounding))
 
     def next(self, command, before=None) -> np.ndarray:
         """What is applied of one command, after what was applied before it."""
@@ -114,12 +115,7 @@ def realised(loop: Loop, v, u, applied) -> np.ndarray:
     cut = applied - u
     if isinstance(loop, ClosedLoop):
         return v + cut
-    try:
-        return v + cut @ np.linalg.inv(loop.N).T
-    except np.linalg.LinAlgError:
-        raise ValueError(
-            "loop.N is singular: w does not follow from its commands"
-        ) from None
+    return v + cut @ np.linalg.inv(loop.N).T
 
 
 def nearest(

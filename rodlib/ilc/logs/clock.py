@@ -64,6 +64,11 @@ def check_trials(table: pd.DataFrame, Ts: float) -> None:
             "copies, or give each trial a number"
         )
     wrong = steps[(steps - Ts).abs() > JITTER * Ts]
+    if len(wrong) == len(steps) > 0:
+        raise LogError(
+            f"time: all steps differ from Ts = {Ts:.6g} s, and their median is "
+            f"{steps.median():.6g} s: which is right, and is the clock in s?"
+        )
     if len(wrong):
         raise LogError(
             f"time: row {wrong.index[0]} is {wrong.iloc[0]:.6g} s after the row before, where Ts "
@@ -76,9 +81,8 @@ def check_trials(table: pd.DataFrame, Ts: float) -> None:
             f"trials must be equally long, but trial {lengths.idxmin():g} has {lengths.min()} "
             f"samples and trial {lengths.idxmax():g} has {lengths.max()}"
         )
-    slack = DRIFT + JITTER * len(starts) / max(
-        len(steps), 1
-    )  # jitter at the ends of trials
+    # jitter at the ends of trials
+    slack = DRIFT + JITTER * len(starts) / max(len(steps), 1)
     if abs(steps.mean() - Ts) > slack * Ts:
         raise LogError(
             f"time: the mean step is {steps.mean():.6g} s, but Ts = {Ts:.6g} s: state that as Ts, "

@@ -25,7 +25,7 @@ from rodlib.ilc.logs.reader import (
     trials_of,
 )
 from rodlib.ilc.loop.notes import LogError
-from rodlib.ilc.units import seconds
+from rodlib.ilc.units import SECONDS, seconds
 
 SIGNALS = {  # of a log, by argument
     "outputs": "y",
@@ -44,9 +44,12 @@ ROLES = {  # in a log, of the names in these arguments
 DELIMITERS = ("\t", ";", "|", ",", " ")
 SAMPLE = 200  # rows that show how a table is laid out
 DAY = 86400.0  # s
+YEAR = 365.25 * DAY
 DATE = re.compile(r"\d{4}-\d\d-\d\d")
 TIME = re.compile(rf"{DATE.pattern}([T ][\d:.Z+-]*)?|\d+:[\d:.]+")
 WITH_UNIT = re.compile(r"(.*\S)\s*[(\[]([^()\[\]]*)[)\]]")  # "Heater (%)", "Time [s]"
+WITH_TIME = re.compile(rf"(?:.*[_\W])?({'|'.join(SECONDS)})", re.I)  # "tempo_ms"
+LONGEST = 1e11  # s: a clock that is beyond, 3,000 years, is in a shorter unit
 
 
 def read_table(
@@ -80,8 +83,8 @@ def read_table(
     inputs : dict, optional
         The column of the actuator that controls each output, in their order. Default: not known.
     time : str or int, optional
-        Column of the clock: numbers in the unit of its title or of `units`, by default s, or dates
-        and times as in ISO 8601. Without it, rows are `Ts` apart.
+        Column of the clock: numbers in the unit of its title, as "t (ms)" or "t_ms", or of `units`,
+        by default s, or dates and times as in ISO 8601. Without it, rows are `Ts` apart.
     Ts : float, optional
         Sampling period, s. Default: the mean step of the clock, rounded as far as steps scatter.
     reference : dict, optional
@@ -93,8 +96,8 @@ def read_table(
     trial : str or int, optional
         Column of the number of the trial, from 0 or 1 on. Default: all rows are one trial.
     units : dict, optional
-        Units by name, or of ``"time"``, where titles do not have them. They are labels: only that
-        of time is converted.
+        Units by name, or of ``"time"``, where titles do not have them, or have the same. They are
+        labels: only that of time is converted.
     resample : bool
         Interpolate what is not on time: outputs linearly, inputs are held. Rows without a finite
         number in each column count as lost; at most half of the samples are filled in.
@@ -157,21 +160,18 @@ def read_table(
         }
         if len({*places.values()}) < len(places):
             raise LogError(f"each name needs a column of its own: {columns}")
-        labels = {
-            title: _name_and_unit(entries.columns[place])[1]
-            for title, place in places.items()
-        }
+        written = {title: entries.columns[place] for title, place in places.items()}
         entries = entries.iloc[:, [*places.values()]].set_axis([*places], axis=1)
         signals = {
             role: {
-                name: units.get(name, labels[f"{SIGNALS[argument]}_{name}"])
+                name: _unit(written[f"{SIGNALS[argument]}_{name}"], units.get(name))
                 for name in named[argument]
             }
             for argument, role in ROLES.items()
             if named[argument]
         }
         if time is not None:
-            unit = units.get("time", labels["time"]) or "s"
+            unit = _unit(written["time"], units.get("time"), clock=True) or "s"
             entries["time"] = _in_seconds(entries["time"], unit)
         table = numbers_of(entries, resample)
         _add_trial_and_time(table, Ts)
@@ -222,6 +222,21 @@ def _name_and_unit(title):
     return match.groups() if match else (title, "")
 
 
+def _unit(title, stated, clock=False):
+    """The unit of a column: stated, or that of its title, which it must not contradict."""
+    name, unit = _name_and_unit(title)
+    suffix = WITH_TIME.fullmatch(name) if clock and not unit else None
+    unit = suffix[1].lower() if suffix else unit
+    if not (stated and unit):
+        return stated or unit
+    if (seconds(stated) != seconds(unit)) if clock else (stated != unit):
+        raise LogError(
+            f"the title {title!r} says {unit!r}, but units say {stated!r}: nothing is converted. "
+            "Leave it out of units, or rename the column"
+        )
+    return stated
+
+
 def _in_seconds(column, unit):
     """A clock in s: numbers, or dates or times of a day from the first; what is neither stays."""
     text = column.astype(str).str.strip()
@@ -233,6 +248,11 @@ def _in_seconds(column, unit):
         times += DAY * (times.diff() < -DAY / 2).cumsum()  # past midnight
     else:
         times = seconds(unit) * numbers(column)
+        if times.abs().max() > LONGEST:
+            raise LogError(
+                f"time reaches {times.abs().max():.3g} s, {times.abs().max() / YEAR:.3g} years: "
+                "state its unit, as in units={'time': 'ms'} or 'us' or 'ns'"
+            )
     return times.astype(object).where(times.notna(), column)
 
 

@@ -42,12 +42,9 @@ class CurrentTrialLoop:
         plant = sampled_plant(self.plant)
         n, m = plant.nstates, plant.noutputs
         for name, shape in {"Ks": (m, n), "KL": (n + m, m), "N": (m, m)}.items():
-            object.__setattr__(
-                self, name, arguments.array(name, getattr(self, name), shape)
-            )
+            vars(self)[name] = arguments.array(name, getattr(self, name), shape)
         signals = [*plant.output_labels, *plant.input_labels]
-        object.__setattr__(self, "units", units.labels(self.units, signals))
-        object.__setattr__(self, "plant", plant)
+        vars(self).update(units=units.labels(self.units, signals), plant=plant)
 
     @property
     def Ts(self) -> float:
@@ -223,16 +220,14 @@ class ClosedLoop:
         if P is not None:
             check_match(P=P, loop=Signals(Ts, outputs))
         signals = [*outputs, *controls, *disturbances]
-        checked = {
-            "P": P,
-            "Ts": Ts,
-            "outputs": outputs,
-            "controls": controls,
-            "disturbances": disturbances,
-            "units": units.labels(self.units, signals),
-        }
-        for name, value in checked.items():
-            object.__setattr__(self, name, value)
+        vars(self).update(
+            P=P,
+            Ts=Ts,
+            outputs=outputs,
+            controls=controls,
+            disturbances=disturbances,
+            units=units.labels(self.units, signals),
+        )
 
     @property
     def references(self) -> list[str]:
@@ -281,9 +276,8 @@ def _controller(loop):
     plant, m = loop.plant, loop.plant.noutputs
     B = plant.B[:, :m]
     C = np.hstack([plant.C, np.zeros((m, m))])
-    A = (
-        block_diag(plant.A - B @ loop.Ks, np.eye(m)) - loop.KL @ C
-    )  # (16) with u of (18)
+    # (16) with u of (18)
+    A = block_diag(plant.A - B @ loop.Ks, np.eye(m)) - loop.KL @ C
     return A, np.vstack([B @ loop.N, np.zeros((m, m))]), np.hstack([loop.Ks, np.eye(m)])
 
 

@@ -183,10 +183,8 @@ def _riccati(A, B, Q, R, weights):
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("error", LinAlgWarning)
             return solve_discrete_are(A, B, Q, R)
-    except (
-        ValueError,
-        LinAlgWarning,
-    ):  # LinAlgError is a ValueError, and not the only one
+    # LinAlgError is a ValueError, and not the only one
+    except (ValueError, LinAlgWarning):
         raise ValueError(
             f"{weights} leave the Riccati equation of this plant without a solution: {UNFIT}"
         ) from None

@@ -26,16 +26,13 @@ FEWEST = 20  # samples of a trial
 STILL = 1e-3  # of the range of an input: trials that differ by less do not differ
 LEARNED = 0.5  # of the largest P, and of its size before the data: what is further off is not known
 SURE = 1e-6  # probability by which noise alone may make trials start apart
-BEYOND = (
-    3.0  # standard deviations, from which on neighbouring lines contradict an estimate
-)
-SEEN = (
-    0.25  # of the largest P, that neighbouring lines by themselves are off by at most
-)
+# standard deviations, from which on neighbouring lines contradict an estimate
+BEYOND = 3.0
+# of the largest P, that neighbouring lines by themselves are off by at most
+SEEN = 0.25
 EACH = 8  # lines of all trials together, for each input, that are neighbours
-LONGEST = (
-    0.6  # of a record, in which a response falls by e a priori, if it is to settle
-)
+# of a record, in which a response falls by e a priori, if it is to settle
+LONGEST = 0.6
 LATE = 0.4  # of a response in the later half of the record, from which on it does not settle
 TAIL = 10  # draws beyond which a quantile is extrapolated, as of a normal distribution
 
@@ -49,19 +46,16 @@ class EstimatedResponse(Measured):
     """
 
     omega: np.ndarray  # rad/s, shape (n,)
-    impulse: (
-        np.ndarray
-    )  # shape (lags, m, m): the response over time, of which `errors` are off
+    # shape (lags, m, m): the response over time, of which `errors` are off
+    impulse: np.ndarray
     errors: np.ndarray  # shape (draw, n, m, m), complex
-    known: (
-        np.ndarray
-    )  # shape (n,), bool: whether the data tell more than what was assumed
+    # shape (n,), bool: whether the data tell more than what was assumed
+    known: np.ndarray
     loop: Loop  # from whose w to y it is; a ClosedLoop without P, if the record names none
     record: str  # what it was estimated from, in words
     lasting: float  # s, in which all but a smooth part of the response falls by e
-    alone: (
-        np.ndarray
-    )  # shape (n,): what lines by themselves would be off by, in the largest P
+    # shape (n,): what lines by themselves would be off by, in the largest P
+    alone: np.ndarray
     findings: tuple[str, ...] = ()
 
     @cached_property
@@ -201,14 +195,12 @@ def _seen(u, left, angles, off):
     time, channel). Such a mean assumes nothing of an impulse response: what the estimate knows
     better, it knows from its prior; where what is left follows the inputs, the prior was wrong.
     """
-    U, E = (
-        np.fft.rfft(np.diff(x, axis=1), axis=1) for x in (u, left)
-    )  # steps do not leak so
+    # steps do not leak so
+    U, E = (np.fft.rfft(np.diff(x, axis=1), axis=1) for x in (u, left))
     K, F, m = U.shape
     line = angles * (u.shape[1] - 1) / (2 * np.pi)
-    few = min(
-        -(-EACH * m // K), F - 2
-    )  # lines, so that a narrow resonance is not averaged away
+    # lines, so that a narrow resonance is not averaged away
+    few = min(-(-EACH * m // K), F - 2)
     first = np.clip(np.rint(line - few / 2).astype(int), 1, F - 1 - few)
     last = first + few
 

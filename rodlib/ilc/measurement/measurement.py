@@ -49,9 +49,8 @@ class MeasuredResponse(Measured):
     spread: np.ndarray  # inverse of the spectra of w, (experiment, input), likewise
     freedom: np.ndarray  # shape (n,)
     loop: Loop  # whose controller ran; if its observer integrates, P(0) = I
-    findings: tuple[
-        str, ...
-    ] = ()  # what speaks against the measurement, and what follows
+    # what speaks against the measurement, and what follows
+    findings: tuple[str, ...] = ()
 
     def _radius(self, confidence, jointly):
         miss = _miss(confidence, jointly, len(self.omega))

@@ -44,9 +44,8 @@ class TabulatedResponse(Measured):
 
     def _scaled(self, scale):
         units = scale / scale[:, None]
-        widest = (
-            self.uncertainty * units.max()
-        )  # the norm of Delta is not more in these units
+        # the norm of Delta is not more in these units
+        widest = self.uncertainty * units.max()
         return replace(self, response=self.response * units, uncertainty=widest)
 
     def _basis(self, omega, confidence):

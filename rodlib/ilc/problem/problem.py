@@ -1,6 +1,6 @@
 """What is asked of the learning filter: the problems (39), (45), (46) as one checked object.
 
-:func:`rodlib.ilc.problem.pose` states a problem and checks it; solvers and evidence take it whole.
+:func:`.pose.pose` states a problem and checks it; solvers and evidence take it whole.
 Frequency responses have the frequency first. The channels of P, L and M are in units of `scale`,
 so that singular values compare what counts as equally large.
 
@@ -54,7 +54,7 @@ class Samples:
 
 @dataclass(frozen=True, kw_only=True)
 class Problem(Samples, Choices):
-    """The problem of a learning filter. Made by :func:`rodlib.ilc.problem.pose`.
+    """The problem of a learning filter. Made by :func:`.pose.pose`.
 
     M is bounded at `omega`. L is bounded there and at further frequencies, where a grid is coarse
     or ends below the Nyquist frequency: at :attr:`omega_L`, which begins with `omega`.
@@ -71,9 +71,8 @@ class Problem(Samples, Choices):
     # sigma_max(L) that keeps M within M_max where P is unknown, or infinite
     share_L: np.ndarray
     limit_L: np.ndarray
-    beyond: (
-        float | None
-    )  # largest sigma_max(P) above the last sample; None if P is known
+    # largest sigma_max(P) above the last sample; None if P is known
+    beyond: float | None
     # without frequencies that were added; None if none were
     stated: "Problem | None" = None
 

@@ -75,9 +75,8 @@ class ControlledRig:
         self.rig, self.loop = rig, loop
         # looked up once, not in every sample
         self.outputs, self.commands = loop.outputs, loop.commands
-        self.ours = isinstance(
-            loop, CurrentTrialLoop
-        )  # the controller: it sends u, not w
+        # the controller: it sends u, not w
+        self.ours = isinstance(loop, CurrentTrialLoop)
         names = ["v", "u", "delta", "disturbance"]
         self.decimals = arguments.by_name("decimals", decimals, names)
         for name, value in self.decimals.items():

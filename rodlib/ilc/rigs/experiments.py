@@ -122,7 +122,7 @@ def record(
         if not trials:
             return first
         last, r = trials[-1], reference[len(trials) - 1]
-        commands = commands_of(loop, r + last["v"], last)
+        commands = commands_of(loop, r + last["v"], last, law.actuators)
         return law.next(last["v"], r - last["y"], **commands)
 
     notes = with_law(xr.Dataset(), law).attrs

@@ -33,9 +33,8 @@ from rodlib.ilc.synthesis.solver.threads import on_one_thread
 
 EQUAL = 1e-3  # relative distance of multipliers that are the same for the solver
 HOPELESS = 1 - 1e-6  # from here on a smallest M_max is one, and raising it no remedy
-GOOD = (
-    1e-8  # relative duality gap up to which what the active bounds lead to is accepted
-)
+# relative duality gap up to which what the active bounds lead to is accepted
+GOOD = 1e-8
 CVXPY_TOLERANCES = (1e-5, 1e-6)  # Clarabel ends "almost solved" on these problems
 
 
@@ -71,7 +70,7 @@ def synthesise(
         Frequency response of the closed loop on `omega`, for any m, also as python-control's
         frequency response data; or a discrete-time model of it, state space or transfer function.
         Of a list the first is the nominal plant, whose convergence is made fast; the bounds hold
-        for all of them. A :class:`rodlib.MeasuredResponse` brings its radius along, in which the
+        for all of them. What :func:`rodlib.measured_response` returns has its radius, in which the
         truth lies with a probability of 0.99; for another, pass both of ``P.on(omega, confidence)``
         as P and `uncertainty`. Above the last frequency of samples, sigma_max(P) is assumed to be
         what it is there, at any phase.
@@ -94,7 +93,7 @@ def synthesise(
         inverts P up to Q's cut-off, 1 / sigma_min(P), rounded up to one digit. It holds between
         the frequencies of a coarse grid, and up to the Nyquist frequency, too. None leaves it out:
         filters then compete up to the gain that coefficients in doubles can hold,
-        :attr:`rodlib.ilc.Problem.weight`.
+        :attr:`.Problem.weight`.
     band : (float, float), optional
         Lowest and highest frequency of the sum in (39), rad/s. A peak has none. Default: from the
         lowest of `omega` to Q's cut-off.
@@ -124,7 +123,7 @@ def synthesise(
         and size, best on the same `omega`. It makes the synthesis faster, not different.
     samples : int, optional
         Length of a trial. The certificate then says what one trial does to the ILC signal, by
-        :func:`rodlib.ilc.evidence.trial_norm`; P and Q must be models.
+        :func:`rodlib.trial_norm`; P and Q must be models.
     rest : int
         Number of samples at the end of that trial in which v is held at zero.
 
@@ -175,9 +174,8 @@ def insist(solution: Solution, certificate: Certificate):
 def warned(design: Synthesis) -> Synthesis:
     """A design for whoever called the caller, with a warning for each doubt of its certificate."""
     for text in design.certificate.warnings:
-        warnings.warn(
-            text, stacklevel=4
-        )  # warned, the door, its one thread, whoever called
+        # warned, the door, its one thread, whoever called
+        warnings.warn(text, stacklevel=4)
     return design
 
 
@@ -254,9 +252,8 @@ def _solve_program(problem, program, start):
 
 
 def _solve_with_cvxpy(problem, start):
-    from rodlib.ilc.synthesis import (
-        statement,
-    )  # here, because CVXPY takes long to import
+    # here, because CVXPY takes long to import
+    from rodlib.ilc.synthesis import statement
 
     return _with_cuts(
         problem, None, lambda problem, program, start: statement.solve(program)
@@ -296,9 +293,8 @@ def _is_good(problem, solution, gap):
 def _explained(problem, nearest):
     """The error that says which bound is too tight, where, and what would be feasible."""
     posed, on_grid = problem, len(nearest.V) > len(problem.omega_L)
-    if (
-        len(problem.plants) > 1 or problem.everywhere
-    ):  # not all of them had a say so far
+    # not all of them had a say so far
+    if len(problem.plants) > 1 or problem.everywhere:
         posed = replace(problem, M_max=np.inf, objective="peak")
         posed, nearest = settled(posed, solve, None if on_grid else nearest)
     size = np.linalg.norm(nearest.U, axis=(1, 2))

@@ -17,10 +17,8 @@ def solve(program: Program) -> Solution:
     x = cp.Variable(program.entries * len(program.basis))
     t = cp.Variable(1 if program.shared else len(program.free))
 
-    subject_to, splits = (
-        [],
-        [],
-    )  # sigma_max(F + T L) <= level: of M in (39), (45), of L in (46)
+    # sigma_max(F + T L) <= level: of M in (39), (45), of L in (46)
+    subject_to, splits = [], []
     for j, bound in enumerate(program.bounds):
         p, q, n = bound.shape
         shape = (n, p, q)
@@ -41,9 +39,8 @@ def solve(program: Program) -> Solution:
     problem = cp.Problem(cp.Minimize(cost), subject_to + meets)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore"
-            )  # "may be inaccurate": the caller checks the result
+            # "may be inaccurate": the caller checks the result
+            warnings.simplefilter("ignore")
             problem.solve(
                 solver=cp.CLARABEL, canon_backend=cp.SCIPY_CANON_BACKEND,
                 chordal_decomposition_enable=False,

@@ -1,9 +1,9 @@
 """Do trials converge as predicted? Warnings that their signals give, after each trial.
 
 Four checks, each against noise: the error must not grow; v must not keep growing while the error
-stagnates; the outputs must follow v as the loop's model predicts; the convergence rate must be the
-predicted one. How large noise is follows from the trials themselves: in a converged experiment
-their errors are independent and of equal variance.
+stagnates; the error must fall from trial to trial as the loop's model promises; learning must not
+add to what trials without it would leave. How large noise is follows from the trials themselves: it
+is what does not repeat, however coloured, and what v does not explain.
 """
 
 from dataclasses import dataclass
@@ -22,17 +22,20 @@ from rodlib.ilc.loop.closed import ClosedLoop, Loop
 from rodlib.ilc.models import state_sequence
 from rodlib.ilc.units import by_unit
 
-SIGNIFICANCE = 1e-4  # probability of a false warning by noise, in a test
+# Probability of a false warning by noise, in a test; and where learning adds what it removes.
+SIGNIFICANCE, SIGNIFICANCE_OF_HARM = 1e-4, 1e-3
 GROWTH = 1.5  # ratio of RMS errors that is worth a warning
 RISES = 3  # in succession,
 JUMP = 3.0  # or in one trial, relative to the largest RMS before
 AMPLIFICATION = 5.0  # largest effect of learning on the noise of a trial
-STAGNATION = 0.97  # ratio of RMS errors from which on the error counts as not falling
+STAGNATION = 0.97  # ratio of RMS errors from which on the error does not fall
 STEPS = 3  # of v, from which on it may be said to keep growing
 STRAIGHT, STEADY = 0.95, 0.9  # its distance relative to its path, last step to first
-RELEVANT = 0.2  # smallest change of v or y, relative to the error
-FOLLOWED = 0.5  # share of a predicted change of y; with less, the model does not hold
-EXCESS = 0.05  # smallest error beyond the predicted one, of an octave, relative to it
+RELEVANT = 0.2  # smallest change of v, relative to the error
+FOLLOWED = 0.5  # share of a predicted change of y; with less, it does not follow w
+EXCESS = 0.05  # smallest error beyond the promised one, relative to the first trial's
+HARMLESS = 0.5  # share of v, and of the error without it, that repeats
+WORSE = 1.1  # ratio of RMS errors with learning and without it, worth a warning
 ROUNDING = 1e-9  # relative to the largest signal
 GRID = np.geomspace(1e-4, 1, 200) * np.pi  # omega Ts of the predicted rate
 
@@ -46,7 +49,8 @@ class History:
     channels: list[int]
     e: np.ndarray
     reference: np.ndarray
-    w: np.ndarray  # reference + v of all outputs, as far as it was applied
+    v: np.ndarray  # of all outputs, as far as it was applied
+    w: np.ndarray  # reference + v, likewise
 
     @cached_property
     def rms(self) -> np.ndarray:
@@ -81,12 +85,27 @@ class History:
         """The rate that the model predicts."""
         return convergence(self.P, self.law.Q, self.law.L, GRID / self.law.Ts)
 
+    def response(self, w) -> np.ndarray:
+        """P w, by the model, of the outputs in this unit."""
+        P = self.P
+        states = state_sequence(P.A, w @ P.B.T, np.zeros(P.nstates))
+        return (states @ P.C.T + w @ P.D.T)[:, self.channels]
+
     def predicted(self, k: int) -> np.ndarray:
         """Error of trial k by the model: e_{k-1} + r_k - r_{k-1} - P (w_k - w_{k-1})."""
-        P, change = self.P, self.w[k] - self.w[k - 1]
-        states = state_sequence(P.A, change @ P.B.T, np.zeros(P.nstates))
-        moved = (states @ P.C.T + change @ P.D.T)[:, self.channels]
+        moved = self.response(self.w[k] - self.w[k - 1])
         return self.e[k - 1] + self.reference[k] - self.reference[k - 1] - moved
+
+    def rest(self, k: int) -> np.ndarray:
+        """What Q leaves of trial k: (1 - Q) of its error without v, by the model."""
+        free = self.e[k] + self.response(self.v[k])
+        return free - self.law.Q.apply(free)
+
+    def changes(self, first: int, last: int) -> tuple[np.ndarray, np.ndarray]:
+        """Changes of the error with one reference, and those that the model predicts."""
+        predicted = [self.predicted(k) for k in range(first + 1, last + 1)]
+        e = self.e[first : last + 1]
+        return np.diff(e, axis=0), np.array(predicted) - e[:-1]
 
     def number(self, k: int) -> int:
         """Number of trial k."""
@@ -112,16 +131,16 @@ def diagnose(
     Returns
     -------
     dict
-        The first warning of each kind: "error", "v", "model", "rate".
+        The first warning of each kind: "error", "v", "rate", and without these "repetition".
     """
     warnings = {}
     if law.L is None:
         return warnings
-    checks = CHECKS if exact else CHECKS | MODEL_CHECKS
+    checks = CHECKS | ({} if exact else MODEL_CHECKS)
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # of 1e200
         for history in histories(trials, law):
             for k in range(max(1, first - 1), len(history.e)):
-                for kind, check in checks.items():
+                for kind, check in (checks if warnings else checks | LAST).items():
                     text = None if kind in warnings else check(history, k)
                     if text:
                         warnings[kind] = text
@@ -134,10 +153,11 @@ def histories(trials: xr.Dataset, law: Law) -> list[History]:
     w = reference + trials.v.values
     if law.limits:  # then that for which the loop asks for what was applied
         w = realised(law.loop, w, **commands(trials, law.loop, law.actuators))
-    return [
-        History(trials, law, channels, e[..., channels], reference[..., channels], w)
-        for channels in by_unit(trials.output_unit.values.tolist()).values()
-    ]
+    parts = []
+    for channels in by_unit(trials.output_unit.values.tolist()).values():
+        e_part, r_part = e[..., channels], reference[..., channels]
+        parts.append(History(trials, law, channels, e_part, r_part, w - reference, w))
+    return parts
 
 
 def commands(trials: xr.Dataset, loop: Loop, actuators=None) -> dict[str, np.ndarray]:
@@ -218,7 +238,7 @@ def v_grows(history: History, k: int) -> str | None:
     if start < history.since[k]:
         return None
     error = history.rms[start : k + 1]
-    v = (history.w[..., history.channels] - history.reference)[start : k + 1]
+    v = history.v[start : k + 1, :, history.channels]
     steps = rms(np.diff(v, axis=0))
     (distance,) = rms(v[-1:] - v[:1])
     straight = distance >= STRAIGHT * steps.sum()
@@ -234,118 +254,135 @@ def v_grows(history: History, k: int) -> str | None:
     )
 
 
-def model_contradicted(history: History, k: int) -> str | None:
-    """Outputs do not follow v, in two successive trials: one may have a new disturbance."""
-    if history.P is None or k < 2:
-        return None
-    names = [
-        name
-        for i, name in enumerate(history.names)
-        if _ignores_v(history, k - 1, i) and _ignores_v(history, k, i)
-    ]
-    if not names:
-        return None
-    return (
-        f"{', '.join(names)} of trials {history.number(k - 1)} and {history.number(k)} "
-        "contradict the loop's model: not half of the change that it predicts came, and the "
-        "error does not fall. Is a sensor or an actuator at its limit, exchanged or reversed? "
-        "Else measure P (shake)"
-    )
+def breaks_promise(history: History, k: int) -> str | None:
+    """F test, octave by octave, of the error of trial k against the one promised.
 
-
-def _ignores_v(history, k, i):
-    """t test of the share of its predicted change that output i made, if its error did not fall.
-
-    The share is the regression coefficient of the change on its prediction. Null hypothesis: it is
-    FOLLOWED or more. Of two trials, both are rejected by chance with the square of the probability.
+    Null hypothesis: the trials differ from the model's prediction by noise alone, independent from
+    trial to trial, or by less than the promise allows.
     """
-    error, before = history.e[k, :, i], history.e[k - 1, :, i]
-    shift = history.reference[k, :, i] - history.reference[k - 1, :, i]
-    change = shift - error + before
-    predicted = shift - history.predicted(k)[:, i] + before
-    size = np.linalg.norm(predicted)
-    share = change @ predicted / size**2
-    residual = change - share * predicted
-    freedom = degrees_of_freedom(spectrum(residual[:, None])).item()
-    standard_error = np.linalg.norm(residual) / size / np.sqrt(freedom)
-    p = stdtr(freedom, (share - FOLLOWED) / standard_error)
-    rest = np.linalg.norm(error)
-    falls = rest <= STAGNATION * np.linalg.norm(before)
-    return p < np.sqrt(SIGNIFICANCE) and not falls and size > RELEVANT * rest
-
-
-def converges_slowly(history: History, k: int) -> str | None:
-    """F test, octave by octave, of the first two trials with this reference.
-
-    Null hypothesis: the error of the second one is at most the predicted one, plus noise with the
-    variance of the last three trials about their mean.
-    """
-    i = history.since[k]
-    if history.P is None or k < i + 4:
+    first = history.since[k]
+    if history.P is None or k < first + 2:
         return None
-    table = error_by_octave(history, i + 1)
-    bound = np.maximum(table["bound"], table["predicted"])
-    excess = table["before"] * np.maximum(table["measured"] - bound, 0)
-
-    last = history.e[k - 2 : k + 1]
-    power = spectrum(last - last.mean(axis=0)).sum(axis=0) / 2
-    edges = octaves(len(history.e[k]))
-    variance = np.add.reduceat(power.sum(axis=1), edges)
-    variance += (ROUNDING * np.abs(last).max()) ** 2
-    freedom = degrees_of_freedom(power, edges)
-    p = chance_of_excess(excess, variance, freedom)
-
-    falls, relevant = table["measured"] < 1, excess > EXCESS * history.rms[i]
-    slow = falls & relevant & (p < SIGNIFICANCE)
-    if not slow.any():
+    changes, predicted = history.changes(first, k)
+    noise, freedom = unexplained(changes, predicted)
+    noise = noise + (ROUNDING * np.abs(history.e[k]).max()) ** 2
+    for trial in (k, first + 1):
+        table = error_by_octave(history, trial)
+        promised = np.maximum(table["bound"], table["predicted"])
+        excess = table["before"] * np.maximum(table["measured"] - promised, 0)
+        p = chance_of_excess(excess, noise, freedom, k - first)
+        worst = np.argmax((p < SIGNIFICANCE) * excess)
+        if p[worst] < SIGNIFICANCE and excess[worst] > EXCESS * history.rms[first]:
+            break
+    else:
         return None
-    worst = np.argmax(slow * excess)
     row = {name: column[worst] for name, column in table.items()}
+    power = np.maximum(np.sum(predicted**2, axis=(0, 1)), np.finfo(float).tiny)
+    shares = np.sum(changes * predicted, axis=(0, 1)) / power
+    moved = ", ".join(map("{1:.2g} in {0}".format, history.names, shares))
+    remedy = "measure P (shake), or expect this rate"
+    if min(shares) < FOLLOWED:
+        limit = "is a sensor or an actuator at its limit, exchanged or reversed?"
+        remedy = f"{limit} Else {remedy}"
     return (
         f"the convergence rate is not the predicted one: up to {row['frequency']:.2g} rad/s, "
-        f"trial {history.number(i + 1)} has {row['measured']:.2f} of the error"
+        f"trial {history.number(trial)} has {row['measured']:.2f} of the error"
         f"{history.of_outputs} of the one before; the loop's model predicts "
-        f"{row['predicted']:.2f}, sigma_max(M) is {row['bound']:.2f} at most, and noise is "
-        "less. Unless there was a new disturbance, the plant differs from the model: measure P "
-        "(shake), or expect this rate"
+        f"{row['predicted']:.2f}, {row['bound']:.2f} at most, and noise is less. Unless there was "
+        "a new disturbance, the plant differs from the model: of the changes that this predicts, "
+        f"{moved} came; {remedy}"
     )
 
 
-def chance_of_excess(excess, variance, freedom) -> np.ndarray:
+def unexplained(changes, predicted) -> tuple[np.ndarray, np.ndarray]:
+    """What a gain and a phase for each octave and output cannot explain of changes between trials.
+
+    Signals are (trial, time, channel). Returns the mean square in a trial, by octaves, with its
+    degrees of freedom.
+    """
+    edges, count = octaves(changes.shape[1]), len(changes)
+    change, regressor = (np.fft.rfft(x, axis=1) for x in (changes, predicted))
+    products = [np.conj(regressor) * change, np.abs(regressor) ** 2]
+    products = np.add.reduceat(np.sum(products, axis=1), edges, axis=1)
+    gain = products[0] / np.maximum(products[1].real, np.finfo(float).tiny)
+    harmonics = np.diff(np.append(edges, change.shape[1]))
+    residual = change - np.repeat(gain, harmonics, axis=0) * regressor
+    power = spectrum(np.fft.irfft(residual, changes.shape[1], axis=1)).mean(axis=0)
+    values = 2 * count * harmonics
+    loss = values / np.maximum(values - 2, 1)
+    mean_square = np.add.reduceat(power.sum(axis=1), edges) * loss
+    return mean_square, degrees_of_freedom(power, edges)
+
+
+def chance_of_excess(excess, variance, freedom, trials: int) -> np.ndarray:
     """Probability that noise exceeds the prediction so far, in each octave, in any of them.
 
     The square of the excess has the n degrees of freedom of one trial in this octave; the variance
-    of three trials about their mean has 2 n. Bonferroni corrects for the number of octaves.
+    from so many changes between trials has that many times n, but for the 2 of a gain and a phase.
+    Bonferroni corrects for the number of octaves.
     """
-    return len(excess) * fdtrc(freedom, 2 * freedom, excess**2 / variance)
+    others = np.maximum(trials * freedom - 2, 1)
+    return len(excess) * fdtrc(freedom, others, excess**2 / variance)
+
+
+def adds_errors(history: History, k: int) -> str | None:
+    """t test of the share of what v corrects, by the model, that was there to be corrected.
+
+    It is the regression coefficient, on P v, of what the error would be without v. Null hypothesis:
+    it is a half or more, so that learning does not leave more than it removes.
+    """
+    first = history.since[k]
+    if history.P is None or k < first + 2:
+        return None
+    e = history.e[first + 1 : k + 1]
+    corrected = np.array([history.response(v) for v in history.v[first + 1 : k + 1]])
+    free, size = e + corrected, np.linalg.norm(corrected)
+    varying = np.linalg.norm(free - free.mean(axis=0)) / np.linalg.norm(free)
+    if varying**2 < HARMLESS or mean_rms(e) < WORSE * mean_rms(free):
+        return None
+    share = np.sum(corrected * free) / size**2
+    residual = free - share * corrected
+    freedom = len(e) * degrees_of_freedom(spectrum(residual).mean(axis=0)).item()
+    deviation = np.linalg.norm(residual) / size / np.sqrt(freedom)
+    if stdtr(freedom, (share - HARMLESS) / deviation) >= SIGNIFICANCE_OF_HARM:
+        return None
+    return (
+        f"learning adds to the error{history.of_outputs}: its RMS is {mean_rms(e):.3g} in trials "
+        f"{history.number(first + 1)} to {history.number(k)}, and would be {mean_rms(free):.3g} "
+        "with v = 0. What disturbs the trials does not repeat: start each at the same phase of it "
+        "(pause), or learn less, by a smaller learning gain or a lower cut-off of Q"
+    )
 
 
 CHECKS = {"error": error_grows, "v": v_grows}
-MODEL_CHECKS = {"model": model_contradicted, "rate": converges_slowly}
+MODEL_CHECKS = {"rate": breaks_promise}
+LAST = {"repetition": adds_errors}  # whose cause may be one of the others
 
 
 def error_by_octave(history: History, k: int) -> dict[str, np.ndarray]:
     """The error of trial k relative to that of the one before, by octaves up to `frequency`, rad/s.
 
-    `before` is the RMS of the error of the trial before. Relative to it, `bound` is sigma_max(M),
-    for trials without ends; `predicted` follows from the model and the v that was recorded, ends
-    included; `measured` is the error of trial k, and `noise` its share of white noise, as large as
-    differences between neighbours in time are.
+    `before` is the RMS of the error of the trial before. Relative to it, `bound` is sigma_max(M)
+    and what Q leaves, by e_{k+1} = M e_k + (1 - Q) e_free, for trials without ends; `predicted`
+    follows from the model and the v that was recorded, ends included; `measured` is the error of
+    trial k, and `noise` its share of white noise, as large as differences between neighbours in
+    time are.
     """
     samples, convergence = len(history.e[k]), history.convergence
     first = octaves(samples)
     edges = np.append(first, samples // 2 + 1) * 2 * np.pi / (samples * history.law.Ts)
     inside = np.geomspace(np.maximum(edges[:-1], convergence.omega[0]), edges[1:], 9)
     sigma = np.interp(inside, convergence.omega, convergence.sigma).max(axis=0)
-    signals = np.stack([history.e[k - 1], history.predicted(k), history.e[k]])
+    rest, gain = history.rest(k - 1), history.law.gain
+    signals = np.stack([history.e[k - 1], history.predicted(k), history.e[k], rest])
     power = np.add.reduceat(spectrum(signals).sum(axis=-1), first, axis=-1)
-    before, predicted, measured = np.sqrt(power)
+    before, predicted, measured, rest = np.sqrt(power)
     before = np.maximum(before, np.finfo(float).tiny)
     white = np.linalg.norm(noise_std(history.e[k]))
     return {
         "frequency": edges[1:],
         "before": before,
-        "bound": 1 - history.law.gain * (1 - sigma),
+        "bound": 1 - gain * (1 - sigma - rest / before),
         "predicted": predicted / before,
         "measured": measured / before,
         "noise": white * np.sqrt(np.diff(edges) / edges[-1]) / before,
@@ -371,6 +408,11 @@ def degrees_of_freedom(power, edges=(0,)) -> np.ndarray:
         np.add.reduceat(values.sum(axis=1), edges) for values in (power, power**2)
     )
     return np.maximum(2, 2 * total**2 / np.maximum(squares, np.finfo(float).tiny))
+
+
+def mean_rms(signals) -> float:
+    """Root of the mean square of signals (trial, time, channel), summed over the channels."""
+    return np.sqrt(np.mean(rms(signals) ** 2))
 
 
 def rms(signals) -> np.ndarray:

@@ -98,7 +98,7 @@ def run_trials(
         signals, state = make_trial(w, d[k], noise[k], initial if reset else state)
         results.append({"v": v_k} | signals)
         e = r[k] - signals["y"] - noise[k]
-        return {"e": e} | commands_of(loop, w, signals)
+        return {"e": e} | commands_of(loop, w, signals, law.actuators)
 
     learn(trial, law, first, trials)
     signals = {name: np.stack([s[name] for s in results]) for name in results[0]}
@@ -124,10 +124,10 @@ def learn(trial: Callable, law: Law, v, trials: int) -> np.ndarray:
     return np.array(errors)
 
 
-def commands_of(loop: Loop, w, signals: dict) -> dict:
+def commands_of(loop: Loop, w, signals: dict, actuators=None) -> dict:
     """What was asked of the actuators, u or of a ClosedLoop w, and applied, for the law."""
     if isinstance(loop, ClosedLoop):
-        return {"u": w}
+        return {"u": w} | ({"applied": actuators.follow(w)} if actuators else {})
     return {name: signals[name] for name in ("u", "applied") if name in signals}
 
 

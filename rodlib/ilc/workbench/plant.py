@@ -63,9 +63,7 @@ class Plant:
         if disturbance is not None:
             shape = TRIALS, len(reference), len(self.loop.disturbances)
             disturbance = arguments.array("disturbance", disturbance, shape)
-        object.__setattr__(self, "reference", reference)
-        object.__setattr__(self, "disturbance", disturbance)
-        object.__setattr__(self, "rest", rest)
+        vars(self).update(reference=reference, disturbance=disturbance, rest=rest)
 
     @property
     def measured(self) -> bool:

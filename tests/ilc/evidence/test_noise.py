@@ -28,6 +28,7 @@ from rodlib.ilc.trials.run import rms
 
 pytestmark = [  # after an impulse, around another plant
     pytest.mark.filterwarnings("ignore:the error grows"),
+    pytest.mark.filterwarnings("ignore:learning adds"),
     pytest.mark.filterwarnings("ignore:the convergence rate"),
 ]
 

@@ -2,9 +2,11 @@
 
 from dataclasses import replace
 
+import control
 import numpy as np
 import pandas as pd
 import pytest
+import xarray as xr
 from hypothesis import given
 from hypothesis import strategies as st
 from plants import tanks
@@ -16,6 +18,7 @@ from rodlib import (
     current_trial_loop,
     paper_choices,
     paper_loop,
+    run_trials,
     synthesise,
     zero_phase_butterworth,
 )
@@ -57,10 +60,18 @@ def test_labelled_signals_are_matched_by_name():
     assert (law.Ts, law.channels) == (1.0, 2) and Law(Q, TWO).outputs is None
     v_table, e_table = (pd.DataFrame(s, columns=names)[names[::-1]] for s in (v, e))
     expected = law.next(v, e)
-    np.testing.assert_array_equal(law.next(v_table, e_table), expected)
-    unbound = Law(Q, TWO).next(pd.DataFrame(v, columns=names), e_table)
-    np.testing.assert_array_equal(unbound, expected)
-    np.testing.assert_array_equal(Law(Q, TWO).next(v, e_table[names]), expected)
+    following = law.next(v_table, e_table)  # labelled as v is, and in its order
+    assert following.columns.tolist() == names[::-1]
+    np.testing.assert_array_equal(following[names], expected)
+    np.testing.assert_array_equal(law.next(v, e_table), expected)
+    coordinates = {"output": ("channel", names[::-1])}
+    v_array = xr.DataArray(v[:, ::-1], coordinates, ("time", "channel"))
+    following = law.next(v_array, e)
+    assert following.output.values.tolist() == names[::-1]
+    np.testing.assert_array_equal(following.values[:, ::-1], expected)
+    assert Law(Q, None, loop=law.loop).next(v_table, e).equals(v_table)
+    one = Law(Q, ONE).next(pd.DataFrame(v[:, :1], columns=["a"]), e[:, :1])
+    np.testing.assert_array_equal(one["a"], Law(Q, ONE).next(v[:, 0], e[:, 0]))
 
 
 def test_the_first_signal_is_zero_or_given_and_rests():
@@ -105,12 +116,40 @@ REFUSED = {  # what the error names, and a call
     r"e has shape \(6, 2\)": lambda: Law(Q, TWO).next(ZERO, np.zeros((6, 2))),
     "limits need": lambda: LIMITED.next(ZERO, ZERO, ZERO),
     "u = None": lambda: LIMITED.bound_to(paper_loop()).next(ZERO, ZERO),
-    "e holds the signals": lambda: Law(Q, TWO).next(
-        pd.DataFrame(ZERO, columns=["a", "b"]), pd.DataFrame(ZERO, columns=["a", "c"])
+    "e holds the signals": lambda: LIMITED.bound_to(paper_loop()).next(
+        ZERO, pd.DataFrame(ZERO, columns=["a", "c"])
     ),
+    r"v holds the signals \['b', 'a'\], .*bound_to": lambda: Law(Q, TWO).next(
+        pd.DataFrame(ZERO, columns=["b", "a"]), ZERO
+    ),
+    "e holds .*bound_to": lambda: Law(Q, TWO).next(
+        ZERO, pd.DataFrame(ZERO, columns=["b", "a"])
+    ),
+    "loop.Ts = 2.0": lambda: LIMITED.bound_to(ClosedLoop(None, 2.0, ["y1", "y2"])),
+    "u is equal to v": lambda: OWN.next(ZERO + 0.5, ZERO, ZERO + 0.5),
+    "applied reaches from .* beyond limits": lambda: OWN.next(
+        ZERO, ZERO, ZERO + 2, ZERO + 1.01
+    ),
+    "applied reaches from .* moves faster": lambda: OWN.next(ZERO, ZERO, RAMP, RAMP),
 }
 ZERO, GAP = np.zeros((5, 2)), np.where(np.eye(5, 2, -3), np.nan, 0.0)
+RAMP = np.outer([0.0, 0.1, 0.5, 0.6, 0.7], [1, 1])
 LIMITED = Law(Q, TWO, limits={"Q1": (0, 1)})
+MODELLED = ClosedLoop(
+    control.ss(0.5 * np.eye(2), np.eye(2) / 2, np.eye(2), 0, 1.0, inputs=["w1", "w2"])
+)
+OWN = Law(Q, TWO, limits={"w1": (-1, 1, 0.2)}, loop=ClosedLoop(None, 1.0, ["y1", "y2"]))
+
+
+def test_a_reference_of_zero_and_digits_that_a_log_lacks_are_no_mistakes():
+    v = np.random.default_rng(7).uniform(-0.1, 0.1, (5, 2))
+    expected = OWN.next(v, ZERO, v + 1e-9)
+    np.testing.assert_allclose(OWN.next(v, ZERO, v, v), expected, atol=1e-8)
+    exact, rounded = (np.full((5, 2), x) for x in (1.0, 1.001))
+    run = OWN.next(v, ZERO, exact, rounded)
+    np.testing.assert_allclose(run, OWN.next(v, ZERO, exact, exact), atol=0.01)
+    still = run_trials(MODELLED, Law(Q, TWO, limits=OWN.limits), ZERO, v=v, trials=2)
+    assert still.v.values[1].any()
 
 
 @pytest.mark.parametrize("words", REFUSED)

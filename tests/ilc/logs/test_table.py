@@ -232,12 +232,50 @@ def test_a_data_frame_is_read_as_it_is():
         ({"measured": {3: 2}}, "a name in measured = 3"),
         ({"time": None, "Ts": None}, "Ts = None"),
         ({"units": {"T3": "degC"}}, "units is about"),
-        ({"Ts": 1e-9, "resample": True}, "row 3 is 1.00128 s after the row before"),
+        (
+            {"Ts": 1e-3, "resample": True},
+            "all steps differ from Ts = 0.001 s, .* 1.00062",
+        ),
+        (
+            {"units": {"T2": "degF"}},
+            r"title 'Temperature 2 \(degC\)' says 'degC', .*degF",
+        ),
+        (
+            {"units": {"time": "ms"}},
+            "title 'Time .sec.' says 'sec', but units say 'ms'",
+        ),
     ],
 )
 def test_what_a_table_does_not_have_is_named(more, message):
     with pytest.raises(ValueError, match=message):
         board(**more)
+
+
+@pytest.mark.parametrize(
+    ("title", "unit"),
+    [
+        ("tempo_ms", 1e-3),
+        ("t / us", 1e-6),
+        ("Time S", 1.0),
+        ("ms", 1e-3),
+        ("rooms", 1.0),
+    ],
+)
+def test_the_unit_of_a_clock_may_end_its_title(title, unit):
+    frame = pd.DataFrame({title: 10.0 * SAMPLES, "y": LEVEL})
+    log = read_table(frame, time=title, outputs={"y": "y"})
+    assert log.attrs["Ts"] == pytest.approx(10 * unit)
+    same = read_table(frame, time=title, outputs={"y": "y"}, units={"y": "degC"})
+    assert same.output_unit.item() == "degC"
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
+def test_an_epoch_is_in_a_unit_that_is_stated(unit, factor):
+    frame = pd.DataFrame({"t": factor * (1.7e9 + SAMPLES), "y": LEVEL})
+    with pytest.raises(LogError, match=f"time reaches 1.7e.* s, .* years: .*'{unit}'"):
+        read_table(frame, time="t", outputs={"y": "y"})
+    log = read_table(frame, time="t", outputs={"y": "y"}, units={"time": unit})
+    assert log.attrs["Ts"] == 1.0
 
 
 def test_a_title_that_several_columns_have_is_refused():

@@ -44,14 +44,12 @@ class Bound:
 
     F: np.ndarray  # with p = q for the plain one, p = 2 q for that with a radius
     T: np.ndarray
-    entries: (
-        np.ndarray
-    )  # of the filter, that stand at `rows`, `cols` of L; the others are zero
+    # of the filter, that stand at `rows`, `cols` of L; the others are zero
+    entries: np.ndarray
     rows: np.ndarray
     cols: np.ndarray
-    at: (
-        np.ndarray | slice
-    )  # frequency of each column; a slice begins with the first one
+    # frequency of each column; a slice begins with the first one
+    at: np.ndarray | slice
     limit: int = 0  # of the program's: that of what is minimised (0), or the other (1)
     # number of the plant of each column; None for the nominal M and for L
     plant: np.ndarray | None = None

@@ -62,9 +62,8 @@ class Slack:
     def along(self, dl, d, D):
         """S + a dS, positive definite where these are, as coefficients of a polynomial in a."""
         p, q, n = D.shape
-        if (
-            len(self.diagonal) == 1
-        ):  # (b + a d)^2 I - (G + a D)^H (G + a D), which is smaller
+        # (b + a d)^2 I - (G + a D)^H (G + a D), which is smaller
+        if len(self.diagonal) == 1:
             diagonal = np.diag_indices(q)
             A1, A2 = (
                 -2 * hermitian(product(adjoint(self.G), D)),
