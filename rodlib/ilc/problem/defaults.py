@@ -56,10 +56,12 @@ def delay(P, omega, Ts, cutoff) -> int:
     transform maps them.
     """
     P, omega = P[omega > 0], omega[omega > 0]
+    if len(omega) < 2:
+        return 0
     # as decoupled at the lowest frequency: w_i acts on y_i
     outputs = np.einsum("nij,ji->ni", P, np.linalg.inv(P[0]))
     gains = np.log(np.maximum(np.abs(outputs), 1e-300))
-    last = min(cutoff, omega[-1])
+    last = np.clip(cutoff, omega[1], omega[-1])
     mapped, at = (
         np.log(np.tan(np.minimum(x * Ts / 2, np.pi / 2 - 1e-9))) for x in (omega, last)
     )

@@ -45,7 +45,7 @@ def pose(
         delay = defaults.delay(nominal, omega, samples.Ts, cutoff)
         order = defaults.order(cutoff, delay, samples.Ts, n)
         by_default.append(
-            f"order = {order}, by Q's cut-off and a delay of {delay} samples in P"
+            f"order = {order}, by Q's cut-off and P's lag of {delay} samples there"
         )
     choices = _checked(Choices(order=order, **choices), n)
     if band is None and reference is None:

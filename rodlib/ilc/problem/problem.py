@@ -14,6 +14,7 @@ import control
 import numpy as np
 
 from rodlib.ilc.filters import LearningFilter, ZeroPhaseButterworth
+from rodlib.ilc.problem import defaults
 from rodlib.ilc.signals import Signals
 
 MOST_GAIN = 1e7  # of Q P L, from which on the rounding of coefficients shows
@@ -110,6 +111,13 @@ class Problem(Samples, Choices):
     def unit(self, value) -> float:
         """Scale of relative gaps: the objective, at least a thousandth of that for L = 0."""
         return max(value, 1e-3 * self.idle)
+
+    @property
+    def delay(self) -> int:
+        """Samples by which P lags at the cut-off of Q, see :mod:`.problem.defaults`."""
+        stated = self.design
+        cutoff = defaults.cutoff(stated.butterworth, stated.Q, stated.omega)
+        return defaults.delay(stated.P, stated.omega, stated.Ts, cutoff)
 
     @property
     def robust(self) -> bool:

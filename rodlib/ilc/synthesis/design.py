@@ -316,6 +316,10 @@ def _explained(problem, nearest):
     message = f"{_advice(problem, nearest.largest)} (most in the way: {where})"
     if on_grid:
         message += ". At the frequencies omega alone, without `everywhere`, the bounds can be met"
+    if problem.order < problem.delay:
+        message += (
+            f". P lags by {problem.delay} samples at the cut-off, more than order"
+        )
     lost = problem.omega[problem.unusable & (np.abs(problem.Q) > problem.M_max)]
     if lost.size:
         message += (

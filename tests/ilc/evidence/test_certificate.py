@@ -1,5 +1,6 @@
 """What a certificate says, of one plant, of several and of a radius, and when it fails."""
 
+import re
 from contextlib import nullcontext
 from dataclasses import replace
 
@@ -9,6 +10,7 @@ import pytest
 from plants import tanks
 
 from rodlib import (
+    InfeasibleError,
     convergence,
     current_trial_loop,
     paper_choices,
@@ -69,7 +71,11 @@ def test_the_short_form_says_the_rate_for_which_plants_and_what_limits_it(good):
     assert mean.startswith(
         f"mean of sigma_max(M) over the band: {good.mean_M:.4f}, from"
     )
-    assert limits == "limited by M_max = 0.9, L_max = 50, order = 10, diagonal"
+    more = f"10 % more would lower the objective by {good.relief / 10:.1%}"
+    expected = f"limited by M_max = 0.9, L_max = 50 ({more}), order = 10"
+    lag = good.problem.delay
+    assert 10 < lag < 20  # by its zeros, see notebook 7
+    assert limits == f"{expected} (P lags by {lag} samples at the cut-off), diagonal"
     assert trial.startswith("norm of one trial") and chosen == [*good.assumptions]
     omega = np.geomspace(1e-2, 2.0, 50)
     P = np.stack([frequency_response(model, omega) for model in MODELS])
@@ -82,7 +88,7 @@ def test_the_short_form_says_the_rate_for_which_plants_and_what_limits_it(good):
     assert f"rate, worst of 3 plants: {loose.certificate.rate:.4f}, estimated" in rate
     assert "between the samples, from 0.01 to 2 rad/s" in rate
     assert "of the nominal plant over the band" in mean
-    assert limits in ("limited by order = 4", "limited by L_max = 5, order = 4")
+    assert re.fullmatch(r"limited by (L_max = 5 \(.*\), )?order = 4", limits)
     asked = {"order": 10, "structure": "diagonal", "uncertainty": 0.01 + 0 * OMEGA}
     sure = synthesise(MODELS[0], BUTTERWORTH, OMEGA, **asked)
     expected = f"rate, worst within the radius: {sure.certificate.rate:.4f}, proven at "
@@ -288,3 +294,36 @@ def test_those_that_are_tied_are_all_named_whatever_the_rounding(unit, radius):
     where = ", ".join(f"plant {n} at {OMEGA[k]:.4g}" for n, k in tied[:4])
     assert f" on the design grid: {where} rad/s" in text
     assert (f"rad/s and {len(tied) - 4} more\n" in text) == (len(tied) > 4)
+
+
+@pytest.mark.filterwarnings("ignore:the samples are too coarse")
+@pytest.mark.parametrize("objective", ["sum", "peak"])
+@pytest.mark.parametrize("structure", ["diagonal", "full"])
+@pytest.mark.parametrize("radius", [None, 0.02])
+def test_how_far_the_bound_on_the_gain_limits_is_its_slope(
+    objective, structure, radius
+):
+    """The optimum for a bound that is larger by a hundredth of a percent says the same."""
+    asked = ASKED | {"structure": structure, "objective": objective, "M_max": 0.95}
+    asked["uncertainty"] = None if radius is None else radius + 0 * OMEGA
+    one, other = (
+        synthesise(lags(), BUTTERWORTH, OMEGA, **asked | {"L_max": 1.5 * gain})
+        for gain in (1.0, 1.0001)
+    )
+    slope = 1e4 * (1 - other.value / one.value)
+    assert (
+        one.certificate.relief == pytest.approx(slope, rel=0.05, abs=1e-3)
+        and slope > 0.01
+    )
+
+
+def test_an_order_below_the_delay_of_the_plant_is_named():
+    lag = control.tf([0.1], [1, -0.9, *np.zeros(40)], 1.0)
+    Q, omega = zero_phase_butterworth(2, 0.03), np.geomspace(1e-3, np.pi, 200)
+    with pytest.raises(InfeasibleError, match="P lags by 41 samples at the cut-off"):
+        synthesise(lag, Q, omega, order=12, M_max=0.1)
+    design, chosen = (
+        synthesise(lag, Q, omega, **asked) for asked in ({"order": 12}, {})
+    )
+    assert "order = 12 (P lags by 41 samples at the cut-off)" in str(design)
+    assert "P's lag of 41 samples" in str(chosen) and chosen.certificate.rate < 0.1
