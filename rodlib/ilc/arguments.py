@@ -234,18 +234,14 @@ def array(
     sizes = plain.shape
     if wanted and wanted[0] is Ellipsis:
         wanted, sizes = wanted[1:], sizes[max(0, plain.ndim - len(shape) + 1) :]
-    named = {}
-    fits = len(sizes) == len(wanted) and all(
-        have > 0 and have == named.setdefault(want, have)
-        if isinstance(want, str)
-        else have == want
-        for want, have in zip(wanted, sizes, strict=True)
-    )
-    if not fits:
+    if not _fits(sizes, wanted):
         words = ", ".join("..." if size is Ellipsis else str(size) for size in shape)
         words += "," if len(shape) == 1 else ""
+        hint = ""
+        if len(sizes) == plain.ndim > 1 and _fits(sizes[-1:] + sizes[:-1], wanted):
+            hint = f": its last axis belongs first, as in np.moveaxis({name}, -1, 0)"
         raise ValueError(
-            f"{name} has shape {plain.shape}, but must have shape ({words})"
+            f"{name} has shape {plain.shape}, but must have shape ({words}){hint}"
         )
     result = np.array(plain, dtype=dtype)
     # what is not a number is not below it either
@@ -258,6 +254,26 @@ def array(
     raise ValueError(
         f"{name} has {len(bad)} values that are not finite, the first at {where}"
     )
+
+
+def _fits(sizes, wanted):
+    """Whether an array has the sizes wanted; those with the same name are equal."""
+    named = {}
+    return len(sizes) == len(wanted) and all(
+        have > 0 and have == named.setdefault(want, have)
+        if isinstance(want, str)
+        else have == want
+        for want, have in zip(wanted, sizes, strict=True)
+    )
+
+
+def square(name: str, inputs: int, outputs: int) -> None:
+    """Refuse a response with more inputs than outputs, or fewer."""
+    if inputs != outputs:
+        raise ValueError(
+            f"{name} has {inputs} inputs and {outputs} outputs, but must have as many: leave "
+            "inputs out; of more outputs, learn on combinations of them (rodlib.combinations)"
+        )
 
 
 def row(name: str, value, dtype: type = float) -> np.ndarray:

@@ -353,10 +353,7 @@ def certify(
     nominal = largest_singular_values(problem.M(response))
     worst = worst_case(problem, L)
     value = problem.value(nominal, worst.sigma)
-    mean_M, predicted = np.nan, None
-    if problem.band is None:
-        predicted = predicted_rms(problem, L)
-    low, high = problem.band or (0, 0)
+    mean_M, (low, high) = np.nan, problem.band or (0, 0)
     if 0 < low < high:
         design = np.isin(problem.omega, problem.design.omega)
         mean_M = log_mean(nominal[design], problem.omega[design], problem.band)
@@ -370,7 +367,7 @@ def certify(
         value=value,
         lower_bound=lower_bound(problem, solution.U, solution.V, solution.cuts),
         mean_M=float(mean_M),
-        predicted=predicted,
+        predicted=None if problem.band else predicted_rms(problem, L),
         worst=worst,
         peak=highest([*exact, *estimated]),
         exact=highest(exact),

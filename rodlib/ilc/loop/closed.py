@@ -265,9 +265,7 @@ def _stable_model(name, P):
     """A stable model from w to y."""
     P = sampled_plant(P, name)
     arguments.stable(name, P.poles())
-    if P.ninputs != P.noutputs:
-        what = f"{name} has {P.ninputs} inputs and {P.noutputs} outputs: w is as y"
-        raise ValueError(f"{what}; of more outputs, learn on combinations({name})")
+    arguments.square(name, P.ninputs, P.noutputs)
     return P
 
 

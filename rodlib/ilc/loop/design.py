@@ -4,6 +4,7 @@ Section III, (12)-(29): a state feedback, and an observer that also estimates th
 disturbance. The loop is what iterative learning control then acts on from trial to trial.
 """
 
+import reprlib
 import warnings
 from collections.abc import Sequence
 
@@ -87,7 +88,8 @@ def _checked(plant, controls):
     if len(controls) != m:
         raise ValueError(
             f"controls = {[*controls]} are {len(controls)} inputs for {m} outputs: name one for "
-            f"each of {plant.output_labels} among {names}; the others are disturbances"
+            f"each of {plant.output_labels} among {names}; the others are disturbances. With "
+            "more outputs, close the loop on some of them, and learn on combinations"
         )
     if not plant.nstates:
         raise ValueError("plant has no states: (12) needs at least one")
@@ -148,7 +150,7 @@ def _weight(name, value, size, definite=False):
     if skew or smallest < -1e-12 * largest or (definite and smallest <= 0):
         kind = "positive definite" if definite else "positive semidefinite"
         raise ValueError(
-            f"{name} must be symmetric and {kind}, but is {value.tolist()}"
+            f"{name} must be symmetric and {kind}, but is {reprlib.repr(value.tolist())}"
         )
     return (
         value + value.T

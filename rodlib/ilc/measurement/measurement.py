@@ -6,9 +6,11 @@ No model is fitted: the notes of :func:`measured_response` say what is done inst
 import reprlib
 import warnings
 from dataclasses import dataclass, replace
+from os import PathLike
 
 import control
 import numpy as np
+import pandas as pd
 import xarray as xr
 
 from rodlib.ilc import arguments
@@ -186,6 +188,11 @@ def measured_response(
                 f"of = {reprlib.repr(of)} is for a record, but log is a table"
             )
         return tabulated(log, uncertainty)
+    if isinstance(log, pd.DataFrame | str | PathLike):
+        raise ValueError(
+            f"log = {reprlib.repr(log)} must be read first: by load_log(path), or of other tables "
+            "by read_table(log, time=..., inputs={...}, outputs={...})"
+        )
     arguments.instance("log", log, xr.Dataset)
     if uncertainty is not None:
         raise ValueError(

@@ -1,5 +1,6 @@
 """A table of a frequency response, and what is between its lines."""
 
+import reprlib
 from dataclasses import dataclass, replace
 
 import control
@@ -70,8 +71,10 @@ def tabulated(
     omega = arguments.array("log.omega", table.omega, ("frequency",))
     if len(omega) < 4 or omega[0] <= 0 or np.any(np.diff(omega) <= 0):
         raise ValueError(
-            f"log.omega = {omega} must be four positive increasing ones, or more"
+            f"log.omega = {reprlib.repr(omega.tolist())} must be four positive increasing "
+            "frequencies, or more"
         )
+    arguments.square("log", table.ninputs, table.noutputs)
     shape = len(omega), "m", "m"
     P = arguments.array("log.frdata", np.moveaxis(table.frdata, -1, 0), shape, complex)
     radius = 0.0 * omega if uncertainty is None else uncertainty

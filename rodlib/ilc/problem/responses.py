@@ -17,6 +17,9 @@ CONFIDENCE = 0.99  # in a measured response
 FREQUENCIES = 1000  # of a grid that is chosen
 DECADES = 3  # of it below the cut-off of Q
 MODELS = (Loop, control.LTI)  # what a plant may be, if not an array
+RIPPLE = (
+    1.2  # of a low-pass filter without taper, applied twice; no sensible |Q| is larger
+)
 IMAGINARY = 1e-6  # relative imaginary part below which a response counts as real
 
 
@@ -192,7 +195,7 @@ def plants(P):
         several = not P or any(isinstance(p, MODELS) or axes(p) == 3 for p in P)
     if several and not len(P):
         raise ValueError(
-            f"P = {P!r} holds no plant: pass one or more, the nominal one first"
+            f"P = {reprlib.repr(P)} holds no plant: pass one or more, the nominal one first"
         )
     return {f"P[{k}]": plant for k, plant in enumerate(P)} if several else {"P": P}
 
@@ -210,6 +213,9 @@ def on_grid(plants, omega, Ts):
     models, responses, shape = [], [], (len(omega), "m", "m")
     for name, plant in plants.items():
         model, response = _response(name, plant, omega, Ts)
+        if axes(response) == 3 and len(response) == len(omega):
+            _, outputs, inputs = np.shape(response)
+            arguments.square(name, inputs, outputs)
         responses.append(arguments.array(name, response, shape, complex))
         models.append(model)
         shape = responses[0].shape
@@ -271,6 +277,11 @@ def Q_on_grid(Q, omega, **known):
             "zero_phase_butterworth(order, cutoff, Ts), or the samples of |Q|^2 on omega"
         )
     Q = arguments.array("Q", Q, (len(omega),), complex)
+    if (largest := np.abs(Q).max()) > RIPPLE:
+        raise ValueError(
+            f"Q has a gain of {largest:.4g} at {omega[np.abs(Q).argmax()]:.4g} rad/s: pass a "
+            "low-pass filter whose gain is one at most, or v overshoots what cancels the error"
+        )
     if np.abs(Q.imag).max() > IMAGINARY * np.abs(Q).max():
         raise ValueError(
             f"Q turns the phase by up to {np.abs(np.angle(Q)).max():.2g} rad, as a filter does "

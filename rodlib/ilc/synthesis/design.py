@@ -358,7 +358,8 @@ def _advice(problem, smallest):
         f"infeasible: M_max = {M_max} is too tight for a {problem.structure} filter of order = "
         f"{problem.order}; {remedy}: {raised}{',' if smallest < HOPELESS else ''} take {longer}, "
         "lower the cut-off of Q (largest_cutoff in synthesis.search finds how far), "
-        "or design a faster loop"
+        "or design a faster loop. If no bound so tight was meant: are units, signs and the order "
+        "of the channels right, in each plant?"
     )
 
 

@@ -11,15 +11,17 @@ disturbance; any reference r needs v = F r + c. No model of P enters.
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import product
+from itertools import combinations, product
 from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 from scipy.signal import oaconvolve
+from scipy.special import fdtrc
 
 from rodlib.ilc import arguments
 from rodlib.ilc.signals import Signals, check_match, period_of
+from rodlib.ilc.trials.diagnosis import degrees_of_freedom, spectrum
 
 GROWTH = 1.5  # from one lag of F to the next
 DECAY = 2.0  # a priori, entries of F fall as 1 / |lag|^DECAY
@@ -33,6 +35,8 @@ AXES = ("trial", "time", "channel")
 # When to warn:
 PREDICTED = 0.9  # least share of v + e
 UNCERTAIN = 0.2  # largest share of v
+SIGNIFICANCE = 1e-3  # probability that one plant seems to be two, by noise
+CONTRADICTS = 0.02  # smallest error of v in hold-out, relative to v + e, that is said
 UNSEEN = 1e3  # power of a reference, relative to that of all earlier ones, in a band
 UNSEEN_SHARE = 0.1  # of the power of a reference, in such bands
 BANDS = 25
@@ -52,6 +56,9 @@ class Transfer:
     F: np.ndarray  # (m, m, 2 R + 1): impulse response, from R samples ahead to R back
     predicted: np.ndarray  # (m,): share of v_k + e_k, in cross-validation
     uncertainty: np.ndarray  # (m,): RMS by which v may be off
+    held_out: (
+        np.ndarray
+    )  # (K, m): RMS by which F and c of the other trials miss v + e, relative
 
 
 def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
@@ -69,8 +76,9 @@ def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
     Warns
     -----
     UserWarning
-        If F and c predict little of the trials; if these leave v uncertain, as one trial alone
-        does; if the reference has power where the earlier ones had little.
+        If F and c predict little of the trials; if one plant does not explain all of them; if v
+        may be worse than zero; if the trials leave v uncertain, as one alone does; if the reference
+        has power where the earlier ones had little.
 
     Notes
     -----
@@ -78,12 +86,14 @@ def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
     lines between, and are weighted as slopes, (y(p - l) - y(p)) / l^2. c is a random effect: the
     mean over K trials has the variance s_w^2 / K + s_c^2, deviations from it have s_w^2 (P.
     Balestra and M. Nerlove, Econometrica 34 (1966) 585-612). So differences between trials
-    distinguish c from F r: v within a task, and the reference between tasks. The weight, the ratio
-    of the variances, and whether F(0) = 0, as if P(0) = I, have the largest likelihood in
+    distinguish c from F r: v within a task, and the reference between tasks. With one plant, the
+    residuals of two trials are independent; with another they are alike, by an F test of their sum
+    against their difference, with one false alarm in 1,000 calls for each output. The weight, the
+    ratio of the variances, and whether F(0) = 0, as if P(0) = I, have the largest likelihood in
     cross-validation over blocks of time. By kernels, with one trial: L. Blanken and T. Oomen,
     Automatica 114 (2020) 108830.
     """
-    v, y, references, outputs, Ts = _signals(trials)
+    v, y, references, outputs, Ts, labels = _signals(trials)
     K, N, m = y.shape
     reference = arguments.in_columns("reference", reference, ("time", m), outputs)
     size = np.sqrt(np.mean(y**2, axis=(0, 1)))
@@ -94,10 +104,7 @@ def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
         np.hstack([_taps(output / size, basis), target])
         for output, target in zip(y, targets, strict=True)
     ]
-    mean = sum(columns) / K
-    of_mean = K * _products(mean)
-    within = sum(_products(trial) for trial in columns) - of_mean
-    regression = _Regression(within, of_mean, K, m)
+    regression, mean = _regression(columns, m)
 
     X = _taps(reference / size, basis)
     p = X.shape[1]
@@ -106,6 +113,7 @@ def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
     X_past = past[:, :p]
     rows, compensation = np.zeros((m, p)), np.zeros_like(reference)
     predicted, uncertainty = np.zeros((2, m))
+    residuals, held_out = np.zeros(targets.shape), np.zeros((K, m))
     for i in range(m):
         fit = regression.fit(i, RATIOS if K > 1 else RATIOS[:1])
         differences = regression.fit(i, [0.0])  # between trials, alone
@@ -117,21 +125,29 @@ def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
         other_v = target + (X - X_past) @ differences.row
         distance = other_v - X @ fit.row - compensation[:, i]
         uncertainty[i] = np.sqrt(np.mean(jackknife + distance**2))
+        residuals[..., i] = _errors(columns, [columns] * K, i, fit, m)
+        if K > 1:
+            others = [columns[:k] + columns[k + 1 :] for k in range(K)]
+            errors = np.linalg.norm(_errors(columns, others, i, fit, m), axis=1)
+            sizes = np.linalg.norm(targets[..., i], axis=1)
+            held_out[:, i] = errors / np.maximum(sizes, np.finfo(float).tiny)
 
     feedforward, v = X @ rows.T, X @ rows.T + compensation
     F = (rows.reshape(m, m, -1) / size[:, None]) @ basis.T
-    result = Transfer(v, feedforward, compensation, F, predicted, uncertainty)
+    result = Transfer(v, feedforward, compensation, F, predicted, uncertainty, held_out)
     for i, name in enumerate(outputs):
         unseen = _unseen(reference[:, i], references[:, :, i], Ts)
         for message in _warnings(result, i, name, *unseen):
+            warnings.warn(message, stacklevel=2)
+        for message in _contradictions(residuals[..., i], held_out[:, i], name, labels):
             warnings.warn(message, stacklevel=2)
     return result
 
 
 def _signals(trials):
-    """v, y and reference of all trials, shape (trial, time, m), the outputs' names, and Ts."""
+    """v, y and reference of all trials, names of the outputs, Ts, and names of the trials."""
     tasks = trials if isinstance(trials, list | tuple) and trials else [trials]
-    signals, periods = {"v": [], "y": [], "reference": []}, {}
+    signals, periods, labels = {"v": [], "y": [], "reference": []}, {}, []
     for i, task in enumerate(tasks):
         task = arguments.instance("trials", task, xr.Dataset)
         task = task if "trial" in task.dims else task.expand_dims("trial")
@@ -141,6 +157,9 @@ def _signals(trials):
             )
         period = period_of(task)
         periods[f"trials[{i}]"] = Signals(period)
+        numbers = np.arange(1, task.sizes["trial"] + 1)
+        where = f" of trials[{i}]" if len(tasks) > 1 else ""
+        labels += [f"{k}{where}" for k in task.get("trial", numbers).values]
         if not i:
             outputs = arguments.names_of(task.y) or [*task.channel.values]
             shape = "trial", task.sizes["time"], task.sizes["channel"]
@@ -149,7 +168,7 @@ def _signals(trials):
             arrays.append(arguments.in_columns(f"trials.{name}", array, shape, outputs))
     check_match(**periods)
     v, y, references = (np.concatenate(arrays) for arrays in signals.values())
-    return v, y, references, outputs, period
+    return v, y, references, outputs, period, labels
 
 
 def _basis(reach):
@@ -178,6 +197,7 @@ class _Fit(NamedTuple):
     row: np.ndarray  # (p,): of F, by taps
     without: np.ndarray  # (blocks, p): the same, without each block of time
     ratio: float  # of variances, s_w^2 / (s_w^2 + K s_c^2)
+    chosen: tuple[float, float, float]  # ratio, factor and weight of the prior
     predicted: float  # share of the target, in cross-validation
 
 
@@ -195,7 +215,7 @@ class _Regression:
         p = self.mean.shape[1] - self.m
         power = (self.within + self.mean)[:, p + i, p + i].sum()
         if not power > 0:
-            return _Fit(np.zeros(p), np.zeros((BLOCKS, p)), 1.0, 1.0)
+            return _Fit(np.zeros(p), np.zeros((BLOCKS, p)), 1.0, (1.0, 1.0, 1.0), 1.0)
         best, highest = None, -np.inf
         for ratio, static, weight in product(ratios, (1.0, STATIC), WEIGHTS):
             row, without = self._ridge(i, ratio, static, weight)
@@ -206,10 +226,11 @@ class _Regression:
                 likelihood -= self.K * np.log(PENALTY)
             if likelihood > highest:
                 best, highest = (row, without, within, mean), likelihood
+                chosen = ratio, static, weight
         row, without, within, mean = best
         ratio = min(1.0, within / (self.K - 1) / mean) if self.K > 1 else 1.0
         total = (self.within + ratio * self.mean)[:, p + i, p + i].sum()
-        return _Fit(row, without, ratio, 1 - (within + ratio * mean) / total)
+        return _Fit(row, without, ratio, chosen, 1 - (within + ratio * mean) / total)
 
     def _ridge(self, i, ratio, static, weight):
         """Row i of F, and those without each block."""
@@ -224,6 +245,53 @@ class _Regression:
         normal = sums[:, :p, :p] + np.diag(prior.ravel())
         rows = np.linalg.solve(normal, sums[:, :p, [p + i]])[..., 0]
         return rows[0], rows[1:]
+
+
+def _regression(columns, m):
+    """The regression of trials, and the mean of their columns."""
+    mean = sum(columns) / len(columns)
+    of_mean = len(columns) * _products(mean)
+    within = sum(_products(trial) for trial in columns) - of_mean
+    return _Regression(within, of_mean, len(columns), m), mean
+
+
+def _errors(columns, others, i, fit, m):
+    """Errors of v + e of each trial, shape (trial, time), by F and c of others: some for each."""
+    p, errors = columns[0].shape[1] - m, []
+    for trial, several in zip(columns, others, strict=True):
+        regression, mean = _regression(several, m)
+        row, _ = regression._ridge(i, *fit.chosen)
+        signal = trial - (1 - fit.ratio) * mean
+        errors.append(signal[:, p + i] - signal[:, :p] @ row)
+    return np.array(errors)
+
+
+def _contradictions(residuals, held_out, name, labels):
+    """Trials that one plant does not explain, and whether v = 0 would do as well."""
+    freedom = degrees_of_freedom(spectrum(residuals[..., None]).mean(axis=0)).item()
+    pairs = list(combinations(range(len(residuals)), 2))
+    alike = set()
+    for pair in pairs:
+        one, other = residuals[[*pair]]
+        difference = max(np.sum((one - other) ** 2), np.finfo(float).tiny)
+        p = len(pairs) * fdtrc(
+            freedom, freedom, np.sum((one + other) ** 2) / difference
+        )
+        if p < SIGNIFICANCE and min(held_out[[*pair]]) > CONTRADICTS:
+            alike |= {*pair}
+    if alike:
+        words = ", ".join(f"{labels[k]} (by {held_out[k]:.0%})" for k in sorted(alike))
+        yield (
+            "one plant does not explain all trials, nor does one repeating disturbance: for "
+            f"{name}, the others miss v + e of trials {words}, with errors that are alike. Leave "
+            "out those of another plant, loop or disturbance, by isel"
+        )
+    if held_out.max(initial=0) >= 1:
+        worst = labels[held_out.argmax()]
+        yield (
+            f"v for {name} may be worse than zero: of trial {worst} the others predict v + e with "
+            f"an error of {held_out.max():.0%}"
+        )
 
 
 def _products(signals):

@@ -6,7 +6,7 @@ import control
 import numpy as np
 import pandas as pd
 import pytest
-from plants import LOOPS, RestartingModel, axes, bump
+from plants import LOOPS, RestartingModel, axes, bump, furnace
 from scipy import signal
 
 from rodlib import (
@@ -18,6 +18,7 @@ from rodlib import (
     estimated,
     load_law,
     load_log,
+    measured_response,
     multisine,
     paper_loop,
     record,
@@ -53,6 +54,7 @@ NO_DC_GAIN = control.tf([1, -1], [1, -1.2, 0.35], 1.0)
 AXES, TURNED = ClosedLoop(axes(), units={"x": "m"}), axes()[["y", "x"], :]
 Q_OF_AXES = zero_phase_butterworth(2, 1.0, 0.1)
 OF_AXES = synthesise(AXES, Q_OF_AXES, order=3, L_max=None, structure="full")
+FURNACE = furnace()
 MOVES = bump(60, [1.0, 2.0])
 IN_MM = ClosedLoop(axes(), units={"x": "mm"})
 WEAKER = current_trial_loop(LAG, Rs=[[1.0]])
@@ -140,6 +142,54 @@ REFUSED = {  # what the error names, and a call
     "a log of another loop": (
         "loop is not that of trials",
         lambda: estimated(LOG, WEAKER, LAG),
+    ),
+    "python-control's order of axes": (
+        r"P has shape \(2, 2, 80\), .* np.moveaxis\(P, -1, 0\)",
+        lambda: synthesise(np.ones((2, 2, 80)), Q, OMEGA),
+    ),
+    "time as the last axis": (
+        r"reference has shape \(2, 60\), .* np.moveaxis",
+        lambda: run_trials(AXES, OF_AXES.law(), MOVES.T),
+    ),
+    "more outputs than inputs, a model": (
+        "P has 1 inputs and 2 outputs.* combinations",
+        lambda: synthesise(axes()[:, 0], Q_OF_AXES),
+    ),
+    "more outputs than inputs, samples": (
+        r"P\[1\] has 2 inputs and 3 outputs.* combinations",
+        lambda: synthesise([np.ones((80, 2, 2)), np.ones((80, 3, 2))], Q, OMEGA),
+    ),
+    "more outputs than inputs, a table": (
+        "log has 2 inputs and 3 outputs.* combinations",
+        lambda: measured_response(control.frd(np.ones((3, 2, 80)), OMEGA)),
+    ),
+    "more outputs than inputs, a loop": (
+        "2 outputs.* combinations",
+        lambda: current_trial_loop(axes()[:, 0]),
+    ),
+    "a gain above one as Q": (
+        "Q has a gain of 3 at ",
+        lambda: design(Q=3 * Q.frequency_response(OMEGA)),
+    ),
+    "a DataFrame as a log": (
+        "log = .*(?s:.*) read_table",
+        lambda: measured_response(OTHER_NAMES),
+    ),
+    "a path as a log": (
+        "log = 'log.csv' .*load_log",
+        lambda: measured_response("log.csv"),
+    ),
+    "many frequencies": (
+        r"^log.omega = \[0.0, .{,80}\.\.\.\] must be",
+        lambda: measured_response(control.frd(np.ones(200), np.arange(200.0))),
+    ),
+    "a weight of many states": (
+        r"^Qs must be symmetric .{,300}$",
+        lambda: current_trial_loop(FURNACE, Qs=-np.eye(31)),
+    ),
+    "outputs in mm for m": (
+        "(?s)infeasible.*units, signs and the order",
+        lambda: synthesise([LAG, 1000 * LAG], Q, OMEGA, order=3, L_max=None),
     ),
     "a cut-off beyond Nyquist": (
         r"cutoff = 0.5 .*0.314159",

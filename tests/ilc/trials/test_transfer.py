@@ -1,5 +1,6 @@
 """The first trial of another task, against plants whose inverse is known, and on many others."""
 
+import re
 import warnings
 from dataclasses import replace
 
@@ -183,6 +184,61 @@ def test_a_disturbance_that_came_in_between_is_reported(rod):
     after = quiet(since, assumed_reference()[:, ::-1]).v
     error = rms(rod(assumed_reference()[:, ::-1], came[-1], v=after).e).item()
     assert error < 0.1 * rms(rod(assumed_reference()[:, ::-1], came[-1]).e).item()
+
+
+def of_two_plants(gain, seed=0, noise=1e-3, other=2, reference=OLD):
+    """Four learned trials, and others with v = 0 where the plant has another gain."""
+    P, rng = control.ss(0.8, 0.2, 1, 0, 1.0), np.random.default_rng(seed)
+    plant = control.ss(0.8, 0.2 * gain, 1, 0, 1.0)
+    white = noise * rng.standard_normal((4 + other, 200, 1))
+    learned = trials_of(ClosedLoop(P), trials=4, reference=OLD[:, :1], noise=white[:4])
+    case = ClosedLoop(P), Law(Q, None), reference[:, :1], None, other
+    return P, [learned, run_trials(*case, plant=plant, noise=white[4:])]
+
+
+@pytest.mark.parametrize("reference", [OLD, 1.5 * NEW])
+@pytest.mark.parametrize("gain", [1.1, 1.5])
+def test_trials_of_two_plants_contradict_each_other(gain, reference):
+    P, trials = of_two_plants(gain, reference=reference)
+    message = (
+        r"one plant .*2 of trials\[0\] .*1 of trials\[1\] \(by \d+%\), 2 of trials\[1\]"
+    )
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always")
+        result = transfer(trials, NEW[:, :1])
+    assert sum(bool(re.match(message, str(w.message))) for w in seen) == 1
+    assert seen[0].filename == __file__ and result.held_out.max() > 0.02
+    alone = quiet(trials[0], NEW[:, :1])
+    errors = []
+    for v in (alone.v, result.v):
+        run = run_quietly(ClosedLoop(P), Law(Q, None), NEW[:, :1], trials=1, v=v)
+        errors.append(rms(run.e).item())
+    assert errors[1] > 5 * errors[0]
+
+
+def test_trials_of_one_plant_do_not():
+    """Noise from little to a fifth, and a disturbance that repeats."""
+    for seed in range(12):
+        noise = 10 ** np.random.default_rng(seed).uniform(-4, -0.7)
+        _, trials = of_two_plants(1.0, seed, noise, 1 + seed % 3, (OLD, NEW)[seed % 2])
+        if seed % 3 == 0:
+            came = steps(200, (0.3, 0.1, 0.2, 0.7))
+            trials = [log.assign(v=log.v - came, y=log.y) for log in trials]
+        with warnings.catch_warnings(record=True) as seen:
+            warnings.simplefilter("always")
+            result = transfer(trials, NEW[:, :1])
+        assert not [w for w in seen if "one plant" in str(w.message)]
+        if seed % 3 and noise < 1e-2:  # held-out trials are missed by their noise
+            assert 0.5 * noise < result.held_out[-1] * 0.12 < 20 * noise
+
+
+def test_v_that_may_be_worse_than_zero_is_said():
+    _, trials = of_two_plants(-1.0, other=1)
+    with pytest.warns(
+        UserWarning, match="may be worse than zero: of trial 4 of trials"
+    ):
+        warnings.filterwarnings("ignore", "(one plant|F predicts|v for y.* off by)")
+        transfer([trials[0].isel(trial=[3]), trials[1]], NEW[:, :1])
 
 
 def test_what_the_old_references_never_had_is_reported():
