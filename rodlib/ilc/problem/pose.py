@@ -13,7 +13,7 @@ from rodlib.ilc.problem.problem import (
     largest_singular_values,
 )
 from rodlib.ilc.problem.reference import first_error
-from rodlib.ilc.problem.responses import IMAGINARY, on_one_grid
+from rodlib.ilc.problem.responses import on_one_grid
 
 OUTERMOST = 0.05  # share of the weights that the ends of omega may have unsaid
 
@@ -38,7 +38,6 @@ def pose(
     """
     samples = on_one_grid(P, Q, omega, Ts, uncertainty, scale)
     nominal, omega, n = samples.plants[0], samples.omega, len(samples.omega)
-    _refuse_hertz(samples)
     singular_values = np.linalg.svd(nominal, compute_uv=False)
     _refuse_singular(singular_values, omega)
     cutoff = defaults.cutoff(samples.butterworth, samples.Q, omega)
@@ -109,19 +108,6 @@ def _checked(choices, n):
     arguments.choice("objective", choices.objective, ["sum", "peak"])
     everywhere = arguments.flag("everywhere", choices.everywhere)
     return replace(choices, order=order, M_max=M_max, everywhere=everywhere)
-
-
-def _refuse_hertz(samples):
-    """Refuse frequencies in Hz: up to 1 / (2 Ts), where P is real, as z is -1 there."""
-    P, last = samples.plants, samples.omega[-1]
-    imaginary = np.abs(P.imag).max(axis=(2, 3))
-    rounding = IMAGINARY * np.abs(P).max()
-    real_at_last_only = (imaginary[:, -1] <= rounding) & (imaginary.max(1) > rounding)
-    if abs(last * samples.Ts - 0.5) < IMAGINARY and real_at_last_only.any():
-        raise ValueError(
-            f"omega ends at {last:.6g} = 1 / (2 Ts), and P is real there, as at the "
-            "Nyquist frequency: omega is in Hz, multiply it by 2 pi"
-        )
 
 
 def _refuse_other_weights(band, objective):

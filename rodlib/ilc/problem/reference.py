@@ -9,16 +9,18 @@ from rodlib.ilc import arguments
 from rodlib.ilc.problem.problem import Samples
 
 FINER = 16  # than the signal's own are the lines of the spectrum that is integrated
-FAINT = 1e-12  # share of the power of a signal that is rounding
+FADING = (
+    10  # times shorter than the trial is the time in which an error at its end fades
+)
 
 
 def first_error(samples: Samples, reference) -> tuple[np.ndarray, np.ndarray]:
     """Power of e_1 at the frequencies, (n, m, m), in units of `scale` squared; and weights, (n,).
 
     The power is that between the middles of neighbouring frequencies: however far apart these are,
-    no narrow line is missed, and the traces sum to the mean square of e_1. It is of the trial
-    alone: what the loop does after its end does not count. Weights are |E_1| d omega, and sum to
-    one.
+    no narrow line is missed, and the traces sum to the mean square of e_1. It is of the trial: what
+    the loop does after its end does not count, and an error there fades without a jump. Weights
+    are |E_1| d omega, and sum to one.
     """
     m, own = samples.plants.shape[-1], samples.omega * samples.Ts
     known = samples.labels.output_labels
@@ -30,7 +32,8 @@ def first_error(samples: Samples, reference) -> tuple[np.ndarray, np.ndarray]:
     P = make_interp_spline(own, samples.plants[0], k=1)(between)
     R = rfft(r, length, axis=0)[..., None]
     e = irfft((R - P @ R)[..., 0], length, axis=0)[: len(r)]
-    E = rfft(e, length, axis=0)
+    fading = np.cos(np.linspace(0, np.pi / 2, len(r) // FADING)) ** 2
+    E = rfft(np.concatenate([e, fading[:, None] * e[-1]]), length, axis=0)
     density = E[:, :, None] * E[:, None].conj() / (np.pi * len(r))
     below = cumulative_trapezoid(density, angles, axis=0, initial=0)
     edges = np.concatenate([[0], (own[1:] + own[:-1]) / 2, [np.pi]])
@@ -41,6 +44,5 @@ def first_error(samples: Samples, reference) -> tuple[np.ndarray, np.ndarray]:
             "reference leaves no error in the first trial, so that nothing is to be learned: pass "
             "a reference that is not zero, or a band"
         )
-    amplitude = np.sqrt(share.clip(0) * np.diff(edges))
-    weights = np.where(share > FAINT * share.sum(), amplitude, 0)
+    weights = np.sqrt(share.clip(0) * np.diff(edges))
     return power, weights / weights.sum()
