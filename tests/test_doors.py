@@ -58,7 +58,7 @@ WRONG = {
     name: values
     for values, names in (
         (THING, "rod loop law L Q spread specimens nominal element trials_ rest_ path"),
-        ([*POSITIVE[:3]], "noise_psd noise_variance"),
+        ([*POSITIVE[:3]], "sensor_psd sensor_variance"),
         (THING, "filters rig excitation log solution design parameters noise_"),
         (MODEL, "P plant system model"),
         (POSITIVE, "Ts cutoff conductivity M_max L_max weight level effort gain step"),
@@ -201,11 +201,11 @@ DOORS = [
     (rodlib.trial_operators, FOR_TRIALS),
     (rodlib.trial_map, FOR_TRIALS),
     (rodlib.trial_norm, FOR_TRIALS),
-    (rodlib.trial_noise, {"loop": LOOP, "omega": OMEGA, "noise_psd": 1.0}),
+    (rodlib.trial_noise, {"loop": LOOP, "omega": OMEGA, "sensor_psd": 1.0}),
     (rodlib.converged_noise, {"new": NOISE, "law": LAW}),
     (
         rodlib.noise_on_trial,
-        {"loop": LOOP, "law": LAW, "samples": 6, "noise_variance": 1.0},
+        {"loop": LOOP, "law": LAW, "samples": 6, "sensor_variance": 1.0},
     ),
     (rodlib.replay, {"trials": RECORD}, {"trials": THING}),
     (

@@ -28,6 +28,7 @@ from rodlib.ilc.problem.problem import (
     Solution,
     largest_singular_values,
 )
+from rodlib.ilc.problem.roughness import scatter, warning_of
 
 # Relative duality gap, and relative violation of a bound on the grid, that are accepted;
 GAP = 1e-6
@@ -143,7 +144,10 @@ class Certificate:
     def warnings(self) -> list[str]:
         """What speaks against the problem, and against what is said between the samples."""
         problem = self.problem
-        texts = list(problem.findings)
+        texts, design = list(problem.findings), problem.design
+        if design.models[0] is None and design.radius is None:
+            rough = scatter(design.omega, design.P, design.Q)
+            texts += [warning_of(rough)] if rough else []
         if problem.objective == "sum" and self.value > IDLE * problem.idle:
             share = self.value / problem.idle
             where = "in the band" if problem.band else "for this reference"
@@ -348,10 +352,7 @@ def certify(
     response = L.frequency_response(problem.omega_L)
     nominal = largest_singular_values(problem.M(response))
     worst = worst_case(problem, L)
-    mean_M, predicted = np.nan, None
-    if problem.band is None:
-        predicted = predicted_rms(problem, L)
-    low, high = problem.band or (0, 0)
+    mean_M, (low, high) = np.nan, problem.band or (0, 0)
     if 0 < low < high:
         design = np.isin(problem.omega, problem.design.omega)
         mean_M = log_mean(nominal[design], problem.omega[design], problem.band)
@@ -365,7 +366,7 @@ def certify(
         value=problem.value(nominal, worst.sigma),
         lower_bound=lower_bound(problem, solution.U, solution.V, solution.cuts),
         mean_M=float(mean_M),
-        predicted=predicted,
+        predicted=None if problem.band else predicted_rms(problem, L),
         worst=worst,
         peak=highest([*exact, *estimated]),
         exact=highest(exact),

@@ -25,6 +25,7 @@ do not cancel. :func:`noise_on_trial` computes what the law (23) makes of a tria
 and what learning adds to the error has the covariance P V P^T.
 """
 
+import reprlib
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -35,7 +36,7 @@ from rodlib.ilc import arguments
 from rodlib.ilc.evidence.convergence import convergence
 from rodlib.ilc.filters import LearningOperator
 from rodlib.ilc.law.law import Law
-from rodlib.ilc.loop.closed import CurrentTrialLoop, with_noise
+from rodlib.ilc.loop.closed import ClosedLoop, CurrentTrialLoop, with_noise
 from rodlib.ilc.models import frequency_response, impulse_response
 from rodlib.ilc.problem.problem import convergence_matrix
 from rodlib.ilc.signals import check_match
@@ -89,7 +90,7 @@ class TrialNoise:
 
 
 def trial_noise(
-    loop: CurrentTrialLoop, omega, noise_psd=0.0, disturbance_psd=None, *, plant=None
+    loop: CurrentTrialLoop, omega, sensor_psd=0.0, disturbance_psd=None, *, plant=None
 ) -> TrialNoise:
     """What the loop makes of noise and disturbances that are new in every trial, L = 0.
 
@@ -99,18 +100,19 @@ def trial_noise(
         With m outputs and d disturbances.
     omega : array_like, shape (n,)
         Increasing angular frequencies, rad/s, up to the Nyquist frequency.
-    noise_psd : float or array_like
-        Spectral density of what the sensors add to y, see :class:`Spectrum`. White noise: the
+    sensor_psd : float or array_like
+        Spectral density of what the sensors add to y, see :class:`Spectrum`; not of y as measured
+        in the closed loop. White noise: the
         variance, of all outputs or of each, shape (m,). Coloured noise: shape (n, m).
     disturbance_psd : float or array_like, optional
         Likewise, for ``loop.disturbances``. Default zero.
     plant : control.StateSpace or control.TransferFunction, optional
         Another plant in the place of that of the design, as in :meth:`CurrentTrialLoop.around`.
     """
-    arguments.instance("loop", loop, CurrentTrialLoop)
+    _check_controller(loop)
     omega = arguments.increasing_frequencies("omega", omega, loop.Ts)
     m = len(loop.outputs)
-    sensors = _density("noise_psd", noise_psd, len(omega), m)
+    sensors = _density("sensor_psd", sensor_psd, len(omega), m)
     response = frequency_response(with_noise(loop, plant), omega)
     P, G, T = np.split(response, [m, -m], axis=2)
     true, measured = _through(T, sensors), _through(np.eye(m) + T, sensors)
@@ -193,6 +195,15 @@ def _density(name, value, n, m):
     return np.broadcast_to(density, (n, m))[..., None] * np.eye(m)
 
 
+def _check_controller(loop):
+    if isinstance(loop, ClosedLoop):
+        raise ValueError(
+            f"loop = {reprlib.repr(loop)} must be a CurrentTrialLoop: what a controller that "
+            "is not ours makes of the sensors' noise is not known; measure e with v = 0"
+        )
+    arguments.instance("loop", loop, CurrentTrialLoop)
+
+
 def _through(H, density):
     """Spectral density of a signal behind H."""
     return H @ density @ H.conj().swapaxes(-2, -1)
@@ -202,7 +213,7 @@ def noise_on_trial(
     loop: CurrentTrialLoop,
     law: Law,
     samples: int,
-    noise_variance,
+    sensor_variance,
     *,
     trials: int | None = None,
     plant=None,
@@ -217,9 +228,10 @@ def noise_on_trial(
         The filters act with their own `ends`; limits are left out of account.
     samples : int
         Length of a trial.
-    noise_variance : float or array_like, shape (m,)
-        Of what the sensors add to y in each sample, of all outputs or of each. Coloured noise is
-        for :func:`rodlib.trial_noise`, far from the ends.
+    sensor_variance : float or array_like, shape (m,)
+        Of what the sensors add to y in each sample, of all outputs or of each: of their data sheet,
+        not of y as it is measured in the closed loop, which answers to its sensors; that follows,
+        `measured`. Coloured noise is for :func:`rodlib.trial_noise`, far from the ends.
     trials : int, optional
         The number of the trial that is asked about; 1 is the first, where v = 0. Default: after so
         many that nothing changes any more. If that never happens, a ValueError says so.
@@ -241,13 +253,13 @@ def noise_on_trial(
     a ten-thousandth. Next to an end it may be half a percent in a sample, if the loop is fast or
     the filters hold their ends. A trial of up to 200 samples is exact to rounding.
     """
-    arguments.instance("loop", loop, CurrentTrialLoop)
+    _check_controller(loop)
     law, m = arguments.instance("law", law, Law).bound_to(loop), len(loop.outputs)
     arguments.instance("law.L", law.L, LearningOperator)
     samples = arguments.whole("samples", samples, 1)
     trials = None if trials is None else arguments.whole("trials", trials, 1)
     rest = arguments.whole("law.rest", law.rest, 0, samples - 1)
-    [variance] = _density("noise_variance", noise_variance, 1, m)
+    [variance] = _density("sensor_variance", sensor_variance, 1, m)
 
     closed, noise = with_noise(loop, plant), np.sqrt(variance)
     h = impulse_response(closed, samples)

@@ -15,13 +15,11 @@ def predicted_rms(problem: Problem, L: LearningFilter) -> dict[int, float]:
     error stays. Without noise, and for trials without ends.
     """
     design = problem.design
-    M = design.M(L.frequency_response(design.omega_L))
-    T = one = np.broadcast_to(np.eye(design.channels), M.shape)
+    M = design.M(L.frequency_response(design.omega))
+    T = one = np.eye(design.channels)  # e_k = T e_1
     rms = {}
     for trial in range(1, TRIALS[-1] + 1):
-        if trial in TRIALS:
-            left = T @ design.first_error @ T.conj().swapaxes(1, 2)
-            variances = np.einsum("nii->i", left).real
-            rms[trial] = float(np.sqrt(problem.scale**2 @ variances))
+        variances = (T @ design.first_error * T.conj()).sum(axis=(0, 2)).real
+        rms[trial] = float(np.sqrt(design.scale**2 @ variances))
         T = M @ T + (1 - design.Q)[:, None, None] * one
-    return rms
+    return {trial: rms[trial] for trial in TRIALS}

@@ -107,6 +107,10 @@ def load_law(path) -> Law:
     That of a trial log is ``law_of(load_log(path))``.
     """
     path = arguments.path("path", path)
+    if not path.is_file():
+        raise ValueError(
+            f"path = {str(path)!r} must be a file of save_law, but is none"
+        )
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         if content["format"] != FORMAT:

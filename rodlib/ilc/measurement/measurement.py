@@ -160,7 +160,8 @@ def measured_response(
     -----
     UserWarning
         Each of the findings: commands beyond the limits, a loop that is not linear, outputs that
-        drift, a lowest frequency that is too high for what is known at zero, lines too far apart.
+        drift, a lowest frequency that is too high for what is known at zero, lines too far apart;
+        a table without a radius that scatters from line to line.
 
     Notes
     -----
@@ -187,7 +188,7 @@ def measured_response(
             raise ValueError(
                 f"of = {reprlib.repr(of)} is for a record, but log is a table"
             )
-        return tabulated(log, uncertainty)
+        return _warned(tabulated(log, uncertainty))
     if isinstance(log, pd.DataFrame | str | PathLike):
         raise ValueError(
             f"log = {reprlib.repr(log)} must be read first: by load_log(path), or of other tables "
@@ -212,8 +213,13 @@ def measured_response(
         u, limits = log.get("u", log.v).values, limits_of(log)
         texts = warnings_of(u, y, limits, windows, excitation, measured)
         measured = replace(measured, findings=texts)
+    return _warned(measured)
+
+
+def _warned(measured):
+    """A response for whoever called the caller, with a warning for each of its findings."""
     for finding in measured.findings:
-        warnings.warn(finding, stacklevel=2)
+        warnings.warn(finding, stacklevel=3)
     return measured
 
 

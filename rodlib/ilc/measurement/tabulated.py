@@ -9,6 +9,7 @@ import numpy as np
 from rodlib.ilc import arguments
 from rodlib.ilc.loop.closed import ClosedLoop
 from rodlib.ilc.problem.responses import Measured, interpolated
+from rodlib.ilc.problem.roughness import scatter, warning_of
 
 
 @dataclass(frozen=True, repr=False)
@@ -22,6 +23,7 @@ class TabulatedResponse(Measured):
     response: np.ndarray  # shape (n, m, m), complex
     uncertainty: np.ndarray  # (n,): the radius at each line, whatever the confidence
     loop: ClosedLoop | None  # names and sampling period, if the table says one
+    findings: tuple[str, ...] = ()  # what speaks against it
 
     def _radius(self, confidence, jointly):
         return self.uncertainty
@@ -85,4 +87,6 @@ def tabulated(
         )
     timed = table.dt and table.dt is not True
     loop = ClosedLoop(None, table.dt, table.output_labels) if timed else None
-    return TabulatedResponse(omega, P, radius, loop)
+    rough = 0.0 if radius.any() else scatter(omega, P)
+    findings = (warning_of(rough),) if rough else ()
+    return TabulatedResponse(omega, P, radius, loop, findings)

@@ -12,8 +12,10 @@ from rodlib.ilc.problem.problem import (
     Problem,
     largest_singular_values,
 )
-from rodlib.ilc.problem.reference import first_error, outermost, outputs_of
-from rodlib.ilc.problem.responses import IMAGINARY, on_one_grid, plants
+from rodlib.ilc.problem.reference import first_error
+from rodlib.ilc.problem.responses import on_one_grid
+
+OUTERMOST = 0.05  # share of the weights that the ends of omega may have unsaid
 
 
 def pose(
@@ -36,11 +38,10 @@ def pose(
     samples = on_one_grid(P, Q, omega, Ts, uncertainty, scale)
     nominal, omega, n = samples.plants[0], samples.omega, len(samples.omega)
     choices = _checked(Choices(**choices), n)
-    _refuse_hertz(samples)
     singular_values = np.linalg.svd(nominal, compute_uv=False)
     _refuse_singular(singular_values, omega)
     cutoff = defaults.cutoff(samples.butterworth, samples.Q, omega)
-    by_default, power, assumed = [], None, ()
+    by_default, power, assumed = [], None, []
     if band is None and reference is None:
         band = defaults.band(cutoff, omega)
         if choices.objective == "sum":
@@ -57,9 +58,13 @@ def pose(
         weights = _in_band(band, omega, choices.objective)
     else:
         _refuse_other_weights(band, choices.objective)
-        outputs = outputs_of(next(iter(plants(P).values())))
-        power, weights = first_error(samples, reference, outputs)
-        assumed = outermost(power, omega)
+        power, weights = first_error(samples, reference)
+        outer, (low, high) = weights[[0, -1]].sum(), omega[[0, -1]]
+        if outer > OUTERMOST:
+            assumed.append(
+                f"assumed: next to and beyond {low:.4g} and {high:.4g} rad/s, which have "
+                f"{outer:.0%} of the weight, P is as there"
+            )
     _refuse_idle(samples.Q if choices.objective == "peak" else samples.Q[weights > 0])
     chosen = [f"chosen: {text}" for text in by_default]
     basis = (*chosen, *assumed, *samples.basis)
@@ -93,29 +98,12 @@ def _checked(choices, n):
     return replace(choices, order=order, M_max=M_max, everywhere=everywhere)
 
 
-def _refuse_hertz(samples):
-    """Refuse frequencies in Hz: up to 1 / (2 Ts), where P is real, as z is -1 there."""
-    P, last = samples.plants, samples.omega[-1]
-    imaginary = np.abs(P.imag).max(axis=(2, 3))
-    rounding = IMAGINARY * np.abs(P).max()
-    real_at_last_only = (imaginary[:, -1] <= rounding) & (imaginary.max(1) > rounding)
-    if abs(last * samples.Ts - 0.5) < IMAGINARY and real_at_last_only.any():
-        raise ValueError(
-            f"omega ends at {last:.6g} = 1 / (2 Ts), and P is real there, as at the "
-            "Nyquist frequency: omega is in Hz, multiply it by 2 pi"
-        )
-
-
 def _refuse_other_weights(band, objective):
-    """Refuse what a reference cannot be combined with: it weights the sum, instead of a band."""
-    if band is not None:
+    """Refuse what a reference cannot be combined with."""
+    if band is not None or objective != "sum":
         raise ValueError(
-            f"reference and band = {band!r} both weight the sum (39): pass one of them"
-        )
-    if objective != "sum":
-        raise ValueError(
-            f"reference weights the sum (39), but objective = {objective!r} has none: leave the "
-            "reference out, or take objective = 'sum'"
+            f"reference takes the place of the band in the sum (39), but band = {band!r} and "
+            f"objective = {objective!r}: leave these out, or the reference"
         )
 
 

@@ -9,20 +9,22 @@ from rodlib.ilc import arguments
 from rodlib.ilc.problem.problem import Samples
 
 FINER = 16  # than the signal's own are the lines of the spectrum that is integrated
-FAINT = 1e-12  # share of the power of a signal that is rounding
-OUTERMOST = 0.05  # share of it in the outermost cells from which on that is said
+FADING = (
+    10  # times shorter than the trial is the time in which an error at its end fades
+)
 
 
-def first_error(samples: Samples, reference, outputs) -> tuple[np.ndarray, np.ndarray]:
+def first_error(samples: Samples, reference) -> tuple[np.ndarray, np.ndarray]:
     """Power of e_1 at the frequencies, (n, m, m), in units of `scale` squared; and weights, (n,).
 
     The power is that between the middles of neighbouring frequencies: however far apart these are,
-    no narrow line is missed, and the traces sum to the mean square of e_1. It is of the trial
-    alone: what the loop does after its end does not count. Weights are |E_1| d omega, and sum to
-    one.
+    no narrow line is missed, and the traces sum to the mean square of e_1. It is of the trial: what
+    the loop does after its end does not count, and an error there fades without a jump. Weights
+    are |E_1| d omega, and sum to one.
     """
     m, own = samples.plants.shape[-1], samples.omega * samples.Ts
-    names = outputs or arguments.names_of(reference) or range(m)
+    known = samples.labels.output_labels
+    names = known or arguments.names_of(reference) or range(m)
     r = arguments.in_columns("reference", reference, ("time", m), names) / samples.scale
     length = 2 * next_fast_len(FINER * len(r) // 2, real=True)
     angles = np.linspace(0, np.pi, length // 2 + 1)
@@ -30,7 +32,8 @@ def first_error(samples: Samples, reference, outputs) -> tuple[np.ndarray, np.nd
     P = make_interp_spline(own, samples.plants[0], k=1)(between)
     R = rfft(r, length, axis=0)[..., None]
     e = irfft((R - P @ R)[..., 0], length, axis=0)[: len(r)]
-    E = rfft(e, length, axis=0)
+    fading = np.cos(np.linspace(0, np.pi / 2, len(r) // FADING)) ** 2
+    E = rfft(np.concatenate([e, fading[:, None] * e[-1]]), length, axis=0)
     density = E[:, :, None] * E[:, None].conj() / (np.pi * len(r))
     below = cumulative_trapezoid(density, angles, axis=0, initial=0)
     edges = np.concatenate([[0], (own[1:] + own[:-1]) / 2, [np.pi]])
@@ -41,24 +44,5 @@ def first_error(samples: Samples, reference, outputs) -> tuple[np.ndarray, np.nd
             "reference leaves no error in the first trial, so that nothing is to be learned: pass "
             "a reference that is not zero, or a band"
         )
-    amplitude = np.sqrt(share.clip(0) * np.diff(edges))
-    weights = np.where(share > FAINT * share.sum(), amplitude, 0)
+    weights = np.sqrt(share.clip(0) * np.diff(edges))
     return power, weights / weights.sum()
-
-
-def outermost(power, omega) -> tuple[str, ...]:
-    """What is assumed of a first error that is not between the frequencies omega."""
-    share = np.trace(power, axis1=1, axis2=2).real
-    outer, (low, high) = share[[0, -1]].sum() / share.sum(), omega[[0, -1]]
-    if outer < OUTERMOST:
-        return ()
-    return (
-        f"assumed: {outer:.0%} of the power of the first error is next to or beyond {low:.4g} and "
-        f"{high:.4g} rad/s, the ends of omega, where P counts as there",
-    )
-
-
-def outputs_of(plant) -> list[str] | None:
-    """Names of the outputs of a plant in any form, if it knows them."""
-    loop = getattr(plant, "loop", plant)  # of a measured response
-    return getattr(loop, "outputs", getattr(loop, "output_labels", None))

@@ -114,11 +114,14 @@ def on_one_grid(P, Q, omega=None, Ts=None, uncertainty=None, scale=None) -> Samp
                 "uncertainty must be None if P is a measured response, which has a radius of its "
                 "own: for a larger one, pass both of P.on(omega, confidence) as arrays"
             )
+        check_match(P=P.loop, Q=Signals(Ts))
+        _refuse_hertz("P.omega", P.omega, P.response[None], Ts)
         named["P"], uncertainty = P.on(omega, CONFIDENCE)
         basis = P.basis(omega, CONFIDENCE)
         if scale is not None:  # the response is scaled with those of other plants
             uncertainty = P.on(omega, CONFIDENCE, scale)[1]
     models, responses = on_grid(named, omega, Ts)
+    _refuse_hertz("omega", omega, responses, Ts)
     butterworth, Q = Q_on_grid(Q, omega, P=Signals(Ts))
     if scale is None:
         scale = np.ones(responses.shape[-1])
@@ -146,6 +149,18 @@ def on_one_grid(P, Q, omega=None, Ts=None, uncertainty=None, scale=None) -> Samp
         basis=basis,
         labels=Signals.of_plant(nominal),
     )
+
+
+def _refuse_hertz(name, omega, responses, Ts):
+    """Refuse frequencies in Hz: up to 1 / (2 Ts), where P is real, as z is -1 there."""
+    imaginary = np.abs(responses.imag).max(axis=(2, 3))
+    rounding = IMAGINARY * np.abs(responses).max()
+    real_at_last_only = (imaginary[:, -1] <= rounding) & (imaginary.max(1) > rounding)
+    if abs(omega[-1] * Ts - 0.5) < IMAGINARY and real_at_last_only.any():
+        raise ValueError(
+            f"{name} ends at {omega[-1]:.6g} = 1 / (2 Ts), and P is real there, as at the "
+            "Nyquist frequency: omega is in Hz, multiply it by 2 pi"
+        )
 
 
 def _scaled(model, scale):

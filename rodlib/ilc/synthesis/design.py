@@ -130,8 +130,10 @@ def synthesise(
     Warns
     -----
     UserWarning
-        For each of the certificate's `warnings`: samples too coarse for splines, a filter that
-        leaves nearly all of the error, a Q that no filter can make up for where P is not known.
+        For each of the certificate's `warnings`: samples too coarse for splines, or that scatter as
+        noise does (of samples without noise, one in 1000 sets), bounds passed between the
+        frequencies by a quarter of 1 - M_max, a filter that leaves nearly all of the error, a Q
+        that no filter can make up for where P is not known.
 
     Raises
     ------
@@ -162,7 +164,20 @@ def synthesise(
 def insist(solution: Solution, certificate: Certificate):
     """Raise if a certificate fails."""
     if certificate.failures:
-        raise SolverError(f"{solution.method}: {'; '.join(certificate.failures)}")
+        failures = "; ".join(certificate.failures)
+        raise SolverError(
+            f"{solution.method}: {failures}{_remedy(certificate.problem)}"
+        )
+
+
+def _remedy(problem):
+    """What to do where bounds at every frequency make a problem hard."""
+    if not problem.everywhere:
+        return ""
+    return (
+        ". Bounds at every frequency are harder than on omega: take more frequencies, a shorter "
+        "filter or a larger M_max, or leave `everywhere` out: the certificate says what holds then"
+    )
 
 
 def warned(design: Synthesis) -> Synthesis:
@@ -203,7 +218,7 @@ def certified(
     except Infeasible as error:
         raise _explained(problem, error.nearest) from None
     except RuntimeError as error:
-        raise SolverError(f"{solver}: {error}") from None
+        raise SolverError(f"{solver}: {error}{_remedy(problem)}") from None
     certificate = certify(problem, solution, tolerances, samples, rest)
     if check:
         insist(solution, certificate)
@@ -309,7 +324,9 @@ def _explained(problem, nearest):
     )
     message = f"{_advice(problem, nearest.largest)} (most in the way: {where})"
     if on_grid:
-        message += ". At the frequencies omega alone, without `everywhere`, the bounds can be met"
+        message += (
+            f"{_remedy(problem)}. At the frequencies omega alone the bounds can be met"
+        )
     lost = problem.omega[problem.unusable & (np.abs(problem.Q) > problem.M_max)]
     if lost.size:
         message += (

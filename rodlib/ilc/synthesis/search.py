@@ -1,5 +1,6 @@
 """Designs that search for more than a filter: the least gain, the largest cut-off of Q."""
 
+import reprlib
 from dataclasses import replace
 
 import numpy as np
@@ -34,6 +35,12 @@ def least_gain(P, Q, omega=None, Ts=None, **choices) -> Synthesis:
     Parameters and errors as for :func:`synthesise`, apart from `objective`, `L_max` and `start`.
     The result is that of (45) with (46), where `problem.L_max` is that gain.
     """
+    for name in ("objective", "L_max", "start"):
+        if name in choices:
+            raise ValueError(
+                f"{name} = {reprlib.repr(choices[name])} must be left out: asked is the least "
+                'gain of the least peak; with a bound on L, synthesise(objective="peak")'
+            )
     trial = _trial(choices)
     problem = pose(P, Q, omega, Ts, objective="peak", L_max=None, **choices)
     checked_trial(problem, **trial)

@@ -11,6 +11,7 @@ from plants import stage, tanks
 from scipy.linalg import solve_discrete_lyapunov
 
 from rodlib import (
+    ClosedLoop,
     Law,
     LearningFilter,
     converged_noise,
@@ -136,14 +137,16 @@ def test_what_does_not_fit_is_refused(on_stage, on_tanks):
     backward = replace(L, coefficients=-0.01 * L.coefficients)
     small, on_one, _ = on_stage
     wrong_way = replace(on_one.L, coefficients=-on_one.L.coefficients)
-    on_trial = {"loop": small, "law": on_one, "samples": 30, "noise_variance": 1.0}
+    on_trial = {"loop": small, "law": on_one, "samples": 30, "sensor_variance": 1.0}
     for door, changes, name in [
-        (trial_noise, (loop, omega, [1.0, -1.0, 0.0]), "noise_psd"),
+        (trial_noise, (loop, omega, [1.0, -1.0, 0.0]), "sensor_psd"),
         (trial_noise, (without, omega, 1.0, 1.0), "disturbance_psd"),
         (converged_noise, (new, Law(Q, backward)), "does not converge"),
-        (noise_on_trial, {"noise_variance": -1.0}, "noise_variance"),
-        (noise_on_trial, {"noise_variance": [1.0, 1.0]}, "noise_variance"),
+        (noise_on_trial, {"sensor_variance": -1.0}, "sensor_variance"),
+        (noise_on_trial, {"sensor_variance": [1.0, 1.0]}, "sensor_variance"),
         (noise_on_trial, {"law": replace(on_one, L=None)}, r"law\.L"),
+        (noise_on_trial, {"loop": ClosedLoop(loop.P)}, "not ours"),
+        (trial_noise, (ClosedLoop(loop.P), omega, 1.0), "not ours"),
         (
             noise_on_trial,
             {"law": replace(on_one, L=wrong_way), "samples": 300},
@@ -189,6 +192,19 @@ def test_each_impulse_of_noise_run_through_the_trials(on_tanks, trials, ends, ch
     learned = noise.true**2 - first.true**2
     np.testing.assert_allclose(noise.learned**2, learned, **limit)
     assert list(noise.output) == loop.outputs and noise.time[1] == loop.Ts
+
+
+def test_the_variance_of_the_sensors_gives_what_trials_have(on_stage):
+    """That of y as measured at rest, which the loop has coloured, does not."""
+    loop, law, omega = on_stage
+    noise = 0.5 * np.random.default_rng(0).standard_normal((250, 400, 1))
+    trials = run_trials(loop, law, 0 * noise[0], None, 250, noise=noise)
+    left = np.sqrt(np.mean(trials.e.values[10:] ** 2))
+    predicted = float(rms(noise_on_trial(loop, law, 400, 0.25).measured))
+    assert left == pytest.approx(predicted, rel=0.04)
+    at_rest = trial_noise(loop, omega, 0.25).measured.rms
+    other = float(rms(noise_on_trial(loop, law, 400, at_rest**2).measured))
+    assert abs(other / left - 1) > 0.1
 
 
 def test_cut_short_in_the_middle_it_is_that_of_the_whole_trial(on_stage, monkeypatch):

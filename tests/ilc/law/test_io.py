@@ -107,3 +107,9 @@ def test_nothing_is_written_that_could_not_be_used(tmp_path, Q):
     with pytest.raises(ValueError, match="note"):
         save_law(path, Law(Q, L), note=3)
     assert not path.exists()
+
+
+def test_a_file_that_is_not_there_is_no_law(tmp_path):
+    for path in (tmp_path, tmp_path / "none.json"):
+        with pytest.raises(ValueError, match=r"path = .* must be a file of save_law"):
+            load_law(path)

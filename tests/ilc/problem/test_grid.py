@@ -21,7 +21,12 @@ from rodlib.ilc.synthesis.result import SolverError
 from rodlib.ilc.synthesis.search import largest_cutoff
 
 DENSE = np.linspace(0, np.pi, 4001)
-WARNINGS = ("the samples are too coarse", "the filter leaves", ".*may reach")
+WARNINGS = (
+    "the samples are too coarse",
+    "the filter leaves",
+    ".*may reach",
+    ".*between the frequencies omega",
+)
 EXPECTED = pytest.mark.filterwarnings(*(f"ignore:{text}" for text in WARNINGS))
 
 

@@ -26,6 +26,15 @@ class Estimate(Measured):
 
     P: np.ndarray
     radius: float
+    loop = None
+
+    @property
+    def omega(self):
+        return np.arange(1.0, 1 + len(self.P))
+
+    @property
+    def response(self):
+        return self.P
 
     def on(self, omega, confidence, scale=None):
         assert confidence == CONFIDENCE

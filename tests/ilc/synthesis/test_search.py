@@ -90,3 +90,12 @@ def test_a_least_gain_that_is_not_found_is_no_other_gain(monkeypatch):
     lag, omega = control.ss(0.5, 0.5, 1, 0, 1.0), np.linspace(0.01, 3, 30)
     with pytest.raises(SolverError, match="least gain was not found"):
         least_gain(lag, zero_phase_butterworth(2, 0.3), omega, 1.0, order=2)
+
+
+@pytest.mark.parametrize("name", ["objective", "L_max", "start"])
+def test_what_the_least_gain_chooses_is_refused(name):
+    lag, Q = control.ss(0.5, 0.5, 1, 0, 1.0), zero_phase_butterworth(2, 0.3)
+    with pytest.raises(
+        ValueError, match=rf"{name} = 5.0 must be left out.* synthesise"
+    ):
+        least_gain(lag, Q, **{name: 5.0})
