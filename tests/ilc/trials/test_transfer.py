@@ -196,8 +196,9 @@ def of_two_plants(gain, seed=0, noise=1e-3, other=2, reference=OLD):
     return P, [learned, run_trials(*case, plant=plant, noise=white[4:])]
 
 
-@pytest.mark.parametrize("reference", [OLD, 1.5 * NEW])
-@pytest.mark.parametrize("gain", [1.1, 1.5])
+@pytest.mark.parametrize(
+    ("gain", "reference"), [(1.1, OLD), (1.5, OLD), (1.5, 1.5 * NEW)]
+)
 def test_trials_of_two_plants_contradict_each_other(gain, reference):
     P, trials = of_two_plants(gain, reference=reference)
     message = (
