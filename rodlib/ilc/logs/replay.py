@@ -225,7 +225,8 @@ class Replay:
         same = np.array_equal(
             reference, np.broadcast_to(reference[:1], reference.shape)
         )
-        if not (self.successive and same and len(e) > 3):
+        learns = self.law is None or self.law.L is not None
+        if not (learns and self.successive and same and len(e) > 3):
             return []
         groups, lines = by_unit(e.output_unit.values.tolist()), []
         titles = rms_by_trial(e).columns

@@ -37,6 +37,7 @@ def case_of(name, cutoff, samples, heights, limits):
     Q = zero_phase_butterworth(2, cutoff, loop.Ts)
     omega = np.geomspace(1e-3, 1, 100) * np.pi / loop.Ts
     bounds = {"M_max": 0.95, "L_max": 20.0, "band": (omega[0], cutoff / 3)}
+    bounds["structure"] = "diagonal"
     L = synthesise(loop, Q, omega, order=16, **bounds).filter
     return loop, Q, L, move(samples, heights), limits
 

@@ -138,8 +138,10 @@ def test_trials_are_identified_by_their_numbers():
 
 
 def test_without_learning_v_is_zero():
-    run = trials_of("stage", Law(law_for(LOOPS["stage"]).Q, None, loop=LOOPS["stage"]))
+    law = Law(law_for(LOOPS["stage"]).Q, None, loop=LOOPS["stage"])
+    run = trials_of("stage", law)
     assert replay(run).agreement.endswith("in every trial")
+    assert not replay(trials_of("stage", law, 5)).settling
     assert not replay(run).following.any() and replay(run).error_by_octave(2) is None
     run["v"][1, 5] = 1e-6
     assert "departs from the law from trial 2 on, by 1.0" in replay(run).agreement
