@@ -20,7 +20,7 @@ export LC_ALL := C.UTF-8
 export PYTHONWARNINGS := ignore::DeprecationWarning
 .DELETE_ON_ERROR:
 .PHONY: $(BIN)/ready help reproduce test lint data replay machines mutants lowest survey regions \
-	plants peers solvers \
+	plants peers solvers watch \
 	study pages bench lab notebooks lock clean
 
 help:  ## list the targets
@@ -80,6 +80,9 @@ regions: $(BIN)/ready  ## how often the truth is in an estimate's region, 13 kin
 
 plants: $(BIN)/ready  ## ten kinds of plants the whole way, from a model to a log (a minute)
 	@$(BIN)/python tests/benchmarks/whole_way.py
+
+watch: $(BIN)/ready  ## count false alarms over 1,000 experiments that converge, and detections (minutes)
+	@$(BIN)/python tests/benchmarks/watch.py
 
 peers: $(BIN)/ready  ## our default against PD, least squares and norm-optimal, on plants that are off (a minute)
 	@$(BIN)/python tests/benchmarks/peers.py

@@ -11,9 +11,9 @@ from rodlib import ilc
 __version__ = "0.1.0"  # as in pyproject.toml
 
 MODULES = {
-    "rod": "Rod bernstein_basis exact_response midr",
+    "rod": "Rod exact_response midr",
     "held": "sampled_response",
-    "case": "assumed_disturbance assumed_reference paper_loop",
+    "case": "assumed_disturbance assumed_reference paper_choices paper_loop",
     "rigs": "MISMATCHED RestartingRig RigParameters VirtualRig",
     "peltier_rig": "PeltierParameters PeltierRig RestartingPeltierRig",
     "specimens": "Specimen Spread draw responses",

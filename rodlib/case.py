@@ -14,8 +14,16 @@ from rodlib.ilc.models import minimal_realisation
 from rodlib.rod import Rod, midr
 
 PAPER = Rod()
-BAND = (1e-4, 0.02)  # rad/s, of the sum in (39): Section IV-B
-L_MAX = 50.0  # W/K, bound on sigma_max(L) in (46)
+
+
+def paper_choices(**changes) -> dict:
+    """The paper's choices for the synthesis, Section IV-B, but for changes.
+
+    They are keyword arguments of :func:`rodlib.synthesise`; L_max in W/K, band in rad/s. Its design
+    frequencies are ``np.geomspace(1e-4, np.pi, 1000)`` rad/s.
+    """
+    choices = {"order": 10, "M_max": 0.9, "L_max": 50.0, "band": (1e-4, 0.02)}
+    return choices | {"structure": "diagonal"} | changes
 
 
 def paper_loop(rod: Rod = PAPER, degree: int = 3, Ts: float = 1.0) -> CurrentTrialLoop:

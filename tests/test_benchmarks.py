@@ -112,3 +112,14 @@ def test_a_kind_that_does_not_learn_is_well_only_with_a_warning(benchmarks):
     assert whole_way.end_of(row | {"words": ["?"]}) == "said what is not known"
     late = {"rms": np.array([1.0, 0.01, 0.3]), "noise": 0.01, "words": []}
     assert whole_way.end_of(late) == "silent"
+
+
+def test_the_watch_keeps_quiet_and_speaks(benchmarks):
+    import watch
+
+    results = [watch.converging(seed) for seed in (2, 5)]  # of the furnace
+    row = watch.quiet_row("furnace", results)
+    assert row[1:3] == ["none", "2"] and row[4:] == ["0", "0.00"]
+    loud = watch.loud_row("P has 2 times the gain", [2])
+    assert loud[1:] == ["rate", "1", "1", "3", "3"]
+    assert watch.quiet_row("furnace", [(10, {"rate": 3})])[4:] == ["1", "100.00"]

@@ -99,7 +99,8 @@ def test_heaters_are_cut_off_where_they_end():
 def test_trials_of_the_emulator_are_those_of_the_simulation(monkeypatch):
     undisturbed(monkeypatch)
     loop, omega = loop_of(TRUE), np.geomspace(1e-3, np.pi / 2, 200)
-    design = synthesise(loop, Q, omega, 2.0, L_max=5.0, band=(1e-3, 0.03))
+    asked = {"order": 10, "L_max": 5.0, "band": (1e-3, 0.03)}
+    design = synthesise(loop, Q, omega, 2.0, **asked)
     experiment = loop, Law(Q, design.filter)
     reference = np.outer(np.sin(np.pi * np.linspace(0, 1, 250)) ** 2, [10.0, 8.0])
     rig = TemperatureControlLab(wait=3000.0)

@@ -257,8 +257,8 @@ DOORS = [
 ]
 # Tested with their own files, or not called by themselves.
 TESTED = """InfeasibleError MISMATCHED Settings TemperatureControlLab alternatives
-    approximations bernstein_basis expected_radius heat_balance open_workbench plot
-    state_sequence try_out unreachable_modes"""
+    approximations expected_radius heat_balance open_workbench plot
+    paper_choices state_sequence try_out unreachable_modes"""
 ELSEWHERE = {*TESTED.split()}
 
 

@@ -23,8 +23,7 @@ class Signals:
     outputs: list[str] | None = None
     controls: list[str] | None = None
     units: dict[str, str] = field(default_factory=dict)
-    output_labels: list[str] | None = None
-    input_labels: list[str] | None = None
+    labels: list[str] | None = None
 
     @classmethod
     def of_log(cls, trials) -> "Signals":
@@ -42,11 +41,7 @@ class Signals:
     def of_plant(cls, plant) -> "Signals":
         """Labels and units of a plant in any form; an array has none."""
         plant = getattr(plant, "loop", plant)  # of a measured response
-        return cls(
-            units=getattr(plant, "units", {}),
-            output_labels=_outputs_of(plant),
-            input_labels=_inputs_of(plant),
-        )
+        return cls(units=getattr(plant, "units", {}), labels=_labels_of(plant))
 
 
 def period_of(trials) -> float:
@@ -73,8 +68,7 @@ def check_match(**parties) -> None:
         "channels": (_channels_of, _same),
         "outputs": (lambda party: getattr(party, "outputs", None), _same),
         "controls": (lambda party: getattr(party, "controls", None), _same),
-        "output_labels": (_outputs_of, _aligned),
-        "input_labels": (_inputs_of, _aligned),
+        "labels": (_labels_of, _aligned),
     }
     for name, (value_of, fit) in properties.items():
         values = {whose: value_of(party) for whose, party in parties.items()}
@@ -103,13 +97,13 @@ def _channels_of(party):
     return getattr(party, "channels", None if outputs is None else len(outputs))
 
 
-def _outputs_of(party):
-    labels = getattr(party, "output_labels", None)
-    return getattr(party, "outputs", None) if labels is None else labels
-
-
-def _inputs_of(party):
-    return getattr(party, "input_labels", getattr(party, "references", None))
+def _labels_of(party):
+    """Of a model or a loop, the outputs', then the inputs'."""
+    if isinstance(party, Signals):
+        return party.labels
+    outputs = getattr(party, "output_labels", getattr(party, "outputs", None))
+    inputs = getattr(party, "input_labels", getattr(party, "references", None))
+    return [*(outputs or ()), *(inputs or ())]
 
 
 def _same(one, other):

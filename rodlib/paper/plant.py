@@ -1,13 +1,18 @@
 """The rod on the workbench."""
 
-from rodlib.case import assumed_disturbance, assumed_reference, paper_loop
+from rodlib.case import (
+    assumed_disturbance,
+    assumed_reference,
+    paper_choices,
+    paper_loop,
+)
 from rodlib.ilc import arguments
 from rodlib.ilc.workbench.plant import Plant
 from rodlib.rod import Rod
 
 
 def plant_of_rod(rod: Rod) -> Plant:
-    """The paper's loop around a rod, with the assumed reference and disturbances of Section IV."""
+    """The paper's loop around a rod, its choices, the assumed reference and disturbances."""
     arguments.instance("rod", rod, Rod)
     source = "" if rod == Rod() else f"rodlib.{rod}"
     return Plant(
@@ -15,4 +20,5 @@ def plant_of_rod(rod: Rod) -> Plant:
         paper_loop(rod),
         reference=assumed_reference(),
         disturbance=assumed_disturbance(),
+        choices=paper_choices(),
     )

@@ -48,7 +48,6 @@ class Kind:
     bench: Plant
     reference: np.ndarray
     cutoff: float  # of Q, rad/s
-    options: dict = field(default_factory=dict)  # of the synthesis
     P: object = None  # what is known, if it is not the loop
     linear: Plant | None = None  # for the check, if the bench has no slope at rest
     homes: bool = True  # whether every trial begins by a homing run
@@ -179,7 +178,7 @@ def column(off):
     actuators = {"reflux": 20.0, "boilup": 20.0}
     loop = our_loop(plant(0), Ts, actuators, {"top": 1.0, "bottom": 1.0})
     reference = bump(400, [1.0, -0.5])
-    return Kind(loop, plant(off), reference, 0.1 / Ts, {"structure": "full"})
+    return Kind(loop, plant(off), reference, 0.1 / Ts)
 
 
 def piezo(off):
@@ -206,7 +205,7 @@ def furnace(off):
     # By the default weights the loop bears one sample of delay more: the error says "a larger Ro".
     loop = our_loop(plant(), 1.0, {"valve": 1.0}, {"outlet": 4.0}, Ro=[[1600.0]])
     bench = plant(4 * (1 + 0.1 * off), 30 + round(2 * off))
-    return Kind(loop, bench, bump(500, [5.0]), 0.05, {"order": 60}, homes=False)
+    return Kind(loop, bench, bump(500, [5.0]), 0.05, homes=False)
 
 
 def motor(off):

@@ -66,7 +66,7 @@ def go(row, kind, path, trials):
     row["noise"] = kind.bench.noise * np.sqrt(channels)
     Q = zero_phase_butterworth(2, kind.cutoff, loop.Ts)
     plant = loop if kind.P is None else kind.P
-    design = synthesise(plant, Q, **{"order": 20} | kind.options)
+    design = synthesise(plant, Q)
     row |= {"promised": design.certificate.all_M, "design": f"{design}"}
     try:
         row["on the rig"] = rate_on_the_rig(kind, design)

@@ -8,7 +8,7 @@ import numpy as np
 from rodlib.ilc import arguments
 from rodlib.ilc.evidence.convergence import log_mean
 from rodlib.ilc.evidence.finite import trial_norm
-from rodlib.ilc.evidence.optimality import lower_bound
+from rodlib.ilc.evidence.optimality import lower_bound, relief
 from rodlib.ilc.evidence.peak import (
     Peak,
     estimated_peaks,
@@ -60,6 +60,7 @@ class Certificate:
     grid_L: float  # peak of sigma_max(L) on the grid
     passed_L: float  # the largest share of its bound that sigma_max(L) has there
     all_L: float  # an upper bound of it, to 1e-8, for all frequencies
+    relief: float  # relative decrease of the optimum for a relative increase of L_max
     tolerances: tuple[float, float] = (GAP, VIOLATION)
     trial: float = np.nan  # 2-norm of the map of one finite trial, if asked for
     samples: int | None = None  # length of that trial
@@ -253,8 +254,11 @@ class Certificate:
         if problem.objective == "sum" and self.grid_M > problem.M_max * (1 - TIED):
             bounds.append(f"M_max = {problem.M_max:g}")
         if problem.L_max is not None and self.passed_L > 1 - TIED:
-            bounds.append(f"L_max = {problem.L_max:g}")
+            gain = f"10 % more would lower the objective by {self.relief / 10:.1%}"
+            bounds.append(f"L_max = {problem.L_max:g} ({gain})")
         size = f"order = {problem.order}"
+        if problem.order < problem.delay:
+            size += f" (P lags by {problem.delay} samples at the cut-off)"
         if problem.structure == "diagonal" and problem.channels > 1:
             size += ", diagonal"
         return f"limited by {', '.join([*bounds, size])}"
@@ -352,6 +356,7 @@ def certify(
     response = L.frequency_response(problem.omega_L)
     nominal = largest_singular_values(problem.M(response))
     worst = worst_case(problem, L)
+    value = problem.value(nominal, worst.sigma)
     mean_M, (low, high) = np.nan, problem.band or (0, 0)
     if 0 < low < high:
         design = np.isin(problem.omega, problem.design.omega)
@@ -363,7 +368,7 @@ def certify(
         trial = trial_norm(*problem.model, L, samples, rest=rest)[0]
     return Certificate(
         problem=problem,
-        value=problem.value(nominal, worst.sigma),
+        value=value,
         lower_bound=lower_bound(problem, solution.U, solution.V, solution.cuts),
         mean_M=float(mean_M),
         predicted=None if problem.band else predicted_rms(problem, L),
@@ -375,6 +380,7 @@ def certify(
         grid_L=largest_singular_values(response).max(),
         passed_L=problem.passed_L(response),
         all_L=peak_gain(learning_model(L))[0],
+        relief=relief(problem, value, solution.U, solution.V, solution.cuts),
         tolerances=tolerances,
         trial=trial,
         samples=samples,

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from rodlib.ilc.evidence.convergence import Convergence, from_responses
+from rodlib.ilc.evidence.convergence import Convergence, as_systems, from_responses
 from rodlib.ilc.evidence.peak import estimated_peaks, highest, peak_beyond, proven_peaks
 from rodlib.ilc.evidence.robustness import worst_case
 from rodlib.ilc.filters import LearningFilter
@@ -30,4 +30,5 @@ def check(problem: Problem, L: LearningFilter) -> Convergence:
         proven=not estimated and problem.radius is None,
         uncertain=problem.radius is not None or bool(beyond and beyond.sigma >= 1),
         assumptions=(*problem.basis, *problem.assumed),
+        systems=as_systems(problem.models, problem.butterworth, L),
     )

@@ -5,7 +5,7 @@ every trial by that factor at least. The largest spectral radius of M is never l
 error *converges*, though it may grow before. Both are about trials without ends.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -13,8 +13,12 @@ import numpy as np
 from rodlib.ilc import arguments
 from rodlib.ilc.filters import LearningOperator, check_learning
 from rodlib.ilc.law.limits import WEIGHT
+from rodlib.ilc.models import frequency_response
 from rodlib.ilc.problem.problem import convergence_matrix, largest_singular_values, tied
 from rodlib.ilc.problem.responses import Q_on_grid, on_grid, plants
+
+DENSE = 2001  # frequencies, from zero to the Nyquist frequency,
+REFINEMENTS = 3  # then a tenth as many about the highest
 
 
 class Rate(NamedTuple):
@@ -41,6 +45,7 @@ class Convergence:
     proven: bool = False  # whether gamma holds at all frequencies
     uncertain: bool = False  # whether P may be another, for which the trials diverge
     assumptions: tuple[str, ...] = ()  # what P and its radius rest on
+    systems: tuple | None = None  # plants, Q and L, where all of them are models
 
     @property
     def monotone(self) -> bool:
@@ -74,19 +79,28 @@ class Convergence:
     def within(self, weight: float = WEIGHT) -> float:
         """The rate where commands have limits, in the metric of the projection onto them.
 
-        The largest sigma_max(W^(1/2) Q (I - L P) W^(-1/2)) with W = P^H P + weight I: by that
-        factor the root of ||P d||^2 + weight ||d||^2, with d the distance of v from its limit,
-        shrinks from trial to trial, at least. For small weights it tends to gamma. For trials
-        without ends, and limits that are met as the model says.
+        The largest sigma_max(W^(1/2) Q (I - L P) W^(-1/2)) with W = P_0^H P_0 + weight I: by that
+        factor the root of ||P_0 d||^2 + weight ||d||^2, with d the distance of v from its limit,
+        shrinks from trial to trial, at least. For small weights it tends to gamma. P is the worst
+        of the plants, P_0 the first, by whose model the law projects. It is at all frequencies,
+        by refinement of a dense grid, if plants and Q are models, else at `omega`; a radius is left
+        out of account. For trials without ends, and limits that are met as the model says.
         """
         weight = arguments.positive("weight", weight)
-        P, Q, L = self.responses
-        identity = np.eye(P.shape[-1])
-        effort = np.broadcast_to(np.sqrt(weight) * identity, P.shape)
-        S = np.concatenate([P, effort], axis=-2)  # S^H S = W
-        change = Q[:, None, None] * (identity - L @ P)
-        scaled = S @ change @ np.linalg.pinv(S)
-        return np.linalg.norm(scaled, 2, axis=(-2, -1)).max(axis=-1)
+        highest = _within(*self.responses, weight).max()
+        if self.systems is None:
+            return float(highest)
+        plants, Q, L = self.systems
+        omega = np.union1d(self.omega, np.linspace(0, np.pi / Q.Ts, DENSE))
+        for _ in range(REFINEMENTS):
+            P = np.array([frequency_response(plant, omega) for plant in plants])
+            filters = Q.frequency_response(omega), L.frequency_response(omega)
+            rates = _within(P, *filters, weight).max(axis=0)
+            top = rates.argmax()
+            highest = max(highest, rates[top])
+            low, high = omega[[max(top - 1, 0), min(top + 1, len(omega) - 1)]]
+            omega = np.linspace(low, high, DENSE // 10)
+        return float(highest)
 
     def __repr__(self):
         gamma, radius = np.max(self.gamma), np.max(self.spectral_radius)
@@ -127,11 +141,17 @@ def convergence(P, Q, L: LearningOperator, omega) -> Convergence:
     arguments.instance("L", L, LearningOperator)
     omega = arguments.increasing_frequencies("omega", omega, L.Ts)
     known = plants(P)
-    _, responses = on_grid(known, omega, L.Ts)
-    _, Q = Q_on_grid(Q, omega, L=L)
+    models, responses = on_grid(known, omega, L.Ts)
+    butterworth, Q = Q_on_grid(Q, omega, L=L)
     check_learning(L, responses.shape[-1])
     P = responses[0] if "P" in known else responses
-    return from_responses(omega, P, Q, L.frequency_response(omega))
+    result = from_responses(omega, P, Q, L.frequency_response(omega))
+    return replace(result, systems=as_systems(models, butterworth, L))
+
+
+def as_systems(models, Q, L) -> tuple | None:
+    """Plants, Q and L, if all of them are known at every frequency."""
+    return None if Q is None or None in models else (models, Q, L)
 
 
 def rate(P, Q, L: LearningOperator, omega) -> Rate:
@@ -160,6 +180,16 @@ def from_responses(omega, P, Q, L) -> Convergence:
         spectral_radius=radius.max(axis=-1),
         responses=(P, Q, L),
     )
+
+
+def _within(P, Q, L, weight):
+    """The rate of :meth:`Convergence.within` of plants (..., n, m, m), at each frequency."""
+    identity = np.eye(P.shape[-1])
+    nominal = P.reshape(-1, *P.shape[-3:])[0]
+    effort = np.broadcast_to(np.sqrt(weight) * identity, nominal.shape)
+    S = np.concatenate([nominal, effort], axis=-2)  # S^H S = W
+    change = Q[:, None, None] * (identity - L @ P)
+    return np.linalg.norm(S @ change @ np.linalg.pinv(S), 2, axis=(-2, -1))
 
 
 def log_mean(sigma, omega, band) -> float:

@@ -61,6 +61,22 @@ def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None) -> float:
     return max(0.0, float(bound))  # the objective is never negative
 
 
+def relief(problem: Problem, value, U, V, cuts: Cuts | None = None) -> float:
+    """Relative decrease of the optimum for a relative increase of L_max, to first order.
+
+    It is what the multipliers of that bound take from the bound in :func:`lower_bound`.
+    """
+    if problem.L_max is None:
+        return 0.0
+    binding = problem.L_max * problem.share_L <= problem.limit_L
+    share = _nuclear_norms(np.linalg.solve(problem.weight, V))[binding].sum()
+    if problem.objective == "peak":
+        share /= _nuclear_norms(U).sum() + (
+            0 if cuts is None else dual_norm(cuts.N).sum()
+        )
+    return float(share / problem.unit(value))
+
+
 def _projected(problem, parts):
     """Multipliers N of parts (T, N, angles), projected on those that no change of L changes."""
     m = problem.channels

@@ -29,6 +29,7 @@ from rodlib.ilc.trials.diagnosis import (
     diagnose,
     error_by_octave,
     histories,
+    settled,
 )
 from rodlib.ilc.trials.run import rms, run_trials
 from rodlib.ilc.units import by_unit, with_unit
@@ -215,6 +216,33 @@ class Replay:
         return pd.concat([table.add_suffix(", log"), simulated], axis=1)
 
     @property
+    def settling(self) -> list[str]:
+        """By which trial the error has converged, and to what; of four trials or more of one task.
+
+        One line for each unit of the outputs.
+        """
+        e, reference = self.trials.e, self.trials.reference.values
+        same = np.array_equal(
+            reference, np.broadcast_to(reference[:1], reference.shape)
+        )
+        learns = self.law is None or self.law.L is not None
+        if not (learns and self.successive and same and len(e) > 3):
+            return []
+        groups, lines = by_unit(e.output_unit.values.tolist()), []
+        titles = rms_by_trial(e).columns
+        for title, channels in zip(titles, groups.values(), strict=True):
+            stays = settled(e.values[..., channels])
+            words = "not converged, the error still changes from trial to trial"
+            if stays:
+                k, level, noise = stays
+                words = (
+                    f"converged, by about trial {self.numbers[k]}, to {level:.3g}, of which "
+                    f"noise {noise:.3g}"
+                )
+            lines.append(f"{title}: {words}")
+        return lines
+
+    @property
     def agreement(self) -> str:
         """Whether the recorded v is that of the law, in words."""
         if self.law is None:
@@ -268,6 +296,7 @@ class Replay:
             f"law: {self.agreement}",
             f"RMS of the error:\n{self.rms.to_string(float_format='{:.3g}'.format)}",
         ]
+        lines += self.settling
         if self.fit is not None:
             mean = (100 * self.fit.mean()).round(1)
             fits = ", ".join(f"{name} {value:g} %" for name, value in mean.items())

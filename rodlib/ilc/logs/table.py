@@ -44,7 +44,6 @@ ROLES = {  # in a log, of the names in these arguments
 DELIMITERS = ("\t", ";", "|", ",", " ")
 SAMPLE = 200  # rows that show how a table is laid out
 DAY = 86400.0  # s
-YEAR = 365.25 * DAY
 DATE = re.compile(r"\d{4}-\d\d-\d\d")
 TIME = re.compile(rf"{DATE.pattern}([T ][\d:.Z+-]*)?|\d+:[\d:.]+")
 WITH_UNIT = re.compile(r"(.*\S)\s*[(\[]([^()\[\]]*)[)\]]")  # "Heater (%)", "Time [s]"
@@ -250,8 +249,8 @@ def _in_seconds(column, unit):
         times = seconds(unit) * numbers(column)
         if times.abs().max() > LONGEST:
             raise LogError(
-                f"time reaches {times.abs().max():.3g} s, {times.abs().max() / YEAR:.3g} years: "
-                "state its unit, as in units={'time': 'ms'} or 'us' or 'ns'"
+                f"time reaches {times.abs().max():.3g} s, thousands of years: state its unit, as "
+                "in units={'time': 'ms'} or 'us' or 'ns'"
             )
     return times.astype(object).where(times.notna(), column)
 

@@ -218,7 +218,7 @@ class ClosedLoop:
                 f"controls = {controls!r} must be one for each output, or none"
             )
         if P is not None:
-            check_match(P=P, loop=Signals(Ts, outputs))
+            check_match(P=P, loop=Signals(Ts, labels=outputs))
         signals = [*outputs, *controls, *disturbances]
         vars(self).update(
             P=P,

@@ -24,6 +24,7 @@ def pose(
     omega=None,
     Ts=None,
     *,
+    order=None,
     L_max=defaults.CHOOSE,
     band=None,
     reference=None,
@@ -37,19 +38,30 @@ def pose(
     """
     samples = on_one_grid(P, Q, omega, Ts, uncertainty, scale)
     nominal, omega, n = samples.plants[0], samples.omega, len(samples.omega)
-    choices = _checked(Choices(**choices), n)
     singular_values = np.linalg.svd(nominal, compute_uv=False)
     _refuse_singular(singular_values, omega)
     cutoff = defaults.cutoff(samples.butterworth, samples.Q, omega)
     by_default, power, assumed = [], None, []
+    if order is None:
+        delay = defaults.delay(nominal, omega, samples.Ts, cutoff)
+        order = defaults.order(cutoff, delay, samples.Ts, n)
+        by_default.append(
+            f"order = {order}, by Q's cut-off and P's lag of {delay} samples there"
+        )
+    choices = _checked(Choices(order=order, **choices), n)
     if band is None and reference is None:
         band = defaults.band(cutoff, omega)
         if choices.objective == "sum":
             low, high = band
-            by_default.append(f"band = ({low:.4g}, {high:.4g}) rad/s, by Q's cut-off")
+            by_default.append(f"band = ({low:.4g}, {high:.4g}) rad/s, to Q's cut-off")
     if isinstance(L_max, str) and L_max == defaults.CHOOSE:
-        L_max = defaults.gain(cutoff, singular_values[:, -1], omega)
-        by_default.append(f"L_max = {L_max:g}, a gain that inverts P at Q's cut-off")
+        # What is not known beyond its radius is not worth inverting.
+        radius = 0 if samples.radius is None else samples.radius
+        smallest = np.maximum(singular_values[:, -1], radius)
+        L_max = defaults.gain(cutoff, smallest, omega)
+        by_default.append(
+            f"L_max = {L_max:g}, {defaults.ROOM} times a gain that inverts P up to Q's cut-off"
+        )
     elif L_max is not None:
         what = f"a positive number, None for no bound, or {defaults.CHOOSE!r}"
         L_max = arguments.positive("L_max", L_max, what)

@@ -14,6 +14,7 @@ import control
 import numpy as np
 
 from rodlib.ilc.filters import LearningFilter, ZeroPhaseButterworth
+from rodlib.ilc.problem import defaults
 from rodlib.ilc.signals import Signals
 
 MOST_GAIN = 1e7  # of Q P L, from which on the rounding of coefficients shows
@@ -25,9 +26,9 @@ TIED = 1e-6  # relative distance at which rounding, or the accuracy of a solver,
 class Choices:
     """What is chosen of a learning filter, whatever the plant."""
 
-    order: int = 10  # number of samples that the learning filter looks ahead
+    order: int  # number of samples that the learning filter looks ahead
     M_max: float = 0.9  # bound on sigma_max(M)
-    structure: str = "diagonal"  # or "full"
+    structure: str = "full"  # or "diagonal"
     # "sum", (39); "peak", (45); "gain": the least sigma_max(L), in units of L_max
     objective: str = "sum"
     everywhere: bool = False  # whether the bounds hold between the frequencies, too
@@ -110,6 +111,13 @@ class Problem(Samples, Choices):
     def unit(self, value) -> float:
         """Scale of relative gaps: the objective, at least a thousandth of that for L = 0."""
         return max(value, 1e-3 * self.idle)
+
+    @property
+    def delay(self) -> int:
+        """Samples by which P lags at the cut-off of Q, see :mod:`.problem.defaults`."""
+        stated = self.design
+        cutoff = defaults.cutoff(stated.butterworth, stated.Q, stated.omega)
+        return defaults.delay(stated.P, stated.omega, stated.Ts, cutoff)
 
     @property
     def robust(self) -> bool:

@@ -45,7 +45,7 @@ def synthesise(
     omega=None,
     Ts=None,
     *,
-    order=Problem.order,
+    order=None,
     M_max=Problem.M_max,
     L_max=CHOOSE,
     band=None,
@@ -60,6 +60,9 @@ def synthesise(
     rest=0,
 ) -> Synthesis:
     """Design the learning filter by convex optimisation, (39) or (45) with (46).
+
+    Defaults are for a plant that one does not know, and the certificate says what they are for this
+    one. The paper's choices are :func:`rodlib.paper_choices`.
 
     Parameters
     ----------
@@ -79,25 +82,28 @@ def synthesise(
         from a thousandth of Q's cut-off on.
     Ts : float, optional
         Sampling period, s; for arrays, of which none knows it.
-    order : int
-        Number of samples n_L that the learning filter looks ahead (44).
+    order : int, optional
+        Number of samples n_L that the learning filter looks ahead (44). Default: the samples by
+        which P lags beyond the least phase that its gain admits, and 4 / (cutoff Ts); at least 10,
+        and at most 60 or 20 beyond that lag.
     M_max : float
         Bound on sigma_max(M), in (0, 1): the slowest convergence tolerated.
     L_max : float, None or "auto"
-        Bound on sigma_max(L), unit of w per unit of y. Default: the gain that inverts P at Q's
-        cut-off, 1 / sigma_min(P), rounded up to one digit. It holds between the frequencies of a
-        coarse grid, and up to the Nyquist frequency, too. None leaves it out: filters then compete
-        up to the gain that coefficients in doubles can hold, :attr:`.Problem.weight`.
-    band : (float, float)
+        Bound on sigma_max(L), unit of w per unit of y. Default: four times the largest gain that
+        inverts P up to Q's cut-off, 1 / sigma_min(P), rounded up to one digit. It holds between
+        the frequencies of a coarse grid, and up to the Nyquist frequency, too. None leaves it out:
+        filters then compete up to the gain that coefficients in doubles can hold,
+        :attr:`.Problem.weight`.
+    band : (float, float), optional
         Lowest and highest frequency of the sum in (39), rad/s. A peak has none. Default: from the
-        lowest of `omega` to a fifth of Q's cut-off, or to the cut-off. The certificate says what
-        was chosen.
+        lowest of `omega` to Q's cut-off.
     reference : array_like, shape (time, m), optional
         In the place of the band: the reference of a trial, in the outputs' units, labelled ones
         matched by name. The sum is then weighted by the spectrum of the first trial's error,
         |(I - P) r| of the channels divided by `scale`, and the certificate predicts the RMS of the
         error of this reference.
-    structure : {"diagonal", "full"}
+    structure : {"full", "diagonal"}
+        Whether each error acts on all channels, or on its own only.
     objective : {"sum", "peak"}
         "sum" is (39), for the nominal plant; "peak" is (45), with (46) unless `L_max` is None: the
         largest over all plants.
@@ -326,6 +332,10 @@ def _explained(problem, nearest):
     if on_grid:
         message += (
             f"{_remedy(problem)}. At the frequencies omega alone the bounds can be met"
+        )
+    if problem.order < problem.delay:
+        message += (
+            f". P lags by {problem.delay} samples at the cut-off, more than order"
         )
     lost = problem.omega[problem.unusable & (np.abs(problem.Q) > problem.M_max)]
     if lost.size:

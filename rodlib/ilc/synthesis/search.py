@@ -93,7 +93,8 @@ def largest_cutoff(
     arguments.instance("Q", Q, ZeroPhaseButterworth)
     trial, start = _trial(choices), choices.pop("start", None)
     stated = pose(P, Q, omega, Ts, **choices)
-    choices |= {"band": stated.band, "L_max": stated.L_max}  # whatever Q will be
+    for name in ("order", "band", "L_max"):  # whatever Q will be
+        choices[name] = getattr(stated, name)
     further = np.empty(0)
 
     def posed(Q, **changes):

@@ -36,6 +36,7 @@ FOLLOWED = 0.5  # share of a predicted change of y; with less, it does not follo
 EXCESS = 0.05  # smallest error beyond the promised one, relative to the first trial's
 HARMLESS = 0.5  # share of v, and of the error without it, that repeats
 WORSE = 1.1  # ratio of RMS errors with learning and without it, worth a warning
+SETTLED = 1.2  # RMS of a trial, relative to that of the last ones, that is the same
 ROUNDING = 1e-9  # relative to the largest signal
 GRID = np.geomspace(1e-4, 1, 200) * np.pi  # omega Ts of the predicted rate
 
@@ -413,6 +414,22 @@ def degrees_of_freedom(power, edges=(0,)) -> np.ndarray:
 def mean_rms(signals) -> float:
     """Root of the mean square of signals (trial, time, channel), summed over the channels."""
     return np.sqrt(np.mean(rms(signals) ** 2))
+
+
+def settled(e) -> tuple[int, float, float] | None:
+    """From which trial on (index) the error (trial, time, channel) stays, where, and its noise.
+
+    The level is the RMS of the last quarter of the trials, or of three, none of which is SETTLED
+    times larger; noise is what differs between successive trials. None if it does not stay.
+    """
+    size, last = rms(e), max(3, len(e) // 4)
+    level = mean_rms(e[-last:])
+    outside = np.flatnonzero(size > SETTLED * level)
+    first = outside.max(initial=-1) + 1
+    if first > len(e) - last:
+        return None
+    noise = mean_rms(np.diff(e[first:], axis=0)) / np.sqrt(2)
+    return first, level, noise
 
 
 def rms(signals) -> np.ndarray:

@@ -71,7 +71,7 @@ class Panel:
         return self.outcome.settings
 
     def _choose(self, change=None):
-        """Another plant: begin with the paper's choices, carried over to it."""
+        """Another plant: begin with its choices."""
         self.file.layout.display = "" if self.choice.value == LOG else "none"
         try:
             with warnings.catch_warnings(action="ignore"):  # they are in the line
@@ -155,7 +155,7 @@ def knobs_of(settings: Settings) -> dict[str, widgets.DOMWidget]:
         "order": _knob(
             widgets.IntSlider, "order of L", settings.order, min=1, max=orders
         ),
-        "structure": _choice("structure", ["diagonal", "full"]),
+        "structure": _choice("structure", ["full", "diagonal"], settings.structure),
         "low": _knob(widgets.FloatText, "band from (rad/s)", low),
         "high": _knob(widgets.FloatText, "band to (rad/s)", high),
         "uncertainty": _slider(
@@ -177,8 +177,9 @@ def _log_slider(name, value):
     return _knob(widgets.FloatLogSlider, name, value, **options)
 
 
-def _choice(name, options):
-    return widgets.Dropdown(options=options, description=name, **LOOK)
+def _choice(name, options, value=None):
+    first = options[0] if value is None else value
+    return widgets.Dropdown(options=options, value=first, description=name, **LOOK)
 
 
 def _knob(kind, name, value, **options):

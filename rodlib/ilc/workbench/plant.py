@@ -1,6 +1,6 @@
 """A plant on the workbench: what filters are designed for, and what trials with them follow."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -9,7 +9,6 @@ from rodlib.ilc.logs.replay import replay
 from rodlib.ilc.loop.closed import Loop
 from rodlib.ilc.loop.notes import LogError, loop_of
 from rodlib.ilc.measurement.excitation import excitation_of
-from rodlib.ilc.problem.problem import Problem
 from rodlib.ilc.problem.responses import Measured
 
 TRIALS = 10
@@ -30,8 +29,8 @@ class Plant:
         Default: all outputs go to one and back, and rest.
     disturbance : array_like, shape (10, time, d), optional
         In the order of ``loop.disturbances``. Default: zero.
-    order : int
-        Order of the learning filter to begin with; more than the plant's delay in samples.
+    choices : dict
+        Settings to begin with, by name, where they are not the defaults of the synthesis.
     rest : int
         Samples at the end of a trial in which v is zero.
     """
@@ -40,7 +39,7 @@ class Plant:
     response: Loop | Measured
     reference: np.ndarray | None = None
     disturbance: np.ndarray | None = None
-    order: int = Problem.order
+    choices: dict = field(default_factory=dict)
     rest: int = REST
 
     def __post_init__(self):
@@ -54,7 +53,7 @@ class Plant:
             raise ValueError(
                 "response has no P, for which filters are designed: measure it, by shake"
             )
-        arguments.whole("order", self.order, 1)
+        arguments.instance("choices", self.choices, dict)
         m, reference = len(self.loop.outputs), self.reference
         if reference is None:
             reference = np.repeat(_there_and_back()[:, None], m, axis=1)

@@ -6,11 +6,12 @@ import numpy as np
 
 from rodlib.ilc import arguments
 from rodlib.ilc.filters import ZeroPhaseButterworth, zero_phase_butterworth
-from rodlib.ilc.problem import defaults
+from rodlib.ilc.problem.pose import pose
 from rodlib.ilc.problem.problem import Problem
 from rodlib.ilc.workbench.plant import Plant
 
 FREQUENCIES = 200  # of the design; the paper has 1000
+LIVELY = 20  # order up to which a filter takes a second, with bounds at every frequency
 
 
 @dataclass(frozen=True)
@@ -30,22 +31,22 @@ class Settings:
 
     @classmethod
     def of(cls, plant: Plant, **changes) -> "Settings":
-        """The paper's choices but for `changes`, carried over to another plant by its Ts."""
+        """The defaults of the synthesis but for the plant's choices and `changes`."""
         Ts = arguments.instance("plant", plant, Plant).loop.Ts
-        cutoff = changes.get("cutoff", ZeroPhaseButterworth.cutoff / Ts)
+        choices = plant.choices | changes
+        cutoff = choices.pop("cutoff", ZeroPhaseButterworth.cutoff / Ts)
         cutoff = float(f"{arguments.positive('cutoff', cutoff):.3g}")
-        omega = _omega(Ts)
-        low, high = defaults.band(cutoff, omega)
-        P = plant.frequency_response(omega)
-        smallest = np.linalg.svd(P, compute_uv=False)[:, -1]
+        Q = zero_phase_butterworth(cutoff=cutoff, Ts=Ts)
+        problem = pose(plant.response, Q, _omega(Ts), Ts)
+        low, high = problem.band
         settings = cls(
             plant,
-            L_max=defaults.gain(cutoff, smallest, omega),
+            L_max=problem.L_max,
             cutoff=cutoff,
             band=(low, float(f"{high:.3g}")),
-            order=plant.order,
+            order=min(problem.order, LIVELY),
         )
-        return cls(**vars(settings) | changes)
+        return cls(**vars(settings) | choices)
 
     @property
     def Ts(self) -> float:

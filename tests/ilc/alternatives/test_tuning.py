@@ -10,6 +10,7 @@ from rodlib import (
     LearningFilter,
     Rod,
     midr,
+    paper_choices,
     run_trials,
     sampled_response,
     synthesise,
@@ -67,7 +68,7 @@ def test_on_the_rod_itself_they_are_those_of_a_fine_model(loop, Q):
 
 def test_rate_is_that_of_the_certificate(loop, Q, omega):
     rehearsed, _, _ = rehearsal(loop, Q, 2500, 2)
-    design = synthesise(loop, Q, omega, 1.0)
+    design = synthesise(loop, Q, omega, 1.0, **paper_choices())
     assert rehearsed.rate(design.filter) == pytest.approx(
         design.certificate.grid_M, abs=2e-3
     )

@@ -1,5 +1,6 @@
 """What a certificate says, of one plant, of several and of a radius, and when it fails."""
 
+import re
 from contextlib import nullcontext
 from dataclasses import replace
 
@@ -9,8 +10,10 @@ import pytest
 from plants import tanks
 
 from rodlib import (
+    InfeasibleError,
     convergence,
     current_trial_loop,
+    paper_choices,
     synthesise,
     zero_phase_butterworth,
 )
@@ -24,6 +27,7 @@ from rodlib.ilc.synthesis.result import SolverError
 OMEGA = np.geomspace(1e-3, np.pi, 50)
 BUTTERWORTH = zero_phase_butterworth(2, 0.3)
 ASKED = {"order": 4, "M_max": 0.6, "L_max": 5.0, "band": (1e-3, 0.1)}
+ASKED["structure"] = "diagonal"
 
 
 def lags(gain=1.0, pole=0.9):
@@ -46,7 +50,7 @@ def of_lags(plants, **changes):
 
 @pytest.fixture(scope="module")
 def good(loop, Q, omega):
-    asked = {"band": (1e-4, 0.01), "samples": 200}
+    asked = paper_choices(band=(1e-4, 0.01), samples=200)
     return synthesise(loop, Q, omega[::5], 1.0, **asked).certificate
 
 
@@ -67,7 +71,11 @@ def test_the_short_form_says_the_rate_for_which_plants_and_what_limits_it(good):
     assert mean.startswith(
         f"mean of sigma_max(M) over the band: {good.mean_M:.4f}, from"
     )
-    assert limits == "limited by M_max = 0.9, L_max = 50, order = 10, diagonal"
+    more = f"10 % more would lower the objective by {good.relief / 10:.1%}"
+    expected = f"limited by M_max = 0.9, L_max = 50 ({more}), order = 10"
+    lag = good.problem.delay
+    assert 10 < lag < 20  # by its zeros, see notebook 7
+    assert limits == f"{expected} (P lags by {lag} samples at the cut-off), diagonal"
     assert trial.startswith("norm of one trial") and chosen == [*good.assumptions]
     omega = np.geomspace(1e-2, 2.0, 50)
     P = np.stack([frequency_response(model, omega) for model in MODELS])
@@ -80,8 +88,9 @@ def test_the_short_form_says_the_rate_for_which_plants_and_what_limits_it(good):
     assert f"rate, worst of 3 plants: {loose.certificate.rate:.4f}, estimated" in rate
     assert "between the samples, from 0.01 to 2 rad/s" in rate
     assert "of the nominal plant over the band" in mean
-    assert limits in ("limited by order = 4", "limited by L_max = 5, order = 4")
-    sure = synthesise(MODELS[0], BUTTERWORTH, OMEGA, uncertainty=0.01 + 0 * OMEGA)
+    assert re.fullmatch(r"limited by (L_max = 5 \(.*\), )?order = 4", limits)
+    asked = {"order": 10, "structure": "diagonal", "uncertainty": 0.01 + 0 * OMEGA}
+    sure = synthesise(MODELS[0], BUTTERWORTH, OMEGA, **asked)
     expected = f"rate, worst within the radius: {sure.certificate.rate:.4f}, proven at "
     assert str(sure).startswith(f"{expected}the design frequencies, without the radius")
     looser = replace(sure.problem, M_max=0.999, L_max=1e4)
@@ -94,7 +103,9 @@ def test_a_bound_that_holds_on_the_grid_only_warns(good):
     loop = current_trial_loop(tanks(), ["pump A", "pump B", "pump C"])
     Q, omega = zero_phase_butterworth(2, 0.3, 2.0), np.geomspace(1e-3, np.pi / 2, 60)
     with pytest.warns(match="between the frequencies omega") as record:
-        design = synthesise(loop, Q, omega, L_max=None)
+        design = synthesise(
+            loop, Q, omega, **paper_choices(L_max=None, band=(1e-3, 0.06))
+        )
     dense = np.linspace(0, np.pi / 2, 20001)
     gamma = convergence(loop, Q, design.filter, dense).gamma
     assert design.certificate.all_M == pytest.approx(gamma, rel=1e-5)
@@ -181,14 +192,15 @@ def test_what_lies_below_the_first_measured_frequency(Q):
     # its gain is 1, but -1 below 1e-4 rad/s
     plant = control.tf([0.1], [1, -0.9], 1.0) + slow
     P = plant(np.exp(1j * omega))[:, None, None]
-    design = synthesise(P, Q, omega, 1.0, band=(1e-2, 0.02))
+    asked = {"order": 10, "band": (1e-2, 0.02)}
+    design = synthesise(P, Q, omega, 1.0, **asked)
     certificate, text = design.certificate, design.certificate.details
     assert certificate.all_M < 1 < peak_around(plant, design, 1e-5)
     assert "sigma_max(M) from 0.01 to 3.142 rad/s, between the samples:" in text
     assert "sigma_max(M) unknown: below 0.01 rad/s, at resonances" in text
     assert certificate.warnings == certificate.failures == []
     with pytest.raises(SolverError, match=r"reaches 2.00\d* at 0 rad/s, not in omega"):
-        synthesise(control.ss(plant), Q, omega, 1.0, band=(1e-2, 0.02))
+        synthesise(control.ss(plant), Q, omega, 1.0, **asked)
 
 
 @pytest.mark.filterwarnings("ignore:the samples are too coarse")
@@ -197,7 +209,8 @@ def test_what_lies_below_the_first_measured_frequency(Q):
 )
 def test_the_estimate_between_samples_misses_less_than_it_says(loop, Q, grid):
     P = loop.frequency_response(grid)
-    design = synthesise(P, Q, grid, 1.0, band=(grid[0], 0.03), M_max=0.99)
+    asked = paper_choices(band=(grid[0], 0.03), M_max=0.99)
+    design = synthesise(P, Q, grid, 1.0, **asked)
     dense = np.geomspace(grid[0], np.pi, 20001)
     gamma = convergence(loop, Q, design.filter, dense).gamma
     peak = design.certificate.peak
@@ -205,7 +218,7 @@ def test_the_estimate_between_samples_misses_less_than_it_says(loop, Q, grid):
 
 
 def test_learning_that_does_nothing_is_named():
-    problem = pose(lags(), BUTTERWORTH, OMEGA, 1.0)
+    problem = pose(lags(), BUTTERWORTH, OMEGA, 1.0, order=10)
     none = np.zeros((50, 2, 2))
     nothing = Solution(np.zeros((2, 2, 10)), none, none, 1, "", 0)
     [text] = certify(problem, nothing).warnings
@@ -281,3 +294,36 @@ def test_those_that_are_tied_are_all_named_whatever_the_rounding(unit, radius):
     where = ", ".join(f"plant {n} at {OMEGA[k]:.4g}" for n, k in tied[:4])
     assert f" on the design grid: {where} rad/s" in text
     assert (f"rad/s and {len(tied) - 4} more\n" in text) == (len(tied) > 4)
+
+
+@pytest.mark.filterwarnings("ignore:the samples are too coarse")
+@pytest.mark.parametrize("objective", ["sum", "peak"])
+@pytest.mark.parametrize("structure", ["diagonal", "full"])
+@pytest.mark.parametrize("radius", [None, 0.02])
+def test_how_far_the_bound_on_the_gain_limits_is_its_slope(
+    objective, structure, radius
+):
+    """The optimum for a bound that is larger by a hundredth of a percent says the same."""
+    asked = ASKED | {"structure": structure, "objective": objective, "M_max": 0.95}
+    asked["uncertainty"] = None if radius is None else radius + 0 * OMEGA
+    one, other = (
+        synthesise(lags(), BUTTERWORTH, OMEGA, **asked | {"L_max": 1.5 * gain})
+        for gain in (1.0, 1.0001)
+    )
+    slope = 1e4 * (1 - other.value / one.value)
+    assert (
+        one.certificate.relief == pytest.approx(slope, rel=0.05, abs=1e-3)
+        and slope > 0.01
+    )
+
+
+def test_an_order_below_the_delay_of_the_plant_is_named():
+    lag = control.tf([0.1], [1, -0.9, *np.zeros(40)], 1.0)
+    Q, omega = zero_phase_butterworth(2, 0.03), np.geomspace(1e-3, np.pi, 200)
+    with pytest.raises(InfeasibleError, match="P lags by 41 samples at the cut-off"):
+        synthesise(lag, Q, omega, order=12, M_max=0.1)
+    design, chosen = (
+        synthesise(lag, Q, omega, **asked) for asked in ({"order": 12}, {})
+    )
+    assert "order = 12 (P lags by 41 samples at the cut-off)" in str(design)
+    assert "P's lag of 41 samples" in str(chosen) and chosen.certificate.rate < 0.1

@@ -10,6 +10,7 @@ from plants import tanks
 from rodlib import (
     convergence,
     current_trial_loop,
+    paper_choices,
     rate,
     synthesise,
     zero_phase_butterworth,
@@ -69,7 +70,7 @@ def test_with_two_channels_trials_may_converge_and_not_monotonically():
 
 def test_a_loop_brings_its_P_and_tables_their_own_grid(loop):
     Q, own = zero_phase_butterworth(), np.geomspace(1e-4, 2.0, 70)
-    design = synthesise(loop, Q, np.geomspace(1e-4, np.pi, 250))
+    design = synthesise(loop, Q, np.geomspace(1e-4, np.pi, 250), **paper_choices())
     all_M, P = design.certificate.all_M, loop.frequency_response(own)
     assert design.check(loop).gamma == pytest.approx(all_M, rel=1e-9)
     result = design.check(control.frd(np.moveaxis(P, 0, -1), own))
@@ -84,6 +85,7 @@ def test_in_other_units_the_rate_is_the_same():
     loop = current_trial_loop(tanks(), ["pump A", "pump B", "pump C"])
     Q, omega = zero_phase_butterworth(2, 0.005, 2.0), np.geomspace(1e-4, np.pi, 250) / 2
     asked = {"scale": [1.0, 10.0, 0.1], "L_max": 20.0, "band": (1e-4, 0.002)}
+    asked |= {"order": 10, "structure": "diagonal"}
     design = synthesise(loop, Q, omega, **asked)
     result = design.check([loop, loop.frequency_response(omega)])
     assert result.gamma == pytest.approx(design.certificate.all_M, rel=1e-4)

@@ -9,6 +9,7 @@ from rodlib import (
     LearningFilter,
     convergence,
     current_trial_loop,
+    paper_choices,
     rate,
     synthesise,
     zero_phase_butterworth,
@@ -76,7 +77,7 @@ def test_the_mean_over_the_band_does_not_depend_on_the_grid(loop, Q, printed):
         assert mean == pytest.approx(exact, abs=1e-3)
     fine = convergence(loop, Q, printed, np.geomspace(*band, 2001))
     assert fine.mean() == pytest.approx(exact, abs=1e-6)
-    design = synthesise(loop, Q, np.geomspace(1e-4, np.pi, 100), 1.0)
+    design = synthesise(loop, Q, np.geomspace(1e-4, np.pi, 100), **paper_choices())
     mean = convergence(loop, Q, design.filter, np.geomspace(*band, 4001)).mean()
     assert design.certificate.mean_M == pytest.approx(mean, abs=1e-3)
     for wrong in [(0, 0.02), (0.02, 1e-4), (1e-5, 0.02)]:

@@ -38,7 +38,7 @@ def case(loop, cutoff, band):
     """A loop with a law, and a grid."""
     Q = zero_phase_butterworth(2, cutoff, loop.Ts)
     omega = np.geomspace(1e-4, 1, 500) * np.pi / loop.Ts
-    L = synthesise(loop, Q, omega, loop.Ts, structure="full", band=band).filter
+    L = synthesise(loop, Q, omega, loop.Ts, order=10, band=band).filter
     return loop, Law(Q, L), omega
 
 

@@ -16,6 +16,7 @@ from rodlib import (
     Law,
     LearningFilter,
     current_trial_loop,
+    paper_choices,
     paper_loop,
     run_trials,
     synthesise,
@@ -159,9 +160,11 @@ def test_what_is_wrong_is_refused(words):
 
 def test_a_design_has_its_law(loop, omega):
     omega, limits = omega[::20], {"Q1": (0, 1)}
-    design = synthesise(loop, Q, omega, order=10)
+    design = synthesise(loop, Q, omega, **paper_choices())
     law = design.law(rest=4, gain=0.5, limits=limits)
     assert (law.Q, law.L, law.rest, law.gain) == (Q, design.filter, 4, 0.5)
-    of_samples = synthesise(loop, Q.frequency_response(omega), omega, 1.0, order=10)
+    of_samples = synthesise(
+        loop, Q.frequency_response(omega), omega, 1.0, **paper_choices()
+    )
     with pytest.raises(ValueError, match="Q = samples"):
         of_samples.law()

@@ -37,6 +37,7 @@ def case_of(name, cutoff, samples, heights, limits):
     Q = zero_phase_butterworth(2, cutoff, loop.Ts)
     omega = np.geomspace(1e-3, 1, 100) * np.pi / loop.Ts
     bounds = {"M_max": 0.95, "L_max": 20.0, "band": (omega[0], cutoff / 3)}
+    bounds["structure"] = "diagonal"
     L = synthesise(loop, Q, omega, order=16, **bounds).filter
     return loop, Q, L, move(samples, heights), limits
 
@@ -178,9 +179,31 @@ def test_the_rate_in_the_metric_is_a_generalised_eigenvalue():
     W = P.conj().swapaxes(1, 2) @ P + WEIGHT * one
     TWT = T.conj().swapaxes(1, 2) @ W @ T
     values = [eigh(*pair, eigvals_only=True)[-1] for pair in zip(TWT, W, strict=True)]
-    result = convergence(loop, Q, L, omega)
+    result = convergence(P, Q, L, omega)  # as samples, at these frequencies
     assert result.within() == pytest.approx(np.sqrt(max(values)), rel=1e-9)
     assert result.within(1e-10) == pytest.approx(result.gamma, rel=1e-5)
+
+
+def test_the_rate_in_the_metric_is_the_worst_of_all_plants_at_all_frequencies():
+    """Of a filter of 16 samples, on a grid of 10 frequencies; the first plant has the metric."""
+    loop, Q, L, _, _ = CASES["tanks"]
+    few = np.geomspace(1e-3, 0.02, 10)
+    plants = [loop.P, 0.5 * loop.P, 1.4 * loop.P]
+    dense, one = np.linspace(0, np.pi / loop.Ts, 20_000), np.eye(3)
+    P, response = loop.frequency_response(dense), L.frequency_response(dense)
+    values, vectors = np.linalg.eigh(P.conj().swapaxes(1, 2) @ P + WEIGHT * one)
+    root = vectors * np.sqrt(values)[:, None] @ vectors.conj().swapaxes(1, 2)
+    rates = []
+    for gain in (1.0, 0.5, 1.4):
+        T = Q.frequency_response(dense)[:, None, None] * (one - gain * response @ P)
+        rates.append(
+            np.linalg.norm(root @ T @ np.linalg.inv(root), 2, axis=(1, 2)).max()
+        )
+    result = convergence(plants, Q, L, few)
+    assert result.within() == pytest.approx(max(rates), rel=1e-5)
+    assert convergence(loop, Q, L, few).within() == pytest.approx(rates[0], rel=1e-5)
+    on_grid = convergence(loop.frequency_response(few), Q, L, few).within()
+    assert on_grid < 0.9 * rates[0]
 
 
 def test_the_outputs_converge_at_the_rate_of_lemma_1():

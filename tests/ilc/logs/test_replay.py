@@ -1,6 +1,7 @@
 """A log is replayed with the law and the loop that it names; what it lacks is left out."""
 
 import json
+import re
 import warnings
 
 import control
@@ -137,8 +138,10 @@ def test_trials_are_identified_by_their_numbers():
 
 
 def test_without_learning_v_is_zero():
-    run = trials_of("stage", Law(law_for(LOOPS["stage"]).Q, None, loop=LOOPS["stage"]))
+    law = Law(law_for(LOOPS["stage"]).Q, None, loop=LOOPS["stage"])
+    run = trials_of("stage", law)
     assert replay(run).agreement.endswith("in every trial")
+    assert not replay(trials_of("stage", law, 5)).settling
     assert not replay(run).following.any() and replay(run).error_by_octave(2) is None
     run["v"][1, 5] = 1e-6
     assert "departs from the law from trial 2 on, by 1.0" in replay(run).agreement
@@ -240,3 +243,44 @@ def test_a_replay_is_printed_in_lines_and_warns():
     assert "WARNING: the error grows" in repr(replayed)
     with warnings.catch_warnings(action="error"):
         assert replay(run.isel(trial=[0, 2, 5])).warnings == ()
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.05])
+def test_it_says_by_which_trial_to_what_the_error_converged(noise):
+    """Of errors that fall by a half a trial, to what Q leaves; noise is added to them."""
+    run = trials_of("tanks", trials=16)
+    left = bump(150, [0.3, 0.0, 0.0])
+    e = left + 5 * left * 0.5 ** np.arange(16)[:, None, None]
+    e += noise * np.random.default_rng(0).standard_normal(e.shape)
+    run["e"] = (run.e.dims, e, run.e.attrs)
+    (line,) = replay_quietly(run).settling
+    level, share = (
+        np.sqrt(np.mean(np.sum(left**2, axis=1)) + 3 * noise**2),
+        3**0.5 * noise,
+    )
+    number, rest, new = re.fullmatch(
+        r"RMS \(cm\): converged, by about trial (\d+), to (\S+), of which noise (\S+)",
+        line,
+    ).groups()
+    assert int(number) in (5, 6) and float(rest) == pytest.approx(level, rel=0.02)
+    assert float(new) == pytest.approx(share, rel=0.05, abs=0.01)
+    assert line in repr(replay_quietly(run))
+    (early,) = replay_quietly(run.isel(trial=slice(4))).settling
+    assert "not converged" in early
+    assert not replay_quietly(run.isel(trial=slice(3))).settling
+    other = run.reference * (1 + (run.trial == 3))
+    assert not replay_quietly(run.assign(reference=other)).settling
+
+
+def replay_quietly(trials):
+    with warnings.catch_warnings(action="ignore"):
+        return replay(trials)
+
+
+def test_the_bound_of_a_ratio_counts_what_Q_leaves():
+    """Where the error is what Q leaves, it stays: a bound below one would be no bound."""
+    law = law_for(LOOPS["stage"])
+    trials = with_law(run_trials(law.loop, law, bump(150, [1.0]), None, 12), law)
+    table = replay_quietly(trials).error_by_octave(12)
+    left = table[table.before > 0.01 * table.before.max()]
+    assert np.all(left.bound >= 0.98 * left.measured) and left.measured.max() > 0.95

@@ -272,7 +272,9 @@ def test_the_unit_of_a_clock_may_end_its_title(title, unit):
 @pytest.mark.parametrize(("unit", "factor"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
 def test_an_epoch_is_in_a_unit_that_is_stated(unit, factor):
     frame = pd.DataFrame({"t": factor * (1.7e9 + SAMPLES), "y": LEVEL})
-    with pytest.raises(LogError, match=f"time reaches 1.7e.* s, .* years: .*'{unit}'"):
+    with pytest.raises(
+        LogError, match=f"time reaches 1.7e.* s, .* of years: .*'{unit}'"
+    ):
         read_table(frame, time="t", outputs={"y": "y"})
     log = read_table(frame, time="t", outputs={"y": "y"}, units={"time": unit})
     assert log.attrs["Ts"] == 1.0

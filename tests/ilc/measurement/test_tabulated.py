@@ -33,7 +33,7 @@ def test_the_truth_is_within_the_radius_between_the_lines():
 def test_twelve_points_are_enough_for_a_dense_grid():
     """And without them the error says how."""
     omega, Q = np.geomspace(6.0, 1000.0, 150), zero_phase_butterworth(2, 100.0, 1e-3)
-    asked = {"M_max": 0.95, "L_max": 10.0, "band": (7.0, 50.0)}
+    asked = {"order": 10, "M_max": 0.95, "L_max": 10.0, "band": (7.0, 50.0)}
     with pytest.raises(ValueError, match=r"P = measured_response\(P\)"):
         synthesise(table(), Q, omega, **asked)
     design = synthesise(measured_response(table()), Q, omega, **asked)

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from rodlib import (
     InfeasibleError,
     LearningFilter,
+    paper_choices,
     synthesise,
     zero_phase_butterworth,
 )
@@ -42,7 +43,8 @@ def table(seed, m, n, last):
 @pytest.mark.parametrize(("n", "as_model"), [(250, True), (1000, False)])
 def test_on_the_grids_of_the_paper_nothing_is_added(loop, Q, n, as_model):
     omega = np.geomspace(1e-4, np.pi, n)
-    problem = pose(loop if as_model else loop.frequency_response(omega), Q, omega, 1.0)
+    P = loop if as_model else loop.frequency_response(omega)
+    problem = pose(P, Q, omega, 1.0, **paper_choices())
     assert without_gaps(problem) is problem and problem.beyond is None
     np.testing.assert_array_equal(problem.weight, np.tile(np.eye(2) / 50, (n, 1, 1)))
 

@@ -11,6 +11,7 @@ from rodlib import (
     InfeasibleError,
     LearningFilter,
     current_trial_loop,
+    paper_choices,
     synthesise,
     zero_phase_butterworth,
 )
@@ -21,7 +22,8 @@ from rodlib.ilc.synthesis.design import solve
 from rodlib.ilc.synthesis.result import SolverError
 
 PROVEN = 1 + 3e-8  # what the bounds may be passed by
-PAPER = {"L_max": 50.0, "band": (1e-4, 0.02)}
+PAPER = paper_choices()
+PAPER.pop("M_max")
 
 
 def judged(design, P, Q, omega):

@@ -9,6 +9,7 @@ from plants import tanks
 from rodlib import (
     InfeasibleError,
     current_trial_loop,
+    paper_choices,
     paper_loop,
     synthesise,
     zero_phase_butterworth,
@@ -54,7 +55,7 @@ def test_the_bound_holds_for_the_truth_if_it_is_within_the_radius(scale):
     error = rng.standard_normal(P.shape) + 1j * rng.standard_normal(P.shape)
     error *= 0.004 / np.linalg.norm(error, 2, axis=(1, 2))[:, None, None]
     Q = zero_phase_butterworth(2, 0.03 / loop.Ts, loop.Ts)
-    choices = dict(band=(omega[0], 0.02 / loop.Ts), scale=scale)
+    choices = paper_choices(band=(omega[0], 0.02 / loop.Ts), scale=scale)
     measured = Estimate(P + error, 0.004)
     design = synthesise(measured, Q, omega, loop.Ts, **choices)
     S = np.ones(3) if scale is None else np.array(scale)
@@ -77,7 +78,7 @@ def test_where_nothing_can_be_learned_is_named():
     P = loop.frequency_response(omega)
     smallest = np.linalg.svd(P, compute_uv=False)[:, -1]
     measured = Estimate(P, 0.01)
-    design = synthesise(measured, Q, omega, 1.0)
+    design = synthesise(measured, Q, omega, 1.0, **paper_choices())
     lost = omega[smallest <= 0.01]
     assert 0 < len(lost) < 100
     place = f"at {len(lost)} frequencies from {lost[0]:.4g} to {lost[-1]:.4g} rad/s"
@@ -86,7 +87,7 @@ def test_where_nothing_can_be_learned_is_named():
         many = pose([P, factor * P], Q, omega, 1.0, uncertainty=np.full(100, 0.01))
         np.testing.assert_array_equal(many.unusable, min(factor, 1) * smallest <= 0.01)
     with pytest.raises(InfeasibleError, match="P is not known well enough") as caught:
-        synthesise(Estimate(P, 0.5), Q, omega, 1.0)
+        synthesise(Estimate(P, 0.5), Q, omega, 1.0, **paper_choices())
     here = (smallest <= 0.5) & (np.abs(Q.frequency_response(omega)) > 0.9)
     assert f"{here.sum()} frequencies from {omega[here][0]:.4g}" in str(caught.value)
     # a singular plant is within the radius: no filter makes M smaller than Q for it

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from plants import half, random_response
 
-from rodlib import InfeasibleError, synthesise
+from rodlib import InfeasibleError, paper_choices, synthesise
 from rodlib.ilc.problem.pose import pose
 from rodlib.ilc.problem.problem import largest_singular_values
 from rodlib.ilc.synthesis.design import certified, solve
@@ -78,7 +78,8 @@ def test_after_new_cuts_of_a_radius_a_few_steps_are_enough(loop, Q):
     """From the optimum without them; a new start would take 18 iterations."""
     omega = np.geomspace(1e-4, np.pi, 300)
     radius = np.full(300, 0.01)
-    design = synthesise([loop, 0.97 * loop.P], Q, omega, uncertainty=radius)
+    choices = paper_choices(uncertainty=radius)
+    design = synthesise([loop, 0.97 * loop.P], Q, omega, **choices)
     assert design.solution.method == "active set" and design.solution.iterations < 9
     assert design.certificate.gap < 1e-9
 

@@ -13,6 +13,7 @@ from rodlib import (
     InfeasibleError,
     LearningFilter,
     least_gain,
+    paper_choices,
     synthesise,
     zero_phase_butterworth,
 )
@@ -36,7 +37,7 @@ def test_no_design_is_worse_than_the_printed_one(loop, Q, omega):
         ("diagonal", 104.865787, 0.8999993, 50.00004),
         ("full", 69.961958, 0.883, 50.00007),
     ):
-        design = synthesise(loop, Q, omega, structure=structure)
+        design = synthesise(loop, Q, omega, **paper_choices(structure=structure))
         P, q = design.problem.P, design.problem.Q
         printed = LearningFilter(published.matrix(f"L_{structure}"), 1.0)
         sigma_M, sigma_L = judged(printed, P, q, omega)
@@ -67,8 +68,8 @@ def test_a_wrong_filter_is_not_returned(loop, Q, omega, monkeypatch, factor, com
     monkeypatch.setattr(active_set, "resolve", lambda *_, **__: None)
     arguments = (loop, Q, np.geomspace(1e-4, np.pi, 250), 1.0)
     with pytest.raises(SolverError, match=complaint):
-        synthesise(*arguments, band=(1e-4, 0.01))
-    problem = pose(*arguments, band=(1e-4, 0.01))
+        synthesise(*arguments, **paper_choices(band=(1e-4, 0.01)))
+    problem = pose(*arguments, **paper_choices(band=(1e-4, 0.01)))
     assert certified(problem, check=False).certificate.failures
 
 
@@ -150,8 +151,11 @@ def test_least_gain_of_a_channel_that_could_be_learned_at_once():
     ("changes", "remedy"),
     [
         ({"M_max": 0.6, "L_max": 1e-9}, "no M_max below 1 will do, so raise L_max"),
-        ({"order": 11}, "will do, so take a longer filter, or a full one, lower"),
-        ({"order": 11, "structure": "full"}, "so take a longer filter, lower"),
+        (
+            {"order": 11, "structure": "diagonal"},
+            "will do, so take a longer filter, or a full one, lower",
+        ),
+        ({"order": 11}, "so take a longer filter, lower"),
         ({"M_max": 0.6, "L_max": 0.2}, "M_max is 0.79.*: raise M_max or raise L_max"),
         ({"L_max": None}, r"M_max is 0.5(00001)?: raise M_max, take"),  # rounded up
     ],
@@ -187,8 +191,8 @@ def test_a_trial_that_does_not_fit_is_refused(changes, message):
 
 
 def test_the_rest_of_a_trial_reaches_the_certificate(loop, Q, omega):
-    trial = {"samples": np.int64(60), "rest": np.int8(15)}
-    design = synthesise(loop, Q, omega[::10], M_max=np.float32(0.95), **trial)
+    trial = {"samples": np.int64(60), "rest": np.int8(15), "M_max": np.float32(0.95)}
+    design = synthesise(loop, Q, omega[::10], **paper_choices(**trial))
     operators = (loop.P, Q, design.filter, 60)
     norm, whole = (trial_norm(*operators, rest=n)[0] for n in (15, 0))
     assert design.certificate.trial == pytest.approx(norm, rel=1e-9)

@@ -18,6 +18,7 @@ from rodlib import (
     multisine,
     run_trials,
     save_log,
+    synthesise,
     try_out,
 )
 from rodlib.ilc.law.io import with_law
@@ -42,7 +43,7 @@ def run(lines):
 def settings_of(name):
     source, order = SOURCES[name]
     loop = run(f"import rodlib\nloop = {source}")["loop"]
-    return Settings.of(Plant(source, loop, order=order))
+    return Settings.of(Plant(source, loop, choices={"order": order}))
 
 
 @pytest.fixture(scope="module", params=SOURCES)
@@ -158,15 +159,17 @@ def test_noise_bounds_the_error_from_below(stage):
     assert noisy.design.value == clean.design.value
 
 
-def test_the_papers_choices_are_carried_over(rod, stage):
+def test_settings_begin_with_the_plants_choices_or_the_defaults(rod, stage):
     """With another sampling period, all frequencies move with it, and the rule for the gain."""
     assert (rod.M_max, rod.L_max, rod.cutoff) == (0.9, 50.0, 0.1)
     assert rod.band == (1e-4, 0.02)
     assert (rod.order, rod.Q_order, rod.structure) == (10, 2, "diagonal")
-    assert (stage.cutoff, stage.band) == (100.0, (0.1, 20.0))
+    assert (stage.cutoff, stage.band) == (100.0, (0.1, 100.0))
     assert stage.omega[-1] == np.pi * 1000
-    P = stage.plant.frequency_response([100.0])
-    assert 1 <= stage.L_max * abs(P[0, 0, 0]) < 2
+    P = np.abs(stage.plant.frequency_response(np.linspace(0.1, 100.0, 1000)))
+    assert 4 * (1 - 1e-9) <= stage.L_max * P.min() < 8
+    problem = synthesise(stage.plant.loop, stage.Q, stage.omega, order=10).problem
+    assert (problem.L_max, problem.band) == (stage.L_max, stage.band)
 
 
 @pytest.mark.parametrize(

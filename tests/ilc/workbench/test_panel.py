@@ -56,6 +56,7 @@ def test_a_new_picture_comes_with_its_lines(panel):
 
 
 def test_infeasible_and_back(panel):
+    panel.knobs["order"].value = 3
     panel.knobs["M_max"].value = 0.06
     assert panel.outcome.design is None and panel.save.disabled
     assert "the smallest feasible M_max is" in panel.outcome.message
@@ -75,7 +76,7 @@ def test_another_plant_brings_its_own_knobs(panel):
 
 def test_fields_out_of_range_are_answered_by_a_message(panel):
     panel.knobs["low"].value = 1e9
-    assert "band = (1000000000.0, 20.0)" in panel.outcome.message
+    assert "band = (1000000000.0, 100.0)" in panel.outcome.message
     panel.choice.value, panel.file.value = LOG, "nowhere.csv"
     assert panel.settings is None and "nowhere.csv" in panel.outcome.message
     panel.choice.value = "stage"

@@ -9,6 +9,7 @@ import pytest
 from rodlib import (
     Rod,
     Settings,
+    paper_choices,
     plot,
     synthesise,
     try_out,
@@ -69,7 +70,8 @@ def test_the_lines_are_the_designs(paper, full):
 
 def test_a_design_without_bounds_or_trials_is_drawn_without_them(loop, Q):
     omega = np.geomspace(1e-4, np.pi, 100)
-    peak = synthesise(loop, Q, omega, objective="peak", L_max=None)
+    choices = paper_choices(objective="peak", L_max=None)
+    peak = synthesise(loop, Q, omega, **choices)
     rate, trials, gain, lags = plot(peak).axes
     assert [len(axes.lines) for axes in (rate, gain, lags)] == [1, 1, 2]
     assert trials.get_title(loc="left") == "not simulated"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from plants import random_response
 
-from rodlib import synthesise
+from rodlib import paper_choices, synthesise
 from rodlib.ilc.problem.pose import pose
 from rodlib.ilc.synthesis.design import solve
 from rodlib.ilc.synthesis.formulate import formulate
@@ -23,16 +23,16 @@ from rodlib.ilc.synthesis.solver.active_set import (
 @pytest.fixture(scope="module")
 def start(loop, Q, omega):
     """The paper's diagonal filter."""
-    return synthesise(loop, Q, omega)
+    return synthesise(loop, Q, omega, **paper_choices())
 
 
 @pytest.mark.parametrize("structure", ["diagonal", "full"])
 def test_a_changed_bound_or_band_takes_a_few_steps(loop, Q, omega, structure):
-    start = synthesise(loop, Q, omega, structure=structure)
+    start = synthesise(loop, Q, omega, **paper_choices(structure=structure))
     for changes in ({"M_max": 0.88}, {"L_max": 40.0}, {"band": (1e-4, 0.05)}):
-        changes["structure"] = structure
-        cold = synthesise(loop, Q, omega, **changes)
-        warm = synthesise(loop, Q, omega, start=start, **changes)
+        choices = paper_choices(structure=structure, **changes)
+        cold = synthesise(loop, Q, omega, **choices)
+        warm = synthesise(loop, Q, omega, start=start, **choices)
         assert warm.value == pytest.approx(cold.value, rel=1e-9)
         assert warm.certificate.gap < 1e-8
         # A step costs about half of an iteration of the interior-point method.
@@ -89,7 +89,7 @@ def test_what_the_method_returns_is_judged_more_strictly(
         return replace(solution, U=U, V=V)
 
     monkeypatch.setattr(active_set, "resolve", careless)
-    design = synthesise(loop, Q, omega, start=start, L_max=49.0)
+    design = synthesise(loop, Q, omega, start=start, **paper_choices(L_max=49.0))
     assert design.solution.method == "interior point" and design.certificate.gap < 1e-8
 
 
@@ -98,10 +98,11 @@ def test_a_start_that_does_not_fit_is_refused_or_makes_no_difference(
 ):
     with pytest.raises(ValueError, match=r"shape \(2, 2, 10\).* have \(2, 2, 9\)"):
         synthesise(loop, Q, omega, order=9, start=start)
-    grid = omega[::4]
-    cold = synthesise(loop, Q, grid).value
-    for before in (start, synthesise(loop, Q, grid, structure="full")):
-        warm = synthesise(loop, Q, grid, start=before).value
+    grid, choices = omega[::4], paper_choices()
+    cold = synthesise(loop, Q, grid, **choices).value
+    full = synthesise(loop, Q, grid, **choices | {"structure": "full"})
+    for before in (start, full):
+        warm = synthesise(loop, Q, grid, start=before, **choices).value
         assert warm == pytest.approx(cold, rel=1e-9)
 
 

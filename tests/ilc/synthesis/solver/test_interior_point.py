@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from plants import random_response
 
-from rodlib import InfeasibleError, synthesise, zero_phase_butterworth
+from rodlib import InfeasibleError, paper_choices, synthesise, zero_phase_butterworth
 from rodlib.ilc.evidence.certificate import GAP
 from rodlib.ilc.problem.pose import pose
 from rodlib.ilc.synthesis.design import certified
@@ -24,7 +24,8 @@ def test_structured_and_cvxpy_agree_on_the_papers_problems(
     loop, Q, omega, structure, objective
 ):
     grid = omega[::8]
-    problem = pose(loop, Q, grid, structure=structure, objective=objective)
+    choices = paper_choices(structure=structure, objective=objective)
+    problem = pose(loop, Q, grid, **choices)
     ours = certified(problem)
     theirs = certified(problem, solver="cvxpy", check=False)
     assert ours.certificate.gap < GAP
@@ -76,8 +77,9 @@ def test_every_filter_is_certified_or_refused_with_a_reason(
 @pytest.mark.parametrize("structure", ["diagonal", "full"])
 def test_shortest_and_longest_filters_on_the_papers_plant(loop, Q, omega, structure):
     grid = np.append(omega[:880:4], omega[880:])  # nowhere coarse, even for the longest
+    choices = {"structure": structure, "M_max": 0.99995}
     shortest, longest = (
-        certified(pose(loop, Q, grid, structure=structure, order=n, M_max=0.99995))
+        certified(pose(loop, Q, grid, **paper_choices(order=n, **choices)))
         for n in (1, 40)
     )
     # a longer filter can do all that a shorter one can
@@ -88,13 +90,14 @@ def test_shortest_and_longest_filters_on_the_papers_plant(loop, Q, omega, struct
 
 def test_nearly_infeasible_problems_are_solved(loop, Q, omega):
     grid = omega[::4]
-    arguments, margin = {"band": (grid[0], 0.01), "L_max": 50.0}, 1.00001
-    peak = synthesise(loop, Q, grid, 1.0, objective="peak", **arguments).value
-    design = synthesise(loop, Q, grid, 1.0, M_max=peak * margin, **arguments)
+    arguments, margin = paper_choices(band=(grid[0], 0.01)), 1.00001
+    peak = synthesise(loop, Q, grid, 1.0, **arguments, objective="peak").value
+    arguments["M_max"] = peak * margin
+    design = synthesise(loop, Q, grid, 1.0, **arguments)
     assert design.certificate.gap < 1e-7
     assert design.certificate.grid_M <= peak * margin * (1 + 1e-9)
     with pytest.raises(InfeasibleError) as error:
-        synthesise(loop, Q, grid, 1.0, M_max=peak / margin, **arguments)
+        synthesise(loop, Q, grid, 1.0, **arguments | {"M_max": peak / margin})
     named = re.search(r"smallest feasible M_max is (0\.\d+)", str(error.value))[1]
     assert 0 <= float(named) - peak < 1e-6  # in six digits, rounded up
 
@@ -105,7 +108,8 @@ def test_without_a_bound_filters_compete_up_to_a_gain_that_doubles_can_hold(
 ):
     """The limit counts in units of each input: a plant in other units has the same optimum."""
     P, U = loop.frequency_response(omega), np.diag([1.0, unit])
-    design = synthesise(P @ U, Q, omega, 1.0, L_max=None, objective=objective)
+    choices = paper_choices(L_max=None, objective=objective)
+    design = synthesise(P @ U, Q, omega, 1.0, **choices)
     response = Q.frequency_response(omega)[:, None, None] * P @ U
     sizes = np.linalg.norm(response, axis=1).max(axis=0)[:, None, None]
     assert np.abs(sizes * design.filter.coefficients).max() < 1e7
