@@ -39,7 +39,7 @@ WELL = {"learned", "said so"}
 SAYS = {  # what a warning or an error says, in a word or two
     "beyond the limits": "limits", "more than noise": "error grows",
     "learning adds": "not repeating",
-    "keeps growing": "v grows", "the loop's model": "not the model",
+    "keeps growing": "v grows", "differs from the model": "not the model",
     "it starts": "start", "not back": "start", "of the error in the band": "learns little",
     "too coarse": "coarse", "may reach": "coarse", "not linear": "not linear",
     "drifts": "drift", "too far apart": "sparse", "differs from I": "no anchor",
