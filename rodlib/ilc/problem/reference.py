@@ -23,7 +23,7 @@ def first_error(samples: Samples, reference) -> tuple[np.ndarray, np.ndarray]:
     are |E_1| d omega, and sum to one.
     """
     m, own = samples.plants.shape[-1], samples.omega * samples.Ts
-    known = samples.labels.output_labels
+    known = samples.labels.labels[:m]  # of the outputs
     names = known or arguments.names_of(reference) or range(m)
     r = arguments.in_columns("reference", reference, ("time", m), names) / samples.scale
     length = 2 * next_fast_len(FINER * len(r) // 2, real=True)

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.stats import binom
 
-FALSE_ALARM = (
-    1e-3  # probability, at most, that samples without noise are said to scatter
-)
+# Probability, at most, that samples without noise are said to scatter
+FALSE_ALARM = 1e-3
 ROUNDED = 1e-3  # relative to P: what tables are rounded to is not counted
 ROUNDING = 1e-12  # of the largest P; what is smaller is not seen
 LINES = 5  # of a difference
