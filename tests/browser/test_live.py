@@ -108,11 +108,12 @@ def test_what_is_saved_is_what_is_shown(reader, tmp_path):
     reader.page.get_by_text("not saved: ").wait_for()
 
 
-def test_infeasible_and_back(reader, first, shots):
+def test_infeasible_and_back_by_the_button(reader, first, shots):
     tight = replace(first, L_max=20.0)
     reader.after(reader.type, "L_max", "20")
     reader.after(reader.type, "M_max", "0.5")
     infeasible = replace(tight, M_max=0.5)
+    assert try_out(infeasible).M_max == 0.869
     assert reader.picture == drawn(infeasible)
     assert (
         reader.python.strip() == ""
@@ -121,8 +122,10 @@ def test_infeasible_and_back(reader, first, shots):
     for width in (1280, 800):
         reader.show(width, 1500, shots / f"infeasible-{width}.png")
         assert reader.overflow == []
-    picture = reader.after(reader.type, "M_max", "0.869")
+    picture = reader.after(reader.page.get_by_text("set M_max to 0.869").click)
+    assert reader.read("M_max") == "0.869"
     assert picture == drawn(replace(tight, M_max=0.869), tight)
+    assert not reader.page.get_by_text("set M_max to").is_visible()
 
 
 def test_nonsense_in_a_field_does_no_harm(reader, paper):

@@ -4,12 +4,13 @@ Every design is solved from zero. A warm start would take half the time, but the
 coefficients would differ in the third digit with the settings that came before.
 """
 
+import math
 import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rodlib.ilc import Law, arguments, synthesise
+from rodlib.ilc import InfeasibleError, Law, arguments, synthesise
 from rodlib.ilc.synthesis.result import SolverError, Synthesis
 from rodlib.ilc.trials.run import rms, run_trials
 from rodlib.ilc.workbench.plant import TRIALS, Plant
@@ -24,6 +25,7 @@ class Outcome:
     design: Synthesis | None = None
     rms: tuple[float, ...] = ()  # of the error by trial, all outputs, if simulated
     message: str = ""  # why there is no filter, and the remedy
+    M_max: float | None = None  # the smallest feasible, if that is the remedy
     warnings: tuple[str, ...] = ()  # of the trials
 
     @property
@@ -61,6 +63,9 @@ def try_out(settings: Settings) -> Outcome:
                 settings.Ts,
                 **settings.problem,
             )
+    except InfeasibleError as error:
+        M_max = _rounded_up(error.smallest_M_max)
+        return Outcome(settings, message=str(error), M_max=M_max if M_max < 1 else None)
     except (ValueError, SolverError) as error:
         return Outcome(settings, message=str(error))
     outcome = Outcome(settings, design)
@@ -82,3 +87,8 @@ def try_out(settings: Settings) -> Outcome:
         rms=tuple(rms(trials.e).values.tolist()),
         warnings=tuple(str(warning.message) for warning in record),
     )
+
+
+def _rounded_up(smallest):
+    """The next M_max of three digits that leaves the solver some room."""
+    return math.ceil(1000 * smallest + 0.05) / 1000

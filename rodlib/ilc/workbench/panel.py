@@ -42,6 +42,7 @@ class Panel:
         self.file = _knob(widgets.Text, "path of the log", log)
         self.knob_box = widgets.VBox()
         self.image = widgets.Image(format="png", layout={"width": "100%"})
+        self.remedy = widgets.Button(button_style="primary", layout={"width": "200px"})
         self.certificate = widgets.HTML(layout={"width": "98%"})
         self.python = widgets.HTML(layout={"width": "98%"})
         self.target = widgets.Text(
@@ -50,6 +51,7 @@ class Panel:
         self.save = widgets.Button(description="save Q and L", layout={"width": "auto"})
         self.saved = widgets.HTML()
         self.widget = self._layout()
+        self.remedy.on_click(self._apply_remedy)
         self.save.on_click(self._save)
         self.choice.observe(self._choose, "value")
         self.file.observe(self._choose, "value")
@@ -60,7 +62,7 @@ class Panel:
         saving = widgets.Box(
             [self.target, self.save, self.saved], layout={"flex_flow": "row wrap"}
         )
-        right = [self.image, self.certificate, self.python, saving]
+        right = [self.image, self.remedy, self.certificate, self.python, saving]
         return widgets.Box(
             [left, widgets.VBox(right, layout=RIGHT)], layout={"flex_flow": "row wrap"}
         )
@@ -114,7 +116,10 @@ class Panel:
         if self.outcome.design is not None:
             self.before = self.outcome
         self.outcome = outcome
-        feasible = outcome.design is not None
+        feasible, remedy = outcome.design is not None, outcome.M_max is not None
+        self.remedy.layout.display = "" if remedy else "none"
+        if remedy:
+            self.remedy.description = f"set M_max to {outcome.M_max:.3f}"
         self.save.disabled, self.saved.value = not feasible, ""
         self.certificate.value = _as_html(
             "certificate", outcome.text if feasible else ""
@@ -123,6 +128,9 @@ class Panel:
         self.python.value = _as_html("python", python, "user-select: all")
         # Last: the lines beside a new picture are those that belong to it.
         self.image.value = self.picture.show(outcome, self.before).png()
+
+    def _apply_remedy(self, button):
+        self.knobs["M_max"].value = self.outcome.M_max
 
     def _save(self, button):
         """Save the law of the outcome, and say where it is, or why it is not."""

@@ -59,9 +59,12 @@ def test_infeasible_and_back(panel):
     panel.knobs["order"].value = 3
     panel.knobs["M_max"].value = 0.06
     assert panel.outcome.design is None and panel.save.disabled
-    assert "the smallest feasible M_max is" in panel.outcome.message
-    panel.knobs["M_max"].value = 0.8
-    assert panel.outcome.design is not None and not panel.save.disabled
+    assert panel.remedy.layout.display == ""
+    smallest = panel.outcome.M_max
+    assert panel.remedy.description == f"set M_max to {smallest:.3f}"
+    panel.remedy.click()
+    assert panel.settings.M_max == panel.knobs["M_max"].value == smallest
+    assert panel.outcome.design is not None and panel.remedy.layout.display == "none"
     assert panel.before.settings.M_max == 0.9  # the last one with a filter, in gray
 
 
