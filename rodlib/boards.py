@@ -75,8 +75,7 @@ class TemperatureControlLab:
         )
         self.wait = arguments.number("wait", wait, "a minute or more, in s", least=LAST)
         seed = arguments.whole("seed", seed, 0)
-        import tclab  # an extra, which only this driver needs
-
+        tclab = _package()
         self.lab = tclab.TCLab() if self.kit else tclab.TCLabModel(synced=False)
         if not self.kit:
             random.seed(seed)
@@ -246,3 +245,14 @@ def fit_heat_balance(heaters, readings, Ts: float) -> HeatBalanceFit:
             stacklevel=2,
         )
     return fit
+
+
+def _package():
+    """The package tclab, which only this driver needs."""
+    try:
+        import tclab
+    except ImportError:
+        raise ImportError(
+            "TemperatureControlLab needs the package tclab: pip install 'rodlib[tclab]'"
+        ) from None
+    return tclab

@@ -200,5 +200,5 @@ def test_bad_arguments_are_refused_before_anything_is_connected(
     monkeypatch.setitem(sys.modules, "tclab", None)
     with pytest.raises(ValueError, match=f"{name} = "):
         TemperatureControlLab(**{name: value})
-    with pytest.raises(ImportError, match="tclab"):
+    with pytest.raises(ImportError, match=r"rodlib\[tclab\]"):
         TemperatureControlLab()

@@ -89,8 +89,10 @@ def choice(name: str, value, options: Sequence[str]) -> str:
 def instance(name: str, value, kind):
     """An object of the given class, or of one of a union."""
     if not isinstance(value, kind):
+        holds = isinstance(getattr(value, "filter", None), kind)
+        remedy = f", which is its attribute: pass {name}.filter" if holds else ""
         words = " or ".join(each.__name__ for each in get_args(kind) or [kind])
-        raise ValueError(f"{name} = {reprlib.repr(value)} must be a {words}")
+        raise ValueError(f"{name} = {reprlib.repr(value)} must be a {words}{remedy}")
     return value
 
 

@@ -3,6 +3,7 @@
 Only the standard library, because `environment.py` needs this before anything is installed.
 """
 
+import json
 import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -16,9 +17,31 @@ except ImportError:  # on Windows
     fcntl = None
 
 
+def read_json(text: str):
+    """What JSON says; a ValueError if it says anything twice, or what JSON has no word for."""
+    return json.loads(text, object_pairs_hook=_once, parse_constant=_refuse_constant)
+
+
+def _once(pairs):
+    if len(pairs) > len(dict(pairs)):
+        raise ValueError("a name stands there twice")
+    return dict(pairs)
+
+
+def _refuse_constant(word):
+    raise ValueError(f"{word} is no number")
+
+
 def folder(path: Path) -> Path:
-    """Make a folder, unless it or a link to one is there; a file in the way is an OSError."""
-    path.mkdir(parents=True, exist_ok=True)
+    """Make a folder, unless it or a link to one is there; a file in the way is an error."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError):
+        ways = (path, *path.parents)
+        file = next(way for way in ways if os.path.lexists(way) and not way.is_dir())
+        raise NotADirectoryError(
+            f"{file} must be a folder: remove what is there"
+        ) from None
     return path
 
 

@@ -6,9 +6,11 @@ output shows; and any plant, a transfer function as well, as such a model in dis
 
 import reprlib
 from collections.abc import Sequence
+from os import PathLike
 
 import control
 import numpy as np
+from scipy import signal
 from scipy.linalg import LinAlgError, block_diag, null_space
 
 from rodlib.ilc import arguments
@@ -24,8 +26,9 @@ def frequency_response(system: control.StateSpace, omega) -> np.ndarray:
         )
     points = np.exp(1j * omega * system.dt) if system.dt else 1j * omega
     resolvent = np.repeat(-system.A[None].astype(complex), len(points), axis=0)
-    diagonals = np.einsum("nii->ni", resolvent)  # a view
-    diagonals += points[:, None]
+    np.einsum("nii->ni", resolvent)[:] += points[
+        :, None
+    ]  # on the diagonals alone, in place
     return system.C @ solve_off_poles(resolvent, system.B.astype(complex)) + system.D
 
 
@@ -101,8 +104,9 @@ def unreachable_modes(A, B) -> tuple[np.ndarray, np.ndarray]:
 def reachable_basis(A, B) -> np.ndarray:
     """Orthonormal basis of the reachable subspace, shape (n, r)."""
     basis = np.eye(len(A))
-    # a second pass only for unreachable chains of generalised eigenvectors
-    while basis.size:
+    while (
+        basis.size
+    ):  # a second pass only for unreachable chains of generalised eigenvectors
         _, silent = unreachable_modes(basis.T @ A @ basis, basis.T @ B)
         if not silent.size:
             break
@@ -163,14 +167,28 @@ def controls_first(
     )  # fmt: skip
 
 
+def refuse_foreign(name: str, value) -> None:
+    """Refuse what stands for a model and is none of python-control's; the error says the remedy."""
+    remedy, kind = None, type(value).__name__
+    if isinstance(value, str | PathLike):
+        kind, remedy = "path", "read the file, and pass what stands in it"
+    elif isinstance(value, signal.lti | signal.dlti):
+        remedy = f"of s = {name}.to_ss(), make control.ss(s.A, s.B, s.C, s.D, s.dt)"
+    elif isinstance(value, control.NonlinearIOSystem) and not isinstance(
+        value, control.LTI
+    ):
+        remedy = f"linearise it, by control.linearize({name}, x, u)"
+    if remedy:
+        raise ValueError(
+            f"{name} = {reprlib.repr(value)} is a {kind}, and no model: {remedy}"
+        )
+
+
 def sampled_plant(
     plant: control.StateSpace | control.TransferFunction, name: str = "plant"
 ) -> control.StateSpace:
-    """A plant in discrete time as a state-space model; realises a transfer function.
-
-    Of a model `s` of scipy make ``control.ss(s.A, s.B, s.C, s.D, s.dt)``; of a nonlinear one,
-    ``control.linearize(plant, x, u)``.
-    """
+    """A plant in discrete time as a state-space model; realises a transfer function."""
+    refuse_foreign(name, plant)
     if not isinstance(plant, control.TransferFunction):
         arguments.state_space(name, plant)
     if not (plant.isdtime(strict=True) and plant.dt is not True):

@@ -275,8 +275,8 @@ def publish(build: Path, root: Path) -> None:
     rows = join(build / "ledger")
     figures, texts = changes(rows, build, root)
     new = {}
-    for name, same in figures.items():
-        if not same:
+    for name, change in figures.items():
+        if change != pictures.SAME:
             for path in (root / "figures").glob(f"{name}.*"):
                 new[path] = None
             for path in (build / "figures").glob(f"{name}.*"):
@@ -289,8 +289,8 @@ def publish(build: Path, root: Path) -> None:
 
 def changes(
     rows: pd.DataFrame, build: Path, root: Path
-) -> tuple[dict[str, bool], dict[str, bytes]]:
-    """Whether a run left each figure the same, and the texts that are not what they were."""
+) -> tuple[dict[str, str], dict[str, bytes]]:
+    """What a run has made of each figure, in a word, and the texts that are not what they were."""
     readme = (root / "README.md").read_text(encoding="utf-8")
     texts = {
         "figures/ledger.csv": rows.to_csv(index=False, lineterminator="\n"),
@@ -305,13 +305,14 @@ def changes(
     return pictures.compared(build / "figures", root / "figures"), changed
 
 
-def report(figures: dict[str, bool], texts: Iterable[str]) -> str:
-    """How many figures are the same, and which of the others, and of texts, are not."""
-    same = sum(figures.values())
+def report(figures: dict[str, str], texts: Iterable[str]) -> str:
+    """How many figures are the same, and what has become of the others and of texts."""
+    same = list(figures.values()).count(pictures.SAME)
     if same == len(figures) and not texts:
         return f"all {same} figures, the ledger and the README are the same as before"
-    others = [name for name, is_same in figures.items() if not is_same]
-    names = ", ".join([*others, *texts])
-    return (
-        f"{same} of {len(figures)} figures are the same as before; different: {names}"
-    )
+    line = f"{same} of {len(figures)} figures are the same as before"
+    every = figures | dict.fromkeys(texts, pictures.DIFFERENT)
+    for kind in (pictures.DIFFERENT, pictures.NEW, pictures.GONE):
+        names = ", ".join(name for name, change in every.items() if change == kind)
+        line += f"; {kind}: {names}" if names else ""
+    return line

@@ -13,16 +13,22 @@ from matplotlib.image import imread
 
 PIXELS_PER_INCH = 200  # of the PNG files
 LEVELS = 7  # of 255, by which a pixel may differ
+SAME, DIFFERENT, NEW, GONE = "the same", "different", "new", "gone"
 
 
-def compared(drawn: Path, before: Path) -> dict[str, bool]:
-    """Whether each figure of the notebooks is the same, by name; one that is new or gone is not."""
-    folders = drawn, before
-    paths = [path for folder in folders for path in folder.glob("*.png")]
-    names = sorted({p.stem for p in paths if p.stem.startswith(("fig", "extra"))})
-    return {
-        name: same(*(folder / f"{name}.png" for folder in folders)) for name in names
-    }
+def compared(drawn: Path, before: Path) -> dict[str, str]:
+    """What has become of each figure of the notebooks, by name, in order."""
+    new, old = pictures(drawn), pictures(before)
+    changes = dict.fromkeys(old, GONE) | dict.fromkeys(new, NEW)
+    for name in new.keys() & old.keys():
+        changes[name] = SAME if same(new[name], old[name]) else DIFFERENT
+    return dict(sorted(changes.items()))
+
+
+def pictures(folder: Path) -> dict[str, Path]:
+    """The PNG files of figures of the notebooks, by name."""
+    paths = [*folder.glob("fig*.png"), *folder.glob("extra*.png")]
+    return {path.stem: path for path in paths}
 
 
 def same(one: Path, other: Path) -> bool:

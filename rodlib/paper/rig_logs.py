@@ -5,6 +5,7 @@ were no Joule heat: with the inverse, an exact model would stand between control
 """
 
 import json
+import sys
 from dataclasses import asdict
 
 import numpy as np
@@ -34,7 +35,10 @@ def experiment() -> dict:
 
 def main():
     """Record the two experiments of data/rig; the same bytes in every run."""
-    folder = checkout("python -m rodlib.paper.rig_logs") / "data" / "rig"
+    try:
+        folder = checkout("python -m rodlib.paper.rig_logs") / "data" / "rig"
+    except RuntimeError as error:
+        sys.exit(str(error))
     printed = LearningFilter(published.matrix("L_diagonal"), 1.0)
     folder.mkdir(parents=True, exist_ok=True)
     for name, L, seed in (("learning", printed, 1), ("no-learning", None, 2)):

@@ -203,8 +203,8 @@ def test_publish_writes_ledger_figures_and_readme(root, capsys):
     draw(root, "performance", 0)
     assert publish(root, capsys) == (
         "0 of 4 figures are the same as before; "
-        "different: extra99-stale, fig01, fig02, fig03, "
-        "figures/ledger.csv, figures/ledger.md, README.md"
+        "different: figures/ledger.csv, figures/ledger.md, README.md; "
+        "new: fig01, fig02, fig03; gone: extra99-stale"
     )
     pictures = {path.stem for path in (root / "figures").glob("*.p*")}
     assert pictures == {"fig01", "fig02", "fig03", "performance"}

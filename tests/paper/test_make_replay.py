@@ -130,7 +130,7 @@ def test_tanks_in_units_of_their_own_are_replayed_without_a_loop(root, replay_he
     save_log(run, root / "tanks.csv")
     text = replay_here("tanks.csv")
     assert r"RMS of _left, right (cm)  RMS of $\frac{$ (mm)" in text
-    assert "law: the recorded v is that of the law wherever" in text
+    assert "law: the recorded v is that of the law, but in 3" in text
     reason = "left out: simulation and prediction: the log does not name its loop"
     assert text.count(reason) >= 2  # of the command, and of the notebook
     table = next_trial(root)

@@ -35,12 +35,12 @@ def before(tmp_path_factory):
 @pytest.mark.parametrize(
     ("changes", "outcome"),
     [
-        ({}, True),
-        ({"raised": 0.0025 * POINT}, True),
-        ({"raised": 0.03 * POINT}, False),
-        ({"label": "rate 0.902"}, False),
-        ({"patch": "0.98"}, False),
-        ({"width": 361}, False),
+        ({}, "the same"),
+        ({"raised": 0.0025 * POINT}, "the same"),
+        ({"raised": 0.03 * POINT}, "different"),
+        ({"label": "rate 0.902"}, "different"),
+        ({"patch": "0.98"}, "different"),
+        ({"width": 361}, "different"),
     ],
 )
 def test_what_rounding_moves_is_the_same_and_what_is_seen_is_not(
@@ -49,7 +49,9 @@ def test_what_rounding_moves_is_the_same_and_what_is_seen_is_not(
     assert compared(draw(tmp_path / "drawn", **changes), before) == {"fig01": outcome}
 
 
-@pytest.mark.parametrize(("levels", "outcome"), [(LEVELS, True), (LEVELS + 1, False)])
+@pytest.mark.parametrize(
+    ("levels", "outcome"), [(LEVELS, "the same"), (LEVELS + 1, "different")]
+)
 def test_one_pixel_decides(tmp_path, levels, outcome):
     gray = np.full((4, 4, 3), 100, np.uint8)
     for folder in (tmp_path / "old", tmp_path / "new"):
@@ -63,7 +65,7 @@ def test_a_file_that_cannot_be_read_is_different(before, tmp_path):
     content = (before / "fig01.png").read_bytes()
     for broken in (b"", b"<<<<<<< HEAD\n", content[:-100], content[:5000]):
         (tmp_path / "fig01.png").write_bytes(broken)
-        assert compared(tmp_path, before) == {"fig01": False}
+        assert compared(tmp_path, before) == {"fig01": "different"}
 
 
 def test_figures_that_come_and_go_are_named_and_others_left_alone(before, tmp_path):
@@ -72,5 +74,5 @@ def test_figures_that_come_and_go_are_named_and_others_left_alone(before, tmp_pa
     shutil.copy(before / "fig01.png", drawn / "extra02.png")
     for name in ("fig03", "performance"):
         shutil.copy(before / "fig01.png", tracked / f"{name}.png")
-    same = {"extra02": False, "fig01": True, "fig03": False}
-    assert compared(drawn, tracked) == same
+    changes = {"extra02": "new", "fig01": "the same", "fig03": "gone"}
+    assert compared(drawn, tracked) == changes

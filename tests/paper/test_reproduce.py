@@ -77,7 +77,7 @@ def test_notebooks_run_in_their_folder_and_their_results_are_published(root):
     outcome = run(root)
     assert outcome.returncode == 0 and outcome.stderr == ""
     assert "01-model ... done, " in outcome.stdout
-    assert "different: fig01, " in outcome.stdout
+    assert outcome.stdout.endswith("README.md; new: fig01\n")
     names = ["fig01.png", "ledger.csv", "ledger.md"]
     assert [path.name for path in sorted((root / "figures").iterdir())] == names
     assert "| 01-model " in (root / "README.md").read_text()

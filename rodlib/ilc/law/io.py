@@ -7,7 +7,7 @@ from dataclasses import replace
 import xarray as xr
 
 from rodlib.ilc import arguments
-from rodlib.ilc.files import write_whole
+from rodlib.ilc.files import read_json, write_whole
 from rodlib.ilc.filters import LearningFilter, ZeroPhaseButterworth
 from rodlib.ilc.law.law import Law
 from rodlib.ilc.law.limits import named_limits
@@ -64,7 +64,7 @@ def law_of(trials: xr.Dataset) -> Law | None:
         return None
     loop = loop_of(trials)
     with reading("law"):
-        notes = {key: json.loads(trials.attrs[key]) for key in noted}
+        notes = {key: read_json(trials.attrs[key]) for key in noted}
         law = _law_from(notes, trials.attrs["Ts"])
         check_match(log=Signals.of_log(trials), law=law)
         arguments.whole("rest", law.rest, 0, trials.sizes["time"] - 1)
@@ -102,17 +102,20 @@ def save_law(path, law: Law, note: str = "") -> None:
 
 
 def load_law(path) -> Law:
-    """Read a law of :func:`save_law`, as in ``record(rig, loop, load_law(path), reference)``.
-
-    That of a trial log is ``law_of(load_log(path))``.
-    """
+    """Read a law of :func:`save_law`, as in ``record(rig, loop, load_law(path), reference)``."""
     path = arguments.path("path", path)
     if not path.is_file():
         raise ValueError(
             f"path = {str(path)!r} must be a file of save_law, but is none"
         )
+    text = path.read_text(encoding="utf-8")
+    if text.startswith("#"):
+        raise ValueError(
+            f"path = {str(path)!r} is a table, not a law: of a trial log, its law is "
+            "rodlib.law_of(load_log(path))"
+        )
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = read_json(text)
         if content["format"] != FORMAT:
             raise ValueError(f"format {content['format']!r} is not {FORMAT!r}")
         law = _law_from(content, content["Ts"])

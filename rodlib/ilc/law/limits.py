@@ -115,7 +115,12 @@ def realised(loop: Loop, v, u, applied) -> np.ndarray:
     cut = applied - u
     if isinstance(loop, ClosedLoop):
         return v + cut
-    return v + cut @ np.linalg.inv(loop.N).T
+    try:
+        return v + cut @ np.linalg.inv(loop.N).T
+    except np.linalg.LinAlgError:
+        raise ValueError(
+            "loop.N is singular: w does not follow from its commands"
+        ) from None
 
 
 def nearest(

@@ -1,7 +1,6 @@
 """Reading text and logs: rows known by their line, trials with the clock that they need."""
 
 import csv
-import json
 import re
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Iterator, Mapping, Sequence
@@ -13,6 +12,7 @@ import pandas as pd
 import xarray as xr
 
 from rodlib.ilc import arguments
+from rodlib.ilc.files import read_json
 from rodlib.ilc.logs import clock
 from rodlib.ilc.logs.format import FORMAT, KEYS, ROLES, few, titles_of, units_of
 from rodlib.ilc.loop.notes import LogError
@@ -207,7 +207,7 @@ def _period(text):
 def _signals(text):
     """Names and units of the signals by role, from JSON."""
     try:
-        signals = arguments.instance("signals", json.loads(text), dict)
+        signals = arguments.instance("signals", read_json(text), dict)
         for role, names in signals.items():
             arguments.choice("a key of signals", role, [*ROLES.values()])
             arguments.instance(role, names, dict)

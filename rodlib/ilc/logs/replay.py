@@ -256,9 +256,13 @@ class Replay:
             return (
                 f"v departs from the law from trial {number} on, by {amount} in {name}"
             )
-        known = departure.notna().all(axis=None)
-        where = "in every trial" if known else "wherever there is a trial before"
-        return f"the recorded v is that of the law {where}"
+        unknown = departure.index[departure.isna().all(axis=1)]
+        if unknown.empty:
+            return "the recorded v is that of the law in every trial"
+        which = ", ".join(map(str, unknown))
+        return (
+            f"the recorded v is that of the law, but in {which}, without a trial before"
+        )
 
     @property
     def omissions(self) -> list[str]:
@@ -282,8 +286,10 @@ class Replay:
             reasons.append(
                 f"simulation: of the trials from 1 on, there are {self.numbers}"
             )
-        simulated = {*self.loop.disturbances} - {*self.unmeasured}
-        ignored = [name for name in self.sources if name not in simulated]
+        unknown = [name for name in self.sources if name not in self.loop.disturbances]
+        if unknown:
+            reasons.append(f"disturbances {unknown}: they are not in the model")
+        ignored = [name for name in self.sources if name in self.unmeasured]
         if ignored:
             reasons.append(f"disturbances {ignored}: the simulation ignores them")
         return reasons

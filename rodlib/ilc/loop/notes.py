@@ -14,6 +14,7 @@ import numpy as np
 import xarray as xr
 
 from rodlib.ilc import arguments
+from rodlib.ilc.files import read_json
 from rodlib.ilc.loop.closed import ClosedLoop, CurrentTrialLoop, Loop
 from rodlib.ilc.signals import Signals, check_match
 
@@ -40,7 +41,7 @@ def read_note(trials: xr.Dataset, key: str, read: Callable):
     if key not in trials.attrs:
         return None
     with reading(key):
-        return read(json.loads(trials.attrs[key]))
+        return read(read_json(trials.attrs[key]))
 
 
 def loop_of(trials: xr.Dataset) -> Loop | None:

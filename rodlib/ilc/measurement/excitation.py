@@ -1,6 +1,7 @@
 """What the loop is shaken with: periodic multisines, on few lines and with low peaks."""
 
 import json
+import warnings
 from dataclasses import asdict, dataclass
 from functools import cached_property
 
@@ -14,6 +15,8 @@ from rodlib.ilc.loop.notes import loop_note, read_note
 from rodlib.ilc.signals import Signals, check_match
 
 LEAD = 0.25  # periods before those that are evaluated, in which most of the transient decays
+LONGEST = 720.0  # hours: a month, in which no rig stays as it is
+MANY = 1000  # periods, more than which no experiment of more than a day needs
 FEWEST = 3  # periods: with fewer, nothing around the lowest line tells the noise
 POINTS = 2**21  # that are clipped, in rounds over one period
 
@@ -35,8 +38,9 @@ class Excitation:
     periods: int  # of each experiment that are evaluated
     harmonics: tuple[int, ...]  # of the period, increasing
     phases: tuple[float, ...]  # of the harmonics, rad
-    # largest |w| of each input, in the units of the outputs
-    amplitude: tuple[float, ...]
+    amplitude: tuple[
+        float, ...
+    ]  # largest |w| of each input, in the units of the outputs
 
     def __post_init__(self):
         arguments.sampling_period("Ts", self.Ts)
@@ -52,11 +56,9 @@ class Excitation:
         amplitude = arguments.array("amplitude", self.amplitude, ("input",))
         if amplitude.min() <= 0:
             raise ValueError(f"amplitude = {amplitude} must be positive numbers")
-        vars(self).update(
-            harmonics=tuple(self.harmonics),
-            phases=tuple(phases.tolist()),
-            amplitude=tuple(amplitude.tolist()),
-        )
+        object.__setattr__(self, "harmonics", tuple(self.harmonics))
+        object.__setattr__(self, "phases", tuple(phases.tolist()))
+        object.__setattr__(self, "amplitude", tuple(amplitude.tolist()))
 
     @property
     def channels(self) -> int:
@@ -137,8 +139,13 @@ def multisine(
     highest = arguments.number(
         "highest", highest, "between lowest and pi / Ts", lowest, nyquist
     )
-    amplitude = np.full(m, amplitude) if np.ndim(amplitude) == 0 else amplitude
-    amplitude = arguments.array("amplitude", amplitude, (m,))
+    amplitude = arguments.array("amplitude", amplitude, (...,))
+    if amplitude.shape not in ((), (m,)):
+        raise ValueError(
+            f"amplitude = {amplitude.tolist()} must be one number, or one for each of the {m} "
+            f"outputs {loop.outputs}"
+        )
+    amplitude = np.broadcast_to(amplitude, (m,))
     hours = arguments.positive("hours", hours, "a positive number of hours")
     lines = arguments.whole("lines", lines, 2)
     period = round(2 * np.pi / (lowest * Ts))
@@ -148,6 +155,12 @@ def multisine(
         raise ValueError(
             f"hours = {hours:g} is too short for {FEWEST} periods of the lowest frequency in {m} "
             f"experiment(s): {needed:.4g} h are needed, or lowest = {lowest * needed / hours:.3g}"
+        )
+    if hours > LONGEST or (hours > 24 and periods > MANY):
+        warnings.warn(
+            f"hours = {hours:g} are {hours / 24:.3g} days, {periods} periods of the lowest "
+            f"frequency: likely seconds, which are {hours / 3600:.3g} h",
+            stacklevel=2,
         )
     top = min(int(highest * Ts * period / (2 * np.pi)), (period - 1) // 2)
     harmonics = np.unique(np.round(np.geomspace(1, top, lines)).astype(int)).tolist()

@@ -39,7 +39,7 @@ def pose(
     samples = on_one_grid(P, Q, omega, Ts, uncertainty, scale)
     nominal, omega, n = samples.plants[0], samples.omega, len(samples.omega)
     singular_values = np.linalg.svd(nominal, compute_uv=False)
-    _refuse_singular(singular_values, omega)
+    _refuse_singular(nominal, singular_values, omega)
     cutoff = defaults.cutoff(samples.butterworth, samples.Q, omega)
     by_default, power, assumed = [], None, []
     if order is None:
@@ -154,14 +154,20 @@ def _size_beyond(samples):
     return float(size if samples.radius is None else size + samples.radius[-1])
 
 
-def _refuse_singular(singular_values, omega):
+def _refuse_singular(P, singular_values, omega):
     smallest = np.maximum(1e-12 * singular_values[:, 0], 1 / arguments.LARGEST)
     singular = np.flatnonzero(singular_values[:, -1] <= smallest)
     if not singular.size:
         return
     first = singular[0]
+    zero = np.abs(P[first]) <= smallest[first]
+    cause = ""
+    if zero.all(axis=1).any():
+        cause = f"; output {zero.all(axis=1).argmax()} does not respond to any input"
+    elif zero.all(axis=0).any():
+        cause = f"; w {zero.all(axis=0).argmax()} has no effect on any output"
     raise ValueError(
         f"P is singular at omega = {omega[first]:.6g} rad/s (smallest singular value "
-        f"{singular_values[first, -1]:.3g}): P^-1 in (40) does not exist there; does each output "
-        "respond to an input, and each w move an output?"
+        f"{singular_values[first, -1]:.3g}): P^-1 in (40) does not exist there{cause}"
+        f"{', counted from 0' if cause else ''}"
     )

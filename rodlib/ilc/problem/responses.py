@@ -1,6 +1,7 @@
 """Plants and Q in whatever form they are known, on one grid of frequencies."""
 
 import reprlib
+from collections.abc import Iterator
 
 import control
 import numpy as np
@@ -9,7 +10,7 @@ from scipy.interpolate import make_interp_spline
 from rodlib.ilc import arguments
 from rodlib.ilc.filters import ZeroPhaseButterworth
 from rodlib.ilc.loop.closed import Loop
-from rodlib.ilc.models import frequency_response
+from rodlib.ilc.models import frequency_response, refuse_foreign
 from rodlib.ilc.problem.problem import Samples
 from rodlib.ilc.signals import Signals, check_match
 
@@ -205,8 +206,18 @@ def _frequencies(P, Q) -> np.ndarray:
 
 def plants(P):
     """The plants by their names in messages, the nominal one first, from one plant or several."""
+    if isinstance(P, Iterator):
+        raise ValueError(
+            f"P = {reprlib.repr(P)} can be read only once: pass a list of plants"
+        )
     several = isinstance(P, np.ndarray) and P.ndim == 4
     if isinstance(P, list | tuple):
+        measured = [isinstance(p, Measured) for p in P]
+        if any(measured):
+            raise ValueError(
+                f"P[{measured.index(True)}] is a measured response, whose radius would count for "
+                "all of the list: pass it alone, or P.on(omega, confidence) as arrays"
+            )
         several = not P or any(isinstance(p, MODELS) or axes(p) == 3 for p in P)
     if several and not len(P):
         raise ValueError(
@@ -240,6 +251,7 @@ def on_grid(plants, omega, Ts):
 
 def _response(name, P, omega, Ts):
     """The plant as a model, or None, and its frequency response on omega, not yet checked."""
+    refuse_foreign(name, P)
     if isinstance(P, Loop):
         P = P.P
     if isinstance(P, control.FrequencyResponseData):

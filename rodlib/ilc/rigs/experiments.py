@@ -95,7 +95,7 @@ def record(
         After a trial in which samples were not on time, if the rig has a clock, or commands beyond
         what it follows, if it has limits, once if v is learned within them; that started elsewhere
         than the first; once, if the trials show that they do not converge, see
-        :mod:`rodlib.ilc.trials.diagnosis`.
+        :mod:`rodlib.ilc.trials.diagnosis`. If the log has more trials than asked for.
     """
     controlled_rig = controlled(rig, loop, decimals)
     law = arguments.instance("law", law, Law).bound_to(loop)

@@ -59,6 +59,12 @@ class Experiment:
             names = [name for name in SIGNALS if name in log]
             for k in range(log.sizes["trial"]):
                 trials.append({name: log[name].values[k] for name in names})
+            if len(trials) > count:
+                warnings.warn(
+                    f"path = '{path}' has {len(trials)} trials, more than trials = {count}: all of "
+                    "them are returned",
+                    stacklevel=4,
+                )
             if len(trials) >= count:
                 return log
 

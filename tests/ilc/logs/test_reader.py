@@ -66,6 +66,7 @@ def test_a_log_with_an_accident_is_read_or_refused(
         ("log 2", "log 1", "format is 'rodlib trial log 1'"),
         ("Ts: 1.0 s", "Ts: -1 s", "Ts = '-1 s'"),
         ("# Ts", "# Ts: 2.0 s\n# Ts", "'Ts' stands twice, again in line 3"),
+        ('"depth": "mm"}', '"depth": "mm", "depth": "m"}', "twice"),
         (",y_depth,", ",depth,", r"missing are \['y_depth'\] and unknown \['depth'\]"),
         ('"mm"', "1", "unit of depth = 1"),
         ('"outputs"', '"exits"', "a key of signals = 'exits'"),

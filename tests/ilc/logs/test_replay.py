@@ -132,7 +132,7 @@ def test_trials_are_identified_by_their_numbers():
     some, last = replay(trials.sel(trial=[5, 2, 3])), replay(trials.sel(trial=[4, 5]))
     np.testing.assert_array_equal(some.following, last.following)
     assert some.departure.x.isna().tolist() == [True, False, True]
-    assert some.agreement.endswith("wherever there is a trial before")
+    assert "but in 2, 5, without a trial before" in some.agreement
     assert some.simulated is None and some.predicted is not None
     assert "simulation" in some.omissions[0] and "[2, 3, 5]" in some.omissions[0]
 
