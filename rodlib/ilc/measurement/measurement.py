@@ -194,14 +194,20 @@ def measured_response(
             f"log = {reprlib.repr(log)} must be read first: by load_log(path), or of other tables "
             "by read_table(log, time=..., inputs={...}, outputs={...})"
         )
-    arguments.instance("log", log, xr.Dataset)
     if uncertainty is not None:
         raise ValueError(
             "uncertainty must be None where log is a record, which tells its own"
         )
+    if isinstance(log, list | tuple) and log:
+        logs = [
+            arguments.instance(f"log[{i}]", one, xr.Dataset)
+            for i, one in enumerate(log)
+        ]
+        return _warned(estimated_response(logs, of))
+    arguments.instance("log", log, xr.Dataset)
     excitation, loop = excitation_of(log), loop_of(log)
     if excitation is None or of is not None:
-        measured = estimated_response(log, of)
+        measured = estimated_response([log], of)
     elif loop is None:
         raise LogError(
             "log names no loop in its metadata: it is not of shake; or say `of`"
