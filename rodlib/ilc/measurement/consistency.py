@@ -51,16 +51,12 @@ def contradictions(
         inverse = np.linalg.pinv(
             left[among] / np.outer(unit, unit), 1e-9, hermitian=True
         )
-        size = inverse @ (scores[columns] / unit) / unit
-        statistic = scores[columns] @ size / len(columns) * count / fit.posterior.rest
+        explained = scores[columns] / unit @ inverse @ (scores[columns] / unit)
+        statistic = explained / len(columns) * count / fit.posterior.rest
         if fdtrc(len(columns), count, statistic) * len(sets) > FALSE_ALARM:
             continue
-        linear = (
-            np.ix_(columns[:1], columns[:1])
-            if name != CURVED
-            else np.s_[:parts, :parts]
-        )
-        off = np.sqrt(size @ products[among] @ size / products[linear].sum())
+        where = np.s_[:parts, :parts] if name == CURVED else (columns[0], columns[0])
+        off = np.sqrt(explained / products[where].sum())
         if off > SEEN:
             yield name, off
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
-from scipy.ndimage import median_filter
+from scipy import ndimage
 
 from rodlib.ilc import arguments
 from rodlib.ilc.loop.closed import ClosedLoop, Loop
@@ -23,13 +23,13 @@ from rodlib.ilc.signals import Signals, check_match, period_of
 
 LINES = 200  # frequencies at which the region is found
 FEWEST = 20  # samples of a trial
-LEARNED = 0.5  # of the deviation before the data, and of the largest P: what is less is identified
-SMOOTHED = (
-    9  # lines: what is identified, or not, on fewer than half of them is not said
-)
+LEARNED = 0.5  # of the deviation before the data: what is less is identified
+SMOOTHED = 5.0  # lines, over which this is averaged
+INTERVALS = 2  # of frequencies, the longest, that are said to be identified
 MIDDLE = 0.8  # quantile of the errors at a line, to which they are relative
 TAIL = 10  # draws beyond which a quantile is extrapolated, as of a normal distribution
 LATE = 0.4  # of a response in the later half of the longest trial: it does not settle
+SURE = 12  # draws that all must say so
 STABLE = 0.1  # share of the draws, of which fewer say that it does not
 NAMED = 5  # contradictions at most that are said
 
@@ -148,8 +148,8 @@ class EstimatedResponse(Measured):
         ]
         if not self.known.all():
             lines.append(
-                f"P is identified from {where} rad/s; elsewhere the input had too little power, and "
-                "the radius is that of what was assumed before the data"
+                f"P is identified from {where} rad/s; elsewhere the input had too little power, "
+                "and the radius is that of what was assumed before the data"
             )
         return lines
 
@@ -221,12 +221,16 @@ def estimated_response(
 
 
 def _identified(estimate):
-    """Where the data say more than what was assumed, on intervals, and P is not lost in errors."""
+    """Where the data say more than what was assumed, and P is not lost in errors: two intervals."""
     angles, inputs = estimate.omega * estimate.loop.Ts, estimate.units.shape[1]
     learned = [fit.learned(angles)[:, :inputs].max(axis=1) for fit in estimate.fits]
     size = largest_singular_values(estimate.response).max()
-    known = (np.max(learned, axis=0) < LEARNED) & (estimate.radius() < LEARNED * size)
-    return median_filter(known.astype(int), SMOOTHED, mode="nearest").astype(bool)
+    off = np.maximum(np.max(learned, axis=0) / LEARNED, estimate.radius() / size)
+    label, count = ndimage.label(ndimage.gaussian_filter1d(np.log(off), SMOOTHED) < 0)
+    longest = (
+        np.argsort(np.bincount(label.ravel(), minlength=count + 1)[1:])[-INTERVALS:] + 1
+    )
+    return np.isin(label, longest)
 
 
 def _signals(log, of, name="log"):
@@ -273,16 +277,24 @@ def _size(signals):
 
 
 def _check_settled(name, fit, n):
-    """Refuse a response that does not end within n samples."""
-    late = 1.0
-    if fit.stable >= STABLE:
-        g = np.abs(fit.impulse(n))
-        late = (g[:, n // 2 :].sum(axis=1) / g.sum(axis=1)).max()
-    if late > LATE:
+    """Refuse a response that does not end within n samples, if nearly all draws say so."""
+    late = _late(fit.impulse(n)) > LATE
+    if fit.stable >= STABLE and late:
+        few = range(1, min(SURE, fit.a.shape[1]))
+        late = all(_late(fit.impulse(n, draw)) > LATE for draw in few)
+    if late or fit.stable < STABLE:
         raise LogError(
             f"{name} does not settle within the {n} samples of a trial: it integrates or rings "
             "on, or the record is too short. Record longer, or in a closed loop"
         )
+
+
+def _late(impulse):
+    """The largest share of the later half, of responses (m, n)."""
+    g = np.abs(impulse)
+    return (
+        g[:, g.shape[1] // 2 :].sum(axis=1) / np.maximum(g.sum(axis=1), 1e-300)
+    ).max()
 
 
 def _words(signals, of):

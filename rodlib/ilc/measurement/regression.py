@@ -13,7 +13,6 @@ coefficients are drawn for several of them.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -118,7 +117,7 @@ def _layout(groups, direct):
 
 
 def contrasts(signal: np.ndarray) -> np.ndarray:
-    """Of trials, from their first samples on: sqrt(K) times their mean, then what they differ by."""
+    """Of trials, less their first samples: sqrt(K) times their mean, then their differences."""
     signal = signal - signal[:, :1]
     H = helmert(len(signal), full=True)
     return np.tensordot(H, signal, 1)
@@ -288,16 +287,16 @@ class Regression:
         above = np.moveaxis(B @ self.b[..., draws], 0, 2)  # (n, draw, m)
         return np.moveaxis(above / (1 + A @ self.a[:, draws])[..., None], 1, 0)
 
-    @cached_property
+    @property
     def denominator(self) -> np.ndarray:
         """The estimate of A, lag by lag."""
         return _monic(self.past @ self.a[:, 0])
 
-    def impulse(self, n: int) -> np.ndarray:
-        """The estimate, n samples over time, shape (m, n)."""
-        lags = self.b[..., 0] @ self.moves.T
-        B = np.pad(lags[:, :n], ((0, 0), (0, max(0, n - lags.shape[1]))))
-        return lfilter([1.0], self.denominator, B)
+    def impulse(self, n: int, draw: int = 0) -> np.ndarray:
+        """The estimate, or a draw, over n samples of time, shape (m, n)."""
+        lags = (self.b[..., draw] @ self.moves.T)[:, :n]
+        B = np.pad(lags, ((0, 0), (0, n - lags.shape[1])))
+        return lfilter([1.0], _monic(self.past @ self.a[:, draw]), B)
 
     def learned(self, omega: np.ndarray) -> np.ndarray:
         """Standard deviation of P after the data, relative to that before them, (n, m)."""

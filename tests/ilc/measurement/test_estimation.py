@@ -24,13 +24,11 @@ from rodlib import (
     try_out,
     zero_phase_butterworth,
 )
-from rodlib.ilc.loop.notes import LogError
-from rodlib.ilc.measurement.estimation import _seen, estimated_response
 from rodlib.ilc.models import frequency_response
 from rodlib.ilc.workbench.plant import Plant
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
-from regions import KINDS, response, several, single
+from regions import KINDS, answer, held_noise, resonance, response, several, single
 
 
 def off(estimate, truth):
@@ -39,7 +37,7 @@ def off(estimate, truth):
 
 @pytest.mark.parametrize("kind", ["steps, short", "learning", "steps, wrong start"])
 def test_the_truth_is_within_the_region(kind):
-    """A few; `make regions` counts 500 of each kind."""
+    """A few; `make regions` counts 200 of each kind."""
     count = 0
     for seed in range(4):
         log, plants = KINDS[kind](np.random.default_rng([seed, 99]))
@@ -109,59 +107,126 @@ def test_frequencies_without_power_are_not_identified():
     assert np.all(off(estimate, truth) <= estimate.radius(0.99))
 
 
-def test_trials_that_start_apart_are_reported():
-    """The region assumes that they do not; that ordinary ones are no news, other tests hold."""
+def test_trials_may_start_apart():
+    """As far as the moves of the inputs go: the region holds, and nothing is said."""
     rng, plant = np.random.default_rng(0), control.ss(control.tf([0.1], [1, -0.9], 1.0))
-    u = rng.standard_normal((6, 200))
+    u, starts = rng.standard_normal((6, 200)), 3 * np.arange(6)
+    pairs = zip(u, starts, strict=True)
     y = [
-        control.forced_response(plant, U=row, X0=3 * k).outputs
-        for k, row in enumerate(u)
+        control.forced_response(plant, U=row, X0=start).outputs for row, start in pairs
     ]
     y = np.array(y) + 0.01 * rng.standard_normal((6, 200))
-    with pytest.warns(UserWarning, match=r"start from different states \(y0\)"):
-        measured_response(several(u[..., None], y[..., None]))
+    estimate = measured_response(several(u[..., None], y[..., None]))
+    truth = frequency_response(plant, estimate.omega)
+    assert np.all(off(estimate, truth) <= estimate.radius(0.99, jointly=True))
+    assert not estimate.findings and np.median(estimate.radius()) < 0.05
 
 
-def test_each_line_by_itself():
-    """White noise of 0.1 under a white input of one is off by 0.1 / sqrt(lines) at each."""
-    rng, angles = np.random.default_rng(0), np.linspace(0.3, 3, 40)
-    u, noise = rng.standard_normal((2, 100, 200, 1))
-    alone, agrees = _seen(u, 0.1 * noise, angles, np.full(40, 1e-3))
-    np.testing.assert_allclose(
-        alone, 0.01, rtol=0.5
-    )  # a hundred trials, a line of each
-    assert agrees.all()
-    echo = 0.3 * np.roll(u, 2, axis=1)  # what an estimate has missed
-    assert not _seen(u, 0.1 * noise + echo, angles, np.full(40, 1e-3))[1].any()
-    assert _seen(u, 0.1 * noise + echo, angles, np.full(40, 0.3))[1].all()  # it said so
-
-
-def test_a_resonance_that_was_hardly_excited_does_not_count_as_known():
+def test_a_resonance_that_was_hardly_excited_is_not_identified():
     """Learned up to a quarter of the Nyquist frequency, with one at four fifths of it."""
     rng, lag, N = np.random.default_rng(0), np.exp(-0.05), 400
     pole = np.exp(2.5 * (-0.02 + 1j))
     ring, slow = np.poly([pole, pole.conj()]).real, ([0, 1 - lag], [1, -lag])
     low = lfilter(*butter(4, 0.25), rng.standard_normal((20, N)), axis=1)
-    y = (
-        lfilter(*slow, low)
-        + lfilter([0, 0.05], ring, low)
-        + 0.03 * rng.standard_normal((20, N))
-    )
-    estimate = estimated_response(several(low[..., None], y[..., None]))
-    assert (
-        not estimate.known[np.abs(estimate.omega - 2.5) < 0.2].any()
-        and estimate.known.any()
-    )
+    y = lfilter(*slow, low) + lfilter([0, 0.05], ring, low)
+    y += 0.03 * rng.standard_normal((20, N))
+    estimate = measured_response(several(low[..., None], y[..., None]))
+    near = np.abs(estimate.omega - 2.5) < 0.2
+    assert not estimate.known[near].any() and estimate.known.any()
 
 
-def test_what_rings_on_beyond_the_record_is_refused():
+def test_several_records_tell_more_than_one():
+    """Of different lengths, with unknown starts: less radius than from the longest alone."""
+    rng = np.random.default_rng(5)
+    plant, logs = resonance(rng), []
+    for N in (300, 100, 200):
+        u = held_noise(rng, N)
+        logs.append(
+            single(u, answer(plant, u, rng, 0.3) + 0.03 * rng.standard_normal(N))
+        )
+    alone, together = measured_response(logs[0]), measured_response(logs)
+    truth = response([[plant]], together.omega)
+    assert np.all(off(together, truth) <= together.radius(0.99, jointly=True))
+    assert np.median(together.radius() / alone.radius()) < 0.9
+    assert "one trial of 300 samples and one trial of 100 samples" in repr(together)
+    slower = logs[1].assign_attrs(Ts=2.0).assign_coords(time=2.0 * logs[1].time)
+    with pytest.raises(ValueError, match=r"Ts"):
+        measured_response([logs[0], slower])
+    agreement = measured_response(logs[:2]).check(logs[2])
+    assert agreement.fit.item() > 0.8 and agreement.inside == 1
+    other = resonance(np.random.default_rng(9))
+    u = held_noise(rng, 300)
+    strange = alone.check(single(u, answer(other, u, rng)))
+    assert strange.fit.item() < 0.6 and strange.inside < 0.9
+
+
+def test_a_second_log_never_makes_it_worse():
+    """Of trials that hardly differ, by which a regression on differences alone is lost."""
+    log, plants = KINDS["the same step twice"](np.random.default_rng(3))
+    both, one = measured_response(log), measured_response(log.isel(trial=[0]))
+    assert np.all(
+        off(both, response(plants, both.omega)) <= both.radius(0.99, jointly=True)
+    )
+    assert np.median(both.radius() / one.radius()) < 1.1
+
+
+def test_a_step_in_the_first_row_and_a_known_disturbance():
+    rng, plant = np.random.default_rng(2), control.tf([0.1], [1, -0.9], 1.0)
+    u, d = np.repeat([1.0, 0.3, 0.7], 60), 2 * rng.standard_normal(180)
+    quiet = control.forced_response(plant, U=u).outputs + 0.01 * rng.standard_normal(
+        180
+    )
+    estimate = measured_response(single(u, quiet))
+    truth = frequency_response(control.ss(plant), estimate.omega)
+    assert np.all(off(estimate, truth) <= estimate.radius(0.99, jointly=True))
+    log = single(u, quiet + control.forced_response(plant, U=d).outputs)
+    told = log.assign(disturbance=(("trial", "time", "source"), d[None, :, None]))
+    with_it, without = (measured_response(one).radius() for one in (told, log))
+    assert np.median(with_it) < 0.3 * np.median(without)
+
+
+def test_in_a_loop_the_commands_follow_the_noise():
+    log, plants, of = KINDS["feedback, coloured noise"](np.random.default_rng(1))
+    estimate = measured_response(log, of)
+    truth = response(plants, estimate.omega)
+    assert np.all(off(estimate, truth) <= estimate.radius(0.99, jointly=True))
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        ("three trials saturate", "large inputs|trial 1"),
+        ("quadratic", "large inputs"),
+        ("gain drifts by 20 %", "the (first|last) quarter of trial 1"),
+    ],
+)
+def test_what_is_not_one_linear_plant_is_said(kind, words):
+    log, _ = KINDS[kind](np.random.default_rng(1))
+    with pytest.warns(
+        UserWarning, match=f"y0 is not that of one linear plant: .*{words}"
+    ):
+        estimate = measured_response(log)
+    assert estimate.apart > 0.01 and estimate.findings[0] in str(estimate)
+
+
+def test_identified_is_said_as_intervals():
+    for seed in range(3):
+        log, _ = KINDS["steps, short"](np.random.default_rng(seed))
+        known = measured_response(log).known
+        assert np.count_nonzero(np.diff(known.astype(int))) <= 4
+
+
+def test_a_resonance_that_rings_on_beyond_the_record_is_estimated():
+    """It falls by e in 83 of 100 samples; what integrates is refused."""
     rng = np.random.default_rng(3)
-    pole = np.exp(0.3 * (-0.04 + 1j))  # falls by e in 83 of 100 samples
+    pole = np.exp(0.3 * (-0.04 + 1j))
     a = np.poly([pole, pole.conj()]).real
     u = np.repeat(rng.standard_normal(34), 3)[:100]
     y = lfilter([0, a.sum()], a, u) + 0.03 * rng.standard_normal(100)
-    with pytest.raises(LogError, match="rings on"):
-        measured_response(single(u, y))
+    estimate = measured_response(single(u, y))
+    truth = response([[([0, a.sum()], a)]], estimate.omega)
+    assert np.all(off(estimate, truth) <= estimate.radius(0.99, jointly=True))
+    assert np.median(estimate.radius()) < 0.1
 
 
 def test_records_without_enough_excitation_are_refused():
