@@ -33,11 +33,12 @@ START = (6, 4)  # likewise, for what a start leaves
 STARTS = 300  # unknowns of all starts at most; with more, first samples are left out
 KNOTS = 64  # of a drift, between which it is straight
 CENTRE = np.log(10)  # of the logarithms of c, relative to the noise, and T in samples
-CALM = -3.0  # the same of the drift
+CALM = -4.0  # the same of the drift
 WIDE = 3.0  # their standard deviation before the data
 BOUND = 30.0  # of all logarithms
 EXACT = 1e-9  # least noise, in the power of the output
 SETS, EACH = 20, 30  # draws of hyperparameters, and of coefficients for each
+TAILS = 5  # degrees of freedom of the first: the approximation is too narrow far out
 TURN = 4096  # frequencies at least on which the zeros of A are counted
 
 
@@ -340,7 +341,8 @@ def regression(groups: Sequence[Trials], direct: bool, seed: int = 0) -> Regress
     rng, layout, count = np.random.default_rng(seed), data.layout, data.count.sum()
     drawn = [likeliest.mean[:, None]]
     for _ in range(SETS):
-        moved = eta + spread @ rng.standard_normal(len(eta))
+        tails = np.sqrt(TAILS / rng.chisquare(TAILS))
+        moved = eta + tails * spread @ rng.standard_normal(len(eta))
         one = _posterior(np.clip(moved, -BOUND, BOUND), data)
         noise = np.sqrt(one.rest / rng.chisquare(count, EACH))
         noise = noise * rng.standard_normal((len(one.U), EACH))
