@@ -30,6 +30,7 @@ UNITS = {
 }
 PARTS = 6  # of a record, each left out once; with more, noise of a minute makes intervals short
 SURELY = {"ftol": 1e-12, "xtol": 1e-10}  # tolerances, so that the start does not show
+ROUNDING = 1e-6  # of the largest slope: what is less is that of a difference of two simulations
 # relative standard error, from which on a parameter counts as not determined
 VAGUE = 0.5
 
@@ -227,15 +228,17 @@ def fit_heat_balance(heaters, readings, Ts: float) -> HeatBalanceFit:
         start = point(2 * swing / cooling, 1 / cooling, 0.3 / cooling, lag, 0)
         fits.append(least_squares(residual, np.clip(start, low, high), **options))
     best = min(fits, key=lambda fit: fit.cost)
+    # the slopes are finite differences: of a heater that is idle they are rounding, not zero
+    idle = np.abs(best.jac[:, :5]).max(axis=0) < ROUNDING * np.abs(best.jac).max()
+    slopes = np.where(np.append(idle, [False, False]), 0.0, best.jac)
     parts = np.array_split(np.arange(readings.size), PARTS)
     moved = []
     for part in parts:
-        jacobian, rest = np.delete(best.jac, part, 0), np.delete(best.fun, part)
+        jacobian, rest = np.delete(slopes, part, 0), np.delete(best.fun, part)
         moved.append(np.linalg.lstsq(jacobian, rest, rcond=1e-9)[0])
     moved = np.array(moved)
     covariance = (PARTS - 1) / PARTS * moved[:, :5].T @ moved[:, :5]
     values, zero = np.exp(best.x[:5]), readings[0] + best.x[5:]
-    idle = np.abs(best.jac[:, :5]).max(axis=0) < 1e-9 * np.abs(best.jac).max()
     values[idle] = covariance[idle, idle] = np.nan
     fit = HeatBalanceFit(values, covariance, zero, best.fun.reshape(-1, 2))
     if fit.unknown:

@@ -274,9 +274,10 @@ DESIGN = {"order": 20, "M_max": 0.9, "L_max": 100.0}  # for the resonant kinds
 def designed(P, plants):
     """Whether there is a filter for all of the region, and the peak that it has on the truth."""
     low = P.omega[P.known][0]
-    omega, Q = np.geomspace(low, np.pi, 300), zero_phase_butterworth(2, 0.3, 1.0)
+    omega, Q = np.geomspace(low, np.pi, 400), zero_phase_butterworth(2, 0.3, 1.0)
     try:
-        L = synthesise(P, Q, omega, band=(low, 0.3), **DESIGN).filter
+        with warnings.catch_warnings(action="ignore"):  # of peaks between the frequencies
+            L = synthesise(P, Q, omega, band=(low, 0.3), **DESIGN).filter
     except InfeasibleError:
         return False, 0.0
     return True, rate(response(plants, omega), Q, L, omega).gamma
