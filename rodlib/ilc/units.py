@@ -7,7 +7,10 @@ from rodlib.ilc import arguments
 SECONDS = {
     "ns": 1e-9,
     "us": 1e-6,
+    "µs": 1e-6,
+    "usec": 1e-6,
     "ms": 1e-3,
+    "msec": 1e-3,
     "s": 1.0,
     "sec": 1.0,
     "seconds": 1.0,

@@ -135,20 +135,22 @@ def measured_response(
 
     Parameters
     ----------
-    log : xarray.Dataset or control.FrequencyResponseData
+    log : xarray.Dataset, list of them, or control.FrequencyResponseData
         A record: of :func:`shake`; or any other in which the input moved, as trials under learning,
         from :func:`record`, a reference that moves, or a step test, from :func:`load_log` or
-        :func:`read_table`. Or a table of a frequency response, which is splined between its lines.
+        :func:`read_table`; several of one plant, of any lengths. Or a table of a frequency
+        response, which is splined between its lines.
     of : {"w", "u"}, optional
         Of a record that is not of :func:`shake`: whether P is from w = reference + v to y, in a
-        closed loop, or from the commands u, in an open one. Default: from w, if there is one.
+        closed loop, or from the commands u. Default: from w, if there is one.
     uncertainty : array_like, shape (n,), optional
         Of a table: the radius at its lines. Default: they are exact.
 
     Returns
     -------
     MeasuredResponse, EstimatedResponse or TabulatedResponse
-        For :func:`synthesise`, the workbench and checks.
+        For :func:`synthesise`, the workbench and checks. An estimate has ``check(log)``, against
+        a record that it was not made of.
 
     Raises
     ------
@@ -161,12 +163,19 @@ def measured_response(
     UserWarning
         Each of the findings: commands beyond the limits, a loop that is not linear, outputs that
         drift, a lowest frequency that is too high for what is known at zero, lines too far apart;
-        a table without a radius that scatters from line to line.
+        trials, or quarters of one, that contradict one linear plant; a table without a radius that
+        scatters from line to line.
 
     Notes
     -----
-    Records are estimated by :mod:`rodlib.ilc.measurement.impulse`, but for those of :func:`shake`:
-    there the spectrum of all periods is P W + T + V; between the harmonics W is zero and T, from
+    Records are estimated by :mod:`rodlib.ilc.measurement.regression`, but for one of
+    :func:`shake`: A(z) y = B(z) u + e, of high order and regularised, from any start, with offset,
+    slope and drift in each record, known disturbances, and, over the trials of one log, what
+    repeats at each sample with a variance that the data determine. Of commands in a loop whose
+    reference is in the log, u(t) is taken to follow from y(t), and else y(t) to follow from u(t) at
+    once. ``make regions`` counts how often the truth is in the region.
+
+    Shaken, the spectrum of all periods is P W + T + V; between the harmonics W is zero and T, from
     the state at the start and at the end, and the noise V are left. This is the local
     polynomial method for periodic excitation (Pintelon, Schoukens, Vandersteen and Barbé,
     Estimation of nonparametric noise and FRF models for multivariable linear systems, Mech. Syst.

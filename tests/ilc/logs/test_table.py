@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+import scipy.io
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -256,6 +257,8 @@ def test_what_a_table_does_not_have_is_named(more, message):
     [
         ("tempo_ms", 1e-3),
         ("t / us", 1e-6),
+        ("t_µs", 1e-6),
+        ("Time msec", 1e-3),
         ("Time S", 1.0),
         ("ms", 1e-3),
         ("rooms", 1.0),
@@ -278,6 +281,25 @@ def test_an_epoch_is_in_a_unit_that_is_stated(unit, factor):
         read_table(frame, time="t", outputs={"y": "y"})
     log = read_table(frame, time="t", outputs={"y": "y"}, units={"time": unit})
     assert log.attrs["Ts"] == 1.0
+
+
+@pytest.mark.parametrize("kind", ["mat", "npz"])
+def test_how_arrays_of_others_are_read_is_said(tmp_path, kind):
+    """What the message says makes a table of the file."""
+    path, arrays = tmp_path / f"log.{kind}", {"t": 0.5 * SAMPLES, "y": LEVEL}
+    if kind == "mat":
+        scipy.io.savemat(path, arrays)
+    else:
+        np.savez(path, **arrays)
+    with pytest.raises(
+        LogError, match=r"numpy.ravel\(file\[name\]\).*scipy.io.loadmat"
+    ):
+        read_table(path, time="t", outputs={"y": "y"})
+    file = scipy.io.loadmat(path) if kind == "mat" else np.load(path)
+    frame = pd.DataFrame({name: np.ravel(file[name]) for name in ("t", "y")})
+    np.testing.assert_array_equal(
+        read_table(frame, time="t", outputs={"y": "y"}).y[0, :, 0], LEVEL
+    )
 
 
 def test_a_title_that_several_columns_have_is_refused():
