@@ -33,12 +33,12 @@ START = (6, 4)  # likewise, for what a start leaves
 STARTS = 300  # unknowns of all starts at most; with more, first samples are left out
 KNOTS = 64  # of a drift, between which it is straight
 CENTRE = np.log(10)  # of the logarithms of c, relative to the noise, and T in samples
-CALM = -4.0  # the same of the drift
+CALM = -3.0  # the same of the drift
 WIDE = 3.0  # their standard deviation before the data
 BOUND = 30.0  # of all logarithms
 EXACT = 1e-9  # least noise, in the power of the output
-SETS, EACH = 20, 30  # draws of hyperparameters, and of coefficients for each
-TAILS = 5  # degrees of freedom of the first: the approximation is too narrow far out
+SETS, DRAWS = 80, 600  # draws of hyperparameters, and of coefficients for all of them
+TAILS = 5  # degrees of freedom of the distribution that the first are drawn from
 TURN = 4096  # frequencies at least on which the zeros of A are counted
 
 
@@ -217,14 +217,16 @@ def _posterior(eta, data):
     return _Posterior(size, U, half, max(total - half @ half, EXACT * total), ratio)
 
 
-def surprise(
-    eta: np.ndarray, data: _Normal, centre: np.ndarray
-) -> tuple[float, np.ndarray]:
+def surprise(eta: np.ndarray, data: _Normal, centre: np.ndarray, slopes: bool = True):
     """Minus the logarithm of the posterior of hyperparameters, and its gradient."""
     layout, count = data.layout, data.count.sum()
     size, U, half, rest, ratio = _posterior(eta, data)
     off = (eta - centre) / WIDE
     value = count / 2 * np.log(rest) + np.log(np.diag(U)).sum() + off @ off / 2
+    if data.count[1]:
+        value -= data.count[1] / 2 * log_expit(-eta[-1])
+    if not slopes:
+        return value
     h = solve_triangular(U, half, check_finite=False)
     inverse = dpotri(U)[0]
     each = (1 - np.diag(inverse) - count * h**2 / rest) / 2  # over log variances
@@ -233,7 +235,6 @@ def surprise(
     gradient = [np.bincount(layout.kind, x, kinds) for x in (each, slope)]
     gradient = np.append(np.concatenate(gradient), 0.0) + off / WIDE
     if data.count[1]:
-        value -= data.count[1] / 2 * log_expit(-eta[-1])
         mean, R = size * h, data.R[1]
         left = data.s[1] - 2 * mean @ data.b[1] + mean @ R @ mean
         inverse += np.triu(inverse, 1).T
@@ -244,7 +245,7 @@ def surprise(
 
 
 def _fitted(data, longest):
-    """The likeliest hyperparameters, and square roots of their covariance."""
+    """The likeliest hyperparameters, a root of their covariance, and the prior's centre."""
     kinds = data.layout.kind.max() + 1
     centre = np.append(np.full(2 * kinds, CENTRE), 0.0)
     centre[kinds - 1] = CALM
@@ -259,7 +260,7 @@ def _fitted(data, longest):
         for e in steps
     ]
     values, vectors = np.linalg.eigh(np.array(H) + np.transpose(H))
-    return eta, vectors / np.sqrt(np.maximum(values / 4e-3, 1 / WIDE**2))
+    return eta, vectors / np.sqrt(np.maximum(values / 4e-3, 1 / WIDE**2)), centre
 
 
 @dataclass(frozen=True)
@@ -336,18 +337,27 @@ def _are_stable(a):
 def regression(groups: Sequence[Trials], direct: bool, seed: int = 0) -> Regression:
     """Of one output; `direct`: whether y(t) may depend on u(t)."""
     data = _normal(groups, direct)
-    eta, spread = _fitted(data, max(group.y.shape[1] for group in groups))
+    eta, spread, centre = _fitted(data, max(group.y.shape[1] for group in groups))
     likeliest = _posterior(eta, data)
     rng, layout, count = np.random.default_rng(seed), data.layout, data.count.sum()
+    z = rng.standard_normal((SETS, len(eta)))
+    z *= np.sqrt(TAILS / rng.chisquare(TAILS, (SETS, 1)))
+    moved = np.clip(eta + z @ spread.T, -BOUND, BOUND)
+    # importance sampling: the posterior over the t distribution that they were drawn from
+    weight = (TAILS + len(eta)) / 2 * np.log1p(np.sum(z**2, axis=1) / TAILS)
+    weight -= [surprise(one, data, centre, slopes=False) for one in moved]
+    weight = np.exp(weight - weight.max())
     drawn = [likeliest.mean[:, None]]
-    for _ in range(SETS):
-        tails = np.sqrt(TAILS / rng.chisquare(TAILS))
-        moved = eta + tails * spread @ rng.standard_normal(len(eta))
-        one = _posterior(np.clip(moved, -BOUND, BOUND), data)
-        noise = np.sqrt(one.rest / rng.chisquare(count, EACH))
-        noise = noise * rng.standard_normal((len(one.U), EACH))
+    for one, number in zip(
+        moved, rng.multinomial(DRAWS, weight / weight.sum()), strict=True
+    ):
+        if not number:
+            continue
+        at = _posterior(one, data)
+        noise = np.sqrt(at.rest / rng.chisquare(count, number))
+        noise = noise * rng.standard_normal((len(at.U), number))
         drawn.append(
-            one.size[:, None] * solve_triangular(one.U, one.half[:, None] + noise)
+            at.size[:, None] * solve_triangular(at.U, at.half[:, None] + noise)
         )
     drawn = np.concatenate(drawn, axis=1)
     a = drawn[layout.kind == 0]
