@@ -89,8 +89,8 @@ def lines_of(path: Path) -> list[str]:
     if "\0" in text:
         raise LogError(
             "is not text: pass a pandas.DataFrame to read_table. pandas reads spreadsheets; "
-            "of a .mat or .npz, pandas.DataFrame({name: numpy.ravel(file[name]) for name in (...)}) "
-            "with file = scipy.io.loadmat(path) or numpy.load(path)"
+            "a .mat or .npz is pandas.DataFrame({name: numpy.ravel(file[name]) for name in "
+            "(...)}) with file = scipy.io.loadmat(path) or numpy.load(path)"
         )
     return re.split(r"\r\n?|\n", text)
 

@@ -292,7 +292,7 @@ def test_how_arrays_of_others_are_read_is_said(tmp_path, kind):
     else:
         np.savez(path, **arrays)
     with pytest.raises(
-        LogError, match=r"numpy.ravel\(file\[name\]\).*scipy.io.loadmat"
+        LogError, match=r"numpy.ravel\(file\[name\]\) .*scipy.io.loadmat"
     ):
         read_table(path, time="t", outputs={"y": "y"})
     file = scipy.io.loadmat(path) if kind == "mat" else np.load(path)
