@@ -343,10 +343,11 @@ def regression(groups: Sequence[Trials], direct: bool, seed: int = 0) -> Regress
     z = rng.standard_normal((SETS, len(eta)))
     z *= np.sqrt(TAILS / rng.chisquare(TAILS, (SETS, 1)))
     moved = np.clip(eta + z @ spread.T, -BOUND, BOUND)
-    # importance sampling: the posterior over the t distribution that they were drawn from
+    # Importance sampling: the posterior over the t distribution that they were drawn from. By its
+    # square root, as few of so many draws count otherwise, and the truth is outside too often.
     weight = (TAILS + len(eta)) / 2 * np.log1p(np.sum(z**2, axis=1) / TAILS)
     weight -= [surprise(one, data, centre, slopes=False) for one in moved]
-    weight = np.exp(weight - weight.max())
+    weight = np.exp((weight - weight.max()) / 2)
     drawn = [likeliest.mean[:, None]]
     for one, number in zip(
         moved, rng.multinomial(DRAWS, weight / weight.sum()), strict=True
