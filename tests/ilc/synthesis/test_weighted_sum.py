@@ -42,7 +42,8 @@ def test_the_weighted_sum_is_minimised(m, structure, kind):
 def test_a_reference_goes_with_everywhere_and_with_the_largest_cutoff(loop):
     """Added frequencies have no weight; with the largest cut-off little is left to be learned."""
     Q, reference = zero_phase_butterworth(), bump(1000, [1.0, 2.0])
-    omega = np.geomspace(1e-3, np.pi, 200)  # fine: L is bounded at these frequencies alone
+    # so fine that L needs no bound between its samples
+    omega = np.geomspace(1e-3, np.pi, 200)
     choices = {"order": 10, "L_max": 50.0, "reference": reference}
     plain = synthesise(loop, Q, omega, **choices)
     design = synthesise(loop, Q, omega, everywhere=True, **choices)
