@@ -25,7 +25,7 @@ def random_case(m, seed, n=5, others=0):
     """A problem with random responses, a real Q that is zero once, and a random filter."""
     rng = np.random.default_rng(seed)
     P = complex_normal(rng, 1 + others, n, m, m)
-    Q = 0.5 * rng.standard_normal(n)
+    Q = np.clip(0.5 * rng.standard_normal(n), -1, 1)
     Q[0] = 0
     radius = rng.uniform(0, 1, n)
     radius[1] = 0

@@ -255,7 +255,7 @@ def test_ratios_by_octave_are_those_of_M():
     with warnings.catch_warnings(action="ignore"):
         run = run_trials(law.loop, law, reference, trials=2, plant=plant)
     (history,) = histories(run, law)
-    table = error_by_octave(history, 1)
+    table = error_by_octave(history, 1, 0)
     omega = 2 * np.pi * np.arange(1, samples // 2 + 1) / samples
     power = np.abs(np.fft.rfft(run.e.values[0, :, 0]))[1:] ** 2
     Q, L = law.Q.frequency_response(omega), law.L.frequency_response(omega)[:, 0, 0]
