@@ -196,11 +196,9 @@ def departs(data: xr.Dataset, law: Law) -> str:
         last = len(history.e) - 1
         if last < 2 or history.since[last] > last - 2:
             continue
-        changes = np.diff(history.e[-3:], axis=0)
-        if history.P is not None:
-            changes = np.subtract(*history.changes(last - 2, last))
-        floor = ROUNDING * np.abs(history.reference[last]).max()
-        before, now = np.maximum(rms(changes), floor)
+        unlearned = history.e if history.P is None else history.free
+        changes = np.diff(unlearned[-3:], axis=0)
+        before, now = np.maximum(rms(changes), ROUNDING * np.abs(history.e).max())
         freedom = degrees_of_freedom(spectrum(changes[0])).item()
         if now > GROWTH * before and chance(now / before, freedom, 2) < SIGNIFICANCE:
             return (
