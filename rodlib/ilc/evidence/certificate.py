@@ -28,7 +28,7 @@ from rodlib.ilc.problem.problem import (
     Solution,
     largest_singular_values,
 )
-from rodlib.ilc.problem.roughness import scatter, warning_of
+from rodlib.ilc.problem.roughness import warnings_of
 
 # Relative duality gap, and relative violation of a bound on the grid, that are accepted;
 GAP = 1e-6
@@ -144,11 +144,10 @@ class Certificate:
     @property
     def warnings(self) -> list[str]:
         """What speaks against the problem, and against what is said between the samples."""
-        problem = self.problem
-        texts, design = list(problem.findings), problem.design
+        problem, design = self.problem, self.problem.design
+        texts = [*problem.findings]
         if design.models[0] is None and design.radius is None:
-            rough = scatter(design.omega, design.P, design.Q)
-            texts += [warning_of(rough)] if rough else []
+            texts += warnings_of(design.omega, design.P, design.Q)
         if problem.objective == "sum" and self.value > IDLE * problem.idle:
             share = self.value / problem.idle
             where = "in the band" if problem.band else "for this reference"

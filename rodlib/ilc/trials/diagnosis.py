@@ -249,7 +249,8 @@ def breaks_promise(history: History, k: int) -> str | None:
 
     Trial k is compared with the one before and with the best so far, and the second one with the
     first, from which most is to be learned. Null hypothesis: the trials differ from the model's
-    prediction by noise alone, independent from trial to trial, or by less than the promise allows.
+    prediction by noise alone, independent from trial to trial, by less than the promise allows, or
+    by a disturbance that grows from trial to trial.
     """
     first = history.since[k]
     if history.P is None or k < first + 2:
@@ -263,7 +264,8 @@ def breaks_promise(history: History, k: int) -> str | None:
         table = error_by_octave(history, trial, before)
         promised = np.maximum(table["bound"], table["predicted"])
         excess = table["before"] * np.maximum(table["measured"] - promised, 0)
-        p = chance_of_excess(excess, noise, freedom, k - first)
+        drift = excess / (trial - before)  # of disturbances, if each trial adds as much
+        p = chance_of_excess(drift, noise, freedom, k - first)
         worst = np.argmax((p < SIGNIFICANCE) * excess)
         if p[worst] < SIGNIFICANCE and excess[worst] > EXCESS * history.rms[first]:
             break

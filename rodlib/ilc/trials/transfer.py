@@ -12,6 +12,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -197,9 +198,10 @@ def _taps(signal, basis):
 class _Fit(NamedTuple):
     row: np.ndarray  # (p,): of F, by taps
     without: np.ndarray  # (blocks, p): the same, without each block of time
-    ratio: float  # of variances, s_w^2 / (s_w^2 + K s_c^2)
-    chosen: tuple[float, float, float]  # ratio, factor and weight of the prior
-    predicted: float  # share of the target, in cross-validation
+    ratio: float = 1.0  # of variances, s_w^2 / (s_w^2 + K s_c^2)
+    predicted: float = 1.0  # share of the target, in cross-validation
+    chosen: tuple = (1.0, 1.0, 1.0)  # ratio, factor and weight of the prior
+    likelihood: float = 0.0  # its logarithm
 
 
 class _Regression:
@@ -223,22 +225,22 @@ class _Regression:
         p = self.mean.shape[1] - self.m
         power = (self.within + self.mean)[:, p + i, p + i].sum()
         if not power > 0:
-            return _Fit(np.zeros(p), np.zeros((BLOCKS, p)), 1.0, (1.0, 1.0, 1.0), 1.0)
-        best, highest = None, -np.inf
-        for ratio, static, weight in product(ratios, (1.0, STATIC), WEIGHTS):
-            row, without = self._ridge(i, ratio, static, weight)
-            within = _squares(self.within, without, i) + ROUNDING * power
-            mean = _squares(self.mean, without, i) + ROUNDING * power
+            return _Fit(np.zeros(p), np.zeros((BLOCKS, p)))
+        fits = []
+        for chosen in product(ratios, (1.0, STATIC), WEIGHTS):
+            row, without = self._ridge(i, *chosen)
+            within, mean = (
+                _squares(products, without, i) + ROUNDING * power
+                for products in (self.within, self.mean)
+            )
             likelihood = -(self.K - 1) * np.log(within) - np.log(mean)
-            if static == 1:
+            if chosen[1] == 1:
                 likelihood -= self.K * np.log(PENALTY)
-            if likelihood > highest:
-                best, highest = (row, without, within, mean), likelihood
-                chosen = ratio, static, weight
-        row, without, within, mean = best
-        ratio = min(1.0, within / (self.K - 1) / mean) if self.K > 1 else 1.0
-        total = (self.within + ratio * self.mean)[:, p + i, p + i].sum()
-        return _Fit(row, without, ratio, chosen, 1 - (within + ratio * mean) / total)
+            ratio = min(1.0, within / (self.K - 1) / mean) if self.K > 1 else 1.0
+            total = (self.within + ratio * self.mean)[:, p + i, p + i].sum()
+            predicted = 1 - (within + ratio * mean) / total
+            fits.append(_Fit(row, without, ratio, predicted, chosen, likelihood))
+        return max(fits, key=attrgetter("likelihood"))
 
     def _ridge(self, i, ratio, static, weight):
         """Row i of F, and those without each block."""
@@ -247,9 +249,9 @@ class _Regression:
         total = products.sum(axis=0)
         sums = np.concatenate([total[None], total - products])
         floor = ROUNDING * np.trace(self.mean.sum(axis=0)[:p, :p]) / p or 1.0
-        prior = np.full((self.m, p // self.m), floor)
-        prior += weight * np.trace(total[:p, :p]) / p
-        prior[:, prior.shape[1] // 2] *= static
+        prior = np.ones((self.m, p // self.m))
+        prior[:, prior.shape[1] // 2] = static
+        prior *= floor + weight * np.trace(total[:p, :p]) / p
         normal = sums[:, :p, :p] + np.diag(prior.ravel())
         rows = np.linalg.solve(normal, sums[:, :p, [p + i]])[..., 0]
         return rows[0], rows[1:]
