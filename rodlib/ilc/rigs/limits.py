@@ -17,7 +17,7 @@ def stop_limits(stop, reference, loop: Loop, followed) -> dict:
     """
     limits = {}
     values = reference.reshape(-1, len(loop.outputs))
-    largest = largest_by_unit(values, [loop.units[name] for name in loop.outputs])
+    largest = largest_by_unit(values, loop)
     for name, column, size in zip(loop.outputs, values.T, largest, strict=True):
         if size:
             limits[name] = column.min() - FAR * size, column.max() + FAR * size

@@ -140,9 +140,7 @@ class Experiment:
 
     def start(self, trials) -> Start:
         """Where the first trial started."""
-        loop = self.rig.loop
-        units = [loop.units[name] for name in loop.outputs]
-        return Start.of(trials[0]["y"], self.reference[0], loop.outputs, units)
+        return Start.of(trials[0]["y"], self.reference[0], self.rig.loop)
 
     def stopped(self, error, trials, notes, path) -> StoppedError:
         """The error, with the trials before it and how to go on."""
@@ -194,7 +192,7 @@ def departs(data: xr.Dataset, law: Law) -> str:
     """
     for history in histories(data, law):
         last = len(history.e) - 1
-        if last < 2 or history.since[last] > last - 2:
+        if history.since[last] > last - 2:
             continue
         unlearned = history.e if history.P is None else history.free
         changes = np.diff(unlearned[-3:], axis=0)

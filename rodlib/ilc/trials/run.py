@@ -112,8 +112,7 @@ def run_trials(
         beyond = commands_beyond(commands(result, loop)["u"], loop.commands, law.limits)
         texts["limits"] = beyond and beyond + CUT_OFF
     if law.L is not None and initial_state is None:
-        units = [loop.units[name] for name in loop.outputs]
-        rest = Start.of(0 * r[0], r[0], loop.outputs, units)
+        rest = Start.of(0 * r[0], r[0], loop)
         texts["start"] = next(filter(None, map(rest.away, r[1:])), "")
     for text in filter(None, texts.values()):
         warnings.warn(text, stacklevel=2)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rodlib.ilc.loop.closed import Loop
 from rodlib.ilc.trials.diagnosis import noise_std
 from rodlib.ilc.units import by_unit, with_unit
 
@@ -24,11 +25,12 @@ class Start:
     labels: Sequence[str]  # of the outputs, with their units
 
     @classmethod
-    def of(cls, y, reference, outputs, units) -> "Start":
+    def of(cls, y, reference, loop: Loop) -> "Start":
         """That of the first trial, from its outputs and its reference, shape (time, output)."""
         noise = SURE * np.sqrt(2) * noise_std(y)  # both starts have it
-        tolerance = NEAR * largest_by_unit(reference, units) + noise
-        return cls(y[0], tolerance, len(y), [*map(with_unit, outputs, units)])
+        tolerance = NEAR * largest_by_unit(reference, loop) + noise
+        labels = [with_unit(name, loop.units[name]) for name in loop.outputs]
+        return cls(y[0], tolerance, len(y), labels)
 
     @property
     def window(self) -> int:
@@ -74,7 +76,8 @@ class Start:
         )
 
 
-def largest_by_unit(reference, units: Sequence[str]) -> np.ndarray:
+def largest_by_unit(reference, loop: Loop) -> np.ndarray:
     """Largest reference (time, output) of all outputs in the same unit, for each output."""
-    sizes, groups = np.abs(reference).max(axis=0), by_unit(units)
+    units, sizes = [loop.units[n] for n in loop.outputs], np.abs(reference).max(axis=0)
+    groups = by_unit(units)
     return np.array([sizes[groups[unit]].max() for unit in units])
