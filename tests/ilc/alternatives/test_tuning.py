@@ -88,9 +88,15 @@ def test_tune_finds_a_tuning_that_is_known():
     tuned = tune(design, {"gain": (0.2, 1.5)}, rehearsed, evaluations=30)
     assert tuned.parameters["gain"] == pytest.approx(1, abs=0.02)
     assert tuned.value == rehearsed.rms(tuned.filter)[1:].sum()
-    for bounds in ((0.2, 0.8), (1.2, 1.8)):
-        with pytest.warns(UserWarning, match=r"edge of box\['gain'\].*widen"):
-            tune(design, {"gain": bounds}, rehearsed, evaluations=20)
+    with pytest.warns(UserWarning, match=r"edge of box\['gain'\] = .* widen"):
+        tune(design, {"gain": (0.2, 0.8)}, rehearsed, evaluations=12)
+    with pytest.warns(UserWarning, match=r"edge of box\['divisor'\] = .* widen"):
+        tune(
+            lambda divisor: design(1 / divisor),
+            {"divisor": (1.25, 5.0)},
+            rehearsed,
+            evaluations=12,
+        )
 
 
 def test_tune_counts_its_evaluations_and_keeps_the_bound():
