@@ -71,9 +71,8 @@ def relief(problem: Problem, value, U, V, cuts: Cuts | None = None) -> float:
     binding = problem.L_max * problem.share_L <= problem.limit_L
     share = _nuclear_norms(np.linalg.solve(problem.weight, V))[binding].sum()
     if problem.objective == "peak":
-        share /= _nuclear_norms(U).sum() + (
-            0 if cuts is None else dual_norm(cuts.N).sum()
-        )
+        total = _nuclear_norms(U).sum()
+        share /= total if cuts is None else total + dual_norm(cuts.N).sum()
     return float(share / problem.unit(value))
 
 
@@ -99,6 +98,7 @@ def _projected(problem, parts):
 
 
 def _nuclear_norms(N):
+    """The nuclear norm of each matrix."""
     return np.linalg.svd(N, compute_uv=False).sum(axis=1)
 
 
