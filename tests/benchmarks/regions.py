@@ -276,7 +276,9 @@ def designed(P, plants):
     low = P.omega[P.known][0]
     omega, Q = np.geomspace(low, np.pi, 400), zero_phase_butterworth(2, 0.3, 1.0)
     try:
-        with warnings.catch_warnings(action="ignore"):  # of peaks between the frequencies
+        with warnings.catch_warnings(
+            action="ignore"
+        ):  # of peaks between the frequencies
             L = synthesise(P, Q, omega, band=(low, 0.3), **DESIGN).filter
     except InfeasibleError:
         return False, 0.0
