@@ -84,7 +84,7 @@ plants: $(BIN)/ready  ## ten kinds of plants the whole way, from a model to a lo
 watch: $(BIN)/ready  ## count false alarms over 1,000 experiments that converge, and detections (minutes)
 	@$(BIN)/python tests/benchmarks/watch.py
 
-peers: $(BIN)/ready  ## our default against PD, least squares and norm-optimal, on plants that are off (a minute)
+peers: $(BIN)/ready  ## our default against PD, least squares and norm-optimal, on plants that are off (minutes)
 	@$(BIN)/python tests/benchmarks/peers.py
 
 study: $(BIN)/ready  ## 10,000 rods that are off: make study [SCHEDULER=address]; results in build/study

@@ -1,35 +1,46 @@
-"""The README: its snippets run as they stand, and what it says first is what the ledger counts."""
+"""The README: its snippet runs as it stands, and what it says first is what the ledger counts."""
 
 import re
 
+import matplotlib.pyplot as plt
+import nbformat
 import pandas as pd
 import pytest
 
+from rodlib.ilc.logs.replay import rms_by_trial
 from rodlib.paper.ledger import COEFFICIENT, DIFFERS, EVIDENCE, REPRODUCED
 from rodlib.paper.repository import ROOT
 
 TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
+(SNIPPET,) = re.findall(r"^```python\n(.*?)^```$", TEXT, flags=re.MULTILINE | re.DOTALL)
 
 
-SNIPPETS = re.findall(r"^```python\n(.*?)^```$", TEXT, flags=re.MULTILINE | re.DOTALL)
-# What the design and the estimate of the first snippet are.
-SNIPPETS[0] += """
-assert not design.certificate.failures and design.filter.channels == 2
-assert 0.1 < design.certificate.grid_M < 0.9
-assert 0 < P.radius()[P.known].max() < 0.2
-assert "chosen: L_max" in str(design)
-assert "P estimated from one trial" in str(design)
-"""
-
-
-@pytest.mark.parametrize("snippet", SNIPPETS, ids=range(len(SNIPPETS)))
 @pytest.mark.filterwarnings("error::UserWarning")
-def test_each_snippet_runs_by_itself(snippet, tmp_path, monkeypatch, capsys):
-    """In a namespace of its own and a folder with nothing but the data."""
-    (tmp_path / "data").symlink_to(ROOT / "data")
+def test_the_snippet_goes_from_a_rig_to_a_learned_trial(tmp_path, monkeypatch, capsys):
+    """In a namespace of its own and an empty folder; trials end at the noise of the sensor."""
     monkeypatch.chdir(tmp_path)
-    exec(snippet, {"__name__": "__main__"})
-    assert capsys.readouterr().out
+    names = {"__name__": "__main__"}
+    exec(SNIPPET, names)
+    plt.close("all")
+    said, certificate = capsys.readouterr().out, names["design"].certificate
+    assert not certificate.failures and 0.1 < certificate.grid_M < 0.9
+    assert "chosen: L_max" in said and "P measured at" in said
+    assert "converged, by about trial 3" in said
+    size = rms_by_trial(names["run"].e).to_numpy().ravel()
+    assert size[-1] < 1.2 * 0.002 < 0.01 * size[0]
+    assert f"{size[-1]:.3g} mm of {size[0]:.3g}" in " ".join(TEXT.split())
+    assert (tmp_path / "axis.png").stat().st_size > 5000
+
+
+def test_it_is_short_and_notebook_11_runs_its_lines():
+    assert len(TEXT.splitlines()) <= 150
+    path = ROOT / "notebooks" / "11-another-plant.ipynb"
+    code = [c.source for c in nbformat.read(path, 4).cells if c.cell_type == "code"]
+    lines = [line for line in "\n".join(code).splitlines() if line]
+    after_imports = SNIPPET[SNIPPET.index("class") :].splitlines()
+    ours = [line for line in after_imports if line and "savefig" not in line]
+    start = lines.index(ours[0])
+    assert lines[start : start + len(ours)] == ours
 
 
 def test_what_it_says_first_is_what_the_ledger_counts():

@@ -76,7 +76,7 @@ def test_results_are_those_of_other_ways(data, number):
         np.testing.assert_allclose(law.rms, expected, rtol=0, atol=1e-9)
 
 
-@pytest.mark.filterwarnings("ignore:v ", "ignore:the error")  # what is drawn
+@pytest.mark.filterwarnings("ignore:(v |the |learning adds)")  # what is drawn
 @given(
     samples=st.integers(1, 70),
     orders=st.lists(st.integers(1, 12), min_size=1, max_size=2),

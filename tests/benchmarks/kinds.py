@@ -305,7 +305,8 @@ def gantry(off):
 
     sizes = dict.fromkeys(forces, 40.0), {"x": 1.0, "y": 1.0}
     loop = our_loop(plant(0, 0.0), Ts, *sizes)
-    bench, sliding = plant(off, np.array([4.0, 2.0]) * off), plant(off, 0.0)
+    dry = np.array([4.0, 2.0]) * abs(off)
+    bench, sliding = plant(off, dry), plant(off, 0.0)
     return Kind(loop, bench, bump(500, [20.0, 10.0]), 60.0, linear=sliding)
 
 

@@ -198,9 +198,10 @@ def main(chosen):
     if chosen:
         return print(rows.to_string())
     wrong = (ends == "failed") | (rows.confirmed == False)  # noqa: E712
-    print(rows[wrong].to_string())
-    counts, confirmed = ends.value_counts(), rows.confirmed.dropna().astype(bool)
     wide, ratio = rows.everywhere.dropna(), rows.ratio.dropna()
+    named = rows[wrong | rows.index.isin(wide.index[wide != "certified"])]
+    print(named.to_string(), rows.nlargest(5, "ratio").to_string(), sep="\n\n")
+    counts, confirmed = ends.value_counts(), rows.confirmed.dropna().astype(bool)
     certain, infeasible = ((wide == end).sum() for end in ("certified", "infeasible"))
     text = f"""{len(rows)} problems: {counts["certified"]} end with a certified filter, \
 {counts["infeasible"]} are infeasible, {counts.get("failed", 0)} fail. CVXPY confirms the smallest \

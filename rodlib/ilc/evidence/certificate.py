@@ -28,7 +28,7 @@ from rodlib.ilc.problem.problem import (
     Solution,
     largest_singular_values,
 )
-from rodlib.ilc.problem.roughness import scatter, warning_of
+from rodlib.ilc.problem.roughness import warnings_of
 
 # Relative duality gap, and relative violation of a bound on the grid, that are accepted;
 GAP = 1e-6
@@ -144,34 +144,33 @@ class Certificate:
     @property
     def warnings(self) -> list[str]:
         """What speaks against the problem, and against what is said between the samples."""
-        problem = self.problem
-        texts, design = list(problem.findings), problem.design
+        problem, design = self.problem, self.problem.design
+        texts = [*problem.findings]
         if design.models[0] is None and design.radius is None:
-            rough = scatter(design.omega, design.P, design.Q)
-            texts += [warning_of(rough)] if rough else []
+            texts += warnings_of(design.omega, design.P, design.Q)
         if problem.objective == "sum" and self.value > IDLE * problem.idle:
             share = self.value / problem.idle
             where = "in the band" if problem.band else "for this reference"
             texts.append(f"the filter leaves {share:.0%} of the error {where}")
         margin, missed = 1 - self.all_M, self.peak.missed
-        if not self.proven and margin <= 0:
+        whose = f"sigma_max(M){self._whose(self.peak)}"
+        place = f"{self.all_M:.4g} at {self.peak.omega:.4g} rad/s, between the"
+        passed = self.all_M - problem.M_max > COARSE * (1 - problem.M_max)
+        if self.proven and passed and not self.failures:
             texts.append(
-                f"sigma_max(M){self._whose(self.peak)} may reach {self.all_M:.4g} at "
-                f"{self.peak.omega:.4g} rad/s, between the samples, where Lemma 1 would not "
-                "hold; measure there, or smooth samples that scatter"
+                f"{whose} reaches {place} frequencies omega, where M_max = {problem.M_max:g} "
+                "bounds it: synthesise with everywhere=True, or "
+                f"{'an' if problem.L_max is None else 'a smaller'} L_max"
+            )
+        elif not self.proven and margin <= 0:
+            texts.append(
+                f"{whose} may reach {place} samples, where Lemma 1 would not hold; measure there, "
+                "or smooth samples that scatter"
             )
         elif not self.proven and missed > COARSE * margin:
             texts.append(
                 f"the samples are too coarse: splines miss M by {missed:.2g} in cross-validation, "
                 f"and 1 - sigma_max(M) is {margin:.2g}; measure at more frequencies"
-            )
-        bound = max(problem.M_max, self.grid_M)
-        if self.proven and self.all_M > bound + COARSE * (1 - bound):
-            texts.append(
-                f"sigma_max(M){self._whose(self.peak)} reaches {self.all_M:.4g} at "
-                f"{self.peak.omega:.4g} rad/s, between the frequencies omega, where M_max = "
-                f"{problem.M_max:g} bounds it: synthesise with everywhere=True, or "
-                f"{'an' if problem.L_max is None else 'a smaller'} L_max"
             )
         return texts
 
@@ -197,7 +196,8 @@ class Certificate:
         return f"sigma_max(M) above {last:.4g} rad/s, with the size of P assumed there"
 
     def __repr__(self):
-        lines = [f"rate{self._worst_of()}: {self.rate:.4f}, {self._coverage()}"]
+        of = f", {self._worst()}" if self.problem.robust else ""
+        lines = [f"rate{of}: {self.rate:.4f}, {self._coverage()}"]
         lines += [*self._mean(), self._reached(), *self._remarks()]
         return "\n".join(lines)
 
@@ -217,11 +217,11 @@ class Certificate:
         yield from (f"WARNING: {text}" for text in self.warnings)
         yield from (f"FAILS: {text}" for text in self.failures)
 
-    def _worst_of(self):
-        """For which plants the rate is the worst."""
-        count, radius = len(self.problem.plants), self.problem.radius is not None
-        of = f", worst of {count} plants" if count > 1 else ", worst" if radius else ""
-        return f"{of} within the radius" if radius else of
+    def _worst(self):
+        """Of which plants the worst is meant."""
+        count = len(self.problem.plants)
+        of = f" of {count} plants" if count > 1 else ""
+        return f"worst{of}{'' if self.problem.radius is None else ' within the radius'}"
 
     def _coverage(self):
         """At which frequencies the rate is known, and how well."""
@@ -231,8 +231,7 @@ class Certificate:
             return f"{where}, without the radius {known} in between"
         if self.proven:
             return "proven for all frequencies"
-        low, high = self.problem.design.omega[[0, -1]]
-        return f"{known} between the samples, from {low:.4g} to {high:.4g} rad/s"
+        return f"{known} between the samples, {_span(self.problem.design.omega)}"
 
     def _mean(self) -> Iterator[str]:
         """The RMS predicted for a reference, or the mean rate in a band, if there is one."""
@@ -244,9 +243,8 @@ class Certificate:
                 "reference, without noise and ends"
             )
         elif self.problem.objective == "sum" and np.isfinite(self.mean_M):
-            low, high = self.problem.band
-            band = f"from {low:.4g} to {high:.4g} rad/s"
-            yield f"mean of sigma_max(M){nominal} over the band: {self.mean_M:.4f}, {band}"
+            mean = f"{self.mean_M:.4f}, {_span(self.problem.band)}"
+            yield f"mean of sigma_max(M){nominal} over the band: {mean}"
 
     def _reached(self):
         """Which bounds limit the optimum; without them, no other than the filter's size."""
@@ -286,38 +284,33 @@ class Certificate:
         problem = self.problem
         if not problem.robust:
             return
-        count = len(problem.plants)
-        of = f" of {count} plants" if count > 1 else ""
-        within = "" if problem.radius is None else " within the radius"
-        yield f"worst{of}{within} on the design grid: {self._where()}"
+        yield f"{self._worst()} on the design grid: {self._where()}"
         if problem.radius is not None:
-            reached = self.worst.attained[[k for _, k in self.worst.tied]].max()
             yield (
-                f"a plant within the radius reaches {reached:.8f} there; between the samples the "
-                "radius is not known"
+                f"a plant within the radius reaches {self.grid_M:.8f} there; between the samples "
+                "the radius is not known"
             )
 
     def _between(self) -> Iterator[str]:
         """What is not in the table of M between the design frequencies."""
-        problem = self.problem
+        problem, omega = self.problem, self.problem.design.omega
         without = "" if problem.radius is None else " without the radius"
         if self.proven:
             if without:
                 yield f"sigma_max(M) over all frequencies{without}: {self.all_M:.8f}"
             return
-        low, high = problem.design.omega[[0, -1]]
         of = ""
         if self.estimated < len(problem.plants):
             of = f" for the {self.estimated} sampled plants that are worst on the grid"
         yield (
-            f"sigma_max(M){without} from {low:.4g} to {high:.4g} rad/s, between the samples: "
-            f"{self.all_M:.4f}, estimated{of}"
+            f"sigma_max(M){without} {_span(omega)}, between the samples: {self.all_M:.4f}, "
+            f"estimated{of}"
         )
-        unknown = [f"below {low:.4g} rad/s"] if low > 0 else []
+        unknown = [f"below {omega[0]:.4g} rad/s"] if omega[0] > 0 else []
         if self.beyond:
             yield f"{self._above()}: {self.beyond.sigma:.4f} at most"
-        elif high < np.pi / problem.Ts * (1 - 1e-9):
-            unknown.append(f"above {high:.4g} rad/s")
+        elif omega[-1] < np.pi / problem.Ts * (1 - 1e-9):
+            unknown.append(f"above {omega[-1]:.4g} rad/s")
         unknown.append("at resonances that no sample shows")
         yield f"sigma_max(M) unknown: {', '.join(unknown)}"
 
@@ -338,10 +331,15 @@ def _unusable(problem: Problem) -> Iterator[str]:
     omega = problem.omega[problem.unusable]
     if omega.size:
         yield (
-            f"nothing can be learned at {omega.size} frequencies from {omega[0]:.4g} to "
-            f"{omega[-1]:.4g} rad/s: the uncertainty ball contains singular plants there, and M is "
-            f"|Q| or more, {np.abs(problem.Q[problem.unusable]).max():.4g} at most"
+            f"nothing can be learned at {omega.size} frequencies {_span(omega)}: the uncertainty "
+            "ball contains singular plants there, and M is |Q| or more, "
+            f"{np.abs(problem.Q[problem.unusable]).max():.4g} at most"
         )
+
+
+def _span(omega):
+    """The first and the last of some frequencies."""
+    return f"from {omega[0]:.4g} to {omega[-1]:.4g} rad/s"
 
 
 def certify(

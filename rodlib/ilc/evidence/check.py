@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from rodlib.ilc.evidence.convergence import Convergence, as_systems, from_responses
-from rodlib.ilc.evidence.peak import estimated_peaks, highest, peak_beyond, proven_peaks
+from rodlib.ilc.evidence.peak import estimated_peaks, peak_beyond, proven_peaks
 from rodlib.ilc.evidence.robustness import worst_case
 from rodlib.ilc.filters import LearningFilter
 from rodlib.ilc.problem.problem import Problem, tied
@@ -13,11 +13,10 @@ def check(problem: Problem, L: LearningFilter) -> Convergence:
     """How the trials converge with a filter, in units of `scale`, on the plants of a problem."""
     worst = worst_case(problem, L)
     gamma, at = worst.sigma.max(), problem.omega[tied(worst.sigma).argmax()]
-    proven = proven_peaks(problem, L)
     estimated = estimated_peaks(problem, L, worst.peaks)
     beyond = peak_beyond(problem, L)
-    for peak in (highest(proven), highest(estimated), beyond):
-        if peak is not None and peak.sigma > gamma * (1 + 1e-8):
+    for peak in (*proven_peaks(problem, L), *estimated, beyond):
+        if peak and peak.sigma > gamma * (1 + 1e-8):
             gamma, at = peak.sigma, peak.omega
     response = L.frequency_response(problem.omega)
     on_grid = from_responses(problem.omega, problem.plants, problem.Q, response)

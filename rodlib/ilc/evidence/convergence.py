@@ -17,8 +17,7 @@ from rodlib.ilc.models import frequency_response
 from rodlib.ilc.problem.problem import convergence_matrix, largest_singular_values, tied
 from rodlib.ilc.problem.responses import Q_on_grid, on_grid, plants
 
-DENSE = 2001  # frequencies, from zero to the Nyquist frequency,
-REFINEMENTS = 3  # then a tenth as many about the highest
+DENSE = 20001  # frequencies, from zero to the Nyquist frequency
 
 
 class Rate(NamedTuple):
@@ -82,25 +81,26 @@ class Convergence:
         The largest sigma_max(W^(1/2) Q (I - L P) W^(-1/2)) with W = P_0^H P_0 + weight I: by that
         factor the root of ||P_0 d||^2 + weight ||d||^2, with d the distance of v from its limit,
         shrinks from trial to trial, at least. For small weights it tends to gamma. P is the worst
-        of the plants, P_0 the first, by whose model the law projects. It is at all frequencies,
-        by refinement of a dense grid, if plants and Q are models, else at `omega`; a radius is left
-        out of account. For trials without ends, and limits that are met as the model says.
+        of the plants, P_0 the first, by whose model the law projects. If plants and Q are models,
+        it is on a grid of 20,000 frequencies up to the Nyquist frequency and at `omega`, else at
+        `omega` alone; a radius is left out of account. For trials without ends, and limits that are
+        met as the model says.
         """
         weight = arguments.positive("weight", weight)
-        highest = _within(*self.responses, weight).max()
-        if self.systems is None:
-            return float(highest)
-        plants, Q, L = self.systems
-        omega = np.union1d(self.omega, np.linspace(0, np.pi / Q.Ts, DENSE))
-        for _ in range(REFINEMENTS):
+        P, Q, L = self.responses
+        if self.systems is not None:
+            plants, *filters = self.systems
+            dense = np.linspace(0, np.pi / filters[0].Ts, DENSE)
+            omega = np.union1d(self.omega, dense)
             P = np.array([frequency_response(plant, omega) for plant in plants])
-            filters = Q.frequency_response(omega), L.frequency_response(omega)
-            rates = _within(P, *filters, weight).max(axis=0)
-            top = rates.argmax()
-            highest = max(highest, rates[top])
-            low, high = omega[[max(top - 1, 0), min(top + 1, len(omega) - 1)]]
-            omega = np.linspace(low, high, DENSE // 10)
-        return float(highest)
+            Q, L = (each.frequency_response(omega) for each in filters)
+        identity = np.eye(P.shape[-1])
+        nominal = P.reshape(-1, *P.shape[-3:])[0]
+        effort = np.broadcast_to(np.sqrt(weight) * identity, nominal.shape)
+        S = np.concatenate([nominal, effort], axis=-2)  # S^H S = W
+        change = Q[:, None, None] * (identity - L @ P)
+        rates = np.linalg.norm(S @ change @ np.linalg.pinv(S), 2, axis=(-2, -1))
+        return float(rates.max())
 
     def __repr__(self):
         gamma, radius = np.max(self.gamma), np.max(self.spectral_radius)
@@ -180,16 +180,6 @@ def from_responses(omega, P, Q, L) -> Convergence:
         spectral_radius=radius.max(axis=-1),
         responses=(P, Q, L),
     )
-
-
-def _within(P, Q, L, weight):
-    """The rate of :meth:`Convergence.within` of plants (..., n, m, m), at each frequency."""
-    identity = np.eye(P.shape[-1])
-    nominal = P.reshape(-1, *P.shape[-3:])[0]
-    effort = np.broadcast_to(np.sqrt(weight) * identity, nominal.shape)
-    S = np.concatenate([nominal, effort], axis=-2)  # S^H S = W
-    change = Q[:, None, None] * (identity - L @ P)
-    return np.linalg.norm(S @ change @ np.linalg.pinv(S), 2, axis=(-2, -1))
 
 
 def log_mean(sigma, omega, band) -> float:

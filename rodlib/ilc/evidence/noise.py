@@ -196,6 +196,7 @@ def _density(name, value, n, m):
 
 
 def _check_controller(loop):
+    """Refuse a loop whose controller is not known."""
     if isinstance(loop, ClosedLoop):
         raise ValueError(
             f"loop = {reprlib.repr(loop)} must be a CurrentTrialLoop: what a controller that "
@@ -279,17 +280,18 @@ def noise_on_trial(
     half, absent = length // 2, samples - length
     learned = np.insert(learned, [half] * absent, learned[half], axis=0)
     true, measured = ((h**2).sum(axis=2).cumsum(axis=0) + learned for h in (T, X))
-    variances = {"true": true, "measured": measured, "learned": learned}
     coordinates = {
         "time": ("time", loop.Ts * np.arange(samples), {"units": "s"}),
         "channel": np.arange(1, m + 1),
         "output": ("channel", loop.outputs),
     }
-    signals = {
-        name: (("time", "channel"), np.sqrt(variance))
-        for name, variance in variances.items()
+    axes = "time", "channel"
+    variances = {
+        "true": (axes, true),
+        "measured": (axes, measured),
+        "learned": (axes, learned),
     }
-    return xr.Dataset(signals, coordinates)
+    return np.sqrt(xr.Dataset(variances, coordinates))
 
 
 def _learned(P, X, law, trials):

@@ -4,14 +4,13 @@ It follows from the solver's multipliers, whatever their quality, by linear alge
 """
 
 import numpy as np
-from scipy.optimize import elementwise
 from scipy.special import expit
 
 from rodlib.ilc.evidence.robustness import affine
 from rodlib.ilc.problem.problem import Cuts, Problem
 
-CLOSE = 1e-9  # accuracy of dual norms, relative to the largest
 FARTHEST = 40.0  # logarithm of how unequal two weights may be: the smaller is then below rounding
+HALVINGS = 40  # of the distance of such logarithms
 FAINT = 1e-12  # least eigenvalue of X, relative
 
 
@@ -71,9 +70,8 @@ def relief(problem: Problem, value, U, V, cuts: Cuts | None = None) -> float:
     binding = problem.L_max * problem.share_L <= problem.limit_L
     share = _nuclear_norms(np.linalg.solve(problem.weight, V))[binding].sum()
     if problem.objective == "peak":
-        share /= _nuclear_norms(U).sum() + (
-            0 if cuts is None else dual_norm(cuts.N).sum()
-        )
+        total = _nuclear_norms(U).sum()
+        share /= total if cuts is None else total + dual_norm(cuts.N).sum()
     return float(share / problem.unit(value))
 
 
@@ -99,6 +97,7 @@ def _projected(problem, parts):
 
 
 def _nuclear_norms(N):
+    """The nuclear norm of each matrix."""
     return np.linalg.svd(N, compute_uv=False).sum(axis=1)
 
 
@@ -123,19 +122,12 @@ def dual_norm(N) -> np.ndarray:
         return _nuclear_norms(N)
     size = np.linalg.norm(N, axis=(1, 2))
     N = (N / np.where(size > 0, size, 1)[:, None, None]).reshape(count, 2, m, m)
-    share = size / (size.max(initial=0) or 1)  # small ones need less accuracy
-
-    def slope(t, i):
-        c, _ = _costs(N[i], t)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            slope = np.nan_to_num(np.log(c[0]) - np.log(c[1])) * share[i]
-        inside = np.abs(t) < FARTHEST
-        return np.where(inside, slope, -np.sign(t))  # or the best is beyond an end
-
-    ends, accuracy = np.full(count, FARTHEST), {"fatol": CLOSE}
-    cases = (np.arange(count),)
-    root = elementwise.find_root(slope, (-ends, ends), args=cases, tolerances=accuracy)
-    c, trace = _costs(N, root.x)
+    low, high = np.full((2, count), [[-FARTHEST], [FARTHEST]])
+    for _ in range(HALVINGS):
+        t = (low + high) / 2
+        c, trace = _costs(N, t)
+        rises = c[0] > c[1]
+        low, high = np.where(rises, t, low), np.where(rises, high, t)
     return size * np.sqrt(c.max(axis=0) * trace)
 
 

@@ -1,8 +1,7 @@
 """How slowly may it converge? The worst case of M over all plants considered possible.
 
 For each frequency: the largest sigma_max(Q (I - (P_k + Delta) L)) over the plants P_k and all Delta
-within the radius, an upper bound with a proof, and what one Delta reaches, which shows how sharp it
-is.
+within the radius, an upper bound with a proof, which one Delta reaches.
 """
 
 from dataclasses import dataclass
@@ -21,7 +20,6 @@ from rodlib.ilc.problem.problem import (
 from rodlib.ilc.signals import check_match
 
 FARTHEST = 40.0  # logarithm of how unequal two shares may be: the smaller is then below rounding
-NEXT = 1e-12  # distance of neighbouring logarithms
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +27,6 @@ class WorstCase:
     """The worst case of sigma_max(M) at each frequency. Made by :func:`worst_case`."""
 
     sigma: np.ndarray  # (n,): an upper bound for all plants and all Delta
-    attained: np.ndarray  # (n,): by one of them; `sigma`, but rounded
     peaks: np.ndarray  # (1 + others,): largest sigma_max(M) of each plant, Delta = 0
     tied: tuple[tuple[int, int], ...]  # plants and indices of frequencies of the peak
 
@@ -65,7 +62,7 @@ def worst_case(problem: Problem, L: LearningFilter) -> WorstCase:
     peaks = nominal.max(axis=1)
     if problem.radius is None:
         sigma = nominal.max(axis=0)
-        return WorstCase(sigma, sigma, peaks, _tied_pairs(nominal))
+        return WorstCase(sigma, peaks, _tied_pairs(nominal))
 
     stacked = []
     for k in plants:
@@ -80,8 +77,7 @@ def worst_case(problem: Problem, L: LearningFilter) -> WorstCase:
     possible = bounds >= _bound(first, t) * (1 - TIED)
     sigma = np.zeros(nominal.shape)
     sigma[possible] = _bound(G[possible], _best(G[possible]))
-    attained = _attained(G[sigma.argmax(axis=0), every])
-    return WorstCase(sigma.max(axis=0), attained, peaks, _tied_pairs(sigma))
+    return WorstCase(sigma.max(axis=0), peaks, _tied_pairs(sigma))
 
 
 def _tied_pairs(sigma):
@@ -115,22 +111,13 @@ def _bound(G, t):
     return largest_singular_values(_weighted(G, t))
 
 
-def _most_amplified(G, t):
-    """The unit x that the weighted G amplifies most."""
-    return np.linalg.svd(_weighted(G, t))[2][:, 0].conj()
-
-
-def _images(G, x):
-    """M x and rho L x, shape (c, 2, m)."""
-    return (G @ x[..., None]).reshape(len(G), 2, -1)
-
-
 def _best(G):
     """The t = log((1 - alpha) / alpha) of the least bound."""
 
     def imbalance(t, i):
-        x = _most_amplified(G[i], t)
-        Mx, rho_Lx = np.linalg.norm(_images(G[i], x), axis=2).T
+        x = np.linalg.svd(_weighted(G[i], t))[2][:, 0].conj()  # the most amplified
+        images = (G[i] @ x[..., None]).reshape(len(x), 2, -1)
+        Mx, rho_Lx = np.linalg.norm(images, axis=2).T
         balanced = np.nan_to_num(np.log(rho_Lx) - np.log(Mx))
         return t - np.clip(balanced, -FARTHEST, FARTHEST)
 
@@ -139,25 +126,3 @@ def _best(G):
     # log(0), and a bracket at rounding level, which is halved
     with np.errstate(divide="ignore", invalid="ignore"):
         return elementwise.find_root(imbalance, (-ends, ends), args=(numbers,)).x
-
-
-def _attained(G):
-    """The largest |M x| + |rho L x| of a unit x."""
-    # At the best alpha exp(t) |M x|^2 = exp(-t) |rho L x|^2. Where two directions are amplified
-    # equally, x with too large an M x and y with too large a rho L y, a combination
-    # cos(a) x + sin(a) y meets this: tan(a) is the root of a quadratic equation.
-    t = _best(G)
-    x, y = _most_amplified(G, t + NEXT), _most_amplified(G, t - NEXT)
-    coupling = (y.conj() * x).sum(axis=1)
-    y = y * np.exp(1j * np.angle(coupling))[:, None]
-
-    def difference(x, y):
-        product = (_images(G, x).conj() * _images(G, y)).real.sum(axis=2)
-        return np.exp(t) * product[:, 0] - np.exp(-t) * product[:, 1]
-
-    first, cross, last = difference(x, x), difference(x, y), difference(y, y)
-    root = np.sqrt(np.maximum(cross**2 - first * last, 0))
-    a = np.arctan2(np.maximum(first, 0), np.maximum(root - cross, 0))[:, None]
-    z = np.cos(a) * x + np.sin(a) * y
-    size = np.linalg.norm(_images(G, z), axis=2).sum(axis=1)
-    return size / np.linalg.norm(z, axis=1)

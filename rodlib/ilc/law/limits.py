@@ -18,6 +18,7 @@ from rodlib.ilc.models import state_sequence
 
 ROUNDING = 1e-6  # of the width of the limits: no more than a solver rounds
 REGULAR = 1e-8  # of PIQP's systems: with its own 1e-10 rounding may keep it from an end
+CUT_OFF = ": they were cut off; v is learned within"  # what follows for the law
 WEIGHT = 1e-2  # of ||v||^2 beside ||P v||^2, for what the outputs hardly show
 
 

@@ -204,7 +204,7 @@ class Replay:
         history, *others = histories(self.trials, self.law)
         if others or history.P is None or history.since[k] == k:
             return None
-        return pd.DataFrame(error_by_octave(history, k)).set_index("frequency")
+        return pd.DataFrame(error_by_octave(history, k, k - 1)).set_index("frequency")
 
     @property
     def rms(self) -> pd.DataFrame:

@@ -9,7 +9,7 @@ import numpy as np
 from rodlib.ilc import arguments
 from rodlib.ilc.loop.closed import ClosedLoop
 from rodlib.ilc.problem.responses import Measured, interpolated
-from rodlib.ilc.problem.roughness import scatter, warning_of
+from rodlib.ilc.problem.roughness import warnings_of
 
 
 @dataclass(frozen=True, repr=False)
@@ -87,6 +87,5 @@ def tabulated(
         )
     timed = table.dt and table.dt is not True
     loop = ClosedLoop(None, table.dt, table.output_labels) if timed else None
-    rough = 0.0 if radius.any() else scatter(omega, P)
-    findings = (warning_of(rough),) if rough else ()
+    findings = () if radius.any() else warnings_of(omega, P)
     return TabulatedResponse(omega, P, radius, loop, findings)

@@ -8,7 +8,7 @@ M is affine in P. A bound on it for several plants, or for all within a radius o
 as for one: *fast for the plant that one believes in, convergent for all that cannot be excluded*.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import control
 import numpy as np
@@ -227,12 +227,8 @@ def joined(cuts: list[Cuts]) -> Cuts | None:
     """Several cuts as one; None without any."""
     if not cuts:
         return None
-    return Cuts(
-        plant=np.concatenate([cut.plant for cut in cuts]),
-        frequency=np.concatenate([cut.frequency for cut in cuts]),
-        N=np.concatenate([cut.N for cut in cuts]),
-        split=np.concatenate([cut.split for cut in cuts]),
-    )
+    names = [part.name for part in fields(Cuts)]
+    return Cuts(**{n: np.concatenate([getattr(cut, n) for cut in cuts]) for n in names})
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,7 @@ from rodlib.ilc import arguments
 from rodlib.ilc.problem.problem import Samples
 
 FINER = 16  # than the signal's own are the lines of the spectrum that is integrated
-FADING = (
-    10  # times shorter than the trial is the time in which an error at its end fades
-)
+FADING = 10  # trials are so much longer than an error at their end takes to fade
 
 
 def first_error(samples: Samples, reference) -> tuple[np.ndarray, np.ndarray]:
@@ -23,8 +21,7 @@ def first_error(samples: Samples, reference) -> tuple[np.ndarray, np.ndarray]:
     are |E_1| d omega, and sum to one.
     """
     m, own = samples.plants.shape[-1], samples.omega * samples.Ts
-    known = samples.labels.labels[:m]  # of the outputs
-    names = known or arguments.names_of(reference) or range(m)
+    names = samples.labels.labels[:m] or arguments.names_of(reference) or range(m)
     r = arguments.in_columns("reference", reference, ("time", m), names) / samples.scale
     length = 2 * next_fast_len(FINER * len(r) // 2, real=True)
     angles = np.linspace(0, np.pi, length // 2 + 1)

@@ -19,7 +19,7 @@ FREQUENCIES = 1000  # of a grid that is chosen
 DECADES = 3  # of it below the cut-off of Q
 MODELS = (Loop, control.LTI)  # what a plant may be, if not an array
 RIPPLE = (
-    1.2  # of a low-pass filter without taper, applied twice; no sensible |Q| is larger
+    1.2  # of a low-pass filter without taper, applied twice: the largest sensible |Q|
 )
 IMAGINARY = 1e-6  # relative imaginary part below which a response counts as real
 
@@ -165,6 +165,7 @@ def _refuse_hertz(name, omega, responses, Ts):
 
 
 def _scaled(model, scale):
+    """A model in units of `scale`."""
     S, R = np.diag(scale), np.diag(1 / scale)
     return control.ss(model.A, model.B @ S, R @ model.C, R @ model.D @ S, model.dt)
 
@@ -272,6 +273,7 @@ def _response(name, P, omega, Ts):
 
 
 def _check_period(name, dt, Ts):
+    """Refuse a model of another sampling period."""
     if dt is True or dt != Ts:  # True, some period, equals 1 s
         raise ValueError(
             f"{name}.dt = {dt!r} differs from Ts = {Ts!r}: sample the model at Ts"

@@ -41,11 +41,13 @@ def scatter(omega, P, Q=1.0) -> float:
     return float(np.sqrt(np.mean(np.linalg.norm(difference, 2, axis=(1, 2)) ** 2)))
 
 
-def warning_of(scatter: float) -> str:
-    """What follows from a scatter."""
-    return (
-        f"P scatters from line to line by {scatter:.2g} of its size (RMS): it is noisy, or the "
-        "lines are too far apart to show how it bends. Without a radius they count as exact, and "
-        "what is promised holds for them, not for the plant: pass the radius as `uncertainty`, or "
-        "a record, measured_response(log)"
+def warnings_of(omega, P, Q=1.0) -> tuple[str, ...]:
+    """What follows if samples scatter."""
+    size = scatter(omega, P, Q)
+    text = (
+        f"P scatters from line to line by {size:.2g} of its size (RMS): it is noisy, or the lines "
+        "are too far apart to show how it bends. Without a radius they count as exact, and what is "
+        "promised holds for them, not for the plant: pass the radius as `uncertainty`, or a "
+        "record, measured_response(log)"
     )
+    return (text,) if size else ()

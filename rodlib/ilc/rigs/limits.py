@@ -1,13 +1,9 @@
 """Limits beyond which an experiment stops."""
 
-from collections.abc import Sequence
-
-import numpy as np
-
 from rodlib.ilc import arguments
 from rodlib.ilc.law.limits import named_limits
 from rodlib.ilc.loop.closed import Loop
-from rodlib.ilc.units import by_unit
+from rodlib.ilc.trials.start import largest_by_unit
 
 FAR = 5.0  # times the largest reference that outputs may be beyond all references
 WIDE = 100.0  # times what an actuator follows, that commands may span: no loop that works does
@@ -21,7 +17,7 @@ def stop_limits(stop, reference, loop: Loop, followed) -> dict:
     """
     limits = {}
     values = reference.reshape(-1, len(loop.outputs))
-    largest = largest_by_unit(values, [loop.units[name] for name in loop.outputs])
+    largest = largest_by_unit(values, loop)
     for name, column, size in zip(loop.outputs, values.T, largest, strict=True):
         if size:
             limits[name] = column.min() - FAR * size, column.max() + FAR * size
@@ -33,9 +29,3 @@ def stop_limits(stop, reference, loop: Loop, followed) -> dict:
     pairs = {name: pair for name, pair in asked.items() if pair is not None}
     limits |= named_limits("stop", pairs, names)
     return {name: limits[name] for name in limits if name in pairs or name not in asked}
-
-
-def largest_by_unit(reference, units: Sequence[str]) -> np.ndarray:
-    """Largest reference (time, output) of all outputs in the same unit, for each output."""
-    sizes, groups = np.abs(reference).max(axis=0), by_unit(units)
-    return np.array([sizes[groups[unit]].max() for unit in units])

@@ -12,14 +12,24 @@ from rodlib.ilc import arguments
 from rodlib.ilc.files import alone
 from rodlib.ilc.law.io import BEGUN, KEYS
 from rodlib.ilc.law.law import Law
-from rodlib.ilc.law.limits import commands_beyond
+from rodlib.ilc.law.limits import CUT_OFF, commands_beyond
 from rodlib.ilc.logs.format import save_log
 from rodlib.ilc.logs.reader import load_log
 from rodlib.ilc.rigs.controlled import ControlledRig
 from rodlib.ilc.rigs.protocol import StoppedError
-from rodlib.ilc.rigs.start import Start
-from rodlib.ilc.trials.diagnosis import diagnose
+from rodlib.ilc.trials.diagnosis import (
+    GROWTH,
+    ROUNDING,
+    SIGNIFICANCE,
+    chance,
+    degrees_of_freedom,
+    diagnose,
+    histories,
+    rms,
+    spectrum,
+)
 from rodlib.ilc.trials.run import commands_of, dataset
+from rodlib.ilc.trials.start import Start
 
 NOTED = (*KEYS, "excitation", "loop")  # the notes of what makes the trials
 SIGNALS = ("v", "u", "y", "applied", "delta", "disturbance")  # that a trial may have
@@ -80,7 +90,7 @@ class Experiment:
                 data = self.dataset(trials, notes)
                 if path is not None:
                     save_log(data, path)
-                for kind, text in self.warnings(data, trials).items():
+                for kind, text in self.warnings(data, trials, k == first).items():
                     if kind not in shown:
                         warnings.warn(text, stacklevel=4)
                     shown.add(kind)
@@ -95,7 +105,7 @@ class Experiment:
         signals = self.rig.run(k + 1, reference + v, self.commanded[k], bar)
         return {"v": v} | signals
 
-    def warnings(self, data: xr.Dataset, trials: list[Trial]) -> dict[str, str]:
+    def warnings(self, data: xr.Dataset, trials: list[Trial], resumed: bool) -> dict:
         """What the last trial shows, with those before it, by kinds; each is warned of once."""
         texts, rig, trial, number = {}, self.rig, trials[-1], len(trials)
         reference, cut_off = self.reference[number - 1], rig.actuators is not None
@@ -103,15 +113,21 @@ class Experiment:
         limits = self.law.limits if cut_off else rig.limits
         beyond = commands_beyond(u, rig.commands, limits)
         if beyond and cut_off:
-            texts["limits"] = f"{beyond}: they were cut off; v is learned within"
+            texts["limits"] = beyond + CUT_OFF
         if (
             self.alike
             and number > 1
             and np.array_equal(reference[0], self.reference[0, 0])
         ):
-            texts["start"] = self.start(trials).missed(trial["y"])
+            start = self.start(trials)
+            learns = self.law is not None and self.law.L is not None
+            texts["start"] = start.missed(trial["y"]) or (
+                learns and start.away(reference)
+            )
         if self.law is not None:
             texts |= diagnose(data, self.law, first=number)
+            if resumed:
+                texts["resumed"] = departs(data, self.law)
         texts = {
             kind: f"after trial {number}: {text}"
             for kind, text in texts.items()
@@ -124,9 +140,7 @@ class Experiment:
 
     def start(self, trials) -> Start:
         """Where the first trial started."""
-        loop = self.rig.loop
-        units = [loop.units[name] for name in loop.outputs]
-        return Start.of(trials[0]["y"], self.reference[0], loop.outputs, units)
+        return Start.of(trials[0]["y"], self.reference[0], self.rig.loop)
 
     def stopped(self, error, trials, notes, path) -> StoppedError:
         """The error, with the trials before it and how to go on."""
@@ -168,3 +182,26 @@ class Experiment:
                 f"path = '{path}' holds another experiment, see its {', '.join(differing)}: give "
                 "another path, or go on with the same"
             )
+
+
+def departs(data: xr.Dataset, law: Law) -> str:
+    """F test of the first trial after those of a log, against how the last of them followed; "".
+
+    What the model leaves of the changes from trial to trial, or without one all of them, shrinks
+    (Lemma 1) down to noise. Null hypothesis: it is noise of the variance and spectrum of the last.
+    """
+    for history in histories(data, law):
+        last = len(history.e) - 1
+        if history.since[last] > last - 2:
+            continue
+        unlearned = history.e if history.P is None else history.free
+        changes = np.diff(unlearned[-3:], axis=0)
+        before, now = np.maximum(rms(changes), ROUNDING * np.abs(history.e).max())
+        freedom = degrees_of_freedom(spectrum(changes[0])).item()
+        if now > GROWTH * before and chance(now / before, freedom, 2) < SIGNIFICANCE:
+            return (
+                f"its error{history.of_outputs} is off by {now:.3g} from what follows from the "
+                f"last trial of the log, which was off by {before:.3g}: are plant, loop and "
+                "disturbances the same? If not, give another path"
+            )
+    return ""

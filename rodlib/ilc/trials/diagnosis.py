@@ -30,7 +30,7 @@ JUMP = 3.0  # or in one trial, relative to the largest RMS before
 AMPLIFICATION = 5.0  # largest effect of learning on the noise of a trial
 STAGNATION = 0.97  # ratio of RMS errors from which on the error does not fall
 STEPS = 3  # of v, from which on it may be said to keep growing
-STRAIGHT, STEADY = 0.95, 0.9  # its distance relative to its path, last step to first
+STEADY = 0.9  # share of the first of these steps that each of the others repeats
 RELEVANT = 0.2  # smallest change of v, relative to the error
 FOLLOWED = 0.5  # share of a predicted change of y; with less, it does not follow w
 EXCESS = 0.05  # smallest error beyond the promised one, relative to the first trial's
@@ -49,9 +49,7 @@ class History:
     law: Law
     channels: list[int]
     e: np.ndarray
-    reference: np.ndarray
     v: np.ndarray  # of all outputs, as far as it was applied
-    w: np.ndarray  # reference + v, likewise
 
     @cached_property
     def rms(self) -> np.ndarray:
@@ -61,7 +59,8 @@ class History:
     @cached_property
     def since(self) -> np.ndarray:
         """Index of the first of the trials in succession that have each trial's reference."""
-        changes = np.any(np.diff(self.reference, axis=0) != 0, axis=(1, 2))
+        reference = self.trials.reference.values[..., self.channels]
+        changes = np.any(np.diff(reference, axis=0) != 0, axis=(1, 2))
         first = np.arange(len(self.e)) * np.append(True, changes)
         return np.maximum.accumulate(first)
 
@@ -86,27 +85,17 @@ class History:
         """The rate that the model predicts."""
         return convergence(self.P, self.law.Q, self.law.L, GRID / self.law.Ts)
 
-    def response(self, w) -> np.ndarray:
-        """P w, by the model, of the outputs in this unit."""
+    @cached_property
+    def effect(self) -> np.ndarray:
+        """P v by the model, by which v lowers the error of each trial."""
         P = self.P
-        states = state_sequence(P.A, w @ P.B.T, np.zeros(P.nstates))
-        return (states @ P.C.T + w @ P.D.T)[:, self.channels]
+        x = [state_sequence(P.A, v @ P.B.T, np.zeros(P.nstates)) for v in self.v]
+        return (np.array(x) @ P.C.T + self.v @ P.D.T)[..., self.channels]
 
-    def predicted(self, k: int) -> np.ndarray:
-        """Error of trial k by the model: e_{k-1} + r_k - r_{k-1} - P (w_k - w_{k-1})."""
-        moved = self.response(self.w[k] - self.w[k - 1])
-        return self.e[k - 1] + self.reference[k] - self.reference[k - 1] - moved
-
-    def rest(self, k: int) -> np.ndarray:
-        """What Q leaves of trial k: (1 - Q) of its error without v, by the model."""
-        free = self.e[k] + self.response(self.v[k])
-        return free - self.law.Q.apply(free)
-
-    def changes(self, first: int, last: int) -> tuple[np.ndarray, np.ndarray]:
-        """Changes of the error with one reference, and those that the model predicts."""
-        predicted = [self.predicted(k) for k in range(first + 1, last + 1)]
-        e = self.e[first : last + 1]
-        return np.diff(e, axis=0), np.array(predicted) - e[:-1]
+    @cached_property
+    def free(self) -> np.ndarray:
+        """The error that each trial would have without v, by the model."""
+        return self.e + self.effect
 
     def number(self, k: int) -> int:
         """Number of trial k."""
@@ -137,12 +126,14 @@ def diagnose(
     warnings = {}
     if law.L is None:
         return warnings
-    checks = CHECKS | ({} if exact else MODEL_CHECKS)
+    skipped = {"rate"} if exact else set()
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # of 1e200
         for history in histories(trials, law):
             for k in range(max(1, first - 1), len(history.e)):
-                for kind, check in (checks if warnings else checks | LAST).items():
-                    text = None if kind in warnings else check(history, k)
+                for kind, check in CHECKS.items():
+                    # learning adds errors for any of the other reasons, too
+                    known = warnings if kind == "repetition" else {*warnings} & {kind}
+                    text = None if known or kind in skipped else check(history, k)
                     if text:
                         warnings[kind] = text
     return warnings
@@ -150,15 +141,12 @@ def diagnose(
 
 def histories(trials: xr.Dataset, law: Law) -> list[History]:
     """The trials, split by the units of their outputs."""
-    e, reference = trials.e.values, trials.reference.values
-    w = reference + trials.v.values
+    e, reference, v = (trials[name].values for name in ("e", "reference", "v"))
     if law.limits:  # then that for which the loop asks for what was applied
-        w = realised(law.loop, w, **commands(trials, law.loop, law.actuators))
-    parts = []
-    for channels in by_unit(trials.output_unit.values.tolist()).values():
-        e_part, r_part = e[..., channels], reference[..., channels]
-        parts.append(History(trials, law, channels, e_part, r_part, w - reference, w))
-    return parts
+        asked = commands(trials, law.loop, law.actuators)
+        v = realised(law.loop, reference + v, **asked) - reference
+    groups = by_unit(trials.output_unit.values.tolist()).values()
+    return [History(trials, law, group, e[..., group], v) for group in groups]
 
 
 def commands(trials: xr.Dataset, loop: Loop, actuators=None) -> dict[str, np.ndarray]:
@@ -179,7 +167,8 @@ def error_grows(history: History, k: int) -> str | None:
     """
     start = history.since[k]
     size = history.rms[start : k + 1]
-    size = np.maximum(size, ROUNDING * max(np.abs(history.reference[k]).max(), *size))
+    largest = np.abs(history.trials.reference.values[k, :, history.channels]).max()
+    size = np.maximum(size, ROUNDING * max(largest, *size))
     lowest = np.flatnonzero(np.append(True, size[1:] <= size[:-1]))[-1]
     rises = len(size) - 1 - lowest
     noise = AMPLIFICATION * np.linalg.norm(noise_std(history.e[0]))
@@ -240,38 +229,43 @@ def v_grows(history: History, k: int) -> str | None:
         return None
     error = history.rms[start : k + 1]
     v = history.v[start : k + 1, :, history.channels]
-    steps = rms(np.diff(v, axis=0))
-    (distance,) = rms(v[-1:] - v[:1])
-    straight = distance >= STRAIGHT * steps.sum()
-    steady = steps[-1] >= STEADY * steps[0] > ROUNDING * rms(v).max()
+    steps = np.diff(v, axis=0).reshape(STEPS, -1)
+    products = steps @ steps.T / v.shape[1]
+    straight_on = products.min() >= STEADY * products[0, 0]
     stagnates = STAGNATION <= error[-1] / error[0] < GROWTH
-    if not (straight and steady and stagnates and distance >= RELEVANT * error[-1]):
+    relevant = np.sqrt(products.sum()) >= RELEVANT * error[-1]
+    if not (straight_on and stagnates and relevant):
         return None
     return (
-        f"v{history.of_outputs} keeps growing while the error stagnates: by {steps[-1]:.3g} a "
-        f"trial, in one direction, and the RMS of the error is {error[0]:.3g} in trial "
-        f"{history.number(start)} and {error[-1]:.3g} in trial {history.number(k)}. Is an "
-        "actuator at its limit? Pass the limits to the law"
+        f"v{history.of_outputs} keeps growing while the error stagnates: by "
+        f"{np.sqrt(products[-1, -1]):.3g} a trial, in one direction, and the RMS of the error is "
+        f"{error[0]:.3g} in trial {history.number(start)} and {error[-1]:.3g} in trial "
+        f"{history.number(k)}. Is an actuator at its limit? Pass the limits to the law"
     )
 
 
 def breaks_promise(history: History, k: int) -> str | None:
-    """F test, octave by octave, of the error of trial k against the one promised.
+    """F test, octave by octave, of errors against what an earlier one promises.
 
-    Null hypothesis: the trials differ from the model's prediction by noise alone, independent from
-    trial to trial, or by less than the promise allows.
+    Trial k is compared with the one before and with the best so far, and the second one with the
+    first, from which most is to be learned. Null hypothesis: the trials differ from the model's
+    prediction by noise alone, independent from trial to trial, by less than the promise allows, or
+    by a disturbance that grows from trial to trial.
     """
     first = history.since[k]
     if history.P is None or k < first + 2:
         return None
-    changes, predicted = history.changes(first, k)
+    changes = np.diff(history.e[first : k + 1], axis=0)
+    predicted = -np.diff(history.effect[first : k + 1], axis=0)
     noise, freedom = unexplained(changes, predicted)
     noise = noise + (ROUNDING * np.abs(history.e[k]).max()) ** 2
-    for trial in (k, first + 1):
-        table = error_by_octave(history, trial)
+    best = first + int(history.rms[first:k].argmin())
+    for before, trial in ((k - 1, k), (best, k), (first, first + 1)):
+        table = error_by_octave(history, trial, before)
         promised = np.maximum(table["bound"], table["predicted"])
         excess = table["before"] * np.maximum(table["measured"] - promised, 0)
-        p = chance_of_excess(excess, noise, freedom, k - first)
+        drift = excess / (trial - before)  # of disturbances, if each trial adds as much
+        p = chance_of_excess(drift, noise, freedom, k - first)
         worst = np.argmax((p < SIGNIFICANCE) * excess)
         if p[worst] < SIGNIFICANCE and excess[worst] > EXCESS * history.rms[first]:
             break
@@ -288,7 +282,7 @@ def breaks_promise(history: History, k: int) -> str | None:
     return (
         f"the convergence rate is not the predicted one: up to {row['frequency']:.2g} rad/s, "
         f"trial {history.number(trial)} has {row['measured']:.2f} of the error"
-        f"{history.of_outputs} of the one before; the loop's model predicts "
+        f"{history.of_outputs} of trial {history.number(before)}; the loop's model predicts "
         f"{row['predicted']:.2f}, {row['bound']:.2f} at most, and noise is less. Unless there was "
         "a new disturbance, the plant differs from the model: of the changes that this predicts, "
         f"{moved} came; {remedy}"
@@ -301,18 +295,17 @@ def unexplained(changes, predicted) -> tuple[np.ndarray, np.ndarray]:
     Signals are (trial, time, channel). Returns the mean square in a trial, by octaves, with its
     degrees of freedom.
     """
-    edges, count = octaves(changes.shape[1]), len(changes)
-    change, regressor = (np.fft.rfft(x, axis=1) for x in (changes, predicted))
-    products = [np.conj(regressor) * change, np.abs(regressor) ** 2]
-    products = np.add.reduceat(np.sum(products, axis=1), edges, axis=1)
-    gain = products[0] / np.maximum(products[1].real, np.finfo(float).tiny)
-    harmonics = np.diff(np.append(edges, change.shape[1]))
-    residual = change - np.repeat(gain, harmonics, axis=0) * regressor
-    power = spectrum(np.fft.irfft(residual, changes.shape[1], axis=1)).mean(axis=0)
-    values = 2 * count * harmonics
-    loss = values / np.maximum(values - 2, 1)
-    mean_square = np.add.reduceat(power.sum(axis=1), edges) * loss
-    return mean_square, degrees_of_freedom(power, edges)
+    samples = changes.shape[1]
+    change, regressor = np.fft.rfft(changes, axis=1), np.fft.rfft(predicted, axis=1)
+    edges, harmonics = octaves(samples), change.shape[1]
+    covariance = np.sum(regressor.conj() * change, axis=0)
+    power = np.sum(np.abs(regressor) ** 2, axis=0)
+    covariance, power = (np.add.reduceat(x, edges) for x in (covariance, power))
+    gain = covariance / np.maximum(power, np.finfo(float).tiny)
+    widths = np.diff(edges, append=harmonics)
+    residual = change - np.repeat(gain, widths, axis=0) * regressor
+    power = spectrum(np.fft.irfft(residual, samples, axis=1)).mean(axis=0)
+    return np.add.reduceat(power.sum(axis=1), edges), degrees_of_freedom(power, edges)
 
 
 def chance_of_excess(excess, variance, freedom, trials: int) -> np.ndarray:
@@ -322,8 +315,9 @@ def chance_of_excess(excess, variance, freedom, trials: int) -> np.ndarray:
     from so many changes between trials has that many times n, but for the 2 of a gain and a phase.
     Bonferroni corrects for the number of octaves.
     """
-    others = np.maximum(trials * freedom - 2, 1)
-    return len(excess) * fdtrc(freedom, others, excess**2 / variance)
+    others = trials * freedom - 2
+    F = excess**2 / variance * others / (trials * freedom)
+    return len(excess) * fdtrc(freedom, others, F)
 
 
 def adds_errors(history: History, k: int) -> str | None:
@@ -335,9 +329,11 @@ def adds_errors(history: History, k: int) -> str | None:
     first = history.since[k]
     if history.P is None or k < first + 2:
         return None
-    e = history.e[first + 1 : k + 1]
-    corrected = np.array([history.response(v) for v in history.v[first + 1 : k + 1]])
-    free, size = e + corrected, np.linalg.norm(corrected)
+    e, corrected, free = (
+        signal[first + 1 : k + 1]
+        for signal in (history.e, history.effect, history.free)
+    )
+    size = np.linalg.norm(corrected)
     varying = np.linalg.norm(free - free.mean(axis=0)) / np.linalg.norm(free)
     if varying**2 < HARMLESS or mean_rms(e) < WORSE * mean_rms(free):
         return None
@@ -355,35 +351,37 @@ def adds_errors(history: History, k: int) -> str | None:
     )
 
 
-CHECKS = {"error": error_grows, "v": v_grows}
-MODEL_CHECKS = {"rate": breaks_promise}
-LAST = {"repetition": adds_errors}  # whose cause may be one of the others
+CHECKS = {
+    "error": error_grows,
+    "v": v_grows,
+    "rate": breaks_promise,
+    "repetition": adds_errors,
+}
 
 
-def error_by_octave(history: History, k: int) -> dict[str, np.ndarray]:
-    """The error of trial k relative to that of the one before, by octaves up to `frequency`, rad/s.
+def error_by_octave(history: History, k: int, before: int) -> dict[str, np.ndarray]:
+    """The error of trial k relative to that of one before, by octaves up to `frequency`, rad/s.
 
-    `before` is the RMS of the error of the trial before. Relative to it, `bound` is sigma_max(M)
-    and what Q leaves, by e_{k+1} = M e_k + (1 - Q) e_free, for trials without ends; `predicted`
-    follows from the model and the v that was recorded, ends included; `measured` is the error of
-    trial k, and `noise` its share of white noise, as large as differences between neighbours in
-    time are.
+    `before` is the RMS of that error. Relative to it, `bound` is sigma_max(M) and what Q leaves,
+    by e_{k+1} = M e_k + (1 - Q) e_free, for trials without ends; `predicted` follows from the model
+    and the v that was recorded, ends included; `measured` is the error of trial k, and `noise` its
+    share of white noise, as large as differences between neighbours in time are.
     """
-    samples, convergence = len(history.e[k]), history.convergence
+    samples, law, free = len(history.e[k]), history.law, history.free[before]
     first = octaves(samples)
-    edges = np.append(first, samples // 2 + 1) * 2 * np.pi / (samples * history.law.Ts)
-    inside = np.geomspace(np.maximum(edges[:-1], convergence.omega[0]), edges[1:], 9)
-    sigma = np.interp(inside, convergence.omega, convergence.sigma).max(axis=0)
-    rest, gain = history.rest(k - 1), history.law.gain
-    signals = np.stack([history.e[k - 1], history.predicted(k), history.e[k], rest])
-    power = np.add.reduceat(spectrum(signals).sum(axis=-1), first, axis=-1)
+    edges = np.append(first, samples // 2 + 1) * 2 * np.pi / samples
+    sigma = history.convergence.sigma
+    sigma = np.maximum.reduceat(sigma, np.searchsorted(GRID, edges[:-1]))
+    signals = [history.e[before], free - history.effect[k], history.e[k]]
+    signals.append(free - law.Q.apply(free))
+    power = np.add.reduceat(spectrum(np.array(signals)).sum(axis=-1), first, axis=-1)
     before, predicted, measured, rest = np.sqrt(power)
     before = np.maximum(before, np.finfo(float).tiny)
     white = np.linalg.norm(noise_std(history.e[k]))
     return {
-        "frequency": edges[1:],
+        "frequency": edges[1:] / law.Ts,
         "before": before,
-        "bound": 1 - gain * (1 - sigma - rest / before),
+        "bound": 1 - law.gain * (1 - sigma - rest / before),
         "predicted": predicted / before,
         "measured": measured / before,
         "noise": white * np.sqrt(np.diff(edges) / edges[-1]) / before,

@@ -9,10 +9,11 @@ from tqdm import tqdm
 
 from rodlib.ilc import arguments
 from rodlib.ilc.law.law import Law
-from rodlib.ilc.law.limits import realised
+from rodlib.ilc.law.limits import CUT_OFF, commands_beyond, realised
 from rodlib.ilc.loop.closed import ClosedLoop, Loop, with_noise
 from rodlib.ilc.models import state_sequence
-from rodlib.ilc.trials.diagnosis import diagnose
+from rodlib.ilc.trials.diagnosis import commands, diagnose
+from rodlib.ilc.trials.start import Start
 
 
 def run_trials(
@@ -72,7 +73,8 @@ def run_trials(
     Warns
     -----
     UserWarning
-        If the trials show that they do not converge, see :mod:`rodlib.ilc.trials.diagnosis`.
+        If the trials show that they do not converge, see :mod:`rodlib.ilc.trials.diagnosis`; if
+        commands are beyond the limits; if a reference starts away from rest, where trials begin.
     """
     law = arguments.instance("law", law, Law).bound_to(loop)
     reset = arguments.flag("reset", reset)
@@ -105,7 +107,14 @@ def run_trials(
     signals |= {"y": signals["y"] + noise, "reference": r, "disturbance": d}
     channels = loop.outputs, loop.controls, names
     result = dataset(loop.Ts, *channels, loop.units, **signals)
-    for text in diagnose(result, law, exact=plant is None).values():
+    texts = diagnose(result, law, exact=plant is None)
+    if law.actuators is not None:
+        beyond = commands_beyond(commands(result, loop)["u"], loop.commands, law.limits)
+        texts["limits"] = beyond and beyond + CUT_OFF
+    if law.L is not None and initial_state is None:
+        rest = Start.of(0 * r[0], r[0], loop)
+        texts["start"] = next(filter(None, map(rest.away, r[1:])), "")
+    for text in filter(None, texts.values()):
         warnings.warn(text, stacklevel=2)
     return result
 

@@ -11,7 +11,8 @@ disturbance; any reference r needs v = F r + c. No model of P enters.
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations, product
+from itertools import product
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -56,9 +57,8 @@ class Transfer:
     F: np.ndarray  # (m, m, 2 R + 1): impulse response, from R samples ahead to R back
     predicted: np.ndarray  # (m,): share of v_k + e_k, in cross-validation
     uncertainty: np.ndarray  # (m,): RMS by which v may be off
-    held_out: (
-        np.ndarray
-    )  # (K, m): RMS by which F and c of the other trials miss v + e, relative
+    # (K, m): RMS by which F and c of the other trials miss v + e, relative
+    held_out: np.ndarray
 
 
 def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
@@ -104,16 +104,19 @@ def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
         np.hstack([_taps(output / size, basis), target])
         for output, target in zip(y, targets, strict=True)
     ]
-    regression, mean = _regression(columns, m)
+    regression = _Regression(columns, m)
+    without_one = [
+        _Regression(columns[:k] + columns[k + 1 :], m) for k in range(K) if K > 1
+    ]
 
     X = _taps(reference / size, basis)
     p = X.shape[1]
     past = np.zeros((len(reference), p + m))
-    past[:N] = mean[: len(reference)]
+    past[:N] = regression.center[: len(reference)]
     X_past = past[:, :p]
     rows, compensation = np.zeros((m, p)), np.zeros_like(reference)
     predicted, uncertainty = np.zeros((2, m))
-    residuals, held_out = np.zeros(targets.shape), np.zeros((K, m))
+    held_out, messages = np.zeros((K, m)), []
     for i in range(m):
         fit = regression.fit(i, RATIOS if K > 1 else RATIOS[:1])
         differences = regression.fit(i, [0.0])  # between trials, alone
@@ -125,22 +128,21 @@ def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
         other_v = target + (X - X_past) @ differences.row
         distance = other_v - X @ fit.row - compensation[:, i]
         uncertainty[i] = np.sqrt(np.mean(jackknife + distance**2))
-        residuals[..., i] = _errors(columns, [columns] * K, i, fit, m)
-        if K > 1:
-            others = [columns[:k] + columns[k + 1 :] for k in range(K)]
-            errors = np.linalg.norm(_errors(columns, others, i, fit, m), axis=1)
-            sizes = np.linalg.norm(targets[..., i], axis=1)
-            held_out[:, i] = errors / np.maximum(sizes, np.finfo(float).tiny)
+        for k, others in enumerate(without_one):
+            missed = np.linalg.norm(others.missed(columns[k], i, fit))
+            of_target = np.linalg.norm(targets[k, :, i])
+            held_out[k, i] = missed / max(of_target, np.finfo(float).tiny)
+        residuals = np.array([regression.missed(trial, i, fit) for trial in columns])
+        messages += _contradictions(residuals, held_out[:, i], outputs[i], labels)
 
     feedforward, v = X @ rows.T, X @ rows.T + compensation
     F = (rows.reshape(m, m, -1) / size[:, None]) @ basis.T
     result = Transfer(v, feedforward, compensation, F, predicted, uncertainty, held_out)
     for i, name in enumerate(outputs):
         unseen = _unseen(reference[:, i], references[:, :, i], Ts)
-        for message in _warnings(result, i, name, *unseen):
-            warnings.warn(message, stacklevel=2)
-        for message in _contradictions(residuals[..., i], held_out[:, i], name, labels):
-            warnings.warn(message, stacklevel=2)
+        messages += _warnings(result, i, name, *unseen)
+    for message in messages:
+        warnings.warn(message, stacklevel=2)
     return result
 
 
@@ -196,41 +198,49 @@ def _taps(signal, basis):
 class _Fit(NamedTuple):
     row: np.ndarray  # (p,): of F, by taps
     without: np.ndarray  # (blocks, p): the same, without each block of time
-    ratio: float  # of variances, s_w^2 / (s_w^2 + K s_c^2)
-    chosen: tuple[float, float, float]  # ratio, factor and weight of the prior
-    predicted: float  # share of the target, in cross-validation
+    ratio: float = 1.0  # of variances, s_w^2 / (s_w^2 + K s_c^2)
+    predicted: float = 1.0  # share of the target, in cross-validation
+    chosen: tuple = (1.0, 1.0, 1.0)  # ratio, factor and weight of the prior
+    likelihood: float = 0.0  # its logarithm
 
 
-@dataclass(frozen=True)
 class _Regression:
     """Products of p regressors and m targets in each block, shape (blocks, p + m, p + m)."""
 
-    within: np.ndarray  # of the deviations of K trials from their mean
-    mean: np.ndarray  # K times those of the mean
-    K: int
-    m: int
+    def __init__(self, columns, m):
+        self.K, self.m = len(columns), m
+        self.center = sum(columns) / self.K  # the mean of the trials' columns
+        self.mean = self.K * _products(self.center)
+        # of the deviations of K trials from their mean
+        self.within = sum(_products(trial) for trial in columns) - self.mean
+
+    def missed(self, trial, i, fit):
+        """What F and c of these trials miss of v + e in the columns of a trial."""
+        row, _ = self._ridge(i, *fit.chosen)
+        signal = trial - (1 - fit.ratio) * self.center
+        return signal[:, len(row) + i] - signal[:, : len(row)] @ row
 
     def fit(self, i, ratios) -> _Fit:
         """The most likely row i of F: its weight, its F(0), and the ratio of the variances."""
         p = self.mean.shape[1] - self.m
         power = (self.within + self.mean)[:, p + i, p + i].sum()
         if not power > 0:
-            return _Fit(np.zeros(p), np.zeros((BLOCKS, p)), 1.0, (1.0, 1.0, 1.0), 1.0)
-        best, highest = None, -np.inf
-        for ratio, static, weight in product(ratios, (1.0, STATIC), WEIGHTS):
-            row, without = self._ridge(i, ratio, static, weight)
-            within = _squares(self.within, without, i) + ROUNDING * power
-            mean = _squares(self.mean, without, i) + ROUNDING * power
+            return _Fit(np.zeros(p), np.zeros((BLOCKS, p)))
+        fits = []
+        for chosen in product(ratios, (1.0, STATIC), WEIGHTS):
+            row, without = self._ridge(i, *chosen)
+            within, mean = (
+                _squares(products, without, i) + ROUNDING * power
+                for products in (self.within, self.mean)
+            )
             likelihood = -(self.K - 1) * np.log(within) - np.log(mean)
-            if static == 1:
+            if chosen[1] == 1:
                 likelihood -= self.K * np.log(PENALTY)
-            if likelihood > highest:
-                best, highest = (row, without, within, mean), likelihood
-                chosen = ratio, static, weight
-        row, without, within, mean = best
-        ratio = min(1.0, within / (self.K - 1) / mean) if self.K > 1 else 1.0
-        total = (self.within + ratio * self.mean)[:, p + i, p + i].sum()
-        return _Fit(row, without, ratio, chosen, 1 - (within + ratio * mean) / total)
+            ratio = min(1.0, within / (self.K - 1) / mean) if self.K > 1 else 1.0
+            total = (self.within + ratio * self.mean)[:, p + i, p + i].sum()
+            predicted = 1 - (within + ratio * mean) / total
+            fits.append(_Fit(row, without, ratio, predicted, chosen, likelihood))
+        return max(fits, key=attrgetter("likelihood"))
 
     def _ridge(self, i, ratio, static, weight):
         """Row i of F, and those without each block."""
@@ -239,48 +249,28 @@ class _Regression:
         total = products.sum(axis=0)
         sums = np.concatenate([total[None], total - products])
         floor = ROUNDING * np.trace(self.mean.sum(axis=0)[:p, :p]) / p or 1.0
-        prior = np.full((self.m, p // self.m), floor)
-        prior += weight * np.trace(total[:p, :p]) / p
-        prior[:, prior.shape[1] // 2] *= static
+        prior = np.ones((self.m, p // self.m))
+        prior[:, prior.shape[1] // 2] = static
+        prior *= floor + weight * np.trace(total[:p, :p]) / p
         normal = sums[:, :p, :p] + np.diag(prior.ravel())
         rows = np.linalg.solve(normal, sums[:, :p, [p + i]])[..., 0]
         return rows[0], rows[1:]
 
 
-def _regression(columns, m):
-    """The regression of trials, and the mean of their columns."""
-    mean = sum(columns) / len(columns)
-    of_mean = len(columns) * _products(mean)
-    within = sum(_products(trial) for trial in columns) - of_mean
-    return _Regression(within, of_mean, len(columns), m), mean
-
-
-def _errors(columns, others, i, fit, m):
-    """Errors of v + e of each trial, shape (trial, time), by F and c of others: some for each."""
-    p, errors = columns[0].shape[1] - m, []
-    for trial, several in zip(columns, others, strict=True):
-        regression, mean = _regression(several, m)
-        row, _ = regression._ridge(i, *fit.chosen)
-        signal = trial - (1 - fit.ratio) * mean
-        errors.append(signal[:, p + i] - signal[:, :p] @ row)
-    return np.array(errors)
-
-
 def _contradictions(residuals, held_out, name, labels):
     """Trials that one plant does not explain, and whether v = 0 would do as well."""
     freedom = degrees_of_freedom(spectrum(residuals[..., None]).mean(axis=0)).item()
-    pairs = list(combinations(range(len(residuals)), 2))
-    alike = set()
-    for pair in pairs:
-        one, other = residuals[[*pair]]
-        difference = max(np.sum((one - other) ** 2), np.finfo(float).tiny)
-        p = len(pairs) * fdtrc(
-            freedom, freedom, np.sum((one + other) ** 2) / difference
-        )
-        if p < SIGNIFICANCE and min(held_out[[*pair]]) > CONTRADICTS:
-            alike |= {*pair}
-    if alike:
-        words = ", ".join(f"{labels[k]} (by {held_out[k]:.0%})" for k in sorted(alike))
+    one, other = np.triu_indices(len(residuals), 1)
+    sums, differences = (
+        np.sum((residuals[one] + sign * residuals[other]) ** 2, axis=1)
+        for sign in (1, -1)
+    )
+    F = sums / np.maximum(differences, np.finfo(float).tiny)
+    alike = len(one) * fdtrc(freedom, freedom, F) < SIGNIFICANCE
+    alike &= np.minimum(held_out[one], held_out[other]) > CONTRADICTS
+    if alike.any():
+        trials = np.unique([one[alike], other[alike]])
+        words = ", ".join(f"{labels[k]} (by {held_out[k]:.0%})" for k in trials)
         yield (
             "one plant does not explain all trials, nor does one repeating disturbance: for "
             f"{name}, the others miss v + e of trials {words}, with errors that are alike. Leave "

@@ -24,6 +24,8 @@ from rodlib import (
 )
 from rodlib.ilc.law.limits import WEIGHT, Actuators, nearest, realised
 
+pytestmark = pytest.mark.filterwarnings("ignore:commands were", "ignore:the reference")
+
 
 def move(samples, heights):
     """Forth and back between rests."""

@@ -60,6 +60,7 @@ def test_controller_on_the_design_model_gives_the_simulated_trial(loop, Q):
         np.testing.assert_allclose(outputs, run.y[0], atol=atol)
 
 
+@pytest.mark.filterwarnings("ignore:.*the reference starts")
 def test_a_rig_that_is_the_loops_plant_gives_the_simulation_by_names():
     plant = boiler()
     units = {"pump, left": "l/min", "heater": "W", "depth": "mm", "heat": "degC"}

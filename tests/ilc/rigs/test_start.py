@@ -1,6 +1,7 @@
 """Trials that start elsewhere than the first, and how long is waited until they would not."""
 
 import warnings
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,8 +16,8 @@ from rodlib import (
     record,
     zero_phase_butterworth,
 )
-from rodlib.ilc.rigs.start import Start
 from rodlib.ilc.trials.run import rms
+from rodlib.ilc.trials.start import Start
 from rodlib.paper import published
 from rodlib.rigs import VirtualRig
 
@@ -55,12 +56,13 @@ def test_a_rig_that_does_not_come_back_is_not_waited_for_forever():
 
 @given(st.integers(0, 2**32 - 1))
 def test_noise_is_no_other_start(seed):
-    rng = np.random.default_rng(seed)
+    rng, units = np.random.default_rng(seed), {"a": "K", "b": "K"}
+    loop = SimpleNamespace(outputs=[*units], units=units)
     reference = bump(rng.integers(50, 400), [3.0, -1.0])
     noise = 10.0 ** rng.uniform(-4, 1, 2)
     y, other = reference + noise * rng.standard_normal((2, *reference.shape))
-    start = Start.of(y, reference, ["a", "b"], ["K", "K"])
-    assert start.missed(other) is None
+    start = Start.of(y, reference, loop)
+    assert start.missed(other) == ""
     assert start.back(np.resize(other[:1], y.shape), reference[0])
     moved = other + np.array([0, 0.1 + 30 * noise[1]])
     assert " in b (K) from where" in start.missed(moved)

@@ -1,6 +1,7 @@
 """What one gets wrong at first is an error that names the argument, or does no harm."""
 
 import warnings
+from dataclasses import replace
 
 import control
 import numpy as np
@@ -239,3 +240,43 @@ def test_a_log_and_a_law_are_distinguished(tmp_path):
         load_law(log)
     with pytest.raises(ValueError, match="load_law"):
         load_log(law)
+
+
+FLIPPED, SWAPPED = -np.eye(2), np.eye(2)[::-1]
+LIMITED = Law(Q, LearningFilter([[[0.5]]], 1.0), limits={"w1": (-1.0, 1.0)})
+ON_W = ClosedLoop(control.ss(0.5, 0.5, 1, 0, 1.0, inputs=["w1"], outputs=["x"]))
+LATE = MOVE[20:]  # from the middle of a move
+SAID = {  # what a warning says, and the arguments of run_trials
+    "both signs wrong": (
+        "predicts 0.*-1 in x came; .*exchanged or reversed",
+        (AXES, OF_AXES.law(), MOVES, None, 3),
+        FLIPPED,
+    ),
+    "outputs exchanged": (
+        "predicts 0.*-0.96 in x came; .*exchanged or reversed",
+        (AXES, OF_AXES.law(), bump(60, [2.0, -1.0]), None, 3),
+        SWAPPED,
+    ),
+    "a start away from rest": (
+        rf"^the reference starts {LATE[0]:.3g} in x from where trials do",
+        (ON_W, replace(LIMITED, limits={}), LATE, None, 2),
+        None,
+    ),
+    "a reference beyond the limits": (
+        rf"^commands were beyond the limits of w1 in {100 * np.mean(MOVE > 1):.1f}%.*cut off",
+        (ON_W, LIMITED, MOVE, None, 1),
+        None,
+    ),
+}
+
+
+@pytest.mark.parametrize(("words", "case", "turned"), SAID.values(), ids=SAID)
+def test_simulated_trials_that_cannot_work_are_warned_of(words, case, turned):
+    plant = None
+    if turned is not None:
+        names = {"inputs": ["set x", "set y"], "outputs": ["x", "y"]}
+        P = axes()
+        plant = control.ss(P.A, P.B, turned @ P.C, 0, 0.1, **names)
+    with pytest.warns(UserWarning, match=words) as seen:
+        run_trials(*case, plant=plant)
+    assert len(seen) == 1 and seen[0].filename == __file__

@@ -230,6 +230,19 @@ def test_another_gain_of_P_is_noticed_in_trial_3(gain, moved, cases):
         run_trials(*case[:-1], 2, plant=P)
 
 
+def test_an_error_that_creeps_away_from_the_best_is_noticed(cases):
+    """By 2 % in each trial, where P has the wrong sign: too little to show from the one before."""
+    law = replace(cases[3][0], gain=0.02, loop=None)
+    loop = ClosedLoop(cases[3][0].loop.P)
+    case = loop, law, bump(600, [10.0]), None, 6
+    noise = 0.02 * white(1, 6, 600, 1)
+    with pytest.warns(UserWarning, match=r"rate .*trial 3 has 1\.\d+ .* of trial 1;"):
+        run = run_trials(*case, plant=-loop.P, noise=noise)
+    assert np.all(np.diff(rms(run.e).values) < 0.03 * rms(run.e).values[0])
+    with warnings.catch_warnings(action="error"):
+        run_trials(*case, plant=loop.P, noise=noise)
+
+
 def test_what_does_not_repeat_is_better_left_alone(cases):
     """An oscillation in another phase in each trial; in the same phase it is learned."""
     law, omega, time = cases[3][0], 0.03, np.arange(600)[:, None]
@@ -255,7 +268,7 @@ def test_ratios_by_octave_are_those_of_M():
     with warnings.catch_warnings(action="ignore"):
         run = run_trials(law.loop, law, reference, trials=2, plant=plant)
     (history,) = histories(run, law)
-    table = error_by_octave(history, 1)
+    table = error_by_octave(history, 1, 0)
     omega = 2 * np.pi * np.arange(1, samples // 2 + 1) / samples
     power = np.abs(np.fft.rfft(run.e.values[0, :, 0]))[1:] ** 2
     Q, L = law.Q.frequency_response(omega), law.L.frequency_response(omega)[:, 0, 0]

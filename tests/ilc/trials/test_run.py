@@ -26,6 +26,7 @@ from rodlib.ilc import trial_map
 from rodlib.ilc.trials.run import rms, state_sequence
 from rodlib.paper import published
 
+pytestmark = pytest.mark.filterwarnings("ignore:commands were", "ignore:the reference")
 L = LearningFilter(published.matrix("L_diagonal"), 1.0)
 ZERO = np.zeros((50, 2))
 

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rodlib.ilc.rigs.limits import largest_by_unit
+from rodlib.ilc.loop.closed import Loop
 from rodlib.ilc.trials.diagnosis import noise_std
-from rodlib.ilc.units import with_unit
+from rodlib.ilc.units import by_unit, with_unit
 
 NEAR = 0.02  # of the largest reference in the same unit, that a start may be off
 SURE = 5.0  # standard deviations of the noise, likewise
@@ -25,11 +25,12 @@ class Start:
     labels: Sequence[str]  # of the outputs, with their units
 
     @classmethod
-    def of(cls, y, reference, outputs, units) -> "Start":
+    def of(cls, y, reference, loop: Loop) -> "Start":
         """That of the first trial, from its outputs and its reference, shape (time, output)."""
         noise = SURE * np.sqrt(2) * noise_std(y)  # both starts have it
-        tolerance = NEAR * largest_by_unit(reference, units) + noise
-        return cls(y[0], tolerance, len(y), [*map(with_unit, outputs, units)])
+        tolerance = NEAR * largest_by_unit(reference, loop) + noise
+        labels = [with_unit(name, loop.units[name]) for name in loop.outputs]
+        return cls(y[0], tolerance, len(y), labels)
 
     @property
     def window(self) -> int:
@@ -51,16 +52,32 @@ class Start:
         off = np.abs(y.mean(axis=0) - [self.level, held]).min(axis=0)
         return bool(np.all(np.maximum(drift, off) <= self.tolerance / 2))
 
-    def missed(self, y) -> str | None:
+    def missed(self, y) -> str:
         """How far the outputs (time, output) of another trial start from there, in words."""
-        off = np.abs(y[0] - self.level)
-        if np.all(off <= self.tolerance):
-            return None
-        far = zip(self.labels, off, off > self.tolerance, strict=True)
-        words = ", ".join(
-            f"{size:.3g} in {label}" for label, size, is_far in far if is_far
-        )
-        return (
+        words = self._distance(y)
+        return words and (
             f"it starts {words} from where the first trial did: what is learned holds for one "
             "start. Wait for longer, by pause, or bring the rig back, by its begin"
         )
+
+    def away(self, reference) -> str:
+        """How far the reference (time, output) of a trial that learns starts from there."""
+        words = self._distance(reference)
+        return words and (
+            f"the reference starts {words} from where trials do, an error that no v mends: let it "
+            "begin there"
+        )
+
+    def _distance(self, signal):
+        off = np.abs(signal[0] - self.level)
+        far = zip(self.labels, off, off > self.tolerance, strict=True)
+        return ", ".join(
+            f"{size:.3g} in {label}" for label, size, is_far in far if is_far
+        )
+
+
+def largest_by_unit(reference, loop: Loop) -> np.ndarray:
+    """Largest reference (time, output) of all outputs in the same unit, for each output."""
+    units, sizes = [loop.units[n] for n in loop.outputs], np.abs(reference).max(axis=0)
+    groups = by_unit(units)
+    return np.array([sizes[groups[unit]].max() for unit in units])
