@@ -1,11 +1,13 @@
 """The ledger: what the paper prints against what is computed here, and the verdict.
 
 A number is *reproduced* if it agrees within half a unit of the last digit printed, a statement if
-the number that tests it meets its criterion; otherwise it *differs*. Where a criterion would be
-ours alone, the verdict is *in words*: up to where the statement holds.
+the number that tests it meets its criterion, which is ours; otherwise it *differs*. A statement too
+vague for a criterion is *in words*: the row says how far it holds.
 
-*Evidence* could have come out otherwise. *Taken over* are the parameters that we use because the
-paper prints them; an *identity* holds by construction, or follows from other rows.
+Counted apart, by kind: numbers that the paper prints, statements that its model and design decide,
+and statements that only signals or a rig that we assume can test. Not counted is what could hardly
+differ: parameters *taken over* from the paper; an *identity*, which holds by construction or
+follows from other rows.
 
 A number is shown to the last digit that the paper prints, one that tests a statement in words with
 five significant digits, and with more only where the verdict would not follow from these: more
@@ -32,7 +34,12 @@ OTHER = "not the paper's parameters"
 VERDICTS = (REPRODUCED, DIFFERS, IN_WORDS, UNCHECKED)
 DEVIATIONS = Path(__file__).with_name("deviations.md")
 WORDS = "words: "  # begins a criterion that is a sentence with a place for the number
-EVIDENCE = "evidence"
+KINDS = {
+    "number": "printed numbers",
+    "coefficient": "coefficients of (39), a flat optimum",
+    "statement": "statements about model and design",
+    "assumed": "statements on assumed signals or a virtual rig",
+}
 NOISE = 1e-9  # what is smaller is rounding, and not the same on two machines
 BELOW_NOISE = f"below {NOISE:g}"
 SIGNIFICANT = 5  # digits of a number that tests a statement in words
@@ -191,23 +198,19 @@ def summary(rows: pd.DataFrame) -> str:
 
 
 def _counts(rows):
-    """How many claims of each notebook got which verdict, as Markdown."""
-    evidence = rows[rows.kind == EVIDENCE]
-    coefficients = evidence.key.str.match(COEFFICIENT)
-    counts = pd.crosstab(
-        evidence.notebook.mask(coefficients, "coefficients of (39), a flat optimum"),
-        evidence.verdict,
-    )
-    counts = counts.reindex(columns=VERDICTS, fill_value=0)
-    counts.loc["**all**"] = counts.sum()
-    others = rows[rows.kind != EVIDENCE]
+    """How many claims of each kind got which verdict, as Markdown."""
+    kind = rows.kind.mask(rows.key.str.match(COEFFICIENT), "coefficient")
+    counts = pd.crosstab(kind, rows.verdict)
+    counts = counts.reindex(index=list(KINDS), columns=VERDICTS, fill_value=0)
+    others = rows[~kind.isin(KINDS)]
     kinds = ", ".join(
         f"{n} {kind}" for kind, n in others.kind.value_counts(sort=False).items()
     )
     agree = (others.verdict == REPRODUCED).sum()
     return (
-        f"{counts.rename_axis(None, axis=1).to_markdown()}\n\nNot counted, because they could "
-        f"hardly differ: {kinds}; {agree} of {len(others)} agree.\n"
+        f"{counts.rename(index=KINDS).rename_axis(None).rename_axis(None, axis=1).to_markdown()}"
+        f"\n\nNot counted, because they could hardly differ: {kinds}; {agree} of {len(others)} "
+        "agree.\n"
     )
 
 
@@ -240,14 +243,14 @@ def markdown(rows: pd.DataFrame) -> str:
     return f"""# Printed against computed
 
 Written by `make reproduce`. *Reproduced*: within half a unit of the last printed digit, or, for a
-statement in words, the criterion named in its note holds. The criteria are ours. *Evidence* could
-have come out otherwise; what is *taken over* or an *identity* could not.
+statement, the criterion named in its note holds. The criteria are ours. *In words*: too vague for a
+criterion; the row says how far it holds. What is *taken over* or an *identity* could hardly differ.
 
 {_counts(rows)}
 What differs:
 
 {_reasons(rows[rows.verdict == DIFFERS])}
-What holds in part, or as far as words can tell:
+Too vague for a criterion, and how far they hold:
 
 {_reasons(rows[rows.verdict == IN_WORDS])}
 ## Deviations from the paper

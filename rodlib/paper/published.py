@@ -32,7 +32,7 @@ class Claim:
     unit: str = ""
     criterion: str = ""  # for statements: what the computed number must fulfil
     note: str = ""
-    kind: str = "evidence"  # or "taken over" from the paper, or "identity": true by construction
+    kind: str = "number"  # or a key of ledger.KINDS, "taken over", "identity"
 
 
 def number(printed: str) -> float:
@@ -95,7 +95,7 @@ def claims() -> dict[str, Claim]:
                     name = {"key": claim.key + entry, "claim": claim.claim + entry}
                     disturbance = claim.key == "K_L" and row[0] in ("11", "12")
                     # no state coordinates
-                    kind = "evidence" if disturbance else claim.kind
+                    kind = "number" if disturbance else claim.kind
                     expanded.append(replace(claim, **name, printed=printed, kind=kind))
         elif claim.key == "invariants":
             expanded.extend(_invariants(claim.place))

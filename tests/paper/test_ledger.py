@@ -75,9 +75,35 @@ def test_only_what_could_have_differed_is_counted():
     ):
         book.record(key, value)
     summary = ledger.summary(pd.DataFrame(book.rows.values()))
-    assert "| **all**    |            1 |         0 |" in summary
+    counts = {line.split(" |")[0][2:].strip(): line for line in summary.splitlines()}
+    assert re.search(r"\| +1 \| +0 \|", counts[ledger.KINDS["number"]])
+    assert re.search(r"\| +0 \| +0 \|", counts[ledger.KINDS["statement"]])
     assert "2 taken over, 1 identity; 2 of 3 agree" in summary
     assert "filters: printed “10”, computed 11" in summary
+
+
+def test_statements_on_assumed_signals_are_counted_apart():
+    book = Ledger("test")
+    book.record("damping", 0.05)
+    for key, value in (("fast", 0.04), ("zero_initial_error", 0.043)):
+        book.record(key, value)
+    summary = ledger.summary(pd.DataFrame(book.rows.values()))
+    assert re.search(r"about model and design +\| +1 \| +0 \|", summary)
+    assert re.search(r"on assumed signals or a virtual rig +\| +1 \| +1 \|", summary)
+
+
+def test_every_claim_has_a_kind_that_is_counted_or_named():
+    kinds = {entry.kind for entry in published.claims().values()}
+    assert kinds == {"number", "statement", "assumed", "taken over", "identity"}
+    for entry in published.claims().values():
+        own = re.search("assumed|synthetic|virtual", entry.claim + entry.note)
+        assert entry.kind != "number" or not own, entry.key
+
+
+def test_what_the_text_prints_as_a_number_is_never_left_in_words():
+    for entry in published.claims().values():
+        if entry.criterion.startswith(ledger.WORDS):
+            assert entry.kind != "number" and not re.match(r"[\d.]+$", entry.printed)
 
 
 def test_coefficients_of_a_flat_optimum_have_a_row_and_no_line_in_the_readme():
@@ -86,7 +112,7 @@ def test_coefficients_of_a_flat_optimum_have_a_row_and_no_line_in_the_readme():
     book.record("peak_L_full", 48.9)
     rows = pd.DataFrame(book.rows.values())
     counts, rest = ledger.summary(rows).split("Beside coefficients")
-    assert re.search(r"\| 03-ilc-synthesis +\| +0 \| +1 \|", counts)
+    assert re.search(r"\| printed numbers +\| +0 \| +1 \|", counts)
     assert re.search(
         r"\| coefficients of \(39\), a flat optimum +\| +0 \| +20 \|", counts
     )

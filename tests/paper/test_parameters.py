@@ -44,11 +44,14 @@ def ranges(source):
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_each_parameter_of_a_notebook_is_checked_in_the_cell_below(path):
+def test_each_parameter_of_a_notebook_is_checked_before_it_is_used(path):
     """By its own name and with the default that stands in the cell of the parameters."""
     cells = nbformat.read(path, as_version=4).cells
-    _, choices, below, *_ = [cell.source for cell in cells if cell.cell_type == "code"]
+    _, choices, *others = [cell.source for cell in cells if cell.cell_type == "code"]
     defaults = {s.target.id: s.value for s in ast.parse(choices).body}
+    number, below = next((i, cell) for i, cell in enumerate(others) if ranges(cell))
+    names = [node for cell in others[:number] for node in ast.walk(ast.parse(cell))]
+    assert not {node.id for node in names if isinstance(node, ast.Name)} & {*defaults}
     assert [*ranges(below)] == [*defaults]
     for name, (value, default, *ends) in ranges(below).items():
         assert value.id == name

@@ -3,6 +3,7 @@
 Every design gets as many evaluations, and the same criterion.
 """
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -21,6 +22,7 @@ from rodlib.ilc.law.law import Law
 from rodlib.ilc.trials.run import learn
 
 JUDGED = 500  # lines at which the rate is computed, spaced by their logarithms
+EDGE = 0.05  # of the width of a box: a best value so close to its end is not inside
 WORST = 1e9  # what a tuning costs that leads to no filter
 
 
@@ -128,7 +130,8 @@ def tune(
     Returns
     -------
     Tuned
-        If no tuning that was tried converges at that rate, a ValueError says so.
+        If no tuning that was tried converges at that rate, a ValueError says so; if the best one
+        is at an edge of the box, a warning does.
     """
     arguments.instance("design", design, Callable)
     arguments.instance("rehearsal", rehearsal, Rehearsal)
@@ -172,4 +175,11 @@ def tune(
         raise ValueError(
             f"design reaches a rate of M_max = {M_max} nowhere in box = {box}"
         )
-    return min(candidates, key=lambda tuned: tuned.value)
+    best = min(candidates, key=lambda tuned: tuned.value)
+    x = (np.log(list(best.parameters.values())) - low) / (high - low)
+    for name, at in zip(box, x, strict=True):
+        if abs(at - 0.5) > 0.5 - EDGE:
+            found = f"{name} = {best.parameters[name]:.3g}"
+            edge = f"{found} is at the edge of box[{name!r}] = {box[name]}"
+            warnings.warn(f"{edge}: widen it", stacklevel=2)
+    return best

@@ -117,7 +117,7 @@ def synthesise(
         Whether the bounds hold at every frequency, not on `omega` only: where models are known by
         proof, to a relative 3e-8; between samples by splines, and without the radius. The sum is
         that over `omega`. It takes two to three times as long, for filters of 60 samples ten times
-        and more; half the `order` takes a fraction of that.
+        and more, of two channels up to a minute; half the `order` takes a fraction of that.
     start : Synthesis, optional
         A design for other bounds, another band or a similar plant to start from, of the same order
         and size, best on the same `omega`. It makes the synthesis faster, not different.

@@ -8,6 +8,7 @@ filter that meets those is better than its lower bound says.
 from dataclasses import replace
 
 import numpy as np
+from tqdm import tqdm
 
 from rodlib.ilc.evidence.peak import (
     estimated_peaks,
@@ -42,7 +43,9 @@ def settled(
     solution = solver(problem, start)
     if not problem.everywhere:
         return problem, solution
-    for _ in range(ROUNDS):
+    for _ in tqdm(
+        range(ROUNDS), "bounds at every frequency", leave=False, delay=3, disable=None
+    ):
         wider = _wider(problem, solution, 1 + passed)
         if wider is None:
             break

@@ -85,9 +85,18 @@ def test_tune_finds_a_tuning_that_is_known():
     def design(gain):
         return stable_inversion(loop.P, gain, 3000.0)
 
-    tuned = tune(design, {"gain": (0.2, 1.0)}, rehearsed, evaluations=30)
+    tuned = tune(design, {"gain": (0.2, 1.5)}, rehearsed, evaluations=30)
     assert tuned.parameters["gain"] == pytest.approx(1, abs=0.02)
     assert tuned.value == rehearsed.rms(tuned.filter)[1:].sum()
+    with pytest.warns(UserWarning, match=r"edge of box\['gain'\] = .* widen"):
+        tune(design, {"gain": (0.2, 0.8)}, rehearsed, evaluations=12)
+    with pytest.warns(UserWarning, match=r"edge of box\['divisor'\] = .* widen"):
+        tune(
+            lambda divisor: design(1 / divisor),
+            {"divisor": (1.25, 5.0)},
+            rehearsed,
+            evaluations=12,
+        )
 
 
 def test_tune_counts_its_evaluations_and_keeps_the_bound():
