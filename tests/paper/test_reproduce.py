@@ -20,26 +20,29 @@ def write(path, *cells):
 
 @pytest.fixture
 def root(tmp_path, monkeypatch):
-    """A repository whose one notebook copies a complete ledger and a figure made beforehand."""
-    (tmp_path / "pyproject.toml").write_text('name = "rodlib"\n')
-    (tmp_path / "README.md").write_text(
-        "<!-- ledger -->\nold\n<!-- end of ledger -->\n"
-    )
-    (tmp_path / "notebooks").mkdir()
+    """A repository whose one notebook copies a complete ledger and a figure made beforehand.
+
+    Papermill replaces what stands in braces in the paths that it is given.
+    """
+    folder = tmp_path / "a {rod}"
+    folder.mkdir()
+    (folder / "pyproject.toml").write_text('name = "rodlib"\n')
+    (folder / "README.md").write_text("<!-- ledger -->\nold\n<!-- end of ledger -->\n")
+    (folder / "notebooks").mkdir()
     with monkeypatch.context() as patch:
-        patch.setenv("RODLIB_RESULTS", str(tmp_path / "made"))
+        patch.setenv("RODLIB_RESULTS", str(folder / "made"))
         book = Ledger("01-model")
         for key, claim in published.claims().items():
             book.record(key, None if claim.criterion == ledger.UNCHECKED else 1.0)
         book.save()
-    (tmp_path / "made" / "figures").mkdir()
-    (tmp_path / "made" / "figures" / "fig01.png").write_bytes(b"picture")
+    (folder / "made" / "figures").mkdir()
+    (folder / "made" / "figures" / "fig01.png").write_bytes(b"picture")
     write(
-        tmp_path / "notebooks" / "01-model.ipynb",
+        folder / "notebooks" / "01-model.ipynb",
         "import shutil; from rodlib.paper.repository import results",
         'shutil.copytree("../made", results("this notebook"), dirs_exist_ok=True)',
     )
-    return tmp_path
+    return folder
 
 
 # It has imported once what all need.
