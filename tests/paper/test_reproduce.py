@@ -107,7 +107,7 @@ def test_a_notebook_that_fails_is_named_and_nothing_is_published(root, cell, mes
 
 def test_a_second_run_is_refused_a_replay_is_not_and_a_kill_leaves_no_lock(root, gate):
     """The first run waits in its notebook until it is killed."""
-    wait = "import pathlib; pathlib.Path('started').touch(); pathlib.Path('../gate').read_bytes()"
+    wait = "from pathlib import Path; Path('started').touch(); Path('../../gate').read_bytes()"
     write(root / "notebooks" / "02-waits.ipynb", wait)
     write(root / "replay.ipynb", "log")  # the real one is tested with make replay
     log = root / "my log.csv"
