@@ -4,6 +4,7 @@
 in it.
 """
 
+import os
 import re
 import subprocess
 import sys
@@ -49,17 +50,22 @@ def entry(package: str, lock: str) -> str:
 
 def create(root: Path) -> None:
     """Create the environment anew, by uv, which the lock holds, or else by pip, which is slower."""
-    python, lock = root / ".venv" / "bin" / "python", root / "environment.lock"
+    venv, lock = root / ".venv", root / "environment.lock"
+    if os.path.lexists(venv) and not venv.is_dir():
+        sys.exit(f"{venv} is no folder: remove it, and call make again")
+    python = venv / "bin" / "python"
     (python.parent / "ready").unlink(missing_ok=True)
     print(
         "creating the environment from environment.lock (once, some minutes) ...",
         flush=True,
     )
-    run([sys.executable, "-m", "venv", "--clear", root / ".venv"])
-    first = root / ".venv" / "first.txt"
+    run([sys.executable, "-m", "venv", "--clear", venv])
+    first = venv / "first.txt"
     first.write_text(entry("uv", lock.read_text(encoding="utf-8")), encoding="utf-8")
     run([python, *PIP, "--require-hashes", "-r", first])
     by_uv = [python.with_name("uv"), "pip", "install", "--quiet", "--python", python]
+    if not os.access(Path.home(), os.W_OK):  # where uv would keep what it downloads
+        by_uv += ["--cache-dir", root / "build" / "uv"]
     if subprocess.run([*by_uv, "--require-hashes", "-r", lock]).returncode:
         print("by uv it does not go; by pip it takes longer ...", flush=True)
         run([python, *PIP, "--require-hashes", "-r", lock])

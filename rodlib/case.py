@@ -19,7 +19,7 @@ PAPER = Rod()
 def paper_choices(**changes) -> dict:
     """The paper's choices for the synthesis, Section IV-B, but for changes.
 
-    They are keyword arguments of :func:`rodlib.synthesise`; L_max in W/K, band in rad/s. Its design
+    They are keyword arguments of :func:`rodlib.synthesise`; L_max in K/K, band in rad/s. Its design
     frequencies are ``np.geomspace(1e-4, np.pi, 1000)`` rad/s.
     """
     choices = {"order": 10, "M_max": 0.9, "L_max": 50.0, "band": (1e-4, 0.02)}

@@ -78,3 +78,31 @@ def test_where_uv_cannot_install_pip_does(tmp_path, monkeypatch, uv):
     by_pip.append(str(tmp_path / "environment.lock"))
     assert (by_pip in commands) == bool(uv)
     assert (folder / "ready").exists() and len(commands) == 4 + uv
+
+
+@pytest.mark.parametrize("dangling", [True, False])
+def test_what_stands_in_the_way_is_named(tmp_path, dangling):
+    (tmp_path / "environment.lock").touch()
+    way = tmp_path / ".venv"
+    way.symlink_to(tmp_path / "gone") if dangling else way.touch()
+    with pytest.raises(SystemExit, match=r"\.venv is no folder: remove it"):
+        environment.create(tmp_path)
+    assert os.path.lexists(way)
+
+
+def test_where_no_home_can_be_written_uv_keeps_its_files_in_build(
+    tmp_path, monkeypatch
+):
+    (tmp_path / "environment.lock").write_text("uv==1 \\\n    --hash=sha256:0\n")
+    (tmp_path / ".venv" / "bin").mkdir(parents=True)
+    monkeypatch.setenv("HOME", str(tmp_path / "none"))
+    commands = []
+
+    def keep(command):
+        commands.append([str(part) for part in command])
+        return subprocess.CompletedProcess(command, 0)
+
+    monkeypatch.setattr(environment.subprocess, "run", keep)
+    environment.create(tmp_path)
+    [by_uv] = [command for command in commands if command[0].endswith("uv")]
+    assert by_uv[by_uv.index("--cache-dir") + 1] == str(tmp_path / "build" / "uv")

@@ -46,10 +46,14 @@ def run(notebook: Path, executed: Path, bar: tqdm | None = None, **parameters) -
     import papermill
 
     start = time.perf_counter()
+    # papermill replaces what stands in braces in a path
+    source, target = (
+        str(path).replace("{", "{{").replace("}", "}}") for path in (notebook, executed)
+    )
     try:
         papermill.execute_notebook(
-            notebook,
-            executed,
+            source,
+            target,
             parameters,
             progress_bar=False,
             request_save_on_cell_execute=False,

@@ -32,7 +32,7 @@ def workers(scheduler: str | None = None) -> Client:
     """Those of a dask scheduler; default: a process for each core."""
     if scheduler is not None:
         return Client(scheduler)
-    return Client(threads_per_worker=1, dashboard_address=":0")
+    return Client(threads_per_worker=1, dashboard_address="127.0.0.1:0")
 
 
 def main(scheduler: str | None = None, rods: int = RODS):

@@ -20,26 +20,29 @@ def write(path, *cells):
 
 @pytest.fixture
 def root(tmp_path, monkeypatch):
-    """A repository whose one notebook copies a complete ledger and a figure made beforehand."""
-    (tmp_path / "pyproject.toml").write_text('name = "rodlib"\n')
-    (tmp_path / "README.md").write_text(
-        "<!-- ledger -->\nold\n<!-- end of ledger -->\n"
-    )
-    (tmp_path / "notebooks").mkdir()
+    """A repository whose one notebook copies a complete ledger and a figure made beforehand.
+
+    Papermill replaces what stands in braces in the paths that it is given.
+    """
+    folder = tmp_path / "a {rod}"
+    folder.mkdir()
+    (folder / "pyproject.toml").write_text('name = "rodlib"\n')
+    (folder / "README.md").write_text("<!-- ledger -->\nold\n<!-- end of ledger -->\n")
+    (folder / "notebooks").mkdir()
     with monkeypatch.context() as patch:
-        patch.setenv("RODLIB_RESULTS", str(tmp_path / "made"))
+        patch.setenv("RODLIB_RESULTS", str(folder / "made"))
         book = Ledger("01-model")
         for key, claim in published.claims().items():
             book.record(key, None if claim.criterion == ledger.UNCHECKED else 1.0)
         book.save()
-    (tmp_path / "made" / "figures").mkdir()
-    (tmp_path / "made" / "figures" / "fig01.png").write_bytes(b"picture")
+    (folder / "made" / "figures").mkdir()
+    (folder / "made" / "figures" / "fig01.png").write_bytes(b"picture")
     write(
-        tmp_path / "notebooks" / "01-model.ipynb",
+        folder / "notebooks" / "01-model.ipynb",
         "import shutil; from rodlib.paper.repository import results",
         'shutil.copytree("../made", results("this notebook"), dirs_exist_ok=True)',
     )
-    return tmp_path
+    return folder
 
 
 # It has imported once what all need.
@@ -104,7 +107,7 @@ def test_a_notebook_that_fails_is_named_and_nothing_is_published(root, cell, mes
 
 def test_a_second_run_is_refused_a_replay_is_not_and_a_kill_leaves_no_lock(root, gate):
     """The first run waits in its notebook until it is killed."""
-    wait = "import pathlib; pathlib.Path('started').touch(); pathlib.Path('../gate').read_bytes()"
+    wait = "from pathlib import Path; Path('started').touch(); Path('../../gate').read_bytes()"
     write(root / "notebooks" / "02-waits.ipynb", wait)
     write(root / "replay.ipynb", "log")  # the real one is tested with make replay
     log = root / "my log.csv"

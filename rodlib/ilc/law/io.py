@@ -81,7 +81,7 @@ def limits_of(trials: xr.Dataset) -> dict[str, tuple[float, ...]]:
 
 
 def save_law(path, law: Law, note: str = "") -> None:
-    """Write a law to a file, to the last digit; it is replaced as a whole or not at all.
+    """Write a law to a file, to the last digit; a law that is there is replaced as a whole.
 
     Parameters
     ----------
@@ -97,6 +97,13 @@ def save_law(path, law: Law, note: str = "") -> None:
     path = arguments.path("path", path)
     arguments.instance("L", arguments.instance("law", law, Law).L, LearningFilter)
     arguments.instance("note", note, str)
+    if path.is_file():
+        try:
+            load_law(path)
+        except ValueError:
+            raise ValueError(
+                f"path = {str(path)!r} is a file that is no law: choose another name, or remove it"
+            ) from None
     content = {"format": FORMAT, "Ts": law.Ts, **law_notes(law), "note": note}
     write_whole(path, json.dumps(content, ensure_ascii=False, indent=1) + "\n")
 
@@ -108,7 +115,7 @@ def load_law(path) -> Law:
         raise ValueError(
             f"path = {str(path)!r} must be a file of save_law, but is none"
         )
-    text = path.read_text(encoding="utf-8")
+    text = path.read_bytes().decode("utf-8", errors="replace")
     if text.startswith("#"):
         raise ValueError(
             f"path = {str(path)!r} is a table, not a law: of a trial log, its law is "

@@ -19,7 +19,8 @@ from rodlib.ilc.loop.notes import LogError
 from rodlib.ilc.trials.run import dataset
 from rodlib.ilc.units import seconds
 
-METADATA = re.compile(r"#\s*([^:]*[^:\s])\s*:\s*(.*?)\s*")
+# what a terminal would obey, as it is or as JSON writes it
+CONTROL = re.compile(r"[\x00-\x08\x0e-\x19\x1b-\x1f\x7f\x9b]|\\u00([01]|7f|[89])", re.I)
 MARKS = "#%/!"  # with which comments begin
 SENSED = ("y", "delta", "measured")  # valid at a moment; other signals are held
 
@@ -86,11 +87,11 @@ def lines_of(path: Path) -> list[str]:
         text = content.decode("utf-16" if utf16 else "utf-8-sig")
     except UnicodeDecodeError:
         text = content.decode("latin-1")
-    if "\0" in text:
+    if found := CONTROL.search(text):
         raise LogError(
-            "is not text: pass a pandas.DataFrame to read_table. pandas reads spreadsheets; "
-            "a .mat or .npz is pandas.DataFrame({name: numpy.ravel(file[name]) for name in "
-            "(...)}) with file = scipy.io.loadmat(path) or numpy.load(path)"
+            f"is not text, it has {found[0]!r}: pass a pandas.DataFrame to read_table. pandas reads "
+            "spreadsheets; a .mat or .npz is pandas.DataFrame({name: numpy.ravel(file[name]) for "
+            "name in (...)}) with file = scipy.io.loadmat(path) or numpy.load(path)"
         )
     return re.split(r"\r\n?|\n", text)
 
@@ -184,8 +185,8 @@ def _head(lines):
     """The metadata, the titles, and how many lines stand above the rows."""
     metadata = {}
     for count, line in enumerate(lines, 1):
-        if match := METADATA.fullmatch(line):
-            key, value = match.groups()
+        key, mark, value = map(str.strip, line[1:].partition(":"))
+        if line.startswith("#") and mark and key:
             if key in metadata:
                 raise LogError(f"metadata: {key!r} stands twice, again in line {count}")
             metadata[key] = value

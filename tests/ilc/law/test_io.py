@@ -109,6 +109,21 @@ def test_nothing_is_written_that_could_not_be_used(tmp_path, Q):
     assert not path.exists()
 
 
+def test_only_a_law_is_replaced_by_a_law(tmp_path, Q):
+    path = tmp_path / "thesis.txt"
+    for content in (b"Chapter 1", b"\xff\xfe\x00", b"{}"):
+        path.write_bytes(content)
+        with pytest.raises(ValueError, match=r"thesis.txt' is a file that is no law"):
+            save_law(path, Law(Q, L))
+        with pytest.raises(ValueError, match=r"thesis.txt' is not a law of save_law"):
+            load_law(path)
+        assert path.read_bytes() == content
+    path.unlink()
+    for gain in (1.0, 0.5):
+        save_law(path, Law(Q, L, gain=gain))
+    assert load_law(path).gain == 0.5
+
+
 def test_a_file_that_is_not_there_is_no_law(tmp_path):
     for path in (tmp_path, tmp_path / "none.json"):
         with pytest.raises(ValueError, match=r"path = .* must be a file of save_law"):

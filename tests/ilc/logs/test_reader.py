@@ -76,6 +76,9 @@ def test_a_log_with_an_accident_is_read_or_refused(
         ("1.0,0.5", "1.0,x", r"v_depth: entry 'x' in row 5 .*12 such"),
         ("\n1,2,1.0", "\n# note\n\n1,2", "row 9 has 6 entries, but must have 7"),
         (ROWS[5], "", "row 10 is 2 s after"),
+        ('"mm"', '"m\x1b[2Jm"', r"is not text, it has '\\x1b'"),
+        ('"mm"', r'"m\u009b2Jm"', r"is not text, it has '\\\\u009'"),
+        ("# Ts", "# clock: \x08\n# Ts", r"is not text, it has '\\x08'"),
     ],
 )
 def test_broken_logs_say_what_is_wrong(tmp_path, old, new, message):
@@ -101,6 +104,14 @@ def test_what_means_the_same_is_read_alike(tmp_path, good, text):
     trials = load_log(write(tmp_path, text))
     xr.testing.assert_allclose(trials, good, atol=1e-3)
     assert trials.attrs == {"Ts": 1.0}
+
+
+def test_a_long_row_of_blanks_takes_no_longer_than_its_length(tmp_path, good):
+    """Whoever looks for the end of each of its parts does not come back from it."""
+    blanks = " " * 1_000_000
+    for text in (f"#{blanks}", f"#{blanks}:", f"# a: b{blanks}c"):
+        trials = load_log(write(tmp_path, GOOD.replace("# Ts", f"{text}\n# Ts")))
+        xr.testing.assert_equal(trials, good)
 
 
 def test_lost_rows_are_filled_in_on_request(tmp_path, good):

@@ -197,13 +197,20 @@ def of_two_plants(gain, seed=0, noise=1e-3, other=2, reference=OLD):
 
 
 @pytest.mark.parametrize(
-    ("gain", "reference"), [(1.1, OLD), (1.5, OLD), (1.5, 1.5 * NEW)]
+    ("gain", "reference", "named"),
+    [
+        (1.1, OLD, r".*1 of trials\[1\] \(by \d+%\), 2 of trials\[1\]"),
+        (
+            1.5,
+            OLD,
+            "",
+        ),  # less than a tenth of the two trials is missed, more of the four
+        (1.5, 1.5 * NEW, r".*1 of trials\[1\] \(by \d+%\), 2 of trials\[1\]"),
+    ],
 )
-def test_trials_of_two_plants_contradict_each_other(gain, reference):
+def test_trials_of_two_plants_contradict_each_other(gain, reference, named):
     P, trials = of_two_plants(gain, reference=reference)
-    message = (
-        r"one plant .*2 of trials\[0\] .*1 of trials\[1\] \(by \d+%\), 2 of trials\[1\]"
-    )
+    message = rf"one plant .*2 of trials\[0\] {named}"
     with warnings.catch_warnings(record=True) as seen:
         warnings.simplefilter("always")
         result = transfer(trials, NEW[:, :1])
