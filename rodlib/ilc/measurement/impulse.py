@@ -247,7 +247,7 @@ def _factor(A):
         except LinAlgError:
             continue
     raise LogError(
-        "log cannot be told apart from rounding: is it without any noise, or constant?"
+        "log cannot be distinguished from rounding: is it without any noise, or constant?"
     )
 
 
