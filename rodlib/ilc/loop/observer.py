@@ -130,8 +130,8 @@ def combinations(P: control.StateSpace, weights=None) -> tuple[np.ndarray, Close
     p, m = P.shape
     if p < m:
         raise ValueError(
-            f"P has {p} outputs for {m} inputs, which they do not tell apart: leave inputs out, or "
-            f"drive all by {p} patterns"
+            f"P has {p} outputs for {m} inputs, which they do not distinguish: leave inputs out, "
+            f"or drive all by {p} patterns"
         )
     weights = (
         np.ones(p) if weights is None else arguments.array("weights", weights, (p,))

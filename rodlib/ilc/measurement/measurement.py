@@ -186,9 +186,9 @@ def measured_response(
     the data. Noise is taken to be stationary, and to differ between neighbouring lines as white
     noise of the sensors does behind the loop as designed: below its bandwidth the loop takes noise
     away, a little above it adds some, within a few lines. What enters there with another shape is
-    told less well. With 99 % for all of 42 lines together, from 1.9e-3 rad/s on, the paper's loop
-    on a rod of other parameters covers 98.9 % of 2000 truths, and 98.8 % of 600 with noise that
-    lasts for 10 samples; but 97 % if it lasts for 100, and 96 % if the room warms by 1.8 K an
+    estimated less well. With 99 % for all of 42 lines together, from 1.9e-3 rad/s on, the paper's
+    loop on a rod of other parameters covers 98.9 % of 2000 truths, and 98.8 % of 600 with noise
+    that lasts for 10 samples; but 97 % if it lasts for 100, and 96 % if the room warms by 1.8 K an
     hour. What is no noise at all, such as the steps of a converter that nothing dithers, it does
     not cover.
     """

@@ -8,7 +8,7 @@ from rodlib.ilc.loop.closed import CurrentTrialLoop, with_noise
 from rodlib.ilc.models import frequency_response
 
 DEGREE = 2  # of the polynomial that the transient is, locally
-NEIGHBOURS = 16  # lines at most around one, from which transient and noise are told
+NEIGHBOURS = 16  # lines at most around one, which estimate transient and noise
 # Up to this multiple of a line: from zero on, the mean square of the frequency is then that of the
 # line, so that the mean of noise is right that rises with frequency, as below the loop's bandwidth.
 SPAN = np.sqrt(3)

@@ -187,7 +187,7 @@ def _remedy(problem):
 
 
 def warned(design: Synthesis) -> Synthesis:
-    """A design for whoever called the caller, with a warning for each doubt of its certificate."""
+    """A design for whoever called the caller, with a warning for each of its findings."""
     for text in design.certificate.warnings:
         # warned, the door, its one thread, whoever called
         warnings.warn(text, stacklevel=4)
