@@ -90,8 +90,8 @@ def lines_of(path: Path) -> list[str]:
     if found := CONTROL.search(text):
         raise LogError(
             f"is not text, it has {found[0]!r}: pass a pandas.DataFrame to read_table. pandas "
-            "reads spreadsheets; a .mat or .npz is pandas.DataFrame({name: numpy.ravel(file[name]) for "
-            "name in (...)}) with file = scipy.io.loadmat(path) or numpy.load(path)"
+            "reads spreadsheets; a .mat or .npz is pandas.DataFrame({name: numpy.ravel(file[name]) "
+            "for name in (...)}) with file = scipy.io.loadmat(path) or numpy.load(path)"
         )
     return re.split(r"\r\n?|\n", text)
 
