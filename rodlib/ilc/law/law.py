@@ -40,6 +40,23 @@ class Law:
     loop : CurrentTrialLoop or ClosedLoop, optional
         The loop that the law is for. :func:`rodlib.run_trials` and :func:`rodlib.record` bind a law
         without one to theirs, and refuse a law for another.
+
+    See Also
+    --------
+    synthesise : its L
+    run_trials : simulated trials
+    record : trials on a rig
+    save_law : to a file
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from rodlib import Law, LearningFilter, zero_phase_butterworth
+    >>> Q, L = zero_phase_butterworth(), LearningFilter([[[0.5]]], Ts=1.0)
+    >>> law = Law(Q, L, rest=5)
+    >>> v, e = np.zeros((100, 1)), np.ones((100, 1))
+    >>> law.next(v, e)[[50, -1]].round(3).ravel().tolist()
+    [0.514, 0.0]
     """
 
     Q: ZeroPhaseButterworth

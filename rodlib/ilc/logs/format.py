@@ -53,6 +53,21 @@ def save_log(trials: xr.Dataset, path) -> None:
     ------
     ValueError
         If a signal, a coordinate or an attribute is not what :func:`load_log` would give back.
+
+    See Also
+    --------
+    load_log : to read it
+    record : what writes one itself, by `path`
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from rodlib import Law, load_log, paper_loop, run_trials, save_log, zero_phase_butterworth
+    >>> law = Law(zero_phase_butterworth(), None)
+    >>> trials = run_trials(paper_loop(), law, np.ones((100, 2)), trials=2)
+    >>> save_log(trials, "log.csv")
+    >>> dict(load_log("log.csv").sizes)
+    {'trial': 2, 'time': 100, 'channel': 2, 'source': 3}
     """
     path = arguments.path("path", path)
     arguments.instance("trials", trials, xr.Dataset)
