@@ -267,6 +267,9 @@ def response(plants, omega):
     return np.moveaxis(np.array(rows), 2, 0)
 
 
+ORDERS = np.array([1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 40])  # of an ARX by least squares
+
+
 def signals_of(logs, of=None):
     """Of each trial the input and the output, (time, channel), less their first samples."""
     for log in logs if isinstance(logs, list) else [logs]:
@@ -289,7 +292,9 @@ def least_squares(logs, of=None, draws=200):
     shortest = min(len(y) for _, y in trials)
     for i in range(trials[0][1].shape[1]):
         best = np.inf
-        for order in range(1, min(40, shortest // (2 * m + 4)) + 1):
+        for order in ORDERS[
+            : np.searchsorted(ORDERS, shortest // (2 * m + 4), "right")
+        ]:
             X = [
                 np.hstack([-lagged(y[:, i], order, 1), *(lagged(x, order, 0) for x in u.T),
                            np.ones((len(y) - order, 1))])
