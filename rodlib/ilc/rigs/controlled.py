@@ -92,6 +92,7 @@ class ControlledRig:
         self.limits = {name: limits[name] for name in self.commands if name in limits}
         self.Ts = arguments.sampling_period("rig.Ts", getattr(rig, "Ts", loop.Ts))
         self.actuators = None  # of a law with limits
+        self.goes_on = False  # whether a trial starts where the last one ended
         self.stop = {}  # limits of outputs and commands, by name
 
     def rounded(self, name, values) -> np.ndarray:
@@ -164,6 +165,7 @@ class SampledRig(ControlledRig):
 
     def reset(self):
         self.applied = None  # the last commands
+        self.due = None  # when the next sample is due, by the rig's clock
 
     def pause(self, trial, samples, w, start) -> None:
         """Hold w before a trial for so many samples; None: until all is back and still."""
@@ -181,15 +183,19 @@ class SampledRig(ControlledRig):
                 stacklevel=6,
             )
 
-    def run(self, trial, w, commanded, bar) -> dict[str, np.ndarray]:
-        """Run one trial; its signals but v, shape (time, channel)."""
+    def run(self, trial, w, commanded, bar, first=0) -> dict[str, np.ndarray]:
+        """Run one trial, from its sample `first` on; its signals but v, shape (time, channel)."""
         clock = getattr(self.rig, "clock", None)
-        start = clock() if clock else 0.0
+        if not self.goes_on:
+            self.due = None
         samples, late = [], []
-        with _located(f"trial {trial}", lambda: len(samples) + 1, NOT_APPLIED):
+        with _located(f"trial {trial}", lambda: first + len(samples) + 1, NOT_APPLIED):
             for p in range(len(w)):
                 if clock:
-                    late.append(abs(clock() - start - p * self.Ts))
+                    now = clock()
+                    due = now if self.due is None else self.due
+                    late.append(abs(now - due))
+                    self.due = due + self.Ts
                 samples.append(self.sample(w[p], commanded[p]))
                 bar.update()
         count = np.sum(np.array(late) > LATE * self.Ts)

@@ -16,6 +16,7 @@ import xarray as xr
 from scipy.special import fdtrc, stdtr
 
 from rodlib.ilc.evidence.convergence import Convergence, convergence
+from rodlib.ilc.law.io import RESET
 from rodlib.ilc.law.law import Law
 from rodlib.ilc.law.limits import realised
 from rodlib.ilc.loop.closed import ClosedLoop, Loop
@@ -88,9 +89,7 @@ class History:
     @cached_property
     def effect(self) -> np.ndarray:
         """P v by the model, by which v lowers the error of each trial."""
-        P = self.P
-        x = [state_sequence(P.A, v @ P.B.T, np.zeros(P.nstates)) for v in self.v]
-        return (np.array(x) @ P.C.T + self.v @ P.D.T)[..., self.channels]
+        return outputs_of(self.P, self.v, self.trials)[..., self.channels]
 
     @cached_property
     def free(self) -> np.ndarray:
@@ -158,6 +157,14 @@ def commands(trials: xr.Dataset, loop: Loop, actuators=None) -> dict[str, np.nda
         "u": u,
         "applied": trials.applied.values if "applied" in trials else applied,
     }
+
+
+def outputs_of(model: control.StateSpace, inputs, trials: xr.Dataset) -> np.ndarray:
+    """Outputs of a model from rest, before each trial of inputs (trial, time, m) or the first."""
+    runs = np.concatenate(inputs)[None] if RESET in trials.attrs else inputs
+    rest = np.zeros(model.nstates)
+    x = np.array([state_sequence(model.A, run @ model.B.T, rest) for run in runs])
+    return (x @ model.C.T + runs @ model.D.T).reshape(*inputs.shape[:2], -1)
 
 
 def error_grows(history: History, k: int) -> str | None:
