@@ -12,7 +12,6 @@ from rodlib.ilc.law.limits import named_limits
 from rodlib.ilc.loop.closed import CurrentTrialLoop, Loop
 from rodlib.ilc.rigs.protocol import RigError, StoppedError
 
-LATE = 0.1  # sampling periods that a sample may be off the clock
 NOT_APPLIED = ". Nothing was applied after it"
 
 
@@ -93,6 +92,7 @@ class ControlledRig:
         self.Ts = arguments.sampling_period("rig.Ts", getattr(rig, "Ts", loop.Ts))
         self.actuators = None  # of a law with limits
         self.goes_on = False  # whether a trial starts where the last one ended
+        self.late = []  # by how much each sample of the trial is off the rig's clock, s
         self.stop = {}  # limits of outputs and commands, by name
 
     def rounded(self, name, values) -> np.ndarray:
@@ -188,22 +188,18 @@ class SampledRig(ControlledRig):
         clock = getattr(self.rig, "clock", None)
         if not self.goes_on:
             self.due = None
-        samples, late = [], []
+        if not first:
+            self.late = []
+        samples = []
         with _located(f"trial {trial}", lambda: first + len(samples) + 1, NOT_APPLIED):
             for p in range(len(w)):
                 if clock:
                     now = clock()
                     due = now if self.due is None else self.due
-                    late.append(abs(now - due))
+                    self.late.append(abs(now - due))
                     self.due = due + self.Ts
                 samples.append(self.sample(w[p], commanded[p]))
                 bar.update()
-        count = np.sum(np.array(late) > LATE * self.Ts)
-        if count:
-            warnings.warn(
-                f"trial {trial}: {count} samples were not on time, by up to {max(late):.3g} s",
-                stacklevel=6,
-            )
         return {name: np.array([s[name] for s in samples]) for name in samples[0]}
 
     def sample(self, w, flows) -> dict[str, np.ndarray]:

@@ -31,6 +31,7 @@ from rodlib.ilc.trials.diagnosis import (
 from rodlib.ilc.trials.run import commands_of, dataset
 from rodlib.ilc.trials.start import Start
 
+LATE = 0.1  # sampling periods that a sample may be off the clock
 NOTED = (*KEYS, RESET, "excitation", "loop")  # the notes of what makes the trials
 SIGNALS = ("v", "u", "y", "applied", "delta", "disturbance")  # that a trial may have
 Trial = dict[str, np.ndarray]  # its signals, shape (time, channel)
@@ -152,6 +153,11 @@ class Experiment:
         if beyond and not cut_off:  # of every trial
             text = f"{beyond}; what the rig cuts off, the law does not know"
             texts[f"trial {number}"] = f"trial {number}: {text}"
+        count = np.sum(np.array(rig.late) > LATE * rig.Ts)
+        if count:
+            texts[f"clock in trial {number}"] = (
+                f"trial {number}: {count} samples were not on time, by up to {max(rig.late):.3g} s"
+            )
         return texts
 
     def start(self, trials) -> Start:
