@@ -242,6 +242,9 @@ def array(
         hint = ""
         if len(sizes) == plain.ndim > 1 and _fits(sizes[-1:] + sizes[:-1], wanted):
             hint = f": its last axis belongs first, as in np.moveaxis({name}, -1, 0)"
+        missing = len(wanted) - plain.ndim
+        if plain.ndim == 1 and _fits(sizes + (1,) * missing, wanted):
+            hint = f": of one channel, pass {name}[:{', None' * missing}]"
         raise ValueError(
             f"{name} has shape {plain.shape}, but must have shape ({words}){hint}"
         )

@@ -188,6 +188,24 @@ class LearningFilter:
             complex
         )  # (44)
 
+    def __call__(self, z) -> np.ndarray:
+        """L(z), laid out as python-control's systems do: the axes of `z` last.
+
+        Parameters
+        ----------
+        z : array_like, complex
+            A point or several, as ``np.exp(1j * omega * Ts)``.
+
+        Returns
+        -------
+        ndarray, shape (m, m, ...), complex
+            Of one channel, the shape of `z`. ``control.frd(L(z), omega)`` is L as their data.
+        """
+        z = arguments.array("z", z, (...,), complex)
+        shifts = z[..., None] ** np.arange(1, self.order + 1)
+        response = np.einsum("ijk,...k->ij...", self.coefficients, shifts)  # (44)
+        return response[0, 0] if self.channels == 1 else response
+
     def apply(self, signal) -> np.ndarray:
         """Filter a signal of shape (..., time, m)."""
         signal = arguments.array("signal", signal, (..., "time", self.channels))

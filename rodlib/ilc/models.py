@@ -178,6 +178,11 @@ def refuse_foreign(name: str, value) -> None:
         value, control.LTI
     ):
         remedy = f"linearise it, by control.linearize({name}, x, u)"
+    models = control.StateSpace | control.TransferFunction
+    if isinstance(value, models) and value.dt == 0:
+        raise ValueError(
+            f"{name}.dt = 0 is continuous time: pass control.sample_system({name}, Ts)"
+        )
     if remedy:
         raise ValueError(
             f"{name} = {reprlib.repr(value)} is a {kind}, and no model: {remedy}"
@@ -193,7 +198,7 @@ def sampled_plant(
         arguments.state_space(name, plant)
     if not (plant.isdtime(strict=True) and plant.dt is not True):
         raise ValueError(
-            f"{name}.dt = {plant.dt!r} must be a sampling period in seconds: sample the plant first"
+            f"{name}.dt = {plant.dt!r} must be a sampling period in seconds: pass it, as dt"
         )
     names = [*plant.output_labels, *plant.input_labels]
     if len(set(names)) < plant.noutputs + plant.ninputs:

@@ -193,8 +193,8 @@ class ClosedLoop:
     """
 
     P: control.StateSpace | None = None
-    Ts: float | None = None
-    outputs: Sequence[str] | None = None
+    Ts: float = None  # of P; once the loop is made, a number, and the next are names
+    outputs: Sequence[str] = None
     controls: Sequence[str] = ()
     disturbances: Sequence[str] = ()
     units: dict[str, str] = field(default_factory=dict)
