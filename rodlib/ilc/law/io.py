@@ -18,6 +18,8 @@ FORMAT = "rodlib law 1"  # of the file
 DEFAULTS = {"rest": 0, "step": 1.0, "actuators": {}}  # step: the learning gain
 KEYS = ("Q", "L", *DEFAULTS)
 BEGUN = "begun"  # the note that says that v of trial 1 was given
+RESET = "reset"  # the note that says that there was none between trials, NO_RESET
+NO_RESET = "none: a trial starts where the last one ended"
 
 
 def law_notes(law: Law) -> dict:

@@ -70,9 +70,9 @@ class Actuators:
         width = self.highest - self.lowest
         return ROUNDING * np.where(np.isfinite(width), width, 1.0)
 
-    def can(self, commands, share: float = ROUNDING) -> bool:
+    def can(self, commands, share: float = ROUNDING, before=None) -> bool:
         """Whether commands (..., time, m) are applied as they are, to a share of the width."""
-        change = np.abs(self.follow(commands) - commands)
+        change = np.abs(self.follow(commands, before) - commands)
         return bool(np.all(change <= share / ROUNDING * self.rounding))
 
     def next(self, command, before=None) -> np.ndarray:
@@ -83,11 +83,11 @@ class Actuators:
             high = np.minimum(high, before + self.step)
         return np.minimum(np.maximum(command, low), high)
 
-    def follow(self, commands) -> np.ndarray:
-        """What is applied of the commands of a trial, shape (..., time, m)."""
+    def follow(self, commands, before=None) -> np.ndarray:
+        """What is applied of commands in succession, shape (..., time, m)."""
         if np.all(np.isinf(self.step)):
             return self.next(commands)
-        applied, before = np.empty_like(commands), None
+        applied = np.empty_like(commands)
         for p in range(commands.shape[-2]):
             applied[..., p, :] = before = self.next(commands[..., p, :], before)
         return applied

@@ -212,8 +212,8 @@ def _columns(named):
     if not outputs or (inputs and len(inputs) != len(outputs)):
         raise ValueError(
             f"outputs = {reprlib.repr(outputs)} and inputs = {reprlib.repr(inputs)} must be as "
-            "many, one or more: name as outputs what the inputs control, one each; other signals "
-            "in measured, other inputs in disturbances"
+            "many, one or more: other inputs are disturbances, which are estimated along; other "
+            "outputs are measured, or the outputs of a second call"
         )
     return columns
 
