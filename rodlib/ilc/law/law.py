@@ -8,7 +8,14 @@ import numpy as np
 
 from rodlib.ilc import arguments
 from rodlib.ilc.filters import LearningOperator, ZeroPhaseButterworth, check_Q
-from rodlib.ilc.law.limits import WEIGHT, Actuators, named_limits, nearest, realised
+from rodlib.ilc.law.limits import (
+    WEIGHT,
+    Actuators,
+    check_solver,
+    named_limits,
+    nearest,
+    realised,
+)
 from rodlib.ilc.loop.closed import ClosedLoop, Loop
 from rodlib.ilc.loop.notes import loop_note
 from rodlib.ilc.signals import check_match
@@ -105,6 +112,8 @@ class Law:
             return None
         if self.loop is None:
             raise ValueError("limits need the law's loop: law.bound_to(loop)")
+        if self.L is not None:
+            check_solver(self.loop)
         return Actuators.of(self.limits, self.loop)
 
     def bound_to(self, loop: Loop) -> "Law":
