@@ -115,7 +115,8 @@ def save_law(path, law: Law, note: str = "") -> None:
     path : path-like
         JSON: ``format``, ``Ts`` (s), ``Q`` (order, cutoff in rad/s, ends), ``L`` (coefficients of
         shape (m, m, order), ends), if they are not the defaults ``rest``, ``step`` (the learning
-        gain) and ``actuators`` (the limits), and ``note``.
+        gain) and ``actuators`` (the limits), ``note``; and, for other languages, ``sections``,
+        the second-order sections b0, b1, b2, 1, a1, a2 of the forward half of Q: docs/law.c.
     law : Law
         L must be a LearningFilter. The loop is not written.
     note : str
@@ -145,6 +146,7 @@ def save_law(path, law: Law, note: str = "") -> None:
                 f"path = {str(path)!r} is a file that is no law: choose another name, or remove it"
             ) from None
     content = {"format": FORMAT, "Ts": law.Ts, **law_notes(law), "note": note}
+    content["sections"] = law.Q.sections.tolist()
     write_whole(path, json.dumps(content, ensure_ascii=False, indent=1) + "\n")
 
 
