@@ -267,6 +267,77 @@ def response(plants, omega):
     return np.moveaxis(np.array(rows), 2, 0)
 
 
+ORDERS = np.array([1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 40])  # of an ARX by least squares
+
+
+def signals_of(logs, of=None):
+    """Of each trial the input and the output, (time, channel), less their first samples."""
+    for log in logs if isinstance(logs, list) else [logs]:
+        commands = of == "u" or "reference" not in log
+        u = log.u if commands else log.reference + log.v
+        for x, y in zip(u.values, log.y.values, strict=True):
+            yield x - x[0], y - y[0]
+
+
+def lagged(signal, order, first):
+    """Columns of a signal (time,) delayed by `first` to `order` samples, (time, delay)."""
+    N = len(signal)
+    return np.array([signal[order - k : N - k] for k in range(first, order + 1)]).T
+
+
+def least_squares(logs, of=None, draws=200):
+    """ARX of each output by least squares, the order by AIC; draws of its coefficients."""
+    trials = list(signals_of(logs, of))
+    m, rng, rows = trials[0][0].shape[1], np.random.default_rng(0), []
+    shortest = min(len(y) for _, y in trials)
+    for i in range(trials[0][1].shape[1]):
+        best = np.inf
+        for order in ORDERS[
+            : np.searchsorted(ORDERS, shortest // (2 * m + 4), "right")
+        ]:
+            X = [
+                np.hstack([-lagged(y[:, i], order, 1), *(lagged(x, order, 0) for x in u.T),
+                           np.ones((len(y) - order, 1))])
+                for u, y in trials
+            ]  # fmt: skip
+            X, b = np.vstack(X), np.concatenate([y[order:, i] for _, y in trials])
+            U, sizes, V = np.linalg.svd(X, full_matrices=False)
+            kept = sizes > 1e-9 * sizes[0]
+            inverse = V[kept].T / sizes[kept]
+            c = inverse @ (U[:, kept].T @ b)
+            deviation = np.std(b - X @ c)
+            criterion = 2 * len(b) * np.log(deviation) + 2 * len(c)
+            if criterion < best:
+                best, chosen = criterion, (order, c, deviation * inverse)
+        order, c, root = chosen
+        errors = rng.standard_normal((draws, root.shape[1])) @ root.T
+        drawn = np.vstack([c, c + errors])
+        rows.append((order, drawn))
+    return rows, m
+
+
+def response_of(rows, m, omega):
+    """Of an ARX, the estimate and draws, (draw, n, output, input)."""
+    P = []
+    for order, c in rows:
+        waves = np.exp(-1j * np.outer(np.arange(order + 1), omega))
+        A = 1 + c[:, :order] @ waves[1:]
+        B = c[:, order:-1].reshape(len(c), m, order + 1) @ waves
+        P.append(np.moveaxis(B / A[:, None], 1, 2))
+    return np.stack(P, axis=2)
+
+
+def baseline(logs, of, omega, known, truth):
+    """Of the least squares: whether the truth is in its joint 99 % region, its median radius."""
+    P, *drawn = response_of(*least_squares(logs, of), omega)
+    norms = np.linalg.norm(np.array(drawn) - P, 2, axis=(2, 3))
+    radius = np.quantile(norms, 0.95, axis=0)
+    region = radius * np.quantile((norms / radius).max(axis=1), 0.99)
+    return np.all(np.linalg.norm(P - truth, 2, axis=(1, 2)) <= region), np.median(
+        radius[known]
+    )
+
+
 RESONANT = ("resonance, noise", "four modes", "two channels, resonance")
 DESIGN = {"order": 20, "M_max": 0.9, "L_max": 100.0}  # for the resonant kinds
 
@@ -287,7 +358,7 @@ def designed(P, plants):
 
 def counted(kind, records):
     """The row of the table for a kind of record."""
-    inside, known, radii, seconds, feasible, kept = [], [], [], [], [], []
+    inside, known, radii, seconds, feasible, kept, others = [], [], [], [], [], [], []
     refused = warned = silent = 0
     for seed in range(records):
         log, plants, *of = KINDS[kind](np.random.default_rng([seed, len(kind)]))
@@ -309,6 +380,8 @@ def counted(kind, records):
         radii.append(np.median(radius[P.known]) / largest)
         warned += bool(P.findings)
         silent += not (within[1] or P.findings)
+        held, wide = baseline(log, *(of or [None]), P.omega, P.known, truth)
+        others.append([held, wide / largest])
         if kind in RESONANT:
             one, gamma = designed(P, plants)
             feasible.append(one)
@@ -320,13 +393,16 @@ def counted(kind, records):
         f"{np.median(seconds):.2g}",
     ]
     counts = [f"{count}" for count in (refused, warned, silent)]
+    held, wide = np.transpose(others)
+    arx = [f"{held.mean():.0%}", f"{np.median(wide):.2g}"]
     filters = f"{sum(feasible)}, {sum(kept)}" if feasible else ""
-    return [kind, f"{records}", *shares, *numbers, *counts, filters]
+    return [kind, f"{records}", *shares, *numbers, *counts, *arx, filters]
 
 
 TITLES = [
     "record", "records", "each, 95 %", "all, 90 %", "all, 99 %", "known", "radius", "CPU (s)",
-    "refused", "warned", "missed in silence", "filters: feasible, keep 0.9",
+    "refused", "warned", "missed in silence", "least squares: all, 99 %", "radius",
+    "filters: feasible, keep 0.9",
 ]  # fmt: skip
 
 

@@ -25,10 +25,8 @@ from scipy.special import expit, log_expit
 from rodlib.ilc.loop.notes import LogError
 
 SHARE = 4  # of the longest record: lags of A and B
-CLOSE, STEP = (
-    40,
-    8,
-)  # lags are apart by one, beyond the first by an eighth of themselves
+# Increments are apart by one lag up to the first number, then by lags over the second.
+CLOSE, STEP = 40, 8
 START = (6, 4)  # likewise, for what a start leaves
 STARTS = 300  # unknowns of all starts at most; with more, first samples are left out
 KNOTS = 64  # of a drift, between which it is straight
@@ -54,9 +52,8 @@ class Trials(NamedTuple):
 class _Layout:
     """Unknowns, increments of coefficients: y's lags, those of each input, starts and drifts."""
 
-    kind: (
-        np.ndarray
-    )  # (unknown,): 0 for y, 1 ... m for the inputs, m + 1 for starts, m + 2
+    # 0 for y, 1 ... m for the inputs, m + 1 for starts, m + 2 for drifts, (unknown,)
+    kind: np.ndarray
     lag: np.ndarray  # (unknown,)
     gap: np.ndarray  # (unknown,): to the next lag; infinite at the last
     past: np.ndarray  # (lag, k): coefficients of A from increments
@@ -283,9 +280,14 @@ class Regression:
         """Lags of B from increments."""
         return self.data.layout.moves
 
+    def _waves(self, omega):
+        """Of A and of B at angles omega Ts what one increment makes, (n, k) each."""
+        waves = np.exp(-1j * np.outer(omega, np.arange(len(self.past))))
+        return waves @ self.past, waves @ self.moves
+
     def response(self, omega: np.ndarray, draws: slice = slice(None)) -> np.ndarray:
         """P at angles omega Ts, shape (draw, n, m)."""
-        A, B = (_waves(omega, basis) for basis in (self.past, self.moves))
+        A, B = self._waves(omega)
         above = np.moveaxis(B @ self.b[..., draws], 0, 2)  # (n, draw, m)
         return np.moveaxis(above / (1 + A @ self.a[:, draws])[..., None], 1, 0)
 
@@ -303,7 +305,7 @@ class Regression:
     def learned(self, omega: np.ndarray) -> np.ndarray:
         """Standard deviation of P after the data, relative to that before them, (n, m)."""
         size, U = self.posterior.size, self.posterior.U
-        A, B = (_waves(omega, basis) for basis in (self.past, self.moves))
+        A, B = self._waves(omega)
         P = self.response(omega, slice(1))[0]
         shares = []
         for j in range(len(self.b)):
@@ -316,10 +318,6 @@ class Regression:
                 np.linalg.norm(after, axis=0) / np.linalg.norm(slopes, axis=1)
             )
         return np.transpose(shares)
-
-
-def _waves(omega, basis):
-    return np.exp(-1j * np.outer(omega, np.arange(len(basis)))) @ basis
 
 
 def _monic(a):
