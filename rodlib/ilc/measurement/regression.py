@@ -43,8 +43,8 @@ TURN = 4096  # frequencies at least on which the zeros of A are counted
 class Trials(NamedTuple):
     """Trials of the same length, in each of which the same disturbance may repeat."""
 
-    u: np.ndarray  # (trial, time, m)
-    y: np.ndarray  # (trial, time, p)
+    u: np.ndarray  # (trial, time, m), relative to before the trial
+    y: np.ndarray  # (trial, time, p), relative to the first sample
     names: tuple[str, ...]  # of the trials, in messages
 
 
@@ -115,10 +115,8 @@ def _layout(groups, direct):
 
 
 def contrasts(signal: np.ndarray) -> np.ndarray:
-    """Of trials, less their first samples: sqrt(K) times their mean, then their differences."""
-    signal = signal - signal[:, :1]
-    H = helmert(len(signal), full=True)
-    return np.tensordot(H, signal, 1)
+    """Of K trials: sqrt(K) times their mean, then their differences."""
+    return np.tensordot(helmert(len(signal), full=True), signal, 1)
 
 
 def records(
