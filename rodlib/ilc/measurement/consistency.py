@@ -10,10 +10,16 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from scipy.signal import fftconvolve, lfilter
+from scipy.signal import fftconvolve
 from scipy.special import fdtrc
 
-from rodlib.ilc.measurement.regression import Regression, Trials, contrasts, records
+from rodlib.ilc.measurement.regression import (
+    Regression,
+    Trials,
+    contrasts,
+    convolved,
+    records,
+)
 
 QUARTERS = ("first", "second", "third", "last")  # of a single trial
 FALSE_ALARM = 1e-3  # probability for each output
@@ -31,7 +37,7 @@ def contradictions(
     regressors = records(groups, fit.data.layout)
     for group in groups:
         added = contrasts(_alternatives(fit, group, first, parts))
-        added = lfilter(fit.denominator, 1.0, added, axis=1)
+        added = convolved(added, fit.denominator)
         first += len(_parts(group))
         for Z, (X, y, line, mean) in zip(added, regressors, strict=False):
             Z = Z[-len(y) :]

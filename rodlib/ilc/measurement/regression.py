@@ -36,6 +36,8 @@ WIDE = 3.0  # their standard deviation before the data
 BOUND = 30.0  # of all logarithms
 EXACT = 1e-9  # least noise, in the power of the output
 SETS, DRAWS = 80, 600  # draws of hyperparameters, and of coefficients for all of them
+ROOM = 0.8  # of a delay that is estimated
+LATE = 5  # samples of delay: with fewer, lags are close enough from zero on
 TAILS = 5  # degrees of freedom of the distribution that the first are drawn from
 TURN = 4096  # frequencies at least on which the zeros of A are counted
 
@@ -57,7 +59,7 @@ class _Layout:
     lag: np.ndarray  # (unknown,)
     gap: np.ndarray  # (unknown,): to the next lag; infinite at the last
     past: np.ndarray  # (lag, k): coefficients of A from increments
-    moves: np.ndarray  # (lag, k): those of B
+    moves: np.ndarray  # (m, lag, k): those of B
     start: np.ndarray  # (time, k)
     starts: int  # records with an unknown start
     drifts: int  # and with a drift
@@ -81,19 +83,20 @@ def _knots(first, last, close, step):
     return np.array(knots)
 
 
-def _increments(knots):
+def _increments(knots, count):
     """One up to a knot and zero from the next one on, straight between, (lag, knot)."""
-    lags = np.arange(knots[-1] + 1)
+    lags = np.arange(count)
     hats = np.array([np.interp(lags, knots, one) for one in np.eye(len(knots))]).T
-    return np.cumsum(hats, axis=1) * (lags >= knots[0])[:, None]
+    return np.cumsum(hats, axis=1) * ((lags >= knots[0]) & (lags <= knots[-1]))[:, None]
 
 
-def _layout(groups, direct):
+def _layout(groups, direct, delays):
     longest = max(group.y.shape[1] for group in groups)
-    m, reach = groups[0].u.shape[2], max(4, longest // SHARE)
+    m, reach = len(delays), max(4, longest // SHARE)
     past, moves = (
         _knots(first, reach, CLOSE, STEP) for first in (1, 0 if direct else 1)
     )
+    lags = reach + max(delays) + 1
     start = _knots(0, reach, *START)
     records = sum(len(group.y) for group in groups)
     starts = records if records * len(start) <= STARTS else 0
@@ -105,9 +108,9 @@ def _layout(groups, direct):
         kind=np.repeat(kinds, [len(block) for block in blocks]),
         lag=np.concatenate([block - block[0] for block in blocks]),
         gap=np.concatenate(gaps),
-        past=_increments(past),
-        moves=_increments(moves),
-        start=_increments(start),
+        past=_increments(past, reach + 1),
+        moves=np.stack([_increments(moves + delay, lags) for delay in delays]),
+        start=_increments(start, reach + 1),
         starts=starts,
         drifts=len(groups),
         skipped=0 if starts else reach,
@@ -139,11 +142,16 @@ def records(
             drifts = np.zeros((N, layout.drifts, KNOTS))
             if k == 0:
                 drifts[:, g] = ramps
-            X = [-_lagged(y, layout.past), *(_lagged(x, layout.moves) for x in u.T)]
+            X = [-_lagged(y, layout.past), *map(_lagged, u.T, layout.moves)]
             X = np.hstack([*X, starts.reshape(N, -1), drifts.reshape(N, -1)])
             number += 1
             X, y = (_without(line, signal[layout.skipped :]) for signal in (X, y))
             yield X, y, line, k == 0 and len(outputs) > 1
+
+
+def convolved(signals: np.ndarray, lags: np.ndarray) -> np.ndarray:
+    """Signals (trial, time, column) with a finite impulse response."""
+    return fftconvolve(signals, lags[None, :, None], axes=1)[:, : signals.shape[1]]
 
 
 def _lagged(signal, basis):
@@ -181,8 +189,7 @@ class _Posterior(NamedTuple):
         return self.size * solve_triangular(self.U, self.half)
 
 
-def _normal(groups, direct):
-    layout = _layout(groups, direct)
+def _normal(groups, layout):
     p = len(layout.kind)
     R, b, s, count = np.zeros((2, p, p)), np.zeros((2, p)), np.zeros(2), np.zeros(2)
     for X, y, _, mean in records(groups, layout):
@@ -239,23 +246,39 @@ def surprise(eta: np.ndarray, data: _Normal, centre: np.ndarray, slopes: bool = 
     return value, gradient
 
 
-def _fitted(data, longest):
-    """The likeliest hyperparameters, a root of their covariance, and the prior's centre."""
+class _Fit(NamedTuple):
+    """The likeliest hyperparameters of a layout."""
+
+    eta: np.ndarray
+    surprise: float
+    centre: np.ndarray  # of their prior
+    data: _Normal
+
+    @property
+    def spread(self) -> np.ndarray:
+        """A root of the covariance of the hyperparameters."""
+        eta, _, centre, data = self
+        steps = 1e-3 * np.eye(len(eta))
+        H = [
+            surprise(eta + e, data, centre)[1] - surprise(eta - e, data, centre)[1]
+            for e in steps
+        ]
+        values, vectors = np.linalg.eigh(np.array(H) + np.transpose(H))
+        return vectors / np.sqrt(np.maximum(values / 4e-3, 1 / WIDE**2))
+
+
+def _fitted(groups, direct, delays):
+    longest = max(group.y.shape[1] for group in groups)
+    data = _normal(groups, _layout(groups, direct, delays))
     kinds = data.layout.kind.max() + 1
     centre = np.append(np.full(2 * kinds, CENTRE), 0.0)
     centre[kinds - 1] = CALM
     bounds = [(-BOUND, BOUND)] * kinds + [(-1.5, np.log(5 * longest))] * kinds
-    eta = minimize(
+    found = minimize(
         surprise, centre, (data, centre), jac=True, method="L-BFGS-B",
         bounds=[*bounds, (-BOUND, BOUND)], options={"maxiter": 60, "ftol": 1e-7},
-    ).x  # fmt: skip
-    steps = 1e-3 * np.eye(len(eta))
-    H = [
-        surprise(eta + e, data, centre)[1] - surprise(eta - e, data, centre)[1]
-        for e in steps
-    ]
-    values, vectors = np.linalg.eigh(np.array(H) + np.transpose(H))
-    return eta, vectors / np.sqrt(np.maximum(values / 4e-3, 1 / WIDE**2)), centre
+    )  # fmt: skip
+    return _Fit(found.x, found.fun, centre, data)
 
 
 @dataclass(frozen=True)
@@ -275,13 +298,13 @@ class Regression:
 
     @property
     def moves(self) -> np.ndarray:
-        """Lags of B from increments."""
+        """Lags of B from increments, of each input."""
         return self.data.layout.moves
 
     def _waves(self, omega):
-        """Of A and of B at angles omega Ts what one increment makes, (n, k) each."""
-        waves = np.exp(-1j * np.outer(omega, np.arange(len(self.past))))
-        return waves @ self.past, waves @ self.moves
+        """Of A (n, k) and of B (m, n, k) at angles omega Ts what one increment makes."""
+        waves = np.exp(-1j * np.outer(omega, np.arange(self.moves.shape[1])))
+        return waves[:, : len(self.past)] @ self.past, waves @ self.moves
 
     def response(self, omega: np.ndarray, draws: slice = slice(None)) -> np.ndarray:
         """P at angles omega Ts, shape (draw, n, m)."""
@@ -296,7 +319,7 @@ class Regression:
 
     def impulse(self, n: int, draw: int = 0) -> np.ndarray:
         """The estimate, or a draw, over n samples of time, shape (m, n)."""
-        lags = (self.b[..., draw] @ self.moves.T)[:, :n]
+        lags = np.einsum("jlk,jk->jl", self.moves, self.b[..., draw])[:, :n]
         B = np.pad(lags, ((0, 0), (0, n - lags.shape[1])))
         return lfilter([1.0], _monic(self.past @ self.a[:, draw]), B)
 
@@ -309,7 +332,7 @@ class Regression:
         for j in range(len(self.b)):
             slopes = np.zeros((len(omega), len(size)), complex)
             kind = self.data.layout.kind
-            slopes[:, kind == 0], slopes[:, kind == 1 + j] = -P[:, [j]] * A, B
+            slopes[:, kind == 0], slopes[:, kind == 1 + j] = -P[:, [j]] * A, B[j]
             slopes *= size
             after = solve_triangular(U, slopes.T, trans=1)
             shares.append(
@@ -331,14 +354,37 @@ def _are_stable(a):
 
 
 def regression(groups: Sequence[Trials], direct: bool, seed: int = 0) -> Regression:
-    """Of one output; `direct`: whether y(t) may depend on u(t)."""
-    data = _normal(groups, direct)
-    eta, spread, centre = _fitted(data, max(group.y.shape[1] for group in groups))
-    likeliest = _posterior(eta, data)
-    rng, layout, count = np.random.default_rng(seed), data.layout, data.count.sum()
+    """Of one output; `direct`: whether y(t) may depend on u(t).
+
+    Twice where inputs arrive late: lags are close from their delays on, if that is more likely.
+    """
+    best = _fitted(groups, direct, np.zeros(groups[0].u.shape[2], int))
+    delays = _delays(groups, best)
+    if delays.max() >= LATE:
+        best = min(best, _fitted(groups, direct, delays), key=lambda fit: fit.surprise)
+    return _drawn(best, seed)
+
+
+def _delays(groups, fit):
+    """Lags, with room, at which inputs and the output correlate most, both passed through A."""
+    layout = fit.data.layout
+    a = layout.past @ _posterior(fit.eta, fit.data).mean[layout.kind == 0]
+    longest, total = max(group.y.shape[1] for group in groups), 0.0
+    for group in groups:
+        signals = contrasts(np.concatenate([group.u, group.y], axis=2))
+        spectra = np.fft.rfft(convolved(signals, _monic(a)), 2 * longest, axis=1)
+        products = np.sum(spectra[..., :-1].conj() * spectra[..., -1:], axis=0)
+        total = total + np.fft.irfft(products, axis=0)[: longest // 2]
+    return (ROOM * np.argmax(np.abs(total), axis=0)).astype(int)
+
+
+def _drawn(fit, seed):
+    eta, _, centre, data = fit
+    layout, likeliest = data.layout, _posterior(eta, data)
+    rng, count = np.random.default_rng(seed), data.count.sum()
     z = rng.standard_normal((SETS, len(eta)))
     z *= np.sqrt(TAILS / rng.chisquare(TAILS, (SETS, 1)))
-    moved = np.clip(eta + z @ spread.T, -BOUND, BOUND)
+    moved = np.clip(eta + z @ fit.spread.T, -BOUND, BOUND)
     # Importance sampling: the posterior over the t distribution that they were drawn from. By its
     # square root, as few of so many draws count otherwise, and the truth is outside too often.
     weight = (TAILS + len(eta)) / 2 * np.log1p(np.sum(z**2, axis=1) / TAILS)
