@@ -257,13 +257,9 @@ def _signals(log, of, name="log"):
         )
     # Before a trial, v is zero; of commands no more is known than the first.
     before = u if of == "u" else log.reference.transpose(*axes).values
-    u, y = u - before[:, :1], y - y[:, :1]
-    return (_on_end(u), _on_end(y)) if RESET in log.attrs else (u, y)
-
-
-def _on_end(signals):
-    """Trials that go on where the last one ended, as one."""
-    return signals.reshape(1, -1, signals.shape[-1])
+    if RESET in log.attrs:  # trials go on where the last one ended: one record
+        u, y, before = (x.reshape(1, -1, x.shape[2]) for x in (u, y, before))
+    return u - before[:, :1], y - y[:, :1]
 
 
 def _with_disturbances(log, u):

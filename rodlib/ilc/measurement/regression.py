@@ -6,9 +6,10 @@ with A monic, B and A of as many lags as a quarter of the record, and white e: P
 coefficients decay and neighbours are alike, with the tuned-correlated kernel c exp(-max(i, j) / T),
 each of A, B_j and the start with c and T of their own (T. Chen, H. Ohlsson and L. Ljung, Automatica
 48 (2012) 1525-1535; G. Pillonetto and others, Automatica 50 (2014) 657-682). In increments from lag
-to lag this kernel is diagonal. Far lags share increments, geometrically more of them. The drift is
-a random walk. The marginal likelihood determines all c and T, a Laplace approximation how well; the
-coefficients are drawn for several of them.
+to lag this kernel is diagonal. Far lags share increments, geometrically more of them, counted from
+the delay of each input, if one that correlations show is likelier than none. The drift is a random
+walk. The marginal likelihood determines all c and T, its curvature how well; the coefficients are
+drawn for several of them.
 """
 
 from collections.abc import Iterator, Sequence
@@ -35,9 +36,9 @@ CALM = -3.0  # the same of the drift
 WIDE = 3.0  # their standard deviation before the data
 BOUND = 30.0  # of all logarithms
 EXACT = 1e-9  # least noise, in the power of the output
-SETS, DRAWS = 80, 600  # draws of hyperparameters, and of coefficients for all of them
-ROOM = 0.8  # of a delay that is estimated
-LATE = 5  # samples of delay: with fewer, lags are close enough from zero on
+SETS, DRAWS = 80, 8  # draws of hyperparameters, and of coefficients for each of them
+LATE = 5  # lags at which inputs and output correlate most: less is no delay
+ROOM = (0.6, 0.9)  # delays, of such lags, that are tried
 TAILS = 5  # degrees of freedom of the distribution that the first are drawn from
 TURN = 4096  # frequencies at least on which the zeros of A are counted
 
@@ -219,7 +220,9 @@ def _posterior(eta, data):
     return _Posterior(size, U, half, max(total - half @ half, EXACT * total), ratio)
 
 
-def surprise(eta: np.ndarray, data: _Normal, centre: np.ndarray, slopes: bool = True):
+def surprise(
+    eta: np.ndarray, data: _Normal, centre: np.ndarray
+) -> tuple[float, np.ndarray]:
     """Minus the logarithm of the posterior of hyperparameters, and its gradient."""
     layout, count = data.layout, data.count.sum()
     size, U, half, rest, ratio = _posterior(eta, data)
@@ -227,8 +230,6 @@ def surprise(eta: np.ndarray, data: _Normal, centre: np.ndarray, slopes: bool = 
     value = count / 2 * np.log(rest) + np.log(np.diag(U)).sum() + off @ off / 2
     if data.count[1]:
         value -= data.count[1] / 2 * log_expit(-eta[-1])
-    if not slopes:
-        return value
     h = solve_triangular(U, half, check_finite=False)
     inverse = dpotri(U)[0]
     each = (1 - np.diag(inverse) - count * h**2 / rest) / 2  # over log variances
@@ -359,14 +360,17 @@ def regression(groups: Sequence[Trials], direct: bool, seed: int = 0) -> Regress
     Twice where inputs arrive late: lags are close from their delays on, if that is more likely.
     """
     best = _fitted(groups, direct, np.zeros(groups[0].u.shape[2], int))
-    delays = _delays(groups, best)
-    if delays.max() >= LATE:
-        best = min(best, _fitted(groups, direct, delays), key=lambda fit: fit.surprise)
+    peaks = _peaks(groups, best)
+    for room in ROOM if peaks.max() >= LATE else ():
+        other = _fitted(groups, direct, (room * peaks).astype(int))
+        if other.surprise > best.surprise:
+            break
+        best = other
     return _drawn(best, seed)
 
 
-def _delays(groups, fit):
-    """Lags, with room, at which inputs and the output correlate most, both passed through A."""
+def _peaks(groups, fit):
+    """Lags at which inputs and the output correlate most, both passed through A, (m,)."""
     layout = fit.data.layout
     a = layout.past @ _posterior(fit.eta, fit.data).mean[layout.kind == 0]
     longest, total = max(group.y.shape[1] for group in groups), 0.0
@@ -375,30 +379,23 @@ def _delays(groups, fit):
         spectra = np.fft.rfft(convolved(signals, _monic(a)), 2 * longest, axis=1)
         products = np.sum(spectra[..., :-1].conj() * spectra[..., -1:], axis=0)
         total = total + np.fft.irfft(products, axis=0)[: longest // 2]
-    return (ROOM * np.argmax(np.abs(total), axis=0)).astype(int)
+    return np.argmax(np.abs(total), axis=0)
 
 
 def _drawn(fit, seed):
-    eta, _, centre, data = fit
+    eta, data = fit.eta, fit.data
     layout, likeliest = data.layout, _posterior(eta, data)
     rng, count = np.random.default_rng(seed), data.count.sum()
     z = rng.standard_normal((SETS, len(eta)))
     z *= np.sqrt(TAILS / rng.chisquare(TAILS, (SETS, 1)))
     moved = np.clip(eta + z @ fit.spread.T, -BOUND, BOUND)
-    # Importance sampling: the posterior over the t distribution that they were drawn from. By its
-    # square root, as few of so many draws count otherwise, and the truth is outside too often.
-    weight = (TAILS + len(eta)) / 2 * np.log1p(np.sum(z**2, axis=1) / TAILS)
-    weight -= [surprise(one, data, centre, slopes=False) for one in moved]
-    weight = np.exp((weight - weight.max()) / 2)
+    # Not weighted by their posterior: the few that count then are too alike, and the truth is
+    # outside too often.
     drawn = [likeliest.mean[:, None]]
-    for one, number in zip(
-        moved, rng.multinomial(DRAWS, weight / weight.sum()), strict=True
-    ):
-        if not number:
-            continue
+    for one in moved:
         at = _posterior(one, data)
-        noise = np.sqrt(at.rest / rng.chisquare(count, number))
-        noise = noise * rng.standard_normal((len(at.U), number))
+        noise = np.sqrt(at.rest / rng.chisquare(count, DRAWS))
+        noise = noise * rng.standard_normal((len(at.U), DRAWS))
         drawn.append(
             at.size[:, None] * solve_triangular(at.U, at.half[:, None] + noise)
         )
