@@ -267,7 +267,8 @@ def _with_disturbances(log, u):
     if "disturbance" not in log:
         return u
     d = log.disturbance.transpose("trial", "time", ...).values
-    d = (d - d[:, :1]).reshape(*u.shape[:2], -1)
+    d = d.reshape(*u.shape[:2], -1)
+    d = d - d[:, :1]
     return np.concatenate([u, d / np.maximum(_size([d]), 1e-300)], axis=2)
 
 
