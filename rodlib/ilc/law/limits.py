@@ -9,12 +9,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import piqp
 from scipy import sparse
 
 from rodlib.ilc import arguments
 from rodlib.ilc.loop.closed import ClosedLoop, Loop
 from rodlib.ilc.models import state_sequence
+
+try:
+    import piqp
+except ImportError:  # which not every platform has
+    piqp = None
 
 ROUNDING = 1e-6  # of the width of the limits: no more than a solver rounds
 REGULAR = 1e-8  # of PIQP's systems: with its own 1e-10 rounding may keep it from an end
@@ -105,6 +109,15 @@ def commands_beyond(
             words.append(f"{name} in {share:.1%}")
     words = ", ".join(words)
     return words and f"commands were beyond the limits of {words} of all samples"
+
+
+def check_solver(loop: Loop) -> None:
+    """Refuse to learn within limits, before any trial, where there is no solver for it."""
+    if loop.P is not None and piqp is None:
+        raise ImportError(
+            "limits of a law need the package piqp: install it, by pip install piqp, or leave the "
+            "limits out, Law(..., limits={})"
+        )
 
 
 def realised(loop: Loop, v, u, applied) -> np.ndarray:

@@ -388,6 +388,31 @@ def replay(trials: xr.Dataset, unmeasured: Sequence[str] = ()) -> Replay:
     -----
     UserWarning
         If the trials do not converge as predicted, see :mod:`rodlib.ilc.trials.diagnosis`.
+
+    See Also
+    --------
+    load_log : a log
+    run_trials : trials that are only simulated
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from rodlib import ClosedLoop, Law, LearningFilter, record, replay, zero_phase_butterworth
+    >>> class Axis:  # simulated; yours talks to the drive
+    ...     x = 0.0
+    ...     def begin(self, trial):
+    ...         self.x = 0.0
+    ...     def read(self):
+    ...         return [self.x]
+    ...     def apply(self, w):
+    ...         self.x += 0.2 * (w[0] - self.x)
+    ...
+    >>> loop = ClosedLoop(Ts=0.01, outputs=["x"], units={"x": "mm"})
+    >>> Q = zero_phase_butterworth(cutoff=60.0, Ts=loop.Ts)
+    >>> law = Law(Q, LearningFilter([[[0.9]]], loop.Ts))
+    >>> run = record(Axis(), loop, law, np.sin(np.arange(200) * np.pi / 200) ** 2, trials=6)
+    >>> print(str(replay(run)).splitlines()[0])
+    6 trials of 200 samples, Ts = 0.01 s
     """
     arguments.instance("trials", trials, xr.Dataset)
     signals_of(trials, "reference", "v")  # which checks that it has all that a log has

@@ -117,10 +117,25 @@ def read_table(
     UserWarning
         If the table was resampled.
 
+    See Also
+    --------
+    load_log : in the format of this package
+    measured_response : P from it
+
     Notes
     -----
     Clocks jitter. Each step may differ from `Ts` by a tenth of it, and their mean by a hundredth:
     the samples then count as `Ts` apart, and the attribute ``clock`` says how it ran.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> from rodlib import read_table
+    >>> columns = {"t (s)": [0.0, 0.5, 1.0], "heater (%)": [0, 50, 50], "T (K)": [0, 0, 1.2]}
+    >>> table = pd.DataFrame(columns)  # or the path of a file
+    >>> log = read_table(table, time="t", inputs={"Q": "heater"}, outputs={"T": "T"})
+    >>> log.attrs["Ts"], log.y.shape
+    (0.5, (1, 3, 1))
     """
     named = {
         "outputs": outputs,

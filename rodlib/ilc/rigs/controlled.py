@@ -23,6 +23,18 @@ class Controller:
     loop : CurrentTrialLoop
     decimals : int, optional
         To which commands are rounded. Default: not at all.
+
+    See Also
+    --------
+    record : what runs it
+    current_trial_loop : its gains
+
+    Examples
+    --------
+    >>> from rodlib import Controller, paper_loop
+    >>> controller = Controller(paper_loop())
+    >>> controller.step(y=[0.0, 0.0], w=[1.0, 0.0]).round(4)
+    array([4.6935, 1.5513])
     """
 
     def __init__(self, loop: CurrentTrialLoop, decimals: int | None = None):

@@ -103,6 +103,32 @@ def record(
         what it follows, if it has limits, once if v is learned within them; that started elsewhere
         than the first; once, if the trials show that they do not converge, see
         :mod:`rodlib.ilc.trials.diagnosis`. If the log has more trials than asked for.
+
+    See Also
+    --------
+    run_trials : simulated
+    shake : to measure P
+    load_log : what `path` has
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from rodlib import ClosedLoop, Law, LearningFilter, record, zero_phase_butterworth
+    >>> class Axis:  # simulated; yours talks to the drive
+    ...     x = 0.0
+    ...     def begin(self, trial):
+    ...         self.x = 0.0
+    ...     def read(self):
+    ...         return [self.x]
+    ...     def apply(self, w):
+    ...         self.x += 0.2 * (w[0] - self.x)
+    ...
+    >>> loop = ClosedLoop(Ts=0.01, outputs=["x"], units={"x": "mm"})
+    >>> Q = zero_phase_butterworth(cutoff=60.0, Ts=loop.Ts)
+    >>> law = Law(Q, LearningFilter([[[0.9]]], loop.Ts))
+    >>> run = record(Axis(), loop, law, np.sin(np.arange(200) * np.pi / 200) ** 2, trials=4)
+    >>> bool(abs(run.e[-1]).max() < 0.1 * abs(run.e[0]).max())
+    True
     """
     controlled_rig = controlled(rig, loop, decimals)
     law = arguments.instance("law", law, Law).bound_to(loop)
@@ -194,6 +220,30 @@ def shake(
     xarray.Dataset
         As from :func:`record`, with the excitation and the limits of the rig noted in the metadata.
         For :func:`measured_response`.
+
+    See Also
+    --------
+    multisine : the excitation
+    measured_response : P, from the record
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from rodlib import ClosedLoop, measured_response, multisine, shake
+    >>> class Axis:  # simulated; yours talks to the drive
+    ...     x, noise = 0.0, np.random.default_rng(0)
+    ...     def begin(self, trial):
+    ...         self.x = 0.0
+    ...     def read(self):
+    ...         return [self.x + self.noise.normal(0, 0.001)]
+    ...     def apply(self, w):
+    ...         self.x += 0.2 * (w[0] - self.x)
+    ...
+    >>> loop = ClosedLoop(Ts=0.01, outputs=["x"], units={"x": "mm"})
+    >>> shaking = multisine(loop, lowest=1.0, highest=100.0, amplitude=1.0, hours=0.02)
+    >>> P = measured_response(shake(Axis(), loop, shaking))
+    >>> P.response.shape[0] == len(P.omega)
+    True
     """
     controlled_rig = controlled(rig, loop, decimals)
     arguments.instance("excitation", excitation, Excitation)

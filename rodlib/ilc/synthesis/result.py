@@ -25,6 +25,21 @@ class InfeasibleError(ValueError):
         What is feasible with the other arguments; from one on, nothing that converges.
     plant, omega : int, float
         Where the bound on M that stands most in the way is; plant number 0 is the nominal one.
+
+    See Also
+    --------
+    synthesise : what raises it
+
+    Examples
+    --------
+    >>> from rodlib import InfeasibleError, paper_choices, paper_loop, synthesise
+    >>> from rodlib import zero_phase_butterworth
+    >>> try:
+    ...     synthesise(paper_loop(), zero_phase_butterworth(), **paper_choices(M_max=0.3))
+    ... except InfeasibleError as error:
+    ...     print(f"smallest M_max: {error.smallest_M_max:.2f}")
+    ...
+    smallest M_max: 0.82
     """
 
     def __init__(self, message: str, smallest_M_max: float, plant: int, omega: float):

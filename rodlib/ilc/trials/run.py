@@ -85,6 +85,22 @@ def run_trials(
     ------
     ValueError
         If something does not belong together; without reset, if trials are too short.
+
+    See Also
+    --------
+    record : trials on a rig
+    replay : what a log says of the law
+    rms : the size of their errors
+
+    Examples
+    --------
+    >>> from rodlib import assumed_reference, paper_choices, paper_loop, rms, run_trials
+    >>> from rodlib import synthesise, zero_phase_butterworth
+    >>> loop, Q = paper_loop(), zero_phase_butterworth()
+    >>> law = synthesise(loop, Q, **paper_choices()).law(rest=15)
+    >>> trials = run_trials(loop, law, assumed_reference(), trials=3)
+    >>> bool(rms(trials.e)[2] < 0.1 * rms(trials.e)[0])
+    True
     """
     law = arguments.instance("law", law, Law).bound_to(loop)
     reset = arguments.flag("reset", reset)
@@ -287,6 +303,19 @@ def rms(e: xr.DataArray) -> xr.DataArray:
 
     `e` is a DataArray with the dimensions time and channel, such as that of a dataset of trials;
     anything else, or a gap in it, raises a ValueError.
+
+    See Also
+    --------
+    run_trials : trials with an error e
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import xarray as xr
+    >>> from rodlib import rms
+    >>> e = xr.DataArray(np.ones((2, 9, 2)), dims=("trial", "time", "channel"))
+    >>> rms(e).values.round(4)
+    array([1.4142, 1.4142])
     """
     arguments.instance("e", e, xr.DataArray)
     if not {"time", "channel"} <= set(e.dims):
