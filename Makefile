@@ -21,7 +21,7 @@ export PYTHONWARNINGS := ignore::DeprecationWarning
 .DELETE_ON_ERROR:
 .PHONY: $(BIN)/ready help reproduce test lint data replay machines mutants lowest survey regions \
 	plants peers solvers watch \
-	study pages bench lab notebooks lock clean
+	study pages bench lab notebooks stubs lock clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z]+:.*##' Makefile | sed -E 's/:.*## /\t/' | expand -t 12
@@ -104,11 +104,15 @@ bench: $(BIN)/ready  ## time the synthesis and a study; rewrite figures/performa
 # Jupyter refuses to run as root, except in a container, where root is whoever started it.
 lab: LAB := $(if $(wildcard /.dockerenv /run/.containerenv),--allow-root)
 lab: $(BIN)/ready  ## JupyterLab, at the workbench first (as root: make lab LAB=--allow-root)
-	$(BIN)/jupyter lab $(LAB) --notebook-dir=notebooks --LabApp.default_url=/lab/tree/12-workbench.ipynb
+	$(BIN)/jupyter lab $(LAB) --notebook-dir=notebooks --LabApp.default_url=/lab/tree/12-workbench.ipynb \
+		--LabApp.app_settings_dir=notebooks/.jupyterlab  # where notebooks are saved on request only
 
 notebooks: $(BIN)/ready  ## execute the tracked notebooks in place, before a commit
 	$(BIN)/jupyter nbconvert --to notebook --execute --inplace \
 		--ExecutePreprocessor.record_timing=False $(NOTEBOOKS)
+
+stubs: $(BIN)/ready  ## write rodlib/*.pyi, which editors read, from the registry of doors
+	$(BIN)/python tests/stubs.py
 
 lock: $(BIN)/ready  ## resolve the dependencies of pyproject.toml anew: the only writer of environment.lock
 	$(BIN)/uv pip compile pyproject.toml --extra dev --universal --fork-strategy fewest --upgrade \

@@ -1,6 +1,7 @@
 """How ``make pages`` makes a site of notebooks, texts and docstrings, with Sphinx and MyST-NB."""
 
 import json
+import re
 
 project = html_title = "The heated rod"
 
@@ -33,15 +34,34 @@ suppress_warnings = ["ref.python"]  # two classes with a field of one name
 html_theme = "sphinx_book_theme"
 html_copy_source = False
 
+# The theme listens to the first button for each sidebar, which it hides, and shows another one.
+MENUS = """addEventListener("DOMContentLoaded", () => {
+  for (const side of ["primary", "secondary"]) {
+    const [heard, ...shown] = document.querySelectorAll(`button.${side}-toggle`);
+    for (const button of shown) button.addEventListener("click", () => heard.click());
+  }
+});"""
+
 
 def fold(app, docname, source):
-    """Fold what JupyterLab folds: MyST-NB knows it by a tag."""
+    """Fold what JupyterLab folds: MyST-NB knows it by a tag. Code cells get an anchor each."""
     if docname.startswith("notebooks/"):
-        notebook = json.loads(source[0])
+        notebook, cells = json.loads(source[0]), []
         for cell in notebook["cells"]:
             if cell["metadata"].get("jupyter", {}).get("source_hidden"):
                 cell["metadata"]["tags"] = ["hide-input"]
-        source[0] = json.dumps(notebook)
+            if cell["cell_type"] == "code":
+                anchor = f'<span id="cell-id={cell["id"]}"></span>'
+                at = {"cell_type": "markdown", "id": f"at-{cell['id']}", "metadata": {}}
+                cells.append(at | {"source": anchor})
+            cells.append(cell)
+        source[0] = json.dumps(notebook | {"cells": cells})
+
+
+def lead_to_cells(app, docname, source):
+    """Links to cells, which JupyterLab follows as they are, to their anchors."""
+    link = r"\[([^]]+)\]\((\S+)\.ipynb(#cell-id=[^)]+)\)"
+    source[0] = re.sub(link, r'<a href="\2.html\3">\1</a>', source[0])
 
 
 def escape_bars(app, what, name, thing, options, lines):
@@ -52,5 +72,7 @@ def escape_bars(app, what, name, thing, options, lines):
 def setup(app):
     """Draw formulas as SVG, since some browsers load no fonts for a page that is a file."""
     app.config.mathjax_path = "mathjax/tex-svg.js"
+    app.add_js_file(None, body=MENUS)
     app.connect("source-read", fold)
+    app.connect("source-read", lead_to_cells)
     app.connect("autodoc-process-docstring", escape_bars)

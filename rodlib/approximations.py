@@ -6,6 +6,16 @@ Four of the five are ordinary differential equations of one form,
 
 with storage M, conduction K and supply F. They differ in what the states are. The fifth cuts a fine
 model down. All have the inputs and outputs of :func:`rodlib.midr`.
+
+See Also
+--------
+rodlib.midr : the paper's way
+
+Examples
+--------
+>>> from rodlib import Rod, approximations
+>>> approximations.finite_volumes(Rod(), cells=16).nstates
+64
 """
 
 import reprlib

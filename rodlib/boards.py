@@ -55,6 +55,21 @@ class TemperatureControlLab:
         How long both heaters are held at rest before a trial, s; at least a minute.
     seed : int
         Of the emulator's noise, which comes from Python's own generator of random numbers.
+
+    See Also
+    --------
+    fit_heat_balance : a model of it, from a record
+    record : trials on it
+
+    Examples
+    --------
+    >>> from rodlib import TemperatureControlLab
+    >>> board = TemperatureControlLab(rest=(30.0, 40.0), wait=60.0)  # doctest: +ELLIPSIS
+    TCLab version ...
+    Simulated TCLab
+    >>> board.begin(1)
+    >>> board.limits["Q1"], board.read().shape
+    ((-30.0, 70.0), (2,))
     """
 
     inputs = HEATERS
@@ -138,6 +153,17 @@ def heat_balance(gain_1, gain_2, loss, exchange, lag, Ts) -> control.StateSpace:
 
     From Q1, Q2 (%, held for Ts) to T1, T2 (K), all counted from a state of rest. The units of the
     parameters are in `UNITS`.
+
+    See Also
+    --------
+    fit_heat_balance : its parameters, from a record
+
+    Examples
+    --------
+    >>> from rodlib import current_trial_loop, heat_balance
+    >>> board = heat_balance(0.006, 0.004, 0.006, 0.003, 16.0, Ts=2.0)
+    >>> current_trial_loop(board).outputs
+    ['T1', 'T2']
     """
     I = np.eye(2)  # noqa: E741
     lost = (loss + exchange) * I - exchange * I[::-1]
@@ -197,6 +223,23 @@ def fit_heat_balance(heaters, readings, Ts: float) -> HeatBalanceFit:
     -----
     UserWarning
         If the record does not determine a parameter: a heater that never moves, one step alone.
+
+    See Also
+    --------
+    heat_balance : the model
+    measured_response : a region for P, without a model
+
+    Examples
+    --------
+    >>> import control
+    >>> import numpy as np
+    >>> from rodlib import fit_heat_balance, heat_balance
+    >>> board = heat_balance(0.006, 0.004, 0.006, 0.003, 16.0, Ts=2.0)
+    >>> heaters = 10 * np.sign(np.sin(np.outer(np.arange(300), [0.02, 0.05])))
+    >>> response = control.forced_response(board, np.arange(300) * 2.0, heaters.T)
+    >>> fit = fit_heat_balance(heaters, response.outputs.T, Ts=2.0)
+    >>> round(float(fit.table()["value"]["lag"]), 2)
+    16.0
     """
     heaters = arguments.array("heaters", heaters, ("samples", 2))
     readings = arguments.array("readings", readings, (len(heaters), 2))

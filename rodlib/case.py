@@ -21,6 +21,19 @@ def paper_choices(**changes) -> dict:
 
     They are keyword arguments of :func:`rodlib.synthesise`; L_max in K/K, band in rad/s. Its design
     frequencies are ``np.geomspace(1e-4, np.pi, 1000)`` rad/s.
+
+    See Also
+    --------
+    synthesise : what takes them
+    paper_loop : the loop that they are for
+
+    Examples
+    --------
+    >>> from rodlib import paper_choices, paper_loop, synthesise, zero_phase_butterworth
+    >>> Q = zero_phase_butterworth()
+    >>> design = synthesise(paper_loop(), Q, **paper_choices(structure="full"))
+    >>> round(float(design.sigma_M.max()), 4)
+    0.883
     """
     choices = {"order": 10, "M_max": 0.9, "L_max": 50.0, "band": (1e-4, 0.02)}
     return choices | {"structure": "diagonal"} | changes
@@ -42,6 +55,18 @@ def paper_loop(rod: Rod = PAPER, degree: int = 3, Ts: float = 1.0) -> CurrentTri
     -------
     CurrentTrialLoop
         Controls Q1 and Q3 (W), disturbances theta_a (K), Q2 and Q4 (W); outputs y1 and y2 (K).
+
+    See Also
+    --------
+    current_trial_loop : around another plant
+    paper_choices : what the paper asks of the filter
+
+    Examples
+    --------
+    >>> from rodlib import paper_loop
+    >>> paper_loop().N.round(4)
+    array([[ 4.6935, -2.4303],
+           [ 1.5513,  4.6324]])
     """
     arguments.instance("rod", rod, Rod)
     # Beyond, states cannot be distinguished; and the poles of the loop would come closer to the
@@ -69,6 +94,17 @@ def assumed_reference(samples: int = 2500) -> np.ndarray:
     to 10 K along quintic steps, whose first and second derivatives are continuous. The shape is
     stretched to the length of the trial. In K above the initial ambient temperature, shape
     (samples, 2).
+
+    See Also
+    --------
+    assumed_disturbance : what acts meanwhile
+    run_trials : trials with both
+
+    Examples
+    --------
+    >>> from rodlib import assumed_reference
+    >>> assumed_reference().max(axis=0).round(2)
+    array([10., 10.])
     """
     samples = arguments.whole("samples", samples, 1)
     time = np.arange(samples) / samples * 2500
@@ -88,6 +124,17 @@ def assumed_disturbance(
     """Assumed disturbances of Fig. 7: heat flows Q2 and Q4, from trial `first` on.
 
     Ambient temperature (K, zero) and heat flows Q2 and Q4 (W), shape (trials, samples, 3).
+
+    See Also
+    --------
+    assumed_reference : what the outputs are to follow
+    run_trials : trials with both
+
+    Examples
+    --------
+    >>> from rodlib import assumed_disturbance
+    >>> assumed_disturbance(samples=2500, trials=10, first=5).shape
+    (10, 2500, 3)
     """
     samples = arguments.whole("samples", samples, 1)
     trials = arguments.whole("trials", trials, 1)

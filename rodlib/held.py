@@ -42,6 +42,11 @@ def sampled_response(rod: Rod, omega, Ts: float) -> np.ndarray:
     ndarray, shape (n, outputs, inputs), complex
         Inputs and outputs in the order of :func:`midr`; theta_a is held like the heat flows.
 
+    See Also
+    --------
+    exact_response : in continuous time
+    ClosedLoop.frequency_response : what takes such samples
+
     Notes
     -----
     What is left out of g_k, from mode N on, is below 1e-12 of the largest entry at each frequency.
@@ -56,6 +61,14 @@ def sampled_response(rod: Rod, omega, Ts: float) -> np.ndarray:
     r (1 - p_0) / 2; hence x = 40 - log(1 - p_0). The sum of all r_n is rounded to about 1e-16 r,
     which is below 1e-10 of the largest entry if Ts > 1e-5 kappa_1 / kappa_2, 3 ms for the paper's
     rig; with a shorter period that holds at low frequencies only.
+
+    Examples
+    --------
+    >>> from rodlib import Rod, paper_loop, sampled_response
+    >>> rod, loop, omega = Rod(), paper_loop(), [0.001, 0.01]
+    >>> G = sampled_response(rod, omega, loop.Ts)[:, :, [0, 2]]  # from Q1 and Q3
+    >>> loop.frequency_response(omega, plant=G).shape
+    (2, 2, 2)
     """
     arguments.instance("rod", rod, Rod)
     Ts = arguments.sampling_period("Ts", Ts)

@@ -70,6 +70,18 @@ class PeltierParameters:
     The convection is Nu = 0.54 Ra^(1/4) of a warm plate that faces up, area by perimeter its
     length, in air at 300 K (W. H. McAdams, Heat Transmission, 1954; from Ra = 1e4 on, at 10 K it is
     half of that). A cold rod has the same, which is too much.
+
+    See Also
+    --------
+    PeltierRig : what has them
+
+    Examples
+    --------
+    >>> from rodlib import PeltierParameters
+    >>> from rodlib.peltier_rig import PeltierElement
+    >>> weak = PeltierParameters(element=PeltierElement(seebeck=0.04))
+    >>> weak.element == weak.known
+    False
     """
 
     element: PeltierElement = PeltierElement()
@@ -113,6 +125,11 @@ class PeltierRig(Bench):
     seed : int
         Of the sensor noise.
 
+    See Also
+    --------
+    RestartingPeltierRig : one that begins each trial at rest
+    VirtualRig : one that is linear
+
     Notes
     -----
     Cells of the rod exchange heat by conduction, with the elements by
@@ -121,6 +138,14 @@ class PeltierRig(Bench):
     Currents are held for a period, which is one step of the exponential Runge-Kutta method of
     second order (S. M. Cox and P. C. Matthews, J. Comput. Phys. 176, 2002, ETD2RK): conduction, fan
     and lag, which are linear and fast, are integrated exactly.
+
+    Examples
+    --------
+    >>> from rodlib import PeltierRig
+    >>> rig = PeltierRig()
+    >>> low, high = rig.limits["Q1"]
+    >>> low < 0 < high
+    True
     """
 
     def __init__(
@@ -229,4 +254,18 @@ class PeltierRig(Bench):
 
 
 class RestartingPeltierRig(Restarting, PeltierRig):
-    """A rig with Peltier elements that begins every trial at rest."""
+    """A rig with Peltier elements that begins every trial at rest.
+
+    See Also
+    --------
+    PeltierRig : one that has to come to rest
+    record : trials on a rig
+
+    Examples
+    --------
+    >>> from rodlib import RestartingPeltierRig
+    >>> rig = RestartingPeltierRig()
+    >>> rig.begin(1)
+    >>> rig.read().shape
+    (2,)
+    """

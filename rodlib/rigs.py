@@ -20,7 +20,19 @@ MISMATCHED = Rod(
 
 @dataclass(frozen=True)
 class RigParameters:
-    """What makes the rig unlike the design model; all assumed, as the paper says nothing of it."""
+    """What makes the rig unlike the design model; all assumed, as the paper says nothing of it.
+
+    See Also
+    --------
+    VirtualRig : what has them
+
+    Examples
+    --------
+    >>> from rodlib import RigParameters, VirtualRig
+    >>> quiet = VirtualRig(parameters=RigParameters(modes=20, noise=0.0, quantum=0.0))
+    >>> quiet.limits["Q1"]
+    (-60.0, 60.0)
+    """
 
     modes: int = 300
     noise: float = 0.02  # standard deviation of the sensor noise, K
@@ -105,11 +117,26 @@ class VirtualRig(Bench):
     seed : int
         Of the sensor noise.
 
+    See Also
+    --------
+    RestartingRig : one that begins each trial at rest
+    PeltierRig : one that is not linear
+
     Notes
     -----
     With theta = sum_n T_n(t) cos(n pi z / l), (1)-(4) fall apart into one first-order equation per
     mode. Commands are held for a period and pass the lag of the elements; both are integrated
     exactly.
+
+    Examples
+    --------
+    >>> from rodlib import RigParameters, VirtualRig
+    >>> rig = VirtualRig(parameters=RigParameters(modes=20))
+    >>> for _ in range(60):
+    ...     rig.apply([20.0, 0.0, 20.0, 0.0])
+    ...
+    >>> (rig.read() > 0).tolist()
+    [True, True]
     """
 
     def __init__(
@@ -160,4 +187,19 @@ class VirtualRig(Bench):
 
 
 class RestartingRig(Restarting, VirtualRig):
-    """A virtual rig that begins every trial at rest."""
+    """A virtual rig that begins every trial at rest.
+
+    See Also
+    --------
+    VirtualRig : one that has to cool down
+    record : trials on a rig
+
+    Examples
+    --------
+    >>> from rodlib import RestartingRig, RigParameters
+    >>> rig = RestartingRig(parameters=RigParameters(modes=20, noise=0.0))
+    >>> rig.apply([20.0, 0.0, 20.0, 0.0])
+    >>> rig.begin(1)
+    >>> rig.read().tolist()
+    [0.0, 0.0]
+    """

@@ -26,7 +26,20 @@ STEP = 1.0  # rad, by which the return difference may turn between two frequenci
 
 @dataclass(frozen=True)
 class Specimen:
-    """A rod as it may be, with the heat flow that each element delivers per heat flow commanded."""
+    """A rod as it may be, with the heat flow that each element delivers per heat flow commanded.
+
+    See Also
+    --------
+    draw : one at random
+    responses : the loop around it
+
+    Examples
+    --------
+    >>> from rodlib import Rod, Specimen, paper_loop, responses
+    >>> weak = Specimen(Rod(), gains=(0.9, 1.0, 1.0, 1.0))
+    >>> responses(paper_loop(), [weak], [0.001, 0.01]).shape
+    (1, 2, 2, 2)
+    """
 
     rod: Rod
     gains: tuple[float, ...]
@@ -46,6 +59,17 @@ class Spread:
     """How far off a rod may be: each parameter by itself, uniformly from -spread to +spread.
 
     Relative, 0.2 for 20 %, except for the sensors.
+
+    See Also
+    --------
+    draw : rods within it
+    Study : what a law does for many of them
+
+    Examples
+    --------
+    >>> from rodlib import Spread
+    >>> Spread(conductivity=0.2, gains=0.05).conductivity
+    0.2
     """
 
     density: float = 0.0
@@ -114,6 +138,18 @@ def draw(spread: Spread, number: int, root: int = 0, nominal: Rod = PAPER) -> Sp
         stretches the same rod's deviations.
     nominal : Rod
         As for :meth:`Spread.specimen`.
+
+    See Also
+    --------
+    Spread : how far off they are
+    responses : the loop around them
+
+    Examples
+    --------
+    >>> from rodlib import Spread, draw
+    >>> one, again = (draw(Spread.of_all(0.2), number=3) for _ in range(2))
+    >>> one == again, bool(0.8 < one.rod.conductivity / 55 < 1.2)
+    (True, True)
     """
     arguments.instance("spread", spread, Spread)
     arguments.instance("nominal", nominal, Rod)
@@ -139,6 +175,18 @@ def responses(
     -------
     ndarray, shape (specimens, n, m, m), complex
         Meaningful where the loop around the specimen is stable: see :func:`unstable_poles`.
+
+    See Also
+    --------
+    draw : specimens
+    synthesise : bounds that hold for all of them
+
+    Examples
+    --------
+    >>> from rodlib import Spread, draw, paper_loop, responses
+    >>> specimens = [draw(Spread.of_all(0.1), number) for number in range(3)]
+    >>> responses(paper_loop(), specimens, [0.001, 0.01]).shape
+    (3, 2, 2, 2)
     """
     rods = _held(loop, specimens)
     points = Points(loop, arguments.row("omega", omega))

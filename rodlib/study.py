@@ -41,7 +41,23 @@ UNITS = {
 
 @dataclass(frozen=True)
 class Study:
-    """Which rods may be, and under which laws the loop around them learns."""
+    """Which rods may be, and under which laws the loop around them learns.
+
+    See Also
+    --------
+    draw : one rod
+    synthesise : a filter for several plants
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from rodlib import LearningFilter, Spread, Study, paper_loop, zero_phase_butterworth
+    >>> filters = {"weak": LearningFilter(0.1 * np.eye(2)[:, :, None], Ts=1.0)}
+    >>> Q, spread = zero_phase_butterworth(), Spread.of_all(0.05)
+    >>> study = Study(paper_loop(), Q, filters, spread, reference=np.ones((200, 2)), trials=2)
+    >>> study.run(rods=2).sizes["rod"]
+    2
+    """
 
     loop: CurrentTrialLoop  # of a rod, as designed; the controller stays
     Q: ZeroPhaseButterworth

@@ -41,6 +41,27 @@ def test_readme_and_ledger_page_show_the_tracked_ledger(rows):
     assert text("figures/ledger.md") == ledger.markdown(rows)
 
 
+def test_each_row_and_each_figure_leads_to_the_cell_that_made_it(rows):
+    code = {
+        (name, cell.id): cell.source
+        for name, notebook in NOTEBOOKS.items()
+        for cell in cells(notebook, "code")
+    }
+    for key, row in rows.set_index("key").iterrows():
+        assert re.search(r"\.record\(", code[row.notebook, row.cell]), key
+        direct = re.compile(rf'\.record\(\s*"{re.escape(key)}"')
+        at = [place for place, source in code.items() if direct.search(source)]
+        assert at in ([], [(row.notebook, row.cell)])
+    page = text("figures/ledger.md")
+    links = re.findall(r"\(\.\./notebooks/([^)]+)\.ipynb#cell-id=([^)]+)\)", page)
+    assert len(links) > len(rows) and {*links} <= {*code}
+    figures = dict(re.findall(r"^- \[([^]]+)\]\(\1\.png\): .*=([^)]+)\)$", page, re.M))
+    for (_, cell), source in code.items():
+        for name in re.findall(r'\bsave\(\w+, "([^"]+)", caption\)', source):
+            assert figures.pop(name) == cell
+    assert not figures
+
+
 def test_what_can_be_reproduced_is_reproduced(rows):
     verdicts = rows.set_index("key").verdict
     gains = [key for key in verdicts.index if re.match(r"N\[|K_s|K_L|zero_[sz]", key)]
@@ -95,9 +116,23 @@ def test_every_saved_figure_is_tracked_and_used():
 
 
 def test_links_lead_somewhere():
-    for name in ("README.md", "CONTRIBUTING.md", "figures/performance.md"):
+    docs = sorted(f"docs/{path.name}" for path in ROOT.glob("docs/*.md"))
+    for name in ("README.md", "CONTRIBUTING.md", "figures/performance.md", *docs):
         for target in re.findall(r"\]\((?!https?:|#)([^)#]+)", text(name)):
             assert ((ROOT / name).parent / target).exists(), f"{name}: {target}"
+
+
+def test_make_lab_saves_notebooks_on_request_only(tmp_path):
+    """Or one that is tracked would change when its workbench is used."""
+    pytest.importorskip("jupyterlab_server")
+    from jupyterlab_server.settings_utils import get_settings
+
+    folder = re.search(r"--LabApp.app_settings_dir=(\S+)", text("Makefile"))[1]
+    schemas = os.path.join(sys.prefix, "share", "jupyter", "lab", "schemas")
+    plugin = "@jupyterlab/docmanager-extension:plugin"
+    for settings, autosave in ((tmp_path, True), (ROOT / folder, False)):
+        made, _ = get_settings(str(settings), schemas, str(tmp_path), plugin)
+        assert made["schema"]["properties"]["autosave"]["default"] is autosave
 
 
 def test_version_and_lock_agree_with_the_project():

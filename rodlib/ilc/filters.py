@@ -44,6 +44,18 @@ class ZeroPhaseButterworth:
         Sampling period, s.
     ends : {"zero", "hold", "hold-last"}
         What a signal is taken to be outside the trial.
+
+    See Also
+    --------
+    synthesise : a learning filter for it
+    Law : what uses both
+
+    Examples
+    --------
+    >>> from rodlib import zero_phase_butterworth
+    >>> Q = zero_phase_butterworth(order=2, cutoff=0.1, Ts=1.0)
+    >>> Q.frequency_response([0.0, 0.1, 1.0]).round(2)
+    array([1. , 0.5, 0. ])
     """
 
     order: int = 2
@@ -158,6 +170,20 @@ class LearningFilter:
     ends : {"zero", "hold", "hold-last"}
         What the error is taken to be beyond the end of the trial. L does not look before its start:
         the last two are the same.
+
+    See Also
+    --------
+    synthesise : one that is optimal
+    Law : what uses it
+
+    Examples
+    --------
+    >>> from rodlib import LearningFilter
+    >>> L = LearningFilter([[[0.5, 0.25]]], Ts=1.0)  # L(q) = 0.5 q + 0.25 q^2
+    >>> L.apply([[0.0], [1.0], [2.0]]).ravel()
+    array([1., 1., 0.])
+    >>> L.frequency_response([0.1]).shape
+    (1, 1, 1)
     """
 
     coefficients: np.ndarray = field(repr=False)
@@ -187,6 +213,24 @@ class LearningFilter:
         return np.einsum("nk,ijk->nij", shifts, self.coefficients).astype(
             complex
         )  # (44)
+
+    def __call__(self, z) -> np.ndarray:
+        """L(z), laid out as python-control's systems do: the axes of `z` last.
+
+        Parameters
+        ----------
+        z : array_like, complex
+            A point or several, as ``np.exp(1j * omega * Ts)``.
+
+        Returns
+        -------
+        ndarray, shape (m, m, ...), complex
+            Of one channel, the shape of `z`. ``control.frd(L(z), omega)`` is L as their data.
+        """
+        z = arguments.array("z", z, (...,), complex)
+        shifts = z[..., None] ** np.arange(1, self.order + 1)
+        response = np.einsum("ijk,...k->ij...", self.coefficients, shifts)  # (44)
+        return response[0, 0] if self.channels == 1 else response
 
     def apply(self, signal) -> np.ndarray:
         """Filter a signal of shape (..., time, m)."""

@@ -17,7 +17,21 @@ from rodlib.ilc import arguments
 
 
 def frequency_response(system: control.StateSpace, omega) -> np.ndarray:
-    """Response of a model at `omega` (rad/s), shape (n, outputs, inputs), complex."""
+    """Response of a model at `omega` (rad/s), shape (n, outputs, inputs), complex.
+
+    See Also
+    --------
+    ClosedLoop.frequency_response : the response of a loop
+    exact_response : the response of the rod itself
+
+    Examples
+    --------
+    >>> import control
+    >>> from rodlib import frequency_response
+    >>> model = control.ss(0.9, 0.1, 1.0, 0.0, 1.0)
+    >>> frequency_response(model, [0.01, 0.1]).shape
+    (2, 1, 1)
+    """
     arguments.state_space("system", system)
     omega = arguments.row("omega", omega)
     if system.dt is None or system.dt is True:
@@ -54,7 +68,19 @@ def by_substitution(T, B, C, D, z) -> np.ndarray:
 
 
 def state_sequence(A, forcing, initial) -> np.ndarray:
-    """States x(0) ... x(time - 1) of x(p+1) = A x(p) + f(p), all at once, shape (time, n)."""
+    """States x(0) ... x(time - 1) of x(p+1) = A x(p) + f(p), all at once, shape (time, n).
+
+    See Also
+    --------
+    run_trials : trials of a loop
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from rodlib import state_sequence
+    >>> state_sequence(np.array([[0.5]]), np.ones((4, 1)), [0.0]).ravel()
+    array([0.  , 1.  , 1.5 , 1.75])
+    """
     # A loop over 2500 samples costs more than the arithmetic in it. The trial is cut into about 50
     # blocks that run side by side from zero; then their initial states are chained and added.
     samples, n = forcing.shape
@@ -83,6 +109,18 @@ def unreachable_modes(A, B) -> tuple[np.ndarray, np.ndarray]:
 
     A mode counts as one if the smallest singular value of [lambda I - A, B], both blocks scaled to
     norm one, is below 1e-9. For unobservable modes pass A', C'.
+
+    See Also
+    --------
+    minimal_realisation : a model without them
+
+    Examples
+    --------
+    >>> from rodlib import Rod, midr, unreachable_modes
+    >>> rod = midr(Rod())
+    >>> values, _ = unreachable_modes(rod.A, rod.B[:, [0, 2]])
+    >>> values.real.round(4)
+    array([-0.4501, -0.1612, -0.0297])
     """
     A, B = np.asarray(A, dtype=float), np.asarray(B, dtype=float)
     scale_A, scale_B = (np.linalg.norm(X, 2) or 1.0 for X in (A, B))
@@ -133,6 +171,19 @@ def minimal_realisation(
     -------
     control.StateSpace
         The controls first, then the disturbances, as far as they act on the states kept.
+
+    See Also
+    --------
+    unreachable_modes : what is left out
+    current_trial_loop : what is made of the rest
+
+    Examples
+    --------
+    >>> import control
+    >>> from rodlib import Rod, midr, minimal_realisation
+    >>> plant = control.sample_system(midr(Rod()), 1.0)
+    >>> minimal_realisation(plant, ["Q1", "Q3"]).nstates
+    10
     """
     arguments.state_space("plant", plant)
     plant = controls_first(plant, controls)
@@ -178,6 +229,11 @@ def refuse_foreign(name: str, value) -> None:
         value, control.LTI
     ):
         remedy = f"linearise it, by control.linearize({name}, x, u)"
+    models = control.StateSpace | control.TransferFunction
+    if isinstance(value, models) and value.dt == 0:
+        raise ValueError(
+            f"{name}.dt = 0 is continuous time: pass control.sample_system({name}, Ts)"
+        )
     if remedy:
         raise ValueError(
             f"{name} = {reprlib.repr(value)} is a {kind}, and no model: {remedy}"
@@ -193,7 +249,7 @@ def sampled_plant(
         arguments.state_space(name, plant)
     if not (plant.isdtime(strict=True) and plant.dt is not True):
         raise ValueError(
-            f"{name}.dt = {plant.dt!r} must be a sampling period in seconds: sample the plant first"
+            f"{name}.dt = {plant.dt!r} must be a sampling period in seconds: pass it, as dt"
         )
     names = [*plant.output_labels, *plant.input_labels]
     if len(set(names)) < plant.noutputs + plant.ninputs:

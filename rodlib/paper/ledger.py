@@ -16,6 +16,8 @@ further. Between processors those of (39), non-diagonal, move by up to 3e-8; the
 closest to where its fourth decimal would change is 1.4e-7 away.
 """
 
+import re
+import sys
 from collections.abc import Iterable
 from operator import eq, ge, gt, le, lt
 from pathlib import Path
@@ -23,10 +25,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from rodlib.ilc.files import folder, replace_all, write_whole
+from rodlib.ilc.files import folder, read_json, replace_all, write_whole
 from rodlib.paper import pictures, published
 from rodlib.paper.published import Claim
-from rodlib.paper.repository import checkout, results
+from rodlib.paper.repository import ROOT, checkout, results
 
 REPRODUCED, DIFFERS = "reproduced", "differs"
 IN_WORDS, UNCHECKED = "in words", "cannot be checked"
@@ -44,10 +46,11 @@ NOISE = 1e-9  # what is smaller is rounding, and not the same on two machines
 BELOW_NOISE = f"below {NOISE:g}"
 SIGNIFICANT = 5  # digits of a number that tests a statement in words
 COEFFICIENT = r"L_(?:diagonal|full)\["  # how the key of one of (39) begins
+SAVED = r'\bsave\(\w+, "([^"]+)", caption\)'  # how a notebook saves a figure
 COMPARE = {"<": lt, "<=": le, ">": gt, ">=": ge, "==": eq}
 COLUMNS = [
     "key", "place", "claim", "printed", "computed", "deviation", "verdict", "kind", "note",
-    "notebook",
+    "notebook", "cell",
 ]  # fmt: skip
 
 
@@ -127,6 +130,7 @@ class Ledger:
             "kind": claim.kind,
             "note": "; ".join(filter(None, notes)),
             "notebook": self.notebook,
+            "cell": _running(),
         }
 
     def _record_matrix(self, name, computed):
@@ -158,8 +162,38 @@ class Ledger:
     def save(self) -> None:
         """Write the rows to build/ledger, or to the folder of the run, which joins them."""
         rows = pd.DataFrame(self.rows.values(), columns=COLUMNS)
+        ids = [cell["id"] for cell in _code(self.notebook)]
+        rows["cell"] = rows.cell.map(dict(enumerate(ids, start=1)))
         path = folder(results("Ledger.save") / "ledger") / f"{self.notebook}.csv"
         write_whole(path, rows.to_csv(index=False, lineterminator="\n"))
+
+
+def _running():
+    """The number of the code cell that runs; 0 outside a notebook."""
+    shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
+    return len(shell.user_ns["In"]) - 1 if shell else 0
+
+
+def _code(notebook):
+    """The code cells of a tracked notebook, by its name; none of another."""
+    path = ROOT / "notebooks" / f"{notebook}.ipynb"
+    cells = read_json(path.read_text("utf-8"))["cells"] if path.exists() else []
+    return [cell for cell in cells if cell["cell_type"] == "code"]
+
+
+def _link(notebook, cell):
+    """Where JupyterLab, and a page, show a cell; the notebook, elsewhere."""
+    return f"[{notebook}](../notebooks/{notebook}.ipynb#cell-id={cell})"
+
+
+def _figures():
+    """A line of Markdown for each figure, with the cell that saves it."""
+    lines = []
+    for path in sorted((ROOT / "notebooks").glob("*.ipynb")):
+        for cell in _code(path.stem):
+            for name in re.findall(SAVED, "".join(cell["source"])):
+                lines.append(f"- [{name}]({name}.png): {_link(path.stem, cell['id'])}")
+    return "\n".join(sorted(lines))
 
 
 def _shown(claim, value):
@@ -239,7 +273,9 @@ def _reasons(rows):
 
 def markdown(rows: pd.DataFrame) -> str:
     """The whole ledger as a readable page, with what we do otherwise than the paper."""
-    table = rows.drop(columns="key").replace({r"\|": r"\|"}, regex=True)
+    links = [*map(_link, rows.notebook, rows.cell)]
+    table = rows.drop(columns=["key", "cell"]).assign(notebook=links)
+    table = table.replace({r"\|": r"\|"}, regex=True)
     return f"""# Printed against computed
 
 Written by `make reproduce`. *Reproduced*: within half a unit of the last printed digit, or, for a
@@ -259,6 +295,10 @@ Too vague for a criterion, and how far they hold:
 ## All rows
 
 {table.to_markdown(index=False, disable_numparse=True)}
+
+## The figures
+
+{_figures()}
 """
 
 

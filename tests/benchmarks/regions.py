@@ -16,8 +16,6 @@ from scipy.signal import freqz, lfilter
 
 from rodlib import (
     InfeasibleError,
-    Law,
-    LearningFilter,
     measured_response,
     rate,
     synthesise,
@@ -44,6 +42,12 @@ def resonance(rng):
     pole = np.exp(natural * (-damping + 1j * np.sqrt(1 - damping**2)))
     a = np.poly([pole, pole.conj()]).real
     return np.array([0, a.sum() / 2, a.sum() / 2]), a
+
+
+def late(rng):
+    """A lag behind a delay of 100 to 250 samples."""
+    pole = np.exp(-1 / rng.uniform(10, 60))
+    return np.append(np.zeros(rng.integers(101, 252)), 1 - pole), np.array([1, -pole])
 
 
 def steps(rng, N):
@@ -94,13 +98,15 @@ def single(u, y, of="u"):
     return several(*(np.atleast_2d(signal).T[None] for signal in (u, y)), of)
 
 
-def learned(rng, trials=8, N=100, start=0.0):
+def learned(rng, trials=8, N=100, start=0.0, delay=0):
     """Trials under learning, with a disturbance that repeats."""
-    plant = lag(rng)
-    impulse = answer(plant, np.eye(1, N)[0], rng)
-    c = np.zeros((1, 1, 12))
-    c[0, 0] = 0.5 * impulse[:12] / np.sum(np.abs(impulse)) / np.abs(impulse).max()
-    law = Law(zero_phase_butterworth(2, 1.0, 1.0), LearningFilter(c, 1.0))
+    b, a = lag(rng)
+    plant = np.append(np.zeros(delay), b), a
+    Q, omega = zero_phase_butterworth(2, 0.3, 1.0), np.geomspace(0.01, np.pi, 100)
+    with warnings.catch_warnings(action="ignore"):
+        law = synthesise(
+            1.2 * response([[plant]], omega), Q, omega, Ts=1.0, M_max=0.95
+        ).law()
     r = 3 * np.sin(np.pi * np.minimum(np.arange(N) / (0.8 * N), 1)) ** 2
     disturbance, v = coloured(rng, N, 0.3), np.zeros((N, 1))
     w, y = np.zeros((2, trials, N))
@@ -249,11 +255,14 @@ KINDS = {
     "learning": learned,
     "learning, 2 trials": partial(learned, trials=2),
     "learning, starts differ": partial(learned, start=0.3),
+    "learning, delay of 30": partial(learned, delay=30, N=200),
     "the same step twice": two_logs,
     "four modes": flexible,
     "two channels, resonance": two_resonances,
     "feedback, coloured noise": feedback,
     "slow, 10,000 samples": oversampled,
+    "a long delay, noise": partial(noisy, make=late, N=2000),
+    "a long delay, steps": partial(open_loop, make=late, N=2000),
     "three lengths": of_three_lengths,
     "three trials saturate": saturating,
     "quadratic": quadratic,
@@ -265,6 +274,77 @@ def response(plants, omega):
     """Of plants as numerators and denominators of 1/z, (n, m, m)."""
     rows = [[freqz(b, a, omega)[1] for b, a in row] for row in plants]
     return np.moveaxis(np.array(rows), 2, 0)
+
+
+ORDERS = np.array([1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 40])  # of an ARX by least squares
+
+
+def signals_of(logs, of=None):
+    """Of each trial the input and the output, (time, channel), less their first samples."""
+    for log in logs if isinstance(logs, list) else [logs]:
+        commands = of == "u" or "reference" not in log
+        u = log.u if commands else log.reference + log.v
+        for x, y in zip(u.values, log.y.values, strict=True):
+            yield x - x[0], y - y[0]
+
+
+def lagged(signal, order, first):
+    """Columns of a signal (time,) delayed by `first` to `order` samples, (time, delay)."""
+    N = len(signal)
+    return np.array([signal[order - k : N - k] for k in range(first, order + 1)]).T
+
+
+def least_squares(logs, of=None, draws=200):
+    """ARX of each output by least squares, the order by AIC; draws of its coefficients."""
+    trials = list(signals_of(logs, of))
+    m, rng, rows = trials[0][0].shape[1], np.random.default_rng(0), []
+    shortest = min(len(y) for _, y in trials)
+    for i in range(trials[0][1].shape[1]):
+        best = np.inf
+        for order in ORDERS[
+            : np.searchsorted(ORDERS, shortest // (2 * m + 4), "right")
+        ]:
+            X = [
+                np.hstack([-lagged(y[:, i], order, 1), *(lagged(x, order, 0) for x in u.T),
+                           np.ones((len(y) - order, 1))])
+                for u, y in trials
+            ]  # fmt: skip
+            X, b = np.vstack(X), np.concatenate([y[order:, i] for _, y in trials])
+            U, sizes, V = np.linalg.svd(X, full_matrices=False)
+            kept = sizes > 1e-9 * sizes[0]
+            inverse = V[kept].T / sizes[kept]
+            c = inverse @ (U[:, kept].T @ b)
+            deviation = np.std(b - X @ c)
+            criterion = 2 * len(b) * np.log(deviation) + 2 * len(c)
+            if criterion < best:
+                best, chosen = criterion, (order, c, deviation * inverse)
+        order, c, root = chosen
+        errors = rng.standard_normal((draws, root.shape[1])) @ root.T
+        drawn = np.vstack([c, c + errors])
+        rows.append((order, drawn))
+    return rows, m
+
+
+def response_of(rows, m, omega):
+    """Of an ARX, the estimate and draws, (draw, n, output, input)."""
+    P = []
+    for order, c in rows:
+        waves = np.exp(-1j * np.outer(np.arange(order + 1), omega))
+        A = 1 + c[:, :order] @ waves[1:]
+        B = c[:, order:-1].reshape(len(c), m, order + 1) @ waves
+        P.append(np.moveaxis(B / A[:, None], 1, 2))
+    return np.stack(P, axis=2)
+
+
+def baseline(logs, of, omega, known, truth):
+    """Of the least squares: whether the truth is in its joint 99 % region, its median radius."""
+    P, *drawn = response_of(*least_squares(logs, of), omega)
+    norms = np.linalg.norm(np.array(drawn) - P, 2, axis=(2, 3))
+    radius = np.quantile(norms, 0.95, axis=0)
+    region = radius * np.quantile((norms / radius).max(axis=1), 0.99)
+    return np.all(np.linalg.norm(P - truth, 2, axis=(1, 2)) <= region), np.median(
+        radius[known]
+    )
 
 
 RESONANT = ("resonance, noise", "four modes", "two channels, resonance")
@@ -287,7 +367,7 @@ def designed(P, plants):
 
 def counted(kind, records):
     """The row of the table for a kind of record."""
-    inside, known, radii, seconds, feasible, kept = [], [], [], [], [], []
+    inside, known, radii, seconds, feasible, kept, others = [], [], [], [], [], [], []
     refused = warned = silent = 0
     for seed in range(records):
         log, plants, *of = KINDS[kind](np.random.default_rng([seed, len(kind)]))
@@ -309,6 +389,8 @@ def counted(kind, records):
         radii.append(np.median(radius[P.known]) / largest)
         warned += bool(P.findings)
         silent += not (within[1] or P.findings)
+        held, wide = baseline(log, *(of or [None]), P.omega, P.known, truth)
+        others.append([held, wide / largest])
         if kind in RESONANT:
             one, gamma = designed(P, plants)
             feasible.append(one)
@@ -320,13 +402,16 @@ def counted(kind, records):
         f"{np.median(seconds):.2g}",
     ]
     counts = [f"{count}" for count in (refused, warned, silent)]
+    held, wide = np.transpose(others)
+    arx = [f"{held.mean():.0%}", f"{np.median(wide):.2g}"]
     filters = f"{sum(feasible)}, {sum(kept)}" if feasible else ""
-    return [kind, f"{records}", *shares, *numbers, *counts, filters]
+    return [kind, f"{records}", *shares, *numbers, *counts, *arx, filters]
 
 
 TITLES = [
     "record", "records", "each, 95 %", "all, 90 %", "all, 99 %", "known", "radius", "CPU (s)",
-    "refused", "warned", "missed in silence", "filters: feasible, keep 0.9",
+    "refused", "warned", "missed in silence", "least squares: all, 99 %", "radius",
+    "filters: feasible, keep 0.9",
 ]  # fmt: skip
 
 

@@ -56,6 +56,33 @@ def test_the_menu_has_titles(pages):
     assert {f"{name}.html" for name in names} <= {*menu}
 
 
+def test_no_id_stands_twice_and_the_ledger_leads_to_cells(pages):
+    ids = {}
+    for path in pages.rglob("*.html"):
+        page = BeautifulSoup(path.read_text("utf-8"), "html.parser")
+        found = [thing["id"] for thing in page.select("[id]")]
+        assert len({*found}) == len(found), path
+        ids[path.resolve()] = {*found}
+    ledger = pages / "figures" / "ledger.html"
+    links = BeautifulSoup(ledger.read_text("utf-8"), "html.parser").select("a[href]")
+    targets = [link["href"].split("#") for link in links if "#cell-id" in link["href"]]
+    assert len(targets) > 300
+    for page, cell in targets:
+        assert cell in ids[(ledger.parent / page).resolve()]
+
+
+@pytest.mark.parametrize("width", [400, 800])
+def test_the_menus_open_where_they_are_folded(browser, pages, width):
+    page = browser.new_page(viewport={"width": width, "height": 800})
+    page.goto((pages / "docs" / "reference.html").as_uri())
+    for side in ("primary", "secondary"):
+        page.locator(f"button.{side}-toggle:visible").click()
+        page.locator(f"#pst-{side}-sidebar-modal a").first.wait_for()
+        page.keyboard.press("Escape")
+        page.locator(f"#pst-{side}-sidebar-modal").wait_for(state="hidden")
+    page.close()
+
+
 SEEN = """() => ({
     width: document.documentElement.scrollWidth,
     formulas: document.querySelectorAll("mjx-container").length,

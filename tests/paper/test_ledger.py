@@ -1,6 +1,9 @@
 import re
+import sys
+from types import SimpleNamespace
 
 import matplotlib.image
+import nbformat
 import numpy as np
 import pandas as pd
 import pytest
@@ -19,6 +22,7 @@ from rodlib.paper.ledger import (
     verdict,
 )
 from rodlib.paper.published import Claim
+from rodlib.paper.repository import ROOT
 
 
 def claim(printed="0.1011", criterion=""):
@@ -63,6 +67,23 @@ def test_a_sentence_of_ours_is_no_criterion(monkeypatch):
     row = book.rows["key"]
     assert (row["verdict"], row["computed"]) == (IN_WORDS, "holds up to 0.00845 rad/s")
     assert (row["deviation"], row["note"]) == ("", "")
+
+
+def test_a_row_has_the_cell_that_recorded_it(monkeypatch, tmp_path):
+    """Counted as a notebook counts, so that a row of an injected cell more is not lost."""
+    monkeypatch.setenv("RODLIB_RESULTS", str(tmp_path))
+    tracked = nbformat.read(ROOT / "notebooks" / "01-model.ipynb", 4)
+    ids = [cell.id for cell in tracked.cells if cell.cell_type == "code"]
+    for run, expected in ((0, ""), (3, ids[2]), (len(ids) + 1, "")):
+        shell = SimpleNamespace(user_ns={"In": [""] * (run + 1)})
+        IPython = SimpleNamespace(get_ipython=lambda shell=shell: shell)
+        monkeypatch.setitem(sys.modules, "IPython", IPython)
+        book = Ledger("01-model")
+        book.record("length", 0.32)
+        book.save()
+        path = tmp_path / "ledger" / "01-model.csv"
+        rows = pd.read_csv(path, dtype=str, keep_default_na=False)
+        assert rows.cell.tolist() == [expected]
 
 
 def test_only_what_could_have_differed_is_counted():

@@ -6,7 +6,7 @@ import numpy as np
 from rodlib.ilc import arguments
 from rodlib.ilc.alternatives.two_sided import TwoSidedFilter
 from rodlib.ilc.filters import zero_phase_butterworth
-from rodlib.ilc.models import frequency_response
+from rodlib.ilc.models import frequency_response, sampled_plant
 
 
 def stable_inversion(
@@ -114,11 +114,7 @@ def outer_zeros(P: control.StateSpace) -> np.ndarray:
 
 def square(P: control.StateSpace) -> tuple[int, float]:
     """Number of channels and sampling period (s) of a model that L can be designed for."""
-    arguments.state_space("P", P)
-    if P.ninputs != P.noutputs or not P.isdtime(strict=True) or P.dt is True:
-        raise ValueError(
-            f"P has {P.ninputs} inputs, {P.noutputs} outputs and P.dt = {P.dt!r}: it must have as "
-            "many of each, and a sampling period in seconds"
-        )
+    sampled_plant(arguments.state_space("P", P), "P")
+    arguments.square("P", P.ninputs, P.noutputs)
     arguments.stable("P", P.poles())
     return P.noutputs, float(P.dt)

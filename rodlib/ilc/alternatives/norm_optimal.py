@@ -30,11 +30,27 @@ class NormOptimal:
     samples : int
         Length N of a trial.
 
+    See Also
+    --------
+    Law : what takes it as L
+    synthesise : a filter with bounds instead
+
     Notes
     -----
     The inverse is never formed. With x for the states of P and lambda for the multipliers of
     x(p) = A x(p-1) + B change(p-1), the conditions of optimality couple neighbouring samples alone:
     a sparse matrix, block tridiagonal and the same in each row, factored once.
+
+    Examples
+    --------
+    >>> import control
+    >>> import numpy as np
+    >>> from rodlib import Law, NormOptimal, zero_phase_butterworth
+    >>> P = control.ss(0.5, 0.5, 1, 0, 1.0)
+    >>> L = NormOptimal(P, weight=0.01, samples=50)
+    >>> law = Law(zero_phase_butterworth(cutoff=1.0), L)
+    >>> law.next(np.zeros((50, 1)), np.ones((50, 1))).shape
+    (50, 1)
     """
 
     P: control.StateSpace

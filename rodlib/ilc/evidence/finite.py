@@ -39,6 +39,20 @@ def trial_operators(
         On signals of shape (samples, m), raveled. P_N is a lower triangular block Toeplitz
         matrix. Q_N and L_N are block Toeplitz if `ends` is "zero"; where an end is held, what the
         matrix would do to the samples beyond it is added to its first or last block column.
+
+    See Also
+    --------
+    trial_map : what a trial makes of v
+
+    Examples
+    --------
+    >>> import control
+    >>> import numpy as np
+    >>> from rodlib import LearningFilter, trial_operators, zero_phase_butterworth
+    >>> P, L = control.ss(0.5, 0.5, 1, 0, 1.0), LearningFilter([[[0.8]]], Ts=1.0)
+    >>> P_N, Q_N, L_N = trial_operators(P, zero_phase_butterworth(), L, samples=4)
+    >>> (P_N @ np.ones(4))[1:].round(3)
+    array([0.5  , 0.75 , 0.875])
     """
     P = sampled_plant(P, "P")
     arguments.instance("Q", Q, ZeroPhaseButterworth)
@@ -102,6 +116,19 @@ def trial_map(
     maps the exponentials z^p of its zeros z outside the unit circle, which live at the end of
     the trial, to next to nothing; Q_N then moves them to where they show. So M = P Q (P^-1 - L)
     of (35) does not carry over, and Q_N (I - P_N L_N) is not the operator of any trial.
+
+    See Also
+    --------
+    trial_norm : its largest gain
+    trial_operators : what it is made of
+
+    Examples
+    --------
+    >>> import control
+    >>> from rodlib import LearningFilter, trial_map, zero_phase_butterworth
+    >>> P, L = control.ss(0.5, 0.5, 1, 0, 1.0), LearningFilter([[[0.8]]], Ts=1.0)
+    >>> trial_map(P, zero_phase_butterworth(), L, samples=100).shape
+    (100, 100)
     """
     P_N, Q_N, L_N = trial_operators(P, Q, L, samples)
     rest = arguments.whole("rest", rest, 0, samples - 1)
@@ -137,6 +164,20 @@ def trial_norm(
         converge; short trials have an SVD.
     before, after : ndarray, shape (samples, m)
         The unit v_k - v_inf that is amplified most, and what becomes of it.
+
+    See Also
+    --------
+    trial_map : the map itself
+    rate : the same of trials without ends
+
+    Examples
+    --------
+    >>> import control
+    >>> from rodlib import LearningFilter, trial_norm, zero_phase_butterworth
+    >>> P, L = control.ss(0.5, 0.5, 1, 0, 1.0), LearningFilter([[[0.8]]], Ts=1.0)
+    >>> norm, worst, image = trial_norm(P, zero_phase_butterworth(), L, samples=100)
+    >>> round(float(norm), 3), worst.shape
+    (0.21, (100, 1))
     """
     trials = arguments.whole("trials", trials, 1)
     T = trial_map(P, Q, L, samples, rest) ** trials

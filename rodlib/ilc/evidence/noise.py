@@ -108,6 +108,20 @@ def trial_noise(
         Likewise, for ``loop.disturbances``. Default zero.
     plant : control.StateSpace or control.TransferFunction, optional
         Another plant in the place of that of the design, as in :meth:`CurrentTrialLoop.around`.
+
+    See Also
+    --------
+    converged_noise : when all is learned
+    noise_on_trial : on a trial with two ends
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from rodlib import paper_loop, trial_noise
+    >>> omega = np.geomspace(1e-4, np.pi, 200)
+    >>> noise = trial_noise(paper_loop(), omega, sensor_psd=0.02**2)
+    >>> bool(noise.measured.total >= 0.02)
+    True
     """
     _check_controller(loop)
     omega = arguments.increasing_frequencies("omega", omega, loop.Ts)
@@ -149,6 +163,22 @@ def converged_noise(new: TrialNoise, law: Law) -> TrialNoise:
     ------
     ValueError
         If the trials do not converge at some frequency.
+
+    See Also
+    --------
+    trial_noise : before anything is learned
+    noise_on_trial : on a trial with two ends
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from rodlib import converged_noise, paper_choices, paper_loop, synthesise, trial_noise
+    >>> from rodlib import zero_phase_butterworth
+    >>> loop, omega = paper_loop(), np.geomspace(1e-4, np.pi, 200)
+    >>> law = synthesise(loop, zero_phase_butterworth(), **paper_choices()).law()
+    >>> noise = trial_noise(loop, omega, sensor_psd=0.02**2)
+    >>> bool(converged_noise(noise, law).learned.total > 0)
+    True
     """
     arguments.instance("new", new, TrialNoise)
     arguments.instance("law", law, Law)
@@ -245,6 +275,10 @@ def noise_on_trial(
         both, of what learning has made of earlier trials. :func:`rodlib.ilc.rms` of one of
         them is that of the trial.
 
+    See Also
+    --------
+    converged_noise : the same on trials without ends
+
     Notes
     -----
     Long trials are cut short in the middle: the first half of a short trial is the start of the
@@ -253,6 +287,15 @@ def noise_on_trial(
     up to where Q falls below a thousandth. Both change the RMS of the paper's trial by less than
     a ten-thousandth. Next to an end it may be half a percent in a sample, if the loop is fast or
     the filters hold their ends. A trial of up to 200 samples is exact to rounding.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from rodlib import Law, LearningFilter, noise_on_trial, paper_loop, zero_phase_butterworth
+    >>> law = Law(zero_phase_butterworth(), LearningFilter(0.1 * np.eye(2)[:, :, None], 1.0))
+    >>> noise = noise_on_trial(paper_loop(), law, samples=100, sensor_variance=0.02**2)
+    >>> noise.sizes["time"]
+    100
     """
     _check_controller(loop)
     law, m = arguments.instance("law", law, Law).bound_to(loop), len(loop.outputs)

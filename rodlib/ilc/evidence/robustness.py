@@ -40,6 +40,11 @@ def worst_case(problem: Problem, L: LearningFilter) -> WorstCase:
     L : LearningFilter
         In units of `scale`.
 
+    See Also
+    --------
+    synthesise : bounds for all of them
+    Synthesis.check : for one plant
+
     Notes
     -----
     For a radius r, and rho = |Q| r, the worst case is exactly
@@ -51,6 +56,18 @@ def worst_case(problem: Problem, L: LearningFilter) -> WorstCase:
     For each alpha the right-hand side is an upper bound, by Cauchy and Schwarz; it is convex in
     alpha, and at the least of them an x exists that attains it, because the pairs
     (|M x|^2, |L x|^2) fill a convex set (Toeplitz and Hausdorff).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from rodlib import paper_loop, synthesise, worst_case, zero_phase_butterworth
+    >>> omega, loop = np.geomspace(1e-3, np.pi, 60), paper_loop()
+    >>> radius = 0.05 * np.linalg.norm(loop.frequency_response(omega), 2, axis=(1, 2))
+    >>> Q = zero_phase_butterworth()
+    >>> design = synthesise(loop, Q, omega, order=10, uncertainty=radius)
+    >>> worst = worst_case(design.problem, design.filter)
+    >>> bool(worst.sigma.max() <= 0.9 * (1 + 1e-6))
+    True
     """
     arguments.instance("problem", problem, Problem)
     check_learning(L, problem.channels)

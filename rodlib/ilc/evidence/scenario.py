@@ -47,6 +47,22 @@ def support(solution: Solution) -> np.ndarray:
     They have a multiplier that is not negligible. Without the others the design stays what it is.
     Where bounds meet that could stand in for one another, fewer may do; counting too many makes
     the bound of :func:`violation_probability` larger, and it still holds.
+
+    See Also
+    --------
+    violation_probability : what follows from their number
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from rodlib import Spread, draw, paper_loop, responses, synthesise
+    >>> from rodlib import support, zero_phase_butterworth
+    >>> loop, omega = paper_loop(), np.geomspace(1e-3, np.pi, 60)
+    >>> rods = [draw(Spread.of_all(0.1), number) for number in range(20)]
+    >>> P = [loop.frequency_response(omega), *responses(loop, rods, omega)]
+    >>> design = synthesise(P, zero_phase_butterworth(), omega, order=10)
+    >>> len(support(design.solution)) < 20
+    True
     """
     cuts = arguments.instance("solution", solution, Solution).cuts
     if cuts is None:
@@ -73,6 +89,22 @@ def violation_probability(design, beta: float = 1e-6) -> float:
     float
         Bound on the probability that sigma_max(M) of the new plant exceeds, at a design frequency,
         the largest that the certificate says.
+
+    See Also
+    --------
+    support : the plants that count
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from rodlib import Spread, draw, paper_loop, responses, synthesise
+    >>> from rodlib import violation_probability, zero_phase_butterworth
+    >>> loop, omega = paper_loop(), np.geomspace(1e-3, np.pi, 60)
+    >>> rods = [draw(Spread.of_all(0.1), number) for number in range(20)]
+    >>> P = [loop.frequency_response(omega), *responses(loop, rods, omega)]
+    >>> design = synthesise(P, zero_phase_butterworth(), omega, order=10)
+    >>> 0 < violation_probability(design) < 1
+    True
     """
     solution = getattr(design, "solution", None)
     arguments.instance("design.solution", solution, Solution)

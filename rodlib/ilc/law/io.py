@@ -18,6 +18,8 @@ FORMAT = "rodlib law 1"  # of the file
 DEFAULTS = {"rest": 0, "step": 1.0, "actuators": {}}  # step: the learning gain
 KEYS = ("Q", "L", *DEFAULTS)
 BEGUN = "begun"  # the note that says that v of trial 1 was given
+RESET = "reset"  # the note that says that there was none between trials, NO_RESET
+NO_RESET = "none: a trial starts where the last one ended"
 
 
 def law_notes(law: Law) -> dict:
@@ -56,6 +58,31 @@ def law_of(trials: xr.Dataset) -> Law | None:
 
     None if Q or L are not noted; a LogError if the notes cannot be understood, or are those of
     other signals.
+
+    See Also
+    --------
+    load_law : the law of a file of its own
+    replay : what it makes of the log
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from rodlib import ClosedLoop, Law, LearningFilter, law_of, record, zero_phase_butterworth
+    >>> class Axis:  # simulated; yours talks to the drive
+    ...     x = 0.0
+    ...     def begin(self, trial):
+    ...         self.x = 0.0
+    ...     def read(self):
+    ...         return [self.x]
+    ...     def apply(self, w):
+    ...         self.x += 0.2 * (w[0] - self.x)
+    ...
+    >>> loop = ClosedLoop(Ts=0.01, outputs=["x"], units={"x": "mm"})
+    >>> Q = zero_phase_butterworth(cutoff=60.0, Ts=loop.Ts)
+    >>> law = Law(Q, LearningFilter([[[0.9]]], loop.Ts), rest=3)
+    >>> run = record(Axis(), loop, law, np.ones((50, 1)), trials=1)
+    >>> law_of(run).rest
+    3
     """
 
     arguments.instance("trials", trials, xr.Dataset)
@@ -88,11 +115,25 @@ def save_law(path, law: Law, note: str = "") -> None:
     path : path-like
         JSON: ``format``, ``Ts`` (s), ``Q`` (order, cutoff in rad/s, ends), ``L`` (coefficients of
         shape (m, m, order), ends), if they are not the defaults ``rest``, ``step`` (the learning
-        gain) and ``actuators`` (the limits), and ``note``.
+        gain) and ``actuators`` (the limits), ``note``; and, for other languages, ``sections``,
+        the second-order sections b0, b1, b2, 1, a1, a2 of the forward half of Q: docs/law.c.
     law : Law
         L must be a LearningFilter. The loop is not written.
     note : str
         What made it, for those who read the file.
+
+    See Also
+    --------
+    load_law : to read it
+    law_of : the law of a log
+
+    Examples
+    --------
+    >>> from rodlib import Law, LearningFilter, load_law, save_law, zero_phase_butterworth
+    >>> law = Law(zero_phase_butterworth(), LearningFilter([[[0.5]]], Ts=1.0))
+    >>> save_law("law.json", law, note="tried on Monday")
+    >>> load_law("law.json").L.coefficients
+    array([[[0.5]]])
     """
     path = arguments.path("path", path)
     arguments.instance("L", arguments.instance("law", law, Law).L, LearningFilter)
@@ -105,11 +146,26 @@ def save_law(path, law: Law, note: str = "") -> None:
                 f"path = {str(path)!r} is a file that is no law: choose another name, or remove it"
             ) from None
     content = {"format": FORMAT, "Ts": law.Ts, **law_notes(law), "note": note}
+    content["sections"] = law.Q.sections.tolist()
     write_whole(path, json.dumps(content, ensure_ascii=False, indent=1) + "\n")
 
 
 def load_law(path) -> Law:
-    """Read a law of :func:`save_law`, as in ``record(rig, loop, load_law(path), reference)``."""
+    """Read a law of :func:`save_law`, as in ``record(rig, loop, load_law(path), reference)``.
+
+    See Also
+    --------
+    save_law : to write it
+    law_of : the law of a log
+
+    Examples
+    --------
+    >>> from rodlib import Law, LearningFilter, load_law, save_law, zero_phase_butterworth
+    >>> save_law("law.json", Law(zero_phase_butterworth(), LearningFilter([[[0.5]]], 1.0)))
+    >>> law = load_law("law.json")
+    >>> law.Q.cutoff, law.Ts
+    (0.1, 1.0)
+    """
     path = arguments.path("path", path)
     if not path.is_file():
         raise ValueError(

@@ -8,7 +8,14 @@ import numpy as np
 
 from rodlib.ilc import arguments
 from rodlib.ilc.filters import LearningOperator, ZeroPhaseButterworth, check_Q
-from rodlib.ilc.law.limits import WEIGHT, Actuators, named_limits, nearest, realised
+from rodlib.ilc.law.limits import (
+    WEIGHT,
+    Actuators,
+    check_solver,
+    named_limits,
+    nearest,
+    realised,
+)
 from rodlib.ilc.loop.closed import ClosedLoop, Loop
 from rodlib.ilc.loop.notes import loop_note
 from rodlib.ilc.signals import check_match
@@ -40,6 +47,23 @@ class Law:
     loop : CurrentTrialLoop or ClosedLoop, optional
         The loop that the law is for. :func:`rodlib.run_trials` and :func:`rodlib.record` bind a law
         without one to theirs, and refuse a law for another.
+
+    See Also
+    --------
+    synthesise : its L
+    run_trials : simulated trials
+    record : trials on a rig
+    save_law : to a file
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from rodlib import Law, LearningFilter, zero_phase_butterworth
+    >>> Q, L = zero_phase_butterworth(), LearningFilter([[[0.5]]], Ts=1.0)
+    >>> law = Law(Q, L, rest=5)
+    >>> v, e = np.zeros((100, 1)), np.ones((100, 1))
+    >>> law.next(v, e)[[50, -1]].round(3).ravel().tolist()
+    [0.514, 0.0]
     """
 
     Q: ZeroPhaseButterworth
@@ -88,6 +112,8 @@ class Law:
             return None
         if self.loop is None:
             raise ValueError("limits need the law's loop: law.bound_to(loop)")
+        if self.L is not None:
+            check_solver(self.loop)
         return Actuators.of(self.limits, self.loop)
 
     def bound_to(self, loop: Loop) -> "Law":

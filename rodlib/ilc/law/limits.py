@@ -9,12 +9,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import piqp
 from scipy import sparse
 
 from rodlib.ilc import arguments
 from rodlib.ilc.loop.closed import ClosedLoop, Loop
 from rodlib.ilc.models import state_sequence
+
+try:
+    import piqp
+except ImportError:  # which not every platform has
+    piqp = None
 
 ROUNDING = 1e-6  # of the width of the limits: no more than a solver rounds
 REGULAR = 1e-8  # of PIQP's systems: with its own 1e-10 rounding may keep it from an end
@@ -70,9 +74,9 @@ class Actuators:
         width = self.highest - self.lowest
         return ROUNDING * np.where(np.isfinite(width), width, 1.0)
 
-    def can(self, commands, share: float = ROUNDING) -> bool:
+    def can(self, commands, share: float = ROUNDING, before=None) -> bool:
         """Whether commands (..., time, m) are applied as they are, to a share of the width."""
-        change = np.abs(self.follow(commands) - commands)
+        change = np.abs(self.follow(commands, before) - commands)
         return bool(np.all(change <= share / ROUNDING * self.rounding))
 
     def next(self, command, before=None) -> np.ndarray:
@@ -83,11 +87,11 @@ class Actuators:
             high = np.minimum(high, before + self.step)
         return np.minimum(np.maximum(command, low), high)
 
-    def follow(self, commands) -> np.ndarray:
-        """What is applied of the commands of a trial, shape (..., time, m)."""
+    def follow(self, commands, before=None) -> np.ndarray:
+        """What is applied of commands in succession, shape (..., time, m)."""
         if np.all(np.isinf(self.step)):
             return self.next(commands)
-        applied, before = np.empty_like(commands), None
+        applied = np.empty_like(commands)
         for p in range(commands.shape[-2]):
             applied[..., p, :] = before = self.next(commands[..., p, :], before)
         return applied
@@ -105,6 +109,15 @@ def commands_beyond(
             words.append(f"{name} in {share:.1%}")
     words = ", ".join(words)
     return words and f"commands were beyond the limits of {words} of all samples"
+
+
+def check_solver(loop: Loop) -> None:
+    """Refuse to learn within limits, before any trial, where there is no solver for it."""
+    if loop.P is not None and piqp is None:
+        raise ImportError(
+            "limits of a law need the package piqp: install it, by pip install piqp, or leave the "
+            "limits out, Law(..., limits={})"
+        )
 
 
 def realised(loop: Loop, v, u, applied) -> np.ndarray:

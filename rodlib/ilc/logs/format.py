@@ -2,7 +2,8 @@
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
 
 import numpy as np
 import xarray as xr
@@ -53,6 +54,21 @@ def save_log(trials: xr.Dataset, path) -> None:
     ------
     ValueError
         If a signal, a coordinate or an attribute is not what :func:`load_log` would give back.
+
+    See Also
+    --------
+    load_log : to read it
+    record : what writes one itself, by `path`
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from rodlib import Law, load_log, paper_loop, run_trials, save_log, zero_phase_butterworth
+    >>> law = Law(zero_phase_butterworth(), None)
+    >>> trials = run_trials(paper_loop(), law, np.ones((100, 2)), trials=2)
+    >>> save_log(trials, "log.csv")
+    >>> dict(load_log("log.csv").sizes)
+    {'trial': 2, 'time': 100, 'channel': 2, 'source': 3}
     """
     path = arguments.path("path", path)
     arguments.instance("trials", trials, xr.Dataset)
@@ -71,7 +87,7 @@ def save_log(trials: xr.Dataset, path) -> None:
         if not np.isfinite(values).all():
             raise ValueError(f"trials have values that are not finite in {title!r}")
     head = "".join(f"# {key}: {value}\n" for key, value in metadata.items())
-    write_pieces(path, [head.encode(), text_of(columns)])
+    write_pieces(path, chain([head.encode()], lines_of(columns)))
 
 
 def signals_of(trials: xr.Dataset, *needed: str) -> dict[str, dict[str, str]]:
@@ -123,15 +139,13 @@ def titles_of(signals: Mapping, header: Sequence[str]) -> dict[str, str]:
     }
 
 
-def text_of(columns: Mapping[str, np.ndarray]) -> bytes:
-    """Comma-separated text, each number with the fewest digits that give it back exactly."""
-    import pyarrow  # here, because it takes long to import
-    from pyarrow import csv
-
-    titles = ",".join(_quoted(title) for title in columns) + "\n"
-    rows = pyarrow.BufferOutputStream()
-    csv.write_csv(pyarrow.table(columns), rows, csv.WriteOptions(include_header=False))
-    return titles.encode() + rows.getvalue().to_pybytes()
+def lines_of(columns: Mapping[str, np.ndarray]) -> Iterator[bytes]:
+    """Comma-separated lines, each number with the fewest digits that give it back exactly."""
+    yield ",".join(_quoted(title) for title in columns).encode()
+    texts = [map(repr, values.tolist()) for values in columns.values()]
+    for row in zip(*texts, strict=True):
+        yield f"\n{','.join(row)}".encode()
+    yield b"\n"
 
 
 def _quoted(title):

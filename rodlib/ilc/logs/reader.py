@@ -47,6 +47,22 @@ def load_log(path, resample: bool = False) -> xr.Dataset:
     ------
     LogError
         The first thing that is wrong, with its row or metadata.
+
+    See Also
+    --------
+    save_log : to write it
+    read_table : of other programs
+    replay : what it says of the law
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from rodlib import Law, load_log, paper_loop, run_trials, save_log, zero_phase_butterworth
+    >>> law = Law(zero_phase_butterworth(), None)
+    >>> save_log(run_trials(paper_loop(), law, np.ones((100, 2)), trials=2), "log.csv")
+    >>> log = load_log("log.csv")
+    >>> log.attrs["Ts"], log.y.dims
+    (1.0, ('trial', 'time', 'channel'))
     """
     path = arguments.path("path", path)
     resample = arguments.flag("resample", resample)

@@ -18,17 +18,19 @@ import xarray as xr
 
 from rodlib.ilc import arguments
 from rodlib.ilc.files import write_whole
-from rodlib.ilc.law.io import BEGUN, law_of
+from rodlib.ilc.law.io import BEGUN, RESET, law_of
 from rodlib.ilc.law.law import Law
+from rodlib.ilc.law.limits import realised
+from rodlib.ilc.law.repetitive import next_samples, repeated
 from rodlib.ilc.logs.format import signals_of
 from rodlib.ilc.loop.closed import ClosedLoop, Loop
 from rodlib.ilc.loop.notes import loop_of
-from rodlib.ilc.models import state_sequence
 from rodlib.ilc.trials.diagnosis import (
     commands,
     diagnose,
     error_by_octave,
     histories,
+    outputs_of,
     settled,
 )
 from rodlib.ilc.trials.run import rms, run_trials
@@ -118,6 +120,7 @@ class Replay:
                 disturbance,
                 trials=len(self.numbers),
                 v=self.trials.v.values[0] if BEGUN in self.trials.attrs else None,
+                reset=self.resets,
             )
 
     @cached_property
@@ -132,9 +135,7 @@ class Replay:
             inputs = np.append(self.commands["applied"], self.disturbance, axis=2)
         else:
             return None
-        rest = np.zeros(model.nstates)
-        x = np.stack([state_sequence(model.A, i @ model.B.T, rest) for i in inputs])
-        return x @ model.C.T + inputs @ model.D.T
+        return outputs_of(model, inputs, self.trials)
 
     @cached_property
     def commands(self) -> dict[str, np.ndarray]:
@@ -158,10 +159,14 @@ class Replay:
             return None
         v, zero_at_first = self.trials.v.values, BEGUN not in self.trials.attrs
         expected = np.full_like(v, np.nan)
+        if not self.resets and self.complete and self.law.L is not None:
+            samples = v.shape[1]
+            later = repeated(self.law, *self._applied, samples, samples, v[..., 0].size)
+            expected[1:] = later.reshape(expected[1:].shape)
         for k, number in enumerate(self.numbers):
             if zero_at_first and (number == 1 or self.law.L is None):
                 expected[k] = 0
-            elif k and self.numbers[k - 1] == number - 1:
+            elif self.resets and k and self.numbers[k - 1] == number - 1:
                 expected[k] = self._v_after(k - 1)
         return self._by_trial(np.abs(v - expected).max(axis=1))
 
@@ -171,8 +176,29 @@ class Replay:
 
     @property
     def following(self) -> np.ndarray | None:
-        """The v to apply in the trial after the last one, shape (time, m)."""
-        return None if self.law is None else self._v_after(-1)
+        """The v to apply in the trial after the last one, shape (time, m).
+
+        Without reset, of its first samples, as far as it follows from the trials.
+        """
+        if self.law is None:
+            return None
+        if self.resets:
+            return self._v_after(-1)
+        return next_samples(self.law, *self._applied, self.trials.v.values[-1])
+
+    @property
+    def resets(self) -> bool:
+        """Whether every trial starts from the same state."""
+        return RESET not in self.trials.attrs
+
+    @property
+    def _applied(self):
+        """v as far as it was applied, and e, (time, m), of all trials as one."""
+        v, e = (np.concatenate(self.trials[name].values) for name in "ve")
+        if not self.law.limits:
+            return v, e
+        commands = {name: np.concatenate(c) for name, c in self.commands.items()}
+        return realised(self.loop, v, **commands), e
 
     def _v_after(self, k):
         """The v that follows trial `k` of the log by the law."""
@@ -330,7 +356,7 @@ class Replay:
             f"# ILC signal v of trial {self.numbers[-1] + 1}, to be added to the reference\n"
             f"# units: {json.dumps({'time': 's'} | units, ensure_ascii=False)}\n"
         )
-        time = pd.Index(self.trials.time.values, name="time")
+        time = pd.Index(self.trials.time.values[: len(self.following)], name="time")
         table = pd.DataFrame(self.following, time, titles)
         write_whole(path, head + table.to_csv(quoting=csv.QUOTE_NONNUMERIC))
 
@@ -362,6 +388,31 @@ def replay(trials: xr.Dataset, unmeasured: Sequence[str] = ()) -> Replay:
     -----
     UserWarning
         If the trials do not converge as predicted, see :mod:`rodlib.ilc.trials.diagnosis`.
+
+    See Also
+    --------
+    load_log : a log
+    run_trials : trials that are only simulated
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from rodlib import ClosedLoop, Law, LearningFilter, record, replay, zero_phase_butterworth
+    >>> class Axis:  # simulated; yours talks to the drive
+    ...     x = 0.0
+    ...     def begin(self, trial):
+    ...         self.x = 0.0
+    ...     def read(self):
+    ...         return [self.x]
+    ...     def apply(self, w):
+    ...         self.x += 0.2 * (w[0] - self.x)
+    ...
+    >>> loop = ClosedLoop(Ts=0.01, outputs=["x"], units={"x": "mm"})
+    >>> Q = zero_phase_butterworth(cutoff=60.0, Ts=loop.Ts)
+    >>> law = Law(Q, LearningFilter([[[0.9]]], loop.Ts))
+    >>> run = record(Axis(), loop, law, np.sin(np.arange(200) * np.pi / 200) ** 2, trials=6)
+    >>> print(str(replay(run)).splitlines()[0])
+    6 trials of 200 samples, Ts = 0.01 s
     """
     arguments.instance("trials", trials, xr.Dataset)
     signals_of(trials, "reference", "v")  # which checks that it has all that a log has

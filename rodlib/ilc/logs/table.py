@@ -117,10 +117,25 @@ def read_table(
     UserWarning
         If the table was resampled.
 
+    See Also
+    --------
+    load_log : in the format of this package
+    measured_response : P from it
+
     Notes
     -----
     Clocks jitter. Each step may differ from `Ts` by a tenth of it, and their mean by a hundredth:
     the samples then count as `Ts` apart, and the attribute ``clock`` says how it ran.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> from rodlib import read_table
+    >>> columns = {"t (s)": [0.0, 0.5, 1.0], "heater (%)": [0, 50, 50], "T (K)": [0, 0, 1.2]}
+    >>> table = pd.DataFrame(columns)  # or the path of a file
+    >>> log = read_table(table, time="t", inputs={"Q": "heater"}, outputs={"T": "T"})
+    >>> log.attrs["Ts"], log.y.shape
+    (0.5, (1, 3, 1))
     """
     named = {
         "outputs": outputs,
@@ -197,8 +212,8 @@ def _columns(named):
     if not outputs or (inputs and len(inputs) != len(outputs)):
         raise ValueError(
             f"outputs = {reprlib.repr(outputs)} and inputs = {reprlib.repr(inputs)} must be as "
-            "many, one or more: name as outputs what the inputs control, one each; other signals "
-            "in measured, other inputs in disturbances"
+            "many, one or more: other inputs are disturbances, which are estimated along; other "
+            "outputs are measured, or the outputs of a second call"
         )
     return columns
 

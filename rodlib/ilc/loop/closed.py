@@ -190,11 +190,25 @@ class ClosedLoop:
         Names of what else the rig measures, or can be commanded.
     units : dict
         Unit of each of these, by name; "" if it is not said.
+
+    See Also
+    --------
+    current_trial_loop : a loop of ours around a plant
+    shake : how P can be measured
+
+    Examples
+    --------
+    >>> import control
+    >>> from rodlib import ClosedLoop
+    >>> P = control.sample_system(control.tf([400], [1, 20, 400]), 0.01)
+    >>> loop = ClosedLoop(P, outputs=["x"], units={"x": "mm"})
+    >>> loop.references, loop.frequency_response([1.0, 10.0]).shape
+    (['u[0]'], (2, 1, 1))
     """
 
     P: control.StateSpace | None = None
-    Ts: float | None = None
-    outputs: Sequence[str] | None = None
+    Ts: float = None  # of P; once the loop is made, a number, and the next are names
+    outputs: Sequence[str] = None
     controls: Sequence[str] = ()
     disturbances: Sequence[str] = ()
     units: dict[str, str] = field(default_factory=dict)

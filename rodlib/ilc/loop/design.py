@@ -64,10 +64,24 @@ def current_trial_loop(
         Weights of the estimation errors of states and outputs in (27). Default:
         diag(B S_u^2 B', 2 S_u^2) and S_y^2; without `sizes`, diag(I, 2I) and I as in the paper.
 
+    See Also
+    --------
+    ClosedLoop : a loop whose controller is not ours
+    paper_loop : that of the paper
+
     Notes
     -----
     The disturbance model (14) is integral action, A_d = C_d = I. The paper prints (28) and (29)
     with A and C; the dimensions need A_a and C_a of (15).
+
+    Examples
+    --------
+    >>> import control
+    >>> from rodlib import current_trial_loop
+    >>> oven = control.ss(0.9, 0.1, 1.0, 0.0, 1.0, inputs=["heater"], outputs=["T"])
+    >>> loop = current_trial_loop(oven, units={"T": "K", "heater": "W"})
+    >>> loop.controls, float(loop.P(1.0).real.round(6))  # at rest y follows w
+    (['heater'], 1.0)
     """
     plant = _checked(plant, controls)
     m = plant.noutputs

@@ -49,6 +49,23 @@ def estimated(
     UserWarning
         If the recorded delta shows that the observer was not at rest when a trial began, or that
         the trials are of another loop.
+
+    See Also
+    --------
+    combinations : what one can learn on
+
+    Examples
+    --------
+    >>> import control
+    >>> import numpy as np
+    >>> from rodlib import Law, current_trial_loop, estimated, run_trials, zero_phase_butterworth
+    >>> model = control.ss(
+    ...     [[0.9, 0.05], [0.05, 0.9]], [[0.1], [0.0]], np.eye(2), 0, 1.0, outputs=["T", "core"]
+    ... )
+    >>> loop = current_trial_loop(model[[0], :])
+    >>> trials = run_trials(loop, Law(zero_phase_butterworth(), None), np.ones((50, 1)), trials=1)
+    >>> estimated(trials, loop, model).estimate.values.tolist()
+    ['T', 'core']
     """
     arguments.instance("trials", trials, xr.Dataset)
     arguments.instance("loop", loop, CurrentTrialLoop)
@@ -124,6 +141,20 @@ def combinations(P: control.StateSpace, weights=None) -> tuple[np.ndarray, Close
         The combinations of a signal of shape (time, p) are ``signal @ T.T``.
     loop : ClosedLoop
         Its P is T P, which is I at rest; outputs c1, c2, ...
+
+    See Also
+    --------
+    estimated : outputs that are not measured
+    NormOptimal : where the reference moves
+
+    Examples
+    --------
+    >>> import control
+    >>> from rodlib import combinations
+    >>> P = control.ss(0.5, 0.5, [[1.0], [3.0]], 0, 1.0)  # one input, two sensors
+    >>> T, loop = combinations(P)
+    >>> T, float(loop.P(1.0).real.round(6))
+    (array([[0.1, 0.3]]), 1.0)
     """
     P = sampled_plant(P, "P")
     arguments.stable("P", P.poles())

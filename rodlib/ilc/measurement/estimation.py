@@ -13,6 +13,7 @@ import xarray as xr
 from scipy import ndimage
 
 from rodlib.ilc import arguments
+from rodlib.ilc.law.io import RESET
 from rodlib.ilc.loop.closed import ClosedLoop, Loop
 from rodlib.ilc.loop.notes import LogError, loop_of
 from rodlib.ilc.measurement.consistency import contradictions
@@ -28,18 +29,17 @@ SMOOTHED = 5.0  # lines, over which this is averaged
 INTERVALS = 2  # of frequencies, the longest, that are said to be identified
 MIDDLE = 0.8  # quantile of the errors at a line, to which they are relative
 TAIL = 10  # draws beyond which a quantile is extrapolated, as of a normal distribution
-LATE = 0.4  # of a response in the later half of the longest trial: it does not settle
-SURE = 12  # draws that all must say so
-STABLE = 0.1  # share of the draws, of which fewer say that it does not
+STABLE = 0.1  # share of the draws, of which fewer say that the plant is not
+SETTLED = 0.95  # the same, of which fewer leave it open
+LOOP = "learning presupposes a stable plant. Record longer, or in a closed loop"
 NAMED = 5  # contradictions at most that are said
 
 
 class Agreement(NamedTuple):
     """How well an estimate predicts another record."""
 
-    fit: (
-        np.ndarray
-    )  # (outputs,): 1 - RMS of the error of simulation / RMS of the output's moves
+    # 1 - RMS of the error of simulation / RMS of the output's moves, (outputs,)
+    fit: np.ndarray
     inside: float  # share of frequencies, identified in both, where the regions of both meet
 
 
@@ -53,9 +53,8 @@ class EstimatedResponse(Measured):
     omega: np.ndarray  # rad/s, shape (n,)
     fits: tuple[Regression, ...]  # of each output
     units: np.ndarray  # shape (outputs, inputs): of P, by which each fit is multiplied
-    known: (
-        np.ndarray
-    )  # shape (n,), bool: whether the data say more than what was assumed
+    # whether the data say more than what was assumed, shape (n,), bool
+    known: np.ndarray
     loop: Loop  # from whose w to y it is; a ClosedLoop without P, if the record names none
     of: str  # the input: "w" or "u"
     record: str  # what it was estimated from, in words
@@ -123,7 +122,7 @@ class EstimatedResponse(Measured):
         n = u.shape[1]
         g = self.units[..., None] * [fit.impulse(n)[: u.shape[2]] for fit in self.fits]
         size = 2 * n
-        U, G = np.fft.rfft(u - u[:, :1], size, axis=1), np.fft.rfft(g, size)
+        U, G = np.fft.rfft(u, size, axis=1), np.fft.rfft(g, size)
         simulated = np.fft.irfft(np.einsum("ijf,kfj->kfi", G, U), size, axis=1)[:, :n]
         line = np.linalg.qr(np.stack([np.ones(n), np.arange(n)], axis=1))[0]
         off, moved = (x - line @ (line.T @ x) for x in (y - simulated, y))
@@ -181,7 +180,7 @@ def estimated_response(
     groups = []
     for log, name, (u, y) in zip(logs, names, signals, strict=True):
         where = f" of {name}" if len(logs) > 1 else ""
-        titles = tuple(f"trial {k}{where}" for k in log.trial.values)
+        titles = tuple(f"trial {k}{where}" for k in log.trial.values[: len(y)])
         groups.append(Trials(_with_disturbances(log, u / u_size), y / y_size, titles))
     width = min(group.u.shape[2] for group in groups)
     direct = of == "w" or "reference" not in first
@@ -189,8 +188,14 @@ def estimated_response(
     for i, name in enumerate(outputs):
         one = [Trials(x.u[..., :width], x.y[..., [i]], x.names) for x in groups]
         fit = regression(one, direct)
-        _check_settled(name, fit, max(x.y.shape[1] for x in one))
         fits.append(fit)
+        if fit.stable < STABLE:
+            raise LogError(f"{name} does not settle: {LOOP}")
+        if fit.stable < SETTLED:
+            found.append(
+                f"{name} may not settle, as {1 - fit.stable:.0%} of the plants that the record "
+                f"admits do not, which are left out: {LOOP}"
+            )
         said = sorted(contradictions(fit, one), key=lambda pair: -pair[1])
         apart = max([apart, *(off for _, off in said)])
         if said:
@@ -234,7 +239,7 @@ def _identified(estimate):
 
 
 def _signals(log, of, name="log"):
-    """Input and outputs, (trial, time, channel)."""
+    """Input and outputs from before each trial on, (trial, time, channel)."""
     if of == "w" and "reference" not in log:
         raise LogError(f"{name} has no reference, and so no w: take of = 'u'")
     if of == "u" and "u" not in log:
@@ -250,7 +255,11 @@ def _signals(log, of, name="log"):
         raise LogError(
             f"{name} has {len(y[0])} samples in a trial, but must have {FEWEST} or more"
         )
-    return u, y
+    # Before a trial, v is zero; of commands no more is known than the first.
+    before = u if of == "u" else log.reference.transpose(*axes).values
+    if RESET in log.attrs:  # trials go on where the last one ended: one record
+        u, y, before = (x.reshape(1, -1, x.shape[2]) for x in (u, y, before))
+    return u - before[:, :1], y - y[:, :1]
 
 
 def _with_disturbances(log, u):
@@ -258,6 +267,8 @@ def _with_disturbances(log, u):
     if "disturbance" not in log:
         return u
     d = log.disturbance.transpose("trial", "time", ...).values
+    d = d.reshape(*u.shape[:2], -1)
+    d = d - d[:, :1]
     return np.concatenate([u, d / np.maximum(_size([d]), 1e-300)], axis=2)
 
 
@@ -274,27 +285,6 @@ def _size(signals):
         (x - x.mean(axis=1, keepdims=True)).reshape(-1, x.shape[2]) for x in signals
     ]
     return np.sqrt(np.mean(np.concatenate(moves) ** 2, axis=0))
-
-
-def _check_settled(name, fit, n):
-    """Refuse a response that does not end within n samples, if nearly all draws say so."""
-    late = _late(fit.impulse(n)) > LATE
-    if fit.stable >= STABLE and late:
-        few = range(1, min(SURE, fit.a.shape[1]))
-        late = all(_late(fit.impulse(n, draw)) > LATE for draw in few)
-    if late or fit.stable < STABLE:
-        raise LogError(
-            f"{name} does not settle within the {n} samples of a trial: it integrates or rings "
-            "on, or the record is too short. Record longer, or in a closed loop"
-        )
-
-
-def _late(impulse):
-    """The largest share of the later half, of responses (m, n)."""
-    g = np.abs(impulse)
-    return (
-        g[:, g.shape[1] // 2 :].sum(axis=1) / np.maximum(g.sum(axis=1), 1e-300)
-    ).max()
 
 
 def _words(signals, of):

@@ -130,6 +130,18 @@ def multisine(
     lines : int
         Number of lines, spaced evenly on a logarithmic scale as far as harmonics can be; where
         they would fall on the same, there are fewer.
+
+    See Also
+    --------
+    shake : what applies it
+    expected_radius : how accurate the measurement will be
+
+    Examples
+    --------
+    >>> from rodlib import multisine, paper_loop
+    >>> shaking = multisine(paper_loop(), lowest=0.003, highest=0.3, amplitude=2.0, hours=6.0)
+    >>> shaking.signals.shape[0], shaking.hours <= 6
+    (2, True)
     """
     Ts, m = arguments.instance("loop", loop, Loop).Ts, len(loop.outputs)
     nyquist = np.pi / Ts

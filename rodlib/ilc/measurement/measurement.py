@@ -166,6 +166,12 @@ def measured_response(
         trials, or quarters of one, that contradict one linear plant; a table without a radius that
         scatters from line to line.
 
+    See Also
+    --------
+    shake : a record made for it
+    read_table : one that others made
+    synthesise : a filter for all within the radius
+
     Notes
     -----
     Records are estimated by :mod:`rodlib.ilc.measurement.regression`, but for one of
@@ -191,6 +197,19 @@ def measured_response(
     that lasts for 10 samples; but 97 % if it lasts for 100, and 96 % if the room warms by 1.8 K an
     hour. What is no noise at all, such as the steps of a converter that nothing dithers, it does
     not cover.
+
+    Examples
+    --------
+    >>> import control
+    >>> import numpy as np
+    >>> from rodlib import measured_response, synthesise, zero_phase_butterworth
+    >>> omega = np.geomspace(0.01, np.pi, 40)
+    >>> table = control.frd(control.ss(0.5, 0.5, 1, 0, 1.0), omega)  # or what you measured
+    >>> P = measured_response(table, uncertainty=np.full(40, 0.02))
+    >>> design = synthesise(P, zero_phase_butterworth(), omega)
+    >>> print(P)
+    P from a table of 40 frequencies from 0.01 to 3.142 rad/s, with its radius
+    assumed: between them P is not further from their spline than straight lines are
     """
     if isinstance(log, control.FrequencyResponseData):
         if of is not None:
@@ -202,6 +221,11 @@ def measured_response(
         raise ValueError(
             f"log = {reprlib.repr(log)} must be read first: by load_log(path), or of other tables "
             "by read_table(log, time=..., inputs={...}, outputs={...})"
+        )
+    if isinstance(log, np.ndarray):
+        raise ValueError(
+            f"log has shape {log.shape}, but an array does not say of what: pass a response, its "
+            "frequency last, as control.frd(log, omega, Ts)"
         )
     if uncertainty is not None:
         raise ValueError(
@@ -260,6 +284,22 @@ def expected_radius(
     -------
     ndarray, shape (n,)
         At the frequencies of the excitation.
+
+    See Also
+    --------
+    multisine : the excitation
+    measured_response : the measurement
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from rodlib import Law, RestartingRig, expected_radius, multisine, paper_loop, record
+    >>> from rodlib import zero_phase_butterworth
+    >>> loop, law = paper_loop(), Law(zero_phase_butterworth(), None)
+    >>> rest = record(RestartingRig(), loop, law, np.zeros((600, 2)), trials=1)
+    >>> shaking = multisine(loop, lowest=0.03, highest=0.3, amplitude=2.0, hours=1.0)
+    >>> bool(np.all(expected_radius(shaking, rest) > 0))
+    True
     """
     arguments.instance("excitation", excitation, Excitation)
     arguments.instance("rest", rest, xr.Dataset)

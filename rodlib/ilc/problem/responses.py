@@ -276,7 +276,7 @@ def _check_period(name, dt, Ts):
     """Refuse a model of another sampling period."""
     if dt is True or dt != Ts:  # True, some period, equals 1 s
         raise ValueError(
-            f"{name}.dt = {dt!r} differs from Ts = {Ts!r}: sample the model at Ts"
+            f"{name}.dt = {dt!r} differs from Ts = {Ts!r}: control.sample_system samples at Ts"
         )
 
 

@@ -12,7 +12,6 @@ from rodlib.ilc.law.limits import named_limits
 from rodlib.ilc.loop.closed import CurrentTrialLoop, Loop
 from rodlib.ilc.rigs.protocol import RigError, StoppedError
 
-LATE = 0.1  # sampling periods that a sample may be off the clock
 NOT_APPLIED = ". Nothing was applied after it"
 
 
@@ -24,6 +23,18 @@ class Controller:
     loop : CurrentTrialLoop
     decimals : int, optional
         To which commands are rounded. Default: not at all.
+
+    See Also
+    --------
+    record : what runs it
+    current_trial_loop : its gains
+
+    Examples
+    --------
+    >>> from rodlib import Controller, paper_loop
+    >>> controller = Controller(paper_loop())
+    >>> controller.step(y=[0.0, 0.0], w=[1.0, 0.0]).round(4)
+    array([4.6935, 1.5513])
     """
 
     def __init__(self, loop: CurrentTrialLoop, decimals: int | None = None):
@@ -92,6 +103,8 @@ class ControlledRig:
         self.limits = {name: limits[name] for name in self.commands if name in limits}
         self.Ts = arguments.sampling_period("rig.Ts", getattr(rig, "Ts", loop.Ts))
         self.actuators = None  # of a law with limits
+        self.goes_on = False  # whether a trial starts where the last one ended
+        self.late = []  # by how much each sample of the trial is off the rig's clock, s
         self.stop = {}  # limits of outputs and commands, by name
 
     def rounded(self, name, values) -> np.ndarray:
@@ -164,6 +177,7 @@ class SampledRig(ControlledRig):
 
     def reset(self):
         self.applied = None  # the last commands
+        self.due = None  # when the next sample is due, by the rig's clock
 
     def pause(self, trial, samples, w, start) -> None:
         """Hold w before a trial for so many samples; None: until all is back and still."""
@@ -181,23 +195,23 @@ class SampledRig(ControlledRig):
                 stacklevel=6,
             )
 
-    def run(self, trial, w, commanded, bar) -> dict[str, np.ndarray]:
-        """Run one trial; its signals but v, shape (time, channel)."""
+    def run(self, trial, w, commanded, bar, first=0) -> dict[str, np.ndarray]:
+        """Run one trial, from its sample `first` on; its signals but v, shape (time, channel)."""
         clock = getattr(self.rig, "clock", None)
-        start = clock() if clock else 0.0
-        samples, late = [], []
-        with _located(f"trial {trial}", lambda: len(samples) + 1, NOT_APPLIED):
+        if not self.goes_on:
+            self.due = None
+        if not first:
+            self.late = []
+        samples = []
+        with _located(f"trial {trial}", lambda: first + len(samples) + 1, NOT_APPLIED):
             for p in range(len(w)):
                 if clock:
-                    late.append(abs(clock() - start - p * self.Ts))
+                    now = clock()
+                    due = now if self.due is None else self.due
+                    self.late.append(abs(now - due))
+                    self.due = due + self.Ts
                 samples.append(self.sample(w[p], commanded[p]))
                 bar.update()
-        count = np.sum(np.array(late) > LATE * self.Ts)
-        if count:
-            warnings.warn(
-                f"trial {trial}: {count} samples were not on time, by up to {max(late):.3g} s",
-                stacklevel=6,
-            )
         return {name: np.array([s[name] for s in samples]) for name in samples[0]}
 
     def sample(self, w, flows) -> dict[str, np.ndarray]:

@@ -7,14 +7,16 @@ import xarray as xr
 
 from rodlib.ilc import arguments
 from rodlib.ilc.filters import LearningFilter
-from rodlib.ilc.law.io import BEGUN, with_law
+from rodlib.ilc.law.io import BEGUN, NO_RESET, RESET, with_law
 from rodlib.ilc.law.law import Law
+from rodlib.ilc.law.limits import realised
+from rodlib.ilc.law.repetitive import check_period, next_samples
 from rodlib.ilc.loop.closed import Loop
 from rodlib.ilc.measurement.excitation import Excitation, with_excitation
 from rodlib.ilc.rigs.controlled import controlled
 from rodlib.ilc.rigs.limits import stop_limits
 from rodlib.ilc.rigs.protocol import Rig, TrialRig
-from rodlib.ilc.rigs.recording import Experiment
+from rodlib.ilc.rigs.recording import Experiment, in_succession
 from rodlib.ilc.signals import check_match
 from rodlib.ilc.trials.run import commands_of
 
@@ -30,6 +32,7 @@ def record(
     path=None,
     v=None,
     pause: int | None = None,
+    reset: bool = True,
     decimals: dict[str, int] | None = None,
     stop: dict[str, tuple[float, float] | None] | None = None,
 ) -> xr.Dataset:
@@ -66,6 +69,10 @@ def record(
     pause : int, optional
         Samples between two trials. Default: until the outputs are back and still, two trials at
         most; for a rig that has `begin`, none.
+    reset : bool
+        False for a rig that never rests, as for :func:`rodlib.run_trials`: there is no pause, and
+        v is computed while a trial runs. An experiment that goes on in its log starts anew, from
+        what was learned.
     decimals : dict, optional
         Of v, u (rounded before they act), delta and measured disturbances. Default: all digits.
     stop : dict, optional
@@ -96,6 +103,32 @@ def record(
         what it follows, if it has limits, once if v is learned within them; that started elsewhere
         than the first; once, if the trials show that they do not converge, see
         :mod:`rodlib.ilc.trials.diagnosis`. If the log has more trials than asked for.
+
+    See Also
+    --------
+    run_trials : simulated
+    shake : to measure P
+    load_log : what `path` has
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from rodlib import ClosedLoop, Law, LearningFilter, record, zero_phase_butterworth
+    >>> class Axis:  # simulated; yours talks to the drive
+    ...     x = 0.0
+    ...     def begin(self, trial):
+    ...         self.x = 0.0
+    ...     def read(self):
+    ...         return [self.x]
+    ...     def apply(self, w):
+    ...         self.x += 0.2 * (w[0] - self.x)
+    ...
+    >>> loop = ClosedLoop(Ts=0.01, outputs=["x"], units={"x": "mm"})
+    >>> Q = zero_phase_butterworth(cutoff=60.0, Ts=loop.Ts)
+    >>> law = Law(Q, LearningFilter([[[0.9]]], loop.Ts))
+    >>> run = record(Axis(), loop, law, np.sin(np.arange(200) * np.pi / 200) ** 2, trials=4)
+    >>> bool(abs(run.e[-1]).max() < 0.1 * abs(run.e[0]).max())
+    True
     """
     controlled_rig = controlled(rig, loop, decimals)
     law = arguments.instance("law", law, Law).bound_to(loop)
@@ -106,6 +139,12 @@ def record(
     if path is not None and law.L is not None:
         arguments.instance("L", law.L, LearningFilter)  # or the log could not note it
     trials = arguments.whole("trials", trials, 1)
+    goes_on = controlled_rig.goes_on = not arguments.flag("reset", reset)
+    if goes_on and not (controlled_rig.waits and pause is None):
+        raise ValueError(
+            f"reset = False with pause = {pause}, a pause or a rig that runs whole trials: leave "
+            "pause, and give the rig read and apply"
+        )
     if pause is None:
         pause = 0 if hasattr(rig, "begin") else None
     elif arguments.whole("pause", pause, 0) and not controlled_rig.waits:
@@ -118,7 +157,22 @@ def record(
     first = law.first(samples, v)
     commanded = controlled_rig.commanded(disturbance, trials, samples)
 
+    if goes_on:
+        check_period(law, samples)
+
+    def applied_so_far(trials):
+        """v as far as it was applied, and e, of all samples."""
+        if not trials:
+            return first[:0], first[:0]
+        signals = in_succession(trials)
+        v = signals["v"]
+        r = np.concatenate(reference)[: len(v)]
+        commands = commands_of(loop, r + v, signals, law.actuators)
+        return realised(loop, v, **commands) if law.actuators else v, r - signals["y"]
+
     def following(trials):
+        if goes_on:
+            return next_samples(law, *applied_so_far(trials), first)
         if not trials:
             return first
         last, r = trials[-1], reference[len(trials) - 1]
@@ -128,8 +182,12 @@ def record(
     notes = with_law(xr.Dataset(), law).attrs
     if v is not None:
         notes[BEGUN] = "v of trial 1 was given"
+    if goes_on:
+        notes[RESET] = NO_RESET
     controlled_rig.stop = stop_limits(stop, reference, loop, controlled_rig.limits)
-    experiment = Experiment(controlled_rig, reference, commanded, following, notes, law)
+    experiment = Experiment(
+        controlled_rig, reference, commanded, following, notes, law, alike=reset
+    )
     return experiment.run(pause, path)
 
 
@@ -162,6 +220,30 @@ def shake(
     xarray.Dataset
         As from :func:`record`, with the excitation and the limits of the rig noted in the metadata.
         For :func:`measured_response`.
+
+    See Also
+    --------
+    multisine : the excitation
+    measured_response : P, from the record
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from rodlib import ClosedLoop, measured_response, multisine, shake
+    >>> class Axis:  # simulated; yours talks to the drive
+    ...     x, noise = 0.0, np.random.default_rng(0)
+    ...     def begin(self, trial):
+    ...         self.x = 0.0
+    ...     def read(self):
+    ...         return [self.x + self.noise.normal(0, 0.001)]
+    ...     def apply(self, w):
+    ...         self.x += 0.2 * (w[0] - self.x)
+    ...
+    >>> loop = ClosedLoop(Ts=0.01, outputs=["x"], units={"x": "mm"})
+    >>> shaking = multisine(loop, lowest=1.0, highest=100.0, amplitude=1.0, hours=0.02)
+    >>> P = measured_response(shake(Axis(), loop, shaking))
+    >>> P.response.shape[0] == len(P.omega)
+    True
     """
     controlled_rig = controlled(rig, loop, decimals)
     arguments.instance("excitation", excitation, Excitation)

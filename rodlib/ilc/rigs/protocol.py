@@ -1,6 +1,6 @@
 """What an experiment asks of a rig, and what it says when a rig fails."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from typing import Protocol
 
 
@@ -21,10 +21,10 @@ class Rig(Protocol):
     or not, such as ``time.monotonic``.
     """
 
-    def read(self) -> Sequence[float]:
+    def read(self) -> Iterable[float]:
         """The outputs now, in the order and the units of the loop."""
 
-    def apply(self, commands) -> None:
+    def apply(self, commands, /) -> None:
         """Set the inputs, and return when the next sample is due."""
 
 
@@ -36,7 +36,7 @@ class TrialRig(Protocol):
     commands, and should tell its observer.
     """
 
-    def run(self, w):
+    def run(self, w, /):
         """Upload w (time, output), start, download: y, or the pair y, u if the loop names u."""
 
 

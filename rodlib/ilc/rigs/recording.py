@@ -10,7 +10,7 @@ from tqdm import tqdm
 
 from rodlib.ilc import arguments
 from rodlib.ilc.files import alone
-from rodlib.ilc.law.io import BEGUN, KEYS
+from rodlib.ilc.law.io import BEGUN, KEYS, RESET
 from rodlib.ilc.law.law import Law
 from rodlib.ilc.law.limits import CUT_OFF, commands_beyond
 from rodlib.ilc.logs.format import save_log
@@ -31,7 +31,8 @@ from rodlib.ilc.trials.diagnosis import (
 from rodlib.ilc.trials.run import commands_of, dataset
 from rodlib.ilc.trials.start import Start
 
-NOTED = (*KEYS, "excitation", "loop")  # the notes of what makes the trials
+LATE = 0.1  # sampling periods that a sample may be off the clock
+NOTED = (*KEYS, RESET, "excitation", "loop")  # the notes of what makes the trials
 SIGNALS = ("v", "u", "y", "applied", "delta", "disturbance")  # that a trial may have
 Trial = dict[str, np.ndarray]  # its signals, shape (time, channel)
 
@@ -81,6 +82,8 @@ class Experiment:
         first, shown = len(trials), set()
         samples = (count - first) * self.reference.shape[1]
         with self.rig.safe_in_the_end(), tqdm(total=samples, disable=None) as bar:
+            if self.rig.goes_on:
+                self.rig.begin(first + 1)
             for k in range(first, count):
                 bar.set_description(f"trial {k + 1} of {count}")
                 try:
@@ -98,12 +101,26 @@ class Experiment:
 
     def run_trial(self, k, trials, pause, bar) -> Trial:
         """Run trial k, counted from 0, after those before it."""
+        if self.rig.goes_on:
+            return self.run_on(k, trials, bar)
         v, reference = self.rig.rounded("v", self.following(trials)), self.reference[k]
         self.rig.begin(k + 1)
         if k and self.rig.waits:
             self.rig.pause(k + 1, pause, reference[0], self.start(trials))
         signals = self.rig.run(k + 1, reference + v, self.commanded[k], bar)
         return {"v": v} | signals
+
+    def run_on(self, k, trials, bar) -> Trial:
+        """Run trial k from where the last one ended, in parts whose v follows from those before."""
+        reference, commanded, parts, done = self.reference[k], self.commanded[k], [], 0
+        while done < len(reference):
+            v = self.rig.rounded("v", self.following(trials + parts))
+            v = v[: len(reference) - done]
+            now = slice(done, done + len(v))
+            signals = self.rig.run(k + 1, reference[now] + v, commanded[now], bar, done)
+            parts.append({"v": v} | signals)
+            done += len(v)
+        return in_succession(parts)
 
     def warnings(self, data: xr.Dataset, trials: list[Trial], resumed: bool) -> dict:
         """What the last trial shows, with those before it, by kinds; each is warned of once."""
@@ -136,6 +153,11 @@ class Experiment:
         if beyond and not cut_off:  # of every trial
             text = f"{beyond}; what the rig cuts off, the law does not know"
             texts[f"trial {number}"] = f"trial {number}: {text}"
+        count = np.sum(np.array(rig.late) > LATE * rig.Ts)
+        if count:
+            texts[f"clock in trial {number}"] = (
+                f"trial {number}: {count} samples were not on time, by up to {max(rig.late):.3g} s"
+            )
         return texts
 
     def start(self, trials) -> Start:
@@ -182,6 +204,11 @@ class Experiment:
                 f"path = '{path}' holds another experiment, see its {', '.join(differing)}: give "
                 "another path, or go on with the same"
             )
+
+
+def in_succession(parts: list[Trial]) -> Trial:
+    """The signals of trials, or of parts of one, as of one trial."""
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 def departs(data: xr.Dataset, law: Law) -> str:

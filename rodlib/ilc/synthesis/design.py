@@ -147,6 +147,23 @@ def synthesise(
         If no filter meets the bounds; the message says which of them is too tight.
     SolverError
         If the solver fails, or the certificate of its result does.
+
+    See Also
+    --------
+    paper_choices : the choices of the paper
+    least_gain : the filter of least gain among those of least peak
+    convergence : what another filter does
+    plot : a picture of a design
+
+    Examples
+    --------
+    >>> import control
+    >>> from rodlib import synthesise, zero_phase_butterworth
+    >>> P = control.sample_system(control.tf([400], [1, 20, 400]), 0.01)
+    >>> design = synthesise(P, zero_phase_butterworth(2, 40.0, 0.01))
+    >>> round(float(design.sigma_M.max()), 2), design.filter.order
+    (0.28, 11)
+    >>> law = design.law()
     """
     problem = pose(
         P,

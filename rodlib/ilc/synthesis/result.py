@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import control
 import numpy as np
 
 from rodlib.ilc.evidence.certificate import Certificate
@@ -24,6 +25,21 @@ class InfeasibleError(ValueError):
         What is feasible with the other arguments; from one on, nothing that converges.
     plant, omega : int, float
         Where the bound on M that stands most in the way is; plant number 0 is the nominal one.
+
+    See Also
+    --------
+    synthesise : what raises it
+
+    Examples
+    --------
+    >>> from rodlib import InfeasibleError, paper_choices, paper_loop, synthesise
+    >>> from rodlib import zero_phase_butterworth
+    >>> try:
+    ...     synthesise(paper_loop(), zero_phase_butterworth(), **paper_choices(M_max=0.3))
+    ... except InfeasibleError as error:
+    ...     print(f"smallest M_max: {error.smallest_M_max:.2f}")
+    ...
+    smallest M_max: 0.82
     """
 
     def __init__(self, message: str, smallest_M_max: float, plant: int, omega: float):
@@ -55,6 +71,39 @@ class Synthesis:
     def omega(self) -> np.ndarray:
         """The design frequencies, rad/s."""
         return self.problem.omega
+
+    @property
+    def M(self) -> control.FrequencyResponseData:
+        """M = Q (I - P L) at `omega`, of the channels divided by the problem's `scale`.
+
+        As are P and L: as python-control has them, without a sampling period, since of samples
+        with one it draws nothing. The picture is ``control.singular_values_response(M).plot()``.
+        """
+        return self._frd("M", self.problem.M(self._response_of_L()))
+
+    @property
+    def L(self) -> control.FrequencyResponseData:
+        """L at `omega`; at any z, in the plant's units, ``filter(z)``."""
+        return self._frd("L", self._response_of_L())
+
+    @property
+    def P(self) -> control.FrequencyResponseData:
+        """P of the nominal plant at `omega`."""
+        return self._frd("P", self.problem.P)
+
+    def plot(self, **options) -> control.ControlPlot:
+        """Draw the singular values of M and L over frequency, as python-control does.
+
+        `options` are those of ``control.singular_values_plot``: `ax`, `dB`, `Hz`, ... With bounds,
+        coefficients and trials: :func:`rodlib.plot`.
+        """
+        return control.singular_values_response([self.M, self.L]).plot(**options)
+
+    def _response_of_L(self):
+        return self.problem.response(self.solution)[: len(self.omega)]
+
+    def _frd(self, name, response):
+        return control.frd(np.moveaxis(response, 0, -1), self.omega, None, name=name)
 
     def law(self, rest: int = 0, gain: float = 1.0, limits=None) -> Law:
         """The law (23) with Q and L of the design; for the others see :class:`rodlib.Law`."""

@@ -16,6 +16,7 @@ import xarray as xr
 from scipy.special import fdtrc, stdtr
 
 from rodlib.ilc.evidence.convergence import Convergence, convergence
+from rodlib.ilc.law.io import RESET
 from rodlib.ilc.law.law import Law
 from rodlib.ilc.law.limits import realised
 from rodlib.ilc.loop.closed import ClosedLoop, Loop
@@ -58,9 +59,13 @@ class History:
 
     @cached_property
     def since(self) -> np.ndarray:
-        """Index of the first of the trials in succession that have each trial's reference."""
+        """Index of the first of the trials in succession that have each trial's reference.
+
+        Without reset, not of the first: it is the only one that starts from rest.
+        """
         reference = self.trials.reference.values[..., self.channels]
         changes = np.any(np.diff(reference, axis=0) != 0, axis=(1, 2))
+        changes[:1] |= RESET in self.trials.attrs
         first = np.arange(len(self.e)) * np.append(True, changes)
         return np.maximum.accumulate(first)
 
@@ -88,9 +93,7 @@ class History:
     @cached_property
     def effect(self) -> np.ndarray:
         """P v by the model, by which v lowers the error of each trial."""
-        P = self.P
-        x = [state_sequence(P.A, v @ P.B.T, np.zeros(P.nstates)) for v in self.v]
-        return (np.array(x) @ P.C.T + self.v @ P.D.T)[..., self.channels]
+        return outputs_of(self.P, self.v, self.trials)[..., self.channels]
 
     @cached_property
     def free(self) -> np.ndarray:
@@ -153,11 +156,27 @@ def commands(trials: xr.Dataset, loop: Loop, actuators=None) -> dict[str, np.nda
     """What was asked of the actuators, u, and what was applied, shape (trial, time, m)."""
     closed = isinstance(loop, ClosedLoop)
     u = (trials.reference + trials.v if closed else trials.u).values
-    applied = actuators.follow(u) if actuators else u
+    applied = u
+    if actuators:
+        applied = actuators.follow(runs(u, trials)).reshape(u.shape)
     return {
         "u": u,
         "applied": trials.applied.values if "applied" in trials else applied,
     }
+
+
+def runs(signals, trials: xr.Dataset) -> np.ndarray:
+    """Signals (trial, time, m) of trials; without reset, as of one trial."""
+    return np.concatenate(signals)[None] if RESET in trials.attrs else signals
+
+
+def outputs_of(model: control.StateSpace, inputs, trials: xr.Dataset) -> np.ndarray:
+    """Outputs of a model from rest, before each trial of inputs (trial, time, m) or the first."""
+    rest, outputs = np.zeros(model.nstates), []
+    for run in runs(inputs, trials):
+        x = state_sequence(model.A, run @ model.B.T, rest)
+        outputs.append(x @ model.C.T + run @ model.D.T)
+    return np.concatenate(outputs).reshape(*inputs.shape[:2], -1)
 
 
 def error_grows(history: History, k: int) -> str | None:
@@ -204,7 +223,7 @@ def _cause(history, k):
     power = np.sum(history.e[k] ** 2, axis=1)
     tenth = max(1, len(power) // 10)
     for part, name in ((power[:tenth], "first"), (power[-tenth:], "last")):
-        if part.sum() > power.sum() / 2:
+        if RESET not in history.trials.attrs and part.sum() > power.sum() / 2:
             return (
                 f"Most of it is in the {name} tenth of the trial, where the filters need "
                 "signals beyond its ends: let reference or v rest there, or choose other "

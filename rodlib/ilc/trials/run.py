@@ -8,8 +8,10 @@ import xarray as xr
 from tqdm import tqdm
 
 from rodlib.ilc import arguments
+from rodlib.ilc.law.io import NO_RESET, RESET
 from rodlib.ilc.law.law import Law
 from rodlib.ilc.law.limits import CUT_OFF, commands_beyond, realised
+from rodlib.ilc.law.repetitive import check_period, next_samples
 from rodlib.ilc.loop.closed import ClosedLoop, Loop, with_noise
 from rodlib.ilc.models import state_sequence
 from rodlib.ilc.trials.diagnosis import commands, diagnose
@@ -58,8 +60,11 @@ def run_trials(
     v : array_like, shape (time, m), optional
         ILC signal of the first trial. Default zero.
     reset : bool
-        Whether every trial starts from the initial state. If not, each starts from the state of
-        plant and observer in which the last one ended.
+        Whether every trial starts from the initial state. If not, trials are periods of a plant
+        that never rests: state and observer go on, and the filters reach across the border, see
+        :mod:`rodlib.ilc.law.repetitive`. L must be a LearningFilter, ``rest`` zero, a trial longer
+        than Q and L look ahead; what they take the `ends` to be has no effect. At limits commands
+        are cut off, not projected, and learning goes on from what was applied.
 
     Returns
     -------
@@ -75,6 +80,27 @@ def run_trials(
     UserWarning
         If the trials show that they do not converge, see :mod:`rodlib.ilc.trials.diagnosis`; if
         commands are beyond the limits; if a reference starts away from rest, where trials begin.
+
+    Raises
+    ------
+    ValueError
+        If something does not belong together; without reset, if trials are too short.
+
+    See Also
+    --------
+    record : trials on a rig
+    replay : what a log says of the law
+    rms : the size of their errors
+
+    Examples
+    --------
+    >>> from rodlib import assumed_reference, paper_choices, paper_loop, rms, run_trials
+    >>> from rodlib import synthesise, zero_phase_butterworth
+    >>> loop, Q = paper_loop(), zero_phase_butterworth()
+    >>> law = synthesise(loop, Q, **paper_choices()).law(rest=15)
+    >>> trials = run_trials(loop, law, assumed_reference(), trials=3)
+    >>> bool(rms(trials.e)[2] < 0.1 * rms(trials.e)[0])
+    True
     """
     law = arguments.instance("law", law, Law).bound_to(loop)
     reset = arguments.flag("reset", reset)
@@ -88,30 +114,44 @@ def run_trials(
     d = arguments.each_trial("disturbance", d, trials, samples, names)
     noise = np.zeros(shape) if noise is None else noise
     noise = arguments.in_columns("noise", noise, shape, loop.outputs)
-    state = initial = np.zeros(states)
+    initial = np.zeros(states)
     if initial_state is not None:
         x = arguments.array("initial_state", initial_state, (plant_states,))
         initial[:plant_states] = x
-    results = []
+    results, state, applied = [], initial, None
 
-    def trial(k, v_k):
-        nonlocal state
-        w = r[k] + v_k  # (22)
-        signals, state = make_trial(w, d[k], noise[k], initial if reset else state)
-        results.append({"v": v_k} | signals)
-        e = r[k] - signals["y"] - noise[k]
-        return {"e": e} | commands_of(loop, w, signals, law.actuators)
+    def run(r, v, d, noise):
+        nonlocal state, applied
+        if reset:
+            state, applied = initial, None
+        w = r + v  # (22)
+        signals, state = make_trial(w, d, noise, state, applied)
+        results.append({"v": v} | signals)
+        sent = commands_of(loop, w, signals, law.actuators, applied)
+        applied = sent["applied"][-1] if "applied" in sent else None
+        return {"e": r - signals["y"] - noise} | sent
 
-    learn(trial, law, first, trials)
-    signals = {name: np.stack([s[name] for s in results]) for name in results[0]}
+    if reset:
+        learn(lambda k, v: run(r[k], v, d[k], noise[k]), law, first, trials)
+    else:
+        check_period(law, samples)
+        learn_on(
+            run, law, first, *(s.reshape(trials * samples, -1) for s in (r, d, noise))
+        )
+    signals = {
+        name: np.concatenate([s[name] for s in results]).reshape(trials, samples, -1)
+        for name in results[0]
+    }
     signals |= {"y": signals["y"] + noise, "reference": r, "disturbance": d}
     channels = loop.outputs, loop.controls, names
     result = dataset(loop.Ts, *channels, loop.units, **signals)
+    if not reset:
+        result.attrs[RESET] = NO_RESET
     texts = diagnose(result, law, exact=plant is None)
     if law.actuators is not None:
         beyond = commands_beyond(commands(result, loop)["u"], loop.commands, law.limits)
         texts["limits"] = beyond and beyond + CUT_OFF
-    if law.L is not None and initial_state is None:
+    if law.L is not None and initial_state is None and reset:
         rest = Start.of(0 * r[0], r[0], loop)
         texts["start"] = next(filter(None, map(rest.away, r[1:])), "")
     for text in filter(None, texts.values()):
@@ -133,10 +173,30 @@ def learn(trial: Callable, law: Law, v, trials: int) -> np.ndarray:
     return np.array(errors)
 
 
-def commands_of(loop: Loop, w, signals: dict, actuators=None) -> dict:
+def learn_on(run: Callable, law: Law, first, reference, *others) -> None:
+    """Run trials without a reset; run(r, v, *others) runs the next samples, as a trial of `learn`.
+
+    Signals are (time, m), of all trials; `first` is v of the first one.
+    """
+    v, e = np.zeros((2, *reference.shape))
+    done = 0
+    with tqdm(total=len(v), desc="samples", delay=3, disable=None) as bar:
+        while done < len(v):
+            new = next_samples(law, v[:done], e[:done], first)[: len(v) - done]
+            now = slice(done, done + len(new))
+            signals = run(reference[now], new, *(signal[now] for signal in others))
+            e[now] = signals.pop("e")
+            v[now] = realised(law.loop, new, **signals) if law.actuators else new
+            done += len(new)
+            bar.update(len(new))
+
+
+def commands_of(loop: Loop, w, signals: dict, actuators=None, before=None) -> dict:
     """What was asked of the actuators, u or of a ClosedLoop w, and applied, for the law."""
     if isinstance(loop, ClosedLoop):
-        return {"u": w} | ({"applied": actuators.follow(w)} if actuators else {})
+        return {"u": w} | (
+            {"applied": actuators.follow(w, before)} if actuators else {}
+        )
     return {name: signals[name] for name in ("u", "applied") if name in signals}
 
 
@@ -158,9 +218,9 @@ def _simulator(loop, plant, actuators):
         x_hat, delta = states[..., n:-m], states[..., -m:]
         return w @ loop.N.T - x_hat @ loop.Ks.T - delta  # (18)
 
-    def within_limits(w, others, state):
+    def within_limits(w, others, state, before):
         """The w with which the loop asks for what is applied, and what it asks for with w."""
-        w_applied, u, before = w.copy(), np.empty_like(w), None
+        w_applied, u = w.copy(), np.empty_like(w)
         for p in range(len(w)):
             u[p] = controls(w[p], state)
             before = actuators.next(u[p], before)
@@ -168,16 +228,16 @@ def _simulator(loop, plant, actuators):
             state = A @ state + B @ w_applied[p] + others[p]
         return w_applied, u
 
-    def make_trial(w, d, noise, initial):
+    def make_trial(w, d, noise, initial, before):
         others = d @ E.T + noise @ K.T
         states = state_sequence(A, w @ B.T + others, initial)  # (19)
         u = controls(w, states)
         signals = {}
         if actuators is not None:
-            if not actuators.can(u):
-                w, u = within_limits(w, others, initial)
+            if not actuators.can(u, before=before):
+                w, u = within_limits(w, others, initial, before)
                 states = state_sequence(A, w @ B.T + others, initial)
-            signals["applied"] = actuators.follow(u)
+            signals["applied"] = actuators.follow(u, before)
         signals |= {"u": u, "delta": states[:, -m:]}
         signals["y"] = states @ C.T + w @ D.T + d @ F.T
         return signals, A @ states[-1] + B @ w[-1] + others[-1]
@@ -186,12 +246,12 @@ def _simulator(loop, plant, actuators):
 
 
 def _simulator_of_P(P, actuators):
-    def make_trial(w, d, noise, initial):
+    def make_trial(w, d, noise, initial, before):
         if d.any():
             raise ValueError(
                 "disturbance is not zero, but loop.P has no input for disturbances"
             )
-        w = w if actuators is None else actuators.follow(w)
+        w = w if actuators is None else actuators.follow(w, before)
         x = state_sequence(P.A, w @ P.B.T, initial)
         return {"y": x @ P.C.T + w @ P.D.T}, P.A @ x[-1] + P.B @ w[-1]
 
@@ -243,6 +303,19 @@ def rms(e: xr.DataArray) -> xr.DataArray:
 
     `e` is a DataArray with the dimensions time and channel, such as that of a dataset of trials;
     anything else, or a gap in it, raises a ValueError.
+
+    See Also
+    --------
+    run_trials : trials with an error e
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import xarray as xr
+    >>> from rodlib import rms
+    >>> e = xr.DataArray(np.ones((2, 9, 2)), dims=("trial", "time", "channel"))
+    >>> rms(e).values.round(4)
+    array([1.4142, 1.4142])
     """
     arguments.instance("e", e, xr.DataArray)
     if not {"time", "channel"} <= set(e.dims):

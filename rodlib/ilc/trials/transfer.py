@@ -80,6 +80,11 @@ def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
         may be worse than zero; if the trials leave v uncertain, as one alone does; if the reference
         has power where the earlier ones had little.
 
+    See Also
+    --------
+    run_trials : what takes its v
+    record : trials on a rig
+
     Notes
     -----
     Each row of F is a ridge regression. Lags grow geometrically up to half a trial, with straight
@@ -92,6 +97,18 @@ def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
     ratio of the variances, and whether F(0) = 0, as if P(0) = I, have the largest likelihood in
     cross-validation over blocks of time. By kernels, with one trial: L. Blanken and T. Oomen,
     Automatica 114 (2020) 108830.
+
+    Examples
+    --------
+    >>> from rodlib import assumed_reference, paper_choices, paper_loop, rms, run_trials
+    >>> from rodlib import synthesise, transfer, zero_phase_butterworth
+    >>> loop, r = paper_loop(), assumed_reference()
+    >>> law = synthesise(loop, zero_phase_butterworth(), **paper_choices()).law(rest=15)
+    >>> trials = run_trials(loop, law, r, trials=5)
+    >>> v = transfer(trials, r[:, ::-1]).v  # the outputs change their tasks
+    >>> first, zero = (run_trials(loop, law, r[:, ::-1], trials=1, v=u) for u in (v, 0 * v))
+    >>> bool(rms(first.e) < 0.1 * rms(zero.e))
+    True
     """
     v, y, references, outputs, Ts, labels = _signals(trials)
     K, N, m = y.shape

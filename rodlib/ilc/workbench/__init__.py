@@ -31,6 +31,18 @@ def open_workbench(
     -------
     Panel or None
         With `settings` and `outcome`, what it shows at the moment; None if it is not live.
+
+    See Also
+    --------
+    try_out : one setting, without widgets
+
+    Examples
+    --------
+    >>> from rodlib import open_workbench, paper_loop
+    >>> from rodlib.ilc.workbench.plant import Plant
+    >>> plants = {"rod": Plant("rodlib.paper_loop()", paper_loop())}
+    >>> print(open_workbench(plants, live=False))  # in JupyterLab: a Panel
+    None
     """
     plants = arguments.instance("plants", {} if plants is None else plants, dict)
     for name, plant in plants.items():

@@ -50,6 +50,21 @@ def try_out(settings: Settings) -> Outcome:
 
     The outcome does not depend on what was tried out before. Settings that lead to no filter are
     not an error: the outcome's message says why.
+
+    See Also
+    --------
+    Settings : the knobs
+    plot : a picture of the outcome
+    open_workbench : by hand
+
+    Examples
+    --------
+    >>> from rodlib import Settings, paper_loop, try_out
+    >>> from rodlib.ilc.workbench.plant import Plant
+    >>> plant = Plant("rodlib.paper_loop()", paper_loop())
+    >>> outcome = try_out(Settings.of(plant, order=10, M_max=0.8))
+    >>> outcome.design.filter.order, len(outcome.rms)
+    (10, 10)
     """
     arguments.instance("settings", settings, Settings)
     try:

@@ -55,6 +55,18 @@ def plot(design: Synthesis | Outcome, before: Synthesis | Outcome | None = None)
     -------
     matplotlib.figure.Figure
         To change, or to keep by its ``savefig``.
+
+    See Also
+    --------
+    Synthesis.plot : the singular values alone, on axes of yours
+    try_out : a design with its trials
+
+    Examples
+    --------
+    >>> from rodlib import paper_choices, paper_loop, plot, synthesise, zero_phase_butterworth
+    >>> figure = plot(synthesise(paper_loop(), zero_phase_butterworth(), **paper_choices()))
+    >>> len(figure.axes)
+    4
     """
     import matplotlib.pyplot as plt  # here, because it takes long to import
 

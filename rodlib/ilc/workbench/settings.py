@@ -16,7 +16,20 @@ LIVELY = 20  # order up to which a filter takes a second, with bounds at every f
 
 @dataclass(frozen=True)
 class Settings:
-    """A plant, and the position of every knob; :func:`rodlib.try_out` checks them."""
+    """A plant, and the position of every knob; :func:`rodlib.try_out` checks them.
+
+    See Also
+    --------
+    try_out : what they lead to
+
+    Examples
+    --------
+    >>> from rodlib import Settings, paper_loop
+    >>> from rodlib.ilc.workbench.plant import Plant
+    >>> settings = Settings.of(Plant("rodlib.paper_loop()", paper_loop()), M_max=0.8)
+    >>> settings.M_max, settings.cutoff
+    (0.8, 0.1)
+    """
 
     plant: Plant
     L_max: float  # bound on sigma_max(L)

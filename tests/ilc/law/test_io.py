@@ -80,7 +80,7 @@ def test_a_file_holds_a_law_to_the_last_digit(tmp_path):
 def test_a_file_of_filters_alone_leaves_the_limits_to_the_rig(Q, tmp_path):
     save_law(tmp_path / "law.json", Law(Q, L))
     content = json.loads((tmp_path / "law.json").read_text())
-    assert content.keys() == {"format", "Ts", "Q", "L", "note"}
+    assert content.keys() == {"format", "Ts", "Q", "L", "note", "sections"}
     law = load_law(tmp_path / "law.json")
     assert (law.rest, law.gain, law.limits) == (0, 1.0, None)
 

@@ -123,7 +123,7 @@ REFUSALS = [  # P, weights, and what the error names
     (TALL, [1.0, 1.0], "weights has shape"),
     (TALL, [1.0, 1.0, -1.0], "weights reach -1"),
     (control.ss(1.1, 1, [[1.0], [1.0]], 0, 1.0), None, "P is unstable"),
-    (control.ss(-1.0, 1, [[1.0], [1.0]], 0), None, "sampling period"),
+    (control.ss(-1.0, 1, [[1.0], [1.0]], 0), None, "continuous time"),
 ]
 
 

@@ -111,7 +111,7 @@ REFUSED = [  # arguments, and how the message begins
     ({"scale": [1.0]}, "scale has shape"),
     ({"scale": [1.0, 0.0]}, "scale = "),
     ({"P": FEW}, "P is known at 3 frequencies"),
-    ({"P": control.tf([0.1], [1, 0.9])}, "P.dt = 0 differs from Ts"),
+    ({"P": control.tf([0.1], [1, 0.9])}, "P.dt = 0 is continuous time"),
     ({"P": control.ss(0.2, 0.8, 1, 0, True)}, "P.dt = True differs from Ts"),
     ({"P": control.frd(LAG, OMEGA / 2)}, "P.dt = 2.0 differs from Ts"),
     ({"P": SAMPLES, "Q": np.ones(60), "Ts": None}, "Ts must be given"),

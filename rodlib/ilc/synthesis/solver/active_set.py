@@ -16,12 +16,19 @@ points where singular values coincide, and to show that a problem is infeasible.
 
 from dataclasses import dataclass
 
-import daqp
 import numpy as np
-import piqp
 
 from rodlib.ilc.problem.problem import Solution, largest_singular_values
 from rodlib.ilc.synthesis.solver.program import Program
+
+try:
+    import daqp
+except ImportError:  # which not every platform has, as in a browser
+    daqp = None
+try:
+    import piqp
+except ImportError:
+    piqp = None
 
 NEAR = 0.97  # part of a limit from which on it is in the quadratic program
 FLAT = 1e-7  # least curvature of the quadratic program, relative to the mean
@@ -111,12 +118,17 @@ def in_sum(program):
 
 
 def quadratic_program(model, room, damping):
-    """The step d that the model finds best, and the multipliers; None if A d <= room has none."""
+    """The step d that the model finds best, and the multipliers; None if A d <= room has none.
+
+    Or if there is no solver for it: designs then end by the interior-point method alone.
+    """
     K = len(model.H)
     H = np.zeros((K + 1, K + 1))
     H[:K, :K] = model.H + (FLAT + damping) * np.trace(model.H) / K * np.eye(K)
     H[K, K] = 1e-9 if model.f[K] else 1.0
-    for solver in (_by_active_set, _by_interior_point):
+    for package, solver in ((daqp, _by_active_set), (piqp, _by_interior_point)):
+        if package is None:
+            continue
         d, y = solver(H, model.f, model.A, room)
         if not np.abs(np.append(d, y)).max() < HUGE:  # NaN, if it gave up
             continue

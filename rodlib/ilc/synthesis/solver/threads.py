@@ -3,14 +3,19 @@
 On one thread sums are also taken in one order, so that the digits are those of any other machine.
 """
 
+from collections.abc import Callable
 from functools import cache, wraps
+from typing import TypeVar
 
 from threadpoolctl import ThreadpoolController
 
 pools = cache(ThreadpoolController)  # to look for them takes milliseconds
 
 
-def on_one_thread(function):
+Function = TypeVar("Function", bound=Callable)  # with its signature, for editors
+
+
+def on_one_thread(function: Function) -> Function:
     """The function, with the threads of BLAS held to one while it runs."""
 
     @wraps(function)

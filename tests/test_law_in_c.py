@@ -1,0 +1,82 @@
+"""docs/law.c makes the next trial's signal of a saved law as `Law.next` does."""
+
+import platform
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+
+from rodlib import Law, LearningFilter, save_law, zero_phase_butterworth
+from rodlib.paper import ROOT, published
+
+SOURCE = ROOT / "docs" / "law.c"
+FULL, DIAGONAL = (
+    LearningFilter(published.matrix(f"L_{kind}"), 1.0) for kind in ("full", "diagonal")
+)
+RNG = np.random.default_rng(0)
+EXACT = LearningFilter(RNG.integers(-64, 64, (2, 2, 5)) / 16, 1.0)
+ONE = LearningFilter([[[0.5, 0.25]]], 0.1)
+LAWS = {
+    "the paper's": Law(zero_phase_butterworth(), FULL, rest=15),
+    "diagonal": Law(zero_phase_butterworth(3), DIAGONAL),
+    "one channel, slower": Law(zero_phase_butterworth(1, 5.0, 0.1), ONE, gain=0.3),
+    "order five": Law(zero_phase_butterworth(5, 0.5), EXACT, rest=1),
+}
+
+
+@pytest.fixture(scope="module")
+def program(tmp_path_factory):
+    compiler = next(filter(shutil.which, ("cc", "gcc", "clang")), None)
+    if compiler is None:
+        pytest.skip("there is no C compiler")
+    program = tmp_path_factory.mktemp("c") / "law"
+    call = [compiler, "-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2"]
+    call += ["-ffp-contract=off", SOURCE, "-lm", "-o", program]
+    subprocess.run(call, check=True)
+    return program
+
+
+def by_c(program, path, v, e):
+    trial = "\n".join(" ".join(map(repr, row)) for row in np.hstack([v, e]).tolist())
+    call = [program, path]
+    run = subprocess.run(call, input=trial, capture_output=True, text=True, check=True)
+    return np.array([row.split() for row in run.stdout.splitlines()], dtype=float)
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_it_is_the_next_signal_of_python(program, name, tmp_path):
+    law = LAWS[name]
+    save_law(tmp_path / "law.json", law)
+    v, e = RNG.standard_normal((2, 400, law.channels))
+    expected = law.next(v, e)
+    actual = by_c(program, tmp_path / "law.json", v, e)
+    assert actual.shape == expected.shape
+    size = np.abs(expected).max()
+    assert np.abs(actual - expected).max() < 1e-13 * size
+
+
+def test_it_is_that_bit_for_bit_where_sums_are_exact(program, tmp_path):
+    """Python leaves the order of the sum in L to BLAS; of a few binary digits it is no matter."""
+    law = Law(zero_phase_butterworth(), EXACT, rest=10)
+    save_law(tmp_path / "law.json", law)
+    v, e = RNG.integers(-1000, 1000, (2, 400, 2)) / 64
+    expected, actual = law.next(v, e), by_c(program, tmp_path / "law.json", v, e)
+    if platform.machine() in (
+        "x86_64",
+        "AMD64",
+    ):  # elsewhere scipy may fuse its products
+        np.testing.assert_array_equal(actual, expected)
+    assert np.abs(actual - expected).max() < 1e-13 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize(
+    "law",
+    [Law(zero_phase_butterworth(ends="hold"), EXACT),
+     Law(zero_phase_butterworth(), EXACT, limits={"Q1": (-1, 1)})],
+)  # fmt: skip
+def test_what_it_does_not_know_it_refuses(program, law, tmp_path):
+    save_law(tmp_path / "law.json", law)
+    call = [program, tmp_path / "law.json"]
+    run = subprocess.run(call, input="1 2 3 4\n", capture_output=True, text=True)
+    assert run.returncode and not run.stdout and "law:" in run.stderr

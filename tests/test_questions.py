@@ -1,0 +1,33 @@
+"""docs/questions.md: each answer runs, and says what its heading asks."""
+
+import re
+
+import matplotlib.pyplot as plt
+
+from rodlib.paper import ROOT
+
+TEXT = (ROOT / "docs" / "questions.md").read_text(encoding="utf-8")
+BLOCKS = re.findall(r"^```python\n(.*?)^```$", TEXT, flags=re.MULTILINE | re.DOTALL)
+
+
+def test_the_lines_run_one_after_the_other(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    for block in BLOCKS:
+        exec(block, names)
+    plt.close("all")
+    said = capsys.readouterr().out
+    rates = [float(rate) for rate in re.findall(r"rate ([\d.]+)", said)]
+    assert len(rates) == 3 and rates == sorted(rates) and rates[-1] < 1
+    assert re.search(r"^(converges|diverges)", said, re.MULTILINE)
+    transferred, from_zero = map(
+        float, re.findall(r"([\d.]+) mm, and ([\d.]+)", said)[0]
+    )
+    assert transferred < 0.2 * from_zero
+    assert float(said.splitlines()[-1]) > 0
+
+
+def test_each_question_has_an_answer():
+    assert (
+        TEXT.count("\n## ") == 7 == len(BLOCKS)
+    )  # one is for all, one refers to the README

@@ -1,0 +1,92 @@
+"""An editor completes and checks what `rodlib` gives: stubs and annotations of its doors."""
+
+import ast
+import os
+import shutil
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+import stubs
+
+import rodlib
+from rodlib import ilc
+
+FOLDER = Path(rodlib.__file__).parent
+TYPED = """
+from rodlib import Law, Rod, paper_loop, synthesise, zero_phase_butterworth
+
+law: Law = synthesise(paper_loop(Rod()), zero_phase_butterworth()).law()
+"""
+WRONG = {  # what a checker must name
+    "`synthesize`": "from rodlib import synthesize\n",
+    "`str`": TYPED + "wrong: str = law\n",
+    "`nxt`": TYPED + "law.nxt\n",
+    "`ordr`": TYPED + "synthesise(paper_loop(), None, ordr=3)\n",
+    "`Mute`": "import rodlib\n\n\nclass Mute:\n    def read(self):\n"
+    "        return [0.0]\n\n\nrodlib.shake(Mute(), rodlib.paper_loop(), None)\n",
+}
+
+
+@pytest.mark.parametrize("package", [rodlib, ilc], ids=lambda package: package.__name__)
+def test_a_stub_imports_each_name_from_where_it_is_made(package):
+    tree = ast.parse(Path(package.__file__).with_suffix(".pyi").read_text("utf-8"))
+    names = {}
+    for node in tree.body:
+        if isinstance(node, ast.ImportFrom):
+            (alias,) = node.names
+            assert alias.asname == alias.name  # or it would not be exported
+            names[alias.name] = node.module
+    assert sorted(names) == sorted(package.__all__)
+    for name, module in names.items():
+        home = import_module(module)
+        thing = getattr(home, name, None) or import_module(f"{module}.{name}")
+        assert thing is getattr(package, name)
+
+
+def test_stubs_are_those_of_the_registry():
+    for path, text in stubs.stubs().items():
+        assert path.read_text(encoding="utf-8") == text, "make stubs"
+    assert (FOLDER / "py.typed").exists()
+
+
+def test_a_door_that_is_decorated_keeps_its_annotations():
+    """`wraps` keeps them for those who run it; a checker needs them of the decorator."""
+    tree = ast.parse((FOLDER / "ilc/synthesis/solver/threads.py").read_text("utf-8"))
+    (function,) = (node for node in tree.body if isinstance(node, ast.FunctionDef))
+    assert ast.unparse(function.returns) == ast.unparse(
+        function.args.args[0].annotation
+    )
+
+
+@pytest.fixture(scope="module")
+def check(tmp_path_factory):
+    """What the type checker ty finds in a text, by its rules."""
+    beside = os.path.dirname(sys.executable)
+    ty = shutil.which("ty", path=os.pathsep.join([beside, os.environ.get("PATH", "")]))
+    if ty is None:
+        pytest.skip("there is no type checker ty")
+    folder = tmp_path_factory.mktemp("typed")
+
+    def run(text):
+        (folder / "snippet.py").write_text(text, encoding="utf-8")
+        call = [ty, "check", "--output-format", "concise", "--python", sys.prefix]
+        call += ["--extra-search-path", FOLDER.parent, "snippet.py"]
+        return subprocess.run(call, cwd=folder, capture_output=True, text=True).stdout
+
+    return run
+
+
+def test_the_snippet_of_the_readme_is_typed(check):
+    from test_readme import SNIPPET
+
+    assert "All checks passed" in check(SNIPPET)
+    assert "All checks passed" in check(TYPED)
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_the_type_checker_sees_what_is_wrong(check, name):
+    said = check(WRONG[name])
+    assert "error[" in said and name in said
