@@ -122,6 +122,19 @@ def test_links_lead_somewhere():
             assert ((ROOT / name).parent / target).exists(), f"{name}: {target}"
 
 
+def test_make_lab_saves_notebooks_on_request_only(tmp_path):
+    """Or one that is tracked would change when its workbench is used."""
+    pytest.importorskip("jupyterlab_server")
+    from jupyterlab_server.settings_utils import get_settings
+
+    folder = re.search(r"--LabApp.app_settings_dir=(\S+)", text("Makefile"))[1]
+    schemas = os.path.join(sys.prefix, "share", "jupyter", "lab", "schemas")
+    plugin = "@jupyterlab/docmanager-extension:plugin"
+    for settings, autosave in ((tmp_path, True), (ROOT / folder, False)):
+        made, _ = get_settings(str(settings), schemas, str(tmp_path), plugin)
+        assert made["schema"]["properties"]["autosave"]["default"] is autosave
+
+
 def test_version_and_lock_agree_with_the_project():
     project = tomllib.loads(text("pyproject.toml"))["project"]
     assert rodlib.__version__ == project["version"]

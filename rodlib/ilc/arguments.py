@@ -4,6 +4,7 @@ Each function returns the argument in the type that the code behind the door exp
 ValueError that names the argument, its value and what it must be.
 """
 
+import os
 import reprlib
 from collections.abc import Sequence
 from numbers import Real
@@ -176,10 +177,10 @@ def each_trial(name, signal, trials, samples, names):
 
 
 def path(name: str, value) -> Path:
-    """The path of a file."""
+    """The path of a file; ~ is the home of a user."""
     if not isinstance(value, str | PathLike) or not str(value):
         raise ValueError(f"{name} = {reprlib.repr(value)} must be the path of a file")
-    return Path(value)
+    return Path(os.path.expanduser(value))
 
 
 def state_space(name: str, value) -> control.StateSpace:

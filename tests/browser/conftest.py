@@ -109,7 +109,8 @@ def options_of_make_lab():
     """What the Makefile tells JupyterLab."""
     text = (ROOT / "Makefile").read_text(encoding="utf-8").replace("\\\n", " ")
     line = next(line for line in text.splitlines() if "jupyter lab " in line)
-    return line.split("jupyter lab ")[1].replace("$(LAB) ", "").split()
+    options = line.split("jupyter lab ")[1].partition(" # ")[0]
+    return options.replace("$(LAB) ", "").split()
 
 
 def wait_for(address, server, log):

@@ -115,6 +115,7 @@ def test_infeasible_and_back_by_the_button(reader, first, shots):
     infeasible = replace(tight, M_max=0.5)
     assert try_out(infeasible).M_max == 0.869
     assert reader.picture == drawn(infeasible)
+    assert try_out(infeasible).message.split() == reader.certificate.split()
     assert (
         reader.python.strip() == ""
         and reader.page.get_by_text("save Q and L").is_disabled()

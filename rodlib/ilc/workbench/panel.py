@@ -1,7 +1,6 @@
 """The widgets in front of the workbench: they set the knobs, and show the outcome."""
 
 import asyncio
-import os
 import warnings
 from html import escape
 from math import floor, log10
@@ -9,7 +8,7 @@ from math import floor, log10
 import ipywidgets as widgets
 import numpy as np
 
-from rodlib.ilc import save_law
+from rodlib.ilc import arguments, save_law
 from rodlib.ilc.workbench.outcome import Outcome, try_out
 from rodlib.ilc.workbench.picture import Picture
 from rodlib.ilc.workbench.plant import Plant, plant_of_file
@@ -90,7 +89,7 @@ class Panel:
 
     def _plant(self):
         if self.choice.value == LOG:
-            return plant_of_file(os.path.expanduser(self.file.value.strip()))
+            return plant_of_file(self.file.value.strip())
         return self.plants[self.choice.value]
 
     def _turn(self, change):
@@ -121,9 +120,7 @@ class Panel:
         if remedy:
             self.remedy.description = f"set M_max to {outcome.M_max:.3f}"
         self.save.disabled, self.saved.value = not feasible, ""
-        self.certificate.value = _as_html(
-            "certificate", outcome.text if feasible else ""
-        )
+        self.certificate.value = _as_html("certificate", outcome.text)
         python = outcome.settings.python if feasible else ""
         self.python.value = _as_html("python", python, "user-select: all")
         # Last: the lines beside a new picture are those that belong to it.
@@ -134,10 +131,10 @@ class Panel:
 
     def _save(self, button):
         """Save the law of the outcome, and say where it is, or why it is not."""
-        path = self.target.value
         try:
+            path = arguments.path("file", self.target.value.strip())
             save_law(path, self.outcome.law, self.settings.python)
-            self.saved.value = f"saved: {escape(os.path.abspath(path))}"
+            self.saved.value = f"saved: {escape(str(path.absolute()))}"
         except (ValueError, OSError) as error:
             self.saved.value = f"not saved: {escape(str(error))}"
 

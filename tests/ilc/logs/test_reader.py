@@ -1,4 +1,5 @@
 import re
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -104,6 +105,19 @@ def test_what_means_the_same_is_read_alike(tmp_path, good, text):
     trials = load_log(write(tmp_path, text))
     xr.testing.assert_allclose(trials, good, atol=1e-3)
     assert trials.attrs == {"Ts": 1.0}
+
+
+def test_notes_take_no_more_memory_than_a_few_times_their_length(tmp_path):
+    """5,000 of them, each as long as a law."""
+    note = "[" + ", ".join(["0.3333333333333333"] * 80) + "]"
+    notes = "".join(f"# law {k}: {note}\n" for k in range(5000))
+    path = write(tmp_path, GOOD.replace("# Ts", f"{notes}# Ts"))
+    tracemalloc.start()
+    trials = load_log(path)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert trials.attrs["law 4999"] == note
+    assert peak < 8 * path.stat().st_size
 
 
 def test_a_long_row_of_blanks_takes_no_longer_than_its_length(tmp_path, good):

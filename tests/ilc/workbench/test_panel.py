@@ -59,6 +59,7 @@ def test_infeasible_and_back(panel):
     panel.knobs["order"].value = 3
     panel.knobs["M_max"].value = 0.06
     assert panel.outcome.design is None and panel.save.disabled
+    assert "infeasible" in unescape(panel.certificate.value)  # not in the picture alone
     assert panel.remedy.layout.display == ""
     smallest = panel.outcome.M_max
     assert panel.remedy.description == f"set M_max to {smallest:.3f}"
@@ -82,6 +83,7 @@ def test_fields_out_of_range_are_answered_by_a_message(panel):
     assert "band = (1000000000.0, 100.0)" in panel.outcome.message
     panel.choice.value, panel.file.value = LOG, "nowhere.csv"
     assert panel.settings is None and "nowhere.csv" in panel.outcome.message
+    assert panel.outcome.message in unescape(panel.certificate.value)
     panel.choice.value = "stage"
     assert panel.outcome.design is not None
 
@@ -105,13 +107,18 @@ def test_changes_that_follow_at_once_are_one(panel, monkeypatch):
     asyncio.run(turn())
 
 
-def test_the_law_is_saved(panel, tmp_path):
+def test_the_law_is_saved(panel, tmp_path, monkeypatch):
     panel.target.value = str(tmp_path / "law.json")
     panel.save.click()
     assert "law.json" in panel.saved.value
     law, design = load_law(tmp_path / "law.json"), panel.outcome.design
     assert (law.Q, law.rest) == (panel.settings.Q, 15)
     np.testing.assert_array_equal(law.L.coefficients, design.filter.coefficients)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    panel.target.value = " ~/at home.json"  # as a path that is read
+    panel.save.click()
+    assert panel.saved.value == f"saved: {tmp_path}/at home.json"
+    assert load_law("~/at home.json").rest == 15
     panel.target.value = str(tmp_path / "nowhere" / "law.json")
     panel.save.click()
     assert panel.saved.value.startswith("not saved: ")
