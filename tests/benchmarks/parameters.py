@@ -43,6 +43,7 @@ SETTINGS = {
         {"trials": 4, "stronger": 12.0, "draws": 1},
     ],
     "17": [{"noise": 0.0, "trials": 3}, {"lag": 10.0, "noise": 0.1, "varying": 4}],
+    "18": [{"noise": 0.05, "trials": 6, "draws": 1}, {"ageing": 40, "drift": 0.1}],
 }
 SENTENCES = {"ValueError", "InfeasibleError"}
 WAYS = ("to the end", "in a sentence", "in a traceback")
