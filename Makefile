@@ -20,7 +20,7 @@ export LC_ALL := C.UTF-8
 export PYTHONWARNINGS := ignore::DeprecationWarning
 .DELETE_ON_ERROR:
 .PHONY: $(BIN)/ready help reproduce test lint data replay machines mutants lowest survey regions \
-	plants peers solvers watch \
+	plants peers renewal ageing solvers watch \
 	study pages bench lab notebooks stubs lock clean
 
 help:  ## list the targets
@@ -77,6 +77,12 @@ survey: $(BIN)/ready  ## solve 550 problems for ordinary plants; count how it en
 
 regions: $(BIN)/ready  ## how often the truth is in an estimate's region, 22 kinds of records (half an hour)
 	@$(BIN)/python tests/benchmarks/regions.py
+
+renewal: $(BIN)/ready  ## filters from a plant's own trials, against filters from its model (an hour)
+	@$(BIN)/python tests/benchmarks/renewal.py
+
+ageing: $(BIN)/ready  ## laws left alone, and laws that renew themselves, on a rod that drifts (minutes)
+	@$(BIN)/python tests/benchmarks/ageing.py
 
 plants: $(BIN)/ready  ## ten kinds of plants the whole way, from a model to a log (a minute)
 	@$(BIN)/python tests/benchmarks/whole_way.py

@@ -123,3 +123,30 @@ def test_the_watch_keeps_quiet_and_speaks(benchmarks):
     loud = watch.loud_row("P has 2 times the gain", [2])
     assert loud[1:] == ["rate", "1", "1", "3", "3"]
     assert watch.quiet_row("furnace", [(10, {"rate": 3})])[4:] == ["1", "100.00"]
+
+
+def test_promises_of_renewed_filters_are_counted(benchmarks):
+    """At any frequency and at those of a trial; without a filter there is no promise."""
+    import renewal
+
+    made = dict.fromkeys(renewal.WAYS, (0.5, 0.9, 0.4))
+    none = made | {"estimate": "infeasible"}
+    errors = dict.fromkeys(renewal.WAYS, np.array([0.2, 0.1]))
+    better = errors | {"estimate": np.array([0.2, 0.05])}
+    row = renewal.row("rods", [(errors, none), (better, made), (better, made)])
+    assert len(row) == len(renewal.TITLES) + 1
+    assert row[3] == "0.200, 0.050" and row[6:] == [
+        "2 of 3", "1", "2 of 2", "0 of 2", "0 of 3", "0 of 3",
+    ]  # fmt: skip
+
+
+def test_a_law_that_is_left_alone_meets_the_element_that_fails(benchmarks):
+    import ageing
+
+    errors, promises, rates = ageing.left_alone(
+        "the paper's filter", True, 0, trials=20
+    )
+    assert errors.shape == (20,) and promises == []
+    assert errors[10] > 3 * errors[9] and 0.9 < max(rates) < 1
+    whole, _, better = ageing.left_alone("the paper's filter", False, 0, trials=20)
+    assert errors[10] > 2 * whole[10] and max(better) < max(rates)

@@ -1,7 +1,7 @@
 """Numbers in the prose of the notebooks: each is an output, in the ledger, or a choice in the code.
 
 In the README and in the list of deviations each is one of the notebooks, or of the benchmarks, that
-the paragraph names.
+the paragraph names; a cell of a notebook may have those of a benchmark that it names by `make ...`.
 
 Read are numbers in digits, in text, in formulas and in the captions of figures. Labels of
 equations, figures and the like, exponents, indices and sizes (2 x 2) are no results; neither are
@@ -91,14 +91,27 @@ def not_found(notebook, rows, constants=()):
     texts += [
         o.data["text/markdown"] for o in outputs if "text/markdown" in o.get("data", {})
     ]
-    prose = "\n\n".join(texts)
     known = known_numbers(notebook, rows)
     return [
         shown
-        for shown, factors in numbers(prose)
+        for text in texts
+        for shown, factors in numbers(text)
         if shown not in constants
-        and not any(is_rounding_of(shown, value, factors) for value in known)
+        and not any(
+            is_rounding_of(shown, value, factors) for value in known | benchmarked(text)
+        )
     ]
+
+
+def benchmarked(text):
+    """The numbers of the benchmarks that a text names, in their sections of performance.md."""
+    page = (ROOT / "figures" / "performance.md").read_text(encoding="utf-8")
+    found = set()
+    for name in re.findall(r"`make (\w+)`", text):
+        _, _, section = page.partition(f"<!-- {name} -->")
+        section = section.partition(f"<!-- end of {name} -->")[0]
+        found |= {Decimal(number) for number in re.findall(NUMBER, section)}
+    return found
 
 
 @pytest.fixture(scope="module")

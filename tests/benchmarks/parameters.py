@@ -32,14 +32,18 @@ SETTINGS = {
         {"rest": 0, "frequencies": 40, "searched": 2, "evaluations": 6},
     ],
     "09": [FEW | {"spread": 0.3}, FEW | {"M_max": 0.85, "cutoff": 0.05}],
-    "10": [{"trials": 2, "hours": 3.0}, {"amplitude": 2.0, "frequencies": 150}],
+    "10": [{"trials": 2, "hours": 3.0, "draws": 2}, {"amplitude": 2.0, "draws": 1}],
     "11": [{"rest": 0, "seed": 2}, {"trials": 3, "rest": 40}],
     "12": [{"M_max": 0.85, "percent": 60.0}, {"L_max": 5.0}],
-    "13": [{"drawn": 20, "seed": 2}, {"cutoff": 0.08, "rest": 40}],
+    "13": [{"drawn": 20, "seed": 2, "draws": 2}, {"cutoff": 0.08, "draws": 2}],
     "14": [{"limit": 24.0, "trials": 4}, {"trials": 5, "rest": 0}],
     "15": [{"trials": 2, "cells": 48}, {"M_max": 0.6, "L_max": 200.0, "heat": 0.0}],
-    "16": [{"trials": 3, "resistance": 0.5}, {"trials": 4, "stronger": 12.0}],
+    "16": [
+        {"trials": 3, "draws": 2, "longer": 4},
+        {"trials": 4, "stronger": 12.0, "draws": 1},
+    ],
     "17": [{"noise": 0.0, "trials": 3}, {"lag": 10.0, "noise": 0.1, "varying": 4}],
+    "18": [{"noise": 0.05, "trials": 6, "draws": 1}, {"ageing": 40, "drift": 0.1}],
 }
 SENTENCES = {"ValueError", "InfeasibleError"}
 WAYS = ("to the end", "in a sentence", "in a traceback")

@@ -16,8 +16,6 @@ from scipy.signal import freqz, lfilter
 
 from rodlib import (
     InfeasibleError,
-    Law,
-    LearningFilter,
     measured_response,
     rate,
     synthesise,
@@ -44,6 +42,12 @@ def resonance(rng):
     pole = np.exp(natural * (-damping + 1j * np.sqrt(1 - damping**2)))
     a = np.poly([pole, pole.conj()]).real
     return np.array([0, a.sum() / 2, a.sum() / 2]), a
+
+
+def late(rng):
+    """A lag behind a delay of 100 to 250 samples."""
+    pole = np.exp(-1 / rng.uniform(10, 60))
+    return np.append(np.zeros(rng.integers(101, 252)), 1 - pole), np.array([1, -pole])
 
 
 def steps(rng, N):
@@ -94,13 +98,15 @@ def single(u, y, of="u"):
     return several(*(np.atleast_2d(signal).T[None] for signal in (u, y)), of)
 
 
-def learned(rng, trials=8, N=100, start=0.0):
+def learned(rng, trials=8, N=100, start=0.0, delay=0):
     """Trials under learning, with a disturbance that repeats."""
-    plant = lag(rng)
-    impulse = answer(plant, np.eye(1, N)[0], rng)
-    c = np.zeros((1, 1, 12))
-    c[0, 0] = 0.5 * impulse[:12] / np.sum(np.abs(impulse)) / np.abs(impulse).max()
-    law = Law(zero_phase_butterworth(2, 1.0, 1.0), LearningFilter(c, 1.0))
+    b, a = lag(rng)
+    plant = np.append(np.zeros(delay), b), a
+    Q, omega = zero_phase_butterworth(2, 0.3, 1.0), np.geomspace(0.01, np.pi, 100)
+    with warnings.catch_warnings(action="ignore"):
+        law = synthesise(
+            1.2 * response([[plant]], omega), Q, omega, Ts=1.0, M_max=0.95
+        ).law()
     r = 3 * np.sin(np.pi * np.minimum(np.arange(N) / (0.8 * N), 1)) ** 2
     disturbance, v = coloured(rng, N, 0.3), np.zeros((N, 1))
     w, y = np.zeros((2, trials, N))
@@ -249,11 +255,14 @@ KINDS = {
     "learning": learned,
     "learning, 2 trials": partial(learned, trials=2),
     "learning, starts differ": partial(learned, start=0.3),
+    "learning, delay of 30": partial(learned, delay=30, N=200),
     "the same step twice": two_logs,
     "four modes": flexible,
     "two channels, resonance": two_resonances,
     "feedback, coloured noise": feedback,
     "slow, 10,000 samples": oversampled,
+    "a long delay, noise": partial(noisy, make=late, N=2000),
+    "a long delay, steps": partial(open_loop, make=late, N=2000),
     "three lengths": of_three_lengths,
     "three trials saturate": saturating,
     "quadratic": quadratic,

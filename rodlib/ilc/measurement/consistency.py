@@ -10,10 +10,16 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from scipy.signal import fftconvolve, lfilter
+from scipy.signal import fftconvolve
 from scipy.special import fdtrc
 
-from rodlib.ilc.measurement.regression import Regression, Trials, contrasts, records
+from rodlib.ilc.measurement.regression import (
+    Regression,
+    Trials,
+    contrasts,
+    convolved,
+    records,
+)
 
 QUARTERS = ("first", "second", "third", "last")  # of a single trial
 FALSE_ALARM = 1e-3  # probability for each output
@@ -31,7 +37,7 @@ def contradictions(
     regressors = records(groups, fit.data.layout)
     for group in groups:
         added = contrasts(_alternatives(fit, group, first, parts))
-        added = lfilter(fit.denominator, 1.0, added, axis=1)
+        added = convolved(added, fit.denominator)
         first += len(_parts(group))
         for Z, (X, y, line, mean) in zip(added, regressors, strict=False):
             Z = Z[-len(y) :]
@@ -72,7 +78,7 @@ def _alternatives(fit, group, first, parts):
     """Simulated outputs in each part, their slopes, and powers, (trial, time, column)."""
     K, N, _ = group.u.shape
     u, response = np.moveaxis(group.u, 2, 0), fit.impulse(N)[:, None]
-    simulated = _passed(u - u[..., :1], response).sum(axis=0)
+    simulated = _passed(u, response).sum(axis=0)
     outputs = np.stack([simulated, np.gradient(simulated, axis=1)], axis=2)
     rows = np.repeat(np.arange(K), N)
     if K == 1:
@@ -81,7 +87,8 @@ def _alternatives(fit, group, first, parts):
     alone = [inside * signal[..., None] for signal in np.moveaxis(outputs, 2, 0)]
     u, middle = u - u.mean(axis=(1, 2), keepdims=True), simulated - simulated.mean()
     powers = [*_passed(u**2, response), *_passed(u**3, response), middle**2, middle**3]
-    return np.concatenate([*alone, np.stack(powers, axis=2)], axis=2)
+    columns = np.concatenate([*alone, np.stack(powers, axis=2)], axis=2)
+    return columns - columns[:, :1]
 
 
 def _passed(u, response):

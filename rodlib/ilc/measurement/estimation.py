@@ -13,6 +13,7 @@ import xarray as xr
 from scipy import ndimage
 
 from rodlib.ilc import arguments
+from rodlib.ilc.law.io import RESET
 from rodlib.ilc.loop.closed import ClosedLoop, Loop
 from rodlib.ilc.loop.notes import LogError, loop_of
 from rodlib.ilc.measurement.consistency import contradictions
@@ -121,7 +122,7 @@ class EstimatedResponse(Measured):
         n = u.shape[1]
         g = self.units[..., None] * [fit.impulse(n)[: u.shape[2]] for fit in self.fits]
         size = 2 * n
-        U, G = np.fft.rfft(u - u[:, :1], size, axis=1), np.fft.rfft(g, size)
+        U, G = np.fft.rfft(u, size, axis=1), np.fft.rfft(g, size)
         simulated = np.fft.irfft(np.einsum("ijf,kfj->kfi", G, U), size, axis=1)[:, :n]
         line = np.linalg.qr(np.stack([np.ones(n), np.arange(n)], axis=1))[0]
         off, moved = (x - line @ (line.T @ x) for x in (y - simulated, y))
@@ -179,7 +180,7 @@ def estimated_response(
     groups = []
     for log, name, (u, y) in zip(logs, names, signals, strict=True):
         where = f" of {name}" if len(logs) > 1 else ""
-        titles = tuple(f"trial {k}{where}" for k in log.trial.values)
+        titles = tuple(f"trial {k}{where}" for k in log.trial.values[: len(y)])
         groups.append(Trials(_with_disturbances(log, u / u_size), y / y_size, titles))
     width = min(group.u.shape[2] for group in groups)
     direct = of == "w" or "reference" not in first
@@ -238,7 +239,7 @@ def _identified(estimate):
 
 
 def _signals(log, of, name="log"):
-    """Input and outputs, (trial, time, channel)."""
+    """Input and outputs from before each trial on, (trial, time, channel)."""
     if of == "w" and "reference" not in log:
         raise LogError(f"{name} has no reference, and so no w: take of = 'u'")
     if of == "u" and "u" not in log:
@@ -254,7 +255,11 @@ def _signals(log, of, name="log"):
         raise LogError(
             f"{name} has {len(y[0])} samples in a trial, but must have {FEWEST} or more"
         )
-    return u, y
+    # Before a trial, v is zero; of commands no more is known than the first.
+    before = u if of == "u" else log.reference.transpose(*axes).values
+    if RESET in log.attrs:  # trials go on where the last one ended: one record
+        u, y, before = (x.reshape(1, -1, x.shape[2]) for x in (u, y, before))
+    return u - before[:, :1], y - y[:, :1]
 
 
 def _with_disturbances(log, u):
@@ -262,6 +267,8 @@ def _with_disturbances(log, u):
     if "disturbance" not in log:
         return u
     d = log.disturbance.transpose("trial", "time", ...).values
+    d = d.reshape(*u.shape[:2], -1)
+    d = d - d[:, :1]
     return np.concatenate([u, d / np.maximum(_size([d]), 1e-300)], axis=2)
 
 

@@ -6,9 +6,10 @@ with A monic, B and A of as many lags as a quarter of the record, and white e: P
 coefficients decay and neighbours are alike, with the tuned-correlated kernel c exp(-max(i, j) / T),
 each of A, B_j and the start with c and T of their own (T. Chen, H. Ohlsson and L. Ljung, Automatica
 48 (2012) 1525-1535; G. Pillonetto and others, Automatica 50 (2014) 657-682). In increments from lag
-to lag this kernel is diagonal. Far lags share increments, geometrically more of them. The drift is
-a random walk. The marginal likelihood determines all c and T, a Laplace approximation how well; the
-coefficients are drawn for several of them.
+to lag this kernel is diagonal. Far lags share increments, geometrically more of them, counted from
+the delay of each input, if one that correlations show is likelier than none. The drift is a random
+walk. The marginal likelihood determines all c and T, its curvature how well; the coefficients are
+drawn for several of them.
 """
 
 from collections.abc import Iterator, Sequence
@@ -35,7 +36,9 @@ CALM = -3.0  # the same of the drift
 WIDE = 3.0  # their standard deviation before the data
 BOUND = 30.0  # of all logarithms
 EXACT = 1e-9  # least noise, in the power of the output
-SETS, DRAWS = 80, 600  # draws of hyperparameters, and of coefficients for all of them
+SETS, DRAWS = 80, 8  # draws of hyperparameters, and of coefficients for each of them
+LATE = 5  # lags at which inputs and output correlate most: less is no delay
+ROOM = (0.6, 0.9)  # delays, of such lags, that are tried
 TAILS = 5  # degrees of freedom of the distribution that the first are drawn from
 TURN = 4096  # frequencies at least on which the zeros of A are counted
 
@@ -43,8 +46,8 @@ TURN = 4096  # frequencies at least on which the zeros of A are counted
 class Trials(NamedTuple):
     """Trials of the same length, in each of which the same disturbance may repeat."""
 
-    u: np.ndarray  # (trial, time, m)
-    y: np.ndarray  # (trial, time, p)
+    u: np.ndarray  # (trial, time, m), relative to before the trial
+    y: np.ndarray  # (trial, time, p), relative to the first sample
     names: tuple[str, ...]  # of the trials, in messages
 
 
@@ -57,7 +60,7 @@ class _Layout:
     lag: np.ndarray  # (unknown,)
     gap: np.ndarray  # (unknown,): to the next lag; infinite at the last
     past: np.ndarray  # (lag, k): coefficients of A from increments
-    moves: np.ndarray  # (lag, k): those of B
+    moves: np.ndarray  # (m, lag, k): those of B
     start: np.ndarray  # (time, k)
     starts: int  # records with an unknown start
     drifts: int  # and with a drift
@@ -81,19 +84,20 @@ def _knots(first, last, close, step):
     return np.array(knots)
 
 
-def _increments(knots):
+def _increments(knots, count):
     """One up to a knot and zero from the next one on, straight between, (lag, knot)."""
-    lags = np.arange(knots[-1] + 1)
+    lags = np.arange(count)
     hats = np.array([np.interp(lags, knots, one) for one in np.eye(len(knots))]).T
-    return np.cumsum(hats, axis=1) * (lags >= knots[0])[:, None]
+    return np.cumsum(hats, axis=1) * ((lags >= knots[0]) & (lags <= knots[-1]))[:, None]
 
 
-def _layout(groups, direct):
+def _layout(groups, direct, delays):
     longest = max(group.y.shape[1] for group in groups)
-    m, reach = groups[0].u.shape[2], max(4, longest // SHARE)
+    m, reach = len(delays), max(4, longest // SHARE)
     past, moves = (
         _knots(first, reach, CLOSE, STEP) for first in (1, 0 if direct else 1)
     )
+    lags = reach + max(delays) + 1
     start = _knots(0, reach, *START)
     records = sum(len(group.y) for group in groups)
     starts = records if records * len(start) <= STARTS else 0
@@ -105,9 +109,9 @@ def _layout(groups, direct):
         kind=np.repeat(kinds, [len(block) for block in blocks]),
         lag=np.concatenate([block - block[0] for block in blocks]),
         gap=np.concatenate(gaps),
-        past=_increments(past),
-        moves=_increments(moves),
-        start=_increments(start),
+        past=_increments(past, reach + 1),
+        moves=np.stack([_increments(moves + delay, lags) for delay in delays]),
+        start=_increments(start, reach + 1),
         starts=starts,
         drifts=len(groups),
         skipped=0 if starts else reach,
@@ -115,10 +119,8 @@ def _layout(groups, direct):
 
 
 def contrasts(signal: np.ndarray) -> np.ndarray:
-    """Of trials, less their first samples: sqrt(K) times their mean, then their differences."""
-    signal = signal - signal[:, :1]
-    H = helmert(len(signal), full=True)
-    return np.tensordot(H, signal, 1)
+    """Of K trials: sqrt(K) times their mean, then their differences."""
+    return np.tensordot(helmert(len(signal), full=True), signal, 1)
 
 
 def records(
@@ -141,11 +143,16 @@ def records(
             drifts = np.zeros((N, layout.drifts, KNOTS))
             if k == 0:
                 drifts[:, g] = ramps
-            X = [-_lagged(y, layout.past), *(_lagged(x, layout.moves) for x in u.T)]
+            X = [-_lagged(y, layout.past), *map(_lagged, u.T, layout.moves)]
             X = np.hstack([*X, starts.reshape(N, -1), drifts.reshape(N, -1)])
             number += 1
             X, y = (_without(line, signal[layout.skipped :]) for signal in (X, y))
             yield X, y, line, k == 0 and len(outputs) > 1
+
+
+def convolved(signals: np.ndarray, lags: np.ndarray) -> np.ndarray:
+    """Signals (trial, time, column) with a finite impulse response."""
+    return fftconvolve(signals, lags[None, :, None], axes=1)[:, : signals.shape[1]]
 
 
 def _lagged(signal, basis):
@@ -183,8 +190,7 @@ class _Posterior(NamedTuple):
         return self.size * solve_triangular(self.U, self.half)
 
 
-def _normal(groups, direct):
-    layout = _layout(groups, direct)
+def _normal(groups, layout):
     p = len(layout.kind)
     R, b, s, count = np.zeros((2, p, p)), np.zeros((2, p)), np.zeros(2), np.zeros(2)
     for X, y, _, mean in records(groups, layout):
@@ -214,7 +220,9 @@ def _posterior(eta, data):
     return _Posterior(size, U, half, max(total - half @ half, EXACT * total), ratio)
 
 
-def surprise(eta: np.ndarray, data: _Normal, centre: np.ndarray, slopes: bool = True):
+def surprise(
+    eta: np.ndarray, data: _Normal, centre: np.ndarray
+) -> tuple[float, np.ndarray]:
     """Minus the logarithm of the posterior of hyperparameters, and its gradient."""
     layout, count = data.layout, data.count.sum()
     size, U, half, rest, ratio = _posterior(eta, data)
@@ -222,8 +230,6 @@ def surprise(eta: np.ndarray, data: _Normal, centre: np.ndarray, slopes: bool = 
     value = count / 2 * np.log(rest) + np.log(np.diag(U)).sum() + off @ off / 2
     if data.count[1]:
         value -= data.count[1] / 2 * log_expit(-eta[-1])
-    if not slopes:
-        return value
     h = solve_triangular(U, half, check_finite=False)
     inverse = dpotri(U)[0]
     each = (1 - np.diag(inverse) - count * h**2 / rest) / 2  # over log variances
@@ -241,23 +247,39 @@ def surprise(eta: np.ndarray, data: _Normal, centre: np.ndarray, slopes: bool = 
     return value, gradient
 
 
-def _fitted(data, longest):
-    """The likeliest hyperparameters, a root of their covariance, and the prior's centre."""
+class _Fit(NamedTuple):
+    """The likeliest hyperparameters of a layout."""
+
+    eta: np.ndarray
+    surprise: float
+    centre: np.ndarray  # of their prior
+    data: _Normal
+
+    @property
+    def spread(self) -> np.ndarray:
+        """A root of the covariance of the hyperparameters."""
+        eta, _, centre, data = self
+        steps = 1e-3 * np.eye(len(eta))
+        H = [
+            surprise(eta + e, data, centre)[1] - surprise(eta - e, data, centre)[1]
+            for e in steps
+        ]
+        values, vectors = np.linalg.eigh(np.array(H) + np.transpose(H))
+        return vectors / np.sqrt(np.maximum(values / 4e-3, 1 / WIDE**2))
+
+
+def _fitted(groups, direct, delays):
+    longest = max(group.y.shape[1] for group in groups)
+    data = _normal(groups, _layout(groups, direct, delays))
     kinds = data.layout.kind.max() + 1
     centre = np.append(np.full(2 * kinds, CENTRE), 0.0)
     centre[kinds - 1] = CALM
     bounds = [(-BOUND, BOUND)] * kinds + [(-1.5, np.log(5 * longest))] * kinds
-    eta = minimize(
+    found = minimize(
         surprise, centre, (data, centre), jac=True, method="L-BFGS-B",
         bounds=[*bounds, (-BOUND, BOUND)], options={"maxiter": 60, "ftol": 1e-7},
-    ).x  # fmt: skip
-    steps = 1e-3 * np.eye(len(eta))
-    H = [
-        surprise(eta + e, data, centre)[1] - surprise(eta - e, data, centre)[1]
-        for e in steps
-    ]
-    values, vectors = np.linalg.eigh(np.array(H) + np.transpose(H))
-    return eta, vectors / np.sqrt(np.maximum(values / 4e-3, 1 / WIDE**2)), centre
+    )  # fmt: skip
+    return _Fit(found.x, found.fun, centre, data)
 
 
 @dataclass(frozen=True)
@@ -277,13 +299,13 @@ class Regression:
 
     @property
     def moves(self) -> np.ndarray:
-        """Lags of B from increments."""
+        """Lags of B from increments, of each input."""
         return self.data.layout.moves
 
     def _waves(self, omega):
-        """Of A and of B at angles omega Ts what one increment makes, (n, k) each."""
-        waves = np.exp(-1j * np.outer(omega, np.arange(len(self.past))))
-        return waves @ self.past, waves @ self.moves
+        """Of A (n, k) and of B (m, n, k) at angles omega Ts what one increment makes."""
+        waves = np.exp(-1j * np.outer(omega, np.arange(self.moves.shape[1])))
+        return waves[:, : len(self.past)] @ self.past, waves @ self.moves
 
     def response(self, omega: np.ndarray, draws: slice = slice(None)) -> np.ndarray:
         """P at angles omega Ts, shape (draw, n, m)."""
@@ -298,7 +320,7 @@ class Regression:
 
     def impulse(self, n: int, draw: int = 0) -> np.ndarray:
         """The estimate, or a draw, over n samples of time, shape (m, n)."""
-        lags = (self.b[..., draw] @ self.moves.T)[:, :n]
+        lags = np.einsum("jlk,jk->jl", self.moves, self.b[..., draw])[:, :n]
         B = np.pad(lags, ((0, 0), (0, n - lags.shape[1])))
         return lfilter([1.0], _monic(self.past @ self.a[:, draw]), B)
 
@@ -311,7 +333,7 @@ class Regression:
         for j in range(len(self.b)):
             slopes = np.zeros((len(omega), len(size)), complex)
             kind = self.data.layout.kind
-            slopes[:, kind == 0], slopes[:, kind == 1 + j] = -P[:, [j]] * A, B
+            slopes[:, kind == 0], slopes[:, kind == 1 + j] = -P[:, [j]] * A, B[j]
             slopes *= size
             after = solve_triangular(U, slopes.T, trans=1)
             shares.append(
@@ -333,28 +355,47 @@ def _are_stable(a):
 
 
 def regression(groups: Sequence[Trials], direct: bool, seed: int = 0) -> Regression:
-    """Of one output; `direct`: whether y(t) may depend on u(t)."""
-    data = _normal(groups, direct)
-    eta, spread, centre = _fitted(data, max(group.y.shape[1] for group in groups))
-    likeliest = _posterior(eta, data)
-    rng, layout, count = np.random.default_rng(seed), data.layout, data.count.sum()
+    """Of one output; `direct`: whether y(t) may depend on u(t).
+
+    Twice where inputs arrive late: lags are close from their delays on, if that is more likely.
+    """
+    best = _fitted(groups, direct, np.zeros(groups[0].u.shape[2], int))
+    peaks = _peaks(groups, best)
+    for room in ROOM if peaks.max() >= LATE else ():
+        other = _fitted(groups, direct, (room * peaks).astype(int))
+        if other.surprise > best.surprise:
+            break
+        best = other
+    return _drawn(best, seed)
+
+
+def _peaks(groups, fit):
+    """Lags at which inputs and the output correlate most, both passed through A, (m,)."""
+    layout = fit.data.layout
+    a = layout.past @ _posterior(fit.eta, fit.data).mean[layout.kind == 0]
+    longest, total = max(group.y.shape[1] for group in groups), 0.0
+    for group in groups:
+        signals = contrasts(np.concatenate([group.u, group.y], axis=2))
+        spectra = np.fft.rfft(convolved(signals, _monic(a)), 2 * longest, axis=1)
+        products = np.sum(spectra[..., :-1].conj() * spectra[..., -1:], axis=0)
+        total = total + np.fft.irfft(products, axis=0)[: longest // 2]
+    return np.argmax(np.abs(total), axis=0)
+
+
+def _drawn(fit, seed):
+    eta, data = fit.eta, fit.data
+    layout, likeliest = data.layout, _posterior(eta, data)
+    rng, count = np.random.default_rng(seed), data.count.sum()
     z = rng.standard_normal((SETS, len(eta)))
     z *= np.sqrt(TAILS / rng.chisquare(TAILS, (SETS, 1)))
-    moved = np.clip(eta + z @ spread.T, -BOUND, BOUND)
-    # Importance sampling: the posterior over the t distribution that they were drawn from. By its
-    # square root, as few of so many draws count otherwise, and the truth is outside too often.
-    weight = (TAILS + len(eta)) / 2 * np.log1p(np.sum(z**2, axis=1) / TAILS)
-    weight -= [surprise(one, data, centre, slopes=False) for one in moved]
-    weight = np.exp((weight - weight.max()) / 2)
+    moved = np.clip(eta + z @ fit.spread.T, -BOUND, BOUND)
+    # Not weighted by their posterior: the few that count then are too alike, and the truth is
+    # outside too often.
     drawn = [likeliest.mean[:, None]]
-    for one, number in zip(
-        moved, rng.multinomial(DRAWS, weight / weight.sum()), strict=True
-    ):
-        if not number:
-            continue
+    for one in moved:
         at = _posterior(one, data)
-        noise = np.sqrt(at.rest / rng.chisquare(count, number))
-        noise = noise * rng.standard_normal((len(at.U), number))
+        noise = np.sqrt(at.rest / rng.chisquare(count, DRAWS))
+        noise = noise * rng.standard_normal((len(at.U), DRAWS))
         drawn.append(
             at.size[:, None] * solve_triangular(at.U, at.half[:, None] + noise)
         )

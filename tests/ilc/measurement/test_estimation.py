@@ -24,6 +24,7 @@ from rodlib import (
     try_out,
     zero_phase_butterworth,
 )
+from rodlib.ilc.law.io import NO_RESET, RESET
 from rodlib.ilc.models import frequency_response
 from rodlib.ilc.workbench.plant import Plant
 
@@ -227,6 +228,51 @@ def test_a_resonance_that_rings_on_beyond_the_record_is_estimated():
     truth = response([[([0, a.sum()], a)]], estimate.omega)
     assert np.all(off(estimate, truth) <= estimate.radius(0.99, jointly=True))
     assert np.median(estimate.radius()) < 0.1
+
+
+@pytest.mark.parametrize(("delay", "N"), [(41, 400), (220, 2000)])
+def test_a_long_delay_is_found(delay, N):
+    """Whether noise or a few steps move the input; without a delay the region misses P widely."""
+    rng, plant = (
+        np.random.default_rng(5),
+        (np.append(np.zeros(delay + 1), 0.05), [1, -0.95]),
+    )
+    steps = np.select(
+        [np.arange(N) < 0.1 * N, np.arange(N) < 0.5 * N], [0.0, 1.0], -0.5
+    )
+    for u in (steps, np.repeat(rng.standard_normal(N // 4), 4)):
+        y = lfilter(*plant, u) + 0.02 * rng.standard_normal(N)
+        estimate = measured_response(single(u, y))
+        truth = response([[plant]], estimate.omega)
+        assert np.all(off(estimate, truth) <= estimate.radius(0.99, jointly=True))
+        assert np.median(estimate.radius()[estimate.known]) < 0.1
+
+
+def test_trials_that_begin_with_v_are_estimated_from_the_rest_before_them():
+    """With a delay, v begins where the reference does not yet move: a step in the first sample."""
+    P = control.ss(
+        control.tf([0.06], [1, -0.94], 1.0) * control.tf([1], [1, *[0] * 40], 1.0)
+    )
+    t, rng = np.arange(400), np.random.default_rng(0)
+    r = 5 * np.sin(np.pi * np.minimum(t / 280, 1)) ** 2
+    v = np.array([0, 0.8, 1.2, 1.25])[:, None] * np.roll(r, -41) * (t < 330)
+    y = [control.forced_response(P, t, r + row).outputs for row in v]
+    y = np.array(y) + 0.01 * rng.standard_normal(v.shape)
+    log = several(np.tile(r, (4, 1))[..., None], y[..., None], "w")
+    estimate = measured_response(log.assign(v=(log.v.dims, v[..., None])))
+    truth = frequency_response(P, estimate.omega)
+    assert np.all(off(estimate, truth) <= estimate.radius(0.99, jointly=True))
+    assert np.median(estimate.radius()[estimate.known]) < 0.05
+
+
+def test_trials_without_reset_are_one_record():
+    rng = np.random.default_rng(0)
+    w = np.repeat(rng.standard_normal(200), 3)
+    y = lfilter([0, 0.2], [1, -0.8], w) + 0.02 * rng.standard_normal(600)
+    logs = [several(*(x.reshape(-1, N, 1) for x in (w, y)), "w") for N in (600, 150)]
+    logs[1].attrs[RESET] = NO_RESET
+    one, four = map(measured_response, logs)
+    np.testing.assert_array_equal(four.response, one.response)
 
 
 def test_what_integrates_is_warned_of_and_what_diverges_is_refused():

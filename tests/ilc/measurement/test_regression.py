@@ -26,7 +26,7 @@ def trials_of(trials, N=60, m=2, noise=0.1, seed=0):
 @pytest.mark.parametrize(("lengths", "trials"), [((60,), 1), ((60,), 3), ((40, 60), 1)])
 def test_the_likelihood_is_that_of_the_normal_distribution(lengths, trials):
     groups = [trials_of(trials, N, seed=N) for N in lengths]
-    data = module._normal(groups, direct=True)
+    data = module._normal(groups, module._layout(groups, True, np.array([0, 7])))
     rows = list(records(groups, data.layout))
     X, y, means = (
         np.concatenate([row[0] for row in rows]),
@@ -52,16 +52,20 @@ def test_the_likelihood_is_that_of_the_normal_distribution(lengths, trials):
     np.testing.assert_allclose(gradient, steps, rtol=1e-3, atol=1e-3)
 
 
-def test_the_prior_of_the_coefficients_is_the_tuned_correlated_kernel():
-    data = module._normal([trials_of(1)], direct=True)
-    layout, scale, time = data.layout, 0.7, 2.0
+def test_the_prior_of_the_coefficients_is_the_tuned_correlated_kernel_after_a_delay():
+    layout, scale, time = (
+        module._layout([trials_of(1)], True, np.array([7, 2])),
+        0.7,
+        2.0,
+    )
     kinds = layout.kind.max() + 1
     eta = np.append(np.repeat([scale, time], kinds), 0.0)
     variance = np.exp(layout.prior(eta)[0])[layout.kind == 1]
-    covariance = layout.moves * variance @ layout.moves.T
-    lag = np.arange(len(covariance))
+    covariance = layout.moves[0] * variance @ layout.moves[0].T
+    lag = np.arange(len(covariance) - 7)
     kernel = np.exp(scale - np.maximum.outer(lag, lag) / np.exp(time))
-    np.testing.assert_allclose(covariance, kernel, rtol=1e-9)
+    np.testing.assert_allclose(covariance[7:, 7:], kernel, rtol=1e-9)
+    assert not covariance[:7].any()
 
 
 def test_contrasts_keep_independent_noise_and_take_what_repeats_into_one():
