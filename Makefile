@@ -120,10 +120,14 @@ notebooks: $(BIN)/ready  ## execute the tracked notebooks in place, before a com
 stubs: $(BIN)/ready  ## write rodlib/*.pyi, which editors read, from the registry of doors
 	$(BIN)/python tests/stubs.py
 
-lock: $(BIN)/ready  ## resolve the dependencies of pyproject.toml anew: the only writer of environment.lock
-	$(BIN)/uv pip compile pyproject.toml --extra dev --universal --fork-strategy fewest --upgrade \
-		--generate-hashes --no-emit-index-url --no-emit-find-links \
-		--custom-compile-command "make lock" --quiet --output-file environment.lock
+lock: WRITTEN := --universal --generate-hashes --no-emit-index-url --no-emit-find-links \
+	--custom-compile-command "make lock" --quiet
+lock: $(BIN)/ready  ## resolve the dependencies anew: writes environment.lock and what Binder installs
+	$(BIN)/uv pip compile pyproject.toml --extra dev --fork-strategy fewest --upgrade $(WRITTEN) \
+		--output-file environment.lock
+	$(BIN)/uv pip compile pyproject.toml --extra notebooks --extra approximations --extra tclab \
+		--python-version 3.12 --constraint environment.lock $(WRITTEN) \
+		--output-file binder/requirements.txt
 
 clean:  ## remove build/ and the environment
 	rm -rf build mutants .venv

@@ -1,5 +1,6 @@
 """The repository itself: notebooks, figures, ledger and README belong together."""
 
+import importlib.metadata
 import os
 import re
 import shutil
@@ -146,6 +147,25 @@ def test_version_and_lock_agree_with_the_project():
     for requirement in chain(project["dependencies"], *extras.values()):
         name = re.split(r"[\[<>=]", requirement)[0].replace("_", "-").lower()
         assert name == "rodlib" or f"\n{name}==" in lock, name
+
+
+def test_binder_installs_what_the_notebooks_need_and_no_more():
+    """As in the lock; without what tests and pages need."""
+    pins = re.compile(r"^([a-z0-9._-]+)==(\S+)", re.MULTILINE)
+    lock, binder = (
+        dict(pins.findall(text(name)))
+        for name in ("environment.lock", "binder/requirements.txt")
+    )
+    assert binder.items() <= lock.items()
+    assert not {"playwright", "pytest", "sphinx", "mutmut", "ruff", "uv"} & {*binder}
+    homes = importlib.metadata.packages_distributions()
+    for name, notebook in NOTEBOOKS.items():
+        source = "\n".join(cell.source for cell in cells(notebook, "code"))
+        for module in set(re.findall(r"^(?:from|import) (\w+)", source, re.MULTILINE)):
+            packages = {home.lower() for home in homes.get(module, [])}
+            packages |= {f"{home}-base" for home in packages}  # CVXPY without solvers
+            known = {*sys.stdlib_module_names, "rodlib"}
+            assert module in known or packages & {*binder}, f"{name}: {module}"
 
 
 FROM_A_WHEEL = """

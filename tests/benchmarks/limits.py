@@ -1,8 +1,9 @@
 """Which solver for the quadratic program of a trial within limits? `make solvers` prints a table.
 
 The program is that of `rodlib.ilc.law.limits`, as it hands it to PIQP; CVXPY hands the same
-matrices to PIQP with either of its factorisations, to Clarabel and to OSQP. Time is the solver's
-own; what is beyond a limit and the distance from the first solver's commands are in W.
+matrices to PIQP with either of its factorisations, to Clarabel and, if it is installed, to OSQP.
+Time is the solver's own; what is beyond a limit and the distance from the first solver's commands
+are in W.
 """
 
 from unittest.mock import patch
@@ -21,8 +22,9 @@ SOLVERS = {
     "PIQP": PIQP,
     "PIQP, by stages": PIQP | {"kkt_solver": piqp.KKTSolver.sparse_multistage},
     "Clarabel": {"solver": "CLARABEL"},
-    "OSQP, to 1e-6": {"solver": "OSQP", "eps_abs": 1e-6, "eps_rel": 1e-6},
 }
+if "OSQP" in cp.installed_solvers():
+    SOLVERS["OSQP, to 1e-6"] = {"solver": "OSQP", "eps_abs": 1e-6, "eps_rel": 1e-6}
 TITLES = ["solver", "time (s)", "beyond (W)", "distance (W)"]
 
 
