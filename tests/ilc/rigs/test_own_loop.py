@@ -168,7 +168,9 @@ def test_it_is_shaken_and_nothing_is_assumed_of_it_at_frequency_zero(loop, make,
     truth = KNOWN.frequency_response(omega)
     assert np.linalg.norm(truth[0] - np.eye(2), 2) > 1
     off = np.linalg.norm(response - truth, 2, axis=(1, 2))
-    assert np.all(off <= radius + 1e-9) and radius[:3].max() < 0.2 and off[3:].max() < 0.01
+    assert (
+        np.all(off <= radius + 1e-9) and radius[:3].max() < 0.2 and off[3:].max() < 0.01
+    )
 
 
 def test_filters_are_designed_for_it():
