@@ -75,7 +75,7 @@ solvers: $(BIN)/ready  ## time solvers for the quadratic program of a trial with
 survey: $(BIN)/ready  ## solve 550 problems for ordinary plants; count how it ends (some minutes)
 	@$(BIN)/python tests/benchmarks/survey.py
 
-regions: $(BIN)/ready  ## how often the truth is in an estimate's region, 22 kinds of records (half an hour)
+regions: $(BIN)/ready  ## how often the truth is in an estimate's region, 25 kinds of records (20 minutes)
 	@$(BIN)/python tests/benchmarks/regions.py
 
 renewal: $(BIN)/ready  ## filters from a plant's own trials, against filters from its model (an hour)

@@ -13,6 +13,7 @@ from rodlib.ilc.measurement.transient import separated, windows_of
 
 DRIFT = 3.0  # standard deviations without drift, from which one is reported
 SIGNIFICANCE = 1e-3  # probability of a false report
+ROUNDING = 1e-12  # of P: less is no sign of anything
 TOLERANCE = 1.2  # of a radius: half of the lines must predict more than all of them
 BY_LINE = ("omega", "response", "noise", "spread", "freedom")  # of a measured response
 
@@ -60,6 +61,8 @@ def _nonlinear(y, excitation, measured):
         return None
     excess = np.sqrt(np.maximum(power - expected, 0).mean(axis=0).max())
     error = excess * np.median(np.linalg.norm(measured.spread, 2, axis=(1, 2)))
+    if error < ROUNDING * np.linalg.norm(measured.response):
+        return None
     names = ", ".join(np.array(loop.outputs)[significant])
     return (
         f"the loop is not linear: {names} move at harmonics that were not excited. P is "

@@ -39,7 +39,7 @@ EXACT = 1e-9  # least noise, in the power of the output
 SETS, DRAWS = 80, 8  # draws of hyperparameters, and of coefficients for each of them
 LATE = 5  # lags at which inputs and output correlate most: less is no delay
 ROOM = (0.6, 0.9)  # delays, of such lags, that are tried
-TAILS = 5  # degrees of freedom of the distribution that the first are drawn from
+TAILS = 10  # degrees of freedom of the distribution that the first are drawn from
 TURN = 4096  # frequencies at least on which the zeros of A are counted
 
 

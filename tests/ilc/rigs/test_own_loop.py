@@ -154,17 +154,23 @@ def test_a_target_may_run_our_controller_by_itself():
     assert "delta" not in log
 
 
-@pytest.mark.parametrize(("loop", "make"), [(KNOWN, Whole), (NAMED, unnamed)])
-def test_it_is_shaken_and_nothing_is_assumed_of_it_at_frequency_zero(loop, make):
+@pytest.mark.parametrize(
+    ("loop", "make", "noise"),
+    [(KNOWN, Whole, 0.001), (NAMED, unnamed, 0.001), (KNOWN, Whole, 0.0)],
+)
+def test_it_is_shaken_and_nothing_is_assumed_of_it_at_frequency_zero(loop, make, noise):
+    """Without noise rounding is no sign of a loop that is not linear."""
     excitation = multisine(loop, 0.3, 20.0, 1.0, 0.1, 6)
     with warnings.catch_warnings(action="error"):
-        measured = measured_response(shake(make(0.001), loop, excitation))
+        measured = measured_response(shake(make(noise), loop, excitation))
     omega = np.append([0.0, 0.1, 1.0], measured.omega)
     response, radius = measured.on(omega)
     truth = KNOWN.frequency_response(omega)
     assert np.linalg.norm(truth[0] - np.eye(2), 2) > 1
     off = np.linalg.norm(response - truth, 2, axis=(1, 2))
-    assert np.all(off <= radius) and radius[:3].max() < 0.2 and off[3:].max() < 0.01
+    assert (
+        np.all(off <= radius + 1e-9) and radius[:3].max() < 0.2 and off[3:].max() < 0.01
+    )
 
 
 def test_filters_are_designed_for_it():
