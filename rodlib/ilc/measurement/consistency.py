@@ -1,6 +1,6 @@
 """Is it one linear plant? Score tests of what a linear plant that stays as it is cannot do.
 
-To the regression are added, one set after the other: the simulated output and its slope in one
+To the regression are added, one set after the other: the simulated output and its derivative in one
 trial only, or in one of four quarters of a single trial; and squares and cubes of the inputs, as
 the plant passes them on, and of the simulated output. Each has an F statistic, of what it explains
 of the residual, given all that the regression itself may explain.
@@ -24,7 +24,7 @@ from rodlib.ilc.measurement.regression import (
 QUARTERS = ("first", "second", "third", "last")  # of a single trial
 FALSE_ALARM = 1e-3  # probability for each output
 SEEN = 0.01  # of P: what is smaller is not said
-CURVED = "the response to large inputs is another than that to small ones"
+CURVED = "the response to large inputs differs from that to small ones"
 
 
 def contradictions(
@@ -51,7 +51,7 @@ def contradictions(
     count = fit.data.count.sum()
     sets = [(name, [k, parts + k]) for k, name in enumerate(names)]
     sets.append((CURVED, [*range(2 * parts, len(scores))]))
-    for name, columns in sets if parts > 1 else sets[-1:]:
+    for name, columns in sets:
         among = np.ix_(columns, columns)
         unit = np.sqrt(np.maximum(products[among].diagonal(), 1e-300))
         inverse = np.linalg.pinv(

@@ -29,8 +29,8 @@ SMOOTHED = 5.0  # lines, over which this is averaged
 INTERVALS = 2  # of frequencies, the longest, that are said to be identified
 MIDDLE = 0.8  # quantile of the errors at a line, to which they are relative
 TAIL = 10  # draws beyond which a quantile is extrapolated, as of a normal distribution
-STABLE = 0.1  # share of the draws, of which fewer say that the plant is not
-SETTLED = 0.95  # the same, of which fewer leave it open
+STABLE = 0.1  # least share of stable draws; with fewer the record is refused
+SETTLED = 0.95  # with fewer a finding says that the output may not settle
 LOOP = "learning presupposes a stable plant. Record longer, or in a closed loop"
 NAMED = 5  # contradictions at most that are said
 
@@ -111,10 +111,9 @@ class EstimatedResponse(Measured):
         Returns
         -------
         Agreement
-            ``fit``, for each output: 1 is perfect, 0 as good as no motion at all; of an output that
-            drifts, or that starts elsewhere, without a straight line. ``inside``: the share of
-            frequencies at which the regions of both records, of 99 % jointly, have a plant in
-            common.
+            ``fit``, for each output without a straight line: 1 is perfect, 0 as good as no motion
+            at all. ``inside``: of the frequencies identified in both records, the share at which
+            their regions, of 99 % jointly, have a plant in common; 1 if there are none.
         """
         other = estimated_response([log], self.of)
         check_match(P=self.loop, log=other.loop)
@@ -142,8 +141,8 @@ class EstimatedResponse(Measured):
         lines = [
             f"P estimated from {self.record}; the truth is within the radius with confidence "
             f"{confidence:g}",
-            "assumed: the plant is linear, stays as it is, and its response is as smooth as "
-            f"that of one with {len(self.fits[0].past) - 1} samples of memory",
+            "assumed: the plant is linear, stays as it is, and A(z) y = B(z) u describes it with "
+            f"{len(self.fits[0].past) - 1} lags, those of B after a delay",
         ]
         if not self.known.all():
             lines.append(
@@ -180,7 +179,9 @@ def estimated_response(
     groups = []
     for log, name, (u, y) in zip(logs, names, signals, strict=True):
         where = f" of {name}" if len(logs) > 1 else ""
-        titles = tuple(f"trial {k}{where}" for k in log.trial.values[: len(y)])
+        joined = len(y) < log.sizes["trial"]
+        titles = ["the trials"] if joined else [f"trial {k}" for k in log.trial.values]
+        titles = tuple(title + where for title in titles)
         groups.append(Trials(_with_disturbances(log, u / u_size), y / y_size, titles))
     width = min(group.u.shape[2] for group in groups)
     direct = of == "w" or "reference" not in first
@@ -204,7 +205,7 @@ def estimated_response(
             )
             found.append(
                 f"{name} is not that of one linear plant: {words}. The radius is larger for it: "
-                "leave such trials out, by isel, or move the input less"
+                "leave such trials or times out, by isel, or move the input less"
             )
     Ts, longest = period_of(first), max(y.shape[1] for _, y in signals)
     omega = np.geomspace(np.pi / (2 * longest * Ts), np.pi / Ts, LINES)
@@ -219,8 +220,8 @@ def estimated_response(
     known = _identified(estimate)
     if not known.any():
         raise LogError(
-            f"log tells P at no frequency: what {', '.join(moved)} did drowns in noise, or they "
-            "moved alike. Record longer, or move them more, each by itself"
+            f"P is identified at no frequency: the response to {', '.join(moved)} is below the "
+            "noise, or they moved alike. Record longer, or move them more, each by itself"
         )
     return replace(estimate, known=known)
 
@@ -255,7 +256,7 @@ def _signals(log, of, name="log"):
         raise LogError(
             f"{name} has {len(y[0])} samples in a trial, but must have {FEWEST} or more"
         )
-    # Before a trial, v is zero; of commands no more is known than the first.
+    # Before a trial w rests at the reference's first row; commands, at their own.
     before = u if of == "u" else log.reference.transpose(*axes).values
     if RESET in log.attrs:  # trials go on where the last one ended: one record
         u, y, before = (x.reshape(1, -1, x.shape[2]) for x in (u, y, before))
@@ -293,6 +294,10 @@ def _words(signals, of):
         f"{size} of {y.shape[1]} samples"
         for size, (_, y) in zip(sizes, signals, strict=True)
     ]
-    words = f"{' and '.join(each)}, from {of} to y; assumed: nothing but {of}, noise and drift "
-    again = "moves y, or what repeats in all trials" if "trials" in words else "moves y"
-    return words + again
+    again = (
+        ", what repeats in all trials" if any(len(y) > 1 for _, y in signals) else ""
+    )
+    return (
+        f"{' and '.join(each)}, from {of} to y; assumed: y is moved by {of}{again}, known "
+        "disturbances, noise and drift only"
+    )

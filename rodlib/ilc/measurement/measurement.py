@@ -1,6 +1,6 @@
-"""From a shaken loop to its frequency response P, with the region in which the truth lies.
+"""From a shaken loop, another record or a table to P, with the region in which the truth lies.
 
-No model is fitted: the notes of :func:`measured_response` say what is done instead.
+The notes of :func:`measured_response` state the methods.
 """
 
 import reprlib
@@ -141,8 +141,9 @@ def measured_response(
         :func:`read_table`; several of one plant, of any lengths. Or a table of a frequency
         response, which is splined between its lines.
     of : {"w", "u"}, optional
-        Of a record that is not of :func:`shake`: whether P is from w = reference + v to y, in a
-        closed loop, or from the commands u. Default: from w, if there is one.
+        Whether P is from w = reference + v to y, in a closed loop, or from the commands u.
+        Default: from w, if all records have a reference. If given, a record of :func:`shake` is
+        estimated like any other.
     uncertainty : array_like, shape (n,), optional
         Of a table: the radius at its lines. Default: they are exact.
 
@@ -155,15 +156,17 @@ def measured_response(
     Raises
     ------
     LogError
-        If a record lacks an experiment, w is not the excitation, an input never moved, or an output
-        does not settle within a trial.
+        If a record of :func:`shake` lacks an experiment, or w is not the excitation; of others, if
+        an input or an output never moved, a trial has fewer than 20 samples, an output is as exact
+        as rounding, most of the plants drawn for it are unstable, or P is identified nowhere.
 
     Warns
     -----
     UserWarning
         Each of the findings: commands beyond the limits, a loop that is not linear, outputs that
         drift, a lowest frequency that is too high for what is known at zero, lines too far apart;
-        trials, or quarters of one, that contradict one linear plant; a table without a radius that
+        trials, or quarters of one, that contradict one linear plant; an output that may not settle;
+        a table without a radius that
         scatters from line to line.
 
     See Also
@@ -174,12 +177,14 @@ def measured_response(
 
     Notes
     -----
-    Records are estimated by :mod:`rodlib.ilc.measurement.regression`, but for one of
-    :func:`shake`: A(z) y = B(z) u + e, of high order and regularised, from any start, with offset,
-    slope and drift in each record, known disturbances, and, over the trials of one log, what
-    repeats at each sample with a variance that the data determine. Of commands in a loop whose
-    reference is in the log, u(t) is taken to follow from y(t), and else y(t) to follow from u(t) at
-    once. ``make regions`` counts how often the truth is in the region.
+    Records other than a single one of :func:`shake` are estimated by
+    :mod:`rodlib.ilc.measurement.regression`: A(z) y = B(z) u + e, of high order and regularised,
+    each input with a delay if correlations show one, from any start, with offset and slope in each
+    trial, a drift that the trials of a log have in common, disturbances that all logs know, and,
+    over the trials of one log, what repeats at each sample with a variance that the data determine.
+    Before a trial w rests at the reference's first row, and v is zero; trials without reset are
+    joined. Of commands in a loop whose reference is in the first log, y(t) depends on earlier u
+    only, and else on u(t), too. ``make regions`` counts how often the truth is in the region.
 
     Shaken, the spectrum of all periods is P W + T + V; between the harmonics W is zero and T, from
     the state at the start and at the end, and the noise V are left. This is the local
@@ -229,7 +234,7 @@ def measured_response(
         )
     if uncertainty is not None:
         raise ValueError(
-            "uncertainty must be None where log is a record, which tells its own"
+            "uncertainty must be None where log is a record, from which the radius is estimated"
         )
     if isinstance(log, list | tuple) and log:
         logs = [

@@ -2,14 +2,15 @@
 
     A(z) y(t) = B_1(z) u_1(t) + ... + B_m(z) u_m(t) + start(t) + offset + slope t + drift(t) + e(t)
 
-with A monic, B and A of as many lags as a quarter of the record, and white e: P = B / A. A priori
-coefficients decay and neighbours are alike, with the tuned-correlated kernel c exp(-max(i, j) / T),
-each of A, B_j and the start with c and T of their own (T. Chen, H. Ohlsson and L. Ljung, Automatica
-48 (2012) 1525-1535; G. Pillonetto and others, Automatica 50 (2014) 657-682). In increments from lag
-to lag this kernel is diagonal. Far lags share increments, geometrically more of them, counted from
-the delay of each input, if one that correlations show is likelier than none. The drift is a random
-walk. The marginal likelihood determines all c and T, its curvature how well; the coefficients are
-drawn for several of them.
+with A monic, B and A of as many lags as a quarter of the longest record, and white e: P = B / A. A
+priori coefficients decay and neighbours are alike, with the tuned-correlated kernel c exp(-max(i,
+j) / T), each of A, B_j and the start with c and T of their own (T. Chen, H. Ohlsson and L. Ljung,
+Automatica 48 (2012) 1525-1535; G. Pillonetto and others, Automatica 50 (2014) 657-682). In
+increments from lag to lag this kernel is diagonal. Far lags share increments, geometrically more of
+them, counted from the delay of each input, if the one that correlations show has the larger
+posterior. The drift is a random walk. The maximum of their posterior, the marginal likelihood times
+a wide normal prior, determines all c and T, and the variance of what repeats over trials. They are
+drawn from a t distribution about it, with the curvature there, and coefficients for each of them.
 """
 
 from collections.abc import Iterator, Sequence
@@ -26,7 +27,7 @@ from scipy.special import expit, log_expit
 from rodlib.ilc.loop.notes import LogError
 
 SHARE = 4  # of the longest record: lags of A and B
-# Increments are apart by one lag up to the first number, then by lags over the second.
+# Knots are one lag apart up to CLOSE, then 1 + (lag - CLOSE) // STEP.
 CLOSE, STEP = 40, 8
 START = (6, 4)  # likewise, for what a start leaves
 STARTS = 300  # unknowns of all starts at most; with more, first samples are left out
@@ -37,8 +38,8 @@ WIDE = 3.0  # their standard deviation before the data
 BOUND = 30.0  # of all logarithms
 EXACT = 1e-9  # least noise, in the power of the output
 SETS, DRAWS = 80, 8  # draws of hyperparameters, and of coefficients for each of them
-LATE = 5  # lags at which inputs and output correlate most: less is no delay
-ROOM = (0.6, 0.9)  # delays, of such lags, that are tried
+LATE = 5  # samples: the least lag of largest correlation that counts as a delay
+ROOM = (0.6, 0.9)  # delays that are tried, relative to that lag
 TAILS = 10  # degrees of freedom of the distribution that the first are drawn from
 TURN = 4096  # frequencies at least on which the zeros of A are counted
 
@@ -85,7 +86,7 @@ def _knots(first, last, close, step):
 
 
 def _increments(knots, count):
-    """One up to a knot and zero from the next one on, straight between, (lag, knot)."""
+    """One up to a knot, zero from the next one on and before the first, (lag, knot)."""
     lags = np.arange(count)
     hats = np.array([np.interp(lags, knots, one) for one in np.eye(len(knots))]).T
     return np.cumsum(hats, axis=1) * ((lags >= knots[0]) & (lags <= knots[-1]))[:, None]
@@ -212,8 +213,8 @@ def _posterior(eta, data):
         U = cholesky(A, check_finite=False)
     except LinAlgError:
         raise LogError(
-            "log is as exact as rounding, which cannot be told from noise: is it simulated, or "
-            "constant? Add noise, as much as the sensors have"
+            "log is as exact as rounding, which cannot be distinguished from noise: is it "
+            "simulated, or constant? Add noise, as much as the sensors have"
         ) from None
     half = solve_triangular(U, size * (weights @ data.b), trans=1, check_finite=False)
     total = weights @ data.s
@@ -290,7 +291,7 @@ class Regression:
     b: np.ndarray  # (m, k, draw): and of B
     data: _Normal
     posterior: _Posterior  # for the likeliest hyperparameters
-    stable: float  # share of the draws
+    stable: float  # share of the draws that are; only these are kept
 
     @property
     def past(self) -> np.ndarray:
@@ -318,11 +319,11 @@ class Regression:
         """The estimate of A, lag by lag."""
         return _monic(self.past @ self.a[:, 0])
 
-    def impulse(self, n: int, draw: int = 0) -> np.ndarray:
-        """The estimate, or a draw, over n samples of time, shape (m, n)."""
-        lags = np.einsum("jlk,jk->jl", self.moves, self.b[..., draw])[:, :n]
+    def impulse(self, n: int) -> np.ndarray:
+        """Impulse response of the estimate over n samples, shape (m, n)."""
+        lags = np.einsum("jlk,jk->jl", self.moves, self.b[..., 0])[:, :n]
         B = np.pad(lags, ((0, 0), (0, n - lags.shape[1])))
-        return lfilter([1.0], _monic(self.past @ self.a[:, draw]), B)
+        return lfilter([1.0], self.denominator, B)
 
     def learned(self, omega: np.ndarray) -> np.ndarray:
         """Standard deviation of P after the data, relative to that before them, (n, m)."""
@@ -357,7 +358,8 @@ def _are_stable(a):
 def regression(groups: Sequence[Trials], direct: bool, seed: int = 0) -> Regression:
     """Of one output; `direct`: whether y(t) may depend on u(t).
 
-    Twice where inputs arrive late: lags are close from their delays on, if that is more likely.
+    If an input is late, also with delays of 0.6 and then 0.9 of the lags of largest correlation, as
+    long as the posterior grows.
     """
     best = _fitted(groups, direct, np.zeros(groups[0].u.shape[2], int))
     peaks = _peaks(groups, best)
@@ -370,7 +372,7 @@ def regression(groups: Sequence[Trials], direct: bool, seed: int = 0) -> Regress
 
 
 def _peaks(groups, fit):
-    """Lags at which inputs and the output correlate most, both passed through A, (m,)."""
+    """Lags of largest correlation of each input with the output, both filtered by A, (m,)."""
     layout = fit.data.layout
     a = layout.past @ _posterior(fit.eta, fit.data).mean[layout.kind == 0]
     longest, total = max(group.y.shape[1] for group in groups), 0.0
@@ -389,8 +391,7 @@ def _drawn(fit, seed):
     z = rng.standard_normal((SETS, len(eta)))
     z *= np.sqrt(TAILS / rng.chisquare(TAILS, (SETS, 1)))
     moved = np.clip(eta + z @ fit.spread.T, -BOUND, BOUND)
-    # Not weighted by their posterior: the few that count then are too alike, and the truth is
-    # outside too often.
+    # Without importance weights: with them a few draws dominate, and the region is too small.
     drawn = [likeliest.mean[:, None]]
     for one in moved:
         at = _posterior(one, data)
