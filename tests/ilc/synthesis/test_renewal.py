@@ -26,7 +26,7 @@ from rodlib import (
 SAMPLES, TRIALS, REST = 300, 4, 20
 CASES = {  # amplitudes, gain of the first control, cut-off, order, L_max, noise
     "stage": ([10.0], 0.5, 200.0, 20, 20.0, 1e-3),
-    "tanks": ([10.0, 5.0, 8.0], 0.4, 0.06, 10, 5.0, 3e-4),
+    "tanks": ([10.0, 5.0, 8.0], 0.4, 0.06, 10, 10.0, 1e-4),
     "furnace": ([10.0], 0.85, 0.2, 16, 5.0, 1e-3),
 }
 
