@@ -16,7 +16,12 @@ def main(build: Path, root: Path) -> bool:
     """Say what is the same and what is not; whether anything is not."""
     rows = join(build / "ledger")
     # nbval does not count the cells that it runs: which cell made a row is taken as tracked.
-    tracked = pd.read_csv(root / "figures" / "ledger.csv", index_col="key", dtype=str)
+    tracked = pd.read_csv(
+        root / "figures" / "ledger.csv",
+        index_col="key",
+        dtype=str,
+        keep_default_na=False,
+    )
     rows["cell"] = rows.key.map(tracked.cell)
     figures, texts = changes(rows, build, root)
     print(report(figures, texts))
