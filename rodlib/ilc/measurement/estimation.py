@@ -188,7 +188,7 @@ def estimated_response(
     fits, found, apart = [], [], 0.0
     for i, name in enumerate(outputs):
         one = [Trials(x.u[..., :width], x.y[..., [i]], x.names) for x in groups]
-        fit = regression(one, direct)
+        fit = regression(one, direct, seed=i)  # outputs are drawn independently
         fits.append(fit)
         if fit.stable < STABLE:
             raise LogError(f"{name} does not settle: {LOOP}")

@@ -258,7 +258,11 @@ class _Fit(NamedTuple):
 
     @property
     def spread(self) -> np.ndarray:
-        """A root of the covariance of the hyperparameters."""
+        """The symmetric root of the covariance of the hyperparameters.
+
+        Eigenvectors have signs, and among equal values directions, that are LAPACK's choice; the
+        symmetric root has no choice, so that draws are the same on every processor.
+        """
         eta, _, centre, data = self
         steps = 1e-3 * np.eye(len(eta))
         H = [
@@ -266,7 +270,7 @@ class _Fit(NamedTuple):
             for e in steps
         ]
         values, vectors = np.linalg.eigh(np.array(H) + np.transpose(H))
-        return vectors / np.sqrt(np.maximum(values / 4e-3, 1 / WIDE**2))
+        return vectors / np.sqrt(np.maximum(values / 4e-3, 1 / WIDE**2)) @ vectors.T
 
 
 def _fitted(groups, direct, delays):
@@ -390,7 +394,7 @@ def _drawn(fit, seed):
     rng, count = np.random.default_rng(seed), data.count.sum()
     z = rng.standard_normal((SETS, len(eta)))
     z *= np.sqrt(TAILS / rng.chisquare(TAILS, (SETS, 1)))
-    moved = np.clip(eta + z @ fit.spread.T, -BOUND, BOUND)
+    moved = np.clip(eta + z @ fit.spread, -BOUND, BOUND)
     # Without importance weights: with them a few draws dominate, and the region is too small.
     drawn = [likeliest.mean[:, None]]
     for one in moved:

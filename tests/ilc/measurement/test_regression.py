@@ -95,3 +95,27 @@ def test_of_much_data_it_is_the_plant():
     assert fit.learned(omega).max() < 0.1
     spectrum = np.exp(-1j * np.outer(omega, np.arange(400))) @ fit.impulse(400).T
     np.testing.assert_allclose(spectrum, drawn[0], atol=1e-6)
+
+
+def test_the_draws_do_not_depend_on_the_signs_of_eigenvectors(monkeypatch):
+    """Which are LAPACK's choice, another one on another processor."""
+    groups, omega = [trials_of(1, N=60, noise=0.1)], np.linspace(0.01, 3, 20)
+    here, eigh = regression(groups, direct=True).response(omega), np.linalg.eigh
+
+    def other_signs(matrix):
+        values, vectors = eigh(matrix)
+        return values, vectors * (-1) ** np.arange(len(values))
+
+    monkeypatch.setattr(np.linalg, "eigh", other_signs)
+    there = regression(groups, direct=True).response(omega)
+    np.testing.assert_allclose(there, here, rtol=1e-6, atol=1e-6 * np.abs(here).max())
+
+
+def test_outputs_are_drawn_independently():
+    groups, omega = [trials_of(1, N=60, noise=0.1)], np.linspace(0.01, 3, 20)
+    one, other = (
+        regression(groups, True, seed).response(omega)[1:, :, 0] for seed in (0, 1)
+    )
+    n = min(len(one), len(other))
+    likeness = np.corrcoef(np.abs(one[:n, 10]), np.abs(other[:n, 10]))[0, 1]
+    assert abs(likeness) < 4 / np.sqrt(n)
