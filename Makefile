@@ -4,7 +4,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 # One of each function that is long enough, some 300 in all.
 MUTANTS := "*__mutmut_29"
-NOTEBOOKS := $(sort $(wildcard notebooks/*.ipynb))
+NOTEBOOKS := $(wildcard notebooks/*.ipynb)
 # Whatever the caller's environment says, figures and output are the same: its settings of Python
 # and Jupyter do not count. Notebooks run side by side: one thread of linear algebra each.
 unexport $(filter PYTHON% IPYTHON% JUPYTER% JPY% PYTEST% RODLIB% CONDA% VIRTUAL_ENV%,$(.VARIABLES))
@@ -29,17 +29,8 @@ help:  ## list the targets
 reproduce: $(BIN)/ready  ## run all notebooks; regenerate figures/ and the ledger
 	@$(BIN)/python -m rodlib.paper.reproduce
 
-test: $(BIN)/ready lint  ## lint, unit tests, the committed notebooks against a fresh run, a browser
-	@rm -rf build/test
-	@mkdir -p build/test
-	RODLIB_RESULTS="$(CURDIR)/build/test" \
-		$(BIN)/pytest -q -n 3 --dist loadfile --no-loadscope-reorder --nbval --nbval-current-env \
-		$(filter-out notebooks/0%,$(NOTEBOOKS)) $(NOTEBOOKS)  # those that take long, first
-	$(BIN)/python tests/results.py build/test
-	RODLIB_RESULTS="$(CURDIR)/build/test/replay" \
-		$(BIN)/pytest -q -rs -n 2 --dist loadfile --nbval --nbval-current-env \
-		rodlib/paper/replay.ipynb $(wildcard tests/test_*.py) \
-		tests/ilc tests/paper tests/browser  # not tests, which would swallow the last
+test: $(BIN)/ready  ## lint, unit tests, the committed notebooks against a fresh run, a browser
+	@$(BIN)/python tests/suite.py
 
 lint: $(BIN)/ready  ## ruff on modules, tests and notebooks
 	$(BIN)/ruff check
@@ -54,7 +45,7 @@ replay: $(BIN)/ready  ## replay a log of your own: make replay LOG=path; writes 
 	@test -n "$$NAMED" || { echo "name a log: make replay LOG=path"; exit 2; }
 	@$(BIN)/python -m rodlib.paper.reproduce "$$NAMED"
 
-machines: $(BIN)/ready  ## the tests with the rounding of other processors (long)
+machines: $(BIN)/ready  ## notebooks and tests with the rounding of other processors (long)
 	$(BIN)/python tests/machines.py $(MACHINES)
 
 mutants: $(BIN)/ready  ## change one thing in rodlib at a time and list what no test notices (long)

@@ -14,7 +14,11 @@ from rodlib.paper.ledger import changes, join, report
 
 def main(build: Path, root: Path) -> bool:
     """Say what is the same and what is not; whether anything is not."""
-    rows = join(build / "ledger")
+    try:
+        rows = join(build / "ledger")
+    except ValueError as error:  # a notebook failed
+        print(error)
+        return True
     # nbval does not count the cells that it runs: which cell made a row is taken as tracked.
     tracked = pd.read_csv(
         root / "figures" / "ledger.csv",

@@ -42,6 +42,25 @@ def search_path(folder: Path, seed: int, path: str = "") -> str:
     )
 
 
+def ipython_folder(folder: Path, seed: int) -> str:
+    """The IPYTHONDIR with which products in cells of notebooks are varied, too."""
+    startup = folder / "ipython" / "profile_default" / "startup"
+    startup.mkdir(parents=True)
+    (startup / "rounding.py").write_text(
+        f"import rounding\nrounding.vary_cells({seed})\n"
+    )
+    return str(folder / "ipython")
+
+
+def vary_cells(seed: int) -> None:
+    """Vary the products `@` in the cells of this kernel."""
+    from IPython import get_ipython
+
+    shell = get_ipython()
+    shell.ast_transformers.append(_Products())
+    shell.user_ns_hidden["__product__"] = shell.user_ns["__product__"] = _product(seed)
+
+
 def vary(seed: int) -> None:
     """Vary the rounding of this process from now on, once; before anything else is imported."""
     import scipy.fft
@@ -53,8 +72,11 @@ def vary(seed: int) -> None:
         names = [name for name in room.__all__ if name not in UNROUNDED]
         _replace(room, names, seed)
     _replace(np, PRODUCTS, seed)
-    product = _varied(lambda one, other: one @ other, "product", seed)
-    sys.meta_path.insert(0, _Finder(product))
+    sys.meta_path.insert(0, _Finder(_product(seed)))
+
+
+def _product(seed):
+    return _varied(lambda one, other: one @ other, "product", seed)
 
 
 def _replace(room, names, seed):

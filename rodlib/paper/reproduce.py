@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
+from itertools import zip_longest
 from pathlib import Path
 
 from tqdm import tqdm
@@ -23,6 +24,8 @@ from rodlib.paper.repository import ROOT, checkout
 
 REPORT = Path(__file__).with_name("replay.ipynb")
 AT_A_TIME = 3  # two processors stay busy while a kernel starts or ends
+# The first to start, so that no processor waits for the last to end.
+LONGEST = ("16", "09", "14", "13", "10", "17", "06", "18", "08")
 
 
 @contextmanager
@@ -72,10 +75,16 @@ def run(notebook: Path, executed: Path, bar: tqdm | None = None, **parameters) -
     return time.perf_counter() - start
 
 
+def longest_first(root: Path) -> list[Path]:
+    """The notebooks, in the order in which they are started."""
+    order = {name: k for k, name in enumerate(LONGEST)}
+    notebooks = sorted((root / "notebooks").glob("*.ipynb"))
+    return sorted(notebooks, key=lambda path: order.get(path.name[:2], len(order)))
+
+
 def reproduce(root: Path = ROOT) -> None:
     """Run all notebooks and publish the figures and the ledger; on an error, publish nothing."""
-    # From the last to the first, so that the last to end, the paper's, are short.
-    notebooks = sorted((root / "notebooks").glob("*.ipynb"), reverse=True)
+    notebooks = longest_first(root)
     cells = sum(len(json.loads(path.read_text("utf-8"))["cells"]) for path in notebooks)
     with folder_of_run("reproduce", root) as build:
         print(
@@ -93,6 +102,43 @@ def reproduce(root: Path = ROOT) -> None:
                 tqdm.write(f"{running[done]} ... done, {done.result():.0f} s")
                 sys.stdout.flush()
         publish(build, root)
+        cells = [
+            name
+            for path in notebooks
+            for name in changed_cells(build / path.name, path)
+        ]
+        differ = f"these print something else: {', '.join(sorted(cells))}"
+        print(
+            f"cells of the notebooks: {differ if cells else 'all print the same as before'}"
+        )
+
+
+def changed_cells(executed: Path, tracked: Path) -> list[str]:
+    """The code cells of a notebook that print other texts than as it is tracked, by name."""
+    new, old = (
+        _texts(json.loads(path.read_text("utf-8"))) for path in (executed, tracked)
+    )
+    changed = [
+        k for k, (one, other) in enumerate(zip_longest(new, old), 1) if one != other
+    ]
+    return [f"{tracked.stem} [{k}]" for k in changed]
+
+
+def _texts(notebook):
+    """What each code cell prints and shows as text, a string for each."""
+    for cell in notebook["cells"]:
+        if cell["cell_type"] == "code":
+            bundles = (
+                {"text/": o.get("text", ""), **o.get("data", {})}
+                for o in cell["outputs"]
+            )
+            parts = [
+                part
+                for b in bundles
+                for mime, part in b.items()
+                if mime.startswith("text/")
+            ]
+            yield "".join("".join(part) for part in parts)
 
 
 def replay(log: str, root: Path = ROOT) -> None:

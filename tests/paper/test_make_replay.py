@@ -139,6 +139,24 @@ def test_tanks_in_units_of_their_own_are_replayed_without_a_loop(root, replay_he
     assert not (root / "build" / "replay" / "figures" / "model-fit.png").exists()
 
 
+def test_the_log_of_the_readmes_example_is_replayed(root, replay_here, monkeypatch):
+    """A loop that is not ours: without commands, and without an observer."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    example = re.search(r"```python\n(.*?record\(.*?)```", text, re.DOTALL)[1]
+    monkeypatch.chdir(root)  # where it leaves a picture
+    namespace = {}
+    exec(
+        example.replace("trials=", f"path={str(root / 'mine.csv')!r}, trials="),
+        namespace,
+    )
+    assert "u" not in load_log(root / "mine.csv")
+    text = replay_here("mine.csv")  # behind what the example prints itself
+    assert text.count("law: the recorded v is that of the law in every trial") == 3
+    np.testing.assert_array_equal(
+        next_trial(root)[:, 1:], replay_of(namespace["run"]).following
+    )
+
+
 def test_a_bad_log_is_refused_in_a_few_words_and_an_earlier_replay_stays(root):
     log, earlier = root / "log.csv", root / "build" / "replay" / "next-trial.csv"
     log.write_text("a,b\n1,2\n")

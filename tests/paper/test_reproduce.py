@@ -40,7 +40,7 @@ def root(tmp_path, monkeypatch):
     write(
         folder / "notebooks" / "01-model.ipynb",
         "import shutil; from rodlib.paper.repository import results",
-        'shutil.copytree("../made", results("this notebook"), dirs_exist_ok=True)',
+        'shutil.copytree("../made", results("this notebook"), dirs_exist_ok=True); print("done")',
     )
     return folder
 
@@ -80,12 +80,20 @@ def test_notebooks_run_in_their_folder_and_their_results_are_published(root):
     outcome = run(root)
     assert outcome.returncode == 0 and outcome.stderr == ""
     assert "01-model ... done, " in outcome.stdout
-    assert outcome.stdout.endswith("README.md; new: fig01\n")
+    *_, figures, cells = outcome.stdout.splitlines()
+    assert figures.endswith("README.md; new: fig01")
+    assert cells == "cells of the notebooks: these print something else: 01-model [2]"
     names = ["fig01.png", "ledger.csv", "ledger.md"]
     assert [path.name for path in sorted((root / "figures").iterdir())] == names
     assert "| printed numbers " in (root / "README.md").read_text()
     executed = nbformat.read(root / "build" / "reproduce" / "01-model.ipynb", 4)
     assert [cell.execution_count for cell in executed.cells] == [1, 2]
+    tracked = root / "notebooks" / "01-model.ipynb"
+    assert reproduce.changed_cells(root / "build" / "reproduce" / tracked.name, tracked)
+    nbformat.write(executed, tracked)  # as it is committed: executed
+    assert run(root).stdout.endswith(
+        "cells of the notebooks: all print the same as before\n"
+    )
 
 
 @pytest.mark.parametrize(
