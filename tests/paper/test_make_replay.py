@@ -4,7 +4,6 @@ import os
 import re
 import shutil
 import subprocess
-import sys
 
 import matplotlib
 import nbformat
@@ -50,48 +49,9 @@ def root(tmp_path):
     return tmp_path
 
 
-def replay(root, log):
-    call = "import pathlib, sys; from rodlib.paper.reproduce import main; "
-    call += "main(pathlib.Path(sys.argv[1]), sys.argv[2])"
-    return subprocess.run(
-        [sys.executable, "-c", call, root, log],
-        capture_output=True,
-        text=True,
-        cwd=root,
-    )
-
-
-def printed(root):
-    notebook = nbformat.read(root / "build" / "replay" / "replay.ipynb", 4)
-    outputs = [output for cell in notebook.cells for output in cell.get("outputs", [])]
-    assert not [output for output in outputs if output.get("name") == "stderr"]
-    return "".join(output.text for output in outputs if output.output_type == "stream")
-
-
 def next_trial(root):
     path = root / "build" / "replay" / "next-trial.csv"
     return np.loadtxt(path, delimiter=",", skiprows=3)
-
-
-def test_a_stage_is_replayed_with_its_own_loop(root):
-    units = {"x": "mm", "F": "N", "friction": "N"}
-    loop = current_trial_loop(stage(), ["F"], {"x": 1.0, "F": 10.0}, units)
-    run = run_of(loop, rest=0)
-    save_log(run, root / ODD)
-    outcome = replay(root, ODD)
-    assert outcome.returncode == 0, outcome.stderr
-    found = replay_of(load_log(root / ODD))
-    assert outcome.stdout.startswith(
-        f"{found}\nv of trial 5: build/replay/next-trial.csv\n"
-    )
-    assert "\nlaw: the recorded v is that of the law in every trial\n" in outcome.stdout
-    assert "mean of all trials: x 100 %" in outcome.stdout
-    table = next_trial(root)
-    np.testing.assert_array_equal(table[:, 1:], found.following)
-    assert printed(root) == f"{found}\n" and "left out" not in printed(root)
-    figures = (root / "build" / "replay" / "figures").glob("*.png")
-    names = ["convergence", "model-fit", "next-trial", "signals", "start-of-a-trial"]
-    assert sorted(path.stem for path in figures) == names
 
 
 @pytest.fixture
@@ -117,6 +77,23 @@ def replay_here(root, monkeypatch, capsys):
 
     with matplotlib.rc_context():  # the notebook chooses a style
         yield replay
+
+
+def test_a_stage_is_replayed_with_its_own_loop(root, replay_here):
+    units = {"x": "mm", "F": "N", "friction": "N"}
+    loop = current_trial_loop(stage(), ["F"], {"x": 1.0, "F": 10.0}, units)
+    run = run_of(loop, rest=0)
+    save_log(run, root / ODD)
+    text, found = replay_here(ODD), replay_of(load_log(root / ODD))
+    assert text.startswith(f"{found}\nv of trial 5: build/replay/next-trial.csv\n")
+    assert text.count(str(found)) == 2  # by the command, and by the notebook
+    assert "\nlaw: the recorded v is that of the law in every trial\n" in text
+    assert "mean of all trials: x 100 %" in text and "left out" not in text
+    table = next_trial(root)
+    np.testing.assert_array_equal(table[:, 1:], found.following)
+    figures = (root / "build" / "replay" / "figures").glob("*.png")
+    names = ["convergence", "model-fit", "next-trial", "signals", "start-of-a-trial"]
+    assert sorted(path.stem for path in figures) == names
 
 
 def test_tanks_in_units_of_their_own_are_replayed_without_a_loop(root, replay_here):

@@ -117,8 +117,8 @@ def test_a_second_run_is_refused_a_replay_is_not_and_a_kill_leaves_no_lock(root,
     """The first run waits in its notebook until it is killed."""
     wait = "from pathlib import Path; Path('started').touch(); Path('../../gate').read_bytes()"
     write(root / "notebooks" / "02-waits.ipynb", wait)
-    write(root / "replay.ipynb", "log")  # the real one is tested with make replay
-    log = root / "my log.csv"
+    write(root / "replay.ipynb", "from pathlib import Path; assert Path(log).exists()")
+    log = root / 'my "log" of $HOME, ~ & `x` #1.csv'  # which papermill hands over
     signals = {"outputs": {"x": "mm"}, "controls": {"F": "N"}}
     log.write_text(
         f"# format: rodlib trial log 2\n# Ts: 1.0 s\n# signals: {json.dumps(signals)}\n"
