@@ -7,6 +7,8 @@ controller asks for into a current, with what the laboratory knows of its elemen
 are assumed: the paper gives none.
 """
 
+from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -57,7 +59,7 @@ class PeltierElement:
         Beyond S T_rod / R a current that cools heats more than it cools.
         """
         peltier, twice = self.seebeck * rod, 2 * self.resistance
-        least = -(peltier**2) / twice if twice else -np.inf
+        least = -(peltier**2) / (twice + 1e-300)  # none without Joule heat
         wanted = np.maximum(heat + self.conductance * (rod - sink), least)
         root = np.sqrt(np.maximum(peltier**2 + twice * wanted, 0))
         return 2 * wanted / (peltier + root)
@@ -148,6 +150,8 @@ class PeltierRig(Bench):
     True
     """
 
+    _rigs = ()  # the shape of the rigs: there is one
+
     def __init__(
         self,
         rod: Rod = MISMATCHED,
@@ -164,13 +168,14 @@ class PeltierRig(Bench):
         capacity = np.full(n + m, rod.kappa_1 * rod.width * rod.height * dz)  # J/K
         capacity[self._sinks] = p.sink_capacity
         # K/s of every state: for 1 W from the elements, for 1 K of the room, on 1 W/m2 of surface
-        elements = np.zeros((n + m, sections))
+        self._elements = np.zeros((sections, n + m))
         self._fan, surface = np.zeros((2, n + m))
-        elements[:cells] = np.kron(np.eye(sections), np.full((p.cells, 1), 1 / p.cells))
-        elements[self._sinks] = -np.eye(sections)
-        elements /= capacity[:, None]
-        self._peltier = p.element.seebeck * elements
-        self._joule = p.element.resistance / 2 * np.abs(elements)
+        self._elements[:, :cells] = np.kron(
+            np.eye(sections), np.full(p.cells, 1 / p.cells)
+        )
+        self._elements[:, self._sinks] = -np.eye(sections)
+        self._elements /= capacity
+        self._halves = np.abs(self._elements) / 2  # of the Joule heat
         self._fan[self._sinks] = p.fan / p.sink_capacity
         surface[:cells] = rod.width * dz / capacity[:cells]
         self._convection = p.convection * surface
@@ -197,19 +202,20 @@ class PeltierRig(Bench):
         one, zero = np.eye(n + m), np.zeros((n + m, n + m))
         system = np.block([[A, one, zero], [zero, zero, one], [zero] * 3])
         blocks = expm(self.Ts * system)
-        self._decay, self._first, second = np.split(blocks[: n + m], 3, axis=1)
+        # states are rows, so that those of several rigs are a matrix
+        self._decay, self._first, second = np.split(blocks[: n + m].T.copy(), 3)
         self._second = second / self.Ts
         self._rest()
 
     def _rest(self):
         # cells, sinks, sensors, K above the room
-        self._state = np.zeros(len(self._fan))
-        self.currents = np.zeros(self.rod.sections)  # A
+        self._state = np.zeros((*self._rigs, len(self._fan)))
+        self.currents = np.zeros((*self._rigs, self.rod.sections))  # A
 
     @property
     def sinks(self) -> np.ndarray:
         """Temperatures of the sinks, K above the initial ambient temperature."""
-        return self._state[self._sinks].copy()
+        return self._state[..., self._sinks].copy()
 
     @property
     def linearised(self) -> Rod:
@@ -233,17 +239,20 @@ class PeltierRig(Bench):
         """Ask for heat flows (W), shape (sections,), and let one sampling period pass."""
         heat = arguments.array("heat_flows", heat_flows, self.currents.shape)
         p = self.parameters
-        sinks = p.temperature + (self._state[self._sinks] if p.sinks_measured else 0)
+        sinks = p.temperature
+        if p.sinks_measured is not False:  # of some rig
+            sinks = sinks + p.sinks_measured * self._state[..., self._sinks]
         wanted = p.known.current(heat, p.temperature, sinks)
         limit = p.element.limit
         self.currents = np.minimum(np.maximum(wanted, -limit), limit)
-        pumped = self._peltier @ self.currents  # 1/s, by absolute temperatures
-        constant = self._joule @ np.square(self.currents) + self._fan * self.ambient
+        # 1/s, by absolute temperatures
+        pumped = p.element.seebeck * self.currents @ self._elements
+        joule = p.element.resistance * np.square(self.currents)
+        constant = joule @ self._halves + self._fan * self.ambient
         constant += self._radiation * (p.temperature + self.ambient) ** 4
-        slopes = constant + self._slopes(self._state, pumped)
-        ahead = self._decay @ self._state + self._first @ slopes
-        change = constant + self._slopes(ahead, pumped) - slopes
-        self._state = ahead + self._second @ change
+        slopes = self._slopes(self._state, pumped)
+        ahead = self._state @ self._decay + (constant + slopes) @ self._first
+        self._state = ahead + (self._slopes(ahead, pumped) - slopes) @ self._second
         self.time += self.Ts
 
     def _slopes(self, state, pumped):
@@ -269,3 +278,87 @@ class RestartingPeltierRig(Restarting, PeltierRig):
     >>> rig.read().shape
     (2,)
     """
+
+
+SHARED = ("sink_capacity", "fan", "lag", "quantum", "cells")  # of rigs side by side
+
+
+class PeltierRigs(Restarting, PeltierRig):
+    """Rigs with Peltier elements side by side: each does what it does alone, all in one step.
+
+    What is read, applied and kept has a row for each rig; `limits` and `linearised` have only
+    single ones.
+
+    Parameters
+    ----------
+    parameters : sequence of PeltierParameters
+        One for each rig. Those of the linear part of the dynamics must be the same, and the
+        resolution of the sensors.
+    seeds : int or sequence of int
+        Of the sensor noise, which is that of a single rig with such a seed.
+    rod, Ts
+        As of a single rig.
+
+    See Also
+    --------
+    rodlib.ilc.rigs.side_by_side : trials on them
+
+    Examples
+    --------
+    >>> from rodlib import PeltierParameters
+    >>> from rodlib.peltier_rig import PeltierRigs
+    >>> rigs = PeltierRigs([PeltierParameters(), PeltierParameters(noise=0.1)])
+    >>> rigs.read().shape
+    (2, 2)
+    """
+
+    def __init__(
+        self,
+        parameters: Sequence[PeltierParameters],
+        seeds: int | Sequence[int] = 1,
+        rod: Rod = MISMATCHED,
+        Ts: float = 1.0,
+    ):
+        for each in parameters:
+            arguments.instance("parameters", each, PeltierParameters)
+        self._rigs = (len(parameters),)
+        seeds = np.broadcast_to(seeds, self._rigs).tolist()
+        self.seeds = [arguments.whole("seeds", seed, 0) for seed in seeds]
+        together = _together(parameters)
+        values = {name: getattr(together, name) for name in SHARED}
+        values["element.conductance"] = together.element.conductance
+        differing = [name for name, value in values.items() if np.ndim(value)]
+        if differing:
+            raise ValueError(f"parameters side by side must have the same {differing}")
+        super().__init__(rod, together, Ts)
+        self._noise = _white(self.seeds, len(rod.sensors))
+
+    def begin(self, trial: int) -> None:
+        """Begin a trial, counted from 1, each as a rig that restarts."""
+        super().begin(trial)
+        seeds = [(seed, trial) for seed in self.seeds]
+        self._noise = _white(seeds, len(self.rod.sensors))
+
+    def _drawn(self):
+        return next(self._noise)
+
+
+def _together(each):
+    """Parameters of rigs as those of one, with a column of numbers where they differ."""
+    together = copy(each[0])
+    for name, value in vars(each[0]).items():
+        values = [getattr(one, name) for one in each]
+        if isinstance(value, PeltierElement):
+            value = _together(values)
+        elif len({*values}) > 1:
+            value = np.array(values)[:, None]
+        vars(together)[name] = value
+    return together
+
+
+def _white(seeds, channels):
+    """White noise sample by sample, with a row for each seed, as if each were drawn alone."""
+    generators = [np.random.default_rng(seed) for seed in seeds]
+    while True:  # a thousand samples at once, which is faster
+        blocks = [rng.standard_normal((1000, channels)) for rng in generators]
+        yield from np.stack(blocks, axis=1)

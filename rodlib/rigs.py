@@ -83,11 +83,12 @@ class Bench:
 
     def read(self) -> np.ndarray:
         """Read the sensors: K above the initial ambient temperature, shape (m,)."""
-        theta, quantum = self._sensors @ self._state, self.parameters.quantum
-        if self.parameters.noise:
-            noise = self._random.standard_normal(len(theta))
-            theta = theta + self.parameters.noise * noise
+        theta, quantum = self._state @ self._sensors.T, self.parameters.quantum
+        theta = theta + self.parameters.noise * self._drawn()
         return (np.rint(theta / quantum) * quantum).round(9) if quantum else theta
+
+    def _drawn(self):
+        return self._random.standard_normal(len(self._sensors))
 
 
 class Restarting:

@@ -150,3 +150,23 @@ def test_a_law_that_is_left_alone_meets_the_element_that_fails(benchmarks):
     assert errors[10] > 3 * errors[9] and 0.9 < max(rates) < 1
     whole, _, better = ageing.left_alone("the paper's filter", False, 0, trials=20)
     assert errors[10] > 2 * whole[10] and max(better) < max(rates)
+
+
+def test_the_inverse_map_learns_what_is_not_feasible_sooner(benchmarks, monkeypatch):
+    """Two draws of two trials by one design: rows of ways and cases, with the ends of a range."""
+    import peltier
+
+    paper = peltier.synthesise(
+        peltier.LOOP, peltier.Q, peltier.OMEGA, 1.0, **peltier.paper_choices()
+    )
+    monkeypatch.setattr(peltier, "designs_of", lambda draws: {"the paper's": [paper]})
+    rows = [*peltier.rows(2, 2)]
+    ways = ["the paper's", "gain 0.5", "inverse map"]
+    cases = [[case, way] for case in peltier.CASES for way in ways]
+    assert [row[:2] for row in rows] == cases
+    assert {len(row) for row in rows} == {len(peltier.TITLES)}
+    assert [row[2] for row in rows] == ["1.1", "", "", "1.3", "", ""]
+    last = [float(row[-1].split(" to ")[0]) for row in rows]
+    assert last[0] < last[1] and last[5] < last[3] < last[4]
+    assert np.isinf(peltier.rate(paper, 6.0, np.array([-40.0, 40.0])))
+    assert peltier.ends([0.121, 0.119, 0.142]) == "0.12 to 0.14"

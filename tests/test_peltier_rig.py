@@ -7,11 +7,15 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.optimize import minimize_scalar
 
-from rodlib import Rod
+from rodlib import Law, LearningFilter, Rod, paper_loop, record, zero_phase_butterworth
+from rodlib.ilc import Controller
+from rodlib.ilc.rigs import side_by_side
 from rodlib.peltier_rig import (
     PeltierElement,
     PeltierParameters,
     PeltierRig,
+    PeltierRigs,
+    RestartingPeltierRig,
 )
 from rodlib.rigs import RigParameters, VirtualRig
 
@@ -174,3 +178,74 @@ def test_a_thermometer_on_the_sinks_brings_the_heat_that_was_asked_for():
         assert rig.sinks[0] > 3
     assert flows[True] == pytest.approx(-30, abs=0.05)
     assert flows[False] > -29
+
+
+LOOP = paper_loop()
+OWN = [  # elements, maps, limits, surfaces, rooms and sensors of their own
+    {},
+    {"element": PeltierElement(resistance=6.0, limit=2.0), "noise": 0.5},
+    {"known": PeltierElement(resistance=0.0), "sinks_measured": True},
+    {"element": PeltierElement(seebeck=0.03), "temperature": 280.0, "noise": 0.0},
+    {"convection": 0.0, "emissivity": 0.3, "ambient_rate": 0.02},
+]
+SEEDS = [1, 1, 2, 3, 1]
+
+
+@pytest.mark.parametrize("quantum", [0.0, 0.01])
+def test_rigs_side_by_side_do_what_each_does_alone(quantum):
+    """Sample by sample with the Controller, begun or not, at limits and within them."""
+    each = [replace(PeltierParameters(quantum=quantum), **own) for own in OWN]
+    rigs = PeltierRigs(each, SEEDS)
+    w = np.random.default_rng(0).uniform(-30, 30, (len(OWN), 12, 2)).repeat(10, axis=1)
+    for trial in (None, 1, 2):
+        if trial:
+            rigs.begin(trial)
+        y, u = side_by_side.run(rigs, LOOP, w)
+        assert np.abs(rigs.currents).max() == 6.0
+        for i, (parameters, seed) in enumerate(zip(each, SEEDS, strict=True)):
+            rig = (RestartingPeltierRig if trial else PeltierRig)(
+                parameters=parameters, seed=seed
+            )
+            if trial:
+                rig.begin(trial)
+            controller = Controller(LOOP)
+            for p in range(w.shape[1]):
+                command = controller.step(reading := rig.read(), w[i, p])
+                np.testing.assert_allclose(y[i, p], reading, rtol=0, atol=1e-9)
+                np.testing.assert_allclose(u[i, p], command, rtol=0, atol=1e-8)
+                rig.apply([command[0], 0.0, command[1], 0.0])
+            np.testing.assert_allclose(rigs.currents[i], rig.currents, atol=1e-8)
+            np.testing.assert_allclose(rigs.sinks[i], rig.sinks, atol=1e-8)
+
+
+def test_trials_side_by_side_are_those_that_are_recorded_one_by_one():
+    """With laws of their own; what is said of them is the same, too."""
+    Q, L = zero_phase_butterworth(), LearningFilter([np.eye(2, 3)] * 2, 1.0)
+    law = Law(Q, L, rest=10, limits={})
+    laws = [law, replace(law, gain=0.5), law]
+    each = [replace(PeltierParameters(), **own) for own in OWN[:3]]
+    rigs = PeltierRigs(each, SEEDS[:3])
+    bump = np.sin(np.linspace(0, np.pi, 150))[:, None] ** 2 * [5.0, -8.0]
+    reference = bump * np.reshape([1.0, 2.0, 3.0], (3, 1, 1))
+    trials = [*side_by_side.learn(rigs, LOOP, laws, reference, 3)]
+    for i, parameters in enumerate(each):
+        alone = RestartingPeltierRig(parameters=parameters, seed=SEEDS[i])
+        own = [(y[i], u[i]) for y, u in trials]
+        again = side_by_side.Recorded(own, alone.inputs, alone.limits)
+        logs, said = [], []
+        for rig in (alone, again):
+            with pytest.warns(UserWarning) as caught:
+                logs.append(record(rig, LOOP, laws[i], reference[i], trials=3))
+            said.append([str(each.message).split(":")[0] for each in caught])
+        assert said[0] == said[1]
+        for name in ("v", "u", "y", "e"):
+            alone_log, again_log = (log[name].values for log in logs)
+            np.testing.assert_allclose(again_log, alone_log, rtol=0, atol=1e-8)
+
+
+def test_rigs_side_by_side_share_what_is_linear():
+    other = PeltierParameters(fan=1.0, element=PeltierElement(conductance=0.1))
+    with pytest.raises(ValueError, match=r"the same \['fan', 'element.conductance'\]"):
+        PeltierRigs([PeltierParameters(), other])
+    with pytest.raises(ValueError, match=r"seeds = 1\.5"):
+        PeltierRigs([other], seeds=[1.5])

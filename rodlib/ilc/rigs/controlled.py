@@ -18,6 +18,8 @@ NOT_APPLIED = ". Nothing was applied after it"
 class Controller:
     """Observer (16) and state feedback (18), sample by sample as on hardware.
 
+    `command` and `observe` take loops side by side, too, by signals of shape (..., m).
+
     Parameters
     ----------
     loop : CurrentTrialLoop
@@ -54,7 +56,7 @@ class Controller:
     @property
     def delta(self) -> np.ndarray:
         """The estimate of the input disturbance."""
-        return self._state[-self._m :]
+        return self._state[..., -self._m :]
 
     def step(self, y, w) -> np.ndarray:
         """The controls u(p) from the measured y(p) and w(p); advances the observer."""
@@ -66,13 +68,13 @@ class Controller:
 
     def command(self, w) -> np.ndarray:
         """The controls u(p), from w(p) and what is estimated."""
-        u = self.loop.N @ w - self._K @ self._state  # (18)
+        u = w @ self.loop.N.T - self._state @ self._K.T  # (18)
         return _rounded(u, self.decimals)
 
     def observe(self, y, applied) -> None:
         """Advance the observer by the measured y(p) and the controls that were applied."""
-        inputs = np.concatenate([applied, y])
-        self._state = self._A @ self._state + self._B @ inputs  # (16)
+        inputs = np.concatenate([applied, y], axis=-1)
+        self._state = self._state @ self._A.T + inputs @ self._B.T  # (16)
 
 
 class ControlledRig:
