@@ -20,7 +20,7 @@ export LC_ALL := C.UTF-8
 export PYTHONWARNINGS := ignore::DeprecationWarning
 .DELETE_ON_ERROR:
 .PHONY: $(BIN)/ready help reproduce test lint data replay machines mutants lowest survey regions \
-	plants peers renewal ageing solvers watch \
+	plants peers renewal ageing saturation solvers watch \
 	study pages bench lab notebooks stubs lock clean
 
 help:  ## list the targets
@@ -83,6 +83,9 @@ renewal: $(BIN)/ready  ## filters from a plant's own trials, against filters fro
 
 ageing: $(BIN)/ready  ## laws left alone, and laws that renew themselves, on a rod that drifts (minutes)
 	@$(BIN)/python tests/benchmarks/ageing.py
+
+saturation: $(BIN)/ready  ## learning within limits, for longer and with more draws (minutes)
+	@$(BIN)/python tests/benchmarks/saturation.py
 
 plants: $(BIN)/ready  ## ten kinds of plants the whole way, from a model to a log (a minute)
 	@$(BIN)/python tests/benchmarks/whole_way.py
