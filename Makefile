@@ -20,7 +20,7 @@ export LC_ALL := C.UTF-8
 export PYTHONWARNINGS := ignore::DeprecationWarning
 .DELETE_ON_ERROR:
 .PHONY: $(BIN)/ready help reproduce test lint data replay machines mutants lowest survey regions \
-	plants peers renewal ageing peltier solvers watch \
+	plants peers renewal ageing peltier saturation boards solvers watch \
 	study pages bench lab notebooks stubs lock clean
 
 help:  ## list the targets
@@ -77,6 +77,12 @@ ageing: $(BIN)/ready  ## laws left alone, and laws that renew themselves, on a r
 
 peltier: $(BIN)/ready  ## what helps on a rig with Peltier elements, ten draws of 40 trials (minutes)
 	@$(BIN)/python tests/benchmarks/peltier.py
+
+saturation: $(BIN)/ready  ## learning within limits, for longer and with more draws (minutes)
+	@$(BIN)/python tests/benchmarks/saturation.py
+
+boards: $(BIN)/ready  ## what to measure next on a heater board, ten draws of each kind (minutes)
+	@$(BIN)/python tests/benchmarks/boards.py
 
 plants: $(BIN)/ready  ## ten kinds of plants the whole way, from a model to a log (a minute)
 	@$(BIN)/python tests/benchmarks/whole_way.py

@@ -13,6 +13,7 @@ from itertools import product
 import control
 import numpy as np
 import pandas as pd
+from scipy.linalg import expm
 from scipy.optimize import least_squares
 from scipy.stats import t
 
@@ -165,14 +166,20 @@ def heat_balance(gain_1, gain_2, loss, exchange, lag, Ts) -> control.StateSpace:
     >>> current_trial_loop(board).outputs
     ['T1', 'T2']
     """
-    I = np.eye(2)  # noqa: E741
-    lost = (loss + exchange) * I - exchange * I[::-1]
-    A = np.block([[-lost, 0 * I], [I / lag, -I / lag]])
-    B, C = np.vstack([np.diag([gain_1, gain_2]), 0 * I]), np.hstack([0 * I, I])
+    A, B = _matrices(gain_1, gain_2, loss, exchange, lag)
+    C = np.eye(2, 4, 2)
     model = control.ss(
         A, B, C, 0, inputs=HEATERS, outputs=THERMOMETERS, name="heat balance"
     )
     return control.sample_system(model, Ts, method="zoh")
+
+
+def _matrices(gain_1, gain_2, loss, exchange, lag):
+    """A and B of the heat balance in continuous time, whose states are H1, H2, T1, T2."""
+    I = np.eye(2)  # noqa: E741
+    lost = (loss + exchange) * I - exchange * I[::-1]
+    A = np.block([[-lost, 0 * I], [I / lag, -I / lag]])
+    return A, np.vstack([np.diag([gain_1, gain_2]), 0 * I])
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,9 +257,12 @@ def fit_heat_balance(heaters, readings, Ts: float) -> HeatBalanceFit:
         )
 
     def modelled(parameters):
-        model = heat_balance(*parameters, Ts)
-        states = state_sequence(model.A, heaters @ model.B.T, np.zeros(model.nstates))
-        return states @ model.C.T
+        # heat_balance without its model, which takes longer to make than to simulate
+        held = expm(
+            Ts * np.vstack([np.hstack(_matrices(*parameters)), np.zeros((2, 6))])
+        )
+        A, B = held[:4, :4].copy(), held[:4, 4:].copy()
+        return state_sequence(A, heaters @ B.T, np.zeros(4))[:, 2:]
 
     def residual(z):
         return (readings - readings[0] - z[5:] - modelled(np.exp(z[:5]))).ravel()

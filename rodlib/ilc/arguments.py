@@ -214,7 +214,8 @@ def array(
         and value.dtype == dtype
         and value.shape == tuple(shape)
     )
-    if usual and value.size and np.abs(value).max() <= LARGEST:
+    # what is not a number is not below it either; only what is beyond is looked at closely
+    if usual and value.size and np.vdot(value, value).real <= LARGEST**2:
         return value.copy()  # as in every sample of an experiment
     try:
         plain = np.asanyarray(value)

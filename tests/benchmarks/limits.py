@@ -6,6 +6,7 @@ Time is the solver's own; what is beyond a limit and the distance from the first
 are in W.
 """
 
+from types import SimpleNamespace
 from unittest.mock import patch
 
 import cvxpy as cp
@@ -36,6 +37,8 @@ def program(limits):
     """The program between the first and the second trial of the rod, as PIQP gets it."""
 
     class Solver:
+        settings = SimpleNamespace()
+
         def setup(self, *matrices):
             raise Setup(*matrices)
 

@@ -35,7 +35,10 @@ SETTINGS = {
     "10": [{"trials": 2, "hours": 3.0, "draws": 2}, {"amplitude": 2.0, "draws": 1}],
     "11": [{"rest": 0, "seed": 2}, {"trials": 3, "rest": 40}],
     "12": [{"M_max": 0.85, "percent": 60.0}, {"L_max": 5.0}],
-    "13": [{"drawn": 20, "seed": 2, "draws": 2}, {"cutoff": 0.08, "draws": 2}],
+    "13": [
+        {"drawn": 20, "seed": 2, "draws": 2, "records": 1},
+        {"cutoff": 0.08, "draws": 2, "records": 2},
+    ],
     "14": [{"limit": 24.0, "trials": 4}, {"trials": 5, "rest": 0}],
     "15": [{"trials": 2, "cells": 48}, {"M_max": 0.6, "L_max": 200.0, "heat": 0.0}],
     "16": [

@@ -13,6 +13,7 @@ from rodlib.ilc.loop.closed import CurrentTrialLoop, Loop
 from rodlib.ilc.rigs.protocol import RigError, StoppedError
 
 NOT_APPLIED = ". Nothing was applied after it"
+UNLIMITED = (-math.inf, math.inf)
 
 
 class Controller:
@@ -140,10 +141,15 @@ class ControlledRig:
         if not self.stop:
             return
         for name, value in zip(names, values.tolist(), strict=True):
-            low, high = self.stop.get(name, (-math.inf, math.inf))
+            low, high = self.stop.get(name, UNLIMITED)
             if not low <= value <= high:
                 what = f"{name} = {value:.6g} is not from {low:.6g} to {high:.6g}"
                 raise StoppedError(f"{what}, the limits of stop")
+
+    def beyond(self, names, values) -> np.ndarray:
+        """Which samples of a signal (time, channel) are beyond the limits of `stop`."""
+        low, high = np.array([self.stop.get(name, UNLIMITED) for name in names]).T
+        return np.any((values < low) | (values > high), axis=1)
 
     @contextmanager
     def safe_in_the_end(self):
@@ -173,6 +179,7 @@ class SampledRig(ControlledRig):
         self.disturbed = [name for name in names if name in self.inputs]
         self.recorded = [n for n in names if n in self.disturbed or n in measured]
         self.measured = [n for n in self.recorded if n not in self.disturbed]
+        self.also = self.measured + self.reported
         commands = self.commands + self.disturbed
         self.positions = np.array([self.inputs.index(name) for name in commands])
         self.reset()
@@ -221,14 +228,16 @@ class SampledRig(ControlledRig):
         y, measured = self.read()
         self.check_stop(self.outputs, y)
         signals = self.control(y, w, measured)
+        sent = np.concatenate([self.applied, flows]) if self.disturbed else self.applied
         inputs = np.zeros(len(self.inputs))
-        inputs[self.positions] = np.concatenate([self.applied, flows])
+        inputs[self.positions] = sent
         self.rig.apply(inputs)
-        measured |= dict(zip(self.disturbed, flows, strict=True))
         if self.recorded:
+            measured |= dict(zip(self.disturbed, flows, strict=True))
             disturbance = [measured[name] for name in self.recorded]
             signals["disturbance"] = np.array(disturbance)
-        return signals | {"y": y}
+        signals["y"] = y
+        return signals
 
     def control(self, y, w, measured) -> dict[str, np.ndarray]:
         """Set `applied`, the commands of this sample; the signals that this makes."""
@@ -245,10 +254,9 @@ class SampledRig(ControlledRig):
 
     def read(self) -> tuple[np.ndarray, dict[str, float]]:
         """The outputs, and what else is measured; nothing is used before it is checked."""
-        names = self.measured + self.reported
-        y, measured = self.rig.read(), self.rig.measured if names else {}
+        y, measured = self.rig.read(), self.rig.measured if self.also else {}
         y = _reading("reading", y, (len(self.outputs),))
-        values = {name: float(_reading(name, measured.get(name), ())) for name in names}
+        values = {n: float(_reading(n, measured.get(n), ())) for n in self.also}
         for name in self.measured:
             values[name] = self.rounded("disturbance", values[name])
         return y, values
@@ -288,12 +296,14 @@ class WholeTrialRig(ControlledRig):
             signals["y"] = _reading("y", y, w.shape)
             if names:
                 signals["u"] = self.rounded("u", _reading("u", u, w.shape))
+        checked = [(self.outputs, signals["y"])]
+        if self.ours:
+            checked.append((self.commands, signals["u"]))
         p = 0
         with _located(f"trial {trial}", lambda: p + 1):
-            for p in range(len(w)):
-                self.check_stop(self.outputs, signals["y"][p])
-                if self.ours:
-                    self.check_stop(self.commands, signals["u"][p])
+            for p in np.flatnonzero(np.any([self.beyond(*c) for c in checked], axis=0)):
+                for names, values in checked:
+                    self.check_stop(names, values[p])
         if actuators is not None and self.ours:
             signals["applied"] = actuators.follow(signals["u"])
         bar.update(len(w))
