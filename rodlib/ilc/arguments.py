@@ -214,8 +214,11 @@ def array(
         and value.dtype == dtype
         and value.shape == tuple(shape)
     )
-    if usual and value.size and np.abs(value).max() <= LARGEST:
-        return value.copy()  # as in every sample of an experiment
+    # the sum of squares is quick, as every sample of an experiment has it; others are looked at
+    if usual and value.size and np.vdot(value, value).real <= LARGEST:
+        return value.copy()
+    if type(value) is float and not shape and abs(value) <= LARGEST:
+        return np.array(value, dtype)
     try:
         plain = np.asanyarray(value)
     except (TypeError, ValueError):
