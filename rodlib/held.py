@@ -111,13 +111,16 @@ class HeldRod:
         rest = static - r[:slow][::-1].sum(axis=0)
         self.fast[0] = rest - np.tensordot(powers[1], r[slow:], axes=1)
 
-    def response(self, step, inputs: Sequence[str]) -> np.ndarray:
-        """G(z) at z = 1 + step from some inputs, shape (n, outputs, inputs)."""
+    def response(self, step, inputs: Sequence[str], powers=None) -> np.ndarray:
+        """G(z) at z = 1 + step from some inputs, shape (n, outputs, inputs).
+
+        `powers`: those of :func:`inverse_powers` at `step`, which are the same for every rod.
+        """
         columns = [self.inputs.index(name) for name in inputs]
-        step = step[:, None]
-        powers = np.broadcast_to(1 / (1 + step), (len(step), POWERS)).cumprod(axis=1)
+        powers = inverse_powers(step) if powers is None else powers
         poles = np.expm1(-self.decay)  # p_n - 1
-        response = np.tensordot(1 / (step - poles), self.slow[:, :, columns], axes=1)
+        slow = 1 / (step[:, None] - poles)
+        response = np.tensordot(slow, self.slow[:, :, columns], axes=1)
         return response + np.tensordot(powers, self.fast[:, :, columns], axes=1)
 
     def impulse_response(self, count: int, inputs: Sequence[str]) -> np.ndarray:
@@ -127,6 +130,12 @@ class HeldRod:
         g = np.tensordot(powers, self.slow[:, :, columns], axes=1)
         g[:POWERS] += self.fast[: len(g), :, columns]
         return np.concatenate([np.zeros((1, *g.shape[1:])), g])
+
+
+def inverse_powers(step) -> np.ndarray:
+    """1 / z, 1 / z^2, ... at z = 1 + step, for the fast modes."""
+    shape = len(step), POWERS
+    return np.broadcast_to(1 / (1 + step[:, None]), shape).cumprod(axis=1)
 
 
 def _mode_counts(rod, Ts):

@@ -12,7 +12,7 @@ import control
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfftfreq
 
-from rodlib.held import HeldRod
+from rodlib.held import HeldRod, inverse_powers
 from rodlib.ilc import arguments
 from rodlib.ilc.loop.closed import CurrentTrialLoop, reply
 from rodlib.ilc.models import frequency_response
@@ -246,13 +246,14 @@ class Points:
         m = loop.plant.noutputs
         self.loop, self.omega = loop, omega
         self.step = np.expm1(np.log(radius) + 1j * omega * loop.Ts)  # z - 1
+        self.powers = inverse_powers(self.step)
         self.G_0 = response(loop.plant[:, :m])
         replies = response(reply(loop))
         self.U, self.R = replies[:, :, :m], -replies[:, :, m:]
 
     def response(self, rod: HeldRod) -> np.ndarray:
         """G of a rod from the controls of the loop, shape (n, m, m)."""
-        return rod.response(self.step, self.loop.controls)
+        return rod.response(self.step, self.loop.controls, self.powers)
 
     def P(self, G) -> np.ndarray:
         """From w to y around another plant G, shape (n, m, m)."""

@@ -132,7 +132,9 @@ class Study:
         impulses = impulse_responses(loop, specimens, len(self.reference))
         stable = unstable == 0
         rms = np.full((len(filters), len(specimens), self.trials), np.nan)
-        rms[:, stable] = [self._rms(impulses[stable], L) for L in filters]
+        count = next_fast_len(2 * len(self.reference), real=True)
+        P = rfft(impulses[stable], count, axis=1)
+        rms[:, stable] = [self._rms(P, count, L) for L in filters]
         variables = {
             name: ("rod", [getattr(s.rod, name) for s in specimens])
             for name in MATERIAL
@@ -156,11 +158,9 @@ class Study:
             data[name].attrs["units"] = UNITS.get(name, "1")
         return data
 
-    def _rms(self, impulses, L):
-        """RMS(e_k) of trials (23) around rods with these impulse responses of the loop."""
+    def _rms(self, P, count, L):
+        """RMS(e_k) of trials (23) around rods, by transforms of the loop over `count` samples."""
         samples = len(self.reference)
-        count = next_fast_len(2 * samples, real=True)
-        P = rfft(impulses, count, axis=1)
         v = np.zeros((len(P), *self.reference.shape))
         rms = np.empty((len(P), self.trials))
         for k in range(self.trials):
@@ -168,5 +168,6 @@ class Study:
             y = irfft(np.einsum("rnij,rnj->rni", P, w), count, axis=1)
             e = self.reference - y[:, :samples]
             rms[:, k] = np.sqrt((e**2).sum(axis=2).mean(axis=1))
-            v = self.Q.apply(v + L.apply(e))  # (23)
+            if k + 1 < self.trials:
+                v = self.Q.apply(v + L.apply(e))  # (23)
         return rms

@@ -217,6 +217,8 @@ def array(
     # what is not a number is not below it either; only what is beyond is looked at closely
     if usual and value.size and np.vdot(value, value).real <= LARGEST**2:
         return value.copy()  # as in every sample of an experiment
+    if type(value) is float and not shape and abs(value) <= LARGEST:
+        return np.array(value, dtype)
     try:
         plain = np.asanyarray(value)
     except (TypeError, ValueError):

@@ -96,6 +96,11 @@ class ZeroPhaseButterworth:
         return butter(self.order, self.cutoff, fs=2 * np.pi / self.Ts, output="sos")
 
     @cached_property
+    def _at_rest(self):
+        """States of the sections behind a constant one."""
+        return sosfilt_zi(self.sections)
+
+    @cached_property
     def poles(self) -> np.ndarray:
         """Of the forward half, section by section: a polynomial of all of them would lose them."""
         return np.concatenate([np.roots(section[3:]) for section in self.sections])
@@ -115,25 +120,40 @@ class ZeroPhaseButterworth:
         """Filter a signal of shape (..., time, channel), forward and backward in time."""
         signal = arguments.array("signal", signal, (..., "time", "channel"))
         # after `decay` samples the line is as good as infinite
-        sections, decay = self.sections, self.decay
-        once = _continued(signal, decay, decay, self.ends)
-        at_rest = sosfilt_zi(sections).reshape(
-            len(sections), *[1] * (signal.ndim - 2), 2, 1
-        )
+        once = _continued(signal, self.decay, self.decay, self.ends)
+        return self._both_ways(once)[..., self.decay : -self.decay, :]
+
+    def apply_transposed(self, signal) -> np.ndarray:
+        """Filter a signal by the transpose of the matrix that :meth:`apply` is on a trial."""
+        signal = arguments.array("signal", signal, (..., "time", "channel"))
+        reach, (first, last) = self.decay, ENDS[self.ends]
+        once = _continued(signal, 2 * reach, 2 * reach, "zero")
+        wide = self._both_ways(once)[..., reach:-reach, :]  # a symmetric matrix
+        inside = wide[..., reach:-reach, :].copy()
+        # What lies beyond an end that is held comes from the sample there.
+        if first == "edge":
+            inside[..., 0, :] += wide[..., :reach, :].sum(axis=-2)
+        if last == "edge":
+            inside[..., -1, :] += wide[..., -reach:, :].sum(axis=-2)
+        return inside
+
+    def _both_ways(self, once):
+        """Forward and backward in time over a signal (..., time, channel), from its ends on."""
+        at_rest = self._at_rest.reshape(-1, *[1] * (once.ndim - 2), 2, 1)
         for _ in range(2):
             filtered, _ = sosfilt(
-                sections, once, axis=-2, zi=at_rest * once[..., :1, :]
+                self.sections, once, axis=-2, zi=at_rest * once[..., :1, :]
             )
             once = np.flip(filtered, axis=-2)
-        return once[..., decay:-decay, :]
+        return once
 
 
 def _continued(signal, before, after, ends):
     """A signal of shape (..., time, channel) with so many samples more at the ends of the trial."""
-    trials = [(0, 0)] * (signal.ndim - 2)
-    for width, mode in zip([(before, 0), (0, after)], ENDS[ends], strict=True):
-        signal = np.pad(signal, [*trials, width, (0, 0)], mode=mode)
-    return signal
+    held = [mode == "edge" for mode in ENDS[ends]]
+    first = np.repeat(held[0] * signal[..., :1, :], before, axis=-2)
+    last = np.repeat(held[1] * signal[..., -1:, :], after, axis=-2)
+    return np.concatenate([first, signal, last], axis=-2)
 
 
 # as one says with scipy: butter(order, cutoff)

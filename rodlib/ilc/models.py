@@ -6,6 +6,7 @@ output shows; and any plant, a transfer function as well, as such a model in dis
 
 import reprlib
 from collections.abc import Sequence
+from functools import lru_cache
 from os import PathLike
 
 import control
@@ -90,11 +91,9 @@ def state_sequence(A, forcing, initial) -> np.ndarray:
     padded[:samples] = forcing
     padded = padded.reshape(blocks, length, n)
 
-    powers = np.empty((length + 1, n, n))  # A^0 ... A^length
+    powers = _powers(np.asarray(A, dtype=float).tobytes(), n, length)
     states = np.zeros((blocks, length + 1, n))
-    powers[0] = np.eye(n)
     for p in range(length):
-        powers[p + 1] = A @ powers[p]
         states[:, p + 1] = states[:, p] @ A.T + padded[:, p]
     starts = np.empty((blocks, n))
     starts[0] = initial
@@ -102,6 +101,17 @@ def state_sequence(A, forcing, initial) -> np.ndarray:
         starts[block + 1] = powers[length] @ starts[block] + states[block, length]
     states += np.tensordot(starts, powers, axes=(1, 2))
     return states[:, :length].reshape(-1, n)[:samples]
+
+
+@lru_cache(maxsize=4)  # one trial after the other has the same
+def _powers(A, n, length):
+    """A^0 ... A^length of the matrix with these bytes."""
+    A, powers = np.frombuffer(A).reshape(n, n), np.empty((length + 1, n, n))
+    powers[0] = np.eye(n)
+    for p in range(length):
+        powers[p + 1] = A @ powers[p]
+    powers.flags.writeable = False
+    return powers
 
 
 def unreachable_modes(A, B) -> tuple[np.ndarray, np.ndarray]:

@@ -195,12 +195,10 @@ def rate(P, Q, L: LearningOperator, omega) -> Rate:
 
 def from_responses(omega, P, Q, L) -> Convergence:
     """As :func:`convergence`, of frequency responses P (n, m, m) or (p, n, m, m), Q and L."""
-    sigma, radius = [], []
-    for plant in P.reshape(-1, *P.shape[-3:]):
-        M = convergence_matrix(plant, Q, L)
-        sigma.append(largest_singular_values(M))
-        radius.append(spectral_radii(M))
-    sigma, radius = np.reshape([sigma, radius], (2, *P.shape[:-2]))
+    M = convergence_matrix(P, Q, L).reshape(-1, *P.shape[-2:])
+    sigma, radius = (
+        of(M).reshape(P.shape[:-2]) for of in (largest_singular_values, spectral_radii)
+    )
     return Convergence(
         omega,
         sigma,

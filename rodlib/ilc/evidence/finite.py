@@ -3,20 +3,18 @@
 Lemma 1 is about signals without end; here the two ends of the trial are included.
 """
 
-from dataclasses import replace
-
 import control
 import numpy as np
 import scipy.sparse.linalg as sparse
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.sparse import coo_array, diags_array, eye_array, kron
+from scipy.sparse import coo_array, kron
 
 from rodlib.ilc import arguments
 from rodlib.ilc.filters import ENDS, LearningFilter, ZeroPhaseButterworth
 from rodlib.ilc.models import impulse_response, sampled_plant
 from rodlib.ilc.signals import check_match
 
-LANCZOS = 60  # vectors that the Lanczos iteration keeps
+LANCZOS = 30  # vectors that the Lanczos iteration keeps
 
 
 def trial_operators(
@@ -68,7 +66,8 @@ def trial_operators(
 
     def convolved(spectrum, X):
         signal = rfft(X.reshape(samples, m, -1), length, axis=0)
-        return irfft(spectrum @ signal, length, axis=0)[:samples].reshape(X.shape)
+        output = np.einsum("nij,njk->nik", spectrum, signal)  # thrice as fast as @
+        return irfft(output, length, axis=0)[:samples].reshape(X.shape)
 
     P_N = _operator(
         size,
@@ -76,22 +75,11 @@ def trial_operators(
         lambda X: convolved(spectrum.conj().swapaxes(1, 2), X),
     )
 
-    reach, without_ends = Q.decay, replace(Q, ends="zero")
-    first, last = ENDS[Q.ends]
-
     def Q_apply(X):
         return Q.apply(X.reshape(samples, -1)).reshape(X.shape)
 
     def Q_adjoint(X):
-        signal = np.pad(X.reshape(samples, -1), [(reach, reach), (0, 0)])
-        signal = without_ends.apply(signal)  # a symmetric matrix
-        inside = signal[reach:-reach].copy()
-        # What lies beyond an end that is held comes from the sample there.
-        if first == "edge":
-            inside[0] += signal[:reach].sum(axis=0)
-        if last == "edge":
-            inside[-1] += signal[-reach:].sum(axis=0)
-        return inside.reshape(X.shape)
+        return Q.apply_transposed(X.reshape(samples, -1)).reshape(X.shape)
 
     taps = enumerate(np.moveaxis(L.coefficients, 2, 0), 1)
     held = ENDS[L.ends][1] == "edge"
@@ -133,10 +121,21 @@ def trial_map(
     P_N, Q_N, L_N = trial_operators(P, Q, L, samples)
     rest = arguments.whole("rest", rest, 0, samples - 1)
     size = samples * L.channels
-    active = np.arange(size) < size - rest * L.channels
-    identity = sparse.aslinearoperator(eye_array(size))
-    active = sparse.aslinearoperator(diags_array(active.astype(float)))
-    return active @ Q_N @ (identity - L_N @ P_N) @ active
+
+    def active(X):
+        X = X.copy()
+        X[size - rest * L.channels :] = 0
+        return X
+
+    def apply(X):
+        v = active(X)
+        return active(Q_N @ (v - L_N @ (P_N @ v)))
+
+    def adjoint(X):
+        v = Q_N.H @ active(X)
+        return active(v - P_N.H @ (L_N.H @ v))
+
+    return _operator(size, apply, adjoint)
 
 
 def trial_norm(

@@ -340,13 +340,15 @@ def noise_on_trial(
 def _learned(P, X, law, trials):
     """Variance of P v, shape (time, m), on a trial as long as the impulse responses P and X."""
     length, m, _ = P.shape
+    if trials == 1:
+        return np.zeros((length, m))
     cosines = _cosines(law.Q, length - law.rest, law.rest)
     count = len(cosines)
     size = count * m  # numbers of v: `count` in each channel
 
     # What the law makes of v and of e, in cosines of the next v.
-    of_v = law.gain * _of_impulses(law.Q.apply, 1, cosines)[..., 0]
-    of_e = _of_impulses(law.L.apply, m, of_v).reshape(count, length, m, m)
+    of_v = law.gain * law.Q.apply_transposed(cosines.T).T
+    of_e = _after(law.L, m, of_v).reshape(count, length, m, m)
     of_e = of_e.transpose(0, 3, 2, 1).reshape(size, m, length)
     fast = next_fast_len(2 * length, real=True)
     P, X = (rfft(h.transpose(2, 1, 0), fast) for h in (P, X))  # (from, to, frequency)
@@ -376,12 +378,14 @@ def _cosines(Q, active, rest):
     return np.pad(cosines, [(0, 0), (0, rest)])
 
 
-def _of_impulses(apply, channels, outputs):
-    """`outputs` after a filter of impulses at all times in all channels, side by side."""
+def _after(L, m, outputs):
+    """`outputs` (any, time) after L of impulses at all times in m channels, side by side."""
     length = outputs.shape[1]
-    size, parts = length * channels, []
+    size, parts = length * m, []
     for at in range(0, size, SIDE_BY_SIDE):
         impulses = np.eye(min(SIDE_BY_SIDE, size - at), size, at)
-        filtered = apply(impulses.reshape(len(impulses), length, channels))
-        parts.append(np.tensordot(outputs, filtered, (1, 1)))
+        filtered = L.apply(impulses.reshape(len(impulses), length, m))
+        reached = np.abs(filtered).max(axis=0).max(axis=1)  # often few samples
+        near = reached > NEGLIGIBLE * reached.max()
+        parts.append(np.tensordot(outputs[:, near], filtered[:, near], (1, 1)))
     return np.concatenate(parts, axis=1)

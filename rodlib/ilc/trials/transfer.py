@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
-from scipy.signal import oaconvolve
+from scipy.fft import irfft, next_fast_len, rfft
 from scipy.special import fdtrc
 
 from rodlib.ilc import arguments
@@ -121,9 +121,12 @@ def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
         np.hstack([_taps(output / size, basis), target])
         for output, target in zip(y, targets, strict=True)
     ]
-    regression = _Regression(columns, m)
+    products = [_products(trial) for trial in columns]
+    regression = _Regression(columns, products, m)
     without_one = [
-        _Regression(columns[:k] + columns[k + 1 :], m) for k in range(K) if K > 1
+        _Regression(columns[:k] + columns[k + 1 :], products[:k] + products[k + 1 :], m)
+        for k in range(K)
+        if K > 1
     ]
 
     X = _taps(reference / size, basis)
@@ -134,9 +137,9 @@ def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
     rows, compensation = np.zeros((m, p)), np.zeros_like(reference)
     predicted, uncertainty = np.zeros((2, m))
     held_out, messages = np.zeros((K, m)), []
-    for i in range(m):
-        fit = regression.fit(i, RATIOS if K > 1 else RATIOS[:1])
-        differences = regression.fit(i, [0.0])  # between trials, alone
+    fits = regression.fits(RATIOS if K > 1 else RATIOS[:1])
+    by_differences = regression.fits([0.0])  # between trials, alone
+    for i, (fit, differences) in enumerate(zip(fits, by_differences, strict=True)):
         rows[i], predicted[i] = fit.row, fit.predicted
         target, weight = past[:, p + i], 1 - fit.ratio
         compensation[:, i] = weight * (target - X_past @ fit.row)
@@ -146,10 +149,13 @@ def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
         distance = other_v - X @ fit.row - compensation[:, i]
         uncertainty[i] = np.sqrt(np.mean(jackknife + distance**2))
         for k, others in enumerate(without_one):
-            missed = np.linalg.norm(others.missed(columns[k], i, fit))
+            row = others.row(i, fit)
+            missed = np.linalg.norm(others.missed(columns[k], i, row, fit.ratio))
             of_target = np.linalg.norm(targets[k, :, i])
             held_out[k, i] = missed / max(of_target, np.finfo(float).tiny)
-        residuals = np.array([regression.missed(trial, i, fit) for trial in columns])
+        residuals = np.array(
+            [regression.missed(trial, i, fit.row, fit.ratio) for trial in columns]
+        )
         messages += _contradictions(residuals, held_out[:, i], outputs[i], labels)
 
     feedforward, v = X @ rows.T, X @ rows.T + compensation
@@ -208,70 +214,90 @@ def _taps(signal, basis):
     """A signal (time, m) by each tap, shape (time, m taps); constant beyond its ends."""
     ends = len(basis) // 2
     extended = np.pad(signal, [(ends, ends), (0, 0)], mode="edge")
-    taps = oaconvolve(extended[:, :, None], basis[:, None], mode="valid", axes=0)
+    count = next_fast_len(len(extended), real=True)  # the ends that wrap are not kept
+    by_tap = (
+        rfft(extended, count, axis=0)[..., None] * rfft(basis, count, axis=0)[:, None]
+    )
+    taps = irfft(by_tap, count, axis=0)[2 * ends :][: len(signal)]
     return taps.reshape(len(signal), -1)
 
 
 class _Fit(NamedTuple):
-    row: np.ndarray  # (p,): of F, by taps
-    without: np.ndarray  # (blocks, p): the same, without each block of time
+    without: np.ndarray  # (blocks, p): rows of F by taps, without each block of time
     ratio: float = 1.0  # of variances, s_w^2 / (s_w^2 + K s_c^2)
     predicted: float = 1.0  # share of the target, in cross-validation
     chosen: tuple = (1.0, 1.0, 1.0)  # ratio, factor and weight of the prior
     likelihood: float = 0.0  # its logarithm
+    row: np.ndarray | None = None  # (p,): of all blocks
 
 
 class _Regression:
     """Products of p regressors and m targets in each block, shape (blocks, p + m, p + m)."""
 
-    def __init__(self, columns, m):
+    def __init__(self, columns, products, m):
         self.K, self.m = len(columns), m
         self.center = sum(columns) / self.K  # the mean of the trials' columns
         self.mean = self.K * _products(self.center)
         # of the deviations of K trials from their mean
-        self.within = sum(_products(trial) for trial in columns) - self.mean
+        self.within = sum(products) - self.mean
 
-    def missed(self, trial, i, fit):
-        """What F and c of these trials miss of v + e in the columns of a trial."""
-        row, _ = self._ridge(i, *fit.chosen)
-        signal = trial - (1 - fit.ratio) * self.center
-        return signal[:, len(row) + i] - signal[:, : len(row)] @ row
+    def missed(self, trial, i, row, ratio):
+        """What a row of F and c of these trials miss of v + e in the columns of a trial."""
+        p = len(row)
+        own, common = (x[:, p + i] - x[:, :p] @ row for x in (trial, self.center))
+        return own - (1 - ratio) * common
 
-    def fit(self, i, ratios) -> _Fit:
-        """The most likely row i of F: its weight, its F(0), and the ratio of the variances."""
-        p = self.mean.shape[1] - self.m
+    def row(self, i, fit):
+        """Row i of F, with the prior that was chosen in a fit, to these trials or to others."""
+        ratio, static, weight = fit.chosen
+        return self._ridge(ratio, static, np.array([weight]), slice(1))[0, 0, :, i]
+
+    def fits(self, ratios) -> list[_Fit]:
+        """The most likely rows of F: their weights, their F(0), and the ratio of the variances."""
+        fits = [[] for _ in range(self.m)]
+        for ratio, static in product(ratios, (1.0, STATIC)):
+            without = self._ridge(
+                ratio, static, WEIGHTS, slice(1, None)
+            )  # of all outputs
+            for i, found in enumerate(fits):
+                found.append(self._likeliest(i, without[..., i], ratio, static))
+        best = [max(found, key=attrgetter("likelihood")) for found in fits]
+        return [fit._replace(row=self.row(i, fit)) for i, fit in enumerate(best)]
+
+    def _likeliest(self, i, without, ratio, static):
+        """The most likely weight, by rows i of F without each block, (weights, blocks, p)."""
+        p = without.shape[-1]
         power = (self.within + self.mean)[:, p + i, p + i].sum()
         if not power > 0:
-            return _Fit(np.zeros(p), np.zeros((BLOCKS, p)))
-        fits = []
-        for chosen in product(ratios, (1.0, STATIC), WEIGHTS):
-            row, without = self._ridge(i, *chosen)
-            within, mean = (
-                _squares(products, without, i) + ROUNDING * power
-                for products in (self.within, self.mean)
-            )
-            likelihood = -(self.K - 1) * np.log(within) - np.log(mean)
-            if chosen[1] == 1:
-                likelihood -= self.K * np.log(PENALTY)
-            ratio = min(1.0, within / (self.K - 1) / mean) if self.K > 1 else 1.0
-            total = (self.within + ratio * self.mean)[:, p + i, p + i].sum()
-            predicted = 1 - (within + ratio * mean) / total
-            fits.append(_Fit(row, without, ratio, predicted, chosen, likelihood))
-        return max(fits, key=attrgetter("likelihood"))
+            return _Fit(np.zeros((BLOCKS, p)))
+        within, mean = (
+            _squares(products, without, i) + ROUNDING * power
+            for products in (self.within, self.mean)
+        )
+        likelihood = -(self.K - 1) * np.log(within) - np.log(mean)
+        if static == 1:
+            likelihood -= self.K * np.log(PENALTY)
+        best = likelihood.argmax()
+        chosen, within, mean = (ratio, static, WEIGHTS[best]), within[best], mean[best]
+        ratio = min(1.0, within / (self.K - 1) / mean) if self.K > 1 else 1.0
+        total = (self.within + ratio * self.mean)[:, p + i, p + i].sum()
+        predicted = 1 - (within + ratio * mean) / total
+        return _Fit(without[best], ratio, predicted, chosen, likelihood[best])
 
-    def _ridge(self, i, ratio, static, weight):
-        """Row i of F, and those without each block."""
+    def _ridge(self, ratio, static, weights, kept):
+        """Rows of F by weights, (weights, kept, p, m); of 1 + blocks: of all, without each."""
         p = self.mean.shape[1] - self.m
         products = self.within + ratio * self.mean
         total = products.sum(axis=0)
-        sums = np.concatenate([total[None], total - products])
+        sums = np.concatenate([total[None], total - products])[kept]
         floor = ROUNDING * np.trace(self.mean.sum(axis=0)[:p, :p]) / p or 1.0
         prior = np.ones((self.m, p // self.m))
         prior[:, prior.shape[1] // 2] = static
-        prior *= floor + weight * np.trace(total[:p, :p]) / p
-        normal = sums[:, :p, :p] + np.diag(prior.ravel())
-        rows = np.linalg.solve(normal, sums[:, :p, [p + i]])[..., 0]
-        return rows[0], rows[1:]
+        size = floor + weights * np.trace(total[:p, :p]) / p
+        normal = np.repeat(sums[None, :, :p, :p], len(weights), axis=0)
+        diagonals = np.einsum("wbpp->wbp", normal)
+        diagonals += np.multiply.outer(size, prior.ravel())[:, None]
+        return np.linalg.solve(normal, sums[:, :p, p:])
 
 
 def _contradictions(residuals, held_out, name, labels):
@@ -307,11 +333,11 @@ def _products(signals):
 
 
 def _squares(products, without, i):
-    """Sum of squares of the residuals in all blocks, each by the row without it."""
-    blocks, p = without.shape
-    residual = np.zeros((blocks, products.shape[1]))
-    residual[:, :p], residual[:, p + i] = -without, 1
-    return np.einsum("bp,bpq,bq", residual, products, residual)
+    """Sums of squares of the residuals in all blocks, by the rows (n, blocks, p) without them."""
+    n, blocks, p = without.shape
+    residual = np.zeros((blocks, n, products.shape[1]))
+    residual[..., :p], residual[..., p + i] = -without.swapaxes(0, 1), 1
+    return np.sum(residual @ products * residual, axis=(0, 2))
 
 
 def _unseen(reference, earlier, Ts):
