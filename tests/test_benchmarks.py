@@ -170,3 +170,33 @@ def test_the_inverse_map_learns_what_is_not_feasible_sooner(benchmarks, monkeypa
     assert last[0] < last[1] and last[5] < last[3] < last[4]
     assert np.isinf(peltier.rate(paper, 6.0, np.array([-40.0, 40.0])))
     assert peltier.ends([0.121, 0.119, 0.142]) == "0.12 to 0.14"
+
+
+def test_no_trial_within_limits_is_better_than_the_best(benchmarks, monkeypatch):
+    pytest.importorskip("tclab")
+    import saturation
+
+    monkeypatch.setattr(saturation, "TRIALS", 3)
+    monkeypatch.setattr(saturation, "COLD_TRIALS", 2)
+    row = [float(cell) for cell in saturation.of_rod(20.0)]
+    assert len(row) == len(saturation.TITLES)
+    assert row[2] < row[1] < row[0] and row[2] == pytest.approx(0.127, abs=5e-4)
+    ends = saturation.of_board(1)
+    assert len(ends) == len(saturation.WAYS) and max(ends[3:]) < min(ends[:3])
+
+
+def test_a_heater_board_is_known_from_long_moves_around_the_working_point(benchmarks):
+    import boards
+
+    (A, B), fits = boards.logs()
+    z, noise = boards.with_squares(A, fits[0]), np.array([0.06, 0.11])
+    given = z, B.u.values[0], noise
+    left, least, direct, unknown = boards.moved("by the minute, 36 min", 1, *given)
+    assert left < 0.2 and least < direct < 1 and not unknown
+    bent, none, *_ = boards.moved("those of log B, 10 min", 1, *given)
+    assert bent > 5 * left and none > 1
+    radius, best = boards.shaken(1.5, 1, z, noise, fits[1].values)
+    assert radius < 0.2 and 0.3 < best < 0.6
+    assert boards.ranges(np.array([[0.123, 2], [0.456, 1]]), (2, 0)) == [
+        "0.12 to 0.46", "1 to 2",
+    ]  # fmt: skip
