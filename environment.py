@@ -14,29 +14,27 @@ ROOT = Path(__file__).resolve().parent
 PIP = ("-m", "pip", "install", "--quiet", "--disable-pip-version-check")
 
 
+def packages(root: Path) -> list[Path]:
+    """The folders of the two packages that are installed from the checkout."""
+    return [root, root / "toolbox"]
+
+
 def is_ready(root: Path) -> bool:
-    """Whether the environment in `root` is complete, newer than the lock, and runs this rodlib.
+    """Whether the environment in `root` is complete, newer than the lock, and runs what is here.
 
     An environment carries the absolute path of its folder: in a copy of the folder, it would go on
-    to run the modules of the original.
+    to run the packages of the original.
     """
     ready = root / ".venv" / "bin" / "ready"
-    sources = [root / "environment.lock", root / "pyproject.toml"]
-    if not ready.exists() or ready.stat().st_mtime < max(
-        path.stat().st_mtime for path in sources
-    ):
+    sources = [root / "environment.lock", *(folder / "pyproject.toml" for folder in packages(root))]
+    if not ready.exists() or ready.stat().st_mtime < max(path.stat().st_mtime for path in sources):
         return False
     question = (
-        "import os, rodlib; os.path.samefile(*rodlib.__path__, 'rodlib') or os._exit(1)"
+        "import os, rodlib, ilctools; same = os.path.samefile; "
+        "same(*rodlib.__path__, 'rodlib') and same(*ilctools.__path__, 'toolbox/ilctools') "
+        "or os._exit(1)"
     )
-    call = [
-        ready.with_name("python"),
-        "-I",
-        "-X",
-        "utf8",
-        "-c",
-        question,
-    ]  # -I: not by its folder
+    call = [ready.with_name("python"), "-I", "-X", "utf8", "-c", question]  # -I: not by its folder
     try:
         return subprocess.run(call, cwd=root, stderr=subprocess.DEVNULL).returncode == 0
     except OSError:  # its Python has gone
@@ -55,10 +53,7 @@ def create(root: Path) -> None:
         sys.exit(f"{venv} is no folder: remove it, and call make again")
     python = venv / "bin" / "python"
     (python.parent / "ready").unlink(missing_ok=True)
-    print(
-        "creating the environment from environment.lock (once, some minutes) ...",
-        flush=True,
-    )
+    print("creating the environment from environment.lock (once, some minutes) ...", flush=True)
     run([sys.executable, "-m", "venv", "--clear", venv])
     first = venv / "first.txt"
     first.write_text(entry("uv", lock.read_text(encoding="utf-8")), encoding="utf-8")
@@ -69,7 +64,8 @@ def create(root: Path) -> None:
     if subprocess.run([*by_uv, "--require-hashes", "-r", lock]).returncode:
         print("by uv it does not go; by pip it takes longer ...", flush=True)
         run([python, *PIP, "--require-hashes", "-r", lock])
-    run([python, *PIP, "--no-deps", "--no-build-isolation", "-e", root])
+    editable = [word for folder in packages(root) for word in ("-e", folder)]
+    run([python, *PIP, "--no-deps", "--no-build-isolation", *editable])
     (python.parent / "ready").touch()
 
 
@@ -85,11 +81,10 @@ def main(root: Path = ROOT) -> None:
         sys.exit("Python 3.11 or newer is needed: make PYTHON=...")
     if is_ready(root):
         return
-    from rodlib.ilc.files import alone, folder
+    sys.path.insert(0, str(ROOT / "toolbox"))  # nothing is installed yet
+    from ilctools.files import alone, folder
 
-    refusal = (
-        f"another make is creating the environment in {root}: wait until it has ended"
-    )
+    refusal = f"another make is creating the environment in {root}: wait until it has ended"
     try:
         with alone(folder(root / "build") / "environment.lock", refusal):
             if not is_ready(root):  # or it has been created in the meantime

@@ -21,6 +21,7 @@ include_patterns = [
     "docs/*.md",
     "figures/*.md",
     "notebooks/*.ipynb",
+    "toolbox/README.md",
 ]
 
 myst_enable_extensions = ["amsmath", "dollarmath"]

@@ -1,6 +1,6 @@
 /* The next trial's signal in C99, for a target without Python: v_{k+1} = Q (v_k + L e_k), (23).
 
-   It reads a file of rodlib.save_law and, from the standard input, a line for each sample of the
+   It reads a file of ilctools.save_law and, from the standard input, a line for each sample of the
    trial with v and e of all channels; it prints the next v, a line for each sample.
 
        cc -std=c99 -O2 -ffp-contract=off law.c -lm -o law  &&  ./law law.json < trial > next

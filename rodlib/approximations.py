@@ -26,7 +26,7 @@ import control
 import numpy as np
 from scipy.linalg import eigh, solve_continuous_lyapunov
 
-from rodlib.ilc import arguments
+from ilctools import arguments
 from rodlib.rod import Rod, midr, named
 from rodlib.rod import modes as modes_of
 
@@ -160,18 +160,14 @@ def balanced_truncation(
     states = arguments.whole("states", states, 1, fine.nstates)
     names = rod.inputs if inputs is None else inputs
     if not isinstance(names, list | tuple) or not names or {*names} - {*rod.inputs}:
-        raise ValueError(
-            f"inputs = {reprlib.repr(inputs)} must list some of {rod.inputs}"
-        )
+        raise ValueError(f"inputs = {reprlib.repr(inputs)} must list some of {rod.inputs}")
     counted = fine.B[:, [rod.inputs.index(name) for name in names]]
     R = _root(solve_continuous_lyapunov(fine.A, -counted @ counted.T))
     S = _root(solve_continuous_lyapunov(fine.A.T, -fine.C.T @ fine.C))
     U, hankel, Vh = np.linalg.svd(S.T @ R)
     rank = (hankel > ROUNDING * hankel[0]).sum()
     if states > rank:
-        raise ValueError(
-            f"states = {states} is too many: only {rank} are more than rounding"
-        )
+        raise ValueError(f"states = {states} is too many: only {rank} are more than rounding")
     scale = np.sqrt(hankel[:states])
     left, right = S @ U[:, :states] / scale, R @ Vh[:states].T / scale
     return named(rod, left.T @ fine.A @ right, left.T @ fine.B, fine.C @ right)

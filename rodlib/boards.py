@@ -17,18 +17,12 @@ from scipy.linalg import expm
 from scipy.optimize import least_squares
 from scipy.stats import t
 
-from rodlib.ilc import arguments
-from rodlib.ilc.models import state_sequence
+from ilctools import arguments
+from ilctools.models import state_sequence
 
 HEATERS, THERMOMETERS = ["Q1", "Q2"], ["T1", "T2"]
 LAST = 60.0  # s of the wait before the first trial, over which the readings at rest are averaged
-UNITS = {
-    "gain_1": "K/s per %",
-    "gain_2": "K/s per %",
-    "loss": "1/s",
-    "exchange": "1/s",
-    "lag": "s",
-}
+UNITS = {"gain_1": "K/s per %", "gain_2": "K/s per %", "loss": "1/s", "exchange": "1/s", "lag": "s"}
 PARTS = 6  # of a record, each left out once; with more, noise of a minute makes intervals short
 SURELY = {"ftol": 1e-12, "xtol": 1e-10}  # tolerances, so that the start does not show
 ROUNDING = 1e-6  # of the largest slope: what is less is that of a difference of two simulations
@@ -87,9 +81,7 @@ class TemperatureControlLab:
         self.rest = arguments.array("rest", rest, (2,))
         if self.rest.min() < 0 or self.rest.max() > 100:
             raise ValueError(f"rest = {rest!r} must be two numbers from 0 to 100 %")
-        self.Ts = arguments.number(
-            "Ts", Ts, "a sampling period up to a minute, in s", 0, most=LAST
-        )
+        self.Ts = arguments.number("Ts", Ts, "a sampling period up to a minute, in s", 0, most=LAST)
         self.wait = arguments.number("wait", wait, "a minute or more, in s", least=LAST)
         seed = arguments.whole("seed", seed, 0)
         tclab = _package()
@@ -161,16 +153,15 @@ def heat_balance(gain_1, gain_2, loss, exchange, lag, Ts) -> control.StateSpace:
 
     Examples
     --------
-    >>> from rodlib import current_trial_loop, heat_balance
+    >>> from ilctools import current_trial_loop
+    >>> from rodlib import heat_balance
     >>> board = heat_balance(0.006, 0.004, 0.006, 0.003, 16.0, Ts=2.0)
     >>> current_trial_loop(board).outputs
     ['T1', 'T2']
     """
     A, B = _matrices(gain_1, gain_2, loss, exchange, lag)
     C = np.eye(2, 4, 2)
-    model = control.ss(
-        A, B, C, 0, inputs=HEATERS, outputs=THERMOMETERS, name="heat balance"
-    )
+    model = control.ss(A, B, C, 0, inputs=HEATERS, outputs=THERMOMETERS, name="heat balance")
     return control.sample_system(model, Ts, method="zoh")
 
 
@@ -252,15 +243,11 @@ def fit_heat_balance(heaters, readings, Ts: float) -> HeatBalanceFit:
     readings = arguments.array("readings", readings, (len(heaters), 2))
     Ts, span = arguments.sampling_period("Ts", Ts), Ts * len(heaters)
     if len(heaters) < 5 * PARTS:
-        raise ValueError(
-            f"heaters has {len(heaters)} samples; a fit needs {5 * PARTS} or more"
-        )
+        raise ValueError(f"heaters has {len(heaters)} samples; a fit needs {5 * PARTS} or more")
 
     def modelled(parameters):
         # heat_balance without its model, which takes longer to make than to simulate
-        held = expm(
-            Ts * np.vstack([np.hstack(_matrices(*parameters)), np.zeros((2, 6))])
-        )
+        held = expm(Ts * np.vstack([np.hstack(_matrices(*parameters)), np.zeros((2, 6))]))
         A, B = held[:4, :4].copy(), held[:4, 4:].copy()
         return state_sequence(A, heaters @ B.T, np.zeros(4))[:, 2:]
 

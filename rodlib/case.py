@@ -7,10 +7,10 @@ Section IV. The reference trajectories and disturbances are published only as a 
 import control
 import numpy as np
 
-from rodlib.ilc import arguments
-from rodlib.ilc.loop.closed import CurrentTrialLoop
-from rodlib.ilc.loop.design import current_trial_loop
-from rodlib.ilc.models import minimal_realisation
+from ilctools import arguments
+from ilctools.loop.closed import CurrentTrialLoop
+from ilctools.loop.design import current_trial_loop
+from ilctools.models import minimal_realisation
 from rodlib.rod import Rod, midr
 
 PAPER = Rod()
@@ -19,8 +19,8 @@ PAPER = Rod()
 def paper_choices(**changes) -> dict:
     """The paper's choices for the synthesis, Section IV-B, but for changes.
 
-    They are keyword arguments of :func:`rodlib.synthesise`; L_max in K/K, band in rad/s. Its design
-    frequencies are ``np.geomspace(1e-4, np.pi, 1000)`` rad/s.
+    They are keyword arguments of :func:`ilctools.synthesise`; L_max in K/K, band in rad/s. Its
+    design frequencies are ``np.geomspace(1e-4, np.pi, 1000)`` rad/s.
 
     See Also
     --------
@@ -29,8 +29,9 @@ def paper_choices(**changes) -> dict:
 
     Examples
     --------
-    >>> from rodlib import paper_choices, paper_loop, synthesise, zero_phase_butterworth
-    >>> Q = zero_phase_butterworth()
+    >>> from ilctools import synthesise, zero_phase_butterworth
+    >>> from rodlib import paper_choices, paper_loop
+    >>> Q = zero_phase_butterworth(2, 0.1, 1.0)
     >>> design = synthesise(paper_loop(), Q, **paper_choices(structure="full"))
     >>> round(float(design.sigma_M.max()), 4)
     0.883
@@ -118,9 +119,7 @@ def assumed_reference(samples: int = 2500) -> np.ndarray:
     return np.stack([first, second], axis=1)
 
 
-def assumed_disturbance(
-    samples: int = 2500, trials: int = 10, first: int = 5
-) -> np.ndarray:
+def assumed_disturbance(samples: int = 2500, trials: int = 10, first: int = 5) -> np.ndarray:
     """Assumed disturbances of Fig. 7: heat flows Q2 and Q4, from trial `first` on.
 
     Ambient temperature (K, zero) and heat flows Q2 and Q4 (W), shape (trials, samples, 3).

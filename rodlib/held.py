@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rodlib.ilc import arguments
+from ilctools import arguments
 from rodlib.rod import Rod, exact_response, modes
 
 POWERS = 64  # of 1 / z, for the fast modes; the square of a whole number

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.constants import Stefan_Boltzmann
 from scipy.linalg import expm
 
-from rodlib.ilc import arguments
+from ilctools import arguments
 from rodlib.rigs import MISMATCHED, Bench, Restarting
 from rodlib.rod import Rod
 
@@ -170,9 +170,7 @@ class PeltierRig(Bench):
         # K/s of every state: for 1 W from the elements, for 1 K of the room, on 1 W/m2 of surface
         self._elements = np.zeros((sections, n + m))
         self._fan, surface = np.zeros((2, n + m))
-        self._elements[:, :cells] = np.kron(
-            np.eye(sections), np.full(p.cells, 1 / p.cells)
-        )
+        self._elements[:, :cells] = np.kron(np.eye(sections), np.full(p.cells, 1 / p.cells))
         self._elements[:, self._sinks] = -np.eye(sections)
         self._elements /= capacity
         self._halves = np.abs(self._elements) / 2  # of the Joule heat
@@ -222,9 +220,7 @@ class PeltierRig(Bench):
         """The rod that this is for small currents, with sinks at the temperature of the room."""
         p, under = self.parameters, self.rod.width * self.rod.length / self.rod.sections
         radiation = 4 * p.emissivity * Stefan_Boltzmann * p.temperature**3
-        return replace(
-            self.rod, heat_transfer=p.element.conductance / under + radiation
-        )
+        return replace(self.rod, heat_transfer=p.element.conductance / under + radiation)
 
     @property
     def limits(self) -> dict[str, tuple[float, float]]:
@@ -301,7 +297,7 @@ class PeltierRigs(Restarting, PeltierRig):
 
     See Also
     --------
-    rodlib.ilc.rigs.side_by_side : trials on them
+    ilctools.rigs.side_by_side : trials on them
 
     Examples
     --------

@@ -9,13 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rodlib.ilc import arguments
+from ilctools import arguments
 from rodlib.rod import Rod, modes
 
 # Material parameters off by several percent from those of the design model.
-MISMATCHED = Rod(
-    density=8100.0, heat_capacity=440.0, heat_transfer=160.0, conductivity=51.0
-)
+MISMATCHED = Rod(density=8100.0, heat_capacity=440.0, heat_transfer=160.0, conductivity=51.0)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import control
 import numpy as np
 from scipy.interpolate import BPoly
 
-from rodlib.ilc import arguments
+from ilctools import arguments
 
 
 @dataclass(frozen=True)
@@ -90,9 +90,7 @@ def bernstein_basis(rod: Rod, degree: int) -> BPoly:
     """
     coefficients = np.zeros((degree + 1, rod.sections, rod.sections * degree + 1))
     for i in range(rod.sections):
-        coefficients[:, i, i * degree : (i + 1) * degree + 1] = np.eye(
-            degree + 1
-        )  # (6), (7)
+        coefficients[:, i, i * degree : (i + 1) * degree + 1] = np.eye(degree + 1)  # (6), (7)
     return BPoly(coefficients, rod.edges)
 
 
@@ -147,9 +145,7 @@ def midr(rod: Rod, degree: int = 3) -> control.StateSpace:
 
     # What q(z) integrates: the heat flow of each section, the storage of heat, the ambient air.
     def supplied(z):
-        return (
-            np.clip((z[:, None] - rod.edges[:-1]) / section, 0, 1) / area
-        )  # integral of (4)
+        return np.clip((z[:, None] - rod.edges[:-1]) / section, 0, 1) / area  # integral of (4)
 
     # Products with the weights have degree 2M at most: Gauss's rule with M + 1 nodes is exact.
     nodes, gauss = np.polynomial.legendre.leggauss(degree + 1)
@@ -159,9 +155,7 @@ def midr(rod: Rod, degree: int = 3) -> control.StateSpace:
 
     def project(values):
         on_sections = values.reshape(rod.sections, degree + 1, -1)
-        return np.einsum("nw,snx->swx", weights, on_sections).reshape(
-            rod.sections * degree, -1
-        )
+        return np.einsum("nw,snx->swx", weights, on_sections).reshape(rod.sections * degree, -1)
 
     end = np.array([rod.length])
     G = np.vstack([project(integral(z)), integral(end)])
@@ -217,7 +211,8 @@ def exact_response(rod: Rod, s) -> np.ndarray:
 
     Examples
     --------
-    >>> from rodlib import Rod, exact_response, frequency_response, midr
+    >>> from ilctools import frequency_response
+    >>> from rodlib import Rod, exact_response, midr
     >>> exact = exact_response(Rod(), 0.01j)
     >>> model = frequency_response(midr(Rod()), 0.01)[0]
     >>> bool(abs(model - exact).max() < 0.02 * abs(exact).max())
@@ -227,9 +222,7 @@ def exact_response(rod: Rod, s) -> np.ndarray:
     s = arguments.row("s", s, complex)
     pole = -rod.kappa_2 / rod.kappa_1
     if np.any(np.abs(s - pole) <= -1e-12 * pole):
-        raise ValueError(
-            f"s contains {pole:.6g}, where the transfer function has a pole"
-        )
+        raise ValueError(f"s contains {pole:.6g}, where the transfer function has a pole")
     gamma = np.sqrt((rod.kappa_1 * s + rod.kappa_2) / rod.conductivity)[:, None, None]
     length, area = rod.length, rod.width * rod.height
     whole = -np.expm1(-2 * gamma * length)
@@ -240,10 +233,7 @@ def exact_response(rod: Rod, s) -> np.ndarray:
     z, edges = np.array(rod.sensors)[:, None], rod.edges
     start, stop = edges[:-1], edges[1:]
     inner = np.clip(z, start, stop)
-    above, below = (
-        np.maximum(z, inner),
-        np.minimum(z, inner),
-    )  # equal to z where it counts
+    above, below = (np.maximum(z, inner), np.minimum(z, inner))  # equal to z where it counts
     places = np.array(
         [
             [length - above + inner, length - inner + below],

@@ -12,10 +12,10 @@ import control
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfftfreq
 
+from ilctools import arguments
+from ilctools.loop.closed import CurrentTrialLoop, reply
+from ilctools.models import frequency_response
 from rodlib.held import HeldRod, inverse_powers
-from rodlib.ilc import arguments
-from rodlib.ilc.loop.closed import CurrentTrialLoop, reply
-from rodlib.ilc.models import frequency_response
 from rodlib.rod import Rod
 
 PAPER = Rod()
@@ -107,9 +107,7 @@ class Spread:
         deviations = arguments.array("deviations", deviations, (_count(nominal),))
         largest = np.abs(deviations).max()
         if largest > 1:
-            raise ValueError(
-                f"deviations reach {largest:.6g} in size, but 1 is the most"
-            )
+            raise ValueError(f"deviations reach {largest:.6g} in size, but 1 is the most")
         places = np.array(nominal.sensors)
         room = min(places.min(), nominal.length - places.max())
         if self.sensors > room:
@@ -158,9 +156,7 @@ def draw(spread: Spread, number: int, root: int = 0, nominal: Rod = PAPER) -> Sp
     return spread.specimen(deviations, nominal)
 
 
-def responses(
-    loop: CurrentTrialLoop, specimens: Sequence[Specimen], omega
-) -> np.ndarray:
+def responses(loop: CurrentTrialLoop, specimens: Sequence[Specimen], omega) -> np.ndarray:
     """P of (31) around each specimen: what ``synthesise([...])`` takes as plants.
 
     Parameters

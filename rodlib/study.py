@@ -9,12 +9,12 @@ import numpy as np
 import xarray as xr
 from scipy.fft import irfft, next_fast_len, rfft
 
+from ilctools import arguments
+from ilctools.evidence.convergence import convergence
+from ilctools.filters import LearningFilter, ZeroPhaseButterworth
+from ilctools.law.law import Law
+from ilctools.loop.closed import CurrentTrialLoop
 from rodlib.case import assumed_reference
-from rodlib.ilc import arguments
-from rodlib.ilc.evidence.convergence import convergence
-from rodlib.ilc.filters import LearningFilter, ZeroPhaseButterworth
-from rodlib.ilc.law.law import Law
-from rodlib.ilc.loop.closed import CurrentTrialLoop
 from rodlib.rod import Rod
 from rodlib.specimens import (
     MATERIAL,
@@ -51,9 +51,10 @@ class Study:
     Examples
     --------
     >>> import numpy as np
-    >>> from rodlib import LearningFilter, Spread, Study, paper_loop, zero_phase_butterworth
+    >>> from ilctools import LearningFilter, zero_phase_butterworth
+    >>> from rodlib import Spread, Study, paper_loop
     >>> filters = {"weak": LearningFilter(0.1 * np.eye(2)[:, :, None], Ts=1.0)}
-    >>> Q, spread = zero_phase_butterworth(), Spread.of_all(0.05)
+    >>> Q, spread = zero_phase_butterworth(2, 0.1, 1.0), Spread.of_all(0.05)
     >>> study = Study(paper_loop(), Q, filters, spread, reference=np.ones((200, 2)), trials=2)
     >>> study.run(rods=2).sizes["rod"]
     2
@@ -75,9 +76,7 @@ class Study:
         loop = self.loop
         check_loop(loop, self.nominal)
         if not arguments.instance("filters", self.filters, dict):
-            raise ValueError(
-                "filters = {} must hold at least one learning filter, by name"
-            )
+            raise ValueError("filters = {} must hold at least one learning filter, by name")
         for name, L in self.filters.items():
             arguments.instance(f"filters[{name!r}]", L, LearningFilter)
             Law(self.Q, L, loop=loop)  # which checks that they fit together
@@ -135,10 +134,7 @@ class Study:
         count = next_fast_len(2 * len(self.reference), real=True)
         P = rfft(impulses[stable], count, axis=1)
         rms[:, stable] = [self._rms(P, count, L) for L in filters]
-        variables = {
-            name: ("rod", [getattr(s.rod, name) for s in specimens])
-            for name in MATERIAL
-        }
+        variables = {name: ("rod", [getattr(s.rod, name) for s in specimens]) for name in MATERIAL}
         variables["sensors"] = ("rod", "channel"), [s.rod.sensors for s in specimens]
         variables["gains"] = ("rod", "element"), [s.gains for s in specimens]
         variables["unstable_poles"] = "rod", unstable

@@ -13,11 +13,7 @@ from rodlib.paper.repository import ROOT
 matplotlib.use("agg")
 slow = [HealthCheck.too_slow]  # which a machine may be
 settings.register_profile(
-    "repeatable",
-    derandomize=True,
-    deadline=None,
-    max_examples=10,
-    suppress_health_check=slow,
+    "repeatable", derandomize=True, deadline=None, max_examples=10, suppress_health_check=slow
 )
 settings.load_profile("repeatable")
 
@@ -28,9 +24,7 @@ def pytest_addoption(parser):
         action="store_true",
         help="run as on a processor without long doubles: numpy.longdouble is numpy.float64",
     )
-    parser.addoption(
-        "--rounding", type=int, metavar="SEED", help="vary the rounding, by a seed"
-    )
+    parser.addoption("--rounding", type=int, metavar="SEED", help="vary the rounding, by a seed")
 
 
 def pytest_configure(config):
@@ -62,9 +56,9 @@ def loop():
 
 @pytest.fixture(scope="session")
 def Q():
-    from rodlib import zero_phase_butterworth
+    from ilctools import zero_phase_butterworth
 
-    return zero_phase_butterworth()
+    return zero_phase_butterworth(2, 0.1, 1.0)
 
 
 @pytest.fixture(scope="session")

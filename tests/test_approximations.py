@@ -5,8 +5,9 @@ import pytest
 import skfem
 from hypothesis import given
 from hypothesis import strategies as st
-from plants import MATERIALS
+from rods import MATERIALS
 
+from ilctools.models import frequency_response
 from rodlib import Rod, exact_response, midr
 from rodlib.approximations import (
     balanced_truncation,
@@ -15,18 +16,13 @@ from rodlib.approximations import (
     finite_volumes,
     modal_series,
 )
-from rodlib.ilc.models import frequency_response
 
 BRASS = Rod(
     length=0.6, density=8500.0, heat_capacity=380.0, conductivity=120.0, sections=6,
     sensors=(0.15, 0.35, 0.55),
 )  # fmt: skip
 PAIR = Rod(sections=2, sensors=(0.0, 0.08, 0.16, 0.32))  # at both ends and on an edge
-P1, P2, HERMITE = (
-    skfem.ElementLineP1(),
-    skfem.ElementLineP2(),
-    skfem.ElementLineHermite(),
-)
+P1, P2, HERMITE = (skfem.ElementLineP1(), skfem.ElementLineP2(), skfem.ElementLineHermite())
 OMEGA = np.geomspace(1e-4, 1e-1, 30)
 BUILD = {
     "finite differences": finite_differences,
@@ -79,9 +75,7 @@ def test_any_rod_has_the_names_of_midr_and_follows_the_air(rod, sensors, count):
     rod = replace(rod, sensors=sensors)
     for method, build in BUILD.items():
         model = build(rod, count)
-        assert (
-            model.input_labels == rod.inputs and model.output_labels == rod.outputs
-        ), method
+        assert model.input_labels == rod.inputs and model.output_labels == rod.outputs, method
         assert model.poles().real.max() < 0, method
         at_rest = frequency_response(model, [0.0])[0]
         np.testing.assert_allclose(at_rest[:, -1], 1, rtol=1e-8, err_msg=method)
@@ -97,9 +91,7 @@ def test_differences_and_volumes_never_cool_what_is_heated(rod, sensors, count):
         assert np.all(model.B >= 0) and np.all(model.C >= 0)
 
 
-@given(
-    MATERIALS, st.lists(st.floats(0, 0.05), min_size=1, max_size=4), st.integers(1, 6)
-)
+@given(MATERIALS, st.lists(st.floats(0, 0.05), min_size=1, max_size=4), st.integers(1, 6))
 def test_one_element_in_each_section_is_midr(rod, sensors, degree):
     """Any number of sensors: cubic elements have four quadrature points."""
     element = {1: P1, 2: P2}.get(degree) or skfem.ElementLinePp(degree)
@@ -129,9 +121,7 @@ def hankel_singular_values(model):
 
 
 @pytest.mark.parametrize(("rod", "inputs"), [(Rod(), None), (PAIR, ["theta_a", "Q2"])])
-def test_truncation_errs_by_twice_the_hankel_singular_values_left_out_at_most(
-    rod, inputs
-):
+def test_truncation_errs_by_twice_the_hankel_singular_values_left_out_at_most(rod, inputs):
     counted = inputs or rod.inputs
     hankel = hankel_singular_values(midr(rod, 8)[:, counted])
     omega = np.append(0, np.geomspace(1e-5, 10, 200))

@@ -10,7 +10,7 @@ import pytest
 
 from rodlib.paper.repository import ROOT
 
-FOLDER = ROOT / "tests" / "benchmarks"
+FOLDER = ROOT / "benchmarks"
 
 
 @pytest.fixture
@@ -41,9 +41,7 @@ def test_ratios_and_exponents_are_those_of_the_times(benchmarks, monkeypatch, tm
     times, page = tmp_path / "times.json", tmp_path / "figures" / "performance.md"
     page.parent.mkdir()
     times.write_text(json.dumps({"benchmarks": entries, "machine_info": machine}))
-    page.write_text(
-        "one\n<!-- performance -->\nold\n<!-- end of performance -->\ntwo\n"
-    )
+    page.write_text("one\n<!-- performance -->\nold\n<!-- end of performance -->\ntwo\n")
     monkeypatch.setenv("RODLIB_RESULTS", str(tmp_path / "results"))
     for module in (report, runner):
         monkeypatch.setattr(module, "ROOT", tmp_path)
@@ -76,10 +74,10 @@ def test_two_other_settings_of_parameters_that_each_notebook_has(benchmarks):
 @pytest.mark.parametrize(
     ("name", "frame", "sentence"),
     [
-        ("ValueError", "File /a/rodlib/ilc/arguments.py:31, in number", True),
+        ("ValueError", "File /a/toolbox/ilctools/arguments.py:31, in number", True),
         ("ValueError", "\x1b[31m----> 5\x1b[0m     raise ValueError(message)", True),
         ("ValueError", "----> 5 axes.plot(x, y)", False),
-        ("KeyError", "File /a/rodlib/ilc/arguments.py:31, in number", False),
+        ("KeyError", "File /a/toolbox/ilctools/arguments.py:31, in number", False),
     ],
 )
 def test_a_check_of_ours_ends_in_a_sentence(benchmarks, name, frame, sentence):
@@ -143,9 +141,7 @@ def test_promises_of_renewed_filters_are_counted(benchmarks):
 def test_a_law_that_is_left_alone_meets_the_element_that_fails(benchmarks):
     import ageing
 
-    errors, promises, rates = ageing.left_alone(
-        "the paper's filter", True, 0, trials=20
-    )
+    errors, promises, rates = ageing.left_alone("the paper's filter", True, 0, trials=20)
     assert errors.shape == (20,) and promises == []
     assert errors[10] > 3 * errors[9] and 0.9 < max(rates) < 1
     whole, _, better = ageing.left_alone("the paper's filter", False, 0, trials=20)

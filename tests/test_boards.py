@@ -4,9 +4,8 @@ import control
 import numpy as np
 import pytest
 
-from rodlib import (
+from ilctools import (
     Law,
-    boards,
     current_trial_loop,
     measured_response,
     multisine,
@@ -16,6 +15,7 @@ from rodlib import (
     synthesise,
     zero_phase_butterworth,
 )
+from rodlib import boards
 from rodlib.boards import TemperatureControlLab, heat_balance
 
 tclab = pytest.importorskip("tclab")
@@ -25,7 +25,7 @@ SIZES = {"T1": 10.0, "T2": 8.0, "Q1": 30.0, "Q2": 40.0}
 # of the emulator: TCLabModel.update
 TRUE = [200 / 5720, 100 / 5720, 1 / 20, 1 / 100, 140.0]
 ROUGH = [0.03, 0.02, 0.05, 0.0, 100.0]  # of a design before P is measured
-Q = zero_phase_butterworth(Ts=2.0)
+Q = zero_phase_butterworth(2, 0.1, 2.0)
 
 
 def loop_of(parameters):
@@ -74,9 +74,7 @@ def test_every_trial_begins_at_rest(monkeypatch):
 
 def test_the_last_minute_of_the_wait_counts(monkeypatch):
     shown = []
-    monkeypatch.setattr(
-        tclab.TCLabModel, "measurement", lambda self, T: shown.append(T) or T
-    )
+    monkeypatch.setattr(tclab.TCLabModel, "measurement", lambda self, T: shown.append(T) or T)
     rig = TemperatureControlLab(wait=200.0)  # so short that the temperatures still rise
     rig.begin(1)
     read = np.reshape(shown, (100, 2))
@@ -194,9 +192,7 @@ def test_the_kit_is_waited_for_and_a_delay_is_caught_up(monkeypatch):
     ("name", "value"),
     [("kit", "yes"), ("rest", (30, 101)), ("Ts", 61.0), ("wait", 59.0), ("seed", -1)],
 )
-def test_bad_arguments_are_refused_before_anything_is_connected(
-    name, value, monkeypatch
-):
+def test_bad_arguments_are_refused_before_anything_is_connected(name, value, monkeypatch):
     monkeypatch.setitem(sys.modules, "tclab", None)
     with pytest.raises(ValueError, match=f"{name} = "):
         TemperatureControlLab(**{name: value})

@@ -11,21 +11,22 @@ import pytest
 import skfem
 import xarray as xr
 
+import ilctools
 import rodlib
+from ilctools import alternatives
 from rodlib import Rod, approximations
-from rodlib.ilc import alternatives
 
 PLANT = control.ss(0.5, [[0.5, 1.0]], 1, 0, 1.0, inputs=["u", "d"], outputs=["y"])
-LOOP, PAPER = rodlib.current_trial_loop(PLANT, ["u"]), rodlib.paper_loop()
-P, Q = LOOP.P, rodlib.zero_phase_butterworth()
-L = rodlib.LearningFilter([[[0.5, 0.1]]], 1.0)
-L2 = rodlib.LearningFilter(np.ones((2, 2, 1)), 1.0)
-LAW = rodlib.Law(Q, L)
+LOOP, PAPER = ilctools.current_trial_loop(PLANT, ["u"]), rodlib.paper_loop()
+P, Q = LOOP.P, ilctools.zero_phase_butterworth(2, 0.1, 1.0)
+L = ilctools.LearningFilter([[[0.5, 0.1]]], 1.0)
+L2 = ilctools.LearningFilter(np.ones((2, 2, 1)), 1.0)
+LAW = ilctools.Law(Q, L)
 OMEGA, SIGNAL = np.linspace(0.1, 3, 12), np.zeros((6, 1))
 ASKED = {"P": LOOP, "Q": Q, "omega": OMEGA, "Ts": 1.0, "order": 2, "band": (0.1, 1.0)}
 ASKED |= {"M_max": 0.9, "L_max": 50.0, "structure": "full"}
-DESIGN = rodlib.synthesise(**ASKED | {"P": [P, 0.99 * P]})
-NOISE = rodlib.trial_noise(LOOP, OMEGA, 1.0)
+DESIGN = ilctools.synthesise(**ASKED | {"P": [P, 0.99 * P]})
+NOISE = ilctools.trial_noise(LOOP, OMEGA, 1.0)
 SPREAD = rodlib.Spread.of_all(0.1)
 SPECIMEN = rodlib.draw(SPREAD, 0)
 STUDY = rodlib.Study(
@@ -38,17 +39,17 @@ STUDY = rodlib.Study(
     trials=2,
 )
 SHAKE = {"loop": PAPER, "lowest": 0.3, "highest": 1.0, "amplitude": 1.0, "hours": 0.1}
-EXCITATION = rodlib.multisine(**SHAKE, lines=3)
+EXCITATION = ilctools.multisine(**SHAKE, lines=3)
 RIG = rodlib.RestartingRig(parameters=rodlib.RigParameters(modes=5))
 with warnings.catch_warnings(action="ignore"):
-    LOG = rodlib.run_trials(LOOP, LAW, np.ones((70, 1)), None, 2)
-    RECORD = rodlib.record(RIG, PAPER, rodlib.Law(Q, None), np.zeros((70, 2)), trials=1)
+    LOG = ilctools.run_trials(LOOP, LAW, np.ones((70, 1)), None, 2)
+    RECORD = ilctools.record(RIG, PAPER, ilctools.Law(Q, None), np.zeros((70, 2)), trials=1)
 FILES = TemporaryDirectory(ignore_cleanup_errors=True)
 LAW_FILE, LOG_FILE = (Path(FILES.name) / name for name in ("law", "log"))
 TABLE = Path(FILES.name) / "table.csv"
 TABLE.write_text("t,u,y\n" + "".join(f"{k},{k % 7},{k % 5}\n" for k in range(50)))
-rodlib.save_law(LAW_FILE, LAW)
-rodlib.save_log(RECORD, LOG_FILE)
+ilctools.save_law(LAW_FILE, LAW)
+ilctools.save_log(RECORD, LOG_FILE)
 
 # One value of each wrong kind, by the name of the argument.
 THING, MODEL = [1.5], [1.5, "P"]
@@ -107,16 +108,8 @@ DOORS = [
         {"rod": Rod(), "element": skfem.ElementLineP1(), "elements": 1},
         {"element": ["P1", skfem.ElementLineP0(), skfem.ElementTriP1()]},
     ),
-    (
-        approximations.finite_volumes,
-        {"rod": Rod(), "cells": 2},
-        {"cells": [*WHOLE, 0, 1001]},
-    ),
-    (
-        approximations.modal_series,
-        {"rod": Rod(), "modes": 4},
-        {"modes": [*WHOLE, 0, 10_001]},
-    ),
+    (approximations.finite_volumes, {"rod": Rod(), "cells": 2}, {"cells": [*WHOLE, 0, 1001]}),
+    (approximations.modal_series, {"rod": Rod(), "modes": 4}, {"modes": [*WHOLE, 0, 10_001]}),
     (
         rodlib.paper_loop,
         {"rod": Rod(), "degree": 1, "Ts": 1.0},
@@ -154,7 +147,7 @@ DOORS = [
     (
         rodlib.Study,
         STUDY.__dict__,
-        {"loop": [1.5, LOOP], "Q": [1.5, rodlib.zero_phase_butterworth(Ts=2.0)]}
+        {"loop": [1.5, LOOP], "Q": [1.5, ilctools.zero_phase_butterworth(2, 0.1, 2.0)]}
         | {"filters": [1.5, {}], "omega": [[0.1, 4.0]], "reference": [np.ones((5, 3))]}
         | {"trials": [0]},
     ),
@@ -171,89 +164,67 @@ DOORS = [
         {"heaters": np.eye(40, 2), "readings": np.eye(40, 2, -3), "Ts": 1.0},
         {"readings": [*ARRAY, np.ones((20, 2))]},
     ),
-    (rodlib.frequency_response, {"system": PLANT, "omega": OMEGA}),
-    (rodlib.minimal_realisation, {"plant": PLANT, "controls": ["u"]}),
-    (rodlib.current_trial_loop, {"plant": PLANT, "controls": ["u"]}),
-    (rodlib.ClosedLoop, {"P": P, "Ts": 1.0, "controls": ["u"]}),
-    (rodlib.combinations, {"P": P, "weights": [1.0]}),
-    (rodlib.zero_phase_butterworth, {"order": 2, "cutoff": 0.1, "Ts": 1.0}),
+    (ilctools.frequency_response, {"system": PLANT, "omega": OMEGA}),
+    (ilctools.minimal_realisation, {"plant": PLANT, "controls": ["u"]}),
+    (ilctools.current_trial_loop, {"plant": PLANT, "controls": ["u"]}),
+    (ilctools.ClosedLoop, {"P": P, "Ts": 1.0, "controls": ["u"]}),
+    (ilctools.combinations, {"P": P, "weights": [1.0]}),
+    (ilctools.zero_phase_butterworth, {"order": 2, "cutoff": 0.1, "Ts": 1.0}),
     (Q.apply, {"signal": SIGNAL}),
-    (rodlib.LearningFilter, {"coefficients": L.coefficients, "Ts": 1.0}),
+    (ilctools.LearningFilter, {"coefficients": L.coefficients, "Ts": 1.0}),
     (L.frequency_response, {"omega": OMEGA}),
-    (rodlib.Law, {"Q": Q, "L": L, "rest": 1, "gain": 0.5}),
+    (ilctools.Law, {"Q": Q, "L": L, "rest": 1, "gain": 0.5}),
     (LAW.next, {"v": SIGNAL, "e": SIGNAL}),
     (
-        rodlib.run_trials,
+        ilctools.run_trials,
         {"loop": LOOP, "law": LAW, "reference": SIGNAL, "trials": 2, "plant": PLANT},
     ),
-    (
-        rodlib.transfer,
-        {"trials": LOG, "reference": np.ones((70, 1))},
-        {"trials": THING},
-    ),
-    (rodlib.rms, {"e": xr.DataArray(SIGNAL, dims=("time", "channel"))}),
-    (rodlib.synthesise, ASKED),
-    (rodlib.synthesise, ASKED | {"band": None, "reference": SIGNAL + 1}, {"band": []}),
-    (rodlib.least_gain, {key: ASKED[key] for key in ("P", "Q", "omega", "order")}),
+    (ilctools.transfer, {"trials": LOG, "reference": np.ones((70, 1))}, {"trials": THING}),
+    (ilctools.rms, {"e": xr.DataArray(SIGNAL, dims=("time", "channel"))}),
+    (ilctools.synthesise, ASKED),
+    (ilctools.synthesise, ASKED | {"band": None, "reference": SIGNAL + 1}, {"band": []}),
+    (ilctools.least_gain, {key: ASKED[key] for key in ("P", "Q", "omega", "order")}),
     (DESIGN.check, {"P": LOOP, "omega": OMEGA}),
-    (rodlib.rate, ON_GRID),
-    (rodlib.convergence, ON_GRID),
-    (rodlib.trial_operators, FOR_TRIALS),
-    (rodlib.trial_map, FOR_TRIALS),
-    (rodlib.trial_norm, FOR_TRIALS),
-    (rodlib.trial_noise, {"loop": LOOP, "omega": OMEGA, "sensor_psd": 1.0}),
-    (rodlib.converged_noise, {"new": NOISE, "law": LAW}),
+    (ilctools.rate, ON_GRID),
+    (ilctools.convergence, ON_GRID),
+    (ilctools.trial_operators, FOR_TRIALS),
+    (ilctools.trial_map, FOR_TRIALS),
+    (ilctools.trial_norm, FOR_TRIALS),
+    (ilctools.trial_noise, {"loop": LOOP, "omega": OMEGA, "sensor_psd": 1.0}),
+    (ilctools.converged_noise, {"new": NOISE, "law": LAW}),
+    (ilctools.noise_on_trial, {"loop": LOOP, "law": LAW, "samples": 6, "sensor_variance": 1.0}),
+    (ilctools.replay, {"trials": RECORD}, {"trials": THING}),
+    (ilctools.estimated, {"trials": LOG, "loop": LOOP, "model": PLANT}, {"trials": THING}),
     (
-        rodlib.noise_on_trial,
-        {"loop": LOOP, "law": LAW, "samples": 6, "sensor_variance": 1.0},
-    ),
-    (rodlib.replay, {"trials": RECORD}, {"trials": THING}),
-    (
-        rodlib.estimated,
-        {"trials": LOG, "loop": LOOP, "model": PLANT},
-        {"trials": THING},
-    ),
-    (
-        rodlib.read_table,
+        ilctools.read_table,
         {"path": TABLE, "time": "t", "inputs": {"u": "u"}, "outputs": {"y": "y"}},
         {"time": ["none"], "inputs": [1.5, {"u": "none"}], "outputs": [1.5]},
     ),
-    (rodlib.worst_case, {"problem": DESIGN.problem, "L": L}),
-    (rodlib.support, {"solution": DESIGN.solution}),
-    (rodlib.violation_probability, {"design": DESIGN}),
+    (ilctools.worst_case, {"problem": DESIGN.problem, "L": L}),
+    (ilctools.support, {"solution": DESIGN.solution}),
+    (ilctools.violation_probability, {"design": DESIGN}),
     (alternatives.p_type, {"gain": 1.0, "ahead": 1, "channels": 1, "Ts": 1.0}),
     (alternatives.gradient, {"P": P, "step": 0.1}),
     (alternatives.stable_inversion, {"P": P}),
     (alternatives.zero_phase_inversion, {"P": P}),
-    (
-        alternatives.h_infinity,
-        {"P": P, "Q": Q, "level": 0.95, "effort": 0.01, "preview": 2},
-    ),
-    (rodlib.NormOptimal, {"P": P, "weight": 1.0, "samples": 6}),
+    (alternatives.h_infinity, {"P": P, "Q": Q, "level": 0.95, "effort": 0.01, "preview": 2}),
+    (ilctools.NormOptimal, {"P": P, "weight": 1.0, "samples": 6}),
     (alternatives.two_sided_taps, {"L": L}),
     (alternatives.lines, {"samples": 6, "Ts": 1.0}),
-    (rodlib.Controller, {"loop": LOOP}),
-    (rodlib.multisine, SHAKE | {"lines": 3}),
+    (ilctools.Controller, {"loop": LOOP}),
+    (ilctools.multisine, SHAKE | {"lines": 3}),
     (
-        rodlib.record,
-        {
-            "rig": RIG,
-            "loop": PAPER,
-            "law": rodlib.Law(Q, L2),
-            "reference": SIGNAL * [0, 0],
-        }
+        ilctools.record,
+        {"rig": RIG, "loop": PAPER, "law": ilctools.Law(Q, L2), "reference": SIGNAL * [0, 0]}
         | {"trials": 2},
     ),
-    (rodlib.shake, {"rig": RIG, "loop": PAPER, "excitation": EXCITATION}),
-    (
-        rodlib.measured_response,
-        {"log": control.frd(L.frequency_response(OMEGA).T, OMEGA)},
-    ),
-    (rodlib.save_law, {"path": LAW_FILE, "law": LAW}),
-    (rodlib.load_law, {"path": LAW_FILE}),
-    (rodlib.save_log, {"trials": RECORD, "path": LOG_FILE}, {"trials": THING}),
-    (rodlib.load_log, {"path": LOG_FILE}),
-    (rodlib.law_of, {"trials": RECORD}, {"trials": THING}),
+    (ilctools.shake, {"rig": RIG, "loop": PAPER, "excitation": EXCITATION}),
+    (ilctools.measured_response, {"log": control.frd(L.frequency_response(OMEGA).T, OMEGA)}),
+    (ilctools.save_law, {"path": LAW_FILE, "law": LAW}),
+    (ilctools.load_law, {"path": LAW_FILE}),
+    (ilctools.save_log, {"trials": RECORD, "path": LOG_FILE}, {"trials": THING}),
+    (ilctools.load_log, {"path": LOG_FILE}),
+    (ilctools.law_of, {"trials": RECORD}, {"trials": THING}),
 ]
 # Tested with their own files, or not called by themselves.
 TESTED = """InfeasibleError MISMATCHED Settings TemperatureControlLab alternatives

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from rodlib.ilc.files import alone
+from ilctools.files import alone
 from rodlib.paper.repository import ROOT
 
 spec = importlib.util.spec_from_file_location("environment", ROOT / "environment.py")
@@ -18,16 +18,17 @@ spec.loader.exec_module(environment)
 
 @pytest.fixture
 def clone(tmp_path):
-    """A repository of two empty sources, with an environment in which its rodlib is installed."""
+    """A repository of empty sources, with an environment in which its packages are installed."""
     root = tmp_path / "Gałkowski's clone"
-    (root / "rodlib").mkdir(parents=True)
-    (root / "rodlib" / "__init__.py").touch()
-    for name in ("environment.lock", "pyproject.toml"):
+    for package in ("rodlib", "toolbox/ilctools"):
+        (root / package).mkdir(parents=True)
+        (root / package / "__init__.py").touch()
+    for name in ("environment.lock", "pyproject.toml", "toolbox/pyproject.toml"):
         (root / name).touch()
     venv = [sys.executable, "-m", "venv", "--without-pip", root / ".venv"]
     subprocess.run(venv, check=True)
     (packages,) = root.glob(".venv/lib/*/site-packages")
-    (packages / "rodlib.pth").write_text(f"{root}\n", encoding="utf-8")
+    (packages / "both.pth").write_text(f"{root}\n{root / 'toolbox'}\n", encoding="utf-8")
     (root / ".venv" / "bin" / "ready").touch()
     return root
 
@@ -45,6 +46,9 @@ def test_an_environment_is_ready_while_it_is_complete_and_newer_than_the_lock(cl
 def test_a_copy_does_not_use_the_environment_of_the_original(clone):
     copy = shutil.copytree(clone, clone.with_name("copy"), symlinks=True)
     assert not environment.is_ready(copy)
+    (packages,) = copy.glob(".venv/lib/*/site-packages")
+    (packages / "both.pth").write_text(f"{copy}\n{clone / 'toolbox'}\n", encoding="utf-8")
+    assert not environment.is_ready(copy)  # the toolbox, too, must be its own
     shutil.rmtree(clone)
     assert not environment.is_ready(copy)
 
@@ -90,9 +94,7 @@ def test_what_stands_in_the_way_is_named(tmp_path, dangling):
     assert os.path.lexists(way)
 
 
-def test_where_no_home_can_be_written_uv_keeps_its_files_in_build(
-    tmp_path, monkeypatch
-):
+def test_where_no_home_can_be_written_uv_keeps_its_files_in_build(tmp_path, monkeypatch):
     (tmp_path / "environment.lock").write_text("uv==1 \\\n    --hash=sha256:0\n")
     (tmp_path / ".venv" / "bin").mkdir(parents=True)
     monkeypatch.setenv("HOME", str(tmp_path / "none"))

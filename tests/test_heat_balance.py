@@ -4,14 +4,13 @@ import control
 import numpy as np
 import pytest
 
-from rodlib import boards, read_table
+from ilctools import read_table
+from rodlib import boards
 from rodlib.boards import fit_heat_balance, heat_balance
 from rodlib.paper.repository import ROOT
 
 BOARD = np.array([0.0033, 0.0018, 0.0051, 0.0018, 18.0])
-MOVES = np.repeat(
-    [[50.0, 0], [80, 40], [10, 40], [10, 90], [60, 0], [0, 0]], 50, axis=0
-)
+MOVES = np.repeat([[50.0, 0], [80, 40], [10, 40], [10, 90], [60, 0], [0, 0]], 50, axis=0)
 
 
 def simulated(parameters, moves=MOVES, Ts=2.0, zero=(21.0, 19.5)):
@@ -35,9 +34,7 @@ def test_what_made_a_record_is_found_from_it(true):
     assert np.abs(fit.left).max() < 1e-3 and fit.unknown == []
 
 
-@pytest.mark.parametrize(
-    ("name", "most"), [("board-1s.csv", 0.67), ("board-3s.csv", 0.62)]
-)
+@pytest.mark.parametrize(("name", "most"), [("board-1s.csv", 0.67), ("board-3s.csv", 0.62)])
 def test_real_boards_are_not_fitted_in_the_wrong_minimum(name, most):
     """There one guess leaves 1.34 K of T2 on the first log, and 1.08 K of T1 on the second."""
     columns = {"time": 0, "inputs": {"Q1": 1, "Q2": 2}, "outputs": {"T1": 3, "T2": 4}}

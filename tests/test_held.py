@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from plants import modal_model
+from rods import modal_model
 
 from rodlib import Rod, Spread, draw, exact_response, sampled_response
 
@@ -14,9 +14,7 @@ def aliased(rod, omega, Ts, most=3000):
     G = exact_response(rod, s.ravel()).reshape(*s.shape, len(rod.sensors), -1)
     section = rod.length / rod.sections
     above = np.clip(np.array(rod.sensors) // section, 0, rod.sections - 1)[:, None]
-    g = (above == range(rod.sections)) / (
-        rod.width * rod.height * section * rod.kappa_1
-    )
+    g = (above == range(rod.sections)) / (rod.width * rod.height * section * rod.kappa_1)
     g = np.hstack([g, np.full((len(g), 1), rod.kappa_2 / rod.kappa_1)])
     s, z = s[:, :, None, None], np.exp(1j * omega * Ts)[:, None, None]
     aliases = (G / s - g / s**2).sum(axis=1)
@@ -26,10 +24,7 @@ def aliased(rod, omega, Ts, most=3000):
 LARGE = Rod(length=1.3, conductivity=200.0, sections=6, sensors=(0.0, 0.3, 1.3))
 
 
-@pytest.mark.parametrize(
-    ("rod", "Ts"),
-    [(Rod(), 0.003), (Rod(), 30.0), (LARGE, 1.0)],
-)
+@pytest.mark.parametrize(("rod", "Ts"), [(Rod(), 0.003), (Rod(), 30.0), (LARGE, 1.0)])
 def test_sampled_response_is_the_sum_over_the_aliases(rod, Ts):
     omega = np.array([1e-3, 0.03, 0.4, 1.0]) * np.pi / Ts
     expected, found = aliased(rod, omega, Ts), sampled_response(rod, omega, Ts)

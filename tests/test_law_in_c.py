@@ -7,7 +7,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from rodlib import Law, LearningFilter, save_law, zero_phase_butterworth
+from ilctools import Law, LearningFilter, save_law, zero_phase_butterworth
 from rodlib.paper import ROOT, published
 
 SOURCE = ROOT / "docs" / "law.c"
@@ -18,10 +18,10 @@ RNG = np.random.default_rng(0)
 EXACT = LearningFilter(RNG.integers(-64, 64, (2, 2, 5)) / 16, 1.0)
 ONE = LearningFilter([[[0.5, 0.25]]], 0.1)
 LAWS = {
-    "the paper's": Law(zero_phase_butterworth(), FULL, rest=15),
-    "diagonal": Law(zero_phase_butterworth(3), DIAGONAL),
+    "the paper's": Law(zero_phase_butterworth(2, 0.1, 1.0), FULL, rest=15),
+    "diagonal": Law(zero_phase_butterworth(3, 0.1, 1.0), DIAGONAL),
     "one channel, slower": Law(zero_phase_butterworth(1, 5.0, 0.1), ONE, gain=0.3),
-    "order five": Law(zero_phase_butterworth(5, 0.5), EXACT, rest=1),
+    "order five": Law(zero_phase_butterworth(5, 0.5, 1.0), EXACT, rest=1),
 }
 
 
@@ -58,22 +58,19 @@ def test_it_is_the_next_signal_of_python(program, name, tmp_path):
 
 def test_it_is_that_bit_for_bit_where_sums_are_exact(program, tmp_path):
     """Python leaves the order of the sum in L to BLAS; of a few binary digits it is no matter."""
-    law = Law(zero_phase_butterworth(), EXACT, rest=10)
+    law = Law(zero_phase_butterworth(2, 0.1, 1.0), EXACT, rest=10)
     save_law(tmp_path / "law.json", law)
     v, e = RNG.integers(-1000, 1000, (2, 400, 2)) / 64
     expected, actual = law.next(v, e), by_c(program, tmp_path / "law.json", v, e)
-    if platform.machine() in (
-        "x86_64",
-        "AMD64",
-    ):  # elsewhere scipy may fuse its products
+    if platform.machine() in ("x86_64", "AMD64"):  # elsewhere scipy may fuse its products
         np.testing.assert_array_equal(actual, expected)
     assert np.abs(actual - expected).max() < 1e-13 * np.abs(expected).max()
 
 
 @pytest.mark.parametrize(
     "law",
-    [Law(zero_phase_butterworth(ends="hold"), EXACT),
-     Law(zero_phase_butterworth(), EXACT, limits={"Q1": (-1, 1)})],
+    [Law(zero_phase_butterworth(2, 0.1, 1.0, ends="hold"), EXACT),
+     Law(zero_phase_butterworth(2, 0.1, 1.0), EXACT, limits={"Q1": (-1, 1)})],
 )  # fmt: skip
 def test_what_it_does_not_know_it_refuses(program, law, tmp_path):
     save_law(tmp_path / "law.json", law)

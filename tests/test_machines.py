@@ -1,9 +1,7 @@
 import machines
 
 
-def test_each_kernel_is_tried_once_and_what_cannot_run_is_named(
-    monkeypatch, capsys, tmp_path
-):
+def test_each_kernel_is_tried_once_and_what_cannot_run_is_named(monkeypatch, capsys, tmp_path):
     probes = {
         "Haswell": ("Haswell", ""),
         "Zen": ("Haswell", ""),
@@ -25,9 +23,6 @@ def test_each_kernel_is_tried_once_and_what_cannot_run_is_named(
 
 def test_kernels_of_one_code_and_those_that_cannot_run_are_no_choice(monkeypatch):
     probes = {name: (name, "") for name in machines.KERNELS}
-    probes |= {
-        "Zen": ("Haswell", ""),
-        "SkylakeX": ("SkylakeX", "this processor cannot run it"),
-    }
+    probes |= {"Zen": ("Haswell", ""), "SkylakeX": ("SkylakeX", "this processor cannot run it")}
     monkeypatch.setattr(machines, "probe", probes.get)
     assert [*machines.runnable()] == ["Haswell", "Prescott", "Nehalem", "Sandybridge"]

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.optimize import minimize_scalar
 
-from rodlib import Law, LearningFilter, Rod, paper_loop, record, zero_phase_butterworth
-from rodlib.ilc import Controller
-from rodlib.ilc.rigs import side_by_side
+from ilctools import Controller, Law, LearningFilter, record, zero_phase_butterworth
+from ilctools.rigs import side_by_side
+from rodlib import Rod, paper_loop
 from rodlib.peltier_rig import (
     PeltierElement,
     PeltierParameters,
@@ -52,20 +52,14 @@ def test_the_element_has_the_data_sheet_of_a_common_one():
     resistance=st.sampled_from([0.0, 1e-9, 0.5, 2.0, 8.0]),
     sink=st.floats(250, 330),
 )
-def test_the_current_is_the_least_that_gives_the_heat_or_the_best(
-    heat, resistance, sink
-):
+def test_the_current_is_the_least_that_gives_the_heat_or_the_best(heat, resistance, sink):
     element = PeltierElement(resistance=resistance)
     current = element.current(heat, ROOM, sink)
     peltier = element.seebeck * ROOM
-    assert resistance * current >= -peltier * (
-        1 + 1e-12
-    )  # beyond, more current cools less
+    assert resistance * current >= -peltier * (1 + 1e-12)  # beyond, more current cools less
     given_heat = element.heat(current, ROOM, sink)
     if resistance * current > -peltier * (1 - 1e-6):
-        assert given_heat == pytest.approx(
-            heat, abs=1e-9 * (500 + abs(peltier * current))
-        )
+        assert given_heat == pytest.approx(heat, abs=1e-9 * (500 + abs(peltier * current)))
     else:
         tried = element.heat(current * np.linspace(0.5, 1.5, 101), ROOM, sink)
         assert given_heat == pytest.approx(tried.min()) and given_heat >= heat - 1e-9
@@ -77,9 +71,7 @@ def test_the_convection_is_that_of_a_plate_in_air():
     size = rod.length * rod.width / (2 * (rod.length + rod.width))
     rayleigh = 9.81 / 300 * 10.0 * size**3 / (viscosity * diffusivity)
     expected = 0.54 * rayleigh**0.25 * conductivity / size
-    assert PeltierParameters().convection * 10.0**0.25 == pytest.approx(
-        expected, rel=0.02
-    )
+    assert PeltierParameters().convection * 10.0**0.25 == pytest.approx(expected, rel=0.02)
 
 
 def test_for_small_currents_it_is_the_linear_rig():
@@ -88,9 +80,7 @@ def test_for_small_currents_it_is_the_linear_rig():
     rig = PeltierRig(parameters=replace(SILENT, element=poor, fan=1e7, lag=0))
     ideal = RigParameters(noise=0, quantum=0, lag=0, limit=np.inf, ambient_rate=0)
     linear = VirtualRig(rig.linearised, ideal)
-    commands = 1e-4 * np.random.default_rng(0).standard_normal((40, 4)).repeat(
-        25, axis=0
-    )
+    commands = 1e-4 * np.random.default_rng(0).standard_normal((40, 4)).repeat(25, axis=0)
     small, expected = run_rig(rig, commands), run_rig(linear, commands)
     np.testing.assert_allclose(small, expected, atol=3e-3 * np.abs(expected).max())
 
@@ -118,9 +108,7 @@ def reference_solution(rod, p, currents, ambient_rate, Ts):
             power = e.seebeck * (mean - T) * current[s] + e.resistance * current[s] ** 2
             taken = e.heat(current[s], mean, T) - power
             rates[cells + s] = (-taken - p.fan * (T - room)) / p.sink_capacity
-        rates[cells + rod.sections :] = (
-            np.interp(rod.sensors, middles, theta) - shown
-        ) / p.lag
+        rates[cells + rod.sections :] = (np.interp(rod.sensors, middles, theta) - shown) / p.lag
         return rates
 
     x, readings = np.full(cells + rod.sections + len(rod.sensors), p.temperature), []
@@ -134,13 +122,9 @@ def reference_solution(rod, p, currents, ambient_rate, Ts):
 def test_the_integration_is_that_of_scipy():
     """Large steps of the current, which heat the sinks; a step is off by its third order."""
     Ts, rod = 2.0, Rod(sections=3, sensors=(0.0, 0.15, 0.32), conductivity=200.0)
-    parameters = replace(
-        SILENT, cells=4, fan=1.0, sink_capacity=60.0, ambient_rate=0.01
-    )
+    parameters = replace(SILENT, cells=4, fan=1.0, sink_capacity=60.0, ambient_rate=0.01)
     rig = PeltierRig(rod, parameters, Ts)
-    commands = (
-        np.random.default_rng(1).uniform(-50, 90, (6, rod.sections)).repeat(10, axis=0)
-    )
+    commands = np.random.default_rng(1).uniform(-50, 90, (6, rod.sections)).repeat(10, axis=0)
     currents, readings = [], []
     for command in commands:
         readings.append(rig.read())
@@ -160,21 +144,15 @@ def test_a_current_stays_within_its_limit_and_within_what_cools():
         low, high = rig.limits["Q1"]
         for asked in ([low, high, 0.0, 0.0], [low - 100, high + 100, 0.0, 0.0]):
             rig.apply(asked)
-            np.testing.assert_allclose(
-                rig.currents, [*ends, 0.0, 0.0], rtol=1e-7, atol=1e-12
-            )
+            np.testing.assert_allclose(rig.currents, [*ends, 0.0, 0.0], rtol=1e-7, atol=1e-12)
 
 
 def test_a_thermometer_on_the_sinks_brings_the_heat_that_was_asked_for():
     asked, flows = np.tile([-30.0, 0.0, -30.0, 0.0], (1500, 1)), {}
     for measured in (False, True):
-        rig = PeltierRig(
-            parameters=replace(SILENT, convection=0.0, sinks_measured=measured)
-        )
+        rig = PeltierRig(parameters=replace(SILENT, convection=0.0, sinks_measured=measured))
         run_rig(rig, asked)
-        flows[measured] = rig.parameters.element.heat(
-            rig.currents, ROOM, ROOM + rig.sinks
-        )[0]
+        flows[measured] = rig.parameters.element.heat(rig.currents, ROOM, ROOM + rig.sinks)[0]
         assert rig.sinks[0] > 3
     assert flows[True] == pytest.approx(-30, abs=0.05)
     assert flows[False] > -29
@@ -203,9 +181,7 @@ def test_rigs_side_by_side_do_what_each_does_alone(quantum):
         y, u = side_by_side.run(rigs, LOOP, w)
         assert np.abs(rigs.currents).max() == 6.0
         for i, (parameters, seed) in enumerate(zip(each, SEEDS, strict=True)):
-            rig = (RestartingPeltierRig if trial else PeltierRig)(
-                parameters=parameters, seed=seed
-            )
+            rig = (RestartingPeltierRig if trial else PeltierRig)(parameters=parameters, seed=seed)
             if trial:
                 rig.begin(trial)
             controller = Controller(LOOP)
@@ -220,7 +196,7 @@ def test_rigs_side_by_side_do_what_each_does_alone(quantum):
 
 def test_trials_side_by_side_are_those_that_are_recorded_one_by_one():
     """With laws of their own; what is said of them is the same, too."""
-    Q, L = zero_phase_butterworth(), LearningFilter([np.eye(2, 3)] * 2, 1.0)
+    Q, L = zero_phase_butterworth(2, 0.1, 1.0), LearningFilter([np.eye(2, 3)] * 2, 1.0)
     law = Law(Q, L, rest=10, limits={})
     laws = [law, replace(law, gain=0.5), law]
     each = [replace(PeltierParameters(), **own) for own in OWN[:3]]

@@ -1,7 +1,8 @@
 """Numbers in the prose of the notebooks: each is an output, in the ledger, or a choice in the code.
 
 In the README and in the list of deviations each is one of the notebooks, or of the benchmarks, that
-the paragraph names; a cell of a notebook may have those of a benchmark that it names by `make ...`.
+the paragraph names; a cell of a notebook may have those of a benchmark that it names by `make
+measure WHAT=...`.
 
 Read are numbers in digits, in text, in formulas and in the captions of figures. Labels of
 equations, figures and the like, exponents, indices and sizes (2 x 2) are no results; neither are
@@ -30,12 +31,12 @@ CONSTANTS = {  # that no cell prints, with the reason
         "44": "entries of K_s and K_L, 20 + 24, each with its row in the ledger",
     },
     "10-measurement": {
-        "98.9": "per cent of 2000 seeds, by tests/benchmarks/confidence.py",
+        "98.9": "per cent of 2000 seeds, by benchmarks/confidence.py",
         "2000": "seeds of it",
     },
     "13-a-strangers-log": {
         "95": "per cent, what the intervals are for",
-        "91": "per cent of 100 simulated logs of a kind, by tests/benchmarks/heat_balance.py",
+        "91": "per cent of 100 simulated logs of a kind, by benchmarks/heat_balance.py",
     },
 }
 NUMBER = r"(?<![\w.^])\d+(?:\.\d+)?(?:e[-+]?\d+)?"
@@ -79,8 +80,7 @@ def known_numbers(notebook, rows):
             tokens = tokenize.generate_tokens(io.StringIO(cell.source).readline)
             texts += [token.string for token in tokens if token.type == tokenize.NUMBER]
             texts += [
-                o.get("text") or o.get("data", {}).get("text/plain", "")
-                for o in cell.outputs
+                o.get("text") or o.get("data", {}).get("text/plain", "") for o in cell.outputs
             ]
     return {Decimal(found) for text in texts for found in re.findall(NUMBER, text)}
 
@@ -88,18 +88,14 @@ def known_numbers(notebook, rows):
 def not_found(notebook, rows, constants=()):
     texts = [cell.source for cell in notebook.cells if cell.cell_type == "markdown"]
     outputs = [o for cell in notebook.cells for o in cell.get("outputs", [])]
-    texts += [
-        o.data["text/markdown"] for o in outputs if "text/markdown" in o.get("data", {})
-    ]
+    texts += [o.data["text/markdown"] for o in outputs if "text/markdown" in o.get("data", {})]
     known = known_numbers(notebook, rows)
     return [
         shown
         for text in texts
         for shown, factors in numbers(text)
         if shown not in constants
-        and not any(
-            is_rounding_of(shown, value, factors) for value in known | benchmarked(text)
-        )
+        and not any(is_rounding_of(shown, value, factors) for value in known | benchmarked(text))
     ]
 
 
@@ -107,7 +103,7 @@ def benchmarked(text):
     """The numbers of the benchmarks that a text names, in their sections of performance.md."""
     page = (ROOT / "figures" / "performance.md").read_text(encoding="utf-8")
     found = set()
-    for name in re.findall(r"`make (\w+)`", text):
+    for name in re.findall(r"`make measure WHAT=(\w+)`", text):
         _, _, section = page.partition(f"<!-- {name} -->")
         section = section.partition(f"<!-- end of {name} -->")[0]
         found |= {Decimal(number) for number in re.findall(NUMBER, section)}
@@ -116,9 +112,7 @@ def benchmarked(text):
 
 @pytest.fixture(scope="module")
 def ledger():
-    rows = pd.read_csv(
-        ROOT / "figures" / "ledger.csv", dtype=str, keep_default_na=False
-    )
+    rows = pd.read_csv(ROOT / "figures" / "ledger.csv", dtype=str, keep_default_na=False)
     # entries of matrices: any digits at all
     rows = rows[~rows.key.str.contains("[", regex=False)]
     books = dict(list(rows.groupby("notebook")))
@@ -134,9 +128,7 @@ def test_every_number_in_prose_is_computed_or_chosen(path, ledger):
 def paragraphs():
     """Of the README and the list of deviations, without tables, code and what is generated."""
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    readme = re.sub(
-        r"<!-- ledger -->.*<!-- end of ledger -->", "", readme, flags=re.DOTALL
-    )
+    readme = re.sub(r"<!-- ledger -->.*<!-- end of ledger -->", "", readme, flags=re.DOTALL)
     for text in (readme, DEVIATIONS.read_text(encoding="utf-8")):
         for paragraph in re.split(r"\n\n+|\n(?=- )", text):
             if not paragraph.startswith(("```", "    ", "|")):
@@ -150,17 +142,12 @@ def test_every_number_of_the_readme_is_where_it_points(ledger):
         known = set()
         for path in NOTEBOOKS:
             if int(path.stem[:2]) in named:
-                known |= known_numbers(
-                    nbformat.read(path, as_version=4), ledger[path.stem]
-                )
+                known |= known_numbers(nbformat.read(path, as_version=4), ledger[path.stem])
         if "performance.md" in paragraph:
             text = (ROOT / "figures" / "performance.md").read_text(encoding="utf-8")
             known |= {Decimal(found) for found in re.findall(NUMBER, text)}
         for shown, factors in numbers(paragraph) if known else ():
-            assert any(is_rounding_of(shown, value, factors) for value in known), (
-                shown,
-                paragraph,
-            )
+            assert any(is_rounding_of(shown, value, factors) for value in known), (shown, paragraph)
             seen += 1
     assert seen > 30
 

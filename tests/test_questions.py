@@ -20,14 +20,10 @@ def test_the_lines_run_one_after_the_other(tmp_path, monkeypatch, capsys):
     rates = [float(rate) for rate in re.findall(r"rate ([\d.]+)", said)]
     assert len(rates) == 3 and rates == sorted(rates) and rates[-1] < 1
     assert re.search(r"^(converges|diverges)", said, re.MULTILINE)
-    transferred, from_zero = map(
-        float, re.findall(r"([\d.]+) mm, and ([\d.]+)", said)[0]
-    )
+    transferred, from_zero = map(float, re.findall(r"([\d.]+) mm, and ([\d.]+)", said)[0])
     assert transferred < 0.2 * from_zero
     assert float(said.splitlines()[-1]) > 0
 
 
 def test_each_question_has_an_answer():
-    assert (
-        TEXT.count("\n## ") == 7 == len(BLOCKS)
-    )  # one is for all, one refers to the README
+    assert TEXT.count("\n## ") == 7 == len(BLOCKS)  # one is for all, one refers to the README

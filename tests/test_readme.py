@@ -7,7 +7,7 @@ import nbformat
 import pandas as pd
 import pytest
 
-from rodlib.ilc.logs.replay import rms_by_trial
+from ilctools.logs.replay import rms_by_trial
 from rodlib.paper.ledger import COEFFICIENT, DIFFERS, IN_WORDS, KINDS, REPRODUCED
 from rodlib.paper.repository import ROOT
 
@@ -45,9 +45,7 @@ def test_it_is_short_and_notebook_11_runs_its_lines():
 
 def test_what_it_says_first_is_what_the_ledger_counts():
     """Of what could have differed, each kind apart: how many there are, and how many agree."""
-    rows = pd.read_csv(
-        ROOT / "figures" / "ledger.csv", dtype=str, keep_default_na=False
-    )
+    rows = pd.read_csv(ROOT / "figures" / "ledger.csv", dtype=str, keep_default_na=False)
     kind = rows.kind.mask(rows.key.str.match(COEFFICIENT), "coefficient")
     said = " ".join(TEXT.split())
     for name, sentence in {

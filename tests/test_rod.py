@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from plants import MATERIALS
+from rods import MATERIALS
 
+from ilctools.models import frequency_response
 from rodlib import Rod, exact_response, midr
-from rodlib.ilc.models import frequency_response
 from rodlib.rod import bernstein_basis
 
 BRASS = Rod(  # of notebook 11
@@ -90,13 +90,9 @@ def test_exact_response_is_the_sum_over_the_modes(rod, sensors):
     wave = n * np.pi / rod.length
     rate = rod.kappa_2 + rod.conductivity * wave**2
     shapes = np.cos(np.outer(sensors, wave))
-    shares = (
-        2 * np.diff(np.sin(np.outer(rod.edges, wave)), axis=0) / wave * rod.sections
-    )
+    shares = 2 * np.diff(np.sin(np.outer(rod.edges, wave)), axis=0) / wave * rod.sections
     shares /= rod.width * rod.height * rod.length**2
-    uniform = 1 / (
-        rod.width * rod.height * rod.length * (rod.kappa_1 * s + rod.kappa_2)
-    )
+    uniform = 1 / (rod.width * rod.height * rod.length * (rod.kappa_1 * s + rod.kappa_2))
     modes = np.array([(shapes / (rod.kappa_1 * at + rate)) @ shares.T for at in s])
     exact = exact_response(rod, s)[:, :, :-1]
     np.testing.assert_allclose(
@@ -109,18 +105,10 @@ def test_energy_is_conserved_for_any_rod_state_and_input(rod, degree, seed):
     model = midr(rod, degree)
     rng = np.random.default_rng(seed)
     x, u = rng.standard_normal(model.nstates), rng.standard_normal(model.ninputs)
-    volume = (
-        bernstein_basis(rod, degree).antiderivative()(rod.length)
-        * rod.width
-        * rod.height
-    )
+    volume = bernstein_basis(rod, degree).antiderivative()(rod.length) * rod.width * rod.height
     stored = rod.kappa_1 * volume @ (model.A @ x + model.B @ u)
     supplied = u[:-1].sum() + rod.kappa_2 * (volume.sum() * u[-1] - volume @ x)
-    scale = (
-        rod.kappa_1
-        * np.abs(volume)
-        @ (np.abs(model.A) @ np.abs(x) + np.abs(model.B @ u))
-    )
+    scale = rod.kappa_1 * np.abs(volume) @ (np.abs(model.A) @ np.abs(x) + np.abs(model.B @ u))
     assert abs(stored - supplied) < 1e-10 * scale
 
 
@@ -137,9 +125,7 @@ def test_any_rod_is_stable_and_follows_the_air(rod, degree):
 def test_determinant_of_the_papers_rod_is_that_of_the_proof(rod, real, imaginary):
     """From Q1 and Q3 to the paper's sensors, for any material; notebook 1 derives it."""
     rod = replace(rod, sections=4, sensors=(3 / 8 * rod.length, 7 / 8 * rod.length))
-    s = (
-        complex(real, imaginary) * rod.kappa_2 / rod.kappa_1
-    )  # of the order of the slowest pole
+    s = complex(real, imaginary) * rod.kappa_2 / rod.kappa_1  # of the order of the slowest pole
     gamma = np.sqrt((rod.kappa_1 * s + rod.kappa_2) / rod.conductivity)
     g = 4 / (rod.width * rod.height * rod.length * rod.conductivity * gamma**2)
     X = gamma * rod.length / 4
@@ -153,17 +139,12 @@ def test_the_rod_is_minimum_phase():
     """Along half disks the determinant winds as often as it has zeros in them; it has no poles."""
     angle = np.linspace(-np.pi / 2, np.pi / 2, 20001)
     for radius in (1.0, 3.0):
-        arc, diameter = (
-            radius * np.exp(1j * angle),
-            np.linspace(radius, -radius, 20001) * 1j,
-        )
+        arc, diameter = (radius * np.exp(1j * angle), np.linspace(radius, -radius, 20001) * 1j)
         boundary = np.concatenate([arc, diameter])
         exact = np.linalg.det(exact_response(Rod(), boundary)[:, :, [0, 2]])
         model = midr(Rod())[:, ["Q1", "Q3"]]
         sI = boundary[:, None, None] * np.eye(model.nstates)
-        cubic = np.linalg.det(
-            model.C @ np.linalg.solve(sI - model.A, model.B.astype(complex))
-        )
+        cubic = np.linalg.det(model.C @ np.linalg.solve(sI - model.A, model.B.astype(complex)))
         for values, zeros in ((exact, 0), (cubic, 2)):  # the cubic model has its two
             steps = np.angle(values[1:] / values[:-1])
             assert np.abs(steps).max() < 1

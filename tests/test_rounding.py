@@ -2,7 +2,6 @@ import ast
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import rounding
@@ -42,9 +41,7 @@ def test_pairs_and_symmetric_matrices_remain_such_and_a_seed_makes_a_difference(
 
 
 def test_products_in_rodlib_are_replaced_and_nothing_else():
-    tree = ast.fix_missing_locations(
-        rounding._Products().visit(ast.parse("a @ (b * c) @ d"))
-    )
+    tree = ast.fix_missing_locations(rounding._Products().visit(ast.parse("a @ (b * c) @ d")))
     assert ast.unparse(tree) == "__product__(__product__(a, b * c), d)"
 
 
@@ -56,7 +53,7 @@ def test_a_varied_process_moves_the_last_digits():
     show = "import rounding; rounding.vary(99); from rodlib import paper_loop; "
     run = subprocess.run(
         [sys.executable, "-c", show + "print(paper_loop().N.tolist())"],
-        cwd=Path(__file__).parent,
+        cwd=ROOT / "tools",
         env=os.environ | {"PYTHONPATH": str(ROOT)},
         capture_output=True,
         check=True,

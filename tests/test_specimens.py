@@ -3,21 +3,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from plants import modal_model
+from rods import modal_model
 from scipy.optimize import brentq
 
-from rodlib import (
-    Rod,
-    Specimen,
-    Spread,
-    current_trial_loop,
-    draw,
-    midr,
-    minimal_realisation,
-    paper_loop,
-    responses,
-    sampled_response,
-)
+from ilctools import current_trial_loop, minimal_realisation
+from rodlib import Rod, Specimen, Spread, draw, midr, paper_loop, responses, sampled_response
 from rodlib.specimens import unstable_poles
 
 ALL = Spread.of_all(0.3)

@@ -11,26 +11,27 @@ from pathlib import Path
 import pytest
 import stubs
 
+import ilctools
 import rodlib
-from rodlib import ilc
 
-FOLDER = Path(rodlib.__file__).parent
+FOLDER, TOOLS = (Path(package.__file__).parent for package in (rodlib, ilctools))
 TYPED = """
-from rodlib import Law, Rod, paper_loop, synthesise, zero_phase_butterworth
+from ilctools import Law, synthesise, zero_phase_butterworth
+from rodlib import Rod, paper_loop
 
-law: Law = synthesise(paper_loop(Rod()), zero_phase_butterworth()).law()
+law: Law = synthesise(paper_loop(Rod()), zero_phase_butterworth(2, 0.1, 1.0)).law()
 """
 WRONG = {  # what a checker must name
-    "`synthesize`": "from rodlib import synthesize\n",
+    "`synthesize`": "from ilctools import synthesize\n",
     "`str`": TYPED + "wrong: str = law\n",
     "`nxt`": TYPED + "law.nxt\n",
     "`ordr`": TYPED + "synthesise(paper_loop(), None, ordr=3)\n",
-    "`Mute`": "import rodlib\n\n\nclass Mute:\n    def read(self):\n"
-    "        return [0.0]\n\n\nrodlib.shake(Mute(), rodlib.paper_loop(), None)\n",
+    "`Mute`": "import ilctools, rodlib\n\n\nclass Mute:\n    def read(self):\n"
+    "        return [0.0]\n\n\nilctools.shake(Mute(), rodlib.paper_loop(), None)\n",
 }
 
 
-@pytest.mark.parametrize("package", [rodlib, ilc], ids=lambda package: package.__name__)
+@pytest.mark.parametrize("package", [rodlib, ilctools], ids=lambda package: package.__name__)
 def test_a_stub_imports_each_name_from_where_it_is_made(package):
     tree = ast.parse(Path(package.__file__).with_suffix(".pyi").read_text("utf-8"))
     names = {}
@@ -49,16 +50,14 @@ def test_a_stub_imports_each_name_from_where_it_is_made(package):
 def test_stubs_are_those_of_the_registry():
     for path, text in stubs.stubs().items():
         assert path.read_text(encoding="utf-8") == text, "make stubs"
-    assert (FOLDER / "py.typed").exists()
+    assert all(path.with_name("py.typed").exists() for path in stubs.stubs())
 
 
 def test_a_door_that_is_decorated_keeps_its_annotations():
     """`wraps` keeps them for those who run it; a checker needs them of the decorator."""
-    tree = ast.parse((FOLDER / "ilc/synthesis/solver/threads.py").read_text("utf-8"))
+    tree = ast.parse((TOOLS / "synthesis/solver/threads.py").read_text("utf-8"))
     (function,) = (node for node in tree.body if isinstance(node, ast.FunctionDef))
-    assert ast.unparse(function.returns) == ast.unparse(
-        function.args.args[0].annotation
-    )
+    assert ast.unparse(function.returns) == ast.unparse(function.args.args[0].annotation)
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +72,8 @@ def check(tmp_path_factory):
     def run(text):
         (folder / "snippet.py").write_text(text, encoding="utf-8")
         call = [ty, "check", "--output-format", "concise", "--python", sys.prefix]
-        call += ["--extra-search-path", FOLDER.parent, "snippet.py"]
+        call += ["--extra-search-path", FOLDER.parent, "--extra-search-path", TOOLS.parent]
+        call += ["snippet.py"]
         return subprocess.run(call, cwd=folder, capture_output=True, text=True).stdout
 
     return run

@@ -5,39 +5,21 @@ import pytest
 from distributed import Client
 from hypothesis import given
 from hypothesis import strategies as st
-from plants import modal_model
+from rods import modal_model
 
-from rodlib import (
-    Law,
-    LearningFilter,
-    Rod,
-    Spread,
-    Study,
-    draw,
-    paper_loop,
-    run_trials,
-    sampled_response,
-    study,
-    zero_phase_butterworth,
-)
+from ilctools import Law, LearningFilter, run_trials, zero_phase_butterworth
+from ilctools.trials.run import rms
+from rodlib import Rod, Spread, Study, draw, paper_loop, sampled_response, study
 from rodlib.case import assumed_reference
-from rodlib.ilc.trials.run import rms
 from rodlib.paper import published
 
 SLOW = paper_loop(Ts=10.0)
-LOOP, Q, OMEGA = paper_loop(), zero_phase_butterworth(), np.geomspace(1e-4, np.pi, 60)
+LOOP, Q, OMEGA = paper_loop(), zero_phase_butterworth(2, 0.1, 1.0), np.geomspace(1e-4, np.pi, 60)
 FILTERS = {
-    kind: LearningFilter(published.matrix(f"L_{kind}"), 1.0)
-    for kind in ("diagonal", "full")
+    kind: LearningFilter(published.matrix(f"L_{kind}"), 1.0) for kind in ("diagonal", "full")
 }
 SMALL = Study(
-    LOOP,
-    Q,
-    FILTERS,
-    Spread.of_all(0.3),
-    omega=OMEGA,
-    reference=assumed_reference(200),
-    trials=3,
+    LOOP, Q, FILTERS, Spread.of_all(0.3), omega=OMEGA, reference=assumed_reference(200), trials=3
 )
 
 

@@ -9,9 +9,7 @@ REPORT = """<testsuites><testsuite><testcase classname="tests.test_a" name="test
 </testsuite></testsuites>"""
 
 
-def test_all_parts_run_whatever_fails_and_the_end_names_what_failed(
-    monkeypatch, tmp_path, capsys
-):
+def test_all_parts_run_whatever_fails_and_the_end_names_what_failed(monkeypatch, tmp_path, capsys):
     """Parts that note that they ran; the second leaves a report as pytest does, and fails."""
     note = "import pathlib, sys; pathlib.Path(sys.argv[1]).write_text(sys.argv[3]); "
     note += "sys.exit(int(sys.argv[2]))"
@@ -35,11 +33,11 @@ def test_all_parts_run_whatever_fails_and_the_end_names_what_failed(
 
 def test_another_machine_runs_all_notebooks_and_tests_but_no_browser(tmp_path):
     here, there = (suite.parts(tmp_path, machine) for machine in (False, True))
-    assert here.keys() - there.keys() == {"lint", "format"}
+    assert here.keys() - there.keys() == {"lint", "format", "tokens"}
     browser = suite.ROOT / "tests" / "browser"
     assert [path for path in here["tests"] if path not in there["tests"]] == [browser]
     paths = [path for path in there["tests"] if isinstance(path, Path)]
     notebooks = [path for path in paths if path.suffix == ".ipynb"]
     assert len(notebooks) == 1 + len([*suite.ROOT.glob("notebooks/*.ipynb")])
-    tests = {*(suite.ROOT / "tests").rglob("test_*.py")} - {*browser.glob("*.py")}
-    assert all({path, *path.parents} & {*paths} for path in tests)
+    tests = [p for room in ("tests", "toolbox") for p in suite.ROOT.glob(f"{room}/**/test_*.py")]
+    assert all({path, *path.parents} & {browser, *paths} for path in tests)

@@ -3,7 +3,7 @@
 What a notebook needs of it comes from here; a name is imported when it is first used.
 """
 
-from rodlib.ilc import lazily
+from ilctools import lazily
 
 MODULES = {
     "figures": """ACCENT BLACK BLACK_DASHED GRAY GRAY_DASHED SHADES TALL WIDE plain

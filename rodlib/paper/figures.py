@@ -9,7 +9,7 @@ import matplotlib as mpl
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
-from rodlib.ilc.files import folder, replacing
+from ilctools.files import folder, replacing
 from rodlib.paper.pictures import PIXELS_PER_INCH, same
 from rodlib.paper.repository import ROOT, results
 

@@ -25,7 +25,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from rodlib.ilc.files import folder, read_json, replace_all, write_whole
+from ilctools.files import folder, read_json, replace_all, write_whole
 from rodlib.paper import pictures, published
 from rodlib.paper.published import Claim
 from rodlib.paper.repository import ROOT, checkout, results
@@ -71,9 +71,7 @@ def verdict(claim: Claim, computed: float) -> tuple[str, float]:
         deviation = computed - float(first)
         holds = abs(deviation) <= float(second.removeprefix("+- "))
         return _outcome(holds), float(deviation)
-    raise ValueError(
-        f"criterion {claim.criterion!r} of claim {claim.key!r} is not understood"
-    )
+    raise ValueError(f"criterion {claim.criterion!r} of claim {claim.key!r} is not understood")
 
 
 def _outcome(holds):
@@ -88,9 +86,7 @@ class Ledger:
     """
 
     def __init__(self, notebook: str, **parameters):
-        pd.set_option(
-            "display.max_colwidth", None, "display.max_rows", None, "display.width", 200
-        )
+        pd.set_option("display.max_colwidth", None, "display.max_rows", None, "display.width", 200)
         self.notebook = notebook
         self.rows = {}
         known = published.claims()
@@ -136,9 +132,7 @@ class Ledger:
     def _record_matrix(self, name, computed):
         expected = published.matrix(name).shape
         if computed.shape != expected:
-            raise ValueError(
-                f"{name} has shape {computed.shape}, but the paper's has {expected}"
-            )
+            raise ValueError(f"{name} has shape {computed.shape}, but the paper's has {expected}")
         if name == "K_s":
             computed = computed.T
         if name == "L_diagonal":
@@ -155,9 +149,7 @@ class Ledger:
         if keys is not None:
             chosen = [key for key in chosen if key.startswith(tuple(keys))]
         rows = pd.DataFrame([self.rows[key] for key in chosen], columns=COLUMNS)
-        return rows.set_index("place")[
-            ["claim", "printed", "computed", "deviation", "verdict"]
-        ]
+        return rows.set_index("place")[["claim", "printed", "computed", "deviation", "verdict"]]
 
     def save(self) -> None:
         """Write the rows to build/ledger, or to the folder of the run, which joins them."""
@@ -217,18 +209,14 @@ def join(parts: Path) -> pd.DataFrame:
     twice = rows.key[rows.key.duplicated()].tolist()
     missing = [key for key in published.claims() if key not in set(rows.key)]
     if twice or missing:
-        raise ValueError(
-            f"ledger: claims without evidence {missing}, claims with two rows {twice}"
-        )
+        raise ValueError(f"ledger: claims without evidence {missing}, claims with two rows {twice}")
     return rows.set_index("key").loc[list(published.claims())].reset_index()[COLUMNS]
 
 
 def summary(rows: pd.DataFrame) -> str:
     """What the README says of the results: the counts, and the statements that differ."""
     statements = rows[(rows.verdict == DIFFERS) & ~rows.key.str.match(COEFFICIENT)]
-    return (
-        f"{_counts(rows)}\nBeside coefficients, these differ:\n\n{_reasons(statements)}"
-    )
+    return f"{_counts(rows)}\nBeside coefficients, these differ:\n\n{_reasons(statements)}"
 
 
 def _counts(rows):
@@ -237,9 +225,7 @@ def _counts(rows):
     counts = pd.crosstab(kind, rows.verdict)
     counts = counts.reindex(index=list(KINDS), columns=VERDICTS, fill_value=0)
     others = rows[~kind.isin(KINDS)]
-    kinds = ", ".join(
-        f"{n} {kind}" for kind, n in others.kind.value_counts(sort=False).items()
-    )
+    kinds = ", ".join(f"{n} {kind}" for kind, n in others.kind.value_counts(sort=False).items())
     agree = (others.verdict == REPRODUCED).sum()
     return (
         f"{counts.rename(index=KINDS).rename_axis(None).rename_axis(None, axis=1).to_markdown()}"
@@ -262,12 +248,8 @@ def _reasons(rows):
         elif first.verdict == IN_WORDS:
             text = f"{first.claim}: printed “{first.printed}”; {first.computed}"
         else:
-            text = (
-                f"{first.claim}: printed “{first.printed}”, computed {first.computed}"
-            )
-        lines.append(
-            f"- {first.place}: {text}" + (f" ({first.note})" if first.note else "")
-        )
+            text = f"{first.claim}: printed “{first.printed}”, computed {first.computed}"
+        lines.append(f"- {first.place}: {text}" + (f" ({first.note})" if first.note else ""))
     return "\n".join(lines or ["- nothing"]) + "\n"
 
 
@@ -330,9 +312,7 @@ def publish(build: Path, root: Path) -> None:
     print(report(figures, texts))
 
 
-def changes(
-    rows: pd.DataFrame, build: Path, root: Path
-) -> tuple[dict[str, str], dict[str, bytes]]:
+def changes(rows: pd.DataFrame, build: Path, root: Path) -> tuple[dict[str, str], dict[str, bytes]]:
     """What a run has made of each figure, in a word, and the texts that are not what they were."""
     readme = (root / "README.md").read_text(encoding="utf-8")
     texts = {

@@ -7,7 +7,7 @@ text's own that the text was written for another one.
 
 import numpy as np
 
-from rodlib.ilc.arguments import number, whole
+from ilctools.arguments import number, whole
 
 
 def checked(**parameters: tuple) -> dict:
@@ -25,9 +25,7 @@ def checked(**parameters: tuple) -> dict:
         else:
             span = f"a number from {least:g} to {most:g}"
             number(name, value, span, least=least, most=most)
-    others = [
-        name for name, (value, default, *_) in parameters.items() if value != default
-    ]
+    others = [name for name, (value, default, *_) in parameters.items() if value != default]
     if others:
         from IPython.display import Markdown, display  # only a notebook has it
 

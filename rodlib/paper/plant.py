@@ -1,14 +1,9 @@
 """The rod on the workbench."""
 
-from rodlib.case import (
-    assumed_disturbance,
-    assumed_reference,
-    paper_choices,
-    paper_loop,
-)
-from rodlib.ilc import arguments
-from rodlib.ilc.workbench.plant import Plant
+from ilctools import arguments
+from rodlib.case import assumed_disturbance, assumed_reference, paper_choices, paper_loop
 from rodlib.rod import Rod
+from rodlib.workbench.plant import Plant
 
 
 def plant_of_rod(rod: Rod) -> Plant:

@@ -46,11 +46,7 @@ def number(printed: str) -> float:
 
 def decimals(printed: str) -> int | None:
     """Number of printed digits after the point; None for fractions, powers, pi and words."""
-    return (
-        len(printed.partition(".")[2])
-        if re.fullmatch(r"-?\d+(\.\d+)?", printed)
-        else None
-    )
+    return len(printed.partition(".")[2]) if re.fullmatch(r"-?\d+(\.\d+)?", printed) else None
 
 
 def half_unit(printed: str) -> float:
@@ -66,9 +62,7 @@ def _table(name):
 
 def matrix(name: str) -> np.ndarray:
     """A printed matrix, one of `MATRICES`, filters with the shape of their coefficients."""
-    values = np.array(
-        [[number(entry) for entry in row[1:]] for row in _table(name)[1:]]
-    )
+    values = np.array([[number(entry) for entry in row[1:]] for row in _table(name)[1:]])
     if name == "K_s":
         return values.T
     if name == "L_diagonal":
@@ -108,18 +102,12 @@ def _invariants(place):
     """Products of K_s and K_L that no orthogonal change of state coordinates alters."""
     Ks, KL1 = matrix("K_s"), matrix("K_L")[:10].T
     rounding = half_unit("0.0001")
-    for label, X, Y in (
-        ("K_s K_s'", Ks, Ks),
-        ("K_L1' K_L1", KL1, KL1),
-        ("K_s K_L1", Ks, KL1),
-    ):
+    for label, X, Y in (("K_s K_s'", Ks, Ks), ("K_L1' K_L1", KL1, KL1), ("K_s K_L1", Ks, KL1)):
         for i in range(2):
             for j in range(i if X is Y else 0, 2):
                 value = X[i] @ Y[j]
                 # what the rounding of the printed entries can add up to
-                tolerance = rounding * (
-                    np.abs(X[i]).sum() + np.abs(Y[j]).sum() + 10 * rounding
-                )
+                tolerance = rounding * (np.abs(X[i]).sum() + np.abs(Y[j]).sum() + 10 * rounding)
                 yield Claim(
                     f"{label}[{i + 1},{j + 1}]",
                     place,

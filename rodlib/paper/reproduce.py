@@ -18,7 +18,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from rodlib.ilc.files import alone, folder
+from ilctools.files import alone, folder
 from rodlib.paper.ledger import publish
 from rodlib.paper.repository import ROOT, checkout
 
@@ -87,14 +87,11 @@ def reproduce(root: Path = ROOT) -> None:
     notebooks = longest_first(root)
     cells = sum(len(json.loads(path.read_text("utf-8"))["cells"]) for path in notebooks)
     with folder_of_run("reproduce", root) as build:
-        print(
-            f"running {len(notebooks)} notebooks, {AT_A_TIME} at a time ...", flush=True
-        )
+        print(f"running {len(notebooks)} notebooks, {AT_A_TIME} at a time ...", flush=True)
         bar = tqdm(total=cells, unit="cell", leave=False, disable=None)
         with bar, ThreadPoolExecutor(AT_A_TIME) as pool:
             running = {
-                pool.submit(run, path, build / path.name, bar): path.stem
-                for path in notebooks
+                pool.submit(run, path, build / path.name, bar): path.stem for path in notebooks
             }
             for done in as_completed(running):
                 if done.exception():
@@ -102,25 +99,15 @@ def reproduce(root: Path = ROOT) -> None:
                 tqdm.write(f"{running[done]} ... done, {done.result():.0f} s")
                 sys.stdout.flush()
         publish(build, root)
-        cells = [
-            name
-            for path in notebooks
-            for name in changed_cells(build / path.name, path)
-        ]
+        cells = [name for path in notebooks for name in changed_cells(build / path.name, path)]
         differ = f"these print something else: {', '.join(sorted(cells))}"
-        print(
-            f"cells of the notebooks: {differ if cells else 'all print the same as before'}"
-        )
+        print(f"cells of the notebooks: {differ if cells else 'all print the same as before'}")
 
 
 def changed_cells(executed: Path, tracked: Path) -> list[str]:
     """The code cells of a notebook that print other texts than as it is tracked, by name."""
-    new, old = (
-        _texts(json.loads(path.read_text("utf-8"))) for path in (executed, tracked)
-    )
-    changed = [
-        k for k, (one, other) in enumerate(zip_longest(new, old), 1) if one != other
-    ]
+    new, old = (_texts(json.loads(path.read_text("utf-8"))) for path in (executed, tracked))
+    changed = [k for k, (one, other) in enumerate(zip_longest(new, old), 1) if one != other]
     return [f"{tracked.stem} [{k}]" for k in changed]
 
 
@@ -128,28 +115,20 @@ def _texts(notebook):
     """What each code cell prints and shows as text, a string for each."""
     for cell in notebook["cells"]:
         if cell["cell_type"] == "code":
-            bundles = (
-                {"text/": o.get("text", ""), **o.get("data", {})}
-                for o in cell["outputs"]
-            )
-            parts = [
-                part
-                for b in bundles
-                for mime, part in b.items()
-                if mime.startswith("text/")
-            ]
+            bundles = ({"text/": o.get("text", ""), **o.get("data", {})} for o in cell["outputs"])
+            parts = [part for b in bundles for mime, part in b.items() if mime.startswith("text/")]
             yield "".join("".join(part) for part in parts)
 
 
 def replay(log: str, root: Path = ROOT) -> None:
     """Print what a log shows; a report with pictures and the next trial's v go to build/replay."""
-    from rodlib import ilc  # here, because it takes long to import
+    import ilctools  # here, because it takes long to import
 
     checkout("make replay", root)
     path = Path(os.path.expanduser(log)).absolute()
     if not path.is_file():
         raise FileNotFoundError(f"{path} is not a file: make replay LOG=path")
-    replayed = ilc.replay(ilc.load_log(path))
+    replayed = ilctools.replay(ilctools.load_log(path))
     with folder_of_run("replay", root) as build:
         report, table = build / REPORT.name, build / "next-trial.csv"
         print(replayed)

@@ -10,9 +10,9 @@ from dataclasses import asdict
 
 import numpy as np
 
+from ilctools import Law, record, save_log
+from ilctools.filters import LearningFilter, zero_phase_butterworth
 from rodlib.case import assumed_disturbance, assumed_reference, paper_loop
-from rodlib.ilc import Law, record, save_log
-from rodlib.ilc.filters import LearningFilter, zero_phase_butterworth
 from rodlib.paper import published
 from rodlib.paper.repository import checkout
 from rodlib.peltier_rig import PeltierElement, PeltierParameters, PeltierRig
@@ -45,11 +45,9 @@ def main():
         print(f"recording {name} ...", flush=True)
         rig = PeltierRig(parameters=PARAMETERS, seed=seed)
         # The paper's law has no limits; what is asked for stays within the rig's.
-        law = Law(zero_phase_butterworth(), L, limits={})
+        law = Law(zero_phase_butterworth(2, 0.1, 1.0), L, limits={})
         log = record(rig, law=law, **experiment())
-        log.attrs["origin"] = (
-            "synthetic: virtual rig with Peltier elements, no laboratory data"
-        )
+        log.attrs["origin"] = "synthetic: virtual rig with Peltier elements, no laboratory data"
         log.attrs["rig"] = json.dumps(
             asdict(rig.parameters) | {"seed": seed, "rod": asdict(rig.linearised)}
         )

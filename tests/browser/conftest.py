@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from driver import Reader
 
-from rodlib.ilc.files import folder
+from ilctools.files import folder
 from rodlib.paper.repository import ROOT
 
 NAMES = (
@@ -37,19 +37,13 @@ def found_browser(own):
 @pytest.fixture(scope="session")
 def browser():
     """A Chromium without a window."""
-    sync_api = pytest.importorskip(
-        "playwright.sync_api", reason="playwright is not installed"
-    )
+    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     with sync_api.sync_playwright() as playwright:
         path = found_browser(playwright.chromium.executable_path)
         if path is None:
-            pytest.skip(
-                "no browser: install chromium or Chrome, or name one in $CHROMIUM"
-            )
+            pytest.skip("no browser: install chromium or Chrome, or name one in $CHROMIUM")
         # Pages of this test only: the sandbox is not missed, and root could not have one.
-        browser = playwright.chromium.launch(
-            executable_path=path, args=["--no-sandbox"]
-        )
+        browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
         yield browser
         browser.close()
 
@@ -81,12 +75,7 @@ def lab(tmp_path_factory):
     }
     surroundings |= {name: str(home / folder) for name, folder in folders.items()}
     surroundings |= {"JUPYTER_PREFER_ENV_PATH": "1", "JUPYTER_TOKEN": token}
-    options = [
-        "--no-browser",
-        "--allow-root",
-        f"--port={port}",
-        "--ServerApp.port_retries=0",
-    ]
+    options = ["--no-browser", "--allow-root", f"--port={port}", "--ServerApp.port_retries=0"]
     with open(home / "log", "w") as log:
         server = subprocess.Popen(
             [sys.executable, "-m", "jupyterlab", *options, *options_of_make_lab()],

@@ -50,25 +50,18 @@ class Reader:
 
     def knob(self, name):
         """The box of a widget, found by its label."""
-        label = self.page.locator(
-            ".widget-label", has_text=re.compile(f"^{re.escape(name)}$")
-        )
+        label = self.page.locator(".widget-label", has_text=re.compile(f"^{re.escape(name)}$"))
         return self.page.locator(".widget-inline-hbox", has=label)
 
     def drag(self, name, share, release=True):
         """Take a slider's handle to a share of its track."""
         handle = self.knob(name).locator(".noUi-handle")
         handle.scroll_into_view_if_needed()
-        box, track = (
-            handle.bounding_box(),
-            self.knob(name).locator(".noUi-base").bounding_box(),
-        )
+        box, track = (handle.bounding_box(), self.knob(name).locator(".noUi-base").bounding_box())
         mouse = self.page.mouse
         mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
         mouse.down()
-        mouse.move(
-            track["x"] + share * track["width"], box["y"] + box["height"] / 2, steps=8
-        )
+        mouse.move(track["x"] + share * track["width"], box["y"] + box["height"] / 2, steps=8)
         if release:
             mouse.up()
 
@@ -104,8 +97,7 @@ class Reader:
     def until(self, text):
         """Wait until the lines contain a text."""
         self.page.wait_for_function(
-            "text => document.querySelector('.workbench-python').innerText.includes(text)",
-            arg=text,
+            "text => document.querySelector('.workbench-python').innerText.includes(text)", arg=text
         )
 
     def until_drawn(self, picture):

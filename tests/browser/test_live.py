@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rodlib import Rod, Settings, load_law, try_out
-from rodlib.ilc.workbench.picture import Picture
+from ilctools import load_law
+from rodlib import Rod, Settings, try_out
 from rodlib.paper import plant_of_rod
+from rodlib.workbench.picture import Picture
 
 TEN_KEYS = """handle => { for (let k = 0; k < 10; k++)
     handle.dispatchEvent(new KeyboardEvent('keydown', {key: 'ArrowLeft', bubbles: true})); }"""
@@ -56,9 +57,7 @@ def test_a_slider_is_followed_when_it_is_let_go(reader, paper):
     picture = reader.after(reader.page.mouse.up)
     moved = replace(paper, M_max=float(reader.read("M_max")))
     assert moved.M_max > 0.95
-    assert picture == drawn(
-        moved, paper
-    )  # in gray the one before: there was none on the way
+    assert picture == drawn(moved, paper)  # in gray the one before: there was none on the way
 
 
 def test_the_newest_setting_counts(reader, paper):
@@ -116,10 +115,7 @@ def test_infeasible_and_back_by_the_button(reader, first, shots):
     assert try_out(infeasible).M_max == 0.869
     assert reader.picture == drawn(infeasible)
     assert try_out(infeasible).message.split() == reader.certificate.split()
-    assert (
-        reader.python.strip() == ""
-        and reader.page.get_by_text("save Q and L").is_disabled()
-    )
+    assert reader.python.strip() == "" and reader.page.get_by_text("save Q and L").is_disabled()
     for width in (1280, 800):
         reader.show(width, 1500, shots / f"infeasible-{width}.png")
         assert reader.overflow == []

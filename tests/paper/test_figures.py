@@ -49,9 +49,7 @@ def test_a_figure_that_is_the_same_as_the_tracked_one_needs_no_pdf(folder, monke
     assert picture.with_suffix(".pdf").exists()
 
 
-def test_a_figure_is_laid_out_as_matplotlib_does_and_drawn_once_for_each_file(
-    folder, monkeypatch
-):
+def test_a_figure_is_laid_out_as_matplotlib_does_and_drawn_once_for_each_file(folder, monkeypatch):
     def places(figure):
         return [axes.get_position().bounds for axes in figure.axes]
 

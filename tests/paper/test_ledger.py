@@ -12,15 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rodlib.paper import ledger, published
-from rodlib.paper.ledger import (
-    DIFFERS,
-    IN_WORDS,
-    OTHER,
-    REPRODUCED,
-    UNCHECKED,
-    Ledger,
-    verdict,
-)
+from rodlib.paper.ledger import DIFFERS, IN_WORDS, OTHER, REPRODUCED, UNCHECKED, Ledger, verdict
 from rodlib.paper.published import Claim
 from rodlib.paper.repository import ROOT
 
@@ -50,9 +42,7 @@ def test_half_a_unit_of_the_last_printed_digit_decides(inside, outside):
         ("0.58 +- 0.01", 0.6, DIFFERS, 0.02),
     ],
 )
-def test_statements_are_judged_by_their_criterion(
-    criterion, computed, outcome, deviation
-):
+def test_statements_are_judged_by_their_criterion(criterion, computed, outcome, deviation):
     assert verdict(claim("in words", criterion), computed) == (
         outcome,
         pytest.approx(deviation, nan_ok=True),
@@ -88,12 +78,7 @@ def test_a_row_has_the_cell_that_recorded_it(monkeypatch, tmp_path):
 
 def test_only_what_could_have_differed_is_counted():
     book = Ledger("test")
-    for key, value in (
-        ("length", 0.32),
-        ("order", 11),
-        ("unity", 0.0),
-        ("zero_s_1", 0.10114),
-    ):
+    for key, value in (("length", 0.32), ("order", 11), ("unity", 0.0), ("zero_s_1", 0.10114)):
         book.record(key, value)
     summary = ledger.summary(pd.DataFrame(book.rows.values()))
     counts = {line.split(" |")[0][2:].strip(): line for line in summary.splitlines()}
@@ -134,9 +119,7 @@ def test_coefficients_of_a_flat_optimum_have_a_row_and_no_line_in_the_readme():
     rows = pd.DataFrame(book.rows.values())
     counts, rest = ledger.summary(rows).split("Beside coefficients")
     assert re.search(r"\| printed numbers +\| +0 \| +1 \|", counts)
-    assert re.search(
-        r"\| coefficients of \(39\), a flat optimum +\| +0 \| +20 \|", counts
-    )
+    assert re.search(r"\| coefficients of \(39\), a flat optimum +\| +0 \| +20 \|", counts)
     assert "computed 49" in rest and "coefficient of" not in rest
     assert "diagonal: 20 of 20 by at most 1.0e+00" in ledger.markdown(rows)
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from plants import stage, tanks
 
-from rodlib import (
+from ilctools import (
     Law,
     LearningFilter,
     current_trial_loop,
@@ -20,9 +20,9 @@ from rodlib import (
     save_log,
     zero_phase_butterworth,
 )
-from rodlib.ilc import replay as replay_of
-from rodlib.ilc.law.io import with_law
-from rodlib.ilc.loop.notes import LogError
+from ilctools import replay as replay_of
+from ilctools.law.io import with_law
+from ilctools.loop.notes import LogError
 from rodlib.paper import reproduce
 from rodlib.paper.repository import ROOT
 
@@ -122,16 +122,11 @@ def test_the_log_of_the_readmes_example_is_replayed(root, replay_here, monkeypat
     example = re.search(r"```python\n(.*?record\(.*?)```", text, re.DOTALL)[1]
     monkeypatch.chdir(root)  # where it leaves a picture
     namespace = {}
-    exec(
-        example.replace("trials=", f"path={str(root / 'mine.csv')!r}, trials="),
-        namespace,
-    )
+    exec(example.replace("trials=", f"path={str(root / 'mine.csv')!r}, trials="), namespace)
     assert "u" not in load_log(root / "mine.csv")
     text = replay_here("mine.csv")  # behind what the example prints itself
     assert text.count("law: the recorded v is that of the law in every trial") == 3
-    np.testing.assert_array_equal(
-        next_trial(root)[:, 1:], replay_of(namespace["run"]).following
-    )
+    np.testing.assert_array_equal(next_trial(root)[:, 1:], replay_of(namespace["run"]).following)
 
 
 def test_a_bad_log_is_refused_in_a_few_words_and_an_earlier_replay_stays(root):

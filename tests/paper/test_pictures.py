@@ -49,9 +49,7 @@ def test_what_rounding_moves_is_the_same_and_what_is_seen_is_not(
     assert compared(draw(tmp_path / "drawn", **changes), before) == {"fig01": outcome}
 
 
-@pytest.mark.parametrize(
-    ("levels", "outcome"), [(LEVELS, "the same"), (LEVELS + 1, "different")]
-)
+@pytest.mark.parametrize(("levels", "outcome"), [(LEVELS, "the same"), (LEVELS + 1, "different")])
 def test_one_pixel_decides(tmp_path, levels, outcome):
     gray = np.full((4, 4, 3), 100, np.uint8)
     for folder in (tmp_path / "old", tmp_path / "new"):

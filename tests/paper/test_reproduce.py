@@ -91,9 +91,7 @@ def test_notebooks_run_in_their_folder_and_their_results_are_published(root):
     tracked = root / "notebooks" / "01-model.ipynb"
     assert reproduce.changed_cells(root / "build" / "reproduce" / tracked.name, tracked)
     nbformat.write(executed, tracked)  # as it is committed: executed
-    assert run(root).stdout.endswith(
-        "cells of the notebooks: all print the same as before\n"
-    )
+    assert run(root).stdout.endswith("cells of the notebooks: all print the same as before\n")
 
 
 @pytest.mark.parametrize(
@@ -151,8 +149,6 @@ def test_outside_a_clone_nothing_is_touched(root):
     (root / "build" / "reproduce").mkdir(parents=True)
     outcome = run(root)
     assert outcome.returncode == 1
-    assert outcome.stderr.startswith(
-        "make reproduce writes to a clone of the repository"
-    )
+    assert outcome.stderr.startswith("make reproduce writes to a clone of the repository")
     assert os.listdir(root / "build") == ["reproduce"]
     assert not (root / "figures").exists()

@@ -4,9 +4,10 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
-from rodlib import load_log, paper_loop
+from ilctools import load_log
+from ilctools.loop.notes import loop_of
+from rodlib import paper_loop
 from rodlib.case import assumed_disturbance, assumed_reference
-from rodlib.ilc.loop.notes import loop_of
 from rodlib.paper import rig_logs
 from rodlib.paper.repository import ROOT
 from rodlib.rigs import MISMATCHED

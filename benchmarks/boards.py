@@ -1,0 +1,202 @@
+"""What to measure next on a heater board, and for how long, as in notebook 13.
+
+A board with a quadratic loss, which was fitted to a log of a real one, is recorded with ten draws
+of moves and noise of each kind, and shaken for three durations. From each record comes the least
+sigma_max(M) that any filter can have for all that the record leaves possible. Both tables go to
+figures/performance.md; `boards.py 1` makes one draw and writes nothing.
+"""
+
+import sys
+import warnings
+
+import numpy as np
+import pandas as pd
+from runner import publish, run, table
+from scipy.optimize import least_squares
+
+from ilctools import (
+    InfeasibleError,
+    current_trial_loop,
+    measured_response,
+    multisine,
+    read_table,
+    shake,
+    synthesise,
+    zero_phase_butterworth,
+)
+from rodlib import fit_heat_balance, heat_balance
+from rodlib.paper.repository import ROOT
+
+DRAWS, DRAWN, TS = 10, 50, 3.0  # of moves and noise; boards from each fit; s
+SIZES = {"T1": 15.0, "T2": 10.0, "Q1": 30.0, "Q2": 40.0}
+UNITS = {"Q1": "%", "Q2": "%", "T1": "degC", "T2": "degC"}
+GIVEN = {"controls": ["Q1", "Q2"], "sizes": SIZES, "units": UNITS}
+OMEGA, Q = np.geomspace(1e-4, np.pi / TS, 300), zero_phase_butterworth(2, 0.05, TS)
+BOUNDS = {"order": 10, "L_max": 5.0, "band": (1e-4, 0.02), "structure": "diagonal"}
+BOUNDS["objective"] = "peak"
+MOVES = {  # minutes, heaters at rest (%)
+    "those of log B, 10 min": (10, 0.0),
+    "by the minute, 12 min": (12, 40.0),
+    "by the minute, 36 min": (36, 40.0),
+}
+HOURS = (1.5, 3.0, 6.0)
+
+
+def logs():
+    """Both logs, and their fits."""
+    columns = {"time": 0, "inputs": {"Q1": 1, "Q2": 2}, "outputs": {"T1": 3, "T2": 4}}
+    read = [
+        read_table(ROOT / "data" / "tclab" / f"board-{Ts}.csv", **columns) for Ts in ("1s", "3s")
+    ]
+    return read, [fit_heat_balance(log.u[0], log.y[0], log.Ts) for log in read]
+
+
+def stepped(x, z, u, dt):
+    """Heaters H, K and thermometers S, T a step later; in plain numbers, for speed."""
+    (H, K, S, T), (g, h, a, c, tau, b), (one, two) = x, z, u
+    more = g * one - a * H - c * (H - K) - b * (H * H)
+    other = h * two - a * K - c * (K - H) - b * (K * K)
+    S, T = S + dt * (H - S) / tau, T + dt * (K - T) / tau
+    return H + dt * more, K + dt * other, S, T
+
+
+def with_squares(log, fit):
+    """The board with a quadratic loss nearest to a log: logarithms of g1, g2, a, c, tau, b."""
+    u, y, dt = log.u.values[0], log.y.values[0], log.Ts / 3
+
+    def off(z):
+        x, read, zero, z = (0.0, 0.0, 0.0, 0.0), [], z[6:], np.exp(z[:6]).tolist()
+        for heaters in u.tolist():
+            read.append(x[2:])
+            for _ in range(3):
+                x = stepped(x, z, heaters, dt)
+        return (read + zero - y).ravel()
+
+    start = [*np.log(fit.values), np.log(5e-5), *fit.zero]
+    bound = [-12.0] * 6 + [0, 0], [7.0] * 6 + [50, 50]
+    given = {"bounds": bound, "x_scale": "jac", "ftol": 1e-12, "xtol": 1e-10}
+    return least_squares(off, start, **given).x
+
+
+class Board:
+    """A board with a quadratic loss, as a rig; it waits until it rests."""
+
+    inputs = ("Q1", "Q2")
+
+    def __init__(self, z, heaters, noise, draw):
+        self.z, self.heaters = np.exp(z[:6]).tolist(), heaters
+        self.noise, self.draw = noise, draw
+        self.limits = dict.fromkeys(self.inputs, (-heaters, 100 - heaters))
+
+    def begin(self, trial):
+        self.rng = np.random.default_rng([self.draw, trial])
+        held = np.full(2, self.heaters)
+        still = least_squares(lambda x: self.after(x, held) - x, [10.0] * 4)
+        self.state, self.zero = still.x, still.x[2:]
+
+    def after(self, x, u):
+        x, u = x.tolist(), np.clip(u, 0, 100).tolist()
+        for _ in range(3):  # steps of 1 s
+            x = stepped(x, self.z, u, 1.0)
+        return np.array(x)
+
+    def read(self):
+        noise = self.noise * self.rng.standard_normal(2)
+        return self.state[2:] - self.zero + noise
+
+    def apply(self, u):
+        self.state = self.after(self.state, self.heaters + u)
+
+
+def loop_of(values):
+    """A loop that is designed for the heat balance of a fit."""
+    return current_trial_loop(heat_balance(*values, TS), **GIVEN)
+
+
+def within(fit, loop):
+    """Responses of a loop with boards that are drawn from the intervals of a fit."""
+    rng, spread = np.random.default_rng(1), np.linalg.cholesky(fit.covariance)
+    far = np.sqrt(5 / rng.chisquare(5, DRAWN))  # Student's t: six parts of a log
+    off = (far * (spread @ rng.standard_normal((5, DRAWN)))).T
+    boards = [heat_balance(*(fit.values * np.exp(x)), TS) for x in off]
+    return [loop.frequency_response(OMEGA[::3], board) for board in boards]
+
+
+def least_promise(plants, **choices):
+    """Least sigma_max(M) that a filter can have for all plants; 1 if that is none below one."""
+    most = BOUNDS | {"M_max": 1 - 1e-9} | choices
+    try:
+        return synthesise(plants, Q, OMEGA[::3], TS, **most).certificate.grid_M
+    except InfeasibleError:
+        return 1.0
+
+
+def moved(kind, draw, z, strange, noise):
+    """What a fit leaves of a record (K), and both promises; infinite if a loop is unstable."""
+    minutes, heaters = MOVES[kind]
+    rig = Board(z, heaters, noise, 1)
+    rig.begin(draw)
+    random = np.random.default_rng(draw)
+    moves = random.choice([-15.0, 15.0], (minutes, 2)).repeat(20, axis=0)
+    moves = moves if heaters else strange[: 20 * minutes]  # %
+    read = [(rig.read(), rig.apply(u))[0] for u in moves]
+    columns = {"inputs": {"Q1": "Q1", "Q2": "Q2"}, "outputs": {"T1": "T1", "T2": "T2"}}
+    frame = pd.DataFrame(np.hstack([moves, read]), columns=[*UNITS])
+    with warnings.catch_warnings(action="ignore"):
+        fit = fit_heat_balance(moves, read, TS)
+        P = measured_response(read_table(frame, Ts=TS, units=UNITS, **columns))
+        direct = least_promise(P, L_max=300.0)  # %/K
+        own = loop_of(fit.values)
+        try:
+            least = least_promise([own, *within(fit, own)])
+        except ValueError:  # a drawn board makes its loop unstable
+            least = np.inf
+    return np.std(fit.left), least, direct, len(fit.unknown) > 0
+
+
+def shaken(hours, draw, z, noise, values):
+    """Largest radius of P from a board that was shaken, and the least promise for all in it."""
+    loop = loop_of(values)
+    lowest = 6.6 * 2 * np.pi / (3600 * hours)  # 3.3 periods for each of two inputs
+    plan = multisine(loop, lowest, highest=0.15, amplitude=1.2, hours=hours)
+    with warnings.catch_warnings(action="ignore"):  # that the loop is not linear
+        P = measured_response(shake(Board(z, 40.0, noise, draw), loop, plan))
+    best = synthesise(P, Q, OMEGA, TS, **BOUNDS).certificate.grid_M
+    return P.radius(0.99, jointly=True).max(), best
+
+
+def ranges(results, digits):
+    """The ranges of all columns of a kind."""
+    ends = zip(np.min(results, axis=0), np.max(results, axis=0), digits, strict=True)
+    return [f"{a:.{n}f} to {b:.{n}f}" for a, b, n in ends]
+
+
+def main(draws):
+    """Fill both tables, print them and write them to figures/performance.md."""
+    (A, B), fits = logs()
+    z = with_squares(A, fits[0])
+    noise = np.sqrt(np.mean(np.diff(A.y.values[0], 2, axis=0) ** 2, axis=0) / 6)
+    numbers = range(1, draws + 1)
+    cases = [(kind, n, z, B.u.values[0], noise) for kind in reversed(MOVES) for n in numbers]
+    found = np.reshape([*run(moved, *zip(*cases, strict=True))], (-1, draws, 4))
+    rows = [
+        [kind, *ranges(one[:, :3], (2, 2, 2)), f"{one[:, 3].sum():.0f} of {draws}"]
+        for kind, one in zip(MOVES, found[::-1], strict=True)
+    ]
+    cases = [(hours, n, z, noise, fits[1].values) for hours in HOURS for n in numbers]
+    found = np.reshape([*run(shaken, *zip(*cases, strict=True))], (-1, draws, 2))
+    others = [[f"{hours:g}", *ranges(one, (3, 2))] for hours, one in zip(HOURS, found, strict=True)]
+    titles = ["moves", "left (K)", "by a heat balance", "without a model"]
+    titles += ["does not tell a parameter"]
+    tables = (
+        table(titles, rows),
+        table(["hours of shaking", "radius of P", "least promise"], others),
+    )
+    text = "\n\n".join(tables) + "\n"
+    print(text)
+    if draws >= DRAWS:
+        publish("boards", text)
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else DRAWS)

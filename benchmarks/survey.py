@@ -1,0 +1,222 @@
+"""Does the synthesis end well for ordinary plants? A survey of many problems, drawn by seed.
+
+`make measure WHAT=survey` runs it and writes the counts to figures/performance.md; `survey.py 17
+42` shows two of the problems. Drawn are lags, integrators under feedback, delays, resonances,
+non-minimum-phase plants, tanks and random plants of size 1 to 4, also badly scaled, with orders
+from 1 to 40 and 100 to 2000 frequencies. The bounds of every other problem hold for more plants
+than one: further ones, all within a radius, or both. Each must end with a certified filter, or with
+an InfeasibleError whose smallest M_max CVXPY confirms on a sample.
+"""
+
+import sys
+import time
+import warnings
+from dataclasses import dataclass
+
+import control
+import numpy as np
+import pandas as pd
+from runner import publish, run
+
+from ilctools import InfeasibleError, synthesise, zero_phase_butterworth
+from ilctools.filters import ZeroPhaseButterworth
+from ilctools.models import frequency_response
+from ilctools.problem.pose import pose
+from ilctools.synthesis.design import certified
+
+PROBLEMS = 550
+FAMILIES = (
+    "lag", "two lags", "motion stage", "tanks", "slow integrator", "short delay", "long delay",
+    "resonance", "non-minimum phase", "random", "badly scaled",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One problem of the survey: the arguments of synthesise, and what it is."""
+
+    family: str
+    model: control.StateSpace  # of the first of the plants
+    plants: list[np.ndarray]
+    Q: ZeroPhaseButterworth
+    omega: np.ndarray
+    options: dict
+
+
+def lag(T, Ts):
+    """1 / (T s + 1) behind a zero-order hold."""
+    a = np.exp(-Ts / T)
+    return control.ss(a, 1 - a, 1, 0, Ts)
+
+
+def under_feedback(plant, crossover):
+    """The unit feedback loop of a plant with a proportional gain for a given crossover."""
+    gain = 1 / np.abs(plant(np.exp(1j * crossover * plant.dt)))
+    loop = control.feedback(gain * plant, 1)
+    while np.abs(loop.poles()).max() >= 0.9999:
+        gain /= 1.5
+        loop = control.feedback(gain * plant, 1)
+    return loop
+
+
+def plant_of(family, rng, order):
+    """A stable loop of the family, with unit gain at frequency zero unless it is random."""
+    s = control.tf("s")
+    Ts = float(rng.choice([0.001, 0.1, 1.0, 60.0]))
+
+    def power(low, high, size=None):
+        return 10 ** rng.uniform(low, high, size)
+
+    def sampled(system, period=Ts):
+        return control.sample_system(control.ss(system), period)
+
+    match family:
+        case "lag":
+            return lag(Ts * power(0, 2.5), Ts)
+        case "two lags":
+            return lag(Ts * power(0, 2), Ts) * lag(Ts * power(0, 2), Ts)
+        case "motion stage":
+            T = Ts * power(1, 2)
+            return under_feedback(sampled(1 / (s * (T * s + 1))), 0.3 / T)
+        case "slow integrator":
+            return under_feedback(control.ss(1, Ts, 1, 0, Ts), power(-3, -0.5) / Ts)
+        case "short delay" | "long delay":
+            ends = 0, order + 1, 2 * order + 10
+            delay = rng.integers(*(ends[:2] if family == "short delay" else ends[1:]))
+            pipe = control.ss(control.tf([1], [1, *np.zeros(delay)], Ts))
+            return pipe * lag(Ts * power(0, 2), Ts)
+        case "resonance":
+            w = power(-2, -0.3) / Ts
+            return sampled(w**2 / (s**2 + 0.02 * w * s + w**2))
+        case "non-minimum phase":
+            T, b = Ts * power(0.5, 2), rng.uniform(0.1, 2)
+            return sampled((1 - b * T * s) / (T * s + 1) ** 2)
+        case "tanks":
+            m = int(rng.integers(2, 4))
+            rates = power(-2.5, -1, m)
+            A = np.diag(rates[:-1] * rng.uniform(0.1, 0.9, m - 1), -1) - np.diag(rates)
+            return sampled(control.ss(A, np.diag(rates), np.eye(m), 0), 1.0)
+    m, states = int(rng.integers(1, 5)), int(rng.integers(1, 9))
+    A = rng.standard_normal((states, states))
+    A *= rng.uniform(0.5, 0.98) / np.abs(np.linalg.eigvals(A)).max()
+    B, C = rng.standard_normal((states, m)), rng.standard_normal((m, states))
+    # or no output is independent of the others
+    D = rng.standard_normal((m, m)) * (states < m)
+    if family == "badly scaled":
+        B = B * power(-4, 4, m)
+        C = power(-4, 4) * C
+        D = D * np.abs(C).max() * np.abs(B).max(axis=0)
+    return control.ss(A, B, C, D, Ts)
+
+
+def problem(number):
+    """Problem of that number, the same in every run."""
+    rng = np.random.default_rng([0, number])
+    family = FAMILIES[number % len(FAMILIES)]
+    order = int(rng.choice([1, 2, 3, 5, 10, 15, 20, 30, 40]))
+    model = plant_of(family, rng, order)
+    Ts = model.dt
+    n = int(rng.choice([100, 200, 400, 1000, 2000], p=[0.3, 0.3, 0.25, 0.1, 0.05]))
+    low = 10 ** rng.uniform(-4, -2)
+    spacing = np.geomspace if rng.random() < 0.7 else np.linspace
+    omega = spacing(low, np.pi, n) / Ts
+    cutoff = 10 ** rng.uniform(-1.5, -0.2) / Ts
+    Q = zero_phase_butterworth(int(rng.integers(1, 4)), cutoff, Ts)
+    P = frequency_response(model, omega)
+    band = (omega[0], max(omega[3], cutoff * 10 ** rng.uniform(-1.5, 0)))
+    at_cutoff = np.abs(omega - cutoff).argmin()
+    inverse = 1 / np.linalg.svd(P[at_cutoff], compute_uv=False)[[-1, -1, -1, 0, 0]]
+    bounds = [None, *(np.array([1e3, 10, 2.5, 2.5, 0.3]) * inverse).tolist()]
+    options = {
+        "order": min(order, n),
+        "band": band,
+        "L_max": bounds[rng.integers(6)],
+        "M_max": float(rng.choice([0.8, 0.9, 0.99])),
+        "structure": str(rng.choice(["diagonal", "full"])),
+        "objective": str(rng.choice(["sum", "peak"], p=[0.7, 0.3])),
+    }
+    plants = [P]
+    if number % 2:  # more than the nominal plant
+        rng = np.random.default_rng([0, number, 1])
+        kind = rng.choice(["plants", "norm", "plants and norm"])
+        size = rng.choice([0.01, 0.05, 0.2])
+        if "plants" in kind:
+            count = rng.integers(1, 6)
+            gains = 1 + size * rng.uniform(-1, 1, (count, *P.shape[1:]))
+            plants += [*(P * gain for gain in gains)]
+        if "norm" in kind:
+            radius = 0.5 * size * np.linalg.norm(P, 2, axis=(1, 2))
+            options["uncertainty"] = radius
+    return Problem(family, model, plants, Q, omega, options)
+
+
+def ending(solve, *arguments, **options):
+    """How a synthesis ends, its value or smallest M_max, and the seconds of the processor."""
+    start, value = time.process_time(), np.nan
+    try:
+        end, value = "certified", solve(*arguments, **options).value
+    except InfeasibleError as error:
+        end, value = "infeasible", error.smallest_M_max
+    except Exception as error:
+        end = f"{type(error).__name__}: {error}"
+    return end, value, time.process_time() - start
+
+
+def everywhere(p, flag):
+    """The problem of one plant as that of a model, with bounds at every frequency or not."""
+    options = p.options | {"everywhere": flag}
+    return certified(pose(p.model, p.Q, p.omega, **options), check=flag)
+
+
+def peak(p):
+    """The least possible peak of sigma_max(M), by CVXPY."""
+    options = p.options | {"objective": "peak", "M_max": 1 - 1e-9}
+    problem = pose(p.plants, p.Q, p.omega, p.model.dt, **options)
+    return certified(problem, solver="cvxpy", check=False)
+
+
+def outcome(number):
+    """How the problem ends; every fifth goes to CVXPY, too, if it is infeasible."""
+    p = problem(number)
+    with warnings.catch_warnings(action="ignore"):
+        arguments = p.plants, p.Q, p.omega, p.model.dt
+        end, value, seconds = ending(synthesise, *arguments, **p.options)
+        row = {"number": number, "family": p.family, "end": end, "value": value}
+        row["seconds"] = seconds
+        if end == "certified" and number % 2 == 0:
+            nominal, wide = (ending(everywhere, p, flag) for flag in (False, True))
+            row |= {"everywhere": wide[0], "ratio": wide[2] / nominal[2]}
+        if end == "infeasible" and number % 5 == 0:
+            row["confirmed"] = abs(ending(peak, p)[1] / value - 1) <= 1e-4
+    return row
+
+
+def main(chosen):
+    """Print what goes wrong, and the counts; of all problems they go to figures/performance.md."""
+    rows = pd.DataFrame(run(outcome, chosen or range(PROBLEMS)))
+    ends = rows.end.where(rows.end.isin(["certified", "infeasible"]), "failed")
+    if chosen:
+        return print(rows.to_string())
+    wrong = (ends == "failed") | (rows.confirmed == False)  # noqa: E712
+    wide, ratio = rows.everywhere.dropna(), rows.ratio.dropna()
+    named = rows[wrong | rows.index.isin(wide.index[wide != "certified"])]
+    print(named.to_string(), rows.nlargest(5, "ratio").to_string(), sep="\n\n")
+    counts, confirmed = ends.value_counts(), rows.confirmed.dropna().astype(bool)
+    certain, infeasible = ((wide == end).sum() for end in ("certified", "infeasible"))
+    text = f"""{len(rows)} problems: {counts["certified"]} end with a certified filter, \
+{counts["infeasible"]} are infeasible, {counts.get("failed", 0)} fail. CVXPY confirms the smallest \
+M_max of {confirmed.sum()} of the {len(confirmed)} infeasible ones that it was given. Time on one \
+core: median {rows.seconds.median():.1f} s, longest {rows.seconds.max():.0f} s.
+
+With `everywhere=True`, of the {len(wide)} that are certified and have one plant: {certain} end \
+with bounds at every frequency, {infeasible} are infeasible then, \
+{len(wide) - certain - infeasible} fail. It takes {ratio.median():.1f} times as long (median), for \
+{(ratio > 3).mean():.0%} more than three times, {ratio.max():.0f} times at most.
+"""
+    print(text)
+    publish("survey", text)
+    return counts.get("failed", 0) > 0
+
+
+if __name__ == "__main__":
+    sys.exit(main([int(number) for number in sys.argv[1:]]))

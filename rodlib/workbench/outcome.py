@@ -1,0 +1,100 @@
+"""From settings to their outcome: a filter with its certificate, or why there is none.
+
+Every design is solved from zero. A warm start would take half the time, but the optimum is flat:
+coefficients would differ in the third digit with the settings that came before.
+"""
+
+import math
+import warnings
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ilctools import InfeasibleError, Law, arguments, synthesise
+from ilctools.synthesis.result import SolverError, Synthesis
+from ilctools.trials.run import rms, run_trials
+from rodlib.workbench.plant import TRIALS, Plant
+from rodlib.workbench.settings import Settings
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What settings lead to: a design and its trials, or a message."""
+
+    settings: Settings | None  # None if there is not even a plant
+    design: Synthesis | None = None
+    rms: tuple[float, ...] = ()  # of the error by trial, all outputs, if simulated
+    message: str = ""  # why there is no filter, and the remedy
+    M_max: float | None = None  # the smallest feasible, if that is the remedy
+    warnings: tuple[str, ...] = ()  # of the trials
+
+    @property
+    def law(self) -> Law:
+        """The law of the trials."""
+        return self.design.law(rest=self.settings.plant.rest)
+
+    @property
+    def text(self) -> str:
+        """The certificate, with what speaks against measurement and trials; or the message."""
+        if self.design is None:
+            return self.message
+        measurement = getattr(self.settings.plant.response, "findings", ())
+        lines = [str(self.design.certificate)]
+        lines += [f"WARNING: the measurement: {text}" for text in measurement]
+        lines += [f"WARNING: the trials: {text}" for text in self.warnings]
+        return "\n".join(lines)
+
+
+def try_out(settings: Settings) -> Outcome:
+    """Design a filter, certify it and simulate ten trials.
+
+    The outcome does not depend on what was tried out before. Settings that lead to no filter are
+    not an error: the outcome's message says why.
+
+    See Also
+    --------
+    Settings : the knobs
+    plot : a picture of the outcome
+    open_workbench : by hand
+
+    Examples
+    --------
+    >>> from rodlib import Settings, paper_loop, try_out
+    >>> from rodlib.workbench.plant import Plant
+    >>> plant = Plant("rodlib.paper_loop()", paper_loop())
+    >>> outcome = try_out(Settings.of(plant, order=10, M_max=0.8))
+    >>> outcome.design.filter.order, len(outcome.rms)
+    (10, 10)
+    """
+    arguments.instance("settings", settings, Settings)
+    try:
+        plant = arguments.instance("plant", settings.plant, Plant)
+        noise_std = arguments.not_negative("noise", settings.noise, "zero or more")
+        with warnings.catch_warnings(action="ignore"):  # the certificate has them
+            design = synthesise(
+                plant.response, settings.Q, settings.omega, settings.Ts, **settings.problem
+            )
+    except InfeasibleError as error:
+        M_max = _rounded_up(error.smallest_M_max)
+        return Outcome(settings, message=str(error), M_max=M_max if M_max < 1 else None)
+    except (ValueError, SolverError) as error:
+        return Outcome(settings, message=str(error))
+    outcome = Outcome(settings, design)
+    if plant.loop.P is None:
+        return outcome
+    shape = TRIALS, *plant.reference.shape
+    noise = noise_std * np.random.default_rng(0).standard_normal(shape)
+    with warnings.catch_warnings(record=True, action="always") as record:
+        trials = run_trials(
+            plant.loop, outcome.law, plant.reference, plant.disturbance, TRIALS, noise=noise
+        )
+    return replace(
+        outcome,
+        rms=tuple(rms(trials.e).values.tolist()),
+        warnings=tuple(str(warning.message) for warning in record),
+    )
+
+
+def _rounded_up(smallest):
+    """The next M_max of three digits that leaves the solver some room."""
+    return math.ceil(1000 * smallest + 0.05) / 1000

@@ -1,0 +1,129 @@
+"""The settings of the workbench, and the Python that makes the same filter."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ilctools import arguments
+from ilctools.filters import ZeroPhaseButterworth, zero_phase_butterworth
+from ilctools.problem.pose import pose
+from ilctools.problem.problem import Problem
+from rodlib.workbench.plant import Plant
+
+FREQUENCIES = 200  # of the design; the paper has 1000
+LIVELY = 20  # order up to which a filter takes a second, with bounds at every frequency
+
+
+@dataclass(frozen=True)
+class Settings:
+    """A plant, and the position of every knob; :func:`rodlib.try_out` checks them.
+
+    See Also
+    --------
+    try_out : what they lead to
+
+    Examples
+    --------
+    >>> from rodlib import Settings, paper_loop
+    >>> from rodlib.workbench.plant import Plant
+    >>> settings = Settings.of(Plant("rodlib.paper_loop()", paper_loop()), M_max=0.8)
+    >>> settings.M_max, settings.cutoff
+    (0.8, 0.1)
+    """
+
+    plant: Plant
+    L_max: float  # bound on sigma_max(L)
+    cutoff: float  # of Q, rad/s
+    band: tuple[float, float]  # of the sum in (39), rad/s
+    order: int  # of the learning filter
+    M_max: float = Problem.M_max  # bound on sigma_max(M)
+    Q_order: int = 2
+    structure: str = Problem.structure  # "diagonal" or "full"
+    uncertainty: float = 0.0  # radius around P, in percent of ||P||
+    noise: float = 0.0  # std of white noise in each output, in its unit, in the trials
+
+    @classmethod
+    def of(cls, plant: Plant, **changes) -> "Settings":
+        """The defaults of the synthesis but for the plant's choices and `changes`."""
+        Ts = arguments.instance("plant", plant, Plant).loop.Ts
+        choices = plant.choices | changes
+        cutoff = choices.pop("cutoff", 0.1 / Ts)
+        cutoff = float(f"{arguments.positive('cutoff', cutoff):.3g}")
+        Q = zero_phase_butterworth(2, cutoff, Ts)
+        problem = pose(plant.response, Q, _omega(Ts), Ts)
+        low, high = problem.band
+        settings = cls(
+            plant,
+            L_max=problem.L_max,
+            cutoff=cutoff,
+            band=(low, float(f"{high:.3g}")),
+            order=min(problem.order, LIVELY),
+        )
+        return cls(**vars(settings) | choices)
+
+    @property
+    def Ts(self) -> float:
+        """Sampling period, s."""
+        return self.plant.loop.Ts
+
+    @property
+    def omega(self) -> np.ndarray:
+        """The design frequencies, rad/s."""
+        return _omega(self.Ts)
+
+    @property
+    def Q(self) -> ZeroPhaseButterworth:
+        """The Q-filter."""
+        arguments.whole("Q_order", self.Q_order, 1, 100)
+        return zero_phase_butterworth(self.Q_order, self.cutoff, self.Ts)
+
+    @property
+    def problem(self) -> dict:
+        """Further arguments of the synthesis, by keyword.
+
+        Between the frequencies nothing bounds an uncertain P, so there `everywhere` is left out.
+        """
+        problem = {
+            "order": self.order,
+            "M_max": self.M_max,
+            "L_max": self.L_max,
+            "band": tuple(arguments.array("band", self.band, (2,)).tolist()),
+            "structure": self.structure,
+        }
+        percent = arguments.not_negative("uncertainty", self.uncertainty, "zero or more (%)")
+        if percent and self.plant.measured:
+            raise ValueError(
+                f"uncertainty = {percent:g} % must be 0 for a measured response, which "
+                "has its own uncertainty"
+            )
+        if percent:
+            P = self.plant.frequency_response(self.omega)
+            problem["uncertainty"] = percent / 100 * np.linalg.norm(P, 2, axis=(1, 2))
+        elif not self.plant.measured:
+            problem["everywhere"] = True
+        return problem
+
+    @property
+    def python(self) -> str:
+        """The lines of Python that make the same filter, to the last digit, and its law."""
+        size = "np.linalg.norm(P.frequency_response(omega), 2, axis=(1, 2))"
+        problem = {name: repr(value) for name, value in self.problem.items()}
+        if "uncertainty" in problem:
+            problem["uncertainty"] = f"{self.uncertainty / 100!r} * {size}"
+        words = ", ".join(f"{name}={value}" for name, value in problem.items())
+        Ts, grid = repr(self.Ts), f"np.geomspace(1e-4, np.pi, {FREQUENCIES})"
+        Q = f"{self.Q_order}, {self.cutoff!r}, {Ts}"
+        return (
+            "import ilctools\n"
+            "import numpy as np\n"
+            "import rodlib\n\n"
+            f"P, omega = {self.plant.source}, {grid} / {Ts}\n"
+            f"Q = ilctools.zero_phase_butterworth({Q})\n"
+            f"design = ilctools.synthesise(P, Q, omega, {Ts}, {words})\n"
+            f"law = design.law(rest={self.plant.rest})\n"
+        )
+
+
+def _omega(Ts):
+    """The design frequencies, rad/s."""
+    return np.geomspace(1e-4, np.pi, FREQUENCIES) / Ts

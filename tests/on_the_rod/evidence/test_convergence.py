@@ -1,0 +1,96 @@
+"""The gamma of Lemma 1, for plants in whatever form they are known."""
+
+import numpy as np
+import pytest
+from plants import stage
+from scipy.integrate import quad
+
+from ilctools import (
+    LearningFilter,
+    convergence,
+    current_trial_loop,
+    rate,
+    synthesise,
+    zero_phase_butterworth,
+)
+from ilctools.alternatives import p_type
+from rodlib import paper_choices
+from rodlib.paper import published
+
+
+@pytest.fixture(scope="module")
+def printed():
+    return LearningFilter(published.matrix("L_diagonal"), 1.0)
+
+
+def matrices(P, q, L):
+    """M by the book."""
+    return q[:, None, None] * (np.eye(P.shape[-1]) - P @ L)
+
+
+def test_each_of_several_plants_in_any_form_has_the_rate_of_its_M(loop, Q, omega, printed):
+    P, q = loop.frequency_response(omega), Q.frequency_response(omega)
+    M = matrices(np.stack([P, P, 0.5 * P]), q, printed.frequency_response(omega))
+    sigma = np.linalg.norm(M, 2, axis=(2, 3))
+    several = convergence([loop, loop.P, 0.5 * P], Q, printed, omega)
+    np.testing.assert_allclose(several.sigma, sigma, rtol=1e-9)
+    radius = np.abs(np.linalg.eigvals(M)).max(axis=(1, 2))
+    np.testing.assert_allclose(several.spectral_radius, radius, rtol=1e-9)
+    gamma, where = rate(P, q, printed, omega)
+    assert gamma == pytest.approx(sigma[0].max(), rel=1e-9)
+    assert gamma.ndim == where.ndim == 0
+    assert where == omega[np.flatnonzero(sigma[0] > gamma * (1 - 1e-6))[0]]
+    stacked = rate(np.stack([P, 0.5 * P]), Q, printed, omega)
+    np.testing.assert_allclose(stacked.gamma, several.gamma[1:], rtol=1e-9)
+    np.testing.assert_array_equal(stacked.omega, several.at[1:])
+    assert rate([P], Q, printed, omega).gamma.shape == (1,)
+
+
+def test_any_plant_and_any_learning_operator_have_one():
+    loop = current_trial_loop(stage(), ["F"])
+    Q, L = zero_phase_butterworth(2, 0.1, loop.Ts), p_type(0.3, 2, 1, loop.Ts)
+    omega = np.linspace(0, np.pi / loop.Ts, 50)
+    responses = [x.frequency_response(omega) for x in (loop, Q, L)]
+    expected = np.abs(matrices(*responses)[:, 0, 0])
+    np.testing.assert_allclose(convergence(loop, Q, L, omega).sigma, expected)
+    for L, name in [
+        (p_type(0.3, 2, 1, loop.Ts / 2), r"P\.dt"),
+        (p_type(0.3, 2, 2, loop.Ts), "L acts on 2 channels"),
+    ]:
+        with pytest.raises(ValueError, match=name):
+            rate(loop, Q, L, omega)
+
+
+def test_the_mean_over_the_band_does_not_depend_on_the_grid(loop, Q, printed):
+    """Against adaptive quadrature; a kink between corners costs the square of their distance."""
+    band = (1e-4, 0.02)
+
+    def sigma(place):
+        return convergence(loop, Q, printed, [np.exp(place), 1.0]).sigma[0]
+
+    area, _ = quad(sigma, *np.log(band), epsabs=1e-6, limit=200)
+    exact = area / np.log(band[1] / band[0])
+    for grid in (np.geomspace(1e-4, np.pi, 100), np.linspace(0, np.pi, 20001)):
+        mean = convergence(loop, Q, printed, grid).mean(band)
+        assert mean == pytest.approx(exact, abs=1e-3)
+    fine = convergence(loop, Q, printed, np.geomspace(*band, 2001))
+    assert fine.mean() == pytest.approx(exact, abs=1e-6)
+    design = synthesise(loop, Q, np.geomspace(1e-4, np.pi, 100), **paper_choices())
+    mean = convergence(loop, Q, design.filter, np.geomspace(*band, 4001)).mean()
+    assert design.certificate.mean_M == pytest.approx(mean, abs=1e-3)
+    for wrong in [(0, 0.02), (0.02, 1e-4), (1e-5, 0.02)]:
+        with pytest.raises(ValueError, match="band = "):
+            fine.mean(wrong)
+
+
+@pytest.mark.parametrize("m", [1, 2, 3])
+def test_the_spectral_radius_is_that_of_numpys_eigenvalues(m):
+    rng = np.random.default_rng(m)
+    omega, P = np.linspace(0.1, 3, 30), rng.standard_normal((4, 30, m, m, 2)) @ [1, 1j]
+    L = LearningFilter(rng.standard_normal((m, m, 3)), 1.0)
+    q = rng.uniform(size=30)
+    M = matrices(P, q, L.frequency_response(omega))
+    expected = np.abs(np.linalg.eigvals(M)).max(axis=(1, 2))
+    result = convergence(P, q, L, omega)
+    np.testing.assert_allclose(result.spectral_radius, expected, rtol=1e-9)
+    assert np.all(result.spectral_radius <= result.gamma * (1 + 1e-12))

@@ -1,0 +1,93 @@
+"""What one trial with two ends does: operators, norms, and trials of the law."""
+
+import control
+import numpy as np
+import pytest
+
+from ilctools import (
+    Law,
+    LearningFilter,
+    run_trials,
+    trial_map,
+    trial_norm,
+    trial_operators,
+    zero_phase_butterworth,
+)
+from rodlib.case import assumed_reference
+from rodlib.paper import published
+
+
+@pytest.mark.parametrize("ends", ["zero", "hold", "hold-last"])
+def test_operators_are_what_the_trials_apply_and_their_adjoints(loop, ends):
+    x = np.random.default_rng(2).standard_normal((60, 2))
+    Q = zero_phase_butterworth(2, 0.1, 1.0, ends=ends)
+    L = LearningFilter(published.matrix("L_full"), 1.0, ends)
+    response = control.forced_response(loop.P, inputs=x.T).outputs.T
+    operators = trial_operators(loop.P, Q, L, 60)
+    for operator, expected in zip(operators, (response, Q.apply(x), L.apply(x)), strict=True):
+        np.testing.assert_allclose(operator @ x.ravel(), expected.ravel(), atol=1e-10)
+        matrix, adjoint = operator @ np.eye(120), operator.H @ np.eye(120)
+        np.testing.assert_allclose(matrix @ x.ravel(), expected.ravel(), atol=1e-10)
+        np.testing.assert_allclose(adjoint, matrix.T, atol=1e-11)
+
+
+@pytest.mark.parametrize(("trials", "rest"), [(1, 0), (3, 0), (2, 15)])
+def test_lanczos_finds_the_norm_of_the_matrix(loop, Q, trials, rest):
+    L = LearningFilter(published.matrix("L_diagonal"), 1.0, "hold")
+    matrix = trial_map(loop.P, Q, L, 120) @ np.eye(240)
+    matrix[240 - 2 * rest :] = 0
+    matrix[:, 240 - 2 * rest :] = 0
+    power = np.linalg.matrix_power(matrix, trials)
+    norm, before, after = trial_norm(loop.P, Q, L, 120, trials, rest)
+    assert norm == pytest.approx(np.linalg.norm(power, 2), rel=1e-6)
+    assert np.linalg.norm(before) == pytest.approx(1)
+    np.testing.assert_allclose(power @ before.ravel(), after.ravel(), atol=1e-11)
+
+
+def test_the_shortest_trial_has_a_norm():
+    P = control.ss(0.5 * np.eye(2), np.eye(2), np.eye(2), np.eye(2), 1.0)
+    L = LearningFilter(np.full((2, 2, 2), 0.2), 1.0)
+    Q = zero_phase_butterworth(2, 1.0, 1.0)
+    matrix = trial_map(P, Q, L, 1) @ np.eye(2)
+    norm, before, after = trial_norm(P, Q, L, 1)
+    assert norm == pytest.approx(np.linalg.norm(matrix, 2)) and norm > 0
+    assert before.shape == after.shape == (1, 2)
+    np.testing.assert_allclose(matrix @ before.ravel(), after.ravel(), atol=1e-14)
+
+
+def test_trials_move_by_the_trial_map(loop, Q):
+    """v_{k+1} - v_k obeys T as simulated by run_trials."""
+    L = LearningFilter(published.matrix("L_diagonal"), 1.0)
+    run = run_trials(loop, Law(Q, L), assumed_reference(300), None, 3)
+    first, second = np.diff(run.v.values, axis=0).reshape(2, -1)
+    T = trial_map(loop.P, Q, L, 300)
+    np.testing.assert_allclose(T @ first, second, atol=1e-9)
+
+
+def test_the_end_of_the_trial_breaks_the_norm_of_lemma_1_and_a_rest_does_not(loop, Q, omega):
+    """With one, it is at most that of Q (I - L P), by which v converges on the whole line."""
+    L = LearningFilter(published.matrix("L_diagonal"), 1.0)
+    norm, _, after = trial_norm(loop.P, Q, L, 400)
+    assert norm == pytest.approx(1.304, abs=1e-3)
+    assert (after[-40:] ** 2).sum() > 0.9 * norm**2
+    assert trial_norm(loop.P, Q, L, 400, trials=2)[0] < 1
+    PL = L.frequency_response(omega) @ loop.frequency_response(omega)
+    without_ends = Q.frequency_response(omega)[:, None, None] * (np.eye(2) - PL)
+    peak = np.linalg.norm(without_ends, 2, axis=(1, 2)).max()
+    assert peak == pytest.approx(0.9361, abs=1e-3)
+    assert 0.98 * peak < trial_norm(loop.P, Q, L, 400, rest=15)[0] < peak
+
+
+@pytest.mark.parametrize(
+    ("changes", "name"),
+    [
+        ({"P": control.ss(0.2, 0.8, 1, 0, True)}, "P.dt"),
+        ({"P": control.ss([], [], [], np.eye(2), 1.0)}, "P is 2 by 2"),
+        ({"rest": 9}, "rest"),
+    ],
+)
+def test_what_has_no_norm_is_refused(changes, name):
+    valid = {"P": control.ss(0.5, 1, 1, 0, 1.0), "Q": zero_phase_butterworth(2, 0.1, 1.0)}
+    valid |= {"L": LearningFilter(np.ones((1, 1, 3)), 1.0), "samples": 9}
+    with pytest.raises(ValueError, match=name):
+        trial_norm(**valid | changes)

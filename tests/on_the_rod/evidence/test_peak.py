@@ -1,0 +1,173 @@
+"""The peak over all frequencies, against exact fractions, closed forms and dense grids."""
+
+from fractions import Fraction
+
+import control
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from ilctools import LearningFilter, zero_phase_butterworth
+from ilctools.evidence.peak import _ceiling, _phase, error_model, learning_model, peak_gain
+from ilctools.models import frequency_response
+from ilctools.problem.problem import convergence_matrix, largest_singular_values
+from rodlib.paper import published
+
+orders = st.integers(1, 5)
+seeds = st.integers(0, 999)
+
+
+def random_system(seed, n, m, distance, scale=1.0):
+    """One with its largest pole at a distance from the unit circle."""
+    rng = np.random.default_rng(seed)
+    A = rng.standard_normal((n, n))
+    A *= (1 - distance) / np.abs(np.linalg.eigvals(A)).max()
+    B, C = scale * rng.standard_normal((n, m)), rng.standard_normal((m, n))
+    return control.ss(A, B, C, scale * np.eye(m), 1.0)
+
+
+@given(orders, st.integers(1, 3), st.sampled_from([1e-6, 1.0, 1e6]), seeds)
+def test_peak_gain_is_above_and_close_to_brute_force(n, m, scale, seed):
+    """In whatever units the states are."""
+    system = random_system(seed, n, m, 0.1, scale)
+    units = 10.0 ** np.random.default_rng(seed).uniform(-8, 8, n)
+    A, B, C = system.A * units / units[:, None], system.B / units[:, None], system.C
+    gain, place = peak_gain(control.ss(A, B, C * units, system.D, 1.0))
+    angles = np.append(np.linspace(0, np.pi, 4001), place)
+    sigma = largest_singular_values(frequency_response(system, angles))
+    assert sigma.max() <= gain * (1 + 1e-12)
+    assert gain <= sigma[-1] * (1 + 1.01e-8)
+
+
+@given(
+    st.sampled_from([1, 2, 3]), st.sampled_from([1e-2, 1e-4, 1e-8, 1e-10]), st.floats(0.02, 3.12)
+)
+def test_peak_gain_of_resonances_in_series_is_not_too_low(copies, distance, angle):
+    """1 / |z^2 + b z + c|^2 peaks at 1 / ((1 - c)^2 (1 - b^2 / 4c)): exact in fractions."""
+    b, c = -2 * (1 - distance) * np.cos(angle), (1 - distance) ** 2
+    one = control.ss([[-b, -c], [1, 0]], [[1], [0]], [[0, 1]], 0, 1.0)
+    system = one
+    for _ in range(copies - 1):
+        system = one * system
+    try:
+        gain, _ = peak_gain(system)
+    except (ValueError, RuntimeError) as error:  # rounding splits a multiple pole
+        assert copies > 1 and distance**copies < 1e-11
+        assert "pole of modulus" in str(error)
+        return
+    b, c = Fraction(b), Fraction(c)
+    inverse = ((1 - c) ** 2 * (1 - b**2 / (4 * c))) ** copies
+    ratio = Fraction(gain) ** 2 * inverse
+    assert ratio >= 1
+    if copies == 1:
+        assert ratio <= 1 + 2.1e-8 + 1e-13 / (distance * np.sin(angle) ** 2)
+
+
+def modulus_squared(polynomial, t):
+    """That of a polynomial, highest power first, at z = (1 + jt)^2 / (1 + t^2), in fractions."""
+    real, imag = (1 - t * t) / (1 + t * t), 2 * t / (1 + t * t)
+    x, y = Fraction(0), Fraction(0)
+    for coefficient in polynomial:
+        x, y = x * real - y * imag + Fraction(coefficient), x * imag + y * real
+    return x * x + y * y
+
+
+def exact_gain_squared(system, half_tangents):
+    """|G|^2 at z = (1 + jt)^2 / (1 + t^2) for fractions t, by Faddeev and LeVerrier's algorithm."""
+    exact = np.vectorize(Fraction, otypes=[object])
+    A, B, C, D = map(exact, (system.A, system.B, system.C, system.D))
+    identity = exact(np.eye(len(A), dtype=int))
+    denominator, numerator, X = [Fraction(1)], [D[0, 0]], identity
+    for k in range(1, len(A) + 1):
+        denominator.append(-(A @ X).trace() / k)
+        numerator.append((C @ X @ B)[0, 0] + D[0, 0] * denominator[-1])
+        X = A @ X + denominator[-1] * identity
+    return [modulus_squared(numerator, t) / modulus_squared(denominator, t) for t in half_tangents]
+
+
+@given(orders, st.sampled_from([1e-1, 1e-4, 1e-8]), seeds)
+def test_peak_gain_is_above_the_exact_gain_of_random_systems(n, distance, seed):
+    system = random_system(seed, n, 1, distance)
+    gain, place = peak_gain(system)
+    near = np.append(place, np.abs(np.angle(system.poles())))
+    angles = (near[:, None] + distance * np.linspace(-1, 1, 11) * 1e-3).ravel()
+    tangents = [Fraction(t) for t in np.tan(angles / 2)]
+    assert max(exact_gain_squared(system, tangents)) <= Fraction(gain) ** 2
+
+
+@given(st.integers(1, 8), st.sampled_from([1e-5, 1e-3, 0.1, 3]), st.floats(-0.99, 0.99), seeds)
+def test_the_peak_with_a_filter_is_above_exact_values(order, cutoff, pole, seed):
+    try:
+        Q = zero_phase_butterworth(order, cutoff, 1.0)
+    except ValueError:
+        assume(False)
+    system = control.ss(pole, 1, 1, 0.3, 1.0)
+    gain, place = peak_gain(system, Q, 1e-11)
+    angles = np.append(place, np.random.default_rng(seed).uniform(0, 3.1, 20))
+    tangents = [Fraction(t) for t in np.tan(angles / 2)]
+    for t, value in zip(tangents, exact_gain_squared(system, tangents), strict=True):
+        for section in Q.sections:
+            above, below = (modulus_squared(x, t) for x in np.split(section, 2))
+            value *= (above / below) ** 2
+        assert value <= Fraction(gain) ** 2
+
+
+@given(orders, st.sampled_from([0.5, 1e-3]), seeds)
+def test_the_phase_is_that_of_the_all_pass(n, distance, seed):
+    rng = np.random.default_rng(seed)
+    size, angle = 1 - distance * rng.uniform(size=n), rng.uniform(-np.pi, np.pi, n)
+    poles, theta = size * np.exp(1j * angle), np.sort(rng.uniform(0, np.pi, 9))
+    z = np.exp(1j * theta)[:, None]
+    all_pass = ((z - poles) / (1 - poles.conj() * z)).prod(axis=1)
+    phase = _phase(poles, theta)
+    turned = np.exp(1j * (phase - phase[0]))
+    np.testing.assert_allclose(turned, all_pass / all_pass[0], atol=1e-9)
+    assert np.all(np.diff(phase) > 0)
+
+
+@given(st.floats(-0.4, 1.9), st.floats(0.01, 1.57), st.sampled_from([1e-200, 1.0, 1e200]))
+def test_the_ceiling_is_the_crest_of_the_sinusoid_through_two_values(place, h, crest):
+    a, b = crest * np.cos(place), crest * np.cos(h - place)
+    assume(min(a, b) > 0)
+    expected = crest if 0 <= place <= h else max(a, b)
+    assert _ceiling(a, b, h) == pytest.approx(expected, rel=1e-9, abs=0)
+    assert _ceiling(a, b, np.pi / 2) == np.inf
+
+
+@pytest.mark.parametrize("gain", [1e-170, 1e170])
+def test_gains_whose_squares_leave_the_doubles_are_found(gain):
+    for m in (1, 3):
+        lag = control.ss(0.5 * np.eye(m), gain * np.eye(m), np.eye(m), 0, 1.0)
+        assert peak_gain(lag)[0] == pytest.approx(2 * gain, rel=2e-8, abs=0)
+
+
+def test_an_unstable_system_has_no_peak():
+    with pytest.raises(ValueError, match="unstable: it has a pole of modulus 1"):
+        peak_gain(control.ss(1.0, 1, 1, 0, 1.0))
+
+
+@pytest.mark.parametrize(("name", "order", "cutoff"), [
+    ("L_diagonal", 2, 0.5), ("L_full", 6, 0.02),
+])  # fmt: skip
+def test_models_have_the_singular_values_of_M_and_L_and_their_peaks(loop, name, order, cutoff):
+    """The poles of a Q of high order are all but one, twice over; the analytic Q does not care."""
+    L = LearningFilter(published.matrix(name), 1.0)
+    Q = zero_phase_butterworth(order, cutoff, 1.0)
+    model, taps = error_model(loop.P, L), learning_model(L)
+    (gain, place), (gain_L, place_L) = peak_gain(model, Q), peak_gain(taps)
+    dense = np.concatenate([np.geomspace(1e-5, 3.14, 20000), [place, place_L]])
+    response = L.frequency_response(dense)
+    sigma_L = largest_singular_values(response)
+    of_taps = largest_singular_values(frequency_response(taps, dense))
+    np.testing.assert_allclose(of_taps, sigma_L, rtol=1e-12)
+    assert 1 - 1e-13 <= gain_L / sigma_L.max() <= 1 + 1e-7
+    M = convergence_matrix(loop.frequency_response(dense), np.ones(20002), response)
+    sigma_M = largest_singular_values(M)
+    of_model = largest_singular_values(frequency_response(model, dense))
+    np.testing.assert_allclose(of_model, sigma_M, atol=1e-10)
+    peak = (Q.frequency_response(dense) * sigma_M).max()
+    assert 1 - 1e-11 <= gain / peak <= 1 + 1.1e-8 + 1e-12 / cutoff**2  # rounding
+    analytic = 1 / (1 + (np.tan(dense / 2) / np.tan(cutoff / 2)) ** (2 * order))
+    # the coefficients of Q are rounded
+    assert gain == pytest.approx((analytic * sigma_M).max(), rel=2e-6)

@@ -1,0 +1,130 @@
+"""The law in the metadata of a log, and in a file of its own."""
+
+import json
+
+import numpy as np
+import pytest
+
+from ilctools import (
+    Law,
+    LearningFilter,
+    NormOptimal,
+    law_of,
+    load_law,
+    load_log,
+    run_trials,
+    save_law,
+    save_log,
+    zero_phase_butterworth,
+)
+from ilctools.law.io import with_law
+from ilctools.loop.notes import LogError
+
+L = LearningFilter(np.random.default_rng(0).standard_normal((2, 2, 3)), 1.0, "hold")
+
+
+@pytest.fixture(scope="module")
+def trials(loop, Q):
+    return run_trials(loop, Law(Q, None), np.zeros((30, 2)), trials=2)
+
+
+def test_a_law_is_noted_and_read_to_the_last_digit(loop, Q, trials, tmp_path):
+    limits = {"Q1": (-1.0, 1 / 3, 0.5)}
+    law = Law(Q, L, rest=7, gain=1 / 3, limits=limits, loop=loop)
+    save_log(with_law(trials, law), tmp_path / "log.csv")
+    noted = law_of(load_log(tmp_path / "log.csv"))
+    assert (noted.Q, noted.rest, noted.gain, noted.limits) == (Q, 7, 1 / 3, limits)
+    np.testing.assert_array_equal(noted.L.coefficients, L.coefficients)
+    assert noted.L.ends == "hold" and noted.bound_to(loop) is noted
+
+    plain = with_law(trials, Law(Q, None))
+    assert plain.attrs.keys() == {"Ts", "Q", "L"}  # defaults are not written
+    assert law_of(plain).L is None and law_of(plain).loop is None
+    assert law_of(trials) is None
+    assert law_of(with_law(trials, Law(Q, L, rest=29))).rest == 29  # of 30
+    operator = NormOptimal(loop.P, 1.0, 30)  # has no coefficients to write
+    assert law_of(with_law(trials, Law(Q, operator))) is None
+
+
+@pytest.mark.parametrize(
+    "note",
+    [{"L": "{}"}, {"L": "0"}, {"L": '{"coefficients": 3}'}, {"L": "[" * 9999},
+     {"Q": "{}"}, {"rest": "30"}, {"rest": "-1"}, {"rest": "soon"}, {"step": "0"},
+     {"step": "1.1"}, {"step": "NaN"}, {"actuators": '{"Q9": [0, 1]}'},
+     {"actuators": '{"Q1": [1, 0]}'}],
+)  # fmt: skip
+def test_a_note_that_is_not_a_law_is_refused(loop, Q, trials, note):
+    log = with_law(trials, Law(Q, L, loop=loop)).assign_attrs(note)
+    with pytest.raises(LogError, match="law cannot be understood"):
+        law_of(log)
+
+
+def test_a_law_of_another_plant_is_refused(Q, trials):
+    wide = Law(Q, LearningFilter(np.ones((3, 3, 4)), 1.0))
+    with pytest.raises(LogError, match="channels"):
+        law_of(with_law(trials, wide))
+
+
+def test_a_file_holds_a_law_to_the_last_digit(tmp_path):
+    path, Ts, limits = tmp_path / "law.json", 1 / 7, {"ϑ": (0.0, 1 / 3)}
+    Q = zero_phase_butterworth(3, 1 / 3, Ts, ends="hold")
+    filter_ = LearningFilter(1e9 * L.coefficients, Ts, "hold")
+    save_law(path, Law(Q, filter_, rest=3, gain=0.1, limits=limits), note='ε\n"')
+    law = load_law(path)
+    np.testing.assert_array_equal(law.L.coefficients, filter_.coefficients)
+    assert (law.Q, law.L.Ts, law.L.ends) == (Q, Ts, "hold")
+    assert (law.rest, law.gain, law.limits) == (3, 0.1, limits)
+    assert json.loads(path.read_text(encoding="utf-8"))["note"] == 'ε\n"'
+
+
+def test_a_file_of_filters_alone_leaves_the_limits_to_the_rig(Q, tmp_path):
+    save_law(tmp_path / "law.json", Law(Q, L))
+    content = json.loads((tmp_path / "law.json").read_text())
+    assert content.keys() == {"format", "Ts", "Q", "L", "note", "sections"}
+    law = load_law(tmp_path / "law.json")
+    assert (law.rest, law.gain, law.limits) == (0, 1.0, None)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"format": "rodlib law 9"}, {"Ts": -1.0}, {"Ts": float("nan")}, {"L": None},
+     {"Q": {"order": 2}}, {"L": {"coefficients": [1.0], "ends": "zero"}}],
+)  # fmt: skip
+def test_a_file_that_is_not_a_law_is_refused(tmp_path, Q, change):
+    path = tmp_path / "law.json"
+    save_law(path, Law(Q, L))
+    text = json.dumps(json.loads(path.read_text()) | change)
+    for other in (text, "", "[]", '{"Ts": 1, "Ts": 2}', "[" * 9999):
+        path.write_text(other)
+        with pytest.raises(ValueError, match="path"):
+            load_law(path)
+
+
+def test_nothing_is_written_that_could_not_be_used(tmp_path, Q):
+    path = tmp_path / "law.json"
+    with pytest.raises(ValueError, match="L = None"):
+        save_law(path, Law(Q, None))
+    with pytest.raises(ValueError, match="note"):
+        save_law(path, Law(Q, L), note=3)
+    assert not path.exists()
+
+
+def test_only_a_law_is_replaced_by_a_law(tmp_path, Q):
+    path = tmp_path / "thesis.txt"
+    for content in (b"Chapter 1", b"\xff\xfe\x00", b"{}"):
+        path.write_bytes(content)
+        with pytest.raises(ValueError, match=r"thesis.txt' is a file that is no law"):
+            save_law(path, Law(Q, L))
+        with pytest.raises(ValueError, match=r"thesis.txt' is not a law of save_law"):
+            load_law(path)
+        assert path.read_bytes() == content
+    path.unlink()
+    for gain in (1.0, 0.5):
+        save_law(path, Law(Q, L, gain=gain))
+    assert load_law(path).gain == 0.5
+
+
+def test_a_file_that_is_not_there_is_no_law(tmp_path):
+    for path in (tmp_path, tmp_path / "none.json"):
+        with pytest.raises(ValueError, match=r"path = .* must be a file of save_law"):
+            load_law(path)

@@ -1,0 +1,359 @@
+"""The law without a reset against a plain loop over samples, its theorem, and what it refuses."""
+
+import warnings
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from plants import LOOPS, ModelRig, axes
+from scipy.signal import butter, freqz_sos
+
+from ilctools import (
+    ClosedLoop,
+    Law,
+    LearningFilter,
+    NormOptimal,
+    convergence,
+    load_log,
+    record,
+    replay,
+    run_trials,
+    save_log,
+    synthesise,
+    zero_phase_butterworth,
+)
+from ilctools.law.io import with_law
+from ilctools.law.repetitive import NEGLIGIBLE, finite_response
+from rodlib import paper_loop
+from rodlib.paper import published
+
+CUTOFFS = {"rod": 0.1, "stage": 200.0, "tanks": 0.15, "furnace": 0.1}
+ORDERS = {"stage": (20, 20.0), "tanks": (10, 5.0), "furnace": (16, 5.0)}  # and L_max
+
+
+@cache
+def law_for(name):
+    """A loop with a law whose rate below one is proven at every frequency; of the rod, printed."""
+    loop = LOOPS[name]() if name in LOOPS else paper_loop()
+    Q = zero_phase_butterworth(2, CUTOFFS[name], loop.Ts)
+    if name == "rod":
+        return loop, Law(Q, LearningFilter(published.matrix("L_diagonal"), 1.0))
+    order, L_max = ORDERS[name]
+    given = {"order": order, "M_max": 0.9, "L_max": L_max, "everywhere": True}
+    return loop, replace(synthesise(loop, Q, **given).law(), loop=None)
+
+
+def taps(Q, length):
+    """Impulse response of the zero-phase filter, by the integral over its frequency response."""
+    points = 2**16
+    omega = 2 * np.pi * np.arange(points // 2 + 1) / points
+    _, H = freqz_sos(butter(Q.order, Q.cutoff * Q.Ts / np.pi, output="sos"), omega)
+    h = np.fft.irfft(np.abs(H) ** 2)
+    return np.append(h[length:0:-1], h[: length + 1])
+
+
+def plain_loop(loop, law, r, d, noise, lowest=-np.inf, highest=np.inf):
+    """Period after period, sample by sample: v, u, y and e, each (time, m)."""
+    A, B, C, m = loop.plant.A, loop.plant.B, loop.plant.C, len(loop.outputs)
+    Bu, Bd = B[:, :m], B[:, m:]
+    c, a, period = law.L.coefficients, law.gain, len(r[0])
+    R = len(finite_response(law.Q)) // 2
+    h = taps(law.Q, R)
+    r, d, noise = (np.concatenate(signal) for signal in (r, d, noise))
+    x, x_hat, delta = np.zeros(len(A)), np.zeros(len(A)), np.zeros(m)
+    v, e, u, y = np.zeros((4, *r.shape))
+    corrected = np.zeros(r.shape)  # v + L e, as soon as it can be known
+    for t in range(len(r)):
+        if t >= period:
+            v[t] = (1 - a) * v[t - period]
+            assert t - period + R + law.L.order < t
+            low = max(0, t - period - R)
+            window = corrected[low : t - period + R + 1]
+            v[t] += a * h[len(h) - len(window) :] @ window
+        y[t] = C @ x
+        e[t] = r[t] - y[t] - noise[t]
+        u[t] = loop.N @ (r[t] + v[t]) - loop.Ks @ x_hat - delta
+        sent = np.clip(u[t], lowest, highest)
+        v[t] += np.linalg.solve(loop.N, sent - u[t])
+        estimate = y[t] + noise[t] - C @ x_hat
+        x_hat, delta = (
+            A @ x_hat + Bu @ (sent + delta) + loop.KL[:-m] @ estimate,
+            delta + loop.KL[-m:] @ estimate,
+        )
+        x = A @ x + Bu @ sent + Bd @ d[t]
+        s = t - law.L.order
+        if s >= 0:
+            ahead = e[s + 1 : t + 1]
+            corrected[s] = v[s] + np.einsum("ijk,kj->i", c, ahead)
+    return v, u, y + noise, e
+
+
+def signals(loop, period, trials, seed=0, size=0.01):
+    """A reference and a disturbance of that period that never rest, and noise."""
+    rng = np.random.default_rng(seed)
+    phase = 2 * np.pi * np.arange(period)[:, None] / period
+    m, sources = len(loop.outputs), len(loop.disturbances)
+    r = 2 + np.sin(phase + np.arange(m)) + 0.3 * np.sin(3 * phase + 1)
+    d = 0.2 * np.cos(2 * phase + np.arange(sources))
+    noise = size * rng.standard_normal((trials, period, m))
+    return np.tile(r, (trials, 1, 1)), np.tile(d, (trials, 1, 1)), noise
+
+
+def as_trials(signal, trials):
+    return signal.reshape(trials, -1, signal.shape[-1])
+
+
+@pytest.mark.parametrize("gain", [1.0, 0.6])
+@pytest.mark.parametrize("name", CUTOFFS)
+def test_v_of_periods_is_that_of_a_plain_loop(name, gain):
+    """In simulation, of signals that differ at every border, with noise."""
+    loop, law = law_for(name)
+    law = replace(law, gain=gain)
+    r, d, noise = signals(loop, 300, 3)
+    v, u, y, e = plain_loop(loop, law, r, d, noise)
+    run = run_trials(loop, law, r, d, 3, noise=noise, reset=False)
+    for signal, expected in (("v", v), ("u", u), ("y", y), ("e", e)):
+        bound = 1e-8 * np.abs(expected).max()
+        np.testing.assert_allclose(run[signal], as_trials(expected, 3), atol=bound)
+    # and what is done with a reset, or with filters that end at the border, is another thing
+    with warnings.catch_warnings(action="ignore"):  # that the reference starts away from rest
+        apart = run_trials(loop, law, r, d, 3, noise=noise)
+    assert np.abs(apart.v - run.v).max() > 1e-3 * np.abs(v).max()
+    ends = law.next(run.v[1].values, run.e[1].values)
+    assert np.abs(ends - run.v[2]).max() > 1e-3 * np.abs(v).max()
+
+
+@pytest.mark.parametrize("limited", [False, True])
+@pytest.mark.parametrize("name", CUTOFFS)
+def test_a_rig_that_never_rests_is_that_plain_loop_and_its_log_replays(name, limited, tmp_path):
+    loop, law = law_for(name)
+    r, d, noise = signals(loop, 300, 3, size=0.0)
+    largest = np.abs(plain_loop(loop, law, r, 0 * d, noise)[1]).max(axis=0)
+    low, high = -0.8 * largest, 0.8 * largest
+    limits = {n: (low[i], high[i]) for i, n in enumerate(loop.controls)} if limited else None
+    law = replace(law, limits=limits)
+    bounds = (low, high) if limited else ()
+    v, u, y, _ = plain_loop(loop, law, r, 0 * d, noise, *bounds)
+    rig = ModelRig(loop.plant)
+    given = {"trials": 3, "path": tmp_path / "log.csv", "reset": False}
+    with warnings.catch_warnings(action="ignore"):  # that commands are cut off
+        log = record(rig, loop, law, r[0], **given)
+    assert len(rig.sent) == 900 and rig.ends == 1
+    for signal, expected in (("u", u), ("y", y)):
+        bound = 1e-7 * np.abs(expected).max()
+        np.testing.assert_allclose(log[signal], as_trials(expected, 3), atol=bound)
+    with warnings.catch_warnings(action="ignore"):
+        again = replay(load_log(tmp_path / "log.csv"))
+    assert again.agreement == "the recorded v is that of the law in every trial"
+    assert again.departure.to_numpy().max() < 1e-8 * np.abs(v).max()
+    np.testing.assert_allclose(again.fit, 1, atol=1e-6)
+    np.testing.assert_allclose(again.simulated.v, log.v, atol=1e-7 * np.abs(v).max())
+    following = again.following
+    longer = plain_loop(loop, law, *(np.tile(s[:1], (4, 1, 1)) for s in (r, 0 * d, noise)), *bounds)
+    expected = (
+        longer[0] - np.linalg.solve(loop.N, (np.clip(longer[1], *bounds) - longer[1]).T).T
+        if (limited)
+        else longer[0]
+    )
+    expected = expected[900 : 900 + len(following)]
+    assert 0 < len(following) < 300
+    np.testing.assert_allclose(following, expected, atol=1e-7 * np.abs(v).max())
+    again.save_following(tmp_path / "next.csv")
+    changed = log.copy(deep=True)
+    changed.v[2, 290:] += 0.01 * np.abs(v).max()  # which the end of trial 3 must not be
+    assert "departs from the law from trial 3 on" in replay(changed).agreement
+
+
+@pytest.mark.parametrize("gain", [1.0, 0.6])
+@pytest.mark.parametrize("name", CUTOFFS)
+def test_error_is_within_the_bound_of_the_theorem_and_becomes_periodic(name, gain):
+    loop, law = law_for(name)
+    law, trials, period = replace(law, gain=gain), 100, 400
+    r, d, _ = signals(loop, period, trials, size=0.0)
+    e = run_trials(loop, law, r, d, trials, reset=False).e.values
+    free = run_trials(loop, Law(law.Q, None), r, d, trials, reset=False).e.values
+    grid = np.geomspace(1e-4, np.pi, 2000) / loop.Ts
+    gamma = convergence(loop, law.Q, law.L, grid).gamma
+    assert gamma < 1
+    if gain == 1:  # energy, to any time, with f by taps of Q that are not ours
+        e_0, everything = np.concatenate(free), np.concatenate(e)
+        R = len(finite_response(law.Q)) // 2
+        filtered = np.apply_along_axis(np.convolve, 0, e_0, taps(law.Q, R))[R : R + len(e_0)]
+        f = e_0.copy()
+        f[period:] -= filtered[:-period]
+        spent, given = (np.cumsum(np.sum(x**2, axis=1)) for x in (everything, f))
+        assert np.all(np.sqrt(spent) <= np.sqrt(given) / (1 - gamma) * (1 + 1e-4))
+    # the periodic motion: e = M e + (1 - Q) e_0 at every harmonic, Q = 1 at frequency zero
+    omega = 2 * np.pi * np.fft.rfftfreq(period, loop.Ts)
+    omega[0] = 1e-9 / loop.Ts
+    q = law.Q.frequency_response(omega)
+    P, L = loop.frequency_response(omega), law.L.frequency_response(omega)
+    M = q[:, None, None] * (np.eye(len(r[0, 0])) - P @ L)
+    left = (1 - q)[:, None] * np.fft.rfft(free[-1], axis=0)
+    E = np.linalg.solve(np.eye(len(r[0, 0])) - M, left[..., None])[..., 0]
+    expected = np.fft.irfft(E, period, axis=0)
+    slowest = 1 - gain + gain * gamma
+    settled = 3 * max(1e-5, slowest**trials) * np.abs(free[0]).max()
+    np.testing.assert_allclose(e[-1], expected, atol=settled)
+    rest = np.fft.irfft(left, period, axis=0)
+    assert np.linalg.norm(e[-1]) <= np.linalg.norm(rest) / (1 - gamma) + settled
+
+
+def test_any_start_and_any_first_signal_lead_to_the_same_motion():
+    loop, law = law_for("rod")
+    r, d, _ = signals(loop, 400, 40)
+    rng = np.random.default_rng(1)
+    x, v = rng.standard_normal(len(loop.plant.A)), rng.standard_normal((400, 2))
+    one, other = (
+        run_trials(loop, law, r, d, 40, reset=False, **given)
+        for given in ({}, {"initial_state": x, "v": v})
+    )
+    apart = np.abs(one.v - other.v).max(["time", "channel"]).values
+    assert apart[0] > 1 and apart[-1] < 1e-3 * apart[0]
+
+
+def test_what_is_cut_off_of_Q_is_negligible_and_no_more():
+    for cutoff in (0.02, 0.1, 1.0, 3.0):
+        for order in (1, 2, 5):
+            Q = zero_phase_butterworth(order, cutoff, 1.0)
+            h, omega = finite_response(Q), np.linspace(0, np.pi, 3000)
+            R = len(h) // 2
+            response = np.cos(np.outer(omega, np.arange(-R, R + 1))) @ h
+            off = np.abs(response - Q.frequency_response(omega)).max()
+            assert off <= NEGLIGIBLE * (1 + 1e-6)
+            whole = taps(Q, R + 1)
+            assert 2 * np.abs(taps(Q, R + 2000)[:2001]).sum() > NEGLIGIBLE or R == 0
+            np.testing.assert_allclose(h, whole[1:-1], atol=1e-12)
+
+
+def test_a_period_that_is_too_short_and_what_has_no_meaning_are_refused():
+    loop, law = law_for("rod")
+    needed = len(finite_response(law.Q)) // 2 + law.L.order + 1
+    for run in (
+        lambda law, r: run_trials(loop, law, r, None, 2, reset=False),
+        lambda law, r: record(ModelRig(loop.plant), loop, law, r, trials=2, reset=False),
+    ):
+        run(law, np.zeros((needed, 2)))
+        with pytest.raises(ValueError, match=f"{needed - 1} samples .* needs {needed} or more"):
+            run(law, np.zeros((needed - 1, 2)))
+        r = np.zeros((300, 2))
+        with pytest.raises(ValueError, match="rest = 5, but without reset"):
+            run(replace(law, rest=5), r)
+        run(Law(law.Q, None), r[:10])
+    with pytest.raises(ValueError, match="L = "):
+        optimal = Law(law.Q, NormOptimal(loop.P, 0.1, 300))
+        run_trials(loop, optimal, r, None, 2, reset=False)
+    with pytest.raises(ValueError, match="reset = False with pause = 3"):
+        record(ModelRig(loop.plant), loop, law, r, trials=2, pause=3, reset=False)
+
+    class Whole:
+        def run(self, w):
+            return w
+
+    with pytest.raises(ValueError, match="a rig that runs whole trials"):
+        record(Whole(), loop, law, r, trials=2, reset=False)
+
+
+def test_an_experiment_with_resets_does_not_go_on_without_and_learning_does(tmp_path):
+    """Begun once, in the first trial that is run; what was learned goes on from the log."""
+    loop, law = law_for("tanks")
+    r = signals(loop, 300, 1)[0][0]
+    begun = []
+
+    class Rig(ModelRig):
+        def begin(self, trial):
+            begun.append(trial)
+            self.x = 0 * self.x
+
+    path, given = tmp_path / "log.csv", {"reset": False, "path": tmp_path / "log.csv"}
+    record(Rig(loop.plant), loop, law, r, trials=2, **given)
+    with pytest.raises(ValueError, match="see its reset"):
+        record(Rig(loop.plant), loop, law, r, trials=3, path=path)
+    with warnings.catch_warnings(action="ignore"):  # a start is a disturbance
+        log = record(Rig(loop.plant), loop, law, r, trials=3, **given)
+        again = replay(log)
+    assert begun == [1, 3]
+    assert again.agreement == "the recorded v is that of the law in every trial"
+    assert np.abs(log.y[2, 0]).max() < 1e-12 < np.abs(log.y[1, 0]).max()
+    with warnings.catch_warnings(action="ignore"):  # that the reference starts away from rest
+        with_resets = record(Rig(loop.plant), loop, law, r, trials=2)
+    assert "reset" in log.attrs and "reset" not in with_resets.attrs
+
+
+def test_samples_are_due_by_one_clock_and_named_in_their_trial():
+    """What takes long between two trials makes the next sample late."""
+    loop, law = law_for("tanks")
+    r = signals(loop, 300, 1)[0][0]
+
+    class Rig(ModelRig):
+        time = 0.0
+        fails = np.inf
+
+        def clock(self):
+            return self.time
+
+        def read(self):
+            if len(self.sent) == self.fails:
+                raise OSError("the cable is out")
+            return super().read()
+
+        def apply(self, commands):
+            super().apply(commands)
+            self.time += loop.Ts + (0.5 * loop.Ts if len(self.sent) == 300 else 0)
+
+    with pytest.warns(UserWarning, match="trial 2: 300 samples were not on time"):
+        record(Rig(loop.plant), loop, law, r, trials=2, reset=False)
+    rig = Rig(loop.plant)
+    rig.fails = 590
+    with pytest.raises(OSError) as raised:
+        record(rig, loop, law, r, trials=2, reset=False)
+    assert "in trial 2, sample 291" in raised.value.__notes__
+
+
+@pytest.mark.parametrize("closed", [False, True])
+def test_slew_rates_hold_across_borders(closed):
+    """In simulation and on a rig with a controller of its own or with ours, alike."""
+    loop, law = law_for("rod")
+    if closed:
+        loop = ClosedLoop(axes())
+        law = Law(
+            zero_phase_butterworth(2, 3.0, 0.1), LearningFilter(0.5 * np.eye(2)[..., None], 0.1)
+        )
+    r = np.linspace(0, 3, 300)[:, None] * [1.0, 0.5]  # which falls back at every border
+    limits = {name: (-100.0, 100.0, 0.4) for name in loop.commands}
+    law = replace(law, limits=limits)
+    with warnings.catch_warnings(action="ignore"):
+        run = run_trials(loop, law, r, None, 3, reset=False)
+        log = record(
+            ModelRig(loop.P if closed else loop.plant), loop, law, r, trials=3, reset=False
+        )
+    u = (run.v + run.reference if closed else run.u).values.reshape(900, 2)
+    step = 0.4 * loop.Ts
+    applied = [u[0]]
+    for asked in u[1:]:
+        applied.append(np.clip(asked, applied[-1] - step, applied[-1] + step))
+    if closed:
+        y, x = [], np.zeros(2)
+        for w in applied:
+            y.append(loop.P.C @ x)
+            x = loop.P.A @ x + loop.P.B @ w
+        np.testing.assert_allclose(run.y.values.reshape(900, 2), y, atol=1e-9)
+    else:
+        np.testing.assert_allclose(run.applied.values.reshape(900, 2), applied, atol=1e-9)
+    assert np.abs(np.array(applied) - u).max() > step
+    np.testing.assert_allclose(run.y, log.y, atol=1e-8)
+    with warnings.catch_warnings(action="ignore"):
+        assert replay(log).departure.to_numpy().max() < 1e-6
+
+
+def test_trials_of_a_simulation_without_reset_are_saved_and_replayed(tmp_path):
+    loop, law = law_for("stage")
+    r, d, _ = signals(loop, 300, 4)
+    run = run_trials(loop, law, r, d, 4, reset=False)
+    save_log(with_law(run, law.bound_to(loop)), tmp_path / "log.csv")
+    again = replay(load_log(tmp_path / "log.csv"))
+    assert again.agreement == "the recorded v is that of the law in every trial"
+    assert not again.resets and again.warnings == ()
+    part = again.trials.isel(trial=[1, 2, 3])
+    assert replay(part).departure.isna().to_numpy().all()

@@ -1,0 +1,153 @@
+import re
+import tracemalloc
+
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ilctools import load_log, save_log
+from ilctools.loop.notes import LogError
+from rodlib.paper import ROOT
+
+SIGNALS = (
+    '{"outputs": {"depth": "mm"}, "controls": {"valve, left": "l/min"}, '
+    '"disturbances": {"rain": ""}}'
+)
+HEAD = f"# format: rodlib trial log 2\n# Ts: 1.0 s\n# signals: {SIGNALS}\n"
+COLUMNS = 'trial,time,reference_depth,v_depth,"u_valve, left",y_depth,disturbance_rain\n'
+ROWS = [f"{k},{p},1.0,0.5,{p}.25,0.75,2.0\n" for k in (1, 2, 3) for p in range(4)]
+GOOD = HEAD + COLUMNS + "".join(ROWS)
+
+
+def write(folder, text, **how):
+    path = folder / "log.csv"
+    path.write_text(text, newline="", **{"encoding": "utf-8"} | how)
+    return path
+
+
+@pytest.fixture
+def good(tmp_path):
+    return load_log(write(tmp_path, GOOD))
+
+
+def test_a_log_written_by_hand_is_read(good):
+    assert dict(good.sizes) == {"trial": 3, "time": 4, "channel": 1, "source": 1}
+    assert good.u[1, 2, 0] == 2.25 and good.e[0, 0, 0] == 0.25
+    assert good.u.attrs["units"] == "l/min" and good.e.attrs["units"] == "mm"
+    assert [*good.output.values, *good.control.values] == ["depth", "valve, left"]
+    assert [*good.source.values, *good.source_unit.values] == ["rain", ""]
+    assert "delta" not in good and good.attrs == {"Ts": 1.0}
+
+
+@settings(max_examples=40)
+@given(st.integers(0, len(GOOD) - 1), st.text(max_size=3), st.integers(0, 3))
+def test_a_log_with_an_accident_is_read_or_refused(tmp_path_factory, start, text, length):
+    """With a LogError of a few lines; what is read has finite values of one shape."""
+    broken = GOOD[:start] + text + GOOD[start + length :]
+    path = write(tmp_path_factory.mktemp("logs"), broken, errors="replace")
+    try:
+        trials = load_log(path)
+    except LogError as error:
+        assert len(str(error)) < 4000
+    else:
+        assert trials.y.size == trials.sizes["trial"] * trials.sizes["time"]
+        assert all(np.isfinite(trials[name]).all() for name in trials.data_vars)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (GOOD, "", "no line with the titles"),
+        ("log 2", "log 1", "format is 'rodlib trial log 1'"),
+        ("Ts: 1.0 s", "Ts: -1 s", "Ts = '-1 s'"),
+        ("# Ts", "# Ts: 2.0 s\n# Ts", "'Ts' stands twice, again in line 3"),
+        ('"depth": "mm"}', '"depth": "mm", "depth": "m"}', "twice"),
+        (",y_depth,", ",depth,", r"missing are \['y_depth'\] and unknown \['depth'\]"),
+        ('"mm"', "1", "unit of depth = 1"),
+        ('"outputs"', '"exits"', "a key of signals = 'exits'"),
+        ('"controls": {', '"controls": {"fan": "", ', "one control for each output"),
+        ("# signals: ", "# signals:" + "[" * 10000, "signals"),
+        ('"rain": ""', '"depth": "m"', "'depth' has two units"),
+        ("1.0,0.5", "1.0,x", r"v_depth: entry 'x' in row 5 .*12 such"),
+        ("\n1,2,1.0", "\n# note\n\n1,2", "row 9 has 6 entries, but must have 7"),
+        (ROWS[5], "", "row 10 is 2 s after"),
+        ('"mm"', '"m\x1b[2Jm"', r"is not text, it has '\\x1b'"),
+        ('"mm"', r'"m\u009b2Jm"', r"is not text, it has '\\\\u009'"),
+        ("# Ts", "# clock: \x08\n# Ts", r"is not text, it has '\\x08'"),
+    ],
+)
+def test_broken_logs_say_what_is_wrong(tmp_path, old, new, message):
+    with pytest.raises(LogError, match=f"log.csv: .*{message}") as error:
+        load_log(write(tmp_path, GOOD.replace(old, new)))
+    assert len(str(error.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "\N{BOM}" + GOOD,
+        GOOD.replace("\n", "\r\n"),
+        GOOD.replace("1.0,", '"1.0",'),
+        GOOD.replace("\n2,0", "\n# a comment\n\n  \n# another: one\n2,0"),
+        GOOD.removesuffix("\n"),
+        GOOD.replace("trial,time,", "trial, time, "),
+        re.sub(",([123]),1", r",\1e3,1", GOOD.replace("1.0 s", "1e3 ms")),
+        GOOD.replace(",2,1.0", ",2.0004,1.0"),  # as few digits leave of a step
+    ],
+)
+def test_what_means_the_same_is_read_alike(tmp_path, good, text):
+    trials = load_log(write(tmp_path, text))
+    xr.testing.assert_allclose(trials, good, atol=1e-3)
+    assert trials.attrs == {"Ts": 1.0}
+
+
+def test_notes_take_no_more_memory_than_a_few_times_their_length(tmp_path):
+    """5,000 of them, each as long as a law."""
+    note = "[" + ", ".join(["0.3333333333333333"] * 80) + "]"
+    notes = "".join(f"# law {k}: {note}\n" for k in range(5000))
+    path = write(tmp_path, GOOD.replace("# Ts", f"{notes}# Ts"))
+    tracemalloc.start()
+    trials = load_log(path)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert trials.attrs["law 4999"] == note
+    assert peak < 8 * path.stat().st_size
+
+
+def test_a_long_row_of_blanks_takes_no_longer_than_its_length(tmp_path, good):
+    """Whoever looks for the end of each of its parts does not come back from it."""
+    blanks = " " * 1_000_000
+    for text in (f"#{blanks}", f"#{blanks}:", f"# a: b{blanks}c"):
+        trials = load_log(write(tmp_path, GOOD.replace("# Ts", f"{text}\n# Ts")))
+        xr.testing.assert_equal(trials, good)
+
+
+def test_lost_rows_are_filled_in_on_request(tmp_path, good):
+    lost = GOOD
+    for k in (1, 5, 9):
+        lost = lost.replace(ROWS[k], "")
+    trials = load_log(write(tmp_path, lost), resample=True)
+    assert "resampled" in trials.attrs
+    np.testing.assert_array_equal(trials.y, good.y)
+    np.testing.assert_array_equal(trials.u[0, :, 0], [0.25, 0.25, 2.25, 3.25])
+
+
+def test_a_record_of_commands_and_outputs_needs_no_reference(tmp_path, good):
+    save_log(good.drop_vars(["reference", "v"]), tmp_path / "bare.csv")
+    trials = load_log(tmp_path / "bare.csv")
+    assert {*trials.data_vars} == {"u", "y", "disturbance"}
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(LogError, match=r"nowhere.csv: cannot be read"):
+        load_log(tmp_path / "nowhere.csv")
+    with pytest.raises(ValueError, match="path = 3"):
+        load_log(3)
+
+
+def test_the_example_in_the_readme_of_data_is_a_log(tmp_path):
+    text = (ROOT / "data" / "README.md").read_text(encoding="utf-8")
+    example = text.split("```text\n")[1].split("```")[0]
+    assert load_log(write(tmp_path, example)).y.values.ravel().tolist() == [98.2, 98.3]

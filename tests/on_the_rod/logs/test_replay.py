@@ -1,0 +1,280 @@
+"""A log is replayed with the law and the loop that it names; what it lacks is left out."""
+
+import json
+import re
+import warnings
+
+import control
+import numpy as np
+import pandas as pd
+import pytest
+from plants import LEVELS, PUMPS, bump, random_plant, stage, tanks
+
+from ilctools import (
+    Law,
+    LearningFilter,
+    current_trial_loop,
+    load_log,
+    replay,
+    run_trials,
+    save_log,
+    zero_phase_butterworth,
+)
+from ilctools.law.io import with_law
+from ilctools.logs.replay import rms_by_trial
+from ilctools.loop.notes import LogError
+from rodlib.paper import ROOT
+
+UNITS = dict.fromkeys([*PUMPS, "leak"], "ml/s") | dict.fromkeys(LEVELS, "cm")
+LOOPS = {
+    "stage": current_trial_loop(stage(), ["F"], {"x": 1.0, "F": 10.0}),
+    "tanks": current_trial_loop(tanks(), PUMPS, units=UNITS),
+    "feedthrough": current_trial_loop(random_plant(np.random.default_rng(3)), ["u1", "u2"]),
+}
+
+
+def law_for(loop, rest=0, gain=1.0, learning=0.5):
+    m = len(loop.outputs)
+    L = LearningFilter(np.eye(m)[..., None] * [0, 0, 0, 0, 0, learning], loop.Ts)
+    Q = zero_phase_butterworth(2, 0.06 / loop.Ts, loop.Ts)
+    return Law(Q, L, rest, gain, loop=loop)
+
+
+def trials_of(loop, law=None, trials=3, plant=None):
+    """A smooth reference; disturbances that differ from trial to trial."""
+    loop = LOOPS.get(loop, loop) if isinstance(loop, str) else loop
+    law, time = law or law_for(loop), np.arange(150)
+    m, d = len(loop.outputs), len(loop.disturbances)
+    r = bump(150, 1.0 + np.arange(m))
+    waves = np.multiply.outer(1.0 + np.arange(trials), np.sin(0.05 * time)) + 1
+    waves = np.repeat(waves[..., None], d, axis=2)
+    with warnings.catch_warnings(action="ignore"):  # not all of them converge
+        run = run_trials(loop, law, r, waves, trials, plant=plant)
+    return with_law(run, law)
+
+
+@pytest.mark.parametrize("name", LOOPS)
+def test_with_the_right_model_simulation_and_prediction_are_the_log(name, tmp_path):
+    run = trials_of(name, law_for(LOOPS[name], rest=20, gain=0.3))
+    save_log(run, tmp_path / "log.csv")
+    replayed = replay(load_log(tmp_path / "log.csv"))
+    y = run.y.values
+    atol = 1e-9 * np.abs(y).max()
+    np.testing.assert_allclose(replayed.simulated.y.values, y, rtol=0, atol=atol)
+    np.testing.assert_allclose(replayed.predicted, y, rtol=0, atol=atol)
+    np.testing.assert_allclose(replayed.fit, 1, atol=1e-8)
+    assert replayed.departure.to_numpy().max() < atol / 1000
+    assert replayed.agreement == "the recorded v is that of the law in every trial"
+    assert replayed.omissions == []
+    blind = replay(run.drop_vars(["disturbance", "source", "source_unit"]))
+    for other in (blind.simulated.y.values, blind.predicted):
+        assert np.abs(other - y).max() > 1e6 * atol
+
+
+def test_the_fit_measures_how_wrong_a_model_is():
+    plant = LOOPS["tanks"].plant
+    weak = control.ss(
+        plant.A, plant.B * [0.9, 0.9, 0.9, 1], plant.C, 0, plant.dt,
+        inputs=plant.input_labels, outputs=plant.output_labels,
+    )  # fmt: skip
+    replayed = replay(trials_of("tanks", plant=weak))
+    trial = replayed.trials.isel(trial=1)
+    inputs = np.hstack([trial.u, trial.disturbance])
+    y_hat = control.forced_response(plant, inputs=inputs.T).outputs.T
+    np.testing.assert_allclose(replayed.predicted[1], y_hat, atol=1e-10)
+    y = trial.y.values
+    expected = 1 - np.sqrt(np.mean((y - y_hat) ** 2, axis=0) / y.var(axis=0))
+    np.testing.assert_allclose(replayed.fit.loc[2], expected)
+    assert np.all((expected > 0.3) & (expected < 0.95))
+    still = replayed.trials.assign(y=0 * replayed.trials.y + 3.0)
+    assert replay(still).fit.isna().all(axis=None)
+
+
+def test_without_a_loop_the_law_is_checked_and_without_a_law_the_model():
+    trials = trials_of("tanks", law_for(LOOPS["tanks"], rest=15, gain=0.4))
+    law = {key: value for key, value in trials.attrs.items() if key != "loop"}
+    replayed = replay(trials.drop_attrs().assign_attrs(law))
+    missing = (replayed.loop, replayed.simulated, replayed.predicted, replayed.fit)
+    assert missing == (None,) * 4 and replayed.disturbance is None
+    assert replayed.agreement.endswith("in every trial")
+    last, whole = trials.isel(trial=-1), law_for(LOOPS["tanks"], rest=15, gain=0.4)
+    following = whole.next(last.v.values, last.e.values)
+    np.testing.assert_array_equal(replayed.following, following)
+    (reason,) = replayed.omissions
+    assert "loop" in reason and f"left out: {reason}" in repr(replayed)
+    del trials.attrs["L"]
+    replayed = replay(trials)
+    missing = replayed.departure, replayed.following, replayed.simulated
+    assert missing == (None,) * 3
+    assert replayed.fit is not None and replayed.warnings == ()
+    assert "the log does not name its law" in repr(replayed)
+    with pytest.raises(ValueError, match="does not name its law"):
+        replayed.save_following("next.csv")
+
+
+def test_disturbances_may_count_as_unmeasured_or_not_be_in_the_model():
+    trials = load_log(ROOT / "data" / "rig" / "learning.csv").isel(trial=slice(5))
+    partial = replay(trials, unmeasured=["theta_a"])
+    assert len(partial.omissions) == 1 and "theta_a" in partial.omissions[0]
+    simulation = partial.rms["RMS (K), simulation"]
+    assert simulation[5] == pytest.approx(1.04, abs=0.005)  # of notebook 5
+    replayed = replay(trials_of("stage").assign_coords(source=["draught"]))
+    assert not replayed.disturbance.any()
+    assert len(replayed.omissions) == 1 and "draught" in replayed.omissions[0]
+
+
+def test_trials_are_identified_by_their_numbers():
+    trials = trials_of("stage", trials=6)
+    shuffled = trials.sel(trial=[3, 1, 2, 6, 5, 4])
+    assert replay(shuffled).trials.identical(replay(trials).trials)
+    some, last = replay(trials.sel(trial=[5, 2, 3])), replay(trials.sel(trial=[4, 5]))
+    np.testing.assert_array_equal(some.following, last.following)
+    assert some.departure.x.isna().tolist() == [True, False, True]
+    assert "but in 2, 5, without a trial before" in some.agreement
+    assert some.simulated is None and some.predicted is not None
+    assert "simulation" in some.omissions[0] and "[2, 3, 5]" in some.omissions[0]
+
+
+def test_without_learning_v_is_zero():
+    law = Law(law_for(LOOPS["stage"]).Q, None, loop=LOOPS["stage"])
+    run = trials_of("stage", law)
+    assert replay(run).agreement.endswith("in every trial")
+    assert not replay(trials_of("stage", law, 5)).settling
+    assert not replay(run).following.any() and replay(run).error_by_octave(2) is None
+    run["v"][1, 5] = 1e-6
+    assert "departs from the law from trial 2 on, by 1.0" in replay(run).agreement
+
+
+@pytest.mark.parametrize("exponent", [-9, 9])
+@pytest.mark.parametrize(("trial", "channel"), [(1, 0), (3, 2)])
+def test_a_departure_from_the_law_is_found_in_any_unit(trial, channel, exponent):
+    run = trials_of("tanks")
+    for name in ("reference", "v", "u", "delta", "y", "e"):
+        run[name] = 10.0**exponent * run[name]
+    largest = np.abs(run.v.values[..., channel]).max()
+    assert np.all(replay(run).departure <= 1e-12 * 10.0**exponent)
+    run["v"][trial - 1, 70, channel] += 1e-3 * largest
+    text = replay(run).agreement
+    assert text.startswith(f"v departs from the law from trial {trial} on, by ")
+    assert text.endswith(f" cm in {LEVELS[channel]}")
+    amount = float(text.split("by ")[1].split()[0])
+    assert amount == pytest.approx(1e-3 * largest, rel=0.06)
+
+
+def test_an_unstable_plant_is_simulated_but_not_predicted():
+    plant = control.ss(1.2, 1.0, 1.0, 0, 0.1, inputs=["F"], outputs=["tilt"])
+    replayed = replay(trials_of(current_trial_loop(plant)))
+    assert replayed.predicted is replayed.fit is None
+    assert replayed.simulated is not None and "fit" not in repr(replayed)
+    assert replayed.omissions == ["prediction: without feedback the model is unstable"]
+
+
+def test_what_is_not_a_log_is_refused():
+    run = trials_of("stage")
+    for wrong, more, message in (
+        (run.drop_vars("v"), [], r"lack \['v'\]"),
+        (run.assign_attrs(loop="{}"), [], "loop"),
+        (run, "friction", "unmeasured"),
+    ):
+        with pytest.raises((ValueError, LogError), match=message):
+            replay(wrong, unmeasured=more)
+
+
+def test_the_error_by_octave_is_the_predicted_one_on_the_model(loop):
+    L = LearningFilter(np.eye(2)[..., None], 1.0)
+    law = Law(zero_phase_butterworth(2, 0.1, 1.0), L, gain=0.5, loop=loop)
+    run = with_law(run_trials(loop, law, bump(400, [4, 8]), None, 3), law)
+    for trial in (2, 3):
+        table = replay(run).error_by_octave(trial)
+        np.testing.assert_allclose(table.measured, table.predicted, rtol=1e-6)
+        after, before = (run.e.sel(trial=k).values for k in (trial, trial - 1))
+        ratio = np.linalg.norm(table.measured * table.before)
+        ratio /= np.linalg.norm(table.before)
+        assert ratio == pytest.approx(np.linalg.norm(after) / np.linalg.norm(before))
+        assert np.all(table.bound >= 0.5)
+    assert replay(run).error_by_octave(1) is replay(run).error_by_octave(4) is None
+    with warnings.catch_warnings(action="ignore"):
+        other = run.copy(deep=True)
+        other["reference"][2] *= 2
+        assert replay(other).error_by_octave(3) is None
+        del run.attrs["loop"]
+        assert replay(run).error_by_octave(2) is None
+
+
+def test_the_next_v_is_read_back_equal(tmp_path):
+    names, path = ['a, "b"', "# 2", "ϑ / K"], tmp_path / "next.csv"
+    trials = trials_of("tanks").assign_coords(output=("channel", names))
+    del trials.attrs["loop"]  # of the plant's former names
+    replayed = replay(trials)
+    replayed.save_following(path)
+    titles = [f"v_{name}" for name in names]
+    assert [*pd.read_csv(path, comment="#", nrows=0)] == ["time", *titles]
+    table = np.loadtxt(path, delimiter=",", skiprows=3)
+    expected = np.c_[trials.time, replayed.following]
+    np.testing.assert_array_equal(table, expected)
+    first, second = path.read_text(encoding="utf-8").splitlines()[:2]
+    assert "trial 4" in first
+    units = {"time": "s"} | dict.fromkeys(titles, "cm")
+    assert json.loads(second.removeprefix("# units: ")) == units
+
+
+def test_errors_are_summed_over_channels_of_one_unit():
+    e = trials_of("tanks").e.assign_coords(output_unit=("channel", ["cm", "", "cm"]))
+    table, squares = rms_by_trial(e), (e.values**2).mean(axis=1)
+    assert table.columns.tolist() == ["RMS of left, right (cm)", "RMS of middle"]
+    expected = np.c_[squares[:, [0, 2]].sum(1), squares[:, 1]]
+    np.testing.assert_allclose(table**2, expected)
+
+
+def test_a_replay_is_printed_in_lines_and_warns():
+    lines = repr(replay(trials_of("tanks"))).splitlines()
+    assert lines[0] == "3 trials of 150 samples, Ts = 2 s"
+    assert lines[1].endswith("in every trial") and "cm" in lines[3]
+    for k, line in enumerate(lines[5:8], 1):
+        number, log, simulation = line.split()
+        assert int(number) == k and log == simulation
+    assert "left 100 %" in lines[8] and 14 <= len(lines) <= 20
+    run = trials_of("tanks", law_for(LOOPS["tanks"], learning=-2.0), trials=6)
+    with pytest.warns(UserWarning, match="the error grows") as caught:
+        replayed = replay(run)
+    assert caught[0].filename == __file__ and len(caught) == 1
+    assert "WARNING: the error grows" in repr(replayed)
+    with warnings.catch_warnings(action="error"):
+        assert replay(run.isel(trial=[0, 2, 5])).warnings == ()
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.05])
+def test_it_says_by_which_trial_to_what_the_error_converged(noise):
+    """Of errors that fall by a half a trial, to what Q leaves; noise is added to them."""
+    run = trials_of("tanks", trials=16)
+    left = bump(150, [0.3, 0.0, 0.0])
+    e = left + 5 * left * 0.5 ** np.arange(16)[:, None, None]
+    e += noise * np.random.default_rng(0).standard_normal(e.shape)
+    run["e"] = (run.e.dims, e, run.e.attrs)
+    (line,) = replay_quietly(run).settling
+    level, share = (np.sqrt(np.mean(np.sum(left**2, axis=1)) + 3 * noise**2), 3**0.5 * noise)
+    number, rest, new = re.fullmatch(
+        r"RMS \(cm\): converged, by about trial (\d+), to (\S+), of which noise (\S+)", line
+    ).groups()
+    assert int(number) in (5, 6) and float(rest) == pytest.approx(level, rel=0.02)
+    assert float(new) == pytest.approx(share, rel=0.05, abs=0.01)
+    assert line in repr(replay_quietly(run))
+    (early,) = replay_quietly(run.isel(trial=slice(4))).settling
+    assert "not converged" in early
+    assert not replay_quietly(run.isel(trial=slice(3))).settling
+    other = run.reference * (1 + (run.trial == 3))
+    assert not replay_quietly(run.assign(reference=other)).settling
+
+
+def replay_quietly(trials):
+    with warnings.catch_warnings(action="ignore"):
+        return replay(trials)
+
+
+def test_the_bound_of_a_ratio_counts_what_Q_leaves():
+    """Where the error is what Q leaves, it stays: a bound below one would be no bound."""
+    law = law_for(LOOPS["stage"])
+    trials = with_law(run_trials(law.loop, law, bump(150, [1.0]), None, 12), law)
+    table = replay_quietly(trials).error_by_octave(12)
+    left = table[table.before > 0.01 * table.before.max()]
+    assert np.all(left.bound >= 0.98 * left.measured) and left.measured.max() > 0.95

@@ -1,0 +1,115 @@
+import control
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from plants import random_plant, tanks
+
+from ilctools import current_trial_loop
+from ilctools.models import frequency_response
+from rodlib import Rod, midr, paper_loop, sampled_response
+
+
+def simulated(loop, plant, w, d):
+    """The plant, (16) and (18) written down separately; signals in the loop's order."""
+    n, m = loop.plant.nstates, loop.plant.noutputs
+    A, B, C = loop.plant.A, loop.plant.B[:, :m], loop.plant.C
+    KL1, KL2 = loop.KL[:n], loop.KL[n:]
+    x, x_hat, delta = np.zeros(plant.nstates), np.zeros(n), np.zeros(m)
+    y = np.empty(w.shape)
+    for p in range(len(w)):
+        u = loop.N @ w[p] - loop.Ks @ x_hat - delta
+        inputs = np.concatenate([u, d[p]])
+        y[p] = plant.C @ x + plant.D @ inputs
+        innovation = y[p] - C @ x_hat
+        x = plant.A @ x + plant.B @ inputs
+        x_hat, delta = (A @ x_hat + B @ (u + delta) + KL1 @ innovation, delta + KL2 @ innovation)
+    return y
+
+
+def mixed(plant, rng):
+    """The same plant with its inputs and outputs in another order, and with some more of them."""
+    B = np.hstack([rng.standard_normal((plant.nstates, 1)), plant.B[:, ::-1]])
+    C = np.vstack([np.ones((1, plant.nstates)), plant.C[::-1]])
+    D = np.zeros((len(C), B.shape[1]))
+    D[1:, 1:] = plant.D[::-1, ::-1]
+    inputs = ["draught", *plant.input_labels[::-1]]
+    outputs = ["spare", *plant.output_labels[::-1]]
+    return control.ss(plant.A, B, C, D, plant.dt, inputs=inputs, outputs=outputs)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_the_controller_around_another_plant(seed):
+    """Of another order, with feedthrough, and with its signals in another order."""
+    rng = np.random.default_rng(seed)
+    loop = current_trial_loop(random_plant(rng), ["u1", "u2"])
+    design = loop.plant
+    D = 0.01 * rng.standard_normal(design.D.shape)
+    other = control.ss(
+        np.block([[0.99 * design.A, np.zeros((4, 1))], [np.ones((1, 4)), 0.3]]),
+        np.vstack([design.B, np.ones((1, 3))]), np.hstack([design.C, 0.01 * np.ones((2, 1))]),
+        D, 1.0, inputs=design.input_labels, outputs=design.output_labels,
+    )  # fmt: skip
+    try:
+        closed = loop.around(mixed(other, rng))
+    except ValueError as error:
+        assert "unstable" in str(error)
+        w, d = np.tile(rng.standard_normal(2), (3000, 1)), np.zeros((3000, 1))
+        y = simulated(loop, other, w, d)
+        assert np.abs(y[-100:] - w[-100:]).max() > 1e-6  # a stable one has settled
+        return
+    w, d = rng.standard_normal((40, 2)), rng.standard_normal((40, 1))
+    expected = simulated(loop, other, w, d)
+    response = control.forced_response(closed, inputs=np.hstack([w, d]).T).outputs.T
+    scale = np.abs(expected).max()
+    np.testing.assert_allclose(response, expected, rtol=0, atol=1e-9 * scale)
+    grid = np.append(0.0, np.geomspace(1e-3, np.pi, 20))
+    samples = frequency_response(other[:, ["u1", "u2"]], grid)
+    expected = frequency_response(closed[:, :2], grid)
+    scale = np.abs(expected).max()
+    for plant in (other, samples):
+        P = loop.frequency_response(grid, plant)
+        np.testing.assert_allclose(P, expected, rtol=0, atol=1e-9 * scale)
+
+
+@pytest.mark.parametrize("Ts", [1.0, 5.0])
+def test_P_is_the_response_of_the_whole_loop_in_which_the_observer_drops_out(Ts):
+    loop = paper_loop(Ts=Ts)
+    grid = np.append(0.0, np.geomspace(1e-4, np.pi / Ts, 50))
+    samples = frequency_response(loop.plant[:, loop.controls], grid)
+    P = loop.frequency_response(grid)
+    by_control = np.moveaxis(loop.P(np.exp(1j * grid * Ts)), 2, 0)
+    for same in (by_control, *(loop.frequency_response(grid, x) for x in (loop.plant, samples))):
+        np.testing.assert_allclose(same, P, rtol=0, atol=1e-9)
+
+
+def test_the_papers_controller_around_the_rod_itself(loop):
+    """Models of rising degree approach what the controller does with the equation (1)-(4)."""
+    grid = np.geomspace(1e-4, 1.0, 30)
+    controls = sampled_response(Rod(), grid, 1.0)[:, :, [0, 2]]
+    rod = loop.frequency_response(grid, plant=controls)
+    errors = []
+    for degree in (3, 6, 12):
+        model = control.sample_system(midr(Rod(), degree), 1.0, method="zoh")
+        errors.append(np.abs(loop.frequency_response(grid, plant=model) - rod).max())
+    assert errors[1] < errors[0] / 10 and errors[2] < errors[1] / 10
+    assert errors[2] < 1e-5
+    # The paper's model itself is good enough where the loop learns, and not beyond.
+    difference = np.abs(loop.frequency_response(grid) - rod).max(axis=(1, 2))
+    assert difference[grid < 0.01].max() < 0.01 < difference.max()
+
+
+SWAPPED = midr(Rod(sensors=(0.28, 0.12)))
+REFUSALS = [  # a plant, and what the error names
+    (midr(Rod()), "plant.dt = 0"),
+    (control.sample_system(midr(Rod()), 2.0), "plant.Ts = 2.0"),
+    (tanks(1.0), r"lacks \['Q1', 'Q3', 'y1', 'y2'\]"),
+    (np.ones((3, 2, 1)), "plant has shape"),
+    (control.sample_system(SWAPPED, 1.0), "plant makes the loop unstable"),
+]
+
+
+@pytest.mark.parametrize(("plant", "message"), REFUSALS)
+def test_other_plants_that_do_not_fit_are_refused(loop, plant, message):
+    with pytest.raises(ValueError, match=message):
+        loop.frequency_response([0.1, 0.2, 0.3], plant=plant)

@@ -1,0 +1,229 @@
+"""The gains of the loop: against python-control, the printed ones, and the plant in other units."""
+
+import control
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from plants import PUMPS, furnace, random_plant, stage, tanks
+from scipy.signal import ss2tf
+
+from ilctools import current_trial_loop
+from ilctools.models import frequency_response
+from rodlib.paper import published
+
+SIZES = {"x": 5.0, "F": 20.0}
+B = stage().B[:, :1]
+WEIGHTS = {  # of a loop, as the docstring has them
+    "the paper's": (None, {"Qs": 1, "Rs": 0.05, "Qo": np.diag([1, 1, 2]), "Ro": 1}),
+    "by sizes": (
+        SIZES,
+        {
+            "Qs": 1 / 25,
+            "Rs": 0.05 / 400,
+            "Qo": np.block([[400 * B @ B.T, np.zeros((2, 1))], [0, 0, 800]]),
+            "Ro": 25,
+        },
+    ),
+}
+
+
+@pytest.mark.parametrize("name", WEIGHTS)
+def test_gains_agree_with_python_control(name):
+    sizes, weights = WEIGHTS[name]
+    plant = stage()
+    A, C = plant.A, plant.C
+    Qs, Rs = weights["Qs"] * C.T @ C, weights["Rs"] * np.eye(1)
+    Qo, Ro = weights["Qo"], weights["Ro"] * np.eye(1)
+    Aa, Ca = np.block([[A, B], [0, 0, 1]]), np.hstack([C, [[0]]])
+    Ks, _, _ = control.dlqr(A, B, Qs, Rs)
+    KL, _, _ = control.dlqe(Aa, np.eye(3), Ca, Qo, Ro)
+    written = {"Qs": Qs, "Rs": Rs, "Qo": Qo, "Ro": Ro}
+    for loop in (
+        current_trial_loop(plant, ["F"], sizes),
+        current_trial_loop(plant, ["F"], **written),
+    ):
+        np.testing.assert_allclose(loop.Ks, Ks, rtol=1e-5)
+        np.testing.assert_allclose(loop.KL, KL, rtol=1e-5)
+
+
+def test_printed_gains_up_to_the_coordinates(loop):
+    assert np.abs(loop.N - published.matrix("N")).max() <= 0.5e-4
+    assert np.abs(loop.KL[10:] - published.matrix("K_L")[10:]).max() <= 0.5e-4
+    KL1 = loop.KL[:10]
+    products = {
+        "K_s K_s'": loop.Ks @ loop.Ks.T,
+        "K_L1' K_L1": KL1.T @ KL1,
+        "K_s K_L1": loop.Ks @ KL1,
+    }
+    claims = [c for c in published.claims().values() if c.key[:-5] in products]
+    assert len(claims) >= 9
+    for claim in claims:
+        i, j = (int(index) - 1 for index in claim.key[-4:-1].split(","))
+        value, tolerance = (float(part) for part in claim.criterion.split(" +- "))
+        assert abs(products[claim.key[:-5]][i, j] - value) <= tolerance
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_any_plant_gets_a_stable_loop_without_steady_state_error(seed):
+    loop = current_trial_loop(random_plant(np.random.default_rng(seed)), ["u1", "u2"])
+    assert np.abs(loop.closed.poles()).max() < 1
+    at_rest = frequency_response(loop.closed, [0.0])[0]
+    np.testing.assert_allclose(at_rest, np.eye(2, 3), atol=1e-6)
+    np.testing.assert_allclose(loop.frequency_response([0.0])[0], np.eye(2), atol=1e-6)
+
+
+def transfer(plant):
+    """The same plant as python-control's transfer function, by scipy."""
+    of_inputs = [ss2tf(plant.A, plant.B, plant.C, plant.D, j) for j in range(plant.ninputs)]
+    numerators = [[rows[i] for rows, _ in of_inputs] for i in range(plant.noutputs)]
+    denominators = [[row for _, row in of_inputs] for _ in range(plant.noutputs)]
+    return control.tf(
+        numerators, denominators, plant.dt,
+        inputs=plant.input_labels, outputs=plant.output_labels,
+    )  # fmt: skip
+
+
+def turned(plant):
+    """The same plant with its two states in other coordinates."""
+    T = np.array([[1.0, 3.0], [-20.0, 0.1]])
+    back = np.linalg.inv(T)
+    return control.ss(
+        T @ plant.A @ back, T @ plant.B, plant.C @ back, plant.D, plant.dt,
+        inputs=plant.input_labels, outputs=plant.output_labels,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("plant", "unit"),
+    [
+        (transfer(stage(length=1.0, force=1e3)), 1e-3),  # in m and kN
+        (turned(stage()), 1.0),
+    ],
+    ids=["units", "coordinates"],
+)
+def test_with_sizes_the_loop_depends_on_neither_units_nor_coordinates(plant, unit):
+    """Against the stage in mm and N: the same loop from w and friction to x, physically."""
+    sizes = {name: size * unit for name, size in SIZES.items()}
+    grid = np.append(0.0, np.geomspace(1e-2, np.pi / 1e-3, 40))
+    expected, response = (
+        frequency_response(loop.closed, grid)
+        for loop in (
+            current_trial_loop(stage(), ["F"], SIZES),
+            current_trial_loop(plant, ["F"], sizes),
+        )
+    )
+    scale = np.abs(expected).max(axis=0)
+    np.testing.assert_allclose(response / scale, expected / scale, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(("rates", "Ts"), [((1.0, 1.0, 1.0), 1e-3), ((500.0, 2000.0), 0.02)])
+def test_a_plant_may_be_slow_beside_its_sampling_period(rates, Ts):
+    """Of which the coefficients of a transfer function hold few digits."""
+    row = control.series(*(control.ss(-rate, rate, 1, 0) for rate in rates))
+    polynomials = np.prod([control.tf([rate], [1, rate]) for rate in rates])
+    loops = []
+    for model in (row, control.tf2ss(polynomials), polynomials):
+        model = control.sample_system(model, Ts, "zoh")
+        (u,), (y,) = model.input_labels, model.output_labels
+        loops.append(current_trial_loop(model, sizes={u: 10.0, y: 1.0}))
+    expected, canonical, transfer_function = (
+        loop.frequency_response(np.geomspace(0.01, 10, 5)) for loop in loops
+    )
+    np.testing.assert_allclose(canonical, expected, atol=1e-8)
+    np.testing.assert_allclose(transfer_function, expected, atol=1e-4)
+
+
+def test_names_and_units_are_those_of_the_plant():
+    order = ["pump B", "pump C", "pump A"]
+    loop = current_trial_loop(tanks(), order, units={"left": "cm", "pump A": "ml/s"})
+    assert (loop.controls, loop.disturbances) == (order, ["leak"])
+    assert loop.outputs == ["left", "middle", "right"]
+    assert loop.closed.input_labels == ["w1", "w2", "w3", "leak"]
+    silent = dict.fromkeys(["middle", "right", "pump B", "pump C", "leak"], "")
+    assert loop.units == silent | {"left": "cm", "pump A": "ml/s"}
+    square = current_trial_loop(tanks()[:, PUMPS])  # all inputs are controls
+    assert square.controls == PUMPS and not square.disturbances
+
+
+def test_a_transfer_function_is_realised_with_no_more_states_than_it_needs():
+    """Entry by entry the tanks would have 36."""
+    plant = tanks()
+    loop = current_trial_loop(transfer(plant), PUMPS[::-1])
+    assert loop.plant.nstates == plant.nstates
+    grid = np.geomspace(1e-3, np.pi, 20) / plant.dt
+    expected = frequency_response(plant[:, loop.plant.input_labels], grid)
+    response = frequency_response(loop.plant, grid)
+    # What rounding of the coefficients of a denominator does to it where it is least.
+    denominators = [a for row in transfer(plant).den_list for a in row]
+    z = np.exp(1j * grid * plant.dt)
+    lost = max(np.abs(a).sum() / np.abs(np.polyval(a, z)).min() for a in denominators)
+    atol = 100 * np.finfo(float).eps * lost * np.abs(expected).max()
+    np.testing.assert_allclose(response, expected, rtol=0, atol=atol)
+
+
+def test_a_long_delay_is_thirty_states_more():
+    loop = current_trial_loop(furnace(30), sizes={"valve": 0.1})
+    assert loop.plant.nstates == 31 and not np.any(loop.plant.D)
+    for samples in (29, 31):
+        assert np.abs(loop.around(furnace(samples)).poles()).max() < 0.97
+    with pytest.raises(ValueError, match="plant makes the loop unstable"):
+        loop.around(furnace(40))
+
+
+def lag(**system):
+    matrices = {"A": 0.5, "B": 1, "C": 1, "D": 0, "dt": 1.0} | system
+    return control.ss(*matrices.values())
+
+
+HELD = {"controls": PUMPS}
+REFUSALS = [  # a plant, arguments, and what the error names
+    (lag(dt=0), {}, "plant.dt = 0"),
+    (control.tf(1, [1, 0.5], True), {}, "plant.dt = True"),
+    (lag(D=1), {}, "plant.D"),
+    (lag(C=[[1.0], [1.0]]), {}, "1 inputs"),
+    (control.tf([1, 0, 0], [1, 0.5], 1.0), {}, "more zeros than poles"),
+    (control.ss(0.5, 1, 1, 0, 1.0, inputs="a", outputs="a"), {}, "a name of its own"),
+    (tanks(), {}, "4 inputs for 3 outputs"),
+    (tanks(), {"controls": ["leak"]}, "controls = "),
+    (tanks(), {"controls": [*PUMPS[:2], "pump D"]}, "controls = "),
+    (tanks(), HELD | {"sizes": {"leak": 1}}, "sizes is about"),
+    (tanks(), HELD | {"sizes": {"left": 0}}, r"sizes\['left'\] = 0"),
+    (tanks(), HELD | {"units": {"h1": "cm"}}, "units is about"),
+    (tanks(), HELD | {"units": {"left": 2}}, r"units\['left'\] = 2"),
+    (lag(), {"Rs": [[0.0]]}, "Rs must be symmetric and positive definite"),
+    (lag(), {"Qs": [[-1.0]]}, "Qs must be symmetric and positive semi"),
+    (lag(), {"Qo": np.eye(3)}, "Qo has shape"),
+    (lag(), {"Qo": [[1.0, 0.1], [0.0, 1.0]]}, "Qo must be symmetric"),
+    (lag(), {"Qo": np.zeros((2, 2))}, "Qo and Ro give a loop with a pole"),
+    (stage(), {"controls": ["F"], "Qs": np.diag([1e60, 1e-60])}, "Qs and Rs leave the Riccati"),
+    # The input that reaches the unstable mode is a disturbance.
+    (
+        control.ss(np.diag([0.5, 1.2]), np.eye(2), [[1.0, 1.0]], 0, 1.0),
+        {"controls": ["u[0]"]},
+        "mode at z = 1.2.* no control reaches",
+    ),
+    # A mode at 1, which rounding puts inside the unit circle.
+    (
+        lag(A=[[1.9, 1.0], [-0.9, 0.0]], B=[[1.0], [-1.0]], C=[[1.0, 0.0]]),
+        {},
+        "mode at z = 1 that no control reaches",
+    ),
+    (lag(A=[[0, 1.0], [0, 0.5]], B=[[0.0], [1.0]], C=[[-1.0, 1.0]]), {}, "zero at z = 1"),
+]
+
+
+@pytest.mark.parametrize(("plant", "asked", "message"), REFUSALS)
+def test_bad_plants_and_weights_are_refused(plant, asked, message):
+    with pytest.raises(ValueError, match=message):
+        current_trial_loop(plant, **asked)
+
+
+def test_what_is_only_nearly_wrong_is_not_refused(loop):
+    hidden = lag(A=[[0.5, 1], [0, 0.2]], B=[[-0.5], [0.25]], C=[[0, 1.0]])
+    assert current_trial_loop(hidden).plant.nstates == 2
+    slow = current_trial_loop(loop.plant, loop.controls, Qo=1e-12 * np.eye(12))
+    assert 0 < 1 - np.abs(slow.closed.poles()).max() < 1e-6
+    Rs = [[0.05, 1e-9], [0, 0.05]]  # symmetric up to rounding
+    skew = current_trial_loop(loop.plant, loop.controls, Rs=Rs)
+    np.testing.assert_allclose(skew.Ks, loop.Ks, atol=1e-5)

@@ -1,0 +1,296 @@
+"""A response from records as they come: against plants that are known, and what is refused."""
+
+import warnings
+
+import control
+import numpy as np
+import pytest
+from plants import PUMPS, tanks
+from regions import KINDS, answer, held_noise, resonance, response, several, single
+from scipy.signal import butter, lfilter
+
+from ilctools import (
+    ClosedLoop,
+    Law,
+    LearningFilter,
+    current_trial_loop,
+    load_log,
+    measured_response,
+    run_trials,
+    save_log,
+    synthesise,
+    zero_phase_butterworth,
+)
+from ilctools.law.io import NO_RESET, RESET
+from ilctools.models import frequency_response
+from rodlib import Settings, try_out
+from rodlib.workbench.plant import Plant
+
+
+def off(estimate, truth):
+    return np.linalg.norm(estimate.response - truth, 2, axis=(1, 2))
+
+
+@pytest.mark.parametrize("kind", ["steps, short", "learning", "steps, wrong start"])
+def test_the_truth_is_within_the_region(kind):
+    """A few; `make measure WHAT=regions` counts 200 of each kind."""
+    count = 0
+    for seed in range(4):
+        log, plants = KINDS[kind](np.random.default_rng([seed, 99]))
+        estimate = measured_response(log)
+        error = off(estimate, response(plants, estimate.omega))
+        count += np.all(error <= estimate.radius(0.99, jointly=True))
+    assert count >= 3
+
+
+@pytest.mark.parametrize("kind", ["steps", "steps, drift", "learning, 2 trials"])
+def test_the_last_digits_of_a_record_do_not_move_the_region(kind):
+    """By less than a thousandth: what the next processor rounds otherwise is no result."""
+    log, _ = KINDS[kind](np.random.default_rng([0, 99]))
+    here, there = (measured_response(one) for one in (log, log.assign(y=log.y * (1 + 1e-15))))
+    radius = here.radius(0.99, jointly=True)
+    np.testing.assert_allclose(there.radius(0.99, jointly=True), radius, rtol=1e-3)
+    assert np.all(off(there, here.response) < 1e-3 * radius)
+
+
+LOOPS = {
+    "tanks": lambda: current_trial_loop(tanks(), PUMPS),
+    "not ours": lambda: ClosedLoop(control.tf([0.2, 0.1], [1, -1.2, 0.5], 0.1, outputs=["y"])),
+}
+
+
+@pytest.mark.parametrize("name", LOOPS)
+def test_trials_under_learning_give_P(name, tmp_path):
+    """From noise in the sensors and a rich reference; also without what repeats in all trials."""
+    loop, trials, samples = LOOPS[name](), 4, 240
+    rng, m = np.random.default_rng(0), len(loop.outputs)
+    L = LearningFilter(np.eye(m)[..., None] * [0, 0, 0, 0, 0.3], loop.Ts)
+    r = np.repeat(rng.standard_normal((samples // 4, m)), 4, axis=0) * 0.3
+    noise = 1e-3 * rng.standard_normal((trials, samples, m))
+    if name == "not ours":
+        noise += np.cumsum(rng.standard_normal((samples, m)), axis=0)
+    law = Law(zero_phase_butterworth(2, 0.5 / loop.Ts, loop.Ts), L)
+    with warnings.catch_warnings(action="ignore"):  # not all of them converge
+        save_log(run_trials(loop, law, r, None, trials, noise=noise), tmp_path / "log")
+    estimate = measured_response(load_log(tmp_path / "log"))
+    truth = loop.frequency_response(estimate.omega)
+    assert estimate.loop.outputs == loop.outputs
+    assert np.all(off(estimate, truth) <= estimate.radius(0.99, jointly=True))
+    assert estimate.known.mean() > 0.5
+    size = np.linalg.norm(truth, 2, (1, 2)).max()
+    assert np.median(estimate.radius()[estimate.known]) < 0.2 * size
+
+
+def test_a_filter_is_designed_for_it_and_keeps_its_promise():
+    plant = control.tf([0.1], [1, -0.9], 1.0)
+    rng = np.random.default_rng(1)
+    u = np.repeat(rng.standard_normal(100), 4)
+    y = control.forced_response(plant, U=u).outputs + 0.01 * rng.standard_normal(400)
+    estimate = measured_response(single(u, y))
+    omega, Q = np.geomspace(1e-2, np.pi, 80), zero_phase_butterworth(2, 0.1, 1.0)
+    design = synthesise(estimate, Q, omega, order=10, L_max=20.0, band=(0.01, 0.1))
+    assert design.check(plant).gamma <= 0.9
+    assumptions = "".join(design.certificate.assumptions)
+    assert "the plant is linear" in assumptions
+    assert try_out(Settings.of(Plant("", estimate))).text
+
+
+def test_frequencies_without_power_are_not_identified():
+    """An input that moves slowly says nothing of high frequencies, where noise is."""
+    rng, N = np.random.default_rng(0), 300
+    u = np.sin(2 * np.pi * np.arange(N) / 100) + np.sin(2 * np.pi * np.arange(N) / 33)
+    plant = control.tf([0.3], [1, -0.7], 1.0)
+    y = control.forced_response(plant, U=u).outputs + 0.05 * rng.standard_normal(N)
+    estimate = measured_response(single(u, y))
+    unknown = ~estimate.known
+    assert unknown[estimate.omega > 2].all() and not unknown.all()
+    size = np.linalg.norm(estimate.response, 2, axis=(1, 2))
+    assert np.all(estimate.radius()[unknown] > size[unknown])
+    assert "too little power" in repr(estimate)
+    truth = frequency_response(control.ss(plant), estimate.omega)
+    assert np.all(off(estimate, truth) <= estimate.radius(0.99))
+
+
+def test_trials_may_start_apart():
+    """As far as the moves of the inputs go: the region holds, and nothing is said."""
+    rng, plant = np.random.default_rng(0), control.ss(control.tf([0.1], [1, -0.9], 1.0))
+    u, starts = rng.standard_normal((6, 200)), 3 * np.arange(6)
+    pairs = zip(u, starts, strict=True)
+    y = [control.forced_response(plant, U=row, X0=start).outputs for row, start in pairs]
+    y = np.array(y) + 0.01 * rng.standard_normal((6, 200))
+    estimate = measured_response(several(u[..., None], y[..., None]))
+    truth = frequency_response(plant, estimate.omega)
+    assert np.all(off(estimate, truth) <= estimate.radius(0.99, jointly=True))
+    assert not estimate.findings and np.median(estimate.radius()) < 0.05
+
+
+def test_a_resonance_that_was_hardly_excited_is_not_identified():
+    """Learned up to a quarter of the Nyquist frequency, with one at four fifths of it."""
+    rng, lag, N = np.random.default_rng(0), np.exp(-0.05), 400
+    pole = np.exp(2.5 * (-0.02 + 1j))
+    ring, slow = np.poly([pole, pole.conj()]).real, ([0, 1 - lag], [1, -lag])
+    low = lfilter(*butter(4, 0.25), rng.standard_normal((20, N)), axis=1)
+    y = lfilter(*slow, low) + lfilter([0, 0.05], ring, low)
+    y += 0.03 * rng.standard_normal((20, N))
+    estimate = measured_response(several(low[..., None], y[..., None]))
+    near = np.abs(estimate.omega - 2.5) < 0.2
+    assert not estimate.known[near].any() and estimate.known.any()
+
+
+def test_several_records_tell_more_than_one():
+    """Of different lengths, with unknown starts: less radius than from the longest alone."""
+    rng = np.random.default_rng(5)
+    plant, logs = resonance(rng), []
+    for N in (300, 100, 200):
+        u = held_noise(rng, N)
+        logs.append(single(u, answer(plant, u, rng, 0.3) + 0.03 * rng.standard_normal(N)))
+    alone, together = measured_response(logs[0]), measured_response(logs)
+    truth = response([[plant]], together.omega)
+    assert np.all(off(together, truth) <= together.radius(0.99, jointly=True))
+    assert np.median(together.radius() / alone.radius()) < 0.9
+    assert "one trial of 300 samples and one trial of 100 samples" in repr(together)
+    slower = logs[1].assign_attrs(Ts=2.0).assign_coords(time=2.0 * logs[1].time)
+    with pytest.raises(ValueError, match=r"Ts"):
+        measured_response([logs[0], slower])
+    agreement = measured_response(logs[:2]).check(logs[2])
+    assert agreement.fit.item() > 0.8 and agreement.inside == 1
+    other = resonance(np.random.default_rng(9))
+    u = held_noise(rng, 300)
+    strange = alone.check(single(u, answer(other, u, rng)))
+    assert strange.fit.item() < 0.6 and strange.inside < 0.9
+
+
+def test_a_second_log_never_makes_it_worse():
+    """Of trials that hardly differ, by which a regression on differences alone is lost."""
+    log, plants = KINDS["the same step twice"](np.random.default_rng(3))
+    both, one = measured_response(log), measured_response(log.isel(trial=[0]))
+    assert np.all(off(both, response(plants, both.omega)) <= both.radius(0.99, jointly=True))
+    assert np.median(both.radius() / one.radius()) < 1.1
+
+
+def test_a_step_in_the_first_row_and_a_known_disturbance():
+    rng, plant = np.random.default_rng(2), control.tf([0.1], [1, -0.9], 1.0)
+    u, d = np.repeat([1.0, 0.3, 0.7], 60), 2 * rng.standard_normal(180)
+    quiet = control.forced_response(plant, U=u).outputs + 0.01 * rng.standard_normal(180)
+    estimate = measured_response(single(u, quiet))
+    truth = frequency_response(control.ss(plant), estimate.omega)
+    assert np.all(off(estimate, truth) <= estimate.radius(0.99, jointly=True))
+    log = single(u, quiet + control.forced_response(plant, U=d).outputs)
+    told = log.assign(disturbance=(("trial", "time", "source"), d[None, :, None]))
+    with_it, without = (measured_response(one).radius() for one in (told, log))
+    assert np.median(with_it) < 0.3 * np.median(without)
+
+
+def test_in_a_loop_the_commands_follow_the_noise():
+    log, plants, of = KINDS["feedback, coloured noise"](np.random.default_rng(1))
+    estimate = measured_response(log, of)
+    truth = response(plants, estimate.omega)
+    assert np.all(off(estimate, truth) <= estimate.radius(0.99, jointly=True))
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        ("three trials saturate", "large inputs|trial 1"),
+        ("quadratic", "large inputs"),
+        ("gain drifts by 20 %", "the (first|last) quarter of trial 1"),
+    ],
+)
+def test_what_is_not_one_linear_plant_is_said(kind, words):
+    log, _ = KINDS[kind](np.random.default_rng(1))
+    with pytest.warns(UserWarning, match=f"y0 is not that of one linear plant: .*{words}"):
+        estimate = measured_response(log)
+    assert estimate.apart > 0.01 and estimate.findings[0] in str(estimate)
+
+
+def test_identified_is_said_as_intervals():
+    for seed in range(3):
+        log, _ = KINDS["steps, short"](np.random.default_rng(seed))
+        known = measured_response(log).known
+        assert np.count_nonzero(np.diff(known.astype(int))) <= 4
+
+
+def test_a_resonance_that_rings_on_beyond_the_record_is_estimated():
+    """It falls by e in 83 of 100 samples."""
+    rng = np.random.default_rng(3)
+    pole = np.exp(0.3 * (-0.04 + 1j))
+    a = np.poly([pole, pole.conj()]).real
+    u = np.repeat(rng.standard_normal(34), 3)[:100]
+    y = lfilter([0, a.sum()], a, u) + 0.03 * rng.standard_normal(100)
+    estimate = measured_response(single(u, y))
+    truth = response([[([0, a.sum()], a)]], estimate.omega)
+    assert np.all(off(estimate, truth) <= estimate.radius(0.99, jointly=True))
+    assert np.median(estimate.radius()) < 0.1
+
+
+@pytest.mark.parametrize(("delay", "N"), [(41, 400), (220, 2000)])
+def test_a_long_delay_is_found(delay, N):
+    """Whether noise or a few steps move the input; without a delay the region misses P widely."""
+    rng, plant = (np.random.default_rng(5), (np.append(np.zeros(delay + 1), 0.05), [1, -0.95]))
+    steps = np.select([np.arange(N) < 0.1 * N, np.arange(N) < 0.5 * N], [0.0, 1.0], -0.5)
+    for u in (steps, np.repeat(rng.standard_normal(N // 4), 4)):
+        y = lfilter(*plant, u) + 0.02 * rng.standard_normal(N)
+        estimate = measured_response(single(u, y))
+        truth = response([[plant]], estimate.omega)
+        assert np.all(off(estimate, truth) <= estimate.radius(0.99, jointly=True))
+        assert np.median(estimate.radius()[estimate.known]) < 0.1
+
+
+def test_trials_that_begin_with_v_are_estimated_from_the_rest_before_them():
+    """With a delay, v begins where the reference does not yet move: a step in the first sample."""
+    P = control.ss(control.tf([0.06], [1, -0.94], 1.0) * control.tf([1], [1, *[0] * 40], 1.0))
+    t, rng = np.arange(400), np.random.default_rng(0)
+    r = 5 * np.sin(np.pi * np.minimum(t / 280, 1)) ** 2
+    v = np.array([0, 0.8, 1.2, 1.25])[:, None] * np.roll(r, -41) * (t < 330)
+    y = [control.forced_response(P, t, r + row).outputs for row in v]
+    y = np.array(y) + 0.01 * rng.standard_normal(v.shape)
+    log = several(np.tile(r, (4, 1))[..., None], y[..., None], "w")
+    estimate = measured_response(log.assign(v=(log.v.dims, v[..., None])))
+    truth = frequency_response(P, estimate.omega)
+    assert np.all(off(estimate, truth) <= estimate.radius(0.99, jointly=True))
+    assert np.median(estimate.radius()[estimate.known]) < 0.05
+
+
+def test_trials_without_reset_are_one_record():
+    rng = np.random.default_rng(0)
+    w = np.repeat(rng.standard_normal(200), 3)
+    y = lfilter([0, 0.2], [1, -0.8], w) + 0.02 * rng.standard_normal(600)
+    logs = [several(*(x.reshape(-1, N, 1) for x in (w, y)), "w") for N in (600, 150)]
+    logs[1].attrs[RESET] = NO_RESET
+    one, four = map(measured_response, logs)
+    np.testing.assert_array_equal(four.response, one.response)
+
+
+def test_what_integrates_is_warned_of_and_what_diverges_is_refused():
+    rng = np.random.default_rng(0)
+    u, noise = np.repeat(rng.standard_normal(67), 3)[:200], rng.standard_normal(200)
+    for pole in (1.0, 1.05):
+        y = lfilter([0, 0.1], [1, -pole], u)
+        log = single(u, y + 0.1 * y.std() * noise)
+        if pole > 1:
+            with pytest.raises(ValueError, match="y0 does not settle"):
+                measured_response(log)
+            continue
+        with pytest.warns(UserWarning, match="y0 may not settle"):
+            estimate = measured_response(log)
+        truth = response([[([0, 0.1], [1, -pole])]], estimate.omega)
+        assert np.all(off(estimate, truth) <= estimate.radius(0.99, jointly=True))
+
+
+def test_records_without_enough_excitation_are_refused():
+    rng, N = np.random.default_rng(0), 120
+    u, noise = rng.standard_normal((2, N)), 0.01 * rng.standard_normal((2, N))
+    whole = single(u, u + noise)
+    for log, of, message in (
+        (single(u * [[1], [0]], u), None, "u1 never moved"),
+        (single(u, u * [[0], [1]]), None, "y0 never moved"),
+        (single(u[:, :9], u[:, :9]), None, "9 samples"),
+        (single(u[[0, 0]], u + noise), None, "moved alike"),
+        (whole, "w", "reference"),
+        (whole.drop_vars("u"), None, "commands u"),
+        (whole, "y", "of = 'y'"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            measured_response(log, of)
+    with pytest.raises(ValueError, match="uncertainty"):
+        measured_response(whole, uncertainty=[0.1])

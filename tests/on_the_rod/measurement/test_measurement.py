@@ -1,0 +1,307 @@
+"""Measuring P: against loops that are known exactly, and a rig that shares nothing with them."""
+
+import warnings
+from dataclasses import replace
+
+import control
+import numpy as np
+import pytest
+from plants import furnace
+from scipy.stats import binom
+
+from ilctools import (
+    Law,
+    current_trial_loop,
+    expected_radius,
+    load_log,
+    measured_response,
+    multisine,
+    record,
+    shake,
+)
+from ilctools.loop.notes import LogError, loop_note, loop_of
+from ilctools.measurement.excitation import excitation_of, with_excitation
+from ilctools.measurement.measurement import _estimate
+from ilctools.measurement.region import radius_of
+from ilctools.measurement.transient import separated, windows_of
+from ilctools.rigs.protocol import RigError
+from ilctools.trials.run import dataset, state_sequence
+from rodlib import midr, paper_loop, sampled_response
+from rodlib.rigs import MISMATCHED, RestartingRig, RigParameters
+
+SEEDS = 40
+CASES = {  # loop, lowest and highest frequency (rad/s), hours, noise
+    "rod": (paper_loop, 0.02, 0.5, 1.2, 0.02),
+    "furnace": (lambda: current_trial_loop(furnace(10)), 0.08, 1.5, 0.4, 0.01),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def quick(loop):
+    """An excitation of the paper's loop that does not take long."""
+    return multisine(loop, 5e-3, 0.5, 2.0, 2.3, lines=16)
+
+
+@pytest.fixture(scope="module")
+def short(loop):
+    """A shorter one, with a lowest frequency that is too high for what is known at zero."""
+    return multisine(loop, 0.02, 0.5, 2.0, 0.7, lines=12)
+
+
+def answer(loop, w, noise=None, plant=None):
+    """Outputs of all experiments, one after the other from rest, shape (experiment, time, m)."""
+    closed = loop.closed if plant is None else loop.around(plant)
+    m = loop.plant.noutputs
+    noise = np.zeros_like(w) if noise is None else noise
+    K = np.vstack([np.zeros((closed.nstates - len(loop.KL), m)), loop.KL])
+    w, n = w.reshape(-1, m), noise.reshape(-1, m)
+    states = state_sequence(closed.A, w @ closed.B[:, :m].T + n @ K.T, np.zeros(closed.nstates))
+    return (states @ closed.C.T + w @ closed.D[:, :m].T + n).reshape(noise.shape)
+
+
+def log_of(loop, excitation, y, v=None):
+    v = excitation.signals if v is None else v
+    run = dataset(
+        loop.Ts, loop.outputs, loop.controls, [], loop.units,
+        reference=0 * v, v=v, u=0 * v, y=y, delta=0 * v,
+    )  # fmt: skip
+    return with_excitation(run, excitation, loop)
+
+
+def noise_of(excitation, sigma, seed, count=1):
+    shape = (count, *excitation.signals.shape)
+    return sigma * np.random.default_rng(seed).standard_normal(shape)
+
+
+def estimate(loop, excitation, y, part=None, scale=1.0):
+    """P from a part of the samples, by default the last, in units of a scale."""
+    part = slice(-excitation.evaluated, None) if part is None else part
+    w, windows = excitation.signals, windows_of(excitation.harmonics, excitation, loop)
+    return _estimate(w[:, part] / scale, y[:, part] / scale, windows, excitation, loop)
+
+
+@pytest.fixture(scope="module", params=CASES)
+def seeds(request):
+    """A case measured with many seeds, and without noise."""
+    make, lowest, highest, hours, sigma = CASES[request.param]
+    loop = make()
+    excitation = multisine(loop, lowest, highest, 1.0, hours, lines=12)
+    settled = answer(loop, excitation.signals)
+    noise = noise_of(excitation, sigma, 1, SEEDS)
+    noisy = settled + answer(loop, 0 * noise, noise)
+    measured = [estimate(loop, excitation, y) for y in [settled, *noisy]]
+    return loop.frequency_response(excitation.omega), measured[0], measured[1:]
+
+
+def test_the_region_covers_the_truth_as_often_as_it_says(seeds):
+    truth, _, measured = seeds
+    covered = np.array(
+        [
+            np.linalg.norm(one.response - truth, 2, axis=(1, 2)) <= one.radius(0.9)
+            for one in measured
+        ]
+    )
+    assert 0.87 <= covered.mean() <= 0.93
+    low, high = binom.interval(0.999, SEEDS, 0.9)
+    assert low <= covered.sum(axis=0).min() and covered.sum(axis=0).max() <= high
+
+
+def test_noise_that_the_loop_shapes_is_estimated_right_where_it_bends(loop):
+    """Its density has a peak near the bandwidth: a mean over neighbours misses a sixth of it."""
+    excitation = multisine(loop, 3.84e-3, 0.3, 5.0, 3.0, lines=60)
+    windows = windows_of(excitation.harmonics, excitation, loop)
+    last = slice(-excitation.evaluated, None)
+    W = np.fft.fft(excitation.signals[:, last], axis=1)
+    spread = np.linalg.inv(np.moveaxis(W[:, [window.line for window in windows]], 0, 2))
+    plant = control.sample_system(midr(MISMATCHED, degree=6), loop.Ts, method="zoh")
+    power, errors = 0, 0
+    for noise in noise_of(excitation, 0.02, 5, SEEDS):
+        y = [answer(loop, 0 * e[None], e[None], plant)[0, last] for e in noise]
+        net, estimate, _ = separated(np.array(y), windows)
+        errors += np.sum(np.abs(net @ spread) ** 2, axis=(1, 2))
+        power += np.einsum("nii->n", estimate).real
+    ratio = (power * np.sum(np.abs(spread) ** 2, axis=(1, 2)) / errors)[1:8]
+    assert np.all(np.abs(ratio - 1) < 0.25) and abs(ratio.mean() - 1) < 0.1
+
+
+def test_bias_is_below_the_noise_and_the_covariance_is_that_of_the_errors(seeds):
+    truth, without_noise, measured = seeds
+    errors = np.reshape([one.response - truth for one in measured], (SEEDS, len(truth), -1))
+    sample = np.einsum("snj,snk->njk", errors, errors.conj()) / SEEDS
+    deviation = np.sqrt(np.einsum("njj->nj", sample).real)
+    bias = np.abs(without_noise.response - truth).reshape(deviation.shape)
+    assert np.all(bias < deviation / 3)
+    noise = np.mean([one.noise for one in measured], axis=0)
+    spread = measured[0].spread  # of the entries P11, P12, ...
+    predicted = np.einsum("nik,nej,nel->nijkl", noise, spread, spread.conj())
+    predicted = predicted.reshape(sample.shape)
+    relative = (predicted - sample) / (deviation[:, :, None] * deviation[:, None])
+    assert np.abs(relative.mean(axis=0)).max() < 0.3
+    scatter = np.einsum("njj->", predicted).real / np.einsum("njj->", sample).real
+    assert scatter == pytest.approx(1, abs=0.15)
+
+
+@pytest.mark.parametrize(("m", "freedom", "ratio"), [(2, 4, 1.0), (3, 9, 0.05)])
+def test_the_radius_holds_for_noise_in_all_directions_and_in_one(m, freedom, ratio):
+    rng = np.random.default_rng(m * freedom)
+    n = 400
+
+    def normal(*shape):
+        return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / np.sqrt(2)
+
+    root = np.diag(np.linspace(1, ratio, m))
+    V = root @ normal(n, m, freedom)
+    estimate = V @ V.conj().swapaxes(1, 2) / freedom
+    radius = radius_of(estimate, np.tile(np.eye(m), (n, 1, 1)), np.full(n, freedom), 0.05)
+    covered = np.sum(np.linalg.norm(root @ normal(n, m, m), 2, axis=(1, 2)) <= radius)
+    low, high = binom.ppf(5e-4, n, 0.93), binom.ppf(1 - 5e-4, n, 0.965)
+    assert low <= covered <= high
+
+
+def test_one_channel_has_the_quantile_of_an_f_distribution():
+    """With two degrees of freedom, P(F > x) = (1 + x / (2 nu) * 2)^(-nu)."""
+    one = np.ones((1, 1, 1))
+    for nu, miss in ((1, 0.05), (7, 0.01)):
+        square = nu * (miss ** (-1 / nu) - 1)
+        np.testing.assert_allclose(radius_of(4 * one, one, np.array([nu]), miss), 2 * square**0.5)
+
+
+def test_the_transient_of_a_slow_plant_is_separated(loop):
+    """From rest, without the lead: it is no noise."""
+    excitation = multisine(loop, 6e-3, 0.3, 2.0, 2.6, lines=12)
+    noise = noise_of(excitation, 0.02, 3)[0]
+    y = answer(loop, excitation.signals, noise)
+    measured = estimate(loop, excitation, y, slice(excitation.evaluated))
+    truth = loop.frequency_response(excitation.omega)
+    error = np.linalg.norm(measured.response - truth, 2, axis=(1, 2))
+    assert np.all(error < 1.5 * measured.radius(0.95))
+
+
+def test_the_rig_is_measured_and_the_forecast_is_right(loop, Q, quick):
+    """Against the rod's own equation: neither rig nor truth knows the model of the design."""
+    parameters, law = RigParameters(lag=0.0), Law(Q, None)
+    quiet = record(RestartingRig(parameters=parameters), loop, law, np.zeros((900, 2)), None, 1)
+    measured = measured_response(shake(RestartingRig(parameters=parameters), loop, quick))
+    assert not measured.findings
+    G = sampled_response(MISMATCHED, measured.omega, 1.0)[:, :, [0, 2]]
+    truth = loop.frequency_response(measured.omega, G)
+    error = np.linalg.norm(measured.response - truth, 2, axis=(1, 2))
+    assert np.all(error < measured.radius(0.999, jointly=True))
+    ratio = expected_radius(quick, quiet) / measured.radius()
+    assert np.all((ratio > 0.5) & (ratio < 2))
+    assert np.median(ratio) == pytest.approx(1, abs=0.25)
+
+
+class Failing(RestartingRig):
+    """Goes wrong in one sample, counted from 0."""
+
+    sample = 1500
+
+    def read(self):
+        self.sample -= 1
+        return [np.nan, 0.0] if self.sample == -1 else super().read()
+
+
+def test_shaking_is_logged_and_gone_on_with(loop, short, tmp_path):
+    path = tmp_path / "shaken.csv"
+    with pytest.raises(RigError, match="trial 2"):
+        shake(Failing(), loop, short, path=path)
+    with pytest.raises(LogError, match=r"experiments \[1\] of 2"):
+        measured_response(load_log(path))
+    with pytest.raises(ValueError, match="another experiment"):
+        shake(RestartingRig(), loop, replace(short, amplitude=(1.0, 1.0)), path=path)
+    shake(RestartingRig(), loop, short, path=path)
+    log = load_log(path)
+    assert excitation_of(log) == short and loop_note(loop_of(log)) == loop_note(loop)
+    np.testing.assert_array_equal(log.v, short.signals)
+    np.testing.assert_array_equal(log.y, shake(RestartingRig(), loop, short).y)
+
+
+def test_a_drift_is_reported_with_what_it_does(loop, quick):
+    y = answer(loop, quick.signals, noise_of(quick, 0.02, 4)[0])
+    time = np.arange(quick.samples)[:, None]
+    with pytest.warns(
+        UserWarning, match=r"y2 drifts by 3\.\d+ an hour: P is off by about"
+    ) as caught:
+        drifting = measured_response(log_of(loop, quick, y + [0.0, 1e-3] * time))
+    still = measured_response(log_of(loop, quick, y))
+    moved = np.linalg.norm(drifting.response - still.response, 2, axis=(1, 2)).max()
+    predicted = float(str(caught[0].message).split("off by about ")[1].split()[0])
+    assert predicted == pytest.approx(moved, rel=0.3)
+    assert drifting.radius()[0] > max(2 * still.radius()[0], moved)
+
+
+def test_noise_alone_leads_to_no_finding_and_a_lowest_frequency_that_is_high_does(loop, quick):
+    noise = noise_of(quick, 0.02, 8, 6)
+    for y in answer(loop, quick.signals) + answer(loop, 0 * noise, noise):
+        assert not measured_response(log_of(loop, quick, y)).findings
+    high = multisine(loop, 0.05, 0.5, 2.0, 0.3, lines=8)
+    y = answer(loop, high.signals, noise_of(high, 0.02, 4)[0])
+    with pytest.warns(UserWarning, match=r"P differs from I by 1\.\d+ at the lowest"):
+        measured_response(log_of(loop, high, y))
+
+
+@pytest.mark.parametrize("lines", [40, 200])
+def test_lines_too_far_apart_for_a_delay_are_reported(lines):
+    """The phase of a long delay turns by more than a radian between 40 lines, and not of 200."""
+    sizes = {"outlet": 10.0, "valve": 5.0}
+    loop = current_trial_loop(furnace(20, Ts=30.0), sizes=sizes)
+    plan = multisine(loop, 5e-4, 0.08, 5.0, 35.0, lines=lines)
+    log = log_of(loop, plan, answer(loop, plan.signals, noise_of(plan, 1e-3, 3)[0]))
+    with warnings.catch_warnings(record=True, action="always") as caught:
+        measured = measured_response(log)
+    grid = np.geomspace(1e-4, 0.07, 500)
+    response, radius = measured.on(grid, 0.999)
+    off = np.linalg.norm(response - loop.frequency_response(grid), 2, axis=(1, 2))
+    reported = [w for w in caught if "too far apart near" in str(w.message)]
+    assert bool(reported) == (np.max(off / radius) > 2) == (lines == 40)
+    assert all(text in measured.basis([0.01]) for text in measured.findings)
+
+
+def test_wrong_records_are_refused(loop, quick):
+    w = quick.signals
+    y = answer(loop, w, noise_of(quick, 0.02, 5)[0])
+    gap, broken = y.copy(), w.copy()
+    gap[0, -100], broken[1, -300:] = np.nan, 0
+    log = log_of(loop, quick, y)
+    without = log.assign_attrs()
+    del without.attrs["loop"]
+    for wrong, message in (
+        (log_of(loop, quick, gap), "log.y"),
+        (log_of(loop, quick, y, broken), "w of y1 is not its excitation"),
+        (log_of(loop, quick, y, w[[0, 0]]), "w of y2 is not its excitation"),
+        (log_of(loop, quick, y[:, 1:], w[:, 1:]), "log.v has shape"),
+        (without, "not of shake"),
+        (log.assign_attrs(excitation='{"period": 3}'), "excitation"),
+        (log.assign_attrs(actuators='{"Q1": [4, -4]}'), "actuators"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            measured_response(wrong)
+    with pytest.raises(ValueError, match="channels = 1"):
+        shake(RestartingRig(), loop, replace(quick, amplitude=(1.0,)))
+
+
+def test_between_the_lines_and_in_other_units(loop, quick):
+    y = answer(loop, quick.signals, noise_of(quick, 0.02, 6)[0])
+    measured = measured_response(log_of(loop, quick, y))
+    response, radius = measured.on(measured.omega, 0.9)
+    np.testing.assert_allclose(response, measured.response)
+    np.testing.assert_allclose(radius, measured.radius(0.9, jointly=True))
+    dense = np.geomspace(1e-4, np.pi, 300)
+    response, radius = measured.on(dense, 0.99)
+    off = np.linalg.norm(response - loop.frequency_response(dense), 2, axis=(1, 2))
+    assert np.all(off <= radius)
+    beyond, largest = (dense > measured.omega[-1], np.linalg.norm(measured.response[-1], 2))
+    assert np.all(radius[beyond][1:] > 2 * largest)
+    count = f"at {beyond.sum()} of the design frequencies"
+    assert count in measured.basis(dense, 0.9)[2]
+    start, bound = measured.on([1e-9], 0.99)
+    np.testing.assert_allclose(start[0], np.eye(2), atol=1e-6)
+    assert bound[0] < 1e-6
+    with pytest.raises(ValueError, match="confidence = 1"):
+        measured.radius(1)
+    scale = (0.1, 30.0)
+    ours = measured.on(dense, 0.9, scale)
+    theirs = estimate(loop, quick, y, scale=scale).on(dense, 0.9)
+    for one, other in zip(ours, theirs, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-12)

@@ -1,0 +1,205 @@
+"""Experiments on rigs: as simulated, by names, refused before they begin, safe in the end."""
+
+import sys
+import warnings
+from types import SimpleNamespace
+
+import control
+import numpy as np
+import pytest
+from plants import RestartingModel, boiler
+
+from ilctools import (
+    Controller,
+    Law,
+    LearningFilter,
+    NormOptimal,
+    current_trial_loop,
+    law_of,
+    load_log,
+    record,
+    run_trials,
+    zero_phase_butterworth,
+)
+from ilctools.loop.notes import loop_of
+from ilctools.rigs.protocol import RigError
+from rodlib.case import assumed_reference
+from rodlib.paper import published
+from rodlib.paper.repository import ROOT
+from rodlib.paper.rig_logs import PARAMETERS, experiment
+from rodlib.peltier_rig import PeltierRig
+from rodlib.rigs import VirtualRig
+
+L = LearningFilter(published.matrix("L_diagonal"), 1.0)
+
+
+class Failing(VirtualRig):
+    """Goes wrong in one sample, counted from 0."""
+
+    def __init__(self, sample, how):
+        super().__init__()
+        self.sample, self.how, self.commands = sample, how, []
+
+    def read(self):
+        self.sample -= 1
+        return self.how() if self.sample == -1 else super().read()
+
+    def apply(self, heat_flows):
+        self.commands.append(np.array(heat_flows))
+        super().apply(heat_flows)
+
+
+def test_controller_on_the_design_model_gives_the_simulated_trial(loop, Q):
+    """Sample by sample as on hardware, and all at once: the same trial."""
+    reference = assumed_reference(300) * 5
+    run = run_trials(loop, Law(Q, None), reference, None, 1)
+    for decimals, atol in ((None, 1e-10), (4, 2e-4)):
+        x, controller, outputs = np.zeros(10), Controller(loop, decimals), []
+        for w in reference:
+            outputs.append(loop.plant.C @ x)
+            x = loop.plant.A @ x + loop.plant.B[:, :2] @ controller.step(outputs[-1], w)
+        np.testing.assert_allclose(outputs, run.y[0], atol=atol)
+
+
+@pytest.mark.filterwarnings("ignore:.*the reference starts")
+def test_a_rig_that_is_the_loops_plant_gives_the_simulation_by_names():
+    plant = boiler()
+    units = {"pump, left": "l/min", "heater": "W", "depth": "mm", "heat": "degC"}
+    loop = current_trial_loop(plant, plant.input_labels[:2], units=units)
+    law = Law(zero_phase_butterworth(2, 0.1, 0.5), LearningFilter(np.ones((2, 2, 4)) / 3, 0.5))
+    rng = np.random.default_rng(0)
+    reference, rain = rng.standard_normal((40, 2)), rng.standard_normal((3, 40, 1))
+    device = RestartingModel(plant, ("spare", "heater", "rain", "pump, left"))
+    log = record(device, loop, law, reference, rain, 3, stop={"depth": None})
+    run = run_trials(loop, law, reference, rain, 3)
+    assert log.sizes == run.sizes and log.attrs["Ts"] == 0.5 and device.ends == 1
+    for name in run.data_vars:
+        np.testing.assert_allclose(log[name], run[name], atol=1e-9)
+        assert log[name].attrs == run[name].attrs
+    for name in ("output", "control", "source"):
+        assert log[name].equals(run[name])
+    assert not np.any(np.array(device.sent)[:, 0])
+
+
+def test_only_known_disturbances_are_recorded(loop, Q):
+    device, law, zeros = VirtualRig(), Law(Q, None), np.zeros((5, 2))
+    log = record(device, loop, law, zeros, None, 1)
+    assert list(log.source.values) == ["theta_a", "Q2", "Q4"]
+    driver = SimpleNamespace(read=device.read, inputs=["Q3", "Q1"])
+    driver.apply = lambda flows: device.apply([flows[1], 0, flows[0], 0])
+    log = record(driver, loop, law, zeros, None, 1)
+    assert "disturbance" not in log and "source" not in log.coords
+    driver.measured = {"theta_a": 0.5, "lights": 1.0}
+    log = record(driver, loop, law, zeros, np.ones((5, 3)) * [1, 0, 0], 1)
+    assert list(log.source.values) == ["theta_a"] and np.all(log.disturbance == 0.5)
+    with pytest.raises(ValueError, match=r"disturbance is not zero for \['Q4'\]"):
+        record(driver, loop, law, zeros, np.ones((5, 3)) * [0, 0, 1], 1)
+
+
+def test_v_rests_on_the_rig_too_and_the_log_names_law_and_loop(loop, Q):
+    law, device = Law(Q, L, rest=15, gain=0.3), VirtualRig()
+    log = record(device, loop, law, assumed_reference(60) * 0.02, None, 3, pause=600)
+    assert device.time == 3 * 60 + 2 * 600 + 1  # the last one with all at zero
+    assert not log.v.values[:, -15:].any() and log.v.values[1:, -16].any()
+    assert (law_of(log).rest, law_of(log).gain) == (15, 0.3)
+    assert loop_of(log).Ts == 1.0
+    for k in range(2):
+        following = law.next(log.v.values[k], log.e.values[k])
+        np.testing.assert_array_equal(log.v[k + 1], following)
+
+
+def test_the_first_trials_of_a_tracked_log_are_recorded_again_alike():
+    tracked = load_log(ROOT / "data" / "rig" / "learning.csv").isel(trial=slice(2))
+    whole = experiment()
+    first = {"trials": 2, "disturbance": whole["disturbance"][:2]}
+    law = Law(zero_phase_butterworth(2, 0.1, 1.0), L, limits={})
+    rig = PeltierRig(parameters=PARAMETERS, seed=1)
+    log = record(rig, law=law, **whole | first)
+    for role in tracked.data_vars:
+        np.testing.assert_array_equal(log[role], tracked[role])
+
+
+Q10 = zero_phase_butterworth(2, 0.1, 1.0)
+REFUSED = [  # what is wrong, and what the error says
+    ({"rig": VirtualRig(Ts=2.0)}, "rig.Ts = 2.0"),
+    ({"law": Law(zero_phase_butterworth(2, 0.1, 2.0), None)}, "Ts"),
+    ({"rig": "the red one"}, "rig = "),
+    ({"rig": VirtualRig}, "rig = .* is a class"),
+    ({"loop": current_trial_loop(control.ss(0.5, 1, 1, 0, 1.0))}, "rig.inputs"),
+    ({"disturbance": np.zeros((3, 10, 3))}, "disturbance has shape"),
+    ({"pause": -1}, "pause = -1"),
+    ({"law": Law(Q10, None, 10)}, "rest = 10"),
+    ({"decimals": {"y": 3}}, "decimals is about"),
+    ({"decimals": {"u": 0.5}}, "decimals.*u.* = 0.5"),
+    ({"stop": {"z": (0, 1)}}, "stop is about"),
+    ({"stop": {"y1": (1, 0)}}, "stop.*lower and a"),
+    ({"path": 3}, "path = 3"),
+    ({"path": "nowhere/log.csv"}, "path = .*nowhere.log.csv"),
+    ({"path": "x", "law": Law(Q10, NormOptimal(control.ss(0.5, 1, 1, 0, 1.0), 1, 9))}, "L"),
+]
+
+
+@pytest.mark.parametrize(("changes", "message"), REFUSED)
+def test_an_experiment_that_cannot_work_is_not_begun(loop, changes, message):
+    rig = VirtualRig()
+    valid = {"rig": rig, "loop": loop, "law": Law(Q10, None), "trials": 2}
+    signals = {"reference": np.zeros((10, 2)), "disturbance": np.zeros((2, 10, 3))}
+    with pytest.raises(ValueError, match=message):
+        record(**valid | signals | changes)
+    assert rig.time == 0
+
+
+@pytest.mark.parametrize("bad", [[np.nan, 0.0], [0.0], ["1", "2"]])
+def test_what_is_no_reading_never_reaches_the_actuators(loop, Q, tmp_path, bad):
+    """The trial ends, the rig is made safe, the trials before it stay."""
+    device = Failing(20 + 3 + 12, lambda: bad)
+    trials = loop, Law(Q, L), assumed_reference(20), None, 3
+    with pytest.raises(RigError, match=r"trial 2, sample 13: reading .*Nothing was"):
+        record(device, *trials, pause=3, path=tmp_path / "log.csv")
+    assert len(device.commands) == 20 + 3 + 12 + 1
+    assert np.isfinite(device.commands).all() and not device.commands[-1].any()
+    assert load_log(tmp_path / "log.csv").sizes["trial"] == 1
+    with pytest.raises(RigError, match="pause before trial 2, sample 3"):
+        record(Failing(20 + 2, lambda: bad), *trials, pause=3)
+
+
+def test_a_thermometer_in_the_room_that_fails_ends_the_trial(loop, Q):
+    class Unplugged(VirtualRig):
+        ambient = np.nan
+
+    with pytest.raises(RigError, match="trial 1, sample 1: theta_a"):
+        record(Unplugged(), loop, Law(Q, None), np.zeros((5, 2)), None, 1)
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), OSError("unplugged")])
+def test_the_rig_is_made_safe_on_every_way_out(loop, Q, error):
+    def fail():
+        raise error
+
+    device = Failing(7, fail)
+    with pytest.raises(type(error)):
+        record(device, loop, Law(Q, None), np.ones((20, 2)), None, 2)
+    assert len(device.commands) == 8 and not device.commands[-1].any()
+    if isinstance(error, OSError):
+        assert error.__notes__ == ["in trial 1, sample 8"]
+
+
+def test_samples_that_are_not_on_time_are_reported(loop, Q):
+    class Late(VirtualRig):
+        def clock(self):
+            return self.time + (1.5 if 7 <= self.time < 9 else 0.05)
+
+    with pytest.warns(UserWarning, match="trial 1: 2 samples .* by up to 1.45 s"):
+        record(Late(), loop, Law(Q, None), np.zeros((20, 2)), None, 1)
+    with warnings.catch_warnings(action="error"):
+        record(VirtualRig(), loop, Law(Q, None), np.zeros((20, 2)), None, 2, pause=3)
+
+
+def test_progress_is_shown_on_a_terminal_only(loop, Q, capfd, monkeypatch):
+    trials = loop, Law(Q, None), np.ones((20, 2)), None, 2
+    record(VirtualRig(), *trials, pause=3)
+    assert capfd.readouterr() == ("", "")
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    record(VirtualRig(), *trials, pause=3)
+    shown = capfd.readouterr().err
+    assert "trial 2 of 2" in shown and "40/40" in shown

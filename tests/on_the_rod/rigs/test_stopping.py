@@ -1,0 +1,97 @@
+"""Experiments that go wrong while somebody watches: what is said of them, and what is kept."""
+
+import re
+import warnings
+from types import SimpleNamespace
+
+import control
+import numpy as np
+import pytest
+from plants import RestartingModel, boiler, bump, furnace
+
+from ilctools import (
+    Law,
+    LearningFilter,
+    current_trial_loop,
+    load_log,
+    multisine,
+    record,
+    shake,
+    synthesise,
+    zero_phase_butterworth,
+)
+from ilctools.rigs.limits import stop_limits
+from ilctools.rigs.protocol import StoppedError
+from ilctools.trials.run import rms
+from rodlib.rigs import RestartingRig
+
+BOILER = current_trial_loop(boiler(), boiler().input_labels[:2])
+
+
+def test_an_actuator_of_the_wrong_sign_does_not_run_away():
+    """Without limits it did, to 1e50, and not a word."""
+    device = RestartingModel(boiler(), signs=[-1.0, 1.0, 1.0])
+    law = Law(zero_phase_butterworth(2, 0.1, 0.5), None)
+    with pytest.raises(StoppedError, match=r"trial 1, sample \d+: depth = ") as stop:
+        record(device, BOILER, law, bump(200, [5.0, 3.0]), trials=2)
+    assert np.abs(device.sent).max() < 1e3 and device.ends == 1
+    assert stop.value.trials is None
+    excitation = multisine(BOILER, 0.1, 3.0, 1.0, 0.2, 5)
+    with pytest.raises(StoppedError, match=r"heat = .* is not from -6 to 6"):
+        shake(RestartingModel(boiler(), signs=[1.0, -1.0, 1.0]), BOILER, excitation)
+
+
+class Knocked(RestartingRig):
+    """Somebody knocks in the third trial."""
+
+    def read(self):
+        knock = 100.0 if self.time == 7 and self.trial == 3 else 0.0
+        return super().read() + knock
+
+    def begin(self, trial):
+        self.trial = trial
+        super().begin(trial)
+
+
+def test_what_was_learned_before_a_stop_is_kept(loop, Q, tmp_path):
+    """With a path in the log, in any case with the error; and the same call goes on."""
+    law, path = Law(Q, LearningFilter(np.eye(2)[..., None], 1.0)), tmp_path / "log.csv"
+    trials = loop, law, bump(25, [0.5, 0.2]), None, 3
+    whole = record(RestartingRig(), *trials)
+    with pytest.raises(StoppedError, match=r"trial 3, sample 8: y1 = ") as stop:
+        record(Knocked(), *trials, path=path)
+    assert str(path) in str(stop.value)
+    assert load_log(path).identical(stop.value.trials)
+    assert stop.value.trials.identical(whole.isel(trial=slice(2)))
+    assert record(RestartingRig(), *trials, path=path).identical(whole)
+    wider = {"y1": (-200.0, 200.0), "y2": None, "Q1": (-60.0, 60.0)}
+    with pytest.raises(StoppedError, match="trial 3, sample 9: Q1 = "):
+        record(Knocked(), *trials, stop=wider)
+
+
+def test_limits_follow_from_the_reference_and_the_rig_unless_they_are_given():
+    reference = np.array([[0.0, 1.0, 0.0], [2.0, -1.0, 0.0]])
+    units = {"a": "K", "b": "K", "c": "m"}
+    loop = SimpleNamespace(outputs=["a", "b", "c"], commands=["u", "x"], units=units)
+    asked = reference, loop, {"u": (0.0, 2.0)}
+    expected = {"a": (-10, 12), "b": (-11, 11), "u": (-99, 101)}
+    assert stop_limits(None, *asked) == expected
+    limits = stop_limits({"a": None, "c": (-1, 1), "u": (0, 1)}, *asked)
+    assert limits == {"b": (-11, 11), "c": (-1, 1), "u": (0, 1)}
+
+
+def test_a_furnace_that_is_a_tenth_off_is_warned_of_once_while_there_is_time():
+    loop = current_trial_loop(furnace(30), None, {"valve": 0.1})
+    Q, grid = zero_phase_butterworth(2, 0.4, 1.0), np.geomspace(1e-4, np.pi, 200)
+    law = synthesise(loop, Q, grid, 1.0, order=40, band=(1e-4, 0.1)).law()
+    delayed = np.append([1.0, -0.95], np.zeros(33))
+    plant = control.ss(control.tf([0.22], delayed, 1.0))
+    device = RestartingModel(control.ss(plant, inputs=["valve"]), noise=0.02)
+    message = "after trial [3456]: the convergence rate is not the predicted one.*measure P"
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always")
+        log = record(device, loop, law, bump(600, [10.0]), trials=10)
+    assert re.match(message, str(seen[0].message))
+    assert seen[0].filename == __file__ and rms(log.e).values[-1] > 1
+    for kind in ("the error grows", "convergence rate"):
+        assert sum(kind in str(warning.message) for warning in seen) == 1

@@ -1,0 +1,199 @@
+import warnings
+from dataclasses import replace
+
+import control
+import cvxpy as cp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from plants import half
+
+from ilctools import (
+    InfeasibleError,
+    LearningFilter,
+    least_gain,
+    synthesise,
+    trial_norm,
+    zero_phase_butterworth,
+)
+from ilctools.problem.pose import pose
+from ilctools.synthesis.design import certified
+from ilctools.synthesis.result import SolverError
+from ilctools.synthesis.solver import active_set, interior_point
+from rodlib import paper_choices
+from rodlib.paper import published
+
+
+def judged(L, P, Q, omega):
+    """Largest singular values of M and L by numpy's SVD, not by what synthesise uses."""
+    response = L.frequency_response(omega)
+    M = Q[:, None, None] * (np.eye(P.shape[1]) - P @ response)
+    return [np.linalg.svd(X, compute_uv=False)[:, 0] for X in (M, response)]
+
+
+def test_no_design_is_worse_than_the_printed_one(loop, Q, omega):
+    for structure, value, rate, gain in (
+        ("diagonal", 104.865787, 0.8999993, 50.00004),
+        ("full", 69.961958, 0.883, 50.00007),
+    ):
+        design = synthesise(loop, Q, omega, **paper_choices(structure=structure))
+        P, q = design.problem.P, design.problem.Q
+        printed = LearningFilter(published.matrix(f"L_{structure}"), 1.0)
+        sigma_M, sigma_L = judged(printed, P, q, omega)
+        objective = sigma_M[omega <= 0.02].sum()
+        assert objective == pytest.approx(value, abs=1e-6)  # from another program
+        assert sigma_M.max() == pytest.approx(rate, abs=5e-5)
+        assert sigma_L.max() == pytest.approx(gain, abs=5e-6)
+        assert objective * (1 - 1e-5) < design.value < objective
+        sigma_M, sigma_L = judged(design.filter, P, q, omega)
+        assert design.value == pytest.approx(sigma_M[omega <= 0.02].sum(), rel=1e-12)
+        for sigma, bound in ((sigma_M, 0.9), (sigma_L, 50)):
+            assert bound * 0.98 < sigma.max() <= bound * (1 + 1e-6)
+
+
+@pytest.mark.parametrize(
+    ("factor", "complaint"), [(1.001, r"sigma_max\(L\) = 50\.05"), (0.9, "relative duality gap")]
+)
+def test_a_wrong_filter_is_not_returned(loop, Q, omega, monkeypatch, factor, complaint):
+    """The check does not trust the solver: a filter out of bounds, or not optimal, raises."""
+    solve = interior_point.solve
+
+    def dishonest(program, is_good):
+        solution = solve(program, is_good)
+        return replace(solution, coefficients=solution.coefficients * factor)
+
+    monkeypatch.setattr(interior_point, "solve", dishonest)
+    monkeypatch.setattr(active_set, "resolve", lambda *_, **__: None)
+    arguments = (loop, Q, np.geomspace(1e-4, np.pi, 250), 1.0)
+    with pytest.raises(SolverError, match=complaint):
+        synthesise(*arguments, **paper_choices(band=(1e-4, 0.01)))
+    problem = pose(*arguments, **paper_choices(band=(1e-4, 0.01)))
+    assert certified(problem, check=False).certificate.failures
+
+
+@pytest.mark.parametrize(
+    ("shape", "L_max", "objective"),
+    half([(1, "full"), (2, "full"), (3, "diagonal")], [3.0, None], ["sum", "peak"]),
+)
+def test_random_plants_against_cvxpys_own_atoms(shape, L_max, objective):
+    """The same problem with one sigma_max atom per frequency, as CVXPY users would write it."""
+    m, structure = shape
+    rng = np.random.default_rng(m)
+    n, order = 15, 3
+    omega = np.linspace(0.05, np.pi, n)
+    z = np.exp(1j * omega)
+    P = np.eye(m) * (0.5 / (z - 0.5))[:, None, None]
+    P = P + 0.1 * rng.standard_normal((m, m)) / (z - 0.3)[:, None, None]
+    Q = 1 / (1 + omega**4)
+    band = (0.05, 1.0)
+    arguments = {"order": order, "structure": structure, "objective": objective}
+    design = synthesise(P, Q, omega, 1.0, band=band, L_max=L_max, **arguments)
+
+    taps = [cp.Variable((m, m), diag=structure == "diagonal") for _ in range(order)]
+    L = [sum(z_i**k * tap for k, tap in enumerate(taps, 1)) for z_i in z]
+    rates = [cp.sigma_max(q * (np.eye(m) - p @ l_i)) for q, p, l_i in zip(Q, P, L, strict=True)]
+    bounds = [rate <= 0.9 for rate in rates]
+    bounds += [cp.sigma_max(l_i) <= L_max for l_i in L] if L_max else []
+    inside = (omega >= band[0]) & (omega <= band[1])
+    chosen = [rate for rate, member in zip(rates, inside, strict=True) if member]
+    value = cp.sum(cp.hstack(chosen)) if objective == "sum" else cp.max(cp.hstack(rates))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Clarabel's "may be inaccurate"
+        reference = cp.Problem(cp.Minimize(value), bounds).solve(solver=cp.CLARABEL)
+    assert design.value == pytest.approx(reference, rel=1e-5)
+
+
+@given(st.integers(1, 4), st.integers(0, 2**32 - 1))
+def test_a_plant_that_one_step_inverts_is_inverted(m, seed):
+    """P = G z^-1 has the learning filter G^-1 z, with M = 0."""
+    G = np.random.default_rng(seed).standard_normal((m, m)) + 3 * np.eye(m)
+    omega = np.linspace(0.1, np.pi, 12)
+    P = G * np.exp(-1j * omega)[:, None, None]
+    arguments = {"order": 2, "L_max": None, "band": (0.1, 3), "structure": "full"}
+    design = synthesise(P, np.ones(12), omega, 1.0, **arguments)
+    assert design.value < 1e-5
+    np.testing.assert_allclose(design.filter.coefficients[:, :, 0], np.linalg.inv(G), atol=1e-4)
+
+
+@pytest.mark.filterwarnings("ignore:Q is 1 above 3.115 rad/s, where P is not known")
+def test_least_gain_of_a_channel_that_could_be_learned_at_once():
+    """The first channel leaves M = z / 2, see above; the second, 1 / (10 z), need not do better.
+
+    To halve its error a gain of 5 is enough, and up to 15 would not be noticed in the peak.
+    """
+    n = 60
+    omega = (np.arange(n) + 0.5) * np.pi / n
+    z = np.exp(1j * omega)
+    P = np.zeros((n, 2, 2), dtype=complex)
+    P[:, 0, 0], P[:, 1, 1] = (1 - 2 / z) / z**11, 0.1 / z
+    problem = (P, np.ones(n), omega, 1.0)
+    arguments = {"order": 12, "band": (0.1, 1), "structure": "full"}
+    any_gain = synthesise(*problem, objective="peak", L_max=None, **arguments)
+    design = least_gain(*problem, **arguments)
+    assert any_gain.value == pytest.approx(0.5, rel=1e-7)
+    assert any_gain.sigma_L.max() > 5.5
+    assert design.value == pytest.approx(0.5, rel=1e-7)
+    assert design.sigma_L.max() == pytest.approx(5, rel=1e-6)
+    second = np.append(5, np.zeros(11))
+    np.testing.assert_allclose(design.filter.coefficients[1, 1], second, atol=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("changes", "remedy"),
+    [
+        ({"M_max": 0.6, "L_max": 1e-9}, "no M_max below 1 will do, so raise L_max"),
+        (
+            {"order": 11, "structure": "diagonal"},
+            "will do, so take a longer filter, or a full one, lower",
+        ),
+        ({"order": 11}, "so take a longer filter, lower"),
+        ({"M_max": 0.6, "L_max": 0.2}, "M_max is 0.79.*: raise M_max or raise L_max"),
+        ({"L_max": None}, r"M_max is 0.5(00001)?: raise M_max, take"),  # rounded up
+    ],
+)
+def test_what_cannot_help_is_not_advised(changes, remedy):
+    """Delay and zero of (1 - 2 / z) / z^11: on equal steps the mean of M is one up to order 11.
+
+    Its inverse is -(z^12 / 2 + z^13 / 4 + ...), of which the first term leaves one half.
+    """
+    omega = (np.arange(200) + 0.5) * np.pi / 200
+    z = np.exp(1j * omega)[:, None, None]
+    arguments = {"order": 12, "M_max": 0.3, "L_max": 30.0, "band": (0.1, 1)} | changes
+    with pytest.raises(InfeasibleError, match=remedy):
+        synthesise((1 - 2 / z) / z**11, np.ones(200), omega, 1.0, **arguments)
+
+
+GRID = np.linspace(0.05, 3, 50)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"rest": 1}, "rest = 1"),
+        ({"P": np.ones((50, 1, 1)), "samples": 100}, "samples = 100 .* as models"),
+        ({"samples": 0}, "samples = 0"),
+        ({"samples": 9, "rest": 9}, "rest = 9"),
+    ],
+)
+def test_a_trial_that_does_not_fit_is_refused(changes, message):
+    plain = {"P": control.ss(0.5, 1, 1, 0, 1.0), "Q": zero_phase_butterworth(2, 0.1, 1.0)}
+    with pytest.raises(ValueError, match=f"^{message}"):
+        synthesise(**plain | {"omega": GRID, "band": (0.05, 1)} | changes)
+
+
+def test_the_rest_of_a_trial_reaches_the_certificate(loop, Q, omega):
+    trial = {"samples": np.int64(60), "rest": np.int8(15), "M_max": np.float32(0.95)}
+    design = synthesise(loop, Q, omega[::10], **paper_choices(**trial))
+    operators = (loop.P, Q, design.filter, 60)
+    norm, whole = (trial_norm(*operators, rest=n)[0] for n in (15, 0))
+    assert design.certificate.trial == pytest.approx(norm, rel=1e-9)
+    assert norm < 0.99 * whole
+
+
+def test_what_is_not_learned_at_one_frequency_is_learned_at_others():
+    P = (0.5 / (np.exp(1j * GRID) - 0.5))[:, None, None] * np.eye(2)
+    Q = 1 / (1 + GRID**4)
+    Q[3] = 0
+    design = synthesise(P, Q, GRID, 1.0, order=3, band=(0.05, 1), structure="full")
+    assert design.sigma_M[3] == 0 and design.certificate.gap < 1e-8

@@ -1,0 +1,303 @@
+"""Trials that go wrong are warned of; trials that converge are not."""
+
+import re
+import warnings
+from dataclasses import replace
+
+import control
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from plants import PUMPS, RestartingModel, bump, furnace, tanks
+from scipy.signal import lfilter
+from scipy.stats import f as f_distribution
+
+from ilctools import (
+    ClosedLoop,
+    Law,
+    LearningFilter,
+    current_trial_loop,
+    rate,
+    record,
+    rms,
+    run_trials,
+    synthesise,
+    zero_phase_butterworth,
+)
+from ilctools.trials.diagnosis import (
+    chance,
+    chance_of_excess,
+    degrees_of_freedom,
+    diagnose,
+    error_by_octave,
+    histories,
+    octaves,
+    spectrum,
+    unexplained,
+)
+from rodlib import paper_loop
+from rodlib.paper import published
+
+GRID = np.geomspace(1e-4, np.pi, 200)
+
+
+def white(seed, *shape):
+    return np.random.default_rng(seed).standard_normal(shape)
+
+
+def another_furnace(gain, samples):
+    """A furnace whose valve is stronger and whose pipe is longer."""
+    delayed = np.append([1.0, -0.95], np.zeros(samples))
+    return control.tf([0.2 * gain], delayed, 1.0, inputs=["valve"], outputs=["outlet"])
+
+
+def furnace_law(pipe, cutoff, **design):
+    """The law of a furnace whose pipe holds so many samples, bound to its loop."""
+    loop = current_trial_loop(furnace(pipe), None, {"valve": 0.1})
+    Q = zero_phase_butterworth(2, cutoff, 1.0)
+    return Law(Q, synthesise(loop, Q, GRID, 1.0, **design).filter, loop=loop)
+
+
+@pytest.fixture(scope="module")
+def tank_law():
+    loop, Q = current_trial_loop(tanks(), PUMPS), zero_phase_butterworth(2, 0.02, 2.0)
+    design = synthesise(loop, Q, GRID / 2, 2.0, order=10, band=(1e-4, 0.007))
+    return Law(Q, design.filter, loop=loop)
+
+
+LEVELS = [10.0, 5.0, 8.0]
+
+
+@pytest.fixture(scope="module")
+def cases(tank_law):
+    """Laws that converge, the size of a reference, and plants for which they do."""
+    cases = [(tank_law, LEVELS, [None])]
+    for gain in (0.02, 0.3):
+        L = LearningFilter(gain * np.eye(3)[..., None], 2.0)
+        cases.append((Law(tank_law.Q, L, loop=tank_law.loop), LEVELS, [None]))
+    plants = [None, another_furnace(1.1, 20), another_furnace(0.9, 21)]
+    for cutoff in (0.05, 0.2):
+        law = furnace_law(20, cutoff, order=30, band=(1e-4, cutoff / 3))
+        cases.append((law, [10.0], plants))
+    return cases
+
+
+@settings(max_examples=25)
+@given(st.integers(0, 2**32 - 1))
+def test_ordinary_trials_are_not_warned_of(cases, seed):
+    """Converging, with noise, white or not, and disturbances that repeat or do not."""
+    rng = np.random.default_rng(seed)
+    law, amplitude, plants = cases[rng.integers(len(cases))]
+    law = Law(law.Q, law.L, gain=rng.choice([1.0, 0.5, 0.2]), loop=law.loop)
+    samples, trials, m = rng.integers(150, 900), rng.integers(4, 16), len(amplitude)
+    pole, d = rng.choice([0, 0.5, 0.9, 0.98]), len(law.loop.disturbances)
+    noise = rng.standard_normal((trials, samples + 200, m))
+    noise = lfilter([1 - pole], [1, -pole], noise, axis=1)[:, 200:]
+    noise *= 10 ** rng.uniform(-4, -0.3) * max(amplitude)
+    push = rng.standard_normal((rng.choice([1, trials]), 1, d))
+    push = 10 ** rng.uniform(-2, 0.5) * push * bump(samples, np.ones(d))
+    push = np.broadcast_to(push, (trials, samples, d))
+    plant = plants[rng.integers(len(plants))]
+    with warnings.catch_warnings(action="error"):
+        if plant is not None:  # where it is right
+            warnings.filterwarnings("ignore", "the convergence rate")
+        reference = bump(samples, amplitude)
+        run_trials(law.loop, law, reference, push, trials, noise=noise, plant=plant)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.1])
+def test_divergence_on_another_plant_is_noticed(noise):
+    law = furnace_law(30, 0.4, order=40, band=(1e-4, 0.1))
+    plant, noise = another_furnace(1.1, 33), noise * white(0, 16, 600, 1)
+    case = law.loop, law, bump(600, [10.0]), None
+    grows, rate = "error grows.*sigma_max.*Measure P", "rate is not the predicted one"
+    with pytest.warns(UserWarning, match=grows), pytest.warns(match=rate) as caught:
+        run = run_trials(*case, 16, plant=plant, noise=noise)
+    assert caught[0].filename == __file__
+    assert rms(run.e).values[-1] > 20 * rms(run.e).values.min()
+    with pytest.warns(UserWarning, match=rate):  # while it is small
+        early = run_trials(*case, 6, plant=plant, noise=noise[:6])
+    assert rms(early.e).values[5] < rms(early.e).values[0]
+    with warnings.catch_warnings(action="error"):
+        run_trials(*case, 8, noise=noise[:8])
+
+
+def test_where_the_error_grows_and_what_the_model_predicts_is_said(tank_law):
+    wrong = LearningFilter(-np.eye(3)[..., None], 2.0)
+    with pytest.warns(UserWarning, match=r"By the loop's model, too, .* (2|1.99)"):
+        law = Law(tank_law.Q, wrong)
+        run_trials(tank_law.loop, law, bump(300, LEVELS), trials=6)
+    # This filter would act before the trial begins: without a bound on L it shows.
+    law = furnace_law(20, 0.1, order=25, L_max=None, band=(1e-4, 0.01))
+    assert rate(law.loop, law.Q, law.L, GRID).gamma < 1
+    noise = 0.01 * white(0, 10, 1000, 1)
+    with pytest.warns(UserWarning, match="first tenth of the trial"):
+        run_trials(law.loop, law, bump(1000, [1.0]), None, 10, noise=noise)
+
+
+@pytest.mark.parametrize(("share", "with_model"), [(0.7, True), (0.4, False)])
+def test_pumps_at_their_limit_are_noticed(share, with_model, tank_law):
+    loop, law, reference = tank_law.loop, Law(tank_law.Q, tank_law.L), bump(400, LEVELS)
+    rig = RestartingModel(loop.plant, loop.controls, noise=0.02)
+    first = record(rig, loop, law, reference, trials=1)
+    rig.limit = share * np.abs(first.u.values[0]).max(axis=0)
+    with warnings.catch_warnings(action="ignore"):
+        trials = record(rig, loop, law, reference, trials=14)
+    texts = diagnose(trials, tank_law if with_model else law)
+    size, v = rms(trials.e).values, trials.v.values
+    assert size[3:].std() < 0.2 * size[3:].min() and "error" not in texts
+    assert np.abs(v[-1]).max() > 3 * np.abs(v[2]).max()
+    if with_model:
+        assert "at its limit, exchanged or reversed" in texts["rate"]
+    else:
+        assert "keeps growing" in texts["v"] and "rate" not in texts
+    assert diagnose(trials.isel(trial=slice(2)), law) == {}
+    assert diagnose(trials, law, first=15) == {}
+
+
+def test_the_probability_of_growth_by_chance_is_that_of_counting():
+    x = np.sqrt(np.mean(white(0, 200000, 4, 6) ** 2, axis=2))
+    increasing = (np.diff(x) > 0).all(axis=1)
+    for ratio in (1.5, 3.0):
+        seen = np.mean(increasing & (x[:, -1] >= ratio * x[:, 0]))
+        assert 0.3 * chance(ratio, 6, 4) < seen < 1.1 * chance(ratio, 6, 4)
+    assert chance(2.0, 6, 2) == pytest.approx(f_distribution.sf(4.0, 6, 6))
+    assert chance(1e200, 6, 2) < 1e-100
+
+
+def test_the_probability_of_an_excess_is_that_of_counting():
+    """Of noise whose variance is estimated where a gain and a phase were fitted."""
+    noise, predicted = white(0, 3000, 3, 15, 1), white(1, 1, 15, 1).repeat(3, axis=0)
+    F, n = [], np.array([8.0])  # values in the octave from harmonic 4 on
+    for changes in noise:
+        size, freedom = unexplained(changes[:2] + 5 * predicted[:2], predicted[:2])
+        last = np.add.reduceat(spectrum(changes[2]).sum(axis=1), octaves(15))
+        F.append(last[2] / size[2])
+        assert freedom[2] <= n
+    for f in (1.5, 4.0):
+        p = chance_of_excess(np.sqrt([f]), 1.0, n, 2)
+        assert np.mean(f < np.array(F)) == pytest.approx(p.item(), rel=0.15)
+        two = chance_of_excess(np.sqrt([f, f]), 1.0, n, 2)  # octaves
+        np.testing.assert_allclose(two, 2 * np.append(p, p))
+
+
+def test_degrees_of_freedom_count_independent_values():
+    wave = np.sin(2 * np.pi * np.arange(800) / 80)[:, None]
+    cases = (white(1, 800, 1), 200, 800), (wave, 2, 2.001), (0 * wave, 2, 2)
+    for signal, low, high in cases:
+        assert low <= degrees_of_freedom(spectrum(signal)).item() <= high
+
+
+@pytest.mark.parametrize("samples", [2, 3, 64, 1023])
+def test_octaves_share_the_mean_square(samples):
+    signals = white(samples, 3, samples, 2)
+    power = np.add.reduceat(spectrum(signals).sum(axis=2), octaves(samples), axis=1)
+    np.testing.assert_allclose(power.sum(1), (signals**2).sum(2).mean(1), rtol=1e-12)
+    wave = np.cos(2 * np.pi * np.arange(samples) / samples)[:, None]
+    assert spectrum(wave).argmax() == 1 and octaves(samples)[0] == 0
+
+
+def test_other_references_and_noise_alone_are_no_growth(cases):
+    """Noise alone: the error rises to the level of the noise that was learned."""
+    law, amplitude, _ = cases[2]
+    growing = [bump(200, a * np.array(amplitude)) for a in (0.1, 0.3, 1.0, 3.0, 9.0)]
+    with warnings.catch_warnings(action="error"):
+        run_trials(law.loop, law, np.array(growing), trials=5)
+        warnings.filterwarnings("ignore", "learning adds to the error")
+        L = LearningFilter(published.matrix("L_diagonal"), 1.0)
+        for law, noise in (
+            (cases[3][0], white(0, 12, 900, 1)),
+            (Law(zero_phase_butterworth(2, 0.1, 1.0), L), 0.02 * white(0, 10, 2500, 2)),
+        ):
+            loop, reference = law.loop or paper_loop(), 0 * noise[0]
+            run = run_trials(loop, law, reference, None, len(noise), noise=noise)
+            assert rms(run.e).values[-1] > rms(run.e).values[0]
+
+
+@pytest.mark.parametrize(("gain", "moved"), [(2.0, "2"), (2.2, "2.2"), (0.3, "0.3")])
+def test_another_gain_of_P_is_noticed_in_trial_3(gain, moved, cases):
+    """With twice the gain the error changes its sign in each trial, and hardly falls."""
+    law = cases[3][0]
+    loop = ClosedLoop(law.loop.P)
+    P = control.ss(loop.P.A, gain * loop.P.B, loop.P.C, 0, 1.0)
+    case = loop, replace(law, loop=None), bump(600, [10.0]), None, 3
+    with pytest.warns(UserWarning, match=f"predicts, {moved} in outlet came"):
+        run_trials(*case, plant=P, noise=0.02 * white(1, 3, 600, 1))
+    with warnings.catch_warnings(action="error"):  # in the first two the noise is not known
+        run_trials(*case[:-1], 2, plant=P)
+
+
+def test_an_error_that_creeps_away_from_the_best_is_noticed(cases):
+    """By 2 % in each trial, where P has the wrong sign: too little to show from the one before."""
+    law = replace(cases[3][0], gain=0.02, loop=None)
+    loop = ClosedLoop(cases[3][0].loop.P)
+    case = loop, law, bump(600, [10.0]), None, 6
+    noise = 0.02 * white(1, 6, 600, 1)
+    with pytest.warns(UserWarning, match=r"rate .*trial 3 has 1\.\d+ .* of trial 1;"):
+        run = run_trials(*case, plant=-loop.P, noise=noise)
+    assert np.all(np.diff(rms(run.e).values) < 0.03 * rms(run.e).values[0])
+    with warnings.catch_warnings(action="error"):
+        run_trials(*case, plant=loop.P, noise=noise)
+
+
+def test_what_does_not_repeat_is_better_left_alone(cases):
+    """An oscillation in another phase in each trial; in the same phase it is learned."""
+    law, omega, time = cases[3][0], 0.03, np.arange(600)[:, None]
+    phase = np.random.default_rng(3).uniform(0, 2 * np.pi, (20, 1, 1))
+    case = law.loop, law, np.zeros((600, 1)), None, 20
+    with pytest.warns(UserWarning, match="learning adds to the error.*pause") as caught:
+        run = run_trials(*case, noise=np.sin(omega * time + phase))
+    size = rms(run.e).values
+    number = int(re.search(r"trials 2 to (\d+)", str(caught[0].message))[1])
+    mean = np.sqrt(np.mean(size[1:number] ** 2))
+    assert f"its RMS is {mean:.3g} in trials 2" in str(caught[0].message)
+    assert np.sqrt(np.mean(size[1:] ** 2)) > 1.2 * size[0]
+    with warnings.catch_warnings(action="error"):
+        run_trials(*case, noise=np.sin(omega * time + 0 * phase))
+
+
+def test_ratios_by_octave_are_those_of_M():
+    """Far from the ends e_2 = (M + 1 - Q) e_1: measured of the plant, predicted of the model."""
+    law = replace(furnace_law(5, 0.3, order=15, band=(1e-4, 0.1)), gain=0.8)
+    plant, samples = another_furnace(0.5, 8), 4096
+    reference = np.zeros((samples, 1))
+    reference[1500:2000], reference[2200:2260] = bump(500, [10.0]), bump(60, [5.0])
+    with warnings.catch_warnings(action="ignore"):
+        run = run_trials(law.loop, law, reference, trials=2, plant=plant)
+    (history,) = histories(run, law)
+    table = error_by_octave(history, 1, 0)
+    omega = 2 * np.pi * np.arange(1, samples // 2 + 1) / samples
+    power = np.abs(np.fft.rfft(run.e.values[0, :, 0]))[1:] ** 2
+    Q, L = law.Q.frequency_response(omega), law.L.frequency_response(omega)[:, 0, 0]
+    octave = np.searchsorted(table["frequency"][:-1], omega * (1 + 1e-9))
+    large = np.flatnonzero(table["before"] > 1e-3 * table["before"].max())
+    for name, other in (("predicted", None), ("measured", plant)):
+        M = Q * (1 - law.loop.frequency_response(omega, other)[:, 0, 0] * L)
+        change = 1 - law.gain + law.gain * (M + 1 - Q)
+        for b in large:
+            part = octave == b
+            weighted = np.average(np.abs(change[part]) ** 2, weights=power[part])
+            assert table[name][b] == pytest.approx(weighted**0.5, rel=0.02, abs=1e-3)
+            rest = np.average(np.abs(1 - Q[part]) ** 2, weights=power[part]) ** 0.5
+            bound = 1 - law.gain + law.gain * (np.abs(M[part]).max() + rest)
+            if other is None:
+                assert table["bound"][b] == pytest.approx(bound, rel=0.05)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_slow_convergence_is_noticed(noise, tank_law):
+    """Nothing else would show that the pumps are weak."""
+    model = tanks()
+    names = {"inputs": model.input_labels, "outputs": model.output_labels}
+    weak = control.ss(model.A, 0.5 * model.B, model.C, 0, 2.0, **names)
+    noise = noise * white(3, 9, 600, 3)
+    case = tank_law.loop, tank_law, bump(600, LEVELS), None, 9
+    with pytest.warns(UserWarning, match=r"rate .* up to 0\.0.*trial 2 ") as caught:
+        run = run_trials(*case, plant=weak, noise=noise)
+    assert len(caught) == 1 and rms(run.e).values[-1] < 0.1 * rms(run.e).values[0]
+    with warnings.catch_warnings(action="error"):
+        run_trials(*case, plant=model, noise=noise)
+        noise[1] += bump(600, [2.0, 1.0, 0.0])  # a new disturbance, and later another
+        noise[5] -= bump(600, [1.0, 2.0, 1.0])
+        run_trials(*case, plant=model, noise=noise)

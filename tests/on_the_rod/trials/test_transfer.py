@@ -1,0 +1,326 @@
+"""The first trial of another task, against plants whose inverse is known, and on many others."""
+
+import re
+import warnings
+from dataclasses import replace
+
+import control
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from plants import PUMPS, tanks
+
+from ilctools import (
+    ClosedLoop,
+    Law,
+    NormOptimal,
+    current_trial_loop,
+    load_log,
+    run_trials,
+    save_log,
+    transfer,
+    zero_phase_butterworth,
+)
+from ilctools.law.limits import realised
+from ilctools.trials.run import rms
+from rodlib import midr, paper_loop
+from rodlib.case import assumed_disturbance, assumed_reference
+from rodlib.rigs import MISMATCHED
+
+Q = zero_phase_butterworth(2, 1.0, 1.0)
+
+
+def steps(samples, *moves):
+    """One column for each (start, up, down, height) of the moves, as quintic steps, from rest."""
+    t = np.arange(samples)[:, None] / samples
+    start, up, down, height = np.array(moves).T
+
+    def step(s):
+        s = np.clip(s, 0, 1)
+        return s**3 * (10 - 15 * s + 6 * s**2)
+
+    return height * (step((t - start) / up) - step((t - 0.9 + down) / down))
+
+
+def coupled(gain=1.0):
+    """Two coupled first-order lags, whose inverse has two taps; of any gain at frequency zero."""
+    A, B = np.array([[0.6, 0.1], [0.0, 0.5]]), gain * np.array([[0.5, 0.1], [0.2, 0.4]])
+    return control.ss(A, B, np.eye(2), 0, 1.0), A, B
+
+
+def quiet(*arguments):
+    with warnings.catch_warnings(action="ignore"):
+        return transfer(*arguments)
+
+
+OLD = steps(200, (0.1, 0.2, 0.2, 2.0), (0.25, 0.15, 0.3, -1.0))
+NEW = steps(200, (0.2, 0.3, 0.2, -1.5), (0.1, 0.2, 0.25, 3.0))
+
+
+def run_quietly(*arguments, **more):
+    with warnings.catch_warnings(action="ignore"):
+        return run_trials(*arguments, **more)
+
+
+def trials_of(loop, weight=1e-2, trials=5, reference=OLD, **more):
+    law = Law(Q, NormOptimal(loop.P, weight, len(reference)))
+    return run_quietly(loop, law, reference, trials=trials, **more)
+
+
+@given(st.floats(0.5, 2.0), st.integers(2, 4), st.integers(0, 2**32 - 1))
+def test_of_a_plant_whose_inverse_is_short_f_is_that_inverse(gain, trials, seed):
+    P, A, B = coupled(gain)
+    v = np.random.default_rng(seed).standard_normal((200, 2))
+    v[-30:] = 0  # or it matters what would come after the trial
+    result = quiet(trials_of(ClosedLoop(P), 1.0, trials, v=v), NEW)
+    inverse = np.linalg.inv(B)  # P^-1 = B^-1 (q - A)
+    R = result.F.shape[2] // 2
+    expected = np.zeros_like(result.F)
+    expected[..., R - 1], expected[..., R] = inverse, -inverse @ A - np.eye(2)
+    np.testing.assert_allclose(result.F, expected, atol=1e-4 * np.abs(expected).max())
+    run = run_trials(ClosedLoop(P), Law(Q, None), NEW, trials=1, v=result.v)
+    assert rms(run.e).item() < 1e-3 * np.abs(NEW).max()
+    assert result.predicted.min() > 1 - 1e-6
+
+
+@pytest.mark.parametrize("repeats", [0.0, 1.0])
+def test_one_task_distinguishes_a_repeating_disturbance_from_the_reference(repeats):
+    P = coupled()[0]
+    answered = repeats * steps(200, (0.3, 0.1, 0.2, 0.7), (0.2, 0.3, 0.1, -0.9))
+    loop = ClosedLoop(P)
+    v, trials = np.zeros((200, 2)), []  # w = r + v - what the disturbance takes away
+    for _ in range(6):
+        one = run_trials(loop, Law(Q, None), OLD - answered, trials=1, v=v)
+        trials.append(one.assign(reference=one.reference + answered, e=one.e + answered))
+        v = Q.apply(v + NormOptimal(P, 1e-2, 200).apply(trials[-1].e[0].values))
+    result = quiet(trials, NEW)
+    np.testing.assert_allclose(result.compensation, answered, atol=0.05)
+    y = control.forced_response(P, inputs=(NEW + result.v - answered).T).outputs.T
+    assert np.abs(NEW - y).max() < 0.1
+    np.testing.assert_allclose(result.v, result.feedforward + result.compensation)
+    alone = quiet(trials[-1], NEW)
+    assert not alone.compensation.any()
+    assert alone.uncertainty.min() > 0.5 * np.sqrt(np.mean(NEW**2))
+    with pytest.warns(UserWarning, match="distinguish"):
+        transfer(trials[-1].isel(trial=0), -OLD)
+
+
+def tanks_case():
+    loop, plant = current_trial_loop(tanks(), PUMPS), tanks()
+    plant.B *= 0.85
+    old = [(0.05, 0.3, 0.3, 5.0), (0.1, 0.4, 0.2, 3.0), (0.2, 0.3, 0.4, -4.0)]
+    new = [(0.1, 0.2, 0.3, 3.0), (0.3, 0.2, 0.15, 4.0), (0.1, 0.3, 0.2, 2.0)]
+    law = Law(zero_phase_butterworth(2, 0.15, 2.0), NormOptimal(loop.P, 1e-2, 400))
+    return loop, plant, law, steps(400, *old), steps(400, *new)
+
+
+def test_on_another_plant_the_first_trial_is_as_if_it_had_been_learned():
+    """Three tanks, off from the model of the loop, with noise."""
+    loop, plant, law, old, new = tanks_case()
+    std, rng = 0.002 * np.abs(old).max(), np.random.default_rng(0)
+
+    def run(reference, trials=1, v=None):
+        noise = std * rng.standard_normal((trials, *reference.shape))
+        case = loop, law, reference, None, trials
+        return run_quietly(*case, plant=plant, noise=noise, v=v)
+
+    trials = run(old, 6)
+    transferred = quiet(trials, new)
+    first = rms(run(new, v=transferred.v).e).item()
+    unlearned, again = rms(run(new, 6).e).values[[0, -1]]
+    old_v = rms(run(new, v=trials.v.values[-1]).e).item()
+    white = std * np.sqrt(old.shape[1])
+    assert first < 0.05 * min(unlearned, old_v) + 6 * white
+    assert first < again + 0.04 * unlearned + 6 * white
+    assert transferred.predicted.min() > 0.97
+
+
+@pytest.fixture(scope="module")
+def rod():
+    loop, plant = paper_loop(), control.sample_system(midr(MISMATCHED, 6), 1.0, "zoh")
+    plant = control.ss(*control.ssdata(plant), 1.0, inputs=MISMATCHED.inputs,
+                       outputs=MISMATCHED.outputs)  # fmt: skip
+    Q, L = zero_phase_butterworth(2, 0.1, 1.0), NormOptimal(loop.P, 1e-2, 2500)
+
+    def run(reference, disturbance=None, trials=1, v=None):
+        return run_quietly(loop, Law(Q, L), reference, disturbance, trials, plant=plant, v=v)
+
+    return run
+
+
+def test_on_a_rod_that_is_off_outputs_may_be_swapped(rod):
+    """With and without heat flows that repeat, from one task; the old v is worse than none."""
+    reference = assumed_reference()
+    swapped = reference[:, ::-1]
+    for disturbance, most in ((None, 0.05), (assumed_disturbance(trials=1, first=1)[0], 1.2)):
+        done = rod(reference, disturbance, 6)
+        result = quiet(done, swapped)
+        first = rms(rod(swapped, disturbance, v=result.v).e).item()
+        assert first < 0.03 * rms(rod(swapped, disturbance).e).item()
+        assert first < 0.05 * rms(rod(swapped, disturbance, v=done.v.values[-1]).e).item()
+        assert np.sqrt(np.mean(result.compensation**2)) < most
+
+
+def test_a_disturbance_that_came_in_between_is_reported(rod):
+    came = assumed_disturbance(trials=8, first=4)
+    done = rod(assumed_reference(), came, 8)
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always")
+        transfer(done, assumed_reference()[:, ::-1])
+    assert any("another disturbance came" in str(warning.message) for warning in seen)
+    since = done.isel(trial=slice(3, None))
+    assert quiet(since, assumed_reference()).predicted.min() > 0.9
+    after = quiet(since, assumed_reference()[:, ::-1]).v
+    error = rms(rod(assumed_reference()[:, ::-1], came[-1], v=after).e).item()
+    assert error < 0.1 * rms(rod(assumed_reference()[:, ::-1], came[-1]).e).item()
+
+
+def of_two_plants(gain, seed=0, noise=1e-3, other=2, reference=OLD):
+    """Four learned trials, and others with v = 0 where the plant has another gain."""
+    P, rng = control.ss(0.8, 0.2, 1, 0, 1.0), np.random.default_rng(seed)
+    plant = control.ss(0.8, 0.2 * gain, 1, 0, 1.0)
+    white = noise * rng.standard_normal((4 + other, 200, 1))
+    learned = trials_of(ClosedLoop(P), trials=4, reference=OLD[:, :1], noise=white[:4])
+    case = ClosedLoop(P), Law(Q, None), reference[:, :1], None, other
+    return P, [learned, run_trials(*case, plant=plant, noise=white[4:])]
+
+
+@pytest.mark.parametrize(
+    ("gain", "reference", "named"),
+    [
+        (1.1, OLD, r".*1 of trials\[1\] \(by \d+%\), 2 of trials\[1\]"),
+        (1.5, OLD, ""),  # less than a tenth of the two trials is missed, more of the four
+        (1.5, 1.5 * NEW, r".*1 of trials\[1\] \(by \d+%\), 2 of trials\[1\]"),
+    ],
+)
+def test_trials_of_two_plants_contradict_each_other(gain, reference, named):
+    P, trials = of_two_plants(gain, reference=reference)
+    message = rf"one plant .*2 of trials\[0\] {named}"
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always")
+        result = transfer(trials, NEW[:, :1])
+    assert sum(bool(re.match(message, str(w.message))) for w in seen) == 1
+    assert seen[0].filename == __file__ and result.held_out.max() > 0.02
+    alone = quiet(trials[0], NEW[:, :1])
+    errors = []
+    for v in (alone.v, result.v):
+        run = run_quietly(ClosedLoop(P), Law(Q, None), NEW[:, :1], trials=1, v=v)
+        errors.append(rms(run.e).item())
+    assert errors[1] > 5 * errors[0]
+
+
+def test_trials_of_one_plant_do_not():
+    """Noise from little to a fifth, and a disturbance that repeats."""
+    for seed in range(12):
+        noise = 10 ** np.random.default_rng(seed).uniform(-4, -0.7)
+        _, trials = of_two_plants(1.0, seed, noise, 1 + seed % 3, (OLD, NEW)[seed % 2])
+        if seed % 3 == 0:
+            came = steps(200, (0.3, 0.1, 0.2, 0.7))
+            trials = [log.assign(v=log.v - came, y=log.y) for log in trials]
+        with warnings.catch_warnings(record=True) as seen:
+            warnings.simplefilter("always")
+            result = transfer(trials, NEW[:, :1])
+        assert not [w for w in seen if "one plant" in str(w.message)]
+        if seed % 3 and noise < 1e-2:  # held-out trials are missed by their noise
+            assert 0.5 * noise < result.held_out[-1] * 0.12 < 20 * noise
+
+
+def test_v_that_may_be_worse_than_zero_is_said():
+    _, trials = of_two_plants(-1.0, other=1)
+    with pytest.warns(UserWarning, match="may be worse than zero: of trial 4 of trials"):
+        warnings.filterwarnings("ignore", "(one plant|F predicts|v for y.* off by)")
+        transfer([trials[0].isel(trial=[3]), trials[1]], NEW[:, :1])
+
+
+def test_what_the_old_references_never_had_is_reported():
+    done = trials_of(ClosedLoop(coupled()[0]))
+    with warnings.catch_warnings(action="error"):
+        transfer(done, -2 * OLD[:, ::-1])
+    fast = NEW.copy()
+    fast[:, 1] += 0.5 * np.sin(2.0 * np.arange(200)) * np.hanning(200)
+    with pytest.warns(UserWarning, match=r"power of its slope in y\[1\]") as seen:
+        transfer(done, fast)
+    assert not any(r"y[0]" in str(warning.message) for warning in seen)
+
+
+def test_the_uncertainty_is_of_the_size_of_the_error():
+    """Of three tanks in one noisy task; with what a disturbance might add, and so larger."""
+    loop, plant, law, old, new = tanks_case()
+    best = run_quietly(loop, law, new, trials=20, plant=plant).v.values[-1]
+    noise, ratios = 0.02 * np.random.default_rng(0).standard_normal((2, 4, 400, 3)), []
+    for white in noise:
+        trials = run_quietly(loop, law, old, trials=4, plant=plant, noise=white)
+        transferred = quiet(trials, new)
+        off = law.Q.apply(transferred.v - best)[:-20]
+        ratios.append(np.sqrt(np.mean(off**2, axis=0)) / transferred.uncertainty)
+    assert 0.1 < np.median(ratios) < 2
+
+
+def test_it_takes_logs_tables_one_channel_and_references_of_any_length(tmp_path):
+    loop, path = (current_trial_loop(coupled()[0], ["u[0]", "u[1]"]), tmp_path / "log.csv")
+    trials = trials_of(loop)
+    save_log(trials, path)
+    expected = quiet(trials, NEW)
+    several = [trials.isel(trial=[0, 1]), trials.isel(trial=[2, 3, 4], channel=[1, 0])]
+    for same in (load_log(path), several):  # by names
+        np.testing.assert_allclose(quiet(same, NEW).v, expected.v, atol=1e-9)
+    named = trials.reference[0].copy(data=NEW).isel(channel=[1, 0])
+    np.testing.assert_allclose(quiet(trials, named).v, expected.v)
+    longer = quiet(trials, np.vstack([NEW, np.zeros((50, 2))]))
+    start = longer.feedforward[:100], expected.feedforward[:100]
+    np.testing.assert_allclose(*start, atol=1e-3)
+    assert not longer.compensation[200:].any()
+    assert quiet(trials, NEW[:90]).v.shape == (90, 2)
+    single = ClosedLoop(control.ss(0.5, 0.5, 1, 0, 1.0))
+    flat = quiet(trials_of(single, reference=OLD[:, 0]), NEW[:, 1])
+    assert flat.v.shape == (200, 1)
+    still = trials.isel(trial=[0, 1]) * 0  # nothing moved
+    assert not quiet(still.assign_attrs(trials.attrs), NEW).v.any()
+
+
+def test_units_do_not_matter():
+    P = coupled()[0]
+    scale = np.diag([1e3, 1e-4])
+    other = control.ss(P.A, P.B @ np.linalg.inv(scale), scale @ P.C, 0, 1.0)
+    v = np.random.default_rng(0).standard_normal((200, 2))
+    runs = [
+        run_trials(ClosedLoop(plant), Law(Q, None), OLD @ factor, trials=1, v=v @ factor)
+        for plant, factor in ((P, np.eye(2)), (other, scale))
+    ]
+    here, there = quiet(runs[0], NEW), quiet(runs[1], NEW @ scale)
+    np.testing.assert_allclose(there.v, here.v @ scale, rtol=1e-6, atol=1e-6)
+    F = np.einsum("ij,jkl,km->iml", scale, here.F, np.linalg.inv(scale))
+    np.testing.assert_allclose(there.F, F, rtol=1e-4, atol=1e-6 * np.abs(F).max())
+
+
+def test_trials_that_actuators_cut_off_count_by_the_realised_v():
+    loop = current_trial_loop(coupled()[0], ["u[0]", "u[1]"])
+    law = Law(Q, NormOptimal(loop.P, 1e-2, 200))
+    free, most = (
+        quiet(run_trials(loop, law, OLD, trials=4), NEW),
+        {name: (-1.0, 1.0) for name in loop.controls},
+    )
+    with warnings.catch_warnings(action="ignore"):
+        cut = run_trials(loop, replace(law, limits=most), OLD, trials=4)
+    assert np.abs(cut.u).max() > 1.2
+    signals = zip(cut.v.values, cut.u.values, cut.applied.values, strict=True)
+    v = np.array([realised(loop, *trial) for trial in signals])
+    off = [np.abs(quiet(trials, NEW).v - free.v).max()
+           for trials in (cut, cut.assign(v=(cut.v.dims, v)))]  # fmt: skip
+    assert off[1] < min(0.01, 0.1 * off[0])
+
+
+def test_what_does_not_belong_together_is_refused():
+    done = trials_of(ClosedLoop(coupled()[0]), trials=2)
+    other = done.assign_attrs(Ts=0.5)
+    for trials, words in (
+        ([done, other], "Ts"),
+        ([done, done.isel(time=slice(100))], "trials.v has shape"),
+        (done.drop_vars("y"), "trials lack"),
+        ([], "must be a Dataset"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            transfer(trials, NEW)
+    with pytest.raises(ValueError, match="reference has shape"):
+        transfer(done, NEW[:, :1])

@@ -1,0 +1,62 @@
+"""Iterative learning control: learning filters with certificates, for any plant.
+
+A name is imported when it is first used, so that what needs only a part does not wait for all.
+"""
+
+from collections.abc import Sequence
+from importlib import import_module
+
+MODULES = {
+    "models": "frequency_response minimal_realisation state_sequence unreachable_modes",
+    "filters": "LearningFilter zero_phase_butterworth",
+    "loop.closed": "ClosedLoop",
+    "loop.design": "current_trial_loop",
+    "loop.observer": "combinations estimated",
+    "law.io": "law_of load_law save_law",
+    "law.law": "Law",
+    "synthesis.design": "synthesise",
+    "synthesis.result": "InfeasibleError",
+    "synthesis.search": "least_gain",
+    "evidence.convergence": "convergence rate",
+    "evidence.finite": "trial_map trial_norm trial_operators",
+    "evidence.noise": "converged_noise noise_on_trial trial_noise",
+    "evidence.robustness": "worst_case",
+    "evidence.scenario": "support violation_probability",
+    "alternatives.norm_optimal": "NormOptimal",
+    "trials.run": "rms run_trials",
+    "trials.transfer": "transfer",
+    "rigs.controlled": "Controller",
+    "rigs.experiments": "record shake",
+    "logs.format": "save_log",
+    "logs.reader": "load_log",
+    "logs.replay": "replay",
+    "logs.table": "read_table",
+    "measurement.excitation": "multisine",
+    "measurement.measurement": "expected_radius measured_response",
+}
+
+
+def lazily(package: str, modules: dict[str, str], rooms: Sequence[str] = ()):
+    """``__getattr__``, ``__dir__`` and ``__all__`` of a package: names of its modules, and rooms.
+
+    Rooms are modules whose own names are looked up there.
+    """
+    home = {
+        name: f"{package}.{module}" for module, names in modules.items() for name in names.split()
+    }
+
+    def get(name):
+        if name in rooms:
+            return import_module(f"{package}.{name}")
+        if name not in home:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        return getattr(import_module(home[name]), name)
+
+    names = [*home, *rooms]
+    return get, lambda: sorted([*vars(import_module(package)), *names]), names
+
+
+ROOMS = ("alternatives",)
+__version__ = "0.1.0"  # as in pyproject.toml
+
+__getattr__, __dir__, __all__ = lazily(__name__, MODULES, ROOMS)

@@ -1,0 +1,277 @@
+"""Arguments are checked at the door, and here is how: one clear error, before any work.
+
+Each function returns the argument in the type that the code behind the door expects, or raises a
+ValueError that names the argument, its value and what it must be.
+"""
+
+import os
+import reprlib
+from collections.abc import Sequence
+from numbers import Real
+from os import PathLike
+from pathlib import Path
+from typing import get_args
+
+import control
+import numpy as np
+
+LARGEST = 1e100  # the square of what lies beyond it, or below its inverse, may not be a number
+CIRCLE = 1 - 1e-12  # modulus from which on a pole is on the unit circle, up to rounding
+# coordinates that name the signals of a DataArray
+ROLES = ("output", "control", "source")
+MOST = 10**9  # samples, trials, ...: what memory could hold at best
+
+
+def number(
+    name: str, value, what: str, low=-np.inf, high=np.inf, *, least=-np.inf, most=np.inf
+) -> float:
+    """A finite number above `low` and below `high`, from `least` to `most`; `what` says so."""
+    if isinstance(value, np.generic):  # 1e100 is no float32
+        value = value.item()
+    plain = isinstance(value, Real) and not isinstance(value, bool)
+    if not (plain and low < value < high and least <= value <= most):
+        raise ValueError(f"{name} = {reprlib.repr(value)} must be {what}")
+    if value and not 1 / LARGEST <= abs(value) <= LARGEST:
+        size = "large" if abs(value) > 1 else "small"
+        raise ValueError(f"{name} = {reprlib.repr(value)} is too {size}: choose another unit")
+    return float(value)
+
+
+def not_negative(name: str, value, what: str = "a number, 0 or more") -> float:
+    """A finite number, zero or above."""
+    return number(name, value, what, least=0)
+
+
+def positive(name: str, value, what: str = "a positive number") -> float:
+    """A finite number above zero."""
+    return number(name, value, what, low=0)
+
+
+def sampling_period(name: str, value) -> float:
+    """A sampling period in seconds."""
+    return positive(name, value, "a positive sampling period in seconds")
+
+
+def share(name: str, value) -> float:
+    """A number above zero, at most one."""
+    return number(name, value, "in (0, 1]", 0, most=1)
+
+
+def whole(name: str, value, low: int, high: int | None = None) -> int:
+    """A whole number, at least `low` and at most `high`."""
+    plain = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not plain or value < low or (high is not None and value > high):
+        limits = f"{low} or more" if high is None else f"from {low} to {high}"
+        raise ValueError(f"{name} = {reprlib.repr(value)} must be a whole number, {limits}")
+    if value > MOST:
+        raise ValueError(f"{name} = {reprlib.repr(value)} is too large: at most {MOST}")
+    return int(value)
+
+
+def flag(name: str, value) -> bool:
+    """True or False, and not something that merely counts as one of them."""
+    if not isinstance(value, bool | np.bool_):
+        raise ValueError(f"{name} = {reprlib.repr(value)} must be True or False")
+    return bool(value)
+
+
+def choice(name: str, value, options: Sequence[str]) -> str:
+    """One of a few words."""
+    if not (isinstance(value, str) and value in options):
+        words = " or ".join(repr(option) for option in options)
+        raise ValueError(f"{name} = {reprlib.repr(value)} must be {words}")
+    return value
+
+
+def instance(name: str, value, kind):
+    """An object of the given class, or of one of a union."""
+    if not isinstance(value, kind):
+        holds = isinstance(getattr(value, "filter", None), kind)
+        remedy = f", which is its attribute: pass {name}.filter" if holds else ""
+        words = " or ".join(each.__name__ for each in get_args(kind) or [kind])
+        raise ValueError(f"{name} = {reprlib.repr(value)} must be a {words}{remedy}")
+    return value
+
+
+def different(name: str, value) -> list[str]:
+    """A list of names, each once."""
+    listed = isinstance(value, Sequence) and not isinstance(value, str | bytes)
+    if not (listed and all(isinstance(n, str) for n in value)) or len({*value}) < len(value):
+        raise ValueError(f"{name} = {reprlib.repr(value)} must be different names")
+    return list(value)
+
+
+def by_name(name: str, value, names: Sequence[str]) -> dict:
+    """A dict that says something about some of the signals `names`; None says nothing."""
+    given = instance(name, {} if value is None else value, dict)
+    unknown = [key for key in given if key not in names]
+    if unknown:
+        raise ValueError(f"{name} is about {reprlib.repr(unknown)}, but must name some of {names}")
+    return given
+
+
+def names_of(signals) -> list[str] | None:
+    """Whose a table's columns are, or a DataArray's channels; None if they do not say."""
+    if hasattr(signals, "columns"):
+        labels = [*signals.columns]
+    else:
+        role = next((r for r in ROLES if r in getattr(signals, "coords", ())), None)
+        labels = [] if role is None else np.atleast_1d(signals[role]).tolist()
+    return labels if labels and all(isinstance(label, str) for label in labels) else None
+
+
+def in_order(name: str, value, names: Sequence[str]):
+    """Signals in the order of `names`, if they say whose they are; others as they stand."""
+    own = names_of(value)
+    if own is None or own == [*names]:
+        return value
+    if sorted(own) != sorted(names):
+        raise ValueError(
+            f"{name} holds the signals {reprlib.repr(own)}, but must hold {[*names]}: rename them, "
+            "or pass an array, whose columns stand in that order"
+        )
+    if hasattr(value, "columns"):
+        return value[[*names]]
+    role = next(role for role in ROLES if role in value.coords)
+    (dimension,) = value[role].dims
+    return value.isel({dimension: [own.index(label) for label in names]})
+
+
+def in_columns(name, signal, shape, names):
+    """An array with a column for each name, by names if it has some; one needs no second axis."""
+    signal = array(name, in_order(name, signal, names), (...,))
+    if signal.ndim == len(names) == 1:
+        signal = signal[:, None]
+    return array(name, signal, shape)
+
+
+def labelled_as(value, signal, names):
+    """An array, a column for each of `names`, with the shape, labels and order of `value`."""
+    own = names_of(value)
+    if own is None:
+        return signal.reshape(np.shape(value))
+    signal = signal[..., [names.index(label) for label in own]]
+    if hasattr(value, "columns"):
+        return type(value)(signal, value.index, value.columns)
+    return value.copy(data=signal.reshape(value.shape))
+
+
+def each_trial(name, signal, trials, samples, names):
+    """A signal of all trials, or of each, with the trial as the first axis."""
+    signal = in_columns(name, signal, (...,), names)
+    shape = (samples, len(names))
+    if signal.ndim > 2:
+        shape = (trials, *shape)
+    signal = array(name, signal, shape)
+    return np.broadcast_to(signal, (trials, *signal.shape[-2:]))
+
+
+def path(name: str, value) -> Path:
+    """The path of a file; ~ is the home of a user."""
+    if not isinstance(value, str | PathLike) or not str(value):
+        raise ValueError(f"{name} = {reprlib.repr(value)} must be the path of a file")
+    return Path(os.path.expanduser(value))
+
+
+def state_space(name: str, value) -> control.StateSpace:
+    """A state-space model, the entries of whose matrices are finite."""
+    instance(name, value, control.StateSpace)
+    for matrix in "ABCD":
+        array(f"{name}.{matrix}", getattr(value, matrix), (...,))
+    return value
+
+
+def stable(name: str, poles) -> float:
+    """The largest modulus of the poles of a system in discrete time, which must settle."""
+    radius = np.abs(poles).max(initial=0)
+    if radius > CIRCLE:
+        raise ValueError(f"{name} is unstable: it has a pole of modulus {radius:.6g}, 1 or more")
+    return radius
+
+
+def array(name: str, value, shape: Sequence[int | str], dtype: type = float) -> np.ndarray:
+    """A new array of finite numbers, of a shape such as ``("time", 2)`` or ``(..., "m", "m")``.
+
+    A name stands for any size above zero, the same wherever it stands, and an Ellipsis in front
+    for any number of axes. `dtype` is float or complex. True among numbers counts as 1.
+    """
+    usual = type(value) is np.ndarray and value.dtype == dtype and value.shape == tuple(shape)
+    # what is not a number is not below it either; only what is beyond is looked at closely
+    if usual and value.size and np.vdot(value, value).real <= LARGEST**2:
+        return value.copy()  # as in every sample of an experiment
+    if type(value) is float and not shape and abs(value) <= LARGEST:
+        return np.array(value, dtype)
+    try:
+        plain = np.asanyarray(value)
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"{name} must be an array of numbers, but is none; has it rows of different lengths?"
+        ) from None
+    if plain.dtype.kind not in "iufc":
+        raise ValueError(f"{name} holds values of type {plain.dtype}, but must hold numbers")
+    if plain.dtype.kind == "c" and dtype is float:
+        raise ValueError(f"{name} is complex, but must be real")
+    if np.ma.is_masked(plain):
+        count = np.ma.count_masked(plain)
+        raise ValueError(f"{name} has {count} masked values: fill the gaps, or leave them out")
+    wanted = tuple(shape)
+    sizes = plain.shape
+    if wanted and wanted[0] is Ellipsis:
+        wanted, sizes = wanted[1:], sizes[max(0, plain.ndim - len(shape) + 1) :]
+    if not _fits(sizes, wanted):
+        words = ", ".join("..." if size is Ellipsis else str(size) for size in shape)
+        words += "," if len(shape) == 1 else ""
+        hint = ""
+        if len(sizes) == plain.ndim > 1 and _fits(sizes[-1:] + sizes[:-1], wanted):
+            hint = f": its last axis belongs first, as in np.moveaxis({name}, -1, 0)"
+        missing = len(wanted) - plain.ndim
+        if plain.ndim == 1 and _fits(sizes + (1,) * missing, wanted):
+            hint = f": of one channel, pass {name}[:{', None' * missing}]"
+        raise ValueError(f"{name} has shape {plain.shape}, but must have shape ({words}){hint}")
+    result = np.array(plain, dtype=dtype)
+    # what is not a number is not below it either
+    if np.abs(result).max(initial=0) <= LARGEST:
+        return result
+    bad = np.argwhere(~np.isfinite(result))
+    if not len(bad):
+        raise ValueError(f"{name} has values beyond {LARGEST:g}: choose another unit")
+    where = tuple(int(i) for i in bad[0])
+    raise ValueError(f"{name} has {len(bad)} values that are not finite, the first at {where}")
+
+
+def _fits(sizes, wanted):
+    """Whether an array has the sizes wanted; those with the same name are equal."""
+    named = {}
+    return len(sizes) == len(wanted) and all(
+        have > 0 and have == named.setdefault(want, have) if isinstance(want, str) else have == want
+        for want, have in zip(wanted, sizes, strict=True)
+    )
+
+
+def square(name: str, inputs: int, outputs: int) -> None:
+    """Refuse a response with more inputs than outputs, or fewer."""
+    if inputs != outputs:
+        raise ValueError(
+            f"{name} has {inputs} inputs and {outputs} outputs, but must have as many: leave "
+            "inputs out; of more outputs, learn on combinations of them (ilctools.combinations)"
+        )
+
+
+def row(name: str, value, dtype: type = float) -> np.ndarray:
+    """One or more numbers in a row; a number by itself is a row of one."""
+    return array(name, np.atleast_1d(array(name, value, (...,), dtype)), ("n",), dtype)
+
+
+def increasing_frequencies(name: str, value, Ts: float) -> np.ndarray:
+    """Two or more increasing angular frequencies, rad/s, from zero up to the Nyquist frequency."""
+    omega = array(name, value, ("frequency",))
+    if len(omega) < 2 or not np.all(np.diff(omega) > 0):
+        raise ValueError(f"{name}, of shape {omega.shape}, must be a row of increasing frequencies")
+    nyquist = np.pi / Ts
+    if omega[0] < 0 or omega[-1] > nyquist * (1 + 1e-9):
+        raise ValueError(
+            f"{name} spans [{omega[0]:.6g}, {omega[-1]:.6g}] rad/s, but must lie in "
+            f"[0, {nyquist:.6g}] rad/s, up to the Nyquist frequency of Ts = {Ts} s: likely "
+            "either is in another unit"
+        )
+    return omega

@@ -1,0 +1,391 @@
+"""What is known about a learning filter, by evidence independent of the solver."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ilctools import arguments
+from ilctools.evidence.convergence import log_mean
+from ilctools.evidence.finite import trial_norm
+from ilctools.evidence.optimality import lower_bound, relief
+from ilctools.evidence.peak import (
+    Peak,
+    estimated_peaks,
+    highest,
+    learning_model,
+    peak_beyond,
+    peak_gain,
+    proven_peaks,
+)
+from ilctools.evidence.prediction import predicted_rms
+from ilctools.evidence.robustness import WorstCase, worst_case
+from ilctools.filters import LearningFilter
+from ilctools.problem.problem import MOST_GAIN, TIED, Problem, Solution, largest_singular_values
+from ilctools.problem.roughness import warnings_of
+
+# Relative duality gap, and relative violation of a bound on the grid, that are accepted;
+GAP = 1e-6
+VIOLATION = 1e-9
+BETWEEN = 1e-7  # and of one between the frequencies, where the bounds hold there, too
+# Share of 1 - sigma_max(M) that splines may miss, as a narrow resonance shows little on its flanks,
+# and by which M may pass a bound between the frequencies.
+COARSE = 0.25
+NAMED = 4  # of those that are tied as the worst, so many are named
+IDLE = 0.9  # share of the error in the band from which on learning counts as idle
+
+
+@dataclass(frozen=True, eq=False)
+class Certificate:
+    """What is known about a learning filter, by evidence independent of the solver."""
+
+    problem: Problem
+    value: float  # the objective reached
+    lower_bound: float  # what no such filter within the bounds can go below
+    # of the nominal plant, see :meth:`Convergence.mean`; NaN without a band
+    mean_M: float
+    # RMS of the error in some trials, for the reference of the design; None without one
+    predicted: dict[int, float] | None
+    worst: WorstCase  # of all plants, within the radius, at each of the frequencies
+    peak: Peak  # over all frequencies, without the radius, unknown between the samples
+    exact: Peak | None  # of the plants that are models, if Q is one, too
+    estimated: int  # for so many of the others, the worst on the grid
+    beyond: Peak | None  # above the last sample, of the size that is assumed there
+    grid_L: float  # peak of sigma_max(L) on the grid
+    passed_L: float  # the largest share of its bound that sigma_max(L) has there
+    all_L: float  # an upper bound of it, to 1e-8, for all frequencies
+    relief: float  # relative decrease of the optimum for a relative increase of L_max
+    tolerances: tuple[float, float] = (GAP, VIOLATION)
+    trial: float = np.nan  # 2-norm of the map of one finite trial, if asked for
+    samples: int | None = None  # length of that trial
+    rest: int = 0  # of it, in which v is held at zero
+
+    @property
+    def grid_M(self) -> float:
+        """Peak of sigma_max(M) on the grid, the largest of all plants within the radius."""
+        return self.worst.sigma.max()
+
+    @property
+    def all_M(self) -> float:
+        """Peak of sigma_max(M) over all frequencies, to 1e-8; an estimate if it is not proven."""
+        return self.peak.sigma
+
+    @property
+    def proven(self) -> bool:
+        """False if P or Q are samples: between them `all_M` is read off splines."""
+        return not self.estimated
+
+    @property
+    def rate(self) -> float:
+        """The largest sigma_max(M) that is proven, estimated or assumed, whatever the place."""
+        beyond = self.beyond.sigma if self.beyond else 0.0
+        return float(max(self.grid_M, self.all_M, beyond))
+
+    @property
+    def gap(self) -> float:
+        """Distance of value and lower bound, relative to :meth:`.Problem.unit`."""
+        return (self.value - self.lower_bound) / self.problem.unit(self.value)
+
+    @property
+    def unseen(self) -> Peak | None:
+        """The highest peak of the models, if it is one or more, where omega does not see it."""
+        return self.exact if self.exact and self.exact.sigma >= 1 else None
+
+    @property
+    def assumptions(self) -> tuple[str, ...]:
+        """What P and its radius rest on, and where they are of no use."""
+        return (*self.problem.basis, *self.problem.assumed, *_unusable(self.problem))
+
+    @property
+    def failures(self) -> list[str]:
+        """What does not hold; empty if all does."""
+        return list(self._failures())
+
+    def _failures(self) -> Iterator[str]:
+        problem, (gap, violation) = self.problem, self.tolerances
+        M_max, L_max = problem.M_max, problem.L_max
+        if self.gap > gap:
+            yield f"relative duality gap {self.gap:.1e} > {gap:g}"
+        if self.grid_M > M_max * (1 + violation):
+            where = f" at its worst ({self._where()})" if problem.robust else ""
+            yield f"sigma_max(M){where} = {self.grid_M:.12g} > M_max = {M_max} on the grid"
+        if L_max is not None and self.grid_L > L_max * (1 + violation):
+            yield f"sigma_max(L) = {self.grid_L:.12g} > L_max = {L_max} on the grid"
+        elif self.passed_L > 1 + violation:
+            yield (
+                f"sigma_max(L) is {self.passed_L:.12g} times what bounds it between or above the "
+                "frequencies omega"
+            )
+        if problem.everywhere:
+            limit = 1 + violation + BETWEEN
+            high_M = self.exact is not None and self.exact.sigma > M_max * limit
+            high_L = L_max is not None and self.all_L > L_max * limit
+            if high_M or high_L:
+                yield (
+                    f"sigma_max(M) is {self.all_M:.12g}, sigma_max(L) {self.all_L:.12g} at some "
+                    "frequency, above the bounds"
+                )
+        if peak := self.unseen:
+            yield (
+                f"sigma_max(M){self._whose(peak)} reaches {peak.sigma:.9g} at {peak.omega:.6g} "
+                "rad/s, not in omega: Lemma 1 does not hold; add frequencies there, or "
+                "synthesise with everywhere=True"
+            )
+        if self.beyond and self.beyond.sigma >= 1 and not problem.findings:
+            size = f"{self.beyond.sigma:.4g}"
+            yield f"{self._above()}, may reach {size}: Lemma 1 does not hold"
+
+    @property
+    def warnings(self) -> list[str]:
+        """What speaks against the problem, and against what is said between the samples."""
+        problem, design = self.problem, self.problem.design
+        texts = [*problem.findings]
+        if design.models[0] is None and design.radius is None:
+            texts += warnings_of(design.omega, design.P, design.Q)
+        if problem.objective == "sum" and self.value > IDLE * problem.idle:
+            share = self.value / problem.idle
+            where = "in the band" if problem.band else "for this reference"
+            texts.append(f"the filter leaves {share:.0%} of the error {where}")
+        margin, missed = 1 - self.all_M, self.peak.missed
+        whose = f"sigma_max(M){self._whose(self.peak)}"
+        place = f"{self.all_M:.4g} at {self.peak.omega:.4g} rad/s, between the"
+        passed = self.all_M - problem.M_max > COARSE * (1 - problem.M_max)
+        if self.proven and passed and not self.failures:
+            texts.append(
+                f"{whose} reaches {place} frequencies omega, where M_max = {problem.M_max:g} "
+                "bounds it: synthesise with everywhere=True, or "
+                f"{'an' if problem.L_max is None else 'a smaller'} L_max"
+            )
+        elif not self.proven and margin <= 0:
+            texts.append(
+                f"{whose} may reach {place} samples, where Lemma 1 would not hold; measure there, "
+                "or smooth samples that scatter"
+            )
+        elif not self.proven and missed > COARSE * margin:
+            texts.append(
+                f"the samples are too coarse: splines miss M by {missed:.2g} in cross-validation, "
+                f"and 1 - sigma_max(M) is {margin:.2g}; measure at more frequencies"
+            )
+        return texts
+
+    def _whose(self, peak):
+        """Of which plant a peak is."""
+        return f" of plant {peak.plant}" if len(self.problem.plants) > 1 else ""
+
+    def _where(self):
+        """The plants and frequencies of the peak on the grid."""
+        omega = self.problem.omega
+        places = []
+        for plant, k in self.worst.tied:
+            of = f"plant {plant} " if len(self.problem.plants) > 1 else ""
+            places.append(f"{of}at {omega[k]:.4g}")
+        text = f"{', '.join(places[:NAMED])} rad/s"
+        if len(places) > NAMED:
+            text += f" and {len(places) - NAMED} more"
+        return text
+
+    def _above(self):
+        """Where M is bounded by what is assumed."""
+        last = self.problem.design.omega[-1]
+        return f"sigma_max(M) above {last:.4g} rad/s, with the size of P assumed there"
+
+    def __repr__(self):
+        of = f", {self._worst()}" if self.problem.robust else ""
+        lines = [f"rate{of}: {self.rate:.4f}, {self._coverage()}"]
+        lines += [*self._mean(), self._reached(), *self._remarks()]
+        return "\n".join(lines)
+
+    @property
+    def details(self) -> str:
+        """All that is known, for print: the table of M and L, the worst plants, the optimum."""
+        lines = [*self._table(), *self._of_worst(), *self._between(), *self._of_value()]
+        return "\n".join([*lines, *self._mean(), *self._remarks()])
+
+    def _remarks(self) -> Iterator[str]:
+        """Of a finite trial, and what the certificate rests on and what speaks against it."""
+        if self.samples:
+            rest = f", the last {self.rest} at rest" if self.rest else ""
+            trial = f"one trial of {self.samples} samples{rest}"
+            yield f"norm of {trial}: {self.trial:.4f}"
+        yield from self.assumptions
+        yield from (f"WARNING: {text}" for text in self.warnings)
+        yield from (f"FAILS: {text}" for text in self.failures)
+
+    def _worst(self):
+        """Of which plants the worst is meant."""
+        count = len(self.problem.plants)
+        of = f" of {count} plants" if count > 1 else ""
+        return f"worst{of}{'' if self.problem.radius is None else ' within the radius'}"
+
+    def _coverage(self):
+        """At which frequencies the rate is known, and how well."""
+        known = "proven" if self.proven else "estimated"
+        if self.problem.radius is not None:
+            where = "proven at the design frequencies"
+            return f"{where}, without the radius {known} in between"
+        if self.proven:
+            return "proven for all frequencies"
+        return f"{known} between the samples, {_span(self.problem.design.omega)}"
+
+    def _mean(self) -> Iterator[str]:
+        """The RMS predicted for a reference, or the mean rate in a band, if there is one."""
+        nominal = " of the nominal plant" if self.problem.robust else ""
+        if self.predicted:
+            trials = [f"{rms:.3g} in trial {k}" for k, rms in self.predicted.items()]
+            yield (
+                f"predicted RMS of the error{nominal}: {', '.join(trials)}, for this "
+                "reference, without noise and ends"
+            )
+        elif self.problem.objective == "sum" and np.isfinite(self.mean_M):
+            mean = f"{self.mean_M:.4f}, {_span(self.problem.band)}"
+            yield f"mean of sigma_max(M){nominal} over the band: {mean}"
+
+    def _reached(self):
+        """Which bounds limit the optimum; without them, no other than the filter's size."""
+        problem, bounds = self.problem, []
+        if problem.objective == "sum" and self.grid_M > problem.M_max * (1 - TIED):
+            bounds.append(f"M_max = {problem.M_max:g}")
+        if problem.L_max is not None and self.passed_L > 1 - TIED:
+            gain = f"10 % more would lower the objective by {self.relief / 10:.1%}"
+            bounds.append(f"L_max = {problem.L_max:g} ({gain})")
+        size = f"order = {problem.order}"
+        if problem.order < problem.delay:
+            size += f" (P lags by {problem.delay} samples at the cut-off)"
+        if problem.structure == "diagonal" and problem.channels > 1:
+            size += ", diagonal"
+        return f"limited by {', '.join([*bounds, size])}"
+
+    def _table(self) -> Iterator[str]:
+        """Bounds and peaks of M and L."""
+        problem = self.problem
+        L_max = "none" if problem.L_max is None else f"{problem.L_max:g}"
+        all_M = "not known"
+        if self.proven and problem.radius is None:
+            all_M = f"{self.all_M:.8f}"
+        rows = [
+            ("", "sigma_max(M)", "sigma_max(L)"),
+            ("bound", f"{problem.M_max:g}", L_max),
+            ("on the design grid", f"{self.grid_M:.8f}", f"{self.grid_L:.7g}"),
+        ]
+        if problem.robust:
+            rows.append(("  of the nominal plant", f"{self.worst.peaks[0]:.8f}", ""))
+        rows.append(("over all frequencies", all_M, f"{self.all_L:.7g}"))
+        for title, M, L in rows:
+            yield f"{title:<22}{M:>14}{L:>14}".rstrip()
+
+    def _of_worst(self) -> Iterator[str]:
+        """The worst plants and frequencies, if there is a choice."""
+        problem = self.problem
+        if not problem.robust:
+            return
+        yield f"{self._worst()} on the design grid: {self._where()}"
+        if problem.radius is not None:
+            yield (
+                f"a plant within the radius reaches {self.grid_M:.8f} there; between the samples "
+                "the radius is not known"
+            )
+
+    def _between(self) -> Iterator[str]:
+        """What is not in the table of M between the design frequencies."""
+        problem, omega = self.problem, self.problem.design.omega
+        without = "" if problem.radius is None else " without the radius"
+        if self.proven:
+            if without:
+                yield f"sigma_max(M) over all frequencies{without}: {self.all_M:.8f}"
+            return
+        of = ""
+        if self.estimated < len(problem.plants):
+            of = f" for the {self.estimated} sampled plants that are worst on the grid"
+        yield (
+            f"sigma_max(M){without} {_span(omega)}, between the samples: {self.all_M:.4f}, "
+            f"estimated{of}"
+        )
+        unknown = [f"below {omega[0]:.4g} rad/s"] if omega[0] > 0 else []
+        if self.beyond:
+            yield f"{self._above()}: {self.beyond.sigma:.4f} at most"
+        elif omega[-1] < np.pi / problem.Ts * (1 - 1e-9):
+            unknown.append(f"above {omega[-1]:.4g} rad/s")
+        unknown.append("at resonances that no sample shows")
+        yield f"sigma_max(M) unknown: {', '.join(unknown)}"
+
+    def _of_value(self) -> Iterator[str]:
+        """The objective, and how much better another filter could be."""
+        problem = self.problem
+        if problem.everywhere:
+            yield "bounds asked for at every frequency, not on the grid only"
+        gain = "" if problem.L_max else f" with a gain of Q P L up to {MOST_GAIN:.0e}"
+        yield (
+            f"objective {self.value:.7g}, no {problem.structure} filter of order {problem.order}"
+            f"{gain} below {self.lower_bound:.7g}"
+        )
+
+
+def _unusable(problem: Problem) -> Iterator[str]:
+    """Where P is not known well enough for any learning."""
+    omega = problem.omega[problem.unusable]
+    if omega.size:
+        yield (
+            f"nothing can be learned at {omega.size} frequencies {_span(omega)}: the uncertainty "
+            "ball contains singular plants there, and M is |Q| or more, "
+            f"{np.abs(problem.Q[problem.unusable]).max():.4g} at most"
+        )
+
+
+def _span(omega):
+    """The first and the last of some frequencies."""
+    return f"from {omega[0]:.4g} to {omega[-1]:.4g} rad/s"
+
+
+def certify(
+    problem: Problem,
+    solution: Solution,
+    tolerances: tuple[float, float] = (GAP, VIOLATION),
+    samples: int | None = None,
+    rest: int = 0,
+) -> Certificate:
+    """Find out what is true of a filter; nothing of the solution is trusted."""
+    L = LearningFilter(solution.coefficients, problem.Ts)  # in units of scale, as P is
+    response = L.frequency_response(problem.omega_L)
+    nominal = largest_singular_values(problem.M(response))
+    worst = worst_case(problem, L)
+    value = problem.value(nominal, worst.sigma)
+    mean_M, (low, high) = np.nan, problem.band or (0, 0)
+    if 0 < low < high:
+        design = np.isin(problem.omega, problem.design.omega)
+        mean_M = log_mean(nominal[design], problem.omega[design], problem.band)
+    exact = proven_peaks(problem, L)
+    estimated = estimated_peaks(problem, L, worst.peaks)
+    trial = np.nan
+    if samples is not None:
+        trial = trial_norm(*problem.model, L, samples, rest=rest)[0]
+    return Certificate(
+        problem=problem,
+        value=value,
+        lower_bound=lower_bound(problem, solution.U, solution.V, solution.cuts),
+        mean_M=float(mean_M),
+        predicted=None if problem.band else predicted_rms(problem, L),
+        worst=worst,
+        peak=highest([*exact, *estimated]),
+        exact=highest(exact),
+        estimated=len(estimated),
+        beyond=peak_beyond(problem, L),
+        grid_L=largest_singular_values(response).max(),
+        passed_L=problem.passed_L(response),
+        all_L=peak_gain(learning_model(L))[0],
+        relief=relief(problem, value, solution.U, solution.V, solution.cuts),
+        tolerances=tolerances,
+        trial=trial,
+        samples=samples,
+        rest=rest,
+    )
+
+
+def checked_trial(problem: Problem, samples: int | None, rest: int) -> tuple[int | None, int]:
+    """Length of a trial and of the rest at its end; a ValueError if it has no norm."""
+    if samples is not None:
+        samples = arguments.whole("samples", samples, 2)
+        if problem.model is None:
+            raise ValueError(
+                f"samples = {samples} asks for the norm of a trial, which needs P and Q as models"
+            )
+    return samples, arguments.whole("rest", rest, 0, (samples or 1) - 1)

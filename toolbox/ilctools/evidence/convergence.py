@@ -1,0 +1,225 @@
+"""Do the trials converge, and how fast? Two numbers of M = Q (I - P L), on a grid.
+
+The largest sigma_max(M) is the gamma of Lemma 1: below one the error converges *monotonically*, in
+every trial by that factor at least. The largest spectral radius of M is never larger: below one the
+error *converges*, though it may grow before. Both are about trials without ends.
+"""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from ilctools import arguments
+from ilctools.filters import LearningOperator, check_learning
+from ilctools.law.limits import WEIGHT
+from ilctools.models import frequency_response
+from ilctools.problem.problem import convergence_matrix, largest_singular_values, tied
+from ilctools.problem.responses import Q_on_grid, on_grid, plants
+
+DENSE = 20001  # frequencies, from zero to the Nyquist frequency
+
+
+class Rate(NamedTuple):
+    """Lemma 1's gamma, the largest sigma_max(M), and the frequency (rad/s) where it is."""
+
+    gamma: float
+    omega: float
+
+
+@dataclass(frozen=True, eq=False)
+class Convergence:
+    """How the trials converge, by M = Q (I - P L). Made by :func:`convergence`.
+
+    For p plants `sigma` has the shape (p, n), and each other result the shape (p,). That of
+    :meth:`.Synthesis.check` is for the worst of all plants, between the frequencies, too.
+    """
+
+    omega: np.ndarray  # (n,), rad/s
+    sigma: np.ndarray  # (n,): sigma_max(M), by which the error shrinks there at least
+    gamma: float  # Lemma 1: the largest of them
+    at: float  # the frequency of gamma, rad/s; the lowest of those that are tied
+    spectral_radius: float  # largest |eigenvalue of M|
+    responses: tuple[np.ndarray, np.ndarray, np.ndarray]  # P, Q, L
+    proven: bool = False  # whether gamma holds at all frequencies
+    uncertain: bool = False  # whether P may be another, for which the trials diverge
+    assumptions: tuple[str, ...] = ()  # what P and its radius rest on
+    systems: tuple | None = None  # plants, Q and L, where all of them are models
+
+    @property
+    def monotone(self) -> bool:
+        """Whether every trial brings the error nearer to its limit (Lemma 1)."""
+        return bool(np.max(self.gamma) < 1)
+
+    @property
+    def converges(self) -> bool:
+        """Whether the trials surely converge, if not each of them comes nearer."""
+        return self.monotone or (not self.uncertain and bool(np.max(self.spectral_radius) < 1))
+
+    def mean(self, band=None) -> float:
+        """Mean of sigma_max(M) over the logarithm of frequency, in a band (low, high) in rad/s.
+
+        The sum in (39) on a logarithmic grid, divided by the number of its terms: designs on
+        different grids can be compared. By trapezia, with corners at `omega` and the ends of the
+        band; default: from the first to the last frequency.
+        """
+        omega = self.omega
+        band = omega[[0, -1]] if band is None else arguments.array("band", band, (2,))
+        low, high = band
+        if not omega[0] <= low < high <= omega[-1] or low <= 0:
+            raise ValueError(
+                f"band = {band.tolist()} must be two increasing frequencies above zero, within "
+                f"omega, which goes from {omega[0]:.6g} to {omega[-1]:.6g} rad/s"
+            )
+        return np.apply_along_axis(log_mean, -1, self.sigma, omega, band)[()]
+
+    def within(self, weight: float = WEIGHT) -> float:
+        """The rate where commands have limits, in the metric of the projection onto them.
+
+        The largest sigma_max(W^(1/2) Q (I - L P) W^(-1/2)) with W = P_0^H P_0 + weight I: by that
+        factor the root of ||P_0 d||^2 + weight ||d||^2, with d the distance of v from its limit,
+        shrinks from trial to trial, at least. For small weights it tends to gamma. P is the worst
+        of the plants, P_0 the first, by whose model the law projects. If plants and Q are models,
+        it is on a grid of 20,000 frequencies up to the Nyquist frequency and at `omega`, else at
+        `omega` alone; a radius is left out of account. For trials without ends, and limits that are
+        met as the model says.
+        """
+        weight = arguments.positive("weight", weight)
+        P, Q, L = self.responses
+        if self.systems is not None:
+            plants, *filters = self.systems
+            dense = np.linspace(0, np.pi / filters[0].Ts, DENSE)
+            omega = np.union1d(self.omega, dense)
+            P = np.array([frequency_response(plant, omega) for plant in plants])
+            Q, L = (each.frequency_response(omega) for each in filters)
+        identity = np.eye(P.shape[-1])
+        nominal = P.reshape(-1, *P.shape[-3:])[0]
+        effort = np.broadcast_to(np.sqrt(weight) * identity, nominal.shape)
+        S = np.concatenate([nominal, effort], axis=-2)  # S^H S = W
+        change = Q[:, None, None] * (identity - L @ P)
+        rates = np.linalg.norm(S @ change @ np.linalg.pinv(S), 2, axis=(-2, -1))
+        return float(rates.max())
+
+    def __repr__(self):
+        gamma, radius = np.max(self.gamma), np.max(self.spectral_radius)
+        at = np.ravel(self.at)[np.argmax(self.gamma)]
+        if self.monotone:
+            how = "converges monotonically"
+        elif self.converges:
+            how = "converges, not monotonically"
+        else:
+            how = "diverges" if radius >= 1 else "need not converge"
+        where = "at all frequencies" if self.proven else "not proven between samples"
+        line = (
+            f"{how}: sigma_max(M) is {gamma:.4f} at most, at {at:.4g} rad/s ({where}), "
+            f"|eigenvalue of M| {radius:.4f}"
+        )
+        return "\n".join([line, *self.assumptions])
+
+
+def convergence(P, Q, L: LearningOperator, omega) -> Convergence:
+    """How fast the error converges from trial to trial: M = Q (I - P L) on a grid.
+
+    Parameters
+    ----------
+    P : array_like, shape (n, m, m), a model, CurrentTrialLoop, or a list of these
+        As for :func:`ilctools.synthesise`; an array of shape (p, n, m, m) is several plants, too.
+    Q : ZeroPhaseButterworth or array_like, shape (n,)
+    L : LearningOperator
+        The learning filter.
+    omega : array_like, shape (n,)
+        Increasing frequencies, rad/s, up to the Nyquist frequency.
+
+    Returns
+    -------
+    Convergence
+        `gamma` below one: the error converges monotonically (Lemma 1). `spectral_radius` below
+        one: it converges, but may grow before. Of one channel, the two are equal.
+
+    See Also
+    --------
+    rate : its gamma alone
+    Synthesis.check : of a design, for another plant
+
+    Examples
+    --------
+    >>> import control
+    >>> import numpy as np
+    >>> from ilctools import LearningFilter, convergence, zero_phase_butterworth
+    >>> P, L = control.ss(0.5, 0.5, 1, 0, 1.0), LearningFilter([[[0.8]]], Ts=1.0)
+    >>> result = convergence(P, zero_phase_butterworth(2, 0.1, 1.0), L, np.geomspace(1e-3, 3, 50))
+    >>> result.monotone, round(float(result.gamma), 3)
+    (True, 0.201)
+    """
+    arguments.instance("L", L, LearningOperator)
+    omega = arguments.increasing_frequencies("omega", omega, L.Ts)
+    known = plants(P)
+    models, responses = on_grid(known, omega, L.Ts)
+    butterworth, Q = Q_on_grid(Q, omega, L=L)
+    check_learning(L, responses.shape[-1])
+    P = responses[0] if "P" in known else responses
+    result = from_responses(omega, P, Q, L.frequency_response(omega))
+    return replace(result, systems=as_systems(models, butterworth, L))
+
+
+def as_systems(models, Q, L) -> tuple | None:
+    """Plants, Q and L, if all of them are known at every frequency."""
+    return None if Q is None or None in models else (models, Q, L)
+
+
+def rate(P, Q, L: LearningOperator, omega) -> Rate:
+    """The convergence rate: the gamma of Lemma 1, max sigma_max(M), and where it is.
+
+    By that factor the norm of the error shrinks, at least, from trial to trial. Parameters as for
+    :func:`convergence`; for several plants, both are arrays.
+
+    See Also
+    --------
+    convergence : with the spectral radius and the mean
+
+    Examples
+    --------
+    >>> import control
+    >>> import numpy as np
+    >>> from ilctools import LearningFilter, rate, zero_phase_butterworth
+    >>> P, L = control.ss(0.5, 0.5, 1, 0, 1.0), LearningFilter([[[0.8]]], Ts=1.0)
+    >>> gamma, at = rate(P, zero_phase_butterworth(2, 0.1, 1.0), L, np.geomspace(1e-3, 3, 50))
+    >>> round(float(gamma), 3), round(float(at), 3)
+    (0.201, 0.026)
+    """
+    result = convergence(P, Q, L, omega)
+    return Rate(result.gamma, result.at)
+
+
+def from_responses(omega, P, Q, L) -> Convergence:
+    """As :func:`convergence`, of frequency responses P (n, m, m) or (p, n, m, m), Q and L."""
+    M = convergence_matrix(P, Q, L).reshape(-1, *P.shape[-2:])
+    sigma, radius = (
+        of(M).reshape(P.shape[:-2]) for of in (largest_singular_values, spectral_radii)
+    )
+    return Convergence(
+        omega,
+        sigma,
+        gamma=sigma.max(axis=-1),
+        at=np.asarray(omega)[tied(sigma.T).argmax(axis=0)],
+        spectral_radius=radius.max(axis=-1),
+        responses=(P, Q, L),
+    )
+
+
+def log_mean(sigma, omega, band) -> float:
+    """Mean over the logarithm of frequency, in the band, of what is known at `omega`."""
+    low, high = band
+    within = omega[(omega > low) & (omega < high)]
+    place = np.log([low, *within, high])
+    values = np.interp(place, np.log(np.maximum(omega, low / 2)), sigma)
+    return np.trapezoid(values, place) / (place[-1] - place[0])
+
+
+def spectral_radii(M) -> np.ndarray:
+    """Largest modulus of an eigenvalue of each matrix, shape (n, m, m) to (n,)."""
+    if M.shape[1] != 2:
+        return np.abs(np.linalg.eigvals(M)).max(axis=1)
+    (a, b), (c, d) = np.moveaxis(M, 0, -1)  # in closed form ten times faster
+    root = np.sqrt(((a - d) / 2) ** 2 + b * c)
+    return np.maximum(np.abs((a + d) / 2 + root), np.abs((a + d) / 2 - root))

@@ -1,0 +1,206 @@
+"""Does the finite trial converge? The norm of what one trial of the ILC law really does.
+
+Lemma 1 is about signals without end; here the two ends of the trial are included.
+"""
+
+import control
+import numpy as np
+import scipy.sparse.linalg as sparse
+from scipy.fft import irfft, next_fast_len, rfft
+from scipy.sparse import coo_array, kron
+
+from ilctools import arguments
+from ilctools.filters import ENDS, LearningFilter, ZeroPhaseButterworth
+from ilctools.models import impulse_response, sampled_plant
+from ilctools.signals import check_match
+
+LANCZOS = 30  # vectors that the Lanczos iteration keeps
+
+
+def trial_operators(
+    P: control.StateSpace, Q: ZeroPhaseButterworth, L: LearningFilter, samples: int
+) -> tuple[sparse.LinearOperator, sparse.LinearOperator, sparse.LinearOperator]:
+    """P, Q and L as they act on a trial of finite length, each with its adjoint.
+
+    Parameters
+    ----------
+    P : control.StateSpace
+        In discrete time, m inputs (w), m outputs (y); acts from rest.
+    Q, L : ZeroPhaseButterworth, LearningFilter
+        Act as in :class:`ilctools.Law`, with their own `ends`.
+    samples : int
+        Length of the trial.
+
+    Returns
+    -------
+    P_N, Q_N, L_N : scipy.sparse.linalg.LinearOperator, shape (samples m, samples m)
+        On signals of shape (samples, m), raveled. P_N is a lower triangular block Toeplitz
+        matrix. Q_N and L_N are block Toeplitz if `ends` is "zero"; where an end is held, what the
+        matrix would do to the samples beyond it is added to its first or last block column.
+
+    See Also
+    --------
+    trial_map : what a trial makes of v
+
+    Examples
+    --------
+    >>> import control
+    >>> import numpy as np
+    >>> from ilctools import LearningFilter, trial_operators, zero_phase_butterworth
+    >>> P, L = control.ss(0.5, 0.5, 1, 0, 1.0), LearningFilter([[[0.8]]], Ts=1.0)
+    >>> P_N, Q_N, L_N = trial_operators(P, zero_phase_butterworth(2, 0.1, 1.0), L, samples=4)
+    >>> (P_N @ np.ones(4))[1:].round(3)
+    array([0.5  , 0.75 , 0.875])
+    """
+    P = sampled_plant(P, "P")
+    arguments.instance("Q", Q, ZeroPhaseButterworth)
+    m = arguments.instance("L", L, LearningFilter).channels
+    if (P.noutputs, P.ninputs) != (m, m):
+        raise ValueError(f"P is {P.noutputs} by {P.ninputs}, but L is {m} by {m}")
+    check_match(P=P, L=L, Q=Q)
+    samples = arguments.whole("samples", samples, 1)
+
+    size = samples * m
+    length = next_fast_len(2 * samples, real=True)
+    spectrum = rfft(impulse_response(P, samples), length, axis=0)
+
+    def convolved(spectrum, X):
+        signal = rfft(X.reshape(samples, m, -1), length, axis=0)
+        output = np.einsum("nij,njk->nik", spectrum, signal)  # thrice as fast as @
+        return irfft(output, length, axis=0)[:samples].reshape(X.shape)
+
+    P_N = _operator(
+        size,
+        lambda X: convolved(spectrum, X),
+        lambda X: convolved(spectrum.conj().swapaxes(1, 2), X),
+    )
+
+    def Q_apply(X):
+        return Q.apply(X.reshape(samples, -1)).reshape(X.shape)
+
+    def Q_adjoint(X):
+        return Q.apply_transposed(X.reshape(samples, -1)).reshape(X.shape)
+
+    taps = enumerate(np.moveaxis(L.coefficients, 2, 0), 1)
+    held = ENDS[L.ends][1] == "edge"
+    L_N = sum(kron(_ahead(samples, k, held), C) for k, C in taps)
+    Q_N = _operator(size, Q_apply, Q_adjoint)
+    return P_N, Q_N, sparse.aslinearoperator(L_N)
+
+
+def trial_map(
+    P: control.StateSpace, Q: ZeroPhaseButterworth, L: LearningFilter, samples: int, rest: int = 0
+) -> sparse.LinearOperator:
+    """T = Q_N (I - L_N P_N): what a trial of the ILC law (23) makes of v_k - v_inf.
+
+    v_{k+1} - v_inf = T (v_k - v_inf) and e_k - e_inf = -P_N (v_k - v_inf), exactly. Parameters as
+    for :func:`trial_operators`; in the last `rest` samples of each trial, v is held at zero.
+
+    The error alone has no such map. P_N maps the last sample of v to zero (P has a delay), and
+    maps the exponentials z^p of its zeros z outside the unit circle, which live at the end of
+    the trial, to next to nothing; Q_N then moves them to where they show. So M = P Q (P^-1 - L)
+    of (35) does not carry over, and Q_N (I - P_N L_N) is not the operator of any trial.
+
+    See Also
+    --------
+    trial_norm : its largest gain
+    trial_operators : what it is made of
+
+    Examples
+    --------
+    >>> import control
+    >>> from ilctools import LearningFilter, trial_map, zero_phase_butterworth
+    >>> P, L = control.ss(0.5, 0.5, 1, 0, 1.0), LearningFilter([[[0.8]]], Ts=1.0)
+    >>> trial_map(P, zero_phase_butterworth(2, 0.1, 1.0), L, samples=100).shape
+    (100, 100)
+    """
+    P_N, Q_N, L_N = trial_operators(P, Q, L, samples)
+    rest = arguments.whole("rest", rest, 0, samples - 1)
+    size = samples * L.channels
+
+    def active(X):
+        X = X.copy()
+        X[size - rest * L.channels :] = 0
+        return X
+
+    def apply(X):
+        v = active(X)
+        return active(Q_N @ (v - L_N @ (P_N @ v)))
+
+    def adjoint(X):
+        v = Q_N.H @ active(X)
+        return active(v - P_N.H @ (L_N.H @ v))
+
+    return _operator(size, apply, adjoint)
+
+
+def trial_norm(
+    P: control.StateSpace,
+    Q: ZeroPhaseButterworth,
+    L: LearningFilter,
+    samples: int,
+    trials: int = 1,
+    rest: int = 0,
+) -> tuple[float, np.ndarray, np.ndarray]:
+    """2-norm of the trial-to-trial map of the ILC signal on a finite trial.
+
+    Parameters
+    ----------
+    P, Q, L, samples, rest :
+        As for :func:`trial_map`.
+    trials : int
+        Number of trials in a row: the norm of T^trials.
+
+    Returns
+    -------
+    norm : float
+        Largest ||v_{k+trials} - v_inf|| / ||v_k - v_inf||. Below one for trials = 1, v converges
+        monotonically. Lanczos approaches it from below, or a RuntimeError says that it does not
+        converge; short trials have an SVD.
+    before, after : ndarray, shape (samples, m)
+        The unit v_k - v_inf that is amplified most, and what becomes of it.
+
+    See Also
+    --------
+    trial_map : the map itself
+    rate : the same of trials without ends
+
+    Examples
+    --------
+    >>> import control
+    >>> from ilctools import LearningFilter, trial_norm, zero_phase_butterworth
+    >>> P, L = control.ss(0.5, 0.5, 1, 0, 1.0), LearningFilter([[[0.8]]], Ts=1.0)
+    >>> norm, worst, image = trial_norm(P, zero_phase_butterworth(2, 0.1, 1.0), L, samples=100)
+    >>> round(float(norm), 3), worst.shape
+    (0.21, (100, 1))
+    """
+    trials = arguments.whole("trials", trials, 1)
+    T = trial_map(P, Q, L, samples, rest) ** trials
+    size = T.shape[1]
+    if size <= LANCZOS:
+        before = np.linalg.svd(T @ np.eye(size))[2][0]
+    else:
+        start = np.random.default_rng(0).standard_normal(size)  # the same in every run
+        try:
+            _, vectors = sparse.eigsh(T.H @ T, k=1, v0=start, tol=1e-8, ncv=LANCZOS)
+        except sparse.ArpackNoConvergence as error:
+            raise RuntimeError(f"the Lanczos iteration did not converge: {error}") from error
+        before = vectors[:, 0]
+    after = T.matvec(before)
+    norm = float(np.linalg.norm(after))
+    return norm, before.reshape(samples, -1), after.reshape(samples, -1)
+
+
+def _operator(size, apply, adjoint):
+    """A linear operator on raveled signals, one or several side by side."""
+    return sparse.LinearOperator(
+        (size, size), matvec=apply, rmatvec=adjoint, matmat=apply, rmatmat=adjoint, dtype=float
+    )
+
+
+def _ahead(samples, k, held):
+    """The matrix of a look k samples ahead, beyond the end at zero or at the last sample."""
+    here = np.arange(samples)
+    there = np.minimum(here + k, samples - 1)
+    counts = held | (here + k < samples)
+    return coo_array((counts.astype(float), (here, there)))

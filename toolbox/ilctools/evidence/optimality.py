@@ -1,0 +1,164 @@
+"""Is the filter optimal? A bound on the objective that no other filter can beat.
+
+It follows from the solver's multipliers, whatever their quality, by linear algebra alone.
+"""
+
+import numpy as np
+from scipy.special import expit
+
+from ilctools.evidence.robustness import affine
+from ilctools.problem.problem import Cuts, Problem
+
+FARTHEST = 40.0  # logarithm of how unequal two weights may be: the smaller is then below rounding
+HALVINGS = 40  # of the distance of such logarithms
+FAINT = 1e-12  # least eigenvalue of X, relative
+
+
+def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None) -> float:
+    """Lower bound on the optimum of (39) or (45), from multipliers and linear algebra alone.
+
+    For all filters that meet the bounds, and all U_i, V_i, N_c with sum_i Re tr(U_i^H dM_i) +
+    Re tr(V_i^H dL_i) + sum_c Re tr(N_c^H dG_c) = 0 for every change of the coefficients,
+
+        sum_i Re tr(U_i^H Q_i) + sum_c Re tr(N_c^H F_c)
+            = sum_i Re tr(U_i^H M_i) + Re tr(V_i^H L_i) + sum_c Re tr(N_c^H G_c)
+            <= sum_i |U_i| sigma_max(M_i) + sum_i |W^-1 V_i| + sum_c nu(N_c) b_c
+
+    with nuclear norms |.|, W of :attr:`.Problem.weight`, the matrices G = F + T L
+    of :class:`.Cuts`, and nu of :func:`dual_norm`, dual to their bound b. Where
+    |U_i| exceeds the weight of sigma_max(M_i) in the objective, the excess is bounded with M_max,
+    and so are the b_c. For the peak, they are no larger than the objective itself.
+    The multipliers are first projected on those that fulfil the condition, so the bound holds, up
+    to rounding, whatever was passed. A coefficient of L_jk acts on column k of M, L and G only, so
+    the columns are projected one by one. What is None is not used: V, the bound on L; cuts.
+    """
+    n = len(problem.omega)
+    Q, angles = problem.Q, problem.omega * problem.Ts
+    parts = [(-Q[:, None, None] * problem.P, U[:n], angles)]
+    if V is not None:  # in units of the bound: the size of the objective
+        W = problem.weight
+        parts.append((W, np.linalg.solve(W, V), problem.omega_L * problem.Ts))
+    if cuts is not None:
+        F, T = affine(problem, cuts.plant, cuts.frequency)
+        nonzero = np.abs(T).max(axis=2, keepdims=True) > 0
+        parts.append((T, cuts.N * nonzero, angles[cuts.frequency]))
+    U, *others = _projected(problem, parts)
+
+    bound = (np.trace(U.conj(), axis1=1, axis2=2) * Q).real.sum()
+    norms, dual = _nuclear_norms(U), 0.0
+    if V is not None:
+        bound -= _nuclear_norms(others[0]).sum()
+    if cuts is not None:
+        N = others[-1]
+        bound += (N.conj() * F).real.sum()
+        dual = dual_norm(N).sum()
+    if problem.objective == "peak":
+        bound /= norms.sum() + dual
+    else:
+        excess = np.maximum(norms - problem.weights, 0).sum() + dual
+        bound -= problem.M_max * excess
+    return max(0.0, float(bound))  # the objective is never negative
+
+
+def relief(problem: Problem, value, U, V, cuts: Cuts | None = None) -> float:
+    """Relative decrease of the optimum for a relative increase of L_max, to first order.
+
+    It is what the multipliers of that bound take from the bound in :func:`lower_bound`.
+    """
+    if problem.L_max is None:
+        return 0.0
+    binding = problem.L_max * problem.share_L <= problem.limit_L
+    share = _nuclear_norms(np.linalg.solve(problem.weight, V))[binding].sum()
+    if problem.objective == "peak":
+        total = _nuclear_norms(U).sum()
+        share /= total if cuts is None else total + dual_norm(cuts.N).sum()
+    return float(share / problem.unit(value))
+
+
+def _projected(problem, parts):
+    """Multipliers N of parts (T, N, angles), projected on those that no change of L changes."""
+    m = problem.channels
+    T = np.concatenate([T.reshape(-1, m) for T, _, _ in parts])
+    N = np.concatenate([N.reshape(-1, m) for _, N, _ in parts], dtype=complex)
+    angles = np.concatenate([np.repeat(at, T.shape[1]) for T, _, at in parts])
+    # What the coefficients of a column of L can change: all of its rows, or the diagonal one.
+    columns = [range(m)]
+    if problem.structure == "diagonal":
+        columns = [[k] for k in range(m)]
+    for column in columns:
+        changes = _changes(T[:, column], angles, problem.order)
+        rows = _rows(N[:, column])
+        for _ in range(2):  # once leaves what rounding has put back
+            rows -= (rows @ changes.T) @ changes
+        N[:, column] = rows.view(complex).T
+    ends = np.cumsum([T.size // m for T, _, _ in parts])
+    pieces = zip(np.split(N, ends[:-1]), parts, strict=True)
+    return [piece.reshape(T.shape) for piece, (T, _, _) in pieces]
+
+
+def _nuclear_norms(N):
+    """The nuclear norm of each matrix."""
+    return np.linalg.svd(N, compute_uv=False).sum(axis=1)
+
+
+def dual_norm(N) -> np.ndarray:
+    """Upper bounds of nu(N), shape (c,): the largest Re tr(N^H G) with all G bounded by one.
+
+    Without a radius nu is the nuclear norm. With one, G = [G_1; G_2] is bounded by one if shares
+    d_1 + d_2 = 1 exist with sum G_k^H G_k / d_k <= I. So for all X > 0, and
+    c_k = tr(N_k X^-1 N_k^H),
+
+        Re tr(N^H G) <= sum_k sqrt(c_k tr(G_k X G_k^H))
+                     <= sqrt(sum_k c_k d_k) sqrt(sum_k tr(G_k X G_k^H) / d_k)
+                     <= sqrt(max c_k) sqrt(tr X),
+
+    by Cauchy and Schwarz, twice. The least of these bounds is the largest nuclear norm of N with
+    its two parts weighted by square roots of w_1 + w_2 = 1, and belongs to
+    X = (sum_k w_k N_k^H N_k)^(1/2): tr X is concave in w_1, with the slope (c_1 - c_2) / 2.
+    Any w gives a bound that holds.
+    """
+    count, rows, m = N.shape
+    if rows == m:
+        return _nuclear_norms(N)
+    size = np.linalg.norm(N, axis=(1, 2))
+    N = (N / np.where(size > 0, size, 1)[:, None, None]).reshape(count, 2, m, m)
+    low, high = np.full((2, count), [[-FARTHEST], [FARTHEST]])
+    for _ in range(HALVINGS):
+        t = (low + high) / 2
+        c, trace = _costs(N, t)
+        rises = c[0] > c[1]
+        low, high = np.where(rises, t, low), np.where(rises, high, t)
+    return size * np.sqrt(c.max(axis=0) * trace)
+
+
+def _costs(N, t):
+    """c_1 and c_2, and the trace of X, for w_1 = 1 / (1 + exp(-t))."""
+    weights = expit(np.stack([t, -t]).T)
+    floor = np.zeros_like(N[:, :1]) + FAINT * np.eye(N.shape[-1])
+    parts = [np.sqrt(weights)[..., None, None] * N, floor]
+    stacked = np.concatenate(parts, axis=1).reshape(len(N), -1, N.shape[-1])
+    _, s, B = np.linalg.svd(stacked, full_matrices=False)  # X is B^H diag(s) B
+    in_basis = N @ B.conj().swapaxes(1, 2)[:, None]
+    c = (np.abs(in_basis) ** 2 / s[:, None, None]).sum(axis=(2, 3))
+    return c.T, s.sum(axis=1)
+
+
+def _changes(T, angles, order):
+    """Orthonormal rows that span what the coefficients can do to T L, from the rows of T."""
+    # The powers of z are nearly dependent at low frequencies. Arnoldi's process never forms them:
+    # it multiplies the last rows by z - 1 and makes the result orthogonal to all before, which
+    # spans the same space and needs no more than doubles.
+    rows = _rows(T * np.exp(1j * angles)[:, None])
+    step = np.expm1(1j * angles)
+    basis = np.empty((0, rows.shape[1]))
+    for _ in range(order):
+        for _ in range(2):
+            rows = np.linalg.qr((rows - (rows @ basis.T) @ basis).T)[0].T
+        basis = np.vstack([basis, rows])
+        rows = (np.ascontiguousarray(rows).view(complex) * step).view(float)
+    return basis
+
+
+def _rows(X):
+    """Each column of X as one real row, real and imaginary parts in turn."""
+    return np.ascontiguousarray(X.T, dtype=complex).view(float)

@@ -1,0 +1,303 @@
+"""Are the bounds met between the samples? The peak over all frequencies.
+
+From samples it is estimated. For a model it has a proof. No grid is fine enough by itself; what can
+happen between two samples must be bounded, and the poles bound it. Let a_1 ... a_n be the
+eigenvalues of A, and the poles of the Butterworth filter H if there is Q = |H|^2, which is real;
+and let
+
+    phi(theta) = sum_j integral from 0 to theta of (1 - |a_j|^2) / |exp(j t) - a_j|^2 dt,
+
+the phase of the all-pass B(z) = prod_j (z - a_j) / (1 - conj(a_j) z). It increases. Let g be the
+peak of Q sigma_max, with Q = 1 if there is none, and theta* = omega* Ts where it is attained. Then
+
+    Q sigma_max(theta) >= g cos(phi(theta) - phi(theta*))  if  |phi(theta) - phi(theta*)| <= pi.
+
+*Proof.* Take the unit vectors u, v with Q u* G(theta*) v = g and let T(theta) = Q Re u* G v / g.
+Then |T| <= Q sigma_max / g <= 1 everywhere and T(theta*) = 1. Q and Re u* G v are trigonometric
+polynomials over the |exp(j theta) - a_j|^2 of their poles, so that T is one of degree n or less
+over W(theta) = prod_j |exp(j theta) - a_j|^2, and so is S(theta) = cos(phi(theta) - phi(theta*))
+= Re(B(exp(j theta)) / B(exp(j theta*))), and hence D = S - T, which has no more than 2n zeros in a
+period unless it is zero throughout. S runs through +1 and -1 in turn at theta* = t_0 < t_1 < ... <
+t_2n = t_0 + 2 pi. Because |T| <= 1, D is >= 0 at t_0, t_2, ... and <= 0 at t_1, t_3, ..., so each
+of the 2n - 2 intervals [t_1, t_2] ... [t_2n-2, t_2n-1] holds a zero. If it is at an end, T = +1 or
+-1 is stationary there, as S is; the zero is double and counts once for each of the two intervals it
+belongs to. So is the zero at t_0. These are 2n. If T < S at some place in (t_0, t_1), D > 0 there
+and D(t_1) <= 0, which makes one more zero in (t_0, t_1]: contradiction. The other side is the
+mirror image. (This is the inequality of Bernstein and Szego for rational functions; see Borwein and
+Erdelyi, Mathematika 43 (1996) 413-423. For a finite impulse response of length n + 1, phi = n theta
+and it is Riesz's lemma of 1914.)
+
+So if theta* lies between two samples a < b with h = phi(b) - phi(a) < pi / 2, the peak is no higher
+than the sinusoid in phi through (0, sigma_max(a)) and (h, sigma_max(b)), or than the higher of the
+two if the sinusoid has its crest elsewhere. An interval is dropped once that bound is within the
+tolerance of the highest value seen, and halved if not. When none is left, the bound is proven; near
+the peak h is then about sqrt(8 tolerance). Real systems have the same singular values at negative
+frequencies, so [0, pi / Ts] is enough.
+
+Rounding: the values are those of a Schur form of A, whose diagonal holds the very poles that the
+bound uses. The proof is therefore exact for a system whose matrices differ from the given ones by
+rounding. Where that matters most, at the peak and at the angles of the poles closest to the circle,
+the gain is computed once more from A itself, with a bound of its error: if R approximates
+(z I - A)^-1 and leaves the residual S = I - (z I - A) R, then
+
+    C (z I - A)^-1 B = C R B + C R (S + S^2 + ...) B.
+
+What this adds to the peak is added to the gain, 1e-9 of it or less for the paper's M.
+"""
+
+from dataclasses import dataclass, replace
+
+import control
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.linalg import matrix_balance, schur
+
+from ilctools import arguments
+from ilctools.filters import LearningFilter, ZeroPhaseButterworth
+from ilctools.models import by_substitution
+from ilctools.problem.problem import TIED, Problem, convergence_matrix, largest_singular_values
+
+MOST_POINTS = 2_000_000  # frequencies at which to give up
+CHUNK = 2**21  # numbers held at a time while frequency responses are computed
+CLOSEST = 20  # poles next to the unit circle at which rounding is looked into
+DENSER = 10  # the grid between the samples, against theirs
+LOOKED_AT = 20  # sampled plants, the worst of them, that splines are laid through
+
+
+def peak_gain(
+    system: control.StateSpace, Q: ZeroPhaseButterworth | None = None, tolerance: float = 1e-8
+) -> tuple[float, float]:
+    """Peak over all frequencies of Q sigma_max, as an upper bound with a proof, and where it is."""
+    # Q is not made a part of the system: the poles of a filter of high order with a low cut-off lie
+    # so close together that a Schur form tears them apart. The gain is at least the supremum, and
+    # above (1 + tolerance) times it only by a bound of the rounding error; the cost grows like the
+    # inverse square root of the tolerance, unless sigma_max is nearly equal to its peak over a wide
+    # range, as of an all-pass filter.
+    if system.nstates == 0:  # and Q is one at zero
+        return float(np.linalg.norm(system.D, 2)), 0.0
+    matrices = *balanced(system.A, system.B, system.C), system.D
+    poles, gain = _gain_function(*matrices, Q)
+    radius = arguments.stable("system", poles)
+
+    def nodes(theta):
+        return np.stack([theta, gain(theta), _phase(poles, theta)])
+
+    points = nodes(np.linspace(0, np.pi, 4 * len(poles) + 1))
+    place, peak, _ = points[:, points[1].argmax()]
+    left, right = points[:, :-1], points[:, 1:]
+    bound, count = peak, points.shape[1]
+    while True:
+        ceiling = _ceiling(left[1], right[1], right[2] - left[2])
+        high = ceiling > peak * (1 + tolerance)
+        bound = max(bound, ceiling[~high].max(initial=0))
+        if not high.any():
+            break
+        left, right = left[:, high], right[:, high]
+        middle = (left[0] + right[0]) / 2
+        count += middle.size
+        if count > MOST_POINTS or np.any((middle == left[0]) | (middle == right[0])):
+            raise RuntimeError(
+                f"the peak gain is between {peak:.12g} and {ceiling.max():.12g}; to close in "
+                f"further takes more than {MOST_POINTS} frequencies"
+            )
+        middle = nodes(middle)
+        best = middle[:, middle[1].argmax()]
+        if best[1] > peak:
+            place, peak, _ = best
+        left, right = np.hstack([left, middle]), np.hstack([middle, right])
+
+    closest = poles[np.argsort(-np.abs(poles))][:CLOSEST]
+    angles = {place, *np.abs(np.angle(closest))}
+    highest = max(_rounded_up(*matrices, theta) * _filter_rounded_up(Q, theta) for theta in angles)
+    if highest == np.inf:
+        raise RuntimeError(
+            f"the peak gain, {peak:.6g} as computed, is not proven: system has a pole of "
+            f"modulus {radius:.17g}, which rounding could make unstable"
+        )
+    bound += max(highest - peak, 0)
+    return float(bound), float(place / system.dt)
+
+
+def _ceiling(a, b, h):
+    """Highest peak that a curve through a and b, a phase h apart, can have in between."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        crest = np.hypot(a - b, 2 * np.sqrt(a) * np.sqrt(b) * np.sin(h / 2)) / np.sin(h)
+    inside = np.minimum(a, b) > np.maximum(a, b) * np.cos(h)
+    return np.where(h < np.pi / 2, np.where(inside, crest, np.maximum(a, b)), np.inf)
+
+
+def _phase(poles, theta):
+    """Phase phi of the all-pass with these poles, shape of theta."""
+    r, angle = np.abs(poles)[:, None], np.angle(poles)[:, None]
+    shift = theta - angle
+    # 1 - r cos(shift), without cancellation for poles next to the circle
+    real = (1 - r) + 2 * r * np.sin(shift / 2) ** 2
+    return len(poles) * theta + 2 * np.arctan(r * np.sin(shift) / real).sum(axis=0)
+
+
+def _gain_function(A, B, C, D, Q):
+    """Poles of a system and of Q, and a function for Q sigma_max at an array of angles omega Ts."""
+    T, Z = schur(A, output="complex")
+    B, C = Z.conj().T @ B, C @ Z
+    poles = np.diag(T) if Q is None else np.append(np.diag(T), Q.poles)
+    at_once = max(1, CHUNK // B.size)
+
+    def gain(theta):
+        chunks = np.split(theta, range(at_once, len(theta), at_once))
+        responses = (by_substitution(T, B, C, D, np.exp(1j * x)) for x in chunks)
+        sigma = np.concatenate([largest_singular_values(G) for G in responses])
+        return sigma if Q is None else sigma * Q.frequency_response(theta / Q.Ts)
+
+    return poles, gain
+
+
+def _rounded_up(A, B, C, D, theta):
+    """Upper bound of sigma_max at one angle whatever the rounding."""
+    unit, z = (len(A) + 2) * np.finfo(float).eps, np.exp(1j * theta)
+    identity = np.eye(len(A))
+    R = np.linalg.inv(z * identity - A)
+    CR = C @ R
+    a, b, c, d, r, cr = (np.abs(X) for X in (A, B, C, D, R, CR))
+    S = np.abs(identity - (z * R - A @ R)) + unit * (identity + r + a @ r)
+    size = np.linalg.norm(S)
+    if not size < 1:
+        return np.inf
+    first = cr @ S @ b + unit * (c @ r @ b + d)
+    further = cr.sum() * size**2 / (1 - size) * b.sum()
+    return np.linalg.norm(CR @ B + D, 2) + np.linalg.norm(first, 2) + further
+
+
+def _filter_rounded_up(Q, theta):
+    """Upper bound of Q at one angle whatever the rounding; one if there is none."""
+    if Q is None:
+        return 1.0
+    # numerator and denominator of each section
+    polynomials = Q.sections.reshape(-1, 2, 3)
+    value = np.abs(polynomials @ np.exp(-1j * theta * np.arange(3)))
+    error = 10 * np.finfo(float).eps * np.abs(polynomials).sum(axis=-1)
+    most, least = (value + error)[:, 0], (value - error)[:, 1]
+    return np.prod(most / least) ** 2 if least.min() > 0 else np.inf
+
+
+def balanced(A, B, C):
+    """Scale the states by powers of two so that no entry of A is large merely by its unit."""
+    # The error of a Schur form is relative to the largest entry of A. If one state is counted in
+    # units of 1e-8, the others lose eight digits.
+    # with one row and column for inputs and outputs
+    inputs = np.abs(B).max(axis=1, keepdims=True)
+    outputs = np.abs(C).max(axis=0, keepdims=True)
+    size = np.block([[np.abs(A), inputs], [outputs, 0]])
+    np.fill_diagonal(size, 0)  # which no unit changes
+    with np.errstate(invalid="ignore"):  # of whole numbers that are not used
+        _, (scale, _) = matrix_balance(size, permute=False, separate=True)
+    scale = scale[:-1] / scale[-1]
+    return A * scale / scale[:, None], B / scale[:, None], C * scale
+
+
+def learning_model(L: LearningFilter) -> control.StateSpace:
+    """Causal model of z^-n_L L(z), whose singular values are those of L of (44)."""
+    # y(p) = c_nL e(p) + ... + c_1 e(p - nL + 1), with m (n_L - 1) states e(p - 1), e(p - 2) ...
+    # A delay has gain one at every frequency, so it changes no singular value.
+    m, states = L.channels, L.channels * (L.order - 1)
+    newest_first = np.hstack(np.moveaxis(L.coefficients, 2, 0)[::-1])
+    A, B = np.eye(states, k=-m), np.eye(states, m)
+    return control.ss(A, B, newest_first[:, m:], newest_first[:, :m], L.Ts)
+
+
+def error_model(P: control.StateSpace, L: LearningFilter) -> control.StateSpace:
+    """Causal model of z^-n_L (I - P L): |Q| times its singular values are those of M of (40)."""
+    m, n, chain = L.channels, P.nstates, L.channels * L.order
+    # The taps of z^-n_L L and the delay of the direct path share a chain, e(p-1) ... e(p-n_L).
+    taps = learning_model(L)
+    taps_C = np.hstack([taps.C, np.zeros((m, m))])
+    shift, delay_C = np.eye(chain, k=-m), np.eye(m, chain, k=chain - m)
+    A = np.block([[shift, np.zeros((chain, n))], [P.B @ taps_C, P.A]])
+    B = np.vstack([np.eye(chain, m), P.B @ taps.D])
+    C = np.hstack([delay_C - P.D @ taps_C, -P.C])
+    return control.ss(A, B, C, -P.D @ taps.D, L.Ts)
+
+
+@dataclass(frozen=True)
+class Peak:
+    """The highest peak of sigma_max(M) over all frequencies among some plants of a problem."""
+
+    sigma: float  # an upper bound to 1e-8 if proven
+    omega: float  # where it is, rad/s
+    plant: int  # whose it is; of those that are tied, the first
+    # the largest error of splines of M in cross-validation; NaN if proven
+    missed: float = np.nan
+
+
+def proven_peaks(problem: Problem, L) -> list[Peak]:
+    """Of the plants that are models, proven; none if Q is not one."""
+    Q = problem.butterworth
+    if Q is None:
+        return []
+    models = [(k, model) for k, model in enumerate(problem.models) if model is not None]
+    return [Peak(*peak_gain(error_model(model, L), Q), k) for k, model in models]
+
+
+def estimated_peaks(problem: Problem, L, peaks) -> list[Peak]:
+    """Of the others, between samples, for those whose `peaks` on the grid are highest."""
+    design, plants = problem.design, np.argsort(-peaks, kind="stable")
+    if problem.butterworth is not None:
+        plants = [k for k in plants if problem.models[k] is None]
+    omega, Q = design.omega, design.Q
+    steps = np.linspace(0, 1, DENSER, endpoint=False)
+    between = omega[:-1, None] + np.outer(np.diff(omega), steps)
+    dense = np.append(between, omega[-1])
+    on_grid, on_dense = L.frequency_response(omega), L.frequency_response(dense)
+    estimates = []
+    for k in plants[:LOOKED_AT]:
+        P = design.plants[k]
+        scale, missed = spline_scale(P, Q, omega, on_grid)
+        M = convergence_matrix(*splined(P, Q, omega, dense, scale), on_dense)
+        sigma = largest_singular_values(M)
+        estimates.append(Peak(sigma.max(), dense[sigma.argmax()], k, missed))
+    return estimates
+
+
+def peak_beyond(problem: Problem, L) -> Peak | None:
+    """The highest above the last sample of P, of any phase and assumed size; None if P is known."""
+    if problem.beyond is None:
+        return None
+    first, nyquist = problem.design.omega[-1], np.pi / problem.Ts
+    omega = np.linspace(first, nyquist, 1 + 64 * L.order)
+    sigma_L = largest_singular_values(L.frequency_response(omega))
+    sigma_M = problem.Q_beyond(omega) * (1 + problem.beyond * sigma_L)
+    at = sigma_M.argmax()
+    return Peak(float(sigma_M[at]), float(omega[at]), 0)
+
+
+def highest(peaks: list[Peak]) -> Peak | None:
+    """The highest of some peaks, if any, and the most that splines miss for any of them."""
+    if not peaks:
+        return None
+    sigma = max(peak.sigma for peak in peaks)
+    missed = np.fmax.reduce([peak.missed for peak in peaks])
+    level = [peak for peak in peaks if peak.sigma >= sigma * (1 - TIED)]
+    first = min(level, key=lambda peak: peak.plant)
+    return replace(first, sigma=sigma, missed=missed)
+
+
+def spline_scale(P, Q, omega, response):
+    """The scale of omega in which splines predict M best, and their error in cross-validation."""
+    # Measured grids are linear or logarithmic, plants smooth over one or the other. So the splines
+    # run over omega or log omega; with fewer than four samples the error is infinite.
+    M = convergence_matrix(P, Q, response)
+    scales = (np.asarray, np.log) if omega[0] > 0 else (np.asarray,)
+    errors = {}
+    for scale in scales:
+        errors[scale] = 0.0 if len(omega) > 3 else np.inf
+        for first in (1, 2):  # every other sample between the two at the ends
+            out = np.arange(first, len(omega) - 1, 2)
+            samples = [np.delete(X, out, axis=0) for X in (P, Q, omega)]
+            predicted = convergence_matrix(*splined(*samples, omega[out], scale), response[out])
+            sigma = largest_singular_values(predicted - M[out])
+            errors[scale] = max(errors[scale], *sigma)
+    return min(errors.items(), key=lambda item: item[1])
+
+
+def splined(P, Q, omega, places, scale):
+    """P and Q at other frequencies than those of their samples."""
+    return [CubicSpline(scale(omega), samples)(scale(places)) for samples in (P, Q)]

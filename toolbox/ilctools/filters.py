@@ -1,0 +1,287 @@
+"""The two filters of the ILC law v_{k+1} = Q (v_k + L e_k), equation (23).
+
+Each filter knows its frequency response and how it acts on a finite trial. Both look ahead in
+time, which is no contradiction: they act between two trials, when the whole last trial is known.
+
+Beyond the two ends of a trial nothing has been recorded, so something must be assumed there.
+``ends="zero"`` takes every signal as zero outside the trial; the filters are then exactly the
+two-sided filters of the analysis, seen through the window of the trial. ``ends="hold"`` lets the
+first and the last sample stand still, ``ends="hold-last"`` only the last, which suits a trial that
+begins at rest and does not end at zero.
+"""
+
+import reprlib
+import warnings
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from scipy.signal import BadCoefficients, butter, freqz_sos, sosfilt, sosfilt_zi
+
+from ilctools import arguments
+
+KEPT = 300_000  # numbers, of which time_shifts keeps four times as many at most
+ENDS = {  # the modes of numpy.pad, before the trial and after it
+    "zero": ("constant", "constant"),
+    "hold": ("edge", "edge"),
+    "hold-last": ("constant", "edge"),
+}
+
+
+@dataclass(frozen=True)
+class ZeroPhaseButterworth:
+    """The Q-filter (43): a Butterworth low-pass filter applied forward and backward in time.
+
+    Attributes
+    ----------
+    order : int
+        Order n_Q of the Butterworth filter; the zero-phase filter has twice that order.
+    cutoff : float
+        Cut-off frequency, rad/s. There the Butterworth filter is down by 3 dB, the Q-filter,
+        which squares its magnitude, by 6 dB.
+    Ts : float
+        Sampling period, s.
+    ends : {"zero", "hold", "hold-last"}
+        What a signal is taken to be outside the trial.
+
+    See Also
+    --------
+    synthesise : a learning filter for it
+    Law : what uses both
+
+    Examples
+    --------
+    >>> from ilctools import zero_phase_butterworth
+    >>> Q = zero_phase_butterworth(order=2, cutoff=0.1, Ts=1.0)
+    >>> Q.frequency_response([0.0, 0.1, 1.0]).round(2)
+    array([1. , 0.5, 0. ])
+    """
+
+    order: int
+    cutoff: float
+    Ts: float
+    ends: str = "zero"
+
+    def __post_init__(self):
+        arguments.choice("ends", self.ends, list(ENDS))
+        Ts = arguments.sampling_period("Ts", self.Ts)
+        what = f"in (0, {np.pi / Ts:.6g}) rad/s, up to the Nyquist frequency of Ts = {Ts} s"
+        what += "; one that is normalised, as scipy's, times that"
+        cutoff = arguments.number("cutoff", self.cutoff, what, 0, np.pi / Ts)
+        order = arguments.whole("order", self.order, 1, 100)
+        vars(self).update(order=order, cutoff=cutoff, Ts=Ts)
+        if not self._realised():
+            raise ValueError(
+                f"cutoff = {cutoff!r} rad/s is too low for order = {order} at Ts = {Ts} s: "
+                "rounding changes the filter by more than a millionth. Raise the cut-off, lower "
+                "the order, or take a longer Ts. If it is normalised, as scipy's, it is "
+                f"{cutoff * np.pi / Ts:.6g} rad/s"
+            )
+
+    def _realised(self):
+        """Whether the coefficients, which are rounded, give the filter that was asked for."""
+        omega = np.append(self.cutoff * np.linspace(0, 1, 11), np.pi / self.Ts)
+        warped = np.tan(omega[:-1] * self.Ts / 2) / np.tan(self.cutoff * self.Ts / 2)
+        analytic = np.append(1 / (1 + warped ** (2 * self.order)), 0)
+        with np.errstate(all="ignore"), warnings.catch_warnings():
+            warnings.simplefilter("ignore", BadCoefficients)
+            return np.allclose(self.frequency_response(omega), analytic, rtol=0, atol=1e-6)
+
+    @cached_property
+    def sections(self) -> np.ndarray:
+        """Second-order sections of the forward half of the filter."""
+        return butter(self.order, self.cutoff, fs=2 * np.pi / self.Ts, output="sos")
+
+    @cached_property
+    def _at_rest(self):
+        """States of the sections behind a constant one."""
+        return sosfilt_zi(self.sections)
+
+    @cached_property
+    def poles(self) -> np.ndarray:
+        """Of the forward half, section by section: a polynomial of all of them would lose them."""
+        return np.concatenate([np.roots(section[3:]) for section in self.sections])
+
+    @cached_property
+    def decay(self):
+        """Samples after which the impulse response has decayed to rounding level."""
+        return int(np.ceil(np.log(1e-18) / np.log(np.abs(self.poles).max())))
+
+    def frequency_response(self, omega) -> np.ndarray:
+        """Squared magnitude of the Butterworth filter at `omega` (rad/s), real, shape (n,)."""
+        omega = arguments.row("omega", omega)
+        _, H = freqz_sos(self.sections, omega, fs=2 * np.pi / self.Ts)
+        return np.abs(H) ** 2  # (43)
+
+    def apply(self, signal) -> np.ndarray:
+        """Filter a signal of shape (..., time, channel), forward and backward in time."""
+        signal = arguments.array("signal", signal, (..., "time", "channel"))
+        # after `decay` samples the line is as good as infinite
+        once = _continued(signal, self.decay, self.decay, self.ends)
+        return self._both_ways(once)[..., self.decay : -self.decay, :]
+
+    def apply_transposed(self, signal) -> np.ndarray:
+        """Filter a signal by the transpose of the matrix that :meth:`apply` is on a trial."""
+        signal = arguments.array("signal", signal, (..., "time", "channel"))
+        reach, (first, last) = self.decay, ENDS[self.ends]
+        once = _continued(signal, 2 * reach, 2 * reach, "zero")
+        wide = self._both_ways(once)[..., reach:-reach, :]  # a symmetric matrix
+        inside = wide[..., reach:-reach, :].copy()
+        # What lies beyond an end that is held comes from the sample there.
+        if first == "edge":
+            inside[..., 0, :] += wide[..., :reach, :].sum(axis=-2)
+        if last == "edge":
+            inside[..., -1, :] += wide[..., -reach:, :].sum(axis=-2)
+        return inside
+
+    def _both_ways(self, once):
+        """Forward and backward in time over a signal (..., time, channel), from its ends on."""
+        at_rest = self._at_rest.reshape(-1, *[1] * (once.ndim - 2), 2, 1)
+        for _ in range(2):
+            filtered, _ = sosfilt(self.sections, once, axis=-2, zi=at_rest * once[..., :1, :])
+            once = np.flip(filtered, axis=-2)
+        return once
+
+
+def _continued(signal, before, after, ends):
+    """A signal of shape (..., time, channel) with so many samples more at the ends of the trial."""
+    held = [mode == "edge" for mode in ENDS[ends]]
+    first = np.repeat(held[0] * signal[..., :1, :], before, axis=-2)
+    last = np.repeat(held[1] * signal[..., -1:, :], after, axis=-2)
+    return np.concatenate([first, signal, last], axis=-2)
+
+
+# as one says with scipy: butter(order, cutoff)
+zero_phase_butterworth = ZeroPhaseButterworth
+
+
+@runtime_checkable
+class LearningOperator(Protocol):
+    """Whatever can stand for L in the law (23): it knows its response and acts on a trial.
+
+    :class:`LearningFilter` is one; those of other designs are in :mod:`ilctools.alternatives`.
+    """
+
+    Ts: float
+    channels: int
+
+    def frequency_response(self, omega) -> np.ndarray:
+        """At `omega` (rad/s), shape (n, channels, channels), complex."""
+
+    def apply(self, signal) -> np.ndarray:
+        """Filter a signal of shape (..., time, channels)."""
+
+
+@dataclass(frozen=True)
+class LearningFilter:
+    """The learning filter L of (42), (44): a non-causal finite impulse response.
+
+    Attributes
+    ----------
+    coefficients : ndarray, shape (m, m, order)
+        L_ij(q) = sum_k coefficients[i, j, k - 1] q^k, where q looks one sample ahead.
+    Ts : float
+        Sampling period, s.
+    ends : {"zero", "hold", "hold-last"}
+        What the error is taken to be beyond the end of the trial. L does not look before its start:
+        the last two are the same.
+
+    See Also
+    --------
+    synthesise : one that is optimal
+    Law : what uses it
+
+    Examples
+    --------
+    >>> from ilctools import LearningFilter
+    >>> L = LearningFilter([[[0.5, 0.25]]], Ts=1.0)  # L(q) = 0.5 q + 0.25 q^2
+    >>> L.apply([[0.0], [1.0], [2.0]]).ravel()
+    array([1., 1., 0.])
+    >>> L.frequency_response([0.1]).shape
+    (1, 1, 1)
+    """
+
+    coefficients: np.ndarray = field(repr=False)
+    Ts: float
+    ends: str = "zero"
+
+    def __post_init__(self):
+        c = arguments.array("coefficients", self.coefficients, ("m", "m", "order"))
+        Ts = arguments.sampling_period("Ts", self.Ts)
+        arguments.choice("ends", self.ends, list(ENDS))
+        c.flags.writeable = False
+        vars(self).update(coefficients=c, Ts=Ts)
+
+    @property
+    def channels(self) -> int:
+        """Number m of channels."""
+        return len(self.coefficients)
+
+    @property
+    def order(self) -> int:
+        """Number of samples that the filter looks ahead."""
+        return self.coefficients.shape[2]
+
+    def frequency_response(self, omega) -> np.ndarray:
+        """L(exp(j omega Ts)) at `omega` (rad/s), shape (n, m, m), complex."""
+        shifts = time_shifts(self.Ts * arguments.row("omega", omega), self.order)
+        return np.einsum("nk,ijk->nij", shifts, self.coefficients).astype(complex)  # (44)
+
+    def __call__(self, z) -> np.ndarray:
+        """L(z), laid out as python-control's systems do: the axes of `z` last.
+
+        Parameters
+        ----------
+        z : array_like, complex
+            A point or several, as ``np.exp(1j * omega * Ts)``.
+
+        Returns
+        -------
+        ndarray, shape (m, m, ...), complex
+            Of one channel, the shape of `z`. ``control.frd(L(z), omega)`` is L as their data.
+        """
+        z = arguments.array("z", z, (...,), complex)
+        shifts = z[..., None] ** np.arange(1, self.order + 1)
+        response = np.einsum("ijk,...k->ij...", self.coefficients, shifts)  # (44)
+        return response[0, 0] if self.channels == 1 else response
+
+    def apply(self, signal) -> np.ndarray:
+        """Filter a signal of shape (..., time, m)."""
+        signal = arguments.array("signal", signal, (..., "time", self.channels))
+        ahead = _continued(signal, 0, self.order, self.ends)
+        windows = np.lib.stride_tricks.sliding_window_view(ahead, self.order, axis=-2)
+        return np.tensordot(windows[..., 1:, :, :], self.coefficients, axes=([-2, -1], [1, 2]))
+
+
+def time_shifts(angles, order) -> np.ndarray:
+    """z, z^2, ..., z^order for z = exp(j angles), in long doubles, shape (n, order)."""
+    angles = np.asarray(angles, dtype=float)
+    shifts = _kept_shifts if angles.size * order <= KEPT else _kept_shifts.__wrapped__
+    return shifts(angles.tobytes(), order)
+
+
+@lru_cache(maxsize=4)  # a synthesis asks again and again for the same
+def _kept_shifts(angles, order):
+    # They are nearly dependent at low frequencies. Without a bound (46) a learning filter has
+    # coefficients of 1e9 that all but cancel, and doubles would leave seven digits of its gain.
+    angles = np.frombuffer(angles).astype(np.longdouble)
+    z = np.exp(1j * np.outer(angles, np.arange(1, order + 1)))
+    z.flags.writeable = False
+    return z
+
+
+def check_Q(Q) -> None:
+    """Check that Q can be applied to a trial, and say how to make one that can."""
+    if not isinstance(Q, ZeroPhaseButterworth):
+        raise ValueError(
+            f"Q = {reprlib.repr(Q)} must be a ZeroPhaseButterworth, which runs in both directions: "
+            "zero_phase_butterworth(order, cutoff, Ts), with the cut-off in rad/s"
+        )
+
+
+def check_learning(L: LearningOperator, channels: int) -> None:
+    """Check that L is a learning operator for so many channels; a ValueError says so if not."""
+    arguments.instance("L", L, LearningOperator)
+    if L.channels != channels:
+        raise ValueError(f"L acts on {L.channels} channels, but must act on {channels}")

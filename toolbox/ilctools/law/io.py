@@ -1,0 +1,188 @@
+"""The law as JSON: in the metadata of a log, and in a file of its own."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+
+import xarray as xr
+
+from ilctools import arguments
+from ilctools.files import read_json, write_whole
+from ilctools.filters import LearningFilter, ZeroPhaseButterworth
+from ilctools.law.law import Law
+from ilctools.law.limits import named_limits
+from ilctools.loop.notes import MISUNDERSTOOD, loop_note, loop_of, read_note, reading
+from ilctools.signals import Signals, check_match
+
+FORMAT = "rodlib law 1"  # of the file
+DEFAULTS = {"rest": 0, "step": 1.0, "actuators": {}}  # step: the learning gain
+KEYS = ("Q", "L", *DEFAULTS)
+BEGUN = "begun"  # the note that says that v of trial 1 was given
+RESET = "reset"  # the note that says that there was none between trials, NO_RESET
+NO_RESET = "none: a trial starts where the last one ended"
+
+
+def law_notes(law: Law) -> dict:
+    """A law as what JSON can hold, to the last digit; without L where that has no coefficients."""
+    Q, L = law.Q, law.L
+    notes = {"Q": {"order": Q.order, "cutoff": Q.cutoff, "ends": Q.ends}}
+    if L is None:
+        notes["L"] = None
+    elif isinstance(L, LearningFilter):
+        notes["L"] = {"coefficients": L.coefficients.tolist(), "ends": L.ends}
+    others = {"rest": law.rest, "step": law.gain, "actuators": law.limits or {}}
+    changed = {key: others[key] for key in others if others[key] != DEFAULTS[key]}
+    return notes | changed
+
+
+def _law_from(notes: Mapping, Ts: float) -> Law:
+    """The law that :func:`law_notes` noted."""
+    Q, L, notes = notes["Q"], notes["L"], DEFAULTS | notes
+    Q = ZeroPhaseButterworth(Q["order"], Q["cutoff"], Ts, Q["ends"])
+    L = L if L is None else LearningFilter(L["coefficients"], Ts, L["ends"])
+    return Law(Q, L, notes["rest"], notes["step"], notes["actuators"])
+
+
+def with_law(trials: xr.Dataset, law: Law) -> xr.Dataset:
+    """Note in the metadata which law (23) made the trials, and around which loop."""
+    arguments.instance("trials", trials, xr.Dataset)
+    notes = law_notes(arguments.instance("law", law, Law))
+    texts = {key: json.dumps(n, ensure_ascii=False) for key, n in notes.items()}
+    if law.loop is not None:
+        texts["loop"] = loop_note(law.loop)
+    return trials.assign_attrs(texts)
+
+
+def law_of(trials: xr.Dataset) -> Law | None:
+    """The law noted in the metadata of a log, bound to the loop if that is noted, too.
+
+    None if Q or L are not noted; a LogError if the notes cannot be understood, or are those of
+    other signals.
+
+    See Also
+    --------
+    load_law : the law of a file of its own
+    replay : what it makes of the log
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from ilctools import ClosedLoop, Law, LearningFilter, law_of, record, zero_phase_butterworth
+    >>> class Axis:  # simulated; yours talks to the drive
+    ...     x = 0.0
+    ...     def begin(self, trial):
+    ...         self.x = 0.0
+    ...     def read(self):
+    ...         return [self.x]
+    ...     def apply(self, w):
+    ...         self.x += 0.2 * (w[0] - self.x)
+    ...
+    >>> loop = ClosedLoop(Ts=0.01, outputs=["x"], units={"x": "mm"})
+    >>> Q = zero_phase_butterworth(2, 60.0, loop.Ts)
+    >>> law = Law(Q, LearningFilter([[[0.9]]], loop.Ts), rest=3)
+    >>> run = record(Axis(), loop, law, np.ones((50, 1)), trials=1)
+    >>> law_of(run).rest
+    3
+    """
+
+    arguments.instance("trials", trials, xr.Dataset)
+    noted = [key for key in KEYS if key in trials.attrs]
+    if "Q" not in noted or "L" not in noted:
+        return None
+    loop = loop_of(trials)
+    with reading("law"):
+        notes = {key: read_json(trials.attrs[key]) for key in noted}
+        law = _law_from(notes, trials.attrs["Ts"])
+        check_match(log=Signals.of_log(trials), law=law)
+        arguments.whole("rest", law.rest, 0, trials.sizes["time"] - 1)
+        return law if loop is None else law.bound_to(loop)
+
+
+def limits_of(trials: xr.Dataset) -> dict[str, tuple[float, ...]]:
+    """What each actuator follows, by the name of its command, as noted in the metadata."""
+
+    def read(note):
+        return named_limits("actuators", note, None, slew=True)
+
+    return read_note(trials, "actuators", read) or {}
+
+
+def save_law(path, law: Law, note: str = "") -> None:
+    """Write a law to a file, to the last digit; a law that is there is replaced as a whole.
+
+    Parameters
+    ----------
+    path : path-like
+        JSON: ``format``, ``Ts`` (s), ``Q`` (order, cutoff in rad/s, ends), ``L`` (coefficients of
+        shape (m, m, order), ends), if they are not the defaults ``rest``, ``step`` (the learning
+        gain) and ``actuators`` (the limits), ``note``; and, for other languages, ``sections``,
+        the second-order sections b0, b1, b2, 1, a1, a2 of the forward half of Q: docs/law.c.
+    law : Law
+        L must be a LearningFilter. The loop is not written.
+    note : str
+        What made it, for those who read the file.
+
+    See Also
+    --------
+    load_law : to read it
+    law_of : the law of a log
+
+    Examples
+    --------
+    >>> from ilctools import Law, LearningFilter, load_law, save_law, zero_phase_butterworth
+    >>> law = Law(zero_phase_butterworth(2, 0.1, 1.0), LearningFilter([[[0.5]]], Ts=1.0))
+    >>> save_law("law.json", law, note="tried on Monday")
+    >>> load_law("law.json").L.coefficients
+    array([[[0.5]]])
+    """
+    path = arguments.path("path", path)
+    arguments.instance("L", arguments.instance("law", law, Law).L, LearningFilter)
+    arguments.instance("note", note, str)
+    if path.is_file():
+        try:
+            load_law(path)
+        except ValueError:
+            raise ValueError(
+                f"path = {str(path)!r} is a file that is no law: choose another name, or remove it"
+            ) from None
+    content = {"format": FORMAT, "Ts": law.Ts, **law_notes(law), "note": note}
+    content["sections"] = law.Q.sections.tolist()
+    write_whole(path, json.dumps(content, ensure_ascii=False, indent=1) + "\n")
+
+
+def load_law(path) -> Law:
+    """Read a law of :func:`save_law`, as in ``record(rig, loop, load_law(path), reference)``.
+
+    See Also
+    --------
+    save_law : to write it
+    law_of : the law of a log
+
+    Examples
+    --------
+    >>> from ilctools import Law, LearningFilter, load_law, save_law, zero_phase_butterworth
+    >>> Q = zero_phase_butterworth(2, 0.1, 1.0)
+    >>> save_law("law.json", Law(Q, LearningFilter([[[0.5]]], 1.0)))
+    >>> law = load_law("law.json")
+    >>> law.Q.cutoff, law.Ts
+    (0.1, 1.0)
+    """
+    path = arguments.path("path", path)
+    if not path.is_file():
+        raise ValueError(f"path = {str(path)!r} must be a file of save_law, but is none")
+    text = path.read_bytes().decode("utf-8", errors="replace")
+    if text.startswith("#"):
+        raise ValueError(
+            f"path = {str(path)!r} is a table, not a law: of a trial log, its law is "
+            "ilctools.law_of(load_log(path))"
+        )
+    try:
+        content = read_json(text)
+        if content["format"] != FORMAT:
+            raise ValueError(f"format {content['format']!r} is not {FORMAT!r}")
+        law = _law_from(content, content["Ts"])
+        arguments.instance("L", law.L, LearningFilter)
+    except MISUNDERSTOOD as error:
+        raise ValueError(f"path = {str(path)!r} is not a law of save_law: {error!r}") from None
+    # {} stands for no limits; a file without any leaves them to the rig
+    return law if law.limits else replace(law, limits=None)

@@ -1,0 +1,229 @@
+"""The ILC law (23): from a trial's signal and error to the next trial's signal."""
+
+import reprlib
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from ilctools import arguments
+from ilctools.filters import LearningOperator, ZeroPhaseButterworth, check_Q
+from ilctools.law.limits import WEIGHT, Actuators, check_solver, named_limits, nearest, realised
+from ilctools.loop.closed import ClosedLoop, Loop
+from ilctools.loop.notes import loop_note
+from ilctools.signals import check_match
+
+RECORDED = 1e-3  # of the width of limits: digits that a log may lack
+
+
+@dataclass(frozen=True, eq=False)
+class Law:
+    """The ILC law (23), v_{k+1} = Q (v_k + L e_k); whatever it is made of is checked here.
+
+    With a learning gain a below one, v goes only that share of the way there,
+    v_{k+1} = (1 - a) v_k + a Q (v_k + L e_k): slower, but noise in e is averaged.
+
+    Attributes
+    ----------
+    Q : ZeroPhaseButterworth
+    L : LearningOperator or None
+        None switches learning off: v stays what it is.
+    rest : int
+        Number of samples at the end of every trial in which v is held at zero. The filters look
+        beyond the end, so what they make of the last samples may grow from trial to trial.
+    gain : float
+        Learning gain a, in (0, 1].
+    limits : dict, optional
+        Lowest and highest command, and third, if need be, the slew rate per second, by the names of
+        the loop's commands, in their units: v is then projected onto what can be applied. {} stands
+        for none; None, too, but :func:`ilctools.record` takes those of the rig.
+    loop : CurrentTrialLoop or ClosedLoop, optional
+        The loop that the law is for. :func:`ilctools.run_trials` and :func:`ilctools.record` bind a
+        law without one to theirs, and refuse a law for another.
+
+    See Also
+    --------
+    synthesise : its L
+    run_trials : simulated trials
+    record : trials on a rig
+    save_law : to a file
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from ilctools import Law, LearningFilter, zero_phase_butterworth
+    >>> Q, L = zero_phase_butterworth(2, 0.1, 1.0), LearningFilter([[[0.5]]], Ts=1.0)
+    >>> law = Law(Q, L, rest=5)
+    >>> v, e = np.zeros((100, 1)), np.ones((100, 1))
+    >>> law.next(v, e)[[50, -1]].round(3).ravel().tolist()
+    [0.514, 0.0]
+    """
+
+    Q: ZeroPhaseButterworth
+    L: LearningOperator | None
+    rest: int = 0
+    gain: float = 1.0
+    limits: dict[str, tuple[float, ...]] | None = None
+    loop: Loop | None = None
+
+    def __post_init__(self):
+        check_Q(self.Q)
+        parties = {"Q": self.Q}
+        if self.L is not None:
+            parties["L"] = arguments.instance("L", self.L, LearningOperator)
+        if self.loop is not None:
+            parties["loop"] = arguments.instance("loop", self.loop, Loop)
+        check_match(**parties)
+        rest = arguments.whole("rest", self.rest, 0)
+        vars(self).update(rest=rest, gain=arguments.share("gain", self.gain))
+        if self.limits is not None:
+            commands = None if self.loop is None else self.loop.commands
+            limits = named_limits("limits", self.limits, commands, slew=True)
+            vars(self)["limits"] = limits
+
+    @property
+    def Ts(self) -> float:
+        """Sampling period, s."""
+        return self.Q.Ts
+
+    @property
+    def outputs(self) -> list[str] | None:
+        """Names of the channels, of a law that is bound to a loop."""
+        return None if self.loop is None else self.loop.outputs
+
+    @property
+    def channels(self) -> int | None:
+        """Number of channels; None if neither L nor a loop says it."""
+        if self.L is not None:
+            return self.L.channels
+        return None if self.loop is None else len(self.loop.outputs)
+
+    @cached_property
+    def actuators(self) -> Actuators | None:
+        """What the limits make of commands; None without limits."""
+        if not self.limits:
+            return None
+        if self.loop is None:
+            raise ValueError("limits need the law's loop: law.bound_to(loop)")
+        if self.L is not None:
+            check_solver(self.loop)
+        return Actuators.of(self.limits, self.loop)
+
+    def bound_to(self, loop: Loop) -> "Law":
+        """This law for a loop; a ValueError if it is for another."""
+        arguments.instance("loop", loop, Loop)
+        if self.loop is None:
+            return replace(self, loop=loop)
+        if loop_note(self.loop) != loop_note(loop):
+            raise ValueError(
+                "law is bound to another loop: pass law.loop, or "
+                "dataclasses.replace(law, loop=None)"
+            )
+        return self
+
+    def first(self, samples: int, v=None) -> np.ndarray:
+        """The signal of the first trial, shape (samples, m): `v`, or zero; zero in the rest."""
+        rest = arguments.whole("rest", self.rest, 0, samples - 1)
+        shape = samples, self.channels
+        v = np.zeros(shape) if v is None else v
+        v = arguments.in_columns("v", v, shape, self._names(v=v))
+        v[samples - rest :] = 0
+        return v
+
+    def next(self, v, e, u=None, applied=None) -> np.ndarray:
+        """The signal of the next trial, v_{k+1} of (23).
+
+        With limits, of all v whose commands stay within them, the nearest to the v* of the law
+        without: it minimises ||P (v - v*)||^2 + weight ||v - v*||^2, by the model of the loop, from
+        the commands that were applied. The weight is 0.01, or that of an L which has one: with that
+        of :class:`ilctools.NormOptimal` and a Q near one this is constrained norm-optimal learning,
+        whose predicted error cannot rise. What the loop asks for in the rest, where v is zero, is
+        left out of account. Of a ClosedLoop without P the commands are cut off instead.
+
+        Parameters
+        ----------
+        v, e : array_like, shape (time, m), or (time,) of one channel
+            ILC signal and tracking error, reference - y, of the trial just done, both in the unit
+            of the output. Labelled signals (columns, or coordinates) are matched by name, for
+            which a law of several channels must be bound to a loop.
+        u : array_like, shape (time, m), optional
+            Needed with limits: commands that the controller asked for in it; of a CurrentTrialLoop
+            its controls, of a ClosedLoop w = reference + v.
+        applied : array_like, shape (time, m), optional
+            What the actuators made of u, and the observer was informed of. Default: u, cut off at
+            the limits. Needed of a ClosedLoop whose reference is zero.
+
+        Returns
+        -------
+        ndarray, DataFrame or DataArray, with the shape, labels and order of v
+
+        Raises
+        ------
+        ValueError
+            If signals do not fit the law, or limits lack a loop or u; if u is v instead of w, or
+            `applied` is beyond the limits.
+        RuntimeError
+            If the solver fails.
+        """
+        labelled, names = v, self._names(v=v, e=e)
+        if self.L is None:
+            if self.loop is not None:
+                arguments.in_order("v", v, names)
+            kept = arguments.array("v", v, (...,))
+            return arguments.labelled_as(v, kept, arguments.names_of(v))
+        v = arguments.in_columns("v", v, (..., "time", self.channels), names)
+        e = arguments.in_columns("e", e, v.shape, names)
+        arguments.whole("rest", self.rest, 0, v.shape[-2] - 1)
+        if self.actuators is None:
+            result = self._without_limits(v, e)
+        else:
+            v, applied = self._applied(v, u, applied)
+            target = self._without_limits(v, e)
+            weight = getattr(self.L, "weight", WEIGHT)
+            trial = self.loop, self.actuators, v, applied
+            result = nearest(*trial, target, weight, self.rest)
+        return arguments.labelled_as(labelled, result, names)
+
+    def _names(self, **signals):
+        """Names of the channels; of a law without a loop, labels cannot be matched with L."""
+        if self.outputs or self.channels is None:
+            return self.outputs
+        for name, signal in signals.items():
+            labels = arguments.names_of(signal)
+            if labels and self.channels == 1:
+                return labels
+            if labels:
+                raise ValueError(
+                    f"{name} holds the signals {reprlib.repr(labels)}, of which a law without a "
+                    "loop does not know the order: bind it, law.bound_to(loop), or pass an array"
+                )
+        return [""] * self.channels
+
+    def _applied(self, v, u, applied):
+        """v as far as it was applied, and the commands that were; from those asked for."""
+        if u is None:
+            raise ValueError("u = None: with limits, the trial's commands are needed")
+        limits, commands = self.actuators, self.loop.commands
+        u = arguments.in_columns("u", u, v.shape, commands)
+        if applied is not None:
+            applied = arguments.in_columns("applied", applied, v.shape, commands)
+            if not limits.can(applied, RECORDED):
+                raise ValueError(
+                    f"applied reaches from {applied.min(axis=0)} to {applied.max(axis=0)} in "
+                    f"{commands}, or moves faster, beyond limits = {self.limits}: pass what "
+                    "the actuators made of u"
+                )
+        elif isinstance(self.loop, ClosedLoop) and v.any() and np.array_equal(u, v):
+            raise ValueError(
+                "u is equal to v, but of a ClosedLoop it is w = reference + v; if the reference "
+                "is zero, pass applied, too"
+            )
+        else:
+            applied = limits.follow(u)
+        return realised(self.loop, v, u, applied), applied
+
+    def _without_limits(self, v, e):
+        a = self.gain
+        v = (1 - a) * v + a * self.Q.apply(v + self.L.apply(e))  # (23)
+        v[..., v.shape[-2] - self.rest :, :] = 0
+        return v

@@ -1,0 +1,88 @@
+"""The law (23) for trials that follow each other without a reset: repetitive control.
+
+With a period of N samples and the learning gain a, in endless time,
+
+    v(t) = (1 - a) v(t - N) + a Q (v + L e)(t - N).
+
+Theorem. Let Q be scalar, the loop's P stable and the same at all times, and N larger than Q and L
+reach ahead. If sigma_max(M) <= gamma < 1 at every frequency, M = Q (I - P L), then state and v
+tend exponentially, from any start and for any reference and disturbance of period N, to those of
+one periodic motion. With e_0 the error without learning, for a = 1
+
+    e(t) = M e(t - N) + f(t),    f(t) = e_0(t) - Q e_0(t - N),    ||e|| <= ||f|| / (1 - gamma)
+
+in energy from the start to any time; and in the periodic motion, whatever a is, as RMS with
+f = (1 - Q) e_0.
+
+Proof. As det(I - XY) = det(I - YX), v has the characteristic equation det(I - z^-N M(z)) = 0; with
+a gain, M_a = (1 - a) I + a M, and sigma_max(M_a) <= 1 - a + a gamma < 1. By the choice of N,
+z^-N M(z) is causal, and analytic in |z| >= 1, as P is: by the maximum principle its largest
+singular value there is at most gamma, so that no root is there (small gain). The equation of e
+follows from P v = e_0 - e, as Q commutes with P; M delayed is causal, with norm gamma.
+
+:func:`ilctools.synthesise` with ``everywhere=True`` proves the condition between the samples of its
+grid, too. It promises nothing for limits at which commands are cut off, nor for N that are shorter.
+"""
+
+from functools import lru_cache
+
+import numpy as np
+from scipy.signal import oaconvolve
+
+from ilctools import arguments
+from ilctools.filters import LearningFilter, ZeroPhaseButterworth
+from ilctools.law.law import Law
+
+NEGLIGIBLE = 1e-6  # of the gain of Q, at any frequency: what its response is cut off for
+
+
+@lru_cache(maxsize=4)
+def finite_response(Q: ZeroPhaseButterworth) -> np.ndarray:
+    """Impulse response of Q, symmetric in time, without its negligible ends."""
+    impulse = np.zeros((2 * Q.decay + 1, 1))
+    impulse[Q.decay] = 1
+    h = Q.apply(impulse)[:, 0]
+    ends = 2 * np.cumsum(np.abs(h[: Q.decay]))
+    cut = np.searchsorted(ends, NEGLIGIBLE)
+    return h[cut : len(h) - cut]
+
+
+def reach_ahead(law: Law) -> int:
+    """Samples of the trial before that v needs beyond its own."""
+    return len(finite_response(law.Q)) // 2 + law.L.order
+
+
+def check_period(law: Law, period: int) -> None:
+    """Check that a law can go on from trial to trial of so many samples."""
+    if law.L is None:
+        return
+    if law.rest:
+        raise ValueError(f"rest = {law.rest}, but without reset trials have no end: take rest=0")
+    arguments.instance("L", law.L, LearningFilter)
+    shortest = reach_ahead(law) + 1
+    if period < shortest:
+        raise ValueError(
+            f"reference has {period} samples a trial, but without reset needs {shortest} or more, "
+            "by which Q and L look ahead: take a longer period, several of them as one, a higher "
+            "cut-off of Q or a lower order"
+        )
+
+
+def repeated(law: Law, v, e, period: int, start: int, stop: int) -> np.ndarray:
+    """v in the samples from start to stop, from v and e, (time, m), of all samples before."""
+    h = finite_response(law.Q)
+    reach, first = len(h) // 2, max(0, start - period - len(h))
+    x = v[first:] + law.L.apply(e[first:])
+    x = np.pad(x, [(reach, 0), (0, 0)])  # at rest before the first trial
+    before = slice(start - period, stop - period)
+    x = x[before.start - first : before.stop - first + 2 * reach]
+    filtered = oaconvolve(x, h[:, None], "valid", axes=0)
+    return (1 - law.gain) * v[before] + law.gain * filtered
+
+
+def next_samples(law: Law, v, e, first) -> np.ndarray:
+    """v in the samples that follow, as far as it follows from v and e of all before."""
+    period, now = len(first), len(v)
+    if law.L is None or now < period:
+        return first[now % period :]
+    return repeated(law, v, e, period, now, now + period - reach_ahead(law))

@@ -1,0 +1,237 @@
+"""Reading text and logs: rows known by their line, trials with the clock that they need."""
+
+import csv
+import re
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from ilctools import arguments
+from ilctools.files import read_json
+from ilctools.logs import clock
+from ilctools.logs.format import FORMAT, KEYS, ROLES, few, titles_of, units_of
+from ilctools.loop.notes import LogError
+from ilctools.trials.run import dataset
+from ilctools.units import seconds
+
+# what a terminal would obey, as it is or as JSON writes it
+CONTROL = re.compile(r"[\x00-\x08\x0e-\x19\x1b-\x1f\x7f\x9b]|\\u00([01]|7f|[89])", re.I)
+MARKS = "#%/!"  # with which comments begin
+SENSED = ("y", "delta", "measured")  # valid at a moment; other signals are held
+
+
+def load_log(path, resample: bool = False) -> xr.Dataset:
+    """Load a trial log and check it.
+
+    Parameters
+    ----------
+    path : path-like
+        A file of :func:`save_log`; :func:`read_table` reads other tables.
+    resample : bool
+        As in :func:`read_table`, which says what a clock may show.
+
+    Returns
+    -------
+    xarray.Dataset
+        As :func:`ilctools.run_trials` gives it, in the units and with the numbers of the trials of
+        the file; of ``reference``, ``v`` and ``e``, ``u``, ``delta``, ``disturbance`` and
+        ``measured`` what it has. The metadata are attributes; ``clock`` says how an inexact clock
+        ran, ``resampled`` what was interpolated.
+
+    Raises
+    ------
+    LogError
+        The first thing that is wrong, with its row or metadata.
+
+    See Also
+    --------
+    save_log : to write it
+    read_table : of other programs
+    replay : what it says of the law
+
+    Examples
+    --------
+    >>> import control
+    >>> P = control.sample_system(control.tf([400], [1, 20, 400]), 0.01)
+    >>> import numpy as np
+    >>> from ilctools import ClosedLoop, Law, load_log, run_trials, save_log
+    >>> from ilctools import zero_phase_butterworth
+    >>> law = Law(zero_phase_butterworth(2, 40.0, 0.01), None)
+    >>> save_log(run_trials(ClosedLoop(P), law, np.ones((100, 1)), trials=2), "log.csv")
+    >>> log = load_log("log.csv")
+    >>> log.attrs["Ts"], log.y.dims
+    (0.01, ('trial', 'time', 'channel'))
+    """
+    path = arguments.path("path", path)
+    resample = arguments.flag("resample", resample)
+    with about(path):
+        lines = lines_of(path)
+        metadata, header, first = _head(lines)
+        if metadata.get("format") != FORMAT:
+            raise LogError(
+                f"metadata: format is {metadata.get('format')!r}, but must be {FORMAT!r}: "
+                "ilctools.read_table reads other tables, ilctools.load_law laws"
+            )
+        Ts, second = _period(metadata.get("Ts", ""))
+        signals = _signals(metadata.get("signals", "{}"))
+        check_titles(header, signals)
+        entries = rows_of(lines[first:], first, len(header))
+        table = numbers_of(entries.set_axis(header, axis=1))
+        table["time"] *= second
+        notes = {key: value for key, value in metadata.items() if key not in KEYS}
+        return trials_of(table, signals, Ts, notes, resample)
+
+
+@contextmanager
+def about(path) -> Iterator[None]:
+    """Turn what is wrong with a file into a LogError that names it."""
+    try:
+        yield
+    except OSError as error:
+        raise LogError(f"{path}: cannot be read: {error}") from None
+    except (ValueError, RecursionError, csv.Error) as error:
+        raise LogError(f"{path}: {error}") from None
+
+
+def lines_of(path: Path) -> list[str]:
+    """The lines of a text in UTF-8, UTF-16 or, as old spreadsheets write it, Latin-1."""
+    content = path.read_bytes()
+    utf16 = content.startswith((BOM_UTF16_LE, BOM_UTF16_BE))
+    try:
+        text = content.decode("utf-16" if utf16 else "utf-8-sig")
+    except UnicodeDecodeError:
+        text = content.decode("latin-1")
+    if found := CONTROL.search(text):
+        raise LogError(
+            f"is not text, it has {found[0]!r}: pass a pandas.DataFrame to read_table. pandas "
+            "reads spreadsheets; a .mat or .npz is pandas.DataFrame({name: numpy.ravel(file[name]) "
+            "for name in (...)}) with file = scipy.io.loadmat(path) or numpy.load(path)"
+        )
+    return re.split(r"\r\n?|\n", text)
+
+
+def rows_of(
+    lines: Sequence[str], above: int, width: int, delimiter: str = ",", gaps: bool = False
+) -> pd.DataFrame:
+    """The text of each entry, a row each, indexed by its line in the file.
+
+    Comments and empty lines are skipped; with `gaps`, so are rows of another width.
+    """
+    body = ["" if line.lstrip()[:1] in MARKS else line for line in lines]
+    reader = csv.reader(body, delimiter=delimiter, skipinitialspace=True)
+    rows = {}
+    for row in reader:
+        line = above + reader.line_num
+        if len(row) == width:
+            rows[line] = row
+        elif any(map(str.strip, row)) and not gaps:
+            raise LogError(f"row {line} has {len(row)} entries, but must have {width}")
+    if not rows:
+        raise LogError(f"there are no rows of {width} entries")
+    return pd.DataFrame([*rows.values()], [*rows], dtype=object)
+
+
+def numbers(column: pd.Series) -> pd.Series:
+    """The numbers in a column, NaN where there is none."""
+    try:
+        return column.astype(float)
+    except (TypeError, ValueError):
+        return pd.to_numeric(column, errors="coerce").astype(float)
+
+
+def numbers_of(entries: pd.DataFrame, gaps: bool = False) -> pd.DataFrame:
+    """The numbers in all columns; with `gaps`, only of the rows that have them all."""
+    table = entries.apply(numbers)
+    finite = np.isfinite(table)
+    for title in () if gaps else entries:
+        if not finite[title].all():
+            wrong = entries[title][~finite[title]]
+            raise LogError(
+                f"{title}: entry {str(wrong.iloc[0])[:40]!r} in row {wrong.index[0]} must be a "
+                f"finite number ({len(wrong)} such entries)"
+            )
+    table = table[finite.all(axis=1)]
+    if table.empty:
+        raise LogError("there is no row with a number in each column")
+    return table
+
+
+def check_titles(header: Sequence[str], signals: Mapping) -> None:
+    """Refuse columns that a log of these signals does not have, or has not."""
+    titles = ["trial", "time", *titles_of(signals, header)]
+    if sorted(header) != sorted(titles):
+        raise LogError(
+            f"columns must be {few(titles)}, each once, but missing are "
+            f"{few([title for title in titles if title not in header])} and unknown "
+            f"{few([title for title in header if title not in titles])}"
+        )
+
+
+def trials_of(
+    table: pd.DataFrame, signals: Mapping, Ts: float, notes: Mapping, resample: bool
+) -> xr.Dataset:
+    """Trials from a table with the columns of a log, and the time in s."""
+    titles, notes = titles_of(signals, table.columns), dict(notes)
+    if resample:
+        between = [title for title, signal in titles.items() if signal in SENSED]
+        table, note = clock.resampled(table, Ts, between)
+        notes |= note
+    clock.check_trials(table, Ts)
+    notes |= clock.jitter(table, Ts)
+    trial, columns = table["trial"].unique().astype(int), {}
+    for title, signal in titles.items():
+        values = table[title].to_numpy().reshape(len(trial), -1)
+        columns.setdefault(signal, []).append(values)
+    columns = {signal: np.stack(values, axis=2) for signal, values in columns.items()}
+    outputs, controls, sources, sensors = ([*signals.get(role, ())] for role in ROLES.values())
+    units = units_of(signals)
+    trials = dataset(Ts, outputs, controls, sources, units, sensors, **columns)
+    return trials.assign_coords(trial=trial).assign_attrs(notes)
+
+
+def _head(lines):
+    """The metadata, the titles, and how many lines stand above the rows."""
+    metadata = {}
+    for count, line in enumerate(lines, 1):
+        key, mark, value = map(str.strip, line[1:].partition(":"))
+        if line.startswith("#") and mark and key:
+            if key in metadata:
+                raise LogError(f"metadata: {key!r} stands twice, again in line {count}")
+            metadata[key] = value
+        elif line.strip() and not line.startswith("#"):
+            return metadata, next(csv.reader([line], skipinitialspace=True)), count
+    raise LogError("there is no line with the titles of columns")
+
+
+def _period(text):
+    """The sampling period in s, and its unit in s, from text such as '1.0 min'."""
+    try:
+        value, unit = text.split()
+        second = seconds(unit)
+        return arguments.sampling_period("Ts", float(value) * second), second
+    except ValueError:
+        raise LogError(f"metadata: Ts = {text!r} must be a period such as '1.0 s'") from None
+
+
+def _signals(text):
+    """Names and units of the signals by role, from JSON."""
+    try:
+        signals = arguments.instance("signals", read_json(text), dict)
+        for role, names in signals.items():
+            arguments.choice("a key of signals", role, [*ROLES.values()])
+            arguments.instance(role, names, dict)
+        m = len(signals.get("outputs", ()))
+        if not m or len(signals.get("controls", range(m))) != m:
+            raise ValueError(
+                "there must be an output, and one control for each output or none: name other "
+                "signals in measured, other inputs in disturbances"
+            )
+        units_of(signals)
+    except (ValueError, RecursionError) as error:
+        raise LogError(f"metadata: signals: {error}") from None
+    return signals

@@ -1,0 +1,420 @@
+"""A log, run again through its law and its loop: does the recorded v follow from the law?
+
+The law and the loop are those in the metadata of the log. Without them, what needs them is left
+out, with the reason.
+"""
+
+import csv
+import json
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import control
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from ilctools import arguments
+from ilctools.files import write_whole
+from ilctools.law.io import BEGUN, RESET, law_of
+from ilctools.law.law import Law
+from ilctools.law.limits import realised
+from ilctools.law.repetitive import next_samples, repeated
+from ilctools.logs.format import signals_of
+from ilctools.loop.closed import ClosedLoop, Loop
+from ilctools.loop.notes import loop_of
+from ilctools.trials.diagnosis import (
+    commands,
+    diagnose,
+    error_by_octave,
+    histories,
+    outputs_of,
+    settled,
+)
+from ilctools.trials.run import rms, run_trials
+from ilctools.units import by_unit, with_unit
+
+DIGITS = 1e-5  # of the largest v of an output: logs may hold few digits of it
+RELEVANT = 0.01  # of the error in the largest octave: less is not shown
+
+
+@dataclass(frozen=True)
+class Replay:
+    """A log, and what its law and its loop make of it. Made by :func:`replay`; print it.
+
+    What a law or a loop is needed for is None without it.
+    """
+
+    trials: xr.Dataset  # in the order of their numbers
+    loop: Loop | None
+    law: Law | None
+    unmeasured: tuple[str, ...] = ()  # disturbances that the simulation ignores
+
+    @property
+    def outputs(self) -> list[str]:
+        """Names of the outputs."""
+        return self.trials.output.values.tolist()
+
+    @property
+    def numbers(self) -> list[int]:
+        """Numbers of the trials."""
+        return self.trials.trial.values.tolist()
+
+    @property
+    def sources(self) -> list[str]:
+        """Names of the disturbances that were recorded."""
+        if "source" not in self.trials.coords:
+            return []
+        return self.trials.source.values.tolist()
+
+    @property
+    def successive(self) -> bool:
+        """Whether no trial between the first and the last one is missing."""
+        return bool(np.all(np.diff(self.numbers) == 1))
+
+    @property
+    def complete(self) -> bool:
+        """Whether all trials from 1 on are there."""
+        return self.successive and self.numbers[0] == 1
+
+    @property
+    def model(self) -> control.StateSpace | None:
+        """Model of what the commands drive: the plant; of a ClosedLoop P, whose input is w."""
+        if self.loop is None:
+            return None
+        return self.loop.P if isinstance(self.loop, ClosedLoop) else self.loop.plant
+
+    @property
+    def unstable(self) -> bool:
+        """Whether the model without feedback is unstable; an integrator counts as stable."""
+        return np.abs(self.model.poles()).max(initial=0) > 1 + 1e-9
+
+    @cached_property
+    def disturbance(self) -> np.ndarray | None:
+        """What was recorded of the loop's disturbances, shape (trial, time, d); zero of others."""
+        if self.loop is None:
+            return None
+        names = self.loop.disturbances
+        d = np.zeros((len(self.numbers), self.trials.sizes["time"], len(names)))
+        for i, name in enumerate(names):
+            if name in self.sources:
+                d[..., i] = self.trials.disturbance.sel(source=name)
+        return d
+
+    @cached_property
+    def simulated(self) -> xr.Dataset | None:
+        """The same experiment on the model: the law, the references and the disturbances."""
+        if self.law is None or self.model is None or not self.complete:
+            return None
+        disturbance = None  # P of a ClosedLoop has no input for it
+        if not isinstance(self.loop, ClosedLoop):
+            ignored = [name in self.unmeasured for name in self.loop.disturbances]
+            disturbance = np.where(ignored, 0.0, self.disturbance)
+        with warnings.catch_warnings(action="ignore"):  # the log's own count
+            return run_trials(
+                self.loop,
+                self.law,
+                self.trials.reference.values,
+                disturbance,
+                trials=len(self.numbers),
+                v=self.trials.v.values[0] if BEGUN in self.trials.attrs else None,
+                reset=self.resets,
+            )
+
+    @cached_property
+    def predicted(self) -> np.ndarray | None:
+        """Outputs of the model, from rest, under the recorded inputs, without feedback."""
+        model = self.model
+        if model is None or self.unstable:
+            return None
+        if isinstance(self.loop, ClosedLoop):
+            inputs = self.commands["applied"]
+        elif "u" in self.trials:
+            inputs = np.append(self.commands["applied"], self.disturbance, axis=2)
+        else:
+            return None
+        return outputs_of(model, inputs, self.trials)
+
+    @cached_property
+    def commands(self) -> dict[str, np.ndarray]:
+        """What was asked of the actuators, u, and what was applied, shape (trial, time, m)."""
+        return commands(self.trials, self.loop, self.law and self.law.actuators)
+
+    @property
+    def fit(self) -> pd.DataFrame | None:
+        """1 - ||y - y-hat|| / ||y - mean y|| by trial and output: 1 is a perfect prediction."""
+        if self.predicted is None:
+            return None
+        y = self.trials.y.values
+        error = np.linalg.norm(y - self.predicted, axis=1)
+        size = np.linalg.norm(y - y.mean(axis=1, keepdims=True), axis=1)
+        return self._by_trial(1 - error / np.where(size > 0, size, np.nan))
+
+    @cached_property
+    def departure(self) -> pd.DataFrame | None:
+        """Largest distance of v from that of the law; NaN where the trial before is missing."""
+        if self.law is None:
+            return None
+        v, zero_at_first = self.trials.v.values, BEGUN not in self.trials.attrs
+        expected = np.full_like(v, np.nan)
+        if not self.resets and self.complete and self.law.L is not None:
+            samples = v.shape[1]
+            later = repeated(self.law, *self._applied, samples, samples, v[..., 0].size)
+            expected[1:] = later.reshape(expected[1:].shape)
+        for k, number in enumerate(self.numbers):
+            if zero_at_first and (number == 1 or self.law.L is None):
+                expected[k] = 0
+            elif self.resets and k and self.numbers[k - 1] == number - 1:
+                expected[k] = self._v_after(k - 1)
+        return self._by_trial(np.abs(v - expected).max(axis=1))
+
+    def _by_trial(self, values):
+        """A table of values (trial, output)."""
+        return pd.DataFrame(values, pd.Index(self.numbers, name="trial"), self.outputs)
+
+    @property
+    def following(self) -> np.ndarray | None:
+        """The v to apply in the trial after the last one, shape (time, m).
+
+        Without reset, of its first samples, as far as it follows from the trials.
+        """
+        if self.law is None:
+            return None
+        if self.resets:
+            return self._v_after(-1)
+        return next_samples(self.law, *self._applied, self.trials.v.values[-1])
+
+    @property
+    def resets(self) -> bool:
+        """Whether every trial starts from the same state."""
+        return RESET not in self.trials.attrs
+
+    @property
+    def _applied(self):
+        """v as far as it was applied, and e, (time, m), of all trials as one."""
+        v, e = (np.concatenate(self.trials[name].values) for name in "ve")
+        if not self.law.limits:
+            return v, e
+        commands = {name: np.concatenate(c) for name, c in self.commands.items()}
+        return realised(self.loop, v, **commands), e
+
+    def _v_after(self, k):
+        """The v that follows trial `k` of the log by the law."""
+        trial, law = self.trials.isel(trial=k), self.law
+        commands = self.commands if law.limits else {}
+        commands = {name: signal[k] for name, signal in commands.items()}
+        return law.next(trial.v.values, trial.e.values, **commands)
+
+    @cached_property
+    def warnings(self) -> tuple[str, ...]:
+        """What speaks against the convergence of the trials."""
+        if self.law is None or not self.successive:
+            return ()
+        return tuple(diagnose(self.trials, self.law).values())
+
+    def error_by_octave(self, trial: int = 2) -> pd.DataFrame | None:
+        """The error of a trial relative to that of the one before, by octaves; for all outputs.
+
+        Indexed by the highest frequency of an octave, rad/s. Columns: `before`, the RMS of the
+        error before; `bound`, sigma_max(M) of the model; `predicted` from the model and the
+        recorded v; `measured`; and `noise`, the share of white noise. None without a law, a model
+        or the trial before, between two references, or for outputs in several units.
+        """
+        k = arguments.whole("trial", trial, 1) - self.numbers[0]
+        if not (self.successive and 0 < k < len(self.numbers)):
+            return None
+        if self.law is None or self.law.L is None:
+            return None
+        history, *others = histories(self.trials, self.law)
+        if others or history.P is None or history.since[k] == k:
+            return None
+        return pd.DataFrame(error_by_octave(history, k, k - 1)).set_index("frequency")
+
+    @property
+    def rms(self) -> pd.DataFrame:
+        """RMS(e_k) by trial, of the log and of the simulation; a column for each unit."""
+        table = rms_by_trial(self.trials.e)
+        if self.simulated is None:
+            return table
+        simulated = rms_by_trial(self.simulated.e).add_suffix(", simulation")
+        return pd.concat([table.add_suffix(", log"), simulated], axis=1)
+
+    @property
+    def settling(self) -> list[str]:
+        """By which trial the error has converged, and to what; of four trials or more of one task.
+
+        One line for each unit of the outputs.
+        """
+        e, reference = self.trials.e, self.trials.reference.values
+        same = np.array_equal(reference, np.broadcast_to(reference[:1], reference.shape))
+        learns = self.law is None or self.law.L is not None
+        if not (learns and self.successive and same and len(e) > 3):
+            return []
+        groups, lines = by_unit(e.output_unit.values.tolist()), []
+        titles = rms_by_trial(e).columns
+        for title, channels in zip(titles, groups.values(), strict=True):
+            stays = settled(e.values[..., channels])
+            words = "not converged, the error still changes from trial to trial"
+            if stays:
+                k, level, noise = stays
+                words = (
+                    f"converged, by about trial {self.numbers[k]}, to {level:.3g}, of which "
+                    f"noise {noise:.3g}"
+                )
+            lines.append(f"{title}: {words}")
+        return lines
+
+    @property
+    def agreement(self) -> str:
+        """Whether the recorded v is that of the law, in words."""
+        if self.law is None:
+            return "the log does not name its law"
+        departure, v = self.departure, self.trials.v.values
+        different = departure > DIGITS * np.abs(v).max(axis=(0, 1))
+        if different.to_numpy().any():
+            number, name = different.stack().idxmax()
+            unit = self.trials.output_unit.values[self.outputs.index(name)]
+            amount = f"{departure.loc[number, name]:.1e} {unit}".strip()
+            return f"v departs from the law from trial {number} on, by {amount} in {name}"
+        unknown = departure.index[departure.isna().all(axis=1)]
+        if unknown.empty:
+            return "the recorded v is that of the law in every trial"
+        which = ", ".join(map(str, unknown))
+        return f"the recorded v is that of the law, but in {which}, without a trial before"
+
+    @property
+    def omissions(self) -> list[str]:
+        """What is left out, and why."""
+        reasons = []
+        if self.law is None:
+            reasons.append(
+                "law check, next trial and simulation: the log does not name its law; its metadata "
+                "need Q and L, and with limits the loop"
+            )
+        if self.loop is None:
+            reasons.append(
+                "simulation and prediction: the log does not name its loop; its metadata need loop"
+            )
+            return reasons
+        if self.loop.P is None:
+            reasons.append("simulation and prediction: the loop has no P")
+        elif self.unstable:
+            reasons.append("prediction: without feedback the model is unstable")
+        if not self.complete:
+            reasons.append(f"simulation: of the trials from 1 on, there are {self.numbers}")
+        unknown = [name for name in self.sources if name not in self.loop.disturbances]
+        if unknown:
+            reasons.append(f"disturbances {unknown}: they are not in the model")
+        ignored = [name for name in self.sources if name in self.unmeasured]
+        if ignored:
+            reasons.append(f"disturbances {ignored}: the simulation ignores them")
+        return reasons
+
+    def __repr__(self):
+        trials = self.trials
+        lines = [
+            f"{len(self.numbers)} trials of {trials.sizes['time']} samples, Ts = "
+            f"{trials.attrs['Ts']:g} s",
+            f"law: {self.agreement}",
+            f"RMS of the error:\n{self.rms.to_string(float_format='{:.3g}'.format)}",
+        ]
+        lines += self.settling
+        if self.fit is not None:
+            mean = (100 * self.fit.mean()).round(1)
+            fits = ", ".join(f"{name} {value:g} %" for name, value in mean.items())
+            lines.append(f"fit of the model's prediction, mean of all trials: {fits}")
+        table = self.error_by_octave(self.numbers[0] + 1)
+        if table is not None:
+            shown = table[table.before > RELEVANT * table.before.max()]
+            lines.append(
+                "error of the second of the trials relative to the first, by octaves in rad/s:\n"
+                + shown.drop(columns="before").to_string(float_format="{:.2g}".format)
+            )
+        notes = [key for key in ("clock", "resampled") if key in trials.attrs]
+        lines += [f"{key}: {trials.attrs[key]}" for key in notes]
+        lines += [f"WARNING: {text}" for text in self.warnings]
+        return "\n".join([*lines, *(f"left out: {text}" for text in self.omissions)])
+
+    def save_following(self, path) -> None:
+        """Write the next trial's v as a table, the time in s and a column for each output."""
+        path = arguments.path("path", path)
+        if self.law is None:
+            raise ValueError("the log does not name its law: there is no next trial")
+        titles = [f"v_{name}" for name in self.outputs]
+        units = dict(zip(titles, self.trials.output_unit.values.tolist(), strict=True))
+        head = (
+            f"# ILC signal v of trial {self.numbers[-1] + 1}, to be added to the reference\n"
+            f"# units: {json.dumps({'time': 's'} | units, ensure_ascii=False)}\n"
+        )
+        time = pd.Index(self.trials.time.values[: len(self.following)], name="time")
+        table = pd.DataFrame(self.following, time, titles)
+        write_whole(path, head + table.to_csv(quoting=csv.QUOTE_NONNUMERIC))
+
+
+def rms_by_trial(e: xr.DataArray) -> pd.DataFrame:
+    """RMS(e_k), :func:`ilctools.rms`, by trial; a column for each unit of the outputs."""
+    groups, columns = by_unit(e.output_unit.values.tolist()), {}
+    for unit, channels in groups.items():
+        names = f" of {', '.join(e.output.values[channels])}" if len(groups) > 1 else ""
+        columns[with_unit(f"RMS{names}", unit)] = rms(e.isel(channel=channels)).values
+    return pd.DataFrame(columns, pd.Index(e.trial.values, name="trial"))
+
+
+def replay(trials: xr.Dataset, unmeasured: Sequence[str] = ()) -> Replay:
+    """Replay a log with the law and the loop that its metadata name.
+
+    Parameters
+    ----------
+    trials : xarray.Dataset
+        From :func:`ilctools.load_log` or :func:`ilctools.record`.
+    unmeasured : sequence of str, optional
+        Names of disturbances that the simulation ignores, as if they had not been measured.
+
+    Returns
+    -------
+    Replay
+
+    Warns
+    -----
+    UserWarning
+        If the trials do not converge as predicted, see :mod:`ilctools.trials.diagnosis`.
+
+    See Also
+    --------
+    load_log : a log
+    run_trials : trials that are only simulated
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from ilctools import ClosedLoop, Law, LearningFilter, record, replay, zero_phase_butterworth
+    >>> class Axis:  # simulated; yours talks to the drive
+    ...     x = 0.0
+    ...     def begin(self, trial):
+    ...         self.x = 0.0
+    ...     def read(self):
+    ...         return [self.x]
+    ...     def apply(self, w):
+    ...         self.x += 0.2 * (w[0] - self.x)
+    ...
+    >>> loop = ClosedLoop(Ts=0.01, outputs=["x"], units={"x": "mm"})
+    >>> Q = zero_phase_butterworth(2, 60.0, loop.Ts)
+    >>> law = Law(Q, LearningFilter([[[0.9]]], loop.Ts))
+    >>> run = record(Axis(), loop, law, np.sin(np.arange(200) * np.pi / 200) ** 2, trials=6)
+    >>> print(str(replay(run)).splitlines()[0])
+    6 trials of 200 samples, Ts = 0.01 s
+    """
+    arguments.instance("trials", trials, xr.Dataset)
+    signals_of(trials, "reference", "v")  # which checks that it has all that a log has
+    trials = trials.sortby("trial").transpose("trial", "time", ...)
+    unmeasured = tuple(arguments.different("unmeasured", unmeasured))
+    law, loop = law_of(trials), loop_of(trials)
+    controlled = isinstance(loop, ClosedLoop) or "u" in trials
+    if law is not None and law.limits and (loop is None or not controlled):
+        law = None  # whose projection cannot be computed
+    result = Replay(trials, loop, law, unmeasured)
+    for text in result.warnings:
+        warnings.warn(text, stacklevel=2)
+    return result

@@ -1,0 +1,321 @@
+"""Loops as objects: the current-trial loop with its P, and loops whose controller is not ours.
+
+Section III, (16)-(19), (30)-(32): the plant, an observer that also estimates the equivalent input
+disturbance, and a state feedback. What a model gets wrong is seen with the same controller around
+another plant. How the gains are designed is in :mod:`ilctools.loop.design`.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import control
+import numpy as np
+from scipy.linalg import block_diag
+
+from ilctools import arguments, units
+from ilctools.models import frequency_response, sampled_plant, solve_off_poles
+from ilctools.signals import Signals, check_match
+
+
+@dataclass(frozen=True)
+class CurrentTrialLoop:
+    """The feedback loop (19) and what it is made of. Arrays are in the order of `plant`.
+
+    Attributes
+    ----------
+    plant : control.StateSpace
+        The plant (12): inputs u (m of them), then d; outputs y (m).
+    Ks, KL, N : ndarray, shapes (m, n), (n + m, m), (m, m)
+        State feedback (26), observer gain (29), static feedforward.
+    units : dict
+        Unit of each input and output of the plant, by name; "" if it is not known.
+    """
+
+    plant: control.StateSpace
+    Ks: np.ndarray
+    KL: np.ndarray
+    N: np.ndarray
+    units: dict[str, str]
+
+    def __post_init__(self):
+        plant = sampled_plant(self.plant)
+        n, m = plant.nstates, plant.noutputs
+        for name, shape in {"Ks": (m, n), "KL": (n + m, m), "N": (m, m)}.items():
+            vars(self)[name] = arguments.array(name, getattr(self, name), shape)
+        signals = [*plant.output_labels, *plant.input_labels]
+        vars(self).update(units=units.labels(self.units, signals), plant=plant)
+
+    @property
+    def Ts(self) -> float:
+        """Sampling period, s."""
+        return self.plant.dt
+
+    @property
+    def outputs(self) -> list[str]:
+        """Names of the outputs y."""
+        return self.plant.output_labels
+
+    @property
+    def controls(self) -> list[str]:
+        """Names of the controls u."""
+        return self.plant.input_labels[: self.plant.noutputs]
+
+    @property
+    def disturbances(self) -> list[str]:
+        """Names of the disturbances d, which the controller does not know."""
+        return self.plant.input_labels[self.plant.noutputs :]
+
+    @property
+    def references(self) -> list[str]:
+        """Names of the inputs w = r + v."""
+        return _learned(self)
+
+    @property
+    def commands(self) -> list[str]:
+        """Names of what is sent to the actuators: the controls."""
+        return self.controls
+
+    @property
+    def P(self) -> control.StateSpace:
+        """The transfer function from w to y, P of (31), as C (zI - A + B K_s)^-1 B N.
+
+        The signal w does not excite the estimation error, so the observer's states are left out.
+        """
+        B = self.plant.B[:, : self.plant.noutputs]
+        return control.ss(
+            self.plant.A - B @ self.Ks, B @ self.N, self.plant.C, 0, self.Ts,
+            inputs=self.references, outputs=self.outputs,
+        )  # fmt: skip
+
+    @cached_property
+    def closed(self) -> control.StateSpace:
+        """The loop (19): inputs w1, w2, ..., then d; outputs y; states x, x-hat, epsilon-hat.
+
+        Its frequency response from w is P of (31), and from d it is P-tilde of (32).
+        """
+        return _close(self, self.plant)
+
+    def around(self, plant: control.StateSpace | control.TransferFunction) -> control.StateSpace:
+        """The loop (19) of the same controller around another plant, if it is stable.
+
+        As `closed`, but the first states are those of `plant`, a model of any order. Its signals
+        are matched by name: it must have the loop's controls and outputs, and a disturbance that it
+        lacks has no effect. Others than the loop's are left out. Feedthrough is allowed.
+        """
+        plant = sampled_plant(plant)
+        check_match(loop=self, plant=Signals(plant.dt))
+        signals = [*plant.input_labels, *plant.output_labels]
+        missing = [n for n in [*self.controls, *self.outputs] if n not in signals]
+        if missing:
+            raise ValueError(f"plant has the signals {signals}, but lacks {missing} of the loop")
+        ours = self.plant.input_labels
+        picked = np.array([[a == b for b in ours] for a in plant.input_labels])
+        rows = [plant.output_labels.index(name) for name in self.outputs]
+        B, D = plant.B @ picked, plant.D[rows] @ picked
+        closed = _close(self, control.ss(plant.A, B, plant.C[rows], D, plant.dt))
+        poles = closed.poles()
+        worst = poles[np.abs(poles).argmax()]
+        if abs(worst) > arguments.CIRCLE:
+            raise ValueError(
+                f"plant makes the loop unstable: a pole at z = {worst:.6g}, of modulus "
+                f"{abs(worst):.6g}. If the plant is right, make the controller weaker, by a larger "
+                "Rs or Ro"
+            )
+        return closed
+
+    def frequency_response(self, omega, plant=None) -> np.ndarray:
+        """P of (31), of the loop as designed or of the same controller around another plant.
+
+        Around another plant the observer does not drop out: w excites the estimation error.
+
+        Parameters
+        ----------
+        omega : array_like, shape (n,)
+            Angular frequencies, rad/s.
+        plant : control.StateSpace, control.TransferFunction or array_like, optional
+            A model as in :meth:`around`, or samples of shape (n, m, m) of a sampled plant's
+            response on `omega`, from the controls to y in the loop's order: those of
+            theory, or measured. Samples do not say whether the loop is stable; that is then for the
+            caller to know. Default: the plant of the design.
+
+        Returns
+        -------
+        ndarray, shape (n, m, m), complex
+        """
+        if plant is None:
+            return frequency_response(self.P, omega)  # (31)
+        m = self.plant.noutputs
+        if isinstance(plant, control.StateSpace | control.TransferFunction):
+            return frequency_response(self.around(plant)[:, :m], omega)
+        omega = arguments.row("omega", omega)
+        G = arguments.array("plant", plant, (len(omega), m, m), complex)
+        A, B, K = _controller(self)
+        # The controller's states and y at once, since its integrators have no response at z = 1.
+        points = np.exp(1j * omega * self.Ts)[:, None, None]
+        KL = np.broadcast_to(self.KL, (len(G), *self.KL.shape))
+        one = np.broadcast_to(np.eye(m), G.shape)
+        left = np.block([[points * np.eye(len(A)) - A, -KL], [G @ K, one]])
+        B = np.broadcast_to(B, (len(G), *B.shape))
+        right = np.concatenate([B, G @ self.N], axis=1)
+        return solve_off_poles(left, right)[:, len(A) :]
+
+
+def _learned(loop):
+    return [f"w{i + 1}" for i in range(len(loop.outputs))]
+
+
+@dataclass(frozen=True)
+class ClosedLoop:
+    """A loop whose controller is not ours, such as a PID in a PLC: it takes w = r + v, y follows.
+
+    Nothing else is assumed of it, not even that P(0) = I. Without P it can be run and shaken, by
+    which P can be measured; with P it can be simulated, and filters can be designed for it.
+
+    Attributes
+    ----------
+    P : control.StateSpace or control.TransferFunction, optional
+        From w to y, in discrete time and stable.
+    Ts : float, optional
+        Sampling period, s. Default: that of P.
+    outputs : sequence of str, optional
+        Names of y. Default: those of P.
+    controls : sequence of str
+        Names of the commands u, one for each output, if the rig tells them.
+    disturbances : sequence of str
+        Names of what else the rig measures, or can be commanded.
+    units : dict
+        Unit of each of these, by name; "" if it is not said.
+
+    See Also
+    --------
+    current_trial_loop : a loop of ours around a plant
+    shake : how P can be measured
+
+    Examples
+    --------
+    >>> import control
+    >>> from ilctools import ClosedLoop
+    >>> P = control.sample_system(control.tf([400], [1, 20, 400]), 0.01)
+    >>> loop = ClosedLoop(P, outputs=["x"], units={"x": "mm"})
+    >>> loop.references, loop.frequency_response([1.0, 10.0]).shape
+    (['u[0]'], (2, 1, 1))
+    """
+
+    P: control.StateSpace | None = None
+    Ts: float = None  # of P; once the loop is made, a number, and the next are names
+    outputs: Sequence[str] = None
+    controls: Sequence[str] = ()
+    disturbances: Sequence[str] = ()
+    units: dict[str, str] = field(default_factory=dict)
+
+    def __post_init__(self):
+        P, Ts, outputs = self.P, self.Ts, self.outputs
+        if P is not None:
+            P = _stable_model("P", P)
+            outputs = P.output_labels if outputs is None else outputs
+            Ts = P.dt if Ts is None else Ts
+        if Ts is None or outputs is None:
+            raise ValueError("P = None: then Ts and outputs must be given")
+        Ts = arguments.sampling_period("Ts", Ts)
+        outputs = arguments.different("outputs", outputs)
+        controls = arguments.different("controls", self.controls)
+        disturbances = arguments.different("disturbances", self.disturbances)
+        if not outputs or (P is not None and P.noutputs != len(outputs)):
+            raise ValueError(f"outputs = {outputs!r} must name the outputs of P")
+        if controls and len(controls) != len(outputs):
+            raise ValueError(f"controls = {controls!r} must be one for each output, or none")
+        if P is not None:
+            check_match(P=P, loop=Signals(Ts, labels=outputs))
+        signals = [*outputs, *controls, *disturbances]
+        vars(self).update(
+            P=P,
+            Ts=Ts,
+            outputs=outputs,
+            controls=controls,
+            disturbances=disturbances,
+            units=units.labels(self.units, signals),
+        )
+
+    @property
+    def references(self) -> list[str]:
+        """Names of the inputs w = r + v."""
+        return _learned(self) if self.P is None else self.P.input_labels
+
+    @property
+    def commands(self) -> list[str]:
+        """Names of what is sent to the rig: w."""
+        return self.references
+
+    def model(self, plant=None) -> control.StateSpace:
+        """P, or `plant` in its place, which is another model from w to y."""
+        if plant is None and self.P is None:
+            raise ValueError("loop has no P: it can be run and shaken, but not simulated")
+        P = self.P if plant is None else _stable_model("plant", plant)
+        check_match(loop=self, plant=P)
+        if P.noutputs != len(self.outputs):
+            raise ValueError(f"plant has {P.noutputs} outputs, but the loop {len(self.outputs)}")
+        return P
+
+    def frequency_response(self, omega, plant=None) -> np.ndarray:
+        """P, or another model from w to y, at `omega` (rad/s), shape (n, m, m)."""
+        return frequency_response(self.model(plant), omega)
+
+
+Loop = CurrentTrialLoop | ClosedLoop
+
+
+def _stable_model(name, P):
+    """A stable model from w to y."""
+    P = sampled_plant(P, name)
+    arguments.stable(name, P.poles())
+    arguments.square(name, P.ninputs, P.noutputs)
+    return P
+
+
+def _controller(loop):
+    """Observer (16) and feedback (18): c(p+1) = A c + B w + K_L y, u = N w - K c."""
+    plant, m = loop.plant, loop.plant.noutputs
+    B = plant.B[:, :m]
+    C = np.hstack([plant.C, np.zeros((m, m))])
+    # (16) with u of (18)
+    A = block_diag(plant.A - B @ loop.Ks, np.eye(m)) - loop.KL @ C
+    return A, np.vstack([B @ loop.N, np.zeros((m, m))]), np.hstack([loop.Ks, np.eye(m)])
+
+
+def _close(loop, plant):
+    """The controller of a loop around a plant with the same inputs and outputs."""
+    m = loop.plant.noutputs
+    A, B, K = _controller(loop)
+    Bu, E, Du, F = plant.B[:, :m], plant.B[:, m:], plant.D[:, :m], plant.D[:, m:]
+    return control.ss(  # (19), of which (31) and (32) are the responses
+        np.block([[plant.A, -Bu @ K], [loop.KL @ plant.C, A - loop.KL @ Du @ K]]),
+        np.block([[Bu @ loop.N, E], [B + loop.KL @ Du @ loop.N, loop.KL @ F]]),
+        np.hstack([plant.C, -Du @ K]),
+        np.hstack([Du @ loop.N, F]),
+        loop.Ts,
+        inputs=loop.references + loop.disturbances,
+        outputs=loop.outputs,
+        name="current-trial loop",
+    )
+
+
+def with_noise(loop: CurrentTrialLoop, plant=None) -> control.StateSpace:
+    """The loop (19) with m inputs more: what is added to y before the observer (16) sees it."""
+    closed = loop.closed if plant is None else loop.around(plant)
+    m = loop.plant.noutputs
+    enters = np.zeros((closed.nstates, m))
+    enters[-len(loop.KL) :] = loop.KL
+    D = np.hstack([closed.D, np.zeros((m, m))])
+    return control.ss(closed.A, np.hstack([closed.B, enters]), closed.C, D, loop.Ts)
+
+
+def reply(loop: CurrentTrialLoop) -> control.StateSpace:
+    """From w and what is added to y before the observer (16) sees it to the controls u, (18)."""
+    # With it the controller around another plant can be computed from the loop as designed, which
+    # is stable, and not from the controller alone, which integrates.
+    noisy, m = with_noise(loop), loop.plant.noutputs
+    B = np.hstack([noisy.B[:, :m], noisy.B[:, -m:]])
+    _, _, K = _controller(loop)
+    shown = np.hstack([np.zeros((m, noisy.nstates - len(loop.KL))), -K])  # (18)
+    return control.ss(noisy.A, B, shown, np.hstack([loop.N, np.zeros((m, m))]), loop.Ts)

@@ -1,0 +1,224 @@
+"""The design of the current-trial loop: what holds a plant on its reference within one trial.
+
+Section III, (12)-(29): a state feedback, and an observer that also estimates the equivalent input
+disturbance. The loop is what iterative learning control then acts on from trial to trial.
+"""
+
+import reprlib
+import warnings
+from collections.abc import Sequence
+
+import control
+import numpy as np
+from scipy.linalg import LinAlgWarning, block_diag, matrix_balance, schur, solve_discrete_are
+
+from ilctools import arguments
+from ilctools.loop.closed import CurrentTrialLoop
+from ilctools.models import controls_first, sampled_plant, unreachable_modes
+
+UNFIT = (
+    "a weight is zero or too far from the other; the default ones fit the plant's units if `sizes` "
+    "say what counts as large"
+)
+
+
+def current_trial_loop(
+    plant: control.StateSpace | control.TransferFunction,
+    controls: Sequence[str] | None = None,
+    sizes: dict[str, float] | None = None,
+    units: dict[str, str] | None = None,
+    *,
+    Qs=None,
+    Rs=None,
+    Qo=None,
+    Ro=None,
+) -> CurrentTrialLoop:
+    """Close the loop (16)-(19) around a discrete-time plant.
+
+    Parameters
+    ----------
+    plant : control.StateSpace or control.TransferFunction
+        The model (12) with m outputs, in discrete time, without direct feedthrough from its
+        controls, and without an unstable mode that no control reaches or no output shows. A
+        transfer function is realised with as few states as it needs.
+    controls : sequence of str, optional
+        Names of the m inputs that are controls u; any others are disturbances d, which the
+        controller does not know. Default: all inputs, if there are as many as outputs.
+    sizes : dict, optional
+        What counts as large for an output or a control, in its unit, by name; one for those that
+        are not named. With them the default weights, and so the loop, depend neither on the units
+        nor on the coordinates of the state. Without them the default weights are the paper's, in
+        the units and coordinates of `plant`.
+    units : dict, optional
+        Units of inputs and outputs, by name, for those who read the results.
+    Qs, Rs : array_like, shapes (n, n), (m, m), optional
+        Weights of states and controls in (24). Default: C' S_y^-2 C and 0.05 S_u^-2, where S_y and
+        S_u hold the sizes on their diagonals; the paper's are all one.
+    Qo, Ro : array_like, shapes (n + m, n + m), (m, m), optional
+        Weights of the estimation errors of states and outputs in (27). Default:
+        diag(B S_u^2 B', 2 S_u^2) and S_y^2; without `sizes`, diag(I, 2I) and I as in the paper.
+
+    See Also
+    --------
+    ClosedLoop : a loop whose controller is not ours
+    synthesise : a learning filter for it
+
+    Notes
+    -----
+    The disturbance model (14) is integral action, A_d = C_d = I. The paper prints (28) and (29)
+    with A and C; the dimensions need A_a and C_a of (15).
+
+    Examples
+    --------
+    >>> import control
+    >>> from ilctools import current_trial_loop
+    >>> oven = control.ss(0.9, 0.1, 1.0, 0.0, 1.0, inputs=["heater"], outputs=["T"])
+    >>> loop = current_trial_loop(oven, units={"T": "K", "heater": "W"})
+    >>> loop.controls, float(loop.P(1.0).real.round(6))  # at rest y follows w
+    (['heater'], 1.0)
+    """
+    plant = _checked(plant, controls)
+    m = plant.noutputs
+    weights = _weights(plant, sizes, Qs, Rs, Qo, Ro)
+    A, B, C = plant.A, plant.B[:, :m], plant.C
+    even = _even_coordinates(A, B, C)
+    _require_held(*_in_coordinates(even, A, B, C))
+    Ks, KL, N = _gains(A, B, C, *weights, coordinates=None if sizes is None else even)
+    return CurrentTrialLoop(plant, Ks, KL, N, units)
+
+
+def _checked(plant, controls):
+    """The plant (12) as a model with its controls first, if that is what it is."""
+    plant = sampled_plant(plant)
+    m, names = plant.noutputs, plant.input_labels
+    controls = names if controls is None else controls
+    plant = controls_first(plant, controls)
+    if len(controls) != m:
+        raise ValueError(
+            f"controls = {[*controls]} are {len(controls)} inputs for {m} outputs: name one for "
+            f"each of {plant.output_labels} among {names}; the others are disturbances. With "
+            "more outputs, close the loop on some of them, and learn on combinations"
+        )
+    if not plant.nstates:
+        raise ValueError("plant has no states: (12) needs at least one")
+    if np.any(plant.D[:, :m]):
+        raise ValueError(
+            f"plant.D must be zero for the controls {plant.input_labels[:m]}: (12) has no direct "
+            "feedthrough. Delay them by a sample"
+        )
+    return plant
+
+
+def _weights(plant, sizes, Qs, Rs, Qo, Ro):
+    """The weights of (24) and (27), checked, or what they are by default."""
+    n, m = plant.nstates, plant.noutputs
+    names = [*plant.output_labels, *plant.input_labels[:m]]
+    large = dict.fromkeys(names, 1.0) | arguments.by_name("sizes", sizes, names)
+    large = [arguments.positive(f"sizes[{name!r}]", size) for name, size in large.items()]
+    Sy, Su = np.diag(large[:m]), np.diag(large[m:])
+    B, C = plant.B[:, :m], plant.C
+    spread = np.eye(n) if sizes is None else B @ Su**2 @ B.T
+    return (
+        _weight("Qs", C.T @ np.linalg.inv(Sy**2) @ C if Qs is None else Qs, n),  # (24)
+        _weight("Rs", 0.05 * np.linalg.inv(Su**2) if Rs is None else Rs, m, definite=True),
+        _weight("Qo", block_diag(spread, 2 * Su**2) if Qo is None else Qo, n + m),  # (27)
+        _weight("Ro", Sy**2 if Ro is None else Ro, m, definite=True),
+    )
+
+
+def _gains(A, B, C, Qs, Rs, Qo, Ro, coordinates):
+    """K_s of (26), K_L of (29) and N, computed in the coordinates of the state that are given."""
+    n, m = B.shape
+    T, inverse = (np.eye(n), np.eye(n)) if coordinates is None else coordinates
+    A, B, C = _in_coordinates((T, inverse), A, B, C)
+    Ta, inverse_a = block_diag(T, np.eye(m)), block_diag(inverse, np.eye(m))
+    Qs, Qo = T.T @ Qs @ T, inverse_a @ Qo @ inverse_a.T
+    Aa, Ca = _with_disturbance(A, B, C)
+    Ps = _riccati(A, B, Qs, Rs, "Qs and Rs")  # (25)
+    Ks = np.linalg.solve(B.T @ Ps @ B + Rs, B.T @ Ps @ A)  # (26)
+    Po = _riccati(Aa.T, Ca.T, Qo, Ro, "Qo and Ro")  # (28)
+    KL = np.linalg.solve(Ca @ Po @ Ca.T + Ro, Ca @ Po @ Aa.T).T  # (29)
+    _require_stable(A - B @ Ks, "Qs and Rs")
+    _require_stable(Aa - KL @ Ca, "Qo and Ro")
+    N = np.linalg.inv(C @ np.linalg.solve(np.eye(n) - A + B @ Ks, B))
+    return Ks @ inverse, Ta @ KL, N
+
+
+def _weight(name, value, size, definite=False):
+    value = arguments.array(name, value, (size, size))
+    smallest = np.linalg.eigvalsh((value + value.T) / 2).min()
+    largest = np.abs(value).max()  # rounding counts against it, whatever the units
+    skew = np.abs(value - value.T).max() > 1e-6 * largest
+    if skew or smallest < -1e-12 * largest or (definite and smallest <= 0):
+        kind = "positive definite" if definite else "positive semidefinite"
+        raise ValueError(
+            f"{name} must be symmetric and {kind}, but is {reprlib.repr(value.tolist())}"
+        )
+    return (value + value.T) / 2  # symmetric to the last digit, as the Riccati equation wants it
+
+
+def _with_disturbance(A, B, C):
+    """A_a and C_a of (15), with A_d = C_d = I."""
+    n, m = B.shape
+    I, O = np.eye(m), np.zeros  # noqa: E741
+    return np.block([[A, B], [O((m, n)), I]]), np.hstack([C, O((m, m))])  # (15)
+
+
+def _in_coordinates(coordinates, A, B, C):
+    T, inverse = coordinates
+    return inverse @ A @ T, inverse @ B, C @ T
+
+
+def _even_coordinates(A, B, C):
+    """Coordinates T of the state, and T^-1, in which no entry is small by its unit alone."""
+    # With `sizes` the loop does not depend on them, but rounding does: of a transfer function with
+    # lags that are slow beside Ts, the Riccati equations have no solution in its own coordinates.
+    n, m = B.shape
+    _, Z = schur(A, output="real")
+    plant = np.block([[Z.T @ A @ Z, Z.T @ B], [C @ Z, np.zeros((m, m))]])
+    _, (scale, _) = matrix_balance(plant, permute=False, separate=True)
+    return Z * scale[:n], Z.T / scale[:n, None]
+
+
+def _riccati(A, B, Q, R, weights):
+    try:
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("error", LinAlgWarning)
+            return solve_discrete_are(A, B, Q, R)
+    # LinAlgError is a ValueError, and not the only one
+    except (ValueError, LinAlgWarning):
+        raise ValueError(
+            f"{weights} leave the Riccati equation of this plant without a solution: {UNFIT}"
+        ) from None
+
+
+def _require_stable(A, weights):
+    radius = np.abs(np.linalg.eigvals(A)).max()
+    if radius > arguments.CIRCLE:
+        raise ValueError(
+            f"{weights} give a loop with a pole of modulus {radius:.6g}, which does not settle: "
+            f"{UNFIT}"
+        )
+
+
+def _require_held(A, B, C):
+    """Refuse a plant with an unstable mode that no gain holds."""
+    Aa, Ca = _with_disturbance(A, B, C)
+    for X, Y, what in ((A, B, "no control reaches"), (A.T, C.T, "no output shows")):
+        unstable = _unstable(X, Y)
+        if unstable.size:
+            raise ValueError(
+                f"plant has a mode at z = {unstable[0]:.6g} that {what}: no gain holds it"
+            )
+    if _unstable(Aa.T, Ca.T).size:  # (A - I) x + B d = 0 and C x = 0 for a d that is not zero
+        raise ValueError(
+            "plant has a zero at z = 1: some constant input leaves no trace in the outputs, so no "
+            "loop holds them at a reference. Take as outputs what they are the differences of, or "
+            "other controls"
+        )
+
+
+def _unstable(A, B):
+    """The unstable modes that B does not reach."""
+    poles, _ = unreachable_modes(A, B)
+    return poles[np.abs(poles) > arguments.CIRCLE]

@@ -1,0 +1,81 @@
+"""Notes in the metadata of a log, as JSON: how they are read, and the loop.
+
+The law is noted by :mod:`ilctools.law.io`, an excitation by
+:mod:`ilctools.measurement.excitation`.
+"""
+
+import json
+from collections.abc import Callable
+from contextlib import contextmanager
+from dataclasses import fields
+
+import control
+import numpy as np
+import xarray as xr
+
+from ilctools import arguments
+from ilctools.files import read_json
+from ilctools.loop.closed import ClosedLoop, CurrentTrialLoop, Loop
+from ilctools.signals import Signals, check_match
+
+# what a note may lead to
+MISUNDERSTOOD = (KeyError, TypeError, ValueError, RecursionError)
+
+
+class LogError(ValueError):
+    """A log or a table that cannot be used; the message says where, and what to do."""
+
+
+@contextmanager
+def reading(key: str):
+    """Make a LogError of whatever a note leads to that is not of its kind."""
+    try:
+        yield
+    except MISUNDERSTOOD as error:
+        raise LogError(f"metadata: {key} cannot be understood: {error!r}") from None
+
+
+def read_note(trials: xr.Dataset, key: str, read: Callable):
+    """What `read` makes of the note `key` of a log; None if it is not there."""
+    arguments.instance("trials", trials, xr.Dataset)
+    if key not in trials.attrs:
+        return None
+    with reading(key):
+        return read(read_json(trials.attrs[key]))
+
+
+def loop_of(trials: xr.Dataset) -> Loop | None:
+    """The loop noted in the metadata of a log, to the last digit; None if it does not say.
+
+    A LogError if the note cannot be understood, or is that of other signals or units.
+    """
+
+    def read(note):
+        if "plant" in note:
+            loop = CurrentTrialLoop(**note | {"plant": model_from(note["plant"])})
+        else:
+            loop = ClosedLoop(**note | {"P": model_from(note["P"])})
+        check_match(loop=loop, log=Signals.of_log(trials))
+        return loop
+
+    return read_note(trials, "loop", read)
+
+
+def loop_note(loop: Loop) -> str:
+    """A loop as JSON, to the last digit."""
+    parts = {part.name: getattr(loop, part.name) for part in fields(loop)}
+    for key, part in parts.items():
+        if isinstance(part, control.StateSpace):
+            matrices = {name: getattr(part, name) for name in "ABCD"}
+            names = {"inputs": part.input_labels, "outputs": part.output_labels}
+            parts[key] = matrices | {"dt": part.dt} | names
+    return json.dumps(parts, ensure_ascii=False, default=np.ndarray.tolist)
+
+
+def model_from(note):
+    """A model that :func:`loop_note` noted."""
+    if note is None:
+        return None
+    A, B, C, D = (arguments.array(name, note[name], (...,)) for name in "ABCD")
+    names = {"inputs": note["inputs"], "outputs": note["outputs"]}
+    return control.ss(A, B, C, D, note["dt"], **names)

@@ -1,0 +1,229 @@
+"""What the loop is shaken with: periodic multisines, on few lines and with low peaks."""
+
+import json
+import warnings
+from dataclasses import asdict, dataclass
+from functools import cached_property
+
+import numpy as np
+import xarray as xr
+from scipy.fft import next_fast_len
+
+from ilctools import arguments
+from ilctools.loop.closed import Loop
+from ilctools.loop.notes import loop_note, read_note
+from ilctools.signals import Signals, check_match
+
+LEAD = 0.25  # periods before those that are evaluated, in which most of the transient decays
+LONGEST = 720.0  # hours: a month, in which no rig stays as it is
+MANY = 1000  # periods, more than which no experiment of more than a day needs
+FEWEST = 3  # periods: with fewer, nothing around the lowest line tells the noise
+POINTS = 2**21  # that are clipped, in rounds over one period
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """As many experiments as inputs, each of which shakes all inputs at once.
+
+    In experiment e, input i is amplitude_i / peak times the sum over the harmonics h of
+    cos(2 pi h t / period + phase_h + 2 pi e i / m). So at every line the m experiments are
+    orthogonal: with the same peaks and in the same time, the variance of the estimate is an m-th of
+    that with one input at a time (Dobrowiecki, Schoukens and Guillaume, Optimized excitation
+    signals for MIMO frequency response function measurements, IEEE Trans. Instrum. Meas. 55,
+    2006).
+    """
+
+    Ts: float  # s
+    period: int  # samples
+    periods: int  # of each experiment that are evaluated
+    harmonics: tuple[int, ...]  # of the period, increasing
+    phases: tuple[float, ...]  # of the harmonics, rad
+    amplitude: tuple[float, ...]  # largest |w| of each input, in the units of the outputs
+
+    def __post_init__(self):
+        arguments.sampling_period("Ts", self.Ts)
+        period = arguments.whole("period", self.period, 3)
+        arguments.whole("periods", self.periods, FEWEST)
+        arguments.array("harmonics", self.harmonics, ("line",))
+        highest = 0
+        for harmonic in self.harmonics:
+            highest = arguments.whole("harmonics", harmonic, highest + 1, (period - 1) // 2)
+        phases = arguments.array("phases", self.phases, (len(self.harmonics),))
+        amplitude = arguments.array("amplitude", self.amplitude, ("input",))
+        if amplitude.min() <= 0:
+            raise ValueError(f"amplitude = {amplitude} must be positive numbers")
+        object.__setattr__(self, "harmonics", tuple(self.harmonics))
+        object.__setattr__(self, "phases", tuple(phases.tolist()))
+        object.__setattr__(self, "amplitude", tuple(amplitude.tolist()))
+
+    @property
+    def channels(self) -> int:
+        """Number of inputs, and of experiments."""
+        return len(self.amplitude)
+
+    @property
+    def omega(self) -> np.ndarray:
+        """The frequencies that are excited, rad/s."""
+        return 2 * np.pi * np.array(self.harmonics) / (self.period * self.Ts)
+
+    @property
+    def evaluated(self) -> int:
+        """Samples at the end of each experiment that are evaluated."""
+        return self.periods * self.period
+
+    @property
+    def samples(self) -> int:
+        """Samples of each experiment."""
+        return self.evaluated + _lead(self.period)
+
+    @property
+    def hours(self) -> float:
+        """What all experiments take together."""
+        return self.channels * self.samples * self.Ts / 3600
+
+    @cached_property
+    def signals(self) -> np.ndarray:
+        """The signal w of each experiment, shape (experiment, time, input)."""
+        m = self.channels
+        envelope = _envelope(self.phases, self.harmonics, self.period)
+        turns = np.exp(2j * np.pi * np.outer(np.arange(m), np.arange(m)) / m)
+        waves = np.real(turns[:, None, :] * envelope[:, None])
+        waves *= np.array(self.amplitude) / np.abs(waves).max()
+        time = np.arange(-_lead(self.period), self.evaluated) % self.period
+        return waves[:, time]
+
+    @property
+    def crest(self) -> float:
+        """Crest factor: the largest peak over the RMS; a single sine has 1.41."""
+        waves = self.signals[:, -self.period :] / self.amplitude
+        return float(1 / np.sqrt(np.mean(waves**2)))
+
+    def __repr__(self):
+        return (
+            f"{self.channels} experiments of {self.periods} + {LEAD} periods of "
+            f"{self.period * self.Ts:.6g} s, {self.hours:.3g} h in all; {len(self.harmonics)} "
+            f"lines from {self.omega[0]:.3g} to {self.omega[-1]:.3g} rad/s, crest factor "
+            f"{self.crest:.2f}"
+        )
+
+
+def multisine(
+    loop: Loop, lowest: float, highest: float, amplitude, hours: float, lines: int = 40
+) -> Excitation:
+    """An excitation for a loop: as many periods as fit into the time, lines all over the band.
+
+    Parameters
+    ----------
+    loop : CurrentTrialLoop or ClosedLoop
+        Its sampling period and number of channels count; the model in it does not.
+    lowest, highest : float
+        Frequencies, rad/s. The lowest sets the period. Below it, P is known from the loop's
+        integral action only; above the highest, not at all.
+    amplitude : float or array_like, shape (m,)
+        Largest |w| of each input, in the units of the outputs.
+    hours : float
+        Time for all experiments. If it is too short, the error says what is needed.
+    lines : int
+        Number of lines, spaced evenly on a logarithmic scale as far as harmonics can be; where
+        they would fall on the same, there are fewer.
+
+    See Also
+    --------
+    shake : what applies it
+    expected_radius : how accurate the measurement will be
+
+    Examples
+    --------
+    >>> from ilctools import ClosedLoop, multisine
+    >>> loop = ClosedLoop(Ts=1.0, outputs=["y1", "y2"])
+    >>> shaking = multisine(loop, lowest=0.003, highest=0.3, amplitude=2.0, hours=6.0)
+    >>> shaking.signals.shape[0], shaking.hours <= 6
+    (2, True)
+    """
+    Ts, m = arguments.instance("loop", loop, Loop).Ts, len(loop.outputs)
+    nyquist = np.pi / Ts
+    lowest = arguments.number("lowest", lowest, "between 0 and pi / Ts / 4", 0, nyquist / 4)
+    highest = arguments.number("highest", highest, "between lowest and pi / Ts", lowest, nyquist)
+    amplitude = arguments.array("amplitude", amplitude, (...,))
+    if amplitude.shape not in ((), (m,)):
+        raise ValueError(
+            f"amplitude = {amplitude.tolist()} must be one number, or one for each of the {m} "
+            f"outputs {loop.outputs}"
+        )
+    amplitude = np.broadcast_to(amplitude, (m,))
+    hours = arguments.positive("hours", hours, "a positive number of hours")
+    lines = arguments.whole("lines", lines, 2)
+    period = round(2 * np.pi / (lowest * Ts))
+    needed = m * (FEWEST * period + _lead(period)) * Ts / 3600
+    periods = int((hours * 3600 / (m * Ts) - _lead(period)) // period)
+    if periods < FEWEST:
+        raise ValueError(
+            f"hours = {hours:g} is too short for {FEWEST} periods of the lowest frequency in {m} "
+            f"experiment(s): {needed:.4g} h are needed, or lowest = {lowest * needed / hours:.3g}"
+        )
+    if hours > LONGEST or (hours > 24 and periods > MANY):
+        warnings.warn(
+            f"hours = {hours:g} are {hours / 24:.3g} days, {periods} periods of the lowest "
+            f"frequency: likely seconds, which are {hours / 3600:.3g} h",
+            stacklevel=2,
+        )
+    top = min(int(highest * Ts * period / (2 * np.pi)), (period - 1) // 2)
+    harmonics = np.unique(np.round(np.geomspace(1, top, lines)).astype(int)).tolist()
+    phases = _phases_of_low_peaks(harmonics, m)
+    return Excitation(Ts, period, periods, harmonics, phases.tolist(), amplitude.tolist())
+
+
+def _lead(period):
+    return int(np.ceil(LEAD * period))
+
+
+def _envelope(phases, harmonics, period):
+    """The sum of exp(j (2 pi h t / period + phase)) over a period."""
+    spectrum = np.zeros(period, complex)
+    spectrum[list(harmonics)] = np.exp(1j * np.array(phases))
+    return period * np.fft.ifft(spectrum)
+
+
+def _phases_of_low_peaks(harmonics, m):
+    """Phases for which none of the m turns has high peaks."""
+    # The signal is clipped, less and less, and the phases of what is left are taken, as by Van der
+    # Ouderaa, Schoukens and Renneboog (Peak factor minimization using a time-frequency domain
+    # swapping algorithm, IEEE Trans. Instrum. Meas. 37, 1988), from Schroeder's phases on.
+    period = next_fast_len(8 * harmonics[-1])
+    count = np.arange(1, len(harmonics) + 1)
+    best = phases = -np.pi * count * (count - 1) / len(harmonics)
+    turns = np.exp(2j * np.pi * np.arange(m) / m)
+    lowest, rounds = np.inf, min(500, POINTS // period)
+    for k in range(rounds):
+        waves = np.real(turns[:, None] * _envelope(phases, harmonics, period))
+        peak = np.abs(waves).max()
+        if peak < lowest:
+            best, lowest = phases, peak
+        limit = (0.6 + 0.4 * k / rounds) * peak
+        clipped = np.fft.fft(np.clip(waves[k % m], -limit, limit))[harmonics]
+        phases = np.angle(clipped / turns[k % m])
+    return best
+
+
+def with_excitation(
+    trials: xr.Dataset,
+    excitation: Excitation,
+    loop: Loop,
+    limits: dict[str, tuple[float, ...]] | None = None,
+) -> xr.Dataset:
+    """Note which excitation made the trials, of which loop, and what its actuators follow."""
+    notes = {"excitation": json.dumps(asdict(excitation)), "loop": loop_note(loop)}
+    if limits:
+        notes["actuators"] = json.dumps(limits, ensure_ascii=False)
+    return trials.assign_attrs(notes)
+
+
+def excitation_of(trials: xr.Dataset) -> Excitation | None:
+    """The excitation noted in the metadata of a log; None if it does not say."""
+
+    def read(note):
+        excitation = Excitation(**note)
+        check_match(log=Signals(trials.attrs["Ts"]), excitation=excitation)
+        return excitation
+
+    return read_note(trials, "excitation", read)

@@ -1,0 +1,345 @@
+"""From a shaken loop, another record or a table to P, with the region in which the truth lies.
+
+The notes of :func:`measured_response` state the methods.
+"""
+
+import reprlib
+import warnings
+from dataclasses import dataclass, replace
+from os import PathLike
+
+import control
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from ilctools import arguments
+from ilctools.law.io import limits_of
+from ilctools.logs.format import few
+from ilctools.loop.closed import CurrentTrialLoop, Loop
+from ilctools.loop.notes import LogError, loop_of
+from ilctools.measurement.estimation import EstimatedResponse, estimated_response
+from ilctools.measurement.excitation import Excitation, excitation_of
+from ilctools.measurement.plausibility import warnings_of
+from ilctools.measurement.region import radius_of
+from ilctools.measurement.tabulated import TabulatedResponse, tabulated
+from ilctools.measurement.transient import NEIGHBOURS, SPAN, nearest, separated, windows_of
+from ilctools.problem.responses import Measured, interpolated, probability
+from ilctools.signals import check_match
+
+ROUNDED = 0.02  # of the amplitude: how far w may be from the excitation, as logs hold few digits
+
+
+@dataclass(frozen=True, repr=False)
+class MeasuredResponse(Measured):
+    """The frequency response from w to y as measured, and how far off it may be.
+
+    At each frequency its error is C^(1/2) G `spread`, where the entries of G, m by m, are
+    independent, complex and normal with variance one. `noise` estimates C with `freedom` complex
+    degrees of freedom.
+    """
+
+    omega: np.ndarray  # rad/s, shape (n,)
+    response: np.ndarray  # shape (n, m, m), complex
+    noise: np.ndarray  # covariance of the outputs' spectra, without transient, likewise
+    spread: np.ndarray  # inverse of the spectra of w, (experiment, input), likewise
+    freedom: np.ndarray  # shape (n,)
+    loop: Loop  # whose controller ran; if its observer integrates, P(0) = I
+    # what speaks against the measurement, and what follows
+    findings: tuple[str, ...] = ()
+
+    def _radius(self, confidence, jointly):
+        miss = _miss(confidence, jointly, len(self.omega))
+        return radius_of(self.noise, self.spread, self.freedom, miss)
+
+    def _on(self, omega, confidence):
+        """Splined, at negative frequencies as well, and I at zero if that is known of the loop.
+
+        The radius is that of the neighbours, interpolated linearly, and by how much the spline
+        differs from straight lines. Above the highest frequency the response is the one there, and
+        the radius contains all that is not larger.
+        """
+        radius, knots, P = (self.radius(confidence, jointly=True), self.omega, self.response)
+        both, P_both = (np.append(-knots[::-1], knots), np.append(P[::-1].conj(), P, axis=0))
+        if self.anchored:
+            radius, knots = np.append(0.0, radius), np.append(0.0, knots)
+            both = np.insert(both, len(P), 0.0)
+            P_both = np.insert(P_both, len(P), np.eye(P.shape[1]), axis=0)
+        spline, bend = interpolated(both, P_both, np.minimum(omega, knots[-1]))
+        beyond = omega > knots[-1] * (1 + 1e-9)
+        anything = 2 * np.linalg.norm(P[-1], 2) + radius[-1]
+        return spline, np.where(beyond, anything, np.interp(omega, knots, radius) + bend)
+
+    @property
+    def anchored(self) -> bool:
+        """Whether P(0) = I is known of the loop: its observer integrates."""
+        return isinstance(self.loop, CurrentTrialLoop)
+
+    def _scaled(self, scale):
+        return replace(
+            self,
+            response=self.response * scale / scale[:, None],
+            noise=self.noise / scale / scale[:, None],
+            spread=self.spread * scale,
+        )
+
+    def _basis(self, omega, confidence):
+        low, high = self.omega[[0, -1]]
+        beyond = np.count_nonzero(omega > high * (1 + 1e-9))
+        lines = [
+            f"P measured at {len(self.omega)} frequencies from {low:.4g} to {high:.4g} rad/s; at "
+            f"all of them the truth is within the radius with confidence {confidence:g}",
+            "assumed: between them P is not further from their spline than straight lines are; "
+            + ("P(0) = I" if self.anchored else f"nor between {-low:.4g} and {low:.4g} rad/s"),
+        ]
+        if beyond:
+            lines.append(
+                f"assumed: above {high:.4g} rad/s, at {beyond} of the design frequencies, P is not "
+                "larger than there"
+            )
+        return lines
+
+    def __repr__(self):
+        radius = self.radius()
+        lines = [
+            f"P at {len(self.omega)} frequencies from {self.omega[0]:.3g} to "
+            f"{self.omega[-1]:.3g} rad/s{', and P(0) = I' if self.anchored else ''}",
+            f"within {radius.min():.2g} to {radius.max():.2g} (95 %, at each frequency)",
+        ]
+        return "\n".join([*lines, *self.findings])
+
+
+def measured_response(
+    log, of: str | None = None, uncertainty=None
+) -> MeasuredResponse | EstimatedResponse | TabulatedResponse:
+    """Make a measured response, with the region in which the truth lies, of what there is.
+
+    Parameters
+    ----------
+    log : xarray.Dataset, list of them, or control.FrequencyResponseData
+        A record: of :func:`shake`; or any other in which the input moved, as trials under learning,
+        from :func:`record`, a reference that moves, or a step test, from :func:`load_log` or
+        :func:`read_table`; several of one plant, of any lengths. Or a table of a frequency
+        response, which is splined between its lines.
+    of : {"w", "u"}, optional
+        Whether P is from w = reference + v to y, in a closed loop, or from the commands u.
+        Default: from w, if all records have a reference. If given, a record of :func:`shake` is
+        estimated like any other.
+    uncertainty : array_like, shape (n,), optional
+        Of a table: the radius at its lines. Default: they are exact.
+
+    Returns
+    -------
+    MeasuredResponse, EstimatedResponse or TabulatedResponse
+        For :func:`synthesise`, the workbench and checks. An estimate has ``check(log)``, against
+        a record that it was not made of.
+
+    Raises
+    ------
+    LogError
+        If a record of :func:`shake` lacks an experiment, or w is not the excitation; of others, if
+        an input or an output never moved, a trial has fewer than 20 samples, an output is as exact
+        as rounding, most of the plants drawn for it are unstable, or P is identified nowhere.
+
+    Warns
+    -----
+    UserWarning
+        Each of the findings: commands beyond the limits, a loop that is not linear, outputs that
+        drift, a lowest frequency that is too high for what is known at zero, lines too far apart;
+        trials, or quarters of one, that contradict one linear plant; an output that may not settle;
+        a table without a radius that
+        scatters from line to line.
+
+    See Also
+    --------
+    shake : a record made for it
+    read_table : one that others made
+    synthesise : a filter for all within the radius
+
+    Notes
+    -----
+    Records other than a single one of :func:`shake` are estimated by
+    :mod:`ilctools.measurement.regression`: A(z) y = B(z) u + e, of high order and regularised,
+    each input with a delay if correlations show one, from any start, with offset and slope in each
+    trial, a drift that the trials of a log have in common, disturbances that all logs know, and,
+    over the trials of one log, what repeats at each sample with a variance that the data determine.
+    Before a trial w rests at the reference's first row, and v is zero; trials without reset are
+    joined. Of commands in a loop whose reference is in the first log, y(t) depends on earlier u
+    only, and else on u(t), too.
+
+    Shaken, the spectrum of all periods is P W + T + V; between the harmonics W is zero and T, from
+    the state at the start and at the end, and the noise V are left. This is the local
+    polynomial method for periodic excitation (Pintelon, Schoukens, Vandersteen and Barbé,
+    Estimation of nonparametric noise and FRF models for multivariable linear systems, Mech. Syst.
+    Signal Process. 24, 2010), with a prescribed pole: T is a polynomial not in z but in
+    1 / (1 - p / z), where p is the slowest pole of the loop as designed. So a slow transient is
+    one, too, as with the local rational method (McKelvey and Guérin, Non-parametric frequency
+    response estimation using a local rational model, SYSID 2012), and the estimate stays linear in
+    the data. Noise is taken to be stationary, and to differ between neighbouring lines as white
+    noise of the sensors does behind the loop as designed: below its bandwidth the loop takes noise
+    away, a little above it adds some, within a few lines. What enters there with another shape is
+    estimated less well. With 99 % for all of 42 lines together, from 1.9e-3 rad/s on, the paper's
+    loop on a rod of other parameters covers 98.9 % of 2000 truths, and 98.8 % of 600 with noise
+    that lasts for 10 samples; but 97 % if it lasts for 100, and 96 % if the room warms by 1.8 K an
+    hour. What is no noise at all, such as the steps of a converter that nothing dithers, it does
+    not cover.
+
+    Examples
+    --------
+    >>> import control
+    >>> import numpy as np
+    >>> from ilctools import measured_response, synthesise, zero_phase_butterworth
+    >>> omega = np.geomspace(0.01, np.pi, 40)
+    >>> table = control.frd(control.ss(0.5, 0.5, 1, 0, 1.0), omega)  # or what you measured
+    >>> P = measured_response(table, uncertainty=np.full(40, 0.02))
+    >>> design = synthesise(P, zero_phase_butterworth(2, 0.1, 1.0), omega)
+    >>> print(P)
+    P from a table of 40 frequencies from 0.01 to 3.142 rad/s, with its radius
+    assumed: between them P is not further from their spline than straight lines are
+    """
+    if isinstance(log, control.FrequencyResponseData):
+        if of is not None:
+            raise ValueError(f"of = {reprlib.repr(of)} is for a record, but log is a table")
+        return _warned(tabulated(log, uncertainty))
+    if isinstance(log, pd.DataFrame | str | PathLike):
+        raise ValueError(
+            f"log = {reprlib.repr(log)} must be read first: by load_log(path), or of other tables "
+            "by read_table(log, time=..., inputs={...}, outputs={...})"
+        )
+    if isinstance(log, np.ndarray):
+        raise ValueError(
+            f"log has shape {log.shape}, but an array does not say of what: pass a response, its "
+            "frequency last, as control.frd(log, omega, Ts)"
+        )
+    if uncertainty is not None:
+        raise ValueError(
+            "uncertainty must be None where log is a record, from which the radius is estimated"
+        )
+    if isinstance(log, list | tuple) and log:
+        logs = [arguments.instance(f"log[{i}]", one, xr.Dataset) for i, one in enumerate(log)]
+        return _warned(estimated_response(logs, of))
+    arguments.instance("log", log, xr.Dataset)
+    excitation, loop = excitation_of(log), loop_of(log)
+    if excitation is None or of is not None:
+        measured = estimated_response([log], of)
+    elif loop is None:
+        raise LogError("log names no loop in its metadata: it is not of shake; or say `of`")
+    else:
+        w, y = _signals(log, excitation)
+        windows = windows_of(excitation.harmonics, excitation, loop)
+        measured = _estimate(w, y, windows, excitation, loop)
+        u, limits = log.get("u", log.v).values, limits_of(log)
+        texts = warnings_of(u, y, limits, windows, excitation, measured)
+        measured = replace(measured, findings=texts)
+    return _warned(measured)
+
+
+def _warned(measured):
+    """A response for whoever called the caller, with a warning for each of its findings."""
+    for finding in measured.findings:
+        warnings.warn(finding, stacklevel=3)
+    return measured
+
+
+def expected_radius(
+    excitation: Excitation, rest: xr.Dataset, confidence: float = 0.95, jointly: bool = False
+) -> np.ndarray:
+    """How accurate a measurement will be, from the noise of a rest.
+
+    Parameters
+    ----------
+    excitation : Excitation
+    rest : xarray.Dataset
+        From :func:`record` with the loop at rest: reference zero, no learning. At frequencies
+        below those that it is long enough for, the noise of the lowest that it shows is taken; that
+        is more than there is in a loop that integrates.
+    confidence, jointly
+        As in :meth:`MeasuredResponse.radius`.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        At the frequencies of the excitation.
+
+    See Also
+    --------
+    multisine : the excitation
+    measured_response : the measurement
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from ilctools import ClosedLoop, Law, expected_radius, multisine, record
+    >>> from ilctools import zero_phase_butterworth
+    >>> class Axis:  # simulated; yours talks to the drive
+    ...     x, noise = 0.0, np.random.default_rng(0)
+    ...     def read(self):
+    ...         return [self.x + self.noise.normal(0, 0.001)]
+    ...     def apply(self, w):
+    ...         self.x += 0.2 * (w[0] - self.x)
+    ...
+    >>> loop = ClosedLoop(Ts=0.01, outputs=["x"], units={"x": "mm"})
+    >>> law = Law(zero_phase_butterworth(2, 60.0, 0.01), None)
+    >>> rest = record(Axis(), loop, law, np.zeros((2000, 1)), trials=1)
+    >>> shaking = multisine(loop, lowest=1.0, highest=100.0, amplitude=1.0, hours=0.02)
+    >>> bool(np.all(expected_radius(shaking, rest) > 0))
+    True
+    """
+    arguments.instance("excitation", excitation, Excitation)
+    arguments.instance("rest", rest, xr.Dataset)
+    jointly = arguments.flag("jointly", jointly)
+    miss = _miss(probability(confidence), jointly, len(excitation.harmonics))
+    loop, m = loop_of(rest), excitation.channels
+    if loop is None:
+        raise LogError("rest names no loop in its metadata: it is not of record")
+    check_match(rest=loop, excitation=excitation)
+    y = arguments.array(
+        "rest.y", rest.y.transpose("trial", "time", "channel"), ("trial", "time", m)
+    )
+    samples = y.shape[1]
+    if samples < 4 * NEIGHBOURS:
+        raise ValueError(f"rest has {samples} samples, but must have {4 * NEIGHBOURS} or more")
+    Y = np.fft.rfft(y, axis=1)[:, 1:]
+    power = np.einsum("erj,erk->rjk", Y, Y.conj()) / (len(y) * samples)
+    windows = windows_of(excitation.harmonics, excitation, loop)
+    noise = []
+    for window, omega in zip(windows, excitation.omega, strict=True):
+        line = omega * excitation.Ts * samples / (2 * np.pi)
+        near = nearest(line, np.arange(1, len(power) + 1)[: max(4, int(SPAN * line))])
+        scale = np.sqrt(window.variance * excitation.evaluated)
+        noise.append(scale[:, None] * power[near - 1].mean(0) * scale)
+    lines = np.array(excitation.harmonics)
+    W = np.fft.fft(excitation.signals[:, -excitation.period :], axis=1)[:, lines]
+    spread = np.linalg.inv(np.moveaxis(W, 0, 2) * excitation.periods)
+    freedom = np.array([m * window.freedom for window in windows])
+    return radius_of(np.array(noise), spread, freedom, miss)
+
+
+def _miss(confidence, jointly, count):
+    """Probability that the truth lies outside at one of `count` frequencies."""
+    return 1 - (confidence ** (1 / count) if jointly else confidence)
+
+
+def _signals(log, excitation):
+    """w and y of the periods that are evaluated, shape (experiment, time, m), if all are there."""
+    m, shaken = excitation.channels, excitation.signals
+    if log.trial.values.tolist() != list(range(1, m + 1)):
+        raise LogError(
+            f"log has the experiments {few(log.trial.values.tolist())} of {m}: go on with shake "
+            "and the same path"
+        )
+    w = arguments.array("log.v", (log.reference + log.v).values, shaken.shape)
+    off = np.abs(w - shaken).max(axis=(0, 1)) / excitation.amplitude
+    for name, share in zip(log.output.values, off, strict=True):
+        if share > ROUNDED:
+            raise LogError(f"w of {name} is not its excitation: it is off by {share:.2g} of it")
+    y = arguments.array("log.y", log.y.values, shaken.shape)
+    return w[:, -excitation.evaluated :], y[:, -excitation.evaluated :]
+
+
+def _estimate(w, y, windows, excitation, loop):
+    """The response from the signals (experiment, time, channel), before it is judged."""
+    W = np.fft.rfft(w, axis=1)[:, [window.line for window in windows]]
+    spread = np.linalg.inv(np.moveaxis(W, 0, 2))  # (line, experiment, input)
+    net, noise, freedom = separated(y, windows)
+    return MeasuredResponse(excitation.omega, net @ spread, noise, spread, freedom, loop)

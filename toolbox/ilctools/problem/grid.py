@@ -1,0 +1,132 @@
+"""Bounds at further frequencies, where the design frequencies alone would not do.
+
+The learning filter is known at all frequencies, and keeps its bound between those of a coarse grid.
+Where the samples of a plant end below the Nyquist frequency, only a bound on its size is assumed,
+at any phase; that bounds M.
+"""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from ilctools.models import frequency_response
+from ilctools.problem.problem import ROUNDING, Problem
+
+LEAST = 1e-6  # gain of P L that is always allowed, however little M_max leaves for it
+
+
+def without_gaps(problem: Problem) -> Problem:
+    """The problem with L bounded at further frequencies, where omega is coarse or ends too soon."""
+    # But for a delay, a filter of n samples is a polynomial of degree (n - 1) / 2 in exp(i angle).
+    # Next to its largest value it falls no faster than the cosine of that degree (M. Riesz).
+    angles, near = problem.omega * problem.Ts, np.pi / (4 * problem.order)
+    coarse = problem.L_max is not None and _reach(angles).max() > near
+    if not coarse and problem.beyond is None:
+        return problem
+    added = _in_gaps(angles, 0 if coarse else angles[-1], near) / problem.Ts
+    if problem.everywhere:  # then L is held at its crests, too
+        problem = refined(problem, added)
+    else:
+        problem = _with_L_bounded(problem, added)
+        if coarse:
+            reach = _reach(problem.omega_L * problem.Ts)
+            share = np.cos((problem.order - 1) / 2 * reach)
+            problem = replace(problem, share_L=share)
+    return problem if problem.beyond is None else _bounded_beyond(problem, near)
+
+
+def refined(problem: Problem, omega, plants=None, Q=None) -> Problem:
+    """The problem with bounds on M and L at further frequencies, which are not in the sum.
+
+    There M is that of the plants that are models; a plant known as samples needs its responses
+    `plants`, (p, k, m, m), and `Q`, (k,), or a model stands for it. Without models and responses L
+    alone is bounded.
+    """
+    if not len(omega):
+        return problem
+    omega = np.sort(omega)
+    known = {}
+    if problem.butterworth is not None:
+        Q = problem.butterworth.frequency_response(omega)
+        for k, model in enumerate(problem.models):
+            if model is not None:
+                known[k] = frequency_response(model, omega)
+    if plants is None:
+        if not known:
+            return _with_L_bounded(problem, omega)
+        plants = [next(iter(known.values()))] * len(problem.plants)
+    plants = np.array(plants)
+    for k, response in known.items():
+        plants[k] = response
+    n = len(problem.omega)
+    order = np.argsort(np.append(problem.omega, omega), kind="stable")
+    radius = problem.radius
+    if radius is not None:  # it is not known between the samples
+        radius = np.append(radius, 0 * omega)[order]
+    return replace(
+        problem,
+        omega=np.append(problem.omega, omega)[order],
+        plants=np.concatenate([problem.plants, plants], axis=1)[:, order],
+        Q=np.append(problem.Q, Q)[order],
+        weights=np.append(problem.weights, 0 * omega)[order],
+        radius=radius,
+        share_L=_inserted(problem.share_L, n, 1 + 0 * omega, order),
+        limit_L=_inserted(problem.limit_L, n, np.inf + 0 * omega, order),
+        stated=problem.design,
+    )
+
+
+def _inserted(values, n, added, order):
+    """Values at omega_L, with those at added frequencies of omega, in its new order."""
+    return np.append(np.append(values[:n], added)[order], values[n:])
+
+
+def _with_L_bounded(problem, omega):
+    """The problem with L alone bounded at further frequencies."""
+    return replace(
+        problem,
+        further=np.append(problem.further, omega),
+        share_L=np.append(problem.share_L, np.ones(len(omega))),
+        limit_L=np.append(problem.limit_L, np.full(len(omega), np.inf)),
+    )
+
+
+def _in_gaps(angles, start, near):
+    """Angles from `start` to pi, no farther than `near` apart together with those that are known.
+
+    The ends of the unit circle's upper half are among them.
+    """
+    added = []
+    for a, b in pairwise([0, *angles, np.pi]):
+        if a >= start and b - a > ROUNDING:
+            added.append(np.linspace(a, b, 1 + int(np.ceil((b - a) / near)))[1:-1])
+    if start == 0 and angles[0] > ROUNDING:
+        added.append([0.0])
+    if np.pi - angles[-1] > ROUNDING:
+        added.append([np.pi])
+    return np.sort(np.concatenate([np.empty(0), *added]))
+
+
+def _reach(angles):
+    """The farthest from each angle that another can be and have no nearer one."""
+    order = np.argsort(angles)
+    between = np.diff(angles[order]) / 2
+    reach = np.empty(len(angles))
+    reach[order] = np.maximum([angles[order[0]], *between], [*between, np.pi - angles[order[-1]]])
+    return reach
+
+
+def _bounded_beyond(problem, near):
+    """The problem with L bounded above the last sample so that M is, whatever the phase of P."""
+    [beyond] = np.nonzero(problem.omega_L >= problem.design.omega[-1])
+    beyond = beyond[np.argsort(problem.omega_L[beyond])]
+    Q = problem.Q_beyond(problem.omega_L[beyond])
+    # M must keep its bound in between, too
+    Q = np.maximum.accumulate(np.append(Q[0], Q[:-1]))
+    room = np.maximum(problem.M_max / np.maximum(Q, 1e-300) - 1, LEAST)
+    limits = problem.limit_L.copy()
+    with np.errstate(divide="ignore"):  # |Q (I - P L)| <= |Q| (1 + size sigma_max(L))
+        limit = np.cos((problem.order - 1) / 4 * near) * room / problem.beyond
+    limits[beyond] = np.where(problem.M_max > Q, limit, np.inf)
+    return replace(problem, limit_L=limits)

@@ -1,0 +1,273 @@
+"""What is asked of the learning filter: the problems (39), (45), (46) as one checked object.
+
+:func:`.pose.pose` states a problem and checks it; solvers and evidence take it whole.
+Frequency responses have the frequency first. The channels of P, L and M are in units of `scale`,
+so that singular values compare what counts as equally large.
+
+M is affine in P. A bound on it for several plants, or for all within a radius of them, is as convex
+as for one: *fast for the plant that one believes in, convergent for all that cannot be excluded*.
+"""
+
+from dataclasses import dataclass, fields
+
+import control
+import numpy as np
+
+from ilctools.filters import LearningFilter, ZeroPhaseButterworth
+from ilctools.problem import defaults
+from ilctools.signals import Signals
+
+MOST_GAIN = 1e7  # of Q P L, from which on the rounding of coefficients shows
+ROUNDING = 1e-9  # of an angle; what is nearer to pi is at the Nyquist frequency
+TIED = 1e-6  # relative distance at which rounding, or the accuracy of a solver, decides an order
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choices:
+    """What is chosen of a learning filter, whatever the plant."""
+
+    order: int  # number of samples that the learning filter looks ahead
+    M_max: float = 0.9  # bound on sigma_max(M)
+    structure: str = "full"  # or "diagonal"
+    # "sum", (39); "peak", (45); "gain": the least sigma_max(L), in units of L_max
+    objective: str = "sum"
+    everywhere: bool = False  # whether the bounds hold between the frequencies, too
+
+
+@dataclass(frozen=True, kw_only=True)
+class Samples:
+    """P and Q on one grid; P in units of `scale`."""
+
+    # (p, n, m, m), complex: frequency responses of the plants for which the bounds hold; the first
+    # is the nominal one
+    plants: np.ndarray
+    models: tuple[control.StateSpace | None, ...]  # of the plants; None of samples
+    Q: np.ndarray  # (n,): of the Q-filter
+    butterworth: ZeroPhaseButterworth | None  # Q, if it is a model
+    omega: np.ndarray  # (n,): frequencies at which M is bounded, rad/s
+    Ts: float  # sampling period, s
+    scale: np.ndarray  # (m,): what counts as equally large in each channel
+    # (n,): bounds hold for P + Delta, ||Delta|| <= radius; None for P alone
+    radius: np.ndarray | None
+    basis: tuple[str, ...]  # what a measured P and its radius rest on; default choices
+    labels: Signals  # of the nominal plant
+
+
+@dataclass(frozen=True, kw_only=True)
+class Problem(Samples, Choices):
+    """The problem of a learning filter. Made by :func:`.pose.pose`.
+
+    M is bounded at `omega`. L is bounded there and at further frequencies, where a grid is coarse
+    or ends below the Nyquist frequency: at :attr:`omega_L`, which begins with `omega`.
+    """
+
+    # over which "sum" sums, rad/s; None if a reference weights it: then there is the power of the
+    # first trial's error at the design frequencies, (n, m, m), see `reference`
+    band: tuple[float, float] | None
+    first_error: np.ndarray | None
+    weights: np.ndarray  # (n,): of sigma_max(M) in the sum; ones in the band
+    L_max: float | None  # bound on sigma_max(L)
+    further: np.ndarray  # (k,): frequencies at which L alone is bounded, rad/s
+    # (n + k,) at omega_L: the share of L_max that keeps L within L_max between them; a bound on
+    # sigma_max(L) that keeps M within M_max where P is unknown, or infinite
+    share_L: np.ndarray
+    limit_L: np.ndarray
+    # largest sigma_max(P) above the last sample; None if P is known
+    beyond: float | None
+    # without frequencies that were added; None if none were
+    stated: "Problem | None" = None
+
+    @property
+    def design(self) -> "Problem":
+        """The problem as stated: at the design frequencies."""
+        return self.stated or self
+
+    @property
+    def P(self) -> np.ndarray:
+        """Frequency response of the nominal plant, shape (n, m, m)."""
+        return self.plants[0]
+
+    @property
+    def model(self) -> tuple[control.StateSpace, ZeroPhaseButterworth] | None:
+        """P and Q, if both are models."""
+        known = self.models[0] is not None and self.butterworth is not None
+        return (self.models[0], self.butterworth) if known else None
+
+    @property
+    def channels(self) -> int:
+        """Number m of channels."""
+        return self.plants.shape[-1]
+
+    @property
+    def omega_L(self) -> np.ndarray:
+        """Frequencies at which L is bounded, shape (n + k,): `omega`, then `further`."""
+        return np.append(self.omega, self.further)
+
+    @property
+    def idle(self) -> float:
+        """The objective without learning, L = 0."""
+        return self.value(np.abs(self.Q))
+
+    def unit(self, value) -> float:
+        """Scale of relative gaps: the objective, at least a thousandth of that for L = 0."""
+        return max(value, 1e-3 * self.idle)
+
+    @property
+    def delay(self) -> int:
+        """Samples by which P lags at the cut-off of Q, see :mod:`.problem.defaults`."""
+        stated = self.design
+        cutoff = defaults.cutoff(stated.butterworth, stated.Q, stated.omega)
+        return defaults.delay(stated.P, stated.omega, stated.Ts, cutoff)
+
+    @property
+    def robust(self) -> bool:
+        """Whether the bounds hold for more plants than the nominal one."""
+        return self.radius is not None or len(self.plants) > 1
+
+    @property
+    def unusable(self) -> np.ndarray:
+        """Whether the radius admits a singular plant, at each frequency, shape (n,)."""
+        # In some direction no learning filter acts on such a plant: sigma_max(M) >= |Q|.
+        if self.radius is None:
+            return np.zeros(len(self.omega), dtype=bool)
+        smallest = np.linalg.svd(self.plants, compute_uv=False)[..., -1].min(axis=0)
+        return self.radius >= smallest
+
+    def value(self, sigma_M, worst=None) -> float:
+        """The objective, from the largest singular value of M at each frequency.
+
+        `worst`, for the peak: the largest over all plants; by default that of the nominal one.
+        """
+        if self.objective == "sum":
+            return float((self.weights * sigma_M)[self.weights > 0].sum())  # (39)
+        return float((sigma_M if worst is None else worst).max())  # (45)
+
+    def M(self, L, number: int = 0) -> np.ndarray:
+        """M of a plant at `omega`, from the response of L there, or at `omega_L`."""
+        return convergence_matrix(self.plants[number], self.Q, L[: len(self.omega)])
+
+    @property
+    def weight(self) -> np.ndarray:
+        """W, shape (n + k, m, m), such that sigma_max(W L) <= 1 is the bound on L at omega_L.
+
+        That is I / L_max, (46), or less than L_max, see `share_L` and `limit_L`. Without a bound,
+        coefficients in doubles determine M to about 1e-9 only up to a gain of 1e7 of Q P L,
+        counted for each input by itself: that is then the bound.
+        """
+        limit = self.limit_L
+        if self.L_max is not None:
+            limit = np.minimum(self.L_max * self.share_L, limit)
+        gains = np.linalg.norm(self.Q[:, None, None] * self.P, axis=1).max(axis=0)
+        representable = np.diag(gains / np.abs(self.Q).max() / MOST_GAIN)
+        limit = limit[:, None, None]
+        return np.where(np.isfinite(limit), np.eye(self.channels) / limit, representable)
+
+    def passed_L(self, L) -> float:
+        """The largest sigma_max(W L) of a response of L at omega_L, where L has a bound."""
+        bounded = np.isfinite(self.limit_L) | (self.L_max is not None)
+        return float(largest_singular_values((self.weight @ L)[bounded]).max(initial=0))
+
+    def Q_beyond(self, omega) -> np.ndarray:
+        """|Q| at frequencies from the last sample on; of samples, the last."""
+        if self.butterworth is not None:
+            return np.abs(self.butterworth.frequency_response(omega))
+        return np.full(len(omega), np.abs(self.design.Q[-1]))
+
+    @property
+    def assumed(self) -> tuple[str, ...]:
+        """What is assumed of P and Q above the last sample, in words."""
+        if self.beyond is None:
+            return ()
+        last, Q = self.design.omega[-1], np.abs(self.design.Q[-1])
+        of_Q = "" if self.butterworth else f", and |Q| {Q:.4g}, as at the last sample"
+        return (
+            f"assumed: above {last:.4g} rad/s, where P is not known, sigma_max(P) is "
+            f"{self.beyond:.4g} at most, at any phase{of_Q}",
+        )
+
+    @property
+    def findings(self) -> tuple[str, ...]:
+        """Why the bounds cannot hold where P is not known."""
+        if self.beyond is None:
+            return ()
+        last = self.design.omega[-1]
+        [Q] = self.Q_beyond([last])
+        if self.M_max > Q:
+            return ()
+        return (
+            f"Q is {Q:.4g} above {last:.4g} rad/s, where P is not known: no filter bounds M "
+            f"by {self.M_max:g} there; lower the cut-off of Q, or measure further",
+        )
+
+    def filter(self, coefficients) -> LearningFilter:
+        """The learning filter, in the plant's own units, of coefficients in units of `scale`."""
+        units = self.scale[:, None, None] / self.scale[None, :, None]
+        return LearningFilter(coefficients * units, self.Ts)
+
+    def response(self, solution: "Solution") -> np.ndarray:
+        """Response of a solution's filter at omega_L, (n + k, m, m), in units of `scale`."""
+        L = LearningFilter(solution.coefficients, self.Ts)
+        return L.frequency_response(self.omega_L)
+
+
+@dataclass(frozen=True)
+class Cuts:
+    """Bounds on G = M for other plants, and on G = [M; |Q| r L] for a radius r, as multipliers."""
+
+    plant: np.ndarray  # (c,): number of the plant of each bound
+    frequency: np.ndarray  # (c,): index of its frequency
+    N: np.ndarray  # (c, rows of G, m), complex: multipliers of G
+    # (c, 1), or (c, 0) without r: share of the bound left to the rows below M
+    split: np.ndarray
+
+
+def joined(cuts: list[Cuts]) -> Cuts | None:
+    """Several cuts as one; None without any."""
+    if not cuts:
+        return None
+    names = [part.name for part in fields(Cuts)]
+    return Cuts(**{n: np.concatenate([getattr(cut, n) for cut in cuts]) for n in names})
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A learning filter, and the multipliers from which its optimality can be proven."""
+
+    # (m, m, order): of L(z) = sum_k C_k z^k, in units of `scale`
+    coefficients: np.ndarray
+    # (n + k, m, m), complex: multipliers of the nominal M and of L, at omega_L
+    U: np.ndarray
+    V: np.ndarray
+    largest: float  # sigma_max(M); of W L, for the least gain
+    method: str
+    iterations: int
+    cuts: Cuts | None = None  # what was needed of them
+
+
+def convergence_matrix(P, Q, L) -> np.ndarray:
+    """M = P Q (P^-1 - L) = Q (I - P L) from responses P, L, (..., n, m, m), and Q, (n,)."""
+    return Q[:, None, None] * (np.eye(P.shape[-1]) - P @ L)  # (36), (40)
+
+
+def tied(values):
+    """Which of several values are the largest, as far as rounding leaves it open."""
+    return values >= values.max(axis=0) * (1 - TIED)
+
+
+def largest_singular_values(G):
+    """Largest singular value of each matrix, shape (n, p, m) to (n,)."""
+    if min(G.shape[1:]) > 2:
+        return np.linalg.norm(G, 2, axis=(1, 2))
+    # Below three by three the Hermitian eigenvalue problem has a closed form, ten times faster.
+    G = G if G.shape[1] <= G.shape[2] else np.swapaxes(G, 1, 2)
+    # A power of two as unit: no square leaves the doubles, and nothing is rounded.
+    _, exponent = np.frexp(np.abs(G).max(axis=(1, 2)))
+    unit = np.ldexp(1.0, exponent.clip(-1000, 1000))
+    G = G * (1 / unit)[:, None, None]
+    power = (G.real**2 + G.imag**2).sum(axis=2)
+    total = power.sum(axis=1)
+    if G.shape[1] == 1:
+        return unit * np.sqrt(total)
+    coupling = np.abs((G[:, 0] * G[:, 1].conj()).sum(axis=1))
+    apart = np.hypot((power[:, 0] - power[:, 1]) / 2, coupling)
+    return unit * np.sqrt(total / 2 + apart)

@@ -1,0 +1,49 @@
+"""Do samples of a response scatter from line to line, as noise does and a plant does not?
+
+Asked are the fourth divided differences of P over omega, each of five neighbouring lines. Where the
+lines show how P bends, neighbouring ones have the same sign, but for a few places; of noise that is
+independent from line to line 80 % of them differ in sign. Null hypothesis: half of them do.
+"""
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from scipy.stats import binom
+
+# Probability, at most, that samples without noise are said to scatter
+FALSE_ALARM = 1e-3
+ROUNDED = 1e-3  # relative to P: what tables are rounded to is not counted
+ROUNDING = 1e-12  # of the largest P; what is smaller is not seen
+LINES = 5  # of a difference
+
+
+def scatter(omega, P, Q=1.0) -> float:
+    """RMS of the noise of the samples P, (n, m, m), relative to P / |Q|; 0 if not significant."""
+    if len(omega) <= LINES:
+        return 0.0
+    near = sliding_window_view(omega, LINES)
+    gaps = near[:, :, None] - near[:, None, :] + np.eye(LINES)
+    weights = 1 / gaps.prod(axis=2)
+    weights /= np.linalg.norm(weights, axis=1, keepdims=True)  # the variance of one line
+    size = np.linalg.norm(P, 2, axis=(1, 2))
+    relative = np.abs(Q) / np.maximum(size, ROUNDING * size.max())
+    difference = np.einsum("kl,kijl->kij", weights, sliding_window_view(P, LINES, axis=0))
+    difference *= relative[LINES // 2 : -(LINES // 2), None, None]
+    parts = np.stack([difference.real, difference.imag])
+    before, after = parts[:, :-1], parts[:, 1:]
+    counted = np.minimum(np.abs(before), np.abs(after)) > ROUNDED
+    changes = np.count_nonzero(counted & (before * after < 0))
+    if binom.sf(changes - 1, np.count_nonzero(counted), 0.5) > FALSE_ALARM:
+        return 0.0
+    return float(np.sqrt(np.mean(np.linalg.norm(difference, 2, axis=(1, 2)) ** 2)))
+
+
+def warnings_of(omega, P, Q=1.0) -> tuple[str, ...]:
+    """What follows if samples scatter."""
+    size = scatter(omega, P, Q)
+    text = (
+        f"P scatters from line to line by {size:.2g} of its size (RMS): it is noisy, or the lines "
+        "are too far apart to show how it bends. Without a radius they count as exact, and what is "
+        "promised holds for them, not for the plant: pass the radius as `uncertainty`, or a "
+        "record, measured_response(log)"
+    )
+    return (text,) if size else ()

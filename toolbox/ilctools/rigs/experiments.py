@@ -1,0 +1,260 @@
+"""Running an experiment on a rig, trial by trial: learning by the ILC law, or shaking the loop."""
+
+from dataclasses import replace
+
+import numpy as np
+import xarray as xr
+
+from ilctools import arguments
+from ilctools.filters import LearningFilter
+from ilctools.law.io import BEGUN, NO_RESET, RESET, with_law
+from ilctools.law.law import Law
+from ilctools.law.limits import realised
+from ilctools.law.repetitive import check_period, next_samples
+from ilctools.loop.closed import Loop
+from ilctools.measurement.excitation import Excitation, with_excitation
+from ilctools.rigs.controlled import controlled
+from ilctools.rigs.limits import stop_limits
+from ilctools.rigs.protocol import Rig, TrialRig
+from ilctools.rigs.recording import Experiment, in_succession
+from ilctools.signals import check_match
+from ilctools.trials.run import commands_of
+
+
+def record(
+    rig: Rig | TrialRig,
+    loop: Loop,
+    law: Law,
+    reference,
+    disturbance=None,
+    trials: int = 10,
+    *,
+    path=None,
+    v=None,
+    pause: int | None = None,
+    reset: bool = True,
+    decimals: dict[str, int] | None = None,
+    stop: dict[str, tuple[float, float] | None] | None = None,
+) -> xr.Dataset:
+    """Run an experiment of several trials on a rig and record it.
+
+    Between two trials the controller keeps running and holds the start of the reference, as in the
+    paper, until the rig is back where the first trial started. However this ends, the rig is left
+    in a safe state. On a terminal, progress is shown.
+
+    Parameters
+    ----------
+    rig : Rig or TrialRig
+    loop : CurrentTrialLoop or ClosedLoop
+        Its names and units are those of the record.
+    law : Law
+        Without limits (None) it takes those of the rig; ``limits={}`` leaves them out: then the rig
+        cuts off what it must, which is warned of, and the law (23) does not know. Commands are cut
+        off at the limits of the law, and the observer is informed of that. A log can name no other
+        L than a LearningFilter.
+    reference, trials :
+        As for :func:`ilctools.run_trials`.
+    disturbance : array_like, shape (time, d) or (trial, time, d), optional
+        What to command to those of ``loop.disturbances`` that are inputs of the rig. What it
+        measures of them is recorded instead of the values given here; of others nothing is known,
+        and they must be zero. Default zero.
+    path : path-like, optional
+        Of a log, which is written anew when a trial ends, so that a fault costs one trial at most;
+        without it, all. If the log is there, its trials must be of the same experiment, and the
+        next one follows; a last trial that is shorter than the first is dropped. If it has `trials`
+        or more, none is run, and all of them are returned. Meanwhile no other process can record
+        to it.
+    v : array_like, shape (time, m), optional
+        ILC signal of the first trial. Default zero. With L None, that of all trials.
+    pause : int, optional
+        Samples between two trials. Default: until the outputs are back and still, two trials at
+        most; for a rig that has `begin`, none.
+    reset : bool
+        False for a rig that never rests, as for :func:`ilctools.run_trials`: there is no pause, and
+        v is computed while a trial runs. An experiment that goes on in its log starts anew, from
+        what was learned.
+    decimals : dict, optional
+        Of v, u (rounded before they act), delta and measured disturbances. Default: all digits.
+    stop : dict, optional
+        Lowest and highest of outputs and commands, by name, beyond which the experiment stops; None
+        stands for no limit. Default: outputs may be beyond all references by five times the largest
+        in the same unit, if it is not zero; commands may span a hundred times the rig's limits.
+
+    Returns
+    -------
+    xarray.Dataset
+        As from :func:`ilctools.run_trials`, with the disturbances that are commanded or measured;
+        with limits, `u` is what was asked for, and `applied` what was sent to the rig.
+
+    Raises
+    ------
+    ValueError
+        If something does not belong together; before anything is applied.
+    RigError
+        If a reading is not finite or has the wrong shape: the trial ends, those before it stay.
+    StoppedError
+        If something is beyond a limit of `stop`, which it says how to go on from. It is a RigError,
+        and has the trials before in its attribute ``trials``.
+
+    Warns
+    -----
+    UserWarning
+        After a trial in which samples were not on time, if the rig has a clock, or commands beyond
+        what it follows, if it has limits, once if v is learned within them; that started elsewhere
+        than the first; once, if the trials show that they do not converge, see
+        :mod:`ilctools.trials.diagnosis`. If the log has more trials than asked for.
+
+    See Also
+    --------
+    run_trials : simulated
+    shake : to measure P
+    load_log : what `path` has
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from ilctools import ClosedLoop, Law, LearningFilter, record, zero_phase_butterworth
+    >>> class Axis:  # simulated; yours talks to the drive
+    ...     x = 0.0
+    ...     def begin(self, trial):
+    ...         self.x = 0.0
+    ...     def read(self):
+    ...         return [self.x]
+    ...     def apply(self, w):
+    ...         self.x += 0.2 * (w[0] - self.x)
+    ...
+    >>> loop = ClosedLoop(Ts=0.01, outputs=["x"], units={"x": "mm"})
+    >>> Q = zero_phase_butterworth(2, 60.0, loop.Ts)
+    >>> law = Law(Q, LearningFilter([[[0.9]]], loop.Ts))
+    >>> run = record(Axis(), loop, law, np.sin(np.arange(200) * np.pi / 200) ** 2, trials=4)
+    >>> bool(abs(run.e[-1]).max() < 0.1 * abs(run.e[0]).max())
+    True
+    """
+    controlled_rig = controlled(rig, loop, decimals)
+    law = arguments.instance("law", law, Law).bound_to(loop)
+    check_match(law=law, rig=controlled_rig)
+    if law.limits is None:
+        law = replace(law, limits=controlled_rig.limits)
+    controlled_rig.actuators = law.actuators
+    if path is not None and law.L is not None:
+        arguments.instance("L", law.L, LearningFilter)  # or the log could not note it
+    trials = arguments.whole("trials", trials, 1)
+    goes_on = controlled_rig.goes_on = not arguments.flag("reset", reset)
+    if goes_on and not (controlled_rig.waits and pause is None):
+        raise ValueError(
+            f"reset = False with pause = {pause}, a pause or a rig that runs whole trials: leave "
+            "pause, and give the rig read and apply"
+        )
+    if pause is None:
+        pause = 0 if hasattr(rig, "begin") else None
+    elif arguments.whole("pause", pause, 0) and not controlled_rig.waits:
+        raise ValueError(f"pause = {pause}, but rig.run begins where every trial begins: leave it")
+    outputs = loop.outputs
+    reference = arguments.each_trial("reference", reference, trials, "time", outputs)
+    samples = reference.shape[1]
+    first = law.first(samples, v)
+    commanded = controlled_rig.commanded(disturbance, trials, samples)
+
+    if goes_on:
+        check_period(law, samples)
+
+    def applied_so_far(trials):
+        """v as far as it was applied, and e, of all samples."""
+        if not trials:
+            return first[:0], first[:0]
+        signals = in_succession(trials)
+        v = signals["v"]
+        r = np.concatenate(reference)[: len(v)]
+        commands = commands_of(loop, r + v, signals, law.actuators)
+        return realised(loop, v, **commands) if law.actuators else v, r - signals["y"]
+
+    def following(trials):
+        if goes_on:
+            return next_samples(law, *applied_so_far(trials), first)
+        if not trials:
+            return first
+        last, r = trials[-1], reference[len(trials) - 1]
+        commands = commands_of(loop, r + last["v"], last, law.actuators)
+        return law.next(last["v"], r - last["y"], **commands)
+
+    notes = with_law(xr.Dataset(), law).attrs
+    if v is not None:
+        notes[BEGUN] = "v of trial 1 was given"
+    if goes_on:
+        notes[RESET] = NO_RESET
+    controlled_rig.stop = stop_limits(stop, reference, loop, controlled_rig.limits)
+    experiment = Experiment(
+        controlled_rig, reference, commanded, following, notes, law, alike=reset
+    )
+    return experiment.run(pause, path)
+
+
+def shake(
+    rig: Rig | TrialRig,
+    loop: Loop,
+    excitation: Excitation,
+    *,
+    path=None,
+    decimals: dict[str, int] | None = None,
+    stop: dict[str, tuple[float, float] | None] | None = None,
+) -> xr.Dataset:
+    """Shake the loop on a rig, w = v, and record it: the trials from which P can be estimated.
+
+    Each experiment of the excitation is a trial; the reference is zero, there is no pause. All else
+    is as in :func:`record`, also what is refused and warned of.
+
+    Parameters
+    ----------
+    rig : Rig
+    loop : CurrentTrialLoop or ClosedLoop
+        Of the controller that runs, whose names and units are those of the record.
+    excitation : Excitation
+        From :func:`multisine`.
+    path, decimals, stop
+        As in :func:`record`.
+
+    Returns
+    -------
+    xarray.Dataset
+        As from :func:`record`, with the excitation and the limits of the rig noted in the metadata.
+        For :func:`measured_response`.
+
+    See Also
+    --------
+    multisine : the excitation
+    measured_response : P, from the record
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from ilctools import ClosedLoop, measured_response, multisine, shake
+    >>> class Axis:  # simulated; yours talks to the drive
+    ...     x, noise = 0.0, np.random.default_rng(0)
+    ...     def begin(self, trial):
+    ...         self.x = 0.0
+    ...     def read(self):
+    ...         return [self.x + self.noise.normal(0, 0.001)]
+    ...     def apply(self, w):
+    ...         self.x += 0.2 * (w[0] - self.x)
+    ...
+    >>> loop = ClosedLoop(Ts=0.01, outputs=["x"], units={"x": "mm"})
+    >>> shaking = multisine(loop, lowest=1.0, highest=100.0, amplitude=1.0, hours=0.02)
+    >>> P = measured_response(shake(Axis(), loop, shaking))
+    >>> P.response.shape[0] == len(P.omega)
+    True
+    """
+    controlled_rig = controlled(rig, loop, decimals)
+    arguments.instance("excitation", excitation, Excitation)
+    check_match(loop=loop, rig=controlled_rig, excitation=excitation)
+    shaken = excitation.signals
+    commanded = controlled_rig.commanded(None, *shaken.shape[:2])
+    limits = controlled_rig.limits if controlled_rig.ours else None  # of controls
+    notes = with_excitation(xr.Dataset(), excitation, loop, limits).attrs
+
+    def following(trials):
+        return shaken[len(trials)]
+
+    controlled_rig.stop = stop_limits(stop, shaken, loop, controlled_rig.limits)
+    reference = np.zeros(shaken.shape)
+    experiment = Experiment(controlled_rig, reference, commanded, following, notes, alike=False)
+    return experiment.run(0, path)

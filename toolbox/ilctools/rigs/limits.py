@@ -1,0 +1,31 @@
+"""Limits beyond which an experiment stops."""
+
+from ilctools import arguments
+from ilctools.law.limits import named_limits
+from ilctools.loop.closed import Loop
+from ilctools.trials.start import largest_by_unit
+
+FAR = 5.0  # times the largest reference that outputs may be beyond all references
+WIDE = 100.0  # times what an actuator follows, that commands may span: no loop that works does
+
+
+def stop_limits(stop, reference, loop: Loop, followed) -> dict:
+    """Limits of outputs and commands beyond which an experiment stops, by name.
+
+    `stop` overrides those that follow from the reference (..., time, output), all outputs of a unit
+    together, and from what the actuators follow; None stands for no limit.
+    """
+    limits = {}
+    values = reference.reshape(-1, len(loop.outputs))
+    largest = largest_by_unit(values, loop)
+    for name, column, size in zip(loop.outputs, values.T, largest, strict=True):
+        if size:
+            limits[name] = column.min() - FAR * size, column.max() + FAR * size
+    for name, (low, high, *_) in followed.items():
+        middle, half = (low + high) / 2, (high - low) / 2
+        limits[name] = middle - WIDE * half, middle + WIDE * half
+    names = [*loop.outputs, *loop.commands]
+    asked = arguments.by_name("stop", stop, names)
+    pairs = {name: pair for name, pair in asked.items() if pair is not None}
+    limits |= named_limits("stop", pairs, names)
+    return {name: limits[name] for name in limits if name in pairs or name not in asked}

@@ -1,0 +1,50 @@
+"""What an experiment asks of a rig, and what it says when a rig fails."""
+
+from collections.abc import Iterable
+from typing import Protocol
+
+
+class Rig(Protocol):
+    """What :func:`record` asks of a rig: a driver of two methods, one call each per sample.
+
+    With a :class:`ClosedLoop`, whose controller is on the rig, the inputs are w = r + v, and
+    ``measured`` has the commands u, if the loop names any.
+
+    A rig may have more. ``inputs``: names of the numbers that ``apply`` takes; without it they are
+    the loop's controls, or references. ``limits``: a dict of the lowest and the highest number that
+    it follows, by the name of the input, and third, if need be, the largest change per second;
+    commands are cut off there, and the observer (16) is informed. ``Ts``: its sampling
+    period, s. ``measured``: a dict of what else it measures, by name, such as the temperature of
+    the room. ``safe()``: what leaves it in a safe state; without it, zeros are applied.
+    ``begin(trial)``: what brings it into the state in which every trial begins, such as a homing
+    run; the controller then starts afresh, too. ``clock()``: the time, s, by which samples are late
+    or not, such as ``time.monotonic``.
+    """
+
+    def read(self) -> Iterable[float]:
+        """The outputs now, in the order and the units of the loop."""
+
+    def apply(self, commands, /) -> None:
+        """Set the inputs, and return when the next sample is due."""
+
+
+class TrialRig(Protocol):
+    """Another kind of driver, trial by trial, for a target that runs the controller by itself.
+
+    It may have ``Ts``, ``limits``, ``safe()`` and ``begin(trial)``, as :class:`Rig` has. No
+    pause between trials: ``run`` begins where every trial begins. At its limits the target cuts off
+    commands, and should tell its observer.
+    """
+
+    def run(self, w, /):
+        """Upload w (time, output), start, download: y, or the pair y, u if the loop names u."""
+
+
+class RigError(RuntimeError):
+    """A rig that gave what is no reading; nothing that follows from it was applied."""
+
+
+class StoppedError(RigError):
+    """A trial that went beyond a stop limit; what was learned before it is in `trials`."""
+
+    trials = None  # as from record; None if no trial has ended

@@ -1,0 +1,357 @@
+"""From the problem to a filter with its certificate: the way through the synthesis."""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+
+from ilctools import arguments
+from ilctools.evidence.certificate import GAP, VIOLATION, Certificate, certify, checked_trial
+from ilctools.evidence.optimality import lower_bound
+from ilctools.problem.defaults import CHOOSE
+from ilctools.problem.grid import without_gaps
+from ilctools.problem.pose import pose
+from ilctools.problem.problem import Problem, Solution, largest_singular_values, tied
+from ilctools.synthesis.cuts import first_cuts, violated
+from ilctools.synthesis.everywhere import PASSED, carried, settled
+from ilctools.synthesis.formulate import formulate
+from ilctools.synthesis.result import InfeasibleError, SolverError, Synthesis
+from ilctools.synthesis.solver import active_set, interior_point
+from ilctools.synthesis.solver.program import Infeasible
+from ilctools.synthesis.solver.threads import on_one_thread
+
+EQUAL = 1e-3  # relative distance of multipliers that are the same for the solver
+HOPELESS = 1 - 1e-6  # from here on a smallest M_max is one, and raising it no remedy
+# relative duality gap up to which what the active bounds lead to is accepted
+GOOD = 1e-8
+CVXPY_TOLERANCES = (1e-5, 1e-6)  # Clarabel ends "almost solved" on these problems
+
+
+@on_one_thread
+def synthesise(
+    P,
+    Q,
+    omega=None,
+    Ts=None,
+    *,
+    order=None,
+    M_max=Problem.M_max,
+    L_max=CHOOSE,
+    band=None,
+    reference=None,
+    structure=Problem.structure,
+    objective=Problem.objective,
+    scale=None,
+    uncertainty=None,
+    everywhere=False,
+    start=None,
+    samples=None,
+    rest=0,
+) -> Synthesis:
+    """Design the learning filter by convex optimisation, (39) or (45) with (46).
+
+    Defaults are for a plant that one does not know, and the certificate says what they are for this
+    one.
+
+    Parameters
+    ----------
+    P : array_like, shape (n, m, m), a model, CurrentTrialLoop, or a list of these; or measured
+        Frequency response of the closed loop on `omega`, for any m, also as python-control's
+        frequency response data; or a discrete-time model of it, state space or transfer function.
+        Of a list the first is the nominal plant, whose convergence is made fast; the bounds hold
+        for all of them. What :func:`measured_response` returns has its radius, in which the
+        truth lies with a probability of 0.99; for another, pass both of ``P.on(omega, confidence)``
+        as P and `uncertainty`. Above the last frequency of samples, sigma_max(P) is assumed to be
+        what it is there, at any phase.
+    Q : array_like, shape (n,), or ZeroPhaseButterworth
+        Frequency response of the Q-filter on `omega`, or the filter.
+    omega : array_like, shape (n,), optional
+        Design frequencies, rad/s, increasing, up to the Nyquist frequency pi / Ts. Default: those
+        of python-control's frequency response data; of models and measured responses 1000 of them,
+        from a thousandth of Q's cut-off on.
+    Ts : float, optional
+        Sampling period, s; for arrays, of which none knows it.
+    order : int, optional
+        Number of samples n_L that the learning filter looks ahead (44). Default: the samples by
+        which P lags beyond the least phase that its gain admits, and 4 / (cutoff Ts); at least 10,
+        and at most 60 or 20 beyond that lag.
+    M_max : float
+        Bound on sigma_max(M), in (0, 1): the slowest convergence tolerated.
+    L_max : float, None or "auto"
+        Bound on sigma_max(L), unit of w per unit of y. Default: four times the largest gain that
+        inverts P up to Q's cut-off, 1 / sigma_min(P), rounded up to one digit. It holds between
+        the frequencies of a coarse grid, and up to the Nyquist frequency, too. None leaves it out:
+        filters then compete up to the gain that coefficients in doubles can hold,
+        :attr:`.Problem.weight`.
+    band : (float, float), optional
+        Lowest and highest frequency of the sum in (39), rad/s. A peak has none. Default: from the
+        lowest of `omega` to Q's cut-off.
+    reference : array_like, shape (time, m), optional
+        In the place of the band: the reference of a trial, in the outputs' units, labelled ones
+        matched by name. The sum is then weighted by the spectrum of the first trial's error,
+        |(I - P) r| of the channels divided by `scale`, and the certificate predicts the RMS of the
+        error of this reference.
+    structure : {"full", "diagonal"}
+        Whether each error acts on all channels, or on its own only.
+    objective : {"sum", "peak"}
+        "sum" is (39), for the nominal plant; "peak" is (45), with (46) unless `L_max` is None: the
+        largest over all plants.
+    scale : array_like, shape (m,), optional
+        What counts as equally large in each channel. Singular values, `L_max` and the certificate
+        are then those of the channels divided by it, so that units do not matter. Default: ones.
+    uncertainty : array_like, shape (n,), optional
+        Radius at each frequency: the bounds hold for each P + Delta with ||Delta|| <= radius, of
+        the channels in units of `scale`, by a condition that is exact.
+    everywhere : bool
+        Whether the bounds hold at every frequency, not on `omega` only: where models are known by
+        proof, to a relative 3e-8; between samples by splines, and without the radius. The sum is
+        that over `omega`. It takes two to three times as long, for filters of 60 samples ten times
+        and more, of two channels up to a minute; half the `order` takes a fraction of that.
+    start : Synthesis, optional
+        A design for other bounds, another band or a similar plant to start from, of the same order
+        and size, best on the same `omega`. It makes the synthesis faster, not different.
+    samples : int, optional
+        Length of a trial. The certificate then says what one trial does to the ILC signal, by
+        :func:`ilctools.trial_norm`; P and Q must be models.
+    rest : int
+        Number of samples at the end of that trial in which v is held at zero.
+
+    Returns
+    -------
+    Synthesis
+        With its certificate. What it says about all frequencies is proven if P and Q are models.
+        From arrays it is read off splines between the first and the last frequency.
+
+    Warns
+    -----
+    UserWarning
+        For each of the certificate's `warnings`: samples too coarse for splines, or that scatter as
+        noise does (of samples without noise, one in 1000 sets), bounds passed between the
+        frequencies by a quarter of 1 - M_max, a filter that leaves nearly all of the error, a Q
+        that no filter can make up for where P is not known.
+
+    Raises
+    ------
+    InfeasibleError
+        If no filter meets the bounds; the message says which of them is too tight.
+    SolverError
+        If the solver fails, or the certificate of its result does.
+
+    See Also
+    --------
+    least_gain : the filter of least gain among those of least peak
+    convergence : what another filter does
+
+    Examples
+    --------
+    >>> import control
+    >>> from ilctools import synthesise, zero_phase_butterworth
+    >>> P = control.sample_system(control.tf([400], [1, 20, 400]), 0.01)
+    >>> design = synthesise(P, zero_phase_butterworth(2, 40.0, 0.01))
+    >>> round(float(design.sigma_M.max()), 2), design.filter.order
+    (0.28, 11)
+    >>> law = design.law()
+    """
+    problem = pose(
+        P,
+        Q,
+        omega,
+        Ts,
+        order=order,
+        M_max=M_max,
+        L_max=L_max,
+        band=band,
+        reference=reference,
+        structure=structure,
+        objective=objective,
+        scale=scale,
+        uncertainty=uncertainty,
+        everywhere=everywhere,
+    )
+    return warned(certified(problem, start=start, samples=samples, rest=rest))
+
+
+def insist(solution: Solution, certificate: Certificate):
+    """Raise if a certificate fails."""
+    if certificate.failures:
+        failures = "; ".join(certificate.failures)
+        raise SolverError(f"{solution.method}: {failures}{_remedy(certificate.problem)}")
+
+
+def _remedy(problem):
+    """What to do where bounds at every frequency make a problem hard."""
+    if not problem.everywhere:
+        return ""
+    return (
+        ". Bounds at every frequency are harder than on omega: take more frequencies, a shorter "
+        "filter or a larger M_max, or leave `everywhere` out: the certificate says what holds then"
+    )
+
+
+def warned(design: Synthesis) -> Synthesis:
+    """A design for whoever called the caller, with a warning for each of its findings."""
+    for text in design.certificate.warnings:
+        # warned, the door, its one thread, whoever called
+        warnings.warn(text, stacklevel=4)
+    return design
+
+
+def certified(
+    problem: Problem, *, solver="structured", start=None, samples=None, rest=0, check=True
+) -> Synthesis:
+    """Solve a problem, and certify the filter; arguments and errors of :func:`synthesise`."""
+    arguments.choice("solver", solver, ["structured", "cvxpy"])
+    arguments.flag("check", check)
+    samples, rest = checked_trial(problem, samples, rest)
+    stated, problem = problem.design, without_gaps(problem)
+    if start is not None:
+        arguments.instance("start", start, Synthesis)
+        m, shape = stated.channels, start.solution.coefficients.shape
+        if shape != (m, m, stated.order):
+            raise ValueError(
+                f"start is a design with coefficients of shape {shape}, but must have "
+                f"{(m, m, stated.order)}: leave start out"
+            )
+        start = carried(start.solution, start.certificate.problem, problem)
+    by_solver = _solve_with_cvxpy if solver == "cvxpy" else solve
+    tolerances = CVXPY_TOLERANCES if solver == "cvxpy" else (GAP, VIOLATION)
+    try:
+        problem, solution = settled(problem, by_solver, start, PASSED + tolerances[1])
+    except Infeasible as error:
+        raise _explained(problem, error.nearest) from None
+    except RuntimeError as error:
+        raise SolverError(f"{solver}: {error}{_remedy(problem)}") from None
+    certificate = certify(problem, solution, tolerances, samples, rest)
+    if check:
+        insist(solution, certificate)
+    L = stated.response(solution)
+    return Synthesis(
+        problem.filter(solution.coefficients),
+        stated,
+        certificate,
+        largest_singular_values(stated.M(L)),
+        largest_singular_values(L),
+        solution,
+    )
+
+
+def solve(problem: Problem, start: Solution | None = None) -> Solution:
+    """Solve a problem by the structured solvers, without a certificate; Infeasible if it is."""
+    return _with_cuts(problem, start, _solve_program)
+
+
+def _solve_program(problem, program, start):
+    """From a start if that leads somewhere, or from nothing."""
+    if start is not None:
+        # Crests lie close together: good enough is GAP, and what needs damping is not worth it.
+        good, most = (GAP / 2, 0.1) if problem.everywhere else (GOOD, active_set.MOST_DAMPING)
+        found = active_set.resolve(program, start, steps=12, most=most)
+        if found is not None and _is_good(problem, found, good):
+            return found
+    solution = interior_point.solve(program, lambda found: _is_good(problem, found, GAP / 2))
+    # More digits, where a few steps lead to them; of a sum, only such as are full or nearly so.
+    most = 1e-3 if problem.objective == "sum" else active_set.MOST_DAMPING
+    found = active_set.resolve(program, solution, steps=3, most=most)
+    if found is None or not _is_good(problem, found, GOOD):
+        return solution
+    iterations = solution.iterations + found.iterations
+    return replace(found, method=solution.method, iterations=iterations)
+
+
+def _solve_with_cvxpy(problem, start):
+    # here, because CVXPY takes long to import
+    from ilctools.synthesis import statement
+
+    return _with_cuts(problem, None, lambda problem, program, start: statement.solve(program))
+
+
+def _with_cuts(problem, start, solver):
+    """Solve with a part of the bounds, add those that the solution violates, and solve again."""
+    plant, frequency = first_cuts(problem, start)
+    while True:
+        start = solver(problem, formulate(problem, plant, frequency), start)
+        limit = start.largest if problem.objective == "peak" else problem.M_max
+        more = violated(problem, start, limit, plant, frequency) if problem.robust else ([], [])
+        if not len(more[0]):
+            return start
+        plant, frequency = np.append(plant, more[0]), np.append(frequency, more[1])
+
+
+def _is_good(problem, solution, gap):
+    """Whether a solution is within its bounds, and proven to be as good as the gap says."""
+    L = problem.response(solution)
+    sigma_M = largest_singular_values(problem.M(L))
+    worst = max(sigma_M.max(), solution.largest if problem.robust else 0)
+    value = problem.value(sigma_M, np.array([worst]))
+    return (
+        worst <= problem.M_max * (1 + VIOLATION)
+        and problem.passed_L(L) <= 1 + VIOLATION
+        and value - lower_bound(problem, solution.U, solution.V, solution.cuts)
+        < gap * problem.unit(value)
+    )
+
+
+def _explained(problem, nearest):
+    """The error that says which bound is too tight, where, and what would be feasible."""
+    posed, on_grid = problem, len(nearest.V) > len(problem.omega_L)
+    # not all of them had a say so far
+    if len(problem.plants) > 1 or problem.everywhere:
+        posed = replace(problem, M_max=np.inf, objective="peak")
+        posed, nearest = settled(posed, solve, None if on_grid else nearest)
+    size = np.linalg.norm(nearest.U, axis=(1, 2))
+    plant, frequency = 0, tied(size).argmax()
+    if nearest.cuts is not None:
+        of_cuts = np.linalg.norm(nearest.cuts.N, axis=(1, 2))
+        if of_cuts.max() >= size.max() * (1 - EQUAL):
+            most = tied(of_cuts).argmax()
+            plant, frequency = (int(nearest.cuts.plant[most]), nearest.cuts.frequency[most])
+    omega = float(posed.omega[frequency])
+    where = f"plant {plant} at {omega:.4g} rad/s" if problem.robust else f"{omega:.4g} rad/s"
+    message = f"{_advice(problem, nearest.largest)} (most in the way: {where})"
+    if on_grid:
+        message += f"{_remedy(problem)}. At the frequencies omega alone the bounds can be met"
+    if problem.order < problem.delay:
+        message += f". P lags by {problem.delay} samples at the cut-off, more than order"
+    lost = problem.omega[problem.unusable & (np.abs(problem.Q) > problem.M_max)]
+    if lost.size:
+        message += (
+            f". P is not known well enough at {len(lost)} frequencies from {lost[0]:.4g} to "
+            f"{lost[-1]:.4g} rad/s, where the radius contains singular plants: measure longer "
+            "there, "
+            "or lower the cut-off of Q"
+        )
+    if np.isfinite(problem.limit_L).any():
+        message += f". It is {problem.assumed[0]}: measure further"
+    return InfeasibleError(message, nearest.largest, plant, omega)
+
+
+def _advice(problem, smallest):
+    """Which bound is too tight, and what would be feasible."""
+    M_max, L_max = problem.M_max, problem.L_max
+    remedy = f"the smallest feasible M_max is {_rounded_up(smallest)}"
+    raised = "raise M_max" if smallest < HOPELESS else "no M_max below 1 will do, so"
+    if L_max is not None:
+        unbounded = replace(problem, L_max=None, M_max=np.inf, objective="peak")
+        without = _with_cuts(
+            unbounded, None, lambda _, program, start: interior_point.solve(program, enough=M_max)
+        ).largest
+        if without <= M_max:
+            return (
+                f"infeasible: L_max = {L_max} is too tight for M_max = {M_max}. With this L_max "
+                f"{remedy}: {raised}{' or' if smallest < HOPELESS else ''} raise L_max"
+            )
+        remedy += f" with L_max = {L_max}, and {without:.6g} without a bound on L"
+    longer = "a longer filter" + ("" if problem.structure == "full" else ", or a full one")
+    return (
+        f"infeasible: M_max = {M_max} is too tight for a {problem.structure} filter of order = "
+        f"{problem.order}; {remedy}: {raised}{',' if smallest < HOPELESS else ''} take {longer}, "
+        "lower the cut-off of Q (largest_cutoff in synthesis.search finds how far), "
+        "or design a faster loop. If no bound so tight was meant: are units, signs and the order "
+        "of the channels right, in each plant?"
+    )
+
+
+def _rounded_up(M_max):
+    """In six digits, and not less than it is, or who follows the advice is refused again."""
+    unit = 10.0 ** (np.floor(np.log10(M_max)) - 5)
+    return f"{np.ceil(M_max / unit) * unit:.6g}"

@@ -1,0 +1,176 @@
+"""Bounds at every frequency: where a filter passes them between those of omega, they are added.
+
+The crests become further frequencies, which have bounds and no part in the sum, until no bound is
+passed. Each problem on the way asks for less than the bounds at every frequency do, so that no
+filter that meets those is better than its lower bound says.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from tqdm import tqdm
+
+from ilctools.evidence.peak import (
+    estimated_peaks,
+    learning_model,
+    peak_gain,
+    proven_peaks,
+    spline_scale,
+    splined,
+)
+from ilctools.filters import LearningFilter
+from ilctools.problem.grid import refined
+from ilctools.problem.problem import Cuts, Problem, Solution, largest_singular_values
+
+ROUNDS, FURTHER = 50, 5000  # and further frequencies, at which to give up
+PASSED = 2e-8  # share of a bound that the proof of a peak may pass it by
+SAME = 1e-8  # relative distance of frequencies that are one
+NEAR = 0.99  # share of a bound from which on a crest is held with those that pass it
+# Of the way from a crest to the next frequencies: a filter that is held at its crests moves them,
+# so that next time they are between these.
+PARTS = (0.05, 0.5)
+
+
+def settled(
+    problem: Problem, solver, start: Solution | None = None, passed=PASSED
+) -> tuple[Problem, Solution]:
+    """The problem, with all frequencies that its bounds need, and what a solver makes of it."""
+    solution = solver(problem, start)
+    if not problem.everywhere:
+        return problem, solution
+    for _ in tqdm(range(ROUNDS), "bounds at every frequency", leave=False, delay=3, disable=None):
+        wider = _wider(problem, solution, 1 + passed)
+        if wider is None:
+            break
+        if len(wider.omega_L) - len(wider.design.omega) > FURTHER:
+            break
+        again = solver(wider, carried(solution, problem, wider))
+        iterations = solution.iterations + again.iterations
+        solution = replace(again, method=solution.method, iterations=iterations)
+        problem = wider
+    return problem, solution
+
+
+def _wider(problem, solution, allowance):
+    """The problem with frequencies at which a solution passes its bounds; None if there are none.
+
+    These are the crests that samples show or, where none of them does, the peaks that are proven,
+    of which some is only what rounding may add.
+    """
+    for places in (_crests_of, _peaks_of):
+        omega = np.array(places(problem, solution, allowance))
+        omega = _new(np.sort(problem.omega_L), omega)
+        if not len(omega):
+            continue
+        wider = _refined(problem, solution, omega)
+        limit_M, limit_L = _limits(wider, solution, allowance)
+        sigma_M, sigma_L = _sigmas(wider, solution)
+        if sigma_M.max() > limit_M or sigma_L.max() > limit_L:
+            return wider
+    return None
+
+
+def _limits(problem, solution, allowance):
+    """What sigma_max of M and of L must not exceed, with an allowance for rounding."""
+    limit_M = problem.M_max * allowance
+    limit_L = np.inf if problem.L_max is None else problem.L_max * allowance
+    if problem.objective == "peak":  # less, where that is nearly zero
+        value = solution.largest
+        limit_M = allowance * (value + (allowance - 1) * (problem.unit(value) - value))
+    if problem.objective == "gain":
+        limit_L *= solution.largest
+    return limit_M, limit_L
+
+
+def _sigmas(problem, solution):
+    """The largest singular values of M of each plant at omega, (p, n), and of L at omega_L."""
+    L = problem.response(solution)
+    sigma_M = [largest_singular_values(problem.M(L, k)) for k in range(len(problem.plants))]
+    return np.array(sigma_M), largest_singular_values(L)
+
+
+def _crests_of(problem, solution, allowance):
+    """Where the crests of samples pass a bound, if any does; then others that nearly do, too."""
+    limit_M, limit_L = _limits(problem, solution, allowance)
+    sigma_M, sigma_L = _sigmas(problem, solution)
+    omega_L, order = problem.omega_L, np.argsort(problem.omega_L)
+
+    def crests(share):
+        of_M = _crests(problem.omega, sigma_M.max(axis=0), share * limit_M)
+        of_L = _crests(omega_L[order], sigma_L[order], share * limit_L)
+        return [*of_M, *of_L]
+
+    # the next round could hold one and have another rise
+    return crests(NEAR) if crests(1) else []
+
+
+def _peaks_of(problem, solution, allowance):
+    """Where a peak passes a bound, proven, or estimated between samples."""
+    limit_M, limit_L = _limits(problem, solution, allowance)
+    sigma_M, _ = _sigmas(problem, solution)
+    L = LearningFilter(solution.coefficients, problem.Ts)
+    peaks = proven_peaks(problem, L)
+    peaks += estimated_peaks(problem, L, sigma_M.max(axis=1))
+    passing = [peak.omega for peak in peaks if peak.sigma > limit_M]
+    sigma_L, omega = peak_gain(learning_model(L))
+    return [*passing, omega] if sigma_L > limit_L else passing
+
+
+def _crests(omega, sigma, limit):
+    """Where the parabola through three samples, of which the middle one is highest, passes it."""
+    a, b, c = omega[:-2], omega[1:-1], omega[2:]
+    x, y, z = sigma[:-2], sigma[1:-1], sigma[2:]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        left, right = (y - x) / (b - a), (z - y) / (c - b)
+        curvature = (left - right) / (c - a)
+        slope = (left * (c - b) + right * (b - a)) / (c - a)
+        top = y + slope**2 / (4 * curvature)
+        place = b + slope / (2 * curvature)
+    crest = (y >= np.maximum(x, z)) & (curvature > 0) & (top > limit)
+    return place[crest].tolist()
+
+
+def _new(known, omega):
+    """Those of some frequencies, and between them and the next, that are not known."""
+    after = np.searchsorted(known, omega).clip(1, len(known) - 1)
+    around = [omega]
+    for neighbour in (known[after], known[after - 1]):
+        around += [omega + part * (neighbour - omega) for part in PARTS]
+    omega = np.sort(around, axis=None)
+    near = np.abs(known - omega[:, None]).min(axis=1, initial=np.inf)
+    return omega[np.minimum(near, np.diff(omega, prepend=-np.inf)) > SAME * omega]
+
+
+def _refined(problem, solution, omega):
+    """The problem at further frequencies: samples by splines, and beyond them L alone."""
+    if problem.butterworth is not None and None not in problem.models:
+        return refined(problem, omega)
+    design = problem.design
+    L = design.response(solution)[: len(design.omega)]
+    scale, _ = spline_scale(design.P, design.Q, design.omega, L)
+    inside = (omega >= design.omega[0]) & (omega <= design.omega[-1])
+    plants = design.plants.swapaxes(0, 1)
+    between, Q = splined(plants, design.Q, design.omega, omega[inside], scale)
+    wider = refined(problem, omega[inside], between.swapaxes(0, 1), Q)
+    return refined(wider, omega[~inside])
+
+
+def carried(solution: Solution, problem: Problem, wider: Problem) -> Solution:
+    """A solution of a problem as a start for another grid, where new multipliers are zero."""
+    order = np.argsort(wider.omega_L)
+    grid = wider.omega_L[order]
+    at = np.searchsorted(grid, problem.omega_L).clip(max=len(grid) - 1)
+    known = grid[at] == problem.omega_L
+    at = order[at]
+    U, V = np.zeros((2, len(grid), *solution.U.shape[1:]), dtype=complex)
+    U[at[known]], V[at[known]] = solution.U[known], solution.V[known]
+    cuts = solution.cuts
+    if cuts is not None:
+        some = known[cuts.frequency]
+        cuts = Cuts(
+            plant=cuts.plant[some],
+            frequency=at[cuts.frequency[some]],
+            N=cuts.N[some],
+            split=cuts.split[some],
+        )
+    return replace(solution, U=U, V=V, cuts=cuts)

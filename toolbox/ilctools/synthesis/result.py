@@ -1,0 +1,168 @@
+"""What comes of a synthesis: a filter with what is known about it, or why there is none."""
+
+from dataclasses import dataclass
+
+import control
+import numpy as np
+
+from ilctools.evidence.certificate import Certificate
+from ilctools.evidence.check import check
+from ilctools.evidence.convergence import Convergence
+from ilctools.filters import LearningFilter
+from ilctools.law.law import Law
+from ilctools.problem.pose import pose
+from ilctools.problem.problem import Problem, Solution
+from ilctools.signals import check_match
+from ilctools.synthesis.solver.threads import on_one_thread
+
+
+class InfeasibleError(ValueError):
+    """No learning filter of the given order and structure meets the bounds.
+
+    Attributes
+    ----------
+    smallest_M_max : float
+        What is feasible with the other arguments; from one on, nothing that converges.
+    plant, omega : int, float
+        Where the bound on M that stands most in the way is; plant number 0 is the nominal one.
+
+    See Also
+    --------
+    synthesise : what raises it
+
+    Examples
+    --------
+    >>> import control
+    >>> P = control.sample_system(control.tf([400], [1, 20, 400]), 0.01)
+    >>> from ilctools import InfeasibleError, synthesise, zero_phase_butterworth
+    >>> try:
+    ...     synthesise(P, zero_phase_butterworth(2, 40.0, 0.01), order=2, M_max=0.1)
+    ... except InfeasibleError as error:
+    ...     print(error.smallest_M_max > 0.1)
+    ...
+    True
+    """
+
+    def __init__(self, message: str, smallest_M_max: float, plant: int, omega: float):
+        super().__init__(message)
+        self.smallest_M_max, self.plant, self.omega = smallest_M_max, plant, omega
+
+
+class SolverError(RuntimeError):
+    """The solver returned no filter, or one whose certificate fails."""
+
+
+@dataclass(frozen=True)
+class Synthesis:
+    """A learning filter and what was checked about it, from singular values."""
+
+    filter: LearningFilter
+    problem: Problem  # as stated
+    certificate: Certificate  # of optimality and bounds, independent of the solver
+    sigma_M: np.ndarray  # (n,): largest singular values of M at the design frequencies
+    sigma_L: np.ndarray  # and of L
+    solution: Solution  # of the solver, on which nothing relies
+
+    @property
+    def value(self) -> float:
+        """The objective."""
+        return self.certificate.value
+
+    @property
+    def omega(self) -> np.ndarray:
+        """The design frequencies, rad/s."""
+        return self.problem.omega
+
+    @property
+    def M(self) -> control.FrequencyResponseData:
+        """M = Q (I - P L) at `omega`, of the channels divided by the problem's `scale`.
+
+        As are P and L: as python-control has them, without a sampling period, since of samples
+        with one it draws nothing. The picture is ``control.singular_values_response(M).plot()``.
+        """
+        return self._frd("M", self.problem.M(self._response_of_L()))
+
+    @property
+    def L(self) -> control.FrequencyResponseData:
+        """L at `omega`; at any z, in the plant's units, ``filter(z)``."""
+        return self._frd("L", self._response_of_L())
+
+    @property
+    def P(self) -> control.FrequencyResponseData:
+        """P of the nominal plant at `omega`."""
+        return self._frd("P", self.problem.P)
+
+    def plot(self, **options) -> control.ControlPlot:
+        """Draw the singular values of M and L over frequency, as python-control does.
+
+        `options` are those of ``control.singular_values_plot``: `ax`, `dB`, `Hz`, ... With bounds,
+        coefficients and trials.
+        """
+        return control.singular_values_response([self.M, self.L]).plot(**options)
+
+    def _response_of_L(self):
+        return self.problem.response(self.solution)[: len(self.omega)]
+
+    def _frd(self, name, response):
+        return control.frd(np.moveaxis(response, 0, -1), self.omega, None, name=name)
+
+    def law(self, rest: int = 0, gain: float = 1.0, limits=None) -> Law:
+        """The law (23) with Q and L of the design; for the others see :class:`ilctools.Law`."""
+        Q = self.problem.butterworth
+        if Q is None:
+            raise ValueError(
+                "Q = samples cannot be applied to a trial: synthesise with Q as a filter"
+            )
+        return Law(Q, self.filter, rest, gain, limits)
+
+    def check(self, P, omega=None, *, uncertainty=None) -> Convergence:
+        """What the filter does on another plant: the rate, and does it converge?
+
+        Parameters
+        ----------
+        P : as for :func:`synthesise`
+            One plant or several, with the channels and the sampling period of the design.
+        omega : array_like, shape (n,), optional
+            Frequencies, rad/s. Default: those of P, if it has some, else those of the design.
+        uncertainty
+            As for :func:`synthesise`.
+
+        Returns
+        -------
+        Convergence
+            Print it. `gamma` is the rate of Lemma 1, the worst of all plants; `spectral_radius`
+            below one says that the trials converge all the same. For another Q than that of the
+            design: :func:`rate`.
+        """
+        design = self.problem
+        if omega is None:
+            omega = getattr(P, "omega", self.omega)
+        Q = design.Q if design.butterworth is None else design.butterworth
+        if design.butterworth is None and not (
+            np.shape(omega) == Q.shape and np.allclose(omega, self.omega, rtol=1e-9, atol=0)
+        ):
+            raise ValueError(
+                "omega must be the design frequencies, at which alone the samples of Q are "
+                "known: synthesise with Q as a filter, or ask rate(P, Q, L, omega)"
+            )
+        problem = pose(
+            P,
+            Q,
+            omega,
+            design.Ts,
+            order=1,
+            L_max=None,
+            objective="peak",
+            uncertainty=uncertainty,
+            scale=design.scale if np.any(design.scale != 1) else None,
+        )
+        if problem.channels != design.channels:
+            raise ValueError(
+                f"P has {problem.channels} channels, but the filter has {design.channels}"
+            )
+        check_match(design=design.labels, P=problem.labels)
+        L = LearningFilter(self.solution.coefficients, design.Ts)
+        return on_one_thread(check)(problem, L)
+
+    def __repr__(self):
+        return repr(self.certificate)

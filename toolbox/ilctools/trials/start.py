@@ -1,0 +1,81 @@
+"""Where trials start: from the same state, or what is learned in one does not hold in the next."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ilctools.loop.closed import Loop
+from ilctools.trials.diagnosis import noise_std
+from ilctools.units import by_unit, with_unit
+
+NEAR = 0.02  # of the largest reference in the same unit, that a start may be off
+SURE = 5.0  # standard deviations of the noise, likewise
+STILL = 0.1  # of a trial, in which outputs that are back stand still
+LONGEST = 2.0  # trials, that is waited for this
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """Where the first trial started, and how near is near enough."""
+
+    level: np.ndarray  # of the outputs
+    tolerance: np.ndarray
+    samples: int  # of a trial
+    labels: Sequence[str]  # of the outputs, with their units
+
+    @classmethod
+    def of(cls, y, reference, loop: Loop) -> "Start":
+        """That of the first trial, from its outputs and its reference, shape (time, output)."""
+        noise = SURE * np.sqrt(2) * noise_std(y)  # both starts have it
+        tolerance = NEAR * largest_by_unit(reference, loop) + noise
+        labels = [with_unit(name, loop.units[name]) for name in loop.outputs]
+        return cls(y[0], tolerance, len(y), labels)
+
+    @property
+    def window(self) -> int:
+        """Samples in which the outputs stand still."""
+        return max(2, round(STILL * self.samples))
+
+    @property
+    def longest(self) -> int:
+        """Samples that are waited for it."""
+        return max(self.window, round(LONGEST * self.samples))
+
+    def back(self, y, held) -> bool:
+        """Whether outputs (time, output) are back, or where they are held instead, and stay."""
+        y = np.asarray(y[-self.window :])
+        if len(y) < self.window:
+            return False
+        half = len(y) // 2
+        drift = np.abs(y[:half].mean(axis=0) - y[-half:].mean(axis=0))
+        off = np.abs(y.mean(axis=0) - [self.level, held]).min(axis=0)
+        return bool(np.all(np.maximum(drift, off) <= self.tolerance / 2))
+
+    def missed(self, y) -> str:
+        """How far the outputs (time, output) of another trial start from there, in words."""
+        words = self._distance(y)
+        return words and (
+            f"it starts {words} from where the first trial did: what is learned holds for one "
+            "start. Wait for longer, by pause, or bring the rig back, by its begin"
+        )
+
+    def away(self, reference) -> str:
+        """How far the reference (time, output) of a trial that learns starts from there."""
+        words = self._distance(reference)
+        return words and (
+            f"the reference starts {words} from where trials do, an error that no v mends: let it "
+            "begin there"
+        )
+
+    def _distance(self, signal):
+        off = np.abs(signal[0] - self.level)
+        far = zip(self.labels, off, off > self.tolerance, strict=True)
+        return ", ".join(f"{size:.3g} in {label}" for label, size, is_far in far if is_far)
+
+
+def largest_by_unit(reference, loop: Loop) -> np.ndarray:
+    """Largest reference (time, output) of all outputs in the same unit, for each output."""
+    units, sizes = [loop.units[n] for n in loop.outputs], np.abs(reference).max(axis=0)
+    groups = by_unit(units)
+    return np.array([sizes[groups[unit]].max() for unit in units])

@@ -1,0 +1,67 @@
+"""Filters known by their response, against direct convolution and against finite filters."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ilctools import Law, LearningFilter
+from ilctools.alternatives import TwoSidedFilter, extent, two_sided_taps
+
+
+def finite(seed, m, Ts, first=-3, count=7):
+    """Random taps at the lags first, first + 1, ..., as a filter known by its response."""
+    taps = np.random.default_rng(seed).standard_normal((count, m, m))
+    lags = np.arange(first, first + count)
+
+    def response(omega):
+        return np.tensordot(np.exp(-1j * np.outer(omega * Ts, lags)), taps, axes=1)
+
+    return TwoSidedFilter(response, m, Ts), lags, taps
+
+
+@given(st.integers(0, 99), st.integers(1, 3), st.integers(1, 30))
+def test_it_is_the_two_sided_convolution_cut_to_the_trial(seed, m, samples):
+    L, lags, taps = finite(seed, m, Ts=40.0)
+    e = np.random.default_rng(seed + 1).standard_normal((2, samples, m))
+    expected = np.zeros_like(e)
+    for p in range(samples):
+        for lag, tap in zip(lags, taps, strict=True):
+            if 0 <= p - lag < samples:
+                expected[:, p] += e[:, p - lag] @ tap.T
+    np.testing.assert_allclose(L.apply(e), expected, atol=1e-12)
+
+
+def test_a_filter_that_looks_ahead_does_in_the_law_what_a_learning_filter_does(Q):
+    coefficients, e = np.random.default_rng(0).standard_normal((2, 2, 80, 2))[:, 0]
+    known = LearningFilter(coefficients[:5].T[:, None] * [[1.0], [0.5]], 1.0)
+    same = TwoSidedFilter(known.frequency_response, 2, 1.0)
+    expected = Law(Q, known).next(e, e)
+    np.testing.assert_allclose(Law(Q, same).next(e, e), expected, atol=1e-11)
+
+
+@pytest.mark.parametrize("pole", [-0.9, 1.05])
+def test_a_pole_outside_the_circle_acts_backward_in_time(pole):
+    """1 / (1 - p / z): p^k for k >= 0 inside, -p^k for k < 0 outside."""
+    L = TwoSidedFilter(lambda w: 1 / (1 - pole * np.exp(-1j * w))[:, None, None], 1, 1.0)
+    lags, taps = two_sided_taps(L)
+    forward = abs(pole) < 1
+    acts = (lags >= 0) == forward
+    expected = np.zeros(len(lags))
+    expected[acts] = (1 if forward else -1) * pole ** lags[acts].astype(float)
+    np.testing.assert_allclose(taps[:, 0, 0], expected, atol=1e-8)
+
+
+def test_extent_leaves_out_half_of_the_rest_at_each_end():
+    assert extent(LearningFilter(np.ones((1, 1, 10)), 1.0)) == (10, -1)
+    faint = np.array([0.01, 1.0, 1.0, 0.1])  # of the energy 0.00005 and 0.005
+    assert extent(LearningFilter(faint[None, None], 1.0)) == (4, -2)
+
+
+def test_what_cannot_be_applied_is_refused():
+    standing = TwoSidedFilter(lambda w: 1 / (1.0000001 - np.exp(-1j * w))[:, None, None], 1, 1.0)
+    with pytest.raises(ValueError, match="does not decay within 262144 samples"):
+        standing.apply(np.ones((5, 1)))
+    L, _, _ = finite(0, 2, 1.0)
+    with pytest.raises(ValueError, match=r"signal has shape \(5, 1\)"):
+        L.apply(np.ones((5, 1)))

@@ -1,0 +1,228 @@
+"""What noise does, against trials simulated one after the other, closed forms and other solvers."""
+
+from dataclasses import replace
+
+import control
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from plants import stage, tanks
+from scipy.linalg import solve_discrete_lyapunov
+
+from ilctools import (
+    ClosedLoop,
+    Law,
+    LearningFilter,
+    converged_noise,
+    current_trial_loop,
+    noise_on_trial,
+    run_trials,
+    synthesise,
+    trial_noise,
+    zero_phase_butterworth,
+)
+from ilctools.alternatives import p_type
+from ilctools.evidence import noise as evidence
+from ilctools.evidence.noise import Spectrum, TrialNoise
+from ilctools.trials.run import rms
+
+pytestmark = [  # after an impulse, around another plant
+    pytest.mark.filterwarnings("ignore:the error grows"),
+    pytest.mark.filterwarnings("ignore:learning adds"),
+    pytest.mark.filterwarnings("ignore:the convergence rate"),
+]
+
+
+def case(loop, cutoff, band):
+    """A loop with a law, and a grid."""
+    Q = zero_phase_butterworth(2, cutoff, loop.Ts)
+    omega = np.geomspace(1e-4, 1, 500) * np.pi / loop.Ts
+    L = synthesise(loop, Q, omega, loop.Ts, order=10, band=band).filter
+    return loop, Law(Q, L), omega
+
+
+@pytest.fixture(scope="module")
+def on_stage():
+    loop = current_trial_loop(stage(), ["F"], {"x": 5.0, "F": 20.0})
+    return case(loop, 300.0, (7.0, 100.0))
+
+
+@pytest.fixture(scope="module")
+def on_tanks():
+    loop = current_trial_loop(tanks(), ["pump A", "pump B", "pump C"])
+    return case(loop, 0.3, (1e-3, 0.1))
+
+
+def other_tanks(loop):
+    plant = loop.plant
+    return control.ss(0.97 * plant.A, plant.B, plant.C, 0, loop.Ts,
+                      inputs=plant.input_labels, outputs=plant.output_labels)  # fmt: skip
+
+
+def after_one(loop, law, trials, noise=None, disturbance=None, plant=None):
+    """True and measured error of trials of which the first is disturbed, (kind, trial, time, m)."""
+    samples = len(disturbance if noise is None else noise)
+    n = np.zeros((trials, samples, len(loop.outputs)))
+    flows = np.zeros((trials, samples, len(loop.disturbances)))
+    n[0] += 0 if noise is None else noise
+    flows[0] += 0 if disturbance is None else disturbance
+    e = run_trials(loop, law, 0 * n[0], flows, trials, noise=n, plant=plant).e.values
+    return np.stack([e + n, e])
+
+
+def test_a_single_impulse_through_the_trials_has_the_predicted_rms(on_tanks):
+    """For white noise the variance is the sum of squares of what one impulse does, ever after.
+
+    It is in the middle of the first trial, so that the ends of a trial do not matter. Of the
+    coloured disturbance it is one impulse behind the colouring filter.
+    """
+    loop, law, omega = on_tanks
+    plant, variance, power = other_tanks(loop), np.array([1.0, 4.0, 9.0]), 0
+    for impulse in np.diag(np.sqrt(variance)):
+        noise = np.zeros((900, 3))
+        noise[400] = impulse
+        power = power + after_one(loop, law, 60, noise, plant=plant) ** 2
+    tail = np.zeros((900, 1))
+    tail[400:, 0] = 0.9 ** np.arange(500)
+    flows = after_one(loop, law, 60, disturbance=tail, plant=plant) ** 2
+    psd = 1 / np.abs(1 - 0.9 * np.exp(-1j * omega[:, None] * loop.Ts)) ** 2
+    for disturbance, trials in ((None, power), (psd, power + flows)):
+        new = trial_noise(loop, omega, variance, disturbance, plant=plant)
+        for noise, errors in ((new, trials[:, :1]), (converged_noise(new, law), trials)):
+            predicted = [noise.true.rms, noise.measured.rms]
+            expected = np.sqrt(errors.sum(axis=(1, 2)))
+            np.testing.assert_allclose(predicted, expected, rtol=2e-3)
+
+
+@given(st.integers(1, 4), st.integers(0, 9999), st.floats(0.01, 1))
+def test_what_is_learned_solves_the_lyapunov_equation(m, seed, gain):
+    rng = np.random.default_rng(seed)
+    omega, Q = np.linspace(0.05, 3, 6), zero_phase_butterworth(1, 1.0, 1.0)
+    L = LearningFilter(rng.standard_normal((m, m, 3)), 1.0)
+    random = rng.standard_normal((3, 6, m, m)) + 1j * rng.standard_normal((3, 6, m, m))
+    change = 0.95 * random[0] / np.linalg.norm(random[0], 2, axis=(1, 2))[:, None, None]
+    P = (np.eye(m) - change) @ np.linalg.inv(L.frequency_response(omega))
+    x, t = random[1:] @ random[1:].conj().swapaxes(2, 3)
+    spectra = [Spectrum(omega, 1.0, density) for density in (x, t, 0 * t)]
+    noise = converged_noise(TrialNoise(P, *spectra), Law(Q, L, gain=gain))
+    for i, q in enumerate(Q.frequency_response(omega)):
+        PL = P[i] @ L.frequency_response(omega)[i]
+        M = (1 - gain) * np.eye(m) + gain * q * (np.eye(m) - PL)
+        added = (gain * q) ** 2 * PL @ x[i] @ PL.conj().T
+        learned = solve_discrete_lyapunov(M, added)
+        for spectrum, expected in (
+            (noise.learned, learned),
+            (noise.true, learned + t[i]),
+            (noise.measured, learned + x[i]),
+        ):
+            limit = 1e-8 * np.abs(expected).max()
+            np.testing.assert_allclose(spectrum.density[i], expected, atol=limit)
+
+
+def test_the_rms_is_the_root_of_the_variance():
+    density = np.tile(np.diag([9.0, 36.0]), (2000, 1, 1))
+    both = Spectrum(np.geomspace(1e-3, np.pi / 0.02, 2000), 0.02, density)
+    np.testing.assert_allclose(both.rms, [3, 6], rtol=1e-9)
+    assert both.total == pytest.approx(np.sqrt(45))
+
+
+def test_what_does_not_fit_is_refused(on_stage, on_tanks):
+    loop, law, omega = on_tanks
+    new, Q, L = trial_noise(loop, omega, 1.0), law.Q, law.L
+    without = current_trial_loop(tanks()[:, loop.controls])
+    backward = replace(L, coefficients=-0.01 * L.coefficients)
+    small, on_one, _ = on_stage
+    wrong_way = replace(on_one.L, coefficients=-on_one.L.coefficients)
+    on_trial = {"loop": small, "law": on_one, "samples": 30, "sensor_variance": 1.0}
+    for door, changes, name in [
+        (trial_noise, (loop, omega, [1.0, -1.0, 0.0]), "sensor_psd"),
+        (trial_noise, (without, omega, 1.0, 1.0), "disturbance_psd"),
+        (converged_noise, (new, Law(Q, backward)), "does not converge"),
+        (noise_on_trial, {"sensor_variance": -1.0}, "sensor_variance"),
+        (noise_on_trial, {"sensor_variance": [1.0, 1.0]}, "sensor_variance"),
+        (noise_on_trial, {"law": replace(on_one, L=None)}, r"law\.L"),
+        (noise_on_trial, {"loop": ClosedLoop(loop.P)}, "not ours"),
+        (trial_noise, (ClosedLoop(loop.P), omega, 1.0), "not ours"),
+        (
+            noise_on_trial,
+            {"law": replace(on_one, L=wrong_way), "samples": 300},
+            "does not converge on a trial",
+        ),
+    ]:
+        with pytest.raises(ValueError, match=name):
+            door(*changes) if isinstance(changes, tuple) else door(**on_trial | changes)
+
+
+def by_impulses(loop, law, variance, trials, plant):
+    """Variances of true and measured outputs in the last of some trials of 30 samples.
+
+    What an impulse in the first trial leaves k trials later is what one k trials before the last
+    leaves in the last: the law is the same from each trial to the next.
+    """
+    power = 0
+    for p, channel in np.ndindex(30, len(variance)):
+        noise = np.zeros((30, len(variance)))
+        noise[p, channel] = np.sqrt(variance[channel])
+        errors = after_one(loop, law, trials, noise, plant=plant)
+        power = power + np.sum(errors**2, axis=1)
+    return power
+
+
+@pytest.mark.parametrize(
+    ("trials", "ends", "changes"),
+    [(4, "hold", {}), (3, "zero", {"rest": 7, "gain": 0.6, "L": p_type(0.5, 2, 3, 2.0)})],
+    ids=["ends held", "rest"],
+)  # fmt: skip
+def test_each_impulse_of_noise_run_through_the_trials(on_tanks, trials, ends, changes):
+    """Whatever the law does at the ends, to rounding."""
+    loop, law, _ = on_tanks
+    law = replace(law, Q=replace(law.Q, ends=ends), L=replace(law.L, ends=ends))
+    law, variance = replace(law, **changes), [1.0, 4.0, 9.0]
+    plant = other_tanks(loop) if changes else None
+    true, measured = by_impulses(loop, law, variance, trials, plant)
+    noise = noise_on_trial(loop, law, 30, variance, trials=trials, plant=plant)
+    limit = {"rtol": 1e-9, "atol": 1e-9 * true.max()}
+    np.testing.assert_allclose(noise.true**2, true, **limit)
+    np.testing.assert_allclose(noise.measured**2, measured, **limit)
+    first = noise_on_trial(loop, law, 30, variance, trials=1, plant=plant)
+    learned = noise.true**2 - first.true**2
+    np.testing.assert_allclose(noise.learned**2, learned, **limit)
+    assert list(noise.output) == loop.outputs and noise.time[1] == loop.Ts
+
+
+def test_the_variance_of_the_sensors_gives_what_trials_have(on_stage):
+    """That of y as measured at rest, which the loop has coloured, does not."""
+    loop, law, omega = on_stage
+    noise = 0.5 * np.random.default_rng(0).standard_normal((250, 400, 1))
+    trials = run_trials(loop, law, 0 * noise[0], None, 250, noise=noise)
+    left = np.sqrt(np.mean(trials.e.values[10:] ** 2))
+    predicted = float(rms(noise_on_trial(loop, law, 400, 0.25).measured))
+    assert left == pytest.approx(predicted, rel=0.04)
+    at_rest = trial_noise(loop, omega, 0.25).measured.rms
+    other = float(rms(noise_on_trial(loop, law, 400, at_rest**2).measured))
+    assert abs(other / left - 1) > 0.1
+
+
+def test_cut_short_in_the_middle_it_is_that_of_the_whole_trial(on_stage, monkeypatch):
+    loop, law, _ = on_stage
+    samples = 900
+    noise = noise_on_trial(loop, law, samples, 0.25)
+    monkeypatch.setattr(evidence, "ALL", samples)
+    monkeypatch.setattr(evidence, "STILL", 1e-300)
+    whole = noise_on_trial(loop, law, samples, 0.25)
+    for name in ("true", "measured"):
+        limit = 1e-3 * whole[name].max()
+        np.testing.assert_allclose(noise[name], whole[name], rtol=5e-3, atol=limit)
+        assert rms(noise[name]) == pytest.approx(float(rms(whole[name])), rel=1e-3)
+    flat = noise.learned[samples // 2]
+    assert (noise.learned == flat).all("channel").sum() > samples / 4  # it was cut
+
+
+def test_in_the_middle_it_is_that_of_trials_without_ends(on_stage, on_tanks):
+    for loop, law, omega in (on_stage, on_tanks):
+        noise = noise_on_trial(loop, law, 900, 0.25)
+        endless = converged_noise(trial_noise(loop, omega, 0.25), law)
+        for name in ("true", "learned"):
+            expected = getattr(endless, name).rms
+            np.testing.assert_allclose(noise[name][450], expected, rtol=5e-3)

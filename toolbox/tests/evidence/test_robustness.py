@@ -1,0 +1,137 @@
+"""The worst case over plants and a radius, against closed forms, searches and samples."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import minimize, minimize_scalar
+
+from ilctools import LearningFilter, worst_case
+from ilctools.alternatives import TwoSidedFilter
+from ilctools.problem.pose import pose
+
+sizes = st.integers(1, 3)
+seeds = st.integers(0, 999)
+
+
+def complex_normal(rng, *shape):
+    return rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
+
+
+def random_case(m, seed, n=5, others=0):
+    """A problem with random responses, a real Q that is zero once, and a random filter."""
+    rng = np.random.default_rng(seed)
+    P = complex_normal(rng, 1 + others, n, m, m)
+    Q = np.clip(0.5 * rng.standard_normal(n), -1, 1)
+    Q[0] = 0
+    radius = rng.uniform(0, 1, n)
+    radius[1] = 0
+    omega, asked = np.linspace(0.1, 3, n), {"order": 3, "band": (0.1, 3)}
+    problem = pose(list(P), Q, omega, 1.0, uncertainty=radius, **asked)
+    return problem, LearningFilter(rng.standard_normal((m, m, 3)), 1.0)
+
+
+def sigma_max(problem, L, i, k=0, Delta=0):
+    """At one frequency, by the book."""
+    response = L.frequency_response(problem.omega)[i]
+    P = problem.plants[k][i] + Delta
+    return np.linalg.norm(problem.Q[i] * (np.eye(len(P)) - P @ response), 2)
+
+
+def reach(problem, L, i):
+    """What the Delta of rank one does that turns rho L x against M x, for an x found by scipy."""
+    response = L.frequency_response(problem.omega)[i]
+    values = []
+    for P in problem.plants[:, i]:
+        M = problem.Q[i] * (np.eye(len(P)) - P @ response)
+
+        def weighted(alpha, M=M):
+            rho_L = problem.Q[i] * problem.radius[i] * response
+            return np.vstack([M / np.sqrt(alpha), rho_L / np.sqrt(1 - alpha)])
+
+        best = minimize_scalar(
+            lambda alpha: np.linalg.norm(weighted(alpha), 2),
+            bounds=(0, 1),
+            method="bounded",
+            options={"xatol": 1e-10},
+        )
+        x = np.linalg.svd(weighted(best.x))[2][0].conj()
+        y = response @ x
+        turned = -np.sign(problem.Q[i]) * M @ x / np.linalg.norm(M @ x)
+        Delta = problem.radius[i] * np.outer(turned, y.conj()) / np.linalg.norm(y)
+        shifted = problem.Q[i] * (np.eye(len(P)) - (P + Delta) @ response)
+        values.append(np.linalg.norm(shifted, 2))
+    return max(values)
+
+
+@given(sizes, st.integers(0, 4), seeds)
+def test_the_bound_is_attained_and_no_plant_within_the_radius_is_worse(m, others, seed):
+    problem, L = random_case(m, seed, others=others)
+    worst = worst_case(problem, L)
+    reached = [reach(problem, L, i) for i in range(2, 5)]  # with a radius
+    np.testing.assert_allclose(reached, worst.sigma[2:], rtol=1e-6)
+    rng = np.random.default_rng(seed)
+    for k in range(1 + others):
+        sigma = [sigma_max(problem, L, i, k) for i in range(5)]
+        assert worst.peaks[k] == pytest.approx(max(sigma), rel=1e-12)
+        for i, _ in np.ndindex(5, 10):
+            Delta = complex_normal(rng, m, m)
+            Delta *= problem.radius[i] / np.linalg.norm(Delta, 2)
+            assert sigma_max(problem, L, i, k, Delta) <= worst.sigma[i] * (1 + 1e-12)
+
+
+def test_a_search_by_an_optimiser_ends_at_the_worst_case_and_not_above():
+    problem, L = random_case(2, 7)
+    worst = worst_case(problem, L).sigma[2]
+
+    def negative(x):
+        A, B = x.reshape(2, 2, 2)
+        Delta = problem.radius[2] * (A + 1j * B) / np.linalg.norm(A + 1j * B, 2)
+        return -sigma_max(problem, L, 2, 0, Delta)
+
+    starts = np.random.default_rng(0).standard_normal((2, 8))
+    largest = -min(minimize(negative, start, tol=1e-7).fun for start in starts)
+    assert worst * (1 - 1e-6) < largest <= worst * (1 + 1e-12)
+
+
+@given(seeds)
+def test_for_one_channel_it_is_M_plus_rho_L(seed):
+    problem, L = random_case(1, seed)
+    response = L.frequency_response(problem.omega)
+    rho_L = np.abs(problem.Q * response.ravel()) * problem.radius
+    expected = np.abs(problem.M(response)).ravel() + rho_L
+    np.testing.assert_allclose(worst_case(problem, L).sigma, expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("size", [None, 1e-13, 1, 20])  # the last turns the order
+def test_the_worst_of_many_plants_is_that_of_one_of_them(size):
+    problem, L = random_case(2, 3, n=20, others=20)
+    radius = None if size is None else size * problem.radius
+    worst = worst_case(replace(problem, radius=radius), L)
+    alone = []
+    for k in range(21):
+        one = replace(problem, radius=radius, plants=problem.plants[[k]])
+        alone.append(worst_case(one, L).sigma)
+    np.testing.assert_allclose(worst.sigma, np.max(alone, axis=0), rtol=1e-12)
+    ((plant, at),) = worst.tied
+    assert alone[plant][at] == pytest.approx(np.max(alone), rel=1e-12)
+    if size == 1e-13:
+        without = worst_case(replace(problem, radius=None), L)
+        np.testing.assert_allclose(worst.sigma, without.sigma, rtol=1e-10)
+
+
+def test_the_bound_is_attained_where_two_directions_are_amplified_equally():
+    """One is worst for M and the other for L, and only their sum is worst for both."""
+    problem, _ = random_case(2, 0, n=4)
+    M, L = np.diag([1.0, 0.2]), np.tile(np.diag([0.3, 0.9]), (4, 1, 1))
+    P = np.tile((np.eye(2) - M) @ np.linalg.inv(L[0]), (4, 1, 1)).astype(complex)
+    radius = np.array([0.5, 0.9, 1.0, 1.1])
+    problem = replace(problem, plants=P[None], Q=np.ones(4), radius=radius)
+    worst = worst_case(problem, TwoSidedFilter(lambda omega: L, 2, problem.Ts))
+    angle = np.linspace(0, np.pi / 2, 100_001)
+    x = np.stack([np.cos(angle), np.sin(angle)])
+    of_M, of_L = np.linalg.norm(M @ x, axis=0), np.linalg.norm(L[0] @ x, axis=0)
+    sums = of_M + np.outer(radius, of_L)
+    np.testing.assert_allclose(worst.sigma, sums.max(axis=1), rtol=1e-8)

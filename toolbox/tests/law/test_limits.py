@@ -1,0 +1,300 @@
+"""Learning within what the actuators follow, on a stage, three tanks and a furnace with a delay."""
+
+import control
+import cvxpy as cp
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from plants import LOOPS, PUMPS, lifted
+from scipy.linalg import eigh
+from scipy.optimize import lsq_linear
+
+from ilctools import (
+    ClosedLoop,
+    Law,
+    LearningFilter,
+    NormOptimal,
+    convergence,
+    rate,
+    run_trials,
+    synthesise,
+    zero_phase_butterworth,
+)
+from ilctools.law.limits import WEIGHT, Actuators, nearest, realised
+
+pytestmark = pytest.mark.filterwarnings("ignore:commands were", "ignore:the reference")
+
+
+def move(samples, heights):
+    """Forth and back between rests."""
+    phase = np.clip((np.arange(samples) / samples - 0.2) / 0.5, 0, 1)[:, None]
+    return np.sin(np.pi * phase) ** 2 * heights
+
+
+def case_of(name, cutoff, samples, heights, limits):
+    """A loop, a law that converges, a reference, and limits that it exceeds."""
+    loop = LOOPS[name]()
+    Q = zero_phase_butterworth(2, cutoff, loop.Ts)
+    omega = np.geomspace(1e-3, 1, 100) * np.pi / loop.Ts
+    bounds = {"M_max": 0.95, "L_max": 20.0, "band": (omega[0], cutoff / 3)}
+    bounds["structure"] = "diagonal"
+    L = synthesise(loop, Q, omega, order=16, **bounds).filter
+    return loop, Q, L, move(samples, heights), limits
+
+
+TANKS = case_of("tanks", 0.4, 60, [3.0, 2.0, 4.0], dict.fromkeys(PUMPS, (-10.0, 25.0)))
+ON_W = ClosedLoop(TANKS[0].P)
+CASES = {
+    "stage": case_of("stage", 300.0, 120, [2.0], {"F": (-9.0, 9.0, 400.0)}),
+    "tanks": TANKS,
+    "furnace": case_of("furnace", 0.5, 100, [4.0], {"valve": (0.0, 1.2)}),
+    "not ours": (ON_W, *TANKS[1:4], {"w1": (0.0, 2.5), "w3": (-0.5, 4.2)}),
+}
+EACH = pytest.mark.parametrize("case", CASES)
+
+
+def to_commands(loop):
+    """From w to the commands."""
+    if isinstance(loop, ClosedLoop):
+        return control.ss([], [], [], np.eye(len(loop.outputs)), loop.Ts)
+    P = loop.P
+    return control.ss(P.A, P.B, -loop.Ks, loop.N, loop.Ts)
+
+
+def trial(case):
+    """The signals v, e, u of a trial that was cut off, and the limits as arrays."""
+    loop, Q, L, reference, limits = CASES[case]
+    run = run_trials(loop, Law(Q, L, limits=limits), reference, trials=1)
+    u = (run.reference + run.v if isinstance(loop, ClosedLoop) else run.u).values[0]
+    return run.v.values[0], run.e.values[0], u, Actuators.of(limits, loop)
+
+
+@EACH
+def test_it_is_the_nearest_of_all_that_can_be_followed(case):
+    """By CVXPY, on whole-trial matrices: no states, another solver."""
+    rest, (loop, Q, L, _, limits) = 5, CASES[case]
+    v, e, u, actuators = trial(case)
+    applied = actuators.follow(u)
+    assert np.abs(applied - u).max() > 0.01 * np.abs(u).max()
+    following = Law(Q, L, rest=rest, limits=limits, loop=loop).next(v, e, u)
+    v_applied = realised(loop, v, u, applied)
+    target = Law(Q, L, rest=rest).next(v_applied, e)
+    (samples, m), active = v.shape, len(v) - rest
+    P, S = lifted(loop.P, samples), lifted(to_commands(loop), samples)
+
+    def commands(v):
+        change = S @ (v - v_applied.ravel())
+        return cp.reshape(applied.ravel() + change, (samples, m), order="C")[:active]
+
+    z = cp.Variable(samples * m)
+    constraints = [z[active * m :] == 0]
+    for j in np.flatnonzero(np.isfinite(actuators.lowest)):
+        u_j = commands(z)[:, j]
+        constraints += [u_j >= actuators.lowest[j], u_j <= actuators.highest[j]]
+        if np.isfinite(actuators.step[j]):
+            constraints += [cp.abs(cp.diff(u_j)) <= actuators.step[j]]
+    off = z - target.ravel()
+    cost = cp.sum_squares(P @ off) + WEIGHT * cp.sum_squares(off)
+    problem = cp.Problem(cp.Minimize(cost), constraints)
+    problem.solve(cp.CLARABEL, tol_gap_abs=1e-11, tol_gap_rel=1e-11, tol_feas=1e-10)
+    least, best = problem.value, z.value
+    z.value = following.ravel()
+    assert cost.value == pytest.approx(least, rel=1e-4)  # inside by a millionth
+    assert np.abs(z.value - best).max() < 2e-3 * np.abs(best).max()
+    assert actuators.can(commands(z).value) and not np.any(following[active:])
+
+
+@pytest.mark.parametrize("case", ["tanks", "not ours"])
+def test_where_nothing_is_cut_off_it_is_the_law(case):
+    loop, Q, L, reference, limits = CASES[case]
+    wide = dict.fromkeys(limits, (-1e3, 1e3))
+    v, e, u, _ = trial(case)
+    plain = Law(Q, L, rest=3, gain=0.7)
+    limited = Law(Q, L, rest=3, gain=0.7, limits=wide, loop=loop)
+    np.testing.assert_array_equal(limited.next(v, e, u), plain.next(v, e))
+    run, same = (run_trials(loop, law, reference, trials=3) for law in (plain, limited))
+    assert same.drop_vars("applied", errors="ignore").identical(run)
+    assert "applied" not in same or same.applied.equals(same.u)
+
+
+@pytest.mark.parametrize("case", ["tanks", "stage"])
+def test_a_trial_cut_off_is_one_of_the_v_that_was_realised(case):
+    """Around another plant, with noise and a disturbance."""
+    loop, Q, _, reference, limits = CASES[case]
+    random, plant = np.random.default_rng(1), loop.plant
+    names = {"inputs": plant.input_labels, "outputs": plant.output_labels}
+    other = control.ss(0.98 * plant.A, 1.1 * plant.B, plant.C, 0, plant.dt, **names)
+    disturbance = 0.1 * random.standard_normal((len(reference), len(loop.disturbances)))
+    noise = 0.01 * random.standard_normal((1, *reference.shape))
+    trials = {"disturbance": disturbance, "plant": other, "noise": noise, "trials": 1}
+    cut = run_trials(loop, Law(Q, None, limits=limits), reference, **trials)
+    assert np.abs(cut.applied - cut.u).max() > 0
+    v = realised(loop, cut.v[0], cut.u[0].values, cut.applied[0].values)
+    free = run_trials(loop, Law(Q, None), reference, **trials, v=v)
+    for name, expected in (("y", cut.y), ("u", cut.applied), ("delta", cut.delta)):
+        size = np.abs(cut.y if name == "y" else cut.u).max().item()
+        np.testing.assert_allclose(free[name], expected, atol=1e-9 * size)
+
+
+@pytest.mark.parametrize("case", ["stage", "tanks", "furnace"])
+def test_an_informed_observer_estimates_no_disturbance_where_there_is_none(case):
+    loop, Q, L, reference, limits = CASES[case]
+    run = run_trials(loop, Law(Q, L, limits=limits), reference, trials=4)
+    actuators, size = Actuators.of(limits, loop), np.abs(run.u).max().item()
+    assert not actuators.can(run.u.values[0]) and actuators.can(run.applied.values)
+    assert np.abs(run.delta).max() < 1e-8 * size
+    # the model is exact, so the next trials keep what was asked of them
+    np.testing.assert_allclose(run.applied[1:], run.u[1:], atol=1e-7 * size)
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 10**6), st.floats(0.01, 10))
+def test_no_two_signals_get_more_distant(seed, size):
+    """In the norm of ||P v||^2 + weight ||v||^2, which the proof needs."""
+    loop, Q, _, _, limits = CASES["tanks"]
+    P, S = lifted(loop.P, 60), lifted(to_commands(loop), 60)
+    still = LearningFilter(np.zeros((3, 3, 1)), loop.Ts)  # so that Q v is the target
+    law = Law(Q, still, limits=limits, loop=loop)
+    steps = np.random.default_rng(seed).standard_normal((2, 60, 3))
+    pair = size * np.cumsum(steps, axis=1)
+    commands = [(S @ v.ravel()).reshape(v.shape) for v in pair]
+    projected = [
+        nearest(loop, law.actuators, v, u, Q.apply(v), WEIGHT, 0)
+        for v, u in zip(pair, commands, strict=True)
+    ]
+
+    def distance(one, other):
+        off = one - other
+        return np.sum((P @ off.ravel()) ** 2) + WEIGHT * np.sum(off**2)
+
+    assert distance(*projected) <= distance(*Q.apply(pair)) * (1 + 1e-4) + 1e-6
+
+
+def test_the_rate_in_the_metric_is_a_generalised_eigenvalue():
+    loop, Q, L, _, _ = CASES["tanks"]
+    omega = np.geomspace(1e-3, 1, 40) * np.pi / loop.Ts
+    P, one = loop.frequency_response(omega), np.eye(3)
+    q = Q.frequency_response(omega)[:, None, None]
+    T = q * (one - L.frequency_response(omega) @ P)
+    W = P.conj().swapaxes(1, 2) @ P + WEIGHT * one
+    TWT = T.conj().swapaxes(1, 2) @ W @ T
+    values = [eigh(*pair, eigvals_only=True)[-1] for pair in zip(TWT, W, strict=True)]
+    result = convergence(P, Q, L, omega)  # as samples, at these frequencies
+    assert result.within() == pytest.approx(np.sqrt(max(values)), rel=1e-9)
+    assert result.within(1e-10) == pytest.approx(result.gamma, rel=1e-5)
+
+
+def test_the_rate_in_the_metric_is_the_worst_of_all_plants_at_all_frequencies():
+    """Of a filter of 16 samples, on a grid of 10 frequencies; the first plant has the metric."""
+    loop, Q, L, _, _ = CASES["tanks"]
+    few = np.geomspace(1e-3, 0.02, 10)
+    plants = [loop.P, 0.5 * loop.P, 1.4 * loop.P]
+    dense, one = np.linspace(0, np.pi / loop.Ts, 20_000), np.eye(3)
+    P, response = loop.frequency_response(dense), L.frequency_response(dense)
+    values, vectors = np.linalg.eigh(P.conj().swapaxes(1, 2) @ P + WEIGHT * one)
+    root = vectors * np.sqrt(values)[:, None] @ vectors.conj().swapaxes(1, 2)
+    rates = []
+    for gain in (1.0, 0.5, 1.4):
+        T = Q.frequency_response(dense)[:, None, None] * (one - gain * response @ P)
+        rates.append(np.linalg.norm(root @ T @ np.linalg.inv(root), 2, axis=(1, 2)).max())
+    result = convergence(plants, Q, L, few)
+    assert result.within() == pytest.approx(max(rates), rel=1e-5)
+    assert convergence(loop, Q, L, few).within() == pytest.approx(rates[0], rel=1e-5)
+    on_grid = convergence(loop.frequency_response(few), Q, L, few).within()
+    assert on_grid < 0.9 * rates[0]
+
+
+def test_the_outputs_converge_at_the_rate_of_lemma_1():
+    loop, Q, L, _, limits = CASES["tanks"]
+    reference = move(300, [3.0, 2.0, 4.0])  # at rest for long before and after
+    gamma = rate(loop, Q, L, np.geomspace(1e-3, 1, 400) * np.pi / loop.Ts).gamma
+    run = run_trials(loop, Law(Q, L, limits=limits), reference, trials=10)
+    moved = np.sqrt((run.y.diff("trial") ** 2).sum(["time", "channel"])).values[1:]
+    assert np.all(moved[1:8] < gamma * moved[:7]) and moved[7] > 1e-6
+
+
+def test_norm_optimal_learning_falls_to_what_no_v_within_the_limits_can_beat():
+    """The best by scipy, in the commands: there the limits are a box, the matrix is the plant's."""
+    loop, _, _, reference, limits = CASES["furnace"]
+    samples = len(reference)
+    L, Q = NormOptimal(loop.P, 1e-3, samples), zero_phase_butterworth(1, 3.1415, 1.0)
+    run = run_trials(loop, Law(Q, L, limits=limits), reference, trials=8)
+    box = limits["valve"]
+    G = lifted(loop.plant[:, loop.controls], samples)
+    best = 2 * lsq_linear(G, reference.ravel(), box, tol=1e-12).cost
+    power = (run.e.values**2).sum(axis=(1, 2))
+    assert np.all(np.diff(power[1:]) < 1e-6 * power[0])  # the first was cut off
+    assert best * (1 - 1e-9) <= power[-1] < best + 2e-4 * power[0]
+
+
+def test_what_the_rest_asks_for_does_not_bind_what_is_before_it():
+    """Where v is zero, it cannot: here the reference itself needs more than there is."""
+    loop, Q, L, _, _ = CASES["furnace"]
+    law = Law(Q, L, rest=30, limits={"valve": (0.0, 0.6)})
+    run = run_trials(loop, law, np.full((80, 1), 4.0), trials=3)  # it needs 1
+    assert not run.v.values[:, -30:].any()
+    assert run.u.values[1:, :50].max() <= 0.6 + 1e-6 < run.u.values[1:, 50:].min()
+    np.testing.assert_allclose(run.applied, np.clip(run.u, 0.0, 0.6), atol=1e-6)
+
+
+def test_without_a_model_commands_are_cut_off():
+    _, Q, L, reference, limits = CASES["not ours"]
+    named = ClosedLoop(Ts=ON_W.Ts, outputs=ON_W.outputs)
+    e, zero = 0.2 * reference, np.zeros_like(reference)
+    v = Law(Q, L, rest=4, limits=limits, loop=named).next(zero, e, reference)
+    low, high = [0, -np.inf, -0.5], [2.5, np.inf, 4.2]
+    first = np.clip(reference, low, high) - reference  # what trial 1 had for v
+    w = np.clip(reference + Law(Q, L, rest=4).next(first, e), low, high)
+    np.testing.assert_allclose(v[:-4], (w - reference)[:-4], atol=1e-12)
+    assert not v[-4:].any()
+
+
+def test_signals_are_matched_by_name():
+    loop, Q, L, _, limits = CASES["tanks"]
+    v, e, u, actuators = trial("tanks")
+    law = Law(Q, L, limits=limits, loop=loop)
+
+    def table(signal, names):
+        return pd.DataFrame(signal, columns=names)[names[::-1]]
+
+    y, names = loop.outputs, loop.controls
+    commands = table(u, names), table(actuators.follow(u), names)
+    labelled = law.next(table(v, y), table(e, y), *commands)
+    np.testing.assert_array_equal(labelled[y], law.next(v, e, u))
+    with pytest.raises(ValueError, match="u has shape"):
+        law.next(v, e, u[1:])
+
+
+LOOP, Q = TANKS[:2]
+COMMANDS = st.lists(st.tuples(*[st.floats(-9, 9)] * 3), min_size=1, max_size=20)
+
+
+def test_actuators_are_those_of_the_commands_of_the_loop():
+    limits = {"pump C": (0, 5), "pump A": (-1, 1, 0.5)}  # 0.5 a second, of two each
+    actuators = Law(Q, None, limits=limits, loop=LOOP).actuators
+    np.testing.assert_array_equal(actuators.lowest, [-1, -np.inf, 0])
+    np.testing.assert_array_equal(actuators.highest, [1, np.inf, 5])
+    np.testing.assert_array_equal(actuators.step, [1, np.inf, np.inf])
+    for limits in ({"pump A": (0, 1, 0)}, {"leak": (0, 1)}, {"pump A": 3}):
+        with pytest.raises(ValueError, match="limits"):
+            Law(Q, None, limits=limits, loop=LOOP)
+
+
+@given(COMMANDS, st.floats(-3, 3), st.floats(0.1, 4), st.floats(0.01, 2))
+def test_what_is_applied_is_within_and_the_nearest_at_each_step(u, low, width, slew):
+    u, high, step = np.array(u), low + width, slew * LOOP.Ts
+    actuators = Actuators.of({"pump A": (low, high, slew), "pump B": (-1, 1)}, LOOP)
+    applied = actuators.follow(u)
+    expected = np.clip(u[:1, 0], low, high)
+    for command in u[1:, 0]:
+        ends = max(low, expected[-1] - step), min(high, expected[-1] + step)
+        expected = np.append(expected, np.clip(command, *ends))
+    np.testing.assert_allclose(applied[:, 0], expected, atol=1e-12)
+    np.testing.assert_array_equal(applied[:, 1], np.clip(u[:, 1], -1, 1))
+    np.testing.assert_array_equal(applied[:, 2], u[:, 2])
+    assert actuators.can(applied)
+    assert actuators.can(u) == np.allclose(applied, u, 0, 1e-6 * width)
+    both = actuators.follow(np.stack([u, applied]))
+    np.testing.assert_array_equal(both, [applied, applied])

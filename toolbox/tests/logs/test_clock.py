@@ -1,0 +1,86 @@
+import numpy as np
+import pandas as pd
+import pytest
+
+from ilctools.logs.clock import check_trials, jitter, period_of, resampled
+from ilctools.loop.notes import LogError
+
+GOOD = [0.0, 2.0, 4.0, 6.0]
+
+
+def table_of(times, numbers=(1, 2, 3)):
+    """Trials of these times, in the rows from 5 on; x is the square of the time, u the time."""
+    pairs = zip(numbers, times, strict=False)
+    rows = [(number, t, t**2, t) for number, trial in pairs for t in trial]
+    table = pd.DataFrame(rows, columns=["trial", "time", "x", "u"], dtype=float)
+    return table.set_index(table.index + 5)
+
+
+ORDER = (1, 2, 3)
+REFUSALS = [  # times of the second trial of three, numbers of the trials, what the error says
+    ([0.0, 2.22, 4.2, 6.2], ORDER, "row 10 is 2.22 s after"),
+    ([0.0, 2.0, 4.0, 5.7], ORDER, "row 12 is 1.7 s after"),
+    ([0.0, 2.0, 1.0, 6.0], ORDER, "row 11 is not later"),
+    ([0.3, 2.3, 4.3, 6.3], ORDER, "0.3 in row 9"),
+    (GOOD, (3, 1, 3), "3 goes on in row 13"),
+    (GOOD, (1, 2, 0), "0 in row 13"),
+    (GOOD, (1, 2.5, 3), "2.5"),
+]
+
+
+@pytest.mark.parametrize(("second", "numbers", "message"), REFUSALS)
+def test_trials_that_are_not_whole_alike_and_in_time_are_refused(second, numbers, message):
+    with pytest.raises(LogError, match=message):
+        check_trials(table_of([GOOD, second, GOOD], numbers), 2.0)
+
+
+@pytest.mark.parametrize("second", [[0.0, 2.18, 4.0, 6.18], [0.0, 2.01, 4.02, 6.03]])
+def test_a_step_may_be_off_by_a_tenth(second):
+    check_trials(table_of([GOOD, second, GOOD]), 2.0)
+
+
+def test_the_mean_step_may_be_off_by_a_hundredth():
+    """Each step is within a tenth."""
+    check_trials(table_of([2.02 * np.arange(300)]), 2.0)
+    with pytest.raises(LogError, match=r"the mean step is 2.03 s, but Ts = 2 s"):
+        check_trials(table_of([2.03 * np.arange(300)]), 2.0)
+
+
+def test_a_clock_that_jitters_is_noted():
+    assert jitter(table_of([[0.0, 2.001, 4.0]]), 2.0) == {}
+    note = jitter(table_of([[0.0, 2.1, 4.0]]), 2.0)["clock"]
+    assert note == "steps from 1.9 to 2.1 s, median 2, where Ts = 2; no sample is lost"
+
+
+@pytest.mark.parametrize(
+    ("times", "Ts"),
+    [
+        (np.arange(50) / 60, 1 / 60),
+        (1.0015 * np.arange(50) + 0.01 * np.sin(np.arange(50)), 1.0),
+        (np.delete(3.0 * np.arange(50), [7, 8, 20]), 3.0),
+    ],
+)
+def test_a_clock_shows_the_sampling_period(times, Ts):
+    assert period_of(table_of([times])) == pytest.approx(Ts, rel=1e-9)
+    with pytest.raises(LogError, match="state Ts"):
+        period_of(table_of([[5.0, 5.0]]))
+
+
+def test_resampled_rows_are_interpolated_or_held():
+    clock = [0, 2.5, 4, 10, 12]
+    table, notes = resampled(table_of([clock, [*GOOD, 8.0, 10.0, 12.0]]), 2.0, ["x"])
+    assert notes["resampled"].startswith("12 rows were resampled to 14 samples")
+    squares = np.interp(np.arange(0, 14, 2), clock, np.square(clock))
+    np.testing.assert_allclose(table["x"][:7], squares)
+    np.testing.assert_array_equal(table["u"][:7], [0, 2.5, 4, 4, 4, 10, 12])
+    np.testing.assert_array_equal(table["x"][7:], np.arange(0, 14, 2) ** 2)
+    assert table.index[:7].tolist() == [5, 6, 7, 7, 7, 8, 9]
+    check_trials(table, 2.0)
+
+
+@pytest.mark.parametrize("times", [[[0, 2, 3, 3]], [[0, 2, 4, 40]], [[0, 2, 4], [0, 2.5, 4, 6, 8]]])
+def test_what_cannot_be_resampled_stays_as_it_is_and_is_refused(times):
+    table = table_of(times)
+    assert resampled(table, 2.0, ["x"]) == (table, {})
+    with pytest.raises(LogError):
+        check_trials(table, 2.0)

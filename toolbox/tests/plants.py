@@ -1,0 +1,132 @@
+"""Plants as models, loops and rigs, and what tests ask of them."""
+
+from itertools import product
+
+import control
+import numpy as np
+
+from ilctools import current_trial_loop
+from ilctools.models import impulse_response
+
+PUMPS = ["pump A", "pump B", "pump C"]
+LEVELS = ["left", "middle", "right"]
+
+
+def half(*choices):
+    """Half of all combinations of choices, in which any two of different kinds still meet."""
+    places = product(*(range(len(options)) for options in choices))
+    return [
+        values for at, values in zip(places, product(*choices), strict=True) if sum(at) % 2 == 0
+    ]
+
+
+def stage(length=1e-3, force=1.0, Ts=1e-3):
+    """A motion stage of 2 kg with viscous friction; `length` is a unit in m, `force` one in N."""
+    mass, damping = 2.0, 8.0  # kg, N s/m
+    A = [[0.0, 1.0], [0.0, -damping / mass]]
+    B = np.array([[0.0, 0.0], [1.0, -1.0]]) / mass * force / length
+    model = control.ss(A, B, [[1.0, 0.0]], 0, inputs=["F", "friction"], outputs=["x"])
+    return control.sample_system(model, Ts, method="zoh")
+
+
+def tanks(Ts=2.0):
+    """Three tanks in a row, each with a pump; levels in cm, flows in ml/s, a leak in the second."""
+    area, pipe, outlet = 150.0, 12.0, 6.0  # cm2, cm2/s, cm2/s
+    exchange = np.array([[-1.0, 1.0, 0.0], [1.0, -2.0, 1.0], [0.0, 1.0, -1.0]])
+    A = (pipe * exchange - np.diag([0.0, 0.0, outlet])) / area
+    B = np.array([[0.0, 1.0, 0, 0], [-1.0, 0, 1.0, 0], [0.0, 0, 0, 1.0]]) / area
+    model = control.ss(A, B, np.eye(3), 0, inputs=["leak", *PUMPS], outputs=LEVELS)
+    return control.sample_system(model, Ts, method="zoh")
+
+
+def furnace(samples=30, Ts=1.0):
+    """A valve, a first-order lag, and a pipe that takes `samples` more to the thermometer."""
+    numerator, denominator = [0.2], np.append([1.0, -0.95], np.zeros(samples))
+    return control.tf(numerator, denominator, Ts, inputs=["valve"], outputs=["outlet"])
+
+
+def random_plant(rng, n=4, m=2):
+    """Two controls u1, u2 and a disturbance, which has feedthrough."""
+    A = rng.standard_normal((n, n))
+    A *= 0.95 / np.abs(np.linalg.eigvals(A)).max()
+    D = np.hstack([np.zeros((m, m)), rng.standard_normal((m, 1))])
+    return control.ss(
+        A, rng.standard_normal((n, m + 1)), rng.standard_normal((m, n)), D, 1.0,
+        inputs=["u1", "u2", "d"],
+    )  # fmt: skip
+
+
+def random_response(seed, m, n=30, gain=1.0):
+    """A stable plant with coupling, and a low-pass Q, on n frequencies up to Nyquist."""
+    rng = np.random.default_rng(seed)
+    omega = np.geomspace(1e-2, np.pi, n)
+    z = np.exp(1j * omega)[:, None, None]
+    poles = rng.uniform(0.3, 0.95, (m, m))
+    P = np.eye(m) + 0.2 * rng.standard_normal((m, m))
+    P = gain * P * (1 - poles) / (z - poles)
+    return P, 1 / (1 + (omega / 0.5) ** 4), omega
+
+
+LOOPS = {  # with one output, three, and a delay
+    "stage": lambda: current_trial_loop(stage(), ["F"], sizes={"x": 1.0, "F": 3.0}),
+    "tanks": lambda: current_trial_loop(tanks(), PUMPS),
+    "furnace": lambda: current_trial_loop(furnace(12)),
+}
+
+
+def boiler():
+    """A pump and a heater, coupled, and rain."""
+    A, B = [[0.9, 0.05], [0.0, 0.8]], [[0.1, 0.0, 0.02], [0.0, 0.3, 0.0]]
+    names = {"inputs": ["pump, left", "heater", "rain"], "outputs": ["depth", "heat"]}
+    return control.ss(A, B, np.eye(2), 0, 0.5, **names)
+
+
+def axes():
+    """Two axes under PIDs of their own, from w to y; P(0) is not I."""
+    A, B, C = [[0.8, 0.1], [0.0, 0.7]], np.diag([0.5, 0.9]), [[1.0, 0.2], [0.1, 1.0]]
+    return control.ss(A, B, C, 0, 0.1, inputs=["set x", "set y"], outputs=["x", "y"])
+
+
+def bump(samples, amplitude):
+    """From rest to an amplitude and back, shape (time, channel)."""
+    return np.outer(np.sin(np.pi * np.arange(samples) / samples) ** 2, amplitude)
+
+
+def lifted(model, samples):
+    """The matrix of a whole trial, from the impulse response of a model."""
+    h, (p, m) = impulse_response(model, samples), (model.noutputs, model.ninputs)
+    matrix = np.zeros((samples, p, samples, m))
+    for k in range(samples):
+        matrix[k:, :, k] = h[: samples - k]
+    return matrix.reshape(samples * p, samples * m)
+
+
+class ModelRig:
+    """A sampled model as a rig, noisy, with actuators reversed or at a limit."""
+
+    def __init__(self, model, inputs=None, *, signs=1.0, limit=np.inf, noise=0.0):
+        self.model, self.inputs = model, inputs or model.input_labels
+        self.signs, self.limit, self.noise = signs, limit, noise
+        self.random, self.x = np.random.default_rng(0), np.zeros(model.nstates)
+        self.sent, self.ends = [], 0
+
+    def read(self):
+        noise = self.noise * self.random.standard_normal(self.model.noutputs)
+        return self.model.C @ self.x + noise
+
+    def apply(self, commands):
+        self.sent.append(np.array(commands))
+        effect = np.clip(self.signs * self.sent[-1], -self.limit, self.limit)
+        effect = dict(zip(self.inputs, effect, strict=True))
+        u = np.array([effect.get(name, 0.0) for name in self.model.input_labels])
+        self.x = self.model.A @ self.x + self.model.B @ u
+
+    def safe(self):
+        self.ends += 1
+
+
+class RestartingModel(ModelRig):
+    """The same, every trial from rest."""
+
+    def begin(self, trial):
+        self.x = np.zeros(self.model.nstates)

@@ -1,0 +1,112 @@
+"""Default grid, band, order and gain follow Q, Ts and P; the paper's are passed."""
+
+import control
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from paper import paper_choices
+
+from ilctools import measured_response, synthesise, zero_phase_butterworth
+from ilctools.problem import defaults
+from ilctools.problem.pose import pose
+
+
+def test_of_the_papers_loop_the_frequencies_are_the_papers(loop, Q, omega):
+    chosen, paper = pose(loop, Q), pose(loop, Q, omega, **paper_choices())
+    np.testing.assert_allclose(chosen.omega, omega, rtol=1e-12)
+    assert chosen.band == pytest.approx((1e-4, 0.1), rel=1e-12)
+    assert (chosen.L_max, paper.L_max, paper.structure) == (200.0, 50.0, "diagonal")
+    assert paper_choices(order=20)["order"] == 20
+    names = [text.split(" = ")[0] for text in chosen.basis]
+    assert names == ["chosen: order", "chosen: band", "chosen: L_max"]
+    assert chosen.structure == "full" and not paper.basis
+
+
+@given(factor=st.floats(1e-6, 1e6), unit=st.floats(1e-6, 1e6))
+def test_time_and_unit_may_be_others(factor, unit):
+    """A lag 0.1 / (z - 0.9), ten times faster: all frequencies move along, and the gain stays."""
+    slow, fast = (
+        pose(control.ss(0.9, size, 0.1, 0, Ts), zero_phase_butterworth(2, 0.1 / Ts, Ts))
+        for Ts, size in ((1.0, 1.0), (factor, unit))
+    )
+    np.testing.assert_allclose(fast.omega * factor, slow.omega, rtol=1e-9)
+    np.testing.assert_allclose(np.array(fast.band) * factor, slow.band, rtol=1e-9)
+    assert fast.order == slow.order == 41  # a delay of one, and 4 / (cutoff Ts)
+    exact = defaults.ROOM * abs(np.exp(0.1j) - 0.9) / 0.1 / unit  # / |P| at the cut-off
+    assert exact <= fast.L_max * (1 + 1e-3) and fast.L_max < 2.001 * exact
+
+
+def test_of_several_channels_the_gain_inverts_the_weakest_direction():
+    omega = np.geomspace(1e-3, np.pi, 60)
+    for factor, gain in ((1.0, 20.0), (1.01, 20.0), (0.79, 30.0), (1e5, 2e-4)):
+        P = factor * np.tile(np.diag([4.0, 0.2]), (60, 1, 1))
+        assert pose(P, zero_phase_butterworth(2, 0.3, 1.0), omega).L_max == gain
+
+
+def test_the_gain_inverts_p_where_it_is_least_below_the_cutoff():
+    """Below a peak P is smaller than at it; above the cut-off nothing is inverted."""
+    omega, Q = np.linspace(0.05, np.pi, 60), zero_phase_butterworth(2, 0.5, 1.0)
+    P = np.where(omega < 0.2, 0.5, np.where(omega < 0.7, 5.0, 1e-3))[:, None, None]
+    assert pose(P + 0j, Q, omega).L_max == 4 / 0.5
+    covered = pose(P + 0j, Q, omega, uncertainty=np.full(60, 2.0))
+    assert covered.L_max == 4 / 2.0  # what is known to be smaller is not known to be there
+
+
+@pytest.mark.parametrize("samples", [0, 1, 41])
+@pytest.mark.parametrize(("cutoff", "points"), [(0.05, 1000), (0.3, 100)])
+def test_a_delay_is_read_off_the_phase(samples, cutoff, points):
+    """Of a lag, and of two unlike channels, mixed at the input, as long as that of the slower."""
+    omega = np.geomspace(1e-2 * cutoff, np.pi, points)
+    z = np.exp(1j * omega)
+    late = z**-samples * 0.1 / (1 - 0.9 / z)
+    two = late[:, None, None] * np.eye(2)
+    two[:, 0, 0] = -0.3 / (1 - 0.5 / z) ** 2
+    for P in (late[:, None, None], two @ [[1.0, 0.4], [-2.0, 1.0]]):
+        assert defaults.delay(P, omega, 1.0, cutoff) == samples
+    reach = 80 if cutoff == 0.05 else 14
+    order = min(samples + reach, max(60, samples + 20), points // 2)
+    assert defaults.order(cutoff, samples, 1.0, points) == order
+
+
+def test_a_zero_beyond_one_delays_as_its_all_pass_part():
+    omega = np.geomspace(1e-4, np.pi, 1000)
+    z, cutoff = np.exp(1j * omega), 0.1
+    P = (1 - 1.02 / z) / (1 - 0.9 / z)
+    at = np.exp(1j * cutoff)
+    mirrored = np.angle((at - 1.02) / (1 - 1.02 * at))  # of gain one
+    delay = defaults.delay(P[:, None, None], omega, 1.0, cutoff)
+    assert delay == pytest.approx(-mirrored / cutoff, abs=1) and delay > 20
+
+
+def test_defaults_learn_what_those_of_the_paper_leave():
+    """A plant with less gain below the cut-off than at it, and a zero beyond one."""
+    P = control.ss(control.tf([1, -1.02], [1, -0.9], 1.0)) * -5
+    P = P * control.ss(control.tf([0.05], [1, -0.95], 1.0))
+    Q = zero_phase_butterworth(2, 0.1, 1.0)
+    omega = np.geomspace(1e-4, np.pi, 150)
+    design, paper = (synthesise(P, Q, omega, **asked) for asked in ({}, paper_choices()))
+    below = omega <= Q.cutoff
+    assert design.sigma_M[below].mean() < 0.5 * paper.sigma_M[below].mean()
+
+
+def test_cutoff_and_band_of_samples(Q):
+    omega = np.geomspace(1e-4, np.pi, 100)
+    samples = Q.frequency_response(omega)
+    assert defaults.cutoff(None, samples, omega) == pytest.approx(0.1, rel=0.01)
+    assert defaults.cutoff(None, samples / 3, omega) == omega[-1]
+    few = np.array([0.0, 1.0, 2.0, 3.0])
+    for cutoff, end in ((100.0, 3.0), (0.1, 2.0), (2.5, 2.5)):
+        assert defaults.band(cutoff, few) == (1.0, end)
+
+
+def test_samples_bring_their_frequencies_or_need_them(loop, Q):
+    grid = np.geomspace(1e-3, np.pi, 60)
+    P = loop.frequency_response(grid)
+    frd = control.frd(np.moveaxis(P, 0, -1), grid)
+    np.testing.assert_array_equal(pose(frd, Q).omega, grid)
+    assert pose(measured_response(frd), Q, Ts=1.0).omega[0] == pytest.approx(1e-3)
+    with pytest.raises(ValueError, match="omega must be given: P is an array"):
+        pose(P, Q, Ts=1.0)
+    with pytest.raises(ValueError, match="omega must be given, as Q"):
+        pose(loop, np.ones(60), Ts=1.0)

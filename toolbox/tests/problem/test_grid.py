@@ -1,0 +1,158 @@
+"""Where a grid is coarse or ends too soon, the learning filter keeps its bounds all the same."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from paper import paper_choices
+
+from ilctools import InfeasibleError, LearningFilter, synthesise, zero_phase_butterworth
+from ilctools.evidence.peak import error_model, learning_model, peak_gain
+from ilctools.problem.grid import refined, without_gaps
+from ilctools.problem.pose import pose
+from ilctools.problem.problem import largest_singular_values
+from ilctools.synthesis.result import SolverError
+from ilctools.synthesis.search import largest_cutoff
+
+DENSE = np.linspace(0, np.pi, 4001)
+WARNINGS = (
+    "the samples are too coarse",
+    "the filter leaves",
+    ".*may reach",
+    ".*between the frequencies omega",
+)
+EXPECTED = pytest.mark.filterwarnings(*(f"ignore:{text}" for text in WARNINGS))
+
+
+def table(seed, m, n, last):
+    """Coarse samples of a coupled stable plant, up to `last`, and their frequencies."""
+    rng = np.random.default_rng(seed)
+    poles, coupling = rng.uniform(0.3, 0.9, (m, m)), rng.standard_normal((m, m))
+    omega = np.geomspace(last / 100, last, n)
+    z = np.exp(1j * omega)[:, None, None]
+    return (np.eye(m) + 0.2 * coupling) * (1 - poles) / (z - poles), omega
+
+
+@pytest.mark.parametrize(("n", "as_model"), [(250, True), (1000, False)])
+def test_on_the_grids_of_the_paper_nothing_is_added(loop, Q, n, as_model):
+    omega = np.geomspace(1e-4, np.pi, n)
+    P = loop if as_model else loop.frequency_response(omega)
+    problem = pose(P, Q, omega, 1.0, **paper_choices())
+    assert without_gaps(problem) is problem and problem.beyond is None
+    np.testing.assert_array_equal(problem.weight, np.tile(np.eye(2) / 50, (n, 1, 1)))
+
+
+@given(st.integers(1, 3), st.integers(1, 25), st.integers(3, 40), st.integers(0, 999))
+def test_no_filter_that_keeps_the_bound_at_the_samples_passes_it_between(m, order, n, seed):
+    """Riesz' inequality, tried with filters of which some are nearly as bad as it admits."""
+    rng = np.random.default_rng(seed)
+    omega = np.sort(rng.uniform(1e-3, np.pi, max(n, order)))
+    P = np.tile(np.eye(m), (len(omega), 1, 1))
+    choices = {"order": order, "L_max": 7.0, "objective": "peak"}
+    Q = zero_phase_butterworth(2, 0.5, 1.0)
+    problem = without_gaps(pose(P, Q, omega, 1.0, **choices))
+    problem = replace(problem, limit_L=np.full(len(problem.omega_L), np.inf))
+    peak = np.cos(np.arange(order) * rng.uniform(0, np.pi))
+    for taps in (rng.standard_normal((m, m, order)), peak * np.eye(m)[..., None]):
+        L = LearningFilter(taps, 1.0)
+        share = problem.passed_L(L.frequency_response(problem.omega_L))
+        highest = peak_gain(learning_model(LearningFilter(taps / share, 1.0)))[0]
+        coarse = problem.share_L.min() < 1
+        assert highest <= 7 * (1 + 1e-7 if coarse else 1 / np.cos(np.pi / 8))
+
+
+@EXPECTED
+@settings(max_examples=8)
+@given(st.sampled_from([1, 2]), st.sampled_from([8, 20]), st.floats(0.6, 2.8), st.integers(0, 999))
+def test_above_a_table_L_and_M_keep_their_bounds(m, n, last, seed):
+    P, omega = table(seed, m, n, last)
+    Q = zero_phase_butterworth(2, 0.6 * last, 1.0)
+    choices = {"L_max": 4.0, "band": (omega[0], last / 4), "structure": "full"}
+    design = synthesise(P, Q, omega, 1.0, M_max=0.95, order=6, **choices)
+    L = design.filter.frequency_response(DENSE)
+    assert largest_singular_values(L).max() <= 4 * (1 + 1e-9)
+    assert design.sigma_M.shape == design.omega.shape == (n,)
+    above, rng = last < DENSE, np.random.default_rng(seed)
+    size, beyond = np.linalg.norm(P[-1], 2), design.certificate.beyond
+    q = Q.frequency_response(DENSE[above])[:, None, None]
+    for _ in range(20):
+        other = rng.standard_normal((2, above.sum(), m, m))
+        other = other[0] + 1j * other[1]
+        other *= size / largest_singular_values(other)[:, None, None]
+        M = q * (np.eye(m) - other @ L[above])
+        assert largest_singular_values(M).max() <= beyond.sigma * (1 + 1e-3)
+    assert beyond.sigma <= 0.95 * (1 + 1e-9)
+
+
+def test_the_worst_of_the_assumed_size_is_what_the_certificate_says():
+    P, omega = table(3, 2, 12, 1.2)
+    Q = zero_phase_butterworth(2, 0.8, 1.0)
+    design = synthesise(P, Q, omega, 1.0, order=6, L_max=4.0, band=(0.05, 0.4))
+    beyond = design.certificate.beyond
+    L = design.filter.frequency_response([beyond.omega])[0]
+    U, _, Vh = np.linalg.svd(L)
+    worst = -np.linalg.norm(P[-1], 2) * Vh.conj().T @ U.conj().T
+    M = Q.frequency_response([beyond.omega])[0] * (np.eye(2) - worst @ L)
+    assert np.linalg.norm(M, 2) == pytest.approx(beyond.sigma, rel=1e-9)
+    details = design.certificate.details
+    assert "sigma_max(M) above 1.2 rad/s, with the size of P assumed" in details
+    higher = replace(design.certificate, beyond=replace(beyond, sigma=1.0))
+    [failure] = higher.failures
+    assert "Lemma 1 does not hold" in failure
+
+
+def test_where_Q_passes_too_much_above_the_table_it_is_said():
+    P, omega = table(5, 1, 60, 0.5)
+    choices = {"order": 3, "band": (0.02, 0.3)}
+    Q = zero_phase_butterworth(2, 2.0, 1.0)
+    with pytest.warns(match="above 0.5 rad/s, where P is not known: no filter"):
+        design = synthesise(P, Q, omega, 1.0, **choices)
+    assert design.certificate.failures == []
+    widest, design = largest_cutoff(P, Q, omega, 1.0, **choices)
+    assert widest.frequency_response([0.5])[0] <= 0.9
+    assert design.certificate.beyond.sigma <= 0.9 * (1 + 1e-9)
+    P, omega = table(5, 1, 60, 1.0)
+    Q = zero_phase_butterworth(2, 1.594, 1.0)  # which leaves next to no room
+    samples = Q.frequency_response(omega)
+    assert 0.92 < samples[-1] < 0.93
+    with pytest.raises(InfeasibleError, match="assumed: above 1 rad/s, where P is not"):
+        synthesise(P, Q, omega, 1.0, M_max=0.93, **choices)
+    design = synthesise(P, 0.9 * samples, omega, 1.0, M_max=0.93, **choices)
+    assert f"and |Q| {0.9 * samples[-1]:.4g}, as at the last sample" in str(design)
+
+
+@EXPECTED
+def test_a_cutoff_is_not_larger_than_what_the_model_converges_with(loop, Q):
+    """Between the samples, M of the model reaches more than one with the cut-off for them."""
+    omega = np.geomspace(1e-4, np.pi, 40)
+    choices = {"structure": "full", "L_max": 500.0, "band": (1e-4, 0.02), "order": 8}
+    on_grid, _ = largest_cutoff(loop.frequency_response(omega), Q, omega, **choices)
+    with pytest.raises(SolverError, match=r"sigma_max\(M\).* reaches .* not in omega"):
+        synthesise(loop, on_grid, omega, **choices)
+    widest, design = largest_cutoff(loop, Q, omega, **choices)
+    assert design.certificate.failures == []
+    assert widest.cutoff < on_grid.cutoff * (1 + 1e-3)
+    assert peak_gain(error_model(loop.P, design.filter), widest)[0] < 1
+    # what is added is not the user's
+    np.testing.assert_array_equal(design.omega, omega)
+
+
+def test_what_is_added_for_a_model_asks_nothing_of_samples(loop, Q):
+    omega, added = np.geomspace(1e-4, np.pi, 40), [0.2, 0.5]
+    first, at = loop.frequency_response(omega), loop.frequency_response(added)
+    radius = np.full(40, 0.01)
+    problem = pose([first, loop, 1.1 * first], Q, omega, 1.0, uncertainty=radius)
+    more = refined(problem, added[::-1])
+    new = ~np.isin(more.omega, omega)
+    np.testing.assert_array_equal(more.omega[new], added)
+    for k in range(3):
+        np.testing.assert_allclose(more.plants[k][new], at, rtol=1e-12)
+        np.testing.assert_array_equal(more.plants[k][~new], problem.plants[k])
+    np.testing.assert_allclose(more.Q[new], Q.frequency_response(added), rtol=1e-12)
+    assert not more.radius[new].any() and more.weights.sum() == problem.weights.sum()
+    wide = without_gaps(more)
+    np.testing.assert_array_equal(wide.design.omega, omega)
+    np.testing.assert_array_equal(wide.omega, more.omega)
+    assert len(wide.omega_L) == len(np.unique(wide.omega_L)) > len(more.omega)

@@ -1,0 +1,102 @@
+"""The spectrum of the first error: against simulated trials, whatever P is known as."""
+
+import control
+import numpy as np
+import pandas as pd
+import pytest
+from plants import LOOPS, axes, bump
+
+from ilctools import ClosedLoop, measured_response, run_trials, zero_phase_butterworth
+from ilctools.law.law import Law
+from ilctools.models import frequency_response
+from ilctools.problem.pose import pose
+
+
+def first_error_of(loop, reference):
+    """Of a simulated trial."""
+    law = Law(zero_phase_butterworth(1, 1 / loop.Ts, loop.Ts), None)
+    return run_trials(loop, law, reference, trials=1).e.values[0]
+
+
+@pytest.mark.parametrize("kind", [*LOOPS, "axes"])
+def test_power_and_weights_are_those_of_a_simulated_trial(kind):
+    """Its transform at the frequencies, by Horner; a task that ends away from rest, too."""
+    loop = LOOPS[kind]() if kind in LOOPS else ClosedLoop(axes())
+    m, Ts = len(loop.outputs), loop.Ts
+    Q = zero_phase_butterworth(2, 0.3 / Ts, Ts)
+    angles = np.geomspace(3e-3, np.pi, 400)
+    back = bump(300, 1.0 + np.arange(m))
+    for reference in (back, np.cumsum(back, axis=0) / 100):
+        problem = pose(loop, Q, angles / Ts, reference=reference)
+        e = first_error_of(loop, reference)
+        fading = np.cos(np.linspace(0, np.pi / 2, 30)) ** 2
+        e = np.concatenate([e, fading[:, None] * e[-1]])
+        total = np.trace(problem.first_error.sum(axis=0)).real
+        assert total == pytest.approx((e**2).sum() / 300, rel=0.02)
+        E = np.polynomial.polynomial.polyval(np.exp(-1j * angles), e)
+        middles = (angles[1:] + angles[:-1]) / 2
+        widths = np.diff([0, *middles, np.pi])
+        amplitude = np.linalg.norm(E, axis=0) * widths
+        expected = amplitude / amplitude.sum()
+        assert np.abs(problem.weights - expected).sum() < 0.05
+        assert problem.weights.sum() == pytest.approx(1)
+
+
+def test_a_narrow_line_between_the_frequencies_is_not_missed():
+    """A sine of a hundred periods, midway between two frequencies: they have all of it."""
+    loop = ClosedLoop(axes())
+    Q, omega = zero_phase_butterworth(2, 5.0, 0.1), np.linspace(0.5, 30, 60)
+    sine = np.sin(2.75 * 0.1 * np.arange(2285))[:, None] * [1.0, 0.0]
+    problem = pose(loop, Q, omega, reference=sine)
+    power = np.trace(problem.first_error, axis1=1, axis2=2).real
+    expected = (first_error_of(loop, sine) ** 2).sum(axis=1).mean()
+    assert power[4:6].sum() == pytest.approx(expected, rel=0.1)
+    assert problem.weights[4:6].sum() > 0.7
+
+
+def assert_same_weights(problem, expected):
+    """As far as they are determined: their squares over the widths of the bands.
+
+    These are differences of a running integral, exact to rounding relative to its end.
+    """
+    angles = problem.omega * problem.Ts
+    widths = np.diff(np.concatenate([[0], (angles[1:] + angles[:-1]) / 2, [np.pi]]))
+    share, other = (x.weights**2 / widths for x in (problem, expected))
+    np.testing.assert_allclose(share, other, rtol=1e-9, atol=1e-13 * other.sum())
+
+
+def test_samples_and_measured_responses_give_the_weights_of_their_model():
+    model, Q = axes(), zero_phase_butterworth(2, 5.0, 0.1)
+    omega = np.geomspace(0.02, np.pi / 0.1, 200)
+    P = frequency_response(model, omega)
+    names = {"inputs": model.input_labels, "outputs": model.output_labels}
+    table = control.frd(np.moveaxis(P, 0, -1), omega, 0.1, **names)
+    reference = pd.DataFrame(bump(400, [1.0, 3.0]), columns=["x", "y"])
+    exchanged = reference[["y", "x"]]  # matched by name
+    expected = pose(model, Q, omega, reference=reference)
+    for plant in (model, ClosedLoop(model), table, measured_response(table), [model]):
+        problem = pose(plant, Q, omega, reference=exchanged)
+        assert_same_weights(problem, expected)
+    as_array = pose(P, Q, omega, 0.1, reference=reference.values)
+    assert_same_weights(as_array, expected)
+
+
+def test_units_do_not_matter_to_the_weights_if_scale_says_what_is_equally_large():
+    model, Q = axes(), zero_phase_butterworth(2, 5.0, 0.1)
+    omega, unit = np.geomspace(0.02, np.pi / 0.1, 50), np.array([1.0, 1024.0])
+    other = control.ss(
+        model.A, model.B / unit, unit[:, None] * model.C, 0, 0.1
+    )  # y in another unit, and w with it
+    reference = bump(400, [1.0, 3.0])
+    one = pose(model, Q, omega, reference=reference)
+    two = pose(other, Q, omega, reference=reference * unit, scale=unit)
+    np.testing.assert_allclose(two.weights, one.weights, rtol=1e-12)
+
+
+def test_what_lies_beyond_the_frequencies_is_said():
+    model, Q = axes(), zero_phase_butterworth(2, 5.0, 0.1)
+    reference = bump(400, [1.0, 3.0])
+    for lowest, said in ((0.001, False), (1.0, True)):
+        omega = np.geomspace(lowest, np.pi / 0.1, 200)
+        basis = pose(model, Q, omega, reference=reference).basis
+        assert said == any("% of the weight" in line for line in basis)

@@ -1,0 +1,126 @@
+"""Experiments within the limits of a rig: what is sent, said, recorded, gone on with, replayed."""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from plants import LOOPS, PUMPS, RestartingModel, axes, bump
+
+from ilctools import (
+    ClosedLoop,
+    Law,
+    LearningFilter,
+    load_log,
+    measured_response,
+    multisine,
+    record,
+    run_trials,
+    save_log,
+    shake,
+    zero_phase_butterworth,
+)
+from ilctools.law.limits import commands_beyond
+from ilctools.logs.replay import replay
+from ilctools.models import sampled_plant
+from ilctools.trials.run import rms
+
+CASES = {  # loop, cut-off, heights, limits
+    "stage, rates": (LOOPS["stage"](), 300.0, [2.0], {"F": (-6.0, 4.0, 500.0)}),
+    "tanks": (LOOPS["tanks"](), 0.4, [3.0, 2.0, 4.0], dict.fromkeys(PUMPS, (-10.0, 25.0))),
+    "axes": (ClosedLoop(axes()), 3.0, [2.0, -1.0], {"set x": (-1.0, 1.5)}),
+}
+
+
+def experiment(case):
+    """A rig that says what it follows, its loop, a law without limits, and a reference."""
+    loop, cutoff, heights, limits = CASES[case]
+    Q = zero_phase_butterworth(2, cutoff, loop.Ts)
+    L = LearningFilter(0.3 * np.eye(len(heights))[..., None], loop.Ts)
+    rig = RestartingModel(loop.P if isinstance(loop, ClosedLoop) else loop.plant, loop.commands)
+    rig.limits = limits
+    return rig, loop, Law(Q, L), bump(80, heights)
+
+
+def quietly(call, *arguments, **options):
+    with warnings.catch_warnings(action="ignore"):
+        return call(*arguments, **options)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_within_limits_rig_simulation_log_and_replay_agree(case, tmp_path):
+    """Sample by sample with the Controller, and from the matrices of the loop."""
+    rig, loop, law, reference = experiment(case)
+    path, limited = tmp_path / "log.csv", replace(law, limits=rig.limits)
+    with pytest.warns(UserWarning, match="after trial 1: .* learned within") as seen:
+        record(rig, loop, law, reference, trials=2, path=path)
+    assert len(seen) == 1 and seen[0].filename == __file__
+    log = quietly(record, rig, loop, law, reference, trials=4, path=path)
+    run = quietly(run_trials, loop, limited, reference, trials=4)
+    for name in log.data_vars:
+        size = np.abs(run["u" if name == "delta" else name]).max() + 1e-9
+        np.testing.assert_allclose(log[name], run[name], atol=2e-5 * size)
+    commands = log.u if "u" in log else log.reference + log.v
+    sent, actuators = np.array(rig.sent)[-80:], limited.bound_to(loop).actuators
+    assert actuators.can(sent) and not actuators.can(commands.values[0])
+    if "u" in log:
+        np.testing.assert_array_equal(sent, log.applied[-1])
+    assert rms(log.e)[-1] < rms(log.e)[0]
+
+    log = load_log(path)
+    replayed = replay(log)
+    assert "the recorded v is that of the law in every trial" in repr(replayed)
+    assert not replayed.warnings and not replayed.omissions
+    np.testing.assert_allclose(replayed.simulated.y, log.y, atol=1e-4)
+    assert replayed.fit.to_numpy().min() > 1 - 1e-6  # from what was applied
+    save_log(log.assign(v=log.v * 1.01), path)
+    assert "v departs from the law" in quietly(replay, load_log(path)).agreement
+
+
+def test_without_limits_of_the_law_the_rig_cuts_off_and_it_is_said_of_each_trial(tmp_path):
+    rig, loop, law, reference = experiment("tanks")
+    free, rig.limit = replace(law, limits={}), 2.0
+    rig.limits = dict.fromkeys(PUMPS, (-2.0, 2.0))
+    path = tmp_path / "log.csv"
+    with pytest.warns(UserWarning, match="beyond the limits of pump A") as seen:
+        log = record(rig, loop, free, reference, trials=2, path=path)
+    for k in (1, 2):
+        shares = np.mean(np.abs(log.u.values[k - 1]) > 2.0, axis=0)
+        words = ", ".join(map("{} in {:.1%}".format, PUMPS, shares))
+        message = f"trial {k}: commands were beyond the limits of {words} of all samples"
+        assert sum(str(warning.message).startswith(message) for warning in seen) == 1
+    assert "applied" not in log and "actuators" not in load_log(path).attrs
+    with pytest.raises(ValueError, match="see its actuators"):
+        record(rig, loop, law, reference, path=path)
+    rig.limits = {"fan": (0, 1)}
+    with pytest.raises(ValueError, match=r"rig\.limits is about"):
+        record(rig, loop, law, reference)
+
+
+@pytest.mark.parametrize("name", LOOPS)
+def test_a_measurement_within_limits_is_good_and_beyond_them_is_warned_of(name):
+    loop = LOOPS[name]()
+    excitation = multisine(loop, 0.1 / loop.Ts, 1.0 / loop.Ts, 1.0, 0.4 * loop.Ts, lines=8)
+    rig = RestartingModel(sampled_plant(loop.plant), loop.controls)
+    largest = np.abs(shake(rig, loop, excitation).u.values).max()
+    truth, off = loop.frequency_response(excitation.omega), []
+    for share in (1.01, 0.7):
+        rig.limit = share * largest
+        rig.limits = dict.fromkeys(loop.controls, (-rig.limit, rig.limit))
+        with warnings.catch_warnings(action="error" if share > 1 else "ignore"):
+            log = shake(rig, loop, excitation)
+        measured = quietly(measured_response, log)
+        warned = any("beyond the limits" in warning for warning in measured.findings)
+        assert warned == (share < 1)
+        off.append(np.linalg.norm(measured.response - truth, 2, axis=(1, 2)).max())
+    assert off[1] > 10 * off[0]
+
+
+@given(st.lists(st.integers(-5, 5), min_size=1), st.integers(-5, 4), st.integers(1, 5))
+def test_the_share_is_that_of_the_samples_beyond_either_end(commands, low, width):
+    u = np.array(commands, dtype=float)[:, None] * [1, 0]
+    share = np.mean([not low <= value <= low + width for value in commands])
+    words = commands_beyond(u, ["fan", "belt"], {"fan": (low, low + width)})
+    assert (f" of fan in {share:.1%} of all samples" in words) == bool(words) == bool(share)

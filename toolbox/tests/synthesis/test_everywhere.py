@@ -1,0 +1,176 @@
+"""Bounds at every frequency: judged on dense grids by singular values, not by the peaks' proof."""
+
+from dataclasses import replace
+
+import control
+import numpy as np
+import pytest
+from paper import paper_choices
+from plants import furnace, tanks
+
+from ilctools import (
+    InfeasibleError,
+    LearningFilter,
+    current_trial_loop,
+    synthesise,
+    zero_phase_butterworth,
+)
+from ilctools.problem.pose import pose
+from ilctools.problem.problem import largest_singular_values
+from ilctools.synthesis import everywhere
+from ilctools.synthesis.design import solve
+from ilctools.synthesis.result import SolverError
+
+PROVEN = 1 + 3e-8  # what the bounds may be passed by
+PAPER = paper_choices()
+PAPER.pop("M_max")
+
+
+def judged(design, P, Q, omega):
+    """The largest sigma_max(M) and sigma_max(L) over frequencies that the design does not know."""
+    L = design.filter.frequency_response(omega)
+    P = P if isinstance(P, control.StateSpace) else P.P
+    P = np.moveaxis(P(np.exp(1j * omega * Q.Ts), squeeze=False), -1, 0)
+    M = Q.frequency_response(omega)[:, None, None] * (np.eye(L.shape[1]) - P @ L)
+    return [np.linalg.svd(X, compute_uv=False).max() for X in (M, L)]
+
+
+def dense(design, Ts=1.0):
+    """Evenly, by decades, and closely about the frequencies that were added."""
+    problem = design.certificate.problem
+    added = np.setdiff1d(problem.omega_L, problem.design.omega)[:, None]
+    about = (added * (1 + np.linspace(-0.01, 0.01, 41))).ravel()
+    grids = (np.linspace(0, np.pi, 5001) / Ts, np.geomspace(1e-4, np.pi, 5001) / Ts, about)
+    return np.unique(np.concatenate(grids).clip(0, np.pi / Ts))
+
+
+@pytest.mark.parametrize(("structure", "value"), [("diagonal", 104.8675), ("full", 69.9620)])
+def test_the_papers_bounds_hold_at_every_frequency(loop, Q, omega, structure, value):
+    choices = PAPER | {"structure": structure}
+    on_grid = synthesise(loop, Q, omega, **choices)
+    design = synthesise(loop, Q, omega, everywhere=True, **choices)
+    at = dense(design)
+    assert judged(on_grid, loop, Q, at)[1] > 50.03  # the ledger's 1.0007
+    asked = replace(on_grid.problem, everywhere=True)
+    failures = replace(on_grid.certificate, problem=asked).failures
+    assert on_grid.certificate.failures == [] and "above the bounds" in failures[0]
+    M, L = judged(design, loop, Q, at)
+    assert M <= 0.9 * PROVEN and 49.999 < L <= 50 * PROVEN
+    assert design.value == pytest.approx(value, abs=5e-5)
+    certificate = design.certificate
+    assert on_grid.value < certificate.lower_bound <= design.value
+    assert certificate.gap < 1e-7 and certificate.failures == []
+    assert "bounds asked for at every frequency" in design.certificate.details
+    # what is added is not the user's
+    np.testing.assert_array_equal(design.omega, omega)
+    assert design.sigma_M.shape == omega.shape
+
+
+def test_the_least_peak_is_that_of_every_grid(loop, Q):
+    for n in (40, 60):
+        grid = np.geomspace(1e-4, np.pi, n)
+        choices = PAPER | {"everywhere": True, "objective": "peak"}
+        design = synthesise(loop, Q, grid, **choices)
+        assert design.value == pytest.approx(0.82469474, abs=3e-8)
+
+
+def of_tanks():
+    loop = current_trial_loop(tanks(), ["pump A", "pump B", "pump C"])
+    return loop, 0.05, {"L_max": 5.0, "band": (1e-3, 0.02), "structure": "full"}
+
+
+def of_furnace():
+    """A delay of 20 samples."""
+    choices = {"L_max": 1.05, "band": (1e-3, 0.02), "order": 25}
+    return current_trial_loop(furnace(20)), 0.05, choices
+
+
+@pytest.mark.filterwarnings("ignore:the filter leaves")
+@pytest.mark.parametrize(("plant", "as_samples"), [(of_tanks, True), (of_furnace, False)])
+def test_other_plants(plant, as_samples):
+    loop, cutoff, choices = plant()
+    Q = zero_phase_butterworth(2, cutoff, loop.Ts)
+    omega = np.geomspace(1e-4, np.pi, 80) / loop.Ts
+    P = loop.frequency_response(omega) if as_samples else loop
+    design = synthesise(P, Q, omega, everywhere=True, **choices)
+    M, L = judged(design, loop, Q, dense(design, loop.Ts))
+    certificate = design.certificate
+    assert choices["L_max"] * PROVEN >= L and certificate.failures == []
+    assert certificate.lower_bound <= design.value * (1 + 1e-12)
+    assert certificate.all_M <= 0.9 * PROVEN and certificate.proven is not as_samples
+    # a spline is the judge of samples, and the certificate says so
+    assert M <= 0.9 * PROVEN or as_samples
+    assert ("between the samples: " in design.certificate.details) is as_samples
+
+
+def test_the_bounds_of_several_models_hold_everywhere(loop, Q):
+    other = 1.08 * loop.P
+    grid = np.geomspace(1e-4, np.pi, 60)
+    design = synthesise([loop, other], Q, grid, everywhere=True, M_max=0.93, **PAPER)
+    for plant in (loop.P, other):
+        M, L = judged(design, plant, Q, dense(design))
+        assert M <= 0.93 * PROVEN and L <= 50 * PROVEN
+    radius = np.full(60, 0.005)
+    within = synthesise(loop, Q, grid, everywhere=True, uncertainty=radius, M_max=0.93, **PAPER)
+    assert within.certificate.failures == []
+    assert judged(within, loop, Q, dense(within))[0] <= 0.93 * PROVEN
+
+
+def test_what_only_the_grid_admits_is_infeasible_everywhere(loop, Q):
+    """On 40 frequencies 0.8222 can be met, at all of them 0.8247."""
+    grid = np.geomspace(1e-4, np.pi, 40)
+    synthesise(loop, Q, grid, M_max=0.8235, **PAPER)
+    for M_max, on_grid in ((0.8235, True), (0.8, False)):
+        with pytest.raises(InfeasibleError) as error:
+            synthesise(loop, Q, grid, M_max=M_max, everywhere=True, **PAPER)
+        assert error.value.smallest_M_max == pytest.approx(0.8246947, abs=1e-6)
+        assert ("At the frequencies omega alone" in str(error.value)) is on_grid
+    feasible = synthesise(loop, Q, grid, M_max=0.8248, everywhere=True, **PAPER)
+    assert feasible.certificate.proven
+
+
+def pipe(samples):
+    """A lag behind a delay: with a longer filter nothing need be left of the error."""
+    chain = np.eye(samples, k=-1), np.eye(samples, 1), np.eye(1, samples, samples - 1)
+    return control.ss(*chain, 0, 1.0) * control.ss(0.9, 0.1, 1, 0, 1.0)
+
+
+def test_a_peak_that_is_rounding_has_no_crests():
+    Q, grid = zero_phase_butterworth(2, 0.3, 1.0), np.geomspace(1e-3, np.pi, 400)
+    design = synthesise(pipe(3), Q, grid, objective="peak", L_max=30.0, everywhere=True)
+    assert design.value < 1e-12
+    assert len(design.certificate.problem.omega) < 2 * len(grid)
+
+
+def test_a_resonance_that_no_sample_shows_is_held():
+    s = control.tf("s")
+    plant = control.sample_system(control.ss(0.01 / (s**2 + 0.002 * s + 0.01)), 1.0)
+    Q, grid = zero_phase_butterworth(2, 0.2, 1.0), np.geomspace(1e-3, np.pi, 40)
+    with pytest.raises(SolverError, match="not in omega"):
+        synthesise(plant, Q, grid, order=3, L_max=60.0)
+    design = synthesise(plant, Q, grid, order=3, L_max=60.0, everywhere=True)
+    M, L = judged(design, plant, Q, np.union1d(dense(design), np.linspace(0.09, 0.11, 5000)))
+    assert M <= 0.9 * PROVEN and L <= 60 * PROVEN
+
+
+def test_a_start_changes_nothing_but_the_time(loop, Q, monkeypatch):
+    grid = np.geomspace(1e-4, np.pi, 100)
+    start = synthesise(loop, Q, grid, everywhere=True, **PAPER | {"L_max": 45.0})
+    for flag in (True, False):
+        warm, cold = (
+            synthesise(loop, Q, grid, everywhere=flag, start=before, **PAPER).value
+            for before in (start, None)
+        )
+        assert warm == pytest.approx(cold, rel=2e-7)
+    monkeypatch.setattr(everywhere, "ROUNDS", 2)
+    remedy = r"at some frequency, above the bounds\. .* take more frequencies, a shorter"
+    with pytest.raises(SolverError, match=remedy):
+        synthesise(loop, Q, grid, everywhere=True, **PAPER)
+
+
+def test_the_least_gain_is_that_at_every_frequency(loop, Q):
+    problem = pose(loop, Q, np.geomspace(1e-4, np.pi, 40), L_max=100.0, everywhere=True)
+    problem = replace(problem, objective="gain", M_max=0.9)
+    _, found = everywhere.settled(problem, solve)
+    L = LearningFilter(found.coefficients, 1.0).frequency_response(np.linspace(0, np.pi, 20001))
+    assert largest_singular_values(L).max() <= 100 * found.largest * PROVEN

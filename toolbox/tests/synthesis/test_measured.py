@@ -1,0 +1,100 @@
+"""A design from a measured response, in one step: against its two steps, and against the truth."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from paper import paper_choices, paper_loop
+from plants import tanks
+
+from ilctools import InfeasibleError, current_trial_loop, synthesise, zero_phase_butterworth
+from ilctools.problem.pose import pose
+from ilctools.problem.problem import convergence_matrix, largest_singular_values
+from ilctools.problem.responses import Measured
+
+CONFIDENCE = 0.99
+
+
+@dataclass(frozen=True)
+class Estimate(Measured):
+    """A response, and a radius that is said to contain the truth."""
+
+    P: np.ndarray
+    radius: float
+    loop = None
+
+    @property
+    def omega(self):
+        return np.arange(1.0, 1 + len(self.P))
+
+    @property
+    def response(self):
+        return self.P
+
+    def on(self, omega, confidence, scale=None):
+        assert confidence == CONFIDENCE
+        S = np.ones(self.P.shape[1]) if scale is None else np.array(scale)
+        radius = np.full(len(omega), self.radius * S.max() / S.min())
+        return self.P * S / S[:, None], radius
+
+    def basis(self, omega, confidence):
+        return [f"read off at {len(omega)} frequencies, with confidence {confidence:g}"]
+
+
+@pytest.mark.parametrize("scale", [None, [1, 2, 3]])
+def test_the_bound_holds_for_the_truth_if_it_is_within_the_radius(scale):
+    loop = current_trial_loop(tanks(), ["pump A", "pump B", "pump C"])
+    omega = np.geomspace(1e-3, np.pi, 120) / loop.Ts
+    P, rng = loop.frequency_response(omega), np.random.default_rng(3)
+    error = rng.standard_normal(P.shape) + 1j * rng.standard_normal(P.shape)
+    error *= 0.004 / np.linalg.norm(error, 2, axis=(1, 2))[:, None, None]
+    Q = zero_phase_butterworth(2, 0.03 / loop.Ts, loop.Ts)
+    choices = paper_choices(band=(omega[0], 0.02 / loop.Ts), scale=scale)
+    measured = Estimate(P + error, 0.004)
+    design = synthesise(measured, Q, omega, loop.Ts, **choices)
+    S = np.ones(3) if scale is None else np.array(scale)
+    L = design.filter.frequency_response(omega)
+    M = convergence_matrix(P, Q.frequency_response(omega), L) * S / S[:, None]
+    assert largest_singular_values(M).max() <= 0.9 * (1 + 1e-9)
+    radius = measured.on(omega, CONFIDENCE, scale)[1]
+    np.testing.assert_array_equal(design.problem.radius, radius)  # in units of scale
+    choices["uncertainty"] = radius
+    two_steps = synthesise(measured.P, Q, omega, loop.Ts, **choices)
+    assert design.value == pytest.approx(two_steps.value, rel=1e-9)
+    assert "read off at 120 frequencies, with confidence 0.99" in str(design)
+    assert "read off" not in str(two_steps)
+
+
+def test_where_nothing_can_be_learned_is_named():
+    loop = paper_loop()
+    omega = np.geomspace(1e-4, np.pi, 100)
+    Q = zero_phase_butterworth(2, 0.1, 1.0)
+    P = loop.frequency_response(omega)
+    smallest = np.linalg.svd(P, compute_uv=False)[:, -1]
+    measured = Estimate(P, 0.01)
+    design = synthesise(measured, Q, omega, 1.0, **paper_choices())
+    lost = omega[smallest <= 0.01]
+    assert 0 < len(lost) < 100
+    place = f"at {len(lost)} frequencies from {lost[0]:.4g} to {lost[-1]:.4g} rad/s"
+    assert f"nothing can be learned {place}" in str(design)
+    for factor in (0.5, 2.0):
+        many = pose([P, factor * P], Q, omega, 1.0, uncertainty=np.full(100, 0.01))
+        np.testing.assert_array_equal(many.unusable, min(factor, 1) * smallest <= 0.01)
+    with pytest.raises(InfeasibleError, match="P is not known well enough") as caught:
+        synthesise(Estimate(P, 0.5), Q, omega, 1.0, **paper_choices())
+    here = (smallest <= 0.5) & (np.abs(Q.frequency_response(omega)) > 0.9)
+    assert f"{here.sum()} frequencies from {omega[here][0]:.4g}" in str(caught.value)
+    # a singular plant is within the radius: no filter makes M smaller than Q for it
+    largest = np.abs(Q.frequency_response(omega))[here].max()
+    assert caught.value.smallest_M_max >= largest - 1e-9
+
+
+def test_what_contradicts_a_measurement_is_refused():
+    loop = paper_loop()
+    omega = np.geomspace(1e-4, np.pi, 100)
+    Q = zero_phase_butterworth(2, 0.1, 1.0)
+    measured = Estimate(loop.frequency_response(omega), 0.01)
+    with pytest.raises(ValueError, match="uncertainty must be None"):
+        synthesise(measured, Q, omega, 1.0, uncertainty=np.full(100, 0.1))
+    with pytest.raises(ValueError, match=r"P.0. is a measured response, whose radius"):
+        synthesise([measured, loop], Q, omega, 1.0)

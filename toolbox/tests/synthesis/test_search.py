@@ -1,0 +1,99 @@
+"""The largest cut-off of Q, and the least gain; that of the paper's filter: test_synthesise."""
+
+import control
+import cvxpy as cp
+import numpy as np
+import pytest
+from plants import furnace, random_response
+
+from ilctools import (
+    InfeasibleError,
+    current_trial_loop,
+    least_gain,
+    synthesise,
+    zero_phase_butterworth,
+)
+from ilctools.synthesis import search
+from ilctools.synthesis.result import SolverError
+from ilctools.synthesis.search import largest_cutoff
+
+CHOICES = {"order": 3, "L_max": 8.0, "band": (0.01, 0.03), "M_max": 0.6}
+
+
+@pytest.mark.filterwarnings("ignore:the samples are too coarse")
+@pytest.mark.parametrize(("start", "share"), [(0.05, None), (3.0, 0.2)])
+def test_a_larger_cutoff_is_infeasible_and_it_is_not(start, share):
+    P, _, omega = random_response(2, 2)
+    # a delay that the filter does not see across
+    P[:, 0] *= np.exp(-4j * omega)[:, None]
+    radius = share and share * np.linalg.norm(P, 2, axis=(1, 2))
+    choices = CHOICES | {"uncertainty": radius}
+    Q = zero_phase_butterworth(2, start, 1.0)
+    Q, design = largest_cutoff(P, Q, omega, 1.0, **choices)
+    assert design.certificate.failures == []
+    with pytest.raises(InfeasibleError):
+        wider = zero_phase_butterworth(2, Q.cutoff * 1.001, 1.0)
+        synthesise(P, wider, omega, 1.0, **choices)
+
+
+def test_where_all_may_pass_it_does():
+    """A delay of one sample is learned at once, whatever Q passes."""
+    _, _, omega = random_response(1, 1)
+    delay = np.exp(-1j * omega)[:, None, None]
+    Q = zero_phase_butterworth(2, 0.1, 1.0)
+    Q, design = largest_cutoff(delay, Q, omega, 1.0, **CHOICES)
+    assert Q.cutoff == pytest.approx(0.999 * np.pi) and Q.order == 2
+    assert design.certificate.grid_M < 1e-6
+
+
+def test_where_nothing_may_pass_it_says_what_is_too_tight():
+    """Neither sign of P can be learned, and even with the lowest cut-off Q passes a half."""
+    P, _, omega = random_response(1, 2)
+    with pytest.raises(InfeasibleError, match="most in the way") as error:
+        Q = zero_phase_butterworth(2, 0.1, 1.0)
+        largest_cutoff([P, -P], Q, omega, 1.0, **CHOICES | {"M_max": 0.4})
+    assert error.value.smallest_M_max == pytest.approx(0.5, rel=1e-6)
+
+
+def test_the_least_gain_of_a_lag_is_that_of_cvxpy():
+    """One filter only has the least peak; there is no band to be named, at any sampling period."""
+    Ts, order = 1e-3, 3
+    omega = np.geomspace(1e-3, np.pi, 100) / Ts
+    lag, Q = control.ss(0.9, 0.1, 1, 0, Ts), zero_phase_butterworth(2, 300.0, Ts)
+    design = least_gain(lag, Q, omega, Ts, order=order)
+    z = np.exp(1j * omega * Ts)
+    L = np.power.outer(z, np.arange(1, order + 1)) @ (c := cp.Variable(order))
+    M = cp.multiply(Q.frequency_response(omega), 1 - cp.multiply(0.1 / (z - 0.9), L))
+    least = cp.Problem(cp.Minimize(cp.max(cp.abs(M)))).solve("CLARABEL")
+    assert design.value == pytest.approx(least, rel=2e-6)
+    room = [cp.abs(M) <= least * (1 + 1e-5)]
+    gain = cp.Problem(cp.Minimize(cp.max(cp.abs(L))), room).solve("CLARABEL")
+    assert design.problem.L_max == pytest.approx(gain, rel=2e-3)
+    assert c.size == design.filter.order
+
+
+def test_the_least_gain_of_a_loop_that_can_be_inverted_is_that_of_its_inverse():
+    """The loop around a lag and a delay is b / (z - a) / z^n, its inverse a learning filter."""
+    loop = current_trial_loop(furnace(3, Ts=30.0), sizes={"outlet": 10.0, "valve": 5.0})
+    omega = np.geomspace(1e-3, np.pi, 100) / 30.0
+    design = least_gain(loop, np.ones(100), omega, 30.0, order=5)
+    inverse = 1 / loop.frequency_response(omega)
+    assert 0 <= design.certificate.lower_bound <= design.value < 1e-9
+    assert design.problem.L_max == pytest.approx(np.abs(inverse).max(), rel=1e-6)
+
+
+def test_a_least_gain_that_is_not_found_is_no_other_gain(monkeypatch):
+    def fails(*_):
+        raise RuntimeError("the bounds leave less room than rounding takes")
+
+    monkeypatch.setattr(search, "solve", fails)
+    lag, omega = control.ss(0.5, 0.5, 1, 0, 1.0), np.linspace(0.01, 3, 30)
+    with pytest.raises(SolverError, match="least gain was not found"):
+        least_gain(lag, zero_phase_butterworth(2, 0.3, 1.0), omega, 1.0, order=2)
+
+
+@pytest.mark.parametrize("name", ["objective", "L_max", "start"])
+def test_what_the_least_gain_chooses_is_refused(name):
+    lag, Q = control.ss(0.5, 0.5, 1, 0, 1.0), zero_phase_butterworth(2, 0.3, 1.0)
+    with pytest.raises(ValueError, match=rf"{name} = 5.0 must be left out.* synthesise"):
+        least_gain(lag, Q, **{name: 5.0})

@@ -1,0 +1,58 @@
+"""The sum weighted by a reference: every way through the synthesis ends at its optimum."""
+
+import warnings
+
+import numpy as np
+import pytest
+from plants import bump, half, random_response
+
+from ilctools import synthesise, zero_phase_butterworth
+from ilctools.problem.pose import pose
+from ilctools.synthesis.design import certified
+from ilctools.synthesis.search import largest_cutoff
+
+CASES = half([1, 2], ["diagonal", "full"], ["plain", "radius", "plants"])
+
+
+@pytest.mark.parametrize(("m", "structure", "kind"), CASES)
+def test_the_weighted_sum_is_minimised(m, structure, kind):
+    """CVXPY's bound is below it, and CVXPY's filter is no better; from a band's filter, too."""
+    P, Q, omega = random_response(m, m)
+    plants = [P, 1.05 * P] if kind == "plants" else P
+    choices = {"order": 3, "M_max": 0.97, "L_max": 20.0, "structure": structure}
+    choices["uncertainty"] = np.full(30, 0.02) if kind == "radius" else None
+    reference = bump(100, 1.0 + np.arange(m))
+    problem = pose(plants, Q, omega, 1.0, reference=reference, **choices)
+    design = certified(problem)
+    z = np.exp(1j * np.outer(omega, np.arange(1, 4)))
+    L = np.einsum("ijk,nk->nij", design.filter.coefficients, z)
+    M = Q[:, None, None] * (np.eye(m) - P @ L)
+    sigma = np.linalg.norm(M, 2, axis=(1, 2))
+    assert design.value == pytest.approx(problem.weights @ sigma, rel=1e-9)
+    assert design.certificate.gap < 1e-6
+    other = certified(problem, solver="cvxpy", check=False)
+    assert other.certificate.lower_bound <= design.value * (1 + 1e-9)
+    assert design.value <= other.value + 1e-6 * problem.idle
+    band = synthesise(plants, Q, omega, 1.0, band=(0.01, 0.3), **choices)
+    assert problem.value(band.sigma_M) > design.value
+    warm = certified(problem, start=band)
+    assert warm.value == pytest.approx(design.value, rel=1e-6)
+
+
+def test_a_reference_goes_with_everywhere_and_with_the_largest_cutoff(loop):
+    """Added frequencies have no weight; with the largest cut-off little is left to be learned."""
+    Q, reference = zero_phase_butterworth(2, 0.1, 1.0), bump(1000, [1.0, 2.0])
+    # so fine that L needs no bound between its samples
+    omega = np.geomspace(1e-3, np.pi, 200)
+    choices = {"order": 10, "L_max": 50.0, "reference": reference}
+    plain = synthesise(loop, Q, omega, **choices)
+    design = synthesise(loop, Q, omega, everywhere=True, **choices)
+    certificate = design.certificate
+    assert certificate.all_M <= 0.9 * (1 + 1e-6)
+    assert len(certificate.problem.omega) > 200
+    weighted = certificate.problem.weights > 0
+    assert set(certificate.problem.omega[weighted]) <= set(omega)
+    assert design.value >= plain.value * (1 - 1e-9)
+    with warnings.catch_warnings(action="ignore"):  # that it leaves nearly all
+        Q, widest = largest_cutoff(loop, Q, omega, M_max=0.95, **choices)
+    assert Q.cutoff > 0.1 and widest.certificate.predicted[2] > 0

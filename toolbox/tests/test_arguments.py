@@ -1,0 +1,104 @@
+"""How arguments are checked: what may pass, and what the errors say."""
+
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ilctools import arguments
+
+
+@given(st.floats() | st.integers() | st.fractions(), st.floats(-5, 5), st.floats(-5, 5))
+def test_a_number_lies_strictly_between_its_limits(value, low, high):
+    if low < value < high and (value == 0 or 1e-100 <= abs(value) <= 1e100):
+        assert arguments.number("x", value, "right", low, high) == float(value)
+    else:
+        with pytest.raises(ValueError, match=r"x = .* (must be right|is too)"):
+            arguments.number("x", value, "right", low, high)
+
+
+def test_numbers_at_the_limits():
+    for limit in (1e100, -1e-100):
+        assert arguments.number("x", limit, "right") == limit
+    for value, word in ((1.1e100, "large"), (9e-101, "small"), (-1.1e100, "large")):
+        with pytest.raises(ValueError, match=f"is too {word}: choose another unit"):
+            arguments.number("x", value, "right")
+    assert arguments.whole("n", 10**9, 1) == 10**9
+    assert arguments.share("step", 1) == 1
+
+
+@given(st.integers(-3, 9), st.integers(-3, 3), st.none() | st.integers(0, 5))
+def test_a_whole_number_may_be_its_limits(value, low, high):
+    if value >= low and (high is None or value <= high):
+        for same in (value, np.int16(value)):
+            assert type(arguments.whole("n", same, low, high)) is int
+    else:
+        limits = f"{low} or more" if high is None else f"from {low} to {high}"
+        with pytest.raises(ValueError, match=f"n = {value} must be a whole number, {limits}"):
+            arguments.whole("n", value, low, high)
+
+
+@pytest.mark.parametrize(
+    ("shape", "sizes", "fits"),
+    [
+        ((2, "m"), (2, 5), True),
+        ((2, "m"), (3, 5), False),
+        ((2, "m"), (2, 0), False),
+        ((2, "m"), (2,), False),
+        ((2, 0), (2, 0), True),
+        (("m", "m"), (3, 4), False),
+        ((..., 2), (7, 8, 2), True),
+        ((..., 2), (), False),
+        ((..., "t", 2), (2,), False),
+        ((...,), (), True),
+    ],
+)
+def test_shapes(shape, sizes, fits):
+    value = np.ones(sizes)
+    if fits:
+        np.testing.assert_array_equal(arguments.array("x", value, shape), value)
+        return
+    with pytest.raises(ValueError, match=re.escape(f"x has shape {sizes}")):
+        arguments.array("x", value, shape)
+
+
+def test_an_array_is_a_copy_of_the_type_asked_for():
+    given_ = np.arange(3)
+    copy = arguments.array("x", given_, (3,))
+    copy[0] = 9
+    assert given_[0] == 0 and copy.dtype == float
+    assert arguments.array("x", given_, (3,), complex).dtype == complex
+    assert arguments.array("x", 1e100, ()) == 1e100
+    unmasked = np.ma.masked_array([1.0], [False])
+    assert type(arguments.array("x", unmasked, (1,))) is np.ndarray
+
+
+def test_what_is_at_a_limit_passes():
+    assert arguments.flag("x", np.True_) is True
+    assert arguments.choice("x", "a", ["a", "b"]) == "a"
+    top = np.pi / 0.5
+    assert arguments.increasing_frequencies("omega", [0, top], 0.5).tolist() == [0, top]
+    assert arguments.row("x", 2.0).tolist() == [2.0]
+
+
+REFUSED = [  # a call, and how the error begins
+    (lambda: arguments.positive("x", 0), "x = 0 must be a positive number"),
+    (lambda: arguments.whole("n", 10**9 + 1, 1), "n = 1000000001 is too large"),
+    (lambda: arguments.choice("x", "c", ["a"]), "x = 'c' must be 'a'"),
+    (lambda: arguments.share("step", 0), r"step = 0 must be in \(0, 1\]"),
+    (lambda: arguments.share("step", 1.01), r"step = 1.01 must be in \(0, 1\]"),
+    (lambda: arguments.increasing_frequencies("w", [0, 6.29], 0.5), "w spans"),
+    (lambda: arguments.increasing_frequencies("w", [-0.1, 1], 0.5), "w spans"),
+    (lambda: arguments.increasing_frequencies("w", [1.0], 0.5), "w, of shape"),
+    (lambda: arguments.increasing_frequencies("w", [1, 1], 0.5), "w, of shape"),
+    (lambda: arguments.row("x", [[1, 2]]), r"x has shape \(1, 2\)"),
+    (lambda: arguments.array("x", True, (...,)), "x holds values of type bool"),
+]
+
+
+@pytest.mark.parametrize(("call", "message"), REFUSED)
+def test_refusals(call, message):
+    with pytest.raises(ValueError, match=f"^{message}"):
+        call()

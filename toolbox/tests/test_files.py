@@ -1,0 +1,71 @@
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from ilctools.files import alone, folder, replacing, write_whole
+
+
+def test_a_file_is_replaced(tmp_path):
+    path = tmp_path / "log.csv"
+    write_whole(path, "old\n")
+    write_whole(path, "Gałkowski\n")
+    assert path.read_bytes() == "Gałkowski\n".encode()
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_after_an_error_the_old_file_is_whole_and_nothing_else_is_left(tmp_path):
+    path = tmp_path / "log.csv"
+    write_whole(path, "old")
+    with pytest.raises(UnicodeEncodeError):
+        write_whole(path, "new \ud800")
+    with pytest.raises(KeyboardInterrupt), replacing(path) as temporary:
+        temporary.write_text("half")
+        raise KeyboardInterrupt
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_folder_may_be_a_link_but_not_a_file(tmp_path):
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "link").symlink_to(tmp_path / "elsewhere")
+    assert folder(tmp_path / "link" / "below").is_dir()
+    assert (tmp_path / "elsewhere" / "below").is_dir()
+    (tmp_path / "file").write_text("")
+    (tmp_path / "astray").symlink_to(tmp_path / "nowhere")
+    for name in ("file", "astray"):
+        for path in (tmp_path / name, tmp_path / name / "below" / "deeper"):
+            with pytest.raises(NotADirectoryError, match=rf"{tmp_path / name} must be a folder"):
+                folder(path)
+
+
+def test_the_second_is_refused_until_the_first_is_killed(tmp_path):
+    lock = tmp_path / "lock"
+    call = "import sys; from pathlib import Path; from ilctools.files import alone\n"
+    call += "with alone(Path(sys.argv[1]), ''): print('at it', flush=True); sys.stdin.read()"
+    command, pipe = [sys.executable, "-c", call, lock], subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe) as first:
+        assert first.stdout.readline() == b"at it\n"
+        with pytest.raises(RuntimeError, match="busy"), alone(lock, "busy"):
+            pytest.fail("must not come that far")
+        first.send_signal(signal.SIGKILL)
+    with alone(lock, "busy"):
+        pass
+
+
+@pytest.mark.parametrize("kind", ["a pipe", "a link to a device"])
+def test_only_regular_files_are_replaced(tmp_path, kind):
+    path = tmp_path / kind
+    if kind == "a pipe":
+        os.mkfifo(path)
+    else:
+        path.symlink_to(os.devnull)
+    with pytest.raises(FileExistsError, match=f"{kind} is no regular file: choose another name"):
+        write_whole(path, "new")
+    assert path.exists() and not path.is_file() and os.listdir(tmp_path) == [kind]
+    write_whole(tmp_path / "file", "old")
+    (tmp_path / "link").symlink_to(tmp_path / "file")
+    write_whole(tmp_path / "link", "new")
+    assert (tmp_path / "link").read_text() == "new"

@@ -1,0 +1,121 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ilctools import LearningFilter, zero_phase_butterworth
+
+
+def as_matrix(apply, samples, channels=1):
+    """Matrix of a linear map of signals, column by column."""
+    units = np.eye(samples * channels).reshape(-1, samples, channels)
+    return apply(units).reshape(-1, samples * channels).T
+
+
+@given(st.integers(1, 6), st.floats(0.01, 1.5), st.floats(0.1, 2.0))
+def test_q_is_the_squared_magnitude_of_the_analytic_butterworth(order, cutoff, Ts):
+    omega = np.linspace(0, np.pi / Ts * 0.99, 50)
+    warped = np.tan(omega * Ts / 2) / np.tan(cutoff * Ts / 2)
+    Q = zero_phase_butterworth(order, cutoff, Ts)
+    expected = 1 / (1 + warped ** (2 * order))
+    np.testing.assert_allclose(Q.frequency_response(omega), expected, atol=1e-9)
+    assert Q.frequency_response([cutoff])[0] == pytest.approx(0.5)
+
+
+def test_q_on_a_trial_is_the_toeplitz_matrix_of_its_frequency_response(Q):
+    matrix = as_matrix(Q.apply, 300)
+    grid = 2 * np.pi * np.arange(4096) / 4096
+    grid[grid > np.pi] -= 2 * np.pi
+    impulse = np.fft.ifft(Q.frequency_response(np.abs(grid))).real
+    lags = np.abs(np.subtract.outer(np.arange(300), np.arange(300)))
+    np.testing.assert_allclose(matrix, impulse[lags], atol=1e-12)
+    assert np.linalg.norm(matrix, 2) <= 1
+
+
+def test_q_that_holds_the_ends_passes_a_constant():
+    constant = np.full((40, 2), 3.0)
+    held = zero_phase_butterworth(2, 0.1, 1.0, ends="hold").apply(constant)
+    np.testing.assert_allclose(held, constant, rtol=1e-12)
+    assert zero_phase_butterworth(2, 0.1, 1.0).apply(constant)[-1, 0] < 2
+
+
+def test_q_that_holds_the_last_sample_takes_what_was_before_the_trial_as_zero():
+    rng = np.random.default_rng(5)
+    signal = rng.standard_normal((200, 2))
+    held = zero_phase_butterworth(2, 0.1, 1.0, ends="hold-last").apply(signal)
+    begun = np.vstack([np.zeros((700, 2)), signal])
+    hold = zero_phase_butterworth(2, 0.1, 1.0, ends="hold")
+    expected = hold.apply(begun)[700:]
+    np.testing.assert_allclose(held, expected, rtol=0, atol=1e-12)
+    assert abs(held - hold.apply(signal))[0].max() > 0.01
+
+
+@pytest.mark.parametrize("ends", ["zero", "hold", "hold-last"])
+def test_filters_act_on_every_trial_of_a_stack_alike(ends):
+    rng = np.random.default_rng(1)
+    trials = rng.standard_normal((3, 80, 2))
+    for filter_ in (
+        zero_phase_butterworth(2, 0.1, 1.0, ends=ends),
+        LearningFilter(rng.standard_normal((2, 2, 4)), 1.0, ends),
+    ):
+        np.testing.assert_allclose(filter_.apply(trials)[1], filter_.apply(trials[1]), atol=1e-13)
+
+
+@given(st.integers(1, 4), st.integers(1, 12), st.integers(0, 2**32 - 1))
+def test_learning_filter_looks_ahead(m, order, seed):
+    rng = np.random.default_rng(seed)
+    coefficients, e = rng.standard_normal((m, m, order)), rng.standard_normal((20, m))
+    L = LearningFilter(coefficients, 1.0)
+    ahead = np.vstack([e, np.zeros((order, m))])
+    expected = [
+        sum(coefficients[:, :, k - 1] @ ahead[p + k] for k in range(1, order + 1))
+        for p in range(20)
+    ]
+    np.testing.assert_allclose(L.apply(e), expected, atol=1e-12)
+
+
+def test_learning_filter_in_time_and_in_frequency():
+    rng = np.random.default_rng(3)
+    L = LearningFilter(rng.standard_normal((2, 2, 10)), 0.5)
+    impulse = np.zeros((60, 2))
+    impulse[30, 1] = 1
+    omega = np.linspace(0, np.pi / 0.5, 7)
+    transform = np.exp(-0.5j * np.outer(omega, np.arange(60) - 30)) @ L.apply(impulse)
+    np.testing.assert_allclose(transform, L.frequency_response(omega)[:, :, 1], atol=1e-12)
+
+
+def test_coefficients_cannot_be_changed_behind_the_filter():
+    given_ = np.ones((1, 1, 2))
+    L = LearningFilter(given_, 1.0)
+    given_[:] = 5
+    assert L.coefficients.max() == 1
+    with pytest.raises(ValueError, match="read-only"):
+        L.coefficients[0, 0, 0] = 2
+
+
+L2 = LearningFilter(np.ones((2, 2, 3)), 1.0)
+REFUSED = [  # a call, and how the error begins
+    (lambda: zero_phase_butterworth(101, 0.1, 1.0), "order = 101 must be a whole number"),
+    (lambda: zero_phase_butterworth(2, 4.0, 1.0), r"cutoff = 4.0 must be in \(0, 3.14159"),
+    (lambda: zero_phase_butterworth(2, 1.6, 2.0), "cutoff = 1.6 must be in"),
+    # where rounding would change the filter
+    (lambda: zero_phase_butterworth(100, 1e-3, 1.0), "cutoff = 0.001 rad/s is too low"),
+    (lambda: zero_phase_butterworth(1, 1e-12, 1.0), "cutoff = 1e-12 rad/s is too low"),
+    (lambda: LearningFilter(np.ones((2, 3, 4)), 1.0), r".*shape \(2, 3, 4\)"),
+    (lambda: LearningFilter(np.ones((2, 2, 0)), 1.0), r".*shape \(2, 2, 0\)"),
+    (lambda: L2.apply(np.zeros((5, 3))), r"signal has shape \(5, 3\)"),
+    (lambda: zero_phase_butterworth(2, 0.1, 1.0).apply(np.zeros(5)), r".*shape \(5,\)"),
+]
+
+
+@pytest.mark.parametrize(("call", "message"), REFUSED)
+def test_refusals(call, message):
+    with pytest.raises(ValueError, match=f"^{message}"):
+        call()
+
+
+def test_filters_at_the_limits_of_rounding():
+    assert zero_phase_butterworth(2, 1e-3, 1.0).frequency_response(0.0) == pytest.approx(1)
+    steep = zero_phase_butterworth(100, np.float64(1.0), np.int32(1))
+    assert steep.frequency_response(1.0) == pytest.approx(0.5)
+    assert isinstance(steep.Ts, float)
