@@ -49,9 +49,9 @@ replay: $(BIN)/ready  ## replay a log of your own: make replay LOG=path; writes 
 machines: $(BIN)/ready  ## notebooks and tests with the rounding of other processors (long)
 	$(BIN)/python tools/machines.py $(MACHINES)
 
-mutants: $(BIN)/ready  ## change one thing in the code at a time and list what no test notices (long)
-	$(BIN)/mutmut run $(MUTANTS)
-	@$(BIN)/mutmut results | grep -v "not checked"
+mutants: $(BIN)/ready  ## change one thing at a time in rodlib, then in ilctools; list what no test notices (long)
+	for room in . toolbox; do cd $(CURDIR)/$$room && $(CURDIR)/$(BIN)/mutmut run $(MUTANTS); \
+		$(CURDIR)/$(BIN)/mutmut results | grep -v "not checked"; done
 
 lowest: $(BIN)/ready  ## unit tests with the oldest packages that pyproject.toml admits
 	@mkdir -p build
