@@ -64,14 +64,14 @@ lowest: $(BIN)/ready  ## unit tests with the oldest packages that pyproject.toml
 
 measure: $(BIN)/ready  ## what takes minutes to an hour: make measure WHAT=survey; alone, it lists what there is
 	@test -n "$(WHAT)" || { $(BIN)/python benchmarks/runner.py; exit 2; }
-	@$(BIN)/python benchmarks/$(WHAT).py $(ARGUMENTS)
+	@$(BIN)/python benchmarks/$(WHAT).py
 
 pages: $(BIN)/ready  ## the notebooks, the ledger and the reference as HTML, in build/pages
 	@rm -rf build/pages
 	@$(BIN)/sphinx-build -q -c docs -d build/doctrees . build/pages
 	@echo "open build/pages/index.html"
 
-bench: $(BIN)/ready  ## time the synthesis and a study; rewrite figures/performance.*
+bench: $(BIN)/ready  ## time the synthesis against CVXPY; rewrite its table in figures/performance.md
 	@mkdir -p build
 	$(BIN)/pytest -q benchmarks/bench_*.py --benchmark-json=build/benchmark.json \
 		--benchmark-columns=median,min,max,rounds

@@ -2,11 +2,9 @@
 
 `make measure WHAT=ageing` runs laws that stay as they are against laws that are renewed, by an
 estimate of P from the last five trials, when the watch over them speaks or after every twenty; with
-three draws of the noise. The table goes to figures/performance.md; `ageing.py 1` makes one draw, of
-less.
+three draws of the noise. The table goes to figures/performance.md.
 """
 
-import sys
 import warnings
 from functools import cache
 
@@ -68,14 +66,14 @@ def designed(P):
     return Law(Q, synthesise(P, Q, OMEGA, Ts, **SETTINGS).filter, REST)
 
 
-def left_alone(way, half, seed, trials=TRIALS):
+def left_alone(way, seed, trials=TRIALS):
     """Errors of all trials, promises with what is true of them then, and the last law."""
     renews, with_radius = RENEWED.get(way, (lambda block, said: False, True))
     law = STAY[way]() if way in STAY else STAY["nominal, 25 samples"]()
     random, v, errors, promises = np.random.default_rng([34, seed]), None, [], []
     for block in range(trials // BLOCK):
         share = block * BLOCK / trials
-        state = share, half and share >= 0.5
+        state = share, share >= 0.5
         white = NOISE * random.standard_normal((BLOCK, SAMPLES, 2))
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
@@ -96,7 +94,7 @@ def left_alone(way, half, seed, trials=TRIALS):
                 continue
         law = design.law(rest=REST) if with_radius else Law(Q, design.filter, REST)
         promises.append((design.certificate.grid_M, *rates(law, state)))
-    return np.array(errors), promises, rates(law, (1.0, half))
+    return np.array(errors), promises, rates(law, (1.0, True))
 
 
 def rates(law, state):
@@ -105,43 +103,21 @@ def rates(law, state):
     return found.gamma, found.sigma[OMEGA >= SEEN].max(), found.spectral_radius
 
 
-def row(way, half, draws, trials=TRIALS):
+def row(way):
     """A row of the table, medians over the draws."""
-    results = [left_alone(way, half, seed, trials) for seed in range(draws)]
-    errors = np.array([e for e, _, _ in results])
-    middle, size = trials // 2, lambda e: np.sqrt(np.median(np.mean(e**2, axis=1)))
-    cells = [size(errors[:, 8:middle]), np.median(errors[:, middle + 9])]
-    cells.append(size(errors[:, -trials // 4 :]))
-    over = [f"{np.median(np.sum(errors[:, 8:] > 0.1, axis=1)):.0f}"]
-    ends = np.median([end for _, _, end in results], axis=0)
-    promises = [p for _, made, _ in results for p in made]
-    kept = [p for p in promises if p is not None]
-    words = (
-        ""
-        if not promises
-        else (
-            f"{len(promises)}, {len(promises) - len(kept)}, {sum(p[1] > p[0] for p in kept)}, "
-            f"{sum(p[2] > p[0] for p in kept)}"
-        )
-    )
-    cells = [f"{cell:.3f}" for cell in cells] + over + [f"{end:.4f}" for end in ends]
-    return ["drift, half an element" if half else "drift", way, words, *cells]
+    errors, made, ends = zip(*(left_alone(way, seed) for seed in range(DRAWS)), strict=True)
+    last = np.array(errors)[:, -TRIALS // 4 :]
+    size = np.sqrt(np.median(np.mean(last**2, axis=1)))
+    promises = [promise for each in made for promise in each]
+    kept = [promise for promise in promises if promise is not None]
+    broken, seen = (sum(promise[k] > promise[0] for promise in kept) for k in (1, 2))
+    counts = f"{len(promises)}, {len(promises) - len(kept)}, {broken}, {seen}" if promises else ""
+    return [way, counts, f"{size:.3f}", *(f"{end:.4f}" for end in np.median(ends, axis=0))]
 
 
-TITLES = ["", "law", "renewals, infeasible, broken, broken as seen", "RMS before the middle (K)"]
-TITLES += ["tenth trial after it", "last quarter", "trials above 0.1 K"]
+TITLES = ["law", "renewals, infeasible, broken, broken as seen", "RMS of the last quarter (K)"]
 TITLES += ["rate at the end", "as seen", "spectral radius"]
 
 
-def main(draws):
-    """Fill the table, print it and write it to figures/performance.md."""
-    cases = [(way, True, draws) for way in (*STAY, *RENEWED)]
-    cases += [(way, False, draws) for way in (*STAY, "renewed when the watch speaks")]
-    text = table(TITLES, list(run(row, *zip(*cases, strict=True)))) + "\n"
-    print(text)
-    if draws >= DRAWS:
-        publish("ageing", text)
-
-
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else DRAWS)
+    publish("ageing", table(TITLES, list(run(row, [*STAY, *RENEWED]))) + "\n")

@@ -1,6 +1,6 @@
-"""Time and memory of the synthesis: against CVXPY in the same run, and as the problem grows.
+"""Time and memory of the synthesis against CVXPY, in the same run.
 
-`make bench` runs these, and a study of many rods, and writes figures/performance.
+`make bench` runs this and writes the table to figures/performance.md.
 """
 
 import multiprocessing
@@ -10,18 +10,11 @@ from concurrent.futures import ProcessPoolExecutor
 import cvxpy as cp
 import numpy as np
 import pytest
-from study import SPREADS, study
 
 from ilctools import synthesise, zero_phase_butterworth
-from ilctools.problem.pose import pose
-from ilctools.synthesis.design import certified
+from ilctools.synthesis.statement import statement
 from rodlib import paper_choices, paper_loop
 from rodlib.specimens import Spread, draw, responses
-
-FREQUENCIES = (250, 500, 1000, 2000, 4000, 8000, 16000)
-ORDERS = (5, 10, 20, 40)
-SIZES = (1, 2, 3, 4, 5, 6)
-RODS = (100, 300, 1000)
 
 
 def paper_problem(frequencies=1000):
@@ -29,22 +22,10 @@ def paper_problem(frequencies=1000):
     return paper_loop().frequency_response(omega), zero_phase_butterworth(2, 0.1, 1.0), omega, 1.0
 
 
-def chain(m, frequencies=1000):
-    """A plant of m coupled lags, for any size."""
-    _, Q, omega, Ts = paper_problem(frequencies)
-    z = np.exp(1j * omega)[:, None]
-    lags = 0.02 / (z - 0.98) * (1 + 0.1 * np.arange(m)) / (1 + 0.05 * m)
-    P = np.zeros((frequencies, m, m), dtype=complex)
-    P[:, range(m), range(m)] = lags
-    P[:, range(m - 1), range(1, m)] = 0.3 * lags[:, 1:] * lags[:, :-1]
-    P[:, range(1, m), range(m - 1)] = 0.2 * lags[:, 1:] * lags[:, :-1]
-    return P, Q, omega, Ts
-
-
 def by_cvxpy(P, Q, omega, Ts, structure):
     """The paper's statement with one matrix inequality per frequency, solved by Clarabel."""
     choices = paper_choices(structure=structure)
-    return certified(pose(P, Q, omega, Ts, **choices), solver="cvxpy")
+    return statement(P, Q.frequency_response(omega), omega, Ts, **choices)
 
 
 def naive_cvxpy(P, Q, omega, Ts, structure):
@@ -65,9 +46,9 @@ def naive_cvxpy(P, Q, omega, Ts, structure):
     cp.Problem(cp.Minimize(cp.sum(cp.hstack(inside))), bounds).solve(solver=cp.CLARABEL)
 
 
-def structured(P, Q, omega, Ts, start=None, **changes):
-    """By the structured solvers, with the paper's choices but for changes."""
-    return synthesise(P, Q, omega, Ts, start=start, **paper_choices(**changes))
+def structured(P, Q, omega, Ts, **changes):
+    """By the toolbox's solver, with the paper's choices but for changes."""
+    return synthesise(P, Q, omega, Ts, **paper_choices(**changes))
 
 
 def of_the_model(P, Q, omega, Ts, structure):
@@ -82,10 +63,6 @@ def for_a_thousand_rods():
     spread = Spread(density=0.3, heat_capacity=0.3, heat_transfer=0.3, conductivity=0.3)
     plants = responses(paper_loop(), [draw(spread, i) for i in range(1000)], omega)
     return structured([P, *plants], Q, omega, Ts, M_max=0.99)
-
-
-def judged(rods):
-    study(SPREADS["everything"]).run(rods)
 
 
 def _added_memory(function, arguments, keywords):
@@ -114,7 +91,6 @@ METHODS = {
     "cvxpy": (by_cvxpy, 2),
     "structured": (structured, 9),
     "everywhere": (of_the_model, 9),
-    "neighbour": (structured, 9),
 }
 
 
@@ -126,31 +102,8 @@ def test_against_cvxpy(benchmark, frequencies, method, structure):
     if (method, frequencies) == ("naive", 1000):
         pytest.skip("takes too long")
     problem, options = paper_problem(frequencies), {"structure": structure}
-    if method == "neighbour":
-        options["start"] = structured(*problem, **options, L_max=45.0)
     group, (function, rounds) = f"{structure}, {frequencies}", METHODS[method]
     measure(benchmark, group, method, function, *problem, rounds=rounds, **options)
-
-
-@pytest.mark.parametrize("frequencies", FREQUENCIES)
-def test_growth_with_frequencies(benchmark, frequencies):
-    problem = paper_problem(frequencies)
-    measure(benchmark, "frequencies", frequencies, structured, *problem)
-
-
-@pytest.mark.parametrize("order", ORDERS)
-def test_growth_with_order(benchmark, order):
-    measure(benchmark, "order", order, structured, *paper_problem(), order=order)
-
-
-@pytest.mark.parametrize("m", SIZES)
-def test_growth_with_size(benchmark, m):
-    measure(benchmark, "size", m, structured, *chain(m), structure="full")
-
-
-@pytest.mark.parametrize("rods", RODS)
-def test_growth_with_rods(benchmark, rods):
-    measure(benchmark, "rods", rods, judged, rods, rounds=1)
 
 
 def test_a_thousand_plants(benchmark):

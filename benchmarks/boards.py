@@ -3,10 +3,9 @@
 A board with a quadratic loss, which was fitted to a log of a real one, is recorded with ten draws
 of moves and noise of each kind, and shaken for three durations. From each record comes the least
 sigma_max(M) that any filter can have for all that the record leaves possible. Both tables go to
-figures/performance.md; `boards.py 1` makes one draw and writes nothing.
+figures/performance.md.
 """
 
-import sys
 import warnings
 
 import numpy as np
@@ -171,20 +170,20 @@ def ranges(results, digits):
     return [f"{a:.{n}f} to {b:.{n}f}" for a, b, n in ends]
 
 
-def main(draws):
-    """Fill both tables, print them and write them to figures/performance.md."""
+def main():
+    """Both tables go to figures/performance.md."""
     (A, B), fits = logs()
     z = with_squares(A, fits[0])
     noise = np.sqrt(np.mean(np.diff(A.y.values[0], 2, axis=0) ** 2, axis=0) / 6)
-    numbers = range(1, draws + 1)
+    numbers = range(1, DRAWS + 1)
     cases = [(kind, n, z, B.u.values[0], noise) for kind in reversed(MOVES) for n in numbers]
-    found = np.reshape([*run(moved, *zip(*cases, strict=True))], (-1, draws, 4))
+    found = np.reshape([*run(moved, cases)], (-1, DRAWS, 4))
     rows = [
-        [kind, *ranges(one[:, :3], (2, 2, 2)), f"{one[:, 3].sum():.0f} of {draws}"]
+        [kind, *ranges(one[:, :3], (2, 2, 2)), f"{one[:, 3].sum():.0f} of {DRAWS}"]
         for kind, one in zip(MOVES, found[::-1], strict=True)
     ]
     cases = [(hours, n, z, noise, fits[1].values) for hours in HOURS for n in numbers]
-    found = np.reshape([*run(shaken, *zip(*cases, strict=True))], (-1, draws, 2))
+    found = np.reshape([*run(shaken, cases)], (-1, DRAWS, 2))
     others = [[f"{hours:g}", *ranges(one, (3, 2))] for hours, one in zip(HOURS, found, strict=True)]
     titles = ["moves", "left (K)", "by a heat balance", "without a model"]
     titles += ["does not tell a parameter"]
@@ -192,11 +191,8 @@ def main(draws):
         table(titles, rows),
         table(["hours of shaking", "radius of P", "least promise"], others),
     )
-    text = "\n\n".join(tables) + "\n"
-    print(text)
-    if draws >= DRAWS:
-        publish("boards", text)
+    publish("boards", "\n\n".join(tables) + "\n")
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else DRAWS)
+    main()

@@ -1,10 +1,8 @@
 """How often the truth lies within all radii of a measurement of P, as notebook 10 makes it.
 
-The virtual rig is shaken with other noise again and again: by
-`python benchmarks/confidence.py [SEEDS]`. Some five minutes for 100 seeds on two cores.
+The virtual rig is shaken with other noise again and again. Some five minutes for 100 seeds on two
+cores; notebook 10 has the share of 2000.
 """
-
-import sys
 
 import numpy as np
 from runner import run
@@ -13,6 +11,7 @@ from ilctools import measured_response, multisine, shake
 from rodlib import paper_loop
 from rodlib.rigs import RigParameters, VirtualRig
 
+SEEDS = 100
 CONFIDENCES = (0.9, 0.95, 0.99)
 HOURS = 6.0
 LOOP = paper_loop()
@@ -30,18 +29,18 @@ def response_and_radii(seed):
     return response.response, radii
 
 
-def main(seeds):
+def main():
     """Count, and print with one standard deviation."""
     # Without noise the measurement is within 1e-5 of P, a hundredth of the radii.
     truth = measured(0, noise=0.0, quantum=0.0, ambient_rate=0.0).response
     within = []
-    for response, radii in run(response_and_radii, range(seeds)):
+    for response, radii in run(response_and_radii, range(SEEDS)):
         off = np.linalg.norm(response - truth, 2, axis=(1, 2))
         within.append([np.all(off <= radius) for radius in radii])
     for confidence, share in zip(CONFIDENCES, np.mean(within, axis=0), strict=True):
-        error = np.sqrt(share * (1 - share) / seeds)
-        print(f"{confidence:.0%}: {share:.2%} +- {error:.2%} of {seeds} seeds")
+        error = np.sqrt(share * (1 - share) / SEEDS)
+        print(f"{confidence:.0%}: {share:.2%} +- {error:.2%} of {SEEDS} seeds")
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 100)
+    main()

@@ -25,16 +25,14 @@ class Plant:
     limits: dict = field(default_factory=dict)  # of the inputs, by name
 
     def linear(self, Ts, inputs, outputs):
-        """The plant at rest, by central differences; names are those of the loop."""
-        n, m, h = self.states, len(inputs), 1e-6
-
-        def slopes(f, size):
-            rows = [(f(h * e) - f(-h * e)) / (2 * h) for e in np.eye(size)]
-            return np.array(rows).T
-
-        A = slopes(lambda x: self.step(x, np.zeros(m)), n)
-        B = slopes(lambda u: self.step(np.zeros(n), u), m)
-        return control.ss(A, B, slopes(self.output, n), 0, Ts, inputs=inputs, outputs=outputs)
+        """The plant at rest, by differences; names are those of the loop."""
+        names = {"inputs": inputs, "outputs": outputs}
+        system = control.nlsys(
+            lambda t, x, u, parameters: self.step(x, u),
+            lambda t, x, u, parameters: self.output(x),
+            states=self.states, dt=Ts, **names,
+        )  # fmt: skip
+        return control.ss(control.linearize(system, 0 * np.ones(self.states), 0), **names)
 
 
 @dataclass(frozen=True)
@@ -45,22 +43,26 @@ class Kind:
     bench: Plant
     reference: np.ndarray
     cutoff: float  # of Q, rad/s
-    P: object = None  # what is known, if it is not the loop
-    linear: Plant | None = None  # for the check, if the bench has no slope at rest
+    known: object = None  # what is known of P, if it is not the loop
+    sliding: Plant | None = None  # for the check, if the bench has no slope at rest
     homes: bool = True  # whether every trial begins by a homing run
     whole: bool = False  # whether the target runs a trial by itself
 
-
-class DeadError(Exception):
-    """The driver lost its device."""
+    @property
+    def P(self):
+        """P of the loop around the linear plant on the bench."""
+        loop, plant = self.loop, self.sliding or self.bench
+        if isinstance(loop, ClosedLoop):
+            return plant.linear(loop.Ts, loop.references, loop.outputs)
+        plant = plant.linear(loop.Ts, loop.controls, loop.outputs)
+        return loop.around(plant)[:, : len(loop.outputs)]
 
 
 class Driver:
-    """The bench, sample by sample; it dies after so many samples."""
+    """The bench, sample by sample."""
 
-    def __init__(self, kind, dies=np.inf):
-        self.bench, self.left = kind.bench, dies
-        self.limits = kind.bench.limits
+    def __init__(self, kind):
+        self.bench, self.limits = kind.bench, kind.bench.limits
         self.low, self.high = np.array([*self.limits.values()] or [(-np.inf, np.inf)]).T
         self.start(0)
         if kind.homes:
@@ -75,17 +77,14 @@ class Driver:
         return y + self.bench.noise * self.random.standard_normal(len(y))
 
     def apply(self, u):
-        self.left -= 1
-        if self.left < 0:
-            raise DeadError
         self.x = self.bench.step(self.x, np.clip(u, self.low, self.high))
 
 
 class Target:
     """The same with the controller on the device: a trial goes up, a trial comes down."""
 
-    def __init__(self, kind, dies=np.inf):
-        self.driver, self.loop = Driver(kind, dies), kind.loop
+    def __init__(self, kind):
+        self.driver, self.loop = Driver(kind), kind.loop
         self.begin, self.limits = self.driver.start, self.driver.limits
 
     def run(self, w):
@@ -99,9 +98,9 @@ class Target:
         return (np.array(y), np.array(u)) if ours else np.array(y)
 
 
-def driver(kind, dies=np.inf):
-    """The driver of a kind, which dies after so many samples."""
-    return (Target if kind.whole else Driver)(kind, dies)
+def driver(kind):
+    """The driver of a kind."""
+    return (Target if kind.whole else Driver)(kind)
 
 
 def bump(samples, heights):
@@ -263,7 +262,7 @@ def plc(off):
     excitation = multisine(loop, 0.02, 1.5, 2.0, 2.0)
     P = measured_response(shake(driver(shaken), loop, excitation))
     bench = plant(1.0 - 0.1 * off, 20.0 * (1 + 0.1 * off))
-    return Kind(loop, bench, bump(300, [10.0, 6.0]), 0.2, P=P, whole=True)
+    return Kind(loop, bench, bump(300, [10.0, 6.0]), 0.2, known=P, whole=True)
 
 
 def table(off):
@@ -281,7 +280,7 @@ def table(off):
     P = P + 0.003 * (random.standard_normal((2, 150)).T @ [1, 1j])
     model = plant(w * (1 - 0.1 * off), resonance * (1 - 0.05 * off))
     loop, P = ClosedLoop(Ts=Ts, outputs=["x"]), control.frd(P, omega)
-    return Kind(loop, of_model(model, Ts, 2e-3), bump(400, [5.0]), w, P=P)
+    return Kind(loop, of_model(model, Ts, 2e-3), bump(400, [5.0]), w, known=P)
 
 
 def gantry(off):
@@ -301,7 +300,7 @@ def gantry(off):
     loop = our_loop(plant(0, 0.0), Ts, *sizes)
     dry = np.array([4.0, 2.0]) * abs(off)
     bench, sliding = plant(off, dry), plant(off, 0.0)
-    return Kind(loop, bench, bump(500, [20.0, 10.0]), 60.0, linear=sliding)
+    return Kind(loop, bench, bump(500, [20.0, 10.0]), 60.0, sliding=sliding)
 
 
 def pendulum(off):

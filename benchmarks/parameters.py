@@ -1,8 +1,8 @@
 """Do the notebooks take other parameters? Each is run with two other settings.
 
-`python benchmarks/parameters.py [03 04 ...]` says of each run how it ends: to the end, in a
-sentence (a parameter is out of its range, or no filter meets the bounds), or in a traceback, which
-must not be. Nothing is written but to a temporary folder.
+It says of each run how it ends: to the end, in a sentence (a parameter is out of its range, or no
+filter meets the bounds), or in a traceback, which must not be. Nothing is written but to a
+temporary folder.
 """
 
 import os
@@ -71,19 +71,19 @@ def is_a_sentence(error: papermill.PapermillExecutionError) -> bool:
     return error.ename in SENTENCES and bool(ours)
 
 
-def main(numbers: list[str]) -> Counter:
-    """Run all settings of the notebooks with these numbers, or of all."""
+def main() -> bool:
+    """Run all settings of the notebooks; whether any run ends in a traceback."""
     counts = Counter()
-    for number in numbers or SETTINGS:
+    for number, settings in SETTINGS.items():
         (path,) = (ROOT / "notebooks").glob(f"{number}-*.ipynb")
-        for parameters in SETTINGS[number]:
+        for parameters in settings:
             ends, said = run(path, parameters)
             counts[ends] += 1
             words = ", ".join(f"{name} = {value}" for name, value in parameters.items())
             print(f"{path.stem}, {words}: {ends}. {said}".rstrip(), flush=True)
     print(", ".join(f"{counts[way]} end {way}" for way in WAYS))
-    return counts
+    return counts[WAYS[2]] > 0
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:])[WAYS[2]] > 0)
+    sys.exit(main())

@@ -6,8 +6,8 @@ over the logarithm of frequency up to the cut-off, its maximum, the RMS of the e
 5 on the bench, with noise, and the largest gain of L.
 """
 
-import sys
 import warnings
+from itertools import product
 
 import control
 import numpy as np
@@ -120,25 +120,24 @@ def kind_of(name, off):
 def proportional_derivative(problem, cutoff):
     """The best of a grid for each channel, by the mean up to the cut-off, with sigma < 0.9."""
     P, omega, m = problem.P, problem.omega, problem.channels
-    z = np.exp(1j * omega * problem.Ts)
+    z = np.exp(1j * omega * problem.Ts)[:, None]
     share = np.gradient(np.log(omega)) * (omega <= cutoff)
     coefficients = np.zeros((m, m, LEADS[-1]))
     for i in range(m):
-        best = np.inf
-        gains = np.array(GAINS) / np.abs(P[0, i, i])
-        for lead in LEADS:
-            for slope in SLOPES[: None if lead > 1 else 1]:
-                shape = z**lead * (1 + slope * (1 - 1 / z))
-                sigma = np.abs(problem.Q * (1 - np.outer(gains, P[:, i, i] * shape)))
-                means = np.where(sigma.max(axis=1) < 0.9, sigma @ share, np.inf)
-                k = means.argmin()
-                if means[k] < best:
-                    best, c = means[k], np.zeros(LEADS[-1])
-                    c[lead - 1] += gains[k] * (1 + slope)
-                    c[lead - 2] -= gains[k] * slope
-        if best == np.inf:
+        candidates = []
+        for lead, slope in product(LEADS, SLOPES):
+            if lead == 1 and slope:  # it would need the present error
+                continue
+            gains = np.array(GAINS) / np.abs(P[0, i, i])
+            L = gains * z**lead * (1 + slope * (1 - 1 / z))
+            sigma = np.abs(problem.Q[:, None] * (1 - P[:, i, i, None] * L))
+            means = np.where(sigma.max(axis=0) < 0.9, share @ sigma, np.inf)
+            candidates.append((means.min(), gains[means.argmin()], lead, slope))
+        mean, gain, lead, slope = min(candidates)
+        if mean == np.inf:
             return None
-        coefficients[i, i] = c
+        coefficients[i, i, lead - 1] = gain * (1 + slope)
+        coefficients[i, i, lead - 2] -= gain * slope
     return LearningFilter(coefficients, problem.Ts)
 
 
@@ -179,13 +178,7 @@ def norm_optimal(problem, samples):
 
 def judged(kind, Q, L, omega):
     """Mean and maximum of sigma_max(M) on the bench's own plant, RMS of trials 2 and 5."""
-    loop, plant = kind.loop, kind.linear or kind.bench
-    if isinstance(loop, ClosedLoop):
-        P = plant.linear(loop.Ts, loop.references, loop.outputs)
-    else:
-        linear = plant.linear(loop.Ts, loop.controls, loop.outputs)
-        P = loop.around(linear)[:, : len(loop.outputs)]
-    reached = convergence(P, Q, L, omega)
+    loop, reached = kind.loop, convergence(kind.P, Q, L, omega)
     law = Law(Q, L, limits={})
     stop = dict.fromkeys([*loop.outputs, *loop.commands])
     log = record(driver(kind), loop, law, kind.reference, trials=5, stop=stop, pause=0)
@@ -201,7 +194,7 @@ def row(name):
     Q = zero_phase_butterworth(2, kind.cutoff, Ts)
     omega = np.geomspace(kind.cutoff / 1000, np.pi / Ts, 1200)
     with warnings.catch_warnings(action="ignore"):
-        design = synthesise(kind.loop if kind.P is None else kind.P, Q)
+        design = synthesise(kind.loop if kind.known is None else kind.known, Q)
         problem = design.problem
         filters = (
             design.filter,
@@ -211,11 +204,12 @@ def row(name):
             norm_optimal(problem, len(kind.reference)),
         )
         for L in filters:
-            each = L and np.array([judged(off, Q, L, omega) for off in kinds])
-            if L:
-                mean, second, fifth, _ = each.mean(axis=0)
-                each = mean, each[:, 3].max(), second, fifth, gain(L, Ts)
-            results.append(each)
+            if L is None:
+                results.append(None)
+                continue
+            each = np.array([judged(off, Q, L, omega) for off in kinds])
+            mean, second, fifth, _ = each.mean(axis=0)
+            results.append((mean, each[:, 3].max(), second, fifth, gain(L, Ts)))
     return name, problem.order, problem.L_max, dict(zip(DESIGNS, results, strict=True))
 
 
@@ -249,14 +243,5 @@ within L_max for: {worse(rows, REACH)}; of all that keep sigma_max(M) below one,
 """
 
 
-def main(chosen):
-    """Print the table; without names it goes to figures/performance.md."""
-    names = chosen or [*KINDS, *RESONANT, *BOARDS]
-    text = table_of(list(run(row, names)))
-    print(text)
-    if not chosen:
-        publish("peers", text)
-
-
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    publish("peers", table_of(list(run(row, [*KINDS, *RESONANT, *BOARDS]))))

@@ -2,11 +2,9 @@
 
 It is what notebook 16 shows of fewer draws and trials: filters from measurements, anew in each
 draw, others with other bounds, half the gain, and the inverse map from heat flow to current. The
-table goes to figures/performance.md; `peltier.py 1 10` makes one draw of ten trials and writes
-nothing.
+table goes to figures/performance.md.
 """
 
-import sys
 import warnings
 from dataclasses import replace
 
@@ -14,7 +12,6 @@ import numpy as np
 from runner import publish, table
 
 from ilctools import Law, measured_response, multisine, shake, synthesise, zero_phase_butterworth
-from ilctools.rigs import side_by_side
 from rodlib import (
     PeltierParameters,
     RestartingPeltierRig,
@@ -24,7 +21,7 @@ from rodlib import (
     paper_loop,
     responses,
 )
-from rodlib.peltier_rig import PeltierRigs
+from rodlib.peltier_rig import PeltierRigs, Recorded, learning_trials, one_trial
 
 DRAWS, TRIALS, SEED, REST = 10, 40, 1, 15
 CASES = {  # resistance of the elements, size of the reference
@@ -55,12 +52,12 @@ def shaken(draws):
     plan = multisine(LOOP, 3.3 * 4 * np.pi / (3600 * HOURS), 0.3, AMPLITUDE, HOURS, lines=60)
     w = np.concatenate(plan.signals)
     around = Around(rigs, flows)
-    signals = side_by_side.run(around, LOOP, np.broadcast_to(w, (len(seeds), *w.shape)))
+    signals = one_trial(around, LOOP, np.broadcast_to(w, (len(seeds), *w.shape)))
     experiments = zip(*(np.split(each, len(plan.signals), axis=1) for each in signals), strict=True)
     experiments, measured = [*experiments], []
     for i in range(len(seeds)):
         own = [(y[i], u[i]) for y, u in experiments]
-        log = shake(side_by_side.Recorded(own, LOOP.controls), LOOP, plan)
+        log = shake(Recorded(own, LOOP.controls), LOOP, plan)
         measured.append(measured_response(log))
     return measured[:draws], measured[draws:]
 
@@ -117,7 +114,7 @@ def learned(ways, draws, trials):
     tasks = [size * R for _, size in CASES.values()]
     tasks = np.repeat(tasks, len(ways) * draws, axis=0)
     errors, first = [], None
-    for y, u in side_by_side.learn(PeltierRigs(each, seeds), LOOP, laws, tasks, trials):
+    for y, u in learning_trials(PeltierRigs(each, seeds), LOOP, laws, tasks, trials):
         errors.append(np.sqrt(np.mean(np.sum((tasks - y) ** 2, axis=2), axis=1)))
         first = u[:: len(ways) * draws] if first is None else first
     errors = np.transpose(errors).reshape(len(CASES), len(ways), draws, trials)
@@ -158,14 +155,6 @@ def rows(draws, trials):
             yield [case, name, ends(rates) if rates else "", *map(ends, found)]
 
 
-def main(draws, trials):
-    """Fill the table, print it and write it to figures/performance.md."""
-    with warnings.catch_warnings(action="ignore"):  # of what was shaken
-        text = table(TITLES, [*rows(draws, trials)]) + "\n"
-    print(text)
-    if draws >= DRAWS and trials >= TRIALS:
-        publish("peltier", text)
-
-
 if __name__ == "__main__":
-    main(*map(int, sys.argv[1:] or (DRAWS, TRIALS)))
+    with warnings.catch_warnings(action="ignore"):  # of what was shaken
+        publish("peltier", table(TITLES, [*rows(DRAWS, TRIALS)]) + "\n")

@@ -4,10 +4,9 @@
 P from them, designs a filter and goes on from v for four trials; likewise with filters of the same
 order, cut-off and bounds from the nominal model, from the estimate without its radius, and from the
 rod itself. It then varies how much there is to learn from. Both tables go to
-figures/performance.md; `renewal.py 1` repeats the first draw and writes nothing.
+figures/performance.md.
 """
 
-import sys
 import warnings
 from functools import cache
 
@@ -144,15 +143,15 @@ TITLES = [
 ]
 
 
-def main(draws):
-    """Fill both tables, print them and write them to figures/performance.md."""
-    cases = [(s, n, seed) for s in SPREADS for n in range(RODS) for seed in range(draws)]
-    results = list(run(case, *zip(*cases, strict=True)))
-    size = RODS * draws
+def main():
+    """Both tables go to figures/performance.md."""
+    cases = [(s, n, seed) for s in SPREADS for n in range(RODS) for seed in range(DRAWS)]
+    results = list(run(case, cases))
+    size = RODS * DRAWS
     rows = [row(f"{s:.0%}", results[i * size : (i + 1) * size]) for i, s in enumerate(SPREADS)]
-    amounts = [(0.1, n, 100 + n, *settings) for settings in AMOUNTS.values() for n in range(draws)]
-    more = list(run(case, *zip(*amounts, strict=True)))
-    others = [row(name, more[i * draws : (i + 1) * draws]) for i, name in enumerate(AMOUNTS)]
+    amounts = [(0.1, n, 100 + n, *settings) for settings in AMOUNTS.values() for n in range(DRAWS)]
+    more = list(run(case, amounts))
+    others = [row(name, more[i * DRAWS : (i + 1) * DRAWS]) for i, name in enumerate(AMOUNTS)]
     tables = table(["off by up to", *TITLES], rows), table(["from", *TITLES], others)
     promises = [p for _, p in results]
     without = sum(isinstance(p["estimate"], str) for p in promises)
@@ -161,11 +160,8 @@ def main(draws):
         f"{broken(promises, 'estimate', 2)} break their promise as seen, without the radius "
         f"{broken(promises, 'without radius', 2)}."
     )
-    text = "\n\n".join([tables[0], said, tables[1]]) + "\n"
-    print(text)
-    if draws >= DRAWS:
-        publish("renewal", text)
+    publish("renewal", "\n\n".join([tables[0], said, tables[1]]) + "\n")
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else DRAWS)
+    main()

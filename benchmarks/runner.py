@@ -19,10 +19,14 @@ from rodlib.paper.ledger import splice
 from rodlib.paper.repository import ROOT
 
 
-def run(function, *cases):
-    """Results of a function for many cases, in their order, while others are computed."""
+def run(function, cases):
+    """Results of a function for many cases, in their order, while others are computed.
+
+    A case is the argument, or a tuple of all.
+    """
+    cases = [case if isinstance(case, tuple) else (case,) for case in cases]
     with ProcessPoolExecutor() as pool:
-        yield from tqdm(pool.map(function, *cases), total=len(cases[0]))
+        yield from tqdm(pool.map(function, *zip(*cases, strict=True)), total=len(cases))
 
 
 def table(titles, rows):
@@ -32,19 +36,21 @@ def table(titles, rows):
 
 
 def publish(section, text):
-    """Replace a section of figures/performance.md."""
+    """Print a text, and make it a section of figures/performance.md."""
+    print(text)
     page = ROOT / "figures" / "performance.md"
     write_whole(page, splice(page.read_text(encoding="utf-8"), section, text))
 
 
 def listed() -> str:
     """A line for each benchmark that `make measure` runs, the first of what it says of itself."""
-    lines = {}
+    lines = []
     for path in sorted(Path(__file__).parent.glob("*.py")):
         text = path.read_text(encoding="utf-8")
         if "__main__" in text and path.name not in ("runner.py", "report.py"):
-            lines[path.stem] = ast.get_docstring(ast.parse(text)).partition("\n")[0]
-    return "\n".join(f"make measure WHAT={name:<13} {line}" for name, line in lines.items())
+            first = ast.get_docstring(ast.parse(text)).partition("\n")[0]
+            lines.append(f"make measure WHAT={path.stem:<13} {first}")
+    return "\n".join(lines)
 
 
 if __name__ == "__main__":

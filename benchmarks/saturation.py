@@ -1,11 +1,9 @@
 """Learning within limits, as in notebook 14, for longer and with more draws.
 
 The rod at three limits, 20 trials each, against the best that CVXPY finds; and boards of cold
-heaters whose noise is drawn ten times. Both tables go to figures/performance.md;
-`saturation.py 1` makes one draw and writes nothing.
+heaters whose noise is drawn ten times. Both tables go to figures/performance.md.
 """
 
-import sys
 import warnings
 from contextlib import redirect_stdout
 from dataclasses import replace
@@ -27,7 +25,6 @@ from ilctools import (
     trial_operators,
     zero_phase_butterworth,
 )
-from ilctools.law.limits import realised
 from rodlib import TemperatureControlLab, assumed_reference, heat_balance, paper_loop
 from rodlib.paper import published
 
@@ -92,7 +89,7 @@ def of_board(seed):
         for _ in range(COLD_TRIALS):
             run = recorded(Law(Q, None), board, 1, v)
             u, applied, e = (run[name][0].values for name in ("u", "applied", "e"))
-            v = law.next(realised(loop, v, u, applied) if informed else v, e)
+            v = law.next(loop.realised(v, u, applied) if informed else v, e)
         return run
 
     with warnings.catch_warnings(action="ignore"), redirect_stdout(StringIO()):
@@ -101,20 +98,17 @@ def of_board(seed):
     return [rms(run.e).values[-1] for run in runs]
 
 
-def main(draws):
-    """Fill both tables, print them and write them to figures/performance.md."""
+def main():
+    """Both tables go to figures/performance.md."""
     rows = [
         [f"{limit:g}", *cells] for limit, cells in zip(LIMITS, run(of_rod, LIMITS), strict=True)
     ]
-    drawn = [*run(of_board, range(1, draws + 1))]
+    drawn = [*run(of_board, range(1, DRAWS + 1))]
     ends = zip(np.min(drawn, axis=0), np.max(drawn, axis=0), strict=True)
     others = [["heaters from cold", *(f"{a:.3f} to {b:.3f}" for a, b in ends)]]
     tables = table(["limit (W)", *TITLES], rows), table(["RMS (K)", *WAYS], others)
-    text = "\n\n".join(tables) + "\n"
-    print(text)
-    if draws >= DRAWS:
-        publish("saturation", text)
+    publish("saturation", "\n\n".join(tables) + "\n")
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else DRAWS)
+    main()

@@ -1,8 +1,7 @@
 """Does the watch over trials keep quiet, and does it speak? False alarms and detections, counted.
 
 `make measure WHAT=watch` runs 1,000 experiments that converge as promised, on three plants, and the
-kinds that do not, and writes both tables to figures/performance.md. Seeds are fixed: `watch.py 100`
-repeats the first hundred.
+kinds that do not, and writes both tables to figures/performance.md. Seeds are fixed.
 """
 
 import sys
@@ -13,9 +12,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "toolbox" / "tests"))
 
-import control
 import numpy as np
-from plants import PUMPS, bump, furnace, stage, tanks
+from plants import PUMPS, altered, bump, furnace, stage, tanks
 from runner import publish, run, table
 from scipy.signal import lfilter
 
@@ -31,9 +29,7 @@ from ilctools.trials.diagnosis import diagnose
 
 COUNT, REPEATS = 1000, 20  # experiments that converge, and of each kind that does not
 SAMPLES = 400  # of a trial
-SHORT = {
-    "error": "error grows", "v": "v grows", "rate": "rate", "repetition": "does not repeat",
-}  # fmt: skip
+SHORT = {"growth": "it grows", "model": "not the model"}
 LOOPS = {  # a plant, the outputs' amplitudes, the cut-off of Q, and the order of L
     "stage": (lambda: stage(), ["F"], {"x": 1.0, "F": 3.0}, [10.0], 60.0, 20),
     "tanks": (lambda: tanks(), PUMPS, None, [10.0, 5.0, 8.0], 0.05, 20),
@@ -83,12 +79,6 @@ def alarms(log, law):
     return first
 
 
-def scaled(model, gain):
-    """The same model with another gain."""
-    names = {"inputs": model.input_labels, "outputs": model.output_labels}
-    return control.ss(model.A, gain * model.B, model.C, gain * model.D, model.dt, **names)
-
-
 def another_gain(gain, seed, trials=20):
     """P of a ClosedLoop has another gain."""
     rng = np.random.default_rng(seed)
@@ -96,7 +86,7 @@ def another_gain(gain, seed, trials=20):
     loop = ClosedLoop(law.loop.P)
     law = Law(law.Q, law.L, loop=loop)
     noise = noise_of(rng, (trials, *reference.shape), 1e-3 * np.abs(reference).max())
-    plant = scaled(loop.P, gain)
+    plant = altered(loop.P, B=gain)
     return run_trials(loop, law, reference, None, trials, plant=plant, noise=noise), law
 
 
@@ -148,17 +138,14 @@ QUIET = ["plant", "said", "experiments", "trials", "false alarms", "in 1,000 tri
 LOUD = ["what is wrong", "said", "experiments", "noticed", "in trial, median", "at the latest"]
 
 
-def main(count):
-    """Count both, print them and write them to figures/performance.md."""
-    results = list(run(converging, range(count)))
+def main():
+    """Count both; the tables go to figures/performance.md."""
+    results = list(run(converging, range(COUNT)))
     names = [*LOOPS]
     quiet = [quiet_row(name, results[i :: len(names)]) for i, name in enumerate(names)]
-    loud = list(run(loud_row, [*WRONG], [range(REPEATS)] * len(WRONG)))
-    text = f"{table(QUIET, quiet)}\n\n{table(LOUD, loud)}\n"
-    print(text)
-    if count >= COUNT:
-        publish("watch", text)
+    loud = list(run(loud_row, [(kind, range(REPEATS)) for kind in WRONG]))
+    publish("watch", f"{table(QUIET, quiet)}\n\n{table(LOUD, loud)}\n")
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else COUNT)
+    main()

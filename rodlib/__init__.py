@@ -17,7 +17,6 @@ MODULES = {
     "rigs": "MISMATCHED RestartingRig RigParameters VirtualRig",
     "peltier_rig": "PeltierParameters PeltierRig RestartingPeltierRig",
     "specimens": "Specimen Spread draw responses",
-    "study": "Study",
     "boards": "TemperatureControlLab fit_heat_balance heat_balance",
     "workbench": "open_workbench",
     "workbench.outcome": "try_out",

@@ -23,7 +23,6 @@ from rodlib.specimens import Specimen as Specimen
 from rodlib.specimens import Spread as Spread
 from rodlib.specimens import draw as draw
 from rodlib.specimens import responses as responses
-from rodlib.study import Study as Study
 from rodlib.workbench import open_workbench as open_workbench
 from rodlib.workbench.outcome import try_out as try_out
 from rodlib.workbench.picture import plot as plot

@@ -1,7 +1,7 @@
 """The Temperature Control Lab: a board with two heaters and two thermometers, as a rig.
 
 It is a kit to learn control with. Its own package, tclab, talks to it and brings an emulator; the
-two differ in what time is, which is hidden here.
+two differ in what time is, which is hidden here. The extra ``rodlib[tclab]`` installs it.
 """
 
 import random
@@ -24,8 +24,6 @@ HEATERS, THERMOMETERS = ["Q1", "Q2"], ["T1", "T2"]
 LAST = 60.0  # s of the wait before the first trial, over which the readings at rest are averaged
 UNITS = {"gain_1": "K/s per %", "gain_2": "K/s per %", "loss": "1/s", "exchange": "1/s", "lag": "s"}
 PARTS = 6  # of a record, each left out once; with more, noise of a minute makes intervals short
-SURELY = {"ftol": 1e-12, "xtol": 1e-10}  # tolerances, so that the start does not show
-ROUNDING = 1e-6  # of the largest slope: what is less is that of a difference of two simulations
 # relative standard error, from which on a parameter counts as not determined
 VAGUE = 0.5
 
@@ -84,7 +82,8 @@ class TemperatureControlLab:
         self.Ts = arguments.number("Ts", Ts, "a sampling period up to a minute, in s", 0, most=LAST)
         self.wait = arguments.number("wait", wait, "a minute or more, in s", least=LAST)
         seed = arguments.whole("seed", seed, 0)
-        tclab = _package()
+        import tclab  # here, because only this driver needs it
+
         self.lab = tclab.TCLab() if self.kit else tclab.TCLabModel(synced=False)
         if not self.kit:
             random.seed(seed)
@@ -193,9 +192,9 @@ class HeatBalanceFit:
         """Relative standard errors of the parameters."""
         return np.sqrt(np.diag(self.covariance))
 
-    def table(self, confidence: float = 0.95) -> pd.DataFrame:
-        """Each parameter with its interval and its unit."""
-        quantile = t.ppf((1 + confidence) / 2, PARTS - 1)
+    def table(self) -> pd.DataFrame:
+        """Each parameter with its interval of 95 % and its unit."""
+        quantile = t.ppf(0.975, PARTS - 1)
         width = np.exp(np.minimum(quantile * self.standard_errors, 500))
         columns = {"value": self.values, "from": self.values / width}
         columns |= {"to": self.values * width, "unit": UNITS.values()}
@@ -205,6 +204,10 @@ class HeatBalanceFit:
 def fit_heat_balance(heaters, readings, Ts: float) -> HeatBalanceFit:
     """The heat balance nearest to a record in least squares, from several starts.
 
+    With the temperatures T(p) that :func:`heat_balance` gives for the parameters p, from rest,
+
+        minimise over log p and zero   sum_k |readings_k - zero - T_k(p)|^2 .
+
     There is a second minimum where heater and thermometer exchange their times. Parameters are
     positive, and times between Ts/10 and ten records. The intervals are of the jackknife: how much
     changes if a sixth of the record is left out. They count noise of any colour and what the model
@@ -213,7 +216,8 @@ def fit_heat_balance(heaters, readings, Ts: float) -> HeatBalanceFit:
     Parameters
     ----------
     heaters, readings : array, shape (samples, 2)
-        In %, above those at rest, held for Ts; in K or degC, from any zero. Begins at rest.
+        In %, above those at rest, held for Ts; in K or degC, from any zero. Begins at rest. Some
+        thirty samples at least, or the intervals are of rounding.
     Ts : float
         Sampling period, s.
 
@@ -241,46 +245,28 @@ def fit_heat_balance(heaters, readings, Ts: float) -> HeatBalanceFit:
     """
     heaters = arguments.array("heaters", heaters, ("samples", 2))
     readings = arguments.array("readings", readings, (len(heaters), 2))
-    Ts, span = arguments.sampling_period("Ts", Ts), Ts * len(heaters)
-    if len(heaters) < 5 * PARTS:
-        raise ValueError(f"heaters has {len(heaters)} samples; a fit needs {5 * PARTS} or more")
+    Ts = arguments.sampling_period("Ts", Ts)
 
-    def modelled(parameters):
-        # heat_balance without its model, which takes longer to make than to simulate
-        held = expm(Ts * np.vstack([np.hstack(_matrices(*parameters)), np.zeros((2, 6))]))
-        A, B = held[:4, :4].copy(), held[:4, 4:].copy()
-        return state_sequence(A, heaters @ B.T, np.zeros(4))[:, 2:]
+    def residual(unknowns):
+        log_p, zero = np.split(unknowns, [5])
+        return (readings - readings[0] - zero - _simulated(np.exp(log_p), heaters, Ts)).ravel()
 
-    def residual(z):
-        return (readings - readings[0] - z[5:] - modelled(np.exp(z[:5]))).ravel()
-
-    def point(gain, loss, exchange, lag, zero):
-        return np.append(np.log([gain, gain, loss, exchange, lag]), zero * around)
-
-    around = np.ptp(readings, axis=0) + 1
-    swing = np.ptp(readings, axis=0).max() / max(np.ptp(heaters), 1e-9)  # K per %
-    swing, shortest, longest = max(swing, 1e-9), Ts / 10, 10 * span
-    low = point(swing / longest, 1 / longest, 0.01 / longest, shortest, -1)
-    high = point(swing / Ts, 1 / shortest, 1 / shortest, longest, 1)
-    options = {"bounds": (low, high), "x_scale": "jac"} | SURELY
+    low, high, starts = _search_region(heaters, readings, Ts)
     fits = []
-    for cooling, lag in product((span / 3, span / 30), repeat=2):
-        start = point(2 * swing / cooling, 1 / cooling, 0.3 / cooling, lag, 0)
-        fits.append(least_squares(residual, np.clip(start, low, high), **options))
+    for start in starts:
+        # Tolerances so small that the start does not show.
+        fits.append(
+            least_squares(
+                residual, start, bounds=(low, high), x_scale="jac", ftol=1e-12, xtol=1e-10
+            )
+        )
     best = min(fits, key=lambda fit: fit.cost)
-    # the slopes are finite differences: of a heater that is idle they are rounding, not zero
-    idle = np.abs(best.jac[:, :5]).max(axis=0) < ROUNDING * np.abs(best.jac).max()
-    slopes = np.where(np.append(idle, [False, False]), 0.0, best.jac)
-    parts = np.array_split(np.arange(readings.size), PARTS)
-    moved = []
-    for part in parts:
-        jacobian, rest = np.delete(slopes, part, 0), np.delete(best.fun, part)
-        moved.append(np.linalg.lstsq(jacobian, rest, rcond=1e-9)[0])
-    moved = np.array(moved)
-    covariance = (PARTS - 1) / PARTS * moved[:, :5].T @ moved[:, :5]
-    values, zero = np.exp(best.x[:5]), readings[0] + best.x[5:]
+
+    idle = np.append(~heaters.any(axis=0), np.zeros(5, bool))  # of the gains: their slope is zero
+    covariance = _jackknife(np.where(idle, 0.0, best.jac), best.fun)
+    values, zero = np.exp(best.x), readings[0] + best.x[5:]
     values[idle] = covariance[idle, idle] = np.nan
-    fit = HeatBalanceFit(values, covariance, zero, best.fun.reshape(-1, 2))
+    fit = HeatBalanceFit(values[:5], covariance[:5, :5], zero, best.fun.reshape(-1, 2))
     if fit.unknown:
         warnings.warn(
             f"the record does not tell {', '.join(fit.unknown)}: without a sixth of it, they "
@@ -290,12 +276,36 @@ def fit_heat_balance(heaters, readings, Ts: float) -> HeatBalanceFit:
     return fit
 
 
-def _package():
-    """The package tclab, which only this driver needs."""
-    try:
-        import tclab
-    except ImportError:
-        raise ImportError(
-            "TemperatureControlLab needs the package tclab: pip install 'rodlib[tclab]'"
-        ) from None
-    return tclab
+def _simulated(parameters, heaters, Ts):
+    """T1, T2 from rest: heat_balance without its model, which takes longer to make than to run."""
+    held = expm(Ts * np.vstack([np.hstack(_matrices(*parameters)), np.zeros((2, 6))]))
+    A, B = held[:4, :4].copy(), held[:4, 4:].copy()
+    return state_sequence(A, heaters @ B.T, np.zeros(4))[:, 2:]
+
+
+def _search_region(heaters, readings, Ts):
+    """Lowest and highest logarithms of the parameters, with the zeros, and four starts between."""
+    heights, record = np.ptp(readings, axis=0) + 1, Ts * len(heaters)
+    swing = np.ptp(readings, axis=0).max() / max(np.ptp(heaters), 1e-9)  # K per %
+    swing, shortest, longest = max(swing, 1e-9), Ts / 10, 10 * record
+
+    def point(gain, loss, exchange, lag, zero):
+        return np.append(np.log([gain, gain, loss, exchange, lag]), zero * heights)
+
+    low = point(swing / longest, 1 / longest, 0.01 / longest, shortest, -1)
+    high = point(swing / Ts, 1 / shortest, 1 / shortest, longest, 1)
+    starts = [
+        point(2 * swing / cooling, 1 / cooling, 0.3 / cooling, lag, 0)
+        for cooling, lag in product((record / 3, record / 30), repeat=2)
+    ]
+    return low, high, np.clip(starts, low, high)
+
+
+def _jackknife(slopes, residuals):
+    """Covariance of what a linear fit changes by when each part of the residuals is left out."""
+    changes = []
+    for part in np.array_split(np.arange(residuals.size), PARTS):
+        A, b = np.delete(slopes, part, 0), np.delete(residuals, part)
+        changes.append(np.linalg.lstsq(A, b, rcond=1e-9)[0])
+    changes = np.array(changes)
+    return (PARTS - 1) / PARTS * changes.T @ changes

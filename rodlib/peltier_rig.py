@@ -7,7 +7,7 @@ controller asks for into a current, with what the laboratory knows of its elemen
 are assumed: the paper gives none.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 
@@ -15,7 +15,8 @@ import numpy as np
 from scipy.constants import Stefan_Boltzmann
 from scipy.linalg import expm
 
-from ilctools import arguments
+from ilctools import Controller, Law, arguments
+from ilctools.loop.closed import CurrentTrialLoop
 from rodlib.rigs import MISMATCHED, Bench, Restarting
 from rodlib.rod import Rod
 
@@ -163,46 +164,29 @@ class PeltierRig(Bench):
         super().__init__(rod, parameters, Ts, seed)
         p, sections, m = parameters, rod.sections, len(rod.sensors)
         cells = sections * p.cells
-        dz, n = rod.length / cells, cells + sections
-        self._sinks = slice(cells, n)
-        capacity = np.full(n + m, rod.kappa_1 * rod.width * rod.height * dz)  # J/K
-        capacity[self._sinks] = p.sink_capacity
-        # K/s of every state: for 1 W from the elements, for 1 K of the room, on 1 W/m2 of surface
-        self._elements = np.zeros((sections, n + m))
-        self._fan, surface = np.zeros((2, n + m))
-        self._elements[:, :cells] = np.kron(np.eye(sections), np.full(p.cells, 1 / p.cells))
-        self._elements[:, self._sinks] = -np.eye(sections)
-        self._elements /= capacity
-        self._halves = np.abs(self._elements) / 2  # of the Joule heat
-        self._fan[self._sinks] = p.fan / p.sink_capacity
-        surface[:cells] = rod.width * dz / capacity[:cells]
+        dz = rod.length / cells
+        self._sinks, shown = slice(cells, cells + sections), slice(cells + sections, None)
+        self._sensors = _reading(rod, cells)
+
+        # C of every state, J/K; what a sensor has does not count
+        cell_capacity = rod.kappa_1 * rod.width * rod.height * dz
+        capacity = np.repeat([cell_capacity, p.sink_capacity, 1.0], [cells, sections, m])
+        # K/s of every state: for 1 W from the elements, and of what is half of the Joule heat
+        share = np.kron(np.eye(sections), np.full(p.cells, 1 / p.cells))
+        self._elements = np.hstack([share, -np.eye(sections), np.zeros((sections, m))]) / capacity
+        self._halves = np.abs(self._elements) / 2
+        # for 1 K of the room, and on the surface above each cell
+        self._fan = np.repeat([0.0, p.fan / p.sink_capacity, 0.0], [cells, sections, m])
+        surface = np.repeat([rod.width * dz / cell_capacity, 0.0], [cells, sections + m])
         self._convection = p.convection * surface
         self._radiation = p.emissivity * Stefan_Boltzmann * surface
 
-        flows = np.zeros((n + m, n + m))  # W/K
-        along = np.diff(np.eye(cells, n), axis=0)  # from one cell to the next
-        through = np.eye(cells, n)  # from a sink to the cells above it
-        through[:, self._sinks] = -np.kron(np.eye(sections), np.ones((p.cells, 1)))
-        conductance = rod.conductivity * rod.width * rod.height / dz
-        flows[:n, :n] = -conductance * along.T @ along
-        flows[:n, :n] -= p.element.conductance / p.cells * through.T @ through
-        flows[self._sinks, self._sinks] -= p.fan * np.eye(sections)
-        A = flows / capacity[:, None]
-
-        middles = (np.arange(cells) + 0.5) * dz
-        self._sensors = np.zeros((m, n + m))
-        hats = [np.interp(rod.sensors, middles, hat) for hat in np.eye(cells)]
-        self._sensors[:, :cells] = np.transpose(hats)
-        if p.lag:
-            A[n:] = self._sensors / p.lag
-            A[n:, n:] = -np.eye(m) / p.lag
-            self._sensors = np.eye(m, n + m, n)
-        one, zero = np.eye(n + m), np.zeros((n + m, n + m))
-        system = np.block([[A, one, zero], [zero, zero, one], [zero] * 3])
-        blocks = expm(self.Ts * system)
-        # states are rows, so that those of several rigs are a matrix
-        self._decay, self._first, second = np.split(blocks[: n + m].T.copy(), 3)
-        self._second = second / self.Ts
+        A = _conduction(rod, p, len(capacity)) / capacity[:, None]
+        if p.lag:  # the sensors follow what they touch
+            A[shown] = self._sensors / p.lag
+            A[shown, shown] = -np.eye(m) / p.lag
+            self._sensors = np.eye(m, len(capacity), shown.start)
+        self._decay, self._first, self._second = _exponentials(A, self.Ts)
         self._rest()
 
     def _rest(self):
@@ -235,9 +219,7 @@ class PeltierRig(Bench):
         """Ask for heat flows (W), shape (sections,), and let one sampling period pass."""
         heat = arguments.array("heat_flows", heat_flows, self.currents.shape)
         p = self.parameters
-        sinks = p.temperature
-        if p.sinks_measured is not False:  # of some rig
-            sinks = sinks + p.sinks_measured * self._state[..., self._sinks]
+        sinks = p.temperature + p.sinks_measured * self._state[..., self._sinks]
         wanted = p.known.current(heat, p.temperature, sinks)
         limit = p.element.limit
         self.currents = np.minimum(np.maximum(wanted, -limit), limit)
@@ -276,7 +258,37 @@ class RestartingPeltierRig(Restarting, PeltierRig):
     """
 
 
-SHARED = ("sink_capacity", "fan", "lag", "quantum", "cells")  # of rigs side by side
+def _reading(rod, cells):
+    """What touches each sensor, of the states: the straight line between the middles of cells."""
+    middles = (np.arange(cells) + 0.5) * (rod.length / cells)
+    reading = np.zeros((len(rod.sensors), cells + rod.sections + len(rod.sensors)))
+    hats = [np.interp(rod.sensors, middles, hat) for hat in np.eye(cells)]
+    reading[:, :cells] = np.transpose(hats)
+    return reading
+
+
+def _conduction(rod, p, states):
+    """W into every state for 1 K of every state: along the rod, through elements, from sinks."""
+    cells = rod.sections * p.cells
+    sinks, n = slice(cells, cells + rod.sections), cells + rod.sections
+    along = np.diff(np.eye(cells, n), axis=0)  # from one cell to the next
+    through = np.eye(cells, n)  # from a sink to the cells above it
+    through[:, sinks] = -np.kron(np.eye(rod.sections), np.ones((p.cells, 1)))
+    flows = np.zeros((states, states))
+    conductance = rod.conductivity * rod.width * rod.height / (rod.length / cells)
+    flows[:n, :n] = -conductance * along.T @ along
+    flows[:n, :n] -= p.element.conductance / p.cells * through.T @ through
+    flows[sinks, sinks] -= p.fan * np.eye(rod.sections)
+    return flows
+
+
+def _exponentials(A, Ts):
+    """E = exp(A Ts), int_0^Ts exp(A s) ds and int_0^Ts exp(A s) (1 - s / Ts) ds, for rows."""
+    one, zero = np.eye(len(A)), np.zeros(A.shape)
+    blocks = expm(Ts * np.block([[A, one, zero], [zero, zero, one], [zero] * 3]))
+    # states are rows, so that those of several rigs are a matrix
+    decay, first, second = np.split(blocks[: len(A)].T.copy(), 3)
+    return decay, first, second / Ts
 
 
 class PeltierRigs(Restarting, PeltierRig):
@@ -288,8 +300,8 @@ class PeltierRigs(Restarting, PeltierRig):
     Parameters
     ----------
     parameters : sequence of PeltierParameters
-        One for each rig. Those of the linear part of the dynamics must be the same, and the
-        resolution of the sensors.
+        One for each rig, with the same `sink_capacity`, `fan`, `lag`, `quantum`, `cells` and
+        conductance of the elements: all share the linear part of the dynamics.
     seeds : int or sequence of int
         Of the sensor noise, which is that of a single rig with such a seed.
     rod, Ts
@@ -297,7 +309,7 @@ class PeltierRigs(Restarting, PeltierRig):
 
     See Also
     --------
-    ilctools.rigs.side_by_side : trials on them
+    learning_trials : trials on them
 
     Examples
     --------
@@ -318,15 +330,8 @@ class PeltierRigs(Restarting, PeltierRig):
         for each in parameters:
             arguments.instance("parameters", each, PeltierParameters)
         self._rigs = (len(parameters),)
-        seeds = np.broadcast_to(seeds, self._rigs).tolist()
-        self.seeds = [arguments.whole("seeds", seed, 0) for seed in seeds]
-        together = _together(parameters)
-        values = {name: getattr(together, name) for name in SHARED}
-        values["element.conductance"] = together.element.conductance
-        differing = [name for name, value in values.items() if np.ndim(value)]
-        if differing:
-            raise ValueError(f"parameters side by side must have the same {differing}")
-        super().__init__(rod, together, Ts)
+        self.seeds = np.broadcast_to(seeds, self._rigs).tolist()
+        super().__init__(rod, _together(parameters), Ts)
         self._noise = _white(self.seeds, len(rod.sensors))
 
     def begin(self, trial: int) -> None:
@@ -358,3 +363,43 @@ def _white(seeds, channels):
     while True:  # a thousand samples at once, which is faster
         blocks = [rng.standard_normal((1000, channels)) for rng in generators]
         yield from np.stack(blocks, axis=1)
+
+
+Signals = tuple[np.ndarray, np.ndarray]  # y and u, of one trial
+
+
+def one_trial(rigs, loop: CurrentTrialLoop, w) -> Signals:
+    """Run a trial with the loop's controller: y and u, of the shape of w, (rig, time, m)."""
+    controller, y, u = Controller(loop), np.zeros_like(w), np.zeros_like(w)
+    positions = [rigs.inputs.index(name) for name in loop.controls]
+    inputs = np.zeros((len(w), len(rigs.inputs)))
+    for p in range(w.shape[1]):
+        y[:, p] = rigs.read()
+        u[:, p] = inputs[:, positions] = controller.command(w[:, p])
+        controller.observe(y[:, p], u[:, p])
+        rigs.apply(inputs)
+    return y, u
+
+
+def learning_trials(
+    rigs: PeltierRigs, loop: CurrentTrialLoop, laws: Sequence[Law], reference, trials: int
+) -> Iterator[Signals]:
+    """y and u of trials that begin anew, each rig under its law; reference (rig, time, m)."""
+    v = np.zeros_like(reference)
+    for trial in range(1, trials + 1):
+        rigs.begin(trial)
+        y, u = one_trial(rigs, loop, reference + v)  # (22)
+        yield y, u
+        for i, law in enumerate(laws):
+            v[i] = law.next(v[i], reference[i] - y[i])  # (23)
+
+
+class Recorded:
+    """A rig whose trials, y and u of each, have been run: for `record` and `shake` to note."""
+
+    def __init__(self, trials: Iterable[Signals], inputs, limits=None):
+        self._trials, self.inputs, self.limits = iter(trials), inputs, limits
+
+    def run(self, w) -> Signals:
+        """The signals of the next trial."""
+        return next(self._trials)

@@ -20,6 +20,8 @@ MISMATCHED = Rod(density=8100.0, heat_capacity=440.0, heat_transfer=160.0, condu
 class RigParameters:
     """What makes the rig unlike the design model; all assumed, as the paper says nothing of it.
 
+    The lag must differ from the time constants of the rod's modes.
+
     See Also
     --------
     VirtualRig : what has them
@@ -156,9 +158,7 @@ class VirtualRig(Bench):
         self._held = (np.expm1(s * Ts) / s)[:, None] * input_gain
         self._lag = np.exp(-Ts / parameters.lag) if parameters.lag else 0.0
         difference = -1 / parameters.lag - s if parameters.lag else np.inf
-        near = np.abs(difference * Ts) < 1e-6
-        lagging = (self._lag - self._decay) / np.where(near, 1, difference)
-        self._lagging = np.where(near, Ts * self._decay, lagging)[:, None] * input_gain
+        self._lagging = ((self._lag - self._decay) / difference)[:, None] * input_gain
         self._air = -np.expm1(s[0] * Ts)
         self._sensors = values.T
         self._rest()

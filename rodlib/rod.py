@@ -191,7 +191,12 @@ def exact_response(rod: Rod, s) -> np.ndarray:
 
     With gamma(s)^2 = (kappa_1 s + kappa_2) / lambda the temperature obeys
     theta'' = gamma^2 theta - (mu + kappa_2 theta_a) / lambda with theta'(0) = theta'(l) = 0.
-    Integrating its Green's function over a heated section gives quotients of hyperbolic sines.
+    Green's function of that is
+
+        cosh(gamma x) cosh(gamma (l - y)) / (gamma sinh(gamma l)),    x <= y,
+
+    with x the lower and y the higher of z and the place of the heat. Its integral over a heated
+    section consists of a part below z and a part above z.
 
     Parameters
     ----------
@@ -224,28 +229,19 @@ def exact_response(rod: Rod, s) -> np.ndarray:
     if np.any(np.abs(s - pole) <= -1e-12 * pole):
         raise ValueError(f"s contains {pole:.6g}, where the transfer function has a pole")
     gamma = np.sqrt((rod.kappa_1 * s + rod.kappa_2) / rod.conductivity)[:, None, None]
-    length, area = rod.length, rod.width * rod.height
-    whole = -np.expm1(-2 * gamma * length)
+    length = rod.length
 
-    def sinh_ratio(x):  # sinh(gamma x) / sinh(gamma l), |x| <= l, without overflow
-        return (np.exp(gamma * (x - length)) - np.exp(-gamma * (x + length))) / whole
+    def product(x, y):  # cosh(gamma x) sinh(gamma y) / sinh(gamma l), x + y <= l, no overflow
+        exponentials = (1 + np.exp(-2 * gamma * x)) * np.expm1(-2 * gamma * y)
+        return np.exp(gamma * (x + y - length)) * exponentials / np.expm1(-2 * gamma * length) / 2
 
-    z, edges = np.array(rod.sensors)[:, None], rod.edges
-    start, stop = edges[:-1], edges[1:]
-    inner = np.clip(z, start, stop)
-    above, below = (np.maximum(z, inner), np.minimum(z, inner))  # equal to z where it counts
-    places = np.array(
-        [
-            [length - above + inner, length - inner + below],
-            [inner - length + above, length - inner - below],
-            [length - above + start, length - stop + below],
-            [start - length + above, length - stop - below],
-        ]
-    )
-    one, two, three, four = sinh_ratio(places[:, :, None])  # all at once
-    left, right = one + two - (three + four)
-    density = rod.sections / (area * length)  # of a heat flow, (4)
-    flows = density * (left + right) / (2 * rod.conductivity * gamma**2)
+    z, start, stop = np.array(rod.sensors)[:, None], rod.edges[:-1], rod.edges[1:]
+    inner = np.clip(z, start, stop)  # where the two parts of a section meet
+    above, below = np.maximum(z, inner), np.minimum(z, inner)  # z, unless a part is empty
+    heat_below = product(length - above, inner) - product(length - above, start)
+    heat_above = product(below, length - inner) - product(below, length - stop)
+    density = rod.sections / (rod.width * rod.height * length)  # of a heat flow, (4)
+    flows = density * (heat_below + heat_above) / (rod.conductivity * gamma**2)
     air = rod.kappa_2 / (rod.kappa_1 * s + rod.kappa_2)
     return np.concatenate(
         [flows, np.broadcast_to(air[:, None, None], (*flows.shape[:2], 1))], axis=2

@@ -19,17 +19,10 @@ settings.load_profile("repeatable")
 
 
 def pytest_addoption(parser):
-    parser.addoption(
-        "--no-longdouble",
-        action="store_true",
-        help="run as on a processor without long doubles: numpy.longdouble is numpy.float64",
-    )
     parser.addoption("--rounding", type=int, metavar="SEED", help="vary the rounding, by a seed")
 
 
 def pytest_configure(config):
-    if config.getoption("no_longdouble"):  # before anything imports rodlib
-        np.longdouble, np.clongdouble = np.float64, np.complex128
     seed = config.getoption("rounding")
     if seed is not None:
         before = os.environ.get("PYTHONPATH", "")

@@ -20,6 +20,26 @@ MATERIALS = st.builds(
 )
 
 
+# of notebook 11
+BRASS = Rod(
+    length=0.6,
+    density=8500.0,
+    heat_capacity=380.0,
+    conductivity=120.0,
+    sections=6,
+    sensors=(0.15, 0.35, 0.55),
+)
+
+
+def readings_of(rig, commands):
+    """What a rig shows before each command."""
+    readings = []
+    for command in commands:
+        readings.append(rig.read())
+        rig.apply(command)
+    return np.array(readings)
+
+
 def modal_model(specimen, Ts, modes=250):
     """The rod behind a hold with so many modes, the others as gains that act within a sample."""
     rod = specimen.rod

@@ -63,21 +63,30 @@ def test_nobody_else_creates_it_at_the_same_time(tmp_path):
     assert os.listdir(tmp_path) == ["build"]
 
 
-@pytest.mark.parametrize("uv", [0, 1])
-def test_where_uv_cannot_install_pip_does(tmp_path, monkeypatch, uv):
-    """Nothing is installed here: the commands are kept, and uv's ends as it is told to."""
+@pytest.fixture
+def created(tmp_path, monkeypatch):
+    """Commands by which an environment is made, where nothing is installed; uv's ends as asked."""
     (tmp_path / "environment.lock").write_text("uv==1 \\\n    --hash=sha256:0\n")
-    folder = tmp_path / ".venv" / "bin"
-    folder.mkdir(parents=True)
-    commands = []
+    (tmp_path / ".venv" / "bin").mkdir(parents=True)
 
-    def keep(command):
-        commands.append([str(part) for part in command])
-        failed = uv if commands[-1][0].endswith("uv") else 0
-        return subprocess.CompletedProcess(command, failed)
+    def create(uv=0):
+        commands = []
 
-    monkeypatch.setattr(environment.subprocess, "run", keep)
-    environment.create(tmp_path)
+        def keep(command):
+            commands.append([str(part) for part in command])
+            failed = uv if commands[-1][0].endswith("uv") else 0
+            return subprocess.CompletedProcess(command, failed)
+
+        monkeypatch.setattr(environment.subprocess, "run", keep)
+        environment.create(tmp_path)
+        return commands
+
+    return create
+
+
+@pytest.mark.parametrize("uv", [0, 1])
+def test_where_uv_cannot_install_pip_does(tmp_path, created, uv):
+    commands, folder = created(uv), tmp_path / ".venv" / "bin"
     by_pip = [str(folder / "python"), *environment.PIP, "--require-hashes", "-r"]
     by_pip.append(str(tmp_path / "environment.lock"))
     assert (by_pip in commands) == bool(uv)
@@ -94,17 +103,7 @@ def test_what_stands_in_the_way_is_named(tmp_path, dangling):
     assert os.path.lexists(way)
 
 
-def test_where_no_home_can_be_written_uv_keeps_its_files_in_build(tmp_path, monkeypatch):
-    (tmp_path / "environment.lock").write_text("uv==1 \\\n    --hash=sha256:0\n")
-    (tmp_path / ".venv" / "bin").mkdir(parents=True)
+def test_where_no_home_can_be_written_uv_keeps_its_files_in_build(tmp_path, created, monkeypatch):
     monkeypatch.setenv("HOME", str(tmp_path / "none"))
-    commands = []
-
-    def keep(command):
-        commands.append([str(part) for part in command])
-        return subprocess.CompletedProcess(command, 0)
-
-    monkeypatch.setattr(environment.subprocess, "run", keep)
-    environment.create(tmp_path)
-    [by_uv] = [command for command in commands if command[0].endswith("uv")]
+    [by_uv] = [command for command in created() if command[0].endswith("uv")]
     assert by_uv[by_uv.index("--cache-dir") + 1] == str(tmp_path / "build" / "uv")

@@ -4,31 +4,26 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rods import readings_of
 from scipy.integrate import solve_ivp
 from scipy.optimize import minimize_scalar
 
 from ilctools import Controller, Law, LearningFilter, record, zero_phase_butterworth
-from ilctools.rigs import side_by_side
 from rodlib import Rod, paper_loop
 from rodlib.peltier_rig import (
     PeltierElement,
     PeltierParameters,
     PeltierRig,
     PeltierRigs,
+    Recorded,
     RestartingPeltierRig,
+    learning_trials,
+    one_trial,
 )
 from rodlib.rigs import RigParameters, VirtualRig
 
 SILENT = PeltierParameters(noise=0, quantum=0, ambient_rate=0)
 ROOM = SILENT.temperature
-
-
-def run_rig(rig, commands):
-    readings = []
-    for command in commands:
-        readings.append(rig.read())
-        rig.apply(command)
-    return np.array(readings)
 
 
 def test_the_element_has_the_data_sheet_of_a_common_one():
@@ -81,7 +76,7 @@ def test_for_small_currents_it_is_the_linear_rig():
     ideal = RigParameters(noise=0, quantum=0, lag=0, limit=np.inf, ambient_rate=0)
     linear = VirtualRig(rig.linearised, ideal)
     commands = 1e-4 * np.random.default_rng(0).standard_normal((40, 4)).repeat(25, axis=0)
-    small, expected = run_rig(rig, commands), run_rig(linear, commands)
+    small, expected = readings_of(rig, commands), readings_of(linear, commands)
     np.testing.assert_allclose(small, expected, atol=3e-3 * np.abs(expected).max())
 
 
@@ -151,7 +146,7 @@ def test_a_thermometer_on_the_sinks_brings_the_heat_that_was_asked_for():
     asked, flows = np.tile([-30.0, 0.0, -30.0, 0.0], (1500, 1)), {}
     for measured in (False, True):
         rig = PeltierRig(parameters=replace(SILENT, convection=0.0, sinks_measured=measured))
-        run_rig(rig, asked)
+        readings_of(rig, asked)
         flows[measured] = rig.parameters.element.heat(rig.currents, ROOM, ROOM + rig.sinks)[0]
         assert rig.sinks[0] > 3
     assert flows[True] == pytest.approx(-30, abs=0.05)
@@ -178,7 +173,7 @@ def test_rigs_side_by_side_do_what_each_does_alone(quantum):
     for trial in (None, 1, 2):
         if trial:
             rigs.begin(trial)
-        y, u = side_by_side.run(rigs, LOOP, w)
+        y, u = one_trial(rigs, LOOP, w)
         assert np.abs(rigs.currents).max() == 6.0
         for i, (parameters, seed) in enumerate(zip(each, SEEDS, strict=True)):
             rig = (RestartingPeltierRig if trial else PeltierRig)(parameters=parameters, seed=seed)
@@ -203,11 +198,11 @@ def test_trials_side_by_side_are_those_that_are_recorded_one_by_one():
     rigs = PeltierRigs(each, SEEDS[:3])
     bump = np.sin(np.linspace(0, np.pi, 150))[:, None] ** 2 * [5.0, -8.0]
     reference = bump * np.reshape([1.0, 2.0, 3.0], (3, 1, 1))
-    trials = [*side_by_side.learn(rigs, LOOP, laws, reference, 3)]
+    trials = [*learning_trials(rigs, LOOP, laws, reference, 3)]
     for i, parameters in enumerate(each):
         alone = RestartingPeltierRig(parameters=parameters, seed=SEEDS[i])
         own = [(y[i], u[i]) for y, u in trials]
-        again = side_by_side.Recorded(own, alone.inputs, alone.limits)
+        again = Recorded(own, alone.inputs, alone.limits)
         logs, said = [], []
         for rig in (alone, again):
             with pytest.warns(UserWarning) as caught:
@@ -217,11 +212,3 @@ def test_trials_side_by_side_are_those_that_are_recorded_one_by_one():
         for name in ("v", "u", "y", "e"):
             alone_log, again_log = (log[name].values for log in logs)
             np.testing.assert_allclose(again_log, alone_log, rtol=0, atol=1e-8)
-
-
-def test_rigs_side_by_side_share_what_is_linear():
-    other = PeltierParameters(fan=1.0, element=PeltierElement(conductance=0.1))
-    with pytest.raises(ValueError, match=r"the same \['fan', 'element.conductance'\]"):
-        PeltierRigs([PeltierParameters(), other])
-    with pytest.raises(ValueError, match=r"seeds = 1\.5"):
-        PeltierRigs([other], seeds=[1.5])

@@ -2,19 +2,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rods import readings_of
 
 from rodlib import RestartingPeltierRig, Rod, exact_response
 from rodlib.rigs import RestartingRig, RigParameters, VirtualRig
 
 IDEAL = RigParameters(noise=0, quantum=0, lag=0, limit=np.inf, ambient_rate=0)
-
-
-def run_rig(device, commands):
-    readings = []
-    for command in commands:
-        readings.append(device.read())
-        device.apply(command)
-    return np.array(readings)
 
 
 @pytest.mark.parametrize(
@@ -27,7 +20,7 @@ def test_sinusoids_pass_as_in_the_exact_response(omega, lag, element):
     time = np.arange(3000 + 3 * periods)
     commands = np.sin(omega * time)[:, None] * np.eye(4)[element]
     device = VirtualRig(Rod(), replace(IDEAL, lag=lag))
-    readings = run_rig(device, commands)[-3 * periods :]
+    readings = readings_of(device, commands)[-3 * periods :]
     phase = np.exp(-1j * omega * time[-3 * periods :])
     measured = 2j * (phase @ readings) / len(phase)
     hold = (1 - np.exp(-1j * omega)) / (1j * omega)
@@ -43,7 +36,7 @@ def test_heat_is_conserved(lag):
     device = VirtualRig(rod, replace(IDEAL, lag=lag))
     commands = np.random.default_rng(0).uniform(-20, 20, (200, 4))
     commands[100:] = 0  # lets the lag run out
-    run_rig(device, commands)
+    readings_of(device, commands)
     mean = device._state[0]  # the others have none
     stored = rod.kappa_1 * rod.length * rod.width * rod.height * mean
     assert stored == pytest.approx(commands.sum(), rel=1e-6)
@@ -54,10 +47,10 @@ def test_lag_saturation_noise_and_quantisation():
     slow = VirtualRig(Rod(), replace(IDEAL, lag=10.0))
     clipped = VirtualRig(Rod(), replace(IDEAL, limit=5.0))
     commands = np.tile([20.0, 0, 0, 0], (60, 1))
-    fast = run_rig(base, commands)
-    late = run_rig(slow, commands)
+    fast = readings_of(base, commands)
+    late = readings_of(slow, commands)
     assert 0 < late[-1, 0] < fast[-1, 0]
-    np.testing.assert_allclose(run_rig(clipped, commands), fast / 4, atol=1e-12)
+    np.testing.assert_allclose(readings_of(clipped, commands), fast / 4, atol=1e-12)
     noisy = VirtualRig(Rod(), replace(IDEAL, noise=0.05, quantum=0.01), seed=3)
     readings = np.array([noisy.read() for _ in range(4000)])
     assert readings.std() == pytest.approx(0.05, rel=0.05)
@@ -66,7 +59,7 @@ def test_lag_saturation_noise_and_quantisation():
 
 def test_room_warms_up_and_the_rod_follows():
     device = VirtualRig(Rod(), replace(IDEAL, ambient_rate=1e-4))
-    run_rig(device, np.zeros((5000, 4)))
+    readings_of(device, np.zeros((5000, 4)))
     assert device.ambient == pytest.approx(0.5)
     behind = 262e-4  # by its time constant
     assert np.all(np.abs(device.read() - 0.5 + behind) < 2e-3)
@@ -79,9 +72,9 @@ def test_every_trial_of_a_restarting_rig_depends_on_seed_and_number_alone(rig):
     trials = []
     for trial in (1, 2):
         device.begin(trial)
-        trials.append(run_rig(device, commands))
+        trials.append(readings_of(device, commands))
         assert device.clock() == 30.0
     later.begin(2)
-    np.testing.assert_array_equal(run_rig(later, commands), trials[1])
+    np.testing.assert_array_equal(readings_of(later, commands), trials[1])
     assert np.any(trials[0] != trials[1])
     np.testing.assert_allclose(trials[0], trials[1], atol=0.2)  # noise only

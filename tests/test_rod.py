@@ -5,42 +5,11 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from rods import MATERIALS
+from rods import BRASS, MATERIALS
 
 from ilctools.models import frequency_response
 from rodlib import Rod, exact_response, midr
 from rodlib.rod import bernstein_basis
-
-BRASS = Rod(  # of notebook 11
-    length=0.6, density=8500.0, heat_capacity=380.0, conductivity=120.0, sections=6,
-    sensors=(0.15, 0.35, 0.55),
-)  # fmt: skip
-
-
-def galerkin(rod, degree):
-    """The finite-element model on the same polynomials, from its weak form."""
-    theta = bernstein_basis(rod, degree)
-    nodes, weights = np.polynomial.legendre.leggauss(degree + 2)
-    section = rod.length / rod.sections
-    mass = stiffness = 0
-    load = np.zeros((rod.sections * degree + 1, rod.sections + 1))
-    for i, middle in enumerate(rod.edges[:-1] + section / 2):
-        z, w = middle + nodes * section / 2, weights * section / 2
-        values, slopes = theta(z), theta.derivative()(z)
-        mass = mass + np.einsum("n,ni,nj->ij", w, values, values)
-        stiffness = stiffness + np.einsum("n,ni,nj->ij", w, slopes, slopes)
-        load[:, i] = w @ values / (section * rod.width * rod.height)
-        load[:, -1] += rod.kappa_2 * (w @ values)
-    A = np.linalg.solve(mass, -rod.conductivity * stiffness - rod.kappa_2 * mass)
-    return A / rod.kappa_1, np.linalg.solve(mass, load) / rod.kappa_1
-
-
-@pytest.mark.parametrize("degree", [1, 5])
-def test_midr_is_galerkins_method_on_the_same_polynomials(degree):
-    model = midr(Rod(), degree)
-    A, B = galerkin(Rod(), degree)
-    np.testing.assert_allclose(model.A, A, atol=1e-10 * np.abs(A).max())
-    np.testing.assert_allclose(model.B, B, atol=1e-10 * np.abs(B).max())
 
 
 def test_slow_modes_are_those_of_the_analytic_rod():

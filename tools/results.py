@@ -16,7 +16,7 @@ def main(build: Path, root: Path) -> bool:
     """Say what is the same and what is not; whether anything is not."""
     try:
         rows = join(build / "ledger")
-    except ValueError as error:  # a notebook failed
+    except (KeyError, ValueError) as error:  # a notebook failed
         print(error)
         return True
     # nbval does not count the cells that it runs: which cell made a row is taken as tracked.

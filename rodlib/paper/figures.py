@@ -1,11 +1,9 @@
 """Figures as they are saved and shown; their style is ``plt.style.use("rodlib.paper.style")``."""
 
 from base64 import b64encode
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-import matplotlib as mpl
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
@@ -57,13 +55,11 @@ def save(figure: Figure, name: str, caption: str) -> SavedFigure:
     The name begins with the paper's figure, as in "fig04-frequency-response"; the caption says what
     is to be seen, in a sentence or two of plain text that stand for themselves.
     """
-    target = folder(results("figures.save") / "figures")
     width = round(figure.get_figwidth() * figure.get_dpi())
-    picture = target / f"{name}.png"
-    with _laid_out(figure):
-        _write(figure, picture, "Software")
-        if not same(picture, ROOT / "figures" / picture.name):
-            _write(figure, picture.with_suffix(".pdf"), "CreationDate")
+    picture = folder(results("figures.save") / "figures") / f"{name}.png"
+    _write(figure, picture, "Software")
+    if not same(picture, ROOT / "figures" / picture.name):
+        _write(figure, picture.with_suffix(".pdf"), "CreationDate")
     plt.close(figure)  # or the notebook would draw it once more
     return SavedFigure(picture, width, caption)
 
@@ -79,15 +75,3 @@ def plain(name: str) -> str:
     """A name from outside, as a label shows it to the letter: no formula, and not left out."""
     shown = name.replace("$", r"\$")
     return f" {shown}" if shown.startswith("_") else shown
-
-
-@contextmanager
-def _laid_out(figure):
-    """Lay a figure out once; with an engine for it, savefig would draw it twice for every file."""
-    if figure.get_layout_engine():
-        figure.set_dpi(PIXELS_PER_INCH)  # a text is not as wide with another
-        figure.get_layout_engine().execute(figure)
-    # or savefig brings the engine back
-    with mpl.rc_context({"figure.constrained_layout.use": False}):
-        figure.set_layout_engine(None)
-        yield

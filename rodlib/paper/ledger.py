@@ -28,7 +28,7 @@ import pandas as pd
 from ilctools.files import folder, read_json, replace_all, write_whole
 from rodlib.paper import pictures, published
 from rodlib.paper.published import Claim
-from rodlib.paper.repository import ROOT, checkout, results
+from rodlib.paper.repository import ROOT, results
 
 REPRODUCED, DIFFERS = "reproduced", "differs"
 IN_WORDS, UNCHECKED = "in words", "cannot be checked"
@@ -43,7 +43,6 @@ KINDS = {
     "assumed": "statements on assumed signals or a virtual rig",
 }
 NOISE = 1e-9  # what is smaller is rounding, and not the same on two machines
-BELOW_NOISE = f"below {NOISE:g}"
 SIGNIFICANT = 5  # digits of a number that tests a statement in words
 COEFFICIENT = r"L_(?:diagonal|full)\["  # how the key of one of (39) begins
 SAVED = r'\bsave\(\w+, "([^"]+)", caption\)'  # how a notebook saves a figure
@@ -56,26 +55,19 @@ COLUMNS = [
 
 def verdict(claim: Claim, computed: float) -> tuple[str, float]:
     """A verdict, and the deviation from the printed number, or from a criterion missed."""
+    first, _, second = claim.criterion.partition(" ")
     if claim.criterion.startswith(WORDS):
         return IN_WORDS, 0.0
-    if not claim.criterion:
-        deviation = computed - published.number(claim.printed)
-        tolerance = published.half_unit(claim.printed) * (1 + 1e-9)
-        return _outcome(abs(deviation) <= tolerance), float(deviation)
-    first, _, second = claim.criterion.partition(" ")
     if first in COMPARE:
-        limit = float(second)
-        holds = COMPARE[first](computed, limit)
-        return _outcome(holds), 0.0 if holds else float(computed - limit)
-    if second.startswith("+- "):
-        deviation = computed - float(first)
-        holds = abs(deviation) <= float(second.removeprefix("+- "))
-        return _outcome(holds), float(deviation)
-    raise ValueError(f"criterion {claim.criterion!r} of claim {claim.key!r} is not understood")
-
-
-def _outcome(holds):
-    return REPRODUCED if holds else DIFFERS
+        holds, expected = COMPARE[first](computed, float(second)), float(second)
+        return (REPRODUCED, 0.0) if holds else (DIFFERS, float(computed - expected))
+    if claim.criterion:  # "0.58 +- 0.01"
+        expected, tolerance = float(first), float(second.removeprefix("+- "))
+    else:
+        expected = published.value(claim.printed)
+        tolerance = published.half_unit(claim.printed) * (1 + 1e-9)
+    deviation = computed - expected
+    return REPRODUCED if abs(deviation) <= tolerance else DIFFERS, float(deviation)
 
 
 class Ledger:
@@ -91,7 +83,7 @@ class Ledger:
         self.rows = {}
         known = published.claims()
         self.papers_parameters = all(
-            value == published.number(known[key].printed)  # a choice has no rounding
+            value == published.value(known[key].printed)  # a choice has no rounding
             for key, value in parameters.items()
         )
 
@@ -102,18 +94,15 @@ class Ledger:
         what cannot be checked.
         """
         if key in published.MATRICES:
-            self._record_matrix(key, np.asarray(computed))
+            for entry, name in np.ndenumerate(published.keys(key)):
+                if name:
+                    self.record(name, computed[entry])
             return
         claim = published.claims()[key]
-        if claim.criterion == UNCHECKED:
-            outcome, shown, deviation = UNCHECKED, "", np.nan
-        else:
-            outcome, deviation = verdict(claim, float(computed))
-            shown = _shown(claim, float(computed))
-            if shown != BELOW_NOISE and outcome != IN_WORDS:
-                deviation = verdict(claim, float(shown))[1]
-        compares = claim.criterion.startswith(tuple(COMPARE))
-        notes = [f"criterion: {claim.criterion}" if compares else "", claim.note]
+        outcome, shown, deviation = _judged(claim, computed)
+        notes = [claim.note] if claim.note else []
+        if claim.criterion.startswith(tuple(COMPARE)):
+            notes.insert(0, f"criterion: {claim.criterion}")
         judged = self.papers_parameters or outcome == UNCHECKED
         self.rows[key] = {
             "key": key,
@@ -124,24 +113,10 @@ class Ledger:
             "deviation": f"{deviation:.1e}" if abs(deviation) > NOISE else "",
             "verdict": outcome if judged else OTHER,
             "kind": claim.kind,
-            "note": "; ".join(filter(None, notes)),
+            "note": "; ".join(notes),
             "notebook": self.notebook,
             "cell": _running(),
         }
-
-    def _record_matrix(self, name, computed):
-        expected = published.matrix(name).shape
-        if computed.shape != expected:
-            raise ValueError(f"{name} has shape {computed.shape}, but the paper's has {expected}")
-        if name == "K_s":
-            computed = computed.T
-        if name == "L_diagonal":
-            computed = np.einsum("iik->ki", computed)
-        if name == "L_full":
-            computed = computed.reshape(4, -1).T
-        keys = [key for key in published.claims() if key.startswith(f"{name}[")]
-        for key, value in zip(keys, computed.ravel(), strict=True):
-            self.record(key, value)
 
     def table(self, keys: Iterable[str] | None = None) -> pd.DataFrame:
         """The rows recorded so far whose keys begin so, by default all, as a table."""
@@ -188,29 +163,36 @@ def _figures():
     return "\n".join(sorted(lines))
 
 
-def _shown(claim, value):
-    if claim.criterion.startswith(WORDS):
-        return claim.criterion.removeprefix(WORDS).format(f"{value:.3g}")
+def _judged(claim, computed):
+    """The verdict, the number as it is shown, and by how much that deviates."""
+    if claim.criterion == UNCHECKED:
+        return UNCHECKED, "", 0.0
+    value = float(computed)
+    outcome, deviation = verdict(claim, value)
+    if outcome == IN_WORDS:
+        return IN_WORDS, claim.criterion.removeprefix(WORDS).format(f"{value:.3g}"), 0.0
     if 0 < abs(value) <= NOISE:
-        return BELOW_NOISE
+        return outcome, f"below {NOISE:g}", deviation
     digits, notation = published.decimals(claim.printed), "f"
     if digits is None:
         digits, notation = SIGNIFICANT, "g"
-    outcome = verdict(claim, value)[0]
-    texts = (f"{value:z.{more}{notation}}" for more in range(digits, digits + 17))
-    return next(text for text in texts if verdict(claim, float(text))[0] == outcome)
+    shown = f"{value:z.{digits}{notation}}"
+    while verdict(claim, float(shown))[0] != outcome:
+        digits += 1
+        shown = f"{value:z.{digits}{notation}}"
+    return outcome, shown, verdict(claim, float(shown))[1]
 
 
 def join(parts: Path) -> pd.DataFrame:
-    """The rows of all notebooks, a CSV file each, in the order of the paper: one for each claim."""
-    paths = sorted(parts.glob("*.csv"))
-    tables = [pd.read_csv(path, dtype=str, keep_default_na=False) for path in paths]
-    rows = pd.concat(tables) if tables else pd.DataFrame(columns=COLUMNS)
-    twice = rows.key[rows.key.duplicated()].tolist()
-    missing = [key for key in published.claims() if key not in set(rows.key)]
-    if twice or missing:
-        raise ValueError(f"ledger: claims without evidence {missing}, claims with two rows {twice}")
-    return rows.set_index("key").loc[list(published.claims())].reset_index()[COLUMNS]
+    """The rows of all notebooks, a CSV file each, in the order of the paper: one for each claim.
+
+    A claim with two rows is a ValueError, one without a row a KeyError; both name it.
+    """
+    tables = [pd.DataFrame(columns=COLUMNS)]
+    for path in sorted(parts.glob("*.csv")):
+        tables.append(pd.read_csv(path, dtype=str, keep_default_na=False))
+    rows = pd.concat([table.set_index("key") for table in tables], verify_integrity=True)
+    return rows.loc[list(published.claims())].reset_index()[COLUMNS]
 
 
 def summary(rows: pd.DataFrame) -> str:
@@ -296,7 +278,6 @@ def splice(text: str, name: str, content: str) -> str:
 
 def publish(build: Path, root: Path) -> None:
     """Put what a complete run has changed into figures/ and the README, and print what that is."""
-    checkout("publishing", root)
     rows = join(build / "ledger")
     figures, texts = changes(rows, build, root)
     new = {}
@@ -331,8 +312,6 @@ def changes(rows: pd.DataFrame, build: Path, root: Path) -> tuple[dict[str, str]
 def report(figures: dict[str, str], texts: Iterable[str]) -> str:
     """How many figures are the same, and what has become of the others and of texts."""
     same = list(figures.values()).count(pictures.SAME)
-    if same == len(figures) and not texts:
-        return f"all {same} figures, the ledger and the README are the same as before"
     line = f"{same} of {len(figures)} figures are the same as before"
     every = figures | dict.fromkeys(texts, pictures.DIFFERENT)
     for kind in (pictures.DIFFERENT, pictures.NEW, pictures.GONE):

@@ -5,7 +5,6 @@ single numbers, and statements in words with the criterion that we test them by;
 the matrices. Numbers are kept as strings, because their last digit says how precise they are.
 """
 
-import csv
 import re
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -13,6 +12,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from rodlib.paper.repository import ROOT
 
@@ -35,7 +35,7 @@ class Claim:
     kind: str = "number"  # or a key of ledger.KINDS, "taken over", "identity"
 
 
-def number(printed: str) -> float:
+def value(printed: str) -> float:
     """Value of a printed number: decimal, fraction ("3/8"), power of ten ("10^-4") or "pi"."""
     if printed == "pi":
         return float(np.pi)
@@ -52,24 +52,33 @@ def decimals(printed: str) -> int | None:
 def half_unit(printed: str) -> float:
     """Half a unit of the last printed digit; for fractions, powers and pi, rounding errors only."""
     places = decimals(printed)
-    return 1e-12 * abs(number(printed)) if places is None else 0.5 * 10.0**-places
+    return 1e-12 * abs(value(printed)) if places is None else 0.5 * 10.0**-places
 
 
 def _table(name):
-    with open(FOLDER / f"{name}.csv", newline="", encoding="utf-8") as file:
-        return list(csv.reader(file))
+    return pd.read_csv(FOLDER / f"{name}.csv", dtype=str, keep_default_na=False)
 
 
 def matrix(name: str) -> np.ndarray:
     """A printed matrix, one of `MATRICES`, filters with the shape of their coefficients."""
-    values = np.array([[number(entry) for entry in row[1:]] for row in _table(name)[1:]])
+    return _arranged(name, _table(name).iloc[:, 1:].map(value).to_numpy())
+
+
+def keys(name: str) -> np.ndarray:
+    """Keys of the claims that a matrix makes, in its place; "" where it is zero by structure."""
+    entries = [key for key in claims() if key.startswith(f"{name}[")]
+    return _arranged(name, np.reshape(entries, (len(_table(name)), -1)))
+
+
+def _arranged(name, table):
+    """What stands in a file's table, in the shape of the matrix."""
     if name == "K_s":
-        return values.T
+        return table.T
     if name == "L_diagonal":
-        return np.stack([np.diag(row) for row in values], axis=-1)
+        return np.stack([np.diag(row) for row in table], axis=-1)
     if name == "L_full":
-        return values.T.reshape(2, 2, -1)
-    return values
+        return table.T.reshape(2, 2, -1)
+    return table
 
 
 @cache
@@ -78,19 +87,11 @@ def claims() -> dict[str, Claim]:
 
     An entry of a matrix has a key like "N[1,2]": row and column as in its file, from one.
     """
-    rows = [Claim(*row) for row in _table("claims")[1:]]
     expanded = []
-    for claim in rows:
+    for row in _table("claims").to_numpy():
+        claim = Claim(*row)
         if claim.key in MATRICES:
-            head, *table = _table(claim.key)
-            for row in table:
-                for label, printed in zip(head[1:], row[1:], strict=True):
-                    entry = f"[{row[0]},{label}]"
-                    name = {"key": claim.key + entry, "claim": claim.claim + entry}
-                    disturbance = claim.key == "K_L" and row[0] in ("11", "12")
-                    # no state coordinates
-                    kind = "number" if disturbance else claim.kind
-                    expanded.append(replace(claim, **name, printed=printed, kind=kind))
+            expanded.extend(_entries(claim))
         elif claim.key == "invariants":
             expanded.extend(_invariants(claim.place))
         else:
@@ -98,21 +99,33 @@ def claims() -> dict[str, Claim]:
     return {claim.key: claim for claim in expanded}
 
 
+def _entries(claim):
+    """The claims that a matrix makes."""
+    table = _table(claim.key)
+    for (row, column), printed in table.set_index(table.columns[0]).stack().items():
+        entry = f"[{row},{column}]"
+        # The observer's last two rows are of the disturbance: no state coordinates.
+        kind = "number" if claim.key == "K_L" and row in ("11", "12") else claim.kind
+        name = {"key": claim.key + entry, "claim": claim.claim + entry}
+        yield replace(claim, **name, printed=printed, kind=kind)
+
+
 def _invariants(place):
     """Products of K_s and K_L that no orthogonal change of state coordinates alters."""
     Ks, KL1 = matrix("K_s"), matrix("K_L")[:10].T
     rounding = half_unit("0.0001")
     for label, X, Y in (("K_s K_s'", Ks, Ks), ("K_L1' K_L1", KL1, KL1), ("K_s K_L1", Ks, KL1)):
-        for i in range(2):
-            for j in range(i if X is Y else 0, 2):
-                value = X[i] @ Y[j]
-                # what the rounding of the printed entries can add up to
-                tolerance = rounding * (np.abs(X[i]).sum() + np.abs(Y[j]).sum() + 10 * rounding)
-                yield Claim(
-                    f"{label}[{i + 1},{j + 1}]",
-                    place,
-                    f"{label}, entry [{i + 1},{j + 1}], from the printed gains",
-                    f"{value:.5f}",
-                    criterion=f"{value:.8f} +- {tolerance:.8f}",
-                    note="independent of the state coordinates; tolerance from the printed digits",
-                )
+        for i, j in np.ndindex(2, 2):
+            if X is Y and j < i:  # symmetric
+                continue
+            product, entry = X[i] @ Y[j], f"{label}[{i + 1},{j + 1}]"
+            # what the rounding of the printed entries can add up to
+            tolerance = rounding * (np.abs(X[i]).sum() + np.abs(Y[j]).sum() + 10 * rounding)
+            yield Claim(
+                entry,
+                place,
+                f"{label}, entry [{i + 1},{j + 1}], from the printed gains",
+                f"{product:.5f}",
+                criterion=f"{product:.8f} +- {tolerance:.8f}",
+                note="independent of the state coordinates; tolerance from the printed digits",
+            )

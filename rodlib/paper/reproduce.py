@@ -4,7 +4,6 @@ Notebooks, figures and parts of the ledger go to build/reproduce; only when all 
 figures/ and the README. ``make replay`` runs a notebook of its own on another log, in build/replay.
 """
 
-import json
 import os
 import shutil
 import signal
@@ -13,19 +12,15 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
-from itertools import zip_longest
 from pathlib import Path
 
-from tqdm import tqdm
-
+import ilctools
 from ilctools.files import alone, folder
 from rodlib.paper.ledger import publish
 from rodlib.paper.repository import ROOT, checkout
 
 REPORT = Path(__file__).with_name("replay.ipynb")
 AT_A_TIME = 3  # two processors stay busy while a kernel starts or ends
-# The first to start, so that no processor waits for the last to end.
-LONGEST = ("16", "09", "14", "13", "10", "17", "06", "18", "08")
 
 
 @contextmanager
@@ -41,29 +36,24 @@ def folder_of_run(command: str, root: Path) -> Iterator[Path]:
         yield results
 
 
-def run(notebook: Path, executed: Path, bar: tqdm | None = None, **parameters) -> float:
-    """Execute a notebook in its own folder, in a new kernel, and say how many seconds it took."""
-    # jsonschema, which reads notebooks, builds a grammar of web addresses if it finds the package:
-    # two seconds for nothing.
-    sys.modules.setdefault("rfc3987_syntax", None)
+def execute(notebook: Path, executed: Path, **parameters) -> float:
+    """Execute a notebook in its own folder, in a new kernel, and say how many seconds it took.
+
+    papermill replaces what stands in braces in a path, so that neither may have any.
+    """
     import papermill
 
     start = time.perf_counter()
-    # papermill replaces what stands in braces in a path
-    source, target = (
-        str(path).replace("{", "{{").replace("}", "}}") for path in (notebook, executed)
-    )
     try:
         papermill.execute_notebook(
-            source,
-            target,
+            notebook,
+            executed,
             parameters,
             progress_bar=False,
             request_save_on_cell_execute=False,
             # papermill's own `cwd` is that of the whole process, not of one thread
             resources={"metadata": {"path": str(notebook.parent)}},
             shutdown_kernel="immediate",  # all is written by then
-            on_cell_complete=lambda **cell: bar is None or bar.update(),
         )
     except papermill.PapermillExecutionError as error:
         raise RuntimeError(
@@ -76,58 +66,27 @@ def run(notebook: Path, executed: Path, bar: tqdm | None = None, **parameters) -
 
 
 def longest_first(root: Path) -> list[Path]:
-    """The notebooks, in the order in which they are started."""
-    order = {name: k for k, name in enumerate(LONGEST)}
-    notebooks = sorted((root / "notebooks").glob("*.ipynb"))
-    return sorted(notebooks, key=lambda path: order.get(path.name[:2], len(order)))
+    """The notebooks, the last first: the long ones are among them, and must not start late."""
+    return sorted((root / "notebooks").glob("*.ipynb"), reverse=True)
 
 
 def reproduce(root: Path = ROOT) -> None:
     """Run all notebooks and publish the figures and the ledger; on an error, publish nothing."""
     notebooks = longest_first(root)
-    cells = sum(len(json.loads(path.read_text("utf-8"))["cells"]) for path in notebooks)
-    with folder_of_run("reproduce", root) as build:
+    with folder_of_run("reproduce", root) as build, ThreadPoolExecutor(AT_A_TIME) as pool:
         print(f"running {len(notebooks)} notebooks, {AT_A_TIME} at a time ...", flush=True)
-        bar = tqdm(total=cells, unit="cell", leave=False, disable=None)
-        with bar, ThreadPoolExecutor(AT_A_TIME) as pool:
-            running = {
-                pool.submit(run, path, build / path.name, bar): path.stem for path in notebooks
-            }
-            for done in as_completed(running):
-                if done.exception():
-                    pool.shutdown(cancel_futures=True)
-                tqdm.write(f"{running[done]} ... done, {done.result():.0f} s")
-                sys.stdout.flush()
+        running = {pool.submit(execute, path, build / path.name): path.stem for path in notebooks}
+        for done in as_completed(running):
+            if done.exception():
+                pool.shutdown(cancel_futures=True)
+            print(f"{running[done]} ... done, {done.result():.0f} s", flush=True)
         publish(build, root)
-        cells = [name for path in notebooks for name in changed_cells(build / path.name, path)]
-        differ = f"these print something else: {', '.join(sorted(cells))}"
-        print(f"cells of the notebooks: {differ if cells else 'all print the same as before'}")
 
 
-def changed_cells(executed: Path, tracked: Path) -> list[str]:
-    """The code cells of a notebook that print other texts than as it is tracked, by name."""
-    new, old = (_texts(json.loads(path.read_text("utf-8"))) for path in (executed, tracked))
-    changed = [k for k, (one, other) in enumerate(zip_longest(new, old), 1) if one != other]
-    return [f"{tracked.stem} [{k}]" for k in changed]
-
-
-def _texts(notebook):
-    """What each code cell prints and shows as text, a string for each."""
-    for cell in notebook["cells"]:
-        if cell["cell_type"] == "code":
-            bundles = ({"text/": o.get("text", ""), **o.get("data", {})} for o in cell["outputs"])
-            parts = [part for b in bundles for mime, part in b.items() if mime.startswith("text/")]
-            yield "".join("".join(part) for part in parts)
-
-
-def replay(log: str, root: Path = ROOT) -> None:
+def replay_log(log: str, root: Path = ROOT) -> None:
     """Print what a log shows; a report with pictures and the next trial's v go to build/replay."""
-    import ilctools  # here, because it takes long to import
-
     checkout("make replay", root)
-    path = Path(os.path.expanduser(log)).absolute()
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} is not a file: make replay LOG=path")
+    path = Path(log).expanduser().absolute()
     replayed = ilctools.replay(ilctools.load_log(path))
     with folder_of_run("replay", root) as build:
         report, table = build / REPORT.name, build / "next-trial.csv"
@@ -137,7 +96,7 @@ def replay(log: str, root: Path = ROOT) -> None:
             print(f"v of trial {replayed.numbers[-1] + 1}: {table.relative_to(root)}")
         print(f"pictures and explanations: {report.relative_to(root)} ...", flush=True)
         shutil.copy(REPORT, report)
-        run(report, report, log=str(path))
+        execute(report, report, log=str(path))
 
 
 def main(root: Path = ROOT, log: str | None = None) -> None:
@@ -148,7 +107,7 @@ def main(root: Path = ROOT, log: str | None = None) -> None:
         if log is None:
             reproduce(root)
         else:
-            replay(log, root)
+            replay_log(log, root)
     except (RuntimeError, ValueError, OSError) as error:
         sys.exit(str(error))
 

@@ -33,7 +33,7 @@ def experiment() -> dict:
     }
 
 
-def main():
+def record_logs():
     """Record the two experiments of data/rig; the same bytes in every run."""
     try:
         folder = checkout("python -m rodlib.paper.rig_logs") / "data" / "rig"
@@ -55,4 +55,4 @@ def main():
 
 
 if __name__ == "__main__":
-    main()
+    record_logs()

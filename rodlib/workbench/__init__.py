@@ -12,15 +12,13 @@ from ilctools import arguments
 from rodlib.workbench.plant import Plant
 
 
-def open_workbench(plants: dict[str, Plant] | None = None, log: str = "", live: bool | None = None):
+def open_workbench(plant: Plant, live: bool | None = None):
     """Show the workbench below a cell of a notebook.
 
     Parameters
     ----------
-    plants : dict of Plant, optional
-        Plants by the names under which they can be chosen, beside a log; the first is shown first.
-    log : str
-        Path of the log that is offered.
+    plant : Plant
+        What filters are designed for, with the task of the trials.
     live : bool, optional
         Whether to show widgets. Default: only if a notebook server has started this kernel for a
         notebook, which sets the variable JPY_SESSION_NAME. nbconvert, papermill and nbval do not.
@@ -38,14 +36,11 @@ def open_workbench(plants: dict[str, Plant] | None = None, log: str = "", live: 
     --------
     >>> from rodlib import open_workbench, paper_loop
     >>> from rodlib.workbench.plant import Plant
-    >>> plants = {"rod": Plant("rodlib.paper_loop()", paper_loop())}
-    >>> print(open_workbench(plants, live=False))  # in JupyterLab: a Panel
+    >>> plant = Plant("rodlib.paper_loop()", paper_loop())
+    >>> print(open_workbench(plant, live=False))  # in JupyterLab: a Panel
     None
     """
-    plants = arguments.instance("plants", {} if plants is None else plants, dict)
-    for name, plant in plants.items():
-        arguments.instance(f"plants[{name!r}]", plant, Plant)
-    arguments.instance("log", log, str)
+    arguments.instance("plant", plant, Plant)
     if live is None:
         live = "JPY_SESSION_NAME" in os.environ
     if not arguments.flag("live", live):
@@ -55,6 +50,6 @@ def open_workbench(plants: dict[str, Plant] | None = None, log: str = "", live: 
 
     from rodlib.workbench.panel import Panel
 
-    panel = Panel(plants, log)
+    panel = Panel(plant)
     display(panel.widget)
     return panel

@@ -1,16 +1,12 @@
-"""From settings to their outcome: a filter with its certificate, or why there is none.
-
-Every design is solved from zero. A warm start would take half the time, but the optimum is flat:
-coefficients would differ in the third digit with the settings that came before.
-"""
+"""From settings to their outcome: a filter with its certificate, or why there is none."""
 
 import math
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from ilctools import InfeasibleError, Law, arguments, synthesise
+from ilctools import InfeasibleError, arguments, synthesise
 from ilctools.synthesis.result import SolverError, Synthesis
 from ilctools.trials.run import rms, run_trials
 from rodlib.workbench.plant import TRIALS, Plant
@@ -21,28 +17,20 @@ from rodlib.workbench.settings import Settings
 class Outcome:
     """What settings lead to: a design and its trials, or a message."""
 
-    settings: Settings | None  # None if there is not even a plant
+    settings: Settings | None
     design: Synthesis | None = None
-    rms: tuple[float, ...] = ()  # of the error by trial, all outputs, if simulated
-    message: str = ""  # why there is no filter, and the remedy
+    rms: tuple[float, ...] = ()  # of the error by trial, all outputs
+    message: str = ""  # why there is no filter
     M_max: float | None = None  # the smallest feasible, if that is the remedy
     warnings: tuple[str, ...] = ()  # of the trials
 
     @property
-    def law(self) -> Law:
-        """The law of the trials."""
-        return self.design.law(rest=self.settings.plant.rest)
-
-    @property
     def text(self) -> str:
-        """The certificate, with what speaks against measurement and trials; or the message."""
+        """The certificate, with what speaks against the trials; or the message."""
         if self.design is None:
             return self.message
-        measurement = getattr(self.settings.plant.response, "findings", ())
-        lines = [str(self.design.certificate)]
-        lines += [f"WARNING: the measurement: {text}" for text in measurement]
-        lines += [f"WARNING: the trials: {text}" for text in self.warnings]
-        return "\n".join(lines)
+        spoken = [f"WARNING: the trials: {text}" for text in self.warnings]
+        return "\n".join([str(self.design.certificate), *spoken])
 
 
 def try_out(settings: Settings) -> Outcome:
@@ -71,30 +59,16 @@ def try_out(settings: Settings) -> Outcome:
         plant = arguments.instance("plant", settings.plant, Plant)
         noise_std = arguments.not_negative("noise", settings.noise, "zero or more")
         with warnings.catch_warnings(action="ignore"):  # the certificate has them
-            design = synthesise(
-                plant.response, settings.Q, settings.omega, settings.Ts, **settings.problem
-            )
+            design = synthesise(plant.loop, settings.Q, settings.omega, **settings.problem)
     except InfeasibleError as error:
-        M_max = _rounded_up(error.smallest_M_max)
+        # The next bound of three digits that leaves the solver some room.
+        M_max = math.ceil(1000 * error.smallest_M_max + 0.05) / 1000
         return Outcome(settings, message=str(error), M_max=M_max if M_max < 1 else None)
     except (ValueError, SolverError) as error:
         return Outcome(settings, message=str(error))
-    outcome = Outcome(settings, design)
-    if plant.loop.P is None:
-        return outcome
-    shape = TRIALS, *plant.reference.shape
-    noise = noise_std * np.random.default_rng(0).standard_normal(shape)
+    law, reference = design.law(rest=plant.rest), plant.reference
+    noise = noise_std * np.random.default_rng(0).standard_normal((TRIALS, *reference.shape))
     with warnings.catch_warnings(record=True, action="always") as record:
-        trials = run_trials(
-            plant.loop, outcome.law, plant.reference, plant.disturbance, TRIALS, noise=noise
-        )
-    return replace(
-        outcome,
-        rms=tuple(rms(trials.e).values.tolist()),
-        warnings=tuple(str(warning.message) for warning in record),
-    )
-
-
-def _rounded_up(smallest):
-    """The next M_max of three digits that leaves the solver some room."""
-    return math.ceil(1000 * smallest + 0.05) / 1000
+        trials = run_trials(plant.loop, law, reference, plant.disturbance, TRIALS, noise=noise)
+    spoken = tuple(str(warning.message) for warning in record)
+    return Outcome(settings, design, tuple(rms(trials.e).values.tolist()), warnings=spoken)

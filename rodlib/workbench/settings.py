@@ -47,19 +47,13 @@ class Settings:
         """The defaults of the synthesis but for the plant's choices and `changes`."""
         Ts = arguments.instance("plant", plant, Plant).loop.Ts
         choices = plant.choices | changes
-        cutoff = choices.pop("cutoff", 0.1 / Ts)
-        cutoff = float(f"{arguments.positive('cutoff', cutoff):.3g}")
-        Q = zero_phase_butterworth(2, cutoff, Ts)
-        problem = pose(plant.response, Q, _omega(Ts), Ts)
+        cutoff = arguments.positive("cutoff", choices.pop("cutoff", 0.1 / Ts))
+        cutoff = float(f"{cutoff:.3g}")
+        problem = pose(plant.loop, zero_phase_butterworth(2, cutoff, Ts), _omega(Ts), Ts)
         low, high = problem.band
-        settings = cls(
-            plant,
-            L_max=problem.L_max,
-            cutoff=cutoff,
-            band=(low, float(f"{high:.3g}")),
-            order=min(problem.order, LIVELY),
-        )
-        return cls(**vars(settings) | choices)
+        defaults = {"L_max": problem.L_max, "band": (low, float(f"{high:.3g}"))}
+        defaults["order"] = min(problem.order, LIVELY)
+        return cls(plant, cutoff=cutoff, **defaults | choices)
 
     @property
     def Ts(self) -> float:
@@ -83,45 +77,31 @@ class Settings:
 
         Between the frequencies nothing bounds an uncertain P, so there `everywhere` is left out.
         """
-        problem = {
-            "order": self.order,
-            "M_max": self.M_max,
-            "L_max": self.L_max,
-            "band": tuple(arguments.array("band", self.band, (2,)).tolist()),
-            "structure": self.structure,
-        }
-        percent = arguments.not_negative("uncertainty", self.uncertainty, "zero or more (%)")
-        if percent and self.plant.measured:
-            raise ValueError(
-                f"uncertainty = {percent:g} % must be 0 for a measured response, which "
-                "has its own uncertainty"
-            )
-        if percent:
-            P = self.plant.frequency_response(self.omega)
-            problem["uncertainty"] = percent / 100 * np.linalg.norm(P, 2, axis=(1, 2))
-        elif not self.plant.measured:
-            problem["everywhere"] = True
-        return problem
+        names = ("order", "M_max", "L_max", "band", "structure")
+        problem = {name: getattr(self, name) for name in names}
+        share = arguments.not_negative("uncertainty", self.uncertainty, "zero or more (%)") / 100
+        if not share:
+            return problem | {"everywhere": True}
+        P = self.plant.loop.frequency_response(self.omega)
+        return problem | {"uncertainty": share * np.linalg.norm(P, 2, axis=(1, 2))}
 
     @property
     def python(self) -> str:
         """The lines of Python that make the same filter, to the last digit, and its law."""
-        size = "np.linalg.norm(P.frequency_response(omega), 2, axis=(1, 2))"
         problem = {name: repr(value) for name, value in self.problem.items()}
         if "uncertainty" in problem:
+            size = "np.linalg.norm(P.frequency_response(omega), 2, axis=(1, 2))"
             problem["uncertainty"] = f"{self.uncertainty / 100!r} * {size}"
         words = ", ".join(f"{name}={value}" for name, value in problem.items())
-        Ts, grid = repr(self.Ts), f"np.geomspace(1e-4, np.pi, {FREQUENCIES})"
-        Q = f"{self.Q_order}, {self.cutoff!r}, {Ts}"
-        return (
-            "import ilctools\n"
-            "import numpy as np\n"
-            "import rodlib\n\n"
-            f"P, omega = {self.plant.source}, {grid} / {Ts}\n"
-            f"Q = ilctools.zero_phase_butterworth({Q})\n"
-            f"design = ilctools.synthesise(P, Q, omega, {Ts}, {words})\n"
-            f"law = design.law(rest={self.plant.rest})\n"
-        )
+        return f"""import ilctools
+import numpy as np
+import rodlib
+
+P, omega = {self.plant.source}, np.geomspace(1e-4, np.pi, {FREQUENCIES}) / {self.Ts!r}
+Q = ilctools.zero_phase_butterworth({self.Q_order}, {self.cutoff!r}, {self.Ts!r})
+design = ilctools.synthesise(P, Q, omega, {self.Ts!r}, {words})
+law = design.law(rest={self.plant.rest})
+"""
 
 
 def _omega(Ts):

@@ -1,10 +1,8 @@
 import shutil
 from base64 import b64decode
-from io import BytesIO
 
 import matplotlib.pyplot as plt
 import pytest
-from matplotlib.figure import Figure
 
 from rodlib.paper import figures, save
 
@@ -47,22 +45,6 @@ def test_a_figure_that_is_the_same_as_the_tracked_one_needs_no_pdf(folder, monke
     assert not picture.with_suffix(".pdf").exists()
     save(plt.subplots()[0], "fig02-test", "Empty axes.")
     assert picture.with_suffix(".pdf").exists()
-
-
-def test_a_figure_is_laid_out_as_matplotlib_does_and_drawn_once_for_each_file(folder, monkeypatch):
-    def places(figure):
-        return [axes.get_position().bounds for axes in figure.axes]
-
-    whole, draw, drawn = curves(), Figure.draw, []
-    whole.savefig(BytesIO(), format="png")
-
-    def watch(figure, renderer):
-        draw(figure, renderer)
-        drawn.append(places(figure))
-
-    monkeypatch.setattr(Figure, "draw", watch)
-    save(curves(), "fig02-test", "A curve.")
-    assert drawn == [places(whole), places(whole)]
 
 
 def test_a_notebook_shows_the_saved_file_and_its_caption(folder, monkeypatch):

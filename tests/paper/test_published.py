@@ -18,7 +18,7 @@ from rodlib.paper import published
     ],
 )
 def test_printed_numbers_and_their_precision(printed, value, half):
-    assert published.number(printed) == pytest.approx(value, rel=1e-15)
+    assert published.value(printed) == pytest.approx(value, rel=1e-15)
     assert published.half_unit(printed) == pytest.approx(half)
 
 
@@ -55,4 +55,4 @@ def test_claims_expand_matrices_and_are_complete():
     for claim in claims.values():
         assert claim.place and claim.claim and claim.printed
         if not claim.criterion:
-            assert np.isfinite(published.number(claim.printed))
+            assert np.isfinite(published.value(claim.printed))

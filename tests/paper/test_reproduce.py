@@ -20,11 +20,8 @@ def write(path, *cells):
 
 @pytest.fixture
 def root(tmp_path, monkeypatch):
-    """A repository whose one notebook copies a complete ledger and a figure made beforehand.
-
-    Papermill replaces what stands in braces in the paths that it is given.
-    """
-    folder = tmp_path / "a {rod}"
+    """A repository whose one notebook copies a complete ledger and a figure made beforehand."""
+    folder = tmp_path / "a rod"
     folder.mkdir()
     (folder / "pyproject.toml").write_text('name = "rodlib"\n')
     (folder / "README.md").write_text("<!-- ledger -->\nold\n<!-- end of ledger -->\n")
@@ -80,18 +77,12 @@ def test_notebooks_run_in_their_folder_and_their_results_are_published(root):
     outcome = run(root)
     assert outcome.returncode == 0 and outcome.stderr == ""
     assert "01-model ... done, " in outcome.stdout
-    *_, figures, cells = outcome.stdout.splitlines()
-    assert figures.endswith("README.md; new: fig01")
-    assert cells == "cells of the notebooks: these print something else: 01-model [2]"
+    assert outcome.stdout.splitlines()[-1].endswith("README.md; new: fig01")
     names = ["fig01.png", "ledger.csv", "ledger.md"]
     assert [path.name for path in sorted((root / "figures").iterdir())] == names
     assert "| printed numbers " in (root / "README.md").read_text()
     executed = nbformat.read(root / "build" / "reproduce" / "01-model.ipynb", 4)
     assert [cell.execution_count for cell in executed.cells] == [1, 2]
-    tracked = root / "notebooks" / "01-model.ipynb"
-    assert reproduce.changed_cells(root / "build" / "reproduce" / tracked.name, tracked)
-    nbformat.write(executed, tracked)  # as it is committed: executed
-    assert run(root).stdout.endswith("cells of the notebooks: all print the same as before\n")
 
 
 @pytest.mark.parametrize(
@@ -142,13 +133,3 @@ def test_a_second_run_is_refused_a_replay_is_not_and_a_kill_leaves_no_lock(root,
     (root / "notebooks" / "02-waits.ipynb").unlink()
     third = run(root)
     assert third.returncode == 0, third.stderr
-
-
-def test_outside_a_clone_nothing_is_touched(root):
-    (root / "pyproject.toml").unlink()
-    (root / "build" / "reproduce").mkdir(parents=True)
-    outcome = run(root)
-    assert outcome.returncode == 1
-    assert outcome.stderr.startswith("make reproduce writes to a clone of the repository")
-    assert os.listdir(root / "build") == ["reproduce"]
-    assert not (root / "figures").exists()

@@ -24,7 +24,7 @@ def test_the_logs_are_recorded_in_data_rig(monkeypatch):
 
     monkeypatch.setattr(rig_logs, "record", record)
     monkeypatch.setattr(rig_logs, "save_log", lambda log, path: saved.append(path))
-    rig_logs.main()
+    rig_logs.record_logs()
     assert saved == [ROOT / "data/rig/learning.csv", ROOT / "data/rig/no-learning.csv"]
     assert recorded == [(1, True, False), (2, True, True)]
 

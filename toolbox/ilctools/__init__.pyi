@@ -1,7 +1,7 @@
 # From the registry in __init__.py, by `make stubs`.
 
 from ilctools import alternatives as alternatives
-from ilctools.alternatives.norm_optimal import NormOptimal as NormOptimal
+from ilctools.alternatives import NormOptimal as NormOptimal
 from ilctools.evidence.convergence import convergence as convergence
 from ilctools.evidence.convergence import rate as rate
 from ilctools.evidence.finite import trial_map as trial_map
@@ -24,9 +24,8 @@ from ilctools.logs.reader import load_log as load_log
 from ilctools.logs.replay import replay as replay
 from ilctools.logs.table import read_table as read_table
 from ilctools.loop.closed import ClosedLoop as ClosedLoop
+from ilctools.loop.combinations import combinations as combinations
 from ilctools.loop.design import current_trial_loop as current_trial_loop
-from ilctools.loop.observer import combinations as combinations
-from ilctools.loop.observer import estimated as estimated
 from ilctools.measurement.excitation import multisine as multisine
 from ilctools.measurement.measurement import expected_radius as expected_radius
 from ilctools.measurement.measurement import measured_response as measured_response

@@ -15,25 +15,17 @@ from typing import get_args
 import control
 import numpy as np
 
-LARGEST = 1e100  # the square of what lies beyond it, or below its inverse, may not be a number
-CIRCLE = 1 - 1e-12  # modulus from which on a pole is on the unit circle, up to rounding
-# coordinates that name the signals of a DataArray
-ROLES = ("output", "control", "source")
-MOST = 10**9  # samples, trials, ...: what memory could hold at best
+CIRCLE = 1 - 1e-12  # modulus from which on a pole counts as on the unit circle: rounding of poles
+ROLES = ("output", "control", "source")  # coordinates that name the signals of a DataArray
 
 
 def number(
     name: str, value, what: str, low=-np.inf, high=np.inf, *, least=-np.inf, most=np.inf
 ) -> float:
     """A finite number above `low` and below `high`, from `least` to `most`; `what` says so."""
-    if isinstance(value, np.generic):  # 1e100 is no float32
-        value = value.item()
     plain = isinstance(value, Real) and not isinstance(value, bool)
     if not (plain and low < value < high and least <= value <= most):
         raise ValueError(f"{name} = {reprlib.repr(value)} must be {what}")
-    if value and not 1 / LARGEST <= abs(value) <= LARGEST:
-        size = "large" if abs(value) > 1 else "small"
-        raise ValueError(f"{name} = {reprlib.repr(value)} is too {size}: choose another unit")
     return float(value)
 
 
@@ -52,19 +44,12 @@ def sampling_period(name: str, value) -> float:
     return positive(name, value, "a positive sampling period in seconds")
 
 
-def share(name: str, value) -> float:
-    """A number above zero, at most one."""
-    return number(name, value, "in (0, 1]", 0, most=1)
-
-
 def whole(name: str, value, low: int, high: int | None = None) -> int:
     """A whole number, at least `low` and at most `high`."""
     plain = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not plain or value < low or (high is not None and value > high):
         limits = f"{low} or more" if high is None else f"from {low} to {high}"
         raise ValueError(f"{name} = {reprlib.repr(value)} must be a whole number, {limits}")
-    if value > MOST:
-        raise ValueError(f"{name} = {reprlib.repr(value)} is too large: at most {MOST}")
     return int(value)
 
 
@@ -120,26 +105,16 @@ def names_of(signals) -> list[str] | None:
     return labels if labels and all(isinstance(label, str) for label in labels) else None
 
 
-def in_order(name: str, value, names: Sequence[str]):
-    """Signals in the order of `names`, if they say whose they are; others as they stand."""
-    own = names_of(value)
-    if own is None or own == [*names]:
-        return value
-    if sorted(own) != sorted(names):
-        raise ValueError(
-            f"{name} holds the signals {reprlib.repr(own)}, but must hold {[*names]}: rename them, "
-            "or pass an array, whose columns stand in that order"
-        )
-    if hasattr(value, "columns"):
-        return value[[*names]]
-    role = next(role for role in ROLES if role in value.coords)
-    (dimension,) = value[role].dims
-    return value.isel({dimension: [own.index(label) for label in names]})
-
-
 def in_columns(name, signal, shape, names):
     """An array with a column for each name, by names if it has some; one needs no second axis."""
-    signal = array(name, in_order(name, signal, names), (...,))
+    own, signal = names_of(signal), array(name, signal, (...,))
+    if own is not None and own != [*names]:
+        if sorted(own) != sorted(names):
+            raise ValueError(
+                f"{name} holds the signals {reprlib.repr(own)}, but must hold {[*names]}: rename "
+                "them, or pass an array, whose columns stand in that order"
+            )
+        signal = signal[..., [own.index(label) for label in names]]
     if signal.ndim == len(names) == 1:
         signal = signal[:, None]
     return array(name, signal, shape)
@@ -196,11 +171,8 @@ def array(name: str, value, shape: Sequence[int | str], dtype: type = float) -> 
     for any number of axes. `dtype` is float or complex. True among numbers counts as 1.
     """
     usual = type(value) is np.ndarray and value.dtype == dtype and value.shape == tuple(shape)
-    # what is not a number is not below it either; only what is beyond is looked at closely
-    if usual and value.size and np.vdot(value, value).real <= LARGEST**2:
+    if usual and value.size and np.isfinite(value).all():
         return value.copy()  # as in every sample of an experiment
-    if type(value) is float and not shape and abs(value) <= LARGEST:
-        return np.array(value, dtype)
     try:
         plain = np.asanyarray(value)
     except (TypeError, ValueError):
@@ -211,32 +183,28 @@ def array(name: str, value, shape: Sequence[int | str], dtype: type = float) -> 
         raise ValueError(f"{name} holds values of type {plain.dtype}, but must hold numbers")
     if plain.dtype.kind == "c" and dtype is float:
         raise ValueError(f"{name} is complex, but must be real")
-    if np.ma.is_masked(plain):
-        count = np.ma.count_masked(plain)
-        raise ValueError(f"{name} has {count} masked values: fill the gaps, or leave them out")
-    wanted = tuple(shape)
-    sizes = plain.shape
-    if wanted and wanted[0] is Ellipsis:
-        wanted, sizes = wanted[1:], sizes[max(0, plain.ndim - len(shape) + 1) :]
-    if not _fits(sizes, wanted):
-        words = ", ".join("..." if size is Ellipsis else str(size) for size in shape)
-        words += "," if len(shape) == 1 else ""
-        hint = ""
-        if len(sizes) == plain.ndim > 1 and _fits(sizes[-1:] + sizes[:-1], wanted):
-            hint = f": its last axis belongs first, as in np.moveaxis({name}, -1, 0)"
-        missing = len(wanted) - plain.ndim
-        if plain.ndim == 1 and _fits(sizes + (1,) * missing, wanted):
-            hint = f": of one channel, pass {name}[:{', None' * missing}]"
-        raise ValueError(f"{name} has shape {plain.shape}, but must have shape ({words}){hint}")
-    result = np.array(plain, dtype=dtype)
-    # what is not a number is not below it either
-    if np.abs(result).max(initial=0) <= LARGEST:
-        return result
+    _check_shape(name, plain.shape, tuple(shape))
+    result = np.asarray(np.ma.filled(plain.astype(dtype), np.nan))  # what is masked is missing
     bad = np.argwhere(~np.isfinite(result))
-    if not len(bad):
-        raise ValueError(f"{name} has values beyond {LARGEST:g}: choose another unit")
-    where = tuple(int(i) for i in bad[0])
-    raise ValueError(f"{name} has {len(bad)} values that are not finite, the first at {where}")
+    if len(bad):
+        first = tuple(bad[0].tolist())
+        raise ValueError(f"{name} has {len(bad)} values that are not finite, the first at {first}")
+    return result
+
+
+def _check_shape(name, sizes, shape):
+    """Refuse an array of another shape; the error says how one laid out otherwise is passed."""
+    trailing, wanted = sizes, shape
+    if wanted and wanted[0] is Ellipsis:
+        wanted = wanted[1:]
+        trailing = sizes[max(0, len(sizes) - len(wanted)) :]
+    if _fits(trailing, wanted):
+        return
+    words, hint = ", ".join("..." if size is Ellipsis else str(size) for size in shape), ""
+    words += "," if len(shape) == 1 else ""
+    if len(trailing) == len(sizes) > 1 and _fits(sizes[-1:] + sizes[:-1], wanted):
+        hint = f": its last axis belongs first, as in np.moveaxis({name}, -1, 0)"
+    raise ValueError(f"{name} has shape {sizes}, but must have shape ({words}){hint}")
 
 
 def _fits(sizes, wanted):

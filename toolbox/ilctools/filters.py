@@ -10,18 +10,16 @@ first and the last sample stand still, ``ends="hold-last"`` only the last, which
 begins at rest and does not end at zero.
 """
 
-import reprlib
 import warnings
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from scipy.signal import BadCoefficients, butter, freqz_sos, sosfilt, sosfilt_zi
+from scipy.signal import BadCoefficients, butter, freqz_sos, sosfiltfilt
 
 from ilctools import arguments
 
-KEPT = 300_000  # numbers, of which time_shifts keeps four times as many at most
 ENDS = {  # the modes of numpy.pad, before the trial and after it
     "zero": ("constant", "constant"),
     "hold": ("edge", "edge"),
@@ -80,13 +78,11 @@ class ZeroPhaseButterworth:
             )
 
     def _realised(self):
-        """Whether the coefficients, which are rounded, give the filter that was asked for."""
-        omega = np.append(self.cutoff * np.linspace(0, 1, 11), np.pi / self.Ts)
-        warped = np.tan(omega[:-1] * self.Ts / 2) / np.tan(self.cutoff * self.Ts / 2)
-        analytic = np.append(1 / (1 + warped ** (2 * self.order)), 0)
+        """Whether the coefficients, which are rounded, give the gains 1 and 1/2 asked for."""
         with np.errstate(all="ignore"), warnings.catch_warnings():
             warnings.simplefilter("ignore", BadCoefficients)
-            return np.allclose(self.frequency_response(omega), analytic, rtol=0, atol=1e-6)
+            gains = self.frequency_response([0, self.cutoff])
+        return np.allclose(gains, [1, 0.5], rtol=0, atol=1e-6)
 
     @cached_property
     def sections(self) -> np.ndarray:
@@ -94,14 +90,10 @@ class ZeroPhaseButterworth:
         return butter(self.order, self.cutoff, fs=2 * np.pi / self.Ts, output="sos")
 
     @cached_property
-    def _at_rest(self):
-        """States of the sections behind a constant one."""
-        return sosfilt_zi(self.sections)
-
-    @cached_property
     def poles(self) -> np.ndarray:
-        """Of the forward half, section by section: a polynomial of all of them would lose them."""
-        return np.concatenate([np.roots(section[3:]) for section in self.sections])
+        """Of the forward half."""
+        _, poles, _ = butter(self.order, self.cutoff, fs=2 * np.pi / self.Ts, output="zpk")
+        return poles
 
     @cached_property
     def decay(self):
@@ -118,15 +110,15 @@ class ZeroPhaseButterworth:
         """Filter a signal of shape (..., time, channel), forward and backward in time."""
         signal = arguments.array("signal", signal, (..., "time", "channel"))
         # after `decay` samples the line is as good as infinite
-        once = _continued(signal, self.decay, self.decay, self.ends)
-        return self._both_ways(once)[..., self.decay : -self.decay, :]
+        line = _continued(signal, self.decay, self.decay, self.ends)
+        return self._both_ways(line)[..., self.decay : -self.decay, :]
 
     def apply_transposed(self, signal) -> np.ndarray:
         """Filter a signal by the transpose of the matrix that :meth:`apply` is on a trial."""
         signal = arguments.array("signal", signal, (..., "time", "channel"))
         reach, (first, last) = self.decay, ENDS[self.ends]
-        once = _continued(signal, 2 * reach, 2 * reach, "zero")
-        wide = self._both_ways(once)[..., reach:-reach, :]  # a symmetric matrix
+        line = _continued(signal, 2 * reach, 2 * reach, "zero")
+        wide = self._both_ways(line)[..., reach:-reach, :]  # a symmetric matrix
         inside = wide[..., reach:-reach, :].copy()
         # What lies beyond an end that is held comes from the sample there.
         if first == "edge":
@@ -135,21 +127,17 @@ class ZeroPhaseButterworth:
             inside[..., -1, :] += wide[..., -reach:, :].sum(axis=-2)
         return inside
 
-    def _both_ways(self, once):
-        """Forward and backward in time over a signal (..., time, channel), from its ends on."""
-        at_rest = self._at_rest.reshape(-1, *[1] * (once.ndim - 2), 2, 1)
-        for _ in range(2):
-            filtered, _ = sosfilt(self.sections, once, axis=-2, zi=at_rest * once[..., :1, :])
-            once = np.flip(filtered, axis=-2)
-        return once
+    def _both_ways(self, line):
+        """Forward and backward in time over a signal (..., time, channel), at rest at its ends."""
+        return sosfiltfilt(self.sections, line, axis=-2, padtype=None, padlen=0)
 
 
 def _continued(signal, before, after, ends):
     """A signal of shape (..., time, channel) with so many samples more at the ends of the trial."""
-    held = [mode == "edge" for mode in ENDS[ends]]
-    first = np.repeat(held[0] * signal[..., :1, :], before, axis=-2)
-    last = np.repeat(held[1] * signal[..., -1:, :], after, axis=-2)
-    return np.concatenate([first, signal, last], axis=-2)
+    trials = [(0, 0)] * (signal.ndim - 2)
+    for mode, widths in zip(ENDS[ends], [(before, 0), (0, after)], strict=True):
+        signal = np.pad(signal, [*trials, widths, (0, 0)], mode)
+    return signal
 
 
 # as one says with scipy: butter(order, cutoff)
@@ -256,28 +244,17 @@ class LearningFilter:
 
 def time_shifts(angles, order) -> np.ndarray:
     """z, z^2, ..., z^order for z = exp(j angles), in long doubles, shape (n, order)."""
-    angles = np.asarray(angles, dtype=float)
-    shifts = _kept_shifts if angles.size * order <= KEPT else _kept_shifts.__wrapped__
-    return shifts(angles.tobytes(), order)
+    return _shifts(np.asarray(angles, dtype=float).tobytes(), order)
 
 
 @lru_cache(maxsize=4)  # a synthesis asks again and again for the same
-def _kept_shifts(angles, order):
+def _shifts(angles, order):
     # They are nearly dependent at low frequencies. Without a bound (46) a learning filter has
     # coefficients of 1e9 that all but cancel, and doubles would leave seven digits of its gain.
     angles = np.frombuffer(angles).astype(np.longdouble)
     z = np.exp(1j * np.outer(angles, np.arange(1, order + 1)))
     z.flags.writeable = False
     return z
-
-
-def check_Q(Q) -> None:
-    """Check that Q can be applied to a trial, and say how to make one that can."""
-    if not isinstance(Q, ZeroPhaseButterworth):
-        raise ValueError(
-            f"Q = {reprlib.repr(Q)} must be a ZeroPhaseButterworth, which runs in both directions: "
-            "zero_phase_butterworth(order, cutoff, Ts), with the cut-off in rad/s"
-        )
 
 
 def check_learning(L: LearningOperator, channels: int) -> None:

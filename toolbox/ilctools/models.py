@@ -6,13 +6,12 @@ output shows; and any plant, a transfer function as well, as such a model in dis
 
 import reprlib
 from collections.abc import Sequence
-from functools import lru_cache
 from os import PathLike
 
 import control
 import numpy as np
 from scipy import signal
-from scipy.linalg import LinAlgError, block_diag, null_space
+from scipy.linalg import LinAlgError, null_space
 
 from ilctools import arguments
 
@@ -36,16 +35,15 @@ def frequency_response(system: control.StateSpace, omega) -> np.ndarray:
     omega = arguments.row("omega", omega)
     if system.dt is None or system.dt is True:
         raise ValueError(f"system.dt = {system.dt} must be 0, or a sampling period in seconds")
-    points = np.exp(1j * omega * system.dt) if system.dt else 1j * omega
-    resolvent = np.repeat(-system.A[None].astype(complex), len(points), axis=0)
-    np.einsum("nii->ni", resolvent)[:] += points[:, None]  # on the diagonals alone, in place
-    return system.C @ solve_off_poles(resolvent, system.B.astype(complex)) + system.D
+    return _response(system, np.exp(1j * omega * system.dt) if system.dt else 1j * omega)
 
 
-def solve_off_poles(left, right) -> np.ndarray:
-    """Solve linear equations, one for each frequency; at a pole, a ValueError says so."""
+def _response(system, points):
+    """C (sI - A)^-1 B + D at points s of the complex plane."""
+    left = points[:, None, None] * np.eye(system.nstates)
+    left -= system.A  # in place: there may be hundreds of states
     try:
-        return np.linalg.solve(left, right)
+        return system.C @ np.linalg.solve(left, system.B.astype(complex)) + system.D
     except LinAlgError:
         raise ValueError(
             "omega has the frequency of a pole: the system has no response there"
@@ -78,7 +76,8 @@ def state_sequence(A, forcing, initial) -> np.ndarray:
     array([0.  , 1.  , 1.5 , 1.75])
     """
     # A loop over 2500 samples costs more than the arithmetic in it. The trial is cut into about 50
-    # blocks that run side by side from zero; then their initial states are chained and added.
+    # blocks that run side by side, from zero first; that chains their initial states, from which
+    # they run again.
     samples, n = forcing.shape
     length = int(np.ceil(np.sqrt(samples)))
     blocks = -(-samples // length)
@@ -86,27 +85,22 @@ def state_sequence(A, forcing, initial) -> np.ndarray:
     padded[:samples] = forcing
     padded = padded.reshape(blocks, length, n)
 
-    powers = _powers(np.asarray(A, dtype=float).tobytes(), n, length)
-    states = np.zeros((blocks, length + 1, n))
-    for p in range(length):
-        states[:, p + 1] = states[:, p] @ A.T + padded[:, p]
-    starts = np.empty((blocks, n))
+    starts, power = np.zeros((blocks, n)), np.linalg.matrix_power(A, length)
+    ends = _run(A, padded, starts)[:, -1]
     starts[0] = initial
     for block in range(blocks - 1):
-        starts[block + 1] = powers[length] @ starts[block] + states[block, length]
-    states += np.tensordot(starts, powers, axes=(1, 2))
-    return states[:, :length].reshape(-1, n)[:samples]
+        starts[block + 1] = power @ starts[block] + ends[block]
+    return _run(A, padded, starts)[:, :-1].reshape(-1, n)[:samples]
 
 
-@lru_cache(maxsize=4)  # one trial after the other has the same
-def _powers(A, n, length):
-    """A^0 ... A^length of the matrix with these bytes."""
-    A, powers = np.frombuffer(A).reshape(n, n), np.empty((length + 1, n, n))
-    powers[0] = np.eye(n)
-    for p in range(length):
-        powers[p + 1] = A @ powers[p]
-    powers.flags.writeable = False
-    return powers
+def _run(A, forcing, starts):
+    """States of several trials x(p+1) = A x(p) + f(p), shape (trial, time + 1, n)."""
+    trials, samples, n = forcing.shape
+    states = np.empty((trials, samples + 1, n))
+    states[:, 0] = starts
+    for p in range(samples):
+        states[:, p + 1] = states[:, p] @ A.T + forcing[:, p]
+    return states
 
 
 def unreachable_modes(A, B) -> tuple[np.ndarray, np.ndarray]:
@@ -192,7 +186,7 @@ def minimal_realisation(plant: control.StateSpace, controls: Sequence[str]) -> c
         raise ValueError(f"controls = {controls!r} reach no state that the outputs show")
     return control.ss(
         T.T @ A @ T, T.T @ B, C @ T, plant.D, plant.dt,
-        inputs=plant.input_labels, outputs=plant.output_labels, name=plant.name,
+        inputs=plant.input_labels, outputs=plant.output_labels,
     )  # fmt: skip
 
 
@@ -204,12 +198,46 @@ def controls_first(plant: control.StateSpace, controls: Sequence[str]) -> contro
         raise ValueError(
             f"controls = {reprlib.repr(controls)} must list different inputs of the plant, {names}"
         )
-    ordered = ordered + [name for name in names if name not in ordered]
-    columns = [names.index(name) for name in ordered]
-    return control.ss(
-        plant.A, plant.B[:, columns], plant.C, plant.D[:, columns], plant.dt,
-        inputs=ordered, outputs=plant.output_labels, name=plant.name,
-    )  # fmt: skip
+    return plant[:, ordered + [name for name in names if name not in ordered]]
+
+
+def model_and_response(name: str, plant, omega, Ts: float):
+    """A plant as a model, or None, and its response on omega; what is an array stays one.
+
+    A transfer function of several channels is no model here: its realisation would not be minimal.
+    """
+    refuse_foreign(name, plant)
+    if not isinstance(plant, control.LTI):
+        return None, plant
+    measured = isinstance(plant, control.FrequencyResponseData)
+    dt = Ts if measured and plant.dt in (None, True, 0) else plant.dt  # it need not say it
+    if dt is True or dt != Ts:  # True, some period, equals 1 s
+        raise ValueError(
+            f"{name}.dt = {dt!r} differs from Ts = {Ts!r}: control.sample_system samples at Ts"
+        )
+    if measured:
+        return None, _samples_on(name, plant, omega)
+    model = None
+    if isinstance(plant, control.StateSpace):
+        model = arguments.state_space(name, plant)
+    elif plant.ninputs == plant.noutputs == 1:
+        model = control.ss(plant)
+    arguments.stable(name, control.poles(plant))
+    z = np.exp(1j * omega * Ts)
+    if model is not None:
+        return model, _response(model, z)
+    return None, np.moveaxis(plant(z).reshape(*plant.shape, len(z)), -1, 0)
+
+
+def _samples_on(name, P, omega):
+    """Samples of python-control's frequency response data, which must be those on omega."""
+    if len(P.omega) != len(omega) or not np.allclose(P.omega, omega, rtol=1e-9, atol=0):
+        raise ValueError(
+            f"{name} is known at {len(P.omega)} frequencies from {P.omega[0]:.6g} to "
+            f"{P.omega[-1]:.6g} rad/s, which are not those of omega: pass omega = {name}.omega, or "
+            f"{name} = measured_response({name}), which is splined between them"
+        )
+    return np.moveaxis(P.frdata, -1, 0)
 
 
 def refuse_foreign(name: str, value) -> None:
@@ -258,24 +286,18 @@ def impulse_response(model: control.StateSpace, samples: int) -> np.ndarray:
 
 def _realised(plant, called):
     """Realise each entry of a transfer function, then keep the states that all of them need."""
-    shape = (plant.noutputs, plant.ninputs)
-    entries = []
-    for i, j in np.ndindex(shape):
-        numerator, denominator = (
-            np.trim_zeros(arguments.row(f"{called}.{name}", polynomials[i][j]), "f")
-            for name, polynomials in (("num", plant.num), ("den", plant.den))
-        )
+    outputs, inputs = plant.shape
+    for i, j in np.ndindex(outputs, inputs):
+        numerator = np.trim_zeros(arguments.row(f"{called}.num", plant.num[i][j]), "f")
+        denominator = np.trim_zeros(arguments.row(f"{called}.den", plant.den[i][j]), "f")
         if len(numerator) > len(denominator):
             raise ValueError(
                 f"{called} has more zeros than poles from {plant.input_labels[j]} to "
                 f"{plant.output_labels[i]}: it would have to look ahead. Delay it"
             )
-        entries.append(control.ss(control.tf(plant.num[i][j], plant.den[i][j], plant.dt)))
-    rows = np.repeat(np.eye(shape[0]), shape[1], axis=0)
-    columns = np.tile(np.eye(shape[1]), (shape[0], 1))
-    A, B, C, D = (block_diag(*(getattr(entry, x) for entry in entries)) for x in "ABCD")
-    model = control.ss(
-        A, B @ columns, rows.T @ C, rows.T @ D @ columns, plant.dt,
-        inputs=plant.input_labels, outputs=plant.output_labels, name=plant.name,
-    )  # fmt: skip
+    entries = [control.ss(entry) for entry in control.split_tf(plant).ravel()]
+    rows = np.repeat(np.eye(outputs), inputs, axis=0)
+    columns = np.tile(np.eye(inputs), (outputs, 1))
+    model = rows.T * control.append(*entries) * columns
+    model.update_names(inputs=plant.input_labels, outputs=plant.output_labels)
     return minimal_realisation(model, model.input_labels)

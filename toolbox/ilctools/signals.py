@@ -1,14 +1,13 @@
 """Do a loop, a law, a plant, a log or a rig fit together? Their periods, channels and units."""
 
 from dataclasses import dataclass, field
-from itertools import combinations
 from math import isclose
 
 import numpy as np
 
 from ilctools import arguments
 
-LATE = 1e-3  # of Ts, by which rounding may move a sample
+LATE = 1e-3  # of Ts: by how much the times in a table may be rounded
 
 
 @dataclass(frozen=True)
@@ -29,7 +28,7 @@ class Signals:
     def of_log(cls, trials) -> "Signals":
         """Those of a log, or of what :func:`ilctools.run_trials` returns."""
         names, units = {}, {}
-        for role in ("output", "control", "source"):
+        for role in arguments.ROLES:
             if role in trials.coords:
                 names[role] = trials[role].values.tolist()
                 labels = trials[f"{role}_unit"].values.tolist()
@@ -38,10 +37,10 @@ class Signals:
         return cls(Ts, names.get("output"), names.get("control"), units)
 
     @classmethod
-    def of_plant(cls, plant) -> "Signals":
-        """Labels and units of a plant in any form; an array has none."""
+    def of_plant(cls, plant, Ts: float) -> "Signals":
+        """Labels and units of a plant in any form; an array has none, and the period Ts."""
         plant = getattr(plant, "loop", plant)  # of a measured response
-        return cls(units=getattr(plant, "units", {}), labels=_labels_of(plant))
+        return cls(Ts, units=getattr(plant, "units", {}), labels=_labels_of(plant))
 
 
 def period_of(trials) -> float:
@@ -63,57 +62,43 @@ def check_match(**parties) -> None:
     :class:`Signals`, ... Of their periods, channels, names and units those are compared that two
     parties have. An empty unit is not known, and fits all others.
     """
-    properties = {  # how each is read, and compared
-        "Ts": (_period_of, _same),
-        "channels": (_channels_of, _same),
-        "outputs": (lambda party: getattr(party, "outputs", None), _same),
-        "controls": (lambda party: getattr(party, "controls", None), _same),
-        "labels": (_labels_of, _aligned),
-    }
-    for name, (value_of, fit) in properties.items():
-        values = {whose: value_of(party) for whose, party in parties.items()}
-        values = {whose: value for whose, value in values.items() if value is not None}
-        distinct = []  # of thousands of plants nearly all have the same
-        for value in values.values():
-            if value not in distinct:
-                distinct.append(value)
-        if not all(fit(one, other) for one, other in combinations(distinct, 2)):
-            words = ", ".join(f"{whose}.{name} = {v}" for whose, v in values.items())
-            raise ValueError(f"{words}: they must be the same, in the same order")
-    units = {}
+    known = {}
     for whose, party in parties.items():
-        for signal, unit in getattr(party, "units", {}).items():
-            first, other = units.setdefault(signal, (unit and whose, unit))
-            if unit and other and unit != other:
-                raise ValueError(f"{first} has {signal} in {other!r}, but {whose} in {unit!r}")
-            if not other:
-                units[signal] = whose, unit
+        for part, (value, words) in _parts(whose, party).items():
+            first, first_words = known.setdefault(part, (value, words))
+            number = isinstance(value, float)  # a period, which may be rounded
+            if not (isclose(value, first, rel_tol=1e-12) if number else value == first):
+                raise ValueError(
+                    f"{first_words}, {words}: they must be the same, in the same order"
+                )
 
 
-def _period_of(party):
-    return getattr(party, "Ts", getattr(party, "dt", None))
-
-
-def _channels_of(party):
-    outputs = getattr(party, "outputs", None)
-    return getattr(party, "channels", None if outputs is None else len(outputs))
+def _parts(whose, party):
+    """What is known of a party, by what is compared: each as a value, and in words."""
+    outputs, labels = getattr(party, "outputs", None), _labels_of(party)
+    values = {
+        "Ts": getattr(party, "Ts", getattr(party, "dt", None)),
+        "channels": getattr(party, "channels", None if outputs is None else len(outputs)),
+        "outputs": outputs,
+        "controls": getattr(party, "controls", None),
+    }
+    parts = {
+        name: (value, f"{whose}.{name} = {value}")
+        for name, value in values.items()
+        if value is not None
+    }
+    for place, label in enumerate(labels):
+        parts.setdefault(("place", label), (place, f"{whose}.labels = {labels}"))
+    for signal, unit in getattr(party, "units", {}).items():
+        if unit:
+            parts["unit", signal] = unit, f"{whose}.units[{signal!r}] = {unit!r}"
+    return parts
 
 
 def _labels_of(party):
     """Of a model or a loop, the outputs', then the inputs'."""
     if isinstance(party, Signals):
-        return party.labels
+        return party.labels or []
     outputs = getattr(party, "output_labels", getattr(party, "outputs", None))
     inputs = getattr(party, "input_labels", getattr(party, "references", None))
     return [*(outputs or ()), *(inputs or ())]
-
-
-def _same(one, other):
-    if isinstance(one, float):
-        return isclose(one, other, rel_tol=1e-12)
-    return one == other
-
-
-def _aligned(one, other):
-    """Whether each name that stands in both lists has the same place."""
-    return all(one.index(name) == other.index(name) for name in {*one} & {*other})

@@ -39,9 +39,9 @@ def tanks(Ts=2.0):
     return control.sample_system(model, Ts, method="zoh")
 
 
-def furnace(samples=30, Ts=1.0):
+def furnace(samples=30, Ts=1.0, gain=1.0):
     """A valve, a first-order lag, and a pipe that takes `samples` more to the thermometer."""
-    numerator, denominator = [0.2], np.append([1.0, -0.95], np.zeros(samples))
+    numerator, denominator = [0.2 * gain], np.append([1.0, -0.95], np.zeros(samples))
     return control.tf(numerator, denominator, Ts, inputs=["valve"], outputs=["outlet"])
 
 
@@ -87,6 +87,12 @@ def axes():
     return control.ss(A, B, C, 0, 0.1, inputs=["set x", "set y"], outputs=["x", "y"])
 
 
+def altered(model, A=1.0, B=1.0):
+    """The same model, with A and the columns of B and D times these factors."""
+    names = {"inputs": model.input_labels, "outputs": model.output_labels}
+    return control.ss(A * model.A, B * model.B, model.C, B * model.D, model.dt, **names)
+
+
 def bump(samples, amplitude):
     """From rest to an amplitude and back, shape (time, channel)."""
     return np.outer(np.sin(np.pi * np.arange(samples) / samples) ** 2, amplitude)
@@ -99,6 +105,30 @@ def lifted(model, samples):
     for k in range(samples):
         matrix[k:, :, k] = h[: samples - k]
     return matrix.reshape(samples * p, samples * m)
+
+
+def as_matrix(apply, samples, channels):
+    """Matrix of a linear map of signals, column by column."""
+    units = np.eye(samples * channels).reshape(-1, samples, channels)
+    return apply(units).reshape(-1, samples * channels).T
+
+
+def frequencies(Ts, n=60):
+    """Up to the Nyquist frequency, rad/s."""
+    return np.geomspace(1e-4, 0.99, n) * np.pi / Ts
+
+
+def random_stable(seed, n=4, m=2, distance=0.1, scale=1.0, Ts=0.5):
+    """With feedthrough; its largest pole at a distance from the unit circle."""
+    rng = np.random.default_rng(seed)
+    A = rng.standard_normal((n, n))
+    A *= (1 - distance) / np.abs(np.linalg.eigvals(A)).max()
+    B, C, D = (rng.standard_normal(shape) for shape in ((n, m), (m, n), (m, m)))
+    return control.ss(A, scale * B, C, scale * D, Ts)
+
+
+def complex_normal(rng, *shape):
+    return rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
 
 
 class ModelRig:

@@ -12,21 +12,11 @@ from ilctools import arguments
 
 @given(st.floats() | st.integers() | st.fractions(), st.floats(-5, 5), st.floats(-5, 5))
 def test_a_number_lies_strictly_between_its_limits(value, low, high):
-    if low < value < high and (value == 0 or 1e-100 <= abs(value) <= 1e100):
+    if low < value < high:
         assert arguments.number("x", value, "right", low, high) == float(value)
     else:
-        with pytest.raises(ValueError, match=r"x = .* (must be right|is too)"):
+        with pytest.raises(ValueError, match=r"x = .* must be right"):
             arguments.number("x", value, "right", low, high)
-
-
-def test_numbers_at_the_limits():
-    for limit in (1e100, -1e-100):
-        assert arguments.number("x", limit, "right") == limit
-    for value, word in ((1.1e100, "large"), (9e-101, "small"), (-1.1e100, "large")):
-        with pytest.raises(ValueError, match=f"is too {word}: choose another unit"):
-            arguments.number("x", value, "right")
-    assert arguments.whole("n", 10**9, 1) == 10**9
-    assert arguments.share("step", 1) == 1
 
 
 @given(st.integers(-3, 9), st.integers(-3, 3), st.none() | st.integers(0, 5))
@@ -70,25 +60,18 @@ def test_an_array_is_a_copy_of_the_type_asked_for():
     copy[0] = 9
     assert given_[0] == 0 and copy.dtype == float
     assert arguments.array("x", given_, (3,), complex).dtype == complex
-    assert arguments.array("x", 1e100, ()) == 1e100
     unmasked = np.ma.masked_array([1.0], [False])
     assert type(arguments.array("x", unmasked, (1,))) is np.ndarray
 
 
 def test_what_is_at_a_limit_passes():
     assert arguments.flag("x", np.True_) is True
-    assert arguments.choice("x", "a", ["a", "b"]) == "a"
     top = np.pi / 0.5
     assert arguments.increasing_frequencies("omega", [0, top], 0.5).tolist() == [0, top]
     assert arguments.row("x", 2.0).tolist() == [2.0]
 
 
 REFUSED = [  # a call, and how the error begins
-    (lambda: arguments.positive("x", 0), "x = 0 must be a positive number"),
-    (lambda: arguments.whole("n", 10**9 + 1, 1), "n = 1000000001 is too large"),
-    (lambda: arguments.choice("x", "c", ["a"]), "x = 'c' must be 'a'"),
-    (lambda: arguments.share("step", 0), r"step = 0 must be in \(0, 1\]"),
-    (lambda: arguments.share("step", 1.01), r"step = 1.01 must be in \(0, 1\]"),
     (lambda: arguments.increasing_frequencies("w", [0, 6.29], 0.5), "w spans"),
     (lambda: arguments.increasing_frequencies("w", [-0.1, 1], 0.5), "w spans"),
     (lambda: arguments.increasing_frequencies("w", [1.0], 0.5), "w, of shape"),

@@ -2,14 +2,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from plants import as_matrix
 
 from ilctools import LearningFilter, zero_phase_butterworth
-
-
-def as_matrix(apply, samples, channels=1):
-    """Matrix of a linear map of signals, column by column."""
-    units = np.eye(samples * channels).reshape(-1, samples, channels)
-    return apply(units).reshape(-1, samples * channels).T
 
 
 @given(st.integers(1, 6), st.floats(0.01, 1.5), st.floats(0.1, 2.0))
@@ -23,7 +18,7 @@ def test_q_is_the_squared_magnitude_of_the_analytic_butterworth(order, cutoff, T
 
 
 def test_q_on_a_trial_is_the_toeplitz_matrix_of_its_frequency_response(Q):
-    matrix = as_matrix(Q.apply, 300)
+    matrix = as_matrix(Q.apply, 300, 1)
     grid = 2 * np.pi * np.arange(4096) / 4096
     grid[grid > np.pi] -= 2 * np.pi
     impulse = np.fft.ifft(Q.frequency_response(np.abs(grid))).real
@@ -93,25 +88,10 @@ def test_coefficients_cannot_be_changed_behind_the_filter():
         L.coefficients[0, 0, 0] = 2
 
 
-L2 = LearningFilter(np.ones((2, 2, 3)), 1.0)
-REFUSED = [  # a call, and how the error begins
-    (lambda: zero_phase_butterworth(101, 0.1, 1.0), "order = 101 must be a whole number"),
-    (lambda: zero_phase_butterworth(2, 4.0, 1.0), r"cutoff = 4.0 must be in \(0, 3.14159"),
-    (lambda: zero_phase_butterworth(2, 1.6, 2.0), "cutoff = 1.6 must be in"),
-    # where rounding would change the filter
-    (lambda: zero_phase_butterworth(100, 1e-3, 1.0), "cutoff = 0.001 rad/s is too low"),
-    (lambda: zero_phase_butterworth(1, 1e-12, 1.0), "cutoff = 1e-12 rad/s is too low"),
-    (lambda: LearningFilter(np.ones((2, 3, 4)), 1.0), r".*shape \(2, 3, 4\)"),
-    (lambda: LearningFilter(np.ones((2, 2, 0)), 1.0), r".*shape \(2, 2, 0\)"),
-    (lambda: L2.apply(np.zeros((5, 3))), r"signal has shape \(5, 3\)"),
-    (lambda: zero_phase_butterworth(2, 0.1, 1.0).apply(np.zeros(5)), r".*shape \(5,\)"),
-]
-
-
-@pytest.mark.parametrize(("call", "message"), REFUSED)
-def test_refusals(call, message):
-    with pytest.raises(ValueError, match=f"^{message}"):
-        call()
+@pytest.mark.parametrize(("order", "cutoff"), [(100, 1e-3), (1, 1e-12)])
+def test_where_rounding_would_change_the_filter_it_is_refused(order, cutoff):
+    with pytest.raises(ValueError, match=f"^cutoff = {cutoff} rad/s is too low"):
+        zero_phase_butterworth(order, cutoff, 1.0)
 
 
 def test_filters_at_the_limits_of_rounding():

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from plants import random_stable
 
 from ilctools import LearningFilter, zero_phase_butterworth
 from ilctools.evidence.peak import _ceiling, _phase, error_model, learning_model, peak_gain
@@ -18,19 +19,10 @@ orders = st.integers(1, 5)
 seeds = st.integers(0, 999)
 
 
-def random_system(seed, n, m, distance, scale=1.0):
-    """One with its largest pole at a distance from the unit circle."""
-    rng = np.random.default_rng(seed)
-    A = rng.standard_normal((n, n))
-    A *= (1 - distance) / np.abs(np.linalg.eigvals(A)).max()
-    B, C = scale * rng.standard_normal((n, m)), rng.standard_normal((m, n))
-    return control.ss(A, B, C, scale * np.eye(m), 1.0)
-
-
 @given(orders, st.integers(1, 3), st.sampled_from([1e-6, 1.0, 1e6]), seeds)
 def test_peak_gain_is_above_and_close_to_brute_force(n, m, scale, seed):
     """In whatever units the states are."""
-    system = random_system(seed, n, m, 0.1, scale)
+    system = random_stable(seed, n, m, 0.1, scale, Ts=1.0)
     units = 10.0 ** np.random.default_rng(seed).uniform(-8, 8, n)
     A, B, C = system.A * units / units[:, None], system.B / units[:, None], system.C
     gain, place = peak_gain(control.ss(A, B, C * units, system.D, 1.0))
@@ -88,7 +80,7 @@ def exact_gain_squared(system, half_tangents):
 
 @given(orders, st.sampled_from([1e-1, 1e-4, 1e-8]), seeds)
 def test_peak_gain_is_above_the_exact_gain_of_random_systems(n, distance, seed):
-    system = random_system(seed, n, 1, distance)
+    system = random_stable(seed, n, 1, distance, Ts=1.0)
     gain, place = peak_gain(system)
     near = np.append(place, np.abs(np.angle(system.poles())))
     angles = (near[:, None] + distance * np.linspace(-1, 1, 11) * 1e-3).ravel()

@@ -37,7 +37,7 @@ def test_trials_that_begin_and_end_at_rest_do_what_is_predicted(kind):
 
 
 def test_a_reference_beats_the_band_on_its_own_task(loop, Q, omega):
-    """Of the paper's loop, whose ends the prediction leaves out: with rest around it is exact."""
+    """Of the paper's loop, whose ends the prediction leaves out."""
     reference = assumed_reference()
     kind = {"structure": "full", "order": 10}
     band = synthesise(loop, Q, omega[::4], band=(1e-4, 0.02), **kind)
@@ -47,7 +47,3 @@ def test_a_reference_beats_the_band_on_its_own_task(loop, Q, omega):
     predicted = [*own.certificate.predicted.values()]
     np.testing.assert_allclose(predicted[:2], e[:2], rtol=0.08)
     assert band.certificate.predicted is None
-    reference = np.pad(reference, [(1000, 1000), (0, 0)])
-    design = synthesise(loop, Q, omega[::4], reference=reference, **kind)
-    predicted = [*design.certificate.predicted.values()]
-    np.testing.assert_allclose(predicted, learned(loop, design, reference), rtol=5e-3)

@@ -1,6 +1,5 @@
 """A log is replayed with the law and the loop that it names; what it lacks is left out."""
 
-import json
 import re
 import warnings
 
@@ -22,7 +21,6 @@ from ilctools import (
 )
 from ilctools.law.io import with_law
 from ilctools.logs.replay import rms_by_trial
-from ilctools.loop.notes import LogError
 from rodlib.paper import ROOT
 
 UNITS = dict.fromkeys([*PUMPS, "leak"], "ml/s") | dict.fromkeys(LEVELS, "cm")
@@ -94,8 +92,7 @@ def test_without_a_loop_the_law_is_checked_and_without_a_law_the_model():
     trials = trials_of("tanks", law_for(LOOPS["tanks"], rest=15, gain=0.4))
     law = {key: value for key, value in trials.attrs.items() if key != "loop"}
     replayed = replay(trials.drop_attrs().assign_attrs(law))
-    missing = (replayed.loop, replayed.simulated, replayed.predicted, replayed.fit)
-    assert missing == (None,) * 4 and replayed.disturbance is None
+    assert replayed.simulated is replayed.predicted is replayed.fit is replayed.disturbance is None
     assert replayed.agreement.endswith("in every trial")
     last, whole = trials.isel(trial=-1), law_for(LOOPS["tanks"], rest=15, gain=0.4)
     following = whole.next(last.v.values, last.e.values)
@@ -104,8 +101,7 @@ def test_without_a_loop_the_law_is_checked_and_without_a_law_the_model():
     assert "loop" in reason and f"left out: {reason}" in repr(replayed)
     del trials.attrs["L"]
     replayed = replay(trials)
-    missing = replayed.departure, replayed.following, replayed.simulated
-    assert missing == (None,) * 3
+    assert replayed.departure is replayed.following is replayed.simulated is None
     assert replayed.fit is not None and replayed.warnings == ()
     assert "the log does not name its law" in repr(replayed)
     with pytest.raises(ValueError, match="does not name its law"):
@@ -139,7 +135,6 @@ def test_without_learning_v_is_zero():
     law = Law(law_for(LOOPS["stage"]).Q, None, loop=LOOPS["stage"])
     run = trials_of("stage", law)
     assert replay(run).agreement.endswith("in every trial")
-    assert not replay(trials_of("stage", law, 5)).settling
     assert not replay(run).following.any() and replay(run).error_by_octave(2) is None
     run["v"][1, 5] = 1e-6
     assert "departs from the law from trial 2 on, by 1.0" in replay(run).agreement
@@ -166,18 +161,9 @@ def test_an_unstable_plant_is_simulated_but_not_predicted():
     replayed = replay(trials_of(current_trial_loop(plant)))
     assert replayed.predicted is replayed.fit is None
     assert replayed.simulated is not None and "fit" not in repr(replayed)
-    assert replayed.omissions == ["prediction: without feedback the model is unstable"]
-
-
-def test_what_is_not_a_log_is_refused():
-    run = trials_of("stage")
-    for wrong, more, message in (
-        (run.drop_vars("v"), [], r"lack \['v'\]"),
-        (run.assign_attrs(loop="{}"), [], "loop"),
-        (run, "friction", "unmeasured"),
-    ):
-        with pytest.raises((ValueError, LogError), match=message):
-            replay(wrong, unmeasured=more)
+    assert replayed.omissions == [
+        "prediction: the model without feedback is unstable, or there is no u"
+    ]
 
 
 def test_the_error_by_octave_is_the_predicted_one_on_the_model(loop):
@@ -193,12 +179,10 @@ def test_the_error_by_octave_is_the_predicted_one_on_the_model(loop):
         assert ratio == pytest.approx(np.linalg.norm(after) / np.linalg.norm(before))
         assert np.all(table.bound >= 0.5)
     assert replay(run).error_by_octave(1) is replay(run).error_by_octave(4) is None
-    with warnings.catch_warnings(action="ignore"):
-        other = run.copy(deep=True)
-        other["reference"][2] *= 2
-        assert replay(other).error_by_octave(3) is None
-        del run.attrs["loop"]
-        assert replay(run).error_by_octave(2) is None
+    other = run.assign(reference=run.reference * (1 + (run.trial == 3)))
+    assert replay_quietly(other).error_by_octave(3) is None
+    del run.attrs["loop"]
+    assert replay(run).error_by_octave(2) is None
 
 
 def test_the_next_v_is_read_back_equal(tmp_path):
@@ -207,15 +191,9 @@ def test_the_next_v_is_read_back_equal(tmp_path):
     del trials.attrs["loop"]  # of the plant's former names
     replayed = replay(trials)
     replayed.save_following(path)
-    titles = [f"v_{name}" for name in names]
-    assert [*pd.read_csv(path, comment="#", nrows=0)] == ["time", *titles]
-    table = np.loadtxt(path, delimiter=",", skiprows=3)
-    expected = np.c_[trials.time, replayed.following]
-    np.testing.assert_array_equal(table, expected)
-    first, second = path.read_text(encoding="utf-8").splitlines()[:2]
-    assert "trial 4" in first
-    units = {"time": "s"} | dict.fromkeys(titles, "cm")
-    assert json.loads(second.removeprefix("# units: ")) == units
+    table = pd.read_csv(path)
+    assert [*table] == ["time (s)", *(f"v_{name} (cm)" for name in names)]
+    np.testing.assert_allclose(table, np.c_[trials.time, replayed.following], rtol=1e-15)
 
 
 def test_errors_are_summed_over_channels_of_one_unit():
@@ -233,7 +211,7 @@ def test_a_replay_is_printed_in_lines_and_warns():
     for k, line in enumerate(lines[5:8], 1):
         number, log, simulation = line.split()
         assert int(number) == k and log == simulation
-    assert "left 100 %" in lines[8] and 14 <= len(lines) <= 20
+    assert "left 100 %" in lines[8] and len(lines) == 9
     run = trials_of("tanks", law_for(LOOPS["tanks"], learning=-2.0), trials=6)
     with pytest.warns(UserWarning, match="the error grows") as caught:
         replayed = replay(run)
@@ -251,14 +229,13 @@ def test_it_says_by_which_trial_to_what_the_error_converged(noise):
     e = left + 5 * left * 0.5 ** np.arange(16)[:, None, None]
     e += noise * np.random.default_rng(0).standard_normal(e.shape)
     run["e"] = (run.e.dims, e, run.e.attrs)
-    (line,) = replay_quietly(run).settling
-    level, share = (np.sqrt(np.mean(np.sum(left**2, axis=1)) + 3 * noise**2), 3**0.5 * noise)
-    number, rest, new = re.fullmatch(
-        r"RMS \(cm\): converged, by about trial (\d+), to (\S+), of which noise (\S+)", line
-    ).groups()
-    assert int(number) in (5, 6) and float(rest) == pytest.approx(level, rel=0.02)
-    assert float(new) == pytest.approx(share, rel=0.05, abs=0.01)
-    assert line in repr(replay_quietly(run))
+    replayed = replay_quietly(run)
+    (line,) = replayed.settling
+    assert line.startswith("RMS (cm): converged, by about trial ") and line in repr(replayed)
+    number, level, white = (float(text) for text in re.findall(r"\d[\d.e-]*", line))
+    assert number in (5, 6) and white == pytest.approx(3**0.5 * noise, rel=0.05, abs=0.01)
+    remains = np.mean(np.sum(left**2, axis=1)) + 3 * noise**2
+    assert level == pytest.approx(np.sqrt(remains), rel=0.02)
     (early,) = replay_quietly(run.isel(trial=slice(4))).settling
     assert "not converged" in early
     assert not replay_quietly(run.isel(trial=slice(3))).settling

@@ -125,16 +125,11 @@ def read(folder, lines, **more):
 @pytest.mark.parametrize(
     ("lines", "message"),
     [
-        (damaged(), "row 12 is 2 s after the row before, where Ts = 1 s"),
-        (damaged("10.00,off"), "y_h: entry 'off' in row 12"),
-        (damaged("10.00"), "row 12 has 1 entries, but must have 2"),
-        (rows_of(1.02), "the mean step is 1.02 s, but Ts = 1 s"),
         (["t (K),level", *rows_of()[1:]], "unit of time = 'K'"),
         (["t;level", "0;1,5", "1;1.234,5"], "y_h: entry '1,234.5' in row 3"),
         (["t;level", *4 * ["0;1,5"], "2;2.5"], "y_h: entry '2,5' in row 6"),
         (["t,level", "29.02.2024,1", "01.03.2024,1"], "entry '29.02.2024' in row 2"),
         (["t,level"], "no rows of numbers"),
-        (["\0"], "is not text"),
     ],
 )
 def test_what_is_wrong_is_named_by_file_row_and_column(tmp_path, lines, message):
@@ -217,6 +212,8 @@ def test_a_data_frame_is_read_as_it_is():
     np.testing.assert_array_equal(without.time, [0, 0.5, 1, 1.5])
     with pytest.raises(LogError, match="trial 5 has 3 samples and trial 1 has 4"):
         read_table(frame[:-1], **columns)
+    with pytest.raises(LogError, match=r"outputs\['x'\] = 'x' must be the title of one column"):
+        read_table(frame.set_axis(["run", "x", "x"], axis=1), Ts=1.0, outputs={"x": "x"})
 
 
 @pytest.mark.parametrize(
@@ -224,18 +221,13 @@ def test_a_data_frame_is_read_as_it_is():
     [
         ({"time": "Tine"}, r"time = 'Tine' must .* the titles are \['Time \(sec\)'"),
         ({"time": 7}, "time = 7 must be .* from 0 to 6"),
-        ({"reference": {"T1": 5, "T2": 5}}, "a column of its own"),
         ({"reference": {"T1": 5}}, "missing are .*'reference_T2'"),
         ({"v": {"T1": 5, "T2": 6}}, "missing are .*'reference_T1'"),
-        ({"inputs": {"Q1": 1}}, "outputs = .*inputs = "),
-        ({"measured": {"T1": 5}}, "must have different names"),
-        ({"measured": {"T3": 2.5}}, r"measured\['T3'\] = 2.5"),
+        ({"measured": {"T3": 2.5}}, r"measured\['T3'\] = 2.5 must be"),
         ({"measured": {3: 2}}, "a name in measured = 3"),
         ({"time": None, "Ts": None}, "Ts = None"),
         ({"units": {"T3": "degC"}}, "units is about"),
-        ({"Ts": 1e-3, "resample": True}, "all steps differ from Ts = 0.001 s, .* 1.00062"),
-        ({"units": {"T2": "degF"}}, r"title 'Temperature 2 \(degC\)' says 'degC', .*degF"),
-        ({"units": {"time": "ms"}}, "title 'Time .sec.' says 'sec', but units say 'ms'"),
+        ({"Ts": 1e-3, "resample": True}, r"Ts = 0.001 s \(598 of 598 steps differ\)"),
     ],
 )
 def test_what_a_table_does_not_have_is_named(more, message):
@@ -259,35 +251,20 @@ def test_the_unit_of_a_clock_may_end_its_title(title, unit):
     frame = pd.DataFrame({title: 10.0 * SAMPLES, "y": LEVEL})
     log = read_table(frame, time=title, outputs={"y": "y"})
     assert log.attrs["Ts"] == pytest.approx(10 * unit)
-    same = read_table(frame, time=title, outputs={"y": "y"}, units={"y": "degC"})
-    assert same.output_unit.item() == "degC"
+    stated = read_table(frame, time=title, outputs={"y": "y"}, units={"y": "degC", "time": "min"})
+    assert stated.output_unit.item() == "degC" and stated.attrs["Ts"] == pytest.approx(600)
 
 
-@pytest.mark.parametrize(("unit", "factor"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
-def test_an_epoch_is_in_a_unit_that_is_stated(unit, factor):
-    frame = pd.DataFrame({"t": factor * (1.7e9 + SAMPLES), "y": LEVEL})
-    with pytest.raises(LogError, match=f"time reaches 1.7e.* s, .* of years: .*'{unit}'"):
-        read_table(frame, time="t", outputs={"y": "y"})
-    log = read_table(frame, time="t", outputs={"y": "y"}, units={"time": unit})
-    assert log.attrs["Ts"] == 1.0
-
-
-@pytest.mark.parametrize("kind", ["mat", "npz"])
-def test_how_arrays_of_others_are_read_is_said(tmp_path, kind):
+@pytest.mark.parametrize(
+    ("save", "load"),
+    [(scipy.io.savemat, scipy.io.loadmat), (lambda path, file: np.savez(path, **file), np.load)],
+)
+def test_how_arrays_of_others_are_read_is_said(tmp_path, save, load):
     """What the message says makes a table of the file."""
-    path, arrays = tmp_path / f"log.{kind}", {"t": 0.5 * SAMPLES, "y": LEVEL}
-    if kind == "mat":
-        scipy.io.savemat(path, arrays)
-    else:
-        np.savez(path, **arrays)
+    path = tmp_path / "log.npz"
+    save(path, {"t": 0.5 * SAMPLES, "y": LEVEL})
     with pytest.raises(LogError, match=r"numpy.ravel\(file\[name\]\) .*scipy.io.loadmat"):
         read_table(path, time="t", outputs={"y": "y"})
-    file = scipy.io.loadmat(path) if kind == "mat" else np.load(path)
+    file = load(path)
     frame = pd.DataFrame({name: np.ravel(file[name]) for name in ("t", "y")})
     np.testing.assert_array_equal(read_table(frame, time="t", outputs={"y": "y"}).y[0, :, 0], LEVEL)
-
-
-def test_a_title_that_several_columns_have_is_refused():
-    frame = pd.DataFrame([[1.0, 2.0]], columns=["x", "x"])
-    with pytest.raises(LogError, match=r"outputs\['x'\] = 'x'"):
-        read_table(frame, Ts=1.0, outputs={"x": "x"})

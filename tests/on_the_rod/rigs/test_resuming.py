@@ -2,26 +2,21 @@
 
 import subprocess
 import sys
-import warnings
 from dataclasses import replace
 from types import SimpleNamespace
 
-import control
 import numpy as np
 import pytest
 from plants import RestartingModel, boiler, bump
 
 from ilctools import (
-    ClosedLoop,
     Law,
     LearningFilter,
     current_trial_loop,
     load_log,
     record,
-    rms,
     run_trials,
     save_log,
-    synthesise,
     zero_phase_butterworth,
 )
 from ilctools.logs.replay import replay
@@ -161,39 +156,3 @@ def test_each_trial_follows_a_reference_of_its_own(tmp_path):
     for name in ("reference", "v", "y", "e"):
         np.testing.assert_allclose(log[name], run[name], atol=1e-9)
     np.testing.assert_allclose(replay(load_log(path)).simulated.y, run.y, atol=1e-9)
-
-
-def stronger(gain):
-    model = boiler()
-    names = {"inputs": model.input_labels, "outputs": model.output_labels}
-    return control.ss(model.A, gain * model.B, model.C, model.D, model.dt, **names)
-
-
-@pytest.mark.parametrize("noise", [0.0, 0.01])
-@pytest.mark.parametrize("loop", [BOILER, ClosedLoop(BOILER.P)], ids=["ours", "not"])
-def test_a_log_that_goes_on_with_another_plant_is_noticed(loop, noise, tmp_path):
-    """The notes of the log are the same; its last trials are what the next one contradicts."""
-    law = Law(BOILER_LAW.Q, synthesise(loop, BOILER_LAW.Q).filter)
-
-    def rig(gain):
-        own = loop is BOILER
-        other = BOILER.around(stronger(gain))[:, :2] if not own else stronger(gain)
-        inputs = None if own else loop.commands
-        return RestartingModel(other, inputs, noise=noise)
-
-    for gain in (1.0, 1.5):
-        case = loop, law, R
-        path = tmp_path / f"{gain}.csv"
-        with warnings.catch_warnings(action="error"):
-            record(rig(1.0), *case, trials=3, path=path)
-        with warnings.catch_warnings(record=True) as seen:
-            warnings.simplefilter("always")
-            log = record(rig(gain), *case, trials=4, path=path)
-        size = rms(log.e).values
-        messages = [str(warning.message) for warning in seen]
-        if gain == 1:
-            assert not messages
-        else:
-            assert size[-1] > 1.5 * size[-2]
-            assert "after trial 4: its error is off by" in messages[0]
-            assert "from what follows from the last trial of the log" in messages[0]

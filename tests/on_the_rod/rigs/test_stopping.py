@@ -4,7 +4,6 @@ import re
 import warnings
 from types import SimpleNamespace
 
-import control
 import numpy as np
 import pytest
 from plants import RestartingModel, boiler, bump, furnace
@@ -20,6 +19,7 @@ from ilctools import (
     synthesise,
     zero_phase_butterworth,
 )
+from ilctools.models import sampled_plant
 from ilctools.rigs.limits import stop_limits
 from ilctools.rigs.protocol import StoppedError
 from ilctools.trials.run import rms
@@ -84,9 +84,7 @@ def test_a_furnace_that_is_a_tenth_off_is_warned_of_once_while_there_is_time():
     loop = current_trial_loop(furnace(30), None, {"valve": 0.1})
     Q, grid = zero_phase_butterworth(2, 0.4, 1.0), np.geomspace(1e-4, np.pi, 200)
     law = synthesise(loop, Q, grid, 1.0, order=40, band=(1e-4, 0.1)).law()
-    delayed = np.append([1.0, -0.95], np.zeros(33))
-    plant = control.ss(control.tf([0.22], delayed, 1.0))
-    device = RestartingModel(control.ss(plant, inputs=["valve"]), noise=0.02)
+    device = RestartingModel(sampled_plant(furnace(33, gain=1.1)), noise=0.02)
     message = "after trial [3456]: the convergence rate is not the predicted one.*measure P"
     with warnings.catch_warnings(record=True) as seen:
         warnings.simplefilter("always")

@@ -1,7 +1,6 @@
 import warnings
 from dataclasses import replace
 
-import control
 import cvxpy as cp
 import numpy as np
 import pytest
@@ -9,18 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from plants import half
 
-from ilctools import (
-    InfeasibleError,
-    LearningFilter,
-    least_gain,
-    synthesise,
-    trial_norm,
-    zero_phase_butterworth,
-)
+from ilctools import InfeasibleError, LearningFilter, least_gain, synthesise
 from ilctools.problem.pose import pose
+from ilctools.synthesis import everywhere
 from ilctools.synthesis.design import certified
 from ilctools.synthesis.result import SolverError
-from ilctools.synthesis.solver import active_set, interior_point
 from rodlib import paper_choices
 from rodlib.paper import published
 
@@ -53,18 +45,17 @@ def test_no_design_is_worse_than_the_printed_one(loop, Q, omega):
 
 
 @pytest.mark.parametrize(
-    ("factor", "complaint"), [(1.001, r"sigma_max\(L\) = 50\.05"), (0.9, "relative duality gap")]
+    ("factor", "complaint"), [(1.001, r"sigma_max\(L\) = 50\.0[45]"), (0.9, "relative duality gap")]
 )
 def test_a_wrong_filter_is_not_returned(loop, Q, omega, monkeypatch, factor, complaint):
     """The check does not trust the solver: a filter out of bounds, or not optimal, raises."""
-    solve = interior_point.solve
+    solve = everywhere.solve
 
-    def dishonest(program, is_good):
-        solution = solve(program, is_good)
+    def dishonest(problem):
+        solution = solve(problem)
         return replace(solution, coefficients=solution.coefficients * factor)
 
-    monkeypatch.setattr(interior_point, "solve", dishonest)
-    monkeypatch.setattr(active_set, "resolve", lambda *_, **__: None)
+    monkeypatch.setattr(everywhere, "solve", dishonest)
     arguments = (loop, Q, np.geomspace(1e-4, np.pi, 250), 1.0)
     with pytest.raises(SolverError, match=complaint):
         synthesise(*arguments, **paper_choices(band=(1e-4, 0.01)))
@@ -165,30 +156,6 @@ def test_what_cannot_help_is_not_advised(changes, remedy):
 
 
 GRID = np.linspace(0.05, 3, 50)
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"rest": 1}, "rest = 1"),
-        ({"P": np.ones((50, 1, 1)), "samples": 100}, "samples = 100 .* as models"),
-        ({"samples": 0}, "samples = 0"),
-        ({"samples": 9, "rest": 9}, "rest = 9"),
-    ],
-)
-def test_a_trial_that_does_not_fit_is_refused(changes, message):
-    plain = {"P": control.ss(0.5, 1, 1, 0, 1.0), "Q": zero_phase_butterworth(2, 0.1, 1.0)}
-    with pytest.raises(ValueError, match=f"^{message}"):
-        synthesise(**plain | {"omega": GRID, "band": (0.05, 1)} | changes)
-
-
-def test_the_rest_of_a_trial_reaches_the_certificate(loop, Q, omega):
-    trial = {"samples": np.int64(60), "rest": np.int8(15), "M_max": np.float32(0.95)}
-    design = synthesise(loop, Q, omega[::10], **paper_choices(**trial))
-    operators = (loop.P, Q, design.filter, 60)
-    norm, whole = (trial_norm(*operators, rest=n)[0] for n in (15, 0))
-    assert design.certificate.trial == pytest.approx(norm, rel=1e-9)
-    assert norm < 0.99 * whole
 
 
 def test_what_is_not_learned_at_one_frequency_is_learned_at_others():

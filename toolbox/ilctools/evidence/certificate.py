@@ -1,13 +1,16 @@
-"""What is known about a learning filter, by evidence independent of the solver."""
+"""What is known about a learning filter, by evidence independent of the solver.
+
+:func:`check` says what a filter does to all plants of a problem, that of its design or another one.
+:func:`certify` adds how far the filter is from the optimum of its design.
+"""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
-from ilctools import arguments
-from ilctools.evidence.convergence import log_mean
-from ilctools.evidence.finite import trial_norm
+from ilctools.evidence.convergence import Convergence, from_responses, log_mean
 from ilctools.evidence.optimality import lower_bound, relief
 from ilctools.evidence.peak import (
     Peak,
@@ -22,7 +25,7 @@ from ilctools.evidence.prediction import predicted_rms
 from ilctools.evidence.robustness import WorstCase, worst_case
 from ilctools.filters import LearningFilter
 from ilctools.problem.problem import MOST_GAIN, TIED, Problem, Solution, largest_singular_values
-from ilctools.problem.roughness import warnings_of
+from ilctools.problem.roughness import scatter_warnings
 
 # Relative duality gap, and relative violation of a bound on the grid, that are accepted;
 GAP = 1e-6
@@ -40,25 +43,18 @@ class Certificate:
     """What is known about a learning filter, by evidence independent of the solver."""
 
     problem: Problem
+    filter: LearningFilter  # in units of scale, as P is
     value: float  # the objective reached
-    lower_bound: float  # what no such filter within the bounds can go below
-    # of the nominal plant, see :meth:`Convergence.mean`; NaN without a band
-    mean_M: float
-    # RMS of the error in some trials, for the reference of the design; None without one
-    predicted: dict[int, float] | None
     worst: WorstCase  # of all plants, within the radius, at each of the frequencies
-    peak: Peak  # over all frequencies, without the radius, unknown between the samples
-    exact: Peak | None  # of the plants that are models, if Q is one, too
-    estimated: int  # for so many of the others, the worst on the grid
+    # Peaks over all frequencies, without the radius: of the plants that are models, if Q is one,
+    # too; and between the samples of those of the others that are worst on the grid.
+    exact: list[Peak]
+    estimated: list[Peak]
     beyond: Peak | None  # above the last sample, of the size that is assumed there
     grid_L: float  # peak of sigma_max(L) on the grid
     passed_L: float  # the largest share of its bound that sigma_max(L) has there
-    all_L: float  # an upper bound of it, to 1e-8, for all frequencies
-    relief: float  # relative decrease of the optimum for a relative increase of L_max
-    tolerances: tuple[float, float] = (GAP, VIOLATION)
-    trial: float = np.nan  # 2-norm of the map of one finite trial, if asked for
-    samples: int | None = None  # length of that trial
-    rest: int = 0  # of it, in which v is held at zero
+    lower_bound: float = np.nan  # what no such filter within the bounds can go below
+    relief: float = np.nan  # relative decrease of the optimum for a relative increase of L_max
 
     @property
     def grid_M(self) -> float:
@@ -66,9 +62,19 @@ class Certificate:
         return self.worst.sigma.max()
 
     @property
+    def peak(self) -> Peak:
+        """The highest over all frequencies, without the radius, unknown between the samples."""
+        return highest([*self.exact, *self.estimated])
+
+    @property
     def all_M(self) -> float:
         """Peak of sigma_max(M) over all frequencies, to 1e-8; an estimate if it is not proven."""
         return self.peak.sigma
+
+    @cached_property
+    def all_L(self) -> float:
+        """An upper bound of sigma_max(L), to 1e-8, for all frequencies."""
+        return peak_gain(learning_model(self.filter))[0]
 
     @property
     def proven(self) -> bool:
@@ -76,10 +82,48 @@ class Certificate:
         return not self.estimated
 
     @property
+    def highest_peak(self) -> Peak:
+        """The highest of all that is proven, estimated or assumed, whatever the place."""
+        plant, at = self.worst.tied[0]
+        peaks = [Peak(self.grid_M, self.problem.omega[at], plant), *self.exact, *self.estimated]
+        return highest(peaks if self.beyond is None else [*peaks, self.beyond])
+
+    @property
     def rate(self) -> float:
-        """The largest sigma_max(M) that is proven, estimated or assumed, whatever the place."""
-        beyond = self.beyond.sigma if self.beyond else 0.0
-        return float(max(self.grid_M, self.all_M, beyond))
+        """The largest sigma_max(M): the gamma of Lemma 1."""
+        return float(self.highest_peak.sigma)
+
+    @property
+    def convergence(self) -> Convergence:
+        """Do the trials converge, on the worst of all plants?"""
+        problem, beyond = self.problem, self.beyond
+        L = self.filter.frequency_response(problem.omega)
+        on_grid = from_responses(problem.omega, problem.plants, problem.Q, L)
+        return replace(
+            on_grid,
+            sigma=self.worst.sigma,
+            gamma=self.rate,
+            at=float(self.highest_peak.omega),
+            spectral_radius=float(on_grid.spectral_radius.max()),
+            proven=self.proven and problem.radius is None,
+            uncertain=problem.radius is not None or (beyond is not None and beyond.sigma >= 1),
+            assumptions=self.assumptions,
+        )
+
+    @property
+    def mean_M(self) -> float:
+        """Of the nominal plant, see :meth:`.Convergence.mean`; NaN without a band."""
+        design = self.problem.design
+        low, _ = design.band or (0, 0)
+        if low <= 0:
+            return np.nan
+        sigma = largest_singular_values(design.M(self.filter.frequency_response(design.omega)))
+        return float(log_mean(sigma, design.omega, design.band))
+
+    @property
+    def predicted(self) -> dict[int, float] | None:
+        """RMS of the error in some trials, for the reference of the design; None without one."""
+        return None if self.problem.band else predicted_rms(self.problem, self.filter)
 
     @property
     def gap(self) -> float:
@@ -89,7 +133,8 @@ class Certificate:
     @property
     def unseen(self) -> Peak | None:
         """The highest peak of the models, if it is one or more, where omega does not see it."""
-        return self.exact if self.exact and self.exact.sigma >= 1 else None
+        peak = highest(self.exact)
+        return peak if peak and peak.sigma >= 1 else None
 
     @property
     def assumptions(self) -> tuple[str, ...]:
@@ -102,23 +147,23 @@ class Certificate:
         return list(self._failures())
 
     def _failures(self) -> Iterator[str]:
-        problem, (gap, violation) = self.problem, self.tolerances
+        problem = self.problem
         M_max, L_max = problem.M_max, problem.L_max
-        if self.gap > gap:
-            yield f"relative duality gap {self.gap:.1e} > {gap:g}"
-        if self.grid_M > M_max * (1 + violation):
+        if self.gap > GAP:
+            yield f"relative duality gap {self.gap:.1e} > {GAP:g}"
+        if self.grid_M > M_max * (1 + VIOLATION):
             where = f" at its worst ({self._where()})" if problem.robust else ""
             yield f"sigma_max(M){where} = {self.grid_M:.12g} > M_max = {M_max} on the grid"
-        if L_max is not None and self.grid_L > L_max * (1 + violation):
+        if L_max is not None and self.grid_L > L_max * (1 + VIOLATION):
             yield f"sigma_max(L) = {self.grid_L:.12g} > L_max = {L_max} on the grid"
-        elif self.passed_L > 1 + violation:
+        elif self.passed_L > 1 + VIOLATION:
             yield (
                 f"sigma_max(L) is {self.passed_L:.12g} times what bounds it between or above the "
                 "frequencies omega"
             )
         if problem.everywhere:
-            limit = 1 + violation + BETWEEN
-            high_M = self.exact is not None and self.exact.sigma > M_max * limit
+            limit = 1 + VIOLATION + BETWEEN
+            high_M = any(peak.sigma > M_max * limit for peak in self.exact)
             high_L = L_max is not None and self.all_L > L_max * limit
             if high_M or high_L:
                 yield (
@@ -141,7 +186,7 @@ class Certificate:
         problem, design = self.problem, self.problem.design
         texts = [*problem.findings]
         if design.models[0] is None and design.radius is None:
-            texts += warnings_of(design.omega, design.P, design.Q)
+            texts += scatter_warnings(design.omega, design.P, design.Q)
         if problem.objective == "sum" and self.value > IDLE * problem.idle:
             share = self.value / problem.idle
             where = "in the band" if problem.band else "for this reference"
@@ -202,11 +247,7 @@ class Certificate:
         return "\n".join([*lines, *self._mean(), *self._remarks()])
 
     def _remarks(self) -> Iterator[str]:
-        """Of a finite trial, and what the certificate rests on and what speaks against it."""
-        if self.samples:
-            rest = f", the last {self.rest} at rest" if self.rest else ""
-            trial = f"one trial of {self.samples} samples{rest}"
-            yield f"norm of {trial}: {self.trial:.4f}"
+        """What the certificate rests on, and what speaks against it."""
         yield from self.assumptions
         yield from (f"WARNING: {text}" for text in self.warnings)
         yield from (f"FAILS: {text}" for text in self.failures)
@@ -293,9 +334,9 @@ class Certificate:
             if without:
                 yield f"sigma_max(M) over all frequencies{without}: {self.all_M:.8f}"
             return
-        of = ""
-        if self.estimated < len(problem.plants):
-            of = f" for the {self.estimated} sampled plants that are worst on the grid"
+        of, count = "", len(self.estimated)
+        if count < len(problem.plants):
+            of = f" for the {count} sampled plants that are worst on the grid"
         yield (
             f"sigma_max(M){without} {_span(omega)}, between the samples: {self.all_M:.4f}, "
             f"estimated{of}"
@@ -336,56 +377,29 @@ def _span(omega):
     return f"from {omega[0]:.4g} to {omega[-1]:.4g} rad/s"
 
 
-def certify(
-    problem: Problem,
-    solution: Solution,
-    tolerances: tuple[float, float] = (GAP, VIOLATION),
-    samples: int | None = None,
-    rest: int = 0,
-) -> Certificate:
-    """Find out what is true of a filter; nothing of the solution is trusted."""
-    L = LearningFilter(solution.coefficients, problem.Ts)  # in units of scale, as P is
+def check(problem: Problem, L: LearningFilter) -> Certificate:
+    """Find out what a filter, in units of `scale`, does to the plants of a problem."""
     response = L.frequency_response(problem.omega_L)
-    nominal = largest_singular_values(problem.M(response))
     worst = worst_case(problem, L)
-    value = problem.value(nominal, worst.sigma)
-    mean_M, (low, high) = np.nan, problem.band or (0, 0)
-    if 0 < low < high:
-        design = np.isin(problem.omega, problem.design.omega)
-        mean_M = log_mean(nominal[design], problem.omega[design], problem.band)
-    exact = proven_peaks(problem, L)
-    estimated = estimated_peaks(problem, L, worst.peaks)
-    trial = np.nan
-    if samples is not None:
-        trial = trial_norm(*problem.model, L, samples, rest=rest)[0]
     return Certificate(
-        problem=problem,
-        value=value,
-        lower_bound=lower_bound(problem, solution.U, solution.V, solution.cuts),
-        mean_M=float(mean_M),
-        predicted=None if problem.band else predicted_rms(problem, L),
+        problem,
+        L,
+        value=problem.value(largest_singular_values(problem.M(response)), worst.sigma),
         worst=worst,
-        peak=highest([*exact, *estimated]),
-        exact=highest(exact),
-        estimated=len(estimated),
+        exact=proven_peaks(problem, L),
+        estimated=estimated_peaks(problem, L, worst.peaks),
         beyond=peak_beyond(problem, L),
         grid_L=largest_singular_values(response).max(),
         passed_L=problem.passed_L(response),
-        all_L=peak_gain(learning_model(L))[0],
-        relief=relief(problem, value, solution.U, solution.V, solution.cuts),
-        tolerances=tolerances,
-        trial=trial,
-        samples=samples,
-        rest=rest,
     )
 
 
-def checked_trial(problem: Problem, samples: int | None, rest: int) -> tuple[int | None, int]:
-    """Length of a trial and of the rest at its end; a ValueError if it has no norm."""
-    if samples is not None:
-        samples = arguments.whole("samples", samples, 2)
-        if problem.model is None:
-            raise ValueError(
-                f"samples = {samples} asks for the norm of a trial, which needs P and Q as models"
-            )
-    return samples, arguments.whole("rest", rest, 0, (samples or 1) - 1)
+def certify(problem: Problem, solution: Solution) -> Certificate:
+    """Find out what is true of a filter; nothing of the solution is trusted."""
+    found = check(problem, LearningFilter(solution.coefficients, problem.Ts))
+    U, V, cuts = solution.U, solution.V, solution.cuts
+    return replace(
+        found,
+        lower_bound=lower_bound(problem, U, V, cuts),
+        relief=relief(problem, found.value, U, V, cuts),
+    )

@@ -5,7 +5,7 @@ every trial by that factor at least. The largest spectral radius of M is never l
 error *converges*, though it may grow before. Both are about trials without ends.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -13,11 +13,8 @@ import numpy as np
 from ilctools import arguments
 from ilctools.filters import LearningOperator, check_learning
 from ilctools.law.limits import WEIGHT
-from ilctools.models import frequency_response
 from ilctools.problem.problem import convergence_matrix, largest_singular_values, tied
 from ilctools.problem.responses import Q_on_grid, on_grid, plants
-
-DENSE = 20001  # frequencies, from zero to the Nyquist frequency
 
 
 class Rate(NamedTuple):
@@ -44,7 +41,6 @@ class Convergence:
     proven: bool = False  # whether gamma holds at all frequencies
     uncertain: bool = False  # whether P may be another, for which the trials diverge
     assumptions: tuple[str, ...] = ()  # what P and its radius rest on
-    systems: tuple | None = None  # plants, Q and L, where all of them are models
 
     @property
     def monotone(self) -> bool:
@@ -79,21 +75,15 @@ class Convergence:
         The largest sigma_max(W^(1/2) Q (I - L P) W^(-1/2)) with W = P_0^H P_0 + weight I: by that
         factor the root of ||P_0 d||^2 + weight ||d||^2, with d the distance of v from its limit,
         shrinks from trial to trial, at least. For small weights it tends to gamma. P is the worst
-        of the plants, P_0 the first, by whose model the law projects. If plants and Q are models,
-        it is on a grid of 20,000 frequencies up to the Nyquist frequency and at `omega`, else at
-        `omega` alone; a radius is left out of account. For trials without ends, and limits that are
-        met as the model says.
+        of the plants, P_0 the first, by whose model the law projects; a radius is left out of
+        account. It is at `omega` alone, which therefore must be dense: the peak of a filter of n
+        samples is some pi / (n Ts) wide. For trials without ends, and limits that are met as the
+        model says.
         """
         weight = arguments.positive("weight", weight)
         P, Q, L = self.responses
-        if self.systems is not None:
-            plants, *filters = self.systems
-            dense = np.linspace(0, np.pi / filters[0].Ts, DENSE)
-            omega = np.union1d(self.omega, dense)
-            P = np.array([frequency_response(plant, omega) for plant in plants])
-            Q, L = (each.frequency_response(omega) for each in filters)
         identity = np.eye(P.shape[-1])
-        nominal = P.reshape(-1, *P.shape[-3:])[0]
+        nominal = P if P.ndim == 3 else P[0]
         effort = np.broadcast_to(np.sqrt(weight) * identity, nominal.shape)
         S = np.concatenate([nominal, effort], axis=-2)  # S^H S = W
         change = Q[:, None, None] * (identity - L @ P)
@@ -154,17 +144,11 @@ def convergence(P, Q, L: LearningOperator, omega) -> Convergence:
     arguments.instance("L", L, LearningOperator)
     omega = arguments.increasing_frequencies("omega", omega, L.Ts)
     known = plants(P)
-    models, responses = on_grid(known, omega, L.Ts)
-    butterworth, Q = Q_on_grid(Q, omega, L=L)
+    _, responses = on_grid(known, omega, L.Ts, Q=Q, L=L)
+    _, Q = Q_on_grid(Q, omega)
     check_learning(L, responses.shape[-1])
     P = responses[0] if "P" in known else responses
-    result = from_responses(omega, P, Q, L.frequency_response(omega))
-    return replace(result, systems=as_systems(models, butterworth, L))
-
-
-def as_systems(models, Q, L) -> tuple | None:
-    """Plants, Q and L, if all of them are known at every frequency."""
-    return None if Q is None or None in models else (models, Q, L)
+    return from_responses(omega, P, Q, L.frequency_response(omega))
 
 
 def rate(P, Q, L: LearningOperator, omega) -> Rate:
@@ -193,10 +177,10 @@ def rate(P, Q, L: LearningOperator, omega) -> Rate:
 
 def from_responses(omega, P, Q, L) -> Convergence:
     """As :func:`convergence`, of frequency responses P (n, m, m) or (p, n, m, m), Q and L."""
-    M = convergence_matrix(P, Q, L).reshape(-1, *P.shape[-2:])
-    sigma, radius = (
-        of(M).reshape(P.shape[:-2]) for of in (largest_singular_values, spectral_radii)
-    )
+    M = convergence_matrix(P, Q, L)
+    matrices = M.reshape(-1, *M.shape[-2:])
+    sigma = largest_singular_values(matrices).reshape(M.shape[:-2])
+    radius = spectral_radii(matrices).reshape(M.shape[:-2])
     return Convergence(
         omega,
         sigma,

@@ -7,7 +7,7 @@ import control
 import numpy as np
 import scipy.sparse.linalg as sparse
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.sparse import coo_array, kron
+from scipy.sparse import coo_array, diags_array, eye_array, kron
 
 from ilctools import arguments
 from ilctools.filters import ENDS, LearningFilter, ZeroPhaseButterworth
@@ -60,31 +60,15 @@ def trial_operators(
     check_match(P=P, L=L, Q=Q)
     samples = arguments.whole("samples", samples, 1)
 
-    size = samples * m
-    length = next_fast_len(2 * samples, real=True)
-    spectrum = rfft(impulse_response(P, samples), length, axis=0)
-
-    def convolved(spectrum, X):
-        signal = rfft(X.reshape(samples, m, -1), length, axis=0)
-        output = np.einsum("nij,njk->nik", spectrum, signal)  # thrice as fast as @
-        return irfft(output, length, axis=0)[:samples].reshape(X.shape)
-
-    P_N = _operator(
-        size,
-        lambda X: convolved(spectrum, X),
-        lambda X: convolved(spectrum.conj().swapaxes(1, 2), X),
+    P_N = _convolution(impulse_response(P, samples))
+    Q_N = _operator(
+        (samples, m),
+        lambda x: Q.apply(x.reshape(samples, -1)),
+        lambda x: Q.apply_transposed(x.reshape(samples, -1)),
     )
-
-    def Q_apply(X):
-        return Q.apply(X.reshape(samples, -1)).reshape(X.shape)
-
-    def Q_adjoint(X):
-        return Q.apply_transposed(X.reshape(samples, -1)).reshape(X.shape)
-
     taps = enumerate(np.moveaxis(L.coefficients, 2, 0), 1)
     held = ENDS[L.ends][1] == "edge"
     L_N = sum(kron(_ahead(samples, k, held), C) for k, C in taps)
-    Q_N = _operator(size, Q_apply, Q_adjoint)
     return P_N, Q_N, sparse.aslinearoperator(L_N)
 
 
@@ -116,22 +100,10 @@ def trial_map(
     """
     P_N, Q_N, L_N = trial_operators(P, Q, L, samples)
     rest = arguments.whole("rest", rest, 0, samples - 1)
-    size = samples * L.channels
-
-    def active(X):
-        X = X.copy()
-        X[size - rest * L.channels :] = 0
-        return X
-
-    def apply(X):
-        v = active(X)
-        return active(Q_N @ (v - L_N @ (P_N @ v)))
-
-    def adjoint(X):
-        v = Q_N.H @ active(X)
-        return active(v - P_N.H @ (L_N.H @ v))
-
-    return _operator(size, apply, adjoint)
+    learned = np.arange(samples * L.channels) < (samples - rest) * L.channels
+    at_rest = sparse.aslinearoperator(diags_array(learned.astype(float)))
+    identity = sparse.aslinearoperator(eye_array(learned.size))
+    return at_rest @ Q_N @ (identity - L_N @ P_N) @ at_rest
 
 
 def trial_norm(
@@ -181,20 +153,41 @@ def trial_norm(
         before = np.linalg.svd(T @ np.eye(size))[2][0]
     else:
         start = np.random.default_rng(0).standard_normal(size)  # the same in every run
-        try:
-            _, vectors = sparse.eigsh(T.H @ T, k=1, v0=start, tol=1e-8, ncv=LANCZOS)
-        except sparse.ArpackNoConvergence as error:
-            raise RuntimeError(f"the Lanczos iteration did not converge: {error}") from error
+        # ArpackNoConvergence is a RuntimeError
+        _, vectors = sparse.eigsh(T.H @ T, k=1, v0=start, tol=1e-8, ncv=LANCZOS)
         before = vectors[:, 0]
     after = T.matvec(before)
     norm = float(np.linalg.norm(after))
     return norm, before.reshape(samples, -1), after.reshape(samples, -1)
 
 
-def _operator(size, apply, adjoint):
-    """A linear operator on raveled signals, one or several side by side."""
+def _convolution(h):
+    """The lower triangular block Toeplitz matrix of an impulse response, (samples, m, m)."""
+    samples, m, _ = h.shape
+    length = next_fast_len(2 * samples, real=True)
+    spectrum = rfft(h, length, axis=0)
+
+    def convolved(spectrum, x):
+        # thrice as fast as @
+        output = np.einsum("nij,njk->nik", spectrum, rfft(x, length, axis=0))
+        return irfft(output, length, axis=0)[:samples]
+
+    return _operator(
+        (samples, m),
+        lambda x: convolved(spectrum, x),
+        lambda x: convolved(spectrum.conj().swapaxes(1, 2), x),
+    )
+
+
+def _operator(shape, apply, adjoint):
+    """A linear operator on raveled signals, from what it does to signals (samples, m, any)."""
+
+    def raveled(function):
+        return lambda X: function(X.reshape(*shape, -1)).reshape(X.shape)
+
+    size, to, back = np.prod(shape), raveled(apply), raveled(adjoint)
     return sparse.LinearOperator(
-        (size, size), matvec=apply, rmatvec=adjoint, matmat=apply, rmatmat=adjoint, dtype=float
+        (size, size), matvec=to, rmatvec=back, matmat=to, rmatmat=back, dtype=float
     )
 
 

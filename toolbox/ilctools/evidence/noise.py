@@ -25,28 +25,28 @@ do not cancel. :func:`noise_on_trial` computes what the law (23) makes of a tria
 and what learning adds to the error has the covariance P V P^T.
 """
 
-import reprlib
 from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
-from scipy.fft import idct, irfft, next_fast_len, rfft
+from scipy.fft import idct
+from scipy.signal import fftconvolve
 
 from ilctools import arguments
 from ilctools.evidence.convergence import convergence
 from ilctools.filters import LearningOperator
 from ilctools.law.law import Law
-from ilctools.loop.closed import ClosedLoop, CurrentTrialLoop, with_noise
+from ilctools.loop.closed import CurrentTrialLoop, with_noise
 from ilctools.models import frequency_response, impulse_response
 from ilctools.problem.problem import convergence_matrix
 from ilctools.signals import check_match
 
-NEGLIGIBLE = 1e-17  # share of what is passed on that is no longer added up
 FAINT = 1e-3  # gain of Q below which v is taken to have no higher frequencies,
 ALL = 200  # in trials that are longer than this
 STILL = 1e-2  # relative, by how much a variance may still change in the middle of a short trial
-SIDE_BY_SIDE = 50  # signals that the law takes at a time
-DOUBLINGS = 50  # of the number of trials, until what remains of the first is negligible
+NEGLIGIBLE = 1e-17  # share of the noise of the first trial that is no longer added up
+SIDE_BY_SIDE = 50  # samples whose noise the law takes at a time, for the memory of it
+DOUBLINGS = 50  # of the number of trials, until that is reached
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +97,8 @@ def trial_noise(
     Parameters
     ----------
     loop : CurrentTrialLoop
-        With m outputs and d disturbances.
+        With m outputs and d disturbances. What a controller that is not ours makes of the
+        sensors' noise is not known: for a ClosedLoop, measure e with v = 0.
     omega : array_like, shape (n,)
         Increasing angular frequencies, rad/s, up to the Nyquist frequency.
     sensor_psd : float or array_like
@@ -126,7 +127,7 @@ def trial_noise(
     >>> bool(noise.measured.total >= 0.02)
     True
     """
-    _check_controller(loop)
+    arguments.instance("loop", loop, CurrentTrialLoop)
     omega = arguments.increasing_frequencies("omega", omega, loop.Ts)
     m = len(loop.outputs)
     sensors = _density("sensor_psd", sensor_psd, len(omega), m)
@@ -140,8 +141,9 @@ def trial_noise(
         flows = _density("disturbance_psd", disturbance_psd, len(omega), sources)
         added = _through(G, flows)
         true, measured = true + added, measured + added
-    spectra = [Spectrum(omega, loop.Ts, x) for x in (measured, true, 0 * true)]
-    return TrialNoise(P, *spectra)
+    learned = Spectrum(omega, loop.Ts, np.zeros_like(true))
+    measured, true = (replace(learned, density=density) for density in (measured, true))
+    return TrialNoise(P, measured, true, learned)
 
 
 def converged_noise(new: TrialNoise, law: Law) -> TrialNoise:
@@ -189,15 +191,9 @@ def converged_noise(new: TrialNoise, law: Law) -> TrialNoise:
     x = new.measured
     check_match(noise=x, law=law)
     P, Q, L = convergence(new.P, law.Q, law.L, x.omega).responses
-    QPL = law.gain * (Q[:, None, None] * P @ L)
     M = convergence_matrix(P, Q, L)
     M = (1 - law.gain) * np.eye(M.shape[1]) + law.gain * M
-    radius = np.abs(np.linalg.eigvals(M)).max(axis=1)
-    if radius.max() >= 1:
-        raise ValueError(
-            f"law does not converge: M has an eigenvalue of modulus {radius.max():.6g} at "
-            f"{x.omega[radius.argmax()]:.6g} rad/s"
-        )
+    QPL = law.gain * (Q[:, None, None] * P @ L)
     learned = replace(x, density=_accumulated(M, _through(QPL, x.density)))
     return TrialNoise(new.P, x + learned, new.true + learned, learned)
 
@@ -213,8 +209,8 @@ def _accumulated(M, added):
         if size > 1 / NEGLIGIBLE:
             break
     raise ValueError(
-        "law does not converge on a trial with two ends: what noise does grows from trial to "
-        "trial. Ask about one of them, trials = 10, or hold v at rest at the end"
+        "law does not converge: what noise does grows from trial to trial. Ask about one trial "
+        "(trials = 10 of noise_on_trial), or hold v at rest at the end"
     )
 
 
@@ -227,16 +223,6 @@ def _density(name, value, n, m):
             f"({n}, {m}); it has shape {density.shape}, and {density.min():g} is the least"
         )
     return np.broadcast_to(density, (n, m))[..., None] * np.eye(m)
-
-
-def _check_controller(loop):
-    """Refuse a loop whose controller is not known."""
-    if isinstance(loop, ClosedLoop):
-        raise ValueError(
-            f"loop = {reprlib.repr(loop)} must be a CurrentTrialLoop: what a controller that "
-            "is not ours makes of the sensors' noise is not known; measure e with v = 0"
-        )
-    arguments.instance("loop", loop, CurrentTrialLoop)
 
 
 def _through(H, density):
@@ -305,73 +291,86 @@ def noise_on_trial(
     >>> noise.sizes["time"]
     100
     """
-    _check_controller(loop)
+    arguments.instance("loop", loop, CurrentTrialLoop)
     law, m = arguments.instance("law", law, Law).bound_to(loop), len(loop.outputs)
     arguments.instance("law.L", law.L, LearningOperator)
     samples = arguments.whole("samples", samples, 1)
     trials = None if trials is None else arguments.whole("trials", trials, 1)
-    rest = arguments.whole("law.rest", law.rest, 0, samples - 1)
+    arguments.whole("law.rest", law.rest, 0, samples - 1)
     [variance] = _density("sensor_variance", sensor_variance, 1, m)
 
-    closed, noise = with_noise(loop, plant), np.sqrt(variance)
-    h = impulse_response(closed, samples)
-    P, T = h[..., :m], h[..., -m:] @ noise
-    X = T.copy()  # of x: the noise itself, and what the loop makes of it
-    X[0] += noise
-    slowest = np.abs([*closed.poles(), *law.Q.poles]).max()
-    length = 2 * rest + 2 * np.log(STILL) / np.log(min(slowest, arguments.CIRCLE))
-    while True:
-        length = min(int(np.ceil(length)), samples)
-        learned = _learned(P[:length], X[:length], law, trials)
-        middle = learned[length * 3 // 8 : length * 5 // 8 + 1]
-        change = np.ptp(middle, axis=0) / STILL
-        if length == samples or np.all(change <= middle.mean(axis=0)):
-            break
-        length *= 2
-    half, absent = length // 2, samples - length
-    learned = np.insert(learned, [half] * absent, learned[half], axis=0)
-    true, measured = ((h**2).sum(axis=2).cumsum(axis=0) + learned for h in (T, X))
+    variances = _variances(with_noise(loop, plant), law, samples, np.sqrt(variance), trials)
     coordinates = {
         "time": ("time", loop.Ts * np.arange(samples), {"units": "s"}),
         "channel": np.arange(1, m + 1),
         "output": ("channel", loop.outputs),
     }
-    axes = "time", "channel"
-    variances = {"true": (axes, true), "measured": (axes, measured), "learned": (axes, learned)}
-    return np.sqrt(xr.Dataset(variances, coordinates))
+    signals = {name: (("time", "channel"), variance) for name, variance in variances.items()}
+    return np.sqrt(xr.Dataset(signals, coordinates))
+
+
+def _variances(closed, law, samples, noise, trials):
+    """Of the signals of :func:`noise_on_trial`, each (time, m), with sensors of such deviations."""
+    h, m = impulse_response(closed, samples), len(noise)
+    P, T = h[..., :m], h[..., -m:] @ noise
+    X = T.copy()  # of x: the noise itself, and what the loop makes of it
+    X[0] += noise
+    learned = _learned_between(P, X, law, trials, np.abs(closed.poles()).max())
+    true, measured = ((response**2).sum(axis=2).cumsum(axis=0) + learned for response in (T, X))
+    return {"true": true, "measured": measured, "learned": learned}
+
+
+def _learned_between(P, X, law, trials, slowest):
+    """Variance of P v, shape (time, m), of a long trial by the two halves of a short one."""
+    samples = len(P)
+    slowest = min(max(slowest, np.abs(law.Q.poles).max()), arguments.CIRCLE)
+    length = 2 * law.rest + int(np.ceil(2 * np.log(STILL) / np.log(slowest)))
+    while length < samples:
+        learned = _learned(P[:length], X[:length], law, trials)
+        middle = learned[length * 3 // 8 : length * 5 // 8 + 1]
+        if np.all(np.ptp(middle, axis=0) <= STILL * middle.mean(axis=0)):
+            half = length // 2
+            return np.insert(learned, [half] * (samples - length), learned[half], axis=0)
+        length *= 2
+    return _learned(P, X, law, trials)
 
 
 def _learned(P, X, law, trials):
     """Variance of P v, shape (time, m), on a trial as long as the impulse responses P and X."""
-    length, m, _ = P.shape
     if trials == 1:
-        return np.zeros((length, m))
+        return np.zeros(P.shape[:2])
+    M, B, Pv = _next_trial(P, X, law)
+    added = B @ B.T
+    if trials is None:
+        V = _accumulated(M, added)
+    else:
+        V = np.zeros_like(M)
+        for _ in range(trials - 1):
+            V = _through(M, V) + added  # V = M V M^T + B X B^T
+    return np.maximum(((V @ Pv) * Pv).sum(axis=0), 0).reshape(len(P), -1)
+
+
+def _next_trial(P, X, law):
+    """M and B of v_{k+1} = M v_k - B x_k, and P v: v in cosines in each channel, x by impulses."""
+    length, m, _ = P.shape
     cosines = _cosines(law.Q, length - law.rest, law.rest)
     count = len(cosines)
-    size = count * m  # numbers of v: `count` in each channel
-
-    # What the law makes of v and of e, in cosines of the next v.
     of_v = law.gain * law.Q.apply_transposed(cosines.T).T
-    of_e = _after(law.L, m, of_v).reshape(count, length, m, m)
-    of_e = of_e.transpose(0, 3, 2, 1).reshape(size, m, length)
-    fast = next_fast_len(2 * length, real=True)
-    P, X = (rfft(h.transpose(2, 1, 0), fast) for h in (P, X))  # (from, to, frequency)
-    y = irfft(rfft(cosines, fast)[:, None, None] * P, fast)[..., :length]
-    y = y.reshape(size, -1)  # of each cosine in each channel of v
 
-    V, backward = np.zeros((size, size)), rfft(of_e[..., ::-1], fast)
-    for sensor in X:  # noise of the last sample, which reaches least, to the first
-        added = irfft(np.einsum("cjf,jf->cf", backward, sensor), fast)[:, :length]
-        V += added @ added.T
-    of_v = of_v @ cosines.T + (1 - law.gain) * np.eye(count)
-    M = np.kron(of_v, np.eye(m)) - of_e.reshape(size, -1) @ y.T
-    if trials is None:
-        V = _accumulated(M, V)
-    else:
-        added, V = V, np.zeros_like(V)
-        for _ in range(trials - 1):
-            V = _through(M, V) + added
-    return np.maximum(((V @ y) * y).sum(axis=0), 0).reshape(m, length).T
+    def passed_on(e):
+        """Cosines of the next v, in each channel, by signals e (any, time, m), side by side."""
+        return np.tensordot(of_v, law.L.apply(e), (1, 1)).swapaxes(1, 2).reshape(count * m, -1)
+
+    Pv = fftconvolve(cosines[:, None, :, None], np.moveaxis(P, 2, 0)[None], axes=2)
+    Pv = Pv[:, :, :length].reshape(count * m, length, m)
+    kept = of_v @ cosines.T + (1 - law.gain) * np.eye(count)
+    M = np.kron(kept, np.eye(m)) - passed_on(Pv)
+    # Noise of each sensor in each sample, (sensor, output, sample, time), in whatever order.
+    late = np.concatenate([np.zeros_like(X), X]).T
+    impulses = np.lib.stride_tricks.sliding_window_view(late, length, axis=2)[:, :, 1:]
+    blocks = np.array_split(impulses, 1 + length // SIDE_BY_SIDE, axis=2)
+    B = [passed_on(block.transpose(0, 2, 3, 1).reshape(-1, length, m)) for block in blocks]
+    return M, np.hstack(B), Pv.reshape(count * m, -1)
 
 
 def _cosines(Q, active, rest):
@@ -380,16 +379,3 @@ def _cosines(Q, active, rest):
     count = max(np.flatnonzero(gain > FAINT).max() + 1, min(active, ALL))
     cosines = idct(np.eye(count, active), norm="ortho", axis=1)
     return np.pad(cosines, [(0, 0), (0, rest)])
-
-
-def _after(L, m, outputs):
-    """`outputs` (any, time) after L of impulses at all times in m channels, side by side."""
-    length = outputs.shape[1]
-    size, parts = length * m, []
-    for at in range(0, size, SIDE_BY_SIDE):
-        impulses = np.eye(min(SIDE_BY_SIDE, size - at), size, at)
-        filtered = L.apply(impulses.reshape(len(impulses), length, m))
-        reached = np.abs(filtered).max(axis=0).max(axis=1)  # often few samples
-        near = reached > NEGLIGIBLE * reached.max()
-        parts.append(np.tensordot(outputs[:, near], filtered[:, near], (1, 1)))
-    return np.concatenate(parts, axis=1)

@@ -6,10 +6,9 @@ It follows from the solver's multipliers, whatever their quality, by linear alge
 import numpy as np
 from scipy.special import expit
 
-from ilctools.evidence.robustness import affine
+from ilctools.evidence.robustness import FARTHEST, affine
 from ilctools.problem.problem import Cuts, Problem
 
-FARTHEST = 40.0  # logarithm of how unequal two weights may be: the smaller is then below rounding
 HALVINGS = 40  # of the distance of such logarithms
 FAINT = 1e-12  # least eigenvalue of X, relative
 

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import elementwise
+from scipy.special import expit
 
 from ilctools import arguments
 from ilctools.filters import LearningFilter, check_learning
-from ilctools.problem.problem import TIED, Problem, largest_singular_values, tied
+from ilctools.problem.problem import Problem, largest_singular_values, tied
 from ilctools.signals import check_match
 
 FARTHEST = 40.0  # logarithm of how unequal two shares may be: the smaller is then below rounding
@@ -69,35 +70,15 @@ def worst_case(problem: Problem, L: LearningFilter) -> WorstCase:
     check_learning(L, problem.channels)
     check_match(problem=problem, L=L)
     response = L.frequency_response(problem.omega)
-    plants, every = range(len(problem.plants)), np.arange(len(problem.omega))
-    M = [problem.M(response, k) for k in plants]
-    nominal = np.array([largest_singular_values(M_k) for M_k in M])
-    peaks = nominal.max(axis=1)
-    if problem.radius is None:
-        sigma = nominal.max(axis=0)
-        return WorstCase(sigma, peaks, _tied_pairs(nominal))
-
-    stacked = []
-    for k in plants:
-        F, T = affine(problem, k, every)
-        stacked.append(F + T @ response)  # [M; rho L]
-    G = np.array(stacked)
-    # The best t of one plant gives upper bounds for the others. Where such a bound is below that
-    # of the one, so is the plant.
-    first = G[tied(nominal).argmax(axis=0), every]
-    t = _best(first)
-    bounds = np.array([_bound(G_k, t) for G_k in G])
-    possible = bounds >= _bound(first, t) * (1 - TIED)
-    sigma = np.zeros(nominal.shape)
-    sigma[possible] = _bound(G[possible], _best(G[possible]))
-    return WorstCase(sigma.max(axis=0), peaks, _tied_pairs(sigma))
-
-
-def _tied_pairs(sigma):
-    """Plant and index of frequency of all that are tied as the worst, by frequency."""
-    ties = tied(sigma.ravel()).reshape(sigma.shape)
-    pairs = np.argwhere(ties.T).tolist()
-    return tuple((plant, frequency) for frequency, plant in pairs)
+    numbers, every = range(len(problem.plants)), np.arange(len(problem.omega))
+    nominal = np.array([largest_singular_values(problem.M(response, k)) for k in numbers])
+    sigma = nominal
+    if problem.radius is not None:
+        of_plants = (affine(problem, k, every) for k in numbers)
+        sigma = np.array([_least_bound(F + T @ response) for F, T in of_plants])
+    ties = np.argwhere(tied(sigma.ravel()).reshape(sigma.shape).T).tolist()
+    pairs = tuple((plant, frequency) for frequency, plant in ties)
+    return WorstCase(sigma.max(axis=0), nominal.max(axis=1), pairs)
 
 
 def affine(problem: Problem, plant, at) -> tuple[np.ndarray, np.ndarray]:
@@ -112,30 +93,23 @@ def affine(problem: Problem, plant, at) -> tuple[np.ndarray, np.ndarray]:
     return F, T
 
 
-def _weighted(G, t):
-    """[M / sqrt(alpha); rho L / sqrt(1 - alpha)] for alpha = 1 / (1 + exp(t))."""
-    alpha = 1 / (1 + np.exp([t, -t]))  # of both parts
-    root = np.repeat(np.sqrt(alpha), G.shape[2], axis=0).T
-    return G / root[:, :, None]
+def _least_bound(G):
+    """The least over alpha of sigma_max of [M; rho L], weighted, shape (n,)."""
 
-
-def _bound(G, t):
-    """Its largest singular value."""
-    return largest_singular_values(_weighted(G, t))
-
-
-def _best(G):
-    """The t = log((1 - alpha) / alpha) of the least bound."""
+    def weighted(t, i):
+        """[M / sqrt(alpha); rho L / sqrt(1 - alpha)] for t = log((1 - alpha) / alpha)."""
+        root = np.sqrt(expit([-t, t])).T.repeat(G.shape[2], axis=1)
+        return G[i] / root[:, :, None]
 
     def imbalance(t, i):
-        x = np.linalg.svd(_weighted(G[i], t))[2][:, 0].conj()  # the most amplified
+        x = np.linalg.svd(weighted(t, i))[2][:, 0].conj()  # the most amplified
         images = (G[i] @ x[..., None]).reshape(len(x), 2, -1)
         Mx, rho_Lx = np.linalg.norm(images, axis=2).T
         balanced = np.nan_to_num(np.log(rho_Lx) - np.log(Mx))
         return t - np.clip(balanced, -FARTHEST, FARTHEST)
 
-    ends = np.full(len(G), FARTHEST + 1)
-    numbers = np.arange(len(G))
+    ends, every = np.full(len(G), FARTHEST + 1), np.arange(len(G))
     # log(0), and a bracket at rounding level, which is halved
     with np.errstate(divide="ignore", invalid="ignore"):
-        return elementwise.find_root(imbalance, (-ends, ends), args=(numbers,)).x
+        t = elementwise.find_root(imbalance, (-ends, ends), args=(every,)).x
+    return largest_singular_values(weighted(t, every))

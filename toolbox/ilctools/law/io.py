@@ -45,9 +45,7 @@ def _law_from(notes: Mapping, Ts: float) -> Law:
 
 def with_law(trials: xr.Dataset, law: Law) -> xr.Dataset:
     """Note in the metadata which law (23) made the trials, and around which loop."""
-    arguments.instance("trials", trials, xr.Dataset)
-    notes = law_notes(arguments.instance("law", law, Law))
-    texts = {key: json.dumps(n, ensure_ascii=False) for key, n in notes.items()}
+    texts = {key: json.dumps(n, ensure_ascii=False) for key, n in law_notes(law).items()}
     if law.loop is not None:
         texts["loop"] = loop_note(law.loop)
     return trials.assign_attrs(texts)
@@ -138,7 +136,7 @@ def save_law(path, law: Law, note: str = "") -> None:
     path = arguments.path("path", path)
     arguments.instance("L", arguments.instance("law", law, Law).L, LearningFilter)
     arguments.instance("note", note, str)
-    if path.is_file():
+    if path.is_file():  # raw data, say
         try:
             load_law(path)
         except ValueError:
@@ -168,21 +166,16 @@ def load_law(path) -> Law:
     (0.1, 1.0)
     """
     path = arguments.path("path", path)
-    if not path.is_file():
-        raise ValueError(f"path = {str(path)!r} must be a file of save_law, but is none")
-    text = path.read_bytes().decode("utf-8", errors="replace")
-    if text.startswith("#"):
-        raise ValueError(
-            f"path = {str(path)!r} is a table, not a law: of a trial log, its law is "
-            "ilctools.law_of(load_log(path))"
-        )
     try:
-        content = read_json(text)
+        content = read_json(path.read_text(encoding="utf-8"))
         if content["format"] != FORMAT:
             raise ValueError(f"format {content['format']!r} is not {FORMAT!r}")
         law = _law_from(content, content["Ts"])
         arguments.instance("L", law.L, LearningFilter)
-    except MISUNDERSTOOD as error:
-        raise ValueError(f"path = {str(path)!r} is not a law of save_law: {error!r}") from None
+    except (OSError, *MISUNDERSTOOD) as error:
+        raise ValueError(
+            f"path = {str(path)!r} is not a law of save_law: {error!r}. The law of a log is "
+            "ilctools.law_of(load_log(path))"
+        ) from None
     # {} stands for no limits; a file without any leaves them to the rig
     return law if law.limits else replace(law, limits=None)

@@ -1,19 +1,18 @@
 """The ILC law (23): from a trial's signal and error to the next trial's signal."""
 
 import reprlib
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from ilctools import arguments
-from ilctools.filters import LearningOperator, ZeroPhaseButterworth, check_Q
-from ilctools.law.limits import WEIGHT, Actuators, check_solver, named_limits, nearest, realised
-from ilctools.loop.closed import ClosedLoop, Loop
+from ilctools.filters import LearningOperator, ZeroPhaseButterworth
+from ilctools.law.limits import WEIGHT, Actuators, check_solver, named_limits, projected
+from ilctools.loop.closed import Loop
 from ilctools.loop.notes import loop_note
 from ilctools.signals import check_match
-
-RECORDED = 1e-3  # of the width of limits: digits that a log may lack
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +66,11 @@ class Law:
     loop: Loop | None = None
 
     def __post_init__(self):
-        check_Q(self.Q)
+        if not isinstance(self.Q, ZeroPhaseButterworth):
+            raise ValueError(
+                f"Q = {reprlib.repr(self.Q)} must be a ZeroPhaseButterworth, which runs in both "
+                "directions: zero_phase_butterworth(order, cutoff, Ts), with the cut-off in rad/s"
+            )
         parties = {"Q": self.Q}
         if self.L is not None:
             parties["L"] = arguments.instance("L", self.L, LearningOperator)
@@ -75,11 +78,11 @@ class Law:
             parties["loop"] = arguments.instance("loop", self.loop, Loop)
         check_match(**parties)
         rest = arguments.whole("rest", self.rest, 0)
-        vars(self).update(rest=rest, gain=arguments.share("gain", self.gain))
+        gain = arguments.number("gain", self.gain, "in (0, 1]", 0, most=1)
+        vars(self).update(rest=rest, gain=gain)
         if self.limits is not None:
             commands = None if self.loop is None else self.loop.commands
-            limits = named_limits("limits", self.limits, commands, slew=True)
-            vars(self)["limits"] = limits
+            vars(self)["limits"] = named_limits("limits", self.limits, commands, slew=True)
 
     @property
     def Ts(self) -> float:
@@ -151,7 +154,7 @@ class Law:
             its controls, of a ClosedLoop w = reference + v.
         applied : array_like, shape (time, m), optional
             What the actuators made of u, and the observer was informed of. Default: u, cut off at
-            the limits. Needed of a ClosedLoop whose reference is zero.
+            the limits.
 
         Returns
         -------
@@ -160,17 +163,14 @@ class Law:
         Raises
         ------
         ValueError
-            If signals do not fit the law, or limits lack a loop or u; if u is v instead of w, or
-            `applied` is beyond the limits.
+            If signals do not fit the law, or limits lack a loop or u.
         RuntimeError
             If the solver fails.
         """
-        labelled, names = v, self._names(v=v, e=e)
         if self.L is None:
-            if self.loop is not None:
-                arguments.in_order("v", v, names)
-            kept = arguments.array("v", v, (...,))
-            return arguments.labelled_as(v, kept, arguments.names_of(v))
+            arguments.array("v", v, (...,))
+            return copy(v)
+        labelled, names = v, self._names(v=v, e=e)
         v = arguments.in_columns("v", v, (..., "time", self.channels), names)
         e = arguments.in_columns("e", e, v.shape, names)
         arguments.whole("rest", self.rest, 0, v.shape[-2] - 1)
@@ -178,10 +178,8 @@ class Law:
             result = self._without_limits(v, e)
         else:
             v, applied = self._applied(v, u, applied)
-            target = self._without_limits(v, e)
-            weight = getattr(self.L, "weight", WEIGHT)
-            trial = self.loop, self.actuators, v, applied
-            result = nearest(*trial, target, weight, self.rest)
+            target, weight = self._without_limits(v, e), getattr(self.L, "weight", WEIGHT)
+            result = projected(self.loop, self.actuators, v, applied, target, weight, self.rest)
         return arguments.labelled_as(labelled, result, names)
 
     def _names(self, **signals):
@@ -203,24 +201,13 @@ class Law:
         """v as far as it was applied, and the commands that were; from those asked for."""
         if u is None:
             raise ValueError("u = None: with limits, the trial's commands are needed")
-        limits, commands = self.actuators, self.loop.commands
+        commands = self.loop.commands
         u = arguments.in_columns("u", u, v.shape, commands)
-        if applied is not None:
-            applied = arguments.in_columns("applied", applied, v.shape, commands)
-            if not limits.can(applied, RECORDED):
-                raise ValueError(
-                    f"applied reaches from {applied.min(axis=0)} to {applied.max(axis=0)} in "
-                    f"{commands}, or moves faster, beyond limits = {self.limits}: pass what "
-                    "the actuators made of u"
-                )
-        elif isinstance(self.loop, ClosedLoop) and v.any() and np.array_equal(u, v):
-            raise ValueError(
-                "u is equal to v, but of a ClosedLoop it is w = reference + v; if the reference "
-                "is zero, pass applied, too"
-            )
+        if applied is None:
+            applied = self.actuators.follow(u)
         else:
-            applied = limits.follow(u)
-        return realised(self.loop, v, u, applied), applied
+            applied = arguments.in_columns("applied", applied, v.shape, commands)
+        return self.loop.realised(v, u, applied), applied
 
     def _without_limits(self, v, e):
         a = self.gain

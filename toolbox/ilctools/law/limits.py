@@ -21,7 +21,9 @@ try:
 except ImportError:  # which not every platform has
     piqp = None
 
-ROUNDING = 1e-6  # of the width of the limits: no more than a solver rounds
+# Of the width of the limits: by so much a solver's rounding may pass them. The projection stays
+# inside by it, so that its commands are not counted as cut off.
+ROUNDING = 1e-6
 REGULAR = 1e-8  # of PIQP's systems: with its own 1e-10 rounding may keep it from an end
 CUT_OFF = ": they were cut off; v is learned within"  # what follows for the law
 WEIGHT = 1e-2  # of ||v||^2 beside ||P v||^2, for what the outputs hardly show
@@ -73,15 +75,15 @@ class Actuators:
         return not np.all(np.isinf(self.step))
 
     @property
-    def rounding(self) -> np.ndarray:
-        """How far beyond the limits a command may be, by rounding."""
+    def width(self) -> np.ndarray:
+        """From the lowest to the highest command, what rounding is relative to; one if infinite."""
         width = self.highest - self.lowest
-        return ROUNDING * np.where(np.isfinite(width), width, 1.0)
+        return np.where(np.isfinite(width), width, 1.0)
 
-    def can(self, commands, share: float = ROUNDING, before=None) -> bool:
-        """Whether commands (..., time, m) are applied as they are, to a share of the width."""
+    def can(self, commands, before=None) -> bool:
+        """Whether commands (..., time, m) are applied as they are, but for rounding."""
         change = np.abs(self.follow(commands, before) - commands)
-        return bool(np.all(change <= share / ROUNDING * self.rounding))
+        return bool(np.all(change <= ROUNDING * self.width))
 
     def next(self, command, before=None) -> np.ndarray:
         """What is applied of one command, after what was applied before it."""
@@ -122,77 +124,57 @@ def check_solver(loop: Loop) -> None:
         )
 
 
-def realised(loop: Loop, v, u, applied) -> np.ndarray:
-    """The v with which the loop would have asked for what was applied, instead of u.
-
-    Where the observer (16) is informed of what was applied, a trial cut off by actuators is exactly
-    a trial with this v without limits, whatever the plant, since u = N w - K_s x-hat - delta, (18).
-    """
-    cut = applied - u
-    if isinstance(loop, ClosedLoop):
-        return v + cut
-    try:
-        return v + cut @ np.linalg.inv(loop.N).T
-    except np.linalg.LinAlgError:
-        raise ValueError("loop.N is singular: w does not follow from its commands") from None
-
-
-def nearest(
+def projected(
     loop: Loop, actuators: Actuators, v, applied, target, weight: float, rest: int
 ) -> np.ndarray:
-    """Of all v whose commands can be applied, the nearest to `target`.
+    """Of all v whose commands can be applied, the nearest to `target`, see :func:`_nearest`.
 
-    It minimises ||P (v - target)||^2 + weight ||v - target||^2; `applied` are the commands of a
-    trial with the signal `v`.
+    `applied` are the commands of a trial with the signal `v`. Without P commands are cut off.
     """
-    active = len(v) - rest
+    active, change = len(v) - rest, target - v
+    applicable = np.zeros_like(v)
     if loop.P is None:
-        applicable = v + actuators.follow(applied + target - v) - applied
-        applicable[active:] = 0
+        u = applied + change
+        applicable[:active] = (target + actuators.follow(u) - u)[:active]
         return applicable
-    P, m, n = loop.P, len(loop.outputs), loop.P.nstates
-    if isinstance(loop, ClosedLoop):  # u = K x + N w
-        K, N = np.zeros((m, n)), np.eye(m)
-    else:
-        K, N = -loop.Ks, loop.N
-    change = target - v
-    x = state_sequence(P.A, change @ P.B.T, np.zeros(n))
-    if actuators.can((applied + x @ K.T + change @ N.T)[:active]):
+    K, N = _feedback(loop)
+    x = state_sequence(loop.P.A, change @ loop.P.B.T, np.zeros(loop.P.nstates))
+    u = (applied + x @ K.T + change @ N.T)[:active]  # the commands of the target
+    if actuators.can(u):
         return target
+    applicable[:active] = target[:active] + _nearest(loop, actuators, u, weight, len(v))
+    return applicable
 
-    # In each sample the unknowns are the states x and the change of the commands; V times these
-    # is the change of v.
-    X, S = np.eye(n, n + m), np.eye(m, n + m, n)
-    V = np.linalg.solve(N, S - K @ X)
-    C, following = P.C @ X + P.D @ V, P.A @ X + P.B @ V
-    now, before = sparse.eye_array(len(v)), sparse.eye_array(len(v), k=-1)
-    square = C.T @ C + weight * V.T @ V
-    linear = -np.hstack([x, x @ K.T + change @ N.T]) @ square
-    dynamics = sparse.kron(now, X) - sparse.kron(before, following)
-    at_rest = sparse.kron(now, V).tocsr()[active * m :]
-    equalities = sparse.vstack([dynamics, at_rest])
-    right = np.append(np.zeros(dynamics.shape[0]), -v[active:])
 
-    # How far commands, and their steps, may go from those applied, before the rest.
-    applied, step = applied[:active], actuators.step[None, :]
-    margin = np.minimum(actuators.rounding, step / 4)
-    high = np.full((len(v), n + m), np.inf)
-    low = -high
-    low[:active, n:] = actuators.lowest + margin - applied
-    high[:active, n:] = actuators.highest - margin - applied
-    moved = np.diff(applied, axis=0)
-    step_low = (margin - step - moved).ravel()
-    step_high = (step - margin - moved).ravel()
-    limited = np.isfinite(step_high)
-    steps = sparse.kron(now - before, S).tocsr()[m : active * m][limited]
+def _feedback(loop):
+    """K and N of the commands u = K x + N w, x the states of P."""
+    if isinstance(loop, ClosedLoop):
+        m = len(loop.outputs)
+        return np.zeros((m, loop.P.nstates)), np.eye(m)
+    return -loop.Ks, loop.N
+
+
+def _nearest(loop, actuators, u, weight, samples):
+    """The least change z of a target whose commands would be u, both of shape (active, m).
+
+    minimise    sum_p ||y(p)||^2 + weight ||z(p)||^2,  y = C x + D z,  in all samples
+    subject to  x(p+1) = A x(p) + B z(p),  x(0) = 0,   z(p) = 0 in the rest, p >= active
+                lowest <= u + K x + N z <= highest,    and each step of it at most `step`
+    """
+    cost, dynamics, commands = _program(loop, weight, samples, len(u))
+    m, moved = u.shape[1], np.diff(u, axis=0)
+    limits = sparse.vstack([commands, commands[m:] - commands[:-m]], format="csr")
+    margin = np.minimum(ROUNDING * actuators.width, actuators.step / 4)  # for the solver's rounding
+    step = actuators.step - margin
+    low = np.append(actuators.lowest + margin - u, -step - moved)
+    high = np.append(actuators.highest - margin - u, step - moved)
+    limited = np.isfinite(low) | np.isfinite(high)
 
     solver = piqp.SparseSolver()
     solver.settings.reg_lower_limit = REGULAR
     solver.setup(
-        sparse.csc_matrix(sparse.kron(now, square)), linear.ravel(),
-        sparse.csc_matrix(equalities), right,
-        sparse.csc_matrix(steps), step_low[limited], step_high[limited],
-        low.ravel(), high.ravel(),
+        cost.tocsc(), np.zeros(cost.shape[0]), dynamics.tocsc(), np.zeros(dynamics.shape[0]),
+        limits[limited].tocsc(), low[limited], high[limited],
     )  # fmt: skip
     status = solver.solve()
     if status != piqp.PIQP_SOLVED:
@@ -200,6 +182,20 @@ def nearest(
             f"the solver PIQP has found no v within the limits, {status}: are they very narrow, or "
             "the loop's signals of very different sizes?"
         )
-    applicable = v + solver.result.x.reshape(len(v), -1) @ V.T
-    applicable[active:] = 0
-    return applicable
+    return solver.result.x[-u.size :].reshape(u.shape)
+
+
+def _program(loop, weight, samples, active):
+    """Of all x, then of all z before the rest: the cost, the dynamics, the commands."""
+    P, (K, N), m, n = loop.P, _feedback(loop), len(loop.outputs), loop.P.nstates
+    now = sparse.eye_array(samples, format="csc")
+    before = sparse.eye_array(samples, k=-1, format="csc")
+
+    def rows(samples, of_x, of_z):
+        parts = [sparse.kron(samples, of_x), sparse.kron(samples[:, :active], of_z)]
+        return sparse.hstack(parts, format="csr")
+
+    y = rows(now, P.C, P.D)
+    of_z = np.repeat([0, weight], [samples * n, active * m])
+    dynamics = rows(now, np.eye(n), np.zeros((n, m))) - rows(before, P.A, P.B)
+    return y.T @ y + sparse.diags_array(of_z), dynamics, rows(now, K, N)[: active * m]

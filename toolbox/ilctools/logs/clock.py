@@ -1,4 +1,4 @@
-"""Trials in a table: numbered, in one piece, equally long, in time; and resampling.
+"""The clock of a table: trials that are whole, equally long and in time; and resampling.
 
 A table has the columns trial and time (s) and is indexed by the rows of the file. Clocks jitter, so
 each step is compared with Ts, and so is their mean.
@@ -23,7 +23,7 @@ def steps_of(table: pd.DataFrame) -> pd.Series:
     return table["time"].diff()[table["trial"].diff() == 0]
 
 
-def period_of(table: pd.DataFrame) -> float:
+def mean_step(table: pd.DataFrame) -> float:
     """The mean step of a clock, lost rows apart, rounded as far as its steps scatter."""
     steps = steps_of(table)
     steps = steps[steps > 0]
@@ -37,44 +37,24 @@ def period_of(table: pd.DataFrame) -> float:
 
 def check_trials(table: pd.DataFrame, Ts: float) -> None:
     """A LogError, with its row, for trials that are not whole, alike and in time."""
-    trial = table["trial"]
-    wrong = trial[~trial.between(1, 2**31) | (trial % 1 != 0)]
-    if len(wrong):
-        raise LogError(
-            f"trial: {wrong.iloc[0]:g} in row {wrong.index[0]} must be a whole number, 1 or more"
-        )
-    starts = table[trial.diff() != 0]
-    again = starts[starts["trial"].duplicated()]
-    if len(again):
-        raise LogError(
-            f"trial: {again['trial'].iloc[0]:g} goes on in row {again.index[0]}: the rows of a "
-            "trial must stand together"
-        )
-    late = starts[starts["time"].abs() > JITTER * Ts]
-    if len(late):
-        raise LogError(
-            f"time: {late['time'].iloc[0]:.9g} in row {late.index[0]}, where a trial begins, must "
-            "be 0"
-        )
-    steps = steps_of(table)
-    back = steps[steps <= 0]
-    if len(back):
-        raise LogError(
-            f"time: row {back.index[0]} is not later than the row before: sort the rows, remove "
-            "copies, or give each trial a number"
-        )
-    wrong = steps[(steps - Ts).abs() > JITTER * Ts]
-    if len(wrong) == len(steps) > 0:
-        raise LogError(
-            f"time: all steps differ from Ts = {Ts:.6g} s, and their median is "
-            f"{steps.median():.6g} s: which is right, and is the clock in s?"
-        )
-    if len(wrong):
-        raise LogError(
-            f"time: row {wrong.index[0]} is {wrong.iloc[0]:.6g} s after the row before, where Ts "
-            f"= {Ts:.6g} s ({len(wrong)} such steps): rows are lost or late; resample=True "
-            "interpolates"
-        )
+    trial, steps = table["trial"], steps_of(table)
+    starts = trial.diff() != 0
+    again = starts & trial.duplicated()
+    _refuse(
+        trial[again | ~trial.between(1, 2**31) | (trial % 1 != 0)],
+        "trial: {value:g} in row {row} must be a whole number, 1 or more; its rows stand together",
+    )
+    _refuse(
+        table["time"][starts & (table["time"].abs() > JITTER * Ts)],
+        "time: {value:.9g} in row {row}, where a trial begins, must be 0",
+    )
+    _refuse(
+        steps[(steps - Ts).abs() > JITTER * Ts],
+        f"time: row {{row}} is {{value:.6g}} s after the row before, where Ts = {Ts:.6g} s "
+        f"({{count}} of {len(steps)} steps differ): is Ts right, and the clock in s? Sort the "
+        "rows, remove copies, give each trial a number; if rows are lost or late, resample=True "
+        "interpolates",
+    )
     lengths = trial.value_counts(sort=False)
     if lengths.nunique() > 1:
         raise LogError(
@@ -82,7 +62,7 @@ def check_trials(table: pd.DataFrame, Ts: float) -> None:
             f"samples and trial {lengths.idxmax():g} has {lengths.max()}"
         )
     # jitter at the ends of trials
-    slack = DRIFT + JITTER * len(starts) / max(len(steps), 1)
+    slack = DRIFT + JITTER * starts.sum() / max(len(steps), 1)
     if abs(steps.mean() - Ts) > slack * Ts:
         raise LogError(
             f"time: the mean step is {steps.mean():.6g} s, but Ts = {Ts:.6g} s: state that as Ts, "
@@ -90,10 +70,22 @@ def check_trials(table: pd.DataFrame, Ts: float) -> None:
         )
 
 
+def _refuse(wrong, message):
+    """Refuse values that are wrong, by the first of them and its row."""
+    if len(wrong):
+        row, value = wrong.index[0], wrong.iloc[0]
+        raise LogError(message.format(row=row, value=value, count=len(wrong)))
+
+
+def is_exact(steps: pd.Series, Ts: float) -> bool:
+    """Whether the clock is as exact as a computed one."""
+    return steps.empty or (steps - Ts).abs().max() <= EXACT * Ts
+
+
 def jitter(table: pd.DataFrame, Ts: float) -> dict[str, str]:
-    """A note on a clock that is not as exact as a computed one."""
+    """A note on a clock that is not exact."""
     steps = steps_of(table)
-    if steps.empty or (steps - Ts).abs().max() <= EXACT * Ts:
+    if is_exact(steps, Ts):
         return {}
     return {
         "clock": f"steps from {steps.min():.4g} to {steps.max():.4g} s, median "
@@ -110,8 +102,7 @@ def resampled(
     in the middle of a sample counts. A table that cannot be resampled stays as it is.
     """
     steps = steps_of(table)
-    exact = steps.empty or (steps - Ts).abs().max() <= EXACT * Ts
-    if exact or steps.min() <= 0:
+    if is_exact(steps, Ts) or steps.min() <= 0:
         return table, {}
     trials = [trial for _, trial in table.groupby("trial", sort=False)]
     counts = [int(np.ptp(trial["time"]) / Ts + JITTER) + 1 for trial in trials]

@@ -1,15 +1,20 @@
-"""The trial log as text: lines `# key: value`, a line of titles, rows; see data/README.md."""
+"""The trial log as text: lines `# key: value`, a line of titles, rows; see data/README.md.
+
+Which columns it has, :func:`columns_of` says to those who write it and to those who read it.
+"""
 
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from itertools import chain
+from collections.abc import Iterable, Mapping
+from reprlib import Repr
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 
 from ilctools import arguments
-from ilctools.files import write_pieces
+from ilctools.files import write_whole
+from ilctools.signals import period_of
 
 FORMAT = "rodlib trial log 2"
 KEYS = ("format", "Ts", "signals")  # of the metadata that are not free
@@ -30,13 +35,10 @@ SIGNALS = {  # and the role of their channels
     "measured": "sensor",
 }
 OPTIONAL = (("reference", "v"), ("applied",), ("delta",))  # a log has all of a group
-LISTED = 18  # names in a message
 
-
-def few(words: Sequence[str]) -> list[str]:
-    """The first of them, and how many more there are."""
-    more = [f"and {len(words) - LISTED} more"] if len(words) > LISTED else []
-    return [*words[:LISTED], *more]
+_message = Repr()
+_message.maxlist, _message.maxstring = 18, 80
+few = _message.repr  # a list of names as a message has it
 
 
 def save_log(trials: xr.Dataset, path) -> None:
@@ -75,39 +77,54 @@ def save_log(trials: xr.Dataset, path) -> None:
     """
     path = arguments.path("path", path)
     arguments.instance("trials", trials, xr.Dataset)
-    Ts = arguments.sampling_period("trials.attrs['Ts']", trials.attrs.get("Ts"))
-    signals = json.dumps(signals_of(trials), ensure_ascii=False)
-    metadata = {"format": FORMAT, "Ts": f"{Ts!r} s", "signals": signals}
+    signals, Ts = signals_of(trials), period_of(trials)
+    names = json.dumps(signals, ensure_ascii=False)
+    metadata = {"format": FORMAT, "Ts": f"{Ts!r} s", "signals": names}
     metadata |= _free_metadata(trials.attrs)
-    columns = _trial_and_time(trials, Ts)
-    for signal, role in SIGNALS.items():
-        if signal not in trials:
-            continue
+    table = _trial_and_time(trials)
+    columns = columns_of(signals, trials)
+    if missing := columns.keys() - {*trials}:
+        raise ValueError(f"trials lack {sorted(missing)}")
+    for signal, titles in columns.items():
         values = trials[signal].transpose("trial", "time", ...).astype(float).values
-        for k, name in enumerate(trials[role].values):
-            columns[f"{signal}_{name}"] = values[..., k].ravel()
-    for title, values in columns.items():
-        if not np.isfinite(values).all():
-            raise ValueError(f"trials have values that are not finite in {title!r}")
+        table[titles] = values.reshape(len(table), -1)
+    finite = np.isfinite(table).all()
+    if not finite.all():
+        raise ValueError(f"trials have values that are not finite in {finite.idxmin()!r}")
     head = "".join(f"# {key}: {value}\n" for key, value in metadata.items())
-    write_pieces(path, chain([head.encode()], lines_of(columns)))
+    titles = ",".join(map(_quoted, table))
+    # each number with the fewest digits that give it back exactly
+    rows = table.to_csv(header=False, index=False, lineterminator="\n")
+    write_whole(path, f"{head}{titles}\n{rows}")
 
 
 def signals_of(trials: xr.Dataset, *needed: str) -> dict[str, dict[str, str]]:
     """Names and units of the signals by role, as in the metadata; refuses incomplete trials."""
     roles = dict.fromkeys(SIGNALS[signal] for signal in SIGNALS if signal in trials)
-    together = {"reference", "v"} if {"reference", "v"} & {*trials} else ()
     labels = [label for role in roles for label in (role, f"{role}_unit")]
-    needed = {"y", "trial", "time", *needed, *together, *labels}
+    needed = {"y", "trial", "time", *needed, *labels}
     if missing := sorted(needed - {*trials.variables}):
         raise ValueError(f"trials lack {missing}: see ilctools.trials.run.dataset")
     signals = {}
     for role in roles:
-        names, units = (trials[role].values.tolist(), trials[f"{role}_unit"].values.tolist())
-        printable = all(isinstance(name, str) and name.isprintable() for name in names)
-        if not printable or "" in names or len(set(names)) < len(names):
-            raise ValueError(f"{role} = {few(names)} must be different names, all printable")
-        signals[ROLES[role]] = dict(zip(names, units, strict=True))
+        names = arguments.different(role, trials[role].values.tolist())
+        signals[ROLES[role]] = dict(zip(names, trials[f"{role}_unit"].values.tolist(), strict=True))
+    return check_signals(signals)
+
+
+def check_signals(signals: Mapping[str, Mapping[str, str]]) -> Mapping[str, Mapping[str, str]]:
+    """Names and units by role, if a log can have them."""
+    for role, names in arguments.instance("signals", signals, dict).items():
+        arguments.choice("a key of signals", role, [*ROLES.values()])
+        arguments.instance(role, names, dict)
+        if not all(name.isprintable() and name for name in names):
+            raise ValueError(f"{role} = {few([*names])} must be names, all printable")
+    outputs, controls = (signals.get(role, ()) for role in ("outputs", "controls"))
+    if not outputs or ("controls" in signals and len(controls) != len(outputs)):
+        raise ValueError(
+            f"outputs are {few([*outputs])} and controls {few([*controls])}, but must be as many, "
+            "one or more, or controls none: other inputs are disturbances, other outputs measured"
+        )
     units_of(signals)
     return signals
 
@@ -123,25 +140,17 @@ def units_of(signals: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
     return units
 
 
-def titles_of(signals: Mapping, header: Sequence[str]) -> dict[str, str]:
-    """Titles of the columns beside trial and time, each with its signal."""
-    present = {title.partition("_")[0] for title in header}
-    absent = [name for group in OPTIONAL if present.isdisjoint(group) for name in group]
+def columns_of(signals: Mapping, present: Iterable[str]) -> dict[str, list[str]]:
+    """Titles of the columns beside trial and time, by signal, in their order in a log.
+
+    Of the signals that are optional it has those of which one of the group is present.
+    """
+    absent = [name for group in OPTIONAL if {*group}.isdisjoint(present) for name in group]
     return {
-        f"{signal}_{name}": signal
+        signal: [f"{signal}_{name}" for name in signals[ROLES[role]]]
         for signal, role in SIGNALS.items()
-        if signal not in absent
-        for name in signals.get(ROLES[role], ())
+        if signals.get(ROLES[role]) and signal not in absent
     }
-
-
-def lines_of(columns: Mapping[str, np.ndarray]) -> Iterator[bytes]:
-    """Comma-separated lines, each number with the fewest digits that give it back exactly."""
-    yield ",".join(_quoted(title) for title in columns).encode()
-    texts = [map(repr, values.tolist()) for values in columns.values()]
-    for row in zip(*texts, strict=True):
-        yield f"\n{','.join(row)}".encode()
-    yield b"\n"
 
 
 def _quoted(title):
@@ -160,23 +169,20 @@ def _free_metadata(attributes):
             raise ValueError(f"attribute {key!r} cannot be a line of the log: rename it")
         line = isinstance(value, str) and value.isprintable() and value == value.strip()
         try:
-            text = value if line else json.dumps(value, default=_as_list)
+            text = value if line else json.dumps(value, default=lambda x: np.asarray(x).tolist())
         except (TypeError, ValueError) as error:
             raise ValueError(f"attribute {key!r} cannot be JSON: {error}") from None
         metadata[key] = text
     return metadata
 
 
-def _as_list(value):
-    return np.asarray(value).tolist()
-
-
-def _trial_and_time(trials, Ts):
-    """The columns trial and time."""
+def _trial_and_time(trials):
+    """A table of the columns trial and time."""
     numbers = [arguments.whole("trials.trial", k, 1, 2**31) for k in trials.trial.values]
     time = trials.time.values.astype(float)
     if len(set(numbers)) < len(numbers) or trials.y.size == 0:
         raise ValueError(f"trials.trial = {few(numbers)} must differ, and have samples")
-    if not np.allclose(time, Ts * np.arange(len(time)), rtol=1e-12, atol=1e-3 * Ts):
-        raise ValueError(f"trials.time must be 0, Ts, 2 Ts, ... with Ts = {Ts} s")
-    return {"trial": np.repeat(numbers, len(time)), "time": np.tile(time, len(numbers))}
+    if time[0] != 0:
+        raise ValueError(f"trials.time must be 0, Ts, 2 Ts, ..., but begins at {time[0]} s")
+    columns = {"trial": np.repeat(numbers, len(time)), "time": np.tile(time, len(numbers))}
+    return pd.DataFrame(columns)

@@ -3,8 +3,9 @@
 import csv
 import re
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,8 @@ import xarray as xr
 from ilctools import arguments
 from ilctools.files import read_json
 from ilctools.logs import clock
-from ilctools.logs.format import FORMAT, KEYS, ROLES, few, titles_of, units_of
-from ilctools.loop.notes import LogError
+from ilctools.logs.format import FORMAT, KEYS, ROLES, check_signals, columns_of, few, units_of
+from ilctools.loop.notes import LogError, reading
 from ilctools.trials.run import dataset
 from ilctools.units import seconds
 
@@ -77,8 +78,12 @@ def load_log(path, resample: bool = False) -> xr.Dataset:
                 f"metadata: format is {metadata.get('format')!r}, but must be {FORMAT!r}: "
                 "ilctools.read_table reads other tables, ilctools.load_law laws"
             )
-        Ts, second = _period(metadata.get("Ts", ""))
-        signals = _signals(metadata.get("signals", "{}"))
+        with reading("Ts"):
+            value, unit = metadata["Ts"].split()
+            second = seconds(unit)
+            Ts = arguments.sampling_period("Ts", float(value) * second)
+        with reading("signals"):
+            signals = check_signals(read_json(metadata["signals"]))
         check_titles(header, signals)
         entries = rows_of(lines[first:], first, len(header))
         table = numbers_of(entries.set_axis(header, axis=1))
@@ -115,6 +120,13 @@ def lines_of(path: Path) -> list[str]:
     return re.split(r"\r\n?|\n", text)
 
 
+def split(lines: Iterable[str], delimiter: str = ",") -> csv.reader:
+    """The entries of each line; a row of blanks is one delimiter."""
+    if delimiter == " ":
+        lines = (" ".join(line.split()) for line in lines)
+    return csv.reader(lines, delimiter=delimiter, skipinitialspace=delimiter != " ")
+
+
 def rows_of(
     lines: Sequence[str], above: int, width: int, delimiter: str = ",", gaps: bool = False
 ) -> pd.DataFrame:
@@ -122,8 +134,7 @@ def rows_of(
 
     Comments and empty lines are skipped; with `gaps`, so are rows of another width.
     """
-    body = ["" if line.lstrip()[:1] in MARKS else line for line in lines]
-    reader = csv.reader(body, delimiter=delimiter, skipinitialspace=True)
+    reader = split(("" if line.lstrip()[:1] in MARKS else line for line in lines), delimiter)
     rows = {}
     for row in reader:
         line = above + reader.line_num
@@ -136,21 +147,21 @@ def rows_of(
     return pd.DataFrame([*rows.values()], [*rows], dtype=object)
 
 
-def numbers(column: pd.Series) -> pd.Series:
-    """The numbers in a column, NaN where there is none."""
+def value_of(entry) -> float:
+    """The number that an entry is, to the last digit; NaN if it is none."""
     try:
-        return column.astype(float)
+        return float(entry)
     except (TypeError, ValueError):
-        return pd.to_numeric(column, errors="coerce").astype(float)
+        return np.nan
 
 
 def numbers_of(entries: pd.DataFrame, gaps: bool = False) -> pd.DataFrame:
     """The numbers in all columns; with `gaps`, only of the rows that have them all."""
-    table = entries.apply(numbers)
+    table = entries.map(value_of)
     finite = np.isfinite(table)
     for title in () if gaps else entries:
-        if not finite[title].all():
-            wrong = entries[title][~finite[title]]
+        wrong = entries[title][~finite[title]]
+        if len(wrong):
             raise LogError(
                 f"{title}: entry {str(wrong.iloc[0])[:40]!r} in row {wrong.index[0]} must be a "
                 f"finite number ({len(wrong)} such entries)"
@@ -161,36 +172,38 @@ def numbers_of(entries: pd.DataFrame, gaps: bool = False) -> pd.DataFrame:
     return table
 
 
-def check_titles(header: Sequence[str], signals: Mapping) -> None:
-    """Refuse columns that a log of these signals does not have, or has not."""
-    titles = ["trial", "time", *titles_of(signals, header)]
+def check_titles(header: Sequence[str], signals: Mapping) -> dict[str, list[str]]:
+    """The columns by signal; a LogError if a log of these signals has others."""
+    columns = columns_of(signals, [title.partition("_")[0] for title in header])
+    titles = ["trial", "time", *chain(*columns.values())]
     if sorted(header) != sorted(titles):
         raise LogError(
             f"columns must be {few(titles)}, each once, but missing are "
             f"{few([title for title in titles if title not in header])} and unknown "
             f"{few([title for title in header if title not in titles])}"
         )
+    return columns
 
 
 def trials_of(
     table: pd.DataFrame, signals: Mapping, Ts: float, notes: Mapping, resample: bool
 ) -> xr.Dataset:
     """Trials from a table with the columns of a log, and the time in s."""
-    titles, notes = titles_of(signals, table.columns), dict(notes)
+    columns, notes = check_titles([*table], signals), dict(notes)
     if resample:
-        between = [title for title, signal in titles.items() if signal in SENSED]
+        between = [title for signal in SENSED for title in columns.get(signal, ())]
         table, note = clock.resampled(table, Ts, between)
         notes |= note
     clock.check_trials(table, Ts)
     notes |= clock.jitter(table, Ts)
-    trial, columns = table["trial"].unique().astype(int), {}
-    for title, signal in titles.items():
-        values = table[title].to_numpy().reshape(len(trial), -1)
-        columns.setdefault(signal, []).append(values)
-    columns = {signal: np.stack(values, axis=2) for signal, values in columns.items()}
+    trial = table["trial"].unique().astype(int)
+    arrays = {
+        signal: table[titles].to_numpy().reshape(len(trial), -1, len(titles))
+        for signal, titles in columns.items()
+    }
     outputs, controls, sources, sensors = ([*signals.get(role, ())] for role in ROLES.values())
     units = units_of(signals)
-    trials = dataset(Ts, outputs, controls, sources, units, sensors, **columns)
+    trials = dataset(Ts, outputs, controls, sources, units, sensors, **arrays)
     return trials.assign_coords(trial=trial).assign_attrs(notes)
 
 
@@ -204,34 +217,5 @@ def _head(lines):
                 raise LogError(f"metadata: {key!r} stands twice, again in line {count}")
             metadata[key] = value
         elif line.strip() and not line.startswith("#"):
-            return metadata, next(csv.reader([line], skipinitialspace=True)), count
+            return metadata, next(split([line])), count
     raise LogError("there is no line with the titles of columns")
-
-
-def _period(text):
-    """The sampling period in s, and its unit in s, from text such as '1.0 min'."""
-    try:
-        value, unit = text.split()
-        second = seconds(unit)
-        return arguments.sampling_period("Ts", float(value) * second), second
-    except ValueError:
-        raise LogError(f"metadata: Ts = {text!r} must be a period such as '1.0 s'") from None
-
-
-def _signals(text):
-    """Names and units of the signals by role, from JSON."""
-    try:
-        signals = arguments.instance("signals", read_json(text), dict)
-        for role, names in signals.items():
-            arguments.choice("a key of signals", role, [*ROLES.values()])
-            arguments.instance(role, names, dict)
-        m = len(signals.get("outputs", ()))
-        if not m or len(signals.get("controls", range(m))) != m:
-            raise ValueError(
-                "there must be an output, and one control for each output or none: name other "
-                "signals in measured, other inputs in disturbances"
-            )
-        units_of(signals)
-    except (ValueError, RecursionError) as error:
-        raise LogError(f"metadata: signals: {error}") from None
-    return signals

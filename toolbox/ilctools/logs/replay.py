@@ -4,8 +4,6 @@ The law and the loop are those in the metadata of the log. Without them, what ne
 out, with the reason.
 """
 
-import csv
-import json
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,24 +18,23 @@ from ilctools import arguments
 from ilctools.files import write_whole
 from ilctools.law.io import BEGUN, RESET, law_of
 from ilctools.law.law import Law
-from ilctools.law.limits import realised
 from ilctools.law.repetitive import next_samples, repeated
 from ilctools.logs.format import signals_of
 from ilctools.loop.closed import ClosedLoop, Loop
 from ilctools.loop.notes import loop_of
 from ilctools.trials.diagnosis import (
     commands,
+    converged_from,
     diagnose,
     error_by_octave,
     histories,
     outputs_of,
-    settled,
 )
 from ilctools.trials.run import rms, run_trials
 from ilctools.units import by_unit, with_unit
 
 DIGITS = 1e-5  # of the largest v of an output: logs may hold few digits of it
-RELEVANT = 0.01  # of the error in the largest octave: less is not shown
+UNSTABLE = 1 + 1e-9  # modulus of a pole: an integrator's is one up to rounding
 
 
 @dataclass(frozen=True)
@@ -80,16 +77,16 @@ class Replay:
         return self.successive and self.numbers[0] == 1
 
     @property
+    def resets(self) -> bool:
+        """Whether every trial starts from the same state."""
+        return RESET not in self.trials.attrs
+
+    @property
     def model(self) -> control.StateSpace | None:
         """Model of what the commands drive: the plant; of a ClosedLoop P, whose input is w."""
         if self.loop is None:
             return None
         return self.loop.P if isinstance(self.loop, ClosedLoop) else self.loop.plant
-
-    @property
-    def unstable(self) -> bool:
-        """Whether the model without feedback is unstable; an integrator counts as stable."""
-        return np.abs(self.model.poles()).max(initial=0) > 1 + 1e-9
 
     @cached_property
     def disturbance(self) -> np.ndarray | None:
@@ -97,11 +94,9 @@ class Replay:
         if self.loop is None:
             return None
         names = self.loop.disturbances
-        d = np.zeros((len(self.numbers), self.trials.sizes["time"], len(names)))
-        for i, name in enumerate(names):
-            if name in self.sources:
-                d[..., i] = self.trials.disturbance.sel(source=name)
-        return d
+        if not self.sources:
+            return np.zeros((*self.trials.e.shape[:2], len(names)))
+        return self.trials.disturbance.reindex(source=names, fill_value=0.0).values
 
     @cached_property
     def simulated(self) -> xr.Dataset | None:
@@ -110,8 +105,7 @@ class Replay:
             return None
         disturbance = None  # P of a ClosedLoop has no input for it
         if not isinstance(self.loop, ClosedLoop):
-            ignored = [name in self.unmeasured for name in self.loop.disturbances]
-            disturbance = np.where(ignored, 0.0, self.disturbance)
+            disturbance = self.disturbance * ~np.isin(self.loop.disturbances, self.unmeasured)
         with warnings.catch_warnings(action="ignore"):  # the log's own count
             return run_trials(
                 self.loop,
@@ -125,9 +119,11 @@ class Replay:
 
     @cached_property
     def predicted(self) -> np.ndarray | None:
-        """Outputs of the model, from rest, under the recorded inputs, without feedback."""
-        model = self.model
-        if model is None or self.unstable:
+        """Outputs of the model, from rest, under the recorded inputs, without feedback.
+
+        None of an unstable model; an integrator counts as stable.
+        """
+        if self.model is None or np.abs(self.model.poles()).max(initial=0) > UNSTABLE:
             return None
         if isinstance(self.loop, ClosedLoop):
             inputs = self.commands["applied"]
@@ -135,7 +131,7 @@ class Replay:
             inputs = np.append(self.commands["applied"], self.disturbance, axis=2)
         else:
             return None
-        return outputs_of(model, inputs, self.trials)
+        return outputs_of(self.model, inputs, self.trials)
 
     @cached_property
     def commands(self) -> dict[str, np.ndarray]:
@@ -157,17 +153,17 @@ class Replay:
         """Largest distance of v from that of the law; NaN where the trial before is missing."""
         if self.law is None:
             return None
-        v, zero_at_first = self.trials.v.values, BEGUN not in self.trials.attrs
+        v = self.trials.v.values
         expected = np.full_like(v, np.nan)
-        if not self.resets and self.complete and self.law.L is not None:
+        if self.numbers[0] == 1 and BEGUN not in self.trials.attrs:
+            expected[0] = 0
+        if self.resets or self.law.L is None:
+            for k in np.flatnonzero(np.diff(self.numbers) == 1):
+                expected[k + 1] = self._v_after(k)
+        elif self.complete:
             samples = v.shape[1]
             later = repeated(self.law, *self._applied, samples, samples, v[..., 0].size)
             expected[1:] = later.reshape(expected[1:].shape)
-        for k, number in enumerate(self.numbers):
-            if zero_at_first and (number == 1 or self.law.L is None):
-                expected[k] = 0
-            elif self.resets and k and self.numbers[k - 1] == number - 1:
-                expected[k] = self._v_after(k - 1)
         return self._by_trial(np.abs(v - expected).max(axis=1))
 
     def _by_trial(self, values):
@@ -187,18 +183,10 @@ class Replay:
         return next_samples(self.law, *self._applied, self.trials.v.values[-1])
 
     @property
-    def resets(self) -> bool:
-        """Whether every trial starts from the same state."""
-        return RESET not in self.trials.attrs
-
-    @property
     def _applied(self):
         """v as far as it was applied, and e, (time, m), of all trials as one."""
-        v, e = (np.concatenate(self.trials[name].values) for name in "ve")
-        if not self.law.limits:
-            return v, e
-        commands = {name: np.concatenate(c) for name, c in self.commands.items()}
-        return realised(self.loop, v, **commands), e
+        v = histories(self.trials, self.law)[0].v
+        return np.concatenate(v), np.concatenate(self.trials.e.values)
 
     def _v_after(self, k):
         """The v that follows trial `k` of the log by the law."""
@@ -223,9 +211,8 @@ class Replay:
         or the trial before, between two references, or for outputs in several units.
         """
         k = arguments.whole("trial", trial, 1) - self.numbers[0]
-        if not (self.successive and 0 < k < len(self.numbers)):
-            return None
-        if self.law is None or self.law.L is None:
+        there = self.successive and 0 < k < len(self.numbers)
+        if not there or self.law is None or self.law.L is None:
             return None
         history, *others = histories(self.trials, self.law)
         if others or history.P is None or history.since[k] == k:
@@ -247,17 +234,13 @@ class Replay:
 
         One line for each unit of the outputs.
         """
-        e, reference = self.trials.e, self.trials.reference.values
-        same = np.array_equal(reference, np.broadcast_to(reference[:1], reference.shape))
-        learns = self.law is None or self.law.L is not None
-        if not (learns and self.successive and same and len(e) > 3):
+        e, same = self.trials.e, np.ptp(self.trials.reference.values, axis=0).max() == 0
+        if not same or len(e) < 4:
             return []
-        groups, lines = by_unit(e.output_unit.values.tolist()), []
-        titles = rms_by_trial(e).columns
-        for title, channels in zip(titles, groups.values(), strict=True):
-            stays = settled(e.values[..., channels])
+        lines = []
+        for title, channels in channels_by_unit(e).items():
             words = "not converged, the error still changes from trial to trial"
-            if stays:
+            if stays := converged_from(e.values[..., channels]):
                 k, level, noise = stays
                 words = (
                     f"converged, by about trial {self.numbers[k]}, to {level:.3g}, of which "
@@ -298,17 +281,14 @@ class Replay:
                 "simulation and prediction: the log does not name its loop; its metadata need loop"
             )
             return reasons
-        if self.loop.P is None:
+        if self.model is None:
             reasons.append("simulation and prediction: the loop has no P")
-        elif self.unstable:
-            reasons.append("prediction: without feedback the model is unstable")
+        elif self.predicted is None:
+            reasons.append("prediction: the model without feedback is unstable, or there is no u")
         if not self.complete:
             reasons.append(f"simulation: of the trials from 1 on, there are {self.numbers}")
-        unknown = [name for name in self.sources if name not in self.loop.disturbances]
-        if unknown:
-            reasons.append(f"disturbances {unknown}: they are not in the model")
-        ignored = [name for name in self.sources if name in self.unmeasured]
-        if ignored:
+        simulated = {*self.loop.disturbances} - {*self.unmeasured}
+        if ignored := [name for name in self.sources if name not in simulated]:
             reasons.append(f"disturbances {ignored}: the simulation ignores them")
         return reasons
 
@@ -319,21 +299,12 @@ class Replay:
             f"{trials.attrs['Ts']:g} s",
             f"law: {self.agreement}",
             f"RMS of the error:\n{self.rms.to_string(float_format='{:.3g}'.format)}",
+            *self.settling,
         ]
-        lines += self.settling
         if self.fit is not None:
             mean = (100 * self.fit.mean()).round(1)
             fits = ", ".join(f"{name} {value:g} %" for name, value in mean.items())
             lines.append(f"fit of the model's prediction, mean of all trials: {fits}")
-        table = self.error_by_octave(self.numbers[0] + 1)
-        if table is not None:
-            shown = table[table.before > RELEVANT * table.before.max()]
-            lines.append(
-                "error of the second of the trials relative to the first, by octaves in rad/s:\n"
-                + shown.drop(columns="before").to_string(float_format="{:.2g}".format)
-            )
-        notes = [key for key in ("clock", "resampled") if key in trials.attrs]
-        lines += [f"{key}: {trials.attrs[key]}" for key in notes]
         lines += [f"WARNING: {text}" for text in self.warnings]
         return "\n".join([*lines, *(f"left out: {text}" for text in self.omissions)])
 
@@ -342,24 +313,26 @@ class Replay:
         path = arguments.path("path", path)
         if self.law is None:
             raise ValueError("the log does not name its law: there is no next trial")
-        titles = [f"v_{name}" for name in self.outputs]
-        units = dict(zip(titles, self.trials.output_unit.values.tolist(), strict=True))
-        head = (
-            f"# ILC signal v of trial {self.numbers[-1] + 1}, to be added to the reference\n"
-            f"# units: {json.dumps({'time': 's'} | units, ensure_ascii=False)}\n"
-        )
-        time = pd.Index(self.trials.time.values[: len(self.following)], name="time")
-        table = pd.DataFrame(self.following, time, titles)
-        write_whole(path, head + table.to_csv(quoting=csv.QUOTE_NONNUMERIC))
+        units = self.trials.output_unit.values
+        titles = map(with_unit, [f"v_{name}" for name in self.outputs], units)
+        time = pd.Index(self.trials.time.values[: len(self.following)], name="time (s)")
+        write_whole(path, pd.DataFrame(self.following, time, [*titles]).to_csv())
 
 
 def rms_by_trial(e: xr.DataArray) -> pd.DataFrame:
     """RMS(e_k), :func:`ilctools.rms`, by trial; a column for each unit of the outputs."""
-    groups, columns = by_unit(e.output_unit.values.tolist()), {}
+    groups = channels_by_unit(e).items()
+    columns = {title: rms(e.isel(channel=channels)).values for title, channels in groups}
+    return pd.DataFrame(columns, pd.Index(e.trial.values, name="trial"))
+
+
+def channels_by_unit(e: xr.DataArray) -> dict[str, list[int]]:
+    """Channels whose outputs have the same unit, by the title of their RMS."""
+    groups, titles = by_unit(e.output_unit.values.tolist()), {}
     for unit, channels in groups.items():
         names = f" of {', '.join(e.output.values[channels])}" if len(groups) > 1 else ""
-        columns[with_unit(f"RMS{names}", unit)] = rms(e.isel(channel=channels)).values
-    return pd.DataFrame(columns, pd.Index(e.trial.values, name="trial"))
+        titles[with_unit(f"RMS{names}", unit)] = channels
+    return titles
 
 
 def replay(trials: xr.Dataset, unmeasured: Sequence[str] = ()) -> Replay:

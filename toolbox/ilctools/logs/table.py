@@ -1,10 +1,9 @@
 """Tables that other programs wrote, read by the titles of their columns."""
 
-import csv
 import re
-import reprlib
 import warnings
 from collections.abc import Mapping
+from itertools import product
 from statistics import mode
 
 import numpy as np
@@ -13,16 +12,17 @@ import xarray as xr
 
 from ilctools import arguments
 from ilctools.logs import clock
-from ilctools.logs.format import few
+from ilctools.logs.format import ROLES, check_signals, few
+from ilctools.logs.format import SIGNALS as ROLE_OF
 from ilctools.logs.reader import (
     MARKS,
     about,
-    check_titles,
     lines_of,
-    numbers,
     numbers_of,
     rows_of,
+    split,
     trials_of,
+    value_of,
 )
 from ilctools.loop.notes import LogError
 from ilctools.units import SECONDS, seconds
@@ -35,33 +35,27 @@ SIGNALS = {  # of a log, by argument
     "disturbances": "disturbance",
     "measured": "measured",
 }
-ROLES = {  # in a log, of the names in these arguments
-    "outputs": "outputs",
-    "inputs": "controls",
-    "disturbances": "disturbances",
-    "measured": "measured",
-}
+NAMES = ("outputs", "inputs", "disturbances", "measured")  # the arguments that name signals
+Columns = Mapping[str, str | int]  # titles or numbers, by the names that their signals get
 DELIMITERS = ("\t", ";", "|", ",", " ")
 SAMPLE = 200  # rows that show how a table is laid out
 DAY = 86400.0  # s
-DATE = re.compile(r"\d{4}-\d\d-\d\d")
-TIME = re.compile(rf"{DATE.pattern}([T ][\d:.Z+-]*)?|\d+:[\d:.]+")
+TIME = re.compile(r"\d{4}-\d\d-\d\d([T ][\d:.Z+-]*)?|\d+:[\d:.]+")
 WITH_UNIT = re.compile(r"(.*\S)\s*[(\[]([^()\[\]]*)[)\]]")  # "Heater (%)", "Time [s]"
 WITH_TIME = re.compile(rf"(?:.*[_\W])?({'|'.join(SECONDS)})", re.I)  # "tempo_ms"
-LONGEST = 1e11  # s: a clock that is beyond, 3,000 years, is in a shorter unit
 
 
 def read_table(
     path,
     *,
-    outputs: Mapping[str, str | int],
-    inputs: Mapping[str, str | int] | None = None,
+    outputs: Columns,
+    inputs: Columns | None = None,
     time: str | int | None = None,
     Ts: float | None = None,
-    reference: Mapping[str, str | int] | None = None,
-    v: Mapping[str, str | int] | None = None,
-    disturbances: Mapping[str, str | int] | None = None,
-    measured: Mapping[str, str | int] | None = None,
+    reference: Columns | None = None,
+    v: Columns | None = None,
+    disturbances: Columns | None = None,
+    measured: Columns | None = None,
     trial: str | int | None = None,
     units: Mapping[str, str] | None = None,
     resample: bool = False,
@@ -83,7 +77,8 @@ def read_table(
         The column of the actuator that controls each output, in their order. Default: not known.
     time : str or int, optional
         Column of the clock: numbers in the unit of its title, as "t (ms)" or "t_ms", or of `units`,
-        by default s, or dates and times as in ISO 8601. Without it, rows are `Ts` apart.
+        by default s, or dates and times as in ISO 8601. Without it, rows are `Ts` apart. State the
+        unit of a clock that counts from 1970: often it is ms, us or ns.
     Ts : float, optional
         Sampling period, s. Default: the mean step of the clock, rounded as far as steps scatter.
     reference : dict, optional
@@ -95,8 +90,8 @@ def read_table(
     trial : str or int, optional
         Column of the number of the trial, from 0 or 1 on. Default: all rows are one trial.
     units : dict, optional
-        Units by name, or of ``"time"``, where titles do not have them, or have the same. They are
-        labels: only that of time is converted.
+        Units by name, or of ``"time"``, in the place of those in the titles. They are labels: only
+        that of time is converted.
     resample : bool
         Interpolate what is not on time: outputs linearly, inputs are held. Rows without a finite
         number in each column count as lost; at most half of the samples are filled in.
@@ -139,26 +134,25 @@ def read_table(
     """
     named = {
         "outputs": outputs,
-        "inputs": inputs or {},
-        "reference": reference or {},
-        "v": v or {},
-        "disturbances": disturbances or {},
-        "measured": measured or {},
+        "inputs": inputs,
+        "reference": reference,
+        "v": v,
+        "disturbances": disturbances,
+        "measured": measured,
     }
+    named = {argument: signals for argument, signals in named.items() if signals is not None}
     columns = _columns(named)
-    if time is not None:
-        columns["time"] = "time", time
-    elif Ts is None:
-        raise ValueError("Ts = None must be a sampling period in s: there is no time")
     if trial is not None:
         columns["trial"] = "trial", trial
-    names = [name for argument in ROLES for name in named[argument]]
-    if len({*names}) < len(names):
-        raise ValueError(f"{[*ROLES]} must have different names, but are {names}")
+    if time is not None:
+        columns["time"] = "time", time
+    names = [name for argument in NAMES for name in named.get(argument, ())]
     units = arguments.by_name("units", units, [*names, "time"])
     resample = arguments.flag("resample", resample)
     if Ts is not None:
         Ts = arguments.sampling_period("Ts", Ts)
+    elif time is None:
+        raise ValueError("Ts = None must be a sampling period in s: there is no time")
     source, notes = "path", {}
     if not isinstance(path, pd.DataFrame):
         source = arguments.path("path", path)
@@ -167,30 +161,11 @@ def read_table(
         if source == "path":
             entries = path.rename(columns=str)
         else:
-            wanted = {str(column) for _, column in columns.values()}
-            entries = _entries(lines_of(source), wanted, resample)
-        places = {title: _place(entries.columns, *asked) for title, asked in columns.items()}
-        if len({*places.values()}) < len(places):
-            raise LogError(f"each name needs a column of its own: {columns}")
-        written = {title: entries.columns[place] for title, place in places.items()}
-        entries = entries.iloc[:, [*places.values()]].set_axis([*places], axis=1)
-        signals = {
-            role: {
-                name: _unit(written[f"{SIGNALS[argument]}_{name}"], units.get(name))
-                for name in named[argument]
-            }
-            for argument, role in ROLES.items()
-            if named[argument]
-        }
-        if time is not None:
-            unit = _unit(written["time"], units.get("time"), clock=True) or "s"
-            entries["time"] = _in_seconds(entries["time"], unit)
-        table = numbers_of(entries, resample)
+            asked = {str(column) for _, column in columns.values()}
+            entries = _entries(lines_of(source), asked, resample)
+        table, signals = _as_log(entries, columns, named, units, resample)
         _add_trial_and_time(table, Ts)
-        if reference and not v:
-            table[[f"v_{name}" for name in outputs]] = 0.0
-        check_titles([*table], signals)
-        Ts = Ts or clock.period_of(table)
+        Ts = Ts or clock.mean_step(table)
         trials = trials_of(table, signals, Ts, notes, resample)
     if "resampled" in trials.attrs:
         warnings.warn(f"{source}: {trials.attrs['resampled']}", stacklevel=2)
@@ -198,25 +173,39 @@ def read_table(
 
 
 def _columns(named):
-    """For each title of a log, the argument that asks for its column, and the column."""
+    """The argument that asks for each column of a log, and the column that it asks for."""
     columns = {}
     for argument, signals in named.items():
         arguments.instance(argument, signals, dict)
         for name, column in signals.items():
             arguments.instance(f"a name in {argument}", name, str)
-            word = f"{argument}[{name!r}]"
-            columns[f"{SIGNALS[argument]}_{name}"] = word, column
-    outputs, inputs = named["outputs"], named["inputs"]
-    if not outputs or (inputs and len(inputs) != len(outputs)):
-        raise ValueError(
-            f"outputs = {reprlib.repr(outputs)} and inputs = {reprlib.repr(inputs)} must be as "
-            "many, one or more: other inputs are disturbances, which are estimated along; other "
-            "outputs are measured, or the outputs of a second call"
-        )
+            columns[f"{SIGNALS[argument]}_{name}"] = f"{argument}[{name!r}]", column
     return columns
 
 
-def _place(titles, word, column):
+def _as_log(entries, columns, named, units, gaps):
+    """The numbers in the columns that were asked for, the time in s; and the signals' units."""
+    places = {title: _place(entries.columns, *asked) for title, asked in columns.items()}
+    titles = {title: entries.columns[place] for title, place in places.items()}
+    entries = entries.iloc[:, [*places.values()]].set_axis([*places], axis=1)
+    signals = {}
+    for argument in (argument for argument in NAMES if argument in named):
+        signal = SIGNALS[argument]
+        signals[ROLES[ROLE_OF[signal]]] = {
+            name: units.get(name, _name_and_unit(titles[f"{signal}_{name}"])[1])
+            for name in named[argument]
+        }
+    check_signals(signals)
+    if "time" in titles:
+        unit = units.get("time") or _time_unit(titles["time"])
+        entries["time"] = _in_seconds(entries["time"], unit)
+    table = numbers_of(entries, gaps)
+    if "reference" in named and "v" not in named:
+        table[[f"v_{name}" for name in named["outputs"]]] = 0.0
+    return table, signals
+
+
+def _place(titles, argument, column):
     """The number of a column that an argument asks for by its title or number."""
     if isinstance(column, int) and 0 <= column < len(titles):
         return column
@@ -224,7 +213,7 @@ def _place(titles, word, column):
         if written.count(column) == 1:
             return written.index(column)
     raise LogError(
-        f"{word} = {column!r} must be the title of one column, or a number from 0 to "
+        f"{argument} = {column!r} must be the title of one column, or a number from 0 to "
         f"{len(titles) - 1}; the titles are {few([*titles])}"
     )
 
@@ -234,37 +223,23 @@ def _name_and_unit(title):
     return match.groups() if match else (title, "")
 
 
-def _unit(title, stated, clock=False):
-    """The unit of a column: stated, or that of its title, which it must not contradict."""
+def _time_unit(title):
+    """The unit of a clock by its title: in brackets, or at its end."""
     name, unit = _name_and_unit(title)
-    suffix = WITH_TIME.fullmatch(name) if clock and not unit else None
-    unit = suffix[1].lower() if suffix else unit
-    if not (stated and unit):
-        return stated or unit
-    if (seconds(stated) != seconds(unit)) if clock else (stated != unit):
-        raise LogError(
-            f"the title {title!r} says {unit!r}, but units say {stated!r}: nothing is converted. "
-            "Leave it out of units, or rename the column"
-        )
-    return stated
+    suffix = WITH_TIME.fullmatch(name)
+    return unit or (suffix[1].lower() if suffix else "s")
 
 
 def _in_seconds(column, unit):
     """A clock in s: numbers, or dates or times of a day from the first; what is neither stays."""
     text = column.astype(str).str.strip()
-    if text.str.match(DATE).any():
-        moments = pd.to_datetime(text, format="ISO8601", errors="coerce", utc=True)
+    dated = text.str.fullmatch(TIME)
+    if dated.any():
+        moments = pd.to_datetime(text.where(dated), format="mixed", errors="coerce", utc=True)
         times = (moments - moments.min()).dt.total_seconds()
-    elif text.str.fullmatch(TIME).any():
-        times = pd.to_timedelta(text, errors="coerce").dt.total_seconds()
         times += DAY * (times.diff() < -DAY / 2).cumsum()  # past midnight
     else:
-        times = seconds(unit) * numbers(column)
-        if times.abs().max() > LONGEST:
-            raise LogError(
-                f"time reaches {times.abs().max():.3g} s, thousands of years: state its unit, as "
-                "in units={'time': 'ms'} or 'us' or 'ns'"
-            )
+        times = seconds(unit) * column.map(value_of)
     return times.astype(object).where(times.notna(), column)
 
 
@@ -282,43 +257,68 @@ def _add_trial_and_time(table, Ts):
 
 
 def _entries(lines, asked, gaps):
-    """The entries of a text by the titles of their columns, with decimal points."""
-    content = [line for line in lines if line.strip() and line.lstrip()[0] not in MARKS]
-    sample = content[len(content) // 2 :][:SAMPLE] or [""]  # below the titles
-    layouts = [(mark, point) for mark in DELIMITERS for point in ".," if mark != point]
-    delimiter, point = max(layouts, key=lambda layout: _quality(sample, *layout))
-    rows = _rows(sample, delimiter)
-    numeric = np.mean([_are_numbers(row, point) for row in rows], axis=0) >= 0.5
-    if not numeric.any():
-        raise LogError("there are no rows of numbers")
+    """The entries of a text by the titles of their columns, with decimal points.
 
-    width = len(numeric)
-    candidates = {}  # for titles, by line
-    for first, line in enumerate(lines):
+    (1) What separates entries, and which are numbers, follows from a sample of the rows. (2) Of
+    the lines above the first row of numbers, the titles are that with most of those asked for.
+    """
+    delimiter, point, numeric = _layout(lines)
+    titles, above = _titles(lines, delimiter, point, numeric, asked)
+    entries = rows_of(lines[above:], above, len(numeric), delimiter, gaps)
+    entries = entries.set_axis(titles, axis=1)
+    return entries.map(_with_point) if point == "," else entries
+
+
+def _layout(lines):
+    """The delimiter, the decimal mark, and which columns have numbers in half of the rows or more.
+
+    Of all delimiters and marks, those with which most rows have the same number of entries, times
+    most entries are numbers.
+    """
+    content = [line for line in lines if line.strip() and line.lstrip()[0] not in MARKS]
+    sample = content[len(content) // 2 :][:SAMPLE]  # below the titles
+    best, layout = (0.0, False), None
+    for delimiter, point in product(DELIMITERS, ".,"):
+        rows = [_split(line, delimiter) for line in sample]
+        width = mode(map(len, rows)) if rows else 0
+        alike = [row for row in rows if len(row) == width]
+        numeric = np.array([_are_numbers(row, point) for row in alike])
+        filled = sum(entry != "" for row in alike for entry in row)
+        share = numeric.sum() / max(filled, 1)
+        quality = len(alike) / max(len(rows), 1) * share, width > 1
+        if delimiter != point and quality > best:
+            best, layout = quality, (delimiter, point, numeric.mean(axis=0) >= 0.5)
+    if layout is None or not layout[-1].any():
+        raise LogError("there are no rows of numbers")
+    return layout
+
+
+def _titles(lines, delimiter, point, numeric, asked):
+    """The titles, with the units from the line below them, and how many lines are above the rows.
+
+    Without titles, the columns are numbered.
+    """
+    width, candidates = len(numeric), {}
+    for above, line in enumerate(lines):
         row = _split(line.lstrip().lstrip(MARKS), delimiter)
         if len(row) == width - 1:  # rows end with a delimiter, or have names
             row = ["", *row] if numeric[-1] else [*row, ""]
         if len(row) != width or not any(row):
             continue
-        are_numbers = _are_numbers(row, point)
+        are_numbers = np.array(_are_numbers(row, point))
         if are_numbers[numeric].all():
             break
         matches = len(asked & {*row, *(_name_and_unit(title)[0] for title in row)})
         if matches or not are_numbers.any():
-            candidates[first] = matches, row
-    titles = [f"column {place}" for place in range(width)]
-    if candidates:
-        line = max(candidates, key=lambda line: (candidates[line][0], line))
-        titles, first = candidates[line][1], line + 1
-        if first in candidates:
-            units = candidates[first][1]
-            titles = [f"{a} ({b})" for a, b in zip(titles, units, strict=True)]
-            first += 1
-    body = lines[first:]
-    if delimiter == " ":
-        body = [" ".join(line.split()) for line in body]
-    entries = rows_of(body, first, width, delimiter, gaps).set_axis(titles, axis=1)
-    return entries.map(_with_point) if point == "," else entries
+            candidates[above] = matches, row
+    if not candidates:
+        return [f"column {place}" for place in range(width)], above
+    line = max(candidates, key=lambda line: (candidates[line][0], line))
+    titles = candidates[line][1]
+    if line + 1 not in candidates:
+        return titles, line + 1
+    units = candidates[line + 1][1]
+    return [f"{title} ({unit})" for title, unit in zip(titles, units, strict=True)], line + 2
 
 
 def _with_point(entry):
@@ -328,29 +328,12 @@ def _with_point(entry):
 
 
 def _split(line, delimiter):
-    """The entries of a line; a row of blanks is one delimiter."""
-    line = " ".join(line.split()) if delimiter == " " else line
-    row = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
-    return [entry.strip() for entry in row]
-
-
-def _rows(lines, delimiter):
-    """The entries of the lines that have the usual number of them."""
-    rows = [_split(line, delimiter) for line in lines]
-    width = mode(map(len, rows))
-    return [row for row in rows if len(row) == width]
+    """The entries of a line."""
+    return [entry.strip() for entry in next(split([line], delimiter), [])]
 
 
 def _are_numbers(entries, point):
     """Which entries are a number or a time."""
-    entries = pd.Series(entries, dtype=object)
-    values = numbers(entries.map(_with_point) if point == "," else entries)
-    return (values.notna() | entries.str.fullmatch(TIME)).to_numpy(bool)
-
-
-def _quality(lines, delimiter, point):
-    """The share of lines that are alike, times that of numbers in them; then several columns."""
-    rows = _rows(lines, delimiter)
-    entries = [entry for row in rows for entry in row if entry]
-    share = np.mean(_are_numbers(entries, point)) if entries else 0.0
-    return len(rows) / len(lines) * share, len(rows[0]) > 1
+    if point == ",":
+        entries = map(_with_point, entries)
+    return [not np.isnan(value_of(entry)) or bool(TIME.fullmatch(entry)) for entry in entries]

@@ -11,10 +11,9 @@ from functools import cached_property
 
 import control
 import numpy as np
-from scipy.linalg import block_diag
 
 from ilctools import arguments, units
-from ilctools.models import frequency_response, sampled_plant, solve_off_poles
+from ilctools.models import frequency_response, sampled_plant
 from ilctools.signals import Signals, check_match
 
 
@@ -76,6 +75,22 @@ class CurrentTrialLoop:
         """Names of what is sent to the actuators: the controls."""
         return self.controls
 
+    def asked(self, w, u) -> np.ndarray:
+        """The commands of a trial, by name those of `commands`: its controls u."""
+        return u
+
+    def realised(self, v, u, applied) -> np.ndarray:
+        """The v with which the loop would have asked for what was applied, instead of u.
+
+        Where the observer (16) is informed of what was applied, a trial cut off by actuators is
+        exactly a trial with this v without limits, whatever the plant: u = N w - K_s x-hat - delta,
+        (18).
+        """
+        try:
+            return v + (applied - u) @ np.linalg.inv(self.N).T
+        except np.linalg.LinAlgError:
+            raise ValueError("loop.N is singular: w does not follow from its commands") from None
+
     @property
     def P(self) -> control.StateSpace:
         """The transfer function from w to y, P of (31), as C (zI - A + B K_s)^-1 B N.
@@ -109,11 +124,10 @@ class CurrentTrialLoop:
         missing = [n for n in [*self.controls, *self.outputs] if n not in signals]
         if missing:
             raise ValueError(f"plant has the signals {signals}, but lacks {missing} of the loop")
-        ours = self.plant.input_labels
+        ours, plant = self.plant.input_labels, plant[self.outputs, :]
         picked = np.array([[a == b for b in ours] for a in plant.input_labels])
-        rows = [plant.output_labels.index(name) for name in self.outputs]
-        B, D = plant.B @ picked, plant.D[rows] @ picked
-        closed = _close(self, control.ss(plant.A, B, plant.C[rows], D, plant.dt))
+        B, D = plant.B @ picked, plant.D @ picked
+        closed = _close(self, control.ss(plant.A, B, plant.C, D, plant.dt))
         poles = closed.poles()
         worst = poles[np.abs(poles).argmax()]
         if abs(worst) > arguments.CIRCLE:
@@ -150,15 +164,12 @@ class CurrentTrialLoop:
             return frequency_response(self.around(plant)[:, :m], omega)
         omega = arguments.row("omega", omega)
         G = arguments.array("plant", plant, (len(omega), m, m), complex)
-        A, B, K = _controller(self)
-        # The controller's states and y at once, since its integrators have no response at z = 1.
-        points = np.exp(1j * omega * self.Ts)[:, None, None]
-        KL = np.broadcast_to(self.KL, (len(G), *self.KL.shape))
-        one = np.broadcast_to(np.eye(m), G.shape)
-        left = np.block([[points * np.eye(len(A)) - A, -KL], [G @ K, one]])
-        B = np.broadcast_to(B, (len(G), *B.shape))
-        right = np.concatenate([B, G @ self.N], axis=1)
-        return solve_off_poles(left, right)[:, len(A) :]
+        # In the loop as designed, which is stable, u = U w + R noise. With G for G_0, the plant of
+        # the design, the observer sees (G - G_0) u more than it expects: u = U w + R (G - G_0) u.
+        replies = frequency_response(reply(self), omega)
+        U, R = replies[:, :, :m], replies[:, :, m:]
+        G_0 = frequency_response(self.plant[:, :m], omega)
+        return G @ np.linalg.solve(np.eye(m) - R @ (G - G_0), U)
 
 
 def _learned(loop):
@@ -247,6 +258,14 @@ class ClosedLoop:
         """Names of what is sent to the rig: w."""
         return self.references
 
+    def asked(self, w, u) -> np.ndarray:
+        """The commands of a trial, by name those of `commands`: its w = r + v."""
+        return w
+
+    def realised(self, v, u, applied) -> np.ndarray:
+        """The v with which the loop would have asked for what was applied, instead of u."""
+        return v + (applied - u)  # v itself where nothing was cut off
+
     def model(self, plant=None) -> control.StateSpace:
         """P, or `plant` in its place, which is another model from w to y."""
         if plant is None and self.P is None:
@@ -273,24 +292,27 @@ def _stable_model(name, P):
     return P
 
 
-def _controller(loop):
-    """Observer (16) and feedback (18): c(p+1) = A c + B w + K_L y, u = N w - K c."""
+def controller(loop: CurrentTrialLoop) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A, B, K of observer (16) and feedback (18): c(p+1) = A c + B u + K_L y, u = N w - K c.
+
+    The states c are x-hat and delta.
+    """
     plant, m = loop.plant, loop.plant.noutputs
-    B = plant.B[:, :m]
-    C = np.hstack([plant.C, np.zeros((m, m))])
-    # (16) with u of (18)
-    A = block_diag(plant.A - B @ loop.Ks, np.eye(m)) - loop.KL @ C
-    return A, np.vstack([B @ loop.N, np.zeros((m, m))]), np.hstack([loop.Ks, np.eye(m)])
+    n, B = plant.nstates, plant.B[:, :m]
+    extended = np.block([[plant.A, B], [np.zeros((m, n)), np.eye(m)]])
+    A = extended - np.pad(loop.KL @ plant.C, [(0, 0), (0, m)])
+    return A, np.pad(B, [(0, m), (0, 0)]), np.hstack([loop.Ks, np.eye(m)])
 
 
 def _close(loop, plant):
     """The controller of a loop around a plant with the same inputs and outputs."""
     m = loop.plant.noutputs
-    A, B, K = _controller(loop)
+    A, B, K = controller(loop)
     Bu, E, Du, F = plant.B[:, :m], plant.B[:, m:], plant.D[:, :m], plant.D[:, m:]
+    B = B + loop.KL @ Du  # u comes in by y, too
     return control.ss(  # (19), of which (31) and (32) are the responses
-        np.block([[plant.A, -Bu @ K], [loop.KL @ plant.C, A - loop.KL @ Du @ K]]),
-        np.block([[Bu @ loop.N, E], [B + loop.KL @ Du @ loop.N, loop.KL @ F]]),
+        np.block([[plant.A, -Bu @ K], [loop.KL @ plant.C, A - B @ K]]),
+        np.block([[Bu @ loop.N, E], [B @ loop.N, loop.KL @ F]]),
         np.hstack([plant.C, -Du @ K]),
         np.hstack([Du @ loop.N, F]),
         loop.Ts,
@@ -316,6 +338,6 @@ def reply(loop: CurrentTrialLoop) -> control.StateSpace:
     # is stable, and not from the controller alone, which integrates.
     noisy, m = with_noise(loop), loop.plant.noutputs
     B = np.hstack([noisy.B[:, :m], noisy.B[:, -m:]])
-    _, _, K = _controller(loop)
-    shown = np.hstack([np.zeros((m, noisy.nstates - len(loop.KL))), -K])  # (18)
-    return control.ss(noisy.A, B, shown, np.hstack([loop.N, np.zeros((m, m))]), loop.Ts)
+    _, _, K = controller(loop)
+    C = np.hstack([np.zeros((m, loop.plant.nstates)), -K])  # (18)
+    return control.ss(noisy.A, B, C, np.hstack([loop.N, np.zeros((m, m))]), loop.Ts)

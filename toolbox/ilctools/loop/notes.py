@@ -10,10 +10,8 @@ from contextlib import contextmanager
 from dataclasses import fields
 
 import control
-import numpy as np
 import xarray as xr
 
-from ilctools import arguments
 from ilctools.files import read_json
 from ilctools.loop.closed import ClosedLoop, CurrentTrialLoop, Loop
 from ilctools.signals import Signals, check_match
@@ -37,7 +35,6 @@ def reading(key: str):
 
 def read_note(trials: xr.Dataset, key: str, read: Callable):
     """What `read` makes of the note `key` of a log; None if it is not there."""
-    arguments.instance("trials", trials, xr.Dataset)
     if key not in trials.attrs:
         return None
     with reading(key):
@@ -64,18 +61,22 @@ def loop_of(trials: xr.Dataset) -> Loop | None:
 def loop_note(loop: Loop) -> str:
     """A loop as JSON, to the last digit."""
     parts = {part.name: getattr(loop, part.name) for part in fields(loop)}
-    for key, part in parts.items():
-        if isinstance(part, control.StateSpace):
-            matrices = {name: getattr(part, name) for name in "ABCD"}
-            names = {"inputs": part.input_labels, "outputs": part.output_labels}
-            parts[key] = matrices | {"dt": part.dt} | names
-    return json.dumps(parts, ensure_ascii=False, default=np.ndarray.tolist)
+    return json.dumps(parts, ensure_ascii=False, default=_plain)
+
+
+def _plain(part):
+    """An array or a model of a loop as what JSON can hold."""
+    if not isinstance(part, control.StateSpace):
+        return part.tolist()
+    names = {"inputs": part.input_labels, "outputs": part.output_labels}
+    return {name: getattr(part, name) for name in "ABCD"} | {"dt": part.dt} | names
 
 
 def model_from(note):
     """A model that :func:`loop_note` noted."""
     if note is None:
         return None
-    A, B, C, D = (arguments.array(name, note[name], (...,)) for name in "ABCD")
-    names = {"inputs": note["inputs"], "outputs": note["outputs"]}
-    return control.ss(A, B, C, D, note["dt"], **names)
+    return control.ss(
+        note["A"], note["B"], note["C"], note["D"], note["dt"],
+        inputs=note["inputs"], outputs=note["outputs"],
+    )  # fmt: skip

@@ -20,10 +20,10 @@ from ilctools.loop.closed import CurrentTrialLoop, Loop
 from ilctools.loop.notes import LogError, loop_of
 from ilctools.measurement.estimation import EstimatedResponse, estimated_response
 from ilctools.measurement.excitation import Excitation, excitation_of
-from ilctools.measurement.plausibility import warnings_of
+from ilctools.measurement.plausibility import findings_of
 from ilctools.measurement.region import radius_of
 from ilctools.measurement.tabulated import TabulatedResponse, tabulated
-from ilctools.measurement.transient import NEIGHBOURS, SPAN, nearest, separated, windows_of
+from ilctools.measurement.transient import NEIGHBOURS, SPAN, nearest_lines, separated, windows_of
 from ilctools.problem.responses import Measured, interpolated, probability
 from ilctools.signals import check_match
 
@@ -131,7 +131,7 @@ def measured_response(
     Returns
     -------
     MeasuredResponse, EstimatedResponse or TabulatedResponse
-        For :func:`synthesise`, the workbench and checks. An estimate has ``check(log)``, against
+        For :func:`synthesise` and checks. An estimate has ``check(log)``, against
         a record that it was not made of.
 
     Raises
@@ -229,7 +229,7 @@ def measured_response(
         windows = windows_of(excitation.harmonics, excitation, loop)
         measured = _estimate(w, y, windows, excitation, loop)
         u, limits = log.get("u", log.v).values, limits_of(log)
-        texts = warnings_of(u, y, limits, windows, excitation, measured)
+        texts = findings_of(u, y, limits, windows, excitation, measured)
         measured = replace(measured, findings=texts)
     return _warned(measured)
 
@@ -305,7 +305,7 @@ def expected_radius(
     noise = []
     for window, omega in zip(windows, excitation.omega, strict=True):
         line = omega * excitation.Ts * samples / (2 * np.pi)
-        near = nearest(line, np.arange(1, len(power) + 1)[: max(4, int(SPAN * line))])
+        near = nearest_lines(line, np.arange(1, len(power) + 1)[: max(4, int(SPAN * line))])
         scale = np.sqrt(window.variance * excitation.evaluated)
         noise.append(scale[:, None] * power[near - 1].mean(0) * scale)
     lines = np.array(excitation.harmonics)

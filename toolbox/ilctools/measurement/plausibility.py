@@ -18,7 +18,7 @@ TOLERANCE = 1.2  # of a radius: half of the lines must predict more than all of 
 BY_LINE = ("omega", "response", "noise", "spread", "freedom")  # of a measured response
 
 
-def warnings_of(u, y, limits, windows, excitation, measured) -> tuple[str, ...]:
+def findings_of(u, y, limits, windows, excitation, measured) -> tuple[str, ...]:
     """All warnings: of the commands, the outputs, and what was measured from them."""
     texts = (
         _beyond_limits(u, measured.loop.controls, limits),

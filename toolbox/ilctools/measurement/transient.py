@@ -50,7 +50,7 @@ def windows_of(harmonics, excitation, loop):
     evaluated, windows = excitation.evaluated, []
     for line in excitation.periods * np.array(harmonics):
         lines = np.arange(1, min(int(SPAN * line) + 1, (evaluated + 1) // 2))
-        near = nearest(line, lines[lines % excitation.periods > 0])
+        near = nearest_lines(line, lines[lines % excitation.periods > 0])
         z = np.exp(2j * np.pi * np.append(line, near) / evaluated)
         warped = 1 / (1 - pole / z[1:]) - 1 / (1 - pole / z[0])
         powers = np.vander(warped / np.abs(warped).max(), DEGREE + 1, increasing=True)
@@ -71,7 +71,7 @@ def noise_passed(loop, omega):
     return np.abs(np.einsum("rjj->rj", response)) ** 2
 
 
-def nearest(line, lines):
+def nearest_lines(line, lines):
     """Those of some lines that are nearest to one."""
     return lines[np.argsort(np.abs(lines - line), kind="stable")[:NEIGHBOURS]]
 

@@ -1,9 +1,21 @@
 """Default band of the sum (39), order of the filter and bound on its gain: they follow P and Q.
 
-They are for a plant that one does not know.
+They are for a plant that one does not know. A filter that inverts P looks ahead by the delay of P,
+and further by a share of the time constant of Q:
+
+    order = delay + REACH / (cutoff Ts),    L_max = ROOM / min sigma_min(P) up to the cut-off.
+
+The delay is what the phase of P lags beyond the least lag that its gain admits. Of a stable plant
+without delay and without zeros outside the unit circle, Bode's relation says this phase,
+
+    phi(u_0) = 1/pi integral d ln|P| / du  ln coth(|u - u_0| / 2) du,    u = ln tan(omega Ts / 2),
+
+H. W. Bode, Network Analysis and Feedback Amplifier Design (1945), for frequencies as the bilinear
+transform maps them.
 """
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
 CHOOSE = "auto"  # in the place of L_max, of which None says that there is none
 REACH = 4  # samples that the filter looks ahead beyond the delay of P, times cutoff Ts
@@ -13,10 +25,8 @@ LEFT = 20  # and is worth it only if fewer than these are left beyond the delay
 ROOM = 4
 
 
-def cutoff(butterworth, Q, omega) -> float:
-    """The cut-off of Q, a filter or samples on omega: where it is down to one half, rad/s."""
-    if butterworth is not None:
-        return butterworth.cutoff
+def cutoff(Q, omega) -> float:
+    """The cut-off of samples of Q: where they are down to one half for good, rad/s."""
     size = np.abs(Q)
     passed = np.flatnonzero(size >= 0.5)
     if not len(passed) or passed[-1] == len(omega) - 1:
@@ -51,26 +61,23 @@ def order(cutoff, delay, Ts, frequencies) -> int:
 def delay(P, omega, Ts, cutoff) -> int:
     """Samples by which P lags at the cut-off beyond the least lag that its gain admits.
 
-    Of each output by itself, the largest. The relation of gain and least phase is that of H. W.
-    Bode, Network Analysis and Feedback Amplifier Design (1945), for frequencies as the bilinear
-    transform maps them.
+    Of each output by itself, with the inputs decoupled at the lowest frequency; the largest.
     """
     P, omega = P[omega > 0], omega[omega > 0]
     if len(omega) < 2:
         return 0
-    # as decoupled at the lowest frequency: w_i acts on y_i
-    outputs = np.einsum("nij,ji->ni", P, np.linalg.inv(P[0]))
-    gains = np.log(np.maximum(np.abs(outputs), 1e-300))
-    last = np.clip(cutoff, omega[1], omega[-1])
-    mapped, at = (np.log(np.tan(np.minimum(x * Ts / 2, np.pi / 2 - 1e-9))) for x in (omega, last))
-    steps = np.diff(mapped)
-    distance = np.abs((mapped[1:] + mapped[:-1]) / 2 - at)
-    # around zero the mean of a step, where the logarithm has no bound
-    distance = np.maximum(distance, steps / (2 * np.e))
-    least = -np.log(np.tanh(distance / 2)) @ np.diff(gains, axis=0) / np.pi
-    phases = np.unwrap(np.angle(outputs), axis=0)
-    slopes = [
-        (low - np.interp(last, omega, phase)) / ((last - omega[0]) * Ts)
-        for low, phase in zip(least, phases.T, strict=True)
-    ]
-    return max(0, round(max(slopes)))
+    corner = np.clip(cutoff, omega[1], omega[-1])
+    response = np.einsum("nij,ji->ni", P, np.linalg.inv(P[0]))  # one at first, as the gain
+    u, u_0 = (np.log(np.tan(np.minimum(x * Ts, np.pi) / 2)) for x in (omega, corner))
+    kernel = _mean_log_coth(np.abs((u[1:] + u[:-1]) / 2 - u_0), np.diff(u))
+    gain_steps = np.diff(np.log(np.maximum(np.abs(response), np.finfo(float).tiny)), axis=0)
+    least = kernel @ gain_steps / np.pi  # Bode's relation
+    phases = np.unwrap(np.angle(response), axis=0)
+    phase = make_interp_spline(omega, phases, k=1)(corner)
+    return max(0, round(np.max(least - phase) / ((corner - omega[0]) * Ts)))
+
+
+def _mean_log_coth(distance, width):
+    """Mean of ln coth(|u| / 2) over each step: the value in its middle, but for the one at zero."""
+    # there ln coth(|u| / 2) is about -ln(|u| / 2), whose mean is its value at width / (2 e)
+    return -np.log(np.tanh(np.maximum(distance, width / (2 * np.e)) / 2))

@@ -13,8 +13,6 @@ import numpy as np
 from ilctools.models import frequency_response
 from ilctools.problem.problem import ROUNDING, Problem
 
-LEAST = 1e-6  # gain of P L that is always allowed, however little M_max leaves for it
-
 
 def without_gaps(problem: Problem) -> Problem:
     """The problem with L bounded at further frequencies, where omega is coarse or ends too soon."""
@@ -46,40 +44,41 @@ def refined(problem: Problem, omega, plants=None, Q=None) -> Problem:
     if not len(omega):
         return problem
     omega = np.sort(omega)
-    known = {}
     if problem.butterworth is not None:
         Q = problem.butterworth.frequency_response(omega)
-        for k, model in enumerate(problem.models):
-            if model is not None:
-                known[k] = frequency_response(model, omega)
+        plants = _responses(problem.models, omega, plants)
     if plants is None:
-        if not known:
-            return _with_L_bounded(problem, omega)
-        plants = [next(iter(known.values()))] * len(problem.plants)
-    plants = np.array(plants)
-    for k, response in known.items():
-        plants[k] = response
-    n = len(problem.omega)
+        return _with_L_bounded(problem, omega)
+    n, none = len(problem.omega), np.zeros(len(omega))
     order = np.argsort(np.append(problem.omega, omega), kind="stable")
-    radius = problem.radius
-    if radius is not None:  # it is not known between the samples
-        radius = np.append(radius, 0 * omega)[order]
+
+    def merged(values, added):
+        """In the new order; behind it what is known at the frequencies of L alone."""
+        return np.append(np.append(values[:n], added)[order], values[n:])
+
     return replace(
         problem,
-        omega=np.append(problem.omega, omega)[order],
-        plants=np.concatenate([problem.plants, plants], axis=1)[:, order],
-        Q=np.append(problem.Q, Q)[order],
-        weights=np.append(problem.weights, 0 * omega)[order],
-        radius=radius,
-        share_L=_inserted(problem.share_L, n, 1 + 0 * omega, order),
-        limit_L=_inserted(problem.limit_L, n, np.inf + 0 * omega, order),
+        omega=merged(problem.omega, omega),
+        plants=np.concatenate([problem.plants, np.array(plants)], axis=1)[:, order],
+        Q=merged(problem.Q, Q),
+        weights=merged(problem.weights, none),
+        # it is not known between the samples
+        radius=None if problem.radius is None else merged(problem.radius, none),
+        share_L=merged(problem.share_L, none + 1),
+        limit_L=merged(problem.limit_L, none + np.inf),
         stated=problem.design,
     )
 
 
-def _inserted(values, n, added, order):
-    """Values at omega_L, with those at added frequencies of omega, in its new order."""
-    return np.append(np.append(values[:n], added)[order], values[n:])
+def _responses(models, omega, plants):
+    """Of the plants that are models; of the others those given, or the first model's; else None."""
+    known = [None if model is None else frequency_response(model, omega) for model in models]
+    first = next((response for response in known if response is not None), None)
+    if plants is None and first is None:
+        return None
+    others = [first] * len(models) if plants is None else plants
+    pairs = zip(known, others, strict=True)
+    return np.array([other if response is None else response for response, other in pairs])
 
 
 def _with_L_bounded(problem, omega):
@@ -97,15 +96,13 @@ def _in_gaps(angles, start, near):
 
     The ends of the unit circle's upper half are among them.
     """
-    added = []
-    for a, b in pairwise([0, *angles, np.pi]):
-        if a >= start and b - a > ROUNDING:
-            added.append(np.linspace(a, b, 1 + int(np.ceil((b - a) / near)))[1:-1])
-    if start == 0 and angles[0] > ROUNDING:
-        added.append([0.0])
-    if np.pi - angles[-1] > ROUNDING:
-        added.append([np.pi])
-    return np.sort(np.concatenate([np.empty(0), *added]))
+    pieces = [
+        np.linspace(a, b, int(np.ceil((b - a) / near)), endpoint=False)
+        for a, b in pairwise([0, *angles, np.pi])
+    ]
+    grid = np.append(np.concatenate(pieces), np.pi)
+    off = np.abs(np.subtract.outer(grid, angles)).min(axis=1)
+    return grid[(grid >= start) & (off > ROUNDING)]
 
 
 def _reach(angles):
@@ -122,11 +119,9 @@ def _bounded_beyond(problem, near):
     [beyond] = np.nonzero(problem.omega_L >= problem.design.omega[-1])
     beyond = beyond[np.argsort(problem.omega_L[beyond])]
     Q = problem.Q_beyond(problem.omega_L[beyond])
-    # M must keep its bound in between, too
-    Q = np.maximum.accumulate(np.append(Q[0], Q[:-1]))
-    room = np.maximum(problem.M_max / np.maximum(Q, 1e-300) - 1, LEAST)
+    Q = np.maximum.accumulate(np.append(Q[0], Q[:-1]))  # M must keep its bound in between, too
     limits = problem.limit_L.copy()
     with np.errstate(divide="ignore"):  # |Q (I - P L)| <= |Q| (1 + size sigma_max(L))
-        limit = np.cos((problem.order - 1) / 4 * near) * room / problem.beyond
+        limit = np.cos((problem.order - 1) / 4 * near) * (problem.M_max / Q - 1) / problem.beyond
     limits[beyond] = np.where(problem.M_max > Q, limit, np.inf)
     return replace(problem, limit_L=limits)

@@ -6,11 +6,9 @@ import numpy as np
 
 from ilctools import arguments
 from ilctools.problem import defaults
-from ilctools.problem.problem import ROUNDING, Choices, Problem, largest_singular_values
+from ilctools.problem.problem import ROUNDING, Problem, largest_singular_values
 from ilctools.problem.reference import first_error
 from ilctools.problem.responses import on_one_grid
-
-OUTERMOST = 0.05  # share of the weights that the ends of omega may have unsaid
 
 
 def pose(
@@ -20,112 +18,106 @@ def pose(
     Ts=None,
     *,
     order=None,
+    M_max=0.9,
     L_max=defaults.CHOOSE,
     band=None,
     reference=None,
+    structure="full",
+    objective="sum",
     scale=None,
     uncertainty=None,
-    **choices,
+    everywhere=False,
 ) -> Problem:
-    """State the problem (39), or (45) with (46), and check it; see :func:`ilctools.synthesise`.
-
-    `choices` are those of :class:`Choices`.
-    """
-    samples = on_one_grid(P, Q, omega, Ts, uncertainty, scale)
-    nominal, omega, n = samples.plants[0], samples.omega, len(samples.omega)
-    singular_values = np.linalg.svd(nominal, compute_uv=False)
-    _refuse_singular(nominal, singular_values, omega)
-    cutoff = defaults.cutoff(samples.butterworth, samples.Q, omega)
-    by_default, power, assumed = [], None, []
-    if order is None:
-        delay = defaults.delay(nominal, omega, samples.Ts, cutoff)
-        order = defaults.order(cutoff, delay, samples.Ts, n)
-        by_default.append(f"order = {order}, by Q's cut-off and P's lag of {delay} samples there")
-    choices = _checked(Choices(order=order, **choices), n)
-    if band is None and reference is None:
-        band = defaults.band(cutoff, omega)
-        if choices.objective == "sum":
-            low, high = band
-            by_default.append(f"band = ({low:.4g}, {high:.4g}) rad/s, to Q's cut-off")
-    if isinstance(L_max, str) and L_max == defaults.CHOOSE:
-        # What is not known beyond its radius is not worth inverting.
-        radius = 0 if samples.radius is None else samples.radius
-        smallest = np.maximum(singular_values[:, -1], radius)
-        L_max = defaults.gain(cutoff, smallest, omega)
-        by_default.append(
-            f"L_max = {L_max:g}, {defaults.ROOM} times a gain that inverts P up to Q's cut-off"
-        )
-    elif L_max is not None:
-        what = f"a positive number, None for no bound, or {defaults.CHOOSE!r}"
-        L_max = arguments.positive("L_max", L_max, what)
-    if reference is None:
-        band = tuple(arguments.array("band", band, (2,)).tolist())
-        weights = _in_band(band, omega, choices.objective)
-    else:
-        _refuse_other_weights(band, choices.objective)
-        power, weights = first_error(samples, reference)
-        outer, (low, high) = weights[[0, -1]].sum(), omega[[0, -1]]
-        if outer > OUTERMOST:
-            assumed.append(
-                f"assumed: next to and beyond {low:.4g} and {high:.4g} rad/s, which have "
-                f"{outer:.0%} of the weight, P is as there"
-            )
-    _refuse_idle(samples.Q if choices.objective == "peak" else samples.Q[weights > 0])
-    chosen = [f"chosen: {text}" for text in by_default]
-    basis = (*chosen, *assumed, *samples.basis)
-    return Problem(
-        **vars(choices),
-        **vars(replace(samples, basis=basis)),
-        band=band,
-        first_error=power,
-        weights=weights,
-        L_max=L_max,
-        further=np.empty(0),
+    """State the problem (39), or (45) with (46), and check it; see :func:`ilctools.synthesise`."""
+    problem = on_one_grid(P, Q, omega, Ts, uncertainty, scale)
+    n, smallest = len(problem.omega), _smallest_singular_values(problem)
+    what = "in (0, 1), or the trials do not converge"
+    problem = replace(
+        problem,
+        M_max=arguments.number("M_max", M_max, what, 0, 1),
+        structure=arguments.choice("structure", structure, ["diagonal", "full"]),
+        objective=arguments.choice("objective", objective, ["sum", "peak"]),
+        everywhere=arguments.flag("everywhere", everywhere),
         share_L=np.ones(n),
         limit_L=np.full(n, np.inf),
-        beyond=_size_beyond(samples),
+        beyond=_size_beyond(problem),
     )
+    chosen = []  # by default, in words
+    problem = replace(problem, order=_order(problem, order, chosen))
+    if reference is None:
+        band, weights = _of_band(problem, band, chosen)
+        problem = replace(problem, band=band, weights=weights)
+    else:
+        power, weights = _of_reference(problem, band, reference)
+        problem = replace(problem, first_error=power, weights=weights)
+    _refuse_idle(problem.Q if objective == "peak" else problem.Q[weights > 0])
+    L_max = _bound_on_L(problem, L_max, smallest, chosen)
+    basis = [f"chosen: {text}" for text in chosen]
+    return replace(problem, L_max=L_max, basis=(*basis, *problem.basis))
 
 
-def _checked(choices, n):
-    """The choices, checked for n frequencies."""
-    order = arguments.whole("order", choices.order, 1)
+def _order(problem, order, chosen):
+    """The order of L, which the frequencies must determine."""
+    n = len(problem.omega)
+    if order is None:
+        order = defaults.order(problem.cutoff, problem.delay, problem.Ts, n)
+        text = f"order = {order}, by Q's cut-off and P's lag of {problem.delay} samples there"
+        chosen.append(text)
+    order = arguments.whole("order", order, 1)
     if order > n:
         raise ValueError(
             f"order = {order} is more than the {n} frequencies of omega determine: take "
             f"order = {n} or less, or more frequencies"
         )
-    what = "in (0, 1), or the trials do not converge"
-    M_max = arguments.number("M_max", choices.M_max, what, 0, 1)
-    arguments.choice("structure", choices.structure, ["diagonal", "full"])
-    arguments.choice("objective", choices.objective, ["sum", "peak"])
-    everywhere = arguments.flag("everywhere", choices.everywhere)
-    return replace(choices, order=order, M_max=M_max, everywhere=everywhere)
+    return order
 
 
-def _refuse_other_weights(band, objective):
-    """Refuse what a reference cannot be combined with."""
-    if band is not None or objective != "sum":
+def _of_band(problem, band, chosen):
+    """The band, and weights that are one within; it must lie within omega if there is a sum."""
+    omega, summed = problem.omega, problem.objective == "sum"
+    if band is None:
+        band = defaults.band(problem.cutoff, omega)
+        if summed:
+            chosen.append(f"band = ({band[0]:.4g}, {band[1]:.4g}) rad/s, to Q's cut-off")
+    low, high = band = tuple(arguments.array("band", band, (2,)).tolist())
+    inside = (omega >= low) & (omega <= high)
+    slack = ROUNDING * omega[-1]
+    if summed and not omega[0] - slack <= low < high <= omega[-1] + slack:
+        raise ValueError(
+            f"band = {band!r} must be two increasing frequencies within omega, "
+            f"[{omega[0]:.6g}, {omega[-1]:.6g}] rad/s"
+        )
+    if summed and not inside.any():
+        raise ValueError(f"band = {band!r} contains none of the frequencies omega")
+    return band, inside.astype(float)
+
+
+def _of_reference(problem, band, reference):
+    """Power and weights of the first error of a reference."""
+    if band is not None or problem.objective != "sum":
         raise ValueError(
             f"reference takes the place of the band in the sum (39), but band = {band!r} and "
-            f"objective = {objective!r}: leave these out, or the reference"
+            f"objective = {problem.objective!r}: leave these out, or the reference"
         )
+    m = problem.channels
+    names = problem.labels.labels[:m] or arguments.names_of(reference) or range(m)
+    r = arguments.in_columns("reference", reference, ("time", m), names) / problem.scale
+    return first_error(problem.P, problem.omega * problem.Ts, r)
 
 
-def _in_band(band, omega, objective):
-    """Ones in the band, which must lie within omega if there is a sum."""
-    low, high = band
-    inside = (omega >= low) & (omega <= high)
-    if objective == "sum":
-        slack = 1e-9 * omega[-1]
-        if not omega[0] - slack <= low < high <= omega[-1] + slack:
-            raise ValueError(
-                f"band = {band!r} must be two increasing frequencies within omega, "
-                f"[{omega[0]:.6g}, {omega[-1]:.6g}] rad/s"
-            )
-        if not inside.any():
-            raise ValueError(f"band = {band!r} contains none of the frequencies omega")
-    return inside.astype(float)
+def _bound_on_L(problem, L_max, smallest, chosen):
+    """The bound on sigma_max(L), or None."""
+    if isinstance(L_max, str) and L_max == defaults.CHOOSE:
+        # What is not known beyond its radius is not worth inverting.
+        radius = 0 if problem.radius is None else problem.radius
+        L_max = defaults.gain(problem.cutoff, np.maximum(smallest, radius), problem.omega)
+        chosen.append(
+            f"L_max = {L_max:g}, {defaults.ROOM} times a gain that inverts P up to Q's cut-off"
+        )
+    if L_max is None:
+        return None
+    what = f"a positive number, None for no bound, or {defaults.CHOOSE!r}"
+    return arguments.positive("L_max", L_max, what)
 
 
 def _refuse_idle(Q):
@@ -138,29 +130,24 @@ def _refuse_idle(Q):
         )
 
 
-def _size_beyond(samples):
+def _size_beyond(problem):
     """The largest sigma_max(P) above the last frequency; None if P is known up to Nyquist."""
-    sampled = [model is None for model in samples.models]
-    if not any(sampled) or samples.omega[-1] * samples.Ts >= np.pi - ROUNDING:
+    sampled = [model is None for model in problem.models]
+    if not any(sampled) or problem.omega[-1] * problem.Ts >= np.pi - ROUNDING:
         return None
-    size = largest_singular_values(samples.plants[sampled, -1]).max()
-    return float(size if samples.radius is None else size + samples.radius[-1])
+    size = largest_singular_values(problem.plants[sampled, -1]).max()
+    return float(size if problem.radius is None else size + problem.radius[-1])
 
 
-def _refuse_singular(P, singular_values, omega):
-    smallest = np.maximum(1e-12 * singular_values[:, 0], 1 / arguments.LARGEST)
-    singular = np.flatnonzero(singular_values[:, -1] <= smallest)
-    if not singular.size:
-        return
-    first = singular[0]
-    zero = np.abs(P[first]) <= smallest[first]
-    cause = ""
-    if zero.all(axis=1).any():
-        cause = f"; output {zero.all(axis=1).argmax()} does not respond to any input"
-    elif zero.all(axis=0).any():
-        cause = f"; w {zero.all(axis=0).argmax()} has no effect on any output"
-    raise ValueError(
-        f"P is singular at omega = {omega[first]:.6g} rad/s (smallest singular value "
-        f"{singular_values[first, -1]:.3g}): P^-1 in (40) does not exist there{cause}"
-        f"{', counted from 0' if cause else ''}"
-    )
+def _smallest_singular_values(problem):
+    """Of the nominal plant at each frequency, which must not be singular, shape (n,)."""
+    omega, singular_values = problem.omega, np.linalg.svd(problem.P, compute_uv=False)
+    singular = np.flatnonzero(singular_values[:, -1] <= 1e-12 * singular_values[:, 0])
+    if singular.size:
+        first = singular[0]
+        raise ValueError(
+            f"P is singular at omega = {omega[first]:.6g} rad/s (smallest singular value "
+            f"{singular_values[first, -1]:.3g}): P^-1 in (40) does not exist there. Does each "
+            "output respond to an input, and each input act on an output?"
+        )
+    return singular_values[:, -1]

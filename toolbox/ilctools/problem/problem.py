@@ -8,7 +8,7 @@ M is affine in P. A bound on it for several plants, or for all within a radius o
 as for one: *fast for the plant that one believes in, convergent for all that cannot be excluded*.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field
 
 import control
 import numpy as np
@@ -17,27 +17,20 @@ from ilctools.filters import LearningFilter, ZeroPhaseButterworth
 from ilctools.problem import defaults
 from ilctools.signals import Signals
 
-MOST_GAIN = 1e7  # of Q P L, from which on the rounding of coefficients shows
-ROUNDING = 1e-9  # of an angle; what is nearer to pi is at the Nyquist frequency
-TIED = 1e-6  # relative distance at which rounding, or the accuracy of a solver, decides an order
+MOST_GAIN = 1e7  # of Q P L: beyond it coefficients in doubles no longer determine M to about 1e-9
+ROUNDING = 1e-9  # of an angle: two that are nearer are the same frequency
+TIED = 1e-6  # relative distance at which the accuracy of a solver decides which is the largest
 
 
 @dataclass(frozen=True, kw_only=True)
-class Choices:
-    """What is chosen of a learning filter, whatever the plant."""
+class Problem:
+    """The problem of a learning filter. Made by :func:`.pose.pose`.
 
-    order: int  # number of samples that the learning filter looks ahead
-    M_max: float = 0.9  # bound on sigma_max(M)
-    structure: str = "full"  # or "diagonal"
-    # "sum", (39); "peak", (45); "gain": the least sigma_max(L), in units of L_max
-    objective: str = "sum"
-    everywhere: bool = False  # whether the bounds hold between the frequencies, too
+    M is bounded at `omega`. L is bounded there and at further frequencies, where a grid is coarse
+    or ends below the Nyquist frequency: at :attr:`omega_L`, which begins with `omega`.
+    """
 
-
-@dataclass(frozen=True, kw_only=True)
-class Samples:
-    """P and Q on one grid; P in units of `scale`."""
-
+    # P and Q on one grid, P in units of `scale`
     # (p, n, m, m), complex: frequency responses of the plants for which the bounds hold; the first
     # is the nominal one
     plants: np.ndarray
@@ -52,28 +45,28 @@ class Samples:
     basis: tuple[str, ...]  # what a measured P and its radius rest on; default choices
     labels: Signals  # of the nominal plant
 
-
-@dataclass(frozen=True, kw_only=True)
-class Problem(Samples, Choices):
-    """The problem of a learning filter. Made by :func:`.pose.pose`.
-
-    M is bounded at `omega`. L is bounded there and at further frequencies, where a grid is coarse
-    or ends below the Nyquist frequency: at :attr:`omega_L`, which begins with `omega`.
-    """
-
+    # what is asked of L
+    order: int = 1  # number of samples that the learning filter looks ahead
+    M_max: float = 0.9  # bound on sigma_max(M)
+    L_max: float | None = None  # bound on sigma_max(L)
+    structure: str = "full"  # or "diagonal"
+    # "sum", (39); "peak", (45); "gain": the least sigma_max(L), in units of L_max
+    objective: str = "sum"
+    everywhere: bool = False  # whether the bounds hold between the frequencies, too
     # over which "sum" sums, rad/s; None if a reference weights it: then there is the power of the
     # first trial's error at the design frequencies, (n, m, m), see `reference`
-    band: tuple[float, float] | None
-    first_error: np.ndarray | None
-    weights: np.ndarray  # (n,): of sigma_max(M) in the sum; ones in the band
-    L_max: float | None  # bound on sigma_max(L)
-    further: np.ndarray  # (k,): frequencies at which L alone is bounded, rad/s
+    band: tuple[float, float] | None = None
+    first_error: np.ndarray | None = None
+    weights: np.ndarray | None = None  # (n,): of sigma_max(M) in the sum; ones in the band
+
+    # between and above the frequencies, see `grid`
+    further: np.ndarray = field(default_factory=lambda: np.empty(0))  # (k,): for L alone, rad/s
     # (n + k,) at omega_L: the share of L_max that keeps L within L_max between them; a bound on
     # sigma_max(L) that keeps M within M_max where P is unknown, or infinite
-    share_L: np.ndarray
-    limit_L: np.ndarray
+    share_L: np.ndarray | None = None
+    limit_L: np.ndarray | None = None
     # largest sigma_max(P) above the last sample; None if P is known
-    beyond: float | None
+    beyond: float | None = None
     # without frequencies that were added; None if none were
     stated: "Problem | None" = None
 
@@ -113,11 +106,16 @@ class Problem(Samples, Choices):
         return max(value, 1e-3 * self.idle)
 
     @property
+    def cutoff(self) -> float:
+        """Cut-off of Q, rad/s."""
+        if self.butterworth is not None:
+            return self.butterworth.cutoff
+        return defaults.cutoff(self.design.Q, self.design.omega)
+
+    @property
     def delay(self) -> int:
         """Samples by which P lags at the cut-off of Q, see :mod:`.problem.defaults`."""
-        stated = self.design
-        cutoff = defaults.cutoff(stated.butterworth, stated.Q, stated.omega)
-        return defaults.delay(stated.P, stated.omega, stated.Ts, cutoff)
+        return defaults.delay(self.design.P, self.design.omega, self.Ts, self.cutoff)
 
     @property
     def robust(self) -> bool:
@@ -217,16 +215,6 @@ class Cuts:
     plant: np.ndarray  # (c,): number of the plant of each bound
     frequency: np.ndarray  # (c,): index of its frequency
     N: np.ndarray  # (c, rows of G, m), complex: multipliers of G
-    # (c, 1), or (c, 0) without r: share of the bound left to the rows below M
-    split: np.ndarray
-
-
-def joined(cuts: list[Cuts]) -> Cuts | None:
-    """Several cuts as one; None without any."""
-    if not cuts:
-        return None
-    names = [part.name for part in fields(Cuts)]
-    return Cuts(**{n: np.concatenate([getattr(cut, n) for cut in cuts]) for n in names})
 
 
 @dataclass(frozen=True)
@@ -239,7 +227,6 @@ class Solution:
     U: np.ndarray
     V: np.ndarray
     largest: float  # sigma_max(M); of W L, for the least gain
-    method: str
     iterations: int
     cuts: Cuts | None = None  # what was needed of them
 

@@ -1,7 +1,6 @@
 """Plants and Q in whatever form they are known, on one grid of frequencies."""
 
 import reprlib
-from collections.abc import Iterator
 
 import control
 import numpy as np
@@ -10,16 +9,16 @@ from scipy.interpolate import make_interp_spline
 from ilctools import arguments
 from ilctools.filters import ZeroPhaseButterworth
 from ilctools.loop.closed import Loop
-from ilctools.models import frequency_response, refuse_foreign
-from ilctools.problem.problem import Samples
+from ilctools.models import model_and_response
+from ilctools.problem.problem import Problem
 from ilctools.signals import Signals, check_match
 
 CONFIDENCE = 0.99  # in a measured response
-FREQUENCIES = 1000  # of a grid that is chosen
-DECADES = 3  # of it below the cut-off of Q
-MODELS = (Loop, control.LTI)  # what a plant may be, if not an array
+FREQUENCIES = 1000  # of a grid that is chosen, as of the paper's
+DECADES = 3  # of it below the cut-off of Q, as in the paper: from 1e-4 to 0.1 rad/s
 RIPPLE = 1.2  # of a low-pass filter without taper, applied twice: the largest sensible |Q|
-IMAGINARY = 1e-6  # relative imaginary part below which a response counts as real
+# relative: imaginary part that the rounding of a table may leave of a real response
+IMAGINARY = 1e-6
 
 
 class Measured:
@@ -92,7 +91,7 @@ def interpolated(knots, P, at) -> tuple[np.ndarray, np.ndarray]:
     return spline, np.linalg.norm(spline - straight, 2, axis=(1, 2))
 
 
-def on_one_grid(P, Q, omega=None, Ts=None, uncertainty=None, scale=None) -> Samples:
+def on_one_grid(P, Q, omega=None, Ts=None, uncertainty=None, scale=None) -> Problem:
     """P and Q, in any form, on one grid, and P in units of `scale`; arguments of `pose`."""
     named = plants(P)
     nominal, *_ = named.values()
@@ -102,37 +101,27 @@ def on_one_grid(P, Q, omega=None, Ts=None, uncertainty=None, scale=None) -> Samp
         Ts = _period(Q, *named.values())
     Ts = arguments.sampling_period("Ts", Ts)
     omega = arguments.increasing_frequencies("omega", omega, Ts)
-    basis = ()
+    basis, parties = (), {"Q": Q}
     if isinstance(P, Measured):
         if uncertainty is not None:
             raise ValueError(
                 "uncertainty must be None if P is a measured response, which has a radius of its "
                 "own: for a larger one, pass both of P.on(omega, confidence) as arrays"
             )
-        check_match(P=P.loop, Q=Signals(Ts))
-        _refuse_hertz("P.omega", P.omega, P.response[None], Ts)
-        named["P"], uncertainty = P.on(omega, CONFIDENCE)
+        named["P"], uncertainty = _measured(P, omega, Ts, scale)
         basis = P.basis(omega, CONFIDENCE)
-        if scale is not None:  # the response is scaled with those of other plants
-            uncertainty = P.on(omega, CONFIDENCE, scale)[1]
-    models, responses = on_grid(named, omega, Ts)
+        parties = {"P": P.loop, "Q": Q, "grid": Signals(Ts)}
+    models, responses = on_grid(named, omega, Ts, **parties)
     _refuse_hertz("omega", omega, responses, Ts)
-    butterworth, Q = Q_on_grid(Q, omega, P=Signals(Ts))
-    if scale is None:
-        scale = np.ones(responses.shape[-1])
-    else:
-        scale = arguments.array("scale", scale, responses.shape[-1:])
-        if scale.min() <= 0:
-            raise ValueError(f"scale = {scale.tolist()} must be positive numbers")
-        responses = responses * (scale / scale[:, None])
-        models = [model and _scaled(model, scale) for model in models]
+    butterworth, Q = Q_on_grid(Q, omega)
+    models, responses, scale = _in_units(scale, models, responses)
     if uncertainty is not None:
         uncertainty = arguments.array("uncertainty", uncertainty, omega.shape)
         if uncertainty.min() < 0:
             raise ValueError(
                 f"uncertainty reaches {uncertainty.min():.6g}, but a radius cannot be negative"
             )
-    return Samples(
+    return Problem(
         plants=responses,
         models=tuple(models),
         Q=Q,
@@ -142,8 +131,32 @@ def on_one_grid(P, Q, omega=None, Ts=None, uncertainty=None, scale=None) -> Samp
         scale=scale,
         radius=uncertainty if np.any(uncertainty) else None,
         basis=basis,
-        labels=Signals.of_plant(nominal),
+        labels=Signals.of_plant(nominal, Ts),
     )
+
+
+def _measured(P, omega, Ts, scale):
+    """A measured response on omega, and its radius in units of `scale`."""
+    _refuse_hertz("P.omega", P.omega, P.response[None], Ts)
+    response, _ = P.on(omega, CONFIDENCE)
+    _, radius = P.on(omega, CONFIDENCE, scale)
+    return response, radius
+
+
+def _in_units(scale, models, responses):
+    """The plants in units of `scale`, and these; one where there is none."""
+    m = responses.shape[-1]
+    if scale is None:
+        return models, responses, np.ones(m)
+    scale = arguments.array("scale", scale, (m,))
+    if scale.min() <= 0:
+        raise ValueError(f"scale = {scale.tolist()} must be positive numbers")
+    S, R = np.diag(scale), np.diag(1 / scale)
+    models = [
+        model and control.ss(model.A, model.B @ S, R @ model.C, R @ model.D @ S, model.dt)
+        for model in models
+    ]
+    return models, responses * (scale / scale[:, None]), scale
 
 
 def _refuse_hertz(name, omega, responses, Ts):
@@ -156,12 +169,6 @@ def _refuse_hertz(name, omega, responses, Ts):
             f"{name} ends at {omega[-1]:.6g} = 1 / (2 Ts), and P is real there, as at the "
             "Nyquist frequency: omega is in Hz, multiply it by 2 pi"
         )
-
-
-def _scaled(model, scale):
-    """A model in units of `scale`."""
-    S, R = np.diag(scale), np.diag(1 / scale)
-    return control.ss(model.A, model.B @ S, R @ model.C, R @ model.D @ S, model.dt)
 
 
 def _period(*systems):
@@ -199,8 +206,6 @@ def _frequencies(P, Q) -> np.ndarray:
 
 def plants(P):
     """The plants by their names in messages, the nominal one first, from one plant or several."""
-    if isinstance(P, Iterator):
-        raise ValueError(f"P = {reprlib.repr(P)} can be read only once: pass a list of plants")
     several = isinstance(P, np.ndarray) and P.ndim == 4
     if isinstance(P, list | tuple):
         measured = [isinstance(p, Measured) for p in P]
@@ -209,7 +214,7 @@ def plants(P):
                 f"P[{measured.index(True)}] is a measured response, whose radius would count for "
                 "all of the list: pass it alone, or P.on(omega, confidence) as arrays"
             )
-        several = not P or any(isinstance(p, MODELS) or axes(p) == 3 for p in P)
+        several = not P or any(isinstance(p, Loop | control.LTI) or axes(p) == 3 for p in P)
     if several and not len(P):
         raise ValueError(
             f"P = {reprlib.repr(P)} holds no plant: pass one or more, the nominal one first"
@@ -225,70 +230,30 @@ def axes(value):
         return 0
 
 
-def on_grid(plants, omega, Ts):
-    """Each plant as a model, or None, and their frequency responses on omega, (p, n, m, m)."""
+def on_grid(plants, omega, Ts, **parties):
+    """Each plant as a model, or None, and their frequency responses on omega, (p, n, m, m).
+
+    The parties are what they must match beside each other.
+    """
     models, responses, shape = [], [], (len(omega), "m", "m")
     for name, plant in plants.items():
-        model, response = _response(name, plant, omega, Ts)
+        P = plant.P if isinstance(plant, Loop) else plant
+        model, response = model_and_response(name, P, omega, Ts)
         if axes(response) == 3 and len(response) == len(omega):
             _, outputs, inputs = np.shape(response)
             arguments.square(name, inputs, outputs)
         responses.append(arguments.array(name, response, shape, complex))
         models.append(model)
         shape = responses[0].shape
-    check_match(**{name: Signals.of_plant(plant) for name, plant in plants.items()})
+    known = {name: Signals.of_plant(plant, Ts) for name, plant in plants.items()}
+    check_match(**(known | parties))
     return models, np.array(responses)
 
 
-def _response(name, P, omega, Ts):
-    """The plant as a model, or None, and its frequency response on omega, not yet checked."""
-    refuse_foreign(name, P)
-    if isinstance(P, Loop):
-        P = P.P
-    if isinstance(P, control.FrequencyResponseData):
-        return None, _of_frd(name, P, omega, Ts)
-    if not isinstance(P, control.TransferFunction | control.StateSpace):
-        return None, P
-    _check_period(name, P.dt, Ts)
-    model = None
-    if isinstance(P, control.StateSpace):
-        model = arguments.state_space(name, P)
-    elif P.ninputs == P.noutputs == 1:
-        model = control.ss(P)
-    arguments.stable(name, P.poles())
-    if model is not None:
-        return model, frequency_response(model, omega)
-    response = np.reshape(P(np.exp(1j * omega * Ts)), (*P.shape, len(omega)))
-    return None, np.moveaxis(response, -1, 0)
-
-
-def _check_period(name, dt, Ts):
-    """Refuse a model of another sampling period."""
-    if dt is True or dt != Ts:  # True, some period, equals 1 s
-        raise ValueError(
-            f"{name}.dt = {dt!r} differs from Ts = {Ts!r}: control.sample_system samples at Ts"
-        )
-
-
-def _of_frd(name, P, omega, Ts):
-    """Samples of python-control's frequency response data, which must be those on omega."""
-    if P.dt and P.dt is not True:  # measured ones need not say it
-        _check_period(name, P.dt, Ts)
-    same = len(P.omega) == len(omega) and np.allclose(P.omega, omega, rtol=1e-9, atol=0)
-    if not same:
-        raise ValueError(
-            f"{name} is known at {len(P.omega)} frequencies from {P.omega[0]:.6g} to "
-            f"{P.omega[-1]:.6g} rad/s, which are not those of omega: pass omega = {name}.omega, or "
-            f"{name} = measured_response({name}), which is splined between them"
-        )
-    return np.moveaxis(P.frdata, -1, 0)
-
-
-def Q_on_grid(Q, omega, **known):
-    """The Q-filter as a model, or None, and its response on omega; `known`: whose period it has."""
+def Q_on_grid(Q, omega):
+    """The Q-filter as a model, or None, and its response on omega."""
     model = Q if isinstance(Q, ZeroPhaseButterworth) else None
     if model is not None:
-        check_match(**known, Q=Q)
         Q = Q.frequency_response(omega)
     elif isinstance(Q, control.LTI):
         raise ValueError(

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.stats import binom
 
-# Probability, at most, that samples without noise are said to scatter
-FALSE_ALARM = 1e-3
+from ilctools.problem.problem import largest_singular_values
+
+FALSE_ALARM = 1e-3  # probability, at most, that samples without noise are said to scatter
 ROUNDED = 1e-3  # relative to P: what tables are rounded to is not counted
-ROUNDING = 1e-12  # of the largest P; what is smaller is not seen
 LINES = 5  # of a difference
 
 
@@ -24,8 +24,8 @@ def scatter(omega, P, Q=1.0) -> float:
     gaps = near[:, :, None] - near[:, None, :] + np.eye(LINES)
     weights = 1 / gaps.prod(axis=2)
     weights /= np.linalg.norm(weights, axis=1, keepdims=True)  # the variance of one line
-    size = np.linalg.norm(P, 2, axis=(1, 2))
-    relative = np.abs(Q) / np.maximum(size, ROUNDING * size.max())
+    size = largest_singular_values(P)
+    relative = np.abs(Q) / np.maximum(size, 1e-12 * size.max())
     difference = np.einsum("kl,kijl->kij", weights, sliding_window_view(P, LINES, axis=0))
     difference *= relative[LINES // 2 : -(LINES // 2), None, None]
     parts = np.stack([difference.real, difference.imag])
@@ -34,10 +34,10 @@ def scatter(omega, P, Q=1.0) -> float:
     changes = np.count_nonzero(counted & (before * after < 0))
     if binom.sf(changes - 1, np.count_nonzero(counted), 0.5) > FALSE_ALARM:
         return 0.0
-    return float(np.sqrt(np.mean(np.linalg.norm(difference, 2, axis=(1, 2)) ** 2)))
+    return float(np.sqrt(np.mean(largest_singular_values(difference) ** 2)))
 
 
-def warnings_of(omega, P, Q=1.0) -> tuple[str, ...]:
+def scatter_warnings(omega, P, Q=1.0) -> tuple[str, ...]:
     """What follows if samples scatter."""
     size = scatter(omega, P, Q)
     text = (

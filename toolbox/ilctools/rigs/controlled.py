@@ -2,17 +2,19 @@
 
 import math
 import reprlib
-import warnings
-from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 
 from ilctools import arguments
+from ilctools.law.law import Law
 from ilctools.law.limits import named_limits
-from ilctools.loop.closed import CurrentTrialLoop, Loop
+from ilctools.loop.closed import CurrentTrialLoop, Loop, controller
+from ilctools.rigs.limits import stop_limits
 from ilctools.rigs.protocol import RigError, StoppedError
 
-NOT_APPLIED = ". Nothing was applied after it"
+STILL = 0.1  # of a trial, for which outputs that are back must stand still
+LONGEST = 2.0  # trials, that is waited for this
 UNLIMITED = (-math.inf, math.inf)
 
 
@@ -48,14 +50,9 @@ class Controller:
         if decimals is not None:
             arguments.whole("decimals", decimals, 0, 300)
         self.loop, self.decimals = loop, decimals
-        A, B, C = loop.plant.A, loop.plant.B, loop.plant.C
-        m, n = C.shape
-        # (16), (18) for the state (x-hat, delta), each as one product
-        extended = np.block([[A, B[:, :m]], [np.zeros((m, n)), np.eye(m)]])
-        self._A = extended - np.pad(loop.KL @ C, [(0, 0), (0, m)])
-        self._B = np.hstack([np.pad(B[:, :m], [(0, m), (0, 0)]), loop.KL])
-        self._K = np.hstack([loop.Ks, np.eye(m)])
-        self._state, self._m = np.zeros(n + m), m
+        self._A, B, self._K = controller(loop)
+        self._B = np.hstack([B, loop.KL])
+        self._state, self._m = np.zeros(len(B)), len(loop.outputs)
 
     @property
     def delta(self) -> np.ndarray:
@@ -82,34 +79,78 @@ class Controller:
 
 
 class ControlledRig:
-    """What the three kinds have in common: names, limits, decimals, a safe end."""
+    """A rig under its loop: by its methods read and apply, or run; names, limits, decimals.
 
-    disturbed: tuple[str, ...] = ()  # disturbances of the loop that are inputs
-    recorded: tuple[str, ...] = ()  # disturbances of the loop that are known
-    waits = True  # whether the rig can be held before a trial
+    Parameters
+    ----------
+    rig : Rig or TrialRig
+    loop : CurrentTrialLoop or ClosedLoop
+        The controller is ours, which sends u, or the rig's, which takes w.
+    reference : ndarray, shape (trial, time, output)
+        Of all trials, from which limits of `stop` follow.
+    law : Law, optional
+        Bound to the loop. Without limits (None), it takes those of the rig.
+    stop, decimals : dict, optional
+        As for :func:`ilctools.record`.
+    goes_on : bool
+        Whether a trial starts where the last one ended.
+    """
 
-    def __init__(self, rig, loop: Loop, decimals):
-        self.rig, self.loop = rig, loop
-        # looked up once, not in every sample
-        self.outputs, self.commands = loop.outputs, loop.commands
-        # the controller: it sends u, not w
+    def __init__(
+        self,
+        rig,
+        loop: Loop,
+        reference,
+        law: Law | None = None,
+        stop: dict | None = None,
+        decimals: dict[str, int] | None = None,
+        goes_on: bool = False,
+    ):
+        self.rig, self.loop, self.goes_on = rig, loop, goes_on
+        self.whole = _runs_whole_trials(rig)
         self.ours = isinstance(loop, CurrentTrialLoop)
-        names = ["v", "u", "delta", "disturbance"]
-        self.decimals = arguments.by_name("decimals", decimals, names)
-        for name, value in self.decimals.items():
-            arguments.whole(f"decimals[{name!r}]", value, 0, 300)
+        self.outputs, self.commands = loop.outputs, loop.commands  # once, not in every sample
         self.inputs = list(getattr(rig, "inputs", self.commands))
         missing = [name for name in self.commands if name not in self.inputs]
         if missing:
             raise ValueError(f"rig.inputs = {self.inputs} must name the commands {missing}")
-        limits = getattr(rig, "limits", None)
-        limits = named_limits("rig.limits", limits, self.inputs, slew=True)
+        limits = named_limits("rig.limits", getattr(rig, "limits", None), self.inputs, slew=True)
         self.limits = {name: limits[name] for name in self.commands if name in limits}
+        if law is not None and law.limits is None:
+            law = replace(law, limits=self.limits)
+        self.law, self.actuators = law, None if law is None else law.actuators
+        self.stop = stop_limits(stop, reference, loop, self.limits)
+        self.decimals = arguments.by_name("decimals", decimals, ["v", "u", "delta", "disturbance"])
+        for name, value in self.decimals.items():
+            arguments.whole(f"decimals[{name!r}]", value, 0, 300)
         self.Ts = arguments.sampling_period("rig.Ts", getattr(rig, "Ts", loop.Ts))
-        self.actuators = None  # of a law with limits
-        self.goes_on = False  # whether a trial starts where the last one ended
+        self.clock, self.bring_back, self.leave_safe = (
+            getattr(rig, name, None) for name in ("clock", "begin", "safe")
+        )
         self.late = []  # by how much each sample of the trial is off the rig's clock, s
-        self.stop = {}  # limits of outputs and commands, by name
+        self.place = ""  # trial and sample, for errors
+        self.find_signals()
+        self.reset()
+
+    def find_signals(self) -> None:
+        """Which signals are sent, measured and recorded beside commands and outputs."""
+        loop, measured = self.loop, getattr(self.rig, "measured", {})
+        self.reported = [] if self.ours or self.whole else loop.controls  # u, by the rig
+        missing = [name for name in self.reported if name not in measured]
+        if missing:
+            raise ValueError(f"rig.measured must have the controls {missing} of the loop")
+        # disturbances of the loop that are inputs, and those that are known
+        names = [] if self.whole else loop.disturbances
+        self.disturbed = [name for name in names if name in self.inputs]
+        self.recorded = [name for name in names if name in self.inputs or name in measured]
+        self.measured = [name for name in self.recorded if name not in self.disturbed]
+        self.positions = [self.inputs.index(name) for name in self.commands + self.disturbed]
+
+    def reset(self) -> None:
+        """Forget what was before."""
+        self.controller = Controller(self.loop, self.decimals.get("u")) if self.ours else None
+        self.applied = None  # the last commands
+        self.due = None  # when the next sample is due, by the rig's clock
 
     def rounded(self, name, values) -> np.ndarray:
         """A signal with as many digits as are recorded."""
@@ -128,198 +169,138 @@ class ControlledRig:
 
     def begin(self, trial) -> None:
         """Bring the rig to where trials begin, if it can."""
-        if hasattr(self.rig, "begin"):
-            self.rig.begin(trial)
+        self.place = f"trial {trial}"
+        if self.bring_back:
+            self.bring_back(trial)
             self.reset()
 
-    def reset(self) -> None:
-        """Forget what was before."""
+    def pause(self, trial, samples, w, start) -> str:
+        """Hold w before a trial for so many samples; None: until the rig stands at its start.
+
+        Returns what there is to be warned of.
+        """
+        flows, length, still = np.zeros(len(self.disturbed)), start.samples, 0
+        longest = round(LONGEST * length) if samples is None else samples
+        for p in range(longest):
+            self.place = f"pause before trial {trial}, sample {p + 1}"
+            y = self.sample(w, flows)["y"]
+            still = still + 1 if start.near(y, w) else 0
+            if samples is None and still >= STILL * length:
+                return ""
+        if samples is not None:
+            return ""
+        return f"before trial {trial} the outputs were not back and still after {longest} samples"
+
+    def run(self, trial, w, commanded, bar, first=0) -> dict[str, np.ndarray]:
+        """Run one trial, from its sample `first` on; its signals but v, shape (time, channel)."""
+        self.place = f"trial {trial}"
+        if self.whole:
+            signals = self.run_whole(w)
+            bar.update(len(w))
+            return signals
+        if not self.goes_on:
+            self.due = None
+        if not first:
+            self.late = []
+        samples = []
+        for p in range(len(w)):
+            self.place = f"trial {trial}, sample {first + p + 1}"
+            self.check_clock()
+            samples.append(self.sample(w[p], commanded[p]))
+            bar.update()
+        return {name: np.array([s[name] for s in samples]) for name in samples[0]}
+
+    def run_whole(self, w) -> dict[str, np.ndarray]:
+        """Upload w, let the trial run, download and check it."""
+        names, actuators, signals = self.loop.controls, self.actuators, {}
+        cut_off = actuators is not None and not self.ours
+        result = self.rig.run(actuators.follow(w) if cut_off else w.copy())
+        pair = names and isinstance(result, tuple) and len(result) == 2
+        y, u = result if pair else (result, None)
+        signals["y"] = _reading("y", y, w.shape)
+        if names:
+            signals["u"] = self.rounded("u", _reading("u", u, w.shape))
+        trial = self.place
+        for p in range(len(w)):
+            self.place = f"{trial}, sample {p + 1}"
+            self.check_stop(self.outputs, signals["y"][p])
+            if self.ours:
+                self.check_stop(self.commands, signals["u"][p])
+        if self.ours and actuators is not None:
+            signals["applied"] = actuators.follow(signals["u"])
+        return signals
+
+    def check_clock(self) -> None:
+        """Note by how much a sample is off the clock of the rig, if it has one."""
+        if self.clock:
+            now = self.clock()
+            due = now if self.due is None else self.due
+            self.late.append(abs(now - due))
+            self.due = due + self.Ts
+
+    def sample(self, w, flows) -> dict[str, np.ndarray]:
+        """Let one sampling period pass: read, check, then apply what the controller makes of it."""
+        y, measured = self.read()
+        self.check_stop(self.outputs, y)
+        signals, commands = {"y": y}, w
+        if self.controller:
+            signals["delta"] = self.rounded("delta", self.controller.delta)
+            signals["u"] = commands = self.controller.command(w)
+        elif self.reported:
+            signals["u"] = np.array([self.rounded("u", measured[name]) for name in self.reported])
+        self.check_stop(self.commands, commands)
+        if self.actuators is not None:
+            commands = self.actuators.next(commands, self.applied)
+        self.applied = commands
+        if self.controller:
+            self.controller.observe(y, commands)
+            if self.actuators is not None:
+                signals["applied"] = commands
+        inputs = np.zeros(len(self.inputs))
+        inputs[self.positions] = np.concatenate([commands, flows])
+        self.rig.apply(inputs)
+        if self.recorded:
+            measured |= dict(zip(self.disturbed, flows, strict=True))
+            signals["disturbance"] = np.array([measured[name] for name in self.recorded])
+        return signals
+
+    def read(self) -> tuple[np.ndarray, dict[str, float]]:
+        """The outputs, and what else is measured; nothing is used before it is checked."""
+        also = self.measured + self.reported
+        y, measured = self.rig.read(), self.rig.measured if also else {}
+        y = _reading("reading", y, (len(self.outputs),))
+        values = {name: float(_reading(name, measured.get(name), ())) for name in also}
+        for name in self.measured:
+            values[name] = self.rounded("disturbance", values[name])
+        return y, values
 
     def check_stop(self, names, values) -> None:
         """Stop at what is beyond the limits of `stop`."""
-        if not self.stop:
-            return
         for name, value in zip(names, values.tolist(), strict=True):
             low, high = self.stop.get(name, UNLIMITED)
             if not low <= value <= high:
                 what = f"{name} = {value:.6g} is not from {low:.6g} to {high:.6g}"
                 raise StoppedError(f"{what}, the limits of stop")
 
-    def beyond(self, names, values) -> np.ndarray:
-        """Which samples of a signal (time, channel) are beyond the limits of `stop`."""
-        low, high = np.array([self.stop.get(name, UNLIMITED) for name in names]).T
-        return np.any((values < low) | (values > high), axis=1)
-
-    @contextmanager
-    def safe_in_the_end(self):
-        """Leave the rig in a safe state on every way out."""
-        try:
-            yield
-        finally:
-            if hasattr(self.rig, "safe"):
-                self.rig.safe()
-            elif hasattr(self.rig, "apply"):
-                self.rig.apply(np.zeros(len(self.inputs)))
+    def make_safe(self) -> None:
+        """Leave the rig in a safe state."""
+        if self.leave_safe:
+            self.leave_safe()
+        elif not self.whole:
+            self.rig.apply(np.zeros(len(self.inputs)))
 
 
-class SampledRig(ControlledRig):
-    """A rig of two methods, read and apply, whose controller is its own: it takes w."""
-
-    def __init__(self, rig, loop, decimals):
-        super().__init__(rig, loop, decimals)
-        measured = getattr(rig, "measured", {})
-        self.reported = [] if self.ours else loop.controls  # u, by the rig
-        missing = [name for name in self.reported if name not in measured]
-        if missing:
-            raise ValueError(f"rig.measured must have the controls {missing} of the loop")
-        names = loop.disturbances
-        self.disturbed = [name for name in names if name in self.inputs]
-        self.recorded = [n for n in names if n in self.disturbed or n in measured]
-        self.measured = [n for n in self.recorded if n not in self.disturbed]
-        self.also = self.measured + self.reported
-        commands = self.commands + self.disturbed
-        self.positions = np.array([self.inputs.index(name) for name in commands])
-        self.reset()
-
-    def reset(self):
-        self.applied = None  # the last commands
-        self.due = None  # when the next sample is due, by the rig's clock
-
-    def pause(self, trial, samples, w, start) -> None:
-        """Hold w before a trial for so many samples; None: until all is back and still."""
-        flows, y = np.zeros(len(self.disturbed)), []
-        where = f"pause before trial {trial}"
-        with _located(where, lambda: len(y) + 1, NOT_APPLIED):
-            for p in range(start.longest if samples is None else samples):
-                y.append(self.sample(w, flows)["y"])
-                asked = samples is None and p % max(1, start.window // 10) == 0
-                if asked and start.back(y, w):
-                    return
-        if samples is None:
-            warnings.warn(
-                f"before trial {trial} the outputs were not back and still after {len(y)} samples",
-                stacklevel=6,
-            )
-
-    def run(self, trial, w, commanded, bar, first=0) -> dict[str, np.ndarray]:
-        """Run one trial, from its sample `first` on; its signals but v, shape (time, channel)."""
-        clock = getattr(self.rig, "clock", None)
-        if not self.goes_on:
-            self.due = None
-        if not first:
-            self.late = []
-        samples = []
-        with _located(f"trial {trial}", lambda: first + len(samples) + 1, NOT_APPLIED):
-            for p in range(len(w)):
-                if clock:
-                    now = clock()
-                    due = now if self.due is None else self.due
-                    self.late.append(abs(now - due))
-                    self.due = due + self.Ts
-                samples.append(self.sample(w[p], commanded[p]))
-                bar.update()
-        return {name: np.array([s[name] for s in samples]) for name in samples[0]}
-
-    def sample(self, w, flows) -> dict[str, np.ndarray]:
-        """Let one sampling period pass: read, check, then apply what the controller makes of it."""
-        y, measured = self.read()
-        self.check_stop(self.outputs, y)
-        signals = self.control(y, w, measured)
-        sent = np.concatenate([self.applied, flows]) if self.disturbed else self.applied
-        inputs = np.zeros(len(self.inputs))
-        inputs[self.positions] = sent
-        self.rig.apply(inputs)
-        if self.recorded:
-            measured |= dict(zip(self.disturbed, flows, strict=True))
-            disturbance = [measured[name] for name in self.recorded]
-            signals["disturbance"] = np.array(disturbance)
-        signals["y"] = y
-        return signals
-
-    def control(self, y, w, measured) -> dict[str, np.ndarray]:
-        """Set `applied`, the commands of this sample; the signals that this makes."""
-        self.send(w)
-        u = [self.rounded("u", measured[name]) for name in self.reported]
-        return {"u": np.array(u)} if u else {}
-
-    def send(self, commands) -> None:
-        """Set `applied`: the commands of a sample, cut off at the limits of the law."""
-        self.check_stop(self.commands, commands)
-        if self.actuators is not None:
-            commands = self.actuators.next(commands, self.applied)
-        self.applied = commands
-
-    def read(self) -> tuple[np.ndarray, dict[str, float]]:
-        """The outputs, and what else is measured; nothing is used before it is checked."""
-        y, measured = self.rig.read(), self.rig.measured if self.also else {}
-        y = _reading("reading", y, (len(self.outputs),))
-        values = {n: float(_reading(n, measured.get(n), ())) for n in self.also}
-        for name in self.measured:
-            values[name] = self.rounded("disturbance", values[name])
-        return y, values
-
-
-class ControllerOnRig(SampledRig):
-    """A rig of two methods, with our controller."""
-
-    def reset(self):
-        super().reset()
-        self.controller = Controller(self.loop, self.decimals.get("u"))
-
-    def control(self, y, w, measured):
-        controller = self.controller
-        signals = {"delta": self.rounded("delta", controller.delta)}
-        signals["u"] = controller.command(w)
-        self.send(signals["u"])
-        controller.observe(y, self.applied)
-        if self.actuators is not None:
-            signals["applied"] = self.applied
-        return signals
-
-
-class WholeTrialRig(ControlledRig):
-    """A rig that runs whole trials by itself, whoever's the controller is."""
-
-    waits = False
-
-    def run(self, trial, w, commanded, bar) -> dict[str, np.ndarray]:
-        """Upload w, let the trial run, download and check it."""
-        names, actuators, signals = self.loop.controls, self.actuators, {}
-        cut_off = actuators is not None and not self.ours
-        with _located(f"trial {trial}"):
-            result = self.rig.run(actuators.follow(w) if cut_off else w.copy())
-            pair = names and isinstance(result, tuple) and len(result) == 2
-            y, u = result if pair else (result, None)
-            signals["y"] = _reading("y", y, w.shape)
-            if names:
-                signals["u"] = self.rounded("u", _reading("u", u, w.shape))
-        checked = [(self.outputs, signals["y"])]
-        if self.ours:
-            checked.append((self.commands, signals["u"]))
-        p = 0
-        with _located(f"trial {trial}", lambda: p + 1):
-            for p in np.flatnonzero(np.any([self.beyond(*c) for c in checked], axis=0)):
-                for names, values in checked:
-                    self.check_stop(names, values[p])
-        if actuators is not None and self.ours:
-            signals["applied"] = actuators.follow(signals["u"])
-        bar.update(len(w))
-        return signals
-
-
-def controlled(rig, loop: Loop, decimals) -> ControlledRig:
-    """A rig with the controller of its loop, of one of the three kinds."""
-    if isinstance(rig, type):
-        raise ValueError(f"rig = {rig!r} is a class: make one")
-    arguments.instance("loop", loop, Loop)
-    methods = {name for name in ("read", "apply", "run") if callable(getattr(rig, name, None))}
+def _runs_whole_trials(rig) -> bool:
+    """Whether a rig is a TrialRig, and not a Rig."""
+    names = () if isinstance(rig, type) else ("read", "apply", "run")
+    methods = {name for name in names if callable(getattr(rig, name, None))}
     if {"read", "apply"} <= methods:
-        kind = ControllerOnRig if isinstance(loop, CurrentTrialLoop) else SampledRig
-    elif "run" in methods:
-        kind = WholeTrialRig
-    else:
-        raise ValueError(f"rig = {reprlib.repr(rig)} has no methods read and apply: see Rig")
-    return kind(rig, loop, decimals)
+        return False
+    if "run" in methods:
+        return True
+    raise ValueError(
+        f"rig = {reprlib.repr(rig)} is a class or has no methods read and apply: see Rig"
+    )
 
 
 def _reading(name, values, shape):
@@ -328,20 +309,6 @@ def _reading(name, values, shape):
         return arguments.array(name, values, shape)
     except ValueError as error:
         raise RigError(str(error)) from None
-
-
-@contextmanager
-def _located(where, sample=None, more=""):
-    """Say in an error where it arose; `sample` gives the number of the sample."""
-    try:
-        yield
-    except Exception as error:
-        if sample is not None:
-            where = f"{where}, sample {sample()}"
-        if not isinstance(error, RigError):
-            error.add_note(f"in {where}")
-            raise
-        raise type(error)(f"{where}: {error}{more}") from None
 
 
 def _rounded(values, decimals):

@@ -1,6 +1,8 @@
 """Running an experiment on a rig, trial by trial: learning by the ILC law, or shaking the loop."""
 
-from dataclasses import replace
+import warnings
+from contextlib import closing
+from functools import partial
 
 import numpy as np
 import xarray as xr
@@ -9,16 +11,13 @@ from ilctools import arguments
 from ilctools.filters import LearningFilter
 from ilctools.law.io import BEGUN, NO_RESET, RESET, with_law
 from ilctools.law.law import Law
-from ilctools.law.limits import realised
 from ilctools.law.repetitive import check_period, next_samples
 from ilctools.loop.closed import Loop
 from ilctools.measurement.excitation import Excitation, with_excitation
-from ilctools.rigs.controlled import controlled
-from ilctools.rigs.limits import stop_limits
+from ilctools.rigs.controlled import ControlledRig
 from ilctools.rigs.protocol import Rig, TrialRig
 from ilctools.rigs.recording import Experiment, in_succession
 from ilctools.signals import check_match
-from ilctools.trials.run import commands_of
 
 
 def record(
@@ -61,9 +60,9 @@ def record(
     path : path-like, optional
         Of a log, which is written anew when a trial ends, so that a fault costs one trial at most;
         without it, all. If the log is there, its trials must be of the same experiment, and the
-        next one follows; a last trial that is shorter than the first is dropped. If it has `trials`
-        or more, none is run, and all of them are returned. Meanwhile no other process can record
-        to it.
+        next one follows; a last trial that is shorter than the first is dropped. That the plant is
+        the same, nothing checks but the trials that follow. If it has `trials` or more, none is
+        run, and all of them are returned. Meanwhile no other process can record to it.
     v : array_like, shape (time, m), optional
         ILC signal of the first trial. Default zero. With L None, that of all trials.
     pause : int, optional
@@ -130,63 +129,67 @@ def record(
     >>> bool(abs(run.e[-1]).max() < 0.1 * abs(run.e[0]).max())
     True
     """
-    controlled_rig = controlled(rig, loop, decimals)
     law = arguments.instance("law", law, Law).bound_to(loop)
-    check_match(law=law, rig=controlled_rig)
-    if law.limits is None:
-        law = replace(law, limits=controlled_rig.limits)
-    controlled_rig.actuators = law.actuators
     if path is not None and law.L is not None:
         arguments.instance("L", law.L, LearningFilter)  # or the log could not note it
     trials = arguments.whole("trials", trials, 1)
-    goes_on = controlled_rig.goes_on = not arguments.flag("reset", reset)
-    if goes_on and not (controlled_rig.waits and pause is None):
-        raise ValueError(
-            f"reset = False with pause = {pause}, a pause or a rig that runs whole trials: leave "
-            "pause, and give the rig read and apply"
-        )
-    if pause is None:
-        pause = 0 if hasattr(rig, "begin") else None
-    elif arguments.whole("pause", pause, 0) and not controlled_rig.waits:
-        raise ValueError(f"pause = {pause}, but rig.run begins where every trial begins: leave it")
-    outputs = loop.outputs
-    reference = arguments.each_trial("reference", reference, trials, "time", outputs)
+    goes_on = not arguments.flag("reset", reset)
+    reference = arguments.each_trial("reference", reference, trials, "time", loop.outputs)
     samples = reference.shape[1]
     first = law.first(samples, v)
-    commanded = controlled_rig.commanded(disturbance, trials, samples)
-
     if goes_on:
         check_period(law, samples)
+    controlled = ControlledRig(rig, loop, reference, law, stop, decimals, goes_on)
+    law, pause = controlled.law, _checked_pause(pause, controlled)
+    check_match(law=law, rig=controlled)
+    commanded = controlled.commanded(disturbance, trials, samples)
 
-    def applied_so_far(trials):
-        """v as far as it was applied, and e, of all samples."""
-        if not trials:
-            return first[:0], first[:0]
-        signals = in_succession(trials)
-        v = signals["v"]
-        r = np.concatenate(reference)[: len(v)]
-        commands = commands_of(loop, r + v, signals, law.actuators)
-        return realised(loop, v, **commands) if law.actuators else v, r - signals["y"]
-
-    def following(trials):
-        if goes_on:
-            return next_samples(law, *applied_so_far(trials), first)
-        if not trials:
-            return first
-        last, r = trials[-1], reference[len(trials) - 1]
-        commands = commands_of(loop, r + last["v"], last, law.actuators)
-        return law.next(last["v"], r - last["y"], **commands)
-
+    following = partial(_next_v, law, reference, first, goes_on)
     notes = with_law(xr.Dataset(), law).attrs
     if v is not None:
         notes[BEGUN] = "v of trial 1 was given"
     if goes_on:
         notes[RESET] = NO_RESET
-    controlled_rig.stop = stop_limits(stop, reference, loop, controlled_rig.limits)
-    experiment = Experiment(
-        controlled_rig, reference, commanded, following, notes, law, alike=reset
-    )
-    return experiment.run(pause, path)
+    return _recorded(Experiment(controlled, reference, commanded, following, notes), pause, path)
+
+
+def _recorded(experiment, pause, path):
+    """The log of an experiment that is run; its warnings are those of the door."""
+    with closing(experiment.run(pause, path)) as progress:  # safe whatever becomes of a warning
+        for text in progress:
+            warnings.warn(text, stacklevel=3)
+    return experiment.log
+
+
+def _next_v(law, reference, first, goes_on, trials):
+    """v by the law (23) after these trials; if the rig goes on, of the samples that follow."""
+    if not trials:
+        return first
+    signals = in_succession(trials) if goes_on else trials[-1]
+    r = np.concatenate(reference) if goes_on else reference[len(trials) - 1]
+    v, y = signals["v"], signals["y"]
+    e, w = r[: len(v)] - y, r[: len(v)] + v
+    u = applied = law.loop.asked(w, signals.get("u"))
+    if law.actuators is not None:
+        applied = signals.get("applied", law.actuators.follow(u))
+    if not goes_on:
+        return law.next(v, e, u, applied)  # (23)
+    v = v if law.actuators is None else law.loop.realised(v, u, applied)
+    return next_samples(law, v, e, first)
+
+
+def _checked_pause(pause, controlled):
+    """Samples between two trials; None: until the outputs are back."""
+    if controlled.goes_on and (controlled.whole or pause is not None):
+        raise ValueError(
+            f"reset = False with pause = {pause}, a pause or a rig that runs whole trials: leave "
+            "pause, and give the rig read and apply"
+        )
+    if pause is None:
+        return 0 if controlled.whole or controlled.bring_back else None
+    if arguments.whole("pause", pause, 0) and controlled.whole:
+        raise ValueError(f"pause = {pause}, but rig.run begins where every trial begins: leave it")
+    return pause
 
 
 def shake(
@@ -243,18 +246,13 @@ def shake(
     >>> P.response.shape[0] == len(P.omega)
     True
     """
-    controlled_rig = controlled(rig, loop, decimals)
-    arguments.instance("excitation", excitation, Excitation)
-    check_match(loop=loop, rig=controlled_rig, excitation=excitation)
-    shaken = excitation.signals
-    commanded = controlled_rig.commanded(None, *shaken.shape[:2])
-    limits = controlled_rig.limits if controlled_rig.ours else None  # of controls
+    arguments.instance("loop", loop, Loop)
+    shaken = arguments.instance("excitation", excitation, Excitation).signals
+    controlled = ControlledRig(rig, loop, shaken, None, stop, decimals)
+    check_match(loop=loop, rig=controlled, excitation=excitation)
+    commanded = controlled.commanded(None, *shaken.shape[:2])
+    limits = controlled.limits if loop.commands == loop.controls else None
     notes = with_excitation(xr.Dataset(), excitation, loop, limits).attrs
-
-    def following(trials):
-        return shaken[len(trials)]
-
-    controlled_rig.stop = stop_limits(stop, shaken, loop, controlled_rig.limits)
-    reference = np.zeros(shaken.shape)
-    experiment = Experiment(controlled_rig, reference, commanded, following, notes, alike=False)
-    return experiment.run(0, path)
+    following = lambda trials: shaken[len(trials)]  # noqa: E731
+    experiment = Experiment(controlled, np.zeros(shaken.shape), commanded, following, notes)
+    return _recorded(experiment, 0, path)

@@ -2,9 +2,8 @@
 
 M of (40) is affine in the coefficients of L. A bound on the largest singular value of either is a
 linear matrix inequality, one per frequency, and the problems are semidefinite programs.
-:mod:`~ilctools.synthesis.design` is the way through. Three modules solve the problems:
-`interior_point`, which is fast and the default;
-`active_set`, which adds digits to its solution, and is faster still from
-that of a similar problem; and :mod:`~ilctools.synthesis.statement`, in CVXPY. None of them is
-trusted: what is returned has a certificate.
+:mod:`~ilctools.synthesis.design` is the way through: state the problem, formulate it as a program,
+solve that by an interior-point method, and certify the result. The solver is not trusted: what is
+returned has a certificate. :mod:`~ilctools.synthesis.statement` is the paper's problem in CVXPY,
+to read and to compare with.
 """

@@ -7,10 +7,32 @@ optimal for a part of the bounds and meets all of them is optimal for all.
 
 import numpy as np
 
-from ilctools.problem.problem import largest_singular_values
-from ilctools.synthesis.formulate import bound_on_M, entries_of
+from ilctools.problem.problem import Problem, Solution, largest_singular_values
+from ilctools.synthesis.formulate import bound_on_M, formulate
+from ilctools.synthesis.solver.interior_point import minimise
+from ilctools.synthesis.solver.program import Infeasible
 
 PASSED = 1e-10  # relative violation that is rounding
+HALVINGS = 50  # of an interval of shares, which is then below rounding
+
+
+def solve(problem: Problem, enough: float = 0.0) -> Solution:
+    """Solve a problem at its frequencies; Infeasible, with the nearest solution, if it is.
+
+    Below the objective `enough` the solution need not be the optimum.
+    """
+    plant, frequency = np.empty((2, 0), dtype=int)
+    while True:
+        formulation = formulate(problem, plant, frequency)
+        try:
+            solution = formulation.solution(minimise(formulation.program, enough))
+        except Infeasible as error:
+            raise Infeasible(formulation.solution(error.nearest)) from None
+        limit = solution.largest if problem.objective == "peak" else problem.M_max
+        of_plant, at = violated(problem, solution, limit, plant, frequency)
+        if not len(at):
+            return solution
+        plant, frequency = np.append(plant, of_plant), np.append(frequency, at)
 
 
 def violated(problem, solution, limit, plant, frequency):
@@ -29,22 +51,33 @@ def violated(problem, solution, limit, plant, frequency):
 
 
 def _worst_case(problem, L, k, level):
-    """Of M for a plant, exact where it exceeds the level."""
+    """sigma_max(M) of a plant within the radius; where it is below the level, an upper bound."""
     if problem.radius is None:
         return largest_singular_values(problem.M(L, k))
     every = np.arange(len(problem.omega))
-    rows, cols = entries_of(problem.channels, "full")
-    bound = bound_on_M(problem, np.full_like(every, k), every, rows, cols)
-    G = bound.matrices(L[:, rows, cols].T)
-    return bound.tighten(G, bound.first_split(G), level)[1]
+    bound = bound_on_M(problem, np.full_like(every, k), every, problem.radius, every)
+    G = bound.F + np.einsum("ijn,njk->ikn", bound.T, L[every])
+    value = bound.value(G, bound.first_share(G))
+    active = value > level
+    value[active] = least_value(bound, G[..., active])
+    return value
 
 
-def first_cuts(problem, start):
-    """The cuts of an earlier solution, if any, as far as the problem has such plants."""
-    none = np.array([], dtype=int)
-    if start is None or start.cuts is None:
-        return none, none
-    plant, frequency = start.cuts.plant, start.cuts.frequency
-    # the nominal one is in every program
-    known = (plant > 0) & (plant < len(problem.plants))
-    return plant[known], frequency[known]
+def least_value(bound, G):
+    """The least of sigma_max(Lambda(share)^(-1/2) G), convex in the share, by bisection.
+
+    With the right singular vector x, its derivative has the sign of
+
+        |M x|^2 / (1 - share)^2 - |H x|^2 / share^2,    G = [M; H].
+    """
+    q = G.shape[1]
+    low, high = np.zeros(G.shape[2]), np.ones(G.shape[2])
+    for _ in range(HALVINGS):
+        share = (low + high) / 2
+        scaled = G / np.sqrt(bound.diagonal(1.0, share))[:, None]
+        x = np.linalg.svd(np.moveaxis(scaled, -1, 0))[2][:, 0].conj()
+        images = np.einsum("ijn,nj->in", G, x)
+        M_x, H_x = (np.linalg.norm(part, axis=0) for part in (images[:q], images[q:]))
+        rises = M_x * share > H_x * (1 - share)
+        low, high = np.where(rises, low, share), np.where(rises, share, high)
+    return bound.value(G, share)

@@ -5,26 +5,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from ilctools import arguments
-from ilctools.evidence.certificate import GAP, VIOLATION, Certificate, certify, checked_trial
-from ilctools.evidence.optimality import lower_bound
+from ilctools.evidence.certificate import Certificate, certify
 from ilctools.problem.defaults import CHOOSE
 from ilctools.problem.grid import without_gaps
 from ilctools.problem.pose import pose
-from ilctools.problem.problem import Problem, Solution, largest_singular_values, tied
-from ilctools.synthesis.cuts import first_cuts, violated
-from ilctools.synthesis.everywhere import PASSED, carried, settled
-from ilctools.synthesis.formulate import formulate
+from ilctools.problem.problem import Problem, largest_singular_values, tied
+from ilctools.synthesis.cuts import solve
+from ilctools.synthesis.everywhere import solve_everywhere
 from ilctools.synthesis.result import InfeasibleError, SolverError, Synthesis
-from ilctools.synthesis.solver import active_set, interior_point
 from ilctools.synthesis.solver.program import Infeasible
 from ilctools.synthesis.solver.threads import on_one_thread
 
 EQUAL = 1e-3  # relative distance of multipliers that are the same for the solver
 HOPELESS = 1 - 1e-6  # from here on a smallest M_max is one, and raising it no remedy
-# relative duality gap up to which what the active bounds lead to is accepted
-GOOD = 1e-8
-CVXPY_TOLERANCES = (1e-5, 1e-6)  # Clarabel ends "almost solved" on these problems
 
 
 @on_one_thread
@@ -44,9 +37,6 @@ def synthesise(
     scale=None,
     uncertainty=None,
     everywhere=False,
-    start=None,
-    samples=None,
-    rest=0,
 ) -> Synthesis:
     """Design the learning filter by convex optimisation, (39) or (45) with (46).
 
@@ -107,14 +97,6 @@ def synthesise(
         proof, to a relative 3e-8; between samples by splines, and without the radius. The sum is
         that over `omega`. It takes two to three times as long, for filters of 60 samples ten times
         and more, of two channels up to a minute; half the `order` takes a fraction of that.
-    start : Synthesis, optional
-        A design for other bounds, another band or a similar plant to start from, of the same order
-        and size, best on the same `omega`. It makes the synthesis faster, not different.
-    samples : int, optional
-        Length of a trial. The certificate then says what one trial does to the ILC signal, by
-        :func:`ilctools.trial_norm`; P and Q must be models.
-    rest : int
-        Number of samples at the end of that trial in which v is held at zero.
 
     Returns
     -------
@@ -141,6 +123,7 @@ def synthesise(
     --------
     least_gain : the filter of least gain among those of least peak
     convergence : what another filter does
+    trial_norm : what one trial, with its two ends, does to v
 
     Examples
     --------
@@ -168,14 +151,14 @@ def synthesise(
         uncertainty=uncertainty,
         everywhere=everywhere,
     )
-    return warned(certified(problem, start=start, samples=samples, rest=rest))
+    return warned(certified(problem))
 
 
-def insist(solution: Solution, certificate: Certificate):
+def insist(certificate: Certificate):
     """Raise if a certificate fails."""
     if certificate.failures:
         failures = "; ".join(certificate.failures)
-        raise SolverError(f"{solution.method}: {failures}{_remedy(certificate.problem)}")
+        raise SolverError(f"{failures}{_remedy(certificate.problem)}")
 
 
 def _remedy(problem):
@@ -196,34 +179,18 @@ def warned(design: Synthesis) -> Synthesis:
     return design
 
 
-def certified(
-    problem: Problem, *, solver="structured", start=None, samples=None, rest=0, check=True
-) -> Synthesis:
+def certified(problem: Problem, *, check=True) -> Synthesis:
     """Solve a problem, and certify the filter; arguments and errors of :func:`synthesise`."""
-    arguments.choice("solver", solver, ["structured", "cvxpy"])
-    arguments.flag("check", check)
-    samples, rest = checked_trial(problem, samples, rest)
     stated, problem = problem.design, without_gaps(problem)
-    if start is not None:
-        arguments.instance("start", start, Synthesis)
-        m, shape = stated.channels, start.solution.coefficients.shape
-        if shape != (m, m, stated.order):
-            raise ValueError(
-                f"start is a design with coefficients of shape {shape}, but must have "
-                f"{(m, m, stated.order)}: leave start out"
-            )
-        start = carried(start.solution, start.certificate.problem, problem)
-    by_solver = _solve_with_cvxpy if solver == "cvxpy" else solve
-    tolerances = CVXPY_TOLERANCES if solver == "cvxpy" else (GAP, VIOLATION)
     try:
-        problem, solution = settled(problem, by_solver, start, PASSED + tolerances[1])
+        problem, solution = solve_everywhere(problem)
     except Infeasible as error:
         raise _explained(problem, error.nearest) from None
     except RuntimeError as error:
-        raise SolverError(f"{solver}: {error}{_remedy(problem)}") from None
-    certificate = certify(problem, solution, tolerances, samples, rest)
+        raise SolverError(f"{error}{_remedy(problem)}") from None
+    certificate = certify(problem, solution)
     if check:
-        insist(solution, certificate)
+        insist(certificate)
     L = stated.response(solution)
     return Synthesis(
         problem.filter(solution.coefficients),
@@ -235,77 +202,12 @@ def certified(
     )
 
 
-def solve(problem: Problem, start: Solution | None = None) -> Solution:
-    """Solve a problem by the structured solvers, without a certificate; Infeasible if it is."""
-    return _with_cuts(problem, start, _solve_program)
-
-
-def _solve_program(problem, program, start):
-    """From a start if that leads somewhere, or from nothing."""
-    if start is not None:
-        # Crests lie close together: good enough is GAP, and what needs damping is not worth it.
-        good, most = (GAP / 2, 0.1) if problem.everywhere else (GOOD, active_set.MOST_DAMPING)
-        found = active_set.resolve(program, start, steps=12, most=most)
-        if found is not None and _is_good(problem, found, good):
-            return found
-    solution = interior_point.solve(program, lambda found: _is_good(problem, found, GAP / 2))
-    # More digits, where a few steps lead to them; of a sum, only such as are full or nearly so.
-    most = 1e-3 if problem.objective == "sum" else active_set.MOST_DAMPING
-    found = active_set.resolve(program, solution, steps=3, most=most)
-    if found is None or not _is_good(problem, found, GOOD):
-        return solution
-    iterations = solution.iterations + found.iterations
-    return replace(found, method=solution.method, iterations=iterations)
-
-
-def _solve_with_cvxpy(problem, start):
-    # here, because CVXPY takes long to import
-    from ilctools.synthesis import statement
-
-    return _with_cuts(problem, None, lambda problem, program, start: statement.solve(program))
-
-
-def _with_cuts(problem, start, solver):
-    """Solve with a part of the bounds, add those that the solution violates, and solve again."""
-    plant, frequency = first_cuts(problem, start)
-    while True:
-        start = solver(problem, formulate(problem, plant, frequency), start)
-        limit = start.largest if problem.objective == "peak" else problem.M_max
-        more = violated(problem, start, limit, plant, frequency) if problem.robust else ([], [])
-        if not len(more[0]):
-            return start
-        plant, frequency = np.append(plant, more[0]), np.append(frequency, more[1])
-
-
-def _is_good(problem, solution, gap):
-    """Whether a solution is within its bounds, and proven to be as good as the gap says."""
-    L = problem.response(solution)
-    sigma_M = largest_singular_values(problem.M(L))
-    worst = max(sigma_M.max(), solution.largest if problem.robust else 0)
-    value = problem.value(sigma_M, np.array([worst]))
-    return (
-        worst <= problem.M_max * (1 + VIOLATION)
-        and problem.passed_L(L) <= 1 + VIOLATION
-        and value - lower_bound(problem, solution.U, solution.V, solution.cuts)
-        < gap * problem.unit(value)
-    )
-
-
 def _explained(problem, nearest):
     """The error that says which bound is too tight, where, and what would be feasible."""
     posed, on_grid = problem, len(nearest.V) > len(problem.omega_L)
-    # not all of them had a say so far
-    if len(problem.plants) > 1 or problem.everywhere:
-        posed = replace(problem, M_max=np.inf, objective="peak")
-        posed, nearest = settled(posed, solve, None if on_grid else nearest)
-    size = np.linalg.norm(nearest.U, axis=(1, 2))
-    plant, frequency = 0, tied(size).argmax()
-    if nearest.cuts is not None:
-        of_cuts = np.linalg.norm(nearest.cuts.N, axis=(1, 2))
-        if of_cuts.max() >= size.max() * (1 - EQUAL):
-            most = tied(of_cuts).argmax()
-            plant, frequency = (int(nearest.cuts.plant[most]), nearest.cuts.frequency[most])
-    omega = float(posed.omega[frequency])
+    if len(problem.plants) > 1 or problem.everywhere:  # not all of the bounds had a say so far
+        posed, nearest = solve_everywhere(replace(problem, M_max=np.inf, objective="peak"))
+    plant, omega = _obstacle(posed, nearest)
     where = f"plant {plant} at {omega:.4g} rad/s" if problem.robust else f"{omega:.4g} rad/s"
     message = f"{_advice(problem, nearest.largest)} (most in the way: {where})"
     if on_grid:
@@ -317,12 +219,23 @@ def _explained(problem, nearest):
         message += (
             f". P is not known well enough at {len(lost)} frequencies from {lost[0]:.4g} to "
             f"{lost[-1]:.4g} rad/s, where the radius contains singular plants: measure longer "
-            "there, "
-            "or lower the cut-off of Q"
+            "there, or lower the cut-off of Q"
         )
     if np.isfinite(problem.limit_L).any():
         message += f". It is {problem.assumed[0]}: measure further"
     return InfeasibleError(message, nearest.largest, plant, omega)
+
+
+def _obstacle(problem, nearest):
+    """The plant and the frequency with the largest multiplier."""
+    size = np.linalg.norm(nearest.U, axis=(1, 2))
+    plant, frequency, cuts = 0, tied(size).argmax(), nearest.cuts
+    if cuts is not None:
+        of_cuts = np.linalg.norm(cuts.N, axis=(1, 2))
+        if of_cuts.max() >= size.max() * (1 - EQUAL):
+            most = tied(of_cuts).argmax()
+            plant, frequency = int(cuts.plant[most]), cuts.frequency[most]
+    return plant, float(problem.omega[frequency])
 
 
 def _advice(problem, smallest):
@@ -332,9 +245,7 @@ def _advice(problem, smallest):
     raised = "raise M_max" if smallest < HOPELESS else "no M_max below 1 will do, so"
     if L_max is not None:
         unbounded = replace(problem, L_max=None, M_max=np.inf, objective="peak")
-        without = _with_cuts(
-            unbounded, None, lambda _, program, start: interior_point.solve(program, enough=M_max)
-        ).largest
+        without = solve(unbounded, enough=M_max).largest
         if without <= M_max:
             return (
                 f"infeasible: L_max = {L_max} is too tight for M_max = {M_max}. With this L_max "

@@ -5,8 +5,6 @@ passed. Each problem on the way asks for less than the bounds at every frequency
 filter that meets those is better than its lower bound says.
 """
 
-from dataclasses import replace
-
 import numpy as np
 from tqdm import tqdm
 
@@ -20,7 +18,8 @@ from ilctools.evidence.peak import (
 )
 from ilctools.filters import LearningFilter
 from ilctools.problem.grid import refined
-from ilctools.problem.problem import Cuts, Problem, Solution, largest_singular_values
+from ilctools.problem.problem import Problem, Solution, largest_singular_values
+from ilctools.synthesis.cuts import solve
 
 ROUNDS, FURTHER = 50, 5000  # and further frequencies, at which to give up
 PASSED = 2e-8  # share of a bound that the proof of a peak may pass it by
@@ -31,23 +30,16 @@ NEAR = 0.99  # share of a bound from which on a crest is held with those that pa
 PARTS = (0.05, 0.5)
 
 
-def settled(
-    problem: Problem, solver, start: Solution | None = None, passed=PASSED
-) -> tuple[Problem, Solution]:
-    """The problem, with all frequencies that its bounds need, and what a solver makes of it."""
-    solution = solver(problem, start)
+def solve_everywhere(problem: Problem) -> tuple[Problem, Solution]:
+    """Solve a problem; returned with all frequencies that its bounds need."""
+    solution = solve(problem)
     if not problem.everywhere:
         return problem, solution
     for _ in tqdm(range(ROUNDS), "bounds at every frequency", leave=False, delay=3, disable=None):
-        wider = _wider(problem, solution, 1 + passed)
-        if wider is None:
+        wider = _wider(problem, solution, 1 + PASSED)
+        if wider is None or len(wider.omega_L) - len(wider.design.omega) > FURTHER:
             break
-        if len(wider.omega_L) - len(wider.design.omega) > FURTHER:
-            break
-        again = solver(wider, carried(solution, problem, wider))
-        iterations = solution.iterations + again.iterations
-        solution = replace(again, method=solution.method, iterations=iterations)
-        problem = wider
+        problem, solution = wider, solve(wider)
     return problem, solution
 
 
@@ -153,24 +145,3 @@ def _refined(problem, solution, omega):
     between, Q = splined(plants, design.Q, design.omega, omega[inside], scale)
     wider = refined(problem, omega[inside], between.swapaxes(0, 1), Q)
     return refined(wider, omega[~inside])
-
-
-def carried(solution: Solution, problem: Problem, wider: Problem) -> Solution:
-    """A solution of a problem as a start for another grid, where new multipliers are zero."""
-    order = np.argsort(wider.omega_L)
-    grid = wider.omega_L[order]
-    at = np.searchsorted(grid, problem.omega_L).clip(max=len(grid) - 1)
-    known = grid[at] == problem.omega_L
-    at = order[at]
-    U, V = np.zeros((2, len(grid), *solution.U.shape[1:]), dtype=complex)
-    U[at[known]], V[at[known]] = solution.U[known], solution.V[known]
-    cuts = solution.cuts
-    if cuts is not None:
-        some = known[cuts.frequency]
-        cuts = Cuts(
-            plant=cuts.plant[some],
-            frequency=at[cuts.frequency[some]],
-            N=cuts.N[some],
-            split=cuts.split[some],
-        )
-    return replace(solution, U=U, V=V, cuts=cuts)

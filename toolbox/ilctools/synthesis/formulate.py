@@ -10,14 +10,14 @@ The powers z, z^2, ... are replaced by a basis that is orthonormal with the weig
 each frequency. It is computed in long doubles, see :func:`ilctools.filters.time_shifts`.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from ilctools.filters import time_shifts
-from ilctools.problem.problem import Problem, largest_singular_values
+from ilctools.problem.problem import Cuts, Problem, Solution, largest_singular_values
 from ilctools.synthesis.solver.bounds import Bound
-from ilctools.synthesis.solver.program import GENEROUS, Program
+from ilctools.synthesis.solver.program import GENEROUS, Optimum, Program
 
 SMALLEST = 1e-10  # radius that counts as such, relative to the plant
 
@@ -55,73 +55,94 @@ def entries_of(channels, structure):
     return np.arange(channels), np.arange(channels)
 
 
-def bound_on_M(problem, plant, frequency, rows, cols, limit=0):
-    """The bound on M, or that for the radius, for pairs of a plant, by number, and a frequency."""
-    m, Q = problem.channels, problem.Q[frequency]
-    P = problem.plants[plant, frequency]
-    F, T = np.eye(m)[..., None] * Q, -Q * P.transpose(1, 2, 0)
-    if problem.radius is not None:
-        r = np.maximum(problem.radius, SMALLEST * np.abs(problem.P).max())[frequency]
-        below = np.abs(Q) * r * np.eye(m)[..., None]
-        F, T = np.concatenate([F, 0 * below]), np.concatenate([T, below])
+def bound_on_M(problem, plant, frequency, radius, level) -> Bound:
+    """The bound on M, (40), for pairs of a plant, by number, and a frequency."""
+    P, Q = problem.plants[plant, frequency], problem.Q[frequency]
+    identity = np.eye(problem.channels)[..., None]
+    F, T = identity * Q, -Q * np.moveaxis(P, 0, -1)  # M = Q I - Q P L
+    if radius is not None:  # [M; |Q| r L]
+        r = np.maximum(radius, SMALLEST * np.abs(problem.P).max())[frequency]
+        F, T = np.concatenate([F, 0 * F]), np.concatenate([T, np.abs(Q) * r * identity])
     F, T = (np.ascontiguousarray(X, dtype=complex) for X in (F, T))  # as long vectors
-    entries = np.arange(len(rows))
-    return Bound(F, T, entries, rows, cols, frequency, limit=limit, plant=plant)
+    return Bound(F, T, frequency, level)
 
 
-def bounds_on_L(problem, rows, cols, limit, whole):
-    """The bound sigma_max(W L) <= 1 at omega_L, of L as a whole or of each of its entries."""
-    W = np.ascontiguousarray(np.moveaxis(problem.weight, 0, -1), complex)
-    at, entries = slice(0, W.shape[-1]), np.arange(len(rows))
-    if whole:
-        return [Bound(0 * W, W, entries, rows, cols, at, limit=limit, gain=True)]
-    first = np.zeros(1, dtype=int)
-    weights = [W[entry, entry][None, None] for entry in entries]
-    return [
-        Bound(0 * w, w, first + entry, first, first, at, limit=limit, gain=True)
-        for entry, w in zip(entries, weights, strict=True)
-    ]
-
-
-def formulate(problem: Problem, plant=(), frequency=()) -> Program:
-    """State (39), (45) with (46), or the least gain, with cuts of these plants and frequencies."""
-    gain = problem.objective == "gain"
-    n, m, _ = problem.P.shape
-    n_L = len(problem.omega_L)
-    rows, cols = entries_of(m, problem.structure)
-    on_M = {"rows": rows, "cols": cols, "limit": int(gain)}
-    nominal = replace(problem, radius=None)
-    # sigma_max(M) <= M_max, or, where it is in the sum (39) or the largest (45), a level
-    every, some = np.arange(n), np.flatnonzero(problem.weights)
-    first = bound_on_M(problem, 0 * every, every, **on_M)
-    if problem.radius is None:
-        bounds = [replace(first, at=slice(0, n), plant=None)]
-    elif problem.objective == "sum":  # that for the radius implies the nominal one
-        of_sum = bound_on_M(nominal, 0 * some, some, **on_M)
-        bounds = [replace(of_sum, plant=None), first]
-    else:
-        bounds = [first]
-    # sigma_max(L) <= L_max, (39), (46)
-    whole = gain or problem.structure == "full"
-    of_L = bounds_on_L(problem, rows, cols, int(not gain), whole)
-    bounds = [*of_L, *bounds] if gain else [bounds[0], *of_L, *bounds[1:]]
-    if len(plant):
-        plant, frequency = np.asarray(plant), np.asarray(frequency)
-        bounds.append(bound_on_M(problem, plant, frequency, **on_M))
-    basis, R = whitened_basis(problem)
-    free, cost = np.arange(n_L), np.ones(1)
-    if not gain:
-        weights = problem.weights[bounds[0].at]
-        free, cost = np.flatnonzero(weights), weights[weights > 0]
-    program = Program(
-        bounds=tuple(bounds),
-        basis=basis,
-        R=R,
-        entries=len(rows),
-        free=free,
-        cost=cost,
-        shared=gain,
-        limits=np.array([GENEROUS, problem.M_max] if gain else [problem.M_max, 1.0]),
-        M_max=GENEROUS if gain else problem.M_max,
+def joined(*bounds) -> Bound:
+    """Bounds with matrices of one size as one."""
+    return Bound(
+        np.concatenate([bound.F for bound in bounds], axis=2),
+        np.concatenate([bound.T for bound in bounds], axis=2),
+        np.concatenate([bound.at for bound in bounds]),
+        np.concatenate([bound.level for bound in bounds]),
     )
-    return program.minimax() if problem.objective == "peak" else program  # (45)
+
+
+@dataclass(frozen=True)
+class Formulation:
+    """A problem as a program, whose columns are those of M, of L, and of the cuts."""
+
+    problem: Problem
+    program: Program
+    R: np.ndarray  # (order, order): coefficients are the rows of x R^-T
+    nominal: np.ndarray  # frequencies of the bounds on the nominal M
+    plant: np.ndarray  # plants and frequencies of the cuts
+    frequency: np.ndarray
+
+    def solution(self, optimum: Optimum) -> Solution:
+        """The filter and the multipliers of an optimum of the program."""
+        problem, program = self.problem, self.program
+        m, n_L = problem.channels, len(problem.omega_L)
+        C, (U, V) = np.zeros((m, m, problem.order)), np.zeros((2, n_L, m, m), dtype=complex)
+        C[program.rows, program.cols] = back_substituted(optimum.x, self.R)
+        N = [np.moveaxis(N, -1, 0) for N in optimum.multipliers]
+        of_M, of_L, of_cuts = np.split(N[0], [len(self.nominal), len(self.nominal) + n_L])
+        U[self.nominal], V[:] = of_M, problem.weight @ of_L  # of G = M and of G = W L
+        if problem.radius is not None:
+            of_cuts = N[1]
+        cuts = Cuts(self.plant, self.frequency, of_cuts) if len(self.plant) else None
+        return Solution(C, U, V, optimum.largest, optimum.iterations, cuts)
+
+
+def back_substituted(x, R):
+    """c of x = c R^T, in the precision of R."""
+    c = x.astype(R.dtype)
+    for k in reversed(range(len(R))):
+        c[:, k] = (c[:, k] - c[:, k + 1 :] @ R[k, k + 1 :]) / R[k, k]
+    return c
+
+
+def levels_of(problem):
+    """The cost of each t, both limits, and which of these numbers bounds what.
+
+    Returns the numbers for M at each frequency, for the cuts, and for W L.
+    """
+    n, in_sum = len(problem.omega), np.flatnonzero(problem.weights)
+    if problem.objective == "sum":  # (39): M by t in the sum, else by M_max; W L by 1
+        cost, limits = problem.weights[in_sum], [problem.M_max, 1.0]
+        of_M = np.full(n, len(cost))
+        of_M[in_sum] = np.arange(len(cost))
+        return cost, limits, of_M, len(cost), len(cost) + 1
+    if problem.objective == "peak":  # (45), (46): M by t; W L by 1
+        return np.ones(1), [GENEROUS * problem.idle, 1.0], np.full(n, 0), 0, 2
+    # the least gain: M by M_max; W L by t
+    return np.ones(1), [GENEROUS, problem.M_max], np.full(n, 2), 2, 0
+
+
+def formulate(problem: Problem, plant=(), frequency=()) -> Formulation:
+    """State (39), (45) with (46), or the least gain, with cuts of these plants and frequencies."""
+    every, n_L = np.arange(len(problem.omega)), len(problem.omega_L)
+    nominal, plant, frequency = every, np.array(plant, int), np.array(frequency, int)
+    if problem.radius is not None:  # the bound within the radius implies the nominal one
+        nominal = np.flatnonzero(problem.weights * (problem.objective == "sum"))
+        plant, frequency = np.append(0 * every, plant), np.append(every, frequency)
+    cost, limits, of_M, of_cuts, of_L = levels_of(problem)
+    M = bound_on_M(problem, 0 * nominal, nominal, None, of_M[nominal])
+    W = np.ascontiguousarray(np.moveaxis(problem.weight, 0, -1), dtype=complex)
+    L = Bound(0 * W, W, np.arange(n_L), np.full(n_L, of_L))
+    cuts = bound_on_M(problem, plant, frequency, problem.radius, np.full(len(plant), of_cuts))
+    bounds = (joined(M, L, cuts),) if problem.radius is None else (joined(M, L), cuts)
+    basis, R = whitened_basis(problem)
+    rows, cols = entries_of(problem.channels, problem.structure)
+    most = GENEROUS if problem.objective == "gain" else problem.M_max
+    program = Program(bounds, basis, rows, cols, cost, np.array(limits), most)
+    return Formulation(problem, program, R, nominal, plant, frequency)

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import control
 import numpy as np
 
-from ilctools.evidence.certificate import Certificate
-from ilctools.evidence.check import check
+from ilctools.evidence.certificate import Certificate, check
 from ilctools.evidence.convergence import Convergence
 from ilctools.filters import LearningFilter
 from ilctools.law.law import Law
@@ -162,7 +161,7 @@ class Synthesis:
             )
         check_match(design=design.labels, P=problem.labels)
         L = LearningFilter(self.solution.coefficients, design.Ts)
-        return on_one_thread(check)(problem, L)
+        return on_one_thread(check)(problem, L).convergence
 
     def __repr__(self):
         return repr(self.certificate)

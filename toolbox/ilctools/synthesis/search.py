@@ -8,12 +8,11 @@ from scipy.optimize import brentq
 from tqdm import tqdm
 
 from ilctools import arguments
-from ilctools.evidence.certificate import checked_trial
 from ilctools.filters import ZeroPhaseButterworth
 from ilctools.problem.grid import refined, without_gaps
 from ilctools.problem.pose import pose
-from ilctools.synthesis.design import certified, insist, solve, warned
-from ilctools.synthesis.everywhere import carried, settled
+from ilctools.synthesis.design import certified, insist, warned
+from ilctools.synthesis.everywhere import solve_everywhere
 from ilctools.synthesis.result import SolverError, Synthesis
 from ilctools.synthesis.solver.program import Infeasible
 from ilctools.synthesis.solver.threads import on_one_thread
@@ -32,7 +31,7 @@ def least_gain(P, Q, omega=None, Ts=None, **choices) -> Synthesis:
     the least max sigma_max(L) that keeps the least peak to a relative 1e-9; where filters that do
     are too much alike for the solver to tell, to 1e-6 or 1e-4.
 
-    Parameters and errors as for :func:`synthesise`, apart from `objective`, `L_max` and `start`.
+    Parameters and errors as for :func:`synthesise`, apart from `objective` and `L_max`.
     The result is that of (45) with (46), where `problem.L_max` is that gain.
 
     See Also
@@ -50,15 +49,13 @@ def least_gain(P, Q, omega=None, Ts=None, **choices) -> Synthesis:
     >>> bool(design.sigma_M.max() < 0.5)
     True
     """
-    for name in ("objective", "L_max", "start"):
+    for name in ("objective", "L_max"):
         if name in choices:
             raise ValueError(
                 f"{name} = {reprlib.repr(choices[name])} must be left out: asked is the least "
                 'gain of the least peak; with a bound on L, synthesise(objective="peak")'
             )
-    trial = _trial(choices)
     problem = pose(P, Q, omega, Ts, objective="peak", L_max=None, **choices)
-    checked_trial(problem, **trial)
     free = certified(problem)
     unit = free.sigma_L.max()  # a gain that is enough
     question = without_gaps(replace(problem, objective="gain", L_max=unit))
@@ -66,7 +63,7 @@ def least_gain(P, Q, omega=None, Ts=None, **choices) -> Synthesis:
         try:
             with np.errstate(all="ignore"):
                 room = same * problem.unit(free.value)
-                _, found = settled(replace(question, M_max=free.value + room), solve)
+                _, found = solve_everywhere(replace(question, M_max=free.value + room))
             L_max = unit * found.largest
             break
         except (Infeasible, RuntimeError):
@@ -76,7 +73,7 @@ def least_gain(P, Q, omega=None, Ts=None, **choices) -> Synthesis:
             "the least gain was not found: filters that keep the least peak are too much alike; "
             "take a shorter filter, or synthesise with an L_max"
         )
-    return warned(certified(replace(problem, L_max=L_max), **trial))
+    return warned(certified(replace(problem, L_max=L_max)))
 
 
 @on_one_thread
@@ -106,7 +103,6 @@ def largest_cutoff(
         too high.
     """
     arguments.instance("Q", Q, ZeroPhaseButterworth)
-    trial, start = _trial(choices), choices.pop("start", None)
     stated = pose(P, Q, omega, Ts, **choices)
     for name in ("order", "band", "L_max"):  # whatever Q will be
         choices[name] = getattr(stated, name)
@@ -119,31 +115,27 @@ def largest_cutoff(
     with tqdm(desc="largest cut-off", unit=" solved", leave=False, disable=None) as bar:
         for _ in range(ROUNDS):
             Q = _widest(Q, posed, stated, bar, step=0.1 if len(further) else 1.0)
-            design = certified(posed(Q), start=start, check=False, **trial)
+            design = certified(posed(Q), check=False)
             if design.certificate.unseen is None:
                 break
             # M passed one where omega is coarse
             further = np.append(further, design.certificate.unseen.omega)
-    insist(design.solution, design.certificate)
+    insist(design.certificate)
     return Q, warned(design)
 
 
 def _widest(Q, posed, stated, bar, step):
     """Q with the largest cut-off for which the bounds can be met; `step`: of its logarithm."""
-    last = []  # the problem that was solved last, and its solution
 
     def with_cutoff(logarithm):
         return replace(Q, cutoff=float(np.exp(logarithm)))
 
     def excess(logarithm):
         """The smallest possible M_max with this cut-off, relative to the one that is asked for."""
-        least = posed(with_cutoff(logarithm), objective="peak", reference=None)
-        problem = without_gaps(least)
-        problem = replace(problem, M_max=np.inf)
-        start = carried(last[1], last[0], problem) if last else None
-        last[:] = settled(problem, solve, start)
+        problem = without_gaps(posed(with_cutoff(logarithm), objective="peak", reference=None))
+        _, solution = solve_everywhere(replace(problem, M_max=np.inf))
         bar.update()
-        largest = last[1].largest
+        largest = solution.largest
         if problem.beyond is not None:  # where P is not known, M may be |Q| at least
             largest = max(largest, *problem.Q_beyond(stated.omega[-1:]))
         return largest / stated.M_max - 1
@@ -160,8 +152,3 @@ def _widest(Q, posed, stated, bar, step):
             return with_cutoff(lowest)
         low, step = max(low - step, lowest), 2 * step
     return with_cutoff(brentq(excess, low, high, xtol=CLOSE / 2) - CLOSE / 2)
-
-
-def _trial(choices):
-    """Take what is for the certificate of a finite trial out of the choices."""
-    return {"samples": choices.pop("samples", None), "rest": choices.pop("rest", 0)}

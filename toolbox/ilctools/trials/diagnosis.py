@@ -1,9 +1,18 @@
-"""Do trials converge as predicted? Warnings that their signals give, after each trial.
+"""What trials say against convergence: *the error grows*, and *the plant is not the model*.
 
-Four checks, each against noise: the error must not grow; v must not keep growing while the error
-stagnates; the error must fall from trial to trial as the loop's model promises; learning must not
-add to what trials without it would leave. How large noise is follows from the trials themselves: it
-is what does not repeat, however coloured, and what v does not explain.
+Without its ends a trial k obeys, with P of the loop and e_free the error without learning,
+
+    e_{k+1} = M e_k + (1 - Q) e_free,    M = Q (I - P L),                                      (1)
+
+so that in each band of frequencies ||e_{k+1}|| <= sigma_max(M) ||e_k|| + ||(1 - Q) e_free||. With
+its ends, and with the v that was recorded, the model promises the error
+
+    e_{k+1} = e_free - P v_{k+1},    e_free = e_k + P v_k.                                     (2)
+
+The plant is not the model where errors exceed both, by more than noise explains; the error grows
+where it rises by more than noise explains, or where v adds more to it than it removes. How large
+noise is follows from the trials themselves: it is what does not repeat, however coloured, and what
+v does not explain.
 """
 
 from dataclasses import dataclass
@@ -18,27 +27,22 @@ from scipy.special import fdtrc, stdtr
 from ilctools.evidence.convergence import Convergence, convergence
 from ilctools.law.io import RESET
 from ilctools.law.law import Law
-from ilctools.law.limits import realised
-from ilctools.loop.closed import ClosedLoop, Loop
+from ilctools.loop.closed import Loop
 from ilctools.models import state_sequence
 from ilctools.units import by_unit
 
-# Probability of a false warning by noise, in a test; and where learning adds what it removes.
+# probability of a false warning by noise, in a test; and where learning adds what it removes
 SIGNIFICANCE, SIGNIFICANCE_OF_HARM = 1e-4, 1e-3
-GROWTH = 1.5  # ratio of RMS errors that is worth a warning
-RISES = 3  # in succession,
-JUMP = 3.0  # or in one trial, relative to the largest RMS before
-AMPLIFICATION = 5.0  # largest effect of learning on the noise of a trial
-STAGNATION = 0.97  # ratio of RMS errors from which on the error does not fall
-STEPS = 3  # of v, from which on it may be said to keep growing
-STEADY = 0.9  # share of the first of these steps that each of the others repeats
-RELEVANT = 0.2  # smallest change of v, relative to the error
-FOLLOWED = 0.5  # share of a predicted change of y; with less, it does not follow w
+GROWTH = 1.5  # ratio of RMS errors that is worth a warning,
+RISES = 3  # if it rose so many times in succession,
+JUMP = 3.0  # or at once, relative to the largest before: one new disturbance is no divergence
+AMPLIFICATION = 5.0  # of white noise by learning: errors below it are no growth
 EXCESS = 0.05  # smallest error beyond the promised one, relative to the first trial's
 HARMLESS = 0.5  # share of v, and of the error without it, that repeats
-WORSE = 1.1  # ratio of RMS errors with learning and without it, worth a warning
+WORSE = 1.1  # ratio of RMS errors with learning and without it: noise that is learned adds as much
 SETTLED = 1.2  # RMS of a trial, relative to that of the last ones, that is the same
 ROUNDING = 1e-9  # relative to the largest signal
+TINY = np.finfo(float).tiny  # instead of a zero that divides
 GRID = np.geomspace(1e-4, 1, 200) * np.pi  # omega Ts of the predicted rate
 
 
@@ -55,7 +59,7 @@ class History:
     @cached_property
     def rms(self) -> np.ndarray:
         """RMS of the error of each trial, summed over the channels."""
-        return rms(self.e)
+        return trial_rms(self.e)
 
     @cached_property
     def since(self) -> np.ndarray:
@@ -113,7 +117,7 @@ def diagnose(trials: xr.Dataset, law: Law, first: int = 2, exact: bool = False) 
     trials : xarray.Dataset
         Successive trials, as from :func:`ilctools.run_trials`.
     law : Law
-        If it is bound to a loop with a model P, predictions are checked, too.
+        If it is bound to a loop with a model P, it is compared with the trials.
     first : int
         The first trial to be judged, counted from 1.
     exact : bool
@@ -122,42 +126,43 @@ def diagnose(trials: xr.Dataset, law: Law, first: int = 2, exact: bool = False) 
     Returns
     -------
     dict
-        The first warning of each kind: "error", "v", "rate", and without these "repetition".
+        The first warning of each kind: "growth" and "model".
     """
     warnings = {}
     if law.L is None:
         return warnings
-    skipped = {"rate"} if exact else set()
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # of 1e200
         for history in histories(trials, law):
             for k in range(max(1, first - 1), len(history.e)):
-                for kind, check in CHECKS.items():
-                    # learning adds errors for any of the other reasons, too
-                    known = warnings if kind == "repetition" else {*warnings} & {kind}
-                    text = None if known or kind in skipped else check(history, k)
-                    if text:
-                        warnings[kind] = text
+                if "growth" not in warnings:
+                    warnings["growth"] = error_grows(history, k)
+                if "model" not in warnings and not exact:
+                    warnings["model"] = breaks_promise(history, k)
+                if not any(warnings.values()):  # with which learning adds errors, too
+                    warnings["growth"] = adds_errors(history, k)
+                warnings = {kind: text for kind, text in warnings.items() if text}
     return warnings
 
 
 def histories(trials: xr.Dataset, law: Law) -> list[History]:
     """The trials, split by the units of their outputs."""
-    e, reference, v = (trials[name].values for name in ("e", "reference", "v"))
+    e, v = trials.e.values, trials.v.values
     if law.limits:  # then that for which the loop asks for what was applied
         asked = commands(trials, law.loop, law.actuators)
-        v = realised(law.loop, reference + v, **asked) - reference
+        v = law.loop.realised(v, **asked)
     groups = by_unit(trials.output_unit.values.tolist()).values()
     return [History(trials, law, group, e[..., group], v) for group in groups]
 
 
 def commands(trials: xr.Dataset, loop: Loop, actuators=None) -> dict[str, np.ndarray]:
     """What was asked of the actuators, u, and what was applied, shape (trial, time, m)."""
-    closed = isinstance(loop, ClosedLoop)
-    u = (trials.reference + trials.v if closed else trials.u).values
-    applied = u
-    if actuators:
+    recorded = trials.u.values if "u" in trials else None
+    u = applied = loop.asked((trials.reference + trials.v).values, recorded)
+    if "applied" in trials:
+        applied = trials.applied.values
+    elif actuators is not None:
         applied = actuators.follow(runs(u, trials)).reshape(u.shape)
-    return {"u": u, "applied": trials.applied.values if "applied" in trials else applied}
+    return {"u": u, "applied": applied}
 
 
 def runs(signals, trials: xr.Dataset) -> np.ndarray:
@@ -174,7 +179,7 @@ def outputs_of(model: control.StateSpace, inputs, trials: xr.Dataset) -> np.ndar
     return np.concatenate(outputs).reshape(*inputs.shape[:2], -1)
 
 
-def error_grows(history: History, k: int) -> str | None:
+def error_grows(history: History, k: int) -> str:
     """Null hypothesis: errors of the trials with this reference are noise of one variance.
 
     It is tested where the error rose several times in succession, or to a multiple at once.
@@ -184,20 +189,20 @@ def error_grows(history: History, k: int) -> str | None:
     largest = np.abs(history.trials.reference.values[k, :, history.channels]).max()
     size = np.maximum(size, ROUNDING * max(largest, *size))
     lowest = np.flatnonzero(np.append(True, size[1:] <= size[:-1]))[-1]
-    rises = len(size) - 1 - lowest
+    rises, growth = len(size) - 1 - lowest, size[-1] / size[lowest]
     noise = AMPLIFICATION * np.linalg.norm(noise_std(history.e[0]))
-    if not rises or size[-1] < max(GROWTH * size[lowest], noise):
-        return None
+    if not rises or growth < GROWTH or size[-1] < noise:
+        return ""
     freedom = degrees_of_freedom(spectrum(history.e[k] - history.e[k - 1])).item()
-    growth, jump = size[-1] / size[lowest], size[-1] / size[:-1].max()
+    jump = size[-1] / size[:-1].max()
     in_succession = rises >= RISES and chance(growth, freedom, rises + 1) < SIGNIFICANCE
     at_once = jump >= JUMP and chance(jump, freedom, 2) < SIGNIFICANCE
     if not (in_succession or at_once):
-        return None
+        return ""
     return (
         f"the error{history.of_outputs} grows, by more than noise explains: its RMS was "
         f"{size[lowest]:.3g} in trial {history.number(start + lowest)} and is "
-        f"{size[-1]:.3g} in trial {history.number(k)}. {_cause(history, k)}"
+        f"{size[-1]:.3g} in trial {history.number(k)}. {_where_and_why(history, k)}"
     )
 
 
@@ -213,8 +218,8 @@ def chance(ratio: float, freedom: float, trials: int) -> float:
     return min(1.0, exceeds) / factorial(min(trials, 100))
 
 
-def _cause(history, k):
-    """Where the error grows, and what the model predicts."""
+def _where_and_why(history, k):
+    """At which end of the trial the error grows; or what the model predicts."""
     power = np.sum(history.e[k] ** 2, axis=1)
     tenth = max(1, len(power) // 10)
     for part, name in ((power[:tenth], "first"), (power[-tenth:], "last")):
@@ -224,41 +229,17 @@ def _cause(history, k):
                 "signals beyond its ends: let reference or v rest there, or choose other "
                 "ends of Q and L"
             )
-    remedy = "learn less, by a lower cut-off of Q or a smaller learning gain"
-    if history.P is None:
-        return f"Unless there was a new disturbance, the law diverges: {remedy}"
-    gamma = history.convergence.gamma
-    if gamma >= 1:
-        return f"By the loop's model, too, sigma_max(M) reaches {gamma:.3g}: {remedy}"
+    predicted = ""
+    if history.P is not None:
+        predicted = f"By the loop's model sigma_max(M) <= {history.convergence.gamma:.3g}. "
     return (
-        f"By the loop's model sigma_max(M) <= {gamma:.3g}: unless there was a new disturbance, "
-        f"the plant differs from the model. Measure P (shake), or {remedy}"
+        f"{predicted}Unless there was a new disturbance, the law diverges, or the plant differs "
+        "from the model: measure P (shake), or learn less, by a lower cut-off of Q or a smaller "
+        "learning gain"
     )
 
 
-def v_grows(history: History, k: int) -> str | None:
-    """v keeps growing, straight on and as fast as before, while the error stagnates."""
-    start = k - STEPS
-    if start < history.since[k]:
-        return None
-    error = history.rms[start : k + 1]
-    v = history.v[start : k + 1, :, history.channels]
-    steps = np.diff(v, axis=0).reshape(STEPS, -1)
-    products = steps @ steps.T / v.shape[1]
-    straight_on = products.min() >= STEADY * products[0, 0]
-    stagnates = STAGNATION <= error[-1] / error[0] < GROWTH
-    relevant = np.sqrt(products.sum()) >= RELEVANT * error[-1]
-    if not (straight_on and stagnates and relevant):
-        return None
-    return (
-        f"v{history.of_outputs} keeps growing while the error stagnates: by "
-        f"{np.sqrt(products[-1, -1]):.3g} a trial, in one direction, and the RMS of the error is "
-        f"{error[0]:.3g} in trial {history.number(start)} and {error[-1]:.3g} in trial "
-        f"{history.number(k)}. Is an actuator at its limit? Pass the limits to the law"
-    )
-
-
-def breaks_promise(history: History, k: int) -> str | None:
+def breaks_promise(history: History, k: int) -> str:
     """F test, octave by octave, of errors against what an earlier one promises.
 
     Trial k is compared with the one before and with the best so far, and the second one with the
@@ -267,39 +248,41 @@ def breaks_promise(history: History, k: int) -> str | None:
     by a disturbance that grows from trial to trial.
     """
     first = history.since[k]
-    if history.P is None or k < first + 2:
-        return None
+    if history.P is None or k < first + 2:  # noise is known from two changes on
+        return ""
     changes = np.diff(history.e[first : k + 1], axis=0)
     predicted = -np.diff(history.effect[first : k + 1], axis=0)
     noise, freedom = unexplained(changes, predicted)
     noise = noise + (ROUNDING * np.abs(history.e[k]).max()) ** 2
-    best = first + int(history.rms[first:k].argmin())
+    best = first + history.rms[first:k].argmin()
     for before, trial in ((k - 1, k), (best, k), (first, first + 1)):
         table = error_by_octave(history, trial, before)
         promised = np.maximum(table["bound"], table["predicted"])
         excess = table["before"] * np.maximum(table["measured"] - promised, 0)
         drift = excess / (trial - before)  # of disturbances, if each trial adds as much
         p = chance_of_excess(drift, noise, freedom, k - first)
-        worst = np.argmax((p < SIGNIFICANCE) * excess)
-        if p[worst] < SIGNIFICANCE and excess[worst] > EXCESS * history.rms[first]:
-            break
-    else:
-        return None
-    row = {name: column[worst] for name, column in table.items()}
-    power = np.maximum(np.sum(predicted**2, axis=(0, 1)), np.finfo(float).tiny)
+        significant = (p < SIGNIFICANCE) * excess
+        worst = significant.argmax()
+        if significant[worst] > EXCESS * history.rms[first]:
+            row = {name: column[worst] for name, column in table.items()}
+            return _broken_promise(history, trial, before, row, changes, predicted)
+    return ""
+
+
+def _broken_promise(history, trial, before, row, changes, predicted):
+    """The warning, from a row of the errors by octave, and which share of the changes came."""
+    power = np.maximum(np.sum(predicted**2, axis=(0, 1)), TINY)
     shares = np.sum(changes * predicted, axis=(0, 1)) / power
-    moved = ", ".join(map("{1:.2g} in {0}".format, history.names, shares))
-    remedy = "measure P (shake), or expect this rate"
-    if min(shares) < FOLLOWED:
-        limit = "is a sensor or an actuator at its limit, exchanged or reversed?"
-        remedy = f"{limit} Else {remedy}"
+    pairs = zip(shares, history.names, strict=True)
+    came = ", ".join(f"{share:.2g} in {name}" for share, name in pairs)
     return (
         f"the convergence rate is not the predicted one: up to {row['frequency']:.2g} rad/s, "
         f"trial {history.number(trial)} has {row['measured']:.2f} of the error"
         f"{history.of_outputs} of trial {history.number(before)}; the loop's model predicts "
         f"{row['predicted']:.2f}, {row['bound']:.2f} at most, and noise is less. Unless there was "
         "a new disturbance, the plant differs from the model: of the changes that this predicts, "
-        f"{moved} came; {remedy}"
+        f"{came} came; is a sensor or an actuator at its limit, exchanged or reversed? Else "
+        "measure P (shake), or expect this rate"
     )
 
 
@@ -315,7 +298,7 @@ def unexplained(changes, predicted) -> tuple[np.ndarray, np.ndarray]:
     covariance = np.sum(regressor.conj() * change, axis=0)
     power = np.sum(np.abs(regressor) ** 2, axis=0)
     covariance, power = (np.add.reduceat(x, edges) for x in (covariance, power))
-    gain = covariance / np.maximum(power, np.finfo(float).tiny)
+    gain = covariance / np.maximum(power, TINY)
     widths = np.diff(edges, append=harmonics)
     residual = change - np.repeat(gain, widths, axis=0) * regressor
     power = spectrum(np.fft.irfft(residual, samples, axis=1)).mean(axis=0)
@@ -334,28 +317,30 @@ def chance_of_excess(excess, variance, freedom, trials: int) -> np.ndarray:
     return len(excess) * fdtrc(freedom, others, F)
 
 
-def adds_errors(history: History, k: int) -> str | None:
+def adds_errors(history: History, k: int) -> str:
     """t test of the share of what v corrects, by the model, that was there to be corrected.
 
     It is the regression coefficient, on P v, of what the error would be without v. Null hypothesis:
     it is a half or more, so that learning does not leave more than it removes.
     """
     first = history.since[k]
-    if history.P is None or k < first + 2:
-        return None
+    if history.P is None or k < first + 2:  # noise is known from two changes on
+        return ""
     e, corrected, free = (
         signal[first + 1 : k + 1] for signal in (history.e, history.effect, history.free)
     )
     size = np.linalg.norm(corrected)
-    varying = np.linalg.norm(free - free.mean(axis=0)) / np.linalg.norm(free)
-    if varying**2 < HARMLESS or mean_rms(e) < WORSE * mean_rms(free):
-        return None
+    if not size or not free.any():
+        return ""
+    repeating = 1 - (np.linalg.norm(free - free.mean(axis=0)) / np.linalg.norm(free)) ** 2
+    if repeating > HARMLESS or mean_rms(e) < WORSE * mean_rms(free):
+        return ""
     share = np.sum(corrected * free) / size**2
     residual = free - share * corrected
     freedom = len(e) * degrees_of_freedom(spectrum(residual).mean(axis=0)).item()
     deviation = np.linalg.norm(residual) / size / np.sqrt(freedom)
     if stdtr(freedom, (share - HARMLESS) / deviation) >= SIGNIFICANCE_OF_HARM:
-        return None
+        return ""
     return (
         f"learning adds to the error{history.of_outputs}: its RMS is {mean_rms(e):.3g} in trials "
         f"{history.number(first + 1)} to {history.number(k)}, and would be {mean_rms(free):.3g} "
@@ -364,35 +349,31 @@ def adds_errors(history: History, k: int) -> str | None:
     )
 
 
-CHECKS = {"error": error_grows, "v": v_grows, "rate": breaks_promise, "repetition": adds_errors}
-
-
 def error_by_octave(history: History, k: int, before: int) -> dict[str, np.ndarray]:
     """The error of trial k relative to that of one before, by octaves up to `frequency`, rad/s.
 
     `before` is the RMS of that error. Relative to it, `bound` is sigma_max(M) and what Q leaves,
-    by e_{k+1} = M e_k + (1 - Q) e_free, for trials without ends; `predicted` follows from the model
-    and the v that was recorded, ends included; `measured` is the error of trial k, and `noise` its
-    share of white noise, as large as differences between neighbours in time are.
+    by (1); `predicted` follows from (2), ends included; `measured` is the error of trial k, and
+    `noise` its share of white noise, as large as differences between neighbours in time are.
     """
     samples, law, free = len(history.e[k]), history.law, history.free[before]
     first = octaves(samples)
     edges = np.append(first, samples // 2 + 1) * 2 * np.pi / samples
-    sigma = history.convergence.sigma
-    sigma = np.maximum.reduceat(sigma, np.searchsorted(GRID, edges[:-1]))
-    signals = [history.e[before], free - history.effect[k], history.e[k]]
-    signals.append(free - law.Q.apply(free))
-    power = np.add.reduceat(spectrum(np.array(signals)).sum(axis=-1), first, axis=-1)
-    before, predicted, measured, rest = np.sqrt(power)
-    before = np.maximum(before, np.finfo(float).tiny)
-    white = np.linalg.norm(noise_std(history.e[k]))
+    sigma = np.maximum.reduceat(history.convergence.sigma, np.searchsorted(GRID, edges[:-1]))
+
+    def size(signal):
+        return np.sqrt(np.add.reduceat(spectrum(signal).sum(axis=-1), first))
+
+    error = np.maximum(size(history.e[before]), TINY)
+    kept = size(free - law.Q.apply(free))  # (1 - Q) e_free
+    noise = np.linalg.norm(noise_std(history.e[k])) * np.sqrt(np.diff(edges) / edges[-1])
     return {
         "frequency": edges[1:] / law.Ts,
-        "before": before,
-        "bound": 1 - law.gain * (1 - sigma - rest / before),
-        "predicted": predicted / before,
-        "measured": measured / before,
-        "noise": white * np.sqrt(np.diff(edges) / edges[-1]) / before,
+        "before": error,
+        "bound": 1 - law.gain + law.gain * (sigma + kept / error),  # (1)
+        "predicted": size(free - history.effect[k]) / error,  # (2)
+        "measured": size(history.e[k]) / error,
+        "noise": noise / error,
     }
 
 
@@ -412,21 +393,21 @@ def spectrum(signals) -> np.ndarray:
 def degrees_of_freedom(power, edges=(0,)) -> np.ndarray:
     """Degrees of freedom of a mean square, by its spectrum (harmonic, channel), in each octave."""
     total, squares = (np.add.reduceat(values.sum(axis=1), edges) for values in (power, power**2))
-    return np.maximum(2, 2 * total**2 / np.maximum(squares, np.finfo(float).tiny))
+    return np.maximum(2, 2 * total**2 / np.maximum(squares, TINY))
 
 
 def mean_rms(signals) -> float:
     """Root of the mean square of signals (trial, time, channel), summed over the channels."""
-    return np.sqrt(np.mean(rms(signals) ** 2))
+    return np.sqrt(np.mean(trial_rms(signals) ** 2))
 
 
-def settled(e) -> tuple[int, float, float] | None:
+def converged_from(e) -> tuple[int, float, float] | None:
     """From which trial on (index) the error (trial, time, channel) stays, where, and its noise.
 
     The level is the RMS of the last quarter of the trials, or of three, none of which is SETTLED
     times larger; noise is what differs between successive trials. None if it does not stay.
     """
-    size, last = rms(e), max(3, len(e) // 4)
+    size, last = trial_rms(e), max(3, len(e) // 4)
     level = mean_rms(e[-last:])
     outside = np.flatnonzero(size > SETTLED * level)
     first = outside.max(initial=-1) + 1
@@ -436,7 +417,7 @@ def settled(e) -> tuple[int, float, float] | None:
     return first, level, noise
 
 
-def rms(signals) -> np.ndarray:
+def trial_rms(signals) -> np.ndarray:
     """RMS of each of the signals (trial, time, channel), summed over the channels."""
     return np.sqrt(np.sum(signals**2, axis=2).mean(axis=1))
 

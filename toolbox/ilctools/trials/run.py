@@ -1,7 +1,17 @@
-"""Trials under the ILC law: one trial of the closed loop, and a sequence of them. Section IV."""
+"""Trials of the loop (19) under the ILC law, Section IV. Trial k, and the signal of the next one:
+
+    w_k = r + v_k                                                                            (22)
+    v_{k+1} = Q (v_k + L e_k),    e_k = r - y_k                                              (23)
+
+In a trial, with x the states of the plant and of the observer, whose estimates are x-hat and delta,
+and noise n on what the sensors report,
+
+    x(p+1) = A x(p) + B w(p) + E d(p) + K n(p),    y(p) = C x(p) + D w(p) + F d(p) + n(p)    (19)
+    u(p) = N w(p) - K_s x-hat(p) - delta(p)                                                  (18)
+"""
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import xarray as xr
@@ -10,9 +20,9 @@ from tqdm import tqdm
 from ilctools import arguments
 from ilctools.law.io import NO_RESET, RESET
 from ilctools.law.law import Law
-from ilctools.law.limits import CUT_OFF, commands_beyond, realised
+from ilctools.law.limits import CUT_OFF, commands_beyond
 from ilctools.law.repetitive import check_period, next_samples
-from ilctools.loop.closed import ClosedLoop, Loop, with_noise
+from ilctools.loop.closed import CurrentTrialLoop, Loop, with_noise
 from ilctools.models import state_sequence
 from ilctools.trials.diagnosis import commands, diagnose
 from ilctools.trials.start import Start
@@ -110,151 +120,143 @@ def run_trials(
     law = arguments.instance("law", law, Law).bound_to(loop)
     reset = arguments.flag("reset", reset)
     trials = arguments.whole("trials", trials, 1)
-    make_trial, plant_states, states = _simulator(loop, plant, law.actuators)
+    simulated = _Simulated(loop, plant, law.actuators, initial_state)
     r = arguments.each_trial("reference", reference, trials, "time", loop.outputs)
-    shape = trials, samples, _ = r.shape
+    samples = r.shape[1]
     first = law.first(samples, v)
-    names = loop.disturbances
-    d = np.zeros((samples, len(names))) if disturbance is None else disturbance
-    d = arguments.each_trial("disturbance", d, trials, samples, names)
-    noise = np.zeros(shape) if noise is None else noise
-    noise = arguments.in_columns("noise", noise, shape, loop.outputs)
-    initial = np.zeros(states)
-    if initial_state is not None:
-        x = arguments.array("initial_state", initial_state, (plant_states,))
-        initial[:plant_states] = x
-    results, state, applied = [], initial, None
-
-    def run(r, v, d, noise):
-        nonlocal state, applied
-        if reset:
-            state, applied = initial, None
-        w = r + v  # (22)
-        signals, state = make_trial(w, d, noise, state, applied)
-        results.append({"v": v} | signals)
-        sent = commands_of(loop, w, signals, law.actuators, applied)
-        applied = sent["applied"][-1] if "applied" in sent else None
-        return {"e": r - signals["y"] - noise} | sent
-
-    if reset:
-        learn(lambda k, v: run(r[k], v, d[k], noise[k]), law, first, trials)
-    else:
+    d = np.zeros((samples, len(loop.disturbances))) if disturbance is None else disturbance
+    d = arguments.each_trial("disturbance", d, trials, samples, loop.disturbances)
+    noise = np.zeros(r.shape) if noise is None else noise
+    noise = arguments.in_columns("noise", noise, r.shape, loop.outputs)
+    if not reset:
         check_period(law, samples)
-        learn_on(run, law, first, *(s.reshape(trials * samples, -1) for s in (r, d, noise)))
-    signals = {
-        name: np.concatenate([s[name] for s in results]).reshape(trials, samples, -1)
-        for name in results[0]
-    }
-    signals |= {"y": signals["y"] + noise, "reference": r, "disturbance": d}
-    channels = loop.outputs, loop.controls, names
-    result = dataset(loop.Ts, *channels, loop.units, **signals)
+
+    signals = _simulate(simulated, law, first, r, d, noise, reset)
+    signals |= {"reference": r, "disturbance": d}
+    result = dataset(loop.Ts, loop.outputs, loop.controls, loop.disturbances, loop.units, **signals)
     if not reset:
         result.attrs[RESET] = NO_RESET
-    texts = diagnose(result, law, exact=plant is None)
-    if law.actuators is not None:
-        beyond = commands_beyond(commands(result, loop)["u"], loop.commands, law.limits)
-        texts["limits"] = beyond and beyond + CUT_OFF
-    if law.L is not None and initial_state is None and reset:
-        rest = Start.of(0 * r[0], r[0], loop)
-        texts["start"] = next(filter(None, map(rest.away, r[1:])), "")
-    for text in filter(None, texts.values()):
+    for text in _warnings(result, law, plant is None, reset and initial_state is None):
         warnings.warn(text, stacklevel=2)
     return result
 
 
-def learn(trial: Callable, law: Law, v, trials: int) -> np.ndarray:
-    """Errors of trials under the law (23), shape (trial, time, m); v is the first signal.
+def _simulate(simulated, law, first, r, d, noise, reset):
+    """The signals of all trials, shape (trial, time, channel), as r, d and noise are.
 
-    trial(k, v) runs trial k, and returns what :meth:`Law.next` needs beside v, by name.
+    With a reset v is that of a trial, else that of the samples for which it follows from those
+    before.
     """
-    errors = []
-    for k in tqdm(range(trials), "trials", delay=3, disable=None):
-        signals = trial(k, v)
-        errors.append(signals["e"])
-        if k < trials - 1:
-            v = law.next(v, **signals)
-    return np.array(errors)
+    shape = r.shape[:2]
+    r, d, noise = (np.concatenate(signal) for signal in (r, d, noise))
+    parts, done, v = [], 0, first
+    past_v = past_e = np.empty((0, r.shape[1]))
+    with tqdm(total=len(r), desc="samples", delay=3, disable=None) as bar:
+        while True:
+            now = slice(done, done + len(v))
+            if reset:
+                simulated.reset()
+            signals, asked = simulated.run(r[now] + v, d[now], noise[now])  # (22)
+            parts.append({"v": v} | signals)
+            e, done = r[now] - signals["y"], now.stop
+            bar.update(len(v))
+            if done == len(r):
+                break
+            if reset:
+                v = law.next(v, e, **asked)  # (23)
+                continue
+            if law.actuators is not None:
+                v = law.loop.realised(v, **asked)
+            past_v, past_e = np.concatenate([past_v, v]), np.concatenate([past_e, e])
+            v = next_samples(law, past_v, past_e, first)[: len(r) - done]  # (23)
+    joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    return {name: signal.reshape(*shape, -1) for name, signal in joined.items()}
 
 
-def learn_on(run: Callable, law: Law, first, reference, *others) -> None:
-    """Run trials without a reset; run(r, v, *others) runs the next samples, as a trial of `learn`.
+class _Simulated:
+    """The loop (19) around a plant, or P of a loop whose controller is not ours, by samples."""
 
-    Signals are (time, m), of all trials; `first` is v of the first one.
-    """
-    v, e = np.zeros((2, *reference.shape))
-    done = 0
-    with tqdm(total=len(v), desc="samples", delay=3, disable=None) as bar:
-        while done < len(v):
-            new = next_samples(law, v[:done], e[:done], first)[: len(v) - done]
-            now = slice(done, done + len(new))
-            signals = run(reference[now], new, *(signal[now] for signal in others))
-            e[now] = signals.pop("e")
-            v[now] = realised(law.loop, new, **signals) if law.actuators else new
-            done += len(new)
-            bar.update(len(new))
+    def __init__(self, loop, plant, actuators, initial_state):
+        self.loop, self.actuators, m = loop, actuators, len(loop.outputs)
+        self.ours = isinstance(loop, CurrentTrialLoop)
+        model = with_noise(loop, plant) if self.ours else loop.model(plant)
+        self.A, self.C = model.A, model.C
+        self.B, self.E = np.split(model.B, [m], axis=1)  # of w; of d and noise, which P lacks
+        self.D, self.F = np.split(model.D, [m], axis=1)
+        self.of_plant = model.nstates - len(loop.KL) if self.ours else model.nstates
+        self.initial = np.zeros(model.nstates)
+        if initial_state is not None:
+            x = arguments.array("initial_state", initial_state, (self.of_plant,))
+            self.initial[: self.of_plant] = x
+        self.reset()
 
+    def reset(self):
+        """Begin a trial."""
+        self.state, self.applied = self.initial, None
 
-def commands_of(loop: Loop, w, signals: dict, actuators=None, before=None) -> dict:
-    """What was asked of the actuators, u or of a ClosedLoop w, and applied, for the law."""
-    if isinstance(loop, ClosedLoop):
-        return {"u": w} | ({"applied": actuators.follow(w, before)} if actuators else {})
-    return {name: signals[name] for name in ("u", "applied") if name in signals}
+    def run(self, w, d, noise):
+        """The signals of a trial, or of a part of one; and the commands, as the law takes them."""
+        if not self.ours and d.any():
+            raise ValueError("disturbance is not zero, but loop.P has no input for disturbances")
+        others = np.hstack([d, noise])[:, : self.E.shape[1]]
+        forcing = others @ self.E.T
+        states = state_sequence(self.A, w @ self.B.T + forcing, self.state)  # (19)
+        u = self.controls(w, states)
+        asked = {"u": u}
+        if self.actuators is not None:
+            if not self.actuators.can(u, before=self.applied):
+                w, u = self.within_limits(w, forcing)
+                states = state_sequence(self.A, w @ self.B.T + forcing, self.state)
+            applied = self.actuators.follow(u, self.applied)
+            self.applied = applied[-1]
+            asked = {"u": u, "applied": applied}
+        y = states @ self.C.T + w @ self.D.T + others @ self.F.T + noise
+        self.state = self.A @ states[-1] + self.B @ w[-1] + forcing[-1]
+        estimated = asked | {"delta": states[:, -w.shape[1] :]} if self.ours else {}
+        return estimated | {"y": y}, asked
 
+    def controls(self, w, states):
+        """u, from w and the states, of which the observer's are the last."""
+        if not self.ours:
+            return w
+        m = len(self.loop.outputs)
+        x_hat, delta = states[..., self.of_plant : -m], states[..., -m:]
+        return w @ self.loop.N.T - x_hat @ self.loop.Ks.T - delta  # (18)
 
-def _simulator(loop, plant, actuators):
-    """A function that simulates a trial, and the numbers of the plant's and of all states.
-
-    From w, d, noise and the initial state it makes the trial's signals, y without noise among them,
-    and the state after the last sample.
-    """
-    if isinstance(loop, ClosedLoop):
-        return _simulator_of_P(loop.model(plant), actuators)
-    closed, m = with_noise(loop, plant), len(loop.outputs)
-    n = closed.nstates - len(loop.KL)
-    A, C = closed.A, closed.C
-    B, E, K = np.split(closed.B, [m, -m], axis=1)
-    D, F, _ = np.split(closed.D, [m, -m], axis=1)
-
-    def controls(w, states):
-        x_hat, delta = states[..., n:-m], states[..., -m:]
-        return w @ loop.N.T - x_hat @ loop.Ks.T - delta  # (18)
-
-    def within_limits(w, others, state, before):
+    def within_limits(self, w, forcing):
         """The w with which the loop asks for what is applied, and what it asks for with w."""
-        w_applied, u = w.copy(), np.empty_like(w)
+        w_applied, u = np.empty_like(w), np.empty_like(w)
+        state, before = self.state, self.applied
         for p in range(len(w)):
-            u[p] = controls(w[p], state)
-            before = actuators.next(u[p], before)
-            w_applied[p] = realised(loop, w[p], u[p], before)
-            state = A @ state + B @ w_applied[p] + others[p]
+            u[p] = self.controls(w[p], state)
+            before = self.actuators.next(u[p], before)
+            w_applied[p] = self.loop.realised(w[p], u[p], before)
+            state = self.A @ state + self.B @ w_applied[p] + forcing[p]
         return w_applied, u
 
-    def make_trial(w, d, noise, initial, before):
-        others = d @ E.T + noise @ K.T
-        states = state_sequence(A, w @ B.T + others, initial)  # (19)
-        u = controls(w, states)
-        signals = {}
-        if actuators is not None:
-            if not actuators.can(u, before=before):
-                w, u = within_limits(w, others, initial, before)
-                states = state_sequence(A, w @ B.T + others, initial)
-            signals["applied"] = actuators.follow(u, before)
-        signals |= {"u": u, "delta": states[:, -m:]}
-        signals["y"] = states @ C.T + w @ D.T + d @ F.T
-        return signals, A @ states[-1] + B @ w[-1] + others[-1]
 
-    return make_trial, n, closed.nstates
+def _warnings(result, law, exact, from_rest):
+    """What trials show, and what of their reference and their limits."""
+    yield from diagnose(result, law, exact=exact).values()
+    if law.actuators is not None:
+        u = commands(result, law.loop)["u"]
+        beyond = commands_beyond(u, law.loop.commands, law.limits)
+        if beyond:
+            yield beyond + CUT_OFF
+    if law.L is not None and from_rest:
+        r = result.reference.values
+        rest = Start.of(0 * r[0], r[0], law.loop)
+        away = next(filter(None, map(rest.away, r[1:])), "")
+        if away:
+            yield away
 
 
-def _simulator_of_P(P, actuators):
-    def make_trial(w, d, noise, initial, before):
-        if d.any():
-            raise ValueError("disturbance is not zero, but loop.P has no input for disturbances")
-        w = w if actuators is None else actuators.follow(w, before)
-        x = state_sequence(P.A, w @ P.B.T, initial)
-        return {"y": x @ P.C.T + w @ P.D.T}, P.A @ x[-1] + P.B @ w[-1]
-
-    return make_trial, P.nstates, P.nstates
+SIGNALS = {  # of what they are, their dimension, and which they are
+    "output": ("channel", ("reference", "v", "y", "e")),
+    "control": ("channel", ("u", "applied", "delta")),
+    "source": ("source", ("disturbance",)),
+    "sensor": ("sensor", ("measured",)),
+}
 
 
 def dataset(
@@ -275,26 +277,24 @@ def dataset(
         "time": ("time", Ts * np.arange(samples), {"units": "s"}),
         "channel": np.arange(1, m + 1),
     }
-    variables = {}
-    for kind, dimension, names, members in (
-        ("output", "channel", outputs, ("reference", "v", "y", "e")),
-        ("control", "channel", controls, ("u", "applied", "delta")),
-        ("source", "source", sources, ("disturbance",)),
-        ("sensor", "sensor", sensors, ("measured",)),
-    ):
-        if not len(names) or signals.keys().isdisjoint(members):
+    variables, of_kinds = {}, (outputs, controls, sources, sensors)
+    for (kind, (dimension, members)), names in zip(SIGNALS.items(), of_kinds, strict=True):
+        members = [name for name in members if name in signals]
+        if not len(names) or not members:
             continue
         labels = [units.get(name, "") for name in names]
         coordinates[kind] = (dimension, list(names))
         coordinates[f"{kind}_unit"] = (dimension, labels)
-        unit = labels[0]
-        if len(set(labels)) > 1:  # "name: unit" for one after the other
-            unit = ", ".join(map("{}: {}".format, names, labels))
-        axes = ("trial", "time", dimension)
-        for name in members:
-            if name in signals:
-                variables[name] = (axes, signals[name], {"units": unit})
+        axes, units_of = ("trial", "time", dimension), {"units": _unit(names, labels)}
+        variables |= {name: (axes, signals[name], units_of) for name in members}
     return xr.Dataset(variables, coordinates, {"Ts": float(Ts)})
+
+
+def _unit(names, labels):
+    """The unit of all channels, or "name: unit" for one after the other."""
+    if len(set(labels)) == 1:
+        return labels[0]
+    return ", ".join(f"{name}: {label}" for name, label in zip(names, labels, strict=True))
 
 
 def rms(e: xr.DataArray) -> xr.DataArray:

@@ -11,8 +11,6 @@ from ilctools.units import by_unit, with_unit
 
 NEAR = 0.02  # of the largest reference in the same unit, that a start may be off
 SURE = 5.0  # standard deviations of the noise, likewise
-STILL = 0.1  # of a trial, in which outputs that are back stand still
-LONGEST = 2.0  # trials, that is waited for this
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,25 +30,10 @@ class Start:
         labels = [with_unit(name, loop.units[name]) for name in loop.outputs]
         return cls(y[0], tolerance, len(y), labels)
 
-    @property
-    def window(self) -> int:
-        """Samples in which the outputs stand still."""
-        return max(2, round(STILL * self.samples))
-
-    @property
-    def longest(self) -> int:
-        """Samples that are waited for it."""
-        return max(self.window, round(LONGEST * self.samples))
-
-    def back(self, y, held) -> bool:
-        """Whether outputs (time, output) are back, or where they are held instead, and stay."""
-        y = np.asarray(y[-self.window :])
-        if len(y) < self.window:
-            return False
-        half = len(y) // 2
-        drift = np.abs(y[:half].mean(axis=0) - y[-half:].mean(axis=0))
-        off = np.abs(y.mean(axis=0) - [self.level, held]).min(axis=0)
-        return bool(np.all(np.maximum(drift, off) <= self.tolerance / 2))
+    def near(self, y, held) -> bool:
+        """Whether outputs, shape (output,), are there, or where they are held instead."""
+        off = np.abs(y - [self.level, held]).min(axis=0)
+        return bool(np.all(off <= self.tolerance))
 
     def missed(self, y) -> str:
         """How far the outputs (time, output) of another trial start from there, in words."""

@@ -1,46 +1,50 @@
 """Another task tomorrow: the first ILC signal of a new reference, from the trials of others.
 
-By (30), y_k = P (r + v_k) + P~ d in any trial, converged or not, so that with e_k = r - y_k
+By (30), y_k = P (r_k + v_k) + P~ d in any trial, converged or not, so that with e_k = r_k - y_k
 
-    v_k + e_k = F y_k + c,    F = P^-1 - I,    c = -P^-1 P~ d:
+    v_k + e_k = F y_k + c,    F = P^-1 - I,    c = -P^-1 P~ d:                                (1)
 
 what v would have to be if y_k were the reference. F is the plant's; c compensates a repeating
 disturbance; any reference r needs v = F r + c. No model of P enters.
+
+With F y_k = Phi_k f by the taps f of F, and t_k = v_k + e_k, one ridge regression gives both,
+
+    minimise  sum_k ||t_k - Phi_k f - c||^2 + lambda f' D f + gamma ||c||^2.                  (2)
+
+With the means Phi and t over K trials, and rho = gamma / (K + gamma), its solution for c, and what
+is left to be minimised by f, are
+
+    c = (1 - rho) (t - Phi f),                                                                (3)
+    sum_k ||t_k - t - (Phi_k - Phi) f||^2 + rho K ||t - Phi f||^2 + lambda f' D f.            (4)
+
+So c is a random effect (P. Balestra and M. Nerlove, Econometrica 34 (1966) 585-612): the mean over
+the trials has K s_c^2 / s_w^2 + 1 = 1 / rho times the variance that deviations from it promise. By
+kernels, with one trial: L. Blanken and T. Oomen, Automatica 114 (2020) 108830.
 """
 
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
-from operator import attrgetter
-from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
-from scipy.fft import irfft, next_fast_len, rfft
-from scipy.special import fdtrc
+from scipy.signal import oaconvolve
 
 from ilctools import arguments
 from ilctools.signals import Signals, check_match, period_of
-from ilctools.trials.diagnosis import degrees_of_freedom, spectrum
 
-GROWTH = 1.5  # from one lag of F to the next
+GROWTH = 1.5  # from one lag of F to the next: fewer taps, a smoother F
 DECAY = 2.0  # a priori, entries of F fall as 1 / |lag|^DECAY
-WEIGHTS = 10.0 ** np.arange(-10, 1)  # of this prior, in mean squares of the regressors
-STATIC = 1e6  # times the weight of F(0), for F(0) = 0, as if P(0) = I
-PENALTY = 2.0  # by which F(0) /= 0 must improve the likelihood of each trial
-ROUNDING = 1e-14  # of the power
+WEIGHTS = 10.0 ** np.arange(-10, 1)  # candidates for lambda, in mean squares of the regressors
+STATIC = 1e6  # of F(0) in D, a candidate beside 1: F(0) = 0, as if P(0) = I,
+PENALTY = 2.0  # unless F(0) /= 0 makes each trial so many times as likely
+RATIOS = 10.0 ** -np.arange(0, 7)  # candidates for rho; with one trial it is 1
 BLOCKS = 5  # of time, for cross-validation
-RATIOS = 10.0 ** -np.arange(0, 7)  # candidates for the ratio of variances
+ROUNDING = 1e-14  # of the power, below which residuals are rounding
+PREDICTED = 0.9  # share of v + e with less of which a warning comes
+UNCERTAIN = 0.2  # share of v that may be uncertain without one
 AXES = ("trial", "time", "channel")
-# When to warn:
-PREDICTED = 0.9  # least share of v + e
-UNCERTAIN = 0.2  # largest share of v
-SIGNIFICANCE = 1e-3  # probability that one plant seems to be two, by noise
-CONTRADICTS = 0.1  # smallest error of v in hold-out, relative to v + e, that is said
-UNSEEN = 1e3  # power of a reference, relative to that of all earlier ones, in a band
-UNSEEN_SHARE = 0.1  # of the power of a reference, in such bands
-BANDS = 25
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +52,7 @@ class Transfer:
     """Where to begin with another reference. Signals have the shape (time, m).
 
     The uncertainty is the jackknife's, by fits without one block of time each, together with the
-    distance to the fit by differences between trials alone.
+    distance to the fit by differences between trials alone, rho = 0.
     """
 
     v: np.ndarray  # ILC signal of the first trial, feedforward + compensation
@@ -57,8 +61,6 @@ class Transfer:
     F: np.ndarray  # (m, m, 2 R + 1): impulse response, from R samples ahead to R back
     predicted: np.ndarray  # (m,): share of v_k + e_k, in cross-validation
     uncertainty: np.ndarray  # (m,): RMS by which v may be off
-    # (K, m): RMS by which F and c of the other trials miss v + e, relative
-    held_out: np.ndarray
 
 
 def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
@@ -67,18 +69,18 @@ def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
     Parameters
     ----------
     trials : xarray.Dataset or list of them
-        From :func:`run_trials`, :func:`record` or :func:`load_log`, of one loop, under the same
-        disturbance, of the same length. All count, the first most of all. Where actuators cut off,
-        with v as :func:`ilctools.law.limits.realised` has it.
+        From :func:`run_trials`, :func:`record` or :func:`load_log`, of one plant and loop, under
+        the same disturbance, of the same length: those of another are to be left out, by isel. All
+        count, the first most of all. Where actuators cut off, with v as
+        the loop's `realised` has it.
     reference : array_like, shape (time, m)
-        Of the new task, of any length; beyond the end of the trials the compensation is zero.
+        Of the new task, of any length; beyond the end of the trials the compensation is zero. At
+        frequencies where it has power and the earlier ones had hardly any, v is a guess.
 
     Warns
     -----
     UserWarning
-        If F and c predict little of the trials; if one plant does not explain all of them; if v
-        may be worse than zero; if the trials leave v uncertain, as one alone does; if the reference
-        has power where the earlier ones had little.
+        If F and c predict little of the trials; if the trials leave v uncertain, as one alone does.
 
     See Also
     --------
@@ -87,16 +89,10 @@ def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
 
     Notes
     -----
-    Each row of F is a ridge regression. Lags grow geometrically up to half a trial, with straight
-    lines between, and are weighted as slopes, (y(p - l) - y(p)) / l^2. c is a random effect: the
-    mean over K trials has the variance s_w^2 / K + s_c^2, deviations from it have s_w^2 (P.
-    Balestra and M. Nerlove, Econometrica 34 (1966) 585-612). So differences between trials
-    distinguish c from F r: v within a task, and the reference between tasks. With one plant, the
-    residuals of two trials are independent; with another they are alike, by an F test of their sum
-    against their difference, with one false alarm in 1,000 calls for each output. The weight, the
-    ratio of the variances, and whether F(0) = 0, as if P(0) = I, have the largest likelihood in
-    cross-validation over blocks of time. By kernels, with one trial: L. Blanken and T. Oomen,
-    Automatica 114 (2020) 108830.
+    The lags of F grow geometrically up to half a trial, with straight lines between, and are
+    weighted as slopes, (y(p - l) - y(p)) / l^2. Differences between trials distinguish c from F r:
+    v within a task, and the reference between tasks. The weights lambda and rho, and whether F(0) =
+    0, have the largest likelihood in cross-validation over blocks of time.
 
     Examples
     --------
@@ -115,86 +111,59 @@ def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
     >>> bool(rms(first.e) < 0.1 * rms(zero.e))
     True
     """
-    v, y, references, outputs, Ts, labels = _signals(trials)
+    v, y, references, outputs = _signals(trials)
     K, N, m = y.shape
     reference = arguments.in_columns("reference", reference, ("time", m), outputs)
     size = np.sqrt(np.mean(y**2, axis=(0, 1)))
     size[size == 0] = 1.0
     basis = _basis(max(1, N // 2))
-    targets = references + v - y
-    columns = [
-        np.hstack([_taps(output / size, basis), target])
-        for output, target in zip(y, targets, strict=True)
-    ]
-    products = [_products(trial) for trial in columns]
-    regression = _Regression(columns, products, m)
-    without_one = [
-        _Regression(columns[:k] + columns[k + 1 :], products[:k] + products[k + 1 :], m)
-        for k in range(K)
-        if K > 1
-    ]
+    targets = references + v - y  # v_k + e_k
+    taps = np.array([_taps(output / size, basis) for output in y])
+    columns = np.concatenate([taps, targets], axis=2)  # Phi_k, t_k
+    mean = columns.mean(axis=0)
+    fits = _Fits(sum(map(_products, columns - mean)), K * _products(mean), K, m)
 
+    f, without = fits.likeliest(RATIOS if K > 1 else RATIOS[:1])
+    rho, predicted = fits.variances(without)
+    by_differences, _ = fits.likeliest([0.0])  # between trials, alone
     X = _taps(reference / size, basis)
-    p = X.shape[1]
-    past = np.zeros((len(reference), p + m))
-    past[:N] = regression.center[: len(reference)]
-    X_past = past[:, :p]
-    rows, compensation = np.zeros((m, p)), np.zeros_like(reference)
-    predicted, uncertainty = np.zeros((2, m))
-    held_out, messages = np.zeros((K, m)), []
-    fits = regression.fits(RATIOS if K > 1 else RATIOS[:1])
-    by_differences = regression.fits([0.0])  # between trials, alone
-    for i, (fit, differences) in enumerate(zip(fits, by_differences, strict=True)):
-        rows[i], predicted[i] = fit.row, fit.predicted
-        target, weight = past[:, p + i], 1 - fit.ratio
-        compensation[:, i] = weight * (target - X_past @ fit.row)
-        deviations = (X - weight * X_past) @ (fit.without - fit.row).T
-        jackknife = (1 - 1 / BLOCKS) * np.sum(deviations**2, axis=1)
-        other_v = target + (X - X_past) @ differences.row
-        distance = other_v - X @ fit.row - compensation[:, i]
-        uncertainty[i] = np.sqrt(np.mean(jackknife + distance**2))
-        for k, others in enumerate(without_one):
-            row = others.row(i, fit)
-            missed = np.linalg.norm(others.missed(columns[k], i, row, fit.ratio))
-            of_target = np.linalg.norm(targets[k, :, i])
-            held_out[k, i] = missed / max(of_target, np.finfo(float).tiny)
-        residuals = np.array([regression.missed(trial, i, fit.row, fit.ratio) for trial in columns])
-        messages += _contradictions(residuals, held_out[:, i], outputs[i], labels)
+    past = np.zeros((len(reference), columns.shape[2]))
+    past[:N] = mean[: len(reference)]
+    Phi, t = past[:, :-m], past[:, -m:]
 
-    feedforward, v = X @ rows.T, X @ rows.T + compensation
-    F = (rows.reshape(m, m, -1) / size[:, None]) @ basis.T
-    result = Transfer(v, feedforward, compensation, F, predicted, uncertainty, held_out)
+    def first_signal(f, rho):
+        return X @ f + (1 - rho) * (t - Phi @ f)  # F r + c, (3)
+
+    v = first_signal(f, rho)
+    jackknife = (1 - 1 / BLOCKS) * sum((first_signal(other, rho) - v) ** 2 for other in without)
+    distance = first_signal(by_differences, 0.0) - v
+    uncertainty = np.sqrt(np.mean(jackknife + distance**2, axis=0))
+    F = (f.T.reshape(m, m, -1) / size[:, None]) @ basis.T
+    result = Transfer(v, X @ f, v - X @ f, F, predicted, uncertainty)
     for i, name in enumerate(outputs):
-        unseen = _unseen(reference[:, i], references[:, :, i], Ts)
-        messages += _warnings(result, i, name, *unseen)
-    for message in messages:
-        warnings.warn(message, stacklevel=2)
+        for text in _warnings(result, i, name):
+            warnings.warn(text, stacklevel=2)
     return result
 
 
 def _signals(trials):
-    """v, y and reference of all trials, names of the outputs, Ts, and names of the trials."""
+    """v, y and reference of all trials, (trial, time, output), and the names of the outputs."""
     tasks = trials if isinstance(trials, list | tuple) and trials else [trials]
-    signals, periods, labels = {"v": [], "y": [], "reference": []}, {}, []
+    signals, periods, outputs, shape = {"v": [], "y": [], "reference": []}, {}, None, None
     for i, task in enumerate(tasks):
         task = arguments.instance("trials", task, xr.Dataset)
         task = task if "trial" in task.dims else task.expand_dims("trial")
         if not all(name in task and {*task[name].dims} == {*AXES} for name in signals):
             raise ValueError(f"trials lack one of {[*signals]}, or its axes: see run_trials")
-        period = period_of(task)
-        periods[f"trials[{i}]"] = Signals(period)
-        numbers = np.arange(1, task.sizes["trial"] + 1)
-        where = f" of trials[{i}]" if len(tasks) > 1 else ""
-        labels += [f"{k}{where}" for k in task.get("trial", numbers).values]
-        if not i:
-            outputs = arguments.names_of(task.y) or [*task.channel.values]
-            shape = "trial", task.sizes["time"], task.sizes["channel"]
+        periods[f"trials[{i}]"] = Signals(period_of(task))
+        outputs = outputs or arguments.names_of(task.y) or task.channel.values.tolist()
+        shape = shape or ("trial", task.sizes["time"], task.sizes["channel"])
         for name, arrays in signals.items():
             array = task[name].transpose(*AXES)
             arrays.append(arguments.in_columns(f"trials.{name}", array, shape, outputs))
     check_match(**periods)
     v, y, references = (np.concatenate(arrays) for arrays in signals.values())
-    return v, y, references, outputs, period, labels
+    return v, y, references, outputs
 
 
 def _basis(reach):
@@ -213,160 +182,87 @@ def _basis(reach):
 
 def _taps(signal, basis):
     """A signal (time, m) by each tap, shape (time, m taps); constant beyond its ends."""
-    ends = len(basis) // 2
-    extended = np.pad(signal, [(ends, ends), (0, 0)], mode="edge")
-    count = next_fast_len(len(extended), real=True)  # the ends that wrap are not kept
-    by_tap = rfft(extended, count, axis=0)[..., None] * rfft(basis, count, axis=0)[:, None]
-    taps = irfft(by_tap, count, axis=0)[2 * ends :][: len(signal)]
+    reach = len(basis) // 2
+    extended = np.pad(signal, [(reach, reach), (0, 0)], mode="edge")
+    taps = oaconvolve(extended[..., None], basis[:, None], mode="valid", axes=0)
     return taps.reshape(len(signal), -1)
 
 
-class _Fit(NamedTuple):
-    without: np.ndarray  # (blocks, p): rows of F by taps, without each block of time
-    ratio: float = 1.0  # of variances, s_w^2 / (s_w^2 + K s_c^2)
-    predicted: float = 1.0  # share of the target, in cross-validation
-    chosen: tuple = (1.0, 1.0, 1.0)  # ratio, factor and weight of the prior
-    likelihood: float = 0.0  # its logarithm
-    row: np.ndarray | None = None  # (p,): of all blocks
-
-
-class _Regression:
-    """Products of p regressors and m targets in each block, shape (blocks, p + m, p + m)."""
-
-    def __init__(self, columns, products, m):
-        self.K, self.m = len(columns), m
-        self.center = sum(columns) / self.K  # the mean of the trials' columns
-        self.mean = self.K * _products(self.center)
-        # of the deviations of K trials from their mean
-        self.within = sum(products) - self.mean
-
-    def missed(self, trial, i, row, ratio):
-        """What a row of F and c of these trials miss of v + e in the columns of a trial."""
-        p = len(row)
-        own, common = (x[:, p + i] - x[:, :p] @ row for x in (trial, self.center))
-        return own - (1 - ratio) * common
-
-    def row(self, i, fit):
-        """Row i of F, with the prior that was chosen in a fit, to these trials or to others."""
-        ratio, static, weight = fit.chosen
-        return self._ridge(ratio, static, np.array([weight]), slice(1))[0, 0, :, i]
-
-    def fits(self, ratios) -> list[_Fit]:
-        """The most likely rows of F: their weights, their F(0), and the ratio of the variances."""
-        fits = [[] for _ in range(self.m)]
-        for ratio, static in product(ratios, (1.0, STATIC)):
-            without = self._ridge(ratio, static, WEIGHTS, slice(1, None))  # of all outputs
-            for i, found in enumerate(fits):
-                found.append(self._likeliest(i, without[..., i], ratio, static))
-        best = [max(found, key=attrgetter("likelihood")) for found in fits]
-        return [fit._replace(row=self.row(i, fit)) for i, fit in enumerate(best)]
-
-    def _likeliest(self, i, without, ratio, static):
-        """The most likely weight, by rows i of F without each block, (weights, blocks, p)."""
-        p = without.shape[-1]
-        power = (self.within + self.mean)[:, p + i, p + i].sum()
-        if not power > 0:
-            return _Fit(np.zeros((BLOCKS, p)))
-        within, mean = (
-            _squares(products, without, i) + ROUNDING * power
-            for products in (self.within, self.mean)
-        )
-        likelihood = -(self.K - 1) * np.log(within) - np.log(mean)
-        if static == 1:
-            likelihood -= self.K * np.log(PENALTY)
-        best = likelihood.argmax()
-        chosen, within, mean = (ratio, static, WEIGHTS[best]), within[best], mean[best]
-        ratio = min(1.0, within / (self.K - 1) / mean) if self.K > 1 else 1.0
-        total = (self.within + ratio * self.mean)[:, p + i, p + i].sum()
-        predicted = 1 - (within + ratio * mean) / total
-        return _Fit(without[best], ratio, predicted, chosen, likelihood[best])
-
-    def _ridge(self, ratio, static, weights, kept):
-        """Rows of F by weights, (weights, kept, p, m); of 1 + blocks: of all, without each."""
-        p = self.mean.shape[1] - self.m
-        products = self.within + ratio * self.mean
-        total = products.sum(axis=0)
-        sums = np.concatenate([total[None], total - products])[kept]
-        floor = ROUNDING * np.trace(self.mean.sum(axis=0)[:p, :p]) / p or 1.0
-        prior = np.ones((self.m, p // self.m))
-        prior[:, prior.shape[1] // 2] = static
-        size = floor + weights * np.trace(total[:p, :p]) / p
-        normal = np.repeat(sums[None, :, :p, :p], len(weights), axis=0)
-        diagonals = np.einsum("wbpp->wbp", normal)
-        diagonals += np.multiply.outer(size, prior.ravel())[:, None]
-        return np.linalg.solve(normal, sums[:, :p, p:])
-
-
-def _contradictions(residuals, held_out, name, labels):
-    """Trials that one plant does not explain, and whether v = 0 would do as well."""
-    freedom = degrees_of_freedom(spectrum(residuals[..., None]).mean(axis=0)).item()
-    one, other = np.triu_indices(len(residuals), 1)
-    sums, differences = (
-        np.sum((residuals[one] + sign * residuals[other]) ** 2, axis=1) for sign in (1, -1)
-    )
-    F = sums / np.maximum(differences, np.finfo(float).tiny)
-    alike = len(one) * fdtrc(freedom, freedom, F) < SIGNIFICANCE
-    alike &= np.minimum(held_out[one], held_out[other]) > CONTRADICTS
-    if alike.any():
-        trials = np.unique([one[alike], other[alike]])
-        words = ", ".join(f"{labels[k]} (by {held_out[k]:.0%})" for k in trials)
-        yield (
-            "one plant does not explain all trials, nor does one repeating disturbance: for "
-            f"{name}, the others miss v + e of trials {words}, with errors that are alike. Leave "
-            "out those of another plant, loop or disturbance, by isel"
-        )
-    if held_out.max(initial=0) >= 1:
-        worst = labels[held_out.argmax()]
-        yield (
-            f"v for {name} may be worse than zero: of trial {worst} the others predict v + e with "
-            f"an error of {held_out.max():.0%}"
-        )
-
-
-def _products(signals):
+def _products(columns):
     """Inner products of the columns in each block of time, shape (blocks, columns, columns)."""
-    return np.array([block.T @ block for block in np.array_split(signals, BLOCKS)])
+    return np.array([block.T @ block for block in np.array_split(columns, BLOCKS)])
 
 
-def _squares(products, without, i):
-    """Sums of squares of the residuals in all blocks, by the rows (n, blocks, p) without them."""
-    n, blocks, p = without.shape
-    residual = np.zeros((blocks, n, products.shape[1]))
-    residual[..., :p], residual[..., p + i] = -without.swapaxes(0, 1), 1
-    return np.sum(residual @ products * residual, axis=(0, 2))
+@dataclass(frozen=True)
+class _Fits:
+    """The sums of (4) over blocks of time: products of p regressors and m targets."""
+
+    within: np.ndarray  # of deviations from the mean over the trials
+    between: np.ndarray  # K times those of the mean
+    K: int
+    m: int
+
+    def likeliest(self, ratios):
+        """f by the likeliest weights rho, lambda and D of each output, and f without each block.
+
+        Shapes (p, m) and (blocks, p, m).
+        """
+        m, p = self.m, self.within.shape[1] - self.m
+        D = np.ones((m, p // m))
+        candidates, likelihoods = [], []
+        for rho, static, weight in product(ratios, (1.0, STATIC), WEIGHTS):
+            D[:, D.shape[1] // 2] = static
+            size = np.mean(self.power(rho)[:p]) or 1.0
+            candidates.append((rho, weight * size * D.ravel()))
+            prior = self.K * np.log(PENALTY) if static == 1 else 0.0
+            likelihoods.append(self.likelihood(*candidates[-1]) - prior)
+        best = np.argmax(likelihoods, axis=0)
+        fits = [self.solve(*candidates[k])[..., i] for i, k in enumerate(best)]
+        f, *without = np.stack(fits, axis=-1)
+        return f, np.array(without)
+
+    def power(self, rho=1.0):
+        """Sums of squares of the columns (Phi, t), as (4) weights them."""
+        return np.diagonal(np.sum(self.within + rho * self.between, axis=0))
+
+    def variances(self, without):
+        """rho, by what fits without a block leave in it; and the share that they predict, (m,)."""
+        within, between = self.residuals(without)
+        rho = np.ones(self.m)
+        if self.K > 1:
+            rho = np.minimum(1.0, within / (self.K - 1) / np.maximum(between, np.finfo(float).tiny))
+        power = np.array([self.power(ratio)[i - self.m] for i, ratio in enumerate(rho)])
+        missed = np.divide(within + rho * between, power, out=np.zeros(self.m), where=power > 0)
+        return rho, 1 - missed
+
+    def solve(self, rho, penalty):
+        """f of (4), of all blocks, and without each, shape (1 + blocks, p, m)."""
+        p, products = len(penalty), self.within + rho * self.between
+        total = products.sum(axis=0)
+        sums = np.concatenate([total[None], total - products])
+        return np.linalg.solve(sums[:, :p, :p] + np.diag(penalty), sums[:, :p, p:])
+
+    def residuals(self, without):
+        """Sums of squares in all blocks that fits without them leave, within and between trials."""
+        one = np.broadcast_to(np.eye(self.m), (BLOCKS, self.m, self.m))
+        R = np.concatenate([-without, one], axis=1)  # from (Phi, t) to t - Phi f
+        return [np.sum(R * (products @ R), axis=(0, 1)) for products in (self.within, self.between)]
+
+    def likelihood(self, rho, penalty):
+        """Logarithm of the likelihood of the residuals of each output, within and between."""
+        power = self.power()[-self.m :]
+        floor = ROUNDING * np.where(power > 0, power, 1.0)
+        residuals = self.residuals(self.solve(rho, penalty)[1:])
+        within, between = (residual + floor for residual in residuals)
+        return -(self.K - 1) * np.log(within) - np.log(between)
 
 
-def _unseen(reference, earlier, Ts):
-    """Share of the reference's power that is unseen, and its lowest frequency (rad/s).
-
-    Unseen is the power of the slope in bands in which the `earlier` ones, (trial, time), had hardly
-    any.
-    """
-    count = 2 * max(len(reference), earlier.shape[1])
-    edges = np.unique(np.geomspace(1, count // 2, BANDS).round().astype(int))
-
-    def power(signal):
-        lines = np.abs(np.fft.rfft(np.diff(signal), count)) ** 2
-        return np.add.reduceat(lines, edges, axis=-1)
-
-    bands = power(reference)
-    unseen = bands > UNSEEN * power(earlier).max(axis=0)
-    share = bands[unseen].sum() / (bands.sum() or 1.0)
-    lowest = edges[unseen].min(initial=count)
-    return share, 2 * np.pi / (count * Ts) * lowest
-
-
-def _warnings(result, i, name, unseen, low):
+def _warnings(result, i, name):
     """What speaks against the first signal of output i."""
     if result.predicted[i] < PREDICTED:
         yield (
             f"F predicts {result.predicted[i]:.0%} of v + e for {name}: if another disturbance "
             "came, or actuators reached limits, leave these trials out, by isel"
-        )
-    if unseen > UNSEEN_SHARE:
-        yield (
-            f"reference has {unseen:.0%} of the power of its slope in {name} from {low:.2g} "
-            "rad/s on, where the earlier ones had hardly any: v is a guess there"
         )
     size, off = np.sqrt(np.mean(result.v[:, i] ** 2)), result.uncertainty[i]
     if off > UNCERTAIN * size:

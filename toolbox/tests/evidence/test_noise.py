@@ -2,12 +2,11 @@
 
 from dataclasses import replace
 
-import control
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from plants import stage, tanks
+from plants import altered, stage, tanks
 from scipy.linalg import solve_discrete_lyapunov
 
 from ilctools import (
@@ -22,7 +21,7 @@ from ilctools import (
     trial_noise,
     zero_phase_butterworth,
 )
-from ilctools.alternatives import p_type
+from ilctools.alternatives import pd_type
 from ilctools.evidence import noise as evidence
 from ilctools.evidence.noise import Spectrum, TrialNoise
 from ilctools.trials.run import rms
@@ -54,12 +53,6 @@ def on_tanks():
     return case(loop, 0.3, (1e-3, 0.1))
 
 
-def other_tanks(loop):
-    plant = loop.plant
-    return control.ss(0.97 * plant.A, plant.B, plant.C, 0, loop.Ts,
-                      inputs=plant.input_labels, outputs=plant.output_labels)  # fmt: skip
-
-
 def after_one(loop, law, trials, noise=None, disturbance=None, plant=None):
     """True and measured error of trials of which the first is disturbed, (kind, trial, time, m)."""
     samples = len(disturbance if noise is None else noise)
@@ -78,7 +71,7 @@ def test_a_single_impulse_through_the_trials_has_the_predicted_rms(on_tanks):
     coloured disturbance it is one impulse behind the colouring filter.
     """
     loop, law, omega = on_tanks
-    plant, variance, power = other_tanks(loop), np.array([1.0, 4.0, 9.0]), 0
+    plant, variance, power = altered(loop.plant, A=0.97), np.array([1.0, 4.0, 9.0]), 0
     for impulse in np.diag(np.sqrt(variance)):
         noise = np.zeros((900, 3))
         noise[400] = impulse
@@ -129,29 +122,22 @@ def test_the_rms_is_the_root_of_the_variance():
 
 def test_what_does_not_fit_is_refused(on_stage, on_tanks):
     loop, law, omega = on_tanks
-    new, Q, L = trial_noise(loop, omega, 1.0), law.Q, law.L
+    new = trial_noise(loop, omega, 1.0)
     without = current_trial_loop(tanks()[:, loop.controls])
-    backward = replace(L, coefficients=-0.01 * L.coefficients)
     small, on_one, _ = on_stage
-    wrong_way = replace(on_one.L, coefficients=-on_one.L.coefficients)
-    on_trial = {"loop": small, "law": on_one, "samples": 30, "sensor_variance": 1.0}
-    for door, changes, name in [
-        (trial_noise, (loop, omega, [1.0, -1.0, 0.0]), "sensor_psd"),
-        (trial_noise, (without, omega, 1.0, 1.0), "disturbance_psd"),
-        (converged_noise, (new, Law(Q, backward)), "does not converge"),
-        (noise_on_trial, {"sensor_variance": -1.0}, "sensor_variance"),
-        (noise_on_trial, {"sensor_variance": [1.0, 1.0]}, "sensor_variance"),
-        (noise_on_trial, {"law": replace(on_one, L=None)}, r"law\.L"),
-        (noise_on_trial, {"loop": ClosedLoop(loop.P)}, "not ours"),
-        (trial_noise, (ClosedLoop(loop.P), omega, 1.0), "not ours"),
-        (
-            noise_on_trial,
-            {"law": replace(on_one, L=wrong_way), "samples": 300},
-            "does not converge on a trial",
-        ),
+    wrong_way, on_one_wrong = (
+        replace(x, L=replace(x.L, coefficients=-x.L.coefficients)) for x in (law, on_one)
+    )
+    for call, message in [
+        (lambda: trial_noise(loop, omega, [1.0, -1.0, 0.0]), "sensor_psd"),
+        (lambda: trial_noise(without, omega, 1.0, 1.0), "disturbance_psd"),
+        (lambda: trial_noise(ClosedLoop(loop.P), omega, 1.0), "loop"),
+        (lambda: converged_noise(new, wrong_way), "does not converge"),
+        (lambda: noise_on_trial(small, replace(on_one, L=None), 30, 1.0), r"law\.L"),
+        (lambda: noise_on_trial(small, on_one_wrong, 300, 1.0), "does not converge"),
     ]:
-        with pytest.raises(ValueError, match=name):
-            door(*changes) if isinstance(changes, tuple) else door(**on_trial | changes)
+        with pytest.raises(ValueError, match=message):
+            call()
 
 
 def by_impulses(loop, law, variance, trials, plant):
@@ -171,7 +157,7 @@ def by_impulses(loop, law, variance, trials, plant):
 
 @pytest.mark.parametrize(
     ("trials", "ends", "changes"),
-    [(4, "hold", {}), (3, "zero", {"rest": 7, "gain": 0.6, "L": p_type(0.5, 2, 3, 2.0)})],
+    [(4, "hold", {}), (3, "zero", {"rest": 7, "gain": 0.6, "L": pd_type(0.5, 0.0, 2, 3, 2.0)})],
     ids=["ends held", "rest"],
 )  # fmt: skip
 def test_each_impulse_of_noise_run_through_the_trials(on_tanks, trials, ends, changes):
@@ -179,7 +165,7 @@ def test_each_impulse_of_noise_run_through_the_trials(on_tanks, trials, ends, ch
     loop, law, _ = on_tanks
     law = replace(law, Q=replace(law.Q, ends=ends), L=replace(law.L, ends=ends))
     law, variance = replace(law, **changes), [1.0, 4.0, 9.0]
-    plant = other_tanks(loop) if changes else None
+    plant = altered(loop.plant, A=0.97) if changes else None
     true, measured = by_impulses(loop, law, variance, trials, plant)
     noise = noise_on_trial(loop, law, 30, variance, trials=trials, plant=plant)
     limit = {"rtol": 1e-9, "atol": 1e-9 * true.max()}

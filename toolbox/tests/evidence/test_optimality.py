@@ -1,25 +1,19 @@
 """The lower bound of robust problems, against their optima as CVXPY finds them."""
 
-import warnings
 from dataclasses import replace
-from functools import cache
 
-import cvxpy as cp
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from plants import complex_normal
+from problems import optimum
 
 from ilctools.evidence.optimality import dual_norm, lower_bound
 from ilctools.problem.pose import pose
-from ilctools.problem.problem import Cuts
 
 sizes = st.integers(1, 3)
 seeds = st.integers(0, 999)
-
-
-def complex_normal(rng, *shape):
-    return rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
 
 
 def random_problem(m, others, radius, M_max, objective, structure, seed=0):
@@ -42,57 +36,6 @@ def random_problem(m, others, radius, M_max, objective, structure, seed=0):
     )  # fmt: skip
 
 
-@cache
-def optimum(m, others, radius, M_max, objective, structure):
-    """The problem as a semidefinite program, entry for entry; its value and its multipliers.
-
-    The matrices are variables of their own, so that the multipliers are those of equations.
-    """
-    problem = random_problem(m, others, radius, M_max, objective, structure)
-    C = [cp.Variable((m, m)) for _ in range(problem.order)]
-    if structure == "diagonal":
-        C = [cp.diag(cp.Variable(m)) for _ in range(problem.order)]
-    subject_to, value, peak = [], 0, cp.Variable()
-    equations, plant, frequency = {"U": [], "V": [], "N": []}, [], []
-    bound = peak if objective == "peak" else M_max
-
-    def named(kind, expression):
-        variable = cp.Variable(expression.shape, complex=True)
-        equations[kind].append(variable == expression)
-        return variable
-
-    def at_most(G, corner, b):  # sigma_max(G) <= b, for the corner b I
-        return cp.bmat([[corner, G], [G.H, b * np.eye(m)]]) >> 0
-
-    for i, omega in enumerate(problem.omega):
-        q, z = problem.Q[i], np.exp(1j * omega * problem.Ts)
-        L = sum(c * z ** (k + 1) for k, c in enumerate(C))
-        M = [q * (np.eye(m) - problem.plants[k][i] @ L) for k in range(1 + others)]
-        L_max, t = problem.L_max, cp.Variable()
-        subject_to.append(at_most(named("V", L), L_max * np.eye(m), L_max))
-        subject_to.append(at_most(named("U", M[0]), t * np.eye(m), t))
-        if not radius:
-            subject_to.append(t <= bound)
-        value += problem.weights[i] * t
-        for k in range(not radius, 1 + others):
-            plant.append(k), frequency.append(i)
-            G, shares = M[k], [bound] * m
-            if radius:
-                G, d = cp.vstack([G, abs(q) * problem.radius[i] * L]), cp.Variable()
-                shares = [bound - d] * m + [d] * m
-            corner = cp.diag(cp.hstack(shares))
-            subject_to.append(at_most(named("N", G), corner, bound))
-    subject_to += [equation for kind in equations.values() for equation in kind]
-    program = cp.Problem(cp.Minimize(peak if objective == "peak" else value), subject_to)
-    tiny = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), 1e-11)
-    # "may be inaccurate": the test is on what follows from it
-    with warnings.catch_warnings(action="ignore"):
-        program.solve(solver=cp.CLARABEL, **tiny)
-    U, V, N = (-np.array([e.dual_value for e in equations[kind]]) for kind in "UVN")
-    cuts = Cuts(np.array(plant), np.array(frequency), N, np.empty((len(N), 0)))
-    return problem, program.value, U, V, cuts
-
-
 CASES = [
     (2, 2, False, 0.45, "sum", "full"), (2, 2, False, 0.45, "peak", "diagonal"),
     (1, 0, True, 0.29, "peak", "full"), (2, 1, True, 0.424, "sum", "diagonal"),
@@ -103,7 +46,8 @@ CASES = [
 
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_the_bound_from_the_multipliers_of_cvxpy_is_its_optimum_and_others_are_below(case):
-    problem, value, U, V, cuts = optimum(*case)
+    problem = random_problem(*case)
+    value, U, V, cuts = optimum(problem)
     bound = lower_bound(problem, U, V, cuts)
     assert value * (1 - 1e-5) < bound < value * (1 + 1e-7)
     assert lower_bound(problem, U, V) < value / 2  # what the cuts contribute is needed

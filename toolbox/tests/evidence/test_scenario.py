@@ -40,14 +40,14 @@ def test_to_wait_and_judge_costs_little_against_knowing_the_support_before(sampl
 def design(others, cuts):
     """What a synthesis has of its problem and solution, for so many other plants."""
     problem = SimpleNamespace(plants=np.empty((1 + others, 1, 1, 1)))
-    solution = Solution(np.empty(0), None, None, 0, "", 0, cuts)
+    solution = Solution(np.empty(0), None, None, 0, 0, cuts)
     return SimpleNamespace(problem=problem, solution=solution)
 
 
 def test_the_support_are_the_other_plants_with_multipliers():
     plant = np.array([0, 4, 2, 4, 7, 9])
     N = np.array([1, 0.5, 1e-3, 0.2, 1e-12, 0])[:, None, None] * np.ones((6, 2, 1))
-    several = design(9, Cuts(plant, np.zeros(6, dtype=int), N, np.empty((6, 0))))
+    several = design(9, Cuts(plant, np.zeros(6, dtype=int), N))
     assert support(several.solution).tolist() == [2, 4]
     assert violation_probability(several, 1e-3) == scenario_bound(9, 2, 1e-3)
     assert support(design(9, None).solution).size == 0

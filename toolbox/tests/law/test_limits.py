@@ -3,11 +3,10 @@
 import control
 import cvxpy as cp
 import numpy as np
-import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from plants import LOOPS, PUMPS, lifted
+from plants import LOOPS, PUMPS, altered, lifted
 from scipy.linalg import eigh
 from scipy.optimize import lsq_linear
 
@@ -22,7 +21,7 @@ from ilctools import (
     synthesise,
     zero_phase_butterworth,
 )
-from ilctools.law.limits import WEIGHT, Actuators, nearest, realised
+from ilctools.law.limits import WEIGHT, Actuators, projected
 
 pytestmark = pytest.mark.filterwarnings("ignore:commands were", "ignore:the reference")
 
@@ -79,7 +78,7 @@ def test_it_is_the_nearest_of_all_that_can_be_followed(case):
     applied = actuators.follow(u)
     assert np.abs(applied - u).max() > 0.01 * np.abs(u).max()
     following = Law(Q, L, rest=rest, limits=limits, loop=loop).next(v, e, u)
-    v_applied = realised(loop, v, u, applied)
+    v_applied = loop.realised(v, u, applied)
     target = Law(Q, L, rest=rest).next(v_applied, e)
     (samples, m), active = v.shape, len(v) - rest
     P, S = lifted(loop.P, samples), lifted(to_commands(loop), samples)
@@ -115,23 +114,21 @@ def test_where_nothing_is_cut_off_it_is_the_law(case):
     limited = Law(Q, L, rest=3, gain=0.7, limits=wide, loop=loop)
     np.testing.assert_array_equal(limited.next(v, e, u), plain.next(v, e))
     run, same = (run_trials(loop, law, reference, trials=3) for law in (plain, limited))
-    assert same.drop_vars("applied", errors="ignore").identical(run)
-    assert "applied" not in same or same.applied.equals(same.u)
+    for name in run:
+        np.testing.assert_array_equal(same[name], run[name])
 
 
 @pytest.mark.parametrize("case", ["tanks", "stage"])
 def test_a_trial_cut_off_is_one_of_the_v_that_was_realised(case):
     """Around another plant, with noise and a disturbance."""
     loop, Q, _, reference, limits = CASES[case]
-    random, plant = np.random.default_rng(1), loop.plant
-    names = {"inputs": plant.input_labels, "outputs": plant.output_labels}
-    other = control.ss(0.98 * plant.A, 1.1 * plant.B, plant.C, 0, plant.dt, **names)
+    random, other = np.random.default_rng(1), altered(loop.plant, A=0.98, B=1.1)
     disturbance = 0.1 * random.standard_normal((len(reference), len(loop.disturbances)))
     noise = 0.01 * random.standard_normal((1, *reference.shape))
     trials = {"disturbance": disturbance, "plant": other, "noise": noise, "trials": 1}
     cut = run_trials(loop, Law(Q, None, limits=limits), reference, **trials)
     assert np.abs(cut.applied - cut.u).max() > 0
-    v = realised(loop, cut.v[0], cut.u[0].values, cut.applied[0].values)
+    v = loop.realised(cut.v[0], cut.u[0].values, cut.applied[0].values)
     free = run_trials(loop, Law(Q, None), reference, **trials, v=v)
     for name, expected in (("y", cut.y), ("u", cut.applied), ("delta", cut.delta)):
         size = np.abs(cut.y if name == "y" else cut.u).max().item()
@@ -160,8 +157,8 @@ def test_no_two_signals_get_more_distant(seed, size):
     steps = np.random.default_rng(seed).standard_normal((2, 60, 3))
     pair = size * np.cumsum(steps, axis=1)
     commands = [(S @ v.ravel()).reshape(v.shape) for v in pair]
-    projected = [
-        nearest(loop, law.actuators, v, u, Q.apply(v), WEIGHT, 0)
+    nearest = [
+        projected(loop, law.actuators, v, u, Q.apply(v), WEIGHT, 0)
         for v, u in zip(pair, commands, strict=True)
     ]
 
@@ -169,7 +166,7 @@ def test_no_two_signals_get_more_distant(seed, size):
         off = one - other
         return np.sum((P @ off.ravel()) ** 2) + WEIGHT * np.sum(off**2)
 
-    assert distance(*projected) <= distance(*Q.apply(pair)) * (1 + 1e-4) + 1e-6
+    assert distance(*nearest) <= distance(*Q.apply(pair)) * (1 + 1e-4) + 1e-6
 
 
 def test_the_rate_in_the_metric_is_a_generalised_eigenvalue():
@@ -186,10 +183,9 @@ def test_the_rate_in_the_metric_is_a_generalised_eigenvalue():
     assert result.within(1e-10) == pytest.approx(result.gamma, rel=1e-5)
 
 
-def test_the_rate_in_the_metric_is_the_worst_of_all_plants_at_all_frequencies():
-    """Of a filter of 16 samples, on a grid of 10 frequencies; the first plant has the metric."""
+def test_the_rate_in_the_metric_is_the_worst_of_all_plants():
+    """The first plant has the metric."""
     loop, Q, L, _, _ = CASES["tanks"]
-    few = np.geomspace(1e-3, 0.02, 10)
     plants = [loop.P, 0.5 * loop.P, 1.4 * loop.P]
     dense, one = np.linspace(0, np.pi / loop.Ts, 20_000), np.eye(3)
     P, response = loop.frequency_response(dense), L.frequency_response(dense)
@@ -199,11 +195,8 @@ def test_the_rate_in_the_metric_is_the_worst_of_all_plants_at_all_frequencies():
     for gain in (1.0, 0.5, 1.4):
         T = Q.frequency_response(dense)[:, None, None] * (one - gain * response @ P)
         rates.append(np.linalg.norm(root @ T @ np.linalg.inv(root), 2, axis=(1, 2)).max())
-    result = convergence(plants, Q, L, few)
-    assert result.within() == pytest.approx(max(rates), rel=1e-5)
-    assert convergence(loop, Q, L, few).within() == pytest.approx(rates[0], rel=1e-5)
-    on_grid = convergence(loop.frequency_response(few), Q, L, few).within()
-    assert on_grid < 0.9 * rates[0]
+    assert convergence(plants, Q, L, dense).within() == pytest.approx(max(rates), rel=1e-5)
+    assert convergence(loop, Q, L, dense).within() == pytest.approx(rates[0], rel=1e-5)
 
 
 def test_the_outputs_converge_at_the_rate_of_lemma_1():
@@ -251,22 +244,6 @@ def test_without_a_model_commands_are_cut_off():
     assert not v[-4:].any()
 
 
-def test_signals_are_matched_by_name():
-    loop, Q, L, _, limits = CASES["tanks"]
-    v, e, u, actuators = trial("tanks")
-    law = Law(Q, L, limits=limits, loop=loop)
-
-    def table(signal, names):
-        return pd.DataFrame(signal, columns=names)[names[::-1]]
-
-    y, names = loop.outputs, loop.controls
-    commands = table(u, names), table(actuators.follow(u), names)
-    labelled = law.next(table(v, y), table(e, y), *commands)
-    np.testing.assert_array_equal(labelled[y], law.next(v, e, u))
-    with pytest.raises(ValueError, match="u has shape"):
-        law.next(v, e, u[1:])
-
-
 LOOP, Q = TANKS[:2]
 COMMANDS = st.lists(st.tuples(*[st.floats(-9, 9)] * 3), min_size=1, max_size=20)
 
@@ -277,9 +254,8 @@ def test_actuators_are_those_of_the_commands_of_the_loop():
     np.testing.assert_array_equal(actuators.lowest, [-1, -np.inf, 0])
     np.testing.assert_array_equal(actuators.highest, [1, np.inf, 5])
     np.testing.assert_array_equal(actuators.step, [1, np.inf, np.inf])
-    for limits in ({"pump A": (0, 1, 0)}, {"leak": (0, 1)}, {"pump A": 3}):
-        with pytest.raises(ValueError, match="limits"):
-            Law(Q, None, limits=limits, loop=LOOP)
+    with pytest.raises(ValueError, match=r"limits\['pump A'\]\[2\] = 0"):
+        Law(Q, None, limits={"pump A": (0, 1, 0)}, loop=LOOP)
 
 
 @given(COMMANDS, st.floats(-3, 3), st.floats(0.1, 4), st.floats(0.01, 2))

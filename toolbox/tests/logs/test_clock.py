@@ -2,7 +2,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from ilctools.logs.clock import check_trials, jitter, period_of, resampled
+from ilctools.logs.clock import check_trials, jitter, mean_step, resampled
 from ilctools.loop.notes import LogError
 
 GOOD = [0.0, 2.0, 4.0, 6.0]
@@ -20,9 +20,9 @@ ORDER = (1, 2, 3)
 REFUSALS = [  # times of the second trial of three, numbers of the trials, what the error says
     ([0.0, 2.22, 4.2, 6.2], ORDER, "row 10 is 2.22 s after"),
     ([0.0, 2.0, 4.0, 5.7], ORDER, "row 12 is 1.7 s after"),
-    ([0.0, 2.0, 1.0, 6.0], ORDER, "row 11 is not later"),
+    ([0.0, 2.0, 1.0, 6.0], ORDER, "row 11 is -1 s after"),
     ([0.3, 2.3, 4.3, 6.3], ORDER, "0.3 in row 9"),
-    (GOOD, (3, 1, 3), "3 goes on in row 13"),
+    (GOOD, (3, 1, 3), "3 in row 13 must"),
     (GOOD, (1, 2, 0), "0 in row 13"),
     (GOOD, (1, 2.5, 3), "2.5"),
 ]
@@ -34,22 +34,16 @@ def test_trials_that_are_not_whole_alike_and_in_time_are_refused(second, numbers
         check_trials(table_of([GOOD, second, GOOD], numbers), 2.0)
 
 
-@pytest.mark.parametrize("second", [[0.0, 2.18, 4.0, 6.18], [0.0, 2.01, 4.02, 6.03]])
-def test_a_step_may_be_off_by_a_tenth(second):
-    check_trials(table_of([GOOD, second, GOOD]), 2.0)
-
-
-def test_the_mean_step_may_be_off_by_a_hundredth():
-    """Each step is within a tenth."""
+def test_a_step_may_be_off_by_a_tenth_and_the_mean_by_a_hundredth():
+    check_trials(table_of([GOOD, [0.0, 2.18, 4.0, 6.18], GOOD]), 2.0)
     check_trials(table_of([2.02 * np.arange(300)]), 2.0)
     with pytest.raises(LogError, match=r"the mean step is 2.03 s, but Ts = 2 s"):
         check_trials(table_of([2.03 * np.arange(300)]), 2.0)
 
 
-def test_a_clock_that_jitters_is_noted():
+def test_a_clock_that_is_nearly_exact_is_not_noted():
     assert jitter(table_of([[0.0, 2.001, 4.0]]), 2.0) == {}
-    note = jitter(table_of([[0.0, 2.1, 4.0]]), 2.0)["clock"]
-    assert note == "steps from 1.9 to 2.1 s, median 2, where Ts = 2; no sample is lost"
+    assert "from 1.9 to 2.1 s" in jitter(table_of([[0.0, 2.1, 4.0]]), 2.0)["clock"]
 
 
 @pytest.mark.parametrize(
@@ -61,9 +55,9 @@ def test_a_clock_that_jitters_is_noted():
     ],
 )
 def test_a_clock_shows_the_sampling_period(times, Ts):
-    assert period_of(table_of([times])) == pytest.approx(Ts, rel=1e-9)
+    assert mean_step(table_of([times])) == pytest.approx(Ts, rel=1e-9)
     with pytest.raises(LogError, match="state Ts"):
-        period_of(table_of([[5.0, 5.0]]))
+        mean_step(table_of([[5.0, 5.0]]))
 
 
 def test_resampled_rows_are_interpolated_or_held():

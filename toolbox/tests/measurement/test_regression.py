@@ -22,11 +22,8 @@ def test_the_likelihood_is_that_of_the_normal_distribution(lengths, trials):
     groups = [trials_of(trials, N, seed=N) for N in lengths]
     data = module._normal(groups, module._layout(groups, True, np.array([0, 7])))
     rows = list(records(groups, data.layout))
-    X, y, means = (
-        np.concatenate([row[0] for row in rows]),
-        np.concatenate([row[1] for row in rows]),
-        np.concatenate([np.full(len(row[1]), row[3]) for row in rows]),
-    )
+    X, y = (np.concatenate([row[k] for row in rows]) for k in (0, 1))
+    means = np.concatenate([np.full(len(row[1]), row[3]) for row in rows])
     kinds = data.layout.kind.max() + 1
     eta = np.append(np.random.default_rng(1).uniform(0, 2, 2 * kinds), 0.7)
     centre = eta + 0.5

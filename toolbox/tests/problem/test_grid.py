@@ -98,9 +98,6 @@ def test_the_worst_of_the_assumed_size_is_what_the_certificate_says():
     assert np.linalg.norm(M, 2) == pytest.approx(beyond.sigma, rel=1e-9)
     details = design.certificate.details
     assert "sigma_max(M) above 1.2 rad/s, with the size of P assumed" in details
-    higher = replace(design.certificate, beyond=replace(beyond, sigma=1.0))
-    [failure] = higher.failures
-    assert "Lemma 1 does not hold" in failure
 
 
 def test_where_Q_passes_too_much_above_the_table_it_is_said():

@@ -6,10 +6,9 @@ import pandas as pd
 import pytest
 from plants import furnace
 
-from ilctools import LearningFilter, current_trial_loop, synthesise, zero_phase_butterworth
+from ilctools import current_trial_loop, synthesise, zero_phase_butterworth
 from ilctools.models import frequency_response
 from ilctools.problem.pose import pose
-from ilctools.problem.problem import largest_singular_values
 
 OMEGA = np.geomspace(1e-3, np.pi, 60)
 Q = zero_phase_butterworth(2, 0.3, 1.0)
@@ -26,17 +25,14 @@ FEW = control.frd(np.ones((2, 2, 3)), [0.1, 0.2, 0.3])
 
 
 def test_transfer_functions_are_models_if_they_have_one_channel():
-    lag = control.tf([0.1], [1, -0.9], 1.0)
-    posed = pose(lag, Q, OMEGA, 1.0, band=BAND)
-    z = np.exp(1j * OMEGA)
-    np.testing.assert_allclose(posed.P[:, 0, 0], 0.1 / (z - 0.9), rtol=1e-12)
-    assert posed.model is not None
-    denominators = [[[1, -0.9]] * 2, [[1, -0.8]] * 2]
-    two = control.tf([[[0.1], [0.02]], [[0.01], [0.2]]], denominators, 1.0)
-    posed = pose(two, Q, OMEGA, 1.0, band=BAND)
-    np.testing.assert_allclose(posed.P[:, 0, 1], 0.02 / (z - 0.9), rtol=1e-12)
-    np.testing.assert_allclose(posed.P[:, 1, 0], 0.01 / (z - 0.8), rtol=1e-12)
-    assert posed.model is None
+    gains, poles = np.array([[0.1, 0.02], [0.01, 0.2]]), np.array([[0.9, 0.9], [0.8, 0.8]])
+    z = np.exp(1j * OMEGA)[:, None, None]
+    for m in (1, 2):
+        denominators = [[[1, -pole] for pole in row[:m]] for row in poles[:m]]
+        P = control.tf(gains[:m, :m, None].tolist(), denominators, 1.0)
+        posed = pose(P, Q, OMEGA, 1.0, band=BAND)
+        np.testing.assert_allclose(posed.P, gains[:m, :m] / (z - poles[:m, :m]), rtol=1e-12)
+        assert (posed.model is not None) == (m == 1)
 
 
 def test_the_sampling_period_is_taken_from_what_knows_it():
@@ -79,14 +75,11 @@ def test_units_do_not_matter_if_scale_says_what_is_equally_large(structure, as_m
         P = model if as_model else frequency_response(model, OMEGA)
         designs.append(synthesise(P, Q, OMEGA, 1.0, scale=2.0 * np.diag(unit), **kind))
     one, other = designs
-    units = np.array([1.0, pascal])
-    back = other.filter.coefficients * units[:, None] / units[:, None, None]
     if pascal == 2.0**17:
+        units = np.array([1.0, pascal])
+        back = other.filter.coefficients * units[:, None] / units[:, None, None]
         np.testing.assert_array_equal(back, one.filter.coefficients)
-    M = one.problem.M(LearningFilter(back, 1.0).frequency_response(OMEGA))
-    value = one.problem.value(largest_singular_values(M))
-    assert value == pytest.approx(one.value, rel=1e-6)
-    for name in ("value", "lower_bound", "all_M", "all_L", "grid_L"):
+    for name in ("value", "lower_bound", "all_M", "all_L"):
         a, b = (getattr(design.certificate, name) for design in designs)
         assert a == pytest.approx(b, rel=1e-6)
     unscaled = synthesise(COUPLED, Q, OMEGA, 1.0, **kind)  # twice as large for both
@@ -100,44 +93,26 @@ def singular(dead):
 
 
 REFUSED = [  # arguments, and how the message begins
-    ({"scale": [1.0]}, "scale has shape"),
     ({"scale": [1.0, 0.0]}, "scale = "),
     ({"P": FEW}, "P is known at 3 frequencies"),
-    ({"P": control.tf([0.1], [1, 0.9])}, "P.dt = 0 is continuous time"),
     ({"P": control.ss(0.2, 0.8, 1, 0, True)}, "P.dt = True differs from Ts"),
     ({"P": control.frd(LAG, OMEGA / 2)}, "P.dt = 2.0 differs from Ts"),
     ({"P": SAMPLES, "Q": np.ones(60), "Ts": None}, "Ts must be given"),
     ({"P": []}, "P = .* holds no plant"),
-    ({"P": (p for p in [SAMPLES])}, "P = <generator"),
-    ({"P": [SAMPLES, None]}, r"P\[1\] holds values of type object"),
     ({"P": [COUPLED, SAMPLES[:, :1, :1]]}, r"P\[1\] has shape"),
-    ({"P": [SAMPLES, LAG]}, r"P\[1\].dt = 2.0 differs from Ts"),
-    ({"P": np.ones((60, 2, 3))}, "P has 3 inputs and 2 outputs"),
     ({"P": singular(np.s_[7, 0])}, "P is singular at omega = "),
-    ({"P": singular(np.s_[:, 1])}, "P is singular .* output 1 does not respond"),
-    ({"P": singular(np.s_[:, :, 0])}, "P is singular .* w 0 has no effect"),
-    ({"P": SAMPLES * 1e-200}, "P is singular at omega = 0.001"),
     ({"P": control.ss(1.1, 1, 1, 0, 1.0)}, "P is unstable"),
     ({"P": control.ss([[0.5]], [[np.nan]], 1, 0, 1.0)}, "P.B has 1 values"),
-    ({"uncertainty": 0.1}, "uncertainty has shape"),
     ({"uncertainty": np.full(60, -0.1)}, "uncertainty reaches -0.1"),
-    ({"Q": np.ones(3)}, "Q has shape"),
     ({"Q": np.zeros(60), "objective": "peak"}, "Q has a gain of 0 at most"),
-    ({"Q": (OMEGA > 2).astype(float)}, "Q has a gain of 0 at most"),
     ({"Q": zero_phase_butterworth(2, 0.1, 0.5)}, "P.Ts = 1.0, Q.Ts = 0.5"),
-    ({"omega": OMEGA[::-1]}, "omega, of shape"),
-    ({"omega": OMEGA * 2}, "omega spans"),
     ({"order": 61}, "order = 61"),
     ({"M_max": 1.0}, "M_max = 1.0"),
-    ({"everywhere": 1}, "everywhere = 1"),
     ({"band": (1e-4, 0.5)}, "band = .* within omega"),
-    ({"band": (0.2, 0.2)}, "band = .* two increasing"),
     ({"band": (0.051, 0.052)}, "band = .* contains none"),
-    ({"objective": "mean"}, "objective = 'mean'"),
     ({"reference": np.ones((9, 2))}, "reference takes .* band = .0.001, 0.1. and"),
     (OF_TASK | {"objective": "peak"}, "reference takes .* objective = 'peak'"),
     (OF_TASK | {"reference": np.zeros((9, 2))}, "reference leaves no error"),
-    (OF_TASK | {"reference": np.ones((2, 9))}, "reference has shape"),
     (OF_TASK | {"reference": LABELLED}, r"reference holds the signals \['a', 'b'\]"),
     (OF_TASK | {"Q": (OMEGA > 9) * 1e-9}, "Q has a gain of 0 at most"),
 ]

@@ -18,7 +18,6 @@ from ilctools import (
 from ilctools.problem.pose import pose
 from ilctools.problem.problem import largest_singular_values
 from ilctools.synthesis import everywhere
-from ilctools.synthesis.design import solve
 from ilctools.synthesis.result import SolverError
 
 PROVEN = 1 + 3e-8  # what the bounds may be passed by
@@ -153,24 +152,16 @@ def test_a_resonance_that_no_sample_shows_is_held():
     assert M <= 0.9 * PROVEN and L <= 60 * PROVEN
 
 
-def test_a_start_changes_nothing_but_the_time(loop, Q, monkeypatch):
-    grid = np.geomspace(1e-4, np.pi, 100)
-    start = synthesise(loop, Q, grid, everywhere=True, **PAPER | {"L_max": 45.0})
-    for flag in (True, False):
-        warm, cold = (
-            synthesise(loop, Q, grid, everywhere=flag, start=before, **PAPER).value
-            for before in (start, None)
-        )
-        assert warm == pytest.approx(cold, rel=2e-7)
-    monkeypatch.setattr(everywhere, "ROUNDS", 2)
+def test_where_rounds_do_not_suffice_it_says_what_may_help(loop, Q, monkeypatch):
+    monkeypatch.setattr(everywhere, "ROUNDS", 1)
     remedy = r"at some frequency, above the bounds\. .* take more frequencies, a shorter"
     with pytest.raises(SolverError, match=remedy):
-        synthesise(loop, Q, grid, everywhere=True, **PAPER)
+        synthesise(loop, Q, np.geomspace(1e-4, np.pi, 100), everywhere=True, **PAPER)
 
 
 def test_the_least_gain_is_that_at_every_frequency(loop, Q):
     problem = pose(loop, Q, np.geomspace(1e-4, np.pi, 40), L_max=100.0, everywhere=True)
     problem = replace(problem, objective="gain", M_max=0.9)
-    _, found = everywhere.settled(problem, solve)
+    _, found = everywhere.solve_everywhere(problem)
     L = LearningFilter(found.coefficients, 1.0).frequency_response(np.linspace(0, np.pi, 20001))
     assert largest_singular_values(L).max() <= 100 * found.largest * PROVEN

@@ -6,10 +6,9 @@ The truth comes from the loop around the plant that runs, which no estimate sees
 import warnings
 from functools import cache
 
-import control
 import numpy as np
 import pytest
-from plants import LOOPS, ModelRig
+from plants import LOOPS, RestartingModel, altered
 
 from ilctools import (
     InfeasibleError,
@@ -31,20 +30,6 @@ CASES = {  # amplitudes, gain of the first control, cut-off, order, L_max, noise
 }
 
 
-class Rig(ModelRig):
-    """From rest in every trial."""
-
-    def begin(self, trial):
-        self.x = np.zeros(self.model.nstates)
-
-
-def changed(plant, name, gain):
-    """The same plant with another gain of one control."""
-    names = {"inputs": plant.input_labels, "outputs": plant.output_labels}
-    gains = np.where(np.array(plant.input_labels) == name, gain, 1.0)
-    return control.ss(plant.A, plant.B * gains, plant.C, plant.D * gains, plant.dt, **names)
-
-
 def profile(amplitudes):
     """From rest and back, each output at another time."""
     t = np.arange(SAMPLES)[:, None] / SAMPLES
@@ -62,20 +47,20 @@ def learned(name):
     settings = {"order": order, "M_max": 0.9, "L_max": L_max}
     omega = np.geomspace(1e-4, np.pi, 120) / loop.Ts
     law = Law(Q, synthesise(loop, Q, omega, **settings).filter, REST)
-    plant = changed(loop.plant, loop.controls[0], gain)
+    first = np.array(loop.plant.input_labels) == loop.controls[0]
+    plant = altered(loop.plant, B=np.where(first, gain, 1.0))
     given = {"loop": loop, "reference": r, "trials": TRIALS}
 
     def run(law, v=None):
         with warnings.catch_warnings(action="ignore"):  # that they do not converge
-            return record(Rig(plant, noise=noise * r.max()), law=law, v=v, **given)
+            return record(RestartingModel(plant, noise=noise * r.max()), law=law, v=v, **given)
 
     return loop, law, plant, settings, omega, run, run(law)
 
 
 def true_rate(loop, plant, law, omega):
     """sigma_max(M) around the plant that is there, at frequencies that a trial has."""
-    closed, m = loop.around(plant), len(loop.outputs)
-    P = control.ss(closed.A, closed.B[:, :m], closed.C, closed.D[:, :m], loop.Ts)
+    P = loop.around(plant)[:, : len(loop.outputs)]
     seen = omega[omega >= 2 * np.pi / SAMPLES / loop.Ts]
     return rate(P, law.Q, law.L, seen).gamma
 

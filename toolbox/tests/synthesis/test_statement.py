@@ -1,36 +1,56 @@
-"""The CVXPY statement; how it compares with the structured solver is in test_interior_point."""
+"""The statement in CVXPY, and that the toolbox's solver finds the same."""
 
 import numpy as np
 import pytest
-from problems import plant, posed
+from paper import paper_choices
+from plants import half, random_response
+from problems import plant
 
-from ilctools.evidence.optimality import lower_bound
-from ilctools.synthesis.formulate import formulate
-from ilctools.synthesis.solver.program import Infeasible
-from ilctools.synthesis.statement import solve
+from ilctools import synthesise
+from ilctools.synthesis.statement import statement
 
 
+def of_a_lag(m):
+    P, Q, omega = plant(m, n=80)
+    return P, Q, omega, {"order": 4, "M_max": 0.9, "L_max": 5.0, "band": (1e-3, 1)}
+
+
+def of_random_plants(m):
+    P, Q, omega = random_response(m, m)
+    return P, Q, omega, {"order": 3, "M_max": 0.97, "L_max": None, "band": (0.01, 0.3)}
+
+
+@pytest.mark.filterwarnings("ignore:the samples are too coarse")
 @pytest.mark.parametrize(
-    ("structure", "objective", "L_max"),
-    [("diagonal", "sum", 5.0), ("full", "peak", 5.0), ("full", "sum", None)],
+    ("case", "m", "structure", "objective"),
+    half([of_a_lag, of_random_plants], [1, 2, 3], ["diagonal", "full"], ["sum", "peak"]),
 )
-def test_its_multipliers_prove_its_optimum(structure, objective, L_max):
-    P, Q, omega = plant(2)
-    problem = posed(P, Q, omega, structure, objective, L_max)
-    solution = solve(formulate(problem))
-    z = np.exp(1j * np.outer(omega, np.arange(1, 5)))
-    M = Q[:, None, None] * (np.eye(2) - P @ np.einsum("ijk,nk->nij", solution.coefficients, z))
-    sigma = np.linalg.norm(M, 2, axis=(1, 2))
-    value = sigma[omega < 1].sum() if objective == "sum" else sigma.max()
-    bound = lower_bound(problem, solution.U, solution.V)
-    assert value * (1 - 1e-4) < bound < value * (1 + 1e-9)  # so accurate is Clarabel
-    assert solution.largest == pytest.approx(sigma.max())
-    assert "Clarabel" in solution.method and solution.iterations > 3
+def test_synthesise_finds_its_optimum(case, m, structure, objective):
+    P, Q, omega, choices = case(m)
+    choices |= {"structure": structure, "objective": objective}
+    coefficients, value = statement(P, Q, omega, 1.0, **choices)
+    z = np.exp(1j * np.outer(omega, np.arange(1, choices["order"] + 1)))
+    L = np.einsum("ijk,nk->nij", coefficients, z)
+    sigma_M = np.linalg.norm(Q[:, None, None] * (np.eye(m) - P @ L), 2, axis=(1, 2))
+    in_band = (omega >= choices["band"][0]) & (omega <= choices["band"][1])
+    reached = sigma_M[in_band].sum() if objective == "sum" else sigma_M.max()
+    assert reached == pytest.approx(value, rel=1e-5)
+    assert sigma_M.max() <= choices["M_max"] * (1 + 1e-6)
+    assert synthesise(P, Q, omega, 1.0, **choices).value == pytest.approx(value, rel=1e-5)
 
 
-def test_what_is_infeasible_is_said_to_be():
-    P, Q, omega = plant(2)
-    with pytest.raises(Infeasible) as error:
-        solve(formulate(posed(P, Q, omega, "diagonal", M_max=0.05)))
-    peak = solve(formulate(posed(P, Q, omega, "diagonal", "peak"))).largest
-    assert error.value.nearest.largest == pytest.approx(peak, rel=1e-6)
+@pytest.mark.parametrize(("structure", "objective"), [("diagonal", "sum"), ("full", "peak")])
+def test_it_is_that_of_the_papers_problems(loop, Q, structure, objective):
+    omega = np.geomspace(1e-4, np.pi, 250)
+    choices = paper_choices(structure=structure, objective=objective)
+    P, of_Q = loop.frequency_response(omega), Q.frequency_response(omega)
+    _, value = statement(P, of_Q, omega, 1.0, **choices)
+    design = synthesise(P, of_Q, omega, 1.0, **choices)
+    assert design.value == pytest.approx(value, rel=1e-6)
+    assert design.certificate.gap < 1e-6
+
+
+def test_what_is_infeasible_has_no_value():
+    P, Q, omega, choices = of_a_lag(2)
+    coefficients, value = statement(P, Q, omega, 1.0, **choices | {"M_max": 0.05})
+    assert value == np.inf and np.isnan(coefficients).all()

@@ -1,17 +1,35 @@
 """The solver of the synthesis: a structured primal-dual interior-point method.
 
-The program of `program` has bounds sigma_max(G_i) <= b at each frequency,
-where b is a variable t (one for each frequency of the band, or a single one for the largest),
-M_max or one. Each is a small linear matrix inequality S >= 0 with a multiplier Y >= 0, and perhaps
-a further variable d, see `bounds`.
+For the program of `program` each bound is a small linear matrix inequality at each column,
 
-The method follows the central path Y S = mu I with the HKM direction [1] and Mehrotra's predictor
-and corrector [2], as in SDPT3 [3]; see [4] for the theory. What is particular here:
+    S = [[Lambda, G], [G^H, b I]] >= 0,    G = F + T L(x),    Lambda and b linear in t and d,    (1)
 
-- The variables t and d and all blocks are eliminated. What remains is one symmetric system in the
+see `bounds`. With multipliers Y >= 0 of these, and eta >= 0 of t <= limit, the Lagrangian
+cost . t - sum <S, Y> - (limit - t) . eta is stationary:
+
+    sum <dS/dx, Y> = 0,    sum <dS/dd, Y> = 0,    sum <dS/dt, Y> - eta = cost.    (2)
+
+Then it is at most the optimum, whatever Y and eta, and at x = t = d = 0 it is the dual value
+
+    -sum <S(0), Y> - limit . eta.    (3)
+
+Their difference, the gap, is the complementarity sum <S, Y> + (limit - t) . eta. The method
+follows the central path
+
+    Y S = mu I,    (limit - t) eta = mu,    (4)
+
+to mu = 0. Of (4), linearised, the Hermitian part is taken (the HKM direction [1]): with X = S^-1,
+
+    dY = mu X - Y - herm(Y dS X),    deta = (mu - eta (dlimit - dt)) / (limit - t) - eta.    (5)
+
+Mehrotra's corrector [2] subtracts the product of the predictor's dY and dS, as in SDPT3 [3]; see
+[4] for the theory. What is particular here:
+
+- t, d and all blocks are eliminated, see `newton`. What remains is one symmetric system in the
   coefficients, whose matrix is a sum over i of m^2 x m^2 matrices times products of powers of z_i.
-- G is that of an actual filter throughout. If a bound is violated at the start, it is moved out,
-  and moved back with the steps. Only if this fails is the smallest M_max computed ("phase one").
+- G is that of an actual L throughout. If a bound is violated at the start, its limit is moved out,
+  and moved back with the steps. Only if this fails is the smallest possible one computed ("phase
+  one").
 
 [1] C. Helmberg, F. Rendl, R. Vanderbei, H. Wolkowicz, SIAM J. Optim. 6 (1996) 342; M. Kojima,
     S. Shindoh, S. Hara, ibid. 7 (1997) 86; R. Monteiro, ibid. 7 (1997) 663.
@@ -21,254 +39,282 @@ and corrector [2], as in SDPT3 [3]; see [4] for the theory. What is particular h
 [5] S. Eisenstat, H. Elman, M. Schultz, SIAM J. Numer. Anal. 20 (1983) 345.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from tqdm import tqdm
 
-from ilctools.problem.problem import Solution
-from ilctools.synthesis.solver.bounds import add_columns
-from ilctools.synthesis.solver.inequalities import Slack, longest_step, trace
-from ilctools.synthesis.solver.newton import factorise
-from ilctools.synthesis.solver.program import Infeasible, Program
+from ilctools.synthesis.solver.inequalities import Slack, dense, longest_step
+from ilctools.synthesis.solver.newton import NewtonSystem
+from ilctools.synthesis.solver.program import Infeasible, Optimum, Program
 
 GAP = 2e-9  # relative gap at which to stop
-# Part of the gap by which rounding may keep the multipliers from being stationary.
-STATIONARY = 0.1
-# Ways to a step: whether by a square root, slow and accurate, and how often rounding is looked at.
-WAYS = ((False, 2), (False, 10), (True, 10))
-PATIENCE = 3  # s without a word on progress
+STATIONARY = 0.1  # part of the gap by which rounding may keep (2) from holding
+CORRECTIONS = 10  # of a direction for that
+STEPS, MOVING = 100, 40  # at most, and with limits that are moved
+STAGNANT = 8  # steps without a smaller gap after which to stop
+SHORT = 0.01  # step from which on there is no progress
+ACCURACY = 0.02  # of a step's length, relative
 
 
 @dataclass(frozen=True)
 class Point:
-    """An iterate, or a direction. The coefficients x refer to the basis, eta to t <= limit."""
+    """An iterate, or a direction."""
 
+    program: Program
     x: np.ndarray
     t: np.ndarray
     limits: np.ndarray
     d: list
-    G: list
     Y: list
     eta: np.ndarray
 
-    def moved(self, d, primal, dual):
-        """The point after a step in the direction d."""
+    def moved(self, direction, primal, dual):
+        """The point after a step in a direction."""
         return Point(
-            self.x + primal * d.x,
-            self.t + primal * d.t,
-            self.limits + primal * d.limits,
-            [A + primal * D for A, D in zip(self.d, d.d, strict=True)],
-            [A + primal * D for A, D in zip(self.G, d.G, strict=True)],
-            [A + dual * D for A, D in zip(self.Y, d.Y, strict=True)],
-            self.eta + dual * d.eta,
+            self.program,
+            self.x + primal * direction.x,
+            self.t + primal * direction.t,
+            self.limits + primal * direction.limits,
+            [d + primal * change for d, change in zip(self.d, direction.d, strict=True)],
+            [Y + dual * change for Y, change in zip(self.Y, direction.Y, strict=True)],
+            self.eta + dual * direction.eta,
         )
 
-    def S(self, program):
-        """What S = [[Lambda, G], [G^H, b I]] of each bound consists of: Lambda, b and G."""
-        b = program.levels(self.t, self.limits)
-        return [
-            (bound.diagonal(level, d), level, G)
-            for bound, level, d, G in zip(program.bounds, b, self.d, self.G, strict=True)
-        ]
+    @cached_property
+    def S(self):
+        """Lambda, b and G of each S in (1)."""
+        return self._parts(self.program.matrices(self.x))
 
+    @cached_property
+    def dS(self):
+        """The same of each change, if this is a direction."""
+        return self._parts(self.program.linear(self.x))
 
-def step_lengths(program, p, d, slacks, accuracy):
-    """The longest primal and dual steps <= 1 from p in the direction d."""
-    primal = 1 / max(1, ((d.t - d.limits[0]) / (p.limits[0] - p.t)).max())
-    dual = 1 / max(1, (-d.eta / p.eta).max())
-    for slack, Y, dY, dS in zip(slacks, p.Y, d.Y, d.S(program), strict=True):
-        primal = min(primal, 1 / max(1, (-dS[1] / slack.b).max()))
-        primal = longest_step(slack.along(*dS), primal, accuracy)
-        dual = longest_step([Y, dY], dual, accuracy)
-    return primal, dual
+    def _parts(self, G):
+        levels = self.program.at_columns(self.t, self.limits)
+        columns = zip(self.program.bounds, levels, self.d, G, strict=True)
+        return [(bound.diagonal(b, d), b, G_j) for bound, b, d, G_j in columns]
 
+    @property
+    def room(self):
+        """How far t is from its limit."""
+        return self.limits[0] - self.t
 
-def stationarity(program, Y):
-    """Derivative of sum <S, Y> with respect to the coefficients."""
-    g = np.zeros((program.entries, program.basis.shape[1]), dtype=complex)
-    for bound, A in zip(program.bounds, Y, strict=True):
-        p = len(bound.F)
-        add_columns(g, bound.entries, bound.at, bound.gradient(2 * A[p:, :p]))
-    return (g @ program.basis.T).real.ravel()
+    @property
+    def objective(self):
+        return self.program.cost @ self.t
 
+    @property
+    def complementarity(self):
+        """sum <S, Y> + (limit - t) . eta."""
+        pairs = zip(self.S, self.Y, strict=True)
+        of_S = sum(np.einsum("ijn,jin->", dense(*S), Y).real for S, Y in pairs)
+        return of_S + self.room @ self.eta
 
-def complementarity(program, p):
-    """sum <S, Y> + sum (limit - t) eta."""
-    total = (p.limits[0] - p.t) @ p.eta
-    for (diagonal, b, G), Y in zip(p.S(program), p.Y, strict=True):
-        rows = len(G)
-        of_Y = np.einsum("iin->in", Y).real
-        total += (diagonal * of_Y[:rows]).sum() + (b * of_Y[rows:]).sum()
-        total += 2 * np.einsum("ijn,jin->", G, Y[rows:, :rows]).real
-    return total
+    @property
+    def dual_value(self):
+        """The dual objective (3), a lower bound on the optimum where (2) holds."""
+        zeros = {"x": 0 * self.x, "t": 0 * self.t, "d": [0 * d for d in self.d]}
+        return -replace(self, **zeros, limits=self.program.limits).complementarity
 
+    @property
+    def stationarity(self):
+        """sum <dS/dx, Y> of (2)."""
+        program, of_L = self.program, []
+        for j, Y in enumerate(self.Y):
+            p = len(program.bounds[j].F)
+            of_L.append(program.of_entries(j, 2 * Y[p:, :p]))
+        return program.onto_x(of_L)
 
-def dual_value(program, p):
-    """The dual objective, a lower bound on the primal one if Y and eta are stationary."""
-    nothing = {"t": 0 * p.t, "d": [0 * d for d in p.d], "G": [bound.F for bound in program.bounds]}
-    linear = complementarity(program, replace(p, limits=program.limits, **nothing))
-    return -linear
+    @property
+    def degree(self):
+        """The number that complementarity is mu times, on the central path."""
+        return len(self.t) + sum(Y.shape[0] * Y.shape[2] for Y in self.Y)
 
 
 def begin(program, x):
-    """A point at x with Y S = mu I, and with a bound moved out if x violates it."""
+    """A point at x that fulfils (4), where the limit of a bound that x violates is moved out."""
     G = program.matrices(x)
-    splits = [bound.first_split(A) for bound, A in zip(program.bounds, G, strict=True)]
-    values = [
-        bound.value(A, split) for bound, A, split in zip(program.bounds, G, splits, strict=True)
-    ]
-    peaks = np.zeros(2)
-    for bound, value in zip(program.bounds, values, strict=True):
-        peaks[bound.limit] = max(peaks[bound.limit], value.max())
+    shares = [bound.first_share(G_j) for bound, G_j in zip(program.bounds, G, strict=True)]
+    t, peaks = program.largest(program.values(x, shares))
+    peaks[0] = max(*t, peaks[0])
     limits = np.where(peaks < program.limits, program.limits, 1.5 * peaks)
-    t = peaks[:1] if program.shared else values[0][program.free]
     t = (t + limits[0]) / 2
-    levels = program.levels(t, limits)
-    d = [b * split for b, split in zip(levels, splits, strict=True)]
-    p = Point(x, t, limits, d, G, [], t)
-    X = [Slack(G, diagonal, b).X for diagonal, b, G in p.S(program)]
-    size = sum(trace(A)[program.has_t(j)].sum() for j, A in enumerate(X))
+    d = [b * share for b, share in zip(program.at_columns(t, limits), shares, strict=True)]
+    p = Point(program, x, t, limits, d, [], t)
+    X = [Slack(*S).X for S in p.S]
+    has_t = program.at_columns(np.ones(len(t)), [0, 0])
+    size = sum(np.einsum("iin,n->", X_j, at).real for X_j, at in zip(X, has_t, strict=True))
     mu = 5 * program.cost.sum() / size
-    return replace(p, Y=[mu * A for A in X], eta=mu / (limits[0] - t))
+    return replace(p, Y=[mu * X_j for X_j in X], eta=mu / p.room)
 
 
-def newton(program, p, slacks, total, way=WAYS[0]):
-    """A function for the directions from p, in one of the WAYS."""
-    root, looks = way
-    s, toward = p.limits[0] - p.t, program.limits - p.limits
-    solve = factorise(program, slacks, p.Y, p.eta / s, root)
+class Newton:
+    """Directions from a point, by (5) and (2)."""
 
-    def change(d):
-        """-Y dS X, Hermitian, of a direction."""
-        changes = zip(slacks, p.Y, d.S(program), strict=True)
-        return [-slack.sandwich(Y, *dS) for slack, Y, dS in changes]
+    def __init__(self, p):
+        self.p, self.slacks = p, [Slack(*S) for S in p.S]
+        self.system = NewtonSystem(p.program, self.slacks, p.Y, p.eta / p.room)
 
-    def residual(d):
-        """The multipliers after a step d, and by how much they are not stationary."""
-        Y = [A + D for A, D in zip(p.Y, d.Y, strict=True)]
-        return Y, stationarity(program, Y)
+    def products(self, Y, dS):
+        """herm(Y dS X)."""
+        triples = zip(self.slacks, Y, dS, strict=True)
+        return [slack.sandwich(Y_j, *dS_j) for slack, Y_j, dS_j in triples]
 
-    def correction(Y, rx, eta):
-        """What makes multipliers stationary: changes of x, t, the splits, and of Y with them."""
-        dx, dt, dd = solve(rx, Y, eta)
-        dL = dx @ program.basis
-        dG = [bound.response(dL) for bound in program.bounds]
-        c = Point(dx, dt, 0 * toward, dd, dG, [], p.eta / s * dt)
-        return replace(c, Y=change(c))
-
-    def direction(mu, predictor=None):
-        """The direction to Y S = mu I, to second order; None if rounding spoils it."""
-        dY = [mu * a.X - B for a, B in zip(slacks, p.Y, strict=True)]
-        deta = (mu - p.eta * toward[0]) / s - p.eta
-        zeros = [0 * A for A in p.d], [0 * A for A in p.G]
-        still = Point(0 * p.x, 0 * p.t, toward, *zeros, dY, deta)
+    def known(self, mu, predictor):
+        """Of (5), dY and deta but for what follows dx, dt and dd; and the way of the limits."""
+        p = self.p
+        toward = p.program.limits - p.limits
+        dY = [mu * slack.X - Y for slack, Y in zip(self.slacks, p.Y, strict=True)]
+        eta = (mu - p.eta * toward[0]) / p.room - p.eta
+        d = Point(p.program, 0 * p.x, 0 * p.t, toward, [0 * d for d in p.d], dY, eta)
         if toward.any():
-            dY = [A + D for A, D in zip(dY, change(still), strict=True)]
+            d = self._less(d, self.products(p.Y, d.dS))
         if predictor is not None:
-            second = zip(dY, slacks, predictor.Y, predictor.S(program), strict=True)
-            dY = [A - slack.sandwich(Y, *dS) for A, slack, Y, dS in second]
-            deta = deta - predictor.eta * (predictor.limits[0] - predictor.t) / s
-        d = replace(still, Y=dY, eta=deta)
-        d = d.moved(correction(*residual(d), p.eta + d.eta), 1, 1)
-        if predictor is None:
+            d = self._less(d, self.products(predictor.Y, predictor.dS))
+            d = replace(d, eta=d.eta - predictor.eta * predictor.room / p.room)
+        return d
+
+    def _less(self, d, products):
+        return replace(d, Y=[A - B for A, B in zip(d.Y, products, strict=True)])
+
+    def correction(self, multipliers):
+        """The direction that makes multipliers stationary, (2), as far as rounding lets it."""
+        p = self.p
+        dx, dt, dd = self.system.solve(multipliers.stationarity, multipliers.Y, multipliers.eta)
+        change = Point(p.program, dx, dt, 0 * p.limits, dd, [], p.eta / p.room * dt)
+        return replace(change, Y=[-A for A in self.products(p.Y, change.dS)])
+
+    def direction(self, mu, predictor=None, tolerance=None):
+        """The direction to (4); None if rounding keeps (2) from holding within a tolerance.
+
+        What rounding has left of the residual of (2) is removed by conjugate residuals [5]: each
+        correction is made orthogonal, in its effect, to those before.
+        """
+        d = self.known(mu, predictor)
+        d = d.moved(self.correction(self.p.moved(d, 0, 1)), 1, 1)
+        if tolerance is None:
             return d
-        done = []  # what rounding has left is removed by conjugate residuals [5]
-        for _ in range(looks):
-            Y, left = residual(d)
-            if np.linalg.norm(left) * np.linalg.norm(p.x) <= STATIONARY * total:
+        earlier = []
+        for _ in range(CORRECTIONS):
+            multipliers = self.p.moved(d, 0, 1)
+            residual = multipliers.stationarity
+            if np.linalg.norm(residual) <= tolerance:
                 return d
-            c = correction(Y, left, p.eta + d.eta)
-            effect = -stationarity(program, c.Y)
-            for before, known in done:
-                share = known @ effect / (known @ known)
-                c, effect = c.moved(before, -share, -share), effect - share * known
-            share = effect @ left / (effect @ effect)
+            c = self.correction(multipliers)
+            effect = -c.stationarity
+            for other, of_other in earlier:
+                share = (of_other * effect).sum() / (of_other**2).sum()
+                c, effect = c.moved(other, -share, -share), effect - share * of_other
+            power = (effect**2).sum()
+            if power == 0:
+                break
+            share = (effect * residual).sum() / power
             d = d.moved(c, share, share)
-            done.append((c, effect))
-        return d if root else None
-
-    return direction
+            earlier.append((c, effect))
+        return None
 
 
-def degree(p):
-    """The number that complementarity is mu times, on the central path."""
-    return len(p.t) + sum(Y.shape[0] * Y.shape[2] for Y in p.Y)
+def step_lengths(p, direction):
+    """The longest primal and dual steps <= 1 from p that keep S, Y, limit - t and eta positive."""
+    primal = 1 / max(1, (-direction.room / p.room).max())
+    dual = 1 / max(1, (-direction.eta / p.eta).max())
+    for S, dS, Y, dY in zip(p.S, direction.dS, p.Y, direction.Y, strict=True):
+        primal = longest_step(dense(*S), dense(*dS), primal, ACCURACY)
+        dual = longest_step(Y, dY, dual, ACCURACY)
+    return primal, dual
 
 
-def step(program, p, slacks, total, way):
+def mehrotra(p, total):
     """The direction of Mehrotra's method from p; None if it is not accurate enough."""
-    direction = newton(program, p, slacks, total, way)
-    predictor = direction(0.0)
-    primal, dual = step_lengths(program, p, predictor, slacks, 0.1)
-    left = complementarity(program, p.moved(predictor, primal, dual)) / total
-    sigma = min(1, max(left, 0)) ** (1 + 2 * min(primal, dual) ** 2)
-    return direction(sigma * total / degree(p), predictor)
+    try:
+        newton = Newton(p)
+    except np.linalg.LinAlgError:
+        return None
+    predictor = newton.direction(0.0)
+    primal, dual = step_lengths(p, predictor)
+    remaining = p.moved(predictor, primal, dual).complementarity / total
+    sigma = min(1, max(remaining, 0)) ** (1 + 2 * min(primal, dual) ** 2)
+    size = np.linalg.norm(p.x)
+    tolerance = STATIONARY * total / size if size else np.inf
+    return newton.direction(sigma * total / p.degree, predictor, tolerance)
 
 
-def follow(program, p, enough=0.0, is_good=None):
-    """The best point on the central path, or None if no bounds were met, and the iterations."""
-    n, m = program.basis.shape[1], p.G[0].shape[1]
-    best, smallest, gaps, way = None, np.inf, [], 0
-    steps = range(100)
-    for iteration in tqdm(steps, "interior point", leave=False, delay=PATIENCE, disable=None):
-        objective, dual = (program.cost * p.t).sum(), dual_value(program, p)
-        total = complementarity(program, p)
-        gap = max(total, abs(objective - dual))
+def advanced(p, direction):
+    """The point after a step that stays inside; None if that is short."""
+    lengths = step_lengths(p, direction)
+    damping = 0.9 + 0.09 * min(lengths)
+    primal, dual = (1.0 if length == 1 else damping * length for length in lengths)
+    if max(primal, dual) < SHORT:
+        return None
+    after = p.moved(direction, primal, dual)
+    # without rounding
+    return replace(after, limits=p.program.limits) if primal == 1 else after
+
+
+def infeasible(p):
+    """Whether no x that meets the bounds can be as large as rounding allows, by the dual value."""
+    # By more than the first term, no filter that meets the bounds has a larger |x|.
+    program = p.program
+    n, m = program.basis.shape[1], program.bounds[0].F.shape[1]
+    x_max = np.sqrt(5 * n * m) * np.linalg.norm(p.stationarity)
+    return p.dual_value - x_max > program.cost.sum() * program.limits[0]
+
+
+def follow(p, enough=0.0):
+    """The best point on the central path within the limits, None if there is none; iterations."""
+    program, best, smallest, stagnant = p.program, None, np.inf, 0
+    idle, _ = program.without_learning()
+    unit = 1e-4 * program.cost @ idle
+    for iteration in range(STEPS):
+        total = p.complementarity
+        gap = max(total, abs(p.objective - p.dual_value))
         if (p.limits == program.limits).all():
-            gaps.append(gap)
+            stagnant += 1
             if gap < smallest:
-                best, smallest = p, gap
-            closed = gap < GAP * max(objective, 1e-4 * program.idle)
-            if closed or objective < enough or min(gaps[-8:]) > smallest:
+                best, smallest, stagnant = p, gap, 0
+            terminated = gap < GAP * max(p.objective, unit)
+            if terminated or p.objective < enough or stagnant == STAGNANT:
                 break
-        else:  # by more than the first term, no filter that meets the bounds has a larger |x|
-            x_max = np.sqrt(5 * n * m) * np.linalg.norm(stationarity(program, p.Y))
-            if iteration > 40 or dual - x_max > program.cost.sum() * program.limits[0]:
-                break
-        slacks = [Slack(G, diagonal, b) for diagonal, b, G in p.S(program)]
-        while (d := step(program, p, slacks, total, WAYS[way])) is None:
-            # rounding ends the quick way: is more of a slower one needed?
-            if best is p and is_good is not None and is_good(_solution(program, p, iteration)):
-                return best, iteration
-            way += 1
-        primal, dual = step_lengths(program, p, d, slacks, 0.02)
-        damping = 0.9 + 0.09 * min(primal, dual)
-        primal, dual = (1.0 if a == 1 else damping * a for a in (primal, dual))
-        if max(primal, dual) < 0.01:
+        elif iteration > MOVING or infeasible(p):
             break
-        p = p.moved(d, primal, dual)
-        if primal == 1:
-            p = replace(p, limits=program.limits)  # without rounding
+        direction = mehrotra(p, total)
+        if direction is None:
+            break
+        p = advanced(p, direction)
+        if p is None:
+            break
     return best, iteration
 
 
-def solve(
-    program: Program,
-    is_good: Callable[[Solution], bool] | None = None,  # asked where more digits are expensive
-    enough: float = 0.0,  # below this objective a filter need not be optimal
-) -> Solution:
-    """Solve a program from nothing; Infeasible if M_max cannot be met."""
-    zero = np.zeros((program.entries, len(program.R)))
-    best, iterations = follow(program, begin(program, zero), enough, is_good)
+def minimise(program: Program, enough: float = 0.0) -> Optimum:
+    """Solve a program; below the objective `enough` it need not be the optimum.
+
+    Infeasible if the bounds cannot be met; RuntimeError if the method fails.
+    """
+    zero = np.zeros((len(program.rows), len(program.basis)))
+    best, iterations = follow(begin(program, zero), enough)
     if best is None:  # phase one
-        minimax = program.minimax()
-        best, more = follow(minimax, begin(minimax, zero), enough=program.M_max)
+        nearest, more = follow(begin(program.minimax(), zero), enough=program.most)
         iterations += more
-        if best.t[0] >= program.M_max:
-            raise Infeasible(program.M_max, _solution(minimax, best, iterations))
-        best, more = follow(program, begin(program, best.x), enough, is_good)
+        if nearest is None:
+            raise RuntimeError(f"no point to start from after {iterations} iterations")
+        if nearest.t[0] >= program.most:
+            raise Infeasible(optimum(nearest, iterations))
+        best, more = follow(begin(program, nearest.x), enough)
         iterations += more
     if best is None:
         raise RuntimeError(f"no filter met the bounds after {iterations} iterations")
-    solution = _solution(program, best, iterations)
-    if program.shared and best.t[0] > program.M_max:
-        raise Infeasible(program.M_max, solution)
-    return solution
+    if program.shared and best.t[0] > program.most:
+        raise Infeasible(optimum(best, iterations))
+    return optimum(best, iterations)
 
 
-def _solution(program, p, iterations):
-    multipliers = [-2 * Y[: len(G), len(G) :] for G, Y in zip(p.G, p.Y, strict=True)]
-    splits = [d / b for d, b in zip(p.d, program.levels(p.t, p.limits), strict=True)]
-    return program.solution(p.x, multipliers, splits, "interior point", iterations)
+def optimum(p, iterations):
+    """What is returned of a point."""
+    program = p.program
+    shares = [d / b for d, (_, b, _) in zip(p.d, p.S, strict=True)]
+    multipliers = [-2 * Y[: len(G), len(G) :] for Y, (_, _, G) in zip(p.Y, p.S, strict=True)]
+    t, limits = program.largest(program.values(p.x, shares))
+    return Optimum(p.x, multipliers, max(*t, limits[0]), iterations)

@@ -1,255 +1,148 @@
 """The Newton system of the interior-point method, with all but the coefficients eliminated.
 
-The unknowns of `interior_point` are the coefficients x, and t and d, which stand in Lambda and b of
-single inequalities. For directions dS_a, dS_b in which S can change, the matrix of the system is
-<dS_a, Y dS_b X>. What belongs to a single inequality is eliminated first; in terms of the entries
-of L at each frequency that leaves a Hermitian form and a symmetric one.
+The unknowns are x, of which G = F + T L with L = x Phi is made, and the numbers t and d, which
+stand in Lambda and b of S. For directions dS_a, dS_b in which S can change, the matrix of the
+system is <dS_a, Y dS_b X>; its right-hand side is by how much <dS_a, Y> is not what it must be.
+
+At each column of a bound at most one number belongs to it alone, z: its d, or a t of its own. That
+is eliminated there. With its direction a in the diagonal of S, and that of a shared t, e,
+
+    zz = <a, Y a X>,  zt = <a, Y e X>,  tt = <e, Y e X>,  zL = <a, Y dS X>,  tL = <e, Y dS X>,
+
+where dS is the change by an entry of L:
+
+    dz = (r_z - Re(zL . dL) - zt dt) / zz,    (1)
+
+and what remains for t and L has zt zt / zz, zt zL / zz and zL zL / zz subtracted.    (2)
 """
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from ilctools.synthesis.solver.bounds import add_columns, adjoint, product
-from ilctools.synthesis.solver.inequalities import EPS, cholesky, trace
+from ilctools.synthesis.solver.bounds import adjoint, product
+
+EPS = np.finfo(float).eps
 
 
-class Local:
-    """One bound: its second derivatives in d, t and L, and what is eliminated at each column.
-
-    That is d, a t of its own, or nothing; `inner` is its direction in the diagonal of S, or None.
-    """
+class Block:
+    """One bound: its second derivatives in z, a shared t, and the entries of L, at each column."""
 
     def __init__(self, program, j, slack, Y, barrier):
-        self.bound = bound = program.bounds[j]
-        self.columns = program.has_t(j)
-        p, q, c = bound.shape
-        has_t = len(self.columns) > 0
-        self.shared = program.shared and has_t
-        self.own_t = has_t and not program.shared
-        self.cost, self.of_t = program.cost, np.append(bound.of_b, np.ones(q))
-        self.inner = self.of_t if self.own_t else None
-        if bound.splits:
-            self.inner = np.append(bound.of_d, np.zeros(q))
+        bound = program.bounds[j]
+        p, q, _ = bound.F.shape
+        self.bound, self.slack, self.Y = bound, slack, Y
+        has_t = bound.level < len(program.cost)
+        self.own = has_t & (not program.shared)
+        self.of_t = np.append(bound.of_b, np.ones(q))
+        self.of_z = np.append(bound.of_d, np.zeros(q)) if bound.within_radius else self.of_t
         overlap = (Y * slack.X.conj()).real
 
         def second(a, b):
-            """Second derivatives along two directions in the diagonal, (c,)."""
-            return np.tensordot(np.outer(a, b), overlap)
+            """<a, Y b X> for two directions in the diagonal, (c,)."""
+            return np.einsum("i,ijc,j->c", a, overlap, b)
 
         def mixed(a):
-            """Those along a direction in the diagonal and each entry of L, (entries, c)."""
+            """<a, Y dS X> for a direction in the diagonal and each entry of L, (e, c)."""
             a = a[:, None]
             W = product(slack.X[p:] * a, Y[:, :p]) + product(Y[p:] * a, slack.X[:, :p])
-            return bound.gradient(W)
+            return program.of_entries(j, W)
 
-        self.inverse, self.g = np.zeros(c), np.zeros((len(bound.entries), c))
-        if self.inner is not None:
-            Z, self.g = second(self.inner, self.inner), mixed(self.inner)
-            here = np.arange(c) if bound.splits else self.columns
-            self.inverse[here] = 1 / (Z[here] + (barrier if self.own_t else 0))
-        # how what is eliminated follows the entries of L, and a t that several bounds share
-        self.follow, self.shift = self.inverse * self.g, 0 * self.inverse
-        if self.shared:
-            self.tt, self.xt = second(self.of_t, self.of_t).sum(), mixed(self.of_t)
-            if self.inner is not None:
-                cross = second(self.inner, self.of_t)
-                self.shift = self.inverse * cross
-                self.tt -= cross @ self.shift
-                self.xt = self.xt - self.shift * self.g
+        zz = second(self.of_z, self.of_z) + np.where(self.own, barrier, 0)
+        self.inverse = np.where(self.own | bound.within_radius, 1 / zz, 0)
+        self.zL = mixed(self.of_z)
+        self.shared = has_t & program.shared
+        zt = self.shared * second(self.of_z, self.of_t)
+        self.shift = self.inverse * zt
+        self.tt = self.shared @ second(self.of_t, self.of_t) - zt @ self.shift  # (2)
+        self.tL = self.shared * mixed(self.of_t) - self.shift * self.zL
 
-    def residual(self, Y, eta):
-        """By how much Y is not stationary with respect to what is eliminated, and a shared t."""
-        diagonal = np.einsum("iin->in", Y).real
-        of_inner = np.zeros(len(self.inverse))
-        if self.inner is not None:
-            of_inner = self.inner @ diagonal
-        if self.own_t:
-            of_inner[self.columns] -= eta + self.cost
-        of_t = (self.of_t @ diagonal).sum() if self.shared else 0.0
-        return of_inner, of_t - self.shift @ of_inner
+    def forms(self, program, j, k):
+        """Forms A, Hermitian, and B, symmetric, in pairs j, k of entries of L, (pairs, c).
 
-    def step(self, residual, dL, dt):
-        """Change of d, and of the bound's own t, that follows."""
-        dL = dL[self.bound.entries][:, self.bound.at]
-        dz = self.inverse * residual - (self.follow * dL).real.sum(axis=0)
-        if self.own_t:
-            dt = dz[self.columns]
-        elif self.shared:
-            dz = dz - self.shift * dt
-        return dz[None][: self.bound.splits], dt
+        In terms of D, the off-diagonal block of dS, <dS, Y dS' X> is the real part of
+
+            tr(D^H (Y11 D' X22 + X11 D' Y22)) + tr(D (Y21 D' X21 + X21 D' Y21)).
+        """
+        X, Y, T = self.slack.X, self.Y, self.bound.T
+        p = len(T)
+        X22, Y22 = X[p:, p:], Y[p:, p:]
+        X21, Y21 = (product(S[p:, :p], T) for S in (X, Y))
+        X11, Y11 = (product(adjoint(T), product(S[:p, :p], T)) for S in (X, Y))
+        row, col = program.rows[j], program.cols[j]
+        row_k, col_k = program.rows[k], program.cols[k]
+        A = Y11[row, row_k] * X22[col_k, col] + X11[row, row_k] * Y22[col_k, col]
+        B = Y21[col, row_k] * X21[col_k, row] + X21[col, row_k] * Y21[col_k, row]
+        follow = 0.5 * self.inverse * self.zL[k]
+        return A - self.zL[j].conj() * follow, B - self.zL[j] * follow  # (2)
 
 
-def forms(part, slack, Y):
-    """Forms A, Hermitian, and B, symmetric, in pairs of entries of L, (pairs, c).
+class NewtonSystem:
+    """The system at a point, factorised; `barrier` is the second derivative of that of each t.
 
-    In terms of D, the off-diagonal block of dS, <dS, Y dS' X> is the real part of
-
-        tr(D^H (Y11 D' X22 + X11 D' Y22)) + tr(D (Y21 D' X21 + X21 D' Y21)).
+    A LinAlgError where the bounds leave less room than rounding takes.
     """
-    bound, T = part.bound, part.bound.T
-    p = len(bound.F)
-    X22, Y22 = slack.X[p:, p:], Y[p:, p:]
-    X21, Y21 = (product(S[p:, :p], T) for S in (slack.X, Y))
-    X11, Y11 = (product(adjoint(T), product(S[:p, :p], T)) for S in (slack.X, Y))
-    j, k = np.triu_indices(len(bound.entries))
-    row, row_k, col, col_k = bound.rows[j], bound.rows[k], bound.cols[j], bound.cols[k]
-    A = Y11[row, row_k] * X22[col_k, col] + X11[row, row_k] * Y22[col_k, col]
-    B = Y21[col, row_k] * X21[col_k, row] + X21[col, row_k] * Y21[col_k, row]
-    if part.inner is not None:
-        A -= 0.5 * part.g[j].conj() * part.follow[k]
-        B -= 0.5 * part.g[j] * part.follow[k]
-    return A, B
+
+    def __init__(self, program, slacks, Y, barrier):
+        self.program = program
+        at_columns = program.at_columns(barrier, [0, 0])
+        self.blocks = [
+            Block(program, j, slacks[j], Y[j], at_columns[j]) for j in range(len(program.bounds))
+        ]
+        tL = program.onto_x([block.tL for block in self.blocks]).ravel()
+        tt = sum(block.tt for block in self.blocks) + (barrier[0] if program.shared else 1)
+        H = np.block([[np.array([[tt]]), tL[None]], [tL[:, None], self._of_x()]])
+        if not np.isfinite(H).all() or np.diag(H).max() <= 0:
+            raise np.linalg.LinAlgError("the bounds leave less room than rounding takes")
+        self.scale = 1 / np.sqrt(np.maximum(np.diag(H), EPS * np.diag(H).max()))
+        self.factor = factorised(self.scale[:, None] * H * self.scale)
+
+    def _of_x(self):
+        """sum <dS_a, Y dS_b X> for all pairs of coefficients, z eliminated."""
+        program = self.program
+        E, order = len(program.rows), len(program.basis)
+        j, k = np.triu_indices(E)
+        A, B = 0, 0
+        for block, incidence in zip(self.blocks, program.incidence, strict=True):
+            of_A, of_B = block.forms(program, j, k)
+            A, B = A + of_A @ incidence, B + of_B @ incidence
+        # Re(A phi_k phi_l^*) + Re(B phi_k phi_l), summed over the frequencies
+        of_A, of_B = program.products
+        sums = as_real(A) @ of_A + as_real(B) @ of_B
+        H = np.empty((E, order, E, order))
+        H[k, :, j] = sums.reshape(-1, order, order)
+        H[j, :, k] = H[k, :, j].transpose(0, 2, 1)
+        return H.reshape(E * order, -1)
+
+    def solve(self, r_x, Y, eta):
+        """The changes of x, of t and of each d for multipliers Y, eta; r_x: their residual in x."""
+        program, blocks = self.program, self.blocks
+        of_t = program.cost + eta
+        r_t, r_z, follow = -of_t[0] if program.shared else 0.0, [], []
+        for block, Y_j, of_own in zip(blocks, Y, program.at_columns(of_t, [0, 0]), strict=True):
+            diagonal = np.einsum("iin->in", Y_j).real
+            r = block.of_z @ diagonal - block.own * of_own
+            r_t += block.of_t @ diagonal @ block.shared - block.shift @ r
+            r_z.append(r)
+            follow.append(block.zL * block.inverse * r)
+        residual = np.append(r_t, r_x - program.onto_x(follow))
+        changes = self.scale * cho_solve(self.factor, self.scale * residual)
+        dt, dx = np.full(len(eta), changes[0]), changes[1:].reshape(r_x.shape)
+        dL, dd = dx @ program.basis, []
+        for block, r in zip(blocks, r_z, strict=True):
+            of_L = (block.zL * dL[:, block.bound.at]).real.sum(axis=0)
+            dz = block.inverse * (r - of_L) - block.shift * changes[0]  # (1)
+            dd.append(dz * block.bound.within_radius)
+            dt[block.bound.level[block.own]] = dz[block.own]
+        return dx, dt, dd
 
 
-def normal_matrix(program, slacks, Y, local):
-    """sum <dS_j, Y dS_k X> for all pairs of coefficients, with d and own t eliminated."""
-    order, n = program.basis.shape
-    E = program.entries
-    j, k = np.triu_indices(E)
-    number = np.zeros((E, E), dtype=int)
-    number[j, k] = np.arange(len(j))
-    totals = np.zeros((2, len(j), n), dtype=complex)
-    for part, slack, Yc in zip(local, slacks, Y, strict=True):
-        entries = part.bound.entries
-        pairs = number[np.ix_(entries, entries)][np.triu_indices(len(entries))]
-        for total, form in zip(totals, forms(part, slack, Yc), strict=True):
-            add_columns(total, pairs, part.bound.at, form)
-    # Re(A phi_k phi_l^*) + Re(B phi_k phi_l), summed over the frequencies
-    sums = sum(
-        total.view(float) @ products
-        for total, products in zip(totals, program.products, strict=True)
-    )
-    H = np.empty((E, order, E, order))
-    H[k, :, j] = sums.reshape(-1, order, order)
-    H[j, :, k] = H[k, :, j].transpose(0, 2, 1)
-    return H.reshape(E * order, -1)
+def as_real(A):
+    """Real and imaginary parts in turn, (..., 2 n)."""
+    return np.ascontiguousarray(A).view(float)
 
 
-def square_root(program, slacks, Y, barrier):
-    """Triangular R with R'R the matrix of the Newton system, without forming that matrix.
-
-    It has the square root of its condition number. <dS_j, Y dS_k X> is the scalar product of
-    C^H dS_j R and C^H dS_k R, where Y = C C^H and X = R R^H.
-    """
-    basis, E = program.basis, program.entries
-    parts = np.stack([basis.real, basis.imag])
-    blocks, everywhere = [], []
-    for j, bound in enumerate(program.bounds):
-        rows = _eliminated_rows(program, j, slacks[j], Y[j], barrier)
-        if isinstance(bound.at, slice):
-            missing = basis.shape[1] - len(rows)
-            everywhere.append(np.pad(rows, [(0, missing), (0, 0), (0, 0)]))
-        else:
-            blocks.append((rows, parts[..., bound.at]))
-    if everywhere:  # one triangle for each frequency, instead of one for each bound
-        rows = np.linalg.qr(np.concatenate(everywhere, axis=1), mode="r")
-        blocks.append((rows, parts))
-    matrices = []
-    for rows, parts_at in blocks:
-        of_t, of_L = rows[:, :, :1], rows[:, :, 1:].reshape(*rows.shape[:2], E, 2)
-        of_x = np.einsum("crep,pkc->crek", of_L, parts_at)
-        columns = [of_t.reshape(-1, 1), of_x.reshape(-1, E * len(basis))]
-        matrices.append(np.hstack(columns))
-    last = np.zeros((1, 1 + E * len(basis)))
-    last[0, 0] = np.sqrt(barrier[0]) if program.shared else 1
-    # a shared t is eliminated last
-    return np.linalg.qr(np.vstack([*matrices, last]), mode="r")[1:, 1:]
-
-
-def _eliminated_rows(program, j, slack, Y, barrier):
-    """Rows of the square root of one bound at each of its frequencies, (c, rows, 1 + 2 entries).
-
-    Columns are a shared t, then real and imaginary part of each entry of L. The triangular factor
-    of one small matrix per inequality eliminates d, and a t of its own.
-    """
-    bound = program.bounds[j]
-    p, q, c = bound.shape
-    has_t, one = program.has_t(j), np.ones(c)
-    zero = np.zeros((p, q, c), dtype=complex)
-    Ch, _ = cholesky(Y, 0.01 * EPS * trace(Y))
-    of_t = slack.root(Ch, bound.of_b[:, None] * one, one, zero)
-    of_t[..., np.setdiff1d(np.arange(c), has_t)] = 0
-    columns = [of_t]
-    if bound.splits:
-        of_d = slack.root(Ch, bound.of_d[:, None] * one, 0 * one, zero)
-        columns = [of_d, of_t]
-    t = len(columns) - 1
-    for row, col in zip(bound.rows, bound.cols, strict=True):
-        for unit in (1, 1j):
-            D = zero.copy()
-            D[:, col] = unit * bound.T[:, row]
-            columns.append(slack.root(Ch, 0 * slack.diagonal, 0 * one, D))
-    columns = np.stack(columns, axis=-1)
-    columns = np.moveaxis(columns, 2, 0).reshape(c, (p + q) ** 2, -1)
-    own = np.zeros((c, 1, columns.shape[2]))
-    if not program.shared:
-        own[:, 0, t] = 1  # where there is no t, its elimination changes nothing
-        if len(has_t):
-            own[has_t, 0, t] = np.sqrt(barrier)
-    R = np.linalg.qr(np.concatenate([columns.real, columns.imag, own], 1), mode="r")
-    first = t if program.shared else t + 1
-    R = R[:, first:, first:]
-    of_L = (1 + 2 * bound.entries[:, None] + [0, 1]).ravel()
-    rows = np.zeros((c, R.shape[1], 1 + 2 * program.entries))
-    rows[:, :, np.append(0, of_L) if program.shared else of_L] = R
-    return rows
-
-
-def factorise(program, slacks, Y, barrier, root=False):
-    """A function from residuals in x, and Y and eta, to the changes of x, of t, and of each d."""
-    # `barrier`: second derivative of that of t <= limit, for each t
-    basis, E = program.basis, program.entries
-    local = [
-        Local(program, j, slack, Yc, barrier)
-        for j, (slack, Yc) in enumerate(zip(slacks, Y, strict=True))
-    ]
-
-    def onto_x(numbers):
-        """Numbers for the entries and columns of each bound, as a vector for the coefficients."""
-        total = np.zeros((E, basis.shape[1]), dtype=complex)
-        for part, g in zip(local, numbers, strict=True):
-            add_columns(total, part.bound.entries, part.bound.at, g)
-        return (total @ basis.T).real.ravel()
-
-    xt = tt = None
-    if program.shared:
-        tt = sum(part.tt for part in local if part.shared) + barrier[0]
-        xt = onto_x(part.xt if part.shared else 0 * part.g for part in local)
-    if root:
-        R = square_root(program, slacks, Y, barrier)
-        scale = 1 / np.linalg.norm(R, axis=0)
-        # a shift of 1e-30 in the squares
-        R = np.linalg.qr(np.vstack([R * scale, 1e-15 * np.eye(len(R))]), mode="r")
-        factor = (R, False)
-    else:
-        H = normal_matrix(program, slacks, Y, local)
-        if program.shared:
-            H -= np.outer(xt, xt / tt)
-        scale = 1 / np.sqrt(np.maximum(np.diag(H), EPS * np.diag(H).max()))
-        factor = _factorised(scale[:, None] * H * scale)
-
-    def solve(rx, Y, eta):
-        residuals = [part.residual(A, eta) for part, A in zip(local, Y, strict=True)]
-        rx = rx - onto_x(part.follow * r for part, (r, _) in zip(local, residuals, strict=True))
-        if program.shared:
-            rt = sum(r for _, r in residuals) - eta[0] - program.cost[0]
-            rx = rx - xt * (rt / tt)
-        dx = scale * cho_solve(factor, scale * rx)
-        dt = np.array([(rt - dx @ xt) / tt]) if program.shared else None
-        dL = dx.reshape(E, -1) @ basis
-        dd = []
-        for part, (r, _) in zip(local, residuals, strict=True):
-            d, dt = part.step(r, dL, dt)
-            dd.append(d)
-        return dx.reshape(E, -1), dt, dd
-
-    return solve
-
-
-def _factorised(H):
+def factorised(H):
     """Cholesky factor of a matrix with ones on the diagonal, shifted if it must be."""
-    if not np.isfinite(H).all():
-        raise RuntimeError("the bounds leave less room than rounding takes")
     shift = 1e-15
     while True:
         try:

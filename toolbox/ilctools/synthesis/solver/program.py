@@ -1,26 +1,40 @@
-"""What the solvers solve: bounds on largest singular values, of which some are minimised.
+"""What the solver solves: bounds on largest singular values, of which some are minimised.
 
-The unknowns x are real, the coefficients of L in a basis. Each bound holds for G = F + T L at its
-columns; the weighted sum of the levels of the first one, or the largest level of several, is
-minimised.
+With real unknowns x and functions Phi of the frequency, L = x Phi has the entries `rows`, `cols`;
+the others are zero. The program is
+
+    minimise cost . t   subject to   sigma_max(F_i + T_i L) <= b_i for all columns i,  t <= limit_0,
+
+where b_i is limit_0, limit_1 or one of the variables t. That is either a single one for many
+columns, whose largest is minimised, or one for each of some columns, whose weighted sum is.
 """
 
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.sparse import csr_array
 
-from ilctools.problem.problem import Cuts, Solution, joined
-from ilctools.synthesis.solver.bounds import product
+from ilctools.synthesis.solver.bounds import Bound, product
 
 GENEROUS = 3.0  # bound on what is minimised, in its unit: never active
 
 
-class Infeasible(RuntimeError):
-    """No filter meets the bounds; `nearest` has the smallest possible M_max, its `largest`."""
+@dataclass(frozen=True)
+class Optimum:
+    """What the solver returns."""
 
-    def __init__(self, M_max, nearest):
-        super().__init__(f"M_max = {M_max:.10g} is too small, {nearest.largest:.10g} is possible")
+    x: np.ndarray
+    multipliers: list[np.ndarray]  # of G in each bound
+    largest: float  # of all bounds with the first limit
+    iterations: int
+
+
+class Infeasible(RuntimeError):
+    """The bounds cannot be met; `nearest` is an optimum of :meth:`Program.minimax`."""
+
+    def __init__(self, nearest):
+        super().__init__(f"the bounds cannot be met below {nearest.largest:.10g}")
         self.nearest = nearest
 
 
@@ -28,21 +42,13 @@ class Infeasible(RuntimeError):
 class Program:
     """What to minimise, and within which bounds."""
 
-    # M, then W L or, if L is diagonal, each of its entries; W L, then M, for the least gain; the
-    # cuts. M is left out where a cut implies it.
-    bounds: tuple
-    # (order, n) and (order, order): L = x basis for x of shape (entries, order), and the
-    # coefficients are the rows of x R^-T
-    basis: np.ndarray
-    R: np.ndarray
-    entries: int  # how many of L are not zero
-    free: np.ndarray  # columns at which the first bound has a variable t for its level
-    cost: np.ndarray  # of each t in what is minimised; one, if it is shared
-    # whether t is the same for these, and for all bounds with the first limit: their largest is
-    # minimised, not a sum
-    shared: bool
-    limits: np.ndarray  # of the bounds; the first is that of t, too
-    M_max: float  # what the largest with the first limit must not exceed
+    bounds: tuple[Bound, ...]
+    basis: np.ndarray  # (order, n): Phi
+    rows: np.ndarray  # (e,): entries of L that are not zero; x has shape (e, order)
+    cols: np.ndarray
+    cost: np.ndarray  # of each t
+    limits: np.ndarray  # (2,): of the bounds; the first is that of t, too
+    most: float  # what the largest with a t or the first limit must not exceed
 
     @cached_property
     def products(self):
@@ -52,67 +58,68 @@ class Program:
         return [X.reshape(-1, X.shape[-1]).view(float).T for X in both]
 
     @property
-    def idle(self):
-        """The objective without learning."""
-        size = np.abs(self.bounds[0].F[0, 0, self.free])
-        return size.max() if self.shared else (self.cost * size).sum()
+    def shared(self):
+        """Whether there is a single t."""
+        return len(self.cost) == 1
+
+    def at_columns(self, t, limits):
+        """Numbers for each t and both limits, at the columns of each bound; so its levels b."""
+        numbers = np.append(t, limits)
+        return [numbers[bound.level] for bound in self.bounds]
+
+    def largest(self, values):
+        """The largest value at the columns of each t, and of each limit, of values by bound."""
+        largest = np.zeros(len(self.cost) + 2)
+        for bound, value in zip(self.bounds, values, strict=True):
+            np.maximum.at(largest, bound.level, value)
+        return np.split(largest, [len(self.cost)])
+
+    def without_learning(self):
+        """The same for L = 0, where G is a multiple of I."""
+        return self.largest([np.abs(bound.F[0, 0]) for bound in self.bounds])
 
     def minimax(self):
-        """The program of the smallest possible bound on M."""
-        size = max(np.abs(bound.F[0, 0]).max() for bound in self.bounds if bound.limit == 0)
-        limits = np.array([GENEROUS * size, self.limits[1]])
-        free, cost = np.arange(self.bounds[0].shape[2]), np.ones(1)
-        return replace(self, free=free, cost=cost, shared=True, limits=limits)
+        """The program of the least possible largest value of what has a t or the first limit."""
+        t, limits = self.without_learning()
+        bounds = (
+            replace(bound, level=np.where(bound.level <= len(self.cost), 0, 2))
+            for bound in self.bounds
+        )
+        limits = np.array([GENEROUS * max(*t, limits[0]), self.limits[1]])
+        return replace(self, bounds=tuple(bounds), cost=np.ones(1), limits=limits)
 
-    def has_t(self, j):
-        """The columns of bound j whose level is a variable."""
-        if self.shared and self.bounds[j].limit == 0:
-            return np.arange(self.bounds[j].shape[2])
-        return self.free if j == 0 else np.array([], dtype=int)
-
-    def levels(self, t, limits):
-        """The level b of each bound, given t and the limits."""
-        b = [np.full(bound.shape[2], limits[bound.limit]) for bound in self.bounds]
-        for j, level in enumerate(b):
-            if len(columns := self.has_t(j)):
-                level[columns] = t
-        return b
+    def linear(self, x):
+        """T L of each bound."""
+        m = self.bounds[0].T.shape[1]
+        L = np.zeros((m, m, self.basis.shape[1]), dtype=complex)
+        L[self.rows, self.cols] = x @ self.basis
+        return [product(bound.T, L[..., bound.at]) for bound in self.bounds]
 
     def matrices(self, x):
-        """G of each bound, from the unknowns x, shape (entries, order)."""
-        L = x @ self.basis
-        return [bound.F + bound.response(L) for bound in self.bounds]
+        """G = F + T L of each bound."""
+        changes = zip(self.bounds, self.linear(x), strict=True)
+        return [bound.F + change for bound, change in changes]
 
-    def unknowns(self, coefficients):
-        """The x of given coefficients, shape (m, m, order)."""
-        bound = self.bounds[0]
-        return (coefficients[bound.rows, bound.cols] @ self.R.T).astype(float)
+    def values(self, x, shares):
+        """The smallest b of each bound, shape (c,), with a share d / b."""
+        columns = zip(self.bounds, self.matrices(x), shares, strict=True)
+        return [bound.value(G, share) for bound, G, share in columns]
 
-    def solution(self, x, multipliers, splits, method, iterations):
-        """Solution from the unknowns and, for each bound, the multipliers of G and the split."""
-        first = self.bounds[0]
-        m = first.T.shape[1]
-        C = np.zeros((m, m, x.shape[1]))
-        c = x.astype(self.R.dtype)  # back substitution, in the precision of R
-        for k in reversed(range(len(self.R))):
-            c[:, k] = (c[:, k] - c[:, k + 1 :] @ self.R[k, k + 1 :]) / self.R[k, k]
-        C[first.rows, first.cols] = c
-        U, V = np.zeros((2, self.basis.shape[1], m, m), dtype=complex)
-        cuts = []
-        for j, (bound, N) in enumerate(zip(self.bounds, multipliers, strict=True)):
-            if bound.plant is not None:
-                N = N.T.swapaxes(1, 2)
-                cuts.append(Cuts(bound.plant, bound.at, N, splits[j].T))
-            elif not bound.gain:
-                U[bound.at] = np.moveaxis(N, -1, 0)
-            elif len(N) == m:
-                V = np.moveaxis(product(bound.T, N), -1, 0)
-            else:
-                [entry] = bound.entries
-                V[:, entry, entry] = (bound.T * N)[0, 0]
-        largest = max(
-            bound.value(G, split).max()
-            for bound, G, split in zip(self.bounds, self.matrices(x), splits, strict=True)
-            if bound.limit == 0
-        )
-        return Solution(C, U, V, largest, method, iterations, joined(cuts))
+    def of_entries(self, j, W):
+        """The g with Re tr(W T L) = Re sum g L, for the entries of L of bound j, (e, c)."""
+        return product(W, self.bounds[j].T)[self.cols, self.rows]
+
+    @cached_property
+    def incidence(self):
+        """Of each bound, which column is at which frequency, (c, n): g @ incidence adds them up."""
+        matrices = []
+        for bound in self.bounds:
+            c = len(bound.at)
+            shape = (c, self.basis.shape[1])
+            matrices.append(csr_array((np.ones(c), (np.arange(c), bound.at)), shape))
+        return matrices
+
+    def onto_x(self, g):
+        """The derivative of sum Re g L with respect to x, of numbers for each bound's entries."""
+        total = sum(g_j @ incidence for g_j, incidence in zip(g, self.incidence, strict=True))
+        return (total @ self.basis.T).real

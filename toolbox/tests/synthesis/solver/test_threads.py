@@ -6,7 +6,7 @@ from paper import paper_choices
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from ilctools import least_gain, synthesise
-from ilctools.synthesis import design
+from ilctools.synthesis import everywhere
 from ilctools.synthesis.search import largest_cutoff
 from ilctools.synthesis.solver.threads import on_one_thread
 
@@ -26,13 +26,13 @@ def test_while_it_runs_there_is_one_thread_and_afterwards_what_there_was():
 
 
 def test_the_digits_are_those_of_one_thread(loop, Q, omega, monkeypatch):
-    during, solve = [], design.solve
+    during, solve = [], everywhere.solve
 
     def solve_and_look(*arguments):
         during.append(threads())
         return solve(*arguments)
 
-    monkeypatch.setattr(design, "solve", solve_and_look)
+    monkeypatch.setattr(everywhere, "solve", solve_and_look)
     coefficients = []
     for number in (1, 2):
         with threadpool_limits(number, "blas"):

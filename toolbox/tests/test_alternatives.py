@@ -1,12 +1,62 @@
-"""Filters known by their response, against direct convolution and against finite filters."""
+"""Other designs in cases whose answers are known; filters known by a response, by convolution."""
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from paper import paper_loop
+from plants import LOOPS, as_matrix, frequencies, lifted, random_stable
 
-from ilctools import Law, LearningFilter
-from ilctools.alternatives import TwoSidedFilter, extent, two_sided_taps
+from ilctools import Law, LearningFilter, NormOptimal
+from ilctools.alternatives import TwoSidedFilter, extent, gradient, pd_type, two_sided_taps
+from ilctools.models import frequency_response
+
+PLANTS = {"rod": paper_loop} | LOOPS
+
+
+@pytest.fixture(scope="module", params=["rod", "tanks", "furnace"])
+def P(request):
+    return PLANTS[request.param]().P
+
+
+def test_pd_type_adds_the_error_and_its_slope():
+    time = np.arange(50) * 0.1
+    e = np.stack([np.sin(time), time**2], axis=1)
+    np.testing.assert_allclose(pd_type(0.5, 0.0, 3, 2, 0.1).apply(e)[:-3], 0.5 * e[3:])
+    slope = (e[4:] - e[3:-1]) / 0.1
+    np.testing.assert_allclose(pd_type(0.5, 2.0, 4, 2, 0.1).apply(e)[:-4], 0.5 * e[4:] + 2 * slope)
+
+
+def test_gradient_is_the_adjoint_of_a_trial_and_converges_at_its_rate(P):
+    model, omega = random_stable(0), frequencies(P.dt)
+    adjoint = as_matrix(gradient(model, 0.3).apply, 40, 2)
+    np.testing.assert_allclose(adjoint, 0.3 * lifted(model, 40).T, atol=1e-9)
+    response = frequency_response(P, omega)
+    sigma = np.linalg.svd(response, compute_uv=False)
+    step = 1.2 / sigma.max() ** 2
+    M = np.eye(P.noutputs) - response @ gradient(P, step).frequency_response(omega)
+    rate = np.abs(1 - step * sigma**2).max(axis=1)
+    np.testing.assert_allclose(np.linalg.norm(M, 2, axis=(1, 2)), rate, atol=1e-12)
+
+
+def test_norm_optimal_solves_the_lifted_problem():
+    """By dense algebra, for a plant with feedthrough, and for one with a delay."""
+    weight = 0.03
+    for P in (random_stable(1), LOOPS["furnace"]().P):
+        G, L = lifted(P, 60), NormOptimal(P, weight, 60)
+        dense = np.linalg.solve(G.T @ G + weight * np.eye(len(G)), G.T)
+        np.testing.assert_allclose(as_matrix(L.apply, 60, L.channels), dense, atol=1e-9)
+
+
+def test_norm_optimal_tends_to_its_response_far_from_the_ends():
+    P = LOOPS["tanks"]().P
+    samples, middle, m = 2000, 1000, P.noutputs
+    L, pulse = NormOptimal(P, 0.1, samples), np.zeros((m, samples, m))
+    pulse[range(m), middle, range(m)] = 1
+    omega = frequencies(P.dt, 9)
+    turns = np.exp(-1j * np.outer(omega * P.dt, np.arange(samples) - middle))
+    response = np.einsum("nt,jti->nij", turns, L.apply(pulse))
+    np.testing.assert_allclose(response, L.frequency_response(omega), atol=1e-6)
 
 
 def finite(seed, m, Ts, first=-3, count=7):
