@@ -2,6 +2,7 @@
 
 import base64
 import re
+import time
 
 CELLS = 5  # of the notebook, up to the workbench
 CHANGE = "before => document.querySelector('.widget-image').src !== before"
@@ -34,7 +35,7 @@ class Reader:
     """Opens the notebook, runs it up to the workbench, and turns knobs."""
 
     def __init__(self, page, address, patience):
-        self.page, self.complaints = page, []
+        self.page, self.patience, self.complaints = page, patience, []
         page.set_default_timeout(1000 * patience)
         page.on("pageerror", lambda error: self.complaints.append(str(error)))
         page.goto(address)
@@ -101,9 +102,11 @@ class Reader:
         )
 
     def until_drawn(self, picture):
-        """Wait until a picture is shown, by its bytes."""
-        shown = f"async wanted => await ({BYTES})() === wanted"
-        self.page.wait_for_function(shown, arg=base64.b64encode(picture).decode())
+        """Wait until a picture is shown, by its bytes: a page's function cannot wait for them."""
+        until = time.monotonic() + self.patience
+        while self.picture != picture:
+            assert time.monotonic() < until, "another picture is shown"
+            self.page.wait_for_timeout(50)
 
     def show(self, width, height, path):
         """Make the window as large, and take a picture of it."""
