@@ -27,7 +27,7 @@ SAME = 1e-8  # relative distance of frequencies that are one
 NEAR = 0.99  # share of a bound from which on a crest is held with those that pass it
 # Of the way from a crest to the next frequencies: a filter that is held at its crests moves them,
 # so that next time they are between these.
-PARTS = (0.05, 0.5)
+PARTS = (0.01, 0.05, 0.2, 0.5)
 
 
 def solve_everywhere(problem: Problem) -> tuple[Problem, Solution]:

@@ -17,11 +17,10 @@ class Slack:
     """
 
     def __init__(self, diagonal, b, G):
-        p, q, _ = G.shape
+        p = len(G)
         self.diagonal, self.b, self.G = diagonal, b, G
         self.scaled = G * (1 / diagonal)[:, None]  # Lambda^-1 G
-        A = -product(adjoint(G), self.scaled)
-        A[range(q), range(q)] += b
+        A = complement(b, G, self.scaled)
         self.inverse = hermitian(np.moveaxis(np.linalg.inv(np.moveaxis(A, -1, 0)), 0, -1))
         lower = -product(self.inverse, adjoint(self.scaled))
         upper = -product(self.scaled, lower)
@@ -46,23 +45,37 @@ class Slack:
         return hermitian(np.concatenate([left, right], axis=1))
 
 
+def complement(b, G, scaled):
+    """Schur complement b I - G^H Lambda^-1 G, given Lambda^-1 G."""
+    q = G.shape[1]
+    A = -product(adjoint(G), scaled)
+    A[range(q), range(q)] += b
+    return A
+
+
 def stacked(upper_left, upper_right, lower_left, lower_right):
     """A block matrix at each frequency."""
     upper = np.concatenate([upper_left, upper_right], axis=1)
     return np.concatenate([upper, np.concatenate([lower_left, lower_right], axis=1)])
 
 
-def dense(diagonal, b, G):
-    """S of its parts."""
-    p, q, c = G.shape
-    S = stacked(np.zeros((p, p, c)), G, adjoint(G), np.zeros((q, q, c)))
-    S[range(p), range(p)] = diagonal
-    S[range(p, p + q), range(p, p + q)] = b
-    return S
+def inner(diagonal, b, G, Y):
+    """sum <S, Y> of the parts of S."""
+    p = len(G)
+    of_Y = np.einsum("iin->in", Y).real
+    of_G = 2 * np.einsum("ijn,jin->", G, Y[p:, :p]).real
+    return (diagonal * of_Y[:p]).sum() + (b * of_Y[p:]).sum() + of_G
 
 
 def hermitian(A):
     return 0.5 * (A + adjoint(A))
+
+
+def is_inside(diagonal, b, G):
+    """At which frequencies S is positive definite: Lambda and the Schur complement are."""
+    positive = (diagonal > 0).all(axis=0)
+    scaled = G * (1 / np.where(positive, diagonal, 1))[:, None]
+    return positive & positive_definite(complement(b, G, scaled))
 
 
 def positive_definite(A):
@@ -76,14 +89,15 @@ def positive_definite(A):
     return positive
 
 
-def longest_step(A, D, limit, accuracy):
-    """The largest a <= limit with A + a D positive definite, by bisection."""
+def longest_step(is_inside, parts, changes, limit, accuracy):
+    """The largest a <= limit at which `parts + a changes` are inside, by bisection."""
     low, high, a = 0.0, limit, limit
     while high - low > accuracy * high and high > 1e-9:
-        failing = ~positive_definite(A + a * D)
+        moved = (part + a * change for part, change in zip(parts, changes, strict=True))
+        failing = ~is_inside(*moved)
         if failing.any():
-            high = a
-            A, D = A[..., failing], D[..., failing]  # the others would not fail below
+            high = a  # the others would not fail below
+            parts, changes = ([x[..., failing] for x in each] for each in (parts, changes))
         else:
             low = a
         a = (low + high) / 2

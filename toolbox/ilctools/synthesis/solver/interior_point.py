@@ -40,11 +40,16 @@ Mehrotra's corrector [2] subtracts the product of the predictor's dY and dS, as 
 """
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
-from ilctools.synthesis.solver.inequalities import Slack, dense, longest_step
+from ilctools.synthesis.solver.inequalities import (
+    Slack,
+    inner,
+    is_inside,
+    longest_step,
+    positive_definite,
+)
 from ilctools.synthesis.solver.newton import NewtonSystem
 from ilctools.synthesis.solver.program import Infeasible, Optimum, Program
 
@@ -53,6 +58,7 @@ STATIONARY = 0.1  # part of the gap by which rounding may keep (2) from holding
 CORRECTIONS = 10  # of a direction for that
 STEPS, MOVING = 100, 40  # at most, and with limits that are moved
 STAGNANT = 8  # steps without a smaller gap after which to stop
+CLOSE = 1e-6  # part of a bound by which one below it may miss the proof that none can be met
 SHORT = 0.01  # step from which on there is no progress
 ACCURACY = 0.02  # of a step's length, relative
 
@@ -66,35 +72,34 @@ class Point:
     t: np.ndarray
     limits: np.ndarray
     d: list
+    G: list
     Y: list
     eta: np.ndarray
 
     def moved(self, direction, primal, dual):
         """The point after a step in a direction."""
+
+        def sums(parts, changes, length):
+            pairs = zip(parts, changes, strict=True)
+            return [part + length * change for part, change in pairs] if length else parts
+
         return Point(
             self.program,
             self.x + primal * direction.x,
             self.t + primal * direction.t,
             self.limits + primal * direction.limits,
-            [d + primal * change for d, change in zip(self.d, direction.d, strict=True)],
-            [Y + dual * change for Y, change in zip(self.Y, direction.Y, strict=True)],
+            sums(self.d, direction.d, primal),
+            sums(self.G, direction.G, primal),
+            sums(self.Y, direction.Y, dual),
             self.eta + dual * direction.eta,
         )
 
-    @cached_property
+    @property
     def S(self):
-        """Lambda, b and G of each S in (1)."""
-        return self._parts(self.program.matrices(self.x))
-
-    @cached_property
-    def dS(self):
-        """The same of each change, if this is a direction."""
-        return self._parts(self.program.linear(self.x))
-
-    def _parts(self, G):
+        """Lambda, b and G of each S in (1); of each change, if this is a direction."""
         levels = self.program.at_columns(self.t, self.limits)
-        columns = zip(self.program.bounds, levels, self.d, G, strict=True)
-        return [(bound.diagonal(b, d), b, G_j) for bound, b, d, G_j in columns]
+        columns = zip(self.program.bounds, levels, self.d, self.G, strict=True)
+        return [(bound.diagonal(b, d), b, G) for bound, b, d, G in columns]
 
     @property
     def room(self):
@@ -109,13 +114,13 @@ class Point:
     def complementarity(self):
         """sum <S, Y> + (limit - t) . eta."""
         pairs = zip(self.S, self.Y, strict=True)
-        of_S = sum(np.einsum("ijn,jin->", dense(*S), Y).real for S, Y in pairs)
-        return of_S + self.room @ self.eta
+        return sum(inner(*S, Y) for S, Y in pairs) + self.room @ self.eta
 
     @property
     def dual_value(self):
         """The dual objective (3), a lower bound on the optimum where (2) holds."""
-        zeros = {"x": 0 * self.x, "t": 0 * self.t, "d": [0 * d for d in self.d]}
+        F = [bound.F for bound in self.program.bounds]
+        zeros = {"x": 0 * self.x, "t": 0 * self.t, "d": [0 * d for d in self.d], "G": F}
         return -replace(self, **zeros, limits=self.program.limits).complementarity
 
     @property
@@ -142,7 +147,7 @@ def begin(program, x):
     limits = np.where(peaks < program.limits, program.limits, 1.5 * peaks)
     t = (t + limits[0]) / 2
     d = [b * share for b, share in zip(program.at_columns(t, limits), shares, strict=True)]
-    p = Point(program, x, t, limits, d, [], t)
+    p = Point(program, x, t, limits, d, G, [], t)
     X = [Slack(*S).X for S in p.S]
     has_t = program.at_columns(np.ones(len(t)), [0, 0])
     size = sum(np.einsum("iin,n->", X_j, at).real for X_j, at in zip(X, has_t, strict=True))
@@ -168,11 +173,12 @@ class Newton:
         toward = p.program.limits - p.limits
         dY = [mu * slack.X - Y for slack, Y in zip(self.slacks, p.Y, strict=True)]
         eta = (mu - p.eta * toward[0]) / p.room - p.eta
-        d = Point(p.program, 0 * p.x, 0 * p.t, toward, [0 * d for d in p.d], dY, eta)
+        zeros = [0 * d for d in p.d], [0 * G for G in p.G]
+        d = Point(p.program, 0 * p.x, 0 * p.t, toward, *zeros, dY, eta)
         if toward.any():
-            d = self._less(d, self.products(p.Y, d.dS))
+            d = self._less(d, self.products(p.Y, d.S))
         if predictor is not None:
-            d = self._less(d, self.products(predictor.Y, predictor.dS))
+            d = self._less(d, self.products(predictor.Y, predictor.S))
             d = replace(d, eta=d.eta - predictor.eta * predictor.room / p.room)
         return d
 
@@ -183,8 +189,9 @@ class Newton:
         """The direction that makes multipliers stationary, (2), as far as rounding lets it."""
         p = self.p
         dx, dt, dd = self.system.solve(multipliers.stationarity, multipliers.Y, multipliers.eta)
-        change = Point(p.program, dx, dt, 0 * p.limits, dd, [], p.eta / p.room * dt)
-        return replace(change, Y=[-A for A in self.products(p.Y, change.dS)])
+        dG, deta = p.program.linear(dx), p.eta / p.room * dt
+        change = Point(p.program, dx, dt, 0 * p.limits, dd, dG, [], deta)
+        return replace(change, Y=[-A for A in self.products(p.Y, change.S)])
 
     def direction(self, mu, predictor=None, tolerance=None):
         """The direction to (4); None if rounding keeps (2) from holding within a tolerance.
@@ -220,9 +227,9 @@ def step_lengths(p, direction):
     """The longest primal and dual steps <= 1 from p that keep S, Y, limit - t and eta positive."""
     primal = 1 / max(1, (-direction.room / p.room).max())
     dual = 1 / max(1, (-direction.eta / p.eta).max())
-    for S, dS, Y, dY in zip(p.S, direction.dS, p.Y, direction.Y, strict=True):
-        primal = longest_step(dense(*S), dense(*dS), primal, ACCURACY)
-        dual = longest_step(Y, dY, dual, ACCURACY)
+    for S, dS, Y, dY in zip(p.S, direction.S, p.Y, direction.Y, strict=True):
+        primal = longest_step(is_inside, S, dS, primal, ACCURACY)
+        dual = longest_step(positive_definite, [Y], [dY], dual, ACCURACY)
     return primal, dual
 
 
@@ -253,20 +260,20 @@ def advanced(p, direction):
     return replace(after, limits=p.program.limits) if primal == 1 else after
 
 
-def infeasible(p):
-    """Whether no x that meets the bounds can be as large as rounding allows, by the dual value."""
+def ruled_out(p, objective):
+    """Whether no x that meets the bounds reaches an objective, by the dual value (3)."""
     # By more than the first term, no filter that meets the bounds has a larger |x|.
     program = p.program
     n, m = program.basis.shape[1], program.bounds[0].F.shape[1]
     x_max = np.sqrt(5 * n * m) * np.linalg.norm(p.stationarity)
-    return p.dual_value - x_max > program.cost.sum() * program.limits[0]
+    return p.dual_value - x_max > objective
 
 
 def follow(p, enough=0.0):
     """The best point on the central path within the limits, None if there is none; iterations."""
     program, best, smallest, stagnant = p.program, None, np.inf, 0
     idle, _ = program.without_learning()
-    unit = 1e-4 * program.cost @ idle
+    unit, largest = 1e-4 * program.cost @ idle, program.cost.sum() * program.limits[0]
     for iteration in range(STEPS):
         total = p.complementarity
         gap = max(total, abs(p.objective - p.dual_value))
@@ -277,7 +284,7 @@ def follow(p, enough=0.0):
             terminated = gap < GAP * max(p.objective, unit)
             if terminated or p.objective < enough or stagnant == STAGNANT:
                 break
-        elif iteration > MOVING or infeasible(p):
+        elif iteration > MOVING or ruled_out(p, largest):
             break
         direction = mehrotra(p, total)
         if direction is None:
@@ -301,6 +308,8 @@ def minimise(program: Program, enough: float = 0.0) -> Optimum:
         if nearest is None:
             raise RuntimeError(f"no point to start from after {iterations} iterations")
         if nearest.t[0] >= program.most:
+            if not ruled_out(nearest, (1 - CLOSE) * program.most):
+                raise RuntimeError(f"neither met nor ruled out after {iterations} iterations")
             raise Infeasible(optimum(nearest, iterations))
         best, more = follow(begin(program, nearest.x), enough)
         iterations += more

@@ -119,7 +119,11 @@ class Program:
             matrices.append(csr_array((np.ones(c), (np.arange(c), bound.at)), shape))
         return matrices
 
+    @cached_property
+    def of_columns(self):
+        """Phi at the columns of each bound, (c, order)."""
+        return [self.basis[:, bound.at].T for bound in self.bounds]
+
     def onto_x(self, g):
         """The derivative of sum Re g L with respect to x, of numbers for each bound's entries."""
-        total = sum(g_j @ incidence for g_j, incidence in zip(g, self.incidence, strict=True))
-        return (total @ self.basis.T).real
+        return sum((g_j @ Phi).real for g_j, Phi in zip(g, self.of_columns, strict=True))

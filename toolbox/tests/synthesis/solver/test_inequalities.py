@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from problems import dense
 
-from ilctools.synthesis.solver.inequalities import Slack, longest_step
+from ilctools.synthesis.solver.inequalities import Slack, is_inside, longest_step, positive_definite
 
 
 @given(st.integers(1, 4), st.integers(0, 2), st.integers(0, 999))
@@ -24,6 +24,8 @@ def test_what_a_slack_says_is_what_dense_matrices_say(q, more, seed):
     expected = (product + product.conj().swapaxes(1, 2)) / 2
     found = np.moveaxis(slack.sandwich(np.moveaxis(Y, 0, -1), dl, d, D), -1, 0)
     np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
-    limit = longest_step(np.moveaxis(S, 0, -1), np.moveaxis(dS, 0, -1), 1.0, 1e-6)
+    limit = longest_step(is_inside, (diagonal, b, G), (dl, d, D), 1.0, 1e-6)
+    whole = longest_step(positive_definite, *([np.moveaxis(A, 0, -1)] for A in (S, dS)), 1.0, 1e-6)
+    assert abs(limit - whole) <= 2e-6 * limit
     inside, outside = (np.linalg.eigvalsh(S + a * dS).min() for a in (limit, limit * (1 + 2e-6)))
     assert inside > 0 and (limit == 1.0 or outside < 1e-9 * b.max())
