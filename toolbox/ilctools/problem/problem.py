@@ -102,8 +102,11 @@ class Problem:
         return self.value(np.abs(self.Q))
 
     def unit(self, value) -> float:
-        """Scale of relative gaps: the objective, at least a thousandth of that for L = 0."""
-        return max(value, 1e-3 * self.idle)
+        """Scale of relative gaps: the objective, at least a hundredth of that for L = 0.
+
+        Below that, learning leaves next to nothing after one trial, and rounding decides the rest.
+        """
+        return max(value, 1e-2 * self.idle)
 
     @property
     def cutoff(self) -> float:
