@@ -21,10 +21,10 @@ SETTINGS = {
     "02": [{"Ts": 0.5, "R_s": 0.5}, {"degree": 1, "Q_o": 20.0, "R_o": 10.0}],
     "03": [
         {"M_max": 0.85, "order": 5, "L_max": 100.0},
-        {"n_Q": 4, "cutoff": 0.08, "frequencies": 300, "samples": 1500},
+        {"n_Q": 4, "cutoff": 0.08, "frequencies": 300},
     ],
     "04": [{"trials": 5, "samples": 1000}, {"first_disturbed": 9, "M_max": 0.85}],
-    "05": [{"unmeasured": []}, {"unmeasured": ["theta_a", "Q2"], "seed": 5}],
+    "05": [{"unmeasured": []}, {"unmeasured": ["theta_a", "Q2"]}],
     "06": [{"samples": 1500, "rest": 30}, {"M_max": 0.85, "noise": 0.1, "rest": 0}],
     "07": [{"L_max": 5.0, "Ts": 2.0}, {"M_max": 0.85, "frequencies": 150}],
     "08": [

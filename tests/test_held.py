@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from scipy.special import erfc
 
 from rodlib import Rod, exact_response, sampled_response
 
@@ -31,3 +32,36 @@ def test_sampled_response_is_the_sum_over_the_aliases(rod, Ts):
     for part in (slice(-1), slice(-1, None)):  # heat flows, K/W; the air, K/K
         error = np.abs(found - expected)[:, :, part].max(axis=(1, 2))
         assert np.all(error < 1e-10 * np.abs(expected[:, :, part]).max(axis=(1, 2)))
+
+
+def kernel(rod, start, end, place, t):
+    """Share of the heat that is released at a place and is in [start, end] after t, by images."""
+    width, total = np.sqrt(4 * rod.conductivity / rod.kappa_1 * t), 0.0
+    for image in range(-6, 7):
+        for source in (place + 2 * image * rod.length, -place + 2 * image * rod.length):
+            near, far = (start - source) / width, (end - source) / width
+            inside = 2 - erfc(-near) - erfc(far)
+            outside = erfc(np.abs(near)) - erfc(np.abs(far))
+            total = total + np.where(near * far < 0, inside, np.abs(outside)) / 2
+    return total
+
+
+def test_the_sampled_rod_has_eight_zeros_outside_the_unit_circle():
+    """docs/proofs.md: the winding number of the determinant of its pulse responses."""
+    rod, n = Rod(), 2500
+    nodes, weights = np.polynomial.legendre.leggauss(40)
+    t = np.arange(n)[:, None] + (nodes + 1) / 2
+    section = rod.length / 4
+    power = 4 / (rod.width * rod.height * rod.length * rod.kappa_1)
+    decay = power * np.exp(-rod.kappa_2 / rod.kappa_1 * t) * weights / 2
+    g = [
+        [(decay * kernel(rod, i * section, (i + 1) * section, z, t)).sum(axis=1) for i in (0, 2)]
+        for z in rod.sensors
+    ]
+    static = np.sum(g, axis=2)
+    np.testing.assert_allclose(static, exact_response(rod, [0.0])[0].real[:, [0, 2]], rtol=1e-3)
+    determinant = (np.convolve(g[0][0], g[1][1]) - np.convolve(g[0][1], g[1][0]))[:n]
+    angle = np.linspace(0, 2 * np.pi, 100_001)
+    on_circle = np.polynomial.polynomial.polyval(np.exp(1j * angle) / 1.02, determinant)
+    assert abs(determinant[-1]) / 1.02**n < 1e-6 * np.abs(on_circle).min()
+    assert round(np.diff(np.unwrap(np.angle(on_circle))).sum() / (2 * np.pi)) == 8

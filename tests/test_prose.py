@@ -41,7 +41,8 @@ CONSTANTS = {  # that no cell prints, with the reason
 }
 NUMBER = r"(?<![\w.^])\d+(?:\.\d+)?(?:e[-+]?\d+)?"
 NO_RESULT = re.compile(
-    r"```.*?```|`[^`]*`"  # code
+    r"\*\*Try\*\*[^\n]*"  # of other parameters: test_equations runs them
+    r"|```.*?```|`[^`]*`"  # code
     r"|\]\([^)]*\)"  # the target of a link
     r"|\(\d+\)|\[\d+\]"  # an equation, an entry of the paper's bibliography
     r"|^#+ \d+|^\d+\. "  # a heading, an item of a list

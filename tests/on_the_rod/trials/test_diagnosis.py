@@ -124,7 +124,9 @@ def test_where_the_error_grows_and_what_the_model_predicts_is_said(tank_law):
         run_trials(tank_law.loop, law, bump(300, LEVELS), trials=6)
     # The task demands what v would have to do before the trial begins: so large a gain shows it.
     loop, Q = paper_loop(), zero_phase_butterworth(2, 0.1, 1.0)
-    law = Law(Q, synthesise(loop, Q, GRID, **paper_choices(M_max=0.47, L_max=1e5)).filter, loop=loop)
+    law = Law(
+        Q, synthesise(loop, Q, GRID, **paper_choices(M_max=0.47, L_max=1e5)).filter, loop=loop
+    )
     assert rate(loop, Q, law.L, GRID).gamma < 0.48
     noise = 0.01 * white(0, 10, 1000, 2)
     with pytest.warns(UserWarning, match="first tenth of the trial"):

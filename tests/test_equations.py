@@ -1,0 +1,109 @@
+"""The five notebooks of the paper: its equations as code, their lengths, and what to try.
+
+And of all notebooks: what they import, and that the ledger is written in one cell.
+"""
+
+import re
+
+import nbformat
+import papermill
+import pytest
+
+from rodlib.paper import ROOT
+
+NOTEBOOKS = {
+    path.stem: nbformat.read(path, as_version=4).cells
+    for path in sorted((ROOT / "notebooks").glob("*.ipynb"))
+}
+PAPER = {name: cells for name, cells in NOTEBOOKS.items() if name < "06"}
+PRINTED = range(1, 47)  # equations of the paper
+
+
+def code(cells, folded=True):
+    """The sources of code cells, of those that are shown or of all."""
+    chosen = (cell for cell in cells if cell.cell_type == "code")
+    return [c.source for c in chosen if folded or not c.metadata.get("jupyter", {})]
+
+
+def prose(cells):
+    return "\n".join(cell.source for cell in cells if cell.cell_type == "markdown")
+
+
+def test_every_equation_of_the_paper_has_a_line_of_code():
+    numbers = set()
+    for cells in PAPER.values():
+        for line in "\n".join(code(cells, folded=False)).splitlines():
+            _, _, comment = line.partition("#")
+            tags = [int(tag) for tag in re.findall(r"\((\d+)\)", comment)]
+            assert len(tags) <= 2, line
+            numbers |= {*tags}
+    assert numbers == {*PRINTED}
+
+
+@pytest.mark.parametrize("name", PAPER)
+def test_a_notebook_of_the_paper_is_short(name):
+    cells = PAPER[name]
+    words = re.sub(r"\$\$.*?\$\$|\$[^$]*\$|^\|.*", "", prose(cells), flags=re.DOTALL | re.MULTILINE)
+    assert 500 <= len(words.split()) <= 1000 and len(cells) <= 24
+    for part in ("**Question**", "**You will have seen**", "**Time**", "## The answer", "**Try**"):
+        assert part in prose(cells)
+
+
+def test_the_paper_is_in_few_lines_and_most_of_them_are_its_mathematics():
+    every = [
+        line for cells in PAPER.values() for source in code(cells) for line in source.split("\n")
+    ]
+    assert len(every) <= 1100
+    shown = [
+        line
+        for cells in PAPER.values()
+        for source in code(cells, folded=False)[1:]  # behind the parameters
+        for line in source.splitlines()
+        if line.strip(" )]}")
+    ]
+    reported = re.compile(r"\s*(print|pd\.|f\"|table|rows|columns|errors|import|from|for name, )")
+    assert sum(not reported.match(line) for line in shown) >= 0.6 * len(shown)
+
+
+@pytest.mark.parametrize("name", NOTEBOOKS)
+def test_notebooks_enter_by_the_doors_and_write_the_ledger_once(name):
+    sources = code(NOTEBOOKS[name])
+    for package in re.findall(
+        r"^\s*(?:from|import) ((?:rodlib|ilctools)[\w.]*)", "\n".join(sources), re.M
+    ):
+        assert package in ("rodlib", "ilctools", "rodlib.paper", "rodlib.workbench")
+    assert not any("ledger.record(" in source for source in sources[:-1])
+
+
+TRIED = [
+    ("01-model", {"degree": 1}, [r"\[0\.9653 0\.9653\]", r"M = 1: off by 18\.0%"]),
+    ("01-model", {"degree": 4}, [r"\[1\.1541 1\.1541"]),
+    ("02-feedback", {"R_s": 0.5}, ["state feedback: .* 171 s"]),
+    (
+        "02-feedback",
+        {"Q_o": 20.0},
+        ["observer: .* 102 s", "without the observer is the same: True"],
+    ),
+    ("03-ilc-synthesis", {"L_max": 20.0}, ["looking 10: 0.476", r"noisy by 0\.015"]),
+    ("04-simulation", {"first_disturbed": 2}, [r"2\.08 1\.23 .* 0\.01\n"]),
+    ("05-experiment-replay", {"unmeasured": []}, [r"\n10 +0\.053 +0\.032 +1\.7"]),
+]
+
+
+@pytest.mark.parametrize(("name", "parameters", "outcome"), TRIED)
+def test_what_the_notebooks_suggest_to_try_comes_out(
+    name, parameters, outcome, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("RODLIB_RESULTS", str(tmp_path))
+    (parameter,) = parameters
+    suggestion = prose(PAPER[name]).partition("**Try**")[2]
+    assert f"`{parameter} = {parameters[parameter]!r}`" in suggestion
+    path = ROOT / "notebooks" / f"{name}.ipynb"
+    silent = {"progress_bar": False, "log_output": False}
+    ran = papermill.execute_notebook(
+        path, tmp_path / "tried.ipynb", parameters, cwd=path.parent, **silent
+    )
+    outputs = [output for cell in ran.cells for output in cell.get("outputs", [])]
+    text = "\n".join(o.get("text", "") + o.get("data", {}).get("text/plain", "") for o in outputs)
+    for expected in outcome:
+        assert re.search(expected, text), expected
