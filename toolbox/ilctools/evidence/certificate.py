@@ -24,6 +24,7 @@ from ilctools.evidence.peak import (
 from ilctools.evidence.prediction import predicted_rms
 from ilctools.evidence.robustness import WorstCase, worst_case
 from ilctools.filters import LearningFilter
+from ilctools.models import frequency_response
 from ilctools.problem.problem import MOST_GAIN, TIED, Problem, Solution, largest_singular_values
 from ilctools.problem.roughness import scatter_warnings
 
@@ -54,7 +55,7 @@ class Certificate:
     grid_L: float  # peak of sigma_max(L) on the grid
     passed_L: float  # the largest share of its bound that sigma_max(L) has there
     lower_bound: float = np.nan  # what no such filter within the bounds can go below
-    relief: float = np.nan  # relative decrease of the optimum for a relative increase of L_max
+    relief: float = np.nan  # of the optimum, relative, by a relative increase of L_max: convex
 
     @property
     def grid_M(self) -> float:
@@ -96,15 +97,20 @@ class Certificate:
     @property
     def convergence(self) -> Convergence:
         """Do the trials converge, on the worst of all plants?"""
-        problem, beyond = self.problem, self.beyond
-        L = self.filter.frequency_response(problem.omega)
-        on_grid = from_responses(problem.omega, problem.plants, problem.Q, L)
+        problem, beyond, L = self.problem, self.beyond, self.filter
+        response = L.frequency_response(problem.omega)
+        on_grid = from_responses(problem.omega, problem.plants, problem.Q, response)
+        radii = [on_grid.spectral_radius.max()]
+        for peak in self.exact:  # between the frequencies, too
+            at = [peak.omega]
+            P, Q = frequency_response(problem.models[peak.plant], at), problem.Q_beyond(at)
+            radii.append(from_responses(at, P, Q, L.frequency_response(at)).spectral_radius)
         return replace(
             on_grid,
             sigma=self.worst.sigma,
             gamma=self.rate,
             at=float(self.highest_peak.omega),
-            spectral_radius=float(on_grid.spectral_radius.max()),
+            spectral_radius=float(max(radii)),
             proven=self.proven and problem.radius is None,
             uncertain=problem.radius is not None or (beyond is not None and beyond.sigma >= 1),
             assumptions=self.assumptions,
@@ -287,7 +293,7 @@ class Certificate:
         if problem.objective == "sum" and self.grid_M > problem.M_max * (1 - TIED):
             bounds.append(f"M_max = {problem.M_max:g}")
         if problem.L_max is not None and self.passed_L > 1 - TIED:
-            gain = f"10 % more would lower the objective by {self.relief / 10:.1%}"
+            gain = f"10 % more would lower the objective by {min(self.relief / 10, 1):.1%} at most"
             bounds.append(f"L_max = {problem.L_max:g} ({gain})")
         size = f"order = {problem.order}"
         if problem.order < problem.delay:

@@ -60,9 +60,10 @@ def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None) -> float:
 
 
 def relief(problem: Problem, value, U, V, cuts: Cuts | None = None) -> float:
-    """Relative decrease of the optimum for a relative increase of L_max, to first order.
+    """Relative decrease of the optimum for a relative increase of L_max: the slope.
 
-    It is what the multipliers of that bound take from the bound in :func:`lower_bound`.
+    It is what the multipliers of that bound take from the bound in :func:`lower_bound`. The optimum
+    is convex in L_max: by any increase it falls by the slope times that at most.
     """
     if problem.L_max is None:
         return 0.0
@@ -71,7 +72,7 @@ def relief(problem: Problem, value, U, V, cuts: Cuts | None = None) -> float:
     if problem.objective == "peak":
         total = _nuclear_norms(U).sum()
         share /= total if cuts is None else total + dual_norm(cuts.N).sum()
-    return float(share / problem.unit(value))
+    return float(share / value) if value > 0 else 0.0
 
 
 def _projected(problem, parts):

@@ -63,7 +63,7 @@ def test_the_short_form_says_the_rate_for_which_plants_and_what_limits_it(good):
         f"rate: {good.all_M:.4f}, proven for all frequencies\n"
         f"mean of sigma_max.M. over the band: {good.mean_M:.4f}, from .*\n"
         f"limited by M_max = 0.9, L_max = 50 .10 % more would lower the objective by "
-        f"{good.relief / 10:.1%}., order = 10 .P lags by {good.problem.delay} samples "
+        f"{good.relief / 10:.1%} at most., order = 10 .P lags by {good.problem.delay} samples "
         "at the cut-off., diagonal"
     )
     assert re.match(expected, str(good))
@@ -296,6 +296,27 @@ def test_how_far_the_bound_on_the_gain_limits_is_its_slope(objective, structure,
     )
     slope = 1e4 * (1 - other.value / one.value)
     assert one.certificate.relief == pytest.approx(slope, rel=0.05, abs=1e-3) and slope > 0.01
+    much = synthesise(lags(), BUTTERWORTH, OMEGA, **asked | {"L_max": 1.65})
+    assert 1 - much.value / one.value <= one.certificate.relief / 10 + 1e-6
+
+
+def test_a_plant_that_diverges_between_the_samples_is_not_said_to_converge():
+    """A resonance that no design frequency sees; of one channel |eigenvalue| is sigma_max."""
+    lag = control.sample_system(control.tf([10], [1, 10]), 0.01, method="zoh")
+    omega = np.geomspace(0.1, np.pi / 0.01, 60)
+    Q = zero_phase_butterworth(2, 100.0, 0.01)
+    design = synthesise(lag, Q, omega, order=10, M_max=0.97, band=(0.1, 20.0), everywhere=True)
+    said = set()
+    for w in np.linspace(55, 65, 21):
+        mode = control.tf([0.002 * w**2], [1, 0.001 * w, w**2])
+        plant = control.sample_system(control.tf([10], [1, 10]) + mode, 0.01, method="zoh")
+        found = design.check(plant)
+        dense = np.unique(
+            np.append(np.linspace(0.1, 314, 20_000), np.linspace(w - 0.2, w + 0.2, 4001))
+        )
+        assert found.converges == (rate(plant, Q, design.filter, dense).gamma < 1)
+        said.add(str(found).partition(":")[0])
+    assert "diverges" in said
 
 
 def test_an_order_below_the_delay_of_the_plant_is_named():
@@ -333,7 +354,8 @@ def test_on_a_model_it_is_proven(design, gain, monotone):
     assert str(result).startswith(f"{how}: sigma_max(M) is {gamma:.4f} at most")
     assert "at all frequencies" in str(result) and result.assumptions == ()
     assert as_array.gamma == pytest.approx(gamma, rel=1e-3) and not as_array.proven
-    assert as_array.spectral_radius == pytest.approx(result.spectral_radius, rel=1e-12)
+    assert result.spectral_radius == pytest.approx(gamma, rel=1e-7)  # of one channel
+    assert as_array.spectral_radius == pytest.approx(as_array.sigma.max(), rel=1e-12)
     assert "not proven between samples" in str(as_array)
 
 
