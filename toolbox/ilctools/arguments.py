@@ -74,6 +74,8 @@ def instance(name: str, value, kind):
         holds = isinstance(getattr(value, "filter", None), kind)
         remedy = f", which is its attribute: pass {name}.filter" if holds else ""
         words = " or ".join(each.__name__ for each in get_args(kind) or [kind])
+        if callable(getattr(value, words.lower(), None)):  # a design makes a Law
+            remedy = f", which it makes: pass {name}.{words.lower()}()"
         raise ValueError(f"{name} = {reprlib.repr(value)} must be a {words}{remedy}")
     return value
 

@@ -161,7 +161,7 @@ class LearningOperator(Protocol):
         """Filter a signal of shape (..., time, channels)."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LearningFilter:
     """The learning filter L of (42), (44): a non-causal finite impulse response.
 
@@ -200,6 +200,17 @@ class LearningFilter:
         arguments.choice("ends", self.ends, list(ENDS))
         c.flags.writeable = False
         vars(self).update(coefficients=c, Ts=Ts)
+
+    def __eq__(self, other):
+        return isinstance(other, LearningFilter) and self._values == other._values
+
+    def __hash__(self):
+        return hash(self._values)
+
+    @property
+    def _values(self):
+        """All that the filter is, to be compared."""
+        return self.coefficients.shape, self.coefficients.tobytes(), self.Ts, self.ends
 
     @property
     def channels(self) -> int:

@@ -79,6 +79,13 @@ def test_learning_filter_in_time_and_in_frequency():
     np.testing.assert_allclose(transform, L.frequency_response(omega)[:, :, 1], atol=1e-12)
 
 
+def test_filters_with_the_same_coefficients_are_one():
+    one, same = (LearningFilter([[[0.5, 0.2]]], 1.0) for _ in range(2))
+    different = [LearningFilter([[[0.5, 0.3]]], 1.0), LearningFilter([[[0.5, 0.2]]], 2.0)]
+    different += [LearningFilter([[[0.5, 0.2]]], 1.0, ends="hold"), 0.5]
+    assert one == same and {one, same} == {one} and all(one != other for other in different)
+
+
 def test_coefficients_cannot_be_changed_behind_the_filter():
     given_ = np.ones((1, 1, 2))
     L = LearningFilter(given_, 1.0)

@@ -276,15 +276,17 @@ class Certificate:
 
     def _mean(self) -> Iterator[str]:
         """The RMS predicted for a reference, or the mean rate in a band, if there is one."""
-        nominal = " of the nominal plant" if self.problem.robust else ""
+        problem = self.problem
+        nominal = " of the nominal plant" if problem.robust else ""
         if self.predicted:
             trials = [f"{rms:.3g} in trial {k}" for k, rms in self.predicted.items()]
             yield (
                 f"predicted RMS of the error{nominal}: {', '.join(trials)}, for this "
                 "reference, without noise and ends"
             )
-        elif self.problem.objective == "sum" and np.isfinite(self.mean_M):
-            mean = f"{self.mean_M:.4f}, {_span(self.problem.band)}"
+        elif problem.objective == "sum" and np.isfinite(self.mean_M):
+            mean = f"{self.mean_M:.4f}" if self.mean_M >= 1e-4 else "below 0.0001"
+            mean += f", {_span(problem.band)}"
             yield f"mean of sigma_max(M){nominal} over the band: {mean}"
 
     def _reached(self):
@@ -293,8 +295,10 @@ class Certificate:
         if problem.objective == "sum" and self.grid_M > problem.M_max * (1 - TIED):
             bounds.append(f"M_max = {problem.M_max:g}")
         if problem.L_max is not None and self.passed_L > 1 - TIED:
-            gain = f"10 % more would lower the objective by {min(self.relief / 10, 1):.1%} at most"
-            bounds.append(f"L_max = {problem.L_max:g} ({gain})")
+            bounds.append(f"L_max = {problem.L_max:g}")
+            if self.value >= problem.unit(0):  # below, rounding decides
+                share = min(self.relief / 10, 1)
+                bounds[-1] += f" (10 % more would lower the objective by {share:.1%} at most)"
         size = f"order = {problem.order}"
         if problem.order < problem.delay:
             size += f" (P lags by {problem.delay} samples at the cut-off)"

@@ -33,23 +33,32 @@ from ilctools import arguments
 from ilctools.filters import LearningFilter, ZeroPhaseButterworth
 from ilctools.law.law import Law
 
-NEGLIGIBLE = 1e-6  # of the gain of Q, at any frequency: what its response is cut off for
+NEGLIGIBLE = 1e-6  # of M, at any frequency, where P is at most one: what Q's response is cut for
+
+
+def finite_response(law: Law) -> np.ndarray:
+    """Impulse response of Q, symmetric in time, without the ends that are negligible with this L.
+
+    M is Q (I - P L): what Q loses counts as often as L is large.
+    """
+    gain = np.linalg.norm(np.abs(law.L.coefficients).sum(axis=2), 2)
+    return _cut(law.Q, NEGLIGIBLE / max(1.0, gain))
 
 
 @lru_cache(maxsize=4)
-def finite_response(Q: ZeroPhaseButterworth) -> np.ndarray:
-    """Impulse response of Q, symmetric in time, without its negligible ends."""
+def _cut(Q: ZeroPhaseButterworth, share: float) -> np.ndarray:
+    """Impulse response of Q without ends that hold such a share of it."""
     impulse = np.zeros((2 * Q.decay + 1, 1))
     impulse[Q.decay] = 1
     h = Q.apply(impulse)[:, 0]
     ends = 2 * np.cumsum(np.abs(h[: Q.decay]))
-    cut = np.searchsorted(ends, NEGLIGIBLE)
+    cut = np.searchsorted(ends, share)
     return h[cut : len(h) - cut]
 
 
 def reach_ahead(law: Law) -> int:
     """Samples of the trial before that v needs beyond its own."""
-    return len(finite_response(law.Q)) // 2 + law.L.order
+    return len(finite_response(law)) // 2 + law.L.order
 
 
 def check_period(law: Law, period: int) -> None:
@@ -70,7 +79,7 @@ def check_period(law: Law, period: int) -> None:
 
 def repeated(law: Law, v, e, period: int, start: int, stop: int) -> np.ndarray:
     """v in the samples from start to stop, from v and e, (time, m), of all samples before."""
-    h = finite_response(law.Q)
+    h = finite_response(law)
     reach, first = len(h) // 2, max(0, start - period - len(h))
     x = v[first:] + law.L.apply(e[first:])
     x = np.pad(x, [(reach, 0), (0, 0)])  # at rest before the first trial

@@ -148,6 +148,7 @@ def _smallest_singular_values(problem):
         raise ValueError(
             f"P is singular at omega = {omega[first]:.6g} rad/s (smallest singular value "
             f"{singular_values[first, -1]:.3g}): P^-1 in (40) does not exist there. Does each "
-            "output respond to an input, and each input act on an output?"
+            "output respond to an input, and each input act on an output? Channels in units that "
+            "differ by millions need scale"
         )
     return singular_values[:, -1]

@@ -191,6 +191,8 @@ def _frequencies(P, Q) -> np.ndarray:
         if isinstance(plant, control.FrequencyResponseData):
             return plant.omega
     if not all(isinstance(plant, Measured) for plant in sampled):
+        for plant in sampled:
+            arguments.array("P", plant, ("omega", "m", "m"), complex)
         raise ValueError("omega must be given: P is an array, which does not know its frequencies")
     if not isinstance(Q, ZeroPhaseButterworth):
         raise ValueError(
