@@ -131,6 +131,8 @@ class Law:
         v = np.zeros(shape) if v is None else v
         v = arguments.in_columns("v", v, shape, self._names(v=v))
         v[samples - rest :] = 0
+        if self.L is not None:
+            self.L.apply(np.zeros(shape))  # which one for other trials refuses, before any is run
         return v
 
     def next(self, v, e, u=None, applied=None) -> np.ndarray:

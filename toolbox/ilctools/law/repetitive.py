@@ -4,15 +4,18 @@ With a period of N samples and the learning gain a, in endless time,
 
     v(t) = (1 - a) v(t - N) + a Q (v + L e)(t - N).
 
-Theorem. Let Q be scalar, the loop's P stable and the same at all times, and N larger than Q and L
-reach ahead. If sigma_max(M) <= gamma < 1 at every frequency, M = Q (I - P L), then state and v
-tend exponentially, from any start and for any reference and disturbance of period N, to those of
+Theorem. Let Q be scalar, the loop internally stable, P the same at all times, and N larger than Q
+and L reach ahead. If sigma_max(M) <= gamma < 1 at every frequency, M = Q (I - P L), then state and
+v tend exponentially, from any start and for any reference and disturbance of period N, to those of
 one periodic motion. With e_0 the error without learning, for a = 1
 
-    e(t) = M e(t - N) + f(t),    f(t) = e_0(t) - Q e_0(t - N),    ||e|| <= ||f|| / (1 - gamma)
+    e(t) = M e(t - N) + f(t),    f(t) = e_0(t) - Q e_0(t - N) + P w(t),
+    ||e|| <= ||f|| / (1 - gamma)
 
-in energy from the start to any time; and in the periodic motion, whatever a is, as RMS with
-f = (1 - Q) e_0.
+in energy from the start to any time. Here w(t) = Q (v + L e)(t - N) - v(t) is what no trial applies
+of it: of the first period, as far as Q and L reach ahead of t = N, and Q back from it. In the
+periodic motion, whatever a is, the bound holds as RMS with f = (1 - Q) e_0. A signal whose period
+is off from N by a percent is not learned, and nothing warns of that.
 
 Proof. As det(I - XY) = det(I - YX), v has the characteristic equation det(I - z^-N M(z)) = 0; with
 a gain, M_a = (1 - a) I + a M, and sigma_max(M_a) <= 1 - a + a gamma < 1. By the choice of N,

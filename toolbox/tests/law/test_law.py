@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import control
 import numpy as np
 import pandas as pd
 import pytest
@@ -11,7 +12,15 @@ from hypothesis import strategies as st
 from paper import paper_choices, paper_loop
 from plants import as_matrix
 
-from ilctools import ClosedLoop, Law, LearningFilter, synthesise, zero_phase_butterworth
+from ilctools import (
+    ClosedLoop,
+    Law,
+    LearningFilter,
+    NormOptimal,
+    record,
+    synthesise,
+    zero_phase_butterworth,
+)
 
 Q = zero_phase_butterworth(2, 0.1, 1.0)
 ONE = LearningFilter([[[1.0, -0.5]]], 1.0)
@@ -109,3 +118,23 @@ def test_a_design_has_its_law(loop, omega):
     of_samples = synthesise(loop, Q.frequency_response(omega), omega, 1.0, **paper_choices())
     with pytest.raises(ValueError, match="Q = samples"):
         of_samples.law()
+
+
+def test_an_L_for_trials_of_another_length_is_refused_before_any_is_run():
+    class Axis:
+        commands = 0
+
+        def begin(self, trial):
+            pass
+
+        def read(self):
+            return [0.0]
+
+        def apply(self, w):
+            self.commands += 1
+
+    P, rig = control.ss(0.5, 0.5, 1, 0, 1.0), Axis()
+    law, loop = Law(Q, NormOptimal(P, 0.1, 100)), ClosedLoop(P, outputs=["x"])
+    with pytest.raises(ValueError, match="100"):
+        record(rig, loop, law, np.zeros(160), trials=2)
+    assert rig.commands == 0
