@@ -10,7 +10,14 @@ from hypothesis import strategies as st
 from plants import random_stable
 
 from ilctools import LearningFilter, zero_phase_butterworth
-from ilctools.evidence.peak import _ceiling, _phase, error_model, learning_model, peak_gain
+from ilctools.evidence.peak import (
+    _ceiling,
+    _phase,
+    error_model,
+    learning_model,
+    peak_gain,
+    spline_scale,
+)
 from ilctools.models import frequency_response
 from ilctools.problem.problem import convergence_matrix, largest_singular_values
 from rodlib.paper import published
@@ -163,3 +170,16 @@ def test_models_have_the_singular_values_of_M_and_L_and_their_peaks(loop, name, 
     analytic = 1 / (1 + (np.tan(dense / 2) / np.tan(cutoff / 2)) ** (2 * order))
     # the coefficients of Q are rounded
     assert gain == pytest.approx((analytic * sigma_M).max(), rel=2e-6)
+
+
+@pytest.mark.parametrize("slow", [1.0, 1e-3])
+def test_splines_run_over_the_scale_in_which_they_predict(slow):
+    """A lag on three decades is smooth over log omega, on an even grid of its own over omega."""
+    for omega, scale in (
+        (np.geomspace(0.01, 10, 40), np.log),
+        (np.linspace(0.01, 1, 40), np.asarray),
+    ):
+        P = (1 / (1 + 1j * omega))[:, None, None]
+        L = np.full((40, 1, 1), 0.5 + 0j)
+        chosen, missed = spline_scale(P, np.ones(40), slow * omega, L)
+        assert chosen is scale and missed < 0.01
