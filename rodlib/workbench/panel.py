@@ -88,7 +88,7 @@ class Panel:
 
 def _as_html(name, text, style=""):
     """A text as it stands; with `user-select: all` one click marks all."""
-    style = f"white-space: pre-wrap; line-height: 1.3; {style}"
+    style = f"white-space: pre-wrap; word-break: normal; line-height: 1.3; {style}"
     return f'<pre class="workbench-{name}" style="{style}">{escape(text)}</pre>'
 
 

@@ -47,12 +47,13 @@ def synthesise(
     ----------
     P : array_like, shape (n, m, m), a model, CurrentTrialLoop, or a list of these; or measured
         Frequency response of the closed loop on `omega`, for any m, also as python-control's
-        frequency response data; or a discrete-time model of it, state space or transfer function.
-        Of a list the first is the nominal plant, whose convergence is made fast; the bounds hold
-        for all of them. What :func:`measured_response` returns has its radius, in which the
-        truth lies with a probability of 0.99; for another, pass both of ``P.on(omega, confidence)``
-        as P and `uncertainty`. Above the last frequency of samples, sigma_max(P) is assumed to be
-        what it is there, at any phase.
+        frequency response data, of exp(j omega t): one whose phase leads, of exp(-j omega t), is to
+        be conjugated first, and nothing warns of that; or a discrete-time model of it, state space
+        or transfer function. Of a list the first is the nominal plant, whose convergence is made
+        fast; the bounds hold for all of them. What :func:`measured_response` returns has its
+        radius, in which the truth lies with a probability of 0.99; for another, pass both of
+        ``P.on(omega, confidence)`` as P and `uncertainty`. Above the last frequency of samples,
+        sigma_max(P) is assumed to be what it is there, at any phase.
     Q : array_like, shape (n,), or ZeroPhaseButterworth
         Frequency response of the Q-filter on `omega`, or the filter.
     omega : array_like, shape (n,), optional
