@@ -178,9 +178,10 @@ def array(name: str, value, shape: Sequence[int | str], dtype: type = float) -> 
     try:
         plain = np.asanyarray(value)
     except (TypeError, ValueError):
-        raise ValueError(
-            f"{name} must be an array of numbers, but is none; has it rows of different lengths?"
-        ) from None
+        why = "has it rows of different lengths?"
+        if hasattr(value, "data_vars"):
+            why = f"it is a Dataset: pass one of its variables, {', '.join(map(str, value))}"
+        raise ValueError(f"{name} must be an array of numbers, but is none; {why}") from None
     if plain.dtype.kind not in "iufc":
         raise ValueError(f"{name} holds values of type {plain.dtype}, but must hold numbers")
     if plain.dtype.kind == "c" and dtype is float:

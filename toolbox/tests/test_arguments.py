@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+import xarray as xr
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -85,3 +86,8 @@ REFUSED = [  # a call, and how the error begins
 def test_refusals(call, message):
     with pytest.raises(ValueError, match=f"^{message}"):
         call()
+
+
+def test_a_dataset_is_said_to_be_one():
+    with pytest.raises(ValueError, match=r"P must .* a Dataset: pass one of its variables, y, e"):
+        arguments.array("P", xr.Dataset({"y": 0.0, "e": 1.0}), ("n",))
