@@ -11,8 +11,8 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { MOST = 1 << 16, SAMPLES = 1 << 17 };
-static double sections[MOST], L[MOST], v[SAMPLES], e[SAMPLES], once[2 * SAMPLES];
+enum { MOST = 1 << 20, SAMPLES = 1 << 17 };
+static double sections[MOST], K[MOST], B[MOST], heard[SAMPLES], made[SAMPLES], v[SAMPLES], e[SAMPLES], once[2 * SAMPLES];
 
 /* The numbers of the array, or the one number, behind a name in JSON; 0 if the name is not there. */
 static int numbers(const char *text, const char *name, double *x, int *rows)
@@ -30,22 +30,43 @@ static int numbers(const char *text, const char *name, double *x, int *rows)
     return count;
 }
 
+/* out = L in of n samples of m channels, by the taps of L from q^first on; beyond the ends zero. */
+static void look(const double *L, int order, int first, const double *in, double *out, int n, int m)
+{
+    for (int p = 0; p < n; p++)
+        for (int i = 0; i < m; i++) {
+            double sum = 0;
+            for (int j = 0; j < m; j++)
+                for (int k = 0; k < order; k++) {
+                    int at = p + first + k;
+                    if (at >= 0 && at < n) sum += L[(i * m + j) * order + k] * in[at * m + j];
+                }
+            out[p * m + i] = sum;
+        }
+}
+
 int main(int argc, char **argv)
 {
-    static char text[1 << 22];
+    static char text[1 << 24];
     FILE *file = argc == 2 ? fopen(argv[1], "r") : NULL;
     if (!file || !fread(text, 1, sizeof text - 1, file))
         return fprintf(stderr, "law: name a file of save_law\n"), 1;
+    if (!strstr(text, "\"rodlib law 1\"") && !strstr(text, "\"rodlib law 2\""))
+        return fprintf(stderr, "law: this is no format that is known here\n"), 1;
+    if (strstr(text, "\"scale\""))
+        return fprintf(stderr, "law: the base is a model; synthesise with reach\n"), 1;
     if (strstr(text, "\"hold") || strstr(text, "\"actuators\""))
         return fprintf(stderr, "law: ends must be zero, and there must be no limits\n"), 1;
 
     int m = 0, stages = 0, unused = 0, n = 0, tail = 0;
-    double rest = 0, gain = 1, radius = 0;
-    int order = numbers(text, "\"coefficients\"", L, &m);
+    double rest = 0, gain = 1, radius = 0, first = 1, from = 0;
+    int order = numbers(text, "\"coefficients\"", K, &m), taps = numbers(text, "\"taps\"", B, &unused);
     numbers(text, "\"sections\"", sections, &stages);
     numbers(text, "\"rest\"", &rest, &unused);
     numbers(text, "\"step\"", &gain, &unused);
-    order /= m * m;
+    numbers(text, "\"first\"", &first, &unused);
+    numbers(text, "\"from\"", &from, &unused);
+    order /= m * m, taps /= m * m;
     for (int s = 0; s < stages; s++) {  /* until the tail beyond the end has decayed to rounding */
         double a1 = sections[6 * s + 4], a2 = sections[6 * s + 5];
         radius = fmax(radius, a2 > 0 ? sqrt(a2) : fabs(a1));
@@ -56,15 +77,12 @@ int main(int argc, char **argv)
     n /= m;
     if (n + tail > 2 * SAMPLES) return fprintf(stderr, "law: the trial is too long\n"), 1;
 
+    look(K, order, (int)first, e, heard, n, m);  /* L e, or B K e */
+    if (taps) look(B, taps, (int)from, heard, made, n, m);
+    else memcpy(made, heard, sizeof made);
     for (int i = 0; i < m; i++) {
         memset(once, 0, sizeof once);
-        for (int p = 0; p < n; p++) {  /* v + L e, where L looks ahead */
-            double ahead = 0;
-            for (int j = 0; j < m; j++)
-                for (int k = 1; k <= order && p + k < n; k++)
-                    ahead += L[(i * m + j) * order + k - 1] * e[(p + k) * m + j];
-            once[p] = v[p * m + i] + ahead;
-        }
+        for (int p = 0; p < n; p++) once[p] = v[p * m + i] + made[p * m + i];
         for (int backward = 0; backward < 2; backward++) {
             double held = backward ? once[n + tail - 1] : 0;  /* before it begins */
             for (int s = 0; s < stages; s++) {

@@ -19,7 +19,8 @@ PAPER = Rod()
 def paper_choices(**changes) -> dict:
     """The paper's choices for the synthesis, Section IV-B, but for changes.
 
-    They are keyword arguments of :func:`ilctools.synthesise`; L_max in K/K, band in rad/s. Its
+    They are keyword arguments of :func:`ilctools.synthesise`; L_max in K/K, band in rad/s; the
+    paper's L has no base. Its
     design frequencies are ``np.geomspace(1e-4, np.pi, 1000)`` rad/s.
 
     See Also
@@ -37,7 +38,7 @@ def paper_choices(**changes) -> dict:
     0.883
     """
     choices = {"order": 10, "M_max": 0.9, "L_max": 50.0, "band": (1e-4, 0.02)}
-    return choices | {"structure": "diagonal"} | changes
+    return choices | {"structure": "diagonal", "base": None} | changes
 
 
 def paper_loop(rod: Rod = PAPER, degree: int = 3, Ts: float = 1.0) -> CurrentTrialLoop:

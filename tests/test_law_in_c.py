@@ -4,10 +4,12 @@ import platform
 import shutil
 import subprocess
 
+import control
 import numpy as np
 import pytest
 
 from ilctools import Law, LearningFilter, save_law, zero_phase_butterworth
+from ilctools.base import RegularisedInverse
 from rodlib.paper import ROOT, published
 
 SOURCE = ROOT / "docs" / "law.c"
@@ -17,10 +19,24 @@ FULL, DIAGONAL = (
 RNG = np.random.default_rng(0)
 EXACT = LearningFilter(RNG.integers(-64, 64, (2, 2, 5)) / 16, 1.0)
 ONE = LearningFilter([[[0.5, 0.25]]], 0.1)
+OF_MODEL = RegularisedInverse(control.ss(0.5, 0.5, 1, 0, 1.0), 0.1, [1.0])
 LAWS = {
     "the paper's": Law(zero_phase_butterworth(2, 0.1, 1.0), FULL, rest=15),
     "diagonal": Law(zero_phase_butterworth(3, 0.1, 1.0), DIAGONAL),
     "one channel, slower": Law(zero_phase_butterworth(1, 5.0, 0.1), ONE, gain=0.3),
+    "back and ahead": Law(
+        zero_phase_butterworth(2, 0.5, 1.0),
+        LearningFilter(RNG.integers(-64, 64, (2, 2, 7)) / 64, 1.0, first=-3),
+    ),
+    "with a base": Law(
+        zero_phase_butterworth(2, 0.5, 1.0),
+        LearningFilter(
+            [[[0.5, 1.0, 0.25]]],
+            1.0,
+            first=-1,
+            base=LearningFilter(RNG.standard_normal((1, 1, 301)), 1.0, first=-150),
+        ),
+    ),
     "order five": Law(zero_phase_butterworth(5, 0.5, 1.0), EXACT, rest=1),
 }
 
@@ -70,10 +86,19 @@ def test_it_is_that_bit_for_bit_where_sums_are_exact(program, tmp_path):
 @pytest.mark.parametrize(
     "law",
     [Law(zero_phase_butterworth(2, 0.1, 1.0, ends="hold"), EXACT),
-     Law(zero_phase_butterworth(2, 0.1, 1.0), EXACT, limits={"Q1": (-1, 1)})],
+     Law(zero_phase_butterworth(2, 0.1, 1.0), EXACT, limits={"Q1": (-1, 1)}),
+     Law(zero_phase_butterworth(2, 0.1, 1.0), LearningFilter([[[1.0]]], 1.0, base=OF_MODEL))],
 )  # fmt: skip
 def test_what_it_does_not_know_it_refuses(program, law, tmp_path):
     save_law(tmp_path / "law.json", law)
     call = [program, tmp_path / "law.json"]
     run = subprocess.run(call, input="1 2 3 4\n", capture_output=True, text=True)
     assert run.returncode and not run.stdout and "law:" in run.stderr
+
+
+def test_a_format_that_it_does_not_know_it_refuses(program, tmp_path):
+    path = tmp_path / "law.json"
+    save_law(path, LAWS["with a base"])
+    path.write_text(path.read_text().replace("law 2", "law 3"))
+    run = subprocess.run([program, path], input="1 2\n", capture_output=True, text=True)
+    assert run.returncode and "format" in run.stderr

@@ -53,6 +53,7 @@ class Settings:
         low, high = problem.band
         defaults = {"L_max": problem.L_max, "band": (low, float(f"{high:.3g}"))}
         defaults["order"] = min(problem.order, LIVELY)
+        choices.pop("base", None)  # an order is given: that of the paper's L
         return cls(plant, cutoff=cutoff, **defaults | choices)
 
     @property

@@ -169,12 +169,23 @@ class NormOptimal:
         """The best change, shape (..., samples, m), for an error of shape (..., samples, p)."""
         signal = arguments.array("signal", signal, (..., self.samples, self.channels))
         n, m = self.P.B.shape
-        right = np.zeros((*signal.shape[:-1], 2 * n + m))
-        right[..., :n] = signal @ self.P.C
-        right[..., n : n + m] = signal @ self.P.D
-        columns = right.reshape(-1, self.samples * (2 * n + m)).T
-        solution = self._factors.solve(columns).T.reshape(right.shape)
-        return solution[..., n : n + m]
+        right = self._solved(np.dot(signal, np.hstack([self.P.C, self.P.D])))
+        return right[..., n : n + m]
+
+    def apply_transposed(self, signal) -> np.ndarray:
+        """The transpose of the matrix that :meth:`apply` is: P_N (P_N^T P_N + weight I)^-1."""
+        n, m = self.P.B.shape
+        signal = arguments.array("signal", signal, (..., self.samples, m))
+        solution = self._solved(np.pad(signal, [(0, 0)] * (signal.ndim - 1) + [(n, 0)]))
+        return solution[..., : n + m] @ np.hstack([self.P.C, self.P.D]).T
+
+    def _solved(self, right):
+        """The conditions of optimality, for right-hand sides (..., samples, n + m) of x, change."""
+        n, m = self.P.B.shape
+        padded = np.zeros((*right.shape[:-1], 2 * n + m))
+        padded[..., : n + m] = right
+        columns = padded.reshape(-1, self.samples * (2 * n + m)).T
+        return self._factors.solve(columns).T.reshape(padded.shape)
 
 
 @dataclass(frozen=True)

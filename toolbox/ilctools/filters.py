@@ -16,7 +16,7 @@ from functools import cached_property, lru_cache
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from scipy.signal import BadCoefficients, butter, freqz_sos, sosfiltfilt
+from scipy.signal import BadCoefficients, butter, freqz_sos, oaconvolve, sosfiltfilt
 
 from ilctools import arguments
 
@@ -25,6 +25,10 @@ ENDS = {  # the modes of numpy.pad, before the trial and after it
     "hold": ("edge", "edge"),
     "hold-last": ("constant", "edge"),
 }
+LONG = 100  # coefficients: beyond, doubles and the fast transform do, see `time_shifts`
+CHUNK = 2**21  # numbers held at a time
+FARTHEST = 10**6  # samples that a filter may look ahead or back
+CIRCLE = 1e-9  # distance of a point from the unit circle that is rounding
 
 
 @dataclass(frozen=True)
@@ -163,17 +167,21 @@ class LearningOperator(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class LearningFilter:
-    """The learning filter L of (42), (44): a non-causal finite impulse response.
+    """The learning filter L of (42), (44): a non-causal finite impulse response; or L = B K.
 
     Attributes
     ----------
     coefficients : ndarray, shape (m, m, order)
-        L_ij(q) = sum_k coefficients[i, j, k - 1] q^k, where q looks one sample ahead.
+        L_ij(q) = sum_k coefficients[i, j, k - first] q^k, where q looks one sample ahead. With a
+        base that is K_ij.
     Ts : float
         Sampling period, s.
     ends : {"zero", "hold", "hold-last"}
-        What the error is taken to be beyond the end of the trial. L does not look before its start:
-        the last two are the same.
+        What the error is taken to be beyond the ends of the trial.
+    first : int
+        The lowest k: 1 in (44), which looks ahead alone; below zero the filter looks back, too.
+    base : LearningOperator, optional
+        B of L = B K; it acts on what K has made of the error within the trial.
 
     See Also
     --------
@@ -193,24 +201,30 @@ class LearningFilter:
     coefficients: np.ndarray = field(repr=False)
     Ts: float
     ends: str = "zero"
+    first: int = 1
+    base: LearningOperator | None = None
 
     def __post_init__(self):
         c = arguments.array("coefficients", self.coefficients, ("m", "m", "order"))
         Ts = arguments.sampling_period("Ts", self.Ts)
         arguments.choice("ends", self.ends, list(ENDS))
+        first = arguments.whole("first", self.first, -FARTHEST, FARTHEST)
         c.flags.writeable = False
-        vars(self).update(coefficients=c, Ts=Ts)
+        vars(self).update(coefficients=c, Ts=Ts, first=first)
+        if self.base is not None:
+            check_learning(self.base, len(c), "base")
 
     def __eq__(self, other):
         return isinstance(other, LearningFilter) and self._values == other._values
 
     def __hash__(self):
-        return hash(self._values)
+        return hash(self._values[:-1])
 
     @property
     def _values(self):
         """All that the filter is, to be compared."""
-        return self.coefficients.shape, self.coefficients.tobytes(), self.Ts, self.ends
+        c = self.coefficients
+        return c.shape, c.tobytes(), self.Ts, self.ends, self.first, self.base
 
     @property
     def channels(self) -> int:
@@ -219,13 +233,38 @@ class LearningFilter:
 
     @property
     def order(self) -> int:
-        """Number of samples that the filter looks ahead."""
+        """Number of coefficients: the samples that (44) looks ahead."""
         return self.coefficients.shape[2]
+
+    @property
+    def last(self) -> int:
+        """The highest k: the samples that the filter, or K, looks ahead."""
+        return self.first + self.order - 1
+
+    @property
+    def combined(self) -> "LearningFilter":
+        """B K as one filter without a base; a ValueError if B is that of a model."""
+        if self.base is None:
+            return self
+        B = arguments.instance("base", self.base, LearningFilter)
+        taps = oaconvolve(B.coefficients[:, :, None], self.coefficients[None], axes=-1)
+        return LearningFilter(taps.sum(axis=1), self.Ts, self.ends, B.first + self.first)
 
     def frequency_response(self, omega) -> np.ndarray:
         """L(exp(j omega Ts)) at `omega` (rad/s), shape (n, m, m), complex."""
-        shifts = time_shifts(self.Ts * arguments.row("omega", omega), self.order)
-        return np.einsum("nk,ijk->nij", shifts, self.coefficients).astype(complex)  # (44)
+        omega = arguments.row("omega", omega)
+        angles = self.Ts * omega
+        if self.order <= LONG:
+            shifts = time_shifts(angles, self.order)
+            response = np.einsum("nk,ijk->nij", shifts, self.coefficients).astype(complex)  # (44)
+        else:
+            taps, steps = self.coefficients.reshape(-1, self.order).T, np.arange(1, self.order + 1)
+            chunks = np.array_split(angles, 1 + len(angles) * self.order // CHUNK)
+            parts = [np.exp(1j * np.outer(chunk, steps)) @ taps for chunk in chunks]
+            response = np.concatenate(parts).reshape(-1, *self.coefficients.shape[:2])
+        if self.first != 1:
+            response *= np.exp(1j * (self.first - 1) * angles)[:, None, None]
+        return response if self.base is None else self.base.frequency_response(omega) @ response
 
     def __call__(self, z) -> np.ndarray:
         """L(z), laid out as python-control's systems do: the axes of `z` last.
@@ -233,7 +272,7 @@ class LearningFilter:
         Parameters
         ----------
         z : array_like, complex
-            A point or several, as ``np.exp(1j * omega * Ts)``.
+            A point or several, as ``np.exp(1j * omega * Ts)``; with a base on the unit circle.
 
         Returns
         -------
@@ -241,16 +280,51 @@ class LearningFilter:
             Of one channel, the shape of `z`. ``control.frd(L(z), omega)`` is L as their data.
         """
         z = arguments.array("z", z, (...,), complex)
-        shifts = z[..., None] ** np.arange(1, self.order + 1)
-        response = np.einsum("ijk,...k->ij...", self.coefficients, shifts)  # (44)
+        if self.base is None:
+            shifts = z[..., None] ** np.arange(self.first, self.last + 1)
+            response = np.einsum("ijk,...k->ij...", self.coefficients, shifts)  # (44)
+        elif np.abs(np.abs(z) - 1).max() > CIRCLE:
+            raise ValueError("z must be on the unit circle, where alone the base is known")
+        else:
+            omega = np.angle(z).ravel() / self.Ts
+            response = np.moveaxis(self.frequency_response(omega), 0, -1)
+            response = response.reshape(*response.shape[:2], *z.shape)
         return response[0, 0] if self.channels == 1 else response
 
     def apply(self, signal) -> np.ndarray:
         """Filter a signal of shape (..., time, m)."""
         signal = arguments.array("signal", signal, (..., "time", self.channels))
-        ahead = _continued(signal, 0, self.order, self.ends)
-        windows = np.lib.stride_tricks.sliding_window_view(ahead, self.order, axis=-2)
-        return np.tensordot(windows[..., 1:, :, :], self.coefficients, axes=([-2, -1], [1, 2]))
+        before, after = max(0, -self.first), max(0, self.last)
+        line = _continued(signal, before, after, self.ends)
+        start = before + self.first  # of the line, for the first sample of the trial
+        if self.order <= LONG:
+            windows = np.lib.stride_tricks.sliding_window_view(line, self.order, axis=-2)
+            windows = windows[..., start : start + signal.shape[-2], :, :]
+            result = np.tensordot(windows, self.coefficients, axes=([-2, -1], [1, 2]))
+        else:
+            taps = self.coefficients.T[::-1]  # (k, j, i), from the last
+            taps = taps.reshape([1] * (line.ndim - 2) + [*taps.shape])
+            parts = oaconvolve(line[..., None], taps, mode="valid", axes=-3)
+            result = parts[..., start : start + signal.shape[-2], :, :].sum(axis=-2)
+        return result if self.base is None else self.base.apply(result)
+
+    def apply_transposed(self, signal) -> np.ndarray:
+        """Filter a signal by the transpose of the matrix that :meth:`apply` is on a trial."""
+        signal = arguments.array("signal", signal, (..., "time", self.channels))
+        if self.base is not None:
+            signal = self.base.apply_transposed(signal)
+        N, (first, last) = signal.shape[-2], ENDS[self.ends]
+        flipped = self.coefficients.swapaxes(0, 1)[..., ::-1]
+        mirrored = LearningFilter(flipped, self.Ts, "zero", -self.last)
+        before, after = max(0, -self.first), max(0, self.last)
+        line = mirrored.apply(_continued(signal, before, after, "zero"))
+        inside = line[..., before : before + N, :].copy()
+        # What lies beyond an end that is held comes from the sample there.
+        if first == "edge":
+            inside[..., 0, :] += line[..., :before, :].sum(axis=-2)
+        if last == "edge":
+            inside[..., -1, :] += line[..., before + N :, :].sum(axis=-2)
+        return inside
 
 
 def time_shifts(angles, order) -> np.ndarray:
@@ -268,8 +342,8 @@ def _shifts(angles, order):
     return z
 
 
-def check_learning(L: LearningOperator, channels: int) -> None:
+def check_learning(L: LearningOperator, channels: int, name: str = "L") -> None:
     """Check that L is a learning operator for so many channels; a ValueError says so if not."""
-    arguments.instance("L", L, LearningOperator)
+    arguments.instance(name, L, LearningOperator)
     if L.channels != channels:
-        raise ValueError(f"L acts on {L.channels} channels, but must act on {channels}")
+        raise ValueError(f"{name} acts on {L.channels} channels, but must act on {channels}")

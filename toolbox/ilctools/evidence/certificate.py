@@ -16,16 +16,22 @@ from ilctools.evidence.peak import (
     Peak,
     estimated_peaks,
     highest,
-    learning_model,
     peak_beyond,
-    peak_gain,
+    peak_of_L,
     proven_peaks,
 )
 from ilctools.evidence.prediction import predicted_rms
 from ilctools.evidence.robustness import WorstCase, worst_case
 from ilctools.filters import LearningFilter
 from ilctools.models import frequency_response
-from ilctools.problem.problem import MOST_GAIN, TIED, Problem, Solution, largest_singular_values
+from ilctools.problem.problem import (
+    K_MAX,
+    MOST_GAIN,
+    TIED,
+    Problem,
+    Solution,
+    largest_singular_values,
+)
 from ilctools.problem.roughness import scatter_warnings
 
 # Relative duality gap, and relative violation of a bound on the grid, that are accepted;
@@ -75,7 +81,7 @@ class Certificate:
     @cached_property
     def all_L(self) -> float:
         """An upper bound of sigma_max(L), to 1e-8, for all frequencies."""
-        return peak_gain(learning_model(self.filter))[0]
+        return peak_of_L(self.filter)[0]
 
     @property
     def proven(self) -> bool:
@@ -299,8 +305,8 @@ class Certificate:
             if self.value >= problem.unit(0):  # below, rounding decides
                 share = min(self.relief / 10, 1)
                 bounds[-1] += f" (10 % more would lower the objective by {share:.1%} at most)"
-        size = f"order = {problem.order}"
-        if problem.order < problem.delay:
+        size = f"order = {problem.order}{'' if problem.base is None else ' of K'}"
+        if problem.base is None and problem.order < problem.delay:
             size += f" (P lags by {problem.delay} samples at the cut-off)"
         if problem.structure == "diagonal" and problem.channels > 1:
             size += ", diagonal"
@@ -365,6 +371,8 @@ class Certificate:
         if problem.everywhere:
             yield "bounds asked for at every frequency, not on the grid only"
         gain = "" if problem.L_max else f" with a gain of Q P L up to {MOST_GAIN:.0e}"
+        if problem.base is not None:
+            gain = f" with this B, of a K whose gain is {K_MAX:g} at most,"
         yield (
             f"objective {self.value:.7g}, no {problem.structure} filter of order {problem.order}"
             f"{gain} below {self.lower_bound:.7g}"
@@ -406,7 +414,7 @@ def check(problem: Problem, L: LearningFilter) -> Certificate:
 
 def certify(problem: Problem, solution: Solution) -> Certificate:
     """Find out what is true of a filter; nothing of the solution is trusted."""
-    found = check(problem, LearningFilter(solution.coefficients, problem.Ts))
+    found = check(problem, problem.learned(solution))
     U, V, cuts = solution.U, solution.V, solution.cuts
     return replace(
         found,

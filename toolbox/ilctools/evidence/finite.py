@@ -7,10 +7,10 @@ import control
 import numpy as np
 import scipy.sparse.linalg as sparse
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.sparse import coo_array, diags_array, eye_array, kron
+from scipy.sparse import diags_array, eye_array
 
 from ilctools import arguments
-from ilctools.filters import ENDS, LearningFilter, ZeroPhaseButterworth
+from ilctools.filters import LearningFilter, ZeroPhaseButterworth
 from ilctools.models import impulse_response, sampled_plant
 from ilctools.signals import check_match
 
@@ -66,10 +66,8 @@ def trial_operators(
         lambda x: Q.apply(x.reshape(samples, -1)),
         lambda x: Q.apply_transposed(x.reshape(samples, -1)),
     )
-    taps = enumerate(np.moveaxis(L.coefficients, 2, 0), 1)
-    held = ENDS[L.ends][1] == "edge"
-    L_N = sum(kron(_ahead(samples, k, held), C) for k, C in taps)
-    return P_N, Q_N, sparse.aslinearoperator(L_N)
+    L_N = _operator((samples, m), *(_last(f) for f in (L.apply, L.apply_transposed)))
+    return P_N, Q_N, L_N
 
 
 def trial_map(
@@ -191,9 +189,6 @@ def _operator(shape, apply, adjoint):
     )
 
 
-def _ahead(samples, k, held):
-    """The matrix of a look k samples ahead, beyond the end at zero or at the last sample."""
-    here = np.arange(samples)
-    there = np.minimum(here + k, samples - 1)
-    counts = held | (here + k < samples)
-    return coo_array((counts.astype(float), (here, there)))
+def _last(apply):
+    """What acts on signals (any, samples, m), for those of shape (samples, m, any)."""
+    return lambda x: np.moveaxis(apply(np.moveaxis(x, -1, 0)), 0, -1)

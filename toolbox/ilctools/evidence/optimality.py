@@ -33,13 +33,15 @@ def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None) -> float:
     """
     n = len(problem.omega)
     Q, angles = problem.Q, problem.omega * problem.Ts
-    parts = [(-Q[:, None, None] * problem.P, U[:n], angles)]
+    by_K, at_M = problem.through_base, np.arange(n)
+    parts = [(by_K(-Q[:, None, None] * problem.P, at_M), U[:n], angles)]
     if V is not None:  # in units of the bound: the size of the objective
         W = problem.weight
         parts.append((W, np.linalg.solve(W, V), problem.omega_L * problem.Ts))
     if cuts is not None:
         F, T = affine(problem, cuts.plant, cuts.frequency)
         nonzero = np.abs(T).max(axis=2, keepdims=True) > 0
+        T = by_K(T, cuts.frequency)
         parts.append((T, cuts.N * nonzero, angles[cuts.frequency]))
     U, *others = _projected(problem, parts)
 

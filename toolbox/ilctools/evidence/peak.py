@@ -34,6 +34,11 @@ tolerance of the highest value seen, and halved if not. When none is left, the b
 the peak h is then about sqrt(8 tolerance). Real systems have the same singular values at negative
 frequencies, so [0, pi / Ts] is enough.
 
+With L = B K of :mod:`ilctools.base` there is no model: B has poles mirrored at the circle, too. On
+the circle each is a trigonometric polynomial over |exp(j theta) - a|^2 of a pole a inside, and K,
+which looks k samples ahead or back at most, one of degree k, as of k poles at zero. Of a product
+the degrees add, and so do the phases.
+
 Rounding: the values are those of a Schur form of A, whose diagonal holds the very poles that the
 bound uses. The proof is therefore exact for a system whose matrices differ from the given ones by
 rounding. Where that matters most, at the peak and at the angles of the poles closest to the circle,
@@ -61,6 +66,7 @@ MOST_POINTS = 2_000_000  # frequencies at which to give up
 CHUNK = 2**21  # numbers held at a time while frequency responses are computed
 CLOSEST = 20  # poles next to the unit circle at which rounding is looked into
 DENSER = 10  # the grid between the samples, against theirs
+DENSE = 20  # samples for which a base counts in the grid beyond them
 LOOKED_AT = 20  # sampled plants, the worst of them, that splines are laid through
 
 
@@ -75,8 +81,13 @@ def peak_gain(
     # range, as of an all-pass filter.
     if system.nstates == 0:  # and Q is one at zero
         return float(np.linalg.norm(system.D, 2)), 0.0
-    matrices = *balanced(system.A, system.B, system.C), system.D
-    poles, gain = _gain_function(*matrices, Q)
+    gain = _Through([_Model(system)], Q)
+    return proven_peak(gain, system.dt, tolerance)
+
+
+def proven_peak(gain: "_Through", Ts: float, tolerance: float = 1e-8) -> tuple[float, float]:
+    """Peak over all frequencies of a gain, and where it is."""
+    poles = gain.poles
     radius = arguments.stable("system", poles)
 
     def nodes(theta):
@@ -108,14 +119,14 @@ def peak_gain(
 
     closest = poles[np.argsort(-np.abs(poles))][:CLOSEST]
     angles = {place, *np.abs(np.angle(closest))}
-    highest = max(_rounded_up(*matrices, theta) * _filter_rounded_up(Q, theta) for theta in angles)
+    highest = max(gain.rounded_up(theta) for theta in angles)
     if highest == np.inf:
         raise RuntimeError(
             f"the peak gain, {peak:.6g} as computed, is not proven: system has a pole of "
             f"modulus {radius:.17g}, which rounding could make unstable"
         )
     bound += max(highest - peak, 0)
-    return float(bound), float(place / system.dt)
+    return float(bound), float(place / Ts)
 
 
 def _ceiling(a, b, h):
@@ -135,24 +146,117 @@ def _phase(poles, theta):
     return len(poles) * theta + 2 * np.arctan(r * np.sin(shift) / real).sum(axis=0)
 
 
-def _gain_function(A, B, C, D, Q):
-    """Poles of a system and of Q, and a function for Q sigma_max at an array of angles omega Ts."""
-    T, Z = schur(A, output="complex")
-    B, C = Z.conj().T @ B, C @ Z
-    poles = np.diag(T) if Q is None else np.append(np.diag(T), Q.poles)
-    at_once = max(1, CHUNK // B.size)
+class _Model:
+    """The response of a model at angles omega Ts, and a bound of its rounding error."""
 
-    def gain(theta):
+    def __init__(self, system):
+        self.matrices = *balanced(system.A, system.B, system.C), system.D
+        A, B, C, self.D = self.matrices
+        self.T, Z = schur(A, output="complex")
+        self.B, self.C = Z.conj().T @ B, C @ Z
+        self.poles = np.diag(self.T)
+
+    def __call__(self, theta):
+        at_once = max(1, CHUNK // self.B.size)
         chunks = np.split(theta, range(at_once, len(theta), at_once))
-        responses = (by_substitution(T, B, C, D, np.exp(1j * x)) for x in chunks)
-        sigma = np.concatenate([largest_singular_values(G) for G in responses])
-        return sigma if Q is None else sigma * Q.frequency_response(theta / Q.Ts)
+        return np.concatenate(
+            [by_substitution(self.T, self.B, self.C, self.D, np.exp(1j * x)) for x in chunks]
+        )
 
-    return poles, gain
+    def with_error(self, theta):
+        return _with_error(*self.matrices, theta)
 
 
-def _rounded_up(A, B, C, D, theta):
-    """Upper bound of sigma_max at one angle whatever the rounding."""
+class _Taps:
+    """The same of a finite filter, whose poles are at zero."""
+
+    def __init__(self, L):
+        self.L = L
+        self.poles = np.zeros(max(abs(L.first), abs(L.last)))
+
+    def __call__(self, theta):
+        return self.L.frequency_response(theta / self.L.Ts)
+
+    def with_error(self, theta):
+        size = np.linalg.norm(np.abs(self.L.coefficients).sum(axis=2), 2)
+        steps = 2 + max(abs(self.L.first), abs(self.L.last))  # the rounding of angles, too
+        return self(np.array([theta]))[0], 4 * steps * np.finfo(float).eps * size
+
+
+class _Inverse:
+    """The same of a base, J H*."""
+
+    def __init__(self, base):
+        self.factors, self.units = _Model(base.closed), base.scale[:, None] / base.scale
+        self.poles = self.factors.poles
+
+    def __call__(self, theta):
+        H, J = np.split(self.factors(theta), 2, axis=1)
+        return J @ H.conj().swapaxes(1, 2) * self.units
+
+    def with_error(self, theta):
+        factors, error = self.factors.with_error(theta)
+        H, J = np.split(factors, 2)
+        B, error = _product((J, error), (H.conj().T, error))
+        return B * self.units, error * self.units.max()
+
+
+def _product(first, second):
+    """Of two matrices, each with a bound of its error."""
+    (X, x), (Y, y) = first, second
+    a, b = np.linalg.norm(X, 2), np.linalg.norm(Y, 2)
+    return X @ Y, x * b + a * y + x * y + 10 * len(X) * np.finfo(float).eps * a * b
+
+
+class _Through:
+    """Q sigma_max of a product of responses, or of the identity less it, at angles omega Ts."""
+
+    def __init__(self, factors, Q=None, less=False):
+        self.factors, self.Q, self.less = factors, Q, less
+        poles = [factor.poles for factor in factors]
+        self.poles = np.concatenate(poles if Q is None else [*poles, Q.poles])
+
+    def __call__(self, theta):
+        G = self.factors[0](theta)
+        for factor in self.factors[1:]:
+            G = G @ factor(theta)
+        sigma = largest_singular_values(np.eye(G.shape[1]) - G if self.less else G)
+        return sigma if self.Q is None else sigma * self.Q.frequency_response(theta / self.Q.Ts)
+
+    def rounded_up(self, theta):
+        """Upper bound at one angle whatever the rounding."""
+        G, error = self.factors[0].with_error(theta)
+        for factor in self.factors[1:]:
+            G, error = _product((G, error), factor.with_error(theta))
+        G = np.eye(len(G)) - G if self.less else G
+        return (np.linalg.norm(G, 2) + error) * _filter_rounded_up(self.Q, theta)
+
+
+def _factors_of(L):
+    """B, if there is one, and K."""
+    if L.base is None:
+        return [_Taps(L)]
+    base = L.base
+    K = LearningFilter(L.coefficients, L.Ts, first=L.first)
+    return [_Taps(base) if isinstance(base, LearningFilter) else _Inverse(base), _Taps(K)]
+
+
+def peak_of_L(L: LearningFilter) -> tuple[float, float]:
+    """Peak over all frequencies of sigma_max(L), and where it is."""
+    if L.base is None:
+        return peak_gain(learning_model(L))
+    return proven_peak(_Through(_factors_of(L)), L.Ts)
+
+
+def peak_of_M(P: control.StateSpace, L: LearningFilter, Q) -> tuple[float, float]:
+    """Peak over all frequencies of sigma_max(M), and where it is."""
+    if L.base is None and L.first == 1:
+        return peak_gain(error_model(P, L), Q)
+    return proven_peak(_Through([_Model(P), *_factors_of(L)], Q, less=True), L.Ts)
+
+
+def _with_error(A, B, C, D, theta):
+    """The response at one angle, and a bound of its error whatever the rounding."""
     unit, z = (len(A) + 2) * np.finfo(float).eps, np.exp(1j * theta)
     identity = np.eye(len(A))
     R = np.linalg.inv(z * identity - A)
@@ -161,10 +265,10 @@ def _rounded_up(A, B, C, D, theta):
     S = np.abs(identity - (z * R - A @ R)) + unit * (identity + r + a @ r)
     size = np.linalg.norm(S)
     if not size < 1:
-        return np.inf
+        return CR @ B + D, np.inf
     first = cr @ S @ b + unit * (c @ r @ b + d)
     further = cr.sum() * size**2 / (1 - size) * b.sum()
-    return np.linalg.norm(CR @ B + D, 2) + np.linalg.norm(first, 2) + further
+    return CR @ B + D, np.linalg.norm(first, 2) + further
 
 
 def _filter_rounded_up(Q, theta):
@@ -234,7 +338,7 @@ def proven_peaks(problem: Problem, L) -> list[Peak]:
     if Q is None:
         return []
     models = [(k, model) for k, model in enumerate(problem.models) if model is not None]
-    return [Peak(*peak_gain(error_model(model, L), Q), k) for k, model in models]
+    return [Peak(*peak_of_M(model, L, Q), k) for k, model in models]
 
 
 def estimated_peaks(problem: Problem, L, peaks) -> list[Peak]:
@@ -262,7 +366,7 @@ def peak_beyond(problem: Problem, L) -> Peak | None:
     if problem.beyond is None:
         return None
     first, nyquist = problem.design.omega[-1], np.pi / problem.Ts
-    omega = np.linspace(first, nyquist, 1 + 64 * L.order)
+    omega = np.linspace(first, nyquist, 1 + 64 * (L.order + DENSE * (L.base is not None)))
     sigma_L = largest_singular_values(L.frequency_response(omega))
     sigma_M = problem.Q_beyond(omega) * (1 + problem.beyond * sigma_L)
     at = sigma_M.argmax()

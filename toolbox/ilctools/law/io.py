@@ -4,9 +4,11 @@ import json
 from collections.abc import Mapping
 from dataclasses import replace
 
+import control
 import xarray as xr
 
 from ilctools import arguments
+from ilctools.base import RegularisedInverse
 from ilctools.files import read_json, write_whole
 from ilctools.filters import LearningFilter, ZeroPhaseButterworth
 from ilctools.law.law import Law
@@ -14,7 +16,7 @@ from ilctools.law.limits import named_limits
 from ilctools.loop.notes import MISUNDERSTOOD, loop_note, loop_of, read_note, reading
 from ilctools.signals import Signals, check_match
 
-FORMAT = "rodlib law 1"  # of the file
+FORMATS = ("rodlib law 1", "rodlib law 2")  # of the file; the second if L looks back or has a base
 DEFAULTS = {"rest": 0, "step": 1.0, "actuators": {}}  # step: the learning gain
 KEYS = ("Q", "L", *DEFAULTS)
 BEGUN = "begun"  # the note that says that v of trial 1 was given
@@ -30,6 +32,8 @@ def law_notes(law: Law) -> dict:
         notes["L"] = None
     elif isinstance(L, LearningFilter):
         notes["L"] = {"coefficients": L.coefficients.tolist(), "ends": L.ends}
+        if newer(L):
+            notes["L"] |= {"first": L.first, "base": L.base and _base_notes(L.base)}
     others = {"rest": law.rest, "step": law.gain, "actuators": law.limits or {}}
     changed = {key: others[key] for key in others if others[key] != DEFAULTS[key]}
     return notes | changed
@@ -39,8 +43,32 @@ def _law_from(notes: Mapping, Ts: float) -> Law:
     """The law that :func:`law_notes` noted."""
     Q, L, notes = notes["Q"], notes["L"], DEFAULTS | notes
     Q = ZeroPhaseButterworth(Q["order"], Q["cutoff"], Ts, Q["ends"])
-    L = L if L is None else LearningFilter(L["coefficients"], Ts, L["ends"])
+    if L is not None:
+        L = {"first": 1, "base": None} | L
+        base = L["base"] and _base_from(L["base"], Ts)
+        L = LearningFilter(L["coefficients"], Ts, L["ends"], L["first"], base)
     return Law(Q, L, notes["rest"], notes["step"], notes["actuators"])
+
+
+def newer(L: LearningFilter) -> bool:
+    """Whether a filter needs the second format."""
+    return L.first != 1 or L.base is not None
+
+
+def _base_notes(base):
+    """B as what JSON can hold: the model that it is of, or its coefficients."""
+    if isinstance(base, LearningFilter):
+        return {"taps": base.coefficients.tolist(), "from": base.first}
+    P = {name: getattr(base.P, name).tolist() for name in "ABCD"}
+    return {"b": base.b, "scale": base.scale.tolist(), "P": P}
+
+
+def _base_from(notes, Ts):
+    """The base that :func:`_base_notes` noted."""
+    if "taps" in notes:
+        return LearningFilter(notes["taps"], Ts, first=notes["from"])
+    P = control.ss(*(notes["P"][name] for name in "ABCD"), Ts)
+    return RegularisedInverse(P, notes["b"], notes["scale"])
 
 
 def with_law(trials: xr.Dataset, law: Law) -> xr.Dataset:
@@ -112,7 +140,8 @@ def save_law(path, law: Law, note: str = "") -> None:
     ----------
     path : path-like
         JSON: ``format``, ``Ts`` (s), ``Q`` (order, cutoff in rad/s, ends), ``L`` (coefficients of
-        shape (m, m, order), ends), if they are not the defaults ``rest``, ``step`` (the learning
+        shape (m, m, order), ends; if it looks back or has a base, first and base: taps and from,
+        or b, scale and the model P), if they are not the defaults ``rest``, ``step`` (the learning
         gain) and ``actuators`` (the limits), ``note``; and, for other languages, ``sections``,
         the second-order sections b0, b1, b2, 1, a1, a2 of the forward half of Q: docs/law.c.
     law : Law
@@ -143,7 +172,7 @@ def save_law(path, law: Law, note: str = "") -> None:
             raise ValueError(
                 f"path = {str(path)!r} is a file that is no law: choose another name, or remove it"
             ) from None
-    content = {"format": FORMAT, "Ts": law.Ts, **law_notes(law), "note": note}
+    content = {"format": FORMATS[newer(law.L)], "Ts": law.Ts, **law_notes(law), "note": note}
     content["sections"] = law.Q.sections.tolist()
     write_whole(path, json.dumps(content, ensure_ascii=False, indent=1) + "\n")
 
@@ -168,8 +197,8 @@ def load_law(path) -> Law:
     path = arguments.path("path", path)
     try:
         content = read_json(path.read_text(encoding="utf-8"))
-        if content["format"] != FORMAT:
-            raise ValueError(f"format {content['format']!r} is not {FORMAT!r}")
+        if content["format"] not in FORMATS:
+            raise ValueError(f"format {content['format']!r} is none of {FORMATS}")
         law = _law_from(content, content["Ts"])
         arguments.instance("L", law.L, LearningFilter)
     except (OSError, *MISUNDERSTOOD) as error:

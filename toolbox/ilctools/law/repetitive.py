@@ -44,7 +44,9 @@ def finite_response(law: Law) -> np.ndarray:
 
     M is Q (I - P L): what Q loses counts as often as L is large.
     """
-    gain = np.linalg.norm(np.abs(law.L.coefficients).sum(axis=2), 2)
+    if not isinstance(law.L.base, LearningFilter | None):
+        return _cut(law.Q, NEGLIGIBLE)
+    gain = np.linalg.norm(np.abs(law.L.combined.coefficients).sum(axis=2), 2)
     return _cut(law.Q, NEGLIGIBLE / max(1.0, gain))
 
 
@@ -61,7 +63,7 @@ def _cut(Q: ZeroPhaseButterworth, share: float) -> np.ndarray:
 
 def reach_ahead(law: Law) -> int:
     """Samples of the trial before that v needs beyond its own."""
-    return len(finite_response(law)) // 2 + law.L.order
+    return len(finite_response(law)) // 2 + max(0, law.L.combined.last)
 
 
 def check_period(law: Law, period: int) -> None:
@@ -71,6 +73,12 @@ def check_period(law: Law, period: int) -> None:
     if law.rest:
         raise ValueError(f"rest = {law.rest}, but without reset trials have no end: take rest=0")
     arguments.instance("L", law.L, LearningFilter)
+    if law.L.base is not None and not isinstance(law.L.base, LearningFilter):
+        raise ValueError(
+            "L has the base of a model, which acts on trials with ends: for trials without reset "
+            f"synthesise with reach, {(period - len(finite_response(law)) // 2) // 2} samples "
+            "or fewer, or with base=None"
+        )
     shortest = reach_ahead(law) + 1
     if period < shortest:
         raise ValueError(
@@ -83,8 +91,9 @@ def check_period(law: Law, period: int) -> None:
 def repeated(law: Law, v, e, period: int, start: int, stop: int) -> np.ndarray:
     """v in the samples from start to stop, from v and e, (time, m), of all samples before."""
     h = finite_response(law)
-    reach, first = len(h) // 2, max(0, start - period - len(h))
-    x = v[first:] + law.L.apply(e[first:])
+    L = law.L.combined
+    reach, first = len(h) // 2, max(0, start - period - len(h) - max(0, -L.first))
+    x = v[first:] + L.apply(e[first:])
     x = np.pad(x, [(reach, 0), (0, 0)])  # at rest before the first trial
     before = slice(start - period, stop - period)
     x = x[before.start - first : before.stop - first + 2 * reach]

@@ -16,7 +16,8 @@ from ilctools import arguments
 from ilctools.files import write_whole
 from ilctools.signals import period_of
 
-FORMAT = "rodlib trial log 2"
+# the second if the L that is noted looks back or has a base
+FORMATS = ("rodlib trial log 2", "rodlib trial log 3")
 KEYS = ("format", "Ts", "signals")  # of the metadata that are not free
 ROLES = {  # of signals, in a dataset and in the metadata
     "output": "outputs",
@@ -79,7 +80,8 @@ def save_log(trials: xr.Dataset, path) -> None:
     arguments.instance("trials", trials, xr.Dataset)
     signals, Ts = signals_of(trials), period_of(trials)
     names = json.dumps(signals, ensure_ascii=False)
-    metadata = {"format": FORMAT, "Ts": f"{Ts!r} s", "signals": names}
+    newer = '"first"' in str(trials.attrs.get("L"))
+    metadata = {"format": FORMATS[newer], "Ts": f"{Ts!r} s", "signals": names}
     metadata |= _free_metadata(trials.attrs)
     table = _trial_and_time(trials)
     columns = columns_of(signals, trials)

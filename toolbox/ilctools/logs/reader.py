@@ -15,7 +15,7 @@ import xarray as xr
 from ilctools import arguments
 from ilctools.files import read_json
 from ilctools.logs import clock
-from ilctools.logs.format import FORMAT, KEYS, ROLES, check_signals, columns_of, few, units_of
+from ilctools.logs.format import FORMATS, KEYS, ROLES, check_signals, columns_of, few, units_of
 from ilctools.loop.notes import LogError, reading
 from ilctools.trials.run import dataset
 from ilctools.units import seconds
@@ -73,9 +73,9 @@ def load_log(path, resample: bool = False) -> xr.Dataset:
     with about(path):
         lines = lines_of(path)
         metadata, header, first = _head(lines)
-        if metadata.get("format") != FORMAT:
+        if metadata.get("format") not in FORMATS:
             raise LogError(
-                f"metadata: format is {metadata.get('format')!r}, but must be {FORMAT!r}: "
+                f"metadata: format is {metadata.get('format')!r}, but must be one of {FORMATS}: "
                 "ilctools.read_table reads other tables, ilctools.load_law laws"
             )
         with reading("Ts"):

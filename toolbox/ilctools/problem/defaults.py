@@ -20,6 +20,7 @@ from scipy.interpolate import make_interp_spline
 CHOOSE = "auto"  # in the place of L_max, of which None says that there is none
 REACH = 4  # samples that the filter looks ahead beyond the delay of P, times cutoff Ts
 FEWEST, MOST = 10, 60  # samples of the filter; with more the synthesis takes seconds,
+TAPS = 21  # of K, as many back as ahead: what is left for it when P B is nearly one
 LEFT = 20  # and is worth it only if fewer than these are left beyond the delay
 # of the gain that inverts P: a finite filter overshoots it in some places to be close in others
 ROOM = 4

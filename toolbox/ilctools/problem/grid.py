@@ -26,7 +26,7 @@ def without_gaps(problem: Problem) -> Problem:
     if problem.everywhere:  # then L is held at its crests, too
         problem = refined(problem, added)
     else:
-        problem = _with_L_bounded(problem, added)
+        problem = with_L_bounded(problem, added)
         if coarse:
             reach = _reach(problem.omega_L * problem.Ts)
             share = np.cos((problem.order - 1) / 2 * reach)
@@ -48,7 +48,7 @@ def refined(problem: Problem, omega, plants=None, Q=None) -> Problem:
         Q = problem.butterworth.frequency_response(omega)
         plants = _responses(problem.models, omega, plants)
     if plants is None:
-        return _with_L_bounded(problem, omega)
+        return with_L_bounded(problem, omega)
     n, none = len(problem.omega), np.zeros(len(omega))
     order = np.argsort(np.append(problem.omega, omega), kind="stable")
 
@@ -81,7 +81,7 @@ def _responses(models, omega, plants):
     return np.array([other if response is None else response for response, other in pairs])
 
 
-def _with_L_bounded(problem, omega):
+def with_L_bounded(problem, omega):
     """The problem with L alone bounded at further frequencies."""
     return replace(
         problem,

@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from ilctools import arguments
+from ilctools.base import base_of_model, base_of_samples
+from ilctools.filters import LearningFilter
 from ilctools.problem import defaults
 from ilctools.problem.problem import ROUNDING, Problem, largest_singular_values
 from ilctools.problem.reference import first_error
@@ -27,9 +29,13 @@ def pose(
     scale=None,
     uncertainty=None,
     everywhere=False,
+    base=None,
+    reach=None,
 ) -> Problem:
     """State the problem (39), or (45) with (46), and check it; see :func:`ilctools.synthesise`."""
     problem = on_one_grid(P, Q, omega, Ts, uncertainty, scale)
+    if base is not None:
+        base = arguments.number("base", base, "in (0, 1), None or 'auto'", 0, 1)
     n, smallest = len(problem.omega), _smallest_singular_values(problem)
     what = "in (0, 1), or the trials do not converge"
     problem = replace(
@@ -43,7 +49,7 @@ def pose(
         beyond=_size_beyond(problem),
     )
     chosen = []  # by default, in words
-    problem = replace(problem, order=_order(problem, order, chosen))
+    problem = replace(problem, order=_order(problem, order, base, chosen))
     if reference is None:
         band, weights = _of_band(problem, band, chosen)
         problem = replace(problem, band=band, weights=weights)
@@ -53,12 +59,42 @@ def pose(
     _refuse_idle(problem.Q if objective == "peak" else problem.Q[weights > 0])
     L_max = _bound_on_L(problem, L_max, smallest, chosen)
     basis = [f"chosen: {text}" for text in chosen]
-    return replace(problem, L_max=L_max, basis=(*basis, *problem.basis))
+    problem = replace(problem, L_max=L_max, basis=(*basis, *problem.basis))
+    return problem if base is None else with_base(problem, base, reach)
 
 
-def _order(problem, order, chosen):
-    """The order of L, which the frequencies must determine."""
+def with_base(problem: Problem, share: float, reach: int | None = None) -> Problem:
+    """A problem with L = B K, with b as a share of sigma_max(P) up to Q's cut-off.
+
+    Raises
+    ------
+    ValueError
+        If the model is such that rounding keeps B from us.
+    """
+    below = problem.omega <= max(problem.cutoff, problem.omega[0])
+    b = share * largest_singular_values(problem.P[below]).max()
+    if problem.models[0] is not None and reach is None:
+        base = base_of_model(problem.models[0], b, problem.scale, problem.structure)
+    else:
+        base = base_of_samples(problem, b, reach)
+    if base is None:
+        raise ValueError(
+            f"base = {share:g} is too small for this plant, whose factors rounding decides: take a "
+            "larger one, or None"
+        )
+    kind = "a finite filter" if isinstance(base, LearningFilter) else "with the ends of a trial"
+    text = f"L = B K, B of the plant with b = {b:.3g}, {share:g} of its largest gain, {kind}"
+    if isinstance(base, LearningFilter):
+        text += f" of {-base.first} samples each way"
+    return replace(problem, base=base, basis=(*problem.basis, text))
+
+
+def _order(problem, order, base, chosen):
+    """The order of L or K, which the frequencies must determine."""
     n = len(problem.omega)
+    if order is None and base is not None:
+        order = min(defaults.TAPS, n)
+        chosen.append(f"order = {order} of K, in L = B K")
     if order is None:
         order = defaults.order(problem.cutoff, problem.delay, problem.Ts, n)
         text = f"order = {order}, by Q's cut-off and P's lag of {problem.delay} samples there"

@@ -9,14 +9,17 @@ as for one: *fast for the plant that one believes in, convergent for all that ca
 """
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import control
 import numpy as np
 
-from ilctools.filters import LearningFilter, ZeroPhaseButterworth
+from ilctools.base import in_units
+from ilctools.filters import LearningFilter, LearningOperator, ZeroPhaseButterworth
 from ilctools.problem import defaults
 from ilctools.signals import Signals
 
+K_MAX = 4.0  # of sigma_max(K): more would show at the ends of a trial, where K e is cut off
 MOST_GAIN = 1e7  # of Q P L: beyond it coefficients in doubles no longer determine M to about 1e-9
 ROUNDING = 1e-9  # of an angle: two that are nearer are the same frequency
 TIED = 1e-6  # relative distance at which the accuracy of a solver decides which is the largest
@@ -46,7 +49,8 @@ class Problem:
     labels: Signals  # of the nominal plant
 
     # what is asked of L
-    order: int = 1  # number of samples that the learning filter looks ahead
+    order: int = 1  # number of samples that the learning filter looks ahead, or of those of K
+    base: LearningOperator | None = None  # B of L = B K, in the plant's units
     M_max: float = 0.9  # bound on sigma_max(M)
     L_max: float | None = None  # bound on sigma_max(L)
     structure: str = "full"  # or "diagonal"
@@ -158,6 +162,9 @@ class Problem:
         limit = self.limit_L
         if self.L_max is not None:
             limit = np.minimum(self.L_max * self.share_L, limit)
+        if self.base is not None:  # as bounds on K
+            size = np.maximum(self.sigma_B / limit, 1 / K_MAX)
+            return size[:, None, None] * np.eye(self.channels)
         gains = np.linalg.norm(self.Q[:, None, None] * self.P, axis=1).max(axis=0)
         representable = np.diag(gains / np.abs(self.Q).max() / MOST_GAIN)
         limit = limit[:, None, None]
@@ -166,7 +173,41 @@ class Problem:
     def passed_L(self, L) -> float:
         """The largest sigma_max(W L) of a response of L at omega_L, where L has a bound."""
         bounded = np.isfinite(self.limit_L) | (self.L_max is not None)
-        return float(largest_singular_values((self.weight @ L)[bounded]).max(initial=0))
+        limit = (
+            self.limit_L
+            if self.L_max is None
+            else np.minimum(self.L_max * self.share_L, self.limit_L)
+        )
+        return float((largest_singular_values(L) / limit)[bounded].max(initial=0))
+
+    @property
+    def first(self) -> int:
+        """The first sample of L, or of K: a K looks as far back as ahead."""
+        return 1 if self.base is None else -((self.order - 1) // 2)
+
+    @cached_property
+    def of_K(self) -> np.ndarray | None:
+        """What L is for K = z, at omega_L, (n + k, m, m), in units of `scale`; None if L is K."""
+        if self.base is None:
+            return None
+        shift = np.exp(1j * (self.first - 1) * self.omega_L * self.Ts)
+        units = self.scale / self.scale[:, None]
+        return self.base.frequency_response(self.omega_L) * shift[:, None, None] * units
+
+    @cached_property
+    def sigma_B(self) -> np.ndarray:
+        """sigma_max(B) at omega_L, (n + k,)."""
+        return largest_singular_values(self.of_K)
+
+    def through_base(self, T, at):
+        """T of G = F + T L as that of G = F + T K / z^(first - 1), at numbers of omega_L."""
+        return T if self.base is None else T @ self.of_K[at]
+
+    def Q_at(self, omega) -> np.ndarray:
+        """Q at some frequencies; of samples, by straight lines."""
+        if self.butterworth is not None:
+            return self.butterworth.frequency_response(omega)
+        return np.interp(omega, self.omega, self.Q)
 
     def Q_beyond(self, omega) -> np.ndarray:
         """|Q| at frequencies from the last sample on; of samples, the last."""
@@ -203,12 +244,17 @@ class Problem:
     def filter(self, coefficients) -> LearningFilter:
         """The learning filter, in the plant's own units, of coefficients in units of `scale`."""
         units = self.scale[:, None, None] / self.scale[None, :, None]
-        return LearningFilter(coefficients * units, self.Ts)
+        return LearningFilter(coefficients * units, self.Ts, first=self.first, base=self.base)
+
+    def learned(self, solution: "Solution") -> LearningFilter:
+        """The filter of a solution, in units of `scale`."""
+        base = self.base and in_units(self.base, self.scale)
+        return LearningFilter(solution.coefficients, self.Ts, first=self.first, base=base)
 
     def response(self, solution: "Solution") -> np.ndarray:
         """Response of a solution's filter at omega_L, (n + k, m, m), in units of `scale`."""
-        L = LearningFilter(solution.coefficients, self.Ts)
-        return L.frequency_response(self.omega_L)
+        K = LearningFilter(solution.coefficients, self.Ts).frequency_response(self.omega_L)
+        return K if self.base is None else self.of_K @ K
 
 
 @dataclass(frozen=True)

@@ -8,15 +8,7 @@ filter that meets those is better than its lower bound says.
 import numpy as np
 from tqdm import tqdm
 
-from ilctools.evidence.peak import (
-    estimated_peaks,
-    learning_model,
-    peak_gain,
-    proven_peaks,
-    spline_scale,
-    splined,
-)
-from ilctools.filters import LearningFilter
+from ilctools.evidence.peak import estimated_peaks, peak_of_L, proven_peaks, spline_scale, splined
 from ilctools.problem.grid import refined
 from ilctools.problem.problem import Problem, Solution, largest_singular_values
 from ilctools.synthesis.cuts import solve
@@ -100,11 +92,11 @@ def _peaks_of(problem, solution, allowance):
     """Where a peak passes a bound, proven, or estimated between samples."""
     limit_M, limit_L = _limits(problem, solution, allowance)
     sigma_M, _ = _sigmas(problem, solution)
-    L = LearningFilter(solution.coefficients, problem.Ts)
+    L = problem.learned(solution)
     peaks = proven_peaks(problem, L)
     peaks += estimated_peaks(problem, L, sigma_M.max(axis=1))
     passing = [peak.omega for peak in peaks if peak.sigma > limit_M]
-    sigma_L, omega = peak_gain(learning_model(L))
+    sigma_L, omega = peak_of_L(L)
     return [*passing, omega] if sigma_L > limit_L else passing
 
 

@@ -10,7 +10,7 @@ The powers z, z^2, ... are replaced by a basis that is orthonormal with the weig
 each frequency. It is computed in long doubles, see :func:`ilctools.filters.time_shifts`.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -39,7 +39,8 @@ def whitened_basis(problem):
     """Phi = R^-T [z; z^2; ...], orthonormal with the weight that M and W L give each frequency."""
     n, Q = len(problem.omega), np.abs(problem.Q)
     weight = np.zeros(len(problem.omega_L))
-    weight[:n] = Q * np.linalg.norm(problem.P, axis=(1, 2)) / Q.max()
+    P = problem.through_base(problem.P, np.arange(n))
+    weight[:n] = Q * np.linalg.norm(P, axis=(1, 2)) / Q.max()
     weight = np.hypot(weight, largest_singular_values(problem.weight))
     weight = np.maximum(weight, 1e-8 * weight.max())
     z = weight * time_shifts(problem.omega_L * problem.Ts, problem.order).T
@@ -65,6 +66,14 @@ def bound_on_M(problem, plant, frequency, radius, level) -> Bound:
         F, T = np.concatenate([F, 0 * F]), np.concatenate([T, np.abs(Q) * r * identity])
     F, T = (np.ascontiguousarray(X, dtype=complex) for X in (F, T))  # as long vectors
     return Bound(F, T, frequency, level)
+
+
+def _by_K(problem, bound):
+    """A bound on what L makes, G = F + T L, as one on what K makes."""
+    if problem.base is None:
+        return bound
+    T = np.moveaxis(problem.through_base(np.moveaxis(bound.T, -1, 0), bound.at), 0, -1)
+    return replace(bound, T=np.ascontiguousarray(T))
 
 
 def joined(*bounds) -> Bound:
@@ -140,6 +149,7 @@ def formulate(problem: Problem, plant=(), frequency=()) -> Formulation:
     W = np.ascontiguousarray(np.moveaxis(problem.weight, 0, -1), dtype=complex)
     L = Bound(0 * W, W, np.arange(n_L), np.full(n_L, of_L))
     cuts = bound_on_M(problem, plant, frequency, problem.radius, np.full(len(plant), of_cuts))
+    M, cuts = (_by_K(problem, bound) for bound in (M, cuts))
     bounds = (joined(M, L, cuts),) if problem.radius is None else (joined(M, L), cuts)
     basis, R = whitened_basis(problem)
     rows, cols = entries_of(problem.channels, problem.structure)

@@ -160,7 +160,7 @@ class Synthesis:
                 f"P has {problem.channels} channels, but the filter has {design.channels}"
             )
         check_match(design=design.labels, P=problem.labels)
-        L = LearningFilter(self.solution.coefficients, design.Ts)
+        L = design.learned(self.solution)
         return on_one_thread(check)(problem, L).convergence
 
     def __repr__(self):

@@ -83,7 +83,7 @@ def test_units_do_not_matter_if_scale_says_what_is_equally_large(structure, as_m
         a, b = (getattr(design.certificate, name) for design in designs)
         assert a == pytest.approx(b, rel=1e-6)
     unscaled = synthesise(COUPLED, Q, OMEGA, 1.0, **kind)  # twice as large for both
-    assert unscaled.value == pytest.approx(one.value, rel=1e-9)
+    assert unscaled.value == pytest.approx(one.value, rel=1e-6)  # the gap that is proven
 
 
 def singular(dead):

@@ -1,0 +1,190 @@
+"""The base B of a learning filter L = B K, where K is short: the inverse of P, as far as it goes.
+
+    B = (P* P + b^2)^-1 P*                                                                     (B)
+
+is the operator of norm-optimal learning, see :class:`.alternatives.NormOptimal`. It undoes poles
+and zeros of P next to the unit circle, for which a finite filter would have to be as long as they
+ring.
+P B is nearly the identity where the gain of P is above b, so that a short K, designed for P B in
+the place of P, does the rest; M = Q (I - P B K) is affine in K as it is in L.
+
+By the factors of linear-quadratic control, with F* F = P* P + b^2 and F causal, as its inverse,
+
+    B = J H*,    J = F^-1,    H = P F^-1,    H* H + b^2 J* J = I,
+
+where J and H are what the reference of a state feedback does to u and to y. So B has the poles of
+that closed loop, inside the circle and mirrored at it, and none else.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import control
+import numpy as np
+from scipy.fft import irfft, rfft
+from scipy.interpolate import make_interp_spline
+from scipy.linalg import solve_discrete_are
+
+from ilctools import arguments
+from ilctools.alternatives import NormOptimal
+from ilctools.filters import LearningFilter
+from ilctools.models import frequency_response, minimal_realisation, sampled_plant
+
+NEGLIGIBLE = 1e-4  # change of sigma_max(M) for which B is truncated
+POINTS = 2**15  # of the transform that gives the impulse response of B
+FARTHEST = POINTS // 4  # samples that B reaches at most, each way
+EXACT = 1e-7  # relative error of the factors that is rounding
+
+
+@dataclass(frozen=True, eq=False)
+class RegularisedInverse:
+    """B = (P* P + b^2)^-1 P* of a model, with the ends of a trial.
+
+    On N samples it is (P_N^T P_N + b^2 I)^-1 P_N^T, of the channels divided by `scale`, if that is
+    given: P is in these units, B is not.
+    """
+
+    P: control.StateSpace
+    b: float
+    scale: np.ndarray
+
+    def __post_init__(self):
+        P = sampled_plant(self.P, "P")
+        arguments.stable("P", P.poles())
+        scale = arguments.array("scale", self.scale, (P.noutputs,))
+        vars(self).update(P=P, b=arguments.positive("b", self.b), scale=scale)
+
+    def __eq__(self, other):
+        return isinstance(other, RegularisedInverse) and self._values == other._values
+
+    def __hash__(self):
+        return hash(self._values)
+
+    @property
+    def _values(self):
+        """All that it is, to be compared."""
+        arrays = self.P.A, self.P.B, self.P.C, self.P.D, self.scale
+        return self.b, self.Ts, *(array.tobytes() for array in arrays)
+
+    @property
+    def Ts(self) -> float:
+        """Sampling period, s."""
+        return self.P.dt
+
+    @property
+    def channels(self) -> int:
+        """Number of outputs."""
+        return self.P.noutputs
+
+    @cached_property
+    def closed(self) -> control.StateSpace:
+        """[H; J], from the reference of the state feedback to y and u."""
+        A, B, C, D = self.P.A, self.P.B, self.P.C, self.P.D
+        R, S = D.T @ D + self.b**2 * np.eye(len(D)), C.T @ D
+        X = solve_discrete_are(A, B, C.T @ C, R, s=S)
+        R = R + B.T @ X @ B
+        G = np.linalg.solve(R, B.T @ X @ A + S.T)
+        w, V = np.linalg.eigh(R)
+        root = (V / np.sqrt(w)) @ V.T  # R^(-1/2)
+        C, D = np.vstack([C - D @ G, -G]), np.vstack([D, np.eye(len(D))]) @ root
+        return control.ss(A - B @ G, B @ root, C, D, self.P.dt)
+
+    @property
+    def poles(self) -> np.ndarray:
+        """Those inside the unit circle."""
+        return np.linalg.eigvals(self.closed.A)
+
+    def frequency_response(self, omega) -> np.ndarray:
+        """B far from the ends of a trial, at `omega` (rad/s), (n, channels, channels), complex."""
+        H, J = np.split(frequency_response(self.closed, omega), 2, axis=1)
+        return J @ H.conj().swapaxes(1, 2) * (self.scale[:, None] / self.scale)  # (B)
+
+    def apply(self, signal) -> np.ndarray:
+        """Filter a signal of shape (..., time, channels)."""
+        of_trial = self._on(np.shape(signal)[-2])
+        return self.scale * of_trial.apply(signal / self.scale)
+
+    def apply_transposed(self, signal) -> np.ndarray:
+        """Filter a signal by the transpose of the matrix that :meth:`apply` is on a trial."""
+        of_trial = self._on(np.shape(signal)[-2])
+        return of_trial.apply_transposed(signal * self.scale) / self.scale
+
+    def _on(self, samples):
+        return _norm_optimal(self, samples)
+
+
+@lru_cache(maxsize=4)
+def _norm_optimal(base, samples):
+    """On trials of so many samples: factored once."""
+    return NormOptimal(base.P, base.b**2, samples)
+
+
+def base_of_model(P: control.StateSpace, b, scale, structure) -> RegularisedInverse | None:
+    """B of a model in units of `scale`, diagonal if asked for; None if rounding hides it."""
+    names = P.input_labels
+    try:
+        if structure == "diagonal":
+            own = [minimal_realisation(P[i, i], [name]) for i, name in enumerate(names)]
+            P = control.append(*own)
+        base = RegularisedInverse(control.ss(P.A, P.B, P.C, P.D, P.dt), b, scale)
+        at = np.append(np.abs(np.angle(base.poles)), [0, np.pi]) / P.dt
+    except (np.linalg.LinAlgError, ValueError):
+        return None
+    H, J = np.split(frequency_response(base.closed, at), 2, axis=1)
+    response = frequency_response(P, at)
+    inner = H.conj().swapaxes(1, 2) @ H + b**2 * J.conj().swapaxes(1, 2) @ J
+    size = np.abs(response).max()
+    off = np.abs(inner - np.eye(len(scale))).max(), np.abs(response @ J - H).max() / size * b
+    return base if max(off) < EXACT else None
+
+
+def in_units(base, scale):
+    """A base of the plant's units in units of `scale`."""
+    if isinstance(base, RegularisedInverse):
+        return RegularisedInverse(base.P, base.b, base.scale / scale)
+    units = scale[None, :, None] / scale[:, None, None]
+    return LearningFilter(base.coefficients * units, base.Ts, base.ends, base.first)
+
+
+def base_of_samples(problem, b, reach) -> LearningFilter:
+    """B as a finite filter, of P as known at the frequencies of a problem; or of its model."""
+    Ts, n = problem.Ts, POINTS
+    omega = np.linspace(0, np.pi / Ts, n // 2 + 1)
+    if problem.models[0] is not None:
+        P = frequency_response(problem.models[0], omega)
+    else:
+        P = _tapered(problem, omega)
+    if problem.structure == "diagonal":
+        P = P * np.eye(problem.channels)
+    adjoint = P.conj().swapaxes(1, 2)
+    B = np.linalg.solve(adjoint @ P + b**2 * np.eye(problem.channels), adjoint)  # (B)
+    taps = np.roll(irfft(B, n, axis=0), n // 2, axis=0)  # lag p at n / 2 + p
+    size = np.abs(problem.Q_at(omega)) * np.linalg.norm(P, 2, axis=(1, 2))
+    N, most = 1, reach or FARTHEST
+    if problem.models[0] is None:  # lines that are so far apart show no longer response
+        most = min(most, 2 * np.pi / (problem.omega[problem.omega > 0][0] * Ts))
+    most = int(min(most, FARTHEST))
+    while most > N:
+        middle = np.zeros_like(taps)
+        middle[n // 2 - N : n // 2 + N + 1] = taps[n // 2 - N : n // 2 + N + 1]
+        lost = rfft(np.roll(taps - middle, n // 2, axis=0), axis=0)
+        if (size * np.linalg.norm(lost, 2, axis=(1, 2))).max() < NEGLIGIBLE:
+            break
+        N = min(2 * N, most)
+    units = problem.scale[:, None] / problem.scale
+    kept = taps[n // 2 - N : n // 2 + N + 1][::-1] * units  # from q^-N on
+    return LearningFilter(np.moveaxis(kept, 0, -1), Ts, first=-N)
+
+
+def _tapered(problem, omega):
+    """P between its samples by splines, held below them, and faded out beyond Q's cut-off."""
+    known, last = problem.omega, problem.omega[-1]
+    degree = min(3, len(known) - 1)
+    P = make_interp_spline(known, problem.P, degree)(np.clip(omega, known[0], last))
+    if known[0] > 0:  # P is real at rest
+        P.imag *= np.minimum(omega / known[0], 1)[:, None, None]
+    start = min(problem.cutoff, 0.9 * last)
+    fading = np.clip((omega - start) / (last - start), 0, 1)
+    if last * problem.Ts >= np.pi * (1 - 1e-9):  # nothing beyond it
+        fading = 0 * fading
+    return P * (np.cos(np.pi / 2 * fading) ** 2)[:, None, None]

@@ -1,0 +1,229 @@
+"""L = B K: B against dense matrices and its formula, the design against CVXPY and dense grids."""
+
+import control
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ilctools import (
+    ClosedLoop,
+    Law,
+    LearningFilter,
+    NormOptimal,
+    convergence,
+    frequency_response,
+    load_law,
+    rms,
+    run_trials,
+    save_law,
+    synthesise,
+    trial_norm,
+    trial_operators,
+    zero_phase_butterworth,
+)
+from ilctools.base import RegularisedInverse
+from ilctools.evidence.peak import peak_of_L, peak_of_M
+from ilctools.problem.problem import K_MAX, largest_singular_values
+from ilctools.synthesis.statement import statement
+
+S = control.tf("s")
+STAGE = control.sample_system(  # two modes, lightly damped, behind a loop of 100 rad/s
+    control.ss(1e4 / (S**2 + 120 * S + 1e4) * (0.9 + 0.1 * 4e4 / (S**2 + 4 * S + 4e4))), 1e-3
+)
+Q = zero_phase_butterworth(2, 150.0, 1e-3)
+LAG = control.ss(0.8, 0.2, 1, 0, 1.0)
+COUPLED = control.ss(
+    [[0.9, 0.1, 0], [-0.1, 0.8, 0.1], [0, 0, 0.5]], [[0.1, 0], [0, 0.2], [0.3, 0.1]],
+    [[1, 0, 0.2], [0, 1, 0]], 0, 1.0,
+)  # fmt: skip
+
+
+def matrix_of(P, samples):
+    """The lower triangular block Toeplitz matrix, entry by entry."""
+    m = P.noutputs
+    h = [P.D, *(P.C @ np.linalg.matrix_power(P.A, k) @ P.B for k in range(samples - 1))]
+    rows = [
+        [h[i - j] if i >= j else np.zeros((m, m)) for j in range(samples)] for i in range(samples)
+    ]
+    return np.block(rows)
+
+
+@pytest.mark.parametrize("P", [LAG, COUPLED, STAGE])
+def test_the_inverse_far_from_ends_is_what_its_formula_says(P):
+    omega = np.linspace(0, np.pi / P.dt, 500)
+    scale = np.arange(1.0, 1 + P.noutputs)
+    B = RegularisedInverse(P, 0.1, scale)
+    exact = NormOptimal(P, 0.01, 1).frequency_response(omega) * scale[:, None] / scale
+    np.testing.assert_allclose(
+        B.frequency_response(omega), exact, rtol=0, atol=1e-9 * abs(exact).max()
+    )
+    assert abs(B.poles).max() < 1
+
+
+def test_on_a_trial_it_is_the_matrix_and_so_is_its_transpose():
+    N, scale = 12, np.array([1.0, 4.0])
+    units = np.tile(scale, N)
+    B, P_N = RegularisedInverse(COUPLED, 0.3, scale), matrix_of(COUPLED, N)
+    dense = np.linalg.solve(P_N.T @ P_N + 0.09 * np.eye(2 * N), P_N.T)
+    dense = units[:, None] * dense / units
+    x = np.random.default_rng(0).standard_normal((3, N, 2))
+    for apply, matrix in ((B.apply, dense), (B.apply_transposed, dense.T)):
+        np.testing.assert_allclose(
+            apply(x).reshape(3, -1), x.reshape(3, -1) @ matrix.T, rtol=0, atol=1e-12
+        )
+
+
+@pytest.mark.parametrize("ends", ["zero", "hold", "hold-last"])
+@pytest.mark.parametrize(("first", "order"), [(1, 4), (-3, 7), (-5, 2), (3, 2), (-80, 161)])
+def test_a_filter_is_a_sum_over_samples_and_its_transpose_the_transpose(first, order, ends):
+    random, N = np.random.default_rng(1), 9
+    L = LearningFilter(random.standard_normal((2, 2, order)), 1.0, ends, first)
+    before, after = {"zero": (0, 0), "hold": (1, 1), "hold-last": (0, 1)}[ends]
+    dense = np.zeros((N, 2, N, 2))
+    for p in range(N):
+        for k in range(order):
+            at = p + first + k
+            if 0 <= at < N or (at < 0 and before) or (at >= N and after):
+                dense[p, :, np.clip(at, 0, N - 1)] += L.coefficients[:, :, k]
+    dense, x = dense.reshape(2 * N, 2 * N), random.standard_normal((3, N, 2))
+    for apply, matrix in ((L.apply, dense), (L.apply_transposed, dense.T)):
+        np.testing.assert_allclose(
+            apply(x).reshape(3, -1), x.reshape(3, -1) @ matrix.T, rtol=0, atol=1e-11
+        )
+    shifts = np.exp(0.7j * np.arange(first, first + order))
+    np.testing.assert_allclose(L.frequency_response([0.7])[0], L.coefficients @ shifts, atol=1e-11)
+    np.testing.assert_allclose(L(np.exp(0.7j)), L.coefficients @ shifts, atol=1e-11)
+
+
+def test_filters_are_equal_and_hashed_by_all_that_they_are():
+    made = [
+        LearningFilter([[[1.0]]], 1.0, first=first, base=base)
+        for first in (0, 1)
+        for base in (None, RegularisedInverse(LAG, 0.1, [1.0]), RegularisedInverse(LAG, 0.2, [1.0]))
+    ]
+    again = LearningFilter([[[1.0]]], 1.0, first=0, base=RegularisedInverse(LAG, 0.1, [1.0]))
+    assert len({*made}) == 6 and again in made
+
+
+def test_the_optimum_is_that_of_the_statement_with_P_B_in_the_place_of_P():
+    omega = np.geomspace(1e-2, np.pi, 60)
+    low = zero_phase_butterworth(2, 0.5, 1.0)
+    design = synthesise(COUPLED, low, omega, order=7, base=0.2, L_max=None)
+    problem = design.problem
+    through = problem.P @ problem.of_K
+    _, value = statement(through, problem.Q, omega, 1.0, order=7, band=problem.band, L_max=K_MAX)
+    assert design.value == pytest.approx(value, rel=1e-5)
+
+
+@given(st.integers(0, 10**6), st.sampled_from([0.3, 0.03]), st.booleans())
+@settings(max_examples=15, deadline=None)
+def test_proven_peaks_are_those_of_a_dense_grid(seed, b, finite):
+    random = np.random.default_rng(seed)
+    poles = random.uniform(0.2, 0.98, 2)
+    A = np.diag(poles) + 0.1 * np.triu(random.standard_normal((2, 2)), 1)
+    P = control.ss(A, random.standard_normal((2, 1)), random.standard_normal((1, 2)), 0, 1.0)
+    base = RegularisedInverse(P, b * abs(P(1)) + 1e-3, [1.0])
+    if finite:
+        base = LearningFilter(random.standard_normal((1, 1, 41)) / 9, 1.0, first=-20)
+    L = LearningFilter(random.standard_normal((1, 1, 5)) / 2, 1.0, first=-2, base=base)
+    low = zero_phase_butterworth(2, 0.5, 1.0)
+    omega = np.linspace(0, np.pi, 20001)
+    response = L.frequency_response(omega)
+    M = low.frequency_response(omega) * np.abs(
+        1 - (frequency_response(P, omega) @ response)[:, 0, 0]
+    )
+    for (peak, _), seen in ((peak_of_M(P, L, low), M), (peak_of_L(L), np.abs(response))):
+        assert seen.max() * (1 - 1e-12) <= peak <= seen.max() * (1 + 1e-4)
+
+
+def test_by_default_a_resonant_plant_is_learned_as_by_norm_optimal_learning_with_a_promise():
+    reference = np.sin(np.pi * np.clip(np.arange(600) / 400, 0, 1)) ** 4
+    noise = 1e-3 * np.random.default_rng(0).standard_normal((10, 600, 1))
+    designs = {name: synthesise(STAGE, Q, base=name) for name in (None, "auto")}
+    errors = {}
+    for name, L in {
+        **{name: design.filter for name, design in designs.items()},
+        "norm-optimal": NormOptimal(STAGE, 1e-4 * abs(STAGE(1)) ** 2, 600),
+    }.items():
+        trials = run_trials(ClosedLoop(STAGE), Law(Q, L), reference, trials=10, noise=noise)
+        errors[name] = rms(trials.e).values[1:].mean()
+    assert errors["auto"] < 1.1 * errors["norm-optimal"] and errors["auto"] < errors[None]
+    certificate = designs["auto"].certificate
+    assert certificate.proven and certificate.rate < 0.5
+    assert "L = B K" in str(certificate)
+
+
+def test_what_is_certified_for_samples_is_the_finite_filter_that_runs():
+    omega = np.linspace(2, np.pi / 1e-3, 1500)
+    design = synthesise(frequency_response(STAGE, omega), Q, omega, base=0.03)
+    L = design.filter
+    assert isinstance(L.base, LearningFilter) and not design.certificate.failures
+    M = convergence(STAGE, Q, L, omega)
+    np.testing.assert_allclose(M.sigma, design.sigma_M, rtol=0, atol=1e-9)
+    operator = synthesise(STAGE, Q, omega, base=0.03)
+    np.testing.assert_allclose(design.sigma_M, operator.sigma_M, rtol=0, atol=0.02)
+    random = np.random.default_rng(0)
+    B = LearningFilter(random.standard_normal((1, 1, 801)), 1e-3, first=-400)
+    L = LearningFilter(random.standard_normal((1, 1, 5)), 1e-3, first=-2, base=B)
+    x = np.random.default_rng(0).standard_normal((2000, 1))
+    middle = slice(500, 1500)  # farther from the ends than B and K reach
+    combined = L.combined.apply(x)[middle]
+    np.testing.assert_allclose(combined, L.apply(x)[middle], rtol=0, atol=1e-9)
+
+
+def test_without_reset_it_is_refused_for_the_operator_and_learns_as_a_finite_filter():
+    reference = np.sin(2 * np.pi * np.arange(600) / 600) ** 3
+    loop, asked = ClosedLoop(STAGE), {"trials": 12, "reset": False}
+    with pytest.raises(ValueError, match="reach"):
+        run_trials(loop, synthesise(STAGE, Q, base=0.03).law(), reference, **asked)
+    design = synthesise(STAGE, Q, base=0.03, reach=200)
+    errors = rms(run_trials(loop, design.law(), reference, **asked).e).values
+    omega = np.fft.rfftfreq(600, 1e-3 / (2 * np.pi))
+    P, L = (f(omega)[:, 0, 0] for f in (loop.frequency_response, design.filter.frequency_response))
+    low = Q.frequency_response(omega)
+    left = (1 - low) * (1 - P) / (1 - low * (1 - P * L))  # of the periodic motion
+    limit = np.fft.irfft(left * np.fft.rfft(reference), 600)
+    assert errors[-1] == pytest.approx(np.sqrt(np.mean(limit**2)), rel=1e-2)
+
+
+def test_files_keep_it_and_old_filters_keep_their_bytes(tmp_path):
+    old, new = tmp_path / "old.json", tmp_path / "new.json"
+    save_law(old, Law(Q, LearningFilter([[[0.5]]], 1e-3)))
+    assert '"rodlib law 1"' in old.read_text() and "first" not in old.read_text()
+    for law in (
+        synthesise(STAGE, Q, base=0.03).law(),
+        synthesise(STAGE, Q, base=0.03, reach=200).law(),
+        Law(Q, LearningFilter([[[0.5, 1.0]]], 1e-3, first=0)),
+    ):
+        save_law(new, law)
+        assert '"rodlib law 2"' in new.read_text()
+        assert load_law(new).L == law.L
+    new.write_text(new.read_text().replace("law 2", "law 3"))
+    with pytest.raises(ValueError, match="law 3"):
+        load_law(new)
+
+
+def test_its_norm_on_a_trial_is_that_of_dense_matrices():
+    L = synthesise(STAGE, Q, base=0.03).filter
+    P_N, Q_N, L_N = trial_operators(STAGE, Q, L, 40)
+    one = np.eye(40)
+    T = Q_N @ (one - (L_N @ (P_N @ one)))
+    assert trial_norm(STAGE, Q, L, 40)[0] == pytest.approx(np.linalg.norm(T, 2), rel=1e-6)
+    np.testing.assert_allclose(L_N.rmatmat(one), (L_N @ one).T, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("share", [1.0, 0.0, -0.1, "none", True])
+def test_a_base_that_is_no_share_is_refused(share):
+    with pytest.raises(ValueError, match="base = "):
+        synthesise(STAGE, Q, base=share)
+
+
+def test_bounds_hold_for_all_plants_of_a_list_and_all_gains():
+    plants = [STAGE, 1.1 * STAGE, 0.9 * STAGE]
+    design = synthesise(plants, Q, base=0.03, L_max=1.5, M_max=0.8)
+    omega = np.linspace(1e-3, np.pi / 1e-3, 20000)
+    L = design.filter.frequency_response(omega)
+    assert largest_singular_values(L).max() <= 1.5 * (1 + 1e-5)
+    for P in plants:
+        assert convergence(P, Q, design.filter, omega).gamma <= 0.8 * (1 + 1e-3)
