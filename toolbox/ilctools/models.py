@@ -11,7 +11,7 @@ from os import PathLike
 import control
 import numpy as np
 from scipy import signal
-from scipy.linalg import LinAlgError, null_space
+from scipy.linalg import LinAlgError, matrix_balance, null_space
 
 from ilctools import arguments
 
@@ -282,6 +282,21 @@ def impulse_response(model: control.StateSpace, samples: int) -> np.ndarray:
     for p in range(1, samples):
         h[p], X = model.C @ X, model.A @ X
     return h
+
+
+def balanced(A, B, C):
+    """Scale the states by powers of two so that no entry of A is large merely by its unit."""
+    # The errors of a Schur form and of sparse factors are relative to the largest entry of A. If
+    # one state is counted in units of 1e-8, the others lose eight digits.
+    # with one row and column for inputs and outputs
+    inputs = np.abs(B).max(axis=1, keepdims=True)
+    outputs = np.abs(C).max(axis=0, keepdims=True)
+    size = np.block([[np.abs(A), inputs], [outputs, 0]])
+    np.fill_diagonal(size, 0)  # which no unit changes
+    with np.errstate(invalid="ignore"):  # of whole numbers that are not used
+        _, (scale, _) = matrix_balance(size, permute=False, separate=True)
+    scale = scale[:-1] / scale[-1]
+    return A * scale / scale[:, None], B / scale[:, None], C * scale
 
 
 def _realised(plant, called):

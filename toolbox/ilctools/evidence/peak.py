@@ -55,11 +55,11 @@ from dataclasses import dataclass, replace
 import control
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.linalg import matrix_balance, schur
+from scipy.linalg import schur
 
 from ilctools import arguments
 from ilctools.filters import LearningFilter, ZeroPhaseButterworth
-from ilctools.models import by_substitution
+from ilctools.models import balanced, by_substitution
 from ilctools.problem.problem import TIED, Problem, convergence_matrix, largest_singular_values
 
 MOST_POINTS = 2_000_000  # frequencies at which to give up
@@ -281,21 +281,6 @@ def _filter_rounded_up(Q, theta):
     error = 10 * np.finfo(float).eps * np.abs(polynomials).sum(axis=-1)
     most, least = (value + error)[:, 0], (value - error)[:, 1]
     return np.prod(most / least) ** 2 if least.min() > 0 else np.inf
-
-
-def balanced(A, B, C):
-    """Scale the states by powers of two so that no entry of A is large merely by its unit."""
-    # The error of a Schur form is relative to the largest entry of A. If one state is counted in
-    # units of 1e-8, the others lose eight digits.
-    # with one row and column for inputs and outputs
-    inputs = np.abs(B).max(axis=1, keepdims=True)
-    outputs = np.abs(C).max(axis=0, keepdims=True)
-    size = np.block([[np.abs(A), inputs], [outputs, 0]])
-    np.fill_diagonal(size, 0)  # which no unit changes
-    with np.errstate(invalid="ignore"):  # of whole numbers that are not used
-        _, (scale, _) = matrix_balance(size, permute=False, separate=True)
-    scale = scale[:-1] / scale[-1]
-    return A * scale / scale[:, None], B / scale[:, None], C * scale
 
 
 def learning_model(L: LearningFilter) -> control.StateSpace:
