@@ -3,7 +3,8 @@
 `make measure WHAT=peers` runs it and writes its tables to figures/performance.md. All know the same
 P and have the same Q. The opponents are tuned on the nominal plant by what they are judged by, the
 RMS of the error in trials 2 to 10, with its reference and its very noise; ours is the default,
-`synthesise(P, Q)`, and knows neither. A list of plants is that of the rod, all of whose parameters are off.
+`synthesise(P, Q)`, and knows neither. A list of plants is that of the rod, all of whose parameters
+are off.
 """
 
 import re
