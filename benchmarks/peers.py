@@ -380,9 +380,8 @@ def of_rod(root):
                 rows[b, order] = None
                 continue
         nominal = convergence(P, Q, L, omega).mean(ROD_BAND)
-        reached = [convergence(each, Q, L, omega) for each in others]
-        means = [each.mean(ROD_BAND) for each in reached]
-        monotone = np.mean([each.gamma < 1 for each in reached])
+        reached = convergence(others, Q, L, omega)
+        means, monotone = reached.mean(ROD_BAND), np.mean(reached.gamma < 1)
         rows[b, order] = nominal, np.median(means), np.quantile(means, 0.95), 100 * monotone
     return rows
 

@@ -42,10 +42,10 @@ def test_gradient_is_the_adjoint_of_a_trial_and_converges_at_its_rate(P):
 
 def test_norm_optimal_solves_the_lifted_problem():
     """By dense algebra: with feedthrough, with a delay, with states in units of 1e-20 to 1e20."""
-    weight, P = 0.03, random_stable(1)
-    units = np.geomspace(1e-20, 1e20, P.nstates)
-    scaled = control.ss(P.A * units / units[:, None], P.B / units[:, None], P.C * units, P.D, P.dt)
-    for P in (P, scaled, LOOPS["furnace"]().P):
+    weight, like = 0.03, random_stable(1)
+    units = np.geomspace(1e-20, 1e20, like.nstates)
+    A, B, C = like.A * units / units[:, None], like.B / units[:, None], like.C * units
+    for P in (like, control.ss(A, B, C, like.D, like.dt), LOOPS["furnace"]().P):
         G, L = lifted(P, 60), NormOptimal(P, weight, 60)
         dense = np.linalg.solve(G.T @ G + weight * np.eye(len(G)), G.T)
         np.testing.assert_allclose(as_matrix(L.apply, 60, L.channels), dense, atol=1e-9)
