@@ -403,4 +403,4 @@ def table_of_rod(draws):
 
 if __name__ == "__main__":
     rows = list(run(row, [*KINDS, *LOOPS, *BOARDS]))
-    publish("peers", f"{table_of(rows)}\n\n{table_of_rod(list(run(of_rod, range(DRAWS))))}")
+    publish("peers", f"{table_of(rows)}\n\n{table_of_rod(list(run(of_rod, range(DRAWS))))}\n")
