@@ -2,6 +2,7 @@
 
 import warnings
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -13,6 +14,8 @@ from ilctools.problem.defaults import CHOOSE
 from ilctools.problem.grid import with_L_bounded, without_gaps
 from ilctools.problem.pose import pose
 from ilctools.problem.problem import TIED, Problem, largest_singular_values, tied
+from ilctools.problem.responses import lowest_and_period
+from ilctools.synthesis.cutoff import cutoff_that_holds
 from ilctools.synthesis.cuts import solve
 from ilctools.synthesis.everywhere import solve_everywhere
 from ilctools.synthesis.result import InfeasibleError, SolverError, Synthesis
@@ -32,7 +35,7 @@ HOPELESS = 1 - 1e-6  # from here on a smallest M_max is one, and raising it no r
 @on_one_thread
 def synthesise(
     P,
-    Q,
+    Q=None,
     omega=None,
     Ts=None,
     *,
@@ -65,8 +68,11 @@ def synthesise(
         radius, in which the truth lies with a probability of 0.99; for another, pass both of
         ``P.on(omega, confidence)`` as P and `uncertainty`. Above the last frequency of samples,
         sigma_max(P) is assumed to be what it is there, at any phase.
-    Q : array_like, shape (n,), or ZeroPhaseButterworth
-        Frequency response of the Q-filter on `omega`, or the filter.
+    Q : array_like, shape (n,), or ZeroPhaseButterworth, optional
+        Frequency response of the Q-filter on `omega`, or the filter. Default, of a measured P, of
+        samples with a radius or that end below the Nyquist frequency, and of a list: one of order
+        2 with nine tenths of the largest cut-off for which a filter keeps M_max for all plants. At
+        the largest itself nothing is left for the objective. It takes ten designs or more.
     omega : array_like, shape (n,), optional
         Design frequencies, rad/s, increasing, up to the Nyquist frequency pi / Ts. Default: those
         of python-control's frequency response data; of models and measured responses 1000 of them,
@@ -179,9 +185,17 @@ def synthesise(
     if isinstance(base, str):
         arguments.choice("base", base, [CHOOSE])
         base = CHOOSE if order is None else None
-    if base is not None and base == CHOOSE:
-        return warned(best_base(lambda share: pose(P, Q, base=share, reach=reach, **given)))
-    return warned(certified(pose(P, Q, base=base, reach=reach, **given)))
+    free = base is not None and base == CHOOSE
+
+    def posed(share, Q=Q, text=()):
+        problem = pose(P, Q, base=share, reach=reach, **given)
+        return replace(problem, basis=(*text, *problem.basis))
+
+    if Q is None:
+        bases = (None, SHARES[0]) if free else (base,)
+        Q, *text = cutoff_that_holds(posed, bases, *lowest_and_period(P, omega, Ts))
+        posed = partial(posed, Q=Q, text=text)
+    return warned(best_base(posed) if free else certified(posed(base)))
 
 
 def best_base(posed) -> Synthesis:
@@ -353,9 +367,9 @@ def _advice(problem, smallest):
     return (
         f"infeasible: M_max = {M_max} is too tight for a {problem.structure} filter of order = "
         f"{problem.order}; {remedy}: {raised}{',' if smallest < HOPELESS else ''} take {longer}, "
-        "lower the cut-off of Q (largest_cutoff in synthesis.search finds how far), "
-        "or design a faster loop. If no bound so tight was meant: are units, signs and the order "
-        "of the channels right, in each plant?"
+        "lower the cut-off of Q (without Q, it is chosen for a list or a radius), or design a "
+        "faster loop. If no bound so tight was meant: are units, signs and the order of the "
+        "channels right, in each plant?"
     )
 
 
