@@ -113,7 +113,7 @@ def on_one_grid(P, Q, omega=None, Ts=None, uncertainty=None, scale=None) -> Prob
         basis = P.basis(omega, CONFIDENCE)
         parties = {"P": P.loop, "Q": Q, "grid": Signals(Ts)}
     models, responses = on_grid(named, omega, Ts, **parties)
-    _refuse_hertz("omega", omega, responses, Ts)
+    _refuse_other_units("omega", omega, responses, Ts)
     butterworth, Q = Q_on_grid(Q, omega)
     models, responses, scale = _in_units(scale, models, responses)
     if uncertainty is not None:
@@ -138,7 +138,7 @@ def on_one_grid(P, Q, omega=None, Ts=None, uncertainty=None, scale=None) -> Prob
 
 def _measured(P, omega, Ts, scale):
     """A measured response on omega, and its radius in units of `scale`."""
-    _refuse_hertz("P.omega", P.omega, P.response[None], Ts)
+    _refuse_other_units("P.omega", P.omega, P.response[None], Ts)
     response, _ = P.on(omega, CONFIDENCE)
     _, radius = P.on(omega, CONFIDENCE, scale)
     return response, radius
@@ -160,16 +160,18 @@ def _in_units(scale, models, responses):
     return models, responses * (scale / scale[:, None]), scale
 
 
-def _refuse_hertz(name, omega, responses, Ts):
-    """Refuse frequencies in Hz: up to 1 / (2 Ts), where P is real, as z is -1 there."""
+def _refuse_other_units(name, omega, responses, Ts):
+    """Refuse frequencies in Hz or rad/sample: up to Nyquist's, where P is real, as z is -1."""
     imaginary = np.abs(responses.imag).max(axis=(2, 3))
     rounding = IMAGINARY * np.abs(responses).max()
     real_at_last_only = (imaginary[:, -1] <= rounding) & (imaginary.max(1) > rounding)
-    if abs(omega[-1] * Ts - 0.5) < IMAGINARY and real_at_last_only.any():
-        raise ValueError(
-            f"{name} ends at {omega[-1]:.6g} = 1 / (2 Ts), and P is real there, as at the "
-            "Nyquist frequency: omega is in Hz, multiply it by 2 pi"
-        )
+    for end, what, unit in ((0.5 / Ts, "1 / (2 Ts)", "Hz"), (np.pi, "pi", "rad/sample")):
+        here = abs(omega[-1] / end - 1) < IMAGINARY and abs(omega[-1] * Ts - np.pi) > IMAGINARY
+        if here and real_at_last_only.any():
+            raise ValueError(
+                f"{name} ends at {omega[-1]:.6g} = {what}, and P is real there, as at the Nyquist "
+                f"frequency: omega is in {unit}, multiply it by {np.pi / Ts / end:.6g}"
+            )
 
 
 def lowest_and_period(P, omega=None, Ts=None) -> tuple[float, float]:

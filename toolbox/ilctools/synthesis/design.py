@@ -55,14 +55,15 @@ def synthesise(
     """Design the learning filter by convex optimisation, (39) or (45) with (46).
 
     Defaults are for a plant that one does not know, and the certificate says what they are for this
-    one.
+    one. Above Q's cut-off nothing is asked of L but its bounds: what noise there adds to v, for
+    which M is of a half and more, :func:`converged_noise` says.
 
     Parameters
     ----------
     P : array_like, shape (n, m, m), a model, CurrentTrialLoop, or a list of these; or measured
         Frequency response of the closed loop on `omega`, for any m, also as python-control's
-        frequency response data, of exp(j omega t): one whose phase leads, of exp(-j omega t), is to
-        be conjugated first, and nothing warns of that; or a discrete-time model of it, state space
+        frequency response data, of exp(j omega t): one of exp(-j omega t), whose phase leads, is to
+        be conjugated first; or a discrete-time model of it, state space
         or transfer function. Of a list the first is the nominal plant, whose convergence is made
         fast; the bounds hold for all of them. What :func:`measured_response` returns has its
         radius, in which the truth lies with a probability of 0.99; for another, pass both of
@@ -91,7 +92,8 @@ def synthesise(
         inverts P up to Q's cut-off, 1 / sigma_min(P), rounded up to one digit. It holds between
         the frequencies of a coarse grid, and up to the Nyquist frequency, too. None leaves it out:
         filters then compete up to the gain that coefficients in doubles can hold,
-        :attr:`.Problem.weight`.
+        :attr:`.Problem.weight`, and where they look beyond the ends of a trial, trials often
+        diverge: ask :func:`trial_norm`.
     band : (float, float), optional
         Lowest and highest frequency of the sum in (39), rad/s. A peak has none. Default: from the
         lowest of `omega` to Q's cut-off.
@@ -107,7 +109,8 @@ def synthesise(
         largest over all plants.
     scale : array_like, shape (m,), optional
         What counts as equally large in each channel. Singular values, `L_max` and the certificate
-        are then those of the channels divided by it, so that units do not matter. Default: ones.
+        are then those of the channels divided by it, so that units do not matter. Default: ones;
+        the certificate says so if powers of two that differ by eight or more would balance P.
     uncertainty : array_like, shape (n,), optional
         Radius at each frequency: the bounds hold for each P + Delta with ||Delta|| <= radius, of
         the channels in units of `scale`, by a condition that is exact.

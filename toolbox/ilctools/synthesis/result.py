@@ -52,7 +52,7 @@ class SolverError(RuntimeError):
     """The solver returned no filter, or one whose certificate fails."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Synthesis:
     """A learning filter and what was checked about it, from singular values."""
 

@@ -25,6 +25,8 @@ import xarray as xr
 from scipy.special import fdtrc, stdtr
 
 from ilctools.evidence.convergence import Convergence, convergence
+from ilctools.evidence.finite import trial_norm
+from ilctools.filters import LearningFilter
 from ilctools.law.io import RESET
 from ilctools.law.law import Law
 from ilctools.loop.closed import Loop
@@ -103,6 +105,22 @@ class History:
     def free(self) -> np.ndarray:
         """The error that each trial would have without v, by the model."""
         return self.e + self.effect
+
+    @property
+    def at_ends(self) -> str:
+        """What the ends of a trial do by the model, in words, if v need not converge there."""
+        L, law = self.law.L, self.law
+        known = self.P is not None and isinstance(L, LearningFilter) and not law.limits
+        if not known or RESET in self.trials.attrs:
+            return ""
+        samples = self.trials.sizes["time"]
+        norm, *_ = trial_norm(self.P, law.Q, L, samples, rest=law.rest)
+        if norm < 1:
+            return ""
+        return (
+            f". By the loop's model a trial of {samples} samples, with its ends, may multiply what "
+            f"is wrong with v by {norm:.3g}, its trial_norm: bound L (L_max) so that it is below 1"
+        )
 
     def number(self, k: int) -> int:
         """Number of trial k."""
@@ -227,11 +245,14 @@ def _where_and_why(history, k):
             return (
                 f"Most of it is in the {name} tenth of the trial, where the filters need "
                 "signals beyond its ends: let reference or v rest there, or choose other "
-                "ends of Q and L"
+                f"ends of Q and L{history.at_ends}"
             )
     predicted = ""
     if history.P is not None:
-        predicted = f"By the loop's model sigma_max(M) <= {history.convergence.gamma:.3g}. "
+        predicted = f"By the loop's model sigma_max(M) <= {history.convergence.gamma:.3g}"
+        if history.at_ends and history.convergence.gamma < 1:
+            return f"{predicted}, so that the ends of the trial are the cause{history.at_ends}"
+        predicted += ". "
     return (
         f"{predicted}Unless there was a new disturbance, the law diverges, or the plant differs "
         "from the model: measure P (shake), or learn less, by a lower cut-off of Q or a smaller "
