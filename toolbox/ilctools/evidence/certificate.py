@@ -220,11 +220,6 @@ class Certificate:
                 "the phase of P leads what its gain admits of any stable plant: is it of "
                 "exp(-j omega t), then pass P.conj(), in other units of omega, or |P| alone?"
             )
-        if problem.L_max is not None and self.between_L > PASSED_L * problem.L_max:
-            texts.append(
-                f"sigma_max(L) reaches {self.between_L:.4g} between the frequencies omega, where "
-                f"L_max = {problem.L_max:g} bounds it: take more frequencies, or everywhere=True"
-            )
         if problem.objective == "sum" and self.value > IDLE * problem.idle:
             share = self.value / problem.idle
             where = "in the band" if problem.band else "for this reference"
@@ -328,6 +323,8 @@ class Certificate:
             bounds.append(f"M_max = {problem.M_max:g}")
         if problem.L_max is not None and self.passed_L > 1 - TIED:
             bounds.append(f"L_max = {problem.L_max:g}")
+            if self.between_L > PASSED_L * problem.L_max:
+                bounds[-1] += f", {self.between_L:.3g} between the frequencies,"
             if self.value >= problem.unit(0):  # below, rounding decides
                 share = min(self.relief / 10, 1)
                 bounds[-1] += f" (10 % more would lower the objective by {share:.1%} at most)"
