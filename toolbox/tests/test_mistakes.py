@@ -26,6 +26,7 @@ from ilctools import (
     unreachable_modes,
     zero_phase_butterworth,
 )
+from ilctools.problem.defaults import lead
 
 TS = 1e-3
 MODEL = control.ss(control.sample_system(control.tf([1e4], [1, 40, 1e4]), TS))
@@ -45,17 +46,12 @@ def test_a_phase_that_no_stable_plant_has_is_said(wrong):
         synthesise(wrong, Q, OMEGA)
 
 
-@pytest.mark.parametrize("m", [1, 2])
-def test_the_phase_of_causal_plants_is_no_finding(m):
-    for seed in range(10):
-        plant = random_stable(seed, m=m)
-        for low, high in ((1e-3, 1), (1e-2, 0.3)):
-            omega = np.geomspace(low, high, 80) * np.pi / plant.dt
-            with warnings.catch_warnings(record=True) as seen:
-                warnings.simplefilter("always")
-                lag = zero_phase_butterworth(2, 0.05 * np.pi / plant.dt, plant.dt)
-                synthesise(frequency_response(plant, omega), lag, omega, M_max=0.99, base=None)
-            assert not [w for w in seen if "leads" in str(w.message)]
+@pytest.mark.parametrize("seed", range(20))
+def test_the_phase_of_causal_plants_is_no_finding(seed):
+    plant = random_stable(seed, m=1 + seed % 2)
+    for low, high in ((1e-3, 1), (1e-2, 0.3)):
+        omega = np.geomspace(low, high, 80) * np.pi / plant.dt
+        assert lead(frequency_response(plant, omega), omega, plant.dt) < 0.15
 
 
 @pytest.mark.parametrize(("unit", "factor"), [("Hz", 2 * np.pi), ("rad/sample", 1 / TS)])
