@@ -57,6 +57,7 @@ class History:
     channels: list[int]
     e: np.ndarray
     v: np.ndarray  # of all outputs, as far as it was applied
+    exact: bool = False  # whether simulated on the model of the law's loop
 
     @cached_property
     def rms(self) -> np.ndarray:
@@ -150,7 +151,7 @@ def diagnose(trials: xr.Dataset, law: Law, first: int = 2, exact: bool = False) 
     if law.L is None:
         return warnings
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # of 1e200
-        for history in histories(trials, law):
+        for history in histories(trials, law, exact):
             for k in range(max(1, first - 1), len(history.e)):
                 if "growth" not in warnings:
                     warnings["growth"] = error_grows(history, k)
@@ -162,14 +163,14 @@ def diagnose(trials: xr.Dataset, law: Law, first: int = 2, exact: bool = False) 
     return warnings
 
 
-def histories(trials: xr.Dataset, law: Law) -> list[History]:
+def histories(trials: xr.Dataset, law: Law, exact: bool = False) -> list[History]:
     """The trials, split by the units of their outputs."""
     e, v = trials.e.values, trials.v.values
     if law.limits:  # then that for which the loop asks for what was applied
         asked = commands(trials, law.loop, law.actuators)
         v = law.loop.realised(v, **asked)
     groups = by_unit(trials.output_unit.values.tolist()).values()
-    return [History(trials, law, group, e[..., group], v) for group in groups]
+    return [History(trials, law, group, e[..., group], v, exact) for group in groups]
 
 
 def commands(trials: xr.Dataset, loop: Loop, actuators=None) -> dict[str, np.ndarray]:
@@ -250,13 +251,16 @@ def _where_and_why(history, k):
     predicted = ""
     if history.P is not None:
         predicted = f"By the loop's model sigma_max(M) <= {history.convergence.gamma:.3g}"
-        if history.at_ends and history.convergence.gamma < 1:
-            return f"{predicted}, so that the ends of the trial are the cause{history.at_ends}"
+        if history.exact and history.convergence.gamma < 1:
+            return (
+                f"{predicted}: unless there was a new disturbance, the ends of the trial are the "
+                f"cause{history.at_ends}"
+            )
         predicted += ". "
     return (
         f"{predicted}Unless there was a new disturbance, the law diverges, or the plant differs "
         "from the model: measure P (shake), or learn less, by a lower cut-off of Q or a smaller "
-        "learning gain"
+        f"learning gain{history.at_ends}"
     )
 
 
