@@ -24,12 +24,14 @@ from ilctools.evidence.prediction import predicted_rms
 from ilctools.evidence.robustness import WorstCase, worst_case
 from ilctools.filters import LearningFilter
 from ilctools.models import frequency_response
+from ilctools.problem.defaults import lead
 from ilctools.problem.problem import (
     K_MAX,
     MOST_GAIN,
     TIED,
     Problem,
     Solution,
+    convergence_matrix,
     largest_singular_values,
 )
 from ilctools.problem.roughness import scatter_warnings
@@ -42,6 +44,9 @@ BETWEEN = 1e-7  # and of one between the frequencies, where the bounds hold ther
 # and by which M may pass a bound between the frequencies.
 COARSE = 0.25
 NAMED = 4  # of those that are tied as the worst, so many are named
+FINE = 2000  # frequencies of the mean over the band
+PASSED_L = 1.01  # times L_max, between the frequencies
+LEAD = 0.5  # of P's phase in the mean, rad, from which on its sign is taken to be wrong
 IDLE = 0.9  # share of the error in the band from which on learning counts as idle
 
 
@@ -82,6 +87,13 @@ class Certificate:
     def all_L(self) -> float:
         """An upper bound of sigma_max(L), to 1e-8, for all frequencies."""
         return peak_of_L(self.filter)[0]
+
+    @cached_property
+    def between_L(self) -> float:
+        """The largest sigma_max(L) midway between the frequencies that bound it."""
+        omega = np.sort(self.problem.omega_L)
+        middle = self.filter.frequency_response((omega[1:] + omega[:-1]) / 2)
+        return float(largest_singular_values(middle).max())
 
     @property
     def proven(self) -> bool:
@@ -126,11 +138,15 @@ class Certificate:
     def mean_M(self) -> float:
         """Of the nominal plant, see :meth:`.Convergence.mean`; NaN without a band."""
         design = self.problem.design
-        low, _ = design.band or (0, 0)
+        low, high = design.band or (0, 0)
         if low <= 0:
             return np.nan
-        sigma = largest_singular_values(design.M(self.filter.frequency_response(design.omega)))
-        return float(log_mean(sigma, design.omega, design.band))
+        omega, P, Q = design.omega, design.P, design.Q
+        if design.model is not None:  # trapezia between coarse frequencies are not enough
+            omega = np.union1d(omega, np.geomspace(low, high, FINE))
+            P, Q = (frequency_response(design.models[0], omega), design.Q_at(omega))
+        M = convergence_matrix(P, Q, self.filter.frequency_response(omega))
+        return float(log_mean(largest_singular_values(M), omega, design.band))
 
     @property
     def predicted(self) -> dict[int, float] | None:
@@ -199,6 +215,11 @@ class Certificate:
         texts = [*problem.findings]
         if design.models[0] is None and design.radius is None:
             texts += scatter_warnings(design.omega, design.P, design.Q)
+        if design.models[0] is None and lead(design.P, design.omega, design.Ts) > LEAD:
+            texts.append(
+                "the phase of P leads what its gain admits of any stable plant: is it of "
+                "exp(-j omega t), then pass P.conj(), in other units of omega, or |P| alone?"
+            )
         if problem.objective == "sum" and self.value > IDLE * problem.idle:
             share = self.value / problem.idle
             where = "in the band" if problem.band else "for this reference"
@@ -302,6 +323,8 @@ class Certificate:
             bounds.append(f"M_max = {problem.M_max:g}")
         if problem.L_max is not None and self.passed_L > 1 - TIED:
             bounds.append(f"L_max = {problem.L_max:g}")
+            if self.between_L > PASSED_L * problem.L_max:
+                bounds[-1] += f", {self.between_L:.3g} between the frequencies,"
             if self.value >= problem.unit(0):  # below, rounding decides
                 share = min(self.relief / 10, 1)
                 bounds[-1] += f" (10 % more would lower the objective by {share:.1%} at most)"

@@ -2,6 +2,7 @@
 
 import warnings
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -13,6 +14,8 @@ from ilctools.problem.defaults import CHOOSE
 from ilctools.problem.grid import with_L_bounded, without_gaps
 from ilctools.problem.pose import pose
 from ilctools.problem.problem import TIED, Problem, largest_singular_values, tied
+from ilctools.problem.responses import lowest_and_period
+from ilctools.synthesis.cutoff import cutoff_that_holds
 from ilctools.synthesis.cuts import solve
 from ilctools.synthesis.everywhere import solve_everywhere
 from ilctools.synthesis.result import InfeasibleError, SolverError, Synthesis
@@ -32,7 +35,7 @@ HOPELESS = 1 - 1e-6  # from here on a smallest M_max is one, and raising it no r
 @on_one_thread
 def synthesise(
     P,
-    Q,
+    Q=None,
     omega=None,
     Ts=None,
     *,
@@ -52,21 +55,25 @@ def synthesise(
     """Design the learning filter by convex optimisation, (39) or (45) with (46).
 
     Defaults are for a plant that one does not know, and the certificate says what they are for this
-    one.
+    one. Above Q's cut-off nothing is asked of L but its bounds: what noise there adds to v, for
+    which M is of a half and more, :func:`converged_noise` says.
 
     Parameters
     ----------
     P : array_like, shape (n, m, m), a model, CurrentTrialLoop, or a list of these; or measured
         Frequency response of the closed loop on `omega`, for any m, also as python-control's
-        frequency response data, of exp(j omega t): one whose phase leads, of exp(-j omega t), is to
-        be conjugated first, and nothing warns of that; or a discrete-time model of it, state space
+        frequency response data, of exp(j omega t): one of exp(-j omega t), whose phase leads, is to
+        be conjugated first; or a discrete-time model of it, state space
         or transfer function. Of a list the first is the nominal plant, whose convergence is made
         fast; the bounds hold for all of them. What :func:`measured_response` returns has its
         radius, in which the truth lies with a probability of 0.99; for another, pass both of
         ``P.on(omega, confidence)`` as P and `uncertainty`. Above the last frequency of samples,
         sigma_max(P) is assumed to be what it is there, at any phase.
-    Q : array_like, shape (n,), or ZeroPhaseButterworth
-        Frequency response of the Q-filter on `omega`, or the filter.
+    Q : array_like, shape (n,), or ZeroPhaseButterworth, optional
+        Frequency response of the Q-filter on `omega`, or the filter. Default, of a measured P, of
+        samples with a radius or that end below the Nyquist frequency, and of a list: one of order
+        2 with nine tenths of the largest cut-off for which a filter keeps M_max for all plants. At
+        the largest itself nothing is left for the objective. It takes ten designs or more.
     omega : array_like, shape (n,), optional
         Design frequencies, rad/s, increasing, up to the Nyquist frequency pi / Ts. Default: those
         of python-control's frequency response data; of models and measured responses 1000 of them,
@@ -85,7 +92,8 @@ def synthesise(
         inverts P up to Q's cut-off, 1 / sigma_min(P), rounded up to one digit. It holds between
         the frequencies of a coarse grid, and up to the Nyquist frequency, too. None leaves it out:
         filters then compete up to the gain that coefficients in doubles can hold,
-        :attr:`.Problem.weight`.
+        :attr:`.Problem.weight`, and where they look beyond the ends of a trial, trials often
+        diverge: ask :func:`trial_norm`.
     band : (float, float), optional
         Lowest and highest frequency of the sum in (39), rad/s. A peak has none. Default: from the
         lowest of `omega` to Q's cut-off.
@@ -101,7 +109,8 @@ def synthesise(
         largest over all plants.
     scale : array_like, shape (m,), optional
         What counts as equally large in each channel. Singular values, `L_max` and the certificate
-        are then those of the channels divided by it, so that units do not matter. Default: ones.
+        are then those of the channels divided by it, so that units do not matter. Default: ones;
+        the certificate says so if powers of two that differ by eight or more would balance P.
     uncertainty : array_like, shape (n,), optional
         Radius at each frequency: the bounds hold for each P + Delta with ||Delta|| <= radius, of
         the channels in units of `scale`, by a condition that is exact.
@@ -179,9 +188,17 @@ def synthesise(
     if isinstance(base, str):
         arguments.choice("base", base, [CHOOSE])
         base = CHOOSE if order is None else None
-    if base is not None and base == CHOOSE:
-        return warned(best_base(lambda share: pose(P, Q, base=share, reach=reach, **given)))
-    return warned(certified(pose(P, Q, base=base, reach=reach, **given)))
+    free = base is not None and base == CHOOSE
+
+    def posed(share, Q=Q, text=()):
+        problem = pose(P, Q, base=share, reach=reach, **given)
+        return replace(problem, basis=(*text, *problem.basis))
+
+    if Q is None:
+        bases = (None, SHARES[0]) if free else (base,)
+        Q, *text = cutoff_that_holds(posed, bases, *lowest_and_period(P, omega, Ts))
+        posed = partial(posed, Q=Q, text=text)
+    return warned(best_base(posed) if free else certified(posed(base)))
 
 
 def best_base(posed) -> Synthesis:
@@ -353,9 +370,9 @@ def _advice(problem, smallest):
     return (
         f"infeasible: M_max = {M_max} is too tight for a {problem.structure} filter of order = "
         f"{problem.order}; {remedy}: {raised}{',' if smallest < HOPELESS else ''} take {longer}, "
-        "lower the cut-off of Q (largest_cutoff in synthesis.search finds how far), "
-        "or design a faster loop. If no bound so tight was meant: are units, signs and the order "
-        "of the channels right, in each plant?"
+        "lower the cut-off of Q (without Q, it is chosen for a list or a radius), or design a "
+        "faster loop. If no bound so tight was meant: are units, signs and the order of the "
+        "channels right, in each plant?"
     )
 
 
