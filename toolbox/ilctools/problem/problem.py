@@ -14,7 +14,7 @@ from functools import cached_property
 import control
 import numpy as np
 
-from ilctools.base import in_units
+from ilctools.base import RegularisedInverse, in_units
 from ilctools.filters import LearningFilter, LearningOperator, ZeroPhaseButterworth
 from ilctools.problem import defaults
 from ilctools.signals import Signals
@@ -244,7 +244,9 @@ class Problem:
     def filter(self, coefficients) -> LearningFilter:
         """The learning filter, in the plant's own units, of coefficients in units of `scale`."""
         units = self.scale[:, None, None] / self.scale[None, :, None]
-        return LearningFilter(coefficients * units, self.Ts, first=self.first, base=self.base)
+        # B of a model knows the end of a trial; K, cut off there, must not leave the error to it
+        ends = "hold-last" if isinstance(self.base, RegularisedInverse) else "zero"
+        return LearningFilter(coefficients * units, self.Ts, ends, self.first, self.base)
 
     def learned(self, solution: "Solution") -> LearningFilter:
         """The filter of a solution, in units of `scale`."""
