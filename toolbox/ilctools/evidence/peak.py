@@ -54,12 +54,13 @@ from dataclasses import dataclass, replace
 
 import control
 import numpy as np
-from scipy.interpolate import CubicSpline
 from scipy.linalg import matrix_balance, schur
 
 from ilctools import arguments
+from ilctools.evidence.robustness import NEAR, within_radius
 from ilctools.filters import LearningFilter, ZeroPhaseButterworth
 from ilctools.models import by_substitution
+from ilctools.problem.between import between, missed
 from ilctools.problem.problem import TIED, Problem, convergence_matrix, largest_singular_values
 
 MOST_POINTS = 2_000_000  # frequencies at which to give up
@@ -67,6 +68,8 @@ CHUNK = 2**21  # numbers held at a time while frequency responses are computed
 CLOSEST = 20  # poles next to the unit circle at which rounding is looked into
 DENSER = 10  # the grid between the samples, against theirs
 DENSE = 20  # samples for which a base counts in the grid beyond them
+MOST_CRESTS = 100  # the highest, into which is zoomed, so many times, by so many points
+ZOOMS, ZOOM = 4, 9
 LOOKED_AT = 20  # sampled plants, the worst of them, that splines are laid through
 
 
@@ -341,24 +344,75 @@ def proven_peaks(problem: Problem, L) -> list[Peak]:
     return [Peak(*peak_of_M(model, L, Q), k) for k, model in models]
 
 
+def unproven(problem: Problem) -> list[int]:
+    """Plants that have no proof between the frequencies: samples, and all if there is a radius."""
+    if problem.butterworth is None or problem.radius is not None:
+        return list(range(len(problem.plants)))
+    return [k for k, model in enumerate(problem.models) if model is None]
+
+
 def estimated_peaks(problem: Problem, L, peaks) -> list[Peak]:
-    """Of the others, between samples, for those whose `peaks` on the grid are highest."""
-    design, plants = problem.design, np.argsort(-peaks, kind="stable")
-    if problem.butterworth is not None:
-        plants = [k for k in plants if problem.models[k] is None]
-    omega, Q = design.omega, design.Q
-    steps = np.linspace(0, 1, DENSER, endpoint=False)
-    between = omega[:-1, None] + np.outer(np.diff(omega), steps)
-    dense = np.append(between, omega[-1])
-    on_grid, on_dense = L.frequency_response(omega), L.frequency_response(dense)
-    estimates = []
-    for k in plants[:LOOKED_AT]:
-        P = design.plants[k]
-        scale, missed = spline_scale(P, Q, omega, on_grid)
-        M = convergence_matrix(*splined(P, Q, omega, dense, scale), on_dense)
-        sigma = largest_singular_values(M)
-        estimates.append(Peak(sigma.max(), dense[sigma.argmax()], k, missed))
+    """Of these, between the frequencies and within the radius: those whose `peaks` are highest.
+
+    If the bounds are to hold everywhere, of all of them.
+    """
+    design, plants = problem.design, sorted(unproven(problem), key=lambda k: -peaks[k])
+    on_grid, estimates = L.frequency_response(design.omega), []
+    for k in plants if problem.everywhere else plants[:LOOKED_AT]:
+        omega, sigma = crests(problem, L, k)
+        off = np.nan
+        if problem.butterworth is None or problem.models[k] is None:
+            known = design.plants[k], design.Q, design.omega, on_grid, design.axis
+            off = missed(*known, 0 if design.radius is None else design.radius)
+        estimates.append(Peak(sigma.max(), omega[sigma.argmax()], k, off))
     return estimates
+
+
+def crests(problem, L, plant, level=np.inf):
+    """Where between the design frequencies sigma_max(M) is highest, and all near it or a level.
+
+    Of a plant within the radius, from a grid as dense as poles and samples of L need.
+    """
+
+    def sigma_max(omega):
+        P, Q, radius = between(problem, plant, omega)
+        response = L.frequency_response(omega)
+        rho_L = None if radius is None else (np.abs(Q) * radius)[:, None, None] * response
+        return within_radius(convergence_matrix(P, Q, response), rho_L, level)
+
+    omega = _dense(problem, L, plant)
+    sigma = sigma_max(omega)
+    around = np.pad(sigma, 1, constant_values=-1.0)
+    top = (sigma >= np.maximum(around[:-2], around[2:])) & (sigma >= NEAR * min(level, sigma.max()))
+    [top] = np.nonzero(top)
+    top = top[np.argsort(-sigma[top])][:MOST_CRESTS]
+    left, right = omega[np.maximum(top - 1, 0)], omega[np.minimum(top + 1, len(omega) - 1)]
+    omega, sigma = omega[top], sigma[top]
+    for _ in range(ZOOMS):
+        at = left + np.linspace(0, 1, ZOOM)[:, None] * (right - left)
+        values = sigma_max(at.ravel()).reshape(at.shape)
+        best, every = values.argmax(axis=0), np.arange(len(top))
+        left, right = at[np.maximum(best - 1, 0), every], at[np.minimum(best + 1, ZOOM - 1), every]
+        higher = values[best, every] > sigma
+        omega, sigma = np.where(
+            higher, (at[best, every], values[best, every]), (omega, sigma)
+        )
+    return omega, sigma
+
+
+def _dense(problem, L, plant):
+    """Frequencies between those of the design that resolve their samples, and L and P."""
+    design, Ts, model = problem.design, problem.Ts, problem.models[plant]
+    steps = np.linspace(0, 1, DENSER, endpoint=False)
+    between_samples = design.omega[:-1, None] + np.outer(np.diff(design.omega), steps)
+    poles = [factor.poles for factor in _factors_of(L)]
+    poles = np.concatenate(poles if model is None else [*poles, model.poles()])
+    r, angle = np.abs(poles), np.abs(np.angle(poles))
+    turns = np.linspace(0, np.pi, DENSER * np.count_nonzero(r < 0.5) + 1)
+    bends = angle[r >= 0.5] + np.outer(np.tan(np.linspace(-1.5, 1.5, 61)), 1 - r[r >= 0.5])
+    dense = np.concatenate([turns, bends.ravel()]) / Ts
+    inside = (dense > design.omega[0]) & (dense < design.omega[-1])
+    return np.unique(np.concatenate([between_samples.ravel(), dense[inside], design.omega]))
 
 
 def peak_beyond(problem: Problem, L) -> Peak | None:
@@ -382,26 +436,3 @@ def highest(peaks: list[Peak]) -> Peak | None:
     level = [peak for peak in peaks if peak.sigma >= sigma * (1 - TIED)]
     first = min(level, key=lambda peak: peak.plant)
     return replace(first, sigma=sigma, missed=missed)
-
-
-def spline_scale(P, Q, omega, response):
-    """The scale of omega in which splines predict M best, and their error in cross-validation."""
-    # Measured grids are linear or logarithmic, plants smooth over one or the other. So the splines
-    # run over omega or log omega; with fewer than four samples the error is infinite.
-    M = convergence_matrix(P, Q, response)
-    scales = (np.asarray, np.log) if omega[0] > 0 else (np.asarray,)
-    errors = {}
-    for scale in scales:
-        errors[scale] = 0.0 if len(omega) > 3 else np.inf
-        for first in (1, 2):  # every other sample between the two at the ends
-            out = np.arange(first, len(omega) - 1, 2)
-            samples = [np.delete(X, out, axis=0) for X in (P, Q, omega)]
-            predicted = convergence_matrix(*splined(*samples, omega[out], scale), response[out])
-            sigma = largest_singular_values(predicted - M[out])
-            errors[scale] = max(errors[scale], *sigma)
-    return min(errors.items(), key=lambda item: item[1])
-
-
-def splined(P, Q, omega, places, scale):
-    """P and Q at other frequencies than those of their samples."""
-    return [CubicSpline(scale(omega), samples)(scale(places)) for samples in (P, Q)]

@@ -15,6 +15,7 @@ from ilctools.filters import LearningFilter, check_learning
 from ilctools.problem.problem import Problem, largest_singular_values, tied
 from ilctools.signals import check_match
 
+NEAR = 0.99  # share of the highest from which on others are worth their exact value
 FARTHEST = 40.0  # logarithm of how unequal two shares may be: the smaller is then below rounding
 
 
@@ -91,6 +92,23 @@ def affine(problem: Problem, plant, at) -> tuple[np.ndarray, np.ndarray]:
         T = np.concatenate([T, rho * np.eye(m)], axis=1)
     F = Q * np.eye(T.shape[1], m)
     return F, T
+
+
+def within_radius(M, rho_L=None, level=np.inf):
+    """The worst case at each frequency, (n,), of M and |Q| r L, (n, m, m).
+
+    Exact where it is within `NEAR` of the largest, or of a level below that; an upper bound below.
+    """
+    sigma = largest_singular_values(M)
+    if rho_L is None:
+        return sigma
+    upper = sigma + largest_singular_values(rho_L)
+    if M.shape[1] > 1:
+        G = np.concatenate([M, rho_L], axis=1)
+        [reached] = _least_bound(G[[upper.argmax()]])
+        near = upper >= NEAR * min(level, reached)
+        upper[near] = _least_bound(G[near])
+    return upper
 
 
 def _least_bound(G):
