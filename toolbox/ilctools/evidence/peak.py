@@ -70,7 +70,6 @@ DENSER = 10  # the grid between the samples, against theirs
 DENSE = 20  # samples for which a base counts in the grid beyond them
 MOST_CRESTS = 100  # the highest, into which is zoomed, so many times, by so many points
 ZOOMS, ZOOM = 4, 9
-LOOKED_AT = 20  # sampled plants, the worst of them, that splines are laid through
 
 
 def peak_gain(
@@ -351,15 +350,11 @@ def unproven(problem: Problem) -> list[int]:
     return [k for k, model in enumerate(problem.models) if model is None]
 
 
-def estimated_peaks(problem: Problem, L, peaks) -> list[Peak]:
-    """Of these, between the frequencies and within the radius: those whose `peaks` are highest.
-
-    If the bounds are to hold everywhere, of all of them.
-    """
-    design, plants = problem.design, sorted(unproven(problem), key=lambda k: -peaks[k])
-    on_grid, estimates = L.frequency_response(design.omega), []
-    for k in plants if problem.everywhere else plants[:LOOKED_AT]:
-        omega, sigma = crests(problem, L, k)
+def estimated_peaks(problem: Problem, L, level) -> list[Peak]:
+    """Of these, between the frequencies and within the radius; those below a level only bounded."""
+    design, estimates = problem.design, []
+    on_grid = L.frequency_response(design.omega)
+    for k, omega, sigma in crests(problem, L, level):
         off = np.nan
         if problem.butterworth is None or problem.models[k] is None:
             known = design.plants[k], design.Q, design.omega, on_grid, design.axis
@@ -368,51 +363,58 @@ def estimated_peaks(problem: Problem, L, peaks) -> list[Peak]:
     return estimates
 
 
-def crests(problem, L, plant, level=np.inf):
-    """Where between the design frequencies sigma_max(M) is highest, and all near it or a level.
+def crests(problem, L, level):
+    """Where between the frequencies sigma_max(M) is highest, of each plant that has no proof.
 
-    Of a plant within the radius, from a grid as dense as poles and samples of L need.
+    Yields its number, frequencies and values: all near the level, or the highest.
     """
+    Ts, known = problem.Ts, problem.design.omega
+    steps = np.linspace(0, 1, DENSER, endpoint=False)
+    samples = np.append((known[:-1, None] + np.outer(np.diff(known), steps)).ravel(), known[-1])
+    of_L = _resolved(np.concatenate([factor.poles for factor in _factors_of(L)])) / Ts
+    dense = None  # one for all samples
+    for k in unproven(problem):
+        model = problem.models[k]
+        if dense is None or model is not None:
+            further = of_L if model is None else np.append(of_L, _resolved(model.poles()) / Ts)
+            inside = (further > known[0]) & (further < known[-1])
+            dense = np.unique(np.append(samples, further[inside]))
+            response = L.frequency_response(dense)
 
-    def sigma_max(omega):
-        P, Q, radius = between(problem, plant, omega)
-        response = L.frequency_response(omega)
-        rho_L = None if radius is None else (np.abs(Q) * radius)[:, None, None] * response
-        return within_radius(convergence_matrix(P, Q, response), rho_L, level)
+        def sigma_max(omega, response=None, k=k):
+            response = L.frequency_response(omega) if response is None else response
+            P, Q, radius = between(problem, k, omega)
+            rho_L = None if radius is None else (np.abs(Q) * radius)[:, None, None] * response
+            return within_radius(convergence_matrix(P, Q, response), rho_L, level)
 
-    omega = _dense(problem, L, plant)
-    sigma = sigma_max(omega)
+        yield k, *_zoomed(sigma_max, dense, sigma_max(dense, response), level)
+        dense = dense if model is None else None
+
+
+def _zoomed(sigma_max, omega, sigma, level):
+    """The crests that are near a level or above, or the highest, from a grid and by zooming."""
     around = np.pad(sigma, 1, constant_values=-1.0)
-    top = (sigma >= np.maximum(around[:-2], around[2:])) & (sigma >= NEAR * min(level, sigma.max()))
-    [top] = np.nonzero(top)
+    high = sigma >= min(NEAR * level, sigma.max())
+    [top] = np.nonzero(high & (sigma >= np.maximum(around[:-2], around[2:])))
     top = top[np.argsort(-sigma[top])][:MOST_CRESTS]
     left, right = omega[np.maximum(top - 1, 0)], omega[np.minimum(top + 1, len(omega) - 1)]
-    omega, sigma = omega[top], sigma[top]
+    omega, sigma, every = omega[top], sigma[top], np.arange(len(top))
     for _ in range(ZOOMS):
         at = left + np.linspace(0, 1, ZOOM)[:, None] * (right - left)
         values = sigma_max(at.ravel()).reshape(at.shape)
-        best, every = values.argmax(axis=0), np.arange(len(top))
+        best = values.argmax(axis=0)
         left, right = at[np.maximum(best - 1, 0), every], at[np.minimum(best + 1, ZOOM - 1), every]
-        higher = values[best, every] > sigma
-        omega, sigma = np.where(
-            higher, (at[best, every], values[best, every]), (omega, sigma)
-        )
+        omega = np.where(values[best, every] > sigma, at[best, every], omega)
+        sigma = np.maximum(values[best, every], sigma)
     return omega, sigma
 
 
-def _dense(problem, L, plant):
-    """Frequencies between those of the design that resolve their samples, and L and P."""
-    design, Ts, model = problem.design, problem.Ts, problem.models[plant]
-    steps = np.linspace(0, 1, DENSER, endpoint=False)
-    between_samples = design.omega[:-1, None] + np.outer(np.diff(design.omega), steps)
-    poles = [factor.poles for factor in _factors_of(L)]
-    poles = np.concatenate(poles if model is None else [*poles, model.poles()])
+def _resolved(poles):
+    """Angles close enough to resolve a response with these poles."""
     r, angle = np.abs(poles), np.abs(np.angle(poles))
     turns = np.linspace(0, np.pi, DENSER * np.count_nonzero(r < 0.5) + 1)
     bends = angle[r >= 0.5] + np.outer(np.tan(np.linspace(-1.5, 1.5, 61)), 1 - r[r >= 0.5])
-    dense = np.concatenate([turns, bends.ravel()]) / Ts
-    inside = (dense > design.omega[0]) & (dense < design.omega[-1])
-    return np.unique(np.concatenate([between_samples.ravel(), dense[inside], design.omega]))
+    return np.append(turns, bends)
 
 
 def peak_beyond(problem: Problem, L) -> Peak | None:

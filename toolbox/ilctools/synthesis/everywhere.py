@@ -8,7 +8,7 @@ filter that meets those is better than its lower bound says.
 import numpy as np
 from tqdm import tqdm
 
-from ilctools.evidence.peak import crests, peak_of_L, proven_peaks, unproven
+from ilctools.evidence.peak import crests, peak_of_L, proven_peaks
 from ilctools.problem.grid import refined
 from ilctools.problem.problem import Problem, Solution, largest_singular_values
 from ilctools.synthesis.cuts import solve, worst_sigma
@@ -96,8 +96,7 @@ def _peaks_of(problem, solution, allowance):
     limit_M, limit_L = _limits(problem, solution, allowance)
     L = problem.learned(solution)
     passing = [peak.omega for peak in proven_peaks(problem, L) if peak.sigma > limit_M]
-    for k in unproven(problem):
-        omega, sigma = crests(problem, L, k, limit_M)
+    for _, omega, sigma in crests(problem, L, limit_M):
         passing += omega[sigma > limit_M].tolist()
     sigma_L, omega = peak_of_L(L)
     return [*passing, omega] if sigma_L > limit_L else passing
