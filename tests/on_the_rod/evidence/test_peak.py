@@ -10,13 +10,7 @@ from hypothesis import strategies as st
 from plants import random_stable
 
 from ilctools import LearningFilter, zero_phase_butterworth
-from ilctools.evidence.peak import (
-    _ceiling,
-    _phase,
-    error_model,
-    learning_model,
-    peak_gain,
-)
+from ilctools.evidence.peak import _ceiling, _phase, error_model, learning_model, peak_gain
 from ilctools.models import frequency_response
 from ilctools.problem.between import axis_of, missed
 from ilctools.problem.problem import convergence_matrix, largest_singular_values

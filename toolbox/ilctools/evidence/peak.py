@@ -1,9 +1,9 @@
 """Are the bounds met between the samples? The peak over all frequencies.
 
-From samples it is estimated. For a model it has a proof. No grid is fine enough by itself; what can
-happen between two samples must be bounded, and the poles bound it. Let a_1 ... a_n be the
-eigenvalues of A, and the poles of the Butterworth filter H if there is Q = |H|^2, which is real;
-and let
+From samples, and within a radius, it is that of a dense grid, with a zoom into its crests. For a
+model it has a proof. No grid is fine enough by itself; what can happen between two samples must be
+bounded, and the poles bound it. Let a_1 ... a_n be the eigenvalues of A, and the poles of the
+Butterworth filter H if there is Q = |H|^2, which is real; and let
 
     phi(theta) = sum_j integral from 0 to theta of (1 - |a_j|^2) / |exp(j t) - a_j|^2 dt,
 
@@ -55,6 +55,7 @@ from dataclasses import dataclass, replace
 import control
 import numpy as np
 from scipy.linalg import matrix_balance, schur
+from scipy.optimize import elementwise
 
 from ilctools import arguments
 from ilctools.evidence.robustness import NEAR, within_radius
@@ -68,8 +69,7 @@ CHUNK = 2**21  # numbers held at a time while frequency responses are computed
 CLOSEST = 20  # poles next to the unit circle at which rounding is looked into
 DENSER = 10  # the grid between the samples, against theirs
 DENSE = 20  # samples for which a base counts in the grid beyond them
-MOST_CRESTS = 100  # the highest, into which is zoomed, so many times, by so many points
-ZOOMS, ZOOM = 4, 9
+MOST_CRESTS = 100  # the highest, into which is zoomed
 
 
 def peak_gain(
@@ -366,7 +366,7 @@ def estimated_peaks(problem: Problem, L, level) -> list[Peak]:
 def crests(problem, L, level):
     """Where between the frequencies sigma_max(M) is highest, of each plant that has no proof.
 
-    Yields its number, frequencies and values: all near the level, or the highest.
+    Yields its number, frequencies and values: all crests near the level, or above, and the highest.
     """
     Ts, known = problem.Ts, problem.design.omega
     steps = np.linspace(0, 1, DENSER, endpoint=False)
@@ -381,32 +381,23 @@ def crests(problem, L, level):
             dense = np.unique(np.append(samples, further[inside]))
             response = L.frequency_response(dense)
 
-        def sigma_max(omega, response=None, k=k):
+        def fall(omega, response=None, k=k):
+            """- sigma_max(M)."""
+            if not len(omega):
+                return omega
             response = L.frequency_response(omega) if response is None else response
             P, Q, radius = between(problem, k, omega)
             rho_L = None if radius is None else (np.abs(Q) * radius)[:, None, None] * response
-            return within_radius(convergence_matrix(P, Q, response), rho_L, level)
+            return -within_radius(convergence_matrix(P, Q, response), rho_L, level)
 
-        yield k, *_zoomed(sigma_max, dense, sigma_max(dense, response), level)
+        sigma = -fall(dense, response)
+        inner, beside = sigma[1:-1], np.maximum(sigma[:-2], sigma[2:])
+        top = 1 + np.flatnonzero((inner >= NEAR * level) & (inner >= beside))
+        top = top[np.argsort(-sigma[top])][:MOST_CRESTS]
+        brackets = dense[top - 1], dense[top], dense[top + 1]
+        found, at = elementwise.find_minimum(fall, brackets), np.append(top, sigma.argmax())
+        yield k, np.append(dense[at], found.x), np.append(sigma[at], -found.f_x)
         dense = dense if model is None else None
-
-
-def _zoomed(sigma_max, omega, sigma, level):
-    """The crests that are near a level or above, or the highest, from a grid and by zooming."""
-    around = np.pad(sigma, 1, constant_values=-1.0)
-    high = sigma >= min(NEAR * level, sigma.max())
-    [top] = np.nonzero(high & (sigma >= np.maximum(around[:-2], around[2:])))
-    top = top[np.argsort(-sigma[top])][:MOST_CRESTS]
-    left, right = omega[np.maximum(top - 1, 0)], omega[np.minimum(top + 1, len(omega) - 1)]
-    omega, sigma, every = omega[top], sigma[top], np.arange(len(top))
-    for _ in range(ZOOMS):
-        at = left + np.linspace(0, 1, ZOOM)[:, None] * (right - left)
-        values = sigma_max(at.ravel()).reshape(at.shape)
-        best = values.argmax(axis=0)
-        left, right = at[np.maximum(best - 1, 0), every], at[np.minimum(best + 1, ZOOM - 1), every]
-        omega = np.where(values[best, every] > sigma, at[best, every], omega)
-        sigma = np.maximum(values[best, every], sigma)
-    return omega, sigma
 
 
 def _resolved(poles):

@@ -10,8 +10,6 @@ from scipy.interpolate import CubicSpline
 
 from ilctools.models import frequency_response
 
-EVERY_OTHER = (1, 2)  # first of the samples that are left out, between the two at the ends
-
 
 def between(problem, plant: int, omega):
     """P (k, m, m) of a plant, Q (k,) and the radius (k,), or None, within the design frequencies.
@@ -45,16 +43,13 @@ def missed(P, Q, omega, L, axis, radius=0.0) -> float:
     """
     if len(omega) < 4:
         return np.inf
-    QP, largest, identity = Q[:, None, None] * P, 0.0, np.eye(P.shape[-1])
+    largest, identity = 0.0, np.broadcast_to(np.eye(P.shape[-1]), P.shape)
+    QP = Q[:, None, None] * np.concatenate([identity, -P], axis=2)
+    M_of = np.concatenate([identity, L], axis=1)  # M = [Q I, -Q P] [I; L]
     covered = np.abs(Q) * radius * np.linalg.norm(L, 2, axis=(1, 2))
-    for first in EVERY_OTHER:
+    for first in (1, 2):  # every other sample between the two at the ends
         out = np.arange(first, len(omega) - 1, 2)
-        known = axis(np.delete(omega, out))
-        P_out, Q_out = (
-            CubicSpline(known, np.delete(X, out, axis=0))(axis(omega[out])) for X in (P, Q)
-        )
-        M_off = (Q_out - Q[out])[:, None, None] * identity
-        M_off = M_off - (Q_out[:, None, None] * P_out - QP[out]) @ L[out]
-        off = np.linalg.norm(M_off, 2, axis=(1, 2)) - covered[out]
-        largest = max(largest, off.max())
+        spline = CubicSpline(axis(np.delete(omega, out)), np.delete(QP, out, axis=0))
+        off = (spline(axis(omega[out])) - QP[out]) @ M_of[out]
+        largest = max(largest, *(np.linalg.norm(off, 2, axis=(1, 2)) - covered[out]))
     return float(largest)

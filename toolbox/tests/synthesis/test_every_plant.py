@@ -27,9 +27,7 @@ def plant(rng, m):
         entries[i, j] = entry * control.tf([1], [1, 0], 1.0) ** int(rng.integers(0, 3))
     apart = control.append(*(control.ss(entry) for entry in entries.ravel()))
     split, joined = np.tile(np.eye(m), (m, 1)), np.repeat(np.eye(m), m, axis=1)
-    return control.ss(
-        apart.A, apart.B @ split, joined @ apart.C, joined @ apart.D @ split, 1.0
-    )
+    return control.ss(apart.A, apart.B @ split, joined @ apart.C, joined @ apart.D @ split, 1.0)
 
 
 def response(model, omega):
@@ -46,9 +44,15 @@ def posed(seed):
     off = [np.eye(m)] + [np.eye(m) + 0.1 * rng.uniform(-1, 1, (m, m)) for _ in range(count - 1)]
     models = [control.ss(first.A, first.B, A @ first.C, A @ first.D, 1.0) for A in off]
     as_models = rng.random(count) < rng.choice([0.0, 0.5, 1.0])
-    plants = [P if exact else response(P, omega) for P, exact in zip(models, as_models, strict=True)]
+    plants = [
+        P if exact else response(P, omega) for P, exact in zip(models, as_models, strict=True)
+    ]
     Q = zero_phase_butterworth(int(rng.integers(1, 3)), rng.uniform(0.1, 0.6), 1.0)
-    asked = {"M_max": rng.choice([0.9, 0.3, 0.1]), "everywhere": True, "objective": rng.choice(["sum", "peak"])}
+    asked = {
+        "M_max": rng.choice([0.9, 0.3, 0.1]),
+        "everywhere": True,
+        "objective": rng.choice(["sum", "peak"]),
+    }
     asked |= {"base": 0.1} if rng.random() < 0.4 else {"order": int(rng.integers(3, 12))}
     if rng.random() < 0.7:
         asked["uncertainty"] = rng.uniform(0, 0.1) * (1 + rng.random(n))
@@ -75,7 +79,9 @@ def reached(M, L, rho):
 def judged(design, plants, models, Q, omega, radius, said):
     """The worst sigma_max of M and L on a dense grid; of M, where it is near what is said."""
     axis, first, last = design.problem.axis, omega[0], omega[-1]
-    dense = np.concatenate([np.linspace(0, np.pi, POINTS // 2), np.geomspace(first, last, POINTS // 2)])
+    dense = np.concatenate(
+        [np.linspace(0, np.pi, POINTS // 2), np.geomspace(first, last, POINTS // 2)]
+    )
     dense = np.sort(np.minimum(dense, np.pi))
     inside = (dense >= first) & (dense <= last)
     L = design.filter.frequency_response(dense)
