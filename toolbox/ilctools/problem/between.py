@@ -43,13 +43,16 @@ def missed(P, Q, omega, L, axis, radius=0.0) -> float:
     """
     if len(omega) < 4:
         return np.inf
-    largest, identity = 0.0, np.broadcast_to(np.eye(P.shape[-1]), P.shape)
-    QP = Q[:, None, None] * np.concatenate([identity, -P], axis=2)
-    M_of = np.concatenate([identity, L], axis=1)  # M = [Q I, -Q P] [I; L]
-    covered = np.abs(Q) * radius * np.linalg.norm(L, 2, axis=(1, 2))
+    covered, largest = np.abs(Q) * radius * np.linalg.norm(L, 2, axis=(1, 2)), 0.0
     for first in (1, 2):  # every other sample between the two at the ends
         out = np.arange(first, len(omega) - 1, 2)
-        spline = CubicSpline(axis(np.delete(omega, out)), np.delete(QP, out, axis=0))
-        off = (spline(axis(omega[out])) - QP[out]) @ M_of[out]
-        largest = max(largest, *(np.linalg.norm(off, 2, axis=(1, 2)) - covered[out]))
+        known, place = axis(np.delete(omega, out)), axis(omega[out])
+        M, M_out = (
+            q[:, None, None] * (np.eye(P.shape[-1]) - p @ L[out])
+            for p, q in (
+                (P[out], Q[out]),
+                [CubicSpline(known, np.delete(X, out, axis=0))(place) for X in (P, Q)],
+            )
+        )
+        largest = max(largest, *(np.linalg.norm(M_out - M, 2, axis=(1, 2)) - covered[out]))
     return float(largest)
