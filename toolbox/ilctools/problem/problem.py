@@ -17,6 +17,7 @@ import numpy as np
 from ilctools.base import RegularisedInverse, in_units
 from ilctools.filters import LearningFilter, LearningOperator, ZeroPhaseButterworth
 from ilctools.problem import defaults
+from ilctools.problem.between import axis_of
 from ilctools.signals import Signals
 
 K_MAX = 4.0  # of sigma_max(K): more would show at the ends of a trial, where K e is cut off
@@ -215,17 +216,29 @@ class Problem:
             return np.abs(self.butterworth.frequency_response(omega))
         return np.full(len(omega), np.abs(self.design.Q[-1]))
 
+    @cached_property
+    def axis(self):
+        """Of omega and log omega that over which samples are interpolated, see `between`."""
+        return axis_of(self.P, self.Q, self.omega)
+
     @property
     def assumed(self) -> tuple[str, ...]:
-        """What is assumed of P and Q above the last sample, in words."""
-        if self.beyond is None:
-            return ()
-        last, Q = self.design.omega[-1], np.abs(self.design.Q[-1])
-        of_Q = "" if self.butterworth else f", and |Q| {Q:.4g}, as at the last sample"
-        return (
-            f"assumed: above {last:.4g} rad/s, where P is not known, sigma_max(P) is "
-            f"{self.beyond:.4g} at most, at any phase{of_Q}",
-        )
+        """What is assumed above the last sample and between them, in words."""
+        texts, last, Q = [], self.design.omega[-1], np.abs(self.design.Q[-1])
+        if self.beyond is not None:
+            of_Q = "" if self.butterworth else f", and |Q| {Q:.4g}, as at the last sample"
+            texts.append(
+                f"assumed: above {last:.4g} rad/s, where P is not known, sigma_max(P) is "
+                f"{self.beyond:.4g} at most, at any phase{of_Q}"
+            )
+        sampled = self.butterworth is None or None in self.models
+        known = ["samples are joined by cubic splines"] if sampled else []
+        if self.radius is not None:
+            known.append("the radius is interpolated by straight lines")
+        if known:
+            axis = "log omega" if self.design.axis is np.log else "omega"
+            texts.append(f"assumed: between omega, {' and '.join(known)}, over {axis}")
+        return tuple(texts)
 
     @property
     def findings(self) -> tuple[str, ...]:

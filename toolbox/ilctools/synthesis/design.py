@@ -115,10 +115,13 @@ def synthesise(
         Radius at each frequency: the bounds hold for each P + Delta with ||Delta|| <= radius, of
         the channels in units of `scale`, by a condition that is exact.
     everywhere : bool
-        Whether the bounds hold at every frequency, not on `omega` only: where models are known by
-        proof, to a relative 3e-8; between samples by splines, and without the radius. The sum is
-        that over `omega`. It takes two to three times as long, for filters of 60 samples ten times
-        and more, of two channels up to a minute; half the `order` takes a fraction of that.
+        Whether the bounds hold at every frequency, not on `omega` only, for all plants: of models
+        without a radius by proof, to a relative 3e-8; else from the first to the last of `omega`,
+        on a dense grid with a zoom into its crests, to 1e-7, where cubic splines run through
+        samples and straight lines through the radius, both over omega or log omega, whichever
+        predicts every other sample better. The sum is that over `omega`. It takes two to three
+        times as long, for filters of 60 samples ten times and more, of two channels up to a minute;
+        half the `order` takes a fraction of that.
     base : float, None or "auto"
         L = B K with B = (P* P + b^2)^-1 P*, the operator of :class:`NormOptimal`, and a K of
         `order` samples, 21 if that is not given, as many back as ahead; b in units of the largest
@@ -137,16 +140,17 @@ def synthesise(
     Returns
     -------
     Synthesis
-        With its certificate. What it says about all frequencies is proven if P and Q are models.
-        From arrays it is read off splines between the first and the last frequency.
+        With its certificate. What it says about all frequencies is proven if P and Q are models
+        without a radius. Else it is read off splines and a radius that is interpolated, between
+        the first and the last frequency, see `everywhere`.
 
     Warns
     -----
     UserWarning
         For each of the certificate's `warnings`: samples too coarse for splines, or that scatter as
         noise does (of samples without noise, one in 1000 sets), bounds passed between the
-        frequencies by a quarter of 1 - M_max, a filter that leaves nearly all of the error, a Q
-        that no filter can make up for where P is not known.
+        frequencies by a quarter of 1 - M_max, or M above one there within the radius, a filter that
+        leaves nearly all of the error, a Q that no filter can make up for where P is not known.
 
     Raises
     ------
