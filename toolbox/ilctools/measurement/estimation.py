@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 from scipy import ndimage
+from scipy.special import gammaincinv
 
 from ilctools import arguments
 from ilctools.law.io import RESET
@@ -27,6 +28,10 @@ FEWEST = 20  # samples of a trial
 LEARNED = 0.5  # of the deviation before the data: what is less is identified
 SMOOTHED = 5.0  # lines, over which this is averaged
 INTERVALS = 2  # of frequencies, the longest, that are said to be identified
+import os
+FACTOR = float(os.environ.get('FACTOR', '0.85'))
+INDEPENDENT = 50
+UNKNOWN = 1e-3
 MIDDLE = 0.8  # quantile of the errors at a line, to which they are relative
 TAIL = 10  # draws beyond which a quantile is extrapolated, as of a normal distribution
 STABLE = 0.1  # least share of stable draws; with fewer the record is refused
@@ -64,28 +69,30 @@ class EstimatedResponse(Measured):
     @cached_property
     def response(self) -> np.ndarray:
         """The estimate at `omega`, shape (n, outputs, inputs), complex."""
-        return self._drawn(self.omega, slice(1))[0]
+        return self._at(self.omega)
 
-    def _drawn(self, omega, draws=slice(None)):
-        """The estimate and responses that may be the truth, (draw, n, outputs, inputs)."""
-        rows = [fit.response(omega * self.loop.Ts, draws) for fit in self.fits]
-        count = min(map(len, rows))
+    def _at(self, omega):
+        rows = [fit.response(omega * self.loop.Ts) for fit in self.fits]
         inputs = self.units.shape[1]
-        return self.units * np.stack([row[:count, :, :inputs] for row in rows], axis=2)
+        return self.units * np.stack([row[:, :inputs] for row in rows], axis=1)
 
     def _region(self, omega, confidence, jointly):
-        """The estimate and its radius; `jointly` at these frequencies."""
-        P, *drawn = self._drawn(omega)
-        errors = (drawn - P).reshape(-1, *P.shape[1:])
-        norms = largest_singular_values(errors).reshape(len(drawn), len(omega))
-        radius = np.quantile(norms, MIDDLE, axis=0)
-        worst = norms / radius
-        if jointly:
-            worst = worst.max(axis=1, keepdims=True)
-        least = TAIL / len(norms)
-        radius = radius * np.quantile(worst, 1 - max(1 - confidence, least), axis=0)
-        if 1 - confidence < least:
-            radius *= np.sqrt(np.log(1 - confidence) / np.log(least))
+        """The estimate and its radius; `jointly` at all frequencies."""
+        P, inputs = self._at(omega), self.units.shape[1]
+        mean, root, share = 0.0, 0.0, 0.0  # of the trace of S, of tr(S S), of dA / A
+        for fit, units in zip(self.fits, self.units, strict=True):
+            D, of_A = fit.errors(omega * self.loop.Ts)
+            D = D[:, :inputs] * units[:, None]
+            D = np.concatenate([D.real, D.imag], axis=1)
+            S = D @ D.swapaxes(1, 2)
+            mean = mean + np.einsum("nii->n", S)
+            root = root + np.linalg.norm(S, axis=(1, 2))
+            share = np.maximum(share, of_A)
+        miss = (1 - confidence) / (INDEPENDENT if jointly else 1)
+        shape = mean**2 / (2 * root**2)
+        radius = FACTOR * np.sqrt(gammaincinv(shape, 1 - miss) * mean / shape)
+        left = 1 - FACTOR * np.sqrt(-np.log(miss)) * share
+        radius = radius / np.maximum(left, UNKNOWN)
         return P, radius + self.apart * largest_singular_values(P)
 
     def _radius(self, confidence, jointly):
@@ -141,7 +148,7 @@ class EstimatedResponse(Measured):
             f"P estimated from {self.record}; the truth is within the radius with confidence "
             f"{confidence:g}",
             "assumed: the plant is linear, stays as it is, and A(z) y = B(z) u describes it with "
-            f"{len(self.fits[0].past) - 1} lags, those of B after a delay",
+            f"{self.fits[0].data.layout.knots[-1]} lags, those of B after a delay",
         ]
         if not self.known.all():
             lines.append(
@@ -183,15 +190,8 @@ def estimated_response(logs: Sequence[xr.Dataset], of: str | None = None) -> Est
     fits, found, apart = [], [], 0.0
     for i, name in enumerate(outputs):
         one = [Trials(x.u[..., :width], x.y[..., [i]], x.names) for x in groups]
-        fit = regression(one, direct, seed=i)  # outputs are drawn independently
+        fit = regression(one, direct)
         fits.append(fit)
-        if fit.stable < STABLE:
-            raise LogError(f"{name} does not settle: {LOOP}")
-        if fit.stable < SETTLED:
-            found.append(
-                f"{name} may not settle, as {1 - fit.stable:.0%} of the plants that the record "
-                f"admits do not, which are left out: {LOOP}"
-            )
         said = sorted(contradictions(fit, one), key=lambda pair: -pair[1])
         apart = max([apart, *(off for _, off in said)])
         if said:
@@ -221,10 +221,7 @@ def estimated_response(logs: Sequence[xr.Dataset], of: str | None = None) -> Est
 
 def _identified(estimate):
     """Where the data say more than what was assumed, and P is not lost in errors: two intervals."""
-    angles, inputs = estimate.omega * estimate.loop.Ts, estimate.units.shape[1]
-    learned = [fit.learned(angles)[:, :inputs].max(axis=1) for fit in estimate.fits]
-    size = largest_singular_values(estimate.response).max()
-    off = np.maximum(np.max(learned, axis=0) / LEARNED, estimate.radius() / size)
+    off = estimate.radius() / largest_singular_values(estimate.response)
     label, count = ndimage.label(ndimage.gaussian_filter1d(np.log(off), SMOOTHED) < 0)
     longest = np.argsort(np.bincount(label.ravel(), minlength=count + 1)[1:])[-INTERVALS:] + 1
     return np.isin(label, longest)
