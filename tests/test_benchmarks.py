@@ -7,6 +7,15 @@ import nbformat
 import numpy as np
 import pytest
 
+from ilctools import (
+    ClosedLoop,
+    Law,
+    LearningFilter,
+    rms,
+    run_trials,
+    synthesise,
+    zero_phase_butterworth,
+)
 from rodlib.paper.repository import ROOT
 
 FOLDER = ROOT / "benchmarks"
@@ -181,3 +190,54 @@ def test_a_heater_board_is_known_from_long_moves_around_the_working_point(benchm
     assert boards.ranges(np.array([[0.123, 2], [0.456, 1]]), (2, 0)) == [
         "0.12 to 0.46", "1 to 2",
     ]  # fmt: skip
+
+
+def test_laws_are_judged_by_what_trials_leave_with_the_same_noise(benchmarks):
+    """Against the simulator of the toolbox: a plant of two channels that is off."""
+    import peers
+
+    case = peers.case_of("plate")
+    P, Q = case.plants[1], zero_phase_butterworth(2, case.cutoff, 1.0)
+    L = LearningFilter(np.stack([np.eye(2), -0.5 * np.eye(2)], axis=-1), 1.0)
+    log = run_trials(
+        ClosedLoop(case.plants[0]), Law(Q, L), case.reference, plant=P, noise=case.noise
+    )
+    without_noise = rms(log.e + case.noise).values  # the log has what the sensors show
+    np.testing.assert_allclose(case.errors(Q, L, 1), without_noise, rtol=1e-9)
+    np.testing.assert_array_equal(case.noise, peers.case_of("plate").noise)
+    assert np.std(case.noise[..., 1]) == pytest.approx(peers.NOISE * 0.6, rel=0.05)
+
+
+def test_an_opponents_least_squares_and_inverse_are_what_they_are_called(benchmarks):
+    """Against dense least squares over the circle, and against P itself."""
+    import peers
+
+    case = peers.case_of("plate")
+    Q = zero_phase_butterworth(2, case.cutoff, 1.0)
+    opponents = peers.Opponents(synthesise(case.known, Q, order=2).problem, 400)
+    L = opponents.least_squares(np.log10([3, 2, 1e-3]))
+    angles, lags = np.linspace(0, 2 * np.pi, 2 * peers.LINES, endpoint=False), np.arange(-2, 4)
+    P = case.plants[0](np.exp(1j * angles)).transpose(2, 0, 1)
+    weight = Q.frequency_response(np.minimum(angles, 2 * np.pi - angles)) / np.sqrt(len(angles))
+    columns = np.einsum("n,nij,nk->nikj", weight, P, np.exp(1j * np.outer(angles, lags)))
+    ridge = np.sqrt(1e-3) * opponents.size * np.eye(12)
+    matrix = np.vstack([columns.reshape(-1, 12), ridge])
+    target = np.vstack([(weight[:, None, None] * np.eye(2)).reshape(-1, 2), np.zeros((12, 2))])
+    x = np.linalg.lstsq(matrix, target)[0].real.reshape(6, 2, 2)
+    np.testing.assert_allclose(L.coefficients, x.transpose(1, 2, 0), atol=1e-8 * np.abs(x).max())
+    L = opponents.zero_phase_inversion([0, -12, 0.3])
+    F = zero_phase_butterworth(2, 10**0.3 * case.cutoff, 1.0).frequency_response([0.1])
+    PL = opponents.known(np.array([0.1])) @ L.frequency_response([0.1])
+    np.testing.assert_allclose(PL[0], F[0] * np.eye(2), atol=1e-4)
+
+
+def test_what_is_lost_to_peers_is_named(benchmarks):
+    import peers
+
+    ours, other, third = (np.array([x, x, x, x, x]) for x in (0.4, 0.1, 0.35))
+    rows = [
+        ("one", "none", {"ours": ours, "norm_optimal": other}, None),
+        ("two", "0.1", {"ours": ours, "norm_optimal": third}, None),
+    ]
+    nominal, off = peers.losses(rows)
+    assert "1 of 2; above 3 times: 1. Not within: one (4)" in nominal and "1 of 2" in off

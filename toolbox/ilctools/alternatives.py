@@ -18,7 +18,7 @@ from scipy.sparse.linalg import SuperLU, splu
 
 from ilctools import arguments
 from ilctools.filters import LearningFilter, LearningOperator
-from ilctools.models import frequency_response, sampled_plant
+from ilctools.models import balanced, frequency_response, sampled_plant
 
 SHORTEST, LONGEST = 2**12, 2**20  # samples of the transform, for an impulse response
 NEGLIGIBLE = 1e-9  # of its largest entry
@@ -146,9 +146,14 @@ class NormOptimal:
         return np.linalg.solve(adjoint @ P + weight, adjoint)
 
     @cached_property
+    def _states(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """A, B and C of P, of states in units of like size: pivots stay near the diagonal."""
+        return balanced(self.P.A, self.P.B, self.P.C)
+
+    @cached_property
     def _factors(self) -> SuperLU:
         """Of the conditions of optimality, for x(p), change(p), lambda(p), p = 0, 1, ..."""
-        A, B, C, D = self.P.A, self.P.B, self.P.C, self.P.D
+        (A, B, C), D = self._states, self.P.D
         n, m = B.shape
         O, I = np.zeros, np.eye(n)  # noqa: E741
         here = np.block(
@@ -169,7 +174,7 @@ class NormOptimal:
         """The best change, shape (..., samples, m), for an error of shape (..., samples, p)."""
         signal = arguments.array("signal", signal, (..., self.samples, self.channels))
         n, m = self.P.B.shape
-        right = self._solved(np.dot(signal, np.hstack([self.P.C, self.P.D])))
+        right = self._solved(np.dot(signal, np.hstack([self._states[2], self.P.D])))
         return right[..., n : n + m]
 
     def apply_transposed(self, signal) -> np.ndarray:
@@ -177,7 +182,7 @@ class NormOptimal:
         n, m = self.P.B.shape
         signal = arguments.array("signal", signal, (..., self.samples, m))
         solution = self._solved(np.pad(signal, [(0, 0)] * (signal.ndim - 1) + [(n, 0)]))
-        return solution[..., : n + m] @ np.hstack([self.P.C, self.P.D]).T
+        return solution[..., : n + m] @ np.hstack([self._states[2], self.P.D]).T
 
     def _solved(self, right):
         """The conditions of optimality, for right-hand sides (..., samples, n + m) of x, change."""

@@ -4,16 +4,28 @@ Section III, before (12): what is left of a model when nothing is kept that no c
 output shows; and any plant, a transfer function as well, as such a model in discrete time.
 """
 
+import copyreg
 import reprlib
 from collections.abc import Sequence
+from functools import partial
 from os import PathLike
 
 import control
 import numpy as np
 from scipy import signal
-from scipy.linalg import LinAlgError, null_space
+from scipy.linalg import LinAlgError, matrix_balance, null_space
 
 from ilctools import arguments
+
+
+def _reduced(model):
+    """What pickle makes of a model, so that designs and loops can be sent to other processes."""
+    labels = {f"{kind}s": getattr(model, f"{kind}_labels") for kind in ("input", "output", "state")}
+    make = partial(control.StateSpace, name=model.name, remove_useless_states=False, **labels)
+    return make, (model.A, model.B, model.C, model.D, model.dt)
+
+
+copyreg.pickle(control.StateSpace, _reduced)  # its own attributes are lambdas
 
 
 def frequency_response(system: control.StateSpace, omega) -> np.ndarray:
@@ -78,7 +90,14 @@ def state_sequence(A, forcing, initial) -> np.ndarray:
     # A loop over 2500 samples costs more than the arithmetic in it. The trial is cut into about 50
     # blocks that run side by side, from zero first; that chains their initial states, from which
     # they run again.
-    samples, n = forcing.shape
+    A, forcing, n = np.asarray(A), np.asarray(forcing), np.size(initial)
+    shapes = A.shape, forcing.shape[1:], np.shape(initial)
+    if shapes != ((n, n), (n,), (n,)):
+        raise ValueError(
+            f"A, forcing and initial have shapes {A.shape}, {forcing.shape} and {shapes[2]}, but "
+            "must have (n, n), (time, n) and (n,)"
+        )
+    samples = len(forcing)
     length = int(np.ceil(np.sqrt(samples)))
     blocks = -(-samples // length)
     padded = np.zeros((blocks * length, n))
@@ -120,7 +139,8 @@ def unreachable_modes(A, B) -> tuple[np.ndarray, np.ndarray]:
     >>> values.real.round(4)
     array([-2.])
     """
-    A, B = np.asarray(A, dtype=float), np.asarray(B, dtype=float)
+    A = arguments.array("A", A, ("n", "n"))
+    B = arguments.array("B", B, (len(A), "inputs"))
     scale_A, scale_B = (np.linalg.norm(X, 2) or 1.0 for X in (A, B))
     values, vectors = [], []
     for eigenvalue in np.linalg.eigvals(A):
@@ -282,6 +302,21 @@ def impulse_response(model: control.StateSpace, samples: int) -> np.ndarray:
     for p in range(1, samples):
         h[p], X = model.C @ X, model.A @ X
     return h
+
+
+def balanced(A, B, C):
+    """Scale the states by powers of two so that no entry of A is large merely by its unit."""
+    # The errors of a Schur form and of sparse factors are relative to the largest entry of A. If
+    # one state is counted in units of 1e-8, the others lose eight digits.
+    # with one row and column for inputs and outputs
+    inputs = np.abs(B).max(axis=1, keepdims=True)
+    outputs = np.abs(C).max(axis=0, keepdims=True)
+    size = np.block([[np.abs(A), inputs], [outputs, 0]])
+    np.fill_diagonal(size, 0)  # which no unit changes
+    with np.errstate(invalid="ignore"):  # of whole numbers that are not used
+        _, (scale, _) = matrix_balance(size, permute=False, separate=True)
+    scale = scale[:-1] / scale[-1]
+    return A * scale / scale[:, None], B / scale[:, None], C * scale
 
 
 def _realised(plant, called):

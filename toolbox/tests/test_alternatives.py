@@ -1,5 +1,6 @@
 """Other designs in cases whose answers are known; filters known by a response, by convolution."""
 
+import control
 import numpy as np
 import pytest
 from hypothesis import given
@@ -40,9 +41,11 @@ def test_gradient_is_the_adjoint_of_a_trial_and_converges_at_its_rate(P):
 
 
 def test_norm_optimal_solves_the_lifted_problem():
-    """By dense algebra, for a plant with feedthrough, and for one with a delay."""
-    weight = 0.03
-    for P in (random_stable(1), LOOPS["furnace"]().P):
+    """By dense algebra: with feedthrough, with a delay, with states in units of 1e-20 to 1e20."""
+    weight, like = 0.03, random_stable(1)
+    units = np.geomspace(1e-20, 1e20, like.nstates)
+    A, B, C = like.A * units / units[:, None], like.B / units[:, None], like.C * units
+    for P in (like, control.ss(A, B, C, like.D, like.dt), LOOPS["furnace"]().P):
         G, L = lifted(P, 60), NormOptimal(P, weight, 60)
         dense = np.linalg.solve(G.T @ G + weight * np.eye(len(G)), G.T)
         np.testing.assert_allclose(as_matrix(L.apply, 60, L.channels), dense, atol=1e-9)

@@ -10,15 +10,9 @@ from hypothesis import strategies as st
 from plants import random_stable
 
 from ilctools import LearningFilter, zero_phase_butterworth
-from ilctools.evidence.peak import (
-    _ceiling,
-    _phase,
-    error_model,
-    learning_model,
-    peak_gain,
-    spline_scale,
-)
+from ilctools.evidence.peak import _ceiling, _phase, error_model, learning_model, peak_gain
 from ilctools.models import frequency_response
+from ilctools.problem.between import axis_of, missed
 from ilctools.problem.problem import convergence_matrix, largest_singular_values
 from rodlib.paper import published
 
@@ -181,5 +175,6 @@ def test_splines_run_over_the_scale_in_which_they_predict(slow):
     ):
         P = (1 / (1 + 1j * omega))[:, None, None]
         L = np.full((40, 1, 1), 0.5 + 0j)
-        chosen, missed = spline_scale(P, np.ones(40), slow * omega, L)
-        assert chosen is scale and missed < 0.01
+        chosen = axis_of(P, np.ones(40), slow * omega)
+        assert chosen is scale and missed(P, np.ones(40), slow * omega, L, chosen) < 0.01
+        assert missed(P, np.ones(40), slow * omega, L, chosen, 0.1) == 0  # covered

@@ -84,7 +84,8 @@ def test_the_fit_measures_how_wrong_a_model_is():
     expected = 1 - np.sqrt(np.mean((y - y_hat) ** 2, axis=0) / y.var(axis=0))
     np.testing.assert_allclose(replayed.fit.loc[2], expected)
     assert np.all((expected > 0.3) & (expected < 0.95))
-    still = replayed.trials.assign(y=0 * replayed.trials.y + 3.0)
+    y = 0 * replayed.trials.y + 3.0
+    still = replayed.trials.assign(y=y, e=replayed.trials.reference - y)
     assert replay(still).fit.isna().all(axis=None)
 
 
@@ -179,7 +180,8 @@ def test_the_error_by_octave_is_the_predicted_one_on_the_model(loop):
         assert ratio == pytest.approx(np.linalg.norm(after) / np.linalg.norm(before))
         assert np.all(table.bound >= 0.5)
     assert replay(run).error_by_octave(1) is replay(run).error_by_octave(4) is None
-    other = run.assign(reference=run.reference * (1 + (run.trial == 3)))
+    reference = run.reference * (1 + (run.trial == 3))
+    other = run.assign(reference=reference, e=reference - run.y)
     assert replay_quietly(other).error_by_octave(3) is None
     del run.attrs["loop"]
     assert replay(run).error_by_octave(2) is None
@@ -229,6 +231,7 @@ def test_it_says_by_which_trial_to_what_the_error_converged(noise):
     e = left + 5 * left * 0.5 ** np.arange(16)[:, None, None]
     e += noise * np.random.default_rng(0).standard_normal(e.shape)
     run["e"] = (run.e.dims, e, run.e.attrs)
+    run["y"] = run.reference - run.e
     replayed = replay_quietly(run)
     (line,) = replayed.settling
     assert line.startswith("RMS (cm): converged, by about trial ") and line in repr(replayed)
@@ -240,7 +243,7 @@ def test_it_says_by_which_trial_to_what_the_error_converged(noise):
     assert "not converged" in early
     assert not replay_quietly(run.isel(trial=slice(3))).settling
     other = run.reference * (1 + (run.trial == 3))
-    assert not replay_quietly(run.assign(reference=other)).settling
+    assert not replay_quietly(run.assign(reference=other, e=other - run.y)).settling
 
 
 def replay_quietly(trials):

@@ -24,12 +24,14 @@ from ilctools.evidence.prediction import predicted_rms
 from ilctools.evidence.robustness import WorstCase, worst_case
 from ilctools.filters import LearningFilter
 from ilctools.models import frequency_response
+from ilctools.problem.defaults import lead
 from ilctools.problem.problem import (
     K_MAX,
     MOST_GAIN,
     TIED,
     Problem,
     Solution,
+    convergence_matrix,
     largest_singular_values,
 )
 from ilctools.problem.roughness import scatter_warnings
@@ -42,6 +44,9 @@ BETWEEN = 1e-7  # and of one between the frequencies, where the bounds hold ther
 # and by which M may pass a bound between the frequencies.
 COARSE = 0.25
 NAMED = 4  # of those that are tied as the worst, so many are named
+FINE = 2000  # frequencies of the mean over the band
+PASSED_L = 1.01  # times L_max, between the frequencies
+LEAD = 0.5  # of P's phase in the mean, rad, from which on its sign is taken to be wrong
 IDLE = 0.9  # share of the error in the band from which on learning counts as idle
 
 
@@ -54,7 +59,7 @@ class Certificate:
     value: float  # the objective reached
     worst: WorstCase  # of all plants, within the radius, at each of the frequencies
     # Peaks over all frequencies, without the radius: of the plants that are models, if Q is one,
-    # too; and between the samples of those of the others that are worst on the grid.
+    # too; and between the frequencies of omega, within the radius, and of samples.
     exact: list[Peak]
     estimated: list[Peak]
     beyond: Peak | None  # above the last sample, of the size that is assumed there
@@ -70,7 +75,7 @@ class Certificate:
 
     @property
     def peak(self) -> Peak:
-        """The highest over all frequencies, without the radius, unknown between the samples."""
+        """The highest over all frequencies."""
         return highest([*self.exact, *self.estimated])
 
     @property
@@ -83,9 +88,16 @@ class Certificate:
         """An upper bound of sigma_max(L), to 1e-8, for all frequencies."""
         return peak_of_L(self.filter)[0]
 
+    @cached_property
+    def between_L(self) -> float:
+        """The largest sigma_max(L) midway between the frequencies that bound it."""
+        omega = np.sort(self.problem.omega_L)
+        middle = self.filter.frequency_response((omega[1:] + omega[:-1]) / 2)
+        return float(largest_singular_values(middle).max())
+
     @property
     def proven(self) -> bool:
-        """False if P or Q are samples: between them `all_M` is read off splines."""
+        """False if P or Q are samples, or there is a radius: `all_M` is then of a dense grid."""
         return not self.estimated
 
     @property
@@ -117,7 +129,7 @@ class Certificate:
             gamma=self.rate,
             at=float(self.highest_peak.omega),
             spectral_radius=float(max(radii)),
-            proven=self.proven and problem.radius is None,
+            proven=self.proven,
             uncertain=problem.radius is not None or (beyond is not None and beyond.sigma >= 1),
             assumptions=self.assumptions,
         )
@@ -126,11 +138,15 @@ class Certificate:
     def mean_M(self) -> float:
         """Of the nominal plant, see :meth:`.Convergence.mean`; NaN without a band."""
         design = self.problem.design
-        low, _ = design.band or (0, 0)
+        low, high = design.band or (0, 0)
         if low <= 0:
             return np.nan
-        sigma = largest_singular_values(design.M(self.filter.frequency_response(design.omega)))
-        return float(log_mean(sigma, design.omega, design.band))
+        omega, P, Q = design.omega, design.P, design.Q
+        if design.model is not None:  # trapezia between coarse frequencies are not enough
+            omega = np.union1d(omega, np.geomspace(low, high, FINE))
+            P, Q = (frequency_response(design.models[0], omega), design.Q_at(omega))
+        M = convergence_matrix(P, Q, self.filter.frequency_response(omega))
+        return float(log_mean(largest_singular_values(M), omega, design.band))
 
     @property
     def predicted(self) -> dict[int, float] | None:
@@ -175,9 +191,7 @@ class Certificate:
             )
         if problem.everywhere:
             limit = 1 + VIOLATION + BETWEEN
-            high_M = any(peak.sigma > M_max * limit for peak in self.exact)
-            high_L = L_max is not None and self.all_L > L_max * limit
-            if high_M or high_L:
+            if self.all_M > M_max * limit or (L_max or np.inf) * limit < self.all_L:
                 yield (
                     f"sigma_max(M) is {self.all_M:.12g}, sigma_max(L) {self.all_L:.12g} at some "
                     "frequency, above the bounds"
@@ -199,6 +213,11 @@ class Certificate:
         texts = [*problem.findings]
         if design.models[0] is None and design.radius is None:
             texts += scatter_warnings(design.omega, design.P, design.Q)
+        if design.models[0] is None and lead(design.P, design.omega, design.Ts) > LEAD:
+            texts.append(
+                "the phase of P leads what its gain admits of any stable plant: is it of "
+                "exp(-j omega t), then pass P.conj(), in other units of omega, or |P| alone?"
+            )
         if problem.objective == "sum" and self.value > IDLE * problem.idle:
             share = self.value / problem.idle
             where = "in the band" if problem.band else "for this reference"
@@ -215,8 +234,8 @@ class Certificate:
             )
         elif not self.proven and margin <= 0:
             texts.append(
-                f"{whose} may reach {place} samples, where Lemma 1 would not hold; measure there, "
-                "or smooth samples that scatter"
+                f"{whose} may reach {place} frequencies omega, where Lemma 1 would not hold: "
+                "synthesise with everywhere=True, measure there, or smooth samples that scatter"
             )
         elif not self.proven and missed > COARSE * margin:
             texts.append(
@@ -247,8 +266,7 @@ class Certificate:
         return f"sigma_max(M) above {last:.4g} rad/s, with the size of P assumed there"
 
     def __repr__(self):
-        of = f", {self._worst()}" if self.problem.robust else ""
-        lines = [f"rate{of}: {self.rate:.4f}, {self._coverage()}"]
+        lines = [f"rate at most {self.rate:.4f}{self._whom()}, {self._coverage()}"]
         lines += [*self._mean(), self._reached(), *self._remarks()]
         return "\n".join(lines)
 
@@ -264,21 +282,19 @@ class Certificate:
         yield from (f"WARNING: {text}" for text in self.warnings)
         yield from (f"FAILS: {text}" for text in self.failures)
 
-    def _worst(self):
-        """Of which plants the worst is meant."""
+    def _whom(self):
+        """For which plants the rate is."""
         count = len(self.problem.plants)
         of = f" of {count} plants" if count > 1 else ""
-        return f"worst{of}{'' if self.problem.radius is None else ' within the radius'}"
+        if self.problem.radius is not None:
+            return f" for every plant within the radius{of}"
+        return f" for each{of}" if of else ""
 
     def _coverage(self):
-        """At which frequencies the rate is known, and how well."""
-        known = "proven" if self.proven else "estimated"
-        if self.problem.radius is not None:
-            where = "proven at the design frequencies"
-            return f"{where}, without the radius {known} in between"
+        """At which frequencies the rate is known."""
         if self.proven:
-            return "proven for all frequencies"
-        return f"{known} between the samples, {_span(self.problem.design.omega)}"
+            return "proven at all frequencies"
+        return f"at all frequencies {_span(self.problem.design.omega)}"
 
     def _mean(self) -> Iterator[str]:
         """The RMS predicted for a reference, or the mean rate in a band, if there is one."""
@@ -302,6 +318,8 @@ class Certificate:
             bounds.append(f"M_max = {problem.M_max:g}")
         if problem.L_max is not None and self.passed_L > 1 - TIED:
             bounds.append(f"L_max = {problem.L_max:g}")
+            if self.between_L > PASSED_L * problem.L_max:
+                bounds[-1] += f", {self.between_L:.3g} between the frequencies,"
             if self.value >= problem.unit(0):  # below, rounding decides
                 share = min(self.relief / 10, 1)
                 bounds[-1] += f" (10 % more would lower the objective by {share:.1%} at most)"
@@ -316,9 +334,7 @@ class Certificate:
         """Bounds and peaks of M and L."""
         problem = self.problem
         L_max = "none" if problem.L_max is None else f"{problem.L_max:g}"
-        all_M = "not known"
-        if self.proven and problem.radius is None:
-            all_M = f"{self.all_M:.8f}"
+        all_M = f"{self.all_M:.8f}" if self.proven else "not proven"
         rows = [
             ("", "sigma_max(M)", "sigma_max(L)"),
             ("bound", f"{problem.M_max:g}", L_max),
@@ -332,38 +348,29 @@ class Certificate:
 
     def _of_worst(self) -> Iterator[str]:
         """The worst plants and frequencies, if there is a choice."""
-        problem = self.problem
-        if not problem.robust:
-            return
-        yield f"{self._worst()} on the design grid: {self._where()}"
-        if problem.radius is not None:
-            yield (
-                f"a plant within the radius reaches {self.grid_M:.8f} there; between the samples "
-                "the radius is not known"
-            )
+        if self.problem.robust:
+            yield f"worst{self._whom()} on the design grid: {self._where()}"
 
     def _between(self) -> Iterator[str]:
         """What is not in the table of M between the design frequencies."""
         problem, omega = self.problem, self.problem.design.omega
-        without = "" if problem.radius is None else " without the radius"
         if self.proven:
-            if without:
-                yield f"sigma_max(M) over all frequencies{without}: {self.all_M:.8f}"
             return
-        of, count = "", len(self.estimated)
-        if count < len(problem.plants):
-            of = f" for the {count} sampled plants that are worst on the grid"
-        yield (
-            f"sigma_max(M){without} {_span(omega)}, between the samples: {self.all_M:.4f}, "
-            f"estimated{of}"
-        )
+        within = "" if problem.radius is None else " within the radius"
+        if self.exact:
+            sigma = highest(self.exact).sigma
+            yield f"sigma_max(M) of the models alone over all frequencies, proven: {sigma:.8f}"
+        sigma = highest(self.estimated).sigma
+        yield f"sigma_max(M){within} {_span(omega)}, on a dense grid: {sigma:.4f}, estimated"
         unknown = [f"below {omega[0]:.4g} rad/s"] if omega[0] > 0 else []
         if self.beyond:
             yield f"{self._above()}: {self.beyond.sigma:.4f} at most"
         elif omega[-1] < np.pi / problem.Ts * (1 - 1e-9):
             unknown.append(f"above {omega[-1]:.4g} rad/s")
-        unknown.append("at resonances that no sample shows")
-        yield f"sigma_max(M) unknown: {', '.join(unknown)}"
+        if len(self.exact) < len(problem.plants):
+            unknown.append("at resonances that no sample shows")
+        if unknown:
+            yield f"sigma_max(M){within} unknown: {', '.join(unknown)}"
 
     def _of_value(self) -> Iterator[str]:
         """The objective, and how much better another filter could be."""
@@ -405,7 +412,7 @@ def check(problem: Problem, L: LearningFilter) -> Certificate:
         value=problem.value(largest_singular_values(problem.M(response)), worst.sigma),
         worst=worst,
         exact=proven_peaks(problem, L),
-        estimated=estimated_peaks(problem, L, worst.peaks),
+        estimated=estimated_peaks(problem, L, worst.sigma.max()),
         beyond=peak_beyond(problem, L),
         grid_L=largest_singular_values(response).max(),
         passed_L=problem.passed_L(response),

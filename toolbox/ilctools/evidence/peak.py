@@ -1,9 +1,9 @@
 """Are the bounds met between the samples? The peak over all frequencies.
 
-From samples it is estimated. For a model it has a proof. No grid is fine enough by itself; what can
-happen between two samples must be bounded, and the poles bound it. Let a_1 ... a_n be the
-eigenvalues of A, and the poles of the Butterworth filter H if there is Q = |H|^2, which is real;
-and let
+From samples, and within a radius, it is that of a dense grid, with a zoom into its crests. For a
+model it has a proof. No grid is fine enough by itself; what can happen between two samples must be
+bounded, and the poles bound it. Let a_1 ... a_n be the eigenvalues of A, and the poles of the
+Butterworth filter H if there is Q = |H|^2, which is real; and let
 
     phi(theta) = sum_j integral from 0 to theta of (1 - |a_j|^2) / |exp(j t) - a_j|^2 dt,
 
@@ -54,12 +54,14 @@ from dataclasses import dataclass, replace
 
 import control
 import numpy as np
-from scipy.interpolate import CubicSpline
-from scipy.linalg import matrix_balance, schur
+from scipy.linalg import schur
+from scipy.optimize import elementwise
 
 from ilctools import arguments
+from ilctools.evidence.robustness import NEAR, within_radius
 from ilctools.filters import LearningFilter, ZeroPhaseButterworth
-from ilctools.models import by_substitution
+from ilctools.models import balanced, by_substitution
+from ilctools.problem.between import between, missed
 from ilctools.problem.problem import TIED, Problem, convergence_matrix, largest_singular_values
 
 MOST_POINTS = 2_000_000  # frequencies at which to give up
@@ -67,7 +69,7 @@ CHUNK = 2**21  # numbers held at a time while frequency responses are computed
 CLOSEST = 20  # poles next to the unit circle at which rounding is looked into
 DENSER = 10  # the grid between the samples, against theirs
 DENSE = 20  # samples for which a base counts in the grid beyond them
-LOOKED_AT = 20  # sampled plants, the worst of them, that splines are laid through
+MOST_CRESTS = 100  # the highest, into which is zoomed
 
 
 def peak_gain(
@@ -283,21 +285,6 @@ def _filter_rounded_up(Q, theta):
     return np.prod(most / least) ** 2 if least.min() > 0 else np.inf
 
 
-def balanced(A, B, C):
-    """Scale the states by powers of two so that no entry of A is large merely by its unit."""
-    # The error of a Schur form is relative to the largest entry of A. If one state is counted in
-    # units of 1e-8, the others lose eight digits.
-    # with one row and column for inputs and outputs
-    inputs = np.abs(B).max(axis=1, keepdims=True)
-    outputs = np.abs(C).max(axis=0, keepdims=True)
-    size = np.block([[np.abs(A), inputs], [outputs, 0]])
-    np.fill_diagonal(size, 0)  # which no unit changes
-    with np.errstate(invalid="ignore"):  # of whole numbers that are not used
-        _, (scale, _) = matrix_balance(size, permute=False, separate=True)
-    scale = scale[:-1] / scale[-1]
-    return A * scale / scale[:, None], B / scale[:, None], C * scale
-
-
 def learning_model(L: LearningFilter) -> control.StateSpace:
     """Causal model of z^-n_L L(z), whose singular values are those of L of (44)."""
     # y(p) = c_nL e(p) + ... + c_1 e(p - nL + 1), with m (n_L - 1) states e(p - 1), e(p - 2) ...
@@ -341,24 +328,69 @@ def proven_peaks(problem: Problem, L) -> list[Peak]:
     return [Peak(*peak_of_M(model, L, Q), k) for k, model in models]
 
 
-def estimated_peaks(problem: Problem, L, peaks) -> list[Peak]:
-    """Of the others, between samples, for those whose `peaks` on the grid are highest."""
-    design, plants = problem.design, np.argsort(-peaks, kind="stable")
-    if problem.butterworth is not None:
-        plants = [k for k in plants if problem.models[k] is None]
-    omega, Q = design.omega, design.Q
-    steps = np.linspace(0, 1, DENSER, endpoint=False)
-    between = omega[:-1, None] + np.outer(np.diff(omega), steps)
-    dense = np.append(between, omega[-1])
-    on_grid, on_dense = L.frequency_response(omega), L.frequency_response(dense)
-    estimates = []
-    for k in plants[:LOOKED_AT]:
-        P = design.plants[k]
-        scale, missed = spline_scale(P, Q, omega, on_grid)
-        M = convergence_matrix(*splined(P, Q, omega, dense, scale), on_dense)
-        sigma = largest_singular_values(M)
-        estimates.append(Peak(sigma.max(), dense[sigma.argmax()], k, missed))
+def unproven(problem: Problem) -> list[int]:
+    """Plants that have no proof between the frequencies: samples, and all if there is a radius."""
+    if problem.butterworth is None or problem.radius is not None:
+        return list(range(len(problem.plants)))
+    return [k for k, model in enumerate(problem.models) if model is None]
+
+
+def estimated_peaks(problem: Problem, L, level) -> list[Peak]:
+    """Of these, between the frequencies and within the radius; those below a level only bounded."""
+    design, estimates = problem.design, []
+    on_grid = L.frequency_response(design.omega)
+    for k, omega, sigma in crests(problem, L, level):
+        off = np.nan
+        if problem.butterworth is None or problem.models[k] is None:
+            known = design.plants[k], design.Q, design.omega, on_grid, design.axis
+            off = missed(*known, 0 if design.radius is None else design.radius)
+        estimates.append(Peak(sigma.max(), omega[sigma.argmax()], k, off))
     return estimates
+
+
+def crests(problem, L, level):
+    """Where between the frequencies sigma_max(M) is highest, of each plant that has no proof.
+
+    Yields its number, frequencies and values: all crests near the level, or above, and the highest.
+    """
+    Ts, known = problem.Ts, problem.design.omega
+    steps = np.linspace(0, 1, DENSER, endpoint=False)
+    samples = np.append((known[:-1, None] + np.outer(np.diff(known), steps)).ravel(), known[-1])
+    of_L = _resolved(np.concatenate([factor.poles for factor in _factors_of(L)])) / Ts
+    dense = None  # one for all samples
+    for k in unproven(problem):
+        model = problem.models[k]
+        if dense is None or model is not None:
+            further = of_L if model is None else np.append(of_L, _resolved(model.poles()) / Ts)
+            inside = (further > known[0]) & (further < known[-1])
+            dense = np.unique(np.append(samples, further[inside]))
+            response = L.frequency_response(dense)
+
+        def fall(omega, response=None, k=k):
+            """- sigma_max(M)."""
+            if not len(omega):
+                return omega
+            response = L.frequency_response(omega) if response is None else response
+            P, Q, radius = between(problem, k, omega)
+            rho_L = None if radius is None else (np.abs(Q) * radius)[:, None, None] * response
+            return -within_radius(convergence_matrix(P, Q, response), rho_L, level)
+
+        sigma = -fall(dense, response)
+        inner, beside = sigma[1:-1], np.maximum(sigma[:-2], sigma[2:])
+        top = 1 + np.flatnonzero((inner >= NEAR * level) & (inner >= beside))
+        top = top[np.argsort(-sigma[top])][:MOST_CRESTS]
+        brackets = dense[top - 1], dense[top], dense[top + 1]
+        found, at = elementwise.find_minimum(fall, brackets), np.append(top, sigma.argmax())
+        yield k, np.append(dense[at], found.x), np.append(sigma[at], -found.f_x)
+        dense = dense if model is None else None
+
+
+def _resolved(poles):
+    """Angles close enough to resolve a response with these poles."""
+    r, angle = np.abs(poles), np.abs(np.angle(poles))
+    turns = np.linspace(0, np.pi, DENSER * np.count_nonzero(r < 0.5) + 1)
+    bends = angle[r >= 0.5] + np.outer(np.tan(np.linspace(-1.5, 1.5, 61)), 1 - r[r >= 0.5])
+    return np.append(turns, bends)
 
 
 def peak_beyond(problem: Problem, L) -> Peak | None:
@@ -382,26 +414,3 @@ def highest(peaks: list[Peak]) -> Peak | None:
     level = [peak for peak in peaks if peak.sigma >= sigma * (1 - TIED)]
     first = min(level, key=lambda peak: peak.plant)
     return replace(first, sigma=sigma, missed=missed)
-
-
-def spline_scale(P, Q, omega, response):
-    """The scale of omega in which splines predict M best, and their error in cross-validation."""
-    # Measured grids are linear or logarithmic, plants smooth over one or the other. So the splines
-    # run over omega or log omega; with fewer than four samples the error is infinite.
-    M = convergence_matrix(P, Q, response)
-    scales = (np.asarray, np.log) if omega[0] > 0 else (np.asarray,)
-    errors = {}
-    for scale in scales:
-        errors[scale] = 0.0 if len(omega) > 3 else np.inf
-        for first in (1, 2):  # every other sample between the two at the ends
-            out = np.arange(first, len(omega) - 1, 2)
-            samples = [np.delete(X, out, axis=0) for X in (P, Q, omega)]
-            predicted = convergence_matrix(*splined(*samples, omega[out], scale), response[out])
-            sigma = largest_singular_values(predicted - M[out])
-            errors[scale] = max(errors[scale], *sigma)
-    return min(errors.items(), key=lambda item: item[1])
-
-
-def splined(P, Q, omega, places, scale):
-    """P and Q at other frequencies than those of their samples."""
-    return [CubicSpline(scale(omega), samples)(scale(places)) for samples in (P, Q)]

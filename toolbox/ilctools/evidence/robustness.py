@@ -15,6 +15,7 @@ from ilctools.filters import LearningFilter, check_learning
 from ilctools.problem.problem import Problem, largest_singular_values, tied
 from ilctools.signals import check_match
 
+NEAR = 0.99  # share of a level from which on a worst case is worth its exact value
 FARTHEST = 40.0  # logarithm of how unequal two shares may be: the smaller is then below rounding
 
 
@@ -91,6 +92,21 @@ def affine(problem: Problem, plant, at) -> tuple[np.ndarray, np.ndarray]:
         T = np.concatenate([T, rho * np.eye(m)], axis=1)
     F = Q * np.eye(T.shape[1], m)
     return F, T
+
+
+def within_radius(M, rho_L, level):
+    """The worst case at each frequency, (n,), of M and |Q| r L, (n, m, m), or None.
+
+    Exact from `NEAR` times the level on, an upper bound below.
+    """
+    sigma = largest_singular_values(M)
+    if rho_L is None:
+        return sigma
+    sigma += largest_singular_values(rho_L)
+    near = sigma >= NEAR * level
+    if M.shape[1] > 1 and near.any():
+        sigma[near] = _least_bound(np.concatenate([M, rho_L], axis=1)[near])
+    return sigma
 
 
 def _least_bound(G):

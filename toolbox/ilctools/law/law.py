@@ -149,11 +149,13 @@ class Law:
         ----------
         v, e : array_like, shape (time, m), or (time,) of one channel
             ILC signal and tracking error, reference - y, of the trial just done, both in the unit
-            of the output. Labelled signals (columns, or coordinates) are matched by name, for
-            which a law of several channels must be bound to a loop.
+            of the output; the time first, which a square array cannot show. Labelled signals
+            (columns, or coordinates) are matched by name, for which a law of several channels must
+            be bound to a loop.
         u : array_like, shape (time, m), optional
             Needed with limits: commands that the controller asked for in it; of a CurrentTrialLoop
-            its controls, of a ClosedLoop w = reference + v.
+            its controls, of a ClosedLoop w = reference + v. In a first trial, where v is zero, they
+            are not.
         applied : array_like, shape (time, m), optional
             What the actuators made of u, and the observer was informed of. Default: u, cut off at
             the limits.

@@ -34,6 +34,7 @@ from ilctools.trials.run import rms, run_trials
 from ilctools.units import by_unit, with_unit
 
 DIGITS = 1e-5  # of the largest v of an output: logs may hold few digits of it
+ROUNDING = 1e-9  # of reference and y, in their difference
 UNSTABLE = 1 + 1e-9  # modulus of a pole: an integrator's is one up to rounding
 
 
@@ -382,6 +383,9 @@ def replay(trials: xr.Dataset, unmeasured: Sequence[str] = ()) -> Replay:
     arguments.instance("trials", trials, xr.Dataset)
     signals_of(trials, "reference", "v")  # which checks that it has all that a log has
     trials = trials.sortby("trial").transpose("trial", "time", ...)
+    off = np.abs(trials.reference - trials.y - trials.e).max().item()
+    if off > ROUNDING * np.abs(trials[["reference", "y"]]).to_array().max().item():
+        raise ValueError(f"trials.e is not reference - y, but off by up to {off:.3g}: correct it")
     unmeasured = tuple(arguments.different("unmeasured", unmeasured))
     law, loop = law_of(trials), loop_of(trials)
     controlled = isinstance(loop, ClosedLoop) or "u" in trials

@@ -174,9 +174,9 @@ def estimated_response(logs: Sequence[xr.Dataset], of: str | None = None) -> Est
     signals = [_signals(log, of, name) for log, name in zip(logs, names, strict=True)]
     moved = [str(n) for n in (first.control if of == "u" else first.output).values]
     outputs = [str(n) for n in first.output.values]
-    _check_moved([u for u, _ in signals], moved, f"{names[0]}.{of}", "what follows from it is not "
+    check_moved([u for u, _ in signals], moved, f"{names[0]}.{of}", "what follows from it is not "
                  "known. Record it while it moves, by a step or by noise")  # fmt: skip
-    _check_moved([y for _, y in signals], outputs, f"{names[0]}.y", "is it connected?")
+    check_moved([y for _, y in signals], outputs, f"{names[0]}.y", "is it connected?")
     u_size, y_size = (_size([pair[k] for pair in signals]) for k in (0, 1))
     groups = []
     for log, name, (u, y) in zip(logs, names, signals, strict=True):
@@ -257,7 +257,8 @@ def _with_disturbances(log, u):
     return np.concatenate([u, d / np.maximum(_size([d]), 1e-300)], axis=2)
 
 
-def _check_moved(signals, names, what, remedy):
+def check_moved(signals, names, what, remedy):
+    """Refuse signals, (trial, time, channel) of each record, of which one stands still."""
     still = np.all([np.ptp(x, axis=1).max(axis=0) == 0 for x in signals], axis=0)
     if still.any():
         words = ", ".join(name for name, one in zip(names, still, strict=True) if one)

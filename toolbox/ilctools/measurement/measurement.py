@@ -18,7 +18,7 @@ from ilctools.law.io import limits_of
 from ilctools.logs.format import few
 from ilctools.loop.closed import CurrentTrialLoop, Loop
 from ilctools.loop.notes import LogError, loop_of
-from ilctools.measurement.estimation import EstimatedResponse, estimated_response
+from ilctools.measurement.estimation import EstimatedResponse, check_moved, estimated_response
 from ilctools.measurement.excitation import Excitation, excitation_of
 from ilctools.measurement.plausibility import findings_of
 from ilctools.measurement.region import radius_of
@@ -137,9 +137,10 @@ def measured_response(
     Raises
     ------
     LogError
-        If a record of :func:`shake` lacks an experiment, or w is not the excitation; of others, if
-        an input or an output never moved, a trial has fewer than 20 samples, an output is as exact
-        as rounding, most of the plants drawn for it are unstable, or P is identified nowhere.
+        If a record of :func:`shake` lacks an experiment, or w is not the excitation; if an input or
+        an output never moved; of other records, if a trial has fewer than 20 samples, an output is
+        as exact as rounding, most of the plants drawn for it are unstable, or P is identified
+        nowhere.
 
     Warns
     -----
@@ -334,6 +335,7 @@ def _signals(log, excitation):
         if share > ROUNDED:
             raise LogError(f"w of {name} is not its excitation: it is off by {share:.2g} of it")
     y = arguments.array("log.y", log.y.values, shaken.shape)
+    check_moved([y], log.output.values, "log.y", "is it connected?")
     return w[:, -excitation.evaluated :], y[:, -excitation.evaluated :]
 
 

@@ -68,14 +68,31 @@ def delay(P, omega, Ts, cutoff) -> int:
     if len(omega) < 2:
         return 0
     corner = np.clip(cutoff, omega[1], omega[-1])
+    [lag] = _lag(P, omega, Ts, np.array([corner]))
+    return max(0, round(lag.max() / ((corner - omega[0]) * Ts)))
+
+
+def lead(P, omega, Ts) -> float:
+    """By how much the phase of P leads the least lag that its gain admits, in the mean, rad.
+
+    No stable plant leads; but the samples' ends cut off Bode's integral, and a tenth of a radian,
+    0.13 at most, remained of 50 plants.
+    """
+    P, omega = P[omega > 0], omega[omega > 0]
+    if len(omega) < 4:
+        return 0.0
+    return float(-_lag(P, omega, Ts, omega[1:-1]).mean(axis=0).min())
+
+
+def _lag(P, omega, Ts, at):
+    """Phase by which each output lags at some frequencies beyond the least lag, (k, m), rad."""
     response = np.einsum("nij,ji->ni", P, np.linalg.inv(P[0]))  # one at first, as the gain
-    u, u_0 = (np.log(np.tan(np.minimum(x * Ts, np.pi) / 2)) for x in (omega, corner))
-    kernel = _mean_log_coth(np.abs((u[1:] + u[:-1]) / 2 - u_0), np.diff(u))
+    u, u_0 = (np.log(np.tan(np.minimum(x * Ts, np.pi) / 2)) for x in (omega, at))
+    kernel = _mean_log_coth(np.abs((u[1:] + u[:-1]) / 2 - u_0[:, None]), np.diff(u))
     gain_steps = np.diff(np.log(np.maximum(np.abs(response), np.finfo(float).tiny)), axis=0)
     least = kernel @ gain_steps / np.pi  # Bode's relation
     phases = np.unwrap(np.angle(response), axis=0)
-    phase = make_interp_spline(omega, phases, k=1)(corner)
-    return max(0, round(np.max(least - phase) / ((corner - omega[0]) * Ts)))
+    return least - make_interp_spline(omega, phases, k=1)(at)
 
 
 def _mean_log_coth(distance, width):

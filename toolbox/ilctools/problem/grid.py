@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from ilctools.models import frequency_response
+from ilctools.problem.between import between
 from ilctools.problem.problem import ROUNDING, Problem
 
 
@@ -34,21 +34,26 @@ def without_gaps(problem: Problem) -> Problem:
     return problem if problem.beyond is None else _bounded_beyond(problem, near)
 
 
-def refined(problem: Problem, omega, plants=None, Q=None) -> Problem:
+def refined(problem: Problem, omega) -> Problem:
     """The problem with bounds on M and L at further frequencies, which are not in the sum.
 
-    There M is that of the plants that are models; a plant known as samples needs its responses
-    `plants`, (p, k, m, m), and `Q`, (k,), or a model stands for it. Without models and responses L
-    alone is bounded.
+    There P, Q and the radius are as :func:`.between.between` says. Where samples have ended, the
+    first model stands for their plants; without one L alone is bounded.
     """
+    omega, design = np.sort(omega), problem.design
+    inside = (omega >= design.omega[0]) & (omega <= design.omega[-1])
+    models = [k for k, model in enumerate(problem.models) if model is not None]
+    if problem.butterworth is None or not models:
+        problem, omega = with_L_bounded(problem, omega[~inside]), omega[inside]
+        inside = inside[inside]
     if not len(omega):
         return problem
-    omega = np.sort(omega)
-    if problem.butterworth is not None:
-        Q = problem.butterworth.frequency_response(omega)
-        plants = _responses(problem.models, omega, plants)
-    if plants is None:
-        return with_L_bounded(problem, omega)
+    plants, (Q, *_), (radius, *_) = zip(
+        *(between(problem, k, omega) for k in range(len(problem.plants))), strict=True
+    )
+    for k, model in enumerate(problem.models):
+        if model is None and models:
+            plants[k][~inside] = plants[models[0]][~inside]
     n, none = len(problem.omega), np.zeros(len(omega))
     order = np.argsort(np.append(problem.omega, omega), kind="stable")
 
@@ -62,23 +67,11 @@ def refined(problem: Problem, omega, plants=None, Q=None) -> Problem:
         plants=np.concatenate([problem.plants, np.array(plants)], axis=1)[:, order],
         Q=merged(problem.Q, Q),
         weights=merged(problem.weights, none),
-        # it is not known between the samples
-        radius=None if problem.radius is None else merged(problem.radius, none),
+        radius=None if radius is None else merged(problem.radius, radius),
         share_L=merged(problem.share_L, none + 1),
         limit_L=merged(problem.limit_L, none + np.inf),
-        stated=problem.design,
+        stated=design,
     )
-
-
-def _responses(models, omega, plants):
-    """Of the plants that are models; of the others those given, or the first model's; else None."""
-    known = [None if model is None else frequency_response(model, omega) for model in models]
-    first = next((response for response in known if response is not None), None)
-    if plants is None and first is None:
-        return None
-    others = [first] * len(models) if plants is None else plants
-    pairs = zip(known, others, strict=True)
-    return np.array([other if response is None else response for response, other in pairs])
 
 
 def with_L_bounded(problem, omega):

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import matrix_balance
 
 from ilctools import arguments
 from ilctools.base import base_of_model, base_of_samples
@@ -11,6 +12,9 @@ from ilctools.problem import defaults
 from ilctools.problem.problem import ROUNDING, Problem, largest_singular_values
 from ilctools.problem.reference import first_error
 from ilctools.problem.responses import on_one_grid
+
+UNEQUAL = 8  # ratio of the powers of two that balance P, from which on units seem to differ
+UNCOUPLED = 1e-6  # product of the gains between two channels, relative to that of their own
 
 
 def pose(
@@ -58,7 +62,7 @@ def pose(
         problem = replace(problem, first_error=power, weights=weights)
     _refuse_idle(problem.Q if objective == "peak" else problem.Q[weights > 0])
     L_max = _bound_on_L(problem, L_max, smallest, chosen)
-    basis = [f"chosen: {text}" for text in chosen]
+    basis = [f"chosen: {text}" for text in chosen] + ([] if scale is not None else _units(problem))
     problem = replace(problem, L_max=L_max, basis=(*basis, *problem.basis))
     return problem if base is None else with_base(problem, base, reach)
 
@@ -87,6 +91,20 @@ def with_base(problem: Problem, share: float, reach: int | None = None) -> Probl
     if isinstance(base, LearningFilter):
         text += f" of {-base.first} samples each way"
     return replace(problem, base=base, basis=(*problem.basis, text))
+
+
+def _units(problem):
+    """What to say of channels whose units differ, as far as P shows it; of equal ones nothing."""
+    P = np.abs(problem.P).mean(axis=0)
+    coupled = UNCOUPLED * np.outer(P.diagonal(), P.diagonal()) < P * P.T  # in any units
+    _, (scale, _) = matrix_balance(P * coupled, permute=False, separate=True)
+    if scale.max() < UNEQUAL * scale.min():
+        return []
+    words = ", ".join(f"{unit:g}" for unit in scale / scale.min())
+    return [
+        f"without scale, one unit of each channel counts as equally large; scale = [{words}] would "
+        "make the outputs' responses to each other equal"
+    ]
 
 
 def _order(problem, order, base, chosen):

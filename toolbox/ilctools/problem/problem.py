@@ -14,9 +14,10 @@ from functools import cached_property
 import control
 import numpy as np
 
-from ilctools.base import in_units
+from ilctools.base import RegularisedInverse, in_units
 from ilctools.filters import LearningFilter, LearningOperator, ZeroPhaseButterworth
 from ilctools.problem import defaults
+from ilctools.problem.between import axis_of
 from ilctools.signals import Signals
 
 K_MAX = 4.0  # of sigma_max(K): more would show at the ends of a trial, where K e is cut off
@@ -215,17 +216,29 @@ class Problem:
             return np.abs(self.butterworth.frequency_response(omega))
         return np.full(len(omega), np.abs(self.design.Q[-1]))
 
+    @cached_property
+    def axis(self):
+        """Of omega and log omega that over which samples are interpolated, see `between`."""
+        return axis_of(self.P, self.Q, self.omega)
+
     @property
     def assumed(self) -> tuple[str, ...]:
-        """What is assumed of P and Q above the last sample, in words."""
-        if self.beyond is None:
-            return ()
-        last, Q = self.design.omega[-1], np.abs(self.design.Q[-1])
-        of_Q = "" if self.butterworth else f", and |Q| {Q:.4g}, as at the last sample"
-        return (
-            f"assumed: above {last:.4g} rad/s, where P is not known, sigma_max(P) is "
-            f"{self.beyond:.4g} at most, at any phase{of_Q}",
-        )
+        """What is assumed above the last sample and between them, in words."""
+        texts, last, Q = [], self.design.omega[-1], np.abs(self.design.Q[-1])
+        if self.beyond is not None:
+            of_Q = "" if self.butterworth else f", and |Q| {Q:.4g}, as at the last sample"
+            texts.append(
+                f"assumed: above {last:.4g} rad/s, where P is not known, sigma_max(P) is "
+                f"{self.beyond:.4g} at most, at any phase{of_Q}"
+            )
+        sampled = self.butterworth is None or None in self.models
+        known = ["samples are joined by cubic splines"] if sampled else []
+        if self.radius is not None:
+            known.append("the radius is interpolated by straight lines")
+        if known:
+            axis = "log omega" if self.design.axis is np.log else "omega"
+            texts.append(f"assumed: between omega, {' and '.join(known)}, over {axis}")
+        return tuple(texts)
 
     @property
     def findings(self) -> tuple[str, ...]:
@@ -244,7 +257,9 @@ class Problem:
     def filter(self, coefficients) -> LearningFilter:
         """The learning filter, in the plant's own units, of coefficients in units of `scale`."""
         units = self.scale[:, None, None] / self.scale[None, :, None]
-        return LearningFilter(coefficients * units, self.Ts, first=self.first, base=self.base)
+        # B of a model knows the end of a trial; K, cut off there, must not leave the error to it
+        ends = "hold-last" if isinstance(self.base, RegularisedInverse) else "zero"
+        return LearningFilter(coefficients * units, self.Ts, ends, self.first, self.base)
 
     def learned(self, solution: "Solution") -> LearningFilter:
         """The filter of a solution, in units of `scale`."""

@@ -9,12 +9,13 @@ from scipy.interpolate import make_interp_spline
 from ilctools import arguments
 from ilctools.filters import ZeroPhaseButterworth
 from ilctools.loop.closed import Loop
-from ilctools.models import model_and_response
+from ilctools.models import model_and_response, refuse_foreign
 from ilctools.problem.problem import Problem
 from ilctools.signals import Signals, check_match
 
 CONFIDENCE = 0.99  # in a measured response
 FREQUENCIES = 1000  # of a grid that is chosen, as of the paper's
+LOWEST = 1e-4  # of the Nyquist frequency: the lowest cut-off of a Q that is chosen
 DECADES = 3  # of it below the cut-off of Q, as in the paper: from 1e-4 to 0.1 rad/s
 RIPPLE = 1.2  # of a low-pass filter without taper, applied twice: the largest sensible |Q|
 # relative: imaginary part that the rounding of a table may leave of a real response
@@ -112,7 +113,7 @@ def on_one_grid(P, Q, omega=None, Ts=None, uncertainty=None, scale=None) -> Prob
         basis = P.basis(omega, CONFIDENCE)
         parties = {"P": P.loop, "Q": Q, "grid": Signals(Ts)}
     models, responses = on_grid(named, omega, Ts, **parties)
-    _refuse_hertz("omega", omega, responses, Ts)
+    _refuse_other_units("omega", omega, responses, Ts)
     butterworth, Q = Q_on_grid(Q, omega)
     models, responses, scale = _in_units(scale, models, responses)
     if uncertainty is not None:
@@ -137,7 +138,7 @@ def on_one_grid(P, Q, omega=None, Ts=None, uncertainty=None, scale=None) -> Prob
 
 def _measured(P, omega, Ts, scale):
     """A measured response on omega, and its radius in units of `scale`."""
-    _refuse_hertz("P.omega", P.omega, P.response[None], Ts)
+    _refuse_other_units("P.omega", P.omega, P.response[None], Ts)
     response, _ = P.on(omega, CONFIDENCE)
     _, radius = P.on(omega, CONFIDENCE, scale)
     return response, radius
@@ -159,21 +160,42 @@ def _in_units(scale, models, responses):
     return models, responses * (scale / scale[:, None]), scale
 
 
-def _refuse_hertz(name, omega, responses, Ts):
-    """Refuse frequencies in Hz: up to 1 / (2 Ts), where P is real, as z is -1 there."""
+def _refuse_other_units(name, omega, responses, Ts):
+    """Refuse frequencies in Hz or rad/sample: up to Nyquist's, where P is real, as z is -1."""
     imaginary = np.abs(responses.imag).max(axis=(2, 3))
     rounding = IMAGINARY * np.abs(responses).max()
     real_at_last_only = (imaginary[:, -1] <= rounding) & (imaginary.max(1) > rounding)
-    if abs(omega[-1] * Ts - 0.5) < IMAGINARY and real_at_last_only.any():
-        raise ValueError(
-            f"{name} ends at {omega[-1]:.6g} = 1 / (2 Ts), and P is real there, as at the "
-            "Nyquist frequency: omega is in Hz, multiply it by 2 pi"
-        )
+    for end, what, unit in ((0.5 / Ts, "1 / (2 Ts)", "Hz"), (np.pi, "pi", "rad/sample")):
+        here = abs(omega[-1] / end - 1) < IMAGINARY and abs(omega[-1] * Ts - np.pi) > IMAGINARY
+        if here and real_at_last_only.any():
+            raise ValueError(
+                f"{name} ends at {omega[-1]:.6g} = {what}, and P is real there, as at the Nyquist "
+                f"frequency: omega is in {unit}, multiply it by {np.pi / Ts / end:.6g}"
+            )
+
+
+def lowest_and_period(P, omega=None, Ts=None) -> tuple[float, float]:
+    """The lowest frequency at which P is known, or LOWEST of the Nyquist frequency; and Ts."""
+    named = plants(P).values()
+    Ts = arguments.sampling_period("Ts", _period(*named) if Ts is None else Ts)
+    lowest = [LOWEST * np.pi / Ts]
+    if omega is None:
+        lowest += [_lowest(plant) for plant in named if hasattr(plant, "omega")]
+    else:
+        omega = arguments.increasing_frequencies("omega", omega, Ts)
+        lowest.append(omega[omega > 0][0])
+    return float(max(lowest)), Ts
+
+
+def _lowest(plant):
+    """The lowest frequency at which a plant that has some is known."""
+    return plant.omega[getattr(plant, "known", plant.omega > 0)][0]
 
 
 def _period(*systems):
     """The sampling period that Q, or else a plant, knows."""
     for system in systems:
+        system = system.loop if isinstance(system, Measured) else system
         if isinstance(system, ZeroPhaseButterworth | Loop):
             return system.Ts
         if isinstance(system, control.LTI) and system.dt and system.dt is not True:
@@ -191,19 +213,15 @@ def _frequencies(P, Q) -> np.ndarray:
         if isinstance(plant, control.FrequencyResponseData):
             return plant.omega
     if not all(isinstance(plant, Measured) for plant in sampled):
-        for plant in sampled:
-            arguments.array("P", plant, ("omega", "m", "m"), complex)
         raise ValueError("omega must be given: P is an array, which does not know its frequencies")
     if not isinstance(Q, ZeroPhaseButterworth):
+        _samples_of_Q(Q)
         raise ValueError(
-            f"omega must be given, as Q = {reprlib.repr(Q)} is no filter, from whose cut-off a "
-            "grid could be chosen"
+            "omega must be given, as Q holds samples: or pass zero_phase_butterworth(order, "
+            "cutoff, Ts), from whose cut-off a grid is chosen"
         )
-    lowest = [Q.cutoff / 10**DECADES]
-    for plant in sampled:
-        known = getattr(plant, "known", plant.omega > 0)
-        lowest.append(plant.omega[known][0])
-    return np.geomspace(max(lowest), np.pi / Q.Ts, FREQUENCIES)
+    lowest = max([Q.cutoff / 10**DECADES, *map(_lowest, sampled)])
+    return np.geomspace(lowest, np.pi / Q.Ts, FREQUENCIES)
 
 
 def plants(P):
@@ -221,7 +239,12 @@ def plants(P):
         raise ValueError(
             f"P = {reprlib.repr(P)} holds no plant: pass one or more, the nominal one first"
         )
-    return {f"P[{k}]": plant for k, plant in enumerate(P)} if several else {"P": P}
+    named = {f"P[{k}]": plant for k, plant in enumerate(P)} if several else {"P": P}
+    for name, plant in named.items():
+        refuse_foreign(name, plant)
+        if not isinstance(plant, Loop | control.LTI | Measured):
+            arguments.array(name, plant, ("omega", "outputs", "inputs"), complex)
+    return named
 
 
 def axes(value):
@@ -252,17 +275,22 @@ def on_grid(plants, omega, Ts, **parties):
     return models, np.array(responses)
 
 
+def _samples_of_Q(Q):
+    """Samples of Q as an array."""
+    if isinstance(Q, control.LTI):
+        raise ValueError(
+            f"Q = {reprlib.repr(Q)} is a model, which runs in one direction only: pass "
+            "zero_phase_butterworth(order, cutoff, Ts), or the samples of |Q|^2 on omega"
+        )
+    return arguments.array("Q", Q, ("frequency",), complex)
+
+
 def Q_on_grid(Q, omega):
     """The Q-filter as a model, or None, and its response on omega."""
     model = Q if isinstance(Q, ZeroPhaseButterworth) else None
     if model is not None:
         Q = Q.frequency_response(omega)
-    elif isinstance(Q, control.LTI):
-        raise ValueError(
-            f"Q = {reprlib.repr(Q)} is a model, which runs in one direction only: pass "
-            "zero_phase_butterworth(order, cutoff, Ts), or the samples of |Q|^2 on omega"
-        )
-    Q = arguments.array("Q", Q, (len(omega),), complex)
+    Q = arguments.array("Q", _samples_of_Q(Q), (len(omega),), complex)
     if (largest := np.abs(Q).max()) > RIPPLE:
         raise ValueError(
             f"Q has a gain of {largest:.4g} at {omega[np.abs(Q).argmax()]:.4g} rad/s: pass a "

@@ -37,6 +37,7 @@ class Experiment:
     notes: dict[str, str]  # of what makes the trials
     log: xr.Dataset | None = None
     trials: list[Trial] = field(default_factory=list)
+    lost: bool = False  # whether rounding left nothing of the last v
 
     def run(self, pause: int | None, path) -> Iterator[str]:
         """Run the trials that are not in the log at `path` yet; what there is to be warned of."""
@@ -95,7 +96,9 @@ class Experiment:
         rig, reference, commanded = self.rig, self.reference[k], self.commanded[k]
         parts, done, late = [], 0, ""
         while done < len(reference):
-            v = rig.rounded("v", self.following(self.trials + parts))[: len(reference) - done]
+            following = self.following(self.trials + parts)[: len(reference) - done]
+            v = rig.rounded("v", following)
+            self.lost = bool(following.any() and not v.any())
             if not rig.goes_on:
                 rig.begin(k + 1)
                 late = rig.pause(k + 1, pause, reference[0], self.start()) if k else ""
@@ -122,6 +125,8 @@ class Experiment:
                 texts[kind] = after + text
             text = self.another_start()
             texts["start"] = text and after + text
+        if self.lost:
+            texts["decimals"] = f"{after}decimals rounds all of v to zero: give it more digits"
         late = np.array(rig.late)
         count = np.sum(late > LATE * rig.Ts)
         if count:

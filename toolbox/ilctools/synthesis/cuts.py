@@ -43,14 +43,14 @@ def violated(problem, solution, limit, plant, frequency):
     for k in range(1, len(problem.plants)):
         new = np.ones(n, dtype=bool)
         new[frequency[plant == k]] = False
-        value = _worst_case(problem, L, k, highest)
+        value = worst_sigma(problem, L, k, highest)
         higher = new & (value > highest)
         highest[higher], which[higher] = value[higher], k
     frequency = np.flatnonzero(which >= 0)
     return which[frequency], frequency
 
 
-def _worst_case(problem, L, k, level):
+def worst_sigma(problem, L, k, level):
     """sigma_max(M) of a plant within the radius; where it is below the level, an upper bound."""
     if problem.radius is None:
         return largest_singular_values(problem.M(L, k))

@@ -2,6 +2,7 @@
 
 import warnings
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -13,6 +14,8 @@ from ilctools.problem.defaults import CHOOSE
 from ilctools.problem.grid import with_L_bounded, without_gaps
 from ilctools.problem.pose import pose
 from ilctools.problem.problem import TIED, Problem, largest_singular_values, tied
+from ilctools.problem.responses import lowest_and_period
+from ilctools.synthesis.cutoff import cutoff_that_holds
 from ilctools.synthesis.cuts import solve
 from ilctools.synthesis.everywhere import solve_everywhere
 from ilctools.synthesis.result import InfeasibleError, SolverError, Synthesis
@@ -32,7 +35,7 @@ HOPELESS = 1 - 1e-6  # from here on a smallest M_max is one, and raising it no r
 @on_one_thread
 def synthesise(
     P,
-    Q,
+    Q=None,
     omega=None,
     Ts=None,
     *,
@@ -52,21 +55,25 @@ def synthesise(
     """Design the learning filter by convex optimisation, (39) or (45) with (46).
 
     Defaults are for a plant that one does not know, and the certificate says what they are for this
-    one.
+    one. Above Q's cut-off nothing is asked of L but its bounds: what noise there adds to v, for
+    which M is of a half and more, :func:`converged_noise` says.
 
     Parameters
     ----------
     P : array_like, shape (n, m, m), a model, CurrentTrialLoop, or a list of these; or measured
         Frequency response of the closed loop on `omega`, for any m, also as python-control's
-        frequency response data, of exp(j omega t): one whose phase leads, of exp(-j omega t), is to
-        be conjugated first, and nothing warns of that; or a discrete-time model of it, state space
+        frequency response data, of exp(j omega t): one of exp(-j omega t), whose phase leads, is to
+        be conjugated first; or a discrete-time model of it, state space
         or transfer function. Of a list the first is the nominal plant, whose convergence is made
         fast; the bounds hold for all of them. What :func:`measured_response` returns has its
         radius, in which the truth lies with a probability of 0.99; for another, pass both of
         ``P.on(omega, confidence)`` as P and `uncertainty`. Above the last frequency of samples,
         sigma_max(P) is assumed to be what it is there, at any phase.
-    Q : array_like, shape (n,), or ZeroPhaseButterworth
-        Frequency response of the Q-filter on `omega`, or the filter.
+    Q : array_like, shape (n,), or ZeroPhaseButterworth, optional
+        Frequency response of the Q-filter on `omega`, or the filter. Default, of a measured P, of
+        samples with a radius or that end below the Nyquist frequency, and of a list: one of order
+        2 with nine tenths of the largest cut-off for which a filter keeps M_max for all plants. At
+        the largest itself nothing is left for the objective. It takes ten designs or more.
     omega : array_like, shape (n,), optional
         Design frequencies, rad/s, increasing, up to the Nyquist frequency pi / Ts. Default: those
         of python-control's frequency response data; of models and measured responses 1000 of them,
@@ -85,7 +92,8 @@ def synthesise(
         inverts P up to Q's cut-off, 1 / sigma_min(P), rounded up to one digit. It holds between
         the frequencies of a coarse grid, and up to the Nyquist frequency, too. None leaves it out:
         filters then compete up to the gain that coefficients in doubles can hold,
-        :attr:`.Problem.weight`.
+        :attr:`.Problem.weight`, and where they look beyond the ends of a trial, trials often
+        diverge: ask :func:`trial_norm`.
     band : (float, float), optional
         Lowest and highest frequency of the sum in (39), rad/s. A peak has none. Default: from the
         lowest of `omega` to Q's cut-off.
@@ -101,15 +109,19 @@ def synthesise(
         largest over all plants.
     scale : array_like, shape (m,), optional
         What counts as equally large in each channel. Singular values, `L_max` and the certificate
-        are then those of the channels divided by it, so that units do not matter. Default: ones.
+        are then those of the channels divided by it, so that units do not matter. Default: ones;
+        the certificate says so if powers of two that differ by eight or more would balance P.
     uncertainty : array_like, shape (n,), optional
         Radius at each frequency: the bounds hold for each P + Delta with ||Delta|| <= radius, of
         the channels in units of `scale`, by a condition that is exact.
     everywhere : bool
-        Whether the bounds hold at every frequency, not on `omega` only: where models are known by
-        proof, to a relative 3e-8; between samples by splines, and without the radius. The sum is
-        that over `omega`. It takes two to three times as long, for filters of 60 samples ten times
-        and more, of two channels up to a minute; half the `order` takes a fraction of that.
+        Whether the bounds hold at every frequency, not on `omega` only, for all plants: of models
+        without a radius by proof, to a relative 3e-8; else from the first to the last of `omega`,
+        on a dense grid with a zoom into its crests, to 1e-7, where cubic splines run through
+        samples and straight lines through the radius, both over omega or log omega, whichever
+        predicts every other sample better. The sum is that over `omega`. It takes two to three
+        times as long, for filters of 60 samples ten times and more, of two channels up to a minute;
+        half the `order` takes a fraction of that.
     base : float, None or "auto"
         L = B K with B = (P* P + b^2)^-1 P*, the operator of :class:`NormOptimal`, and a K of
         `order` samples, 21 if that is not given, as many back as ahead; b in units of the largest
@@ -128,16 +140,17 @@ def synthesise(
     Returns
     -------
     Synthesis
-        With its certificate. What it says about all frequencies is proven if P and Q are models.
-        From arrays it is read off splines between the first and the last frequency.
+        With its certificate. What it says about all frequencies is proven if P and Q are models
+        without a radius. Else it is read off splines and a radius that is interpolated, between
+        the first and the last frequency, see `everywhere`.
 
     Warns
     -----
     UserWarning
         For each of the certificate's `warnings`: samples too coarse for splines, or that scatter as
         noise does (of samples without noise, one in 1000 sets), bounds passed between the
-        frequencies by a quarter of 1 - M_max, a filter that leaves nearly all of the error, a Q
-        that no filter can make up for where P is not known.
+        frequencies by a quarter of 1 - M_max, or M above one there within the radius, a filter that
+        leaves nearly all of the error, a Q that no filter can make up for where P is not known.
 
     Raises
     ------
@@ -179,9 +192,17 @@ def synthesise(
     if isinstance(base, str):
         arguments.choice("base", base, [CHOOSE])
         base = CHOOSE if order is None else None
-    if base is not None and base == CHOOSE:
-        return warned(best_base(lambda share: pose(P, Q, base=share, reach=reach, **given)))
-    return warned(certified(pose(P, Q, base=base, reach=reach, **given)))
+    free = base is not None and base == CHOOSE
+
+    def posed(share, Q=Q, text=()):
+        problem = pose(P, Q, base=share, reach=reach, **given)
+        return replace(problem, basis=(*text, *problem.basis))
+
+    if Q is None:
+        bases = (None, SHARES[0]) if free else (base,)
+        Q, *text = cutoff_that_holds(posed, bases, *lowest_and_period(P, omega, Ts))
+        posed = partial(posed, Q=Q, text=text)
+    return warned(best_base(posed) if free else certified(posed(base)))
 
 
 def best_base(posed) -> Synthesis:
@@ -353,9 +374,9 @@ def _advice(problem, smallest):
     return (
         f"infeasible: M_max = {M_max} is too tight for a {problem.structure} filter of order = "
         f"{problem.order}; {remedy}: {raised}{',' if smallest < HOPELESS else ''} take {longer}, "
-        "lower the cut-off of Q (largest_cutoff in synthesis.search finds how far), "
-        "or design a faster loop. If no bound so tight was meant: are units, signs and the order "
-        "of the channels right, in each plant?"
+        "lower the cut-off of Q (without Q, it is chosen for a list or a radius), or design a "
+        "faster loop. If no bound so tight was meant: are units, signs and the order of the "
+        "channels right, in each plant?"
     )
 
 

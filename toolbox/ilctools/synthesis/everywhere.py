@@ -8,10 +8,10 @@ filter that meets those is better than its lower bound says.
 import numpy as np
 from tqdm import tqdm
 
-from ilctools.evidence.peak import estimated_peaks, peak_of_L, proven_peaks, spline_scale, splined
+from ilctools.evidence.peak import crests, peak_of_L, proven_peaks
 from ilctools.problem.grid import refined
 from ilctools.problem.problem import Problem, Solution, largest_singular_values
-from ilctools.synthesis.cuts import solve
+from ilctools.synthesis.cuts import solve, worst_sigma
 
 ROUNDS, FURTHER = 50, 5000  # and further frequencies, at which to give up
 PASSED = 2e-8  # share of a bound that the proof of a peak may pass it by
@@ -46,9 +46,9 @@ def _wider(problem, solution, allowance):
         omega = _new(np.sort(problem.omega_L), omega)
         if not len(omega):
             continue
-        wider = _refined(problem, solution, omega)
+        wider = refined(problem, omega)
         limit_M, limit_L = _limits(wider, solution, allowance)
-        sigma_M, sigma_L = _sigmas(wider, solution)
+        sigma_M, sigma_L = _sigmas(wider, solution, limit_M)
         if sigma_M.max() > limit_M or sigma_L.max() > limit_L:
             return wider
     return None
@@ -66,36 +66,38 @@ def _limits(problem, solution, allowance):
     return limit_M, limit_L
 
 
-def _sigmas(problem, solution):
-    """The largest singular values of M of each plant at omega, (p, n), and of L at omega_L."""
-    L = problem.response(solution)
-    sigma_M = [largest_singular_values(problem.M(L, k)) for k in range(len(problem.plants))]
-    return np.array(sigma_M), largest_singular_values(L)
+def _sigmas(problem, solution, level):
+    """The largest singular values of M of all plants at omega, (n,), and of L at omega_L.
+
+    Below the level M within the radius may be less.
+    """
+    L, plants = problem.response(solution), range(len(problem.plants))
+    sigma_M = np.max([worst_sigma(problem, L, k, level) for k in plants], axis=0)
+    return sigma_M, largest_singular_values(L)
 
 
 def _crests_of(problem, solution, allowance):
     """Where the crests of samples pass a bound, if any does; then others that nearly do, too."""
     limit_M, limit_L = _limits(problem, solution, allowance)
-    sigma_M, sigma_L = _sigmas(problem, solution)
+    sigma_M, sigma_L = _sigmas(problem, solution, NEAR * limit_M)
     omega_L, order = problem.omega_L, np.argsort(problem.omega_L)
 
-    def crests(share):
-        of_M = _crests(problem.omega, sigma_M.max(axis=0), share * limit_M)
+    def passing(share):
+        of_M = _crests(problem.omega, sigma_M, share * limit_M)
         of_L = _crests(omega_L[order], sigma_L[order], share * limit_L)
         return [*of_M, *of_L]
 
     # the next round could hold one and have another rise
-    return crests(NEAR) if crests(1) else []
+    return passing(NEAR) if passing(1) else []
 
 
 def _peaks_of(problem, solution, allowance):
-    """Where a peak passes a bound, proven, or estimated between samples."""
+    """Where M passes its bound, proven, or between samples and within the radius; and L."""
     limit_M, limit_L = _limits(problem, solution, allowance)
-    sigma_M, _ = _sigmas(problem, solution)
     L = problem.learned(solution)
-    peaks = proven_peaks(problem, L)
-    peaks += estimated_peaks(problem, L, sigma_M.max(axis=1))
-    passing = [peak.omega for peak in peaks if peak.sigma > limit_M]
+    passing = [peak.omega for peak in proven_peaks(problem, L) if peak.sigma > limit_M]
+    for _, omega, sigma in crests(problem, L, limit_M):
+        passing += omega[sigma > limit_M].tolist()
     sigma_L, omega = peak_of_L(L)
     return [*passing, omega] if sigma_L > limit_L else passing
 
@@ -123,17 +125,3 @@ def _new(known, omega):
     omega = np.sort(around, axis=None)
     near = np.abs(known - omega[:, None]).min(axis=1, initial=np.inf)
     return omega[np.minimum(near, np.diff(omega, prepend=-np.inf)) > SAME * omega]
-
-
-def _refined(problem, solution, omega):
-    """The problem at further frequencies: samples by splines, and beyond them L alone."""
-    if problem.butterworth is not None and None not in problem.models:
-        return refined(problem, omega)
-    design = problem.design
-    L = design.response(solution)[: len(design.omega)]
-    scale, _ = spline_scale(design.P, design.Q, design.omega, L)
-    inside = (omega >= design.omega[0]) & (omega <= design.omega[-1])
-    plants = design.plants.swapaxes(0, 1)
-    between, Q = splined(plants, design.Q, design.omega, omega[inside], scale)
-    wider = refined(problem, omega[inside], between.swapaxes(0, 1), Q)
-    return refined(wider, omega[~inside])

@@ -1,5 +1,6 @@
 """What comes of a synthesis: a filter with what is known about it, or why there is none."""
 
+import reprlib
 from dataclasses import dataclass
 
 import control
@@ -51,7 +52,7 @@ class SolverError(RuntimeError):
     """The solver returned no filter, or one whose certificate fails."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Synthesis:
     """A learning filter and what was checked about it, from singular values."""
 
@@ -97,7 +98,13 @@ class Synthesis:
         `options` are those of ``control.singular_values_plot``: `ax`, `dB`, `Hz`, ... With bounds,
         coefficients and trials.
         """
-        return control.singular_values_response([self.M, self.L]).plot(**options)
+        try:
+            return control.singular_values_response([self.M, self.L]).plot(**options)
+        except (AttributeError, TypeError) as error:
+            raise ValueError(
+                f"options = {reprlib.repr(options)} must be those of control.singular_values_plot: "
+                f"{error}"
+            ) from None
 
     def _response_of_L(self):
         return self.problem.response(self.solution)[: len(self.omega)]

@@ -1,25 +1,19 @@
-"""Designs that search for more than a filter: the least gain, the largest cut-off of Q."""
+"""Designs that search for more than a filter: the least gain."""
 
 import reprlib
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import brentq
-from tqdm import tqdm
 
-from ilctools import arguments
-from ilctools.filters import ZeroPhaseButterworth
-from ilctools.problem.grid import refined, without_gaps
+from ilctools.problem.grid import without_gaps
 from ilctools.problem.pose import pose
-from ilctools.synthesis.design import certified, insist, warned
+from ilctools.synthesis.design import certified, warned
 from ilctools.synthesis.everywhere import solve_everywhere
 from ilctools.synthesis.result import SolverError, Synthesis
 from ilctools.synthesis.solver.program import Infeasible
 from ilctools.synthesis.solver.threads import on_one_thread
 
 SAME = (1e-9, 1e-6, 1e-4)  # relative distance up to which two peaks are the same
-CLOSE = 1e-3  # relative distance from the largest cut-off
-ROUNDS = 20  # in each of which a frequency is added, where M passed one between those of omega
 
 
 @on_one_thread
@@ -74,81 +68,3 @@ def least_gain(P, Q, omega=None, Ts=None, **choices) -> Synthesis:
             "take a shorter filter, or synthesise with an L_max"
         )
     return warned(certified(replace(problem, L_max=L_max)))
-
-
-@on_one_thread
-def largest_cutoff(
-    P, Q: ZeroPhaseButterworth, omega=None, Ts=None, **choices
-) -> tuple[ZeroPhaseButterworth, Synthesis]:
-    """Find the largest cut-off of Q for which a filter meets the bounds, and design that.
-
-    A lower cut-off makes |Q| smaller at each frequency, and with it M: the smallest M_max that can
-    be met increases with the cut-off, and its root is found. Nothing is left for the objective
-    there: a little below the largest cut-off, learning is faster. Where M of a plant that is a
-    model would pass one between the frequencies of `omega`, it is bounded there, too.
-
-    Parameters
-    ----------
-    P, omega, Ts, **choices
-        As for :func:`synthesise`.
-    Q : ZeroPhaseButterworth
-        Its order is kept; the search starts at its cut-off, which says what is chosen by default.
-
-    Returns
-    -------
-    Q : ZeroPhaseButterworth
-        With the largest cut-off, to a relative 1e-3; at most 0.999 of the Nyquist frequency.
-    design : Synthesis
-        For it. Raises as :func:`synthesise`, if even a cut-off at the lowest design frequency is
-        too high.
-    """
-    arguments.instance("Q", Q, ZeroPhaseButterworth)
-    stated = pose(P, Q, omega, Ts, **choices)
-    for name in ("order", "band", "L_max"):  # whatever Q will be
-        choices[name] = getattr(stated, name)
-    further = np.empty(0)
-
-    def posed(Q, **changes):
-        problem = pose(P, Q, stated.omega, Ts, **choices | changes)
-        return refined(problem, further)
-
-    with tqdm(desc="largest cut-off", unit=" solved", leave=False, disable=None) as bar:
-        for _ in range(ROUNDS):
-            Q = _widest(Q, posed, stated, bar, step=0.1 if len(further) else 1.0)
-            design = certified(posed(Q), check=False)
-            if design.certificate.unseen is None:
-                break
-            # M passed one where omega is coarse
-            further = np.append(further, design.certificate.unseen.omega)
-    insist(design.certificate)
-    return Q, warned(design)
-
-
-def _widest(Q, posed, stated, bar, step):
-    """Q with the largest cut-off for which the bounds can be met; `step`: of its logarithm."""
-
-    def with_cutoff(logarithm):
-        return replace(Q, cutoff=float(np.exp(logarithm)))
-
-    def excess(logarithm):
-        """The smallest possible M_max with this cut-off, relative to the one that is asked for."""
-        problem = without_gaps(posed(with_cutoff(logarithm), objective="peak", reference=None))
-        _, solution = solve_everywhere(replace(problem, M_max=np.inf))
-        bar.update()
-        largest = solution.largest
-        if problem.beyond is not None:  # where P is not known, M may be |Q| at least
-            largest = max(largest, *problem.Q_beyond(stated.omega[-1:]))
-        return largest / stated.M_max - 1
-
-    lowest = np.log(stated.omega[stated.omega > 0][0])
-    highest = np.log(0.999 * np.pi / Q.Ts)
-    low = high = np.log(Q.cutoff)
-    while excess(high) <= 0:
-        if high >= highest:
-            return with_cutoff(highest)
-        low, high = high, min(high + step, highest)
-    while excess(low) > 0:
-        if low <= lowest:  # the design says what is too tight
-            return with_cutoff(lowest)
-        low, step = max(low - step, lowest), 2 * step
-    return with_cutoff(brentq(excess, low, high, xtol=CLOSE / 2) - CLOSE / 2)

