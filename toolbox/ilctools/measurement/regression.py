@@ -29,8 +29,8 @@ exp(rho)), the last entry of eta.
     n / 2 log(y' y - h' h) + log |U| + |(eta - centre) / wide|^2 / 2 -> min.                     (4)
 
 They are normal about it with the inverse of the curvature S S', and integrated over by the points
-eta + sqrt(d) S_k, eta - sqrt(d) S_k (I. Arasaratnam and S. Haykin, IEEE Trans. Autom. Control 54
-(2009) 1254-1269), d the number of entries.
+eta + HEAVY sqrt(d) S_k, eta - HEAVY sqrt(d) S_k, d the number of entries (I. Arasaratnam and S.
+Haykin, IEEE Trans. Autom. Control 54 (2009) 1254-1269, where HEAVY is one).
 
 *Error of P.* To first order it is normal,
 
@@ -71,6 +71,7 @@ EXACT = 1e-14  # least noise, in the power of the output
 LATE = 5  # samples: the least lag of largest correlation that counts as a delay
 ROOM = (0.6, 0.9)  # delays that are tried, relative to that lag
 STEPS = 1e-3  # of eta, for the curvature
+HEAVY = float(__import__("os").environ.get("HEAVY", "1.2"))  # tails of eta, relative to normal ones
 POLISH = 4  # Newton steps with it, after which eta is known to rounding
 SURE = 1e6  # weight of a gain at rest that is known: by a thousandth of the noise
 TURN = 4096  # frequencies at least on which the zeros of A are counted
@@ -296,12 +297,12 @@ class _Fit(NamedTuple):
     data: _Normal
 
 
-def _fitted(groups, direct, delays, gain):
+def _fitted(groups, direct, delays, gain, first=FIRST):
     longest = max(group.y.shape[1] for group in groups)
     data = _normal(groups, _layout(groups, direct, delays), gain)
     bounds = [(-BOUND, BOUND)] * 4 + [(-1.5, np.log(5 * longest)), (-BOUND, BOUND)]
     found = minimize(
-        surprise, FIRST, (data,), jac=True, method="L-BFGS-B", bounds=bounds,
+        surprise, first, (data,), jac=True, method="L-BFGS-B", bounds=bounds,
         options={"maxiter": 60, "ftol": 1e-7},
     )  # fmt: skip
     return _Fit(found.x, found.fun, data)
@@ -325,53 +326,56 @@ class Regression:
     """P from m inputs to one output, and the error that it may have."""
 
     mean: np.ndarray  # x, (unknown,)
-    others: np.ndarray  # at the points of the quadrature, less it, over sqrt(2 d), (point, unknown)
     data: _Normal
-    posterior: _Posterior
-    posteriors: list = ()
+    posterior: _Posterior  # for the likeliest hyperparameters
+    points: tuple[_Posterior, ...]  # at the points of the quadrature
 
-    def _of(self, kind, x):
+    @property
+    def knots(self) -> tuple[np.ndarray, ...]:
+        """Lags of A, then of each B, between which coefficients are on straight lines."""
+        return self.data.layout.knots, *self.data.layout.moved
+
+    def of(self, kind: int, x: np.ndarray) -> np.ndarray:
+        """Those of some unknowns (..., unknown) that are of A, kind 0, or of the input `kind`."""
         return x[..., self.data.layout.kind == kind]
 
     def _waves(self, omega):
         """What increments make of A, then of each B, at angles omega Ts, (n, knot) each."""
-        layout = self.data.layout
-        of_lag = np.exp(-1j * np.outer(omega, np.arange(1 + max(k[-1] for k in self._knots))))
-        return [of_lag[:, : knots[-1] + 1] @ increments(knots) for knots in self._knots]
-
-    @property
-    def _knots(self):
-        return self.data.layout.knots, *self.data.layout.moved
+        of_lag = np.exp(-1j * np.outer(omega, np.arange(1 + max(k[-1] for k in self.knots))))
+        return [of_lag[:, : knots[-1] + 1] @ increments(knots) for knots in self.knots]
 
     def response(self, omega: np.ndarray) -> np.ndarray:
         """P at angles omega Ts, shape (n, m)."""
-        A, *B = self._waves(omega)
-        above = [wave @ self._of(1 + j, self.mean) for j, wave in enumerate(B)]
-        return np.stack(above, axis=1) / (1 + A @ self._of(0, self.mean))[:, None]
+        return self._ratio(*self._waves(omega))[0]
+
+    def _ratio(self, A, *B):
+        """P = B / A, and A."""
+        below = 1 + A @ self.of(0, self.mean)
+        above = [wave @ self.of(1 + j, self.mean) for j, wave in enumerate(B)]
+        return np.stack(above, axis=1) / below[:, None], below
 
     def errors(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What independent normal variables make of P, (n, m, variable), and |dA / A|, (n,)."""
-        size, U, _, rest, _ = self.posterior
         A, *B = self._waves(omega)
-        P, below = self.response(omega), 1 + A @ self._of(0, self.mean)
-        slopes = np.zeros((len(B) + 1, len(omega), len(size)), complex)
+        P, below = self._ratio(A, *B)
+        count, kind = self.data.count.sum(), self.data.layout.kind
+        slopes = np.zeros((len(B) + 1, len(omega), len(kind)), complex)
         for j, wave in enumerate(B):  # (5)
-            slopes[j][:, self.data.layout.kind == 0] = -P[:, [j]] * A
-            slopes[j][:, self.data.layout.kind == 1 + j] = wave
-        slopes[-1][:, self.data.layout.kind == 0] = A
+            slopes[j][:, kind == 0], slopes[j][:, kind == 1 + j] = -P[:, [j]] * A, wave
+        slopes[-1][:, kind == 0] = A
         slopes /= below[:, None]
-        errors = [slopes @ self.others.T]
-        for size, U, _, rest, _ in self.posteriors:
-            noise = np.sqrt(rest / self.data.count.sum() / len(self.posteriors))
-            within = noise * solve_triangular(U, (slopes * size).reshape(-1, len(size)).T, trans=1)
-            errors.append(within.T.reshape(slopes.shape))
-        errors = np.concatenate(errors, axis=2)
+        parts = [slopes @ np.transpose([at.mean - self.mean for at in self.points])]
+        for at in self.points:
+            scaled = (slopes * at.size).reshape(-1, len(kind)).T
+            within = solve_triangular(at.U, scaled, trans=1, check_finite=False)
+            parts.append(np.sqrt(at.rest / count) * within.T.reshape(slopes.shape))
+        errors = np.concatenate(parts, axis=2) / np.sqrt(len(self.points))
         return np.moveaxis(errors[:-1], 0, 1), np.linalg.norm(errors[-1], axis=1)
 
     @property
     def denominator(self) -> np.ndarray:
         """The estimate of A, lag by lag."""
-        return np.append(1.0, (increments(self.data.layout.knots) @ self._of(0, self.mean))[1:])
+        return np.append(1.0, (increments(self.data.layout.knots) @ self.of(0, self.mean))[1:])
 
     @property
     def stable(self) -> bool:
@@ -384,7 +388,7 @@ class Regression:
         """Impulse response of the estimate over n samples, shape (m, n)."""
         B = np.zeros((len(self.data.layout.moved), n))
         for j, knots in enumerate(self.data.layout.moved):
-            lags = (increments(knots) @ self._of(1 + j, self.mean))[:n]
+            lags = (increments(knots) @ self.of(1 + j, self.mean))[:n]
             B[j, : len(lags)] = lags
         return lfilter([1.0], self.denominator, B)
 
@@ -398,16 +402,17 @@ def regression(groups: Sequence[Trials], direct: bool, gain=None) -> Regression:
     best = _fitted(groups, direct, np.zeros(groups[0].u.shape[2], int), gain)
     peaks = _peaks(groups, best)
     for room in ROOM if peaks.max() >= LATE else ():
-        other = _fitted(groups, direct, (room * peaks).astype(int), gain)
+        delays = (room * peaks).astype(int)
+        others = [_fitted(groups, direct, delays, gain, first) for first in (FIRST, best.eta)]
+        other = min(others, key=lambda fit: fit.surprise)
         if other.surprise > best.surprise:
             break
         best = other
     best, S = _polished(best)
-    at, d = _posterior(best.eta, best.data), len(best.eta)
-    points = best.eta + float(__import__("os").environ.get("KAPPA","1"))*np.sqrt(d) * np.concatenate([S, -S])
-    posts = [_posterior(point.clip(-BOUND, BOUND), best.data) for point in points]
-    others = [p.mean for p in posts]
-    return Regression(at.mean, (np.array(others) - at.mean) / np.sqrt(2 * d), best.data, at, posts)
+    farther = HEAVY * np.sqrt(len(S)) * np.concatenate([S, -S])
+    points = np.clip(best.eta + farther, -BOUND, BOUND)
+    at, *points = (_posterior(eta, best.data) for eta in (best.eta, *points))
+    return Regression(at.mean, best.data, at, tuple(points))
 
 
 def _peaks(groups, fit):
