@@ -18,9 +18,10 @@ from ilctools.law.io import limits_of
 from ilctools.logs.format import few
 from ilctools.loop.closed import CurrentTrialLoop, Loop
 from ilctools.loop.notes import LogError, loop_of
-from ilctools.measurement.estimation import EstimatedResponse, check_moved, estimated_response
+from ilctools.measurement.estimation import EstimatedResponse, estimated_response
 from ilctools.measurement.excitation import Excitation, excitation_of
 from ilctools.measurement.plausibility import findings_of
+from ilctools.measurement.record import check_moved
 from ilctools.measurement.region import radius_of
 from ilctools.measurement.tabulated import TabulatedResponse, tabulated
 from ilctools.measurement.transient import NEIGHBOURS, SPAN, nearest_lines, separated, windows_of
@@ -110,7 +111,7 @@ class MeasuredResponse(Measured):
 
 
 def measured_response(
-    log, of: str | None = None, uncertainty=None
+    log, of: str | None = None, uncertainty=None, *, gain=None, delay=0
 ) -> MeasuredResponse | EstimatedResponse | TabulatedResponse:
     """Make a measured response, with the region in which the truth lies, of what there is.
 
@@ -218,11 +219,11 @@ def measured_response(
         )
     if isinstance(log, list | tuple) and log:
         logs = [arguments.instance(f"log[{i}]", one, xr.Dataset) for i, one in enumerate(log)]
-        return _warned(estimated_response(logs, of))
+        return _warned(estimated_response(logs, of, gain, delay))
     arguments.instance("log", log, xr.Dataset)
     excitation, loop = excitation_of(log), loop_of(log)
     if excitation is None or of is not None:
-        measured = estimated_response([log], of)
+        measured = estimated_response([log], of, gain, delay)
     elif loop is None:
         raise LogError("log names no loop in its metadata: it is not of shake; or say `of`")
     else:
