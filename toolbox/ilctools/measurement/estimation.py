@@ -14,8 +14,9 @@ of their traces, and the root of tr S^2 is no more than the sum of theirs. With 
 
     radius = c q(||dP||) / (1 - c q(|dA / A|)),    q(|dA / A|)^2 = -log(p) E |dA / A|^2.        (2)
 
-*Stability.* Where c q(|dA / A|) < 1 on the unit circle, all A of the region have as many zeros
-outside as the estimate (Rouche): none, or the plant does not settle.
+*Stability.* If |dA| < |A| on the unit circle, A has as many zeros outside as its estimate (Rouche):
+none, or the plant does not settle. It may, or may not, where q(|dA / A|) of 99 % reaches one at a
+frequency; a zero that comes close does so near its own, and jointly q would warn of stable plants.
 """
 
 from collections.abc import Sequence
@@ -105,12 +106,11 @@ class EstimatedResponse(Measured):
 
     def _unsettled(self):
         """Outputs that may not settle, in words; refuses those that do not."""
-        c, p = JOINT, (1 - CONFIDENCE) / INDEPENDENT
-        shares = c * np.sqrt(-np.log(p)) * self._own_moments[2].max(axis=1)
+        shares = np.sqrt(-np.log(1 - CONFIDENCE)) * self._own_moments[2].max(axis=1)
         for name, fit, share in zip(self.record.outputs, self.fits, shares, strict=True):
-            if share < 1 and not fit.stable:
+            if not fit.stable and (share < 1 or not self.known.any()):
                 raise LogError(f"{name} does not settle: {LOOP}")
-            if share >= 1:
+            if not fit.stable or share >= 1:
                 yield f"{name} may not settle: {LOOP}"
 
     def _at(self, omega):

@@ -76,7 +76,7 @@ def _delayed(A, B, C, D, delay):
     core = control.ss(A, B, C, D, True)
     if delay.any():
         shifts = [np.eye(d, k=-1) for d in delay]
-        enters, leaves = (block_diag(*[np.eye(d)[:, [k]] for d in delay]) for k in (0, -1))
+        enters, leaves = (block_diag(*[np.eye(d, 1, end * (1 - d)) for d in delay]) for end in (0, 1))
         through = np.diag(1.0 * (delay == 0))
         core = core * control.ss(block_diag(*shifts), enters, leaves.T, through, True)
     return control.ss(core, name=name)
