@@ -27,7 +27,6 @@ from typing import NamedTuple
 import control
 import numpy as np
 import xarray as xr
-from scipy.linalg import solve
 from scipy.special import gammainccinv, ndtri
 
 from ilctools import arguments
@@ -46,6 +45,7 @@ FACTOR, JOINT = 0.8, 1.1  # of radii, at each frequency and at all: what makes b
 INDEPENDENT = 50  # frequencies that are as if independent: for all, p is divided by it
 UNKNOWN = 1e-3  # least 1 - c q(|dA / A|): where A may be zero, the radius is a thousand times
 PAST = 200  # samples of inputs before a record, of which its start is the response
+REPEATED = 3  # times, ridge regressions of a start
 NAMED = 5  # contradictions, or intervals of frequencies, at most that are said
 LOOP = "learning presupposes a stable plant. Record longer, or in a closed loop"
 
@@ -328,13 +328,17 @@ def _correlation(e, x, lags):
 def _without(off, left, power):
     """Errors (trial, time, output) without what inputs before a record have left.
 
-    By ridge regression: these are as large as those in it, and the noise is as large as the errors.
+    By ridge regression: these are as large as those in it, and the noise is as large as the errors
+    that it leaves, which is repeated.
     """
-    noise = np.maximum(np.square(off).mean(axis=(0, 1)), 1e-9 * power)[:, None, None]
-    scaled, signals = left / np.sqrt(noise), np.moveaxis(off, 2, 0) / np.sqrt(noise)
-    gram = np.einsum("ita,itb->ab", scaled, scaled, optimize=True) + np.eye(left.shape[2])
-    past = solve(gram, np.einsum("ita,ikt->ak", scaled, signals, optimize=True), assume_a="pos")
-    return off - np.einsum("ita,ak->kti", left, past, optimize=True)
+    rest = off
+    for _ in range(REPEATED):
+        noise = np.maximum(np.square(rest).mean(axis=(0, 1)), 1e-9 * power)
+        weighted = left / noise[:, None, None]
+        gram = np.einsum("ita,itb->ab", weighted, left, optimize=True) + np.eye(left.shape[2])
+        past = np.linalg.solve(gram, np.einsum("ita,kti->ak", weighted, off, optimize=True))
+        rest = off - np.einsum("ita,ak->kti", left, past, optimize=True)
+    return rest
 
 
 def estimated_response(
