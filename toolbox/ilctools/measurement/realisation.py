@@ -28,7 +28,7 @@ def model_within(
 ) -> control.StateSpace | None:
     """A model within `radius` (n,) of P (n, p, m) at omega Ts; of impulse response (p, m, time)."""
     loud = np.abs(g) > SILENT * np.abs(g).max(axis=2, keepdims=True)
-    late = np.argmax(loud, axis=2).min(axis=0)
+    late = np.maximum(np.argmax(loud, axis=2).min(axis=0) - 1, 0)  # one is that of the states
     for delay in (late, 0 * late):
         A, C = _balanced(np.stack([np.roll(g[:, j], -d, 1) for j, d in enumerate(delay)], axis=1))
         waves = np.exp(-1j * np.outer(angles, delay))[:, None]

@@ -120,7 +120,7 @@ def _titles(log, trials, name):
 
 
 def _samples_of(delay, m):
-    delay = np.broadcast_to(arguments.row("delay", delay), m)
+    delay = arguments.array("delay", [delay] * m if np.ndim(delay) == 0 else delay, (m,))
     if delay.min() < 0 or np.any(delay % 1):
         raise ValueError(f"delay = {delay.tolist()} must be whole numbers of samples, 0 or more")
     return delay.astype(int)
