@@ -342,7 +342,7 @@ def _without(off, left, power):
 
 
 def estimated_response(
-    logs: Sequence[xr.Dataset], of: str | None = None, gain=None, delay=0
+    logs: Sequence[xr.Dataset], of: str | None = None, gain=None, delay=None
 ) -> EstimatedResponse:
     """Estimate a frequency response from records; see :func:`ilctools.measured_response`."""
     record = Record.of(logs, of, delay)

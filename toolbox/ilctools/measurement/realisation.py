@@ -19,6 +19,7 @@ from scipy.linalg import block_diag, svd
 from ilctools.problem.problem import largest_singular_values
 
 MOST = 60  # states beside the delays
+ROUNDING = 1e-12  # of singular values, relative to the largest
 ROWS = 300  # of a Hankel matrix, in samples
 SILENT = 0.01  # of the largest of an impulse response: what is less, at its beginning, is a delay
 
@@ -47,11 +48,9 @@ def _balanced(g):
     p, m, N = g.shape
     rows = min(ROWS, (N - 2) // 2)
     lags = 1 + np.add.outer(np.arange(rows), np.arange(rows))
-    H, later = (
-        g[:, :, lags + k].transpose(2, 0, 3, 1).reshape(rows * p, rows * m) for k in (0, 1)
-    )
+    H, later = (g[:, :, lags + k].transpose(2, 0, 3, 1).reshape(rows * p, rows * m) for k in (0, 1))
     U, S, V = svd(H, full_matrices=False)
-    n = min(MOST, np.count_nonzero(S > 1e-12 * S[0]))
+    n = min(MOST, np.count_nonzero(S / S[0] > ROUNDING))
     root = np.sqrt(S[:n])
     A = (U[:, :n] / root).T @ later @ (V[:n].T / root)
     return A, U[:p, :n] * root
@@ -59,7 +58,7 @@ def _balanced(g):
 
 def _fitted(A, C, P, angles, radius):
     """B and D by least squares, and the response."""
-    n, p, m = P.shape
+    n, p, _ = P.shape
     resolvent = np.exp(1j * angles)[:, None, None] * np.eye(len(A)) - A
     states = np.linalg.solve(resolvent.swapaxes(1, 2), np.broadcast_to(C.T, (n, *C.T.shape)))
     X = np.concatenate([states.swapaxes(1, 2), np.broadcast_to(np.eye(p), (n, p, p))], axis=2)
@@ -76,7 +75,9 @@ def _delayed(A, B, C, D, delay):
     core = control.ss(A, B, C, D, True)
     if delay.any():
         shifts = [np.eye(d, k=-1) for d in delay]
-        enters, leaves = (block_diag(*[np.eye(d, 1, end * (1 - d)) for d in delay]) for end in (0, 1))
+        enters, leaves = (
+            block_diag(*[np.eye(d, 1, end * (1 - d)) for d in delay]) for end in (0, 1)
+        )
         through = np.diag(1.0 * (delay == 0))
         core = core * control.ss(block_diag(*shifts), enters, leaves.T, through, True)
     return control.ss(core, name=name)

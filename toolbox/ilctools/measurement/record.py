@@ -32,7 +32,7 @@ class Record:
 
     @classmethod
     def of(
-        cls, logs: xr.Dataset | Sequence[xr.Dataset], source: str | None = None, delay=0
+        cls, logs: xr.Dataset | Sequence[xr.Dataset], source: str | None = None, delay=None
     ) -> "Record":
         """Of a log or several; `source` and `delay` as for :func:`ilctools.measured_response`."""
         logs = [logs] if isinstance(logs, xr.Dataset) else logs
@@ -50,8 +50,8 @@ class Record:
         moved = outputs if source == "w" else first.control.values.tolist()
         m, width = len(moved), min(u.shape[2] for u, _ in moves)
         inputs, answers = [u[..., :width] for u, _ in moves], [y for _, y in moves]
-        check_moved([u[..., :m] for u in inputs], moved, f"{names[0]}.{source}", "what follows "
-                    "from it is not known. Record it while it moves, by a step or by noise")  # fmt: skip
+        remedy = "what follows from it is not known. Record it while it moves, by a step or noise"
+        check_moved([u[..., :m] for u in inputs], moved, f"{names[0]}.{source}", remedy)
         check_moved(answers, outputs, f"{names[0]}.y", "is it connected?")
         delay = _samples_of(delay, m)
         sizes, units = _sizes(inputs), _sizes(answers)
@@ -120,6 +120,7 @@ def _titles(log, trials, name):
 
 
 def _samples_of(delay, m):
+    delay = 0 if delay is None else delay
     delay = arguments.array("delay", [delay] * m if np.ndim(delay) == 0 else delay, (m,))
     if delay.min() < 0 or np.any(delay % 1):
         raise ValueError(f"delay = {delay.tolist()} must be whole numbers of samples, 0 or more")

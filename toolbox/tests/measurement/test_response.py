@@ -1,5 +1,7 @@
 """What an estimate says: its region, its model, its picture, and whether a log contradicts it."""
 
+import re
+
 import control
 import numpy as np
 import pytest
@@ -8,8 +10,8 @@ from scipy.signal import lfilter
 from test_record import LAG, error, log_of, moved
 
 from ilctools import measured_response
-from ilctools.measurement.regression import increments
-from ilctools.models import frequency_response
+from ilctools.measurement.realisation import model_within
+from ilctools.models import frequency_response, impulse_response
 from ilctools.problem.problem import largest_singular_values
 
 SETTLES = pytest.mark.filterwarnings("ignore:.* may not settle")
@@ -30,8 +32,8 @@ def test_the_region_holds_and_a_model_is_in_it(name):
     model = estimate.model()
     assert np.all(error(estimate, model)[known] <= radius[known])
     assert (model.dt, model.input_labels) == (make().dt, estimate.record.inputs)
-    states = model.nstates - sum(map(int, model.name.split("behind ")[1].split()[0].split(",")[:1]))
-    assert f"order {states}" in model.name or name == "three tanks"
+    order, *delays = map(int, re.findall(r"\d+", model.name))
+    assert model.nstates == order + sum(delays)
     table = estimate.frd()
     assert table.dt == model.dt and table.output_labels == model.output_labels
     np.testing.assert_array_equal(np.moveaxis(table.frdata, -1, 0), estimate.response)
@@ -78,7 +80,6 @@ def test_the_radius_is_that_of_the_normal_distribution():
     size = estimate.units.item() * np.abs(errors[:, 0] @ z)
     drawn = np.quantile(size, 0.95, axis=1)
     assert np.all(estimate.radius(0.95) > 0.7 * drawn)
-    assert len(increments(fit.data.layout.knots)) == 1 + 200 // 4
 
 
 def test_another_log_contradicts_or_does_not():
@@ -103,13 +104,15 @@ def test_a_loop_whose_reference_is_not_known_shows_in_the_residuals():
     own, crossed, band = open_loop.residuals()
     assert np.mean(np.abs(own) > band) < 0.1 and np.mean(np.abs(crossed) > band) < 0.1
     u, y, noise = np.zeros(N), np.zeros(N), lfilter([1], [1, -0.5], rng.standard_normal(N))
-    state, reference = 0.0, np.repeat(rng.standard_normal(N // 20), 20)
+    state, reference = 0.0, np.repeat(3 * rng.standard_normal(N // 20), 20)
     for t in range(N):
         y[t] = state + noise[t]
         u[t] = 2.0 * (reference[t] - y[t])
         state = 0.9 * state + 0.1 * u[t]
-    estimate = measured_response(log_of(u[None], y[None]))
-    assert estimate.residuals()[1].shape == (1, 1, 51)
+    with pytest.warns(UserWarning, match="y0"):
+        estimate = measured_response(log_of(u[None], y[None]))
+    _, crossed, band = estimate.residuals()
+    assert np.mean(np.abs(crossed[0, 0, :25]) > band) > 0.2  # later commands
 
 
 def test_it_draws_itself():
@@ -121,9 +124,6 @@ def test_it_draws_itself():
 
 
 def test_a_model_of_a_model_is_the_model():
-    from ilctools.measurement.realisation import model_within
-    from ilctools.models import impulse_response
-
     plant, angles = tanks()[:, 1:], np.geomspace(1e-3, np.pi, 100)
     P, g = frequency_response(plant, angles / 2), np.moveaxis(impulse_response(plant, 900), 0, 2)
     model = model_within(1e-6 + 0 * angles, P, angles, g, True)
