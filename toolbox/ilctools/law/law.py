@@ -33,18 +33,13 @@ class Region:
         spline = make_interp_spline(self.omega, self.response, min(3, len(self.omega) - 1))
         return spline(at), np.interp(at, self.omega, self.radius)
 
-    def outputs(self, inputs, Ts: float) -> tuple[np.ndarray, np.ndarray]:
-        """P v from rest of inputs v (time, m), and by how much the radius may change it, likewise.
-
-        The second has at each frequency the size of v times the radius.
-        """
-        samples, size = len(inputs), 2 * len(inputs)
+    def outputs(self, v, Ts: float) -> np.ndarray:
+        """P v from rest, and v times the radius: the most that Delta adds; (2, time, m)."""
+        samples, size = len(v), 2 * len(v)
         P, radius = self.on(2 * np.pi * np.fft.rfftfreq(size, Ts))
-        V = np.fft.rfft(inputs, size, axis=0)[..., None]
-        return tuple(
-            np.fft.irfft(spectrum[..., 0], size, axis=0)[:samples]
-            for spectrum in (P @ V, radius[:, None, None] * V)
-        )
+        V = np.fft.rfft(v, size, axis=0)[..., None]
+        spectra = np.stack([P @ V, radius[:, None, None] * V])
+        return np.fft.irfft(spectra[..., 0], size, axis=1)[:, :samples]
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,7 +32,6 @@ from ilctools.law.law import Law, Region
 from ilctools.loop.closed import Loop
 from ilctools.models import state_sequence
 from ilctools.problem.problem import largest_singular_values
-from ilctools.signals import period_of
 from ilctools.units import by_unit
 
 # probability of a false warning by noise, in a test; and where learning adds what it removes
@@ -95,11 +94,6 @@ class History:
         model = None if self.law.loop is None else self.law.loop.P
         return self.law.region if model is None else model
 
-    @property
-    def of_P(self) -> str:
-        """Where P is from, in words."""
-        return "P of the design" if isinstance(self.P, Region) else "the loop's model"
-
     @cached_property
     def convergence(self) -> Convergence:
         """The rate that P predicts, at most where it has a radius."""
@@ -115,11 +109,6 @@ class History:
     def effect(self) -> np.ndarray:
         """P v, by which v lowers the error of each trial."""
         return outputs_of(self.P, self.v, self.trials)[..., self.channels]
-
-    def slack(self, k: int, before: int) -> np.ndarray:
-        """By how much the radius of P may change the effect of v_k - v_before, (time, channel)."""
-        change = self.v[k] - self.v[before]
-        return self.P.outputs(change, self.law.Ts)[1] if isinstance(self.P, Region) else 0 * change
 
     @cached_property
     def free(self) -> np.ndarray:
@@ -213,7 +202,7 @@ def runs(signals, trials: xr.Dataset) -> np.ndarray:
 def outputs_of(model: control.StateSpace | Region, inputs, trials: xr.Dataset) -> np.ndarray:
     """Outputs of a model from rest, before each trial of inputs (trial, time, m) or the first."""
     if isinstance(model, Region):
-        outputs = [model.outputs(run, period_of(trials))[0] for run in runs(inputs, trials)]
+        outputs = [model.outputs(run, trials.Ts)[0] for run in runs(inputs, trials)]
         return np.concatenate(outputs).reshape(inputs.shape)
     rest, outputs = np.zeros(model.nstates), []
     for run in runs(inputs, trials):
@@ -274,7 +263,7 @@ def _where_and_why(history, k):
             )
     predicted = ""
     if history.P is not None:
-        predicted = f"By {history.of_P} sigma_max(M) <= {history.convergence.gamma:.3g}"
+        predicted = f"By the model sigma_max(M) <= {history.convergence.gamma:.3g}"
         if history.exact and history.convergence.gamma < 1:
             return (
                 f"{predicted}: unless there was a new disturbance, the ends of the trial are the "
@@ -327,7 +316,7 @@ def _broken_promise(history, trial, before, row, changes, predicted):
     return (
         f"the convergence rate is not the predicted one: up to {row['frequency']:.2g} rad/s, "
         f"trial {history.number(trial)} has {row['measured']:.2f} of the error"
-        f"{history.of_outputs} of trial {history.number(before)}; {history.of_P} predicts "
+        f"{history.of_outputs} of trial {history.number(before)}; the model predicts "
         f"{row['predicted']:.2f}, {row['bound']:.2f} at most, and noise is less. Unless there was "
         "a new disturbance, the plant differs from the model: of the changes that this predicts, "
         f"{came} came; is a sensor or an actuator at its limit, exchanged or reversed? Else "
@@ -415,7 +404,9 @@ def error_by_octave(history: History, k: int, before: int) -> dict[str, np.ndarr
 
     error = np.maximum(size(history.e[before]), TINY)
     kept = size(free - law.Q.apply(free))  # (1 - Q) e_free
-    slack = size(history.slack(k, before))
+    slack, P = 0.0, history.P
+    if isinstance(P, Region):
+        slack = size(P.outputs(history.v[k] - history.v[before], law.Ts)[1])
     noise = np.linalg.norm(noise_std(history.e[k])) * np.sqrt(np.diff(edges) / edges[-1])
     return {
         "frequency": edges[1:] / law.Ts,
