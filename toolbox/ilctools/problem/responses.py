@@ -235,14 +235,19 @@ def _frequencies(P, Q) -> np.ndarray:
 
 def _where_it_bends(P, Q, omega):
     """Frequencies, and the middle of each interval between two in which P or its radius bends."""
+    low, high = omega[:-1], omega[1:]
     for _ in range(ROUNDS):
-        n, middle = len(omega), np.sqrt(omega[1:] * omega[:-1])
-        response, radius = P.on(np.append(omega, middle), CONFIDENCE)
-        bend, of_radius = (x[n:] - (x[1:n] + x[: n - 1]) / 2 for x in (response, radius))
+        middle, n = np.sqrt(low * high), len(low)
+        response, radius = P.on(np.concatenate([low, middle, high]), CONFIDENCE)
+        bend, of_radius = (x[n:-n] - (x[:n] + x[-n:]) / 2 for x in (response, radius))
         bend = largest_singular_values(bend) + np.abs(of_radius)
-        bends = Q.frequency_response(middle) * bend > BEND * largest_singular_values(response[n:])
-        omega = np.sort(np.append(omega, middle[bends]))
-    return omega
+        bent = Q.frequency_response(middle) * bend > BEND * largest_singular_values(response[n:-n])
+        if not bent.any():
+            break
+        low, middle, high = low[bent], middle[bent], high[bent]
+        omega = np.append(omega, middle)
+        low, high = np.append(low, middle), np.append(middle, high)
+    return np.sort(omega)
 
 
 def plants(P):
