@@ -6,8 +6,14 @@ import control
 import numpy as np
 import pytest
 
-from ilctools import ClosedLoop, measured_response, record, replay, synthesise
-from ilctools import zero_phase_butterworth
+from ilctools import (
+    ClosedLoop,
+    measured_response,
+    record,
+    replay,
+    synthesise,
+    zero_phase_butterworth,
+)
 
 PLANT = control.ss(control.tf([400], [1, 20, 400])).sample(0.01)
 LOOP = ClosedLoop(Ts=0.01, outputs=["x"], units={"x": "mm"})
