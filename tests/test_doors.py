@@ -148,7 +148,7 @@ DOORS = [
     (ilctools.trial_noise,),
     (ilctools.converged_noise,),
     (ilctools.noise_on_trial,),
-    (ilctools.replay, {"unmeasured": ["friction"]}, {"trials": RECORD}),
+    (ilctools.replay, {"unmeasured": ["friction"]}, {"trials": RECORD, "law": None}),
     (
         ilctools.read_table,
         {"time": ["none"], "inputs": [{"u": "none"}]},

@@ -1,5 +1,7 @@
 """Tables of others: what they say is read, and what is wrong is named by row and column."""
 
+import gzip
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -126,8 +128,10 @@ def read(folder, lines, **more):
     ("lines", "message"),
     [
         (["t (K),level", *rows_of()[1:]], "unit of time = 'K'"),
-        (["t;level", "0;1,5", "1;1.234,5"], "y_h: entry '1,234.5' in row 3"),
-        (["t;level", *4 * ["0;1,5"], "2;2.5"], "y_h: entry '2,5' in row 6"),
+        (["t;level", "0;1,5", "1;1.234,5"], "level: entry '1.234,5' in row 3"),
+        (["t;level", *4 * ["0;1,5"], "2;2.5"], "level: entry '2,5' in row 6"),
+        (["t;level", *4 * ["0;1,5"], "2;05.03.2024"], "level: entry '05.03.2024' in row 6"),
+        (["t,level", *4 * ["0,1"], "2,"], "level: entry '' in row 6"),
         (["t,level", "29.02.2024,1", "01.03.2024,1"], "entry '29.02.2024' in row 2"),
         (["t,level"], "no rows of numbers"),
     ],
@@ -268,3 +272,31 @@ def test_how_arrays_of_others_are_read_is_said(tmp_path, save, load):
     file = load(path)
     frame = pd.DataFrame({name: np.ravel(file[name]) for name in ("t", "y")})
     np.testing.assert_array_equal(read_table(frame, time="t", outputs={"y": "y"}).y[0, :, 0], LEVEL)
+
+
+def test_compressed_text_and_quoted_commas_are_read(tmp_path):
+    rows = [f'"{k},0","{k / 4}"'.replace(".", ",") for k in range(9)]
+    text = gzip.compress("\n".join(["t,level", *rows]).encode())
+    (tmp_path / "log.csv.gz").write_bytes(text)
+    log = read_table(tmp_path / "log.csv.gz", time="t", outputs={"h": "level"})
+    assert log.attrs["Ts"] == 1
+    assert log.y.values[0, :, 0].tolist() == [k / 4 for k in range(9)]
+    (tmp_path / "log.csv.gz").write_bytes(text[:-9])
+    with pytest.raises(LogError, match=r"csv\.gz: "):
+        read_table(tmp_path / "log.csv.gz", time="t", outputs={"h": "level"})
+
+
+def test_an_input_that_is_logged_at_every_tenth_row_is_not_resampled():
+    time = 0.1 * np.arange(300)
+    table = pd.DataFrame({"t": time, "u": np.where(np.arange(300) % 10, np.nan, 1.0), "y": time})
+    columns = {"time": "t", "inputs": {"y": "u"}, "outputs": {"y": "y"}}
+    with pytest.raises(LogError, match="30 of 300 rows have a number in each column: fill in"):
+        read_table(table, **columns, resample=True)
+    log = read_table(table.ffill(), **columns, resample=True)
+    assert (log.sizes["time"], log.attrs["Ts"]) == (300, 0.1)
+
+
+def test_a_spreadsheet_is_to_be_saved_as_csv(tmp_path):
+    (tmp_path / "log.xlsx").write_bytes(b"PK\x03\x04")
+    with pytest.raises(LogError, match="save a spreadsheet as CSV"):
+        read_table(tmp_path / "log.xlsx", time="t", outputs={"h": "level"})

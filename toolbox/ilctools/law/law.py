@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
 from ilctools import arguments
 from ilctools.filters import LearningOperator, ZeroPhaseButterworth
@@ -13,6 +14,32 @@ from ilctools.law.limits import WEIGHT, Actuators, check_solver, named_limits, p
 from ilctools.loop.closed import Loop
 from ilctools.loop.notes import loop_note
 from ilctools.signals import check_match
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """P of a law whose design had no model, and how far off it may be.
+
+    Between the frequencies P is a cubic spline; beyond them it is what it is at the last one.
+    """
+
+    omega: np.ndarray  # rad/s, shape (n,)
+    response: np.ndarray  # shape (n, m, m), complex
+    radius: np.ndarray  # of sigma_max(Delta) in the outputs' units, shape (n,)
+
+    def on(self, omega) -> tuple[np.ndarray, np.ndarray]:
+        """P and its radius at other frequencies."""
+        at = np.clip(omega, *self.omega[[0, -1]])
+        spline = make_interp_spline(self.omega, self.response, min(3, len(self.omega) - 1))
+        return spline(at), np.interp(at, self.omega, self.radius)
+
+    def outputs(self, v, Ts: float) -> np.ndarray:
+        """P v from rest, and v times the radius: the most that Delta adds; (2, time, m)."""
+        samples, size = len(v), 2 * len(v)
+        P, radius = self.on(2 * np.pi * np.fft.rfftfreq(size, Ts))
+        V = np.fft.rfft(v, size, axis=0)[..., None]
+        spectra = np.stack([P @ V, radius[:, None, None] * V])
+        return np.fft.irfft(spectra[..., 0], size, axis=1)[:, :samples]
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +66,10 @@ class Law:
     loop : CurrentTrialLoop or ClosedLoop, optional
         The loop that the law is for. :func:`ilctools.run_trials` and :func:`ilctools.record` bind a
         law without one to theirs, and refuse a law for another.
+    region : Region, optional
+        P and its radius at the design frequencies, of a design without a model: by it trials are
+        judged if the loop has no P. :meth:`.Synthesis.law` gives it; neither a file of the law nor
+        a log stores it.
 
     See Also
     --------
@@ -64,6 +95,7 @@ class Law:
     gain: float = 1.0
     limits: dict[str, tuple[float, ...]] | None = None
     loop: Loop | None = None
+    region: Region | None = None
 
     def __post_init__(self):
         if not isinstance(self.Q, ZeroPhaseButterworth):
@@ -76,6 +108,8 @@ class Law:
             parties["L"] = arguments.instance("L", self.L, LearningOperator)
         if self.loop is not None:
             parties["loop"] = arguments.instance("loop", self.loop, Loop)
+        if self.region is not None:
+            arguments.instance("region", self.region, Region)
         check_match(**parties)
         rest = arguments.whole("rest", self.rest, 0)
         gain = arguments.number("gain", self.gain, "in (0, 1]", 0, most=1)

@@ -1,7 +1,9 @@
 """Reading text and logs: rows known by their line, trials with the clock that they need."""
 
 import csv
+import gzip
 import re
+import zlib
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -22,6 +24,7 @@ from ilctools.units import seconds
 
 # what a terminal would obey, as it is or as JSON writes it
 CONTROL = re.compile(r"[\x00-\x08\x0e-\x19\x1b-\x1f\x7f\x9b]|\\u00([01]|7f|[89])", re.I)
+GZIP = b"\x1f\x8b"  # with which compressed files begin
 MARKS = "#%/!"  # with which comments begin
 SENSED = ("y", "delta", "measured")  # valid at a moment; other signals are held
 
@@ -99,13 +102,15 @@ def about(path) -> Iterator[None]:
         yield
     except OSError as error:
         raise LogError(f"{path}: cannot be read: {error}") from None
-    except (ValueError, RecursionError, csv.Error) as error:
+    except (ValueError, RecursionError, EOFError, csv.Error, zlib.error) as error:
         raise LogError(f"{path}: {error}") from None
 
 
 def lines_of(path: Path) -> list[str]:
-    """The lines of a text in UTF-8, UTF-16 or, as old spreadsheets write it, Latin-1."""
+    """The lines of a text in UTF-8, UTF-16 or, as old spreadsheets write it, Latin-1; or of .gz."""
     content = path.read_bytes()
+    if content.startswith(GZIP):
+        content = gzip.decompress(content)
     utf16 = content.startswith((BOM_UTF16_LE, BOM_UTF16_BE))
     try:
         text = content.decode("utf-16" if utf16 else "utf-8-sig")
@@ -113,9 +118,9 @@ def lines_of(path: Path) -> list[str]:
         text = content.decode("latin-1")
     if found := CONTROL.search(text):
         raise LogError(
-            f"is not text, it has {found[0]!r}: pass a pandas.DataFrame to read_table. pandas "
-            "reads spreadsheets; a .mat or .npz is pandas.DataFrame({name: numpy.ravel(file[name]) "
-            "for name in (...)}) with file = scipy.io.loadmat(path) or numpy.load(path)"
+            f"is not text, it has {found[0]!r}: save a spreadsheet as CSV; a .mat or .npz pass to "
+            "read_table as pandas.DataFrame({name: numpy.ravel(file[name]) for name in (...)}) "
+            "with file = scipy.io.loadmat(path) or numpy.load(path)"
         )
     return re.split(r"\r\n?|\n", text)
 
@@ -155,21 +160,29 @@ def value_of(entry) -> float:
         return np.nan
 
 
-def numbers_of(entries: pd.DataFrame, gaps: bool = False) -> pd.DataFrame:
-    """The numbers in all columns; with `gaps`, only of the rows that have them all."""
+def numbers_of(
+    entries: pd.DataFrame, gaps: bool = False, titles: Mapping[str, str] | None = None
+) -> pd.DataFrame:
+    """The numbers in all columns; with `gaps`, only of the rows that have them all.
+
+    `titles` are those of the file, if they are others.
+    """
     table = entries.map(value_of)
     finite = np.isfinite(table)
     for title in () if gaps else entries:
         wrong = entries[title][~finite[title]]
         if len(wrong):
             raise LogError(
-                f"{title}: entry {str(wrong.iloc[0])[:40]!r} in row {wrong.index[0]} must be a "
-                f"finite number ({len(wrong)} such entries)"
+                f"{(titles or {}).get(title, title)}: entry {str(wrong.iloc[0])[:40]!r} in row "
+                f"{wrong.index[0]} must be a finite number ({len(wrong)} such entries)"
             )
-    table = table[finite.all(axis=1)]
-    if table.empty:
-        raise LogError("there is no row with a number in each column")
-    return table
+    whole, some = finite.all(axis=1), finite.any(axis=1)
+    if whole.sum() <= clock.MISSING * some.sum():
+        raise LogError(
+            f"{whole.sum()} of {some.sum()} rows have a number in each column: fill in what is "
+            "logged less often before, as pandas.DataFrame.ffill holds an input"
+        )
+    return table[whole]
 
 
 def check_titles(header: Sequence[str], signals: Mapping) -> dict[str, list[str]]:

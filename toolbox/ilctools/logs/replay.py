@@ -6,7 +6,7 @@ out, with the reason.
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import control
@@ -16,7 +16,7 @@ import xarray as xr
 
 from ilctools import arguments
 from ilctools.files import write_whole
-from ilctools.law.io import BEGUN, RESET, law_of
+from ilctools.law.io import BEGUN, RESET, law_notes, law_of
 from ilctools.law.law import Law
 from ilctools.law.repetitive import next_samples, repeated
 from ilctools.logs.format import signals_of
@@ -336,7 +336,7 @@ def channels_by_unit(e: xr.DataArray) -> dict[str, list[int]]:
     return titles
 
 
-def replay(trials: xr.Dataset, unmeasured: Sequence[str] = ()) -> Replay:
+def replay(trials: xr.Dataset, unmeasured: Sequence[str] = (), law: Law | None = None) -> Replay:
     """Replay a log with the law and the loop that its metadata name.
 
     Parameters
@@ -345,6 +345,9 @@ def replay(trials: xr.Dataset, unmeasured: Sequence[str] = ()) -> Replay:
         From :func:`ilctools.load_log` or :func:`ilctools.record`.
     unmeasured : sequence of str, optional
         Names of disturbances that the simulation ignores, as if they had not been measured.
+    law : Law, optional
+        The law of the log, from the design: with a measured P, which a log does not store, and by
+        which trials are judged if the loop has no model.
 
     Returns
     -------
@@ -387,7 +390,13 @@ def replay(trials: xr.Dataset, unmeasured: Sequence[str] = ()) -> Replay:
     if off > ROUNDING * np.abs(trials[["reference", "y"]]).to_array().max().item():
         raise ValueError(f"trials.e is not reference - y, but off by up to {off:.3g}: correct it")
     unmeasured = tuple(arguments.different("unmeasured", unmeasured))
-    law, loop = law_of(trials), loop_of(trials)
+    known, loop = law_of(trials), loop_of(trials)
+    if law is not None:
+        arguments.instance("law", law, Law)
+        if known is None or any(law_notes(known)[key] != law_notes(law)[key] for key in "QL"):
+            raise ValueError("law has not the Q and L in the metadata of trials: leave it out")
+        known = replace(known, region=law.region)
+    law = known
     controlled = isinstance(loop, ClosedLoop) or "u" in trials
     if law is not None and law.limits and (loop is None or not controlled):
         law = None  # whose projection cannot be computed

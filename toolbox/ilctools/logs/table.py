@@ -199,7 +199,7 @@ def _as_log(entries, columns, named, units, gaps):
     if "time" in titles:
         unit = units.get("time") or _time_unit(titles["time"])
         entries["time"] = _in_seconds(entries["time"], unit)
-    table = numbers_of(entries, gaps)
+    table = numbers_of(entries, gaps, titles)
     if "reference" in named and "v" not in named:
         table[[f"v_{name}" for name in named["outputs"]]] = 0.0
     return table, signals
@@ -286,7 +286,7 @@ def _layout(lines):
         filled = sum(entry != "" for row in alike for entry in row)
         share = numeric.sum() / max(filled, 1)
         quality = len(alike) / max(len(rows), 1) * share, width > 1
-        if delimiter != point and quality > best:
+        if quality > best:
             best, layout = quality, (delimiter, point, numeric.mean(axis=0) >= 0.5)
     if layout is None or not layout[-1].any():
         raise LogError("there are no rows of numbers")
@@ -322,9 +322,10 @@ def _titles(lines, delimiter, point, numeric, asked):
 
 
 def _with_point(entry):
-    """An entry with a decimal comma as one with a point; times have points."""
-    is_time = TIME.fullmatch(entry)
-    return entry if is_time else entry.translate(str.maketrans(",.", ".,"))
+    """An entry with a decimal comma as one with a point; times have points, and words stay."""
+    swapped = entry.translate(str.maketrans(",.", ".,"))
+    word = not any(_are_numbers([entry, swapped], "."))
+    return entry if word or TIME.fullmatch(entry) else swapped
 
 
 def _split(line, delimiter):

@@ -9,7 +9,7 @@ import numpy as np
 from ilctools.evidence.certificate import Certificate, check
 from ilctools.evidence.convergence import Convergence
 from ilctools.filters import LearningFilter
-from ilctools.law.law import Law
+from ilctools.law.law import Law, Region
 from ilctools.problem.pose import pose
 from ilctools.problem.problem import Problem, Solution
 from ilctools.signals import check_match
@@ -113,13 +113,22 @@ class Synthesis:
         return control.frd(np.moveaxis(response, 0, -1), self.omega, None, name=name)
 
     def law(self, rest: int = 0, gain: float = 1.0, limits=None) -> Law:
-        """The law (23) with Q and L of the design; for the others see :class:`ilctools.Law`."""
-        Q = self.problem.butterworth
+        """The law (23) with Q and L of the design; for the others see :class:`ilctools.Law`.
+
+        If P was no model, the law keeps it with its radius: trials are judged by it.
+        """
+        problem, region = self.problem, None
+        Q = problem.butterworth
         if Q is None:
             raise ValueError(
                 "Q = samples cannot be applied to a trial: synthesise with Q as a filter"
             )
-        return Law(Q, self.filter, rest, gain, limits)
+        if problem.models == (None,):
+            scale = problem.scale
+            P = problem.P * scale[:, None] / scale
+            radius = np.zeros(len(P)) if problem.radius is None else problem.radius
+            region = Region(problem.omega, P, radius * scale.max() / scale.min())
+        return Law(Q, self.filter, rest, gain, limits, region=region)
 
     def check(self, P, omega=None, *, uncertainty=None) -> Convergence:
         """What the filter does on another plant: the rate, and does it converge?

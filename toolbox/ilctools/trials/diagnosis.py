@@ -15,7 +15,7 @@ noise is follows from the trials themselves: it is what does not repeat, however
 v does not explain.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import factorial
 
@@ -28,9 +28,10 @@ from ilctools.evidence.convergence import Convergence, convergence
 from ilctools.evidence.finite import trial_norm
 from ilctools.filters import LearningFilter
 from ilctools.law.io import RESET
-from ilctools.law.law import Law
+from ilctools.law.law import Law, Region
 from ilctools.loop.closed import Loop
 from ilctools.models import state_sequence
+from ilctools.problem.problem import largest_singular_values
 from ilctools.units import by_unit
 
 # probability of a false warning by noise, in a test; and where learning adds what it removes
@@ -88,18 +89,25 @@ class History:
         return f" of {', '.join(self.names)}" if others else ""
 
     @property
-    def P(self) -> control.StateSpace | None:
-        """Model of the law's loop."""
-        return None if self.law.loop is None else self.law.loop.P
+    def P(self) -> control.StateSpace | Region | None:
+        """Model of the law's loop; without one, P of the law's design and its radius."""
+        model = None if self.law.loop is None else self.law.loop.P
+        return self.law.region if model is None else model
 
     @cached_property
     def convergence(self) -> Convergence:
-        """The rate that the model predicts."""
-        return convergence(self.P, self.law.Q, self.law.L, GRID / self.law.Ts)
+        """The rate that P predicts, at most where it has a radius."""
+        Q, L, omega, P, radius = self.law.Q, self.law.L, GRID / self.law.Ts, self.P, 0.0
+        if isinstance(P, Region):
+            P, radius = P.on(omega)
+        nominal = convergence(P, Q, L, omega)
+        _, Q, L = nominal.responses
+        sigma = nominal.sigma + np.abs(Q) * radius * largest_singular_values(L)
+        return replace(nominal, sigma=sigma, gamma=sigma.max())
 
     @cached_property
     def effect(self) -> np.ndarray:
-        """P v by the model, by which v lowers the error of each trial."""
+        """P v, by which v lowers the error of each trial."""
         return outputs_of(self.P, self.v, self.trials)[..., self.channels]
 
     @cached_property
@@ -111,7 +119,8 @@ class History:
     def at_ends(self) -> str:
         """What the ends of a trial do by the model, in words, if v need not converge there."""
         L, law = self.law.L, self.law
-        known = self.P is not None and isinstance(L, LearningFilter) and not law.limits
+        known = isinstance(self.P, control.StateSpace) and isinstance(L, LearningFilter)
+        known = known and not law.limits
         if not known or RESET in self.trials.attrs:
             return ""
         samples = self.trials.sizes["time"]
@@ -136,7 +145,8 @@ def diagnose(trials: xr.Dataset, law: Law, first: int = 2, exact: bool = False) 
     trials : xarray.Dataset
         Successive trials, as from :func:`ilctools.run_trials`.
     law : Law
-        If it is bound to a loop with a model P, it is compared with the trials.
+        If its loop has a model P, or else its design a P with a radius, the trials are compared
+        with that.
     first : int
         The first trial to be judged, counted from 1.
     exact : bool
@@ -189,8 +199,11 @@ def runs(signals, trials: xr.Dataset) -> np.ndarray:
     return np.concatenate(signals)[None] if RESET in trials.attrs else signals
 
 
-def outputs_of(model: control.StateSpace, inputs, trials: xr.Dataset) -> np.ndarray:
+def outputs_of(model: control.StateSpace | Region, inputs, trials: xr.Dataset) -> np.ndarray:
     """Outputs of a model from rest, before each trial of inputs (trial, time, m) or the first."""
+    if isinstance(model, Region):
+        outputs = [model.outputs(run, trials.Ts)[0] for run in runs(inputs, trials)]
+        return np.concatenate(outputs).reshape(inputs.shape)
     rest, outputs = np.zeros(model.nstates), []
     for run in runs(inputs, trials):
         x = state_sequence(model.A, run @ model.B.T, rest)
@@ -250,7 +263,7 @@ def _where_and_why(history, k):
             )
     predicted = ""
     if history.P is not None:
-        predicted = f"By the loop's model sigma_max(M) <= {history.convergence.gamma:.3g}"
+        predicted = f"By the model sigma_max(M) <= {history.convergence.gamma:.3g}"
         if history.exact and history.convergence.gamma < 1:
             return (
                 f"{predicted}: unless there was a new disturbance, the ends of the trial are the "
@@ -303,7 +316,7 @@ def _broken_promise(history, trial, before, row, changes, predicted):
     return (
         f"the convergence rate is not the predicted one: up to {row['frequency']:.2g} rad/s, "
         f"trial {history.number(trial)} has {row['measured']:.2f} of the error"
-        f"{history.of_outputs} of trial {history.number(before)}; the loop's model predicts "
+        f"{history.of_outputs} of trial {history.number(before)}; the model predicts "
         f"{row['predicted']:.2f}, {row['bound']:.2f} at most, and noise is less. Unless there was "
         "a new disturbance, the plant differs from the model: of the changes that this predicts, "
         f"{came} came; is a sensor or an actuator at its limit, exchanged or reversed? Else "
@@ -391,12 +404,15 @@ def error_by_octave(history: History, k: int, before: int) -> dict[str, np.ndarr
 
     error = np.maximum(size(history.e[before]), TINY)
     kept = size(free - law.Q.apply(free))  # (1 - Q) e_free
+    slack, P = 0.0, history.P
+    if isinstance(P, Region):
+        slack = size(P.outputs(history.v[k] - history.v[before], law.Ts)[1])
     noise = np.linalg.norm(noise_std(history.e[k])) * np.sqrt(np.diff(edges) / edges[-1])
     return {
         "frequency": edges[1:] / law.Ts,
         "before": error,
         "bound": 1 - law.gain + law.gain * (sigma + kept / error),  # (1)
-        "predicted": size(free - history.effect[k]) / error,  # (2)
+        "predicted": (size(free - history.effect[k]) + slack) / error,  # (2)
         "measured": size(history.e[k]) / error,
         "noise": noise / error,
     }

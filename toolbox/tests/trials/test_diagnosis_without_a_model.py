@@ -1,0 +1,66 @@
+"""Trials of a loop without a model are judged by the P that the law was designed for."""
+
+import warnings
+
+import control
+import numpy as np
+import pytest
+
+from ilctools import (
+    ClosedLoop,
+    measured_response,
+    record,
+    replay,
+    synthesise,
+    zero_phase_butterworth,
+)
+
+PLANT = control.ss(control.tf([400], [1, 20, 400])).sample(0.01)
+LOOP = ClosedLoop(Ts=0.01, outputs=["x"], units={"x": "mm"})
+REFERENCE = 20 * np.sin(np.pi * np.clip(np.arange(-50, 350) / 250, 0, 1)) ** 4
+RADIUS = 0.1  # of sigma_max(Delta), where P(0) = 1
+
+
+class Axis:
+    def __init__(self, gain, seed):
+        self.gain, self.noise = gain, np.random.default_rng(seed)
+
+    def begin(self, trial):
+        self.x = np.zeros(2)
+
+    def read(self):
+        return self.gain * PLANT.C @ self.x + self.noise.normal(0, 0.002, 1)
+
+    def apply(self, w):
+        self.x = PLANT.A @ self.x + PLANT.B @ w
+
+
+@pytest.fixture(scope="module")
+def law():
+    omega = np.geomspace(0.04, np.pi / 0.01, 200)
+    table = control.frd(PLANT(np.exp(0.01j * omega)), omega)
+    P = measured_response(table, uncertainty=np.full(200, RADIUS))
+    return synthesise(P, zero_phase_butterworth(2, 40.0, 0.01), omega).law()
+
+
+@pytest.mark.parametrize("gain", [0.4, 1.8])
+def test_a_plant_outside_the_radius_is_noticed_by_trial_4(law, gain):
+    with pytest.warns(UserWarning, match="after trial [34]: the convergence rate"):
+        log = record(Axis(gain, 0), LOOP, law, REFERENCE, trials=6)
+    assert not replay(log).warnings  # a log has no P
+    with pytest.warns(UserWarning, match="the convergence rate"):
+        replay(log, law=law)
+
+
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("gain", [1.0, 0.92, 1.08])
+def test_a_plant_within_the_radius_is_not_warned_of(law, gain, seed):
+    with warnings.catch_warnings(action="error"):
+        record(Axis(gain, seed), LOOP, law, REFERENCE, trials=6)
+
+
+def test_another_law_than_that_of_the_log_is_refused(law):
+    log = record(Axis(1.0, 0), LOOP, law, REFERENCE, trials=1)
+    other = synthesise(PLANT, law.Q, order=5).law()
+    with pytest.raises(ValueError, match="law has not the Q and L in the metadata"):
+        replay(log, law=other)
