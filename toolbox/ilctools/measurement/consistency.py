@@ -1,15 +1,34 @@
 """Is it one linear plant? Score tests of what a linear plant that stays as it is cannot do.
 
-To the regression are added, one set after the other: the simulated output and its derivative in one
-trial only, or in one of four quarters of a single trial; and squares and cubes of the inputs, as
-the plant passes them on, and of the simulated output. Each has an F statistic, of what it explains
-of the residual, given all that the regression itself may explain.
+Of y = X x + Z delta + e, with x ~ N(0, s^2 D) and e ~ N(0, s^2 W^-1), the regression supposes
+delta = 0. At its estimate x the score of delta and its information are, without fitting another,
+
+    q = Z' W (y - X x),    J = Z' W Z - Z' W X (X' W X + D^-1)^-1 X' W Z,                       (1)
+    F = (n - k) q' J^-1 q / (k (n s^2 - q' J^-1 q)),                                            (2)
+
+and F of k columns has an F(k, n - k) distribution if delta = 0 (C. R. Rao, Proc. Cambridge Phil.
+Soc. 44 (1948) 50-57). One set of columns Z after the other, each passed by A:
+
+- of one trial only, or of one of four quarters of a single trial, the simulated output and its
+  slope: another gain, another delay;
+- the sign of the last move of each input, as the plant passes it on: of an input through backlash,
+  u less half the gap times this sign comes out;
+- squares and cubes of the inputs, likewise, and of the simulated output: a curve, a dead zone.
+
+Signs and powers count by what no line in u explains: nothing, if u has two levels.
+
+Without a reference in the record u may follow y: then residuals e(t) move later inputs. So u(t + 1)
+to u(t + 32), not passed by A, is a fourth set (L. Ljung, System Identification, 1999, section
+16.6). It is blind where u = -C y exactly and nothing else moves u, since B / A = -1 / C leaves no
+residual; no test can distinguish this loop from a plant -1 / C, but few plants answer at once, and
+not more later. It is said where u(t) explains all but a ten-thousandth of the power of y(t) that
+the past leaves, and the first coefficient of the impulse response is as large as their sum.
 """
 
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import helmert, solve_triangular
 from scipy.signal import fftconvolve
 from scipy.special import fdtrc
 
@@ -18,43 +37,71 @@ from ilctools.measurement.regression import Regression, Trials, contrasts, convo
 QUARTERS = ("first", "second", "third", "last")  # of a single trial
 FALSE_ALARM = 1e-3  # probability for each output
 SEEN = 0.01  # of P: what is smaller is not said
+LINEAR = 1e-6  # of a power: what a line in u leaves of it, and is nothing
+LATER = (1, 2, 3, 5, 9, 17, 33)  # samples, between which later inputs are averaged
+AT_ONCE = (1e4, 0.9)  # of -1 / C: power explained by u(t) to power left, first to sum
 CURVED = "the response to large inputs differs from that to small ones"
+PLAY = "the response differs after moves up and down, as with backlash"
+FOLLOWS = (
+    "u follows y, as in a loop whose reference is not in the log: what is estimated may be -1/C "
+    "of its controller. Add the reference, or record with the loop open"
+)
 
 
-def contradictions(fit: Regression, groups: Sequence[Trials]) -> Iterator[tuple[str, float]]:
-    """What contradicts one linear plant, in words, and by how much of P."""
+def contradictions(
+    fit: Regression, groups: Sequence[Trials], reference: bool = True
+) -> Iterator[tuple[str, float]]:
+    """What contradicts one linear plant, in words, and by how much of P.
+
+    `reference`: whether the reference is in the record, or else u may follow y.
+    """
     names = [name for group in groups for name in _parts(group)]
-    parts, inverse_of = len(names), fit.posterior.size[:, None]
-    products, scores, across, first = 0.0, 0.0, 0.0, 0
-    regressors = records(groups, fit.data.layout)
-    for group in groups:
-        added = contrasts(_alternatives(fit, group, first, parts))
-        added = convolved(added, fit.denominator)
-        first += len(_parts(group))
-        for Z, (X, y, line, mean) in zip(added, regressors, strict=False):
-            Z = Z[-len(y) :]
-            Z = Z - line @ (line.T @ Z)
-            weight = fit.posterior.ratio if mean else 1.0
-            products = products + weight * Z.T @ Z
-            scores = scores + weight * Z.T @ (y - X @ fit.posterior.mean)
-            across = across + weight * X.T @ Z
-    explained = solve_triangular(fit.posterior.U, across * inverse_of, trans=1)
-    left = products - explained.T @ explained
-    count = fit.data.count.sum()
-    sets = [(name, [k, parts + k]) for k, name in enumerate(names)]
-    sets.append((CURVED, [*range(2 * parts, len(scores))]))
-    for name, columns in sets:
-        among = np.ix_(columns, columns)
-        unit = np.sqrt(np.maximum(products[among].diagonal(), 1e-300))
-        inverse = np.linalg.pinv(left[among] / np.outer(unit, unit), 1e-9, hermitian=True)
-        explained = scores[columns] / unit @ inverse @ (scores[columns] / unit)
-        statistic = explained / len(columns) * count / fit.posterior.rest
-        if fdtrc(len(columns), count, statistic) * len(sets) > FALSE_ALARM:
+    parts, m = len(names), groups[0].u.shape[2]
+    q, J, power = _information(fit, groups, _added(fit, groups, parts))
+    sets = {name: [k, parts + k] for k, name in enumerate(names)}
+    ends = 2 * parts + np.cumsum([0, m, 2 * m + 2, (len(LATER) - 1) * m])
+    later = (PLAY, CURVED, FOLLOWS)[: 2 if reference else 3]
+    sets |= {name: [*range(*ends[i : i + 2])] for i, name in enumerate(later)}
+    count, rest = fit.data.count.sum(), fit.posterior.rest
+    for name, columns in sets.items():
+        among, k = np.ix_(columns, columns), len(columns)
+        unit = np.sqrt(np.maximum(power[among].diagonal(), 1e-300))
+        inverse = np.linalg.pinv(J[among] / np.outer(unit, unit), 1e-9, hermitian=True)
+        explained = q[columns] / unit @ inverse @ (q[columns] / unit)
+        left = max(rest - explained, 1e-12 * rest)
+        certain = fdtrc(k, count - k, (count - k) * explained / (k * left))  # (2)
+        if certain * len(sets) > FALSE_ALARM and not (name == FOLLOWS and _inverse(fit, m)):
             continue
-        where = np.s_[:parts, :parts] if name == CURVED else (columns[0], columns[0])
-        off = np.sqrt(explained / products[where].sum())
+        where = (columns[0], columns[0]) if name in names else np.s_[:parts, :parts]
+        off = 1.0 if name == FOLLOWS else np.sqrt(explained / power[where].sum())
         if off > SEEN:
             yield name, off
+
+
+def _information(fit, groups, added):
+    """q and J, (1), and Z' W Z."""
+    power, q, across = 0.0, 0.0, 0.0
+    for Z, (X, y, line, mean) in zip(added, records(groups, fit.data.layout), strict=True):
+        Z = Z[-len(y) :]
+        Z = Z - line @ (line.T @ Z)
+        weight = fit.posterior.ratio if mean else 1.0
+        power = power + weight * Z.T @ Z
+        q = q + weight * Z.T @ (y - X @ fit.posterior.mean)
+        across = across + weight * X.T @ Z
+    explained = solve_triangular(fit.posterior.U, fit.posterior.size[:, None] * across, trans=1)
+    return q, power - explained.T @ explained, power
+
+
+def _inverse(fit, m):
+    """Whether P may be -1 / C: whether an input alone, and at once, makes y."""
+    _, size, U = fit.mean, fit.posterior.size, fit.posterior.U
+    noise, g = fit.posterior.rest, fit.impulse(2 * fit.data.layout.knots[-1])
+    for j in range(m):
+        first = solve_triangular(U, size * (fit.data.layout.kind == 1 + j), trans=1)
+        explained = g[j, 0] ** 2 / (first @ first)
+        if explained > AT_ONCE[0] * noise and abs(g[j, 0]) > AT_ONCE[1] * abs(g[j].sum()):
+            return True
+    return False
 
 
 def _parts(group):
@@ -64,21 +111,50 @@ def _parts(group):
     return [f"the {quarter} quarter of {group.names[0]}" for quarter in QUARTERS]
 
 
-def _alternatives(fit, group, first, parts):
-    """Simulated outputs in each part, their slopes, and powers, (trial, time, column)."""
-    K, N, _ = group.u.shape
-    u, response = np.moveaxis(group.u, 2, 0), fit.impulse(N)[:, None]
-    simulated = _passed(u, response).sum(axis=0)
-    outputs = np.stack([simulated, np.gradient(simulated, axis=1)], axis=2)
-    rows = np.repeat(np.arange(K), N)
-    if K == 1:
-        rows = np.arange(N) * len(QUARTERS) // N
-    inside = (rows[:, None] == np.arange(-first, parts - first)).reshape(K, N, parts)
-    alone = [inside * signal[..., None] for signal in np.moveaxis(outputs, 2, 0)]
-    u, middle = u - u.mean(axis=(1, 2), keepdims=True), simulated - simulated.mean()
-    powers = [*_passed(u**2, response), *_passed(u**3, response), middle**2, middle**3]
-    columns = np.concatenate([*alone, np.stack(powers, axis=2)], axis=2)
-    return columns - columns[:, :1]
+def _added(fit, groups, parts):
+    """Z of each record, (time, column)."""
+    first = 0
+    for group in groups:
+        K, N, _ = group.u.shape
+        u, response = np.moveaxis(group.u, 2, 0), fit.impulse(N)[:, None]
+        simulated = _passed(u, response).sum(axis=0)
+        outputs = np.stack([simulated, np.gradient(simulated, axis=1)], axis=2)
+        if K == 1:
+            quarter = np.arange(N) * len(QUARTERS) // N
+            outputs = outputs * (quarter == np.arange(len(QUARTERS))[:, None])[..., None]
+        outputs = convolved(outputs - outputs[:, :1], fit.denominator)
+        middle = simulated - simulated.mean()
+        curves = _passed(_nonlinear(u), np.tile(response, (3, 1, 1)))
+        curves = np.stack([*curves, middle**2, middle**3], axis=2)
+        curves = convolved(curves - curves[:, :1], fit.denominator)
+        shared = contrasts(np.concatenate([curves, *map(_later, u)], axis=2))
+        alone, last = np.zeros((N, 2, parts)), first + len(outputs)
+        for weights, Z in zip(helmert(K, full=True), shared, strict=True):
+            alone[:, :, first:last] = np.moveaxis(weights[:, None, None] * outputs, 0, 2)
+            yield np.hstack([alone.reshape(N, -1), Z])
+        first = last
+
+
+def _nonlinear(u):
+    """Signs of the last moves, squares and cubes of u, less a line in it, (3 m, trial, time)."""
+    moves = np.sign(np.diff(u, axis=2, prepend=0))
+    since = np.maximum.accumulate(np.where(moves, np.arange(u.shape[2]), 0), axis=2)
+    u = u - u.mean(axis=(1, 2), keepdims=True)
+    signals = np.stack([np.take_along_axis(moves, since, 2), u**2, u**3])
+    known = np.stack([np.ones_like(u), u], axis=-1).reshape(len(u), -1, 2)
+    flat = signals.reshape(3, *known.shape[:2], 1)
+    left = flat - known @ (np.linalg.pinv(known) @ flat)
+    nothing = np.abs(left).max(axis=2) <= LINEAR * np.abs(flat).max(axis=2)
+    return np.where(nothing[..., None], 0, left).reshape(-1, *u.shape[1:])
+
+
+def _later(u):
+    """Means of u (trial, time) over ranges of later samples, (trial, time, range)."""
+    N, total = u.shape[1], np.pad(u, ((0, 0), (1, LATER[-1])), mode="edge").cumsum(axis=1)
+    return np.stack(
+        [total[:, b : b + N] - total[:, a : a + N] for a, b in zip(LATER, LATER[1:], strict=False)],
+        axis=2,
+    )
 
 
 def _passed(u, response):
