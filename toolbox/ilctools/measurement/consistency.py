@@ -26,6 +26,7 @@ the past leaves, and the first coefficient of the impulse response is as large a
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import helmert, solve_triangular
@@ -38,8 +39,10 @@ QUARTERS = ("first", "second", "third", "last")  # of a single trial
 FALSE_ALARM = 1e-3  # probability for each output
 SEEN = 0.01  # of P: what is smaller is not said
 LINEAR = 1e-6  # of a power: what a line in u leaves of it, and is nothing
-LATER = (1, 2, 3, 5, 9, 17, 33)  # samples, between which later inputs are averaged
-AT_ONCE = (1e4, 0.9)  # of -1 / C: power explained by u(t) to power left, first to sum
+LATER = (1, 2, 5, 17)  # samples, between which later inputs are averaged
+# Of the first coefficient of an impulse response to their sum: what plants do not have, and what
+# they do not have where u(t) explains EXACT times the power that is left.
+WHOLE, HALF, EXACT = 1.1, 0.5, 1e6
 CURVED = "the response to large inputs differs from that to small ones"
 PLAY = "the response differs after moves up and down, as with backlash"
 FOLLOWS = (
@@ -70,10 +73,11 @@ def contradictions(
         explained = q[columns] / unit @ inverse @ (q[columns] / unit)
         left = max(rest - explained, 1e-12 * rest)
         certain = fdtrc(k, count - k, (count - k) * explained / (k * left))  # (2)
-        if certain * len(sets) > FALSE_ALARM and not (name == FOLLOWS and _inverse(fit, m)):
+        alone, lost = _at_once(fit, m, FALSE_ALARM / len(sets)) if name == FOLLOWS else (False, 0.0)
+        if certain * len(sets) > FALSE_ALARM and not alone:
             continue
         where = (columns[0], columns[0]) if name in names else np.s_[:parts, :parts]
-        off = 1.0 if name == FOLLOWS else np.sqrt(explained / power[where].sum())
+        off = max(lost, np.sqrt(explained / power[where].sum()))
         if off > SEEN:
             yield name, off
 
@@ -92,16 +96,20 @@ def _information(fit, groups, added):
     return q, power - explained.T @ explained, power
 
 
-def _inverse(fit, m):
-    """Whether P may be -1 / C: whether an input alone, and at once, makes y."""
-    _, size, U = fit.mean, fit.posterior.size, fit.posterior.U
-    noise, g = fit.posterior.rest, fit.impulse(2 * fit.data.layout.knots[-1])
+def _at_once(fit, m, level):
+    """Whether y answers at once as by -1 / C, and what P loses without u(t), of P."""
+    size, U, n = fit.posterior.size, fit.posterior.U, 2 * fit.data.layout.knots[-1]
+    count, g, x, inverse = fit.data.count.sum(), fit.impulse(n), fit.mean, False
     for j in range(m):
         first = solve_triangular(U, size * (fit.data.layout.kind == 1 + j), trans=1)
-        explained = g[j, 0] ** 2 / (first @ first)
-        if explained > AT_ONCE[0] * noise and abs(g[j, 0]) > AT_ONCE[1] * abs(g[j].sum()):
-            return True
-    return False
+        gain, share = g[j, 0] / (first @ first), g[j, 0] / g[j].sum()
+        x = x - gain * size * solve_triangular(U, first)
+        explained = gain * g[j, 0] / fit.posterior.rest
+        apart = not 0 < share < WHOLE or (share > HALF and explained > EXACT)
+        inverse |= apart and fdtrc(1, count, count * explained) < level
+    other = replace(fit, mean=x)
+    lost = np.linalg.norm(other.impulse(n) - g) / np.linalg.norm(g) if other.stable else 1.0
+    return inverse, min(lost, 1.0)
 
 
 def _parts(group):
@@ -116,7 +124,8 @@ def _added(fit, groups, parts):
     first = 0
     for group in groups:
         K, N, _ = group.u.shape
-        u, response = np.moveaxis(group.u, 2, 0), fit.impulse(N)[:, None]
+        u = np.moveaxis(group.u, 2, 0)
+        response = fit.impulse(N)[:, None] if fit.stable else np.zeros((len(u), 1, N))
         simulated = _passed(u, response).sum(axis=0)
         outputs = np.stack([simulated, np.gradient(simulated, axis=1)], axis=2)
         if K == 1:
