@@ -18,15 +18,20 @@ Soc. 44 (1948) 50-57). One set of columns Z after the other, each passed by A:
 Signs and powers count by what no line in u explains: nothing, if u has two levels.
 
 Without a reference in the record u may follow y: then residuals e(t) move later inputs. So u(t + 1)
-to u(t + 32), not passed by A, is a fourth set (L. Ljung, System Identification, 1999, section
-16.6). It is blind where u = -C y exactly and nothing else moves u, since B / A = -1 / C leaves no
-residual; no test can distinguish this loop from a plant -1 / C, but few plants answer at once, and
-not more later. It is said where u(t) explains all but a ten-thousandth of the power of y(t) that
-the past leaves, and the first coefficient of the impulse response is as large as their sum.
+to u(t + 16), not passed by A, is a fourth set (L. Ljung, System Identification, 1999, section
+16.6). It is blind where u = -C y, and nothing else moves u: B / A = -1 / C leaves no residual, and
+no test can distinguish this loop from a plant -1 / C. But plants in which something lags answer at
+once by a part of what they answer in the end, a sampled one by nothing. So it is said as well where
+u(t) explains y(t), by the same F (one column, which is left out), and the first coefficient of the
+impulse response is not between 0 and 1.1 times their sum; from 0.5 on, where u(t) explains a
+million times what is left: a proportional controller, or a plant without lags and almost without
+noise. The share of P that is lost without u(t), 1 at most, is how far off P may be.
 """
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import helmert, solve_triangular
@@ -39,7 +44,7 @@ QUARTERS = ("first", "second", "third", "last")  # of a single trial
 FALSE_ALARM = 1e-3  # probability for each output
 SEEN = 0.01  # of P: what is smaller is not said
 LINEAR = 1e-6  # of a power: what a line in u leaves of it, and is nothing
-LATER = (1, 2, 5, 17)  # samples, between which later inputs are averaged
+LATER = (1, 2, 5, 17)  # samples, between which later inputs are added
 # Of the first coefficient of an impulse response to their sum: what plants do not have, and what
 # they do not have where u(t) explains EXACT times the power that is left.
 WHOLE, HALF, EXACT = 1.1, 0.5, 1e6
@@ -60,30 +65,42 @@ def contradictions(
     """
     names = [name for group in groups for name in _parts(group)]
     parts, m = len(names), groups[0].u.shape[2]
-    q, J, power = _information(fit, groups, _added(fit, groups, parts))
+    score = _score(fit, groups, _added(fit, groups, parts))
     sets = {name: [k, parts + k] for k, name in enumerate(names)}
-    ends = 2 * parts + np.cumsum([0, m, 2 * m + 2, (len(LATER) - 1) * m])
-    later = (PLAY, CURVED, FOLLOWS)[: 2 if reference else 3]
-    sets |= {name: [*range(*ends[i : i + 2])] for i, name in enumerate(later)}
-    count, rest = fit.data.count.sum(), fit.posterior.rest
+    ends = 2 * parts + np.cumsum([0, m, 2 * m + 2, len(LATER) * m - m])
+    others = (PLAY, CURVED, FOLLOWS)[: 2 if reference else 3]
+    sets |= {name: [*range(*ends[i : i + 2])] for i, name in enumerate(others)}
+    level, simulated = FALSE_ALARM / len(sets), score.power[:parts, :parts].sum()
     for name, columns in sets.items():
-        among, k = np.ix_(columns, columns), len(columns)
-        unit = np.sqrt(np.maximum(power[among].diagonal(), 1e-300))
-        inverse = np.linalg.pinv(J[among] / np.outer(unit, unit), 1e-9, hermitian=True)
-        explained = q[columns] / unit @ inverse @ (q[columns] / unit)
-        left = max(rest - explained, 1e-12 * rest)
-        certain = fdtrc(k, count - k, (count - k) * explained / (k * left))  # (2)
-        alone, lost = _at_once(fit, m, FALSE_ALARM / len(sets)) if name == FOLLOWS else (False, 0.0)
-        if certain * len(sets) > FALSE_ALARM and not alone:
-            continue
-        where = (columns[0], columns[0]) if name in names else np.s_[:parts, :parts]
-        off = max(lost, np.sqrt(explained / power[where].sum()))
-        if off > SEEN:
+        explained, certain = score.statistic(columns, fit)
+        size = score.power[columns[0], columns[0]] if name in names else simulated
+        off, inverse = np.sqrt(explained / max(size, 1e-300)), False
+        if name == FOLLOWS:
+            inverse, lost = _at_once(fit, m, level)
+            off = min(max(off, lost), 1.0)
+        if (certain < level or inverse) and off > SEEN:
             yield name, off
 
 
-def _information(fit, groups, added):
-    """q and J, (1), and Z' W Z."""
+class _Score(NamedTuple):
+    """(1), and what its columns have of power, Z' W Z."""
+
+    q: np.ndarray
+    J: np.ndarray
+    power: np.ndarray
+
+    def statistic(self, columns, fit):
+        """What columns explain of n s^2, and how probably as much if delta = 0."""
+        among, k, count = np.ix_(columns, columns), len(columns), fit.data.count.sum()
+        unit = np.sqrt(np.maximum(self.power[among].diagonal(), 1e-300))
+        inverse = np.linalg.pinv(self.J[among] / np.outer(unit, unit), 1e-9, hermitian=True)
+        explained = self.q[columns] / unit @ inverse @ (self.q[columns] / unit)
+        left = max(fit.posterior.rest - explained, 1e-12 * fit.posterior.rest)
+        freedom = max(count - k, 1)
+        return explained, fdtrc(k, freedom, freedom * explained / (k * left))  # (2)
+
+
+def _score(fit, groups, added):
     power, q, across = 0.0, 0.0, 0.0
     for Z, (X, y, line, mean) in zip(added, records(groups, fit.data.layout), strict=True):
         Z = Z[-len(y) :]
@@ -93,7 +110,7 @@ def _information(fit, groups, added):
         q = q + weight * Z.T @ (y - X @ fit.posterior.mean)
         across = across + weight * X.T @ Z
     explained = solve_triangular(fit.posterior.U, fit.posterior.size[:, None] * across, trans=1)
-    return q, power - explained.T @ explained, power
+    return _Score(q, power - explained.T @ explained, power)  # (1)
 
 
 def _at_once(fit, m, level):
@@ -158,12 +175,10 @@ def _nonlinear(u):
 
 
 def _later(u):
-    """Means of u (trial, time) over ranges of later samples, (trial, time, range)."""
+    """Sums of u (trial, time) over ranges of later samples, (trial, time, range)."""
     N, total = u.shape[1], np.pad(u, ((0, 0), (1, LATER[-1])), mode="edge").cumsum(axis=1)
-    return np.stack(
-        [total[:, b : b + N] - total[:, a : a + N] for a, b in zip(LATER, LATER[1:], strict=False)],
-        axis=2,
-    )
+    sums = [total[:, b : b + N] - total[:, a : a + N] for a, b in pairwise(LATER)]
+    return np.stack(sums, axis=2)
 
 
 def _passed(u, response):
