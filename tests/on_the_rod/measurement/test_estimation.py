@@ -39,7 +39,7 @@ def covers(estimate, plant, median=np.inf):
 
 @pytest.mark.parametrize("kind", ["steps, short", "learning", "steps, wrong start"])
 def test_the_truth_is_within_the_region(kind):
-    """A few; `make measure WHAT=regions` counts 100 of each kind."""
+    """A few; `make measure WHAT=regions` counts 200 of each kind."""
     count = 0
     for seed in range(4):
         log, plants = KINDS[kind](np.random.default_rng([seed, 99]))
@@ -191,6 +191,8 @@ def test_in_a_loop_the_commands_follow_the_noise():
         ("three trials saturate", "large inputs|trial 1"),
         ("quadratic", "large inputs"),
         ("gain drifts by 20 %", "the (first|last) quarter of trial 1"),
+        ("backlash", "moves up and down"),
+        ("dead zone", "large inputs"),
     ],
 )
 def test_what_is_not_one_linear_plant_is_said(kind, words):

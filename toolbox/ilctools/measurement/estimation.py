@@ -122,13 +122,13 @@ class EstimatedResponse(Measured):
         """tr S and the root of tr S^2, (n,), and the root of E |dA / A|^2, (output, n)."""
         trace, root, shares = 0.0, 0.0, []
         for fit, units in zip(self.fits, self.units, strict=True):
-            dP, share = fit.errors(omega * self.loop.Ts)
-            dP = dP[:, : len(units)] * units[:, None]
-            dP = np.concatenate([dP.real, dP.imag], axis=1)
-            S = dP @ dP.swapaxes(1, 2)
+            S, share = fit.covariance(omega * self.loop.Ts)
+            m = S.shape[1] // 2  # known disturbances are inputs, too
+            of_u = np.append(np.arange(len(units)), m + np.arange(len(units)))
+            S = S[:, of_u[:, None], of_u] * np.outer(np.tile(units, 2), np.tile(units, 2))
             trace = trace + np.trace(S, axis1=1, axis2=2)
             root = root + np.linalg.norm(S, axis=(1, 2))
-            shares.append(share)
+            shares.append(np.sqrt(share))
         return trace, root, np.array(shares)
 
     @cached_property
@@ -352,11 +352,12 @@ def estimated_response(
     elif record.source == "w" and isinstance(record.loop, CurrentTrialLoop):
         gain = np.eye(len(units))  # its observer integrates
     rows = [None] * len(units) if gain is None else gain / units
+    noted = record.source == "w" or all("reference" in log for log in logs)
     fits, contradicted, apart = [], [], 0.0
     for i, (name, row) in enumerate(zip(record.outputs, rows, strict=True)):
         groups = record.of_output(i)
         fits.append(regression(groups, record.direct, row))
-        said = sorted(contradictions(fits[i], groups), key=lambda pair: -pair[1])
+        said = sorted(contradictions(fits[i], groups, noted), key=lambda pair: -pair[1])
         apart = max([apart, *(off for _, off in said)])
         if said:
             words = "; ".join(f"{what} (by {off:.0%} of P)" for what, off in said[:NAMED])

@@ -71,7 +71,7 @@ EXACT = 1e-14  # least noise, in the power of the output
 LATE = 5  # samples: the least lag of largest correlation that counts as a delay
 ROOM = (0.6, 0.9)  # delays that are tried, relative to that lag
 STEPS = 1e-3  # of eta, for the curvature
-HEAVY = float(__import__("os").environ.get("HEAVY", "1.2"))  # tails of eta, relative to normal ones
+HEAVY = 1.2  # tails of eta, relative to normal ones
 POLISH = 4  # Newton steps with it, after which eta is known to rounding
 SURE = 1e6  # weight of a gain at rest that is known: by a thousandth of the noise
 TURN = 4096  # frequencies at least on which the zeros of A are counted
@@ -328,7 +328,7 @@ class Regression:
     mean: np.ndarray  # x, (unknown,)
     data: _Normal
     posterior: _Posterior  # for the likeliest hyperparameters
-    points: tuple[_Posterior, ...]  # at the points of the quadrature
+    C: np.ndarray  # covariance of x, over the points of the quadrature, (unknown, unknown)
 
     @property
     def knots(self) -> tuple[np.ndarray, ...]:
@@ -354,23 +354,21 @@ class Regression:
         above = [wave @ self.of(1 + j, self.mean) for j, wave in enumerate(B)]
         return np.stack(above, axis=1) / below[:, None], below
 
-    def errors(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What independent normal variables make of P, (n, m, variable), and |dA / A|, (n,)."""
+    def covariance(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Of dP, real parts first, (n, 2 m, 2 m), and E |dA / A|^2, (n,), at angles omega Ts."""
         A, *B = self._waves(omega)
         P, below = self._ratio(A, *B)
-        count, kind = self.data.count.sum(), self.data.layout.kind
-        slopes = np.zeros((len(B) + 1, len(omega), len(kind)), complex)
+        kind = self.data.layout.kind
+        slopes = np.zeros((len(omega), len(B) + 1, len(kind)), complex)
         for j, wave in enumerate(B):  # (5)
-            slopes[j][:, kind == 0], slopes[j][:, kind == 1 + j] = -P[:, [j]] * A, wave
-        slopes[-1][:, kind == 0] = A
-        slopes /= below[:, None]
-        parts = [slopes @ np.transpose([at.mean - self.mean for at in self.points])]
-        for at in self.points:
-            scaled = (slopes * at.size).reshape(-1, len(kind)).T
-            within = solve_triangular(at.U, scaled, trans=1, check_finite=False)
-            parts.append(np.sqrt(at.rest / count) * within.T.reshape(slopes.shape))
-        errors = np.concatenate(parts, axis=2) / np.sqrt(len(self.points))
-        return np.moveaxis(errors[:-1], 0, 1), np.linalg.norm(errors[-1], axis=1)
+            slopes[:, j, kind == 0], slopes[:, j, kind == 1 + j] = -P[:, [j]] * A, wave
+        slopes[:, -1, kind == 0] = A
+        slopes /= below[:, None, None]
+        slopes = np.concatenate([slopes.real, slopes.imag], axis=1)
+        S = slopes @ self.C @ slopes.swapaxes(1, 2)
+        m = len(B)
+        of_P = np.delete(np.arange(2 * m + 2), [m, 2 * m + 1])
+        return S[:, of_P[:, None], of_P], S[:, m, m] + S[:, -1, -1]
 
     @property
     def denominator(self) -> np.ndarray:
@@ -411,8 +409,12 @@ def regression(groups: Sequence[Trials], direct: bool, gain=None) -> Regression:
     best, S = _polished(best)
     farther = HEAVY * np.sqrt(len(S)) * np.concatenate([S, -S])
     points = np.clip(best.eta + farther, -BOUND, BOUND)
-    at, *points = (_posterior(eta, best.data) for eta in (best.eta, *points))
-    return Regression(at.mean, best.data, at, tuple(points))
+    at, count, C = _posterior(best.eta, best.data), best.data.count.sum(), 0.0
+    for other in (_posterior(eta, best.data) for eta in points):
+        W = other.size[:, None] * solve_triangular(other.U, np.eye(len(other.U)))
+        off = other.mean - at.mean
+        C = C + (other.rest / count * W @ W.T + np.outer(off, off)) / len(points)
+    return Regression(at.mean, best.data, at, C)
 
 
 def _peaks(groups, fit):
