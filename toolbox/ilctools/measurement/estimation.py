@@ -29,8 +29,7 @@ LEARNED = 0.5  # of the deviation before the data: what is less is identified
 SMOOTHED = 5.0  # lines, over which this is averaged
 INTERVALS = 2  # of frequencies, the longest, that are said to be identified
 import os
-
-FACTOR = float(os.environ.get("FACTOR", "0.85"))
+FACTOR = float(os.environ.get('FACTOR', '0.85'))
 INDEPENDENT = 50
 UNKNOWN = 1e-3
 MIDDLE = 0.8  # quantile of the errors at a line, to which they are relative

@@ -404,9 +404,7 @@ def regression(groups: Sequence[Trials], direct: bool, gain=None) -> Regression:
         best = other
     best, S = _polished(best)
     at, d = _posterior(best.eta, best.data), len(best.eta)
-    points = best.eta + float(__import__("os").environ.get("KAPPA", "1")) * np.sqrt(
-        d
-    ) * np.concatenate([S, -S])
+    points = best.eta + float(__import__("os").environ.get("KAPPA","1"))*np.sqrt(d) * np.concatenate([S, -S])
     posts = [_posterior(point.clip(-BOUND, BOUND), best.data) for point in points]
     others = [p.mean for p in posts]
     return Regression(at.mean, (np.array(others) - at.mean) / np.sqrt(2 * d), best.data, at, posts)
