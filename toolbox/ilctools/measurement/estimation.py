@@ -41,7 +41,7 @@ from ilctools.problem.responses import CONFIDENCE, Measured
 from ilctools.signals import check_match
 
 LINES = 200  # frequencies at which the region is found
-FACTOR, JOINT = 0.8, 1.1  # of radii, at each frequency and at all: what makes benchmarks cover
+FACTOR, JOINT = 0.7, 1.0  # of radii, at each frequency and at all: what makes benchmarks cover
 INDEPENDENT = 50  # frequencies that are as if independent: for all, p is divided by it
 UNKNOWN = 1e-3  # least 1 - c q(|dA / A|): where A may be zero, the radius is a thousand times
 PAST = 200  # samples of inputs before a record, of which its start is the response
@@ -371,7 +371,8 @@ def estimated_response(
     findings = (*estimate._unsettled(), *contradicted)
     if not estimate.known.any():
         raise LogError(
-            f"P is identified at no frequency: the response to {', '.join(record.inputs)} is below "
-            "the noise, or they moved alike. Record longer, or move them more, each by itself"
+            "; ".join(contradicted)
+            or f"P is identified at no frequency: the response to {', '.join(record.inputs)} is "
+            "below the noise, or they moved alike. Record longer, or move them more, each by itself"
         )
     return replace(estimate, findings=findings)
