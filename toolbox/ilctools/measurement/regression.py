@@ -61,7 +61,7 @@ CLOSE, STEP = 40, 8
 START = (6, 4)  # likewise, for what a start leaves
 STARTS = 300  # unknowns of all starts at most; with more, first samples are left out
 KNOTS = 64  # of a drift, between which it is straight
-# Of log(c s^2) of A, B and starts, of log c of drifts, log T in samples, and of rho before the data.
+# Before the data: of log(c s^2) of A, B, starts, log c of drifts, log T in samples, and rho.
 CENTRE = np.array([-4.0, -4.0, -4.0, -3.0, 2.3, 0.0])
 WIDE = 3.0  # their standard deviations
 SIZES = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])  # those relative to the output, not to the noise
