@@ -11,10 +11,11 @@ s^2 c exp(-max(i, j) / T), with one c for A, one for B, one for starts and one f
 (T. Chen, H. Ohlsson and L. Ljung, Automatica 48 (2012) 1525-1535; G. Pillonetto and others,
 Automatica 50 (2014) 657-682). In increments x from lag to lag it is diagonal,
 
-    x ~ N(0, s^2 D(eta)),    D = c (exp(-i / T) - exp(-(i + gap) / T)),    eta = log(c ..., T), ... (2)
+    x ~ N(0, s^2 D(eta)),    D = c (exp(-i / T) - exp(-(i + gap) / T)),                         (2)
 
-where far lags share increments: knots, between which coefficients are on straight lines. Lags of B
-are counted from a delay of each input, where the one that correlations show raises the posterior.
+with the logarithms of c and T in eta. Far lags share increments: knots, between which coefficients
+are on straight lines. Lags of B are counted from a delay of each input, where the one that
+correlations show raises the posterior.
 
 *Posterior.* With the regressors X of (1), without offset and slope,
 
@@ -312,8 +313,8 @@ def _polished(fit):
     """The fit to rounding, and S of its curvature, (4)."""
     eta, data = fit.eta.copy(), fit.data
     steps = STEPS * np.eye(len(eta))
-    H = [surprise(eta + e, data)[1] - surprise(eta - e, data)[1] for e in steps]
-    values, vectors = np.linalg.eigh((np.array(H) + np.transpose(H)) / (4 * STEPS))
+    H = np.array([surprise(eta + e, data)[1] - surprise(eta - e, data)[1] for e in steps])
+    values, vectors = np.linalg.eigh((H + H.T) / (4 * STEPS))
     S = vectors / np.sqrt(np.maximum(values, WIDE**-2)) @ vectors.T  # symmetric: no signs
     for _ in range(POLISH):
         step = S @ S @ surprise(eta, data)[1]
