@@ -39,7 +39,7 @@ def covers(estimate, plant, median=np.inf):
 
 @pytest.mark.parametrize("kind", ["steps, short", "learning", "steps, wrong start"])
 def test_the_truth_is_within_the_region(kind):
-    """A few; `make measure WHAT=regions` counts 100 of each kind."""
+    """A few; `make measure WHAT=regions` counts 200 of each kind."""
     count = 0
     for seed in range(4):
         log, plants = KINDS[kind](np.random.default_rng([seed, 99]))
@@ -153,11 +153,11 @@ def test_several_records_tell_more_than_one():
     with pytest.raises(ValueError, match=r"Ts"):
         measured_response([logs[0], slower])
     agreement = measured_response(logs[:2]).check(logs[2])
-    assert agreement.fit.item() > 0.8 and agreement.inside == 1
+    assert agreement.fit.item() > 0.8 and not agreement.contradicts and agreement.by == 0
     other = resonance(np.random.default_rng(9))
     u = held_noise(rng, 300)
     strange = alone.check(single(u, answer(other, u, rng)))
-    assert strange.fit.item() < 0.6 and strange.inside < 0.9
+    assert strange.fit.item() < 0.6 and strange.contradicts and strange.by > 0.3
 
 
 def test_a_second_log_never_makes_it_worse():
@@ -168,9 +168,10 @@ def test_a_second_log_never_makes_it_worse():
     assert np.median(both.radius() / one.radius()) < 1.1
 
 
+@pytest.mark.filterwarnings("ignore:y0 may not settle")  # as far as it is known without d
 def test_a_step_in_the_first_row_and_a_known_disturbance():
     rng, plant = np.random.default_rng(2), control.tf([0.1], [1, -0.9], 1.0)
-    u, d = np.repeat([1.0, 0.3, 0.7], 60), 2 * rng.standard_normal(180)
+    u, d = np.repeat([1.0, 0.3, 0.7], 60), rng.standard_normal(180)
     quiet = control.forced_response(plant, U=u).outputs + 0.01 * rng.standard_normal(180)
     covers(measured_response(single(u, quiet)), control.ss(plant))
     log = single(u, quiet + control.forced_response(plant, U=d).outputs)
@@ -190,6 +191,8 @@ def test_in_a_loop_the_commands_follow_the_noise():
         ("three trials saturate", "large inputs|trial 1"),
         ("quadratic", "large inputs"),
         ("gain drifts by 20 %", "the (first|last) quarter of trial 1"),
+        ("backlash", "moves up and down"),
+        ("dead zone", "large inputs"),
     ],
 )
 def test_what_is_not_one_linear_plant_is_said(kind, words):
@@ -199,11 +202,14 @@ def test_what_is_not_one_linear_plant_is_said(kind, words):
     assert estimate.apart > 0.01 and estimate.findings[0] in str(estimate)
 
 
-def test_identified_is_said_as_intervals():
+def test_identified_is_where_the_radius_is_less_than_P_there():
     for seed in range(3):
         log, _ = KINDS["steps, short"](np.random.default_rng(seed))
-        known = measured_response(log).known
-        assert np.count_nonzero(np.diff(known.astype(int))) <= 4
+        with warnings.catch_warnings(action="ignore"):  # of 40 samples: it may not settle
+            estimate = measured_response(log)
+        size = np.linalg.norm(estimate.response, 2, axis=(1, 2))
+        np.testing.assert_array_equal(estimate.known, estimate.radius(0.95) < size)
+        assert estimate.known.all() or f"{estimate.omega[0]:.3g} to" in repr(estimate)
 
 
 def test_a_resonance_that_rings_on_beyond_the_record_is_estimated():
@@ -215,9 +221,10 @@ def test_a_resonance_that_rings_on_beyond_the_record_is_estimated():
     y = lfilter([0, a.sum()], a, u) + 0.03 * rng.standard_normal(100)
     estimate = measured_response(single(u, y))
     covers(estimate, [[([0, a.sum()], a)]], 0.1)
-    assert estimate.known.all()
+    assert estimate.known.mean() > 0.95
 
 
+@pytest.mark.filterwarnings("ignore:y0")  # a pole of 0.95 under three steps may be one of 1
 @pytest.mark.parametrize(("delay", "N"), [(41, 400), (220, 2000)])
 def test_a_long_delay_is_found(delay, N):
     """Whether noise or a few steps move the input; without a delay the region misses P widely."""

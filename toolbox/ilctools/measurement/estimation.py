@@ -1,6 +1,22 @@
 """The frequency response of any records in which the input moved, with its region.
 
-One regression for each output; see :mod:`ilctools.measurement.regression`.
+One regression for each output; see :mod:`ilctools.measurement.regression`. With A of that output,
+to first order in the errors dA and dB of its posterior, and then without approximation,
+
+    dP_j = (dB_j - P_j dA) / A,    P_j true - P_j = dP_j / (1 + dA / A).                        (1)
+
+*Radius.* Let S be the covariance of all real and imaginary parts of dP. Then ||dP||^2 in the
+Frobenius norm, which is no less than the square of the largest singular value, has the mean tr S
+and the variance 2 tr S^2: it is taken to be gamma distributed (F. E. Satterthwaite, Biometrics
+Bulletin 2 (1946) 110-114). Between outputs the errors may be alike in any way: then tr S is the sum
+of their traces, and the root of tr S^2 is no more than the sum of theirs. With c = `FACTOR`, or
+`JOINT` at all frequencies at once, and the quantiles at 1 - p of both,
+
+    radius = c q(||dP||) / (1 - c q(|dA / A|)),    q(|dA / A|)^2 = -log(p) E |dA / A|^2.        (2)
+
+*Stability.* If |dA| < |A| on the unit circle, A has as many zeros outside as its estimate (Rouche):
+none, or the plant does not settle. It may, or may not, where q(|dA / A|) of 99 % reaches one at a
+frequency; a zero that comes close does so near its own, and jointly q would warn of stable plants.
 """
 
 from collections.abc import Sequence
@@ -8,100 +24,171 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
+import control
 import numpy as np
 import xarray as xr
-from scipy import ndimage
+from scipy.special import gammainccinv, ndtri
 
 from ilctools import arguments
-from ilctools.law.io import RESET
-from ilctools.loop.closed import ClosedLoop, Loop
-from ilctools.loop.notes import LogError, loop_of
+from ilctools.loop.closed import CurrentTrialLoop, Loop
+from ilctools.loop.notes import LogError
 from ilctools.measurement.consistency import contradictions
-from ilctools.measurement.regression import Regression, Trials, regression
+from ilctools.measurement.realisation import MOST, model_within
+from ilctools.measurement.record import Record
+from ilctools.measurement.regression import Regression, contrasts, records, regression
 from ilctools.problem.problem import largest_singular_values
-from ilctools.problem.responses import Measured
-from ilctools.signals import Signals, check_match, period_of
+from ilctools.problem.responses import CONFIDENCE, Measured
+from ilctools.signals import check_match
 
 LINES = 200  # frequencies at which the region is found
-FEWEST = 20  # samples of a trial
-LEARNED = 0.5  # of the deviation before the data: what is less is identified
-SMOOTHED = 5.0  # lines, over which this is averaged
-INTERVALS = 2  # of frequencies, the longest, that are said to be identified
-MIDDLE = 0.8  # quantile of the errors at a line, to which they are relative
-TAIL = 10  # draws beyond which a quantile is extrapolated, as of a normal distribution
-STABLE = 0.1  # least share of stable draws; with fewer the record is refused
-SETTLED = 0.95  # with fewer a finding says that the output may not settle
+FACTOR, JOINT = 0.7, 1.0  # of radii, at each frequency and at all: what makes benchmarks cover
+INDEPENDENT = 50  # frequencies that are as if independent: for all, p is divided by it
+UNKNOWN = 1e-3  # least 1 - c q(|dA / A|): where A may be zero, the radius is a thousand times
+PAST = 200  # samples of inputs before a record, of which its start is the response
+REPEATED = 3  # times, ridge regressions of a start
+NAMED = 5  # contradictions, or intervals of frequencies, at most that are said
 LOOP = "learning presupposes a stable plant. Record longer, or in a closed loop"
-NAMED = 5  # contradictions at most that are said
 
 
 class Agreement(NamedTuple):
-    """How well an estimate predicts another record."""
+    """How well an estimate predicts another record.
 
-    # 1 - RMS of the error of simulation / RMS of the output's moves, (outputs,)
+    Attributes
+    ----------
+    fit : ndarray, shape (outputs,)
+        1 - RMS of the error of simulation / RMS of the output's moves, both without a straight
+        line, and the error without what a start may leave: 1 is perfect, 0 as good as no motion.
+    contradicts : bool
+        Whether the two estimates are further apart at a frequency than both are uncertain; for
+        records of one linear plant with a probability of 1 %.
+    by : float
+        If so, by how much of P, where it is least likely; else zero.
+    """
+
     fit: np.ndarray
-    inside: float  # share of frequencies, identified in both, where the regions of both meet
+    contradicts: bool
+    by: float
 
 
 @dataclass(frozen=True, repr=False)
 class EstimatedResponse(Measured):
-    """The frequency response from an input to y as estimated, and responses that may be the truth.
+    """The frequency response from an input to y as estimated, and how far off it may be.
 
     Where the records say little, what was assumed before them makes the radius.
     """
 
     omega: np.ndarray  # rad/s, shape (n,)
     fits: tuple[Regression, ...]  # of each output
+    record: Record
     units: np.ndarray  # shape (outputs, inputs): of P, by which each fit is multiplied
-    # whether the data say more than what was assumed, shape (n,), bool
-    known: np.ndarray
-    loop: Loop  # from whose w to y it is; a ClosedLoop without P, if the record names none
-    of: str  # the input: "w" or "u"
-    record: str  # what it was estimated from, in words
     apart: float = 0.0  # of P, by which records contradict one linear plant
     findings: tuple[str, ...] = ()
+
+    @property
+    def loop(self) -> Loop:
+        """From whose w to y it is; a ClosedLoop without P, if the record names none."""
+        return self.record.loop
+
+    @property
+    def of(self) -> str:
+        """The input: "w" or "u"."""
+        return self.record.source
 
     @cached_property
     def response(self) -> np.ndarray:
         """The estimate at `omega`, shape (n, outputs, inputs), complex."""
-        return self._drawn(self.omega, slice(1))[0]
+        return self._at(self.omega)
 
-    def _drawn(self, omega, draws=slice(None)):
-        """The estimate and responses that may be the truth, (draw, n, outputs, inputs)."""
-        rows = [fit.response(omega * self.loop.Ts, draws) for fit in self.fits]
-        count = min(map(len, rows))
-        inputs = self.units.shape[1]
-        return self.units * np.stack([row[:count, :, :inputs] for row in rows], axis=2)
+    @cached_property
+    def known(self) -> np.ndarray:
+        """Where P is identified, shape (n,), bool: its radius of 95 % is less than P."""
+        return self.radius() < largest_singular_values(self.response)
 
-    def _region(self, omega, confidence, jointly):
-        """The estimate and its radius; `jointly` at these frequencies."""
-        P, *drawn = self._drawn(omega)
-        errors = (drawn - P).reshape(-1, *P.shape[1:])
-        norms = largest_singular_values(errors).reshape(len(drawn), len(omega))
-        radius = np.quantile(norms, MIDDLE, axis=0)
-        worst = norms / radius
-        if jointly:
-            worst = worst.max(axis=1, keepdims=True)
-        least = TAIL / len(norms)
-        radius = radius * np.quantile(worst, 1 - max(1 - confidence, least), axis=0)
-        if 1 - confidence < least:
-            radius *= np.sqrt(np.log(1 - confidence) / np.log(least))
-        return P, radius + self.apart * largest_singular_values(P)
+    def _unsettled(self):
+        """Outputs that may not settle, in words; refuses those that do not."""
+        shares = np.sqrt(-np.log(1 - CONFIDENCE)) * self._own_moments[2].max(axis=1)
+        for name, fit, share in zip(self.record.outputs, self.fits, shares, strict=True):
+            if not fit.stable and (share < 1 or not self.known.any()):
+                raise LogError(f"{name} does not settle: {LOOP}")
+            if not fit.stable or share >= 1:
+                yield f"{name} may not settle: {LOOP}"
+
+    def _at(self, omega):
+        angles, m = omega * self.loop.Ts, len(self.record.inputs)
+        rows = np.stack([fit.response(angles)[:, :m] for fit in self.fits], axis=1)
+        return self.units * rows * np.exp(-1j * np.outer(angles, self.record.delay))[:, None]
+
+    def _moments(self, omega):
+        """tr S and the root of tr S^2, (n,), and the root of E |dA / A|^2, (output, n)."""
+        trace, root, shares = 0.0, 0.0, []
+        for fit, units in zip(self.fits, self.units, strict=True):
+            S, share = fit.covariance(omega * self.loop.Ts)
+            m = S.shape[1] // 2  # known disturbances are inputs, too
+            of_u = np.append(np.arange(len(units)), m + np.arange(len(units)))
+            S = S[:, of_u[:, None], of_u] * np.outer(np.tile(units, 2), np.tile(units, 2))
+            trace = trace + np.trace(S, axis1=1, axis2=2)
+            root = root + np.linalg.norm(S, axis=(1, 2))
+            shares.append(np.sqrt(share))
+        return trace, root, np.array(shares)
+
+    @cached_property
+    def _own_moments(self):
+        return self._moments(self.omega)
 
     def _radius(self, confidence, jointly):
-        return self._region(self.omega, confidence, jointly)[1]
+        return self._radius_of(self._own_moments, self.response, confidence, jointly)
+
+    def _radius_of(self, moments, P, confidence, jointly):
+        c, p = (JOINT, (1 - confidence) / INDEPENDENT) if jointly else (FACTOR, 1 - confidence)
+        trace, root, shares = moments
+        shape = trace**2 / (2 * root**2)
+        off = c * np.sqrt(gammainccinv(shape, p) * trace / shape)
+        left = 1 - c * np.sqrt(-np.log(p)) * shares.max(axis=0)  # (2)
+        return off / np.maximum(left, UNKNOWN) + self.apart * largest_singular_values(P)
 
     def _on(self, omega, confidence):
-        """All at once, these frequencies and `self.omega`."""
-        n = len(omega)
-        P, radius = self._region(np.append(omega, self.omega), confidence, True)
-        return P[:n], radius[:n]
+        P = self._at(omega)
+        return P, self._radius_of(self._moments(omega), P, confidence, True)
 
     def _scaled(self, scale):
         return replace(self, units=self.units * scale / scale[:, None])
 
+    def _impulse(self, n):
+        """Impulse response over n samples, shape (outputs, inputs, n)."""
+        g = self.units[..., None] * [fit.impulse(n)[: self.units.shape[1]] for fit in self.fits]
+        late = [min(d, n) for d in self.record.delay]
+        ends = [np.pad(g[:, j, : n - d], ((0, 0), (d, 0))) for j, d in enumerate(late)]
+        return np.stack(ends, axis=1)
+
+    def frd(self) -> control.FrequencyResponseData:
+        """The estimate at `omega`, with names and sampling period."""
+        return control.frd(
+            np.moveaxis(self.response, 0, -1), self.omega, self.loop.Ts, smooth=False, name="P",
+            inputs=self.record.inputs, outputs=self.record.outputs,
+        )  # fmt: skip
+
+    def model(self) -> control.StateSpace:
+        """The model of lowest order within the joint radius of 99 %, where P is identified.
+
+        Its name says its order and its delays, which are states, too. A LogError if there is none
+        of up to 60 states beside these; see :mod:`ilctools.measurement.realisation`.
+        """
+        radius = self.radius(CONFIDENCE, jointly=True)[self.known]
+        P, angles = self.response[self.known], self.omega[self.known] * self.loop.Ts
+        g = self._impulse(2 * self.record.longest)
+        model = model_within(radius, P, angles, g, all(fit.stable for fit in self.fits))
+        if model is None:
+            raise LogError(
+                f"P has no model of up to {MOST} states within its radius: take its frequency "
+                "response, frd(), or move the input less at high frequencies"
+            )
+        return control.ss(
+            model.A, model.B, model.C, model.D, self.loop.Ts, name=model.name,
+            inputs=self.record.inputs, outputs=self.record.outputs,
+        )  # fmt: skip
+
     def check(self, log: xr.Dataset) -> Agreement:
-        """How well the estimate predicts a record that it was not made of.
+        """How well the estimate predicts a record that it was not made of, and if it contradicts.
 
         Parameters
         ----------
@@ -111,44 +198,119 @@ class EstimatedResponse(Measured):
         Returns
         -------
         Agreement
-            ``fit``, for each output without a straight line: 1 is perfect, 0 as good as no motion
-            at all. ``inside``: of the frequencies identified in both records, the share at which
-            their regions, of 99 % jointly, have a plant in common; 1 if there are none.
+            With ``fit``, ``contradicts`` and ``by``.
         """
         other = estimated_response([log], self.of)
         check_match(P=self.loop, log=other.loop)
-        u, y = _signals(log, self.of)
-        n = u.shape[1]
-        g = self.units[..., None] * [fit.impulse(n)[: u.shape[2]] for fit in self.fits]
-        size = 2 * n
-        U, G = np.fft.rfft(u, size, axis=1), np.fft.rfft(g, size)
-        simulated = np.fft.irfft(np.einsum("ijf,kfj->kfi", G, U), size, axis=1)[:, :n]
-        line = np.linalg.qr(np.stack([np.ones(n), np.arange(n)], axis=1))[0]
-        off, moved = (x - line @ (line.T @ x) for x in (y - simulated, y))
-        fit = 1 - np.linalg.norm(off, axis=(0, 1)) / np.linalg.norm(moved, axis=(0, 1))
-        P, radius = self.on(other.omega, 0.99)
+        P, radius = self.on(other.omega, CONFIDENCE)
         apart = largest_singular_values(P - other.response)
-        inside = apart <= radius + other.radius(0.99, jointly=True)
-        both = other.known & np.interp(other.omega, self.omega, self.known).astype(bool)
-        return Agreement(fit, float(inside[both].mean()) if both.any() else 1.0)
+        likely = apart / np.hypot(radius, other.radius(CONFIDENCE, jointly=True))
+        worst = np.argmax(likely)
+        by = apart[worst] / largest_singular_values(P)[worst] if likely[worst] > 1 else 0.0
+        return Agreement(self._fit(other.record), bool(likely[worst] > 1), float(by))
+
+    def _fit(self, record):
+        """Of the simulation of a record of one log, whose start inputs before it have left."""
+        (group,), (sizes, units), m = record.groups, record.sizes, len(record.inputs)
+        u, y = group.u[..., :m] * sizes, group.y * units
+        n = y.shape[1]
+        g = self._impulse(n + PAST)
+        U, G = np.fft.rfft(u, 2 * n, axis=1), np.fft.rfft(g[..., :n], 2 * n)
+        simulated = np.fft.irfft(np.einsum("ijf,kfj->kfi", G, U), 2 * n, axis=1)[:, :n]
+        line = np.linalg.qr(np.stack([np.ones(n), np.arange(n)], axis=1))[0]
+        lags = 1 + np.add.outer(np.arange(n), np.arange(PAST - 1))
+        left = (g * sizes[:, None])[:, :, lags].transpose(0, 2, 1, 3).reshape(len(g), n, -1)
+        off, moved, left = (x - line @ (line.T @ x) for x in (y - simulated, y, left))
+        power = np.square(moved).mean(axis=(0, 1))
+        rest = _without(off, left, power)
+        return 1 - np.sqrt(np.square(rest).mean(axis=(0, 1)) / power)
+
+    def residuals(self, lags: int = 25) -> tuple[np.ndarray, np.ndarray, float]:
+        """Correlations of what each output's regression leaves, and the band of 99 % for each.
+
+        Returns
+        -------
+        own : ndarray, shape (outputs, lags)
+            With themselves at lags 1, 2, ...: noise that the lags of A do not describe.
+        crossed : ndarray, shape (outputs, inputs, 2 lags + 1)
+            With the inputs, -lags to lags before them: at positive lags, a response that is
+            missing; at negative ones, that the inputs follow the outputs, as in a loop.
+        band : float
+            Within -band to band is each of them if the residuals are white and independent.
+        """
+        m, count = len(self.record.inputs), 0
+        products = np.zeros((len(self.fits), 1 + m, 2 * lags + 1))
+        powers = np.zeros((len(self.fits), 1 + m))
+        for i, fit in enumerate(self.fits):
+            groups = self.record.of_output(i)
+            inputs = [u for group in groups for u in contrasts(group.u[..., :m])]
+            rows, count = records(groups, fit.data.layout), 0
+            for u, (X, y, line, _) in zip(inputs, rows, strict=True):
+                e = y - X @ fit.mean
+                u = u[-len(e) :]
+                signals = np.column_stack([e, u - line @ (line.T @ u)])
+                products[i] += [_correlation(e, x, lags) for x in signals.T]
+                powers[i] += np.square(signals).sum(axis=0)
+                count += len(e)
+        products /= np.sqrt(powers[:, :1] * powers)[..., None]
+        return products[:, 0, lags + 1 :], products[:, 1:], float(ndtri(0.995) / np.sqrt(count))
+
+    def plot(self):
+        """Draw |P| and its joint radius of 99 %, shaded where P is not identified, and residuals.
+
+        A row for each output: |P| from each input, then :meth:`residuals` with their band.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+        """
+        from matplotlib.figure import Figure
+
+        p, m = self.units.shape
+        figure = Figure(figsize=(3 * (m + 2), 2.4 * p), layout="constrained")
+        axes = figure.subplots(p, m + 2, squeeze=False)
+        radius, size = self.radius(CONFIDENCE, jointly=True), np.abs(self.response)
+        own, crossed, band = self.residuals()
+        lags = np.arange(1, own.shape[1] + 1)
+        for (i, j), ax in np.ndenumerate(axes[:, :m]):
+            middle, floor = size[:, i, j], size[:, i, j].min() / 10
+            ax.fill_between(
+                self.omega, np.maximum(middle - radius, floor), middle + radius, alpha=0.3
+            )
+            ax.loglog(self.omega, middle)
+            ax.set_ylim(floor, 10 * size.max())
+            unknown = ax.get_xaxis_transform()
+            ax.fill_between(self.omega, 0, 1, ~self.known, color="0.9", transform=unknown)
+            ax.set(title=f"{self.record.inputs[j]} to {self.record.outputs[i]}", xlabel="rad/s")
+        for whiteness, response, one, others in zip(*axes[:, m:].T, own, crossed, strict=True):
+            whiteness.plot(lags, one, ".")
+            response.plot(np.arange(-lags[-1], lags[-1] + 1), others.T, ".")
+            whiteness.set(title="residuals, later residuals", xlabel="lag")
+            response.set(title="inputs, later residuals", xlabel="lag")
+            for ax in (whiteness, response):
+                ax.axhspan(-band, band, alpha=0.3)
+        return figure
 
     def _basis(self, omega, confidence):
-        ends = np.flatnonzero(np.diff(np.pad(self.known.astype(int), 1)))
-        where = ", ".join(
-            f"{self.omega[a]:.3g} to {self.omega[b - 1]:.3g}" for a, b in ends.reshape(-1, 2)
-        )
         lines = [
             f"P estimated from {self.record}; the truth is within the radius with confidence "
             f"{confidence:g}",
             "assumed: the plant is linear, stays as it is, and A(z) y = B(z) u describes it with "
-            f"{len(self.fits[0].past) - 1} lags, those of B after a delay",
+            f"{self.fits[0].data.layout.knots[-1]} lags, those of B after a delay",
         ]
         if not self.known.all():
             lines.append(
-                f"P is identified from {where} rad/s; elsewhere the input had too little power, "
-                "and the radius is that of what was assumed before the data"
+                f"P is identified from {self._intervals()} rad/s; elsewhere the input had too "
+                "little power, and the radius is that of what was assumed before the data"
             )
         return lines
+
+    def _intervals(self):
+        """Where it is identified, in words: the longest intervals."""
+        ends = np.flatnonzero(np.diff(np.pad(self.known.astype(int), 1))).reshape(-1, 2)
+        longest = np.sort(np.argsort(-np.ptp(ends, axis=1), kind="stable")[:NAMED])
+        words = [f"{self.omega[a]:.3g} to {self.omega[b - 1]:.3g}" for a, b in ends[longest]]
+        return ", ".join(words)
 
     def __repr__(self):
         radius = self.radius()[self.known]
@@ -156,129 +318,61 @@ class EstimatedResponse(Measured):
         return f"{super().__repr__()}\n{within}"
 
 
-def estimated_response(logs: Sequence[xr.Dataset], of: str | None = None) -> EstimatedResponse:
+def _correlation(e, x, lags):
+    """Sums of x(t) e(t + lag), for lags from -lags to lags."""
+    size = 2 * len(e)
+    sums = np.fft.irfft(np.fft.rfft(x, size).conj() * np.fft.rfft(e, size), size)
+    return np.concatenate([sums[-lags:], sums[: lags + 1]])
+
+
+def _without(off, left, power):
+    """Errors (trial, time, output) without what inputs before a record have left.
+
+    By ridge regression: these are as large as those in it, and the noise is as large as the errors
+    that it leaves, which is repeated.
+    """
+    rest = off
+    for _ in range(REPEATED):
+        noise = np.maximum(np.square(rest).mean(axis=(0, 1)), 1e-9 * power)
+        weighted = left / noise[:, None, None]
+        gram = np.einsum("ita,itb->ab", weighted, left, optimize=True) + np.eye(left.shape[2])
+        past = np.linalg.solve(gram, np.einsum("ita,kti->ak", weighted, off, optimize=True))
+        rest = off - np.einsum("ita,ak->kti", left, past, optimize=True)
+    return rest
+
+
+def estimated_response(
+    logs: Sequence[xr.Dataset], of: str | None = None, gain=None, delay=None
+) -> EstimatedResponse:
     """Estimate a frequency response from records; see :func:`ilctools.measured_response`."""
-    if of is None:
-        of = "w" if all("reference" in log for log in logs) else "u"
-    arguments.choice("of", of, ["u", "w"])
-    names = [f"log[{i}]" if len(logs) > 1 else "log" for i in range(len(logs))]
-    first = logs[0]
-    check_match(**{n: Signals.of_log(log) for n, log in zip(names, logs, strict=True)})
-    signals = [_signals(log, of, name) for log, name in zip(logs, names, strict=True)]
-    moved = [str(n) for n in (first.control if of == "u" else first.output).values]
-    outputs = [str(n) for n in first.output.values]
-    check_moved([u for u, _ in signals], moved, f"{names[0]}.{of}", "what follows from it is not "
-                 "known. Record it while it moves, by a step or by noise")  # fmt: skip
-    check_moved([y for _, y in signals], outputs, f"{names[0]}.y", "is it connected?")
-    u_size, y_size = (_size([pair[k] for pair in signals]) for k in (0, 1))
-    groups = []
-    for log, name, (u, y) in zip(logs, names, signals, strict=True):
-        where = f" of {name}" if len(logs) > 1 else ""
-        joined = len(y) < log.sizes["trial"]
-        titles = ["the trials"] if joined else [f"trial {k}" for k in log.trial.values]
-        titles = tuple(title + where for title in titles)
-        groups.append(Trials(_with_disturbances(log, u / u_size), y / y_size, titles))
-    width = min(group.u.shape[2] for group in groups)
-    direct = of == "w" or "reference" not in first
-    fits, found, apart = [], [], 0.0
-    for i, name in enumerate(outputs):
-        one = [Trials(x.u[..., :width], x.y[..., [i]], x.names) for x in groups]
-        fit = regression(one, direct, seed=i)  # outputs are drawn independently
-        fits.append(fit)
-        if fit.stable < STABLE:
-            raise LogError(f"{name} does not settle: {LOOP}")
-        if fit.stable < SETTLED:
-            found.append(
-                f"{name} may not settle, as {1 - fit.stable:.0%} of the plants that the record "
-                f"admits do not, which are left out: {LOOP}"
-            )
-        said = sorted(contradictions(fit, one), key=lambda pair: -pair[1])
+    record = Record.of(logs, of, delay)
+    units = record.sizes[1][:, None] / record.sizes[0]
+    if gain is not None:
+        gain = arguments.array("gain", gain, units.shape)
+    elif record.source == "w" and isinstance(record.loop, CurrentTrialLoop):
+        gain = np.eye(len(units))  # its observer integrates
+    rows = [None] * len(units) if gain is None else gain / units
+    noted = record.source == "w" or all("reference" in log for log in logs)
+    fits, contradicted, apart = [], [], 0.0
+    for i, (name, row) in enumerate(zip(record.outputs, rows, strict=True)):
+        groups = record.of_output(i)
+        fits.append(regression(groups, record.direct, row))
+        said = sorted(contradictions(fits[i], groups, noted), key=lambda pair: -pair[1])
         apart = max([apart, *(off for _, off in said)])
         if said:
             words = "; ".join(f"{what} (by {off:.0%} of P)" for what, off in said[:NAMED])
-            found.append(
+            contradicted.append(
                 f"{name} is not that of one linear plant: {words}. The radius is larger for it: "
                 "leave such trials or times out, by isel, or move the input less"
             )
-    Ts, longest = period_of(first), max(y.shape[1] for _, y in signals)
-    omega = np.geomspace(np.pi / (2 * longest * Ts), np.pi / Ts, LINES)
-    loop = loop_of(first) if of == "w" else None
-    if loop is None:
-        units = dict(zip(outputs, first.output_unit.values.tolist(), strict=True))
-        loop = ClosedLoop(None, Ts, outputs, units=units)
-    estimate = EstimatedResponse(
-        omega, tuple(fits), y_size[:, None] / u_size, np.ones(LINES, bool), loop, of,
-        _words(signals, of), apart, tuple(found),
-    )  # fmt: skip
-    known = _identified(estimate)
-    if not known.any():
+    Ts = record.loop.Ts
+    omega = np.geomspace(np.pi / (2 * record.longest * Ts), np.pi / Ts, LINES)
+    estimate = EstimatedResponse(omega, tuple(fits), record, units, apart)
+    findings = (*estimate._unsettled(), *contradicted)
+    if not estimate.known.any():
         raise LogError(
-            f"P is identified at no frequency: the response to {', '.join(moved)} is below the "
-            "noise, or they moved alike. Record longer, or move them more, each by itself"
+            "; ".join(contradicted)
+            or f"P is identified at no frequency: the response to {', '.join(record.inputs)} is "
+            "below the noise, or they moved alike. Record longer, or move them more, each by itself"
         )
-    return replace(estimate, known=known)
-
-
-def _identified(estimate):
-    """Where the data say more than what was assumed, and P is not lost in errors: two intervals."""
-    angles, inputs = estimate.omega * estimate.loop.Ts, estimate.units.shape[1]
-    learned = [fit.learned(angles)[:, :inputs].max(axis=1) for fit in estimate.fits]
-    size = largest_singular_values(estimate.response).max()
-    off = np.maximum(np.max(learned, axis=0) / LEARNED, estimate.radius() / size)
-    label, count = ndimage.label(ndimage.gaussian_filter1d(np.log(off), SMOOTHED) < 0)
-    longest = np.argsort(np.bincount(label.ravel(), minlength=count + 1)[1:])[-INTERVALS:] + 1
-    return np.isin(label, longest)
-
-
-def _signals(log, of, name="log"):
-    """Input and outputs from before each trial on, (trial, time, channel)."""
-    if of == "w" and "reference" not in log:
-        raise LogError(f"{name} has no reference, and so no w: take of = 'u'")
-    if of == "u" and "u" not in log:
-        raise LogError(f"{name} has no commands u: take of = 'w', or read them by `inputs`")
-    u = log.u if of == "u" else log.reference + log.get("v", 0)
-    axes = "trial", "time", "channel"
-    u, y = (x.transpose(*axes).values for x in (u, log.y))
-    u = arguments.array(f"{name}.{of}", u, axes)
-    y = arguments.array(f"{name}.y", y, (*u.shape[:2], "channel"))
-    if len(y[0]) < FEWEST:
-        raise LogError(f"{name} has {len(y[0])} samples in a trial, but must have {FEWEST} or more")
-    # Before a trial w rests at the reference's first row; commands, at their own.
-    before = u if of == "u" else log.reference.transpose(*axes).values
-    if RESET in log.attrs:  # trials go on where the last one ended: one record
-        u, y, before = (x.reshape(1, -1, x.shape[2]) for x in (u, y, before))
-    return u - before[:, :1], y - y[:, :1]
-
-
-def _with_disturbances(log, u):
-    """The inputs, and other ones that are known."""
-    if "disturbance" not in log:
-        return u
-    d = log.disturbance.transpose("trial", "time", ...).values
-    d = d.reshape(*u.shape[:2], -1)
-    d = d - d[:, :1]
-    return np.concatenate([u, d / np.maximum(_size([d]), 1e-300)], axis=2)
-
-
-def check_moved(signals, names, what, remedy):
-    """Refuse signals, (trial, time, channel) of each record, of which one stands still."""
-    still = np.all([np.ptp(x, axis=1).max(axis=0) == 0 for x in signals], axis=0)
-    if still.any():
-        words = ", ".join(name for name, one in zip(names, still, strict=True) if one)
-        raise LogError(f"{what} of {words} never moved: {remedy}")
-
-
-def _size(signals):
-    """Root mean square of the moves of signals (trial, time, channel)."""
-    moves = [(x - x.mean(axis=1, keepdims=True)).reshape(-1, x.shape[2]) for x in signals]
-    return np.sqrt(np.mean(np.concatenate(moves) ** 2, axis=0))
-
-
-def _words(signals, of):
-    sizes = [f"{len(y)} trials" if len(y) > 1 else "one trial" for _, y in signals]
-    each = [f"{size} of {y.shape[1]} samples" for size, (_, y) in zip(sizes, signals, strict=True)]
-    again = ", what repeats in all trials" if any(len(y) > 1 for _, y in signals) else ""
-    return (
-        f"{' and '.join(each)}, from {of} to y; assumed: y is moved by {of}{again}, known "
-        "disturbances, noise and drift only"
-    )
+    return replace(estimate, findings=findings)

@@ -18,9 +18,10 @@ from ilctools.law.io import limits_of
 from ilctools.logs.format import few
 from ilctools.loop.closed import CurrentTrialLoop, Loop
 from ilctools.loop.notes import LogError, loop_of
-from ilctools.measurement.estimation import EstimatedResponse, check_moved, estimated_response
+from ilctools.measurement.estimation import EstimatedResponse, estimated_response
 from ilctools.measurement.excitation import Excitation, excitation_of
 from ilctools.measurement.plausibility import findings_of
+from ilctools.measurement.record import check_moved
 from ilctools.measurement.region import radius_of
 from ilctools.measurement.tabulated import TabulatedResponse, tabulated
 from ilctools.measurement.transient import NEIGHBOURS, SPAN, nearest_lines, separated, windows_of
@@ -110,7 +111,7 @@ class MeasuredResponse(Measured):
 
 
 def measured_response(
-    log, of: str | None = None, uncertainty=None
+    log, of: str | None = None, uncertainty=None, *, gain=None, delay=None
 ) -> MeasuredResponse | EstimatedResponse | TabulatedResponse:
     """Make a measured response, with the region in which the truth lies, of what there is.
 
@@ -123,24 +124,30 @@ def measured_response(
         response, which is splined between its lines.
     of : {"w", "u"}, optional
         Whether P is from w = reference + v to y, in a closed loop, or from the commands u.
-        Default: from w, if all records have a reference. If given, a record of :func:`shake` is
-        estimated like any other.
+        Default: from w, if all records have a reference. If this, `gain` or `delay` is given, a
+        record of :func:`shake` is estimated like any other.
     uncertainty : array_like, shape (n,), optional
         Of a table: the radius at its lines. Default: they are exact.
+    gain : array_like, shape (outputs, inputs), optional
+        P at rest, P(0), if it is known, in the units of the record. Default: I from w of a
+        :class:`CurrentTrialLoop`, whose observer integrates; else not known.
+    delay : int or array_like, shape (inputs,), optional
+        Samples after which y answers to each input at the earliest, if it is known; further delay
+        is searched for. Default: 0.
 
     Returns
     -------
     MeasuredResponse, EstimatedResponse or TabulatedResponse
-        For :func:`synthesise` and checks. An estimate has ``check(log)``, against
-        a record that it was not made of.
+        For :func:`synthesise`, if it has as many inputs as outputs, and checks. An estimate has
+        ``check(log)``, against a record that it was not made of, ``model()``, ``frd()`` and
+        ``plot()``.
 
     Raises
     ------
     LogError
         If a record of :func:`shake` lacks an experiment, or w is not the excitation; if an input or
         an output never moved; of other records, if a trial has fewer than 20 samples, an output is
-        as exact as rounding, most of the plants drawn for it are unstable, or P is identified
-        nowhere.
+        as exact as rounding or does not settle, or P is identified nowhere.
 
     Warns
     -----
@@ -148,8 +155,7 @@ def measured_response(
         Each of the findings: commands beyond the limits, a loop that is not linear, outputs that
         drift, a lowest frequency that is too high for what is known at zero, lines too far apart;
         trials, or quarters of one, that contradict one linear plant; an output that may not settle;
-        a table without a radius that
-        scatters from line to line.
+        a table without a radius that scatters from line to line.
 
     See Also
     --------
@@ -164,6 +170,12 @@ def measured_response(
     each input with a delay if correlations show one, from any start, with offset and slope in each
     trial, a drift that the trials of a log have in common, disturbances that all logs know, and,
     over the trials of one log, what repeats at each sample with a variance that the data determine.
+    The radius is Bayesian: "99 %" is a probability under a prior, by which coefficients of A and B
+    decay and are smooth, and the posterior is normal, with the prior's parameters at the maximum
+    of their own posterior and about it. For plants as they come it was checked on records of many
+    kinds, by which the radius was scaled; a plant that the prior holds to be unlikely, such as one
+    with a weak mode below the noise, may lie outside more often. See
+    :mod:`ilctools.measurement.estimation` for the radius.
     Before a trial w rests at the reference's first row, and v is zero; trials without reset are
     joined. Of commands in a loop whose reference is in the first log, y(t) depends on earlier u
     only, and else on u(t), too.
@@ -198,9 +210,11 @@ def measured_response(
     P from a table of 40 frequencies from 0.01 to 3.142 rad/s, with its radius
     assumed: between them P is not further from their spline than straight lines are
     """
+    asked = {"of": of, "gain": gain, "delay": delay}
     if isinstance(log, control.FrequencyResponseData):
-        if of is not None:
-            raise ValueError(f"of = {reprlib.repr(of)} is for a record, but log is a table")
+        for name, value in asked.items():
+            if value is not None:
+                raise ValueError(f"{name} = {reprlib.repr(value)} is for a record, not for a table")
         return _warned(tabulated(log, uncertainty))
     if isinstance(log, pd.DataFrame | str | PathLike):
         raise ValueError(
@@ -218,11 +232,11 @@ def measured_response(
         )
     if isinstance(log, list | tuple) and log:
         logs = [arguments.instance(f"log[{i}]", one, xr.Dataset) for i, one in enumerate(log)]
-        return _warned(estimated_response(logs, of))
+        return _warned(estimated_response(logs, **asked))
     arguments.instance("log", log, xr.Dataset)
     excitation, loop = excitation_of(log), loop_of(log)
-    if excitation is None or of is not None:
-        measured = estimated_response([log], of)
+    if excitation is None or any(value is not None for value in asked.values()):
+        measured = estimated_response([log], **asked)
     elif loop is None:
         raise LogError("log names no loop in its metadata: it is not of shake; or say `of`")
     else:

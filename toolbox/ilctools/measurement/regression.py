@@ -1,16 +1,45 @@
-"""A frequency response from signals as they come, and how far off it may be.
+"""The estimator: P of one output from signals as they come, and how far off it may be.
 
-    A(z) y(t) = B_1(z) u_1(t) + ... + B_m(z) u_m(t) + start(t) + offset + slope t + drift(t) + e(t)
+    A(z) y(t) = B_1(z) u_1(t) + ... + B_m(z) u_m(t) + start(t) + line(t) + drift(t) + e(t)      (1)
 
-with A monic, B and A of as many lags as a quarter of the longest record, and white e: P = B / A. A
-priori coefficients decay and neighbours are alike, with the tuned-correlated kernel c exp(-max(i,
-j) / T), each of A, B_j and the start with c and T of their own (T. Chen, H. Ohlsson and L. Ljung,
-Automatica 48 (2012) 1525-1535; G. Pillonetto and others, Automatica 50 (2014) 657-682). In
-increments from lag to lag this kernel is diagonal. Far lags share increments, geometrically more of
-them, counted from the delay of each input, if the one that correlations show has the larger
-posterior. The drift is a random walk. The maximum of their posterior, the marginal likelihood times
-a wide normal prior, determines all c and T, and the variance of what repeats over trials. They are
-drawn from a t distribution about it, with the curvature there, and coefficients for each of them.
+with A monic, B and A of as many lags as a quarter of the longest record, and e white with variance
+s^2: P = B / A. A start, which is not known, leaves a response as long; the line is an offset and a
+slope of each record, the drift a random walk.
+
+*Prior.* Coefficients decay and neighbours are alike, by the tuned-correlated kernel
+s^2 c exp(-max(i, j) / T), with one c for A, one for B, one for starts and one for drifts, and one T
+(T. Chen, H. Ohlsson and L. Ljung, Automatica 48 (2012) 1525-1535; G. Pillonetto and others,
+Automatica 50 (2014) 657-682). In increments x from lag to lag it is diagonal,
+
+    x ~ N(0, s^2 D(eta)),    D = c (exp(-i / T) - exp(-(i + gap) / T)),                         (2)
+
+with the logarithms of c and T in eta. Far lags share increments: knots, between which coefficients
+are on straight lines. Lags of B are counted from a delay of each input, where the one that
+correlations show raises the posterior.
+
+*Posterior.* With the regressors X of (1), without offset and slope,
+
+    U' U = I + D^(1/2) X' X D^(1/2),    x = D^(1/2) U^-1 h,    U' h = D^(1/2) X' y,             (3)
+    s^2 = (y' y - h' h) / n.
+
+Over trials, a disturbance that repeats shows in their mean only, which has a weight of 1 / (1 +
+exp(rho)), the last entry of eta.
+
+*Hyperparameters.* The maximum of the marginal likelihood times a wide normal prior,
+
+    n / 2 log(y' y - h' h) + log |U| + |(eta - centre) / wide|^2 / 2 -> min.                     (4)
+
+They are normal about it with the inverse of the curvature S S', and integrated over by the points
+eta + HEAVY sqrt(d) S_k, eta - HEAVY sqrt(d) S_k, d the number of entries (I. Arasaratnam and S.
+Haykin, IEEE Trans. Autom. Control 54 (2009) 1254-1269, where HEAVY is one).
+
+*Error of P.* To first order it is normal,
+
+    dP_j = (dB_j - P_j dA) / A,                                                                 (5)
+
+from x by (3), and from the points, at which P is another. No number is random. As long as |dA| is
+less than |A| on the unit circle, A has as many zeros outside as its estimate (Rouche): where these
+are none, each plant within the radius is stable.
 """
 
 from collections.abc import Iterator, Sequence
@@ -20,6 +49,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import LinAlgError, cholesky, helmert, solve_triangular
 from scipy.linalg.lapack import dpotri
+from scipy.ndimage import uniform_filter1d
 from scipy.optimize import minimize
 from scipy.signal import fftconvolve, lfilter
 from scipy.special import expit, log_expit
@@ -32,15 +62,19 @@ CLOSE, STEP = 40, 8
 START = (6, 4)  # likewise, for what a start leaves
 STARTS = 300  # unknowns of all starts at most; with more, first samples are left out
 KNOTS = 64  # of a drift, between which it is straight
-CENTRE = np.log(10)  # of the logarithms of c, relative to the noise, and T in samples
-CALM = -3.0  # the same of the drift
-WIDE = 3.0  # their standard deviation before the data
-BOUND = 30.0  # of all logarithms
-EXACT = 1e-9  # least noise, in the power of the output
-SETS, DRAWS = 80, 8  # draws of hyperparameters, and of coefficients for each of them
+# Before the data: of log(c s^2) of A, B, starts, log c of drifts, log T in samples, and rho.
+CENTRE = np.array([-4.0, -4.0, -4.0, -3.0, 2.3, 0.0])
+WIDE = 3.0  # their standard deviations
+SIZES = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])  # those relative to the output, not to the noise
+FIRST = CENTRE + 6 * SIZES  # of eta, from which the search starts
+BOUND = 50.0  # of all logarithms
+EXACT = 1e-14  # least noise, in the power of the output
 LATE = 5  # samples: the least lag of largest correlation that counts as a delay
 ROOM = (0.6, 0.9)  # delays that are tried, relative to that lag
-TAILS = 10  # degrees of freedom of the distribution that the first are drawn from
+STEPS = 1e-3  # of eta, for the curvature
+HEAVY = 1.2  # tails of eta, relative to normal ones
+POLISH = 4  # Newton steps with it, after which eta is known to rounding
+SURE = 1e6  # weight of a gain at rest that is known: by a thousandth of the noise
 TURN = 4096  # frequencies at least on which the zeros of A are counted
 
 
@@ -58,21 +92,21 @@ class _Layout:
 
     # 0 for y, 1 ... m for the inputs, m + 1 for starts, m + 2 for drifts, (unknown,)
     kind: np.ndarray
+    c: np.ndarray  # which entry of eta has the c of each, (unknown,)
     lag: np.ndarray  # (unknown,)
     gap: np.ndarray  # (unknown,): to the next lag; infinite at the last
-    past: np.ndarray  # (lag, k): coefficients of A from increments
-    moves: np.ndarray  # (m, lag, k): those of B
+    knots: np.ndarray  # of A
+    moved: tuple[np.ndarray, ...]  # of each B
     start: np.ndarray  # (time, k)
     starts: int  # records with an unknown start
     drifts: int  # and with a drift
     skipped: int  # samples at the beginning of each
 
     def prior(self, eta) -> tuple[np.ndarray, np.ndarray]:
-        """Logarithms of the variances of the increments, and their slope over log T."""
-        scale, time = eta[:-1].reshape(2, -1)[:, self.kind]
-        lag, gap = self.lag * np.exp(-time), self.gap * np.exp(-time)
+        """Logarithms of D, (2), and their slope over log T."""
+        lag, gap = self.lag * np.exp(-eta[4]), self.gap * np.exp(-eta[4])
         shorter = np.where(gap < BOUND**2, gap, 0) / np.expm1(np.clip(gap, 1e-300, BOUND))
-        return scale - lag + np.log(-np.expm1(-gap)), lag - shorter
+        return eta[self.c] - lag + np.log(-np.expm1(-gap)), lag - shorter
 
 
 def _knots(first, last, close, step):
@@ -83,18 +117,31 @@ def _knots(first, last, close, step):
     return np.array(knots)
 
 
-def _increments(knots, count):
+def increments(knots) -> np.ndarray:
     """One up to a knot, zero from the next one on and before the first, (lag, knot)."""
-    lags = np.arange(count)
+    lags = np.arange(knots[-1] + 1)
     hats = np.array([np.interp(lags, knots, one) for one in np.eye(len(knots))]).T
-    return np.cumsum(hats, axis=1) * ((lags >= knots[0]) & (lags <= knots[-1]))[:, None]
+    return np.cumsum(hats, axis=1) * (lags >= knots[0])[:, None]
+
+
+def _lagged(signal, knots):
+    """A signal (time,) by each column of the increments, (time, knot), by running sums."""
+    N, total = len(signal), np.cumsum(signal)
+
+    def after(values, lag):
+        return np.append(np.zeros(min(lag, N)), values)[:N]
+
+    first, columns = after(total, knots[0]), []
+    for knot, gap in zip(knots, [*np.diff(knots), 1], strict=True):
+        mean = uniform_filter1d(total, gap, mode="constant", origin=(gap - 1) // 2)
+        columns.append(first - after(mean, knot + 1))
+    return np.stack(columns, axis=1)
 
 
 def _layout(groups, direct, delays):
     longest = max(group.y.shape[1] for group in groups)
     m, reach = len(delays), max(4, longest // SHARE)
     past, moves = (_knots(first, reach, CLOSE, STEP) for first in (1, 0 if direct else 1))
-    lags = reach + max(delays) + 1
     start = _knots(0, reach, *START)
     records = sum(len(group.y) for group in groups)
     starts = records if records * len(start) <= STARTS else 0
@@ -102,13 +149,15 @@ def _layout(groups, direct, delays):
     kinds = [*range(m + 1), *[m + 1] * starts, *[m + 2] * len(groups)]
     gaps = [np.append(np.diff(block), np.inf) for block in blocks[: 1 + m + starts]]
     gaps += [np.full(KNOTS, np.inf)] * len(groups)
+    kind = np.repeat(kinds, [len(block) for block in blocks])
     return _Layout(
-        kind=np.repeat(kinds, [len(block) for block in blocks]),
+        kind=kind,
+        c=np.array([0, *[1] * m, 2, 3])[kind],
         lag=np.concatenate([block - block[0] for block in blocks]),
         gap=np.concatenate(gaps),
-        past=_increments(past, reach + 1),
-        moves=np.stack([_increments(moves + delay, lags) for delay in delays]),
-        start=_increments(start, reach + 1),
+        knots=past,
+        moved=tuple(moves + delay for delay in delays),
+        start=increments(start),
         starts=starts,
         drifts=len(groups),
         skipped=0 if starts else reach,
@@ -138,7 +187,7 @@ def records(groups, layout) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray
             drifts = np.zeros((N, layout.drifts, KNOTS))
             if k == 0:
                 drifts[:, g] = ramps
-            X = [-_lagged(y, layout.past), *map(_lagged, u.T, layout.moves)]
+            X = [-_lagged(y, layout.knots), *map(_lagged, u.T, layout.moved)]  # (1)
             X = np.hstack([*X, starts.reshape(N, -1), drifts.reshape(N, -1)])
             number += 1
             X, y = (_without(line, signal[layout.skipped :]) for signal in (X, y))
@@ -148,12 +197,6 @@ def records(groups, layout) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray
 def convolved(signals: np.ndarray, lags: np.ndarray) -> np.ndarray:
     """Signals (trial, time, column) with a finite impulse response."""
     return fftconvolve(signals, lags[None, :, None], axes=1)[:, : signals.shape[1]]
-
-
-def _lagged(signal, basis):
-    """A signal (time,) by each column of a basis (lag, k), (time, k)."""
-    N = len(signal)
-    return fftconvolve(signal[:, None], basis[:N], axes=0)[:N]
 
 
 def _without(line, signal):
@@ -171,21 +214,21 @@ class _Normal(NamedTuple):
 
 
 class _Posterior(NamedTuple):
-    """Of unknowns in units of `size`: precision U' U and U times the mean, over the noise."""
+    """(3): of unknowns in units of `size`, the root of D."""
 
     size: np.ndarray
     U: np.ndarray
-    half: np.ndarray
-    rest: float  # sum of squares that is left
+    h: np.ndarray
+    rest: float  # y' y - h' h
     ratio: float  # weight of means over trials, in which a disturbance may repeat
 
     @property
     def mean(self) -> np.ndarray:
         """Of the unknowns."""
-        return self.size * solve_triangular(self.U, self.half)
+        return self.size * solve_triangular(self.U, self.h)
 
 
-def _normal(groups, layout):
+def _normal(groups, layout, gain):
     p = len(layout.kind)
     R, b, s, count = np.zeros((2, p, p)), np.zeros((2, p)), np.zeros(2), np.zeros(2)
     for X, y, _, mean in records(groups, layout):
@@ -194,11 +237,18 @@ def _normal(groups, layout):
         b[k] += X.T @ y
         s[k] += y @ y
         count[k] += len(y) - 2
+    for j, known in enumerate(() if gain is None else gain):  # B_j(1) = gain A(1)
+        row = np.zeros(p)
+        row[layout.kind == 1 + j] = increments(layout.moved[j]).sum(axis=0)
+        row[layout.kind == 0] = -known * increments(layout.knots).sum(axis=0)
+        R[0] += SURE * np.outer(row, row)
+        b[0] += SURE * known * row
+        s[0] += SURE * known**2
     return _Normal(R, b, s, count, layout)
 
 
 def _posterior(eta, data):
-    ratio = expit(-eta[-1]) if data.count[1] else 1.0
+    ratio = expit(-eta[5]) if data.count[1] else 1.0
     weights = np.array([1.0, ratio])
     size = np.exp(data.layout.prior(eta)[0] / 2)
     A = size[:, None] * np.tensordot(weights, data.R, 1) * size
@@ -210,33 +260,33 @@ def _posterior(eta, data):
             "log is as exact as rounding, which cannot be distinguished from noise: is it "
             "simulated, or constant? Add noise, as much as the sensors have"
         ) from None
-    half = solve_triangular(U, size * (weights @ data.b), trans=1, check_finite=False)
+    h = solve_triangular(U, size * (weights @ data.b), trans=1, check_finite=False)
     total = weights @ data.s
-    return _Posterior(size, U, half, max(total - half @ half, EXACT * total), ratio)
+    return _Posterior(size, U, h, max(total - h @ h, EXACT * total), ratio)
 
 
-def surprise(eta: np.ndarray, data: _Normal, centre: np.ndarray) -> tuple[float, np.ndarray]:
-    """Minus the logarithm of the posterior of hyperparameters, and its gradient."""
+def surprise(eta: np.ndarray, data: _Normal) -> tuple[float, np.ndarray]:
+    """(4), minus the logarithm of the posterior of hyperparameters, and its gradient."""
     layout, count = data.layout, data.count.sum()
-    size, U, half, rest, ratio = _posterior(eta, data)
-    off = (eta - centre) / WIDE
-    value = count / 2 * np.log(rest) + np.log(np.diag(U)).sum() + off @ off / 2
+    size, U, h, rest, ratio = _posterior(eta, data)
+    off = (eta + SIZES * np.log(rest / count) - CENTRE) / WIDE
+    value = count / 2 * np.log(rest) + np.log(np.diag(U)).sum() + off @ off / 2  # (4)
     if data.count[1]:
-        value -= data.count[1] / 2 * log_expit(-eta[-1])
-    h = solve_triangular(U, half, check_finite=False)
+        value -= data.count[1] / 2 * log_expit(-eta[5])
+    x = solve_triangular(U, h, check_finite=False)
     inverse = dpotri(U)[0]
-    each = (1 - np.diag(inverse) - count * h**2 / rest) / 2  # over log variances
-    kinds = len(eta) // 2
-    slope = each * layout.prior(eta)[1]
-    gradient = [np.bincount(layout.kind, x, kinds) for x in (each, slope)]
-    gradient = np.append(np.concatenate(gradient), 0.0) + off / WIDE
+    # over log variances, which change log(rest) by -x^2 / rest
+    each = (1 - np.diag(inverse) - (count + 2 * (SIZES @ off) / WIDE) * x**2 / rest) / 2
+    gradient = np.append(np.bincount(layout.c, each, 4), [each @ layout.prior(eta)[1], 0.0])
+    gradient += off / WIDE
     if data.count[1]:
-        mean, R = size * h, data.R[1]
+        mean, R = size * x, data.R[1]
         left = data.s[1] - 2 * mean @ data.b[1] + mean @ R @ mean
         inverse += np.triu(inverse, 1).T
-        doubt = np.sum(inverse * (size[:, None] * R * size))
-        by_ratio = ratio * (count * left / rest + doubt) - data.count[1]
-        gradient[-1] -= (1 - ratio) / 2 * by_ratio
+        trace = np.sum(inverse * (size[:, None] * R * size))
+        moved = count + 2 * (SIZES @ off) / WIDE
+        by_ratio = ratio * (moved * left / rest + trace) - data.count[1]
+        gradient[5] -= (1 - ratio) / 2 * by_ratio
     return value, gradient
 
 
@@ -245,159 +295,138 @@ class _Fit(NamedTuple):
 
     eta: np.ndarray
     surprise: float
-    centre: np.ndarray  # of their prior
     data: _Normal
 
-    @property
-    def spread(self) -> np.ndarray:
-        """The symmetric root of the covariance of the hyperparameters.
 
-        Eigenvectors have signs, and among equal values directions, that are LAPACK's choice; the
-        symmetric root has no choice, so that draws are the same on every processor.
-        """
-        eta, _, centre, data = self
-        steps = 1e-3 * np.eye(len(eta))
-        H = [surprise(eta + e, data, centre)[1] - surprise(eta - e, data, centre)[1] for e in steps]
-        values, vectors = np.linalg.eigh(np.array(H) + np.transpose(H))
-        return vectors / np.sqrt(np.maximum(values / 4e-3, 1 / WIDE**2)) @ vectors.T
-
-
-def _fitted(groups, direct, delays):
+def _fitted(groups, direct, delays, gain, first=FIRST):
     longest = max(group.y.shape[1] for group in groups)
-    data = _normal(groups, _layout(groups, direct, delays))
-    kinds = data.layout.kind.max() + 1
-    centre = np.append(np.full(2 * kinds, CENTRE), 0.0)
-    centre[kinds - 1] = CALM
-    bounds = [(-BOUND, BOUND)] * kinds + [(-1.5, np.log(5 * longest))] * kinds
+    data = _normal(groups, _layout(groups, direct, delays), gain)
+    bounds = [(-BOUND, BOUND)] * 4 + [(-1.5, np.log(5 * longest)), (-BOUND, BOUND)]
     found = minimize(
-        surprise, centre, (data, centre), jac=True, method="L-BFGS-B",
-        bounds=[*bounds, (-BOUND, BOUND)], options={"maxiter": 60, "ftol": 1e-7},
+        surprise, first, (data,), jac=True, method="L-BFGS-B", bounds=bounds,
+        options={"maxiter": 60, "ftol": 1e-7},
     )  # fmt: skip
-    return _Fit(found.x, found.fun, centre, data)
+    return _Fit(found.x, found.fun, data)
+
+
+def _polished(fit):
+    """The fit to rounding, and S of its curvature, (4)."""
+    eta, data = fit.eta.copy(), fit.data
+    steps = STEPS * np.eye(len(eta))
+    H = np.array([surprise(eta + e, data)[1] - surprise(eta - e, data)[1] for e in steps])
+    values, vectors = np.linalg.eigh((H + H.T) / (4 * STEPS))
+    S = vectors / np.sqrt(np.maximum(values, WIDE**-2)) @ vectors.T  # symmetric: no signs
+    for _ in range(POLISH):
+        step = S @ S @ surprise(eta, data)[1]
+        eta -= np.clip(step, -1, 1)
+    return fit._replace(eta=eta), S
 
 
 @dataclass(frozen=True)
 class Regression:
-    """Responses from m inputs to one output that the data admit, the estimate first."""
+    """P from m inputs to one output, and the error that it may have."""
 
-    a: np.ndarray  # (k, draw): increments of A
-    b: np.ndarray  # (m, k, draw): and of B
+    mean: np.ndarray  # x, (unknown,)
     data: _Normal
     posterior: _Posterior  # for the likeliest hyperparameters
-    stable: float  # share of the draws that are; only these are kept
+    C: np.ndarray  # covariance of x, over the points of the quadrature, (unknown, unknown)
 
     @property
-    def past(self) -> np.ndarray:
-        """Lags of A from increments."""
-        return self.data.layout.past
+    def knots(self) -> tuple[np.ndarray, ...]:
+        """Lags of A, then of each B, between which coefficients are on straight lines."""
+        return self.data.layout.knots, *self.data.layout.moved
 
-    @property
-    def moves(self) -> np.ndarray:
-        """Lags of B from increments, of each input."""
-        return self.data.layout.moves
+    def of(self, kind: int, x: np.ndarray) -> np.ndarray:
+        """Those of some unknowns (..., unknown) that are of A, kind 0, or of the input `kind`."""
+        return x[..., self.data.layout.kind == kind]
 
     def _waves(self, omega):
-        """Of A (n, k) and of B (m, n, k) at angles omega Ts what one increment makes."""
-        waves = np.exp(-1j * np.outer(omega, np.arange(self.moves.shape[1])))
-        return waves[:, : len(self.past)] @ self.past, waves @ self.moves
+        """What increments make of A, then of each B, at angles omega Ts, (n, knot) each."""
+        of_lag = np.exp(-1j * np.outer(omega, np.arange(1 + max(k[-1] for k in self.knots))))
+        return [of_lag[:, : knots[-1] + 1] @ increments(knots) for knots in self.knots]
 
-    def response(self, omega: np.ndarray, draws: slice = slice(None)) -> np.ndarray:
-        """P at angles omega Ts, shape (draw, n, m)."""
-        A, B = self._waves(omega)
-        above = np.moveaxis(B @ self.b[..., draws], 0, 2)  # (n, draw, m)
-        return np.moveaxis(above / (1 + A @ self.a[:, draws])[..., None], 1, 0)
+    def response(self, omega: np.ndarray) -> np.ndarray:
+        """P at angles omega Ts, shape (n, m)."""
+        return self._ratio(*self._waves(omega))[0]
+
+    def _ratio(self, A, *B):
+        """P = B / A, and A."""
+        below = 1 + A @ self.of(0, self.mean)
+        above = [wave @ self.of(1 + j, self.mean) for j, wave in enumerate(B)]
+        return np.stack(above, axis=1) / below[:, None], below
+
+    def covariance(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Of dP, real parts first, (n, 2 m, 2 m), and E |dA / A|^2, (n,), at angles omega Ts."""
+        A, *B = self._waves(omega)
+        P, below = self._ratio(A, *B)
+        kind = self.data.layout.kind
+        slopes = np.zeros((len(omega), len(B) + 1, len(kind)), complex)
+        for j, wave in enumerate(B):  # (5)
+            slopes[:, j, kind == 0], slopes[:, j, kind == 1 + j] = -P[:, [j]] * A, wave
+        slopes[:, -1, kind == 0] = A
+        slopes /= below[:, None, None]
+        slopes = np.concatenate([slopes.real, slopes.imag], axis=1)
+        S = slopes @ self.C @ slopes.swapaxes(1, 2)
+        m = len(B)
+        of_P = np.delete(np.arange(2 * m + 2), [m, 2 * m + 1])
+        return S[:, of_P[:, None], of_P], S[:, m, m] + S[:, -1, -1]
 
     @property
     def denominator(self) -> np.ndarray:
         """The estimate of A, lag by lag."""
-        return _monic(self.past @ self.a[:, 0])
+        return np.append(1.0, (increments(self.data.layout.knots) @ self.of(0, self.mean))[1:])
+
+    @property
+    def stable(self) -> bool:
+        """Whether the estimate of A has no zero outside the unit circle, by how often it turns."""
+        a = self.denominator
+        waves = np.fft.rfft(a, 1 << int(np.log2(2 * len(a) + TURN)))
+        return bool(abs(np.angle(waves[1:] / waves[:-1]).sum()) < 1)
 
     def impulse(self, n: int) -> np.ndarray:
         """Impulse response of the estimate over n samples, shape (m, n)."""
-        lags = np.einsum("jlk,jk->jl", self.moves, self.b[..., 0])[:, :n]
-        B = np.pad(lags, ((0, 0), (0, n - lags.shape[1])))
+        B = np.zeros((len(self.data.layout.moved), n))
+        for j, knots in enumerate(self.data.layout.moved):
+            lags = (increments(knots) @ self.of(1 + j, self.mean))[:n]
+            B[j, : len(lags)] = lags
         return lfilter([1.0], self.denominator, B)
 
-    def learned(self, omega: np.ndarray) -> np.ndarray:
-        """Standard deviation of P after the data, relative to that before them, (n, m)."""
-        size, U = self.posterior.size, self.posterior.U
-        A, B = self._waves(omega)
-        P = self.response(omega, slice(1))[0]
-        shares = []
-        for j in range(len(self.b)):
-            slopes = np.zeros((len(omega), len(size)), complex)
-            kind = self.data.layout.kind
-            slopes[:, kind == 0], slopes[:, kind == 1 + j] = -P[:, [j]] * A, B[j]
-            slopes *= size
-            after = solve_triangular(U, slopes.T, trans=1)
-            shares.append(np.linalg.norm(after, axis=0) / np.linalg.norm(slopes, axis=1))
-        return np.transpose(shares)
 
-
-def _monic(a):
-    """With the leading one, in front of which no lag is."""
-    return np.concatenate([np.ones_like(a[:1]), a[1:]])
-
-
-def _are_stable(a):
-    """Whether A has no zero outside the unit circle, by how often it turns; a (lag, draw)."""
-    size = 1 << int(np.log2(2 * len(a) + TURN))
-    waves = np.fft.rfft(_monic(a), size, axis=0)
-    return np.abs(np.angle(waves[1:] / waves[:-1]).sum(axis=0)) < 1
-
-
-def regression(groups: Sequence[Trials], direct: bool, seed: int = 0) -> Regression:
-    """Of one output; `direct`: whether y(t) may depend on u(t).
+def regression(groups: Sequence[Trials], direct: bool, gain=None) -> Regression:
+    """Of one output; `direct`: whether y(t) may depend on u(t); `gain`, (m,): P at rest, if known.
 
     If an input is late, also with delays of 0.6 and then 0.9 of the lags of largest correlation, as
     long as the posterior grows.
     """
-    best = _fitted(groups, direct, np.zeros(groups[0].u.shape[2], int))
+    best = _fitted(groups, direct, np.zeros(groups[0].u.shape[2], int), gain)
     peaks = _peaks(groups, best)
     for room in ROOM if peaks.max() >= LATE else ():
-        other = _fitted(groups, direct, (room * peaks).astype(int))
+        delays = (room * peaks).astype(int)
+        others = [_fitted(groups, direct, delays, gain, first) for first in (FIRST, best.eta)]
+        other = min(others, key=lambda fit: fit.surprise)
         if other.surprise > best.surprise:
             break
         best = other
-    return _drawn(best, seed)
+    best, S = _polished(best)
+    farther = HEAVY * np.sqrt(len(S)) * np.concatenate([S, -S])
+    points = np.clip(best.eta + farther, -BOUND, BOUND)
+    at, count, C = _posterior(best.eta, best.data), best.data.count.sum(), 0.0
+    for other in (_posterior(eta, best.data) for eta in points):
+        W = other.size[:, None] * solve_triangular(other.U, np.eye(len(other.U)))
+        off = other.mean - at.mean
+        C = C + (other.rest / count * W @ W.T + np.outer(off, off)) / len(points)
+    return Regression(at.mean, best.data, at, C)
 
 
 def _peaks(groups, fit):
     """Lags of largest correlation of each input with the output, both filtered by A, (m,)."""
     layout = fit.data.layout
-    a = layout.past @ _posterior(fit.eta, fit.data).mean[layout.kind == 0]
+    x = _posterior(fit.eta, fit.data).mean[layout.kind == 0]
+    a = np.append(1.0, (increments(layout.knots) @ x)[1:])
     longest, total = max(group.y.shape[1] for group in groups), 0.0
     for group in groups:
         signals = contrasts(np.concatenate([group.u, group.y], axis=2))
-        spectra = np.fft.rfft(convolved(signals, _monic(a)), 2 * longest, axis=1)
+        spectra = np.fft.rfft(convolved(signals, a), 2 * longest, axis=1)
         products = np.sum(spectra[..., :-1].conj() * spectra[..., -1:], axis=0)
         total = total + np.fft.irfft(products, axis=0)[: longest // 2]
     return np.argmax(np.abs(total), axis=0)
-
-
-def _drawn(fit, seed):
-    eta, data = fit.eta, fit.data
-    layout, likeliest = data.layout, _posterior(eta, data)
-    rng, count = np.random.default_rng(seed), data.count.sum()
-    z = rng.standard_normal((SETS, len(eta)))
-    z *= np.sqrt(TAILS / rng.chisquare(TAILS, (SETS, 1)))
-    moved = np.clip(eta + z @ fit.spread, -BOUND, BOUND)
-    # Without importance weights: with them a few draws dominate, and the region is too small.
-    drawn = [likeliest.mean[:, None]]
-    for one in moved:
-        at = _posterior(one, data)
-        noise = np.sqrt(at.rest / rng.chisquare(count, DRAWS))
-        noise = noise * rng.standard_normal((len(at.U), DRAWS))
-        drawn.append(at.size[:, None] * solve_triangular(at.U, at.half[:, None] + noise))
-    drawn = np.concatenate(drawn, axis=1)
-    a = drawn[layout.kind == 0]
-    stable = np.concatenate([_are_stable(layout.past @ part) for part in np.array_split(a, 20, 1)])
-    share = stable[1:].mean()
-    if not stable[0] and stable.any():  # the stable one that is nearest
-        off = np.linalg.norm(layout.past @ (a - a[:, :1]), axis=0)
-        drawn[:, 0] = drawn[:, np.where(stable, off, np.inf).argmin()]
-        stable[0] = True
-    drawn = drawn[:, stable]
-    m = layout.kind.max() - 2
-    b = np.stack([drawn[layout.kind == 1 + j] for j in range(m)])
-    return Regression(drawn[layout.kind == 0], b, data, likeliest, share)

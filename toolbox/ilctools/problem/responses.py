@@ -10,11 +10,15 @@ from ilctools import arguments
 from ilctools.filters import ZeroPhaseButterworth
 from ilctools.loop.closed import Loop
 from ilctools.models import model_and_response, refuse_foreign
-from ilctools.problem.problem import Problem
+from ilctools.problem.problem import Problem, largest_singular_values
 from ilctools.signals import Signals, check_match
 
 CONFIDENCE = 0.99  # in a measured response
 FREQUENCIES = 1000  # of a grid that is chosen, as of the paper's
+# of sigma_max(P) / |Q|: by how much P and its radius may be off a straight line between two design
+# frequencies, if more of them help; M is then off by as much, times sigma_max(Q P L)
+BEND = 2e-3
+ROUNDS = 5  # in which each interval with more is halved
 LOWEST = 1e-4  # of the Nyquist frequency: the lowest cut-off of a Q that is chosen
 DECADES = 3  # of it below the cut-off of Q, as in the paper: from 1e-4 to 0.1 rad/s
 RIPPLE = 1.2  # of a low-pass filter without taper, applied twice: the largest sensible |Q|
@@ -206,7 +210,8 @@ def _period(*systems):
 def _frequencies(P, Q) -> np.ndarray:
     """Design frequencies, rad/s: of samples their own, of models a logarithmic grid up to Nyquist.
 
-    Of a measured plant the grid begins where it is known.
+    Of a measured plant the grid begins where it is known; an estimate, which is known everywhere,
+    adds frequencies where it bends.
     """
     sampled = [plant for plant in P if not isinstance(plant, Loop | control.LTI)]
     for plant in P:
@@ -221,7 +226,28 @@ def _frequencies(P, Q) -> np.ndarray:
             "cutoff, Ts), from whose cut-off a grid is chosen"
         )
     lowest = max([Q.cutoff / 10**DECADES, *map(_lowest, sampled)])
-    return np.geomspace(lowest, np.pi / Q.Ts, FREQUENCIES)
+    omega = np.geomspace(lowest, np.pi / Q.Ts, FREQUENCIES)
+    for plant in sampled:
+        if hasattr(plant, "fits"):
+            omega = _where_it_bends(plant, Q, omega)
+    return omega
+
+
+def _where_it_bends(P, Q, omega):
+    """Frequencies, and the middle of each interval between two in which P or its radius bends."""
+    low, high = omega[:-1], omega[1:]
+    for _ in range(ROUNDS):
+        middle, n = np.sqrt(low * high), len(low)
+        response, radius = P.on(np.concatenate([low, middle, high]), CONFIDENCE)
+        bend, of_radius = (x[n:-n] - (x[:n] + x[-n:]) / 2 for x in (response, radius))
+        bend = largest_singular_values(bend) + np.abs(of_radius)
+        bent = Q.frequency_response(middle) * bend > BEND * largest_singular_values(response[n:-n])
+        if not bent.any():
+            break
+        low, middle, high = low[bent], middle[bent], high[bent]
+        omega = np.append(omega, middle)
+        low, high = np.append(low, middle), np.append(middle, high)
+    return np.sort(omega)
 
 
 def plants(P):

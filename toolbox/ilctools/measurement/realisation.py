@@ -1,0 +1,83 @@
+"""The lowest order with which a model follows a frequency response.
+
+    G(z) = (C (z I - A)^-1 B + D) diag(z^-delay)
+
+A and C are those of the balanced realisation of the impulse response g without its delays: of the
+Hankel matrices H_1, H_2 of g(1), g(2), ... and g(2), g(3), ..., by H_1 = U S V',
+
+    A = S^-1/2 U' H_2 V S^-1/2,    C = the first rows of U S^1/2                                 (1)
+
+(B. L. Ho and R. E. Kalman, Regelungstechnik 14 (1966) 545-548; S. Kung, 12th Asilomar Conference
+(1978) 705-714); a lower order has their first rows and columns. In B and D the response is linear:
+least squares, each frequency by its radius.
+"""
+
+import control
+import numpy as np
+from scipy.linalg import block_diag, svd
+
+from ilctools.problem.problem import largest_singular_values
+
+MOST = 60  # states beside the delays
+ROUNDING = 1e-12  # of singular values, relative to the largest
+ROWS = 300  # of a Hankel matrix, in samples
+SILENT = 0.01  # of the largest of an impulse response: what is less, at its beginning, is a delay
+
+
+def model_within(
+    radius: np.ndarray, P: np.ndarray, angles: np.ndarray, g: np.ndarray, stable: bool
+) -> control.StateSpace | None:
+    """A model within `radius` (n,) of P (n, p, m) at omega Ts; of impulse response (p, m, time)."""
+    loud = np.abs(g) > SILENT * np.abs(g).max(axis=2, keepdims=True)
+    late = np.maximum(np.argmax(loud, axis=2).min(axis=0) - 1, 0)  # one is that of the states
+    for delay in (late, 0 * late):
+        A, C = _balanced(np.stack([np.roll(g[:, j], -d, 1) for j, d in enumerate(delay)], axis=1))
+        waves = np.exp(-1j * np.outer(angles, delay))[:, None]
+        for order in range(min(MOST, len(A)) + 1):
+            A_r, C_r = A[:order, :order], C[:, :order]
+            if stable and order and np.abs(np.linalg.eigvals(A_r)).max() >= 1:
+                continue
+            B, D, response = _fitted(A_r, C_r, P / waves, angles, radius)
+            if np.all(largest_singular_values(response * waves - P) <= radius):
+                return _delayed(A_r, B, C_r, D, delay)
+    return None
+
+
+def _balanced(g):
+    """A and C of (1), of the highest order."""
+    p, m, N = g.shape
+    rows = min(ROWS, (N - 2) // 2)
+    lags = 1 + np.add.outer(np.arange(rows), np.arange(rows))
+    H, later = (g[:, :, lags + k].transpose(2, 0, 3, 1).reshape(rows * p, rows * m) for k in (0, 1))
+    U, S, V = svd(H, full_matrices=False)
+    n = min(MOST, np.count_nonzero(S / S[0] > ROUNDING))
+    root = np.sqrt(S[:n])
+    A = (U[:, :n] / root).T @ later @ (V[:n].T / root)
+    return A, U[:p, :n] * root
+
+
+def _fitted(A, C, P, angles, radius):
+    """B and D by least squares, and the response."""
+    n, p, _ = P.shape
+    resolvent = np.exp(1j * angles)[:, None, None] * np.eye(len(A)) - A
+    states = np.linalg.solve(resolvent.swapaxes(1, 2), np.broadcast_to(C.T, (n, *C.T.shape)))
+    X = np.concatenate([states.swapaxes(1, 2), np.broadcast_to(np.eye(p), (n, p, p))], axis=2)
+    left, right = ((x / radius[:, None, None]).reshape(n * p, -1) for x in (X, P))
+    left, right = (np.concatenate([x.real, x.imag]) for x in (left, right))
+    unit = np.maximum(np.linalg.norm(left, axis=0), 1e-300)
+    BD = np.linalg.lstsq(left / unit, right, rcond=None)[0] / unit[:, None]
+    return BD[: len(A)], BD[len(A) :], X @ BD
+
+
+def _delayed(A, B, C, D, delay):
+    """The model behind a shift register for each input; it says its order and delay."""
+    name = f"P of order {len(A)} behind {', '.join(map(str, delay))} samples"
+    core = control.ss(A, B, C, D, True)
+    if delay.any():
+        shifts = [np.eye(d, k=-1) for d in delay]
+        enters, leaves = (
+            block_diag(*[np.eye(d, 1, end * (1 - d)) for d in delay]) for end in (0, 1)
+        )
+        through = np.diag(1.0 * (delay == 0))
+        core = core * control.ss(block_diag(*shifts), enters, leaves.T, through, True)
+    return control.ss(core, name=name)

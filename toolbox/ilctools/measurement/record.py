@@ -1,0 +1,150 @@
+"""Records of one plant, checked once: what an estimate is made of."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+
+from ilctools import arguments
+from ilctools.law.io import RESET
+from ilctools.loop.closed import ClosedLoop, Loop
+from ilctools.loop.notes import LogError, loop_of
+from ilctools.measurement.regression import Trials
+from ilctools.signals import Signals, check_match, period_of
+
+FEWEST = 20  # samples of a trial
+AXES = "trial", "time", ...
+
+
+@dataclass(frozen=True)
+class Record:
+    """Inputs and outputs of logs from before each trial on, in units of `sizes`."""
+
+    groups: tuple[Trials, ...]  # of each log; disturbances that all know stand behind the inputs
+    inputs: list[str]
+    outputs: list[str]
+    sizes: tuple[np.ndarray, np.ndarray]  # RMS of the moves of inputs (m,) and outputs (p,)
+    delay: np.ndarray  # by which the inputs are late here, (m,), samples
+    direct: bool  # whether y(t) may depend on the inputs at t, so delayed
+    source: str  # the inputs: "w" or "u"
+    loop: Loop  # from whose w to y it is; a ClosedLoop without P, if the logs name none
+
+    @classmethod
+    def of(
+        cls, logs: xr.Dataset | Sequence[xr.Dataset], source: str | None = None, delay=None
+    ) -> "Record":
+        """Of a log or several; `source` and `delay` as for :func:`ilctools.measured_response`."""
+        logs = [logs] if isinstance(logs, xr.Dataset) else logs
+        names = [f"log[{i}]" if len(logs) > 1 else "log" for i in range(len(logs))]
+        check_match(**{n: Signals.of_log(log) for n, log in zip(names, logs, strict=True)})
+        if source is None:
+            source = "w" if all("reference" in log for log in logs) else "u"
+        arguments.choice("of", source, ["u", "w"])
+        moves = [_moves(log, source, name) for log, name in zip(logs, names, strict=True)]
+        first, outputs = logs[0], logs[0].output.values.tolist()
+        loop = (loop_of(first) if source == "w" else None) or ClosedLoop(
+            None, period_of(first), outputs,
+            units=dict(zip(outputs, first.output_unit.values.tolist(), strict=True)),
+        )  # fmt: skip
+        moved = outputs if source == "w" else first.control.values.tolist()
+        m, width = len(moved), min(u.shape[2] for u, _ in moves)
+        inputs, answers = [u[..., :width] for u, _ in moves], [y for _, y in moves]
+        remedy = "what follows from it is not known. Record it while it moves, by a step or noise"
+        check_moved([u[..., :m] for u in inputs], moved, f"{names[0]}.{source}", remedy)
+        check_moved(answers, outputs, f"{names[0]}.y", "is it connected?")
+        delay = _samples_of(delay, m)
+        sizes, units = _sizes(inputs), _sizes(answers)
+        groups = [
+            Trials(_late(u / sizes, delay), y / units, _titles(log, len(y), name))
+            for log, name, u, y in zip(logs, names, inputs, answers, strict=True)
+        ]
+        return cls(
+            groups=tuple(groups),
+            inputs=moved if source == "u" else loop.references,
+            outputs=outputs,
+            sizes=(sizes[:m], units),
+            delay=delay,
+            direct=source == "w" or "reference" not in first or delay.min() > 0,
+            source=source,
+            loop=loop,
+        )
+
+    @property
+    def longest(self) -> int:
+        """Samples of the longest trial."""
+        return max(group.y.shape[1] for group in self.groups)
+
+    def of_output(self, i: int) -> list[Trials]:
+        """With one output only."""
+        return [group._replace(y=group.y[..., [i]]) for group in self.groups]
+
+    def __str__(self):
+        sizes = [group.y.shape for group in self.groups]
+        words = [f"{K} trials" if K > 1 else "one trial" for K, *_ in sizes]
+        words = [f"{word} of {N} samples" for word, (_, N, _) in zip(words, sizes, strict=True)]
+        repeats = ", what repeats in all trials" if any(K > 1 for K, *_ in sizes) else ""
+        return (
+            f"{' and '.join(words)}, from {self.source} to y; assumed: y is moved by "
+            f"{self.source}{repeats}, known disturbances, noise and drift only"
+        )
+
+
+def _moves(log, source, name):
+    """Inputs with known disturbances, and outputs, from before each trial on."""
+    if source == "w" and "reference" not in log:
+        raise LogError(f"{name} has no reference, and so no w: take of = 'u'")
+    if source == "u" and "u" not in log:
+        raise LogError(f"{name} has no commands u: take of = 'w', or read them by `inputs`")
+    u = log.u if source == "u" else log.reference + log.get("v", 0)
+    # Before a trial w rests at the reference's first row; commands, at their own.
+    signals = [u, log.u if source == "u" else log.reference, log.y]
+    u, before, y = (signal.transpose(*AXES).values for signal in signals)
+    u = arguments.array(f"{name}.{source}", u, ("trial", "time", "channel"))
+    y = arguments.array(f"{name}.y", y, (*u.shape[:2], "channel"))
+    if len(y[0]) < FEWEST:
+        raise LogError(f"{name} has {len(y[0])} samples in a trial, but must have {FEWEST} or more")
+    if "disturbance" in log:
+        d = log.disturbance.transpose(*AXES).values.reshape(*u.shape[:2], -1)
+        u, before = (np.concatenate([signal, d], axis=2) for signal in (u, before))
+    if RESET in log.attrs:  # trials go on where the last one ended: one record
+        u, y, before = (signal.reshape(1, -1, signal.shape[2]) for signal in (u, y, before))
+    return u - before[:, :1], y - y[:, :1]
+
+
+def _titles(log, trials, name):
+    where = "" if name == "log" else f" of {name}"
+    joined = trials < log.sizes["trial"]
+    titles = ["the trials"] if joined else [f"trial {k}" for k in log.trial.values]
+    return tuple(title + where for title in titles)
+
+
+def _samples_of(delay, m):
+    delay = 0 if delay is None else delay
+    delay = arguments.array("delay", [delay] * m if np.ndim(delay) == 0 else delay, (m,))
+    if delay.min() < 0 or np.any(delay % 1):
+        raise ValueError(f"delay = {delay.tolist()} must be whole numbers of samples, 0 or more")
+    return delay.astype(int)
+
+
+def _late(u, delay):
+    """Inputs (trial, time, channel), the first of them later by samples (m,)."""
+    late = u.copy()
+    for j, samples in enumerate(delay):
+        late[:, :, j] = 0.0
+        late[:, samples:, j] = u[:, : max(u.shape[1] - samples, 0), j]
+    return late
+
+
+def check_moved(signals, names, what, remedy):
+    """Refuse signals, (trial, time, channel) of each record, of which one stands still."""
+    still = np.all([np.ptp(x, axis=1).max(axis=0) == 0 for x in signals], axis=0)
+    if still.any():
+        words = ", ".join(name for name, one in zip(names, still, strict=True) if one)
+        raise LogError(f"{what} of {words} never moved: {remedy}")
+
+
+def _sizes(signals):
+    """Root mean square of the moves of signals (trial, time, channel); above zero."""
+    moves = [(x - x.mean(axis=1, keepdims=True)).reshape(-1, x.shape[2]) for x in signals]
+    return np.maximum(np.sqrt(np.mean(np.concatenate(moves) ** 2, axis=0)), 1e-300)

@@ -1,0 +1,130 @@
+"""Score tests of one linear plant: by hand, on two levels, on loops, and of many trials."""
+
+import tracemalloc
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from ilctools.measurement import consistency as module
+from ilctools.measurement.consistency import CURVED, FOLLOWS, PLAY, contradictions
+from ilctools.measurement.regression import Trials, records, regression
+
+
+def trials(u, y):
+    """Of one input, (trial, time) each, relative to the first sample."""
+    u, y = ((x - x[:, :1])[..., None] for x in (u, y))
+    return [Trials(u, y, tuple(f"trial {k}" for k in range(len(y))))]
+
+
+def said(groups, reference=True):
+    fit = regression(groups, not reference)
+    return {words for words, _ in contradictions(fit, groups, reference)}
+
+
+def lagged(u, rng, noise=0.03):
+    """One lag of gain one and noise."""
+    return lfilter([0, 0.3], [1, -0.7], u) + noise * rng.standard_normal(u.shape)
+
+
+def test_score_and_information_are_those_of_the_normal_distribution_of_y():
+    rng = np.random.default_rng(0)
+    u = rng.standard_normal((3, 80))
+    groups = trials(u, lagged(u, rng))
+    fit = regression(groups, False)
+    layout, post = fit.data.layout, fit.posterior
+    q, J, power = module._score(fit, groups, module._added(fit, groups, 3))
+    rows = list(records(groups, layout))
+    X, y = (np.concatenate([row[k] for row in rows]) for k in (0, 1))
+    Z = []
+    for added, (_, output, line, _) in zip(module._added(fit, groups, 3), rows, strict=True):
+        cut = added[-len(output) :]
+        Z.append(cut - line @ (line.T @ cut))
+    Z = np.concatenate(Z)
+    means = np.concatenate([np.full(len(row[1]), row[3]) for row in rows])
+    V = np.diag(1 / np.where(means, post.ratio, 1.0)) + X * post.size**2 @ X.T
+    unit = np.sqrt(power.diagonal())
+    by_hand = np.linalg.solve(V, np.column_stack([y, Z]))
+    np.testing.assert_allclose(Z.T @ by_hand[:, 0] / unit, q / unit, atol=1e-6 * np.linalg.norm(y))
+    np.testing.assert_allclose(Z.T @ by_hand[:, 1:] / np.outer(unit, unit),
+                               J / np.outer(unit, unit), atol=1e-6)  # fmt: skip
+
+
+@pytest.mark.parametrize("held", [1, 12])
+def test_two_levels_are_not_curved(held):
+    """Squares and cubes of two levels are lines, and so is the sign of the last move."""
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        u = np.repeat(rng.choice([-1.0, 1.0], 300 // held), held)[None]
+        y = lfilter([0, 0.06], np.poly([0.6, 0.85]), u) + 0.03 * rng.standard_normal(u.shape)
+        assert not said(trials(u, y), False)
+
+
+def test_a_dead_zone_is_said():
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        u = np.repeat(rng.standard_normal(40), 10)[None]
+        assert CURVED in said(trials(u, lagged(u - np.clip(u, -0.3, 0.3), rng)))
+
+
+def test_backlash_is_said():
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        u, x = np.repeat(rng.standard_normal(40), 10), 0.0
+        behind = np.zeros((1, 400))
+        for t, ahead in enumerate(u):
+            behind[0, t] = x = np.clip(x, ahead - 0.15, ahead + 0.15)
+        assert PLAY in said(trials(u[None], lagged(behind, rng)))
+
+
+def loop(rng, moves, c, integral, N=600, quantum=0.0):
+    """Of u = C (r - y), C = c0 + c1 / z, over 1 - 1 / z if integral; v is coloured noise."""
+    u, y, r = np.zeros(N), np.zeros(N), moves * np.repeat(rng.standard_normal(N // 3), 3)
+    v = lfilter([0.05], [1, -0.9], rng.standard_normal(N))
+    e = np.zeros(N)
+    for t in range(1, N):
+        y[t] = 0.7 * (y[t - 1] - v[t - 1]) + 0.3 * u[t - 1] + v[t]
+        e[t] = r[t] - y[t]
+        u[t] = c[0] * e[t] + c[1] * e[t - 1] + integral * u[t - 1]
+        u[t] = np.rint(u[t] / quantum) * quantum if quantum else u[t]
+    return trials(u[None], y[None])
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"moves": 0.0, "c": (0.32, -0.3), "integral": 1},
+        {"moves": 0.0, "c": (0.32, -0.3), "integral": 1, "quantum": 0.01},
+        {"moves": 0.05, "c": (0.32, -0.3), "integral": 1},
+        {"moves": 0.0, "c": (1.0, 0.0), "integral": 0},
+        {"moves": 0.0, "c": (1.5, -0.5), "integral": 0},
+    ],
+)
+def test_a_loop_without_its_reference_is_said(given):
+    """What is estimated is -1 / C, at a radius of nothing."""
+    found = [said(loop(np.random.default_rng(seed), **given), False) for seed in range(10)]
+    assert sum(FOLLOWS in words for words in found) >= 9
+
+
+@pytest.mark.parametrize("direct", [0, 1])
+@pytest.mark.parametrize("noise", [0.03, 1e-4])
+def test_an_open_loop_in_which_y_answers_at_once_is_not_a_closed_one(direct, noise):
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        u = np.repeat(rng.standard_normal(100), 3)[None]
+        y = lfilter([0.3 * direct, 0.3 * (1 - direct)], [1, -0.7], u)
+        y += noise * rng.standard_normal(y.shape)
+        assert FOLLOWS not in said(trials(u, y), False)
+
+
+def test_memory_grows_as_the_trials_do():
+    """Columns of each trial are made for one contrast at a time: no trial by trial by time."""
+    rng = np.random.default_rng(0)
+    u = rng.standard_normal((60, 300))
+    groups = trials(u, lagged(u, rng))
+    fit = regression(groups, False)
+    tracemalloc.start()
+    list(contradictions(fit, groups))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 8 * 60 * 60 * 300  # of 8 bytes each

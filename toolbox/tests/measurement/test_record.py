@@ -1,0 +1,94 @@
+"""Logs as one record, and what is known of the plant beforehand."""
+
+import control
+import numpy as np
+import pytest
+import xarray as xr
+from plants import furnace
+
+from ilctools import measured_response, synthesise, zero_phase_butterworth
+from ilctools.measurement.record import Record
+from ilctools.models import frequency_response
+from ilctools.problem.problem import largest_singular_values
+
+
+def log_of(u, y, Ts=1.0, **others):
+    """One trial from commands (input, time) to outputs (output, time)."""
+    signals = {"u": ("input", u), "y": ("channel", y), **others}
+    names = {"control": ("input", "u", u), "output": ("channel", "y", y)}
+    coordinates = {"trial": [1], "time": Ts * np.arange(u.shape[1])}
+    for role, (dimension, letter, rows) in names.items():
+        coordinates[role] = (dimension, [f"{letter}{i}" for i in range(len(rows))])
+        coordinates[f"{role}_unit"] = (dimension, [""] * len(rows))
+    variables = {n: (("trial", "time", dim), x.T[None]) for n, (dim, x) in signals.items()}
+    return xr.Dataset(variables, coordinates, {"Ts": Ts})
+
+
+def moved(plant, N, seed=0, noise=0.02, held=3):
+    """A log of a model under noise that is held, from rest."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.standard_normal((plant.ninputs, N // held + 1)), held, axis=1)[:, :N]
+    y = control.forced_response(plant, plant.dt * np.arange(N), u).outputs
+    y = y.reshape(plant.noutputs, N)
+    y = y + noise * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape)
+    return log_of(u, y, plant.dt)
+
+
+def error(estimate, plant):
+    return largest_singular_values(estimate.response - frequency_response(plant, estimate.omega))
+
+
+LAG = control.ss(control.tf([0.1], [1, -0.9], 1.0))
+
+
+@pytest.mark.parametrize("shape", [(1, 2), (2, 1)])
+def test_numbers_of_inputs_and_outputs_may_differ(shape):
+    plant = control.ss(np.diag([0.9, 0.6]), [[0.1, 0], [0, 0.4]], np.eye(2), 0, 1.0)
+    plant = (plant if shape == (2, 2) else np.ones((shape[0], 2)) * plant)[:, : shape[1]]
+    estimate = measured_response(moved(control.ss(plant), 300))
+    assert estimate.response.shape[1:] == shape
+    assert np.all(error(estimate, plant) <= estimate.radius(0.99, jointly=True))
+    with pytest.raises(ValueError, match=f"P has {shape[1]} inputs and {shape[0]} outputs"):
+        synthesise(estimate, zero_phase_butterworth(2, 0.1, 1.0), np.geomspace(0.02, 3, 50))
+
+
+def test_a_record_says_what_it_is_made_of():
+    record = Record.of([moved(LAG, 60), moved(LAG, 90, 1)])
+    assert (record.inputs, record.outputs, record.longest) == (["u0"], ["y0"], 90)
+    assert "one trial of 60 samples and one trial of 90 samples, from u to y" in str(record)
+    assert record.groups[1].names == ("trial 1 of log[1]",)
+
+
+def test_disturbances_of_several_logs_have_one_unit():
+    """However large they are in each: their response is that of one plant."""
+    rng, logs = np.random.default_rng(0), []
+    for size in (0.1, 3.0):
+        log, d = moved(LAG, 200), size * rng.standard_normal((1, 200))
+        y = log.y + control.forced_response(LAG, U=d).outputs[None, :, None]
+        logs.append(log.assign(y=y, disturbance=(("trial", "time", "source"), d.T[None])))
+    estimate = measured_response(logs)
+    alone = measured_response(moved(LAG, 200))
+    assert np.median(estimate.radius() / alone.radius()) < 1.1
+    assert np.all(error(estimate, LAG) <= estimate.radius(0.99, jointly=True))
+
+
+def test_a_known_delay_is_less_to_estimate():
+    plant = control.ss(furnace(60))
+    log = moved(plant, 400)
+    late, searched = measured_response(log, delay=61), measured_response(log)
+    assert np.all(error(late, plant) <= late.radius(0.99, jointly=True))
+    assert np.median(late.radius() / searched.radius()) < 0.9
+    assert late.model().nstates == 1 + 60
+    for delay in (-1, 0.5, [1, 2]):
+        with pytest.raises(ValueError, match="delay"):
+            measured_response(log, delay=delay)
+
+
+def test_a_known_gain_at_rest_makes_low_frequencies_certain():
+    plant = control.ss(control.tf([0.02], [1, -0.98], 1.0))
+    log = moved(plant, 300, noise=0.1)
+    told, untold = measured_response(log, gain=[[1.0]]), measured_response(log)
+    assert told.radius()[0] < 0.2 * untold.radius()[0]
+    assert np.all(error(told, plant) <= told.radius(0.99, jointly=True))
+    with pytest.raises(ValueError, match="gain"):
+        measured_response(log, gain=[1.0, 2.0])

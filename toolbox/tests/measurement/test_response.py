@@ -1,0 +1,134 @@
+"""What an estimate says: its region, its model, its picture, and whether a log contradicts it."""
+
+import re
+
+import control
+import numpy as np
+import pytest
+from plants import furnace, stage, tanks
+from scipy.signal import lfilter
+from test_record import LAG, error, log_of, moved
+
+from ilctools import measured_response
+from ilctools.measurement.realisation import model_within
+from ilctools.models import frequency_response, impulse_response
+from ilctools.problem.problem import largest_singular_values
+
+SETTLES = pytest.mark.filterwarnings("ignore:.* may not settle")
+PLANTS = {  # a model, samples and for how many of them the input is held
+    "a stage, in mm": (lambda: stage()[:, :1], 2000, 10),
+    "three tanks": (lambda: tanks()[:, 1:], 400, 6),
+    "a long delay": (lambda: control.ss(furnace(120)), 1000, 4),
+}
+
+
+@SETTLES  # the stage integrates
+@pytest.mark.parametrize("name", PLANTS)
+def test_the_region_holds_and_a_model_is_in_it(name):
+    make, N, held = PLANTS[name]
+    estimate = measured_response(moved(make(), N, held=held))
+    radius, known = estimate.radius(0.99, jointly=True), estimate.known
+    assert np.all(error(estimate, make()) <= radius) and known.mean() > 0.5
+    model = estimate.model()
+    assert np.all(error(estimate, model)[known] <= radius[known])
+    assert (model.dt, model.input_labels) == (make().dt, estimate.record.inputs)
+    order, *delays = map(int, re.findall(r"\d+", model.name))
+    assert model.nstates == order + sum(delays)
+    table = estimate.frd()
+    assert table.dt == model.dt and table.output_labels == model.output_labels
+    np.testing.assert_array_equal(np.moveaxis(table.frdata, -1, 0), estimate.response)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-6, 1e-4, 1e-2])
+def test_the_radius_follows_the_noise_down_to_none(noise):
+    estimate = measured_response(moved(LAG, 300, noise=noise))
+    assert np.median(estimate.radius()) < 5 * noise + 1e-6
+    assert np.all(error(estimate, LAG) <= estimate.radius(0.99, jointly=True) + 1e-9)
+    assert estimate.model().nstates in (1, 2)
+
+
+def arm(seed, m=2, N=2048):
+    """An arm with four modes, damped by 0.005 to 0.02, and a tenth of noise."""
+    rng = np.random.default_rng(seed)
+    natural, damping = rng.uniform(0.1, 2.5, 4), rng.uniform(0.005, 0.02, 4)
+    poles = np.exp(natural * (-damping + 1j * np.sqrt(1 - damping**2)))
+    pairs = [[[p.real, p.imag], [-p.imag, p.real]] for p in poles]
+    A = np.kron(np.eye(4), np.zeros((2, 2)))
+    for k, pair in enumerate(pairs):
+        A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = pair
+    shapes = rng.uniform(0.3, 1, (2, 8, m)) * rng.choice([-1, 1], (2, 8, m))
+    plant = control.ss(A, 0.1 * shapes[0], shapes[1].T, 0, 1.0)
+    return plant, moved(plant, N, seed, noise=0.1, held=1)
+
+
+@SETTLES
+@pytest.mark.parametrize("samples", [slice(0, 1024), slice(0, 2048)])
+def test_a_lightly_damped_arm_has_an_answer_that_holds(samples):
+    for seed in range(2):
+        plant, log = arm(seed)
+        estimate = measured_response(log.isel(time=samples))
+        assert np.all(error(estimate, plant) <= estimate.radius(0.99, jointly=True))
+        assert estimate.known.any()
+
+
+def test_the_radius_is_that_of_the_normal_distribution():
+    """Of the posterior of A and B, drawn: (1) and (2), where A is known well."""
+    estimate = measured_response(moved(LAG, 200, noise=0.05))
+    (fit,), omega = estimate.fits, estimate.omega
+    errors, _ = fit.errors(omega)
+    z = np.random.default_rng(0).standard_normal((errors.shape[2], 4000))
+    size = estimate.units.item() * np.abs(errors[:, 0] @ z)
+    drawn = np.quantile(size, 0.95, axis=1)
+    assert np.all(estimate.radius(0.95) > 0.7 * drawn)
+
+
+def test_another_log_contradicts_or_does_not():
+    estimate = measured_response(moved(LAG, 300))
+    same = estimate.check(moved(LAG, 300, seed=1))
+    assert same.fit.item() > 0.9 and not same.contradicts and same.by == 0
+    twice = estimate.check(moved(2 * LAG, 100, seed=2))
+    assert twice.contradicts and twice.by == pytest.approx(1.0, abs=0.2)
+
+
+def test_the_same_plant_from_another_start_fits():
+    estimate, log = measured_response(moved(LAG, 300)), moved(LAG, 100, seed=1)
+    y = log.y + 2.0 * 0.9 ** np.arange(100)[None, :, None]
+    agreement = estimate.check(log.assign(y=y))
+    assert agreement.fit.item() > 0.9 and not agreement.contradicts
+
+
+def test_a_loop_whose_reference_is_not_known_shows_in_the_residuals():
+    """The commands follow what the noise has done."""
+    rng, N = np.random.default_rng(0), 600
+    open_loop = measured_response(moved(LAG, N, noise=0.2))
+    own, crossed, band = open_loop.residuals()
+    assert np.mean(np.abs(own) > band) < 0.1 and np.mean(np.abs(crossed) > band) < 0.1
+    u, y, noise = np.zeros(N), np.zeros(N), lfilter([1], [1, -0.5], rng.standard_normal(N))
+    state, reference = 0.0, np.repeat(3 * rng.standard_normal(N // 20), 20)
+    for t in range(N):
+        y[t] = state + noise[t]
+        u[t] = 2.0 * (reference[t] - y[t])
+        state = 0.9 * state + 0.1 * u[t]
+    with pytest.warns(UserWarning, match="y0"):
+        estimate = measured_response(log_of(u[None], y[None]))
+    _, crossed, band = estimate.residuals()
+    assert np.mean(np.abs(crossed[0, 0, :25]) > band) > 0.2  # later commands
+
+
+def test_it_draws_itself():
+    estimate = measured_response(moved(tanks()[:, 1:], 200, held=6))
+    figure = estimate.plot()
+    assert len(figure.axes) == 3 * (3 + 2)
+    assert {"u0 to y0", "inputs, later residuals"} <= {ax.get_title() for ax in figure.axes}
+    figure.canvas.draw()
+
+
+def test_a_model_of_a_model_is_the_model():
+    plant, angles = tanks()[:, 1:], np.geomspace(1e-3, np.pi, 100)
+    P, g = frequency_response(plant, angles / 2), np.moveaxis(impulse_response(plant, 900), 0, 2)
+    model = model_within(1e-6 + 0 * angles, P, angles, g, True)
+    assert model.nstates == 3
+    off = frequency_response(control.ss(model, dt=1.0), angles) - P
+    assert largest_singular_values(off).max() < 1e-6
+    noise = P + np.random.default_rng(0).standard_normal(P.shape)
+    assert model_within(1e-6 + 0 * angles, noise, angles, g, True) is None
