@@ -9,14 +9,20 @@ to first order in the errors dA and dB of its posterior, and then without approx
 Frobenius norm, which is no less than the square of the largest singular value, has the mean tr S
 and the variance 2 tr S^2: it is taken to be gamma distributed (F. E. Satterthwaite, Biometrics
 Bulletin 2 (1946) 110-114). Between outputs the errors may be alike in any way: then tr S is the sum
-of their traces, and the root of tr S^2 is no more than the sum of theirs. With c = `FACTOR`, or
-`JOINT` at all frequencies at once, and the quantiles at 1 - p of both,
+of their traces, and the root of tr S^2 is no more than the sum of theirs. Let x be its quantile at
+1 - p, in units of the gamma distribution's scale theta. The division by 1 + a, where a = dA / A is
+complex and normal with variance sigma^2, makes the tail heavier: for one circular and independent
+entry of dP
 
-    radius = c q(||dP||) / (1 - c q(|dA / A|)),    q(|dA / A|)^2 = -log(p) E |dA / A|^2.        (2)
+    P(|dP|^2 > theta t |1 + a|^2) = exp(-t / (1 + t sigma^2)) / (1 + t sigma^2) = exp(-x),      (2)
 
-*Stability.* If |dA| < |A| on the unit circle, A has as many zeros outside as its estimate (Rouche):
-none, or the plant does not settle. It may, or may not, where q(|dA / A|) of 99 % reaches one at a
-frequency; a zero that comes close does so near its own, and jointly q would warn of stable plants.
+which has one solution t by Wright's omega function, and the radius is c (theta t)^(1/2), where
+sigma^2 counts c^2 times, too. c is `FACTOR`, or `JOINT` at all frequencies at once, where p is
+divided by `INDEPENDENT`: what makes benchmarks cover (docs/estimator.md).
+
+*Stability.* If Re(1 + a) > 0 on the unit circle, 1 + a does not turn about zero, and A has as many
+zeros outside as its estimate (Rouche): none, or the plant does not settle. It may, or may not,
+where Re(1 + a) < 0 has a probability of `UNSTABLE` at a frequency.
 """
 
 from collections.abc import Sequence
@@ -27,7 +33,7 @@ from typing import NamedTuple
 import control
 import numpy as np
 import xarray as xr
-from scipy.special import gammainccinv, ndtri
+from scipy.special import gammainccinv, ndtri, wrightomega
 
 from ilctools import arguments
 from ilctools.loop.closed import CurrentTrialLoop, Loop
@@ -39,11 +45,13 @@ from ilctools.measurement.regression import Regression, contrasts, records, regr
 from ilctools.problem.problem import largest_singular_values
 from ilctools.problem.responses import CONFIDENCE, Measured
 from ilctools.signals import check_match
+from ilctools.threads import on_one_thread
 
 LINES = 200  # frequencies at which the region is found
-FACTOR, JOINT = 0.7, 1.0  # of radii, at each frequency and at all: what makes benchmarks cover
+FACTOR, JOINT = 0.85, 1.3  # of radii, at each frequency and at all: what makes benchmarks cover
 INDEPENDENT = 50  # frequencies that are as if independent: for all, p is divided by it
-UNKNOWN = 1e-3  # least 1 - c q(|dA / A|): where A may be zero, the radius is a thousand times
+SMALL = 1e-8  # least E |dA / A|^2, below which t is x
+UNSTABLE = 0.05  # probability of a zero of A outside, from which it is said
 PAST = 200  # samples of inputs before a record, of which its start is the response
 REPEATED = 3  # times, ridge regressions of a start
 NAMED = 5  # contradictions, or intervals of frequencies, at most that are said
@@ -83,6 +91,7 @@ class EstimatedResponse(Measured):
     units: np.ndarray  # shape (outputs, inputs): of P, by which each fit is multiplied
     apart: float = 0.0  # of P, by which records contradict one linear plant
     findings: tuple[str, ...] = ()
+    continuous = True
 
     @property
     def loop(self) -> Loop:
@@ -106,7 +115,7 @@ class EstimatedResponse(Measured):
 
     def _unsettled(self):
         """Outputs that may not settle, in words; refuses those that do not."""
-        shares = np.sqrt(-np.log(1 - CONFIDENCE)) * self._own_moments[2].max(axis=1)
+        shares = ndtri(1 - UNSTABLE) * np.sqrt(self._own_moments[2][:, 0].max(axis=1))
         for name, fit, share in zip(self.record.outputs, self.fits, shares, strict=True):
             if not fit.stable and (share < 1 or not self.known.any()):
                 raise LogError(f"{name} does not settle: {LOOP}")
@@ -119,7 +128,7 @@ class EstimatedResponse(Measured):
         return self.units * rows * np.exp(-1j * np.outer(angles, self.record.delay))[:, None]
 
     def _moments(self, omega):
-        """tr S and the root of tr S^2, (n,), and the root of E |dA / A|^2, (output, n)."""
+        """tr S and the root of tr S^2, (n,), and variances of dA / A, (output, 2, n)."""
         trace, root, shares = 0.0, 0.0, []
         for fit, units in zip(self.fits, self.units, strict=True):
             S, share = fit.covariance(omega * self.loop.Ts)
@@ -128,7 +137,7 @@ class EstimatedResponse(Measured):
             S = S[:, of_u[:, None], of_u] * np.outer(np.tile(units, 2), np.tile(units, 2))
             trace = trace + np.trace(S, axis1=1, axis2=2)
             root = root + np.linalg.norm(S, axis=(1, 2))
-            shares.append(np.sqrt(share))
+            shares.append(share)
         return trace, root, np.array(shares)
 
     @cached_property
@@ -142,9 +151,11 @@ class EstimatedResponse(Measured):
         c, p = (JOINT, (1 - confidence) / INDEPENDENT) if jointly else (FACTOR, 1 - confidence)
         trace, root, shares = moments
         shape = trace**2 / (2 * root**2)
-        off = c * np.sqrt(gammainccinv(shape, p) * trace / shape)
-        left = 1 - c * np.sqrt(-np.log(p)) * shares.max(axis=0)  # (2)
-        return off / np.maximum(left, UNKNOWN) + self.apart * largest_singular_values(P)
+        x = gammainccinv(shape, p)  # ||dP||^2 in units of trace / shape
+        sigma2 = np.maximum(c**2 * shares.sum(axis=1).max(axis=0), SMALL)
+        w = wrightomega(1 / sigma2 - x - np.log(sigma2))  # 1 / (1 + t sigma2) = w sigma2, (2)
+        t = (1 - w * sigma2) / (w * sigma2**2)
+        return c * np.sqrt(t * trace / shape) + self.apart * largest_singular_values(P)
 
     def _on(self, omega, confidence):
         P = self._at(omega)
@@ -246,8 +257,7 @@ class EstimatedResponse(Measured):
             inputs = [u for group in groups for u in contrasts(group.u[..., :m])]
             rows, count = records(groups, fit.data.layout), 0
             for u, (X, y, line, _) in zip(inputs, rows, strict=True):
-                e = y - X @ fit.mean
-                u = u[-len(e) :]
+                e, u = y - X @ fit.mean, u[-len(y) :]
                 signals = np.column_stack([e, u - line @ (line.T @ u)])
                 products[i] += [_correlation(e, x, lags) for x in signals.T]
                 powers[i] += np.square(signals).sum(axis=0)
@@ -341,6 +351,7 @@ def _without(off, left, power):
     return rest
 
 
+@on_one_thread
 def estimated_response(
     logs: Sequence[xr.Dataset], of: str | None = None, gain=None, delay=None
 ) -> EstimatedResponse:

@@ -49,7 +49,9 @@ class Record:
         )  # fmt: skip
         moved = outputs if source == "w" else first.control.values.tolist()
         m, width = len(moved), min(u.shape[2] for u, _ in moves)
-        inputs, answers = [u[..., :width] for u, _ in moves], [y for _, y in moves]
+        moving = np.any([np.ptp(u[..., :width], axis=(0, 1)) > 0 for u, _ in moves], axis=0)
+        moving[:m] = True  # known disturbances that rest explain nothing
+        inputs, answers = [u[..., :width][..., moving] for u, _ in moves], [y for _, y in moves]
         remedy = "what follows from it is not known. Record it while it moves, by a step or noise"
         check_moved([u[..., :m] for u in inputs], moved, f"{names[0]}.{source}", remedy)
         check_moved(answers, outputs, f"{names[0]}.y", "is it connected?")

@@ -37,9 +37,7 @@ Haykin, IEEE Trans. Autom. Control 54 (2009) 1254-1269, where HEAVY is one).
 
     dP_j = (dB_j - P_j dA) / A,                                                                 (5)
 
-from x by (3), and from the points, at which P is another. No number is random. As long as |dA| is
-less than |A| on the unit circle, A has as many zeros outside as its estimate (Rouche): where these
-are none, each plant within the radius is stable.
+from x by (3), and from the points, at which P is another. No number is random.
 """
 
 from collections.abc import Iterator, Sequence
@@ -356,7 +354,7 @@ class Regression:
         return np.stack(above, axis=1) / below[:, None], below
 
     def covariance(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Of dP, real parts first, (n, 2 m, 2 m), and E |dA / A|^2, (n,), at angles omega Ts."""
+        """Of dP, real parts first, (n, 2 m, 2 m), and variances of dA / A, (2, n), likewise."""
         A, *B = self._waves(omega)
         P, below = self._ratio(A, *B)
         kind = self.data.layout.kind
@@ -369,7 +367,7 @@ class Regression:
         S = slopes @ self.C @ slopes.swapaxes(1, 2)
         m = len(B)
         of_P = np.delete(np.arange(2 * m + 2), [m, 2 * m + 1])
-        return S[:, of_P[:, None], of_P], S[:, m, m] + S[:, -1, -1]
+        return S[:, of_P[:, None], of_P], np.array([S[:, m, m], S[:, -1, -1]])
 
     @property
     def denominator(self) -> np.ndarray:

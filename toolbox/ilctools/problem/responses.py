@@ -35,6 +35,7 @@ class Measured:
     """
 
     findings = ()
+    continuous = False  # whether P is estimated at all frequencies, not at lines
 
     def radius(self, confidence: float = 0.95, jointly: bool = False) -> np.ndarray:
         """Radius of ||Delta||, the largest singular value, that covers the truth.
@@ -228,7 +229,7 @@ def _frequencies(P, Q) -> np.ndarray:
     lowest = max([Q.cutoff / 10**DECADES, *map(_lowest, sampled)])
     omega = np.geomspace(lowest, np.pi / Q.Ts, FREQUENCIES)
     for plant in sampled:
-        if hasattr(plant, "fits"):
+        if plant.continuous:
             omega = _where_it_bends(plant, Q, omega)
     return omega
 

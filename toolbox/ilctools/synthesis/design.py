@@ -20,7 +20,7 @@ from ilctools.synthesis.cuts import solve
 from ilctools.synthesis.everywhere import solve_everywhere
 from ilctools.synthesis.result import InfeasibleError, SolverError, Synthesis
 from ilctools.synthesis.solver.program import Infeasible
-from ilctools.synthesis.solver.threads import on_one_thread
+from ilctools.threads import on_one_thread
 
 EQUAL = 1e-3  # relative distance of multipliers that are the same for the solver
 SHARES = (0.1, 0.03, 0.01)  # of b in sigma_max(P)

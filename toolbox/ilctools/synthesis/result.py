@@ -13,7 +13,7 @@ from ilctools.law.law import Law, Region
 from ilctools.problem.pose import pose
 from ilctools.problem.problem import Problem, Solution
 from ilctools.signals import check_match
-from ilctools.synthesis.solver.threads import on_one_thread
+from ilctools.threads import on_one_thread
 
 
 class InfeasibleError(ValueError):

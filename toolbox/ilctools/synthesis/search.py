@@ -11,7 +11,7 @@ from ilctools.synthesis.design import certified, warned
 from ilctools.synthesis.everywhere import solve_everywhere
 from ilctools.synthesis.result import SolverError, Synthesis
 from ilctools.synthesis.solver.program import Infeasible
-from ilctools.synthesis.solver.threads import on_one_thread
+from ilctools.threads import on_one_thread
 
 SAME = (1e-9, 1e-6, 1e-4)  # relative distance up to which two peaks are the same
 

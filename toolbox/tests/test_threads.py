@@ -7,7 +7,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from ilctools import least_gain, synthesise
 from ilctools.synthesis import everywhere
-from ilctools.synthesis.solver.threads import on_one_thread
+from ilctools.threads import on_one_thread
 
 
 def threads():
