@@ -16,9 +16,9 @@ entry of dP
 
     P(|dP|^2 > theta t |1 + a|^2) = exp(-t / (1 + t sigma^2)) / (1 + t sigma^2) = exp(-x),      (2)
 
-which has one solution t by Wright's omega function, and the radius is c (theta t)^(1/2), where
-sigma^2 counts c^2 times, too. c is `FACTOR`, or `JOINT` at all frequencies at once, where p is
-divided by `INDEPENDENT`: what makes benchmarks cover (docs/estimator.md).
+which has one solution t by Wright's omega function, and the radius is c (theta t)^(1/2). c is
+`FACTOR`, or `JOINT` at all frequencies at once, where p is divided by `INDEPENDENT`: what makes
+benchmarks cover (docs/estimator.md).
 
 *Stability.* If Re(1 + a) > 0 on the unit circle, 1 + a does not turn about zero, and A has as many
 zeros outside as its estimate (Rouche): none, or the plant does not settle. It may, or may not,
@@ -152,7 +152,7 @@ class EstimatedResponse(Measured):
         trace, root, shares = moments
         shape = trace**2 / (2 * root**2)
         x = gammainccinv(shape, p)  # ||dP||^2 in units of trace / shape
-        sigma2 = np.maximum(c**2 * shares.sum(axis=1).max(axis=0), SMALL)
+        sigma2 = np.maximum(shares.sum(axis=1).max(axis=0), SMALL)
         w = wrightomega(1 / sigma2 - x - np.log(sigma2))  # 1 / (1 + t sigma2) = w sigma2, (2)
         t = (1 - w * sigma2) / (w * sigma2**2)
         return c * np.sqrt(t * trace / shape) + self.apart * largest_singular_values(P)
