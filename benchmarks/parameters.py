@@ -15,7 +15,7 @@ from pathlib import Path
 import papermill
 from runner import ROOT
 
-FEW = {"rods": 20, "simulated": 5, "sampled": 20, "plants": 20}
+FEW = {"rods": 20, "sampled": 20, "draws": 2}
 SETTINGS = {
     "01": [{"degree": 4, "Ts": 2.0}, {"degree": 2, "Ts": 0.5}],
     "02": [{"Ts": 0.5, "R_s": 0.5}, {"degree": 1, "Q_o": 20.0, "R_o": 10.0}],

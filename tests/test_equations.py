@@ -29,6 +29,12 @@ def prose(cells):
     return "\n".join(cell.source for cell in cells if cell.cell_type == "markdown")
 
 
+def words(cells):
+    """How many, without formulas and rows of tables."""
+    text = re.sub(r"\$\$.*?\$\$|\$[^$]*\$|^\|.*", "", prose(cells), flags=re.DOTALL | re.MULTILINE)
+    return len(text.split())
+
+
 def test_every_equation_of_the_paper_has_a_line_of_code():
     numbers = set()
     for cells in PAPER.values():
@@ -43,10 +49,14 @@ def test_every_equation_of_the_paper_has_a_line_of_code():
 @pytest.mark.parametrize("name", PAPER)
 def test_a_notebook_of_the_paper_is_short(name):
     cells = PAPER[name]
-    words = re.sub(r"\$\$.*?\$\$|\$[^$]*\$|^\|.*", "", prose(cells), flags=re.DOTALL | re.MULTILINE)
-    assert 500 <= len(words.split()) <= 1000 and len(cells) <= 24
+    assert 500 <= words(cells) <= 1000 and len(cells) <= 24
     for part in ("**Question**", "**You will have seen**", "**Time**", "## The answer", "**Try**"):
         assert part in prose(cells)
+
+
+@pytest.mark.parametrize("name", ["09-uncertainty"])
+def test_another_notebook_has_one_question(name):
+    assert words(NOTEBOOKS[name]) <= 900 and len(NOTEBOOKS[name]) <= 20
 
 
 def test_the_paper_is_in_few_lines_and_most_of_them_are_its_mathematics():
