@@ -29,14 +29,13 @@ from rodlib import Rod, assumed_disturbance, assumed_reference, midr, paper_loop
 from rodlib.paper import published
 from rodlib.paper.repository import ROOT
 
-H_INFINITY = {"h_infinity", "generalised_plant", "full_information"}
-INVERSIONS = {"stable_inversion", "zero_phase_inversion"}
-REHEARSED = {"rehearsed", "size"}
+NAMES = {"h_infinity", "generalised_plant", "full_information", "tune", "rehearsed", "size"}
+NAMES |= {"stable_inversion", "zero_phase_inversion"}
 
 
-def functions(notebook, names):
-    """Imports of a notebook and the functions of these names, as they stand there."""
-    cells = nbformat.read(ROOT / "notebooks" / f"{notebook}.ipynb", 4).cells
+def functions(names):
+    """Imports of notebook 8 and the functions of these names, as they stand there."""
+    cells = nbformat.read(ROOT / "notebooks" / "08-alternatives.ipynb", 4).cells
     code = "\n".join(cell.source for cell in cells if cell.cell_type == "code")
     body = ast.parse(code).body
     imports = [node for node in body if isinstance(node, ast.Import | ast.ImportFrom)]
@@ -45,7 +44,7 @@ def functions(notebook, names):
 
 
 NAMESPACE = {}
-for module in functions("08-alternatives", {"tune"} | H_INFINITY | INVERSIONS | REHEARSED):
+for module in functions(NAMES):
     exec(compile(module, "08-alternatives", "exec"), NAMESPACE)
 opponents = SimpleNamespace(**NAMESPACE)
 PLANTS = {"rod": paper_loop} | LOOPS
