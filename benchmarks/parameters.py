@@ -15,7 +15,7 @@ from pathlib import Path
 import papermill
 from runner import ROOT
 
-FEW = {"rods": 20, "simulated": 5, "sampled": 20, "plants": 20}
+FEW = {"rods": 20, "sampled": 20, "draws": 2}
 SETTINGS = {
     "01": [{"degree": 4, "Ts": 2.0}, {"degree": 2, "Ts": 0.5}],
     "02": [{"Ts": 0.5, "R_s": 0.5}, {"degree": 1, "Q_o": 20.0, "R_o": 10.0}],
@@ -34,7 +34,7 @@ SETTINGS = {
     "09": [FEW | {"spread": 0.3}, FEW | {"M_max": 0.85, "cutoff": 0.05}],
     "10": [{"trials": 2, "hours": 3.0, "draws": 2}, {"amplitude": 2.0, "draws": 1}],
     "11": [{"rest": 0, "seed": 2}, {"trials": 3, "rest": 40}],
-    "12": [{"M_max": 0.85, "percent": 60.0}, {"L_max": 5.0}],
+    "12": [{"M_max": 0.85, "noise": 0.1}, {"L_max": 5.0}],
     "13": [
         {"drawn": 20, "seed": 2, "draws": 2, "records": 1},
         {"cutoff": 0.08, "draws": 2, "records": 2},

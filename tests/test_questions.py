@@ -17,12 +17,14 @@ def test_the_lines_run_one_after_the_other(tmp_path, monkeypatch, capsys):
         exec(block, names)
     plt.close("all")
     said = capsys.readouterr().out
-    rates = [float(rate) for rate in re.findall(r"rate ([\d.]+)", said)]
+    shown = r"rate ([\d.]+)", r"([\d.e-]+) µm in"
+    rates, left = ([*map(float, re.findall(what, said))] for what in shown)
     assert len(rates) == 3 and rates == sorted(rates) and rates[-1] < 1
+    assert left == sorted(left, reverse=True)  # the fastest, not the one of least peak
     assert re.search(r"^(converges|diverges)", said, re.MULTILINE)
-    transferred, from_zero = map(float, re.findall(r"([\d.]+) mm, and ([\d.]+)", said)[0])
+    transferred, from_zero = map(float, re.findall(r"([\d.e-]+) µm, and ([\d.]+)", said)[0])
     assert transferred < 0.2 * from_zero
-    assert float(said.splitlines()[-1]) > 0
+    assert "commands up to 17.00 mm" in said
 
 
 def test_each_question_has_an_answer():
