@@ -13,7 +13,7 @@ Ts, RADIUS = 0.01, 1e-4
 class Estimate(Measured):
     """A response that is known everywhere, of a model."""
 
-    fits = ()
+    continuous = True
 
     def __init__(self, P):
         self.P, self.loop = P, ClosedLoop(None, Ts, ["y"])
