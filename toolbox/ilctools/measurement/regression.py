@@ -49,7 +49,7 @@ from scipy.linalg import LinAlgError, cholesky, helmert, solve_triangular
 from scipy.linalg.lapack import dpotri
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import minimize
-from scipy.signal import fftconvolve, lfilter
+from scipy.signal import fftconvolve
 from scipy.special import expit, log_expit
 
 from ilctools.loop.notes import LogError
@@ -387,7 +387,11 @@ class Regression:
         for j, knots in enumerate(self.data.layout.moved):
             lags = (increments(knots) @ self.of(1 + j, self.mean))[:n]
             B[j, : len(lags)] = lags
-        return lfilter([1.0], self.denominator, B)
+        g, a = np.ones(1), self.denominator
+        while len(g) < n:  # Newton's steps to 1 / A, of which each doubles the samples
+            wide = 2 * len(g)
+            g = np.pad(2 * g, (0, len(g))) - fftconvolve(fftconvolve(g, g), a[:wide])[:wide]
+        return fftconvolve(B, g[None], axes=1)[:, :n]
 
 
 def regression(groups: Sequence[Trials], direct: bool, gain=None) -> Regression:
