@@ -9,7 +9,7 @@ NOTEBOOKS := $(wildcard notebooks/*.ipynb)
 # Whatever the caller's environment says, figures and output are the same: its settings of Python
 # and Jupyter do not count. Notebooks run side by side: one thread of linear algebra each.
 unexport $(filter PYTHON% IPYTHON% JUPYTER% JPY% PYTEST% RODLIB% CONDA% VIRTUAL_ENV%,$(.VARIABLES))
-unexport PIP_TARGET PIP_PREFIX PIP_ROOT PIP_USER
+unexport PIP_TARGET PIP_PREFIX PIP_ROOT PIP_USER PIP_DRY_RUN UV_DRY_RUN
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 export MPLBACKEND := module://matplotlib_inline.backend_inline
@@ -20,7 +20,7 @@ export PYTHONUTF8 := 1
 export LC_ALL := C.UTF-8
 export PYTHONWARNINGS := ignore::DeprecationWarning
 .DELETE_ON_ERROR:
-.PHONY: $(BIN)/ready help reproduce test lint data replay machines mutants lowest measure pages bench \
+.PHONY: $(BIN)/ready help reproduce test lint data replay machines mutants lowest newest measure pages bench \
 	lab notebooks stubs lock clean
 
 help:  ## list the targets
@@ -61,6 +61,12 @@ lowest: $(BIN)/ready  ## unit tests with the oldest packages that pyproject.toml
 	$(BIN)/uv pip install --quiet --python build/lowest --constraints build/lowest.txt \
 		-e ./toolbox -e ".[dev]"
 	build/lowest/bin/pytest -q -W ignore::DeprecationWarning -W ignore::FutureWarning
+
+newest: $(BIN)/ready  ## unit tests with the newest packages that pyproject.toml admits, not the lock's
+	@mkdir -p build
+	$(BIN)/uv venv --quiet --clear --python $(BIN)/python build/newest
+	$(BIN)/uv pip install --quiet --upgrade --python build/newest -e ./toolbox -e ".[dev]"
+	build/newest/bin/pytest -q
 
 measure: $(BIN)/ready  ## what takes minutes to an hour: make measure WHAT=survey; alone, it lists what there is
 	@test -n "$(WHAT)" || { $(BIN)/python benchmarks/runner.py; exit 2; }

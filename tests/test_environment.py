@@ -107,3 +107,16 @@ def test_where_no_home_can_be_written_uv_keeps_its_files_in_build(tmp_path, crea
     monkeypatch.setenv("HOME", str(tmp_path / "none"))
     [by_uv] = [command for command in created() if command[0].endswith("uv")]
     assert by_uv[by_uv.index("--cache-dir") + 1] == str(tmp_path / "build" / "uv")
+
+
+def test_a_users_dry_run_does_not_reach_the_installer(tmp_path):
+    """It would leave an environment without uv, and a traceback."""
+    if not shutil.which("make"):
+        pytest.skip("there is no make")
+    python = tmp_path / "python"
+    python.write_text('#!/bin/sh\necho "<$PIP_DRY_RUN$UV_DRY_RUN>"\n')
+    python.chmod(0o755)
+    call = ["make", "-s", f"PYTHON={python}", f"BIN={tmp_path}", f"{tmp_path}/ready"]
+    options = {"cwd": ROOT, "capture_output": True, "text": True}
+    wishes = os.environ | {"PIP_DRY_RUN": "1", "UV_DRY_RUN": "1"}
+    assert subprocess.run(call, env=wishes, **options).stdout == "<>\n"

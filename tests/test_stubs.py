@@ -39,7 +39,7 @@ def test_stubs_are_those_of_the_registry():
 def test_a_door_that_is_decorated_keeps_its_annotations():
     """`wraps` keeps them for those who run it; a checker needs them of the decorator."""
     tree = ast.parse((TOOLS / "threads.py").read_text("utf-8"))
-    (function,) = (node for node in tree.body if isinstance(node, ast.FunctionDef))
+    function = next(node for node in tree.body if isinstance(node, ast.FunctionDef))
     assert ast.unparse(function.returns) == ast.unparse(function.args.args[0].annotation)
 
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ilctools import InfeasibleError, arguments, synthesise
-from ilctools.synthesis.result import SolverError, Synthesis
+from ilctools.synthesis.result import Synthesis
 from ilctools.trials.run import rms, run_trials
 from rodlib.workbench.plant import TRIALS, Plant
-from rodlib.workbench.settings import Settings
+from rodlib.workbench.settings import FREQUENCIES, Settings
 
 
 @dataclass(frozen=True)
@@ -63,12 +63,19 @@ def try_out(settings: Settings) -> Outcome:
     except InfeasibleError as error:
         # The next bound of three digits that leaves the solver some room.
         M_max = math.ceil(1000 * error.smallest_M_max + 0.05) / 1000
-        return Outcome(settings, message=str(error), M_max=M_max if M_max < 1 else None)
-    except (ValueError, SolverError) as error:
-        return Outcome(settings, message=str(error))
+        return Outcome(settings, message=_said(error), M_max=M_max if M_max < 1 else None)
+    except (ValueError, ArithmeticError, RuntimeError) as error:
+        return Outcome(settings, message=_said(error))
     law, reference = design.law(rest=plant.rest), plant.reference
     noise = noise_std * np.random.default_rng(0).standard_normal((TRIALS, *reference.shape))
     with warnings.catch_warnings(record=True, action="always") as record:
         trials = run_trials(plant.loop, law, reference, plant.disturbance, TRIALS, noise=noise)
     spoken = tuple(str(warning.message) for warning in record)
     return Outcome(settings, design, tuple(rms(trials.e).values.tolist()), warnings=spoken)
+
+
+def _said(error):
+    """An error of the synthesis, and where its arguments are that are no knobs."""
+    beyond = "everywhere" in str(error) or "frequencies" in str(error)
+    where = f". Here are {FREQUENCIES} frequencies, and bounds between them: others by synthesise"
+    return f"{error}{where if beyond else ''}"

@@ -4,6 +4,7 @@ import re
 import shutil
 import subprocess
 
+import control
 import matplotlib
 import nbformat
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from plants import stage, tanks
 
 from ilctools import (
+    ClosedLoop,
     Law,
     LearningFilter,
     current_trial_loop,
@@ -152,3 +154,19 @@ def test_make_hands_over_the_path_as_it_is(name, tmp_path):
     outcome = subprocess.run([*call, f"LOG={name}"], **options)
     assert outcome.stdout == f"<-m><rodlib.paper.reproduce><{name}>"
     assert subprocess.run(call, **options).returncode == 2
+
+
+def test_logs_of_loops_that_are_not_ours_that_never_rest_and_in_dollars_are_replayed(
+    root, replay_here
+):
+    """Without commands; v of the next trial only as far as it follows; no unit is a formula."""
+    P = control.ss(0.8, 0.2, 1, 0, 0.1, outputs=["price"])
+    loop = ClosedLoop(P, units={"price": "$\\frac{$"})
+    law = Law(zero_phase_butterworth(2, 3.0, 0.1), LearningFilter([[[0.5]]], 0.1))
+    reference = np.sin(np.pi * np.arange(200) / 200) ** 2
+    for reset in (True, False):
+        run = with_law(run_trials(loop, law, reference, trials=4, reset=reset), law.bound_to(loop))
+        save_log(run, root / "log.csv")
+        text = replay_here("log.csv")
+        assert "law: the recorded v is that of the law in every trial" in text
+        assert (len(next_trial(root)) == 200) == reset

@@ -126,6 +126,19 @@ def test_settings_without_a_filter_are_answered_by_a_message(rod, changes, messa
     assert message in outcome.message
 
 
+def test_whatever_the_synthesis_raises_is_a_message_with_what_the_workbench_has(rod, monkeypatch):
+    """A bare RuntimeError, of limits that the solver cannot meet, or what overflows."""
+
+    def fail(*arguments, **keywords):
+        raise error
+
+    monkeypatch.setattr("rodlib.workbench.outcome.synthesise", fail)
+    for error in (RuntimeError("take more frequencies"), OverflowError("too large")):
+        outcome = try_out(rod)
+        assert outcome.design is None and outcome.message.startswith(str(error))
+        assert ("200 frequencies" in outcome.message) == isinstance(error, RuntimeError)
+
+
 NUMBER = st.one_of(st.floats(), st.floats(1e-3, 1e3), st.floats(0, 1))
 NUMBERS = dict.fromkeys(("M_max", "L_max", "cutoff", "uncertainty", "noise"), NUMBER)
 ORDERS = {"order": st.integers(-1, 12), "Q_order": st.integers(-1, 5)}

@@ -5,9 +5,11 @@ Only the standard library, because `environment.py` needs this before anything i
 
 import json
 import os
+import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from uuid import uuid4
 
 try:
     import fcntl
@@ -16,10 +18,19 @@ except ImportError:  # on Windows
 
     fcntl = None
 
+STRING = re.compile(r'"(?:[^"\\]|\\.)*"')  # of JSON
+
 
 def read_json(text: str):
-    """What JSON says; a ValueError if it says anything twice, or what JSON has no word for."""
-    return json.loads(text, object_pairs_hook=_once, parse_constant=_refuse_constant)
+    """What JSON says; a ValueError if it says anything twice, or what JSON has no word for.
+
+    Its texts are printable but for line feeds: a terminal obeys others, however JSON writes them.
+    """
+    value = json.loads(text, object_pairs_hook=_once, parse_constant=_refuse_constant)
+    for string in STRING.findall(text):
+        if not json.loads(string).replace("\n", "").isprintable():
+            raise ValueError(f"{string[:80]} has characters that are not printable")
+    return value
 
 
 def _once(pairs):
@@ -60,15 +71,20 @@ def alone(lock: Path, refusal: str, wait: bool = False) -> Iterator[None]:
         yield
 
 
+def regular(path: Path) -> Path:
+    """The path; an error if a pipe, a device or a folder is there: it may never end."""
+    if path.exists() and not path.is_file():
+        raise FileExistsError(f"{path} is no regular file: choose another name")
+    return path
+
+
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """A file to write beside `path`, in a folder that is there; it replaces `path` if all is well.
 
     A device or a pipe is refused: it is not written to by being replaced.
     """
-    if path.exists() and not path.is_file():
-        raise FileExistsError(f"{path} is no regular file: choose another name")
-    temporary = _part(path)
+    temporary = _part(regular(path))
     try:
         yield temporary
         os.replace(temporary, path)
@@ -87,6 +103,27 @@ def write_pieces(path: Path, pieces: Iterable[bytes]) -> None:
         _write(temporary, pieces)
 
 
+def append(path: Path, pieces: Iterable[bytes]) -> None:
+    """Add to a file, to the disk; after an error it is as it was."""
+    size = path.stat().st_size
+    try:
+        _write(path, pieces, "ab")
+    except BaseException:
+        os.truncate(path, size)
+        raise
+
+
+def keep_others(path: Path, head: str) -> None:
+    """Refuse to write over a file, such as raw data, that is not empty and begins otherwise."""
+    if regular(path).exists():
+        with open(path, "rb") as file:
+            start = file.read(len(head.encode()))
+        if start and start != head.encode():
+            raise ValueError(
+                f"path = {str(path)!r} is a file of another kind: choose another name, or remove it"
+            )
+
+
 def replace_all(new: dict[Path, bytes | None]) -> None:
     """Replace several files, one by one and in order, once all are written; None is for removed.
 
@@ -95,26 +132,28 @@ def replace_all(new: dict[Path, bytes | None]) -> None:
     """
     for path in new:
         folder(path.parent)
+    parts = {path: _part(path) for path in new}
     try:
         for path, content in new.items():
             if content is not None:
-                _write(_part(path), [content])
+                _write(parts[path], [content])
         for path, content in new.items():
             if content is None:
                 path.unlink(missing_ok=True)
             else:
-                os.replace(_part(path), path)
+                os.replace(parts[path], path)
     finally:
-        for path in new:
-            _part(path).unlink(missing_ok=True)
+        for part in parts.values():
+            part.unlink(missing_ok=True)
 
 
 def _part(path):
-    return path.with_name(f".{path.name}.part")
+    """A name that no other writer has, and no link can wait at."""
+    return path.with_name(f".{uuid4().hex}.part")
 
 
-def _write(path, pieces):
-    with open(path, "wb") as file:
+def _write(path, pieces, mode="wb"):
+    with open(path, mode) as file:
         file.writelines(pieces)
         file.flush()
         os.fsync(file.fileno())  # a full disk may show here only

@@ -28,6 +28,7 @@ ENDS = {  # the modes of numpy.pad, before the trial and after it
 LONG = 100  # coefficients: beyond, doubles and the fast transform do, see `time_shifts`
 CHUNK = 2**21  # numbers held at a time
 FARTHEST = 10**6  # samples that a filter may look ahead or back
+LONGEST = 10**7  # samples that the response of Q may last each way
 CIRCLE = 1e-9  # distance of a point from the unit circle that is rounding
 
 
@@ -76,17 +77,18 @@ class ZeroPhaseButterworth:
         if not self._realised():
             raise ValueError(
                 f"cutoff = {cutoff!r} rad/s is too low for order = {order} at Ts = {Ts} s: "
-                "rounding changes the filter by more than a millionth. Raise the cut-off, lower "
-                "the order, or take a longer Ts. If it is normalised, as scipy's, it is "
-                f"{cutoff * np.pi / Ts:.6g} rad/s"
+                "rounding changes the filter by more than a millionth, or its response lasts more "
+                "than 1e7 samples. Raise the cut-off, lower the order, or take a longer Ts. If it "
+                f"is normalised, as scipy's, it is {cutoff * np.pi / Ts:.6g} rad/s"
             )
 
     def _realised(self):
-        """Whether the coefficients, which are rounded, give the gains 1 and 1/2 asked for."""
+        """Whether the coefficients, which are rounded, give the gains 1 and 1/2 asked for, soon."""
         with np.errstate(all="ignore"), warnings.catch_warnings():
             warnings.simplefilter("ignore", BadCoefficients)
             gains = self.frequency_response([0, self.cutoff])
-        return np.allclose(gains, [1, 0.5], rtol=0, atol=1e-6)
+        decays = np.abs(self.poles).max() < 1e-18 ** (1 / LONGEST)
+        return decays and np.allclose(gains, [1, 0.5], rtol=0, atol=1e-6)
 
     @cached_property
     def sections(self) -> np.ndarray:

@@ -3,24 +3,48 @@
 On one thread sums are also taken in one order, so that the digits are those of any other machine.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cache, wraps
+from itertools import repeat
+from threading import Lock
 from typing import TypeVar
 
 from threadpoolctl import ThreadpoolController
 
 pools = cache(ThreadpoolController)  # to look for them takes milliseconds
+lock, inside = Lock(), []  # an entry for each function that runs; the first is what there was
 
 
 Function = TypeVar("Function", bound=Callable)  # with its signature, for editors
 
 
 def on_one_thread(function: Function) -> Function:
-    """The function, with the threads of BLAS held to one while it runs."""
+    """The function, with the threads of BLAS held to one while it runs.
+
+    They are those of the process. Where it runs in several threads at once, the first one in sets
+    the limit, and the last one out restores what there was.
+    """
 
     @wraps(function)
     def held(*args, **keywords):
-        with pools().limit(limits=1, user_api="blas"):
+        with lock:
+            inside.append(None if inside else exchanged(repeat(1)))
+        try:
             return function(*args, **keywords)
+        finally:
+            with lock:
+                before = inside.pop()
+                if not inside:
+                    exchanged(before)
 
     return held
+
+
+def exchanged(numbers: Iterable[int]) -> list[int]:
+    """Set the number of threads of each BLAS; the numbers before."""
+    libraries = [library for library in pools().lib_controllers if library.user_api == "blas"]
+    before = [library.num_threads for library in libraries]
+    for library, number in zip(libraries, numbers, strict=False):
+        # threadpoolctl 3.8 ignores all threads but the first that ever set a limit
+        getattr(library, "_real_set_num_threads", library.set_num_threads)(number)
+    return before

@@ -2,10 +2,11 @@ import os
 import signal
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from ilctools.files import alone, folder, replacing, write_whole
+from ilctools.files import alone, append, folder, read_json, replacing, write_whole
 
 
 def test_a_file_is_replaced(tmp_path):
@@ -65,3 +66,49 @@ def test_only_regular_files_are_replaced(tmp_path, kind):
     with pytest.raises(FileExistsError, match=f"{kind} is no regular file: choose another name"):
         write_whole(path, "new")
     assert path.exists() and not path.is_file() and os.listdir(tmp_path) == [kind]
+
+
+def test_two_writers_of_one_name_do_not_meet(tmp_path):
+    """Each replaces the file by its own; what waits where its temporary name was is left alone."""
+    path, victim = tmp_path / "log.csv", tmp_path / "victim"
+    victim.write_text("mine")
+    (tmp_path / ".log.csv.part").symlink_to(victim)
+    with replacing(path) as one, replacing(path) as other:
+        one.write_text("one")
+        other.write_text("other")
+    assert path.read_text() == "one"
+    write_whole(path, "all")
+    assert (path.read_text(), victim.read_text()) == ("all", "mine")
+
+
+def test_readers_see_one_text_or_another_whole_while_two_write(tmp_path):
+    path, texts = tmp_path / "log.csv", ["a" * 50_000, "b" * 50_000]
+    write_whole(path, texts[0])
+    write = lambda text: [write_whole(path, text) for _ in range(100)]  # noqa: E731
+    with ThreadPoolExecutor(2) as pool:
+        writers = [pool.submit(write, text) for text in texts]
+        while not all(writer.done() for writer in writers):
+            assert path.read_text() in texts
+    assert [len(writer.result()) for writer in writers] == [100, 100]
+    assert os.listdir(tmp_path) == ["log.csv"]
+
+
+def test_what_cannot_be_added_leaves_a_file_as_it_was(tmp_path):
+    def pieces():
+        yield b"2\n" * 100_000
+        raise KeyboardInterrupt
+
+    path = tmp_path / "log.csv"
+    write_whole(path, "1\n")
+    with pytest.raises(KeyboardInterrupt):
+        append(path, pieces())
+    assert path.read_text() == "1\n"
+    append(path, [b"2\n", b"3\n"])
+    assert path.read_text() == "1\n2\n3\n"
+
+
+@pytest.mark.parametrize("text", [r'"K\b"', r'{"K\f": 1}', r'["\u202e"]', '"\x85"', r'"\ud800"'])
+def test_json_has_nothing_that_a_terminal_obeys(text):
+    with pytest.raises(ValueError, match="not printable"):
+        read_json(text)
+    assert read_json(r'{"a \" \\ b": ["ϑ\n", 1]}') == {'a " \\ b': ["ϑ\n", 1]}

@@ -106,3 +106,11 @@ def test_filters_at_the_limits_of_rounding():
     steep = zero_phase_butterworth(100, np.float64(1.0), np.int32(1))
     assert steep.frequency_response(1.0) == pytest.approx(0.5)
     assert isinstance(steep.Ts, float)
+
+
+@pytest.mark.parametrize(("cutoff", "Ts"), [(1e-7, 1.0), (0.1, 1e-99)])
+def test_a_filter_whose_response_does_not_end_is_refused_where_it_is_made(cutoff, Ts):
+    """Of order 1 its coefficients are exact; a signal of ten samples took 10 GB."""
+    with pytest.raises(ValueError, match=r"too low for order = 1 .* more than 1e7 samples"):
+        zero_phase_butterworth(1, cutoff, Ts)
+    assert zero_phase_butterworth(1, 1e-5, 1.0).decay < 1e7

@@ -6,7 +6,7 @@ import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ilctools import load_log, save_log
+from ilctools import law_of, load_log, save_log
 from ilctools.loop.notes import LogError
 from rodlib.paper import ROOT
 
@@ -73,12 +73,25 @@ def test_a_log_with_an_accident_is_read_or_refused(tmp_path_factory, start, text
         ("\n1,2,1.0", "\n# note\n\n1,2", "row 9 has 6 entries, but must have 7"),
         ('"mm"', '"m\x1b[2Jm"', r"is not text, it has '\\x1b'"),
         ('"mm"', r'"m\u009b2Jm"', r"is not text, it has '\\\\u009'"),
+        ('"mm"', r'"m\b\b"', r"signals cannot be understood.*not printable"),
+        ('"mm"', r'"m\f"', "not printable"),
+        ('"mm"', '"m\x85"', "metadata: line 3 has characters that are not printable"),
+        ('"mm"', '"m\u202e"', "metadata: line 3"),
+        ('"mm"', r'"m\u200b"', "not printable"),
+        ('"mm"', r'"m\nlaw: kept"', "unit of depth = .*all printable"),
+        ('"mm"', r'"\ud800"', "not printable"),
+        ("# Ts", "# note: a\u2066b\n# Ts", "metadata: line 2"),
+        ("1.0,0.5", "1_0.0,0.5", "reference_depth: entry '1_0.0' in row 5"),
+        ("1.0,0.5", "١,0.5", "reference_depth: entry '١' in row 5"),
+        ("Ts: 1.0 s", f"Ts: {'9' * 200_000} s", "Ts = inf must be"),
+        ("Ts: 1.0 s", f"Ts: {'x' * 200_000} s", "Ts = nan must be"),
+        ("log 2", "l" * 200_000, "format is"),
     ],
 )
 def test_broken_logs_say_what_is_wrong(tmp_path, old, new, message):
     with pytest.raises(LogError, match=f"log.csv: .*{message}") as error:
         load_log(write(tmp_path, GOOD.replace(old, new)))
-    assert len(str(error.value).splitlines()) == 1
+    assert len(str(error.value).splitlines()) == 1 and len(str(error.value)) < 2200
 
 
 @pytest.mark.parametrize(
@@ -133,3 +146,10 @@ def test_the_example_in_the_readme_of_data_is_a_log(tmp_path):
     text = (ROOT / "data" / "README.md").read_text(encoding="utf-8")
     example = text.split("```text\n")[1].split("```")[0]
     assert load_log(write(tmp_path, example)).y.values.ravel().tolist() == [98.2, 98.3]
+
+
+def test_notes_of_a_law_have_nothing_that_a_terminal_obeys(tmp_path):
+    law = '{"order": 2, "cutoff": 1.0, "ends": "zero"}\n# L: null\n# actuators: {"a\\b": [0, 1]}'
+    text = GOOD.replace("# Ts", f"# Q: {law}\n# Ts")
+    with pytest.raises(LogError, match=r"law cannot be understood.*not printable"):
+        law_of(load_log(write(tmp_path, text)))

@@ -271,6 +271,7 @@ def test_how_arrays_of_others_are_read_is_said(tmp_path, save, load):
         read_table(path, time="t", outputs={"y": "y"})
     file = load(path)
     frame = pd.DataFrame({name: np.ravel(file[name]) for name in ("t", "y")})
+    getattr(file, "close", int)()  # of numpy.load
     np.testing.assert_array_equal(read_table(frame, time="t", outputs={"y": "y"}).y[0, :, 0], LEVEL)
 
 

@@ -9,7 +9,7 @@ import xarray as xr
 
 from ilctools import arguments
 from ilctools.base import RegularisedInverse
-from ilctools.files import read_json, write_whole
+from ilctools.files import read_json, regular, write_whole
 from ilctools.filters import LearningFilter, ZeroPhaseButterworth
 from ilctools.law.law import Law
 from ilctools.law.limits import named_limits
@@ -196,7 +196,7 @@ def load_law(path) -> Law:
     """
     path = arguments.path("path", path)
     try:
-        content = read_json(path.read_text(encoding="utf-8"))
+        content = read_json(regular(path).read_text(encoding="utf-8"))
         if content["format"] not in FORMATS:
             raise ValueError(f"format {content['format']!r} is none of {FORMATS}")
         law = _law_from(content, content["Ts"])

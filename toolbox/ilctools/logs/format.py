@@ -5,15 +5,15 @@ Which columns it has, :func:`columns_of` says to those who write it and to those
 
 import json
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import chain
 from reprlib import Repr
 
 import numpy as np
-import pandas as pd
 import xarray as xr
 
 from ilctools import arguments
-from ilctools.files import write_whole
+from ilctools.files import keep_others, write_pieces
 from ilctools.signals import period_of
 
 # the second if the L that is noted looks back or has a base
@@ -36,6 +36,7 @@ SIGNALS = {  # and the role of their channels
     "measured": "sensor",
 }
 OPTIONAL = (("reference", "v"), ("applied",), ("delta",))  # a log has all of a group
+PIECE = 50  # rows that are made to text at a time, for which a sample of a rig may have to wait
 
 _message = Repr()
 _message.maxlist, _message.maxstring = 18, 80
@@ -43,7 +44,7 @@ few = _message.repr  # a list of names as a message has it
 
 
 def save_log(trials: xr.Dataset, path) -> None:
-    """Save trials as a log; the file is replaced as a whole or not at all.
+    """Save trials as a log, also in the place of one, which is replaced as a whole or not at all.
 
     Parameters
     ----------
@@ -56,7 +57,8 @@ def save_log(trials: xr.Dataset, path) -> None:
     Raises
     ------
     ValueError
-        If a signal, a coordinate or an attribute is not what :func:`load_log` would give back.
+        If a signal, a coordinate or an attribute is not what :func:`load_log` would give back; if a
+        file that does not begin as a log is there, such as raw data.
 
     See Also
     --------
@@ -78,26 +80,44 @@ def save_log(trials: xr.Dataset, path) -> None:
     """
     path = arguments.path("path", path)
     arguments.instance("trials", trials, xr.Dataset)
+    keep_others(path, f"# format: {FORMATS[0][:-1]}")
+    write_log(trials, path)
+
+
+def write_log(trials: xr.Dataset, path) -> None:
+    """Write a log, whatever is there."""
     signals, Ts = signals_of(trials), period_of(trials)
     names = json.dumps(signals, ensure_ascii=False)
     newer = '"first"' in str(trials.attrs.get("L"))
     metadata = {"format": FORMATS[newer], "Ts": f"{Ts!r} s", "signals": names}
     metadata |= _free_metadata(trials.attrs)
-    table = _trial_and_time(trials)
+    numbers, time = _trial_and_time(trials)
     columns = columns_of(signals, trials)
     if missing := columns.keys() - {*trials}:
         raise ValueError(f"trials lack {sorted(missing)}")
+    values = trials[[*columns]].transpose("trial", "time", ...).astype(float)
     for signal, titles in columns.items():
-        values = trials[signal].transpose("trial", "time", ...).astype(float).values
-        table[titles] = values.reshape(len(table), -1)
-    finite = np.isfinite(table).all()
-    if not finite.all():
-        raise ValueError(f"trials have values that are not finite in {finite.idxmin()!r}")
+        for title, finite in zip(
+            titles, np.isfinite(values[signal].values).all((0, 1)), strict=True
+        ):
+            if not finite:
+                raise ValueError(f"trials have values that are not finite in {title!r}")
     head = "".join(f"# {key}: {value}\n" for key, value in metadata.items())
-    titles = ",".join(map(_quoted, table))
-    # each number with the fewest digits that give it back exactly
-    rows = table.to_csv(header=False, index=False, lineterminator="\n")
-    write_whole(path, f"{head}{titles}\n{rows}")
+    titles = ",".join(map(_quoted, ["trial", "time", *chain(*columns.values())]))
+    each = (
+        rows_of(number, time, [values[name].values[k] for name in columns])
+        for k, number in enumerate(numbers)
+    )
+    write_pieces(path, chain([f"{head}{titles}\n".encode()], *each))
+
+
+def rows_of(number: int, time, signals: Sequence[np.ndarray]) -> Iterator[bytes]:
+    """The rows of a trial in a log, from its signals (time, channel), in pieces."""
+    table = np.column_stack([time, *signals])
+    for start in range(0, len(table), PIECE):
+        # each number with the fewest digits that give it back exactly
+        rows = (",".join(map(repr, row)) for row in table[start : start + PIECE].tolist())
+        yield "".join(f"{number},{row}\n" for row in rows).encode()
 
 
 def signals_of(trials: xr.Dataset, *needed: str) -> dict[str, dict[str, str]]:
@@ -106,7 +126,10 @@ def signals_of(trials: xr.Dataset, *needed: str) -> dict[str, dict[str, str]]:
     labels = [label for role in roles for label in (role, f"{role}_unit")]
     needed = {"y", "trial", "time", *needed, *labels}
     if missing := sorted(needed - {*trials.variables}):
-        raise ValueError(f"trials lack {missing}: see ilctools.trials.run.dataset")
+        raise ValueError(
+            f"trials lack {missing}, which run_trials, record and load_log give; read_table those "
+            "whose columns it is told, as by reference and v"
+        )
     signals = {}
     for role in roles:
         names = arguments.different(role, trials[role].values.tolist())
@@ -136,7 +159,8 @@ def units_of(signals: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
     units = {}
     for role in signals.values():
         for name, unit in role.items():
-            arguments.instance(f"unit of {name}", unit, str)
+            if not (isinstance(unit, str) and unit.isprintable()):
+                raise ValueError(f"unit of {name} = {few(unit)} must be text, all printable")
             if units.setdefault(name, unit) != unit:
                 raise ValueError(f"{name!r} has two units, {units[name]!r} and {unit!r}")
     return units
@@ -179,12 +203,11 @@ def _free_metadata(attributes):
 
 
 def _trial_and_time(trials):
-    """A table of the columns trial and time."""
+    """The numbers of trials, and the times of samples."""
     numbers = [arguments.whole("trials.trial", k, 1, 2**31) for k in trials.trial.values]
     time = trials.time.values.astype(float)
     if len(set(numbers)) < len(numbers) or trials.y.size == 0:
         raise ValueError(f"trials.trial = {few(numbers)} must differ, and have samples")
     if time[0] != 0:
         raise ValueError(f"trials.time must be 0, Ts, 2 Ts, ..., but begins at {time[0]} s")
-    columns = {"trial": np.repeat(numbers, len(time)), "time": np.tile(time, len(numbers))}
-    return pd.DataFrame(columns)
+    return numbers, time

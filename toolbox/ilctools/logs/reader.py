@@ -3,6 +3,7 @@
 import csv
 import gzip
 import re
+import warnings
 import zlib
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -15,10 +16,10 @@ import pandas as pd
 import xarray as xr
 
 from ilctools import arguments
-from ilctools.files import read_json
+from ilctools.files import read_json, regular
 from ilctools.logs import clock
 from ilctools.logs.format import FORMATS, KEYS, ROLES, check_signals, columns_of, few, units_of
-from ilctools.loop.notes import LogError, reading
+from ilctools.loop.notes import LONGEST, LogError, reading
 from ilctools.trials.run import dataset
 from ilctools.units import seconds
 
@@ -52,6 +53,11 @@ def load_log(path, resample: bool = False) -> xr.Dataset:
     LogError
         The first thing that is wrong, with its row or metadata.
 
+    Warns
+    -----
+    UserWarning
+        If the last trial is shorter than the first, as a power cut leaves it: it is left out.
+
     See Also
     --------
     save_log : to write it
@@ -72,43 +78,58 @@ def load_log(path, resample: bool = False) -> xr.Dataset:
     (0.01, ('trial', 'time', 'channel'))
     """
     path = arguments.path("path", path)
-    resample = arguments.flag("resample", resample)
+    return read_log(path, arguments.flag("resample", resample))
+
+
+def read_log(path: Path, resample: bool = False, ended: bool = False) -> xr.Dataset:
+    """As :func:`load_log`; if `ended`, a last line without a line feed is torn, however long."""
     with about(path):
         lines = lines_of(path)
         metadata, header, first = _head(lines)
         if metadata.get("format") not in FORMATS:
             raise LogError(
-                f"metadata: format is {metadata.get('format')!r}, but must be one of {FORMATS}: "
-                "ilctools.read_table reads other tables, ilctools.load_law laws"
+                f"metadata: format is {few(metadata.get('format'))}, but must be one of {FORMATS}: "
+                "ilctools.read_table reads other tables, of which save_log makes logs, and "
+                "ilctools.load_law laws"
             )
         with reading("Ts"):
             value, unit = metadata["Ts"].split()
             second = seconds(unit)
-            Ts = arguments.sampling_period("Ts", float(value) * second)
+            Ts = arguments.sampling_period("Ts", value_of(value) * second)
         with reading("signals"):
             signals = check_signals(read_json(metadata["signals"]))
         check_titles(header, signals)
+        if ended or lines[-1].count(",") < len(header) - 1:
+            lines.pop()  # empty, or torn
         entries = rows_of(lines[first:], first, len(header))
         table = numbers_of(entries.set_axis(header, axis=1))
         table["time"] *= second
         notes = {key: value for key, value in metadata.items() if key not in KEYS}
+        number = table["trial"]
+        is_first, is_last = (number == number.iloc[place] for place in (0, -1))
+        if is_last.sum() < is_first.sum():
+            text = f"{path}: the last trial is shorter than the first, and left out"
+            warnings.warn(text, stacklevel=3)
+            table = table[~is_last]
         return trials_of(table, signals, Ts, notes, resample)
 
 
 @contextmanager
 def about(path) -> Iterator[None]:
-    """Turn what is wrong with a file into a LogError that names it."""
+    """Turn what is wrong with a file into a LogError that names it, in a few printable words."""
     try:
         yield
     except OSError as error:
         raise LogError(f"{path}: cannot be read: {error}") from None
-    except (ValueError, RecursionError, EOFError, csv.Error, zlib.error) as error:
-        raise LogError(f"{path}: {error}") from None
+    except (ValueError, ArithmeticError, RecursionError, EOFError, csv.Error, zlib.error) as error:
+        text = str(error)[: 4 * LONGEST]
+        text = "".join(letter if letter.isprintable() else "?" for letter in text)
+        raise LogError(f"{path}: {text}") from None
 
 
 def lines_of(path: Path) -> list[str]:
     """The lines of a text in UTF-8, UTF-16 or, as old spreadsheets write it, Latin-1; or of .gz."""
-    content = path.read_bytes()
+    content = regular(path).read_bytes()
     if content.startswith(GZIP):
         content = gzip.decompress(content)
     utf16 = content.startswith((BOM_UTF16_LE, BOM_UTF16_BE))
@@ -153,9 +174,10 @@ def rows_of(
 
 
 def value_of(entry) -> float:
-    """The number that an entry is, to the last digit; NaN if it is none."""
+    """The number that an entry is, to the last digit; NaN if it is none, such as 1_000 or ٣."""
     try:
-        return float(entry)
+        plain = not isinstance(entry, str) or (entry.isascii() and "_" not in entry)
+        return float(entry) if plain else np.nan
     except (TypeError, ValueError):
         return np.nan
 
@@ -228,6 +250,8 @@ def _head(lines):
         if line.startswith("#") and mark and key:
             if key in metadata:
                 raise LogError(f"metadata: {key!r} stands twice, again in line {count}")
+            if not (key + value).isprintable():
+                raise LogError(f"metadata: line {count} has characters that are not printable")
             metadata[key] = value
         elif line.strip() and not line.startswith("#"):
             return metadata, next(split([line])), count

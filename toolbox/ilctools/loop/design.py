@@ -195,9 +195,8 @@ def _require_held(A, B, C):
     for X, Y, what in ((A, B, "no control reaches"), (A.T, C.T, "no output shows")):
         unstable = _unstable(X, Y)
         if unstable.size:
-            raise ValueError(
-                f"plant has a mode at z = {unstable[0]:.6g} that {what}: no gain holds it"
-            )
+            z = np.real_if_close(unstable[:1])[0]  # complex by numpy 2.5, always
+            raise ValueError(f"plant has a mode at z = {z:.6g} that {what}: no gain holds it")
     if _unstable(Aa.T, Ca.T).size:  # (A - I) x + B d = 0 and C x = 0 for a d that is not zero
         raise ValueError(
             "plant has a zero at z = 1: some constant input leaves no trace in the outputs, so no "

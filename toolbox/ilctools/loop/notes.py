@@ -17,7 +17,8 @@ from ilctools.loop.closed import ClosedLoop, CurrentTrialLoop, Loop
 from ilctools.signals import Signals, check_match
 
 # what a note may lead to
-MISUNDERSTOOD = (KeyError, TypeError, ValueError, RecursionError)
+MISUNDERSTOOD = (KeyError, TypeError, ValueError, ArithmeticError, RecursionError)
+LONGEST = 500  # letters of an error
 
 
 class LogError(ValueError):
@@ -30,7 +31,8 @@ def reading(key: str):
     try:
         yield
     except MISUNDERSTOOD as error:
-        raise LogError(f"metadata: {key} cannot be understood: {error!r}") from None
+        text = repr(error)[:LONGEST]
+        raise LogError(f"metadata: {key} cannot be understood: {text}") from None
 
 
 def read_note(trials: xr.Dataset, key: str, read: Callable):

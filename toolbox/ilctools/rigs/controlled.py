@@ -233,7 +233,7 @@ class ControlledRig:
     def check_clock(self) -> None:
         """Note by how much a sample is off the clock of the rig, if it has one."""
         if self.clock:
-            now = self.clock()
+            now = float(_reading("clock", self.clock(), ()))
             due = now if self.due is None else self.due
             self.late.append(abs(now - due))
             self.due = due + self.Ts
@@ -283,11 +283,15 @@ class ControlledRig:
                 raise StoppedError(f"{what}, the limits of stop")
 
     def make_safe(self) -> None:
-        """Leave the rig in a safe state."""
-        if self.leave_safe:
-            self.leave_safe()
-        elif not self.whole:
-            self.rig.apply(np.zeros(len(self.inputs)))
+        """Leave the rig in a safe state; an error there says so."""
+        try:
+            if self.leave_safe:
+                self.leave_safe()
+            elif not self.whole:
+                self.rig.apply(np.zeros(len(self.inputs)))
+        except Exception as error:
+            error.add_note("THE RIG MAY NOT BE SAFE: what should leave it safe has failed")
+            raise
 
 
 def _runs_whole_trials(rig) -> bool:

@@ -39,7 +39,11 @@ def record(
 
     Between two trials the controller keeps running and holds the start of the reference, as in the
     paper, until the rig is back where the first trial started. However this ends, the rig is left
-    in a safe state. On a terminal, progress is shown.
+    in a safe state: by an error, Ctrl-C, ``kill``, a service's stop or a closed terminal, whose
+    signals a driver must not handle; in another thread than the main one, by an error only. A
+    ``kill -9``, a crash of the machine or a power cut leave it at the last command: for these a
+    watchdog on the rig switches off when no command has come for some samples. On a terminal,
+    progress is shown.
 
     Parameters
     ----------
@@ -58,9 +62,10 @@ def record(
         measures of them is recorded instead of the values given here; of others nothing is known,
         and they must be zero. Default zero.
     path : path-like, optional
-        Of a log, which is written anew when a trial ends, so that a fault costs one trial at most;
-        without it, all. If the log is there, its trials must be of the same experiment, and the
-        next one follows; a last trial that is shorter than the first is dropped. That the plant is
+        Of a log, to which each trial is added when it ends, so that a fault costs one trial at
+        most, or two just after one has ended without reset; without it, all. If the log is there,
+        its trials must be of the same experiment, and the next one follows; a last trial that is
+        torn or shorter than the first is dropped, with a warning. That the plant is
         the same, nothing checks but the trials that follow. If it has `trials` or more, none is
         run, and all of them are returned. Meanwhile no other process can record to it.
     v : array_like, shape (time, m), optional

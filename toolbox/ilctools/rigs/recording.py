@@ -1,7 +1,11 @@
 """Trials on a rig, one after the other: each is watched, and kept when it ends."""
 
+import signal
+import threading
+import time
 from collections.abc import Callable, Iterator
-from contextlib import nullcontext
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -9,11 +13,11 @@ import xarray as xr
 from tqdm import tqdm
 
 from ilctools import arguments
-from ilctools.files import alone
+from ilctools.files import alone, append, regular
 from ilctools.law.io import BEGUN, KEYS, RESET
 from ilctools.law.limits import CUT_OFF, commands_beyond
-from ilctools.logs.format import save_log
-from ilctools.logs.reader import load_log
+from ilctools.logs.format import columns_of, rows_of, signals_of, write_log
+from ilctools.logs.reader import read_log
 from ilctools.rigs.controlled import ControlledRig
 from ilctools.rigs.protocol import RigError, StoppedError
 from ilctools.trials.diagnosis import diagnose
@@ -24,6 +28,9 @@ LATE = 0.1  # sampling periods that a sample may be off the clock
 NOTED = (*KEYS, RESET, "excitation", "loop")  # the notes of what makes the trials
 SIGNALS = ("v", "u", "y", "applied", "delta", "disturbance")  # that a trial may have
 Trial = dict[str, np.ndarray]  # its signals, shape (time, channel)
+ENDS = ("SIGINT", "SIGTERM", "SIGHUP")  # Ctrl-C; kill, a service's stop; a closed terminal
+USUAL = (signal.SIG_DFL, signal.default_int_handler)
+BREATH = 1e-4  # s, between two pieces of a log, in which a sample that is due gets the processor
 
 
 @dataclass
@@ -38,24 +45,27 @@ class Experiment:
     log: xr.Dataset | None = None
     trials: list[Trial] = field(default_factory=list)
     lost: bool = False  # whether rounding left nothing of the last v
+    size: int | None = None  # of the log, in bytes, as this experiment left it
 
     def run(self, pause: int | None, path) -> Iterator[str]:
         """Run the trials that are not in the log at `path` yet; what there is to be warned of."""
         lock = nullcontext()
         if path is not None:
-            path = arguments.path("path", path)
+            path = regular(arguments.path("path", path))
             if not path.parent.is_dir():
                 raise ValueError(f"path = '{path}' must be in a folder that exists")
             busy = f"path = '{path}' is recorded to by another process: wait, or give another path"
             lock = alone(path.with_name(f".{path.name}.lock"), busy)
         with lock:
             if path is not None and path.exists():
-                self.go_on_from(load_log(path), path)
+                self.go_on_from(read_log(path, ended=True), path)
             ended, count = len(self.trials), len(self.reference)
             if ended > count:
                 number = f"{ended} trials, more than trials = {count}"
                 yield f"path = '{path}' has {number}: all of them are returned"
             if ended < count:
+                if ended:
+                    self.save(path, self.log)
                 yield from self.run_on(pause, path)
 
     def run_on(self, pause, path) -> Iterator[str]:
@@ -63,7 +73,12 @@ class Experiment:
         rig, ended, count, shown = self.rig, len(self.trials), len(self.reference), set()
         samples = (count - ended) * self.reference.shape[1]
         try:
-            with tqdm(total=samples, disable=None) as bar:
+            with (
+                ThreadPoolExecutor(1) as writer,
+                left_safe(rig.make_safe),
+                tqdm(total=samples, disable=None) as bar,
+            ):
+                saved = writer.submit(int)
                 if rig.goes_on:
                     rig.begin(ended + 1)
                 for k in range(ended, count):
@@ -71,12 +86,16 @@ class Experiment:
                     trial, late = self.run_trial(k, pause, bar)
                     self.trials.append(trial)
                     self.log = self.dataset()
+                    saved.result()  # or the error of what was written meanwhile
                     if path is not None:
-                        save_log(self.log, path)
+                        saved = writer.submit(self.save, path, self.log)
+                        if not rig.goes_on:
+                            saved.result()
                     texts = {"pause": late} | self.warnings()
                     new = {kind: texts[kind] for kind in texts if texts[kind] and kind not in shown}
                     shown |= new.keys() - {"pause", "clock", "rig"}  # which are of each trial
                     yield from new.values()
+                saved.result()
         except RigError as error:
             text = f"{rig.place}: {error}. Nothing was applied after it"
             if isinstance(error, StoppedError):
@@ -85,8 +104,21 @@ class Experiment:
         except Exception as error:
             error.add_note(f"in {rig.place}")
             raise
-        finally:
-            rig.make_safe()
+
+    def save(self, path, log) -> None:
+        """Add the last trial of a log to its file, or write all where that is not as it was left.
+
+        In pieces, because meanwhile the next trial may run.
+        """
+        if path.exists() and path.stat().st_size == self.size:
+            k, breath = len(log.trial) - 1, BREATH * self.rig.goes_on
+            trial = self.trials[k] | {"reference": self.reference[k]}
+            names = columns_of(signals_of(log), log)
+            rows = rows_of(k + 1, log.time.values, [trial[name] for name in names])
+            append(path, (piece for piece in rows if time.sleep(breath) is None))
+        else:
+            write_log(log, path)
+        self.size = path.stat().st_size
 
     def run_trial(self, k, pause, bar) -> tuple[Trial, str]:
         """Run trial k, counted from 0, and what there is to say of the pause before it.
@@ -192,6 +224,44 @@ class Experiment:
         names = [name for name in SIGNALS if name in log]
         self.trials = [{name: log[name].values[k] for name in names} for k in range(len(numbers))]
         self.log, self.notes = log, log.attrs | self.notes
+
+
+@contextmanager
+def left_safe(make_safe: Callable[[], None]) -> Iterator[None]:
+    """Leave a rig safe on every way out of a block, and let no signal cut that short.
+
+    In the main thread, signals that end a process, unless somebody else handles them, end the block
+    by an exception; a later one counts when the rig is safe.
+    """
+    came, leaving = [], False
+
+    def note(number, frame):
+        came.append(number)
+        if not leaving and len(came) == 1:
+            leave()
+
+    def leave():
+        raise KeyboardInterrupt if came[0] == signal.SIGINT else SystemExit(128 + came[0])
+
+    main = threading.current_thread() is threading.main_thread()
+    numbers = [getattr(signal, name) for name in ENDS if main and hasattr(signal, name)]
+    before = {number: signal.getsignal(number) for number in numbers}
+    before = {number: handler for number, handler in before.items() if handler in USUAL}
+    try:
+        try:
+            for number in before:
+                signal.signal(number, note)
+            yield
+        finally:
+            leaving = True
+    finally:  # also where the first signal has come just before
+        try:
+            make_safe()
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+        if came:
+            leave()
 
 
 def in_succession(parts: list[Trial]) -> Trial:

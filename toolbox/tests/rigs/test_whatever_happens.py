@@ -1,0 +1,209 @@
+"""The rig is left safe and the log whole, whatever happens."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import control
+import numpy as np
+import pytest
+
+import ilctools
+from ilctools import (
+    ClosedLoop,
+    Law,
+    LearningFilter,
+    load_law,
+    load_log,
+    read_table,
+    record,
+    save_log,
+    zero_phase_butterworth,
+)
+from ilctools.rigs.protocol import RigError
+
+LOOP = ClosedLoop(Ts=0.01, outputs=["x"], units={"x": "mm"})
+LAW = Law(zero_phase_butterworth(2, 60.0, 0.01), LearningFilter([[[0.5]]], 0.01))
+REFERENCE = np.sin(np.pi * np.arange(200) / 200) ** 2
+
+
+class Axis:
+    """Follows slowly; it may note the file to which it is recorded."""
+
+    def __init__(self, path=None):
+        self.x, self.path, self.files = 0.0, path, set()
+
+    def read(self):
+        if self.path and self.path.exists():
+            self.files.add(os.stat(self.path).st_ino)
+        return [self.x]
+
+    def apply(self, w):
+        self.x += 0.2 * (w[0] - self.x)
+
+
+HEATED = """
+import sys, time
+import numpy as np
+from ilctools import ClosedLoop, Law, record, zero_phase_butterworth
+
+class Heater:
+    def read(self):
+        return [0.0]
+    def apply(self, w):
+        print(*w, flush=True)
+        time.sleep(0.01)
+    def safe(self):
+        print("leaving", flush=True)
+        time.sleep(0.5)
+        print("safe", flush=True)
+
+loop = ClosedLoop(Ts=0.01, outputs=["T"])
+record(Heater(), loop, Law(zero_phase_butterworth(2, 9.0, 0.01), None), np.ones(10_000))
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals")
+@pytest.mark.parametrize(
+    ("name", "ends"), [("SIGTERM", 128 + 15), ("SIGHUP", 128 + 1), ("SIGINT", -2)]
+)
+def test_a_signal_leaves_the_rig_safe_and_a_second_one_does_not_cut_that_short(name, ends):
+    folder = Path(ilctools.__path__[0]).parent
+    call, pipe = [sys.executable, "-c", HEATED], subprocess.PIPE
+    options = {"stdout": pipe, "stderr": pipe, "text": True, "cwd": folder}
+    with subprocess.Popen(call, **options) as child:
+        assert child.stdout.readline() == "1.0\n"
+        child.send_signal(getattr(signal, name))
+        while child.stdout.readline() not in ("leaving\n", ""):
+            pass
+        child.send_signal(signal.SIGTERM)
+        assert child.stdout.read() == "safe\n"
+    assert child.returncode == ends
+
+
+def test_signals_are_handled_as_before_afterwards_and_by_whom_they_were(monkeypatch):
+    seen, handlers = [], {}
+    axis = Axis()
+    axis.safe = lambda: seen.extend(map(signal.getsignal, (signal.SIGTERM, signal.SIGINT)))
+    handlers["before"] = signal.signal(signal.SIGTERM, lambda *arguments: None)
+    try:
+        own = signal.getsignal(signal.SIGTERM)
+        record(axis, LOOP, LAW, REFERENCE, trials=1)
+        assert seen[0] is own is signal.getsignal(signal.SIGTERM)
+        assert seen[1] is not signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGTERM, handlers["before"])
+    thread = threading.Thread(target=record, args=(axis, LOOP, LAW, REFERENCE, None, 1))
+    thread.start()
+    thread.join()
+    assert len(seen) == 4 and seen[3] is signal.default_int_handler
+
+
+@pytest.mark.parametrize("reset", [True, False])
+def test_trials_are_added_to_the_log_as_if_it_were_written_whole(tmp_path, reset):
+    """The file is replaced once, after the first trial; and once where an experiment goes on."""
+    path, whole = tmp_path / "log.csv", tmp_path / "whole.csv"
+    axis = Axis(path)
+    log = record(axis, LOOP, LAW, REFERENCE, trials=5, reset=reset, path=path)
+    assert len(axis.files) == 1
+    save_log(log, whole)
+    assert path.read_bytes() == whole.read_bytes()
+
+
+def test_a_torn_trial_is_left_out_and_the_experiment_goes_on(tmp_path):
+    path, whole = tmp_path / "log.csv", tmp_path / "whole.csv"
+
+    class Homed(Axis):
+        def begin(self, trial):
+            self.x = 0.0
+
+    complete = record(Homed(), LOOP, LAW, REFERENCE, trials=3, path=whole)
+    text = whole.read_bytes()
+    for cut in (1, 2, 40, 2000):  # the line feed alone; a digit, too, which nothing shows
+        path.write_bytes(text[:-cut])
+        if cut > 2:
+            with pytest.warns(UserWarning, match=r"log.csv: the last trial is shorter"):
+                assert load_log(path).identical(complete.isel(trial=slice(2)))
+        with pytest.warns(UserWarning, match=r"log.csv: the last trial is shorter"):
+            record(Homed(), LOOP, LAW, REFERENCE, trials=3, path=path)
+        assert path.read_bytes() == text
+    path.write_bytes(text[:-1])
+    assert load_log(path).identical(complete)
+
+
+def test_a_full_disk_costs_the_trial_that_it_has_no_room_for(tmp_path, monkeypatch):
+    path, whole = tmp_path / "log.csv", tmp_path / "whole.csv"
+    two = record(Axis(), LOOP, LAW, REFERENCE, trials=2, reset=False, path=whole)
+    sync, calls = os.fsync, []
+
+    def full(file):
+        calls.append(file)
+        if len(calls) > 2:
+            raise OSError(28, "No space left on device")
+        sync(file)
+
+    monkeypatch.setattr(os, "fsync", full)
+    axis = Axis()
+    axis.safe = lambda: calls.append("safe")
+    with pytest.raises(OSError, match="No space left"):
+        record(axis, LOOP, LAW, REFERENCE, trials=5, reset=False, path=path)
+    assert calls[-1] == "safe" and load_log(path).identical(two)
+
+
+def test_what_is_no_regular_file_is_refused_before_anything_waits_for_its_end(tmp_path):
+    log, pipe = tmp_path / "log.csv", tmp_path / "pipe"
+    record(Axis(), LOOP, LAW, REFERENCE, trials=1, path=log)
+    os.mkfifo(pipe)
+    # a writer, so that who does read it is not left waiting
+    file = os.open(pipe, os.O_RDWR)
+    os.write(file, b"a")
+    threading.Timer(5, os.close, [file]).start()
+    columns = {"Ts": 1.0, "outputs": {"y": 0}}
+    for read in (load_log, load_law, lambda path: read_table(path, **columns)):
+        for path in (pipe, tmp_path, Path("/dev/full")):
+            with pytest.raises(ValueError, match="no regular file"):
+                read(path)
+    axis = Axis()
+    for path in (pipe, tmp_path, "/dev/full"):
+        with pytest.raises(FileExistsError, match="no regular file"):
+            record(axis, LOOP, LAW, REFERENCE, path=path)
+    assert {*os.listdir(tmp_path)} == {"log.csv", ".log.csv.lock", "pipe"} and axis.x == 0
+    assert not os.path.exists("/dev/.full.lock")
+
+
+def test_a_clock_that_gives_no_number_ends_the_trial():
+    axis = Axis()
+    axis.clock = lambda: np.nan
+    with pytest.raises(RigError, match="trial 1, sample 1: clock has 1 values that are not fin"):
+        record(axis, LOOP, LAW, REFERENCE)
+
+
+def test_who_fails_to_leave_the_rig_safe_says_so():
+    axis = Axis()
+    axis.safe = lambda: 1 / 0
+    with pytest.raises(ZeroDivisionError) as error:
+        record(axis, LOOP, LAW, REFERENCE, trials=1)
+    assert any("THE RIG MAY NOT BE SAFE" in note for note in error.value.__notes__)
+
+
+def test_raw_data_are_not_written_over(tmp_path):
+    raw, log, empty = (tmp_path / name for name in ("raw.csv", "log.csv", "empty.csv"))
+    raw.write_text("t,u,y\n0,1,0\n1,1,0.5\n2,1,0.75\n")
+    table = read_table(raw, time="t", inputs={"u": "u"}, outputs={"y": "y"})
+    with pytest.raises(ValueError, match=r"path = .*raw\.csv' is a file of another kind"):
+        save_log(table, raw)
+    empty.touch()
+    for path in (log, log, empty):
+        save_log(table, path)
+    model = control.ss(0.8, 0.2, 1, 0, 0.01, outputs=["x"])
+    run = record(Axis(), ClosedLoop(model), LAW, REFERENCE, trials=2)
+    replayed = ilctools.replay(run)
+    for path in (raw, log):
+        with pytest.raises(ValueError, match="is a file of another kind"):
+            replayed.save_following(path)
+    for _ in range(2):
+        replayed.save_following(tmp_path / "next.csv")
+    assert raw.read_text().startswith("t,u,y") and load_log(log).identical(load_log(empty))
