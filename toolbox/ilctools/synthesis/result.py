@@ -69,6 +69,27 @@ class Synthesis:
         return self.certificate.value
 
     @property
+    def rate(self) -> float:
+        """The largest sigma_max(M) of all plants: the gamma of Lemma 1."""
+        return self.certificate.rate
+
+    @property
+    def Q(self):
+        """The filter Q, if it is one; else its samples at `omega`."""
+        problem = self.problem
+        return problem.Q if problem.butterworth is None else problem.butterworth
+
+    @property
+    def Ts(self) -> float:
+        """The sampling period, s."""
+        return self.problem.Ts
+
+    @property
+    def details(self) -> str:
+        """All that is known, for print; ``print(design)`` is the short form."""
+        return self.certificate.details
+
+    @property
     def omega(self) -> np.ndarray:
         """The design frequencies, rad/s."""
         return self.problem.omega
