@@ -1,4 +1,4 @@
-"""The toolbox's own exceptions, to be caught by name; what is no use of an argument is a ValueError.
+"""The toolbox's own exceptions, to be caught by name; a wrong argument is a plain ValueError.
 
 InfeasibleError and LogError are ValueErrors, SolverError and RigError RuntimeErrors, and
 StoppedError is a RigError.
