@@ -49,7 +49,6 @@ KINDS = {
     "assumed": "statements on assumed signals or a virtual rig",
     "misprint": "misprints",
 }
-UNCOUNTED = {"taken over": "taken over", "identity": "identities"}
 HEADLINE = """\
 - **Numbers**: {printed} that could have differed come out as printed, and {derived}
   invariants of the feedback gains, which stand for 40 printed entries.
@@ -61,7 +60,7 @@ HEADLINE = """\
 """
 NOISE = 1e-9  # what is smaller is rounding, and not the same on two machines
 SIGNIFICANT = 5  # digits of a number that tests a statement in words
-PAGE = ["verdict", "claim", "printed", "computed", "tolerance", "place", "cell"]  # columns
+PAGE = ["verdict", "claim", "printed", "computed", "tolerance", "kind", "place", "cell"]
 COEFFICIENT = r"L_(?:diagonal|full)\["  # how the key of one of (39) begins
 SAVED = r'\bsave\(\w+, "([^"]+)", caption\)'  # how a notebook saves a figure
 COMPARE = {"<": lt, "<=": le, ">": gt, ">=": ge, "==": eq}
@@ -180,13 +179,11 @@ def _figures():
 
 
 def _tolerance(claim):
-    """By what a row is judged: a criterion, or how far a number may be off."""
+    """By what a row is judged: a criterion, or how far a number may be off; "" if it is not."""
     expected, _, tolerance = claim.criterion.partition(" +- ")
-    if claim.criterion == UNCHECKED or claim.criterion.startswith(WORDS):
-        return ""
-    if expected and not tolerance:
-        return expected
-    return f"± {float(tolerance or published.half_unit(claim.printed)):.2g}"
+    if not expected or tolerance:
+        return f"± {float(tolerance or published.half_unit(claim.printed)):.2g}"
+    return "" if expected[0].isalpha() else expected
 
 
 def _judged(claim, computed):
@@ -266,8 +263,6 @@ def _reasons(rows):
             total = sum(key.startswith(f"{name}[") for key in published.claims())
             what = first.claim.partition("[")[0]
             text = f"{what}: {len(part)} of {total} by at most {largest:.1e}"
-        elif first.verdict == IN_WORDS:
-            text = f"{first.claim}: printed “{first.printed}”; {first.computed}"
         else:
             text = f"{first.claim}: printed “{first.printed}”, computed {first.computed}"
             text += f", judged by {first.tolerance}"
@@ -279,15 +274,7 @@ def markdown(rows: pd.DataFrame) -> str:
     """The whole ledger as a readable page, with what we do otherwise than the paper."""
     cells = [*map(_link, rows.notebook, rows.cell)]
     claims = rows.claim + rows.note.map(lambda note: note and f"<br>*{note}*")
-    table = rows.assign(kind=_kinds(rows), claim=claims, cell=cells)
-    table = table.replace({r"\|": r"\|"}, regex=True)
-    parts = {kind: part[PAGE] for kind, part in table.groupby("kind")}
-    every = "\n\n".join(
-        f"### {title.capitalize()}\n\n"
-        + parts[kind].to_markdown(index=False, disable_numparse=True)
-        for kind, title in (KINDS | UNCOUNTED).items()
-        if kind in parts
-    )
+    table = rows.assign(claim=claims, cell=cells)[PAGE].replace({r"\|": r"\|"}, regex=True)
     return f"""# Printed against computed
 
 Written by `make reproduce`. *Reproduced*: a number within its tolerance, half a unit of the last
@@ -303,15 +290,12 @@ could hardly differ.
 What differs:
 
 {_reasons(rows[rows.verdict == DIFFERS])}
-Too vague for a criterion, and how far they hold:
-
-{_reasons(rows[rows.verdict == IN_WORDS])}
 ## Deviations from the paper
 
 {DEVIATIONS.read_text(encoding="utf-8")}
 ## All rows
 
-{every}
+{table.to_markdown(index=False, disable_numparse=True)}
 
 ## The figures
 

@@ -113,12 +113,8 @@ class ZeroPhaseButterworth:
     def __call__(self, z) -> np.ndarray:
         """Q(z) = H(z) H(1/z), with H the Butterworth filter, at any z but zero."""
         z = arguments.array("z", z, (...,), complex)
-        halves = [
-            np.polyval(section[:3], x) / np.polyval(section[3:], x)  # H(x)
-            for section in self.sections
-            for x in (z, 1 / z)
-        ]
-        return np.prod(halves, axis=0)
+        H = [np.polyval(s[:3], x) / np.polyval(s[3:], x) for s in self.sections for x in (z, 1 / z)]
+        return np.prod(H, axis=0)
 
     def apply(self, signal) -> np.ndarray:
         """Filter a signal of shape (..., time, channel), forward and backward in time."""

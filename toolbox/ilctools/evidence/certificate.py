@@ -277,14 +277,9 @@ class Certificate:
     def details(self) -> str:
         """All that is known, for print: the table of M and L, the worst plants, the optimum."""
         lines = [*self._table(), *self._of_worst(), *self._between(), *self._of_value()]
-        return "\n".join([*lines, *self._mean(), *self._remarks()])
+        return "\n".join([*lines, *self._mean(), *self.assumptions, *self._against()])
 
-    def _remarks(self) -> Iterator[str]:
-        """What the certificate rests on, and what speaks against it."""
-        yield from self.assumptions
-        yield from self._against()
-
-    def _against(self):
+    def _against(self) -> Iterator[str]:
         """Warnings and failures."""
         yield from (f"WARNING: {text}" for text in self.warnings)
         yield from (f"FAILS: {text}" for text in self.failures)

@@ -76,8 +76,7 @@ class Synthesis:
     @property
     def Q(self):
         """The filter Q, if it is one; else its samples at `omega`."""
-        problem = self.problem
-        return problem.Q if problem.butterworth is None else problem.butterworth
+        return self.problem.butterworth or self.problem.Q
 
     @property
     def Ts(self) -> float:
@@ -173,7 +172,7 @@ class Synthesis:
         design = self.problem
         if omega is None:
             omega = getattr(P, "omega", self.omega)
-        Q = design.Q if design.butterworth is None else design.butterworth
+        Q = self.Q
         if design.butterworth is None and not (
             np.shape(omega) == Q.shape and np.allclose(omega, self.omega, rtol=1e-9, atol=0)
         ):
