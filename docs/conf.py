@@ -16,6 +16,7 @@ extensions = [
 external_toc_path = "docs/toc.yml"
 include_patterns = [
     "README.md",
+    "CHANGELOG.md",
     "CONTRIBUTING.md",
     "data/README.md",
     "docs/*.md",

@@ -174,7 +174,7 @@ DOORS = [
     (ilctools.law_of, {}, {"trials": RECORD}),
 ]
 # Tested with their own files, or not called by themselves.
-TESTED = """InfeasibleError MISMATCHED Settings TemperatureControlLab alternatives
+TESTED = """InfeasibleError MISMATCHED Rig Settings TemperatureControlLab alternatives errors
     approximations expected_radius heat_balance open_workbench plot
     paper_choices state_sequence try_out unreachable_modes"""
 ELSEWHERE = {*TESTED.split()}

@@ -12,7 +12,7 @@ import ilctools
 import rodlib
 from ilctools.synthesis.result import Synthesis
 
-OTHERS = {"MISMATCHED", "alternatives"}  # a rod, and a room
+OTHERS = {"MISMATCHED", "alternatives", "errors"}  # a rod, and rooms
 DOORS = sorted({*ilctools.__all__, *rodlib.__all__} - OTHERS)
 LONGEST = 17  # lines of an example
 NOT_DOORS = {"Synthesis": Synthesis}  # which one gets from a door

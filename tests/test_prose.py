@@ -1,8 +1,8 @@
 """Numbers in the prose of the notebooks: each is an output, in the ledger, or a choice in the code.
 
-In the README and in the list of deviations each is one of the notebooks, or of the benchmarks, that
-the paragraph names; a cell of a notebook may have those of a benchmark that it names by `make
-measure WHAT=...`.
+In the README, in docs/answers.md as far as it answers the notebooks' questions, and in the list of
+deviations each is one of the notebooks, or of the benchmarks, that the paragraph names; a cell of a
+notebook may have those of a benchmark that it names by `make measure WHAT=...`.
 
 Read are numbers in digits, in text, in formulas and in the captions of figures. Labels of
 equations, figures and the like, exponents, indices and sizes (2 x 2) are no results; neither are
@@ -127,16 +127,18 @@ def test_every_number_in_prose_is_computed_or_chosen(path, ledger):
 
 
 def paragraphs():
-    """Of the README and the list of deviations, without tables, code and what is generated."""
+    """Of these texts, without tables, code and what is generated."""
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     readme = re.sub(r"<!-- ledger -->.*<!-- end of ledger -->", "", readme, flags=re.DOTALL)
-    for text in (readme, DEVIATIONS.read_text(encoding="utf-8")):
+    answers = (ROOT / "docs" / "answers.md").read_text(encoding="utf-8")
+    answers = answers.partition("\n## Beyond the notebooks\n")[0]
+    for text in (readme, answers, DEVIATIONS.read_text(encoding="utf-8")):
         for paragraph in re.split(r"\n\n+|\n(?=- )", text):
             if not paragraph.startswith(("```", "    ", "|")):
                 yield paragraph
 
 
-def test_every_number_of_the_readme_is_where_it_points(ledger):
+def test_every_number_of_these_texts_is_where_it_points(ledger):
     seen = 0
     for paragraph in paragraphs():
         named = {int(number) for number in re.findall(r"[Nn]otebook (\d+)", paragraph)}

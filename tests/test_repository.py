@@ -117,7 +117,7 @@ def test_every_saved_figure_is_tracked_and_used():
 
 def test_links_lead_somewhere():
     docs = sorted(f"docs/{path.name}" for path in ROOT.glob("docs/*.md"))
-    for name in ("README.md", "CONTRIBUTING.md", "figures/performance.md", *docs):
+    for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "figures/performance.md", *docs):
         for target in re.findall(r"\]\((?!https?:|#)([^)#]+)", text(name)):
             assert ((ROOT / name).parent / target).exists(), f"{name}: {target}"
 

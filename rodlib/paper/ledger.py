@@ -1,13 +1,18 @@
 """The ledger: what the paper prints against what is computed here, and the verdict.
 
-A number is *reproduced* if it agrees within half a unit of the last digit printed, a statement if
-the number that tests it meets its criterion, which is ours; otherwise it *differs*. A statement too
-vague for a criterion is *in words*: the row says how far it holds.
+A number is *reproduced* if it agrees within its tolerance, half a unit of the last digit printed, a
+statement if the number that tests it meets its criterion, which is ours; otherwise it *differs*.
+Both stand in one column. A statement too vague for a criterion is *in words*: the row says how far
+it holds. Words are judged alike in both directions. "Small", "little" and "approximately" hold
+below a tenth, fail above a third, and are in words in between; so is, whichever way it comes out,
+what hangs on a choice of ours: a start, a reference found by search, one of several optimal
+filters. Where rigs of ours disagree, the row cannot be checked.
 
-Counted apart, by kind: numbers that the paper prints, statements that its model and design decide,
-and statements that only signals or a rig that we assume can test. Not counted is what could hardly
-differ: parameters *taken over* from the paper; an *identity*, which holds by construction or
-follows from other rows.
+Counted apart, by kind: numbers that the paper *prints*; those *derived* from printed ones, where
+the entries depend on coordinates; statements that its model and design decide, and statements that
+only signals or a rig that we assume can test; *misprints*. Not counted is what could hardly differ:
+parameters *taken over* from the paper; an *identity*, which is imposed, or algebra, or follows from
+another row: a double zero counts once.
 
 A number is shown to the last digit that the paper prints, one that tests a statement in words with
 five significant digits, and with more only where the verdict would not follow from these: more
@@ -37,19 +42,31 @@ VERDICTS = (REPRODUCED, DIFFERS, IN_WORDS, UNCHECKED)
 DEVIATIONS = Path(__file__).with_name("deviations.md")
 WORDS = "words: "  # begins a criterion that is a sentence with a place for the number
 KINDS = {
-    "number": "printed numbers",
+    "printed": "printed numbers",
+    "derived": "numbers derived from printed ones",
     "coefficient": "coefficients of (39), a flat optimum",
     "statement": "statements about model and design",
     "assumed": "statements on assumed signals or a virtual rig",
+    "misprint": "misprints",
 }
+HEADLINE = """\
+- **Numbers**: {printed} that could have differed come out as printed, and {derived}
+  invariants of the feedback gains, which stand for 40 printed entries.
+- **Learning filters**: {coefficient} coefficients agree to the last digit; the optimum is flat,
+  and the printed ones reach it to a few millionths.
+- **Statements**: {statement}
+  that model and design decide hold; of those that only signals or rigs of ours can test,
+  {assumed}; {vague} are too vague, or hang on choices of ours.
+"""
 NOISE = 1e-9  # what is smaller is rounding, and not the same on two machines
 SIGNIFICANT = 5  # digits of a number that tests a statement in words
+PAGE = ["verdict", "claim", "printed", "computed", "tolerance", "kind", "place", "cell"]
 COEFFICIENT = r"L_(?:diagonal|full)\["  # how the key of one of (39) begins
 SAVED = r'\bsave\(\w+, "([^"]+)", caption\)'  # how a notebook saves a figure
 COMPARE = {"<": lt, "<=": le, ">": gt, ">=": ge, "==": eq}
 COLUMNS = [
-    "key", "place", "claim", "printed", "computed", "deviation", "verdict", "kind", "note",
-    "notebook", "cell",
+    "key", "place", "claim", "printed", "computed", "tolerance", "deviation", "verdict", "kind",
+    "note", "notebook", "cell",
 ]  # fmt: skip
 
 
@@ -100,9 +117,6 @@ class Ledger:
             return
         claim = published.claims()[key]
         outcome, shown, deviation = _judged(claim, computed)
-        notes = [claim.note] if claim.note else []
-        if claim.criterion.startswith(tuple(COMPARE)):
-            notes.insert(0, f"criterion: {claim.criterion}")
         judged = self.papers_parameters or outcome == UNCHECKED
         self.rows[key] = {
             "key": key,
@@ -110,10 +124,11 @@ class Ledger:
             "claim": claim.claim + (f" ({claim.unit})" if claim.unit else ""),
             "printed": claim.printed,
             "computed": shown,
+            "tolerance": _tolerance(claim),
             "deviation": f"{deviation:.1e}" if abs(deviation) > NOISE else "",
             "verdict": outcome if judged else OTHER,
             "kind": claim.kind,
-            "note": "; ".join(notes),
+            "note": claim.note,
             "notebook": self.notebook,
             "cell": _running(),
         }
@@ -163,6 +178,14 @@ def _figures():
     return "\n".join(sorted(lines))
 
 
+def _tolerance(claim):
+    """By what a row is judged: a criterion, or how far a number may be off; "" if it is not."""
+    expected, _, tolerance = claim.criterion.partition(" +- ")
+    if not expected or tolerance:
+        return f"± {float(tolerance or published.half_unit(claim.printed)):.2g}"
+    return "" if expected[0].isalpha() else expected
+
+
 def _judged(claim, computed):
     """The verdict, the number as it is shown, and by how much that deviates."""
     if claim.criterion == UNCHECKED:
@@ -196,14 +219,27 @@ def join(parts: Path) -> pd.DataFrame:
 
 
 def summary(rows: pd.DataFrame) -> str:
-    """What the README says of the results: the counts, and the statements that differ."""
-    statements = rows[(rows.verdict == DIFFERS) & ~rows.key.str.match(COEFFICIENT)]
-    return f"{_counts(rows)}\nBeside coefficients, these differ:\n\n{_reasons(statements)}"
+    """What the README says of the results: of each kind how many agree, and which do not."""
+    kind, texts = _kinds(rows), {}
+    for name in KINDS:
+        verdicts = rows[kind == name].set_index("key").verdict
+        differ = verdicts.index[verdicts == DIFFERS]
+        agree = (verdicts == REPRODUCED).sum()
+        texts[name] = f"{agree} of {agree + len(differ)}"
+        if len(differ) and name != "coefficient":
+            texts[name] += f" (not {', '.join(f'`{key}`' for key in differ)})"
+    vague = (rows.verdict[kind != "misprint"] == IN_WORDS).sum()
+    return HEADLINE.format(**texts, vague=vague)
+
+
+def _kinds(rows):
+    """The kind of each row, coefficients apart."""
+    return rows.kind.mask(rows.key.str.match(COEFFICIENT), "coefficient")
 
 
 def _counts(rows):
     """How many claims of each kind got which verdict, as Markdown."""
-    kind = rows.kind.mask(rows.key.str.match(COEFFICIENT), "coefficient")
+    kind = _kinds(rows)
     counts = pd.crosstab(kind, rows.verdict)
     counts = counts.reindex(index=list(KINDS), columns=VERDICTS, fill_value=0)
     others = rows[~kind.isin(KINDS)]
@@ -227,32 +263,33 @@ def _reasons(rows):
             total = sum(key.startswith(f"{name}[") for key in published.claims())
             what = first.claim.partition("[")[0]
             text = f"{what}: {len(part)} of {total} by at most {largest:.1e}"
-        elif first.verdict == IN_WORDS:
-            text = f"{first.claim}: printed “{first.printed}”; {first.computed}"
         else:
             text = f"{first.claim}: printed “{first.printed}”, computed {first.computed}"
+            text += f", judged by {first.tolerance}"
         lines.append(f"- {first.place}: {text}" + (f" ({first.note})" if first.note else ""))
     return "\n".join(lines or ["- nothing"]) + "\n"
 
 
 def markdown(rows: pd.DataFrame) -> str:
     """The whole ledger as a readable page, with what we do otherwise than the paper."""
-    links = [*map(_link, rows.notebook, rows.cell)]
-    table = rows.drop(columns=["key", "cell"]).assign(notebook=links)
-    table = table.replace({r"\|": r"\|"}, regex=True)
+    cells = [*map(_link, rows.notebook, rows.cell)]
+    claims = rows.claim + rows.note.map(lambda note: note and f"<br>*{note}*")
+    table = rows.assign(claim=claims, cell=cells)[PAGE].replace({r"\|": r"\|"}, regex=True)
     return f"""# Printed against computed
 
-Written by `make reproduce`. *Reproduced*: within half a unit of the last printed digit, or, for a
-statement, the criterion named in its note holds. The criteria are ours. *In words*: too vague for a
-criterion; the row says how far it holds. What is *taken over* or an *identity* could hardly differ.
+Written by `make reproduce`. *Reproduced*: a number within its tolerance, half a unit of the last
+printed digit; a statement whose criterion, which is ours, holds. *In words*: too vague for one; the
+row says how far it holds. "Small", "little" and "approximately" hold below a tenth and fail above a
+third. What hangs on a choice of ours (a start, a search, one of several optimal filters) is in
+words, whichever way it comes out; where our rigs disagree, it cannot be checked. *Derived* are
+products of printed gains that do not depend on the coordinates of the state, ten for 40 entries.
+What is *taken over* from the paper, or an *identity* (imposed, algebra, or another row once more),
+could hardly differ.
 
 {_counts(rows)}
 What differs:
 
 {_reasons(rows[rows.verdict == DIFFERS])}
-Too vague for a criterion, and how far they hold:
-
-{_reasons(rows[rows.verdict == IN_WORDS])}
 ## Deviations from the paper
 
 {DEVIATIONS.read_text(encoding="utf-8")}

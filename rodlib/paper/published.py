@@ -32,7 +32,7 @@ class Claim:
     unit: str = ""
     criterion: str = ""  # for statements: what the computed number must fulfil
     note: str = ""
-    kind: str = "number"  # or a key of ledger.KINDS, "taken over", "identity"
+    kind: str = "printed"  # or another key of ledger.KINDS, "taken over", "identity"
 
 
 def value(printed: str) -> float:
@@ -105,7 +105,7 @@ def _entries(claim):
     for (row, column), printed in table.set_index(table.columns[0]).stack().items():
         entry = f"[{row},{column}]"
         # The observer's last two rows are of the disturbance: no state coordinates.
-        kind = "number" if claim.key == "K_L" and row in ("11", "12") else claim.kind
+        kind = "printed" if claim.key == "K_L" and row in ("11", "12") else claim.kind
         name = {"key": claim.key + entry, "claim": claim.claim + entry}
         yield replace(claim, **name, printed=printed, kind=kind)
 
@@ -128,4 +128,5 @@ def _invariants(place):
                 f"{product:.5f}",
                 criterion=f"{product:.8f} +- {tolerance:.8f}",
                 note="independent of the state coordinates; tolerance from the printed digits",
+                kind="derived",
             )

@@ -77,47 +77,80 @@ def test_a_row_has_the_cell_that_recorded_it(monkeypatch, tmp_path):
 
 
 def counted(book):
-    """The summary of a ledger's rows, and its lines of counts by kind."""
-    summary = ledger.summary(pd.DataFrame(book.rows.values()))
-    lines = {line.split(" |")[0][2:].strip(): line for line in summary.splitlines()}
-    return summary, {kind: lines.get(title, "") for kind, title in ledger.KINDS.items()}
+    """The summary of a ledger's rows, its page, and the lines of counts by kind on it."""
+    rows = pd.DataFrame(book.rows.values())
+    page = ledger.markdown(rows)
+    lines = {line.split(" |")[0][2:].strip(): line for line in page.splitlines()}
+    counts = {kind: lines.get(title, "") for kind, title in ledger.KINDS.items()}
+    return " ".join(ledger.summary(rows).split()), page, counts
 
 
 def test_what_could_have_differed_is_counted_by_kind():
     book = Ledger("test")
     values = {"length": 0.32, "order": 11, "unity": 0.0, "zero_s_1": 0.10114}
-    values |= {"damping": 0.05, "fast": 0.04, "zero_initial_error": 0.043}
+    values |= {"zero_s_2": 0.10114, "damping": 0.05, "fast": 0.04, "full_little": 0.56}
+    values |= {"misprint_28": 10, "zero_initial_error": 0.043, "thin_rod": 0.125}
     for key, value in values.items():
         book.record(key, value)
-    summary, counts = counted(book)
-    for kind in ("number", "statement"):
+    summary, page, counts = counted(book)
+    for kind in ("printed", "statement"):
         assert re.search(r"\| +1 \| +0 \|", counts[kind])
-    assert re.search(r"\| +1 \| +1 \|", counts["assumed"])
-    assert "2 taken over, 1 identity; 2 of 3 agree" in summary
-    assert "filters: printed “10”, computed 11" in summary
+    assert re.search(r"\| +1 \| +1 \| +0 \| +1 \|", counts["assumed"])
+    assert re.search(r"\| +0 \| +0 \| +1 \|", counts["misprint"])
+    assert "2 taken over, 2 identity; 3 of 4 agree" in page
+    assert "filters: printed “10”, computed 11, judged by ± 0.5" in page
+    assert summary.startswith("- **Numbers**: 1 of 1 that could have differed")
+    assert "test, 1 of 2 (not `full_little`); 1 are too vague" in summary
 
 
 def test_every_claim_has_a_kind_that_is_counted_or_named():
     """What the text prints as a number is neither assumed nor left in words."""
     entries = published.claims().values()
-    kinds = {"number", "statement", "assumed", "taken over", "identity"}
+    kinds = {*ledger.KINDS, "taken over", "identity"} - {"coefficient"}
     assert {entry.kind for entry in entries} == kinds
     for entry in entries:
         assumed = re.search("assumed|synthetic|virtual", entry.claim + entry.note)
         in_words = entry.criterion.startswith(ledger.WORDS)
-        assert entry.kind != "number" or not (assumed or in_words), entry.key
+        assert entry.kind not in ("printed", "derived") or not (assumed or in_words), entry.key
         assert not (in_words and re.match(r"[\d.]+$", entry.printed)), entry.key
 
 
-def test_coefficients_of_a_flat_optimum_have_a_row_and_no_line_in_the_readme():
+def test_coefficients_of_a_flat_optimum_have_rows_and_are_counted_apart():
     book = Ledger("03-ilc-synthesis")
     book.record("L_diagonal", published.matrix("L_diagonal") + np.eye(2)[..., None])
-    book.record("peak_L_full", 48.9)
-    summary, counts = counted(book)
-    assert re.search(r"\| +0 \| +1 \|", counts["number"])
+    book.record("P11", 0.043)
+    summary, page, counts = counted(book)
+    assert re.search(r"\| +0 \| +1 \|", counts["printed"])
     assert re.search(r"\| +0 \| +20 \|", counts["coefficient"])
-    assert "computed 49" in summary and "coefficient of" not in summary
-    assert "20 of 20 by at most 1.0e+00" in ledger.markdown(pd.DataFrame(book.rows.values()))
+    assert "0 of 1 (not `P11`)" in summary and "0 of 20 coefficients" in summary
+    assert "20 of 20 by at most 1.0e+00" in page
+
+
+@pytest.mark.parametrize(
+    ("key", "tolerance"),
+    [
+        ("N[1,1]", "± 5e-05"),
+        ("L_max_rule", "± 5"),
+        ("K_s K_s'[1,1]", "± 0.00022"),  # 5e-5 times twice the sum of its row's magnitudes
+        ("damping", "< 0.1"),
+        ("thin_rod", ""),
+        ("fig1", ""),
+    ],
+)
+def test_each_row_says_by_what_it_is_judged(key, tolerance):
+    book = Ledger("test")
+    book.record(key, 1.0)
+    assert book.rows[key]["tolerance"] == tolerance
+
+
+def test_the_double_zero_counts_once_and_what_is_imposed_not_at_all():
+    claims = published.claims()
+    zeros = [key for key in claims if re.match("zeros?_[sz]", key)]
+    imposed = [key for key in claims if re.match("peak_L_|gamma_|peak_4546_L", key)]
+    assert len(zeros) == 6 and len(imposed) == 7
+    kinds = [claims[key].kind for key in [*zeros, *imposed]]
+    assert sorted(kinds) == 12 * ["identity"] + ["printed"]
+    assert sum(entry.kind == "derived" for entry in claims.values()) == 10
 
 
 @pytest.mark.parametrize(
@@ -216,8 +249,10 @@ def test_publish_writes_ledger_figures_and_readme(root, capsys):
     without = [entry.key for entry in published.claims().values() if not entry.criterion]
     assert rows[(rows.verdict == DIFFERS) & rows.key.isin(without)].key.tolist() == ["N[1,1]"]
     readme = (root / "README.md").read_text()
-    assert readme.startswith("before\n<!-- ledger -->\n| ")
-    assert readme.endswith("-->\nafter\n") and "1 of 4 by at most 1.0e+09" in readme
+    assert readme.startswith("before\n<!-- ledger -->\n- **Numbers**")
+    assert readme.endswith("-->\nafter\n") and "`N[1,1]`" in readme
+    page = (root / "figures" / "ledger.md").read_text()
+    assert "1 of 4 by at most 1.0e+09" in page
 
 
 def test_what_is_the_same_stays_as_it_is(root, capsys):

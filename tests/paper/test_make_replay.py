@@ -117,9 +117,9 @@ def test_tanks_in_units_of_their_own_are_replayed_without_a_loop(root, replay_he
     assert not (root / "build" / "replay" / "figures" / "model-fit.png").exists()
 
 
-def test_the_log_of_the_readmes_example_is_replayed(root, replay_here, monkeypatch):
+def test_the_log_of_the_guides_example_is_replayed(root, replay_here, monkeypatch):
     """A loop that is not ours: without commands, and without an observer."""
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "guide.md").read_text(encoding="utf-8")
     example = re.search(r"```python\n(.*?record\(.*?)```", text, re.DOTALL)[1]
     monkeypatch.chdir(root)  # where it leaves a picture
     namespace = {}

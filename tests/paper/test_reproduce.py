@@ -80,7 +80,7 @@ def test_notebooks_run_in_their_folder_and_their_results_are_published(root):
     assert outcome.stdout.splitlines()[-1].endswith("README.md; new: fig01")
     names = ["fig01.png", "ledger.csv", "ledger.md"]
     assert [path.name for path in sorted((root / "figures").iterdir())] == names
-    assert "| printed numbers " in (root / "README.md").read_text()
+    assert "- **Numbers**: " in (root / "README.md").read_text()
     executed = nbformat.read(root / "build" / "reproduce" / "01-model.ipynb", 4)
     assert [cell.execution_count for cell in executed.cells] == [1, 2]
 

@@ -27,6 +27,7 @@ MODULES = {
     "trials.transfer": "transfer",
     "rigs.controlled": "Controller",
     "rigs.experiments": "record shake",
+    "rigs.protocol": "Rig",
     "logs.format": "save_log",
     "logs.reader": "load_log",
     "logs.replay": "replay",
@@ -56,7 +57,7 @@ def lazily(package: str, modules: dict[str, str], rooms: Sequence[str] = ()):
     return get, lambda: sorted([*vars(import_module(package)), *names]), names
 
 
-ROOMS = ("alternatives",)
+ROOMS = ("alternatives", "errors")
 __version__ = "0.1.0"  # as in pyproject.toml
 
 __getattr__, __dir__, __all__ = lazily(__name__, MODULES, ROOMS)

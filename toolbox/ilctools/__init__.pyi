@@ -1,6 +1,7 @@
 # From the registry in __init__.py, by `make stubs`.
 
 from ilctools import alternatives as alternatives
+from ilctools import errors as errors
 from ilctools.alternatives import NormOptimal as NormOptimal
 from ilctools.evidence.convergence import convergence as convergence
 from ilctools.evidence.convergence import rate as rate
@@ -36,6 +37,7 @@ from ilctools.models import unreachable_modes as unreachable_modes
 from ilctools.rigs.controlled import Controller as Controller
 from ilctools.rigs.experiments import record as record
 from ilctools.rigs.experiments import shake as shake
+from ilctools.rigs.protocol import Rig as Rig
 from ilctools.synthesis.design import synthesise as synthesise
 from ilctools.synthesis.result import InfeasibleError as InfeasibleError
 from ilctools.synthesis.search import least_gain as least_gain

@@ -112,6 +112,12 @@ class ZeroPhaseButterworth:
         _, H = freqz_sos(self.sections, omega, fs=2 * np.pi / self.Ts)
         return np.abs(H) ** 2  # (43)
 
+    def __call__(self, z) -> np.ndarray:
+        """Q(z) = H(z) H(1/z), with H the Butterworth filter, at any z but zero."""
+        z = arguments.array("z", z, (...,), complex)
+        H = [np.polyval(s[:3], x) / np.polyval(s[3:], x) for s in self.sections for x in (z, 1 / z)]
+        return np.prod(H, axis=0)
+
     def apply(self, signal) -> np.ndarray:
         """Filter a signal of shape (..., time, channel), forward and backward in time."""
         signal = arguments.array("signal", signal, (..., "time", "channel"))

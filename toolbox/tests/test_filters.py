@@ -56,6 +56,13 @@ def test_filters_act_on_every_trial_of_a_stack_alike(ends):
         np.testing.assert_allclose(filter_.apply(trials)[1], filter_.apply(trials[1]), atol=1e-13)
 
 
+def test_q_at_z_is_its_response_on_the_circle_and_the_same_inside_and_outside(Q):
+    omega = np.array([[0.0, 0.05], [0.1, 3.0]])
+    expected = Q.frequency_response(omega.ravel()).reshape(2, 2)
+    np.testing.assert_allclose(Q(np.exp(1j * omega)), expected, atol=1e-12)
+    assert Q(0.9) == pytest.approx(Q(1 / 0.9), rel=1e-9)
+
+
 @given(st.integers(1, 4), st.integers(1, 12), st.integers(0, 2**32 - 1))
 def test_learning_filter_looks_ahead(m, order, seed):
     rng = np.random.default_rng(seed)

@@ -266,19 +266,21 @@ class Certificate:
         return f"sigma_max(M) above {last:.4g} rad/s, with the size of P assumed there"
 
     def __repr__(self):
-        lines = [f"rate at most {self.rate:.4f}{self._whom()}, {self._coverage()}"]
-        lines += [*self._mean(), self._reached(), *self._remarks()]
-        return "\n".join(lines)
+        lines = [f"rate at most {self.rate:.4f}{self._whom()}, {self._coverage()}", self._reached()]
+        if assumed := [text.removeprefix("assumed: ") for text in self.problem.assumed]:
+            lines.append(f"assumed: {'; '.join(assumed)}")
+        if self.predicted:
+            lines += self._mean()
+        return "\n".join([*lines, *_unusable(self.problem), *self._against()])
 
     @property
     def details(self) -> str:
         """All that is known, for print: the table of M and L, the worst plants, the optimum."""
         lines = [*self._table(), *self._of_worst(), *self._between(), *self._of_value()]
-        return "\n".join([*lines, *self._mean(), *self._remarks()])
+        return "\n".join([*lines, *self._mean(), *self.assumptions, *self._against()])
 
-    def _remarks(self) -> Iterator[str]:
-        """What the certificate rests on, and what speaks against it."""
-        yield from self.assumptions
+    def _against(self) -> Iterator[str]:
+        """Warnings and failures."""
         yield from (f"WARNING: {text}" for text in self.warnings)
         yield from (f"FAILS: {text}" for text in self.failures)
 

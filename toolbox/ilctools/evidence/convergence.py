@@ -14,7 +14,7 @@ from ilctools import arguments
 from ilctools.filters import LearningOperator, check_learning
 from ilctools.law.limits import WEIGHT
 from ilctools.problem.problem import convergence_matrix, largest_singular_values, tied
-from ilctools.problem.responses import Q_on_grid, on_grid, plants
+from ilctools.problem.responses import Q_on_grid, frequencies, on_grid, plants
 
 
 class Rate(NamedTuple):
@@ -107,7 +107,7 @@ class Convergence:
         return "\n".join([line, *self.assumptions])
 
 
-def convergence(P, Q, L: LearningOperator, omega) -> Convergence:
+def convergence(P, Q, L: LearningOperator, omega=None) -> Convergence:
     """How fast the error converges from trial to trial: M = Q (I - P L) on a grid.
 
     Parameters
@@ -117,8 +117,9 @@ def convergence(P, Q, L: LearningOperator, omega) -> Convergence:
     Q : ZeroPhaseButterworth or array_like, shape (n,)
     L : LearningOperator
         The learning filter.
-    omega : array_like, shape (n,)
-        Increasing frequencies, rad/s, up to the Nyquist frequency.
+    omega : array_like, shape (n,), optional
+        Increasing frequencies, rad/s, up to the Nyquist frequency. Default: those that
+        :func:`ilctools.synthesise` would take.
 
     Returns
     -------
@@ -134,16 +135,16 @@ def convergence(P, Q, L: LearningOperator, omega) -> Convergence:
     Examples
     --------
     >>> import control
-    >>> import numpy as np
     >>> from ilctools import LearningFilter, convergence, zero_phase_butterworth
     >>> P, L = control.ss(0.5, 0.5, 1, 0, 1.0), LearningFilter([[[0.8]]], Ts=1.0)
-    >>> result = convergence(P, zero_phase_butterworth(2, 0.1, 1.0), L, np.geomspace(1e-3, 3, 50))
+    >>> result = convergence(P, zero_phase_butterworth(2, 0.1, 1.0), L)
     >>> result.monotone, round(float(result.gamma), 3)
     (True, 0.201)
     """
     arguments.instance("L", L, LearningOperator)
-    omega = arguments.increasing_frequencies("omega", omega, L.Ts)
     known = plants(P)
+    omega = frequencies(known.values(), Q) if omega is None else omega
+    omega = arguments.increasing_frequencies("omega", omega, L.Ts)
     _, responses = on_grid(known, omega, L.Ts, Q=Q, L=L)
     _, Q = Q_on_grid(Q, omega)
     check_learning(L, responses.shape[-1])
@@ -151,7 +152,7 @@ def convergence(P, Q, L: LearningOperator, omega) -> Convergence:
     return from_responses(omega, P, Q, L.frequency_response(omega))
 
 
-def rate(P, Q, L: LearningOperator, omega) -> Rate:
+def rate(P, Q, L: LearningOperator, omega=None) -> Rate:
     """The convergence rate: the gamma of Lemma 1, max sigma_max(M), and where it is.
 
     By that factor the norm of the error shrinks, at least, from trial to trial. Parameters as for

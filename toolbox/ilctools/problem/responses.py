@@ -102,7 +102,7 @@ def on_one_grid(P, Q, omega=None, Ts=None, uncertainty=None, scale=None) -> Prob
     named = plants(P)
     nominal, *_ = named.values()
     if omega is None:
-        omega = _frequencies(named.values(), Q)
+        omega = frequencies(named.values(), Q)
     if Ts is None:
         Ts = _period(Q, *named.values())
     Ts = arguments.sampling_period("Ts", Ts)
@@ -208,7 +208,7 @@ def _period(*systems):
     raise ValueError("Ts must be given, as neither P nor Q knows the sampling period")
 
 
-def _frequencies(P, Q) -> np.ndarray:
+def frequencies(P, Q) -> np.ndarray:
     """Design frequencies, rad/s: of samples their own, of models a logarithmic grid up to Nyquist.
 
     Of a measured plant the grid begins where it is known; an estimate, which is known everywhere,

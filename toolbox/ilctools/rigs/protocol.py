@@ -19,6 +19,26 @@ class Rig(Protocol):
     ``begin(trial)``: what brings it into the state in which every trial begins, such as a homing
     run; the controller then starts afresh, too. ``clock()``: the time, s, by which samples are late
     or not, such as ``time.monotonic``.
+
+    See Also
+    --------
+    record : trials on a rig
+    shake : its response
+
+    Examples
+    --------
+    >>> from ilctools import Rig
+    >>> class Heater(Rig):
+    ...     y = 20.0
+    ...     def read(self):
+    ...         return [self.y]
+    ...     def apply(self, commands):
+    ...         self.y += 0.1 * (commands[0] - self.y)
+    ...
+    >>> heater = Heater()
+    >>> heater.apply([30.0])
+    >>> heater.read()
+    [21.0]
     """
 
     def read(self) -> Iterable[float]:

@@ -69,6 +69,26 @@ class Synthesis:
         return self.certificate.value
 
     @property
+    def rate(self) -> float:
+        """The largest sigma_max(M) of all plants: the gamma of Lemma 1."""
+        return self.certificate.rate
+
+    @property
+    def Q(self):
+        """The filter Q, if it is one; else its samples at `omega`."""
+        return self.problem.butterworth or self.problem.Q
+
+    @property
+    def Ts(self) -> float:
+        """The sampling period, s."""
+        return self.problem.Ts
+
+    @property
+    def details(self) -> str:
+        """All that is known, for print; ``print(design)`` is the short form."""
+        return self.certificate.details
+
+    @property
     def omega(self) -> np.ndarray:
         """The design frequencies, rad/s."""
         return self.problem.omega
@@ -152,7 +172,7 @@ class Synthesis:
         design = self.problem
         if omega is None:
             omega = getattr(P, "omega", self.omega)
-        Q = design.Q if design.butterworth is None else design.butterworth
+        Q = self.Q
         if design.butterworth is None and not (
             np.shape(omega) == Q.shape and np.allclose(omega, self.omega, rtol=1e-9, atol=0)
         ):
