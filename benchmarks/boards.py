@@ -186,7 +186,7 @@ def main():
     found = np.reshape([*run(shaken, cases)], (-1, DRAWS, 2))
     others = [[f"{hours:g}", *ranges(one, (3, 2))] for hours, one in zip(HOURS, found, strict=True)]
     titles = ["moves", "left (K)", "by a heat balance", "without a model"]
-    titles += ["does not tell a parameter"]
+    titles += ["a parameter undetermined"]
     tables = (
         table(titles, rows),
         table(["hours of shaking", "radius of P", "least promise"], others),

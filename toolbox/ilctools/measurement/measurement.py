@@ -183,8 +183,8 @@ def measured_response(
     Shaken, the spectrum of all periods is P W + T + V; between the harmonics W is zero and T, from
     the state at the start and at the end, and the noise V are left. This is the local
     polynomial method for periodic excitation (Pintelon, Schoukens, Vandersteen and Barbé,
-    Estimation of nonparametric noise and FRF models for multivariable linear systems, Mech. Syst.
-    Signal Process. 24, 2010), with a prescribed pole: T is a polynomial not in z but in
+    Estimation of nonparametric noise and FRF models for multivariable systems - Part I: Theory,
+    Mech. Syst. Signal Process. 24, 2010), with a prescribed pole: T is a polynomial not in z but in
     1 / (1 - p / z), where p is the slowest pole of the loop as designed. So a slow transient is
     one, too, as with the local rational method (McKelvey and Guérin, Non-parametric frequency
     response estimation using a local rational model, SYSID 2012), and the estimate stays linear in
