@@ -2,8 +2,8 @@
 
 `make measure WHAT=ageing` runs laws that stay as they are against laws that are renewed, by an
 estimate of P from the last five trials, when the watch over them speaks or after every twenty; with
-three draws of the noise. The laws that stay then go on for 1,300 trials on the rod as it is then.
-Trials, rates and spectral radii are of one plant. The table goes to figures/performance.md.
+three draws of the noise. In the first, laws that stay go on for 1,300 trials on the rod as it is
+then. Trials, rates and spectral radii are of one plant. The table goes to figures/performance.md.
 """
 
 import warnings
@@ -103,10 +103,10 @@ def rates(law, state):
 
 def row(way):
     """A row of the table, medians over the draws."""
-    errors, made, ends = zip(*(left_alone(way, seed) for seed in range(DRAWS)), strict=True)
-    parts = [slice(TRIALS - 50, TRIALS), slice(-50, None)][: 2 if way in STAY else 1]
-    sizes = [np.sqrt(np.mean(np.square([e[part] for e in errors]), axis=1)) for part in parts]
-    sizes = [f"{np.median(size):.3f}" for size in sizes] + [""] * (2 - len(sizes))
+    draws = (left_alone(way, seed, further=0 if seed else FURTHER) for seed in range(DRAWS))
+    errors, made, ends = zip(*draws, strict=True)
+    powers = [np.mean(e[TRIALS - 50 : TRIALS] ** 2) for e in errors]
+    late = f"{np.sqrt(np.mean(errors[0][-50:] ** 2)):.3f}" if way in STAY else ""
     promises = [promise for each in made for promise in each]
     kept = np.array([promise for promise in promises if promise is not None])
     counts = ""
@@ -114,7 +114,8 @@ def row(way):
         promised, true = kept.T
         counts = f"{len(promises)}, {len(promises) - len(kept)}, {np.sum(true > 0.9)}, "
         counts += f"{np.sum(true > promised)}; {max(0, np.max(true - promised)):.2f}"
-    return [way, counts, *sizes, *(f"{end:.4f}" for end in np.median(ends, axis=0))]
+    size = f"{np.sqrt(np.median(powers)):.3f}"
+    return [way, counts, size, late, *(f"{end:.4f}" for end in np.median(ends, axis=0))]
 
 
 TITLES = [
