@@ -117,29 +117,58 @@ def test_the_watch_keeps_quiet_and_speaks(benchmarks):
     assert watch.quiet_row("furnace", [(10, {"model": 3})])[4:] == ["1", "100.00"]
 
 
-def test_promises_of_renewed_filters_are_counted(benchmarks):
-    """At any frequency and at those of a trial; without a filter there is no promise."""
+def test_rates_of_renewed_filters_are_counted(benchmarks):
+    """Against the bound that was asked and one; without a filter the nominal one goes on."""
     import renewal
 
-    made = dict.fromkeys(renewal.WAYS, (0.5, 0.9, 0.4))
-    none = made | {"estimate": "infeasible"}
-    errors = dict.fromkeys(renewal.WAYS, np.array([0.2, 0.1]))
-    better = errors | {"estimate": np.array([0.2, 0.05])}
-    row = renewal.row("rods", [(errors, none), (better, made), (better, made)])
+    made = dict.fromkeys(renewal.DESIGNS, (0.5, 0.92)) | {"estimate": (0.9, 0.6)}
+    none = made | {"estimate": "infeasible", "nominal": (0.2, 1.1)}
+    errors = dict.fromkeys((*renewal.DESIGNS, "norm-optimal"), np.array([0.2, 0.1]))
+    better = errors | {"estimate": np.array([0.15, 0.1])}
+    row = renewal.row("rods", [(errors, none), (better, made), (errors, made)])
     assert len(row) == len(renewal.TITLES) + 1
-    assert row[3] == "0.200, 0.050" and row[6:] == [
-        "2 of 3", "1", "2 of 2", "0 of 2", "0 of 3", "0 of 3",
+    assert row[2] == "0.200, 0.100" and row[6:] == [
+        "1 of 2", "1", "3, 1 of 3; 0.90", "0, 0 of 2; 0.00", "3, 0 of 3; 0.42",
     ]  # fmt: skip
+    refused = renewal.row("rods", [(errors, none)])
+    assert refused[6:8] == ["0 of 0", "1"] and refused[9] == ""
+
+
+def test_each_row_has_rods_of_its_own(benchmarks, monkeypatch):
+    """Another spread with the same number is the same rod, stretched: five are not 20."""
+    import renewal
+
+    numbers = []
+    monkeypatch.setattr(renewal, "run", lambda function, cases: numbers.extend(cases) or cases)
+    monkeypatch.setattr(renewal, "row", lambda name, results: results)
+    renewal.rows(renewal.SPREADS, 3)
+    renewal.rows(renewal.AMOUNTS, 2, first=1000)
+    assert len({number for number, _ in numbers}) == len(numbers) == 25
+
+
+def test_trials_and_rates_are_of_one_plant(benchmarks):
+    """P, whose rates are called true, is what trials of that plant show."""
+    import renewal
+
+    plant = renewal.draw(renewal.Spread.of_all(0.2), 2).model(1.0)
+    period, lines = 400, np.array([1, 10, 60])
+    w = np.zeros((3, period, 2))
+    w[:, :, 0] = np.cos(2 * np.pi * np.outer(np.arange(period), lines) / period).sum(axis=1)
+    law = Law(renewal.Q, None)
+    y = run_trials(renewal.LOOP, law, w, trials=3, plant=plant, reset=False).y.values[-1]
+    shown = np.fft.rfft(y, axis=0)[lines] / (period / 2)
+    renewal.OMEGA = 2 * np.pi * lines / period
+    np.testing.assert_allclose(renewal.around(plant)[:, :, 0], shown, atol=1e-3)
 
 
 def test_a_law_that_is_left_alone_meets_the_element_that_fails(benchmarks):
     import ageing
 
-    errors, promises, rates = ageing.left_alone("the paper's filter", 0, trials=20)
-    assert errors.shape == (20,) and promises == []
+    errors, promises, rates = ageing.left_alone("the paper's filter", 0, trials=20, further=5)
+    assert errors.shape == (25,) and promises == []
     assert errors[10] > 3 * errors[9] and 0.9 < max(rates) < 1
-    whole = ageing.rates(ageing.PAPER, (1.0, False))
-    assert max(whole) < max(rates)
+    law = ageing.STAY["the paper's filter"]()
+    assert max(ageing.rates(law, (1.0, False))) < max(rates)
 
 
 def test_the_inverse_map_learns_what_is_not_feasible_sooner(benchmarks, monkeypatch):

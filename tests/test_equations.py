@@ -16,7 +16,7 @@ NOTEBOOKS = {
     for path in sorted((ROOT / "notebooks").glob("*.ipynb"))
 }
 PAPER = {name: cells for name, cells in NOTEBOOKS.items() if name < "06"}
-SHORT = [name for name in NOTEBOOKS if name[:2] not in "01 02 03 04 05 18"]
+SHORT = [name for name in NOTEBOOKS if name > "06"]
 PRINTED = range(1, 47)  # equations of the paper
 
 
