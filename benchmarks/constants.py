@@ -1,6 +1,6 @@
 """What each constant of the estimator changes: the radius, and the worst error relative to it.
 
-Halved and doubled, on 20 records each of three kinds; both are medians over the records, at 99 %
+Halved and doubled, on 10 records each of three kinds; both are medians over the records, at 99 %
 for all frequencies together.
 """
 
@@ -13,7 +13,7 @@ from runner import publish, run, table
 from ilctools import measured_response
 from ilctools.measurement import estimation, regression
 
-RECORDS = 20
+RECORDS = 10
 CHOSEN = "steps", "resonance, noise", "learning, 2 trials"
 CONSTANTS = {
     "SHARE": regression, "CLOSE": regression, "STEP": regression, "KNOTS": regression,
