@@ -166,7 +166,11 @@ DOORS = [
     (ilctools.multisine, {}, SHAKE),
     (ilctools.record, {}, ON_PAPER),
     (ilctools.shake, {}, {"loop": PAPER}),
-    (ilctools.measured_response, {}, {"log": control.frd(L.frequency_response(OMEGA).T, OMEGA)}),
+    (
+        ilctools.measured_response,
+        {},
+        {"log": control.frd(L.frequency_response(OMEGA).T, OMEGA), "gain": None},
+    ),
     (ilctools.save_law, {}, {"path": LAW_FILE}),
     (ilctools.load_law, {}, {"path": LAW_FILE}),
     (ilctools.save_log, {}, {"trials": RECORD, "path": LOG_FILE}),
