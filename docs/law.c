@@ -1,9 +1,11 @@
 /* The next trial's signal in C99, for a target without Python: v_{k+1} = Q (v_k + L e_k), (23).
 
    It reads a file of ilctools.save_law and, from the standard input, a line for each sample of the
-   trial with v and e of all channels; it prints the next v, a line for each sample.
+   trial with v and e of all channels; it prints the next v, a line for each sample. Of a trial that
+   breaks off, or is no number somewhere, it prints nothing; how many samples a whole one has, only
+   who calls it knows, and may say.
 
-       cc -std=c99 -O2 -ffp-contract=off law.c -lm -o law  &&  ./law law.json < trial > next
+       cc -std=c99 -O2 -ffp-contract=off law.c -lm -o law  &&  ./law law.json 2500 < trial > next
 
    For `ends` "zero" and without limits, as save_law writes them by default. */
 #include <math.h>
@@ -48,7 +50,7 @@ static void look(const double *L, int order, int first, const double *in, double
 int main(int argc, char **argv)
 {
     static char text[1 << 24];
-    FILE *file = argc == 2 ? fopen(argv[1], "r") : NULL;
+    FILE *file = argc == 2 || argc == 3 ? fopen(argv[1], "r") : NULL;
     if (!file || !fread(text, 1, sizeof text - 1, file))
         return fprintf(stderr, "law: name a file of save_law\n"), 1;
     if (!strstr(text, "\"rodlib law 1\"") && !strstr(text, "\"rodlib law 2\""))
@@ -72,9 +74,16 @@ int main(int argc, char **argv)
         radius = fmax(radius, a2 > 0 ? sqrt(a2) : fabs(a1));
     }
     tail = (int)ceil(log(1e-18) / log(radius));
-    for (int i = 0; n + m <= SAMPLES && scanf("%lf", i < m ? &v[n + i] : &e[n + i - m]) == 1;)
+    int i = 0;
+    for (double x; n + m <= SAMPLES && scanf("%lf", &x) == 1 && isfinite(x);) {
+        *(i < m ? &v[n + i] : &e[n + i - m]) = x;
         if (++i == 2 * m) i = 0, n += m;
+    }
     n /= m;
+    if (i || !feof(stdin))
+        return fprintf(stderr, "law: line %d is no %d numbers, or beyond what fits\n", n + 1, 2 * m), 1;
+    if (!n || (argc == 3 && n != atoi(argv[2])))
+        return fprintf(stderr, "law: the trial has %d samples\n", n), 1;
     if (n + tail > 2 * SAMPLES) return fprintf(stderr, "law: the trial is too long\n"), 1;
 
     look(K, order, (int)first, e, heard, n, m);  /* L e, or B K e */

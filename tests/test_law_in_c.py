@@ -102,3 +102,24 @@ def test_a_format_that_it_does_not_know_it_refuses(program, tmp_path):
     path.write_text(path.read_text().replace("law 2", "law 3"))
     run = subprocess.run([program, path], input="1 2\n", capture_output=True, text=True)
     assert run.returncode and "format" in run.stderr
+
+
+@pytest.mark.parametrize(
+    ("trial", "samples", "message"),
+    [
+        ("1 2\n3 4\n5", (), "line 3 is no 2 numbers"),
+        ("1 2\n3 4x\n5 6\n", (), "line 3 is no 2 numbers"),
+        ("1 2\nnan 4\n", (), "line 2 is no 2 numbers"),
+        ("1 2\n3 4\n", ("3",), "the trial has 2 samples"),
+        ("", (), "the trial has 0 samples"),
+        ("1 2\n" * (1 << 17) + "1 2\n", (), "beyond what fits"),
+    ],
+)
+def test_a_broken_trial_is_refused(program, tmp_path, trial, samples, message):
+    """With an exit code, and without a v that a target might apply."""
+    save_law(tmp_path / "law.json", LAWS["one channel, slower"])
+    call = [program, tmp_path / "law.json", *samples]
+    run = subprocess.run(call, input=trial, capture_output=True, text=True)
+    assert run.returncode == 1 and message in run.stderr and not run.stdout
+    whole = subprocess.run([*call[:2], "2"], input="1 2\n3 4\n", capture_output=True, text=True)
+    assert whole.returncode == 0 and len(whole.stdout.splitlines()) == 2

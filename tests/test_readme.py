@@ -23,8 +23,11 @@ CODE = r"^```.*?^```$|^    [^\n]*$|`[^`]*`|(?<=\])\([^)]*\)|<!--.*?-->"  # and a
 def run(code, folder, monkeypatch):
     """The names that an example leaves, in a namespace of its own and an empty folder."""
     monkeypatch.chdir(folder)
+    plt.close("all")
     names = {"__name__": "__main__"}
-    exec(code, names)
+    with plt.rc_context():
+        plt.rcdefaults()  # whatever style earlier tests had
+        exec(code, names)
     plt.close("all")
     return names
 

@@ -121,7 +121,7 @@ def test_the_mean_over_the_band_is_that_of_many_frequencies():
     sigma, u = np.linalg.norm(M, 2, axis=(1, 2)), np.log(dense)
     mean = np.trapezoid(sigma, u) / (u[-1] - u[0])
     assert design.certificate.mean_M == pytest.approx(mean, abs=5e-5)
-    assert f"over the band: {mean:.4f}," in design.details
+    assert f"over the band: {mean:.4f}," in design.certificate.details
 
 
 def test_units_that_differ_are_a_hint_to_scale():

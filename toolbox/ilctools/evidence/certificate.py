@@ -46,6 +46,7 @@ COARSE = 0.25
 NAMED = 4  # of those that are tied as the worst, so many are named
 FINE = 2000  # frequencies of the mean over the band
 PASSED_L = 1.01  # times L_max, between the frequencies
+CHOSEN = "chosen: ", "L = B"  # how what is no assumption begins: in the details
 LEAD = 0.5  # of P's phase in the mean, rad, from which on its sign is taken to be wrong
 IDLE = 0.9  # share of the error in the band from which on learning counts as idle
 
@@ -267,11 +268,10 @@ class Certificate:
 
     def __repr__(self):
         lines = [f"rate at most {self.rate:.4f}{self._whom()}, {self._coverage()}", self._reached()]
-        if assumed := [text.removeprefix("assumed: ") for text in self.problem.assumed]:
-            lines.append(f"assumed: {'; '.join(assumed)}")
-        if self.predicted:
-            lines += self._mean()
-        return "\n".join([*lines, *_unusable(self.problem), *self._against()])
+        texts = [text for text in self.assumptions if not text.startswith(CHOSEN)]
+        lines += ["; ".join(texts).replace("; assumed: ", "; ")] if texts else []
+        lines += self._mean() if self.predicted else []
+        return "\n".join([*lines, *self._against()])
 
     @property
     def details(self) -> str:
@@ -393,9 +393,9 @@ def _unusable(problem: Problem) -> Iterator[str]:
     omega = problem.omega[problem.unusable]
     if omega.size:
         yield (
-            f"nothing can be learned at {omega.size} frequencies {_span(omega)}: the uncertainty "
-            "ball contains singular plants there, and M is |Q| or more, "
-            f"{np.abs(problem.Q[problem.unusable]).max():.4g} at most"
+            f"nothing can be learned at {omega.size} frequencies {_span(omega)}, where the "
+            "uncertainty ball contains singular plants; |Q|, below which sigma_max(M) cannot be, "
+            f"is up to {np.abs(problem.Q[problem.unusable]).max():.4g} there"
         )
 
 

@@ -91,7 +91,7 @@ class MeasuredResponse(Measured):
             f"P measured at {len(self.omega)} frequencies from {low:.4g} to {high:.4g} rad/s; at "
             f"all of them the truth is within the radius with confidence {confidence:g}",
             "assumed: between them P is not further from their spline than straight lines are; "
-            + ("P(0) = I" if self.anchored else f"nor between {-low:.4g} and {low:.4g} rad/s"),
+            + ("P(0) = I" if self.anchored else f"nor below {low:.4g} rad/s"),
         ]
         if beyond:
             lines.append(

@@ -84,11 +84,6 @@ class Synthesis:
         return self.problem.Ts
 
     @property
-    def details(self) -> str:
-        """All that is known, for print; ``print(design)`` is the short form."""
-        return self.certificate.details
-
-    @property
     def omega(self) -> np.ndarray:
         """The design frequencies, rad/s."""
         return self.problem.omega

@@ -61,7 +61,7 @@ def test_the_bound_holds_for_the_truth_if_it_is_within_the_radius(scale):
     choices["uncertainty"] = radius
     two_steps = synthesise(measured.P, Q, omega, loop.Ts, **choices)
     assert design.value == pytest.approx(two_steps.value, rel=1e-9)
-    assert "read off at 120 frequencies, with confidence 0.99" in design.details
+    assert "read off at 120 frequencies, with confidence 0.99" in str(design)
     assert "read off" not in str(two_steps)
 
 
