@@ -270,8 +270,7 @@ class Certificate:
         lines = [f"rate at most {self.rate:.4f}{self._whom()}, {self._coverage()}", self._reached()]
         texts = [text for text in self.assumptions if not text.startswith(CHOSEN)]
         lines += ["; ".join(texts).replace("; assumed: ", "; ")] if texts else []
-        lines += self._mean() if self.predicted else []
-        return "\n".join([*lines, *self._against()])
+        return "\n".join([*lines, *self._mean(), *self._against()])
 
     @property
     def details(self) -> str:
