@@ -105,13 +105,13 @@ def write_log(trials: xr.Dataset, path) -> None:
     head = "".join(f"# {key}: {value}\n" for key, value in metadata.items())
     titles = ",".join(map(_quoted, ["trial", "time", *chain(*columns.values())]))
     each = (
-        rows_of(number, time, [values[name].values[k] for name in columns])
+        rows_as_text(number, time, [values[name].values[k] for name in columns])
         for k, number in enumerate(numbers)
     )
     write_pieces(path, chain([f"{head}{titles}\n".encode()], *each))
 
 
-def rows_of(number: int, time, signals: Sequence[np.ndarray]) -> Iterator[bytes]:
+def rows_as_text(number: int, time, signals: Sequence[np.ndarray]) -> Iterator[bytes]:
     """The rows of a trial in a log, from its signals (time, channel), in pieces."""
     table = np.column_stack([time, *signals])
     for start in range(0, len(table), PIECE):
@@ -128,7 +128,7 @@ def signals_of(trials: xr.Dataset, *needed: str) -> dict[str, dict[str, str]]:
     if missing := sorted(needed - {*trials.variables}):
         raise ValueError(
             f"trials lack {missing}, which run_trials, record and load_log give; read_table those "
-            "whose columns it is told, as by reference and v"
+            "whose columns are named, as by reference and v"
         )
     signals = {}
     for role in roles:

@@ -16,7 +16,7 @@ from ilctools import arguments
 from ilctools.files import alone, append, regular
 from ilctools.law.io import BEGUN, KEYS, RESET
 from ilctools.law.limits import CUT_OFF, commands_beyond
-from ilctools.logs.format import columns_of, rows_of, signals_of, write_log
+from ilctools.logs.format import columns_of, rows_as_text, signals_of, write_log
 from ilctools.logs.reader import read_log
 from ilctools.rigs.controlled import ControlledRig
 from ilctools.rigs.protocol import RigError, StoppedError
@@ -114,7 +114,7 @@ class Experiment:
             k, breath = len(log.trial) - 1, BREATH * self.rig.goes_on
             trial = self.trials[k] | {"reference": self.reference[k]}
             names = columns_of(signals_of(log), log)
-            rows = rows_of(k + 1, log.time.values, [trial[name] for name in names])
+            rows = rows_as_text(k + 1, log.time.values, [trial[name] for name in names])
             append(path, (piece for piece in rows if time.sleep(breath) is None))
         else:
             write_log(log, path)

@@ -72,6 +72,14 @@ def test_disturbances_of_several_logs_have_one_unit():
     assert np.all(error(estimate, LAG) <= estimate.radius(0.99, jointly=True))
 
 
+def test_known_disturbances_that_rest_are_no_inputs():
+    d = np.stack([np.zeros(60), np.full(60, 3.0), np.sin(np.arange(60.0))], axis=1)[None]
+    log = moved(LAG, 60).assign(disturbance=(("trial", "time", "source"), d))
+    (group,) = Record.of(log).groups
+    assert group.u.shape == (1, 60, 2)
+    np.testing.assert_allclose(group.u[0, :, 1], d[0, :, 2] / d[0, :, 2].std())
+
+
 def test_a_known_delay_is_less_to_estimate():
     plant = control.ss(furnace(60))
     log = moved(plant, 400)
@@ -87,8 +95,8 @@ def test_a_known_delay_is_less_to_estimate():
 def test_a_known_gain_at_rest_makes_low_frequencies_certain():
     plant = control.ss(control.tf([0.02], [1, -0.98], 1.0))
     log = moved(plant, 300, noise=0.1)
-    told, untold = measured_response(log, gain=[[1.0]]), measured_response(log)
-    assert told.radius()[0] < 0.2 * untold.radius()[0]
-    assert np.all(error(told, plant) <= told.radius(0.99, jointly=True))
+    known, free = measured_response(log, gain=[[1.0]]), measured_response(log)
+    assert known.radius()[0] < 0.2 * free.radius()[0]
+    assert np.all(error(known, plant) <= known.radius(0.99, jointly=True))
     with pytest.raises(ValueError, match="gain"):
         measured_response(log, gain=[1.0, 2.0])

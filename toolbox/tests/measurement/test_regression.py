@@ -107,6 +107,22 @@ def test_the_covariance_of_P_is_that_of_coefficients_drawn_about_the_estimate():
     np.testing.assert_allclose(sampled, of_A, rtol=0.15, atol=0.02 * of_A.max())
 
 
+def test_the_covariance_is_that_of_draws_with_other_hyperparameters():
+    """About the estimate: of a normal distribution at each of the points."""
+    groups = [trials_of(1, N=40, noise=0.3)]
+    fit, rng = regression(groups, direct=True), np.random.default_rng(0)
+    best, S = module._polished(module._fitted(groups, True, np.zeros(2, int), None))
+    count, squares, size = best.data.count.sum(), [], module.HEAVY * len(S) ** 0.5
+    for eta in np.concatenate([best.eta + size * S, best.eta - size * S]):
+        at = module._posterior(np.clip(eta, -module.BOUND, module.BOUND), best.data)
+        z = np.linalg.solve(at.U, rng.standard_normal((len(at.U), 4000)))
+        x = at.mean[:, None] + at.size[:, None] * (at.rest / count) ** 0.5 * z
+        squares.append(np.mean((x - fit.mean[:, None]) ** 2, axis=1))
+    expected, B = np.mean(squares, axis=0), fit.data.layout.kind > 0
+    np.testing.assert_allclose(fit.C.diagonal()[B].sum(), expected[B].sum(), rtol=0.05)
+    np.testing.assert_allclose(fit.C.diagonal()[~B].sum(), expected[~B].sum(), rtol=0.05)
+
+
 def test_a_gain_at_rest_that_is_known_is_that_of_the_estimate():
     fit = regression([trials_of(1)], direct=True, gain=np.array([2.5, 5.0]))
     np.testing.assert_allclose(fit.response(np.zeros(1))[0], [2.5, 5.0], rtol=1e-3)

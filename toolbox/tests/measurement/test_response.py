@@ -86,6 +86,17 @@ def test_the_radius_is_that_of_the_ratio_of_normal_coefficients(monkeypatch):
         assert np.all((ratio > 0.7) & (ratio < 2.0)) and 0.9 < np.median(ratio) < 1.2
 
 
+@pytest.mark.parametrize("share", [0.01, 0.1, 0.3])
+def test_the_radius_of_a_ratio_is_exceeded_as_often_as_it_states(share, monkeypatch):
+    """(2), for one circular error and an A that is independent of it: by a million draws."""
+    monkeypatch.setattr(estimation, "FACTOR", 1.0)
+    moments = np.ones(1), np.full(1, 0.5**0.5), np.full((1, 2, 1), share / 2)
+    radius = measured_response(moved(LAG, 60))._radius_of(moments, np.zeros((1, 1, 1)), 0.99, False)
+    z = np.random.default_rng(0).standard_normal((4, 1_000_000)) / 2**0.5
+    beyond = np.hypot(*z[:2]) > radius * np.abs(1 + share**0.5 * (z[2] + 1j * z[3]))
+    assert np.mean(beyond) == pytest.approx(0.01, abs=5e-4)  # five standard deviations
+
+
 def test_another_log_contradicts_or_does_not():
     estimate = measured_response(moved(LAG, 300))
     same = estimate.check(moved(LAG, 300, seed=1))
