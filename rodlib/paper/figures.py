@@ -19,9 +19,10 @@ BLACK = {"color": "black"}
 GRAY = {"color": "0.55"}
 BLACK_DASHED = BLACK | {"linestyle": "--"}
 GRAY_DASHED = GRAY | {"linestyle": "--"}
-ACCENT = {"color": "tab:red"}  # for what the paper does not show
-# of channels
-SHADES = ("black", "0.55", "tab:red", "tab:blue", "tab:green", "tab:orange")
+# of channels: vermilion, blue, green and orange are Okabe and Ito's, whom colour-blind readers tell
+# apart (their palette, 2008)
+SHADES = ("black", "0.55", "#D55E00", "#0072B2", "#009E73", "#E69F00")
+ACCENT = {"color": SHADES[2]}  # for what the paper does not show
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from ilctools import arguments
 from ilctools.synthesis.result import Synthesis
 from ilctools.units import with_unit
+from rodlib.paper.figures import ACCENT, SHADES
 from rodlib.workbench.outcome import Outcome
 
 STYLE = [
@@ -24,10 +25,8 @@ STYLE = [
         "savefig.dpi": "figure",
     },
 ]
-BOUND = {"color": "tab:red", "linewidth": 1, "linestyle": "--"}
-ENTRIES = cycler(linestyle=["-", ":"]) * cycler(
-    color=["black", "tab:red", "tab:blue", "tab:green", "tab:orange"]
-)
+BOUND = ACCENT | {"linewidth": 1, "linestyle": "--"}
+ENTRIES = cycler(linestyle=["-", ":"]) * cycler(color=["black", *SHADES[2:]])
 
 
 @style.context(STYLE)
