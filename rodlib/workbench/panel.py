@@ -2,7 +2,7 @@
 
 import asyncio
 from html import escape
-from math import floor, log10
+from math import floor, isnan, log10
 
 import ipywidgets as widgets
 import numpy as np
@@ -17,7 +17,8 @@ PAUSE = 0.01  # s, in which further turns are awaited
 LEFT = {"flex": "1 1 320px", "min_width": "300px", "max_width": "400px"}
 RIGHT = {"flex": "2 1 440px", "min_width": "300px", "max_width": "800px"}
 RIGHT |= {"align_items": "flex-start", "padding": "0 0 0 12px"}
-LOOK = {"layout": {"width": "99%"}, "style": {"description_width": "120px"}}
+LOOK = {"layout": {"flex": "1 1 auto"}, "style": {"description_width": "120px"}}
+FOCUS = "<style>.noUi-handle:focus {outline: 2px solid #0072B2; outline-offset: 1px}</style>"
 
 
 class Panel:
@@ -34,10 +35,11 @@ class Panel:
         self.python = widgets.HTML(layout={"width": "98%"})
         self.target = widgets.Text("law.json", description="file", layout={"width": "300px"})
         self.save = widgets.Button(description="save Q and L", layout={"width": "auto"})
-        self.saved = widgets.HTML()
+        self.saved, self.misread = widgets.HTML(), widgets.HTML()
         row = {"flex_flow": "row wrap"}
         saving = widgets.Box([self.target, self.save, self.saved], layout=row)
-        left = widgets.VBox([*self.knobs.values()], layout=LEFT)
+        rows = [self._row(knob) for knob in self.knobs.values()]
+        left = widgets.VBox([*rows, self.misread, widgets.HTML(FOCUS)], layout=LEFT)
         right = widgets.VBox([self.image, self.certificate, self.python, saving], layout=RIGHT)
         self.widget = widgets.Box([left, right], layout=row)
         self.save.on_click(self._save)
@@ -49,6 +51,35 @@ class Panel:
     def settings(self) -> Settings:
         """The settings of the outcome."""
         return self.outcome.settings
+
+    def _row(self, knob):
+        """A knob, and beside a slider its number, to type: a comma is a point."""
+        if isinstance(knob, widgets.Dropdown):
+            return widgets.HBox([knob])
+        number = widgets.Text(continuous_update=False, layout={"width": "72px"})
+        kind = type(knob.value)
+
+        def show(change=None):
+            number.value = f"{_value(knob):.3g}"
+
+        def read(change):
+            if number.value == f"{_value(knob):.3g}":
+                return
+            self.misread.value, typed = "", number.value
+            try:
+                value = kind(typed.strip().replace(",", "."))
+                if isnan(value):
+                    raise ValueError(typed)
+                knob.value = value
+            except ValueError:
+                what = "number" if kind is float else "whole number"
+                self.misread.value = f"{knob.description}: {escape(repr(typed))} is no {what}"
+            show()
+
+        show()
+        knob.observe(show, "value")
+        number.observe(read, "value")
+        return widgets.HBox([knob, number])
 
     def _turn(self, change):
         """A knob was turned: update soon, with those that are turned until then."""
@@ -72,6 +103,7 @@ class Panel:
         self.certificate.value = _as_html("certificate", self.outcome.text)
         python = settings.python if feasible else ""
         self.python.value = _as_html("python", python, "user-select: all")
+        self.image.layout.display = None if feasible else "none"  # the text says why
         # Last: the lines beside a new picture are those that belong to it.
         self.image.value = png(self.outcome)
 
@@ -106,28 +138,27 @@ def knobs_of(settings: Settings) -> dict[str, widgets.DOMWidget]:
         "structure": widgets.Dropdown(
             options=["full", "diagonal"], value=settings.structure, description="structure", **LOOK
         ),
-        "low": _knob(widgets.FloatText, "band from (rad/s)", low),
-        "high": _knob(widgets.FloatText, "band to (rad/s)", high),
+        "low": _log_slider("band from (rad/s)", low, 5),
+        "high": _log_slider("band to (rad/s)", high),
         "uncertainty": _slider("uncertainty (%)", settings.uncertainty, 0, 20, 0.5),
         "noise": _slider(noise, settings.noise, 0, largest, largest / 100),
     }
 
 
 def _slider(name, value, low, high, step):
-    options = {"min": low, "max": high, "step": step, "readout_format": ".3g"}
-    return _knob(widgets.FloatSlider, name, value, **options)
+    return _knob(widgets.FloatSlider, name, value, min=low, max=high, step=step)
 
 
-def _log_slider(name, value):
-    """From a tenth of the value's decade to a hundred times."""
+def _log_slider(name, value, decades=3):
+    """From a tenth of the value's decade upwards."""
     low = floor(log10(value)) - 1
-    options = {"min": low, "max": low + 3, "step": 0.02, "readout_format": ".3g"}
-    return _knob(widgets.FloatLogSlider, name, value, **options)
+    return _knob(widgets.FloatLogSlider, name, value, min=low, max=low + decades, step=0.02)
 
 
 def _knob(kind, name, value, **options):
-    """A widget that changes when the slider is let go, or the number confirmed."""
-    return kind(value=value, description=name, continuous_update=False, **LOOK, **options)
+    """A slider whose value changes when it is let go."""
+    options |= LOOK | {"readout": False, "continuous_update": False}
+    return kind(value=value, description=name, **options)
 
 
 def _value(knob):

@@ -68,7 +68,7 @@ def plot(design: Synthesis | Outcome) -> Figure:
         return figure
     (rate, trials), (gain, lags) = figure.subplots(2, 2)
     figure.subplots_adjust(0.07, 0.09, 0.985, 0.89, wspace=0.2, hspace=0.45)
-    figure.text(0.07, 0.96, "red: bounds    dotted: mean rate in the band")
+    figure.text(0.07, 0.96, "dashed: bounds    dotted: mean rate in the band")
     _draw_singular_values(rate, gain, outcome.design)
     _draw_trials(trials, outcome)
     _draw_coefficients(lags, outcome.design)

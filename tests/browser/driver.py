@@ -52,7 +52,9 @@ class Reader:
     def knob(self, name):
         """The box of a widget, found by its label."""
         label = self.page.locator(".widget-label", has_text=re.compile(f"^{re.escape(name)}$"))
-        return self.page.locator(".widget-inline-hbox", has=label)
+        knob = self.page.locator(".widget-inline-hbox", has=label)
+        row = self.page.locator(".widget-hbox", has=knob)  # with the field beside a slider
+        return row if row.count() else knob
 
     def drag(self, name, share, release=True):
         """Take a slider's handle to a share of its track."""
@@ -68,7 +70,7 @@ class Reader:
 
     def type(self, name, text):
         """Type into a field, or into the number beside a slider, and confirm."""
-        field = self.knob(name).locator(".widget-readout, input").last
+        field = self.knob(name).locator("input").last
         field.click()
         self.page.keyboard.press("Control+a")
         self.page.keyboard.type(text)
@@ -80,7 +82,7 @@ class Reader:
 
     def read(self, name):
         """What stands beside a slider."""
-        return self.knob(name).locator(".widget-readout").inner_text()
+        return self.knob(name).locator("input").last.input_value()
 
     def after(self, action, *arguments):
         """Do something, and wait for the next picture; its bytes."""
@@ -111,7 +113,9 @@ class Reader:
     def show(self, width, height, path):
         """Make the window as large, and take a picture of it."""
         self.page.set_viewport_size({"width": width, "height": height})
-        self.page.locator(".widget-image").scroll_into_view_if_needed()
+        self.page.locator(
+            ".widget-image:visible, .workbench-certificate"
+        ).first.scroll_into_view_if_needed()
         self.page.wait_for_function(AT_REST)
         self.page.screenshot(path=path)
 
