@@ -27,6 +27,7 @@ from ilctools import (
     zero_phase_butterworth,
 )
 from ilctools.problem.defaults import lead
+from ilctools.problem.pose import pose
 
 TS = 1e-3
 MODEL = control.ss(control.sample_system(control.tf([1e4], [1, 40, 1e4]), TS))
@@ -58,6 +59,18 @@ def test_the_phase_of_causal_plants_is_no_finding(seed):
 def test_omega_in_another_unit_is_refused(unit, factor):
     with pytest.raises(ValueError, match=f"omega is in {unit}, multiply it by {factor:.6g}$"):
         synthesise(P, Q, OMEGA / factor)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_omega_in_Hz_is_refused_of_noisy_samples_too(seed):
+    """And a noisy table in rad/s that ends where one in Hz would is none."""
+    noise = 0.02 * np.random.default_rng(seed).standard_normal((2, len(P), 1, 1))
+    noisy = P * (1 + noise[0] + 1j * noise[1])
+    with pytest.raises(ValueError, match="as at the Nyquist frequency: omega is in Hz"):
+        synthesise(noisy, Q, OMEGA / (2 * np.pi))
+    omega = np.geomspace(1, 0.5 / TS, 300)
+    lag = frequency_response(control.ss(0.5, 0.5, 1, 0, TS), omega)
+    pose(lag * (1 + noise[0] + 1j * noise[1]), Q, omega)
 
 
 def test_a_stuck_sensor_makes_no_response():

@@ -101,6 +101,8 @@ def test_rms_is_the_papers_definition():
     expected = np.sqrt(sum(e[0, p] @ e[0, p] for p in range(50)) / 50)
     labelled = xr.DataArray(e, dims=("trial", "time", "channel"))
     assert rms(labelled).item() == pytest.approx(expected)
+    log = xr.Dataset({"reference": 2 * labelled[0], "y": labelled})
+    assert rms(log).item() == rms(labelled).item()
     with pytest.raises(ValueError, match="e has dimensions"):
         rms(labelled[:, :, 0])
 

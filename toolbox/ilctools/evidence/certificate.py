@@ -267,7 +267,8 @@ class Certificate:
         return f"sigma_max(M) above {last:.4g} rad/s, with the size of P assumed there"
 
     def __repr__(self):
-        lines = [f"rate at most {self.rate:.4f}{self._whom()}, {self._coverage()}", self._reached()]
+        rate = f"rate at most {self.rate:.4f}{self._whom()}, {self._coverage()}"
+        lines = [f"{rate}; largest near {self._near():.2g} rad/s", self._reached()]
         texts = [text for text in self.assumptions if not text.startswith(CHOSEN)]
         lines += ["; ".join(texts).replace("; assumed: ", "; ")] if texts else []
         return "\n".join([*lines, *self._mean(), *self._against()])
@@ -290,6 +291,11 @@ class Certificate:
         if self.problem.radius is not None:
             return f" for every plant within the radius{of}"
         return f" for each{of}" if of else ""
+
+    def _near(self):
+        """The lowest frequency at which M is within a percent of the rate."""
+        near = self.problem.omega[self.worst.sigma >= 0.99 * self.rate]
+        return near.min() if near.size else self.highest_peak.omega
 
     def _coverage(self):
         """At which frequencies the rate is known."""

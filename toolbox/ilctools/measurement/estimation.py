@@ -42,8 +42,8 @@ from ilctools.measurement.consistency import contradictions
 from ilctools.measurement.realisation import MOST, model_within
 from ilctools.measurement.record import Record
 from ilctools.measurement.regression import Regression, contrasts, records, regression
+from ilctools.problem.measured import CONFIDENCE, Measured
 from ilctools.problem.problem import largest_singular_values
-from ilctools.problem.responses import CONFIDENCE, Measured
 from ilctools.signals import check_match
 from ilctools.threads import on_one_thread
 
@@ -97,6 +97,11 @@ class EstimatedResponse(Measured):
     def loop(self) -> Loop:
         """From whose w to y it is; a ClosedLoop without P, if the record names none."""
         return self.record.loop
+
+    @property
+    def names(self) -> tuple[list[str], list[str]]:
+        """Of inputs and outputs."""
+        return self.record.inputs, self.record.outputs
 
     @property
     def of(self) -> str:
@@ -170,13 +175,6 @@ class EstimatedResponse(Measured):
         late = [min(d, n) for d in self.record.delay]
         ends = [np.pad(g[:, j, : n - d], ((0, 0), (d, 0))) for j, d in enumerate(late)]
         return np.stack(ends, axis=1)
-
-    def frd(self) -> control.FrequencyResponseData:
-        """The estimate at `omega`, with names and sampling period."""
-        return control.frd(
-            np.moveaxis(self.response, 0, -1), self.omega, self.loop.Ts, smooth=False, name="P",
-            inputs=self.record.inputs, outputs=self.record.outputs,
-        )  # fmt: skip
 
     def model(self) -> control.StateSpace:
         """The model of lowest order within the joint radius of 99 %, where P is identified.
@@ -266,37 +264,24 @@ class EstimatedResponse(Measured):
         return products[:, 0, lags + 1 :], products[:, 1:], float(ndtri(0.995) / np.sqrt(count))
 
     def plot(self):
-        """Draw |P| and its joint radius of 99 %, shaded where P is not identified, and residuals.
+        """Draw gain and phase of each entry of P, their joint region of 99 %, and residuals.
 
-        A row for each output: |P| from each input, then :meth:`residuals` with their band.
+        Two rows for each output: gain and phase, shaded gray where P is not identified; beside them
+        :meth:`residuals` with their band.
 
         Returns
         -------
         matplotlib.figure.Figure
         """
-        from matplotlib.figure import Figure
-
-        p, m = self.units.shape
-        figure = Figure(figsize=(3 * (m + 2), 2.4 * p), layout="constrained")
-        axes = figure.subplots(p, m + 2, squeeze=False)
-        radius, size = self.radius(CONFIDENCE, jointly=True), np.abs(self.response)
+        figure, axes = self._bode(columns=1)
         own, crossed, band = self.residuals()
         lags = np.arange(1, own.shape[1] + 1)
-        for (i, j), ax in np.ndenumerate(axes[:, :m]):
-            middle, floor = size[:, i, j], size[:, i, j].min() / 10
-            ax.fill_between(
-                self.omega, np.maximum(middle - radius, floor), middle + radius, alpha=0.3
-            )
-            ax.loglog(self.omega, middle)
-            ax.set_ylim(floor, 10 * size.max())
-            unknown = ax.get_xaxis_transform()
-            ax.fill_between(self.omega, 0, 1, ~self.known, color="0.9", transform=unknown)
-            ax.set(title=f"{self.record.inputs[j]} to {self.record.outputs[i]}", xlabel="rad/s")
-        for whiteness, response, one, others in zip(*axes[:, m:].T, own, crossed, strict=True):
+        pairs = axes.reshape(-1, 2)
+        for (whiteness, response), one, others in zip(pairs, own, crossed, strict=True):
             whiteness.plot(lags, one, ".")
             response.plot(np.arange(-lags[-1], lags[-1] + 1), others.T, ".")
-            whiteness.set(title="residuals, later residuals", xlabel="lag")
-            response.set(title="inputs, later residuals", xlabel="lag")
+            whiteness.set(title="residuals, later residuals", ylabel="correlation")
+            response.set(title="inputs, later residuals", xlabel="lag", ylabel="correlation")
             for ax in (whiteness, response):
                 ax.axhspan(-band, band, alpha=0.3)
         return figure

@@ -8,7 +8,7 @@ import numpy as np
 
 from ilctools import arguments
 from ilctools.loop.closed import ClosedLoop
-from ilctools.problem.responses import Measured, interpolated
+from ilctools.problem.measured import Measured, interpolated
 from ilctools.problem.roughness import scatter_warnings
 
 

@@ -4,16 +4,16 @@ import reprlib
 
 import control
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 from ilctools import arguments
 from ilctools.filters import ZeroPhaseButterworth
 from ilctools.loop.closed import Loop
 from ilctools.models import model_and_response, refuse_foreign
+from ilctools.problem.measured import CONFIDENCE, Measured
 from ilctools.problem.problem import Problem, largest_singular_values
+from ilctools.problem.roughness import scatter
 from ilctools.signals import Signals, check_match
 
-CONFIDENCE = 0.99  # in a measured response
 FREQUENCIES = 1000  # of a grid that is chosen, as of the paper's
 # of sigma_max(P) / |Q|: by how much P and its radius may be off a straight line between two design
 # frequencies, if more of them help; M is then off by as much, times sigma_max(Q P L)
@@ -24,77 +24,7 @@ DECADES = 3  # of it below the cut-off of Q, as in the paper: from 1e-4 to 0.1 r
 RIPPLE = 1.2  # of a low-pass filter without taper, applied twice: the largest sensible |Q|
 # relative: imaginary part that the rounding of a table may leave of a real response
 IMAGINARY = 1e-6
-
-
-class Measured:
-    """A response as known at some frequencies, and the region in which the truth lies.
-
-    A kind has `response` (n, m, m) at `omega` (n,), rad/s, the `loop` whose response it is, and
-    `findings`, which speak against it. It says what the doors here ask by ``_radius(confidence,
-    jointly)``, ``_on(omega, confidence)``, ``_basis(omega, confidence)`` and ``_scaled(scale)``.
-    """
-
-    findings = ()
-    continuous = False  # whether P is estimated at all frequencies, not at lines
-
-    def radius(self, confidence: float = 0.95, jointly: bool = False) -> np.ndarray:
-        """Radius of ||Delta||, the largest singular value, that covers the truth.
-
-        Parameters
-        ----------
-        confidence : float
-            Probability, between 0 and 1, that the truth lies within.
-        jointly : bool
-            Whether within all radii at once, rather than within each.
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            At `omega`.
-        """
-        return self._radius(probability(confidence), arguments.flag("jointly", jointly))
-
-    def on(self, omega, confidence: float = 0.95, scale=None) -> tuple[np.ndarray, np.ndarray]:
-        """Response and radius on other frequencies, for the synthesis.
-
-        Parameters
-        ----------
-        omega : array_like, shape (n,)
-            Frequencies, rad/s.
-        confidence : float
-            Probability that the truth lies within the radius at all frequencies that are known.
-        scale : array_like, shape (m,), optional
-            Units of the channels, of both response and radius; see :func:`ilctools.synthesise`.
-
-        Returns
-        -------
-        response : ndarray, shape (n, m, m), complex
-        radius : ndarray, shape (n,)
-            What is assumed between and beyond the frequencies measured, :meth:`basis` says.
-        """
-        omega, own = np.abs(arguments.row("omega", omega)), self
-        if scale is not None:
-            own = self._scaled(arguments.array("scale", scale, (self.response.shape[1],)))
-        return own._on(omega, probability(confidence))
-
-    def basis(self, omega, confidence: float = 0.95) -> tuple[str, ...]:
-        """What is known, and what :meth:`on` assumes beside it on `omega`; the findings last."""
-        lines = self._basis(arguments.row("omega", omega), probability(confidence))
-        return (*lines, *self.findings)
-
-    def __repr__(self):
-        return "\n".join(self.basis(self.omega))
-
-
-def probability(confidence) -> float:
-    """A confidence, that of a region."""
-    return arguments.number("confidence", confidence, "between 0 and 1", 0, 1)
-
-
-def interpolated(knots, P, at) -> tuple[np.ndarray, np.ndarray]:
-    """A cubic spline through P, (n, m, m), and by how much it differs from straight lines."""
-    spline, straight = (make_interp_spline(knots, P, k)(at) for k in (3, 1))
-    return spline, np.linalg.norm(spline - straight, 2, axis=(1, 2))
+SCATTERED = 4  # times the RMS by which the lines scatter, that noise may
 
 
 def on_one_grid(P, Q, omega=None, Ts=None, uncertainty=None, scale=None) -> Problem:
@@ -167,8 +97,9 @@ def _in_units(scale, models, responses):
 
 def _refuse_other_units(name, omega, responses, Ts):
     """Refuse frequencies in Hz or rad/sample: up to Nyquist's, where P is real, as z is -1."""
-    imaginary = np.abs(responses.imag).max(axis=(2, 3))
-    rounding = IMAGINARY * np.abs(responses).max()
+    imaginary, size = (np.abs(x).max(axis=(2, 3)) for x in (responses.imag, responses))
+    noise = np.array([scatter(omega, P) for P in responses]) * size[:, -1]
+    rounding = np.maximum(IMAGINARY * size.max(), SCATTERED * noise)
     real_at_last_only = (imaginary[:, -1] <= rounding) & (imaginary.max(1) > rounding)
     for end, what, unit in ((0.5 / Ts, "1 / (2 Ts)", "Hz"), (np.pi, "pi", "rad/sample")):
         here = abs(omega[-1] / end - 1) < IMAGINARY and abs(omega[-1] * Ts - np.pi) > IMAGINARY

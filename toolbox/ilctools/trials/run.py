@@ -297,11 +297,11 @@ def _unit(names, labels):
     return ", ".join(f"{name}: {label}" for name, label in zip(names, labels, strict=True))
 
 
-def rms(e: xr.DataArray) -> xr.DataArray:
+def rms(e: xr.DataArray | xr.Dataset) -> xr.DataArray:
     """RMS(e_k) of Section IV: root of the mean over time of e'e, summed over the channels.
 
-    `e` is a DataArray with the dimensions time and channel, such as that of a dataset of trials;
-    anything else, or a gap in it, raises a ValueError.
+    `e` is a DataArray with the dimensions time and channel, or a dataset of trials or a log with
+    reference and y, whose error it is; anything else, or a gap in it, raises a ValueError.
 
     See Also
     --------
@@ -316,6 +316,8 @@ def rms(e: xr.DataArray) -> xr.DataArray:
     >>> rms(e).values.round(4)
     array([1.4142, 1.4142])
     """
+    if isinstance(e, xr.Dataset) and {"reference", "y"} <= set(e):
+        e = e.reference - e.y
     arguments.instance("e", e, xr.DataArray)
     if not {"time", "channel"} <= set(e.dims):
         raise ValueError(f"e has dimensions {e.dims}, but must have 'time' and 'channel'")

@@ -60,8 +60,11 @@ def test_the_short_form_says_the_rate_for_which_plants_and_what_limits_it(good):
     """By the zeros of the loop P lags, see notebook 7."""
     assert good.failures == good.warnings == [] and "no diagonal filter" in good.details
     assert 10 < good.problem.delay < 20
+    M = convergence(good.problem.models[0], good.problem.butterworth, good.filter)
+    near = M.omega[M.sigma > 0.99 * good.all_M].min()  # on another grid
     expected = (
-        f"rate at most {good.all_M:.4f}, proven at all frequencies\n"
+        f"rate at most {good.all_M:.4f}, proven at all frequencies; "
+        f"largest near {near:.1g}[0-9]? rad/s\n"
         f"limited by M_max = 0.9, L_max = 50 .10 % more would lower the objective by "
         f"{good.relief / 10:.1%} at most., order = 10 .P lags by {good.problem.delay} samples "
         "at the cut-off., diagonal"
@@ -83,7 +86,7 @@ def test_the_short_form_of_several_plants_and_of_a_radius():
     assert high < rate == loose.check(P, omega).gamma
     expected = (
         f"rate at most {rate:.4f} for each of 3 plants, at all frequencies from 0.01 to 2 "
-        r"rad/s\nlimited by (L_max = 5 .*, )?order = 4[^\n]*\n"
+        r"rad/s; largest near 0.01 rad/s\nlimited by (L_max = 5 .*, )?order = 4[^\n]*\n"
         r"assumed: above 2 rad/s, [^\n]*; between"
     )
     assert re.match(expected, str(loose))
@@ -91,7 +94,7 @@ def test_the_short_form_of_several_plants_and_of_a_radius():
     sure = synthesise(MODELS[0], BUTTERWORTH, OMEGA, **asked)
     expected = (
         f"rate at most {sure.certificate.rate:.4f} for every plant within the radius, at all "
-        "frequencies from 0.001 to 3.142 rad/s\n"
+        "frequencies from 0.001 to 3.142 rad/s; largest near "
     )
     assert str(sure).startswith(expected) and "without" not in str(sure)
     assert "between omega, the radius is interpolated by straight lines, over log" in str(sure)
@@ -133,7 +136,7 @@ def test_a_certificate_fails_from_the_tolerance_on(good):
     """A gap of 1e-6, a bound on the grid passed by 1e-9, relative; M from one on anywhere."""
 
     def failures(sigma_M=0.9, all_M=0.9, **changes):
-        worst = replace(good.worst, sigma=np.array([sigma_M]))
+        worst = replace(good.worst, sigma=np.full(good.problem.omega.shape, sigma_M))
         peak = replace(good.peak, sigma=all_M, omega=0.25)
         changed = replace(good, worst=worst, exact=[peak], **changes)
         assert str(changed).count("FAILS: ") == len(changed.failures)

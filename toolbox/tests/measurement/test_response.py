@@ -5,11 +5,11 @@ import re
 import control
 import numpy as np
 import pytest
-from plants import furnace, stage, tanks
+from plants import RestartingModel, furnace, stage, tanks
 from scipy.signal import lfilter
 from test_record import LAG, error, log_of, moved
 
-from ilctools import measured_response
+from ilctools import ClosedLoop, measured_response, multisine, shake
 from ilctools.measurement import estimation
 from ilctools.measurement.realisation import model_within
 from ilctools.models import frequency_response, impulse_response
@@ -131,8 +131,39 @@ def test_a_loop_whose_reference_is_not_known_is_refused():
 def test_it_draws_itself():
     estimate = measured_response(moved(tanks()[:, 1:], 200, held=6))
     figure = estimate.plot()
-    assert len(figure.axes) == 3 * (3 + 2)
+    assert len(figure.axes) == 3 * 2 * (3 + 1)
     assert {"u0 to y0", "inputs, later residuals"} <= {ax.get_title() for ax in figure.axes}
+    figure.canvas.draw()
+
+
+@pytest.mark.parametrize("kind", ["table", "table without Ts", "shaken"])
+def test_any_measured_response_draws_itself_and_goes_to_python_control(kind):
+    """The band contains the truth, which python-control draws likewise."""
+    if kind == "shaken":
+        plant, loop = LAG, ClosedLoop(LAG, outputs=["x"])
+        shaking = multisine(loop, lowest=0.05, highest=2.0, amplitude=1.0, hours=0.5)
+        measured = measured_response(shake(RestartingModel(LAG), loop, shaking))
+    else:
+        plant, omega = tanks()[:, 1:], np.geomspace(1e-2, 1.5, 30)
+        data = np.moveaxis(frequency_response(plant, omega), 0, 2)
+        table = control.frd(data, omega, True if kind.endswith("Ts") else plant.dt, smooth=False)
+        measured = measured_response(table, uncertainty=np.full(30, 0.05))
+    table, truth = measured.frd(), frequency_response(plant, measured.omega)
+    np.testing.assert_array_equal(np.moveaxis(table.frdata, -1, 0), measured.response)
+    assert table.dt == (True if kind.endswith("Ts") else plant.dt)
+    figure, (p, m) = measured.plot(), truth.shape[1:]
+    axes = np.array(figure.axes).reshape(2 * p, m)
+    for i, j in np.ndindex(p, m):
+        gain, phase = (axes[2 * i + k, j] for k in (0, 1))
+        assert gain.get_title() == f"{table.input_labels[j]} to {table.output_labels[i]}"
+        for ax, true in ((gain, np.abs(truth)), (phase, np.degrees(np.angle(truth)))):
+            outline = ax.collections[0].get_paths()[0]
+            points = np.column_stack([measured.omega, true[:, i, j]])[1:-1]
+            turns = 360 * np.arange(-2, 3) if ax is phase else [0]
+            inside = [
+                outline.contains_points(np.add(points, (0, turn)), radius=1e-9) for turn in turns
+            ]
+            assert np.all(np.any(inside, axis=0))
     figure.canvas.draw()
 
 

@@ -5,7 +5,8 @@ import numpy as np
 
 from ilctools import ClosedLoop, synthesise, zero_phase_butterworth
 from ilctools.models import frequency_response
-from ilctools.problem.responses import FREQUENCIES, Measured
+from ilctools.problem.measured import Measured
+from ilctools.problem.responses import FREQUENCIES
 
 Ts, RADIUS = 0.01, 1e-4
 

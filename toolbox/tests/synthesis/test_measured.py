@@ -8,9 +8,9 @@ from paper import paper_choices, paper_loop
 from plants import tanks
 
 from ilctools import InfeasibleError, current_trial_loop, synthesise, zero_phase_butterworth
+from ilctools.problem.measured import Measured
 from ilctools.problem.pose import pose
 from ilctools.problem.problem import convergence_matrix, largest_singular_values
-from ilctools.problem.responses import Measured
 
 CONFIDENCE = 0.99
 
