@@ -358,6 +358,8 @@ def counted(kind):
     numbers = [f"{mean.known:.0%}", f"{median.radius:.2g}", f"{median.seconds:.2g}"]
     if kind in CURVED:
         shares = [""] * 3
+    if total.refused == RECORDS:  # there is no estimate
+        shares, numbers = [""] * 3, [""] * 3
     counts = [total.refused, total.warned, total.silent]
     filters = f"{total.feasible:g}, {total.kept:g}" if kind in RESONANT else ""
     return [kind, f"{RECORDS}", *shares, *numbers, *map("{:g}".format, counts), filters]

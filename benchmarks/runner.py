@@ -39,6 +39,7 @@ def publish(section, text):
     """Print a text, and make it a section of figures/performance.md."""
     print(text)
     page = ROOT / "figures" / "performance.md"
+    text = text.rstrip("\n") + "\n"  # or the marker would end the last row of a table
     write_whole(page, splice(page.read_text(encoding="utf-8"), section, text))
 
 

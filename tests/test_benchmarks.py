@@ -1,7 +1,11 @@
 """The benchmarks are not timed here; that they can be run, and what is made of them, is tested."""
 
 import ast
+import json
+import os
+import subprocess
 import sys
+from functools import cache
 
 import nbformat
 import numpy as np
@@ -49,9 +53,148 @@ def test_a_section_is_replaced_and_nothing_else(benchmarks, monkeypatch, tmp_pat
     page.write_text("one\n<!-- survey -->\nold\n<!-- end of survey -->\ntwo\n")
     monkeypatch.setattr(runner, "ROOT", tmp_path)
     runner.publish("survey", runner.table(["kind", "off"], [["motor", "1"]]))
+    assert "<!-- end of survey -->" in page.read_text().splitlines()  # not in the last row
     lines = page.read_text().splitlines()
     assert lines[0] == "one" and lines[-1] == "two" and "old" not in lines
     assert lines[2:4] == ["| kind | off |", "| --- | ---: |"] and "| motor | 1 |" in lines[4]
+
+
+class Timed:
+    """In the place of pytest-benchmark's fixture: each function is called once."""
+
+    def __init__(self):
+        self.entries = []
+
+    def pedantic(self, function, arguments, keywords, rounds):
+        function(*arguments, **keywords)
+        self.entries.append({
+            "group": self.group,
+            "extra_info": self.extra_info,
+            "stats": {"min": 1.0 if self.extra_info["x"] == "structured" else 2.0},
+        })  # fmt: skip
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_each_way_of_make_bench_runs_and_has_a_row(benchmarks, monkeypatch, tmp_path):
+    import bench_synthesis
+    import report
+
+    timed, said = Timed(), {}
+    monkeypatch.setattr(bench_synthesis, "peak_memory", lambda *arguments, **keywords: 10.0)
+    for method in bench_synthesis.METHODS:
+        timed.extra_info = {}
+        bench_synthesis.test_against_cvxpy(timed, 12, method, "diagonal")
+    path = tmp_path / "benchmark.json"
+    machine = {"machine": "a machine", "python_version": "3", "cpu": {}}
+    path.write_text(json.dumps({"benchmarks": timed.entries, "machine_info": machine}))
+    monkeypatch.setattr(report, "publish", said.__setitem__)
+    report.main(path)
+    rows = said["performance"].split("\n\n")[0].splitlines()
+    assert rows[2] == "| diagonal | 12 | structured | 1.00 | 1 | 10 |"
+    assert len(rows) == 2 + len(bench_synthesis.METHODS) and "a machine" in said["performance"]
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_what_is_timed_solves_the_same_problem(benchmarks):
+    import bench_synthesis
+
+    problem = bench_synthesis.paper_problem(250)  # with fewer, ours adds some in between
+    ours = bench_synthesis.structured(*problem, structure="full")
+    _, value = bench_synthesis.by_cvxpy(*problem, "full")
+    assert ours.value == pytest.approx(value, rel=1e-4)  # of Clarabel, "almost solved"
+    assert bench_synthesis.for_rods(3, 30).certificate.grid_M <= 0.99 * (1 + 1e-6)
+
+
+def test_make_bench_runs_and_measures_memory(tmp_path):
+    """As it stands in the Makefile, but for the file, and one case of all."""
+    pytest.importorskip("pytest_benchmark")
+    path = tmp_path / "benchmark.json"
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    command = makefile.split("$(BIN)/pytest -q benchmarks/bench_*.py ")[1].split("$(BIN)")[0]
+    options = command.replace("\\\n", " ").replace("build/benchmark.json", str(path)).split()
+    chosen = ["-k", "structured and diagonal and 250", "-p", "no:cacheprovider"]
+    which = [str(FOLDER / "bench_synthesis.py"), *chosen, *options]
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    run = [sys.executable, "-m", "pytest", "-q", *which]
+    subprocess.run(run, cwd=ROOT, env=environment, check=True, capture_output=True)
+    (entry,) = json.loads(path.read_text())["benchmarks"]
+    assert entry["group"] == "diagonal, 250" and entry["extra_info"]["x"] == "structured"
+    assert 1 < entry["extra_info"]["memory"] < 500 and 0 < entry["stats"]["min"] < 60
+
+
+def test_make_measure_lists_what_there_is(benchmarks):
+    import runner
+
+    listed = {line.split("WHAT=")[1].split()[0] for line in runner.listed().splitlines()}
+    others = {"bench_synthesis", "kinds", "report", "runner", "unseen"}
+    assert listed == {path.stem for path in FOLDER.glob("*.py")} - others
+    assert list(runner.run(divmod, [(7, 2), (9, 4)])) == [(3, 1), (2, 1)]
+
+
+def test_the_survey_counts_how_problems_end(benchmarks, monkeypatch, capsys):
+    """Of five, one is infeasible, and CVXPY says the same."""
+    import survey
+
+    said = {}
+    monkeypatch.setattr(survey, "run", lambda function, _: map(function, (4, 11, 12, 44, 338)))
+    monkeypatch.setattr(survey, "publish", said.__setitem__)
+    assert not survey.main()
+    counts = "5 problems: 4 end with a certified filter, 1 are infeasible, 0 fail."
+    assert said["survey"].startswith(counts)
+    assert "M_max of 1 of the 1 infeasible ones" in said["survey"]
+    assert "of the 3 that are certified and have one plant: 3 end" in said["survey"]
+    monkeypatch.setattr(survey, "synthesise", lambda *arguments, **options: 1 / 0)
+    assert survey.outcome(4)["end"].startswith("ZeroDivisionError")
+
+
+def test_regions_are_counted(benchmarks, monkeypatch):
+    """A kind that is known, one with filters, and one that is refused."""
+    import regions
+
+    monkeypatch.setattr(regions, "RECORDS", 2)
+    row = regions.counted("resonance, noise")
+    assert len(row) == len(regions.TITLES) and row[-1] == "2, 2" and row[3:5] == ["100.0%"] * 2
+    row = regions.counted("a loop without its reference")
+    assert row[2:8] == [""] * 6 and row[8:10] == ["2", "2"]
+
+
+def test_constants_are_halved_doubled_and_put_back(benchmarks, monkeypatch):
+    """JOINT is a factor of the radius."""
+    import constants
+
+    monkeypatch.setattr(constants, "RECORDS", 1)
+    monkeypatch.setattr(constants, "CHOSEN", ("steps",))
+    ((radius, off),), ((wide, less),) = constants.changed("WIDE", 1), constants.changed("JOINT", 2)
+    np.testing.assert_allclose([wide, less], [2 * radius, off / 2])
+    assert constants.estimation.JOINT == 1.3
+    for name, module in constants.CONSTANTS.items():
+        assert hasattr(module, name)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_how_often_radii_hold_the_truth_is_counted(benchmarks, monkeypatch, capsys):
+    """With half an hour of shaking instead of six, two seeds; and with radii that hold nothing."""
+    import confidence
+
+    short = confidence.multisine(confidence.LOOP, 0.03, 0.3, 5.0, 0.5, lines=6)
+    monkeypatch.setattr(confidence, "EXCITATION", short)
+    monkeypatch.setattr(confidence, "measured", cache(confidence.measured))
+    monkeypatch.setattr(confidence, "SEEDS", 2)
+    monkeypatch.setattr(confidence, "run", lambda function, seeds: map(function, seeds))
+    confidence.main()
+    assert "99%: 100.00% +- 0.00% of 2 seeds" in capsys.readouterr().out
+    own = confidence.response_and_radii
+    monkeypatch.setattr(confidence, "response_and_radii", lambda seed: (own(seed)[0], [0, 0, 0]))
+    confidence.main()
+    assert "99%: 0.00% +- 0.00%" in capsys.readouterr().out
+
+
+def test_intervals_of_a_heat_balance_are_counted(benchmarks, monkeypatch):
+    import heat_balance
+
+    monkeypatch.setattr(heat_balance, "SEEDS", 2)
+    table = heat_balance.main()
+    assert table.shape == (4, 5) and table.values.mean() > 0.7  # 95 % in all
 
 
 def test_two_other_settings_of_parameters_that_each_notebook_has(benchmarks):

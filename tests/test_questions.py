@@ -17,7 +17,8 @@ def test_the_lines_run_one_after_the_other(tmp_path, monkeypatch, capsys):
         exec(block, names)
     plt.close("all")
     said = capsys.readouterr().out
-    shown = r"rate ([\d.]+)", r"([\d.e-]+) µm in"
+    assert "for every plant within the radius" in said.splitlines()[0]  # of the table in a file
+    shown = r"rate ([\d.e-]+),", r"([\d.e-]+) µm in"
     rates, left = ([*map(float, re.findall(what, said))] for what in shown)
     assert len(rates) == 3 and rates == sorted(rates) and rates[-1] < 1
     assert left == sorted(left, reverse=True)  # the fastest, not the one of least peak
@@ -25,7 +26,7 @@ def test_the_lines_run_one_after_the_other(tmp_path, monkeypatch, capsys):
     transferred, from_zero = map(float, re.findall(r"([\d.e-]+) µm, and ([\d.]+)", said)[0])
     assert transferred < 0.2 * from_zero
     assert "commands up to 17.00 mm" in said
-    of_one, of_both = re.findall(r"([\d.]+) as designed, ([\d.]+) on the softer", said)
+    of_one, of_both = re.findall(r"([\d.e-]+) as designed, ([\d.]+) on the softer", said)
     assert float(of_one[0]) < 0.5 and float(of_one[1]) > 1 > float(of_both[1])
     whole, part = map(float, re.findall(r"v has ([\d.]+) µm", said))
     assert part < 0.6 * whole
@@ -34,4 +35,4 @@ def test_the_lines_run_one_after_the_other(tmp_path, monkeypatch, capsys):
 def test_each_question_has_an_answer():
     """In lines that run; one block is for all, five answers are words."""
     questions = re.findall(r"^## .*\?$", TEXT, flags=re.MULTILINE)
-    assert len(questions) == 14 and len(BLOCKS) == 10
+    assert len(questions) == 15 and len(BLOCKS) == 11

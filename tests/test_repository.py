@@ -247,3 +247,17 @@ def test_the_toolbox_knows_nothing_of_the_rod():
     for path in (ROOT / "toolbox").rglob("*.py"):
         text = re.sub(r'"rodlib (?:trial log [23]|law [12])"', "", path.read_text(encoding="utf-8"))
         assert "rodlib" not in text, path
+
+
+def test_rooms_of_the_toolbox_import_from_those_above_them():
+    """In the order of the table of CONTRIBUTING, which names them all."""
+    package = ROOT / "toolbox" / "ilctools"
+    table = re.findall(r"^\| ([a-z/, ]+) \| ", text("CONTRIBUTING.md"), re.MULTILINE)
+    rooms = [name.strip(" /") for row in table[1:] for name in row.split(",")]
+    within = {path.stem for path in package.iterdir() if not path.stem.startswith("_")}
+    assert {*rooms} == within - {"errors", "py"}  # errors lists what others raise
+    for path in package.rglob("*.py"):
+        own = path.relative_to(package).parts[0].removesuffix(".py")
+        for name in re.findall(r"^ *from ilctools\.(\w+)", path.read_text("utf-8"), re.MULTILINE):
+            above = own in ("__init__", "errors") or rooms.index(name) <= rooms.index(own)
+            assert above, f"{path} imports {name}"
