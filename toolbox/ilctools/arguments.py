@@ -207,6 +207,8 @@ def _check_shape(name, sizes, shape):
     words += "," if len(shape) == 1 else ""
     if len(trailing) == len(sizes) > 1 and _fits(sizes[-1:] + sizes[:-1], wanted):
         hint = f": its last axis belongs first, as in np.moveaxis({name}, -1, 0)"
+    elif _fits(sizes + (more := (1,) * (len(wanted) - len(sizes))), wanted):
+        hint = f": of one channel, pass {name}.reshape({sizes + more})"
     raise ValueError(f"{name} has shape {sizes}, but must have shape ({words}){hint}")
 
 

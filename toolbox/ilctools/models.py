@@ -283,6 +283,11 @@ def sampled_plant(
 ) -> control.StateSpace:
     """A plant in discrete time as a state-space model; realises a transfer function."""
     refuse_foreign(name, plant)
+    if isinstance(plant, control.FrequencyResponseData):
+        raise ValueError(
+            f"{name} is a table of a frequency response, and nothing can be simulated with it: "
+            "ClosedLoop(Ts=..., outputs=[...]) needs no P, synthesise takes the table"
+        )
     if not isinstance(plant, control.TransferFunction):
         arguments.state_space(name, plant)
     if not (plant.isdtime(strict=True) and plant.dt is not True):

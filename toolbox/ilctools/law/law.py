@@ -2,7 +2,7 @@
 
 import reprlib
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -95,7 +95,7 @@ class Law:
     gain: float = 1.0
     limits: dict[str, tuple[float, ...]] | None = None
     loop: Loop | None = None
-    region: Region | None = None
+    region: Region | None = field(default=None, repr=False)
 
     def __post_init__(self):
         if not isinstance(self.Q, ZeroPhaseButterworth):

@@ -101,6 +101,15 @@ def test_a_continuous_plant_names_what_samples_it(name, call):
     assert remedy in str(error.value)
 
 
+def test_a_table_makes_no_loop_and_a_law_is_printed_without_its_region():
+    with pytest.raises(ValueError, match=r"P is a table .* ClosedLoop\(Ts=..., outputs=\[...\]\)"):
+        ClosedLoop(P)
+    measured = measured_response(P, uncertainty=np.full(len(P.omega), 0.01))
+    with warnings.catch_warnings(action="ignore"):
+        law = synthesise(measured, Q, order=3).law()
+    assert law.region is not None and len(repr(law)) < 500
+
+
 LAST = "its last axis belongs first, as in np.moveaxis({}, -1, 0)"
 ROWS = np.ones((2, 30))
 SIGNALS = {
@@ -121,7 +130,7 @@ def test_arrays_laid_out_as_theirs_are_refused_with_the_remedy(name):
 
 def test_their_squeezed_response_of_one_channel_is_refused():
     squeezed = ONE(np.exp(1j * OMEGA))
-    with pytest.raises(ValueError, match="P has shape"):
+    with pytest.raises(ValueError, match=r"P has shape .* pass P\.reshape\(\(\d+, 1, 1\)\)$"):
         synthesise(squeezed, Q, OMEGA)
     with warnings.catch_warnings(action="ignore"):
         design = synthesise(squeezed[:, None, None], Q, OMEGA, order=3)
