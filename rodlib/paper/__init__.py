@@ -6,8 +6,8 @@ What a notebook needs of it comes from here; a name is imported when it is first
 from ilctools import lazily
 
 MODULES = {
-    "figures": """ACCENT BLACK BLACK_DASHED GRAY GRAY_DASHED SHADES TALL WIDE plain
-        save""",
+    "figures": """ACCENT BLACK BLACK_DASHED GRAY GRAY_DASHED LOOKS MARK SHADES TALL WIDE
+        plain save""",
     "ledger": "Ledger",
     "parameters": "checked",
     "plant": "plant_of_rod",

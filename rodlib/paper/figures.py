@@ -23,6 +23,16 @@ GRAY_DASHED = GRAY | {"linestyle": "--"}
 # apart (their palette, 2008)
 SHADES = ("black", "0.55", "#D55E00", "#0072B2", "#009E73", "#E69F00")
 ACCENT = {"color": SHADES[2]}  # for what the paper does not show
+MARK = ACCENT | {"linestyle": ":", "linewidth": 1}  # of bounds, cut-offs, ends of a band
+# of designs, the same in all notebooks; (39) as in the paper's Figs. 6 and 11
+LOOKS = {
+    "(39), diagonal": BLACK,
+    "(39), non-diagonal": GRAY_DASHED,
+    "(45), least gain": {"color": SHADES[3]},
+    "(45), least sum": ACCENT | {"linestyle": "-."},
+    "(45) with (46)": {"color": SHADES[3], "linestyle": "--"},
+    "no ILC": GRAY,
+}
 
 
 @dataclass(frozen=True)
