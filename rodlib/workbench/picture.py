@@ -26,7 +26,9 @@ STYLE = [
     },
 ]
 BOUND = ACCENT | {"linewidth": 1, "linestyle": "--"}
-ENTRIES = cycler(linestyle=["-", ":"]) * cycler(color=["black", *SHADES[2:]])
+ENTRIES = cycler(linestyle=["-", ":"]) * (
+    cycler(color=["black", *SHADES[2:]]) + cycler(marker=["o", "x", "s", "^", "v"])
+)
 
 
 @style.context(STYLE)
@@ -68,7 +70,7 @@ def plot(design: Synthesis | Outcome) -> Figure:
         return figure
     (rate, trials), (gain, lags) = figure.subplots(2, 2)
     figure.subplots_adjust(0.07, 0.09, 0.985, 0.89, wspace=0.2, hspace=0.45)
-    figure.text(0.07, 0.96, "red: bounds    dotted: mean rate in the band")
+    figure.text(0.07, 0.96, "dashed: bounds    dotted: mean rate in the band")
     _draw_singular_values(rate, gain, outcome.design)
     _draw_trials(trials, outcome)
     _draw_coefficients(lags, outcome.design)
@@ -118,7 +120,7 @@ def _draw_coefficients(axes, design):
     axes.set_prop_cycle(ENTRIES)
     for i, j in entries if design.problem.structure == "full" else entries[:m]:
         label = f"$L_{{{i + 1}{j + 1}}}$"
-        axes.plot(np.arange(1, order + 1), coefficients[i, j], marker=".", label=label)
+        axes.plot(np.arange(1, order + 1), coefficients[i, j], markersize=4, label=label)
     axes.set(title="coefficients of $L$", xlabel="samples ahead")
     # Not halves: with ten coefficients a marker would fall between two pixels, and rounding
     # would decide into which of them.
