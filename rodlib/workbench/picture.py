@@ -26,7 +26,9 @@ STYLE = [
     },
 ]
 BOUND = ACCENT | {"linewidth": 1, "linestyle": "--"}
-ENTRIES = cycler(linestyle=["-", ":"]) * cycler(color=["black", *SHADES[2:]])
+ENTRIES = cycler(linestyle=["-", ":"]) * (
+    cycler(color=["black", *SHADES[2:]]) + cycler(marker=["o", "x", "s", "^", "v"])
+)
 
 
 @style.context(STYLE)
@@ -118,7 +120,7 @@ def _draw_coefficients(axes, design):
     axes.set_prop_cycle(ENTRIES)
     for i, j in entries if design.problem.structure == "full" else entries[:m]:
         label = f"$L_{{{i + 1}{j + 1}}}$"
-        axes.plot(np.arange(1, order + 1), coefficients[i, j], marker=".", label=label)
+        axes.plot(np.arange(1, order + 1), coefficients[i, j], markersize=4, label=label)
     axes.set(title="coefficients of $L$", xlabel="samples ahead")
     # Not halves: with ten coefficients a marker would fall between two pixels, and rounding
     # would decide into which of them.
