@@ -16,6 +16,7 @@ import control
 import numpy as np
 
 CIRCLE = 1 - 1e-12  # modulus from which on a pole counts as on the unit circle: rounding of poles
+LATE = 1e-3  # of Ts: by how much times may be rounded
 ROLES = ("output", "control", "source")  # coordinates that name the signals of a DataArray
 
 
@@ -133,8 +134,16 @@ def labelled_as(value, signal, names):
     return value.copy(data=signal.reshape(value.shape))
 
 
-def each_trial(name, signal, trials, samples, names):
+def each_trial(name, signal, trials, samples, names, Ts):
     """A signal of all trials, or of each, with the trial as the first axis."""
+    times = getattr(signal, "index" if hasattr(signal, "columns") else "time", None)
+    if times is not None and np.asarray(times).dtype.kind == "f":  # whole numbers count samples
+        steps = np.diff(times)
+        if not np.allclose(steps, Ts, rtol=0, atol=LATE * Ts):
+            raise ValueError(
+                f"{name} has times with steps from {steps.min():.6g} to {steps.max():.6g} s, but "
+                f"Ts is {Ts:.6g} s: resample it"
+            )
     signal = in_columns(name, signal, (...,), names)
     shape = (samples, len(names))
     if signal.ndim > 2:

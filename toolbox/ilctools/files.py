@@ -88,6 +88,9 @@ def replacing(path: Path) -> Iterator[Path]:
     try:
         yield temporary
         os.replace(temporary, path)
+    except OSError as error:  # of the name that was asked for
+        error.filename = str(path) if error.filename == str(temporary) else error.filename
+        raise
     finally:
         temporary.unlink(missing_ok=True)
 

@@ -7,8 +7,6 @@ import numpy as np
 
 from ilctools import arguments
 
-LATE = 1e-3  # of Ts: by how much the times in a table may be rounded
-
 
 @dataclass(frozen=True)
 class Signals:
@@ -47,7 +45,7 @@ def period_of(trials) -> float:
     """Sampling period of trials, s, which their time must not contradict."""
     Ts = arguments.sampling_period("trials.attrs['Ts']", trials.attrs.get("Ts"))
     steps = np.diff(trials.time.values) if "time" in trials.coords else np.empty(0)
-    if not np.allclose(steps, Ts, rtol=0, atol=LATE * Ts):
+    if not np.allclose(steps, Ts, rtol=0, atol=arguments.LATE * Ts):
         raise ValueError(
             f"trials.time has steps from {steps.min():.6g} to {steps.max():.6g} s, but "
             f"trials.attrs['Ts'] is {Ts:.6g} s: correct the one that is wrong"

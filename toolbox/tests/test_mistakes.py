@@ -6,19 +6,24 @@ import warnings
 
 import control
 import numpy as np
+import pandas as pd
 import pytest
+import xarray as xr
 from plants import LOOPS, RestartingModel, bump, random_stable, tanks
 
 from ilctools import (
     ClosedLoop,
     Law,
     LearningFilter,
+    convergence,
     frequency_response,
     measured_response,
     multisine,
     record,
     replay,
+    rms,
     run_trials,
+    save_law,
     shake,
     state_sequence,
     synthesise,
@@ -26,6 +31,7 @@ from ilctools import (
     unreachable_modes,
     zero_phase_butterworth,
 )
+from ilctools.loop.notes import loop_note
 from ilctools.problem.defaults import lead
 from ilctools.problem.pose import pose
 
@@ -197,3 +203,41 @@ EYE, ONES = np.eye(2), np.ones((4, 1))
 def test_an_error_says_what_is_wrong_with_the_argument(words, call):
     with pytest.raises(ValueError, match=words):
         call()
+
+
+def test_a_reference_with_times_of_another_period_is_refused():
+    times = np.arange(60) * 0.5
+    table = pd.DataFrame({"x": bump(60, [1.0])[:, 0]}, index=times)
+    labelled = xr.DataArray(table, dims=("time", "output"), coords={"time": times})
+    for reference in (table, labelled):
+        with pytest.raises(ValueError, match=r"reference has times .* 0\.5 s, but Ts is 1 s"):
+            run_trials(LOOP, LAW, reference)
+        with pytest.raises(ValueError, match="resample it"):
+            record(RestartingModel(LAG), LOOP, LAW, reference, trials=1)
+    run_trials(LOOP, LAW, table.reset_index(drop=True))  # numbers of samples, not times
+    run_trials(LOOP, LAW, table.set_axis(2 * times))
+
+
+def test_a_convergence_on_omega_in_Hz_is_refused_too():
+    with pytest.raises(ValueError, match="omega is in Hz"):
+        convergence(P, Q, LearningFilter([[[0.3]]], TS), OMEGA / (2 * np.pi))
+
+
+def test_rms_of_a_record_without_reference_says_what_it_lacks():
+    with pytest.raises(
+        ValueError, match=r"e has no reference and y, but \['y'\]: pass one of them"
+    ):
+        rms(xr.Dataset({"y": (("time", "channel"), np.ones((9, 1)))}))
+
+
+def test_a_loop_that_does_not_explain_its_log_is_named():
+    log = run_trials(LOOP, LAW, bump(60, [1.0]))
+    assert "WARNING" not in repr(replay(log))
+    wrong = ClosedLoop(control.ss(0.95, 0.02, 1, 0, 1.0, inputs=["w"], outputs=["x"]))
+    log.attrs |= {"loop": loop_note(wrong)}
+    assert re.search(r"WARNING: the loop explains [-\d.]+ % of the motion of x", repr(replay(log)))
+
+
+def test_a_file_that_cannot_be_written_is_called_by_its_name(tmp_path):
+    with pytest.raises(FileNotFoundError, match=re.escape(str(tmp_path / "no" / "law.json"))):
+        save_law(tmp_path / "no" / "law.json", LAW)

@@ -34,6 +34,7 @@ from ilctools.trials.run import rms, run_trials
 from ilctools.units import by_unit, with_unit
 
 DIGITS = 1e-5  # of the largest v of an output: logs may hold few digits of it
+EXPLAINED = 50.0  # %, of a fit below which another loop is the likelier one
 ROUNDING = 1e-9  # of reference and y, in their difference
 UNSTABLE = 1 + 1e-9  # modulus of a pole: an integrator's is one up to rounding
 
@@ -306,6 +307,12 @@ class Replay:
             mean = (100 * self.fit.mean()).round(1)
             fits = ", ".join(f"{name} {value:g} %" for name, value in mean.items())
             lines.append(f"fit of the model's prediction, mean of all trials: {fits}")
+            lines += [
+                f"WARNING: the loop explains {value:g} % of the motion of {name}: is it that of "
+                "the log, or does a disturbance move it that is not recorded?"
+                for name, value in mean.items()
+                if value < EXPLAINED
+            ]
         lines += [f"WARNING: {text}" for text in self.warnings]
         return "\n".join([*lines, *(f"left out: {text}" for text in self.omissions)])
 

@@ -48,7 +48,6 @@ def on_one_grid(P, Q, omega=None, Ts=None, uncertainty=None, scale=None) -> Prob
         basis = P.basis(omega, CONFIDENCE)
         parties = {"P": P.loop, "Q": Q, "grid": Signals(Ts)}
     models, responses = on_grid(named, omega, Ts, **parties)
-    _refuse_other_units("omega", omega, responses, Ts)
     butterworth, Q = Q_on_grid(Q, omega)
     models, responses, scale = _in_units(scale, models, responses)
     if uncertainty is not None:
@@ -97,13 +96,13 @@ def _in_units(scale, models, responses):
 
 def _refuse_other_units(name, omega, responses, Ts):
     """Refuse frequencies in Hz or rad/sample: up to Nyquist's, where P is real, as z is -1."""
-    imaginary, size = (np.abs(x).max(axis=(2, 3)) for x in (responses.imag, responses))
-    noise = np.array([scatter(omega, P) for P in responses]) * size[:, -1]
-    rounding = np.maximum(IMAGINARY * size.max(), SCATTERED * noise)
-    real_at_last_only = (imaginary[:, -1] <= rounding) & (imaginary.max(1) > rounding)
     for end, what, unit in ((0.5 / Ts, "1 / (2 Ts)", "Hz"), (np.pi, "pi", "rad/sample")):
-        here = abs(omega[-1] / end - 1) < IMAGINARY and abs(omega[-1] * Ts - np.pi) > IMAGINARY
-        if here and real_at_last_only.any():
+        if abs(omega[-1] / end - 1) > IMAGINARY or abs(omega[-1] * Ts - np.pi) < IMAGINARY:
+            continue
+        imaginary, size = (np.abs(x).max(axis=(2, 3)) for x in (responses.imag, responses))
+        noise = np.array([scatter(omega, P) for P in responses]) * size[:, -1]
+        rounding = np.maximum(IMAGINARY * size.max(), SCATTERED * noise)
+        if np.any((imaginary[:, -1] <= rounding) & (imaginary.max(1) > rounding)):
             raise ValueError(
                 f"{name} ends at {omega[-1]:.6g} = {what}, and P is real there, as at the Nyquist "
                 f"frequency: omega is in {unit}, multiply it by {np.pi / Ts / end:.6g}"
@@ -230,6 +229,7 @@ def on_grid(plants, omega, Ts, **parties):
         shape = responses[0].shape
     known = {name: Signals.of_plant(plant, Ts) for name, plant in plants.items()}
     check_match(**(known | parties))
+    _refuse_other_units("omega", omega, np.array(responses), Ts)
     return models, np.array(responses)
 
 

@@ -160,7 +160,7 @@ class ControlledRig:
         """The commands to the disturbances that are inputs, shape (trial, time, them)."""
         names = self.loop.disturbances
         d = np.zeros((samples, len(names))) if disturbance is None else disturbance
-        d = arguments.each_trial("disturbance", d, trials, samples, names)
+        d = arguments.each_trial("disturbance", d, trials, samples, names, self.loop.Ts)
         nonzero = [name for i, name in enumerate(names) if d[..., i].any()]
         unknown = [name for name in nonzero if name not in self.recorded]
         if unknown:

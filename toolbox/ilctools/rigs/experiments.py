@@ -139,7 +139,7 @@ def record(
         arguments.instance("L", law.L, LearningFilter)  # or the log could not note it
     trials = arguments.whole("trials", trials, 1)
     goes_on = not arguments.flag("reset", reset)
-    reference = arguments.each_trial("reference", reference, trials, "time", loop.outputs)
+    reference = arguments.each_trial("reference", reference, trials, "time", loop.outputs, loop.Ts)
     samples = reference.shape[1]
     first = law.first(samples, v)
     if goes_on:

@@ -121,11 +121,11 @@ def run_trials(
     reset = arguments.flag("reset", reset)
     trials = arguments.whole("trials", trials, 1)
     simulated = _Simulated(loop, plant, law.actuators, initial_state)
-    r = arguments.each_trial("reference", reference, trials, "time", loop.outputs)
+    r = arguments.each_trial("reference", reference, trials, "time", loop.outputs, loop.Ts)
     samples = r.shape[1]
     first = law.first(samples, v)
     d = np.zeros((samples, len(loop.disturbances))) if disturbance is None else disturbance
-    d = arguments.each_trial("disturbance", d, trials, samples, loop.disturbances)
+    d = arguments.each_trial("disturbance", d, trials, samples, loop.disturbances, loop.Ts)
     noise = np.zeros(r.shape) if noise is None else noise
     noise = arguments.in_columns("noise", noise, r.shape, loop.outputs)
     if not reset:
@@ -316,7 +316,9 @@ def rms(e: xr.DataArray | xr.Dataset) -> xr.DataArray:
     >>> rms(e).values.round(4)
     array([1.4142, 1.4142])
     """
-    if isinstance(e, xr.Dataset) and {"reference", "y"} <= set(e):
+    if isinstance(e, xr.Dataset):
+        if not {"reference", "y"} <= set(e):
+            raise ValueError(f"e has no reference and y, but {[*e]}: pass one of them, as e.y")
         e = e.reference - e.y
     arguments.instance("e", e, xr.DataArray)
     if not {"time", "channel"} <= set(e.dims):
