@@ -241,3 +241,16 @@ def test_a_loop_that_does_not_explain_its_log_is_named():
 def test_a_file_that_cannot_be_written_is_called_by_its_name(tmp_path):
     with pytest.raises(FileNotFoundError, match=re.escape(str(tmp_path / "no" / "law.json"))):
         save_law(tmp_path / "no" / "law.json", LAW)
+
+
+def test_a_law_of_a_design_is_refused_by_a_loop_with_its_channels_in_another_order():
+    P = control.ss(np.diag([0.5, 0.7]), np.diag([0.5, 0.3]), np.eye(2), 0, 1.0)
+    loops = [
+        ClosedLoop(control.ss(P, inputs=[f"w{n}" for n in names], outputs=[*names]))
+        for names in ("ab", "ba")
+    ]
+    law = synthesise(loops[0], zero_phase_butterworth(2, 0.3, 1.0), order=4).law()
+    reference = bump(60, [1.0, 0.5])
+    run_trials(loops[0], law, reference)
+    with pytest.raises(ValueError, match=r"law.labels = .*, loop.labels = .* in the same order"):
+        run_trials(loops[1], law, reference)

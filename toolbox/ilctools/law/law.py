@@ -13,7 +13,7 @@ from ilctools.filters import LearningOperator, ZeroPhaseButterworth
 from ilctools.law.limits import WEIGHT, Actuators, check_solver, named_limits, projected
 from ilctools.loop.closed import Loop
 from ilctools.loop.notes import loop_note
-from ilctools.signals import check_match
+from ilctools.signals import Signals, check_match
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +70,9 @@ class Law:
         P and its radius at the design frequencies, of a design without a model: by it trials are
         judged if the loop has no P. :meth:`.Synthesis.law` gives it; neither a file of the law nor
         a log stores it.
+    labels : Signals, optional
+        Names and units of the plant of a design: a loop with the same in another order is refused.
+        No file stores them, either.
 
     See Also
     --------
@@ -96,6 +99,7 @@ class Law:
     limits: dict[str, tuple[float, ...]] | None = None
     loop: Loop | None = None
     region: Region | None = field(default=None, repr=False)
+    labels: Signals | None = field(default=None, repr=False)
 
     def __post_init__(self):
         if not isinstance(self.Q, ZeroPhaseButterworth):
@@ -149,6 +153,8 @@ class Law:
     def bound_to(self, loop: Loop) -> "Law":
         """This law for a loop; a ValueError if it is for another."""
         arguments.instance("loop", loop, Loop)
+        if self.labels is not None:
+            check_match(law=self.labels, loop=loop)
         if self.loop is None:
             return replace(self, loop=loop)
         if loop_note(self.loop) != loop_note(loop):

@@ -143,7 +143,7 @@ class Synthesis:
             P = problem.P * scale[:, None] / scale
             radius = np.zeros(len(P)) if problem.radius is None else problem.radius
             region = Region(problem.omega, P, radius * scale.max() / scale.min())
-        return Law(Q, self.filter, rest, gain, limits, region=region)
+        return Law(Q, self.filter, rest, gain, limits, region=region, labels=problem.labels)
 
     def check(self, P, omega=None, *, uncertainty=None) -> Convergence:
         """What the filter does on another plant: the rate, and does it converge?
