@@ -125,6 +125,6 @@ def test_a_bound_that_no_filter_keeps_ends_in_a_sentence(tmp_path, monkeypatch):
     monkeypatch.setenv("RODLIB_RESULTS", str(tmp_path))
     path, asked = ROOT / "notebooks" / "03-ilc-synthesis.ipynb", {"M_max": 0.85, "order": 5}
     silent = {"progress_bar": False, "log_output": False, "cwd": path.parent}
-    with pytest.raises(papermill.PapermillExecutionError, match="M_max = 0.85 is too low") as told:
+    with pytest.raises(papermill.PapermillExecutionError, match="too low: take 0") as told:
         papermill.execute_notebook(path, tmp_path / "x.ipynb", asked | {"L_max": 100.0}, **silent)
-    assert "0.888, or more order or L_max" in told.value.evalue
+    assert "M_max = 0.85 is too low: take 0.888, or raise" in told.value.evalue
