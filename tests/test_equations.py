@@ -118,3 +118,13 @@ def test_what_the_notebooks_suggest_to_try_comes_out(
     text = "\n".join(o.get("text", "") + o.get("data", {}).get("text/plain", "") for o in outputs)
     for expected in outcome:
         assert re.search(expected, text), expected
+
+
+def test_a_bound_that_no_filter_keeps_ends_in_a_sentence(tmp_path, monkeypatch):
+    """With these Clarabel fails at (39), which CVXPY reports without a reason."""
+    monkeypatch.setenv("RODLIB_RESULTS", str(tmp_path))
+    path, asked = ROOT / "notebooks" / "03-ilc-synthesis.ipynb", {"M_max": 0.85, "order": 5}
+    silent = {"progress_bar": False, "log_output": False, "cwd": path.parent}
+    with pytest.raises(papermill.PapermillExecutionError, match="too low: take 0") as told:
+        papermill.execute_notebook(path, tmp_path / "x.ipynb", asked | {"L_max": 100.0}, **silent)
+    assert "M_max = 0.85 too low: take 0.888 or raise" in told.value.evalue

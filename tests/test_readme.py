@@ -11,7 +11,7 @@ import pytest
 
 from ilctools import rms
 from ilctools.logs.replay import rms_by_trial
-from rodlib.paper.ledger import COEFFICIENT, DIFFERS, IN_WORDS, REPRODUCED
+from rodlib.paper.ledger import COEFFICIENT, DIFFERS, IN_WORDS, REPRODUCED, UNCHECKED
 from rodlib.paper.repository import ROOT
 
 README, GUIDE = ((ROOT / name).read_text("utf-8") for name in ("README.md", "docs/guide.md"))
@@ -101,4 +101,5 @@ def test_what_it_says_first_is_what_the_ledger_counts():
         agree = (verdicts == REPRODUCED).sum()
         assert sentence.format(agree, agree + (verdicts == DIFFERS).sum()) in said
     vague = (rows.verdict[kind.isin(["statement", "assumed"])] == IN_WORDS).sum()
-    assert f"; {vague} are too vague, or hang on" in said
+    unchecked = (rows.verdict == UNCHECKED).sum()
+    assert f"; {vague} are too vague, or hang on choices of ours; {unchecked} cannot" in said

@@ -56,7 +56,7 @@ HEADLINE = """\
   and the printed ones reach it to a few millionths.
 - **Statements**: {statement}
   that model and design decide hold; of those that only signals or rigs of ours can test,
-  {assumed}; {vague} are too vague, or hang on choices of ours.
+  {assumed}; {vague} are too vague, or hang on choices of ours; {unchecked} cannot be checked.
 """
 NOISE = 1e-9  # what is smaller is rounding, and not the same on two machines
 SIGNIFICANT = 5  # digits of a number that tests a statement in words
@@ -229,7 +229,7 @@ def summary(rows: pd.DataFrame) -> str:
         if len(differ) and name != "coefficient":
             texts[name] += f" (not {', '.join(f'`{key}`' for key in differ)})"
     vague = (rows.verdict[kind != "misprint"] == IN_WORDS).sum()
-    return HEADLINE.format(**texts, vague=vague)
+    return HEADLINE.format(**texts, vague=vague, unchecked=(rows.verdict == UNCHECKED).sum())
 
 
 def _kinds(rows):
