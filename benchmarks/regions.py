@@ -131,9 +131,9 @@ def single(u, y, of="u"):
     return several(*(np.atleast_2d(signal).T[None] for signal in (u, y)), of)
 
 
-def learned(rng, trials=8, N=100, start=0.0, delay=0):
-    """Trials under learning, with a disturbance that repeats."""
-    b, a = lag(rng)
+def learned(rng, trials=8, N=100, start=0.0, delay=0, make=lag, last=None):
+    """Trials under learning, or the last of them, with a disturbance that repeats."""
+    b, a = make(rng)
     plant = np.append(np.zeros(delay), b), a
     Q, omega = zero_phase_butterworth(2, 0.3, 1.0), np.geomspace(0.01, np.pi, 100)
     with warnings.catch_warnings(action="ignore"):
@@ -145,7 +145,8 @@ def learned(rng, trials=8, N=100, start=0.0, delay=0):
         w[k] = r + v[:, 0]
         y[k] = answer(plant, w[k], rng, start) + disturbance + white(rng, N)
         v = law.next(v, (r - y[k])[:, None])
-    return several(w[..., None], y[..., None]), [[plant]]
+    kept = slice(-last if last else None, None)
+    return several(w[kept, :, None], y[kept, :, None]), [[plant]]
 
 
 def open_loop(
@@ -276,6 +277,8 @@ KINDS = {
     "learning, 2 trials": partial(learned, trials=2),
     "learning, starts differ": partial(learned, start=0.3),
     "learning, delay of 30": partial(learned, delay=30, N=200),
+    "learning, converged": partial(learned, trials=24, last=4),
+    "learning, slow": partial(learned, trials=4, N=800, make=slow),
     "the same step twice": two_logs,
     "four modes": flexible,
     "two channels, resonance": two_resonances,

@@ -23,6 +23,8 @@ from ilctools import (
 )
 from ilctools.law.io import NO_RESET, RESET
 from ilctools.models import frequency_response
+from rodlib import Spread, assumed_reference, draw
+from rodlib.paper import published
 
 
 def off(estimate, truth):
@@ -47,6 +49,19 @@ def test_the_truth_is_within_the_region(kind):
         error = off(estimate, response(plants, estimate.omega))
         count += np.all(error <= estimate.radius(0.99, jointly=True))
     assert count >= 3
+
+
+@pytest.mark.parametrize("number", [0, 2])
+def test_the_slow_end_of_a_rod_is_within_the_region(loop, Q, number):
+    """It is slower than a quarter of a trial: with as few lags both were outside."""
+    law = Law(Q, LearningFilter(published.matrix("L_diagonal"), 1.0), rest=50)
+    rod = draw(Spread.of_all(0.2), number, root=34).model(1.0)
+    noise = 0.005 * np.random.default_rng([34, number]).standard_normal((4, 800, 2))
+    log = run_trials(loop, law, assumed_reference(800), None, 4, plant=rod, noise=noise)
+    estimate, omega = measured_response(log.drop_vars("disturbance")), np.geomspace(1e-4, 3, 80)
+    P, radius = estimate.on(omega, 0.99)
+    truth = frequency_response(loop.around(rod)[:, :2], omega)
+    assert np.all(np.linalg.norm(P - truth, 2, axis=(1, 2)) <= radius)
 
 
 @pytest.mark.parametrize("kind", ["steps", "steps, drift", "learning, 2 trials"])

@@ -2,9 +2,10 @@
 
     A(z) y(t) = B_1(z) u_1(t) + ... + B_m(z) u_m(t) + start(t) + line(t) + drift(t) + e(t)      (1)
 
-with A monic, B and A of as many lags as a quarter of the longest record, and e white with variance
-s^2: P = B / A. A start, which is not known, leaves a response as long; the line is an offset and a
-slope of each record, the drift a random walk.
+with A monic, B and A of as many lags as a quarter of the longest record, or as half or all of it
+where the posterior is clearly larger, and e white with variance s^2: P = B / A. A start, which is
+not known, leaves a response as long; the line is an offset and a slope of each record, the drift a
+random walk.
 
 *Prior.* Coefficients decay and neighbours are alike, by the tuned-correlated kernel
 s^2 c exp(-max(i, j) / T), with one c for A, one for B, one for starts and one for drifts, and one T
@@ -55,6 +56,8 @@ from scipy.special import expit, log_expit
 from ilctools.loop.notes import LogError
 
 SHARE = 4  # of the longest record: lags of A and B
+LONGER, CLEARLY = (2, 1), 3.0  # shares that are tried, and by how much (4) must then be less
+REPEATS = 0.5  # weight of a mean over trials, below which a disturbance repeats
 # Knots are one lag apart up to CLOSE, then 1 + (lag - CLOSE) // STEP.
 CLOSE, STEP = 40, 8
 START = (6, 4)  # likewise, for what a start leaves
@@ -136,13 +139,13 @@ def _lagged(signal, knots):
     return np.stack(columns, axis=1)
 
 
-def _layout(groups, direct, delays):
+def _layout(groups, direct, delays, share):
     longest = max(group.y.shape[1] for group in groups)
-    m, reach = len(delays), max(4, longest // SHARE)
+    m, least, reach = len(delays), *(max(4, longest // part) for part in (SHARE, share))
     past, moves = (_knots(first, reach, CLOSE, STEP) for first in (1, 0 if direct else 1))
     start = _knots(0, reach, *START)
     records = sum(len(group.y) for group in groups)
-    starts = records if records * len(start) <= STARTS else 0
+    starts = records if records * len(_knots(0, least, *START)) <= STARTS else 0
     blocks = [past, *[moves] * m, *[start] * starts, *[np.zeros(KNOTS)] * len(groups)]
     kinds = [*range(m + 1), *[m + 1] * starts, *[m + 2] * len(groups)]
     gaps = [np.append(np.diff(block), np.inf) for block in blocks[: 1 + m + starts]]
@@ -296,9 +299,9 @@ class _Fit(NamedTuple):
     data: _Normal
 
 
-def _fitted(groups, direct, delays, gain, first=FIRST):
+def _fitted(groups, direct, delays, gain, first=FIRST, share=SHARE):
     longest = max(group.y.shape[1] for group in groups)
-    data = _normal(groups, _layout(groups, direct, delays), gain)
+    data = _normal(groups, _layout(groups, direct, delays, share), gain)
     bounds = [(-BOUND, BOUND)] * 4 + [(-1.5, np.log(5 * longest)), (-BOUND, BOUND)]
     found = minimize(
         surprise, first, (data,), jac=True, method="L-BFGS-B", bounds=bounds,
@@ -398,15 +401,23 @@ def regression(groups: Sequence[Trials], direct: bool, gain=None) -> Regression:
     """Of one output; `direct`: whether y(t) may depend on u(t); `gain`, (m,): P at rest, if known.
 
     If an input is late, also with delays of 0.6 and then 0.9 of the lags of largest correlation, as
-    long as the posterior grows.
+    long as the posterior grows; and with more lags.
     """
-    best = _fitted(groups, direct, np.zeros(groups[0].u.shape[2], int), gain)
+    delays = np.zeros(groups[0].u.shape[2], int)
+    best = _fitted(groups, direct, delays, gain)
     peaks = _peaks(groups, best)
     for room in ROOM if peaks.max() >= LATE else ():
-        delays = (room * peaks).astype(int)
-        others = [_fitted(groups, direct, delays, gain, first) for first in (FIRST, best.eta)]
+        late = (room * peaks).astype(int)
+        others = [_fitted(groups, direct, late, gain, first) for first in (FIRST, best.eta)]
         other = min(others, key=lambda fit: fit.surprise)
         if other.surprise > best.surprise:
+            break
+        best, delays = other, late
+    # not where other samples are then left out, or more lags explain a disturbance that repeats
+    alone = best.data.layout.starts and _posterior(best.eta, best.data).ratio > REPEATS
+    for share in LONGER if alone else ():
+        other = _fitted(groups, direct, delays, gain, best.eta, share)
+        if other.surprise > best.surprise - CLEARLY:
             break
         best = other
     best, S = _polished(best)

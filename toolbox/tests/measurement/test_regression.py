@@ -29,7 +29,7 @@ def trials_of(trials, N=60, m=2, noise=0.1, seed=0):
 @pytest.mark.parametrize(("lengths", "trials"), [((60,), 1), ((60,), 3), ((40, 60), 1)])
 def test_the_likelihood_is_that_of_the_normal_distribution(lengths, trials):
     groups = [trials_of(trials, N, seed=N) for N in lengths]
-    data = module._normal(groups, module._layout(groups, True, np.array([0, 7])), None)
+    data = module._normal(groups, module._layout(groups, True, np.array([0, 7]), 4), None)
     rows = list(records(groups, data.layout))
     X, y = (np.concatenate([row[k] for row in rows]) for k in (0, 1))
     means = np.concatenate([np.full(len(row[1]), row[3]) for row in rows])
@@ -49,7 +49,7 @@ def test_the_likelihood_is_that_of_the_normal_distribution(lengths, trials):
 
 
 def test_the_prior_of_the_coefficients_is_the_tuned_correlated_kernel_after_a_delay():
-    layout, scale, time = (module._layout([trials_of(1)], True, np.array([7, 2])), 0.7, 2.0)
+    layout, scale, time = (module._layout([trials_of(1)], True, np.array([7, 2]), 4), 0.7, 2.0)
     eta = np.array([scale, scale, scale, scale, time, 0.0])
     variance = np.exp(layout.prior(eta)[0])[layout.kind == 1]
     moves = increments(layout.moved[0])
