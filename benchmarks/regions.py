@@ -58,6 +58,14 @@ def steps(rng, N):
     return np.select([np.arange(N) < end * N for end in ends], [0, 1, -0.5], 0.4)
 
 
+def fast_and_slow(rng):
+    """A lag of 10 samples, and beside it one of 200 to 400 with a tenth to a fifth of the gain."""
+    share, poles = rng.uniform(0.1, 0.2), np.exp(-1 / np.array([10.0, rng.uniform(200, 400)]))
+    (a, c), a_c = 1 - poles, np.poly(poles)
+    b = (1 - share) * a * np.array([1, -poles[1]]) + share * c * np.array([1, -poles[0]])
+    return np.append(0.0, b), a_c
+
+
 def held_noise(rng, N, samples=3):
     """Noise that is held for some samples."""
     return np.repeat(rng.standard_normal(N // samples + 1), samples)[:N]
@@ -285,6 +293,9 @@ KINDS = {
     "feedback, coloured noise": feedback,
     "slow, 10,000 samples": partial(
         open_loop, make=slow, excite=partial(held_noise, samples=300), N=10_000
+    ),
+    "fast and slow": partial(
+        open_loop, make=fast_and_slow, excite=partial(held_noise, samples=60), N=800
     ),
     "a long delay, noise": partial(noisy, make=late, N=2000),
     "a long delay, steps": partial(open_loop, make=late, N=2000),

@@ -268,7 +268,7 @@ class Certificate:
 
     def __repr__(self):
         rate = f"rate at most {self.rate:.4f}{self._whom()}, {self._coverage()}"
-        lines = [f"{rate}; largest near {self._near():.2g} rad/s", self._reached()]
+        lines = [f"{rate}; largest near {float(f'{self._near():.2g}'):g} rad/s", self._reached()]
         texts = [text for text in self.assumptions if not text.startswith(CHOSEN)]
         lines += ["; ".join(texts).replace("; assumed: ", "; ")] if texts else []
         return "\n".join([*lines, *self._mean(), *self._against()])

@@ -174,8 +174,8 @@ def measured_response(
     decay and are smooth, and the posterior is normal, with the prior's parameters at the maximum
     of their own posterior and about it. For plants as they come it was checked on records of many
     kinds, by which the radius was scaled; a plant that the prior holds to be unlikely, such as one
-    with a weak mode below the noise, may lie outside more often, and so may any at low frequencies
-    if trials under learning have converged: record the first ones. See
+    with a weak mode below the noise, may lie outside more often, and so may a slow one at low
+    frequencies, most if trials under learning have converged: record the first ones. See
     :mod:`ilctools.measurement.estimation` for the radius.
     Before a trial w rests at the reference's first row, and v is zero; trials without reset are
     joined. Of commands in a loop whose reference is in the first log, y(t) depends on earlier u
