@@ -103,6 +103,9 @@ class Measured:
         for (i, j), size in zip(np.ndindex(p, m), sizes.reshape(n, -1).T, strict=True):
             gain, phase = axes[2 * i : 2 * i + 2, j]
             floor, turned = size.min() / 10, np.unwrap(np.angle(self.response[:, i, j]))
+            if floor == 0:  # which no logarithmic axis shows
+                floor = 1e-6 * (sizes.max() or 1.0)
+                size = np.maximum(size, floor)
             off = np.where(radius < size, np.arcsin(np.minimum(radius / size, 1)), np.pi)
             band = np.maximum(size - radius, floor), size + radius
             gain.loglog(self.omega, size)

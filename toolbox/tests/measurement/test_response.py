@@ -167,6 +167,13 @@ def test_any_measured_response_draws_itself_and_goes_to_python_control(kind):
     figure.canvas.draw()
 
 
+def test_an_entry_that_is_zero_is_drawn_without_a_warning():
+    P = np.zeros((2, 2, 30), complex)
+    P[0, 0] = P[1, 1] = 1 / (1 + 1j * np.geomspace(0.01, 3, 30))
+    figure = measured_response(control.frd(P, np.geomspace(0.01, 3, 30), 1.0)).plot()
+    figure.canvas.draw()
+
+
 def test_a_model_of_a_model_is_the_model():
     plant, angles = tanks()[:, 1:], np.geomspace(1e-3, np.pi, 100)
     P, g = frequency_response(plant, angles / 2), np.moveaxis(impulse_response(plant, 900), 0, 2)
