@@ -5,7 +5,9 @@
 with A monic, B and A of as many lags as a quarter of the longest record, or as half or all of it
 where the posterior is clearly larger, and e white with variance s^2: P = B / A. A start, which is
 not known, leaves a response as long; the line is an offset and a slope of each record, the drift a
-random walk.
+random walk. Beside its lags, B has slow parts x (1 - p) / (z - p), with the longest record and a
+third of it for time constants: what is small and far slower than the rest would else be taken for
+drift, and its error not be seen.
 
 *Prior.* Coefficients decay and neighbours are alike, by the tuned-correlated kernel
 s^2 c exp(-max(i, j) / T), with one c for A, one for B, one for starts and one for drifts, and one T
@@ -14,9 +16,9 @@ Automatica 50 (2014) 657-682). In increments x from lag to lag it is diagonal,
 
     x ~ N(0, s^2 D(eta)),    D = c (exp(-i / T) - exp(-(i + gap) / T)),                         (2)
 
-with the logarithms of c and T in eta. Far lags share increments: knots, between which coefficients
-are on straight lines. Lags of B are counted from a delay of each input, where the one that
-correlations show raises the posterior.
+and of a slow part D = c, another one, with the logarithms of c and T in eta. Far lags share
+increments: knots, between which coefficients are on straight lines. Lags of B are counted from a
+delay of each input, where the one that correlations show raises the posterior.
 
 *Posterior.* With the regressors X of (1), without offset and slope,
 
@@ -24,7 +26,7 @@ correlations show raises the posterior.
     s^2 = (y' y - h' h) / n.
 
 Over trials, a disturbance that repeats shows in their mean only, which has a weight of 1 / (1 +
-exp(rho)), the last entry of eta.
+exp(rho)), the sixth entry of eta.
 
 *Hyperparameters.* The maximum of the marginal likelihood times a wide normal prior,
 
@@ -50,23 +52,25 @@ from scipy.linalg import LinAlgError, cholesky, helmert, solve_triangular
 from scipy.linalg.lapack import dpotri
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import minimize
-from scipy.signal import fftconvolve
+from scipy.signal import fftconvolve, lfilter
 from scipy.special import expit, log_expit
 
 from ilctools.loop.notes import LogError
 
 SHARE = 4  # of the longest record: lags of A and B
 LONGER, CLEARLY = (2, 1), 3.0  # shares that are tried, and by how much (4) must then be less
+SLOW = np.array([1.0, 3.0])  # longest records in time constants of slow parts
 REPEATS = 0.5  # weight of a mean over trials, below which a disturbance repeats
 # Knots are one lag apart up to CLOSE, then 1 + (lag - CLOSE) // STEP.
 CLOSE, STEP = 40, 8
 START = (6, 4)  # likewise, for what a start leaves
 STARTS = 300  # unknowns of all starts at most; with more, first samples are left out
 KNOTS = 64  # of a drift, between which it is straight
-# Before the data: of log(c s^2) of A, B, starts, log c of drifts, log T in samples, and rho.
-CENTRE = np.array([-4.0, -4.0, -4.0, -3.0, 2.3, 0.0])
-WIDE = 3.0  # their standard deviations
-SIZES = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])  # those relative to the output, not to the noise
+# Before the data: of log(c s^2) of A, B, starts, log c of drifts, log T in samples, rho, and of
+# log(c s^2) of slow parts, of a tenth of the output's size: their drift-like motion says no other.
+CENTRE = np.array([-4.0, -4.0, -4.0, -3.0, 2.3, 0.0, -4.6])
+WIDE = np.array([3.0, 3.0, 3.0, 3.0, 3.0, 3.0, 0.5])  # their standard deviations
+SIZES = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0])  # relative to the output, not the noise
 FIRST = CENTRE + 6 * SIZES  # of eta, from which the search starts
 BOUND = 50.0  # of all logarithms
 EXACT = 1e-14  # least noise, in the power of the output
@@ -91,7 +95,8 @@ class Trials(NamedTuple):
 class _Layout:
     """Unknowns, increments of coefficients: y's lags, those of each input, starts and drifts."""
 
-    # 0 for y, 1 ... m for the inputs, m + 1 for starts, m + 2 for drifts, (unknown,)
+    # 0 for y, 1 ... m for the inputs, m + 1 for starts, m + 2 for drifts, then slow parts of each
+    # input, (unknown,)
     kind: np.ndarray
     c: np.ndarray  # which entry of eta has the c of each, (unknown,)
     lag: np.ndarray  # (unknown,)
@@ -102,6 +107,7 @@ class _Layout:
     starts: int  # records with an unknown start
     drifts: int  # and with a drift
     skipped: int  # samples at the beginning of each
+    poles: np.ndarray  # of slow parts, (slow,)
 
     def prior(self, eta) -> tuple[np.ndarray, np.ndarray]:
         """Logarithms of D, (2), and their slope over log T."""
@@ -146,14 +152,16 @@ def _layout(groups, direct, delays, share):
     start = _knots(0, reach, *START)
     records = sum(len(group.y) for group in groups)
     starts = records if records * len(_knots(0, least, *START)) <= STARTS else 0
-    blocks = [past, *[moves] * m, *[start] * starts, *[np.zeros(KNOTS)] * len(groups)]
-    kinds = [*range(m + 1), *[m + 1] * starts, *[m + 2] * len(groups)]
+    poles = np.exp(-SLOW / longest)
+    steps = [*[np.zeros(KNOTS)] * len(groups), *[0 * poles] * m]
+    blocks = [past, *[moves] * m, *[start] * starts, *steps]
+    kinds = [*range(m + 1), *[m + 1] * starts, *[m + 2] * len(groups), *range(m + 3, 2 * m + 3)]
     gaps = [np.append(np.diff(block), np.inf) for block in blocks[: 1 + m + starts]]
-    gaps += [np.full(KNOTS, np.inf)] * len(groups)
+    gaps += [np.full(len(block), np.inf) for block in steps]
     kind = np.repeat(kinds, [len(block) for block in blocks])
     return _Layout(
         kind=kind,
-        c=np.array([0, *[1] * m, 2, 3])[kind],
+        c=np.array([0, *[1] * m, 2, 3, *[6] * m])[kind],
         lag=np.concatenate([block - block[0] for block in blocks]),
         gap=np.concatenate(gaps),
         knots=past,
@@ -162,6 +170,7 @@ def _layout(groups, direct, delays, share):
         starts=starts,
         drifts=len(groups),
         skipped=0 if starts else reach,
+        poles=poles,
     )
 
 
@@ -189,7 +198,8 @@ def records(groups, layout) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray
             if k == 0:
                 drifts[:, g] = ramps
             X = [-_lagged(y, layout.knots), *map(_lagged, u.T, layout.moved)]  # (1)
-            X = np.hstack([*X, starts.reshape(N, -1), drifts.reshape(N, -1)])
+            slow = [lfilter([0, 1 - p], [1, -p], one) for one in u.T for p in layout.poles]
+            X = np.hstack([*X, starts.reshape(N, -1), drifts.reshape(N, -1), np.array(slow).T])
             number += 1
             X, y = (_without(line, signal[layout.skipped :]) for signal in (X, y))
             yield X, y, line, k == 0 and len(outputs) > 1
@@ -241,6 +251,7 @@ def _normal(groups, layout, gain):
     for j, known in enumerate(() if gain is None else gain):  # B_j(1) = gain A(1)
         row = np.zeros(p)
         row[layout.kind == 1 + j] = increments(layout.moved[j]).sum(axis=0)
+        row[layout.kind == len(layout.moved) + 3 + j] = 1
         row[layout.kind == 0] = -known * increments(layout.knots).sum(axis=0)
         R[0] += SURE * np.outer(row, row)
         b[0] += SURE * known * row
@@ -277,15 +288,15 @@ def surprise(eta: np.ndarray, data: _Normal) -> tuple[float, np.ndarray]:
     x = solve_triangular(U, h, check_finite=False)
     inverse = dpotri(U)[0]
     # over log variances, which change log(rest) by -x^2 / rest
-    each = (1 - np.diag(inverse) - (count + 2 * (SIZES @ off) / WIDE) * x**2 / rest) / 2
-    gradient = np.append(np.bincount(layout.c, each, 4), [each @ layout.prior(eta)[1], 0.0])
-    gradient += off / WIDE
+    each = (1 - np.diag(inverse) - (count + 2 * SIZES @ (off / WIDE)) * x**2 / rest) / 2
+    gradient = np.bincount(layout.c, each, len(eta)) + off / WIDE
+    gradient[4] += each @ layout.prior(eta)[1]
     if data.count[1]:
         mean, R = size * x, data.R[1]
         left = data.s[1] - 2 * mean @ data.b[1] + mean @ R @ mean
         inverse += np.triu(inverse, 1).T
         trace = np.sum(inverse * (size[:, None] * R * size))
-        moved = count + 2 * (SIZES @ off) / WIDE
+        moved = count + 2 * SIZES @ (off / WIDE)
         by_ratio = ratio * (moved * left / rest + trace) - data.count[1]
         gradient[5] -= (1 - ratio) / 2 * by_ratio
     return value, gradient
@@ -302,7 +313,8 @@ class _Fit(NamedTuple):
 def _fitted(groups, direct, delays, gain, first=FIRST, share=SHARE):
     longest = max(group.y.shape[1] for group in groups)
     data = _normal(groups, _layout(groups, direct, delays, share), gain)
-    bounds = [(-BOUND, BOUND)] * 4 + [(-1.5, np.log(5 * longest)), (-BOUND, BOUND)]
+    bounds = [(-BOUND, BOUND)] * len(first)
+    bounds[4] = -1.5, np.log(5 * longest)
     found = minimize(
         surprise, first, (data,), jac=True, method="L-BFGS-B", bounds=bounds,
         options={"maxiter": 60, "ftol": 1e-7},
@@ -316,7 +328,7 @@ def _polished(fit):
     steps = STEPS * np.eye(len(eta))
     H = np.array([surprise(eta + e, data)[1] - surprise(eta - e, data)[1] for e in steps])
     values, vectors = np.linalg.eigh((H + H.T) / (4 * STEPS))
-    S = vectors / np.sqrt(np.maximum(values, WIDE**-2)) @ vectors.T  # symmetric: no signs
+    S = vectors / np.sqrt(np.maximum(values, WIDE.max() ** -2)) @ vectors.T  # symmetric: no signs
     for _ in range(POLISH):
         step = S @ S @ surprise(eta, data)[1]
         eta -= np.clip(step, -1, 1)
@@ -346,24 +358,33 @@ class Regression:
         of_lag = np.exp(-1j * np.outer(omega, np.arange(1 + max(k[-1] for k in self.knots))))
         return [of_lag[:, : knots[-1] + 1] @ increments(knots) for knots in self.knots]
 
+    def _slow(self, omega):
+        """Likewise, of the slow parts, (n, slow)."""
+        z, p = np.exp(1j * omega)[:, None], self.data.layout.poles
+        return (1 - p) / (z - p)
+
     def response(self, omega: np.ndarray) -> np.ndarray:
         """P at angles omega Ts, shape (n, m)."""
-        return self._ratio(*self._waves(omega))[0]
+        return self._ratio(self._slow(omega), *self._waves(omega))[0]
 
-    def _ratio(self, A, *B):
+    def _ratio(self, slow, A, *B):
         """P = B / A, and A."""
-        below = 1 + A @ self.of(0, self.mean)
-        above = [wave @ self.of(1 + j, self.mean) for j, wave in enumerate(B)]
+        below, first = 1 + A @ self.of(0, self.mean), len(B) + 3
+        above = [
+            wave @ self.of(1 + j, self.mean) + slow @ self.of(first + j, self.mean)
+            for j, wave in enumerate(B)
+        ]
         return np.stack(above, axis=1) / below[:, None], below
 
     def covariance(self, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Of dP, real parts first, (n, 2 m, 2 m), and variances of dA / A, (2, n), likewise."""
-        A, *B = self._waves(omega)
-        P, below = self._ratio(A, *B)
+        (A, *B), slow = self._waves(omega), self._slow(omega)
+        P, below = self._ratio(slow, A, *B)
         kind = self.data.layout.kind
         slopes = np.zeros((len(omega), len(B) + 1, len(kind)), complex)
         for j, wave in enumerate(B):  # (5)
             slopes[:, j, kind == 0], slopes[:, j, kind == 1 + j] = -P[:, [j]] * A, wave
+            slopes[:, j, kind == len(B) + 3 + j] = slow
         slopes[:, -1, kind == 0] = A
         slopes /= below[:, None, None]
         slopes = np.concatenate([slopes.real, slopes.imag], axis=1)
@@ -386,10 +407,12 @@ class Regression:
 
     def impulse(self, n: int) -> np.ndarray:
         """Impulse response of the estimate over n samples, shape (m, n)."""
-        B = np.zeros((len(self.data.layout.moved), n))
+        B, p = np.zeros((len(self.data.layout.moved), n)), self.data.layout.poles
         for j, knots in enumerate(self.data.layout.moved):
             lags = (increments(knots) @ self.of(1 + j, self.mean))[:n]
             B[j, : len(lags)] = lags
+            slow = self.of(len(B) + 3 + j, self.mean)
+            B[j, 1:] += slow * (1 - p) @ p[:, None] ** np.arange(n - 1)
         g, a = np.ones(1), self.denominator
         while len(g) < n:  # Newton's steps to 1 / A, of which each doubles the samples
             wide = 2 * len(g)

@@ -80,7 +80,8 @@ def test_the_radius_is_that_of_the_ratio_of_normal_coefficients(monkeypatch):
         (fit,), angles = estimate.fits, estimate.omega * estimate.loop.Ts
         x = np.random.default_rng(0).multivariate_normal(fit.mean, fit.C, 10_000, method="eigh")
         A, B = fit._waves(angles)
-        drawn = fit.of(1, x) @ B.T / (1 + fit.of(0, x) @ A.T) - fit.response(angles)[:, 0]
+        above = fit.of(1, x) @ B.T + fit.of(4, x) @ fit._slow(angles).T
+        drawn = above / (1 + fit.of(0, x) @ A.T) - fit.response(angles)[:, 0]
         ratio = estimate.radius(0.95) / (estimate.units[0] * np.quantile(abs(drawn), 0.95, 0))
         # at rest errors are real, and the tail of (2), of complex ones, is too light
         assert np.all((ratio > 0.7) & (ratio < 2.0)) and 0.9 < np.median(ratio) < 1.2
