@@ -64,6 +64,12 @@ def test_the_slow_end_of_a_rod_is_within_the_region(loop, Q, number):
     assert np.all(np.linalg.norm(P - truth, 2, axis=(1, 2)) <= radius)
 
 
+def test_more_lags_do_not_explain_a_disturbance_that_repeats():
+    """With them the truth is 3.2 radii away."""
+    log, plants = KINDS["learning, delay of 30"](np.random.default_rng([2, 99]))
+    covers(measured_response(log), plants)
+
+
 @pytest.mark.parametrize("kind", ["steps", "steps, drift", "learning, 2 trials"])
 def test_the_last_digits_of_a_record_do_not_move_the_region(kind):
     """By less than a thousandth: what the next processor rounds otherwise is no result."""
