@@ -23,10 +23,12 @@ from ilctools import (
 )
 
 SAMPLES, TRIALS, REST = 300, 4, 20
-CASES = {  # amplitudes, gain of the first control, cut-off, order, L_max, noise
-    "stage": ([10.0], 0.5, 200.0, 20, 20.0, 1e-3),
-    "tanks": ([10.0, 5.0, 8.0], 0.4, 0.06, 10, 10.0, 1e-4),
-    "furnace": ([10.0], 0.85, 0.2, 16, 5.0, 1e-3),
+# amplitudes, gain of the first control, cut-off, order, L_max, noise, M_max: of the stage, whose
+# estimate takes more lags, the radius is twice as wide as without, and 0.93 the least
+CASES = {
+    "stage": ([10.0], 0.5, 200.0, 20, 20.0, 1e-3, 0.95),
+    "tanks": ([10.0, 5.0, 8.0], 0.4, 0.06, 10, 10.0, 1e-4, 0.9),
+    "furnace": ([10.0], 0.85, 0.2, 16, 5.0, 1e-3, 0.9),
 }
 
 
@@ -41,10 +43,10 @@ def profile(amplitudes):
 @cache
 def learned(name):
     """The loop, its law, the plant that it does not know, and four trials there."""
-    amplitudes, gain, cutoff, order, L_max, noise = CASES[name]
+    amplitudes, gain, cutoff, order, L_max, noise, M_max = CASES[name]
     loop, r = LOOPS[name](), profile(amplitudes)
     Q = zero_phase_butterworth(2, cutoff, loop.Ts)
-    settings = {"order": order, "M_max": 0.9, "L_max": L_max}
+    settings = {"order": order, "M_max": M_max, "L_max": L_max}
     omega = np.geomspace(1e-4, np.pi, 120) / loop.Ts
     law = Law(Q, synthesise(loop, Q, omega, **settings).filter, REST)
     first = np.array(loop.plant.input_labels) == loop.controls[0]
@@ -76,7 +78,7 @@ def test_a_filter_from_the_plants_own_trials_keeps_its_promise_there(name):
     carried_on, after = (rms(run(one, v).e).values for one in (law, renewed))
     assert carried_on[0] == pytest.approx(after[0])  # the same v, the same noise
     true = true_rate(loop, plant, renewed, omega)
-    assert true <= design.certificate.grid_M <= 0.9 * (1 + 1e-6)
+    assert true <= design.certificate.grid_M <= settings["M_max"] * (1 + 1e-6)
     if name == "furnace":  # little is wrong, and little to be won
         assert true_rate(loop, plant, law, omega) < 0.9 and not said
         assert after[-1] < 1.1 * carried_on[-1]
