@@ -164,6 +164,11 @@ def test_any_measured_response_draws_itself_and_goes_to_python_control(kind):
                 outline.contains_points(np.add(points, (0, turn)), radius=1e-9) for turn in turns
             ]
             assert np.all(np.any(inside, axis=0))
+        if kind != "shaken":  # which was without noise, so that its band has no width
+            size, band = np.abs(measured.response[:, i, j]), gain.collections[0].get_paths()[0]
+            edges = [np.column_stack([measured.omega, size + r])[2:-2] for r in (0.049, 0.051)]
+            inside, outside = map(band.contains_points, edges)
+            assert inside.all() and not outside.any()
     figure.canvas.draw()
 
 
