@@ -46,8 +46,8 @@ replay: $(BIN)/ready  ## replay a log of your own: make replay LOG=path; writes 
 	@test -n "$$NAMED" || { echo "name a log: make replay LOG=path"; exit 2; }
 	@$(BIN)/python -m rodlib.paper.reproduce "$$NAMED"
 
-machines: $(BIN)/ready  ## notebooks and tests with the rounding of other processors (long)
-	$(BIN)/python tools/machines.py $(MACHINES)
+machines: $(BIN)/ready  ## make test with rounding varied, as on other processors: make machines SEED=2
+	$(BIN)/python tools/machines.py $(SEED)
 
 mutants: $(BIN)/ready  ## change one thing at a time in rodlib, then in ilctools; list what no test notices (long)
 	for room in . toolbox; do cd $(CURDIR)/$$room && $(CURDIR)/$(BIN)/mutmut run $(MUTANTS); \

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from rodlib.paper import pictures
+from rodlib.paper.comparison import SAME
 from rodlib.paper.ledger import changes, join, report
 
 
@@ -26,7 +26,7 @@ def main(build: Path, root: Path) -> bool:
     rows["cell"] = rows.key.map(tracked.cell)
     figures, texts = changes(rows, build, root)
     print(report(figures, texts))
-    return bool(texts) or any(kind != pictures.SAME for kind in figures.values())
+    return bool(texts) or any(kind != SAME for kind in figures.values())
 
 
 if __name__ == "__main__":

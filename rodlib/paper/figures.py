@@ -8,7 +8,7 @@ import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
 from ilctools.files import folder, replacing
-from rodlib.paper.pictures import PIXELS_PER_INCH, same
+from rodlib.paper.comparison import PIXELS_PER_INCH, same_picture
 from rodlib.paper.repository import ROOT, results
 
 WIDE = (7.2, 3.2)  # inches, one row of axes
@@ -69,7 +69,7 @@ def save(figure: Figure, name: str, caption: str) -> SavedFigure:
     width = round(figure.get_figwidth() * figure.get_dpi())
     picture = folder(results("figures.save") / "figures") / f"{name}.png"
     _write(figure, picture, "Software")
-    if not same(picture, ROOT / "figures" / picture.name):
+    if not same_picture(picture, ROOT / "figures" / picture.name):
         _write(figure, picture.with_suffix(".pdf"), "CreationDate")
     plt.close(figure)  # or the notebook would draw it once more
     return SavedFigure(picture, width, caption)

@@ -17,8 +17,7 @@ another row: a double zero counts once.
 A number is shown to the last digit that the paper prints, one that tests a statement in words with
 five significant digits, and with more only where the verdict would not follow from these: more
 would say nothing about the agreement, and the coefficients of a flat optimum are not determined
-further. Between processors those of (39), non-diagonal, move by up to 3e-8; the one that lies
-closest to where its fourth decimal would change is 1.4e-7 away.
+further. Where rounding moves it by one unit of the last digit shown, the row stays as it is.
 """
 
 import re
@@ -31,7 +30,8 @@ import numpy as np
 import pandas as pd
 
 from ilctools.files import folder, read_json, replace_all, write_whole
-from rodlib.paper import pictures, published
+from rodlib.paper import published
+from rodlib.paper.comparison import DIFFERENT, GONE, NEW, SAME, compared, same_text
 from rodlib.paper.published import Claim
 from rodlib.paper.repository import ROOT, results
 
@@ -133,12 +133,12 @@ class Ledger:
             "cell": _running(),
         }
 
-    def table(self, keys: Iterable[str] | None = None) -> pd.DataFrame:
-        """The rows recorded so far whose keys begin so, by default all, as a table."""
-        chosen = [key for key in published.claims() if key in self.rows]
-        if keys is not None:
-            chosen = [key for key in chosen if key.startswith(tuple(keys))]
+    def table(self, keys: Iterable[str] = ("",)) -> pd.DataFrame:
+        """The rows recorded so far whose keys begin so, by default all: those that differ first."""
+        keys = tuple(keys)
+        chosen = [key for key in published.claims() if key in self.rows and key.startswith(keys)]
         rows = pd.DataFrame([self.rows[key] for key in chosen], columns=COLUMNS)
+        rows = rows.sort_values("verdict", key=lambda verdict: verdict != DIFFERS, kind="stable")
         return rows.set_index("place")[["claim", "printed", "computed", "deviation", "verdict"]]
 
     def save(self) -> None:
@@ -319,7 +319,7 @@ def publish(build: Path, root: Path) -> None:
     figures, texts = changes(rows, build, root)
     new = {}
     for name, change in figures.items():
-        if change != pictures.SAME:
+        if change != SAME:
             for path in (root / "figures").glob(f"{name}.*"):
                 new[path] = None
             for path in (build / "figures").glob(f"{name}.*"):
@@ -333,6 +333,7 @@ def publish(build: Path, root: Path) -> None:
 def changes(rows: pd.DataFrame, build: Path, root: Path) -> tuple[dict[str, str], dict[str, bytes]]:
     """What a run has made of each figure, in a word, and the texts that are not what they were."""
     readme = (root / "README.md").read_text(encoding="utf-8")
+    rows = settled(rows, root)
     texts = {
         "figures/ledger.csv": rows.to_csv(index=False, lineterminator="\n"),
         "figures/ledger.md": markdown(rows),
@@ -343,15 +344,28 @@ def changes(rows: pd.DataFrame, build: Path, root: Path) -> tuple[dict[str, str]
         path = root / name
         if not path.exists() or path.read_bytes() != text.encode():
             changed[name] = text.encode()
-    return pictures.compared(build / "figures", root / "figures"), changed
+    return compared(build / "figures", root / "figures"), changed
+
+
+def settled(rows: pd.DataFrame, root: Path) -> pd.DataFrame:
+    """The rows with computed numbers as they are tracked, where a reader sees no difference."""
+    path, moving = root / "figures" / "ledger.csv", ["computed", "deviation"]
+    if path.exists():
+        tracked = pd.read_csv(path, dtype=str, keep_default_na=False).set_index("key")
+        rows, tracked = rows.set_index("key"), tracked.reindex(rows.key)
+        same = np.array([*map(same_text, rows.computed, tracked.computed.fillna("new"))])
+        same &= rows.verdict == tracked.verdict
+        rows.loc[same, moving] = tracked.loc[same, moving]
+        rows = rows.reset_index()[COLUMNS]
+    return rows
 
 
 def report(figures: dict[str, str], texts: Iterable[str]) -> str:
     """How many figures are the same, and what has become of the others and of texts."""
-    same = list(figures.values()).count(pictures.SAME)
+    same = list(figures.values()).count(SAME)
     line = f"{same} of {len(figures)} figures are the same as before"
-    every = figures | dict.fromkeys(texts, pictures.DIFFERENT)
-    for kind in (pictures.DIFFERENT, pictures.NEW, pictures.GONE):
+    every = figures | dict.fromkeys(texts, DIFFERENT)
+    for kind in (DIFFERENT, NEW, GONE):
         names = ", ".join(name for name, change in every.items() if change == kind)
         line += f"; {kind}: {names}" if names else ""
     return line

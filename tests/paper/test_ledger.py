@@ -259,15 +259,50 @@ def test_what_is_the_same_stays_as_it_is(root, capsys):
     """A figure whose PNG is another is replaced with its PDF, so that they show the same data."""
     publish(root, capsys)
     draw(root / "build", "fig01", 101)
+    part = root / "build" / "ledger" / "01-model.csv"
+    rows, computed = part.read_text(), "1000000000.0000"
+    assert rows.count(computed) == 1
+    part.write_text(rows.replace(computed, "1000000000.0001"))  # a unit of the last digit
     draw(root / "build", "fig02", 120)
     assert publish(root, capsys).endswith("; different: fig02")
     pages = {path.stem: path.read_text() for path in root.glob("figures/*.pdf")}
     assert pages == {"fig01": "100 m\n", "fig02": "120 m\n", "fig03": "100 m\n"}
     assert publish(root, capsys) == "3 of 3 figures are the same as before"
     assert not results.main(root / "build", root)
+    part.write_text(rows.replace(computed, "1000000000.0002"))
+    assert results.main(root / "build", root)
+    part.write_text(rows)
     (root / "figures" / "ledger.md").write_text("other")
     assert results.main(root / "build", root)
     assert publish(root, capsys).endswith("; different: figures/ledger.md")
+
+
+def test_tables_show_all_rows_that_they_are_asked_for_those_that_differ_first(monkeypatch):
+    book = Ledger("test")
+    for key in ("sigma_P", "P11", "dc_gain", "P22"):
+        book.record(key, 0.01)
+    table = book.table(key for key in book.rows if key != "sigma_P")
+    assert len(table) == 3 and len(book.table()) == 4
+    order = [verdict != DIFFERS for verdict in book.table().verdict]
+    assert order == sorted(order)
+
+
+@pytest.mark.parametrize("path", sorted(ROOT.glob("notebooks/*.ipynb")), ids=lambda p: p.stem)
+def test_notebooks_show_each_of_their_rows(path):
+    """But for entries of matrices, which notebooks 2 and 3 leave to the ledger."""
+    outputs = [
+        output.data["text/html"]
+        for cell in nbformat.read(path, as_version=4).cells
+        if cell.cell_type == "code" and "ledger.table(" in cell.source
+        for output in cell.outputs
+        if "text/html" in output.get("data", {})
+    ]
+    rows = pd.read_csv(ROOT / "figures" / "ledger.csv", dtype=str, keep_default_na=False)
+    rows = rows[rows.notebook == path.stem]
+    entries = rows.key.str.contains("[", regex=False)
+    rows = rows[~entries | ~rows.notebook.isin(["02-feedback", "03-ilc-synthesis"])]
+    # a cell may show something else first
+    assert sum(html.partition("<tbody>")[2].count("<tr>") for html in outputs[-1:]) == len(rows)
 
 
 @pytest.mark.parametrize("lack", ["not in index", "overlapping values", "no markers"])

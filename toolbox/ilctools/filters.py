@@ -16,7 +16,9 @@ from functools import cached_property, lru_cache
 from typing import Protocol, runtime_checkable
 
 import numpy as np
+from scipy.fft import ifft, next_fast_len
 from scipy.signal import BadCoefficients, butter, freqz_sos, oaconvolve, sosfiltfilt
+from scipy.special import i0
 
 from ilctools import arguments
 
@@ -26,7 +28,7 @@ ENDS = {  # the modes of numpy.pad, before the trial and after it
     "hold-last": ("constant", "edge"),
 }
 LONG = 100  # coefficients: beyond, doubles and the fast transform do, see `time_shifts`
-CHUNK = 2**21  # numbers held at a time
+WIDTH = 14  # points of the grid that `transform` takes for a frequency: one more, a tenth the error
 FARTHEST = 10**6  # samples that a filter may look ahead or back
 LONGEST = 10**7  # samples that the response of Q may last each way
 CIRCLE = 1e-9  # distance of a point from the unit circle that is rounding
@@ -266,10 +268,8 @@ class LearningFilter:
             shifts = time_shifts(angles, self.order)
             response = np.einsum("nk,ijk->nij", shifts, self.coefficients).astype(complex)  # (44)
         else:
-            taps, steps = self.coefficients.reshape(-1, self.order).T, np.arange(1, self.order + 1)
-            chunks = np.array_split(angles, 1 + len(angles) * self.order // CHUNK)
-            parts = [np.exp(1j * np.outer(chunk, steps)) @ taps for chunk in chunks]
-            response = np.concatenate(parts).reshape(-1, *self.coefficients.shape[:2])
+            taps = self.coefficients.reshape(-1, self.order).T
+            response = transform(taps, angles).reshape(-1, *self.coefficients.shape[:2])
         if self.first != 1:
             response *= np.exp(1j * (self.first - 1) * angles)[:, None, None]
         return response if self.base is None else self.base.frequency_response(omega) @ response
@@ -348,6 +348,29 @@ def _shifts(angles, order):
     z = np.exp(1j * np.outer(angles, np.arange(1, order + 1)))
     z.flags.writeable = False
     return z
+
+
+def transform(taps, angles) -> np.ndarray:
+    """Sum over k of taps[k - 1] exp(j k angle), taps of shape (order, c): (n, c), complex.
+
+    By a fast transform onto a grid of twice the order, interpolated with the window of Kaiser and
+    Bessel (Fessler and Sutton, IEEE Trans. Signal Processing 51 (2003) 560-574). The error is below
+    1e-12 times the sum of the magnitudes of the taps.
+    """
+    order, half = len(taps), len(taps) // 2
+    grid = next_fast_len(2 * order)
+    beta = np.pi * np.sqrt((0.75 * WIDTH) ** 2 - 0.8)  # for a grid of twice the order
+    k = np.arange(order) - half
+    root = np.sqrt(beta**2 - (np.pi * WIDTH * k / grid) ** 2)
+    values = np.zeros((grid, taps.shape[1]))
+    values[k] = taps * (root / np.sinh(root))[:, None]  # less what the window does to them
+    values = ifft(values, axis=0, norm="forward")
+    place = angles * grid / (2 * np.pi)
+    nearest = np.floor(place).astype(int)[:, None] + np.arange(1 - WIDTH // 2, 1 + WIDTH // 2)
+    off = 2 * (place[:, None] - nearest) / WIDTH
+    window = i0(beta * np.sqrt(np.maximum(1 - off**2, 0))) / WIDTH
+    response = np.einsum("nl,nlc->nc", window, values[nearest % grid])
+    return np.exp(1j * (half + 1) * angles)[:, None] * response
 
 
 def check_learning(L: LearningOperator, channels: int, name: str = "L") -> None:

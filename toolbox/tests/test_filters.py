@@ -86,6 +86,18 @@ def test_learning_filter_in_time_and_in_frequency():
     np.testing.assert_allclose(transform, L.frequency_response(omega)[:, :, 1], atol=1e-12)
 
 
+@given(st.integers(101, 5000), st.integers(-3000, 3000), st.integers(0, 2**32 - 1))
+def test_a_long_filter_has_the_response_that_its_taps_sum_up_to(order, first, seed):
+    random = np.random.default_rng(seed)
+    taps = random.standard_normal((2, 2, order)) * np.exp(-np.arange(order) / 500)
+    omega = np.append(random.uniform(-7, 7, 20), [0, 1e-5, np.pi])  # Ts = 0.5 s
+    shifts = np.exp(0.5j * np.outer(omega, np.arange(first, first + order)))
+    expected = np.einsum("ijk,nk->nij", taps, shifts)
+    response = LearningFilter(taps, 0.5, first=first).frequency_response(omega)
+    bound = 1e-12 * np.abs(taps).sum(axis=2).max()
+    np.testing.assert_allclose(response, expected, rtol=0, atol=bound)
+
+
 def test_filters_with_the_same_coefficients_are_one():
     one, same = (LearningFilter([[[0.5, 0.2]]], 1.0) for _ in range(2))
     different = [LearningFilter([[[0.5, 0.3]]], 1.0), LearningFilter([[[0.5, 0.2]]], 2.0)]

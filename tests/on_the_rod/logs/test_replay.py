@@ -1,6 +1,5 @@
 """A log is replayed with the law and the loop that it names; what it lacks is left out."""
 
-import re
 import warnings
 
 import control
@@ -136,7 +135,7 @@ def test_without_learning_v_is_zero():
     law = Law(law_for(LOOPS["stage"]).Q, None, loop=LOOPS["stage"])
     run = trials_of("stage", law)
     assert replay(run).agreement.endswith("in every trial")
-    assert not replay(run).following.any() and replay(run).error_by_octave(2) is None
+    assert not replay(run).following.any()
     run["v"][1, 5] = 1e-6
     assert "departs from the law from trial 2 on, by 1.0" in replay(run).agreement
 
@@ -165,26 +164,6 @@ def test_an_unstable_plant_is_simulated_but_not_predicted():
     assert replayed.omissions == [
         "prediction: the model without feedback is unstable, or there is no u"
     ]
-
-
-def test_the_error_by_octave_is_the_predicted_one_on_the_model(loop):
-    L = LearningFilter(np.eye(2)[..., None], 1.0)
-    law = Law(zero_phase_butterworth(2, 0.1, 1.0), L, gain=0.5, loop=loop)
-    run = with_law(run_trials(loop, law, bump(400, [4, 8]), None, 3), law)
-    for trial in (2, 3):
-        table = replay(run).error_by_octave(trial)
-        np.testing.assert_allclose(table.measured, table.predicted, rtol=1e-6)
-        after, before = (run.e.sel(trial=k).values for k in (trial, trial - 1))
-        ratio = np.linalg.norm(table.measured * table.before)
-        ratio /= np.linalg.norm(table.before)
-        assert ratio == pytest.approx(np.linalg.norm(after) / np.linalg.norm(before))
-        assert np.all(table.bound >= 0.5)
-    assert replay(run).error_by_octave(1) is replay(run).error_by_octave(4) is None
-    reference = run.reference * (1 + (run.trial == 3))
-    other = run.assign(reference=reference, e=reference - run.y)
-    assert replay_quietly(other).error_by_octave(3) is None
-    del run.attrs["loop"]
-    assert replay(run).error_by_octave(2) is None
 
 
 def test_the_next_v_is_read_back_equal(tmp_path):
@@ -225,38 +204,6 @@ def test_a_replay_is_printed_in_lines_and_warns():
         assert replay(run.isel(trial=[0, 2, 5])).warnings == ()
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.05])
-def test_it_says_by_which_trial_to_what_the_error_converged(noise):
-    """Of errors that fall by a half a trial, to what Q leaves; noise is added to them."""
-    run = trials_of("tanks", trials=16)
-    left = bump(150, [0.3, 0.0, 0.0])
-    e = left + 5 * left * 0.5 ** np.arange(16)[:, None, None]
-    e += noise * np.random.default_rng(0).standard_normal(e.shape)
-    run["e"] = (run.e.dims, e, run.e.attrs)
-    run["y"] = run.reference - run.e
-    replayed = replay_quietly(run)
-    (line,) = replayed.settling
-    assert line.startswith("RMS (cm): converged, by about trial ") and line in repr(replayed)
-    number, level, white = (float(text) for text in re.findall(r"\d[\d.e-]*", line))
-    assert number in (5, 6) and white == pytest.approx(3**0.5 * noise, rel=0.05, abs=0.01)
-    remains = np.mean(np.sum(left**2, axis=1)) + 3 * noise**2
-    assert level == pytest.approx(np.sqrt(remains), rel=0.02)
-    (early,) = replay_quietly(run.isel(trial=slice(4))).settling
-    assert "not converged" in early
-    assert not replay_quietly(run.isel(trial=slice(3))).settling
-    other = run.reference * (1 + (run.trial == 3))
-    assert not replay_quietly(run.assign(reference=other, e=other - run.y)).settling
-
-
 def replay_quietly(trials):
     with warnings.catch_warnings(action="ignore"):
         return replay(trials)
-
-
-def test_the_bound_of_a_ratio_counts_what_Q_leaves():
-    """Where the error is what Q leaves, it stays: a bound below one would be no bound."""
-    law = law_for(LOOPS["stage"])
-    trials = with_law(run_trials(law.loop, law, bump(150, [1.0]), None, 12), law)
-    table = replay_quietly(trials).error_by_octave(12)
-    left = table[table.before > 0.01 * table.before.max()]
-    assert np.all(left.bound >= 0.98 * left.measured) and left.measured.max() > 0.95

@@ -141,7 +141,8 @@ def _ceiling(a, b, h):
 
 def _phase(poles, theta):
     """Phase phi of the all-pass with these poles, shape of theta."""
-    r, angle = np.abs(poles)[:, None], np.angle(poles)[:, None]
+    others = poles[poles != 0]  # a pole at zero, as of each tap, adds theta alone
+    r, angle = np.abs(others)[:, None], np.angle(others)[:, None]
     shift = theta - angle
     # 1 - r cos(shift), without cancellation for poles next to the circle
     real = (1 - r) + 2 * r * np.sin(shift / 2) ** 2

@@ -22,14 +22,7 @@ from ilctools.law.repetitive import next_samples, repeated
 from ilctools.logs.format import signals_of
 from ilctools.loop.closed import ClosedLoop, Loop
 from ilctools.loop.notes import loop_of
-from ilctools.trials.diagnosis import (
-    commands,
-    converged_from,
-    diagnose,
-    error_by_octave,
-    histories,
-    outputs_of,
-)
+from ilctools.trials.diagnosis import commands, diagnose, histories, outputs_of
 from ilctools.trials.run import rms, run_trials
 from ilctools.units import by_unit, with_unit
 
@@ -204,23 +197,6 @@ class Replay:
             return ()
         return tuple(diagnose(self.trials, self.law).values())
 
-    def error_by_octave(self, trial: int = 2) -> pd.DataFrame | None:
-        """The error of a trial relative to that of the one before, by octaves; for all outputs.
-
-        Indexed by the highest frequency of an octave, rad/s. Columns: `before`, the RMS of the
-        error before; `bound`, sigma_max(M) of the model; `predicted` from the model and the
-        recorded v; `measured`; and `noise`, the share of white noise. None without a law, a model
-        or the trial before, between two references, or for outputs in several units.
-        """
-        k = arguments.whole("trial", trial, 1) - self.numbers[0]
-        there = self.successive and 0 < k < len(self.numbers)
-        if not there or self.law is None or self.law.L is None:
-            return None
-        history, *others = histories(self.trials, self.law)
-        if others or history.P is None or history.since[k] == k:
-            return None
-        return pd.DataFrame(error_by_octave(history, k, k - 1)).set_index("frequency")
-
     @property
     def rms(self) -> pd.DataFrame:
         """RMS(e_k) by trial, of the log and of the simulation; a column for each unit."""
@@ -229,27 +205,6 @@ class Replay:
             return table
         simulated = rms_by_trial(self.simulated.e).add_suffix(", simulation")
         return pd.concat([table.add_suffix(", log"), simulated], axis=1)
-
-    @property
-    def settling(self) -> list[str]:
-        """By which trial the error has converged, and to what; of four trials or more of one task.
-
-        One line for each unit of the outputs.
-        """
-        e, same = self.trials.e, np.ptp(self.trials.reference.values, axis=0).max() == 0
-        if not same or len(e) < 4:
-            return []
-        lines = []
-        for title, channels in channels_by_unit(e).items():
-            words = "not converged, the error still changes from trial to trial"
-            if stays := converged_from(e.values[..., channels]):
-                k, level, noise = stays
-                words = (
-                    f"converged, by about trial {self.numbers[k]}, to {level:.3g}, of which "
-                    f"noise {noise:.3g}"
-                )
-            lines.append(f"{title}: {words}")
-        return lines
 
     @property
     def agreement(self) -> str:
@@ -301,7 +256,6 @@ class Replay:
             f"{trials.attrs['Ts']:g} s",
             f"law: {self.agreement}",
             f"RMS of the error:\n{self.rms.to_string(float_format='{:.3g}'.format)}",
-            *self.settling,
         ]
         if self.fit is not None:
             mean = (100 * self.fit.mean()).round(1)

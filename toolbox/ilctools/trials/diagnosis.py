@@ -22,7 +22,7 @@ from math import factorial
 import control
 import numpy as np
 import xarray as xr
-from scipy.special import fdtrc, stdtr
+from scipy.special import fdtrc
 
 from ilctools.evidence.convergence import Convergence, convergence
 from ilctools.evidence.finite import trial_norm
@@ -34,16 +34,12 @@ from ilctools.models import state_sequence
 from ilctools.problem.problem import largest_singular_values
 from ilctools.units import by_unit
 
-# probability of a false warning by noise, in a test; and where learning adds what it removes
-SIGNIFICANCE, SIGNIFICANCE_OF_HARM = 1e-4, 1e-3
+SIGNIFICANCE = 1e-4  # probability of a false warning by noise, in a test
 GROWTH = 1.5  # ratio of RMS errors that is worth a warning,
 RISES = 3  # if it rose so many times in succession,
 JUMP = 3.0  # or at once, relative to the largest before: one new disturbance is no divergence
 AMPLIFICATION = 5.0  # of white noise by learning: errors below it are no growth
 EXCESS = 0.05  # smallest error beyond the promised one, relative to the first trial's
-HARMLESS = 0.5  # share of v, and of the error without it, that repeats
-WORSE = 1.1  # ratio of RMS errors with learning and without it: noise that is learned adds as much
-SETTLED = 1.2  # RMS of a trial, relative to that of the last ones, that is the same
 ROUNDING = 1e-9  # relative to the largest signal
 TINY = np.finfo(float).tiny  # instead of a zero that divides
 GRID = np.geomspace(1e-4, 1, 200) * np.pi  # omega Ts of the predicted rate
@@ -63,7 +59,7 @@ class History:
     @cached_property
     def rms(self) -> np.ndarray:
         """RMS of the error of each trial, summed over the channels."""
-        return trial_rms(self.e)
+        return np.sqrt(np.sum(self.e**2, axis=2).mean(axis=1))
 
     @cached_property
     def since(self) -> np.ndarray:
@@ -167,8 +163,6 @@ def diagnose(trials: xr.Dataset, law: Law, first: int = 2, exact: bool = False) 
                     warnings["growth"] = error_grows(history, k)
                 if "model" not in warnings and not exact:
                     warnings["model"] = breaks_promise(history, k)
-                if not any(warnings.values()):  # with which learning adds errors, too
-                    warnings["growth"] = adds_errors(history, k)
                 warnings = {kind: text for kind, text in warnings.items() if text}
     return warnings
 
@@ -355,38 +349,6 @@ def chance_of_excess(excess, variance, freedom, trials: int) -> np.ndarray:
     return len(excess) * fdtrc(freedom, others, F)
 
 
-def adds_errors(history: History, k: int) -> str:
-    """t test of the share of what v corrects, by the model, that was there to be corrected.
-
-    It is the regression coefficient, on P v, of what the error would be without v. Null hypothesis:
-    it is a half or more, so that learning does not leave more than it removes.
-    """
-    first = history.since[k]
-    if history.P is None or k < first + 2:  # noise is known from two changes on
-        return ""
-    e, corrected, free = (
-        signal[first + 1 : k + 1] for signal in (history.e, history.effect, history.free)
-    )
-    size = np.linalg.norm(corrected)
-    if not size or not free.any():
-        return ""
-    repeating = 1 - (np.linalg.norm(free - free.mean(axis=0)) / np.linalg.norm(free)) ** 2
-    if repeating > HARMLESS or mean_rms(e) < WORSE * mean_rms(free):
-        return ""
-    share = np.sum(corrected * free) / size**2
-    residual = free - share * corrected
-    freedom = len(e) * degrees_of_freedom(spectrum(residual).mean(axis=0)).item()
-    deviation = np.linalg.norm(residual) / size / np.sqrt(freedom)
-    if stdtr(freedom, (share - HARMLESS) / deviation) >= SIGNIFICANCE_OF_HARM:
-        return ""
-    return (
-        f"learning adds to the error{history.of_outputs}: its RMS is {mean_rms(e):.3g} in trials "
-        f"{history.number(first + 1)} to {history.number(k)}, and would be {mean_rms(free):.3g} "
-        "with v = 0. What disturbs the trials does not repeat: start each at the same phase of it "
-        "(pause), or learn less, by a smaller learning gain or a lower cut-off of Q"
-    )
-
-
 def error_by_octave(history: History, k: int, before: int) -> dict[str, np.ndarray]:
     """The error of trial k relative to that of one before, by octaves up to `frequency`, rad/s.
 
@@ -435,32 +397,6 @@ def degrees_of_freedom(power, edges=(0,)) -> np.ndarray:
     """Degrees of freedom of a mean square, by its spectrum (harmonic, channel), in each octave."""
     total, squares = (np.add.reduceat(values.sum(axis=1), edges) for values in (power, power**2))
     return np.maximum(2, 2 * total**2 / np.maximum(squares, TINY))
-
-
-def mean_rms(signals) -> float:
-    """Root of the mean square of signals (trial, time, channel), summed over the channels."""
-    return np.sqrt(np.mean(trial_rms(signals) ** 2))
-
-
-def converged_from(e) -> tuple[int, float, float] | None:
-    """From which trial on (index) the error (trial, time, channel) stays, where, and its noise.
-
-    The level is the RMS of the last quarter of the trials, or of three, none of which is SETTLED
-    times larger; noise is what differs between successive trials. None if it does not stay.
-    """
-    size, last = trial_rms(e), max(3, len(e) // 4)
-    level = mean_rms(e[-last:])
-    outside = np.flatnonzero(size > SETTLED * level)
-    first = outside.max(initial=-1) + 1
-    if first > len(e) - last:
-        return None
-    noise = mean_rms(np.diff(e[first:], axis=0)) / np.sqrt(2)
-    return first, level, noise
-
-
-def trial_rms(signals) -> np.ndarray:
-    """RMS of each of the signals (trial, time, channel), summed over the channels."""
-    return np.sqrt(np.sum(signals**2, axis=2).mean(axis=1))
 
 
 def noise_std(signals) -> np.ndarray:

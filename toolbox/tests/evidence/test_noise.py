@@ -28,7 +28,6 @@ from ilctools.trials.run import rms
 
 pytestmark = [  # after an impulse, around another plant
     pytest.mark.filterwarnings("ignore:the error grows"),
-    pytest.mark.filterwarnings("ignore:learning adds"),
     pytest.mark.filterwarnings("ignore:the convergence rate"),
 ]
 

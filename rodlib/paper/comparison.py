@@ -1,0 +1,71 @@
+"""What counts as the same, of texts and of pictures: what a reader cannot tell apart.
+
+Processors differ in the last digits of a sum, and no number of them tried proves that the next one
+does not. So a printed number may differ by one unit of its last digit, whether it is rounded to
+0.8833 or 0.8834, and a whole number above a thousand, which counts steps or samples, by a
+thousandth. In a picture an edge may move by a part of a pixel: each pixel must lie between the
+darkest and the lightest of the nine around its place in the other picture, and the other way round.
+"""
+
+import re
+from decimal import Decimal
+from pathlib import Path
+
+import numpy as np
+from matplotlib.image import imread
+from scipy.ndimage import maximum_filter, minimum_filter
+
+NUMBER = re.compile(r"((?<![\w.])[-+−]?(?:\d{1,3}(?:,\d{3})+|\d+)(?:\.\d+)?(?:[eE][-+]?\d+)?)")
+LARGE = 1000  # from here on a whole number may be off by a thousandth
+PIXELS_PER_INCH = 200  # of the PNG files: the thinnest lines are two pixels wide
+LEVELS = 16  # of 255, which on a screen nobody sees
+SAME, DIFFERENT, NEW, GONE = "the same", "different", "new", "gone"
+
+
+def same_text(one: str, other: str) -> bool:
+    """Whether two texts differ in the last digits of numbers at most, and in spaces that align."""
+    ours, theirs = (NUMBER.split(re.sub(r"[ \t]+", " ", text)) for text in (one, other))
+    numbers = zip(ours[1::2], theirs[1::2], strict=False)
+    return ours[::2] == theirs[::2] and all(same_number(*pair) for pair in numbers)
+
+
+def same_number(one: str, other: str) -> bool:
+    """Whether two printed numbers are one unit of the last digit apart at most."""
+    a, b = (Decimal(text.replace(",", "").replace("−", "-")) for text in (one, other))
+    if not re.search("[.eE]", one + other):  # whole numbers
+        return a == b or abs(a - b) * LARGE <= abs(a) >= LARGE
+    # where zeros at the end are left out, 0.1 is next to 0.099
+    return abs(a - b) <= Decimal(1).scaleb(min(a.as_tuple().exponent, b.as_tuple().exponent))
+
+
+def compared(drawn: Path, before: Path) -> dict[str, str]:
+    """What has become of each figure of the notebooks, by name, in order."""
+    new, old = pictures(drawn), pictures(before)
+    changes = dict.fromkeys(old, GONE) | dict.fromkeys(new, NEW)
+    for name in new.keys() & old.keys():
+        changes[name] = SAME if same_picture(new[name], old[name]) else DIFFERENT
+    return dict(sorted(changes.items()))
+
+
+def pictures(folder: Path) -> dict[str, Path]:
+    """The PNG files of figures of the notebooks, by name."""
+    paths = [*folder.glob("fig*.png"), *folder.glob("extra*.png")]
+    return {path.stem: path for path in paths}
+
+
+def same_picture(one: Path, other: Path) -> bool:
+    """Whether two PNG files show the same; one that cannot be read does not."""
+    try:
+        one, other = imread(one), imread(other)  # from 0 to 1
+    except (OSError, SyntaxError, ValueError):  # SyntaxError: pillow's
+        return False
+    return one.shape == other.shape and (
+        np.array_equal(one, other) or (_within(one, other) and _within(other, one))
+    )
+
+
+def _within(one, other):
+    """Whether each pixel lies between those around its place in the other picture."""
+    slack, around = (LEVELS + 0.5) / 255, (3, 3, 1)
+    low, high = minimum_filter(other, around) - slack, maximum_filter(other, around) + slack
+    return bool(np.all((low <= one) & (one <= high)))

@@ -1,0 +1,172 @@
+import re
+import shutil
+import subprocess
+import sys
+
+import matplotlib.pyplot as plt
+import nbformat
+import numpy as np
+import pytest
+
+from rodlib.paper.comparison import NUMBER, PIXELS_PER_INCH, compared, same_picture, same_text
+from rodlib.paper.repository import ROOT
+
+PIXEL = 72 / 200 / 140  # in data: the axes are 140 points high
+TEXT = """rate at most 0.8833, proven at all frequencies; largest near 0.042 rad/s
+gain -0.5, below 1e-09 in 4 of 12 trials, 2500 samples, peak 1.2e+08
+<td>0.10</td><td>-0.0</td><td>reproduced</td>
+"""
+
+
+def nudged(text, units, less=False):
+    """The text with each number moved by units of its last digit; whole ones stay."""
+
+    def moved(match):
+        number = match[0]
+        if not re.search(r"[.e]", number):
+            return number
+        digits, e, exponent = number.partition("e")
+        places = len(digits.partition(".")[2])
+        change = (-units if less else units) * 10.0**-places
+        return f"{float(digits) + change:.{places}f}{e}{exponent}"
+
+    return NUMBER.sub(moved, text)
+
+
+def outputs():
+    """All texts that the tracked notebooks show."""
+    for path in sorted((ROOT / "notebooks").glob("*.ipynb")):
+        for cell in nbformat.read(path, as_version=4).cells:
+            for output in cell.get("outputs", []):
+                data = output.get("data", {})
+                yield from filter(None, [output.get("text"), data.get("text/plain")])
+                yield from filter(None, [data.get("text/html"), data.get("text/markdown")])
+
+
+@pytest.mark.parametrize("less", [False, True])
+def test_rounding_of_every_number_is_the_same(less):
+    """At worst it moves each by a unit of the last digit, and no row out of line."""
+    texts = list(outputs())
+    numbers = sum(len(NUMBER.findall(text)) for text in texts)
+    assert numbers > 3000
+    for text in texts:
+        assert same_text(text, nudged(text, 1, less))
+        if re.search(r"(?<![\w.])\d+\.\d", text):
+            assert not same_text(text, nudged(text, 2, less))
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("0.10", "0.09"), ("-0.0", "0.0"), ("1e-09", "2e-09"), ("2500", "2502"), ("12 ", "12   "),
+        ("1.2e+08", "1.3e+08"), ("0.10", "0.099"),
+    ],
+)  # fmt: skip
+def test_a_last_digit_and_alignment_are_not_seen(before, after):
+    assert same_text(TEXT, TEXT.replace(before, after))
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("0.8833", "0.8835"), ("0.8833", "0.8933"), ("0.8833", "-0.8833"), ("0.8833", "0.883"),
+        ("0.042", "0.045"), ("-0.5", "0.5"), ("-0.5", "-0.7"), ("1e-09", "1e-08"), ("4 of", "5 of"),
+        ("4 of", "4 or"), ("12 ", "13 "), ("2500", "2510"), ("2500", "25000"), ("+08", "+09"),
+        ("reproduced", "differs"), ("proven", "estimated"), ("rad/s", "Hz"), ("at m", "at le"),
+        ("<td>-0.0</td>", ""), ("\ngain", "\nGain"), ("samples", "sample"), ("0.8833", "nan"),
+        (TEXT[TEXT.index("<td>") :], ""), ("\n", ""), ("near 0.042", "near"),
+    ],
+)  # fmt: skip
+def test_what_a_reader_sees_in_a_text_is_found(before, after):
+    assert before in TEXT and not same_text(TEXT, TEXT.replace(before, after, 1))
+
+
+def draw(folder, raised=0.0, label="rate 0.905", patch="0.94", width=360, **changes):
+    """Save a figure with a curve that Matplotlib simplifies, a patch, a legend and markers."""
+    x = np.linspace(0, 2, 2000)
+    noise = np.random.default_rng(0).standard_normal(x.size)
+    y = 0.6 + 0.2 * np.sin(5 * x) + 0.02 * noise + raised
+    figure = plt.figure(figsize=(width / 72, 200 / 72), layout="none")
+    axes = figure.add_axes((0.1, 0.15, 0.8, 0.7))
+    axes.add_patch(plt.Rectangle((0.1, 0.1), 0.5, 0.2, facecolor=patch))
+    axes.plot(x, y, label=label, linewidth=0.8, color=changes.get("color", "C0"))
+    axes.plot(changes.get("markers", [0.2, 0.5, 0.9, 1.1, 1.7]), [0.91] * 5, "o", markersize=3)
+    axes.set(xlim=(0, 2), ylim=(0, 1), xlabel=changes.get("xlabel", "time (s)"))
+    if label:
+        axes.legend(loc=changes.get("loc", "lower left"))
+    folder.mkdir()
+    figure.savefig(folder / "fig01.png", dpi=PIXELS_PER_INCH)
+    plt.close(figure)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def before(tmp_path_factory):
+    return draw(tmp_path_factory.mktemp("pictures") / "before")
+
+
+@pytest.mark.parametrize(
+    ("changes", "outcome"),
+    [
+        ({}, "the same"),
+        ({"raised": 1e-9}, "the same"),
+        ({"raised": 0.5 * PIXEL}, "the same"),
+        ({"raised": 2 * PIXEL}, "different"),
+        ({"raised": -2 * PIXEL}, "different"),
+        ({"label": "rate 0.902"}, "different"),
+        ({"label": None}, "different"),
+        ({"loc": "lower right"}, "different"),
+        ({"color": "C1"}, "different"),
+        ({"markers": [0.2, 0.5, 0.9, 1.1, 1.1]}, "different"),
+        ({"xlabel": "time (h)"}, "different"),
+        ({"patch": "0.85"}, "different"),
+        ({"width": 361}, "different"),
+    ],
+)
+def test_half_a_pixel_is_the_same_and_what_is_seen_is_not(before, tmp_path, changes, outcome):
+    assert compared(draw(tmp_path / "drawn", **changes), before) == {"fig01": outcome}
+
+
+def test_a_file_that_cannot_be_read_is_different(before, tmp_path):
+    content = (before / "fig01.png").read_bytes()
+    for broken in (b"", b"<<<<<<< HEAD\n", content[:-100], content[:5000]):
+        (tmp_path / "fig01.png").write_bytes(broken)
+        assert compared(tmp_path, before) == {"fig01": "different"}
+
+
+def test_figures_that_come_and_go_are_named_and_others_left_alone(before, tmp_path):
+    drawn = shutil.copytree(before, tmp_path / "drawn")
+    tracked = shutil.copytree(before, tmp_path / "tracked")
+    shutil.copy(before / "fig01.png", drawn / "extra02.png")
+    for name in ("fig03", "performance"):
+        shutil.copy(before / "fig01.png", tracked / f"{name}.png")
+    changes = {"extra02": "new", "fig01": "the same", "fig03": "gone"}
+    assert compared(drawn, tracked) == changes
+
+
+@pytest.mark.parametrize("name", ["extra07-choice", "fig09-recorded-signals"])
+def test_a_tracked_figure_without_a_curve_is_found(name, tmp_path):
+    """Its pixels of one colour, but for gray ones, are those of the paper beneath."""
+    path = ROOT / "figures" / f"{name}.png"
+    picture = plt.imread(path)
+    shades, counts = np.unique(
+        picture[np.ptp(picture[..., :3], axis=-1) > 0.2], axis=0, return_counts=True
+    )
+    picture[(picture == shades[counts.argmax()]).all(axis=-1)] = 1
+    plt.imsave(tmp_path / path.name, picture)
+    assert same_picture(path, path) and not same_picture(path, tmp_path / path.name)
+
+
+def test_nbval_lets_a_last_digit_pass_and_finds_a_word(tmp_path):
+    notebook = nbformat.v4.new_notebook()
+    for now in ("0.8834 K", "0.8833 s"):
+        output = nbformat.v4.new_output("stream", name="stdout", text="0.8833 K\n")
+        cell = nbformat.v4.new_code_cell(f"print('{now}')", outputs=[output], execution_count=1)
+        notebook.cells.append(cell)
+    nbformat.write(notebook, tmp_path / "book.ipynb")
+    shutil.copy(ROOT / "conftest.py", tmp_path)
+    call = "-m pytest -q --nbval --nbval-current-env -p no:cacheprovider -p no:xdist book.ipynb"
+    run = subprocess.run(
+        [sys.executable, *call.split()], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert "1 failed, 1 passed" in run.stdout, run.stdout
