@@ -22,17 +22,15 @@ def parts(build: Path, machine: bool) -> dict[str, list]:
     """Arguments of Python, by the name of what they run."""
     notebooks = [*longest_first(ROOT), ROOT / "rodlib" / "paper" / "replay.ipynb"]
     tests = sorted((ROOT / "tests").glob("test_*.py"))
-    # not tests as a whole, which would leave out the browser
-    rooms = [
-        ROOT / "tests" / room
-        for room in ("on_the_rod", "paper", "workbench", *([] if machine else ["browser"]))
-    ]
+    # the browser first, which waits more than it computes; in another's place it would be last
+    first = [] if machine else [ROOT / "tests" / "browser"]
+    rooms = [ROOT / "tests" / room for room in ("on_the_rod", "paper", "workbench")]
     rooms.append(ROOT / "toolbox" / "tests")
     lint = {"lint": ["-m", "ruff", "check"], "format": ["-m", "ruff", "format", "--check"]}
     lint["tokens"] = [ROOT / "tools" / "rooms.py"]
     report = f"--junitxml={build / 'report.xml'}"
     return ({} if machine else lint) | {
-        "tests": [*PYTEST.split(), report, *notebooks, *tests, *rooms],
+        "tests": [*PYTEST.split(), report, *first, *notebooks, *tests, *rooms],
         "figures and ledger": [ROOT / "tools" / "results.py", build],
     }
 
