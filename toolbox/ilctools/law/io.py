@@ -150,6 +150,7 @@ def save_law(path, law: Law, note: str = "") -> None:
         or b, scale and the model P), if they are not the defaults ``rest``, ``step`` (the learning
         gain) and ``actuators`` (the limits), ``note``; and, for other languages, ``sections``,
         the second-order sections b0, b1, b2, 1, a1, a2 of the forward half of Q: docs/law.c.
+        Other keys, and sections that are not those of Q, are refused where it is read.
     law : Law
         L must be a LearningFilter. The loop is not written.
     note : str
