@@ -71,26 +71,32 @@ class ZeroPhaseButterworth:
     def __post_init__(self):
         arguments.choice("ends", self.ends, list(ENDS))
         Ts = arguments.sampling_period("Ts", self.Ts)
-        what = f"in (0, {np.pi / Ts:.6g}) rad/s, up to the Nyquist frequency of Ts = {Ts} s"
-        what += "; one that is normalised, as scipy's, times that"
+        what = (
+            f"in (0, {np.pi / Ts:.6g}) rad/s, up to the Nyquist frequency of Ts = {Ts} s; one that "
+            "is normalised, as scipy's, times that"
+        )
         cutoff = arguments.number("cutoff", self.cutoff, what, 0, np.pi / Ts)
         order = arguments.whole("order", self.order, 1, 100)
         vars(self).update(order=order, cutoff=cutoff, Ts=Ts)
         if not self._realised():
+            end = "low" if cutoff < np.pi / Ts / 2 else "high"
             raise ValueError(
-                f"cutoff = {cutoff!r} rad/s is too low for order = {order} at Ts = {Ts} s: "
+                f"cutoff = {cutoff!r} rad/s is too {end} for order = {order} at Ts = {Ts} s: "
                 "rounding changes the filter by more than a millionth, or its response lasts more "
-                "than 1e7 samples. Raise the cut-off, lower the order, or take a longer Ts. If it "
-                f"is normalised, as scipy's, it is {cutoff * np.pi / Ts:.6g} rad/s"
+                "than 1e7 samples. Lower the order, move the cut-off away from there, or take "
+                "another Ts. One that is normalised, as scipy's, is to be multiplied by pi / Ts"
             )
 
     def _realised(self):
         """Whether the coefficients, which are rounded, give the gains 1 and 1/2 asked for, soon."""
         with np.errstate(all="ignore"), warnings.catch_warnings():
             warnings.simplefilter("ignore", BadCoefficients)
-            gains = self.frequency_response([0, self.cutoff])
-        decays = np.abs(self.poles).max() < 1e-18 ** (1 / LONGEST)
-        return decays and np.allclose(gains, [1, 0.5], rtol=0, atol=1e-6)
+            try:
+                gains = self.frequency_response([0, self.cutoff])
+                decays = 0 <= self.decay < LONGEST
+            except OverflowError:  # next to the Nyquist frequency, or of a pole on the circle
+                return False
+        return decays and np.allclose(gains, [1, 0.5], 0, 1e-6)
 
     @cached_property
     def sections(self) -> np.ndarray:
@@ -100,8 +106,7 @@ class ZeroPhaseButterworth:
     @cached_property
     def poles(self) -> np.ndarray:
         """Of the forward half."""
-        _, poles, _ = butter(self.order, self.cutoff, fs=2 * np.pi / self.Ts, output="zpk")
-        return poles
+        return butter(self.order, self.cutoff, fs=2 * np.pi / self.Ts, output="zpk")[1]
 
     @cached_property
     def decay(self):

@@ -87,14 +87,11 @@ def test_a_file_that_is_not_a_law_is_refused(tmp_path, Q):
     path = tmp_path / "law.json"
     with pytest.raises(ValueError, match="L = None"):
         save_law(path, Law(Q, None))
-    save_law(path, Law(Q, L))
-    content = json.loads(path.read_text())
-    changes = {"format": "rodlib law 9"}, {"Ts": -1.0}, {"L": None}, {"Q": {"order": 2}}
-    texts = [json.dumps(content | change).encode() for change in changes]
-    for other in (*texts, b"", b"[]", b'{"Ts": 1, "Ts": 2}', b"[" * 9999, b"\xff\xfe\x00"):
+    for other in (b"", b"[]", b'{"Ts": 1, "Ts": 2}', b"[" * 9999, b"\xff\xfe\x00" * 9999):
         path.write_bytes(other)
-        with pytest.raises(ValueError, match=r"law.json' is not a law of save_law"):
+        with pytest.raises(ValueError, match=r"law.json' is not a law of save_law") as error:
             load_law(path)
+        assert len(str(error.value)) <= 1000
     with pytest.raises(ValueError, match="is not a law of save_law"):
         load_law(tmp_path)
 

@@ -1,10 +1,10 @@
 """The law as JSON: in the metadata of a log, and in a file of its own."""
 
 import json
-from collections.abc import Mapping
 from dataclasses import replace
 
 import control
+import numpy as np
 import xarray as xr
 
 from ilctools import arguments
@@ -13,12 +13,13 @@ from ilctools.files import read_json, regular, write_whole
 from ilctools.filters import LearningFilter, ZeroPhaseButterworth
 from ilctools.law.law import Law
 from ilctools.law.limits import named_limits
-from ilctools.loop.notes import MISUNDERSTOOD, loop_note, loop_of, read_note, reading
+from ilctools.loop.notes import MISUNDERSTOOD, loop_note, loop_of, read_note, reading, shortened
 from ilctools.signals import Signals, check_match
 
 FORMATS = ("rodlib law 1", "rodlib law 2")  # of the file; the second if L looks back or has a base
 DEFAULTS = {"rest": 0, "step": 1.0, "actuators": {}}  # step: the learning gain
 KEYS = ("Q", "L", *DEFAULTS)
+ROUNDING = 1e-12  # of the sections, on another machine
 BEGUN = "begun"  # the note that says that v of trial 1 was given
 RESET = "reset"  # the note that says that there was none between trials, NO_RESET
 NO_RESET = "none: a trial starts where the last one ended"
@@ -32,41 +33,47 @@ def law_notes(law: Law) -> dict:
         notes["L"] = None
     elif isinstance(L, LearningFilter):
         notes["L"] = {"coefficients": L.coefficients.tolist(), "ends": L.ends}
-        if newer(L):
+        if L.first != 1 or L.base is not None:
             notes["L"] |= {"first": L.first, "base": L.base and _base_notes(L.base)}
     others = {"rest": law.rest, "step": law.gain, "actuators": law.limits or {}}
-    changed = {key: others[key] for key in others if others[key] != DEFAULTS[key]}
-    return notes | changed
+    return notes | {key: value for key, value in others.items() if value != DEFAULTS[key]}
 
 
-def _law_from(notes: Mapping, Ts: float) -> Law:
+def _law_from(notes, Ts):
     """The law that :func:`law_notes` noted."""
-    Q, L, notes = notes["Q"], notes["L"], DEFAULTS | notes
-    Q = ZeroPhaseButterworth(Q["order"], Q["cutoff"], Ts, Q["ends"])
-    if L is not None:
-        L = {"first": 1, "base": None} | L
-        base = L["base"] and _base_from(L["base"], Ts)
-        L = LearningFilter(L["coefficients"], Ts, L["ends"], L["first"], base)
+    notes = DEFAULTS | notes
+    Q = ZeroPhaseButterworth(Ts=Ts, **_with_keys(notes["Q"], "order cutoff ends"))
+    if (L := notes["L"]) is not None:
+        _with_keys(L, "coefficients ends", "coefficients ends first base")
+        L = LearningFilter(Ts=Ts, **L | {"base": _base_from(L.get("base"), Ts)})
     return Law(Q, L, notes["rest"], notes["step"], notes["actuators"])
 
 
-def newer(L: LearningFilter) -> bool:
-    """Whether a filter needs the second format."""
-    return L.first != 1 or L.base is not None
+def _with_keys(notes, *layouts):
+    """Notes, if their keys are those of one of the layouts: others would be without effect."""
+    if {*notes} not in [{*keys.split()} for keys in layouts]:
+        raise ValueError(f"{sorted(notes)} must be the keys {' or '.join(layouts)}")
+    return notes
 
 
 def _base_notes(base):
     """B as what JSON can hold: the model that it is of, or its coefficients."""
     if isinstance(base, LearningFilter):
         return {"taps": base.coefficients.tolist(), "from": base.first}
-    P = {name: getattr(base.P, name).tolist() for name in "ABCD"}
-    return {"b": base.b, "scale": base.scale.tolist(), "P": P}
+    return {
+        "b": base.b,
+        "scale": base.scale.tolist(),
+        "P": {name: getattr(base.P, name).tolist() for name in "ABCD"},
+    }
 
 
 def _base_from(notes, Ts):
     """The base that :func:`_base_notes` noted."""
-    if "taps" in notes:
+    if notes is None:
+        return None
+    if "taps" in _with_keys(notes, "taps from", "b scale P"):
         return LearningFilter(notes["taps"], Ts, first=notes["from"])
+    _with_keys(notes["P"], "A B C D")
     P = control.ss(*(notes["P"][name] for name in "ABCD"), Ts)
     return RegularisedInverse(P, notes["b"], notes["scale"])
 
@@ -112,12 +119,11 @@ def law_of(trials: xr.Dataset) -> Law | None:
     """
 
     arguments.instance("trials", trials, xr.Dataset)
-    noted = [key for key in KEYS if key in trials.attrs]
-    if "Q" not in noted or "L" not in noted:
+    if not {"Q", "L"} <= trials.attrs.keys():
         return None
     loop = loop_of(trials)
     with reading("law"):
-        notes = {key: read_json(trials.attrs[key]) for key in noted}
+        notes = {key: read_json(trials.attrs[key]) for key in KEYS if key in trials.attrs}
         law = _law_from(notes, trials.attrs["Ts"])
         check_match(log=Signals.of_log(trials), law=law)
         arguments.whole("rest", law.rest, 0, trials.sizes["time"] - 1)
@@ -144,6 +150,7 @@ def save_law(path, law: Law, note: str = "") -> None:
         or b, scale and the model P), if they are not the defaults ``rest``, ``step`` (the learning
         gain) and ``actuators`` (the limits), ``note``; and, for other languages, ``sections``,
         the second-order sections b0, b1, b2, 1, a1, a2 of the forward half of Q: docs/law.c.
+        Other keys, and sections that are not those of Q, are refused where it is read.
     law : Law
         L must be a LearningFilter. The loop is not written.
     note : str
@@ -172,7 +179,8 @@ def save_law(path, law: Law, note: str = "") -> None:
             raise ValueError(
                 f"path = {str(path)!r} is a file that is no law: choose another name, or remove it"
             ) from None
-    content = {"format": FORMATS[newer(law.L)], "Ts": law.Ts, **law_notes(law), "note": note}
+    notes = law_notes(law)
+    content = {"format": FORMATS["first" in notes["L"]], "Ts": law.Ts, **notes, "note": note}
     content["sections"] = law.Q.sections.tolist()
     write_whole(path, json.dumps(content, ensure_ascii=False, indent=1) + "\n")
 
@@ -197,14 +205,20 @@ def load_law(path) -> Law:
     path = arguments.path("path", path)
     try:
         content = read_json(regular(path).read_text(encoding="utf-8"))
-        if content["format"] not in FORMATS:
+        _with_keys(DEFAULTS | content, "format Ts Q L rest step actuators note sections")
+        if content["format"] != FORMATS["first" in content["L"]]:
             raise ValueError(f"format {content['format']!r} is none of {FORMATS}")
         law = _law_from(content, content["Ts"])
-        arguments.instance("L", law.L, LearningFilter)
+        own = law.Q.sections
+        sections = arguments.array("sections", content["sections"], own.shape)
+        if not np.allclose(sections, own, ROUNDING, [0, 0, 0, 0, ROUNDING, ROUNDING]):
+            raise ValueError("sections are not those of Q, which save_law writes anew")
     except (OSError, *MISUNDERSTOOD) as error:
         raise ValueError(
-            f"path = {str(path)!r} is not a law of save_law: {error!r}. The law of a log is "
-            "ilctools.law_of(load_log(path))"
+            shortened(
+                f"path = {str(path)!r} is not a law of save_law: {error!r}. The law of a log is "
+                "ilctools.law_of(load_log(path))"
+            )
         ) from None
     # {} stands for no limits; a file without any leaves them to the rig
     return law if law.limits else replace(law, limits=None)

@@ -107,19 +107,16 @@ class Law:
                 f"Q = {reprlib.repr(self.Q)} must be a ZeroPhaseButterworth, which runs in both "
                 "directions: zero_phase_butterworth(order, cutoff, Ts), with the cut-off in rad/s"
             )
-        parties = {"Q": self.Q}
-        if self.L is not None:
-            parties["L"] = arguments.instance("L", self.L, LearningOperator)
-        if self.loop is not None:
-            parties["loop"] = arguments.instance("loop", self.loop, Loop)
-        if self.region is not None:
-            arguments.instance("region", self.region, Region)
-        check_match(**parties)
-        rest = arguments.whole("rest", self.rest, 0)
-        gain = arguments.number("gain", self.gain, "in (0, 1]", 0, most=1)
-        vars(self).update(rest=rest, gain=gain)
+        for name, kind in {"L": LearningOperator, "loop": Loop, "region": Region}.items():
+            if getattr(self, name) is not None:
+                arguments.instance(name, getattr(self, name), kind)
+        check_match(Q=self.Q, L=self.L, loop=self.loop)
+        vars(self).update(
+            rest=arguments.whole("rest", self.rest, 0),
+            gain=arguments.number("gain", self.gain, "in (0, 1]", 0, most=1),
+        )
         if self.limits is not None:
-            commands = None if self.loop is None else self.loop.commands
+            commands = getattr(self.loop, "commands", None)
             vars(self)["limits"] = named_limits("limits", self.limits, commands, slew=True)
 
     @property
@@ -130,14 +127,14 @@ class Law:
     @property
     def outputs(self) -> list[str] | None:
         """Names of the channels, of a law that is bound to a loop."""
-        return None if self.loop is None else self.loop.outputs
+        return getattr(self.loop, "outputs", None)
 
     @property
     def channels(self) -> int | None:
         """Number of channels; None if neither L nor a loop says it."""
         if self.L is not None:
             return self.L.channels
-        return None if self.loop is None else len(self.loop.outputs)
+        return self.outputs and len(self.outputs)
 
     @cached_property
     def actuators(self) -> Actuators | None:

@@ -33,10 +33,8 @@ def named_limits(
     name: str, limits, names: Sequence[str] | None, slew: bool = False
 ) -> dict[str, tuple[float, ...]]:
     """Check limits (low, high[, slew rate per s]) by name; `names` None: any name will do."""
-    if names is None:
-        names = [*arguments.instance(name, {} if limits is None else limits, dict)]
     checked = {}
-    for key, values in arguments.by_name(name, limits, names).items():
+    for key, values in arguments.by_name(name, limits, limits if names is None else names).items():
         called = f"{name}[{key!r}]"
         size = 3 if slew and np.shape(values) == (3,) else 2
         low, high, *rates = arguments.array(called, values, (size,)).tolist()
@@ -82,8 +80,7 @@ class Actuators:
 
     def can(self, commands, before=None) -> bool:
         """Whether commands (..., time, m) are applied as they are, but for rounding."""
-        change = np.abs(self.follow(commands, before) - commands)
-        return bool(np.all(change <= ROUNDING * self.width))
+        return np.allclose(self.follow(commands, before), commands, 0, ROUNDING * self.width)
 
     def next(self, command, before=None) -> np.ndarray:
         """What is applied of one command, after what was applied before it."""
@@ -192,8 +189,9 @@ def _program(loop, weight, samples, active):
     before = sparse.eye_array(samples, k=-1, format="csc")
 
     def rows(samples, of_x, of_z):
-        parts = [sparse.kron(samples, of_x), sparse.kron(samples[:, :active], of_z)]
-        return sparse.hstack(parts, format="csr")
+        return sparse.hstack(
+            [sparse.kron(samples, of_x), sparse.kron(samples[:, :active], of_z)], format="csr"
+        )
 
     y = rows(now, P.C, P.D)
     of_z = np.repeat([0, weight], [samples * n, active * m])

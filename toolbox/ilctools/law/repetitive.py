@@ -56,8 +56,7 @@ def _cut(Q: ZeroPhaseButterworth, share: float) -> np.ndarray:
     impulse = np.zeros((2 * Q.decay + 1, 1))
     impulse[Q.decay] = 1
     h = Q.apply(impulse)[:, 0]
-    ends = 2 * np.cumsum(np.abs(h[: Q.decay]))
-    cut = np.searchsorted(ends, share)
+    cut = np.searchsorted(2 * np.cumsum(np.abs(h[: Q.decay])), share)
     return h[cut : len(h) - cut]
 
 
@@ -73,7 +72,7 @@ def check_period(law: Law, period: int) -> None:
     if law.rest:
         raise ValueError(f"rest = {law.rest}, but without reset trials have no end: take rest=0")
     arguments.instance("L", law.L, LearningFilter)
-    if law.L.base is not None and not isinstance(law.L.base, LearningFilter):
+    if not isinstance(law.L.base, LearningFilter | None):
         raise ValueError(
             "L has the base of a model, which acts on trials with ends: for trials without reset "
             f"synthesise with reach, {(period - len(finite_response(law)) // 2) // 2} samples "
@@ -97,8 +96,7 @@ def repeated(law: Law, v, e, period: int, start: int, stop: int) -> np.ndarray:
     x = np.pad(x, [(reach, 0), (0, 0)])  # at rest before the first trial
     before = slice(start - period, stop - period)
     x = x[before.start - first : before.stop - first + 2 * reach]
-    filtered = oaconvolve(x, h[:, None], "valid", axes=0)
-    return (1 - law.gain) * v[before] + law.gain * filtered
+    return (1 - law.gain) * v[before] + law.gain * oaconvolve(x, h[:, None], "valid", axes=0)
 
 
 def next_samples(law: Law, v, e, first) -> np.ndarray:

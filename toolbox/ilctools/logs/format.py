@@ -87,10 +87,12 @@ def save_log(trials: xr.Dataset, path) -> None:
 def write_log(trials: xr.Dataset, path) -> None:
     """Write a log, whatever is there."""
     signals, Ts = signals_of(trials), period_of(trials)
-    names = json.dumps(signals, ensure_ascii=False)
     newer = '"first"' in str(trials.attrs.get("L"))
-    metadata = {"format": FORMATS[newer], "Ts": f"{Ts!r} s", "signals": names}
-    metadata |= _free_metadata(trials.attrs)
+    metadata = {
+        "format": FORMATS[newer],
+        "Ts": f"{Ts!r} s",
+        "signals": json.dumps(signals, ensure_ascii=False),
+    } | _free_metadata(trials.attrs)
     numbers, time = _trial_and_time(trials)
     columns = columns_of(signals, trials)
     if missing := columns.keys() - {*trials}:

@@ -19,12 +19,13 @@ from ilctools import arguments
 from ilctools.files import read_json, regular
 from ilctools.logs import clock
 from ilctools.logs.format import FORMATS, KEYS, ROLES, check_signals, columns_of, few, units_of
-from ilctools.loop.notes import LONGEST, LogError, reading
+from ilctools.loop.notes import LogError, reading, shortened
 from ilctools.trials.run import dataset
 from ilctools.units import seconds
 
 # what a terminal would obey, as it is or as JSON writes it
 CONTROL = re.compile(r"[\x00-\x08\x0e-\x19\x1b-\x1f\x7f\x9b]|\\u00([01]|7f|[89])", re.I)
+LARGEST = 2**28  # bytes in a compressed file: a small one may hold any number
 GZIP = b"\x1f\x8b"  # with which compressed files begin
 MARKS = "#%/!"  # with which comments begin
 SENSED = ("y", "delta", "measured")  # valid at a moment; other signals are held
@@ -77,8 +78,7 @@ def load_log(path, resample: bool = False) -> xr.Dataset:
     >>> log.attrs["Ts"], log.y.dims
     (0.01, ('trial', 'time', 'channel'))
     """
-    path = arguments.path("path", path)
-    return read_log(path, arguments.flag("resample", resample))
+    return read_log(arguments.path("path", path), arguments.flag("resample", resample))
 
 
 def read_log(path: Path, resample: bool = False, ended: bool = False) -> xr.Dataset:
@@ -108,8 +108,9 @@ def read_log(path: Path, resample: bool = False, ended: bool = False) -> xr.Data
         number = table["trial"]
         is_first, is_last = (number == number.iloc[place] for place in (0, -1))
         if is_last.sum() < is_first.sum():
-            text = f"{path}: the last trial is shorter than the first, and left out"
-            warnings.warn(text, stacklevel=3)
+            warnings.warn(
+                f"{path}: the last trial is shorter than the first, and left out", stacklevel=3
+            )
             table = table[~is_last]
         return trials_of(table, signals, Ts, notes, resample)
 
@@ -122,19 +123,22 @@ def about(path) -> Iterator[None]:
     except OSError as error:
         raise LogError(f"{path}: cannot be read: {error}") from None
     except (ValueError, ArithmeticError, RecursionError, EOFError, csv.Error, zlib.error) as error:
-        text = str(error)[: 4 * LONGEST]
-        text = "".join(letter if letter.isprintable() else "?" for letter in text)
-        raise LogError(f"{path}: {text}") from None
+        text = shortened(f"{path}: {error}")
+        raise LogError("".join(c if c.isprintable() else "?" for c in text)) from None
 
 
 def lines_of(path: Path) -> list[str]:
     """The lines of a text in UTF-8, UTF-16 or, as old spreadsheets write it, Latin-1; or of .gz."""
     content = regular(path).read_bytes()
     if content.startswith(GZIP):
-        content = gzip.decompress(content)
-    utf16 = content.startswith((BOM_UTF16_LE, BOM_UTF16_BE))
+        with gzip.open(path) as file:
+            content = file.read(LARGEST)
+            if file.read(1):
+                raise LogError(f"holds more than {LARGEST} bytes: decompress it, if you trust it")
     try:
-        text = content.decode("utf-16" if utf16 else "utf-8-sig")
+        text = content.decode(
+            "utf-16" if content.startswith((BOM_UTF16_LE, BOM_UTF16_BE)) else "utf-8-sig"
+        )
     except UnicodeDecodeError:
         text = content.decode("latin-1")
     if found := CONTROL.search(text):
@@ -237,8 +241,7 @@ def trials_of(
         for signal, titles in columns.items()
     }
     outputs, controls, sources, sensors = ([*signals.get(role, ())] for role in ROLES.values())
-    units = units_of(signals)
-    trials = dataset(Ts, outputs, controls, sources, units, sensors, **arrays)
+    trials = dataset(Ts, outputs, controls, sources, units_of(signals), sensors, **arrays)
     return trials.assign_coords(trial=trial).assign_attrs(notes)
 
 

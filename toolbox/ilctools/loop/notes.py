@@ -18,11 +18,17 @@ from ilctools.signals import Signals, check_match
 
 # what a note may lead to
 MISUNDERSTOOD = (KeyError, TypeError, ValueError, ArithmeticError, RecursionError)
-LONGEST = 500  # letters of an error
+MATRICES = (*"ABCD", "dt")  # of a model, and its sampling period
+LONGEST = 1000  # letters of a message
 
 
 class LogError(ValueError):
     """A log or a table that cannot be used; the message says where, and what to do."""
+
+
+def shortened(message: str) -> str:
+    """A message without its middle, if that is long: what it quotes may be a whole file."""
+    return message if len(message) <= LONGEST else f"{message[:600]} ... {message[-300:]}"
 
 
 @contextmanager
@@ -31,8 +37,8 @@ def reading(key: str):
     try:
         yield
     except MISUNDERSTOOD as error:
-        text = repr(error)[:LONGEST]
-        raise LogError(f"metadata: {key} cannot be understood: {text}") from None
+        text = f"metadata: {key} cannot be understood: {error!r}"
+        raise LogError(shortened(text)) from None
 
 
 def read_note(trials: xr.Dataset, key: str, read: Callable):
@@ -50,10 +56,8 @@ def loop_of(trials: xr.Dataset) -> Loop | None:
     """
 
     def read(note):
-        if "plant" in note:
-            loop = CurrentTrialLoop(**note | {"plant": model_from(note["plant"])})
-        else:
-            loop = ClosedLoop(**note | {"P": model_from(note["P"])})
+        kind, plant = (CurrentTrialLoop, "plant") if "plant" in note else (ClosedLoop, "P")
+        loop = kind(**note | {plant: model_from(note[plant])})
         check_match(loop=loop, log=Signals.of_log(trials))
         return loop
 
@@ -70,15 +74,13 @@ def _plain(part):
     """An array or a model of a loop as what JSON can hold."""
     if not isinstance(part, control.StateSpace):
         return part.tolist()
-    names = {"inputs": part.input_labels, "outputs": part.output_labels}
-    return {name: getattr(part, name) for name in "ABCD"} | {"dt": part.dt} | names
+    values = {name: getattr(part, name) for name in MATRICES}
+    return values | {"inputs": part.input_labels, "outputs": part.output_labels}
 
 
 def model_from(note):
     """A model that :func:`loop_note` noted."""
     if note is None:
         return None
-    return control.ss(
-        note["A"], note["B"], note["C"], note["D"], note["dt"],
-        inputs=note["inputs"], outputs=note["outputs"],
-    )  # fmt: skip
+    values = (note[name] for name in MATRICES)
+    return control.ss(*values, inputs=note["inputs"], outputs=note["outputs"])
