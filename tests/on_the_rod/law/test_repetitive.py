@@ -189,6 +189,29 @@ def test_error_is_within_the_bound_of_the_theorem_and_becomes_periodic(name, gai
     np.testing.assert_allclose(e[-1], expected, atol=settled)
 
 
+def test_what_no_trial_applies_is_near_the_start_of_the_second_period():
+    """The w of the theorem: for P a delay of 40 samples and L its inverse it is far from zero."""
+    delay, period = 40, 400
+    ahead = np.zeros((1, 1, delay))
+    ahead[..., -1] = 1.0
+    law = Law(zero_phase_butterworth(2, 0.1, 1.0), LearningFilter(ahead, 1.0))
+    loop = ClosedLoop(control.ss(control.tf([1], [1] + delay * [0], 1.0)), outputs=["x"])
+    r = np.cos(np.arange(period) / 20)  # which begins at once
+    run = run_trials(loop, law, r, trials=4, reset=False)
+    v, e = (np.concatenate(run[name].values)[:, 0] for name in ("v", "e"))
+    R, line = len(finite_response(law)) // 2, 6 * period
+    x = np.zeros(line)  # v + L e on a line that begins a period before the trials
+    x[period : period + len(v)] = v
+    x[period - delay : period - delay + len(e)] += e
+    filtered = np.convolve(x, taps(law.Q, R), "same")  # Q x
+    w = filtered[: len(v)] - v  # of t - N
+    here = np.zeros(len(v), dtype=bool)
+    here[period - R - delay : period + R] = True
+    assert np.abs(w[here]).max() > 0.1
+    known = np.arange(len(v)) < len(v) - R - delay  # of the last period Q sees the end
+    assert np.abs(w[~here & known]).max() < 1e-4
+
+
 @pytest.mark.parametrize("gain", [0.5, 1e5])
 def test_what_is_cut_off_of_Q_is_negligible_for_M_and_no_more(gain):
     L, share = LearningFilter([[[gain]]], 1.0), NEGLIGIBLE / max(1, gain)
