@@ -1,5 +1,6 @@
 """Small problems for the solver, and their optima by CVXPY."""
 
+import tracemalloc
 import warnings
 
 import cvxpy as cp
@@ -7,6 +8,15 @@ import numpy as np
 
 from ilctools.problem.pose import pose
 from ilctools.problem.problem import Cuts
+
+
+def memory(function):
+    """Bytes that a call holds at most."""
+    tracemalloc.start()
+    function()
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    return peak
 
 
 def plant(m, n=20, seed=0):

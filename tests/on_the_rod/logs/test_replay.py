@@ -39,7 +39,7 @@ def law_for(loop, rest=0, gain=1.0, learning=0.5):
 
 def trials_of(loop, law=None, trials=3, plant=None):
     """A smooth reference; disturbances that differ from trial to trial."""
-    loop = LOOPS.get(loop, loop) if isinstance(loop, str) else loop
+    loop = LOOPS[loop] if isinstance(loop, str) else loop
     law, time = law or law_for(loop), np.arange(150)
     m, d = len(loop.outputs), len(loop.disturbances)
     r = bump(150, 1.0 + np.arange(m))
@@ -89,12 +89,13 @@ def test_the_fit_measures_how_wrong_a_model_is():
 
 
 def test_without_a_loop_the_law_is_checked_and_without_a_law_the_model():
-    trials = trials_of("tanks", law_for(LOOPS["tanks"], rest=15, gain=0.4))
+    whole = law_for(LOOPS["tanks"], rest=15, gain=0.4)
+    trials = trials_of("tanks", whole)
     law = {key: value for key, value in trials.attrs.items() if key != "loop"}
     replayed = replay(trials.drop_attrs().assign_attrs(law))
     assert replayed.simulated is replayed.predicted is replayed.fit is replayed.disturbance is None
     assert replayed.agreement.endswith("in every trial")
-    last, whole = trials.isel(trial=-1), law_for(LOOPS["tanks"], rest=15, gain=0.4)
+    last = trials.isel(trial=-1)
     following = whole.next(last.v.values, last.e.values)
     np.testing.assert_array_equal(replayed.following, following)
     (reason,) = replayed.omissions
@@ -111,12 +112,14 @@ def test_without_a_loop_the_law_is_checked_and_without_a_law_the_model():
 def test_disturbances_may_count_as_unmeasured_or_not_be_in_the_model():
     trials = load_log(ROOT / "data" / "rig" / "learning.csv").isel(trial=slice(5))
     partial = replay(trials, unmeasured=["theta_a"])
-    assert len(partial.omissions) == 1 and "theta_a" in partial.omissions[0]
+    (omission,) = partial.omissions
+    assert "theta_a" in omission
     simulation = partial.rms["RMS (K), simulation"]
     assert simulation[5] == pytest.approx(1.04, abs=0.005)  # of notebook 5
     replayed = replay(trials_of("stage").assign_coords(source=["draught"]))
     assert not replayed.disturbance.any()
-    assert len(replayed.omissions) == 1 and "draught" in replayed.omissions[0]
+    (omission,) = replayed.omissions
+    assert "draught" in omission
 
 
 def test_trials_are_identified_by_their_numbers():
@@ -152,8 +155,7 @@ def test_a_departure_from_the_law_is_found_in_any_unit(trial, channel, exponent)
     text = replay(run).agreement
     assert text.startswith(f"v departs from the law from trial {trial} on, by ")
     assert text.endswith(f" cm in {LEVELS[channel]}")
-    amount = float(text.split("by ")[1].split()[0])
-    assert amount == pytest.approx(1e-3 * largest, rel=0.06)
+    assert float(text.split("by ")[1].split()[0]) == pytest.approx(1e-3 * largest, rel=0.06)
 
 
 def test_an_unstable_plant_is_simulated_but_not_predicted():

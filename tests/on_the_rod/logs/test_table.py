@@ -27,7 +27,7 @@ def layouts(draw):
     """A text as a logger may write it, and the arguments that read it."""
     delimiter = draw(st.sampled_from([",", ";", "\t", "|", " "]))
     decimal = draw(st.sampled_from(".," if delimiter != "," else "."))
-    clock = draw(st.sampled_from(["s", "ms", "date", "day"]))
+    clock = draw(st.sampled_from(["s", "ms", "date", "day", "hour"]))
     titles = draw(st.sampled_from(["with units", "units below", "none", "comment"]))
     Ts = draw(st.sampled_from([0.02, 60.0]))
     order = draw(st.permutations(range(4)))
@@ -43,6 +43,7 @@ def layouts(draw):
             "ms": text(1000 * t),
             "date": at.isoformat(),
             "day": at.strftime("%H:%M:%S.%f"),
+            "hour": at.strftime("%M:%S.%f"),
         }[clock]
 
     def line(*entries):
@@ -134,6 +135,8 @@ def read(folder, lines, **more):
         (["t,level", *4 * ["0,1"], "2,"], "level: entry '' in row 6"),
         (["t,level", "29.02.2024,1", "01.03.2024,1"], "entry '29.02.2024' in row 2"),
         (["t,level"], "no rows of numbers"),
+        (["t,level", '9,"1,200"', '10,"1,201"'], "row 2: is the comma of '1,200' a decimal one"),
+        (["PK\x03\x04"], "save a spreadsheet as CSV"),
     ],
 )
 def test_what_is_wrong_is_named_by_file_row_and_column(tmp_path, lines, message):
@@ -297,9 +300,3 @@ def test_an_input_that_is_logged_at_every_tenth_row_is_not_resampled():
         read_table(table, **columns, resample=True)
     log = read_table(table.ffill(), **columns, resample=True)
     assert (log.sizes["time"], log.attrs["Ts"]) == (300, 0.1)
-
-
-def test_a_spreadsheet_is_to_be_saved_as_csv(tmp_path):
-    (tmp_path / "log.xlsx").write_bytes(b"PK\x03\x04")
-    with pytest.raises(LogError, match="save a spreadsheet as CSV"):
-        read_table(tmp_path / "log.xlsx", time="t", outputs={"h": "level"})

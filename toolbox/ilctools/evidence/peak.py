@@ -149,6 +149,12 @@ def _phase(poles, theta):
     return len(poles) * theta + 2 * np.arctan(r * np.sin(shift) / real).sum(axis=0)
 
 
+def in_parts(function, points, size):
+    """Its values at the points: so many at a time as memory admits, `size` numbers for each."""
+    parts = np.array_split(points, 1 + len(points) * size // CHUNK)
+    return np.concatenate([function(part) for part in parts])
+
+
 class _Model:
     """The response of a model at angles omega Ts, and a bound of its rounding error."""
 
@@ -160,11 +166,8 @@ class _Model:
         self.poles = np.diag(self.T)
 
     def __call__(self, theta):
-        at_once = max(1, CHUNK // self.B.size)
-        chunks = np.split(theta, range(at_once, len(theta), at_once))
-        return np.concatenate(
-            [by_substitution(self.T, self.B, self.C, self.D, np.exp(1j * x)) for x in chunks]
-        )
+        model = self.T, self.B, self.C, self.D
+        return in_parts(lambda x: by_substitution(*model, np.exp(1j * x)), theta, self.B.size)
 
     def with_error(self, theta):
         return _with_error(*self.matrices, theta)
@@ -355,17 +358,16 @@ def crests(problem, L, level):
     Yields its number, frequencies and values: all crests near the level, or above, and the highest.
     """
     Ts, known = problem.Ts, problem.design.omega
-    steps = np.linspace(0, 1, DENSER, endpoint=False)
-    samples = np.append((known[:-1, None] + np.outer(np.diff(known), steps)).ravel(), known[-1])
+    n = len(known) - 1
+    samples = np.interp(np.arange(DENSER * n + 1) / DENSER, np.arange(n + 1), known)
     of_L = _resolved(np.concatenate([factor.poles for factor in _factors_of(L)])) / Ts
     dense = None  # one for all samples
     for k in unproven(problem):
         model = problem.models[k]
         if dense is None or model is not None:
             further = of_L if model is None else np.append(of_L, _resolved(model.poles()) / Ts)
-            inside = (further > known[0]) & (further < known[-1])
-            dense = np.unique(np.append(samples, further[inside]))
-            response = L.frequency_response(dense)
+            dense = np.unique(np.append(samples, further.clip(*known[[0, -1]])))
+            response = in_parts(L.frequency_response, dense, 4 * L.order)  # in long doubles
 
         def fall(omega, response=None, k=k):
             """- sigma_max(M)."""

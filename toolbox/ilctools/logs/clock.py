@@ -39,9 +39,8 @@ def check_trials(table: pd.DataFrame, Ts: float) -> None:
     """A LogError, with its row, for trials that are not whole, alike and in time."""
     trial, steps = table["trial"], steps_of(table)
     starts = trial.diff() != 0
-    again = starts & trial.duplicated()
     _refuse(
-        trial[again | ~trial.between(1, 2**31) | (trial % 1 != 0)],
+        trial[starts & trial.duplicated() | ~trial.between(1, 2**31) | (trial % 1 != 0)],
         "trial: {value:g} in row {row} must be a whole number, 1 or more; its rows stand together",
     )
     _refuse(

@@ -92,18 +92,17 @@ def write_log(trials: xr.Dataset, path) -> None:
         "format": FORMATS[newer],
         "Ts": f"{Ts!r} s",
         "signals": json.dumps(signals, ensure_ascii=False),
-    } | _free_metadata(trials.attrs)
+        **_free_metadata(trials.attrs),
+    }
     numbers, time = _trial_and_time(trials)
     columns = columns_of(signals, trials)
     if missing := columns.keys() - {*trials}:
         raise ValueError(f"trials lack {sorted(missing)}")
     values = trials[[*columns]].transpose("trial", "time", ...).astype(float)
     for signal, titles in columns.items():
-        for title, finite in zip(
-            titles, np.isfinite(values[signal].values).all((0, 1)), strict=True
-        ):
-            if not finite:
-                raise ValueError(f"trials have values that are not finite in {title!r}")
+        finite = np.isfinite(values[signal].values).all((0, 1))
+        if not finite.all():
+            raise ValueError(f"values are not finite in {titles[finite.argmin()]!r} of trials")
     head = "".join(f"# {key}: {value}\n" for key, value in metadata.items())
     titles = ",".join(map(_quoted, ["trial", "time", *chain(*columns.values())]))
     each = (
@@ -125,8 +124,7 @@ def rows_as_text(number: int, time, signals: Sequence[np.ndarray]) -> Iterator[b
 def signals_of(trials: xr.Dataset, *needed: str) -> dict[str, dict[str, str]]:
     """Names and units of the signals by role, as in the metadata; refuses incomplete trials."""
     roles = dict.fromkeys(SIGNALS[signal] for signal in SIGNALS if signal in trials)
-    labels = [label for role in roles for label in (role, f"{role}_unit")]
-    needed = {"y", "trial", "time", *needed, *labels}
+    needed = {"y", "trial", "time", *needed, *roles, *(f"{role}_unit" for role in roles)}
     if missing := sorted(needed - {*trials.variables}):
         raise ValueError(
             f"trials lack {missing}, which run_trials, record and load_log give; read_table those "
@@ -208,7 +206,7 @@ def _trial_and_time(trials):
     """The numbers of trials, and the times of samples."""
     numbers = [arguments.whole("trials.trial", k, 1, 2**31) for k in trials.trial.values]
     time = trials.time.values.astype(float)
-    if len(set(numbers)) < len(numbers) or trials.y.size == 0:
+    if len(set(numbers)) < len(numbers) or not trials.y.size:
         raise ValueError(f"trials.trial = {few(numbers)} must differ, and have samples")
     if time[0] != 0:
         raise ValueError(f"trials.time must be 0, Ts, 2 Ts, ..., but begins at {time[0]} s")

@@ -57,7 +57,8 @@ def load_log(path, resample: bool = False) -> xr.Dataset:
     Warns
     -----
     UserWarning
-        If the last trial is shorter than the first, as a power cut leaves it: it is left out.
+        If the last trial is shorter than the first, or the last line has no line feed, as a power
+        cut leaves them: they are left out.
 
     See Also
     --------
@@ -82,7 +83,7 @@ def load_log(path, resample: bool = False) -> xr.Dataset:
 
 
 def read_log(path: Path, resample: bool = False, ended: bool = False) -> xr.Dataset:
-    """As :func:`load_log`; if `ended`, a last line without a line feed is torn, however long."""
+    """As :func:`load_log`; if `ended`, without a warning of a last line that is torn."""
     with about(path):
         lines = lines_of(path)
         metadata, header, first = _head(lines)
@@ -99,19 +100,20 @@ def read_log(path: Path, resample: bool = False, ended: bool = False) -> xr.Data
         with reading("signals"):
             signals = check_signals(read_json(metadata["signals"]))
         check_titles(header, signals)
-        if ended or lines[-1].count(",") < len(header) - 1:
-            lines.pop()  # empty, or torn
+        torn = lines.pop().strip()  # as far as one sees: a line that is whole has a line feed
         entries = rows_of(lines[first:], first, len(header))
         table = numbers_of(entries.set_axis(header, axis=1))
         table["time"] *= second
         notes = {key: value for key, value in metadata.items() if key not in KEYS}
         number = table["trial"]
-        is_first, is_last = (number == number.iloc[place] for place in (0, -1))
-        if is_last.sum() < is_first.sum():
+        counts = number.value_counts(sort=False)
+        if counts.iloc[-1] < counts.iloc[0]:
             warnings.warn(
                 f"{path}: the last trial is shorter than the first, and left out", stacklevel=3
             )
-            table = table[~is_last]
+            table = table[number != number.iloc[-1]]
+        elif torn and not ended:
+            warnings.warn(f"{path}: the last line has no line feed, and is left out", stacklevel=3)
         return trials_of(table, signals, Ts, notes, resample)
 
 
@@ -128,7 +130,10 @@ def about(path) -> Iterator[None]:
 
 
 def lines_of(path: Path) -> list[str]:
-    """The lines of a text in UTF-8, UTF-16 or, as old spreadsheets write it, Latin-1; or of .gz."""
+    """The lines of a text in UTF-8, UTF-16 or, as old spreadsheets write it, Latin-1; or of .gz.
+
+    What is compressed is unpacked up to LARGEST bytes.
+    """
     content = regular(path).read_bytes()
     if content.startswith(GZIP):
         with gzip.open(path) as file:
@@ -174,14 +179,14 @@ def rows_of(
             raise LogError(f"row {line} has {len(row)} entries, but must have {width}")
     if not rows:
         raise LogError(f"there are no rows of {width} entries")
-    return pd.DataFrame([*rows.values()], [*rows], dtype=object)
+    return pd.DataFrame.from_dict(rows, "index", dtype=object)
 
 
 def value_of(entry) -> float:
     """The number that an entry is, to the last digit; NaN if it is none, such as 1_000 or ٣."""
     try:
-        plain = not isinstance(entry, str) or (entry.isascii() and "_" not in entry)
-        return float(entry) if plain else np.nan
+        text = str(entry)
+        return float(entry) if text.isascii() and "_" not in text else np.nan
     except (TypeError, ValueError):
         return np.nan
 
@@ -225,10 +230,10 @@ def check_titles(header: Sequence[str], signals: Mapping) -> dict[str, list[str]
 
 
 def trials_of(
-    table: pd.DataFrame, signals: Mapping, Ts: float, notes: Mapping, resample: bool
+    table: pd.DataFrame, signals: Mapping, Ts: float, notes: dict, resample: bool
 ) -> xr.Dataset:
     """Trials from a table with the columns of a log, and the time in s."""
-    columns, notes = check_titles([*table], signals), dict(notes)
+    columns = check_titles([*table], signals)
     if resample:
         between = [title for signal in SENSED for title in columns.get(signal, ())]
         table, note = clock.resampled(table, Ts, between)
@@ -240,8 +245,8 @@ def trials_of(
         signal: table[titles].to_numpy().reshape(len(trial), -1, len(titles))
         for signal, titles in columns.items()
     }
-    outputs, controls, sources, sensors = ([*signals.get(role, ())] for role in ROLES.values())
-    trials = dataset(Ts, outputs, controls, sources, units_of(signals), sensors, **arrays)
+    *channels, sensors = ([*signals.get(role, ())] for role in ROLES.values())
+    trials = dataset(Ts, *channels, units_of(signals), sensors, **arrays)
     return trials.assign_coords(trial=trial).assign_attrs(notes)
 
 

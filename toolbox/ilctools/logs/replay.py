@@ -218,11 +218,9 @@ class Replay:
             unit = self.trials.output_unit.values[self.outputs.index(name)]
             amount = f"{departure.loc[number, name]:.1e} {unit}".strip()
             return f"v departs from the law from trial {number} on, by {amount} in {name}"
-        unknown = departure.index[departure.isna().all(axis=1)]
-        if unknown.empty:
-            return "the recorded v is that of the law in every trial"
-        which = ", ".join(map(str, unknown))
-        return f"the recorded v is that of the law, but in {which}, without a trial before"
+        which = ", ".join(map(str, departure.index[departure.isna().all(axis=1)]))
+        but = f", but in {which}, without a trial before" if which else " in every trial"
+        return f"the recorded v is that of the law{but}"
 
     @property
     def omissions(self) -> list[str]:
@@ -250,10 +248,9 @@ class Replay:
         return reasons
 
     def __repr__(self):
-        trials = self.trials
         lines = [
-            f"{len(self.numbers)} trials of {trials.sizes['time']} samples, Ts = "
-            f"{trials.attrs['Ts']:g} s",
+            f"{len(self.numbers)} trials of {self.trials.sizes['time']} samples, Ts = "
+            f"{self.trials.attrs['Ts']:g} s",
             f"law: {self.agreement}",
             f"RMS of the error:\n{self.rms.to_string(float_format='{:.3g}'.format)}",
         ]
@@ -362,11 +359,10 @@ def replay(trials: xr.Dataset, unmeasured: Sequence[str] = (), law: Law | None =
         if known is None or any(law_notes(known)[key] != law_notes(law)[key] for key in "QL"):
             raise ValueError("law has not the Q and L in the metadata of trials: leave it out")
         known = replace(known, region=law.region)
-    law = known
-    controlled = isinstance(loop, ClosedLoop) or "u" in trials
-    if law is not None and law.limits and (loop is None or not controlled):
-        law = None  # whose projection cannot be computed
-    result = Replay(trials, loop, law, unmeasured)
+    controlled = isinstance(loop, ClosedLoop) or (loop is not None and "u" in trials)
+    if known is not None and known.limits and not controlled:
+        known = None  # whose projection cannot be computed
+    result = Replay(trials, loop, known, unmeasured)
     for text in result.warnings:
         warnings.warn(text, stacklevel=2)
     return result

@@ -63,9 +63,10 @@ def read_table(
     """Read a table that another program wrote, as a log.
 
     The text is delimited by tabs, semicolons, bars, commas or blanks; numbers have a point or a
-    comma. Above the rows may stand a line of titles, with units in brackets or in the line below,
-    and above it anything else. A column is named by its title, with or without the unit, or by its
-    number from 0 on.
+    comma. Between commas a quoted "1,200" is refused, unless a number such as "0,5" or "1,25" shows
+    that commas are decimal. Above the rows may stand a line of titles, with units in brackets or in
+    the line below, and above it anything else. A column is named by its title, with or without the
+    unit, or by its number from 0 on.
 
     Parameters
     ----------
@@ -77,10 +78,12 @@ def read_table(
         The column of the actuator that controls each output, in their order. Default: not known.
     time : str or int, optional
         Column of the clock: numbers in the unit of its title, as "t (ms)" or "t_ms", or of `units`,
-        by default s, or dates and times as in ISO 8601. Without it, rows are `Ts` apart. State the
-        unit of a clock that counts from 1970: often it is ms, us or ns.
+        by default s, or dates and times as in ISO 8601, of which 07:30 is hours and minutes and
+        07:30.0, as spreadsheets show it, minutes and seconds. Without it, rows are `Ts` apart.
+        State the unit of a clock that counts from 1970: often it is ms, us or ns.
     Ts : float, optional
-        Sampling period, s. Default: the mean step of the clock, rounded as far as steps scatter.
+        Sampling period, s. Default: the mean step of the clock, rounded as far as steps scatter;
+        without `time` it is needed.
     reference : dict, optional
         Column of what each output is to follow. Default: not known.
     v : dict, optional
@@ -132,15 +135,8 @@ def read_table(
     >>> log.attrs["Ts"], log.y.shape
     (0.5, (1, 3, 1))
     """
-    named = {
-        "outputs": outputs,
-        "inputs": inputs,
-        "reference": reference,
-        "v": v,
-        "disturbances": disturbances,
-        "measured": measured,
-    }
-    named = {argument: signals for argument, signals in named.items() if signals is not None}
+    choices = locals()
+    named = {argument: choices[argument] for argument in SIGNALS if choices[argument] is not None}
     columns = _columns(named)
     if trial is not None:
         columns["trial"] = "trial", trial
@@ -149,20 +145,16 @@ def read_table(
     names = [name for argument in NAMES for name in named.get(argument, ())]
     units = arguments.by_name("units", units, [*names, "time"])
     resample = arguments.flag("resample", resample)
-    if Ts is not None:
+    if Ts is not None or time is None:
         Ts = arguments.sampling_period("Ts", Ts)
-    elif time is None:
-        raise ValueError("Ts = None must be a sampling period in s: there is no time")
-    source, notes = "path", {}
-    if not isinstance(path, pd.DataFrame):
-        source = arguments.path("path", path)
-        notes = {"origin": f"read from {source.name}"}
+    is_frame = isinstance(path, pd.DataFrame)
+    source = "path" if is_frame else arguments.path("path", path)
+    notes = {} if is_frame else {"origin": f"read from {source.name}"}
     with about(source):
-        if source == "path":
-            entries = path.rename(columns=str)
-        else:
-            asked = {str(column) for _, column in columns.values()}
-            entries = _entries(lines_of(source), asked, resample)
+        asked = {str(column) for _, column in columns.values()}
+        entries = (
+            path.rename(columns=str) if is_frame else _entries(lines_of(source), asked, resample)
+        )
         table, signals = _as_log(entries, columns, named, units, resample)
         _add_trial_and_time(table, Ts)
         Ts = Ts or clock.mean_step(table)
@@ -176,8 +168,7 @@ def _columns(named):
     """The argument that asks for each column of a log, and the column that it asks for."""
     columns = {}
     for argument, signals in named.items():
-        arguments.instance(argument, signals, dict)
-        for name, column in signals.items():
+        for name, column in arguments.instance(argument, signals, dict).items():
             arguments.instance(f"a name in {argument}", name, str)
             columns[f"{SIGNALS[argument]}_{name}"] = f"{argument}[{name!r}]", column
     return columns
@@ -189,7 +180,7 @@ def _as_log(entries, columns, named, units, gaps):
     titles = {title: entries.columns[place] for title, place in places.items()}
     entries = entries.iloc[:, [*places.values()]].set_axis([*places], axis=1)
     signals = {}
-    for argument in (argument for argument in NAMES if argument in named):
+    for argument in filter(named.__contains__, NAMES):
         signal = SIGNALS[argument]
         signals[ROLES[ROLE_OF[signal]]] = {
             name: units.get(name, _name_and_unit(titles[f"{signal}_{name}"])[1])
@@ -233,11 +224,13 @@ def _time_unit(title):
 def _in_seconds(column, unit):
     """A clock in s: numbers, or dates or times of a day from the first; what is neither stays."""
     text = column.astype(str).str.strip()
-    dated = text.str.fullmatch(TIME)
+    dated, turn = text.str.fullmatch(TIME), DAY
     if dated.any():
+        if text.str.fullmatch(r"\d+:\d+\.\d+").any():  # minutes, as spreadsheets show fractions
+            text, turn = text.str.replace(r"^(\d+:[\d.]+)$", r"0:\1", regex=True), DAY / 24
         moments = pd.to_datetime(text.where(dated), format="mixed", errors="coerce", utc=True)
         times = (moments - moments.min()).dt.total_seconds()
-        times += DAY * (times.diff() < -DAY / 2).cumsum()  # past midnight
+        times += turn * (times.diff() < -turn / 2).cumsum()  # past midnight, or the hour
     else:
         times = seconds(unit) * column.map(value_of)
     return times.astype(object).where(times.notna(), column)
@@ -265,6 +258,14 @@ def _entries(lines, asked, gaps):
     delimiter, point, numeric = _layout(lines)
     titles, above = _titles(lines, delimiter, point, numeric, asked)
     entries = rows_of(lines[above:], above, len(numeric), delimiter, gaps)
+    if delimiter == point:  # quoted commas, which may separate thousands
+        quoted = entries.stack()
+        quoted = quoted[quoted.str.fullmatch(r"\s*[+-]?\d+,\d+\s*")]
+        if quoted.str.fullmatch(r"\s*[+-]?[1-9]\d?\d?,\d{3}\s*").all() and len(quoted):
+            raise LogError(
+                f"row {quoted.index[0][0]}: is the comma of {quoted.iloc[0]!r} a decimal one? Save "
+                "numbers without separators of thousands, or columns with semicolons between them"
+            )
     entries = entries.set_axis(titles, axis=1)
     return entries.map(_with_point) if point == "," else entries
 
@@ -275,7 +276,7 @@ def _layout(lines):
     Of all delimiters and marks, those with which most rows have the same number of entries, times
     most entries are numbers.
     """
-    content = [line for line in lines if line.strip() and line.lstrip()[0] not in MARKS]
+    content = [line for line in lines if line.lstrip()[:1] not in MARKS]  # nor empty
     sample = content[len(content) // 2 :][:SAMPLE]  # below the titles
     best, layout = (0.0, False), None
     for delimiter, point in product(DELIMITERS, ".,"):
@@ -324,8 +325,8 @@ def _titles(lines, delimiter, point, numeric, asked):
 def _with_point(entry):
     """An entry with a decimal comma as one with a point; times have points, and words stay."""
     swapped = entry.translate(str.maketrans(",.", ".,"))
-    word = not any(_are_numbers([entry, swapped], "."))
-    return entry if word or TIME.fullmatch(entry) else swapped
+    number = any(_are_numbers([entry, swapped], ".")) and not TIME.fullmatch(entry)
+    return swapped if number else entry
 
 
 def _split(line, delimiter):

@@ -24,6 +24,7 @@ TAPS = 21  # of K, as many back as ahead: what is left for it when P B is nearly
 LEFT = 20  # and is worth it only if fewer than these are left beyond the delay
 # of the gain that inverts P: a finite filter overshoots it in some places to be close in others
 ROOM = 4
+COMPARED = 500  # frequencies, at most: n of them take n^2 numbers of memory
 
 
 def cutoff(Q, omega) -> float:
@@ -76,26 +77,24 @@ def lead(P, omega, Ts) -> float:
     """By how much the phase of P leads the least lag that its gain admits, in the mean, rad.
 
     No stable plant leads; but the samples' ends cut off Bode's integral, and a tenth of a radian,
-    0.13 at most, remained of 50 plants.
+    0.13 at most, remained of 50 plants. Of n > COMPARED samples 250 to 500 are compared: then
+    independent noise of 1 rad in each phase moves the mean by 0.06 rad (standard deviation).
     """
     P, omega = P[omega > 0], omega[omega > 0]
     if len(omega) < 4:
         return 0.0
-    return float(-_lag(P, omega, Ts, omega[1:-1]).mean(axis=0).min())
+    at = omega[1 : -1 : 1 + len(omega) // COMPARED]
+    return -_lag(P, omega, Ts, at).mean(axis=0).min()
 
 
 def _lag(P, omega, Ts, at):
     """Phase by which each output lags at some frequencies beyond the least lag, (k, m), rad."""
     response = np.einsum("nij,ji->ni", P, np.linalg.inv(P[0]))  # one at first, as the gain
     u, u_0 = (np.log(np.tan(np.minimum(x * Ts, np.pi) / 2)) for x in (omega, at))
-    kernel = _mean_log_coth(np.abs((u[1:] + u[:-1]) / 2 - u_0[:, None]), np.diff(u))
-    gain_steps = np.diff(np.log(np.maximum(np.abs(response), np.finfo(float).tiny)), axis=0)
+    # The mean of ln coth(|u| / 2) over each step is the value in its middle, but for the step at
+    # zero: there it is about -ln(|u| / 2), whose mean is its value at width / (2 e).
+    distance = np.abs((u[1:] + u[:-1]) / 2 - u_0[:, None])
+    kernel = -np.log(np.tanh(np.maximum(distance, np.diff(u) / (2 * np.e)) / 2))
+    gain_steps = np.diff(np.log(np.abs(response) + np.finfo(float).tiny), axis=0)
     least = kernel @ gain_steps / np.pi  # Bode's relation
-    phases = np.unwrap(np.angle(response), axis=0)
-    return least - make_interp_spline(omega, phases, k=1)(at)
-
-
-def _mean_log_coth(distance, width):
-    """Mean of ln coth(|u| / 2) over each step: the value in its middle, but for the one at zero."""
-    # there ln coth(|u| / 2) is about -ln(|u| / 2), whose mean is its value at width / (2 e)
-    return -np.log(np.tanh(np.maximum(distance, width / (2 * np.e)) / 2))
+    return least - make_interp_spline(omega, np.unwrap(np.angle(response), axis=0), k=1)(at)

@@ -87,15 +87,15 @@ def with_L_bounded(problem, omega):
 def _in_gaps(angles, start, near):
     """Angles from `start` to pi, no farther than `near` apart together with those that are known.
 
-    The ends of the unit circle's upper half are among them.
+    The ends of the unit circle's upper half are among them, unless they are known.
     """
     pieces = [
-        np.linspace(a, b, int(np.ceil((b - a) / near)), endpoint=False)
+        np.linspace(a, b, int(np.ceil((b - a) / near)), endpoint=False)[1:]
         for a, b in pairwise([0, *angles, np.pi])
     ]
-    grid = np.append(np.concatenate(pieces), np.pi)
-    off = np.abs(np.subtract.outer(grid, angles)).min(axis=1)
-    return grid[(grid >= start) & (off > ROUNDING)]
+    ends = np.array([0, np.pi])[np.abs(angles[[0, -1]] - [0, np.pi]) > ROUNDING]
+    grid = np.sort(np.concatenate([ends, *pieces]))
+    return grid[grid >= start]
 
 
 def _reach(angles):

@@ -89,13 +89,14 @@ def test_attributes_come_back_as_a_line_of_text(tmp_path, trials):
     ("changed", "message"),
     [
         (lambda t: t.drop_vars("v"), r"lack \['v'\]"),
-        (lambda t: t.assign(y=t.y.where(t.time < 2)), "not finite in 'y_depth'"),
+        (lambda t: t.assign(y=t.y.where(t.time < 2)), "not finite in 'y_depth' of trials"),
         (lambda t: t.assign_attrs(Ts=0), "Ts.* = 0 must be"),
         (lambda t: t.isel(time=slice(1, None)), "time must be 0, Ts, 2 Ts"),
         (lambda t: t.assign_coords(trial=[1, 2, 2]), "trials.trial"),
         (lambda t: t.assign_coords(output=("channel", ["a\nb"])), "printable"),
         (lambda t: t.assign_coords(control=("channel", ["depth"])), "two units"),
         (lambda t: t.assign_attrs(format="mine"), "attribute 'format'"),
+        (lambda t: t.assign_attrs({"a: b": "c"}), "attribute 'a: b'"),
         (lambda t: t.assign_attrs(who=object()), "attribute 'who'"),
     ],
 )

@@ -7,11 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from paper import paper_choices
+from problems import memory
 from scipy.interpolate import CubicSpline
 
 from ilctools import InfeasibleError, LearningFilter, synthesise, zero_phase_butterworth
 from ilctools.evidence.peak import learning_model, peak_gain
-from ilctools.problem.grid import refined, without_gaps
+from ilctools.problem.grid import _in_gaps, refined, without_gaps
 from ilctools.problem.pose import pose
 from ilctools.problem.problem import largest_singular_values
 
@@ -41,6 +42,10 @@ def test_on_the_grids_of_the_paper_nothing_is_added(loop, Q, n, as_model):
     problem = pose(P, Q, omega, 1.0, **paper_choices())
     assert without_gaps(problem) is problem and problem.beyond is None
     np.testing.assert_array_equal(problem.weight, np.tile(np.eye(2) / 50, (n, 1, 1)))
+
+
+def test_gaps_are_found_without_a_matrix_of_all_distances():
+    assert memory(lambda: _in_gaps(np.linspace(1, 3, 3000), 0, 0.01)) < 3e6
 
 
 @given(st.integers(1, 3), st.integers(1, 25), st.integers(3, 40), st.integers(0, 999))

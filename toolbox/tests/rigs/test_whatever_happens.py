@@ -124,14 +124,11 @@ def test_a_torn_trial_is_left_out_and_the_experiment_goes_on(tmp_path):
     text = whole.read_bytes()
     for cut in (1, 2, 40, 2000):  # the line feed alone; a digit, too, which nothing shows
         path.write_bytes(text[:-cut])
-        if cut > 2:
-            with pytest.warns(UserWarning, match=r"log.csv: the last trial is shorter"):
-                assert load_log(path).identical(complete.isel(trial=slice(2)))
+        with pytest.warns(UserWarning, match=r"log.csv: the last trial is shorter"):
+            assert load_log(path).identical(complete.isel(trial=slice(2)))
         with pytest.warns(UserWarning, match=r"log.csv: the last trial is shorter"):
             record(Homed(), LOOP, LAW, REFERENCE, trials=3, path=path)
         assert path.read_bytes() == text
-    path.write_bytes(text[:-1])
-    assert load_log(path).identical(complete)
 
 
 def test_a_full_disk_costs_the_trial_that_it_has_no_room_for(tmp_path, monkeypatch):

@@ -105,12 +105,11 @@ class NewtonSystem:
         for block, incidence in zip(self.blocks, program.incidence, strict=True):
             of_A, of_B = block.forms(program, j, k)
             A, B = A + of_A @ incidence, B + of_B @ incidence
-        # Re(A phi_k phi_l^*) + Re(B phi_k phi_l), summed over the frequencies
-        of_A, of_B = program.products
-        sums = as_real(A) @ of_A + as_real(B) @ of_B
-        H = np.empty((E, order, E, order))
-        H[k, :, j] = sums.reshape(-1, order, order)
-        H[j, :, k] = H[k, :, j].transpose(0, 2, 1)
+        H, conjugate = np.empty((E, order, E, order)), program.basis.conj()
+        for row, col, a, b in zip(k, j, A, B, strict=True):
+            # Re phi_k (A phi_l^* + B phi_l), summed over the frequencies
+            sums = as_real(conjugate) @ as_real(a * conjugate + b * program.basis).T
+            H[row, :, col], H[col, :, row] = sums, sums.T
         return H.reshape(E * order, -1)
 
     def solve(self, r_x, Y, eta):

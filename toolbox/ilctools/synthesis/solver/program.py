@@ -50,13 +50,6 @@ class Program:
     limits: np.ndarray  # (2,): of the bounds; the first is that of t, too
     most: float  # what the largest with a t or the first limit must not exceed
 
-    @cached_property
-    def products(self):
-        """phi_k^* phi_l and phi_k^* phi_l^*, real and imaginary parts in turn, (2 n, order^2)."""
-        conjugate = self.basis.conj()
-        both = (conjugate[:, None] * second for second in (self.basis, conjugate))
-        return [X.reshape(-1, X.shape[-1]).view(float).T for X in both]
-
     @property
     def shared(self):
         """Whether there is a single t."""
