@@ -127,8 +127,10 @@ class ControlledRig:
         self.clock, self.bring_back, self.leave_safe = (
             getattr(rig, name, None) for name in ("clock", "begin", "safe")
         )
-        safe_time = arguments.positive("rig.safe_time", getattr(rig, "safe_time", SAFE_TIME))
-        self.interrupts = Interrupts(self.make_safe, safe_time)
+        self.interrupts = Interrupts(
+            self.make_safe,
+            arguments.positive("rig.safe_time", getattr(rig, "safe_time", SAFE_TIME)),
+        )
         self.late = []  # by how much each sample of the trial is off the rig's clock, s
         self.place = ""  # trial and sample, for errors
         self.find_signals()
@@ -170,9 +172,8 @@ class ControlledRig:
     def begin(self, trial) -> None:
         """Bring the rig to where trials begin, if it can."""
         self.place = f"trial {trial}"
-        self.interrupts.check()
         if self.bring_back:
-            self.bring_back(trial)
+            self.interrupts.call(self.bring_back, trial)
             self.reset()
 
     def pause(self, trial, samples, w, start) -> str:
@@ -205,7 +206,7 @@ class ControlledRig:
         samples = []
         for p in range(len(w)):
             self.place = f"trial {trial}, sample {first + p + 1}"
-            self.check_clock()
+            self.interrupts.call(self.check_clock)
             samples.append(self.sample(w[p], commanded[p]))
             bar.update()
         return series(samples, np.array)
@@ -214,8 +215,7 @@ class ControlledRig:
         """Upload w, let the trial run, download and check it."""
         names, actuators, signals = self.loop.controls, self.actuators, {}
         sent = w.copy() if self.ours or actuators is None else actuators.follow(w)
-        self.interrupts.check()
-        result = self.rig.run(sent)
+        result = self.interrupts.call(self.rig.run, sent)
         pair = names and isinstance(result, tuple) and len(result) == 2
         y, u = result if pair else (result, None)
         signals["y"] = _reading("y", y, w.shape)
@@ -241,7 +241,7 @@ class ControlledRig:
 
     def sample(self, w, flows) -> dict[str, np.ndarray]:
         """Let one sampling period pass: read, check, then apply what the controller makes of it."""
-        y, measured = self.read()
+        y, measured = self.interrupts.call(self.read)
         self.check_stop(self.outputs, y)
         signals, commands = {"y": y}, w
         if self.controller:
@@ -259,8 +259,7 @@ class ControlledRig:
             self.controller.observe(y, commands)
         inputs = np.zeros(len(self.inputs))
         inputs[self.positions] = np.concatenate([commands, flows])
-        self.interrupts.check()
-        self.rig.apply(inputs)
+        self.interrupts.call(self.rig.apply, inputs)
         if self.recorded:
             measured |= dict(zip(self.disturbed, flows, strict=True))
             signals["disturbance"] = np.array([measured[name] for name in self.recorded])
@@ -299,7 +298,7 @@ class ControlledRig:
             raise
 
 
-def series(parts: list[dict], join) -> dict:
+def series(parts: list[dict], join):
     """The signals of samples, of parts of a trial or of trials, joined."""
     return {name: join([part[name] for part in parts]) for name in parts[-1]}
 

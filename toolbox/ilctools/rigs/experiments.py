@@ -38,16 +38,16 @@ def record(
     Between two trials the controller keeps running and holds the start of the reference, as in the
     paper, until the rig is back where the first trial started. However this ends, the rig is left
     in a safe state: by an error, Ctrl-C, ``kill``, a service's stop or a closed terminal. These
-    signals act at once, and again before the next command, if a driver swallows the exception; it
-    must not handle SIGTERM or SIGHUP by itself. While the rig's ``safe()`` runs they wait, until it
+    signals raise at once in a driver, which must not handle SIGTERM or SIGHUP by itself; also if it
+    swallows the exception, no command follows. While the rig's ``safe()`` runs they wait, until it
     has taken its ``safe_time``, 10 s if it has none: the next one ends it, and says that the rig
     may not be safe. In another thread than the main one they count when the process ends by Ctrl-C
     or its last line, but ``kill`` ends it at once. A forked child leaves the rig to its parent.
 
-    What no program can do: ``kill -9``, SIGQUIT, a crash of Python or of the machine and
-    a power cut leave the rig at the last command, and so does Ctrl-Z until ``fg``. For these a
-    watchdog on the rig switches off when no command has come for some samples. On a terminal,
-    progress is shown.
+    What no program can do: ``kill -9``, SIGQUIT, a crash of Python or of the machine and a power
+    cut leave the rig at the last command, and so does Ctrl-Z until ``fg``. For these a watchdog on
+    the rig switches off when no command has come for some samples. On a terminal, progress is
+    shown.
 
     Parameters
     ----------

@@ -1,6 +1,7 @@
 """Signals that end a process: they end a run, and its rig is left safe before it ends."""
 
 import atexit
+import math
 import os
 import signal
 import threading
@@ -12,20 +13,19 @@ from contextlib import suppress
 ENDS = (getattr(signal, "SIGHUP", signal.SIGTERM), signal.SIGTERM, signal.SIGINT)
 USUAL = (signal.SIG_DFL, signal.default_int_handler)
 SAFE_TIME = 10.0  # s, that safe() of a rig may take before a signal ends it
-RUNS = b"\nsafe() of the rig runs, wait: this signal counts when the rig is safe\n"
+WAIT = b"\nsignal noted, wait: the rig is being left safe\n"
 
 
 class Interrupts:
-    """Signals that end a process, noted: each raises at once, and the first one in `check`, too.
+    """Signals that end a process, noted: after one no method of the driver is called but `safe`.
 
-    A driver may swallow the exception, or Python itself, where it comes in a destructor. So a run
-    calls `check` before each command. When it ends it sets `until`, by a statement that calls
-    nothing and so cannot be interrupted, and then calls `leave`.
+    One that comes during such a call raises at once, because that may hang; elsewhere none does,
+    where it could be swallowed, as in a destructor, or leave a lock behind.
     """
 
-    def __init__(self, make_safe: Callable[[], None], safe_time: float):
+    def __init__(self, make_safe: Callable, safe_time: float):
         self.make_safe, self.safe_time = make_safe, safe_time
-        self.number, self.handlers, self.until = None, {}, None
+        self.number, self.handlers, self.until = None, {}, math.inf  # when signals begin to raise
         self.process, self.is_safe = os.getpid(), threading.Event()
 
     def watch(self) -> None:
@@ -41,20 +41,20 @@ class Interrupts:
     def note(self, number, frame) -> None:
         """Handle a signal."""
         self.number = self.number or number
-        if self.until is None:
-            self.check()
-        elif time.monotonic() > self.until:
-            raise KeyboardInterrupt  # to which `make_safe` adds its note
-        else:
-            with suppress(OSError):  # of a closed terminal; `print` is not reentrant
-                os.write(2, RUNS)
-
-    def check(self) -> None:
-        """Raise what the first signal asks for, if one came."""
-        if self.number == signal.SIGINT:
+        if time.monotonic() > self.until:
             raise KeyboardInterrupt
-        if self.number:
-            raise SystemExit(128 + self.number)
+        with suppress(OSError):  # of a closed terminal; `print` is not reentrant
+            os.write(2, WAIT)
+
+    def call(self, method: Callable, *arguments):
+        """What a method of the driver returns."""
+        try:
+            self.until = -math.inf
+            if self.number:
+                raise KeyboardInterrupt
+            return method(*arguments)
+        finally:
+            self.until = math.inf
 
     def leave(self) -> None:
         """Leave the rig safe, unless this is a forked child: the rig is its parent's."""
@@ -67,7 +67,8 @@ class Interrupts:
             self.is_safe.set()
             for number, handler in self.handlers.items():  # Ctrl-C, which may raise here, is last
                 signal.signal(number, handler)
-        self.check()
+        if number := self.number:
+            raise KeyboardInterrupt if number == signal.SIGINT else SystemExit(128 + number)
 
     def end_thread(self) -> None:
         """End a run in another thread at its next command, when the process ends."""

@@ -1,6 +1,5 @@
 """Trials on a rig, one after the other: each is watched, and kept when it ends."""
 
-import math
 import time
 import warnings
 from collections.abc import Callable
@@ -57,8 +56,11 @@ class Experiment:
                     self.go_on_from(read_log(path, ended=True), path)
             ended, count = len(self.trials), len(self.reference)
             if ended > count:
-                text = f"{ended} trials, more than trials = {count}: all of them are returned"
-                warnings.warn(f"path = '{path}' has {text}", stacklevel=3)
+                warnings.warn(
+                    f"path = '{path}' has {ended} trials, more than trials = {count}: all of them "
+                    "are returned",
+                    stacklevel=3,
+                )
             if ended < count:
                 if ended:
                     write_log(self.log, path)
@@ -68,15 +70,14 @@ class Experiment:
 
     def run_on(self, pause, path) -> None:
         """Run the trials that follow those that have ended; leave the rig safe on every way out."""
-        rig, interrupts = self.rig, self.rig.interrupts
+        rig = self.rig
         try:
             with ThreadPoolExecutor(1) as writer:
-                try:  # no context manager, whose exit is a call that a signal can cut short
-                    interrupts.watch()
+                try:
+                    rig.interrupts.watch()
                     self.run_trials(pause, path, writer)
                 finally:
-                    interrupts.until = math.inf
-                    interrupts.leave()
+                    rig.interrupts.leave()
         except Exception as error:
             error.trials = self.log
             if not isinstance(error, RigError):
@@ -122,8 +123,8 @@ class Experiment:
         if not path.exists():
             write_log(log, path)
         elif path.stat().st_size == self.size:
-            k, names = len(log.trial) - 1, columns_of(signals_of(log), log)
-            rows = rows_as_text(k + 1, log.time.values, [self.trials[k][name] for name in names])
+            k, names = len(log.trial), columns_of(signals_of(log), log)
+            rows = rows_as_text(k, log.time.values, [self.trials[k - 1][name] for name in names])
             append(path, (piece for piece in rows if time.sleep(BREATH) is None))
         else:
             raise FileExistsError(
@@ -156,8 +157,8 @@ class Experiment:
         """What the last trial shows, with those before it, by kinds."""
         rig, trial, number, texts = self.rig, self.trials[-1], len(self.trials), {}
         u = rig.loop.asked(trial["reference"] + trial["v"], trial.get("u"))
-        limits = rig.law and rig.law.limits
-        beyond = commands_beyond(u, rig.commands, limits or rig.limits)
+        limits = (rig.law and rig.law.limits) or rig.limits
+        beyond = commands_beyond(u, rig.commands, limits)
         if beyond and rig.actuators is not None:
             texts["limits"] = beyond + CUT_OFF
         elif beyond:

@@ -127,7 +127,7 @@ def test_no_command_follows_a_signal_and_a_safe_that_hangs_is_ended(call, safe_t
 
     with pytest.raises(KeyboardInterrupt) as error:
         asyncio.run(run())
-    assert capfd.readouterr().err.count("safe() of the rig runs, wait") == noted
+    assert capfd.readouterr().err.count("wait: the rig is being left safe") == noted
     assert [command for command in calls[call:] if command] == ["safe"] * (noted - 1)
     assert getattr(error.value, "__notes__", []) == [UNSAFE] * (2 - noted)
 
