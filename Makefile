@@ -40,7 +40,9 @@ lint: $(BIN)/ready  ## ruff on modules, tests and notebooks; how much there is t
 data: $(BIN)/ready  ## record the logs of the virtual rig in data/rig anew
 	$(BIN)/python -m rodlib.paper.rig_logs
 
-# The path as it is: neither make nor the shell finds anything in it.
+# The path as it is: the shell gets the text of a variable, and make, which expands what it exports,
+# does not export LOG itself.
+unexport LOG
 replay: export NAMED = $(value LOG)
 replay: $(BIN)/ready  ## replay a log of your own: make replay LOG=path; writes to build/ only
 	@test -n "$$NAMED" || { echo "name a log: make replay LOG=path"; exit 2; }

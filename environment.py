@@ -49,8 +49,8 @@ def entry(package: str, lock: str) -> str:
 def create(root: Path) -> None:
     """Create the environment anew, by uv, which the lock holds, or else by pip, which is slower."""
     venv, lock = root / ".venv", root / "environment.lock"
-    if os.path.lexists(venv) and not venv.is_dir():
-        sys.exit(f"{venv} is no folder: remove it, and call make again")
+    if venv.is_symlink() or (venv.exists() and not venv.is_dir()):  # what is there would be deleted
+        sys.exit(f"{venv} is no folder, or a link to one: remove it, and call make again")
     python = venv / "bin" / "python"
     (python.parent / "ready").unlink(missing_ok=True)
     print("creating the environment from environment.lock (once, some minutes) ...", flush=True)

@@ -93,12 +93,11 @@ def test_where_uv_cannot_install_pip_does(tmp_path, created, uv):
     assert (folder / "ready").exists() and len(commands) == 4 + uv
 
 
-@pytest.mark.parametrize("dangling", [True, False])
-def test_what_stands_in_the_way_is_named(tmp_path, dangling):
-    (tmp_path / "environment.lock").touch()
+@pytest.mark.parametrize("target", ["gone", ".", None])
+def test_what_stands_in_the_way_is_named(tmp_path, target):
     way = tmp_path / ".venv"
-    way.symlink_to(tmp_path / "gone") if dangling else way.touch()
-    with pytest.raises(SystemExit, match=r"\.venv is no folder: remove it"):
+    way.symlink_to(target) if target else way.touch()
+    with pytest.raises(SystemExit, match=r"\.venv is no folder, or a link to one: remove it"):
         environment.create(tmp_path)
     assert os.path.lexists(way)
 

@@ -141,19 +141,18 @@ def test_a_bad_log_is_refused_in_a_few_words_and_an_earlier_replay_stays(root):
     assert earlier.exists()
 
 
-@pytest.mark.parametrize("name", [ODD, "a\\b.csv"])
+@pytest.mark.parametrize("name", [ODD, "a\\b.csv", "$(shell touch pwned)"])
 def test_make_hands_over_the_path_as_it_is(name, tmp_path):
     if not shutil.which("make"):
         pytest.skip("there is no make")
-    python = tmp_path / "bin" / "python"
-    python.parent.mkdir()
+    python = tmp_path / "python"
     python.write_text('#!/bin/sh\nfor word; do printf "<%s>" "$word"; done\n')
     python.chmod(0o755)
-    call = ["make", "-s", f"BIN={python.parent}", "PYTHON=true", "replay"]
-    options = {"cwd": ROOT, "capture_output": True, "text": True}
+    call = ["make", "-sf", ROOT / "Makefile", f"BIN={tmp_path}", "PYTHON=true", "replay"]
+    options = {"cwd": tmp_path, "capture_output": True, "text": True}
     outcome = subprocess.run([*call, f"LOG={name}"], **options)
     assert outcome.stdout == f"<-m><rodlib.paper.reproduce><{name}>"
-    assert subprocess.run(call, **options).returncode == 2
+    assert subprocess.run(call, **options).returncode == 2 and [*tmp_path.iterdir()] == [python]
 
 
 def test_logs_of_loops_that_are_not_ours_that_never_rest_and_in_dollars_are_replayed(

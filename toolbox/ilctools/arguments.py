@@ -5,6 +5,7 @@ ValueError that names the argument, its value and what it must be.
 """
 
 import os
+import re
 import reprlib
 from collections.abc import Sequence
 from numbers import Real
@@ -16,6 +17,7 @@ import control
 import numpy as np
 
 CIRCLE = 1 - 1e-12  # modulus from which on a pole counts as on the unit circle: rounding of poles
+PRINTABLE = r"[^\x00-\x1f\x7f-\x9f]+"  # a terminal obeys control characters
 LATE = 1e-3  # of Ts: by how much times may be rounded
 ROLES = ("output", "control", "source")  # coordinates that name the signals of a DataArray
 
@@ -154,8 +156,8 @@ def each_trial(name, signal, trials, samples, names, Ts):
 
 def path(name: str, value) -> Path:
     """The path of a file; ~ is the home of a user."""
-    if not isinstance(value, str | PathLike) or not str(value):
-        raise ValueError(f"{name} = {reprlib.repr(value)} must be the path of a file")
+    if not isinstance(value, str | PathLike) or not re.fullmatch(PRINTABLE, str(value)):
+        raise ValueError(f"{name} = {reprlib.repr(value)} must be the path of a file, printable")
     return Path(os.path.expanduser(value))
 
 

@@ -6,8 +6,10 @@ Only the standard library, because `environment.py` needs this before anything i
 import json
 import os
 import re
+import shutil
+import time
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from uuid import uuid4
 
@@ -18,6 +20,8 @@ except ImportError:  # on Windows
 
     fcntl = None
 
+PARTS = f".{'[0-9a-f]' * 32}.part"  # what `replacing` leaves where it is killed
+DAY = 86400.0  # s, after which they are what is left of killed writers
 STRING = re.compile(r'"(?:[^"\\]|\\.)*"')  # of JSON
 
 
@@ -72,20 +76,29 @@ def alone(lock: Path, refusal: str, wait: bool = False) -> Iterator[None]:
 
 
 def regular(path: Path) -> Path:
-    """The path; an error if a pipe, a device or a folder is there: it may never end."""
+    """The path, or where its link leads; an error for a pipe, a device or a folder: no end."""
     if path.exists() and not path.is_file():
         raise FileExistsError(f"{path} is no regular file: choose another name")
-    return path
+    return Path(os.path.realpath(path)) if path.is_symlink() else path
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """A file to write beside `path`, in a folder that is there; it replaces `path` if all is well.
 
-    A device or a pipe is refused: it is not written to by being replaced.
+    Links are followed, permissions stay. A device or a pipe is refused: it is not written to by
+    being replaced. The name is one that no other writer has, and no link can wait at.
     """
-    temporary = _part(regular(path))
+    path = regular(path)
+    for part in path.parent.glob(PARTS):
+        with suppress(OSError):  # somebody else removes it, or it is somebody else's
+            if time.time() - part.stat().st_mtime > DAY:
+                part.unlink()
+    temporary = path.with_name(f".{uuid4().hex}.part")
     try:
+        if path.exists():
+            temporary.touch()
+            shutil.copymode(path, temporary)
         yield temporary
         os.replace(temporary, path)
     except OSError as error:  # of the name that was asked for
@@ -128,31 +141,19 @@ def keep_others(path: Path, head: str) -> None:
 
 
 def replace_all(new: dict[Path, bytes | None]) -> None:
-    """Replace several files, one by one and in order, once all are written; None is for removed.
+    """Replace several files, one by one and in order, once all are written; first remove None's.
 
     An error while they are written leaves all as it was. What ends later, be it by a kill, leaves
     some replaced, none of them half; in either case another call mends it.
     """
-    for path in new:
-        folder(path.parent)
-    parts = {path: _part(path) for path in new}
-    try:
-        for path, content in new.items():
+    with ExitStack() as parts:  # whose last one ends first
+        for path, content in reversed(new.items()):
+            folder(path.parent)
             if content is not None:
-                _write(parts[path], [content])
-        for path, content in new.items():
-            if content is None:
+                _write(parts.enter_context(replacing(path)), [content])
+        for path in new:
+            if new[path] is None:
                 path.unlink(missing_ok=True)
-            else:
-                os.replace(parts[path], path)
-    finally:
-        for part in parts.values():
-            part.unlink(missing_ok=True)
-
-
-def _part(path):
-    """A name that no other writer has, and no link can wait at."""
-    return path.with_name(f".{uuid4().hex}.part")
 
 
 def _write(path, pieces, mode="wb"):

@@ -135,16 +135,10 @@ class ZeroPhaseButterworth:
     def apply_transposed(self, signal) -> np.ndarray:
         """Filter a signal by the transpose of the matrix that :meth:`apply` is on a trial."""
         signal = arguments.array("signal", signal, (..., "time", "channel"))
-        reach, (first, last) = self.decay, ENDS[self.ends]
+        reach = self.decay
         line = _continued(signal, 2 * reach, 2 * reach, "zero")
         wide = self._both_ways(line)[..., reach:-reach, :]  # a symmetric matrix
-        inside = wide[..., reach:-reach, :].copy()
-        # What lies beyond an end that is held comes from the sample there.
-        if first == "edge":
-            inside[..., 0, :] += wide[..., :reach, :].sum(axis=-2)
-        if last == "edge":
-            inside[..., -1, :] += wide[..., -reach:, :].sum(axis=-2)
-        return inside
+        return _folded(wide, reach, signal.shape[-2], self.ends)
 
     def _both_ways(self, line):
         """Forward and backward in time over a signal (..., time, channel), at rest at its ends."""
@@ -157,6 +151,16 @@ def _continued(signal, before, after, ends):
     for mode, widths in zip(ENDS[ends], [(before, 0), (0, after)], strict=True):
         signal = np.pad(signal, [*trials, widths, (0, 0)], mode)
     return signal
+
+
+def _folded(line, before, samples, ends):
+    """The transpose of `_continued`: what lies beyond an end that is held adds to its sample."""
+    inside, (first, last) = line[..., before : before + samples, :].copy(), ENDS[ends]
+    if first == "edge":
+        inside[..., 0, :] += line[..., :before, :].sum(axis=-2)
+    if last == "edge":
+        inside[..., -1, :] += line[..., before + samples :, :].sum(axis=-2)
+    return inside
 
 
 # as one says with scipy: butter(order, cutoff)
@@ -326,18 +330,11 @@ class LearningFilter:
         signal = arguments.array("signal", signal, (..., "time", self.channels))
         if self.base is not None:
             signal = self.base.apply_transposed(signal)
-        N, (first, last) = signal.shape[-2], ENDS[self.ends]
         flipped = self.coefficients.swapaxes(0, 1)[..., ::-1]
         mirrored = LearningFilter(flipped, self.Ts, "zero", -self.last)
         before, after = max(0, -self.first), max(0, self.last)
         line = mirrored.apply(_continued(signal, before, after, "zero"))
-        inside = line[..., before : before + N, :].copy()
-        # What lies beyond an end that is held comes from the sample there.
-        if first == "edge":
-            inside[..., 0, :] += line[..., :before, :].sum(axis=-2)
-        if last == "edge":
-            inside[..., -1, :] += line[..., before + N :, :].sum(axis=-2)
-        return inside
+        return _folded(line, before, signal.shape[-2], self.ends)
 
 
 def time_shifts(angles, order) -> np.ndarray:

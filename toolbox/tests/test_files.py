@@ -9,12 +9,15 @@ import pytest
 from ilctools.files import alone, append, folder, read_json, replacing, write_whole
 
 
-def test_a_file_is_replaced(tmp_path):
-    path = tmp_path / "log.csv"
-    write_whole(path, "old\n")
-    write_whole(path, "Gałkowski\n")
+def test_a_file_is_replaced_where_its_link_leads_and_stays_private(tmp_path):
+    path, link = tmp_path / "log.csv", tmp_path / "link"
+    link.symlink_to(path)
+    write_whole(link, "old\n")
+    path.chmod(0o600)
+    write_whole(link, "Gałkowski\n")
     assert path.read_bytes() == "Gałkowski\n".encode()
-    assert list(tmp_path.iterdir()) == [path]
+    assert link.is_symlink() and path.stat().st_mode & 0o777 == 0o600
+    assert {*tmp_path.iterdir()} == {path, link}
 
 
 def test_after_an_error_the_old_file_is_whole_and_nothing_else_is_left(tmp_path):
@@ -56,29 +59,16 @@ def test_the_second_is_refused_until_the_first_is_killed(tmp_path):
         pass
 
 
-@pytest.mark.parametrize("kind", ["a pipe", "a link to a device"])
-def test_only_regular_files_are_replaced(tmp_path, kind):
-    path = tmp_path / kind
-    if kind == "a pipe":
-        os.mkfifo(path)
-    else:
-        path.symlink_to(os.devnull)
-    with pytest.raises(FileExistsError, match=f"{kind} is no regular file: choose another name"):
-        write_whole(path, "new")
-    assert path.exists() and not path.is_file() and os.listdir(tmp_path) == [kind]
-
-
-def test_two_writers_of_one_name_do_not_meet(tmp_path):
-    """Each replaces the file by its own; what waits where its temporary name was is left alone."""
-    path, victim = tmp_path / "log.csv", tmp_path / "victim"
-    victim.write_text("mine")
-    (tmp_path / ".log.csv.part").symlink_to(victim)
-    with replacing(path) as one, replacing(path) as other:
-        one.write_text("one")
-        other.write_text("other")
-    assert path.read_text() == "one"
+def test_what_killed_writers_left_is_removed_after_a_day_and_nothing_else(tmp_path):
+    path, mine = tmp_path / "log.csv", tmp_path / ".log.csv.part"
+    old, new = (tmp_path / f".{letter * 32}.part" for letter in "ab")
+    for file in (mine, old, new):
+        file.write_text("mine")
+    for file in (mine, old):
+        os.utime(file, (0, 0))
     write_whole(path, "all")
-    assert (path.read_text(), victim.read_text()) == ("all", "mine")
+    assert (path.read_text(), mine.read_text()) == ("all", "mine")
+    assert {*tmp_path.iterdir()} == {path, mine, new}
 
 
 def test_readers_see_one_text_or_another_whole_while_two_write(tmp_path):

@@ -135,7 +135,7 @@ REFUSED = [  # what is wrong, and what the error says
     ({"decimals": {"u": 0.5}}, "decimals.*u.* = 0.5"),
     ({"stop": {"z": (0, 1)}}, "stop is about"),
     ({"stop": {"y1": (1, 0)}}, "stop.*lower and a"),
-    ({"path": 3}, "path = 3"),
+    ({"path": "\x1b"}, r"path = '.x1b' must be the path"),
     ({"path": "nowhere/log.csv"}, "path = .*nowhere.log.csv"),
     ({"path": "x", "law": Law(Q10, NormOptimal(control.ss(0.5, 1, 1, 0, 1.0), 1, 9))}, "L"),
 ]

@@ -10,6 +10,7 @@ from ilctools import arguments
 from ilctools.law.law import Law
 from ilctools.law.limits import named_limits
 from ilctools.loop.closed import CurrentTrialLoop, Loop, controller
+from ilctools.rigs.interrupts import SAFE_TIME, Interrupts
 from ilctools.rigs.limits import stop_limits
 from ilctools.rigs.protocol import RigError, StoppedError
 
@@ -111,8 +112,7 @@ class ControlledRig:
         self.ours = isinstance(loop, CurrentTrialLoop)
         self.outputs, self.commands = loop.outputs, loop.commands  # once, not in every sample
         self.inputs = list(getattr(rig, "inputs", self.commands))
-        missing = [name for name in self.commands if name not in self.inputs]
-        if missing:
+        if missing := [name for name in self.commands if name not in self.inputs]:
             raise ValueError(f"rig.inputs = {self.inputs} must name the commands {missing}")
         limits = named_limits("rig.limits", getattr(rig, "limits", None), self.inputs, slew=True)
         self.limits = {name: limits[name] for name in self.commands if name in limits}
@@ -127,6 +127,10 @@ class ControlledRig:
         self.clock, self.bring_back, self.leave_safe = (
             getattr(rig, name, None) for name in ("clock", "begin", "safe")
         )
+        self.interrupts = Interrupts(
+            self.make_safe,
+            arguments.positive("rig.safe_time", getattr(rig, "safe_time", SAFE_TIME)),
+        )
         self.late = []  # by how much each sample of the trial is off the rig's clock, s
         self.place = ""  # trial and sample, for errors
         self.find_signals()
@@ -136,8 +140,7 @@ class ControlledRig:
         """Which signals are sent, measured and recorded beside commands and outputs."""
         loop, measured = self.loop, getattr(self.rig, "measured", {})
         self.reported = [] if self.ours or self.whole else loop.controls  # u, by the rig
-        missing = [name for name in self.reported if name not in measured]
-        if missing:
+        if missing := [name for name in self.reported if name not in measured]:
             raise ValueError(f"rig.measured must have the controls {missing} of the loop")
         # disturbances of the loop that are inputs, and those that are known
         names = [] if self.whole else loop.disturbances
@@ -162,8 +165,7 @@ class ControlledRig:
         d = np.zeros((samples, len(names))) if disturbance is None else disturbance
         d = arguments.each_trial("disturbance", d, trials, samples, names, self.loop.Ts)
         nonzero = [name for i, name in enumerate(names) if d[..., i].any()]
-        unknown = [name for name in nonzero if name not in self.recorded]
-        if unknown:
+        if unknown := [name for name in nonzero if name not in self.recorded]:
             raise ValueError(f"disturbance is not zero for {unknown}, which are not rig.inputs")
         return d[..., [names.index(name) for name in self.disturbed]]
 
@@ -171,7 +173,7 @@ class ControlledRig:
         """Bring the rig to where trials begin, if it can."""
         self.place = f"trial {trial}"
         if self.bring_back:
-            self.bring_back(trial)
+            self.interrupts.call(self.bring_back, trial)
             self.reset()
 
     def pause(self, trial, samples, w, start) -> str:
@@ -187,9 +189,8 @@ class ControlledRig:
             still = still + 1 if start.near(y, w) else 0
             if samples is None and still >= STILL * length:
                 return ""
-        if samples is not None:
-            return ""
-        return f"before trial {trial} the outputs were not back and still after {longest} samples"
+        text = f"before trial {trial} the outputs were not back and still after {longest} samples"
+        return text if samples is None else ""
 
     def run(self, trial, w, commanded, bar, first=0) -> dict[str, np.ndarray]:
         """Run one trial, from its sample `first` on; its signals but v, shape (time, channel)."""
@@ -205,16 +206,16 @@ class ControlledRig:
         samples = []
         for p in range(len(w)):
             self.place = f"trial {trial}, sample {first + p + 1}"
-            self.check_clock()
+            self.interrupts.call(self.check_clock)
             samples.append(self.sample(w[p], commanded[p]))
             bar.update()
-        return {name: np.array([s[name] for s in samples]) for name in samples[0]}
+        return series(samples, np.array)
 
     def run_whole(self, w) -> dict[str, np.ndarray]:
         """Upload w, let the trial run, download and check it."""
         names, actuators, signals = self.loop.controls, self.actuators, {}
-        cut_off = actuators is not None and not self.ours
-        result = self.rig.run(actuators.follow(w) if cut_off else w.copy())
+        sent = w.copy() if self.ours or actuators is None else actuators.follow(w)
+        result = self.interrupts.call(self.rig.run, sent)
         pair = names and isinstance(result, tuple) and len(result) == 2
         y, u = result if pair else (result, None)
         signals["y"] = _reading("y", y, w.shape)
@@ -240,7 +241,7 @@ class ControlledRig:
 
     def sample(self, w, flows) -> dict[str, np.ndarray]:
         """Let one sampling period pass: read, check, then apply what the controller makes of it."""
-        y, measured = self.read()
+        y, measured = self.interrupts.call(self.read)
         self.check_stop(self.outputs, y)
         signals, commands = {"y": y}, w
         if self.controller:
@@ -251,14 +252,14 @@ class ControlledRig:
         self.check_stop(self.commands, commands)
         if self.actuators is not None:
             commands = self.actuators.next(commands, self.applied)
+            if self.controller:
+                signals["applied"] = commands
         self.applied = commands
         if self.controller:
             self.controller.observe(y, commands)
-            if self.actuators is not None:
-                signals["applied"] = commands
         inputs = np.zeros(len(self.inputs))
         inputs[self.positions] = np.concatenate([commands, flows])
-        self.rig.apply(inputs)
+        self.interrupts.call(self.rig.apply, inputs)
         if self.recorded:
             measured |= dict(zip(self.disturbed, flows, strict=True))
             signals["disturbance"] = np.array([measured[name] for name in self.recorded])
@@ -280,7 +281,10 @@ class ControlledRig:
             low, high = self.stop.get(name, UNLIMITED)
             if not low <= value <= high:
                 what = f"{name} = {value:.6g} is not from {low:.6g} to {high:.6g}"
-                raise StoppedError(f"{what}, the limits of stop")
+                raise StoppedError(
+                    f"{what}, the limits of stop: if units, signs and wires are right, learn less, "
+                    "by a smaller gain or a lower cut-off, in another log; or go on with wider ones"
+                )
 
     def make_safe(self) -> None:
         """Leave the rig in a safe state; an error there says so."""
@@ -289,9 +293,14 @@ class ControlledRig:
                 self.leave_safe()
             elif not self.whole:
                 self.rig.apply(np.zeros(len(self.inputs)))
-        except Exception as error:
+        except BaseException as error:  # also a signal, after safe_time
             error.add_note("THE RIG MAY NOT BE SAFE: what should leave it safe has failed")
             raise
+
+
+def series(parts: list[dict], join):
+    """The signals of samples, of parts of a trial or of trials, joined."""
+    return {name: join([part[name] for part in parts]) for name in parts[-1]}
 
 
 def _runs_whole_trials(rig) -> bool:

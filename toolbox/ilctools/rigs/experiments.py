@@ -1,7 +1,5 @@
 """Running an experiment on a rig, trial by trial: learning by the ILC law, or shaking the loop."""
 
-import warnings
-from contextlib import closing
 from functools import partial
 
 import numpy as np
@@ -14,9 +12,9 @@ from ilctools.law.law import Law
 from ilctools.law.repetitive import check_period, next_samples
 from ilctools.loop.closed import Loop
 from ilctools.measurement.excitation import Excitation, with_excitation
-from ilctools.rigs.controlled import ControlledRig
+from ilctools.rigs.controlled import ControlledRig, series
 from ilctools.rigs.protocol import Rig, TrialRig
-from ilctools.rigs.recording import Experiment, in_succession
+from ilctools.rigs.recording import Experiment
 from ilctools.signals import check_match
 
 
@@ -39,11 +37,17 @@ def record(
 
     Between two trials the controller keeps running and holds the start of the reference, as in the
     paper, until the rig is back where the first trial started. However this ends, the rig is left
-    in a safe state: by an error, Ctrl-C, ``kill``, a service's stop or a closed terminal, whose
-    signals a driver must not handle; in another thread than the main one, by an error only. A
-    ``kill -9``, a crash of the machine or a power cut leave it at the last command: for these a
-    watchdog on the rig switches off when no command has come for some samples. On a terminal,
-    progress is shown.
+    in a safe state: by an error, Ctrl-C, ``kill``, a service's stop or a closed terminal. These
+    signals raise at once in a driver, which must not handle SIGTERM or SIGHUP by itself; also if it
+    swallows the exception, no command follows. While the rig's ``safe()`` runs they wait, until it
+    has taken its ``safe_time``, 10 s if it has none: the next one ends it, and says that the rig
+    may not be safe. In another thread than the main one they count when the process ends by Ctrl-C
+    or its last line, but ``kill`` ends it at once. A forked child leaves the rig to its parent.
+
+    What no program can do: ``kill -9``, SIGQUIT, a crash of Python or of the machine and a power
+    cut leave the rig at the last command, and so does Ctrl-Z until ``fg``. For these a watchdog on
+    the rig switches off when no command has come for some samples. On a terminal, progress is
+    shown.
 
     Parameters
     ----------
@@ -63,7 +67,8 @@ def record(
         and they must be zero. Default zero.
     path : path-like, optional
         Of a log, to which each trial is added when it ends, so that a fault costs one trial at
-        most, or two just after one has ended without reset; without it, all. If the log is there,
+        most, or two just after one has ended without reset; without it, all. A link is followed.
+        What another program writes there meanwhile ends the run and stays. If the log is there,
         its trials must be of the same experiment, and the next one follows; a last trial that is
         torn or shorter than the first is dropped, with a warning. That the plant is
         the same, nothing checks but the trials that follow. If it has `trials` or more, none is
@@ -95,10 +100,10 @@ def record(
     ValueError
         If something does not belong together; before anything is applied.
     RigError
-        If a reading is not finite or has the wrong shape: the trial ends, those before it stay.
+        If a reading is not finite or has the wrong shape: the trial ends, those before it stay. As
+        any error of a driver or a disk, it has the trials before in its attribute ``trials``.
     StoppedError
-        If something is beyond a limit of `stop`, which it says how to go on from. It is a RigError,
-        and has the trials before in its attribute ``trials``.
+        If something is beyond a limit of `stop`, which it says how to go on from. It is a RigError.
 
     Warns
     -----
@@ -149,31 +154,22 @@ def record(
     check_match(law=law, rig=controlled)
     commanded = controlled.commanded(disturbance, trials, samples)
 
-    following = partial(_next_v, law, reference, first, goes_on)
+    following = partial(_next_v, law, first, goes_on)
     notes = with_law(xr.Dataset(), law).attrs
     if v is not None:
         notes[BEGUN] = "v of trial 1 was given"
     if goes_on:
         notes[RESET] = NO_RESET
-    return _recorded(Experiment(controlled, reference, commanded, following, notes), pause, path)
+    return Experiment(controlled, reference, commanded, following, notes).run(pause, path)
 
 
-def _recorded(experiment, pause, path):
-    """The log of an experiment that is run; its warnings are those of the door."""
-    with closing(experiment.run(pause, path)) as progress:  # safe whatever becomes of a warning
-        for text in progress:
-            warnings.warn(text, stacklevel=3)
-    return experiment.log
-
-
-def _next_v(law, reference, first, goes_on, trials):
+def _next_v(law, first, goes_on, trials):
     """v by the law (23) after these trials; if the rig goes on, of the samples that follow."""
     if not trials:
         return first
-    signals = in_succession(trials) if goes_on else trials[-1]
-    r = np.concatenate(reference) if goes_on else reference[len(trials) - 1]
-    v, y = signals["v"], signals["y"]
-    e, w = r[: len(v)] - y, r[: len(v)] + v
+    signals = series(trials, np.concatenate) if goes_on else trials[-1]
+    r, v, y = signals["reference"], signals["v"], signals["y"]
+    e, w = r - y, r + v
     u = applied = law.loop.asked(w, signals.get("u"))
     if law.actuators is not None:
         applied = signals.get("applied", law.actuators.follow(u))
@@ -259,5 +255,5 @@ def shake(
     limits = controlled.limits if loop.commands == loop.controls else None
     notes = with_excitation(xr.Dataset(), excitation, loop, limits).attrs
     following = lambda trials: shaken[len(trials)]  # noqa: E731
-    experiment = Experiment(controlled, np.zeros(shaken.shape), commanded, following, notes)
-    return _recorded(experiment, 0, path)
+    reference = np.zeros(shaken.shape)
+    return Experiment(controlled, reference, commanded, following, notes).run(0, path)

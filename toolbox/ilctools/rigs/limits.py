@@ -6,7 +6,7 @@ from ilctools.loop.closed import Loop
 from ilctools.trials.start import largest_by_unit
 
 FAR = 5.0  # times the largest reference that outputs may be beyond all references
-WIDE = 100.0  # times what an actuator follows, that commands may span: no loop that works does
+WIDE = 49.5  # times what an actuator spans, that commands may be beyond: a loop that works is not
 
 
 def stop_limits(stop, reference, loop: Loop, followed) -> dict:
@@ -22,8 +22,8 @@ def stop_limits(stop, reference, loop: Loop, followed) -> dict:
         if size:
             limits[name] = column.min() - FAR * size, column.max() + FAR * size
     for name, (low, high, *_) in followed.items():
-        middle, half = (low + high) / 2, (high - low) / 2
-        limits[name] = middle - WIDE * half, middle + WIDE * half
+        beyond = WIDE * (high - low)
+        limits[name] = low - beyond, high + beyond
     names = [*loop.outputs, *loop.commands]
     asked = arguments.by_name("stop", stop, names)
     pairs = {name: pair for name, pair in asked.items() if pair is not None}

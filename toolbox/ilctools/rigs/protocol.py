@@ -16,6 +16,7 @@ class Rig(Protocol):
     commands are cut off there, and the observer (16) is informed. ``Ts``: its sampling
     period, s. ``measured``: a dict of what else it measures, by name, such as the temperature of
     the room. ``safe()``: what leaves it in a safe state; without it, zeros are applied.
+    ``safe_time``: how long this may take, s, before a signal ends it; 10 s without it.
     ``begin(trial)``: what brings it into the state in which every trial begins, such as a homing
     run; the controller then starts afresh, too. ``clock()``: the time, s, by which samples are late
     or not, such as ``time.monotonic``.
@@ -51,9 +52,9 @@ class Rig(Protocol):
 class TrialRig(Protocol):
     """Another kind of driver, trial by trial, for a target that runs the controller by itself.
 
-    It may have ``Ts``, ``limits``, ``safe()`` and ``begin(trial)``, as :class:`Rig` has. No
-    pause between trials: ``run`` begins where every trial begins. At its limits the target cuts off
-    commands, and should tell its observer.
+    It may have ``Ts``, ``limits``, ``safe()``, ``safe_time`` and ``begin(trial)``, as
+    :class:`Rig` has. No pause between trials: ``run`` begins where every trial begins. At its
+    limits the target cuts off commands, and should tell its observer.
     """
 
     def run(self, w, /):
@@ -61,10 +62,13 @@ class TrialRig(Protocol):
 
 
 class RigError(RuntimeError):
-    """A rig that gave what is no reading; nothing that follows from it was applied."""
+    """A rig that gave what is no reading; nothing that follows from it was applied.
+
+    What was learned before it is in `trials`.
+    """
+
+    trials = None  # as from record; None if no trial has ended
 
 
 class StoppedError(RigError):
-    """A trial that went beyond a stop limit; what was learned before it is in `trials`."""
-
-    trials = None  # as from record; None if no trial has ended
+    """A trial that went beyond a stop limit."""

@@ -19,13 +19,11 @@ from ilctools import (
     record,
     run_trials,
     shake,
-    synthesise,
     zero_phase_butterworth,
 )
 from ilctools.logs.replay import replay
 from ilctools.loop.notes import loop_of
 from ilctools.rigs.protocol import RigError, StoppedError
-from ilctools.trials.run import rms
 
 P, REFERENCE = axes(), bump(150, [2.0, -1.0])
 LAW = Law(zero_phase_butterworth(2, 3.0, 0.1), LearningFilter(0.1 * np.eye(2)[..., None], 0.1))
@@ -92,11 +90,7 @@ def test_it_learns_on_its_rig_as_in_the_simulation(loop, make, tmp_path):
     assert more.isel(trial=slice(3)).identical(log)
     replayed = replay(log)
     assert not replayed.departure.values.any()
-    if loop.P is None:
-        assert replayed.simulated is None and replayed.fit is None
-    else:
-        np.testing.assert_allclose(replayed.simulated.y, log.y, atol=1e-12)
-        assert replayed.fit.values.min() > 0.999999
+    assert (replayed.simulated is None) == (replayed.fit is None) == (loop.P is None)
 
 
 def test_its_commands_are_recorded_if_the_rig_reports_them(tmp_path):
@@ -166,13 +160,6 @@ def test_it_is_shaken_and_nothing_is_assumed_of_it_at_frequency_zero(loop, make,
     assert np.linalg.norm(truth[0] - np.eye(2), 2) > 1
     off = np.linalg.norm(response - truth, 2, axis=(1, 2))
     assert np.all(off <= radius + 1e-9) and radius[:3].max() < 0.2 and off[3:].max() < 0.01
-
-
-def test_filters_are_designed_for_it():
-    grid = np.geomspace(1e-3, 31, 100)
-    design = synthesise(KNOWN, LAW.Q, grid, order=5, band=(0.01, 1.0))
-    run = run_trials(KNOWN, design.law(), REFERENCE, trials=5)
-    assert rms(run.e).values[-1] < 0.05 * rms(run.e).values[0]
 
 
 REFUSED = [

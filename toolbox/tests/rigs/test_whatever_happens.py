@@ -1,11 +1,16 @@
 """The rig is left safe and the log whole, whatever happens."""
 
+import asyncio
 import os
 import signal
 import subprocess
 import sys
 import threading
+import time
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import control
 import numpy as np
@@ -23,6 +28,7 @@ from ilctools import (
     save_log,
     zero_phase_butterworth,
 )
+from ilctools.files import write_whole
 from ilctools.rigs.protocol import RigError
 
 LOOP = ClosedLoop(Ts=0.01, outputs=["x"], units={"x": "mm"})
@@ -31,27 +37,29 @@ REFERENCE = np.sin(np.pi * np.arange(200) / 200) ** 2
 
 
 class Axis:
-    """Follows slowly; it may note the file to which it is recorded."""
+    """Follows slowly."""
 
-    def __init__(self, path=None):
-        self.x, self.path, self.files = 0.0, path, set()
+    x = 0.0
 
     def read(self):
-        if self.path and self.path.exists():
-            self.files.add(os.stat(self.path).st_ino)
         return [self.x]
 
     def apply(self, w):
         self.x += 0.2 * (w[0] - self.x)
 
 
+UNSAFE = "THE RIG MAY NOT BE SAFE: what should leave it safe has failed"
 HEATED = """
-import sys, time
+import os, sys, threading, time
 import numpy as np
 from ilctools import ClosedLoop, Law, record, zero_phase_butterworth
 
 class Heater:
     def read(self):
+        if sys.argv[1] == "fork":
+            if not os.fork():
+                sys.exit()
+            os.wait()
         return [0.0]
     def apply(self, w):
         print(*w, flush=True)
@@ -61,56 +69,97 @@ class Heater:
         time.sleep(0.5)
         print("safe", flush=True)
 
-loop = ClosedLoop(Ts=0.01, outputs=["T"])
-record(Heater(), loop, Law(zero_phase_butterworth(2, 9.0, 0.01), None), np.ones(10_000))
+def run():
+    loop = ClosedLoop(Ts=0.01, outputs=["T"])
+    record(Heater(), loop, Law(zero_phase_butterworth(2, 9.0, 0.01), None), np.ones(10_000))
+
+if sys.argv[1] == "thread":
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    thread.join()
+run()
 """
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals")
 @pytest.mark.parametrize(
-    ("name", "ends"), [("SIGTERM", 128 + 15), ("SIGHUP", 128 + 1), ("SIGINT", -2)]
+    ("way", "ends"),
+    [("SIGTERM", 128 + 15), ("SIGHUP", 128 + 1), ("SIGINT", -2), ("thread", -2), ("fork", -2)],
 )
-def test_a_signal_leaves_the_rig_safe_and_a_second_one_does_not_cut_that_short(name, ends):
+def test_a_signal_leaves_the_rig_safe_and_a_second_one_does_not_cut_that_short(way, ends):
+    """Also where another thread runs it; and no child that the driver forks leaves the rig safe."""
     folder = Path(ilctools.__path__[0]).parent
-    call, pipe = [sys.executable, "-c", HEATED], subprocess.PIPE
+    call, pipe = [sys.executable, "-c", HEATED, way], subprocess.PIPE
     options = {"stdout": pipe, "stderr": pipe, "text": True, "cwd": folder}
     with subprocess.Popen(call, **options) as child:
         assert child.stdout.readline() == "1.0\n"
-        child.send_signal(getattr(signal, name))
+        child.send_signal(getattr(signal, way, signal.SIGINT))
         while child.stdout.readline() not in ("leaving\n", ""):
             pass
-        child.send_signal(signal.SIGTERM)
+        if way != "thread":
+            child.send_signal(signal.SIGTERM)
         assert child.stdout.read() == "safe\n"
     assert child.returncode == ends
 
 
-def test_signals_are_handled_as_before_afterwards_and_by_whom_they_were(monkeypatch):
-    seen, handlers = [], {}
-    axis = Axis()
+@pytest.mark.parametrize("call", [1, 2, 3, 404])
+@pytest.mark.parametrize(("safe_time", "noted"), [(10.0, 2), (0.2, 1)])
+def test_no_command_follows_a_signal_and_a_safe_that_hangs_is_ended(call, safe_time, noted, capfd):
+    """Whatever the driver swallows, and though asyncio handles Ctrl-C."""
+    calls = []
+
+    def deaf(*command):
+        calls.append(command)
+        with suppress(BaseException):
+            if len(calls) == call:
+                signal.raise_signal(signal.SIGINT)
+        return [0.0]
+
+    def safe():
+        for _ in range(2):
+            signal.raise_signal(signal.SIGTERM)
+            time.sleep(0.3)
+        calls.append("safe")
+
+    async def run():
+        rig = {"read": deaf, "apply": deaf, "begin": deaf, "safe": safe, "safe_time": safe_time}
+        record(SimpleNamespace(**rig), LOOP, LAW, REFERENCE)
+
+    with pytest.raises(KeyboardInterrupt) as error:
+        asyncio.run(run())
+    assert capfd.readouterr().err.count("wait: the rig is being left safe") == noted
+    assert [command for command in calls[call:] if command] == ["safe"] * (noted - 1)
+    assert getattr(error.value, "__notes__", []) == [UNSAFE] * (2 - noted)
+
+
+def test_signals_are_handled_as_before_afterwards_and_by_whom_they_were():
+    axis, seen, own = Axis(), [], lambda *arguments: None
     axis.safe = lambda: seen.extend(map(signal.getsignal, (signal.SIGTERM, signal.SIGINT)))
-    handlers["before"] = signal.signal(signal.SIGTERM, lambda *arguments: None)
+    before = signal.signal(signal.SIGTERM, own)
     try:
-        own = signal.getsignal(signal.SIGTERM)
         record(axis, LOOP, LAW, REFERENCE, trials=1)
         assert seen[0] is own is signal.getsignal(signal.SIGTERM)
         assert seen[1] is not signal.getsignal(signal.SIGINT) is signal.default_int_handler
     finally:
-        signal.signal(signal.SIGTERM, handlers["before"])
-    thread = threading.Thread(target=record, args=(axis, LOOP, LAW, REFERENCE, None, 1))
-    thread.start()
-    thread.join()
-    assert len(seen) == 4 and seen[3] is signal.default_int_handler
+        signal.signal(signal.SIGTERM, before)
 
 
 @pytest.mark.parametrize("reset", [True, False])
 def test_trials_are_added_to_the_log_as_if_it_were_written_whole(tmp_path, reset):
     """The file is replaced once, after the first trial; and once where an experiment goes on."""
     path, whole = tmp_path / "log.csv", tmp_path / "whole.csv"
-    axis = Axis(path)
+    path.symlink_to(tmp_path / "linked.csv")
+    axis, files = Axis(), set()
+
+    def read():
+        files.update(file.stat().st_ino for file in tmp_path.glob("linked.csv"))
+        return [axis.x]
+
+    axis.read = read
     log = record(axis, LOOP, LAW, REFERENCE, trials=5, reset=reset, path=path)
-    assert len(axis.files) == 1
+    assert len(files) == 1
     save_log(log, whole)
-    assert path.read_bytes() == whole.read_bytes()
+    assert path.read_bytes() == whole.read_bytes() and path.is_symlink()
 
 
 def test_a_torn_trial_is_left_out_and_the_experiment_goes_on(tmp_path):
@@ -145,9 +194,18 @@ def test_a_full_disk_costs_the_trial_that_it_has_no_room_for(tmp_path, monkeypat
     monkeypatch.setattr(os, "fsync", full)
     axis = Axis()
     axis.safe = lambda: calls.append("safe")
-    with pytest.raises(OSError, match="No space left"):
+    with pytest.raises(OSError, match="No space left") as error:
         record(axis, LOOP, LAW, REFERENCE, trials=5, reset=False, path=path)
     assert calls[-1] == "safe" and load_log(path).identical(two)
+    assert error.value.trials.sizes["trial"] > 2
+
+
+def test_a_log_that_another_program_writes_during_a_trial_is_left_alone(tmp_path):
+    path, axis = tmp_path / "log.csv", Axis()
+    axis.begin = lambda trial: path.write_text("theirs") if trial == 3 else None
+    with pytest.raises(FileExistsError, match="changed by another program") as error:
+        record(axis, LOOP, LAW, REFERENCE, path=path)
+    assert path.read_text() == "theirs" and error.value.trials.sizes["trial"] == 3
 
 
 def test_what_is_no_regular_file_is_refused_before_anything_waits_for_its_end(tmp_path):
@@ -163,11 +221,13 @@ def test_what_is_no_regular_file_is_refused_before_anything_waits_for_its_end(tm
         for path in (pipe, tmp_path, Path("/dev/full")):
             with pytest.raises(ValueError, match="no regular file"):
                 read(path)
-    axis = Axis()
-    for path in (pipe, tmp_path, "/dev/full"):
-        with pytest.raises(FileExistsError, match="no regular file"):
-            record(axis, LOOP, LAW, REFERENCE, path=path)
-    assert {*os.listdir(tmp_path)} == {"log.csv", ".log.csv.lock", "pipe"} and axis.x == 0
+    axis, link, names = Axis(), tmp_path / "link", {*os.listdir(tmp_path), "link"}
+    link.symlink_to("/dev/full")
+    for path in (pipe, tmp_path, link):
+        for write in (partial(record, axis, LOOP, LAW, REFERENCE), partial(write_whole, text="")):
+            with pytest.raises(FileExistsError, match=f"{path} is no regular file: choose"):
+                write(path=path)
+    assert {*os.listdir(tmp_path)} == names and axis.x == 0
     assert not os.path.exists("/dev/.full.lock")
 
 
@@ -176,14 +236,6 @@ def test_a_clock_that_gives_no_number_ends_the_trial():
     axis.clock = lambda: np.nan
     with pytest.raises(RigError, match="trial 1, sample 1: clock has 1 values that are not fin"):
         record(axis, LOOP, LAW, REFERENCE)
-
-
-def test_who_fails_to_leave_the_rig_safe_says_so():
-    axis = Axis()
-    axis.safe = lambda: 1 / 0
-    with pytest.raises(ZeroDivisionError) as error:
-        record(axis, LOOP, LAW, REFERENCE, trials=1)
-    assert any("THE RIG MAY NOT BE SAFE" in note for note in error.value.__notes__)
 
 
 def test_raw_data_are_not_written_over(tmp_path):

@@ -1,0 +1,77 @@
+"""Signals that end a process: they end a run, and its rig is left safe before it ends."""
+
+import atexit
+import math
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+
+# a closed terminal, but on Windows; kill, a service's stop; Ctrl-C
+ENDS = (getattr(signal, "SIGHUP", signal.SIGTERM), signal.SIGTERM, signal.SIGINT)
+USUAL = (signal.SIG_DFL, signal.default_int_handler)
+SAFE_TIME = 10.0  # s, that safe() of a rig may take before a signal ends it
+WAIT = b"\nsignal noted, wait: the rig is being left safe\n"
+
+
+class Interrupts:
+    """Signals that end a process, noted: after one no method of the driver is called but `safe`.
+
+    One that comes during such a call raises at once, because that may hang; elsewhere none does,
+    where it could be swallowed, as in a destructor, or leave a lock behind.
+    """
+
+    def __init__(self, make_safe: Callable, safe_time: float):
+        self.make_safe, self.safe_time = make_safe, safe_time
+        self.number, self.handlers, self.until = None, {}, math.inf  # when signals begin to raise
+        self.process, self.is_safe = os.getpid(), threading.Event()
+
+    def watch(self) -> None:
+        """Note Ctrl-C, even if asyncio handles it; others, unless somebody handles them."""
+        atexit.register(self.end_thread)
+        with suppress(ValueError):  # of a thread that is not the main one
+            for number in ENDS:
+                handler = signal.getsignal(number)
+                if handler in USUAL or (number == signal.SIGINT and callable(handler)):
+                    self.handlers[number] = handler
+                    signal.signal(number, self.note)
+
+    def note(self, number, frame) -> None:
+        """Handle a signal."""
+        self.number = self.number or number
+        if time.monotonic() > self.until:
+            raise KeyboardInterrupt
+        with suppress(OSError):  # of a closed terminal; `print` is not reentrant
+            os.write(2, WAIT)
+
+    def call(self, method: Callable, *arguments):
+        """What a method of the driver returns."""
+        try:
+            self.until = -math.inf
+            if self.number:
+                raise KeyboardInterrupt
+            return method(*arguments)
+        finally:
+            self.until = math.inf
+
+    def leave(self) -> None:
+        """Leave the rig safe, unless this is a forked child: the rig is its parent's."""
+        self.until = time.monotonic() + self.safe_time
+        try:
+            if os.getpid() == self.process:
+                self.make_safe()
+        finally:
+            atexit.unregister(self.end_thread)
+            self.is_safe.set()
+            for number, handler in self.handlers.items():  # Ctrl-C, which may raise here, is last
+                signal.signal(number, handler)
+        if number := self.number:
+            raise KeyboardInterrupt if number == signal.SIGINT else SystemExit(128 + number)
+
+    def end_thread(self) -> None:
+        """End a run in another thread at its next command, when the process ends."""
+        if os.getpid() == self.process:
+            self.number = signal.SIGTERM
+            self.is_safe.wait()
