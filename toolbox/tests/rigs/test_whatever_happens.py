@@ -36,6 +36,17 @@ LAW = Law(zero_phase_butterworth(2, 60.0, 0.01), LearningFilter([[[0.5]]], 0.01)
 REFERENCE = np.sin(np.pi * np.arange(200) / 200) ** 2
 
 
+@pytest.fixture(autouse=True)
+def foreground():
+    """Whoever runs tests in the background may have them ignore signals."""
+    usual = {"SIGINT": signal.default_int_handler, "SIGHUP": signal.SIG_DFL}
+    numbers = {getattr(signal, name): usual[name] for name in usual if hasattr(signal, name)}
+    before = {number: signal.signal(number, handler) for number, handler in numbers.items()}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
 class Axis:
     """Follows slowly."""
 
