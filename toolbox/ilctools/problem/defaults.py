@@ -24,6 +24,9 @@ TAPS = 21  # of K, as many back as ahead: what is left for it when P B is nearly
 LEFT = 20  # and is worth it only if fewer than these are left beyond the delay
 # of the gain that inverts P: a finite filter overshoots it in some places to be close in others
 ROOM = 4
+# the same where it decides b of L = B, b = 1 / (2 L_max): M is then 1 / (1 + 4 CLOSE^2) at most up
+# to the cut-off
+CLOSE = 8
 
 
 def cutoff(Q, omega) -> float:
@@ -42,13 +45,13 @@ def band(cutoff, omega) -> tuple[float, float]:
     return low, float(min(max(cutoff, higher[0]), omega[-1]))
 
 
-def gain(cutoff, smallest, omega) -> float:
-    """ROOM times the largest gain that inverts P up to the cut-off, rounded up to one digit.
+def gain(cutoff, smallest, omega, room=ROOM) -> float:
+    """`room` times the largest gain that inverts P up to the cut-off, rounded up to one digit.
 
     `smallest`, (n,): the smallest singular value of P at omega.
     """
     least = min([np.interp(cutoff, omega, smallest), *smallest[omega <= cutoff]])
-    exact = ROOM / least
+    exact = room / least
     digit = 10.0 ** np.floor(np.log10(exact))
     return float(f"{np.ceil(exact / digit * (1 - 1e-9)) * digit:.0e}")
 
