@@ -63,8 +63,7 @@ def pose(
         power, weights = _of_reference(problem, band, reference)
         problem = replace(problem, first_error=power, weights=weights)
     _refuse_idle(problem.Q if objective == "peak" else problem.Q[weights > 0])
-    room = defaults.CLOSE if base == defaults.CHOOSE else defaults.ROOM
-    L_max = _bound_on_L(problem, L_max, smallest, room, chosen)
+    L_max = _bound_on_L(problem, L_max, smallest, base == defaults.CHOOSE, chosen)
     basis = [f"chosen: {text}" for text in chosen] + ([] if scale is not None else _units(problem))
     problem = replace(problem, L_max=L_max, basis=(*basis, *problem.basis))
     return problem if base is None else with_base(problem, base, reach)
@@ -84,7 +83,7 @@ def with_base(problem: Problem, share: float | str, reach: int | None = None) ->
     pooled, models = share == defaults.CHOOSE, problem.models[:1]
     if pooled:
         smallest = _smallest_singular_values(problem)
-        L_max = problem.L_max or _gain(problem, smallest, defaults.CLOSE)
+        L_max = problem.L_max or _gain(problem, smallest, close=True)
         b, models = 1 / (2 * L_max), problem.models
     else:
         below = problem.omega <= max(problem.cutoff, problem.omega[0])
@@ -179,10 +178,11 @@ def _of_reference(problem, band, reference):
     return first_error(problem.P, problem.omega * problem.Ts, r)
 
 
-def _bound_on_L(problem, L_max, smallest, room, chosen):
+def _bound_on_L(problem, L_max, smallest, close, chosen):
     """The bound on sigma_max(L), or None."""
     if isinstance(L_max, str) and L_max == defaults.CHOOSE:
-        L_max = _gain(problem, smallest, room)
+        L_max = _gain(problem, smallest, close)
+        room = f"{defaults.CLOSE} or less" if close else defaults.ROOM
         chosen.append(f"L_max = {L_max:g}, {room} times a gain that inverts P up to Q's cut-off")
     if L_max is None:
         return None
@@ -190,11 +190,11 @@ def _bound_on_L(problem, L_max, smallest, room, chosen):
     return arguments.positive("L_max", L_max, what)
 
 
-def _gain(problem, smallest, room):
+def _gain(problem, smallest, close):
     """The default bound on L."""
     # What is not known beyond its radius is not worth inverting.
     radius = 0 if problem.radius is None else problem.radius
-    return defaults.gain(problem.cutoff, np.maximum(smallest, radius), problem.omega, room)
+    return defaults.gain(problem.cutoff, np.maximum(smallest, radius), problem.omega, close)
 
 
 def _refuse_idle(Q):

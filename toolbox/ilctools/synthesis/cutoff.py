@@ -18,22 +18,21 @@ for each frequency, and the least of them counts. There is nothing to search.
 
 import numpy as np
 
+from ilctools.problem.defaults import MOST, at_rest
 from ilctools.problem.problem import Problem
 
 ORDER = 2  # of the Butterworth filter, as in the paper
 REACHED = 0.1  # of sigma_0: of 0.03, 0.05 and 0.1 least noise; see figures/performance.md
-MOST = 20  # of L_max sigma_0
 SHARE = 0.9  # of M_max that may be used up by what the plants differ
 INSIDE = 0.5  # of the last sample, if it is below the Nyquist frequency: |Q| is 0.06 there
 HIGHEST = 0.9  # of the Nyquist frequency
 
 
-def reached(problem: Problem) -> tuple[float, float]:
-    """Cut-off up to which P reaches and its plants agree, rad/s; sigma_0, zero if not at rest."""
+def reached(problem: Problem) -> float:
+    """The cut-off up to which P reaches and its plants agree, rad/s."""
     omega, Ts, M_max = problem.omega, problem.Ts, SHARE * problem.M_max
     values = np.linalg.svd(problem.plants, compute_uv=False)[..., -1].min(axis=0)
-    passes = values[0] > REACHED * values.max()
-    rest = values[0] if passes else values.max()
+    rest = at_rest(values) or values.max()
     below, start = values < REACHED * rest, np.argmax(values >= REACHED * rest)
     below[:start] = False  # P passes nothing at rest
     highest = HIGHEST * np.pi / Ts if omega[-1] * Ts > 3 else INSIDE * omega[-1]
@@ -49,4 +48,4 @@ def reached(problem: Problem) -> tuple[float, float]:
     at = (d > M_max) & (omega > omega[start]) & (omega <= limits[-1] / INSIDE) & (omega * Ts < 3)
     x = (d[at] / M_max - 1) ** (1 / (2 * ORDER))
     limits += (2 / Ts * np.arctan(np.tan(omega[at] * Ts / 2) / x)).tolist()
-    return float(min(limits)), float(rest if passes else 0)
+    return float(min(limits))

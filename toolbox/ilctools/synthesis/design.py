@@ -16,7 +16,7 @@ from ilctools.problem.grid import with_L_bounded, without_gaps
 from ilctools.problem.pose import pose
 from ilctools.problem.problem import TIED, Problem, Solution, largest_singular_values, tied
 from ilctools.problem.responses import lowest_and_period, on_one_grid
-from ilctools.synthesis.cutoff import MOST, ORDER, reached
+from ilctools.synthesis.cutoff import ORDER, reached
 from ilctools.synthesis.cuts import solve
 from ilctools.synthesis.everywhere import solve_everywhere
 from ilctools.synthesis.result import InfeasibleError, SolverError, Synthesis
@@ -70,9 +70,8 @@ def synthesise(
     Q : array_like, shape (n,), or ZeroPhaseButterworth, optional
         Frequency response of the Q-filter on `omega`, or the filter. Default: one of order 2 up to
         where P reaches: the least singular value of all plants is a tenth of what it is at rest
-        there, or the plants differ as much as M_max allows, see :mod:`.synthesis.cutoff`; L_max is
-        then 20 / sigma_min(P) at rest at most. If the norm of a trial of ten times the settling
-        time is one or more, half of that cut-off.
+        there, or the plants differ as much as M_max allows, see :mod:`.synthesis.cutoff`. If the
+        norm of a trial of ten times the settling time is one or more, half of that cut-off.
     omega : array_like, shape (n,), optional
         Design frequencies, rad/s, increasing, up to the Nyquist frequency pi / Ts. Default: those
         of python-control's frequency response data; of models and measured responses 1000 of them,
@@ -88,8 +87,8 @@ def synthesise(
         Bound on sigma_max(M), in (0, 1): the slowest convergence tolerated.
     L_max : float, None or "auto"
         Bound on sigma_max(L), unit of w per unit of y. Default: eight times the largest gain that
-        inverts P up to Q's cut-off, 1 / sigma_min(P), rounded up to one digit; four times it if
-        `base` is a number or None. It holds between
+        inverts P up to Q's cut-off, 1 / sigma_min(P), and at most 20 times that at rest; if `base`
+        is a number or None, four times it, rounded up to one digit. It holds between
         the frequencies of a coarse grid, and up to the Nyquist frequency, too. None leaves it out:
         filters then compete up to the gain that coefficients in doubles can hold,
         :attr:`.Problem.weight`, and where they look beyond the ends of a trial, trials often
@@ -198,18 +197,15 @@ def synthesise(
     return warned(designed(pose(P, Q, base=base, reach=reach, **given)))
 
 
-def without_Q(P, *, omega, Ts, L_max, scale, uncertainty, **choices) -> Synthesis:
+def without_Q(P, *, omega, Ts, scale, uncertainty, **choices) -> Synthesis:
     """The design with the cut-off up to which P reaches; with half of it, if a trial diverges."""
     lowest, Ts = lowest_and_period(P, omega, Ts)
     known = P, ZeroPhaseButterworth(ORDER, lowest, Ts), omega, Ts, uncertainty, scale
-    highest, rest = reached(replace(on_one_grid(*known), M_max=choices["M_max"]))
+    highest = reached(replace(on_one_grid(*known), M_max=choices["M_max"]))
     for cutoff in (highest, highest / 2):
         Q = ZeroPhaseButterworth(ORDER, max(float(f"{cutoff:.2g}"), lowest), Ts)
         given = {"omega": omega, "Ts": Ts, "scale": scale, "uncertainty": uncertainty} | choices
-        problem = pose(P, Q, L_max=L_max, **given)
-        if L_max == CHOOSE and problem.L_max * rest > MOST:
-            problem = pose(P, Q, L_max=MOST / rest, **given)
-        design = designed(problem)
+        design = designed(pose(P, Q, **given))
         norm, samples = norm_of_trial(design)
         if not norm >= 1:
             break
