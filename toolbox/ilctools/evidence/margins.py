@@ -21,7 +21,7 @@ from scipy.interpolate import make_interp_spline
 from ilctools.evidence.peak import DENSER, dense_grid
 from ilctools.evidence.robustness import within_radius
 from ilctools.problem.between import between
-from ilctools.problem.problem import Problem, convergence_matrix, largest_singular_values
+from ilctools.problem.problem import Problem, convergence_matrix
 
 GAINS = np.geomspace(1, 10, 13)  # steps outwards; the last is where the search ends
 TIMES = np.geomspace(1, 8, 25)
@@ -57,54 +57,48 @@ def _times(factor):
 
 
 def margins(problem: Problem, L) -> Margins:
-    """Those of a filter, in units of `scale`: the least of all plants of a problem."""
-    each = [_of_plant(problem, k, L) for k in range(len(problem.plants))]
-    rows = np.array([[*one.gain, *one.delay, *one.time, one.radius] for one in each])
-    low, *least = rows[:, 0].max(), *rows[:, 1:].min(axis=0).tolist()
-    return Margins((float(low), least[0]), tuple(least[1:3]), tuple(least[3:5]), least[5])
+    """Those of a filter, in units of `scale`, for all plants of a problem at once."""
+    numbers, sampled = range(len(problem.plants)), None in problem.models
+    times = DENSER if sampled else 1
+    omega = np.unique(np.concatenate([dense_grid(problem, k, L, times) for k in numbers]))
+    known = [between(problem, k, omega) for k in numbers]
+    P, Q, L = np.array([P for P, *_ in known]), known[0][1], L.frequency_response(omega)
+    P_at, Q_at, L_at = (
+        make_interp_spline(omega, X, axis=axis) for X, axis in ((P, 1), (Q, 0), (L, 0))
+    )
+    ends = omega[0], omega[-1]
+    size = np.linalg.norm(P_at(np.clip(problem.cutoff, *ends))[0], 2)
+    samples = TURN / (problem.cutoff * problem.Ts)
 
+    def sigma(P, Q=Q, L=L, radius=None):
+        M = convergence_matrix(P, Q, L)
+        rho_L = None if radius is None else np.abs(Q)[:, None, None] * radius * L
+        return max(within_radius(each, rho_L, 1.0).max() for each in M)
 
-def _of_plant(problem, number, L):
-    """Margins of one of them."""
-    omega = dense_grid(problem, number, L, DENSER if problem.models[number] is None else 1)
-    P, Q, _ = between(problem, number, omega)
-    L = L.frequency_response(omega)
-    P_at, L_at, Q_at = (make_interp_spline(omega, X, k=3) for X in (P, L, Q))
-    size = np.linalg.norm(P_at(np.clip(problem.cutoff, omega[0], omega[-1])), 2)
-    last = omega[-1] if problem.models[number] is None else np.inf
-
-    def sigma(P, L=L, Q=Q):
-        return largest_singular_values(convergence_matrix(P, Q, L)).max()
-
-    def delayed(d):
+    def late(d):
         return sigma(np.exp(-1j * omega * d * problem.Ts)[:, None, None] * P)
 
-    def slower(a):
-        at = np.union1d(omega, np.clip(omega / a, omega[0], omega[-1]))
-        at = at[a * at <= last]
-        return sigma(P_at(np.clip(a * at, omega[0], omega[-1])), L_at(at), Q_at(at))
+    def slow(a):
+        at = np.union1d(omega, np.clip(omega / a, *ends))
+        at = at[(a * at <= ends[1]) | (not sampled)]
+        return sigma(P_at(np.clip(a * at, *ends)), Q_at(at), L_at(at))
 
-    def within(r):
-        rho_L = (np.abs(Q) * r * size)[:, None, None] * L
-        return within_radius(convergence_matrix(P, Q, L), rho_L, 1.0).max()
-
-    samples = TURN / (problem.cutoff * problem.Ts)
     return Margins(
-        (_limit(lambda g: sigma(g * P), [1.0, 0.0]), _limit(lambda g: sigma(g * P), GAINS)),
-        (_limit(lambda d: delayed(-d), samples), _limit(delayed, samples)),
-        (_limit(lambda a: slower(1 / a), TIMES), _limit(slower, TIMES)),
-        _limit(within, RADII),
+        (_limit(lambda g: sigma(g * P), [1, 0]), _limit(lambda g: sigma(g * P), GAINS)),
+        (_limit(lambda d: late(-d), samples), _limit(late, samples)),
+        (_limit(lambda a: slow(1 / a), TIMES), _limit(slow, TIMES)),
+        _limit(lambda r: sigma(P, radius=r * size), RADII),
     )
 
 
 def _limit(sigma, steps):
     """How far from the first of some steps sigma stays below one; the last if there, too."""
-    inside = outside = float(steps[0])
-    for outside in map(float, steps):
+    inside = outside = steps[0]
+    for outside in steps:
         if sigma(outside) >= ONE:
             break
         inside = outside
     for _ in range(HALVINGS if outside != inside else 0):
         middle = (inside + outside) / 2
         inside, outside = (middle, outside) if sigma(middle) < ONE else (inside, middle)
-    return inside
+    return float(inside)

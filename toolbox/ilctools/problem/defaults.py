@@ -24,11 +24,11 @@ TAPS = 21  # of K, as many back as ahead: what is left for it when P B is nearly
 LEFT = 20  # and is worth it only if fewer than these are left beyond the delay
 # of the gain that inverts P: a finite filter overshoots it in some places to be close in others
 ROOM = 4
-# The same where it decides b = 1 / (2 L_max) of L = B: M is 1 / (1 + 4 CLOSE^2) to the cut-off.
+# The same where it decides b = 1 / (2 L_max) of L = B: M is 1 / (1 + 4 CLOSE^2) then.
 # Of 18 plants 8 and 16 leave the same but for noise, of which 16 learns more.
 CLOSE = 8
 # of the gain that inverts P at rest, there: beyond, what L gains is noise. Of the 32 plants of
-# `make measure WHAT=peers` 28, 30 and 30 are within 1.2 of the best law without it, with 50, with 20
+# `make measure WHAT=peers` 28, 30, 30 are within 1.2 of the best law without it, with 50, with 20
 MOST = 20
 PASSES = 0.01  # of the largest sigma_min(P): what is less at rest passes nothing there
 

@@ -7,15 +7,15 @@ from scipy.linalg import matrix_balance
 
 from ilctools import arguments
 from ilctools.base import base_of_models, base_of_samples
+from ilctools.filters import LearningFilter
 from ilctools.problem import defaults
 from ilctools.problem.problem import ROUNDING, Problem, largest_singular_values
 from ilctools.problem.reference import first_error
 from ilctools.problem.responses import on_one_grid
 
 UNEQUAL = 8  # ratio of the powers of two that balance P, from which on units seem to differ
-STATES = 100  # of the models in B: more take a second, and B is a finite filter
+STATES = 100  # of the models in B: as many take a second, and B is a finite filter
 FEW = 0.1  # of the frequencies: a P that is singular at more of them has a wrong channel
-DOUBLED = 10  # times that b is, until rounding does not decide the factors of B
 UNCOUPLED = 1e-6  # product of the gains between two channels, relative to that of their own
 
 
@@ -72,8 +72,7 @@ def pose(
 def with_base(problem: Problem, share: float | str, reach: int | None = None) -> Problem:
     """A problem with L = B K; b is a share of sigma_max(P) up to Q's cut-off, or 1 / (2 L_max).
 
-    In the second case B is that of all plants, and it keeps L_max by itself: K = 1 will do. A
-    number of it that rounding hides is doubled.
+    In the second case B is that of all plants, and it keeps L_max by itself: K = 1 will do.
 
     Raises
     ------
@@ -88,20 +87,18 @@ def with_base(problem: Problem, share: float | str, reach: int | None = None) ->
     else:
         below = problem.omega <= max(problem.cutoff, problem.omega[0])
         b = share * largest_singular_values(problem.P[below]).max()
-    sampled = reach is not None or None in models or sum(P.nstates for P in models) > STATES
-    for _ in range(DOUBLED if pooled else 1):
-        if sampled:
-            base = base_of_samples(problem, b, reach, pooled)
-        else:
-            base = base_of_models(models, b, problem.scale, problem.structure)
-        if base is not None:
-            break
-        b = 2 * b
+    exact = reach is None and None not in models
+    if exact and pooled:
+        exact = sum(P.nstates for P in models) <= STATES
+    base = base_of_models(models, b, problem.scale, problem.structure) if exact else None
+    if base is None and (pooled or not exact):
+        base = base_of_samples(problem, b, reach, pooled)
     if base is None:
         raise ValueError(
             f"base = {share} is too small for this plant, whose factors rounding decides: take a "
             "larger one, or None"
         )
+    sampled = isinstance(base, LearningFilter)
     kind = "a finite filter" if sampled else "with the ends of a trial"
     of = "all plants" if len(models) > 1 else "the plant"
     why = "1 / (2 L_max)" if pooled else f"{share:g} of its largest gain"
