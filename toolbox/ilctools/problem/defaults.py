@@ -29,7 +29,7 @@ ROOM = 4
 CLOSE = 8
 # of the gain that inverts P at rest, there: beyond, what L gains is noise. Of the 32 plants of
 # `make measure WHAT=peers` 28, 30, 30 are within 1.2 of the best law without it, with 50, with 20
-MOST = 20
+STATIC = 20
 PASSES = 0.01  # of the largest sigma_min(P): what is less at rest passes nothing there
 
 
@@ -58,11 +58,11 @@ def gain(cutoff, smallest, omega, close=False) -> float:
     """ROOM times the largest gain that inverts P up to the cut-off, rounded up to one digit.
 
     `smallest`, (n,): the smallest singular value of P at omega. Of L = B, if `close`: CLOSE times
-    that gain, and at most MOST times that at rest.
+    that gain, and at most STATIC times that at rest.
     """
     least = min([np.interp(cutoff, omega, smallest), *smallest[omega <= cutoff]])
     if close:
-        return float(1 / max(least / CLOSE, at_rest(smallest) / MOST))
+        return float(1 / max(least / CLOSE, at_rest(smallest) / STATIC))
     exact = ROOM / least
     digit = 10.0 ** np.floor(np.log10(exact))
     return float(f"{np.ceil(exact / digit * (1 - 1e-9)) * digit:.0e}")

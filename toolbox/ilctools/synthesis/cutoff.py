@@ -6,8 +6,8 @@ largest if P passes nothing there, P reaches up to the frequency omega_1 where
     sigma(omega) < REACHED sigma_0.
 
 Beyond, what L gains is noise and what the model does not know. L is then bounded by
-MOST / sigma_0. The plants P_k agree as far as the quadratic law B of all of them, with that bound,
-leaves |Q| d <= M_max, with what is left without Q,
+STATIC / sigma_0. The plants P_k agree as far as the quadratic law B of all of them, with that
+bound, leaves |Q| d <= M_max, with what is left without Q,
 
     d = max_k sigma_max(I - P_k B) + r sigma_max(B),
 
@@ -18,7 +18,7 @@ for each frequency, and the least of them counts. There is nothing to search.
 
 import numpy as np
 
-from ilctools.problem.defaults import MOST, at_rest
+from ilctools.problem.defaults import STATIC, at_rest
 from ilctools.problem.problem import Problem
 
 ORDER = 2  # of the Butterworth filter, as in the paper
@@ -38,7 +38,7 @@ def reached(problem: Problem) -> float:
     highest = HIGHEST * np.pi / Ts if omega[-1] * Ts > 3 else INSIDE * omega[-1]
     limits = [highest, *omega[below][:1]]
 
-    one, b = np.eye(problem.channels), rest / (2 * MOST)
+    one, b = np.eye(problem.channels), rest / (2 * STATIC)
     P, r = problem.plants, 0 if problem.radius is None else problem.radius[:, None, None]
     adjoint = P.conj().swapaxes(2, 3)
     normal = (adjoint @ P).mean(axis=0) + (b**2 + r**2) * one
