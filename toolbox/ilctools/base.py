@@ -12,10 +12,9 @@ so that b = 1 / (2 L_max) keeps the bound on L = B for every plant, and Q (I - P
 P B is nearly the identity where the gain of P is above b, so that a short K, designed for P B in
 the place of P, does the rest; M = Q (I - P B K) is affine in K as it is in L.
 
-Of several plants P_k it is the law that minimises the mean of ||e - P_k change||^2, and of a radius
-r what it adds to that mean, r^2 ||change||^2:
+Of several plants P_k it is the law that minimises the mean of ||e - P_k change||^2:
 
-    B = (mean P_k* P_k + r^2 + b^2)^-1 mean P_k* = (P* P + r^2 + b^2)^-1 P* E,
+    B = (mean P_k* P_k + b^2)^-1 mean P_k* = (P* P + b^2)^-1 P* E,
 
 with P for the P_k one below the other, divided by sqrt(p), and E for p identities, divided so, too.
 The bound on B holds for them as well, since the gain of E is one.
@@ -176,7 +175,7 @@ def in_units(base, scale):
 def base_of_samples(problem, b, reach, pooled=False) -> LearningFilter:
     """B as a finite filter, of P as known at the frequencies of a problem, or of its models.
 
-    Of the first plant; pooled, of all of them, within their radius.
+    Of the first plant; pooled, of all of them.
     """
     Ts, n, one = problem.Ts, POINTS, np.eye(problem.channels)
     omega = np.linspace(0, np.pi / Ts, n // 2 + 1)
@@ -186,9 +185,6 @@ def base_of_samples(problem, b, reach, pooled=False) -> LearningFilter:
         P = P * one
     adjoint = P.conj().swapaxes(2, 3)
     normal = (adjoint @ P).mean(axis=0) + b**2 * one
-    if pooled and problem.radius is not None:
-        r = np.interp(omega, problem.omega, problem.radius)
-        normal = normal + r[:, None, None] ** 2 * one
     B = np.linalg.solve(normal, adjoint.mean(axis=0))  # (B)
     taps = np.roll(irfft(B, n, axis=0), n // 2, axis=0)  # lag p at n / 2 + p
     size = np.abs(problem.Q_at(omega)) * np.linalg.norm(P, 2, axis=(2, 3)).max(axis=0)

@@ -41,7 +41,7 @@ def reached(problem: Problem) -> float:
     one, b = np.eye(problem.channels), rest / (2 * STATIC)
     P, r = problem.plants, 0 if problem.radius is None else problem.radius[:, None, None]
     adjoint = P.conj().swapaxes(2, 3)
-    normal = (adjoint @ P).mean(axis=0) + (b**2 + r**2) * one
+    normal = (adjoint @ P).mean(axis=0) + b**2 * one
     B = np.linalg.solve(normal, adjoint.mean(axis=0))
     d = np.linalg.norm(one - P @ B, 2, axis=(2, 3)).max(axis=0)
     d = d + np.linalg.norm(r * B, 2, axis=(1, 2))
