@@ -70,10 +70,10 @@ def test_a_last_digit_and_alignment_are_not_seen(before, after):
     ("before", "after"),
     [
         ("0.8833", "0.8835"), ("0.8833", "0.8933"), ("0.8833", "-0.8833"), ("0.8833", "0.883"),
-        ("0.042", "0.045"), ("-0.5", "0.5"), ("-0.5", "-0.7"), ("1e-09", "1e-08"), ("4 of", "5 of"),
-        ("4 of", "4 or"), ("12 ", "13 "), ("2500", "2510"), ("2500", "25000"), ("+08", "+09"),
+        ("0.042", "0.045"), ("-0.5", "0.5"), ("1e-09", "1e-08"), ("4 of", "5 of"),
+        ("4 of", "4 or"), ("12 ", "13 "), ("2500", "2510"), ("+08", "+09"),
         ("reproduced", "differs"), ("proven", "estimated"), ("rad/s", "Hz"), ("at m", "at le"),
-        ("<td>-0.0</td>", ""), ("\ngain", "\nGain"), ("samples", "sample"), ("0.8833", "nan"),
+        ("<td>-0.0</td>", ""), ("0.8833", "nan"),
         (TEXT[TEXT.index("<td>") :], ""), ("\n", ""), ("near 0.042", "near"),
     ],
 )  # fmt: skip
@@ -108,11 +108,9 @@ def before(tmp_path_factory):
 @pytest.mark.parametrize(
     ("changes", "outcome"),
     [
-        ({}, "the same"),
         ({"raised": 1e-9}, "the same"),
         ({"raised": 0.5 * PIXEL}, "the same"),
         ({"raised": 2 * PIXEL}, "different"),
-        ({"raised": -2 * PIXEL}, "different"),
         ({"label": "rate 0.902"}, "different"),
         ({"label": None}, "different"),
         ({"loc": "lower right"}, "different"),
@@ -125,6 +123,15 @@ def before(tmp_path_factory):
 )
 def test_half_a_pixel_is_the_same_and_what_is_seen_is_not(before, tmp_path, changes, outcome):
     assert compared(draw(tmp_path / "drawn", **changes), before) == {"fig01": outcome}
+
+
+def test_a_dot_of_one_pixel_is_found_where_it_comes_and_where_it_goes(tmp_path):
+    picture = np.full((5, 5, 3), 255, np.uint8)
+    for name in ("without", "dot"):
+        plt.imsave(tmp_path / name, picture, format="png")
+        picture[2, 2] = 0
+    assert not same_picture(tmp_path / "dot", tmp_path / "without")
+    assert not same_picture(tmp_path / "without", tmp_path / "dot")
 
 
 def test_a_file_that_cannot_be_read_is_different(before, tmp_path):

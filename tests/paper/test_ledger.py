@@ -271,7 +271,12 @@ def test_what_is_the_same_stays_as_it_is(root, capsys):
     assert not results.main(root / "build", root)
     part.write_text(rows.replace(computed, "1000000000.0002"))
     assert results.main(root / "build", root)
+    moved = rows.replace(computed, "1000000000.0001").replace(f",{DIFFERS},", f",{REPRODUCED},")
+    part.write_text(moved)  # with another verdict the number beside it is the new one
+    publish(root, capsys)
+    assert "1000000000.0001" in (root / "figures" / "ledger.csv").read_text()
     part.write_text(rows)
+    publish(root, capsys)
     (root / "figures" / "ledger.md").write_text("other")
     assert results.main(root / "build", root)
     assert publish(root, capsys).endswith("; different: figures/ledger.md")
