@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from further import EIGHT
 from kinds import KINDS, bump
 from runner import publish, run, table
 from scipy.interpolate import make_interp_spline
@@ -39,7 +40,7 @@ from rodlib.paper.repository import ROOT
 
 OFF = (1, -1, 2, -2)  # in ten percent
 TRIALS, NOISE = 10, 1e-3  # of the largest reference of each channel
-HEIGHTS = (1.0, 0.6)  # of the references of two channels
+HEIGHTS = (1.0, 0.6, 0.8)  # of the references of the channels
 LINES = 2**12  # of the response of P, up to the Nyquist frequency
 POINTS, FURTHER = 7, 120  # 2^7 points in a box, and steps from the best of them
 BEST, WORST = 1.2, 3.0  # times the best of the others: the goals
@@ -82,7 +83,7 @@ def converter(off):
     return sampled(P, 2e-4), 1500.0, 400
 
 
-LOOPS = {kind.__name__: kind for kind in (stage, arm, belt, converter)} | UNSEEN
+LOOPS = {kind.__name__: kind for kind in (stage, arm, belt, converter)} | UNSEEN | EIGHT
 
 
 @dataclass(frozen=True)
@@ -310,8 +311,8 @@ def row(name):
 
 
 def base_of(problem):
-    """The share of sigma_max(P) that a default has for b, in words."""
-    found = re.search(r", (\S+) of its largest gain", "\n".join(problem.basis))
+    """The b of B, in words."""
+    found = re.search(r"with b = (\S+),", "\n".join(problem.basis))
     return found[1] if found else "none"
 
 

@@ -4,13 +4,24 @@
 
 is the operator of norm-optimal learning, see :class:`.alternatives.NormOptimal`. It undoes poles
 and zeros of P next to the unit circle, for which a finite filter would have to be as long as they
-ring.
+ring. In each direction in which P has the singular value sigma,
+
+    sigma(B) = sigma / (sigma^2 + b^2) <= 1 / (2 b),    1 - P B = b^2 / (sigma^2 + b^2) < 1,
+
+so that b = 1 / (2 L_max) keeps the bound on L = B for every plant, and Q (I - P B) is below one.
 P B is nearly the identity where the gain of P is above b, so that a short K, designed for P B in
 the place of P, does the rest; M = Q (I - P B K) is affine in K as it is in L.
 
+Of several plants P_k it is the law that minimises the mean of ||e - P_k change||^2:
+
+    B = (mean P_k* P_k + b^2)^-1 mean P_k* = (P* P + b^2)^-1 P* E,
+
+with P for the P_k one below the other, divided by sqrt(p), and E for p identities, divided so, too.
+The bound on B holds for them as well, since the gain of E is one.
+
 By the factors of linear-quadratic control, with F* F = P* P + b^2 and F causal, as its inverse,
 
-    B = J H*,    J = F^-1,    H = P F^-1,    H* H + b^2 J* J = I,
+    B = J H* E,    J = F^-1,    H = P F^-1,    H* H + b^2 J* J = I,
 
 where J and H are what the reference of a state feedback does to u and to y. So B has the poles of
 that closed loop, inside the circle and mirrored at it, and none else.
@@ -23,7 +34,7 @@ import control
 import numpy as np
 from scipy.fft import irfft, rfft
 from scipy.interpolate import make_interp_spline
-from scipy.linalg import solve_discrete_are
+from scipy.linalg import block_diag, solve_discrete_are
 
 from ilctools import arguments
 from ilctools.alternatives import NormOptimal
@@ -38,10 +49,10 @@ EXACT = 1e-7  # relative error of the factors that is rounding
 
 @dataclass(frozen=True, eq=False)
 class RegularisedInverse:
-    """B = (P* P + b^2)^-1 P* of a model, with the ends of a trial.
+    """B = (P* P + b^2)^-1 P* E of models, with the ends of a trial.
 
-    On N samples it is (P_N^T P_N + b^2 I)^-1 P_N^T, of the channels divided by `scale`, if that is
-    given: P is in these units, B is not.
+    On N samples it is (P_N^T P_N + b^2 I)^-1 P_N^T E, of the channels divided by `scale`, if that
+    is given: P is in these units, B is not. P has m inputs, and m outputs for each model.
     """
 
     P: control.StateSpace
@@ -51,7 +62,7 @@ class RegularisedInverse:
     def __post_init__(self):
         P = sampled_plant(self.P, "P")
         arguments.stable("P", P.poles())
-        scale = arguments.array("scale", self.scale, (P.noutputs,))
+        scale = arguments.array("scale", self.scale, (P.ninputs,))
         vars(self).update(P=P, b=arguments.positive("b", self.b), scale=scale)
 
     def __eq__(self, other):
@@ -73,20 +84,28 @@ class RegularisedInverse:
 
     @property
     def channels(self) -> int:
-        """Number of outputs."""
-        return self.P.noutputs
+        """Number m of inputs."""
+        return self.P.ninputs
+
+    @property
+    def E(self) -> np.ndarray:
+        """Identities one below the other, an isometry: one for each model."""
+        copies = self.P.noutputs // self.channels
+        return np.tile(np.eye(self.channels), (copies, 1)) / np.sqrt(copies)
 
     @cached_property
     def closed(self) -> control.StateSpace:
-        """[H; J], from the reference of the state feedback to y and u."""
+        """[E* H; J], from the reference of the state feedback to y and u."""
         A, B, C, D = self.P.A, self.P.B, self.P.C, self.P.D
-        R, S = D.T @ D + self.b**2 * np.eye(len(D)), C.T @ D
+        one = np.eye(self.channels)
+        R, S = D.T @ D + self.b**2 * one, C.T @ D
         X = solve_discrete_are(A, B, C.T @ C, R, s=S)
         R = R + B.T @ X @ B
         G = np.linalg.solve(R, B.T @ X @ A + S.T)
         w, V = np.linalg.eigh(R)
         root = (V / np.sqrt(w)) @ V.T  # R^(-1/2)
-        C, D = np.vstack([C - D @ G, -G]), np.vstack([D, np.eye(len(D))]) @ root
+        C, D = self.E.T @ C, self.E.T @ D
+        C, D = np.vstack([C - D @ G, -G]), np.vstack([D, one]) @ root
         return control.ss(A - B @ G, B @ root, C, D, self.P.dt)
 
     @property
@@ -102,12 +121,12 @@ class RegularisedInverse:
     def apply(self, signal) -> np.ndarray:
         """Filter a signal of shape (..., time, channels)."""
         of_trial = self._on(np.shape(signal)[-2])
-        return self.scale * of_trial.apply(signal / self.scale)
+        return self.scale * of_trial.apply(signal / self.scale @ self.E.T)
 
     def apply_transposed(self, signal) -> np.ndarray:
         """Filter a signal by the transpose of the matrix that :meth:`apply` is on a trial."""
         of_trial = self._on(np.shape(signal)[-2])
-        return of_trial.apply_transposed(signal * self.scale) / self.scale
+        return of_trial.apply_transposed(signal * self.scale) @ self.E / self.scale
 
     def _on(self, samples):
         return _norm_optimal(self, samples)
@@ -119,23 +138,30 @@ def _norm_optimal(base, samples):
     return NormOptimal(base.P, base.b**2, samples)
 
 
-def base_of_model(P: control.StateSpace, b, scale, structure) -> RegularisedInverse | None:
-    """B of a model in units of `scale`, diagonal if asked for; None if rounding hides it."""
-    names = P.input_labels
+def base_of_models(models, b, scale, structure) -> RegularisedInverse | None:
+    """B of models in units of `scale`, diagonal if asked for; None if rounding hides it."""
     try:
         if structure == "diagonal":
-            own = [minimal_realisation(P[i, i], [name]) for i, name in enumerate(names)]
-            P = control.append(*own)
-        base = RegularisedInverse(control.ss(P.A, P.B, P.C, P.D, P.dt), b, scale)
+            models = [
+                control.append(
+                    *(minimal_realisation(P[i, i], [x]) for i, x in enumerate(P.input_labels))
+                )
+                for P in models
+            ]
+        A, C = (block_diag(*(getattr(P, X) for P in models)) for X in "AC")
+        B, D = (np.vstack([getattr(P, X) for P in models]) for X in "BD")
+        root = np.sqrt(len(models))
+        P = control.ss(A, B, C / root, D / root, models[0].dt)
+        base = RegularisedInverse(P, b, scale)
         at = np.append(np.abs(np.angle(base.poles)), [0, np.pi]) / P.dt
     except (np.linalg.LinAlgError, ValueError):
         return None
     H, J = np.split(frequency_response(base.closed, at), 2, axis=1)
     response = frequency_response(P, at)
-    inner = H.conj().swapaxes(1, 2) @ H + b**2 * J.conj().swapaxes(1, 2) @ J
-    size = np.abs(response).max()
-    off = np.abs(inner - np.eye(len(scale))).max(), np.abs(response @ J - H).max() / size * b
-    return base if max(off) < EXACT else None
+    adjoint = response.conj().swapaxes(1, 2)
+    B = J @ H.conj().swapaxes(1, 2)
+    off = (adjoint @ response + b**2 * np.eye(len(scale))) @ B - adjoint @ base.E  # (B)
+    return base if np.abs(off).max() < EXACT * np.abs(response).max() else None
 
 
 def in_units(base, scale):
@@ -146,20 +172,22 @@ def in_units(base, scale):
     return LearningFilter(base.coefficients * units, base.Ts, base.ends, base.first)
 
 
-def base_of_samples(problem, b, reach) -> LearningFilter:
-    """B as a finite filter, of P as known at the frequencies of a problem; or of its model."""
-    Ts, n = problem.Ts, POINTS
+def base_of_samples(problem, b, reach, pooled=False) -> LearningFilter:
+    """B as a finite filter, of P as known at the frequencies of a problem, or of its models.
+
+    Of the first plant; pooled, of all of them.
+    """
+    Ts, n, one = problem.Ts, POINTS, np.eye(problem.channels)
     omega = np.linspace(0, np.pi / Ts, n // 2 + 1)
-    if problem.models[0] is not None:
-        P = frequency_response(problem.models[0], omega)
-    else:
-        P = _tapered(problem, omega)
+    numbers = range(len(problem.plants) if pooled else 1)
+    P = np.array([_anywhere(problem, k, omega) for k in numbers])
     if problem.structure == "diagonal":
-        P = P * np.eye(problem.channels)
-    adjoint = P.conj().swapaxes(1, 2)
-    B = np.linalg.solve(adjoint @ P + b**2 * np.eye(problem.channels), adjoint)  # (B)
+        P = P * one
+    adjoint = P.conj().swapaxes(2, 3)
+    normal = (adjoint @ P).mean(axis=0) + b**2 * one
+    B = np.linalg.solve(normal, adjoint.mean(axis=0))  # (B)
     taps = np.roll(irfft(B, n, axis=0), n // 2, axis=0)  # lag p at n / 2 + p
-    size = np.abs(problem.Q_at(omega)) * np.linalg.norm(P, 2, axis=(1, 2))
+    size = np.abs(problem.Q_at(omega)) * np.linalg.norm(P, 2, axis=(2, 3)).max(axis=0)
     N, most = 1, reach or FARTHEST
     if problem.models[0] is None:  # lines that are so far apart show no longer response
         most = min(most, 2 * np.pi / (problem.omega[problem.omega > 0][0] * Ts))
@@ -171,16 +199,26 @@ def base_of_samples(problem, b, reach) -> LearningFilter:
         if (size * np.linalg.norm(lost, 2, axis=(1, 2))).max() < NEGLIGIBLE:
             break
         N = min(2 * N, most)
+    kept = taps[n // 2 - N : n // 2 + N + 1][::-1]  # from q^-N on
+    if pooled:  # what is cut off must not take B above 1 / (2 b), between the points by M. Riesz
+        peak = np.linalg.norm(rfft(kept, 4 * n, axis=0), 2, axis=(1, 2)).max()
+        kept = kept * min(1, np.cos(np.pi * N / (4 * n)) / (2 * b * peak))
     units = problem.scale[:, None] / problem.scale
-    kept = taps[n // 2 - N : n // 2 + N + 1][::-1] * units  # from q^-N on
-    return LearningFilter(np.moveaxis(kept, 0, -1), Ts, first=-N)
+    return LearningFilter(np.moveaxis(kept * units, 0, -1), Ts, first=-N)
 
 
-def _tapered(problem, omega):
+def _anywhere(problem, number, omega):
+    """A plant at any frequency: its model, or `_tapered` samples."""
+    if (model := problem.models[number]) is not None:
+        return frequency_response(model, omega)
+    return _tapered(problem, problem.plants[number], omega)
+
+
+def _tapered(problem, P, omega):
     """P between its samples by splines, held below them, and faded out beyond Q's cut-off."""
     known, last = problem.omega, problem.omega[-1]
     degree = min(3, len(known) - 1)
-    P = make_interp_spline(known, problem.P, degree)(np.clip(omega, known[0], last))
+    P = make_interp_spline(known, P, degree)(np.clip(omega, known[0], last))
     if known[0] > 0:  # P is real at rest
         P.imag *= np.minimum(omega / known[0], 1)[:, None, None]
     start = min(problem.cutoff, 0.9 * last)

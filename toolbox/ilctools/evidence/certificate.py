@@ -11,6 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from ilctools.evidence.convergence import Convergence, from_responses, log_mean
+from ilctools.evidence.margins import Margins, margins
 from ilctools.evidence.optimality import lower_bound, relief
 from ilctools.evidence.peak import (
     Peak,
@@ -48,6 +49,7 @@ FINE = 2000  # frequencies of the mean over the band
 PASSED_L = 1.01  # times L_max, between the frequencies
 CHOSEN = "chosen: ", "L = B"  # how what is no assumption begins: in the details
 LEAD = 0.5  # of P's phase in the mean, rad, from which on its sign is taken to be wrong
+DEAF = 1e-3  # of P L, where P passes nothing
 IDLE = 0.9  # share of the error in the band from which on learning counts as idle
 
 
@@ -149,6 +151,11 @@ class Certificate:
         M = convergence_matrix(P, Q, self.filter.frequency_response(omega))
         return float(log_mean(largest_singular_values(M), omega, design.band))
 
+    @cached_property
+    def margins(self) -> Margins:
+        """How far the plant may be off before monotone convergence is lost."""
+        return margins(self.problem, self.filter)
+
     @property
     def predicted(self) -> dict[int, float] | None:
         """RMS of the error in some trials, for the reference of the design; None without one."""
@@ -163,12 +170,28 @@ class Certificate:
     def unseen(self) -> Peak | None:
         """The highest peak of the models, if it is one or more, where omega does not see it."""
         peak = highest(self.exact)
-        return peak if peak and peak.sigma >= 1 else None
+        return peak if peak and peak.sigma >= 1 and not self.deaf else None
+
+    @cached_property
+    def deaf(self) -> bool:
+        """Whether the highest peak is where P passes nothing, and M is |Q| for any L."""
+        peak = highest(self.exact)
+        if not peak or peak.sigma < 1 - DEAF:
+            return False
+        P = frequency_response(self.problem.models[peak.plant], [peak.omega])[0]
+        passed = np.linalg.svd(P)[1][-1] * self.all_L
+        return passed < DEAF and peak.sigma <= self.problem.Q_beyond([peak.omega])[0] * (1 + TIED)
 
     @property
     def assumptions(self) -> tuple[str, ...]:
         """What P and its radius rest on, and where they are of no use."""
-        return (*self.problem.basis, *self.problem.assumed, *_unusable(self.problem))
+        deaf = []
+        if self.deaf:
+            deaf.append(
+                f"P passes nothing at {highest(self.exact).omega:.4g} rad/s: M is |Q| there for "
+                f"any L, and the error stays; at the frequencies omega it is {self.grid_M:.4g}"
+            )
+        return (*self.problem.basis, *deaf, *self.problem.assumed, *_unusable(self.problem))
 
     @property
     def failures(self) -> list[str]:
@@ -227,7 +250,7 @@ class Certificate:
         whose = f"sigma_max(M){self._whose(self.peak)}"
         place = f"{self.all_M:.4g} at {self.peak.omega:.4g} rad/s, between the"
         passed = self.all_M - problem.M_max > COARSE * (1 - problem.M_max)
-        if self.proven and passed and not self.failures:
+        if self.proven and passed and not self.failures and not self.deaf:
             texts.append(
                 f"{whose} reaches {place} frequencies omega, where M_max = {problem.M_max:g} "
                 "bounds it: synthesise with everywhere=True, or "
@@ -269,6 +292,7 @@ class Certificate:
     def __repr__(self):
         rate = f"rate at most {self.rate:.4f}{self._whom()}, {self._coverage()}"
         lines = [f"{rate}; largest near {float(f'{self._near():.2g}'):g} rad/s", self._reached()]
+        lines += [repr(self.margins)] if self.rate < 1 or self.deaf else []
         texts = [text for text in self.assumptions if not text.startswith(CHOSEN)]
         lines += ["; ".join(texts).replace("; assumed: ", "; ")] if texts else []
         return "\n".join([*lines, *self._mean(), *self._against()])
@@ -321,6 +345,8 @@ class Certificate:
     def _reached(self):
         """Which bounds limit the optimum; without them, no other than the filter's size."""
         problem, bounds = self.problem, []
+        if not np.isfinite(self.lower_bound):
+            return "L = B by its formula, K = 1: nothing was optimised"
         if problem.objective == "sum" and self.grid_M > problem.M_max * (1 - TIED):
             bounds.append(f"M_max = {problem.M_max:g}")
         if problem.L_max is not None and self.passed_L > 1 - TIED:
@@ -330,7 +356,9 @@ class Certificate:
             if self.value >= problem.unit(0):  # below, rounding decides
                 share = min(self.relief / 10, 1)
                 bounds[-1] += f" (10 % more would lower the objective by {share:.1%} at most)"
-        size = f"order = {problem.order}{'' if problem.base is None else ' of K'}"
+        size = f"order = {problem.order}"
+        if problem.base is not None:
+            size += " of K in L = B K, by convex optimisation"
         if problem.base is None and problem.order < problem.delay:
             size += f" (P lags by {problem.delay} samples at the cut-off)"
         if problem.structure == "diagonal" and problem.channels > 1:
@@ -384,6 +412,9 @@ class Certificate:
         problem = self.problem
         if problem.everywhere:
             yield "bounds asked for at every frequency, not on the grid only"
+        if not np.isfinite(self.lower_bound):
+            yield f"objective {self.value:.7g}; L = B was not optimised for it"
+            return
         gain = "" if problem.L_max else f" with a gain of Q P L up to {MOST_GAIN:.0e}"
         if problem.base is not None:
             gain = f" with this B, of a K whose gain is {K_MAX:g} at most,"

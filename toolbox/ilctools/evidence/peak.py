@@ -357,16 +357,11 @@ def crests(problem, L, level):
 
     Yields its number, frequencies and values: all crests near the level, or above, and the highest.
     """
-    Ts, known = problem.Ts, problem.design.omega
-    n = len(known) - 1
-    samples = np.interp(np.arange(DENSER * n + 1) / DENSER, np.arange(n + 1), known)
-    of_L = _resolved(np.concatenate([factor.poles for factor in _factors_of(L)])) / Ts
     dense = None  # one for all samples
     for k in unproven(problem):
         model = problem.models[k]
         if dense is None or model is not None:
-            further = of_L if model is None else np.append(of_L, _resolved(model.poles()) / Ts)
-            dense = np.unique(np.append(samples, further.clip(*known[[0, -1]])))
+            dense = dense_grid(problem, k, L)
             response = in_parts(L.frequency_response, dense, 4 * L.order)  # in long doubles
 
         def fall(omega, response=None, k=k):
@@ -386,6 +381,16 @@ def crests(problem, L, level):
         found, at = elementwise.find_minimum(fall, brackets), np.append(top, sigma.argmax())
         yield k, np.append(dense[at], found.x), np.append(sigma[at], -found.f_x)
         dense = dense if model is None else None
+
+
+def dense_grid(problem, number, L, times=DENSER) -> np.ndarray:
+    """Some frequencies for each of a design, and those that resolve the poles of L and a model."""
+    known, model = problem.design.omega, problem.models[number]
+    steps = np.linspace(0, 1, times, endpoint=False)
+    samples = np.append((known[:-1, None] + np.outer(np.diff(known), steps)).ravel(), known[-1])
+    poles = [factor.poles for factor in _factors_of(L)] + ([] if model is None else [model.poles()])
+    further = np.concatenate([_resolved(each) for each in poles]) / problem.Ts
+    return np.union1d(samples, further[(further > known[0]) & (further < known[-1])])
 
 
 def _resolved(poles):

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.linalg import matrix_balance
 
 from ilctools import arguments
-from ilctools.base import base_of_model, base_of_samples
+from ilctools.base import base_of_models, base_of_samples
 from ilctools.filters import LearningFilter
 from ilctools.problem import defaults
 from ilctools.problem.problem import ROUNDING, Problem, largest_singular_values
@@ -14,6 +14,8 @@ from ilctools.problem.reference import first_error
 from ilctools.problem.responses import on_one_grid
 
 UNEQUAL = 8  # ratio of the powers of two that balance P, from which on units seem to differ
+STATES = 100  # of the models in B: as many take a second, and B is a finite filter
+FEW = 0.1  # of the frequencies: a P that is singular at more of them has a wrong channel
 UNCOUPLED = 1e-6  # product of the gains between two channels, relative to that of their own
 
 
@@ -37,8 +39,8 @@ def pose(
     reach=None,
 ) -> Problem:
     """State the problem (39), or (45) with (46), and check it; see :func:`ilctools.synthesise`."""
-    problem = on_one_grid(P, Q, omega, Ts, uncertainty, scale)
-    if base is not None:
+    problem = _learnable(on_one_grid(P, Q, omega, Ts, uncertainty, scale))
+    if base is not None and base != defaults.CHOOSE:
         base = arguments.number("base", base, "in (0, 1), None or 'auto'", 0, 1)
     n, smallest = len(problem.omega), _smallest_singular_values(problem)
     what = "in (0, 1), or the trials do not converge"
@@ -61,36 +63,49 @@ def pose(
         power, weights = _of_reference(problem, band, reference)
         problem = replace(problem, first_error=power, weights=weights)
     _refuse_idle(problem.Q if objective == "peak" else problem.Q[weights > 0])
-    L_max = _bound_on_L(problem, L_max, smallest, chosen)
+    L_max = _bound_on_L(problem, L_max, smallest, base == defaults.CHOOSE, chosen)
     basis = [f"chosen: {text}" for text in chosen] + ([] if scale is not None else _units(problem))
     problem = replace(problem, L_max=L_max, basis=(*basis, *problem.basis))
     return problem if base is None else with_base(problem, base, reach)
 
 
-def with_base(problem: Problem, share: float, reach: int | None = None) -> Problem:
-    """A problem with L = B K, with b as a share of sigma_max(P) up to Q's cut-off.
+def with_base(problem: Problem, share: float | str, reach: int | None = None) -> Problem:
+    """A problem with L = B K; b is a share of sigma_max(P) up to Q's cut-off, or 1 / (2 L_max).
+
+    In the second case B is that of all plants, and it keeps L_max by itself: K = 1 will do.
 
     Raises
     ------
     ValueError
         If the model is such that rounding keeps B from us.
     """
-    below = problem.omega <= max(problem.cutoff, problem.omega[0])
-    b = share * largest_singular_values(problem.P[below]).max()
-    if problem.models[0] is not None and reach is None:
-        base = base_of_model(problem.models[0], b, problem.scale, problem.structure)
+    pooled, models = share == defaults.CHOOSE, problem.models[:1]
+    if pooled:
+        smallest = _smallest_singular_values(problem)
+        L_max = problem.L_max or _gain(problem, smallest, close=True)
+        b, models = 1 / (2 * L_max), problem.models
     else:
-        base = base_of_samples(problem, b, reach)
+        below = problem.omega <= max(problem.cutoff, problem.omega[0])
+        b = share * largest_singular_values(problem.P[below]).max()
+    exact = reach is None and None not in models
+    if exact and pooled:
+        exact = sum(P.nstates for P in models) <= STATES
+    base = base_of_models(models, b, problem.scale, problem.structure) if exact else None
+    if base is None and (pooled or not exact):
+        base = base_of_samples(problem, b, reach, pooled)
     if base is None:
         raise ValueError(
-            f"base = {share:g} is too small for this plant, whose factors rounding decides: take a "
+            f"base = {share} is too small for this plant, whose factors rounding decides: take a "
             "larger one, or None"
         )
-    kind = "a finite filter" if isinstance(base, LearningFilter) else "with the ends of a trial"
-    text = f"L = B K, B of the plant with b = {b:.3g}, {share:g} of its largest gain, {kind}"
-    if isinstance(base, LearningFilter):
+    sampled = isinstance(base, LearningFilter)
+    kind = "a finite filter" if sampled else "with the ends of a trial"
+    of = "all plants" if len(models) > 1 else "the plant"
+    why = "1 / (2 L_max)" if pooled else f"{share:g} of its largest gain"
+    text = f"L = B K, B of {of} with b = {b:.3g}, {why}, {kind}"
+    if sampled:
         text += f" of {-base.first} samples each way"
-    return replace(problem, base=base, basis=(*problem.basis, text))
+    return replace(problem, base=base, pooled=pooled, basis=(*problem.basis, text))
 
 
 def _units(problem):
@@ -112,7 +127,8 @@ def _order(problem, order, base, chosen):
     n = len(problem.omega)
     if order is None and base is not None:
         order = min(defaults.TAPS, n)
-        chosen.append(f"order = {order} of K, in L = B K")
+        if base != defaults.CHOOSE:
+            chosen.append(f"order = {order} of K, in L = B K")
     if order is None:
         order = defaults.order(problem.cutoff, problem.delay, problem.Ts, n)
         text = f"order = {order}, by Q's cut-off and P's lag of {problem.delay} samples there"
@@ -159,19 +175,23 @@ def _of_reference(problem, band, reference):
     return first_error(problem.P, problem.omega * problem.Ts, r)
 
 
-def _bound_on_L(problem, L_max, smallest, chosen):
+def _bound_on_L(problem, L_max, smallest, close, chosen):
     """The bound on sigma_max(L), or None."""
     if isinstance(L_max, str) and L_max == defaults.CHOOSE:
-        # What is not known beyond its radius is not worth inverting.
-        radius = 0 if problem.radius is None else problem.radius
-        L_max = defaults.gain(problem.cutoff, np.maximum(smallest, radius), problem.omega)
-        chosen.append(
-            f"L_max = {L_max:g}, {defaults.ROOM} times a gain that inverts P up to Q's cut-off"
-        )
+        L_max = _gain(problem, smallest, close)
+        room = f"{defaults.CLOSE} or less" if close else defaults.ROOM
+        chosen.append(f"L_max = {L_max:g}, {room} times a gain that inverts P up to Q's cut-off")
     if L_max is None:
         return None
     what = f"a positive number, None for no bound, or {defaults.CHOOSE!r}"
     return arguments.positive("L_max", L_max, what)
+
+
+def _gain(problem, smallest, close):
+    """The default bound on L."""
+    # What is not known beyond its radius is not worth inverting.
+    radius = 0 if problem.radius is None else problem.radius
+    return defaults.gain(problem.cutoff, np.maximum(smallest, radius), problem.omega, close)
 
 
 def _refuse_idle(Q):
@@ -191,6 +211,24 @@ def _size_beyond(problem):
         return None
     size = largest_singular_values(problem.plants[sampled, -1]).max()
     return float(size if problem.radius is None else size + problem.radius[-1])
+
+
+def _learnable(problem):
+    """A problem without the few frequencies at which P passes nothing, and M is |Q| for any L."""
+    values = np.linalg.svd(problem.P, compute_uv=False)
+    singular = (values[:, -1] <= 1e-12 * values.max()) & (problem.omega <= problem.cutoff)
+    if not singular.any() or singular.mean() > FEW:
+        return problem
+    keep, where = ~singular, ", ".join(f"{omega:.4g}" for omega in problem.omega[singular])
+    text = f"P passes nothing at {where} rad/s: M is |Q| there for any L, and the error stays"
+    return replace(
+        problem,
+        plants=problem.plants[:, keep],
+        Q=problem.Q[keep],
+        omega=problem.omega[keep],
+        radius=None if problem.radius is None else problem.radius[keep],
+        basis=(*problem.basis, text),
+    )
 
 
 def _smallest_singular_values(problem):

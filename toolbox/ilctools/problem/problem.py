@@ -52,6 +52,7 @@ class Problem:
     # what is asked of L
     order: int = 1  # number of samples that the learning filter looks ahead, or of those of K
     base: LearningOperator | None = None  # B of L = B K, in the plant's units
+    pooled: bool = False  # whether B is of all plants
     M_max: float = 0.9  # bound on sigma_max(M)
     L_max: float | None = None  # bound on sigma_max(L)
     structure: str = "full"  # or "diagonal"

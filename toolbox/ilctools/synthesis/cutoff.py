@@ -1,76 +1,51 @@
-"""The cut-off of a Q that is left out: it follows from what is not known of P.
+"""Q where it is left out: its cut-off follows from how far P reaches, and how far its plants agree.
 
-A lower cut-off makes |Q| smaller at each frequency, and with it M = Q (I - P L): up to the largest
-cut-off, some filter keeps M_max for all plants. There nothing is left for the objective, whose mean
-a cut-off a tenth lower takes from 0.77 to 0.09 in a motion stage of three gains, and from 0.74 to
-0.33 in a resonance of three frequencies. So that is chosen.
+With sigma(omega) for the least sigma_min of all plants, and sigma_0 for its value at rest, or its
+largest if P passes nothing there, P reaches up to the frequency omega_1 where
+
+    sigma(omega) < REACHED sigma_0.
+
+Beyond, what L gains is noise and what the model does not know. L is then bounded by
+STATIC / sigma_0. The plants P_k agree as far as the quadratic law B of all of them, with that
+bound, leaves |Q| d <= M_max, with what is left without Q,
+
+    d = max_k sigma_max(I - P_k B) + r sigma_max(B),
+
+r their radius. Of the Butterworth filter of order 2, Q = 1 / (1 + x^4) with
+x = tan(omega Ts / 2) / tan(cutoff Ts / 2), so that this is x >= (d / M_max - 1)^(1/4): one cut-off
+for each frequency, and the least of them counts. There is nothing to search.
 """
 
-from collections.abc import Callable, Sequence
-
 import numpy as np
-from tqdm import tqdm
 
-from ilctools.filters import ZeroPhaseButterworth
-from ilctools.problem.grid import without_gaps
+from ilctools.problem.defaults import STATIC, at_rest
 from ilctools.problem.problem import Problem
-from ilctools.synthesis.everywhere import solve_everywhere
-from ilctools.synthesis.solver.program import Infeasible
 
 ORDER = 2  # of the Butterworth filter, as in the paper
-SHARE = 0.9  # of the largest cut-off
-HIGHEST = 0.999 * np.pi  # times 1 / Ts
+REACHED = 0.1  # of sigma_0: of 0.03, 0.05 and 0.1 least noise; see figures/performance.md
+SHARE = 0.9  # of M_max that may be used up by what the plants differ
+INSIDE = 0.5  # of the last sample, if it is below the Nyquist frequency: |Q| is 0.06 there
+HIGHEST = 0.9  # of the Nyquist frequency
 
 
-def cutoff_that_holds(
-    posed: Callable[..., Problem], bases: Sequence, lowest: float, Ts: float
-) -> tuple[ZeroPhaseButterworth, str]:
-    """Q with a share of the largest cut-off of two digits that keeps M_max, and that in words.
+def reached(problem: Problem) -> float:
+    """The cut-off up to which P reaches and its plants agree, rad/s."""
+    omega, Ts, M_max = problem.omega, problem.Ts, SHARE * problem.M_max
+    values = np.linalg.svd(problem.plants, compute_uv=False)[..., -1].min(axis=0)
+    rest = at_rest(values) or values.max()
+    below, start = values < REACHED * rest, np.argmax(values >= REACHED * rest)
+    below[:start] = False  # P passes nothing at rest
+    highest = HIGHEST * np.pi / Ts if omega[-1] * Ts > 3 else INSIDE * omega[-1]
+    limits = [highest, *omega[below][:1]]
 
-    `posed`: the problem, from b and Q. If even the lowest is too large, that is returned, and its
-    design says what is too tight.
-    """
-
-    def with_cutoff(cutoff):
-        return ZeroPhaseButterworth(ORDER, float(cutoff), Ts)
-
-    problem = posed(bases[0], with_cutoff(lowest))
-    if not problem.robust and problem.beyond is None:
-        raise ValueError(
-            "Q = None must be given: from one exact P no cut-off follows. Give "
-            "zero_phase_butterworth(2, cutoff, Ts), or what else the plant may be: a list P, its "
-            "uncertainty, or a measured_response"
-        )
-    candidates = _two_digits(lowest, HIGHEST / Ts)
-    low, high = 0, len(candidates)
-    with tqdm(desc="largest cut-off", unit=" solved", leave=False, delay=3, disable=None) as bar:
-        while high - low > 1:
-            middle = (low + high) // 2
-            Q = with_cutoff(candidates[middle])
-            holds = any(_feasible(lambda b=b, Q=Q: posed(b, Q)) for b in bases)
-            low, high = (middle, high) if holds else (low, middle)
-            bar.update()
-    largest = candidates[low]
-    Q = with_cutoff(max(SHARE * largest, lowest))
-    return Q, (
-        f"chosen: Q with cut-off {Q.cutoff:.4g} rad/s, {SHARE:g} of {largest:.4g}, the largest for "
-        f"which M_max = {problem.M_max:g} can be met"
-    )
-
-
-def _two_digits(lowest, highest):
-    """The numbers of two digits within a range, and its lowest."""
-    decades = 10.0 ** np.arange(np.floor(np.log10(lowest)), np.log10(highest) + 1)
-    numbers = np.round(np.outer(decades, np.arange(1, 10, 0.1)).ravel(), 12)
-    return [lowest, *numbers[(numbers > lowest) & (numbers <= highest)]]
-
-
-def _feasible(posed):
-    """Whether a filter meets the bounds of a problem."""
-    try:
-        problem = without_gaps(posed())
-        with np.errstate(all="ignore"):
-            solve_everywhere(problem)
-    except (Infeasible, RuntimeError, ValueError):
-        return False
-    return not problem.findings  # where P is not known, M may be |Q| at least
+    one, b = np.eye(problem.channels), rest / (2 * STATIC)
+    P, r = problem.plants, 0 if problem.radius is None else problem.radius[:, None, None]
+    adjoint = P.conj().swapaxes(2, 3)
+    normal = (adjoint @ P).mean(axis=0) + b**2 * one
+    B = np.linalg.solve(normal, adjoint.mean(axis=0))
+    d = np.linalg.norm(one - P @ B, 2, axis=(2, 3)).max(axis=0)
+    d = d + np.linalg.norm(r * B, 2, axis=(1, 2))
+    at = (d > M_max) & (omega > omega[start]) & (omega <= limits[-1] / INSIDE) & (omega * Ts < 3)
+    x = (d[at] / M_max - 1) ** (1 / (2 * ORDER))
+    limits += (2 / Ts * np.arctan(np.tan(omega[at] * Ts / 2) / x)).tolist()
+    return float(min(limits))

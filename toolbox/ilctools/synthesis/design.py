@@ -2,20 +2,21 @@
 
 import warnings
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 from ilctools import arguments
-from ilctools.evidence.certificate import Certificate, certify
+from ilctools.evidence.certificate import Certificate, certify, check
+from ilctools.evidence.finite import trial_norm
 from ilctools.evidence.peak import peak_of_L
+from ilctools.filters import ZeroPhaseButterworth
+from ilctools.problem import defaults
 from ilctools.problem.defaults import CHOOSE
 from ilctools.problem.grid import with_L_bounded, without_gaps
 from ilctools.problem.pose import pose
-from ilctools.problem.problem import TIED, Problem, largest_singular_values, tied
-from ilctools.problem.responses import lowest_and_period
-from ilctools.synthesis.cutoff import cutoff_that_holds
+from ilctools.problem.problem import TIED, Problem, Solution, largest_singular_values, tied
+from ilctools.problem.responses import lowest_and_period, on_one_grid
+from ilctools.synthesis.cutoff import ORDER, reached
 from ilctools.synthesis.cuts import solve
 from ilctools.synthesis.everywhere import solve_everywhere
 from ilctools.synthesis.result import InfeasibleError, SolverError, Synthesis
@@ -23,11 +24,8 @@ from ilctools.synthesis.solver.program import Infeasible
 from ilctools.threads import on_one_thread
 
 EQUAL = 1e-3  # relative distance of multipliers that are the same for the solver
-SHARES = (0.1, 0.03, 0.01)  # of b in sigma_max(P)
-TIED_COST = 1.05  # of the least: the paper's L, or the larger b, is then preferred
-STRETCHES = (1.0, 1.1, 1 / 1.1)  # of time, in plants that may stand on the bench
-NOISE = 1e-3  # of the sensors, relative to the first error
-TRIALS = 10
+SETTLED = 0.02  # of a disturbance: a trial of ten times that long has two ends of its own
+SHORTEST, LONGEST = 50, 2000  # samples of that trial; longer ones take seconds
 PEAKS, NEAR = 20, 0.9  # of sigma_max(L) between the frequencies; share of its bound worth a look
 HOPELESS = 1 - 1e-6  # from here on a smallest M_max is one, and raising it no remedy
 
@@ -70,10 +68,10 @@ def synthesise(
         ``P.on(omega, confidence)`` as P and `uncertainty`. Above the last frequency of samples,
         sigma_max(P) is assumed to be what it is there, at any phase.
     Q : array_like, shape (n,), or ZeroPhaseButterworth, optional
-        Frequency response of the Q-filter on `omega`, or the filter. Default, of a measured P, of
-        samples with a radius or that end below the Nyquist frequency, and of a list: one of order
-        2 with nine tenths of the largest cut-off for which a filter keeps M_max for all plants. At
-        the largest itself nothing is left for the objective. It takes ten designs or more.
+        Frequency response of the Q-filter on `omega`, or the filter. Default: one of order 2 up to
+        where P reaches: the least singular value of all plants is a tenth of what it is at rest
+        there, or the plants differ as much as M_max allows, see :mod:`.synthesis.cutoff`. If the
+        norm of a trial of ten times the settling time is one or more, half of that cut-off.
     omega : array_like, shape (n,), optional
         Design frequencies, rad/s, increasing, up to the Nyquist frequency pi / Ts. Default: those
         of python-control's frequency response data; of models and measured responses 1000 of them,
@@ -88,8 +86,9 @@ def synthesise(
     M_max : float
         Bound on sigma_max(M), in (0, 1): the slowest convergence tolerated.
     L_max : float, None or "auto"
-        Bound on sigma_max(L), unit of w per unit of y. Default: four times the largest gain that
-        inverts P up to Q's cut-off, 1 / sigma_min(P), rounded up to one digit. It holds between
+        Bound on sigma_max(L), unit of w per unit of y. Default: eight times the largest gain that
+        inverts P up to Q's cut-off, 1 / sigma_min(P), and at most 20 times that at rest; if `base`
+        is a number or None, four times it, rounded up to one digit. It holds between
         the frequencies of a coarse grid, and up to the Nyquist frequency, too. None leaves it out:
         filters then compete up to the gain that coefficients in doubles can hold,
         :attr:`.Problem.weight`, and where they look beyond the ends of a trial, trials often
@@ -123,15 +122,15 @@ def synthesise(
         times as long, for filters of 60 samples ten times and more, of two channels up to a minute;
         half the `order` takes a fraction of that.
     base : float, None or "auto"
-        L = B K with B = (P* P + b^2)^-1 P*, the operator of :class:`NormOptimal`, and a K of
-        `order` samples, 21 if that is not given, as many back as ahead; b in units of the largest
-        sigma_max(P) up to Q's cut-off, in (0, 1). B undoes poles and zeros of P next to the unit
-        circle, for which a finite filter is too short. Of a list, B is that of the first plant, of
-        a diagonal filter that of P_ii; sigma_max(K) is four at most. None is the paper's L, and the
-        default if `order` is given. Else the default is one of None, 0.1, 0.03 and 0.01: that which
-        is expected to leave the least error in trials 2 to 10, for a first error with the same
-        power in each octave up to Q's cut-off, noise of 1e-3 of it, and P at frequencies that are
-        off by ten percent, too; of those within five percent of the least, None or the largest.
+        L = B K with B = (P* P + b^2)^-1 P*, the operator of :class:`NormOptimal`. It undoes poles
+        and zeros of P next to the unit circle, for which a finite filter is too short. None is the
+        paper's L, and the default if `order` is given. A number in (0, 1) is b in units of the
+        largest sigma_max(P) up to Q's cut-off; of a list, B is then that of the first plant. The
+        default is b = 1 / (2 L_max), with which sigma_max(B) is L_max at most, of all plants of a
+        list, see :mod:`ilctools.base`: L = B itself, where all bounds hold for it, without a
+        search. Else, and for a `reference` or the objective "peak", the convex problem decides K,
+        of `order` samples, 21 if that is not given, as many back as ahead, with a sigma_max(K) of
+        four at most. Of a diagonal filter B is that of P_ii.
     reach : int, optional
         B as a finite filter, of so many samples at most each way, as C, a PLC and trials without
         reset need it. Default: of a model, B with the ends of a trial; of samples, as many as
@@ -172,7 +171,7 @@ def synthesise(
     >>> P = control.sample_system(control.tf([400], [1, 20, 400]), 0.01)
     >>> design = synthesise(P, zero_phase_butterworth(2, 40.0, 0.01))
     >>> round(float(design.sigma_M.max()), 2), design.filter.order
-    (0.01, 21)
+    (0.01, 1)
     >>> law = design.law()
     """
     given = {
@@ -192,69 +191,86 @@ def synthesise(
     if isinstance(base, str):
         arguments.choice("base", base, [CHOOSE])
         base = CHOOSE if order is None else None
-    free = base is not None and base == CHOOSE
-
-    def posed(share, Q=Q, text=()):
-        problem = pose(P, Q, base=share, reach=reach, **given)
-        return replace(problem, basis=(*text, *problem.basis))
 
     if Q is None:
-        bases = (None, SHARES[0]) if free else (base,)
-        Q, *text = cutoff_that_holds(posed, bases, *lowest_and_period(P, omega, Ts))
-        posed = partial(posed, Q=Q, text=text)
-    return warned(best_base(posed) if free else certified(posed(base)))
+        return warned(without_Q(P, base=base, reach=reach, **given))
+    return warned(designed(pose(P, Q, base=base, reach=reach, **given)))
 
 
-def best_base(posed) -> Synthesis:
-    """The design whose expected error is least, of some bases and none; `posed`, from b."""
-    problem = posed(None)
-    with np.errstate(all="ignore"):
-        least = expected_error(problem, np.linalg.inv(problem.P))
-    candidates, failed = [], None
-    for share in (None, *SHARES):
-        try:
-            asked = posed(share) if share else problem
-            coarse = without_gaps(replace(asked, everywhere=False))
-            cost = expected_error(coarse, coarse.response(solve(coarse)))
-        except (Infeasible, RuntimeError, ValueError):
-            continue
-        candidates.append((cost, asked))
-        if cost <= TIED_COST * least:
+def without_Q(P, *, omega, Ts, scale, uncertainty, **choices) -> Synthesis:
+    """The design with the cut-off up to which P reaches; with half of it, if a trial diverges."""
+    lowest, Ts = lowest_and_period(P, omega, Ts)
+    known = P, ZeroPhaseButterworth(ORDER, lowest, Ts), omega, Ts, uncertainty, scale
+    highest = reached(replace(on_one_grid(*known), M_max=choices["M_max"]))
+    for cutoff in (highest, highest / 2):
+        Q = ZeroPhaseButterworth(ORDER, max(float(f"{cutoff:.2g}"), lowest), Ts)
+        given = {"omega": omega, "Ts": Ts, "scale": scale, "uncertainty": uncertainty} | choices
+        design = designed(pose(P, Q, **given))
+        norm, samples = norm_of_trial(design)
+        if not norm >= 1:
             break
-    least = min((cost for cost, _ in candidates), default=0)
-    # of those that are as good the simplest: without a base, or with the larger b
-    candidates.sort(key=lambda candidate: max(candidate[0], TIED_COST * least))
-    for _, asked in candidates:
-        try:
-            return certified(asked)
-        except (InfeasibleError, SolverError) as error:
-            failed = failed or error
-    if failed is not None:
-        raise failed
-    return certified(problem)  # says why there is none
+    text = (
+        f"Q with cut-off {Q.cutoff:.4g} rad/s, chosen by how far P reaches: sigma_max(L) is "
+        f"{design.certificate.all_L:.3g}"
+    )
+    if np.isfinite(norm):
+        text += f", the norm of a trial of {samples} samples {norm:.3g}"
+    if norm >= 1:
+        warnings.warn(f"{text}: its ends may grow from trial to trial", stacklevel=4)
+    certificate = design.certificate
+    problem = replace(certificate.problem, basis=(text, *certificate.problem.basis))
+    return replace(design, certificate=replace(certificate, problem=problem))
 
 
-def expected_error(problem: Problem, L) -> float:
-    """RMS of the error in trials 2 to 10 that is expected of a filter, relative to the first.
+def norm_of_trial(design: Synthesis) -> tuple[float, int]:
+    """The largest norm of a trial of the plants, ten times as long as the slowest of them settles.
 
-    The first error is taken to have the same power in each octave up to Q's cut-off, and the plant
-    to be as known, or faster or slower; the worst of these. Where M is above one, one counts.
+    NaN unless all are models.
     """
-    n, omega, Q = len(problem.omega), problem.omega, problem.Q[:, None, None]
-    inside = (omega > 0) & (omega <= max(problem.cutoff, omega[omega > 0][0]))
-    signal = np.where(inside, np.gradient(np.log(np.maximum(omega, 1e-3 * omega[-1]))), 0)
-    noise = NOISE**2 * np.gradient(omega) * problem.Ts / np.pi
-    L, trials, costs = L[:n], np.arange(TRIALS - 1), []
-    QPL = largest_singular_values(Q * problem.P @ L)
-    for stretch in STRETCHES:
-        at = np.clip(omega * stretch, omega[0], omega[-1])
-        P = make_interp_spline(omega, problem.P, k=1)(at)
-        M = largest_singular_values(Q * (np.eye(problem.channels) - P @ L))
-        powers = np.minimum(M, 1)[:, None] ** (2 * trials)  # of M^0, M^1, ...
-        left = (powers[:, 1:].sum(axis=1) + np.minimum(M, 1) ** (2 * TRIALS - 2)) / len(trials)
-        passed_on = QPL**2 * np.cumsum(powers, axis=1).mean(axis=1)
-        costs.append(signal @ left / signal.sum() + noise @ passed_on)
-    return float(np.sqrt(max(costs)))
+    models, certificate = design.problem.models, design.certificate  # both in units of scale
+    if None in models:
+        return np.nan, 0
+    slowest = max(np.abs(P.poles()).max(initial=0) for P in models)
+    settled = np.log(SETTLED) / np.log(np.clip(slowest, SETTLED, 1 - 1e-9))
+    samples = int(min(10 * settled + SHORTEST, LONGEST / design.problem.channels))
+    L = certificate.filter
+    return max(trial_norm(P, design.Q, L, samples)[0] for P in models), samples
+
+
+def designed(problem: Problem) -> Synthesis:
+    """L = B by default, if all bounds hold for it; else what the convex problem says.
+
+    Of K for P B; where that has no solution, of the paper's L.
+    """
+    if not problem.pooled:
+        return certified(problem)
+    if (design := direct(problem)) is not None:
+        return design
+    try:
+        return certified(problem)
+    except (InfeasibleError, SolverError) as error:
+        n = len(problem.omega)
+        order = defaults.order(problem.cutoff, problem.delay, problem.Ts, n)
+        *basis, _ = problem.basis  # that of B
+        changes = {"base": None, "pooled": False, "order": order, "basis": tuple(basis)}
+        try:
+            return certified(replace(problem, **changes))
+        except (InfeasibleError, SolverError):
+            raise error from None
+
+
+def direct(problem: Problem) -> Synthesis | None:
+    """L = B, K = 1, if all bounds hold for it and it is asked for nothing else."""
+    if problem.objective != "sum" or problem.band is None:
+        return None
+    problem, one = replace(problem, order=1), np.eye(problem.channels)
+    zero = np.zeros((len(problem.omega), *one.shape))
+    solution = Solution(one[..., None], zero, zero, largest=np.nan, iterations=0)
+    certificate = check(problem, problem.learned(solution))
+    beyond = certificate.beyond
+    if certificate.failures or (beyond and beyond.sigma > problem.M_max):
+        return None
+    return result(problem, problem, solution, certificate)
 
 
 def insist(certificate: Certificate):
@@ -295,6 +311,11 @@ def certified(problem: Problem, *, check=True) -> Synthesis:
     certificate = certify(problem, solution)
     if check:
         insist(certificate)
+    return result(problem, stated, solution, certificate)
+
+
+def result(problem, stated, solution, certificate) -> Synthesis:
+    """What a solution is, with its certificate."""
     L = stated.response(solution)
     return Synthesis(
         problem.filter(solution.coefficients),
@@ -374,7 +395,7 @@ def _advice(problem, smallest):
     return (
         f"infeasible: M_max = {M_max} is too tight for a {problem.structure} filter of order = "
         f"{problem.order}; {remedy}: {raised}{',' if smallest < HOPELESS else ''} take {longer}, "
-        "lower the cut-off of Q (without Q, it is chosen for a list or a radius), or design a "
+        "lower the cut-off of Q (without Q, it is chosen), or design a "
         "faster loop. If no bound so tight was meant: are units, signs and the order of the "
         "channels right, in each plant?"
     )

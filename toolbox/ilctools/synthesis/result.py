@@ -8,6 +8,7 @@ import numpy as np
 
 from ilctools.evidence.certificate import Certificate, check
 from ilctools.evidence.convergence import Convergence
+from ilctools.evidence.margins import Margins
 from ilctools.filters import LearningFilter
 from ilctools.law.law import Law, Region
 from ilctools.problem.pose import pose
@@ -72,6 +73,11 @@ class Synthesis:
     def rate(self) -> float:
         """The largest sigma_max(M) of all plants: the gamma of Lemma 1."""
         return self.certificate.rate
+
+    @property
+    def margins(self) -> Margins:
+        """How far the plant may be off before monotone convergence is lost: gain, delay, time."""
+        return self.certificate.margins
 
     @property
     def Q(self):

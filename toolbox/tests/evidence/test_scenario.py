@@ -39,7 +39,7 @@ def test_to_wait_and_judge_costs_little_against_knowing_the_support_before(sampl
 
 def design(others, cuts):
     """What a synthesis has of its problem and solution, for so many other plants."""
-    problem = SimpleNamespace(plants=np.empty((1 + others, 1, 1, 1)))
+    problem = SimpleNamespace(plants=np.empty((1 + others, 1, 1, 1)), pooled=False)
     solution = Solution(np.empty(0), None, None, 0, 0, cuts)
     return SimpleNamespace(problem=problem, solution=solution)
 

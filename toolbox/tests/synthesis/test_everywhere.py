@@ -76,7 +76,7 @@ def test_the_least_peak_is_that_of_every_grid(loop, Q):
 
 def of_tanks():
     loop = current_trial_loop(tanks(), ["pump A", "pump B", "pump C"])
-    return loop, 0.05, {"L_max": 5.0, "band": (1e-3, 0.02), "structure": "full"}
+    return loop, 0.05, {"L_max": 5.0, "band": (1e-3, 0.02), "base": None}
 
 
 def of_furnace():
