@@ -57,7 +57,7 @@ def shaken(draws):
     experiments, measured = [*experiments], []
     for i in range(len(seeds)):
         own = [(y[i], u[i]) for y, u in experiments]
-        log = shake(Recorded(own, LOOP.controls), LOOP, plan)
+        log = shake(Recorded(own, LOOP.controls, restarts=False), LOOP, plan)
         measured.append(measured_response(log))
     return measured[:draws], measured[draws:]
 

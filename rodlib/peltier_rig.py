@@ -10,6 +10,7 @@ are assumed: the paper gives none.
 from collections.abc import Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 from scipy.constants import Stefan_Boltzmann
@@ -395,11 +396,20 @@ def learning_trials(
 
 
 class Recorded:
-    """A rig whose trials, y and u of each, have been run: for `record` and `shake` to note."""
+    """A rig whose trials, y and u of each, have been run: for `record` and `shake` to note.
 
-    def __init__(self, trials: Iterable[Signals], inputs, limits=None):
-        self._trials, self.inputs, self.limits = iter(trials), inputs, limits
+    It reads the same y again; the controller, which makes the same u of it, begins every trial
+    afresh if the rig `restarts`.
+    """
 
-    def run(self, w) -> Signals:
-        """The signals of the next trial."""
-        return next(self._trials)
+    def __init__(self, trials: Iterable[Signals], inputs, limits=None, restarts=True):
+        self._y = chain.from_iterable(y for y, _ in trials)
+        self.inputs, self.limits = inputs, limits
+        self.begin = (lambda trial: None) if restarts else None
+
+    def read(self):
+        """The next y."""
+        return next(self._y)
+
+    def apply(self, commands):
+        """Nothing follows from what is applied again."""

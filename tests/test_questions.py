@@ -26,6 +26,7 @@ def test_the_lines_run_one_after_the_other(tmp_path, monkeypatch, capsys):
     transferred, from_zero = map(float, re.findall(r"([\d.e-]+) µm, and ([\d.]+)", said)[0])
     assert transferred < 0.2 * from_zero
     assert "commands up to 17.00 mm" in said
+    assert float(re.findall(r"trial 10 leaves ([\d.e-]+) mm", said)[0]) < 0.1
     of_one, of_both = re.findall(r"([\d.e-]+) as designed, ([\d.]+) on the softer", said)
     assert float(of_one[0]) < 0.5 and float(of_one[1]) > 1 > float(of_both[1])
     whole, part = map(float, re.findall(r"v has ([\d.]+) µm", said))
@@ -35,4 +36,4 @@ def test_the_lines_run_one_after_the_other(tmp_path, monkeypatch, capsys):
 def test_each_question_has_an_answer():
     """In lines that run; one block is for all, five answers are words."""
     questions = re.findall(r"^## .*\?$", TEXT, flags=re.MULTILINE)
-    assert len(questions) == 15 and len(BLOCKS) == 11
+    assert len(questions) == 16 and len(BLOCKS) == 12

@@ -41,8 +41,8 @@ from ilctools.problem.roughness import scatter_warnings
 GAP = 1e-6
 VIOLATION = 1e-9
 BETWEEN = 1e-7  # and of one between the frequencies, where the bounds hold there, too
-# Share of 1 - sigma_max(M) that splines may miss, as a narrow resonance shows little on its flanks,
-# and by which M may pass a bound between the frequencies.
+# Share of 1 - M_max by which M may pass its bound between the frequencies without a warning; of
+# samples, of 1 - sigma_max(M) at the frequencies
 COARSE = 0.25
 NAMED = 4  # of those that are tied as the worst, so many are named
 FINE = 2000  # frequencies of the mean over the band
@@ -133,7 +133,8 @@ class Certificate:
             at=float(self.highest_peak.omega),
             spectral_radius=float(max(radii)),
             proven=self.proven,
-            uncertain=problem.radius is not None or (beyond is not None and beyond.sigma >= 1),
+            uncertain=problem.design.radius is not None
+            or (beyond is not None and beyond.sigma >= 1),
             assumptions=self.assumptions,
         )
 
@@ -246,7 +247,6 @@ class Certificate:
             share = self.value / problem.idle
             where = "in the band" if problem.band else "for this reference"
             texts.append(f"the filter leaves {share:.0%} of the error {where}")
-        margin, missed = 1 - self.all_M, self.peak.missed
         whose = f"sigma_max(M){self._whose(self.peak)}"
         place = f"{self.all_M:.4g} at {self.peak.omega:.4g} rad/s, between the"
         passed = self.all_M - problem.M_max > COARSE * (1 - problem.M_max)
@@ -256,15 +256,10 @@ class Certificate:
                 "bounds it: synthesise with everywhere=True, or "
                 f"{'an' if problem.L_max is None else 'a smaller'} L_max"
             )
-        elif not self.proven and margin <= 0:
+        elif not self.proven and self.all_M - self.grid_M > COARSE * (1 - self.grid_M):
             texts.append(
-                f"{whose} may reach {place} frequencies omega, where Lemma 1 would not hold: "
-                "synthesise with everywhere=True, measure there, or smooth samples that scatter"
-            )
-        elif not self.proven and missed > COARSE * margin:
-            texts.append(
-                f"the samples are too coarse: splines miss M by {missed:.2g} in cross-validation, "
-                f"and 1 - sigma_max(M) is {margin:.2g}; measure at more frequencies"
+                f"{whose} may reach {place} frequencies omega, which show too little of P: measure "
+                "at more of them there, or with less noise, or synthesise with everywhere=True"
             )
         return texts
 
@@ -312,7 +307,7 @@ class Certificate:
         """For which plants the rate is."""
         count = len(self.problem.plants)
         of = f" of {count} plants" if count > 1 else ""
-        if self.problem.radius is not None:
+        if self.problem.design.radius is not None:
             return f" for every plant within the radius{of}"
         return f" for each{of}" if of else ""
 
@@ -334,8 +329,9 @@ class Certificate:
         if self.predicted:
             trials = [f"{rms:.3g} in trial {k}" for k, rms in self.predicted.items()]
             yield (
-                f"predicted RMS of the error{nominal}: {', '.join(trials)}, for this "
-                "reference, without noise and ends"
+                f"predicted RMS of the error{nominal}: {', '.join(trials)}, for this reference, "
+                "without noise, and without what the two ends of a trial add, which counts if it "
+                "is not long against the settling time"
             )
         elif problem.objective == "sum" and np.isfinite(self.mean_M):
             mean = f"{self.mean_M:.4f}" if self.mean_M >= 1e-4 else "below 0.0001"
@@ -391,7 +387,7 @@ class Certificate:
         problem, omega = self.problem, self.problem.design.omega
         if self.proven:
             return
-        within = "" if problem.radius is None else " within the radius"
+        within = "" if problem.design.radius is None else " within the radius"
         if self.exact:
             sigma = highest(self.exact).sigma
             yield f"sigma_max(M) of the models alone over all frequencies, proven: {sigma:.8f}"
@@ -418,6 +414,9 @@ class Certificate:
         gain = "" if problem.L_max else f" with a gain of Q P L up to {MOST_GAIN:.0e}"
         if problem.base is not None:
             gain = f" with this B, of a K whose gain is {K_MAX:g} at most,"
+        tightened = problem.L_max and problem.share_L.min() < 1
+        if tightened or np.isfinite(problem.limit_L).any():
+            gain += ", with L bounded by less at omega, for what is between or above them,"
         yield (
             f"objective {self.value:.7g}, no {problem.structure} filter of order {problem.order}"
             f"{gain} below {self.lower_bound:.7g}"

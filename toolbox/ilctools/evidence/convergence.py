@@ -104,6 +104,8 @@ class Convergence:
             f"{how}: sigma_max(M) is {gamma:.4f} at most, at {at:.4g} rad/s ({where}), "
             f"|eigenvalue of M| {radius:.4f}"
         )
+        if how == "diverges":  # slowly, where trials are short against it
+            line += ", for trials that are long against the slowest mode"
         return "\n".join([line, *self.assumptions])
 
 

@@ -39,17 +39,13 @@ the circle each is a trigonometric polynomial over |exp(j theta) - a|^2 of a pol
 which looks k samples ahead or back at most, one of degree k, as of k poles at zero. Of a product
 the degrees add, and so do the phases.
 
-Rounding: the values are those of a Schur form of A, whose diagonal holds the very poles that the
-bound uses. The proof is therefore exact for a system whose matrices differ from the given ones by
-rounding. Where that matters most, at the peak and at the angles of the poles closest to the circle,
-the gain is computed once more from A itself, with a bound of its error: if R approximates
-(z I - A)^-1 and leaves the residual S = I - (z I - A) R, then
-
-    C (z I - A)^-1 B = C R B + C R (S + S^2 + ...) B.
-
-What this adds to the peak is added to the gain, 1e-9 of it or less for the paper's M.
+Values are those of a Schur form of A, whose diagonal holds the poles that the bound uses: the proof
+is exact for a system whose matrices differ from the given ones by rounding. What rounding may add
+to a peak is no part of it: some 1e-16 over the distance of a pole to the circle, 1e-9 for the
+paper's M.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import control
@@ -61,56 +57,109 @@ from ilctools import arguments
 from ilctools.evidence.robustness import NEAR, within_radius
 from ilctools.filters import LearningFilter, ZeroPhaseButterworth
 from ilctools.models import balanced, by_substitution
-from ilctools.problem.between import between, missed
+from ilctools.problem.between import between
 from ilctools.problem.problem import TIED, Problem, convergence_matrix, largest_singular_values
 
+CLOSE = 1e-8  # relative, of a proven bound: the cost grows like its inverse square root
 MOST_POINTS = 2_000_000  # frequencies at which to give up
 CHUNK = 2**21  # numbers held at a time while frequency responses are computed
-CLOSEST = 20  # poles next to the unit circle at which rounding is looked into
 DENSER = 10  # the grid between the samples, against theirs
 DENSE = 20  # samples for which a base counts in the grid beyond them
 MOST_CRESTS = 100  # the highest, into which is zoomed
 
 
-def peak_gain(
-    system: control.StateSpace, Q: ZeroPhaseButterworth | None = None, tolerance: float = 1e-8
+@dataclass(frozen=True)
+class Factor:
+    """A response at angles omega Ts, shape (k,) to (k, m, m), and its poles within the circle."""
+
+    response: Callable
+    poles: np.ndarray
+
+
+def of_model(system: control.StateSpace) -> Factor:
+    """C (z I - A)^-1 B + D, by a Schur form of A."""
+    A, B, C = balanced(system.A, system.B, system.C)
+    T, Z = schur(A, output="complex")
+    model = T, Z.conj().T @ B, C @ Z, system.D
+
+    def response(theta):
+        return in_parts(lambda x: by_substitution(*model, np.exp(1j * x)), theta, B.size)
+
+    return Factor(response, np.diag(T))
+
+
+def of_taps(L: LearningFilter) -> Factor:
+    """A finite filter, whose poles are at zero."""
+    poles = np.zeros(max(abs(L.first), abs(L.last)))
+    return Factor(lambda theta: L.frequency_response(theta / L.Ts), poles)
+
+
+def of_inverse(base) -> Factor:
+    """The base J H*."""
+    closed, units = of_model(base.closed), base.scale[:, None] / base.scale
+
+    def response(theta):
+        H, J = np.split(closed.response(theta), 2, axis=1)
+        return J @ H.conj().swapaxes(1, 2) * units
+
+    return Factor(response, closed.poles)
+
+
+def factors_of(L: LearningFilter) -> list[Factor]:
+    """B, if there is one, and K."""
+    base, K = L.base, LearningFilter(L.coefficients, L.Ts, first=L.first)
+    if base is None:
+        return [of_taps(K)]
+    return [of_taps(base) if isinstance(base, LearningFilter) else of_inverse(base), of_taps(K)]
+
+
+def peak_of_L(L: LearningFilter) -> tuple[float, float]:
+    """Peak over all frequencies of sigma_max(L), and where it is."""
+    return proven_peak(factors_of(L), L.Ts)
+
+
+def peak_of_M(P: control.StateSpace, L: LearningFilter, Q) -> tuple[float, float]:
+    """Peak over all frequencies of sigma_max(M), and where it is."""
+    return proven_peak([of_model(P), *factors_of(L)], L.Ts, Q, of_M=True)
+
+
+def proven_peak(
+    factors: list[Factor], Ts: float, Q: ZeroPhaseButterworth | None = None, of_M=False
 ) -> tuple[float, float]:
-    """Peak over all frequencies of Q sigma_max, as an upper bound with a proof, and where it is."""
-    # Q is not made a part of the system: the poles of a filter of high order with a low cut-off lie
-    # so close together that a Schur form tears them apart. The gain is at least the supremum, and
-    # above (1 + tolerance) times it only by a bound of the rounding error; the cost grows like the
-    # inverse square root of the tolerance, unless sigma_max is nearly equal to its peak over a wide
-    # range, as of an all-pass filter.
-    if system.nstates == 0:  # and Q is one at zero
-        return float(np.linalg.norm(system.D, 2)), 0.0
-    gain = _Through([_Model(system)], Q)
-    return proven_peak(gain, system.dt, tolerance)
+    """Peak over all frequencies of Q sigma_max(G), an upper bound, and where it is, rad/s.
 
-
-def proven_peak(gain: "_Through", Ts: float, tolerance: float = 1e-8) -> tuple[float, float]:
-    """Peak over all frequencies of a gain, and where it is."""
-    poles = gain.poles
-    radius = arguments.stable("system", poles)
+    G is the product of the factors; of M, the identity less it. The bound is CLOSE to the peak.
+    """
+    # Q is not made a part of a system: the poles of a filter of high order with a low cut-off lie
+    # so close together that a Schur form tears them apart.
+    poles = np.concatenate([factor.poles for factor in factors] + ([] if Q is None else [Q.poles]))
+    arguments.stable("system", poles)
 
     def nodes(theta):
-        return np.stack([theta, gain(theta), _phase(poles, theta)])
+        G = factors[0].response(theta)
+        for factor in factors[1:]:
+            G = G @ factor.response(theta)
+        sigma = largest_singular_values(np.eye(G.shape[1]) - G if of_M else G)
+        if Q is not None:
+            sigma = sigma * Q.frequency_response(theta / Ts)
+        return np.stack([theta, sigma, phase(poles, theta)])
 
-    points = nodes(np.linspace(0, np.pi, 4 * len(poles) + 1))
+    points = nodes(np.linspace(0, np.pi, 4 * len(poles) + 2))
     place, peak, _ = points[:, points[1].argmax()]
     left, right = points[:, :-1], points[:, 1:]
     bound, count = peak, points.shape[1]
     while True:
-        ceiling = _ceiling(left[1], right[1], right[2] - left[2])
-        high = ceiling > peak * (1 + tolerance)
-        bound = max(bound, ceiling[~high].max(initial=0))
+        highest = ceiling(left[1], right[1], right[2] - left[2])
+        high = highest > peak * (1 + CLOSE)
+        bound = max(bound, highest[~high].max(initial=0))
         if not high.any():
-            break
+            return float(bound), float(place / Ts)
         left, right = left[:, high], right[:, high]
         middle = (left[0] + right[0]) / 2
         count += middle.size
         if count > MOST_POINTS or np.any((middle == left[0]) | (middle == right[0])):
             raise RuntimeError(
-                f"the peak gain is between {peak:.12g} and {ceiling.max():.12g}; to close in "
+                f"the peak gain is between {peak:.12g} and {highest.max():.12g}; to close in "
                 f"further takes more than {MOST_POINTS} frequencies"
             )
         middle = nodes(middle)
@@ -119,19 +168,8 @@ def proven_peak(gain: "_Through", Ts: float, tolerance: float = 1e-8) -> tuple[f
             place, peak, _ = best
         left, right = np.hstack([left, middle]), np.hstack([middle, right])
 
-    closest = poles[np.argsort(-np.abs(poles))][:CLOSEST]
-    angles = {place, *np.abs(np.angle(closest))}
-    highest = max(gain.rounded_up(theta) for theta in angles)
-    if highest == np.inf:
-        raise RuntimeError(
-            f"the peak gain, {peak:.6g} as computed, is not proven: system has a pole of "
-            f"modulus {radius:.17g}, which rounding could make unstable"
-        )
-    bound += max(highest - peak, 0)
-    return float(bound), float(place / Ts)
 
-
-def _ceiling(a, b, h):
+def ceiling(a, b, h):
     """Highest peak that a curve through a and b, a phase h apart, can have in between."""
     with np.errstate(divide="ignore", invalid="ignore"):
         crest = np.hypot(a - b, 2 * np.sqrt(a) * np.sqrt(b) * np.sin(h / 2)) / np.sin(h)
@@ -139,7 +177,7 @@ def _ceiling(a, b, h):
     return np.where(h < np.pi / 2, np.where(inside, crest, np.maximum(a, b)), np.inf)
 
 
-def _phase(poles, theta):
+def phase(poles, theta):
     """Phase phi of the all-pass with these poles, shape of theta."""
     others = poles[poles != 0]  # a pole at zero, as of each tap, adds theta alone
     r, angle = np.abs(others)[:, None], np.angle(others)[:, None]
@@ -155,163 +193,6 @@ def in_parts(function, points, size):
     return np.concatenate([function(part) for part in parts])
 
 
-class _Model:
-    """The response of a model at angles omega Ts, and a bound of its rounding error."""
-
-    def __init__(self, system):
-        self.matrices = *balanced(system.A, system.B, system.C), system.D
-        A, B, C, self.D = self.matrices
-        self.T, Z = schur(A, output="complex")
-        self.B, self.C = Z.conj().T @ B, C @ Z
-        self.poles = np.diag(self.T)
-
-    def __call__(self, theta):
-        model = self.T, self.B, self.C, self.D
-        return in_parts(lambda x: by_substitution(*model, np.exp(1j * x)), theta, self.B.size)
-
-    def with_error(self, theta):
-        return _with_error(*self.matrices, theta)
-
-
-class _Taps:
-    """The same of a finite filter, whose poles are at zero."""
-
-    def __init__(self, L):
-        self.L = L
-        self.poles = np.zeros(max(abs(L.first), abs(L.last)))
-
-    def __call__(self, theta):
-        return self.L.frequency_response(theta / self.L.Ts)
-
-    def with_error(self, theta):
-        size = np.linalg.norm(np.abs(self.L.coefficients).sum(axis=2), 2)
-        steps = 2 + max(abs(self.L.first), abs(self.L.last))  # the rounding of angles, too
-        return self(np.array([theta]))[0], 4 * steps * np.finfo(float).eps * size
-
-
-class _Inverse:
-    """The same of a base, J H*."""
-
-    def __init__(self, base):
-        self.factors, self.units = _Model(base.closed), base.scale[:, None] / base.scale
-        self.poles = self.factors.poles
-
-    def __call__(self, theta):
-        H, J = np.split(self.factors(theta), 2, axis=1)
-        return J @ H.conj().swapaxes(1, 2) * self.units
-
-    def with_error(self, theta):
-        factors, error = self.factors.with_error(theta)
-        H, J = np.split(factors, 2)
-        B, error = _product((J, error), (H.conj().T, error))
-        return B * self.units, error * self.units.max()
-
-
-def _product(first, second):
-    """Of two matrices, each with a bound of its error."""
-    (X, x), (Y, y) = first, second
-    a, b = np.linalg.norm(X, 2), np.linalg.norm(Y, 2)
-    return X @ Y, x * b + a * y + x * y + 10 * len(X) * np.finfo(float).eps * a * b
-
-
-class _Through:
-    """Q sigma_max of a product of responses, or of the identity less it, at angles omega Ts."""
-
-    def __init__(self, factors, Q=None, less=False):
-        self.factors, self.Q, self.less = factors, Q, less
-        poles = [factor.poles for factor in factors]
-        self.poles = np.concatenate(poles if Q is None else [*poles, Q.poles])
-
-    def __call__(self, theta):
-        G = self.factors[0](theta)
-        for factor in self.factors[1:]:
-            G = G @ factor(theta)
-        sigma = largest_singular_values(np.eye(G.shape[1]) - G if self.less else G)
-        return sigma if self.Q is None else sigma * self.Q.frequency_response(theta / self.Q.Ts)
-
-    def rounded_up(self, theta):
-        """Upper bound at one angle whatever the rounding."""
-        G, error = self.factors[0].with_error(theta)
-        for factor in self.factors[1:]:
-            G, error = _product((G, error), factor.with_error(theta))
-        G = np.eye(len(G)) - G if self.less else G
-        return (np.linalg.norm(G, 2) + error) * _filter_rounded_up(self.Q, theta)
-
-
-def _factors_of(L):
-    """B, if there is one, and K."""
-    if L.base is None:
-        return [_Taps(L)]
-    base = L.base
-    K = LearningFilter(L.coefficients, L.Ts, first=L.first)
-    return [_Taps(base) if isinstance(base, LearningFilter) else _Inverse(base), _Taps(K)]
-
-
-def peak_of_L(L: LearningFilter) -> tuple[float, float]:
-    """Peak over all frequencies of sigma_max(L), and where it is."""
-    if L.base is None:
-        return peak_gain(learning_model(L))
-    return proven_peak(_Through(_factors_of(L)), L.Ts)
-
-
-def peak_of_M(P: control.StateSpace, L: LearningFilter, Q) -> tuple[float, float]:
-    """Peak over all frequencies of sigma_max(M), and where it is."""
-    if L.base is None and L.first == 1:
-        return peak_gain(error_model(P, L), Q)
-    return proven_peak(_Through([_Model(P), *_factors_of(L)], Q, less=True), L.Ts)
-
-
-def _with_error(A, B, C, D, theta):
-    """The response at one angle, and a bound of its error whatever the rounding."""
-    unit, z = (len(A) + 2) * np.finfo(float).eps, np.exp(1j * theta)
-    identity = np.eye(len(A))
-    R = np.linalg.inv(z * identity - A)
-    CR = C @ R
-    a, b, c, d, r, cr = (np.abs(X) for X in (A, B, C, D, R, CR))
-    S = np.abs(identity - (z * R - A @ R)) + unit * (identity + r + a @ r)
-    size = np.linalg.norm(S)
-    if not size < 1:
-        return CR @ B + D, np.inf
-    first = cr @ S @ b + unit * (c @ r @ b + d)
-    further = cr.sum() * size**2 / (1 - size) * b.sum()
-    return CR @ B + D, np.linalg.norm(first, 2) + further
-
-
-def _filter_rounded_up(Q, theta):
-    """Upper bound of Q at one angle whatever the rounding; one if there is none."""
-    if Q is None:
-        return 1.0
-    # numerator and denominator of each section
-    polynomials = Q.sections.reshape(-1, 2, 3)
-    value = np.abs(polynomials @ np.exp(-1j * theta * np.arange(3)))
-    error = 10 * np.finfo(float).eps * np.abs(polynomials).sum(axis=-1)
-    most, least = (value + error)[:, 0], (value - error)[:, 1]
-    return np.prod(most / least) ** 2 if least.min() > 0 else np.inf
-
-
-def learning_model(L: LearningFilter) -> control.StateSpace:
-    """Causal model of z^-n_L L(z), whose singular values are those of L of (44)."""
-    # y(p) = c_nL e(p) + ... + c_1 e(p - nL + 1), with m (n_L - 1) states e(p - 1), e(p - 2) ...
-    # A delay has gain one at every frequency, so it changes no singular value.
-    m, states = L.channels, L.channels * (L.order - 1)
-    newest_first = np.hstack(np.moveaxis(L.coefficients, 2, 0)[::-1])
-    A, B = np.eye(states, k=-m), np.eye(states, m)
-    return control.ss(A, B, newest_first[:, m:], newest_first[:, :m], L.Ts)
-
-
-def error_model(P: control.StateSpace, L: LearningFilter) -> control.StateSpace:
-    """Causal model of z^-n_L (I - P L): |Q| times its singular values are those of M of (40)."""
-    m, n, chain = L.channels, P.nstates, L.channels * L.order
-    # The taps of z^-n_L L and the delay of the direct path share a chain, e(p-1) ... e(p-n_L).
-    taps = learning_model(L)
-    taps_C = np.hstack([taps.C, np.zeros((m, m))])
-    shift, delay_C = np.eye(chain, k=-m), np.eye(m, chain, k=chain - m)
-    A = np.block([[shift, np.zeros((chain, n))], [P.B @ taps_C, P.A]])
-    B = np.vstack([np.eye(chain, m), P.B @ taps.D])
-    C = np.hstack([delay_C - P.D @ taps_C, -P.C])
-    return control.ss(A, B, C, -P.D @ taps.D, L.Ts)
-
-
 @dataclass(frozen=True)
 class Peak:
     """The highest peak of sigma_max(M) over all frequencies among some plants of a problem."""
@@ -319,8 +200,6 @@ class Peak:
     sigma: float  # an upper bound to 1e-8 if proven
     omega: float  # where it is, rad/s
     plant: int  # whose it is; of those that are tied, the first
-    # the largest error of splines of M in cross-validation; NaN if proven
-    missed: float = np.nan
 
 
 def proven_peaks(problem: Problem, L) -> list[Peak]:
@@ -334,22 +213,17 @@ def proven_peaks(problem: Problem, L) -> list[Peak]:
 
 def unproven(problem: Problem) -> list[int]:
     """Plants that have no proof between the frequencies: samples, and all if there is a radius."""
-    if problem.butterworth is None or problem.radius is not None:
+    if problem.butterworth is None or problem.design.radius is not None:
         return list(range(len(problem.plants)))
     return [k for k, model in enumerate(problem.models) if model is None]
 
 
 def estimated_peaks(problem: Problem, L, level) -> list[Peak]:
     """Of these, between the frequencies and within the radius; those below a level only bounded."""
-    design, estimates = problem.design, []
-    on_grid = L.frequency_response(design.omega)
-    for k, omega, sigma in crests(problem, L, level):
-        off = np.nan
-        if problem.butterworth is None or problem.models[k] is None:
-            known = design.plants[k], design.Q, design.omega, on_grid, design.axis
-            off = missed(*known, 0 if design.radius is None else design.radius)
-        estimates.append(Peak(sigma.max(), omega[sigma.argmax()], k, off))
-    return estimates
+    return [
+        Peak(float(sigma.max()), float(omega[sigma.argmax()]), k)
+        for k, omega, sigma in crests(problem, L, level)
+    ]
 
 
 def crests(problem, L, level):
@@ -388,7 +262,7 @@ def dense_grid(problem, number, L, times=DENSER) -> np.ndarray:
     known, model = problem.design.omega, problem.models[number]
     steps = np.linspace(0, 1, times, endpoint=False)
     samples = np.append((known[:-1, None] + np.outer(np.diff(known), steps)).ravel(), known[-1])
-    poles = [factor.poles for factor in _factors_of(L)] + ([] if model is None else [model.poles()])
+    poles = [factor.poles for factor in factors_of(L)] + ([] if model is None else [model.poles()])
     further = np.concatenate([_resolved(each) for each in poles]) / problem.Ts
     return np.union1d(samples, further[(further > known[0]) & (further < known[-1])])
 
@@ -414,11 +288,9 @@ def peak_beyond(problem: Problem, L) -> Peak | None:
 
 
 def highest(peaks: list[Peak]) -> Peak | None:
-    """The highest of some peaks, if any, and the most that splines miss for any of them."""
+    """The highest of some peaks, if any; of those that are tied, that of the first plant."""
     if not peaks:
         return None
     sigma = max(peak.sigma for peak in peaks)
-    missed = np.fmax.reduce([peak.missed for peak in peaks])
     level = [peak for peak in peaks if peak.sigma >= sigma * (1 - TIED)]
-    first = min(level, key=lambda peak: peak.plant)
-    return replace(first, sigma=sigma, missed=missed)
+    return replace(min(level, key=lambda peak: peak.plant), sigma=sigma)

@@ -3,6 +3,11 @@
 Measured grids are linear or logarithmic, plants smooth over one or the other. So both run over
 omega or log omega, over that in which splines predict every other sample of Q P better, relative to
 the nominal plant. It is one for all plants of a problem, and the same for each filter.
+
+A spline misses P between its samples. By how much is estimated by what the spline of every other
+sample misses of those left out, at twice the distance. The larger of what is missed at two
+neighbours, times 4 t (1 - t) from one to the other, is a radius, in which P lies if its resonances
+show in the samples; what the problem's own radius covers at the samples counts once.
 """
 
 import numpy as np
@@ -10,49 +15,49 @@ from scipy.interpolate import CubicSpline
 
 from ilctools.models import frequency_response
 
+FEWEST = 4  # samples of which every other one can be left out
+
 
 def between(problem, plant: int, omega):
     """P (k, m, m) of a plant, Q (k,) and the radius (k,), or None, within the design frequencies.
 
     Models of P and Q are their own, elsewhere, too; the radius is zero there.
     """
-    design, model, Q, radius = problem.design, problem.models[plant], problem.butterworth, None
+    design, model, Q = problem.design, problem.models[plant], problem.butterworth
     at = np.clip(omega, design.omega[0], design.omega[-1])
     known, place = design.axis(design.omega), design.axis(at)
-    if model is None:
-        P = CubicSpline(known, design.plants[plant])(place)
-    else:
-        P = frequency_response(model, omega)
     Q = CubicSpline(known, design.Q)(place) if Q is None else Q.frequency_response(omega)
-    if design.radius is not None:
-        radius = np.where(at == omega, np.interp(place, known, design.radius), 0)
-    return P, Q, radius
+    radius = 0 if design.radius is None else np.interp(place, known, design.radius)
+    if model is not None:
+        P = frequency_response(model, omega)
+    else:
+        P = CubicSpline(known, design.plants[plant])(place)
+        after = np.searchsorted(known, place).clip(1, len(known) - 1)
+        t = (place - known[after - 1]) / (known[after] - known[after - 1])
+        missed = design.missed[plant]
+        radius = radius + 4 * t * (1 - t) * np.maximum(missed[after - 1], missed[after])
+    without = model is not None and design.radius is None
+    return P, Q, None if without else np.where(at == omega, radius, 0)
 
 
 def axis_of(P, Q, omega):
     """That of omega and log omega in which splines predict Q P better, relative to P."""
-    axes = (np.asarray, np.log) if omega[0] > 0 else (np.asarray,)
-    inverse = np.linalg.inv(P)
-    return min(axes, key=lambda axis: missed(P, Q, omega, inverse, axis))
+    axes = (np.asarray, np.log) if omega[0] > 0 and len(omega) >= FEWEST else (np.asarray,)
+    relative = Q[:, None, None] * P, np.linalg.inv(P)
+    return min(axes, key=lambda axis: missed(*relative, axis(omega)).max())
 
 
-def missed(P, Q, omega, L, axis, radius=0.0) -> float:
-    """By how much splines miss M in cross-validation, at most, beyond what a radius covers.
+def missed(P, inverse, x) -> np.ndarray:
+    """sigma_max((P - S) inverse), S the spline of every other sample: at each sample, (n,).
 
-    With fewer than four samples it is infinite.
+    At the ends that of the next one; of P itself with fewer than four samples.
     """
-    if len(omega) < 4:
-        return np.inf
-    covered, largest = np.abs(Q) * radius * np.linalg.norm(L, 2, axis=(1, 2)), 0.0
-    for first in (1, 2):  # every other sample between the two at the ends
-        out = np.arange(first, len(omega) - 1, 2)
-        known, place = axis(np.delete(omega, out)), axis(omega[out])
-        M, M_out = (
-            q[:, None, None] * (np.eye(P.shape[-1]) - p @ L[out])
-            for p, q in (
-                (P[out], Q[out]),
-                [CubicSpline(known, np.delete(X, out, axis=0))(place) for X in (P, Q)],
-            )
-        )
-        largest = max(largest, *(np.linalg.norm(M_out - M, 2, axis=(1, 2)) - covered[out]))
-    return float(largest)
+    sizes = np.linalg.norm(P @ inverse, 2, axis=(1, 2))
+    if len(x) < FEWEST:
+        return sizes
+    for first in (1, 2):  # between the two at the ends
+        out = np.arange(first, len(x) - 1, 2)
+        S = CubicSpline(np.delete(x, out), np.delete(P, out, axis=0))(x[out])
+        sizes[out] = np.linalg.norm((P[out] - S) @ inverse[out], 2, axis=(1, 2))
+    sizes[[0, -1]] = sizes[[1, -2]]
+    return sizes

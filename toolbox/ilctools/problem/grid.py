@@ -48,9 +48,11 @@ def refined(problem: Problem, omega) -> Problem:
         inside = inside[inside]
     if not len(omega):
         return problem
-    plants, (Q, *_), (radius, *_) = zip(
+    plants, (Q, *_), radii = zip(
         *(between(problem, k, omega) for k in range(len(problem.plants))), strict=True
     )
+    radii = [radius for radius in radii if radius is not None]
+    known = np.zeros(len(problem.omega)) if problem.radius is None else problem.radius
     for k, model in enumerate(problem.models):
         if model is None and models:
             plants[k][~inside] = plants[models[0]][~inside]
@@ -67,7 +69,7 @@ def refined(problem: Problem, omega) -> Problem:
         plants=np.concatenate([problem.plants, np.array(plants)], axis=1)[:, order],
         Q=merged(problem.Q, Q),
         weights=merged(problem.weights, none),
-        radius=None if radius is None else merged(problem.radius, radius),
+        radius=merged(known, np.max(radii, axis=0)) if radii else None,
         share_L=merged(problem.share_L, none + 1),
         limit_L=merged(problem.limit_L, none + np.inf),
         stated=design,

@@ -15,6 +15,7 @@ from ilctools.problem.responses import on_one_grid
 
 UNEQUAL = 8  # ratio of the powers of two that balance P, from which on units seem to differ
 STATES = 100  # of the models in B: as many take a second, and B is a finite filter
+LONGEST = 300  # samples of a filter: of one channel 16 s, and the time grows as their cube
 FEW = 0.1  # of the frequencies: a P that is singular at more of them has a wrong channel
 UNCOUPLED = 1e-6  # product of the gains between two channels, relative to that of their own
 
@@ -134,6 +135,11 @@ def _order(problem, order, base, chosen):
         text = f"order = {order}, by Q's cut-off and P's lag of {problem.delay} samples there"
         chosen.append(text)
     order = arguments.whole("order", order, 1)
+    if order > LONGEST:
+        raise ValueError(
+            f"order = {order} is more than {LONGEST}, of which a design takes minutes: leave it "
+            "out, L = B then looks as far as P needs, or sample more slowly"
+        )
     if order > n:
         raise ValueError(
             f"order = {order} is more than the {n} frequencies of omega determine: take "

@@ -17,7 +17,7 @@ import numpy as np
 from ilctools.base import RegularisedInverse, in_units
 from ilctools.filters import LearningFilter, LearningOperator, ZeroPhaseButterworth
 from ilctools.problem import defaults
-from ilctools.problem.between import axis_of
+from ilctools.problem.between import axis_of, missed
 from ilctools.signals import Signals
 
 K_MAX = 4.0  # of sigma_max(K): more would show at the ends of a trial, where K e is cut off
@@ -222,6 +222,13 @@ class Problem:
         """Of omega and log omega that over which samples are interpolated, see `between`."""
         return axis_of(self.P, self.Q, self.omega)
 
+    @cached_property
+    def missed(self) -> np.ndarray:
+        """What splines miss of each plant at its samples, beyond the radius, (p, n)."""
+        one = np.broadcast_to(np.eye(self.channels), self.P.shape)
+        of_all = [missed(P, one, self.axis(self.omega)) for P in self.plants]
+        return np.maximum(np.array(of_all) - (0 if self.radius is None else self.radius), 0)
+
     @property
     def assumed(self) -> tuple[str, ...]:
         """What is assumed above the last sample and between them, in words."""
@@ -233,7 +240,8 @@ class Problem:
                 f"{self.beyond:.4g} at most, at any phase{of_Q}"
             )
         sampled = self.butterworth is None or None in self.models
-        known = ["samples are joined by cubic splines"] if sampled else []
+        splines = "cubic splines miss P as little as every other sample misses those between"
+        known = [splines] if sampled else []
         if self.radius is not None:
             known.append("the radius is interpolated by straight lines")
         if known:

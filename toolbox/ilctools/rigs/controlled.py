@@ -1,4 +1,4 @@
-"""A rig and its controller: ours, sample by sample; the rig's; or a rig that runs whole trials."""
+"""A rig and its controller: ours, or the rig's; sample by sample."""
 
 import math
 import reprlib
@@ -80,11 +80,11 @@ class Controller:
 
 
 class ControlledRig:
-    """A rig under its loop: by its methods read and apply, or run; names, limits, decimals.
+    """A rig under its loop, by its methods read and apply: names, limits, decimals.
 
     Parameters
     ----------
-    rig : Rig or TrialRig
+    rig : Rig
     loop : CurrentTrialLoop or ClosedLoop
         The controller is ours, which sends u, or the rig's, which takes w.
     reference : ndarray, shape (trial, time, output)
@@ -107,8 +107,8 @@ class ControlledRig:
         decimals: dict[str, int] | None = None,
         goes_on: bool = False,
     ):
+        _check_methods(rig)
         self.rig, self.loop, self.goes_on = rig, loop, goes_on
-        self.whole = _runs_whole_trials(rig)
         self.ours = isinstance(loop, CurrentTrialLoop)
         self.outputs, self.commands = loop.outputs, loop.commands  # once, not in every sample
         self.inputs = list(getattr(rig, "inputs", self.commands))
@@ -139,11 +139,11 @@ class ControlledRig:
     def find_signals(self) -> None:
         """Which signals are sent, measured and recorded beside commands and outputs."""
         loop, measured = self.loop, getattr(self.rig, "measured", {})
-        self.reported = [] if self.ours or self.whole else loop.controls  # u, by the rig
+        self.reported = [] if self.ours else loop.controls  # u, by the rig
         if missing := [name for name in self.reported if name not in measured]:
             raise ValueError(f"rig.measured must have the controls {missing} of the loop")
         # disturbances of the loop that are inputs, and those that are known
-        names = [] if self.whole else loop.disturbances
+        names = loop.disturbances
         self.disturbed = [name for name in names if name in self.inputs]
         self.recorded = [name for name in names if name in self.inputs or name in measured]
         self.measured = [name for name in self.recorded if name not in self.disturbed]
@@ -195,10 +195,6 @@ class ControlledRig:
     def run(self, trial, w, commanded, bar, first=0) -> dict[str, np.ndarray]:
         """Run one trial, from its sample `first` on; its signals but v, shape (time, channel)."""
         self.place = f"trial {trial}"
-        if self.whole:
-            signals = self.run_whole(w)
-            bar.update(len(w))
-            return signals
         if not self.goes_on:
             self.due = None
         if not first:
@@ -210,26 +206,6 @@ class ControlledRig:
             samples.append(self.sample(w[p], commanded[p]))
             bar.update()
         return series(samples, np.array)
-
-    def run_whole(self, w) -> dict[str, np.ndarray]:
-        """Upload w, let the trial run, download and check it."""
-        names, actuators, signals = self.loop.controls, self.actuators, {}
-        sent = w.copy() if self.ours or actuators is None else actuators.follow(w)
-        result = self.interrupts.call(self.rig.run, sent)
-        pair = names and isinstance(result, tuple) and len(result) == 2
-        y, u = result if pair else (result, None)
-        signals["y"] = _reading("y", y, w.shape)
-        if names:
-            signals["u"] = self.rounded("u", _reading("u", u, w.shape))
-        trial = self.place
-        for p in range(len(w)):
-            self.place = f"{trial}, sample {p + 1}"
-            self.check_stop(self.outputs, signals["y"][p])
-            if self.ours:
-                self.check_stop(self.commands, signals["u"][p])
-        if self.ours and actuators is not None:
-            signals["applied"] = actuators.follow(signals["u"])
-        return signals
 
     def check_clock(self) -> None:
         """Note by how much a sample is off the clock of the rig, if it has one."""
@@ -291,7 +267,7 @@ class ControlledRig:
         try:
             if self.leave_safe:
                 self.leave_safe()
-            elif not self.whole:
+            else:
                 self.rig.apply(np.zeros(len(self.inputs)))
         except BaseException as error:  # also a signal, after safe_time
             error.add_note("THE RIG MAY NOT BE SAFE: what should leave it safe has failed")
@@ -303,17 +279,13 @@ def series(parts: list[dict], join):
     return {name: join([part[name] for part in parts]) for name in parts[-1]}
 
 
-def _runs_whole_trials(rig) -> bool:
-    """Whether a rig is a TrialRig, and not a Rig."""
-    names = () if isinstance(rig, type) else ("read", "apply", "run")
-    methods = {name for name in names if callable(getattr(rig, name, None))}
-    if {"read", "apply"} <= methods:
-        return False
-    if "run" in methods:
-        return True
-    raise ValueError(
-        f"rig = {reprlib.repr(rig)} is a class or has no methods read and apply: see Rig"
-    )
+def _check_methods(rig):
+    """Refuse what is no rig."""
+    methods = (getattr(rig, name, None) for name in ("read", "apply"))
+    if isinstance(rig, type) or not all(callable(method) for method in methods):
+        raise ValueError(
+            f"rig = {reprlib.repr(rig)} is a class or has no methods read and apply: see Rig"
+        )
 
 
 def _reading(name, values, shape):

@@ -13,13 +13,13 @@ from ilctools.law.repetitive import check_period, next_samples
 from ilctools.loop.closed import Loop
 from ilctools.measurement.excitation import Excitation, with_excitation
 from ilctools.rigs.controlled import ControlledRig, series
-from ilctools.rigs.protocol import Rig, TrialRig
+from ilctools.rigs.protocol import Rig
 from ilctools.rigs.recording import Experiment
 from ilctools.signals import check_match
 
 
 def record(
-    rig: Rig | TrialRig,
+    rig: Rig,
     loop: Loop,
     law: Law,
     reference,
@@ -51,7 +51,7 @@ def record(
 
     Parameters
     ----------
-    rig : Rig or TrialRig
+    rig : Rig
     loop : CurrentTrialLoop or ClosedLoop
         Its names and units are those of the record.
     law : Law
@@ -181,20 +181,15 @@ def _next_v(law, first, goes_on, trials):
 
 def _checked_pause(pause, controlled):
     """Samples between two trials; None: until the outputs are back."""
-    if controlled.goes_on and (controlled.whole or pause is not None):
-        raise ValueError(
-            f"reset = False with pause = {pause}, a pause or a rig that runs whole trials: leave "
-            "pause, and give the rig read and apply"
-        )
+    if controlled.goes_on and pause is not None:
+        raise ValueError(f"reset = False, but pause = {pause}: there is none, leave it out")
     if pause is None:
-        return 0 if controlled.whole or controlled.bring_back else None
-    if arguments.whole("pause", pause, 0) and controlled.whole:
-        raise ValueError(f"pause = {pause}, but rig.run begins where every trial begins: leave it")
-    return pause
+        return 0 if controlled.bring_back else None
+    return arguments.whole("pause", pause, 0)
 
 
 def shake(
-    rig: Rig | TrialRig,
+    rig: Rig,
     loop: Loop,
     excitation: Excitation,
     *,

@@ -49,18 +49,6 @@ class Rig(Protocol):
         """Set the inputs, and return when the next sample is due."""
 
 
-class TrialRig(Protocol):
-    """Another kind of driver, trial by trial, for a target that runs the controller by itself.
-
-    It may have ``Ts``, ``limits``, ``safe()``, ``safe_time`` and ``begin(trial)``, as
-    :class:`Rig` has. No pause between trials: ``run`` begins where every trial begins. At its
-    limits the target cuts off commands, and should tell its observer.
-    """
-
-    def run(self, w, /):
-        """Upload w (time, output), start, download: y, or the pair y, u if the loop names u."""
-
-
 class RigError(RuntimeError):
     """A rig that gave what is no reading; nothing that follows from it was applied.
 

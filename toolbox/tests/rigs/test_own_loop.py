@@ -1,7 +1,6 @@
 """Loops whose controller is not ours: a PID in a PLC, a target that runs a trial by itself."""
 
 import warnings
-from types import SimpleNamespace
 
 import control
 import numpy as np
@@ -12,7 +11,6 @@ from ilctools import (
     ClosedLoop,
     Law,
     LearningFilter,
-    current_trial_loop,
     load_log,
     measured_response,
     multisine,
@@ -23,7 +21,6 @@ from ilctools import (
 )
 from ilctools.logs.replay import replay
 from ilctools.loop.notes import loop_of
-from ilctools.rigs.protocol import RigError, StoppedError
 
 P, REFERENCE = axes(), bump(150, [2.0, -1.0])
 LAW = Law(zero_phase_butterworth(2, 3.0, 0.1), LearningFilter(0.1 * np.eye(2)[..., None], 0.1))
@@ -33,19 +30,6 @@ NAMED = ClosedLoop(Ts=0.1, outputs=["x", "y"], units={"x": "mm", "y": "mm"})
 
 def response(w):
     return control.forced_response(P, inputs=w.T).outputs.T
-
-
-class Whole:
-    """Runs a trial at a time."""
-
-    def __init__(self, noise=0.0):
-        self.noise, self.random, self.ends = noise, np.random.default_rng(0), 0
-
-    def run(self, w):
-        return response(w) + self.noise * self.random.standard_normal(w.shape)
-
-    def safe(self):
-        self.ends += 1
 
 
 def sampled(noise=0.0):
@@ -75,14 +59,14 @@ def test_a_loop_that_is_known_by_p_is_simulated():
         run_trials(ClosedLoop(P, disturbances=["d"]), LAW, REFERENCE, REFERENCE[:, :1])
 
 
-@pytest.mark.parametrize(("loop", "make"), [(KNOWN, sampled), (NAMED, Whole)])
+@pytest.mark.parametrize(("loop", "make"), [(KNOWN, sampled), (NAMED, unnamed)])
 def test_it_learns_on_its_rig_as_in_the_simulation(loop, make, tmp_path):
     path, rig = tmp_path / "log.csv", make()
     log = record(rig, loop, LAW, REFERENCE, trials=3, path=path)
     run = run_trials(KNOWN, LAW, REFERENCE, trials=3)
     for name in ("v", "y", "e"):
         np.testing.assert_allclose(log[name], run[name], atol=1e-12)
-    assert rig.ends == 1 and "u" not in log and "control" not in log.coords
+    assert "u" not in log and "control" not in log.coords
     assert load_log(path).identical(log)
     noted = loop_of(log)
     assert (noted.Ts, noted.outputs, noted.units) == (loop.Ts, loop.outputs, loop.units)
@@ -102,52 +86,11 @@ def test_its_commands_are_recorded_if_the_rig_reports_them(tmp_path):
     rig.measured = {"motor x": 1 / 3, "motor y": 2.0}
     log = record(rig, *trials, trials=2, decimals={"u": 2}, path=path)
     assert np.all(log.u == [0.33, 2.0]) and load_log(path).identical(log)
-    whole = SimpleNamespace(run=lambda w: (w, 2 * w))
-    downloaded = record(whole, *trials, trials=2)
-    w = REFERENCE + downloaded.v.values[1]
-    np.testing.assert_array_equal(downloaded.u[1], 2 * w)
-    whole.run = lambda w: w
-    with pytest.raises(RigError, match="trial 1: u holds"):
-        record(whole, *trials)
-
-
-def test_what_is_downloaded_is_checked(tmp_path):
-    trials, path = (NAMED, LAW, REFERENCE), tmp_path / "log.csv"
-    rig = Whole()
-    for number, bad in enumerate((np.full((150, 2), np.nan), None)):
-        path = tmp_path / f"{number}.csv"
-        rig.run = lambda w, path=path, bad=bad: bad if path.exists() else response(w)
-        with pytest.raises(RigError, match="trial 2: y "):
-            record(rig, *trials, path=path)
-        assert load_log(path).sizes["trial"] == 1 and rig.ends == number + 1
-    with pytest.raises(StoppedError, match=r"trial 1, sample \d+: x = "):
-        record(SimpleNamespace(run=lambda w: 100 * w), *trials)
-    with pytest.raises(ZeroDivisionError) as error:
-        record(SimpleNamespace(run=lambda w: 1 / 0), *trials)
-    assert error.value.__notes__ == ["in trial 1"]
-    with pytest.raises(ValueError, match="pause = 3"):
-        record(Whole(), *trials, pause=3)
-
-
-def test_a_target_may_run_our_controller_by_itself():
-    """At 10 kHz nobody calls apply from Python."""
-    plant = control.ss(0.9, 0.1, 1, 0, 1e-4, inputs=["F"], outputs=["x"])
-    loop, Q = current_trial_loop(plant), zero_phase_butterworth(2, 1000.0, 1e-4)
-
-    def run(w):
-        trial = run_trials(loop, Law(Q, None), w, trials=1)
-        return trial.y.values[0], trial.u.values[0]
-
-    law = Law(Q, LearningFilter([[[0.5]]], 1e-4))
-    log = record(SimpleNamespace(run=run), loop, law, bump(200, [1.0]), trials=3)
-    same = run_trials(loop, law, bump(200, [1.0]), trials=3)
-    for name in ("y", "u", "v"):
-        np.testing.assert_allclose(log[name], same[name], atol=1e-12)
-    assert "delta" not in log
 
 
 @pytest.mark.parametrize(
-    ("loop", "make", "noise"), [(KNOWN, Whole, 0.001), (NAMED, unnamed, 0.001), (KNOWN, Whole, 0.0)]
+    ("loop", "make", "noise"),
+    [(KNOWN, sampled, 0.001), (NAMED, unnamed, 0.001), (KNOWN, sampled, 0.0)],
 )
 def test_it_is_shaken_and_nothing_is_assumed_of_it_at_frequency_zero(loop, make, noise):
     """Without noise rounding is no sign of a loop that is not linear."""
