@@ -128,7 +128,7 @@ def test_make_measure_lists_what_there_is(benchmarks):
     import runner
 
     listed = {line.split("WHAT=")[1].split()[0] for line in runner.listed().splitlines()}
-    others = {"bench_synthesis", "kinds", "report", "runner", "unseen"}
+    others = {"bench_synthesis", "further", "kinds", "report", "runner", "unseen"}
     assert listed == {path.stem for path in FOLDER.glob("*.py")} - others
     assert list(runner.run(divmod, [(7, 2), (9, 4)])) == [(3, 1), (2, 1)]
 
@@ -189,14 +189,6 @@ def test_how_often_radii_hold_the_truth_is_counted(benchmarks, monkeypatch, caps
     monkeypatch.setattr(confidence, "response_and_radii", lambda seed: (own(seed)[0], [0, 0, 0]))
     confidence.main()
     assert "99%: 0.00% +- 0.00%" in capsys.readouterr().out
-
-
-def test_intervals_of_a_heat_balance_are_counted(benchmarks, monkeypatch):
-    import heat_balance
-
-    monkeypatch.setattr(heat_balance, "SEEDS", 2)
-    table = heat_balance.main()
-    assert table.shape == (4, 5) and table.values.mean() > 0.7  # 95 % in all
 
 
 def test_two_other_settings_of_parameters_that_each_notebook_has(benchmarks):
@@ -260,93 +252,6 @@ def test_the_watch_keeps_quiet_and_speaks(benchmarks):
     loud = watch.loud_row("P has 2 times the gain", [2])
     assert loud[1:] == ["not the model", "1", "1", "3", "3"]
     assert watch.quiet_row("furnace", [(10, {"model": 3})])[4:] == ["1", "100.00"]
-
-
-def test_rates_of_renewed_filters_are_counted(benchmarks):
-    """Against the bound that was asked and one; without a filter the nominal one goes on."""
-    import renewal
-
-    made = dict.fromkeys(renewal.DESIGNS, (0.5, 0.92)) | {"estimate": (0.9, 0.6)}
-    none = made | {"estimate": "infeasible", "nominal": (0.2, 1.1)}
-    errors = dict.fromkeys((*renewal.DESIGNS, "norm-optimal"), np.array([0.2, 0.1]))
-    better = errors | {"estimate": np.array([0.15, 0.1])}
-    row = renewal.row("rods", [(errors, none), (better, made), (errors, made)])
-    assert len(row) == len(renewal.TITLES) + 1
-    assert row[2] == "0.200, 0.100" and row[6:] == [
-        "1 of 2", "1", "3, 1 of 3; 0.90", "0, 0 of 2; 0.00", "3, 0 of 3; 0.42",
-    ]  # fmt: skip
-    refused = renewal.row("rods", [(errors, none)])
-    assert refused[6:8] == ["0 of 0", "1"] and refused[9] == ""
-
-
-def test_each_row_has_rods_of_its_own(benchmarks, monkeypatch):
-    """Another spread with the same number is the same rod, stretched: five are not 20."""
-    import renewal
-
-    numbers = []
-    monkeypatch.setattr(renewal, "run", lambda function, cases: numbers.extend(cases) or cases)
-    monkeypatch.setattr(renewal, "row", lambda name, results: results)
-    renewal.rows(renewal.SPREADS, 3)
-    renewal.rows(renewal.AMOUNTS, 2, first=1000)
-    assert len({number for number, _ in numbers}) == len(numbers) == 25
-
-
-def test_trials_and_rates_are_of_one_plant(benchmarks):
-    """P, whose rates are called true, is what trials of that plant show."""
-    import renewal
-
-    plant = renewal.draw(renewal.Spread.of_all(0.2), 2).model(1.0)
-    period, lines = 400, np.array([1, 10, 60])
-    w = np.zeros((3, period, 2))
-    w[:, :, 0] = np.cos(2 * np.pi * np.outer(np.arange(period), lines) / period).sum(axis=1)
-    law = Law(renewal.Q, None)
-    y = run_trials(renewal.LOOP, law, w, trials=3, plant=plant, reset=False).y.values[-1]
-    shown = np.fft.rfft(y, axis=0)[lines] / (period / 2)
-    renewal.OMEGA = 2 * np.pi * lines / period
-    np.testing.assert_allclose(renewal.around(plant)[:, :, 0], shown, atol=1e-3)
-
-
-def test_a_law_that_is_left_alone_meets_the_element_that_fails(benchmarks):
-    import ageing
-
-    errors, promises, rates = ageing.left_alone("the paper's filter", 0, trials=20, further=5)
-    assert errors.shape == (25,) and promises == []
-    assert errors[10] > 3 * errors[9] and 0.9 < max(rates) < 1
-    law = ageing.STAY["the paper's filter"]()
-    assert max(ageing.rates(law, (1.0, False))) < max(rates)
-
-
-def test_the_inverse_map_learns_what_is_not_feasible_sooner(benchmarks, monkeypatch):
-    """Two draws of two trials by one design: rows of ways and cases, with the ends of a range."""
-    import peltier
-
-    paper = peltier.synthesise(
-        peltier.LOOP, peltier.Q, peltier.OMEGA, 1.0, **peltier.paper_choices()
-    )
-    monkeypatch.setattr(peltier, "designs_of", lambda draws: {"the paper's": [paper]})
-    rows = [*peltier.rows(2, 2)]
-    ways = ["the paper's", "gain 0.5", "inverse map"]
-    cases = [[case, way] for case in peltier.CASES for way in ways]
-    assert [row[:2] for row in rows] == cases
-    assert {len(row) for row in rows} == {len(peltier.TITLES)}
-    assert [row[2] for row in rows] == ["1.1", "", "", "1.3", "", ""]
-    last = [float(row[-1].split(" to ")[0]) for row in rows]
-    assert last[0] < last[1] and last[5] < last[3] < last[4]
-    assert np.isinf(peltier.rate(paper, 6.0, np.array([-40.0, 40.0])))
-    assert peltier.ends([0.121, 0.119, 0.142]) == "0.12 to 0.14"
-
-
-def test_no_trial_within_limits_is_better_than_the_best(benchmarks, monkeypatch):
-    pytest.importorskip("tclab")
-    import saturation
-
-    monkeypatch.setattr(saturation, "TRIALS", 3)
-    monkeypatch.setattr(saturation, "COLD_TRIALS", 2)
-    row = [float(cell) for cell in saturation.of_rod(20.0)]
-    assert len(row) == len(saturation.TITLES)
-    assert row[2] < row[1] < row[0] and row[2] == pytest.approx(0.127, abs=5e-4)
-    ends = saturation.of_board(1)
-    assert len(ends) == len(saturation.WAYS) and max(ends[3:]) < min(ends[:3])
 
 
 def test_a_heater_board_is_known_from_long_moves_around_the_working_point(benchmarks):

@@ -36,7 +36,7 @@ CONSTANTS = {  # that no cell prints, with the reason
     },
     "13-a-strangers-log": {
         "95": "per cent, what the intervals are for",
-        "91": "per cent of 100 simulated logs of a kind, by benchmarks/heat_balance.py",
+        "91": "per cent of 100 simulated logs, git show a88ddc6:tests/benchmarks/heat_balance.py",
     },
 }
 NUMBER = r"(?<![\w.^])\d+(?:\.\d+)?(?:e[-+]?\d+)?"
@@ -101,10 +101,13 @@ def not_found(notebook, rows, constants=()):
 
 
 def benchmarked(text):
-    """The numbers of the benchmarks that a text names, in their sections of performance.md."""
+    """The numbers of the benchmarks that a text names, in their sections of performance.md.
+
+    Of one that is gone, the text names the commit that made its section.
+    """
     page = (ROOT / "figures" / "performance.md").read_text(encoding="utf-8")
     found = set()
-    for name in re.findall(r"`make measure WHAT=(\w+)`", text):
+    for name in re.findall(r"`(?:make measure WHAT=|git show \S+/)(\w+)(?:\.py)?`", text):
         _, _, section = page.partition(f"<!-- {name} -->")
         section = section.partition(f"<!-- end of {name} -->")[0]
         found |= {Decimal(number) for number in re.findall(NUMBER, section)}

@@ -142,7 +142,6 @@ def test_version_and_lock_agree_with_the_project():
     lock = text("environment.lock")
     assert "://" not in lock
     extras = project["optional-dependencies"]
-    del extras["slycot"]  # which only one test needs, if it is there
     for requirement in chain(project["dependencies"], *extras.values()):
         name = re.split(r"[\[<>=]", requirement)[0].replace("_", "-").lower()
         assert name == "rodlib" or f"\n{name}==" in lock, name

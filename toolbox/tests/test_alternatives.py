@@ -5,19 +5,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from paper import paper_loop
-from plants import LOOPS, as_matrix, frequencies, lifted, random_stable
+from plants import LOOPS, as_matrix, lifted, random_stable
 
-from ilctools import Law, LearningFilter, NormOptimal
+from ilctools import LearningFilter, NormOptimal
 from ilctools.alternatives import TwoSidedFilter, extent, gradient, pd_type, two_sided_taps
-from ilctools.models import frequency_response
-
-PLANTS = {"rod": paper_loop} | LOOPS
-
-
-@pytest.fixture(scope="module", params=["rod", "tanks", "furnace"])
-def P(request):
-    return PLANTS[request.param]().P
 
 
 def test_pd_type_adds_the_error_and_its_slope():
@@ -28,16 +19,10 @@ def test_pd_type_adds_the_error_and_its_slope():
     np.testing.assert_allclose(pd_type(0.5, 2.0, 4, 2, 0.1).apply(e)[:-4], 0.5 * e[4:] + 2 * slope)
 
 
-def test_gradient_is_the_adjoint_of_a_trial_and_converges_at_its_rate(P):
-    model, omega = random_stable(0), frequencies(P.dt)
+def test_gradient_is_the_adjoint_of_a_trial():
+    model = random_stable(0)
     adjoint = as_matrix(gradient(model, 0.3).apply, 40, 2)
     np.testing.assert_allclose(adjoint, 0.3 * lifted(model, 40).T, atol=1e-9)
-    response = frequency_response(P, omega)
-    sigma = np.linalg.svd(response, compute_uv=False)
-    step = 1.2 / sigma.max() ** 2
-    M = np.eye(P.noutputs) - response @ gradient(P, step).frequency_response(omega)
-    rate = np.abs(1 - step * sigma**2).max(axis=1)
-    np.testing.assert_allclose(np.linalg.norm(M, 2, axis=(1, 2)), rate, atol=1e-12)
 
 
 def test_norm_optimal_solves_the_lifted_problem():
@@ -49,17 +34,6 @@ def test_norm_optimal_solves_the_lifted_problem():
         G, L = lifted(P, 60), NormOptimal(P, weight, 60)
         dense = np.linalg.solve(G.T @ G + weight * np.eye(len(G)), G.T)
         np.testing.assert_allclose(as_matrix(L.apply, 60, L.channels), dense, atol=1e-9)
-
-
-def test_norm_optimal_tends_to_its_response_far_from_the_ends():
-    P = LOOPS["tanks"]().P
-    samples, middle, m = 2000, 1000, P.noutputs
-    L, pulse = NormOptimal(P, 0.1, samples), np.zeros((m, samples, m))
-    pulse[range(m), middle, range(m)] = 1
-    omega = frequencies(P.dt, 9)
-    turns = np.exp(-1j * np.outer(omega * P.dt, np.arange(samples) - middle))
-    response = np.einsum("nt,jti->nij", turns, L.apply(pulse))
-    np.testing.assert_allclose(response, L.frequency_response(omega), atol=1e-6)
 
 
 def finite(seed, m, Ts, first=-3, count=7):
@@ -83,14 +57,6 @@ def test_it_is_the_two_sided_convolution_cut_to_the_trial(seed, m, samples):
             if 0 <= p - lag < samples:
                 expected[:, p] += e[:, p - lag] @ tap.T
     np.testing.assert_allclose(L.apply(e), expected, atol=1e-12)
-
-
-def test_a_filter_that_looks_ahead_does_in_the_law_what_a_learning_filter_does(Q):
-    coefficients, e = np.random.default_rng(0).standard_normal((2, 2, 80, 2))[:, 0]
-    known = LearningFilter(coefficients[:5].T[:, None] * [[1.0], [0.5]], 1.0)
-    same = TwoSidedFilter(known.frequency_response, 2, 1.0)
-    expected = Law(Q, known).next(e, e)
-    np.testing.assert_allclose(Law(Q, same).next(e, e), expected, atol=1e-11)
 
 
 @pytest.mark.parametrize("pole", [-0.9, 1.05])

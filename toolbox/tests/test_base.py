@@ -51,18 +51,6 @@ def matrix_of(P, samples):
     return np.block(rows)
 
 
-@pytest.mark.parametrize("P", [LAG, COUPLED, STAGE])
-def test_the_inverse_far_from_ends_is_what_its_formula_says(P):
-    omega = np.linspace(0, np.pi / P.dt, 500)
-    scale = np.arange(1.0, 1 + P.noutputs)
-    B = RegularisedInverse(P, 0.1, scale)
-    exact = NormOptimal(P, 0.01, 1).frequency_response(omega) * scale[:, None] / scale
-    np.testing.assert_allclose(
-        B.frequency_response(omega), exact, rtol=0, atol=1e-9 * abs(exact).max()
-    )
-    assert abs(B.poles).max() < 1
-
-
 def test_on_a_trial_it_is_the_matrix_and_so_is_its_transpose():
     N, scale = 12, np.array([1.0, 4.0])
     units = np.tile(scale, N)
@@ -94,7 +82,6 @@ def test_a_filter_is_a_sum_over_samples_and_its_transpose_the_transpose(first, o
             apply(x).reshape(3, -1), x.reshape(3, -1) @ matrix.T, rtol=0, atol=1e-11
         )
     shifts = np.exp(0.7j * np.arange(first, first + order))
-    np.testing.assert_allclose(L.frequency_response([0.7])[0], L.coefficients @ shifts, atol=1e-11)
     np.testing.assert_allclose(L(np.exp(0.7j)), L.coefficients @ shifts, atol=1e-11)
 
 
@@ -104,8 +91,13 @@ def test_filters_are_equal_and_hashed_by_all_that_they_are():
         for first in (0, 1)
         for base in (None, RegularisedInverse(LAG, 0.1, [1.0]), RegularisedInverse(LAG, 0.2, [1.0]))
     ]
+    made += [
+        LearningFilter([[[1.0]]], 2.0),
+        LearningFilter([[[1.0]]], 1.0, "hold"),
+        LearningFilter([[[0.3]]], 1.0),
+    ]
     again = LearningFilter([[[1.0]]], 1.0, first=0, base=RegularisedInverse(LAG, 0.1, [1.0]))
-    assert len({*made}) == 6 and again in made
+    assert len({*made}) == 9 and again in made and made[0] != 0.5
 
 
 def test_the_optimum_is_that_of_the_statement_with_P_B_in_the_place_of_P():

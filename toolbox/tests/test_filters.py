@@ -44,44 +44,11 @@ def test_q_that_holds_the_last_sample_takes_what_was_before_the_trial_as_zero():
     assert abs(held - hold.apply(signal))[0].max() > 0.01
 
 
-@pytest.mark.parametrize("ends", ["zero", "hold", "hold-last"])
-def test_filters_act_on_every_trial_of_a_stack_alike(ends):
-    rng = np.random.default_rng(1)
-    trials = rng.standard_normal((3, 80, 2))
-    for filter_ in (
-        zero_phase_butterworth(2, 0.1, 1.0, ends=ends),
-        LearningFilter(rng.standard_normal((2, 2, 4)), 1.0, ends),
-    ):
-        np.testing.assert_allclose(filter_.apply(trials)[1], filter_.apply(trials[1]), atol=1e-13)
-
-
 def test_q_at_z_is_its_response_on_the_circle_and_the_same_inside_and_outside(Q):
     omega = np.array([[0.0, 0.05], [0.1, 3.0]])
     expected = Q.frequency_response(omega.ravel()).reshape(2, 2)
     np.testing.assert_allclose(Q(np.exp(1j * omega)), expected, atol=1e-12)
     assert Q(0.9) == pytest.approx(Q(1 / 0.9), rel=1e-9)
-
-
-@given(st.integers(1, 4), st.integers(1, 12), st.integers(0, 2**32 - 1))
-def test_learning_filter_looks_ahead(m, order, seed):
-    rng = np.random.default_rng(seed)
-    coefficients, e = rng.standard_normal((m, m, order)), rng.standard_normal((20, m))
-    L = LearningFilter(coefficients, 1.0)
-    ahead = np.vstack([e, np.zeros((order, m))])
-    expected = [
-        sum(coefficients[:, :, k - 1] @ ahead[p + k] for k in range(1, order + 1))
-        for p in range(20)
-    ]
-    np.testing.assert_allclose(L.apply(e), expected, atol=1e-12)
-
-
-def test_learning_filter_in_time_and_in_frequency():
-    L = LearningFilter(np.random.default_rng(3).standard_normal((2, 2, 10)), 0.5)
-    impulse = np.zeros((60, 2))
-    impulse[30, 1] = 1
-    omega = np.linspace(0, np.pi / 0.5, 7)
-    transform = np.exp(-0.5j * np.outer(omega, np.arange(60) - 30)) @ L.apply(impulse)
-    np.testing.assert_allclose(transform, L.frequency_response(omega)[:, :, 1], atol=1e-12)
 
 
 @given(st.integers(101, 5000), st.integers(-3000, 3000), st.integers(0, 2**32 - 1))
@@ -94,13 +61,6 @@ def test_a_long_filter_has_the_response_that_its_taps_sum_up_to(order, first, se
     response = LearningFilter(taps, 0.5, first=first).frequency_response(omega)
     bound = 1e-12 * np.abs(taps).sum(axis=2).max()
     np.testing.assert_allclose(response, expected, rtol=0, atol=bound)
-
-
-def test_filters_with_the_same_coefficients_are_one():
-    one, same = (LearningFilter([[[0.5, 0.2]]], 1.0) for _ in range(2))
-    different = [LearningFilter([[[0.5, 0.3]]], 1.0), LearningFilter([[[0.5, 0.2]]], 2.0)]
-    different += [LearningFilter([[[0.5, 0.2]]], 1.0, ends="hold"), 0.5]
-    assert one == same and {one, same} == {one} and all(one != other for other in different)
 
 
 def test_coefficients_cannot_be_changed_behind_the_filter():

@@ -4,16 +4,7 @@ import control
 import numpy as np
 import pytest
 
-from ilctools import (
-    Law,
-    LearningFilter,
-    run_trials,
-    trial_map,
-    trial_norm,
-    trial_operators,
-    zero_phase_butterworth,
-)
-from rodlib.case import assumed_reference
+from ilctools import LearningFilter, trial_map, trial_norm, trial_operators, zero_phase_butterworth
 from rodlib.paper import published
 
 
@@ -51,15 +42,6 @@ def test_the_shortest_trial_has_a_norm():
     norm, before, after = trial_norm(P, Q, L, 1)
     assert norm == pytest.approx(np.linalg.norm(matrix, 2)) and norm > 0
     np.testing.assert_allclose(matrix @ before.ravel(), after.ravel(), atol=1e-14)
-
-
-def test_trials_move_by_the_trial_map(loop, Q):
-    """v_{k+1} - v_k obeys T as simulated by run_trials."""
-    L = LearningFilter(published.matrix("L_diagonal"), 1.0)
-    run = run_trials(loop, Law(Q, L), assumed_reference(300), None, 3)
-    first, second = np.diff(run.v.values, axis=0).reshape(2, -1)
-    T = trial_map(loop.P, Q, L, 300)
-    np.testing.assert_allclose(T @ first, second, atol=1e-9)
 
 
 def test_the_end_of_the_trial_breaks_the_norm_of_lemma_1_and_a_rest_does_not(loop, Q, omega):

@@ -58,57 +58,81 @@ def good(loop, Q, omega):
     return synthesise(loop, Q, omega[::5], 1.0, **paper_choices(band=(1e-4, 0.01))).certificate
 
 
-def test_the_short_form_says_the_rate_for_which_plants_and_what_limits_it(good):
-    """By the zeros of the loop P lags, see notebook 7."""
-    assert good.failures == good.warnings == [] and "no diagonal filter" in good.details
-    assert 10 < good.problem.delay < 20
-    M = convergence(good.problem.models[0], good.problem.butterworth, good.filter)
-    near = M.omega[M.sigma > 0.99 * good.all_M].min()  # on another grid
-    expected = (
-        f"rate at most {good.all_M:.4f}, proven at all frequencies; "
-        f"largest near {near:.1g}[0-9]? rad/s\n"
-        f"limited by M_max = 0.9, L_max = 50 .10 % more would lower the objective by "
-        f"{good.relief / 10:.1%} at most., order = 10 .P lags by {good.problem.delay} samples "
-        "at the cut-off., diagonal"
-    )
-    assert re.match(expected, str(good))
-    assert f"over the band: {good.mean_M:.4f}, from " in good.details
-    looser = replace(good.problem, M_max=0.999, L_max=1e4)
-    free = replace(good, problem=looser, passed_L=0.01)
-    assert re.search(r"\nlimited by order = 10 \(.*\), diagonal\n", f"{free}\n")
+def rounded(text):
+    """A print with two digits of each number: what they are is judged below."""
+    return re.sub(r"\d+\.\d+(e-\d+)?", lambda number: f"{float(number[0]):.2g}", text)
 
 
-def test_the_short_form_of_several_plants_and_of_a_radius():
-    """Above the last sample, M is larger than on the grid, by what is assumed."""
+OF_THE_PAPER = """\
+rate at most 0.9, proven at all frequencies; largest near 0.041 rad/s
+limited by M_max = 0.9, L_max = 50 (10 % more would lower the objective by 5.2% at most), \
+order = 10 (P lags by 17 samples at the cut-off), diagonal
+margins: gain 0 to 1.3 times, delay 39 samples less to 3 more, 1.6 times faster to 1.4 times \
+slower, any error of 0.34 sigma_max(P) at the cut-off
+mean of sigma_max(M) over the band: 0.13, from 0.0001 to 0.01 rad/s"""
+OF_TABLES = """\
+                        sigma_max(M)  sigma_max(L)
+bound                           0.99             5
+on the design grid        0.32      5
+  of the nominal plant    0.28
+over all frequencies      not proven      5
+worst for each of 3 plants on the design grid: plant 1 at 0.01 rad/s
+sigma_max(M) from 0.01 to 2 rad/s, on a dense grid: 0.32, estimated
+sigma_max(M) above 2 rad/s, with the size of P assumed there: 0.0002 at most
+sigma_max(M) unknown: below 0.01 rad/s, at resonances that no sample shows
+objective 0.64, no full filter of order 4 below 0.64
+mean of sigma_max(M) of the nominal plant over the band: 0.029, from 0.01 to 0.1 rad/s
+assumed: above 2 rad/s, where P is not known, sigma_max(P) is 0.17 at most, at any phase
+assumed: between omega, samples are joined by cubic splines, over log omega"""
+OF_A_RADIUS = """\
+                        sigma_max(M)  sigma_max(L)
+bound                            0.9            20
+on the design grid        0.66      20
+  of the nominal plant    0.45
+over all frequencies      not proven       20
+worst for every plant within the radius of 2 plants on the design grid: plant 1 at 0.001 rad/s
+sigma_max(M) of the models alone over all frequencies, proven: 0.66
+sigma_max(M) within the radius from 0.001 to 3.1 rad/s, on a dense grid: 0.66, estimated
+sigma_max(M) within the radius unknown: below 0.001 rad/s
+objective 14, no diagonal filter of order 10 below 14
+mean of sigma_max(M) of the nominal plant over the band: 0.39, from 0.001 to 0.3 rad/s
+chosen: band = (0.001, 0.3) rad/s, to Q's cut-off
+chosen: L_max = 20, 4 times a gain that inverts P up to Q's cut-off
+assumed: between omega, the radius is interpolated by straight lines, over log omega"""
+
+
+def test_a_certificate_in_print(good):
+    """Of one plant, of tables that end early, and of models within a radius."""
+    assert good.failures == good.warnings == [] and rounded(f"{good}") == OF_THE_PAPER
     omega = np.geomspace(1e-2, 2.0, 50)
     P = np.stack([frequency_response(model, omega) for model in MODELS])
-    of_P = {"Ts": 1.0, "order": 4, "L_max": 5.0, "band": (1e-2, 0.1)}
-    loose = synthesise(P, BUTTERWORTH, omega, structure="full", M_max=0.99, **of_P)
-    high, rate = BUTTERWORTH.frequency_response([2.0])[0], loose.certificate.rate
-    assert high < rate == loose.check(P, omega).gamma
-    expected = (
-        f"rate at most {rate:.4f} for each of 3 plants, at all frequencies from 0.01 to 2 "
-        r"rad/s; largest near 0.01 rad/s\nlimited by (L_max = 5 .*, )?order = 4[^\n]*\n"
-        r"margins: [^\n]*\nassumed: above 2 rad/s, [^\n]*; between"
-    )
-    assert re.match(expected, str(loose))
+    asked = {"order": 4, "L_max": 5.0, "band": (1e-2, 0.1), "structure": "full", "M_max": 0.99}
+    tables = synthesise(P, BUTTERWORTH, omega, 1.0, **asked)
+    assert rounded(tables.certificate.details) == OF_TABLES
     asked = {"order": 10, "structure": "diagonal", "uncertainty": 0.01 + 0 * OMEGA}
-    sure = synthesise(MODELS[0], BUTTERWORTH, OMEGA, **asked)
-    expected = (
-        f"rate at most {sure.certificate.rate:.4f} for every plant within the radius, at all "
-        "frequencies from 0.001 to 3.142 rad/s; largest near "
-    )
-    assert str(sure).startswith(expected) and "without" not in str(sure)
-    assert "between omega, the radius is interpolated by straight lines, over log" in str(sure)
-    several = synthesise(MODELS[:2], BUTTERWORTH, OMEGA, **asked)
-    assert " for every plant within the radius of 2 plants, at all" in str(several)
+    within = synthesise(MODELS[:2], BUTTERWORTH, OMEGA, **asked)
+    assert rounded(within.certificate.details) == OF_A_RADIUS
+    for design, whom in (
+        (tables, "each of 3 plants"),
+        (within, "every plant within the radius of"),
+    ):
+        rate = f"rate at most {design.certificate.rate:.4f} for {whom}"
+        assert f"{design}".startswith(rate) and "chosen: " not in f"{design}"
+    high, rate = BUTTERWORTH.frequency_response([2.0])[0], tables.certificate.rate
+    assert high < rate == tables.check(P, omega).gamma
+
+
+def test_what_does_not_limit_is_not_named(good):
+    looser = replace(good.problem, M_max=0.999, L_max=1e4)
+    free = replace(good, problem=looser, passed_L=0.01)
+    assert "\nlimited by order = 10 (P lags" in f"{free}"
+    assert 10 < good.problem.delay < 20  # by the zeros of the loop, see notebook 7
 
 
 def test_a_design_says_its_rate_filter_and_period_and_convergence_needs_no_grid():
     """That of the synthesis by default; the door's gamma there is the certificate's on it."""
     design = synthesise(MODELS[0], BUTTERWORTH, M_max=0.9, order=10)
     assert (design.Q, design.Ts, design.rate) == (BUTTERWORTH, 1.0, design.certificate.rate)
-    assert "chosen: " in design.certificate.details and "chosen: " not in str(design)
     found = convergence(MODELS[0], BUTTERWORTH, design.filter)
     np.testing.assert_array_equal(found.omega, design.omega)
     assert found.gamma == pytest.approx(design.certificate.grid_M, rel=1e-9)
@@ -126,12 +150,9 @@ def test_a_bound_that_holds_on_the_grid_only_warns(good):
     dense = np.linspace(0, np.pi / 2, 20001)
     gamma = convergence(loop, Q, design.filter, dense).gamma
     assert design.certificate.all_M == pytest.approx(gamma, rel=1e-5)
-    text = str(record[0].message)
-    assert f"reaches {gamma:.4g} at" in text and "M_max = 0.9 bounds it" in text
-    assert text.endswith("everywhere=True, or an L_max")
-    within, above = ([replace(good.peak, sigma=sigma)] for sigma in (0.9249, 0.9251))
-    assert replace(good, exact=within).warnings == []
-    assert replace(good, exact=above).warnings[0].endswith("or a smaller L_max")
+    assert f"reaches {gamma:.4g} at" in str(record[0].message)
+    for sigma, count in ((0.92, 0), (0.93, 1)):  # a quarter of the room above M_max
+        assert len(replace(good, exact=[replace(good.peak, sigma=sigma)]).warnings) == count
 
 
 def test_a_certificate_fails_from_the_tolerance_on(good):
@@ -255,7 +276,6 @@ def test_models_have_a_proof_each_and_the_worst_is_named():
     assert certificate.peak.plant == worst > 0
     assert certificate.proven and certificate.failures == certificate.warnings == []
     assert certificate.grid_M == pytest.approx(0.6, rel=1e-9)
-    assert f"worst for each of 3 plants on the design grid: plant {worst} at " in text
     assert f"  of the nominal plant    {design.sigma_M.max():.8f}\n" in text
     problem = replace(certificate.problem, M_max=0.1)
     peak = replace(certificate.peak, sigma=1.1)
@@ -278,11 +298,9 @@ def test_between_the_samples_the_radius_is_interpolated(model):
     )  # fmt: skip
     worst = worst_case(wide, design.filter).sigma.max()
     assert certificate.rate == pytest.approx(max(worst, certificate.grid_M), rel=1e-6)
-    assert certificate.all_M > design.sigma_M.max() and "not proven" in text
-    assert "within the radius from 0.001 to 3.142 rad/s, on a dense grid: 0." in text
-    assert ("of the models alone over all frequencies, proven: 0." in text) == model
+    assert certificate.all_M > design.sigma_M.max()
+    assert len(certificate.exact) == model
     assert ("at resonances that no sample shows" in text) != model
-    assert "worst for every plant within the radius on the design grid: at " in text
 
 
 def test_a_worst_case_above_one_between_the_lines_warns_and_everywhere_mends_it():
@@ -301,23 +319,6 @@ def test_a_worst_case_above_one_between_the_lines_warns_and_everywhere_mends_it(
     assert mended.certificate.rate <= 0.97 * (1 + 1e-7) and mended.certificate.warnings == []
 
 
-def test_all_sampled_plants_are_looked_at_in_between():
-    models = [lags(gain) for gain in (1.0, *np.linspace(0.9, 1.1, 30))]
-    design, certificate, _ = of_lags([response(model) for model in models])
-    worst, dense = models[certificate.peak.plant], np.geomspace(1e-3, np.pi, 5000)
-    gamma = convergence(worst, BUTTERWORTH, design.filter, dense).gamma
-    assert certificate.all_M == pytest.approx(gamma, rel=1e-5)
-    assert [peak.plant for peak in certificate.estimated] == list(range(31))
-
-
-def test_a_model_among_samples_keeps_its_proof():
-    design, certificate, text = of_lags([MODELS[0], response(MODELS[2]), MODELS[1]])
-    peaks = [peak_of_M(P, design.filter, BUTTERWORTH) for P in MODELS[:2]]
-    assert not certificate.proven and len(certificate.estimated) == 1
-    assert max(p.sigma for p in certificate.exact) == max(peaks)[0] <= certificate.all_M
-    assert "on a dense grid: 0." in text
-
-
 @pytest.mark.parametrize("radius", [None, np.full(50, 0.05)], ids=["plants", "radius"])
 @pytest.mark.parametrize("unit", [-1e-13, 1e-13])
 def test_those_that_are_tied_are_all_named_whatever_the_rounding(unit, radius):
@@ -334,8 +335,8 @@ def test_those_that_are_tied_are_all_named_whatever_the_rounding(unit, radius):
     assert {k for plant, k in tied if plant == 1} == {k for n, k in tied if n == 2}
     assert 1 in dict(tied) and tied == tuple(sorted(tied, key=lambda pair: pair[::-1]))
     where = ", ".join(f"plant {n} at {OMEGA[k]:.4g}" for n, k in tied[:4])
-    assert f" on the design grid: {where} rad/s" in text
-    assert (f"rad/s and {len(tied) - 4} more\n" in text) == (len(tied) > 4)
+    more = f" and {len(tied) - 4} more" if len(tied) > 4 else ""
+    assert f" on the design grid: {where} rad/s{more}\n" in text
 
 
 @pytest.mark.filterwarnings("ignore:the samples are too coarse")
@@ -410,7 +411,7 @@ def test_on_a_model_it_is_proven(design, gain, monotone):
     assert result.monotone == monotone == result.converges
     how = "converges monotonically" if monotone else "diverges"
     assert str(result).startswith(f"{how}: sigma_max(M) is {gamma:.4f} at most")
-    assert "at all frequencies" in str(result) and result.assumptions == ()
+    assert result.assumptions == ()
     assert as_array.gamma == pytest.approx(gamma, rel=1e-3) and not as_array.proven
     assert result.spectral_radius == pytest.approx(gamma, rel=1e-7)  # of one channel
     assert as_array.spectral_radius == pytest.approx(as_array.sigma.max(), rel=1e-12)
@@ -443,16 +444,6 @@ def test_a_loop_brings_its_P_and_tables_their_own_grid(loop, Q):
     assert "assumed: above 2 rad/s, where P is not known" in str(result)
     unsure = design.check(P, own, uncertainty=np.full(70, 1e-3))
     assert result.gamma < unsure.gamma and not unsure.proven
-
-
-def test_in_other_units_the_rate_is_the_same():
-    loop = current_trial_loop(tanks(), ["pump A", "pump B", "pump C"])
-    Q, omega = zero_phase_butterworth(2, 0.005, 2.0), np.geomspace(1e-4, np.pi, 250) / 2
-    asked = {"scale": [1.0, 10.0, 0.1], "L_max": 20.0, "band": (1e-4, 0.002)}
-    asked |= {"order": 10, "structure": "diagonal"}
-    design = synthesise(loop, Q, omega, **asked)
-    result = design.check([loop, loop.frequency_response(omega)])
-    assert result.gamma == pytest.approx(design.certificate.all_M, rel=1e-4)
 
 
 def test_above_a_table_the_assumed_size_counts(design):

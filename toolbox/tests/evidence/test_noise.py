@@ -176,19 +176,6 @@ def test_each_impulse_of_noise_run_through_the_trials(on_tanks, trials, ends, ch
     assert list(noise.output) == loop.outputs and noise.time[1] == loop.Ts
 
 
-def test_the_variance_of_the_sensors_gives_what_trials_have(on_stage):
-    """That of y as measured at rest, which the loop has coloured, does not."""
-    loop, law, omega = on_stage
-    noise = 0.5 * np.random.default_rng(0).standard_normal((250, 400, 1))
-    trials = run_trials(loop, law, 0 * noise[0], None, 250, noise=noise)
-    left = np.sqrt(np.mean(trials.e.values[10:] ** 2))
-    predicted = float(rms(noise_on_trial(loop, law, 400, 0.25).measured))
-    assert left == pytest.approx(predicted, rel=0.04)
-    at_rest = trial_noise(loop, omega, 0.25).measured.rms
-    other = float(rms(noise_on_trial(loop, law, 400, at_rest**2).measured))
-    assert abs(other / left - 1) > 0.1
-
-
 def test_cut_short_in_the_middle_it_is_that_of_the_whole_trial(on_stage, monkeypatch):
     loop, law, _ = on_stage
     samples = 900

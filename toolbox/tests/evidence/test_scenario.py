@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.optimize import brentq
-from scipy.stats import binom
 
 from ilctools import support, synthesise, violation_probability
 from ilctools.evidence.scenario import scenario_bound
@@ -28,13 +26,6 @@ def test_the_bound_solves_its_equation(samples, data, beta):
     nearby = Fraction(1, 10**12) * epsilon + Fraction(1, 2**52)
     assert difference(1 - epsilon - nearby) > 0 > difference(1 - epsilon + nearby)
     assert scenario_bound(N, N, beta) == 1
-
-
-@pytest.mark.parametrize(("samples", "k"), [(20, 1), (1000, 15), (1_000_000, 5)])
-def test_to_wait_and_judge_costs_little_against_knowing_the_support_before(samples, k):
-    """With at most k plants of support the violation has the tail of a binomial distribution."""
-    known = brentq(lambda epsilon: binom.cdf(k - 1, samples, epsilon) - 1e-6, 1e-9, 1 - 1e-9)
-    assert known < scenario_bound(samples, k) < min(1, 2.2 * known)
 
 
 def design(others, cuts):

@@ -4,7 +4,7 @@ import control
 import numpy as np
 import pandas as pd
 import pytest
-from plants import furnace
+from plants import bump, furnace
 
 from ilctools import current_trial_loop, synthesise, zero_phase_butterworth
 from ilctools.models import frequency_response
@@ -82,6 +82,13 @@ def test_units_do_not_matter_if_scale_says_what_is_equally_large(structure, as_m
     for name in ("value", "lower_bound", "all_M", "all_L"):
         a, b = (getattr(design.certificate, name) for design in designs)
         assert a == pytest.approx(b, rel=1e-6)
+    assert other.check([P, P]).gamma == pytest.approx(one.certificate.rate, rel=1e-5)
+    reference = bump(60, [1.0, 3.0])
+    weights = [
+        pose(plant, Q, OMEGA, 1.0, scale=scale, reference=scale * reference).weights
+        for plant, scale in ((COUPLED, np.ones(2)), (P, np.diag(unit)))
+    ]
+    np.testing.assert_allclose(*weights, rtol=1e-9)
     unscaled = synthesise(COUPLED, Q, OMEGA, 1.0, **kind)  # twice as large for both
     assert unscaled.value == pytest.approx(one.value, rel=1e-6)  # the gap that is proven
 

@@ -70,15 +70,3 @@ def test_samples_and_measured_responses_give_the_weights_of_their_model():
     for problem in problems[1:]:
         power = problem.first_error
         np.testing.assert_allclose(power, problems[0].first_error, rtol=1e-9, atol=atol)
-
-
-def test_units_do_not_matter_to_the_weights_if_scale_says_what_is_equally_large():
-    model, Q = axes(), zero_phase_butterworth(2, 5.0, 0.1)
-    omega, unit = np.geomspace(0.02, np.pi / 0.1, 50), np.array([1.0, 1024.0])
-    other = control.ss(
-        model.A, model.B / unit, unit[:, None] * model.C, 0, 0.1
-    )  # y in another unit, and w with it
-    reference = bump(400, [1.0, 3.0])
-    one = pose(model, Q, omega, reference=reference)
-    two = pose(other, Q, omega, reference=reference * unit, scale=unit)
-    np.testing.assert_allclose(two.weights, one.weights, rtol=1e-12)

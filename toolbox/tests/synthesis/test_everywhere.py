@@ -6,16 +6,8 @@ import control
 import numpy as np
 import pytest
 from paper import paper_choices
-from plants import furnace, tanks
 
-from ilctools import (
-    InfeasibleError,
-    LearningFilter,
-    current_trial_loop,
-    synthesise,
-    worst_case,
-    zero_phase_butterworth,
-)
+from ilctools import InfeasibleError, LearningFilter, synthesise, zero_phase_butterworth
 from ilctools.problem.pose import pose
 from ilctools.problem.problem import largest_singular_values
 from ilctools.synthesis import everywhere
@@ -74,50 +66,13 @@ def test_the_least_peak_is_that_of_every_grid(loop, Q):
         assert design.value == pytest.approx(0.82469474, abs=3e-8)
 
 
-def of_tanks():
-    loop = current_trial_loop(tanks(), ["pump A", "pump B", "pump C"])
-    return loop, 0.05, {"L_max": 5.0, "band": (1e-3, 0.02), "base": None}
-
-
-def of_furnace():
-    """A delay of 20 samples."""
-    choices = {"L_max": 1.05, "band": (1e-3, 0.02), "order": 25}
-    return current_trial_loop(furnace(20)), 0.05, choices
-
-
-@pytest.mark.filterwarnings("ignore:the filter leaves")
-@pytest.mark.parametrize(("plant", "as_samples"), [(of_tanks, True), (of_furnace, False)])
-def test_other_plants(plant, as_samples):
-    loop, cutoff, choices = plant()
-    Q = zero_phase_butterworth(2, cutoff, loop.Ts)
-    omega = np.geomspace(1e-4, np.pi, 80) / loop.Ts
-    P = loop.frequency_response(omega) if as_samples else loop
-    design = synthesise(P, Q, omega, everywhere=True, **choices)
-    M, L = judged(design, loop, Q, dense(design, loop.Ts))
-    certificate = design.certificate
-    assert choices["L_max"] * PROVEN >= L and certificate.failures == []
-    assert certificate.lower_bound <= design.value * (1 + 1e-12)
-    assert certificate.all_M <= 0.9 * PROVEN and certificate.proven is not as_samples
-    # a spline is the judge of samples, and the certificate says so
-    assert M <= 0.9 * PROVEN or as_samples
-    assert ("on a dense grid: " in design.certificate.details) is as_samples
-
-
 def test_the_bounds_of_several_models_hold_everywhere(loop, Q):
-    other = 1.08 * loop.P
-    grid = np.geomspace(1e-4, np.pi, 60)
-    design = synthesise([loop, other], Q, grid, everywhere=True, M_max=0.93, **PAPER)
-    for plant in (loop.P, other):
+    """Where the first plant alone keeps them, too."""
+    plants, grid = [loop.P, 1.08 * loop.P], np.geomspace(1e-4, np.pi, 60)
+    design = synthesise(plants, Q, grid, everywhere=True, M_max=0.93, **PAPER)
+    for plant in plants:
         M, L = judged(design, plant, Q, dense(design))
         assert M <= 0.93 * PROVEN and L <= 50 * PROVEN
-    radius = np.full(60, 0.005)
-    within = synthesise(loop, Q, grid, everywhere=True, uncertainty=radius, M_max=0.93, **PAPER)
-    assert within.certificate.failures == []
-    assert judged(within, loop, Q, dense(within))[0] <= 0.93 * PROVEN
-    at = dense(within)
-    at = at[at >= grid[0]]
-    wide = pose(loop, Q, at, order=1, L_max=None, uncertainty=0.005 + 0 * at)
-    assert worst_case(wide, within.filter).sigma.max() <= 0.93 * (1 + 1e-7)
 
 
 def test_what_only_the_grid_admits_is_infeasible_everywhere(loop, Q):

@@ -64,7 +64,6 @@ RESPONSE = LAG(np.exp(1j * LINES)).reshape(1, 1, -1)
         ("^Ts must be given", np.moveaxis(RESPONSE, -1, 0), {"omega": LINES}),
         ("^Ts must be given", measured_response(control.frd(RESPONSE, LINES)), {}),
         ("^omega must be given", np.moveaxis(RESPONSE, -1, 0), {"Ts": 1.0}),
-        ("^P = 'plant.mat' is a path.*read", "plant.mat", {}),
     ],
 )
 def test_what_a_cutoff_does_not_follow_from_is_said(words, plant, more):

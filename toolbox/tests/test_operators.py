@@ -1,0 +1,59 @@
+"""What every learning operator has in common, and Q with them; what each is: its own tests."""
+
+import pickle
+
+import control
+import numpy as np
+import pytest
+from plants import random_stable
+
+from ilctools import LearningFilter, NormOptimal, zero_phase_butterworth
+from ilctools.alternatives import TwoSidedFilter, gradient, pd_type
+from ilctools.base import RegularisedInverse
+
+RANDOM, SAMPLES, MIDDLE = np.random.default_rng(0), 400, 200
+P = random_stable(0)
+Ts = P.dt
+TWO_MODELS = control.ss(P.A, P.B, np.vstack([P.C, 2 * P.C]), np.vstack([P.D, 2 * P.D]), Ts)
+INVERSE = RegularisedInverse(P, 0.5, [1.0, 4.0])
+TAPS = RANDOM.standard_normal((2, 2, 5))
+LONG = RANDOM.standard_normal((2, 2, 120)) / 10
+OPERATORS = {
+    **{
+        f"Q, {ends}": zero_phase_butterworth(2, 1.0, Ts, ends)
+        for ends in ("zero", "hold", "hold-last")
+    },
+    "ahead": LearningFilter(TAPS, Ts),
+    "both ways": LearningFilter(TAPS, Ts, "hold", first=-3),
+    "back": LearningFilter(TAPS, Ts, "hold-last", first=-9),
+    "long": LearningFilter(LONG, Ts, "hold", first=-60),
+    "B K": LearningFilter(TAPS, Ts, "hold-last", -2, INVERSE),
+    "finite B K": LearningFilter(TAPS, Ts, base=LearningFilter(LONG, Ts, first=-60)),
+    "inverse": INVERSE,
+    "inverse of two models": RegularisedInverse(TWO_MODELS, 0.5, [1.0, 4.0]),
+    "norm-optimal": NormOptimal(P, 0.25, SAMPLES),
+    "gradient": gradient(P, 0.3),
+    "two-sided": TwoSidedFilter(LearningFilter(TAPS, Ts, first=-2).frequency_response, 2, Ts),
+    "PD": pd_type(0.5, 2.0, 3, 2, Ts),
+}
+
+
+@pytest.mark.parametrize("name", OPERATORS)
+def test_it_is_linear_has_its_transpose_and_its_response_and_travels(name):
+    L, (x, y) = OPERATORS[name], np.random.default_rng(1).standard_normal((2, 3, SAMPLES, 2))
+    # before it acts: of what NormOptimal has factored by then there is no copy
+    sent = L if isinstance(L, TwoSidedFilter) else pickle.loads(pickle.dumps(L))
+    applied = L.apply(x)
+    np.testing.assert_array_equal(sent.apply(x), applied)
+    size = {"rtol": 0, "atol": 1e-10 * np.abs(applied).max()}
+    one_by_one = [2 * L.apply(signal) for signal in y]
+    np.testing.assert_allclose(L.apply(x + 2 * y), applied + one_by_one, **size)
+    if hasattr(L, "apply_transposed"):
+        product = np.sum(L.apply_transposed(y) * x)
+        assert np.sum(y * applied) == pytest.approx(product, abs=1e-8 * np.abs(applied).sum())
+    pulses, omega = np.zeros((2, SAMPLES, 2)), np.linspace(0, np.pi / Ts, 9)
+    pulses[range(2), MIDDLE, range(2)] = 1
+    turns = np.exp(-1j * np.outer(omega * Ts, np.arange(SAMPLES) - MIDDLE))
+    seen, response = np.einsum("nt,jti->nij", turns, L.apply(pulses)), L.frequency_response(omega)
+    response = response if response.ndim == 3 else response[:, None, None] * np.eye(2)  # Q
+    np.testing.assert_allclose(seen, response, rtol=0, atol=1e-7 * np.abs(response).max())
