@@ -32,7 +32,7 @@ SETTINGS = {
         {"rest": 0, "frequencies": 40, "searched": 2, "evaluations": 6},
     ],
     "09": [FEW | {"spread": 0.3}, FEW | {"M_max": 0.85, "cutoff": 0.05}],
-    "10": [{"trials": 2, "hours": 3.0, "draws": 2}, {"amplitude": 2.0, "draws": 1}],
+    "10": [{"trials": 2, "hours": 3.0}, {"amplitude": 2.0}],
     "11": [{"rest": 0, "seed": 2}, {"trials": 3, "rest": 40}],
     "12": [{"M_max": 0.85, "noise": 0.1}, {"L_max": 5.0}],
     "13": [

@@ -183,9 +183,11 @@ def array(name: str, value, shape: Sequence[int | str], dtype: type = float) -> 
     A name stands for any size above zero, the same wherever it stands, and an Ellipsis in front
     for any number of axes. `dtype` is float or complex. True among numbers counts as 1.
     """
-    usual = type(value) is np.ndarray and value.dtype == dtype and value.shape == tuple(shape)
-    if usual and value.size and np.isfinite(value).all():
-        return value.copy()  # as in every sample of an experiment
+    if type(value) in (float, np.ndarray):  # as in every sample of an experiment: no detour
+        plain = np.array(value)
+        usual = plain.dtype == dtype and plain.shape == tuple(shape)
+        if usual and np.isfinite(plain).all():
+            return plain
     try:
         plain = np.asanyarray(value)
     except (TypeError, ValueError):
