@@ -179,8 +179,8 @@ DOORS = [
 ]
 # Tested with their own files, or not called by themselves.
 TESTED = """InfeasibleError MISMATCHED Rig Settings TemperatureControlLab alternatives errors
-    approximations expected_radius heat_balance open_workbench plot
-    paper_choices state_sequence try_out unreachable_modes"""
+    approximations heat_balance open_workbench plot paper_choices
+    state_sequence try_out unreachable_modes"""
 ELSEWHERE = {*TESTED.split()}
 
 

@@ -33,7 +33,7 @@ MODULES = {
     "logs.replay": "replay",
     "logs.table": "read_table",
     "measurement.excitation": "multisine",
-    "measurement.measurement": "expected_radius measured_response",
+    "measurement.measurement": "measured_response",
 }
 
 

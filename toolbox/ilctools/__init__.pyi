@@ -28,7 +28,6 @@ from ilctools.loop.closed import ClosedLoop as ClosedLoop
 from ilctools.loop.combinations import combinations as combinations
 from ilctools.loop.design import current_trial_loop as current_trial_loop
 from ilctools.measurement.excitation import multisine as multisine
-from ilctools.measurement.measurement import expected_radius as expected_radius
 from ilctools.measurement.measurement import measured_response as measured_response
 from ilctools.models import frequency_response as frequency_response
 from ilctools.models import minimal_realisation as minimal_realisation

@@ -9,16 +9,7 @@ import pytest
 from plants import furnace
 from scipy.stats import binom
 
-from ilctools import (
-    Law,
-    current_trial_loop,
-    expected_radius,
-    load_log,
-    measured_response,
-    multisine,
-    record,
-    shake,
-)
+from ilctools import current_trial_loop, load_log, measured_response, multisine, shake
 from ilctools.loop.notes import LogError, loop_note, loop_of
 from ilctools.measurement.excitation import excitation_of, with_excitation
 from ilctools.measurement.measurement import _estimate
@@ -174,18 +165,14 @@ def test_the_transient_of_a_slow_plant_is_separated(loop):
     assert np.all(error < 1.5 * measured.radius(0.95))
 
 
-def test_the_rig_is_measured_and_the_forecast_is_right(loop, Q, quick):
+def test_the_rig_is_measured(loop, quick):
     """Against the rod's own equation: neither rig nor truth knows the model of the design."""
-    parameters, law = RigParameters(lag=0.0), Law(Q, None)
-    quiet = record(RestartingRig(parameters=parameters), loop, law, np.zeros((900, 2)), None, 1)
+    parameters = RigParameters(lag=0.0)
     measured = measured_response(shake(RestartingRig(parameters=parameters), loop, quick))
     assert not measured.findings
     G = sampled_response(MISMATCHED, measured.omega, 1.0)[:, :, [0, 2]]
     error = off(measured.response, loop.frequency_response(measured.omega, G))
     assert np.all(error < measured.radius(0.999, jointly=True))
-    ratio = expected_radius(quick, quiet) / measured.radius()
-    assert np.all((ratio > 0.5) & (ratio < 2))
-    assert np.median(ratio) == pytest.approx(1, abs=0.25)
 
 
 class Failing(RestartingRig):

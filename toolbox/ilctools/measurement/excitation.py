@@ -130,7 +130,7 @@ def multisine(
     See Also
     --------
     shake : what applies it
-    expected_radius : how accurate the measurement will be
+    measured_response : P, from the record
 
     Examples
     --------

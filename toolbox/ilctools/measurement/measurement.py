@@ -19,14 +19,13 @@ from ilctools.logs.format import few
 from ilctools.loop.closed import CurrentTrialLoop, Loop
 from ilctools.loop.notes import LogError, loop_of
 from ilctools.measurement.estimation import EstimatedResponse, estimated_response
-from ilctools.measurement.excitation import Excitation, excitation_of
+from ilctools.measurement.excitation import excitation_of
 from ilctools.measurement.plausibility import findings_of
 from ilctools.measurement.record import check_moved
 from ilctools.measurement.region import radius_of
 from ilctools.measurement.tabulated import TabulatedResponse, tabulated
-from ilctools.measurement.transient import NEIGHBOURS, SPAN, nearest_lines, separated, windows_of
-from ilctools.problem.measured import Measured, interpolated, probability
-from ilctools.signals import check_match
+from ilctools.measurement.transient import separated, windows_of
+from ilctools.problem.measured import Measured, interpolated
 
 ROUNDED = 0.02  # of the amplitude: how far w may be from the excitation, as logs hold few digits
 
@@ -255,80 +254,6 @@ def _warned(measured):
     for finding in measured.findings:
         warnings.warn(finding, stacklevel=3)
     return measured
-
-
-def expected_radius(
-    excitation: Excitation, rest: xr.Dataset, confidence: float = 0.95, jointly: bool = False
-) -> np.ndarray:
-    """How accurate a measurement will be, from the noise of a rest.
-
-    Parameters
-    ----------
-    excitation : Excitation
-    rest : xarray.Dataset
-        From :func:`record` with the loop at rest: reference zero, no learning. At frequencies
-        below those that it is long enough for, the noise of the lowest that it shows is taken; that
-        is more than there is in a loop that integrates.
-    confidence, jointly
-        As in :meth:`MeasuredResponse.radius`.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        At the frequencies of the excitation.
-
-    See Also
-    --------
-    multisine : the excitation
-    measured_response : the measurement
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from ilctools import ClosedLoop, Law, expected_radius, multisine, record
-    >>> from ilctools import zero_phase_butterworth
-    >>> class Axis:  # simulated; yours talks to the drive
-    ...     x, noise = 0.0, np.random.default_rng(0)
-    ...     def read(self):
-    ...         return [self.x + self.noise.normal(0, 0.001)]
-    ...     def apply(self, w):
-    ...         self.x += 0.2 * (w[0] - self.x)
-    ...
-    >>> loop = ClosedLoop(Ts=0.01, outputs=["x"], units={"x": "mm"})
-    >>> law = Law(zero_phase_butterworth(2, 60.0, 0.01), None)
-    >>> rest = record(Axis(), loop, law, np.zeros((2000, 1)), trials=1)
-    >>> shaking = multisine(loop, lowest=1.0, highest=100.0, amplitude=1.0, hours=0.02)
-    >>> bool(np.all(expected_radius(shaking, rest) > 0))
-    True
-    """
-    arguments.instance("excitation", excitation, Excitation)
-    arguments.instance("rest", rest, xr.Dataset)
-    jointly = arguments.flag("jointly", jointly)
-    miss = _miss(probability(confidence), jointly, len(excitation.harmonics))
-    loop, m = loop_of(rest), excitation.channels
-    if loop is None:
-        raise LogError("rest names no loop in its metadata: it is not of record")
-    check_match(rest=loop, excitation=excitation)
-    y = arguments.array(
-        "rest.y", rest.y.transpose("trial", "time", "channel"), ("trial", "time", m)
-    )
-    samples = y.shape[1]
-    if samples < 4 * NEIGHBOURS:
-        raise ValueError(f"rest has {samples} samples, but must have {4 * NEIGHBOURS} or more")
-    Y = np.fft.rfft(y, axis=1)[:, 1:]
-    power = np.einsum("erj,erk->rjk", Y, Y.conj()) / (len(y) * samples)
-    windows = windows_of(excitation.harmonics, excitation, loop)
-    noise = []
-    for window, omega in zip(windows, excitation.omega, strict=True):
-        line = omega * excitation.Ts * samples / (2 * np.pi)
-        near = nearest_lines(line, np.arange(1, len(power) + 1)[: max(4, int(SPAN * line))])
-        scale = np.sqrt(window.variance * excitation.evaluated)
-        noise.append(scale[:, None] * power[near - 1].mean(0) * scale)
-    lines = np.array(excitation.harmonics)
-    W = np.fft.fft(excitation.signals[:, -excitation.period :], axis=1)[:, lines]
-    spread = np.linalg.inv(np.moveaxis(W, 0, 2) * excitation.periods)
-    freedom = np.array([m * window.freedom for window in windows])
-    return radius_of(np.array(noise), spread, freedom, miss)
 
 
 def _miss(confidence, jointly, count):
