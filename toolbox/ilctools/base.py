@@ -40,6 +40,7 @@ from ilctools import arguments
 from ilctools.alternatives import NormOptimal
 from ilctools.filters import LearningFilter
 from ilctools.models import frequency_response, minimal_realisation, sampled_plant
+from ilctools.singular_values import largest_singular_values
 
 NEGLIGIBLE = 1e-4  # change of sigma_max(M) for which B is truncated
 POINTS = 2**15  # of the transform that gives the impulse response of B
@@ -187,7 +188,7 @@ def base_of_samples(problem, b, reach, pooled=False) -> LearningFilter:
     normal = (adjoint @ P).mean(axis=0) + b**2 * one
     B = np.linalg.solve(normal, adjoint.mean(axis=0))  # (B)
     taps = np.roll(irfft(B, n, axis=0), n // 2, axis=0)  # lag p at n / 2 + p
-    size = np.abs(problem.Q_at(omega)) * np.linalg.norm(P, 2, axis=(2, 3)).max(axis=0)
+    size = np.abs(problem.Q_at(omega)) * np.max([*map(largest_singular_values, P)], axis=0)
     N, most = 1, reach or FARTHEST
     if problem.models[0] is None:  # lines that are so far apart show no longer response
         most = min(most, 2 * np.pi / (problem.omega[problem.omega > 0][0] * Ts))
@@ -196,12 +197,12 @@ def base_of_samples(problem, b, reach, pooled=False) -> LearningFilter:
         middle = np.zeros_like(taps)
         middle[n // 2 - N : n // 2 + N + 1] = taps[n // 2 - N : n // 2 + N + 1]
         lost = rfft(np.roll(taps - middle, n // 2, axis=0), axis=0)
-        if (size * np.linalg.norm(lost, 2, axis=(1, 2))).max() < NEGLIGIBLE:
+        if (size * largest_singular_values(lost)).max() < NEGLIGIBLE:
             break
         N = min(2 * N, most)
     kept = taps[n // 2 - N : n // 2 + N + 1][::-1]  # from q^-N on
     if pooled:  # what is cut off must not take B above 1 / (2 b), between the points by M. Riesz
-        peak = np.linalg.norm(rfft(kept, 4 * n, axis=0), 2, axis=(1, 2)).max()
+        peak = largest_singular_values(rfft(kept, 4 * n, axis=0)).max()
         kept = kept * min(1, np.cos(np.pi * N / (4 * n)) / (2 * b * peak))
     units = problem.scale[:, None] / problem.scale
     return LearningFilter(np.moveaxis(kept * units, 0, -1), Ts, first=-N)

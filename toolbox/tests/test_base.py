@@ -26,7 +26,8 @@ from ilctools import (
 )
 from ilctools.base import RegularisedInverse
 from ilctools.evidence.peak import peak_of_L, peak_of_M
-from ilctools.problem.problem import K_MAX, largest_singular_values
+from ilctools.problem.problem import K_MAX
+from ilctools.singular_values import largest_singular_values
 from ilctools.synthesis.statement import statement
 
 S = control.tf("s")

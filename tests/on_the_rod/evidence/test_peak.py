@@ -13,7 +13,8 @@ from ilctools import LearningFilter, zero_phase_butterworth
 from ilctools.evidence.peak import ceiling, of_model, peak_of_L, peak_of_M, phase, proven_peak
 from ilctools.models import frequency_response
 from ilctools.problem.between import axis_of, missed
-from ilctools.problem.problem import convergence_matrix, largest_singular_values
+from ilctools.problem.problem import convergence_matrix
+from ilctools.singular_values import largest_singular_values
 from rodlib.paper import published
 
 

@@ -26,16 +26,9 @@ from ilctools.evidence.robustness import WorstCase, worst_case
 from ilctools.filters import LearningFilter
 from ilctools.models import frequency_response
 from ilctools.problem.defaults import lead
-from ilctools.problem.problem import (
-    K_MAX,
-    MOST_GAIN,
-    TIED,
-    Problem,
-    Solution,
-    convergence_matrix,
-    largest_singular_values,
-)
+from ilctools.problem.problem import K_MAX, MOST_GAIN, Problem, Solution, convergence_matrix
 from ilctools.problem.roughness import scatter_warnings
+from ilctools.singular_values import TIED, largest_singular_values
 
 # Relative duality gap, and relative violation of a bound on the grid, that are accepted;
 GAP = 1e-6
@@ -414,12 +407,11 @@ class Certificate:
         gain = "" if problem.L_max else f" with a gain of Q P L up to {MOST_GAIN:.0e}"
         if problem.base is not None:
             gain = f" with this B, of a K whose gain is {K_MAX:g} at most,"
-        tightened = problem.L_max and problem.share_L.min() < 1
-        if tightened or np.isfinite(problem.limit_L).any():
-            gain += ", with L bounded by less at omega, for what is between or above them,"
+        lower = np.isfinite(problem.limit_L).any() or (problem.L_max and problem.share_L.min() < 1)
+        kept = ", of those whose L is kept lower at omega for what lies between and above"
         yield (
             f"objective {self.value:.7g}, no {problem.structure} filter of order {problem.order}"
-            f"{gain} below {self.lower_bound:.7g}"
+            f"{gain} below {self.lower_bound:.7g}{kept if lower else ''}"
         )
 
 

@@ -13,8 +13,9 @@ import numpy as np
 from ilctools import arguments
 from ilctools.filters import LearningOperator, check_learning
 from ilctools.law.limits import WEIGHT
-from ilctools.problem.problem import convergence_matrix, largest_singular_values, tied
+from ilctools.problem.problem import convergence_matrix
 from ilctools.problem.responses import Q_on_grid, frequencies, on_grid, plants
+from ilctools.singular_values import largest_singular_values, tied
 
 
 class Rate(NamedTuple):

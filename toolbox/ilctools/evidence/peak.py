@@ -1,9 +1,9 @@
 """Are the bounds met between the samples? The peak over all frequencies.
 
-From samples, and within a radius, it is that of a dense grid, with a zoom into its crests. For a
-model it has a proof. No grid is fine enough by itself; what can happen between two samples must be
-bounded, and the poles bound it. Let a_1 ... a_n be the eigenvalues of A, and the poles of the
-Butterworth filter H if there is Q = |H|^2, which is real; and let
+From samples, and within a radius, it is that of a dense grid and of the parabolas through its
+crests. For a model it has a proof. No grid is fine enough by itself; what can happen between two
+samples must be bounded, and the poles bound it. Let a_1 ... a_n be the eigenvalues of A, and the
+poles of the Butterworth filter H if there is Q = |H|^2, which is real; and let
 
     phi(theta) = sum_j integral from 0 to theta of (1 - |a_j|^2) / |exp(j t) - a_j|^2 dt,
 
@@ -51,21 +51,20 @@ from dataclasses import dataclass, replace
 import control
 import numpy as np
 from scipy.linalg import schur
-from scipy.optimize import elementwise
 
 from ilctools import arguments
 from ilctools.evidence.robustness import NEAR, within_radius
 from ilctools.filters import LearningFilter, ZeroPhaseButterworth
 from ilctools.models import balanced, by_substitution
 from ilctools.problem.between import between
-from ilctools.problem.problem import TIED, Problem, convergence_matrix, largest_singular_values
+from ilctools.problem.problem import Problem, convergence_matrix
+from ilctools.singular_values import TIED, largest_singular_values
 
 CLOSE = 1e-8  # relative, of a proven bound: the cost grows like its inverse square root
 MOST_POINTS = 2_000_000  # frequencies at which to give up
 CHUNK = 2**21  # numbers held at a time while frequency responses are computed
 DENSER = 10  # the grid between the samples, against theirs
 DENSE = 20  # samples for which a base counts in the grid beyond them
-MOST_CRESTS = 100  # the highest, into which is zoomed
 
 
 @dataclass(frozen=True)
@@ -238,23 +237,31 @@ def crests(problem, L, level):
             dense = dense_grid(problem, k, L)
             response = in_parts(L.frequency_response, dense, 4 * L.order)  # in long doubles
 
-        def fall(omega, response=None, k=k):
-            """- sigma_max(M)."""
-            if not len(omega):
-                return omega
-            response = L.frequency_response(omega) if response is None else response
+        def sigma_M(omega, response, k=k):
             P, Q, radius = between(problem, k, omega)
             rho_L = None if radius is None else (np.abs(Q) * radius)[:, None, None] * response
-            return -within_radius(convergence_matrix(P, Q, response), rho_L, level)
+            return within_radius(convergence_matrix(P, Q, response), rho_L, level)
 
-        sigma = -fall(dense, response)
-        inner, beside = sigma[1:-1], np.maximum(sigma[:-2], sigma[2:])
-        top = 1 + np.flatnonzero((inner >= NEAR * level) & (inner >= beside))
-        top = top[np.argsort(-sigma[top])][:MOST_CRESTS]
-        brackets = dense[top - 1], dense[top], dense[top + 1]
-        found, at = elementwise.find_minimum(fall, brackets), np.append(top, sigma.argmax())
-        yield k, np.append(dense[at], found.x), np.append(sigma[at], -found.f_x)
+        sigma = sigma_M(dense, response)
+        top = np.array(vertices(dense, sigma, NEAR * level))
+        more = sigma_M(top, L.frequency_response(top)) if len(top) else top
+        highest = sigma.argmax()
+        yield k, np.append(top, dense[highest]), np.append(more, sigma[highest])
         dense = dense if model is None else None
+
+
+def vertices(omega, sigma, limit) -> list[float]:
+    """Where the parabola through three samples, of which the middle one is highest, passes it."""
+    a, b, c = omega[:-2], omega[1:-1], omega[2:]
+    x, y, z = sigma[:-2], sigma[1:-1], sigma[2:]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        left, right = (y - x) / (b - a), (z - y) / (c - b)
+        curvature = (left - right) / (c - a)
+        slope = (left * (c - b) + right * (b - a)) / (c - a)
+        top = y + slope**2 / (4 * curvature)
+        place = b + slope / (2 * curvature)
+    crest = (y >= np.maximum(x, z)) & (curvature > 0) & (top > limit)
+    return place[crest].tolist()
 
 
 def dense_grid(problem, number, L, times=DENSER) -> np.ndarray:

@@ -12,8 +12,9 @@ from scipy.special import expit
 
 from ilctools import arguments
 from ilctools.filters import LearningFilter, check_learning
-from ilctools.problem.problem import Problem, largest_singular_values, tied
+from ilctools.problem.problem import Problem
 from ilctools.signals import check_match
+from ilctools.singular_values import largest_singular_values, tied
 
 NEAR = 0.99  # share of a level from which on a worst case is worth its exact value
 FARTHEST = 40.0  # logarithm of how unequal two shares may be: the smaller is then below rounding

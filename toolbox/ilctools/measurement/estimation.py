@@ -43,8 +43,8 @@ from ilctools.measurement.realisation import MOST, model_within
 from ilctools.measurement.record import Record
 from ilctools.measurement.regression import Regression, contrasts, records, regression
 from ilctools.problem.measured import CONFIDENCE, Measured
-from ilctools.problem.problem import largest_singular_values
 from ilctools.signals import check_match
+from ilctools.singular_values import largest_singular_values
 from ilctools.threads import on_one_thread
 
 LINES = 200  # frequencies at which the region is found

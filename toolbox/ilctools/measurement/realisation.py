@@ -16,7 +16,7 @@ import control
 import numpy as np
 from scipy.linalg import block_diag, svd
 
-from ilctools.problem.problem import largest_singular_values
+from ilctools.singular_values import largest_singular_values
 
 MOST = 60  # states beside the delays
 ROUNDING = 1e-12  # of singular values, relative to the largest

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from ilctools.models import frequency_response
+from ilctools.singular_values import largest_singular_values
 
 FEWEST = 4  # samples of which every other one can be left out
 
@@ -52,12 +53,12 @@ def missed(P, inverse, x) -> np.ndarray:
 
     At the ends that of the next one; of P itself with fewer than four samples.
     """
-    sizes = np.linalg.norm(P @ inverse, 2, axis=(1, 2))
+    sizes = largest_singular_values(P @ inverse)
     if len(x) < FEWEST:
         return sizes
     for first in (1, 2):  # between the two at the ends
         out = np.arange(first, len(x) - 1, 2)
         S = CubicSpline(np.delete(x, out), np.delete(P, out, axis=0))(x[out])
-        sizes[out] = np.linalg.norm((P[out] - S) @ inverse[out], 2, axis=(1, 2))
+        sizes[out] = largest_singular_values((P[out] - S) @ inverse[out])
     sizes[[0, -1]] = sizes[[1, -2]]
     return sizes

@@ -9,9 +9,10 @@ from ilctools import arguments
 from ilctools.base import base_of_models, base_of_samples
 from ilctools.filters import LearningFilter
 from ilctools.problem import defaults
-from ilctools.problem.problem import ROUNDING, Problem, largest_singular_values
+from ilctools.problem.problem import ROUNDING, Problem
 from ilctools.problem.reference import first_error
 from ilctools.problem.responses import on_one_grid
+from ilctools.singular_values import largest_singular_values
 
 UNEQUAL = 8  # ratio of the powers of two that balance P, from which on units seem to differ
 STATES = 100  # of the models in B: as many take a second, and B is a finite filter

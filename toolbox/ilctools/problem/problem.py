@@ -19,11 +19,11 @@ from ilctools.filters import LearningFilter, LearningOperator, ZeroPhaseButterwo
 from ilctools.problem import defaults
 from ilctools.problem.between import axis_of, missed
 from ilctools.signals import Signals
+from ilctools.singular_values import largest_singular_values
 
 K_MAX = 4.0  # of sigma_max(K): more would show at the ends of a trial, where K e is cut off
 MOST_GAIN = 1e7  # of Q P L: beyond it coefficients in doubles no longer determine M to about 1e-9
 ROUNDING = 1e-9  # of an angle: two that are nearer are the same frequency
-TIED = 1e-6  # relative distance at which the accuracy of a solver decides which is the largest
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -240,7 +240,7 @@ class Problem:
                 f"{self.beyond:.4g} at most, at any phase{of_Q}"
             )
         sampled = self.butterworth is None or None in self.models
-        splines = "cubic splines miss P as little as every other sample misses those between"
+        splines = "cubic splines miss P by no more than they miss samples that are left out"
         known = [splines] if sampled else []
         if self.radius is not None:
             known.append("the radius is interpolated by straight lines")
@@ -307,27 +307,3 @@ class Solution:
 def convergence_matrix(P, Q, L) -> np.ndarray:
     """M = P Q (P^-1 - L) = Q (I - P L) from responses P, L, (..., n, m, m), and Q, (n,)."""
     return Q[:, None, None] * (np.eye(P.shape[-1]) - P @ L)  # (36), (40)
-
-
-def tied(values):
-    """Which of several values are the largest, as far as rounding leaves it open."""
-    return values >= values.max(axis=0) * (1 - TIED)
-
-
-def largest_singular_values(G):
-    """Largest singular value of each matrix, shape (n, p, m) to (n,)."""
-    if min(G.shape[1:]) > 2:
-        return np.linalg.norm(G, 2, axis=(1, 2))
-    # Below three by three the Hermitian eigenvalue problem has a closed form, ten times faster.
-    G = G if G.shape[1] <= G.shape[2] else np.swapaxes(G, 1, 2)
-    # A power of two as unit: no square leaves the doubles, and nothing is rounded.
-    _, exponent = np.frexp(np.abs(G).max(axis=(1, 2)))
-    unit = np.ldexp(1.0, exponent.clip(-1000, 1000))
-    G = G * (1 / unit)[:, None, None]
-    power = (G.real**2 + G.imag**2).sum(axis=2)
-    total = power.sum(axis=1)
-    if G.shape[1] == 1:
-        return unit * np.sqrt(total)
-    coupling = np.abs((G[:, 0] * G[:, 1].conj()).sum(axis=1))
-    apart = np.hypot((power[:, 0] - power[:, 1]) / 2, coupling)
-    return unit * np.sqrt(total / 2 + apart)

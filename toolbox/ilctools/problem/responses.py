@@ -10,9 +10,10 @@ from ilctools.filters import ZeroPhaseButterworth
 from ilctools.loop.closed import Loop
 from ilctools.models import model_and_response, refuse_foreign
 from ilctools.problem.measured import CONFIDENCE, Measured
-from ilctools.problem.problem import Problem, largest_singular_values
+from ilctools.problem.problem import Problem
 from ilctools.problem.roughness import scatter
 from ilctools.signals import Signals, check_match
+from ilctools.singular_values import largest_singular_values
 
 FREQUENCIES = 1000  # of a grid that is chosen, as of the paper's
 # of sigma_max(P) / |Q|: by how much P and its radius may be off a straight line between two design

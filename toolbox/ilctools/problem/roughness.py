@@ -9,7 +9,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.stats import binom
 
-from ilctools.problem.problem import largest_singular_values
+from ilctools.singular_values import largest_singular_values
 
 FALSE_ALARM = 1e-3  # probability, at most, that samples without noise are said to scatter
 ROUNDED = 1e-3  # relative to P: what tables are rounded to is not counted

@@ -20,6 +20,7 @@ import numpy as np
 
 from ilctools.problem.defaults import STATIC, at_rest
 from ilctools.problem.problem import Problem
+from ilctools.singular_values import largest_singular_values
 
 ORDER = 2  # of the Butterworth filter, as in the paper
 REACHED = 0.1  # of sigma_0: of 0.03, 0.05 and 0.1 least noise; see figures/performance.md
@@ -43,8 +44,8 @@ def reached(problem: Problem) -> float:
     adjoint = P.conj().swapaxes(2, 3)
     normal = (adjoint @ P).mean(axis=0) + b**2 * one
     B = np.linalg.solve(normal, adjoint.mean(axis=0))
-    d = np.linalg.norm(one - P @ B, 2, axis=(2, 3)).max(axis=0)
-    d = d + np.linalg.norm(r * B, 2, axis=(1, 2))
+    d = np.max([*map(largest_singular_values, one - P @ B)], axis=0)
+    d = d + largest_singular_values(r * B)
     at = (d > M_max) & (omega > omega[start]) & (omega <= limits[-1] / INSIDE) & (omega * Ts < 3)
     x = (d[at] / M_max - 1) ** (1 / (2 * ORDER))
     limits += (2 / Ts * np.arctan(np.tan(omega[at] * Ts / 2) / x)).tolist()

@@ -7,7 +7,8 @@ optimal for a part of the bounds and meets all of them is optimal for all.
 
 import numpy as np
 
-from ilctools.problem.problem import Problem, Solution, largest_singular_values
+from ilctools.problem.problem import Problem, Solution
+from ilctools.singular_values import largest_singular_values
 from ilctools.synthesis.formulate import bound_on_M, formulate
 from ilctools.synthesis.solver.interior_point import minimise
 from ilctools.synthesis.solver.program import Infeasible

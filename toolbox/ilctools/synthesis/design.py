@@ -14,8 +14,9 @@ from ilctools.problem import defaults
 from ilctools.problem.defaults import CHOOSE
 from ilctools.problem.grid import with_L_bounded, without_gaps
 from ilctools.problem.pose import pose
-from ilctools.problem.problem import TIED, Problem, Solution, largest_singular_values, tied
+from ilctools.problem.problem import Problem, Solution
 from ilctools.problem.responses import lowest_and_period, on_one_grid
+from ilctools.singular_values import TIED, largest_singular_values, tied
 from ilctools.synthesis.cutoff import ORDER, reached
 from ilctools.synthesis.cuts import solve
 from ilctools.synthesis.everywhere import solve_everywhere
@@ -116,8 +117,8 @@ def synthesise(
     everywhere : bool
         Whether the bounds hold at every frequency, not on `omega` only, for all plants: of models
         without a radius by proof, to a relative 3e-8; else from the first to the last of `omega`,
-        on a dense grid with a zoom into its crests, to 1e-7, where cubic splines run through
-        samples and straight lines through the radius, both over omega or log omega, whichever
+        on a dense grid, to 1e-6, where cubic splines run through samples, within what they may
+        miss, and straight lines through the radius, both over omega or log omega, whichever
         predicts every other sample better. The sum is that over `omega`. It takes two to three
         times as long, for filters of 60 samples ten times and more, of two channels up to a minute;
         half the `order` takes a fraction of that.

@@ -8,9 +8,10 @@ filter that meets those is better than its lower bound says.
 import numpy as np
 from tqdm import tqdm
 
-from ilctools.evidence.peak import crests, peak_of_L, proven_peaks
+from ilctools.evidence.peak import crests, peak_of_L, proven_peaks, vertices
 from ilctools.problem.grid import refined
-from ilctools.problem.problem import Problem, Solution, largest_singular_values
+from ilctools.problem.problem import Problem, Solution
+from ilctools.singular_values import largest_singular_values
 from ilctools.synthesis.cuts import solve, worst_sigma
 
 ROUNDS, FURTHER = 50, 5000  # and further frequencies, at which to give up
@@ -83,8 +84,8 @@ def _crests_of(problem, solution, allowance):
     omega_L, order = problem.omega_L, np.argsort(problem.omega_L)
 
     def passing(share):
-        of_M = _crests(problem.omega, sigma_M, share * limit_M)
-        of_L = _crests(omega_L[order], sigma_L[order], share * limit_L)
+        of_M = vertices(problem.omega, sigma_M, share * limit_M)
+        of_L = vertices(omega_L[order], sigma_L[order], share * limit_L)
         return [*of_M, *of_L]
 
     # the next round could hold one and have another rise
@@ -100,20 +101,6 @@ def _peaks_of(problem, solution, allowance):
         passing += omega[sigma > limit_M].tolist()
     sigma_L, omega = peak_of_L(L)
     return [*passing, omega] if sigma_L > limit_L else passing
-
-
-def _crests(omega, sigma, limit):
-    """Where the parabola through three samples, of which the middle one is highest, passes it."""
-    a, b, c = omega[:-2], omega[1:-1], omega[2:]
-    x, y, z = sigma[:-2], sigma[1:-1], sigma[2:]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        left, right = (y - x) / (b - a), (z - y) / (c - b)
-        curvature = (left - right) / (c - a)
-        slope = (left * (c - b) + right * (b - a)) / (c - a)
-        top = y + slope**2 / (4 * curvature)
-        place = b + slope / (2 * curvature)
-    crest = (y >= np.maximum(x, z)) & (curvature > 0) & (top > limit)
-    return place[crest].tolist()
 
 
 def _new(known, omega):

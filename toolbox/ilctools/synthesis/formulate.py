@@ -15,7 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ilctools.filters import time_shifts
-from ilctools.problem.problem import Cuts, Problem, Solution, largest_singular_values
+from ilctools.problem.problem import Cuts, Problem, Solution
+from ilctools.singular_values import largest_singular_values
 from ilctools.synthesis.solver.bounds import Bound
 from ilctools.synthesis.solver.program import GENEROUS, Optimum, Program
 

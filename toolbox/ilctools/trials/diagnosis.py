@@ -31,7 +31,7 @@ from ilctools.law.io import RESET
 from ilctools.law.law import Law, Region
 from ilctools.loop.closed import Loop
 from ilctools.models import state_sequence
-from ilctools.problem.problem import largest_singular_values
+from ilctools.singular_values import largest_singular_values
 from ilctools.units import by_unit
 
 SIGNIFICANCE = 1e-4  # probability of a false warning by noise, in a test

@@ -80,10 +80,12 @@ worst for each of 3 plants on the design grid: plant 1 at 0.01 rad/s
 sigma_max(M) from 0.01 to 2 rad/s, on a dense grid: 0.32, estimated
 sigma_max(M) above 2 rad/s, with the size of P assumed there: 0.0002 at most
 sigma_max(M) unknown: below 0.01 rad/s, at resonances that no sample shows
-objective 0.64, no full filter of order 4 below 0.64
+objective 0.64, no full filter of order 4 below 0.64, of those whose L is kept lower at \
+omega for what lies between and above
 mean of sigma_max(M) of the nominal plant over the band: 0.029, from 0.01 to 0.1 rad/s
 assumed: above 2 rad/s, where P is not known, sigma_max(P) is 0.17 at most, at any phase
-assumed: between omega, samples are joined by cubic splines, over log omega"""
+assumed: between omega, cubic splines miss P by no more than they miss samples that are \
+left out, over log omega"""
 OF_A_RADIUS = """\
                         sigma_max(M)  sigma_max(L)
 bound                            0.9            20
@@ -94,7 +96,8 @@ worst for every plant within the radius of 2 plants on the design grid: plant 1 
 sigma_max(M) of the models alone over all frequencies, proven: 0.66
 sigma_max(M) within the radius from 0.001 to 3.1 rad/s, on a dense grid: 0.66, estimated
 sigma_max(M) within the radius unknown: below 0.001 rad/s
-objective 14, no diagonal filter of order 10 below 14
+objective 14, no diagonal filter of order 10 below 14, of those whose L is kept lower at \
+omega for what lies between and above
 mean of sigma_max(M) of the nominal plant over the band: 0.39, from 0.001 to 0.3 rad/s
 chosen: band = (0.001, 0.3) rad/s, to Q's cut-off
 chosen: L_max = 20, 4 times a gain that inverts P up to Q's cut-off

@@ -9,7 +9,7 @@ from plants import furnace
 from ilctools import measured_response, synthesise, zero_phase_butterworth
 from ilctools.measurement.record import Record
 from ilctools.models import frequency_response
-from ilctools.problem.problem import largest_singular_values
+from ilctools.singular_values import largest_singular_values
 
 
 def log_of(u, y, Ts=1.0, **others):

@@ -13,7 +13,7 @@ from ilctools import ClosedLoop, measured_response, multisine, shake
 from ilctools.measurement import estimation
 from ilctools.measurement.realisation import model_within
 from ilctools.models import frequency_response, impulse_response
-from ilctools.problem.problem import largest_singular_values
+from ilctools.singular_values import largest_singular_values
 
 SETTLES = pytest.mark.filterwarnings("ignore:.* may not settle")
 PLANTS = {  # a model, samples and for how many of them the input is held

@@ -14,7 +14,7 @@ from ilctools import InfeasibleError, LearningFilter, synthesise, zero_phase_but
 from ilctools.evidence.peak import peak_of_L
 from ilctools.problem.grid import _in_gaps, refined, without_gaps
 from ilctools.problem.pose import pose
-from ilctools.problem.problem import largest_singular_values
+from ilctools.singular_values import largest_singular_values
 
 DENSE = np.linspace(0, np.pi, 4001)
 WARNINGS = (

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ilctools.problem.pose import pose
-from ilctools.problem.problem import largest_singular_values
+from ilctools.singular_values import largest_singular_values
 
 
 @pytest.mark.parametrize("gain", [1e-300, 1e-170, 1.0, 1e170, 1e300])

@@ -9,7 +9,7 @@ from paper import paper_choices
 
 from ilctools import InfeasibleError, LearningFilter, synthesise, zero_phase_butterworth
 from ilctools.problem.pose import pose
-from ilctools.problem.problem import largest_singular_values
+from ilctools.singular_values import largest_singular_values
 from ilctools.synthesis import everywhere
 from ilctools.synthesis.result import SolverError
 

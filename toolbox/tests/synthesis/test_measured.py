@@ -10,7 +10,8 @@ from plants import tanks
 from ilctools import InfeasibleError, current_trial_loop, synthesise, zero_phase_butterworth
 from ilctools.problem.measured import Measured
 from ilctools.problem.pose import pose
-from ilctools.problem.problem import convergence_matrix, largest_singular_values
+from ilctools.problem.problem import convergence_matrix
+from ilctools.singular_values import largest_singular_values
 
 CONFIDENCE = 0.99
 

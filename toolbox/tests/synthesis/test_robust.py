@@ -8,7 +8,7 @@ from problems import optimum
 from ilctools import InfeasibleError, synthesise
 from ilctools.problem.grid import without_gaps
 from ilctools.problem.pose import pose
-from ilctools.problem.problem import largest_singular_values
+from ilctools.singular_values import largest_singular_values
 from ilctools.synthesis.cuts import solve
 from ilctools.synthesis.formulate import formulate
 from ilctools.synthesis.solver.interior_point import minimise

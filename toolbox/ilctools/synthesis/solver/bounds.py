@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ilctools.problem.problem import largest_singular_values
+from ilctools.singular_values import largest_singular_values
 
 INSIDE = 0.05  # share of b that a first share leaves to M, and to H, at least
 
