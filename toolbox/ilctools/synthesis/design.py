@@ -26,7 +26,7 @@ from ilctools.threads import on_one_thread
 
 EQUAL = 1e-3  # relative distance of multipliers that are the same for the solver
 SETTLED = 0.02  # of a disturbance: a trial of ten times that long has two ends of its own
-SHORTEST, LONGEST = 50, 2000  # samples of that trial; longer ones take seconds
+SHORTEST, LONGEST = 50, 1000  # samples of that trial; longer ones of several plants take seconds
 PEAKS, NEAR = 20, 0.9  # of sigma_max(L) between the frequencies; share of its bound worth a look
 HOPELESS = 1 - 1e-6  # from here on a smallest M_max is one, and raising it no remedy
 
