@@ -128,6 +128,9 @@ class NormOptimal:
         samples = arguments.whole("samples", self.samples, 1)
         vars(self).update(P=P, weight=weight, samples=samples)
 
+    def __reduce__(self):  # to another process: the factors have no copy
+        return NormOptimal, (self.P, self.weight, self.samples)
+
     @property
     def Ts(self) -> float:
         """Sampling period, s."""

@@ -41,9 +41,8 @@ OPERATORS = {
 @pytest.mark.parametrize("name", OPERATORS)
 def test_it_is_linear_has_its_transpose_and_its_response_and_travels(name):
     L, (x, y) = OPERATORS[name], np.random.default_rng(1).standard_normal((2, 3, SAMPLES, 2))
-    # before it acts: of what NormOptimal has factored by then there is no copy
-    sent = L if isinstance(L, TwoSidedFilter) else pickle.loads(pickle.dumps(L))
     applied = L.apply(x)
+    sent = L if isinstance(L, TwoSidedFilter) else pickle.loads(pickle.dumps(L))
     np.testing.assert_array_equal(sent.apply(x), applied)
     size = {"rtol": 0, "atol": 1e-10 * np.abs(applied).max()}
     one_by_one = [2 * L.apply(signal) for signal in y]

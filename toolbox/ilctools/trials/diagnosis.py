@@ -111,7 +111,7 @@ class History:
         """The error that each trial would have without v, by the model."""
         return self.e + self.effect
 
-    @property
+    @cached_property
     def at_ends(self) -> str:
         """What the ends of a trial do by the model, in words, if v need not converge there."""
         L, law = self.law.L, self.law
