@@ -26,7 +26,7 @@ SETTINGS = {
     "04": [{"trials": 5, "samples": 1000}, {"first_disturbed": 9, "M_max": 0.85}],
     "05": [{"unmeasured": []}, {"unmeasured": ["theta_a", "Q2"]}],
     "06": [{"samples": 1500, "rest": 30}, {"M_max": 0.85, "noise": 0.1, "rest": 0}],
-    "07": [{"L_max": 5.0, "Ts": 2.0}, {"M_max": 0.85, "frequencies": 150}],
+    "07": [{"L_max": 5.0, "Ts": 2.0}, {"M_max": 0.85, "frequencies": 300}],
     "08": [
         {"L_max": 20.0, "noise": 0.1, "evaluations": 6, "seeds": 1},
         {"rest": 0, "frequencies": 40, "searched": 2, "evaluations": 6},
