@@ -242,7 +242,7 @@ def test_a_period_that_is_too_short_and_what_has_no_meaning_are_refused():
         for run in (run_trials, partial(record, ModelRig(loop.plant))):
             with pytest.raises(ValueError, match=message):
                 run(loop, wrong, np.zeros((period, 2)), trials=2, reset=False)
-    with pytest.raises(ValueError, match="reset = False with pause = 3"):
+    with pytest.raises(ValueError, match="reset = False, but pause = 3"):
         record(ModelRig(loop.plant), loop, law, np.zeros((300, 2)), pause=3, reset=False)
 
 
