@@ -67,6 +67,10 @@ WRONG = {
     for name in names.split()
 }
 
+HEATERS = np.repeat([[50.0, 0.0], [0.0, 50.0]], 20, axis=0)
+BOARD = rodlib.heat_balance(0.006, 0.004, 0.006, 0.003, 16.0, Ts=1.0)
+READINGS = control.forced_response(BOARD, inputs=HEATERS.T).outputs.T
+
 # What belongs there, by the name of the argument; others are left out.
 RIGHT = {
     "rod": Rod(), "nominal": Rod(), "conductivity": 55.0, "density": 7800.0, "sections": 4,
@@ -74,8 +78,8 @@ RIGHT = {
     "intervals": 2, "element": skfem.ElementLineP1(), "elements": 1, "cells": 2, "modes": 5,
     "inputs": ["Q1"], "samples": 6, "trials": 2, "first": 1, "share": 0.1, "gains": np.ones(4),
     "deviations": np.zeros(10), "spread": SPREAD, "number": 1, "root": 1, "seed": 1, "lag": 4.0,
-    "specimens": [SPECIMEN], "heat_flows": np.zeros(4), "heaters": np.eye(40, 2),
-    "readings": np.eye(40, 2, -3), "P": P, "Q": Q, "L": L, "law": LAW, "loop": LOOP,
+    "specimens": [SPECIMEN], "heat_flows": np.zeros(4), "heaters": HEATERS,
+    "readings": READINGS, "P": P, "Q": Q, "L": L, "law": LAW, "loop": LOOP,
     "plant": PLANT, "system": PLANT, "controls": ["u"], "weights": [1.0], "order": 2,
     "cutoff": 0.1, "ends": "hold", "signal": SIGNAL, "v": SIGNAL, "reference": SIGNAL,
     "coefficients": L.coefficients, "rest": 1, "gain": 0.5, "slope": 0.0, "ahead": 1,
