@@ -51,8 +51,11 @@ def test_score_and_information_are_those_of_the_normal_distribution_of_y():
 
 @pytest.mark.parametrize("held", [1, 12])
 def test_two_levels_are_not_curved(held):
-    """Squares and cubes of two levels are lines, and so is the sign of the last move."""
-    for seed in range(10):
+    """Squares and cubes of two levels are lines, and so is the sign of the last move.
+
+    Three draws; a hundred of each kind are counted by ``make measure WHAT=regions``.
+    """
+    for seed in range(3):
         rng = np.random.default_rng(seed)
         u = np.repeat(rng.choice([-1.0, 1.0], 300 // held), held)[None]
         y = lfilter([0, 0.06], np.poly([0.6, 0.85]), u) + 0.03 * rng.standard_normal(u.shape)
@@ -60,7 +63,7 @@ def test_two_levels_are_not_curved(held):
 
 
 def test_a_dead_zone_and_backlash_are_said():
-    for seed in range(10):
+    for seed in range(3):
         rng = np.random.default_rng(seed)
         u, x = np.repeat(rng.standard_normal((1, 40)), 10, axis=1), 0.0
         behind = np.zeros((1, 400))
@@ -102,7 +105,7 @@ def test_a_loop_without_its_reference_is_said(given):
 @pytest.mark.parametrize("direct", [0, 1])
 @pytest.mark.parametrize("noise", [0.03, 1e-4])
 def test_an_open_loop_in_which_y_answers_at_once_is_not_a_closed_one(direct, noise):
-    for seed in range(10):
+    for seed in range(3):
         rng = np.random.default_rng(seed)
         u = np.repeat(rng.standard_normal(100), 3)[None]
         y = lfilter([0.3 * direct, 0.3 * (1 - direct)], [1, -0.7], u)
