@@ -396,16 +396,10 @@ def learning_trials(
 
 
 class Recorded:
-    """A rig whose trials, y and u of each, have been run: for `record` and `shake` to note.
+    """A rig that has been shaken: it reads the same y again, of which the controller makes u."""
 
-    It reads the same y again; the controller, which makes the same u of it, begins every trial
-    afresh if the rig `restarts`.
-    """
-
-    def __init__(self, trials: Iterable[Signals], inputs, limits=None, restarts=True):
-        self._y = chain.from_iterable(y for y, _ in trials)
-        self.inputs, self.limits = inputs, limits
-        self.begin = (lambda trial: None) if restarts else None
+    def __init__(self, readings: Iterable[np.ndarray], inputs):
+        self._y, self.inputs = chain.from_iterable(readings), inputs
 
     def read(self):
         """The next y."""

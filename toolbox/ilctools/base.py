@@ -184,9 +184,7 @@ def base_of_samples(problem, b, reach, pooled=False) -> LearningFilter:
     P = np.array([_anywhere(problem, k, omega) for k in numbers])
     if problem.structure == "diagonal":
         P = P * one
-    adjoint = P.conj().swapaxes(2, 3)
-    normal = (adjoint @ P).mean(axis=0) + b**2 * one
-    B = np.linalg.solve(normal, adjoint.mean(axis=0))  # (B)
+    B = quadratic_law(P, b)
     taps = np.roll(irfft(B, n, axis=0), n // 2, axis=0)  # lag p at n / 2 + p
     size = np.abs(problem.Q_at(omega)) * np.max([*map(largest_singular_values, P)], axis=0)
     N, most = 1, reach or FARTHEST
@@ -206,6 +204,13 @@ def base_of_samples(problem, b, reach, pooled=False) -> LearningFilter:
         kept = kept * min(1, np.cos(np.pi * N / (4 * n)) / (2 * b * peak))
     units = problem.scale[:, None] / problem.scale
     return LearningFilter(np.moveaxis(kept * units, 0, -1), Ts, first=-N)
+
+
+def quadratic_law(P, b) -> np.ndarray:
+    """B, (n, m, m), of plants by their responses, (p, n, m, m)."""
+    adjoint = P.conj().swapaxes(2, 3)
+    normal = (adjoint @ P).mean(axis=0) + b**2 * np.eye(P.shape[-1])
+    return np.linalg.solve(normal, adjoint.mean(axis=0))  # (B)
 
 
 def _anywhere(problem, number, omega):

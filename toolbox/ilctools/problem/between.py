@@ -28,6 +28,8 @@ def between(problem, plant: int, omega):
     at = np.clip(omega, design.omega[0], design.omega[-1])
     known, place = design.axis(design.omega), design.axis(at)
     Q = CubicSpline(known, design.Q)(place) if Q is None else Q.frequency_response(omega)
+    if model is not None and design.radius is None:
+        return frequency_response(model, omega), Q, None
     radius = 0 if design.radius is None else np.interp(place, known, design.radius)
     if model is not None:
         P = frequency_response(model, omega)
@@ -37,8 +39,7 @@ def between(problem, plant: int, omega):
         t = (place - known[after - 1]) / (known[after] - known[after - 1])
         missed = design.missed[plant]
         radius = radius + 4 * t * (1 - t) * np.maximum(missed[after - 1], missed[after])
-    without = model is not None and design.radius is None
-    return P, Q, None if without else np.where(at == omega, radius, 0)
+    return P, Q, np.where(at == omega, radius, 0)
 
 
 def axis_of(P, Q, omega):

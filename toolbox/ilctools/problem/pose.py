@@ -138,8 +138,8 @@ def _order(problem, order, base, chosen):
     order = arguments.whole("order", order, 1)
     if order > LONGEST:
         raise ValueError(
-            f"order = {order} is more than {LONGEST}, of which a design takes minutes: leave it "
-            "out, L = B then looks as far as P needs, or sample more slowly"
+            f"order = {order} is more than {LONGEST}, beyond which a design takes minutes: leave "
+            "it out, L = B then looks as far as P needs, or sample more slowly"
         )
     if order > n:
         raise ValueError(

@@ -18,6 +18,7 @@ for each frequency, and the least of them counts. There is nothing to search.
 
 import numpy as np
 
+from ilctools.base import quadratic_law
 from ilctools.problem.defaults import STATIC, at_rest
 from ilctools.problem.problem import Problem
 from ilctools.singular_values import largest_singular_values
@@ -41,9 +42,7 @@ def reached(problem: Problem) -> float:
 
     one, b = np.eye(problem.channels), rest / (2 * STATIC)
     P, r = problem.plants, 0 if problem.radius is None else problem.radius[:, None, None]
-    adjoint = P.conj().swapaxes(2, 3)
-    normal = (adjoint @ P).mean(axis=0) + b**2 * one
-    B = np.linalg.solve(normal, adjoint.mean(axis=0))
+    B = quadratic_law(P, b)
     d = np.max([*map(largest_singular_values, one - P @ B)], axis=0)
     d = d + largest_singular_values(r * B)
     at = (d > M_max) & (omega > omega[start]) & (omega <= limits[-1] / INSIDE) & (omega * Ts < 3)

@@ -83,7 +83,7 @@ def synthesise(
         Number of samples n_L that the learning filter looks ahead (44); or of K, see `base`.
         Default: the samples by
         which P lags beyond the least phase that its gain admits, and 4 / (cutoff Ts); at least 10,
-        and at most 60 or 20 beyond that lag.
+        and at most 60 or 20 beyond that lag. 300 at most: the time grows as its cube.
     M_max : float
         Bound on sigma_max(M), in (0, 1): the slowest convergence tolerated.
     L_max : float, None or "auto"
@@ -147,10 +147,11 @@ def synthesise(
     Warns
     -----
     UserWarning
-        For each of the certificate's `warnings`: samples too coarse for splines, or that scatter as
-        noise does (of samples without noise, one in 1000 sets), bounds passed between the
-        frequencies by a quarter of 1 - M_max, or M above one there within the radius, a filter that
-        leaves nearly all of the error, a Q that no filter can make up for where P is not known.
+        For each of the certificate's `warnings`: samples that scatter as noise does (of samples
+        without noise, one in 1000 sets), bounds passed between the frequencies by a quarter of
+        1 - M_max, or samples that admit a sigma_max(M) larger by a quarter of what is left to one
+        there, a filter that leaves nearly all of the error, a Q that no filter can make up for
+        where P is not known.
 
     Raises
     ------

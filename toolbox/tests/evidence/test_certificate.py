@@ -342,7 +342,6 @@ def test_those_that_are_tied_are_all_named_whatever_the_rounding(unit, radius):
     assert f" on the design grid: {where} rad/s{more}\n" in text
 
 
-@pytest.mark.filterwarnings("ignore:the samples are too coarse")
 @pytest.mark.parametrize("objective", ["sum", "peak"])
 @pytest.mark.parametrize("structure", ["diagonal", "full"])
 @pytest.mark.parametrize("radius", [None, 0.02])

@@ -114,6 +114,7 @@ REFUSED = [  # arguments, and how the message begins
     ({"Q": np.zeros(60), "objective": "peak"}, "Q has a gain of 0 at most"),
     ({"Q": zero_phase_butterworth(2, 0.1, 0.5)}, "P.Ts = 1.0, Q.Ts = 0.5"),
     ({"order": 61}, "order = 61"),
+    ({"order": 301}, "order = 301 is more than 300"),
     ({"M_max": 1.0}, "M_max = 1.0"),
     ({"band": (1e-4, 0.5)}, "band = .* within omega"),
     ({"band": (0.051, 0.052)}, "band = .* contains none"),

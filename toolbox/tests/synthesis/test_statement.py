@@ -20,7 +20,6 @@ def of_random_plants(m):
     return P, Q, omega, {"order": 3, "M_max": 0.97, "L_max": None, "band": (0.01, 0.3)}
 
 
-@pytest.mark.filterwarnings("ignore:the samples are too coarse")
 @pytest.mark.parametrize(
     ("case", "m", "structure", "objective"),
     half([of_a_lag, of_random_plants], [1, 2, 3], ["diagonal", "full"], ["sum", "peak"]),

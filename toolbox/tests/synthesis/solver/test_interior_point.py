@@ -19,7 +19,6 @@ from ilctools.synthesis.statement import statement
 
 
 @pytest.mark.filterwarnings("ignore:the filter leaves")
-@pytest.mark.filterwarnings("ignore:the samples are too coarse")
 @settings(max_examples=10)
 @given(
     st.integers(1, 3),
