@@ -17,7 +17,7 @@ from scipy.signal import freqz, lfilter
 
 from ilctools import InfeasibleError, measured_response, rate, synthesise, zero_phase_butterworth
 from ilctools.loop.notes import LogError
-from ilctools.trials.run import dataset
+from ilctools.signals import dataset
 
 RECORDS = 200  # of a kind
 NOISE = 0.03  # relative to the gain of a plant, where a kind does not say otherwise

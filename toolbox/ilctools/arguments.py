@@ -19,7 +19,12 @@ import numpy as np
 CIRCLE = 1 - 1e-12  # modulus from which on a pole counts as on the unit circle: rounding of poles
 PRINTABLE = r"[^\x00-\x1f\x7f-\x9f]+"  # a terminal obeys control characters
 LATE = 1e-3  # of Ts: by how much times may be rounded
-ROLES = ("output", "control", "source")  # coordinates that name the signals of a DataArray
+ROLES = {  # coordinates that name signals, and what a log calls them all
+    "output": "outputs",
+    "control": "controls",
+    "source": "disturbances",
+    "sensor": "measured",
+}
 
 
 def number(

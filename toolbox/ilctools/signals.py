@@ -1,11 +1,28 @@
-"""Do a loop, a law, a plant, a log or a rig fit together? Their periods, channels and units."""
+"""Signals of trials, and do a loop, a law, a plant, a log or a rig fit together?
 
+Their periods, channels and units are compared.
+"""
+
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isclose
 
 import numpy as np
+import xarray as xr
 
 from ilctools import arguments
+from ilctools.arguments import ROLES
+
+SIGNALS = {  # of trials, in their order in a log, and the role of their channels
+    "reference": "output",
+    "v": "output",
+    "u": "control",
+    "y": "output",
+    "applied": "control",
+    "delta": "control",
+    "disturbance": "source",
+    "measured": "sensor",
+}
 
 
 @dataclass(frozen=True)
@@ -26,7 +43,7 @@ class Signals:
     def of_log(cls, trials) -> "Signals":
         """Those of a log, or of what :func:`ilctools.run_trials` returns."""
         names, units = {}, {}
-        for role in arguments.ROLES:
+        for role in ROLES:
             if role in trials.coords:
                 names[role] = trials[role].values.tolist()
                 labels = trials[f"{role}_unit"].values.tolist()
@@ -51,6 +68,46 @@ def period_of(trials) -> float:
             f"trials.attrs['Ts'] is {Ts:.6g} s: correct the one that is wrong"
         )
     return Ts
+
+
+def dataset(
+    Ts: float,
+    outputs: Sequence[str],
+    controls: Sequence[str],
+    sources: Sequence[str],
+    units: Mapping[str, str],
+    sensors: Sequence[str] = (),
+    **signals,
+) -> xr.Dataset:
+    """Trials from their signals, shape (trial, time, channel), with coordinates and units."""
+    trials, samples, m = signals["y"].shape
+    if "reference" in signals:
+        signals["e"] = signals["reference"] - signals["y"]
+    coordinates = {
+        "trial": np.arange(1, trials + 1),
+        "time": ("time", Ts * np.arange(samples), {"units": "s"}),
+        "channel": np.arange(1, m + 1),
+    }
+    variables, role_of = {}, SIGNALS | {"e": "output"}
+    names_by_role = dict(zip(ROLES, (outputs, controls, sources, sensors), strict=True))
+    for role, names in names_by_role.items():
+        members = [name for name in role_of if role_of[name] == role and name in signals]
+        if not len(names) or not members:
+            continue
+        dimension = role if role in ("source", "sensor") else "channel"
+        labels = [units.get(name, "") for name in names]
+        coordinates[role] = (dimension, list(names))
+        coordinates[f"{role}_unit"] = (dimension, labels)
+        axes, units_of = ("trial", "time", dimension), {"units": _unit(names, labels)}
+        variables |= {name: (axes, signals[name], units_of) for name in members}
+    return xr.Dataset(variables, coordinates, {"Ts": float(Ts)})
+
+
+def _unit(names, labels):
+    """The unit of all channels, or "name: unit" for one after the other."""
+    if len(set(labels)) == 1:
+        return labels[0]
+    return ", ".join(f"{name}: {label}" for name, label in zip(names, labels, strict=True))
 
 
 def check_match(**parties) -> None:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from ilctools import load_log, read_table, save_log
 from ilctools.loop.notes import LogError
-from ilctools.trials.run import dataset
+from ilctools.signals import dataset
 from rodlib.paper import ROOT
 
 BOARD = ROOT / "data" / "tclab" / "board-1s.csv"

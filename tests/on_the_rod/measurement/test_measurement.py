@@ -16,7 +16,8 @@ from ilctools.measurement.measurement import _estimate
 from ilctools.measurement.region import radius_of
 from ilctools.measurement.transient import separated, windows_of
 from ilctools.rigs.protocol import RigError
-from ilctools.trials.run import dataset, state_sequence
+from ilctools.signals import dataset
+from ilctools.trials.run import state_sequence
 from rodlib import midr, paper_loop, sampled_response
 from rodlib.rigs import MISMATCHED, RestartingRig, RigParameters
 

@@ -13,28 +13,13 @@ import numpy as np
 import xarray as xr
 
 from ilctools import arguments
+from ilctools.arguments import ROLES
 from ilctools.files import keep_others, write_pieces
-from ilctools.signals import period_of
+from ilctools.signals import SIGNALS, period_of
 
 # the second if the L that is noted looks back or has a base
 FORMATS = ("rodlib trial log 2", "rodlib trial log 3")
 KEYS = ("format", "Ts", "signals")  # of the metadata that are not free
-ROLES = {  # of signals, in a dataset and in the metadata
-    "output": "outputs",
-    "control": "controls",
-    "source": "disturbances",
-    "sensor": "measured",
-}
-SIGNALS = {  # and the role of their channels
-    "reference": "output",
-    "v": "output",
-    "u": "control",
-    "y": "output",
-    "applied": "control",
-    "delta": "control",
-    "disturbance": "source",
-    "measured": "sensor",
-}
 OPTIONAL = (("reference", "v"), ("applied",), ("delta",))  # a log has all of a group
 PIECE = 50  # rows that are made to text at a time, for which a sample of a rig may have to wait
 

@@ -16,11 +16,12 @@ import pandas as pd
 import xarray as xr
 
 from ilctools import arguments
+from ilctools.arguments import ROLES
 from ilctools.files import read_json, regular
 from ilctools.logs import clock
-from ilctools.logs.format import FORMATS, KEYS, ROLES, check_signals, columns_of, few, units_of
+from ilctools.logs.format import FORMATS, KEYS, check_signals, columns_of, few, units_of
 from ilctools.loop.notes import LogError, reading, shortened
-from ilctools.trials.run import dataset
+from ilctools.signals import dataset
 from ilctools.units import seconds
 
 # what a terminal would obey, as it is or as JSON writes it

@@ -11,9 +11,9 @@ import pandas as pd
 import xarray as xr
 
 from ilctools import arguments
+from ilctools.arguments import ROLES
 from ilctools.logs import clock
-from ilctools.logs.format import ROLES, check_signals, few
-from ilctools.logs.format import SIGNALS as ROLE_OF
+from ilctools.logs.format import check_signals, few
 from ilctools.logs.reader import (
     MARKS,
     about,
@@ -25,6 +25,7 @@ from ilctools.logs.reader import (
     value_of,
 )
 from ilctools.loop.notes import LogError
+from ilctools.signals import SIGNALS as ROLE_OF
 from ilctools.units import SECONDS, seconds
 
 SIGNALS = {  # of a log, by argument

@@ -11,7 +11,6 @@ and noise n on what the sensors report,
 """
 
 import warnings
-from collections.abc import Sequence
 
 import numpy as np
 import xarray as xr
@@ -24,6 +23,7 @@ from ilctools.law.limits import CUT_OFF, commands_beyond
 from ilctools.law.repetitive import check_period, next_samples
 from ilctools.loop.closed import CurrentTrialLoop, Loop, with_noise
 from ilctools.models import state_sequence
+from ilctools.signals import dataset
 from ilctools.trials.diagnosis import commands, diagnose
 from ilctools.trials.start import Start
 
@@ -249,52 +249,6 @@ def _warnings(result, law, exact, from_rest):
         away = next(filter(None, map(rest.away, r[1:])), "")
         if away:
             yield away
-
-
-SIGNALS = {  # of what they are, their dimension, and which they are
-    "output": ("channel", ("reference", "v", "y", "e")),
-    "control": ("channel", ("u", "applied", "delta")),
-    "source": ("source", ("disturbance",)),
-    "sensor": ("sensor", ("measured",)),
-}
-
-
-def dataset(
-    Ts: float,
-    outputs: Sequence[str],
-    controls: Sequence[str],
-    sources: Sequence[str],
-    units: dict[str, str],
-    sensors: Sequence[str] = (),
-    **signals,
-) -> xr.Dataset:
-    """Put the signals that :func:`run_trials` returns together, with coordinates and units."""
-    if "reference" in signals:
-        signals["e"] = signals["reference"] - signals["y"]
-    trials, samples, m = signals["y"].shape
-    coordinates = {
-        "trial": np.arange(1, trials + 1),
-        "time": ("time", Ts * np.arange(samples), {"units": "s"}),
-        "channel": np.arange(1, m + 1),
-    }
-    variables, of_kinds = {}, (outputs, controls, sources, sensors)
-    for (kind, (dimension, members)), names in zip(SIGNALS.items(), of_kinds, strict=True):
-        members = [name for name in members if name in signals]
-        if not len(names) or not members:
-            continue
-        labels = [units.get(name, "") for name in names]
-        coordinates[kind] = (dimension, list(names))
-        coordinates[f"{kind}_unit"] = (dimension, labels)
-        axes, units_of = ("trial", "time", dimension), {"units": _unit(names, labels)}
-        variables |= {name: (axes, signals[name], units_of) for name in members}
-    return xr.Dataset(variables, coordinates, {"Ts": float(Ts)})
-
-
-def _unit(names, labels):
-    """The unit of all channels, or "name: unit" for one after the other."""
-    if len(set(labels)) == 1:
-        return labels[0]
-    return ", ".join(f"{name}: {label}" for name, label in zip(names, labels, strict=True))
 
 
 def rms(e: xr.DataArray | xr.Dataset) -> xr.DataArray:

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from ilctools import load_log, save_log
-from ilctools.trials.run import dataset
+from ilctools.signals import dataset
 
 ODD_NAMES = ["time", "delta", "reference_y1", "2nd, left", 'the "hot" end', "#1", " ", "ϑ"]
 NAMES = st.text(min_size=1, max_size=8).filter(str.isprintable) | st.sampled_from(ODD_NAMES)
