@@ -1,10 +1,8 @@
-"""The clock of a table: trials that are whole, equally long and in time; and resampling.
+"""The clock of a table: trials that are whole, equally long and in time.
 
 A table has the columns trial and time (s) and is indexed by the rows of the file. Clocks jitter, so
 each step is compared with Ts, and so is their mean.
 """
-
-from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
@@ -15,7 +13,6 @@ EXACT = 1e-3  # of Ts: jitter that is not worth a note
 JITTER = 0.1  # of Ts: by which a step of the clock may differ
 DRIFT = 0.01  # of Ts: by which the mean step may differ
 ROUNDING = 2e-3  # of the mean step: by which rounding may change it
-MISSING = 0.5  # of all samples: that may be filled in
 
 
 def steps_of(table: pd.DataFrame) -> pd.Series:
@@ -35,8 +32,8 @@ def mean_step(table: pd.DataFrame) -> float:
     return next((Ts for Ts in rounded if abs(Ts - mean) <= slack), mean)
 
 
-def check_trials(table: pd.DataFrame, Ts: float) -> None:
-    """A LogError, with its row, for trials that are not whole, alike and in time."""
+def check_trials(table: pd.DataFrame, Ts: float) -> dict[str, str]:
+    """A note on a clock that is not exact; a LogError for trials that are not whole and in time."""
     trial, steps = table["trial"], steps_of(table)
     starts = trial.diff() != 0
     _refuse(
@@ -51,8 +48,7 @@ def check_trials(table: pd.DataFrame, Ts: float) -> None:
         steps[(steps - Ts).abs() > JITTER * Ts],
         f"time: row {{row}} is {{value:.6g}} s after the row before, where Ts = {Ts:.6g} s "
         f"({{count}} of {len(steps)} steps differ): is Ts right, and the clock in s? Sort the "
-        "rows, remove copies, give each trial a number; if rows are lost or late, resample=True "
-        "interpolates",
+        "rows, remove copies, give each trial a number, interpolate what is lost or late",
     )
     lengths = trial.value_counts(sort=False)
     if lengths.nunique() > 1:
@@ -64,27 +60,9 @@ def check_trials(table: pd.DataFrame, Ts: float) -> None:
     slack = DRIFT + JITTER * starts.sum() / max(len(steps), 1)
     if abs(steps.mean() - Ts) > slack * Ts:
         raise LogError(
-            f"time: the mean step is {steps.mean():.6g} s, but Ts = {Ts:.6g} s: state that as Ts, "
-            "or resample=True interpolates"
+            f"time: the mean step is {steps.mean():.6g} s, but Ts = {Ts:.6g} s: state that as Ts"
         )
-
-
-def _refuse(wrong, message):
-    """Refuse values that are wrong, by the first of them and its row."""
-    if len(wrong):
-        row, value = wrong.index[0], wrong.iloc[0]
-        raise LogError(message.format(row=row, value=value, count=len(wrong)))
-
-
-def is_exact(steps: pd.Series, Ts: float) -> bool:
-    """Whether the clock is as exact as a computed one."""
-    return steps.empty or (steps - Ts).abs().max() <= EXACT * Ts
-
-
-def jitter(table: pd.DataFrame, Ts: float) -> dict[str, str]:
-    """A note on a clock that is not exact."""
-    steps = steps_of(table)
-    if is_exact(steps, Ts):
+    if steps.empty or (steps - Ts).abs().max() <= EXACT * Ts:
         return {}
     return {
         "clock": f"steps from {steps.min():.4g} to {steps.max():.4g} s, median "
@@ -92,33 +70,8 @@ def jitter(table: pd.DataFrame, Ts: float) -> dict[str, str]:
     }
 
 
-def resampled(
-    table: pd.DataFrame, Ts: float, between: Sequence[str]
-) -> tuple[pd.DataFrame, dict[str, str]]:
-    """Rows Ts apart from the first one of each trial, and a note on what was done.
-
-    The columns `between` are interpolated linearly. Others are held, as a command is: the value
-    in the middle of a sample counts. A table that cannot be resampled stays as it is.
-    """
-    steps = steps_of(table)
-    if is_exact(steps, Ts) or steps.min() <= 0:
-        return table, {}
-    trials = [trial for _, trial in table.groupby("trial", sort=False)]
-    counts = [int(np.ptp(trial["time"]) / Ts + JITTER) + 1 for trial in trials]
-    count = min(counts)  # one trial may be a sample longer than another
-    if max(counts) > count + 1 or MISSING * sum(counts) > len(table):
-        return table, {}
-    pieces = []
-    for trial in trials:
-        time = trial["time"].to_numpy()
-        grid = time[0] + Ts * np.arange(count)
-        piece = trial.iloc[np.searchsorted(time, grid + Ts / 2, "right") - 1].copy()
-        for title in between:
-            piece[title] = np.interp(grid, time, trial[title])
-        piece["time"] = grid
-        pieces.append(piece)
-    note = (
-        f"{len(table)} rows were resampled to {count * len(trials)} samples; the longest step is "
-        f"{steps.max():.4g} s where Ts = {Ts:.6g} s"
-    )
-    return pd.concat(pieces), {"resampled": note}
+def _refuse(wrong, message):
+    """Refuse values that are wrong, by the first of them and its row."""
+    if len(wrong):
+        row, value = wrong.index[0], wrong.iloc[0]
+        raise LogError(message.format(row=row, value=value, count=len(wrong)))

@@ -1,12 +1,8 @@
 """Reading text and logs: rows known by their line, trials with the clock that they need."""
 
 import csv
-import gzip
-import re
 import warnings
-import zlib
-from codecs import BOM_UTF16_BE, BOM_UTF16_LE
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
@@ -18,37 +14,28 @@ import xarray as xr
 from ilctools import arguments
 from ilctools.arguments import ROLES
 from ilctools.files import read_json, regular
-from ilctools.logs import clock
+from ilctools.logs.clock import check_trials
 from ilctools.logs.format import FORMATS, KEYS, check_signals, columns_of, few, units_of
 from ilctools.loop.notes import LogError, reading, shortened
 from ilctools.signals import dataset
 from ilctools.units import seconds
 
-# what a terminal would obey, as it is or as JSON writes it
-CONTROL = re.compile(r"[\x00-\x08\x0e-\x19\x1b-\x1f\x7f\x9b]|\\u00([01]|7f|[89])", re.I)
-LARGEST = 2**28  # bytes in a compressed file: a small one may hold any number
-GZIP = b"\x1f\x8b"  # with which compressed files begin
-MARKS = "#%/!"  # with which comments begin
-SENSED = ("y", "delta", "measured")  # valid at a moment; other signals are held
 
-
-def load_log(path, resample: bool = False) -> xr.Dataset:
+def load_log(path) -> xr.Dataset:
     """Load a trial log and check it.
 
     Parameters
     ----------
     path : path-like
         A file of :func:`save_log`; :func:`read_table` reads other tables.
-    resample : bool
-        As in :func:`read_table`, which says what a clock may show.
 
     Returns
     -------
     xarray.Dataset
         As :func:`ilctools.run_trials` gives it, in the units and with the numbers of the trials of
         the file; of ``reference``, ``v`` and ``e``, ``u``, ``delta``, ``disturbance`` and
-        ``measured`` what it has. The metadata are attributes; ``clock`` says how an inexact clock
-        ran, ``resampled`` what was interpolated.
+        ``measured`` what it has. The metadata are attributes; ``clock`` says how an inexact clock ran,
+        see :func:`read_table`.
 
     Raises
     ------
@@ -80,14 +67,15 @@ def load_log(path, resample: bool = False) -> xr.Dataset:
     >>> log.attrs["Ts"], log.y.dims
     (0.01, ('trial', 'time', 'channel'))
     """
-    return read_log(arguments.path("path", path), arguments.flag("resample", resample))
+    return read_log(arguments.path("path", path))
 
 
-def read_log(path: Path, resample: bool = False, ended: bool = False) -> xr.Dataset:
+def read_log(path: Path, ended: bool = False) -> xr.Dataset:
     """As :func:`load_log`; if `ended`, without a warning of a last line that is torn."""
     with about(path):
-        lines = lines_of(path)
-        metadata, header, first = _head(lines)
+        # a line that is whole has a line feed
+        *lines, torn = regular(path).read_text(encoding="utf-8-sig").split("\n")
+        metadata, header, above = _head(lines)
         if metadata.get("format") not in FORMATS:
             raise LogError(
                 f"metadata: format is {few(metadata.get('format'))}, but must be one of {FORMATS}: "
@@ -101,11 +89,8 @@ def read_log(path: Path, resample: bool = False, ended: bool = False) -> xr.Data
         with reading("signals"):
             signals = check_signals(read_json(metadata["signals"]))
         check_titles(header, signals)
-        torn = lines.pop().strip()  # as far as one sees: a line that is whole has a line feed
-        entries = rows_of(lines[first:], first, len(header))
-        table = numbers_of(entries.set_axis(header, axis=1))
+        table = _entries(lines, above, header).apply(numbers_in)
         table["time"] *= second
-        notes = {key: value for key, value in metadata.items() if key not in KEYS}
         number = table["trial"]
         counts = number.value_counts(sort=False)
         if counts.iloc[-1] < counts.iloc[0]:
@@ -113,9 +98,10 @@ def read_log(path: Path, resample: bool = False, ended: bool = False) -> xr.Data
                 f"{path}: the last trial is shorter than the first, and left out", stacklevel=3
             )
             table = table[number != number.iloc[-1]]
-        elif torn and not ended:
+        elif torn.strip() and not ended:
             warnings.warn(f"{path}: the last line has no line feed, and is left out", stacklevel=3)
-        return trials_of(table, signals, Ts, notes, resample)
+        notes = {key: value for key, value in metadata.items() if key not in KEYS}
+        return trials_of(table, signals, Ts, notes)
 
 
 @contextmanager
@@ -125,62 +111,40 @@ def about(path) -> Iterator[None]:
         yield
     except OSError as error:
         raise LogError(f"{path}: cannot be read: {error}") from None
-    except (ValueError, ArithmeticError, RecursionError, EOFError, csv.Error, zlib.error) as error:
+    except (ValueError, csv.Error, pd.errors.ParserWarning) as error:
         text = shortened(f"{path}: {error}")
         raise LogError("".join(c if c.isprintable() else "?" for c in text)) from None
 
 
-def lines_of(path: Path) -> list[str]:
-    """The lines of a text in UTF-8, UTF-16 or, as old spreadsheets write it, Latin-1; or of .gz.
-
-    What is compressed is unpacked up to LARGEST bytes.
-    """
-    content = regular(path).read_bytes()
-    if content.startswith(GZIP):
-        with gzip.open(path) as file:
-            content = file.read(LARGEST)
-            if file.read(1):
-                raise LogError(f"holds more than {LARGEST} bytes: decompress it, if you trust it")
-    try:
-        text = content.decode(
-            "utf-16" if content.startswith((BOM_UTF16_LE, BOM_UTF16_BE)) else "utf-8-sig"
-        )
-    except UnicodeDecodeError:
-        text = content.decode("latin-1")
-    if found := CONTROL.search(text):
-        raise LogError(
-            f"is not text, it has {found[0]!r}: save a spreadsheet as CSV; a .mat or .npz pass to "
-            "read_table as pandas.DataFrame({name: numpy.ravel(file[name]) for name in (...)}) "
-            "with file = scipy.io.loadmat(path) or numpy.load(path)"
-        )
-    return re.split(r"\r\n?|\n", text)
+def _head(lines):
+    """The metadata, the titles, and how many lines stand above the rows."""
+    metadata = {}
+    for count, line in enumerate(lines, 1):
+        key, mark, value = map(str.strip, line[1:].partition(":"))
+        if line.startswith("#") and mark and key:
+            if key in metadata:
+                raise LogError(f"metadata: {key!r} stands twice, again in line {count}")
+            if not (key + value).isprintable():
+                raise LogError(f"metadata: line {count} has characters that are not printable")
+            metadata[key] = value
+        elif line.strip() and not line.startswith("#"):
+            return metadata, next(csv.reader([line], skipinitialspace=True)), count
+    raise LogError("there is no line with the titles of columns")
 
 
-def split(lines: Iterable[str], delimiter: str = ",") -> csv.reader:
-    """The entries of each line; a row of blanks is one delimiter."""
-    if delimiter == " ":
-        lines = (" ".join(line.split()) for line in lines)
-    return csv.reader(lines, delimiter=delimiter, skipinitialspace=delimiter != " ")
-
-
-def rows_of(
-    lines: Sequence[str], above: int, width: int, delimiter: str = ",", gaps: bool = False
-) -> pd.DataFrame:
-    """The text of each entry, a row each, indexed by its line in the file.
-
-    Comments and empty lines are skipped; with `gaps`, so are rows of another width.
-    """
-    reader = split(("" if line.lstrip()[:1] in MARKS else line for line in lines), delimiter)
-    rows = {}
-    for row in reader:
-        line = above + reader.line_num
-        if len(row) == width:
-            rows[line] = row
-        elif any(map(str.strip, row)) and not gaps:
-            raise LogError(f"row {line} has {len(row)} entries, but must have {width}")
+def _entries(lines, above, header):
+    """The text of each entry below the titles, indexed by its line in the file."""
+    content = ("" if line.lstrip().startswith("#") else line.strip() for line in lines[above:])
+    reader, rows = csv.reader(content, skipinitialspace=True), {}
+    for row in filter(None, reader):
+        rows[above + reader.line_num] = row
+        if len(row) != len(header):
+            raise LogError(
+                f"row {above + reader.line_num} has {len(row)} entries, but must have {len(header)}"
+            )
     if not rows:
-        raise LogError(f"there are no rows of {width} entries")
-    return pd.DataFrame.from_dict(rows, "index", dtype=object)
+        raise LogError("there are no rows below the titles")
+    return pd.DataFrame.from_dict(rows, "index", dtype=object, columns=header)
 
 
 def value_of(entry) -> float:
@@ -192,29 +156,16 @@ def value_of(entry) -> float:
         return np.nan
 
 
-def numbers_of(
-    entries: pd.DataFrame, gaps: bool = False, titles: Mapping[str, str] | None = None
-) -> pd.DataFrame:
-    """The numbers in all columns; with `gaps`, only of the rows that have them all.
-
-    `titles` are those of the file, if they are others.
-    """
-    table = entries.map(value_of)
-    finite = np.isfinite(table)
-    for title in () if gaps else entries:
-        wrong = entries[title][~finite[title]]
-        if len(wrong):
-            raise LogError(
-                f"{(titles or {}).get(title, title)}: entry {str(wrong.iloc[0])[:40]!r} in row "
-                f"{wrong.index[0]} must be a finite number ({len(wrong)} such entries)"
-            )
-    whole, some = finite.all(axis=1), finite.any(axis=1)
-    if whole.sum() <= clock.MISSING * some.sum():
+def numbers_in(column: pd.Series) -> pd.Series:
+    """The numbers in a column; a LogError for the first entry that is none."""
+    numbers = column.map(value_of).astype(float)
+    wrong = column[~np.isfinite(numbers)]
+    if len(wrong):
         raise LogError(
-            f"{whole.sum()} of {some.sum()} rows have a number in each column: fill in what is "
-            "logged less often before, as pandas.DataFrame.ffill holds an input"
+            f"{column.name}: entry {str(wrong.iloc[0])[:40]!r} in row {wrong.index[0]} must be a "
+            f"finite number ({len(wrong)} such entries)"
         )
-    return table[whole]
+    return numbers
 
 
 def check_titles(header: Sequence[str], signals: Mapping) -> dict[str, list[str]]:
@@ -230,17 +181,10 @@ def check_titles(header: Sequence[str], signals: Mapping) -> dict[str, list[str]
     return columns
 
 
-def trials_of(
-    table: pd.DataFrame, signals: Mapping, Ts: float, notes: dict, resample: bool
-) -> xr.Dataset:
+def trials_of(table: pd.DataFrame, signals: Mapping, Ts: float, notes: dict) -> xr.Dataset:
     """Trials from a table with the columns of a log, and the time in s."""
     columns = check_titles([*table], signals)
-    if resample:
-        between = [title for signal in SENSED for title in columns.get(signal, ())]
-        table, note = clock.resampled(table, Ts, between)
-        notes |= note
-    clock.check_trials(table, Ts)
-    notes |= clock.jitter(table, Ts)
+    notes |= check_trials(table, Ts)
     trial = table["trial"].unique().astype(int)
     arrays = {
         signal: table[titles].to_numpy().reshape(len(trial), -1, len(titles))
@@ -249,19 +193,3 @@ def trials_of(
     *channels, sensors = ([*signals.get(role, ())] for role in ROLES.values())
     trials = dataset(Ts, *channels, units_of(signals), sensors, **arrays)
     return trials.assign_coords(trial=trial).assign_attrs(notes)
-
-
-def _head(lines):
-    """The metadata, the titles, and how many lines stand above the rows."""
-    metadata = {}
-    for count, line in enumerate(lines, 1):
-        key, mark, value = map(str.strip, line[1:].partition(":"))
-        if line.startswith("#") and mark and key:
-            if key in metadata:
-                raise LogError(f"metadata: {key!r} stands twice, again in line {count}")
-            if not (key + value).isprintable():
-                raise LogError(f"metadata: line {count} has characters that are not printable")
-            metadata[key] = value
-        elif line.strip() and not line.startswith("#"):
-            return metadata, next(split([line])), count
-    raise LogError("there is no line with the titles of columns")
