@@ -5,6 +5,7 @@ Which columns it has, :func:`columns_of` says to those who write it and to those
 
 import json
 import re
+import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain
 from reprlib import Repr
@@ -21,7 +22,6 @@ from ilctools.signals import SIGNALS, period_of
 FORMATS = ("rodlib trial log 2", "rodlib trial log 3")
 KEYS = ("format", "Ts", "signals")  # of the metadata that are not free
 OPTIONAL = (("reference", "v"), ("applied",), ("delta",))  # a log has all of a group
-PIECE = 50  # rows that are made to text at a time, for which a sample of a rig may have to wait
 
 _message = Repr()
 _message.maxlist, _message.maxstring = 18, 80
@@ -79,31 +79,30 @@ def write_log(trials: xr.Dataset, path) -> None:
         "signals": json.dumps(signals, ensure_ascii=False),
         **_free_metadata(trials.attrs),
     }
-    numbers, time = _trial_and_time(trials)
     columns = columns_of(signals, trials)
     if missing := columns.keys() - {*trials}:
         raise ValueError(f"trials lack {sorted(missing)}")
-    values = trials[[*columns]].transpose("trial", "time", ...).astype(float)
-    for signal, titles in columns.items():
-        finite = np.isfinite(values[signal].values).all((0, 1))
-        if not finite.all():
-            raise ValueError(f"values are not finite in {titles[finite.argmin()]!r} of trials")
+    numbers, times = _numbers_and_times(trials)
+    trials = trials.transpose("trial", "time", ...)
+    values = {
+        signal: arguments.array(f"trials.{signal}", trials[signal].values, (...,))
+        for signal in columns
+    }
     head = "".join(f"# {key}: {value}\n" for key, value in metadata.items())
     titles = ",".join(map(_quoted, ["trial", "time", *chain(*columns.values())]))
     each = (
-        rows_as_text(number, time, [values[name].values[k] for name in columns])
+        rows_as_text(number, times, [signal[k] for signal in values.values()])
         for k, number in enumerate(numbers)
     )
     write_pieces(path, chain([f"{head}{titles}\n".encode()], *each))
 
 
-def rows_as_text(number: int, time, signals: Sequence[np.ndarray]) -> Iterator[bytes]:
-    """The rows of a trial in a log, from its signals (time, channel), in pieces."""
-    table = np.column_stack([time, *signals])
-    for start in range(0, len(table), PIECE):
+def rows_as_text(number: int, times, signals: Sequence[np.ndarray]) -> Iterator[bytes]:
+    """The rows of a trial in a log, from its signals (time, channel)."""
+    for row in np.column_stack([times, *signals]).tolist():
+        time.sleep(0)  # lets another thread go on, in which a sample of a rig may be due
         # each number with the fewest digits that give it back exactly
-        rows = (",".join(map(repr, row)) for row in table[start : start + PIECE].tolist())
-        yield "".join(f"{number},{row}\n" for row in rows).encode()
+        yield f"{number},{','.join(map(repr, row))}\n".encode()
 
 
 def signals_of(trials: xr.Dataset, *needed: str) -> dict[str, dict[str, str]]:
@@ -119,35 +118,28 @@ def signals_of(trials: xr.Dataset, *needed: str) -> dict[str, dict[str, str]]:
     for role in roles:
         names = arguments.different(role, trials[role].values.tolist())
         signals[ROLES[role]] = dict(zip(names, trials[f"{role}_unit"].values.tolist(), strict=True))
-    return check_signals(signals)
+    check_signals(signals)
+    return signals
 
 
-def check_signals(signals: Mapping[str, Mapping[str, str]]) -> Mapping[str, Mapping[str, str]]:
-    """Names and units by role, if a log can have them."""
+def check_signals(signals: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
+    """The unit of each signal, by its name; a ValueError if a log cannot have such signals."""
+    units = {}
     for role, names in arguments.instance("signals", signals, dict).items():
         arguments.choice("a key of signals", role, [*ROLES.values()])
-        arguments.instance(role, names, dict)
-        if not all(name.isprintable() and name for name in names):
-            raise ValueError(f"{role} = {few([*names])} must be names, all printable")
+        for name, unit in arguments.instance(role, names, dict).items():
+            if not (name and name.isprintable() and isinstance(unit, str) and unit.isprintable()):
+                raise ValueError(
+                    f"unit of {few(name)} = {few(unit)} must be text, as its name, all printable"
+                )
+            if units.setdefault(name, unit) != unit:
+                raise ValueError(f"{name!r} has two units, {units[name]!r} and {unit!r}")
     outputs, controls = (signals.get(role, ()) for role in ("outputs", "controls"))
     if not outputs or ("controls" in signals and len(controls) != len(outputs)):
         raise ValueError(
             f"outputs are {few([*outputs])} and controls {few([*controls])}, but must be as many, "
             "one or more, or controls none: other inputs are disturbances, other outputs measured"
         )
-    units_of(signals)
-    return signals
-
-
-def units_of(signals: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
-    """The unit of each signal by its name; a ValueError if a name has two."""
-    units = {}
-    for role in signals.values():
-        for name, unit in role.items():
-            if not (isinstance(unit, str) and unit.isprintable()):
-                raise ValueError(f"unit of {name} = {few(unit)} must be text, all printable")
-            if units.setdefault(name, unit) != unit:
-                raise ValueError(f"{name!r} has two units, {units[name]!r} and {unit!r}")
     return units
 
 
@@ -187,12 +179,12 @@ def _free_metadata(attributes):
     return metadata
 
 
-def _trial_and_time(trials):
+def _numbers_and_times(trials):
     """The numbers of trials, and the times of samples."""
     numbers = [arguments.whole("trials.trial", k, 1, 2**31) for k in trials.trial.values]
-    time = trials.time.values.astype(float)
+    times = trials.time.values.astype(float)
     if len(set(numbers)) < len(numbers) or not trials.y.size:
         raise ValueError(f"trials.trial = {few(numbers)} must differ, and have samples")
-    if time[0] != 0:
-        raise ValueError(f"trials.time must be 0, Ts, 2 Ts, ..., but begins at {time[0]} s")
-    return numbers, time
+    if times[0] != 0:
+        raise ValueError(f"trials.time must be 0, Ts, 2 Ts, ..., but begins at {times[0]} s")
+    return numbers, times

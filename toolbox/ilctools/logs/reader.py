@@ -15,7 +15,7 @@ from ilctools import arguments
 from ilctools.arguments import ROLES
 from ilctools.files import read_json, regular
 from ilctools.logs.clock import check_trials
-from ilctools.logs.format import FORMATS, KEYS, check_signals, columns_of, few, units_of
+from ilctools.logs.format import FORMATS, KEYS, check_signals, columns_of, few
 from ilctools.loop.notes import LogError, reading, shortened
 from ilctools.signals import dataset
 from ilctools.units import seconds
@@ -34,8 +34,8 @@ def load_log(path) -> xr.Dataset:
     xarray.Dataset
         As :func:`ilctools.run_trials` gives it, in the units and with the numbers of the trials of
         the file; of ``reference``, ``v`` and ``e``, ``u``, ``delta``, ``disturbance`` and
-        ``measured`` what it has. The metadata are attributes; ``clock`` says how an inexact clock ran,
-        see :func:`read_table`.
+        ``measured`` what it has. The metadata are attributes; ``clock`` says how an inexact
+        clock ran, see :func:`read_table`.
 
     Raises
     ------
@@ -87,7 +87,8 @@ def read_log(path: Path, ended: bool = False) -> xr.Dataset:
             second = seconds(unit)
             Ts = arguments.sampling_period("Ts", value_of(value) * second)
         with reading("signals"):
-            signals = check_signals(read_json(metadata["signals"]))
+            signals = read_json(metadata["signals"])
+            check_signals(signals)
         check_titles(header, signals)
         table = _entries(lines, above, header).apply(numbers_in)
         table["time"] *= second
@@ -111,7 +112,7 @@ def about(path) -> Iterator[None]:
         yield
     except OSError as error:
         raise LogError(f"{path}: cannot be read: {error}") from None
-    except (ValueError, csv.Error, pd.errors.ParserWarning) as error:
+    except (ValueError, csv.Error) as error:
         text = shortened(f"{path}: {error}")
         raise LogError("".join(c if c.isprintable() else "?" for c in text)) from None
 
@@ -191,5 +192,5 @@ def trials_of(table: pd.DataFrame, signals: Mapping, Ts: float, notes: dict) -> 
         for signal, titles in columns.items()
     }
     *channels, sensors = ([*signals.get(role, ())] for role in ROLES.values())
-    trials = dataset(Ts, *channels, units_of(signals), sensors, **arrays)
+    trials = dataset(Ts, *channels, check_signals(signals), sensors, **arrays)
     return trials.assign_coords(trial=trial).assign_attrs(notes)

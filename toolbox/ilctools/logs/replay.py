@@ -6,7 +6,7 @@ out, with the reason.
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import control
@@ -16,7 +16,7 @@ import xarray as xr
 
 from ilctools import arguments
 from ilctools.files import keep_others, write_whole
-from ilctools.law.io import BEGUN, RESET, law_notes, law_of
+from ilctools.law.io import BEGUN, RESET, law_of
 from ilctools.law.law import Law
 from ilctools.law.repetitive import next_samples, repeated
 from ilctools.logs.format import signals_of
@@ -55,21 +55,9 @@ class Replay:
         return self.trials.trial.values.tolist()
 
     @property
-    def sources(self) -> list[str]:
-        """Names of the disturbances that were recorded."""
-        if "source" not in self.trials.coords:
-            return []
-        return self.trials.source.values.tolist()
-
-    @property
-    def successive(self) -> bool:
-        """Whether no trial between the first and the last one is missing."""
-        return bool(np.all(np.diff(self.numbers) == 1))
-
-    @property
     def complete(self) -> bool:
         """Whether all trials from 1 on are there."""
-        return self.successive and self.numbers[0] == 1
+        return self.numbers == [*range(1, len(self.numbers) + 1)]
 
     @property
     def resets(self) -> bool:
@@ -89,7 +77,7 @@ class Replay:
         if self.loop is None:
             return None
         names = self.loop.disturbances
-        if not self.sources:
+        if "disturbance" not in self.trials:
             return np.zeros((*self.trials.e.shape[:2], len(names)))
         return self.trials.disturbance.reindex(source=names, fill_value=0.0).values
 
@@ -98,15 +86,14 @@ class Replay:
         """The same experiment on the model: the law, the references and the disturbances."""
         if self.law is None or self.model is None or not self.complete:
             return None
-        disturbance = None  # P of a ClosedLoop has no input for it
-        if not isinstance(self.loop, ClosedLoop):
-            disturbance = self.disturbance * ~np.isin(self.loop.disturbances, self.unmeasured)
+        measured = ~np.isin(self.loop.disturbances, self.unmeasured)
+        has_inputs = not isinstance(self.loop, ClosedLoop)  # for disturbances
         with warnings.catch_warnings(action="ignore"):  # the log's own count
             return run_trials(
                 self.loop,
                 self.law,
                 self.trials.reference.values,
-                disturbance,
+                self.disturbance * measured if has_inputs else None,
                 trials=len(self.numbers),
                 v=self.trials.v.values[0] if BEGUN in self.trials.attrs else None,
                 reset=self.resets,
@@ -193,7 +180,7 @@ class Replay:
     @cached_property
     def warnings(self) -> tuple[str, ...]:
         """What speaks against the convergence of the trials."""
-        if self.law is None or not self.successive:
+        if self.law is None or np.any(np.diff(self.numbers) > 1):
             return ()
         return tuple(diagnose(self.trials, self.law).values())
 
@@ -243,7 +230,8 @@ class Replay:
         if not self.complete:
             reasons.append(f"simulation: of the trials from 1 on, there are {self.numbers}")
         simulated = {*self.loop.disturbances} - {*self.unmeasured}
-        if ignored := [name for name in self.sources if name not in simulated]:
+        sources = np.ravel(self.trials.coords.get("source", [])).tolist()
+        if ignored := [name for name in sources if name not in simulated]:
             reasons.append(f"disturbances {ignored}: the simulation ignores them")
         return reasons
 
@@ -285,21 +273,14 @@ class Replay:
 
 def rms_by_trial(e: xr.DataArray) -> pd.DataFrame:
     """RMS(e_k), :func:`ilctools.rms`, by trial; a column for each unit of the outputs."""
-    groups = channels_by_unit(e).items()
-    columns = {title: rms(e.isel(channel=channels)).values for title, channels in groups}
+    groups, columns = by_unit(e.output_unit.values.tolist()), {}
+    for unit, channels in groups.items():
+        names = f" of {', '.join(e.output.values[channels])}" if len(groups) > 1 else ""
+        columns[with_unit(f"RMS{names}", unit)] = rms(e.isel(channel=channels)).values
     return pd.DataFrame(columns, pd.Index(e.trial.values, name="trial"))
 
 
-def channels_by_unit(e: xr.DataArray) -> dict[str, list[int]]:
-    """Channels whose outputs have the same unit, by the title of their RMS."""
-    groups, titles = by_unit(e.output_unit.values.tolist()), {}
-    for unit, channels in groups.items():
-        names = f" of {', '.join(e.output.values[channels])}" if len(groups) > 1 else ""
-        titles[with_unit(f"RMS{names}", unit)] = channels
-    return titles
-
-
-def replay(trials: xr.Dataset, unmeasured: Sequence[str] = (), law: Law | None = None) -> Replay:
+def replay(trials: xr.Dataset, unmeasured: Sequence[str] = ()) -> Replay:
     """Replay a log with the law and the loop that its metadata name.
 
     Parameters
@@ -308,9 +289,6 @@ def replay(trials: xr.Dataset, unmeasured: Sequence[str] = (), law: Law | None =
         From :func:`ilctools.load_log` or :func:`ilctools.record`.
     unmeasured : sequence of str, optional
         Names of disturbances that the simulation ignores, as if they had not been measured.
-    law : Law, optional
-        The law of the log, from the design: with a measured P, which a log does not store, and by
-        which trials are judged if the loop has no model.
 
     Returns
     -------
@@ -353,16 +331,11 @@ def replay(trials: xr.Dataset, unmeasured: Sequence[str] = (), law: Law | None =
     if off > ROUNDING * np.abs(trials[["reference", "y"]]).to_array().max().item():
         raise ValueError(f"trials.e is not reference - y, but off by up to {off:.3g}: correct it")
     unmeasured = tuple(arguments.different("unmeasured", unmeasured))
-    known, loop = law_of(trials), loop_of(trials)
-    if law is not None:
-        arguments.instance("law", law, Law)
-        if known is None or any(law_notes(known)[key] != law_notes(law)[key] for key in "QL"):
-            raise ValueError("law has not the Q and L in the metadata of trials: leave it out")
-        known = replace(known, region=law.region)
-    controlled = isinstance(loop, ClosedLoop) or (loop is not None and "u" in trials)
-    if known is not None and known.limits and not controlled:
-        known = None  # whose projection cannot be computed
-    result = Replay(trials, loop, known, unmeasured)
+    law, loop = law_of(trials), loop_of(trials)
+    commands_known = isinstance(loop, ClosedLoop) or (loop is not None and "u" in trials)
+    if law is not None and law.limits and not commands_known:
+        law = None  # whose projection cannot be computed
+    result = Replay(trials, loop, law, unmeasured)
     for text in result.warnings:
         warnings.warn(text, stacklevel=2)
     return result

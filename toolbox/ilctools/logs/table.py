@@ -1,7 +1,6 @@
 """Tables that other programs wrote: pandas reads them, here their columns get names."""
 
 import re
-import warnings
 from collections.abc import Mapping
 from itertools import chain
 
@@ -20,9 +19,9 @@ from ilctools.units import SECONDS, seconds
 
 SIGNAL_OF = {"outputs": "y", "inputs": "u", "disturbances": "disturbance"}  # of arguments
 Columns = Mapping[str, str | int]  # titles or numbers, by the names that their signals get
-EXACTLY = {"float_precision": "round_trip", "skipinitialspace": True, "index_col": False}
-WITH_UNIT = re.compile(r"(.*\S)\s*[(\[]([^()\[\]]*)[)\]]")  # "Heater (%)", "Time [s]"
-WITH_TIME = re.compile(rf"(?:.*[_\W])?({'|'.join(SECONDS)})", re.I)  # "tempo_ms"
+# numbers to the last digit; rows that are longer than the titles are warned of
+READING = {"float_precision": "round_trip", "skipinitialspace": True, "index_col": False}
+WITH_UNIT = re.compile(r"(?s)(.*?)\s*(?:[(\[]([^()\[\]]*)[)\]])?")  # "Heater (%)", "Time [s]"
 
 
 def read_table(
@@ -110,36 +109,36 @@ def read_table(
     >>> log.attrs["Ts"], log.y.shape
     (0.5, (1, 3, 1))
     """
-    asked = {"outputs": outputs, "inputs": inputs, "reference": reference, "v": v}
-    asked |= {"disturbances": disturbances, "measured": measured}
-    asked = {argument: columns for argument, columns in asked.items() if columns is not None}
-    for argument, columns in asked.items():
-        arguments.different(f"names in {argument}", [*arguments.instance(argument, columns, dict)])
+    asked = _checked(
+        outputs=outputs,
+        inputs=inputs,
+        reference=reference,
+        v=v,
+        disturbances=disturbances,
+        measured=measured,
+    )
     units = arguments.by_name("units", units, [*chain(*asked.values()), "time"])
     if Ts is not None or time is None:
         Ts = arguments.sampling_period("Ts", Ts)
     is_frame = isinstance(path, pd.DataFrame)
     source = "path" if is_frame else arguments.path("path", path)
+    notes = {} if is_frame else {"origin": f"read from {source.name}"}
     with about(source):
-        frame = pd.DataFrame(path, **options) if is_frame else _read(source, options)
-        table, signals = _signals(frame, asked, units)
-        table["trial"] = 1.0 if trial is None else numbers_in(_column(frame, "trial", trial)[0])
-        if table["trial"].min() == 0:
-            table["trial"] += 1
-        trials = table.groupby("trial")
-        if time is None:
-            table["time"] = Ts * trials.cumcount()
+        if is_frame:
+            frame = pd.DataFrame(path, **options)
         else:
-            table["time"] = _in_seconds(*_column(frame, "time", time), units.get("time"))
-            table["time"] -= trials["time"].transform("first")
-        notes = {} if is_frame else {"origin": f"read from {source.name}"}
+            frame = pd.read_csv(regular(source), **READING | options)
+        table, signals = _signals(frame, asked, units)
+        table["trial"], table["time"] = _clock(frame, trial, time, units.get("time"), Ts)
         return trials_of(table, signals, Ts or mean_step(table), notes)
 
 
-def _read(path, options):
-    """What pandas reads, to the last digit; rows with more entries than titles are refused."""
-    with warnings.catch_warnings(action="error", category=pd.errors.ParserWarning):
-        return pd.read_csv(regular(path), **EXACTLY | options)
+def _checked(**asked):
+    """The arguments that ask for columns."""
+    asked = {argument: columns for argument, columns in asked.items() if columns is not None}
+    for argument, columns in asked.items():
+        arguments.different(f"names in {argument}", [*arguments.instance(argument, columns, dict)])
+    return asked
 
 
 def _signals(frame, asked, units):
@@ -153,29 +152,41 @@ def _signals(frame, asked, units):
             table[f"{signal}_{name}"] = numbers_in(column)
             names.setdefault(name, units.get(name, unit))
     if "reference" in asked and "v" not in asked:
-        table[[f"v_{name}" for name in asked["outputs"]]] = 0.0
-    return table, check_signals(signals)
+        table[[f"v_{name}" for name in signals["outputs"]]] = 0.0
+    check_signals(signals)
+    return table, signals
 
 
 def _column(frame, argument, column):
     """A column that an argument asks for by its number or title, and the unit in its title."""
     titles = [*map(str, frame.columns)]
-    matches = [WITH_UNIT.fullmatch(title) for title in titles]
-    names = [match[1] if match else title for match, title in zip(matches, titles, strict=True)]
-    for written in ([*range(len(titles))], titles, names):
+    parts = [WITH_UNIT.fullmatch(title).groups("") for title in titles]
+    for written in (range(len(titles)), titles, [name for name, _ in parts]):
         if written.count(column) == 1:
             place = written.index(column)
-            return frame.iloc[:, place], matches[place][2] if matches[place] else ""
+            return frame.iloc[:, place], parts[place][1]
     raise LogError(
         f"{argument} = {column!r} must be the title of one column, or a number from 0 to "
         f"{len(titles) - 1}; the titles are {few(titles)}"
     )
 
 
+def _clock(frame, trial, time, unit, Ts):
+    """The number of the trial of each row, from 1 on, and the time since it began, in s."""
+    number = pd.Series(1.0, frame.index)
+    if trial is not None:
+        number = numbers_in(_column(frame, "trial", trial)[0])
+        number += number.min() == 0
+    if time is None:
+        return number, Ts * number.groupby(number).cumcount()
+    moment = _in_seconds(*_column(frame, "time", time), unit)
+    return number, moment - moment.groupby(number).transform("first")
+
+
 def _in_seconds(column, unit, stated):
     """A clock in s, from dates or from numbers in a unit: as stated, in the title or at its end."""
     if column.dtype.kind == "M":
         return numbers_in((column - column.iloc[0]).dt.total_seconds())
-    suffix = WITH_TIME.fullmatch(str(column.name))
-    unit = stated or unit or (suffix[1].lower() if suffix else "s")
+    last_word = re.split(r"[_\W]", str(column.name).lower())[-1]
+    unit = stated or unit or (last_word if last_word in SECONDS else "s")
     return seconds(unit) * numbers_in(column)

@@ -1,6 +1,5 @@
 """Trials on a rig, one after the other: each is watched, and kept when it ends."""
 
-import time
 import warnings
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -26,7 +25,6 @@ from ilctools.trials.start import Start
 LATE = 0.1  # sampling periods that a sample may be off the clock
 NOTED = (*KEYS, RESET, "excitation", "loop")  # the notes of what makes the trials
 Trial = dict[str, np.ndarray]  # its signals, shape (time, channel)
-BREATH = 1e-4  # s, between two pieces of a log, in which a sample that is due gets the processor
 
 
 @dataclass
@@ -118,14 +116,14 @@ class Experiment:
     def save(self, path, log) -> None:
         """Add the last trial of a log to its file, or write all where there is none.
 
-        In pieces, because meanwhile the next trial may run. What others wrote there is left alone.
+        By rows, because meanwhile the next trial may run. What others wrote there is left alone.
         """
         if not path.exists():
             write_log(log, path)
         elif path.stat().st_size == self.size:
             k, names = len(log.trial), columns_of(signals_of(log), log)
             rows = rows_as_text(k, log.time.values, [self.trials[k - 1][name] for name in names])
-            append(path, (piece for piece in rows if time.sleep(BREATH) is None))
+            append(path, rows)
         else:
             raise FileExistsError(
                 f"path = '{path}' was changed by another program during a trial, and is left as it "
