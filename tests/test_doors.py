@@ -152,7 +152,7 @@ DOORS = [
     (ilctools.trial_noise,),
     (ilctools.converged_noise,),
     (ilctools.noise_on_trial,),
-    (ilctools.replay, {"unmeasured": ["friction"]}, {"trials": RECORD, "law": None}),
+    (ilctools.replay, {"unmeasured": ["friction"]}, {"trials": RECORD}),
     (
         ilctools.read_table,
         {"time": ["none"], "inputs": [{"u": "none"}]},

@@ -19,8 +19,8 @@ from ilctools.units import SECONDS, seconds
 
 SIGNAL_OF = {"outputs": "y", "inputs": "u", "disturbances": "disturbance"}  # of arguments
 Columns = Mapping[str, str | int]  # titles or numbers, by the names that their signals get
-# numbers to the last digit; rows that are longer than the titles are warned of
-READING = {"float_precision": "round_trip", "skipinitialspace": True, "index_col": False}
+# of pandas, which then warns of rows that are longer than the titles, and shifts no column
+OPTIONS = {"skipinitialspace": True, "index_col": False}
 WITH_UNIT = re.compile(r"(?s)(.*?)\s*(?:[(\[]([^()\[\]]*)[)\]])?")  # "Heater (%)", "Time [s]"
 
 
@@ -54,9 +54,9 @@ def read_table(
         The column of the actuator that controls each output, in their order. Default: not known.
     time : str or int, optional
         Column of the clock: numbers in the unit of its title, as "t (ms)" or "t_ms", or of `units`,
-        by default s; or dates, as pandas parses them (``parse_dates``, ``pandas.to_datetime``).
-        Without it, rows are `Ts` apart. State the unit of a clock that counts from 1970: often it
-        is ms, us or ns.
+        by default s; or dates that pandas has parsed, as with the options
+        ``parse_dates=["t"], date_format="ISO8601"``. Without it, rows are `Ts` apart. State the
+        unit of a clock that counts from 1970: often it is ms, us or ns.
     Ts : float, optional
         Sampling period, s. Default: the mean step of the clock, rounded as far as steps scatter;
         without `time` it is needed.
@@ -74,7 +74,7 @@ def read_table(
     **options
         For :func:`pandas.read_csv`, if the file is not comma-separated below one line of titles:
         ``sep=";"``, ``decimal=","``, ``skiprows``, ``encoding``, ... Numbers are read to the last
-        digit.
+        digit from pandas 3.1 on.
 
     Returns
     -------
@@ -127,7 +127,7 @@ def read_table(
         if is_frame:
             frame = pd.DataFrame(path, **options)
         else:
-            frame = pd.read_csv(regular(source), **READING | options)
+            frame = pd.read_csv(regular(source), **OPTIONS | options)
         table, signals = _signals(frame, asked, units)
         table["trial"], table["time"] = _clock(frame, trial, time, units.get("time"), Ts)
         return trials_of(table, signals, Ts or mean_step(table), notes)

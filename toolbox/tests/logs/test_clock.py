@@ -2,7 +2,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from ilctools.logs.clock import check_trials, jitter, mean_step, resampled
+from ilctools.logs.clock import check_trials, mean_step
 from ilctools.loop.notes import LogError
 
 GOOD = [0.0, 2.0, 4.0, 6.0]
@@ -42,8 +42,8 @@ def test_a_step_may_be_off_by_a_tenth_and_the_mean_by_a_hundredth():
 
 
 def test_a_clock_that_is_nearly_exact_is_not_noted():
-    assert jitter(table_of([[0.0, 2.001, 4.0]]), 2.0) == {}
-    assert "from 1.9 to 2.1 s" in jitter(table_of([[0.0, 2.1, 4.0]]), 2.0)["clock"]
+    assert check_trials(table_of([[0.0, 2.001, 4.0]]), 2.0) == {}
+    assert "from 1.9 to 2.1 s" in check_trials(table_of([[0.0, 2.1, 4.0]]), 2.0)["clock"]
 
 
 @pytest.mark.parametrize(
@@ -58,23 +58,3 @@ def test_a_clock_shows_the_sampling_period(times, Ts):
     assert mean_step(table_of([times])) == pytest.approx(Ts, rel=1e-9)
     with pytest.raises(LogError, match="state Ts"):
         mean_step(table_of([[5.0, 5.0]]))
-
-
-def test_resampled_rows_are_interpolated_or_held():
-    clock = [0, 2.5, 4, 10, 12]
-    table, notes = resampled(table_of([clock, [*GOOD, 8.0, 10.0, 12.0]]), 2.0, ["x"])
-    assert notes["resampled"].startswith("12 rows were resampled to 14 samples")
-    squares = np.interp(np.arange(0, 14, 2), clock, np.square(clock))
-    np.testing.assert_allclose(table["x"][:7], squares)
-    np.testing.assert_array_equal(table["u"][:7], [0, 2.5, 4, 4, 4, 10, 12])
-    np.testing.assert_array_equal(table["x"][7:], np.arange(0, 14, 2) ** 2)
-    assert table.index[:7].tolist() == [5, 6, 7, 7, 7, 8, 9]
-    check_trials(table, 2.0)
-
-
-@pytest.mark.parametrize("times", [[[0, 2, 3, 3]], [[0, 2, 4, 40]], [[0, 2, 4], [0, 2.5, 4, 6, 8]]])
-def test_what_cannot_be_resampled_stays_as_it_is_and_is_refused(times):
-    table = table_of(times)
-    assert resampled(table, 2.0, ["x"]) == (table, {})
-    with pytest.raises(LogError):
-        check_trials(table, 2.0)

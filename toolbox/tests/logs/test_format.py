@@ -89,7 +89,7 @@ def test_attributes_come_back_as_a_line_of_text(tmp_path, trials):
     ("changed", "message"),
     [
         (lambda t: t.drop_vars("v"), r"lack \['v'\]"),
-        (lambda t: t.assign(y=t.y.where(t.time < 2)), "not finite in 'y_depth' of trials"),
+        (lambda t: t.assign(y=t.y.where(t.time < 2)), "trials.y has 6 values that are not finite"),
         (lambda t: t.assign_attrs(Ts=0), "Ts.* = 0 must be"),
         (lambda t: t.isel(time=slice(1, None)), "time must be 0, Ts, 2 Ts"),
         (lambda t: t.assign_coords(trial=[1, 2, 2]), "trials.trial"),

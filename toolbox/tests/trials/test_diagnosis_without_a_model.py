@@ -48,8 +48,6 @@ def test_a_plant_outside_the_radius_is_noticed_by_trial_4(law, gain):
     with pytest.warns(UserWarning, match="after trial [34]: the convergence rate"):
         log = record(Axis(gain, 0), LOOP, law, REFERENCE, trials=6)
     assert not replay(log).warnings  # a log has no P
-    with pytest.warns(UserWarning, match="the convergence rate"):
-        replay(log, law=law)
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -57,10 +55,3 @@ def test_a_plant_outside_the_radius_is_noticed_by_trial_4(law, gain):
 def test_a_plant_within_the_radius_is_not_warned_of(law, gain, seed):
     with warnings.catch_warnings(action="error"):
         record(Axis(gain, seed), LOOP, law, REFERENCE, trials=6)
-
-
-def test_another_law_than_that_of_the_log_is_refused(law):
-    log = record(Axis(1.0, 0), LOOP, law, REFERENCE, trials=1)
-    other = synthesise(PLANT, law.Q, order=5).law()
-    with pytest.raises(ValueError, match="law has not the Q and L in the metadata"):
-        replay(log, law=other)
