@@ -55,6 +55,11 @@ class Replay:
         return self.trials.trial.values.tolist()
 
     @property
+    def sources(self) -> list[str]:
+        """Names of the disturbances that were recorded."""
+        return np.ravel(self.trials.coords.get("source", [])).tolist()
+
+    @property
     def complete(self) -> bool:
         """Whether all trials from 1 on are there."""
         return self.numbers == [*range(1, len(self.numbers) + 1)]
@@ -230,8 +235,7 @@ class Replay:
         if not self.complete:
             reasons.append(f"simulation: of the trials from 1 on, there are {self.numbers}")
         simulated = {*self.loop.disturbances} - {*self.unmeasured}
-        sources = np.ravel(self.trials.coords.get("source", [])).tolist()
-        if ignored := [name for name in sources if name not in simulated]:
+        if ignored := [name for name in self.sources if name not in simulated]:
             reasons.append(f"disturbances {ignored}: the simulation ignores them")
         return reasons
 
