@@ -16,7 +16,7 @@ from runner import publish, run, table
 from scipy.signal import freqz, lfilter
 
 from ilctools import InfeasibleError, measured_response, rate, synthesise, zero_phase_butterworth
-from ilctools.loop.notes import LogError
+from ilctools.errors import LogError
 from ilctools.signals import dataset
 
 RECORDS = 200  # of a kind

@@ -17,7 +17,7 @@ from kinds import KINDS, driver
 from runner import publish, run, table
 
 from ilctools import InfeasibleError, load_log, record, replay, synthesise, zero_phase_butterworth
-from ilctools.rigs.protocol import RigError
+from ilctools.errors import RigError
 from ilctools.trials.run import rms
 
 TRIALS = 10

@@ -254,9 +254,9 @@ def test_rooms_of_the_toolbox_import_from_those_above_them():
     table = re.findall(r"^\| ([a-z_/, ]+) \| ", text("CONTRIBUTING.md"), re.MULTILINE)
     rooms = [name.strip(" /") for row in table[1:] for name in row.split(",")]
     within = {path.stem for path in package.iterdir() if not path.stem.startswith("_")}
-    assert {*rooms} == within - {"errors", "py"}  # errors lists what others raise
+    assert {*rooms} == within - {"py"}
     for path in package.rglob("*.py"):
         own = path.relative_to(package).parts[0].removesuffix(".py")
         for name in re.findall(r"^ *from ilctools\.(\w+)", path.read_text("utf-8"), re.MULTILINE):
-            above = own in ("__init__", "errors") or rooms.index(name) <= rooms.index(own)
+            above = own == "__init__" or rooms.index(name) <= rooms.index(own)
             assert above, f"{path} imports {name}"

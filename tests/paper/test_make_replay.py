@@ -22,8 +22,8 @@ from ilctools import (
     zero_phase_butterworth,
 )
 from ilctools import replay as replay_of
+from ilctools.errors import LogError
 from ilctools.law.io import with_law
-from ilctools.loop.notes import LogError
 from rodlib.paper import reproduce
 from rodlib.paper.repository import ROOT
 

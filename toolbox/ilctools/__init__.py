@@ -15,7 +15,7 @@ MODULES = {
     "law.io": "law_of load_law save_law",
     "law.law": "Law",
     "synthesis.design": "synthesise",
-    "synthesis.result": "InfeasibleError",
+    "errors": "InfeasibleError",
     "synthesis.search": "least_gain",
     "evidence.convergence": "convergence rate",
     "evidence.finite": "trial_map trial_norm trial_operators",

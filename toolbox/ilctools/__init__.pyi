@@ -3,6 +3,7 @@
 from ilctools import alternatives as alternatives
 from ilctools import errors as errors
 from ilctools.alternatives import NormOptimal as NormOptimal
+from ilctools.errors import InfeasibleError as InfeasibleError
 from ilctools.evidence.convergence import convergence as convergence
 from ilctools.evidence.convergence import rate as rate
 from ilctools.evidence.finite import trial_map as trial_map
@@ -38,7 +39,6 @@ from ilctools.rigs.experiments import record as record
 from ilctools.rigs.experiments import shake as shake
 from ilctools.rigs.protocol import Rig as Rig
 from ilctools.synthesis.design import synthesise as synthesise
-from ilctools.synthesis.result import InfeasibleError as InfeasibleError
 from ilctools.synthesis.search import least_gain as least_gain
 from ilctools.trials.run import rms as rms
 from ilctools.trials.run import run_trials as run_trials

@@ -17,8 +17,8 @@ from ilctools import (
     save_log,
     zero_phase_butterworth,
 )
+from ilctools.errors import LogError
 from ilctools.law.io import with_law
-from ilctools.loop.notes import LogError
 
 L = LearningFilter(np.random.default_rng(0).standard_normal((2, 2, 3)), 1.0, "hold")
 

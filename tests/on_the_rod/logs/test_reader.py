@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ilctools import law_of, load_log, save_log
-from ilctools.loop.notes import LogError
+from ilctools.errors import LogError
 from rodlib.paper import ROOT
 
 SIGNALS = (

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ilctools import load_log, read_table, save_log
-from ilctools.loop.notes import LogError
+from ilctools.errors import LogError
 from ilctools.signals import dataset
 from rodlib.paper import ROOT
 

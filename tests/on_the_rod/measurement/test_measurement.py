@@ -10,12 +10,12 @@ from plants import furnace
 from scipy.stats import binom
 
 from ilctools import current_trial_loop, load_log, measured_response, multisine, shake
-from ilctools.loop.notes import LogError, loop_note, loop_of
+from ilctools.errors import LogError, RigError
+from ilctools.loop.notes import loop_note, loop_of
 from ilctools.measurement.excitation import excitation_of, with_excitation
 from ilctools.measurement.measurement import _estimate
 from ilctools.measurement.region import radius_of
 from ilctools.measurement.transient import separated, windows_of
-from ilctools.rigs.protocol import RigError
 from ilctools.signals import dataset
 from ilctools.trials.run import state_sequence
 from rodlib import midr, paper_loop, sampled_response

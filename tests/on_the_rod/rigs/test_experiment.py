@@ -21,8 +21,8 @@ from ilctools import (
     run_trials,
     zero_phase_butterworth,
 )
+from ilctools.errors import RigError
 from ilctools.loop.notes import loop_of
-from ilctools.rigs.protocol import RigError
 from rodlib.case import assumed_reference
 from rodlib.paper import published
 from rodlib.paper.repository import ROOT

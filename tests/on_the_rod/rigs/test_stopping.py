@@ -19,9 +19,9 @@ from ilctools import (
     synthesise,
     zero_phase_butterworth,
 )
+from ilctools.errors import StoppedError
 from ilctools.models import sampled_plant
 from ilctools.rigs.limits import stop_limits
-from ilctools.rigs.protocol import StoppedError
 from ilctools.trials.run import rms
 from rodlib.rigs import RestartingRig
 

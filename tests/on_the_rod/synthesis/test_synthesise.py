@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from plants import half
 
 from ilctools import InfeasibleError, LearningFilter, least_gain, synthesise
+from ilctools.errors import SolverError
 from ilctools.problem.pose import pose
 from ilctools.synthesis import everywhere
 from ilctools.synthesis.design import certified
-from ilctools.synthesis.result import SolverError
 from rodlib import paper_choices
 from rodlib.paper import published
 

@@ -9,11 +9,12 @@ import xarray as xr
 
 from ilctools import arguments
 from ilctools.base import RegularisedInverse
+from ilctools.errors import MISUNDERSTOOD, reading, shortened
 from ilctools.files import read_json, regular, write_whole
 from ilctools.filters import LearningFilter, ZeroPhaseButterworth
 from ilctools.law.law import Law
 from ilctools.law.limits import named_limits
-from ilctools.loop.notes import MISUNDERSTOOD, loop_note, loop_of, read_note, reading, shortened
+from ilctools.loop.notes import loop_note, loop_of, read_note
 from ilctools.signals import Signals, check_match
 
 FORMATS = ("rodlib law 1", "rodlib law 2")  # of the file; the second if L looks back or has a base

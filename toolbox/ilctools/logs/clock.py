@@ -7,7 +7,7 @@ each step is compared with Ts, and so is their mean.
 import numpy as np
 import pandas as pd
 
-from ilctools.loop.notes import LogError
+from ilctools.errors import LogError
 
 EXACT = 1e-3  # of Ts: jitter that is not worth a note
 JITTER = 0.1  # of Ts: by which a step of the clock may differ

@@ -13,10 +13,10 @@ import xarray as xr
 
 from ilctools import arguments
 from ilctools.arguments import ROLES
+from ilctools.errors import LogError, reading, shortened
 from ilctools.files import read_json, regular
 from ilctools.logs.clock import check_trials
 from ilctools.logs.format import FORMATS, KEYS, check_signals, columns_of, few
-from ilctools.loop.notes import LogError, reading, shortened
 from ilctools.signals import dataset
 from ilctools.units import seconds
 

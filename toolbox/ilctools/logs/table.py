@@ -9,11 +9,11 @@ import xarray as xr
 
 from ilctools import arguments
 from ilctools.arguments import ROLES
+from ilctools.errors import LogError
 from ilctools.files import regular
 from ilctools.logs.clock import mean_step
 from ilctools.logs.format import check_signals, few
 from ilctools.logs.reader import about, numbers_in, trials_of
-from ilctools.loop.notes import LogError
 from ilctools.signals import SIGNALS
 from ilctools.units import SECONDS, seconds
 

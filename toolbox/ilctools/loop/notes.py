@@ -6,39 +6,17 @@ The law is noted by :mod:`ilctools.law.io`, an excitation by
 
 import json
 from collections.abc import Callable
-from contextlib import contextmanager
 from dataclasses import fields
 
 import control
 import xarray as xr
 
+from ilctools.errors import reading
 from ilctools.files import read_json
 from ilctools.loop.closed import ClosedLoop, CurrentTrialLoop, Loop
 from ilctools.signals import Signals, check_match
 
-# what a note may lead to
-MISUNDERSTOOD = (KeyError, TypeError, ValueError, ArithmeticError, RecursionError)
 MATRICES = (*"ABCD", "dt")  # of a model, and its sampling period
-LONGEST = 1000  # letters of a message
-
-
-class LogError(ValueError):
-    """A log or a table that cannot be used; the message says where, and what to do."""
-
-
-def shortened(message: str) -> str:
-    """A message without its middle, if that is long: what it quotes may be a whole file."""
-    return message if len(message) <= LONGEST else f"{message[:600]} ... {message[-300:]}"
-
-
-@contextmanager
-def reading(key: str):
-    """Make a LogError of whatever a note leads to that is not of its kind."""
-    try:
-        yield
-    except MISUNDERSTOOD as error:
-        text = f"metadata: {key} cannot be understood: {error!r}"
-        raise LogError(shortened(text)) from None
 
 
 def read_note(trials: xr.Dataset, key: str, read: Callable):

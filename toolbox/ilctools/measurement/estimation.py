@@ -36,8 +36,8 @@ import xarray as xr
 from scipy.special import gammainccinv, ndtri, wrightomega
 
 from ilctools import arguments
+from ilctools.errors import LogError
 from ilctools.loop.closed import CurrentTrialLoop, Loop
-from ilctools.loop.notes import LogError
 from ilctools.measurement.consistency import contradictions
 from ilctools.measurement.realisation import MOST, model_within
 from ilctools.measurement.record import Record

@@ -7,9 +7,10 @@ import numpy as np
 import xarray as xr
 
 from ilctools import arguments
+from ilctools.errors import LogError
 from ilctools.law.io import RESET
 from ilctools.loop.closed import ClosedLoop, Loop
-from ilctools.loop.notes import LogError, loop_of
+from ilctools.loop.notes import loop_of
 from ilctools.measurement.regression import Trials
 from ilctools.signals import Signals, check_match, period_of
 

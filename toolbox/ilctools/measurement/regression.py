@@ -53,7 +53,7 @@ from scipy.optimize import minimize
 from scipy.signal import fftconvolve
 from scipy.special import expit, log_expit
 
-from ilctools.loop.notes import LogError
+from ilctools.errors import LogError
 
 SHARE = 4  # of the longest record: lags of A and B
 LONGER, CLEARLY = (2, 1), 3.0  # shares that are tried, and by how much (4) must then be less

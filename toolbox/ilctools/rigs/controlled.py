@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from ilctools import arguments
+from ilctools.errors import RigError, StoppedError
 from ilctools.law.law import Law
 from ilctools.law.limits import named_limits
 from ilctools.loop.closed import CurrentTrialLoop, Loop, controller
 from ilctools.rigs.interrupts import SAFE_TIME, Interrupts
 from ilctools.rigs.limits import stop_limits
-from ilctools.rigs.protocol import RigError, StoppedError
 
 STILL = 0.1  # of a trial, for which outputs that are back must stand still
 LONGEST = 2.0  # trials, that is waited for this

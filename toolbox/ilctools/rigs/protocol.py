@@ -47,16 +47,3 @@ class Rig(Protocol):
 
     def apply(self, commands, /) -> None:
         """Set the inputs, and return when the next sample is due."""
-
-
-class RigError(RuntimeError):
-    """A rig that gave what is no reading; nothing that follows from it was applied.
-
-    What was learned before it is in `trials`.
-    """
-
-    trials = None  # as from record; None if no trial has ended
-
-
-class StoppedError(RigError):
-    """A trial that went beyond a stop limit."""

@@ -11,13 +11,13 @@ import xarray as xr
 from tqdm import tqdm
 
 from ilctools import arguments
+from ilctools.errors import RigError
 from ilctools.files import alone, append, regular
 from ilctools.law.io import KEYS, RESET
 from ilctools.law.limits import CUT_OFF, commands_beyond
 from ilctools.logs.format import columns_of, rows_as_text, signals_of, write_log
 from ilctools.logs.reader import read_log
 from ilctools.rigs.controlled import ControlledRig, series
-from ilctools.rigs.protocol import RigError
 from ilctools.signals import SIGNALS, dataset
 from ilctools.trials.diagnosis import diagnose
 from ilctools.trials.start import Start

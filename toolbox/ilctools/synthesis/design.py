@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from ilctools import arguments
+from ilctools.errors import InfeasibleError, SolverError
 from ilctools.evidence.certificate import Certificate, certify, check
 from ilctools.evidence.finite import trial_norm
 from ilctools.evidence.peak import peak_of_L
@@ -20,7 +21,7 @@ from ilctools.singular_values import TIED, largest_singular_values, tied
 from ilctools.synthesis.cutoff import ORDER, reached
 from ilctools.synthesis.cuts import solve
 from ilctools.synthesis.everywhere import solve_everywhere
-from ilctools.synthesis.result import InfeasibleError, SolverError, Synthesis
+from ilctools.synthesis.result import Synthesis
 from ilctools.synthesis.solver.program import Infeasible
 from ilctools.threads import on_one_thread
 

@@ -17,42 +17,6 @@ from ilctools.signals import check_match
 from ilctools.threads import on_one_thread
 
 
-class InfeasibleError(ValueError):
-    """No learning filter of the given order and structure meets the bounds.
-
-    Attributes
-    ----------
-    smallest_M_max : float
-        What is feasible with the other arguments; from one on, nothing that converges.
-    plant, omega : int, float
-        Where the bound on M that stands most in the way is; plant number 0 is the nominal one.
-
-    See Also
-    --------
-    synthesise : what raises it
-
-    Examples
-    --------
-    >>> import control
-    >>> P = control.sample_system(control.tf([400], [1, 20, 400]), 0.01)
-    >>> from ilctools import InfeasibleError, synthesise, zero_phase_butterworth
-    >>> try:
-    ...     synthesise(P, zero_phase_butterworth(2, 40.0, 0.01), order=2, M_max=0.1)
-    ... except InfeasibleError as error:
-    ...     print(error.smallest_M_max > 0.1)
-    ...
-    True
-    """
-
-    def __init__(self, message: str, smallest_M_max: float, plant: int, omega: float):
-        super().__init__(message)
-        self.smallest_M_max, self.plant, self.omega = smallest_M_max, plant, omega
-
-
-class SolverError(RuntimeError):
-    """The solver returned no filter, or one whose certificate fails."""
-
-
 @dataclass(frozen=True, eq=False)
 class Synthesis:
     """A learning filter and what was checked about it, from singular values."""

@@ -5,11 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from ilctools.errors import SolverError
 from ilctools.problem.grid import without_gaps
 from ilctools.problem.pose import pose
 from ilctools.synthesis.design import certified, warned
 from ilctools.synthesis.everywhere import solve_everywhere
-from ilctools.synthesis.result import SolverError, Synthesis
+from ilctools.synthesis.result import Synthesis
 from ilctools.synthesis.solver.program import Infeasible
 from ilctools.threads import on_one_thread
 

@@ -21,12 +21,12 @@ from ilctools import (
     worst_case,
     zero_phase_butterworth,
 )
+from ilctools.errors import SolverError
 from ilctools.evidence.certificate import certify, check
 from ilctools.evidence.peak import peak_of_M
 from ilctools.models import frequency_response
 from ilctools.problem.pose import pose
 from ilctools.problem.problem import Solution
-from ilctools.synthesis.result import SolverError
 
 OMEGA = np.geomspace(1e-3, np.pi, 50)
 BUTTERWORTH = zero_phase_butterworth(2, 0.3, 1.0)

@@ -2,8 +2,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from ilctools.errors import LogError
 from ilctools.logs.clock import check_trials, mean_step
-from ilctools.loop.notes import LogError
 
 GOOD = [0.0, 2.0, 4.0, 6.0]
 

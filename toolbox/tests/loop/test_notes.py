@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from ilctools import Law, current_trial_loop, load_log, run_trials, save_log, zero_phase_butterworth
+from ilctools.errors import LogError
 from ilctools.law.io import with_law
-from ilctools.loop.notes import LogError, loop_note, loop_of
+from ilctools.loop.notes import loop_note, loop_of
 
 UNITS = {"depth, ϑ": "mm", 'the "valve"': "l/min", "rain": "l/s"}
 PLANT = control.ss(

@@ -28,8 +28,8 @@ from ilctools import (
     save_log,
     zero_phase_butterworth,
 )
+from ilctools.errors import RigError
 from ilctools.files import write_whole
-from ilctools.rigs.protocol import RigError
 
 LOOP = ClosedLoop(Ts=0.01, outputs=["x"], units={"x": "mm"})
 LAW = Law(zero_phase_butterworth(2, 60.0, 0.01), LearningFilter([[[0.5]]], 0.01))

@@ -8,10 +8,10 @@ import pytest
 from paper import paper_choices
 
 from ilctools import InfeasibleError, LearningFilter, synthesise, zero_phase_butterworth
+from ilctools.errors import SolverError
 from ilctools.problem.pose import pose
 from ilctools.singular_values import largest_singular_values
 from ilctools.synthesis import everywhere
-from ilctools.synthesis.result import SolverError
 
 PROVEN = 1 + 3e-8  # what the bounds may be passed by
 PAPER = paper_choices()

@@ -18,8 +18,8 @@ from ilctools import (
     trial_map,
     zero_phase_butterworth,
 )
+from ilctools.errors import SolverError
 from ilctools.synthesis import search
-from ilctools.synthesis.result import SolverError
 
 
 def test_without_Q_the_cutoff_is_where_P_ends():
