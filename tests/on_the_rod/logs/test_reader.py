@@ -125,6 +125,8 @@ def test_a_last_number_that_may_be_torn_is_not_read(tmp_path, good):
         with pytest.warns(UserWarning, match="left out"):
             trials = load_log(write(tmp_path, GOOD[:-cut]))
         assert trials.identical(good[{"trial": slice(2)}])
+    with pytest.warns(UserWarning, match="no line feed, and is left out"):
+        assert load_log(write(tmp_path, GOOD + "4,0,1.0")).identical(good)
 
 
 def test_a_record_of_commands_and_outputs_needs_no_reference(tmp_path, good):

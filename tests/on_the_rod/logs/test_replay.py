@@ -98,6 +98,8 @@ def test_without_a_loop_the_law_is_checked_and_without_a_law_the_model():
     last = trials.isel(trial=-1)
     following = whole.next(last.v.values, last.e.values)
     np.testing.assert_array_equal(replayed.following, following)
+    limited = trials.drop_attrs().assign_attrs(law | {"actuators": '{"P1": [-1, 1]}'})
+    assert replay(limited).law is None  # its projection needs the loop
     (reason,) = replayed.omissions
     assert "loop" in reason and f"left out: {reason}" in repr(replayed)
     del trials.attrs["L"]
@@ -116,6 +118,10 @@ def test_disturbances_may_count_as_unmeasured_or_not_be_in_the_model():
     assert "theta_a" in omission
     simulation = partial.rms["RMS (K), simulation"]
     assert simulation[5] == pytest.approx(1.04, abs=0.005)  # of notebook 5
+    silent = trials.disturbance.where(trials.source != "theta_a", 0.0)
+    without = replay(trials.assign(disturbance=silent))
+    np.testing.assert_array_equal(partial.simulated.y, without.simulated.y)
+    assert np.any(partial.simulated.y != replay(trials).simulated.y)
     replayed = replay(trials_of("stage").assign_coords(source=["draught"]))
     assert not replayed.disturbance.any()
     (omission,) = replayed.omissions

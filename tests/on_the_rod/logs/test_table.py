@@ -205,6 +205,7 @@ def test_what_a_table_does_not_have_is_named(more, message):
         ("tempo_ms", 1e-3),
         ("t / us", 1e-6),
         ("t_µs", 1e-6),
+        ("t_ms [us]", 1e-6),
         ("Time msec", 1e-3),
         ("Time S", 1.0),
         ("ms", 1e-3),
