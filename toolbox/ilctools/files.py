@@ -7,9 +7,8 @@ import json
 import os
 import re
 import shutil
-import time
 from collections.abc import Iterable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from uuid import uuid4
 
@@ -20,8 +19,6 @@ except ImportError:  # on Windows
 
     fcntl = None
 
-PARTS = f".{'[0-9a-f]' * 32}.part"  # what `replacing` leaves where it is killed
-DAY = 86400.0  # s, after which they are what is left of killed writers
 STRING = re.compile(r'"(?:[^"\\]|\\.)*"')  # of JSON
 
 
@@ -87,13 +84,10 @@ def replacing(path: Path) -> Iterator[Path]:
     """A file to write beside `path`, in a folder that is there; it replaces `path` if all is well.
 
     Links are followed, permissions stay. A device or a pipe is refused: it is not written to by
-    being replaced. The name is one that no other writer has, and no link can wait at.
+    being replaced. The name is one that no other writer has, and no link can wait at; where
+    it is killed, a hidden file `.*.part` is left, which may be removed.
     """
     path = regular(path)
-    for part in path.parent.glob(PARTS):
-        with suppress(OSError):  # somebody else removes it, or it is somebody else's
-            if time.time() - part.stat().st_mtime > DAY:
-                part.unlink()
     temporary = path.with_name(f".{uuid4().hex}.part")
     try:
         if path.exists():

@@ -59,18 +59,6 @@ def test_the_second_is_refused_until_the_first_is_killed(tmp_path):
         pass
 
 
-def test_what_killed_writers_left_is_removed_after_a_day_and_nothing_else(tmp_path):
-    path, mine = tmp_path / "log.csv", tmp_path / ".log.csv.part"
-    old, new = (tmp_path / f".{letter * 32}.part" for letter in "ab")
-    for file in (mine, old, new):
-        file.write_text("mine")
-    for file in (mine, old):
-        os.utime(file, (0, 0))
-    write_whole(path, "all")
-    assert (path.read_text(), mine.read_text()) == ("all", "mine")
-    assert {*tmp_path.iterdir()} == {path, mine, new}
-
-
 def test_readers_see_one_text_or_another_whole_while_two_write(tmp_path):
     path, texts = tmp_path / "log.csv", ["a" * 50_000, "b" * 50_000]
     write_whole(path, texts[0])
