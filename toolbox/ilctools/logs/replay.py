@@ -177,10 +177,9 @@ class Replay:
 
     def _v_after(self, k):
         """The v that follows trial `k` of the log by the law."""
-        trial, law = self.trials.isel(trial=k), self.law
-        commands = self.commands if law.limits else {}
-        commands = {name: signal[k] for name, signal in commands.items()}
-        return law.next(trial.v.values, trial.e.values, **commands)
+        v, e = self.trials.v.values[k], self.trials.e.values[k]
+        commands = self.commands if self.law.limits else {}
+        return self.law.next(v, e, **{name: signal[k] for name, signal in commands.items()})
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
@@ -210,9 +209,9 @@ class Replay:
             unit = self.trials.output_unit.values[self.outputs.index(name)]
             amount = f"{departure.loc[number, name]:.1e} {unit}".strip()
             return f"v departs from the law from trial {number} on, by {amount} in {name}"
-        which = ", ".join(map(str, departure.index[departure.isna().all(axis=1)]))
-        but = f", but in {which}, without a trial before" if which else " in every trial"
-        return f"the recorded v is that of the law{but}"
+        unchecked = ", ".join(map(str, departure.index[departure.isna().all(axis=1)]))
+        where = f", but in {unchecked}, without a trial before" if unchecked else " in every trial"
+        return f"the recorded v is that of the law{where}"
 
     @property
     def omissions(self) -> list[str]:
