@@ -262,6 +262,12 @@ class LearningFilter:
         return self.first + self.order - 1
 
     @property
+    def poles(self) -> np.ndarray:
+        """Of the base its own, and one at zero for each sample that L, or K, looks away."""
+        of_taps = np.zeros(max(abs(self.first), abs(self.last)))
+        return of_taps if self.base is None else np.append(self.base.poles, of_taps)
+
+    @property
     def combined(self) -> "LearningFilter":
         """B K as one filter without a base; a ValueError if B is that of a model."""
         if self.base is None:

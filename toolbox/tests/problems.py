@@ -68,7 +68,7 @@ def optimum(problem):
         z = np.exp(1j * omega * problem.Ts)
         return sum(c * z ** (k + 1) for k, c in enumerate(C))
 
-    for omega, weight in zip(problem.omega_L, problem.weight, strict=True):
+    for omega, weight in zip(problem.omega, problem.weight, strict=True):
         limit = 1 / weight[0, 0]
         subject_to.append(at_most(named("V", response(omega)), limit * np.eye(m), limit))
     for i, omega in enumerate(problem.omega):

@@ -13,14 +13,7 @@ import numpy as np
 from ilctools.evidence.convergence import Convergence, from_responses, log_mean
 from ilctools.evidence.margins import Margins, margins
 from ilctools.evidence.optimality import lower_bound, relief
-from ilctools.evidence.peak import (
-    Peak,
-    estimated_peaks,
-    highest,
-    peak_beyond,
-    peak_of_L,
-    proven_peaks,
-)
+from ilctools.evidence.peak import CLOSE, Peak, estimated_peaks, highest, peak_of_L, proven_peaks
 from ilctools.evidence.prediction import predicted_rms
 from ilctools.evidence.robustness import WorstCase, worst_case
 from ilctools.filters import LearningFilter
@@ -33,7 +26,6 @@ from ilctools.singular_values import TIED, largest_singular_values
 # Relative duality gap, and relative violation of a bound on the grid, that are accepted;
 GAP = 1e-6
 VIOLATION = 1e-9
-BETWEEN = 1e-7  # and of one between the frequencies, where the bounds hold there, too
 # Share of 1 - M_max by which M may pass its bound between the frequencies without a warning; of
 # samples, of 1 - sigma_max(M) at the frequencies
 COARSE = 0.25
@@ -76,20 +68,13 @@ class Certificate:
 
     @property
     def all_M(self) -> float:
-        """Peak of sigma_max(M) over all frequencies, to 1e-8; an estimate if it is not proven."""
+        """An upper bound of sigma_max(M), to CLOSE; an estimate if it is not proven."""
         return self.peak.sigma
 
     @cached_property
     def all_L(self) -> float:
-        """An upper bound of sigma_max(L), to 1e-8, for all frequencies."""
+        """An upper bound of sigma_max(L), to CLOSE, for all frequencies."""
         return peak_of_L(self.filter)[0]
-
-    @cached_property
-    def between_L(self) -> float:
-        """The largest sigma_max(L) midway between the frequencies that bound it."""
-        omega = np.sort(self.problem.omega_L)
-        middle = self.filter.frequency_response((omega[1:] + omega[:-1]) / 2)
-        return float(largest_singular_values(middle).max())
 
     @property
     def proven(self) -> bool:
@@ -117,7 +102,7 @@ class Certificate:
         radii = [on_grid.spectral_radius.max()]
         for peak in self.exact:  # between the frequencies, too
             at = [peak.omega]
-            P, Q = frequency_response(problem.models[peak.plant], at), problem.Q_beyond(at)
+            P, Q = frequency_response(problem.models[peak.plant], at), problem.Q_at(at)
             radii.append(from_responses(at, P, Q, L.frequency_response(at)).spectral_radius)
         return replace(
             on_grid,
@@ -174,7 +159,7 @@ class Certificate:
             return False
         P = frequency_response(self.problem.models[peak.plant], [peak.omega])[0]
         passed = np.linalg.svd(P)[1][-1] * self.all_L
-        return passed < DEAF and peak.sigma <= self.problem.Q_beyond([peak.omega])[0] * (1 + TIED)
+        return passed < DEAF and peak.sigma <= self.problem.Q_at([peak.omega])[0] * (1 + CLOSE)
 
     @property
     def assumptions(self) -> tuple[str, ...]:
@@ -194,7 +179,7 @@ class Certificate:
 
     def _failures(self) -> Iterator[str]:
         problem = self.problem
-        M_max, L_max = problem.M_max, problem.L_max
+        M_max, L_max = problem.design.M_max, problem.design.L_max
         if self.gap > GAP:
             yield f"relative duality gap {self.gap:.1e} > {GAP:g}"
         if self.grid_M > M_max * (1 + VIOLATION):
@@ -202,13 +187,8 @@ class Certificate:
             yield f"sigma_max(M){where} = {self.grid_M:.12g} > M_max = {M_max} on the grid"
         if L_max is not None and self.grid_L > L_max * (1 + VIOLATION):
             yield f"sigma_max(L) = {self.grid_L:.12g} > L_max = {L_max} on the grid"
-        elif self.passed_L > 1 + VIOLATION:
-            yield (
-                f"sigma_max(L) is {self.passed_L:.12g} times what bounds it between or above the "
-                "frequencies omega"
-            )
         if problem.everywhere:
-            limit = 1 + VIOLATION + BETWEEN
+            limit = 1 + CLOSE
             if self.all_M > M_max * limit or (L_max or np.inf) * limit < self.all_L:
                 yield (
                     f"sigma_max(M) is {self.all_M:.12g}, sigma_max(L) {self.all_L:.12g} at some "
@@ -242,10 +222,11 @@ class Certificate:
             texts.append(f"the filter leaves {share:.0%} of the error {where}")
         whose = f"sigma_max(M){self._whose(self.peak)}"
         place = f"{self.all_M:.4g} at {self.peak.omega:.4g} rad/s, between the"
-        passed = self.all_M - problem.M_max > COARSE * (1 - problem.M_max)
+        M_max = problem.design.M_max
+        passed = self.all_M - M_max > COARSE * (1 - M_max)
         if self.proven and passed and not self.failures and not self.deaf:
             texts.append(
-                f"{whose} reaches {place} frequencies omega, where M_max = {problem.M_max:g} "
+                f"{whose} reaches {place} frequencies omega, where M_max = {M_max:g} "
                 "bounds it: synthesise with everywhere=True, or "
                 f"{'an' if problem.L_max is None else 'a smaller'} L_max"
             )
@@ -337,11 +318,11 @@ class Certificate:
         if not np.isfinite(self.lower_bound):
             return "L = B by its formula, K = 1: nothing was optimised"
         if problem.objective == "sum" and self.grid_M > problem.M_max * (1 - TIED):
-            bounds.append(f"M_max = {problem.M_max:g}")
+            bounds.append(f"M_max = {problem.design.M_max:g}")
         if problem.L_max is not None and self.passed_L > 1 - TIED:
-            bounds.append(f"L_max = {problem.L_max:g}")
-            if self.between_L > PASSED_L * problem.L_max:
-                bounds[-1] += f", {self.between_L:.3g} between the frequencies,"
+            bounds.append(f"L_max = {problem.design.L_max:g}")
+            if self.all_L > PASSED_L * problem.design.L_max:
+                bounds[-1] += f", {self.all_L:.3g} between the frequencies,"
             if self.value >= problem.unit(0):  # below, rounding decides
                 share = min(self.relief / 10, 1)
                 bounds[-1] += f" (10 % more would lower the objective by {share:.1%} at most)"
@@ -357,16 +338,16 @@ class Certificate:
     def _table(self) -> Iterator[str]:
         """Bounds and peaks of M and L."""
         problem = self.problem
-        L_max = "none" if problem.L_max is None else f"{problem.L_max:g}"
-        all_M = f"{self.all_M:.8f}" if self.proven else "not proven"
+        M_max, L_max = problem.design.M_max, problem.design.L_max
+        all_M = f"{self.all_M:.4f}" if self.proven else "not proven"
         rows = [
             ("", "sigma_max(M)", "sigma_max(L)"),
-            ("bound", f"{problem.M_max:g}", L_max),
+            ("bound", f"{M_max:g}", "none" if L_max is None else f"{L_max:g}"),
             ("on the design grid", f"{self.grid_M:.8f}", f"{self.grid_L:.7g}"),
         ]
         if problem.robust:
             rows.append(("  of the nominal plant", f"{self.worst.peaks[0]:.8f}", ""))
-        rows.append(("over all frequencies", all_M, f"{self.all_L:.7g}"))
+        rows.append(("over all frequencies", all_M, f"{self.all_L:.4g}"))
         for title, M, L in rows:
             yield f"{title:<22}{M:>14}{L:>14}".rstrip()
 
@@ -383,7 +364,7 @@ class Certificate:
         within = "" if problem.design.radius is None else " within the radius"
         if self.exact:
             sigma = highest(self.exact).sigma
-            yield f"sigma_max(M) of the models alone over all frequencies, proven: {sigma:.8f}"
+            yield f"sigma_max(M) of the models alone over all frequencies, proven: {sigma:.4f}"
         sigma = highest(self.estimated).sigma
         yield f"sigma_max(M){within} {_span(omega)}, on a dense grid: {sigma:.4f}, estimated"
         unknown = [f"below {omega[0]:.4g} rad/s"] if omega[0] > 0 else []
@@ -407,8 +388,8 @@ class Certificate:
         gain = "" if problem.L_max else f" with a gain of Q P L up to {MOST_GAIN:.0e}"
         if problem.base is not None:
             gain = f" with this B, of a K whose gain is {K_MAX:g} at most,"
-        lower = np.isfinite(problem.limit_L).any() or (problem.L_max and problem.share_L.min() < 1)
-        kept = ", of those whose L is kept lower at omega for what lies between and above"
+        lower = problem.stated is not None and len(problem.omega) > len(problem.design.omega)
+        kept = ", of those whose bounds are kept lower at omega for what lies between and above"
         yield (
             f"objective {self.value:.7g}, no {problem.structure} filter of order {problem.order}"
             f"{gain} below {self.lower_bound:.7g}{kept if lower else ''}"
@@ -433,16 +414,16 @@ def _span(omega):
 
 def check(problem: Problem, L: LearningFilter) -> Certificate:
     """Find out what a filter, in units of `scale`, does to the plants of a problem."""
-    response = L.frequency_response(problem.omega_L)
-    worst = worst_case(problem, L)
+    response, worst = L.frequency_response(problem.omega), worst_case(problem, L)
+    estimated, beyond = estimated_peaks(problem, L, worst.sigma.max())
     return Certificate(
         problem,
         L,
         value=problem.value(largest_singular_values(problem.M(response)), worst.sigma),
         worst=worst,
         exact=proven_peaks(problem, L),
-        estimated=estimated_peaks(problem, L, worst.sigma.max()),
-        beyond=peak_beyond(problem, L),
+        estimated=estimated,
+        beyond=beyond,
         grid_L=largest_singular_values(response).max(),
         passed_L=problem.passed_L(response),
     )

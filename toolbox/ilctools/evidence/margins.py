@@ -61,6 +61,7 @@ def margins(problem: Problem, L) -> Margins:
     numbers, sampled = range(len(problem.plants)), None in problem.models
     times = DENSER if sampled else 1
     omega = np.unique(np.concatenate([dense_grid(problem, k, L, times) for k in numbers]))
+    omega = omega[(omega <= problem.design.omega[-1]) | (not sampled)]
     known = [between(problem, k, omega) for k in numbers]
     P, Q, L = np.array([P for P, *_ in known]), known[0][1], L.frequency_response(omega)
     P_at, Q_at, L_at = (

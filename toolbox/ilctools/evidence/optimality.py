@@ -31,16 +31,15 @@ def lower_bound(problem: Problem, U, V, cuts: Cuts | None = None) -> float:
     to rounding, whatever was passed. A coefficient of L_jk acts on column k of M, L and G only, so
     the columns are projected one by one. What is None is not used: V, the bound on L; cuts.
     """
-    n = len(problem.omega)
     Q, angles = problem.Q, problem.omega * problem.Ts
-    by_K, at_M = problem.through_base, np.arange(n)
-    parts = [(by_K(-Q[:, None, None] * problem.P, at_M), U[:n], angles)]
+    by_K, every = problem.through_base, np.arange(len(problem.omega))
+    parts = [(by_K(-Q[:, None, None] * problem.P, every), U, angles)]
     if V is not None:  # in units of the bound: the size of the objective
         W = problem.weight
-        parts.append((W, np.linalg.solve(W, V), problem.omega_L * problem.Ts))
+        parts.append((W, np.linalg.solve(W, V), angles))
     if cuts is not None:
         F, T = affine(problem, cuts.plant, cuts.frequency)
-        nonzero = np.abs(T).max(axis=2, keepdims=True) > 0
+        nonzero = (np.abs(T) + np.abs(F)).max(axis=2, keepdims=True) > 0
         T = by_K(T, cuts.frequency)
         parts.append((T, cuts.N * nonzero, angles[cuts.frequency]))
     U, *others = _projected(problem, parts)
@@ -69,8 +68,7 @@ def relief(problem: Problem, value, U, V, cuts: Cuts | None = None) -> float:
     """
     if problem.L_max is None:
         return 0.0
-    binding = problem.L_max * problem.share_L <= problem.limit_L
-    share = _nuclear_norms(np.linalg.solve(problem.weight, V))[binding].sum()
+    share = _nuclear_norms(np.linalg.solve(problem.weight, V)).sum()
     if problem.objective == "peak":
         total = _nuclear_norms(U).sum()
         share /= total if cuts is None else total + dual_norm(cuts.N).sum()

@@ -27,12 +27,9 @@ mirror image. (This is the inequality of Bernstein and Szego for rational functi
 Erdelyi, Mathematika 43 (1996) 413-423. For a finite impulse response of length n + 1, phi = n theta
 and it is Riesz's lemma of 1914.)
 
-So if theta* lies between two samples a < b with h = phi(b) - phi(a) < pi / 2, the peak is no higher
-than the sinusoid in phi through (0, sigma_max(a)) and (h, sigma_max(b)), or than the higher of the
-two if the sinusoid has its crest elsewhere. An interval is dropped once that bound is within the
-tolerance of the highest value seen, and halved if not. When none is left, the bound is proven; near
-the peak h is then about sqrt(8 tolerance). Real systems have the same singular values at negative
-frequencies, so [0, pi / Ts] is enough.
+So between two frequencies, phi(b) - phi(a) = h < pi, of which one is no farther than h / 2 from
+theta*, the peak is max(sigma(a), sigma(b)) / cos(h / 2) at most: a grid proves it. Real systems
+have the same singular values at negative frequencies, so that [0, pi / Ts] is enough.
 
 With L = B K of :mod:`ilctools.base` there is no model: B has poles mirrored at the circle, too. On
 the circle each is a trigonometric polynomial over |exp(j theta) - a|^2 of a pole a inside, and K,
@@ -45,7 +42,6 @@ to a peak is no part of it: some 1e-16 over the distance of a pole to the circle
 paper's M.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import control
@@ -54,136 +50,75 @@ from scipy.linalg import schur
 
 from ilctools import arguments
 from ilctools.evidence.robustness import NEAR, within_radius
-from ilctools.filters import LearningFilter, ZeroPhaseButterworth
+from ilctools.filters import LearningFilter
 from ilctools.models import balanced, by_substitution
 from ilctools.problem.between import between
+from ilctools.problem.phase import phase, phase_grid
 from ilctools.problem.problem import Problem, convergence_matrix
 from ilctools.singular_values import TIED, largest_singular_values
 
-CLOSE = 1e-8  # relative, of a proven bound: the cost grows like its inverse square root
-MOST_POINTS = 2_000_000  # frequencies at which to give up
+STEP = np.pi / 6  # in phi, of the grid on which the highest value is looked for;
+# where the peak may be higher than all values so far, each step is divided, and again: h is then
+# 0.002, and the bound 5e-7 above the peak
+PARTS, PASSES = 16, 3
+MOST = 300_000  # frequencies in a pass: fewer passes, where a base of thousands of samples is flat
+CLOSE = 1e-6  # relative, by how much such a bound may be above the peak
 CHUNK = 2**21  # numbers held at a time while frequency responses are computed
 DENSER = 10  # the grid between the samples, against theirs
-DENSE = 20  # samples for which a base counts in the grid beyond them
 
 
-@dataclass(frozen=True)
-class Factor:
-    """A response at angles omega Ts, shape (k,) to (k, m, m), and its poles within the circle."""
-
-    response: Callable
-    poles: np.ndarray
-
-
-def of_model(system: control.StateSpace) -> Factor:
-    """C (z I - A)^-1 B + D, by a Schur form of A."""
+def of_model(system: control.StateSpace):
+    """C (z I - A)^-1 B + D as a function of omega, by a Schur form of A, and its eigenvalues."""
     A, B, C = balanced(system.A, system.B, system.C)
     T, Z = schur(A, output="complex")
     model = T, Z.conj().T @ B, C @ Z, system.D
 
-    def response(theta):
-        return in_parts(lambda x: by_substitution(*model, np.exp(1j * x)), theta, B.size)
+    def response(omega):
+        z = np.exp(1j * omega * system.dt)
+        return in_parts(lambda z: by_substitution(*model, z), z, B.size)
 
-    return Factor(response, np.diag(T))
-
-
-def of_taps(L: LearningFilter) -> Factor:
-    """A finite filter, whose poles are at zero."""
-    poles = np.zeros(max(abs(L.first), abs(L.last)))
-    return Factor(lambda theta: L.frequency_response(theta / L.Ts), poles)
-
-
-def of_inverse(base) -> Factor:
-    """The base J H*."""
-    closed, units = of_model(base.closed), base.scale[:, None] / base.scale
-
-    def response(theta):
-        H, J = np.split(closed.response(theta), 2, axis=1)
-        return J @ H.conj().swapaxes(1, 2) * units
-
-    return Factor(response, closed.poles)
-
-
-def factors_of(L: LearningFilter) -> list[Factor]:
-    """B, if there is one, and K."""
-    base, K = L.base, LearningFilter(L.coefficients, L.Ts, first=L.first)
-    if base is None:
-        return [of_taps(K)]
-    return [of_taps(base) if isinstance(base, LearningFilter) else of_inverse(base), of_taps(K)]
+    return response, np.diag(T)
 
 
 def peak_of_L(L: LearningFilter) -> tuple[float, float]:
     """Peak over all frequencies of sigma_max(L), and where it is."""
-    return proven_peak(factors_of(L), L.Ts)
+
+    def sigma(omega):
+        return largest_singular_values(in_parts(L.frequency_response, omega, 4 * L.order))
+
+    return proven_peak(sigma, L.poles, L.Ts)
 
 
 def peak_of_M(P: control.StateSpace, L: LearningFilter, Q) -> tuple[float, float]:
     """Peak over all frequencies of sigma_max(M), and where it is."""
-    return proven_peak([of_model(P), *factors_of(L)], L.Ts, Q, of_M=True)
+    response, poles = of_model(P)
 
+    def sigma(omega):
+        of_L = in_parts(L.frequency_response, omega, 4 * L.order)  # in long doubles
+        M = convergence_matrix(response(omega), Q.frequency_response(omega), of_L)
+        return largest_singular_values(M)
 
-def proven_peak(
-    factors: list[Factor], Ts: float, Q: ZeroPhaseButterworth | None = None, of_M=False
-) -> tuple[float, float]:
-    """Peak over all frequencies of Q sigma_max(G), an upper bound, and where it is, rad/s.
-
-    G is the product of the factors; of M, the identity less it. The bound is CLOSE to the peak.
-    """
     # Q is not made a part of a system: the poles of a filter of high order with a low cut-off lie
     # so close together that a Schur form tears them apart.
-    poles = np.concatenate([factor.poles for factor in factors] + ([] if Q is None else [Q.poles]))
+    return proven_peak(sigma, np.concatenate([poles, L.poles, Q.poles]), L.Ts)
+
+
+def proven_peak(sigma, poles, Ts: float) -> tuple[float, float]:
+    """Peak over all frequencies of a sigma with these poles, an upper bound; where it is, rad/s."""
     arguments.stable("system", poles)
-
-    def nodes(theta):
-        G = factors[0].response(theta)
-        for factor in factors[1:]:
-            G = G @ factor.response(theta)
-        sigma = largest_singular_values(np.eye(G.shape[1]) - G if of_M else G)
-        if Q is not None:
-            sigma = sigma * Q.frequency_response(theta / Ts)
-        return np.stack([theta, sigma, phase(poles, theta)])
-
-    points = nodes(np.linspace(0, np.pi, 4 * len(poles) + 2))
-    place, peak, _ = points[:, points[1].argmax()]
-    left, right = points[:, :-1], points[:, 1:]
-    bound, count = peak, points.shape[1]
-    while True:
-        highest = ceiling(left[1], right[1], right[2] - left[2])
-        high = highest > peak * (1 + CLOSE)
-        bound = max(bound, highest[~high].max(initial=0))
-        if not high.any():
-            return float(bound), float(place / Ts)
-        left, right = left[:, high], right[:, high]
-        middle = (left[0] + right[0]) / 2
-        count += middle.size
-        if count > MOST_POINTS or np.any((middle == left[0]) | (middle == right[0])):
-            raise RuntimeError(
-                f"the peak gain is between {peak:.12g} and {highest.max():.12g}; to close in "
-                f"further takes more than {MOST_POINTS} frequencies"
-            )
-        middle = nodes(middle)
-        best = middle[:, middle[1].argmax()]
-        if best[1] > peak:
-            place, peak, _ = best
-        left, right = np.hstack([left, middle]), np.hstack([middle, right])
-
-
-def ceiling(a, b, h):
-    """Highest peak that a curve through a and b, a phase h apart, can have in between."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        crest = np.hypot(a - b, 2 * np.sqrt(a) * np.sqrt(b) * np.sin(h / 2)) / np.sin(h)
-    inside = np.minimum(a, b) > np.maximum(a, b) * np.cos(h)
-    return np.where(h < np.pi / 2, np.where(inside, crest, np.maximum(a, b)), np.inf)
-
-
-def phase(poles, theta):
-    """Phase phi of the all-pass with these poles, shape of theta."""
-    others = poles[poles != 0]  # a pole at zero, as of each tap, adds theta alone
-    r, angle = np.abs(others)[:, None], np.angle(others)[:, None]
-    shift = theta - angle
-    # 1 - r cos(shift), without cancellation for poles next to the circle
-    real = (1 - r) + 2 * r * np.sin(shift / 2) ** 2
-    return len(poles) * theta + 2 * np.arctan(r * np.sin(shift) / real).sum(axis=0)
+    theta, peak, place = phase_grid([poles], STEP)[None], 0.0, 0.0
+    for _ in range(PASSES):
+        values = sigma(theta.ravel() / Ts).reshape(theta.shape)
+        if values.max() > peak:
+            peak, place = values.max(), theta.ravel()[values.argmax()]
+        h = np.diff(phase(poles, theta.ravel()).reshape(theta.shape))
+        bound = np.maximum(values[:, 1:], values[:, :-1]) / np.cos(h / 2)
+        high = bound > peak
+        if not high.any() or high.sum() * PARTS > MOST:
+            break
+        parts = np.linspace(0, 1, PARTS + 1)
+        theta = theta[:, :-1][high][:, None] + parts * np.diff(theta)[high][:, None]
+    return float(bound[high].max(initial=peak)), float(place / Ts)
 
 
 def in_parts(function, points, size):
@@ -196,7 +131,7 @@ def in_parts(function, points, size):
 class Peak:
     """The highest peak of sigma_max(M) over all frequencies among some plants of a problem."""
 
-    sigma: float  # an upper bound to 1e-8 if proven
+    sigma: float  # an upper bound, to CLOSE, if proven
     omega: float  # where it is, rad/s
     plant: int  # whose it is; of those that are tied, the first
 
@@ -217,37 +152,39 @@ def unproven(problem: Problem) -> list[int]:
     return [k for k, model in enumerate(problem.models) if model is None]
 
 
-def estimated_peaks(problem: Problem, L, level) -> list[Peak]:
-    """Of these, between the frequencies and within the radius; those below a level only bounded."""
-    return [
-        Peak(float(sigma.max()), float(omega[sigma.argmax()]), k)
-        for k, omega, sigma in crests(problem, L, level)
-    ]
+def estimated_peaks(problem: Problem, L, level) -> tuple[list[Peak], Peak | None]:
+    """Of these, within the radius: between the frequencies, and above the last sample of P.
+
+    Those below a level are only bounded.
+    """
+    inside, above, last = [], [], problem.design.omega[-1]
+    for k, omega, sigma in crests(problem, L, level):
+        for peaks, there in ((inside, omega <= last), (above, omega > last)):
+            if there.any():
+                at = np.where(there, sigma, -1).argmax()
+                peaks.append(Peak(float(sigma[at]), float(omega[at]), k))
+    return inside, highest(above)
 
 
 def crests(problem, L, level):
     """Where between the frequencies sigma_max(M) is highest, of each plant that has no proof.
 
-    Yields its number, frequencies and values: all crests near the level, or above, and the highest.
+    Yields its number, frequencies and values: of a dense grid, and all crests near the level.
     """
-    dense = None  # one for all samples
     for k in unproven(problem):
-        model = problem.models[k]
-        if dense is None or model is not None:
-            dense = dense_grid(problem, k, L)
-            response = in_parts(L.frequency_response, dense, 4 * L.order)  # in long doubles
+        omega = dense_grid(problem, k, L)
 
-        def sigma_M(omega, response, k=k):
+        def sigma_M(omega, k=k):
             P, Q, radius = between(problem, k, omega)
-            rho_L = None if radius is None else (np.abs(Q) * radius)[:, None, None] * response
-            return within_radius(convergence_matrix(P, Q, response), rho_L, level)
+            of_L = in_parts(L.frequency_response, omega, 4 * L.order)  # in long doubles
+            rho_L = None if radius is None else (np.abs(Q) * radius)[:, None, None] * of_L
+            return within_radius(convergence_matrix(P, Q, of_L), rho_L, level)
 
-        sigma = sigma_M(dense, response)
-        top = np.array(vertices(dense, sigma, NEAR * level))
-        more = sigma_M(top, L.frequency_response(top)) if len(top) else top
-        highest = sigma.argmax()
-        yield k, np.append(top, dense[highest]), np.append(more, sigma[highest])
-        dense = dense if model is None else None
+        sigma = sigma_M(omega)
+        top = np.array(vertices(omega, sigma, NEAR * level))
+        if len(top):
+            omega, sigma = np.append(omega, top), np.append(sigma, sigma_M(top))
+        yield k, omega, sigma
 
 
 def vertices(omega, sigma, limit) -> list[float]:
@@ -265,33 +202,17 @@ def vertices(omega, sigma, limit) -> list[float]:
 
 
 def dense_grid(problem, number, L, times=DENSER) -> np.ndarray:
-    """Some frequencies for each of a design, and those that resolve the poles of L and a model."""
+    """Some frequencies for each of a design, and those that resolve the poles of L and a model.
+
+    Of samples up to the Nyquist frequency, see :mod:`.problem.between`.
+    """
     known, model = problem.design.omega, problem.models[number]
     steps = np.linspace(0, 1, times, endpoint=False)
     samples = np.append((known[:-1, None] + np.outer(np.diff(known), steps)).ravel(), known[-1])
-    poles = [factor.poles for factor in factors_of(L)] + ([] if model is None else [model.poles()])
-    further = np.concatenate([_resolved(each) for each in poles]) / problem.Ts
-    return np.union1d(samples, further[(further > known[0]) & (further < known[-1])])
-
-
-def _resolved(poles):
-    """Angles close enough to resolve a response with these poles."""
-    r, angle = np.abs(poles), np.abs(np.angle(poles))
-    turns = np.linspace(0, np.pi, DENSER * np.count_nonzero(r < 0.5) + 1)
-    bends = angle[r >= 0.5] + np.outer(np.tan(np.linspace(-1.5, 1.5, 61)), 1 - r[r >= 0.5])
-    return np.append(turns, bends)
-
-
-def peak_beyond(problem: Problem, L) -> Peak | None:
-    """The highest above the last sample of P, of any phase and assumed size; None if P is known."""
-    if problem.beyond is None:
-        return None
-    first, nyquist = problem.design.omega[-1], np.pi / problem.Ts
-    omega = np.linspace(first, nyquist, 1 + 64 * (L.order + DENSE * (L.base is not None)))
-    sigma_L = largest_singular_values(L.frequency_response(omega))
-    sigma_M = problem.Q_beyond(omega) * (1 + problem.beyond * sigma_L)
-    at = sigma_M.argmax()
-    return Peak(float(sigma_M[at]), float(omega[at]), 0)
+    poles = L.poles if model is None else np.append(L.poles, model.poles())
+    further = phase_grid([poles], np.pi / (2 * DENSER)) / problem.Ts
+    last = known[-1] if model is not None else np.pi / problem.Ts
+    return np.union1d(samples, further[(further > known[0]) & (further <= last)])
 
 
 def highest(peaks: list[Peak]) -> Peak | None:

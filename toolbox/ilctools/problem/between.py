@@ -20,26 +20,28 @@ FEWEST = 4  # samples of which every other one can be left out
 
 
 def between(problem, plant: int, omega):
-    """P (k, m, m) of a plant, Q (k,) and the radius (k,), or None, within the design frequencies.
+    """P (k, m, m) of a plant, Q (k,) and the radius (k,), or None, at other frequencies.
 
-    Models of P and Q are their own, elsewhere, too; the radius is zero there.
+    Models are their own. Above the last sample P is zero with a radius, its size there; a radius of
+    a model ends with the design frequencies.
     """
-    design, model, Q = problem.design, problem.models[plant], problem.butterworth
-    at = np.clip(omega, design.omega[0], design.omega[-1])
-    known, place = design.axis(design.omega), design.axis(at)
-    Q = CubicSpline(known, design.Q)(place) if Q is None else Q.frequency_response(omega)
+    design, model = problem.design, problem.models[plant]
+    omega, Q = np.asarray(omega), design.Q_at(omega)
     if model is not None and design.radius is None:
         return frequency_response(model, omega), Q, None
+    known, place = design.axis(design.omega), design.axis(omega.clip(*design.omega[[0, -1]]))
     radius = 0 if design.radius is None else np.interp(place, known, design.radius)
     if model is not None:
-        P = frequency_response(model, omega)
-    else:
-        P = CubicSpline(known, design.plants[plant])(place)
-        after = np.searchsorted(known, place).clip(1, len(known) - 1)
-        t = (place - known[after - 1]) / (known[after] - known[after - 1])
-        missed = design.missed[plant]
-        radius = radius + 4 * t * (1 - t) * np.maximum(missed[after - 1], missed[after])
-    return P, Q, np.where(at == omega, radius, 0)
+        inside = (omega >= design.omega[0]) & (omega <= design.omega[-1])
+        return frequency_response(model, omega), Q, np.where(inside, radius, 0)
+    P, missed = CubicSpline(known, design.plants[plant])(place), design.missed[plant]
+    after = np.searchsorted(known, place).clip(1, len(known) - 1)
+    t = (place - known[after - 1]) / (known[after] - known[after - 1])
+    radius = radius + 4 * t * (1 - t) * np.maximum(missed[after - 1], missed[after])
+    if design.beyond is not None:
+        unknown = omega > design.omega[-1]
+        P[unknown], radius = 0, np.where(unknown, design.beyond, radius)
+    return P, Q, radius
 
 
 def axis_of(P, Q, omega):

@@ -1,122 +1,108 @@
-"""Bounds at further frequencies, where the design frequencies alone would not do.
+"""The grids on which bounds are bounds at every frequency.
 
-The learning filter is known at all frequencies, and keeps its bound between those of a coarse grid.
-Where the samples of a plant end below the Nyquist frequency, only a bound on its size is assumed,
-at any phase; that bounds M.
+With steps of h at most in the phase of the poles of Q, P and L, see :mod:`.evidence.peak`, what is
+M_max cos(h / 2) at most on a grid is M_max at most between its frequencies, and so is L. Samples
+have no poles: between them the grid is DENSER than theirs, and as dense as the poles of L ask for.
 """
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 
 from ilctools.problem.between import between
-from ilctools.problem.problem import ROUNDING, Problem
+from ilctools.problem.phase import phase, phase_grid
+from ilctools.problem.problem import Problem
+
+# h, with a proof and else: bounds are lower by 1 - cos(h / 2), which is 1e-5 and 3e-4
+PROVEN, ESTIMATED = 0.01, 0.05
+MOST = 30_000  # frequencies; of a base of thousands of samples the steps are larger
+COARSE = np.pi / 2  # in the phase of L: between steps of this L passes its bound by 8 % at most
+DENSER = 10  # frequencies between two samples
 
 
-def without_gaps(problem: Problem) -> Problem:
-    """The problem with L bounded at further frequencies, where omega is coarse or ends too soon."""
-    # But for a delay, a filter of n samples is a polynomial of degree (n - 1) / 2 in exp(i angle).
-    # Next to its largest value it falls no faster than the cosine of that degree (M. Riesz).
-    angles, near = problem.omega * problem.Ts, np.pi / (4 * problem.order)
-    coarse = problem.L_max is not None and _reach(angles).max() > near
-    if not coarse and problem.beyond is None:
-        return problem
-    added = _in_gaps(angles, 0 if coarse else angles[-1], near) / problem.Ts
-    if problem.everywhere:  # then L is held at its crests, too
-        problem = refined(problem, added)
-    else:
-        problem = with_L_bounded(problem, added)
-        if coarse:
-            reach = _reach(problem.omega_L * problem.Ts)
-            share = np.cos((problem.order - 1) / 2 * reach)
-            problem = replace(problem, share_L=share)
-    return problem if problem.beyond is None else _bounded_beyond(problem, near)
+def on_a_grid(problem: Problem) -> tuple[Problem, np.ndarray]:
+    """The problem at all frequencies at which it needs bounds, and which of them were stated.
 
-
-def refined(problem: Problem, omega) -> Problem:
-    """The problem with bounds on M and L at further frequencies, which are not in the sum.
-
-    There P, Q and the radius are as :func:`.between.between` says. Where samples have ended, the
-    first model stands for their plants; without one L alone is bounded.
+    With `everywhere` these are bounds on M and L. Else on L, if omega is coarse for it, and above
+    the last sample of P, where only its size is known.
     """
-    omega, design = np.sort(omega), problem.design
-    inside = (omega >= design.omega[0]) & (omega <= design.omega[-1])
-    models = [k for k, model in enumerate(problem.models) if model is not None]
-    if problem.butterworth is None or not models:
-        problem, omega = with_L_bounded(problem, omega[~inside]), omega[inside]
-        inside = inside[inside]
-    if not len(omega):
-        return problem
-    plants, (Q, *_), radii = zip(
-        *(between(problem, k, omega) for k in range(len(problem.plants))), strict=True
+    of_L = problem.filter(np.zeros((problem.channels, problem.channels, problem.order))).poles
+    angles = np.concatenate([[0], problem.omega * problem.Ts, [np.pi]])
+    coarse = np.diff(phase(of_L, angles)).max() > COARSE and problem.L_max is not None
+    if not (problem.everywhere or coarse or problem.beyond is not None):
+        return problem, np.ones(len(problem.omega), bool)
+    systems, proven = [of_L], problem.everywhere and problem.known
+    if problem.everywhere and problem.butterworth is not None:
+        models = [P.poles() for P in problem.models if P is not None]
+        systems = [np.concatenate([P, of_L, problem.butterworth.poles]) for P in models] or systems
+    turn = max(float(phase(each, np.array([np.pi]))[0]) for each in systems)
+    theta = phase_grid(systems, max(PROVEN if proven else ESTIMATED, turn / MOST))
+    h = np.max([np.diff(phase(each, theta)).max() for each in systems])
+    omega = theta / problem.Ts
+    if problem.everywhere and not proven:
+        parts = np.linspace(0, 1, DENSER, endpoint=False)[1:]
+        gaps = problem.omega[:-1, None] + parts * np.diff(problem.omega)[:, None]
+        omega = np.union1d(omega, gaps)
+    if not (problem.everywhere or coarse):
+        omega = omega[omega > problem.omega[-1]]
+    lower, L_max = np.cos(h / 2), problem.L_max
+    grid = replace(
+        problem,
+        M_max=problem.M_max * (lower if problem.everywhere else 1),
+        L_max=L_max and L_max * (lower if problem.everywhere or coarse else 1),
+        stated=problem.design,
     )
-    radii = [radius for radius in radii if radius is not None]
-    known = np.zeros(len(problem.omega)) if problem.radius is None else problem.radius
-    for k, model in enumerate(problem.models):
-        if model is None and models:
-            plants[k][~inside] = plants[models[0]][~inside]
-    n, none = len(problem.omega), np.zeros(len(omega))
+    return _merged(grid, np.setdiff1d(omega, problem.omega), lower)
+
+
+def _merged(problem, omega, lower):
+    """The problem at further frequencies, and which of all were stated."""
+    design, models = problem.design, problem.models
+    inside = (omega >= design.omega[0]) & (omega <= design.omega[-1])
+    above = (omega > design.omega[-1]) & (problem.beyond is not None)
+    known = problem.butterworth is not None and None not in models
+    of_M = (inside | known) & problem.everywhere | above
+    plants, (Q, *_), radii = zip(
+        *(between(problem, k, omega) for k in range(len(models))), strict=True
+    )
+    plants, radius = np.array(plants), np.max([_or_zero(r, omega) for r in radii], axis=0)
+    if above.any():  # M must keep its bound between these, too: Q falls, and L is larger by lower
+        Q[above] = np.abs(design.Q_at(np.append(design.omega[-1], omega[above][:-1])))
+        size = np.linalg.norm(plants[:, above], 2, axis=(2, 3)).max(axis=0)
+        radius[above] = np.maximum(radius[above], size) / lower
+        plants[:, above] = 0
+        of_M &= ~above | (problem.M_max > Q)  # else no filter does: see `findings`
     order = np.argsort(np.append(problem.omega, omega), kind="stable")
 
     def merged(values, added):
-        """In the new order; behind it what is known at the frequencies of L alone."""
-        return np.append(np.append(values[:n], added)[order], values[n:])
+        return np.concatenate([values, added])[order]
 
-    return replace(
+    radius = merged(_or_zero(problem.radius, problem.omega), np.where(of_M, radius, 0))
+    grid = replace(
         problem,
         omega=merged(problem.omega, omega),
-        plants=np.concatenate([problem.plants, np.array(plants)], axis=1)[:, order],
-        Q=merged(problem.Q, Q),
-        weights=merged(problem.weights, none),
-        radius=merged(known, np.max(radii, axis=0)) if radii else None,
-        share_L=merged(problem.share_L, none + 1),
-        limit_L=merged(problem.limit_L, none + np.inf),
-        stated=design,
+        plants=np.concatenate([problem.plants, plants], axis=1)[:, order],
+        Q=merged(problem.Q, np.where(of_M, Q, 0)),
+        weights=merged(problem.weights, np.zeros(len(omega))),
+        radius=radius if radius.any() else None,
     )
+    return grid, merged(np.ones(len(problem.omega), bool), np.zeros(len(omega), bool))
 
 
-def with_L_bounded(problem, omega):
-    """The problem with L alone bounded at further frequencies."""
+def _or_zero(radius, omega):
+    return np.zeros(len(omega)) if radius is None else radius
+
+
+def part(problem: Problem, chosen) -> Problem:
+    """The problem at some of its frequencies, (n,) bool."""
+    if chosen.all():
+        return problem
+    radius = None if problem.radius is None else problem.radius[chosen]
     return replace(
         problem,
-        further=np.append(problem.further, omega),
-        share_L=np.append(problem.share_L, np.ones(len(omega))),
-        limit_L=np.append(problem.limit_L, np.full(len(omega), np.inf)),
+        omega=problem.omega[chosen],
+        plants=problem.plants[:, chosen],
+        Q=problem.Q[chosen],
+        weights=problem.weights[chosen],
+        radius=radius if np.any(radius) else None,
     )
-
-
-def _in_gaps(angles, start, near):
-    """Angles from `start` to pi, no farther than `near` apart together with those that are known.
-
-    The ends of the unit circle's upper half are among them, unless they are known.
-    """
-    pieces = [
-        np.linspace(a, b, int(np.ceil((b - a) / near)), endpoint=False)[1:]
-        for a, b in pairwise([0, *angles, np.pi])
-    ]
-    ends = np.array([0, np.pi])[np.abs(angles[[0, -1]] - [0, np.pi]) > ROUNDING]
-    grid = np.sort(np.concatenate([ends, *pieces]))
-    return grid[grid >= start]
-
-
-def _reach(angles):
-    """The farthest from each angle that another can be and have no nearer one."""
-    order = np.argsort(angles)
-    between = np.diff(angles[order]) / 2
-    reach = np.empty(len(angles))
-    reach[order] = np.maximum([angles[order[0]], *between], [*between, np.pi - angles[order[-1]]])
-    return reach
-
-
-def _bounded_beyond(problem, near):
-    """The problem with L bounded above the last sample so that M is, whatever the phase of P."""
-    [beyond] = np.nonzero(problem.omega_L >= problem.design.omega[-1])
-    beyond = beyond[np.argsort(problem.omega_L[beyond])]
-    Q = problem.Q_beyond(problem.omega_L[beyond])
-    Q = np.maximum.accumulate(np.append(Q[0], Q[:-1]))  # M must keep its bound in between, too
-    limits = problem.limit_L.copy()
-    with np.errstate(divide="ignore"):  # |Q (I - P L)| <= |Q| (1 + size sigma_max(L))
-        limit = np.cos((problem.order - 1) / 4 * near) * (problem.M_max / Q - 1) / problem.beyond
-    limits[beyond] = np.where(problem.M_max > Q, limit, np.inf)
-    return replace(problem, limit_L=limits)

@@ -44,7 +44,7 @@ def pose(
     problem = _learnable(on_one_grid(P, Q, omega, Ts, uncertainty, scale))
     if base is not None and base != defaults.CHOOSE:
         base = arguments.number("base", base, "in (0, 1), None or 'auto'", 0, 1)
-    n, smallest = len(problem.omega), _smallest_singular_values(problem)
+    smallest = _smallest_singular_values(problem)
     what = "in (0, 1), or the trials do not converge"
     problem = replace(
         problem,
@@ -52,9 +52,6 @@ def pose(
         structure=arguments.choice("structure", structure, ["diagonal", "full"]),
         objective=arguments.choice("objective", objective, ["sum", "peak"]),
         everywhere=arguments.flag("everywhere", everywhere),
-        share_L=np.ones(n),
-        limit_L=np.full(n, np.inf),
-        beyond=_size_beyond(problem),
     )
     chosen = []  # by default, in words
     problem = replace(problem, order=_order(problem, order, base, chosen))
@@ -209,15 +206,6 @@ def _refuse_idle(Q):
             f"Q has a gain of {largest:.3g} at most where the objective counts, so that nothing "
             "is learned: its cut-off must be in rad/s"
         )
-
-
-def _size_beyond(problem):
-    """The largest sigma_max(P) above the last frequency; None if P is known up to Nyquist."""
-    sampled = [model is None for model in problem.models]
-    if not any(sampled) or problem.omega[-1] * problem.Ts >= np.pi - ROUNDING:
-        return None
-    size = largest_singular_values(problem.plants[sampled, -1]).max()
-    return float(size if problem.radius is None else size + problem.radius[-1])
 
 
 def _learnable(problem):

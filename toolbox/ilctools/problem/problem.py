@@ -8,11 +8,12 @@ M is affine in P. A bound on it for several plants, or for all within a radius o
 as for one: *fast for the plant that one believes in, convergent for all that cannot be excluded*.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import control
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from ilctools.base import RegularisedInverse, in_units
 from ilctools.filters import LearningFilter, LearningOperator, ZeroPhaseButterworth
@@ -30,8 +31,7 @@ ROUNDING = 1e-9  # of an angle: two that are nearer are the same frequency
 class Problem:
     """The problem of a learning filter. Made by :func:`.pose.pose`.
 
-    M is bounded at `omega`. L is bounded there and at further frequencies, where a grid is coarse
-    or ends below the Nyquist frequency: at :attr:`omega_L`, which begins with `omega`.
+    M and L are bounded at `omega`; where Q is zero, L alone.
     """
 
     # P and Q on one grid, P in units of `scale`
@@ -65,15 +65,7 @@ class Problem:
     first_error: np.ndarray | None = None
     weights: np.ndarray | None = None  # (n,): of sigma_max(M) in the sum; ones in the band
 
-    # between and above the frequencies, see `grid`
-    further: np.ndarray = field(default_factory=lambda: np.empty(0))  # (k,): for L alone, rad/s
-    # (n + k,) at omega_L: the share of L_max that keeps L within L_max between them; a bound on
-    # sigma_max(L) that keeps M within M_max where P is unknown, or infinite
-    share_L: np.ndarray | None = None
-    limit_L: np.ndarray | None = None
-    # largest sigma_max(P) above the last sample; None if P is known
-    beyond: float | None = None
-    # without frequencies that were added; None if none were
+    # what was asked, without the frequencies of `grid` and its lower bounds; None if this is it
     stated: "Problem | None" = None
 
     @property
@@ -93,14 +85,15 @@ class Problem:
         return (self.models[0], self.butterworth) if known else None
 
     @property
+    def known(self) -> bool:
+        """Whether P and Q are known between the frequencies, too: models without a radius."""
+        exact = self.butterworth is not None and self.design.radius is None
+        return exact and None not in self.models
+
+    @property
     def channels(self) -> int:
         """Number m of channels."""
         return self.plants.shape[-1]
-
-    @property
-    def omega_L(self) -> np.ndarray:
-        """Frequencies at which L is bounded, shape (n + k,): `omega`, then `further`."""
-        return np.append(self.omega, self.further)
 
     @property
     def idle(self) -> float:
@@ -129,7 +122,7 @@ class Problem:
     @property
     def robust(self) -> bool:
         """Whether the bounds hold for more plants than the nominal one."""
-        return self.radius is not None or len(self.plants) > 1
+        return self.design.radius is not None or len(self.plants) > 1
 
     @property
     def unusable(self) -> np.ndarray:
@@ -150,37 +143,27 @@ class Problem:
         return float((sigma_M if worst is None else worst).max())  # (45)
 
     def M(self, L, number: int = 0) -> np.ndarray:
-        """M of a plant at `omega`, from the response of L there, or at `omega_L`."""
-        return convergence_matrix(self.plants[number], self.Q, L[: len(self.omega)])
+        """M of a plant at `omega`, from the response of L there."""
+        return convergence_matrix(self.plants[number], self.Q, L)
 
     @property
     def weight(self) -> np.ndarray:
-        """W, shape (n + k, m, m), such that sigma_max(W L) <= 1 is the bound on L at omega_L.
+        """W, shape (n, m, m), such that sigma_max(W L) <= 1 is the bound on L, or W K that on K.
 
-        That is I / L_max, (46), or less than L_max, see `share_L` and `limit_L`. Without a bound,
-        coefficients in doubles determine M to about 1e-9 only up to a gain of 1e7 of Q P L,
-        counted for each input by itself: that is then the bound.
+        That is I / L_max, (46). Without a bound, coefficients in doubles determine M to about 1e-9
+        only up to a gain of 1e7 of Q P L, counted for each input by itself: that is then the bound.
         """
-        limit = self.limit_L
-        if self.L_max is not None:
-            limit = np.minimum(self.L_max * self.share_L, limit)
-        if self.base is not None:  # as bounds on K
-            size = np.maximum(self.sigma_B / limit, 1 / K_MAX)
-            return size[:, None, None] * np.eye(self.channels)
-        gains = np.linalg.norm(self.Q[:, None, None] * self.P, axis=1).max(axis=0)
-        representable = np.diag(gains / np.abs(self.Q).max() / MOST_GAIN)
-        limit = limit[:, None, None]
-        return np.where(np.isfinite(limit), np.eye(self.channels) / limit, representable)
+        identity, L_max = np.eye(self.channels), self.L_max or np.inf
+        if self.base is not None:  # sigma_max(B K) <= sigma_max(B) sigma_max(K)
+            return np.maximum(self.sigma_B / L_max, 1 / K_MAX)[:, None, None] * identity
+        if self.L_max is None:
+            gains = np.linalg.norm(self.Q[:, None, None] * self.P, axis=1).max(axis=0)
+            identity, L_max = np.diag(gains) / np.abs(self.Q).max(), MOST_GAIN
+        return np.broadcast_to(identity / L_max, self.P.shape)
 
     def passed_L(self, L) -> float:
-        """The largest sigma_max(W L) of a response of L at omega_L, where L has a bound."""
-        bounded = np.isfinite(self.limit_L) | (self.L_max is not None)
-        limit = (
-            self.limit_L
-            if self.L_max is None
-            else np.minimum(self.L_max * self.share_L, self.limit_L)
-        )
-        return float((largest_singular_values(L) / limit)[bounded].max(initial=0))
+        """The largest share of L_max that sigma_max of a response of L has; 0 without a bound."""
+        return float(largest_singular_values(L).max() / (self.L_max or np.inf))
 
     @property
     def first(self) -> int:
@@ -189,38 +172,43 @@ class Problem:
 
     @cached_property
     def of_K(self) -> np.ndarray | None:
-        """What L is for K = z, at omega_L, (n + k, m, m), in units of `scale`; None if L is K."""
+        """What L is for K = z at omega, (n, m, m), in units of `scale`; None if L is K."""
         if self.base is None:
             return None
-        shift = np.exp(1j * (self.first - 1) * self.omega_L * self.Ts)
+        shift = np.exp(1j * (self.first - 1) * self.omega * self.Ts)
         units = self.scale / self.scale[:, None]
-        return self.base.frequency_response(self.omega_L) * shift[:, None, None] * units
+        return self.base.frequency_response(self.omega) * shift[:, None, None] * units
 
     @cached_property
     def sigma_B(self) -> np.ndarray:
-        """sigma_max(B) at omega_L, (n + k,)."""
+        """sigma_max(B) at omega, (n,)."""
         return largest_singular_values(self.of_K)
 
     def through_base(self, T, at):
-        """T of G = F + T L as that of G = F + T K / z^(first - 1), at numbers of omega_L."""
+        """T of G = F + T L as that of G = F + T K / z^(first - 1), at numbers of omega."""
         return T if self.base is None else T @ self.of_K[at]
 
     def Q_at(self, omega) -> np.ndarray:
-        """Q at some frequencies; of samples, by straight lines."""
+        """Q at some frequencies; of samples, by a spline, and beyond their ends as there."""
         if self.butterworth is not None:
             return self.butterworth.frequency_response(omega)
-        return np.interp(omega, self.omega, self.Q)
+        known = self.design.omega
+        spline = CubicSpline(self.axis(known), self.design.Q)
+        return spline(self.axis(np.clip(omega, known[0], known[-1])))
 
-    def Q_beyond(self, omega) -> np.ndarray:
-        """|Q| at frequencies from the last sample on; of samples, the last."""
-        if self.butterworth is not None:
-            return np.abs(self.butterworth.frequency_response(omega))
-        return np.full(len(omega), np.abs(self.design.Q[-1]))
+    @property
+    def beyond(self) -> float | None:
+        """The sigma_max(P) that is assumed above the last sample; None if P is known there."""
+        design, sampled = self.design, [model is None for model in self.models]
+        if not any(sampled) or design.omega[-1] * self.Ts >= np.pi - ROUNDING:
+            return None
+        size = largest_singular_values(design.plants[sampled, -1]).max()
+        return float(size if design.radius is None else size + design.radius[-1])
 
     @cached_property
     def axis(self):
         """Of omega and log omega that over which samples are interpolated, see `between`."""
-        return axis_of(self.P, self.Q, self.omega)
+        return axis_of(self.design.P, self.design.Q, self.design.omega)
 
     @cached_property
     def missed(self) -> np.ndarray:
@@ -242,7 +230,7 @@ class Problem:
         sampled = self.butterworth is None or None in self.models
         splines = "cubic splines miss P by no more than they miss samples that are left out"
         known = [splines] if sampled else []
-        if self.radius is not None:
+        if self.design.radius is not None:
             known.append("the radius is interpolated by straight lines")
         if known:
             axis = "log omega" if self.design.axis is np.log else "omega"
@@ -255,12 +243,12 @@ class Problem:
         if self.beyond is None:
             return ()
         last = self.design.omega[-1]
-        [Q] = self.Q_beyond([last])
-        if self.M_max > Q:
+        Q = np.abs(self.Q_at([last]))[0]
+        if self.design.M_max > Q:
             return ()
         return (
             f"Q is {Q:.4g} above {last:.4g} rad/s, where P is not known: no filter bounds M "
-            f"by {self.M_max:g} there; lower the cut-off of Q, or measure further",
+            f"by {self.design.M_max:g} there; lower the cut-off of Q, or measure further",
         )
 
     def filter(self, coefficients) -> LearningFilter:
@@ -275,9 +263,13 @@ class Problem:
         base = self.base and in_units(self.base, self.scale)
         return LearningFilter(solution.coefficients, self.Ts, first=self.first, base=base)
 
+    def K(self, solution: "Solution") -> np.ndarray:
+        """Response of K / z^(first - 1), or of L without a base, at omega, (n, m, m)."""
+        return LearningFilter(solution.coefficients, self.Ts).frequency_response(self.omega)
+
     def response(self, solution: "Solution") -> np.ndarray:
-        """Response of a solution's filter at omega_L, (n + k, m, m), in units of `scale`."""
-        K = LearningFilter(solution.coefficients, self.Ts).frequency_response(self.omega_L)
+        """Response of a solution's filter at omega, (n, m, m), in units of `scale`."""
+        K = self.K(solution)
         return K if self.base is None else self.of_K @ K
 
 
@@ -296,7 +288,7 @@ class Solution:
 
     # (m, m, order): of L(z) = sum_k C_k z^k, in units of `scale`
     coefficients: np.ndarray
-    # (n + k, m, m), complex: multipliers of the nominal M and of L, at omega_L
+    # (n, m, m), complex: multipliers of the nominal M, and of L or K
     U: np.ndarray
     V: np.ndarray
     largest: float  # sigma_max(M); of W L, for the least gain

@@ -9,15 +9,13 @@ from ilctools import arguments
 from ilctools.errors import InfeasibleError, SolverError
 from ilctools.evidence.certificate import Certificate, certify, check
 from ilctools.evidence.finite import trial_norm
-from ilctools.evidence.peak import peak_of_L
 from ilctools.filters import ZeroPhaseButterworth
 from ilctools.problem import defaults
 from ilctools.problem.defaults import CHOOSE
-from ilctools.problem.grid import with_L_bounded, without_gaps
 from ilctools.problem.pose import pose
 from ilctools.problem.problem import Problem, Solution
 from ilctools.problem.responses import lowest_and_period, on_one_grid
-from ilctools.singular_values import TIED, largest_singular_values, tied
+from ilctools.singular_values import largest_singular_values, tied
 from ilctools.synthesis.cutoff import ORDER, reached
 from ilctools.synthesis.cuts import solve
 from ilctools.synthesis.everywhere import solve_everywhere
@@ -28,7 +26,6 @@ from ilctools.threads import on_one_thread
 EQUAL = 1e-3  # relative distance of multipliers that are the same for the solver
 SETTLED = 0.02  # of a disturbance: a trial of ten times that long has two ends of its own
 SHORTEST, LONGEST = 50, 1000  # samples of that trial; longer ones of several plants take seconds
-PEAKS, NEAR = 20, 0.9  # of sigma_max(L) between the frequencies; share of its bound worth a look
 HOPELESS = 1 - 1e-6  # from here on a smallest M_max is one, and raising it no remedy
 
 
@@ -303,14 +300,13 @@ def warned(design: Synthesis) -> Synthesis:
 
 def certified(problem: Problem, *, check=True) -> Synthesis:
     """Solve a problem, and certify the filter; arguments and errors of :func:`synthesise`."""
-    stated, problem = problem.design, without_gaps(problem)
+    stated = problem
     try:
         problem, solution = solve_everywhere(problem)
     except Infeasible as error:
         raise _explained(problem, error.nearest) from None
     except RuntimeError as error:
         raise SolverError(f"{error}{_remedy(problem)}") from None
-    problem, solution = _within_gain(problem, solution)
     certificate = certify(problem, solution)
     if check:
         insist(certificate)
@@ -330,23 +326,9 @@ def result(problem, stated, solution, certificate) -> Synthesis:
     )
 
 
-def _within_gain(problem, solution):
-    """With L = B K bounded at its peak, too, where that is between the frequencies."""
-    for _ in range(PEAKS):
-        near = problem.passed_L(problem.response(solution)) > NEAR
-        if problem.base is None or problem.L_max is None or not near:
-            break
-        sigma, omega = peak_of_L(problem.learned(solution))
-        if sigma <= problem.L_max * (1 + TIED):
-            break
-        problem = with_L_bounded(problem, np.array([omega]))
-        solution = solve(problem)
-    return problem, solution
-
-
 def _explained(problem, nearest):
     """The error that says which bound is too tight, where, and what would be feasible."""
-    posed, on_grid = problem, len(nearest.V) > len(problem.omega_L)
+    posed, on_grid = problem, len(nearest.V) > len(problem.omega)
     if len(problem.plants) > 1 or problem.everywhere:  # not all of the bounds had a say so far
         posed, nearest = solve_everywhere(replace(problem, M_max=np.inf, objective="peak"))
     plant, omega = _obstacle(posed, nearest)
@@ -363,7 +345,7 @@ def _explained(problem, nearest):
             f"{lost[-1]:.4g} rad/s, where the radius contains singular plants: measure longer "
             "there, or lower the cut-off of Q"
         )
-    if np.isfinite(problem.limit_L).any():
+    if problem.beyond is not None and not problem.findings:
         message += f". It is {problem.assumed[0]}: measure further"
     return InfeasibleError(message, nearest.largest, plant, omega)
 

@@ -38,13 +38,12 @@ def orthonormalise(A):
 
 def whitened_basis(problem):
     """Phi = R^-T [z; z^2; ...], orthonormal with the weight that M and W L give each frequency."""
-    n, Q = len(problem.omega), np.abs(problem.Q)
-    weight = np.zeros(len(problem.omega_L))
-    P = problem.through_base(problem.P, np.arange(n))
-    weight[:n] = Q * np.linalg.norm(P, axis=(1, 2)) / Q.max()
+    Q = np.abs(problem.Q)
+    P = problem.through_base(problem.P, np.arange(len(Q)))
+    weight = Q * np.linalg.norm(P, axis=(1, 2)) / Q.max()
     weight = np.hypot(weight, largest_singular_values(problem.weight))
     weight = np.maximum(weight, 1e-8 * weight.max())
-    z = weight * time_shifts(problem.omega_L * problem.Ts, problem.order).T
+    z = weight * time_shifts(problem.omega * problem.Ts, problem.order).T
     Phi, R = orthonormalise(np.concatenate([z.real, z.imag], axis=1).T)
     real, imag = np.split(Phi, 2)
     return ((real + 1j * imag).T / weight).astype(complex, order="C"), R
@@ -101,11 +100,11 @@ class Formulation:
     def solution(self, optimum: Optimum) -> Solution:
         """The filter and the multipliers of an optimum of the program."""
         problem, program = self.problem, self.program
-        m, n_L = problem.channels, len(problem.omega_L)
-        C, (U, V) = np.zeros((m, m, problem.order)), np.zeros((2, n_L, m, m), dtype=complex)
+        m, n = problem.channels, len(problem.omega)
+        C, (U, V) = np.zeros((m, m, problem.order)), np.zeros((2, n, m, m), dtype=complex)
         C[program.rows, program.cols] = back_substituted(optimum.x, self.R)
         N = [np.moveaxis(N, -1, 0) for N in optimum.multipliers]
-        of_M, of_L, of_cuts = np.split(N[0], [len(self.nominal), len(self.nominal) + n_L])
+        of_M, of_L, of_cuts = np.split(N[0], [len(self.nominal), len(self.nominal) + n])
         U[self.nominal], V[:] = of_M, problem.weight @ of_L  # of G = M and of G = W L
         if problem.radius is not None:
             of_cuts = N[1]
@@ -140,15 +139,17 @@ def levels_of(problem):
 
 def formulate(problem: Problem, plant=(), frequency=()) -> Formulation:
     """State (39), (45) with (46), or the least gain, with cuts of these plants and frequencies."""
-    every, n_L = np.arange(len(problem.omega)), len(problem.omega_L)
-    nominal, plant, frequency = every, np.array(plant, int), np.array(frequency, int)
+    every, summed = np.arange(len(problem.omega)), problem.weights * (problem.objective == "sum")
+    of_M = (problem.Q != 0) | (summed > 0)  # elsewhere L alone is bounded
+    nominal, plant, frequency = every[of_M], np.array(plant, int), np.array(frequency, int)
     if problem.radius is not None:  # the bound within the radius implies the nominal one
-        nominal = np.flatnonzero(problem.weights * (problem.objective == "sum"))
-        plant, frequency = np.append(0 * every, plant), np.append(every, frequency)
-    cost, limits, of_M, of_cuts, of_L = levels_of(problem)
-    M = bound_on_M(problem, 0 * nominal, nominal, None, of_M[nominal])
+        nominal = np.flatnonzero(of_M & ((problem.radius == 0) | (summed > 0)))
+        within = np.flatnonzero(of_M & (problem.radius > 0))
+        plant, frequency = np.append(0 * within, plant), np.append(within, frequency)
+    cost, limits, levels, of_cuts, of_L = levels_of(problem)
+    M = bound_on_M(problem, 0 * nominal, nominal, None, levels[nominal])
     W = np.ascontiguousarray(np.moveaxis(problem.weight, 0, -1), dtype=complex)
-    L = Bound(0 * W, W, np.arange(n_L), np.full(n_L, of_L))
+    L = Bound(0 * W, W, every, np.full(len(every), of_L))
     cuts = bound_on_M(problem, plant, frequency, problem.radius, np.full(len(plant), of_cuts))
     M, cuts = (_by_K(problem, bound) for bound in (M, cuts))
     bounds = (joined(M, L, cuts),) if problem.radius is None else (joined(M, L), cuts)

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 
 from ilctools.errors import SolverError
-from ilctools.problem.grid import without_gaps
 from ilctools.problem.pose import pose
 from ilctools.synthesis.design import certified, warned
 from ilctools.synthesis.everywhere import solve_everywhere
@@ -53,7 +52,7 @@ def least_gain(P, Q, omega=None, Ts=None, **choices) -> Synthesis:
     problem = pose(P, Q, omega, Ts, objective="peak", L_max=None, **choices)
     free = certified(problem)
     unit = free.sigma_L.max()  # a gain that is enough
-    question = without_gaps(replace(problem, objective="gain", L_max=unit))
+    question = replace(problem, objective="gain", L_max=unit)
     for same in SAME:
         try:
             with np.errstate(all="ignore"):

@@ -413,6 +413,7 @@ def test_on_a_model_it_is_proven(design, gain, monotone):
     assert result.monotone == monotone == result.converges
     how = "converges monotonically" if monotone else "diverges"
     assert str(result).startswith(f"{how}: sigma_max(M) is {gamma:.4f} at most")
+    assert ("long against the slowest mode" in str(result)) != monotone
     assert result.assumptions == ()
     assert as_array.gamma == pytest.approx(gamma, rel=1e-3) and not as_array.proven
     assert result.spectral_radius == pytest.approx(gamma, rel=1e-7)  # of one channel

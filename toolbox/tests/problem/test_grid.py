@@ -1,18 +1,16 @@
 """Where a grid is coarse or ends too soon, the learning filter keeps its bounds all the same."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from paper import paper_choices
-from problems import memory
 from scipy.interpolate import CubicSpline
 
 from ilctools import InfeasibleError, LearningFilter, synthesise, zero_phase_butterworth
-from ilctools.evidence.peak import peak_of_L
-from ilctools.problem.grid import _in_gaps, refined, without_gaps
+from ilctools.evidence.peak import CLOSE, peak_of_L
+from ilctools.problem.between import between
+from ilctools.problem.grid import on_a_grid
 from ilctools.problem.pose import pose
 from ilctools.singular_values import largest_singular_values
 
@@ -35,31 +33,28 @@ def test_on_the_grids_of_the_paper_nothing_is_added(loop, Q, n, as_model):
     omega = np.geomspace(1e-4, np.pi, n)
     P = loop if as_model else loop.frequency_response(omega)
     problem = pose(P, Q, omega, 1.0, **paper_choices())
-    assert without_gaps(problem) is problem and problem.beyond is None
+    same, stated = on_a_grid(problem)
+    assert same is problem and stated.all() and problem.beyond is None
     np.testing.assert_array_equal(problem.weight, np.tile(np.eye(2) / 50, (n, 1, 1)))
 
 
-def test_gaps_are_found_without_a_matrix_of_all_distances():
-    assert memory(lambda: _in_gaps(np.linspace(1, 3, 3000), 0, 0.01)) < 3e6
-
-
 @given(st.integers(1, 3), st.integers(1, 25), st.integers(3, 40), st.integers(0, 999))
-def test_no_filter_that_keeps_the_bound_at_the_samples_passes_it_between(m, order, n, seed):
+def test_no_filter_that_keeps_the_bound_on_the_grid_passes_it_between(m, order, n, seed):
     """Riesz' inequality, tried with filters of which some are nearly as bad as it admits."""
     rng = np.random.default_rng(seed)
     omega = np.sort(rng.uniform(1e-3, np.pi, max(n, order)))
     P = np.tile(np.eye(m), (len(omega), 1, 1))
     choices = {"order": order, "L_max": 7.0, "objective": "peak"}
     Q = zero_phase_butterworth(2, 0.5, 1.0)
-    problem = without_gaps(pose(P, Q, omega, 1.0, **choices))
-    problem = replace(problem, limit_L=np.full(len(problem.omega_L), np.inf))
+    problem, stated = on_a_grid(pose(P, Q, omega, 1.0, **choices))
+    np.testing.assert_array_equal(problem.omega[stated], omega)
     peak = np.cos(np.arange(order) * rng.uniform(0, np.pi))
     for taps in (rng.standard_normal((m, m, order)), peak * np.eye(m)[..., None]):
         L = LearningFilter(taps, 1.0)
-        share = problem.passed_L(L.frequency_response(problem.omega_L))
+        share = problem.passed_L(L.frequency_response(problem.omega))
         highest = peak_of_L(LearningFilter(taps / share, 1.0))[0]
-        coarse = problem.share_L.min() < 1
-        assert highest <= 7 * (1 + 1e-7 if coarse else 1 / np.cos(np.pi / 8))
+        coarse = problem.L_max < 7
+        assert highest <= 7 * (1 + CLOSE) if coarse else 7 / np.cos(np.pi / 8)
 
 
 @EXPECTED
@@ -120,25 +115,33 @@ def test_where_Q_passes_too_much_above_the_table_it_is_said():
 
 
 def test_between_the_samples_are_splines_and_the_radius_by_straight_lines(loop, Q):
-    omega, added = np.geomspace(1e-4, np.pi / 2, 40), [1e-5, 0.2, 0.5, 3.0]
+    omega, added = np.geomspace(1e-4, np.pi / 2, 40), np.array([1e-5, 0.2, 0.5, 3.0])
     first, at = loop.frequency_response(omega), loop.frequency_response(added)
     radius = 0.01 * omega
     problem = pose([first, loop, 1.1 * first], Q, omega, 1.0, uncertainty=radius)
-    more = refined(problem, added[::-1])
-    new = ~np.isin(more.omega, omega)
-    np.testing.assert_array_equal(more.omega[new], added)
-    np.testing.assert_allclose(more.plants[1][new], at, rtol=1e-12)
+    lines = np.interp(np.log(added[1:3]), np.log(omega), radius)
+    P, same, r = between(problem, 1, added)
+    np.testing.assert_allclose(P, at, rtol=1e-12)
+    np.testing.assert_allclose(r, [0, *lines, 0], rtol=1e-12)
+    np.testing.assert_allclose(same, Q.frequency_response(added), rtol=1e-12)
     inside = CubicSpline(np.log(omega), first)(np.log(added[1:3]))
     for k, gain in ((0, 1.0), (2, 1.1)):
-        np.testing.assert_allclose(more.plants[k][new][1:3], gain * inside, rtol=1e-12)
-        # where samples have ended, the model stands for them
-        np.testing.assert_allclose(more.plants[k][new][[0, 3]], at[[0, 3]], rtol=1e-12)
-        np.testing.assert_array_equal(more.plants[k][~new], problem.plants[k])
-    np.testing.assert_allclose(more.Q[new], Q.frequency_response(added), rtol=1e-12)
-    lines = np.interp(np.log(added[1:3]), np.log(omega), radius)
-    np.testing.assert_allclose(more.radius[new], [0, *lines, 0], rtol=1e-12)
-    assert more.weights.sum() == problem.weights.sum()
-    wide = without_gaps(more)
-    np.testing.assert_array_equal(wide.design.omega, omega)
-    np.testing.assert_array_equal(wide.omega, more.omega)
-    assert len(wide.omega_L) == len(np.unique(wide.omega_L)) > len(more.omega)
+        P, _, r = between(problem, k, added)
+        np.testing.assert_allclose(P[1:3], gain * inside, rtol=1e-12)
+        assert not P[3].any() and r[3] == problem.beyond  # where samples have ended
+        assert np.all(r[1:3] >= lines)
+    size = 1.1 * np.linalg.norm(first[-1], 2) + radius[-1]
+    assert problem.beyond == pytest.approx(size, rel=1e-12)
+
+
+def test_added_frequencies_have_the_largest_radius_of_all_tables(Q):
+    """The second is less smooth, and its spline misses more of it."""
+    (smooth, omega), (other, _) = (table(seed, 2, 40, np.pi) for seed in (1, 2))
+    bent = other * (1 + 0.2 * np.sin(20 * omega))[:, None, None]
+    problem = pose([smooth, bent], Q, omega, 1.0, order=10, everywhere=True)
+    grid, stated = on_a_grid(problem)
+    added = grid.omega[~stated]
+    radii = [between(problem, k, added)[2] for k in range(2)]
+    assert np.any(radii[1] > 2 * radii[0])
+    np.testing.assert_allclose(grid.radius[~stated], np.max(radii, axis=0), atol=1e-12)
+    assert not grid.radius[stated].any()

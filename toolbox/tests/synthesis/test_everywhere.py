@@ -13,7 +13,7 @@ from ilctools.problem.pose import pose
 from ilctools.singular_values import largest_singular_values
 from ilctools.synthesis import everywhere
 
-PROVEN = 1 + 3e-8  # what the bounds may be passed by
+PROVEN = 1 + 1e-9  # what the bounds may be passed by: rounding
 PAPER = paper_choices()
 PAPER.pop("M_max")
 
@@ -30,13 +30,15 @@ def judged(design, P, Q, omega):
 def dense(design, Ts=1.0):
     """Evenly, by decades, and closely about the frequencies that were added."""
     problem = design.certificate.problem
-    added = np.setdiff1d(problem.omega_L, problem.design.omega)[:, None]
+    added = np.setdiff1d(problem.omega, problem.design.omega)[:, None]
     about = (added * (1 + np.linspace(-0.01, 0.01, 41))).ravel()
     grids = (np.linspace(0, np.pi, 5001) / Ts, np.geomspace(1e-4, np.pi, 5001) / Ts, about)
     return np.unique(np.concatenate(grids).clip(0, np.pi / Ts))
 
 
-@pytest.mark.parametrize(("structure", "value"), [("diagonal", 104.8675), ("full", 69.9620)])
+@pytest.mark.parametrize(
+    ("structure", "value"), [("diagonal", 104.86747377), ("full", 69.96200491)]
+)
 def test_the_papers_bounds_hold_at_every_frequency(loop, Q, omega, structure, value):
     choices = PAPER | {"structure": structure}
     on_grid = synthesise(loop, Q, omega, **choices)
@@ -47,8 +49,8 @@ def test_the_papers_bounds_hold_at_every_frequency(loop, Q, omega, structure, va
     failures = replace(on_grid.certificate, problem=asked).failures
     assert on_grid.certificate.failures == [] and "above the bounds" in failures[0]
     M, L = judged(design, loop, Q, at)
-    assert M <= 0.9 * PROVEN and 49.999 < L <= 50 * PROVEN
-    assert design.value == pytest.approx(value, abs=5e-5)
+    assert M <= 0.9 * PROVEN and 49.99 < L <= 50 * PROVEN
+    assert value <= design.value <= value * (1 + 1e-4)  # by a grid for the bounds 1e-5 lower
     certificate = design.certificate
     assert on_grid.value < certificate.lower_bound <= design.value
     assert certificate.gap < 1e-7 and certificate.failures == []
@@ -63,7 +65,7 @@ def test_the_least_peak_is_that_of_every_grid(loop, Q):
         grid = np.geomspace(1e-4, np.pi, n)
         choices = PAPER | {"everywhere": True, "objective": "peak"}
         design = synthesise(loop, Q, grid, **choices)
-        assert design.value == pytest.approx(0.82469474, abs=3e-8)
+        assert design.value == pytest.approx(0.82469474, rel=1e-5)
 
 
 def test_the_bounds_of_several_models_hold_everywhere(loop, Q):
@@ -82,7 +84,7 @@ def test_what_only_the_grid_admits_is_infeasible_everywhere(loop, Q):
     for M_max, on_grid in ((0.8235, True), (0.8, False)):
         with pytest.raises(InfeasibleError) as error:
             synthesise(loop, Q, grid, M_max=M_max, everywhere=True, **PAPER)
-        assert error.value.smallest_M_max == pytest.approx(0.8246947, abs=1e-6)
+        assert error.value.smallest_M_max == pytest.approx(0.8246947, rel=3e-5)
         assert ("At the frequencies omega alone" in str(error.value)) is on_grid
     feasible = synthesise(loop, Q, grid, M_max=0.8248, everywhere=True, **PAPER)
     assert feasible.certificate.proven

@@ -1,0 +1,34 @@
+"""The phase in which the poles of a response are equally dense, and grids that are even in it.
+
+    phi(theta) = sum_j integral from 0 to theta of (1 - |a_j|^2) / |exp(j t) - a_j|^2 dt
+
+of poles a_j inside the unit circle says how fast a response can bend: :mod:`.evidence.peak` has the
+theorem. One pole contributes the share q of its turn, from -pi to pi, up to
+
+    theta = arg a + 2 arctan((1 - |a|) / (1 + |a|) tan(q / 2)).
+"""
+
+import numpy as np
+
+SHARES = np.linspace(-np.pi, np.pi, 65)  # of a turn, between which phi is nearly straight
+
+
+def phase(poles, theta):
+    """Phase phi of the all-pass with these poles, shape of theta, (k,)."""
+    others = poles[poles != 0]  # a pole at zero, as of each tap, adds theta alone
+    r, angle = np.abs(others)[:, None], np.angle(others)[:, None]
+    shift = theta - angle
+    # 1 - r cos(shift), without cancellation for poles next to the circle
+    real = (1 - r) + 2 * r * np.sin(shift / 2) ** 2
+    return len(poles) * theta + 2 * np.arctan(r * np.sin(shift) / real).sum(axis=0)
+
+
+def phase_grid(systems, step) -> np.ndarray:
+    """Angles from 0 to pi, with steps of some `step` in the phase of each set of poles."""
+    poles = np.unique(np.concatenate(systems))
+    r = np.abs(poles)[:, None]
+    turns = np.angle(poles)[:, None] + 2 * np.arctan((1 - r) / (1 + r) * np.tan(SHARES / 2))
+    theta = np.unique(np.clip(np.append(turns, [0, np.pi]), 0, np.pi))
+    steps = np.max([np.diff(phase(each, theta)) for each in systems], axis=0)
+    total = np.append(0, np.cumsum(steps))
+    return np.interp(np.linspace(0, total[-1], 2 + int(total[-1] / step)), total, theta)
