@@ -339,7 +339,7 @@ class Certificate:
         """Bounds and peaks of M and L."""
         problem = self.problem
         M_max, L_max = problem.design.M_max, problem.design.L_max
-        all_M = f"{self.all_M:.4f}" if self.proven else "not proven"
+        all_M = f"{self.all_M:.6f}" if self.proven else "not proven"
         rows = [
             ("", "sigma_max(M)", "sigma_max(L)"),
             ("bound", f"{M_max:g}", "none" if L_max is None else f"{L_max:g}"),
@@ -347,7 +347,7 @@ class Certificate:
         ]
         if problem.robust:
             rows.append(("  of the nominal plant", f"{self.worst.peaks[0]:.8f}", ""))
-        rows.append(("over all frequencies", all_M, f"{self.all_L:.4g}"))
+        rows.append(("over all frequencies", all_M, f"{self.all_L:.6g}"))
         for title, M, L in rows:
             yield f"{title:<22}{M:>14}{L:>14}".rstrip()
 
@@ -364,7 +364,7 @@ class Certificate:
         within = "" if problem.design.radius is None else " within the radius"
         if self.exact:
             sigma = highest(self.exact).sigma
-            yield f"sigma_max(M) of the models alone over all frequencies, proven: {sigma:.4f}"
+            yield f"sigma_max(M) of the models alone over all frequencies, proven: {sigma:.6f}"
         sigma = highest(self.estimated).sigma
         yield f"sigma_max(M){within} {_span(omega)}, on a dense grid: {sigma:.4f}, estimated"
         unknown = [f"below {omega[0]:.4g} rad/s"] if omega[0] > 0 else []

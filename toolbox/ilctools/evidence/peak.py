@@ -1,9 +1,9 @@
 """Are the bounds met between the samples? The peak over all frequencies.
 
 From samples, and within a radius, it is that of a dense grid and of the parabolas through its
-crests. For a model it has a proof. No grid is fine enough by itself; what can happen between two
-samples must be bounded, and the poles bound it. Let a_1 ... a_n be the eigenvalues of A, and the
-poles of the Butterworth filter H if there is Q = |H|^2, which is real; and let
+crests. For a model it has a proof: what can happen between two frequencies is bounded by poles. Let
+a_1 ... a_n be the eigenvalues of A, and the poles of the Butterworth filter H if there is
+Q = |H|^2, which is real; and let
 
     phi(theta) = sum_j integral from 0 to theta of (1 - |a_j|^2) / |exp(j t) - a_j|^2 dt,
 

@@ -65,7 +65,7 @@ def synthesise(
         fast; the bounds hold for all of them. What :func:`measured_response` returns has its
         radius, in which the truth lies with a probability of 0.99; for another, pass both of
         ``P.on(omega, confidence)`` as P and `uncertainty`. Above the last frequency of samples,
-        sigma_max(P) is assumed to be what it is there, at any phase.
+        P is taken for zero with a radius, its size there.
     Q : array_like, shape (n,), or ZeroPhaseButterworth, optional
         Frequency response of the Q-filter on `omega`, or the filter. Default: one of order 2 up to
         where P reaches: the least singular value of all plants is a tenth of what it is at rest
@@ -114,12 +114,11 @@ def synthesise(
         the channels in units of `scale`, by a condition that is exact.
     everywhere : bool
         Whether the bounds hold at every frequency, not on `omega` only, for all plants: of models
-        without a radius by proof, to a relative 3e-8; else from the first to the last of `omega`,
-        on a dense grid, to 1e-6, where cubic splines run through samples, within what they may
-        miss, and straight lines through the radius, both over omega or log omega, whichever
-        predicts every other sample better. The sum is that over `omega`. It takes two to three
-        times as long, for filters of 60 samples ten times and more, of two channels up to a minute;
-        half the `order` takes a fraction of that.
+        without a radius by a grid that proves it, on which they are lower by 1e-5; else from the
+        first to the last of `omega`, on a dense grid, on which they are lower by 3e-4, where cubic
+        splines run through samples, within what they may miss, and straight lines through the
+        radius, both over omega or log omega, whichever predicts every other sample better. The sum
+        is that over `omega`. It takes two to three times as long.
     base : float, None or "auto"
         L = B K with B = (P* P + b^2)^-1 P*, the operator of :class:`NormOptimal`. It undoes poles
         and zeros of P next to the unit circle, for which a finite filter is too short. None is the

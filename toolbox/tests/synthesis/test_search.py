@@ -19,6 +19,7 @@ from ilctools import (
     zero_phase_butterworth,
 )
 from ilctools.errors import SolverError
+from ilctools.synthesis import design as design_module
 from ilctools.synthesis import search
 
 
@@ -44,6 +45,14 @@ def test_where_plants_differ_the_cutoff_is_lower_and_all_of_them_keep_M_max():
     omega = np.linspace(1e-4, np.pi, 10**5)
     for design, P in ((alike, plants), (apart, [plants[0], late])):
         assert convergence(P, design.Q, design.filter, omega).gamma.max() <= 0.9
+
+
+def test_a_trial_that_grows_takes_half_the_cutoff_and_is_said(monkeypatch):
+    lag = control.ss(0.9, 0.1, 1, 0, 1.0)
+    once = synthesise(lag).problem.cutoff
+    monkeypatch.setattr(design_module, "norm_of_trial", lambda _: (1.5, 70))
+    with pytest.warns(match="norm of a trial of 70 samples 1.5: its ends may grow"):
+        assert synthesise(lag).problem.cutoff == pytest.approx(once / 2, rel=0.05)
 
 
 def test_a_plant_of_either_sign_leaves_nothing_to_learn():
