@@ -7,14 +7,13 @@ optimal for a part of the bounds and meets all of them is optimal for all.
 
 import numpy as np
 
+from ilctools.evidence.robustness import within_radius
 from ilctools.problem.problem import Problem, Solution
-from ilctools.singular_values import largest_singular_values
-from ilctools.synthesis.formulate import bound_on_M, formulate
+from ilctools.synthesis.formulate import formulate
 from ilctools.synthesis.solver.interior_point import minimise
 from ilctools.synthesis.solver.program import Infeasible
 
 PASSED = 1e-10  # relative violation that is rounding
-HALVINGS = 50  # of an interval of shares, which is then below rounding
 
 
 def solve(problem: Problem, enough: float = 0.0) -> Solution:
@@ -52,33 +51,8 @@ def violated(problem, solution, limit, plant, frequency):
 
 
 def worst_sigma(problem, L, k, level):
-    """sigma_max(M) of a plant within the radius; where it is below the level, an upper bound."""
-    if problem.radius is None:
-        return largest_singular_values(problem.M(L, k))
-    every = np.arange(len(problem.omega))
-    bound = bound_on_M(problem, np.full_like(every, k), every, problem.radius, every)
-    G = bound.F + np.einsum("ijn,njk->ikn", bound.T, L[every])
-    value = bound.value(G, bound.first_share(G))
-    active = value > level
-    value[active] = least_value(bound, G[..., active])
-    return value
-
-
-def least_value(bound, G):
-    """The least of sigma_max(Lambda(share)^(-1/2) G), convex in the share, by bisection.
-
-    With the right singular vector x, its derivative has the sign of
-
-        |M x|^2 / (1 - share)^2 - |H x|^2 / share^2,    G = [M; H].
-    """
-    q = G.shape[1]
-    low, high = np.zeros(G.shape[2]), np.ones(G.shape[2])
-    for _ in range(HALVINGS):
-        share = (low + high) / 2
-        scaled = G / np.sqrt(bound.diagonal(1.0, share))[:, None]
-        x = np.linalg.svd(np.moveaxis(scaled, -1, 0))[2][:, 0].conj()
-        images = np.einsum("ijn,nj->in", G, x)
-        M_x, H_x = (np.linalg.norm(part, axis=0) for part in (images[:q], images[q:]))
-        rises = M_x * share > H_x * (1 - share)
-        low, high = np.where(rises, low, share), np.where(rises, share, high)
-    return bound.value(G, share)
+    """sigma_max(M) of a plant within the radius; well below the level, an upper bound."""
+    rho_L = None
+    if problem.radius is not None:
+        rho_L = (np.abs(problem.Q) * problem.radius)[:, None, None] * L
+    return within_radius(problem.M(L, k), rho_L, level)
