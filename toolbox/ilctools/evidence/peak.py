@@ -211,8 +211,10 @@ def dense_grid(problem, number, L, times=DENSER) -> np.ndarray:
     samples = np.append((known[:-1, None] + np.outer(np.diff(known), steps)).ravel(), known[-1])
     poles = L.poles if model is None else np.append(L.poles, model.poles())
     further = phase_grid([poles], np.pi / (2 * DENSER)) / problem.Ts
-    last = known[-1] if model is not None else np.pi / problem.Ts
-    return np.union1d(samples, further[(further > known[0]) & (further <= last)])
+    if model is not None or problem.beyond is None:
+        return np.union1d(samples, further[(further > known[0]) & (further < known[-1])])
+    above = np.nextafter(known[-1], np.inf)
+    return np.union1d(np.append(samples, above), further[further > known[0]])
 
 
 def highest(peaks: list[Peak]) -> Peak | None:

@@ -44,7 +44,7 @@ def on_a_grid(problem: Problem) -> tuple[Problem, np.ndarray]:
         gaps = problem.omega[:-1, None] + parts * np.diff(problem.omega)[:, None]
         omega = np.union1d(omega, gaps)
     if not (problem.everywhere or coarse):
-        omega = omega[omega > problem.omega[-1]]
+        omega = np.append(np.nextafter(problem.omega[-1], np.inf), omega[omega > problem.omega[-1]])
     lower, L_max = np.cos(h / 2), problem.L_max
     grid = replace(
         problem,

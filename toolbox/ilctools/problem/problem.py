@@ -161,10 +161,6 @@ class Problem:
             identity, L_max = np.diag(gains) / np.abs(self.Q).max(), MOST_GAIN
         return np.broadcast_to(identity / L_max, self.P.shape)
 
-    def passed_L(self, L) -> float:
-        """The largest share of L_max that sigma_max of a response of L has; 0 without a bound."""
-        return float(largest_singular_values(L).max() / (self.L_max or np.inf))
-
     @property
     def first(self) -> int:
         """The first sample of L, or of K: a K looks as far back as ahead."""

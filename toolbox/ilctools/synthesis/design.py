@@ -328,7 +328,9 @@ def result(problem, stated, solution, certificate) -> Synthesis:
 def _explained(problem, nearest):
     """The error that says which bound is too tight, where, and what would be feasible."""
     posed, on_grid = problem, len(nearest.V) > len(problem.omega)
-    if len(problem.plants) > 1 or problem.everywhere:  # not all of the bounds had a say so far
+    if (
+        len(problem.plants) > 1 or problem.everywhere or on_grid
+    ):  # not all of the bounds had a say so far
         posed, nearest = solve_everywhere(replace(problem, M_max=np.inf, objective="peak"))
     plant, omega = _obstacle(posed, nearest)
     where = f"plant {plant} at {omega:.4g} rad/s" if problem.robust else f"{omega:.4g} rad/s"

@@ -65,7 +65,8 @@ def rounded(text):
 
 OF_THE_PAPER = """\
 rate at most 0.9, proven at all frequencies; largest near 0.041 rad/s
-limited by M_max = 0.9, L_max = 50 (10 % more would lower the objective by 5.2% at most), \
+limited by M_max = 0.9, L_max = 50, 51 between the frequencies, (10 % more would lower the \
+objective by 5.2% at most), \
 order = 10 (P lags by 17 samples at the cut-off), diagonal
 margins: gain 0 to 1.3 times, delay 39 samples less to 3 more, 1.6 times faster to 1.4 times \
 slower, any error of 0.34 sigma_max(P) at the cut-off
@@ -74,15 +75,15 @@ OF_TABLES = """\
                         sigma_max(M)  sigma_max(L)
 bound                           0.99             5
 on the design grid        0.32      5
-  of the nominal plant    0.28
-over all frequencies      not proven      5
+  of the nominal plant    0.27
+over all frequencies      not proven       5
 worst for each of 3 plants on the design grid: plant 1 at 0.01 rad/s
 sigma_max(M) from 0.01 to 2 rad/s, on a dense grid: 0.32, estimated
 sigma_max(M) above 2 rad/s, with the size of P assumed there: 0.0002 at most
 sigma_max(M) unknown: below 0.01 rad/s, at resonances that no sample shows
-objective 0.64, no full filter of order 4 below 0.64, of those whose L is kept lower at \
+objective 0.63, no full filter of order 4 below 0.63, of those whose bounds are kept lower at \
 omega for what lies between and above
-mean of sigma_max(M) of the nominal plant over the band: 0.029, from 0.01 to 0.1 rad/s
+mean of sigma_max(M) of the nominal plant over the band: 0.028, from 0.01 to 0.1 rad/s
 assumed: above 2 rad/s, where P is not known, sigma_max(P) is 0.17 at most, at any phase
 assumed: between omega, cubic splines miss P by no more than they miss samples that are \
 left out, over log omega"""
@@ -96,7 +97,7 @@ worst for every plant within the radius of 2 plants on the design grid: plant 1 
 sigma_max(M) of the models alone over all frequencies, proven: 0.66
 sigma_max(M) within the radius from 0.001 to 3.1 rad/s, on a dense grid: 0.66, estimated
 sigma_max(M) within the radius unknown: below 0.001 rad/s
-objective 14, no diagonal filter of order 10 below 14, of those whose L is kept lower at \
+objective 14, no diagonal filter of order 10 below 14, of those whose bounds are kept lower at \
 omega for what lies between and above
 mean of sigma_max(M) of the nominal plant over the band: 0.39, from 0.001 to 0.3 rad/s
 chosen: band = (0.001, 0.3) rad/s, to Q's cut-off
@@ -127,7 +128,7 @@ def test_a_certificate_in_print(good):
 
 def test_what_does_not_limit_is_not_named(good):
     looser = replace(good.problem, M_max=0.999, L_max=1e4)
-    free = replace(good, problem=looser, passed_L=0.01)
+    free = replace(good, problem=looser)
     assert "\nlimited by order = 10 (P lags" in f"{free}"
     assert 10 < good.problem.delay < 20  # by the zeros of the loop, see notebook 7
 
@@ -175,9 +176,6 @@ def test_a_certificate_fails_from_the_tolerance_on(good):
     assert not failures(0.9 * (1 + 0.99e-9), grid_L=50 * (1 + 0.99e-9))
     assert "sigma_max(M) = 0.9" in failures(0.9 * (1 + 1.01e-9))[0]
     assert len(failures(grid_L=50 * (1 + 1.01e-9))) == 1
-    assert not failures(passed_L=1 + 0.99e-9)
-    assert len(failures(passed_L=1 + 1.01e-9)) == 1
-    assert len(failures(grid_L=50.1, passed_L=1.002)) == 1
     assert not failures(all_M=np.nextafter(1, 0))
     [text] = failures(all_M=1.0)
     assert "sigma_max(M) reaches 1 at 0.25 rad/s, not in omega" in text
@@ -280,7 +278,7 @@ def test_models_have_a_proof_each_and_the_worst_is_named():
     assert certificate.proven and certificate.failures == certificate.warnings == []
     assert certificate.grid_M == pytest.approx(0.6, rel=1e-9)
     assert f"  of the nominal plant    {design.sigma_M.max():.8f}\n" in text
-    problem = replace(certificate.problem, M_max=0.1)
+    problem = replace(certificate.problem, M_max=0.1, stated=None)
     peak = replace(certificate.peak, sigma=1.1)
     broken = replace(certificate, problem=problem, exact=[peak]).failures
     assert f"sigma_max(M) at its worst (plant {worst} at " in broken[0]
@@ -416,7 +414,7 @@ def test_on_a_model_it_is_proven(design, gain, monotone):
     assert ("long against the slowest mode" in str(result)) != monotone
     assert result.assumptions == ()
     assert as_array.gamma == pytest.approx(gamma, rel=1e-3) and not as_array.proven
-    assert result.spectral_radius == pytest.approx(gamma, rel=1e-7)  # of one channel
+    assert result.spectral_radius == pytest.approx(gamma, rel=2e-6)  # of one channel
     assert as_array.spectral_radius == pytest.approx(as_array.sigma.max(), rel=1e-12)
     assert "not proven between samples" in str(as_array)
 
@@ -452,11 +450,13 @@ def test_a_loop_brings_its_P_and_tables_their_own_grid(loop, Q):
 def test_above_a_table_the_assumed_size_counts(design):
     own = np.geomspace(1e-3, 0.4, 60)
     low = design.check(samples(lag(), own), own)
-    problem = pose(samples(lag(), own), BUTTERWORTH, own, order=1, L_max=None, objective="peak")
-    high = check(replace(problem, beyond=20.0), design.filter).convergence
+    asked = {"order": 1, "L_max": None, "objective": "peak"}
+    asked["uncertainty"] = np.append(np.zeros(59), 20.0)
+    problem = pose(samples(lag(), own), BUTTERWORTH, own, **asked)
+    high = check(problem, design.filter).convergence
     assert low.gamma < 1 < high.gamma and high.at >= own[-1]
     assert low.converges and str(high).startswith("need not converge")
-    assert "sigma_max(P) is 20 at most" in str(high)
+    assert f"sigma_max(P) is {20 + np.abs(samples(lag(), own)[-1, 0, 0]):.4g} at most" in str(high)
 
 
 def test_samples_of_Q_are_known_at_the_design_frequencies_only():
