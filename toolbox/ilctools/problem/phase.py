@@ -28,7 +28,8 @@ def phase_grid(systems, step) -> np.ndarray:
     poles = np.unique(np.concatenate(systems))
     r = np.abs(poles)[:, None]
     turns = np.angle(poles)[:, None] + 2 * np.arctan((1 - r) / (1 + r) * np.tan(SHARES / 2))
-    theta = np.unique(np.clip(np.append(turns, [0, np.pi]), 0, np.pi))
+    turns = np.append(turns % (2 * np.pi), [0, np.pi])
+    theta = np.unique(turns[turns <= np.pi])
     steps = np.max([np.diff(phase(each, theta)) for each in systems], axis=0)
     total = np.append(0, np.cumsum(steps))
     return np.interp(np.linspace(0, total[-1], 2 + int(total[-1] / step)), total, theta)
