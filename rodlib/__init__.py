@@ -18,10 +18,7 @@ MODULES = {
     "peltier_rig": "PeltierParameters PeltierRig RestartingPeltierRig",
     "specimens": "Specimen Spread draw responses",
     "boards": "TemperatureControlLab fit_heat_balance heat_balance",
-    "workbench": "open_workbench",
-    "workbench.outcome": "try_out",
-    "workbench.picture": "plot",
-    "workbench.settings": "Settings",
+    "workbench": "open_workbench plot try_out",
 }
 
 __getattr__, __dir__, __all__ = lazily(__name__, MODULES, ["approximations"])

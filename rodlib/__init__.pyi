@@ -24,8 +24,7 @@ from rodlib.specimens import Spread as Spread
 from rodlib.specimens import draw as draw
 from rodlib.specimens import responses as responses
 from rodlib.workbench import open_workbench as open_workbench
-from rodlib.workbench.outcome import try_out as try_out
-from rodlib.workbench.picture import plot as plot
-from rodlib.workbench.settings import Settings as Settings
+from rodlib.workbench import plot as plot
+from rodlib.workbench import try_out as try_out
 
 __version__: str

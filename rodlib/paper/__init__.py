@@ -10,7 +10,6 @@ MODULES = {
         plain save""",
     "ledger": "Ledger",
     "parameters": "checked",
-    "plant": "plant_of_rod",
     "repository": "ROOT",
     "rig_logs": "PARAMETERS experiment",
 }
