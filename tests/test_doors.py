@@ -182,7 +182,7 @@ DOORS = [
     (ilctools.law_of, {}, {"trials": RECORD}),
 ]
 # Tested with their own files, or not called by themselves.
-TESTED = """InfeasibleError MISMATCHED Rig Settings TemperatureControlLab alternatives errors
+TESTED = """InfeasibleError MISMATCHED Rig TemperatureControlLab alternatives errors
     approximations heat_balance open_workbench plot paper_choices
     state_sequence try_out unreachable_modes"""
 ELSEWHERE = {*TESTED.split()}

@@ -82,7 +82,7 @@ def test_notebooks_enter_by_the_doors_and_write_the_ledger_once(name):
     for package in re.findall(
         r"^\s*(?:from|import) ((?:rodlib|ilctools)[\w.]*)", "\n".join(sources), re.M
     ):
-        assert package in ("rodlib", "ilctools", "rodlib.paper", "rodlib.workbench")
+        assert package in ("rodlib", "ilctools", "rodlib.paper")
     assert not any("ledger.record(" in source for source in sources[:-1])
 
 

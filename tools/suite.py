@@ -22,7 +22,7 @@ def parts(build: Path, machine: bool) -> dict[str, list]:
     """Arguments of Python, by the name of what they run."""
     notebooks = [*longest_first(ROOT), ROOT / "rodlib" / "paper" / "replay.ipynb"]
     tests = sorted((ROOT / "tests").glob("test_*.py"))
-    rooms = [ROOT / "tests" / room for room in ("on_the_rod", "paper", "workbench")]
+    rooms = [ROOT / "tests" / room for room in ("on_the_rod", "paper")]
     rooms.append(ROOT / "toolbox" / "tests")
     lint = {"lint": ["-m", "ruff", "check"], "format": ["-m", "ruff", "format", "--check"]}
     lint["tokens"] = [ROOT / "tools" / "rooms.py"]

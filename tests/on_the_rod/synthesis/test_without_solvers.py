@@ -9,7 +9,7 @@ sys.modules |= dict.fromkeys({missing})  # as if they were not installed
 import numpy as np
 import ilctools
 import rodlib
-from rodlib.workbench.outcome import try_out  # imports all that a design needs
+from rodlib.workbench import try_out  # imports all that a design needs
 
 loop, Q = rodlib.paper_loop(), ilctools.zero_phase_butterworth(2, 0.1, 1.0)
 L = ilctools.LearningFilter(0.1 * np.eye(2)[:, :, None], 1.0)

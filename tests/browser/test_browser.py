@@ -1,0 +1,150 @@
+"""JupyterLab and the pages in a Chromium or $CHROMIUM; without a browser, they skip."""
+
+import os
+import re
+import shutil
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from pathlib import Path
+
+import matplotlib
+import nbformat
+import pytest
+
+import rodlib
+from ilctools import InfeasibleError
+from rodlib.paper import ROOT
+
+SCREENSHOT = ROOT / "build" / "browser" / "workbench.png"
+PATIENCE = 300  # s, for what takes a few on a machine that is not busy: a last resort
+NAMES = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome", "chrome")
+SHOWN = """text => document.querySelector(".widget-interact .jp-OutputArea")
+    ?.innerText.replace(/\\s+/g, "") === text.replace(/\\s+/g, "")"""
+LOADED = """async () => { await (window.MathJax && MathJax.startup.promise);
+    return [document.documentElement.scrollWidth, document.querySelectorAll("mjx-container").length,
+        document.querySelectorAll("[data-mjx-error]").length,
+        [...document.images].filter(e => e.complete && !e.naturalWidth).length]; }"""
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """$CHROMIUM, a Chromium or Chrome on the path, or the one that playwright has installed."""
+    sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    with sync_api.sync_playwright() as playwright:
+        paths = [os.environ.get("CHROMIUM"), *map(shutil.which, NAMES)]
+        path = next(filter(None, paths), playwright.chromium.executable_path)
+        if not Path(path).exists():
+            pytest.skip("no browser: install chromium or Chrome, or name one in $CHROMIUM")
+        # Pages of this test only: the sandbox is not missed, and root could not have one.
+        browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def page(browser):
+    """A page of the width of a telephone, which raises no error."""
+    page, errors = browser.new_page(viewport={"width": 400, "height": 800}), []
+    page.set_default_timeout(1000 * PATIENCE)
+    page.on("pageerror", lambda error: errors.append(error.stack))
+    yield page
+    page.close()
+    assert not errors
+
+
+@pytest.fixture
+def lab(tmp_path):
+    """Address of a JupyterLab as `make lab` starts it, at the cell of the workbench alone."""
+    book = nbformat.read(ROOT / "notebooks" / "12-workbench.ipynb", 4)
+    book.cells = [cell for cell in book.cells if "panel = open_workbench(" in cell.source]
+    settings = shutil.copytree(
+        ROOT / "notebooks" / ".jupyterlab", tmp_path / "notebooks/.jupyterlab"
+    )
+    nbformat.write(book, settings.with_name("12-workbench.ipynb"))
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8").replace("\\\n", " ")
+    options = re.search(r"jupyter lab \$\(LAB\) (.*?) #", makefile)[1].split()
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"http://127.0.0.1:{free.getsockname()[1]}"
+    options += ["--no-browser", "--allow-root", f"--port={address.rpartition(':')[2]}"]
+    surroundings = {k: v for k, v in os.environ.items() if not k.startswith(("JUPYTER", "JPY"))}
+    surroundings |= {"HOME": str(tmp_path), "MPLCONFIGDIR": matplotlib.get_cachedir()}
+    surroundings |= {"JUPYTER_PREFER_ENV_PATH": "1", "JUPYTER_TOKEN": "a-test"}
+    call = [sys.executable, "-m", "jupyterlab", *options]
+    with open(tmp_path / "log", "w") as log:
+        server = subprocess.Popen(call, cwd=tmp_path, env=surroundings, stdout=log, stderr=log)
+    try:
+        end = time.monotonic() + PATIENCE
+        while not answers(f"{address}/api"):
+            assert time.monotonic() < end and server.poll() is None, (tmp_path / "log").read_text()
+            time.sleep(0.2)
+        yield f"{address}/?token=a-test"
+    finally:
+        server.terminate()
+        server.wait(PATIENCE)
+
+
+def answers(address):
+    try:
+        urllib.request.urlopen(address, timeout=5).close()
+    except OSError:
+        return False
+    return True
+
+
+def certificate(**choices):
+    """Of the rod's design with these choices, made here."""
+    choices = {"cutoff": 0.1} | rodlib.paper_choices(**choices)
+    design, _ = rodlib.try_out(rodlib.paper_loop(), rodlib.assumed_reference(), **choices)
+    return str(design.certificate)
+
+
+def test_a_slider_changes_the_picture_and_the_certificate(page, lab):
+    """From the keyboard, and to what is infeasible by a number that is typed."""
+    page.set_viewport_size({"width": 1280, "height": 1150})
+    page.goto(lab)
+    page.get_by_text("| Idle").wait_for()  # the kernel; before, cells are not run
+    page.locator(".jp-CodeCell .cm-content").click()
+    page.keyboard.press("Shift+Enter")
+    slider = page.locator(".widget-slider", has_text=re.compile("^M_max"))
+
+    def pictures(text):
+        """Those above the text, once it is shown."""
+        page.wait_for_function(SHOWN, arg=text)
+        images = page.locator(".widget-interact .jp-OutputArea img").all()
+        return [image.get_attribute("src") for image in images]
+
+    (first,) = pictures(certificate())
+    slider.locator(".noUi-handle").press("ArrowRight")
+    (second,) = pictures(certificate(M_max=0.901))
+    assert first.startswith("data:image/png;base64,") and first != second
+    page.locator(".widget-interact").screenshot(path=SCREENSHOT)
+    slider.locator(".widget-readout").fill("0.3")
+    page.keyboard.press("Enter")
+    with pytest.raises(InfeasibleError) as refusal:
+        certificate(M_max=0.3)
+    assert pictures(str(refusal.value)) == []
+
+
+def test_pages_show_all_there_is_without_a_network(page, tmp_path):
+    """A dead link, or markup that is not valid, is a warning of Sphinx."""
+    pytest.importorskip("sphinx_book_theme")
+    call = [sys.executable, "-m", "sphinx", "-q", "-c", "docs", ".", tmp_path]
+    outcome = subprocess.run(call, cwd=ROOT, capture_output=True, text=True)
+    assert (outcome.returncode, outcome.stderr) == (0, "")
+    requests = []
+    page.on("request", lambda request: requests.append(request.url))
+    for name in ("notebooks/03-ilc-synthesis", "figures/ledger"):
+        page.goto((tmp_path / f"{name}.html").as_uri())
+        width, formulas, misprinted, lost = page.evaluate(LOADED)
+        assert (width, misprinted, lost) == (400, 0, 0), name
+        assert (formulas > 20) == name.startswith("notebooks")
+    assert all(url.startswith(("file:", "data:")) for url in requests)
+    ledger = (tmp_path / "figures" / "ledger.html").read_text("utf-8")
+    cells = {*re.findall(r'href="\.\./(notebooks/\S+\.html)#(cell-id=[^"]+)"', ledger)}
+    assert len(cells) > 50
+    texts = {target: (tmp_path / target).read_text("utf-8") for target, _ in cells}
+    assert all(texts[target].count(f'id="{cell}"') == 1 for target, cell in cells)
