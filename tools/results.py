@@ -6,10 +6,7 @@
 import sys
 from pathlib import Path
 
-import pandas as pd
-
-from rodlib.paper.comparison import SAME
-from rodlib.paper.ledger import changes, join, report
+from rodlib.paper.ledger import changes, join, read, report
 
 
 def main(build: Path, root: Path) -> bool:
@@ -20,13 +17,11 @@ def main(build: Path, root: Path) -> bool:
         print(error)
         return True
     # nbval does not count the cells that it runs: which cell made a row is taken as tracked.
-    tracked = pd.read_csv(
-        root / "figures" / "ledger.csv", index_col="key", dtype=str, keep_default_na=False
-    )
+    tracked = read(root / "figures" / "ledger.csv")
     rows["cell"] = rows.key.map(tracked.cell)
-    figures, texts = changes(rows, build, root)
-    print(report(figures, texts))
-    return bool(texts) or any(kind != SAME for kind in figures.values())
+    new = changes(rows, build, root)
+    print(report(new, root))
+    return bool(new)
 
 
 if __name__ == "__main__":

@@ -19,7 +19,6 @@ NUMBER = re.compile(r"((?<![\w.])[-+−]?(?:\d{1,3}(?:,\d{3})+|\d+)(?:\.\d+)?(?:
 LARGE = 1000  # from here on a whole number may be off by a thousandth
 PIXELS_PER_INCH = 200  # of the PNG files: the thinnest lines are two pixels wide
 LEVELS = 16  # of 255, which on a screen nobody sees
-SAME, DIFFERENT, NEW, GONE = "the same", "different", "new", "gone"
 
 
 def same_text(one: str, other: str) -> bool:
@@ -38,23 +37,17 @@ def same_number(one: str, other: str) -> bool:
     return abs(a - b) <= Decimal(1).scaleb(min(a.as_tuple().exponent, b.as_tuple().exponent))
 
 
-def compared(drawn: Path, before: Path) -> dict[str, str]:
-    """What has become of each figure of the notebooks, by name, in order."""
-    new, old = pictures(drawn), pictures(before)
-    changes = dict.fromkeys(old, GONE) | dict.fromkeys(new, NEW)
-    for name in new.keys() & old.keys():
-        changes[name] = SAME if same_picture(new[name], old[name]) else DIFFERENT
-    return dict(sorted(changes.items()))
-
-
-def pictures(folder: Path) -> dict[str, Path]:
-    """The PNG files of figures of the notebooks, by name."""
-    paths = [*folder.glob("fig*.png"), *folder.glob("extra*.png")]
-    return {path.stem: path for path in paths}
+def different_figures(drawn: Path, before: Path) -> list[str]:
+    """Names of the notebooks' figures that are not the same in both folders, or not in both."""
+    paths = [path for folder in (drawn, before) for path in folder.glob("*.png")]
+    names = {path.name for path in paths if path.name.startswith(("fig", "extra"))}
+    return sorted(
+        Path(name).stem for name in names if not same_picture(drawn / name, before / name)
+    )
 
 
 def same_picture(one: Path, other: Path) -> bool:
-    """Whether two PNG files show the same; one that cannot be read does not."""
+    """Whether two PNG files show the same; one that is missing or cannot be read does not."""
     try:
         one, other = imread(one), imread(other)  # from 0 to 1
     except (OSError, SyntaxError, ValueError):  # SyntaxError: pillow's

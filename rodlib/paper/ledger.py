@@ -23,6 +23,7 @@ further. Where rounding moves it by one unit of the last digit shown, the row st
 import re
 import sys
 from collections.abc import Iterable
+from itertools import count
 from operator import eq, ge, gt, le, lt
 from pathlib import Path
 
@@ -31,7 +32,7 @@ import pandas as pd
 
 from ilctools.files import folder, read_json, replace_all, write_whole
 from rodlib.paper import published
-from rodlib.paper.comparison import DIFFERENT, GONE, NEW, SAME, compared, same_text
+from rodlib.paper.comparison import different_figures, same_text
 from rodlib.paper.published import Claim
 from rodlib.paper.repository import ROOT, results
 
@@ -59,6 +60,7 @@ HEADLINE = """\
   {assumed}; {vague} are too vague, or hang on choices of ours; {unchecked} cannot be checked.
 """
 NOISE = 1e-9  # what is smaller is rounding, and not the same on two machines
+NEGLIGIBLE = f"below {NOISE:g}"
 SIGNIFICANT = 5  # digits of a number that tests a statement in words
 PAGE = ["verdict", "claim", "printed", "computed", "tolerance", "kind", "place", "cell"]
 COEFFICIENT = r"L_(?:diagonal|full)\["  # how the key of one of (39) begins
@@ -70,21 +72,24 @@ COLUMNS = [
 ]  # fmt: skip
 
 
+def expected(claim: Claim) -> tuple[float, float]:
+    """The number that is expected, printed or a criterion "0.58 +- 0.01", and its tolerance."""
+    number, _, tolerance = claim.criterion.partition(" +- ")
+    if number:
+        return float(number), float(tolerance)
+    return published.value(claim.printed), published.half_unit(claim.printed)
+
+
 def verdict(claim: Claim, computed: float) -> tuple[str, float]:
     """A verdict, and the deviation from the printed number, or from a criterion missed."""
-    first, _, second = claim.criterion.partition(" ")
-    if claim.criterion.startswith(WORDS):
-        return IN_WORDS, 0.0
-    if first in COMPARE:
-        holds, expected = COMPARE[first](computed, float(second)), float(second)
-        return (REPRODUCED, 0.0) if holds else (DIFFERS, float(computed - expected))
-    if claim.criterion:  # "0.58 +- 0.01"
-        expected, tolerance = float(first), float(second.removeprefix("+- "))
-    else:
-        expected = published.value(claim.printed)
-        tolerance = published.half_unit(claim.printed) * (1 + 1e-9)
-    deviation = computed - expected
-    return REPRODUCED if abs(deviation) <= tolerance else DIFFERS, float(deviation)
+    relation, _, bound = claim.criterion.partition(" ")
+    if relation in COMPARE:
+        deviation = computed - float(bound)
+        return (REPRODUCED, 0.0) if COMPARE[relation](deviation, 0) else (DIFFERS, deviation)
+    number, tolerance = expected(claim)
+    deviation = computed - number
+    agrees = abs(deviation) <= tolerance * (1 + 1e-9)
+    return REPRODUCED if agrees else DIFFERS, deviation
 
 
 class Ledger:
@@ -96,11 +101,9 @@ class Ledger:
 
     def __init__(self, notebook: str, **parameters):
         pd.set_option("display.max_colwidth", None, "display.max_rows", None, "display.width", 200)
-        self.notebook = notebook
-        self.rows = {}
-        known = published.claims()
+        self.notebook, self.rows, claims = notebook, {}, published.claims()
         self.papers_parameters = all(
-            value == published.value(known[key].printed)  # a choice has no rounding
+            value == published.value(claims[key].printed)  # a choice has no rounding
             for key, value in parameters.items()
         )
 
@@ -116,37 +119,25 @@ class Ledger:
                     self.record(name, computed[entry])
             return
         claim = published.claims()[key]
-        outcome, shown, deviation = _judged(claim, computed)
-        judged = self.papers_parameters or outcome == UNCHECKED
-        self.rows[key] = {
-            "key": key,
-            "place": claim.place,
-            "claim": claim.claim + (f" ({claim.unit})" if claim.unit else ""),
-            "printed": claim.printed,
-            "computed": shown,
-            "tolerance": _tolerance(claim),
-            "deviation": f"{deviation:.1e}" if abs(deviation) > NOISE else "",
-            "verdict": outcome if judged else OTHER,
-            "kind": claim.kind,
-            "note": claim.note,
-            "notebook": self.notebook,
-            "cell": _running(),
-        }
+        row = vars(claim) | _judged(claim, computed)
+        if not self.papers_parameters and row["verdict"] != UNCHECKED:
+            row["verdict"] = OTHER
+        self.rows[key] = row | {"notebook": self.notebook, "cell": _running()}
 
     def table(self, keys: Iterable[str] = ("",)) -> pd.DataFrame:
         """The rows recorded so far whose keys begin so, by default all: those that differ first."""
         keys = tuple(keys)
         chosen = [key for key in published.claims() if key in self.rows and key.startswith(keys)]
+        chosen.sort(key=lambda key: self.rows[key]["verdict"] != DIFFERS)
         rows = pd.DataFrame([self.rows[key] for key in chosen], columns=COLUMNS)
-        rows = rows.sort_values("verdict", key=lambda verdict: verdict != DIFFERS, kind="stable")
         return rows.set_index("place")[["claim", "printed", "computed", "deviation", "verdict"]]
 
     def save(self) -> None:
         """Write the rows to build/ledger, or to the folder of the run, which joins them."""
+        path = folder(results("Ledger.save") / "ledger") / f"{self.notebook}.csv"
         rows = pd.DataFrame(self.rows.values(), columns=COLUMNS)
         ids = [cell["id"] for cell in _code(self.notebook)]
         rows["cell"] = rows.cell.map(dict(enumerate(ids, start=1)))
-        path = folder(results("Ledger.save") / "ledger") / f"{self.notebook}.csv"
         write_whole(path, rows.to_csv(index=False, lineterminator="\n"))
 
 
@@ -157,9 +148,9 @@ def _running():
 
 
 def _code(notebook):
-    """The code cells of a tracked notebook, by its name; none of another."""
+    """The code cells of a tracked notebook, by its name."""
     path = ROOT / "notebooks" / f"{notebook}.ipynb"
-    cells = read_json(path.read_text("utf-8"))["cells"] if path.exists() else []
+    cells = read_json(path.read_text("utf-8"))["cells"]
     return [cell for cell in cells if cell["cell_type"] == "code"]
 
 
@@ -178,32 +169,39 @@ def _figures():
     return "\n".join(sorted(lines))
 
 
-def _tolerance(claim):
-    """By what a row is judged: a criterion, or how far a number may be off; "" if it is not."""
-    expected, _, tolerance = claim.criterion.partition(" +- ")
-    if not expected or tolerance:
-        return f"± {float(tolerance or published.half_unit(claim.printed)):.2g}"
-    return "" if expected[0].isalpha() else expected
-
-
 def _judged(claim, computed):
-    """The verdict, the number as it is shown, and by how much that deviates."""
+    """What a row says of a computed number."""
+    row = {"claim": claim.claim + (f" ({claim.unit})" if claim.unit else "")}
+    row |= dict.fromkeys(["computed", "tolerance", "deviation"], "")
     if claim.criterion == UNCHECKED:
-        return UNCHECKED, "", 0.0
+        return row | {"verdict": UNCHECKED}
     value = float(computed)
-    outcome, deviation = verdict(claim, value)
-    if outcome == IN_WORDS:
-        return IN_WORDS, claim.criterion.removeprefix(WORDS).format(f"{value:.3g}"), 0.0
+    if claim.criterion.startswith(WORDS):
+        sentence = claim.criterion.removeprefix(WORDS).format(f"{value:.3g}")
+        return row | {"verdict": IN_WORDS, "computed": sentence}
+    shown = _shown(claim, value)
+    outcome, deviation = verdict(claim, value if shown == NEGLIGIBLE else float(shown))
+    compares = claim.criterion.partition(" ")[0] in COMPARE
+    return row | {
+        "computed": shown,
+        "tolerance": claim.criterion if compares else f"± {expected(claim)[1]:.2g}",
+        "deviation": f"{deviation:.1e}" if abs(deviation) > NOISE else "",
+        "verdict": outcome,
+    }
+
+
+def _shown(claim, value):
+    """A computed number with as many digits as are printed, or as its verdict needs."""
     if 0 < abs(value) <= NOISE:
-        return outcome, f"below {NOISE:g}", deviation
+        return NEGLIGIBLE
     digits, notation = published.decimals(claim.printed), "f"
     if digits is None:
         digits, notation = SIGNIFICANT, "g"
-    shown = f"{value:z.{digits}{notation}}"
-    while verdict(claim, float(shown))[0] != outcome:
-        digits += 1
-        shown = f"{value:z.{digits}{notation}}"
-    return outcome, shown, verdict(claim, float(shown))[1]
+    outcome, _ = verdict(claim, value)
+    for places in count(digits):
+        shown = f"{value:z.{places}{notation}}"
+        if verdict(claim, float(shown))[0] == outcome:
+            return shown
 
 
 def join(parts: Path) -> pd.DataFrame:
@@ -211,11 +209,13 @@ def join(parts: Path) -> pd.DataFrame:
 
     A claim with two rows is a ValueError, one without a row a KeyError; both name it.
     """
-    tables = [pd.DataFrame(columns=COLUMNS)]
-    for path in sorted(parts.glob("*.csv")):
-        tables.append(pd.read_csv(path, dtype=str, keep_default_na=False))
-    rows = pd.concat([table.set_index("key") for table in tables], verify_integrity=True)
+    rows = pd.concat([*map(read, sorted(parts.glob("*.csv")))], verify_integrity=True)
     return rows.loc[list(published.claims())].reset_index()[COLUMNS]
+
+
+def read(path: Path) -> pd.DataFrame:
+    """The rows of a CSV file as text, by key."""
+    return pd.read_csv(path, index_col="key", dtype=str, keep_default_na=False)
 
 
 def summary(rows: pd.DataFrame) -> str:
@@ -306,9 +306,9 @@ What differs:
 def splice(text: str, name: str, content: str) -> str:
     """Replace what stands between the two markers `name` of a Markdown text."""
     start, end = f"<!-- {name} -->\n", f"<!-- end of {name} -->"
-    before, found, rest = text.partition(start)
-    _, closed, after = rest.partition(end)
-    if not (found and closed):
+    before, marker, _ = text.partition(start)
+    _, end_marker, after = text.partition(end)
+    if not (marker and end_marker):
         raise ValueError(f"the text has no markers {start.strip()} and {end}")
     return before + start + content + end + after
 
@@ -316,56 +316,44 @@ def splice(text: str, name: str, content: str) -> str:
 def publish(build: Path, root: Path) -> None:
     """Put what a complete run has changed into figures/ and the README, and print what that is."""
     rows = join(build / "ledger")
-    figures, texts = changes(rows, build, root)
-    new = {}
-    for name, change in figures.items():
-        if change != SAME:
-            for path in (root / "figures").glob(f"{name}.*"):
-                new[path] = None
-            for path in (build / "figures").glob(f"{name}.*"):
-                new[root / "figures" / path.name] = path.read_bytes()
-    # The README last: after a kill it is the old one, and the next run, or git, mends the rest.
-    replace_all(new | {root / name: text for name, text in texts.items()})
+    new = changes(rows, build, root)
+    replace_all(new)
     print(f"ledger: {rows.verdict.value_counts().to_dict()}")
-    print(report(figures, texts))
+    print(report(new, root))
 
 
-def changes(rows: pd.DataFrame, build: Path, root: Path) -> tuple[dict[str, str], dict[str, bytes]]:
-    """What a run has made of each figure, in a word, and the texts that are not what they were."""
-    readme = (root / "README.md").read_text(encoding="utf-8")
-    rows = settled(rows, root)
+def changes(rows: pd.DataFrame, build: Path, root: Path) -> dict[Path, bytes | None]:
+    """What a reader sees changed by a run: new contents of files, None of a figure that is gone."""
+    readme, tracked = root / "README.md", root / "figures"
+    rows = settled(rows, tracked / "ledger.csv")
     texts = {
-        "figures/ledger.csv": rows.to_csv(index=False, lineterminator="\n"),
-        "figures/ledger.md": markdown(rows),
-        "README.md": splice(readme, "ledger", summary(rows)),
+        tracked / "ledger.csv": rows.to_csv(index=False, lineterminator="\n"),
+        tracked / "ledger.md": markdown(rows),
+        # The last: after a kill it is the old one, and the next run, or git, mends the rest.
+        readme: splice(readme.read_text(encoding="utf-8"), "ledger", summary(rows)),
     }
-    changed = {}
-    for name, text in texts.items():
-        path = root / name
-        if not path.exists() or path.read_bytes() != text.encode():
-            changed[name] = text.encode()
-    return compared(build / "figures", root / "figures"), changed
+    names = different_figures(build / "figures", tracked)
+    files = [f"{name}.{suffix}" for name in names for suffix in ("png", "pdf")]
+    new = {tracked / name: _content(build / "figures" / name) for name in files}
+    new |= {path: text.encode() for path, text in texts.items()}
+    return {path: content for path, content in new.items() if content != _content(path)}
 
 
-def settled(rows: pd.DataFrame, root: Path) -> pd.DataFrame:
+def _content(path):
+    return path.read_bytes() if path.exists() else None
+
+
+def report(new: dict[Path, bytes | None], root: Path) -> str:
+    """Which figures and texts are not what they were."""
+    names = [path.relative_to(root).as_posix() for path in new if path.suffix != ".pdf"]
+    return f"different: {', '.join(names)}" if names else "all is the same as before"
+
+
+def settled(rows: pd.DataFrame, path: Path) -> pd.DataFrame:
     """The rows with computed numbers as they are tracked, where a reader sees no difference."""
-    path, moving = root / "figures" / "ledger.csv", ["computed", "deviation"]
-    if path.exists():
-        tracked = pd.read_csv(path, dtype=str, keep_default_na=False).set_index("key")
-        rows, tracked = rows.set_index("key"), tracked.reindex(rows.key)
-        same = np.array([*map(same_text, rows.computed, tracked.computed.fillna("new"))])
-        same &= rows.verdict == tracked.verdict
-        rows.loc[same, moving] = tracked.loc[same, moving]
-        rows = rows.reset_index()[COLUMNS]
-    return rows
-
-
-def report(figures: dict[str, str], texts: Iterable[str]) -> str:
-    """How many figures are the same, and what has become of the others and of texts."""
-    same = list(figures.values()).count(SAME)
-    line = f"{same} of {len(figures)} figures are the same as before"
-    every = figures | dict.fromkeys(texts, DIFFERENT)
-    for kind in (DIFFERENT, NEW, GONE):
-        names = ", ".join(name for name, change in every.items() if change == kind)
-        line += f"; {kind}: {names}" if names else ""
-    return line
+    if not path.exists():
+        return rows
+    tracked = read(path).reindex(rows.key, fill_value="new").set_axis(rows.index)
+    same = rows.computed.combine(tracked.computed, same_text) & (rows.verdict == tracked.verdict)
+    numbers = ["computed", "deviation"]
+    return rows.assign(**rows[numbers].mask(same, tracked[numbers]))

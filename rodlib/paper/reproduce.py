@@ -61,8 +61,7 @@ def execute(notebook: Path, executed: Path, **parameters) -> float:
             f"The traceback is in {executed}"
         ) from None
     except Exception as error:
-        free = shutil.disk_usage(executed.parent).free // 10**6
-        text = f"{notebook.stem} failed: {error} ({free} MB are free in {executed.parent})"
+        text = f"{notebook.stem} failed: {error} (as far as it came: {executed})"
         raise RuntimeError(text) from None
     return time.perf_counter() - start
 

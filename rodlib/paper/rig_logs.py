@@ -5,7 +5,6 @@ were no Joule heat: with the inverse, an exact model would stand between control
 """
 
 import json
-import sys
 from dataclasses import asdict
 
 import numpy as np
@@ -35,12 +34,8 @@ def experiment() -> dict:
 
 def record_logs():
     """Record the two experiments of data/rig; the same bytes in every run."""
-    try:
-        folder = checkout("python -m rodlib.paper.rig_logs") / "data" / "rig"
-    except RuntimeError as error:
-        sys.exit(str(error))
+    folder = checkout("python -m rodlib.paper.rig_logs") / "data" / "rig"
     printed = LearningFilter(published.matrix("L_diagonal"), 1.0)
-    folder.mkdir(parents=True, exist_ok=True)
     for name, L, seed in (("learning", printed, 1), ("no-learning", None, 2)):
         print(f"recording {name} ...", flush=True)
         rig = PeltierRig(parameters=PARAMETERS, seed=seed)

@@ -49,14 +49,17 @@ def test_statements_are_judged_by_their_criterion(criterion, computed, outcome, 
     )
 
 
-def test_a_sentence_of_ours_is_no_criterion(monkeypatch):
-    partly = claim("are small", "words: holds up to {} rad/s")
-    monkeypatch.setattr(published, "claims", lambda: {"key": partly})
+def test_tracked_rows_follow_from_what_they_show():
+    """All but which cell made them: of a sentence of ours the number in it, and no verdict."""
+    tracked = pd.read_csv(ROOT / "figures" / "ledger.csv", dtype=str, keep_default_na=False)
     book = Ledger("test")
-    book.record("key", 0.0084512)
-    row = book.rows["key"]
-    assert (row["verdict"], row["computed"]) == (IN_WORDS, "holds up to 0.00845 rad/s")
-    assert (row["deviation"], row["note"]) == ("", "")
+    for key, shown in zip(tracked.key, tracked.computed, strict=True):
+        before, _, after = published.claims()[key].criterion.partition("{}")
+        number = shown.removeprefix(before.removeprefix(ledger.WORDS)).removesuffix(after)
+        book.record(key, 3e-15 if number.startswith("below") else number or None)
+    columns = ledger.COLUMNS[:-2]
+    rows = pd.DataFrame(book.rows.values())[columns]
+    pd.testing.assert_frame_equal(rows, tracked[columns], check_dtype=False)
 
 
 def test_a_row_has_the_cell_that_recorded_it(monkeypatch, tmp_path):
@@ -126,23 +129,6 @@ def test_coefficients_of_a_flat_optimum_have_rows_and_are_counted_apart():
     assert "20 of 20 by at most 1.0e+00" in page
 
 
-@pytest.mark.parametrize(
-    ("key", "tolerance"),
-    [
-        ("N[1,1]", "± 5e-05"),
-        ("L_max_rule", "± 5"),
-        ("K_s K_s'[1,1]", "± 0.00022"),  # 5e-5 times twice the sum of its row's magnitudes
-        ("damping", "< 0.1"),
-        ("thin_rod", ""),
-        ("fig1", ""),
-    ],
-)
-def test_each_row_says_by_what_it_is_judged(key, tolerance):
-    book = Ledger("test")
-    book.record(key, 1.0)
-    assert book.rows[key]["tolerance"] == tolerance
-
-
 def test_the_double_zero_counts_once_and_what_is_imposed_not_at_all():
     claims = published.claims()
     zeros = [key for key in claims if re.match("zeros?_[sz]", key)]
@@ -158,12 +144,9 @@ def test_the_double_zero_counts_once_and_what_is_imposed_not_at_all():
     [
         ("zero_s_1", 0.10115002, "0.1012", "1.0e-04"),
         ("zero_s_1", 0.10115 - 1e-12, "0.1011", ""),
-        ("peak_L_full", 48.926571, "49", "-1.0e+00"),
         ("L_full[7,L12]", -0.00001, "0.0000", "1.2e-02"),
         ("sensor_1", 0.3750001, "0.3750001", "1.0e-07"),
-        ("damping", 0.37960851, "0.37961", "2.8e-01"),
         ("loop_stable", 0.99999999, "0.99999999", ""),
-        ("dc_gain", 3e-15, "below 1e-09", ""),
         ("ambient_zero", -0.0, "0", ""),
     ],
 )
@@ -192,7 +175,6 @@ def test_matrices_keep_their_order():
     for name in published.MATRICES:
         book.record(name, published.matrix(name))
     assert {row["verdict"] for row in book.rows.values()} == {REPRODUCED}
-    assert {row["deviation"] for row in book.rows.values()} == {""}
 
 
 @pytest.mark.parametrize("parameter", [{"M_max": 0.9001}, {"Ts": 0.5}, {"L_max": None}])
@@ -237,11 +219,9 @@ def publish(root, capsys):
 def test_publish_writes_ledger_figures_and_readme(root, capsys):
     draw(root, "extra99-stale", 0)
     draw(root, "performance", 0)
-    assert publish(root, capsys) == (
-        "0 of 4 figures are the same as before; "
-        "different: figures/ledger.csv, figures/ledger.md, README.md; "
-        "new: fig01, fig02, fig03; gone: extra99-stale"
-    )
+    names = ["extra99-stale.png", "fig01.png", "fig02.png", "fig03.png", "ledger.csv", "ledger.md"]
+    changed = ", ".join(f"figures/{name}" for name in names)
+    assert publish(root, capsys) == f"different: {changed}, README.md"
     pictures = {path.stem for path in (root / "figures").glob("*.p*")}
     assert pictures == {"fig01", "fig02", "fig03", "performance"}
     rows = pd.read_csv(root / "figures" / "ledger.csv", keep_default_na=False)
@@ -264,10 +244,10 @@ def test_what_is_the_same_stays_as_it_is(root, capsys):
     assert rows.count(computed) == 1
     part.write_text(rows.replace(computed, "1000000000.0001"))  # a unit of the last digit
     draw(root / "build", "fig02", 120)
-    assert publish(root, capsys).endswith("; different: fig02")
+    assert publish(root, capsys) == "different: figures/fig02.png"
     pages = {path.stem: path.read_text() for path in root.glob("figures/*.pdf")}
     assert pages == {"fig01": "100 m\n", "fig02": "120 m\n", "fig03": "100 m\n"}
-    assert publish(root, capsys) == "3 of 3 figures are the same as before"
+    assert publish(root, capsys) == "all is the same as before"
     assert not results.main(root / "build", root)
     part.write_text(rows.replace(computed, "1000000000.0002"))
     assert results.main(root / "build", root)
@@ -279,7 +259,7 @@ def test_what_is_the_same_stays_as_it_is(root, capsys):
     publish(root, capsys)
     (root / "figures" / "ledger.md").write_text("other")
     assert results.main(root / "build", root)
-    assert publish(root, capsys).endswith("; different: figures/ledger.md")
+    assert publish(root, capsys) == "different: figures/ledger.md"
 
 
 def test_tables_show_all_rows_that_they_are_asked_for_those_that_differ_first(monkeypatch):

@@ -77,7 +77,8 @@ def test_notebooks_run_in_their_folder_and_their_results_are_published(root):
     outcome = run(root)
     assert outcome.returncode == 0 and outcome.stderr == ""
     assert "01-model ... done, " in outcome.stdout
-    assert outcome.stdout.splitlines()[-1].endswith("README.md; new: fig01")
+    changed = "figures/fig01.png, figures/ledger.csv, figures/ledger.md, README.md"
+    assert outcome.stdout.splitlines()[-1] == f"different: {changed}"
     names = ["fig01.png", "ledger.csv", "ledger.md"]
     assert [path.name for path in sorted((root / "figures").iterdir())] == names
     assert "- **Numbers**: " in (root / "README.md").read_text()
