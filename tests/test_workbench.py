@@ -80,6 +80,8 @@ def test_knobs_begin_with_the_choices_or_the_defaults_of_the_synthesis(panel):
     start = {"M_max": 0.9, "L_max": L_max, "cutoff": 100.0, "Q_order": 2, "order": 6}
     start |= {"uncertainty": 0, "noise": 0, "structure": "diagonal"}
     assert panel.kwargs == pytest.approx(start)
+    panel.children[4].value = 5  # moved, a slider counts and not the choice
+    assert panel.result.filter.order == panel.kwargs["order"] == 5
     with pytest.raises(ValueError, match="P"):
         open_workbench(ClosedLoop(Ts=1.0, outputs=["y"]), BUMP)
 
