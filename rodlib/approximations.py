@@ -1,11 +1,11 @@
 """Other ways from the rod's equation to a state-space model, beside :func:`rodlib.midr`. Section V.
 
-Four of the five are ordinary differential equations of one form,
+Three of the four are ordinary differential equations of one form,
 
     kappa_1 M dx/dt = -(lambda K + kappa_2 M) x + F u,
 
-with storage M, conduction K and supply F. They differ in what the states are. The fifth cuts a fine
-model down. All have the inputs and outputs of :func:`rodlib.midr`.
+with storage M, conduction K and supply F. They differ in what the states are. The fourth cuts a
+fine model down. All have the inputs and outputs of :func:`rodlib.midr`.
 
 See Also
 --------
@@ -30,48 +30,32 @@ from rodlib.rod import Rod, midr, named
 from rodlib.rod import modes as modes_of
 
 
-def finite_differences(rod: Rod, intervals: int) -> control.StateSpace:
-    """Temperatures at equally spaced points, with second differences for the curvature.
-
-    At the ends the slope is zero by a mirrored point beyond them. On the edge of a section, where
-    the heat flow (4) jumps, it is the mean of both sides. Between points, sensors read the straight
-    line.
-
-    Parameters
-    ----------
-    rod : Rod
-    intervals : int
-        Number of intervals in each section, 1000 or fewer.
-
-    Returns
-    -------
-    control.StateSpace
-        As :func:`rodlib.midr`, with ``sections * intervals + 1`` states (K). The error falls with
-        the square of `intervals`.
-    """
-    arguments.instance("rod", rod, Rod)
-    intervals = arguments.whole("intervals", intervals, 1, 1000)
-    points = np.linspace(0, rod.length, rod.sections * intervals + 1)
-    heat = np.zeros((len(points), rod.sections))
-    for i in range(rod.sections):
-        first, last = i * intervals, (i + 1) * intervals
-        heat[first : last + 1, i] = points[1]
-        heat[[first, last], i] = points[1] / 2
-    return _of_points(rod, points, heat, points[1])
-
-
 def finite_volumes(rod: Rod, cells: int) -> control.StateSpace:
     """Average temperatures of equal cells, and the heat that flows between neighbours.
 
     The flow follows from the difference of two averages by Fourier's law (2). Between the middles
-    of two cells, sensors read the straight line, beyond the outer ones the average. Parameters and
-    result as for :func:`finite_differences`, with cells for intervals: ``sections * cells`` states.
+    of two cells, sensors read the straight line, beyond the outer ones the average.
+
+    Parameters
+    ----------
+    rod : Rod
+    cells : int
+        Number of cells in each section, 1000 or fewer.
+
+    Returns
+    -------
+    control.StateSpace
+        As :func:`rodlib.midr`, with ``sections * cells`` states (K). The error falls with the
+        square of `cells`.
     """
     arguments.instance("rod", rod, Rod)
     cells = arguments.whole("cells", cells, 1, 1000)
     faces = np.linspace(0, rod.length, rod.sections * cells + 1)
-    heat = np.kron(np.eye(rod.sections), np.full((cells, 1), faces[1]))
-    return _of_points(rod, (faces[:-1] + faces[1:]) / 2, heat, faces[1])
+    dz, middles, each = faces[1], (faces[:-1] + faces[1:]) / 2, np.eye(len(faces) - 1)
+    heat = np.kron(np.eye(rod.sections), np.full((cells, 1), dz))
+    step = np.diff(each, axis=0)  # from one cell to the next
+    hats = [np.interp(rod.sensors, middles, hat) for hat in each]
+    return _model(rod, dz * each, step.T @ step / dz, heat, np.column_stack(hats))
 
 
 def finite_elements(rod: Rod, element, elements: int = 1) -> control.StateSpace:
@@ -161,14 +145,6 @@ def balanced_truncation(rod: Rod, states: int, inputs: Sequence[str]) -> control
     scale = np.sqrt(hankel[:states])
     left, right = S @ U[:, :states] / scale, R @ Vh[:states].T / scale
     return named(rod, left.T @ fine.A @ right, left.T @ fine.B, fine.C @ right)
-
-
-def _of_points(rod, points, heat, distance):
-    """Points that conduct to their neighbours; sensors between them read the straight line."""
-    step = np.diff(np.eye(len(points)), axis=0)
-    hats = [np.interp(rod.sensors, points, hat) for hat in np.eye(len(points))]
-    M, K = np.diag(heat.sum(axis=1)), step.T @ step / distance
-    return _model(rod, M, K, heat, np.column_stack(hats))
 
 
 def _model(rod, M, K, heat, C):

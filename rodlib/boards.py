@@ -95,8 +95,8 @@ class TemperatureControlLab:
     @property
     def limits(self) -> dict[str, tuple[float, float]]:
         """Lowest and highest heaters, %, above those at rest."""
-        first, second = self.rest.tolist()
-        return {"Q1": (-first, 100 - first), "Q2": (-second, 100 - second)}
+        rest = zip(HEATERS, self.rest.tolist(), strict=True)
+        return {name: (-percent, 100 - percent) for name, percent in rest}
 
     def clock(self) -> float:
         """Time, s; the emulator's stands still between two samples."""
@@ -185,7 +185,7 @@ class HeatBalanceFit:
     @property
     def unknown(self) -> list[str]:
         """Parameters that the record does not determine."""
-        return [*np.array([*UNITS])[~(self.standard_errors < VAGUE)].tolist()]
+        return [n for n, e in zip(UNITS, self.standard_errors, strict=True) if not e < VAGUE]
 
     @property
     def standard_errors(self) -> np.ndarray:
@@ -252,14 +252,9 @@ def fit_heat_balance(heaters, readings, Ts: float) -> HeatBalanceFit:
         return (readings - readings[0] - zero - _simulated(np.exp(log_p), heaters, Ts)).ravel()
 
     low, high, starts = _search_region(heaters, readings, Ts)
-    fits = []
-    for start in starts:
-        # Tolerances so small that the start does not show.
-        fits.append(
-            least_squares(
-                residual, start, bounds=(low, high), x_scale="jac", ftol=1e-12, xtol=1e-10
-            )
-        )
+    # Tolerances so small that the start does not show.
+    options = {"bounds": (low, high), "x_scale": "jac", "ftol": 1e-12, "xtol": 1e-10}
+    fits = [least_squares(residual, start, **options) for start in starts]
     best = min(fits, key=lambda fit: fit.cost)
 
     idle = np.append(~heaters.any(axis=0), np.zeros(5, bool))  # of the gains: their slope is zero
@@ -285,12 +280,12 @@ def _simulated(parameters, heaters, Ts):
 
 def _search_region(heaters, readings, Ts):
     """Lowest and highest logarithms of the parameters, with the zeros, and four starts between."""
-    heights, record = np.ptp(readings, axis=0) + 1, Ts * len(heaters)
-    swing = np.ptp(readings, axis=0).max() / max(np.ptp(heaters), 1e-9)  # K per %
-    swing, shortest, longest = max(swing, 1e-9), Ts / 10, 10 * record
+    heights, record = np.ptp(readings, axis=0), Ts * len(heaters)
+    swing = max(heights.max() / max(np.ptp(heaters), 1e-9), 1e-9)  # K per %
+    shortest, longest = Ts / 10, 10 * record
 
     def point(gain, loss, exchange, lag, zero):
-        return np.append(np.log([gain, gain, loss, exchange, lag]), zero * heights)
+        return np.append(np.log([gain, gain, loss, exchange, lag]), zero * (heights + 1))
 
     low = point(swing / longest, 1 / longest, 0.01 / longest, shortest, -1)
     high = point(swing / Ts, 1 / shortest, 1 / shortest, longest, 1)
@@ -303,9 +298,7 @@ def _search_region(heaters, readings, Ts):
 
 def _jackknife(slopes, residuals):
     """Covariance of what a linear fit changes by when each part of the residuals is left out."""
-    changes = []
-    for part in np.array_split(np.arange(residuals.size), PARTS):
-        A, b = np.delete(slopes, part, 0), np.delete(residuals, part)
-        changes.append(np.linalg.lstsq(A, b, rcond=1e-9)[0])
-    changes = np.array(changes)
+    left_out = np.array_split(np.arange(residuals.size), PARTS)
+    remains = [(np.delete(slopes, part, 0), np.delete(residuals, part)) for part in left_out]
+    changes = np.array([np.linalg.lstsq(A, b, rcond=1e-9)[0] for A, b in remains])
     return (PARTS - 1) / PARTS * changes.T @ changes

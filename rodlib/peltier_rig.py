@@ -7,17 +7,14 @@ controller asks for into a current, with what the laboratory knows of its elemen
 are assumed: the paper gives none.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
-from copy import copy
 from dataclasses import dataclass, replace
-from itertools import chain
 
 import numpy as np
 from scipy.constants import Stefan_Boltzmann
 from scipy.linalg import expm
 
-from ilctools import Controller, Law, arguments
-from ilctools.loop.closed import CurrentTrialLoop
+from ilctools import arguments
+from rodlib.approximations import finite_volumes
 from rodlib.rigs import MISMATCHED, Bench, Restarting
 from rodlib.rod import Rod
 
@@ -38,6 +35,9 @@ class PeltierElement:
     and the difference is the electrical power S (T_rod - T_sink) I + R I^2. Model, and the way from
     a data sheet to its parameters: S. Lineykin and S. Ben-Yaakov, "Modeling and analysis of
     thermoelectric modules", IEEE Trans. Ind. Appl. 43(2), 2007.
+
+    A column of resistances, one a row, makes a :class:`PeltierRig` several rigs side by side: what
+    is read, applied and kept has a row for each, all see the same noise of the sensors.
     """
 
     seebeck: float = 0.05  # S, V/K
@@ -47,7 +47,9 @@ class PeltierElement:
 
     def __post_init__(self):
         arguments.positive("seebeck", self.seebeck)
-        for name in ("resistance", "conductance", "limit"):
+        for resistance in arguments.array("resistance", self.resistance, (...,)).flat:
+            arguments.not_negative("resistance", float(resistance))
+        for name in ("conductance", "limit"):
             arguments.not_negative(name, getattr(self, name))
 
     def heat(self, current, rod, sink):
@@ -90,8 +92,6 @@ class PeltierParameters:
 
     element: PeltierElement = PeltierElement()
     known: PeltierElement = PeltierElement()  # by which heat flows become currents
-    # whether that counts on the sinks' temperature, not the initial one
-    sinks_measured: bool = False
     sink_capacity: float = 400.0  # of one sink, J/K
     fan: float = 4.0  # from one sink to the room, W/K
     convection: float = 3.8  # from the rod, W/(m2 K^(5/4))
@@ -104,9 +104,8 @@ class PeltierParameters:
     cells: int = 16  # of each section
 
     def __post_init__(self):
-        arguments.instance("element", self.element, PeltierElement)
-        arguments.instance("known", self.known, PeltierElement)
-        arguments.flag("sinks_measured", self.sinks_measured)
+        for name in ("element", "known"):
+            arguments.instance(name, getattr(self, name), PeltierElement)
         for name in ("sink_capacity", "temperature"):
             arguments.positive(name, getattr(self, name))
         for name in ("fan", "convection", "emissivity", "lag", "noise", "quantum"):
@@ -152,8 +151,6 @@ class PeltierRig(Bench):
     True
     """
 
-    _rigs = ()  # the shape of the rigs: there is one
-
     def __init__(
         self,
         rod: Rod = MISMATCHED,
@@ -164,41 +161,41 @@ class PeltierRig(Bench):
         arguments.instance("parameters", parameters, PeltierParameters)
         super().__init__(rod, parameters, Ts, seed)
         p, sections, m = parameters, rod.sections, len(rod.sensors)
-        cells = sections * p.cells
-        dz = rod.length / cells
-        self._sinks, shown = slice(cells, cells + sections), slice(cells + sections, None)
-        self._sensors = _reading(rod, cells)
+        # cells that conduct, but lose nothing to the air, or next to nothing: a Rod must lose some
+        rod_cells = finite_volumes(replace(rod, heat_transfer=1e-11), p.cells)
+        cells = rod_cells.nstates
+        sinks, shown = np.split(np.arange(cells, cells + sections + m), [sections])
+        warmed = rod_cells.B[:, :-1]  # K/s of each cell for 1 W from each element
+        mean = np.kron(np.eye(sections), np.full(p.cells, 1 / p.cells))  # of each section
 
-        # C of every state, J/K; what a sensor has does not count
-        cell_capacity = rod.kappa_1 * rod.width * rod.height * dz
-        capacity = np.repeat([cell_capacity, p.sink_capacity, 1.0], [cells, sections, m])
+        # A x: conduction in the rod, through the elements, from the sinks and into the sensors
+        K, C, follows = p.element.conductance, p.sink_capacity, 1 / p.lag if p.lag else 0.0
+        lost = np.repeat([0.0, (K + p.fan) / C, follows], [cells, sections, m])  # 1/s
+        A = -np.diag(lost)
+        A[:cells, :cells] = rod_cells.A - np.diag(K * warmed.sum(axis=1))
+        A[:cells, sinks] = K * warmed
+        A[sinks, :cells] = K / C * mean
+        A[shown, :cells] = follows * rod_cells.C
+        self._decay, self._first, self._second = _exponentials(A, self.Ts)
+        self._sensors = np.eye(m, len(A), cells + sections)
+        if not p.lag:
+            self._sensors = np.pad(rod_cells.C, [(0, 0), (0, sections + m)])
+
         # K/s of every state: for 1 W from the elements, and of what is half of the Joule heat
-        share = np.kron(np.eye(sections), np.full(p.cells, 1 / p.cells))
-        self._elements = np.hstack([share, -np.eye(sections), np.zeros((sections, m))]) / capacity
+        self._elements = np.hstack([warmed.T, -np.eye(sections) / C, np.zeros((sections, m))])
         self._halves = np.abs(self._elements) / 2
-        # for 1 K of the room, and on the surface above each cell
-        self._fan = np.repeat([0.0, p.fan / p.sink_capacity, 0.0], [cells, sections, m])
-        surface = np.repeat([rod.width * dz / cell_capacity, 0.0], [cells, sections + m])
+        # for 1 K of the room, and for 1 W/m2 from the surface above each cell
+        self._fan = np.repeat([0.0, p.fan / C, 0.0], [cells, sections, m])
+        surface = np.repeat([1 / (rod.kappa_1 * rod.height), 0.0], [cells, sections + m])
         self._convection = p.convection * surface
         self._radiation = p.emissivity * Stefan_Boltzmann * surface
-
-        A = _conduction(rod, p, len(capacity)) / capacity[:, None]
-        if p.lag:  # the sensors follow what they touch
-            A[shown] = self._sensors / p.lag
-            A[shown, shown] = -np.eye(m) / p.lag
-            self._sensors = np.eye(m, len(capacity), shown.start)
-        self._decay, self._first, self._second = _exponentials(A, self.Ts)
         self._rest()
 
     def _rest(self):
+        rigs = np.shape(self.parameters.element.resistance)[:-1]
         # cells, sinks, sensors, K above the room
-        self._state = np.zeros((*self._rigs, len(self._fan)))
-        self.currents = np.zeros((*self._rigs, self.rod.sections))  # A
-
-    @property
-    def sinks(self) -> np.ndarray:
-        """Temperatures of the sinks, K above the initial ambient temperature."""
-        return self._state[..., self._sinks].copy()
+        self._state = np.zeros((*rigs, len(self._fan)))
+        self.currents = np.zeros((*rigs, self.rod.sections))  # A
 
     @property
     def linearised(self) -> Rod:
@@ -220,8 +217,7 @@ class PeltierRig(Bench):
         """Ask for heat flows (W), shape (sections,), and let one sampling period pass."""
         heat = arguments.array("heat_flows", heat_flows, self.currents.shape)
         p = self.parameters
-        sinks = p.temperature + p.sinks_measured * self._state[..., self._sinks]
-        wanted = p.known.current(heat, p.temperature, sinks)
+        wanted = p.known.current(heat, p.temperature, p.temperature)
         limit = p.element.limit
         self.currents = np.minimum(np.maximum(wanted, -limit), limit)
         # 1/s, by absolute temperatures
@@ -259,30 +255,6 @@ class RestartingPeltierRig(Restarting, PeltierRig):
     """
 
 
-def _reading(rod, cells):
-    """What touches each sensor, of the states: the straight line between the middles of cells."""
-    middles = (np.arange(cells) + 0.5) * (rod.length / cells)
-    reading = np.zeros((len(rod.sensors), cells + rod.sections + len(rod.sensors)))
-    hats = [np.interp(rod.sensors, middles, hat) for hat in np.eye(cells)]
-    reading[:, :cells] = np.transpose(hats)
-    return reading
-
-
-def _conduction(rod, p, states):
-    """W into every state for 1 K of every state: along the rod, through elements, from sinks."""
-    cells = rod.sections * p.cells
-    sinks, n = slice(cells, cells + rod.sections), cells + rod.sections
-    along = np.diff(np.eye(cells, n), axis=0)  # from one cell to the next
-    through = np.eye(cells, n)  # from a sink to the cells above it
-    through[:, sinks] = -np.kron(np.eye(rod.sections), np.ones((p.cells, 1)))
-    flows = np.zeros((states, states))
-    conductance = rod.conductivity * rod.width * rod.height / (rod.length / cells)
-    flows[:n, :n] = -conductance * along.T @ along
-    flows[:n, :n] -= p.element.conductance / p.cells * through.T @ through
-    flows[sinks, sinks] -= p.fan * np.eye(rod.sections)
-    return flows
-
-
 def _exponentials(A, Ts):
     """E = exp(A Ts), int_0^Ts exp(A s) ds and int_0^Ts exp(A s) (1 - s / Ts) ds, for rows."""
     one, zero = np.eye(len(A)), np.zeros(A.shape)
@@ -290,120 +262,3 @@ def _exponentials(A, Ts):
     # states are rows, so that those of several rigs are a matrix
     decay, first, second = np.split(blocks[: len(A)].T.copy(), 3)
     return decay, first, second / Ts
-
-
-class PeltierRigs(Restarting, PeltierRig):
-    """Rigs with Peltier elements side by side: each does what it does alone, all in one step.
-
-    What is read, applied and kept has a row for each rig; `limits` and `linearised` have only
-    single ones.
-
-    Parameters
-    ----------
-    parameters : sequence of PeltierParameters
-        One for each rig, with the same `sink_capacity`, `fan`, `lag`, `quantum`, `cells` and
-        conductance of the elements: all share the linear part of the dynamics.
-    seeds : int or sequence of int
-        Of the sensor noise, which is that of a single rig with such a seed.
-    rod, Ts
-        As of a single rig.
-
-    See Also
-    --------
-    learning_trials : trials on them
-
-    Examples
-    --------
-    >>> from rodlib import PeltierParameters
-    >>> from rodlib.peltier_rig import PeltierRigs
-    >>> rigs = PeltierRigs([PeltierParameters(), PeltierParameters(noise=0.1)])
-    >>> rigs.read().shape
-    (2, 2)
-    """
-
-    def __init__(
-        self,
-        parameters: Sequence[PeltierParameters],
-        seeds: int | Sequence[int] = 1,
-        rod: Rod = MISMATCHED,
-        Ts: float = 1.0,
-    ):
-        for each in parameters:
-            arguments.instance("parameters", each, PeltierParameters)
-        self._rigs = (len(parameters),)
-        self.seeds = np.broadcast_to(seeds, self._rigs).tolist()
-        super().__init__(rod, _together(parameters), Ts)
-        self._noise = _white(self.seeds, len(rod.sensors))
-
-    def begin(self, trial: int) -> None:
-        """Begin a trial, counted from 1, each as a rig that restarts."""
-        super().begin(trial)
-        seeds = [(seed, trial) for seed in self.seeds]
-        self._noise = _white(seeds, len(self.rod.sensors))
-
-    def _drawn(self):
-        return next(self._noise)
-
-
-def _together(each):
-    """Parameters of rigs as those of one, with a column of numbers where they differ."""
-    together = copy(each[0])
-    for name, value in vars(each[0]).items():
-        values = [getattr(one, name) for one in each]
-        if isinstance(value, PeltierElement):
-            value = _together(values)
-        elif len({*values}) > 1:
-            value = np.array(values)[:, None]
-        vars(together)[name] = value
-    return together
-
-
-def _white(seeds, channels):
-    """White noise sample by sample, with a row for each seed, as if each were drawn alone."""
-    generators = [np.random.default_rng(seed) for seed in seeds]
-    while True:  # a thousand samples at once, which is faster
-        blocks = [rng.standard_normal((1000, channels)) for rng in generators]
-        yield from np.stack(blocks, axis=1)
-
-
-Signals = tuple[np.ndarray, np.ndarray]  # y and u, of one trial
-
-
-def one_trial(rigs, loop: CurrentTrialLoop, w) -> Signals:
-    """Run a trial with the loop's controller: y and u, of the shape of w, (rig, time, m)."""
-    controller, y, u = Controller(loop), np.zeros_like(w), np.zeros_like(w)
-    positions = [rigs.inputs.index(name) for name in loop.controls]
-    inputs = np.zeros((len(w), len(rigs.inputs)))
-    for p in range(w.shape[1]):
-        y[:, p] = rigs.read()
-        u[:, p] = inputs[:, positions] = controller.command(w[:, p])
-        controller.observe(y[:, p], u[:, p])
-        rigs.apply(inputs)
-    return y, u
-
-
-def learning_trials(
-    rigs: PeltierRigs, loop: CurrentTrialLoop, laws: Sequence[Law], reference, trials: int
-) -> Iterator[Signals]:
-    """y and u of trials that begin anew, each rig under its law; reference (rig, time, m)."""
-    v = np.zeros_like(reference)
-    for trial in range(1, trials + 1):
-        rigs.begin(trial)
-        y, u = one_trial(rigs, loop, reference + v)  # (22)
-        yield y, u
-        for i, law in enumerate(laws):
-            v[i] = law.next(v[i], reference[i] - y[i])  # (23)
-
-
-class Recorded:
-    """A rig that has been shaken: it reads the same y again, of which the controller makes u."""
-
-    def __init__(self, readings: Iterable[np.ndarray], inputs):
-        self._y, self.inputs = chain.from_iterable(readings), inputs
-
-    def read(self):
-        """The next y."""
-        return next(self._y)
-
-    def apply(self, commands):
-        """Nothing follows from what is applied again."""

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ilctools import arguments
-from rodlib.rod import Rod, modes
+from rodlib.approximations import modal_series
+from rodlib.rod import Rod
 
 # Material parameters off by several percent from those of the design model.
 MISMATCHED = Rod(density=8100.0, heat_capacity=440.0, heat_transfer=160.0, conductivity=51.0)
@@ -84,11 +85,8 @@ class Bench:
     def read(self) -> np.ndarray:
         """Read the sensors: K above the initial ambient temperature, shape (m,)."""
         theta, quantum = self._state @ self._sensors.T, self.parameters.quantum
-        theta = theta + self.parameters.noise * self._drawn()
+        theta = theta + self.parameters.noise * self._random.standard_normal(len(self._sensors))
         return (np.rint(theta / quantum) * quantum).round(9) if quantum else theta
-
-    def _drawn(self):
-        return self._random.standard_normal(len(self._sensors))
 
 
 class Restarting:
@@ -147,20 +145,15 @@ class VirtualRig(Bench):
         Ts: float = 1.0,
         seed: int = 1,
     ):
-        arguments.instance("parameters", parameters, RigParameters)
+        p = arguments.instance("parameters", parameters, RigParameters)
         super().__init__(rod, parameters, Ts, seed)
-        losses, means, values = modes(rod, np.arange(parameters.modes))
-        s = -losses / rod.kappa_1
-        means[1:] *= 2  # mode n > 0 has half the norm of mode 0
-        input_gain = means / (rod.kappa_1 * rod.width * rod.height * rod.length)
-
-        self._decay = np.exp(s * Ts)
-        self._held = (np.expm1(s * Ts) / s)[:, None] * input_gain
-        self._lag = np.exp(-Ts / parameters.lag) if parameters.lag else 0.0
-        difference = -1 / parameters.lag - s if parameters.lag else np.inf
-        self._lagging = ((self._lag - self._decay) / difference)[:, None] * input_gain
+        model = modal_series(rod, p.modes)
+        s, gain, rate = np.diag(model.A), model.B[:, :-1], 1 / p.lag if p.lag else np.inf  # 1/s
+        self._decay, self._lag = np.exp(s * Ts), np.exp(-rate * Ts)
+        self._held = (np.expm1(s * Ts) / s)[:, None] * gain
+        self._lagging = ((self._lag - self._decay) / (-rate - s))[:, None] * gain
         self._air = -np.expm1(s[0] * Ts)
-        self._sensors = values.T
+        self._sensors = model.C
         self._rest()
 
     def _rest(self):

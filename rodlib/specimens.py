@@ -9,11 +9,9 @@ from dataclasses import dataclass, replace
 
 import control
 import numpy as np
-from scipy.linalg import block_diag
 
 from ilctools import arguments
-from ilctools.loop.closed import CurrentTrialLoop, reply
-from ilctools.models import frequency_response
+from ilctools.loop.closed import CurrentTrialLoop, controller
 from rodlib.held import sampled_response
 from rodlib.rod import Rod, midr, named
 
@@ -147,13 +145,8 @@ def draw(spread: Spread, number: int, root: int = 0, nominal: Rod = PAPER) -> Sp
 def responses(loop: CurrentTrialLoop, specimens: Sequence[Specimen], omega) -> np.ndarray:
     """P of (31) around each specimen: what ``synthesise([...])`` takes as plants.
 
-    With G_0 for the plant of the design, G for a specimen (:func:`rodlib.sampled_response`) and
-    D = G - G_0, the observer sees D u more than it expects. The loop as designed replies with
-    u = U w - R D u, so that
-
-        y = P w,    P = G (I + R D)^-1 U .
-
-    U and R are those of a stable loop, and finite at z = 1, where the controller itself is not.
+    :meth:`CurrentTrialLoop.frequency_response` with the :func:`rodlib.sampled_response` of each
+    specimen.
 
     Parameters
     ----------
@@ -181,30 +174,24 @@ def responses(loop: CurrentTrialLoop, specimens: Sequence[Specimen], omega) -> n
     (3, 2, 2, 2)
     """
     _check(loop, specimens)
-    m, omega = len(loop.controls), arguments.row("omega", omega)
+    omega = arguments.row("omega", omega)
     columns = [specimens[0].rod.inputs.index(name) for name in loop.controls]
-    G_0 = frequency_response(loop.plant[:, :m], omega)
-    replies = frequency_response(reply(loop), omega)
-    U, R = replies[:, :, :m], -replies[:, :, m:]
-    P = []
-    for specimen in specimens:
-        G = sampled_response(specimen.rod, omega, loop.Ts)[:, :, columns]
-        G = G * np.array(specimen.gains)[columns]
-        P.append(G @ np.linalg.solve(np.eye(m) + R @ (G - G_0), U))
-    return np.array(P)
+    plants = [
+        sampled_response(specimen.rod, omega, loop.Ts)[:, :, columns]
+        * np.array(specimen.gains)[columns]
+        for specimen in specimens
+    ]
+    return loop.frequency_response(omega, np.array(plants))
 
 
 def unstable_poles(loop: CurrentTrialLoop, specimens: Sequence[Specimen]) -> np.ndarray:
     """Number of poles outside the unit circle of the loop around a model of each specimen."""
     _check(loop, specimens)
-    m = len(loop.controls)
-    B, C = loop.plant.B[:, :m], np.hstack([loop.plant.C, np.zeros((m, m))])
-    K = np.hstack([loop.Ks, np.eye(m)])
-    observer = block_diag(loop.plant.A - B @ loop.Ks, np.eye(m)) - loop.KL @ C  # (16) with (18)
+    A, B, K = controller(loop)
     counts = []
     for specimen in specimens:
         plant = specimen.model(loop.Ts)[:, loop.controls]
-        closed = np.block([[plant.A, -plant.B @ K], [loop.KL @ plant.C, observer]])  # (19)
+        closed = np.block([[plant.A, -plant.B @ K], [loop.KL @ plant.C, A - B @ K]])  # (19)
         counts.append(np.sum(np.abs(np.linalg.eigvals(closed)) > 1))
     return np.array(counts)
 

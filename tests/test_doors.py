@@ -98,7 +98,6 @@ DOORS = [
     (rodlib.exact_response,),
     (rodlib.sampled_response, {"omega": [[-1e-3], [3.2]], "Ts": [0.0, 1e-7]}),
     (approximations.balanced_truncation, {"states": [0, 50], "inputs": [[], ["Q5"], "Q1"]}),
-    (approximations.finite_differences, {"intervals": [0, 1001]}),
     (
         approximations.finite_elements,
         {"element": ["P1", skfem.ElementLineP0(), skfem.ElementTriP1()]},

@@ -8,26 +8,8 @@ from rods import readings_of
 from scipy.integrate import solve_ivp
 from scipy.optimize import minimize_scalar
 
-from ilctools import (
-    Controller,
-    Law,
-    LearningFilter,
-    multisine,
-    record,
-    shake,
-    zero_phase_butterworth,
-)
-from rodlib import Rod, paper_loop
-from rodlib.peltier_rig import (
-    PeltierElement,
-    PeltierParameters,
-    PeltierRig,
-    PeltierRigs,
-    Recorded,
-    RestartingPeltierRig,
-    learning_trials,
-    one_trial,
-)
+from rodlib import Rod
+from rodlib.peltier_rig import PeltierElement, PeltierParameters, PeltierRig, RestartingPeltierRig
 from rodlib.rigs import RigParameters, VirtualRig
 
 SILENT = PeltierParameters(noise=0, quantum=0, ambient_rate=0)
@@ -150,75 +132,23 @@ def test_a_current_stays_within_its_limit_and_within_what_cools():
             np.testing.assert_allclose(rig.currents, [*ends, 0.0, 0.0], rtol=1e-7, atol=1e-12)
 
 
-def test_a_thermometer_on_the_sinks_brings_the_heat_that_was_asked_for():
-    asked, flows = np.tile([-30.0, 0.0, -30.0, 0.0], (1500, 1)), {}
-    for measured in (False, True):
-        rig = PeltierRig(parameters=replace(SILENT, convection=0.0, sinks_measured=measured))
-        readings_of(rig, asked)
-        flows[measured] = rig.parameters.element.heat(rig.currents, ROOM, ROOM + rig.sinks)[0]
-        assert rig.sinks[0] > 3
-    assert flows[True] == pytest.approx(-30, abs=0.05)
-    assert flows[False] > -29
+def test_rigs_side_by_side_do_what_each_does_alone():
+    """With resistances of their own, at limits and within them; one noise for all."""
+    resistances, maps = [0.0, 2.0, 6.0], [2.0, 0.0, 6.0]
 
+    def rig_of(own, known):
+        element, inner = PeltierElement(resistance=own), PeltierElement(resistance=known)
+        rig = RestartingPeltierRig(parameters=PeltierParameters(element=element, known=inner))
+        rig.begin(2)
+        return rig
 
-LOOP = paper_loop()
-OWN = [  # elements, maps, limits, surfaces, rooms and sensors of their own
-    {},
-    {"element": PeltierElement(resistance=6.0, limit=2.0), "noise": 0.5},
-    {"known": PeltierElement(resistance=0.0), "sinks_measured": True},
-    {"element": PeltierElement(seebeck=0.03), "temperature": 280.0, "noise": 0.0},
-    {"convection": 0.0, "emissivity": 0.3, "ambient_rate": 0.02},
-]
-SEEDS = [1, 1, 2, 3, 1]
-
-
-@pytest.mark.parametrize("quantum", [0.0, 0.01])
-def test_rigs_side_by_side_do_what_each_does_alone(quantum):
-    """Sample by sample with the Controller, begun or not, at limits and within them."""
-    each = [replace(PeltierParameters(quantum=quantum), **own) for own in OWN]
-    rigs = PeltierRigs(each, SEEDS)
-    w = np.random.default_rng(0).uniform(-30, 30, (len(OWN), 12, 2)).repeat(10, axis=1)
-    for trial in (None, 1, 2):
-        if trial:
-            rigs.begin(trial)
-        y, u = one_trial(rigs, LOOP, w)
-        assert np.abs(rigs.currents).max() == 6.0
-        for i, (parameters, seed) in enumerate(zip(each, SEEDS, strict=True)):
-            rig = (RestartingPeltierRig if trial else PeltierRig)(parameters=parameters, seed=seed)
-            if trial:
-                rig.begin(trial)
-            controller = Controller(LOOP)
-            for p in range(w.shape[1]):
-                command = controller.step(reading := rig.read(), w[i, p])
-                np.testing.assert_allclose(y[i, p], reading, rtol=0, atol=1e-9)
-                np.testing.assert_allclose(u[i, p], command, rtol=0, atol=1e-8)
-                rig.apply([command[0], 0.0, command[1], 0.0])
-            np.testing.assert_allclose(rigs.currents[i], rig.currents, atol=1e-8)
-            np.testing.assert_allclose(rigs.sinks[i], rig.sinks, atol=1e-8)
-
-
-def test_trials_side_by_side_are_those_that_are_recorded_one_by_one():
-    """With laws of their own."""
-    Q, L = zero_phase_butterworth(2, 0.1, 1.0), LearningFilter([np.eye(2, 3)] * 2, 1.0)
-    law = Law(Q, L, rest=10, limits={})
-    laws = [law, replace(law, gain=0.5), law]
-    each = [replace(PeltierParameters(), **own) for own in OWN[:3]]
-    rigs = PeltierRigs(each, SEEDS[:3])
-    bump = np.sin(np.linspace(0, np.pi, 150))[:, None] ** 2 * [5.0, -8.0]
-    reference = bump * np.reshape([1.0, 2.0, 3.0], (3, 1, 1))
-    trials = [*learning_trials(rigs, LOOP, laws, reference, 3)]
-    for i, parameters in enumerate(each):
-        alone = RestartingPeltierRig(parameters=parameters, seed=SEEDS[i])
-        with pytest.warns(UserWarning):
-            log = record(alone, LOOP, laws[i], reference[i], trials=3)
-        for k, (y, u) in enumerate(trials):
-            np.testing.assert_allclose(log.y[k], y[i], rtol=0, atol=1e-8)
-            np.testing.assert_allclose(log.u[k], u[i], rtol=0, atol=1e-8)
-
-
-def test_a_record_of_what_was_shaken_before_is_that_of_the_rig():
-    plan = multisine(LOOP, 0.02, 0.2, 2.0, 0.6, lines=4)
-    log = shake(PeltierRig(), LOOP, plan)
-    again = shake(Recorded(log.y.values, LOOP.controls), LOOP, plan)
-    for name in ("v", "u", "y"):
-        np.testing.assert_allclose(again[name].values, log[name].values, rtol=0, atol=1e-9)
+    together = rig_of(np.array(resistances)[:, None], np.array(maps)[:, None])
+    alone = [rig_of(*pair) for pair in zip(resistances, maps, strict=True)]
+    commands = np.random.default_rng(0).uniform(-100, 200, (12, 3, 4)).repeat(10, axis=0)
+    readings, clipped = readings_of(together, commands), 0
+    for i, rig in enumerate(alone):
+        expected = readings_of(rig, commands[:, i])
+        np.testing.assert_allclose(readings[1:, i], expected[1:], rtol=0, atol=1e-9)
+        np.testing.assert_allclose(together.currents[i], rig.currents, atol=1e-8)
+        clipped += np.abs(rig.currents).max() == 6.0
+    assert clipped > 0

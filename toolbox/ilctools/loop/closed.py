@@ -150,8 +150,8 @@ class CurrentTrialLoop:
         plant : control.StateSpace, control.TransferFunction or array_like, optional
             A model as in :meth:`around`, or samples of shape (n, m, m) of a sampled plant's
             response on `omega`, from the controls to y in the loop's order: those of
-            theory, or measured. Samples do not say whether the loop is stable; that is then for the
-            caller to know. Default: the plant of the design.
+            theory, or measured; (..., n, m, m) for several plants. Samples do not say whether the
+            loop is stable; that is then for the caller to know. Default: the plant of the design.
 
         Returns
         -------
@@ -163,7 +163,7 @@ class CurrentTrialLoop:
         if isinstance(plant, control.StateSpace | control.TransferFunction):
             return frequency_response(self.around(plant)[:, :m], omega)
         omega = arguments.row("omega", omega)
-        G = arguments.array("plant", plant, (len(omega), m, m), complex)
+        G = arguments.array("plant", plant, (..., len(omega), m, m), complex)
         # In the loop as designed, which is stable, u = U w + R noise. With G for G_0, the plant of
         # the design, the observer sees (G - G_0) u more than it expects: u = U w + R (G - G_0) u.
         replies = frequency_response(reply(self), omega)
