@@ -87,9 +87,13 @@ class CurrentTrialLoop:
         (18).
         """
         try:
-            return v + (applied - u) @ np.linalg.inv(self.N).T
+            return v + (applied - u) @ self._N_inverse.T
         except np.linalg.LinAlgError:
             raise ValueError("loop.N is singular: w does not follow from its commands") from None
+
+    @cached_property
+    def _N_inverse(self):
+        return np.linalg.inv(self.N)
 
     @property
     def P(self) -> control.StateSpace:
