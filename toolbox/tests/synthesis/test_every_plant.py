@@ -1,6 +1,6 @@
 """No plant within radius and list exceeds, at any frequency, what a certificate says of all.
 
-Judged on 2e4 frequencies by plants that exist: models by their transfer function, samples and the
+Judged on 1e5 frequencies by plants that exist: models by their transfer function, samples and the
 radius by the interpolation that the certificate states, the worst Delta by power iteration.
 """
 
@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 
 from ilctools import InfeasibleError, synthesise, zero_phase_butterworth
 
-POINTS = 20_000
+POINTS = 100_000
 PASSED = 1 + 1e-6
 
 
@@ -126,7 +126,7 @@ def exceeded(seed):
 
 
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", [1, 3, 4, 6, 8, 13])  # of each kind one, none of which takes long
 def test_no_certificate_is_exceeded(seed):
     try:
         assert max(exceeded(seed)) <= PASSED
