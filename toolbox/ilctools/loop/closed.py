@@ -170,8 +170,7 @@ class CurrentTrialLoop:
         G = arguments.array("plant", plant, (..., len(omega), m, m), complex)
         # In the loop as designed, which is stable, u = U w + R noise. With G for G_0, the plant of
         # the design, the observer sees (G - G_0) u more than it expects: u = U w + R (G - G_0) u.
-        replies = frequency_response(reply(self), omega)
-        U, R = replies[:, :, :m], replies[:, :, m:]
+        U, R = np.split(frequency_response(reply(self), omega), 2, axis=2)
         G_0 = frequency_response(self.plant[:, :m], omega)
         return G @ np.linalg.solve(np.eye(m) - R @ (G - G_0), U)
 

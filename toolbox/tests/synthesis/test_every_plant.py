@@ -126,7 +126,7 @@ def exceeded(seed):
 
 
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("seed", [1, 3, 4, 6, 8, 13])  # of each kind one, none of which takes long
+@pytest.mark.parametrize("seed", [3, 4, 8, 13])  # none of which takes long
 def test_no_certificate_is_exceeded(seed):
     try:
         assert max(exceeded(seed)) <= PASSED
