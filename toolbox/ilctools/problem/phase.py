@@ -10,7 +10,8 @@ theorem. One pole contributes the share q of its turn, from -pi to pi, up to
 
 import numpy as np
 
-SHARES = np.linspace(-np.pi, np.pi, 65)  # of a turn, between which phi is nearly straight
+# tan(q / 2), from the middle of a turn to far from its pole, between which phi is nearly straight
+TANGENTS = np.append(0, np.outer([-1, 1], np.geomspace(0.05, 1e8, 50)))
 
 
 def phase(poles, theta):
@@ -27,9 +28,11 @@ def phase_grid(systems, step) -> np.ndarray:
     """Angles from 0 to pi, with steps of some `step` in the phase of each set of poles."""
     poles = np.unique(np.concatenate(systems))
     r = np.abs(poles)[:, None]
-    turns = np.angle(poles)[:, None] + 2 * np.arctan((1 - r) / (1 + r) * np.tan(SHARES / 2))
+    turns = np.angle(poles)[:, None] + 2 * np.arctan((1 - r) / (1 + r) * TANGENTS)
     turns = np.append(turns % (2 * np.pi), [0, np.pi])
     theta = np.unique(turns[turns <= np.pi])
-    steps = np.max([np.diff(phase(each, theta)) for each in systems], axis=0)
-    total = np.append(0, np.cumsum(steps))
-    return np.interp(np.linspace(0, total[-1], 2 + int(total[-1] / step)), total, theta)
+    for _ in range(2):  # between such shares phi is not quite straight
+        steps = np.max([np.diff(phase(each, theta)) for each in systems], axis=0)
+        total = np.append(0, np.cumsum(steps))
+        theta = np.interp(np.linspace(0, total[-1], 2 + int(total[-1] / step)), total, theta)
+    return theta
