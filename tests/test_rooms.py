@@ -20,9 +20,12 @@ def test_only_what_a_reader_has_to_take_in_counts(tmp_path):
 
 
 def test_a_room_that_has_grown_is_named(tmp_path, capsys):
+    """And rooms that may have more than before where none has less."""
     (tmp_path / "room").mkdir()
     (tmp_path / "room" / "module.py").write_text(MODULE)
-    for most in (9, 10):
-        (tmp_path / "pyproject.toml").write_text(f'[tool.rooms]\n"room" = {most}\n')
-        assert rooms.main(tmp_path) == (most < 10)
-    assert capsys.readouterr().out == "room: 10 tokens, 9 in pyproject.toml\n"
+    for most, total in ((9, 10), (11, 10), (10, 10)):
+        table = f'[tool.rooms]\ntotal = {total}\n"room" = {most}\n'
+        (tmp_path / "pyproject.toml").write_text(table)
+        assert rooms.main(tmp_path) == (most != total)
+    said = "room: 10 tokens, 9 in pyproject.toml\nthe sum of the rooms: 11 tokens, 10 in"
+    assert capsys.readouterr().out == f"{said} pyproject.toml\n"

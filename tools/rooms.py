@@ -42,14 +42,19 @@ def counted(root: Path, rooms: dict[str, int]) -> dict[str, int]:
 
 
 def main(root: Path = ROOT) -> bool:
-    """Print the rooms that have more than the table says; whether there are any."""
+    """Print the rooms that have more than the table says, or what all of it has; whether any do."""
     table = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))
     rooms = table["tool"]["rooms"]
-    counts = counted(root, rooms)
-    for room, most in rooms.items():
-        if counts[room] > most:
-            print(f"{room}: {counts[room]} tokens, {most} in pyproject.toml")
-    return any(counts[room] > most for room, most in rooms.items())
+    total = rooms.pop("total")
+    counts, passed = counted(root, rooms), False
+    for room, count, most in [
+        *((room, counts[room], most) for room, most in rooms.items()),
+        ("the sum of the rooms", sum(rooms.values()), total),
+    ]:
+        if count > most:
+            passed = True
+            print(f"{room}: {count} tokens, {most} in pyproject.toml")
+    return passed
 
 
 if __name__ == "__main__":
