@@ -6,7 +6,6 @@ from plants import half, random_response
 from problems import optimum
 
 from ilctools import InfeasibleError, synthesise
-from ilctools.problem.grid import on_a_grid
 from ilctools.problem.pose import pose
 from ilctools.singular_values import largest_singular_values
 from ilctools.synthesis.cuts import solve
@@ -46,7 +45,7 @@ def test_cvxpy_finds_the_same_optimum(shape, objective, kind):
         except InfeasibleError as error:
             choices["M_max"] = 1.01 * error.smallest_M_max
     ours = synthesise(P, Q, omega, 1.0, **choices)
-    theirs, *_ = optimum(on_a_grid(pose(P, Q, omega, 1.0, **choices))[0])
+    theirs, *_ = optimum(ours.certificate.problem)  # with all bounds that were needed
     assert ours.value == pytest.approx(theirs, rel=1e-5)
     assert ours.certificate.gap < 1e-6
     nominal = synthesise(P[0] if kind.startswith("plants") else P, Q, omega, 1.0,
