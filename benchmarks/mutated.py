@@ -26,7 +26,7 @@ from ilctools import (
     save_log,
     zero_phase_butterworth,
 )
-from ilctools.law.io import with_law
+from ilctools.law.notes import with_law
 from rodlib.paper.repository import ROOT
 
 COUNT, SLOW = 10_000, 20.0  # s, for which nobody waits

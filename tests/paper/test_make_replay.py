@@ -23,7 +23,7 @@ from ilctools import (
 )
 from ilctools import replay as replay_of
 from ilctools.errors import LogError
-from ilctools.law.io import with_law
+from ilctools.law.notes import with_law
 from rodlib.paper import reproduce
 from rodlib.paper.repository import ROOT
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from ilctools import load_log
-from ilctools.loop.notes import loop_of
+from ilctools.law.notes import loop_of
 from rodlib import paper_loop
 from rodlib.case import assumed_disturbance, assumed_reference
 from rodlib.paper import rig_logs

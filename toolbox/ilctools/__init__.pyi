@@ -17,10 +17,10 @@ from ilctools.evidence.scenario import support as support
 from ilctools.evidence.scenario import violation_probability as violation_probability
 from ilctools.filters import LearningFilter as LearningFilter
 from ilctools.filters import zero_phase_butterworth as zero_phase_butterworth
-from ilctools.law.io import law_of as law_of
-from ilctools.law.io import load_law as load_law
-from ilctools.law.io import save_law as save_law
 from ilctools.law.law import Law as Law
+from ilctools.law.notes import law_of as law_of
+from ilctools.law.notes import load_law as load_law
+from ilctools.law.notes import save_law as save_law
 from ilctools.logs.format import save_log as save_log
 from ilctools.logs.reader import load_log as load_log
 from ilctools.logs.replay import replay as replay
@@ -40,7 +40,7 @@ from ilctools.rigs.experiments import shake as shake
 from ilctools.rigs.protocol import Rig as Rig
 from ilctools.synthesis.design import synthesise as synthesise
 from ilctools.synthesis.search import least_gain as least_gain
-from ilctools.trials.run import rms as rms
+from ilctools.trials.dataset import rms as rms
 from ilctools.trials.run import run_trials as run_trials
 from ilctools.trials.transfer import transfer as transfer
 

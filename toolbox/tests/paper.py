@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
+from ilctools.law.notes import model_from
 from ilctools.loop.closed import CurrentTrialLoop
-from ilctools.loop.notes import model_from
 
 NOTE = json.loads(Path(__file__).with_name("paper-loop.json").read_text(encoding="utf-8"))
 

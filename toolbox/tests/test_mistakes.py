@@ -30,7 +30,7 @@ from ilctools import (
     unreachable_modes,
     zero_phase_butterworth,
 )
-from ilctools.loop.notes import loop_note
+from ilctools.law.notes import loop_note
 from ilctools.problem.defaults import lead
 from ilctools.problem.pose import pose
 
@@ -101,22 +101,17 @@ def test_an_e_that_is_not_the_error_is_not_replayed():
         replay(log.assign(e=-log.e))
 
 
-def test_ends_that_make_trials_diverge_are_the_cause_that_is_named():
+def test_trials_that_diverge_by_their_ends_alone_are_warned_of():
     """Without a bound on L: a certificate of less than one, of trials without ends."""
-    named = 0
     for seed in (3, 8, 17):
         plant = random_stable(seed, n=3, m=1, distance=0.05, Ts=1.0)
         loop = ClosedLoop(control.ss(plant.A, plant.B, plant.C, 0, 1.0))
         design = synthesise(loop, zero_phase_butterworth(2, 0.5, 1.0), L_max=None, base=None)
         assert design.certificate.rate < 1
         law, move = design.law(), bump(200, [1.0])
-        with pytest.warns(UserWarning, match="the error grows") as seen:
+        with pytest.warns(UserWarning, match=r"the error grows.*trial_norm is below 1") as seen:
             run_trials(loop, law, move, trials=10)
-        norm, *_ = trial_norm(loop.P, law.Q, law.L, 200)
-        [text] = [str(warning.message) for warning in seen]
-        assert norm > 1 and f"by {norm:.3g}, its trial_norm: bound L (L_max)" in text
-        named += "the plant differs" not in text
-    assert named == 3
+        assert len(seen) == 1 and trial_norm(loop.P, law.Q, law.L, 200)[0] > 1
 
 
 def test_a_gain_that_passes_its_bound_between_the_frequencies_is_said():

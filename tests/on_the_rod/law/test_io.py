@@ -18,7 +18,7 @@ from ilctools import (
     zero_phase_butterworth,
 )
 from ilctools.errors import LogError
-from ilctools.law.io import with_law
+from ilctools.law.notes import with_law
 
 L = LearningFilter(np.random.default_rng(0).standard_normal((2, 2, 3)), 1.0, "hold")
 

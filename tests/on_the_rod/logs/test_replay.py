@@ -18,7 +18,7 @@ from ilctools import (
     save_log,
     zero_phase_butterworth,
 )
-from ilctools.law.io import with_law
+from ilctools.law.notes import with_law
 from ilctools.logs.replay import rms_by_trial
 from rodlib.paper import ROOT
 

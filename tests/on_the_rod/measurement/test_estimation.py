@@ -21,7 +21,7 @@ from ilctools import (
     synthesise,
     zero_phase_butterworth,
 )
-from ilctools.law.io import NO_RESET, RESET
+from ilctools.law.notes import NO_RESET, RESET
 from ilctools.models import frequency_response
 from rodlib import Spread, assumed_reference, draw
 from rodlib.paper import published

@@ -11,13 +11,13 @@ from scipy.stats import binom
 
 from ilctools import current_trial_loop, load_log, measured_response, multisine, shake
 from ilctools.errors import LogError, RigError
-from ilctools.loop.notes import loop_note, loop_of
+from ilctools.law.notes import loop_note, loop_of
 from ilctools.measurement.excitation import excitation_of, with_excitation
 from ilctools.measurement.measurement import _estimate
 from ilctools.measurement.region import radius_of
 from ilctools.measurement.transient import separated, windows_of
+from ilctools.models import state_sequence
 from ilctools.signals import dataset
-from ilctools.trials.run import state_sequence
 from rodlib import midr, paper_loop, sampled_response
 from rodlib.rigs import MISMATCHED, RestartingRig, RigParameters
 

@@ -22,7 +22,7 @@ from ilctools import (
     zero_phase_butterworth,
 )
 from ilctools.errors import RigError
-from ilctools.loop.notes import loop_of
+from ilctools.law.notes import loop_of
 from rodlib.case import assumed_reference
 from rodlib.paper import published
 from rodlib.paper.repository import ROOT

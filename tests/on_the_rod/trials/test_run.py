@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from plants import PUMPS, tanks
 
 from ilctools import (
+    ClosedLoop,
     Law,
     LearningFilter,
     current_trial_loop,
@@ -18,7 +19,8 @@ from ilctools import (
     trial_map,
     zero_phase_butterworth,
 )
-from ilctools.trials.run import rms, state_sequence
+from ilctools.models import state_sequence
+from ilctools.trials.dataset import rms
 from rodlib import Rod, midr
 from rodlib.case import assumed_disturbance, assumed_reference
 from rodlib.paper import published
@@ -26,6 +28,7 @@ from rodlib.paper import published
 pytestmark = pytest.mark.filterwarnings("ignore:commands were", "ignore:the reference")
 L = LearningFilter(published.matrix("L_diagonal"), 1.0)
 ZERO = np.zeros((50, 2))
+PUSHED = ClosedLoop(control.ss(0.5, np.eye(1, 2), [[1], [0]], 0, 1.0), disturbances=["push"])
 
 
 @given(st.integers(1, 6), st.integers(1, 70), st.integers(0, 2**32 - 1))
@@ -168,8 +171,9 @@ def test_another_plant_is_simulated_with_its_own_order_of_signals():
         ({"noise": np.zeros((2, 50, 3))}, "noise has shape"),
         ({"initial_state": np.zeros(13)}, r"initial_state has shape \(13,\)"),
         ({"v": np.zeros((2, 50, 2))}, r"v has shape \(2, 50, 2\)"),
+        ({"loop": PUSHED, "disturbance": np.ones((50, 1))}, "loop.P has no input for disturb"),
     ],
 )
 def test_bad_arguments_are_refused(loop, Q, changes, message):
     with pytest.raises(ValueError, match=message):
-        run_trials(loop, Law(Q, L), **{"reference": ZERO, "trials": 2} | changes)
+        run_trials(**{"loop": loop, "law": Law(Q, L), "reference": ZERO, "trials": 2} | changes)

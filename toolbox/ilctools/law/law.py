@@ -11,8 +11,7 @@ from scipy.interpolate import make_interp_spline
 from ilctools import arguments
 from ilctools.filters import LearningOperator, ZeroPhaseButterworth
 from ilctools.law.limits import WEIGHT, Actuators, check_solver, named_limits, projected
-from ilctools.loop.closed import Loop
-from ilctools.loop.notes import loop_note
+from ilctools.loop.closed import Loop, same_loop
 from ilctools.signals import Signals, check_match
 
 
@@ -34,12 +33,13 @@ class Region:
         return spline(at), np.interp(at, self.omega, self.radius)
 
     def outputs(self, v, Ts: float) -> np.ndarray:
-        """P v from rest, and v times the radius: the most that Delta adds; (2, time, m)."""
-        samples, size = len(v), 2 * len(v)
+        """P v from rest, and v times the radius: the most that Delta adds; (2, ..., time, m)."""
+        samples = v.shape[-2]
+        size = 2 * samples
         P, radius = self.on(2 * np.pi * np.fft.rfftfreq(size, Ts))
-        V = np.fft.rfft(v, size, axis=0)[..., None]
+        V = np.fft.rfft(v, size, axis=-2)[..., None]
         spectra = np.stack([P @ V, radius[:, None, None] * V])
-        return np.fft.irfft(spectra[..., 0], size, axis=1)[:, :samples]
+        return np.fft.irfft(spectra[..., 0], size, axis=-2)[..., :samples, :]
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +110,7 @@ class Law:
         for name, kind in {"L": LearningOperator, "loop": Loop, "region": Region}.items():
             if getattr(self, name) is not None:
                 arguments.instance(name, getattr(self, name), kind)
-        check_match(Q=self.Q, L=self.L, loop=self.loop)
+        check_match(Q=self.Q, L=self.L, law=self.labels, loop=self.loop)
         vars(self).update(
             rest=arguments.whole("rest", self.rest, 0),
             gain=arguments.number("gain", self.gain, "in (0, 1]", 0, most=1),
@@ -150,11 +150,9 @@ class Law:
     def bound_to(self, loop: Loop) -> "Law":
         """This law for a loop; a ValueError if it is for another."""
         arguments.instance("loop", loop, Loop)
-        if self.labels is not None:
-            check_match(law=self.labels, loop=loop)
         if self.loop is None:
             return replace(self, loop=loop)
-        if loop_note(self.loop) != loop_note(loop):
+        if not same_loop(self.loop, loop):
             raise ValueError(
                 "law is bound to another loop: pass law.loop, or "
                 "dataclasses.replace(law, loop=None)"
@@ -215,12 +213,11 @@ class Law:
         v = arguments.in_columns("v", v, (..., "time", self.channels), names)
         e = arguments.in_columns("e", e, v.shape, names)
         arguments.whole("rest", self.rest, 0, v.shape[-2] - 1)
-        if self.actuators is None:
-            result = self._without_limits(v, e)
-        else:
-            v, applied = self._applied(v, u, applied)
-            target, weight = self._without_limits(v, e), getattr(self.L, "weight", WEIGHT)
-            result = projected(self.loop, self.actuators, v, applied, target, weight, self.rest)
+        v, applied = self.applied(v, u, applied)
+        result = self._without_limits(v, e)
+        if self.actuators is not None:
+            weight = getattr(self.L, "weight", WEIGHT)
+            result = projected(self.loop, self.actuators, v, applied, result, weight, self.rest)
         return arguments.labelled_as(labelled, result, names)
 
     def _names(self, **signals):
@@ -238,8 +235,10 @@ class Law:
                 )
         return [""] * self.channels
 
-    def _applied(self, v, u, applied):
-        """v as far as it was applied, and the commands that were; from those asked for."""
+    def applied(self, v, u, applied=None) -> tuple[np.ndarray, np.ndarray | None]:
+        """v as far as it was applied, and the commands that were, from u, those asked for."""
+        if self.actuators is None:
+            return v, applied
         if u is None:
             raise ValueError("u = None: with limits, the trial's commands are needed")
         commands = self.loop.commands

@@ -26,6 +26,7 @@ except ImportError:  # which not every platform has
 ROUNDING = 1e-6
 REGULAR = 1e-8  # of PIQP's systems: with its own 1e-10 rounding may keep it from an end
 CUT_OFF = ": they were cut off; v is learned within"  # what follows for the law
+UNLIMITED = (-np.inf, np.inf)
 WEIGHT = 1e-2  # of ||v||^2 beside ||P v||^2, for what the outputs hardly show
 
 
@@ -60,11 +61,8 @@ class Actuators:
     @classmethod
     def of(cls, limits: dict[str, tuple[float, ...]], loop: Loop) -> "Actuators":
         """Those of a loop, from limits by the names of its commands, which were checked."""
-        rows = np.tile([-np.inf, np.inf, np.inf], (len(loop.commands), 1))
-        for row, name in zip(rows, loop.commands, strict=True):
-            values = limits.get(name, ())
-            row[: len(values)] = values
-        low, high, slew = rows.T
+        rows = [(*limits.get(name, UNLIMITED), np.inf)[:3] for name in loop.commands]
+        low, high, slew = np.transpose(rows)
         return cls(low, high, slew * loop.Ts)
 
     @cached_property
@@ -104,7 +102,7 @@ def commands_beyond(u, controls: Sequence[str], limits: dict[str, tuple[float, .
     """What share of the commands u, shape (..., control), actuators do not follow; "" for none."""
     words = []
     for i, name in enumerate(controls):
-        low, high, *_ = limits.get(name, (-np.inf, np.inf))
+        low, high, *_ = limits.get(name, UNLIMITED)
         share = np.mean((u[..., i] < low) | (u[..., i] > high))
         if share:
             words.append(f"{name} in {share:.1%}")

@@ -87,11 +87,18 @@ def check_period(law: Law, period: int) -> None:
         )
 
 
+def memory(law: Law, period: int) -> float:
+    """How many samples before it v may depend on."""
+    if law.L is None:
+        return np.inf
+    return period + len(finite_response(law)) + max(0, -law.L.combined.first)
+
+
 def repeated(law: Law, v, e, period: int, start: int, stop: int) -> np.ndarray:
     """v in the samples from start to stop, from v and e, (time, m), of all samples before."""
     h = finite_response(law)
     L = law.L.combined
-    reach, first = len(h) // 2, max(0, start - period - len(h) - max(0, -L.first))
+    reach, first = len(h) // 2, max(0, start - memory(law, period))
     x = v[first:] + L.apply(e[first:])
     x = np.pad(x, [(reach, 0), (0, 0)])  # at rest before the first trial
     before = slice(start - period, stop - period)

@@ -16,14 +16,14 @@ import xarray as xr
 
 from ilctools import arguments
 from ilctools.files import keep_others, write_whole
-from ilctools.law.io import BEGUN, RESET, law_of
 from ilctools.law.law import Law
+from ilctools.law.notes import BEGUN, RESET, law_of, loop_of
 from ilctools.law.repetitive import next_samples, repeated
 from ilctools.logs.format import signals_of
 from ilctools.loop.closed import ClosedLoop, Loop
-from ilctools.loop.notes import loop_of
-from ilctools.trials.diagnosis import commands, diagnose, histories, outputs_of
-from ilctools.trials.run import rms, run_trials
+from ilctools.trials.dataset import commands, outputs_of, rms
+from ilctools.trials.diagnosis import applied_v, diagnose
+from ilctools.trials.run import run_trials
 from ilctools.units import by_unit, with_unit
 
 DIGITS = 1e-5  # of the largest v of an output: logs may hold few digits of it
@@ -172,7 +172,7 @@ class Replay:
     @property
     def _applied(self):
         """v as far as it was applied, and e, (time, m), of all trials as one."""
-        v = histories(self.trials, self.law)[0].v
+        v = applied_v(self.trials, self.law)
         return np.concatenate(v), np.concatenate(self.trials.e.values)
 
     def _v_after(self, k):

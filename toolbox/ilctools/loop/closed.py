@@ -6,7 +6,7 @@ another plant. How the gains are designed is in :mod:`ilctools.loop.design`.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 
 import control
@@ -287,6 +287,22 @@ class ClosedLoop:
 Loop = CurrentTrialLoop | ClosedLoop
 
 
+def same_loop(loop: Loop, other: Loop) -> bool:
+    """Whether two loops are alike to the last digit, names and units included."""
+    return all(map(np.array_equal, _values(loop), _values(other)))
+
+
+def _values(loop):
+    """All that a loop is, to be compared."""
+    for part in fields(loop):
+        value = getattr(loop, part.name)
+        if not isinstance(value, control.StateSpace):
+            yield value
+            continue
+        yield from (value.A, value.B, value.C, value.D, value.dt)
+        yield from (value.input_labels, value.output_labels)
+
+
 def _stable_model(name, P):
     """A stable model from w to y."""
     P = sampled_plant(P, name)
@@ -328,10 +344,9 @@ def _close(loop, plant):
 def with_noise(loop: CurrentTrialLoop, plant=None) -> control.StateSpace:
     """The loop (19) with m inputs more: what is added to y before the observer (16) sees it."""
     closed = loop.closed if plant is None else loop.around(plant)
-    m = loop.plant.noutputs
-    enters = np.zeros((closed.nstates, m))
-    enters[-len(loop.KL) :] = loop.KL
-    D = np.hstack([closed.D, np.zeros((m, m))])
+    others, m = loop.KL.shape
+    enters = np.pad(loop.KL, [(closed.nstates - others, 0), (0, 0)])
+    D = np.pad(closed.D, [(0, 0), (0, m)])
     return control.ss(closed.A, np.hstack([closed.B, enters]), closed.C, D, loop.Ts)
 
 
@@ -342,5 +357,5 @@ def reply(loop: CurrentTrialLoop) -> control.StateSpace:
     noisy, m = with_noise(loop), loop.plant.noutputs
     B = np.hstack([noisy.B[:, :m], noisy.B[:, -m:]])
     _, _, K = controller(loop)
-    C = np.hstack([np.zeros((m, loop.plant.nstates)), -K])  # (18)
-    return control.ss(noisy.A, B, C, np.hstack([loop.N, np.zeros((m, m))]), loop.Ts)
+    C = np.pad(-K, [(0, 0), (loop.plant.nstates, 0)])  # (18)
+    return control.ss(noisy.A, B, C, np.pad(loop.N, [(0, 0), (0, m)]), loop.Ts)

@@ -10,8 +10,8 @@ import xarray as xr
 from scipy.fft import next_fast_len
 
 from ilctools import arguments
+from ilctools.law.notes import loop_note, read_note
 from ilctools.loop.closed import Loop
-from ilctools.loop.notes import loop_note, read_note
 from ilctools.signals import Signals, check_match
 
 LEAD = 0.25  # periods before those that are evaluated, in which most of the transient decays

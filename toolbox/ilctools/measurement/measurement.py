@@ -15,10 +15,9 @@ import xarray as xr
 
 from ilctools import arguments
 from ilctools.errors import LogError
-from ilctools.law.io import limits_of
+from ilctools.law.notes import limits_of, loop_of
 from ilctools.logs.format import few
 from ilctools.loop.closed import CurrentTrialLoop, Loop
-from ilctools.loop.notes import loop_of
 from ilctools.measurement.estimation import EstimatedResponse, estimated_response
 from ilctools.measurement.excitation import excitation_of
 from ilctools.measurement.plausibility import findings_of

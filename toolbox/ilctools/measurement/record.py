@@ -8,9 +8,8 @@ import xarray as xr
 
 from ilctools import arguments
 from ilctools.errors import LogError
-from ilctools.law.io import RESET
+from ilctools.law.notes import RESET, loop_of
 from ilctools.loop.closed import ClosedLoop, Loop
-from ilctools.loop.notes import loop_of
 from ilctools.measurement.regression import Trials
 from ilctools.signals import Signals, check_match, period_of
 

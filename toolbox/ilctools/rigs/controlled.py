@@ -13,6 +13,7 @@ from ilctools.law.limits import named_limits
 from ilctools.loop.closed import CurrentTrialLoop, Loop, controller
 from ilctools.rigs.interrupts import SAFE_TIME, Interrupts
 from ilctools.rigs.limits import stop_limits
+from ilctools.trials.learn import joined
 
 STILL = 0.1  # of a trial, for which outputs that are back must stand still
 LONGEST = 2.0  # trials, that is waited for this
@@ -205,7 +206,7 @@ class ControlledRig:
             self.interrupts.call(self.check_clock)
             samples.append(self.sample(w[p], commanded[p]))
             bar.update()
-        return series(samples, np.array)
+        return joined(samples, np.array)
 
     def check_clock(self) -> None:
         """Note by how much a sample is off the clock of the rig, if it has one."""
@@ -272,11 +273,6 @@ class ControlledRig:
         except BaseException as error:  # also a signal, after safe_time
             error.add_note("THE RIG MAY NOT BE SAFE: what should leave it safe has failed")
             raise
-
-
-def series(parts: list[dict], join):
-    """The signals of samples, of parts of a trial or of trials, joined."""
-    return {name: join([part[name] for part in parts]) for name in parts[-1]}
 
 
 def _check_methods(rig):

@@ -7,15 +7,16 @@ import xarray as xr
 
 from ilctools import arguments
 from ilctools.filters import LearningFilter
-from ilctools.law.io import BEGUN, NO_RESET, RESET, with_law
 from ilctools.law.law import Law
-from ilctools.law.repetitive import check_period, next_samples
+from ilctools.law.notes import BEGUN, NO_RESET, RESET, with_law
+from ilctools.law.repetitive import check_period
 from ilctools.loop.closed import Loop
 from ilctools.measurement.excitation import Excitation, with_excitation
-from ilctools.rigs.controlled import ControlledRig, series
+from ilctools.rigs.controlled import ControlledRig
 from ilctools.rigs.protocol import Rig
 from ilctools.rigs.recording import Experiment
 from ilctools.signals import check_match
+from ilctools.trials.learn import next_v
 
 
 def record(
@@ -154,29 +155,13 @@ def record(
     check_match(law=law, rig=controlled)
     commanded = controlled.commanded(disturbance, trials, samples)
 
-    following = partial(_next_v, law, first, goes_on)
+    following = partial(next_v, law, first, not goes_on)
     notes = with_law(xr.Dataset(), law).attrs
     if v is not None:
         notes[BEGUN] = "v of trial 1 was given"
     if goes_on:
         notes[RESET] = NO_RESET
     return Experiment(controlled, reference, commanded, following, notes).run(pause, path)
-
-
-def _next_v(law, first, goes_on, trials):
-    """v by the law (23) after these trials; if the rig goes on, of the samples that follow."""
-    if not trials:
-        return first
-    signals = series(trials, np.concatenate) if goes_on else trials[-1]
-    r, v, y = signals["reference"], signals["v"], signals["y"]
-    e, w = r - y, r + v
-    u = applied = law.loop.asked(w, signals.get("u"))
-    if law.actuators is not None:
-        applied = signals.get("applied", law.actuators.follow(u))
-    if not goes_on:
-        return law.next(v, e, u, applied)  # (23)
-    v = v if law.actuators is None else law.loop.realised(v, u, applied)
-    return next_samples(law, v, e, first)
 
 
 def _checked_pause(pause, controlled):

@@ -13,18 +13,18 @@ from tqdm import tqdm
 from ilctools import arguments
 from ilctools.errors import RigError
 from ilctools.files import alone, append, regular
-from ilctools.law.io import KEYS, RESET
 from ilctools.law.limits import CUT_OFF, commands_beyond
+from ilctools.law.notes import KEYS, RESET
 from ilctools.logs.format import columns_of, rows_as_text, signals_of, write_log
 from ilctools.logs.reader import read_log
-from ilctools.rigs.controlled import ControlledRig, series
+from ilctools.rigs.controlled import ControlledRig
 from ilctools.signals import SIGNALS, dataset
 from ilctools.trials.diagnosis import diagnose
+from ilctools.trials.learn import Part, joined, learn
 from ilctools.trials.start import Start
 
 LATE = 0.1  # sampling periods that a sample may be off the clock
 NOTED = (*KEYS, RESET, "excitation", "loop")  # the notes of what makes the trials
-Trial = dict[str, np.ndarray]  # its signals, shape (time, channel)
 
 
 @dataclass
@@ -34,10 +34,10 @@ class Experiment:
     rig: ControlledRig
     reference: np.ndarray  # shape (trial, time, output)
     commanded: np.ndarray  # of the disturbances that are inputs
-    following: Callable[[list[Trial]], np.ndarray]  # v after these trials
+    following: Callable[[list[Part]], np.ndarray]  # v after these trials
     notes: dict[str, str]  # of what makes the trials
     log: xr.Dataset | None = None
-    trials: list[Trial] = field(default_factory=list)
+    trials: list[Part] = field(default_factory=list)
     lost: bool = False  # whether rounding left nothing of the last v
     size: int | None = None  # of the log, in bytes, as this experiment left it
 
@@ -99,7 +99,7 @@ class Experiment:
                 bar.set_description(f"trial {k + 1} of {count}")
                 trial, late = self.run_trial(k, pause, bar)
                 self.trials.append(trial)
-                signals = series(self.trials, np.stack)
+                signals = joined(self.trials, np.stack)
                 data = dataset(loop.Ts, *names, loop.units, **signals)
                 self.log = data.assign_attrs(self.notes)
                 saved.result()  # or the error of what was written meanwhile
@@ -131,25 +131,28 @@ class Experiment:
             )
         self.size = path.stat().st_size
 
-    def run_trial(self, k, pause, bar) -> tuple[Trial, str]:
+    def run_trial(self, k, pause, bar) -> tuple[Part, str]:
         """Run trial k, counted from 0, and what there is to say of the pause before it.
 
         If the rig goes on, in parts whose v follows from those before; else it is one part.
         """
-        rig, reference, commanded = self.rig, self.reference[k], self.commanded[k]
-        parts, done, late = [], 0, ""
-        while done < len(reference):
-            following = self.following(self.trials + parts)[: len(reference) - done]
-            v = rig.rounded("v", following)
-            self.lost = following.any() and not v.any()
+        rig, reference, late = self.rig, self.reference[k], ""
+
+        def run(w, now):
+            nonlocal late
             if not rig.goes_on:
                 rig.begin(k + 1)
                 late = rig.pause(k + 1, pause, reference[0], self.start()) if k else ""
-            now = slice(done, done + len(v))
-            signals = rig.run(k + 1, reference[now] + v, commanded[now], bar, done)
-            parts.append({"v": v, "reference": reference[now]} | signals)
-            done += len(v)
-        return series(parts, np.concatenate), late
+            return rig.run(k + 1, w, self.commanded[k, now], bar, now.start)
+
+        return joined(learn(run, self.rounded_v, reference, self.trials)), late
+
+    def rounded_v(self, trials) -> np.ndarray:
+        """v after these trials, with as many digits as are recorded."""
+        following = self.following(trials)
+        v = self.rig.rounded("v", following)
+        self.lost = following.any() and not v.any()
+        return v
 
     def warnings(self) -> dict[str, str]:
         """What the last trial shows, with those before it, by kinds."""

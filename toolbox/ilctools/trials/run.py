@@ -1,7 +1,4 @@
-"""Trials of the loop (19) under the ILC law, Section IV. Trial k, and the signal of the next one:
-
-    w_k = r + v_k                                                                            (22)
-    v_{k+1} = Q (v_k + L e_k),    e_k = r - y_k                                              (23)
+"""Trials of the loop (19) under the ILC law, Section IV: (22), (23) are :func:`.learn`'s.
 
 In a trial, with x the states of the plant and of the observer, whose estimates are x-hat and delta,
 and noise n on what the sensors report,
@@ -11,20 +8,23 @@ and noise n on what the sensors report,
 """
 
 import warnings
+from functools import partial
 
 import numpy as np
 import xarray as xr
 from tqdm import tqdm
 
 from ilctools import arguments
-from ilctools.law.io import NO_RESET, RESET
 from ilctools.law.law import Law
 from ilctools.law.limits import CUT_OFF, commands_beyond
-from ilctools.law.repetitive import check_period, next_samples
+from ilctools.law.notes import NO_RESET, RESET
+from ilctools.law.repetitive import check_period
 from ilctools.loop.closed import CurrentTrialLoop, Loop, with_noise
 from ilctools.models import state_sequence
 from ilctools.signals import dataset
-from ilctools.trials.diagnosis import commands, diagnose
+from ilctools.trials.dataset import commands
+from ilctools.trials.diagnosis import diagnose
+from ilctools.trials.learn import joined, learn, next_v
 from ilctools.trials.start import Start
 
 
@@ -128,49 +128,29 @@ def run_trials(
     d = arguments.each_trial("disturbance", d, trials, samples, loop.disturbances, loop.Ts)
     noise = np.zeros(r.shape) if noise is None else noise
     noise = arguments.in_columns("noise", noise, r.shape, loop.outputs)
+    if not simulated.ours and d.any():
+        raise ValueError("disturbance is not zero, but loop.P has no input for disturbances")
     if not reset:
         check_period(law, samples)
 
-    signals = _simulate(simulated, law, first, r, d, noise, reset)
-    signals |= {"reference": r, "disturbance": d}
-    result = dataset(loop.Ts, loop.outputs, loop.controls, loop.disturbances, loop.units, **signals)
+    r, flows, white = (np.concatenate(signal) for signal in (r, d, noise))
+    with tqdm(total=len(r), desc="samples", delay=3, disable=None) as bar:
+
+        def run(w, now):
+            bar.update(len(w))
+            if reset:
+                simulated.reset()
+            return simulated.run(w, flows[now], white[now])
+
+        parts = learn(run, partial(next_v, law, first, reset), r)
+    signals = {name: x.reshape(trials, samples, -1) for name, x in joined(parts).items()}
+    names = loop.outputs, loop.controls, loop.disturbances
+    result = dataset(loop.Ts, *names, loop.units, **signals, disturbance=d)
     if not reset:
         result.attrs[RESET] = NO_RESET
     for text in _warnings(result, law, plant is None, reset and initial_state is None):
         warnings.warn(text, stacklevel=2)
     return result
-
-
-def _simulate(simulated, law, first, r, d, noise, reset):
-    """The signals of all trials, shape (trial, time, channel), as r, d and noise are.
-
-    With a reset v is that of a trial, else that of the samples for which it follows from those
-    before.
-    """
-    shape = r.shape[:2]
-    r, d, noise = (np.concatenate(signal) for signal in (r, d, noise))
-    parts, done, v = [], 0, first
-    past_v = past_e = np.empty((0, r.shape[1]))
-    with tqdm(total=len(r), desc="samples", delay=3, disable=None) as bar:
-        while True:
-            now = slice(done, done + len(v))
-            if reset:
-                simulated.reset()
-            signals, asked = simulated.run(r[now] + v, d[now], noise[now])  # (22)
-            parts.append({"v": v} | signals)
-            e, done = r[now] - signals["y"], now.stop
-            bar.update(len(v))
-            if done == len(r):
-                break
-            if reset:
-                v = law.next(v, e, **asked)  # (23)
-                continue
-            if law.actuators is not None:
-                v = law.loop.realised(v, **asked)
-            past_v, past_e = np.concatenate([past_v, v]), np.concatenate([past_e, e])
-            v = next_samples(law, past_v, past_e, first)[: len(r) - done]  # (23)
-    joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    return {name: signal.reshape(*shape, -1) for name, signal in joined.items()}
 
 
 class _Simulated:
@@ -184,10 +164,9 @@ class _Simulated:
         self.B, self.E = np.split(model.B, [m], axis=1)  # of w; of d and noise, which P lacks
         self.D, self.F = np.split(model.D, [m], axis=1)
         self.of_plant = model.nstates - len(loop.KL) if self.ours else model.nstates
-        self.initial = np.zeros(model.nstates)
-        if initial_state is not None:
-            x = arguments.array("initial_state", initial_state, (self.of_plant,))
-            self.initial[: self.of_plant] = x
+        x = np.zeros(self.of_plant) if initial_state is None else initial_state
+        x = arguments.array("initial_state", x, (self.of_plant,))
+        self.initial = np.append(x, np.zeros(model.nstates - len(x)))
         self.reset()
 
     def reset(self):
@@ -195,25 +174,21 @@ class _Simulated:
         self.state, self.applied = self.initial, None
 
     def run(self, w, d, noise):
-        """The signals of a trial, or of a part of one; and the commands, as the law takes them."""
-        if not self.ours and d.any():
-            raise ValueError("disturbance is not zero, but loop.P has no input for disturbances")
+        """The signals of a trial, or of a part of one."""
+        m = w.shape[1]
         others = np.hstack([d, noise])[:, : self.E.shape[1]]
         forcing = others @ self.E.T
         states = state_sequence(self.A, w @ self.B.T + forcing, self.state)  # (19)
-        u = self.controls(w, states)
-        asked = {"u": u}
+        commands = {"u": self.controls(w, states)}
         if self.actuators is not None:
-            if not self.actuators.can(u, before=self.applied):
-                w, u = self.within_limits(w, forcing)
+            if not self.actuators.can(commands["u"], before=self.applied):
+                w, commands["u"] = self.within_limits(w, forcing)
                 states = state_sequence(self.A, w @ self.B.T + forcing, self.state)
-            applied = self.actuators.follow(u, self.applied)
-            self.applied = applied[-1]
-            asked = {"u": u, "applied": applied}
-        y = states @ self.C.T + w @ self.D.T + others @ self.F.T + noise
+            commands["applied"] = self.actuators.follow(commands["u"], self.applied)
+            self.applied = commands["applied"][-1]
         self.state = self.A @ states[-1] + self.B @ w[-1] + forcing[-1]
-        estimated = asked | {"delta": states[:, -w.shape[1] :]} if self.ours else {}
-        return estimated | {"y": y}, asked
+        y = states @ self.C.T + w @ self.D.T + others @ self.F.T + noise
+        return commands | {"y": y, "delta": states[:, -m:]} if self.ours else {"y": y}
 
     def controls(self, w, states):
         """u, from w and the states, of which the observer's are the last."""
@@ -249,33 +224,3 @@ def _warnings(result, law, exact, from_rest):
         away = next(filter(None, map(rest.away, r[1:])), "")
         if away:
             yield away
-
-
-def rms(e: xr.DataArray | xr.Dataset) -> xr.DataArray:
-    """RMS(e_k) of Section IV: root of the mean over time of e'e, summed over the channels.
-
-    `e` is a DataArray with the dimensions time and channel, or a dataset of trials or a log with
-    reference and y, whose error it is; anything else, or a gap in it, raises a ValueError.
-
-    See Also
-    --------
-    run_trials : trials with an error e
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import xarray as xr
-    >>> from ilctools import rms
-    >>> e = xr.DataArray(np.ones((2, 9, 2)), dims=("trial", "time", "channel"))
-    >>> rms(e).values.round(4)
-    array([1.4142, 1.4142])
-    """
-    if isinstance(e, xr.Dataset):
-        if not {"reference", "y"} <= set(e):
-            raise ValueError(f"e has no reference and y, but {[*e]}: pass one of them, as e.y")
-        e = e.reference - e.y
-    arguments.instance("e", e, xr.DataArray)
-    if not {"time", "channel"} <= set(e.dims):
-        raise ValueError(f"e has dimensions {e.dims}, but must have 'time' and 'channel'")
-    arguments.array("e", e.values, (...,))
-    return np.sqrt((e**2).sum("channel").mean("time"))

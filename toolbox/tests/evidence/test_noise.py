@@ -24,7 +24,7 @@ from ilctools import (
 from ilctools.alternatives import pd_type
 from ilctools.evidence import noise as evidence
 from ilctools.evidence.noise import Spectrum, TrialNoise
-from ilctools.trials.run import rms
+from ilctools.trials.dataset import rms
 
 pytestmark = [  # after an impulse, around another plant
     pytest.mark.filterwarnings("ignore:the error grows"),

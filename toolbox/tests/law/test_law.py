@@ -81,6 +81,11 @@ def test_a_law_is_bound_to_one_loop():
         with pytest.raises(ValueError, match="another loop"):
             bound.bound_to(other)
         assert replace(bound, loop=None).bound_to(other).loop is other
+    inputs, outputs = loop.plant.input_labels, loop.outputs
+    for Ts, names in ((2.0, outputs), (1.0, outputs[::-1])):
+        plant = control.ss(*control.ssdata(loop.plant), Ts, inputs=inputs, outputs=names)
+        with pytest.raises(ValueError, match="another loop"):
+            bound.bound_to(replace(loop, plant=plant))
     with pytest.raises(ValueError, match="channels"):
         Law(Q, ONE).bound_to(loop)
 

@@ -19,8 +19,8 @@ from ilctools import (
     shake,
     zero_phase_butterworth,
 )
+from ilctools.law.notes import loop_of
 from ilctools.logs.replay import replay
-from ilctools.loop.notes import loop_of
 
 P, REFERENCE = axes(), bump(150, [2.0, -1.0])
 LAW = Law(zero_phase_butterworth(2, 3.0, 0.1), LearningFilter(0.1 * np.eye(2)[..., None], 0.1))

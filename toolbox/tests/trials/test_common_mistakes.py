@@ -30,7 +30,7 @@ from ilctools import (
     transfer,
     zero_phase_butterworth,
 )
-from ilctools.law.io import with_law
+from ilctools.law.notes import with_law
 
 LAG = control.ss(0.9, 0.1, 1, 0, 1.0, inputs=["heater"], outputs=["oven"])
 LOOP, PAPER = current_trial_loop(LAG), paper_loop()

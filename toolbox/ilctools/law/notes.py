@@ -1,7 +1,12 @@
-"""The law as JSON: in the metadata of a log, and in a file of its own."""
+"""Loops and laws as JSON: in the metadata of a log, and a law in a file of its own.
+
+An excitation is noted by :mod:`ilctools.measurement.excitation`.
+"""
 
 import json
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import fields, replace
+from functools import partial
 
 import control
 import numpy as np
@@ -14,74 +19,114 @@ from ilctools.files import read_json, regular, write_whole
 from ilctools.filters import LearningFilter, ZeroPhaseButterworth
 from ilctools.law.law import Law
 from ilctools.law.limits import named_limits
-from ilctools.loop.notes import loop_note, loop_of, read_note
+from ilctools.loop.closed import ClosedLoop, CurrentTrialLoop, Loop
 from ilctools.signals import Signals, check_match
 
 FORMATS = ("rodlib law 1", "rodlib law 2")  # of the file; the second if L looks back or has a base
 DEFAULTS = {"rest": 0, "step": 1.0, "actuators": {}}  # step: the learning gain
 KEYS = ("Q", "L", *DEFAULTS)
+OF_FILES = {*KEYS, "format", "Ts", "note", "sections"}
 ROUNDING = 1e-12  # of the sections, on another machine
 BEGUN = "begun"  # the note that says that v of trial 1 was given
 RESET = "reset"  # the note that says that there was none between trials, NO_RESET
 NO_RESET = "none: a trial starts where the last one ended"
+MATRICES = (*"ABCD", "dt")  # of a model, and its sampling period
+
+
+def read_note(trials: xr.Dataset, key: str, read: Callable):
+    """What `read` makes of the note `key` of a log; None if it is not there."""
+    if key not in trials.attrs:
+        return None
+    with reading(key):
+        return read(read_json(trials.attrs[key]))
+
+
+def text_of(notes, indent: int | None = None) -> str:
+    """Notes as JSON, numbers to the last digit."""
+    return json.dumps(notes, ensure_ascii=False, indent=indent, default=_plain)
+
+
+def _plain(part):
+    """An array or a model as what JSON can hold."""
+    if not isinstance(part, control.StateSpace):
+        return part.tolist()
+    values = {name: getattr(part, name) for name in MATRICES}
+    return values | {"inputs": part.input_labels, "outputs": part.output_labels}
+
+
+def model_from(note):
+    """A model that :func:`text_of` noted."""
+    if note is None:
+        return None
+    values = (note[name] for name in MATRICES)
+    return control.ss(*values, inputs=note["inputs"], outputs=note["outputs"])
+
+
+def loop_note(loop: Loop) -> str:
+    """A loop as JSON."""
+    return text_of({part.name: getattr(loop, part.name) for part in fields(loop)})
+
+
+def loop_of(trials: xr.Dataset) -> Loop | None:
+    """The loop noted in the metadata of a log, to the last digit; None if it does not say.
+
+    A LogError if the note cannot be understood, or is that of other signals or units.
+    """
+
+    def read(note):
+        kind, plant = (CurrentTrialLoop, "plant") if "plant" in note else (ClosedLoop, "P")
+        loop = kind(**note | {plant: model_from(note[plant])})
+        check_match(loop=loop, log=Signals.of_log(trials))
+        return loop
+
+    return read_note(trials, "loop", read)
 
 
 def law_notes(law: Law) -> dict:
-    """A law as what JSON can hold, to the last digit; without L where that has no coefficients."""
+    """A law by the keys of its file; without L where that has no coefficients."""
     Q, L = law.Q, law.L
     notes = {"Q": {"order": Q.order, "cutoff": Q.cutoff, "ends": Q.ends}}
     if L is None:
         notes["L"] = None
     elif isinstance(L, LearningFilter):
-        notes["L"] = {"coefficients": L.coefficients.tolist(), "ends": L.ends}
+        notes["L"] = {"coefficients": L.coefficients, "ends": L.ends}
         if L.first != 1 or L.base is not None:
             notes["L"] |= {"first": L.first, "base": L.base and _base_notes(L.base)}
     others = {"rest": law.rest, "step": law.gain, "actuators": law.limits or {}}
     return notes | {key: value for key, value in others.items() if value != DEFAULTS[key]}
 
 
+def _base_notes(base):
+    """B by its coefficients, or by the model that it is of."""
+    if isinstance(base, LearningFilter):
+        return {"taps": base.coefficients, "from": base.first}
+    P = {name: getattr(base.P, name) for name in "ABCD"}
+    return {"b": base.b, "scale": base.scale, "P": P}
+
+
 def _law_from(notes, Ts):
     """The law that :func:`law_notes` noted."""
     notes = DEFAULTS | notes
-    Q = ZeroPhaseButterworth(Ts=Ts, **_with_keys(notes["Q"], "order cutoff ends"))
-    if (L := notes["L"]) is not None:
-        _with_keys(L, "coefficients ends", "coefficients ends first base")
-        L = LearningFilter(Ts=Ts, **L | {"base": _base_from(L.get("base"), Ts)})
+    Q, L = ZeroPhaseButterworth(Ts=Ts, **notes["Q"]), notes["L"]
+    if L is not None:
+        L = {"base": None} | L
+        L = LearningFilter(Ts=Ts, **L | {"base": _base_from(L["base"], Ts)})
     return Law(Q, L, notes["rest"], notes["step"], notes["actuators"])
-
-
-def _with_keys(notes, *layouts):
-    """Notes, if their keys are those of one of the layouts: others would be without effect."""
-    if {*notes} not in [{*keys.split()} for keys in layouts]:
-        raise ValueError(f"{sorted(notes)} must be the keys {' or '.join(layouts)}")
-    return notes
-
-
-def _base_notes(base):
-    """B as what JSON can hold: the model that it is of, or its coefficients."""
-    if isinstance(base, LearningFilter):
-        return {"taps": base.coefficients.tolist(), "from": base.first}
-    return {
-        "b": base.b,
-        "scale": base.scale.tolist(),
-        "P": {name: getattr(base.P, name).tolist() for name in "ABCD"},
-    }
 
 
 def _base_from(notes, Ts):
     """The base that :func:`_base_notes` noted."""
     if notes is None:
         return None
-    if "taps" in _with_keys(notes, "taps from", "b scale P"):
+    if "taps" in notes:
         return LearningFilter(notes["taps"], Ts, first=notes["from"])
-    _with_keys(notes["P"], "A B C D")
     P = control.ss(*(notes["P"][name] for name in "ABCD"), Ts)
-    return RegularisedInverse(P, notes["b"], notes["scale"])
+    return RegularisedInverse(**notes | {"P": P})
 
 
 def with_law(trials: xr.Dataset, law: Law) -> xr.Dataset:
     """Note in the metadata which law (23) made the trials, and around which loop."""
-    texts = {key: json.dumps(n, ensure_ascii=False) for key, n in law_notes(law).items()}
+    texts = {key: text_of(note) for key, note in law_notes(law).items()}
     if law.loop is not None:
         texts["loop"] = loop_note(law.loop)
     return trials.assign_attrs(texts)
@@ -118,7 +163,6 @@ def law_of(trials: xr.Dataset) -> Law | None:
     >>> law_of(run).rest
     3
     """
-
     arguments.instance("trials", trials, xr.Dataset)
     if not {"Q", "L"} <= trials.attrs.keys():
         return None
@@ -133,10 +177,7 @@ def law_of(trials: xr.Dataset) -> Law | None:
 
 def limits_of(trials: xr.Dataset) -> dict[str, tuple[float, ...]]:
     """What each actuator follows, by the name of its command, as noted in the metadata."""
-
-    def read(note):
-        return named_limits("actuators", note, None, slew=True)
-
+    read = partial(named_limits, "actuators", names=None, slew=True)
     return read_note(trials, "actuators", read) or {}
 
 
@@ -182,8 +223,8 @@ def save_law(path, law: Law, note: str = "") -> None:
             ) from None
     notes = law_notes(law)
     content = {"format": FORMATS["first" in notes["L"]], "Ts": law.Ts, **notes, "note": note}
-    content["sections"] = law.Q.sections.tolist()
-    write_whole(path, json.dumps(content, ensure_ascii=False, indent=1) + "\n")
+    content["sections"] = law.Q.sections
+    write_whole(path, text_of(content, indent=1) + "\n")
 
 
 def load_law(path) -> Law:
@@ -206,14 +247,8 @@ def load_law(path) -> Law:
     path = arguments.path("path", path)
     try:
         content = read_json(regular(path).read_text(encoding="utf-8"))
-        _with_keys(DEFAULTS | content, "format Ts Q L rest step actuators note sections")
-        if content["format"] != FORMATS["first" in content["L"]]:
-            raise ValueError(f"format {content['format']!r} is none of {FORMATS}")
         law = _law_from(content, content["Ts"])
-        own = law.Q.sections
-        sections = arguments.array("sections", content["sections"], own.shape)
-        if not np.allclose(sections, own, ROUNDING, [0, 0, 0, 0, ROUNDING, ROUNDING]):
-            raise ValueError("sections are not those of Q, which save_law writes anew")
+        _check_file(content, law.Q)
     except (OSError, *MISUNDERSTOOD) as error:
         raise ValueError(
             shortened(
@@ -223,3 +258,14 @@ def load_law(path) -> Law:
         ) from None
     # {} stands for no limits; a file without any leaves them to the rig
     return law if law.limits else replace(law, limits=None)
+
+
+def _check_file(content, Q):
+    """Refuse a file with keys that would be without effect, or sections that are not those of Q."""
+    if unknown := content.keys() - OF_FILES:
+        raise ValueError(f"{sorted(unknown)} are not among the keys {sorted(OF_FILES)}")
+    if content["format"] != FORMATS["first" in content["L"]]:
+        raise ValueError(f"format {content['format']!r} is none of {FORMATS}")
+    sections = arguments.array("sections", content["sections"], Q.sections.shape)
+    if not np.allclose(sections, Q.sections, ROUNDING, [0, 0, 0, 0, ROUNDING, ROUNDING]):
+        raise ValueError("sections are not those of Q, which save_law writes anew")

@@ -8,8 +8,7 @@ import pytest
 
 from ilctools import Law, current_trial_loop, load_log, run_trials, save_log, zero_phase_butterworth
 from ilctools.errors import LogError
-from ilctools.law.io import with_law
-from ilctools.loop.notes import loop_note, loop_of
+from ilctools.law.notes import loop_note, loop_of, with_law
 
 UNITS = {"depth, ϑ": "mm", 'the "valve"': "l/min", "rain": "l/s"}
 PLANT = control.ss(

@@ -1,0 +1,62 @@
+"""The loop of iterative learning, Section IV, whatever runs the trials: a model or a rig."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from ilctools.law.law import Law
+from ilctools.law.repetitive import memory, next_samples
+
+Part = dict[str, np.ndarray]  # signals of a trial, or of a part of one, shape (time, channel)
+
+
+def learn(
+    run: Callable, following: Callable, reference: np.ndarray, past: Sequence[Part] = ()
+) -> list[Part]:
+    """Run what a reference (time, m) asks for, in parts; with a reset each is a trial.
+
+        w_k = r + v_k                                                                        (22)
+        v_{k+1} = Q (v_k + L e_k),    e_k = r - y_k                                          (23)
+
+    `following(parts)` is (23) after these parts, see :func:`next_v`; `run(w, now)` applies w in
+    the samples `now` of the reference and returns the other signals.
+    """
+    parts, done = [], 0
+    while done < len(reference):
+        v = following([*past, *parts])[: len(reference) - done]  # (23)
+        now = slice(done, done + len(v))
+        r = reference[now]
+        parts.append({"v": v, "reference": r} | run(r + v, now))  # (22)
+        done = now.stop
+    return parts
+
+
+def next_v(law: Law, first: np.ndarray, reset: bool, parts: Sequence[Part]) -> np.ndarray:
+    """v by (23) after these parts; without reset, of the samples that follow from them."""
+    if not parts:
+        return first
+    if reset:
+        parts = parts[-1:]
+    elif not law.limits:  # with them what was applied follows from the start on
+        parts = _last(parts, memory(law, len(first)))
+    signals = joined(parts)
+    r, v, applied = signals["reference"], signals["v"], signals.get("applied")
+    e, u = r - signals["y"], law.loop.asked(r + v, signals.get("u"))
+    if reset:
+        return law.next(v, e, u, applied)
+    v, _ = law.applied(v, u, applied)
+    return next_samples(law, v, e, first)
+
+
+def _last(parts, samples):
+    """The last parts, as many as have so many samples."""
+    count, done = 0, 0
+    while count < len(parts) and done < samples:
+        count += 1
+        done += len(parts[-count]["v"])
+    return parts[-count:]
+
+
+def joined(parts: Sequence[Part], join: Callable = np.concatenate) -> Part:
+    """The signals of samples, of parts of a trial or of trials, joined."""
+    return {name: join([part[name] for part in parts]) for name in parts[-1]}
