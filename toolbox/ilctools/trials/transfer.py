@@ -43,7 +43,6 @@ RATIOS = 10.0 ** -np.arange(0, 7)  # candidates for rho; with one trial it is 1
 BLOCKS = 5  # of time, for cross-validation
 ROUNDING = 1e-14  # of the power, below which residuals are rounding
 PREDICTED = 0.9  # share of v + e with less of which a warning comes
-TINY = np.finfo(float).tiny  # instead of a zero that divides
 UNCERTAIN = 0.2  # share of v that may be uncertain without one
 AXES = ("trial", "time", "channel")
 
@@ -52,7 +51,8 @@ AXES = ("trial", "time", "channel")
 class Transfer:
     """Where to begin with another reference. Signals have the shape (time, m).
 
-    The uncertainty is the distance to the fit by differences between trials alone, rho = 0.
+    The uncertainty is the jackknife's, by fits without one block of time each, together with the
+    distance to the fit by differences between trials alone, rho = 0.
     """
 
     v: np.ndarray  # ILC signal of the first trial, feedforward + compensation
@@ -60,7 +60,7 @@ class Transfer:
     compensation: np.ndarray  # c, of a repeating disturbance
     F: np.ndarray  # (m, m, 2 R + 1): impulse response, from R samples ahead to R back
     predicted: np.ndarray  # (m,): share of v_k + e_k, in cross-validation
-    uncertainty: np.ndarray  # (m,): RMS by which v may be off, if the disturbance was misjudged
+    uncertainty: np.ndarray  # (m,): RMS by which v may be off
 
 
 def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
@@ -111,51 +111,59 @@ def transfer(trials: xr.Dataset | Sequence[xr.Dataset], reference) -> Transfer:
     >>> bool(rms(first.e) < 0.1 * rms(zero.e))
     True
     """
-    outputs, v, y, references = _signals(trials)
+    v, y, references, outputs = _signals(trials)
     K, N, m = y.shape
     reference = arguments.in_columns("reference", reference, ("time", m), outputs)
     size = np.sqrt(np.mean(y**2, axis=(0, 1)))
     size[size == 0] = 1.0
     basis = _basis(max(1, N // 2))
+    targets = references + v - y  # v_k + e_k
     taps = np.array([_taps(output / size, basis) for output in y])
-    columns = np.concatenate([taps, references + v - y], axis=2)  # Phi_k, t_k = v_k + e_k
+    columns = np.concatenate([taps, targets], axis=2)  # Phi_k, t_k
     mean = columns.mean(axis=0)
-    sums = np.array([sum(map(_products, columns - mean)), K * _products(mean)])  # of (4)
+    fits = _Fits(sum(map(_products, columns - mean)), K * _products(mean), K, m)
+
+    f, without = fits.likeliest(RATIOS if K > 1 else RATIOS[:1])
+    rho, predicted = fits.variances(without)
+    by_differences, _ = fits.likeliest([0.0])  # between trials, alone
     X = _taps(reference / size, basis)
+    past = np.zeros((len(reference), columns.shape[2]))
+    past[:N] = mean[: len(reference)]
+    Phi, t = past[:, :-m], past[:, -m:]
 
-    def first_signal(f, rho):  # F r and c, (3)
-        c = (1 - rho) * (mean[:, -m:] - mean[:, :-m] @ f)
-        return X @ f, np.pad(c, [(0, len(X)), (0, 0)])[: len(X)]
+    def first_signal(f, rho):
+        return X @ f + (1 - rho) * (t - Phi @ f)  # F r + c, (3)
 
-    f, rho, predicted = _estimates(sums, K, m)
-    feedforward, compensation = first_signal(f, rho)
-    v = feedforward + compensation
-    by_differences, _ = _likeliest(sums, K, m, [0.0])  # between trials, alone
-    uncertainty = np.sqrt(np.mean((sum(first_signal(by_differences, 0.0)) - v) ** 2, axis=0))
+    v = first_signal(f, rho)
+    jackknife = (1 - 1 / BLOCKS) * sum((first_signal(other, rho) - v) ** 2 for other in without)
+    distance = first_signal(by_differences, 0.0) - v
+    uncertainty = np.sqrt(np.mean(jackknife + distance**2, axis=0))
     F = (f.T.reshape(m, m, -1) / size[:, None]) @ basis.T
-    for text in _warnings(v, predicted, uncertainty, outputs):
-        warnings.warn(text, stacklevel=2)
-    return Transfer(v, feedforward, compensation, F, predicted, uncertainty)
+    result = Transfer(v, X @ f, v - X @ f, F, predicted, uncertainty)
+    for i, name in enumerate(outputs):
+        for text in _warnings(result, i, name):
+            warnings.warn(text, stacklevel=2)
+    return result
 
 
 def _signals(trials):
-    """Names of the outputs; v, y and reference of all trials, shape (trial, time, output)."""
+    """v, y and reference of all trials, (trial, time, output), and the names of the outputs."""
     tasks = trials if isinstance(trials, list | tuple) and trials else [trials]
-    tasks = [arguments.instance("trials", task, xr.Dataset) for task in tasks]
-    tasks = [task if "trial" in task.dims else task.expand_dims("trial") for task in tasks]
-    names = ["v", "y", "reference"]
-    if not all(n in task and {*task[n].dims} == {*AXES} for task in tasks for n in names):
-        raise ValueError(f"trials lack one of {names}, or its axes: see run_trials")
-    check_match(**{f"trials[{i}]": Signals(period_of(task)) for i, task in enumerate(tasks)})
-    y = tasks[0].y
-    outputs = arguments.names_of(y) or y.channel.values.tolist()
-    shape = "trial", y.sizes["time"], y.sizes["channel"]
-    yield outputs
-    for name in names:
-        arrays = [task[name].transpose(*AXES) for task in tasks]
-        yield np.concatenate(
-            [arguments.in_columns(f"trials.{name}", array, shape, outputs) for array in arrays]
-        )
+    signals, periods, outputs, shape = {"v": [], "y": [], "reference": []}, {}, None, None
+    for i, task in enumerate(tasks):
+        task = arguments.instance("trials", task, xr.Dataset)
+        task = task if "trial" in task.dims else task.expand_dims("trial")
+        if not all(name in task and {*task[name].dims} == {*AXES} for name in signals):
+            raise ValueError(f"trials lack one of {[*signals]}, or its axes: see run_trials")
+        periods[f"trials[{i}]"] = Signals(period_of(task))
+        outputs = outputs or arguments.names_of(task.y) or task.channel.values.tolist()
+        shape = shape or ("trial", task.sizes["time"], task.sizes["channel"])
+        for name, arrays in signals.items():
+            array = task[name].transpose(*AXES)
+            arrays.append(arguments.in_columns(f"trials.{name}", array, shape, outputs))
+    check_match(**periods)
+    v, y, references = (np.concatenate(arrays) for arrays in signals.values())
+    return v, y, references, outputs
 
 
 def _basis(reach):
@@ -185,67 +193,81 @@ def _products(columns):
     return np.array([block.T @ block for block in np.array_split(columns, BLOCKS)])
 
 
-def _estimates(sums, K, m):
-    """f; rho, by what fits without a block of time leave there; which share they predict."""
-    f, (within, between) = _likeliest(sums, K, m, RATIOS if K > 1 else RATIOS[:1])
-    rho = np.ones(m)
-    if K > 1:
-        rho = np.minimum(1.0, within / (K - 1) / np.maximum(between, TINY))
-    power = _powers(sums)[:, -m:]
-    missed = (within + rho * between) / np.maximum(power[0] + rho * power[1], TINY)
-    return f, rho, 1 - missed
+@dataclass(frozen=True)
+class _Fits:
+    """The sums of (4) over blocks of time: products of p regressors and m targets."""
+
+    within: np.ndarray  # of deviations from the mean over the trials
+    between: np.ndarray  # K times those of the mean
+    K: int
+    m: int
+
+    def likeliest(self, ratios):
+        """f by the likeliest weights rho, lambda and D of each output, and f without each block.
+
+        Shapes (p, m) and (blocks, p, m).
+        """
+        m, p = self.m, self.within.shape[1] - self.m
+        D = np.ones((m, p // m))
+        candidates, likelihoods = [], []
+        for rho, static, weight in product(ratios, (1.0, STATIC), WEIGHTS):
+            D[:, D.shape[1] // 2] = static
+            size = np.mean(self.power(rho)[:p]) or 1.0
+            candidates.append((rho, weight * size * D.ravel()))
+            prior = self.K * np.log(PENALTY) if static == 1 else 0.0
+            likelihoods.append(self.likelihood(*candidates[-1]) - prior)
+        best = np.argmax(likelihoods, axis=0)
+        fits = [self.solve(*candidates[k])[..., i] for i, k in enumerate(best)]
+        f, *without = np.stack(fits, axis=-1)
+        return f, np.array(without)
+
+    def power(self, rho=1.0):
+        """Sums of squares of the columns (Phi, t), as (4) weights them."""
+        return np.diagonal(np.sum(self.within + rho * self.between, axis=0))
+
+    def variances(self, without):
+        """rho, by what fits without a block leave in it; and the share that they predict, (m,)."""
+        within, between = self.residuals(without)
+        rho = np.ones(self.m)
+        if self.K > 1:
+            rho = np.minimum(1.0, within / (self.K - 1) / np.maximum(between, np.finfo(float).tiny))
+        power = np.array([self.power(ratio)[i - self.m] for i, ratio in enumerate(rho)])
+        missed = np.divide(within + rho * between, power, out=np.zeros(self.m), where=power > 0)
+        return rho, 1 - missed
+
+    def solve(self, rho, penalty):
+        """f of (4), of all blocks, and without each, shape (1 + blocks, p, m)."""
+        p, products = len(penalty), self.within + rho * self.between
+        total = products.sum(axis=0)
+        sums = np.concatenate([total[None], total - products])
+        return np.linalg.solve(sums[:, :p, :p] + np.diag(penalty), sums[:, :p, p:])
+
+    def residuals(self, without):
+        """Sums of squares in all blocks that fits without them leave, within and between trials."""
+        one = np.broadcast_to(np.eye(self.m), (BLOCKS, self.m, self.m))
+        R = np.concatenate([-without, one], axis=1)  # from (Phi, t) to t - Phi f
+        return [np.sum(R * (products @ R), axis=(0, 1)) for products in (self.within, self.between)]
+
+    def likelihood(self, rho, penalty):
+        """Logarithm of the likelihood of the residuals of each output, within and between."""
+        power = self.power()[-self.m :]
+        floor = ROUNDING * np.where(power > 0, power, 1.0)
+        residuals = self.residuals(self.solve(rho, penalty)[1:])
+        within, between = (residual + floor for residual in residuals)
+        return -(self.K - 1) * np.log(within) - np.log(between)
 
 
-def _powers(sums):
-    """Sums of squares of the columns (Phi, t), within and between trials, shape (2, columns)."""
-    return np.diagonal(sums.sum(axis=1), axis1=1, axis2=2)
-
-
-def _likeliest(sums, K, m, ratios):
-    """f of (4), and what fits without a block of time leave there, within and between trials.
-
-    For each output by the rho, lambda and D with which what they leave is the likeliest.
-    """
-    power = _powers(sums)
-    p = power.shape[1] - m
-    fits, likelihoods, D = [], [], np.ones((m, p // m))
-    for rho, static, weight in product(ratios, (1.0, STATIC), WEIGHTS):
-        D[:, D.shape[1] // 2] = static
-        size = np.mean([1, rho] @ power[:, :p]) or 1.0
-        fits.append(_fit(sums, rho, weight * size * D.ravel()))
-        left = np.log(fits[-1][p:] + np.maximum(ROUNDING * power.sum(axis=0)[p:], TINY))
-        prior = K * np.log(PENALTY) if static == 1 else 0.0
-        likelihoods.append(-np.array([K - 1, 1]) @ left - prior)
-    best = np.argmax(likelihoods, axis=0)
-    chosen = np.stack([fits[k][:, i] for i, k in enumerate(best)], axis=1)
-    return chosen[:p], chosen[p:]
-
-
-def _fit(sums, rho, penalty):
-    """f of (4), (p, m), above the sums of squares in all blocks that fits without them leave.
-
-    Two rows of these, within and between trials, for the m outputs.
-    """
-    p, products = len(penalty), np.tensordot([1, rho], sums, 1)
-    total = products.sum(axis=0)
-    kept = np.concatenate([total[None], total - products])
-    f, *without = np.linalg.solve(kept[:, :p, :p] + np.diag(penalty), kept[:, :p, p:])
-    R = np.array([np.vstack([-g, np.eye(g.shape[1])]) for g in without])  # t - Phi f, of (Phi, t)
-    return np.vstack([f, np.sum(R * (sums @ R), axis=(1, 2))])
-
-
-def _warnings(v, predicted, uncertainty, outputs):
-    """What speaks against the first signals v."""
-    sizes = np.sqrt(np.mean(v**2, axis=0))
-    for name, share, size, off in zip(outputs, predicted, sizes, uncertainty, strict=True):
-        if share < PREDICTED:
-            yield (
-                f"F predicts {share:.0%} of v + e for {name}: if another disturbance came, or "
-                "actuators reached limits, leave these trials out, by isel"
-            )
-        if off > UNCERTAIN * size:
-            yield (
-                f"v for {name}, of RMS {size:.3g}, may be off by {off:.3g}: the trials do not "
-                "distinguish the response to this reference from a repeating disturbance. Pass "
-                "the first trials, too, where v was another, or trials of another task"
-            )
+def _warnings(result, i, name):
+    """What speaks against the first signal of output i."""
+    if result.predicted[i] < PREDICTED:
+        yield (
+            f"F predicts {result.predicted[i]:.0%} of v + e for {name}: if another disturbance "
+            "came, or actuators reached limits, leave these trials out, by isel"
+        )
+    size, off = np.sqrt(np.mean(result.v[:, i] ** 2)), result.uncertainty[i]
+    if off > UNCERTAIN * size:
+        yield (
+            f"v for {name}, of RMS {size:.3g}, may be off by {off:.3g}: the trials do not "
+            "distinguish the response to this reference from a repeating disturbance. Pass "
+            "the first trials, too, where v was another, or trials of another task"
+        )
