@@ -2,20 +2,11 @@
 
 import os
 
-import matplotlib
-import numpy as np
 import pytest
 import rounding
-from hypothesis import HealthCheck, settings
+from repeatable import Q, omega  # noqa: F401
 
 from rodlib.paper.repository import ROOT
-
-matplotlib.use("agg")
-slow = [HealthCheck.too_slow]  # which a machine may be
-settings.register_profile(
-    "repeatable", derandomize=True, deadline=None, max_examples=10, suppress_health_check=slow
-)
-settings.load_profile("repeatable")
 
 
 def pytest_addoption(parser):
@@ -45,15 +36,3 @@ def loop():
     from rodlib import paper_loop
 
     return paper_loop()
-
-
-@pytest.fixture(scope="session")
-def Q():
-    from ilctools import zero_phase_butterworth
-
-    return zero_phase_butterworth(2, 0.1, 1.0)
-
-
-@pytest.fixture(scope="session")
-def omega():
-    return np.geomspace(1e-4, np.pi, 1000)

@@ -3,8 +3,6 @@
 import json
 from pathlib import Path
 
-import numpy as np
-
 from ilctools.law.notes import model_from
 from ilctools.loop.closed import CurrentTrialLoop
 
@@ -20,8 +18,3 @@ def paper_choices(**changes) -> dict:
     """Of the learning filter (39)."""
     choices = {"order": 10, "M_max": 0.9, "L_max": 50.0, "band": (1e-4, 0.02)}
     return choices | {"structure": "diagonal"} | changes
-
-
-def paper_grid() -> np.ndarray:
-    """Its design frequencies, rad/s."""
-    return np.geomspace(1e-4, np.pi, 1000)

@@ -155,24 +155,10 @@ def unproven(problem: Problem) -> list[int]:
 def estimated_peaks(problem: Problem, L, level) -> tuple[list[Peak], Peak | None]:
     """Of these, within the radius: between the frequencies, and above the last sample of P.
 
-    Those below a level are only bounded.
+    On a dense grid and, near the level or above, at the vertices between; below only bounded.
     """
     inside, above, last = [], [], problem.design.omega[-1]
-    for k, omega, sigma in crests(problem, L, level):
-        for peaks, there in ((inside, omega <= last), (above, omega > last)):
-            if there.any():
-                at = np.where(there, sigma, -1).argmax()
-                peaks.append(Peak(float(sigma[at]), float(omega[at]), k))
-    return inside, highest(above)
-
-
-def crests(problem, L, level):
-    """Where between the frequencies sigma_max(M) is highest, of each plant that has no proof.
-
-    Yields its number, frequencies and values: of a dense grid, and all crests near the level.
-    """
     for k in unproven(problem):
-        omega = dense_grid(problem, k, L)
 
         def sigma_M(omega, k=k):
             P, Q, radius = between(problem, k, omega)
@@ -180,11 +166,16 @@ def crests(problem, L, level):
             rho_L = None if radius is None else (np.abs(Q) * radius)[:, None, None] * of_L
             return within_radius(convergence_matrix(P, Q, of_L), rho_L, level)
 
+        omega = dense_grid(problem, k, L)
         sigma = sigma_M(omega)
         top = np.array(vertices(omega, sigma, NEAR * level))
         if len(top):
             omega, sigma = np.append(omega, top), np.append(sigma, sigma_M(top))
-        yield k, omega, sigma
+        for peaks, there in ((inside, omega <= last), (above, omega > last)):
+            if there.any():
+                at = np.where(there, sigma, -1).argmax()
+                peaks.append(Peak(float(sigma[at]), float(omega[at]), k))
+    return inside, highest(above)
 
 
 def vertices(omega, sigma, limit) -> list[float]:
