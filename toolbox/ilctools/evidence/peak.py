@@ -112,7 +112,7 @@ def proven_peak(sigma, poles, Ts: float) -> tuple[float, float]:
         if values.max() > peak:
             peak, place = values.max(), theta.ravel()[values.argmax()]
         h = np.diff(phase(poles, theta.ravel()).reshape(theta.shape))
-        bound = np.maximum(values[:, 1:], values[:, :-1]) / np.cos(h / 2)
+        bound = np.maximum(values[:, 1:], values[:, :-1]) / np.cos(np.minimum(h, np.pi) / 2)
         high = bound > peak
         if not high.any() or high.sum() * PARTS > MOST:
             break
@@ -168,7 +168,7 @@ def estimated_peaks(problem: Problem, L, level) -> tuple[list[Peak], Peak | None
 
         omega = dense_grid(problem, k, L)
         sigma = sigma_M(omega)
-        top = np.array(vertices(omega, sigma, NEAR * level))
+        top = vertices(omega, sigma, NEAR * level)
         if len(top):
             omega, sigma = np.append(omega, top), np.append(sigma, sigma_M(top))
         for peaks, there in ((inside, omega <= last), (above, omega > last)):
@@ -178,7 +178,7 @@ def estimated_peaks(problem: Problem, L, level) -> tuple[list[Peak], Peak | None
     return inside, highest(above)
 
 
-def vertices(omega, sigma, limit) -> list[float]:
+def vertices(omega, sigma, limit) -> np.ndarray:
     """Where the parabola through three samples, of which the middle one is highest, passes it."""
     a, b, c = omega[:-2], omega[1:-1], omega[2:]
     x, y, z = sigma[:-2], sigma[1:-1], sigma[2:]
@@ -189,7 +189,7 @@ def vertices(omega, sigma, limit) -> list[float]:
         top = y + slope**2 / (4 * curvature)
         place = b + slope / (2 * curvature)
     crest = (y >= np.maximum(x, z)) & (curvature > 0) & (top > limit)
-    return place[crest].tolist()
+    return place[crest]
 
 
 def dense_grid(problem, number, L, times=DENSER) -> np.ndarray:
