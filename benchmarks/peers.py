@@ -196,7 +196,7 @@ class Opponents:
 
     def __init__(self, problem, samples):
         self.problem, self.samples, self.Ts = problem, samples, problem.Ts
-        self.m, self.cutoff = problem.channels, problem.cutoff
+        self.m, self.cutoff = problem.channels, problem.lowpass.cutoff
         self.omega = np.linspace(0, np.pi / self.Ts, LINES + 1)
         self.P = self.known(self.omega)
         self.size = np.linalg.norm(self.P[self.omega <= self.cutoff], 2, axis=(1, 2)).max()
@@ -204,7 +204,7 @@ class Opponents:
 
     def known(self, omega):
         """P as it is known, at any frequency."""
-        if (model := self.problem.models[0]) is not None:
+        if (model := self.problem.response.models[0]) is not None:
             return frequency_response(model, omega)
         at = np.clip(omega, self.problem.omega[0], self.problem.omega[-1])
         return make_interp_spline(self.problem.omega, self.problem.P, k=1)(at)
@@ -212,7 +212,7 @@ class Opponents:
     @cached_property
     def correlations(self):
         """The inverse transforms of Q^2 P* P and Q^2 P*: normal equations over all lags."""
-        square = self.problem.Q_at(self.omega)[:, None, None] ** 2
+        square = self.problem.lowpass.frequency_response(self.omega)[:, None, None] ** 2
         adjoint = self.P.conj().swapaxes(1, 2)
         return [np.fft.irfft(square * X, axis=0) for X in (adjoint @ self.P, adjoint)]
 
@@ -253,7 +253,9 @@ class Opponents:
 
     def norm_optimal(self, parameters):
         """Of a model, with a weight."""
-        return NormOptimal(self.problem.models[0], 10 ** parameters[0] * self.size**2, self.samples)
+        return NormOptimal(
+            self.problem.response.models[0], 10 ** parameters[0] * self.size**2, self.samples
+        )
 
 
 BOXES = {  # powers of ten

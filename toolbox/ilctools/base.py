@@ -33,7 +33,6 @@ from functools import cached_property, lru_cache
 import control
 import numpy as np
 from scipy.fft import irfft, rfft
-from scipy.interpolate import make_interp_spline
 from scipy.linalg import block_diag, solve_discrete_are
 
 from ilctools import arguments
@@ -173,23 +172,20 @@ def in_units(base, scale):
     return LearningFilter(base.coefficients * units, base.Ts, base.ends, base.first)
 
 
-def base_of_samples(problem, b, reach, pooled=False) -> LearningFilter:
-    """B as a finite filter, of P as known at the frequencies of a problem, or of its models.
-
-    Of the first plant; pooled, of all of them.
-    """
-    Ts, n, one = problem.Ts, POINTS, np.eye(problem.channels)
+def base_of_samples(response, lowpass, b, reach, count, structure) -> LearningFilter:
+    """B of the first plants, as many as `count`, as a finite filter."""
+    Ts, n = response.Ts, POINTS
     omega = np.linspace(0, np.pi / Ts, n // 2 + 1)
-    numbers = range(len(problem.plants) if pooled else 1)
-    P = np.array([_anywhere(problem, k, omega) for k in numbers])
-    if problem.structure == "diagonal":
-        P = P * one
+    P = np.array([_faded(response, k, lowpass.cutoff, omega) for k in range(count)])
+    if structure == "diagonal":
+        P = P * np.eye(P.shape[-1])
     B = quadratic_law(P, b)
     taps = np.roll(irfft(B, n, axis=0), n // 2, axis=0)  # lag p at n / 2 + p
-    size = np.abs(problem.Q_at(omega)) * np.max([*map(largest_singular_values, P)], axis=0)
+    size = np.max([*map(largest_singular_values, P)], axis=0)
+    size *= np.abs(lowpass.frequency_response(omega))
     N, most = 1, reach or FARTHEST
-    if problem.models[0] is None:  # lines that are so far apart show no longer response
-        most = min(most, 2 * np.pi / (problem.omega[problem.omega > 0][0] * Ts))
+    if response.models[0] is None:  # lines that are so far apart show no longer response
+        most = min(most, 2 * np.pi / (response.omega[response.omega > 0][0] * Ts))
     most = int(min(most, FARTHEST))
     while most > N:
         middle = np.zeros_like(taps)
@@ -199,10 +195,10 @@ def base_of_samples(problem, b, reach, pooled=False) -> LearningFilter:
             break
         N = min(2 * N, most)
     kept = taps[n // 2 - N : n // 2 + N + 1][::-1]  # from q^-N on
-    if pooled:  # what is cut off must not take B above 1 / (2 b), between the points by M. Riesz
-        peak = largest_singular_values(rfft(kept, 4 * n, axis=0)).max()
-        kept = kept * min(1, np.cos(np.pi * N / (4 * n)) / (2 * b * peak))
-    units = problem.scale[:, None] / problem.scale
+    # what is cut off must not take B above 1 / (2 b), between the points by M. Riesz
+    peak = largest_singular_values(rfft(kept, 4 * n, axis=0)).max()
+    kept = kept * min(1, np.cos(np.pi * N / (4 * n)) / (2 * b * peak))
+    units = response.scale[:, None] / response.scale
     return LearningFilter(np.moveaxis(kept * units, 0, -1), Ts, first=-N)
 
 
@@ -213,22 +209,16 @@ def quadratic_law(P, b) -> np.ndarray:
     return np.linalg.solve(normal, adjoint.mean(axis=0))  # (B)
 
 
-def _anywhere(problem, number, omega):
-    """A plant at any frequency: its model, or `_tapered` samples."""
-    if (model := problem.models[number]) is not None:
+def _faded(response, number, cutoff, omega):
+    """A plant at any frequency; samples are held below them, and faded out beyond Q's cut-off."""
+    if (model := response.models[number]) is not None:
         return frequency_response(model, omega)
-    return _tapered(problem, problem.plants[number], omega)
-
-
-def _tapered(problem, P, omega):
-    """P between its samples by splines, held below them, and faded out beyond Q's cut-off."""
-    known, last = problem.omega, problem.omega[-1]
-    degree = min(3, len(known) - 1)
-    P = make_interp_spline(known, P, degree)(np.clip(omega, known[0], last))
-    if known[0] > 0:  # P is real at rest
-        P.imag *= np.minimum(omega / known[0], 1)[:, None, None]
-    start = min(problem.cutoff, 0.9 * last)
+    first, last = response.omega[[0, -1]]
+    P, _ = response.anywhere(number, np.clip(omega, first, last))
+    if first > 0:  # P is real at rest
+        P.imag *= np.minimum(omega / first, 1)[:, None, None]
+    if response.beyond is None:
+        return P
+    start = min(cutoff, 0.9 * last)
     fading = np.clip((omega - start) / (last - start), 0, 1)
-    if last * problem.Ts >= np.pi * (1 - 1e-9):  # nothing beyond it
-        fading = 0 * fading
     return P * (np.cos(np.pi / 2 * fading) ** 2)[:, None, None]

@@ -12,9 +12,9 @@ from plants import random_stable
 from ilctools import LearningFilter, zero_phase_butterworth
 from ilctools.evidence.peak import CLOSE, of_model, peak_of_L, peak_of_M, proven_peak
 from ilctools.models import frequency_response
-from ilctools.problem.between import axis_of, missed
-from ilctools.problem.phase import phase, phase_grid
 from ilctools.problem.problem import convergence_matrix
+from ilctools.response.phase import phase, phase_grid
+from ilctools.response.response import axis_of, missed
 from ilctools.singular_values import largest_singular_values
 from rodlib.paper import published
 
@@ -183,5 +183,5 @@ def test_splines_run_over_the_scale_in_which_they_predict(slow):
         (np.linspace(0.01, 1, 40), np.asarray),
     ):
         P = (1 / (1 + 1j * omega))[:, None, None]
-        chosen = axis_of(P, np.ones(40), slow * omega)
-        assert chosen is scale and missed(P, np.ones((40, 1, 1)), chosen(slow * omega)).max() < 0.01
+        chosen = axis_of(slow * omega, P)
+        assert chosen is scale and missed(chosen(slow * omega), P).max() < 0.01

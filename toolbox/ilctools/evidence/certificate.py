@@ -17,10 +17,9 @@ from ilctools.evidence.peak import CLOSE, Peak, estimated_peaks, highest, peak_o
 from ilctools.evidence.prediction import predicted_rms
 from ilctools.evidence.robustness import WorstCase, worst_case
 from ilctools.filters import LearningFilter
-from ilctools.models import frequency_response
 from ilctools.problem.defaults import lead
 from ilctools.problem.problem import K_MAX, MOST_GAIN, Problem, Solution, convergence_matrix
-from ilctools.problem.roughness import scatter_warnings
+from ilctools.response.roughness import scatter_warnings
 from ilctools.singular_values import TIED, largest_singular_values
 
 # Relative duality gap, and relative violation of a bound on the grid, that are accepted;
@@ -101,7 +100,8 @@ class Certificate:
         radii = [on_grid.spectral_radius.max()]
         for peak in self.exact:  # between the frequencies, too
             at = [peak.omega]
-            P, Q = frequency_response(problem.models[peak.plant], at), problem.Q_at(at)
+            P, _ = problem.response.anywhere(peak.plant, at)
+            Q = problem.lowpass.frequency_response(at)
             radii.append(from_responses(at, P, Q, L.frequency_response(at)).spectral_radius)
         return replace(
             on_grid,
@@ -123,9 +123,10 @@ class Certificate:
         if low <= 0:
             return np.nan
         omega, P, Q = design.omega, design.P, design.Q
-        if design.model is not None:  # trapezia between coarse frequencies are not enough
+        if design.proven:  # trapezia between coarse frequencies are not enough
             omega = np.union1d(omega, np.geomspace(low, high, FINE))
-            P, Q = (frequency_response(design.models[0], omega), design.Q_at(omega))
+            P, _ = design.response.anywhere(0, omega)
+            Q = design.lowpass.frequency_response(omega)
         M = convergence_matrix(P, Q, self.filter.frequency_response(omega))
         return float(log_mean(largest_singular_values(M), omega, design.band))
 
@@ -156,9 +157,10 @@ class Certificate:
         peak = highest(self.exact)
         if not peak or peak.sigma < 1 - DEAF:
             return False
-        P = frequency_response(self.problem.models[peak.plant], [peak.omega])[0]
-        passed = np.linalg.svd(P)[1][-1] * self.all_L
-        return passed < DEAF and peak.sigma <= self.problem.Q_at([peak.omega])[0] * (1 + CLOSE)
+        P, _ = self.problem.response.anywhere(peak.plant, [peak.omega])
+        Q = self.problem.lowpass.frequency_response([peak.omega])
+        passed = np.linalg.svd(P[0])[1][-1] * self.all_L
+        return bool(passed < DEAF and peak.sigma <= Q[0] * (1 + CLOSE))
 
     @property
     def assumptions(self) -> tuple[str, ...]:
@@ -169,7 +171,7 @@ class Certificate:
                 f"P passes nothing at {highest(self.exact).omega:.4g} rad/s: M is |Q| there for "
                 f"any L, and the error stays; at the frequencies omega it is {self.grid_M:.4g}"
             )
-        return (*self.problem.basis, *deaf, *self.problem.assumed, *_unusable(self.problem.design))
+        return (*self.problem.assumptions, *deaf, *_unusable(self.problem.design))
 
     @property
     def failures(self) -> list[str]:
@@ -208,9 +210,9 @@ class Certificate:
         """What speaks against the problem, and against what is said between the samples."""
         problem, design = self.problem, self.problem.design
         texts = [*problem.findings]
-        if design.models[0] is None and design.radius is None:
+        if design.response.models[0] is None and design.radius is None:
             texts += scatter_warnings(design.omega, design.P, design.Q)
-        if design.models[0] is None and lead(design.P, design.omega, design.Ts) > LEAD:
+        if design.response.models[0] is None and lead(design.P, design.omega, design.Ts) > LEAD:
             texts.append(
                 "the phase of P leads what its gain admits of any stable plant: is it of "
                 "exp(-j omega t), then pass P.conj(), in other units of omega, or |P| alone?"

@@ -13,8 +13,10 @@ import numpy as np
 from ilctools import arguments
 from ilctools.filters import LearningOperator, check_learning
 from ilctools.law.limits import WEIGHT
+from ilctools.problem.lowpass import lowpass_of
 from ilctools.problem.problem import convergence_matrix
-from ilctools.problem.responses import Q_on_grid, frequencies, on_grid, plants
+from ilctools.response.door import response_of
+from ilctools.signals import check_match
 from ilctools.singular_values import largest_singular_values, tied
 
 
@@ -145,13 +147,15 @@ def convergence(P, Q, L: LearningOperator, omega=None) -> Convergence:
     (True, 0.201)
     """
     arguments.instance("L", L, LearningOperator)
-    known = plants(P)
-    omega = frequencies(known.values(), Q) if omega is None else omega
-    omega = arguments.increasing_frequencies("omega", omega, L.Ts)
-    _, responses = on_grid(known, omega, L.Ts, Q=Q, L=L)
-    _, Q = Q_on_grid(Q, omega)
+    response = response_of(P, omega, L.Ts, Q=Q)
+    if response.radius is not None:
+        raise ValueError("P has a radius, for which a design answers: design.check(P)")
+    check_match(P=response.signals, L=L)
+    omega, responses = response.omega, response.P
     check_learning(L, responses.shape[-1])
-    P = responses[0] if "P" in known else responses
+    Q = lowpass_of(Q, omega).frequency_response(omega)
+    several = isinstance(P, list | tuple) or np.ndim(P) == 4
+    P = responses if several else responses[0]
     return from_responses(omega, P, Q, L.frequency_response(omega))
 
 

@@ -20,7 +20,6 @@ from scipy.interpolate import make_interp_spline
 
 from ilctools.evidence.peak import DENSER, dense_grid
 from ilctools.evidence.robustness import within_radius
-from ilctools.problem.between import between
 from ilctools.problem.problem import Problem, convergence_matrix
 
 GAINS = np.geomspace(1, 10, 13)  # steps outwards; the last is where the search ends
@@ -58,22 +57,23 @@ def _times(factor):
 
 def margins(problem: Problem, L) -> Margins:
     """Those of a filter, in units of `scale`, for all plants of a problem at once."""
-    numbers, sampled = range(len(problem.plants)), None in problem.models
+    response = problem.design.response
+    numbers, sampled = range(len(response.models)), response.sampled
     times = DENSER if sampled else 1
-    omega = np.unique(np.concatenate([dense_grid(problem, k, L, times) for k in numbers]))
-    omega = omega[(omega <= problem.design.omega[-1]) | (not sampled)]
-    known = [between(problem, k, omega) for k in numbers]
-    P, Q, L = np.array([P for P, *_ in known]), known[0][1], L.frequency_response(omega)
+    omega = np.unique(np.concatenate([dense_grid(response, k, L, times) for k in numbers]))
+    omega = omega[(omega <= response.omega[-1]) | (not sampled)]
+    P = np.array([response.anywhere(k, omega)[0] for k in numbers])
+    Q, L = problem.lowpass.frequency_response(omega), L.frequency_response(omega)
     P_at, Q_at, L_at = (
         make_interp_spline(omega, X, axis=axis) for X, axis in ((P, 1), (Q, 0), (L, 0))
     )
     ends = omega[0], omega[-1]
-    size = np.linalg.norm(P_at(np.clip(problem.cutoff, *ends))[0], 2)
-    samples = TURN / (problem.cutoff * problem.Ts)
+    size = np.linalg.norm(P_at(np.clip(problem.lowpass.cutoff, *ends))[0], 2)
+    samples = TURN / (problem.lowpass.cutoff * problem.Ts)
 
-    def sigma(P, Q=Q, L=L, radius=None):
+    def sigma(P, Q=Q, L=L, radius=0.0):
         M = convergence_matrix(P, Q, L)
-        rho_L = None if radius is None else np.abs(Q)[:, None, None] * radius * L
+        rho_L = np.abs(Q)[:, None, None] * radius * L
         return max(within_radius(each, rho_L, 1.0).max() for each in M)
 
     def late(d):

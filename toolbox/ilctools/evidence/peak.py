@@ -50,11 +50,12 @@ from scipy.linalg import schur
 
 from ilctools import arguments
 from ilctools.evidence.robustness import NEAR, within_radius
-from ilctools.filters import LearningFilter
+from ilctools.filters import LearningFilter, ZeroPhaseButterworth
 from ilctools.models import balanced, by_substitution
-from ilctools.problem.between import between
-from ilctools.problem.phase import phase, phase_grid
+from ilctools.problem.lowpass import SampledQ
 from ilctools.problem.problem import Problem, convergence_matrix
+from ilctools.response.phase import phase, phase_grid, subdivided
+from ilctools.response.response import Response
 from ilctools.singular_values import TIED, largest_singular_values
 
 STEP = np.pi / 6  # in phi, of the grid on which the highest value is looked for;
@@ -138,18 +139,17 @@ class Peak:
 
 def proven_peaks(problem: Problem, L) -> list[Peak]:
     """Of the plants that are models, proven; none if Q is not one."""
-    Q = problem.butterworth
-    if Q is None:
+    if not isinstance(problem.lowpass, ZeroPhaseButterworth):
         return []
-    models = [(k, model) for k, model in enumerate(problem.models) if model is not None]
-    return [Peak(*peak_of_M(model, L, Q), k) for k, model in models]
+    models = enumerate(problem.response.models)
+    return [Peak(*peak_of_M(P, L, problem.lowpass), k) for k, P in models if P is not None]
 
 
 def unproven(problem: Problem) -> list[int]:
-    """Plants that have no proof between the frequencies: samples, and all if there is a radius."""
-    if problem.butterworth is None or problem.design.radius is not None:
-        return list(range(len(problem.plants)))
-    return [k for k, model in enumerate(problem.models) if model is None]
+    """Plants without a proof between the frequencies: samples, and all if there is a radius."""
+    of_all = problem.design.radius is not None or isinstance(problem.lowpass, SampledQ)
+    models = enumerate(problem.response.models)
+    return [k for k, model in models if of_all or model is None]
 
 
 def estimated_peaks(problem: Problem, L, level) -> tuple[list[Peak], Peak | None]:
@@ -157,21 +157,22 @@ def estimated_peaks(problem: Problem, L, level) -> tuple[list[Peak], Peak | None
 
     On a dense grid and, near the level or above, at the vertices between; below only bounded.
     """
-    inside, above, last = [], [], problem.design.omega[-1]
+    response, inside, above = problem.design.response, [], []
     for k in unproven(problem):
 
         def sigma_M(omega, k=k):
-            P, Q, radius = between(problem, k, omega)
+            (P, radius), Q = response.anywhere(k, omega), problem.lowpass.frequency_response(omega)
             of_L = in_parts(L.frequency_response, omega, 4 * L.order)  # in long doubles
-            rho_L = None if radius is None else (np.abs(Q) * radius)[:, None, None] * of_L
+            rho_L = (np.abs(Q) * radius)[:, None, None] * of_L
             return within_radius(convergence_matrix(P, Q, of_L), rho_L, level)
 
-        omega = dense_grid(problem, k, L)
+        omega = dense_grid(response, k, L)
         sigma = sigma_M(omega)
         top = vertices(omega, sigma, NEAR * level)
         if len(top):
             omega, sigma = np.append(omega, top), np.append(sigma, sigma_M(top))
-        for peaks, there in ((inside, omega <= last), (above, omega > last)):
+        known = omega <= response.omega[-1]
+        for peaks, there in ((inside, known), (above, ~known)):
             if there.any():
                 at = np.where(there, sigma, -1).argmax()
                 peaks.append(Peak(float(sigma[at]), float(omega[at]), k))
@@ -192,20 +193,21 @@ def vertices(omega, sigma, limit) -> np.ndarray:
     return place[crest]
 
 
-def dense_grid(problem, number, L, times=DENSER) -> np.ndarray:
-    """Some frequencies for each of a design, and those that resolve the poles of L and a model.
+def dense_grid(response: Response, number, L, times=DENSER) -> np.ndarray:
+    """Some frequencies for each of a response, and those that resolve the poles of L and a model.
 
-    Of samples up to the Nyquist frequency, see :mod:`.problem.between`.
+    Of samples up to the Nyquist frequency, see :mod:`.response.response`.
     """
-    known, model = problem.design.omega, problem.models[number]
-    steps = np.linspace(0, 1, times, endpoint=False)
-    samples = np.append((known[:-1, None] + np.outer(np.diff(known), steps)).ravel(), known[-1])
-    poles = L.poles if model is None else np.append(L.poles, model.poles())
-    further = phase_grid([poles], np.pi / (2 * DENSER)) / problem.Ts
-    if model is not None or problem.beyond is None:
-        return np.union1d(samples, further[(further > known[0]) & (further < known[-1])])
-    above = np.nextafter(known[-1], np.inf)
-    return np.union1d(np.append(samples, above), further[further > known[0]])
+    model, (first, *_, last) = response.models[number], response.omega
+    further = phase_grid([L.poles], np.pi / DENSER)
+    if model is not None:
+        further = np.append(further, phase_grid([model.poles()], np.pi / (2 * DENSER)))
+    further = further / response.Ts
+    if model is not None or response.beyond is None:
+        further = further[further < last]
+    else:
+        further = np.append(further, np.nextafter(last, np.inf))
+    return np.union1d(subdivided(response.omega, times), further[further > first])
 
 
 def highest(peaks: list[Peak]) -> Peak | None:

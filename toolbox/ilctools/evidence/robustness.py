@@ -96,15 +96,13 @@ def affine(problem: Problem, plant, at) -> tuple[np.ndarray, np.ndarray]:
 
 
 def within_radius(M, rho_L, level):
-    """The worst case at each frequency, (n,), of M and |Q| r L, (n, m, m), or None.
+    """The worst case at each frequency, (n,), of M and |Q| r L, (n, m, m).
 
     Exact from `NEAR` times the level on, an upper bound below.
     """
-    sigma = largest_singular_values(M)
-    if rho_L is None:
-        return sigma
-    sigma += largest_singular_values(rho_L)
-    near = sigma >= NEAR * level
+    wider = largest_singular_values(rho_L)
+    sigma = largest_singular_values(M) + wider
+    near = (sigma >= NEAR * level) & (wider > 0)
     if M.shape[1] > 1 and near.any():
         sigma[near] = _least_bound(np.concatenate([M, rho_L], axis=1)[near])
     return sigma

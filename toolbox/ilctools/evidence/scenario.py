@@ -114,5 +114,5 @@ def violation_probability(design, beta: float = 1e-6) -> float:
         raise ValueError(
             "design is for one plant alone: pass synthesise a list, the nominal plant and samples"
         )
-    needed = samples if design.problem.pooled else len(support(solution))  # B is of all of them
+    needed = samples if design.problem.base else len(support(solution))  # B is of all of them
     return scenario_bound(samples, needed, beta)

@@ -42,7 +42,7 @@ from ilctools.measurement.consistency import contradictions
 from ilctools.measurement.realisation import MOST, model_within
 from ilctools.measurement.record import Record
 from ilctools.measurement.regression import Regression, contrasts, records, regression
-from ilctools.problem.measured import CONFIDENCE, Measured
+from ilctools.response.measured import CONFIDENCE, Measured
 from ilctools.signals import check_match
 from ilctools.singular_values import largest_singular_values
 from ilctools.threads import on_one_thread
@@ -91,7 +91,6 @@ class EstimatedResponse(Measured):
     units: np.ndarray  # shape (outputs, inputs): of P, by which each fit is multiplied
     apart: float = 0.0  # of P, by which records contradict one linear plant
     findings: tuple[str, ...] = ()
-    continuous = True
 
     @property
     def loop(self) -> Loop:

@@ -25,7 +25,7 @@ from ilctools.measurement.record import check_moved
 from ilctools.measurement.region import radius_of
 from ilctools.measurement.tabulated import TabulatedResponse, tabulated
 from ilctools.measurement.transient import separated, windows_of
-from ilctools.problem.measured import Measured, interpolated
+from ilctools.response.measured import Measured, interpolated
 
 ROUNDED = 0.02  # of the amplitude: how far w may be from the excitation, as logs hold few digits
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from ilctools import arguments
 from ilctools.loop.closed import ClosedLoop
-from ilctools.problem.measured import Measured, interpolated
-from ilctools.problem.roughness import scatter_warnings
+from ilctools.response.measured import Measured, interpolated
+from ilctools.response.roughness import scatter_warnings
 
 
 @dataclass(frozen=True, repr=False)

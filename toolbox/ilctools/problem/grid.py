@@ -9,9 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ilctools.problem.between import between
-from ilctools.problem.phase import phase, phase_grid
+from ilctools.filters import ZeroPhaseButterworth
 from ilctools.problem.problem import Problem
+from ilctools.response.phase import phase, phase_grid, subdivided
 
 # h, with a proof and else: bounds are lower by 1 - cos(h / 2), which is 1e-5 and 3e-4
 PROVEN, ESTIMATED = 0.01, 0.05
@@ -26,83 +26,83 @@ def on_a_grid(problem: Problem) -> tuple[Problem, np.ndarray]:
     With `everywhere` these are bounds on M and L. Else on L, if omega is coarse for it, and above
     the last sample of P, where only its size is known.
     """
-    of_L = problem.filter(np.zeros((problem.channels, problem.channels, problem.order))).poles
-    angles = np.concatenate([[0], problem.omega * problem.Ts, [np.pi]])
-    coarse = np.diff(phase(of_L, angles)).max() > COARSE and problem.L_max is not None
-    if not (problem.everywhere or coarse or problem.beyond is not None):
+    response, of_L, everywhere = problem.response, problem.poles_of_L, problem.everywhere
+    ends = np.concatenate([[0], response.angles, [np.pi]])
+    coarse = np.diff(phase(of_L, ends)).max() > COARSE and problem.L_max is not None
+    if not (everywhere or coarse or response.beyond is not None):
         return problem, np.ones(len(problem.omega), bool)
-    systems, proven = [of_L], problem.everywhere and problem.known
-    if problem.everywhere and problem.butterworth is not None:
-        models = [P.poles() for P in problem.models if P is not None]
-        systems = [np.concatenate([P, of_L, problem.butterworth.poles]) for P in models] or systems
-    turn = max(float(phase(each, np.array([np.pi]))[0]) for each in systems)
-    theta = phase_grid(systems, max(PROVEN if proven else ESTIMATED, turn / MOST))
-    h = np.max([np.diff(phase(each, theta)).max() for each in systems])
-    omega = theta / problem.Ts
-    if problem.everywhere and not proven:
-        parts = np.linspace(0, 1, DENSER, endpoint=False)[1:]
-        gaps = problem.omega[:-1, None] + parts * np.diff(problem.omega)[:, None]
-        omega = np.union1d(omega, gaps)
-    if not (problem.everywhere or coarse):
-        omega = np.append(np.nextafter(problem.omega[-1], np.inf), omega[omega > problem.omega[-1]])
-    lower, L_max = np.cos(h / 2), problem.L_max
+    theta, h = _dense(problem)
+    omega, last, lower = theta / problem.Ts, problem.omega[-1], np.cos(h / 2)
+    if everywhere and not problem.proven:
+        omega = np.union1d(omega, subdivided(problem.omega, DENSER))
+    if not (everywhere or coarse):
+        omega = np.append(np.nextafter(last, np.inf), omega[omega > last])
     grid = replace(
         problem,
-        M_max=problem.M_max * (lower if problem.everywhere else 1),
-        L_max=L_max and L_max * (lower if problem.everywhere or coarse else 1),
-        stated=problem.design,
+        M_max=problem.M_max * (lower if everywhere else 1),
+        L_max=problem.L_max and problem.L_max * (lower if everywhere or coarse else 1),
+        stated=problem,
     )
-    return _merged(grid, np.setdiff1d(omega, problem.omega), lower)
+    return _extended(grid, np.setdiff1d(omega, problem.omega), lower)
 
 
-def _merged(problem, omega, lower):
+def _dense(problem):
+    """Angles from 0 to pi, and the largest step between them in the phase of what is bounded."""
+    of_L, lowpass = problem.poles_of_L, problem.lowpass
+    step, systems = ESTIMATED, [of_L]
+    if problem.everywhere and isinstance(lowpass, ZeroPhaseButterworth):
+        of_P = [model.poles() for model in problem.response.models if model is not None]
+        systems = [np.concatenate([poles, of_L, lowpass.poles]) for poles in of_P] or systems
+        step = PROVEN if problem.proven else ESTIMATED
+    turn = max(float(phase(poles, np.array([np.pi]))[0]) for poles in systems)
+    theta = phase_grid(systems, max(step, turn / MOST))
+    return theta, np.max([np.diff(phase(poles, theta)).max() for poles in systems])
+
+
+def _extended(problem, omega, lower):
     """The problem at further frequencies, and which of all were stated."""
-    design, models = problem.design, problem.models
-    inside = (omega >= design.omega[0]) & (omega <= design.omega[-1])
-    above = (omega > design.omega[-1]) & (problem.beyond is not None)
-    known = problem.butterworth is not None and None not in models
-    of_M = (inside | known) & problem.everywhere | above
-    plants, (Q, *_), radii = zip(
-        *(between(problem, k, omega) for k in range(len(models))), strict=True
-    )
-    plants, radius = np.array(plants), np.max([_or_zero(r, omega) for r in radii], axis=0)
-    if above.any():  # M must keep its bound between these, too: Q falls, and L is larger by lower
-        Q[above] = np.abs(design.Q_at(np.append(design.omega[-1], omega[above][:-1])))
-        size = np.linalg.norm(plants[:, above], 2, axis=(2, 3)).max(axis=0)
+    design = problem.design
+    response, last = design.response, design.omega[-1]
+    known = [response.anywhere(k, omega) for k in range(len(response.models))]
+    P, radius = np.array([P for P, _ in known]), np.max([radius for _, radius in known], axis=0)
+    Q, above = design.lowpass.frequency_response(omega), omega > last
+    bounded = (omega >= design.omega[0]) & ~above | (not response.sampled)
+    bounded &= problem.everywhere
+    if response.beyond is not None:
+        # M must keep its bound between these, too: Q falls, and L is larger by 1 / lower
+        before = np.append(last, omega[above][:-1])
+        Q[above] = np.abs(design.lowpass.frequency_response(before))
+        size = np.linalg.norm(P[:, above], 2, axis=(2, 3)).max(axis=0)
         radius[above] = np.maximum(radius[above], size) / lower
-        plants[:, above] = 0
-        of_M &= ~above | (problem.M_max > Q)  # else no filter does: see `findings`
+        P[:, above] = 0
+        bounded |= above & (problem.M_max > Q)  # else no filter does: see `findings`
     order = np.argsort(np.append(problem.omega, omega), kind="stable")
 
-    def merged(values, added):
-        return np.concatenate([values, added])[order]
+    def merged(stated, added, axis=0):
+        return np.concatenate([stated, added], axis).take(order, axis)
 
-    radius = merged(_or_zero(problem.radius, problem.omega), np.where(of_M, radius, 0))
+    zero = np.zeros(len(problem.omega))
+    stated = zero if response.radius is None else response.radius
+    radius = merged(stated, np.where(bounded, radius, 0))
     grid = replace(
         problem,
-        omega=merged(problem.omega, omega),
-        plants=np.concatenate([problem.plants, plants], axis=1)[:, order],
-        Q=merged(problem.Q, np.where(of_M, Q, 0)),
-        weights=merged(problem.weights, np.zeros(len(omega))),
-        radius=radius if radius.any() else None,
+        response=replace(
+            response,
+            omega=merged(problem.omega, omega),
+            P=merged(response.P, P, axis=1),
+            radius=radius if radius.any() else None,
+        ),
+        Q=merged(problem.Q, np.where(bounded, Q, 0)),
+        weights=merged(problem.weights, 0 * omega),
     )
-    return grid, merged(np.ones(len(problem.omega), bool), np.zeros(len(omega), bool))
-
-
-def _or_zero(radius, omega):
-    return np.zeros(len(omega)) if radius is None else radius
+    return grid, merged(zero, 0 * omega + 1) == 0
 
 
 def part(problem: Problem, chosen) -> Problem:
     """The problem at some of its frequencies, (n,) bool."""
-    if chosen.all():
-        return problem
-    radius = None if problem.radius is None else problem.radius[chosen]
     return replace(
         problem,
-        omega=problem.omega[chosen],
-        plants=problem.plants[:, chosen],
+        response=problem.response.at(chosen),
         Q=problem.Q[chosen],
         weights=problem.weights[chosen],
-        radius=radius if np.any(radius) else None,
     )

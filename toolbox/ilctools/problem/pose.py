@@ -9,9 +9,11 @@ from ilctools import arguments
 from ilctools.base import base_of_models, base_of_samples
 from ilctools.filters import LearningFilter
 from ilctools.problem import defaults
-from ilctools.problem.problem import ROUNDING, Problem
+from ilctools.problem.lowpass import lowpass_of
+from ilctools.problem.problem import Problem
 from ilctools.problem.reference import first_error
-from ilctools.problem.responses import on_one_grid
+from ilctools.response.door import response_of
+from ilctools.response.response import ROUNDING
 from ilctools.singular_values import largest_singular_values
 
 UNEQUAL = 8  # ratio of the powers of two that balance P, from which on units seem to differ
@@ -41,30 +43,44 @@ def pose(
     reach=None,
 ) -> Problem:
     """State the problem (39), or (45) with (46), and check it; see :func:`ilctools.synthesise`."""
-    problem = _learnable(on_one_grid(P, Q, omega, Ts, uncertainty, scale))
-    if base is not None and base != defaults.CHOOSE:
+    response = response_of(P, omega, Ts, uncertainty, scale, Q)
+    lowpass = lowpass_of(Q, response.omega)
+    response = _learnable(response, lowpass.cutoff)
+    smallest = _smallest_singular_values(response)
+    pooled = base == defaults.CHOOSE
+    if base is not None and not pooled:
         base = arguments.number("base", base, "in (0, 1), None or 'auto'", 0, 1)
-    smallest = _smallest_singular_values(problem)
     what = "in (0, 1), or the trials do not converge"
-    problem = replace(
-        problem,
+    problem = Problem(
+        response=response,
+        lowpass=lowpass,
+        Q=lowpass.frequency_response(response.omega),
         M_max=arguments.number("M_max", M_max, what, 0, 1),
         structure=arguments.choice("structure", structure, ["diagonal", "full"]),
         objective=arguments.choice("objective", objective, ["sum", "peak"]),
         everywhere=arguments.flag("everywhere", everywhere),
     )
     chosen = []  # by default, in words
-    problem = replace(problem, order=_order(problem, order, base, chosen))
+    order = _order(problem, order, base, chosen)
+    first_error = None
     if reference is None:
         band, weights = _of_band(problem, band, chosen)
-        problem = replace(problem, band=band, weights=weights)
     else:
-        power, weights = _of_reference(problem, band, reference)
-        problem = replace(problem, first_error=power, weights=weights)
+        first_error, weights = _of_reference(problem, band, reference)
     _refuse_idle(problem.Q if objective == "peak" else problem.Q[weights > 0])
-    L_max = _bound_on_L(problem, L_max, smallest, base == defaults.CHOOSE, chosen)
-    basis = [f"chosen: {text}" for text in chosen] + ([] if scale is not None else _units(problem))
-    problem = replace(problem, L_max=L_max, basis=(*basis, *problem.basis))
+    L_max = _bound_on_L(problem, L_max, smallest, pooled, chosen)
+    chosen = [f"chosen: {text}" for text in chosen]
+    if scale is None:
+        chosen += _units(response)
+    problem = replace(
+        problem,
+        order=order,
+        band=band,
+        first_error=first_error,
+        weights=weights,
+        L_max=L_max,
+        chosen=tuple(chosen),
+    )
     return problem if base is None else with_base(problem, base, reach)
 
 
@@ -78,20 +94,20 @@ def with_base(problem: Problem, share: float | str, reach: int | None = None) ->
     ValueError
         If the model is such that rounding keeps B from us.
     """
-    pooled, models = share == defaults.CHOOSE, problem.models[:1]
+    response, pooled = problem.response, share == defaults.CHOOSE
+    models = response.models if pooled else response.models[:1]
     if pooled:
-        smallest = _smallest_singular_values(problem)
-        L_max = problem.L_max or _gain(problem, smallest, close=True)
-        b, models = 1 / (2 * L_max), problem.models
+        smallest = _smallest_singular_values(response)
+        b = 1 / (2 * (problem.L_max or _gain(problem, smallest, close=True)))
     else:
-        below = problem.omega <= max(problem.cutoff, problem.omega[0])
+        below = problem.omega <= max(problem.lowpass.cutoff, problem.omega[0])
         b = share * largest_singular_values(problem.P[below]).max()
     exact = reach is None and None not in models
     if exact and pooled:
         exact = sum(P.nstates for P in models) <= STATES
     base = base_of_models(models, b, problem.scale, problem.structure) if exact else None
     if base is None and (pooled or not exact):
-        base = base_of_samples(problem, b, reach, pooled)
+        base = base_of_samples(response, problem.lowpass, b, reach, len(models), problem.structure)
     if base is None:
         raise ValueError(
             f"base = {share} is too small for this plant, whose factors rounding decides: take a "
@@ -104,12 +120,12 @@ def with_base(problem: Problem, share: float | str, reach: int | None = None) ->
     text = f"L = B K, B of {of} with b = {b:.3g}, {why}, {kind}"
     if sampled:
         text += f" of {-base.first} samples each way"
-    return replace(problem, base=base, pooled=pooled, basis=(*problem.basis, text))
+    return replace(problem, base=base, chosen=(*problem.chosen, text))
 
 
-def _units(problem):
+def _units(response):
     """What to say of channels whose units differ, as far as P shows it; of equal ones nothing."""
-    P = np.abs(problem.P).mean(axis=0)
+    P = np.abs(response.P[0]).mean(axis=0)
     coupled = UNCOUPLED * np.outer(P.diagonal(), P.diagonal()) < P * P.T  # in any units
     _, (scale, _) = matrix_balance(P * coupled, permute=False, separate=True)
     if scale.max() < UNEQUAL * scale.min():
@@ -129,7 +145,7 @@ def _order(problem, order, base, chosen):
         if base != defaults.CHOOSE:
             chosen.append(f"order = {order} of K, in L = B K")
     if order is None:
-        order = defaults.order(problem.cutoff, problem.delay, problem.Ts, n)
+        order = defaults.order(problem.lowpass.cutoff, problem.delay, problem.Ts, n)
         text = f"order = {order}, by Q's cut-off and P's lag of {problem.delay} samples there"
         chosen.append(text)
     order = arguments.whole("order", order, 1)
@@ -150,7 +166,7 @@ def _of_band(problem, band, chosen):
     """The band, and weights that are one within; it must lie within omega if there is a sum."""
     omega, summed = problem.omega, problem.objective == "sum"
     if band is None:
-        band = defaults.band(problem.cutoff, omega)
+        band = defaults.band(problem.lowpass.cutoff, omega)
         if summed:
             chosen.append(f"band = ({band[0]:.4g}, {band[1]:.4g}) rad/s, to Q's cut-off")
     low, high = band = tuple(arguments.array("band", band, (2,)).tolist())
@@ -174,7 +190,7 @@ def _of_reference(problem, band, reference):
             f"objective = {problem.objective!r}: leave these out, or the reference"
         )
     m = problem.channels
-    names = problem.labels.labels[:m] or arguments.names_of(reference) or range(m)
+    names = problem.response.signals.labels[:m] or arguments.names_of(reference) or range(m)
     r = arguments.in_columns("reference", reference, ("time", m), names) / problem.scale
     return first_error(problem.P, problem.omega * problem.Ts, r)
 
@@ -195,7 +211,7 @@ def _gain(problem, smallest, close):
     """The default bound on L."""
     # What is not known beyond its radius is not worth inverting.
     radius = 0 if problem.radius is None else problem.radius
-    return defaults.gain(problem.cutoff, np.maximum(smallest, radius), problem.omega, close)
+    return defaults.gain(problem.lowpass.cutoff, np.maximum(smallest, radius), problem.omega, close)
 
 
 def _refuse_idle(Q):
@@ -208,27 +224,20 @@ def _refuse_idle(Q):
         )
 
 
-def _learnable(problem):
-    """A problem without the few frequencies at which P passes nothing, and M is |Q| for any L."""
-    values = np.linalg.svd(problem.P, compute_uv=False)
-    singular = (values[:, -1] <= 1e-12 * values.max()) & (problem.omega <= problem.cutoff)
+def _learnable(response, cutoff):
+    """A response without the few frequencies at which P passes nothing, and M is |Q| for any L."""
+    values = np.linalg.svd(response.P[0], compute_uv=False)
+    singular = (values[:, -1] <= 1e-12 * values.max()) & (response.omega <= cutoff)
     if not singular.any() or singular.mean() > FEW:
-        return problem
-    keep, where = ~singular, ", ".join(f"{omega:.4g}" for omega in problem.omega[singular])
+        return response
+    where = ", ".join(f"{omega:.4g}" for omega in response.omega[singular])
     text = f"P passes nothing at {where} rad/s: M is |Q| there for any L, and the error stays"
-    return replace(
-        problem,
-        plants=problem.plants[:, keep],
-        Q=problem.Q[keep],
-        omega=problem.omega[keep],
-        radius=None if problem.radius is None else problem.radius[keep],
-        basis=(*problem.basis, text),
-    )
+    return replace(response.at(~singular), assumptions=(text, *response.assumptions))
 
 
-def _smallest_singular_values(problem):
+def _smallest_singular_values(response):
     """Of the nominal plant at each frequency, which must not be singular, shape (n,)."""
-    omega, singular_values = problem.omega, np.linalg.svd(problem.P, compute_uv=False)
+    omega, singular_values = response.omega, np.linalg.svd(response.P[0], compute_uv=False)
     singular = np.flatnonzero(singular_values[:, -1] <= 1e-12 * singular_values[:, 0])
     if singular.size:
         first = singular[0]

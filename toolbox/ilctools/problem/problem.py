@@ -11,20 +11,17 @@ as for one: *fast for the plant that one believes in, convergent for all that ca
 from dataclasses import dataclass
 from functools import cached_property
 
-import control
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from ilctools.base import RegularisedInverse, in_units
 from ilctools.filters import LearningFilter, LearningOperator, ZeroPhaseButterworth
 from ilctools.problem import defaults
-from ilctools.problem.between import axis_of, missed
-from ilctools.signals import Signals
+from ilctools.problem.lowpass import SampledQ
+from ilctools.response.response import Response
 from ilctools.singular_values import largest_singular_values
 
 K_MAX = 4.0  # of sigma_max(K): more would show at the ends of a trial, where K e is cut off
 MOST_GAIN = 1e7  # of Q P L: beyond it coefficients in doubles no longer determine M to about 1e-9
-ROUNDING = 1e-9  # of an angle: two that are nearer are the same frequency
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,25 +31,11 @@ class Problem:
     M and L are bounded at `omega`; where Q is zero, L alone.
     """
 
-    # P and Q on one grid, P in units of `scale`
-    # (p, n, m, m), complex: frequency responses of the plants for which the bounds hold; the first
-    # is the nominal one
-    plants: np.ndarray
-    models: tuple[control.StateSpace | None, ...]  # of the plants; None of samples
-    Q: np.ndarray  # (n,): of the Q-filter
-    butterworth: ZeroPhaseButterworth | None  # Q, if it is a model
-    omega: np.ndarray  # (n,): frequencies at which M is bounded, rad/s
-    Ts: float  # sampling period, s
-    scale: np.ndarray  # (m,): what counts as equally large in each channel
-    # (n,): bounds hold for P + Delta, ||Delta|| <= radius; None for P alone
-    radius: np.ndarray | None
-    basis: tuple[str, ...]  # what a measured P and its radius rest on; default choices
-    labels: Signals  # of the nominal plant
-
-    # what is asked of L
+    response: Response  # what is known of P
+    lowpass: ZeroPhaseButterworth | SampledQ
+    Q: np.ndarray  # (n,): its response at the frequencies; zero where L alone is bounded
     order: int = 1  # number of samples that the learning filter looks ahead, or of those of K
     base: LearningOperator | None = None  # B of L = B K, in the plant's units
-    pooled: bool = False  # whether B is of all plants
     M_max: float = 0.9  # bound on sigma_max(M)
     L_max: float | None = None  # bound on sigma_max(L)
     structure: str = "full"  # or "diagonal"
@@ -64,6 +47,7 @@ class Problem:
     band: tuple[float, float] | None = None
     first_error: np.ndarray | None = None
     weights: np.ndarray | None = None  # (n,): of sigma_max(M) in the sum; ones in the band
+    chosen: tuple[str, ...] = ()  # by default, in words
 
     # what was asked, without the frequencies of `grid` and its lower bounds; None if this is it
     stated: "Problem | None" = None
@@ -74,26 +58,46 @@ class Problem:
         return self.stated or self
 
     @property
+    def omega(self) -> np.ndarray:
+        """Frequencies at which M and L are bounded, rad/s, (n,)."""
+        return self.response.omega
+
+    @property
+    def Ts(self) -> float:
+        """Sampling period, s."""
+        return self.response.Ts
+
+    @property
+    def plants(self) -> np.ndarray:
+        """Frequency responses of the plants for which the bounds hold, (p, n, m, m)."""
+        return self.response.P
+
+    @property
     def P(self) -> np.ndarray:
         """Frequency response of the nominal plant, shape (n, m, m)."""
-        return self.plants[0]
+        return self.response.P[0]
 
     @property
-    def model(self) -> tuple[control.StateSpace, ZeroPhaseButterworth] | None:
-        """P and Q, if both are models."""
-        known = self.models[0] is not None and self.butterworth is not None
-        return (self.models[0], self.butterworth) if known else None
+    def radius(self) -> np.ndarray | None:
+        """Bounds hold for P + Delta, ||Delta|| <= radius, (n,); None for P alone."""
+        return self.response.radius
 
     @property
-    def known(self) -> bool:
+    def scale(self) -> np.ndarray:
+        """What counts as equally large in each channel, (m,)."""
+        return self.response.scale
+
+    @property
+    def proven(self) -> bool:
         """Whether P and Q are known between the frequencies, too: models without a radius."""
-        exact = self.butterworth is not None and self.design.radius is None
-        return exact and None not in self.models
+        response = self.design.response
+        exact = response.radius is None and not response.sampled
+        return exact and isinstance(self.lowpass, ZeroPhaseButterworth)
 
     @property
     def channels(self) -> int:
         """Number m of channels."""
-        return self.plants.shape[-1]
+        return len(self.scale)
 
     @property
     def idle(self) -> float:
@@ -108,16 +112,9 @@ class Problem:
         return max(value, 1e-2 * self.idle)
 
     @property
-    def cutoff(self) -> float:
-        """Cut-off of Q, rad/s."""
-        if self.butterworth is not None:
-            return self.butterworth.cutoff
-        return defaults.cutoff(self.design.Q, self.design.omega)
-
-    @property
     def delay(self) -> int:
         """Samples by which P lags at the cut-off of Q, see :mod:`.problem.defaults`."""
-        return defaults.delay(self.design.P, self.design.omega, self.Ts, self.cutoff)
+        return defaults.delay(self.design.P, self.design.omega, self.Ts, self.lowpass.cutoff)
 
     @property
     def robust(self) -> bool:
@@ -184,67 +181,26 @@ class Problem:
         """T of G = F + T L as that of G = F + T K / z^(first - 1), at numbers of omega."""
         return T if self.base is None else T @ self.of_K[at]
 
-    def Q_at(self, omega) -> np.ndarray:
-        """Q at some frequencies; of samples, by a spline, and beyond their ends as there."""
-        if self.butterworth is not None:
-            return self.butterworth.frequency_response(omega)
-        known = self.design.omega
-        spline = CubicSpline(self.axis(known), self.design.Q)
-        return spline(self.axis(np.clip(omega, known[0], known[-1])))
-
     @property
-    def beyond(self) -> float | None:
-        """The sigma_max(P) that is assumed above the last sample; None if P is known there."""
-        design, sampled = self.design, [model is None for model in self.models]
-        if not any(sampled) or design.omega[-1] * self.Ts >= np.pi - ROUNDING:
-            return None
-        size = largest_singular_values(design.plants[sampled, -1]).max()
-        return float(size if design.radius is None else size + design.radius[-1])
-
-    @cached_property
-    def axis(self):
-        """Of omega and log omega that over which samples are interpolated, see `between`."""
-        return axis_of(self.design.P, self.design.Q, self.design.omega)
-
-    @cached_property
-    def missed(self) -> np.ndarray:
-        """What splines miss of each plant at its samples, beyond the radius, (p, n)."""
-        one = np.broadcast_to(np.eye(self.channels), self.P.shape)
-        of_all = [missed(P, one, self.axis(self.omega)) for P in self.plants]
-        return np.maximum(np.array(of_all) - (0 if self.radius is None else self.radius), 0)
-
-    @property
-    def assumed(self) -> tuple[str, ...]:
-        """What is assumed above the last sample and between them, in words."""
-        texts, last, Q = [], self.design.omega[-1], np.abs(self.design.Q[-1])
-        if self.beyond is not None:
-            of_Q = "" if self.butterworth else f", and |Q| {Q:.4g}, as at the last sample"
-            texts.append(
-                f"assumed: above {last:.4g} rad/s, where P is not known, sigma_max(P) is "
-                f"{self.beyond:.4g} at most, at any phase{of_Q}"
-            )
-        sampled = self.butterworth is None or None in self.models
-        splines = "cubic splines miss P by no more than they miss samples that are left out"
-        known = [splines] if sampled else []
-        if self.design.radius is not None:
-            known.append("the radius is interpolated by straight lines")
-        if known:
-            axis = "log omega" if self.design.axis is np.log else "omega"
-            texts.append(f"assumed: between omega, {' and '.join(known)}, over {axis}")
-        return tuple(texts)
+    def assumptions(self) -> tuple[str, ...]:
+        """What was chosen by default, and what P, its radius and Q rest on between samples."""
+        response, of_Q = self.design.response, ()
+        if isinstance(self.lowpass, SampledQ):
+            end = f"{np.abs(self.lowpass.samples[-1]):.4g} above"
+            of_Q = (f"assumed: Q is splined between its samples, and {end} the last",)
+        return (*self.chosen, *response.assumptions, *response.assumed, *of_Q)
 
     @property
     def findings(self) -> tuple[str, ...]:
         """Why the bounds cannot hold where P is not known."""
-        if self.beyond is None:
-            return ()
-        last = self.design.omega[-1]
-        Q = np.abs(self.Q_at([last]))[0]
-        if self.design.M_max > Q:
+        response, M_max = self.design.response, self.design.M_max
+        last = response.omega[-1]
+        Q = np.abs(self.lowpass.frequency_response([last]))[0]
+        if response.beyond is None or M_max > Q:
             return ()
         return (
             f"Q is {Q:.4g} above {last:.4g} rad/s, where P is not known: no filter bounds M "
-            f"by {self.design.M_max:g} there; lower the cut-off of Q, or measure further",
+            f"by {M_max:g} there; lower the cut-off of Q, or measure further",
         )
 
     def filter(self, coefficients) -> LearningFilter:
@@ -253,6 +209,11 @@ class Problem:
         # B of a model knows the end of a trial; K, cut off there, must not leave the error to it
         ends = "hold-last" if isinstance(self.base, RegularisedInverse) else "zero"
         return LearningFilter(coefficients * units, self.Ts, ends, self.first, self.base)
+
+    @property
+    def poles_of_L(self) -> np.ndarray:
+        """Those of each filter of this order, see :mod:`.evidence.peak`."""
+        return self.filter(np.zeros((self.channels, self.channels, self.order))).poles
 
     def learned(self, solution: "Solution") -> LearningFilter:
         """The filter of a solution, in units of `scale`."""
@@ -263,7 +224,7 @@ class Problem:
         """Response of K / z^(first - 1), or of L without a base, at omega, (n, m, m)."""
         return LearningFilter(solution.coefficients, self.Ts).frequency_response(self.omega)
 
-    def response(self, solution: "Solution") -> np.ndarray:
+    def L(self, solution: "Solution") -> np.ndarray:
         """Response of a solution's filter at omega, (n, m, m), in units of `scale`."""
         K = self.K(solution)
         return K if self.base is None else self.of_K @ K

@@ -20,7 +20,7 @@ import numpy as np
 
 from ilctools.base import quadratic_law
 from ilctools.problem.defaults import STATIC, at_rest
-from ilctools.problem.problem import Problem
+from ilctools.response.response import Response
 from ilctools.singular_values import largest_singular_values
 
 ORDER = 2  # of the Butterworth filter, as in the paper
@@ -30,20 +30,19 @@ INSIDE = 0.5  # of the last sample, if it is below the Nyquist frequency: |Q| is
 HIGHEST = 0.9  # of the Nyquist frequency
 
 
-def reached(problem: Problem) -> float:
+def reached(response: Response, M_max: float) -> float:
     """The cut-off up to which P reaches and its plants agree, rad/s."""
-    omega, Ts, M_max = problem.omega, problem.Ts, SHARE * problem.M_max
-    values = np.linalg.svd(problem.plants, compute_uv=False)[..., -1].min(axis=0)
+    omega, P, Ts, M_max = response.omega, response.P, response.Ts, SHARE * M_max
+    values = np.linalg.svd(P, compute_uv=False)[..., -1].min(axis=0)
     rest = at_rest(values) or values.max()
     below, start = values < REACHED * rest, np.argmax(values >= REACHED * rest)
     below[:start] = False  # P passes nothing at rest
     highest = HIGHEST * np.pi / Ts if omega[-1] * Ts > 3 else INSIDE * omega[-1]
     limits = [highest, *omega[below][:1]]
 
-    one, b = np.eye(problem.channels), rest / (2 * STATIC)
-    P, r = problem.plants, 0 if problem.radius is None else problem.radius[:, None, None]
-    B = quadratic_law(P, b)
-    d = np.max([*map(largest_singular_values, one - P @ B)], axis=0)
+    r = 0 if response.radius is None else response.radius[:, None, None]
+    B = quadratic_law(P, b=rest / (2 * STATIC))
+    d = np.max([*map(largest_singular_values, np.eye(P.shape[-1]) - P @ B)], axis=0)
     d = d + largest_singular_values(r * B)
     at = (d > M_max) & (omega > omega[start]) & (omega <= limits[-1] / INSIDE) & (omega * Ts < 3)
     x = (d[at] / M_max - 1) ** (1 / (2 * ORDER))

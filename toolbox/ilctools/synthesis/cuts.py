@@ -9,6 +9,7 @@ import numpy as np
 
 from ilctools.evidence.robustness import within_radius
 from ilctools.problem.problem import Problem, Solution
+from ilctools.singular_values import largest_singular_values
 from ilctools.synthesis.formulate import formulate
 from ilctools.synthesis.solver.interior_point import minimise
 from ilctools.synthesis.solver.program import Infeasible
@@ -37,7 +38,7 @@ def solve(problem: Problem, enough: float = 0.0) -> Solution:
 
 def violated(problem, solution, limit, plant, frequency):
     """Plant and frequency of new cuts: at each frequency that which a solution violates most."""
-    L = problem.response(solution)
+    L = problem.L(solution)
     n = len(problem.omega)
     highest, which = np.full(n, limit * (1 + PASSED)), np.full(n, -1)
     for k in range(1, len(problem.plants)):
@@ -52,7 +53,7 @@ def violated(problem, solution, limit, plant, frequency):
 
 def worst_sigma(problem, L, k, level):
     """sigma_max(M) of a plant within the radius; well below the level, an upper bound."""
-    rho_L = None
-    if problem.radius is not None:
-        rho_L = (np.abs(problem.Q) * problem.radius)[:, None, None] * L
+    if problem.radius is None:
+        return largest_singular_values(problem.M(L, k))
+    rho_L = (np.abs(problem.Q) * problem.radius)[:, None, None] * L
     return within_radius(problem.M(L, k), rho_L, level)

@@ -14,7 +14,7 @@ from ilctools.problem import defaults
 from ilctools.problem.defaults import CHOOSE
 from ilctools.problem.pose import pose
 from ilctools.problem.problem import Problem, Solution
-from ilctools.problem.responses import lowest_and_period, on_one_grid
+from ilctools.response.door import LOWEST, response_of
 from ilctools.singular_values import largest_singular_values, tied
 from ilctools.synthesis.cutoff import ORDER, reached
 from ilctools.synthesis.cuts import solve
@@ -193,18 +193,18 @@ def synthesise(
 
     if Q is None:
         return warned(without_Q(P, base=base, reach=reach, **given))
-    return warned(designed(pose(P, Q, base=base, reach=reach, **given)))
+    return warned(designed(pose(P, Q, base=base, reach=reach, **given), base))
 
 
-def without_Q(P, *, omega, Ts, scale, uncertainty, **choices) -> Synthesis:
+def without_Q(P, *, base, omega, Ts, scale, uncertainty, **choices) -> Synthesis:
     """The design with the cut-off up to which P reaches; with half of it, if a trial diverges."""
-    lowest, Ts = lowest_and_period(P, omega, Ts)
-    known = P, ZeroPhaseButterworth(ORDER, lowest, Ts), omega, Ts, uncertainty, scale
-    highest = reached(replace(on_one_grid(*known), M_max=choices["M_max"]))
+    response = response_of(P, omega, Ts, uncertainty, scale)
+    Ts, positive = response.Ts, response.omega[response.omega > 0]
+    lowest, highest = max(LOWEST * np.pi / Ts, positive[0]), reached(response, choices["M_max"])
+    known = {"omega": omega, "Ts": Ts, "scale": scale, "uncertainty": uncertainty}
     for cutoff in (highest, highest / 2):
         Q = ZeroPhaseButterworth(ORDER, max(float(f"{cutoff:.2g}"), lowest), Ts)
-        given = {"omega": omega, "Ts": Ts, "scale": scale, "uncertainty": uncertainty} | choices
-        design = designed(pose(P, Q, **given))
+        design = designed(pose(P, Q, base=base, **known, **choices), base)
         norm, samples = norm_of_trial(design)
         if not norm >= 1:
             break
@@ -217,7 +217,7 @@ def without_Q(P, *, omega, Ts, scale, uncertainty, **choices) -> Synthesis:
     if norm >= 1:
         warnings.warn(f"{text}: its ends may grow from trial to trial", stacklevel=4)
     certificate = design.certificate
-    problem = replace(certificate.problem, basis=(text, *certificate.problem.basis))
+    problem = replace(certificate.problem, chosen=(text, *certificate.problem.chosen))
     return replace(design, certificate=replace(certificate, problem=problem))
 
 
@@ -226,7 +226,7 @@ def norm_of_trial(design: Synthesis) -> tuple[float, int]:
 
     NaN unless all are models.
     """
-    models, certificate = design.problem.models, design.certificate  # both in units of scale
+    models, certificate = design.problem.response.models, design.certificate  # in units of scale
     if None in models:
         return np.nan, 0
     slowest = max(np.abs(P.poles()).max(initial=0) for P in models)
@@ -236,12 +236,12 @@ def norm_of_trial(design: Synthesis) -> tuple[float, int]:
     return max(trial_norm(P, design.Q, L, samples)[0] for P in models), samples
 
 
-def designed(problem: Problem) -> Synthesis:
+def designed(problem: Problem, base) -> Synthesis:
     """L = B by default, if all bounds hold for it; else what the convex problem says.
 
     Of K for P B; where that has no solution, of the paper's L.
     """
-    if not problem.pooled:
+    if base != CHOOSE:
         return certified(problem)
     if (design := direct(problem)) is not None:
         return design
@@ -249,11 +249,10 @@ def designed(problem: Problem) -> Synthesis:
         return certified(problem)
     except (InfeasibleError, SolverError) as error:
         n = len(problem.omega)
-        order = defaults.order(problem.cutoff, problem.delay, problem.Ts, n)
-        *basis, _ = problem.basis  # that of B
-        changes = {"base": None, "pooled": False, "order": order, "basis": tuple(basis)}
+        order = defaults.order(problem.lowpass.cutoff, problem.delay, problem.Ts, n)
+        *chosen, _ = problem.chosen  # that of B
         try:
-            return certified(replace(problem, **changes))
+            return certified(replace(problem, base=None, order=order, chosen=tuple(chosen)))
         except (InfeasibleError, SolverError):
             raise error from None
 
@@ -314,7 +313,7 @@ def certified(problem: Problem, *, check=True) -> Synthesis:
 
 def result(problem, stated, solution, certificate) -> Synthesis:
     """What a solution is, with its certificate."""
-    L = stated.response(solution)
+    L = stated.L(solution)
     return Synthesis(
         problem.filter(solution.coefficients),
         stated,
@@ -346,8 +345,9 @@ def _explained(problem, nearest):
             f"{lost[-1]:.4g} rad/s, where the radius contains singular plants: measure longer "
             "there, or lower the cut-off of Q"
         )
-    if problem.beyond is not None and not problem.findings:
-        message += f". It is {problem.assumed[0]}: measure further"
+    response = problem.response
+    if response.beyond is not None and not problem.findings:
+        message += f". It is {response.assumed[0]}: measure further"
     return InfeasibleError(message, nearest.largest, plant, omega)
 
 

@@ -37,7 +37,7 @@ def _share(problem, solution):
         limit_M = solution.largest + PASSED * problem.unit(solution.largest)
     if problem.objective == "gain":
         limit_L = solution.largest
-    L, numbers = problem.response(solution), range(len(problem.plants))
+    L, numbers = problem.L(solution), range(len(problem.plants))
     sigma_M = np.max([worst_sigma(problem, L, k, limit_M) for k in numbers], axis=0)
     sigma_L = largest_singular_values(problem.weight @ problem.K(solution))
     return np.maximum(sigma_M / limit_M, sigma_L / limit_L)

@@ -11,6 +11,7 @@ from ilctools.evidence.convergence import Convergence
 from ilctools.evidence.margins import Margins
 from ilctools.filters import LearningFilter
 from ilctools.law.law import Law, Region
+from ilctools.problem.lowpass import SampledQ
 from ilctools.problem.pose import pose
 from ilctools.problem.problem import Problem, Solution
 from ilctools.signals import check_match
@@ -46,7 +47,8 @@ class Synthesis:
     @property
     def Q(self):
         """The filter Q, if it is one; else its samples at `omega`."""
-        return self.problem.butterworth or self.problem.Q
+        sampled = isinstance(self.problem.lowpass, SampledQ)
+        return self.problem.Q if sampled else self.problem.lowpass
 
     @property
     def Ts(self) -> float:
@@ -92,7 +94,7 @@ class Synthesis:
             ) from None
 
     def _response_of_L(self):
-        return self.problem.response(self.solution)[: len(self.omega)]
+        return self.problem.L(self.solution)[: len(self.omega)]
 
     def _frd(self, name, response):
         return control.frd(np.moveaxis(response, 0, -1), self.omega, None, name=name)
@@ -103,17 +105,17 @@ class Synthesis:
         If P was no model, the law keeps it with its radius: trials are judged by it.
         """
         problem, region = self.problem, None
-        Q = problem.butterworth
-        if Q is None:
+        if isinstance(problem.lowpass, SampledQ):
             raise ValueError(
                 "Q = samples cannot be applied to a trial: synthesise with Q as a filter"
             )
-        if problem.models == (None,):
+        if problem.response.models == (None,):
             scale = problem.scale
             P = problem.P * scale[:, None] / scale
             radius = np.zeros(len(P)) if problem.radius is None else problem.radius
             region = Region(problem.omega, P, radius * scale.max() / scale.min())
-        return Law(Q, self.filter, rest, gain, limits, region=region, labels=problem.labels)
+        signals = problem.response.signals
+        return Law(self.Q, self.filter, rest, gain, limits, region=region, labels=signals)
 
     def check(self, P, omega=None, *, uncertainty=None) -> Convergence:
         """What the filter does on another plant: the rate, and does it converge?
@@ -134,11 +136,10 @@ class Synthesis:
             below one says that the trials converge all the same. For another Q than that of the
             design: :func:`rate`.
         """
-        design = self.problem
+        design, Q = self.problem, self.Q
         if omega is None:
             omega = getattr(P, "omega", self.omega)
-        Q = self.Q
-        if design.butterworth is None and not (
+        if isinstance(design.lowpass, SampledQ) and not (
             np.shape(omega) == Q.shape and np.allclose(omega, self.omega, rtol=1e-9, atol=0)
         ):
             raise ValueError(
@@ -160,7 +161,7 @@ class Synthesis:
             raise ValueError(
                 f"P has {problem.channels} channels, but the filter has {design.channels}"
             )
-        check_match(design=design.labels, P=problem.labels)
+        check_match(design=design.response.signals, P=problem.response.signals)
         L = design.learned(self.solution)
         return on_one_thread(check)(problem, L).convergence
 

@@ -200,7 +200,7 @@ def peak_around(plant, design, angle):
     """Largest sigma_max(M) on a grid so fine around an angle that nothing hides there."""
     omega = angle * (1 + np.linspace(-0.3, 0.3, 60001))
     P = plant(np.exp(1j * omega))[:, None, None]
-    return convergence(P, design.problem.butterworth, design.filter, omega).gamma
+    return convergence(P, design.Q, design.filter, omega).gamma
 
 
 @pytest.mark.parametrize(("distance", "shown"), [(1e-5, False), (1e-3, True)])

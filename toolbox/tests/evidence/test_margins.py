@@ -17,7 +17,7 @@ DENSE = 10**5
 
 def peak(design, at=lambda omega: omega, factor=lambda omega: 1.0, radius=0.0):
     """The largest sigma_max(M) of P(at(omega)) times a factor, within a radius of one channel."""
-    P, Q, L, Ts = design.problem.models[0], design.Q, design.filter, design.Ts
+    P, Q, L, Ts = design.problem.response.models[0], design.Q, design.filter, design.Ts
     omega = np.linspace(design.omega[0], np.pi / Ts, DENSE)
     P = frequency_response(P, np.clip(at(omega), design.omega[0], np.pi / Ts))
     P = P * np.broadcast_to(factor(omega), omega.shape)[:, None, None]

@@ -69,7 +69,8 @@ def test_the_bound_is_attained_and_no_plant_within_the_radius_is_worse(m, others
     worst = worst_case(problem, L)
     plant, at = worst.tied[0]
     assert worst.sigma[at] == worst.sigma.max() and plant in range(1 + others)
-    without = worst_case(replace(problem, radius=1e-13 * problem.radius), L)
+    exact = replace(problem.response, radius=1e-13 * problem.radius)
+    without = worst_case(replace(problem, response=exact), L)
     assert without.sigma.max() == pytest.approx(without.peaks.max(), rel=1e-10)
     reached = [reach(problem, L, i) for i in range(2, 5)]  # with a radius
     np.testing.assert_allclose(reached, worst.sigma[2:], rtol=1e-6)
@@ -98,7 +99,8 @@ def test_the_bound_is_attained_where_two_directions_are_amplified_equally():
     M, L = np.diag([1.0, 0.2]), np.tile(np.diag([0.3, 0.9]), (4, 1, 1))
     P = np.tile((np.eye(2) - M) @ np.linalg.inv(L[0]), (4, 1, 1)).astype(complex)
     radius = np.array([0.5, 0.9, 1.0, 1.1])
-    problem = replace(problem, plants=P[None], Q=np.ones(4), radius=radius)
+    response = replace(problem.response, P=P[None], radius=radius)
+    problem = replace(problem, response=response, Q=np.ones(4))
     worst = worst_case(problem, TwoSidedFilter(lambda omega: L, 2, problem.Ts))
     angle = np.linspace(0, np.pi / 2, 100_001)
     x = np.stack([np.cos(angle), np.sin(angle)])

@@ -30,7 +30,7 @@ def test_the_bound_solves_its_equation(samples, data, beta):
 
 def design(others, cuts):
     """What a synthesis has of its problem and solution, for so many other plants."""
-    problem = SimpleNamespace(plants=np.empty((1 + others, 1, 1, 1)), pooled=False)
+    problem = SimpleNamespace(plants=np.empty((1 + others, 1, 1, 1)), base=None)
     solution = Solution(np.empty(0), None, None, 0, 0, cuts)
     return SimpleNamespace(problem=problem, solution=solution)
 

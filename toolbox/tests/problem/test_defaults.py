@@ -17,9 +17,9 @@ def test_of_the_papers_loop_the_frequencies_are_the_papers(loop, Q, omega):
     np.testing.assert_allclose(chosen.omega, omega, rtol=1e-12)
     assert chosen.band == pytest.approx((1e-4, 0.1), rel=1e-12)
     assert (chosen.L_max, paper.L_max, paper.structure) == (200.0, 50.0, "diagonal")
-    names = [text.split(" = ")[0] for text in chosen.basis]
+    names = [text.split(" = ")[0] for text in chosen.chosen]
     assert names == ["chosen: order", "chosen: band", "chosen: L_max"]
-    assert chosen.structure == "full" and not paper.basis
+    assert chosen.structure == "full" and not paper.chosen
 
 
 @given(factor=st.floats(1e-6, 1e6), unit=st.floats(1e-6, 1e6))

@@ -5,11 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from paper import paper_choices
-from scipy.interpolate import CubicSpline
 
 from ilctools import InfeasibleError, LearningFilter, synthesise, zero_phase_butterworth
 from ilctools.evidence.peak import CLOSE, peak_of_L
-from ilctools.problem.between import between
 from ilctools.problem.grid import on_a_grid
 from ilctools.problem.pose import pose
 from ilctools.singular_values import largest_singular_values
@@ -34,7 +32,7 @@ def test_on_the_grids_of_the_paper_nothing_is_added(loop, Q, n, as_model):
     P = loop if as_model else loop.frequency_response(omega)
     problem = pose(P, Q, omega, 1.0, **paper_choices())
     same, stated = on_a_grid(problem)
-    assert same is problem and stated.all() and problem.beyond is None
+    assert same is problem and stated.all() and problem.response.beyond is None
     np.testing.assert_array_equal(problem.weight, np.tile(np.eye(2) / 50, (n, 1, 1)))
 
 
@@ -111,27 +109,7 @@ def test_where_Q_passes_too_much_above_the_table_it_is_said():
     with pytest.raises(InfeasibleError, match="assumed: above 1 rad/s, where P is not"):
         synthesise(P, Q, omega, 1.0, M_max=0.93, **choices | {"order": 1})
     design = synthesise(P, 0.9 * samples, omega, 1.0, M_max=0.93, **choices)
-    assert f"and |Q| {0.9 * samples[-1]:.4g}, as at the last sample" in str(design)
-
-
-def test_between_the_samples_are_splines_and_the_radius_by_straight_lines(loop, Q):
-    omega, added = np.geomspace(1e-4, np.pi / 2, 40), np.array([1e-5, 0.2, 0.5, 3.0])
-    first, at = loop.frequency_response(omega), loop.frequency_response(added)
-    radius = 0.01 * omega
-    problem = pose([first, loop, 1.1 * first], Q, omega, 1.0, uncertainty=radius)
-    lines = np.interp(np.log(added[1:3]), np.log(omega), radius)
-    P, same, r = between(problem, 1, added)
-    np.testing.assert_allclose(P, at, rtol=1e-12)
-    np.testing.assert_allclose(r, [0, *lines, 0], rtol=1e-12)
-    np.testing.assert_allclose(same, Q.frequency_response(added), rtol=1e-12)
-    inside = CubicSpline(np.log(omega), first)(np.log(added[1:3]))
-    for k, gain in ((0, 1.0), (2, 1.1)):
-        P, _, r = between(problem, k, added)
-        np.testing.assert_allclose(P[1:3], gain * inside, rtol=1e-12)
-        assert not P[3].any() and r[3] == problem.beyond  # where samples have ended
-        assert np.all(r[1:3] >= lines)
-    size = 1.1 * np.linalg.norm(first[-1], 2) + radius[-1]
-    assert problem.beyond == pytest.approx(size, rel=1e-12)
+    assert f"and {0.9 * samples[-1]:.4g} above the last" in str(design)
 
 
 def test_added_frequencies_have_the_largest_radius_of_all_tables(Q):
@@ -141,7 +119,7 @@ def test_added_frequencies_have_the_largest_radius_of_all_tables(Q):
     problem = pose([smooth, bent], Q, omega, 1.0, order=10, everywhere=True)
     grid, stated = on_a_grid(problem)
     added = grid.omega[~stated]
-    radii = [between(problem, k, added)[2] for k in range(2)]
+    radii = [problem.response.anywhere(k, added)[1] for k in range(2)]
     assert np.any(radii[1] > 2 * radii[0])
     np.testing.assert_allclose(grid.radius[~stated], np.max(radii, axis=0), atol=1e-12)
     assert not grid.radius[stated].any()

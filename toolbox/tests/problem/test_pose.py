@@ -32,7 +32,7 @@ def test_transfer_functions_are_models_if_they_have_one_channel():
         P = control.tf(gains[:m, :m, None].tolist(), denominators, 1.0)
         posed = pose(P, Q, OMEGA, 1.0, band=BAND)
         np.testing.assert_allclose(posed.P, gains[:m, :m] / (z - poles[:m, :m]), rtol=1e-12)
-        assert (posed.model is not None) == (m == 1)
+        assert (posed.proven) == (m == 1)
 
 
 def test_the_sampling_period_is_taken_from_what_knows_it():
@@ -50,7 +50,7 @@ def test_several_plants_may_be_known_in_several_ways():
     """The first as a model; the others are the same plant, as samples in four ways."""
     plants = (COUPLED, SAMPLES, FRD, SAMPLES.tolist(), [*SAMPLES])
     posed = pose(plants, Q, OMEGA, 1.0, band=BAND, uncertainty=[0.1] * 60)
-    assert posed.plants.shape == (5, 60, 2, 2) and posed.models[1:] == (None,) * 4
+    assert posed.plants.shape == (5, 60, 2, 2) and posed.response.models[1:] == (None,) * 4
     for plant in posed.plants:
         np.testing.assert_allclose(plant, SAMPLES, rtol=1e-12)
     np.testing.assert_array_equal(posed.radius, np.full(60, 0.1))

@@ -8,9 +8,9 @@ from paper import paper_choices, paper_loop
 from plants import tanks
 
 from ilctools import InfeasibleError, current_trial_loop, synthesise, zero_phase_butterworth
-from ilctools.problem.measured import Measured
 from ilctools.problem.pose import pose
 from ilctools.problem.problem import convergence_matrix
+from ilctools.response.measured import Measured
 from ilctools.singular_values import largest_singular_values
 
 CONFIDENCE = 0.99

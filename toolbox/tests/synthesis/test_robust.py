@@ -64,7 +64,7 @@ def test_a_selection_of_the_bounds_is_as_good_as_all_of_them(objective):
     some = solve(problem)
     whole = formulate(problem, plant + 1, frequency)
     for solution in (whole.solution(minimise(whole.program)), some):
-        L = problem.response(solution)
+        L = problem.L(solution)
         sigma = [largest_singular_values(problem.M(L, k)) for k in range(5)]
         largest = np.max(sigma)
         assert largest <= 0.9 * (1 + 1e-9)

@@ -28,7 +28,7 @@ def test_without_Q_the_cutoff_is_where_P_ends():
     lag = control.ss(0.9, 0.1, 1, 0, 1.0)
     design = synthesise(lag)
     ends = 2 * np.arcsin(np.sqrt((1 - 0.1**2) / 0.1**2 * 0.01 / (4 * 0.9)))  # |P| = 0.1
-    assert design.problem.cutoff == pytest.approx(ends, rel=0.05)
+    assert design.problem.lowpass.cutoff == pytest.approx(ends, rel=0.05)
     assert design.problem.L_max == pytest.approx(20, rel=1e-3) and design.sigma_L.max() <= 20.002
     said = repr(design)
     norm = float(re.search(r"norm of a trial of (\d+) samples (\S+)", said)[2])
@@ -41,7 +41,7 @@ def test_where_plants_differ_the_cutoff_is_lower_and_all_of_them_keep_M_max():
     plants = [control.ss(0.9, 0.1 * g, 1, 0, 1.0) for g in (1.0, 1.3)]
     late = plants[0] * control.tf([1], [1, 0, 0, 0, 0], 1.0)  # four samples
     alike, apart = (synthesise(P) for P in (plants, [plants[0], control.ss(late)]))
-    assert apart.problem.cutoff < 0.6 * alike.problem.cutoff
+    assert apart.problem.lowpass.cutoff < 0.6 * alike.problem.lowpass.cutoff
     omega = np.linspace(1e-4, np.pi, 10**5)
     for design, P in ((alike, plants), (apart, [plants[0], late])):
         assert convergence(P, design.Q, design.filter, omega).gamma.max() <= 0.9
@@ -49,10 +49,10 @@ def test_where_plants_differ_the_cutoff_is_lower_and_all_of_them_keep_M_max():
 
 def test_a_trial_that_grows_takes_half_the_cutoff_and_is_said(monkeypatch):
     lag = control.ss(0.9, 0.1, 1, 0, 1.0)
-    once = synthesise(lag).problem.cutoff
+    once = synthesise(lag).problem.lowpass.cutoff
     monkeypatch.setattr(design_module, "norm_of_trial", lambda _: (1.5, 70))
     with pytest.warns(match="norm of a trial of 70 samples 1.5: its ends may grow"):
-        assert synthesise(lag).problem.cutoff == pytest.approx(once / 2, rel=0.05)
+        assert synthesise(lag).problem.lowpass.cutoff == pytest.approx(once / 2, rel=0.05)
 
 
 def test_a_plant_of_either_sign_leaves_nothing_to_learn():
@@ -85,7 +85,7 @@ def test_a_table_alone_is_enough():
     table = control.frd(RESPONSE, LINES, 1.0)
     for P in (table, measured_response(table, uncertainty=0.02 + 0.1 * LINES)):
         design = synthesise(P)
-        assert 0.3 < design.problem.cutoff < 3 and design.certificate.failures == []
+        assert 0.3 < design.problem.lowpass.cutoff < 3 and design.certificate.failures == []
         assert design.law().Q.order == 2
         assert design.check(LAG).gamma < 0.9
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ilctools import convergence, synthesise, zero_phase_butterworth
-from ilctools.problem.roughness import FALSE_ALARM, scatter
+from ilctools.response.roughness import FALSE_ALARM, scatter
 
 OMEGA = np.geomspace(1e-3, np.pi, 120)
 

@@ -5,16 +5,13 @@ import numpy as np
 
 from ilctools import ClosedLoop, synthesise, zero_phase_butterworth
 from ilctools.models import frequency_response
-from ilctools.problem.measured import Measured
-from ilctools.problem.responses import FREQUENCIES
+from ilctools.response.measured import Measured
 
 Ts, RADIUS = 0.01, 1e-4
 
 
 class Estimate(Measured):
     """A response that is known everywhere, of a model."""
-
-    continuous = True
 
     def __init__(self, P):
         self.P, self.loop = P, ClosedLoop(None, Ts, ["y"])
@@ -40,5 +37,4 @@ def test_nothing_passes_between_the_frequencies_of_an_estimate():
     omega = np.geomspace(0.05, np.pi / Ts, 100_000)
     P, L = (frequency_response(P, omega), design.filter.frequency_response(omega))
     M = np.abs(Q.frequency_response(omega) * (1 - P * L)[:, 0, 0])
-    assert M.max() < design.certificate.rate + 1e-3
-    assert FREQUENCIES < len(design.omega) < FREQUENCIES + 100
+    assert M.max() < design.certificate.rate + 1e-3 < 0.5

@@ -36,3 +36,9 @@ def phase_grid(systems, step) -> np.ndarray:
         total = np.append(0, np.cumsum(steps))
         theta = np.interp(np.linspace(0, total[-1], 2 + int(total[-1] / step)), total, theta)
     return theta
+
+
+def subdivided(omega, parts) -> np.ndarray:
+    """Some frequencies for each of a row, and its last one."""
+    steps = np.linspace(0, 1, parts, endpoint=False)
+    return np.append((omega[:-1, None] + np.outer(np.diff(omega), steps)).ravel(), omega[-1])

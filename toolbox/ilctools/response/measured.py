@@ -20,7 +20,6 @@ class Measured:
     """
 
     findings = ()
-    continuous = False  # whether P is estimated at all frequencies, not at lines
 
     def radius(self, confidence: float = 0.95, jointly: bool = False) -> np.ndarray:
         """Radius of ||Delta||, the largest singular value, that covers the truth.

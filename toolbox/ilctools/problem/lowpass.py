@@ -1,0 +1,58 @@
+"""Q in whatever form it is known: the Butterworth filter (43), or samples."""
+
+import reprlib
+from dataclasses import dataclass
+
+import control
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from ilctools import arguments
+from ilctools.filters import ZeroPhaseButterworth
+from ilctools.problem import defaults
+from ilctools.response.response import axis_of
+
+RIPPLE = 1.2  # of a low-pass filter without taper, applied twice: the largest sensible |Q|
+IMAGINARY = 1e-6  # relative: imaginary part that the rounding of samples may leave of a real Q
+
+
+@dataclass(frozen=True, eq=False)
+class SampledQ:
+    """Q by its samples: splined between, and beyond their ends as there."""
+
+    omega: np.ndarray  # (n,), rad/s
+    samples: np.ndarray  # (n,)
+
+    @property
+    def cutoff(self) -> float:
+        """Where the samples are down to one half for good, rad/s."""
+        return defaults.cutoff(self.samples, self.omega)
+
+    def frequency_response(self, omega) -> np.ndarray:
+        """Q at some frequencies, (k,)."""
+        axis = axis_of(self.omega, self.samples[:, None, None])
+        place = axis(np.clip(omega, *self.omega[[0, -1]]))
+        return CubicSpline(axis(self.omega), self.samples)(place)
+
+
+def lowpass_of(Q, omega) -> ZeroPhaseButterworth | SampledQ:
+    """The filter Q, or its samples on omega as one."""
+    if isinstance(Q, control.LTI):
+        raise ValueError(
+            f"Q = {reprlib.repr(Q)} is a model, which runs in one direction only: pass "
+            "zero_phase_butterworth(order, cutoff, Ts), or the samples of |Q|^2 on omega"
+        )
+    butterworth = isinstance(Q, ZeroPhaseButterworth)
+    samples = Q.frequency_response(omega) if butterworth else Q
+    samples = arguments.array("Q", samples, (len(omega),), complex)
+    if (largest := np.abs(samples).max()) > RIPPLE:
+        raise ValueError(
+            f"Q has a gain of {largest:.4g} at {omega[np.abs(samples).argmax()]:.4g} rad/s: pass a "
+            "low-pass filter whose gain is one at most, or v overshoots what cancels the error"
+        )
+    if np.abs(samples.imag).max() > IMAGINARY * np.abs(samples).max():
+        raise ValueError(
+            f"Q turns the phase by up to {np.abs(np.angle(samples)).max():.2g} rad, as a filter "
+            "does that runs in one direction only: pass |Q|^2 of it, or zero_phase_butterworth"
+        )
+    return Q if butterworth else SampledQ(omega, samples.real)

@@ -1,0 +1,1 @@
+"""What is known of P: one value, made at the door and asked nothing afterwards."""

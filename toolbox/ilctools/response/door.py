@@ -1,0 +1,172 @@
+"""The door: plants in whatever form they are known become one Response."""
+
+import reprlib
+
+import control
+import numpy as np
+
+from ilctools import arguments
+from ilctools.filters import ZeroPhaseButterworth
+from ilctools.loop.closed import Loop
+from ilctools.models import model_and_response, refuse_foreign
+from ilctools.response.measured import CONFIDENCE, Measured
+from ilctools.response.response import Response
+from ilctools.signals import Signals, check_match
+
+FREQUENCIES = 1000  # of a grid that is chosen, as of the paper's
+LOWEST = 1e-4  # of the Nyquist frequency: the lowest cut-off of a Q that is chosen
+DECADES = 3  # of it below the cut-off of Q, as in the paper: from 1e-4 to 0.1 rad/s
+# relative: imaginary part that the rounding of a table may leave of a real response
+IMAGINARY = 1e-6
+
+
+def response_of(P, omega=None, Ts=None, uncertainty=None, scale=None, Q=None) -> Response:
+    """What is known of P, which must match Q, if there is one; arguments of `synthesise`."""
+    plants = named(P)
+    if Ts is None:
+        Ts = _period(Q, *plants.values())
+    Ts = arguments.sampling_period("Ts", Ts)
+    if omega is None:
+        omega = frequencies(plants.values(), Ts, Q)
+    omega = arguments.increasing_frequencies("omega", omega, Ts)
+    known, assumptions = plants, ()
+    if isinstance(P, Measured):
+        if uncertainty is not None:
+            raise ValueError(
+                "uncertainty must be None if P is a measured response, which has a radius of its "
+                "own: for a larger one, pass both of P.on(omega, confidence) as arrays"
+            )
+        _refuse_other_units("P.omega", P.omega, P.response[None], Ts)
+        known = {"P": P.on(omega, CONFIDENCE)[0]}
+        _, uncertainty = P.on(omega, CONFIDENCE, scale)
+        assumptions = P.basis(omega, CONFIDENCE)
+    models, responses = _on_grid(known, omega, Ts)
+    signals = {name: Signals.of_plant(plant, Ts) for name, plant in plants.items()}
+    check_match(**signals, Q=Q, grid=Signals(Ts))
+    _refuse_other_units("omega", omega, responses, Ts)
+    models, responses, scale = _in_units(scale, models, responses)
+    if uncertainty is not None:
+        uncertainty = arguments.array("uncertainty", uncertainty, omega.shape)
+        if uncertainty.min() < 0:
+            raise ValueError(
+                f"uncertainty reaches {uncertainty.min():.6g}, but a radius cannot be negative"
+            )
+    nominal, *_ = signals.values()
+    return Response(
+        omega=omega,
+        P=responses,
+        Ts=Ts,
+        models=tuple(models),
+        radius=uncertainty if np.any(uncertainty) else None,
+        scale=scale,
+        signals=nominal,
+        assumptions=assumptions,
+    )
+
+
+def named(P) -> dict:
+    """The plants by their names in messages, the nominal one first, from one plant or several."""
+    several = isinstance(P, np.ndarray) and P.ndim == 4
+    if isinstance(P, list | tuple):
+        measured = [isinstance(p, Measured) for p in P]
+        if any(measured):
+            raise ValueError(
+                f"P[{measured.index(True)}] is a measured response, whose radius would count for "
+                "all of the list: pass it alone, or P.on(omega, confidence) as arrays"
+            )
+        several = not P or any(isinstance(p, Loop | control.LTI) or _axes(p) == 3 for p in P)
+    if several and not len(P):
+        raise ValueError(
+            f"P = {reprlib.repr(P)} holds no plant: pass one or more, the nominal one first"
+        )
+    plants = {f"P[{k}]": plant for k, plant in enumerate(P)} if several else {"P": P}
+    for name, plant in plants.items():
+        refuse_foreign(name, plant)
+        if not isinstance(plant, Loop | control.LTI | Measured):
+            arguments.array(name, plant, ("omega", "outputs", "inputs"), complex)
+    return plants
+
+
+def _axes(value):
+    """Number of axes of an array; rows of different lengths are found where they are read."""
+    try:
+        return np.ndim(value)
+    except (TypeError, ValueError):
+        return 0
+
+
+def _period(*systems):
+    """The sampling period that Q, or else a plant, knows."""
+    for system in systems:
+        system = system.loop if isinstance(system, Measured) else system
+        if isinstance(system, ZeroPhaseButterworth | Loop):
+            return system.Ts
+        if isinstance(system, control.LTI) and system.dt and system.dt is not True:
+            return system.dt
+    raise ValueError("Ts must be given, as neither P nor Q knows the sampling period")
+
+
+def frequencies(plants, Ts, Q=None) -> np.ndarray:
+    """Design frequencies, rad/s: of samples their own, of models a logarithmic grid up to Nyquist.
+
+    Of a measured plant the grid begins where it is known; without Q, as for the lowest cut-off.
+    """
+    sampled = [plant for plant in plants if not isinstance(plant, Loop | control.LTI)]
+    for plant in plants:
+        if isinstance(plant, control.FrequencyResponseData):
+            return plant.omega
+    if not all(isinstance(plant, Measured) for plant in sampled):
+        raise ValueError("omega must be given: P is an array, which does not know its frequencies")
+    if not isinstance(Q, ZeroPhaseButterworth | None):
+        raise ValueError(
+            "omega must be given, as Q holds samples: or pass zero_phase_butterworth(order, "
+            "cutoff, Ts), from whose cut-off a grid is chosen"
+        )
+    cutoff = LOWEST * np.pi / Ts if Q is None else Q.cutoff
+    known = [plant.omega[getattr(plant, "known", plant.omega > 0)][0] for plant in sampled]
+    return np.geomspace(max([cutoff / 10**DECADES, *known]), np.pi / Ts, FREQUENCIES)
+
+
+def _on_grid(plants, omega, Ts):
+    """Each plant as a model, or None, and their frequency responses on omega, (p, n, m, m)."""
+    models, responses, shape = [], [], (len(omega), "m", "m")
+    for name, plant in plants.items():
+        P = plant.P if isinstance(plant, Loop) else plant
+        model, response = model_and_response(name, P, omega, Ts)
+        if _axes(response) == 3 and len(response) == len(omega):
+            _, outputs, inputs = np.shape(response)
+            arguments.square(name, inputs, outputs)
+        responses.append(arguments.array(name, response, shape, complex))
+        models.append(model)
+        shape = responses[0].shape
+    return models, np.array(responses)
+
+
+def _in_units(scale, models, responses):
+    """The plants in units of `scale`, and these; one where there is none."""
+    m = responses.shape[-1]
+    if scale is None:
+        return models, responses, np.ones(m)
+    scale = arguments.array("scale", scale, (m,))
+    if scale.min() <= 0:
+        raise ValueError(f"scale = {scale.tolist()} must be positive numbers")
+    S, R = np.diag(scale), np.diag(1 / scale)
+    models = [
+        model and control.ss(model.A, model.B @ S, R @ model.C, R @ model.D @ S, model.dt)
+        for model in models
+    ]
+    return models, responses * (scale / scale[:, None]), scale
+
+
+def _refuse_other_units(name, omega, responses, Ts):
+    """Refuse frequencies in Hz or rad/sample: up to Nyquist's, where P is real, as z is -1."""
+    for end, what, unit in ((0.5 / Ts, "1 / (2 Ts)", "Hz"), (np.pi, "pi", "rad/sample")):
+        if abs(omega[-1] / end - 1) > IMAGINARY or abs(omega[-1] * Ts - np.pi) < IMAGINARY:
+            continue
+        imaginary, size = (np.abs(x).max(axis=(2, 3)) for x in (responses.imag, responses))
+        rounding = IMAGINARY * size.max()
+        if np.any((imaginary[:, -1] <= rounding) & (imaginary.max(1) > rounding)):
+            raise ValueError(
+                f"{name} ends at {omega[-1]:.6g} = {what}, and P is real there, as at the Nyquist "
+                f"frequency: omega is in {unit}, multiply it by {np.pi / Ts / end:.6g}"
+            )
